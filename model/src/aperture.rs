@@ -7,12 +7,11 @@ use glam::{DMat3, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
 use crate::pose::rotation_exp;
-use crate::scalar::{Linear3, Scalar, Vector3};
+use crate::scalar::{Linear3, Number, Vector3};
 use crate::scene::Slit;
 
-/// The compiled slit.
 #[derive(Clone, Debug)]
-pub(crate) enum Aperture<S: Scalar> {
+pub enum Aperture<S: Number> {
     /// A thin mask, slit sides parallel to the detector's.
     Thin(Face<S>),
     /// A thick mask, slit sides parallel to the detector's: lower and upper face.
@@ -25,42 +24,40 @@ pub(crate) enum Aperture<S: Scalar> {
 
 /// A slit face parallel to the detector at height z.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
-pub(crate) struct Face<S> {
-    pub(crate) z: S,
-    pub(crate) x: Span<S>,
-    pub(crate) y: Span<S>,
+pub struct Face<S> {
+    pub z: S,
+    pub x: Span<S>,
+    pub y: Span<S>,
 }
 
 /// An interval and its length, stored because the difference of its ends cancels far from the origin.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
-pub(crate) struct Span<S> {
-    pub(crate) low: S,
-    pub(crate) high: S,
-    pub(crate) length: S,
+pub struct Span<S> {
+    pub low: S,
+    pub high: S,
+    pub length: S,
 }
 
-impl<S: Scalar> Span<S> {
-    pub(crate) fn centred(centre: f64, length: f64) -> Self {
+impl<S: Number> Span<S> {
+    pub fn centred(centre: f64, length: f64) -> Self {
         Self { low: S::of(centre - 0.5 * length), high: S::of(centre + 0.5 * length), length: S::of(length) }
     }
 }
 
 /// A slit in general orientation.
 #[derive(Clone, Debug)]
-pub(crate) struct Turned<S: Scalar> {
+pub struct Turned<S: Number> {
     /// Corners of the faces, in order around the slit.
-    pub(crate) faces: [[S::Vec3; 4]; 2],
+    pub faces: [[S::Vec3; 4]; 2],
     /// Number of distinct faces: 1 for a thin mask, else 2.
-    pub(crate) face_count: usize,
-    /// Centre of the slit.
-    pub(crate) centre: S::Vec3,
+    pub face_count: usize,
+    pub centre: S::Vec3,
     /// Normal of the mask, pointing away from the detector.
-    pub(crate) normal: S::Vec3,
-    /// Half the mask's thickness.
-    pub(crate) half_thickness: S,
+    pub normal: S::Vec3,
+    pub half_thickness: S,
     /// Weight of the paper tier's definition for a tilted slit: 0 where the slit's sides are parallel to
     /// the detector's, rising to 1 at a rotation of [`TILTED_RAD`].
-    pub(crate) skew: S,
+    pub skew: S,
 }
 
 /// Sine of a rotation that is only the rounding of degrees converted to radians.
@@ -71,8 +68,8 @@ const PARALLEL: f64 = 1e-14;
 /// over 0.1° is no steeper than the current's own slope.
 const TILTED_RAD: f64 = 0.1 * core::f64::consts::PI / 180.0;
 
-impl<S: Scalar> Aperture<S> {
-    pub(crate) fn compile(slit: &Slit) -> Self {
+impl<S: Number> Aperture<S> {
+    pub fn compile(slit: &Slit) -> Self {
         let axes = DMat3::from_quat(rotation_exp(slit.tilt_rad));
         let centre = DVec3::new(slit.offset_m.x, slit.offset_m.y, slit.distance_m);
         // Sine of the rotation from the nearest orientation with sides along x and y.
@@ -109,8 +106,7 @@ impl<S: Scalar> Aperture<S> {
         })
     }
 
-    /// See [`Turned::skew`].
-    pub(crate) fn skew(&self) -> S {
+    pub fn skew(&self) -> S {
         match self {
             Self::Turned(turned) => turned.skew,
             Self::Thin(_) | Self::Thick(..) | Self::Imperfect(_) => S::zero(),
@@ -127,7 +123,7 @@ impl<S: Scalar> Aperture<S> {
     }
 
     /// The corners of the faces that bound the beam, for [`crate::polygon`].
-    pub(crate) fn corners(&self) -> heapless::Vec<[S::Vec3; 4], 2> {
+    pub fn corners(&self) -> heapless::Vec<[S::Vec3; 4], 2> {
         let of_face = |face: &Face<S>| {
             [
                 S::Vec3::new(face.x.low, face.y.low, face.z),

@@ -2,10 +2,7 @@
 
 use heapless::Vec;
 
-use crate::scene::{Cell, Detector, Emitter, MAX_CELLS, Slit};
-
-/// Most cells with effects in a scene: all, with the feature `effects` of this crate; else none.
-pub(crate) const MAX_IMPERFECT: usize = if cfg!(feature = "effects") { MAX_CELLS } else { 0 };
+use crate::scene::Cell;
 
 /// Most coefficients of [`Effects::nonlinearity_m`].
 pub const MAX_NONLINEARITY: usize = 12;
@@ -25,9 +22,9 @@ pub enum Opening {
     /// A slit on the base.
     #[default]
     Slit,
-    /// A slit on the tool, which rides with the emitter. [`Slit`] says where it is with the tool at home.
+    /// A slit on the tool, which rides with the emitter. [`Slit`](crate::Slit) says where it is with the tool at home.
     RidingSlit,
-    /// A round hole on the base. Its diameter is the width of [`Slit`].
+    /// A round hole on the base. Its diameter is the width of [`Slit`](crate::Slit).
     Pinhole,
     /// A thin lens that fills a round hole on the base: light through each point of it goes on to the image of the
     /// emitter.
@@ -46,7 +43,7 @@ impl Opening {
 
 /// Whether the light of `emitter`, whose cell shares a detector with `other_axis`, counts on the detector of another cell
 /// `cell`: two cells that read one detector have one emitter, and each counts it as its own.
-pub(crate) fn counts_on(emitter: usize, other_axis: Option<usize>, cell: usize) -> bool {
+pub fn counts_on(emitter: usize, other_axis: Option<usize>, cell: usize) -> bool {
     other_axis.is_none_or(|other| other != cell && other > emitter)
 }
 
@@ -116,39 +113,19 @@ impl Effects {
 }
 
 impl Cell {
-    /// A cell whose parts are ideal.
-    pub fn ideal(detector: Detector, slit: Slit, emitter: Emitter) -> Self {
-        Self {
-            detector,
-            slit,
-            emitter,
-            #[cfg(feature = "effects")]
-            effects: Effects::default(),
-        }
-    }
-
-    /// The effects; `None`: the crate has been built without.
-    fn effects(&self) -> Option<&Effects> {
-        #[cfg(feature = "effects")]
-        let effects = Some(&self.effects);
-        #[cfg(not(feature = "effects"))]
-        let effects = None;
-        effects
-    }
-
     /// The effects, if there are any that change what the cell sees.
     pub(crate) fn acting_effects(&self) -> Option<&Effects> {
-        self.effects().filter(|effects| effects.act())
+        Some(&self.effects).filter(|effects| effects.act())
     }
 
     /// What the light passes through.
     pub fn opening(&self) -> Opening {
-        self.effects().map_or(Opening::Slit, |effects| effects.opening)
+        self.effects.opening
     }
 
     /// The cell that reads the other axis of the same detector.
     pub fn other_axis(&self) -> Option<usize> {
-        self.effects().and_then(|effects| effects.other_axis)
+        self.effects.other_axis
     }
 
     /// Whether this cell, number `number`, reads the second axis of its detector: the emitter is that of another cell.
@@ -161,18 +138,11 @@ impl Cell {
         number != cell && counts_on(number, self.other_axis(), cell)
     }
 
-    /// What the cell does beyond the model.
-    pub(crate) fn model_error(&self) -> ModelError {
-        self.effects().map_or_else(ModelError::default, |effects| effects.model_error)
-    }
-
     /// Magnitude of the current that is read when only stray light comes, the tool at home, amperes.
     pub(crate) fn stray_a(&self) -> f64 {
-        let current_a = |effects: &Effects| {
-            let [first, second] = effects.stray.unwrap_or_default().constant_a;
-            (first * effects.electrode_gain[0] + second * effects.electrode_gain[1]).abs()
-        };
-        self.effects().map_or(0.0, current_a)
+        let Effects { stray, electrode_gain: gain, .. } = &self.effects;
+        let [first, second] = stray.unwrap_or_default().constant_a;
+        (first * gain[0] + second * gain[1]).abs()
     }
 }
 

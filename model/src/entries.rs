@@ -6,63 +6,47 @@
 
 use heapless::Vec;
 
-use crate::plan::{CellTerms, Plan, Tier, evaluate};
+use crate::plan::{CellTerms, CellsAtOnce, NoLanes, Plan, Tier, evaluate};
 use crate::pose::{Pose, Transform};
 use crate::response::{Pair, Response};
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 use crate::scene::{Scene, SceneError};
 use crate::solve::{Directions, MotionPrior, Photocurrents, Solution, Solver, Start, Tracked, Tracker};
 
-/// What a number type has to enter by: each function is the method of the same name.
-pub trait Entries: Sized {
-    fn set_scene(solver: &mut Solver<Self>, scene: &Scene, tier: Tier) -> Result<(), SceneError>
-    where
-        Self: Scalar;
-    fn compile(scene: &Scene, tier: Tier) -> Result<Plan<Self>, SceneError>
-    where
-        Self: Scalar;
-    fn respond(plan: &Plan<Self>, cell: usize, pose: &Pose) -> Response<Self>
-    where
-        Self: Scalar;
-    fn photocurrents(plan: &Plan<Self>, cell: usize, pose: &Pose) -> Pair<Self>
-    where
-        Self: Scalar;
+/// A number that heads are compiled and solved in.
+#[allow(missing_docs, reason = "each function is the method of the same name")]
+pub trait Scalar: Number {
+    /// Cells in as many lanes as the processor has at run time.
+    type WideCells: CellsAtOnce<Self>;
+
+    fn set_scene(solver: &mut Solver<Self>, scene: &Scene, tier: Tier) -> Result<(), SceneError>;
+    fn compile(scene: &Scene, tier: Tier) -> Result<Plan<Self>, SceneError>;
+    fn respond(plan: &Plan<Self>, cell: usize, pose: &Pose) -> Response<Self>;
+    fn photocurrents(plan: &Plan<Self>, cell: usize, pose: &Pose) -> Pair<Self>;
     fn photocurrents_of(
         plan: &Plan<Self>,
         cell: usize,
         lit: &mut dyn Iterator<Item = (usize, Self)>,
         pose: &Pose,
-    ) -> Pair<Self>
-    where
-        Self: Scalar;
-    fn linearise(plan: &Plan<Self>, cell: usize, pose: &Pose) -> CellTerms<Self>
-    where
-        Self: Scalar;
-    fn spot_outline_m(plan: &Plan<Self>, cell: usize, pose: &Pose) -> Vec<[Self; 2], 16>
-    where
-        Self: Scalar;
-    fn free_directions(solver: &Solver<Self>, pose: &Pose) -> Option<Directions>
-    where
-        Self: Scalar;
-    fn bound(solver: &Solver<Self>, pose: &Pose) -> Option<[[Self; 6]; 6]>
-    where
-        Self: Scalar;
+    ) -> Pair<Self>;
+    fn linearise(plan: &Plan<Self>, cell: usize, pose: &Pose) -> CellTerms<Self>;
+    fn spot_outline_m(plan: &Plan<Self>, cell: usize, pose: &Pose) -> Vec<[Self; 2], 16>;
+    fn free_directions(solver: &Solver<Self>, pose: &Pose) -> Option<Directions>;
+    fn bound(solver: &Solver<Self>, pose: &Pose) -> Option<[[Self; 6]; 6]>;
     fn solve(
         solver: &Solver<Self>,
         readings: &Photocurrents<Self>,
         start: Start<'_>,
         motion: &MotionPrior,
-    ) -> Solution<Self>
-    where
-        Self: Scalar;
-    fn track(tracker: &mut Tracker<Self>, frame: u64, readings: &Photocurrents<Self>) -> Tracked<Self>
-    where
-        Self: Scalar;
+    ) -> Solution<Self>;
+    fn track(tracker: &mut Tracker<Self>, frame: u64, readings: &Photocurrents<Self>) -> Tracked<Self>;
 }
 
 macro_rules! entries {
-    ($scalar:ty: $($name:ident($($argument:ident: $of:ty),*) -> $result:ty { $body:expr })*) => {
-        impl Entries for $scalar {
+    ($scalar:ty, $wide:ty: $($name:ident($($argument:ident: $of:ty),*) -> $result:ty { $body:expr })*) => {
+        impl Scalar for $scalar {
+            type WideCells = $wide;
+
             $(
                 #[cfg_attr(feature = "batch", inline(never))]
                 #[cfg_attr(not(feature = "batch"), inline(always))]
@@ -75,9 +59,9 @@ macro_rules! entries {
 }
 
 macro_rules! entries_of {
-    ($($scalar:ty)*) => {
+    ($($scalar:ty, $wide:ty;)*) => {
         $(entries! {
-            $scalar:
+            $scalar, $wide:
             set_scene(solver: &mut Solver<Self>, scene: &Scene, tier: Tier) -> Result<(), SceneError> {
                 solver.set_scene_here(scene, tier)
             }
@@ -119,4 +103,7 @@ macro_rules! entries_of {
     };
 }
 
-entries_of!(f32 f64);
+#[cfg(feature = "batch")]
+entries_of!(f32, NoLanes; f64, crate::plan::WideCells;);
+#[cfg(not(feature = "batch"))]
+entries_of!(f32, NoLanes; f64, NoLanes;);

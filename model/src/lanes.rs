@@ -12,16 +12,16 @@ use crate::scalar::{Linear3, Real};
 
 /// Most lanes of any processor.
 #[cfg(feature = "batch")]
-pub(crate) const MAX_LANES: usize = 8;
+pub const MAX_LANES: usize = 8;
 
 /// A number of each lane.
 #[cfg(feature = "batch")]
-pub(crate) type PerLane = [f64; MAX_LANES];
+pub type PerLane = [f64; MAX_LANES];
 
 /// Stores the number of each lane.
 #[cfg(feature = "batch")]
 #[inline(always)]
-pub(crate) fn set<R: Real<Element = f64>>(numbers: &mut PerLane, of: R) {
+pub fn set<R: Real<Element = f64>>(numbers: &mut PerLane, of: R) {
     for lane in 0..R::LANES {
         numbers[lane] = of.lane(lane);
     }
@@ -57,7 +57,7 @@ impl Real for f64x2 {
 /// `[of(0), of(1), …]`, of which `fill` is no part. Unlike `core::array::from_fn` and `map` it leaves no function of its
 /// own behind, which would lack the instructions of wide lanes.
 #[inline(always)]
-pub(crate) fn array<T: Copy, const N: usize>(fill: T, mut of: impl FnMut(usize) -> T) -> [T; N] {
+pub fn array<T: Copy, const N: usize>(fill: T, mut of: impl FnMut(usize) -> T) -> [T; N] {
     let mut all = [fill; N];
     for (i, one) in all.iter_mut().enumerate() {
         *one = of(i);
@@ -67,7 +67,7 @@ pub(crate) fn array<T: Copy, const N: usize>(fill: T, mut of: impl FnMut(usize) 
 
 /// The first three numbers of the optics, 0, ½ and 1, in the lanes of `like`.
 #[inline(always)]
-pub(crate) fn zero_half_one<R: Real>(like: R) -> [R; 3] {
+pub fn zero_half_one<R: Real>(like: R) -> [R; 3] {
     [like.constant(0.0), like.constant(0.5), like.constant(1.0)]
 }
 

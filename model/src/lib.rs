@@ -66,7 +66,6 @@ mod aperture;
 mod effects;
 mod entries;
 mod exact;
-mod identify;
 mod lanes;
 mod list;
 mod paper;
@@ -79,7 +78,6 @@ mod rectangle;
 mod response;
 mod scalar;
 mod scene;
-mod solid_angle;
 mod solve;
 #[cfg(feature = "batch")]
 mod width;
@@ -88,11 +86,12 @@ pub use effects::{
     AZIMUTHAL_TERMS, Converters, Effects, MAX_CONVERTER, MAX_NONLINEARITY, ModelError, Opening, ProfileShape,
     RADIAL_TERMS, Stray, Window,
 };
-pub use identify::identified_relative_intensity;
+pub use entries::Scalar;
+pub use paper::identified_relative_intensity;
 pub use plan::{BOARD_CELLS, CompactPlan, CurrentsJacobian, Plan, Tier};
 pub use pose::{Pose, Twist, rotation_exp, rotation_log};
 pub use response::{Flags, Integration, Pair, Response, Status};
-pub use scalar::{Linear3, Real, Scalar, Vector3};
+pub use scalar::{Linear3, Number, Real, Vector3};
 pub use scene::{
     BOLTZMANN_J_PER_K, Cell, DEFAULT_FAINT_A, Detector, ELEMENTARY_CHARGE_C, Emitter, Fault, MAX_CELLS,
     MAX_PROFILE_KNOTS, Noise, Place, Profile, Scene, SceneError, Slit, Uncertainty,

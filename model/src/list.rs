@@ -3,9 +3,9 @@
 //! with each tracker.
 
 #[cfg(not(feature = "batch"))]
-pub(crate) type List<T, const N: usize> = heapless::Vec<T, N>;
+pub type List<T, const N: usize> = heapless::Vec<T, N>;
 #[cfg(feature = "batch")]
-pub(crate) use shared::List;
+pub use shared::List;
 
 #[cfg(feature = "batch")]
 mod shared {
@@ -17,16 +17,16 @@ mod shared {
 
     /// What of [`heapless::Vec`] a plan uses. A list that is changed is copied first if it is shared.
     #[derive(Clone, Debug)]
-    pub(crate) struct List<T, const N: usize>(Arc<Vec<T>>);
+    pub struct List<T, const N: usize>(Arc<Vec<T>>);
 
     impl<T: Clone, const N: usize> List<T, N> {
-        pub(crate) fn new() -> Self {
+        pub fn new() -> Self {
             Self(Arc::default())
         }
 
         /// # Errors
         /// The item, if there is no place for it.
-        pub(crate) fn push(&mut self, item: T) -> Result<(), T> {
+        pub fn push(&mut self, item: T) -> Result<(), T> {
             if self.len() == N {
                 return Err(item);
             }
@@ -34,7 +34,7 @@ mod shared {
             Ok(())
         }
 
-        pub(crate) fn clear(&mut self) {
+        pub fn clear(&mut self) {
             *self = Self::new();
         }
     }

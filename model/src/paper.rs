@@ -10,7 +10,7 @@ use crate::lanes::{array, zero_half_one};
 use crate::polygon::{EmitterGradient, Polygon};
 use crate::profile::Falloff;
 use crate::rectangle::{Extent, Rectangle, RectangleLight, SideGradient};
-use crate::scalar::{Linear3, Real, Scalar};
+use crate::scalar::{Linear3, Number, Real};
 
 /// Half the angle θ that a straight segment subtends at the emitter.
 ///
@@ -95,15 +95,15 @@ fn quarter_angle<R: Real>(tangent: R) -> R {
 
 /// Solid angle and angle of emission of a spot in the paper tier.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Beam<S> {
+pub struct Beam<S> {
     /// Ω of the plate, steradians.
-    pub(crate) solid_angle: S,
+    pub solid_angle: S,
     /// cos γ of the beam's central axis.
-    pub(crate) cosine: S,
+    pub cosine: S,
 }
 
 /// Ω and cos γ of a rectangular spot, without derivatives.
-pub(crate) fn rectangle_beam<S: Scalar>(spot: &Rectangle<S>, axis: S::Vec3) -> Beam<S> {
+pub fn rectangle_beam<S: Number>(spot: &Rectangle<S>, axis: S::Vec3) -> Beam<S> {
     let rays = Rays::of(spot);
     let (alpha, beta) = rays.plate(spot);
     let sum = rays.sum(spot);
@@ -164,7 +164,7 @@ impl<R: Real> Rays<R> {
 
 /// Power Ω·I_rel(γ) and geometric centre of a rectangular spot.
 #[inline(always)]
-pub(crate) fn rectangle_light<R: Real, E: Falloff<R>, const GRADIENT: bool>(
+pub fn rectangle_light<R: Real, E: Falloff<R>, const GRADIENT: bool>(
     spot: &Rectangle<R>,
     axis: R::Vec3,
     emission: &E,
@@ -230,7 +230,7 @@ pub(crate) fn rectangle_light<R: Real, E: Falloff<R>, const GRADIENT: bool>(
 
 /// The plate equivalent to a polygonal spot: a is the chord through the centroid along x,
 /// b = area/a, centred on the centroid along y.
-struct PolygonPlate<S: Scalar> {
+struct PolygonPlate<S: Number> {
     alpha: HalfAngle<S>,
     beta: HalfAngle<S>,
     left: usize,
@@ -240,7 +240,7 @@ struct PolygonPlate<S: Scalar> {
     beam: CentralAxis<S>,
 }
 
-impl<S: Scalar> PolygonPlate<S> {
+impl<S: Number> PolygonPlate<S> {
     fn of(polygon: &Polygon<S>, skew: S) -> Self {
         let [xc, yc] = polygon.centroid();
         let ((left, x_left), (right, x_right)) = polygon.chord(yc);
@@ -264,7 +264,7 @@ impl<S: Scalar> PolygonPlate<S> {
 
 /// The beam's central axis: for a tilted slit, the ray to the spot's centroid; for a rectangle, the sum
 /// of the unit vectors to the mid-points of the plate's edges. `skew` blends the two definitions.
-struct CentralAxis<S: Scalar> {
+struct CentralAxis<S: Number> {
     ends: [S::Vec3; 4],
     centroid: S::Vec3,
     skew: S,
@@ -274,7 +274,7 @@ struct CentralAxis<S: Scalar> {
     direction: S::Vec3,
 }
 
-impl<S: Scalar> CentralAxis<S> {
+impl<S: Number> CentralAxis<S> {
     fn of(ends: [S::Vec3; 4], centroid: S::Vec3, skew: S) -> Self {
         let unit = |v: S::Vec3| v * v.length().recip();
         let sum = ends.into_iter().map(unit).fold(S::Vec3::default(), |sum, end| sum + end);
@@ -304,7 +304,7 @@ impl<S: Scalar> CentralAxis<S> {
 }
 
 /// Ω and cos γ of a polygonal spot, without derivatives. `skew`: see [`Turned`](crate::aperture::Turned).
-pub(crate) fn polygon_beam<S: Scalar>(polygon: &Polygon<S>, axis: S::Vec3, skew: S) -> Beam<S> {
+pub fn polygon_beam<S: Number>(polygon: &Polygon<S>, axis: S::Vec3, skew: S) -> Beam<S> {
     let plate = PolygonPlate::of(polygon, skew);
     Beam {
         solid_angle: plate_solid_angle(plate.alpha.tangent2, plate.beta.tangent2).0,
@@ -314,7 +314,7 @@ pub(crate) fn polygon_beam<S: Scalar>(polygon: &Polygon<S>, axis: S::Vec3, skew:
 
 /// Power and centroid (relative to the emitter's foot) of a polygonal spot, with derivatives with respect
 /// to the emitter's position (foot fixed) and axis. `skew`: see [`Turned`](crate::aperture::Turned).
-pub(crate) fn polygon_light<S: Scalar, E: Falloff<S>, const GRADIENT: bool>(
+pub fn polygon_light<S: Number, E: Falloff<S>, const GRADIENT: bool>(
     polygon: &Polygon<S>,
     axis: S::Vec3,
     emission: &E,
@@ -357,4 +357,38 @@ pub(crate) fn polygon_light<S: Scalar, E: Falloff<S>, const GRADIENT: bool>(
         (alpha * by_alpha + beta * by_beta) * relative + plate.beam.turn(axis, ends, [xc, yc]) * (omega * slope);
     power.by_axis = plate.beam.direction * (omega * slope);
     (power, centroid)
+}
+
+/// The relative radiant intensity that gives a measured photocurrent, I_rel = I_Om/(S·Ω·I_e):
+/// equation (6) of De La Cruz, Gosselin, Bachta, Morel 2018.
+///
+/// `i_om_a` is the measured photocurrent without dark current (amperes), `solid_angle_sr` the
+/// spot's Ω (steradians), `radiant_intensity_w_per_sr` the axial I_e, `responsivity_a_per_w` the
+/// detector's S. `None` if the model expects no light: S·Ω·I_e is not positive, or so small that the
+/// quotient is not finite.
+pub fn identified_relative_intensity(
+    i_om_a: f64,
+    solid_angle_sr: f64,
+    radiant_intensity_w_per_sr: f64,
+    responsivity_a_per_w: f64,
+) -> Option<f64> {
+    let full = responsivity_a_per_w * solid_angle_sr * radiant_intensity_w_per_sr;
+    (full > 0.0).then(|| i_om_a / full).filter(|relative| relative.is_finite())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_equation_5_gives_equation_6_takes_back() {
+        // I_O = Ω·I_e·I_rel·S of the bench: 3.5523 msr, 3.16 mW/sr, 0.54 A/W, I_rel = ½.
+        let i_o_a = 3.5523e-3 * 3.16e-3 * 0.5 * 0.54;
+        let relative = identified_relative_intensity(i_o_a, 3.5523e-3, 3.16e-3, 0.54);
+        assert!((relative.expect("light") - 0.5).abs() < 1e-15);
+        for dark in [[0.0, 3.16e-3, 0.54], [3.5523e-3, 0.0, 0.54], [3.5523e-3, 3.16e-3, 0.0]] {
+            assert_eq!(identified_relative_intensity(i_o_a, dark[0], dark[1], dark[2]), None);
+        }
+        assert_eq!(identified_relative_intensity(i_o_a, 1e-312, 3.16e-3, 0.54), None);
+    }
 }

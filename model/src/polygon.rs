@@ -9,23 +9,22 @@ use heapless::Vec;
 use crate::aperture::{Aperture, Turned};
 use crate::rectangle::Rectangle;
 use crate::response::Status;
-use crate::scalar::{Linear3, Real, Scalar};
+use crate::scalar::{Linear3, Number, Real};
 
 /// Four sides of the detector, four of each of the two slit faces, the mask plane and the horizon make 14; the ten sides
 /// of a round hole, four of the detector and the horizon 15.
-pub(crate) const MAX_CORNERS: usize = 16;
+pub const MAX_CORNERS: usize = 16;
 
 /// A line in the detector plane, F(X, Y) = normal·(X, Y) + offset, positive inside.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Line<S: Scalar> {
-    pub(crate) normal: [S; 2],
+pub struct Line<S: Number> {
+    pub normal: [S; 2],
     offset: S,
-    pub(crate) motion: Motion<S>,
+    pub motion: Motion<S>,
 }
 
-/// How a line moves with the emitter.
 #[derive(Clone, Copy, Debug)]
-pub(crate) enum Motion<S: Scalar> {
+pub enum Motion<S: Number> {
     /// An end of the detector, which cuts the spot along x: fixed.
     DetectorEnd,
     /// Another fixed line.
@@ -40,7 +39,7 @@ pub(crate) enum Motion<S: Scalar> {
     Refracted { by_position: S::Vec3, is_end: bool },
 }
 
-impl<S: Scalar> Line<S> {
+impl<S: Number> Line<S> {
     #[inline(always)]
     fn at(&self, point: [S; 2]) -> S {
         self.normal[0] * point[0] + self.normal[1] * point[1] + self.offset
@@ -66,7 +65,7 @@ impl<S: Scalar> Line<S> {
 
     /// Outward motion of the line at `point` per motion of the emitter, (∂F/∂e)/|∇F|.
     /// With F = (p − q)·((q − e)×E): ∂F/∂e = −E×(p − q).
-    pub(crate) fn speed_by_position(&self, point: S::Vec3) -> S::Vec3 {
+    pub fn speed_by_position(&self, point: S::Vec3) -> S::Vec3 {
         let inverse = self.inverse_gradient();
         match self.motion {
             Motion::DetectorEnd | Motion::Still => S::Vec3::default(),
@@ -79,7 +78,7 @@ impl<S: Scalar> Line<S> {
 
     /// Outward motion of the line at `point` per turn of the emitter and all that rides with it, about the emitter.
     /// With F = p·N and dN = ω×N: ∂F/∂ω = N×p.
-    pub(crate) fn speed_by_turn(&self, point: S::Vec3) -> Option<S::Vec3> {
+    pub fn speed_by_turn(&self, point: S::Vec3) -> Option<S::Vec3> {
         match self.motion {
             Motion::Riding { normal } => Some(normal.cross(point) * self.inverse_gradient()),
             _ => None,
@@ -87,7 +86,7 @@ impl<S: Scalar> Line<S> {
     }
 
     /// Outward motion of the line at `point` per change of the emitter's axis, (∂F/∂u)/|∇F|.
-    pub(crate) fn speed_by_axis(&self, point: S::Vec3) -> S::Vec3 {
+    pub fn speed_by_axis(&self, point: S::Vec3) -> S::Vec3 {
         match self.motion {
             Motion::Horizon { .. } => point * self.inverse_gradient(),
             _ => S::Vec3::default(),
@@ -102,22 +101,22 @@ impl<S: Scalar> Line<S> {
 /// A quantity and its derivatives with respect to the emitter's position (at fixed detector
 /// coordinates) and axis, cell frame.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct EmitterGradient<R: Real> {
-    pub(crate) value: R,
-    pub(crate) by_position: R::Vec3,
-    pub(crate) by_axis: R::Vec3,
+pub struct EmitterGradient<R: Real> {
+    pub value: R,
+    pub by_position: R::Vec3,
+    pub by_axis: R::Vec3,
 }
 
 impl<R: Real> EmitterGradient<R> {
     #[inline(always)]
-    pub(crate) fn of_value(value: R) -> Self {
+    pub fn of_value(value: R) -> Self {
         let zero = value.constant(0.0);
         let none = R::Vec3::new(zero, zero, zero);
         Self { value, by_position: none, by_axis: none }
     }
 }
 
-impl<S: Scalar> Default for EmitterGradient<S> {
+impl<S: Number> Default for EmitterGradient<S> {
     fn default() -> Self {
         Self::of_value(S::zero())
     }
@@ -125,19 +124,15 @@ impl<S: Scalar> Default for EmitterGradient<S> {
 
 /// A convex spot; edge i runs from corner i to corner i + 1 on line i.
 #[derive(Clone, Debug)]
-pub(crate) struct Polygon<S: Scalar> {
+pub struct Polygon<S: Number> {
     corners: Vec<[S; 2], MAX_CORNERS>,
     lines: Vec<Line<S>, MAX_CORNERS>,
     height: S,
 }
 
-impl<S: Scalar> Polygon<S> {
+impl<S: Number> Polygon<S> {
     /// The spot of the beam through `aperture` from an emitter at `emitter` (cell frame).
-    pub(crate) fn of_beam(
-        aperture: &Aperture<S>,
-        emitter: S::Vec3,
-        detector_half: [S; 2],
-    ) -> Result<(Self, Status), Status> {
+    pub fn of_beam(aperture: &Aperture<S>, emitter: S::Vec3, detector_half: [S; 2]) -> Result<(Self, Status), Status> {
         let mut polygon = Self::detector(emitter, detector_half);
         if let Aperture::Turned(turned) = aperture {
             if (emitter - turned.centre).dot(turned.normal) <= turned.half_thickness {
@@ -152,7 +147,7 @@ impl<S: Scalar> Polygon<S> {
     }
 
     /// The spot of the beam through `faces` that ride with the emitter at `emitter`, their corners relative to it.
-    pub(crate) fn of_riding(
+    pub fn of_riding(
         faces: &[[S::Vec3; 4]],
         emitter: S::Vec3,
         detector_half: [S; 2],
@@ -166,7 +161,7 @@ impl<S: Scalar> Polygon<S> {
 
     /// The spot of the beam through the corners `around` a convex hole parallel to the detector, relative to an emitter
     /// at `height`, within `sides`: normal, offset and motion of each.
-    pub(crate) fn of_hole(
+    pub fn of_hole(
         around: &[S::Vec3],
         height: S,
         sides: impl IntoIterator<Item = ([S; 2], S, Motion<S>)>,
@@ -206,7 +201,7 @@ impl<S: Scalar> Polygon<S> {
     }
 
     /// A rectangular spot whose sides do not move with the emitter.
-    pub(crate) fn of_rectangle(spot: &Rectangle<S>) -> Self {
+    pub fn of_rectangle(spot: &Rectangle<S>) -> Self {
         let [x0, x1] = [spot.x.low.position, spot.x.high.position];
         let [y0, y1] = [spot.y.low.position, spot.y.high.position];
         let (zero, one) = (S::zero(), S::one());
@@ -240,7 +235,7 @@ impl<S: Scalar> Polygon<S> {
     }
 
     /// Clips the spot to the emitter's front half-space, u·(p − e) > 0; whether any area is left.
-    pub(crate) fn clip_horizon(&mut self, axis: S::Vec3) -> bool {
+    pub fn clip_horizon(&mut self, axis: S::Vec3) -> bool {
         self.clip(Line {
             normal: [axis.x(), axis.y()],
             offset: -axis.z() * self.height,
@@ -294,22 +289,22 @@ impl<S: Scalar> Polygon<S> {
             && self.area() > S::of(64.0) * S::epsilon() * perimeter * (perimeter + S::of(0.1) * farthest)
     }
 
-    pub(crate) fn height(&self) -> S {
+    pub fn height(&self) -> S {
         self.height
     }
 
-    pub(crate) fn corners(&self) -> &[[S; 2]] {
+    pub fn corners(&self) -> &[[S; 2]] {
         &self.corners
     }
 
     /// Edges as (line, from, to).
-    pub(crate) fn edges(&self) -> impl Iterator<Item = (&Line<S>, [S; 2], [S; 2])> {
+    pub fn edges(&self) -> impl Iterator<Item = (&Line<S>, [S; 2], [S; 2])> {
         let count = self.corners.len();
         self.lines.iter().enumerate().map(move |(i, line)| (line, self.corners[i], self.corners[(i + 1) % count]))
     }
 
     /// The greatest cos γ of a ray to the spot, for an emitter with this axis.
-    pub(crate) fn greatest_cosine(&self, axis: S::Vec3) -> S {
+    pub fn greatest_cosine(&self, axis: S::Vec3) -> S {
         // Inside the spot if the axis itself points down and meets it: cos γ = 1.
         let down = -axis.z();
         let lands = [axis.x() * self.height / down, axis.y() * self.height / down];
@@ -339,19 +334,24 @@ impl<S: Scalar> Polygon<S> {
     }
 
     /// Triangles of the fan around corner 0, as (twice the area, second corner, third corner).
-    pub(crate) fn fan(&self) -> impl Iterator<Item = (S, [S; 2], [S; 2])> {
+    fn fan(&self) -> impl Iterator<Item = (S, [S; 2], [S; 2])> {
         let [x0, y0] = self.corners.first().copied().unwrap_or_default();
         self.corners.windows(2).skip(1).map(move |pair| {
             ((pair[0][0] - x0) * (pair[1][1] - y0) - (pair[1][0] - x0) * (pair[0][1] - y0), pair[0], pair[1])
         })
     }
 
-    pub(crate) fn area(&self) -> S {
+    /// The exact solid angle at the emitter, steradians.
+    pub fn solid_angle(&self) -> S {
+        fan_solid_angle(self.corners[0], self.fan(), self.height)
+    }
+
+    pub fn area(&self) -> S {
         S::half() * self.fan().fold(S::zero(), |sum, (twice, ..)| sum + twice)
     }
 
     /// Centre of the area, relative to the emitter's foot.
-    pub(crate) fn centroid(&self) -> [S; 2] {
+    pub fn centroid(&self) -> [S; 2] {
         let origin = self.corners[0];
         let mut sums = [S::zero(); 3];
         for (twice, b, c) in self.fan() {
@@ -364,7 +364,7 @@ impl<S: Scalar> Polygon<S> {
     }
 
     /// The chord at height y: (edge, x) of its left and its right end.
-    pub(crate) fn chord(&self, y: S) -> ((usize, S), (usize, S)) {
+    pub fn chord(&self, y: S) -> ((usize, S), (usize, S)) {
         let mut left = (0, S::infinity());
         let mut right = (0, S::neg_infinity());
         for (i, (_, a, b)) in self.edges().enumerate() {
@@ -388,7 +388,7 @@ impl<S: Scalar> Polygon<S> {
     ///
     /// An edge that moves outward by δ adds ∫δ ds of area and ∫pδ ds of first moment; δ is linear
     /// along an edge, so both integrals are exact.
-    pub(crate) fn motion(&self) -> (S::Vec3, S::Vec3, S::Vec3) {
+    pub fn motion(&self) -> (S::Vec3, S::Vec3, S::Vec3) {
         let [xc, yc] = self.centroid();
         let (third, sixth) = (S::of(1.0 / 3.0), S::of(1.0 / 6.0));
         let (mut area, mut x, mut y) = (S::Vec3::default(), S::Vec3::default(), S::Vec3::default());
@@ -407,7 +407,7 @@ impl<S: Scalar> Polygon<S> {
 
     /// Derivative of x of the centroid chord's end on edge `i` with respect to the emitter's position,
     /// given that of the centroid's y, `y_moved`: on the line, F_x·dx + F_y·dy + ∂F/∂e·de = 0.
-    pub(crate) fn chord_motion(&self, i: usize, y_moved: S::Vec3) -> S::Vec3 {
+    pub fn chord_motion(&self, i: usize, y_moved: S::Vec3) -> S::Vec3 {
         let line = &self.lines[i];
         let [_, yc] = self.centroid();
         let (a, b) = (self.corners[i], self.corners[(i + 1) % self.corners.len()]);
@@ -419,13 +419,32 @@ impl<S: Scalar> Polygon<S> {
 
 /// Where a tilted mask dips below the detector surface, light reaches the detector in front of the
 /// mask and has not passed the slit: only points behind the mask count.
-fn mask_plane<S: Scalar>(turned: &Turned<S>, emitter: S::Vec3) -> Line<S> {
+fn mask_plane<S: Number>(turned: &Turned<S>, emitter: S::Vec3) -> Line<S> {
     let below = turned.centre - emitter + turned.normal * -turned.half_thickness;
     Line {
         normal: [-turned.normal.x(), -turned.normal.y()],
         offset: turned.normal.dot(below) + turned.normal.z() * emitter.z(),
         motion: Motion::Still,
     }
+}
+
+/// Solid angle of the triangle with corners `a`, `b`, `c` (relative to the foot point of an
+/// observer at `height`), given twice its area (Van Oosterom and Strackee 1983):
+/// tan(Ω/2) = a·(b×c)/(abc + (a·b)c + (b·c)a + (c·a)b). The triple product is computed without
+/// cancellation as the height times twice the area.
+fn triangle_solid_angle<S: Number>(twice_area: S, a: [S; 2], b: [S; 2], c: [S; 2], height: S) -> S {
+    let h2 = height * height;
+    let dot = |p: [S; 2], q: [S; 2]| p[0] * q[0] + p[1] * q[1] + h2;
+    let (ra, rb, rc) = (dot(a, a).root(), dot(b, b).root(), dot(c, c).root());
+    let denominator = ra * rb * rc + dot(a, b) * rc + dot(b, c) * ra + dot(c, a) * rb;
+    S::two() * (height * twice_area).angle_from(denominator)
+}
+
+/// Solid angle of a convex polygon given as a fan: its first corner, and for each triangle twice
+/// its area and the two other corners.
+pub fn fan_solid_angle<S: Number>(first: [S; 2], fan: impl Iterator<Item = (S, [S; 2], [S; 2])>, height: S) -> S {
+    // The sum is negative only for a sliver thinner than its corners' rounding.
+    fan.fold(S::zero(), |sum, (twice, b, c)| sum + triangle_solid_angle(twice, first, b, c, height)).max(S::zero())
 }
 
 #[cfg(test)]

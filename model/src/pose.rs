@@ -7,7 +7,7 @@
 use glam::{DQuat, DVec3};
 
 use crate::lanes::{array, zero_half_one};
-use crate::scalar::{Linear3, Real, Scalar, Vector3};
+use crate::scalar::{Linear3, Number, Real, Vector3};
 
 /// A rigid transform, `f64`: rotation as a unit quaternion and translation in metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -83,7 +83,7 @@ pub fn rotation_log(rotation: DQuat) -> DVec3 {
 const SMALL: f64 = 1.0 / 64.0;
 
 /// Quaternion (x, y, z, w) of a rotation vector: (v·sin(|v|/2)/|v|, cos(|v|/2)).
-fn exponential<S: Scalar>(rotation_rad: S::Vec3) -> [S; 4] {
+fn exponential<S: Number>(rotation_rad: S::Vec3) -> [S; 4] {
     let half = rotation_rad * S::half();
     let square = half.dot(half);
     let (sinc, cosine) = if square <= S::of(SMALL) {
@@ -105,13 +105,13 @@ fn exponential<S: Scalar>(rotation_rad: S::Vec3) -> [S; 4] {
 /// sin x/x and cos x, by x².
 #[cold]
 #[inline(never)]
-fn far<S: Scalar>(square: S) -> (S, S) {
+fn far<S: Number>(square: S) -> (S, S) {
     let angle = square.root();
     (angle.sine() / angle, angle.cosine())
 }
 
 /// Rotation vector of a unit quaternion.
-fn logarithm<S: Scalar>(rotation: [S; 4]) -> S::Vec3 {
+fn logarithm<S: Number>(rotation: [S; 4]) -> S::Vec3 {
     let [x, y, z, w] = rotation;
     let v = <S::Vec3 as Linear3<S>>::new(x, y, z);
     // q and −q are the same rotation; w ≥ 0 selects the shorter way.
@@ -131,61 +131,60 @@ fn logarithm<S: Scalar>(rotation: [S; 4]) -> S::Vec3 {
 
 /// A pose in the solver's numbers, without what [`Transform`] keeps besides.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Rigid<S: Scalar> {
+pub struct Rigid<S: Number> {
     /// Unit quaternion, x, y, z, w.
     rotation: [S; 4],
     translation: S::Vec3,
 }
 
-impl<S: Scalar> Rigid<S> {
+impl<S: Number> Rigid<S> {
     /// From a unit quaternion, x, y, z, w, and a translation.
     #[cfg(feature = "batch")]
-    pub(crate) fn of_parts(rotation: [S; 4], translation: S::Vec3) -> Self {
+    pub fn of_parts(rotation: [S; 4], translation: S::Vec3) -> Self {
         Self { rotation, translation }
     }
 
-    pub(crate) fn home() -> Self {
+    pub fn home() -> Self {
         Self { rotation: [S::zero(), S::zero(), S::zero(), S::one()], translation: S::Vec3::default() }
     }
 
     /// Translation, and rotation as x, y, z, w.
-    pub(crate) fn numbers(&self) -> ([S; 3], [S; 4]) {
+    pub fn numbers(&self) -> ([S; 3], [S; 4]) {
         let t = self.translation;
         ([t.x(), t.y(), t.z()], self.rotation)
     }
 
-    pub(crate) fn widened(&self) -> Rigid<f64> {
+    pub fn widened(&self) -> Rigid<f64> {
         Rigid { rotation: self.rotation.map(S::as_f64), translation: self.translation.as_dvec3() }
     }
 
-    pub(crate) fn of(pose: &Pose) -> Self {
+    pub fn of(pose: &Pose) -> Self {
         Self { rotation: pose.rotation.to_array().map(S::of), translation: S::Vec3::of(pose.translation_m) }
     }
 
-    pub(crate) fn to_pose(self) -> Pose {
+    pub fn to_pose(self) -> Pose {
         Pose { rotation: DQuat::from_array(self.rotation.map(S::as_f64)), translation_m: self.translation.as_dvec3() }
     }
 
-    pub(crate) fn to_transform(self) -> Transform<S> {
+    pub fn to_transform(self) -> Transform<S> {
         Transform::of_parts(self.rotation, self.translation)
     }
 
     /// As [`Pose::perturbed`].
-    pub(crate) fn perturbed(&self, translation_m: S::Vec3, rotation_rad: S::Vec3) -> Self {
+    pub fn perturbed(&self, translation_m: S::Vec3, rotation_rad: S::Vec3) -> Self {
         let rotation = product(exponential::<S>(rotation_rad), self.rotation);
         let inverse = Real::inverse_root(rotation.iter().fold(S::zero(), |sum, &x| sum + x * x));
         Self { rotation: rotation.map(|x| x * inverse), translation: self.translation + translation_m }
     }
 
     /// As [`Pose::displacement_from`].
-    pub(crate) fn displacement_from(&self, other: &Self) -> [S::Vec3; 2] {
+    pub fn displacement_from(&self, other: &Self) -> [S::Vec3; 2] {
         let [x, y, z, w] = other.rotation;
         [self.translation - other.translation, logarithm::<S>(product(self.rotation, [-x, -y, -z, w]))]
     }
 }
 
-/// The product of two quaternions.
-fn product<S: Scalar>([ax, ay, az, aw]: [S; 4], [bx, by, bz, bw]: [S; 4]) -> [S; 4] {
+fn product<S: Number>([ax, ay, az, aw]: [S; 4], [bx, by, bz, bw]: [S; 4]) -> [S; 4] {
     let (a, b) = (<S::Vec3 as Linear3<S>>::new(ax, ay, az), <S::Vec3 as Linear3<S>>::new(bx, by, bz));
     let v = b * aw + a * bw + a.cross(b);
     [v.x(), v.y(), v.z(), aw * bw - a.dot(b)]
@@ -215,24 +214,24 @@ impl<R: Real> Transform<R> {
     /// The rotation as a unit quaternion, x, y, z, w.
     #[cfg(feature = "batch")]
     #[inline(always)]
-    pub(crate) fn rotation(&self) -> [R; 4] {
+    pub fn rotation(&self) -> [R; 4] {
         self.rotation
     }
 
     #[inline(always)]
-    pub(crate) fn rotate(&self, v: R::Vec3) -> R::Vec3 {
+    pub fn rotate(&self, v: R::Vec3) -> R::Vec3 {
         self.columns[0] * v.x() + self.columns[1] * v.y() + self.columns[2] * v.z()
     }
 
     #[inline(always)]
-    pub(crate) fn translation(&self) -> R::Vec3 {
+    pub fn translation(&self) -> R::Vec3 {
         self.translation
     }
 
     /// Lane by lane: `yes` where a > b, else `no`.
     #[cfg(feature = "batch")]
     #[inline(always)]
-    pub(crate) fn where_above(a: R, b: R, yes: &Self, no: &Self) -> Self {
+    pub fn where_above(a: R, b: R, yes: &Self, no: &Self) -> Self {
         let mut chosen = *no;
         chosen.translation = where_above3(a, b, yes.translation, no.translation);
         for i in 0..3 {
@@ -246,7 +245,7 @@ impl<R: Real> Transform<R> {
 
     /// From a quaternion of nearly unit length.
     #[inline(always)]
-    pub(crate) fn of_parts(quaternion: [R; 4], translation: R::Vec3) -> Self {
+    pub fn of_parts(quaternion: [R; 4], translation: R::Vec3) -> Self {
         let [x, y, z, w] = quaternion;
         let inverse = Real::inverse_root(x * x + y * y + z * z + w * w);
         let rotation @ [x, y, z, w] = array(inverse, |i| quaternion[i] * inverse);
@@ -269,7 +268,7 @@ impl<R: Real> Transform<R> {
     /// This transform after a small displacement in the base frame. The rotation is that of
     /// [`Self::small_turn`]: the quaternion (a, 1), normalised.
     #[inline(always)]
-    pub(crate) fn moved(&self, translation_m: R::Vec3, rotation_rad: R::Vec3) -> Self {
+    pub fn moved(&self, translation_m: R::Vec3, rotation_rad: R::Vec3) -> Self {
         let a = rotation_rad * rotation_rad.x().constant(0.5);
         let [x, y, z, w] = self.rotation;
         let v = R::Vec3::new(x, y, z);
@@ -281,7 +280,7 @@ impl<R: Real> Transform<R> {
     /// The Cayley transform `R(a) = I + 2/(1+a²)·([a]ₓ + [a]ₓ²)` with a = δθ/2: orthogonal like the
     /// exponential, equal to it up to |δθ|³/12, without trigonometric functions.
     #[inline(always)]
-    pub(crate) fn small_turn(rotation_rad: R::Vec3) -> impl Fn(R::Vec3) -> R::Vec3 {
+    pub fn small_turn(rotation_rad: R::Vec3) -> impl Fn(R::Vec3) -> R::Vec3 {
         let [_, half, one] = zero_half_one(rotation_rad.x());
         let two = half.constant(2.0);
         let a = rotation_rad * half;
@@ -293,14 +292,14 @@ impl<R: Real> Transform<R> {
     }
 }
 
-impl<S: Scalar> Transform<S> {
-    pub(crate) fn of(pose: &Pose) -> Self {
+impl<S: Number> Transform<S> {
+    pub fn of(pose: &Pose) -> Self {
         Self::of_parts(pose.rotation.to_array().map(S::of), S::Vec3::of(pose.translation_m))
     }
 
     /// This transform in each lane of `like`.
     #[inline(always)]
-    pub(crate) fn in_all_lanes<R: Real<Element = S>>(&self, like: R) -> Transform<R> {
+    pub fn in_all_lanes<R: Real<Element = S>>(&self, like: R) -> Transform<R> {
         Transform {
             columns: self.columns.map(|column| like.all3(column)),
             rotation: self.rotation.map(|component| like.all(component)),
@@ -308,18 +307,16 @@ impl<S: Scalar> Transform<S> {
         }
     }
 
-    /// Whether every component is a finite number.
-    pub(crate) fn is_finite(&self) -> bool {
+    pub fn is_finite(&self) -> bool {
         let t = self.translation;
         self.rotation.iter().chain(&[t.x(), t.y(), t.z()]).all(|component| component.is_finite())
     }
 
-    /// This transform as a pose.
-    pub(crate) fn to_pose(self) -> Pose {
+    pub fn to_pose(self) -> Pose {
         self.to_rigid().to_pose()
     }
 
-    pub(crate) fn to_rigid(self) -> Rigid<S> {
+    pub fn to_rigid(self) -> Rigid<S> {
         Rigid { rotation: self.rotation, translation: self.translation }
     }
 }

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 #[cfg(feature = "batch")]
 use crate::lanes::{MAX_LANES, array};
-use crate::scalar::{Real, Scalar};
+use crate::scalar::{Number, Real};
 
 /// Intervals of m.
 const SEGMENTS: usize = 32;
@@ -16,12 +16,10 @@ const SEGMENTS: usize = 32;
 /// Tabulated powers of two; for c below 2⁻¹⁴ the library's power is called.
 const OCTAVES: usize = 16;
 
-/// Most terms of the series.
 const MAX_TERMS: usize = 8;
 
-/// The function cⁿ for one exponent n.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(crate) struct Power<S> {
+pub struct Power<S> {
     exponent: S,
     binomials: [S; MAX_TERMS],
     /// m₀ⁿ and 1/m₀.
@@ -39,8 +37,8 @@ struct Anchor<S> {
     factor: S,
 }
 
-impl<S: Scalar> Power<S> {
-    pub(crate) fn compile(exponent: f64) -> Self {
+impl<S: Number> Power<S> {
+    pub fn compile(exponent: f64) -> Self {
         let mut binomials = [1.0; MAX_TERMS + 1];
         for k in 1..=MAX_TERMS {
             binomials[k] = binomials[k - 1] * (exponent - (k - 1) as f64) / k as f64;
@@ -57,19 +55,19 @@ impl<S: Scalar> Power<S> {
         }
     }
 
-    pub(crate) fn exponent(&self) -> S {
+    pub fn exponent(&self) -> S {
         self.exponent
     }
 
     /// Whether [`Self::of`] is a series, which several lanes have at once, and not the library's power.
     #[cfg(feature = "batch")]
-    pub(crate) fn has_series(&self) -> bool {
+    pub fn has_series(&self) -> bool {
         self.has_series
     }
 
     /// cⁿ, c > 0.
     #[inline(always)]
-    pub(crate) fn of(&self, c: S) -> S {
+    pub fn of(&self, c: S) -> S {
         match self.anchor(c) {
             Some(anchor) => series(anchor.delta, anchor.factor, &self.binomials),
             None => c.power(self.exponent),
@@ -78,7 +76,7 @@ impl<S: Scalar> Power<S> {
 
     /// cⁿ, c > 0, and its first two derivatives relative to it.
     #[inline(always)]
-    pub(crate) fn bends(&self, c: S) -> [S; 3] {
+    pub fn bends(&self, c: S) -> [S; 3] {
         let inverse = c.recip();
         let slope = self.exponent * inverse;
         [self.of(c), slope, slope * (self.exponent - S::one()) * inverse]
@@ -119,15 +117,15 @@ fn series<R: Real>(delta: R, factor: R, binomials: &[R; MAX_TERMS]) -> R {
 
 /// The powers of several cells at once.
 #[derive(Clone, Debug)]
-pub(crate) struct PowerLanes<R: Real> {
+pub struct PowerLanes<R: Real> {
     tables: heapless::Vec<Power<R::Element>, 2>,
     binomials: [R; MAX_TERMS],
-    pub(crate) exponent: R,
+    pub exponent: R,
 }
 
 impl<R: Real> PowerLanes<R> {
     /// One table per lane of `like`.
-    pub(crate) fn of(like: R, table: impl Fn(usize) -> Power<R::Element>) -> Self {
+    pub fn of(like: R, table: impl Fn(usize) -> Power<R::Element>) -> Self {
         let tables: heapless::Vec<_, 2> = (0..R::LANES).map(table).collect();
         Self {
             binomials: core::array::from_fn(|k| like.each(|i| tables[i].binomials[k])),
@@ -138,7 +136,7 @@ impl<R: Real> PowerLanes<R> {
 
     /// cⁿ lane by lane, c > 0.
     #[inline(always)]
-    pub(crate) fn of_lanes(&self, c: R) -> R {
+    pub fn of_lanes(&self, c: R) -> R {
         let mut anchors = [Anchor::default(); 2];
         for (i, table) in self.tables.iter().enumerate() {
             match table.anchor(c.lane(i)) {
@@ -152,22 +150,22 @@ impl<R: Real> PowerLanes<R> {
 
 /// One power for all lanes, of numbers that do not depend on each other: NaN where the library's power serves.
 #[cfg(feature = "batch")]
-pub(crate) struct SharedPower<'a, R: Real> {
+pub struct SharedPower<'a, R: Real> {
     table: &'a Power<R::Element>,
     binomials: [R; MAX_TERMS],
-    pub(crate) exponent: R,
+    pub exponent: R,
 }
 
 #[cfg(feature = "batch")]
 impl<'a, R: Real> SharedPower<'a, R> {
     #[inline(always)]
-    pub(crate) fn of(like: R, table: &'a Power<R::Element>) -> Self {
+    pub fn of(like: R, table: &'a Power<R::Element>) -> Self {
         Self { table, binomials: array(like, |k| like.all(table.binomials[k])), exponent: like.all(table.exponent) }
     }
 
     /// cⁿ lane by lane, c > 0.
     #[inline(always)]
-    pub(crate) fn of_lanes(&self, c: R) -> R {
+    pub fn of_lanes(&self, c: R) -> R {
         let nan = R::Element::of(f64::NAN);
         let mut factors = [nan; MAX_LANES];
         let delta = c.each(|lane| match self.table.anchor(c.lane(lane)) {
@@ -186,7 +184,7 @@ mod tests {
     use super::*;
 
     /// Three units in the last place, as stated above; the library's power errs by one of its own.
-    fn check<S: Scalar>(exponent: f64) {
+    fn check<S: Number>(exponent: f64) {
         let power = Power::<S>::compile(exponent);
         for i in 1..20_000 {
             let c = S::of(f64::from(i) / 19_999.0);

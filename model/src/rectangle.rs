@@ -11,38 +11,38 @@ use crate::scalar::{Linear3, Real};
 /// magnification k = e_z/(e_z − q_z). An edge of the detector is a slit edge at height 0: k = 1.
 /// Hence ∂X/∂e = −k and ∂X/∂e_z = −X·(k − 1)/e_z for both.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Edge<S> {
-    pub(crate) position: S,
-    pub(crate) magnification: S,
+pub struct Edge<S> {
+    pub position: S,
+    pub magnification: S,
 }
 
 /// The spot along one axis, relative to the emitter's foot point.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Extent<S> {
-    pub(crate) low: Edge<S>,
-    pub(crate) high: Edge<S>,
-    pub(crate) middle: S,
+pub struct Extent<S> {
+    pub low: Edge<S>,
+    pub high: Edge<S>,
+    pub middle: S,
     /// The middle relative to the detector's centre. For an emitter far to the side, adding the foot
     /// point to `middle` would cost digits.
-    pub(crate) landing: S,
-    pub(crate) half: S,
+    pub landing: S,
+    pub half: S,
 }
 
 /// A rectangular spot, relative to the emitter's foot point, and the emitter's height above it.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Rectangle<S> {
-    pub(crate) x: Extent<S>,
-    pub(crate) y: Extent<S>,
-    pub(crate) height: S,
+pub struct Rectangle<S> {
+    pub x: Extent<S>,
+    pub y: Extent<S>,
+    pub height: S,
 }
 
 /// Slack per distance of the emitter from a wall of a thick mask, where the other face begins to bound the beam. Nothing
 /// magnifies the emitter's motion there, while [`MOST_MAGNIFICATION`] is allowed for elsewhere; √17 is that of an
 /// emitter on the longest arm that one of sixteen can have, four length scales.
-pub(crate) const WALL_SLACK: f64 = MOST_MAGNIFICATION / 4.124;
+pub const WALL_SLACK: f64 = MOST_MAGNIFICATION / 4.124;
 
 /// Bound on how far the side of a spot moves per motion of its emitter, including rotations of long tools.
-pub(crate) const MOST_MAGNIFICATION: f64 = 10.0;
+pub const MOST_MAGNIFICATION: f64 = 10.0;
 
 /// Origin of a side that is an edge of the detector; else the index of its face.
 const DETECTOR: f64 = -1.0;
@@ -106,7 +106,7 @@ impl<R: Real> Rectangle<R> {
     /// The spot of the beam from `emitter` that passes all `faces`, and its visibility per lane. In lanes
     /// without a spot the rectangle is meaningless.
     #[inline(always)]
-    pub(crate) fn of_beam<const N: usize>(
+    pub fn of_beam<const N: usize>(
         faces: [Face<R>; N],
         emitter: [R; 3],
         detector_half: [R; 2],
@@ -130,7 +130,7 @@ impl<R: Real> Rectangle<R> {
     }
 
     /// This spot with one side (x low, x high, y low, y high) moved outward or inward.
-    pub(crate) fn with_side_moved(&self, side: usize, by: R) -> Self {
+    pub fn with_side_moved(&self, side: usize, by: R) -> Self {
         let mut moved = *self;
         let half = by.constant(0.5);
         let extent = if side < 2 { &mut moved.x } else { &mut moved.y };
@@ -143,7 +143,7 @@ impl<R: Real> Rectangle<R> {
     }
 
     /// Corners in order around the spot, relative to the emitter's foot point.
-    pub(crate) fn corners(&self) -> [[R; 2]; 4] {
+    pub fn corners(&self) -> [[R; 2]; 4] {
         let (x0, x1) = (self.x.low.position, self.x.high.position);
         let (y0, y1) = (self.y.low.position, self.y.high.position);
         [[x0, y0], [x1, y0], [x1, y1], [x0, y1]]
@@ -152,7 +152,7 @@ impl<R: Real> Rectangle<R> {
 
 /// The quantities that decide the status, lane by lane.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Visibility<R> {
+pub struct Visibility<R> {
     /// 1 where the emitter is at or behind a face.
     behind: R,
     /// 1 where an end of the detector cuts the spot along x.
@@ -166,27 +166,27 @@ pub(crate) struct Visibility<R> {
 
 impl<R: Real> Visibility<R> {
     #[inline(always)]
-    pub(crate) fn slack_m(&self, lane: usize) -> R::Element {
+    pub fn slack_m(&self, lane: usize) -> R::Element {
         self.slack.lane(lane)
     }
 
     /// The same for each lane.
     #[cfg(feature = "batch")]
     #[inline(always)]
-    pub(crate) fn slacks_m(&self) -> R {
+    pub fn slacks_m(&self) -> R {
         self.slack
     }
 
     /// `yes` in lanes with a spot, else `no`.
     #[cfg(feature = "batch")]
     #[inline(always)]
-    pub(crate) fn where_spot(&self, yes: R, no: R) -> R {
+    pub fn where_spot(&self, yes: R, no: R) -> R {
         let zero = self.behind.constant(0.0);
         R::where_above(self.behind, zero, no, R::where_above(self.narrower, zero, yes, no))
     }
 
     #[inline(always)]
-    pub(crate) fn status(&self, lane: usize) -> Status {
+    pub fn status(&self, lane: usize) -> Status {
         let zero = R::Element::default();
         if self.behind.lane(lane) > zero {
             Status::Behind
@@ -202,24 +202,23 @@ impl<R: Real> Visibility<R> {
 /// sides (x low, x high, y low, y high), the emitter's height and its axis. The value of the centroid is
 /// relative to the middle of the spot; its derivatives include those of the middle.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct RectangleLight<R: Real> {
-    pub(crate) power: SideGradient<R>,
-    pub(crate) centroid: SideGradient<R>,
+pub struct RectangleLight<R: Real> {
+    pub power: SideGradient<R>,
+    pub centroid: SideGradient<R>,
 }
 
 /// A quantity and its derivatives with respect to sides, height and axis.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct SideGradient<R: Real> {
-    pub(crate) value: R,
-    pub(crate) by_side: [R; 4],
-    pub(crate) by_height: R,
-    pub(crate) by_axis: R::Vec3,
+pub struct SideGradient<R: Real> {
+    pub value: R,
+    pub by_side: [R; 4],
+    pub by_height: R,
+    pub by_axis: R::Vec3,
 }
 
 impl<R: Real> SideGradient<R> {
-    /// Without derivatives.
     #[inline(always)]
-    pub(crate) fn of_value(value: R) -> Self {
+    pub fn of_value(value: R) -> Self {
         let zero = value.constant(0.0);
         Self { value, by_side: [zero; 4], by_height: zero, by_axis: R::Vec3::new(zero, zero, zero) }
     }

@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 
 /// Cost and accuracy of the integrals over a spot.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -84,7 +84,7 @@ pub struct Pair<S> {
     pub i_x2_a: S,
 }
 
-impl<S: Scalar> Pair<S> {
+impl<S: Number> Pair<S> {
     /// A total current divided between the electrodes according to the light's position X_A:
     /// I_X1,2 = I/2·(1 ∓ 2X_A/Lx), equation (1) of De La Cruz et al. 2018.
     #[inline(always)]

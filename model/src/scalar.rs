@@ -12,14 +12,6 @@ use num_traits::{Float, FloatConst, NumAssignOps};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use crate::entries::Entries;
-use crate::plan::{CellsAtOnce, NoLanes};
-
-#[cfg(feature = "batch")]
-type CellsOfPose = crate::plan::WideCells;
-#[cfg(not(feature = "batch"))]
-type CellsOfPose = NoLanes;
-
 /// A real number, or a SIMD vector of one per lane.
 pub trait Real:
     Copy
@@ -35,7 +27,7 @@ pub trait Real:
     + Neg<Output = Self>
 {
     /// Number type of one lane.
-    type Element: Scalar;
+    type Element: Number;
     /// Vector of three components.
     type Vec3: Linear3<Self>;
     /// Number of lanes.
@@ -114,21 +106,11 @@ pub trait Real:
 }
 
 /// A real number the optics compute with, and the glam vector that goes with it.
-pub trait Scalar:
-    Real<Element = Self, Vec3: Vector3<Self>>
-    + Entries
-    + Default
-    + Float
-    + FloatConst
-    + NumAssignOps
-    + Serialize
-    + DeserializeOwned
+pub trait Number:
+    Real<Element = Self, Vec3: Vector3<Self>> + Default + Float + FloatConst + NumAssignOps + Serialize + DeserializeOwned
 {
     /// The lanes that a processor evaluates at once: two for `f64`, one for `f32`.
     type Lanes: Real<Element = Self> + Default;
-
-    /// Cells in as many lanes as the processor has at run time.
-    type WideCells: CellsAtOnce<Self>;
 
     /// Number of terms with which a binomial series in δ ≤ 1/64 reaches this type's precision, for
     /// exponents up to about 3.
@@ -237,10 +219,9 @@ fn single_root(x: f32) -> f32 {
 }
 
 macro_rules! implement_scalar {
-    ($scalar:ty, $vec3:ty, $lanes:ty, $wide:ty, $terms:expr, [$root:expr, $inverse_root:expr], $as_dvec3:expr, $of_dvec3:expr, [$pow:ident, $atan:ident, $acos:ident, $cos:ident, $sin:ident, $atan2:ident]) => {
-        impl Scalar for $scalar {
+    ($scalar:ty, $vec3:ty, $lanes:ty, $terms:expr, [$root:expr, $inverse_root:expr], $as_dvec3:expr, $of_dvec3:expr, [$pow:ident, $atan:ident, $acos:ident, $cos:ident, $sin:ident, $atan2:ident]) => {
+        impl Number for $scalar {
             type Lanes = $lanes;
-            type WideCells = $wide;
             const POWER_TERMS: usize = $terms;
             #[inline(always)]
             fn of(value: f64) -> Self {
@@ -363,7 +344,6 @@ implement_scalar!(
     f32,
     Vec3,
     f32,
-    NoLanes,
     4,
     [single_root, single_inverse_root],
     |v: Vec3| v.as_dvec3(),
@@ -374,7 +354,6 @@ implement_scalar!(
     f64,
     DVec3,
     wide::f64x2,
-    CellsOfPose,
     8,
     [Float::sqrt, |x: f64| Float::sqrt(x).recip()],
     |v| v,

@@ -4,13 +4,10 @@
 //! those of emitters in the tool frame. To evaluate a [`Scene`], compile it to a
 //! [`Plan`](crate::Plan).
 
+use crate::effects::{Effects, Opening};
 use glam::{DVec2, DVec3};
 use heapless::Vec;
 use thiserror::Error;
-
-#[cfg(feature = "effects")]
-use crate::effects::Effects;
-use crate::effects::Opening;
 
 /// Elementary charge, coulombs (SI, exact).
 pub const ELEMENTARY_CHARGE_C: f64 = 1.602_176_634e-19;
@@ -62,7 +59,6 @@ pub struct Cell {
     /// The infrared emitter (IRED) on the tool.
     pub emitter: Emitter,
     /// What the parts do beyond the ideal.
-    #[cfg(feature = "effects")]
     pub effects: Effects,
 }
 

@@ -22,7 +22,7 @@ use crate::scalar::Real;
 pub struct Width(pub(crate) Kind);
 
 #[derive(Clone, Copy)]
-pub(crate) enum Kind {
+pub enum Kind {
     /// SSE2 or NEON, or what stands for them: two.
     Pair,
     /// AVX2: four.
@@ -66,7 +66,7 @@ impl Width {
 }
 
 /// What is done in lanes, in one function with their instructions.
-pub(crate) trait Task {
+pub trait Task {
     /// Does it. `#[inline(always)]`, as all that it calls.
     fn run<I: Instructions>(self, instructions: I);
 }
@@ -105,7 +105,7 @@ impl Debug for Width {
 }
 
 /// Instructions for several `f64` at once, which the processor has: who holds one may use them.
-pub(crate) trait Instructions: Copy + Debug + Send + Sync + 'static {
+pub trait Instructions: Copy + Debug + Send + Sync + 'static {
     type Vector: Copy + Debug + Send + Sync + 'static;
     const LANES: usize;
     fn all(self, value: f64) -> Self::Vector;
@@ -124,7 +124,7 @@ pub(crate) trait Instructions: Copy + Debug + Send + Sync + 'static {
 
 /// Those that every processor of the target has.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Baseline;
+pub struct Baseline;
 
 impl Instructions for Baseline {
     type Vector = f64x2;
@@ -242,14 +242,14 @@ impl<S: Simd> Instructions for S {
 
 /// A number per lane. It carries the right to use the instructions, so that none must be asked for again.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Lanes<I: Instructions> {
+pub struct Lanes<I: Instructions> {
     vector: I::Vector,
     instructions: I,
 }
 
 impl<I: Instructions> Lanes<I> {
     #[inline(always)]
-    pub(crate) fn zero(instructions: I) -> Self {
+    pub fn zero(instructions: I) -> Self {
         Self { vector: instructions.all(0.0), instructions }
     }
 

@@ -10,9 +10,8 @@ use heapless::Vec;
 
 use crate::polygon::{EmitterGradient, MAX_CORNERS, Polygon};
 use crate::profile::{Emission, Falloff, Series};
-use crate::scalar::{Linear3, Real, Scalar};
+use crate::scalar::{Linear3, Number, Real};
 
-use super::lobe::Cone;
 use super::order::{MAX_NODES, Nodes, Orders, Rules};
 use super::{Cosines, Integration, panels, sides};
 
@@ -22,20 +21,20 @@ const AT_HORIZON: (f64, f64) = (0.05, 64.0);
 
 /// Contributions of panels and sides of the spot. Moments are about the spot's reference point.
 #[derive(Default)]
-pub(super) struct Sums<S: Scalar> {
-    pub(super) power: EmitterGradient<S>,
-    pub(super) moment: EmitterGradient<S>,
+pub struct Sums<S: Number> {
+    pub power: EmitterGradient<S>,
+    pub moment: EmitterGradient<S>,
     /// By a turn of the sides that ride with the emitter.
-    pub(super) turn: Turn<S>,
+    pub turn: Turn<S>,
 }
 
 /// Derivatives of power and position by a turn about the emitter of all that rides with it, its axis excepted: cell
 /// frame.
-pub(crate) type Turn<S> = [<S as Real>::Vec3; 2];
+pub type Turn<S> = [<S as Real>::Vec3; 2];
 
-impl<S: Scalar> Sums<S> {
+impl<S: Number> Sums<S> {
     #[inline(always)]
-    pub(super) fn add(&mut self, x: S, value: S, by_position: S::Vec3, by_axis: S::Vec3) {
+    pub fn add(&mut self, x: S, value: S, by_position: S::Vec3, by_axis: S::Vec3) {
         for (sum, factor) in [(&mut self.power, S::one()), (&mut self.moment, x)] {
             sum.value += factor * value;
             sum.by_position += by_position * factor;
@@ -44,59 +43,56 @@ impl<S: Scalar> Sums<S> {
     }
 }
 
-/// The integrand, its frame and its accuracy.
-pub(super) struct Integrand<'a, S: Scalar, E> {
-    pub(super) axis: S::Vec3,
-    pub(super) height: S,
-    pub(super) emission: &'a E,
-    pub(super) orders: &'a Orders<S>,
-    pub(super) rules: &'a Rules<S>,
+pub struct Integrand<'a, S: Number, E> {
+    pub axis: S::Vec3,
+    pub height: S,
+    pub emission: &'a E,
+    pub orders: &'a Orders<S>,
+    pub rules: &'a Rules<S>,
     /// Direction of t in the detector plane; s is at right angles.
     along_t: [S; 2],
     /// Whether t runs perpendicular to the horizon, so that u·d does not depend on s.
-    pub(super) across_horizon: bool,
+    pub across_horizon: bool,
     /// Factor of cos γ in the argument of the profile; see [`Emission::rescaling`].
-    pub(super) unit: S,
+    pub unit: S,
     /// The cone outside which a narrow lobe has faded, with s and t as its directions in the plane.
-    pub(super) cone: Option<Cone<S>>,
-    /// x of the reference point.
-    pub(super) reference: S,
-    /// Greatest distance of a corner from the first one.
-    pub(super) size: S,
+    pub cone: Option<Cone<S>>,
+    pub reference: S,
+    pub size: S,
     /// Nodes that a far emitter takes more; see [`Orders::far`].
     more: usize,
 }
 
 /// A slab between two values of t; its sides are s = start + slope·(t − t₀).
 #[derive(Clone, Copy)]
-pub(super) struct Slab<S> {
-    pub(super) t: [S; 2],
+pub struct Slab<S> {
+    pub t: [S; 2],
     left: [S; 2],
     right: [S; 2],
 }
 
-impl<S: Scalar> Slab<S> {
+impl<S: Number> Slab<S> {
     /// s of the left and the right side at `t`.
-    pub(super) fn sides(&self, t: S) -> [S; 2] {
+    pub fn sides(&self, t: S) -> [S; 2] {
         let dt = t - self.t[0];
         [self.left[0] + self.left[1] * dt, self.right[0] + self.right[1] * dt]
     }
 
-    pub(super) fn s(&self, share: S, t: S) -> S {
+    pub fn s(&self, share: S, t: S) -> S {
         let [left, right] = self.sides(t);
         left + share * (right - left)
     }
 }
 
 /// Power and centroid (relative to the emitter's foot) of the light on a polygon.
-pub(crate) type PolygonLight<S> = (EmitterGradient<S>, EmitterGradient<S>);
+pub type PolygonLight<S> = (EmitterGradient<S>, EmitterGradient<S>);
 
 /// The light on a polygon, and its derivatives by a turn.
-pub(crate) type LightAndTurn<S> = (PolygonLight<S>, Turn<S>);
+pub type LightAndTurn<S> = (PolygonLight<S>, Turn<S>);
 
 /// The light on `polygon` with derivatives with respect to the emitter, `None` if none is found; and the
 /// cost and accuracy of the integrals.
-pub(crate) fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
+pub fn light<S: Number, E: Emission<S>, const GRADIENT: bool>(
     polygon: Polygon<S>,
     axis: S::Vec3,
     emission: &E,
@@ -108,7 +104,7 @@ pub(crate) fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
 }
 
 /// [`light`], with the derivatives by a turn of the sides that ride with the emitter.
-pub(crate) fn light_and_turn<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
+pub fn light_and_turn<S: Number, E: Emission<S>, const GRADIENT: bool>(
     mut polygon: Polygon<S>,
     axis: S::Vec3,
     emission: &E,
@@ -153,7 +149,7 @@ pub(crate) fn light_and_turn<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
 }
 
 /// cos γ at the brightest corner.
-fn corner_cosine<S: Scalar>(polygon: &Polygon<S>, axis: S::Vec3) -> S {
+fn corner_cosine<S: Number>(polygon: &Polygon<S>, axis: S::Vec3) -> S {
     let cosines = polygon.corners().iter().map(|&[x, y]| {
         let ray = S::Vec3::new(x, y, -polygon.height());
         axis.dot(ray) / ray.length()
@@ -161,7 +157,7 @@ fn corner_cosine<S: Scalar>(polygon: &Polygon<S>, axis: S::Vec3) -> S {
     cosines.fold(S::zero(), S::max)
 }
 
-impl<'a, S: Scalar, E: Emission<S>> Integrand<'a, S, E> {
+impl<'a, S: Number, E: Emission<S>> Integrand<'a, S, E> {
     fn new(
         polygon: &Polygon<S>,
         axis: S::Vec3,
@@ -200,7 +196,7 @@ impl<'a, S: Scalar, E: Emission<S>> Integrand<'a, S, E> {
         [s * ty + t * tx, t * ty - s * tx]
     }
 
-    pub(super) fn ray(&self, s: S, t: S) -> S::Vec3 {
+    pub fn ray(&self, s: S, t: S) -> S::Vec3 {
         let [x, y] = self.xy(s, t);
         S::Vec3::new(x, y, -self.height)
     }
@@ -241,14 +237,14 @@ impl<'a, S: Scalar, E: Emission<S>> Integrand<'a, S, E> {
     }
 
     /// cos γ over a patch, as arguments of the profile.
-    pub(super) fn cosines<const N: usize>(&self, corners: [S::Vec3; N]) -> Cosines<S> {
+    pub fn cosines<const N: usize>(&self, corners: [S::Vec3; N]) -> Cosines<S> {
         let Cosines { lower, middle, upper } = Cosines::<S>::of(corners, self.axis);
         Cosines { lower: lower * self.unit, middle: middle * self.unit, upper: upper * self.unit }
     }
 
     /// The numbers of nodes that suffice along lines, each given by its reaches to emitter and horizon (see [`Orders`])
     /// and the difference of cos γ between its ends, and the profile's series; `None` if they cannot be foreseen.
-    pub(super) fn foreseen<const N: usize>(
+    pub fn foreseen<const N: usize>(
         &self,
         corners: [S::Vec3; N],
         along: impl Iterator<Item = (S, S, S)>,
@@ -282,7 +278,7 @@ impl<'a, S: Scalar, E: Emission<S>> Integrand<'a, S, E> {
 
     /// The rule along a line on which u·d rises from `low` to `high`, if `low` is at the horizon; see
     /// [`Orders::horizon_rule`].
-    pub(super) fn horizon_rule(&self, [low, high]: [S; 2], reach: S) -> Option<Nodes<'_, S>> {
+    pub fn horizon_rule(&self, [low, high]: [S; 2], reach: S) -> Option<Nodes<'_, S>> {
         let (share, roundings) = AT_HORIZON;
         let zero = (S::of(share) * self.orders.tolerance()).max(S::of(roundings) * S::epsilon());
         if E::NEEDS_SERIES || low > zero * high {
@@ -292,7 +288,7 @@ impl<'a, S: Scalar, E: Emission<S>> Integrand<'a, S, E> {
     }
 
     /// I_rel·h/r³ at a point of the detector, per area; zero behind the horizon.
-    pub(super) fn density(&self, ray: S::Vec3) -> S {
+    pub fn density(&self, ray: S::Vec3) -> S {
         let inverse = ray.length().recip();
         let c = self.axis.dot(ray) * inverse * self.unit;
         let relative = if c > S::zero() { self.emission.relative(c) } else { S::zero() };
@@ -301,7 +297,7 @@ impl<'a, S: Scalar, E: Emission<S>> Integrand<'a, S, E> {
 
     /// Adds g at a point, and ∇g there: see [`super::rectangle`] for k₁ (`kappa`) and k₂ (`lambda`).
     #[inline(always)]
-    pub(super) fn add_point<F: Falloff<S>, const GRADIENT: bool>(
+    pub fn add_point<F: Falloff<S>, const GRADIENT: bool>(
         &self,
         falloff: &F,
         ray: S::Vec3,
@@ -332,6 +328,63 @@ impl<'a, S: Scalar, E: Emission<S>> Integrand<'a, S, E> {
 }
 
 /// Nodes along s and t: the slab's width, linear in t, adds one degree along t.
-pub(super) fn of_slab(nodes: &[usize]) -> (usize, usize) {
+pub fn of_slab(nodes: &[usize]) -> (usize, usize) {
     (nodes[0], (nodes[1] + 1).min(MAX_NODES))
+}
+
+/// The cone cos γ ≥ `cosine` around an axis, above the plane at `height` below the emitter.
+pub struct Cone<S> {
+    /// Components of the axis along the two directions of the plane, and along its normal.
+    pub axis: [S; 3],
+    pub height: S,
+    pub cosine: S,
+}
+
+impl<S: Number> Cone<S> {
+    /// The part of the box `ranges` that contains the cone within it; the box itself without a known bound.
+    pub fn within(&self, ranges: [[S; 2]; 2]) -> [[S; 2]; 2] {
+        let [x, y] = ranges;
+        let [ux, uy, uz] = self.axis;
+        let across = Self { axis: [uy, ux, uz], ..*self };
+        let y = across.narrowed(y, x);
+        let x = self.narrowed(x, y);
+        [x, across.narrowed(y, x)]
+    }
+
+    /// The part of `range` along the first direction that contains the cone over `strip` along the second.
+    fn narrowed(&self, range: [S; 2], strip: [S; 2]) -> [S; 2] {
+        let lit = [S::one(), -S::one()].map(|side| self.end(side, strip));
+        let [Some(high), Some(low)] = lit else { return range };
+        let narrowed = [range[0].max(low), range[1].min(high)];
+        if narrowed[0] < narrowed[1] { narrowed } else { range }
+    }
+
+    /// The farthest lit point over `strip` in the direction `side`, +1 or −1; `None` without a known bound.
+    fn end(&self, side: S, strip: [S; 2]) -> Option<S> {
+        let ([ux, uy, uz], h, c) = (self.axis, self.height, self.cosine);
+        let sine2 = (S::one() - c * c).max(S::zero());
+        let q2 = ux * ux + uz * uz - sine2;
+        let a = c * c - ux * ux;
+        let b = c * c - uy * uy;
+        if !(q2 > S::zero() && a > S::zero() && b > S::zero()) {
+            return None;
+        }
+        let (q, sine) = (q2.root(), sine2.root() * side);
+        let down = -uz * q - ux * sine;
+        if down <= S::zero() {
+            return None;
+        }
+        let farthest = h * (ux * q - uz * sine) / down;
+        let touches = uy * (ux * farthest - uz * h) / b;
+        if strip[0] <= touches && touches <= strip[1] {
+            return Some(farthest);
+        }
+        let at = |y: S| {
+            let w = uy * y - uz * h;
+            let root2 = w * w - (y * y + h * h) * a;
+            (root2 >= S::zero()).then(|| (ux * w + side * c * root2.root()) / a)
+        };
+        // Lines that miss the cone are skipped.
+        strip.into_iter().filter_map(at).reduce(|one, other| if (one - other) * side > S::zero() { one } else { other })
+    }
 }

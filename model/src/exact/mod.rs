@@ -3,19 +3,18 @@
 //!
 //! A rectangle wholly in front of the emitter takes one tensor rule ([`rectangle`]); any other spot is
 //! divided ([`integrand`], [`panels`], [`sides`]). For a narrow lobe the division starts from the part
-//! of the spot that it lights ([`lobe`]). The work is bounded: see [`MAX_EVALUATIONS`].
+//! of the spot that it lights ([`integrand::Cone`]). The work is bounded: see [`MAX_EVALUATIONS`].
 
 mod integrand;
-mod lobe;
 mod order;
 mod panels;
 mod rectangle;
 mod sides;
 
-pub(crate) use integrand::{PolygonLight, Turn, light as polygon_light, light_and_turn};
-pub(crate) use order::{Orders, Rules, SERIES_EXPONENT};
-pub(crate) use panels::MAX_EVALUATIONS;
-pub(crate) use rectangle::narrow_light;
+pub use integrand::{PolygonLight, Turn, light as polygon_light, light_and_turn};
+pub use order::{Orders, Rules, SERIES_EXPONENT};
+pub use panels::MAX_EVALUATIONS;
+pub use rectangle::narrow_light;
 
 #[cfg(feature = "batch")]
 use order::LaneRule;
@@ -28,25 +27,25 @@ use crate::rectangle::{Rectangle, RectangleLight};
 use crate::response::Integration;
 #[cfg(feature = "batch")]
 use crate::scalar::Real;
-use crate::scalar::{Linear3, Scalar};
+use crate::scalar::{Linear3, Number};
 
 /// u·d at the middle of the spot, and by how much it is more or less at a corner: it is linear over the spot.
 #[inline(always)]
-fn along_axis<S: Scalar>(spot: &Rectangle<S>, axis: S::Vec3) -> (S, S) {
+fn along_axis<S: Number>(spot: &Rectangle<S>, axis: S::Vec3) -> (S, S) {
     let slopes = (axis.x() * spot.x.half).abs() + (axis.y() * spot.y.half).abs();
     (axis.x() * spot.x.middle + axis.y() * spot.y.middle - axis.z() * spot.height, slopes)
 }
 
 /// Whether the whole spot lies behind the emitter's horizon: u·d is nowhere positive.
 #[inline(always)]
-pub(crate) fn faces_away<S: Scalar>(spot: &Rectangle<S>, axis: S::Vec3) -> bool {
+pub fn faces_away<S: Number>(spot: &Rectangle<S>, axis: S::Vec3) -> bool {
     let (middle, slopes) = along_axis(spot, axis);
     middle + slopes <= S::zero()
 }
 
 /// Whether no part of the spot lies behind the emitter's horizon.
 #[inline(always)]
-pub(crate) fn is_wholly_in_front<S: Scalar>(spot: &Rectangle<S>, axis: S::Vec3) -> bool {
+pub fn is_wholly_in_front<S: Number>(spot: &Rectangle<S>, axis: S::Vec3) -> bool {
     let (middle, slopes) = along_axis(spot, axis);
     middle > slopes
 }
@@ -54,7 +53,7 @@ pub(crate) fn is_wholly_in_front<S: Scalar>(spot: &Rectangle<S>, axis: S::Vec3) 
 /// Power and centroid of a rectangular spot by one tensor rule, and the rule's number of nodes; `None`
 /// if the spot must be divided.
 #[inline(always)]
-pub(crate) fn rectangle_light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
+pub fn rectangle_light<S: Number, E: Emission<S>, const GRADIENT: bool>(
     spot: &Rectangle<S>,
     axis: S::Vec3,
     emission: &E,
@@ -80,7 +79,7 @@ pub(crate) fn rectangle_light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
 
 /// Below this power, near the end of the number range, ratios lose all digits.
 #[inline(always)]
-fn least_power<S: Scalar>() -> S {
+fn least_power<S: Number>() -> S {
     S::min_positive_value() / (S::epsilon() * S::epsilon())
 }
 
@@ -88,7 +87,7 @@ fn least_power<S: Scalar>() -> S {
 /// must be divided.
 #[cfg(feature = "batch")]
 #[inline(always)]
-pub(crate) fn rectangle_light_lanes<R: Real, const GRADIENT: bool>(
+pub fn rectangle_light_lanes<R: Real, const GRADIENT: bool>(
     spot: &Rectangle<R>,
     axis: R::Vec3,
     emission: &Cosine<R::Element>,
@@ -118,14 +117,12 @@ pub(crate) fn rectangle_light_lanes<R: Real, const GRADIENT: bool>(
 /// cos γ over a convex patch of the spot.
 #[derive(Clone, Copy, Debug)]
 struct Cosines<S> {
-    /// Lower bound.
     lower: S,
     middle: S,
-    /// Upper bound.
     upper: S,
 }
 
-impl<S: Scalar> Cosines<S> {
+impl<S: Number> Cosines<S> {
     /// From the rays to the patch's corners, the tighter of two pairs of bounds: those of the cone around the middle
     /// ray; and those of u·d, which is linear over the patch, over the least and greatest distance. The cone around a
     /// patch along the horizon reaches far behind the horizon.

@@ -30,18 +30,18 @@ use core::slice::Iter;
 #[cfg(feature = "batch")]
 use arrayvec::ArrayVec;
 
+use crate::scalar::Number;
 #[cfg(feature = "batch")]
 use crate::scalar::Real;
-use crate::scalar::Scalar;
 
 /// Nodes and weights of a rule, on −1…1.
-pub(crate) type Nodes<'a, S> = Zip<Copied<Iter<'a, S>>, Copied<Iter<'a, S>>>;
+pub type Nodes<'a, S> = Zip<Copied<Iter<'a, S>>, Copied<Iter<'a, S>>>;
 
 /// Most nodes of a rule; spots that need more are divided.
-pub(crate) const MAX_NODES: usize = 12;
+pub const MAX_NODES: usize = 12;
 
 /// Nodes of the rule for intervals that begin at the horizon.
-pub(crate) const HORIZON_NODES: usize = 6;
+pub const HORIZON_NODES: usize = 6;
 
 /// Above this exponent the lobe, not emitter and horizon, decides the number of nodes.
 const NARROW_LOBE: f64 = 4.0;
@@ -61,11 +61,11 @@ const LEFT_OUT_SHARE: f64 = 0.1;
 
 /// Equivalent exponent of a profile that is a [`Series`](crate::profile::Series) within a spot: its
 /// addition to the emitter's own singularity. The series counts the nodes for itself.
-pub(crate) const SERIES_EXPONENT: f64 = 1.5;
+pub const SERIES_EXPONENT: f64 = 1.5;
 
 /// The least s for which N nodes suffice, for one emission profile and tolerance.
 #[derive(Clone, Debug)]
-pub(crate) struct Orders<S> {
+pub struct Orders<S> {
     emitter: [S; MAX_NODES],
     horizon: [S; MAX_NODES],
     /// For the nearer of emitter and horizon, when both factors vary together.
@@ -92,9 +92,9 @@ enum Shape<S> {
 /// 2/e.
 const BEND_SHARE: f64 = 2.0 / core::f64::consts::E;
 
-impl<S: Scalar> Orders<S> {
+impl<S: Number> Orders<S> {
     /// `length_m`: that of the detector.
-    pub(crate) fn new(exponent: f64, tolerance: f64, length_m: f64) -> Self {
+    pub fn new(exponent: f64, tolerance: f64, length_m: f64) -> Self {
         let least = |power: f64, nodes: usize| {
             let k = remainder(nodes) * binomial(power, 2 * nodes);
             let rho = libm::pow(k / tolerance, 0.5 / nodes as f64).max(1.0);
@@ -129,7 +129,7 @@ impl<S: Scalar> Orders<S> {
     }
 
     /// The distance of an emitter beyond which the first moment takes one more node, metres.
-    pub(crate) fn far(&self) -> S {
+    pub fn far(&self) -> S {
         self.far
     }
 
@@ -137,7 +137,7 @@ impl<S: Scalar> Orders<S> {
     /// too much. Its integrand may grow like the interval's width: half a node is for that, and half for the power of t that
     /// the weight lacks.
     #[inline(always)]
-    pub(crate) fn horizon_rule(&self, emitter: S) -> Option<Nodes<'_, S>> {
+    pub fn horizon_rule(&self, emitter: S) -> Option<Nodes<'_, S>> {
         let Shape::Broad([nodes, weights]) = &self.falloff else {
             return None;
         };
@@ -151,7 +151,7 @@ impl<S: Scalar> Orders<S> {
     /// Along the interval ln cosⁿγ has the first derivative n·`slope` (n·tan γ towards the axis) and the second
     /// −n/cos²γ; the distance to the emitter adds three powers.
     #[inline(always)]
-    pub(crate) fn lobe_nodes(&self, tangent2: S, slope: S, reach: S) -> Option<usize> {
+    pub fn lobe_nodes(&self, tangent2: S, slope: S, reach: S) -> Option<usize> {
         let Shape::Narrow(limits) = &self.falloff else {
             return Some(1);
         };
@@ -168,7 +168,7 @@ impl<S: Scalar> Orders<S> {
     /// A horizon much farther than the emitter adds nothing to the emitter's series; a nearer one
     /// multiplies its tail.
     #[inline(always)]
-    pub(crate) fn nodes(&self, emitter: S, horizon: S) -> Option<usize> {
+    pub fn nodes(&self, emitter: S, horizon: S) -> Option<usize> {
         let enough = |i: &usize| {
             if horizon >= S::two() * emitter {
                 emitter >= self.emitter[*i] && horizon >= self.horizon[*i]
@@ -182,7 +182,7 @@ impl<S: Scalar> Orders<S> {
     /// [`Self::nodes`] for the interval of each lane; zero where even the longest rule errs too much.
     #[cfg(feature = "batch")]
     #[inline(always)]
-    pub(crate) fn nodes_lanes<R: Real<Element = S>>(&self, emitter: R, horizon: R) -> R {
+    pub fn nodes_lanes<R: Real<Element = S>>(&self, emitter: R, horizon: R) -> R {
         let (zero, infinity) = (emitter.constant(0.0), emitter.constant(f64::INFINITY));
         let far = emitter.constant(2.0) * emitter;
         let reach = R::where_at_least(horizon, far, emitter, emitter.at_most(horizon));
@@ -201,28 +201,28 @@ impl<S: Scalar> Orders<S> {
     }
 
     /// cos γ at which a narrow lobe has faded whose brightest ray is at `cosine`.
-    pub(crate) fn faded(&self, cosine: S) -> S {
+    pub fn faded(&self, cosine: S) -> S {
         self.faded * cosine
     }
 
     /// Whether all light of the lobe beyond cos γ = `cosine`, where I_rel is `relative`, is negligible beside `power`:
     /// that light is 2π·∫cⁿ dc over 0…`cosine`.
-    pub(crate) fn may_leave_out(&self, cosine: S, relative: S, power: S) -> bool {
+    pub fn may_leave_out(&self, cosine: S, relative: S, power: S) -> bool {
         let beyond = S::two() * S::PI() * relative * cosine / (self.exponent + S::one());
         beyond <= S::of(LEFT_OUT_SHARE) * self.tolerance * power
     }
 
-    pub(crate) fn tolerance(&self) -> S {
+    pub fn tolerance(&self) -> S {
         self.tolerance
     }
 
     /// Relative rounding of the integrand: n times that of cos γ.
-    pub(crate) fn rounding(&self) -> S {
+    pub fn rounding(&self) -> S {
         (S::of(16.0) + S::two() * self.exponent) * S::epsilon()
     }
 
     /// Whether the lobe decides the number of nodes.
-    pub(crate) fn is_narrow(&self) -> bool {
+    pub fn is_narrow(&self) -> bool {
         matches!(self.falloff, Shape::Narrow(_))
     }
 }
@@ -244,23 +244,23 @@ fn binomial(power: f64, k: usize) -> f64 {
 }
 
 /// Number of nodes of the rule whose error is estimated from its values.
-pub(crate) const ESTIMATED: usize = 10;
+pub const ESTIMATED: usize = 10;
 
 /// Nodes and weights of a rule per lane.
 #[cfg(feature = "batch")]
-pub(crate) type LaneRule<R> = ArrayVec<(R, R), MAX_NODES>;
+pub type LaneRule<R> = ArrayVec<(R, R), MAX_NODES>;
 
 /// Gauss–Legendre rules with 1 to [`MAX_NODES`] nodes on −1…1.
 #[derive(Clone, Debug)]
-pub(crate) struct Rules<S> {
+pub struct Rules<S> {
     nodes: [[S; MAX_NODES]; MAX_NODES],
     weights: [[S; MAX_NODES]; MAX_NODES],
     /// Weights that give the last four Legendre coefficients of values at [`ESTIMATED`] nodes.
     tails: [[S; ESTIMATED]; 4],
 }
 
-impl<S: Scalar> Rules<S> {
-    pub(crate) fn new() -> Self {
+impl<S: Number> Rules<S> {
+    pub fn new() -> Self {
         let mut rules = Self {
             nodes: [[S::zero(); MAX_NODES]; MAX_NODES],
             weights: [[S::zero(); MAX_NODES]; MAX_NODES],
@@ -290,7 +290,7 @@ impl<S: Scalar> Rules<S> {
     /// Where a third derivative jumps, they fall unevenly, like k^−4.5; the error is about a sixth of a_N,
     /// with a random sign in each panel. The estimate is a hundredth of the last four together, half that
     /// error, and more if they do not fall.
-    pub(crate) fn estimate(&self, values: &[S; ESTIMATED], noise: S, is_smooth: bool) -> S {
+    pub fn estimate(&self, values: &[S; ESTIMATED], noise: S, is_smooth: bool) -> S {
         let size = values.iter().fold(S::zero(), |size, value| size.max(value.abs()));
         let [a, b, c, d] = self.tails.map(|tail| {
             let sum = tail.iter().zip(values).fold(S::zero(), |sum, (&weight, &value)| sum + weight * value);
@@ -313,7 +313,7 @@ impl<S: Scalar> Rules<S> {
     /// `rule`: those that the longest has more are at 0, with weight 0.
     #[cfg(feature = "batch")]
     #[inline(always)]
-    pub(crate) fn in_lanes<R: Real<Element = S>>(&self, counts: R, rule: &mut LaneRule<R>) {
+    pub fn in_lanes<R: Real<Element = S>>(&self, counts: R, rule: &mut LaneRule<R>) {
         let (mut least, mut most) = (MAX_NODES, 1);
         for lane in 0..R::LANES {
             let count = counts.lane(lane).to_usize().unwrap_or(1).clamp(1, MAX_NODES);
@@ -333,7 +333,7 @@ impl<S: Scalar> Rules<S> {
 
     /// (node, weight) pairs of the rule with `count` nodes, 1 ≤ `count` ≤ [`MAX_NODES`].
     #[inline(always)]
-    pub(crate) fn get(&self, count: usize) -> Nodes<'_, S> {
+    pub fn get(&self, count: usize) -> Nodes<'_, S> {
         let nodes = &self.nodes[count - 1][..count];
         let weights = &self.weights[count - 1][..count];
         nodes.iter().copied().zip(weights.iter().copied())
@@ -366,7 +366,7 @@ fn legendre(n: usize, x: f64) -> [f64; 2] {
 
 /// The Gauss–Jacobi rule of weight (1+x)^β, β = `exponent` − 1, for integrands with that factor: its weights are divided by
 /// it, 2^(β+1)/((1−x²)·P'(x)²·(1+x)^β) (Abramowitz and Stegun 25.4.33). The roots are found like those of [`legendre_root`].
-fn horizon_rule<S: Scalar>(exponent: f64) -> [[S; HORIZON_NODES]; 2] {
+fn horizon_rule<S: Number>(exponent: f64) -> [[S; HORIZON_NODES]; 2] {
     let beta = exponent - 1.0;
     let count = HORIZON_NODES as f64;
     let mut rule = [[S::zero(); HORIZON_NODES]; 2];

@@ -5,7 +5,7 @@ use heapless::Vec;
 
 use crate::polygon::MAX_CORNERS;
 use crate::profile::{Emission, Falloff, Series};
-use crate::scalar::{Linear3, Scalar};
+use crate::scalar::{Linear3, Number};
 
 use super::Integration;
 use super::integrand::{Integrand, Slab, Sums, of_slab};
@@ -16,7 +16,7 @@ use super::order::{ESTIMATED, HORIZON_NODES, MAX_NODES, Nodes};
 const MAX_PANELS: usize = 256;
 
 /// Most evaluations of the profile for the currents of one cell: every division measures two new panels.
-pub(crate) const MAX_EVALUATIONS: usize = 2 * MAX_PANELS * ESTIMATED * ESTIMATED;
+pub const MAX_EVALUATIONS: usize = 2 * MAX_PANELS * ESTIMATED * ESTIMATED;
 
 /// Share of the tolerance for the sum of the estimated errors.
 const SHARE: f64 = 0.5;
@@ -36,11 +36,9 @@ const DIVISIONS: [[usize; 2]; 4] = [[1, 1], [2, 1], [1, 2], [2, 2]];
 /// Enough for four parts of each slab of common spots; others are divided adaptively.
 const MAX_PARTS: usize = 2 * MAX_CORNERS;
 
-/// A rule for a panel.
 struct Rule<'a, S> {
     along_s: Nodes<'a, S>,
     along_t: Vec<(S, S), MAX_ALONG_T>,
-    /// Whether that begins at the horizon.
     is_from_horizon: bool,
     series: Option<Series<S>>,
 }
@@ -52,13 +50,12 @@ const MAX_ALONG_T: usize = 2 * HORIZON_NODES;
 /// end is at most this share of u·d at the upper one: of ordinary emitters a fifth is subtracted then, and little cancels.
 const BESIDE_HORIZON: f64 = 0.5;
 
-impl<S: Scalar> Rule<'_, S> {
+impl<S: Number> Rule<'_, S> {
     fn evaluations(&self) -> usize {
         self.along_s.len() * self.along_t.len()
     }
 }
 
-/// A panel and its integrals.
 struct Measured<S> {
     panel: Panel<S>,
     /// Whether it is dark, or too wide to sample its profile.
@@ -74,8 +71,7 @@ struct Measured<S> {
     evaluations: usize,
 }
 
-/// Sums over all slabs.
-pub(super) fn add_all<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
+pub fn add_all<S: Number, E: Emission<S>, const GRADIENT: bool>(
     integrand: &Integrand<'_, S, E>,
     slabs: &Vec<Slab<S>, MAX_CORNERS>,
 ) -> (Sums<S>, Integration<S>) {
@@ -101,15 +97,14 @@ pub(super) fn add_all<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     divide::<S, E, GRADIENT>(integrand, slabs)
 }
 
-/// A slab in one piece.
-fn whole<S: Scalar>(slabs: &[Slab<S>], slab: usize) -> Panel<S> {
+fn whole<S: Number>(slabs: &[Slab<S>], slab: usize) -> Panel<S> {
     Panel { slab, share: [S::zero(), S::one()], t: slabs[slab].t }
 }
 
 /// Sums over all slabs where no rule is known beforehand to suffice: the panel with the largest error is
 /// halved until the sum of the errors is small. Not inlined: its panels take kilobytes of stack.
 #[inline(never)]
-fn divide<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
+fn divide<S: Number, E: Emission<S>, const GRADIENT: bool>(
     integrand: &Integrand<'_, S, E>,
     slabs: &Vec<Slab<S>, MAX_CORNERS>,
 ) -> (Sums<S>, Integration<S>) {
@@ -174,7 +169,7 @@ fn divide<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     (sums, Integration { evaluations, relative_error })
 }
 
-impl<S: Scalar> Panel<S> {
+impl<S: Number> Panel<S> {
     /// Divides the panel into equal parts along s and along t.
     fn parts(self, [along_s, along_t]: [usize; 2]) -> impl Iterator<Item = Self> + use<S> {
         let part = |[a, b]: [S; 2], i: usize, of: usize| {
@@ -189,13 +184,13 @@ impl<S: Scalar> Panel<S> {
     }
 }
 
-impl<S: Scalar> Measured<S> {
+impl<S: Number> Measured<S> {
     fn halves(&self) -> impl Iterator<Item = Panel<S>> + use<S> {
         self.panel.parts(if self.across_t { [1, 2] } else { [2, 1] })
     }
 }
 
-impl<S: Scalar, E: Emission<S>> Integrand<'_, S, E> {
+impl<S: Number, E: Emission<S>> Integrand<'_, S, E> {
     /// Rays to the corners of a panel, in order around it.
     fn corners(&self, slab: &Slab<S>, panel: &Panel<S>) -> [S::Vec3; 4] {
         let ([c0, c1], [t0, t1]) = (panel.share, panel.t);
@@ -301,7 +296,6 @@ impl<S: Scalar, E: Emission<S>> Integrand<'_, S, E> {
         Some(rule)
     }
 
-    /// The rule of [`Self::sample`].
     fn sampling(&self) -> Rule<'_, S> {
         let (along_s, along_t) = (self.rules.get(ESTIMATED), self.rules.get(ESTIMATED));
         Rule { along_s, along_t: along_t.collect(), is_from_horizon: false, series: None }

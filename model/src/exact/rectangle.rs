@@ -9,40 +9,38 @@
 use crate::lanes::zero_half_one;
 use crate::profile::Falloff;
 use crate::rectangle::{Extent, Rectangle, RectangleLight, SideGradient};
-use crate::scalar::{Linear3, Real, Scalar};
+use crate::scalar::{Linear3, Number, Real};
 
 use super::order::{MAX_NODES, Orders};
 
-/// Requirements of a spot on its rule.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Needs<S> {
-    /// Numbers of nodes along x and y.
-    pub(super) nodes: (usize, usize),
+pub struct Needs<S> {
+    pub nodes: (usize, usize),
     /// cos γ of the ray to the spot's middle, and the greatest relative change of cos γ over the spot.
-    pub(super) cosine: S,
-    pub(super) spread: S,
+    pub cosine: S,
+    pub spread: S,
 }
 
 /// How a spot lies to its emitter, and to the horizon of that.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Reaches<R> {
+pub struct Reaches<R> {
     /// u·d at the middle of the spot, and its least value.
     middle: R,
-    pub(super) least: R,
+    pub least: R,
     /// To the emitter and to the horizon, along x and along y: see [`Orders::nodes`].
-    pub(super) emitter: [R; 2],
-    pub(super) horizon: [R; 2],
+    pub emitter: [R; 2],
+    pub horizon: [R; 2],
     /// From the emitter to the middle of the spot.
-    pub(super) distance: R,
+    pub distance: R,
     /// cos γ of that ray, and the greatest relative change of cos γ over the spot.
-    pub(super) cosine: R,
+    pub cosine: R,
     tangent2: R,
-    pub(super) spread: R,
+    pub spread: R,
 }
 
 impl<R: Real> Reaches<R> {
     #[inline(always)]
-    pub(super) fn of(spot: &Rectangle<R>, axis: R::Vec3) -> Self {
+    pub fn of(spot: &Rectangle<R>, axis: R::Vec3) -> Self {
         let (x, y, h) = (&spot.x, &spot.y, spot.height);
         let [_, half, one] = zero_half_one(h);
         // u·d is linear over the spot; its least value measures the distance to the horizon.
@@ -75,7 +73,7 @@ fn reach<R: Real>(along: &Extent<R>, across: &Extent<R>, height: R) -> R {
 
 /// Requirements of `spot`; `None` if it must be divided because it touches the horizon or is very wide.
 #[inline(always)]
-pub(super) fn needs<S: Scalar>(spot: &Rectangle<S>, axis: S::Vec3, orders: &Orders<S>) -> Option<Needs<S>> {
+pub fn needs<S: Number>(spot: &Rectangle<S>, axis: S::Vec3, orders: &Orders<S>) -> Option<Needs<S>> {
     let Reaches { middle, least, emitter, horizon, distance, cosine, tangent2, spread } = Reaches::of(spot, axis);
     if least <= S::zero() {
         return None;
@@ -109,7 +107,7 @@ const LEAST_SHARE: f64 = 0.25;
 /// along x the mean of g/g₀ is 1 + H²·g″/6g + H⁴·g⁗/120g, and the centroid H²/3·(L' + H²·g‴/10g) over that mean.
 /// Derivatives of the centroid are left out; what comes second is how far it moves per motion of the middle, H²·L″/3.
 #[inline(always)]
-pub(crate) fn narrow_light<S: Scalar, const GRADIENT: bool>(
+pub fn narrow_light<S: Number, const GRADIENT: bool>(
     spot: &Rectangle<S>,
     axis: S::Vec3,
     bends: impl FnOnce(S) -> [S; 3],
@@ -156,7 +154,7 @@ pub(crate) fn narrow_light<S: Scalar, const GRADIENT: bool>(
 
 /// Power and centroid (relative to the emitter's foot) with nodes and weights `along_x` and `along_y`, on −1…1.
 #[inline(always)]
-pub(super) fn light<R: Real, E: Falloff<R>, const GRADIENT: bool>(
+pub fn light<R: Real, E: Falloff<R>, const GRADIENT: bool>(
     spot: &Rectangle<R>,
     axis: R::Vec3,
     emission: &E,

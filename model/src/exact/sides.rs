@@ -4,7 +4,7 @@ use heapless::Vec;
 
 use crate::polygon::{Line, Motion};
 use crate::profile::{Emission, Falloff};
-use crate::scalar::{Linear3, Scalar};
+use crate::scalar::{Linear3, Number};
 
 use super::integrand::{Integrand, Sums};
 use super::order::{ESTIMATED, MAX_NODES};
@@ -12,14 +12,13 @@ use super::order::{ESTIMATED, MAX_NODES};
 /// Most pieces waiting: bisection keeps at most one per level.
 const MAX_WAITING: usize = 64;
 
-/// Most pieces of a side.
 const MAX_PIECES: usize = 64;
 
 /// Share of the allowed error below which a piece is left out.
 const NEGLIGIBLE: f64 = 0.01;
 
 /// Adds the light that the side from `a` to `b` sweeps over. `power`: power of the whole spot.
-pub(super) fn add<S: Scalar, E: Emission<S>>(
+pub fn add<S: Number, E: Emission<S>>(
     integrand: &Integrand<'_, S, E>,
     line: &Line<S>,
     a: [S; 2],
@@ -47,11 +46,11 @@ pub(super) fn add<S: Scalar, E: Emission<S>>(
 }
 
 /// I_rel at c; zero behind the horizon.
-fn in_front<S: Scalar, F: Falloff<S>>(falloff: &F, c: S) -> S {
+fn in_front<S: Number, F: Falloff<S>>(falloff: &F, c: S) -> S {
     if c > S::zero() { falloff.relative(c) } else { S::zero() }
 }
 
-struct Side<'a, 'b, S: Scalar, E> {
+struct Side<'a, 'b, S: Number, E> {
     integrand: &'a Integrand<'b, S, E>,
     line: &'a Line<S>,
     a: [S; 2],
@@ -59,7 +58,7 @@ struct Side<'a, 'b, S: Scalar, E> {
     at_horizon: S,
 }
 
-impl<S: Scalar, E: Emission<S>> Side<'_, '_, S, E> {
+impl<S: Number, E: Emission<S>> Side<'_, '_, S, E> {
     fn at(&self, share: S) -> S::Vec3 {
         let ([ax, ay], [bx, by]) = (self.a, self.b);
         S::Vec3::new(ax + share * (bx - ax), ay + share * (by - ay), -self.integrand.height)
@@ -124,7 +123,6 @@ impl<S: Scalar, E: Emission<S>> Side<'_, '_, S, E> {
         true
     }
 
-    /// Adds a piece by nodes and weights.
     fn add_nodes(
         &self,
         [low, high]: [S; 2],

@@ -76,7 +76,7 @@ impl<R: Real<Element = f64>> Numbers<R> for Loaded<'_, R> {
 impl WideCells {
     /// `None` if the cells of `plan` are not of one kind. (Emitters of one exponent need the same rules: a plan has one
     /// tolerance.)
-    pub(super) fn with_width(plan: &Plan<f64>, width: Width) -> Option<Self> {
+    pub(crate) fn with_width(plan: &Plan<f64>, width: Width) -> Option<Self> {
         let masks = Masks::of(&plan.cells)?;
         let exponent = |cell: &CompiledCell<f64>| cell.emitter.profile.as_power().map(|power| power.exponent());
         let first = exponent(plan.cells.first()?)?;

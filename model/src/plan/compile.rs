@@ -4,11 +4,11 @@
 use glam::DVec3;
 
 use crate::aperture::Aperture;
-use crate::effects::{Effects, MAX_IMPERFECT, Opening, RADIAL_TERMS};
+use crate::effects::{Effects, Opening, RADIAL_TERMS};
 use crate::exact::Orders;
 use crate::list::List;
 use crate::profile::CompiledProfile;
-use crate::scalar::{Scalar, Vector3};
+use crate::scalar::{Number, Vector3};
 use crate::scene::{Cell, Detector, Emitter, Fault, MAX_CELLS, Place, Profile, Scene, SceneError, Slit};
 
 use super::imperfect::Imperfect;
@@ -83,11 +83,10 @@ impl Check {
     }
 }
 
-/// Compiles the cells of `scene` into `cells`.
 #[inline(never)]
-pub(super) fn fill<S: Scalar>(
+pub fn fill<S: Number>(
     cells: &mut List<CompiledCell<S>, MAX_CELLS>,
-    imperfect: &mut List<Imperfect<S>, MAX_IMPERFECT>,
+    imperfect: &mut List<Imperfect<S>, MAX_CELLS>,
     scene: &Scene,
     tier: Tier,
 ) -> Result<(), SceneError> {
@@ -129,7 +128,7 @@ fn check_noise(scene: &Scene) -> Result<(), SceneError> {
     check.not_negative("position_mm", scene.uncertainty.position_m)
 }
 
-fn compile_cell<S: Scalar>(index: usize, cell: &Cell, tier: Tier) -> Result<CompiledCell<S>, SceneError> {
+fn compile_cell<S: Number>(index: usize, cell: &Cell, tier: Tier) -> Result<CompiledCell<S>, SceneError> {
     let at = |section| Check { cell: Some(index), section };
     let (x_axis, normal) = check_detector(&at("detector"), &at("cell"), &cell.detector)?;
     check_slit(&at("slit"), &cell.slit)?;
@@ -214,7 +213,6 @@ fn check_slit(check: &Check, slit: &Slit) -> Result<(), SceneError> {
     Ok(())
 }
 
-/// What an opening cannot be computed with.
 fn check_opening(index: usize, cell: &Cell, effects: &Effects) -> Result<(), SceneError> {
     let (slit, window) = ("slit", "window");
     let at = |section| Check { cell: Some(index), section };

@@ -3,20 +3,20 @@
 use heapless::Vec;
 
 use crate::aperture::Aperture;
+use crate::entries::Scalar;
 use crate::exact::{self, Orders, PolygonLight};
 use crate::paper;
-use crate::polygon::{EmitterGradient, MAX_CORNERS, Polygon};
+use crate::polygon::{EmitterGradient, MAX_CORNERS, Polygon, fan_solid_angle};
 use crate::pose::Transform;
 use crate::profile::{CompiledProfile, Emission};
 use crate::rectangle::Rectangle;
 use crate::response::{Flags, Integration, Pair, Response, Status};
-use crate::scalar::{Linear3, Scalar};
-use crate::solid_angle;
+use crate::scalar::{Linear3, Number};
 
 use super::optics::{Light, Place, Receiver, Seen, of_sides};
 use super::{CellTerms, CompiledCell, CompiledEmitter, Plan, imperfect};
 
-impl<S: Scalar> CompiledCell<S> {
+impl<S: Number> CompiledCell<S> {
     #[inline(always)]
     fn spot(&self, seen: &Seen<S>) -> Result<(Spot<S>, Status, S), Status> {
         let e = seen.position;
@@ -34,9 +34,8 @@ impl<S: Scalar> CompiledCell<S> {
     }
 }
 
-/// The spot's geometry.
 #[allow(clippy::large_enum_variant, reason = "lives on the stack for one evaluation")]
-enum Spot<S: Scalar> {
+enum Spot<S: Number> {
     Rectangle(Rectangle<S>),
     Polygon(Polygon<S>),
 }
@@ -146,7 +145,7 @@ impl<S: Scalar> Plan<S> {
     }
 }
 
-pub(crate) fn photocurrents<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &Transform<S>) -> Pair<S> {
+pub fn photocurrents<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &Transform<S>) -> Pair<S> {
     let cell = &plan.cells[cell];
     if let Some(imperfect) = plan.imperfect_of(cell) {
         return imperfect::photocurrents(plan, cell, imperfect, base_from_tool);
@@ -175,7 +174,7 @@ fn photocurrents_of<S: Scalar>(
 }
 
 #[inline(never)]
-pub(crate) fn linearise<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &Transform<S>) -> CellTerms<S> {
+pub fn linearise<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &Transform<S>) -> CellTerms<S> {
     let cell = &plan.cells[cell];
     if let Some(imperfect) = plan.imperfect_of(cell) {
         return imperfect::linearise(plan, cell, imperfect, base_from_tool);
@@ -192,7 +191,7 @@ pub(crate) fn linearise<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: 
     CellTerms { status, pair, jacobian, slack_m, wall_m: S::infinity() }
 }
 
-pub(crate) fn respond<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &Transform<S>) -> Response<S> {
+pub fn respond<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &Transform<S>) -> Response<S> {
     let cell = &plan.cells[cell];
     if let Some(imperfect) = plan.imperfect_of(cell) {
         return imperfect::respond(plan, cell, imperfect, base_from_tool);
@@ -243,24 +242,20 @@ pub(crate) fn respond<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &T
     }
 }
 
-fn exact_solid_angle<S: Scalar>(spot: &Spot<S>) -> S {
+fn exact_solid_angle<S: Number>(spot: &Spot<S>) -> S {
     match spot {
         Spot::Rectangle(rectangle) => rectangle_solid_angle(rectangle),
-        Spot::Polygon(polygon) => solid_angle::of_fan(polygon.corners()[0], polygon.fan(), polygon.height()),
+        Spot::Polygon(polygon) => polygon.solid_angle(),
     }
 }
 
-pub(super) fn rectangle_solid_angle<S: Scalar>(rectangle: &Rectangle<S>) -> S {
+pub fn rectangle_solid_angle<S: Number>(rectangle: &Rectangle<S>) -> S {
     let [a, b, c, d] = rectangle.corners();
     let half_area = S::of(4.0) * rectangle.x.half * rectangle.y.half;
-    solid_angle::of_fan(a, [(half_area, b, c), (half_area, c, d)].into_iter(), rectangle.height)
+    fan_solid_angle(a, [(half_area, b, c), (half_area, c, d)].into_iter(), rectangle.height)
 }
 
-pub(crate) fn outline<S: Scalar>(
-    plan: &Plan<S>,
-    cell: usize,
-    base_from_tool: &Transform<S>,
-) -> Vec<[S; 2], MAX_CORNERS> {
+pub fn outline<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &Transform<S>) -> Vec<[S; 2], MAX_CORNERS> {
     let cell = &plan.cells[cell];
     if let Some(imperfect) = plan.imperfect_of(cell) {
         return imperfect::outline(cell, imperfect, base_from_tool);
@@ -274,7 +269,7 @@ pub(crate) fn outline<S: Scalar>(
     }
 }
 
-pub(crate) fn photocurrents_of_emitters<S: Scalar>(
+pub fn photocurrents_of_emitters<S: Scalar>(
     plan: &Plan<S>,
     cell: usize,
     lit: impl Iterator<Item = (usize, S)>,

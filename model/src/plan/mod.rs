@@ -4,7 +4,7 @@
 mod cells;
 mod compact;
 mod compile;
-pub(crate) mod evaluate;
+pub mod evaluate;
 mod imperfect;
 mod optics;
 mod pack;
@@ -16,19 +16,20 @@ use core::fmt::Debug;
 use heapless::Vec;
 
 use crate::aperture::Aperture;
-use crate::effects::{MAX_IMPERFECT, counts_on};
+use crate::effects::counts_on;
+use crate::entries::Scalar;
 use crate::exact::{MAX_EVALUATIONS, Orders, Rules};
 use crate::list::List;
 use crate::pose::{Pose, Transform};
 use crate::profile::CompiledProfile;
 use crate::response::{Pair, Response, Status};
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 use crate::scene::{MAX_CELLS, Scene, SceneError};
 use crate::solve::{MotionPrior, Photocurrents, Solution, Solver, Start, Tracked, Tracker};
 
 #[cfg(feature = "batch")]
 pub use cells::WideCells;
-pub(crate) use compact::CompactCell;
+pub use compact::CompactCell;
 pub use compact::{BOARD_CELLS, CompactPlan};
 use imperfect::Imperfect;
 pub use optics::Instant;
@@ -54,7 +55,7 @@ pub enum Tier {
 pub struct Plan<S: Scalar> {
     cells: List<CompiledCell<S>, MAX_CELLS>,
     /// The effects of those cells that have any.
-    imperfect: List<Imperfect<S>, MAX_IMPERFECT>,
+    imperfect: List<Imperfect<S>, MAX_CELLS>,
     is_paper: bool,
     /// `None` in the paper tier, unless an opening asks for integrals.
     rules: Option<Rules<S>>,
@@ -117,7 +118,7 @@ impl<S: Scalar> CellsAtOnce<S> for NoLanes {
 pub type CurrentsJacobian<S> = [[S; 6]; 2];
 
 #[derive(Clone, Debug)]
-struct CompiledCell<S: Scalar> {
+pub struct CompiledCell<S: Number> {
     receiver: Receiver<S>,
     aperture: Aperture<S>,
     emitter: CompiledEmitter<S>,
@@ -127,7 +128,7 @@ struct CompiledCell<S: Scalar> {
 
 /// The part of a cell that is mounted on the tool.
 #[derive(Clone, Debug)]
-struct CompiledEmitter<S: Scalar> {
+pub struct CompiledEmitter<S: Number> {
     source: Source<S>,
     profile: CompiledProfile<S>,
     /// `None` in the paper tier, unless the cell's opening asks for integrals.
@@ -149,7 +150,7 @@ pub struct CellTerms<S> {
     pub(crate) wall_m: S,
 }
 
-impl<S: Scalar> CellTerms<S> {
+impl<S: Number> CellTerms<S> {
     fn dark(status: Status) -> Self {
         let nothing = S::zero();
         Self { status, pair: [nothing; 2], jacobian: [[nothing; 6]; 2], slack_m: nothing, wall_m: S::infinity() }
@@ -167,7 +168,7 @@ pub struct Near {
 }
 
 /// What a solver asks of the optics of a head.
-pub trait Optics<S: Scalar>: Sized {
+pub trait Optics<S: Number>: Sized {
     /// Whether solutions tell what checked them: see [`crate::Solution::unnoticed_sigmas`].
     const TELLS_RELIABILITY: bool;
 
@@ -251,7 +252,6 @@ impl<S: Scalar> Plan<S> {
         Ok(plan)
     }
 
-    /// A plan without cells.
     #[inline]
     pub(crate) fn empty() -> Self {
         Self { cells: List::new(), imperfect: List::new(), is_paper: true, rules: None, packs: List::new(), wide: None }
@@ -277,18 +277,17 @@ impl<S: Scalar> Plan<S> {
         Ok(())
     }
 
-    /// The effects of `cell`, if it has any.
     #[inline(always)]
     fn imperfect_of(&self, cell: &CompiledCell<S>) -> Option<&Imperfect<S>> {
         match cell.aperture {
-            Aperture::Imperfect(index) if cfg!(feature = "effects") => self.imperfect.get(index),
+            Aperture::Imperfect(index) => self.imperfect.get(index),
             _ => None,
         }
     }
 
     /// Whether the light of `emitter` is to be counted on the detector of `cell`.
     fn has_emitter(&self, cell: usize, emitter: usize) -> bool {
-        let other = self.imperfect_of(&self.cells[emitter]).and_then(Imperfect::other_axis);
+        let other = self.imperfect_of(&self.cells[emitter]).and_then(|effects| effects.other_axis);
         emitter == cell || counts_on(emitter, other, cell)
     }
 
@@ -359,7 +358,7 @@ impl<S: Scalar> Plan<S> {
     /// # Panics
     /// If there is no such cell.
     pub fn lit_together(&self, cell: usize) -> u16 {
-        self.imperfect_of(&self.cells[cell]).map_or(0, Imperfect::lit_together)
+        self.imperfect_of(&self.cells[cell]).map_or(0, |effects| effects.lit_together)
     }
 }
 

@@ -7,7 +7,7 @@ use crate::lanes::{array, zero_half_one};
 use crate::polygon::EmitterGradient;
 use crate::pose::Transform;
 use crate::rectangle::{Edge, Rectangle, RectangleLight, SideGradient};
-use crate::scalar::{Linear3, Real, Scalar};
+use crate::scalar::{Linear3, Number, Real};
 
 /// The detector on the base, without its aperture.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -15,15 +15,15 @@ use crate::scalar::{Linear3, Real, Scalar};
     serialize = "R: Serialize, R::Vec3: Serialize",
     deserialize = "R: Deserialize<'de>, R::Vec3: Deserialize<'de>"
 ))]
-pub(super) struct Receiver<R: Real> {
+pub struct Receiver<R: Real> {
     /// x, y, z axes of the cell frame in the base frame.
-    pub(super) axes: [R::Vec3; 3],
-    pub(super) centre: R::Vec3,
-    pub(super) half: [R; 2],
+    pub axes: [R::Vec3; 3],
+    pub centre: R::Vec3,
+    pub half: [R; 2],
     /// 1/Lx.
-    pub(super) per_length: R,
-    pub(super) responsivity: R,
-    pub(super) dark: R,
+    pub per_length: R,
+    pub responsivity: R,
+    pub dark: R,
 }
 
 /// The emitter on the tool, without its profile.
@@ -32,24 +32,23 @@ pub(super) struct Receiver<R: Real> {
     serialize = "R: Serialize, R::Vec3: Serialize",
     deserialize = "R: Deserialize<'de>, R::Vec3: Deserialize<'de>"
 ))]
-pub(super) struct Source<R: Real> {
-    pub(super) position: R::Vec3,
-    pub(super) axis: R::Vec3,
-    pub(super) intensity: R,
+pub struct Source<R: Real> {
+    pub position: R::Vec3,
+    pub axis: R::Vec3,
+    pub intensity: R,
 }
 
-/// An emitter relative to a cell.
-pub(super) struct Seen<R: Real> {
+pub struct Seen<R: Real> {
     /// Position and axis, cell frame.
-    pub(super) position: R::Vec3,
-    pub(super) axis: R::Vec3,
+    pub position: R::Vec3,
+    pub axis: R::Vec3,
     /// From the tool's origin to the emitter, base frame.
     arm: R::Vec3,
-    pub(super) axis_base: R::Vec3,
+    pub axis_base: R::Vec3,
 }
 
 /// The tool's motion around a reference instant, and each cell's exposure.
-pub struct Instant<'a, S: Scalar> {
+pub struct Instant<'a, S: Number> {
     /// Pose at the reference instant.
     pub(crate) pose: &'a Transform<S>,
     /// Linear and angular: m/s and rad/s.
@@ -60,23 +59,23 @@ pub struct Instant<'a, S: Scalar> {
     pub(crate) offsets_s: &'a [S],
 }
 
-impl<S: Scalar> Instant<'_, S> {
+impl<S: Number> Instant<'_, S> {
     /// Where the tool's origin is at the exposure of one cell, at a constant twist.
     #[inline(always)]
-    pub(super) fn translation_of(&self, cell: usize) -> S::Vec3 {
+    pub(crate) fn translation_of(&self, cell: usize) -> S::Vec3 {
         let offset_s = self.offsets_s.get(cell).copied().unwrap_or_default();
         self.pose.translation() + self.twist[0] * offset_s
     }
 
     /// The exposures of as many cells as `like` has lanes, from number `first` on; `None`: all zero.
     #[inline(always)]
-    pub(super) fn offsets_in_lanes<R: Real<Element = S>>(&self, like: R, first: usize) -> Option<R> {
+    pub(crate) fn offsets_in_lanes<R: Real<Element = S>>(&self, like: R, first: usize) -> Option<R> {
         let last = self.offsets_s.len().checked_sub(1)?;
         Some(like.each(|lane| self.offsets_s[(first + lane).min(last)]))
     }
 
     /// The pose at the exposure of one cell.
-    pub(super) fn pose_of(&self, cell: usize) -> Transform<S> {
+    pub(crate) fn pose_of(&self, cell: usize) -> Transform<S> {
         match self.offsets_s.get(cell) {
             Some(&offset_s) => {
                 let [shift, turn] = self.displacement(offset_s);
@@ -88,7 +87,7 @@ impl<S: Scalar> Instant<'_, S> {
 
     /// How far the tool moves and turns until `offset_s` seconds after the reference instant.
     #[inline(always)]
-    pub(super) fn displacement<R: Real<Element = S>>(&self, offset_s: R) -> [R::Vec3; 2] {
+    pub(crate) fn displacement<R: Real<Element = S>>(&self, offset_s: R) -> [R::Vec3; 2] {
         let twist = self.twist.map(|rate| offset_s.all3(rate));
         let mean = match &self.bend {
             Some(bend) => [0, 1].map(|i| twist[i] + offset_s.all3(bend[i]) * offset_s),
@@ -100,13 +99,13 @@ impl<S: Scalar> Instant<'_, S> {
 
 /// Power per axial intensity (∫ I_rel dΩ, steradians) and X_A (metres, cell frame), with derivatives
 /// with respect to the emitter's position and axis in the cell frame.
-pub(super) struct Light<R: Real> {
-    pub(super) power: EmitterGradient<R>,
-    pub(super) x_a: Place<R>,
+pub struct Light<R: Real> {
+    pub power: EmitterGradient<R>,
+    pub x_a: Place<R>,
 }
 
 /// X_A with its derivatives.
-pub(super) enum Place<R: Real> {
+pub enum Place<R: Real> {
     /// The power-weighted centroid, which depends on the emitter's position and axis.
     Weighted(EmitterGradient<R>),
     /// The middle of a rectangle: value, and derivatives with respect to the emitter's x and z.
@@ -115,7 +114,7 @@ pub(super) enum Place<R: Real> {
 
 impl<R: Real> Place<R> {
     #[inline(always)]
-    pub(super) fn value(&self) -> R {
+    pub fn value(&self) -> R {
         match self {
             Self::Weighted(gradient) => gradient.value,
             Self::Middle(value, _) => *value,
@@ -125,25 +124,25 @@ impl<R: Real> Place<R> {
 
 impl<R: Real> Receiver<R> {
     #[inline(always)]
-    pub(super) fn to_cell(&self, base: R::Vec3) -> R::Vec3 {
+    pub fn to_cell(&self, base: R::Vec3) -> R::Vec3 {
         R::Vec3::new(self.axes[0].dot(base), self.axes[1].dot(base), self.axes[2].dot(base))
     }
 
     #[inline(always)]
-    pub(super) fn to_base(&self, cell: R::Vec3) -> R::Vec3 {
+    pub fn to_base(&self, cell: R::Vec3) -> R::Vec3 {
         self.axes[0] * cell.x() + self.axes[1] * cell.y() + self.axes[2] * cell.z()
     }
 
     /// The emitter with the tool at `pose`.
     #[inline(always)]
-    pub(super) fn see(&self, source: &Source<R>, pose: &Transform<R>) -> Seen<R> {
+    pub fn see(&self, source: &Source<R>, pose: &Transform<R>) -> Seen<R> {
         let (arm, axis) = (pose.rotate(source.position), pose.rotate(source.axis));
         self.seen(pose.translation() + arm, arm, axis)
     }
 
     /// The emitter after the tool was at `pose` and has shifted and turned a little.
     #[inline(always)]
-    pub(super) fn see_moved(&self, source: &Source<R>, pose: &Transform<R>, [shift, turn]: [R::Vec3; 2]) -> Seen<R> {
+    pub fn see_moved(&self, source: &Source<R>, pose: &Transform<R>, [shift, turn]: [R::Vec3; 2]) -> Seen<R> {
         let step = Transform::<R>::small_turn(turn);
         let (arm, axis) = (step(pose.rotate(source.position)), step(pose.rotate(source.axis)));
         self.seen(pose.translation() + shift + arm, arm, axis)
@@ -157,7 +156,7 @@ impl<R: Real> Receiver<R> {
     /// `photocurrent` at `x_a` divided between the electrodes, without dark current: equation (1) of
     /// De La Cruz et al. 2018. With `divides_dark`, I_D is divided by position, too, as printed there.
     #[inline(always)]
-    pub(super) fn divide(&self, photocurrent: R, x_a: R, divides_dark: bool) -> [R; 2] {
+    pub fn divide(&self, photocurrent: R, x_a: R, divides_dark: bool) -> [R; 2] {
         let half = photocurrent.constant(0.5) * photocurrent;
         let divided = if divides_dark { photocurrent + self.dark } else { photocurrent };
         let imbalance = divided * (x_a * self.per_length);
@@ -166,7 +165,7 @@ impl<R: Real> Receiver<R> {
 
     /// [`Self::divide`] of `light`, with its derivatives with respect to a perturbation of the pose.
     #[inline(always)]
-    pub(super) fn linearise(
+    pub fn linearise(
         &self,
         source: &Source<R>,
         light: &Light<R>,
@@ -197,7 +196,7 @@ impl<R: Real> Receiver<R> {
 
     /// Converts derivatives with respect to the emitter's position to those with respect to the pose.
     #[inline(always)]
-    pub(super) fn of_position(&self, by_position: R::Vec3, seen: &Seen<R>) -> [R; 6] {
+    pub fn of_position(&self, by_position: R::Vec3, seen: &Seen<R>) -> [R; 6] {
         let by_position = self.to_base(by_position);
         let turn = seen.arm.cross(by_position);
         [by_position.x(), by_position.y(), by_position.z(), turn.x(), turn.y(), turn.z()]
@@ -206,7 +205,7 @@ impl<R: Real> Receiver<R> {
     /// Converts derivatives with respect to the emitter to those with respect to the pose: a rotation δθ
     /// about the tool's origin moves the emitter by δθ × arm and its axis by δθ × axis.
     #[inline(always)]
-    pub(super) fn of_pose(&self, gradient: &EmitterGradient<R>, seen: &Seen<R>) -> [R; 6] {
+    pub fn of_pose(&self, gradient: &EmitterGradient<R>, seen: &Seen<R>) -> [R; 6] {
         let by_position = self.to_base(gradient.by_position);
         let by_axis = self.to_base(gradient.by_axis);
         let turn = seen.arm.cross(by_position) + seen.axis_base.cross(by_axis);
@@ -218,7 +217,7 @@ impl<R: Real> Receiver<R> {
 /// ∂X/∂e = −k, ∂X/∂e_z = −X·(k − 1)/e_z (see [`crate::rectangle::Edge`]). `weighted`: whether the
 /// centroid is power-weighted, not the middle of the sides.
 #[inline(always)]
-pub(super) fn of_sides<R: Real, const GRADIENT: bool>(
+pub fn of_sides<R: Real, const GRADIENT: bool>(
     light: &RectangleLight<R>,
     spot: &Rectangle<R>,
     weighted: bool,

@@ -10,7 +10,7 @@ use crate::pose::Transform;
 use crate::power::PowerLanes;
 use crate::profile::Falloff;
 use crate::rectangle::{Rectangle, Visibility};
-use crate::scalar::{Linear3, Real, Scalar};
+use crate::scalar::{Linear3, Number, Real};
 use crate::scene::MAX_CELLS;
 
 use super::optics::{Instant, Light, Receiver, Seen, Source, of_sides};
@@ -18,21 +18,21 @@ use super::{CellTerms, CompiledCell};
 
 /// One cell per lane.
 #[derive(Clone, Debug)]
-pub(super) struct Pack<R: Real, E = PowerLanes<R>> {
-    pub(super) receiver: Receiver<R>,
-    pub(super) faces: Faces<R>,
-    pub(super) source: Source<R>,
-    pub(super) emission: E,
+pub struct Pack<R: Real, E = PowerLanes<R>> {
+    pub receiver: Receiver<R>,
+    pub faces: Faces<R>,
+    pub source: Source<R>,
+    pub emission: E,
 }
 
 #[derive(Clone, Debug)]
-pub(super) enum Faces<R> {
+pub enum Faces<R> {
     Thin(Face<R>),
     Thick([Face<R>; 2]),
 }
 
 /// Where the numbers of cells come from, in the order in which [`Pack::of_numbers`] asks for them.
-pub(super) trait Numbers<R: Real> {
+pub trait Numbers<R: Real> {
     /// The number `of` the cell of each lane. `#[inline(always)]`, as all that it calls.
     fn next(&mut self, of: impl Fn(&CompiledCell<R::Element>) -> R::Element) -> R;
 
@@ -82,14 +82,14 @@ impl<R: Real> Numbers<R> for Gathered<'_, R> {
 
 /// What all masks of a plan are, if they are parallel to their detectors.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Masks {
+pub enum Masks {
     Thin,
     Thick,
 }
 
 impl Masks {
     /// `None` if a mask is of another kind than the first one, or turned.
-    pub(super) fn of<S: Scalar>(cells: &[CompiledCell<S>]) -> Option<Self> {
+    pub fn of<S: Number>(cells: &[CompiledCell<S>]) -> Option<Self> {
         let of = |cell: &CompiledCell<S>| match cell.aperture {
             Aperture::Thin(_) => Some(Self::Thin),
             Aperture::Thick(..) => Some(Self::Thick),
@@ -102,7 +102,7 @@ impl Masks {
 
 /// Packs the cells of a plan into `packs`, which stays empty if a cell is of another kind.
 #[inline(never)]
-pub(super) fn fill<S: Scalar>(packs: &mut List<Pack<S::Lanes>, MAX_CELLS>, cells: &[CompiledCell<S>]) {
+pub fn fill<S: Number>(packs: &mut List<Pack<S::Lanes>, MAX_CELLS>, cells: &[CompiledCell<S>]) {
     let Some(masks) = Masks::of(cells) else { return };
     for cells in cells.chunks(<S::Lanes as Real>::LANES) {
         let Some(pack) = Pack::of(<S::Lanes as Default>::default(), masks, cells) else {
@@ -128,7 +128,7 @@ impl<R: Real> Pack<R> {
 impl<R: Real> Pack<R, ()> {
     /// Cells without their profiles.
     #[inline(always)]
-    pub(super) fn of_numbers(numbers: &mut impl Numbers<R>, masks: Masks) -> Self {
+    pub fn of_numbers(numbers: &mut impl Numbers<R>, masks: Masks) -> Self {
         let axes = [
             numbers.next3(|cell| cell.receiver.axes[0]),
             numbers.next3(|cell| cell.receiver.axes[1]),
@@ -169,7 +169,7 @@ impl<R: Real, E: Falloff<R>> Pack<R, E> {
 impl<R: Real, E> Pack<R, E> {
     /// The emitters of the cells from number `first` on.
     #[inline(always)]
-    pub(super) fn see(&self, first: usize, instant: &Instant<'_, R::Element>, pose: &Transform<R>) -> Seen<R> {
+    pub fn see(&self, first: usize, instant: &Instant<'_, R::Element>, pose: &Transform<R>) -> Seen<R> {
         let like = self.receiver.dark;
         let Some(offset_s) = instant.offsets_in_lanes(like, first) else {
             return self.receiver.see(&self.source, pose);
@@ -178,7 +178,7 @@ impl<R: Real, E> Pack<R, E> {
     }
 
     #[inline(always)]
-    pub(super) fn spot(&self, seen: &Seen<R>) -> (Rectangle<R>, Visibility<R>) {
+    pub fn spot(&self, seen: &Seen<R>) -> (Rectangle<R>, Visibility<R>) {
         let emitter = [seen.position.x(), seen.position.y(), seen.position.z()];
         match &self.faces {
             Faces::Thin(face) => Rectangle::of_beam([*face], emitter, self.receiver.half),
@@ -189,7 +189,7 @@ impl<R: Real, E> Pack<R, E> {
 
 /// Passes the terms of all cells of `packs`, in order, to `sink`.
 #[inline(always)]
-pub(super) fn linearise<R: Real + Default>(
+pub fn linearise<R: Real + Default>(
     packs: &[Pack<R>],
     count: usize,
     instant: &Instant<'_, R::Element>,
@@ -221,7 +221,7 @@ pub(super) fn linearise<R: Real + Default>(
 
 /// Passes the photocurrents of all cells of `packs`, in order, to `sink`.
 #[inline(always)]
-pub(super) fn currents<R: Real + Default>(
+pub fn currents<R: Real + Default>(
     packs: &[Pack<R>],
     count: usize,
     instant: &Instant<'_, R::Element>,

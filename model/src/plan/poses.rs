@@ -17,20 +17,20 @@ use super::pack::{Masks, Numbers, Pack};
 use super::{CellTerms, CompiledCell, CompiledEmitter, CurrentsJacobian, Plan};
 
 /// A cell's currents at the pose of each lane.
-pub(crate) struct Currents<R> {
+pub struct Currents<R> {
     /// Photocurrents without dark current, amperes; zero without a spot.
-    pub(crate) pair: [R; 2],
+    pub pair: [R; 2],
     /// One where there is a spot, else zero.
-    pub(crate) lit: R,
+    pub lit: R,
     visibility: Visibility<R>,
 }
 
 /// A cell's currents and derivatives at the pose of each lane.
-pub(crate) struct Terms<R> {
-    pub(crate) currents: Currents<R>,
-    pub(crate) jacobian: [[R; 6]; 2],
+pub struct Terms<R> {
+    pub currents: Currents<R>,
+    pub jacobian: [[R; 6]; 2],
     /// See [`CellTerms`](super::CellTerms).
-    pub(crate) slack_m: R,
+    pub slack_m: R,
 }
 
 impl Plan<f64> {
@@ -100,7 +100,7 @@ impl Plan<f64> {
 
     /// Currents and derivatives of cells that are `seen`, with the profile of `emitter`.
     #[inline(always)]
-    pub(super) fn terms_lanes<R: Real<Element = f64>, const EXACT: bool>(
+    pub(crate) fn terms_lanes<R: Real<Element = f64>, const EXACT: bool>(
         &self,
         emitter: &CompiledEmitter<f64>,
         cells: &Pack<R, ()>,
@@ -125,7 +125,7 @@ impl Plan<f64> {
 
     /// Currents of cells that are `seen`, with the profile of `emitter`.
     #[inline(always)]
-    pub(super) fn pairs_lanes<R: Real<Element = f64>, const EXACT: bool>(
+    pub(crate) fn pairs_lanes<R: Real<Element = f64>, const EXACT: bool>(
         &self,
         emitter: &CompiledEmitter<f64>,
         cells: &Pack<R, ()>,
@@ -171,13 +171,13 @@ impl CompiledEmitter<f64> {
     }
 
     /// Whether light of it in several lanes is integrated by one rule.
-    pub(super) fn is_integrated_in_lanes(&self) -> bool {
+    pub fn is_integrated_in_lanes(&self) -> bool {
         self.profile.as_cosine().is_some() && self.orders.as_ref().is_some_and(|orders| !orders.is_narrow())
     }
 }
 
 /// What is found in each lane: of one cell at several poses, or of several cells.
-pub(super) struct InLanes {
+pub struct InLanes {
     statuses: [Status; MAX_LANES],
     /// NaN where it must be evaluated alone.
     pair: [PerLane; 2],
@@ -187,7 +187,7 @@ pub(super) struct InLanes {
 
 impl InLanes {
     /// Nothing: all must be evaluated alone.
-    pub(super) const NOTHING: Self = Self {
+    pub const NOTHING: Self = Self {
         statuses: [Status::Lit; MAX_LANES],
         pair: [[f64::NAN; MAX_LANES]; 2],
         jacobian: [[[0.0; MAX_LANES]; 6]; 2],
@@ -195,7 +195,7 @@ impl InLanes {
     };
 
     #[inline(always)]
-    pub(super) fn set_currents<R: Real<Element = f64>>(&mut self, currents: &Currents<R>) {
+    pub fn set_currents<R: Real<Element = f64>>(&mut self, currents: &Currents<R>) {
         for lane in 0..R::LANES {
             self.statuses[lane] = currents.visibility.status(lane);
         }
@@ -204,7 +204,7 @@ impl InLanes {
     }
 
     #[inline(always)]
-    pub(super) fn set<R: Real<Element = f64>>(&mut self, terms: &Terms<R>) {
+    pub fn set<R: Real<Element = f64>>(&mut self, terms: &Terms<R>) {
         self.set_currents(&terms.currents);
         set(&mut self.slack_m, terms.slack_m);
         for row in 0..2 {
@@ -215,13 +215,13 @@ impl InLanes {
     }
 
     /// Photocurrents without dark current; `None` where they must be evaluated alone.
-    pub(super) fn pair(&self, lane: usize) -> Option<[f64; 2]> {
+    pub fn pair(&self, lane: usize) -> Option<[f64; 2]> {
         let pair = self.pair.map(|current| current[lane]);
         (!(pair[0] + pair[1]).is_nan()).then_some(pair)
     }
 
     /// `None` where they must be evaluated alone.
-    pub(super) fn terms(&self, lane: usize) -> Option<CellTerms<f64>> {
+    pub fn terms(&self, lane: usize) -> Option<CellTerms<f64>> {
         let status = self.statuses[lane];
         if !status.has_spot() {
             return Some(CellTerms::dark(status));

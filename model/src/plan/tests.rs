@@ -43,7 +43,6 @@ fn cell(index: usize) -> Cell {
     }
 }
 
-/// A scene of `count` cells, each modified by `change`.
 fn scene(count: usize, change: impl Fn(&mut Cell)) -> Scene {
     let cells = (0..count).map(|index| {
         let mut cell = cell(index);
@@ -66,7 +65,7 @@ fn poses() -> [Pose; 5] {
 }
 
 /// Asserts that `a` equals `b` within the rounding of some tens of operations on numbers of size `scale`.
-fn assert_equal<S: Scalar, const N: usize>(a: [S; N], b: [S; N], scale: S, cell: usize) {
+fn assert_equal<S: Number, const N: usize>(a: [S; N], b: [S; N], scale: S, cell: usize) {
     let allowed = S::of(200.0) * S::epsilon() * scale;
     assert!(a.iter().zip(b).all(|(&a, b)| (a - b).abs() <= allowed), "cell {cell}: {a:?} {b:?}");
 }
@@ -132,7 +131,6 @@ fn cells_side_by_side_answer_as_cells_alone() {
     }
 }
 
-/// Bits of what the solver sees of a cell.
 #[cfg(feature = "batch")]
 fn bits(terms: &CellTerms<f64>) -> Vec<u64, 16> {
     let numbers = terms.pair.into_iter().chain(terms.jacobian.into_iter().flatten());
@@ -412,7 +410,7 @@ fn a_plan_leaves_room_on_the_board() {
     }
     let lists = [
         sizes::<CompiledCell<f32>, MAX_CELLS>(),
-        sizes::<Imperfect<f32>, MAX_IMPERFECT>(),
+        sizes::<Imperfect<f32>, MAX_CELLS>(),
         sizes::<Pack<f32>, MAX_CELLS>(),
     ];
     let size = lists.iter().fold(size_of::<Plan<f32>>(), |size, (here, in_place)| size - here + in_place);

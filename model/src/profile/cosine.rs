@@ -3,7 +3,7 @@
 #[cfg(feature = "batch")]
 use crate::power::SharedPower;
 use crate::power::{Power, PowerLanes};
-use crate::scalar::{Real, Scalar};
+use crate::scalar::{Number, Real};
 
 use super::{Emission, Falloff, MAX_TERMS, Series};
 
@@ -15,17 +15,16 @@ const LEAST_RATIO: f64 = 1e-3;
 
 /// I_rel = cⁿ.
 #[derive(Clone, Debug)]
-pub(crate) struct Cosine<S> {
+pub struct Cosine<S> {
     power: Power<S>,
-    /// Binomial coefficients of n.
     binomials: [S; MAX_TERMS + 1],
     /// `spreads[k]`: the greatest |δ| for which the series may end after k terms.
     spreads: [S; MAX_TERMS + 1],
 }
 
-impl<S: Scalar> Cosine<S> {
+impl<S: Number> Cosine<S> {
     /// Compiles the profile with exponent n. `tolerance`: relative error allowed to [`Emission::near`].
-    pub(super) fn compile(exponent: f64, tolerance: f64) -> Self {
+    pub fn compile(exponent: f64, tolerance: f64) -> Self {
         let mut binomial = 1.0;
         let mut binomials = [S::one(); MAX_TERMS + 1];
         let mut spreads = [S::zero(); MAX_TERMS + 1];
@@ -40,16 +39,16 @@ impl<S: Scalar> Cosine<S> {
         Self { power: Power::compile(exponent), binomials, spreads }
     }
 
-    pub(super) fn power(&self) -> &Power<S> {
+    pub fn power(&self) -> &Power<S> {
         &self.power
     }
 }
 
 #[cfg(feature = "batch")]
-impl<S: Scalar> Cosine<S> {
+impl<S: Number> Cosine<S> {
     /// [`Emission::near`] for the spot of each lane; NaN where there is no series.
     #[inline(always)]
-    pub(crate) fn near_lanes<R: Real<Element = S>>(&self, centre: R, spread: R) -> Series<R> {
+    pub fn near_lanes<R: Real<Element = S>>(&self, centre: R, spread: R) -> Series<R> {
         let (zero, one) = (centre.constant(0.0), centre.constant(1.0));
         let value = SharedPower::of(centre, &self.power).of_lanes(centre);
         let mut series =
@@ -69,7 +68,7 @@ impl<S: Scalar> Cosine<S> {
     }
 }
 
-impl<S: Scalar> Falloff<S> for Power<S> {
+impl<S: Number> Falloff<S> for Power<S> {
     #[inline(always)]
     fn relative(&self, c: S) -> S {
         self.of(c)
@@ -82,7 +81,7 @@ impl<S: Scalar> Falloff<S> for Power<S> {
     }
 }
 
-impl<S: Scalar> Falloff<S> for Cosine<S> {
+impl<S: Number> Falloff<S> for Cosine<S> {
     #[inline(always)]
     fn relative(&self, c: S) -> S {
         self.power.relative(c)
@@ -121,7 +120,7 @@ impl<R: Real> Falloff<R> for SharedPower<'_, R> {
     }
 }
 
-impl<S: Scalar> Emission<S> for Cosine<S> {
+impl<S: Number> Emission<S> for Cosine<S> {
     const NEEDS_SERIES: bool = false;
 
     fn at_horizon(&self) -> S {

@@ -13,8 +13,7 @@ use heapless::Vec;
 
 use crate::scene::MAX_PROFILE_KNOTS;
 
-/// Highest degree of P.
-pub(super) const MAX_DEGREE: usize = 8;
+pub const MAX_DEGREE: usize = 8;
 
 /// Most decimals that count as written; with more, the points stand for themselves to [`EXACT`].
 const MOST_DECIMALS: i32 = 11;
@@ -37,13 +36,12 @@ const NEAREST_RANGE: f64 = 1.5;
 const SECTIONS: usize = 15;
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
-/// Places between two points that are checked.
 const CHECKS: usize = 8;
 
 /// The function: n, and the coefficients of z⁰, z¹, …
-pub(super) struct Smooth {
-    pub(super) exponent: f64,
-    pub(super) coefficients: Vec<f64, { MAX_DEGREE + 1 }>,
+pub struct Smooth {
+    pub exponent: f64,
+    pub coefficients: Vec<f64, { MAX_DEGREE + 1 }>,
 }
 
 /// A point of the table: cos γ, z, I_rel, and the weight cosⁿγ of P.
@@ -68,7 +66,7 @@ type Coefficients = [f64; MAX_DEGREE + 1];
 impl Smooth {
     /// The smooth function of valid `knots` (γ, I_rel), if there is one.
     #[inline(never)]
-    pub(super) fn of(knots: &[(f64, f64)]) -> Option<Self> {
+    pub fn of(knots: &[(f64, f64)]) -> Option<Self> {
         let right_angle = core::f64::consts::FRAC_PI_2;
         let greatest = knots.iter().fold(0.0_f64, |greatest, &(_, value)| greatest.max(value));
         let allowed = half_unit(knots).clamp(EXACT * greatest, COARSE * greatest);

@@ -3,7 +3,6 @@
 //! Defined for c > 0 only: an emitter emits nothing at γ ≥ 90°.
 
 mod cosine;
-mod curve;
 mod fit;
 mod shaped;
 mod table;
@@ -12,18 +11,18 @@ mod window;
 use crate::effects::RADIAL_TERMS;
 use crate::exact::SERIES_EXPONENT;
 use crate::power::Power;
-use crate::scalar::{Real, Scalar};
+use crate::scalar::{Number, Real};
 use crate::scene::Profile;
 
-pub(crate) use cosine::Cosine;
-pub(crate) use curve::Curve;
+pub use cosine::Cosine;
 use fit::Smooth;
 use shaped::Shape;
-pub(crate) use shaped::Shaped;
-pub(crate) use table::Table;
+pub use shaped::Shaped;
+pub use table::Table;
+pub use window::Curve;
 
 /// I_rel and its derivative with respect to cos γ, for one cell or several.
-pub(crate) trait Falloff<R> {
+pub trait Falloff<R> {
     /// I_rel at cos γ = `c` > 0.
     fn relative(&self, c: R) -> R;
     /// (I_rel, dI_rel/dc) at cos γ = `c` > 0.
@@ -31,7 +30,7 @@ pub(crate) trait Falloff<R> {
 }
 
 /// Further properties of a profile, for integrals over a spot.
-pub(crate) trait Emission<S>: Falloff<S> {
+pub trait Emission<S>: Falloff<S> {
     /// Whether a rule chosen beforehand must integrate the series of [`Self::near`], because no estimate
     /// covers the variation of the profile itself.
     const NEEDS_SERIES: bool;
@@ -52,25 +51,25 @@ pub(crate) trait Emission<S>: Falloff<S> {
 }
 
 /// Most terms of a [`Series`] after its first.
-pub(crate) const MAX_TERMS: usize = 10;
+pub const MAX_TERMS: usize = 10;
 
 /// I_rel around a centre c₀ as a polynomial in δ, c = c₀(1 + δ). A spot is small, so a few terms
 /// replace a power or a table at each of its nodes.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Series<S> {
-    pub(crate) inverse: S,
-    pub(crate) coefficients: [S; MAX_TERMS + 1],
-    pub(crate) terms: usize,
+pub struct Series<S> {
+    pub inverse: S,
+    pub coefficients: [S; MAX_TERMS + 1],
+    pub terms: usize,
     /// Gauss–Legendre nodes that integrate the polynomial along a line to the tolerance.
-    pub(crate) nodes: usize,
+    pub nodes: usize,
     /// Nodes in addition to those for the emitter's distance alone, for a steep profile.
-    pub(crate) more: usize,
+    pub more: usize,
 }
 
 impl<S> Series<S> {
     /// The number of nodes for this series, where `for_distance` suffice for the emitter's distance.
     #[inline(always)]
-    pub(crate) fn nodes_with(&self, for_distance: usize) -> usize {
+    pub fn nodes_with(&self, for_distance: usize) -> usize {
         (for_distance + self.more).max(self.nodes)
     }
 }
@@ -98,20 +97,19 @@ impl<R: Real> Falloff<R> for Series<R> {
     }
 }
 
-/// The compiled profile of one emitter.
 #[derive(Clone, Debug)]
 #[allow(clippy::large_enum_variant, reason = "no heap on the board; a plan has at most 16 of them")]
-pub(crate) enum CompiledProfile<S> {
+pub enum CompiledProfile<S> {
     Cosine(Cosine<S>),
     Table(Table<S>),
     ShapedCosine(Shaped<S, Cosine<S>>),
     ShapedTable(Shaped<S, Table<S>>),
 }
 
-impl<S: Scalar> CompiledProfile<S> {
+impl<S: Number> CompiledProfile<S> {
     /// Compiles `profile` with its `radial` deviation, and its exponent for [`crate::exact::Orders`]. `tolerance`:
     /// relative error allowed to [`Emission::near`].
-    pub(crate) fn compile(profile: &Profile, radial: [f64; RADIAL_TERMS], tolerance: f64) -> (Self, f64) {
+    pub fn compile(profile: &Profile, radial: [f64; RADIAL_TERMS], tolerance: f64) -> (Self, f64) {
         let mut shape: Shape<f64> = [1.0].into_iter().chain(radial).collect();
         let exponent = match profile {
             Profile::Cosine { exponent } => *exponent,
@@ -139,13 +137,11 @@ impl<S: Scalar> CompiledProfile<S> {
         (compiled, exponent)
     }
 
-    /// The power, if the profile is a cosine power.
-    pub(crate) fn as_power(&self) -> Option<&Power<S>> {
+    pub fn as_power(&self) -> Option<&Power<S>> {
         self.as_cosine().map(Cosine::power)
     }
 
-    /// The profile, if it is a cosine power.
-    pub(crate) fn as_cosine(&self) -> Option<&Cosine<S>> {
+    pub fn as_cosine(&self) -> Option<&Cosine<S>> {
         match self {
             Self::Cosine(cosine) => Some(cosine),
             Self::Table(_) | Self::ShapedCosine(_) | Self::ShapedTable(_) => None,

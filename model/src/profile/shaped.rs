@@ -3,19 +3,18 @@
 use heapless::Vec;
 
 use crate::effects::RADIAL_TERMS;
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 
 use super::fit::MAX_DEGREE;
 use super::window::rule_nodes;
 use super::{Emission, Falloff, MAX_TERMS, Series};
 
 /// Coefficients of z⁰, z¹, …: those of a fit times those of [`crate::ProfileShape::radial`].
-pub(super) type Shape<S> = Vec<S, { MAX_DEGREE + RADIAL_TERMS + 1 }>;
+pub type Shape<S> = Vec<S, { MAX_DEGREE + RADIAL_TERMS + 1 }>;
 
 /// Shares of the tolerance for terms neglected within a spot, and for the rule that integrates the others.
 const SHARES: [f64; 2] = [0.05, 0.25];
 
-/// Coefficients that most spots need.
 const FEW: usize = 5;
 
 /// Bound of the terms of power `from` and beyond in the expansion of a polynomial around any z of 0…1, in units of
@@ -29,14 +28,13 @@ fn bound_beyond(shape: &[f64], from: usize) -> f64 {
     (from..shape.len()).map(|power| of_power(power) * libm::pow(0.5, (power - from) as f64)).sum()
 }
 
-/// The product of two polynomials.
-pub(super) fn product(a: &[f64], b: &[f64]) -> Shape<f64> {
+pub fn product(a: &[f64], b: &[f64]) -> Shape<f64> {
     let of = |k: usize| (0..=k).filter_map(|i| Some(a.get(i)? * b.get(k - i)?)).sum();
     (0..a.len() + b.len() - 1).map(of).collect()
 }
 
 #[derive(Clone, Debug)]
-pub(crate) struct Shaped<S, E> {
+pub struct Shaped<S, E> {
     ideal: E,
     shape: Shape<S>,
     /// Relative errors allowed to neglected terms, and to a rule.
@@ -45,9 +43,9 @@ pub(crate) struct Shaped<S, E> {
     beyond: [S; 2],
 }
 
-impl<S: Scalar, E> Shaped<S, E> {
+impl<S: Number, E> Shaped<S, E> {
     /// `tolerance`: relative error allowed to [`Emission::near`].
-    pub(super) fn new(ideal: E, shape: &Shape<f64>, tolerance: f64) -> Self {
+    pub fn new(ideal: E, shape: &Shape<f64>, tolerance: f64) -> Self {
         let used = shape.iter().rposition(|&coefficient| coefficient != 0.0).unwrap_or(0);
         Self {
             ideal,
@@ -132,13 +130,12 @@ impl<S: Scalar, E> Shaped<S, E> {
         self.product::<{ MAX_TERMS + 1 }>(series, centre, spread, 1)
     }
 
-    /// A bound of the factor.
     fn most(&self) -> S {
         self.shape.iter().fold(S::zero(), |sum, coefficient| sum + coefficient.abs())
     }
 }
 
-impl<S: Scalar, E: Falloff<S>> Falloff<S> for Shaped<S, E> {
+impl<S: Number, E: Falloff<S>> Falloff<S> for Shaped<S, E> {
     #[inline(always)]
     fn relative(&self, c: S) -> S {
         self.ideal.relative(c) * self.factor(c).0
@@ -152,7 +149,7 @@ impl<S: Scalar, E: Falloff<S>> Falloff<S> for Shaped<S, E> {
     }
 }
 
-impl<S: Scalar, E: Emission<S>> Emission<S> for Shaped<S, E> {
+impl<S: Number, E: Emission<S>> Emission<S> for Shaped<S, E> {
     const NEEDS_SERIES: bool = E::NEEDS_SERIES;
 
     fn at_horizon(&self) -> S {

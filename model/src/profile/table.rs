@@ -20,21 +20,20 @@
 
 use heapless::Vec;
 
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 use crate::scene::MAX_PROFILE_KNOTS;
 
 use super::window::{Piecewise, Windows};
 use super::{Emission, Falloff, Series};
 
 /// A table that ends before 90° gets one more point, at 90°.
-pub(super) const MAX_POINTS: usize = MAX_PROFILE_KNOTS + 1;
+pub const MAX_POINTS: usize = MAX_PROFILE_KNOTS + 1;
 
 /// The greatest number of points within a panel for which its ten nodes still show its roughness.
 const RESOLVED_POINTS: usize = 6;
 
-/// A profile from a table.
 #[derive(Clone, Debug)]
-pub(crate) struct Table<S> {
+pub struct Table<S> {
     points: Vec<Point<S>, MAX_POINTS>,
     horizon: S,
     windows: Windows<S>,
@@ -47,10 +46,10 @@ struct Point<S> {
     value: S,
 }
 
-impl<S: Scalar> Table<S> {
+impl<S: Number> Table<S> {
     /// Compiles valid knots: at least two, ascending from zero, none beyond 90°. `tolerance`: relative
     /// error allowed to [`Emission::near`]; zero if that is not called.
-    pub(super) fn compile(knots: &[(f64, f64)], tolerance: f64) -> Self {
+    pub fn compile(knots: &[(f64, f64)], tolerance: f64) -> Self {
         let right_angle = core::f64::consts::FRAC_PI_2;
         let mut given: Vec<(f64, f64), MAX_POINTS> = knots.iter().copied().collect();
         if given[given.len() - 1].0 < right_angle {
@@ -69,7 +68,6 @@ impl<S: Scalar> Table<S> {
         Self { points: points.collect(), horizon: S::of(horizon), windows }
     }
 
-    /// Distance and secant from point i to the next.
     fn step(&self, i: usize) -> (S, S) {
         let (a, b) = (&self.points[i], &self.points[i + 1]);
         let width = b.v - a.v;
@@ -125,7 +123,7 @@ impl Piecewise for Table<f64> {
     }
 }
 
-impl<S: Scalar> Falloff<S> for Table<S> {
+impl<S: Number> Falloff<S> for Table<S> {
     fn relative(&self, c: S) -> S {
         self.with_slope(c).0
     }
@@ -149,7 +147,7 @@ impl<S: Scalar> Falloff<S> for Table<S> {
     }
 }
 
-impl<S: Scalar> Emission<S> for Table<S> {
+impl<S: Number> Emission<S> for Table<S> {
     const NEEDS_SERIES: bool = true;
 
     fn at_horizon(&self) -> S {

@@ -3,17 +3,21 @@
 //! With them a node of a rule costs as little as for a cosine power. Windows are spaced evenly over
 //! √(1 − cos γ), nearly evenly over γ. Each is as wide as a polynomial of [`DEGREE`] allows within the
 //! tolerance; where no window is wide enough for a spot, the table itself is integrated.
+//!
+//! A processor that evaluates a profile once a spot has one polynomial for all of it: [`Curve`].
 
-use crate::scalar::Scalar;
+use serde::{Deserialize, Serialize};
 
-use super::{Falloff, MAX_TERMS, Series};
+use crate::scalar::Number;
+
+use super::{CompiledProfile, Falloff, MAX_TERMS, Series};
 
 /// Number of windows from the axis to the end of the light, every 4.5° for light up to 90°. A plan holds
 /// 16 tables, and the board has 96 KiB for plan and scene.
 const WINDOWS: usize = 20;
 
 /// Degree of the polynomials: for a table in steps of 5° they are right to 1e-6 over 8° to 16°.
-pub(super) const DEGREE: usize = MAX_TERMS;
+pub const DEGREE: usize = MAX_TERMS;
 
 /// Half widths to try, degrees of γ: few spots are wider than the first, few smaller than the last.
 const HALF_WIDTHS_DEG: [f64; 10] = [12.0, 10.0, 8.0, 6.8, 5.8, 5.0, 4.2, 3.4, 2.6, 1.8];
@@ -30,7 +34,7 @@ const REMAINDERS: [f64; 5] = [0.34, 0.12, 0.05, 0.015, 0.0015];
 const STEEPNESSES: [f64; 2] = [3.0, 30.0];
 
 /// A profile given by its values at some positions and smooth between them.
-pub(super) trait Piecewise: Falloff<f64> {
+pub trait Piecewise: Falloff<f64> {
     /// 1 − cos γ at the end of the light.
     fn end(&self) -> f64;
     /// 1 − cos γ of each value.
@@ -38,7 +42,7 @@ pub(super) trait Piecewise: Falloff<f64> {
 }
 
 #[derive(Clone, Debug)]
-pub(super) struct Windows<S> {
+pub struct Windows<S> {
     windows: [Window<S>; WINDOWS],
     /// Windows per unit of √(1 − cos γ), and its inverse.
     density: S,
@@ -55,15 +59,14 @@ struct Window<S> {
     coefficients: [S; DEGREE + 1],
 }
 
-impl<S: Scalar> Windows<S> {
-    /// No window has a polynomial.
-    pub(super) fn none() -> Self {
+impl<S: Number> Windows<S> {
+    pub fn none() -> Self {
         let closed = Window { reach: S::zero(), coefficients: [S::zero(); DEGREE + 1] };
         Self { windows: [closed; WINDOWS], density: S::one(), pitch: S::one(), allowed: [S::zero(); 2] }
     }
 
     /// Windows for `table`, each as wide as `tolerance` allows.
-    pub(super) fn fit(table: &impl Piecewise, tolerance: f64) -> Self {
+    pub fn fit(table: &impl Piecewise, tolerance: f64) -> Self {
         let root = libm::sqrt(table.end());
         let mut fitted = Self::none();
         fitted.density = S::of(WINDOWS as f64 / root);
@@ -90,7 +93,7 @@ impl<S: Scalar> Windows<S> {
 
     /// The polynomial for c within `spread`·`centre` of `centre`.
     #[inline(always)]
-    pub(super) fn near(&self, centre: S, spread: S) -> Option<Series<S>> {
+    pub fn near(&self, centre: S, spread: S) -> Option<Series<S>> {
         let index = ((S::one() - centre).max(S::zero()).root() * self.density).to_usize()?;
         let window = self.windows.get(index)?;
         let (offset, reach) = (centre - self.centre(index), spread * centre);
@@ -129,7 +132,7 @@ impl<S: Scalar> Windows<S> {
 /// Gauss–Legendre nodes that integrate a polynomial and its first moment, with terms of these greatest sizes, to within
 /// `allowed`. Of fixed length: the loops are unrolled.
 #[inline(always)]
-pub(super) fn rule_nodes<S: Scalar, const N: usize>(sizes: &[S; N], allowed: S) -> usize {
+pub fn rule_nodes<S: Number, const N: usize>(sizes: &[S; N], allowed: S) -> usize {
     // Of each term and all after it.
     let mut sums = *sizes;
     for k in (0..N - 1).rev() {
@@ -146,7 +149,7 @@ pub(super) fn rule_nodes<S: Scalar, const N: usize>(sizes: &[S; N], allowed: S) 
 
 /// Coefficients of the powers of c − `centre` of the polynomial of degree [`DEGREE`] through `of` at the Chebyshev nodes of
 /// middle ± half.
-pub(super) fn interpolate(centre: f64, (middle, half): (f64, f64), of: impl Fn(f64) -> f64) -> [f64; DEGREE + 1] {
+pub fn interpolate(centre: f64, (middle, half): (f64, f64), of: impl Fn(f64) -> f64) -> [f64; DEGREE + 1] {
     let count = (DEGREE + 1) as f64;
     // Newton's divided differences.
     let nodes: [f64; DEGREE + 1] =
@@ -205,6 +208,77 @@ impl Fit {
     }
 }
 
+/// Cosines down to which the polynomial may reach, the lowest that fits counts: 78°, and up to 37°.
+const LOWEST: [f64; 7] = [0.2, 0.25, 0.3, 0.4, 0.5, 0.65, 0.8];
+
+/// Greatest relative error of the polynomial: a few roundings of `f32`.
+const MOST_ERROR: f64 = 1e-6;
+
+const CHECKS: usize = 200;
+
+/// I_rel = Σ coefficient·(c − c₀)ᵏ from [`Self::lowest`] to 1, c₀ their mean; below, the power of c that goes on as steep.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Curve<S> {
+    lowest: S,
+    coefficients: [S; DEGREE + 1],
+}
+
+impl<S: Number> Curve<S> {
+    /// `None`: no polynomial is near enough to `profile` over an angle worth it.
+    pub fn fit(profile: &CompiledProfile<f64>) -> Option<Self> {
+        LOWEST.into_iter().find_map(|lowest| {
+            let (centre, half) = (0.5 * (1.0 + lowest), 0.5 * (1.0 - lowest));
+            let curve = Curve { lowest, coefficients: interpolate(centre, (centre, half), |c| profile.relative(c)) };
+            let fits = (0..=CHECKS).all(|i| {
+                let c = lowest + (1.0 - lowest) * i as f64 / CHECKS as f64;
+                let exact = profile.relative(c);
+                // Written so that NaN does not fit.
+                exact > 0.0 && (curve.bends(c)[0] - exact).abs() <= MOST_ERROR * exact
+            });
+            fits.then(|| Self { lowest: S::of(lowest), coefficients: curve.coefficients.map(S::of) })
+        })
+    }
+
+    /// I_rel at cos γ = `c` > 0, and its first two derivatives relative to it.
+    #[inline(always)]
+    pub fn bends(&self, c: S) -> [S; 3] {
+        if c < self.lowest {
+            return self.faded(c);
+        }
+        let offset = c - S::half() * (S::one() + self.lowest);
+        let (mut value, mut slope, mut bend) = (S::zero(), S::zero(), S::zero());
+        for &coefficient in self.coefficients.iter().rev() {
+            bend = bend * offset + slope;
+            slope = slope * offset + value;
+            value = value * offset + coefficient;
+        }
+        let inverse = value.recip();
+        [value, slope * inverse, S::two() * bend * inverse]
+    }
+
+    /// [`Self::bends`] below the lowest cosine.
+    #[cold]
+    #[inline(never)]
+    fn faded(&self, c: S) -> [S; 3] {
+        let [value, slope, _] = self.bends(self.lowest);
+        let (exponent, inverse) = (slope * self.lowest, c.recip());
+        let slope = exponent * inverse;
+        [value * (c / self.lowest).power(exponent), slope, slope * (exponent - S::one()) * inverse]
+    }
+}
+
+impl<S: Number> CompiledProfile<S> {
+    /// I_rel at cos γ = `c` > 0.
+    fn relative(&self, c: S) -> S {
+        match self {
+            Self::Cosine(profile) => profile.relative(c),
+            Self::Table(profile) => profile.relative(c),
+            Self::ShapedCosine(profile) => profile.relative(c),
+            Self::ShapedTable(profile) => profile.relative(c),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     extern crate std;
@@ -214,6 +288,7 @@ mod tests {
     use super::*;
     use crate::profile::Emission;
     use crate::profile::table::Table;
+    use crate::scene::Profile;
 
     #[test]
     fn windows_stand_for_the_table_to_the_tolerance() {
@@ -241,5 +316,40 @@ mod tests {
             println!("{tolerance:e}: {found}");
             assert!(found >= least, "{tolerance:e}: {found}");
         }
+    }
+
+    fn profile(exponent: f64, radial: [f64; 4]) -> CompiledProfile<f64> {
+        CompiledProfile::compile(&Profile::Cosine { exponent }, radial, 1e-9).0
+    }
+
+    /// Against the profile and differences of it; a power of the cosine down to the horizon.
+    #[test]
+    fn a_curve_is_the_profile_with_its_derivatives() {
+        for (exponent, radial, from) in [
+            (1.247, [0.0; 4], 0.01),
+            (1.2, [-0.06, 0.17, -0.03, 0.23], 0.2),
+            (1.4, [0.2, -0.3, 0.1, 0.1], 0.2),
+            (20.0, [0.0; 4], 0.81),
+        ] {
+            let profile = profile(exponent, radial);
+            let curve = Curve::<f64>::fit(&profile).expect("smooth");
+            for i in 0..50 {
+                let c = from + (0.999 - from) * f64::from(i) / 49.0;
+                let [value, slope, bend] = curve.bends(c);
+                let step = 1e-4 * c;
+                let [before, here, after] = [c - step, c, c + step].map(|c| profile.relative(c));
+                let (first, second) = ((after - before) / (2.0 * step), (after - 2.0 * here + before) / (step * step));
+                // Beyond its end it goes on by the slope there, which is right to 10⁻⁵.
+                let most = if c < curve.lowest { 1e-4 } else { 2e-6 };
+                assert!((value / here - 1.0).abs() < most, "{exponent} {c}: {value} {here}");
+                assert!((slope * value - first).abs() < 1e-4 * (1.0 + first.abs()), "{exponent} {c}: {slope} {first}");
+                assert!((bend * value - second).abs() < 5e-3 * (1.0 + second.abs()), "{exponent} {c}: {bend} {second}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_lobe_too_narrow_for_a_polynomial_has_no_curve() {
+        assert!(Curve::<f32>::fit(&profile(300.0, [0.0; 4])).is_none());
     }
 }

@@ -13,22 +13,18 @@ use arrayvec::ArrayVec;
 
 use crate::plan::Optics;
 use crate::pose::Transform;
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 
-use super::chi2::redundancy;
-use super::compiled::Compiled;
+use super::algebra::{Factor, Matrix6};
 use super::levenberg_marquardt::{Minimum, Stopping};
-use super::normal_equations::{Problem, Whiteners, Workspace};
-use super::observability;
+use super::normal_equations::{Problem, Workspace};
 use super::outcome::{DegradedReason, Directions, Estimate, Outcome, Solution};
-use super::readings::Sorted;
 
-/// Two poses this many σ apart are two poses.
-pub(super) const DISTINCT_SIGMAS: f64 = 6.0;
+pub const DISTINCT_SIGMAS: f64 = 6.0;
 
 /// χ² by which a pose must be worse than the best to be out of the question: a likelihood ratio of
 /// 1 : 22 000.
-pub(super) const ALIKE: f64 = 20.0;
+pub const ALIKE: f64 = 20.0;
 
 /// Directions, the softest first, along which χ² of a pose that may have images must grow as its
 /// covariance says.
@@ -42,28 +38,27 @@ const TOO_UNLIKE: f64 = 4.0 * DISTINCT_SIGMAS * DISTINCT_SIGMAS;
 /// well below. The pose is then another, or the head.
 const ELSEWHERE: f64 = 0.05;
 
-/// Evaluations that are left to [`Compiled::taken_roughly`], whatever came before: it takes some eight.
-pub(super) const ROUGH_WORK: usize = 16;
+/// Evaluations that are left to [`Problem::taken_roughly`], whatever came before: it takes some eight.
+pub const ROUGH_WORK: usize = 16;
 
 /// How well a pose explains the data, worst first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Fit {
+pub enum Fit {
     /// χ² is more than the noise explains.
     None,
     /// The cells that see light fit, but another should see some, too.
     LitOnly,
-    /// All cells agree.
     Full,
 }
 
-impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
+impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// How well `minimum` explains the data: χ² by the noise, and no light where none was seen.
-    pub(super) fn fit(&self, sorted: &Sorted<S>, problem: &Problem<'_, S, P>, minimum: &Minimum<S>) -> Fit {
+    pub fn fit(&self, minimum: &Minimum<S>) -> Fit {
         // Written so that NaN does not fit.
-        let fits = minimum.converged && minimum.chi2 <= self.gates[sorted.usable.len()];
+        let fits = minimum.converged && minimum.chi2 <= self.gate();
         if !fits {
             Fit::None
-        } else if sorted.faint.count() == 0 || self.is_dark_where_dark(sorted, problem, minimum) {
+        } else if self.sorted.faint.count() == 0 || self.is_dark_where_dark(minimum) {
             Fit::Full
         } else {
             Fit::LitOnly
@@ -73,46 +68,42 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
     /// Whether cells that were found without light are without light at the pose, too.
     #[cold]
     #[inline(never)]
-    fn is_dark_where_dark(&self, sorted: &Sorted<S>, problem: &Problem<'_, S, P>, minimum: &Minimum<S>) -> bool {
-        let predicted = problem.predicted(&minimum.pose);
-        sorted.faint.iter().all(|cell| predicted[cell][0] + predicted[cell][1] < S::two() * self.limits[cell].faint_a)
+    fn is_dark_where_dark(&self, minimum: &Minimum<S>) -> bool {
+        let predicted = self.predicted(&minimum.pose);
+        self.sorted
+            .faint
+            .iter()
+            .all(|cell| predicted[cell][0] + predicted[cell][1] < S::two() * self.head.limits[cell].faint_a)
     }
 
     /// The solution at a minimum whose linearisation is in `workspace`.
-    pub(super) fn conclude(
-        &self,
-        sorted: &Sorted<S>,
-        problem: &Problem<'_, S, P>,
-        minimum: &Minimum<S>,
-        workspace: &Workspace<S>,
-        fit: Fit,
-    ) -> Solution<S> {
-        let redundancy = redundancy(sorted.usable.len());
+    pub fn conclude(&self, minimum: &Minimum<S>, workspace: &Workspace<S>, fit: Fit) -> Solution<S> {
+        let redundancy = redundancy(self.sorted.usable.len());
         let mut solution = Solution {
             chi2: minimum.chi2,
             redundancy,
             iterations: minimum.iterations,
             factor: minimum.factor,
-            ..Solution::without_pose(Outcome::Diverged, sorted.used)
+            ..Solution::without_pose(Outcome::Diverged, self.sorted.used)
         };
         let Some(factor) = &minimum.factor else {
             return solution;
         };
-        let Some(covariance) = observability::covariance(factor, self.length_scale_m) else {
-            let free = observability::free_directions(factor).unwrap_or_default();
+        let Some(covariance) = covariance(factor, self.head.length_scale_m) else {
+            let free = free_directions(factor).unwrap_or_default();
             solution.outcome = Outcome::Unobservable(free);
             return solution;
         };
         if !minimum.pose.is_finite() {
             return solution;
         }
-        let gate = self.gates[sorted.usable.len()];
+        let gate = self.gate();
         if P::TELLS_RELIABILITY {
-            solution.unnoticed_sigmas = unnoticed_sigmas(gate, redundancy, problem.least_visible(factor, workspace));
+            solution.unnoticed_sigmas = unnoticed_sigmas(gate, redundancy, self.least_visible(factor, workspace));
         }
         solution.outcome = if fit == Fit::None {
             Outcome::Degraded(DegradedReason::Misfit)
-        } else if sorted.usable.len() < self.plan.cell_count() {
+        } else if self.sorted.usable.len() < self.head.plan.cell_count() {
             Outcome::Degraded(DegradedReason::FewerCells)
         } else {
             Outcome::Converged
@@ -126,37 +117,23 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
     /// are off draw the pose less. χ² is by these weights.
     #[cold]
     #[inline(never)]
-    pub(super) fn taken_roughly(
-        &self,
-        sorted: &Sorted<S>,
-        problem: &Problem<'_, S, P>,
-        start: Transform<S>,
-        workspace: &mut Workspace<S>,
-    ) -> Solution<S> {
-        let whiteners = problem.coarse_whiteners();
-        let minimum = problem.minimise(start, &whiteners, Stopping::near(), workspace);
+    pub fn taken_roughly(&self, start: Transform<S>, workspace: &mut Workspace<S>) -> Solution<S> {
+        let coarse = self.coarse();
+        let minimum = coarse.minimise(start, Stopping::near(), workspace);
         if !minimum.converged {
-            return Solution::without_pose(Outcome::Diverged, sorted.used);
+            return Solution::without_pose(Outcome::Diverged, self.sorted.used);
         }
-        problem.linearise(&minimum.pose, &whiteners, workspace);
-        self.conclude(sorted, problem, &minimum, workspace, Fit::None)
+        coarse.linearise(&minimum.pose, workspace);
+        coarse.conclude(&minimum, workspace, Fit::None)
     }
 
     /// [`Self::conclude`] where the tool is expected and images are not looked for: one that is so near that
     /// the two are one minimum is.
     #[inline(always)]
-    pub(super) fn conclude_near(
-        &self,
-        sorted: &Sorted<S>,
-        problem: &Problem<'_, S, P>,
-        whiteners: &Whiteners<S>,
-        minimum: &Minimum<S>,
-        workspace: &mut Workspace<S>,
-        fit: Fit,
-    ) -> Solution<S> {
-        let mut solution = self.conclude(sorted, problem, minimum, workspace, fit);
-        if self.has_images && fit != Fit::None {
-            self.unless_soft(&mut solution, problem, whiteners, minimum, workspace);
+    pub fn conclude_near(&self, minimum: &Minimum<S>, workspace: &mut Workspace<S>, fit: Fit) -> Solution<S> {
+        let mut solution = self.conclude(minimum, workspace, fit);
+        if self.head.has_images && fit != Fit::None {
+            self.unless_soft(&mut solution, minimum, workspace);
         }
         solution
     }
@@ -164,26 +141,19 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
     /// Leaves `solution` as it is if along its softest directions χ² grows as its covariance says; else an image is so
     /// near that the two are one minimum, and the data leave those directions free.
     #[inline(never)]
-    pub(super) fn unless_soft(
-        &self,
-        solution: &mut Solution<S>,
-        problem: &Problem<'_, S, P>,
-        whiteners: &Whiteners<S>,
-        minimum: &Minimum<S>,
-        workspace: &mut Workspace<S>,
-    ) {
-        let is_free = matches!(solution.outcome, Outcome::Unobservable(_));
-        let Some(factor) = minimum.factor.as_ref().filter(|_| is_free || solution.outcome.has_pose()) else {
+    pub fn unless_soft(&self, solution: &mut Solution<S>, minimum: &Minimum<S>, workspace: &mut Workspace<S>) {
+        let has_free = matches!(solution.outcome, Outcome::Unobservable(_));
+        let Some(factor) = minimum.factor.as_ref().filter(|_| has_free || solution.outcome.has_pose()) else {
             return;
         };
         let mut soft = ArrayVec::<[f64; 6], SOFT>::new();
         for (value, direction) in &factor.singular()[..SOFT] {
             let grows = |sign: f64, workspace: &mut Workspace<S>| {
                 let far = direction.map(|element| element * (S::of(sign * DISTINCT_SIGMAS) / *value));
-                let there = problem.linearise(&problem.moved(&minimum.pose, &far), whiteners, workspace);
+                let there = self.linearise(&self.moved(&minimum.pose, &far), workspace);
                 (S::of(ALIKE)..S::of(TOO_UNLIKE)).contains(&(there.chi2 - minimum.chi2))
             };
-            if observability::is_free(*value) || !(grows(-1.0, workspace) && grows(1.0, workspace)) {
+            if is_free(*value) || !(grows(-1.0, workspace) && grows(1.0, workspace)) {
                 soft.push(direction.map(S::as_f64));
             }
         }
@@ -192,27 +162,123 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
             solution.estimate = None;
         }
     }
-}
 
-/// Whether the best pose found is too far from the data to call it one.
-pub(super) fn is_elsewhere<S: Scalar, P: Optics<S>>(problem: &Problem<'_, S, P>, minimum: &Minimum<S>) -> bool {
-    let predicted = problem.predicted(&minimum.pose);
-    !minimum.converged
-        || problem.readings.iter().any(|reading| {
-            let [first, second] = reading.pair;
-            let [i_x1_a, i_x2_a] = predicted[reading.cell];
-            let off = (first - i_x1_a).abs().max((second - i_x2_a).abs());
-            off > S::of(ELSEWHERE) * (first + second)
-        })
+    /// Whether the best pose found is too far from the data to call it one.
+    pub fn is_elsewhere(&self, minimum: &Minimum<S>) -> bool {
+        let predicted = self.predicted(&minimum.pose);
+        !minimum.converged
+            || self.sorted.usable.iter().any(|reading| {
+                let [first, second] = reading.pair;
+                let [i_x1_a, i_x2_a] = predicted[reading.cell];
+                let off = (first - i_x1_a).abs().max((second - i_x2_a).abs());
+                off > S::of(ELSEWHERE) * (first + second)
+            })
+    }
 }
 
 /// How far, in σ of the pose, an error can move it that leaves χ² as likely above its gate as below:
 /// of an error of length e in σ of its cell, r·e² stays visible and (1 − r)·e² is in the pose.
-pub(super) fn unnoticed_sigmas<S: Scalar>(gate: S, redundancy: usize, visible: S) -> S {
+pub fn unnoticed_sigmas<S: Number>(gate: S, redundancy: usize, visible: S) -> S {
     // Of next to nothing, rounding is what is left.
     let negligible = S::of(1e-6).max(S::of(64.0) * S::epsilon());
     if redundancy == 0 || visible <= negligible {
         return S::infinity();
     }
     ((gate - S::of(redundancy as f64)) * (S::one() - visible) / visible).root()
+}
+
+/// A direction is free if its singular value is this far below the largest, in units of the number
+/// type's rounding: condition numbers up to 7e13 in `f64`, 1.3e5 in `f32`.
+const RANK_ROUNDINGS: f64 = 64.0;
+
+/// A direction is free, too, if its σ exceeds one radian (or its equivalent in translation): the
+/// linearisation it stems from holds much less far.
+pub const LARGEST_SIGMA: f64 = 1.0;
+
+/// A factor whose diagonal spans less than this has full rank without further proof.
+pub const EVEN: f64 = 1e-3;
+
+/// Covariance in metres and radians from the information in scaled coordinates; `None` if a
+/// direction is free.
+pub fn covariance<S: Number>(factor: &Factor<S>, length_scale_m: S) -> Option<Matrix6<S>> {
+    if is_singular(factor) {
+        return None;
+    }
+    let inverse = factor.inverse();
+    // Written so that NaN fails, too.
+    let is_bounded = inverse.iter().enumerate().all(|(i, row)| row[i] <= S::of(LARGEST_SIGMA * LARGEST_SIGMA));
+    if !is_bounded {
+        return None;
+    }
+    Some(unscaled(&inverse, length_scale_m))
+}
+
+/// A covariance of scaled coordinates in metres and radians.
+#[inline(always)]
+pub fn unscaled<S: Number>(covariance: &Matrix6<S>, length_scale_m: S) -> Matrix6<S> {
+    let scale = |axis: usize| if axis < 3 { length_scale_m } else { S::one() };
+    core::array::from_fn(|i| core::array::from_fn(|j| covariance[i][j] * (scale(i) * scale(j))))
+}
+
+pub fn is_singular<S: Number>(factor: &Factor<S>) -> bool {
+    !factor.is_even(S::of(EVEN)) && free_directions(factor).is_some()
+}
+
+pub fn free_directions<S: Number>(factor: &Factor<S>) -> Option<Directions> {
+    let pairs = factor.singular();
+    let largest = pairs[5].0;
+    let least = (S::of(RANK_ROUNDINGS) * S::epsilon() * largest).max(S::of(LARGEST_SIGMA.recip()));
+    let free: heapless::Vec<[f64; 6], 6> = pairs
+        .iter()
+        .filter(|(value, _)| *value <= least || value.is_nan())
+        .map(|(_, vector)| vector.map(S::as_f64))
+        .collect();
+    (!free.is_empty()).then(|| Directions::of_free(&free))
+}
+
+/// Whether the σ of a direction with this singular value is infinite, or beyond the range of any linearisation.
+pub fn is_free<S: Number>(value: S) -> bool {
+    // Written so that NaN is.
+    let is_held = value > S::of(LARGEST_SIGMA.recip());
+    !is_held
+}
+
+/// The displacement between two poses, in σ of the data of `factor`.
+pub fn sigmas_between<S: Number>(factor: &Factor<S>, a: &Transform<S>, b: &Transform<S>, length_scale_m: S) -> S {
+    let (dt, dr) = b.to_pose().displacement_from(&a.to_pose());
+    let dt = dt / length_scale_m.as_f64();
+    factor.length(&[dt.x, dt.y, dt.z, dr.x, dr.y, dr.z].map(S::of))
+}
+
+/// Probability of a larger χ² by chance at which a fit is doubted: 1e-9, six one-sided σ.
+const GATE_SIGMAS: f64 = 6.0;
+
+/// Two currents a cell, less six unknowns.
+pub fn redundancy(cells: usize) -> usize {
+    (2 * cells).saturating_sub(6)
+}
+
+/// The χ² that `freedom` degrees of freedom exceed with probability 1e-9 (Wilson and Hilferty
+/// 1931). Without redundancy a fit is exact, but for noise that leads past a fold of the currents:
+/// counted as one degree.
+pub fn chi2_gate(freedom: usize) -> f64 {
+    let k = freedom.max(1) as f64;
+    let spread = 2.0 / (9.0 * k);
+    let root = 1.0 - spread + GATE_SIGMAS * libm::sqrt(spread);
+    k * root * root * root
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_gate_of_chi2_is_passed_by_chance_once_in_a_billion() {
+        // Quantiles of χ² for 9.9e-10, from its closed form for even degrees of freedom. The cube root is
+        // a normal deviate to a few percent, least so for few degrees.
+        for (freedom, quantile) in [(2, 41.47), (4, 47.91), (6, 53.37), (10, 62.98), (26, 94.63)] {
+            let ratio = chi2_gate(freedom) / quantile;
+            assert!((0.99..1.2).contains(&ratio), "{freedom}: {ratio}");
+        }
+    }
 }

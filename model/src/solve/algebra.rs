@@ -7,17 +7,16 @@
 use num_traits::Float;
 
 use crate::lanes::zero_half_one;
-use crate::scalar::{Real, Scalar};
+use crate::scalar::{Number, Real};
 
 /// A vector of the six pose coordinates (translation, rotation).
-pub(crate) type Vector6<S> = [S; 6];
+pub type Vector6<S> = [S; 6];
 
-/// A 6×6 matrix, stored in full.
-pub(crate) type Matrix6<S> = [[S; 6]; 6];
+pub type Matrix6<S> = [[S; 6]; 6];
 
 /// Scalar product.
 #[inline(always)]
-pub(crate) fn dot<R: Real>(a: &Vector6<R>, b: &Vector6<R>) -> R {
+pub fn dot<R: Real>(a: &Vector6<R>, b: &Vector6<R>) -> R {
     let mut sum = a[0].constant(0.0);
     for (&x, &y) in a.iter().zip(b) {
         sum += x * y;
@@ -27,13 +26,13 @@ pub(crate) fn dot<R: Real>(a: &Vector6<R>, b: &Vector6<R>) -> R {
 
 /// |v|².
 #[inline(always)]
-pub(crate) fn square<R: Real>(v: &Vector6<R>) -> R {
+pub fn square<R: Real>(v: &Vector6<R>) -> R {
     dot(v, v)
 }
 
 /// A lower triangular L with L·Lᵀ the matrix that was factorised.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Factor<S> {
+pub struct Factor<S> {
     lower: Matrix6<S>,
     /// 1/L_ii.
     inverses: Vector6<S>,
@@ -43,28 +42,28 @@ impl<R: Real> Factor<R> {
     /// From L and 1/L_ii.
     #[cfg(feature = "batch")]
     #[inline(always)]
-    pub(crate) fn of_parts(lower: Matrix6<R>, inverses: Vector6<R>) -> Self {
+    pub fn of_parts(lower: Matrix6<R>, inverses: Vector6<R>) -> Self {
         Self { lower, inverses }
     }
 
     /// L.
     #[cfg(feature = "batch")]
     #[inline(always)]
-    pub(crate) fn lower(&self) -> &Matrix6<R> {
+    pub fn lower(&self) -> &Matrix6<R> {
         &self.lower
     }
 
     /// 1/L_ii.
     #[cfg(feature = "batch")]
     #[inline(always)]
-    pub(crate) fn inverses(&self) -> Vector6<R> {
+    pub fn inverses(&self) -> Vector6<R> {
         self.inverses
     }
 
     /// Row `i` of L left of its diagonal, the rows above being complete, and what is left of the `diagonal` element:
     /// the pivot L_ii².
     #[inline(always)]
-    pub(crate) fn pivot(&mut self, matrix: &Matrix6<R>, i: usize, diagonal: R) -> R {
+    pub fn pivot(&mut self, matrix: &Matrix6<R>, i: usize, diagonal: R) -> R {
         let Self { lower, inverses } = self;
         for j in 0..i {
             let mut sum = matrix[i][j];
@@ -82,14 +81,14 @@ impl<R: Real> Factor<R> {
 
     /// Completes row `i`.
     #[inline(always)]
-    pub(crate) fn set_pivot(&mut self, i: usize, pivot: R) {
+    pub fn set_pivot(&mut self, i: usize, pivot: R) {
         self.inverses[i] = pivot.inverse_root();
         self.lower[i][i] = pivot * self.inverses[i];
     }
 
     /// L⁻¹·v.
     #[inline(always)]
-    pub(crate) fn forward(&self, v: &Vector6<R>) -> Vector6<R> {
+    pub fn forward(&self, v: &Vector6<R>) -> Vector6<R> {
         let mut x = *v;
         for i in 0..6 {
             for k in 0..i {
@@ -102,7 +101,7 @@ impl<R: Real> Factor<R> {
 
     /// L⁻ᵀ·v.
     #[inline(always)]
-    pub(crate) fn backward(&self, v: &Vector6<R>) -> Vector6<R> {
+    pub fn backward(&self, v: &Vector6<R>) -> Vector6<R> {
         let mut x = *v;
         for i in (0..6).rev() {
             for k in i + 1..6 {
@@ -115,13 +114,13 @@ impl<R: Real> Factor<R> {
 
     /// (L·Lᵀ)⁻¹·v.
     #[inline(always)]
-    pub(crate) fn solve(&self, v: &Vector6<R>) -> Vector6<R> {
+    pub fn solve(&self, v: &Vector6<R>) -> Vector6<R> {
         self.backward(&self.forward(v))
     }
 
     /// (L·Lᵀ)⁻¹ = L⁻ᵀ·L⁻¹.
     #[inline(always)]
-    pub(crate) fn inverse(&self) -> Matrix6<R> {
+    pub fn inverse(&self) -> Matrix6<R> {
         let zero = self.inverses[0].constant(0.0);
         // Columns of L⁻¹, each from its diagonal down.
         let mut columns = [[zero; 6]; 6];
@@ -150,13 +149,13 @@ impl<R: Real> Factor<R> {
     }
 }
 
-impl<S: Scalar> Factor<S> {
+impl<S: Number> Factor<S> {
     /// The Cholesky factor of `matrix` with its diagonal multiplied by 1 + `damping` (elements that
     /// are next to nothing are damped as if they were a millionth of the largest). `None` if a pivot
     /// falls to `threshold` of its diagonal element or below: then the matrix is too near to a
     /// singular one for its digits. The ratio does not depend on how unknowns are scaled.
     #[inline]
-    pub(crate) fn of_matrix(matrix: &Matrix6<S>, damping: S, threshold: S) -> Option<Self> {
+    pub fn of_matrix(matrix: &Matrix6<S>, damping: S, threshold: S) -> Option<Self> {
         let least = if damping > S::zero() {
             S::of(1e-6) * (0..6).fold(S::zero(), |largest, i| matrix[i][i].max(largest))
         } else {
@@ -176,26 +175,25 @@ impl<S: Scalar> Factor<S> {
         Some(factor)
     }
 
-    /// The same in `f64`.
-    pub(crate) fn widened(&self) -> Factor<f64> {
+    pub fn widened(&self) -> Factor<f64> {
         Factor { lower: self.lower.map(|row| row.map(S::as_f64)), inverses: self.inverses.map(S::as_f64) }
     }
 
     /// |Lᵀ·v|: the length of a displacement in σ.
-    pub(crate) fn length(&self, v: &Vector6<S>) -> S {
+    pub fn length(&self, v: &Vector6<S>) -> S {
         let element = |i: usize| (i..6).fold(S::zero(), |sum, k| sum + self.lower[k][i] * v[k]);
         (0..6).fold(S::zero(), |sum, i| sum + element(i) * element(i)).root()
     }
 
     /// Whether the diagonal spans less than `ratio`.
-    pub(crate) fn is_even(&self, ratio: S) -> bool {
+    pub fn is_even(&self, ratio: S) -> bool {
         let diagonal = (0..6).map(|i| self.lower[i][i]);
         diagonal.clone().fold(S::infinity(), S::min) > ratio * diagonal.fold(S::zero(), S::max)
     }
 
     /// Singular values of Lᵀ (ascending) with their right vectors, by one-sided Jacobi rotations
     /// (Hestenes 1958): slow, but small ones keep their digits.
-    pub(crate) fn singular(&self) -> [(S, Vector6<S>); 6] {
+    pub fn singular(&self) -> [(S, Vector6<S>); 6] {
         let mut vectors: Matrix6<S> =
             core::array::from_fn(|i| core::array::from_fn(|j| if i == j { S::one() } else { S::zero() }));
         let columns = self.orthogonal_columns(|p, q, cosine, sine| rotate(&mut vectors, p, q, cosine, sine));
@@ -207,9 +205,8 @@ impl<S: Scalar> Factor<S> {
 }
 
 impl<R: Real> Factor<R> {
-    /// The least and the largest singular value.
     #[inline(always)]
-    pub(crate) fn extreme_singular_values(&self) -> [R; 2] {
+    pub fn extreme_singular_values(&self) -> [R; 2] {
         let columns = self.orthogonal_columns(|_, _, _, _| ());
         let mut values = [square(&columns[0]).root(); 2];
         for column in &columns[1..] {
@@ -272,18 +269,18 @@ fn rotate<R: Real>(rows: &mut Matrix6<R>, p: usize, q: usize, cosine: R, sine: R
 /// The upper triangle R of a growing matrix A = Q·R, and Qᵀ·b of a right-hand side b, row by row
 /// with Givens rotations: condition numbers are those of A, not of AᵀA.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Triangle<S, const N: usize> {
+pub struct Triangle<S, const N: usize> {
     upper: [[S; N]; N],
     right: [S; N],
 }
 
-impl<S: Scalar, const N: usize> Triangle<S, N> {
-    pub(crate) fn new() -> Self {
+impl<S: Number, const N: usize> Triangle<S, N> {
+    pub fn new() -> Self {
         Self { upper: [[S::zero(); N]; N], right: [S::zero(); N] }
     }
 
     /// Adds a row of A and its element of b.
-    pub(crate) fn add(&mut self, mut row: [S; N], mut right: S) {
+    pub fn add(&mut self, mut row: [S; N], mut right: S) {
         for i in 0..N {
             if row[i] == S::zero() {
                 continue;
@@ -305,7 +302,7 @@ impl<S: Scalar, const N: usize> Triangle<S, N> {
     }
 
     /// Factor L of the last six unknowns, the others eliminated, and L⁻¹·Aᵀ·b.
-    pub(crate) fn last_six(&self) -> (Factor<S>, Vector6<S>) {
+    pub fn last_six(&self) -> (Factor<S>, Vector6<S>) {
         let first = N - 6;
         let lower: Matrix6<S> = core::array::from_fn(|i| {
             core::array::from_fn(|j| if j <= i { self.upper[first + j][first + i] } else { S::zero() })
@@ -317,16 +314,12 @@ impl<S: Scalar, const N: usize> Triangle<S, N> {
 
 /// Whether a processor does a whole square sooner than its lower half: with more lanes than the number type.
 const fn adds_squares<R: Real>() -> bool {
-    <<R::Element as Scalar>::Lanes as Real>::LANES > 1 && R::LANES == 1
+    <<R::Element as Number>::Lanes as Real>::LANES > 1 && R::LANES == 1
 }
 
 /// Adds Σ left·rightᵀ, which is symmetric: at least its lower half.
 #[inline(always)]
-pub(super) fn add_outer<R: Real, const N: usize>(
-    matrix: &mut Matrix6<R>,
-    left: [&Vector6<R>; N],
-    right: [&Vector6<R>; N],
-) {
+pub fn add_outer<R: Real, const N: usize>(matrix: &mut Matrix6<R>, left: [&Vector6<R>; N], right: [&Vector6<R>; N]) {
     for i in 0..6 {
         let end = if adds_squares::<R>() { 6 } else { i + 1 };
         for j in 0..end {
@@ -341,7 +334,7 @@ pub(super) fn add_outer<R: Real, const N: usize>(
 
 /// Completes a symmetric matrix whose lower half [`add_outer`] has added up.
 #[inline(always)]
-pub(super) fn mirror<S: Scalar>(matrix: &mut Matrix6<S>) {
+pub fn mirror<S: Number>(matrix: &mut Matrix6<S>) {
     if !adds_squares::<S>() {
         for i in 0..6 {
             for j in i + 1..6 {

@@ -1,31 +1,28 @@
 //! The pose of a tool that may be anywhere: from the planes, from home, without an outlier, and from starts around.
 //!
-//! The first pose that fits the data is the answer, unless it may have mirror images ([`super::mirror_images`]):
+//! The first pose that fits the data is the answer, unless it may have mirror images ([`super::images`]):
 //! then the search goes on for those, the best one counts, and where two fit alike the answer is ambiguous.
 
 use crate::plan::Optics;
 use crate::pose::{Pose, Transform};
-use crate::scalar::Scalar;
+use crate::scalar::{Number, Vector3};
 
-use super::accept::{Fit, ROUGH_WORK, is_elsewhere};
-use super::chi2::redundancy;
+use super::accept::{Fit, ROUGH_WORK, redundancy};
 use super::compiled::{Compiled, Prior};
+use super::images::{IMAGES, Minima, SOFT_STEPS, Seen, image};
 use super::levenberg_marquardt::Stopping;
-use super::minima::{Minima, Seen};
-use super::mirror_images::{IMAGES, SOFT_STEPS, image};
-use super::normal_equations::{Problem, Whiteners, Workspace};
+use super::normal_equations::{Problem, Workspace};
 use super::outcome::{Outcome, Solution};
 use super::outlier::{LEAST_WORK, OutlierSearch, exclude};
 use super::readings::Sorted;
-use super::starts;
 
 /// Evaluations of all cells that one cold solve may take: some 2 ms on a desktop core, by currents to
 /// 1e-6 and derivatives. Twice as many on a head with mirror images that has an outlier, too: without it the
 /// search begins anew.
-pub(super) const COLD_WORK: usize = 600;
+pub const COLD_WORK: usize = 600;
 
 /// The same of a head that has mirror images: all places for them are looked at, which takes 500 in the mean.
-pub(super) const WORK_FOR_IMAGES: usize = 2 * COLD_WORK;
+pub const WORK_FOR_IMAGES: usize = 2 * COLD_WORK;
 
 /// Evaluations after which a search in pieces ends, if there are no images to be found: of two cold solves, for each piece
 /// begins with the planes again.
@@ -36,12 +33,12 @@ const AGREEING: usize = 8;
 
 /// Share of the χ² that noise explains from which on a better fit is looked for beyond a kink of the currents:
 /// one in 30 honest scans of six cells has more.
-pub(super) const DOUBTED: f64 = 0.25;
+pub const DOUBTED: f64 = 0.25;
 
 /// How far a search for the pose has come: it may be spread over frames, each of which goes on where
 /// the last has stopped, on its own currents.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Search<S: Scalar> {
+pub struct Search<S: Number> {
     has_begun: bool,
     /// The next of [`Try`].
     next: usize,
@@ -59,12 +56,13 @@ pub(super) struct Search<S: Scalar> {
     spent: usize,
     /// Whether it goes on with another frame's currents when its work is used up; else it ends.
     may_pause: bool,
-    is_over: bool,
+    /// Whether nothing is left to be tried: what the last piece said is the answer.
+    pub is_over: bool,
 }
 
-impl<S: Scalar> Search<S> {
+impl<S: Number> Search<S> {
     /// One that has not begun, for the currents of one frame.
-    pub(super) fn at_once() -> Self {
+    pub fn at_once() -> Self {
         Self {
             has_begun: false,
             next: 0,
@@ -80,12 +78,12 @@ impl<S: Scalar> Search<S> {
     }
 
     /// One that has not begun, a piece a frame.
-    pub(super) fn in_pieces() -> Self {
+    pub fn in_pieces() -> Self {
         Self { may_pause: true, outlier: OutlierSearch::new(true), ..Self::at_once() }
     }
 
     /// The two poses that make the answer of a search that is over ambiguous.
-    pub(super) fn images(&self) -> Option<[Transform<S>; 2]> {
+    pub fn images(&self) -> Option<[Transform<S>; 2]> {
         match self.found {
             [Some(best), Some(rival)] if self.is_over => Some([best, rival]),
             _ => None,
@@ -101,18 +99,11 @@ impl<S: Scalar> Search<S> {
         solution
     }
 
-    /// Whether a part of it has been done.
-    pub(super) fn has_begun(&self) -> bool {
+    pub fn has_begun(&self) -> bool {
         self.has_begun || self.without.is_some()
-    }
-
-    /// Whether nothing is left to be tried: what the last piece said is the answer.
-    pub(super) fn is_over(&self) -> bool {
-        self.is_over
     }
 }
 
-/// What a search tries, in this order.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Try {
     Home,
@@ -122,23 +113,20 @@ enum Try {
     },
     /// [`Compiled::softened`] from the best pose so far.
     Soft(usize),
-    /// [`image`] of the best pose so far.
     Image(usize),
-    /// [`starts::around`].
     Around(usize),
-    /// [`starts::spread`].
     Spread(usize),
 }
 
 impl Try {
     /// The first that is not to find images but a pose at all.
-    const FURTHER: usize = 2 + SOFT_STEPS + IMAGES + starts::AROUND;
+    const FURTHER: usize = 2 + SOFT_STEPS + IMAGES + STARTS_AROUND;
 
     fn of(index: usize) -> Option<Self> {
         const IMAGE: usize = 2 + SOFT_STEPS;
         const AROUND: usize = IMAGE + IMAGES;
         const SPREAD: usize = Try::FURTHER + 1;
-        const END: usize = SPREAD + starts::SPREAD;
+        const END: usize = SPREAD + STARTS_SPREAD;
         Some(match index {
             0 => Self::Home,
             1 => Self::Exclusion { late: false },
@@ -152,23 +140,18 @@ impl Try {
     }
 }
 
-impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
+impl<S: Number, P: Optics<S>> Compiled<S, P> {
     /// Two poses between which the currents of the frame before did not decide, on those of this one;
     /// `None` if these do.
-    pub(super) fn still_images(
+    pub fn still_images(
         &self,
         sorted: &Sorted<S>,
         motion: &Prior<S>,
         images: [Transform<S>; 2],
         workspace: &mut Workspace<S>,
     ) -> Option<[Transform<S>; 2]> {
-        let problem = self.problem(sorted, motion);
-        let whiteners = problem.whiteners();
         let mut minima = Minima::new(self.length_scale_m);
-        for image in images {
-            let minimum = problem.minimise(image, &whiteners, Stopping::near(), workspace);
-            minima.add(minimum, self.fit(sorted, &problem, &minimum));
-        }
+        minima.add_near(images.map(Some), &self.problem(sorted, motion), Stopping::near(), workspace);
         match minima.places() {
             [Some(a), Some(b)] if minima.are_alike() => Some([a, b]),
             _ => None,
@@ -177,7 +160,7 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
 
     /// Goes on with `search` until it is over or the work in `workspace` is used up. A search that is not
     /// over has no pose yet.
-    pub(super) fn search(
+    pub fn search(
         &self,
         sorted: &Sorted<S>,
         motion: &Prior<S>,
@@ -232,48 +215,46 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
         workspace: &mut Workspace<S>,
     ) -> Solution<S> {
         let problem = &self.problem(sorted, motion);
-        let whiteners = problem.whiteners();
-        let may_have_images = self.has_images || sorted.usable.len() < P::UNIQUE_FROM;
+        let may_have_images = self.looks_for_images(sorted);
         let on_planes = self.on_planes(sorted);
         let mut minima = Minima::new(self.length_scale_m);
         let mut iterations = 0;
         // Half of a small piece does not suffice to leave out the next cell.
-        let is_all_for_outlier = P::HAS_SMALL_FRAMES && search.outlier.is_paused() && workspace.work / 2 < LEAST_WORK;
+        let is_all_for_outlier = P::HAS_SMALL_FRAMES && search.outlier.is_paused && workspace.work / 2 < LEAST_WORK;
         if !search.has_begun || !may_have_images && !is_all_for_outlier {
             // A start that fails on the currents of one frame may succeed on those of another.
             // It leaves half of a later piece to the starts that have not been tried yet.
             let held_back = if search.has_begun { workspace.work / 2 } else { 0 };
             workspace.work -= held_back;
-            let mut minimum = problem.minimise(on_planes, &whiteners, Stopping::exact(), workspace);
+            let mut minimum = problem.minimise(on_planes, Stopping::exact(), workspace);
             workspace.work += held_back;
-            let gate = self.gates[sorted.usable.len()];
+            let gate = problem.gate();
             if minimum.converged && minimum.chi2 <= gate {
-                minimum = problem.beyond_kink(minimum, &whiteners, S::of(DOUBTED) * gate, workspace);
+                minimum = problem.beyond_kink(minimum, S::of(DOUBTED) * gate, workspace);
             }
-            let fit = self.fit(sorted, problem, &minimum);
+            let fit = problem.fit(&minimum);
             if fit == Fit::Full && !may_have_images {
                 // By far the most frequent end, with the last linearisation still at hand.
                 search.is_over = true;
-                return self.conclude(sorted, problem, &minimum, workspace, fit);
+                return problem.conclude(&minimum, workspace, fit);
             }
             iterations += minimum.iterations;
             minima.add(minimum, fit);
         }
-        for before in search.found.into_iter().flatten().filter(|_| may_have_images && search.fits) {
-            let minimum = problem.minimise(before, &whiteners, Stopping::exact(), workspace);
-            iterations += minimum.iterations;
-            minima.add(minimum, self.fit(sorted, problem, &minimum));
+        if may_have_images && search.fits {
+            iterations += minima.add_near(search.found, problem, Stopping::exact(), workspace);
         }
         search.has_begun = true;
         // Of three cells alone no pose will come of it.
-        let unfinished = if is_unchecked(sorted) { Outcome::Ambiguous } else { Outcome::Diverged };
+        let outcome = if is_unchecked(sorted) { Outcome::Ambiguous } else { Outcome::Diverged };
+        let unfinished = |iterations| Solution { iterations, ..nothing(sorted, outcome) };
         let mut seen = Seen::new();
         let mut is_cut_short = false;
         while let Some(next) = Try::of(search.next).filter(|_| !self.is_enough(sorted, &minima, &seen, search.next)) {
             if workspace.work == 0 {
                 if search.may_pause && (may_have_images || search.spent < LONGEST_WORK) {
                     search.spent += workspace.evaluations;
-                    return search.pause(&minima, Solution { iterations, ..nothing(sorted, unfinished) });
+                    return search.pause(&minima, unfinished(iterations));
                 }
                 is_cut_short = true;
                 break;
@@ -284,8 +265,8 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
                     search.is_over = true;
                     return Solution { iterations: iterations + solution.iterations, ..solution };
                 }
-                if search.outlier.is_paused() {
-                    return search.pause(&minima, Solution { iterations, ..nothing(sorted, unfinished) });
+                if search.outlier.is_paused {
+                    return search.pause(&minima, unfinished(iterations));
                 }
             }
             let start = search.under_way.take().or_else(|| {
@@ -293,7 +274,7 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
             });
             search.next += 1;
             let Some((start, is_rough, before)) = start else { continue };
-            let gate = self.gates[sorted.usable.len()];
+            let gate = problem.gate();
             let stopping = match next {
                 _ if is_rough && fit == Fit::None => Stopping::rough(),
                 _ if is_rough => Stopping::rough().if_below(gate),
@@ -301,9 +282,9 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
                 _ => Stopping::exact(),
             };
             let mut minimum = if is_rough {
-                problem.minimise(start, &problem.coarse_whiteners(), stopping, workspace)
+                problem.coarse().minimise(start, stopping, workspace)
             } else {
-                problem.minimise(start, &whiteners, stopping, workspace)
+                problem.minimise(start, stopping, workspace)
             };
             iterations += minimum.iterations;
             let steps = before + minimum.iterations;
@@ -322,29 +303,30 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
                 if is_hopeless && minimum.chi2 > gate && next != Try::Home {
                     continue;
                 }
-                minimum = problem.minimise(minimum.pose, &whiteners, Stopping::exact(), workspace);
+                minimum = problem.minimise(minimum.pose, Stopping::exact(), workspace);
                 iterations += minimum.iterations;
             }
-            minima.add(minimum, self.fit(sorted, problem, &minimum));
+            minima.add(minimum, problem.fit(&minimum));
         }
         if minima.best_fit() == Fit::None && may_have_images && !search.fits {
             if workspace.work == 0 && search.may_pause {
-                return search.pause(&minima, Solution { iterations, ..nothing(sorted, unfinished) });
+                return search.pause(&minima, unfinished(iterations));
             }
-            for before in search.found.into_iter().flatten() {
-                let minimum = problem.minimise(before, &whiteners, Stopping::exact(), workspace);
-                iterations += minimum.iterations;
-                minima.add(minimum, self.fit(sorted, problem, &minimum));
-            }
+            iterations += minima.add_near(search.found, problem, Stopping::exact(), workspace);
         }
         search.is_over = true;
-        let mut solution = self.judge(sorted, problem, &whiteners, &minima, &on_planes, workspace);
+        let mut solution = self.judge(sorted, problem, &minima, &on_planes, workspace);
         if is_cut_short && self.has_images && solution.outcome.has_pose() && minima.best_fit() != Fit::None {
             // An image may fit as well, and was not looked for to the end.
             solution = nothing(sorted, Outcome::Ambiguous);
         }
         search.found = if solution.outcome == Outcome::Ambiguous { minima.places() } else { [None; 2] };
         Solution { iterations, ..solution }
+    }
+
+    /// Whether poses may have images that are worth the search.
+    fn looks_for_images(&self, sorted: &Sorted<S>) -> bool {
+        self.has_images || sorted.usable.len() < P::UNIQUE_FROM
     }
 
     /// Where `next` starts, and whether that takes a rough approach first; `None` if there is nothing to try.
@@ -363,15 +345,15 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
             Try::Image(index) => {
                 Some((image(&self.planes, &sorted.usable, &best?.pose, self.length_scale_m, index)?, false))
             }
-            Try::Around(index) => Some((starts::around(on_planes, index), true)),
+            Try::Around(index) => Some((around(on_planes, index), true)),
             // Without redundancy a rough approach leads past too many poses.
-            Try::Spread(index) => Some((starts::spread(index), redundancy(sorted.usable.len()) > 0)),
+            Try::Spread(index) => Some((spread(index), redundancy(sorted.usable.len()) > 0)),
         }
     }
 
     /// Whether nothing after [`Try`] `next` can change the answer.
     fn is_enough(&self, sorted: &Sorted<S>, minima: &Minima<S>, seen: &Seen<S>, next: usize) -> bool {
-        let may_have_images = self.has_images || sorted.usable.len() < P::UNIQUE_FROM;
+        let may_have_images = self.looks_for_images(sorted);
         match minima.best_fit() {
             Fit::None => seen.again >= AGREEING && (!may_have_images || next > Try::FURTHER),
             Fit::Full if !may_have_images || is_unchecked(sorted) => true,
@@ -385,7 +367,6 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
         &self,
         sorted: &Sorted<S>,
         problem: &Problem<'_, S, P>,
-        whiteners: &Whiteners<S>,
         minima: &Minima<S>,
         on_planes: &Transform<S>,
         workspace: &mut Workspace<S>,
@@ -394,45 +375,80 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
             return nothing(sorted, Outcome::Diverged);
         };
         // Fewer cells leave a mirror image that may be the pose; there, what fits nowhere has none.
-        let is_nowhere = fit == Fit::None && (sorted.usable.len() < P::UNIQUE_FROM || is_elsewhere(problem, &best));
+        let is_nowhere = fit == Fit::None && (sorted.usable.len() < P::UNIQUE_FROM || problem.is_elsewhere(&best));
         // A valley without an end fits as well: what the data leave free along it is told.
-        let is_valley = fit == Fit::None && best.chi2 <= self.gates[sorted.usable.len()];
+        let is_valley = fit == Fit::None && best.chi2 <= problem.gate();
         if is_nowhere && !is_valley {
             if sorted.usable.len() < P::UNIQUE_FROM {
                 return nothing(sorted, Outcome::Diverged);
             }
             workspace.work = workspace.work.max(ROUGH_WORK);
-            return self.taken_roughly(sorted, problem, *on_planes, workspace);
+            return problem.taken_roughly(*on_planes, workspace);
         }
-        let may_have_images = self.has_images || sorted.usable.len() < P::UNIQUE_FROM;
-        if may_have_images
-            && fit != Fit::None
-            && !minima.is_singular()
-            && (minima.are_alike()
-                || is_unchecked(sorted)
-                || fit == Fit::LitOnly && redundancy(sorted.usable.len()) == 0)
+        let may_have_images = self.looks_for_images(sorted);
+        if may_have_images && fit != Fit::None && !minima.is_singular() && (minima.are_alike() || is_unchecked(sorted))
         {
             return nothing(sorted, Outcome::Ambiguous);
         }
         // The last linearisation belongs to another start.
-        problem.linearise(&best.pose, whiteners, workspace);
-        let mut solution = self.conclude(sorted, problem, &best, workspace, fit);
+        problem.linearise(&best.pose, workspace);
+        let mut solution = problem.conclude(&best, workspace, fit);
         if !may_have_images || fit == Fit::None && !is_valley {
             return solution;
         }
-        self.unless_soft(&mut solution, problem, whiteners, &best, workspace);
+        problem.unless_soft(&mut solution, &best, workspace);
         if is_nowhere && solution.outcome.has_pose() { nothing(sorted, Outcome::Diverged) } else { solution }
     }
 }
 
-fn nothing<S: Scalar>(sorted: &Sorted<S>, outcome: Outcome) -> Solution<S> {
+fn nothing<S: Number>(sorted: &Sorted<S>, outcome: Outcome) -> Solution<S> {
     Solution::without_pose(outcome, sorted.used)
 }
 
 /// Whether nothing tells a pose from its mirror images. Of three cells nearly every pose has some, and no search is sure to
 /// find them all; that another cell is dark at the pose, too, excludes few of them where emitters are narrow.
-fn is_unchecked<S: Scalar>(sorted: &Sorted<S>) -> bool {
+fn is_unchecked<S: Number>(sorted: &Sorted<S>) -> bool {
     redundancy(sorted.usable.len()) == 0
+}
+
+/// How far the starts lie apart: half the reach of a head.
+const ROTATION_RAD: f64 = 0.3;
+const TRANSLATION_M: f64 = 3e-3;
+
+/// Starts around home and around the pose on the planes, twelve each.
+pub const STARTS_AROUND: usize = 24;
+
+pub const STARTS_SPREAD: usize = 48;
+
+/// Start `index` of [`STARTS_AROUND`]: a turn about one axis and a shift along the next, both ways, first from
+/// home, then from `centre`.
+pub fn around<S: Number>(centre: &Transform<S>, index: usize) -> Transform<S> {
+    let i = index % 12;
+    let mut turn = [0.0; 3];
+    let mut shift = [0.0; 3];
+    let sign = if i.is_multiple_of(2) { 1.0 } else { -1.0 };
+    turn[i / 2 % 3] = sign * ROTATION_RAD;
+    shift[(i / 2 + 1) % 3] = sign * TRANSLATION_M * if i < 6 { 1.0 } else { -1.0 };
+    let centre = if index < 12 { Transform::of(&Pose::HOME) } else { *centre };
+    centre.moved(vector::<S>(shift.into()), vector::<S>(turn.into()))
+}
+
+/// Start `index` of [`STARTS_SPREAD`], or of any number: the generalised golden ratio in six dimensions fills
+/// a box evenly (Roberts 2018), with powers of the inverse of the root of x⁷ = x + 1.
+pub fn spread<S: Number>(index: usize) -> Transform<S> {
+    let mut share = 1.0;
+    let coordinates: [f64; 6] = core::array::from_fn(|_| {
+        share *= 0.898_653_712_628_699;
+        let position = (index + 1) as f64 * share;
+        2.0 * (position - libm::floor(position)) - 1.0
+    });
+    let [tx, ty, tz, rx, ry, rz] = coordinates;
+    let (shift, turn) = (glam::DVec3::new(tx, ty, tz), glam::DVec3::new(rx, ry, rz));
+    Transform::of(&Pose::HOME).moved(vector::<S>(shift * 4.0 / 3.0 * TRANSLATION_M), vector::<S>(turn * ROTATION_RAD))
+}
+
+fn vector<S: Number>(v: glam::DVec3) -> S::Vec3 {
+    S::Vec3::of(v)
 }
 
 #[cfg(test)]
@@ -443,7 +459,7 @@ mod tests {
     #[test]
     fn everything_is_tried_once_and_an_outlier_before_and_after_the_images() {
         let tries: heapless::Vec<Try, 200> = (0..).map_while(Try::of).collect();
-        assert_eq!(tries.len(), 3 + SOFT_STEPS + IMAGES + starts::AROUND + starts::SPREAD);
+        assert_eq!(tries.len(), 3 + SOFT_STEPS + IMAGES + STARTS_AROUND + STARTS_SPREAD);
         for (i, one) in tries.iter().enumerate() {
             assert!(!tries[..i].contains(one), "{one:?}");
         }
@@ -466,7 +482,7 @@ mod tests {
             pieces += 1;
             let workspace = &mut Workspace::with_work(30);
             let solution = head.search(&sorted, &Prior::at_rest(), &mut search, workspace);
-            if search.is_over() {
+            if search.is_over {
                 break solution;
             }
             assert!(!solution.outcome.has_pose() && pieces < 100);

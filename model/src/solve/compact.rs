@@ -4,17 +4,18 @@ use heapless::Vec;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use crate::entries::Scalar;
 use crate::plan::{BOARD_CELLS, CompactCell, CompactPlan, Plan, Tier};
 use crate::pose::Pose;
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 use crate::scene::{MAX_CELLS, Scene, SceneError};
 
+use super::cold_start::spread;
 use super::compiled::Compiled;
 use super::outcome::Solution;
 use super::planes::PlaneCell;
 use super::readings::{Limits, Photocurrents};
 use super::solver::Solver;
-use super::starts;
 use super::tracker::{Budget, Tracker};
 use super::weights::CellNoise;
 
@@ -66,7 +67,7 @@ pub enum CompactError {
 /// A compact solver but for its cells, to be stored or sent.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(bound = "")]
-pub struct CompactFrame<S: Scalar> {
+pub struct CompactFrame<S: Number> {
     gates: [S; MAX_CELLS + 1],
     has_offsets: bool,
     length_scale_m: S,
@@ -77,7 +78,7 @@ pub struct CompactFrame<S: Scalar> {
 /// One cell of a compact solver.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(bound = "")]
-pub struct CompactPart<S: Scalar> {
+pub struct CompactPart<S: Number> {
     optics: CompactCell<S>,
     plane: PlaneCell<S>,
     noise: CellNoise<S>,
@@ -201,7 +202,7 @@ impl BoardTracker {
 
 /// The greatest relative error of a current of `plan`, over the reach of a head.
 fn worst_error(plan: &CompactPlan<f64>, truth: &Plan<f64>) -> f64 {
-    let poses = core::iter::once(Pose::HOME).chain((0..LOOKS).map(|index| starts::spread::<f64>(index).to_pose()));
+    let poses = core::iter::once(Pose::HOME).chain((0..LOOKS).map(|index| spread::<f64>(index).to_pose()));
     poses.fold(0.0, |worst: f64, pose| {
         let found = plan.currents_at(&pose);
         found.iter().enumerate().fold(worst, |worst, (cell, found)| {
@@ -238,10 +239,9 @@ mod tests {
         check_derivatives(&CompactPlan::of(&head(), &plan, &plan).expect("slits and cosines"), &plan, "ideal");
     }
 
-    /// The derivatives of `compact` are nearly those of `plan`.
     fn check_derivatives(compact: &CompactPlan<f64>, plan: &Plan<f64>, name: &str) {
         for index in 0..40 {
-            let pose = starts::spread::<f64>(index).to_pose();
+            let pose = spread::<f64>(index).to_pose();
             let here = Transform::of(&pose);
             let instant = Instant { pose: &here, twist: [DVec3::ZERO; 2], bend: None, offsets_s: &[] };
             compact.linearise_all(
@@ -332,10 +332,8 @@ mod tests {
         assert_eq!(solved[0], solved[1]);
     }
 
-    /// A name, and what it does to a cell.
     type Change = (&'static str, fn(&mut Cell));
 
-    /// What calibration finds.
     fn changes() -> [Change; 9] {
         [
             ("a thick mask", |cell| cell.slit.thickness_m = 0.15e-3),

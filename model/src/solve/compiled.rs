@@ -2,18 +2,18 @@
 
 use heapless::Vec;
 
+use crate::entries::Scalar;
 use crate::plan::{Optics, Plan, Tier};
 use crate::pose::{Pose, Transform, Twist};
-use crate::scalar::{Linear3, Scalar, Vector3};
+use crate::scalar::{Linear3, Number, Vector3};
 use crate::scene::{Cell, MAX_CELLS, Scene, SceneError};
 
+use super::accept::{chi2_gate, redundancy};
 use super::algebra::Factor;
-use super::chi2::{chi2_gate, redundancy};
 use super::normal_equations::{Problem, Workspace};
 use super::outcome::{Directions, Outcome, Solution};
 use super::planes::{self, PlaneCell, jacobian_change_rate};
 use super::readings::{Limits, Photocurrents, Sorted};
-use super::twist::Motion;
 use super::weights::CellNoise;
 
 /// Cells whose currents, two each, tell the six coordinates of a pose.
@@ -41,26 +41,25 @@ impl MotionPrior {
 
 /// [`MotionPrior`] in the solver's numbers.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Prior<S: Scalar> {
-    /// The twist's linear and angular part.
-    pub(super) twist: [S::Vec3; 2],
+pub struct Prior<S: Number> {
+    pub twist: [S::Vec3; 2],
     /// Standard deviations of the twist per axis, m/s and rad/s.
-    pub(super) sigmas: [S; 2],
+    pub sigmas: [S; 2],
     /// How the twist changes; `None`: not at all.
-    pub(super) bend: Option<Bend<S>>,
+    pub bend: Option<Bend<S>>,
 }
 
 /// What is known beforehand of the tool's acceleration within a frame.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Bend<S: Scalar> {
+pub struct Bend<S: Number> {
     /// Half the acceleration, linear and angular: m/s² and rad/s².
-    pub(super) half_acceleration: [S::Vec3; 2],
+    pub half_acceleration: [S::Vec3; 2],
     /// Standard deviations of that per axis.
-    pub(super) sigmas: [S; 2],
+    pub sigmas: [S; 2],
 }
 
-impl<S: Scalar> Prior<S> {
-    pub(super) fn of(motion: &MotionPrior) -> Self {
+impl<S: Number> Prior<S> {
+    pub fn of(motion: &MotionPrior) -> Self {
         Self {
             twist: [motion.twist.linear_m_per_s, motion.twist.angular_rad_per_s].map(|v| S::Vec3::of(v)),
             sigmas: [motion.linear_sigma_m_per_s, motion.angular_sigma_rad_per_s].map(S::of),
@@ -68,33 +67,31 @@ impl<S: Scalar> Prior<S> {
         }
     }
 
-    pub(super) fn at_rest() -> Self {
+    pub fn at_rest() -> Self {
         Self { twist: [S::Vec3::default(); 2], sigmas: [S::zero(); 2], bend: None }
     }
 }
 
-/// A compiled scene.
 #[derive(Clone, Debug)]
-pub(super) struct Compiled<S: Scalar, P = Plan<S>> {
-    pub(super) plan: P,
-    pub(super) planes: Vec<PlaneCell<S>, MAX_CELLS>,
-    pub(super) noise: Vec<CellNoise<S>, MAX_CELLS>,
-    pub(super) limits: Vec<Limits<S>, MAX_CELLS>,
+pub struct Compiled<S: Number, P = Plan<S>> {
+    pub plan: P,
+    pub planes: Vec<PlaneCell<S>, MAX_CELLS>,
+    pub noise: Vec<CellNoise<S>, MAX_CELLS>,
+    pub limits: Vec<Limits<S>, MAX_CELLS>,
     /// Largest χ² that noise explains, by the number of cells used.
-    pub(super) gates: [S; MAX_CELLS + 1],
+    pub gates: [S; MAX_CELLS + 1],
     /// Empty: all cells are exposed at the reference instant.
-    pub(super) offsets_s: Vec<S, MAX_CELLS>,
-    pub(super) length_scale_m: S,
+    pub offsets_s: Vec<S, MAX_CELLS>,
+    pub length_scale_m: S,
     /// Relative change of the derivatives per unit of a scaled step.
-    pub(super) jacobian_change_rate: S,
+    pub jacobian_change_rate: S,
     /// Whether poses of this head may have mirror images although all cells see light.
-    pub(super) has_images: bool,
+    pub has_images: bool,
 }
 
 impl<S: Scalar> Compiled<S> {
-    /// Of no scene.
     #[inline(always)]
-    pub(super) fn empty() -> Self {
+    pub fn empty() -> Self {
         Self::without_cells(Plan::empty())
     }
 
@@ -104,7 +101,7 @@ impl<S: Scalar> Compiled<S> {
     /// # Errors
     /// Those of [`Plan::compile`]. It is then empty.
     #[inline(never)]
-    pub(super) fn set_scene(&mut self, scene: &Scene, tier: Tier) -> Result<(), SceneError> {
+    pub fn set_scene(&mut self, scene: &Scene, tier: Tier) -> Result<(), SceneError> {
         self.planes.clear();
         self.noise.clear();
         self.limits.clear();
@@ -132,26 +129,25 @@ impl<S: Scalar> Compiled<S> {
     }
 
     /// The readings that the head gives with the tool at rest at `pose`, without noise.
-    pub(super) fn seen_at(&self, pose: &Pose) -> Sorted<S> {
+    pub fn seen_at(&self, pose: &Pose) -> Sorted<S> {
         let pairs = (0..self.plan.cell_count()).map(|cell| self.plan.photocurrents(cell, pose));
         Sorted::of(&Photocurrents::of_pairs(pairs), &self.limits)
     }
 
     /// The factor of the information of all cells with light at `pose`, the tool at rest.
-    pub(super) fn factor_at(&self, pose: &Pose) -> Option<Factor<S>> {
+    pub fn factor_at(&self, pose: &Pose) -> Option<Factor<S>> {
         let sorted = self.seen_at(pose);
         if sorted.usable.len() < FEWEST_CELLS {
             return None;
         }
         let problem = self.problem(&sorted, &Prior::at_rest());
-        problem.factor_at(&Transform::of(pose), &problem.whiteners(), &mut Workspace::new())
+        problem.factor_at(&Transform::of(pose), &mut Workspace::new())
     }
 }
 
-impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
-    /// For optics that have no cells yet.
+impl<S: Number, P: Optics<S>> Compiled<S, P> {
     #[inline(always)]
-    pub(super) fn without_cells(plan: P) -> Self {
+    pub fn without_cells(plan: P) -> Self {
         Self {
             plan,
             planes: Vec::new(),
@@ -165,43 +161,32 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
         }
     }
 
-    /// The same with other optics.
-    pub(super) fn with_plan<Q>(self, plan: Q) -> Compiled<S, Q> {
+    pub fn with_plan<Q>(self, plan: Q) -> Compiled<S, Q> {
         let Self { planes, noise, limits, gates, offsets_s, length_scale_m, jacobian_change_rate, has_images, .. } =
             self;
         Compiled { plan, planes, noise, limits, gates, offsets_s, length_scale_m, jacobian_change_rate, has_images }
     }
 
-    /// The pose on the planes of `sorted`.
-    pub(super) fn on_planes(&self, sorted: &Sorted<S>) -> Transform<S> {
+    pub fn on_planes(&self, sorted: &Sorted<S>) -> Transform<S> {
         planes::pose_on_planes(&self.planes, &sorted.usable, Transform::of(&Pose::HOME), self.length_scale_m)
     }
 
     /// The longest time between a cell's exposure and the reference instant.
-    pub(super) fn duration_s(&self) -> S {
+    pub fn duration_s(&self) -> S {
         self.offsets_s.iter().fold(S::zero(), |longest, offset| longest.max(offset.abs()))
     }
 
     /// Whether the tool's acceleration within a frame matters: see [`Optics::BENDS_FROM_S`].
-    pub(super) fn allows_for_bends(&self) -> bool {
+    pub fn allows_for_bends(&self) -> bool {
         self.duration_s() >= S::of(P::BENDS_FROM_S)
     }
 
-    pub(super) fn problem<'a>(&'a self, sorted: &'a Sorted<S>, motion: &Prior<S>) -> Problem<'a, S, P> {
-        Problem {
-            plan: &self.plan,
-            planes: &self.planes,
-            noise: &self.noise,
-            offsets_s: &self.offsets_s,
-            readings: &sorted.usable,
-            motion: Motion::new(motion, self.duration_s(), self.length_scale_m),
-            length_scale_m: self.length_scale_m,
-            jacobian_change_rate: self.jacobian_change_rate,
-        }
+    pub fn problem<'a>(&'a self, sorted: &'a Sorted<S>, motion: &Prior<S>) -> Problem<'a, S, P> {
+        Problem::new(self, sorted, motion)
     }
 
     /// Six unknowns need [`FEWEST_CELLS`].
-    pub(super) fn too_few(&self, sorted: &Sorted<S>) -> Option<Solution<S>> {
+    pub fn too_few(&self, sorted: &Sorted<S>) -> Option<Solution<S>> {
         if sorted.usable.len() >= FEWEST_CELLS {
             return None;
         }
@@ -214,7 +199,7 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
     }
 
     /// A displacement (metres, radians) in σ of a solution's pose, squared; infinite without a pose.
-    pub(super) fn squared_sigmas(&self, solution: &Solution<S>, [shift, turn]: [S::Vec3; 2]) -> S {
+    pub fn squared_sigmas(&self, solution: &Solution<S>, [shift, turn]: [S::Vec3; 2]) -> S {
         let shift = shift * self.length_scale_m.recip();
         let scaled = [shift.x(), shift.y(), shift.z(), turn.x(), turn.y(), turn.z()];
         solution.factor.as_ref().map_or(S::infinity(), |factor| {

@@ -13,7 +13,7 @@
 //! shrinks: the pose of a resting tool has the noise of many frames, that of a swinging one has no delay.
 
 use crate::pose::{Rigid, Twist};
-use crate::scalar::{Linear3, Scalar, Vector3};
+use crate::scalar::{Linear3, Number, Vector3};
 
 use super::algebra::Matrix6;
 use super::outcome::Estimate;
@@ -85,12 +85,12 @@ pub struct Filtered<S = f64> {
 
 /// Six numbers: displacements, or their rates.
 #[derive(Clone, Copy, Debug, Default)]
-struct Displacement<S: Scalar> {
+struct Displacement<S: Number> {
     translation: S::Vec3,
     rotation: S::Vec3,
 }
 
-impl<S: Scalar> Displacement<S> {
+impl<S: Number> Displacement<S> {
     fn plus(self, factor: S, other: Self) -> Self {
         Self {
             translation: self.translation + other.translation * factor,
@@ -98,17 +98,15 @@ impl<S: Scalar> Displacement<S> {
         }
     }
 
-    /// Per second.
     fn rates(self, period_s: S) -> [S::Vec3; 2] {
         [self.translation, self.rotation].map(|v| v * period_s.recip())
     }
 }
 
-/// Gains of one frame.
 #[derive(Clone, Copy, Debug)]
 struct Gains<S>([S; 3]);
 
-impl<S: Scalar> Gains<S> {
+impl<S: Number> Gains<S> {
     /// Least squares over `n` + 1 frames.
     fn expanding(n: u32) -> Self {
         let m = count::<S>(n);
@@ -135,29 +133,25 @@ impl<S: Scalar> Gains<S> {
     }
 }
 
-/// A number of frames.
 #[inline(always)]
-fn count<S: Scalar>(frames: u32) -> S {
+fn count<S: Number>(frames: u32) -> S {
     S::from(frames).unwrap_or_else(S::infinity)
 }
 
-/// The filter.
 #[derive(Clone, Debug)]
-pub(super) struct FadingFilter<S: Scalar> {
+pub struct FadingFilter<S: Number> {
     period_s: S,
-    /// Longest memory, frames.
     longest: S,
     state: Option<State<S>>,
 }
 
 #[derive(Clone, Copy, Debug)]
-struct State<S: Scalar> {
+struct State<S: Number> {
     pose: Rigid<S>,
     step: Displacement<S>,
     bend: Displacement<S>,
     /// Covariance of (X, V, A) in units of a single pose's.
     spread: [[S; 3]; 3],
-    /// Frames taken.
     frames: u32,
     /// Frames of memory: θ = memory/(1 + memory).
     memory: S,
@@ -171,52 +165,51 @@ struct State<S: Scalar> {
     alarm: S,
 }
 
-/// What is expected of the next frame.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Prediction<S: Scalar> {
-    pub(super) pose: Rigid<S>,
+pub struct Prediction<S: Number> {
+    pub pose: Rigid<S>,
     /// Linear and angular, per second.
-    pub(super) twist: [S::Vec3; 2],
+    pub twist: [S::Vec3; 2],
     /// Variance of the pose and of the change per frame, in units of a single pose's.
-    pub(super) pose_variance: S,
-    pub(super) step_variance: S,
-    pub(super) frames: u32,
+    pub pose_variance: S,
+    pub step_variance: S,
+    pub frames: u32,
     /// Mean squared error of the last predictions in units of what noise explains, at least 1.
-    pub(super) strain: S,
+    pub strain: S,
 }
 
-impl<S: Scalar> FadingFilter<S> {
+impl<S: Number> FadingFilter<S> {
     /// For frames `period_s` apart. With a memory of `memory_s` a frame counts m/(1 + m) of the next,
     /// m = `memory_s`/`period_s`.
-    pub(super) fn new(period_s: f64, memory_s: f64) -> Self {
+    pub fn new(period_s: f64, memory_s: f64) -> Self {
         Self { period_s: S::of(period_s), longest: S::of((memory_s / period_s).max(SHORTEST)), state: None }
     }
 
-    pub(super) fn forget(&mut self) {
+    pub fn forget(&mut self) {
         self.state = None;
     }
 
     /// Whether a pose of this covariance says little of the motion, beside the poses before: see [`WEAK`].
     #[inline(always)]
-    pub(super) fn is_weak(&self, covariance: &Matrix6<S>) -> bool {
+    pub fn is_weak(&self, covariance: &Matrix6<S>) -> bool {
         let Some(State { frames, variances, .. }) = &self.state else { return false };
         let found = mean_variances(covariance);
         *frames > PARABOLA_FROM && (found[0] > S::of(WEAK) * variances[0] || found[1] > S::of(WEAK) * variances[1])
     }
 
     /// σ of the last pose taken, mean of the axes: metres and radians.
-    pub(super) fn sigmas(&self) -> [S; 2] {
+    pub fn sigmas(&self) -> [S; 2] {
         self.state.as_ref().map_or([S::zero(); 2], |state| state.variances.map(S::root))
     }
 
     /// A frame without a pose: the motion goes on as it was.
-    pub(super) fn coast(&mut self) {
+    pub fn coast(&mut self) {
         if let Some(state) = &mut self.state {
             *state = state.advanced();
         }
     }
 
-    pub(super) fn predict(&self) -> Option<Prediction<S>> {
+    pub fn predict(&self) -> Option<Prediction<S>> {
         let next = self.state.as_ref()?.advanced();
         Some(Prediction {
             pose: next.pose,
@@ -229,18 +222,13 @@ impl<S: Scalar> FadingFilter<S> {
     }
 
     /// Half the acceleration, linear and angular: m/s² and rad/s².
-    pub(super) fn predicted_bend(&self) -> Option<[S::Vec3; 2]> {
+    pub fn predicted_bend(&self) -> Option<[S::Vec3; 2]> {
         self.state.as_ref().map(|state| state.bend.rates(self.period_s * self.period_s))
     }
 
     /// Takes the pose of the next frame and its covariance. `squared_sigmas` gives the squared length of a
     /// displacement (metres, radians) in σ of that pose.
-    pub(super) fn update(
-        &mut self,
-        measured: &Rigid<S>,
-        covariance: &Matrix6<S>,
-        squared_sigmas: impl Fn([S::Vec3; 2]) -> S,
-    ) {
+    pub fn update(&mut self, measured: &Rigid<S>, covariance: &Matrix6<S>, squared_sigmas: impl Fn([S::Vec3; 2]) -> S) {
         let (zero, one) = (S::zero(), S::one());
         let variances = mean_variances(covariance);
         let Some(state) = &mut self.state else {
@@ -289,7 +277,7 @@ impl<S: Scalar> FadingFilter<S> {
     }
 
     /// The state, where the covariance of a single pose is `covariance`.
-    pub(super) fn state(&self, covariance: &Matrix6<S>) -> Option<Filtered<S>> {
+    pub fn state(&self, covariance: &Matrix6<S>) -> Option<Filtered<S>> {
         let state = self.state.as_ref()?;
         // What bends add is no noise: it is not correlated as that is.
         let scaled = |noise: S, bends: [S; 2]| {
@@ -318,16 +306,15 @@ impl<S: Scalar> FadingFilter<S> {
 }
 
 /// Of translation and rotation, mean of the axes.
-fn mean_variances<S: Scalar>(covariance: &Matrix6<S>) -> [S; 2] {
+fn mean_variances<S: Number>(covariance: &Matrix6<S>) -> [S; 2] {
     [0, 3].map(|i| (covariance[i][i] + covariance[i + 1][i + 1] + covariance[i + 2][i + 2]) * S::of(1.0 / 3.0))
 }
 
-/// As others see it.
-fn twist<S: Scalar>([linear, angular]: [S::Vec3; 2]) -> Twist {
+fn twist<S: Number>([linear, angular]: [S::Vec3; 2]) -> Twist {
     Twist { linear_m_per_s: linear.as_dvec3(), angular_rad_per_s: angular.as_dvec3() }
 }
 
-impl<S: Scalar> State<S> {
+impl<S: Number> State<S> {
     fn theta(&self) -> S {
         self.memory / (S::one() + self.memory)
     }
@@ -372,7 +359,7 @@ impl<S: Scalar> State<S> {
 }
 
 /// (1 − K·H)·P·(1 − K·H)ᵀ + K·Kᵀ for a measurement of X with unit variance.
-fn corrected<S: Scalar>(p: &[[S; 3]; 3], gains: &[S; 3]) -> [[S; 3]; 3] {
+fn corrected<S: Number>(p: &[[S; 3]; 3], gains: &[S; 3]) -> [[S; 3]; 3] {
     core::array::from_fn(|i| {
         core::array::from_fn(|j| {
             p[i][j] - gains[i] * p[0][j] - gains[j] * p[i][0] + gains[i] * gains[j] * (p[0][0] + S::one())
@@ -382,10 +369,116 @@ fn corrected<S: Scalar>(p: &[[S; 3]; 3], gains: &[S; 3]) -> [[S; 3]; 3] {
 
 /// What a steady change of acceleration, x = t³/6, does to the predicted step, per what it does to
 /// the predicted pose, which lags by 1/(1 − θ)³.
-fn astray<S: Scalar>(theta: S) -> S {
+fn astray<S: Number>(theta: S) -> S {
     let fresh = S::one() - theta;
     fresh * (S::of(3.0) + fresh * (S::of(-1.5) + fresh * S::of(1.0 / 3.0)))
 }
 
 #[cfg(test)]
-mod tests;
+mod tests {
+    use super::*;
+    use crate::pose::Pose;
+    use glam::DVec3;
+
+    const PERIOD: f64 = 250e-6;
+
+    const UNIT: Matrix6<f64> = {
+        let mut unit = [[0.0; 6]; 6];
+        let mut i = 0;
+        while i < 6 {
+            unit[i][i] = 1.0;
+            i += 1;
+        }
+        unit
+    };
+
+    /// Frames of a polynomial motion, through a filter.
+    /// None of them is off by more than noise explains.
+    fn run(memory_s: f64, frames: u32, pose: impl Fn(f64) -> Pose) -> FadingFilter<f64> {
+        let mut filter = FadingFilter::new(PERIOD, memory_s);
+        for frame in 0..frames {
+            filter.update(&Rigid::of(&pose(f64::from(frame) * PERIOD)), &UNIT, |_| 6.0);
+        }
+        filter
+    }
+
+    #[test]
+    fn steady_acceleration_comes_through_without_delay() {
+        let (velocity, acceleration) = (DVec3::new(0.3, -0.2, 0.1), DVec3::new(20.0, 0.0, -40.0));
+        let at = |t: f64| Pose::from_vectors(velocity * t + acceleration * (0.5 * t * t), DVec3::ZERO);
+        let state = run(2e-3, 400, at).state(&[[0.0; 6]; 6]).expect("many frames");
+        let end = 399.0 * PERIOD;
+        assert!((state.estimate.pose.translation_m - at(end).translation_m).length() < 1e-12);
+        let expected = velocity + acceleration * end;
+        assert!((state.twist.twist.linear_m_per_s - expected).length() < 1e-9);
+    }
+
+    #[test]
+    fn a_steady_jerk_leads_pose_and_step_astray_as_told() {
+        for memory_s in [0.75e-3, 5e-3] {
+            // The filter forgets its start; t³/6 in units of frames stays small enough for its digits.
+            let at = |frame: f64| Pose::from_vectors(DVec3::X * (frame * frame * frame / 6.0), DVec3::ZERO);
+            let filter = run(memory_s, 600, |t| at(t / PERIOD - 400.0));
+            let predicted = filter.predict().expect("started");
+            let pose = at(200.0).translation_m.x - predicted.pose.to_pose().translation_m.x;
+            let step = 0.5 * 200.0 * 200.0 - predicted.twist[0].x * PERIOD;
+            let theta = filter.state.expect("started").theta();
+            assert!((pose * (1.0 - theta).powi(3) - 1.0).abs() < 1e-6, "{pose}");
+            assert!((step / pose - astray(theta)).abs() < 1e-6, "{step} {pose}");
+        }
+    }
+
+    #[test]
+    fn gains_start_as_least_squares_and_end_fading() {
+        // A parabola through five points of which the last is one off: the textbook's weights.
+        let mut filter = FadingFilter::<f64>::new(PERIOD, 1.0);
+        for frame in 0..=PARABOLA_FROM {
+            let x = if frame == PARABOLA_FROM { 35.0 } else { 0.0 };
+            filter.update(&Rigid::of(&Pose::from_vectors(DVec3::new(x, 0.0, 0.0), DVec3::ZERO)), &UNIT, |_| 6.0);
+        }
+        let x = filter.state.expect("started").pose.to_pose().translation_m.x;
+        assert!((x - 31.0).abs() < 1e-12, "{x}");
+        let predicted = run(2e-3, 3000, |_| Pose::HOME).state.expect("started").advanced();
+        let theta = predicted.theta();
+        // Morrison 1969, table of the fading-memory parabola: variance of the position one frame ahead.
+        let expected = (1.0 - theta)
+            * (19.0 + 24.0 * theta + 16.0 * theta.powi(2) + 6.0 * theta.powi(3) + theta.powi(4))
+            / (1.0 + theta).powi(5);
+        assert!((predicted.spread[0][0] / expected - 1.0).abs() < 1e-9, "{} {expected}", predicted.spread[0][0]);
+    }
+
+    #[test]
+    fn a_sudden_bend_shortens_the_memory_within_a_few_frames_and_the_lag_told_with_it() {
+        let mut filter = run(0.1, 5_000, |_| Pose::HOME);
+        let lag_s = |filter: &FadingFilter<f64>| filter.state(&UNIT).expect("many frames").lag_s;
+        assert!((lag_s(&filter) / (0.2 * 0.1) - 1.0).abs() < 1e-9);
+        // Predictions err by twice what noise explains. The mean over 50 frames would need 12 to notice.
+        (0..12).for_each(|_| filter.update(&Rigid::of(&Pose::HOME), &UNIT, |_| 4.0 * 12.0));
+        let memory = filter.state.expect("started").memory * PERIOD;
+        assert!(memory < 0.1 * 0.05, "{memory}");
+        // The step of which half has come through, as long as the memory is what it is now.
+        let (told, there) = (lag_s(&filter), Pose::from_vectors(DVec3::X * 1e-6, DVec3::ZERO));
+        let mut frames = 0.0;
+        while filter.state.expect("started").pose.to_pose().translation_m.x < 0.5e-6 {
+            filter.update(&Rigid::of(&there), &UNIT, |_| 6.0);
+            frames += 1.0;
+        }
+        assert!((frames * PERIOD - told).abs() < 1.5 * PERIOD + 0.2 * told, "{frames} frames, {told}");
+    }
+
+    #[test]
+    fn lag_is_what_a_small_step_shows() {
+        for memory_s in [5e-3, 50e-3, 500e-3] {
+            let mut filter = run(memory_s, 30_000, |_| Pose::HOME);
+            let mut frames = 0.0;
+            let there = Pose::from_vectors(DVec3::X * 1e-6, DVec3::ZERO);
+            while filter.state.expect("started").pose.to_pose().translation_m.x < 0.5e-6 {
+                filter.update(&Rigid::of(&there), &UNIT, |_| 6.0);
+                frames += 1.0;
+            }
+            let told = filter.state(&[[0.0; 6]; 6]).expect("many frames").lag_s;
+            // Counted in whole frames, from the step's first one on.
+            assert!((frames * PERIOD - told).abs() < 1.5 * PERIOD + 0.1 * told, "{memory_s}: {frames} frames, {told}");
+        }
+    }
+}

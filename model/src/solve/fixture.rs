@@ -10,7 +10,7 @@ use super::compiled::Compiled;
 use super::readings::Photocurrents;
 
 /// Detectors at ±22 mm on each axis, emitters at ±8 mm, slits 5 mm above the detectors.
-pub(super) fn head() -> Scene {
+pub fn head() -> Scene {
     let mut scene = Scene {
         noise: Some(Noise { shot_bandwidth_hz: 10e3, johnson_bandwidth_hz: 10e3, temperature_k: 300.0, adc_a: 0.6e-9 }),
         uncertainty: Uncertainty::default(),
@@ -54,25 +54,23 @@ pub(super) fn head() -> Scene {
     scene
 }
 
-/// [`head`] in the paper tier.
-pub(super) fn compiled() -> Compiled<f64> {
+pub fn compiled() -> Compiled<f64> {
     let mut compiled = Compiled::empty();
     compiled.set_scene(&head(), Tier::Paper).expect("a valid scene");
     compiled
 }
 
 /// A pose with something in each coordinate.
-pub(super) fn pose() -> Pose {
+pub fn pose() -> Pose {
     Pose::HOME.perturbed(DVec3::new(0.8e-3, -0.5e-3, 0.3e-3), DVec3::new(0.05, 0.03, -0.04))
 }
 
-/// Noise-free currents at `pose`.
-pub(super) fn currents(plan: &Plan<f64>, pose: &Pose) -> Photocurrents {
+pub fn currents(plan: &Plan<f64>, pose: &Pose) -> Photocurrents {
     Photocurrents::of_pairs((0..plan.cell_count()).map(|cell| plan.photocurrents(cell, pose)))
 }
 
 /// Where an emitter is in the frame of its cell.
-pub(super) fn emitter_in_cell(cell: &Cell, pose: &Pose) -> DVec3 {
+pub fn emitter_in_cell(cell: &Cell, pose: &Pose) -> DVec3 {
     let turned = pose.rotation * cell.emitter.position_tool_m + pose.translation_m;
     let (x, z) = (cell.detector.x_axis_base, cell.detector.normal_base);
     let from_centre = turned - cell.detector.centre_base_m;

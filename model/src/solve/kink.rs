@@ -9,19 +9,18 @@ use arrayvec::ArrayVec;
 use crate::plan::Optics;
 use crate::pose::Transform;
 use crate::rectangle::{MOST_MAGNIFICATION, WALL_SLACK};
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 use crate::scene::MAX_CELLS;
 
-use super::accept::DISTINCT_SIGMAS;
+use super::accept::{DISTINCT_SIGMAS, is_singular};
 use super::algebra::{Factor, Matrix6, Vector6, add_outer, dot, mirror, square};
 use super::levenberg_marquardt::{Minimum, Stopping};
-use super::normal_equations::{NormalEquations, Problem, Whiteners, Workspace};
-use super::observability;
+use super::normal_equations::{NormalEquations, Problem, Workspace};
 use super::readings::Usable;
 use super::step::Step;
 
 /// χ² of a step, 20 σ squared, beyond which its end is too far for a kink on the way to matter.
-pub(super) const NEAR: f64 = 400.0;
+pub const NEAR: f64 = 400.0;
 
 /// χ² that is not worth a step on a kink, where derivatives change with the side: a tenth of σ, squared.
 const LITTLE: f64 = 1e-2;
@@ -30,12 +29,11 @@ const LITTLE: f64 = 1e-2;
 const HALVINGS: usize = 12;
 
 /// What there is on a kink between two poses.
-pub(super) enum Astride<S: Scalar> {
+pub enum Astride<S: Number> {
     /// The first of them is the least of χ². The factor of the side that tells less: the truth may lie there.
     Least(Option<Factor<S>>),
     /// A pose with less χ², and the normal equations there.
     Lower(Transform<S>, NormalEquations<S>),
-    /// Nothing better.
     Nothing,
 }
 
@@ -43,7 +41,7 @@ pub(super) enum Astride<S: Scalar> {
 /// towards the other: the step from `at` to the least of the larger of both linearised χ², and that least χ².
 ///
 /// It is the least of λ times the one and 1 − λ times the other for the λ at which both are equal.
-fn on_kink<S: Scalar>(
+fn on_kink<S: Number>(
     at: &NormalEquations<S>,
     there: &NormalEquations<S>,
     step: &Vector6<S>,
@@ -70,18 +68,17 @@ fn on_kink<S: Scalar>(
     least
 }
 
-impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
+impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// Looks for less χ² between `pose`, where the normal equations are `at`, and the end of `step`, where they are
     /// `there`.
     #[cold]
     #[inline(never)]
-    pub(super) fn astride(
+    pub fn astride(
         &self,
         pose: &Transform<S>,
         at: &NormalEquations<S>,
         there: &NormalEquations<S>,
         step: &Vector6<S>,
-        whiteners: &Whiteners<S>,
         workspace: &mut Workspace<S>,
     ) -> Astride<S> {
         let Some((between, promised)) = on_kink(at, there, step) else { return Astride::Nothing };
@@ -89,11 +86,11 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
             if at.along(step) >= there.along(step) {
                 return Astride::Least(self.factor(there, workspace));
             }
-            let at = self.linearise(pose, whiteners, workspace);
+            let at = self.linearise(pose, workspace);
             return Astride::Least(self.factor(&at, workspace));
         }
         let nearer = self.moved(pose, &between);
-        let there = self.linearise(&nearer, whiteners, workspace);
+        let there = self.linearise(&nearer, workspace);
         if there.chi2 < at.chi2 { Astride::Lower(nearer, there) } else { Astride::Nothing }
     }
 
@@ -102,37 +99,31 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
     /// ways, with the least χ² by the covariance; the last linearisation is at `minimum`.
     #[cold]
     #[inline(never)]
-    pub(super) fn beyond_kink(
-        &self,
-        minimum: Minimum<S>,
-        whiteners: &Whiteners<S>,
-        doubted: S,
-        workspace: &mut Workspace<S>,
-    ) -> Minimum<S> {
-        let may_tell = |factor: &Factor<S>| minimum.chi2 > doubted && !observability::is_singular(factor);
+    pub fn beyond_kink(&self, minimum: Minimum<S>, doubted: S, workspace: &mut Workspace<S>) -> Minimum<S> {
+        let may_tell = |factor: &Factor<S>| minimum.chi2 > doubted && !is_singular(factor);
         let Some(factor) = minimum.factor.filter(may_tell) else { return minimum };
         let across = |reading: &Usable<S>| {
-            let (row, _) = self.planes[reading.cell].row(reading, &minimum.pose, self.length_scale_m);
+            let (row, _) = self.head.planes[reading.cell].row(reading, &minimum.pose, self.head.length_scale_m);
             let step = factor.solve(&row);
             let length = S::of(DISTINCT_SIGMAS) / factor.length(&step);
             step.map(|element| element * length)
         };
         // It is not known where the kinks of an opening other than a slit lie.
         let may_cross = |&index: &usize| {
-            let step = across(&self.readings[index]);
+            let step = across(&self.sorted.usable[index]);
             workspace.slacks_m[index] > S::zero() && !self.is_smooth_in_cell(index, &step, &minimum.pose, workspace)
         };
-        let crossing: ArrayVec<usize, MAX_CELLS> = (0..self.readings.len()).filter(may_cross).collect();
+        let crossing: ArrayVec<usize, MAX_CELLS> = (0..self.sorted.usable.len()).filter(may_cross).collect();
         let mut best = minimum;
         let mut iterations = minimum.iterations;
         for &index in &crossing {
-            let way = across(&self.readings[index]);
+            let way = across(&self.sorted.usable[index]);
             for step in [way, way.map(|element| -element)] {
                 if workspace.work == 0 {
                     break;
                 }
                 let start = self.moved(&minimum.pose, &step);
-                let other = self.minimise(start, whiteners, Stopping::exact(), workspace);
+                let other = self.minimise(start, Stopping::exact(), workspace);
                 iterations += other.iterations;
                 if other.converged && other.chi2 < best.chi2 {
                     best = other;
@@ -140,15 +131,16 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
             }
         }
         if !crossing.is_empty() {
-            self.linearise(&best.pose, whiteners, workspace);
+            self.linearise(&best.pose, workspace);
         }
         Minimum { iterations, ..best }
     }
 
     /// Whether a step from the last linearisation may take an emitter to a wall.
     #[inline(always)]
-    pub(super) fn may_cross_wall(&self, step: &Step<S>, workspace: &Workspace<S>) -> bool {
-        let most_moved_m = S::of(MOST_MAGNIFICATION / WALL_SLACK) * square(&step.step).root() * self.length_scale_m;
+    pub fn may_cross_wall(&self, step: &Step<S>, workspace: &Workspace<S>) -> bool {
+        let most_moved_m =
+            S::of(MOST_MAGNIFICATION / WALL_SLACK) * square(&step.step).root() * self.head.length_scale_m;
         workspace.walls_m.iter().any(|&wall_m| wall_m <= most_moved_m)
     }
 
@@ -156,17 +148,16 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
     /// cells are linearised anew at its end.
     #[cold]
     #[inline(never)]
-    pub(super) fn stepped_again(
+    pub fn stepped_again(
         &self,
         step: &Step<S>,
         (start, minimum): (&Transform<S>, Minimum<S>),
-        whiteners: &Whiteners<S>,
         workspace: &mut Workspace<S>,
     ) -> Minimum<S> {
-        if !(0..self.readings.len()).any(|index| self.crosses_wall(index, step, start, workspace)) {
+        if !(0..self.sorted.usable.len()).any(|index| self.crosses_wall(index, step, start, workspace)) {
             return minimum;
         }
-        let at = self.linearise(&minimum.pose, whiteners, workspace);
+        let at = self.linearise(&minimum.pose, workspace);
         self.one_step_on(&at, minimum, workspace)
     }
 
@@ -186,21 +177,20 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
     #[inline(always)]
     fn crosses_wall(&self, index: usize, step: &Step<S>, start: &Transform<S>, workspace: &Workspace<S>) -> bool {
         let wall_m = workspace.walls_m.get(index).copied().unwrap_or(S::infinity());
-        wall_m <= self.emitter_moves_m(&step.step, start, &self.readings[index])
+        wall_m <= self.emitter_moves_m(&step.step, start, &self.sorted.usable[index])
     }
 
     /// [`Self::stepped_again`], but only the cells at walls are linearised anew, where the motion is known.
     #[cold]
     #[inline(never)]
-    pub(super) fn behind_walls(
+    pub fn behind_walls(
         &self,
         step: &Step<S>,
         (start, minimum): (&Transform<S>, Minimum<S>),
-        whiteners: &Whiteners<S>,
         workspace: &mut Workspace<S>,
     ) -> Minimum<S> {
         let crosses = |&index: &usize| self.crosses_wall(index, step, start, workspace);
-        let crossing: ArrayVec<usize, MAX_CELLS> = (0..self.readings.len()).filter(crosses).collect();
+        let crossing: ArrayVec<usize, MAX_CELLS> = (0..self.sorted.usable.len()).filter(crosses).collect();
         // What the other cells say of a motion that is not known, and of a cell without a spot, would have to be found anew.
         if crossing.is_empty() || workspace.elimination.is_under_way() || !workspace.plane_rows.is_empty() {
             return minimum;
@@ -208,15 +198,16 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         for row in workspace.rows.iter_mut().flatten() {
             row.residual -= dot(&row.by_pose, &step.step);
         }
-        let crossing_cell = |cell: usize| crossing.iter().copied().find(|&index| self.readings[index].cell == cell);
+        let crossing_cell =
+            |cell: usize| crossing.iter().copied().find(|&index| self.sorted.usable[index].cell == cell);
         let Workspace { rows, displaced, .. } = &mut *workspace;
-        self.plan.linearise_all(
+        self.head.plan.linearise_all(
             &self.instant(&minimum.pose),
             |cell| crossing_cell(cell).is_some(),
             |cell, terms| {
                 if let Some(index) = crossing_cell(cell) {
-                    let whitener = displaced.get(index).unwrap_or(&whiteners[index]);
-                    rows[index] = self.rows(&self.readings[index], terms, whitener);
+                    let whitener = displaced.get(index).unwrap_or(&self.whiteners[index]);
+                    rows[index] = self.rows(&self.sorted.usable[index], terms, whitener);
                 }
             },
         );

@@ -9,99 +9,92 @@
 
 use crate::plan::Optics;
 use crate::pose::Transform;
-use crate::scalar::{Linear3, Scalar};
+use crate::scalar::{Linear3, Number};
 
 use super::algebra::{Factor, Vector6, square};
 use super::kink::{Astride, NEAR};
-use super::normal_equations::{NormalEquations, Problem, Whiteners, Workspace};
+use super::normal_equations::{NormalEquations, Problem, Workspace};
 use super::step::Step;
 
 /// First damping after a step that failed, relative to the diagonal.
 const FIRST_DAMPING: f64 = 1e-4;
 
-/// Damping at which the minimisation is stuck.
 const STUCK: f64 = 1e9;
 
 /// Steps after which the minimisation is taken to follow a valley.
-pub(super) const PATIENCE: usize = 12;
+pub const PATIENCE: usize = 12;
 
 /// Predicted reduction of χ² that is not worth a step along a valley: a hundredth of σ, squared.
 const NEGLIGIBLE_REDUCTION: f64 = 1e-4;
 
 /// Relative change of the Jacobian along a step up to which it is reused for the next.
-pub(super) const REUSABLE_CHANGE: f64 = 0.02;
+pub const REUSABLE_CHANGE: f64 = 0.02;
 
 /// Relative change of the Jacobian along a step up to which χ² at its end is as promised to a factor of two in its
 /// reduction.
 const PROMISING_CHANGE: f64 = 0.3;
 
 /// Ratio of the second step to the first above which a reused Jacobian was too old.
-pub(super) const MOST_SECOND_STEP: f64 = 0.2;
+pub const MOST_SECOND_STEP: f64 = 0.2;
 
 /// Cost of a QR step beyond one by normal equations, in evaluations of all cells.
 const QR_WORK: usize = 3;
 
-/// When a minimisation ends.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Stopping<S> {
-    pub(super) max_iterations: usize,
+pub struct Stopping<S> {
+    pub max_iterations: usize,
     /// Distance to the minimum that may remain, in σ of the pose.
-    pub(super) tolerance_sigmas: S,
+    pub tolerance_sigmas: S,
     /// χ² of a minimum that is not worth being reached.
-    pub(super) most_chi2: S,
+    pub most_chi2: S,
 }
 
-/// Steps of a minimisation before it is given up.
 const MAX_ITERATIONS: usize = 40;
 
 /// Steps of a rough approach before it is given up.
 const ROUGH_ITERATIONS: usize = 20;
 
-impl<S: Scalar> Stopping<S> {
+impl<S: Number> Stopping<S> {
     /// Next to the minimum, so that noise-free data give the pose itself.
-    pub(super) fn exact() -> Self {
+    pub fn exact() -> Self {
         Self { max_iterations: MAX_ITERATIONS, tolerance_sigmas: S::of(1e-7), most_chi2: S::infinity() }
     }
 
     /// As near as noise makes worth while: the bound on the distance is tens of times too cautious, so that a
     /// fiftieth of σ remains in the median.
-    pub(super) fn near() -> Self {
+    pub fn near() -> Self {
         Self { tolerance_sigmas: S::of(0.8), ..Self::exact() }
     }
 
     /// Next to a mirror image, if there is one where it is looked for: most are reached in ten steps.
-    pub(super) fn image() -> Self {
+    pub fn image() -> Self {
         Self { max_iterations: ROUGH_ITERATIONS, ..Self::exact() }
     }
 
     /// In the neighbourhood of a minimum, with coarse weights.
-    pub(super) fn rough() -> Self {
+    pub fn rough() -> Self {
         Self { max_iterations: ROUGH_ITERATIONS, tolerance_sigmas: S::of(1e-2), ..Self::exact() }
     }
 
     /// Without minima of more χ².
-    pub(super) fn if_below(self, most_chi2: S) -> Self {
+    pub fn if_below(self, most_chi2: S) -> Self {
         Self { most_chi2, ..self }
     }
 }
 
-/// Where a minimisation ended.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Minimum<S: Scalar> {
-    pub(super) pose: Transform<S>,
-    pub(super) chi2: S,
+pub struct Minimum<S: Number> {
+    pub pose: Transform<S>,
+    pub chi2: S,
     /// Of the information; `None` if that is singular to the precision of the numbers.
-    pub(super) factor: Option<Factor<S>>,
-    pub(super) iterations: usize,
-    pub(super) converged: bool,
+    pub factor: Option<Factor<S>>,
+    pub iterations: usize,
+    pub converged: bool,
 }
 
-/// How far a step leads.
 #[derive(Clone, Copy)]
 struct Reach<S> {
-    /// Whether no derivative jumps along it.
     is_smooth: bool,
-    /// Norm of the scaled step.
     length: S,
     /// Bound on the relative change of the Jacobian along the step.
     jacobian_change: S,
@@ -110,33 +103,25 @@ struct Reach<S> {
 }
 
 /// The end of a second step with the Jacobian of the first.
-enum Reused<S: Scalar> {
+enum Reused<S: Number> {
     /// Within the tolerance of the minimum.
     Minimum(Transform<S>, S),
-    /// Nearer to the minimum.
     Nearer(Transform<S>),
-    /// The Jacobian was too old.
     TooOld,
 }
 
-impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
+impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// `pose` after a scaled step.
-    pub(super) fn moved(&self, pose: &Transform<S>, step: &Vector6<S>) -> Transform<S> {
+    pub fn moved(&self, pose: &Transform<S>, step: &Vector6<S>) -> Transform<S> {
         pose.moved(
-            S::Vec3::new(step[0], step[1], step[2]) * self.length_scale_m,
+            S::Vec3::new(step[0], step[1], step[2]) * self.head.length_scale_m,
             S::Vec3::new(step[3], step[4], step[5]),
         )
     }
 
     /// The minimum of χ² that is reached from `start`.
-    pub(super) fn minimise(
-        &self,
-        start: Transform<S>,
-        whiteners: &Whiteners<S>,
-        stopping: Stopping<S>,
-        workspace: &mut Workspace<S>,
-    ) -> Minimum<S> {
-        let at = self.linearise(&start, whiteners, workspace);
+    pub fn minimise(&self, start: Transform<S>, stopping: Stopping<S>, workspace: &mut Workspace<S>) -> Minimum<S> {
+        let at = self.linearise(&start, workspace);
         // Apart from what follows, because most end here where the tool is expected, and a board has little room for
         // fast code.
         let first =
@@ -147,25 +132,19 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
             let end = self.end_of(step, self.moved(&start, &step.step), &at, 1);
             if P::CROSSES_WALLS && self.may_cross_wall(step, workspace) {
                 return if workspace.is_unhurried {
-                    self.stepped_again(step, (&start, end), whiteners, workspace)
+                    self.stepped_again(step, (&start, end), workspace)
                 } else {
-                    self.behind_walls(step, (&start, end), whiteners, workspace)
+                    self.behind_walls(step, (&start, end), workspace)
                 };
             }
             return end;
         }
-        self.descend(start, at, first, whiteners, stopping, workspace)
+        self.descend(start, at, first, stopping, workspace)
     }
 
     /// The minimum at `end`, where the undamped `step` from where the normal equations are `at` has led.
     #[inline(always)]
-    pub(super) fn end_of(
-        &self,
-        step: &Step<S>,
-        end: Transform<S>,
-        at: &NormalEquations<S>,
-        iterations: usize,
-    ) -> Minimum<S> {
+    pub fn end_of(&self, step: &Step<S>, end: Transform<S>, at: &NormalEquations<S>, iterations: usize) -> Minimum<S> {
         let chi2 = (at.chi2 - step.predicted_reduction).max(S::zero());
         Minimum { pose: end, chi2, factor: Some(step.factor), iterations, converged: true }
     }
@@ -179,7 +158,6 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         mut pose: Transform<S>,
         mut at: NormalEquations<S>,
         mut first: Option<Step<S>>,
-        whiteners: &Whiteners<S>,
         stopping: Stopping<S>,
         workspace: &mut Workspace<S>,
     ) -> Minimum<S> {
@@ -214,7 +192,7 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
             }
             if is_hardly_damped && iterations < stopping.max_iterations && is_reusable(step, reach) {
                 iterations += 1;
-                match self.reuse_jacobian(step, reach, (&trial, &at), whiteners, stopping, workspace) {
+                match self.reuse_jacobian(step, reach, (&trial, &at), stopping, workspace) {
                     Reused::Minimum(end, chi2) if damping == S::zero() => {
                         return Minimum { pose: end, chi2, factor: Some(step.factor), iterations, converged: true };
                     }
@@ -224,13 +202,13 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
                     }
                     Reused::Nearer(end) => {
                         pose = end;
-                        at = self.linearise(&pose, whiteners, workspace);
+                        at = self.linearise(&pose, workspace);
                         continue;
                     }
                     Reused::TooOld => {}
                 }
             }
-            let there = self.linearise(&trial, whiteners, workspace);
+            let there = self.linearise(&trial, workspace);
             if there.chi2 < at.chi2 {
                 (pose, at) = (trial, there);
                 damping = lowered(damping);
@@ -244,7 +222,7 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
                 break;
             }
             if damping == S::zero() && self.may_cross_kink(step, reach, workspace) {
-                match self.astride(&pose, &at, &there, &step.step, whiteners, workspace) {
+                match self.astride(&pose, &at, &there, &step.step, workspace) {
                     Astride::Least(factor) => {
                         return Minimum { pose, chi2: at.chi2, factor, iterations, converged: true };
                     }
@@ -256,7 +234,7 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
                 }
             }
             damping = raised(damping);
-            at = self.linearise(&pose, whiteners, workspace);
+            at = self.linearise(&pose, workspace);
         }
         // Damping is no information: along directions that the data hardly hold it would be most of it.
         let factor = self.factor(&at, workspace);
@@ -264,17 +242,12 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
     }
 
     /// The minimum near `start`, where the tool is expected; given up after a few evaluations.
-    pub(super) fn minimise_quickly(
-        &self,
-        start: Transform<S>,
-        whiteners: &Whiteners<S>,
-        workspace: &mut Workspace<S>,
-    ) -> Minimum<S> {
+    pub fn minimise_quickly(&self, start: Transform<S>, workspace: &mut Workspace<S>) -> Minimum<S> {
         let near = if workspace.is_unhurried { P::NEAR_UNHURRIED } else { P::NEAR };
         let held_back = workspace.work.saturating_sub(near.work);
         workspace.work -= held_back;
         let stopping = Stopping { tolerance_sigmas: S::of(near.sigmas), ..Stopping::near() };
-        let minimum = self.minimise(start, whiteners, stopping, workspace);
+        let minimum = self.minimise(start, stopping, workspace);
         workspace.work += held_back;
         minimum
     }
@@ -290,12 +263,12 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         workspace: &Workspace<S>,
     ) -> Reach<S> {
         let length = square(&step.step).root();
-        let jacobian_change = self.jacobian_change_rate * length;
+        let jacobian_change = self.head.jacobian_change_rate * length;
         // At its end the currents differ from the linearised ones by that share of their change at most. In a valley
         // this bound stays above any tolerance, although nothing is left to gain.
         let is_in_valley = iterations > PATIENCE && step.predicted_reduction <= S::of(NEGLIGIBLE_REDUCTION);
         let change = if is_in_valley { step.predicted_reduction.root() } else { length * at.steepness() };
-        let is_tiny = jacobian_change * jacobian_change <= self.jacobian_change_rate * S::epsilon();
+        let is_tiny = jacobian_change * jacobian_change <= self.head.jacobian_change_rate * S::epsilon();
         let is_smooth = self.is_smooth(length, workspace) || self.is_smooth_in_each_cell(&step.step, pose, workspace);
         let is_within = jacobian_change * change <= stopping.tolerance_sigmas && is_smooth;
         Reach { length, jacobian_change, is_smooth, is_last: is_tiny || is_within }
@@ -308,11 +281,10 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         first: &Step<S>,
         reach: Reach<S>,
         (trial, at): (&Transform<S>, &NormalEquations<S>),
-        whiteners: &Whiteners<S>,
         stopping: Stopping<S>,
         workspace: &mut Workspace<S>,
     ) -> Reused<S> {
-        let (chi2, gradient) = self.reevaluate(trial, whiteners, workspace);
+        let (chi2, gradient) = self.reevaluate(trial, workspace);
         let half_way = first.factor.forward(&gradient);
         let (second, reduction) = (first.factor.backward(&half_way), square(&half_way));
         let ratio = (reduction / first.predicted_reduction).root();
@@ -335,20 +307,14 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         step.predicted_reduction <= S::of(NEAR) && !self.is_smooth(reach.length, workspace)
     }
 
-    /// The factor of the information at `pose`.
-    pub(super) fn factor_at(
-        &self,
-        pose: &Transform<S>,
-        whiteners: &Whiteners<S>,
-        workspace: &mut Workspace<S>,
-    ) -> Option<Factor<S>> {
-        let at: NormalEquations<S> = self.linearise(pose, whiteners, workspace);
+    pub fn factor_at(&self, pose: &Transform<S>, workspace: &mut Workspace<S>) -> Option<Factor<S>> {
+        let at: NormalEquations<S> = self.linearise(pose, workspace);
         self.factor(&at, workspace)
     }
 }
 
-impl<S: Scalar> Step<S> {
-    pub(super) fn is_finite(&self) -> bool {
+impl<S: Number> Step<S> {
+    pub fn is_finite(&self) -> bool {
         self.step.iter().all(|value| value.is_finite())
     }
 
@@ -359,19 +325,16 @@ impl<S: Scalar> Step<S> {
     }
 }
 
-/// Whether the Jacobian hardly changes along the step.
 #[inline(always)]
-fn is_reusable<S: Scalar>(step: &Step<S>, reach: Reach<S>) -> bool {
+fn is_reusable<S: Number>(step: &Step<S>, reach: Reach<S>) -> bool {
     !step.is_by_qr && reach.jacobian_change <= S::of(REUSABLE_CHANGE) && reach.is_smooth
 }
 
-/// The damping after a step that failed.
-fn raised<S: Scalar>(damping: S) -> S {
+fn raised<S: Number>(damping: S) -> S {
     (damping * S::of(10.0)).max(S::of(FIRST_DAMPING))
 }
 
-/// The damping after a step that succeeded.
-fn lowered<S: Scalar>(damping: S) -> S {
+fn lowered<S: Number>(damping: S) -> S {
     if damping > S::of(FIRST_DAMPING) { damping * S::of(0.1) } else { S::zero() }
 }
 
@@ -403,11 +366,11 @@ mod tests {
             dt.length() + 8e-3 * dr.length()
         };
         let workspace = &mut Workspace::new();
-        let exact = problem.minimise(start, &problem.whiteners(), Stopping::exact(), workspace);
+        let exact = problem.minimise(start, Stopping::exact(), workspace);
         assert!(off(&exact) < 1e-12 && exact.chi2 < 1e-12, "{} {}", off(&exact), exact.chi2);
         // Where the tool is expected one evaluation with derivatives and one without do, to a part of σ (1 µm).
         let workspace = &mut Workspace::new();
-        let near = problem.minimise_quickly(start, &problem.whiteners(), workspace);
+        let near = problem.minimise_quickly(start, workspace);
         assert!(off(&near) < 0.2e-6 && workspace.evaluations <= 3, "{} {}", off(&near), workspace.evaluations);
     }
 
@@ -418,7 +381,7 @@ mod tests {
         let problem = head.problem(&sorted, &Prior::at_rest());
         let far = Transform::of(&truth.perturbed(DVec3::splat(1e-3), DVec3::splat(0.1)));
         let workspace = &mut Workspace::with_work(2);
-        let minimum = problem.minimise(far, &problem.whiteners(), Stopping::exact(), workspace);
+        let minimum = problem.minimise(far, Stopping::exact(), workspace);
         assert!(!minimum.converged && workspace.evaluations <= 5, "{}", workspace.evaluations);
     }
 }

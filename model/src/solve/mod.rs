@@ -4,14 +4,14 @@
 //! |---|---|---|
 //! | readings that count | [`readings`] | limits of light and saturation |
 //! | first pose | [`planes`] | Gauss–Newton on the planes that the positions of the light give |
-//! | weights | [`weights`] | covariance of a cell's two currents |
-//! | linearised problem | [`residuals`], [`normal_equations`], [`twist`], [`step`] | least squares, Schur complement, Cholesky or QR |
+//! | weights, whitened residuals | [`weights`] | covariance of a cell's two currents |
+//! | linearised problem | [`normal_equations`], [`twist`], [`step`] | least squares, Schur complement, Cholesky or QR |
 //! | minimum | [`levenberg_marquardt`], [`kink`] | damped Gauss–Newton, minima where derivatives jump |
 //! | one cell against all others | [`outlier`] | leave one out |
-//! | is it the pose? | [`accept`], [`chi2`], [`observability`] | χ² gate, singular values, external reliability |
-//! | other poses with such currents | [`mirror_images`], [`fold`], [`minima`] | reflections, double points |
+//! | is it the pose? | [`accept`] | χ² gate, singular values, external reliability |
+//! | other poses with such currents | [`images`] | reflections, double points |
 //! | on a microcontroller | [`compact`] | one short rule for all spots |
-//! | nothing known | [`cold_start`], [`starts`] | all of the above, from many starts |
+//! | nothing known | [`cold_start`] | all of the above, from many starts |
 //! | pose expected | [`warm_start`] | the same from one start |
 //! | many frames of one head at once | [`batch`] | the commonest course of a solve, a pose per SIMD lane |
 //! | frame after frame | [`tracker`], [`filter`] | prediction by a fading-memory polynomial |
@@ -23,27 +23,21 @@ mod accept;
 mod algebra;
 #[cfg(feature = "batch")]
 mod batch;
-mod chi2;
 mod cold_start;
 mod compact;
 mod compiled;
 mod filter;
 #[cfg(test)]
 mod fixture;
-mod fold;
+mod images;
 mod kink;
 mod levenberg_marquardt;
-mod minima;
-mod mirror_images;
 mod normal_equations;
-mod observability;
 mod outcome;
 mod outlier;
 mod planes;
 mod readings;
-mod residuals;
 mod solver;
-mod starts;
 mod step;
 mod tracker;
 mod twist;

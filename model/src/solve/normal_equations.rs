@@ -13,15 +13,15 @@ use arrayvec::ArrayVec;
 
 use crate::plan::{BOARD_CELLS, CellTerms, Instant, Optics};
 use crate::pose::Transform;
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 use crate::scene::MAX_CELLS;
 
 use super::algebra::{Matrix6, Vector6, add_outer, dot, mirror};
-use super::planes::PlaneCell;
-use super::readings::Usable;
-use super::residuals::{ResidualSums, Row};
+use super::compiled::{Compiled, Prior};
+use super::readings::{Sorted, Usable};
 use super::twist::{Elimination, Motion};
-use super::weights::{CellNoise, Whitener};
+use super::weights::Whitener;
+use super::weights::{ResidualSums, Row};
 
 /// Distance from a guiding plane that counts as one σ.
 const GUIDE_M: f64 = 20e-6;
@@ -29,50 +29,42 @@ const GUIDE_M: f64 = 20e-6;
 /// Most guiding planes: more than three fix a pose.
 const MAX_GUIDES: usize = 4;
 
-/// The data of one minimisation.
-pub(super) struct Problem<'a, S: Scalar, P> {
-    pub(super) plan: &'a P,
-    pub(super) planes: &'a [PlaneCell<S>],
-    pub(super) noise: &'a [CellNoise<S>],
-    /// Exposure of each cell relative to the reference instant, seconds; empty: all at it.
-    pub(super) offsets_s: &'a [S],
-    pub(super) readings: &'a [Usable<S>],
-    pub(super) motion: Motion<S>,
-    pub(super) length_scale_m: S,
-    /// Relative change of the derivatives per unit of a scaled step.
-    pub(super) jacobian_change_rate: S,
+pub struct Problem<'a, S: Number, P> {
+    pub head: &'a Compiled<S, P>,
+    pub sorted: &'a Sorted<S>,
+    pub motion: Motion<S>,
+    /// The weights of the readings.
+    pub whiteners: Whiteners<S>,
 }
 
-/// One whitening per usable reading.
-pub(super) type Whiteners<S> = ArrayVec<Whitener<S>, MAX_CELLS>;
+pub type Whiteners<S> = ArrayVec<Whitener<S>, MAX_CELLS>;
 
 /// Memory and budget of the minimisations of one frame: the rows of the last linearisation, with the residuals
 /// of the last evaluation.
 #[derive(Debug)]
-pub(super) struct Workspace<S: Scalar> {
+pub struct Workspace<S: Number> {
     /// Of each usable reading, in order, two each.
-    pub(super) rows: ArrayVec<[Row<S>; 2], MAX_CELLS>,
+    pub rows: ArrayVec<[Row<S>; 2], MAX_CELLS>,
     /// Index of a reading whose cell has no spot at the pose, and the row of its plane.
-    pub(super) plane_rows: ArrayVec<(usize, Row<S>), MAX_GUIDES>,
+    pub plane_rows: ArrayVec<(usize, Row<S>), MAX_GUIDES>,
     /// Weights at the last linearisation of cells whose parts may be displaced.
-    pub(super) displaced: ArrayVec<Whitener<S>, MAX_CELLS>,
+    pub displaced: ArrayVec<Whitener<S>, MAX_CELLS>,
     /// The readings' slacks: see [`crate::plan::CellTerms`].
-    pub(super) slacks_m: ArrayVec<S, MAX_CELLS>,
+    pub slacks_m: ArrayVec<S, MAX_CELLS>,
     /// The readings' distances from walls, if steps cross them: on a board.
-    pub(super) walls_m: ArrayVec<S, BOARD_CELLS>,
-    pub(super) elimination: Elimination<S>,
+    pub walls_m: ArrayVec<S, BOARD_CELLS>,
+    pub elimination: Elimination<S>,
     /// Evaluations of all cells that may still be made: see [`Self::with_work`].
-    pub(super) work: usize,
+    pub work: usize,
     /// Whether there is time for [`Optics::NEAR_UNHURRIED`].
-    pub(super) is_unhurried: bool,
-    /// Evaluations made.
-    pub(super) evaluations: usize,
+    pub is_unhurried: bool,
+    pub evaluations: usize,
 }
 
-impl<S: Scalar> Workspace<S> {
+impl<S: Number> Workspace<S> {
     /// Empty, without a limit to the work.
     #[inline(always)]
-    pub(super) fn new() -> Self {
+    pub fn new() -> Self {
         Self::with_work(usize::MAX)
     }
 
@@ -80,7 +72,7 @@ impl<S: Scalar> Workspace<S> {
     /// whatever the processor. Minimisations end when the budget is used up; one under way makes three more
     /// evaluations at most.
     #[inline(always)]
-    pub(super) fn with_work(work: usize) -> Self {
+    pub fn with_work(work: usize) -> Self {
         Self {
             work,
             is_unhurried: false,
@@ -94,7 +86,6 @@ impl<S: Scalar> Workspace<S> {
         }
     }
 
-    /// One more evaluation.
     #[inline(always)]
     fn count(&mut self) {
         self.work = self.work.saturating_sub(1);
@@ -104,62 +95,67 @@ impl<S: Scalar> Workspace<S> {
 
 /// χ² = rᵀr, the information JᵀJ and Jᵀr at a pose, the twist eliminated.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct NormalEquations<S> {
-    pub(super) chi2: S,
-    pub(super) information: Matrix6<S>,
+pub struct NormalEquations<S> {
+    pub chi2: S,
+    pub information: Matrix6<S>,
     /// Jᵀr: minus half the gradient of χ².
-    pub(super) gradient: Vector6<S>,
+    pub gradient: Vector6<S>,
 }
 
-impl<S: Scalar> NormalEquations<S> {
+impl<S: Number> NormalEquations<S> {
     /// An estimate, low by √6 at most, of the norm of J: the most that a step of unit length changes the
     /// whitened currents.
-    pub(super) fn steepness(&self) -> S {
+    pub fn steepness(&self) -> S {
         (0..6).fold(S::zero(), |most, i| most.max(self.information[i][i])).root()
     }
 
-    /// The information times a step.
-    pub(super) fn times(&self, step: &Vector6<S>) -> Vector6<S> {
+    pub fn times(&self, step: &Vector6<S>) -> Vector6<S> {
         self.information.map(|row| dot(&row, step))
     }
 
     /// χ² after a step, by the linearisation.
-    pub(super) fn chi2_after(&self, step: &Vector6<S>) -> S {
+    pub fn chi2_after(&self, step: &Vector6<S>) -> S {
         self.chi2 - S::two() * dot(&self.gradient, step) + self.along(step)
     }
 
     /// The length of a step in σ, squared.
-    pub(super) fn along(&self, step: &Vector6<S>) -> S {
+    pub fn along(&self, step: &Vector6<S>) -> S {
         dot(step, &self.times(step))
     }
 }
 
-impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
-    pub(super) fn instant<'b>(&'b self, pose: &'b Transform<S>) -> Instant<'b, S> {
-        Instant { pose, twist: self.motion.twist, bend: self.motion.bend, offsets_s: self.offsets_s }
+impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
+    pub fn new(head: &'a Compiled<S, P>, sorted: &'a Sorted<S>, motion: &Prior<S>) -> Self {
+        let motion = Motion::new(motion, head.duration_s(), head.length_scale_m);
+        let whitener = |reading: &Usable<S>| head.noise[reading.cell].whitener(reading.pair);
+        Self { head, sorted, motion, whiteners: sorted.usable.iter().map(whitener).collect() }
+    }
+
+    pub fn instant<'b>(&'b self, pose: &'b Transform<S>) -> Instant<'b, S> {
+        Instant { pose, twist: self.motion.twist, bend: self.motion.bend, offsets_s: &self.head.offsets_s }
     }
 
     fn wants(&self, cell: usize) -> bool {
-        self.readings.iter().any(|reading| reading.cell == cell)
+        self.sorted.usable.iter().any(|reading| reading.cell == cell)
     }
 
     /// Exposure of a reading's cell in units of the motion's duration.
     #[inline(always)]
-    pub(super) fn share(&self, reading: &Usable<S>) -> S {
-        self.offsets_s.get(reading.cell).map_or(S::zero(), |&offset| offset / self.motion.duration)
+    pub fn share(&self, reading: &Usable<S>) -> S {
+        self.head.offsets_s.get(reading.cell).map_or(S::zero(), |&offset| offset / self.motion.duration)
     }
 
     /// Whether the bend is to be eliminated.
     #[inline(always)]
-    pub(super) fn has_bend(&self) -> bool {
+    pub fn has_bend(&self) -> bool {
         self.motion.bend_prior.is_some()
     }
 
     /// The currents above dark that all cells deliver with the tool at `pose` at the reference
     /// instant.
-    pub(super) fn predicted(&self, pose: &Transform<S>) -> heapless::Vec<[S; 2], MAX_CELLS> {
+    pub fn predicted(&self, pose: &Transform<S>) -> heapless::Vec<[S; 2], MAX_CELLS> {
         let mut currents = heapless::Vec::new();
-        self.plan.currents_all(
+        self.head.plan.currents_all(
             &self.instant(pose),
             |_| true,
             |_, pair| {
@@ -170,29 +166,22 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         currents
     }
 
-    /// The weights of the readings.
-    pub(super) fn whiteners(&self) -> Whiteners<S> {
-        self.readings.iter().map(|reading| self.noise[reading.cell].whitener(reading.pair)).collect()
+    /// With weights for a pose that is far off: see [`CellNoise::coarse`](super::weights::CellNoise::coarse).
+    pub fn coarse(&self) -> Self {
+        let whitener = |reading: &Usable<S>| {
+            let length = self.head.planes[reading.cell].detector_length_m();
+            self.head.noise[reading.cell].coarse(length).whitener(reading.pair)
+        };
+        Self { whiteners: self.sorted.usable.iter().map(whitener).collect(), ..*self }
     }
 
-    /// Weights for a pose that is far off: see [`CellNoise::coarse`].
-    pub(super) fn coarse_whiteners(&self) -> Whiteners<S> {
-        self.readings
-            .iter()
-            .map(|reading| {
-                let length = self.planes[reading.cell].detector_length_m();
-                self.noise[reading.cell].coarse(length).whitener(reading.pair)
-            })
-            .collect()
+    /// The largest χ² that noise explains.
+    pub fn gate(&self) -> S {
+        self.head.gates[self.sorted.usable.len()]
     }
 
     /// χ² and the normal equations at `pose`.
-    pub(super) fn linearise(
-        &self,
-        pose: &Transform<S>,
-        whiteners: &Whiteners<S>,
-        workspace: &mut Workspace<S>,
-    ) -> NormalEquations<S> {
+    pub fn linearise(&self, pose: &Transform<S>, workspace: &mut Workspace<S>) -> NormalEquations<S> {
         workspace.count();
         let Workspace { rows: all_rows, plane_rows, displaced, slacks_m, walls_m, elimination, .. } = workspace;
         slacks_m.clear();
@@ -203,27 +192,27 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         let mut information = [[S::zero(); 6]; 6];
         let is_twist_known = self.motion.prior.is_none();
         elimination.begin(&self.motion);
-        self.plan.linearise_all(
+        self.head.plan.linearise_all(
             &self.instant(pose),
             |cell| self.wants(cell),
             |cell, terms| {
                 // Readings come in the order of their cells, as terms do.
                 let index = all_rows.len();
-                let Some(reading) = self.readings.get(index).filter(|reading| reading.cell == cell) else {
+                let Some(reading) = self.sorted.usable.get(index).filter(|reading| reading.cell == cell) else {
                     return;
                 };
                 slacks_m.push(terms.slack_m);
                 if P::CROSSES_WALLS {
                     walls_m.push(terms.wall_m);
                 }
-                let variance = self.noise[cell].displacement;
+                let variance = self.head.noise[cell].displacement;
                 let looser;
                 let whitener = if variance > S::zero() {
-                    looser = whiteners[index].displaced(&terms.jacobian, variance);
+                    looser = self.whiteners[index].displaced(&terms.jacobian, variance);
                     displaced.push(looser);
                     &looser
                 } else {
-                    &whiteners[index]
+                    &self.whiteners[index]
                 };
                 let rows = self.rows(reading, terms, whitener);
                 let own = [&rows[0].by_pose, &rows[1].by_pose];
@@ -255,9 +244,9 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
 
     /// The rows of a reading whose cell has these `terms`.
     #[inline(always)]
-    pub(super) fn rows(&self, reading: &Usable<S>, terms: &CellTerms<S>, whitener: &Whitener<S>) -> [Row<S>; 2] {
+    pub fn rows(&self, reading: &Usable<S>, terms: &CellTerms<S>, whitener: &Whitener<S>) -> [Row<S>; 2] {
         // Translations are counted in units of the length scale.
-        let scaled_whitener = whitener.scaled(self.length_scale_m);
+        let scaled_whitener = whitener.scaled(self.head.length_scale_m);
         let residual = whitener.apply([reading.pair[0] - terms.pair[0], reading.pair[1] - terms.pair[1]]);
         let mut rows = residual.map(|residual| Row { by_pose: [S::zero(); 6], residual });
         for axis in 0..6 {
@@ -282,18 +271,18 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
     /// there, but its plane leads back.
     #[inline(never)]
     fn guide(&self, reading: &Usable<S>, pose: &Transform<S>) -> Row<S> {
-        let (row, distance) = self.planes[reading.cell].row(reading, pose, self.length_scale_m);
+        let (row, distance) = self.head.planes[reading.cell].row(reading, pose, self.head.length_scale_m);
         Row {
-            by_pose: row.map(|value| value * self.length_scale_m / S::of(GUIDE_M)),
+            by_pose: row.map(|value| value * self.head.length_scale_m / S::of(GUIDE_M)),
             residual: -distance / S::of(GUIDE_M),
         }
     }
 
     /// χ² and gradients of the residuals in `workspace`.
     #[inline]
-    pub(super) fn residual_sums(&self, workspace: &Workspace<S>) -> ResidualSums<S> {
+    pub fn residual_sums(&self, workspace: &Workspace<S>) -> ResidualSums<S> {
         let mut sums = ResidualSums::zero(S::zero());
-        for (reading, rows) in self.readings.iter().zip(&workspace.rows) {
+        for (reading, rows) in self.sorted.usable.iter().zip(&workspace.rows) {
             sums.add(rows, self.share(reading), self.has_bend());
         }
         if !workspace.plane_rows.is_empty() {
@@ -302,49 +291,38 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         sums
     }
 
-    /// Adds the rows of planes.
     #[cold]
     #[inline(never)]
     fn add_planes(&self, sums: &mut ResidualSums<S>, workspace: &Workspace<S>) {
         for (index, row) in &workspace.plane_rows {
-            sums.add(core::slice::from_ref(row), self.share(&self.readings[*index]), self.has_bend());
+            sums.add(core::slice::from_ref(row), self.share(&self.sorted.usable[*index]), self.has_bend());
         }
     }
 
     /// The whitened residuals at `pose`, in the order of the readings.
-    pub(super) fn whitened(
-        &self,
-        pose: &Transform<S>,
-        whiteners: &Whiteners<S>,
-        workspace: &mut Workspace<S>,
-    ) -> ArrayVec<[S; 2], MAX_CELLS> {
+    pub fn whitened(&self, pose: &Transform<S>, workspace: &mut Workspace<S>) -> ArrayVec<[S; 2], MAX_CELLS> {
         workspace.count();
         let currents = self.predicted(pose);
         let of = |(reading, whitener): (&Usable<S>, &Whitener<S>)| {
             let [first, second] = currents[reading.cell];
             whitener.apply([reading.pair[0] - first, reading.pair[1] - second])
         };
-        self.readings.iter().zip(whiteners).map(of).collect()
+        self.sorted.usable.iter().zip(&self.whiteners).map(of).collect()
     }
 
     /// χ² and gradient at `pose`, with the Jacobian of the last linearisation.
-    pub(super) fn reevaluate(
-        &self,
-        pose: &Transform<S>,
-        whiteners: &Whiteners<S>,
-        workspace: &mut Workspace<S>,
-    ) -> (S, Vector6<S>) {
+    pub fn reevaluate(&self, pose: &Transform<S>, workspace: &mut Workspace<S>) -> (S, Vector6<S>) {
         let mut index = 0;
         workspace.count();
-        self.plan.currents_all(
+        self.head.plan.currents_all(
             &self.instant(pose),
             |cell| self.wants(cell),
             |cell, currents| {
-                let Some(reading) = self.readings.get(index).filter(|reading| reading.cell == cell) else {
+                let Some(reading) = self.sorted.usable.get(index).filter(|reading| reading.cell == cell) else {
                     return;
                 };
                 let residual = [reading.pair[0] - currents[0], reading.pair[1] - currents[1]];
-                let whitener = workspace.displaced.get(index).unwrap_or(&whiteners[index]);
+                let whitener = workspace.displaced.get(index).unwrap_or(&self.whiteners[index]);
                 for (row, residual) in workspace.rows[index].iter_mut().zip(whitener.apply(residual)) {
                     row.residual = residual;
                 }
@@ -352,7 +330,7 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
             },
         );
         for (index, row) in &mut workspace.plane_rows {
-            row.residual = self.guide(&self.readings[*index], pose).residual;
+            row.residual = self.guide(&self.sorted.usable[*index], pose).residual;
         }
         let sums = self.residual_sums(workspace);
         workspace.elimination.apply(&sums)

@@ -3,7 +3,7 @@
 use core::fmt;
 
 use crate::pose::{Pose, Rigid};
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 use crate::scene::MAX_CELLS;
 
 use super::algebra::{Factor, Matrix6};
@@ -164,7 +164,7 @@ pub struct Estimate<S = f64> {
     pub covariance: Matrix6<S>,
 }
 
-impl<S: Scalar> Estimate<S> {
+impl<S: Number> Estimate<S> {
     /// Standard deviations of (δt, δθ): m and rad.
     pub fn sigma(&self) -> [S; 6] {
         core::array::from_fn(|i| self.covariance[i][i].root())
@@ -194,7 +194,7 @@ impl<S: Scalar> Estimate<S> {
 
 /// The result of one solve.
 #[derive(Clone, Copy, Debug)]
-pub struct Solution<S: Scalar = f64> {
+pub struct Solution<S: Number = f64> {
     /// What happened.
     pub outcome: Outcome,
     /// The pose; present exactly if the outcome carries one.
@@ -244,7 +244,7 @@ impl Verified {
     }
 }
 
-impl<S: Scalar> Solution<S> {
+impl<S: Number> Solution<S> {
     /// A pose, or why there is none, from a solver elsewhere that tells no more than this. Nothing is known of its steps,
     /// its condition, and what an error in one cell would have done.
     pub fn reported(

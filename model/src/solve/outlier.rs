@@ -6,12 +6,12 @@
 
 use crate::plan::Optics;
 use crate::pose::Transform;
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 
 use super::accept::Fit;
 use super::compiled::{Compiled, Prior};
 use super::levenberg_marquardt::{Minimum, Stopping};
-use super::normal_equations::{Problem, Whiteners, Workspace};
+use super::normal_equations::{Problem, Workspace};
 use super::outcome::{DegradedReason, Outcome, Solution};
 use super::readings::Sorted;
 
@@ -27,42 +27,42 @@ const OUTLIER_THRESHOLD: f64 = 20.0;
 const PROMISED_GATES: f64 = 4.0;
 
 /// Evaluations that must be left for one more cell to be tried.
-pub(super) const LEAST_WORK: usize = 8;
+pub const LEAST_WORK: usize = 8;
 
 /// The cell that was left out of the last pose.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct LeftOut {
-    pub(super) cell: usize,
+pub struct LeftOut {
+    pub cell: usize,
     /// Whether to look if it agrees with the others again.
-    pub(super) looks_again: bool,
+    pub looks_again: bool,
 }
 
 /// How far the search for an outlier has come: see [`Compiled::without_outlier`].
 #[derive(Clone, Copy, Debug)]
-pub(super) struct OutlierSearch<S: Scalar> {
-    /// The next reading to be left out.
+pub struct OutlierSearch<S: Number> {
     next: usize,
     /// The cell without which χ² is least so far, and where; and whether in an earlier frame.
     best: Option<(usize, Minimum<S>)>,
     is_stale: bool,
     runner_up: S,
     may_pause: bool,
-    is_paused: bool,
+    /// Whether cells are left to be tried.
+    pub is_paused: bool,
     /// How far the next reading's exclusion has come when the work was used up.
     under_way: Option<UnderWay<S>>,
 }
 
 /// Where the others have led so far, and whether by the true weights.
 #[derive(Clone, Copy, Debug)]
-struct UnderWay<S: Scalar> {
+struct UnderWay<S: Number> {
     pose: Transform<S>,
     is_near: bool,
 }
 
-impl<S: Scalar> OutlierSearch<S> {
+impl<S: Number> OutlierSearch<S> {
     /// One that has not begun; `may_pause`: it goes on with another frame's currents when the work of
     /// one is used up.
-    pub(super) fn new(may_pause: bool) -> Self {
+    pub fn new(may_pause: bool) -> Self {
         Self {
             next: 0,
             best: None,
@@ -72,11 +72,6 @@ impl<S: Scalar> OutlierSearch<S> {
             is_paused: false,
             under_way: None,
         }
-    }
-
-    /// Whether cells are left to be tried.
-    pub(super) fn is_paused(&self) -> bool {
-        self.is_paused
     }
 
     /// Pauses before reading `index` is left out, or on the way.
@@ -91,10 +86,10 @@ impl<S: Scalar> OutlierSearch<S> {
     }
 }
 
-impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
+impl<S: Number, P: Optics<S>> Compiled<S, P> {
     /// The pose of all cells but one, if leaving out that one, and no other, makes the data fit: from
     /// the planes of the others. Goes on with `search`, and stops where that is paused.
-    pub(super) fn without_outlier(
+    pub fn without_outlier(
         &self,
         sorted: &Sorted<S>,
         motion: &Prior<S>,
@@ -117,7 +112,7 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
             let mut near = before.filter(|before| before.is_near).map(|before| before.pose);
             if near.is_none() {
                 let start = before.map_or_else(|| self.on_planes(&others), |before| before.pose);
-                let approach = problem.minimise(start, &problem.coarse_whiteners(), Stopping::rough(), workspace);
+                let approach = problem.coarse().minimise(start, Stopping::rough(), workspace);
                 iterations += approach.iterations;
                 if P::HAS_SMALL_FRAMES && search.is_cut_short(&approach, before.is_some(), workspace) {
                     search.pause(index, Some(UnderWay { pose: approach.pose, is_near: false }));
@@ -131,7 +126,7 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
                 near = Some(approach.pose);
             }
             let Some(start) = near else { continue };
-            let minimum = problem.minimise(start, &problem.whiteners(), Stopping::exact(), workspace);
+            let minimum = problem.minimise(start, Stopping::exact(), workspace);
             iterations += minimum.iterations;
             if P::HAS_SMALL_FRAMES
                 && search.is_cut_short(&minimum, before.is_some_and(|before| before.is_near), workspace)
@@ -162,7 +157,7 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
         if search.is_stale {
             let others = sorted.without(index);
             let problem = self.problem(&others, motion);
-            found = problem.minimise(found.pose, &problem.whiteners(), Stopping::exact(), workspace);
+            found = problem.minimise(found.pose, Stopping::exact(), workspace);
         }
         let mut solution = self.unless_alone(sorted, motion, index, &found, search.runner_up, workspace)?;
         solution.iterations += iterations;
@@ -171,7 +166,7 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
 
     /// The pose near `start` of all cells but one, if leaving out that one, and no other, makes the data
     /// fit there. The normal equations of all cells at `start` rank the cells; only the first two are tried.
-    pub(super) fn without_outlier_near(
+    pub fn without_outlier_near(
         &self,
         sorted: &Sorted<S>,
         motion: &Prior<S>,
@@ -182,7 +177,7 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
             return None;
         }
         let all = self.problem(sorted, motion);
-        all.linearise(&start, &all.whiteners(), workspace);
+        all.linearise(&start, workspace);
         let mut ranked: [Option<(usize, S)>; 2] = [None; 2];
         for index in 0..sorted.usable.len() {
             let Some(chi2) = all.least_chi2_without(index, workspace) else { continue };
@@ -198,7 +193,7 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
             let (index, _) = ranked.filter(|(_, chi2)| promised(*chi2))?;
             let others = sorted.without(index);
             let problem = self.problem(&others, motion);
-            let minimum = problem.minimise_quickly(start, &problem.whiteners(), workspace);
+            let minimum = problem.minimise_quickly(start, workspace);
             minimum.converged.then_some((index, minimum))
         });
         if let [Some((_, first)), Some((_, second))] = &tried
@@ -220,7 +215,7 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
     /// again.
     #[cold]
     #[inline(never)]
-    pub(super) fn still_without(
+    pub fn still_without(
         &self,
         sorted: &Sorted<S>,
         motion: &Prior<S>,
@@ -234,24 +229,22 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
         }
         let others = sorted.without(index);
         let problem = self.problem(&others, motion);
-        let whiteners = problem.whiteners();
-        let minimum = problem.minimise_quickly(start, &whiteners, workspace);
-        let fit = self.fit(&others, &problem, &minimum);
+        let minimum = problem.minimise_quickly(start, workspace);
+        let fit = problem.fit(&minimum);
         if fit == Fit::None {
             return None;
         }
-        let mut solution = self.conclude_near(&others, &problem, &whiteners, &minimum, workspace, fit);
+        let mut solution = problem.conclude_near(&minimum, workspace, fit);
         if !looks_again {
             exclude(&mut solution, cell);
             return Some(solution);
         }
         let all = self.problem(sorted, motion);
-        let whiteners = all.whiteners();
-        if self.may_agree(sorted, &all, &whiteners, minimum.pose, workspace) {
-            let together = all.minimise_quickly(minimum.pose, &whiteners, workspace);
-            let fit = self.fit(sorted, &all, &together);
+        if all.may_agree(minimum.pose, workspace) {
+            let together = all.minimise_quickly(minimum.pose, workspace);
+            let fit = all.fit(&together);
             if fit != Fit::None {
-                solution = self.conclude_near(sorted, &all, &whiteners, &together, workspace, fit);
+                solution = all.conclude_near(&together, workspace, fit);
                 solution.iterations += minimum.iterations;
                 return Some(solution);
             }
@@ -274,50 +267,43 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
         let mut iterations = 0;
         let mut fit = Fit::None;
         let all = self.problem(sorted, motion);
-        let whiteners = all.whiteners();
         let mut together = *found;
-        if self.may_agree(sorted, &all, &whiteners, found.pose, workspace) {
+        if all.may_agree(found.pose, workspace) {
             // Honest cells may have been led astray by their planes: with a good start they agree.
-            together = all.minimise(found.pose, &whiteners, Stopping::exact(), workspace);
+            together = all.minimise(found.pose, Stopping::exact(), workspace);
             iterations = together.iterations;
-            fit = self.fit(sorted, &all, &together);
+            fit = all.fit(&together);
         }
         let mut solution = if fit == Fit::None {
             let others = sorted.without(index);
             let problem = self.problem(&others, motion);
-            let fit = self.fit(&others, &problem, found);
+            let fit = problem.fit(found);
             let is_convicted = runner_up - found.chi2 >= S::of(OUTLIER_THRESHOLD);
             if fit == Fit::None || !is_convicted {
                 return None;
             }
-            let whiteners = problem.whiteners();
-            problem.linearise(&found.pose, &whiteners, workspace);
-            let mut solution = self.conclude_near(&others, &problem, &whiteners, found, workspace, fit);
+            problem.linearise(&found.pose, workspace);
+            let mut solution = problem.conclude_near(found, workspace, fit);
             exclude(&mut solution, sorted.usable[index].cell);
             solution
         } else {
-            self.conclude_near(sorted, &all, &whiteners, &together, workspace, fit)
+            all.conclude_near(&together, workspace, fit)
         };
         solution.iterations = iterations;
         Some(solution)
     }
+}
 
+impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// Whether all cells may agree near `pose`, by the linearised χ².
-    fn may_agree(
-        &self,
-        sorted: &Sorted<S>,
-        all: &Problem<'_, S, P>,
-        whiteners: &Whiteners<S>,
-        pose: Transform<S>,
-        workspace: &mut Workspace<S>,
-    ) -> bool {
-        let at = all.linearise(&pose, whiteners, workspace);
-        let promised = all.step(&at, S::zero(), workspace).map(|next| at.chi2 - next.predicted_reduction);
-        promised.is_none_or(|chi2| chi2 <= S::of(PROMISED_GATES) * self.gates[sorted.usable.len()])
+    fn may_agree(&self, pose: Transform<S>, workspace: &mut Workspace<S>) -> bool {
+        let at = self.linearise(&pose, workspace);
+        let promised = self.step(&at, S::zero(), workspace).map(|next| at.chi2 - next.predicted_reduction);
+        promised.is_none_or(|chi2| chi2 <= S::of(PROMISED_GATES) * self.gate())
     }
 }
 
-pub(super) fn exclude<S: Scalar>(solution: &mut Solution<S>, cell: usize) {
+pub fn exclude<S: Number>(solution: &mut Solution<S>, cell: usize) {
     solution.excluded.insert(cell);
     if solution.outcome.has_pose() {
         solution.outcome = Outcome::Degraded(DegradedReason::CellExcluded);

@@ -12,29 +12,28 @@ use serde::{Deserialize, Serialize};
 
 use crate::effects::Opening;
 use crate::pose::Transform;
-use crate::scalar::{Linear3, Real, Scalar, Vector3};
+use crate::scalar::{Linear3, Number, Real, Vector3};
 use crate::scene::Cell;
 
 use super::algebra::{Factor, Matrix6, Vector6};
 use super::readings::Usable;
 
 /// Four steps suffice throughout the reach of a head; more is for odd geometries.
-pub(super) const MAX_STEPS: usize = 8;
+pub const MAX_STEPS: usize = 8;
 
 /// Steps below a micrometre (or its equivalent in rotation) are left to the refinement.
-pub(super) const STEP_M: f64 = 1e-6;
+pub const STEP_M: f64 = 1e-6;
 
 /// Weight of a position so near the detector's end that the spot is probably clipped: its centre
 /// is then pulled inward, by up to 0.26 mm in the shipped scenes.
 const CLIPPED_WEIGHT: f64 = 0.01;
 
 /// Pull towards home of directions that the planes leave free, relative to the others.
-pub(super) const PULL: f64 = 1e-6;
+pub const PULL: f64 = 1e-6;
 
-/// What the planes need of a cell, base frame.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 #[serde(bound = "")]
-pub(super) struct PlaneCell<S: Scalar> {
+pub struct PlaneCell<S: Number> {
     detector: S::Vec3,
     x_axis: S::Vec3,
     slit: S::Vec3,
@@ -47,23 +46,20 @@ pub(super) struct PlaneCell<S: Scalar> {
     dark: S,
     shortest: S,
     /// Whether the slit is on the tool; `slit` and `along` are then where they are at home.
-    #[cfg(feature = "effects")]
     rides: bool,
 }
 
-/// Where the light of a reading comes from.
 #[derive(Clone, Copy)]
-enum Plane<S: Scalar> {
+enum Plane<S: Number> {
     /// Unit normal of the emitter's plane through the slit.
     Emitter(S::Vec3),
     /// Where the light lands, on the plane of a riding slit.
-    #[cfg(feature = "effects")]
     Landing(S::Vec3),
 }
 
-impl<S: Scalar> PlaneCell<S> {
+impl<S: Number> PlaneCell<S> {
     /// From a valid cell; `dark_in_ratio`: whether the currents divide I_D like the photocurrent.
-    pub(super) fn compile(cell: &Cell, dark_in_ratio: bool) -> Self {
+    pub fn compile(cell: &Cell, dark_in_ratio: bool) -> Self {
         let detector = &cell.detector;
         let (x, z) = (detector.x_axis_base, detector.normal_base);
         let y = z.cross(x);
@@ -88,29 +84,27 @@ impl<S: Scalar> PlaneCell<S> {
             unclipped: S::of(0.5 * (detector.length_m - slit.width_m * magnification * shrunk)),
             dark: S::of(if dark_in_ratio { detector.dark_current_a } else { 0.0 }),
             shortest: S::of((height - slit.distance_m).abs().min(slit.distance_m)),
-            #[cfg(feature = "effects")]
             rides: cell.opening() == Opening::RidingSlit,
         }
     }
 
     /// The shorter of the ways from emitter at home to slit and from slit to detector.
-    pub(super) fn shortest_m(&self) -> S {
+    pub fn shortest_m(&self) -> S {
         self.shortest
     }
 
     /// |I_X2 − I_X1|/I_O beyond which the spot of an emitter at home is clipped.
-    pub(super) fn unclipped_share(&self) -> S {
+    pub fn unclipped_share(&self) -> S {
         self.unclipped / self.half_length
     }
 
-    pub(super) fn detector_length_m(&self) -> S {
+    pub fn detector_length_m(&self) -> S {
         S::two() * self.half_length
     }
 
     /// The plane of a reading, and the weight of the distance from it.
     fn plane(&self, reading: &Usable<S>) -> (Plane<S>, S) {
         let (landing, weight) = self.landing(reading.pair);
-        #[cfg(feature = "effects")]
         if self.rides {
             return (Plane::Landing(landing), weight);
         }
@@ -119,7 +113,7 @@ impl<S: Scalar> PlaneCell<S> {
 
     /// Where the light of a pair of currents lands, and the weight of the distance from its plane.
     #[inline(always)]
-    pub(super) fn landing<R: Real<Element = S>>(&self, [first, second]: [R; 2]) -> (R::Vec3, R) {
+    pub fn landing<R: Real<Element = S>>(&self, [first, second]: [R; 2]) -> (R::Vec3, R) {
         let half = first.all(self.half_length);
         let x_a = half * (second - first) / (first + second + first.all(self.dark));
         let x_a = x_a.at_least(-half).at_most(half);
@@ -131,7 +125,7 @@ impl<S: Scalar> PlaneCell<S> {
 
     /// Unit normal of the plane through the slit and where the light lands.
     #[inline(always)]
-    pub(super) fn normal<R: Real<Element = S>>(&self, landing: R::Vec3) -> R::Vec3 {
+    pub fn normal<R: Real<Element = S>>(&self, landing: R::Vec3) -> R::Vec3 {
         let like = landing.x();
         let normal = (like.all3(self.slit) - landing).cross(like.all3(self.along));
         normal * normal.length().inverse()
@@ -139,7 +133,7 @@ impl<S: Scalar> PlaneCell<S> {
 
     /// [`Self::row_from`] the slit.
     #[inline(always)]
-    pub(super) fn row_from_slit<R: Real<Element = S>>(
+    pub fn row_from_slit<R: Real<Element = S>>(
         &self,
         normal: R::Vec3,
         pose: &Transform<R>,
@@ -150,21 +144,19 @@ impl<S: Scalar> PlaneCell<S> {
 
     /// Distance of the emitter from its plane with the tool at `pose`, metres, and its derivatives
     /// by (δt, arm·δθ).
-    pub(super) fn row(&self, reading: &Usable<S>, pose: &Transform<S>, length_scale_m: S) -> (Vector6<S>, S) {
+    pub fn row(&self, reading: &Usable<S>, pose: &Transform<S>, length_scale_m: S) -> (Vector6<S>, S) {
         self.row_of(self.plane(reading).0, pose, length_scale_m)
     }
 
     fn row_of(&self, plane: Plane<S>, pose: &Transform<S>, length_scale_m: S) -> (Vector6<S>, S) {
         match plane {
             Plane::Emitter(normal) => self.row_from_slit(normal, pose, length_scale_m),
-            #[cfg(feature = "effects")]
             Plane::Landing(landing) => self.row_to(landing, pose, length_scale_m),
         }
     }
 
     /// Distance of the riding slit's plane from `landing` with the tool at `pose`, metres, and its derivatives by
     /// (δt, arm·δθ): the plane turns with the tool, so that the lever is that of the landing.
-    #[cfg(feature = "effects")]
     #[cold]
     fn row_to(&self, landing: S::Vec3, pose: &Transform<S>, length_scale_m: S) -> (Vector6<S>, S) {
         let normal = (self.emitter_tool - self.slit).cross(self.along);
@@ -178,7 +170,7 @@ impl<S: Scalar> PlaneCell<S> {
     /// Distance of the emitter from `origin` along `normal` with the tool at `pose`, metres, and its
     /// derivatives by (δt, arm·δθ).
     #[inline(always)]
-    pub(super) fn row_from<R: Real<Element = S>>(
+    pub fn row_from<R: Real<Element = S>>(
         &self,
         origin: R::Vec3,
         normal: R::Vec3,
@@ -192,16 +184,14 @@ impl<S: Scalar> PlaneCell<S> {
         (row, normal.dot(arm + pose.translation() - origin))
     }
 
-    /// The emitter's place in the tool frame.
-    pub(super) fn emitter_tool(&self) -> S::Vec3 {
+    pub fn emitter_tool(&self) -> S::Vec3 {
         self.emitter_tool
     }
 
     /// Where the emitter is with the tool at `pose`, and where it would be as far beyond the slit's
     /// middle, along the slit: the light lands alike, and is as much. From a riding slit it cannot move away.
-    pub(super) fn sides(&self, pose: &Transform<S>) -> [S::Vec3; 2] {
+    pub fn sides(&self, pose: &Transform<S>) -> [S::Vec3; 2] {
         let here = pose.rotate(self.emitter_tool) + pose.translation();
-        #[cfg(feature = "effects")]
         if self.rides {
             return [here; 2];
         }
@@ -212,7 +202,7 @@ impl<S: Scalar> PlaneCell<S> {
 
 /// The pose nearest `start` whose emitters lie in the planes of `readings`; `length_scale_m` scales
 /// rotations to metres.
-pub(super) fn pose_on_planes<S: Scalar>(
+pub fn pose_on_planes<S: Number>(
     cells: &[PlaneCell<S>],
     readings: &[Usable<S>],
     start: Transform<S>,
@@ -231,7 +221,7 @@ pub(super) fn pose_on_planes<S: Scalar>(
 /// The pose nearest `start` that the rows of `rows`, derivatives by (δt, arm·δθ), distance and weight,
 /// lead to in at most `steps` steps of Gauss and Newton.
 #[inline(always)]
-pub(super) fn settle<S: Scalar, Rows: Iterator<Item = (Vector6<S>, S, S)>>(
+pub fn settle<S: Number, Rows: Iterator<Item = (Vector6<S>, S, S)>>(
     start: Transform<S>,
     length_scale_m: S,
     steps: usize,
@@ -271,7 +261,7 @@ pub(super) fn settle<S: Scalar, Rows: Iterator<Item = (Vector6<S>, S, S)>>(
 /// Relative change of a head's Jacobian per unit of a scaled step: it changes over the distance between emitter and
 /// slit, or slit and detector, whichever is less. Over 3000 random poses and directions the change is 0.18 of this
 /// in the mean and 0.32 at most for the scene `wide`, 0.33 and 0.90 for `base`.
-pub(super) fn jacobian_change_rate<S: Scalar>(cells: &[PlaneCell<S>], length_scale_m: S) -> S {
+pub fn jacobian_change_rate<S: Number>(cells: &[PlaneCell<S>], length_scale_m: S) -> S {
     let shortest = cells.iter().fold(S::infinity(), |shortest, cell| shortest.min(cell.shortest_m()));
     S::of(8.0) * length_scale_m / shortest.max(S::of(1e-3) * length_scale_m)
 }

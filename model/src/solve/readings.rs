@@ -5,7 +5,7 @@ use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
 use crate::response::Pair;
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 use crate::scene::MAX_CELLS;
 
 use super::outcome::Cells;
@@ -37,7 +37,7 @@ impl<T> Photocurrents<T> {
 
 impl Photocurrents {
     /// In the numbers of a solver.
-    pub fn rounded<S: Scalar>(&self) -> Photocurrents<S> {
+    pub fn rounded<S: Number>(&self) -> Photocurrents<S> {
         let rounded = |reading: &Reading| match reading {
             Reading::Light(Pair { i_x1_a, i_x2_a }) => {
                 Reading::Light(Pair { i_x1_a: S::of(*i_x1_a), i_x2_a: S::of(*i_x2_a) })
@@ -49,34 +49,32 @@ impl Photocurrents {
     }
 }
 
-/// A reading that enters the solve.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Usable<S> {
-    pub(super) cell: usize,
-    pub(super) pair: [S; 2],
+pub struct Usable<S> {
+    pub cell: usize,
+    pub pair: [S; 2],
 }
 
-/// What keeps a cell from entering.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-pub(super) struct Limits<S> {
-    pub(super) faint_a: S,
+pub struct Limits<S> {
+    pub faint_a: S,
     /// Above dark.
-    pub(super) saturation_a: S,
+    pub saturation_a: S,
     /// |I_X2 − I_X1|/I_O beyond which a spot is taken for clipped and left out.
-    pub(super) most_share: S,
+    pub most_share: S,
 }
 
 /// The readings of one solve, sorted by use.
 #[derive(Clone, Debug)]
-pub(super) struct Sorted<S> {
-    pub(super) usable: ArrayVec<Usable<S>, MAX_CELLS>,
-    pub(super) used: Cells,
+pub struct Sorted<S> {
+    pub usable: ArrayVec<Usable<S>, MAX_CELLS>,
+    pub used: Cells,
     /// Cells that were measured and found without enough light.
-    pub(super) faint: Cells,
+    pub faint: Cells,
 }
 
-impl<S: Scalar> Sorted<S> {
-    pub(super) fn of(readings: &Photocurrents<S>, limits: &[Limits<S>]) -> Self {
+impl<S: Number> Sorted<S> {
+    pub fn of(readings: &Photocurrents<S>, limits: &[Limits<S>]) -> Self {
         let mut sorted = Self { usable: ArrayVec::new(), used: Cells::default(), faint: Cells::default() };
         for (cell, (reading, limits)) in readings.cells.iter().zip(limits).enumerate() {
             let Reading::Light(pair) = reading else {
@@ -102,7 +100,7 @@ impl<S: Scalar> Sorted<S> {
     }
 
     /// The same without the usable reading `index`; its cell counts as not measured.
-    pub(super) fn without(&self, index: usize) -> Self {
+    pub fn without(&self, index: usize) -> Self {
         let mut sorted = self.clone();
         sorted.used.remove(sorted.usable.remove(index).cell);
         sorted

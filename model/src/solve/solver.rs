@@ -1,16 +1,16 @@
 //! The interface of the solver.
 
+use crate::entries::Scalar;
 use crate::plan::{Optics, Plan, Tier};
 use crate::pose::{Pose, Transform};
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 use crate::scene::{Scene, SceneError};
 
-use super::accept::Fit;
+use super::accept::{Fit, covariance, free_directions};
 use super::cold_start::{COLD_WORK, Search, WORK_FOR_IMAGES};
 use super::compiled::{Compiled, MotionPrior, Prior};
 use super::levenberg_marquardt::Stopping;
 use super::normal_equations::Workspace;
-use super::observability;
 use super::outcome::{DegradedReason, Directions, Outcome, Solution};
 use super::readings::{Photocurrents, Sorted};
 
@@ -30,9 +30,9 @@ pub enum Start<'a> {
 ///
 /// Holds the compiled scene and no state: every solve is a function of its arguments.
 #[derive(Clone, Debug)]
-pub struct Solver<S: Scalar, P = Plan<S>> {
-    pub(super) compiled: Compiled<S, P>,
-    pub(super) max_steps: Option<usize>,
+pub struct Solver<S: Number, P = Plan<S>> {
+    pub(crate) compiled: Compiled<S, P>,
+    pub(crate) max_steps: Option<usize>,
 }
 
 impl<S: Scalar> Solver<S> {
@@ -78,7 +78,7 @@ impl<S: Scalar> Solver<S> {
 
     #[inline(always)]
     pub(crate) fn free_directions_here(&self, pose: &Pose) -> Option<Directions> {
-        observability::free_directions(&self.compiled.factor_at(pose)?)
+        free_directions(&self.compiled.factor_at(pose)?)
     }
 
     /// The Cramér–Rao bound at `pose`: the least covariance that an unbiased estimate from one frame
@@ -90,11 +90,11 @@ impl<S: Scalar> Solver<S> {
 
     #[inline(always)]
     pub(crate) fn bound_here(&self, pose: &Pose) -> Option<[[S; 6]; 6]> {
-        observability::covariance(&self.compiled.factor_at(pose)?, self.compiled.length_scale_m)
+        covariance(&self.compiled.factor_at(pose)?, self.compiled.length_scale_m)
     }
 }
 
-impl<S: Scalar, P: Optics<S>> Solver<S, P> {
+impl<S: Number, P: Optics<S>> Solver<S, P> {
     /// With cell k exposed `offsets_s[k]` seconds after the reference instant.
     ///
     /// # Panics
@@ -177,8 +177,8 @@ impl<S: Scalar, P: Optics<S>> Solver<S, P> {
         let problem = self.compiled.problem(sorted, motion);
         let workspace = &mut Workspace::new();
         let stopping = Stopping { max_iterations, ..Stopping::exact() };
-        let minimum = problem.minimise(start, &problem.whiteners(), stopping, workspace);
-        let mut solution = self.compiled.conclude(sorted, &problem, &minimum, workspace, Fit::Full);
+        let minimum = problem.minimise(start, stopping, workspace);
+        let mut solution = problem.conclude(&minimum, workspace, Fit::Full);
         if solution.outcome.has_pose() && !minimum.converged {
             solution.outcome = Outcome::Degraded(DegradedReason::Unfinished);
         }

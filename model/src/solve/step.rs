@@ -7,34 +7,33 @@
 use crate::plan::Optics;
 use crate::pose::Transform;
 use crate::rectangle::MOST_MAGNIFICATION;
-use crate::scalar::{Linear3, Scalar};
+use crate::scalar::{Linear3, Number};
 
 use super::algebra::{Factor, Triangle, Vector6, add_outer, dot, mirror, square};
 use super::normal_equations::{NormalEquations, Problem, Workspace};
 use super::readings::Usable;
-use super::residuals::{ResidualSums, Row};
 use super::twist::Elimination;
+use super::weights::{ResidualSums, Row};
 
 /// Least ratio of a pivot to its diagonal element, in units of rounding, at which normal equations
 /// are trusted: they then keep more than half of the digits.
-pub(super) const SAFE_ROUNDINGS: f64 = 1e4;
+pub const SAFE_ROUNDINGS: f64 = 1e4;
 
-/// A Gauss–Newton step, damped or not.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Step<S> {
+pub struct Step<S> {
     /// L of JᵀJ + λ·diag JᵀJ = L·Lᵀ.
-    pub(super) factor: Factor<S>,
-    pub(super) step: Vector6<S>,
+    pub factor: Factor<S>,
+    pub step: Vector6<S>,
     /// By how much χ² falls along the step if J stays the same.
-    pub(super) predicted_reduction: S,
+    pub predicted_reduction: S,
     /// Whether it comes from the QR factorisation: `factor` then is too inexact to solve with again.
-    pub(super) is_by_qr: bool,
+    pub is_by_qr: bool,
 }
 
-impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
+impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// The step from `at`; `None` if a damped matrix is singular to the precision of the numbers.
     #[inline]
-    pub(super) fn step(&self, at: &NormalEquations<S>, damping: S, workspace: &Workspace<S>) -> Option<Step<S>> {
+    pub fn step(&self, at: &NormalEquations<S>, damping: S, workspace: &Workspace<S>) -> Option<Step<S>> {
         let safe = S::of(SAFE_ROUNDINGS) * S::epsilon();
         match Factor::of_matrix(&at.information, damping, safe) {
             Some(factor) => {
@@ -69,26 +68,25 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
             let powers = &powers[3 - N / 6..];
             triangle.add(core::array::from_fn(|i| row.by_pose[i % 6] * powers[i / 6]), row.residual);
         };
-        for (reading, rows) in self.readings.iter().zip(&workspace.rows) {
+        for (reading, rows) in self.sorted.usable.iter().zip(&workspace.rows) {
             rows.iter().for_each(|row| add(row, self.share(reading)));
         }
         for (index, row) in &workspace.plane_rows {
-            add(row, self.share(&self.readings[*index]));
+            add(row, self.share(&self.sorted.usable[*index]));
         }
         let (factor, half_way) = triangle.last_six();
         Step { step: factor.backward(&half_way), predicted_reduction: square(&half_way), factor, is_by_qr: true }
     }
 
-    /// The factor of the undamped information.
     #[cold]
     #[inline(never)]
-    pub(super) fn factor(&self, at: &NormalEquations<S>, workspace: &Workspace<S>) -> Option<Factor<S>> {
+    pub fn factor(&self, at: &NormalEquations<S>, workspace: &Workspace<S>) -> Option<Factor<S>> {
         self.step(at, S::zero(), workspace).map(|next| next.factor)
     }
 
     /// Whether a step of this `length` moves no spot of the last linearisation so far that derivatives jump.
-    pub(super) fn is_smooth(&self, length: S, workspace: &Workspace<S>) -> bool {
-        let most_moved = S::of(MOST_MAGNIFICATION) * length * self.length_scale_m;
+    pub fn is_smooth(&self, length: S, workspace: &Workspace<S>) -> bool {
+        let most_moved = S::of(MOST_MAGNIFICATION) * length * self.head.length_scale_m;
         workspace.slacks_m.iter().all(|&slack_m| slack_m > most_moved)
     }
 
@@ -96,41 +94,36 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
     /// cell: on its arm that may be less than the length of the step allows.
     #[cold]
     #[inline(never)]
-    pub(super) fn is_smooth_in_each_cell(
-        &self,
-        step: &Vector6<S>,
-        pose: &Transform<S>,
-        workspace: &Workspace<S>,
-    ) -> bool {
+    pub fn is_smooth_in_each_cell(&self, step: &Vector6<S>, pose: &Transform<S>, workspace: &Workspace<S>) -> bool {
         (0..workspace.slacks_m.len()).all(|index| self.is_smooth_in_cell(index, step, pose, workspace))
     }
 
     /// [`Self::is_smooth_in_each_cell`] of the cell of one reading.
-    pub(super) fn is_smooth_in_cell(
+    pub fn is_smooth_in_cell(
         &self,
         index: usize,
         step: &Vector6<S>,
         pose: &Transform<S>,
         workspace: &Workspace<S>,
     ) -> bool {
-        let reading = &self.readings[index];
-        let arm = self.plan.arm(reading.cell, pose);
+        let reading = &self.sorted.usable[index];
+        let arm = self.head.plan.arm(reading.cell, pose);
         // The most that a step of that length moves this emitter, by its length.
-        let most = (S::one() + arm.dot(arm) / (self.length_scale_m * self.length_scale_m)).root();
+        let most = (S::one() + arm.dot(arm) / (self.head.length_scale_m * self.head.length_scale_m)).root();
         workspace.slacks_m[index] * most > S::of(MOST_MAGNIFICATION) * self.emitter_moves_m(step, pose, reading)
     }
 
     /// How far a `step` from `pose` moves the emitter of a reading, metres.
-    pub(super) fn emitter_moves_m(&self, step: &Vector6<S>, pose: &Transform<S>, reading: &Usable<S>) -> S {
-        let shift = S::Vec3::new(step[0], step[1], step[2]) * self.length_scale_m;
+    pub fn emitter_moves_m(&self, step: &Vector6<S>, pose: &Transform<S>, reading: &Usable<S>) -> S {
+        let shift = S::Vec3::new(step[0], step[1], step[2]) * self.head.length_scale_m;
         let turn = S::Vec3::new(step[3], step[4], step[5]);
-        (shift + turn.cross(self.plan.arm(reading.cell, pose))).length()
+        (shift + turn.cross(self.head.plan.arm(reading.cell, pose))).length()
     }
 
     /// The least share of an error in one cell's currents that stays visible in its residuals, over all
     /// cells: the redundancy number of Baarda (1968), the smaller eigenvalue of I − A·C·Aᵀ, A the cell's rows
     /// and C = (L·Lᵀ)⁻¹. The rest of the error goes into the pose.
-    pub(super) fn least_visible(&self, factor: &Factor<S>, workspace: &Workspace<S>) -> S {
+    pub fn least_visible(&self, factor: &Factor<S>, workspace: &Workspace<S>) -> S {
         workspace.rows.iter().fold(S::one(), |least, rows| {
             let [u, v] = [0, 1].map(|k| factor.forward(&rows[k].by_pose));
             let (uu, vv, uv) = (square(&u), square(&v), dot(&u, &v));
@@ -143,14 +136,14 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
     /// The least χ² without reading `index`, by the last linearisation; `None` if that leaves a direction
     /// free.
     #[inline(never)]
-    pub(super) fn least_chi2_without(&self, index: usize, workspace: &Workspace<S>) -> Option<S> {
+    pub fn least_chi2_without(&self, index: usize, workspace: &Workspace<S>) -> Option<S> {
         let (mut information, mut elimination) = ([[S::zero(); 6]; 6], Elimination::new());
         elimination.begin(&self.motion);
         let mut sums = ResidualSums::zero(S::zero());
         let of_readings = workspace.rows.iter().enumerate().map(|(reading, rows)| (reading, rows.as_slice()));
         let of_planes = workspace.plane_rows.iter().map(|(reading, row)| (*reading, core::slice::from_ref(row)));
         for (reading, rows) in of_readings.chain(of_planes).filter(|(reading, _)| *reading != index) {
-            let reading = &self.readings[reading];
+            let reading = &self.sorted.usable[reading];
             for row in rows {
                 add_outer(&mut information, [&row.by_pose], [&row.by_pose]);
                 elimination.add(self.share(reading), &[*row]);
@@ -194,7 +187,7 @@ mod tests {
             let problem = head.problem(&sorted, &Prior { twist: TWIST, sigmas, bend });
             let workspace = &mut Workspace::new();
             let start = Transform::of(&truth);
-            let at = problem.linearise(&start, &problem.whiteners(), workspace);
+            let at = problem.linearise(&start, workspace);
             let reach = |sigmas: [f64; 2], time_s: f64| [sigmas[0] * time_s / head.length_scale_m, sigmas[1] * time_s];
             let (duration, mut sigma) = (400e-6, [[0.0; 12]; 12]);
             let (p, q) = (reach(sigmas, duration), reach(bend_sigmas, duration * duration));
@@ -266,7 +259,7 @@ mod tests {
         let sorted = Sorted::of(&crate::Photocurrents::of_pairs(seen), &head.limits);
         let chi2 = |bend| {
             let problem = head.problem(&sorted, &Prior { twist: TWIST, sigmas: [0.0; 2], bend });
-            problem.linearise(&Transform::of(&truth), &problem.whiteners(), &mut Workspace::new()).chi2
+            problem.linearise(&Transform::of(&truth), &mut Workspace::new()).chi2
         };
         let known = chi2(Some(Bend { half_acceleration: HALF_ACCELERATION, sigmas: [0.0; 2] }));
         // Turns are small ones: the third power of 1.3 mrad.

@@ -17,12 +17,11 @@
 //! is lost, or followed where no pose explains the currents, is searched for over several frames, each part of the
 //! search on the currents of its own frame.
 
-mod lost;
-
 use crate::plan::{Optics, Plan};
-use crate::pose::{Pose, Rigid};
-use crate::scalar::{Linear3, Scalar};
+use crate::pose::{Pose, Rigid, Transform};
+use crate::scalar::{Linear3, Number};
 
+use super::cold_start::{COLD_WORK, Search};
 use super::compiled::{Bend, Prior};
 use super::filter::{FadingFilter, Filtered, Prediction, TwistEstimate};
 use super::normal_equations::Workspace;
@@ -30,9 +29,6 @@ use super::outcome::{Cells, DegradedReason, Estimate, Outcome, Solution};
 use super::outlier::LeftOut;
 use super::readings::{Photocurrents, Sorted};
 use super::solver::Solver;
-use lost::Lost;
-
-pub(super) use lost::Budget;
 
 /// Memory of the polynomial that predicts exposures, in frames: long enough that the noise of the twist
 /// adds next to nothing to that of a pose, short enough for the accelerations of a fast hand.
@@ -75,7 +71,7 @@ const BETTER: f64 = 0.5;
 
 /// The result of one frame.
 #[derive(Clone, Copy, Debug)]
-pub struct Tracked<S: Scalar = f64> {
+pub struct Tracked<S: Number = f64> {
     /// From this frame alone, but for the twist.
     pub solution: Solution<S>,
     /// Velocity at the reference instant, from this frame and a few before.
@@ -86,10 +82,9 @@ pub struct Tracked<S: Scalar = f64> {
 
 /// Solves consecutive frames.
 #[derive(Clone, Debug)]
-pub struct Tracker<S: Scalar, P = Plan<S>> {
+pub struct Tracker<S: Number, P = Plan<S>> {
     solver: Solver<S, P>,
     period_s: f64,
-    /// Frames a second.
     frame_rate_hz: S,
     /// Share of σ of a pose that the motion within a frame may be unknown by and yet count as known.
     negligible: S,
@@ -101,22 +96,19 @@ pub struct Tracker<S: Scalar, P = Plan<S>> {
     last_twist: [S::Vec3; 2],
     /// Cells of the last pose that says something of the motion.
     cells: Cells,
-    /// Weak poses since then.
     weak: u32,
     /// Whether the motion is to be forgotten, if this frame says enough.
     forgets: bool,
-    /// Frames since the last pose.
     coasted: u32,
     /// The cell that was left out of the last pose.
     left_out: Option<usize>,
     /// The frame in which it was looked at again.
     last_look: u64,
-    /// Whether the last pose was a misfit.
     is_misfit: bool,
     lost: Lost<S>,
 }
 
-impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
+impl<S: Number, P: Optics<S>> Tracker<S, P> {
     /// For frames `period_s` seconds apart.
     pub fn new(solver: Solver<S, P>, period_s: f64) -> Self {
         Self {
@@ -170,8 +162,7 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
         self
     }
 
-    /// Takes no more evaluations than `budget` allows.
-    pub(super) fn with_budget(mut self, budget: Budget) -> Self {
+    pub(crate) fn with_budget(mut self, budget: Budget) -> Self {
         self.budget = budget;
         self.lost = Lost::new(budget.first);
         self
@@ -204,7 +195,7 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
 
     /// The solution of frame `frame`, which has not owned up yet.
     #[inline(always)]
-    pub(super) fn advance(&mut self, frame: u64, readings: &Photocurrents<S>) -> Solution<S> {
+    pub(crate) fn advance(&mut self, frame: u64, readings: &Photocurrents<S>) -> Solution<S> {
         match frame.checked_sub(self.next_frame) {
             Some(missed) if missed <= u64::from(MAX_COAST) => (0..missed).for_each(|_| self.coast()),
             _ => self.forget(),
@@ -439,6 +430,74 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
     }
 }
 
-fn is_misfit<S: Scalar>(solution: &Solution<S>) -> bool {
+fn is_misfit<S: Number>(solution: &Solution<S>) -> bool {
     solution.outcome == Outcome::Degraded(DegradedReason::Misfit)
+}
+
+#[derive(Clone, Copy, Debug)]
+pub struct Budget {
+    /// Each of them.
+    pub frame: usize,
+    /// That each leaves to a later search, and the most that are left.
+    pub saved_a_frame: usize,
+    pub most_saved: usize,
+    /// That the first search may take besides.
+    pub first: usize,
+}
+
+impl Budget {
+    /// Of a host: at some 2.4 µs each, exact tier and twist unknown, a frame takes half of the 100 µs that it may cost at
+    /// 4 kHz, because minimisations under way are completed; with what others have left, no longer than the 250 µs to
+    /// the next. The first search may take as much as a cold solve, so that the first frame has a pose.
+    pub const HOST: Self = Self { frame: 20, saved_a_frame: 2, most_saved: 56, first: COLD_WORK };
+}
+
+/// Frames between two searches while a misfit is followed.
+const PAUSE: u32 = 256;
+
+#[derive(Clone, Debug)]
+pub struct Lost<S: Number> {
+    search: Search<S>,
+    /// Where it may as well be, if it may be in two places.
+    images: Option<[Transform<S>; 2]>,
+    pub wait: u32,
+    /// Evaluations that a search may take besides those of its frame.
+    pub saved_work: usize,
+}
+
+impl<S: Number> Lost<S> {
+    pub fn new(saved_work: usize) -> Self {
+        Self { search: Search::in_pieces(), images: None, wait: 0, saved_work }
+    }
+
+    /// Whether anything is to be forgotten when the tool has been found.
+    pub fn is_under_way(&self, most_saved: usize) -> bool {
+        self.search.has_begun() || self.images.is_some() || self.wait > 0 || self.saved_work > most_saved
+    }
+}
+
+impl<S: Number, P: Optics<S>> Tracker<S, P> {
+    /// Looks for the tool everywhere, a piece of the search a frame.
+    pub(crate) fn find(&mut self, sorted: &Sorted<S>, motion: &Prior<S>, workspace: &mut Workspace<S>) -> Solution<S> {
+        let lost = &mut self.lost;
+        if let Some(images) = lost.images.take() {
+            lost.images = self.solver.compiled.still_images(sorted, motion, images, workspace);
+            if lost.images.is_some() {
+                return Solution::without_pose(Outcome::Ambiguous, sorted.used);
+            }
+        }
+        if lost.wait > 0 {
+            lost.wait -= 1;
+            return Solution::without_pose(Outcome::Diverged, sorted.used);
+        }
+        workspace.work += lost.saved_work;
+        let solution = self.solver.compiled.search(sorted, motion, &mut lost.search, workspace);
+        lost.saved_work = lost.saved_work.min(workspace.work).min(self.budget.most_saved);
+        if lost.search.is_over {
+            lost.images = lost.search.images();
+            lost.search = Search::in_pieces();
+            lost.wait = if self.is_misfit { PAUSE } else { 0 };
+        }
+        solution
+    }
 }

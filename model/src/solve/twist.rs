@@ -12,33 +12,33 @@
 
 use arrayvec::ArrayVec;
 
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 
 use super::algebra::{Factor, Matrix6, Vector6, add_outer, mirror};
 use super::compiled::Prior;
-use super::residuals::{ResidualSums, Row};
+use super::weights::{ResidualSums, Row};
 
 /// Largest information a prior on the motion can have: it is then known.
 const KNOWN: f64 = 1e30;
 
 /// Motion of the tool within a frame, and how well it is known.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Motion<S: Scalar> {
+pub struct Motion<S: Number> {
     /// Linear and angular.
-    pub(super) twist: [S::Vec3; 2],
+    pub twist: [S::Vec3; 2],
     /// Half the acceleration, as in [`super::compiled::Bend`]; `None`: zero.
-    pub(super) bend: Option<[S::Vec3; 2]>,
+    pub bend: Option<[S::Vec3; 2]>,
     /// The largest |τ|, seconds; zero if all cells are exposed at one instant.
-    pub(super) duration: S,
+    pub duration: S,
     /// P⁻¹ of (linear, angular) in units of length scale/duration and 1/duration; `None`: the twist is known.
-    pub(super) prior: Option<[S; 2]>,
+    pub prior: Option<[S; 2]>,
     /// Q⁻¹ in those units per duration; `None`: the bend is known, as with a known twist.
-    pub(super) bend_prior: Option<[S; 2]>,
+    pub bend_prior: Option<[S; 2]>,
 }
 
-impl<S: Scalar> Motion<S> {
+impl<S: Number> Motion<S> {
     #[inline(always)]
-    pub(super) fn new(prior: &Prior<S>, duration: S, length_scale_m: S) -> Self {
+    pub fn new(prior: &Prior<S>, duration: S, length_scale_m: S) -> Self {
         let Prior { twist, bend, sigmas } = *prior;
         // σ by the end of the motion, in units of the scaled pose.
         let prior = |[linear, angular]: [S; 2]| {
@@ -59,9 +59,8 @@ impl<S: Scalar> Motion<S> {
     }
 }
 
-/// Eliminates the motion from normal equations.
 #[derive(Debug)]
-pub(super) struct Elimination<S> {
+pub struct Elimination<S> {
     /// M₁ and M₂ if the twist is not known, M₃ and M₄ if the bend is not; then, in their places, the columns of L⁻¹·M₁, of
     /// L′⁻¹·N and of L⁻¹·M₃.
     blocks: ArrayVec<Matrix6<S>, 4>,
@@ -71,16 +70,16 @@ pub(super) struct Elimination<S> {
     bend: Option<Factor<S>>,
 }
 
-impl<S: Scalar> Elimination<S> {
+impl<S: Number> Elimination<S> {
     /// Of a known motion.
     #[inline(always)]
-    pub(super) fn new() -> Self {
+    pub fn new() -> Self {
         Self { blocks: ArrayVec::new(), twist: None, bend: None }
     }
 
     /// Without rows yet, of this motion.
     #[inline(always)]
-    pub(super) fn begin(&mut self, motion: &Motion<S>) {
+    pub fn begin(&mut self, motion: &Motion<S>) {
         (self.twist, self.bend) = (None, None);
         self.blocks.clear();
         if motion.prior.is_some() {
@@ -90,13 +89,13 @@ impl<S: Scalar> Elimination<S> {
     }
 
     /// Whether there is a motion that is not known.
-    pub(super) fn is_under_way(&self) -> bool {
+    pub fn is_under_way(&self) -> bool {
         self.twist.is_some()
     }
 
     /// Adds the `rows` of one reading, exposed at `share` of the motion's duration.
     #[inline(never)]
-    pub(super) fn add<const N: usize>(&mut self, share: S, rows: &[Row<S>; N]) {
+    pub fn add<const N: usize>(&mut self, share: S, rows: &[Row<S>; N]) {
         let own = rows.each_ref().map(|row| &row.by_pose);
         let mut weight = share;
         for moment in &mut self.blocks {
@@ -109,7 +108,7 @@ impl<S: Scalar> Elimination<S> {
     /// Eliminates the motion of the rows that were added, unless it is known. Takes its part from the information M₀; χ² and
     /// gradient of the pose alone.
     #[inline(never)]
-    pub(super) fn eliminate(
+    pub fn eliminate(
         &mut self,
         motion: &Motion<S>,
         information: &mut Matrix6<S>,
@@ -146,7 +145,7 @@ impl<S: Scalar> Elimination<S> {
     }
 
     /// χ² and gradient of the pose alone.
-    pub(super) fn apply(&self, sums: &ResidualSums<S>) -> (S, Vector6<S>) {
+    pub fn apply(&self, sums: &ResidualSums<S>) -> (S, Vector6<S>) {
         let (mut chi2, mut gradient) = (sums.chi2, sums.by_pose);
         let (Some(factor), [mixed, bend_mixed, of_bend @ ..]) = (&self.twist, self.blocks.as_slice()) else {
             return (chi2, gradient);
@@ -167,12 +166,12 @@ impl<S: Scalar> Elimination<S> {
 
 /// The columns of L⁻¹ times a matrix, in its place.
 #[inline(always)]
-fn columns<S: Scalar>(matrix: &mut Matrix6<S>, factor: &Factor<S>) {
+fn columns<S: Number>(matrix: &mut Matrix6<S>, factor: &Factor<S>) {
     *matrix = matrix.map(|column| factor.forward(&column));
 }
 
 #[inline(always)]
-fn add_prior<S: Scalar>(matrix: &mut Matrix6<S>, prior: [S; 2]) {
+fn add_prior<S: Number>(matrix: &mut Matrix6<S>, prior: [S; 2]) {
     for (i, row) in matrix.iter_mut().enumerate() {
         row[i] += prior[i / 3];
     }
@@ -180,7 +179,7 @@ fn add_prior<S: Scalar>(matrix: &mut Matrix6<S>, prior: [S; 2]) {
 
 /// Takes the products of the columns of `left` and `right` from `matrix`.
 #[inline(always)]
-fn take<S: Scalar>(matrix: &mut Matrix6<S>, left: &Matrix6<S>, right: &Matrix6<S>) {
+fn take<S: Number>(matrix: &mut Matrix6<S>, left: &Matrix6<S>, right: &Matrix6<S>) {
     for i in 0..6 {
         for j in 0..6 {
             for k in 0..6 {
@@ -193,7 +192,7 @@ fn take<S: Scalar>(matrix: &mut Matrix6<S>, left: &Matrix6<S>, right: &Matrix6<S
 
 /// Takes the products of the `columns` and of `unknowns` from `vector`.
 #[inline(always)]
-fn take_vector<S: Scalar>(vector: &mut Vector6<S>, columns: &Matrix6<S>, unknowns: &Vector6<S>) {
+fn take_vector<S: Number>(vector: &mut Vector6<S>, columns: &Matrix6<S>, unknowns: &Vector6<S>) {
     for i in 0..6 {
         for k in 0..6 {
             let known = columns[i][k] * unknowns[k];

@@ -2,10 +2,10 @@
 
 use crate::plan::Optics;
 use crate::pose::Transform;
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 
-use super::accept::{Fit, is_elsewhere};
-use super::chi2::redundancy;
+use super::accept::Fit;
+use super::accept::redundancy;
 use super::compiled::{Compiled, Prior};
 use super::levenberg_marquardt::{Minimum, Stopping};
 use super::normal_equations::Workspace;
@@ -16,10 +16,10 @@ use super::readings::Sorted;
 /// Evaluations that are left to [`Compiled::taken_roughly`], which takes some five near an expected pose.
 const ROUGH_STEPS: usize = 12;
 
-impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
+impl<S: Number, P: Optics<S>> Compiled<S, P> {
     /// The pose near `start`, where the tool is expected: of all cells; without the one that was
     /// `left_out` in the frame before; without another; or a misfit.
-    pub(super) fn follow(
+    pub fn follow(
         &self,
         sorted: &Sorted<S>,
         motion: &Prior<S>,
@@ -35,7 +35,7 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
     /// The pose near `start` if all cells agree on it, or all but the one that was `left_out` in the frame before. Else
     /// what `otherwise` makes of the minimum of χ².
     #[inline(always)]
-    pub(super) fn follow_agreeing(
+    pub fn follow_agreeing(
         &self,
         sorted: &Sorted<S>,
         motion: &Prior<S>,
@@ -44,15 +44,14 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
         workspace: &mut Workspace<S>,
         otherwise: impl FnOnce(&Minimum<S>, &mut Workspace<S>) -> Solution<S>,
     ) -> Solution<S> {
-        let problem = self.problem(sorted, motion);
         if let Some(solution) = left_out.and_then(|cell| self.still_without(sorted, motion, cell, start, workspace)) {
             return solution;
         }
-        let whiteners = problem.whiteners();
-        let minimum = problem.minimise_quickly(start, &whiteners, workspace);
-        let fit = self.fit(sorted, &problem, &minimum);
+        let problem = self.problem(sorted, motion);
+        let minimum = problem.minimise_quickly(start, workspace);
+        let fit = problem.fit(&minimum);
         if fit != Fit::None {
-            return self.conclude_near(sorted, &problem, &whiteners, &minimum, workspace, fit);
+            return problem.conclude_near(&minimum, workspace, fit);
         }
         otherwise(&minimum, workspace)
     }
@@ -74,26 +73,25 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
             return Solution { iterations: iterations + solution.iterations, ..solution };
         }
         let problem = self.problem(sorted, motion);
-        let whiteners = problem.whiteners();
         let mut minimum = *minimum;
         if !minimum.converged {
             let held_back = workspace.work.min(ROUGH_STEPS);
             workspace.work -= held_back;
-            minimum = problem.minimise(minimum.pose, &whiteners, Stopping::near(), workspace);
+            minimum = problem.minimise(minimum.pose, Stopping::near(), workspace);
             workspace.work += held_back;
             iterations += minimum.iterations;
         }
-        let fit = self.fit(sorted, &problem, &minimum);
-        let has_pose = fit != Fit::None || redundancy(sorted.usable.len()) > 0 && !is_elsewhere(&problem, &minimum);
+        let fit = problem.fit(&minimum);
+        let has_pose = fit != Fit::None || redundancy(sorted.usable.len()) > 0 && !problem.is_elsewhere(&minimum);
         if !has_pose {
             if sorted.usable.len() >= P::UNIQUE_FROM {
-                let solution = self.taken_roughly(sorted, &problem, start, workspace);
+                let solution = problem.taken_roughly(start, workspace);
                 return Solution { iterations: iterations + solution.iterations, ..solution };
             }
             return Solution { iterations, ..Solution::without_pose(Outcome::Diverged, sorted.used) };
         }
         // The last linearisation may be of other cells.
-        problem.linearise(&minimum.pose, &whiteners, workspace);
-        Solution { iterations, ..self.conclude_near(sorted, &problem, &whiteners, &minimum, workspace, fit) }
+        problem.linearise(&minimum.pose, workspace);
+        Solution { iterations, ..problem.conclude_near(&minimum, workspace, fit) }
     }
 }

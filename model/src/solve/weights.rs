@@ -1,14 +1,16 @@
-//! How much a current is worth: the covariance of a cell's two currents, and whitening by it.
+//! How much a current is worth: the covariance of a cell's two currents, whitening by it, and sums of whitened residuals.
 
 use serde::{Deserialize, Serialize};
 
 use crate::lanes::{array, zero_half_one};
-use crate::scalar::{Real, Scalar};
+use crate::scalar::{Number, Real};
 use crate::scene::{Scene, Uncertainty};
+
+use super::algebra::Vector6;
 
 /// Multiplies the residuals of a cell's two currents into uncorrelated ones of unit variance.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Whitener<S> {
+pub struct Whitener<S> {
     rows: [[S; 2]; 2],
 }
 
@@ -59,27 +61,26 @@ impl<R: Real> Whitener<R> {
     /// `variance` is the square, m²: that does to the currents what moving the tool the other way does,
     /// by `jacobian`, of which the first three columns are the tool's translation.
     #[cold]
-    pub(crate) fn displaced(&self, jacobian: &[[R; 6]; 2], variance: R) -> Self {
+    pub fn displaced(&self, jacobian: &[[R; 6]; 2], variance: R) -> Self {
         (0..3).fold(*self, |whitener, axis| whitener.loosened(jacobian.map(|row| row[axis]), variance))
     }
 
     /// For derivatives that are to be counted in units of `unit`.
     #[inline(always)]
-    pub(crate) fn scaled(&self, unit: R) -> Self {
+    pub fn scaled(&self, unit: R) -> Self {
         let [first, second] = self.rows;
         Self { rows: [[first[0] * unit, first[1] * unit], [second[0] * unit, second[1] * unit]] }
     }
 
     #[inline(always)]
-    pub(crate) fn apply(&self, pair: [R; 2]) -> [R; 2] {
+    pub fn apply(&self, pair: [R; 2]) -> [R; 2] {
         let [first, second] = self.rows;
         [first[0] * pair[0] + first[1] * pair[1], second[0] * pair[0] + second[1] * pair[1]]
     }
 }
 
-/// The noise of one cell, compiled.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-pub(crate) struct CellNoise<S> {
+pub struct CellNoise<S> {
     /// 2qB: variance of the total current per ampere of light.
     shot: S,
     /// 4kT·B/R_ie, and what the places where the dark current starts do.
@@ -91,15 +92,14 @@ pub(crate) struct CellNoise<S> {
     /// Variance of X_A/Lx: model error, and more on the way from far off.
     position: S,
     /// Variance of the place of the cell's parts per axis, m²: see [`Whitener::displaced`].
-    pub(crate) displacement: S,
+    pub displacement: S,
     /// Square of the relative error of the arithmetic: of the exact tier's integrals, or rounding.
     arithmetic: S,
-    /// Variance of the dark current.
     dark: S,
 }
 
-impl<S: Scalar> CellNoise<S> {
-    pub(crate) fn compile(scene: &Scene, cell: usize, relative_error: f64) -> Self {
+impl<S: Number> CellNoise<S> {
+    pub fn compile(scene: &Scene, cell: usize, relative_error: f64) -> Self {
         let detector = &scene.cells[cell].detector;
         let (shot, dark, johnson, converter) = scene.noise.map_or((0.0, 0.0, 0.0, 0.0), |noise| {
             // Starting anywhere between the electrodes, an electron of the dark current divides into
@@ -108,7 +108,7 @@ impl<S: Scalar> CellNoise<S> {
             (noise.shot_a(), dark, noise.johnson_a2(detector) + dark / 12.0, noise.adc_a * noise.adc_a)
         });
         let Uncertainty { emitter_gain_relative, electrode_gain_relative, position_m } = scene.uncertainty;
-        let error = scene.cells[cell].model_error();
+        let error = scene.cells[cell].effects.model_error;
         let moved = error.position_m / detector.length_m;
         // Two cells that read one detector see the same photons of the same emitter: what is common to both counts
         // twice in each, for their mean knows it no better than one.
@@ -130,7 +130,7 @@ impl<S: Scalar> CellNoise<S> {
 
     /// The same cell taken less literally: gain known to 5 %, position to 0.1 mm. Far from the
     /// solution true weights turn χ² into narrow bent valleys; these keep it round.
-    pub(crate) fn coarse(&self, detector_length_m: S) -> Self {
+    pub fn coarse(&self, detector_length_m: S) -> Self {
         let position = S::of(1e-4) / detector_length_m;
         Self {
             emitter_gain: self.emitter_gain.max(S::of(0.05 * 0.05)),
@@ -148,7 +148,7 @@ impl<S: Scalar> CellNoise<S> {
     /// effect is a covariance of this pair. So is that of displaced parts, which depends on the pose:
     /// [`Whitener::displaced`]. An emitter gain known to nothing leaves the ratio of the currents.
     #[inline(always)]
-    pub(crate) fn whitener<R: Real<Element = S>>(&self, currents: [R; 2]) -> Whitener<R> {
+    pub fn whitener<R: Real<Element = S>>(&self, currents: [R; 2]) -> Whitener<R> {
         let like = currents[0];
         let [zero, half, one] = zero_half_one(like);
         let total = currents[0] + currents[1];
@@ -167,11 +167,56 @@ impl<S: Scalar> CellNoise<S> {
     }
 }
 
+/// One whitened residual and its derivatives by the scaled pose.
+#[derive(Clone, Copy, Debug)]
+pub struct Row<S> {
+    pub by_pose: Vector6<S>,
+    pub residual: S,
+}
+
+/// Sums over residuals r: χ² = rᵀr, and Jᵀr by the pose, by the twist and by the bend.
+#[derive(Clone, Copy)]
+pub struct ResidualSums<S> {
+    pub chi2: S,
+    pub by_pose: Vector6<S>,
+    pub by_twist: Vector6<S>,
+    pub by_bend: Vector6<S>,
+}
+
+impl<R: Real> ResidualSums<R> {
+    #[inline(always)]
+    pub fn zero(like: R) -> Self {
+        let zero = like.constant(0.0);
+        Self { chi2: zero, by_pose: [zero; 6], by_twist: [zero; 6], by_bend: [zero; 6] }
+    }
+
+    /// Adds the `rows` of one reading, exposed at `share` of the motion's duration; to `by_bend` only if that is asked for.
+    #[inline(always)]
+    pub fn add(&mut self, rows: &[Row<R>], share: R, has_bend: bool) {
+        let mut own = [share.constant(0.0); 6];
+        for row in rows {
+            self.chi2 += row.residual * row.residual;
+            for i in 0..6 {
+                own[i] += row.by_pose[i] * row.residual;
+            }
+        }
+        for i in 0..6 {
+            self.by_pose[i] += own[i];
+            self.by_twist[i] += share * own[i];
+        }
+        if has_bend {
+            for i in 0..6 {
+                self.by_bend[i] += share * share * own[i];
+            }
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn noise<S: Scalar>(emitter_gain: f64) -> CellNoise<S> {
+    fn noise<S: Number>(emitter_gain: f64) -> CellNoise<S> {
         CellNoise {
             shot: S::of(3.2e-15),
             johnson: S::of(3.4e-21),
@@ -218,7 +263,7 @@ mod tests {
 
     /// What moves light along the detector changes the ratio at a given sum; its weight must not
     /// depend on how little the gain is known.
-    fn ratio_weight<S: Scalar>(emitter_gain: f64) -> f64 {
+    fn ratio_weight<S: Number>(emitter_gain: f64) -> f64 {
         let pair = [S::of(2e-6), S::of(4e-6)];
         let whitener = noise::<S>(emitter_gain).whitener(pair);
         // Of all unit vectors the part across what the gain does.
@@ -229,7 +274,6 @@ mod tests {
     }
 
     /// The photons and the gain of one emitter, read twice: both readings together know them as well as one does.
-    #[cfg(feature = "effects")]
     #[test]
     fn what_two_axes_share_is_known_no_better_than_by_one() {
         let mut scene = super::super::fixture::head();

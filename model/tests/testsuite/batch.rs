@@ -1,16 +1,15 @@
 //! Many poses at once against the same one by one, bit for bit.
 
-use std::num::NonZero;
-use std::sync::atomic::{AtomicUsize, Ordering};
-
 use glam::{DQuat, DVec2, DVec3};
 use rand::{RngExt, SeedableRng};
 use slitpose_model::{
     Batch, MotionPrior, Outcome, Pair, Photocurrents, Plan, Pose, Profile, Reading, Scene, Solution, Solver, Start,
     Starts, Tier, Tracker, Twist, Width,
 };
+use std::num::NonZero;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
-use crate::common::{SEED, generator, six_cells, uniform, vector, wide};
+use crate::common::{SEED, generator, seen, six_cells, uniform, vector, wide};
 
 const EXACT: Tier = Tier::Exact { tolerance: 1e-6 };
 
@@ -22,7 +21,7 @@ const FEW: usize = 3_000;
 fn frame(solver: &Solver<f64>, rng: &mut rand_chacha::ChaCha8Rng, reach: f64) -> (Photocurrents, Pose) {
     let pose = Pose::from_vectors(vector(rng, 4e-3 * reach), vector(rng, 0.26 * reach));
     let cells = solver.plan().cell_count();
-    let mut readings = Photocurrents::of_pairs((0..cells).map(|k| solver.plan().photocurrents(k, &pose)));
+    let mut readings = seen(solver.plan(), &pose);
     for reading in &mut readings.cells {
         if let Reading::Light(pair) = reading {
             for current in [&mut pair.i_x1_a, &mut pair.i_x2_a] {
@@ -292,7 +291,7 @@ fn solvers_and_trackers_pass_through_small_stacks() {
         for tier in [Tier::Paper, Tier::Exact { tolerance: 1e-6 }] {
             let solver = Solver::<f64>::new(&wide(), tier).expect("scene").with_exposures(&[0.0; 6]).with_max_steps(9);
             let pose = Pose::from_vectors(DVec3::ZERO, DVec3::ZERO);
-            let seen = Photocurrents::of_pairs((0..6).map(|cell| solver.plan().photocurrents(cell, &pose)));
+            let seen = seen(solver.plan(), &pose);
             let mut tracker = Tracker::new(solver.clone(), 250e-6).with_filter(1e-3);
             for frame in 0..3 {
                 assert!(matches!(tracker.track(frame, &seen).solution.outcome, Outcome::Converged));

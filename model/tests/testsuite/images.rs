@@ -1,15 +1,16 @@
 //! Mirror images: other poses with nearly the same currents.
 
-use crate::common::{base, generator, pose_in_box, six_cells, uniform, vector, wide};
 use glam::{DQuat, DVec3};
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, StandardNormal};
 use slitpose_model::{
-    DegradedReason, MotionPrior, Outcome, Pair, Photocurrents, Plan, Pose, Profile, Reading, Scalar, Scene, Solution,
-    Solver, Start, Tier, Tracker,
+    DegradedReason, Outcome, Pair, Photocurrents, Plan, Pose, Profile, Reading, Scalar, Scene, Solution, Solver, Tier,
+    Tracker,
 };
 
-const TIERS: [Tier; 2] = [Tier::Paper, Tier::Exact { tolerance: 1e-6 }];
+use crate::common::{
+    self, TIERS, base, cold, errors_in_sigmas, generator, near, noisy, pairs, pose_in_box, six_cells, uniform, vector,
+    wide,
+};
 
 /// The geometry of `wide` with rolls of `middle_deg` ± `delta_rad` in turn.
 fn rolled(middle_deg: f64, delta_rad: f64) -> Scene {
@@ -44,12 +45,7 @@ fn machined(mut scene: Scene, rng: &mut ChaCha8Rng, rad: f64, mm: f64) -> Scene 
 
 /// Currents at `pose` with the converter's noise, which outweighs the rest.
 fn seen(solver: &Solver<f64>, pose: &Pose, rng: &mut ChaCha8Rng) -> Photocurrents {
-    let mut noisy =
-        |current: f64| current + 0.6e-9 * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, rng);
-    Photocurrents::of_pairs((0..solver.plan().cell_count()).map(|cell| {
-        let Pair { i_x1_a, i_x2_a } = solver.plan().photocurrents(cell, pose);
-        Pair { i_x1_a: noisy(i_x1_a), i_x2_a: noisy(i_x2_a) }
-    }))
+    noisy(&pairs(solver.plan(), pose), 0.6e-9, rng)
 }
 
 /// How many of `count` random poses were found, and how many were said to be ambiguous or not observable.
@@ -62,16 +58,11 @@ fn honest(name: &str, scene: &Scene, tier: Tier, rng: &mut ChaCha8Rng, count: us
     let (mut right, mut refused) = (0, 0);
     for _ in 0..count {
         let pose = pose_in_box(rng, 2.5, 9.0);
-        let solution = solver.solve(&seen(&solver, &pose, rng), Start::Cold, &MotionPrior::AT_REST);
+        let solution = cold(&solver, &seen(&solver, &pose, rng));
         match (solution.outcome, solution.estimate) {
             (Outcome::Ambiguous | Outcome::Unobservable(_), None) => refused += 1,
             (Outcome::Converged, Some(estimate)) => {
-                let (dt, dr) = estimate.pose.displacement_from(&pose);
-                let worst = [dt.x, dt.y, dt.z, dr.x, dr.y, dr.z]
-                    .iter()
-                    .zip(estimate.sigma())
-                    .map(|(error, sigma)| error.abs() / sigma)
-                    .fold(0.0, f64::max);
+                let worst = errors_in_sigmas(&estimate, &pose).into_iter().fold(0.0, f64::max);
                 assert!(worst < 8.0, "{name}, {tier:?}: {worst:.1} σ off at {pose:?}");
                 right += 1;
             }
@@ -128,8 +119,7 @@ fn cells_that_are_there_twice_tell_no_more_than_once() {
         let solver = Solver::<f64>::new(&doubled(rolls_deg), Tier::Paper).expect("scene");
         let ambiguous = (0..30).filter(|_| {
             let pose = pose_in_box(&mut rng, 2.5, 9.0);
-            solver.solve(&seen(&solver, &pose, &mut rng), Start::Cold, &MotionPrior::AT_REST).outcome
-                == Outcome::Ambiguous
+            cold(&solver, &seen(&solver, &pose, &mut rng)).outcome == Outcome::Ambiguous
         });
         let ambiguous = ambiguous.count();
         assert!(ambiguous > 25, "{rolls_deg:?}: {ambiguous} of 30");
@@ -139,15 +129,15 @@ fn cells_that_are_there_twice_tell_no_more_than_once() {
 #[test]
 fn a_head_of_equal_rolls_is_refused_where_it_is_singular_only() {
     let mut rng = generator();
-    // What is free at home: see PHYSICS of one cell in the module on observability.
+    // What is free at home: see the singular values of its factor.
     for (roll_deg, free) in [(45.0, "tz;rz"), (90.0, "rz")] {
         let solver = Solver::<f64>::new(&rolled(roll_deg, 0.0), Tier::Paper).expect("scene");
         assert_eq!(solver.free_directions(&Pose::HOME).expect("singular").to_string(), free);
-        let at_home = solver.solve(&seen(&solver, &Pose::HOME, &mut rng), Start::Cold, &MotionPrior::AT_REST);
+        let at_home = cold(&solver, &seen(&solver, &Pose::HOME, &mut rng));
         assert!(at_home.estimate.is_none(), "{roll_deg}°: {:?}", at_home.outcome);
         let found = (0..20).filter(|_| {
             let pose = pose_in_box(&mut rng, 2.5, 9.0);
-            let solution = solver.solve(&seen(&solver, &pose, &mut rng), Start::Cold, &MotionPrior::AT_REST);
+            let solution = cold(&solver, &seen(&solver, &pose, &mut rng));
             solution.estimate.is_some_and(|estimate| estimate.nees(&pose).is_some_and(|nees| nees < 50.0))
         });
         let found = found.count();
@@ -158,16 +148,13 @@ fn a_head_of_equal_rolls_is_refused_where_it_is_singular_only() {
 /// What a solver makes of noise-free light at home, expected there to 3 µm and 0.3 mrad, or anywhere.
 fn found_at_home<S: Scalar>(scene: &Scene, tier: Tier, rng: &mut ChaCha8Rng) -> Vec<Solution> {
     let light = Plan::<f64>::compile(scene, Tier::Exact { tolerance: 1e-15 }).expect("scene");
-    let readings = Photocurrents::of_pairs((0..6).map(|cell| light.photocurrents(cell, &Pose::HOME)));
+    let readings = common::seen(&light, &Pose::HOME);
     let solver = Solver::<S>::new(scene, tier).expect("scene");
     let mut solve = |_| {
         let prior = Pose::from_vectors(vector(rng, 3e-6), vector(rng, 3e-4));
-        solver.solve(&readings.rounded(), Start::Near(&prior), &MotionPrior::AT_REST).widened()
+        near(&solver, &readings.rounded(), &prior).widened()
     };
-    (0..20)
-        .map(&mut solve)
-        .chain([solver.solve(&readings.rounded(), Start::Cold, &MotionPrior::AT_REST).widened()])
-        .collect()
+    (0..20).map(&mut solve).chain([cold(&solver, &readings.rounded()).widened()]).collect()
 }
 
 #[test]
@@ -179,8 +166,10 @@ fn equal_rolls_at_home_are_not_observable_wherever_the_search_begins() {
         if roll_rad == 0.0 {
             found.extend(found_at_home::<f64>(&scene, Tier::Exact { tolerance: 1e-15 }, &mut rng));
         }
-        for Solution { outcome, .. } in found {
-            assert!(matches!(outcome, Outcome::Unobservable(_)), "±{roll_rad}: {outcome:?}");
+        for Solution { outcome, estimate, .. } in found {
+            let Outcome::Unobservable(free) = outcome else { panic!("±{roll_rad}: {outcome:?}") };
+            assert!(roll_rad > 0.0 || free.to_string() == "tz;rx;ry", "{free}");
+            assert!(estimate.is_none());
         }
     }
 }
@@ -192,11 +181,8 @@ fn a_way_that_ends_damped_leaves_the_covariance_as_it_is() {
         let scene = Scene { noise: None, ..rolled(0.0, roll_rad) };
         for solution in found_at_home::<f64>(&scene, Tier::Exact { tolerance: 1e-15 }, &mut rng) {
             let estimate = solution.estimate.expect("pose");
-            let (dt, dr) = estimate.pose.displacement_from(&Pose::HOME);
-            let errors = [dt.x, dt.y, dt.z, dr.x, dr.y, dr.z];
-            let worst = errors.iter().zip(estimate.sigma()).map(|(error, sigma)| error.abs() / sigma);
+            let worst = errors_in_sigmas(&estimate, &Pose::HOME).into_iter().fold(0.0, f64::max);
             // Currents count as rounded sixteen times; damping by 1e-10 of the information makes tens of σ of that.
-            let worst = worst.fold(0.0, f64::max);
             assert!(worst < 3.0, "±{roll_rad}: {worst} σ");
         }
     }
@@ -211,7 +197,7 @@ fn ordinary_heads_are_not_searched_for_images() {
             assert!(!solver.has_mirror_images(), "{name}, {tier:?}");
             let evaluations = (0..50).map(|_| {
                 let pose = pose_in_box(&mut rng, 2.0, 8.0);
-                solver.solve(&seen(&solver, &pose, &mut rng), Start::Cold, &MotionPrior::AT_REST).evaluations
+                cold(&solver, &seen(&solver, &pose, &mut rng)).evaluations
             });
             let evaluations: usize = evaluations.sum();
             assert!(evaluations < 50 * 6, "{name}, {tier:?}: {evaluations} for 50 poses");
@@ -233,12 +219,12 @@ fn five_cells_have_images_that_the_sixth_tells_apart() {
             let pose =
                 Pose::from_vectors(vector(&mut rng, 1e-3) * DVec3::new(1.0, 1.0, 0.0) + lift, vector(&mut rng, 0.05));
             let mut readings = seen(&solver, &pose, &mut rng);
-            let six = solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST);
+            let six = cold(&solver, &readings);
             if let Some(estimate) = six.estimate {
                 assert!(estimate.nees(&pose).is_some_and(|nees| nees < 60.0), "{tier:?} at {pose:?}");
             }
             readings.cells[0] = Reading::Missing;
-            let five = solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST);
+            let five = cold(&solver, &readings);
             assert_eq!(five.outcome, Outcome::Ambiguous, "{tier:?} at {pose:?}");
         }
     }
@@ -257,12 +243,12 @@ fn three_cells_alone_have_no_pose_from_nothing() {
             for (cell, reading) in [1, 3, 4].into_iter().zip(cells) {
                 readings.cells[cell] = reading;
             }
-            let solution = solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST);
+            let solution = cold(&solver, &readings);
             assert!(solution.estimate.is_none(), "{pose:?}");
             assert!(matches!(solution.outcome, Outcome::Ambiguous | Outcome::Diverged), "{:?}", solution.outcome);
         }
         // Where the tool was followed to, it is known.
-        let followed = solver.solve(&readings, Start::Near(&pose), &MotionPrior::AT_REST);
+        let followed = near(&solver, &readings, &pose);
         assert!(followed.estimate.is_some() || followed.outcome == Outcome::Ambiguous, "{:?}", followed.outcome);
     }
 }
@@ -278,13 +264,13 @@ fn three_cells_beside_dark_ones_have_no_pose_from_nothing() {
     while of_three < 40 {
         let pose = pose_in_box(&mut rng, 4.0, 15.0);
         let readings = seen(&solver, &pose, &mut rng);
-        let solution = solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST);
+        let solution = cold(&solver, &readings);
         if solution.cells_used.count() != 3 {
             continue;
         }
         of_three += 1;
         assert!(solution.estimate.is_none(), "{pose:?}");
-        let followed = solver.solve(&readings, Start::Near(&pose), &MotionPrior::AT_REST);
+        let followed = near(&solver, &readings, &pose);
         let is_open = matches!(followed.outcome, Outcome::Ambiguous | Outcome::Unobservable(_));
         assert!(followed.estimate.is_some() || is_open, "{:?}", followed.outcome);
     }
@@ -303,7 +289,7 @@ fn an_outlier_does_not_make_an_image_a_pose() {
             let mut readings = seen(&solver, &pose, &mut rng);
             let elsewhere = seen(&solver, &pose_in_box(&mut rng, 2.5, 9.0), &mut rng);
             readings.cells[cell] = elsewhere.cells[cell];
-            let solution = solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST);
+            let solution = cold(&solver, &readings);
             match solution.estimate.filter(|_| solution.excluded.contains(cell)) {
                 Some(estimate) => {
                     // 7e-10 of honest poses have more: χ² with six degrees of freedom.

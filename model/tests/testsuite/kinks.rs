@@ -1,14 +1,13 @@
 //! Poses at which a spot reaches its detector's end: there the derivatives of its current jump.
 
-use crate::common::{base, generator, pose_in_box, uniform, unit, vector};
 use glam::DVec3;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, StandardNormal};
 use slitpose_model::{
-    DegradedReason, MotionPrior, Outcome, Pair, Photocurrents, Plan, Pose, Scalar, Scene, Solution, Solver, Start,
-    Status, Tier,
+    DegradedReason, Outcome, Pair, Photocurrents, Plan, Pose, Scalar, Scene, Solution, Solver, Status, Tier,
 };
+
+use crate::common::{base, cold, generator, near, noisy, normal, pairs, pose_in_box, uniform, unit, vector};
 
 /// Converter noise of a head at its full rate, amperes.
 const NOISE_A: f64 = 1.8e-9;
@@ -53,15 +52,10 @@ fn solved<S: Scalar>(noise_a: f64) -> [Vec<(Pose, Solution)>; 2] {
     let mut solved = [const { Vec::new() }; 2];
     for _ in 0..POSES {
         let pose = beside_a_kink(&light, &mut rng);
-        let mut noisy =
-            |current: f64| current + noise_a * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut rng);
-        let readings = Photocurrents::of_pairs((0..6).map(|cell| {
-            let Pair { i_x1_a, i_x2_a } = light.photocurrents(cell, &pose);
-            Pair { i_x1_a: noisy(i_x1_a), i_x2_a: noisy(i_x2_a) }
-        }));
+        let readings = noisy(&pairs(&light, &pose), noise_a, &mut rng);
         let prior = pose.perturbed(vector(&mut rng, 5e-6), vector(&mut rng, 5e-4));
-        solved[0].push((pose, solver.solve(&readings.rounded(), Start::Cold, &MotionPrior::AT_REST).widened()));
-        solved[1].push((pose, solver.solve(&readings.rounded(), Start::Near(&prior), &MotionPrior::AT_REST).widened()));
+        solved[0].push((pose, cold(&solver, &readings.rounded()).widened()));
+        solved[1].push((pose, near(&solver, &readings.rounded(), &prior).widened()));
     }
     solved
 }
@@ -153,14 +147,14 @@ fn poses_among_many_clipped_spots_are_found() {
                     continue;
                 }
                 let mut noisy = |current: f64| {
-                    let normal: f64 = StandardNormal.sample(&mut rng);
+                    let normal = normal(&mut rng);
                     if current > 0.0 { current + noise_a * normal } else { 0.0 }
                 };
                 let readings = Photocurrents::of_pairs((0..scene.cells.len()).map(|cell| {
                     let Pair { i_x1_a, i_x2_a } = plan.photocurrents(cell, &pose);
                     Pair { i_x1_a: noisy(i_x1_a), i_x2_a: noisy(i_x2_a) }
                 }));
-                let solution = solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST);
+                let solution = cold(&solver, &readings);
                 tried += 1;
                 with_images += usize::from(solver.has_mirror_images());
                 match solution.estimate.filter(|_| solution.outcome != Outcome::Degraded(DegradedReason::Misfit)) {

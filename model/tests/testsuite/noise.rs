@@ -4,13 +4,13 @@
 //! Shot noise is counted in electrons, Johnson noise in the energy of a capacitor: neither uses the
 //! formulas of the solver's weights.
 
-use crate::common::{generator, pose_in_box, wide};
 use glam::DVec3;
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, StandardNormal};
 use slitpose_model::{
     MotionPrior, Noise, Outcome, Pair, Photocurrents, Plan, Pose, Scene, Solver, Start, Tier, Uncertainty,
 };
+
+use crate::common::{cold, errors_in_sigmas, generator, normal, pose_in_box, seen, wide};
 
 /// CODATA 2018, exact: coulombs and joules per kelvin.
 const ELECTRON_C: f64 = 1.602_176_634e-19;
@@ -20,10 +20,6 @@ const BOLTZMANN_J_PER_K: f64 = 1.380_649e-23;
 const SOME_A: f64 = 2e-11;
 
 const TRIALS: usize = 2000;
-
-fn normal(rng: &mut ChaCha8Rng) -> f64 {
-    StandardNormal.sample(rng)
-}
 
 /// The default head without noise, dark current or uncertainty.
 fn quiet() -> Scene {
@@ -59,15 +55,14 @@ fn study(scene: &Scene, measure: impl Fn(&Plan<f64>, usize, &Pose, &mut ChaCha8R
             let pair = measure(solver.plan(), cell, &truth, &mut rng);
             Pair { i_x1_a: pair.i_x1_a + SOME_A * normal(&mut rng), i_x2_a: pair.i_x2_a + SOME_A * normal(&mut rng) }
         });
-        let solution = solver.solve(&Photocurrents::of_pairs(pairs), Start::Cold, &MotionPrior::AT_REST);
+        let solution = cold(&solver, &Photocurrents::of_pairs(pairs));
         assert_eq!(solution.outcome, Outcome::Converged, "{truth:?}");
         let estimate = solution.estimate.expect("pose");
         found.chi2 += solution.chi2 / TRIALS as f64;
         found.nees += estimate.nees(&truth).expect("covariance") / TRIALS as f64;
-        let (dt, dr) = estimate.pose.displacement_from(&truth);
-        for (axis, sigma) in estimate.sigma().into_iter().enumerate() {
-            let error = if axis < 3 { dt[axis] } else { dr[axis - 3] };
-            found.errors[axis] += (error / sigma).powi(2) / TRIALS as f64;
+        for (axis, error) in errors_in_sigmas(&estimate, &truth).into_iter().enumerate() {
+            let sigma = estimate.sigma()[axis];
+            found.errors[axis] += error.powi(2) / TRIALS as f64;
             found.sigmas[axis] += sigma * sigma / TRIALS as f64;
         }
     }
@@ -201,7 +196,7 @@ fn dark_current_hides_neither_planes_nor_limits() {
             let solver = Solver::<f64>::new(&scene, tier).expect("scene");
             for _ in 0..50 {
                 let truth = pose_in_box(&mut rng, 2.0, 8.0);
-                let readings = Photocurrents::of_pairs((0..6).map(|cell| solver.plan().photocurrents(cell, &truth)));
+                let readings = seen(solver.plan(), &truth);
                 let off_m = |start| {
                     let pose = solver.solve(&readings, start, &MotionPrior::AT_REST).estimate.expect("pose").pose;
                     (pose.translation_m - truth.translation_m).length()
@@ -211,16 +206,12 @@ fn dark_current_hides_neither_planes_nor_limits() {
                 assert!(off_m(Start::Cold) < 1e-9, "{dark_a} {tier:?} {truth:?}: {}", off_m(Start::Cold));
             }
             // A detector saturates by all of its current, of which the dark one is no part of a reading.
-            let readings = Photocurrents::of_pairs((0..6).map(|cell| solver.plan().photocurrents(cell, &Pose::HOME)));
+            let readings = seen(solver.plan(), &Pose::HOME);
             let total_a = solver.plan().photocurrents(2, &Pose::HOME).total_a() + dark_a;
             for (limit_a, used) in [(total_a * 1.001, true), (total_a * 0.999, false)] {
                 scene.cells[2].detector.saturation_a = Some(limit_a);
                 let solver = Solver::<f64>::new(&scene, tier).expect("scene");
-                assert_eq!(
-                    solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST).cells_used.contains(2),
-                    used,
-                    "{dark_a} {tier:?}"
-                );
+                assert_eq!(cold(&solver, &readings).cells_used.contains(2), used, "{dark_a} {tier:?}");
                 assert_eq!(solver.plan().respond(2, &Pose::HOME).flags.saturated, !used, "{dark_a} {tier:?}");
             }
             scene.cells[2].detector.saturation_a = None;

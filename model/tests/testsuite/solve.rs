@@ -1,34 +1,14 @@
-//! The solver against poses it does not know.
+//! The solver against poses it does not know, outliers, gains nobody knows, and what a pose says of its own worth.
 
-use crate::common::{base, generator, pose_in_box, six_cells, vector, wide};
 use glam::DVec3;
-use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, StandardNormal};
 use slitpose_model::{
-    DegradedReason, MotionPrior, Outcome, Pair, Photocurrents, Plan, Pose, Reading, Scene, Solver, Start, Tier, Twist,
+    DegradedReason, MotionPrior, Outcome, Pair, Photocurrents, Plan, Pose, Reading, Scene, Solver, Start, Status, Tier,
+    Twist, Verified,
 };
 
-fn readings(plan: &Plan<f64>, pose: &Pose) -> Photocurrents {
-    Photocurrents::of_pairs((0..plan.cell_count()).map(|cell| plan.photocurrents(cell, pose)))
-}
-
-/// Noise of the scene's converter only: it outweighs the rest.
-fn noisy(rng: &mut ChaCha8Rng, readings: &Photocurrents, sigma_a: f64) -> Photocurrents {
-    let mut draw = || -> f64 { StandardNormal.sample(rng) };
-    Photocurrents {
-        cells: readings
-            .cells
-            .iter()
-            .map(|reading| match reading {
-                Reading::Light(pair) => Reading::Light(Pair {
-                    i_x1_a: pair.i_x1_a + sigma_a * draw(),
-                    i_x2_a: pair.i_x2_a + sigma_a * draw(),
-                }),
-                other => *other,
-            })
-            .collect(),
-    }
-}
+use crate::common::{
+    base, cold, errors_in_sigmas, generator, near, noisy, pairs, pose_in_box, seen, uniform, vector, wide,
+};
 
 fn lit(plan: &Plan<f64>, pose: &Pose) -> bool {
     (0..6).all(|cell| !plan.respond(cell, pose).flags.faint)
@@ -47,7 +27,7 @@ fn cold_start_finds_noise_free_poses() {
                     continue;
                 }
                 tried += 1;
-                let solution = solver.solve(&readings(solver.plan(), &pose), Start::Cold, &MotionPrior::AT_REST);
+                let solution = cold(&solver, &seen(solver.plan(), &pose));
                 iterations += solution.iterations;
                 let Some(estimate) = solution.estimate else {
                     println!("{name} {tier:?}: {:?} at {pose:?}", solution.outcome);
@@ -89,15 +69,12 @@ fn the_covariance_is_honest() {
         if !lit(solver.plan(), &pose) {
             continue;
         }
-        let solution =
-            solver.solve(&noisy(&mut rng, &readings(solver.plan(), &pose), 0.6e-9), Start::Cold, &MotionPrior::AT_REST);
+        let solution = cold(&solver, &noisy(&pairs(solver.plan(), &pose), 0.6e-9, &mut rng));
         let estimate = solution.estimate.expect("pose");
         sum += estimate.nees(&pose).expect("covariance");
         count += 1;
         sigmas.push(estimate.sigma()[0]);
-        let (dt, dr) = estimate.pose.displacement_from(&pose);
-        let error = [dt.x, dt.y, dt.z, dr.x, dr.y, dr.z];
-        beyond += error.iter().zip(estimate.sigma()).filter(|(e, s)| e.abs() > 5.0 * s).count();
+        beyond += errors_in_sigmas(&estimate, &pose).iter().filter(|&&error| error > 5.0).count();
     }
     let mean = sum / f64::from(count);
     sigmas.sort_by(f64::total_cmp);
@@ -116,9 +93,9 @@ fn fewer_cells_still_make_a_pose() {
     let mut rng = generator();
     for missing in 0..6 {
         let pose = pose_in_box(&mut rng, 2.0, 8.0);
-        let mut readings = readings(solver.plan(), &pose);
+        let mut readings = seen(solver.plan(), &pose);
         readings.cells[missing] = if missing % 2 == 0 { Reading::Missing } else { Reading::Saturated };
-        let solution = solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST);
+        let solution = cold(&solver, &readings);
         assert_eq!(solution.outcome, Outcome::Degraded(DegradedReason::FewerCells));
         assert_eq!((solution.cells_used.count(), solution.redundancy), (5, 4));
         let (dt, _) = solution.estimate.expect("pose").pose.displacement_from(&pose);
@@ -130,42 +107,19 @@ fn fewer_cells_still_make_a_pose() {
 fn too_little_light_says_so() {
     let solver = Solver::<f64>::new(&wide(), Tier::Paper).expect("scene");
     let dark = Photocurrents::of_pairs([Pair { i_x1_a: 1e-9, i_x2_a: 1e-9 }; 6]);
-    let solution = solver.solve(&dark, Start::Cold, &MotionPrior::AT_REST);
+    let solution = cold(&solver, &dark);
     assert_eq!(solution.outcome, Outcome::TooDark);
     assert!(solution.estimate.is_none());
 }
 
 #[test]
-fn equal_rolls_leave_directions_free() {
-    let solver = Solver::<f64>::new(&six_cells(7.5, 0.4, [0.0, 0.0]), Tier::Paper).expect("scene");
-    let solution = solver.solve(&readings(solver.plan(), &Pose::HOME), Start::Cold, &MotionPrior::AT_REST);
-    let Outcome::Unobservable(free) = solution.outcome else {
-        panic!("{:?}", solution.outcome);
-    };
-    assert_eq!(free.names().collect::<Vec<_>>(), ["tz", "rx", "ry"]);
-    assert!(solution.estimate.is_none());
-}
-
-#[test]
-fn nonsense_is_no_pose() {
+fn a_pose_from_currents_that_are_none_is_finite() {
     let solver = Solver::<f64>::new(&wide(), Tier::Paper).expect("scene");
-    let mut rng = generator();
-    for _ in 0..200 {
-        let pairs = [0; 6].map(|_| {
-            let v = vector(&mut rng, 5e-6);
-            Pair { i_x1_a: v.x.abs() + 1e-7, i_x2_a: v.y.abs() + 1e-7 }
-        });
-        let solution = solver.solve(&Photocurrents::of_pairs(pairs), Start::Cold, &MotionPrior::AT_REST);
-        if let Some(estimate) = solution.estimate {
-            assert_eq!(solution.outcome, Outcome::Degraded(DegradedReason::Misfit), "{pairs:?}");
-            assert!(estimate.pose.is_finite());
-        }
-    }
     for bad in [f64::NAN, f64::INFINITY, -1.0, 0.0, 1e300, -1e300] {
         let mut pairs = [Pair { i_x1_a: 3e-6, i_x2_a: 3e-6 }; 6];
         pairs[2].i_x1_a = bad;
         pairs[3].i_x2_a = bad;
-        let solution = solver.solve(&Photocurrents::of_pairs(pairs), Start::Cold, &MotionPrior::AT_REST);
+        let solution = cold(&solver, &Photocurrents::of_pairs(pairs));
         assert!(solution.estimate.is_none_or(|estimate| estimate.pose.is_finite()));
     }
 }
@@ -187,7 +141,7 @@ fn exposures_and_twist_are_inverted_together() {
         // Following a tool leaves a thousandth of σ: of 0.7 µm and 96 µrad, six axes together.
         assert!(dt.length() < 2e-9 && dr.length() < 3e-7, "{dt} {dr}");
         // Ignoring the order of exposure would be seen.
-        let ignored = solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST).estimate.expect("pose");
+        let ignored = cold(&solver, &readings).estimate.expect("pose");
         assert!(ignored.pose.displacement_from(&pose).0.length() > 1e-7);
     }
 }
@@ -200,8 +154,8 @@ fn single_precision_finds_the_same_pose() {
     let mut rng = generator();
     for _ in 0..500 {
         let pose = pose_in_box(&mut rng, 3.0, 10.0);
-        let readings = readings(double.plan(), &pose);
-        let estimate = single.solve(&readings.rounded(), Start::Cold, &MotionPrior::AT_REST).estimate.expect("pose");
+        let readings = seen(double.plan(), &pose);
+        let estimate = cold(&single, &readings.rounded()).estimate.expect("pose");
         let (dt, dr) = estimate.pose.displacement_from(&pose);
         // Rounding of f32: 6e-8 of lengths up to 25 mm, times a condition of some ten.
         assert!(dt.length() < 3e-8 && dr.length() < 4e-6, "{dt} {dr}");
@@ -212,8 +166,8 @@ fn single_precision_finds_the_same_pose() {
 fn a_solver_takes_another_scene_where_it_is() {
     let pose = Pose::from_vectors(DVec3::splat(1e-3), DVec3::splat(0.05));
     let same = |a: &Solver<f64>, b: &Solver<f64>| {
-        let readings = readings(b.plan(), &pose);
-        let [a, b] = [a, b].map(|solver| solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST));
+        let readings = seen(b.plan(), &pose);
+        let [a, b] = [a, b].map(|solver| cold(solver, &readings));
         assert!(b.estimate.is_some());
         assert_eq!((a.outcome, a.estimate, a.chi2), (b.outcome, b.estimate, b.chi2));
     };
@@ -224,13 +178,128 @@ fn a_solver_takes_another_scene_where_it_is() {
         same(&solver, &Solver::new(&scene, tier).expect("scene"));
         solver = solver.with_exposures(&[1e-3; 6]);
     }
-    let seen = readings(solver.plan(), &pose);
+    let seen = seen(solver.plan(), &pose);
     assert!(solver.set_scene(&Scene::default(), Tier::Paper).is_err());
     for none in [solver, Solver::empty()] {
-        assert_eq!(
-            (none.plan().cell_count(), none.solve(&seen, Start::Cold, &MotionPrior::AT_REST).outcome.has_pose()),
-            (0, false)
-        );
-        assert!(!none.solve(&seen, Start::Near(&pose), &MotionPrior::AT_REST).outcome.has_pose());
+        assert_eq!((none.plan().cell_count(), cold(&none, &seen).outcome.has_pose()), (0, false));
+        assert!(!near(&none, &seen, &pose).outcome.has_pose());
     }
+}
+
+/// Converter noise of the scene, amperes: it outweighs the rest.
+const NOISE_A: f64 = 0.6e-9;
+
+#[test]
+fn a_cell_that_answers_for_another_pose_is_left_out_and_named() {
+    let solver = Solver::<f64>::new(&wide(), Tier::Paper).expect("scene");
+    let mut rng = generator();
+    let (mut named, mut tried) = (0, 0);
+    while tried < 500 {
+        let (pose, other) = (pose_in_box(&mut rng, 3.0, 12.0), pose_in_box(&mut rng, 3.0, 12.0));
+        let outlier = tried % 6;
+        let (mut cells, error) = (pairs(solver.plan(), &pose), pairs(solver.plan(), &other));
+        cells[outlier] = error[outlier];
+        let readings = noisy(&cells, NOISE_A, &mut rng);
+        tried += 1;
+        for solution in [cold(&solver, &readings), near(&solver, &readings, &pose)] {
+            assert_ne!(solution.outcome, Outcome::Converged, "cell {outlier} at {pose:?} for {other:?}");
+            if solution.outcome == Outcome::Degraded(DegradedReason::CellExcluded) {
+                assert!(solution.excluded.contains(outlier) && solution.excluded.count() == 1);
+                assert_eq!((solution.cells_used.count(), solution.redundancy), (5, 4));
+                let nees = solution.estimate.and_then(|estimate| estimate.nees(&pose)).expect("covariance");
+                // χ² of six degrees exceeds 40 once in two million times.
+                assert!(nees < 40.0, "{nees}");
+                named += 1;
+            }
+        }
+    }
+    println!("{named} of {} outliers named", 2 * tried);
+    // The rest are too small to be told from noise with certainty, or too wild for a fit.
+    assert!(named >= 990);
+}
+
+#[test]
+fn five_cells_do_not_tell_which_of_them_lies() {
+    let solver = Solver::<f64>::new(&wide(), Tier::Paper).expect("scene");
+    let mut rng = generator();
+    for _ in 0..20 {
+        let (pose, other) = (pose_in_box(&mut rng, 2.0, 8.0), pose_in_box(&mut rng, 2.0, 8.0));
+        let mut readings = seen(solver.plan(), &pose);
+        readings.cells[0] = Reading::Missing;
+        readings.cells[3] = Reading::Light(pairs(solver.plan(), &other)[3]);
+        let solution = near(&solver, &readings, &pose);
+        assert!(solution.excluded.is_empty());
+        assert!(!matches!(solution.outcome, Outcome::Converged | Outcome::Degraded(DegradedReason::FewerCells)));
+    }
+}
+
+#[test]
+fn a_pose_says_how_well_it_was_checked() {
+    let solver = Solver::<f64>::new(&wide(), Tier::Paper).expect("scene");
+    let mut readings = seen(solver.plan(), &Pose::HOME);
+    let all = cold(&solver, &readings);
+    for cell in [0, 2, 4] {
+        readings.cells[cell] = Reading::Missing;
+    }
+    let three = near(&solver, &readings, &Pose::HOME);
+    assert!(all.unnoticed_sigmas.is_finite() && all.verified() != Verified::Not, "{}", all.unnoticed_sigmas);
+    assert_eq!((three.redundancy, three.verified()), (0, Verified::Not));
+}
+
+#[test]
+fn gains_that_nobody_knows_leave_the_positions() {
+    let mut rng = generator();
+    let mut known = wide();
+    known.noise.as_mut().expect("noise").adc_a = NOISE_A;
+    let mut unknown = known.clone();
+    let reference = Solver::<f64>::new(&known, Tier::Paper).expect("scene");
+    for gain in [0.01, 1.0, 100.0] {
+        unknown.uncertainty.emitter_gain_relative = gain;
+        let solver = Solver::<f64>::new(&unknown, Tier::Paper).expect("scene");
+        for _ in 0..50 {
+            let pose = pose_in_box(&mut rng, 3.0, 10.0);
+            // Gains as far off as one may think of them.
+            let cells = pairs(reference.plan(), &pose).into_iter().map(|pair| {
+                let factor =
+                    if gain < 0.1 { 1.0 + uniform(&mut rng, -0.02, 0.02) } else { uniform(&mut rng, 0.5, 2.0) };
+                Pair { i_x1_a: factor * pair.i_x1_a, i_x2_a: factor * pair.i_x2_a }
+            });
+            let solution = cold(&solver, &Photocurrents::of_pairs(cells));
+            assert_eq!(solution.outcome, Outcome::Converged, "gain {gain}");
+            let estimate = solution.estimate.expect("pose");
+            let nees = estimate.nees(&pose).expect("covariance");
+            // Two σ of each gain at most: Σ of six squares of those, all of it in the pose.
+            assert!(nees < 24.0, "gain {gain}: {nees}");
+            let bound = reference.bound(&pose).expect("observable");
+            assert!(estimate.covariance[0][0] > 2.0 * bound[0][0], "gain {gain}");
+        }
+    }
+}
+
+#[test]
+fn clipped_cells_are_left_out_where_that_is_asked_for() {
+    let solver = Solver::<f64>::new(&base(), Tier::Paper).expect("scene");
+    let careful = solver.clone().without_clipped();
+    let mut rng = generator();
+    let mut left_out = 0;
+    for _ in 0..1000 {
+        let pose = pose_in_box(&mut rng, 4.0, 15.0);
+        let readings = seen(solver.plan(), &pose);
+        let status = |cell| solver.plan().respond(cell, &pose).status;
+        let used = near(&careful, &readings, &pose).cells_used;
+        for cell in 0..6 {
+            // The end of the unclipped range is that of an emitter at home, and moves with it.
+            let reading = readings.cells[cell];
+            let Reading::Light(pair) = reading else { unreachable!("all are measured") };
+            let share = ((pair.i_x2_a - pair.i_x1_a) / pair.total_a()).abs();
+            if status(cell) == Status::Clipped && share > 0.95 {
+                assert!(!used.contains(cell), "cell {cell} at {pose:?}");
+                left_out += 1;
+            }
+            if status(cell) == Status::Lit && share < 0.9 {
+                assert!(used.contains(cell), "cell {cell} at {pose:?}");
+            }
+        }
+    }
+    assert!(left_out > 10, "{left_out}");
 }

@@ -17,7 +17,7 @@ use crate::effects::Window;
 use crate::pose::rotation_exp;
 use crate::rectangle::{Edge, Extent, Rectangle, RectangleLight, SideGradient};
 use crate::response::Status;
-use crate::scalar::{Linear3, Scalar, Vector3};
+use crate::scalar::{Linear3, Number, Vector3};
 use crate::scene::Slit;
 
 use super::super::optics::{Light, Place};
@@ -26,10 +26,9 @@ use crate::polygon::EmitterGradient;
 /// Sine of the greatest turn of a slit for which this geometry stands.
 const MOST_TURN: f64 = 0.18;
 
-/// A slit and a window, compiled.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(bound = "", from = "Parts<S>", into = "Parts<S>")]
-pub(super) struct Beam<S: Scalar> {
+pub struct Beam<S: Number> {
     faces: [Face<S>; 2],
     face_count: usize,
     /// Normal of the mask, away from the detector.
@@ -37,10 +36,9 @@ pub(super) struct Beam<S: Scalar> {
     parts: Parts<S>,
 }
 
-/// What a beam is made of.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 #[serde(bound = "")]
-struct Parts<S: Scalar> {
+struct Parts<S: Number> {
     /// Directions along the width and the length of the slit, and half of both.
     across: S::Vec3,
     along: S::Vec3,
@@ -52,7 +50,7 @@ struct Parts<S: Scalar> {
 
 /// One face of the slit: q × a of its two long edges, and the middles of its short ones.
 #[derive(Clone, Copy, Debug)]
-struct Face<S: Scalar> {
+struct Face<S: Number> {
     moments: [S::Vec3; 2],
     ends: [S::Vec3; 2],
 }
@@ -65,7 +63,7 @@ struct Glass<S> {
     excess: S,
 }
 
-impl<S: Scalar> Glass<S> {
+impl<S: Number> Glass<S> {
     /// δ, and its first three derivatives, at tan²θ.
     #[inline(always)]
     fn raise(&self, tangent2: S) -> (S, [S; 3]) {
@@ -77,7 +75,7 @@ impl<S: Scalar> Glass<S> {
     }
 }
 
-impl<S: Scalar> From<Parts<S>> for Beam<S> {
+impl<S: Number> From<Parts<S>> for Beam<S> {
     fn from(parts: Parts<S>) -> Self {
         let Parts { across, along, half_sizes: [half_width, half_length], centre, half_thickness, .. } = parts;
         let normal = across.cross(along);
@@ -96,7 +94,7 @@ impl<S: Scalar> From<Parts<S>> for Beam<S> {
     }
 }
 
-impl<S: Scalar> From<Beam<S>> for Parts<S> {
+impl<S: Number> From<Beam<S>> for Parts<S> {
     fn from(beam: Beam<S>) -> Self {
         beam.parts
     }
@@ -104,7 +102,7 @@ impl<S: Scalar> From<Beam<S>> for Parts<S> {
 
 /// How far the detector appears raised, at the middle ray of the beam.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Raise<S: Scalar> {
+pub struct Raise<S: Number> {
     height: S,
     by_position: S::Vec3,
     /// tan θ along x and along y, and their derivatives by the emitter's position.
@@ -114,7 +112,7 @@ pub(super) struct Raise<S: Scalar> {
     slopes: [S; 3],
 }
 
-impl<S: Scalar> Raise<S> {
+impl<S: Number> Raise<S> {
     fn none() -> Self {
         let zero = S::zero();
         Self {
@@ -158,20 +156,20 @@ impl<S: Scalar> Raise<S> {
 }
 
 /// The spot as a rectangle in the plane of the raised detector, and how its sides move with the emitter.
-pub(super) struct Spot<S: Scalar> {
-    pub(super) rectangle: Rectangle<S>,
+pub struct Spot<S: Number> {
+    pub rectangle: Rectangle<S>,
     sides: [S::Vec3; 4],
     raise: Raise<S>,
     /// How far the spot may change before an edge of the detector bounds it, or bounds it no more.
-    pub(super) slack_m: S,
+    pub slack_m: S,
     /// How far the emitter may move before the other face of a thick mask bounds the spot.
-    pub(super) wall_m: S,
+    pub wall_m: S,
 }
 
 /// A long edge, projected: the side X = m·e/(m_x − e_y·a_z + e_z·a_y) of the spot, m about the middle of the raised
 /// detector, and one over the denominator.
 #[derive(Clone, Copy)]
-struct Projected<S: Scalar> {
+struct Projected<S: Number> {
     at: S,
     moment: S::Vec3,
     per: S,
@@ -179,14 +177,14 @@ struct Projected<S: Scalar> {
 
 /// A side of the spot: its place on the detector, and the face that bounds it; `None`: the detector does.
 #[derive(Clone, Copy)]
-struct Side<S: Scalar> {
+struct Side<S: Number> {
     at: S,
     face: Option<usize>,
 }
 
-impl<S: Scalar> Beam<S> {
+impl<S: Number> Beam<S> {
     /// `None`: the slit is turned too far for this geometry.
-    pub(super) fn compile(slit: &Slit, window: Option<Window>) -> Option<Self> {
+    pub fn compile(slit: &Slit, window: Option<Window>) -> Option<Self> {
         let axes = DMat3::from_quat(rotation_exp(slit.tilt_rad));
         if axes.y_axis.y < libm::sqrt(1.0 - MOST_TURN * MOST_TURN) || axes.x_axis.x < 0.0 || axes.z_axis.z < 0.0 {
             return None;
@@ -264,7 +262,6 @@ impl<S: Scalar> Beam<S> {
         Projected { at: moment.dot(raised) * per, moment, per }
     }
 
-    /// How that side moves with the emitter at `e`.
     #[inline(always)]
     fn edge_slope(&self, Projected { at, moment: m, per }: Projected<S>, e: S::Vec3, raise: &Raise<S>) -> S::Vec3 {
         let a = self.parts.along;
@@ -282,7 +279,7 @@ impl<S: Scalar> Beam<S> {
 
     /// The spot of an emitter at `e`, on a detector of half extents `half`. `CUTS`: with how a window moves the sides that
     /// the detector's edges cut off, 10⁻³ of the emitter's way.
-    pub(super) fn spot<const GRADIENT: bool, const CUTS: bool>(
+    pub fn spot<const GRADIENT: bool, const CUTS: bool>(
         &self,
         e: S::Vec3,
         half: [S; 2],
@@ -363,9 +360,9 @@ impl<S: Scalar> Beam<S> {
     }
 }
 
-impl<S: Scalar> Spot<S> {
+impl<S: Number> Spot<S> {
     /// Power and position of the light in terms of the emitter, from those in terms of the sides.
-    pub(super) fn of_sides<const GRADIENT: bool>(&self, light: &RectangleLight<S>) -> Light<S> {
+    pub fn of_sides<const GRADIENT: bool>(&self, light: &RectangleLight<S>) -> Light<S> {
         let (bend, bend_by) = self.raise.bend(&self.rectangle, &self.sides);
         let x_a = self.rectangle.x.landing + light.centroid.value + bend;
         if !GRADIENT {
@@ -404,7 +401,7 @@ impl<S: Scalar> Spot<S> {
     /// [`crate::exact::narrow_light`], of which `drift` is what comes second. What bends the light in a window counts, and
     /// how that changes, by 10⁻⁴ of the emitter's way, does not.
     #[inline(always)]
-    pub(super) fn of_narrow(&self, light: &RectangleLight<S>, drift: S) -> (EmitterGradient<S>, S, S::Vec3) {
+    pub fn of_narrow(&self, light: &RectangleLight<S>, drift: S) -> (EmitterGradient<S>, S, S::Vec3) {
         let mut x_a = self.rectangle.x.landing + light.centroid.value;
         if self.raise.height > S::zero() {
             x_a += self.raise.bend(&self.rectangle, &self.sides).0;
@@ -415,7 +412,7 @@ impl<S: Scalar> Spot<S> {
     }
 
     /// The raised plane's height above the detector, and its derivatives by the emitter's position.
-    pub(super) fn raise(&self) -> (S, S::Vec3) {
+    pub fn raise(&self) -> (S, S::Vec3) {
         (self.raise.height, self.raise.by_position)
     }
 }

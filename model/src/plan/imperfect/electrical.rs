@@ -4,16 +4,15 @@ use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
 use crate::effects::{Effects, MAX_CONVERTER, MAX_NONLINEARITY, Stray};
-use crate::scalar::{Linear3, Scalar};
+use crate::scalar::{Linear3, Number};
 
 use super::super::CurrentsJacobian;
 use super::super::optics::Receiver;
 use super::Sums;
 
-/// The electrical effects of one cell, compiled.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(bound = "")]
-pub(super) struct Electrical<S: Scalar> {
+pub struct Electrical<S: Number> {
     per_half_length: S,
     nonlinearity: Option<[S; MAX_NONLINEARITY]>,
     stray: Option<CompiledStray<S>>,
@@ -37,7 +36,7 @@ struct CompiledConverters<S> {
 /// Σ coefficient·xᵏ and its derivative, N even: even and odd powers apart, for each multiplication waits for the one
 /// before.
 #[inline(always)]
-fn polynomial<S: Scalar, const N: usize>(coefficients: &[S; N], x: S) -> (S, S) {
+fn polynomial<S: Number, const N: usize>(coefficients: &[S; N], x: S) -> (S, S) {
     let (square, twice) = (x * x, S::two() * x);
     let [even, odd] = [0, 1].map(|first| {
         let (mut value, mut slope) = (S::zero(), S::zero());
@@ -51,12 +50,12 @@ fn polynomial<S: Scalar, const N: usize>(coefficients: &[S; N], x: S) -> (S, S) 
 }
 
 /// Coefficients, and zeros up to the most that there may be.
-fn filled<S: Scalar, const N: usize>(coefficients: &Vec<f64, N>) -> [S; N] {
+fn filled<S: Number, const N: usize>(coefficients: &Vec<f64, N>) -> [S; N] {
     core::array::from_fn(|k| S::of(coefficients.get(k).copied().unwrap_or(0.0)))
 }
 
-impl<S: Scalar> Electrical<S> {
-    pub(super) fn compile(effects: &Effects, half_length_m: f64) -> Self {
+impl<S: Number> Electrical<S> {
+    pub fn compile(effects: &Effects, half_length_m: f64) -> Self {
         Self {
             per_half_length: S::of(half_length_m).recip(),
             nonlinearity: (!effects.nonlinearity_m.is_empty()).then(|| filled(&effects.nonlinearity_m)),
@@ -75,7 +74,7 @@ impl<S: Scalar> Electrical<S> {
 
     /// The position that the detector shows for light at `x_a`, and its derivative.
     #[inline(always)]
-    pub(super) fn measured(&self, x_a: S) -> (S, S) {
+    pub fn measured(&self, x_a: S) -> (S, S) {
         let Some(nonlinearity) = &self.nonlinearity else {
             return (x_a, S::one());
         };
@@ -86,7 +85,7 @@ impl<S: Scalar> Electrical<S> {
     /// The currents above dark with the cell's own emitter at `own_level`, relative to nominal, and the tool's origin at
     /// `translation`, and their derivatives by the pose. In the paper tier I_D is divided, too: `divides_dark`.
     #[inline(always)]
-    pub(super) fn currents<const GRADIENT: bool>(
+    pub fn currents<const GRADIENT: bool>(
         &self,
         receiver: &Receiver<S>,
         divides_dark: bool,

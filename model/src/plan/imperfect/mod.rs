@@ -3,24 +3,22 @@
 //! Cells without effects never come here. The light of every emitter that is lit adds its power and its moment, power
 //! times position, so that stray light, other emitters and the points of an extended source need no case of their own.
 
-mod beam;
-mod compact;
-mod electrical;
+pub mod beam;
+pub mod electrical;
 mod opening;
-mod passage;
+pub mod passage;
 
 use heapless::Vec;
 
 use crate::effects::{AZIMUTHAL_TERMS, Effects};
+use crate::entries::Scalar;
 use crate::paper;
 use crate::polygon::MAX_CORNERS;
 use crate::pose::Transform;
 use crate::profile::CompiledProfile;
 use crate::response::{Flags, Integration, Pair, Response, Status};
-use crate::scalar::{Linear3, Scalar, Vector3};
+use crate::scalar::{Linear3, Number, Vector3};
 use crate::scene::Cell;
-
-pub(super) use self::compact::CompactImperfect;
 
 use self::beam::Beam;
 use self::electrical::Electrical;
@@ -29,25 +27,22 @@ use self::passage::{Passage, Passed, pass};
 use super::optics::{Place, Seen, Source};
 use super::{CellTerms, CompiledCell, CompiledEmitter, Plan};
 
-/// The effects of one cell, compiled.
 #[derive(Clone, Debug)]
-pub(super) struct Imperfect<S: Scalar> {
-    passage: Passage<S>,
-    electrical: Electrical<S>,
-    source: ExtendedSource<S>,
-    /// Bit j: emitter j is lit, too.
-    lit_together: u16,
-    /// See [`Effects::other_axis`].
-    other_axis: Option<usize>,
+pub struct Imperfect<S: Number> {
+    pub passage: Passage<S>,
+    pub electrical: Electrical<S>,
+    pub source: ExtendedSource<S>,
+    pub lit_together: u16,
+    pub other_axis: Option<usize>,
 }
 
 /// What an emitter has beyond its place, axis and profile.
 #[derive(Clone, Debug)]
-struct ExtendedSource<S: Scalar> {
+pub struct ExtendedSource<S: Number> {
     /// Directions v and w across the axis, tool frame.
-    across: [S::Vec3; 2],
+    pub across: [S::Vec3; 2],
     /// Coefficients of v² − w², 2vw, zv, zw; `None`: the profile has no azimuth.
-    azimuthal: Option<[S; AZIMUTHAL_TERMS]>,
+    pub azimuthal: Option<[S; AZIMUTHAL_TERMS]>,
     /// Radius of the points of the source around its centre, metres; zero: a point.
     radius: S,
 }
@@ -68,9 +63,9 @@ const CENTRE_WEIGHT: f64 = 0.25;
 /// √⅔.
 const RING_RADIUS: f64 = 0.816_496_580_927_726;
 
-impl<S: Scalar> Imperfect<S> {
+impl<S: Number> Imperfect<S> {
     /// `None`: the slit on the base is turned too far. The profile's radial part is in the cell's [`CompiledProfile`].
-    pub(super) fn compile(cell: &Cell, effects: &Effects) -> Option<Self> {
+    pub fn compile(cell: &Cell, effects: &Effects) -> Option<Self> {
         Some(Self {
             passage: match Opening::compile(cell, effects.opening) {
                 Some(opening) => Passage::Opening(opening),
@@ -82,19 +77,9 @@ impl<S: Scalar> Imperfect<S> {
             other_axis: effects.other_axis,
         })
     }
-
-    /// See [`Plan::lit_together`].
-    pub(super) fn lit_together(&self) -> u16 {
-        self.lit_together
-    }
-
-    /// The cell that reads the other axis of the same detector.
-    pub(super) fn other_axis(&self) -> Option<usize> {
-        self.other_axis
-    }
 }
 
-impl<S: Scalar> ExtendedSource<S> {
+impl<S: Number> ExtendedSource<S> {
     fn compile(axis: glam::DVec3, effects: &Effects) -> Self {
         let reference = if axis.z.abs() > core::f64::consts::FRAC_1_SQRT_2 { glam::DVec3::X } else { glam::DVec3::Z };
         let v = (reference - axis * axis.dot(reference)).normalize_or_zero();
@@ -110,7 +95,7 @@ impl<S: Scalar> ExtendedSource<S> {
 /// The factor 1 + Σ azimuthal of the ray along the unit vector `ray`, with the axes v, w and u of the emitter, and its
 /// derivatives by the components of the ray along them, as one vector.
 #[inline(always)]
-fn azimuthal_factor<S: Scalar>(
+pub fn azimuthal_factor<S: Number>(
     coefficients: &[S; AZIMUTHAL_TERMS],
     [v_axis, w_axis, axis]: [S::Vec3; 3],
     ray: S::Vec3,
@@ -128,22 +113,22 @@ fn azimuthal_factor<S: Scalar>(
 
 /// Light on a detector: power and moment in amperes and ampere metres, with derivatives by the pose.
 #[derive(Clone, Copy)]
-struct Sums<S> {
-    total: S,
-    moment: S,
-    total_by: [S; 6],
-    moment_by: [S; 6],
+pub struct Sums<S> {
+    pub total: S,
+    pub moment: S,
+    pub total_by: [S; 6],
+    pub moment_by: [S; 6],
 }
 
-impl<S: Scalar> Sums<S> {
-    fn none() -> Self {
+impl<S: Number> Sums<S> {
+    pub fn none() -> Self {
         let zero = S::zero();
         Self { total: zero, moment: zero, total_by: [zero; 6], moment_by: [zero; 6] }
     }
 }
 
 /// What is known besides of the spot of the cell's own emitter.
-struct Own<S: Scalar> {
+struct Own<S: Number> {
     status: Status,
     slack_m: S,
     photocurrent: S,
@@ -287,7 +272,7 @@ fn gather<S: Scalar, const GRADIENT: bool>(
 
 #[cold]
 #[inline(never)]
-pub(super) fn photocurrents<S: Scalar>(
+pub fn photocurrents<S: Scalar>(
     plan: &Plan<S>,
     cell: &CompiledCell<S>,
     imperfect: &Imperfect<S>,
@@ -301,7 +286,7 @@ pub(super) fn photocurrents<S: Scalar>(
 
 #[cold]
 #[inline(never)]
-pub(super) fn linearise<S: Scalar>(
+pub fn linearise<S: Scalar>(
     plan: &Plan<S>,
     cell: &CompiledCell<S>,
     imperfect: &Imperfect<S>,
@@ -319,7 +304,7 @@ pub(super) fn linearise<S: Scalar>(
 
 #[cold]
 #[inline(never)]
-pub(super) fn respond<S: Scalar>(
+pub fn respond<S: Scalar>(
     plan: &Plan<S>,
     cell: &CompiledCell<S>,
     imperfect: &Imperfect<S>,
@@ -360,7 +345,7 @@ pub(super) fn respond<S: Scalar>(
     }
 }
 
-impl<S: Scalar> Imperfect<S> {
+impl<S: Number> Imperfect<S> {
     /// Solid angle and angle of emission of the light of the emitter's centre.
     fn middle_beam(
         &self,
@@ -387,8 +372,7 @@ impl<S: Scalar> Imperfect<S> {
     }
 }
 
-/// Corners of the spot on the detector.
-pub(super) fn outline<S: Scalar>(
+pub fn outline<S: Number>(
     cell: &CompiledCell<S>,
     imperfect: &Imperfect<S>,
     pose: &Transform<S>,
@@ -411,7 +395,7 @@ pub(super) fn outline<S: Scalar>(
 }
 
 /// See [`Plan::photocurrents_of`]; of the emitter of each cell in `lit`, at its level.
-pub(super) fn photocurrents_of_emitters<'a, S: Scalar>(
+pub fn photocurrents_of_emitters<'a, S: Scalar>(
     plan: &Plan<S>,
     cell: &CompiledCell<S>,
     imperfect: &Imperfect<S>,

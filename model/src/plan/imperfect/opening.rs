@@ -17,7 +17,7 @@ use crate::polygon::{EmitterGradient, MAX_CORNERS, Motion, Polygon};
 use crate::pose::{Transform, rotation_exp};
 use crate::profile::Emission;
 use crate::response::{Integration, Status};
-use crate::scalar::{Linear3, Scalar, Vector3};
+use crate::scalar::{Linear3, Number, Vector3};
 use crate::scene::Cell;
 
 use super::super::optics::{Light, Place, Receiver, Seen, Source};
@@ -26,16 +26,15 @@ use super::super::optics::{Light, Place, Receiver, Seen, Source};
 /// hole's size moves the light, is 0.1 % more than the circle's.
 const CIRCLE_CORNERS: usize = 10;
 
-/// An opening, compiled.
 #[derive(Clone, Debug)]
-pub(super) enum Opening<S: Scalar> {
+pub enum Opening<S: Number> {
     Riding(RidingSlit<S>),
     Round(Hole<S>),
 }
 
 /// A slit on the tool, tool frame.
 #[derive(Clone, Debug)]
-pub(super) struct RidingSlit<S: Scalar> {
+pub struct RidingSlit<S: Number> {
     faces: [[S::Vec3; 4]; 2],
     face_count: usize,
     centre: S::Vec3,
@@ -46,7 +45,7 @@ pub(super) struct RidingSlit<S: Scalar> {
 
 /// A round hole, cell frame.
 #[derive(Clone, Debug)]
-pub(super) struct Hole<S: Scalar> {
+pub struct Hole<S: Number> {
     around: [S::Vec3; CIRCLE_CORNERS],
     centre: S::Vec3,
     /// h/f; zero: no lens.
@@ -54,10 +53,10 @@ pub(super) struct Hole<S: Scalar> {
 }
 
 /// The spot, and how far light is bent on the way to it.
-pub(super) struct Spot<S: Scalar> {
+pub struct Spot<S: Number> {
     /// As it would be without a lens.
     polygon: Polygon<S>,
-    pub(super) status: Status,
+    pub status: Status,
     bent: Bent<S>,
 }
 
@@ -72,9 +71,9 @@ struct Bent<S> {
     chief_by_z: [S; 2],
 }
 
-impl<S: Scalar> Opening<S> {
+impl<S: Number> Opening<S> {
     /// `None` for a slit on the base.
-    pub(super) fn compile(cell: &Cell, kind: Kind) -> Option<Self> {
+    pub fn compile(cell: &Cell, kind: Kind) -> Option<Self> {
         let slit = &cell.slit;
         let centre = DVec3::new(slit.offset_m.x, slit.offset_m.y, slit.distance_m);
         let hole = |power: f64| {
@@ -100,8 +99,7 @@ impl<S: Scalar> Opening<S> {
         })
     }
 
-    /// The middle of a round hole.
-    pub(super) fn hole_centre(&self) -> Option<S::Vec3> {
+    pub fn hole_centre(&self) -> Option<S::Vec3> {
         match self {
             Self::Riding(_) => None,
             Self::Round(hole) => Some(hole.centre),
@@ -109,7 +107,7 @@ impl<S: Scalar> Opening<S> {
     }
 
     /// The spot of an emitter `seen` with the tool at `pose`.
-    pub(super) fn spot(
+    pub fn spot(
         &self,
         receiver: &Receiver<S>,
         source: &Source<S>,
@@ -123,7 +121,7 @@ impl<S: Scalar> Opening<S> {
     }
 }
 
-impl<S: Scalar> RidingSlit<S> {
+impl<S: Number> RidingSlit<S> {
     fn compile(cell: &Cell, centre: DVec3) -> Self {
         let (slit, detector) = (&cell.slit, &cell.detector);
         let [x_axis, z_axis] = [detector.x_axis_base, detector.normal_base].map(DVec3::normalize);
@@ -171,7 +169,7 @@ impl<S: Scalar> RidingSlit<S> {
     }
 }
 
-impl<S: Scalar> Hole<S> {
+impl<S: Number> Hole<S> {
     fn spot(&self, receiver: &Receiver<S>, seen: &Seen<S>) -> Result<Spot<S>, Status> {
         let e = seen.position;
         if e.z() <= self.centre.z() {
@@ -187,7 +185,7 @@ impl<S: Scalar> Hole<S> {
     }
 }
 
-impl<S: Scalar> Bent<S> {
+impl<S: Number> Bent<S> {
     /// Of light that goes straight on.
     fn not() -> Self {
         let zero = S::zero();
@@ -246,9 +244,9 @@ impl<S: Scalar> Bent<S> {
 /// Light, and its derivatives by a turn of what rides with the emitter.
 type Turned<S> = (Light<S>, Turn<S>);
 
-impl<S: Scalar> Spot<S> {
+impl<S: Number> Spot<S> {
     /// The light of the spot, and how it changes with a turn of what rides with the emitter.
-    pub(super) fn light<E: Emission<S>, const GRADIENT: bool>(
+    pub fn light<E: Emission<S>, const GRADIENT: bool>(
         &self,
         seen: &Seen<S>,
         emission: &E,
@@ -266,18 +264,16 @@ impl<S: Scalar> Spot<S> {
     }
 
     /// From the emitter to the middle of the spot without a lens.
-    pub(super) fn middle(&self) -> S::Vec3 {
+    pub fn middle(&self) -> S::Vec3 {
         let [x, y] = self.polygon.centroid();
         S::Vec3::new(x, y, -self.polygon.height())
     }
 
-    /// The solid angle of the light, steradians.
-    pub(super) fn solid_angle(&self) -> S {
-        crate::solid_angle::of_fan(self.polygon.corners()[0], self.polygon.fan(), self.polygon.height())
+    pub fn solid_angle(&self) -> S {
+        self.polygon.solid_angle()
     }
 
-    /// Corners of the spot on the detector.
-    pub(super) fn outline(&self, seen: &Seen<S>) -> heapless::Vec<[S; 2], MAX_CORNERS> {
+    pub fn outline(&self, seen: &Seen<S>) -> heapless::Vec<[S; 2], MAX_CORNERS> {
         let foot = [seen.position.x(), seen.position.y()];
         let on_detector = |corner: &[S; 2]| [0, 1].map(|axis| self.bent.land(axis, foot[axis] + corner[axis]));
         self.polygon.corners().iter().map(on_detector).collect()

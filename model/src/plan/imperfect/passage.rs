@@ -1,6 +1,7 @@
 //! The way of the light of one point through one cell, whatever stands in it: a slit on the base with or without a window,
 //! or another opening.
 
+use crate::entries::Scalar;
 use crate::exact::{self, Orders, Rules, Turn};
 use crate::paper;
 use crate::polygon::{EmitterGradient, Polygon};
@@ -8,16 +9,15 @@ use crate::pose::Transform;
 use crate::profile::Emission;
 use crate::rectangle::{Rectangle, RectangleLight, SideGradient, WALL_SLACK};
 use crate::response::{Integration, Status};
-use crate::scalar::{Linear3, Scalar};
+use crate::scalar::{Linear3, Number};
 
 use super::super::optics::{Light, Seen, Source};
 use super::super::{CompiledCell, CompiledEmitter, Plan};
 use super::beam::{Beam, Spot};
 use super::opening::Opening;
 
-/// What the light passes through.
 #[derive(Clone, Debug)]
-pub(super) enum Passage<S: Scalar> {
+pub enum Passage<S: Number> {
     /// A slit on the base.
     Beam(Beam<S>),
     Opening(Opening<S>),
@@ -27,22 +27,22 @@ pub(super) enum Passage<S: Scalar> {
 const STEP: f64 = 1e-4;
 
 /// The light of one point of an emitter through one cell.
-pub(super) struct Passed<S: Scalar> {
-    pub(super) light: Option<Light<S>>,
+pub struct Passed<S: Number> {
+    pub light: Option<Light<S>>,
     /// What a turn of a slit on the tool adds to the derivatives.
-    pub(super) turn: Option<Turn<S>>,
-    pub(super) integration: Option<Integration<S>>,
-    pub(super) status: Status,
-    pub(super) slack_m: S,
+    pub turn: Option<Turn<S>>,
+    pub integration: Option<Integration<S>>,
+    pub status: Status,
+    pub slack_m: S,
     /// How far a window raises the detector, and its derivatives by the emitter's position.
-    pub(super) raise: (S, S::Vec3),
+    pub raise: (S, S::Vec3),
     /// From the emitter to the middle of a hole, which all light passes; `None`: light lands near the middle line.
-    pub(super) to_hole: Option<S::Vec3>,
+    pub to_hole: Option<S::Vec3>,
 }
 
 /// Light of `emission` through what cell `cell` has in its way.
 #[allow(clippy::too_many_arguments, reason = "one point of one emitter through one cell")]
-pub(super) fn pass<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
+pub fn pass<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     plan: &Plan<S>,
     cell: &CompiledCell<S>,
     passage: &Passage<S>,
@@ -81,7 +81,6 @@ pub(super) fn pass<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     }
 }
 
-/// Light of `emission` through the beam's spot.
 fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     plan: &Plan<S>,
     emitter: &CompiledEmitter<S>,
@@ -108,7 +107,7 @@ fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
 
 /// The light of a spot that one tensor rule cannot integrate. Its derivatives by the sides are differences.
 #[cold]
-fn divided<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
+fn divided<S: Number, E: Emission<S>, const GRADIENT: bool>(
     spot: &Spot<S>,
     seen: &Seen<S>,
     emission: &E,

@@ -8,7 +8,7 @@ use super::super::algebra::Factor;
 use super::super::outcome::Solution;
 
 /// The condition numbers of no more `solutions` than `width` has lanes; one of those that have no factor.
-pub(super) fn of_group(width: Width, solutions: &[Solution]) -> PerLane {
+pub fn of_group(width: Width, solutions: &[Solution]) -> PerLane {
     let identity = Factor::of_parts(core::array::from_fn(|i| core::array::from_fn(|j| f64::from(i == j))), [1.0; 6]);
     let factor = |lane: usize| solutions.get(lane).and_then(|solution| solution.factor.as_ref()).unwrap_or(&identity);
     let mut conditions = PerLane::default();

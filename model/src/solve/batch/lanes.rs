@@ -13,14 +13,14 @@ use crate::scalar::{Linear3, Real};
 use crate::scene::MAX_CELLS;
 
 use super::super::accept::DISTINCT_SIGMAS;
+use super::super::accept::{EVEN, LARGEST_SIGMA};
 use super::super::algebra::{Factor, Matrix6, Vector6, add_outer, dot, square};
 use super::super::compiled::Compiled;
 use super::super::levenberg_marquardt::{MOST_SECOND_STEP, PATIENCE, REUSABLE_CHANGE, Stopping};
-use super::super::observability::{EVEN, LARGEST_SIGMA};
 use super::super::planes::{self, PULL, STEP_M};
-use super::super::residuals::{ResidualSums, Row};
 use super::super::step::SAFE_ROUNDINGS;
 use super::super::weights::Whitener;
+use super::super::weights::{ResidualSums, Row};
 use super::minimum::{Frames, Minima};
 
 /// Steps with derivatives that a frame of the common course takes at most: no more than six evaluations, to which the
@@ -34,13 +34,13 @@ const _: () = assert!(2 * MOST_ROUNDS <= PATIENCE, "two iterations a round");
 
 /// Where a solve starts, and what ends it.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Course {
-    pub(super) is_cold: bool,
-    pub(super) stopping: Stopping<f64>,
+pub struct Course {
+    pub is_cold: bool,
+    pub stopping: Stopping<f64>,
     /// χ² above which a single solve would look further.
-    pub(super) most_chi2: f64,
+    pub most_chi2: f64,
     /// χ² above which it would look beyond kinks, if it ever does.
-    pub(super) doubted_chi2: Option<f64>,
+    pub doubted_chi2: Option<f64>,
 }
 
 /// What is measured of a cell, and its weight.
@@ -110,7 +110,7 @@ fn above<R: Real>(a: R, b: R) -> R {
 /// Follows `frames` along `course` in lanes like `like`, and stores what is found. `EXACT`: the head's plan is of the exact
 /// tier.
 #[inline(always)]
-pub(super) fn minimise<R: Real<Element = f64>, const EXACT: bool>(
+pub fn minimise<R: Real<Element = f64>, const EXACT: bool>(
     head: &Compiled<f64>,
     frames: &Frames,
     course: Course,

@@ -10,17 +10,17 @@ use super::super::readings::Sorted;
 
 /// The frames to be solved at once.
 #[derive(Clone, Debug)]
-pub(super) struct Frames {
+pub struct Frames {
     pairs: [[PerLane; 2]; MAX_CELLS],
     /// Expected poses: quaternions x, y, z, w, and translations.
     rotations: [PerLane; 4],
     translations: [PerLane; 3],
     /// Which lanes have a frame.
-    pub(super) is_present: [bool; MAX_LANES],
+    pub is_present: [bool; MAX_LANES],
 }
 
 impl Frames {
-    pub(super) fn empty() -> Self {
+    pub fn empty() -> Self {
         Self {
             pairs: [[[0.0; MAX_LANES]; 2]; MAX_CELLS],
             rotations: [[0.0; MAX_LANES]; 4],
@@ -30,12 +30,12 @@ impl Frames {
     }
 
     /// Without frames. What they have left is numbers like any, which lanes without a frame compute with.
-    pub(super) fn clear(&mut self) {
+    pub fn clear(&mut self) {
         self.is_present = [false; MAX_LANES];
     }
 
     /// Puts the readings of one frame, all of which count, into `lane`.
-    pub(super) fn set(&mut self, lane: usize, sorted: &Sorted<f64>, start: &Pose) {
+    pub fn set(&mut self, lane: usize, sorted: &Sorted<f64>, start: &Pose) {
         self.is_present[lane] = true;
         for reading in &sorted.usable {
             for (numbers, current) in self.pairs[reading.cell].iter_mut().zip(reading.pair) {
@@ -51,13 +51,13 @@ impl Frames {
     }
 
     #[inline(always)]
-    pub(super) fn pair<R: Real<Element = f64>>(&self, cell: usize, like: R) -> [R; 2] {
+    pub fn pair<R: Real<Element = f64>>(&self, cell: usize, like: R) -> [R; 2] {
         let [first, second] = &self.pairs[cell];
         [like.each(|lane| first[lane]), like.each(|lane| second[lane])]
     }
 
     #[inline(always)]
-    pub(super) fn start<R: Real<Element = f64>>(&self, like: R) -> Transform<R> {
+    pub fn start<R: Real<Element = f64>>(&self, like: R) -> Transform<R> {
         let [x, y, z]: [R; 3] = array(like, |i| like.each(|lane| self.translations[i][lane]));
         let rotation = array(like, |i| like.each(|lane| self.rotations[i][lane]));
         Transform::of_parts(rotation, R::Vec3::new(x, y, z))
@@ -65,23 +65,23 @@ impl Frames {
 
     /// One in lanes with a frame, else zero.
     #[inline(always)]
-    pub(super) fn presence<R: Real<Element = f64>>(&self, like: R) -> R {
+    pub fn presence<R: Real<Element = f64>>(&self, like: R) -> R {
         like.each(|lane| if self.is_present[lane] { 1.0 } else { 0.0 })
     }
 }
 
 /// The minima that were found.
 #[derive(Clone, Debug)]
-pub(super) struct Minima {
+pub struct Minima {
     /// Whether the frame of a lane took the common course to its end.
-    pub(super) is_found: [bool; MAX_LANES],
+    pub is_found: [bool; MAX_LANES],
     rotations: [PerLane; 4],
     translations: [PerLane; 3],
-    pub(super) chi2: PerLane,
-    pub(super) iterations: PerLane,
-    pub(super) evaluations: PerLane,
+    pub chi2: PerLane,
+    pub iterations: PerLane,
+    pub evaluations: PerLane,
     /// See [`Problem::least_visible`](super::super::normal_equations::Problem::least_visible).
-    pub(super) least_visible: PerLane,
+    pub least_visible: PerLane,
     /// L of the information, its lower half row by row, and 1/L_ii.
     lower: [PerLane; 21],
     inverses: [PerLane; 6],
@@ -95,7 +95,7 @@ const fn place(i: usize, j: usize) -> usize {
 }
 
 impl Minima {
-    pub(super) fn empty() -> Self {
+    pub fn empty() -> Self {
         let none = [0.0; MAX_LANES];
         Self {
             is_found: [false; MAX_LANES],
@@ -112,14 +112,14 @@ impl Minima {
     }
 
     #[inline(always)]
-    pub(super) fn set_pose<R: Real<Element = f64>>(&mut self, pose: &Transform<R>) {
+    pub fn set_pose<R: Real<Element = f64>>(&mut self, pose: &Transform<R>) {
         let t = pose.translation();
         set_each(&mut self.rotations, pose.rotation());
         set_each(&mut self.translations, [t.x(), t.y(), t.z()]);
     }
 
     #[inline(always)]
-    pub(super) fn set_factor<R: Real<Element = f64>>(&mut self, factor: &Factor<R>, inverse: &Matrix6<R>) {
+    pub fn set_factor<R: Real<Element = f64>>(&mut self, factor: &Factor<R>, inverse: &Matrix6<R>) {
         set_each(&mut self.inverses, factor.inverses());
         for i in 0..6 {
             for j in 0..=i {
@@ -129,12 +129,12 @@ impl Minima {
         }
     }
 
-    pub(super) fn rigid(&self, lane: usize) -> Rigid<f64> {
+    pub fn rigid(&self, lane: usize) -> Rigid<f64> {
         let [x, y, z] = self.translations.each_ref().map(|numbers| numbers[lane]);
         Rigid::of_parts(self.rotations.each_ref().map(|numbers| numbers[lane]), glam::DVec3::new(x, y, z))
     }
 
-    pub(super) fn factor(&self, lane: usize) -> Factor<f64> {
+    pub fn factor(&self, lane: usize) -> Factor<f64> {
         let lower = |i, j| if j <= i { self.lower[place(i, j)][lane] } else { 0.0 };
         Factor::of_parts(
             core::array::from_fn(|i| core::array::from_fn(|j| lower(i, j))),
@@ -143,7 +143,7 @@ impl Minima {
     }
 
     /// Inverse of the information, in scaled coordinates.
-    pub(super) fn inverse(&self, lane: usize) -> Matrix6<f64> {
+    pub fn inverse(&self, lane: usize) -> Matrix6<f64> {
         core::array::from_fn(|i| core::array::from_fn(|j| self.inverse[place(i.max(j), i.min(j))][lane]))
     }
 }

@@ -14,11 +14,11 @@ use crate::pose::Pose;
 use crate::scene::MAX_CELLS;
 use crate::width::{Instructions, Lanes, Task, Width};
 
-use super::chi2::redundancy;
+use super::accept::redundancy;
+use super::accept::unscaled;
 use super::cold_start::DOUBTED;
 use super::compiled::{Compiled, MotionPrior};
 use super::levenberg_marquardt::Stopping;
-use super::observability::unscaled;
 use super::outcome::{Cells, Estimate, Outcome, Solution};
 use super::readings::{Photocurrents, Sorted};
 use super::solver::{Solver, Start};

@@ -4,7 +4,14 @@
 use glam::{DVec2, DVec3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use slitpose_model::{Cell, DEFAULT_FAINT_A, Detector, Emitter, Noise, Pose, Profile, Scene, Slit, Uncertainty};
+use rand_distr::{Distribution, StandardNormal};
+use slitpose_model::{
+    Cell, DEFAULT_FAINT_A, Detector, Emitter, Estimate, MotionPrior, Noise, Pair, Photocurrents, Plan, Pose, Profile,
+    Scalar, Scene, Slit, Solution, Solver, Start, Tier, Uncertainty,
+};
+
+/// The tiers in which solvers are tested.
+pub const TIERS: [Tier; 2] = [Tier::Paper, Tier::Exact { tolerance: 1e-6 }];
 
 pub const SEED: u64 = 20_180_718;
 
@@ -151,4 +158,42 @@ pub fn base() -> Scene {
 /// A pose uniformly in a box.
 pub fn pose_in_box(rng: &mut ChaCha8Rng, half_mm: f64, half_deg: f64) -> Pose {
     Pose::from_vectors(vector(rng, half_mm * 1e-3), vector(rng, half_deg.to_radians()))
+}
+
+pub fn normal(rng: &mut ChaCha8Rng) -> f64 {
+    StandardNormal.sample(rng)
+}
+
+/// What each cell delivers with the tool at `pose`.
+pub fn pairs(plan: &Plan<f64>, pose: &Pose) -> Vec<Pair<f64>> {
+    (0..plan.cell_count()).map(|cell| plan.photocurrents(cell, pose)).collect()
+}
+
+pub fn seen(plan: &Plan<f64>, pose: &Pose) -> Photocurrents {
+    Photocurrents::of_pairs(pairs(plan, pose))
+}
+
+/// With the noise of converters alone, which outweighs the rest.
+pub fn noisy(pairs: &[Pair<f64>], sigma_a: f64, rng: &mut ChaCha8Rng) -> Photocurrents {
+    Photocurrents::of_pairs(
+        pairs.iter().map(|pair| Pair {
+            i_x1_a: pair.i_x1_a + sigma_a * normal(rng),
+            i_x2_a: pair.i_x2_a + sigma_a * normal(rng),
+        }),
+    )
+}
+
+pub fn cold<S: Scalar>(solver: &Solver<S>, readings: &Photocurrents<S>) -> Solution<S> {
+    solver.solve(readings, Start::Cold, &MotionPrior::AT_REST)
+}
+
+pub fn near<S: Scalar>(solver: &Solver<S>, readings: &Photocurrents<S>, expected: &Pose) -> Solution<S> {
+    solver.solve(readings, Start::Near(expected), &MotionPrior::AT_REST)
+}
+
+/// The errors of an estimate along all axes, in σ.
+pub fn errors_in_sigmas(estimate: &Estimate, truth: &Pose) -> [f64; 6] {
+    let (dt, dr) = estimate.pose.displacement_from(truth);
+    let (errors, sigma) = ([dt.x, dt.y, dt.z, dr.x, dr.y, dr.z], estimate.sigma());
+    core::array::from_fn(|axis| errors[axis].abs() / sigma[axis])
 }

@@ -1,13 +1,12 @@
-//! Following a tool: a head in front of a tool in motion.
+//! Following a tool: a head in front of a tool in motion, at rest, in fast motion, at walls, over jumps and gaps.
 
-mod faults;
-mod motion;
-
-use crate::common::{generator, wide};
 use glam::DVec3;
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, StandardNormal};
-use slitpose_model::{Pair, Photocurrents, Pose, Reading, Scene, Solver, Tier, Tracked, Tracker};
+use slitpose_model::{Outcome, Pair, Photocurrents, Pose, Reading, Scene, Solver, Tier, Tracked, Tracker};
+
+use crate::common::{generator, normal, wide};
+
+mod faults;
 
 const PERIOD_S: f64 = 250e-6;
 const OFFSETS_S: [f64; 6] = [-34e-6, 0.0, 34e-6, -34e-6, 0.0, 34e-6];
@@ -61,7 +60,7 @@ impl Rig {
         let time_s = self.frame as f64 * self.period_s;
         Photocurrents::of_pairs((0..6).map(|cell| {
             let pair = self.solver.plan().photocurrents(cell, &pose(time_s + self.offsets_s[cell]));
-            let mut noise = || NOISE_A * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut self.rng);
+            let mut noise = || NOISE_A * normal(&mut self.rng);
             Pair { i_x1_a: pair.i_x1_a + noise(), i_x2_a: pair.i_x2_a + noise() }
         }))
     }
@@ -106,4 +105,217 @@ fn faulty(rig: &mut Rig, motion: impl Fn(f64) -> Pose, fault: &mut dyn FnMut(&mu
 fn blocked(pair: &mut Reading) {
     // As a converter near zero: a nanoampere or two of noise.
     *pair = Reading::Light(Pair { i_x1_a: 1e-9, i_x2_a: -2e-9 });
+}
+
+#[test]
+fn a_swinging_tool_is_followed_honestly_and_its_twist_told() {
+    for speed in [0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0] {
+        let (nees, [linear, angular]) = swinging(speed);
+        println!("speed {speed}: NEES {nees:.3}, squared error of the twist {linear:.3} {angular:.3}");
+        // σ of a mean of 4000 is 0.055; successive frames share part of their twist. What a parabola misses
+        // of the bends is told as soon as it is more than chance, at twice the speed.
+        assert!(if speed < 2.0 { 5.6..6.3 } else { 4.8..7.0 }.contains(&nees));
+        assert!((0.8..1.25).contains(&linear) && (0.8..1.25).contains(&angular));
+    }
+}
+
+/// In frames of a millisecond acceleration moves the tool by up to 9 µm, where noise leaves 4 µm. The covariance includes what is
+/// unknown of it, and all poses are `converged`.
+#[test]
+fn acceleration_within_a_long_frame_is_allowed_for() {
+    let offsets_s = [-400e-6, -240e-6, -80e-6, 80e-6, 240e-6, 400e-6];
+    for speed in [0.0, 0.25, 0.5, 1.0, 1.5] {
+        let swing = |t: f64| swing_at(t, speed);
+        let mut rig = Rig::scheduled(offsets_s, 1e-3);
+        let (mut sum, mut converged, mut squares) = (0.0, 0, 0.0);
+        for _ in 0..2000 {
+            let (tracked, truth) = rig.step(swing);
+            converged += u32::from(tracked.solution.outcome == Outcome::Converged);
+            sum += nees(&tracked, &truth) / 2000.0;
+            let pose = tracked.solution.estimate.expect("a pose").pose;
+            squares += pose.displacement_from(&truth).0.length_squared() / 2000.0;
+        }
+        println!("speed {speed}: NEES {sum:.2}, {converged} converged, {:.2} µm", squares.sqrt() * 1e6);
+        assert_eq!(converged, 2000, "speed {speed}");
+        // σ is that of any hand while the motion is unknown: too large for most, never too small. As long as a parabola predicts
+        // the poses, the acceleration costs no accuracy: 3.8 µm is the error of a tool at rest.
+        assert!((2.0..7.0).contains(&sum), "speed {speed}: {sum}");
+        assert!(speed > 0.5 || squares.sqrt() < 4.3e-6, "speed {speed}: {squares}");
+    }
+}
+
+/// Mean NEES, and mean squared errors of linear and angular velocity in units of what is told.
+fn swinging(speed: f64) -> (f64, [f64; 2]) {
+    let swing = |t: f64| swing_at(t, speed);
+    let mut rig = Rig::new();
+    let (mut sum, mut twist_sums, mut count, mut unknown) = (0.0, [0.0; 2], 0.0, 0);
+    for frame in 0..4000 {
+        let (tracked, truth) = rig.step(swing);
+        assert_eq!(tracked.solution.outcome, Outcome::Converged, "frame {frame}");
+        if frame < 200 {
+            continue;
+        }
+        sum += nees(&tracked, &truth);
+        count += 1.0;
+        let h = 1e-7;
+        let t = (rig.frame - 1) as f64 * PERIOD_S;
+        let (dt, dr) = swing(t + h).displacement_from(&swing(t - h));
+        // After a reversal that no parabola follows, the motion is unknown for a frame.
+        let Some(told) = tracked.twist else {
+            unknown += 1;
+            continue;
+        };
+        let errors = [told.twist.linear_m_per_s - dt / (2.0 * h), told.twist.angular_rad_per_s - dr / (2.0 * h)];
+        for (group, error) in errors.into_iter().enumerate() {
+            let in_sigmas = |i: usize| error[i] * error[i] / told.covariance[3 * group + i][3 * group + i];
+            twist_sums[group] += (0..3).map(in_sigmas).sum::<f64>() / 3.0;
+        }
+    }
+    assert!(unknown < 100, "{unknown} frames without a twist");
+    (sum / count, twist_sums.map(|sum| sum / count))
+}
+
+#[test]
+fn a_motion_goes_on_after_a_gap_at_the_right_instant() {
+    let straight = |t: f64| Pose::from_vectors(DVec3::new(0.4 * t - 3e-3, 0.1 * t, 0.0), DVec3::ZERO);
+    for gap in [1, 3, 7] {
+        let mut rig = Rig::filtered(5e-3);
+        (0..40).for_each(|_| _ = rig.step(straight));
+        rig.frame += gap;
+        let (tracked, _) = rig.step(straight);
+        // One frame off, the tool would be 100 µm from where it is expected: a hit, and its motion forgotten.
+        let twist = tracked.twist.expect("the motion is known");
+        assert!((twist.twist.linear_m_per_s.x - 0.4).abs() < 0.05, "gap {gap}: {twist:?}");
+        assert!(tracked.filtered.expect("filter").frames > 40, "gap {gap}");
+    }
+}
+
+#[test]
+fn a_tool_that_hits_something_may_leave_as_fast_as_it_came() {
+    let (speed, leg_frames) = (2.0, 12.0);
+    // To and fro, turning within a frame's exposures.
+    let motion = |t: f64| {
+        let phase = (t / PERIOD_S + 0.3).rem_euclid(2.0 * leg_frames);
+        let x = if phase < leg_frames { phase } else { 2.0 * leg_frames - phase };
+        let way = (x - 0.5 * leg_frames) * PERIOD_S * speed;
+        Pose::from_vectors(DVec3::new(way, 0.0, 0.5 * way), DVec3::ZERO)
+    };
+    let mut rig = Rig::new();
+    let (mut sum, mut count) = (0.0, 0.0);
+    for frame in 0..2400 {
+        // Four cells do not tell twist and pose apart without a prior that is wide enough.
+        let (tracked, truth) = faulty(&mut rig, motion, &mut |readings| readings.cells[1..3].fill(Reading::Missing));
+        // The frame in which it turns has no one twist; the two after it have one that nobody knows.
+        if frame > 24 && (1.0..3.0).contains(&(frame as f64 + 0.3).rem_euclid(leg_frames)) {
+            sum += nees(&tracked, &truth);
+            count += 1.0;
+        }
+    }
+    println!("NEES {:.2} of {count} frames after a hit", sum / count);
+    // Wider than need be the covariance may be.
+    assert!(sum / count < 6.0 + 4.5 * f64::sqrt(12.0 / count));
+}
+
+#[test]
+fn a_wall_costs_no_pose_and_does_not_ring() {
+    let mut rig = Rig::filtered(5e-3);
+    let hit_s = 200.3 * PERIOD_S;
+    // Half a metre a second into a wall, and back with half of it.
+    let motion = |t: f64| {
+        let x = if t < hit_s { 0.5 * (t - hit_s) } else { -0.25 * (t - hit_s) };
+        Pose::from_vectors(DVec3::new(x * 0.1 + 2e-3, x * 0.05, 0.0), DVec3::new(x * 0.5, 0.0, 0.0))
+    };
+    let mut worst = 0.0_f64;
+    for frame in 0..400 {
+        let (tracked, truth) = rig.step(motion);
+        assert!(tracked.solution.outcome.has_pose(), "frame {frame}: {:?}", tracked.solution.outcome);
+        if frame > 205 {
+            worst = worst.max(nees(&tracked, &truth));
+            if let Some(state) = tracked.filtered {
+                let filtered = state.estimate.nees(&truth).expect("covariance");
+                // χ² of six degrees exceeds 45 four times in a hundred million.
+                assert!(filtered < 45.0, "frame {frame}: {filtered}");
+            }
+        }
+    }
+    assert!(worst < 45.0, "{worst}");
+}
+
+#[test]
+fn a_jump_of_the_tool_is_believed_at_once() {
+    let mut rig = Rig::filtered(5e-3);
+    let there = Pose::from_vectors(DVec3::new(1e-3, 0.0, -0.5e-3), DVec3::new(0.0, 0.17, 0.0));
+    for frame in 0..120 {
+        let (tracked, truth) = rig.step(|_| if frame < 100 { Pose::HOME } else { there });
+        assert!(nees(&tracked, &truth) < 45.0, "frame {frame}");
+        if frame > 102 {
+            let state = tracked.filtered.expect("two frames");
+            assert!(state.estimate.nees(&truth).expect("covariance") < 45.0, "frame {frame}");
+        }
+    }
+}
+
+#[test]
+fn light_that_comes_back_is_a_pose_again() {
+    let mut rig = Rig::new();
+    for _ in 0..50 {
+        rig.step(swing);
+    }
+    for missing in [3, 200] {
+        for _ in 0..missing {
+            let tracked = rig.tracker.track(rig.frame, &Photocurrents { cells: [Reading::<f64>::Missing; 6].into() });
+            assert!(tracked.solution.estimate.is_none() && tracked.twist.is_none());
+            rig.frame += 1;
+        }
+        for frame in 0..20 {
+            let (tracked, truth) = rig.step(swing);
+            assert_eq!(tracked.solution.outcome, Outcome::Converged, "{frame} frames after {missing}");
+            assert!(nees(&tracked, &truth) < 45.0);
+        }
+    }
+}
+
+#[test]
+fn frames_that_got_lost_on_the_way_do_no_harm() {
+    let mut rig = Rig::new();
+    for gap in [0, 1, 5, 60, 0, 0, 2] {
+        for _ in 0..30 {
+            let (tracked, truth) = rig.step(swing);
+            assert!(nees(&tracked, &truth) < 45.0, "after a gap of {gap}");
+        }
+        rig.frame += gap;
+    }
+}
+
+#[test]
+fn a_filter_trades_noise_for_the_lag_it_tells() {
+    let mut sigmas = Vec::new();
+    for memory_s in [2e-3, 20e-3] {
+        let mut rig = Rig::filtered(memory_s);
+        let (mut sum, mut raw, mut filtered, mut count) = (0.0, 0.0, 0.0, 0.0);
+        let mut lag_s = 0.0;
+        for frame in 0..6000 {
+            let (tracked, truth) = rig.step(|_| Pose::HOME);
+            if frame < 1000 {
+                continue;
+            }
+            let state = tracked.filtered.expect("filter");
+            sum += state.estimate.nees(&truth).expect("covariance");
+            raw += tracked.solution.estimate.expect("pose").sigma()[0];
+            filtered += state.estimate.sigma()[0];
+            count += 1.0;
+            lag_s = state.lag_s;
+        }
+        println!(
+            "memory {memory_s} s: NEES {:.2}, σ {:.3} of a frame's, lag {lag_s:.4} s",
+            sum / count,
+            filtered / raw
+        );
+        // Neighbouring poses share most of their noise: some 5000 frames hold few independent ones.
+        assert!((4.5..7.5).contains(&(sum / count)));
+        assert!(lag_s < 0.25 * memory_s);
+        sigmas.push(filtered / raw);
+    }
+    // A parabola's noise falls with the root of its memory: √0.2325 and √0.0256 for 8 and 80 frames.
+    assert!((0.45..0.52).contains(&sigmas[0]) && (0.14..0.18).contains(&sigmas[1]), "{sigmas:?}");
 }
