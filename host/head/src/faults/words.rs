@@ -8,9 +8,9 @@ use rand_distr::{Distribution, StandardNormal};
 use slitpose_protocol::{AdcScaling, RawScan, WordPair};
 
 use super::Faults;
-use super::kinds::Layer;
+use super::kinds::{Effect, Layer};
 use super::schedule::FaultClock;
-use super::spec::{Effect, Fault};
+use super::text::Fault;
 
 /// The faults of a head on the words of one board.
 #[derive(Clone, Debug)]
@@ -87,34 +87,37 @@ impl WordFaults {
 impl WordFault {
     fn apply(&mut self, scan: &mut RawScan, before: Option<&RawScan>, scale: &WordScale) {
         // A board that has fewer cells than its head is refused elsewhere.
-        if self.fault.effect.cells().any(|cell| cell >= scan.cells()) {
+        if self.fault.cells().any(|cell| cell >= scan.cells()) {
             return;
         }
-        match self.fault.effect {
-            Effect::Dim { cell, to } => {
+        let [cell, amount] = self.fault.values;
+        let cell = cell as usize;
+        match self.fault.kind.effect {
+            effect @ (Effect::Occlude | Effect::Dim) => {
+                let to = if effect == Effect::Dim { amount } else { 0.0 };
                 let zero = [scale.word(scale.zero()); 2];
                 let dark = before.unwrap_or(scan).dark().map_or(zero, |dark| dark[cell]);
                 for (lit, dark) in scan.lit_mut()[cell].iter_mut().zip(dark) {
                     *lit = scale.word(to * f64::from(*lit) + (1.0 - to) * f64::from(dark));
                 }
             }
-            Effect::Saturate { cell } => {
+            Effect::Saturate => {
                 scan.lit_mut()[cell] =
                     [if scale.scaling.amperes_per_code < 0.0 { 0 } else { scale.word(scale.top()) }; 2];
             }
-            Effect::Glint { cell, current_a } => {
+            Effect::Glint => {
                 let word = &mut scan.lit_mut()[cell][0];
-                *word = scale.word(f64::from(*word) + scale.steps(current_a));
+                *word = scale.word(f64::from(*word) + scale.steps(amount));
             }
-            Effect::Stray { cell, current_a } => {
-                change(scan, cell, |word| scale.word(f64::from(word) + scale.steps(current_a)));
+            Effect::Stray => {
+                change(scan, cell, |word| scale.word(f64::from(word) + scale.steps(amount)));
             }
-            Effect::Noisy { cell, rms_a } => {
-                let rms = scale.steps(rms_a).abs();
+            Effect::Noisy => {
+                let rms = scale.steps(amount).abs();
                 let mut draw = || <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut self.random);
                 change(scan, cell, |word| scale.word(f64::from(word) + rms * draw()));
             }
-            Effect::Stuck { cell } => {
+            Effect::Stuck => {
                 let now = || (scan.lit()[cell], scan.dark().map(|dark| dark[cell]));
                 let (lit, dark) = *self.kept.get_or_insert_with(now);
                 scan.lit_mut()[cell] = lit;
@@ -122,13 +125,14 @@ impl WordFault {
                     words[cell] = dark;
                 }
             }
-            Effect::SwapElectrodes { cell } => {
+            Effect::SwapElectrodes => {
                 scan.lit_mut()[cell].swap(0, 1);
                 if let Some(dark) = scan.dark_mut() {
                     dark[cell].swap(0, 1);
                 }
             }
-            Effect::SwapCells { cell, with } => {
+            Effect::SwapCells => {
+                let with = amount as usize;
                 scan.lit_mut().swap(cell, with);
                 if let Some(dark) = scan.dark_mut() {
                     dark.swap(cell, with);
