@@ -11,15 +11,13 @@ use thiserror::Error;
 use crate::adjust::Adjustment;
 use crate::data::{Constraint, Data};
 use crate::normal::Normal;
-use crate::parameters::Parameters;
 use crate::plausibility::{self, Implausible};
 use crate::pose_error::PoseError;
+use crate::prior::Parameters;
 use crate::start::{Beginning, solved};
-use crate::state::{State, Weights};
-use crate::weakness;
+use crate::state::{State, Weights, residuals};
 use crate::{
-    Calibration, CalibrationFileError, Clock, ClockError, Frames, Residual, Statistics, agreement, prior, residuals,
-    uncalibrated,
+    Calibration, CalibrationFileError, Clock, ClockError, Frames, Residual, Statistics, findings, prior, uncalibrated,
 };
 
 /// Rounds of adjustment and estimate of the model errors.
@@ -213,19 +211,19 @@ pub fn calibrate(
             break;
         }
     }
-    let drift = agreement::light_drift(&nominal, data, &state)?;
-    if !is_interrupted && let Err(error) = agreement::require_agreement(&by_tolerances, data, &state, &weights) {
+    let drift = findings::light_drift(&nominal, data, &state)?;
+    if !is_interrupted && let Err(error) = findings::require_agreement(&by_tolerances, data, &state, &weights) {
         let likely = plausibility::likely_reading(&state.scene(&nominal), data)?.map(CalibrateError::Implausible);
         return Err(likely.or(drift.map(|what| CalibrateError::LightDrift { what })).unwrap_or(error));
     }
     let mut remarks = [data.remarks.clone(), gross, drift.into_iter().collect()].concat();
-    remarks.extend(agreement::remarks(data, &state, &weights, &file.workspace));
+    remarks.extend(findings::remarks(data, &state, &weights, &file.workspace));
     let mut calibration = conclude(request, &adjustment, state.clone(), &normal, &weights)?;
     if !is_interrupted {
         is_interrupted = hold_out(&adjustment, &state, &weights, &mut calibration.statistics, &mut remarks, progress)?;
     }
     calibration.write();
-    let residuals = residuals::of(&nominal, data, &state)?;
+    let residuals = residuals(&nominal, data, &state)?;
     Ok(Calibrated { calibration, residuals, remarks, is_interrupted })
 }
 
@@ -325,7 +323,7 @@ fn conclude(
             tool_from_marker_sigma: sigma(6),
         });
     }
-    let weak = weakness::of(&pose_error, &state.parameters.entries, &file.workspace, data);
+    let weak = findings::weaknesses(&pose_error, &state.parameters.entries, &file.workspace, data);
     let mut calibration = Calibration {
         id: String::new(),
         date: date.map(str::to_owned),

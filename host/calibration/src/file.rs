@@ -11,8 +11,8 @@ use slitpose_model::{ModelError, SceneError};
 use thiserror::Error;
 
 use crate::parameter::Quantity;
-use crate::parameters::{Parameter, Parameters};
 use crate::pose_error::{COEFFICIENTS, PoseError};
+use crate::prior::{Parameter, Parameters};
 use crate::{Calibration, Clock, Statistics};
 
 /// Version of the format.

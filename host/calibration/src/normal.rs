@@ -9,8 +9,8 @@ use slitpose_model::Pose;
 
 use crate::constraint::{self, RESIDUALS, VAGUE};
 use crate::data::Data;
-use crate::reading_noise::{whiten, whitener};
-use crate::sensitivity::CellSensitivity;
+use crate::reading::{whiten, whitener};
+use crate::state::CellSensitivity;
 use crate::state::{State, Weights};
 
 /// Rows whose contributions are multiplied at once: bounds memory.

@@ -7,8 +7,8 @@ use thiserror::Error;
 
 use crate::data::{Constraint, Data, Group, Row, compose, inverse, values_of};
 use crate::frames::align;
-use crate::sensitivity::TIER;
 use crate::start::solved;
+use crate::state::TIER;
 
 /// Units that lengths may be in by mistake, and how many millimetres they have.
 pub(crate) const UNITS: [(f64, &str); 4] =

@@ -5,9 +5,9 @@ use slitpose_head::scene_file::Workspace;
 use slitpose_model::{ModelError, Pose, Scene, SceneError};
 
 use crate::normal::{backward, cholesky6, forward};
-use crate::reading_noise::{directions, whiten, whitener};
-use crate::sensitivity::{CellSensitivity, sensitivities};
+use crate::reading::{directions, whiten, whitener};
 use crate::state::State;
+use crate::state::{CellSensitivity, sensitivities};
 
 /// Functions of the pose that its error is made of: 1, the translation, the rotation vector.
 pub(crate) const FUNCTIONS: usize = 7;
