@@ -8,8 +8,8 @@ use slitpose_model::{Pair, Pose};
 
 use crate::BenchError;
 use crate::chance::Chance;
+use crate::chance::{FreeMotion, Pivot, anywhere};
 use crate::drawn::DrawnHead;
-use crate::motion::{FreeMotion, Pivot, anywhere};
 
 /// Frames that are averaged in a row while the tool rests.
 pub(crate) const FRAMES: u32 = 16;
