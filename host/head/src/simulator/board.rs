@@ -10,9 +10,9 @@ use slitpose_protocol::{
 };
 use thiserror::Error;
 
+use super::Light;
 use super::electronics::Electronics;
 use super::hardware::SimulatedHardware;
-use super::light::Light;
 use super::trajectory::Trajectory;
 use crate::faults::{BoardFaults, FaultClock, Faults, LightFaults, Trouble, WordFaults};
 use crate::front_end::{self, TimingError};

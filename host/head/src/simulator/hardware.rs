@@ -11,8 +11,8 @@ use slitpose_firmware::{Acquisition, Health, Indicator, ScanError, Storage, Stor
 use slitpose_model::{MAX_CELLS, Pair, Pose};
 use slitpose_protocol::{BootTarget, Configuration, HardwareFault, Level, RawScan, Schedule, Truth};
 
+use super::Light;
 use super::electronics::Electronics;
-use super::light::Light;
 use super::trajectory::Trajectory;
 use crate::faults::{LightFaults, WordFaults, WordScale};
 
