@@ -55,7 +55,7 @@ fn foreign_rows(data: &Data, weights: &Weights) -> Result<(), CalibrateError> {
         let (file, rows) = (group.file.clone(), group.rows.len());
         let left_out = weights.poses[group.rows.clone()].iter().filter(|weight| **weight < 1.0).count();
         if left_out as f64 > MOST_LEFT_OUT * rows as f64 {
-            return Err(CalibrateError::ForeignRows { file, left_out, rows });
+            return Err(CalibrateError::ForeignRows(file, left_out, rows));
         }
     }
     Ok(())
@@ -68,7 +68,7 @@ fn foreign_poses(data: &Data, state: &State) -> Result<(), CalibrateError> {
         let found = |k: usize| stated[k] * ratios[k];
         let Some(k) = (0..2).find(|&k| ratios[k] > COARSE_RATIO && found(k) > COARSE[k]) else { continue };
         let found = if k == 0 { format!("{:.2} mm", found(0) * 1e3) } else { format!("{:.0} mrad", found(1) * 1e3) };
-        return Err(CalibrateError::ForeignPoses { file: group.file.clone(), found, ratio: ratios[k] });
+        return Err(CalibrateError::ForeignPoses(group.file.clone(), found, ratios[k]));
     }
     Ok(())
 }
@@ -85,7 +85,7 @@ fn foreign_cells(by_tolerances: &Scene, state: &State) -> Result<(), CalibrateEr
             .then(|| format!("{:.0} µm and {:.1} % of cell {number}", left.position_m * 1e6, 100.0 * left.relative))
     });
     let left: Vec<String> = foreign.collect();
-    if left.is_empty() { Ok(()) } else { Err(CalibrateError::ForeignCells { left: left.join(", ") }) }
+    if left.is_empty() { Ok(()) } else { Err(CalibrateError::ForeignCells(left.join(", "))) }
 }
 
 /// Ratio of an instrument's errors to its stated σ that counts as worse.

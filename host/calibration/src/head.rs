@@ -18,7 +18,6 @@ use crate::{Calibration, CalibrationFileError, prior};
 pub struct Head {
     /// The scene; its optics are those that readings are solved with.
     pub file: Arc<SceneFile>,
-    /// The scene of a simulated head.
     simulated: Arc<SceneFile>,
     basis: Basis,
 }

@@ -190,7 +190,7 @@ impl Calibration {
             cell.effects.model_error = *error;
         }
         Plan::<f64>::compile(&scene, Tier::Paper)
-            .map_err(|source| CalibrationFileError::Impossible { file: self.origin.clone(), source })?;
+            .map_err(|source| CalibrationFileError::Impossible(self.origin.clone(), source))?;
         Ok(scene)
     }
 

@@ -24,7 +24,6 @@ pub(crate) struct RowFactor {
     pub(crate) right: [f64; 6],
 }
 
-/// The reduced normal equations.
 pub(crate) struct Normal {
     pub(crate) matrix: DMatrix<f64>,
     pub(crate) right: DVector<f64>,
@@ -260,7 +259,6 @@ impl Normal {
         Some(backward(factor, moved))
     }
 
-    /// Covariance of the unknowns.
     pub(crate) fn covariance(&self) -> Option<DMatrix<f64>> {
         Some(self.matrix.clone().cholesky()?.inverse())
     }

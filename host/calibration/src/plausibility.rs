@@ -339,7 +339,6 @@ pub type Reports<'a> = &'a dyn Fn(usize) -> Option<Pose>;
 
 /// Where the light is, of rows with reported poses.
 struct Spots<'a> {
-    /// The head.
     plan: Plan<f64>,
     /// How far tolerances move the spots of each cell, as a share of half the detector.
     sigmas: Vec<f64>,

@@ -28,7 +28,6 @@ pub(crate) struct PoseError {
     pub(crate) coefficients: Vec<f64>,
 }
 
-/// The functions at a pose.
 pub(crate) fn functions(pose: &Pose, length_scale_m: f64) -> [f64; FUNCTIONS] {
     let (t, r) = (pose.translation_m / length_scale_m, pose.rotation_rad());
     [1.0, t.x, t.y, t.z, r.x, r.y, r.z]

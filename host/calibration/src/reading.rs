@@ -105,7 +105,6 @@ pub(crate) fn whitener([a, b, c]: Covariance) -> [f64; 3] {
     [first.recip(), -below / (first * second), second.recip()]
 }
 
-/// The whitened pair.
 pub(crate) fn whiten(w: [f64; 3], pair: [f64; 2]) -> [f64; 2] {
     [w[0] * pair[0], w[1] * pair[0] + w[2] * pair[1]]
 }

@@ -109,7 +109,7 @@ fn of_group(
     found: &[Option<Pose>],
     places: &mut [Pose],
 ) -> Result<Vec<f64>, CalibrateError> {
-    let weak = || CalibrateError::LittleMotion { file: group.file.clone() };
+    let weak = || CalibrateError::LittleMotion(group.file.clone());
     let solved: Vec<Pose> = found.iter().flatten().copied().collect();
     let first = *solved.first().ok_or_else(weak)?;
     Ok(match group.constraint {

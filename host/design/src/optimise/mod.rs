@@ -31,22 +31,9 @@ pub enum OptimiseError {
     /// A search without anything to change.
     #[error("nothing is free to change; give it with --free, such as --free slit_width --free roll")]
     NothingFree,
-    /// The scene's text.
-    #[error("{origin}: {message}")]
-    Text {
-        /// The file.
-        origin: String,
-        /// What is wrong.
-        message: String,
-    },
-    /// A quantity that needs a section.
-    #[error(
-        "{origin} has no [front_end], so there is no full scale to choose; leave full_scale out, or add the section"
-    )]
-    NoFrontEnd {
-        /// The file.
-        origin: String,
-    },
+    /// A scene's text in which a quantity cannot be set: why, and what to do.
+    #[error("{0}{1}")]
+    Text(String, String),
 }
 
 #[cfg(test)]

@@ -25,12 +25,10 @@ pub(crate) struct Stroke {
 }
 
 impl Stroke {
-    /// A solid line.
     pub(crate) const fn new(colour: Colour, width: f64) -> Self {
         Self { colour, width, dash: None }
     }
 
-    /// The same line, dashed.
     pub(crate) const fn dashed(self, dash: f64, gap: f64) -> Self {
         Self { dash: Some([dash, gap]), ..self }
     }
@@ -68,7 +66,6 @@ impl TextStyle {
         Self { size, colour: INK, anchor: Anchor::Start, bold: false, upwards: false }
     }
 
-    /// The same, aligned otherwise.
     pub(crate) const fn anchored(self, anchor: Anchor) -> Self {
         Self { anchor, ..self }
     }
@@ -78,7 +75,6 @@ impl TextStyle {
         Self { colour, ..self }
     }
 
-    /// The same in bold.
     pub(crate) const fn bold(self) -> Self {
         Self { bold: true, ..self }
     }
@@ -116,12 +112,10 @@ impl Canvas {
         canvas
     }
 
-    /// A straight line.
     pub(crate) fn line(&mut self, from: DVec2, to: DVec2, stroke: Stroke) {
         self.path(&[from, to], stroke);
     }
 
-    /// A line through points.
     pub(crate) fn path(&mut self, points: &[DVec2], stroke: Stroke) {
         let mut attributes = vec![("points", joined(points)), ("fill", "none".to_owned())];
         attributes.extend(stroke_attributes(stroke));
@@ -141,7 +135,6 @@ impl Canvas {
         self.element("polygon", &attributes);
     }
 
-    /// A disc, with a rim.
     pub(crate) fn disc(&mut self, centre: DVec2, radius: f64, fill: Colour, rim: Stroke) {
         let mut attributes =
             vec![("cx", number(centre.x)), ("cy", number(centre.y)), ("r", number(radius)), ("fill", fill.to_owned())];

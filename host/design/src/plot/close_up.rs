@@ -52,7 +52,6 @@ struct SideView<'a> {
     /// Pixels per millimetre, and the pixel of the detector's centre.
     scale: f64,
     origin: DVec2,
-    /// Height of the drawing.
     top_mm: f64,
     emitter: DVec2,
     axis: DVec2,

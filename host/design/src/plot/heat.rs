@@ -13,7 +13,6 @@ const SIZE: f64 = 210.0;
 const GAP: DVec2 = DVec2::new(74.0, 78.0);
 const LEGEND: f64 = 56.0;
 
-/// Values over a plane.
 #[derive(Clone, Debug)]
 pub(crate) struct Heat {
     /// What is shown; formulas between `$`.

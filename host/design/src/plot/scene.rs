@@ -86,7 +86,6 @@ struct Sheet {
     view: View,
     /// Pixels of the middle of the drawing.
     middle: DVec2,
-    /// Pixels per millimetre.
     scale: f64,
     /// Millimetres of the middle.
     centre: DVec2,

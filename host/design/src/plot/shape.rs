@@ -104,7 +104,6 @@ pub(super) struct View {
     pub(super) up: (DVec3, &'static str),
 }
 
-/// From above.
 pub(super) const TOP: View = View { name: "top view", right: (DVec3::X, "x"), up: (DVec3::Y, "y") };
 /// From the front: along +y.
 pub(super) const FRONT: View = View { name: "front view", right: (DVec3::X, "x"), up: (DVec3::Z, "z") };

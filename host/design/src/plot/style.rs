@@ -14,13 +14,10 @@ pub const SOFT_INK: Colour = "#666666";
 pub(crate) const PALE: Colour = "#d4d4d4";
 /// Grid lines between numbered ones.
 pub(crate) const FAINT: Colour = "#ededed";
-/// The tool's body.
 pub(crate) const TOOL: Colour = "#9a9a9a";
-/// Masks.
 pub(crate) const MASK: Colour = "#3c3c3c";
 /// Where a picture must warn.
 pub(crate) const ALERT: Colour = "#c1121f";
-/// Paper.
 pub(crate) const WHITE: Colour = "#ffffff";
 
 /// Colours of cells, in order; distinguishable with the common forms of colour blindness

@@ -47,7 +47,6 @@ pub fn calibration_report(file: &SceneFile, calibrated: &Calibrated) -> Report {
     }
 }
 
-/// Residuals by cell.
 fn fit(calibrated: &Calibrated) -> Section {
     let (calibration, residuals) = (&calibrated.calibration, &calibrated.residuals);
     let statistics = calibration.statistics();
@@ -175,7 +174,6 @@ fn histogram(residuals: &[Residual]) -> super::section::Picture {
     .draw("histogram", "Distribution of the normalised residuals after calibration.")
 }
 
-/// Principal directions.
 fn observability(calibration: &Calibration) -> Section {
     let directions = calibration.directions();
     let points: Vec<[f64; 2]> =

@@ -39,7 +39,6 @@ struct Entry {
     derivatives: RunTime,
 }
 
-/// Currents of a cell at a pose.
 type Currents = Box<dyn Fn(usize, &Pose) -> Pair<f64>>;
 
 /// Evaluates all cells at all poses, for the stopwatch.

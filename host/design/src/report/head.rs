@@ -78,14 +78,23 @@ impl<'a> Head<'a> {
             &MotionPrior::AT_REST,
         );
         if home.estimate.is_none() {
-            let (scene, cells) = (file.name.clone(), file.scene.cells.len());
-            return Err(ReportError::NoPose { scene, cells, outcome: home.outcome });
+            return Err(ReportError::Poses(format!(
+                "scene `{}` with its {} cells gives no pose at home: {}; a study of poses needs a head that has one, such as \
+                 the shipped scene `wide`",
+                file.name,
+                file.scene.cells.len(),
+                home.outcome.as_str()
+            )));
         }
         let (wanted, tried) = (settings.poses, TRIES * settings.poses);
         let poses: Vec<Pose> = file.workspace.poses(tried).filter(|pose| is_lit(&truth, pose)).take(wanted).collect();
         if poses.len() < wanted {
-            let (scene, found) = (file.name.clone(), poses.len());
-            return Err(ReportError::TooFewLit { scene, found, tried, wanted });
+            let found = poses.len();
+            return Err(ReportError::Poses(format!(
+                "all cells of scene `{}` see light in {found} of {tried} poses of its workspace, {wanted} are wanted; make \
+                 [workspace] smaller, or give --poses {found}",
+                file.name
+            )));
         }
         Ok(Self { file, scene, frame, poses, truth, truth_tier })
     }
@@ -134,7 +143,6 @@ pub(super) fn is_lit(plan: &Plan<f64>, pose: &Pose) -> bool {
     })
 }
 
-/// Sums over many poses.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Errors {
     squares_m2: Vec<f64>,
@@ -144,7 +152,6 @@ pub(super) struct Errors {
 }
 
 impl Errors {
-    /// Counts one solve.
     pub(super) fn add(&mut self, solved: &Solved, truth: &Pose) {
         self.tried += 1;
         self.iterations += solved.iterations;
@@ -155,7 +162,6 @@ impl Errors {
         }
     }
 
-    /// Of many solves.
     pub(super) fn of<'a>(solves: impl IntoIterator<Item = (Solved, &'a Pose)>) -> Self {
         let mut errors = Self::default();
         for (solved, truth) in solves {

@@ -137,7 +137,6 @@ impl Table {
     }
 }
 
-/// A picture.
 #[derive(Clone, Debug)]
 pub(crate) struct Picture {
     /// The stem of its SVG file.
@@ -159,7 +158,6 @@ pub struct Section {
     pub summary: Vec<String>,
     /// Method and conclusions.
     pub paragraphs: Vec<String>,
-    /// Pictures, which come first.
     pub(crate) pictures: Vec<Picture>,
     /// Tables.
     pub tables: Vec<Table>,

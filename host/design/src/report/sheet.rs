@@ -22,12 +22,10 @@ pub(super) struct Sheet {
     pub(super) title: String,
     /// Conditions, in one line.
     pub(super) note: String,
-    /// Heading and chart of each panel.
     pub(super) panels: Vec<(String, Chart)>,
 }
 
 impl Sheet {
-    /// The finished picture.
     pub(super) fn draw(mut self, name: &'static str, caption: &str) -> Picture {
         for (_, chart) in self.panels.iter_mut().skip(1) {
             for curve in &mut chart.curves {

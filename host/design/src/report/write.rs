@@ -10,7 +10,6 @@ use super::section::{Report, Section, Table, Value};
 
 const STYLE: &str = include_str!("page.css");
 
-/// The whole page.
 fn page(report: &Report) -> String {
     let title = format!("{}: {}", report.title, escape(&report.scene));
     let mut page = format!(
@@ -94,7 +93,6 @@ fn words(text: &str) -> String {
     parts.collect()
 }
 
-/// The whole report.
 fn markdown(report: &Report) -> String {
     let mut text = format!("# {}: {}\n\n", report.title, report.scene);
     for warning in &report.warnings {

@@ -127,7 +127,6 @@ impl CellCoverage {
         }
     }
 
-    /// Counts one pose.
     fn add(&mut self, pose: &Pose, response: &Response<f64>, full_scale_a: Option<f64>) {
         match response.status {
             Status::Lit => self.lit += 1.0,
@@ -181,13 +180,11 @@ impl CellCoverage {
         ]
     }
 
-    /// Turns counts into shares.
     fn divide_by(&mut self, samples: f64) {
         self.counts().into_iter().for_each(|count| *count /= samples);
     }
 }
 
-/// Counts of poses.
 #[derive(Clone)]
 struct Counts {
     full_scale_a: Option<f64>,

@@ -43,14 +43,12 @@ pub struct Survey {
     pub hash: String,
     /// The box that was sampled.
     pub(crate) workspace: WorkspaceFacts,
-    /// Each cell with the tool at home.
     pub(crate) home: Vec<CellAtHome>,
     /// Which noise that is by which a pose is told.
     #[serde(skip)]
     pub(crate) noise: NoiseOf,
     /// Standard deviations that one frame gives the pose at home, metres and radians; `None` if it gives none.
     pub(crate) sigma_at_home: Option<[f64; 6]>,
-    /// The sampled workspace.
     pub(crate) coverage: Coverage,
     /// How far the tool moves along each axis with every cell lit and not faint.
     pub(crate) travel: Vec<Travel>,
@@ -150,7 +148,6 @@ fn rounded(value: f64) -> f64 {
     (value * 1e6).round() / 1e6 + 0.0
 }
 
-/// Each finding as one line.
 fn serialize_lines<S: Serializer>(findings: &[Finding], serializer: S) -> Result<S::Ok, S::Error> {
     serializer.collect_seq(findings.iter().map(Finding::to_string))
 }

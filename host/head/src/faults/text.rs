@@ -147,7 +147,6 @@ impl FromStr for Fault {
     }
 }
 
-/// As it was given.
 impl fmt::Display for Fault {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.text)

@@ -6,7 +6,6 @@ use rand_chacha::ChaCha8Rng;
 use super::kinds::Effect;
 use super::text::Fault;
 
-/// A fault of the wire.
 #[derive(Clone, Debug)]
 pub(super) struct WireFault {
     pub(super) fault: Fault,
@@ -24,11 +23,9 @@ pub(super) struct WireFault {
 pub(super) struct Passage {
     /// Its bytes, delimiter included; empty if it is lost.
     pub(super) bytes: Vec<u8>,
-    /// It is delivered twice.
     pub(super) is_double: bool,
     /// It is delivered behind the next.
     pub(super) is_late: bool,
-    /// It is held back.
     pub(super) is_held: bool,
 }
 

@@ -17,7 +17,6 @@ use super::text::Fault;
 pub struct WordFaults {
     faults: Vec<WordFault>,
     clock: FaultClock,
-    /// Dark words of the scan before.
     dark_before: Option<RawScan>,
 }
 
@@ -32,9 +31,7 @@ struct WordFault {
 /// What words of one configuration are worth.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct WordScale {
-    /// Of one conversion.
     pub(crate) scaling: AdcScaling,
-    /// Conversions of a word.
     pub(crate) oversampling: u16,
     /// Ticks a second.
     pub(crate) tick_hz: u32,
@@ -49,7 +46,6 @@ impl WordScale {
         value.round().clamp(0.0, self.top()) as u16
     }
 
-    /// Steps of a word for a current.
     fn steps(&self, current_a: f64) -> f64 {
         f64::from(self.oversampling) * current_a / self.scaling.amperes_per_code
     }
@@ -144,7 +140,6 @@ impl WordFault {
     }
 }
 
-/// Changes all words of a cell.
 fn change(scan: &mut RawScan, cell: usize, mut change: impl FnMut(u16) -> u16) {
     scan.lit_mut()[cell] = scan.lit()[cell].map(&mut change);
     if let Some(dark) = scan.dark_mut() {

@@ -129,7 +129,6 @@ impl<'a> Document<'a> {
         self.has_section(section) || self.find_own(cell, "cell", section).is_some()
     }
 
-    /// A text, if the key is there.
     pub(super) fn text(&self, path: KeyPath) -> Result<Option<String>, SceneFileError> {
         let Some(entry) = self.find(path) else {
             return Ok(None);

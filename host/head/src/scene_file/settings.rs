@@ -101,7 +101,6 @@ impl Lighting {
         Self { slots: slots.chain([Vec::new()]).collect() }
     }
 
-    /// The slot that lights an emitter.
     pub(crate) fn slot_of(&self, emitter: usize) -> Option<usize> {
         self.slots.iter().position(|slot| slot.contains(&emitter))
     }

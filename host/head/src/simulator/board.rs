@@ -100,7 +100,7 @@ impl SimulatedBoard {
         seed: u64,
     ) -> Result<Self, SimulatorError> {
         let configuration: Configuration = front_end::board_configuration(file)?;
-        let front_end = file.front_end.as_ref().ok_or_else(|| TimingError::NoFrontEnd { scene: file.name.clone() })?;
+        let front_end = file.front_end.as_ref().ok_or_else(|| TimingError::NoFrontEnd(file.name.clone()))?;
         let electronics = Electronics::new(&file.scene, front_end);
         let mut device_id = *b"simulated\0\0\0";
         device_id[11] = number;

@@ -73,7 +73,6 @@ impl Plan {
         Self { random, knots: VecDeque::from([(0.0, Pose::HOME)]) }
     }
 
-    /// Adds a leg.
     fn fly(&mut self, [by_m, by_rad]: [DVec3; 2]) {
         let Self { random, knots } = self;
         if knots.len() == KEPT {

@@ -80,7 +80,6 @@ fn micro(value: f64) -> Value {
     Value::from(value * 1e6)
 }
 
-/// Points of a curve.
 const POINTS: usize = 200;
 
 /// Ratio of greatest to least σ from which an axis is logarithmic.

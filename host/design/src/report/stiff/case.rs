@@ -12,7 +12,6 @@ const ENOUGH: f64 = 100.0;
 /// A solve that takes longer is not good, however exact: twenty scans at 4 kHz.
 const SLOW_S: f64 = 5e-3;
 
-/// The expected result.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Expected {
     /// One of these words, whatever the number.
@@ -52,7 +51,6 @@ pub(super) struct Reached {
 }
 
 impl Reached {
-    /// One outcome with its error.
     pub(super) fn once(outcome: &str, error: Option<f64>, attainable: Option<f64>) -> Self {
         let without_value = usize::from(error.is_none());
         let outcomes = BTreeMap::from([(outcome.to_owned(), 1)]);
@@ -67,7 +65,6 @@ impl Reached {
         counted.join(", ")
     }
 
-    /// Error over attainable error.
     fn ratio(&self) -> Option<f64> {
         match (self.error?, self.attainable?) {
             (0.0, _) => Some(0.0),
@@ -90,10 +87,8 @@ impl Reached {
     }
 }
 
-/// One case.
 #[derive(Clone, Debug)]
 pub(super) struct Case {
-    /// Which of the extremes.
     pub(super) study: &'static str,
     /// How far it was driven.
     pub(super) case: String,
@@ -133,7 +128,6 @@ impl Case {
     }
 }
 
-/// All cases as a table.
 pub(super) fn table(cases: &[Case]) -> Table {
     use Precision::{Double, Single};
     let outcome = |case: &Case, of| Value::from(case.reached_in(of).map(Reached::outcome).unwrap_or_default());

@@ -161,7 +161,6 @@ pub(super) fn scales(head: &Head<'_>, settings: &Settings) -> Result<Vec<Case>, 
     (-9..=9).step_by(3).map(case).collect()
 }
 
-/// Poses of one case.
 pub(super) const POSES: usize = 20;
 
 /// How far from home they are, per axis: so near that cases differ and not poses.
@@ -178,7 +177,6 @@ const PRIOR_RAD: f64 = 3e-4;
 /// The measure of a pose error.
 const AT_EMITTERS: &str = "pose at the emitters / µm";
 
-/// Poses and their measurements.
 struct Trial {
     scene: Scene,
     plan: Plan<f64>,
@@ -247,7 +245,6 @@ impl Trial {
     }
 }
 
-/// The middle condition number.
 fn condition(attainable: &[Attainable]) -> f64 {
     crate::report::head::median(attainable.iter().map(|attainable| attainable.condition).collect())
 }
