@@ -1,9 +1,12 @@
-//! Random numbers of one purpose: one seed, a stream for each purpose, so that no table depends on another's length.
+//! Random numbers of one purpose: one seed, a stream for each purpose, so that no table depends on another's length; and motions drawn from them.
+
+use std::f64::consts::TAU;
 
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
+use slitpose_head::scene_file::Workspace;
 use slitpose_model::Pose;
 
 /// One stream of a seed.
@@ -47,5 +50,75 @@ impl Chance {
     pub(crate) fn near(&mut self, pose: &Pose, [sigma_m, sigma_rad]: [f64; 2]) -> Pose {
         let (dt, dr) = (self.normals(sigma_m), self.normals(sigma_rad));
         pose.perturbed(dt, dr)
+    }
+}
+
+/// Frequencies of a free motion by hand, hertz.
+const FREE_HZ: [f64; 2] = [0.15, 1.2];
+
+/// Share of the workspace that a free motion fills.
+const FREE_SHARE: f64 = 0.95;
+
+/// Shares of the two sinusoids of each coordinate.
+const SINUSOIDS: [f64; 2] = [0.65, 0.35];
+
+/// Distance of a tip from the tool's origin, in extents of the workspace: turning about it uses this share of the
+/// translations.
+const TIP_SHARE: f64 = 0.7;
+
+/// Length of a tip of a head that does not turn, metres.
+const TIP_M: f64 = 10e-3;
+
+/// A pose of the workspace, every coordinate uniform.
+pub(crate) fn anywhere(workspace: &Workspace, chance: &mut Chance) -> Pose {
+    let translation_m = chance.in_box(workspace.half_extent_m);
+    Pose::from_vectors(translation_m, chance.in_box(workspace.half_extent_rad))
+}
+
+/// Free motion: two sinusoids in each coordinate.
+pub(crate) struct FreeMotion {
+    /// Amplitude, angular frequency, phase.
+    sines: [[[f64; 3]; 2]; 6],
+}
+
+impl FreeMotion {
+    pub(crate) fn draw(workspace: &Workspace, chance: &mut Chance) -> Self {
+        let Workspace { half_extent_m: m, half_extent_rad: rad } = workspace;
+        let extents = [m.x, m.y, m.z, rad.x, rad.y, rad.z];
+        let sines = extents.map(|extent| {
+            SINUSOIDS
+                .map(|share| [share * FREE_SHARE * extent, TAU * chance.between(FREE_HZ), chance.between([0.0, TAU])])
+        });
+        Self { sines }
+    }
+
+    pub(crate) fn pose(&self, time_s: f64) -> Pose {
+        let of = |[amplitude, frequency, phase]: &[f64; 3]| amplitude * (frequency * time_s + phase).sin();
+        let v = self.sines.each_ref().map(|pair| pair.iter().map(of).sum::<f64>());
+        Pose::from_vectors(DVec3::new(v[0], v[1], v[2]), DVec3::new(v[3], v[4], v[5]))
+    }
+}
+
+/// A tip in a cone.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Pivot {
+    /// The tip in the tool frame, metres.
+    pub(crate) in_tool_m: DVec3,
+    /// The cone in the base frame, metres.
+    pub(crate) in_base_m: DVec3,
+}
+
+impl Pivot {
+    pub(crate) fn draw(workspace: &Workspace, chance: &mut Chance) -> Self {
+        let least_m = workspace.half_extent_m.min_element();
+        let most_rad = workspace.half_extent_rad.max_element();
+        let length_m = if most_rad > 0.0 { TIP_SHARE * least_m / most_rad } else { TIP_M };
+        let in_tool_m = DVec3::new(0.0, 0.0, -length_m);
+        Self { in_tool_m, in_base_m: in_tool_m + 0.2 * chance.in_box(workspace.half_extent_m) }
+    }
+
+    pub(crate) fn pose(&self, workspace: &Workspace, chance: &mut Chance) -> Pose {
+        let turned = Pose::from_vectors(DVec3::ZERO, chance.in_box(workspace.half_extent_rad));
+        Pose { translation_m: self.in_base_m - turned.rotation * self.in_tool_m, ..turned }
     }
 }

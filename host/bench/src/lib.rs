@@ -11,14 +11,11 @@
 mod beyond;
 mod chance;
 mod drawn;
-mod error;
 mod folder;
-mod motion;
 mod session;
-mod truth;
 
 pub use beyond::Beyond;
 pub use drawn::{DrawnHead, Within};
-pub use error::BenchError;
+pub use folder::BenchError;
 pub use folder::write;
 pub use session::{Session, Settings, Table};

@@ -8,8 +8,8 @@ use slitpose_model::{Pair, Pose};
 
 use crate::BenchError;
 use crate::chance::Chance;
+use crate::chance::{FreeMotion, Pivot, anywhere};
 use crate::drawn::DrawnHead;
-use crate::motion::{FreeMotion, Pivot, anywhere};
 
 /// Frames that are averaged in a row while the tool rests.
 pub(crate) const FRAMES: u32 = 16;
@@ -17,7 +17,6 @@ pub(crate) const FRAMES: u32 = 16;
 /// Frames in a row of a quiet test.
 const QUIET_FRAMES: u32 = 100;
 
-/// Rows of the tests.
 const TEST_POSES: usize = 400;
 
 /// Rows of a tip in a cone, and returns to a stop.

@@ -8,9 +8,9 @@ use crate::constraint;
 use crate::data::{Constraint, Data};
 use crate::normal::{Normal, forward, moved, row_terms};
 use crate::parameter::FAMILIES;
-use crate::reading_noise::{directions, whiten, whitener};
-use crate::sensitivity::{CellSensitivity, sensitivities};
+use crate::reading::{directions, whiten, whitener};
 use crate::start::solved;
+use crate::state::{CellSensitivity, sensitivities};
 use crate::state::{State, Weights};
 
 /// Squared normalised residual of a reading (two currents) beyond which it is an outlier: one in 3·10⁶ by chance.

@@ -68,126 +68,10 @@ const ELSEWHERE_S: f64 = 0.2;
 /// Intervals of the instrument between two rows: its poses between two samples err by what both do.
 const INDEPENDENT: f64 = 2.0;
 
-/// Why an instrument's record does not fit a capture.
+/// Why an instrument's record does not fit a capture: the table, what is wrong with it, and the next step.
 #[derive(Debug, Error)]
-pub enum ClockError {
-    /// Times that do not ascend.
-    #[error("{file}: time_s does not ascend in row {row}; sort the rows by time, each once")]
-    Order {
-        /// The table.
-        file: String,
-        /// Number of the row, from one.
-        row: usize,
-    },
-    /// Fewer poses than interpolation needs.
-    #[error("{file} has {rows} poses; an instrument that tracks a motion gives a hundred and more")]
-    Short {
-        /// The table.
-        file: String,
-        /// Its rows.
-        rows: usize,
-    },
-    /// Rows without a pose.
-    #[error(
-        "{file}: in {rows} of {of} rows, from row {first} on, the pose stands still or is far from those around: the \
-         instrument had lost its marker; record again with the marker in view"
-    )]
-    Lost {
-        /// The table.
-        file: String,
-        /// Such rows.
-        rows: usize,
-        /// All rows.
-        of: usize,
-        /// Number of the first.
-        first: usize,
-    },
-    /// Times that are no seconds.
-    #[error("{file}: its rows are {usual_s:.3} s apart by time_s: {likely}? Give seconds")]
-    Unit {
-        /// The table.
-        file: String,
-        /// Usual interval.
-        usual_s: f64,
-        /// What they may be.
-        likely: &'static str,
-    },
-    /// Lengths in another unit.
-    #[error(
-        "{file}: tx_mm, ty_mm and tz_mm are millimetres, but are these {unit}? Then the motion is that of the capture"
-    )]
-    Lengths {
-        /// The table.
-        file: String,
-        /// What they look like.
-        unit: &'static str,
-    },
-    /// A clock that was set while it ran.
-    #[error(
-        "{file}: time_s jumps by {gap_s:.1} s to row {row}, and all of {capture} takes {capture_s:.1} s; correct the times \
-         from there on, or give the rows of one side alone"
-    )]
-    Jump {
-        /// The table.
-        file: String,
-        /// The interval.
-        gap_s: f64,
-        /// Number of the row that ends it.
-        row: usize,
-        /// The capture.
-        capture: String,
-        /// Its duration.
-        capture_s: f64,
-    },
-    /// A record much longer than any capture.
-    #[error(
-        "{file} is {span_s:.0} s long, and {capture} {capture_s:.0} s: is its time_s in seconds? Else cut it to the same minutes"
-    )]
-    Long {
-        /// The table.
-        file: String,
-        /// Its duration.
-        span_s: f64,
-        /// The capture.
-        capture: String,
-        /// Its duration.
-        capture_s: f64,
-    },
-    /// A tool that hardly turns.
-    #[error(
-        "{file}: the tool hardly turns, so that nothing tells how the two clocks differ; turn it back and forth by some degrees, at uneven speed"
-    )]
-    Still {
-        /// The table.
-        file: String,
-    },
-    /// No shift at which the motions agree.
-    #[error(
-        "{file}: its motion is not that of {capture}: at best {} % of it agrees; \
-         give records of the same minutes, rotations in radians", (100.0 * (1.0 - left)).max(0.0).round()
-    )]
-    NoMatch {
-        /// The table.
-        file: String,
-        /// The capture.
-        capture: String,
-        /// Share of the squares of its angles, or of its ways, that is left.
-        left: f64,
-    },
-    /// A motion that repeats itself.
-    #[error(
-        "{file}: its clock may be {first_s:.2} s or {second_s:.2} s ahead, for the motion is short or \
-         repeats itself; move the tool unevenly for ten seconds or more"
-    )]
-    Repeats {
-        /// The table.
-        file: String,
-        /// The best shift.
-        first_s: f64,
-        /// Another as good.
-        second_s: f64,
-    },
-}
+#[error("{0}{1}")]
+pub struct ClockError(pub(crate) String, pub(crate) String);
 
 /// An instrument's clock beside the board's.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -253,10 +137,20 @@ fn some<T: Copy>(all: &[T], most: usize) -> Vec<T> {
 impl Motion<'_> {
     /// How far the instrument's clock is ahead of the board's, seconds.
     fn ahead_s(&self, track: &Track) -> Result<f64, ClockError> {
-        let [file, capture] = self.files.map(str::to_owned);
+        let [file, capture] = self.files;
+        let refuse = |text: String| Err(ClockError(file.to_owned(), text));
+        let still = ": the tool hardly turns, so that nothing tells how the two clocks differ; turn it back and forth by some \
+                     degrees, at uneven speed";
+        let no_match = |left: f64| {
+            refuse(format!(
+                ": its motion is not that of {capture}: at best {} % of it agrees; give records of the same minutes, \
+                 rotations in radians",
+                (100.0 * (1.0 - left)).max(0.0).round()
+            ))
+        };
         let [track_from_s, track_to_s] = track.span_s();
         let (Some((first_s, _)), Some((last_s, _))) = (self.poses.first(), self.poses.last()) else {
-            return Err(ClockError::Still { file });
+            return refuse(still.to_owned());
         };
         let capture_s = last_s - first_s;
         if track.usual_s > MAX_INTERVAL_S {
@@ -266,17 +160,23 @@ impl Motion<'_> {
                 usual_s if usual_s > 1e3 * MAX_INTERVAL_S => "are these microseconds",
                 _ => "are these milliseconds",
             };
-            return Err(ClockError::Unit { file, usual_s: track.usual_s, likely });
+            return refuse(format!(": its rows are {:.3} s apart by time_s: {likely}? Give seconds", track.usual_s));
         }
         let (gap_s, row) = track.longest_gap();
         if gap_s > capture_s {
-            return Err(ClockError::Jump { file, gap_s, row, capture, capture_s });
+            return refuse(format!(
+                ": time_s jumps by {gap_s:.1} s to row {row}, and all of {capture} takes {capture_s:.1} s; correct the times \
+                 from there on, or give the rows of one side alone"
+            ));
         }
         let from_s = track_from_s - last_s;
         let steps = (track_to_s - first_s - from_s) / STEP_S;
         if steps > MOST_STEPS {
             let span_s = track_to_s - track_from_s;
-            return Err(ClockError::Long { file, span_s, capture, capture_s });
+            return refuse(format!(
+                " is {span_s:.0} s long, and {capture} {capture_s:.0} s: is its time_s in seconds? Else cut it to the same \
+                 minutes"
+            ));
         }
         let pairs = self.poses.windows(APART + 1).map(|of| (of[0], of[APART]));
         let mut turns: Vec<Turn> = pairs
@@ -290,7 +190,7 @@ impl Motion<'_> {
         turns.retain(|turn| turn.angle <= most);
         let mean_square = turns.iter().map(|turn| turn.angle * turn.angle).sum::<f64>() / turns.len().max(1) as f64;
         if mean_square.sqrt() <= LEAST_TURN {
-            return Err(ClockError::Still { file });
+            return refuse(still.to_owned());
         }
         let turns_tried = some(&turns, TRIED);
         let steps = steps as usize;
@@ -305,7 +205,7 @@ impl Motion<'_> {
         low.sort_by(|a, b| a.0.total_cmp(&b.0));
         match low.first() {
             Some((share, _)) if *share < MOST_LEFT => {}
-            other => return Err(ClockError::NoMatch { file, capture, left: other.map_or(1.0, |other| other.0) }),
+            other => return no_match(other.map_or(1.0, |other| other.0)),
         }
         // The frames tell the rest: a motion that turns alike at two times is hardly at the same places then.
         let poses = some(&self.poses, TRIED);
@@ -321,17 +221,22 @@ impl Motion<'_> {
             let scaled =
                 Track { times_s: track.times_s.clone(), poses: poses_of, left_out: Vec::new(), usual_s: track.usual_s };
             if found.iter().any(|(_, at_s)| BETTER * BETTER * self.misfit(&scaled, &poses, *at_s) < found[0].0) {
-                return Err(ClockError::Lengths { file, unit });
+                return refuse(format!(
+                    ": tx_mm, ty_mm and tz_mm are millimetres, but are these {unit}? Then the motion is that of the capture"
+                ));
             }
         }
         if found[0].0 > MOST_APART * motion {
-            return Err(ClockError::NoMatch { file, capture, left: (found[0].0 / motion).min(1.0) });
+            return no_match((found[0].0 / motion).min(1.0));
         }
         match *found {
             [(best, first_s), (second, second_s), ..]
                 if second < DISTINCT * best && (first_s - second_s).abs() > ELSEWHERE_S =>
             {
-                Err(ClockError::Repeats { file, first_s, second_s })
+                refuse(format!(
+                    ": its clock may be {first_s:.2} s or {second_s:.2} s ahead, for the motion is short or repeats itself; move \
+                     the tool unevenly for ten seconds or more"
+                ))
             }
             _ => Ok(found[0].1),
         }

@@ -11,15 +11,13 @@ use thiserror::Error;
 use crate::adjust::Adjustment;
 use crate::data::{Constraint, Data};
 use crate::normal::Normal;
-use crate::parameters::Parameters;
 use crate::plausibility::{self, Implausible};
 use crate::pose_error::PoseError;
+use crate::prior::Parameters;
 use crate::start::{Beginning, solved};
-use crate::state::{State, Weights};
-use crate::weakness;
+use crate::state::{State, Weights, residuals};
 use crate::{
-    Calibration, CalibrationFileError, Clock, ClockError, Frames, Residual, Statistics, agreement, prior, residuals,
-    uncalibrated,
+    Calibration, CalibrationFileError, Clock, ClockError, Frames, Residual, Statistics, findings, prior, uncalibrated,
 };
 
 /// Rounds of adjustment and estimate of the model errors.
@@ -67,52 +65,29 @@ pub enum CalibrateError {
         /// What to do.
         next_step: &'static str,
     },
-    /// Readings of cells that are not those of the scene.
+    /// Readings of cells that are not those of the scene: what is left of each such cell, between readings and model.
     #[error(
-        "no head within the tolerances explains these readings: an adjustment leaves {left} (usual: a few µm and 0.1 %); look for exchanged electrodes or cells, for readings of other instants, for exchanged or reversed axes of poses, at the kind of measurement that each file is, and at these cells in the scene, or take one out of both"
+        "no head within the tolerances explains these readings: an adjustment leaves {0} (usual: a few µm and 0.1 %); look for exchanged electrodes or cells, for readings of other instants, for exchanged or reversed axes of poses, at the kind of measurement that each file is, and at these cells in the scene, or take one out of both"
     )]
-    ForeignCells {
-        /// What is left of each such cell, between readings and model.
-        left: String,
-    },
-    /// Rows that most others contradict.
+    ForeignCells(String),
+    /// Rows that most others contradict: the file, so many rows, of all.
     #[error(
-        "{file}: {left_out} of {rows} rows contradict the rest, and were left out as outliers: they are not what they are said to be; look at units (step_mm is in millimetres), at instants, and at the kind of measurement (--known, --pivot, --stage, --rest)"
+        "{0}: {1} of {2} rows contradict the rest, and were left out as outliers: they are not what they are said to be; look at units (step_mm is in millimetres), at instants, and at the kind of measurement (--known, --pivot, --stage, --rest)"
     )]
-    ForeignRows {
-        /// The file.
-        file: String,
-        /// Rows that were left out.
-        left_out: usize,
-        /// All rows.
-        rows: usize,
-    },
-    /// Poses that are not those of the tool.
+    ForeignRows(String, usize, usize),
+    /// Poses that are not those of the tool: the file, by how much they err, and that over what is stated.
     #[error(
-        "{file}: its poses err by {found}, {ratio:.0} times what is stated: they are not poses of this tool; look for axes of another order, direction or handedness, for rotations of the other sense, and for another marker, or state how coarse the instrument is (--known-sigma-um, --known-sigma-urad)"
+        "{0}: its poses err by {1}, {2:.0} times what is stated: they are not poses of this tool; look for axes of another order, direction or handedness, for rotations of the other sense, and for another marker, or state how coarse the instrument is (--known-sigma-um, --known-sigma-urad)"
     )]
-    ForeignPoses {
-        /// The file.
-        file: String,
-        /// By how much, with its unit.
-        found: String,
-        /// The same over what is stated.
-        ratio: f64,
-    },
-    /// Light that changes while the data are taken.
-    #[error("{what}")]
-    LightDrift {
-        /// Where, by how much, and what to do.
-        what: String,
-    },
-    /// Poses that do not fix what they have in common.
+    ForeignPoses(String, String, f64),
+    /// Light that changes while the data are taken: where, by how much, and what to do.
+    #[error("{0}")]
+    LightDrift(String),
+    /// A file of poses that do not fix what they have in common.
     #[error(
-        "{file}: the tool moves too little to tell anything from; turn it by 10 degrees about two axes, and move it through its workspace"
+        "{0}: the tool moves too little to tell anything from; turn it by 10 degrees about two axes, and move it through its workspace"
     )]
-    LittleMotion {
-        /// The file.
-        file: String,
-    },
+    LittleMotion(String),
     /// An instrument's record that does not fit a capture.
     #[error(transparent)]
     Clock(#[from] ClockError),
@@ -213,19 +188,19 @@ pub fn calibrate(
             break;
         }
     }
-    let drift = agreement::light_drift(&nominal, data, &state)?;
-    if !is_interrupted && let Err(error) = agreement::require_agreement(&by_tolerances, data, &state, &weights) {
+    let drift = findings::light_drift(&nominal, data, &state)?;
+    if !is_interrupted && let Err(error) = findings::require_agreement(&by_tolerances, data, &state, &weights) {
         let likely = plausibility::likely_reading(&state.scene(&nominal), data)?.map(CalibrateError::Implausible);
-        return Err(likely.or(drift.map(|what| CalibrateError::LightDrift { what })).unwrap_or(error));
+        return Err(likely.or(drift.map(CalibrateError::LightDrift)).unwrap_or(error));
     }
     let mut remarks = [data.remarks.clone(), gross, drift.into_iter().collect()].concat();
-    remarks.extend(agreement::remarks(data, &state, &weights, &file.workspace));
+    remarks.extend(findings::remarks(data, &state, &weights, &file.workspace));
     let mut calibration = conclude(request, &adjustment, state.clone(), &normal, &weights)?;
     if !is_interrupted {
         is_interrupted = hold_out(&adjustment, &state, &weights, &mut calibration.statistics, &mut remarks, progress)?;
     }
     calibration.write();
-    let residuals = residuals::of(&nominal, data, &state)?;
+    let residuals = residuals(&nominal, data, &state)?;
     Ok(Calibrated { calibration, residuals, remarks, is_interrupted })
 }
 
@@ -325,7 +300,7 @@ fn conclude(
             tool_from_marker_sigma: sigma(6),
         });
     }
-    let weak = weakness::of(&pose_error, &state.parameters.entries, &file.workspace, data);
+    let weak = findings::weaknesses(&pose_error, &state.parameters.entries, &file.workspace, data);
     let mut calibration = Calibration {
         id: String::new(),
         date: date.map(str::to_owned),

@@ -11,84 +11,24 @@ use slitpose_model::{ModelError, SceneError};
 use thiserror::Error;
 
 use crate::parameter::Quantity;
-use crate::parameters::{Parameter, Parameters};
 use crate::pose_error::{COEFFICIENTS, PoseError};
+use crate::prior::{Parameter, Parameters};
 use crate::{Calibration, Clock, Statistics};
 
-/// Version of the format.
 const FORMAT: u32 = 1;
 
 /// Why a calibration cannot be used.
 #[derive(Debug, Error)]
 pub enum CalibrationFileError {
     /// The file cannot be read.
-    #[error("cannot read the calibration {}; give a file that `slitpose calibrate` wrote", printable(file))]
-    Read {
-        /// The file.
-        file: String,
-        /// Why not.
-        source: TextFileError,
-    },
-    /// Not a calibration.
-    #[error("{} is no calibration: {}; give a file that `slitpose calibrate` wrote", printable(file), printable(what))]
-    Content {
-        /// The file.
-        file: String,
-        /// What is wrong, with its place.
-        what: String,
-    },
-    /// A later format.
-    #[error(
-        "{} has format {found}, this program reads format {FORMAT}; use the version of slitpose that wrote it, or calibrate again",
-        printable(file)
-    )]
-    Format {
-        /// The file.
-        file: String,
-        /// Its format.
-        found: u32,
-    },
-    /// The text does not have the hash that it states.
-    #[error(
-        "{} states the hash {stated:016x}, its text has {found:016x}: it was changed or cut; take a copy of the original",
-        printable(file)
-    )]
-    Hash {
-        /// The file.
-        file: String,
-        /// The hash in the file.
-        stated: u64,
-        /// The hash of the text.
-        found: u64,
-    },
-    /// A calibration of another scene.
-    #[error(
-        "{} calibrates the scene `{}` with hash {expected:016x}, but {} has hash {found:016x}; \
-         give the scene it was made with, or calibrate this one",
-        printable(file),
-        printable(scene),
-        printable(given)
-    )]
-    OtherScene {
-        /// The calibration.
-        file: String,
-        /// Name of its scene.
-        scene: String,
-        /// Hash of its scene.
-        expected: u64,
-        /// The scene it was to be applied to.
-        given: String,
-        /// The hash of that.
-        found: u64,
-    },
-    /// Parameters that no head can have.
-    #[error("{} describes a head that cannot be; calibrate again", printable(file))]
-    Impossible {
-        /// The file.
-        file: String,
-        /// What the model says.
-        source: SceneError,
-    },
+    #[error("cannot read the calibration {}; give a file that `slitpose calibrate` wrote", printable(.0))]
+    Read(String, #[source] TextFileError),
+    /// The file, what is wrong with it, and the next step.
+    #[error("{} {}", printable(.0), .1)]
+    Content(String, String),
+    /// A file with parameters that no head can have.
+    #[error("{} describes a head that cannot be; calibrate again", printable(.0))]
+    Impossible(String, #[source] SceneError),
 }
 
 #[derive(Deserialize)]
@@ -167,7 +107,7 @@ impl Calibration {
     /// A file that cannot be read, or is no calibration.
     pub fn open(path: &Path) -> Result<Self, CalibrationFileError> {
         let file = || path.display().to_string();
-        let bytes = text_file::read(path).map_err(|source| CalibrationFileError::Read { file: file(), source })?;
+        let bytes = text_file::read(path).map_err(|source| CalibrationFileError::Read(file(), source))?;
         Self::from_bytes(&file(), &bytes)
     }
 
@@ -176,7 +116,10 @@ impl Calibration {
     /// # Errors
     /// Those of [`Self::open`].
     pub fn from_bytes(origin: &str, bytes: &[u8]) -> Result<Self, CalibrationFileError> {
-        let content = |what: String| CalibrationFileError::Content { file: origin.to_owned(), what };
+        let refuse = |text: String| CalibrationFileError::Content(origin.to_owned(), text);
+        let content = |what: String| {
+            refuse(format!("is no calibration: {}; give a file that `slitpose calibrate` wrote", printable(&what)))
+        };
         let text = std::str::from_utf8(bytes).map_err(|error| content(error.to_string()))?;
         let first = text.lines().next().unwrap_or_default();
         let stated = first.strip_prefix("hash = \"").and_then(|rest| rest.strip_suffix('"'));
@@ -185,11 +128,17 @@ impl Calibration {
         let rest = text.get(first.len() + 1..).unwrap_or_default();
         let parsed: Text = toml::from_str(rest).map_err(|error| content(error.to_string()))?;
         if parsed.format != FORMAT {
-            return Err(CalibrationFileError::Format { file: origin.to_owned(), found: parsed.format });
+            return Err(refuse(format!(
+                "has format {}, this program reads format {FORMAT}; use the version of slitpose that wrote it, or calibrate \
+                 again",
+                parsed.format
+            )));
         }
         let found = fnv1a_64(rest.as_bytes());
         if found != stated {
-            return Err(CalibrationFileError::Hash { file: origin.to_owned(), stated, found });
+            return Err(refuse(format!(
+                "states the hash {stated:016x}, its text has {found:016x}: it was changed or cut; take a copy of the original"
+            )));
         }
         Self::of_text(parsed, origin, text, stated).map_err(content)
     }
@@ -355,13 +304,15 @@ impl Calibration {
         if same {
             return Ok(());
         }
-        Err(CalibrationFileError::OtherScene {
-            file: self.origin.clone(),
-            scene: self.scene_name.clone(),
-            expected: self.scene_hash,
-            given: file.origin.clone(),
-            found: file.hash,
-        })
+        let text = format!(
+            "calibrates the scene `{}` with hash {:016x}, but {} has hash {:016x}; give the scene it was made with, or \
+             calibrate this one",
+            printable(&self.scene_name),
+            self.scene_hash,
+            printable(&file.origin),
+            file.hash
+        );
+        Err(CalibrationFileError::Content(self.origin.clone(), text))
     }
 }
 

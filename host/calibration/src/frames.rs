@@ -10,7 +10,6 @@ use crate::data::{compose, inverse};
 /// Rounds of the alternation; each is a maximum, so the sum only grows.
 const ROUNDS: usize = 60;
 
-/// Steps of the refinement.
 const STEPS: usize = 20;
 
 /// Ratio of the largest to the smallest eigenvalue beyond which the motion does not fix the transforms.

@@ -16,33 +16,25 @@
 #![forbid(unsafe_code)]
 
 mod adjust;
-mod agreement;
 mod clock;
 mod constraint;
 mod data;
-mod draw;
 mod engine;
 mod file;
-mod first_light;
+mod findings;
 mod frames;
 mod head;
 mod normal;
 mod parameter;
-mod parameters;
 mod part_costs;
 mod plausibility;
 mod pose_error;
 mod prior;
-mod reading_noise;
-mod residuals;
-mod sensitivity;
-mod spectrum;
+mod reading;
 mod start;
 mod state;
 pub mod tables;
 mod track;
-mod validity;
-mod weakness;
 
 use serde::Deserialize;
 use slitpose_head::scene_file::SceneFile;
@@ -50,23 +42,23 @@ use slitpose_model::{ModelError, Plan, Pose, Scene, Tier};
 
 pub use clock::{Clock, ClockError, read_tracked};
 pub use data::{Constraint, Data, Group, Knowledge, Row, compose, inverse};
-pub use draw::draw;
 pub use engine::{CalibrateError, Calibrated, Progress, Request, calibrate};
 pub use file::{CalibrationFileError, Frames};
-pub use first_light::uncalibrated;
+pub use findings::Direction;
 pub use frames::align;
+pub use head::uncalibrated;
 pub use head::{Basis, Head};
 pub use parameter::Quantity;
-pub use parameters::Parameter;
 pub use part_costs::{KnownPoses, PartCost, PartCosts, PoseRms, part_costs};
 pub use plausibility::{Implausible, Reports, check_poses, other_reading};
-pub use reading_noise::measured_noise;
-pub use residuals::Residual;
-pub use spectrum::Direction;
-pub use validity::{CellValidity, Validity, validity};
+pub use prior::Parameter;
+pub use prior::draw;
+pub use reading::measured_noise;
+pub use reading::{CellValidity, Validity, validity};
+pub use state::Residual;
 
-use parameters::Parameters;
 use pose_error::PoseError;
+use prior::Parameters;
 
 /// The parameters of one head, from measurements on it.
 #[derive(Clone, Debug, PartialEq)]
@@ -198,7 +190,7 @@ impl Calibration {
             cell.effects.model_error = *error;
         }
         Plan::<f64>::compile(&scene, Tier::Paper)
-            .map_err(|source| CalibrationFileError::Impossible { file: self.origin.clone(), source })?;
+            .map_err(|source| CalibrationFileError::Impossible(self.origin.clone(), source))?;
         Ok(scene)
     }
 

@@ -9,8 +9,8 @@ use slitpose_model::Pose;
 
 use crate::constraint::{self, RESIDUALS, VAGUE};
 use crate::data::Data;
-use crate::reading_noise::{whiten, whitener};
-use crate::sensitivity::CellSensitivity;
+use crate::reading::{whiten, whitener};
+use crate::state::CellSensitivity;
 use crate::state::{State, Weights};
 
 /// Rows whose contributions are multiplied at once: bounds memory.
@@ -24,7 +24,6 @@ pub(crate) struct RowFactor {
     pub(crate) right: [f64; 6],
 }
 
-/// The reduced normal equations.
 pub(crate) struct Normal {
     pub(crate) matrix: DMatrix<f64>,
     pub(crate) right: DVector<f64>,
@@ -260,7 +259,6 @@ impl Normal {
         Some(backward(factor, moved))
     }
 
-    /// Covariance of the unknowns.
     pub(crate) fn covariance(&self) -> Option<DMatrix<f64>> {
         Some(self.matrix.clone().cholesky()?.inverse())
     }

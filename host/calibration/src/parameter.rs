@@ -183,7 +183,6 @@ impl Quantity {
     }
 }
 
-/// Number of families.
 pub(crate) const FAMILIES: usize = 9;
 
 /// Σ cₖ·Pₖ as a polynomial: coefficients of x⁰, x¹, …

@@ -6,10 +6,10 @@ use slitpose_model::{ModelError, Pose};
 
 use crate::adjust::USUAL_ERROR;
 use crate::data::{Constraint, Data, Knowledge, Row};
-use crate::first_light::uncalibrated;
+use crate::head::uncalibrated;
 use crate::normal::Normal;
 use crate::pose_error::{POSES, spread};
-use crate::sensitivity::sensitivities;
+use crate::state::sensitivities;
 use crate::state::{State, Weights};
 use crate::{CalibrateError, Quantity, prior};
 

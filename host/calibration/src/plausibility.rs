@@ -7,8 +7,8 @@ use thiserror::Error;
 
 use crate::data::{Constraint, Data, Group, Row, compose, inverse, values_of};
 use crate::frames::align;
-use crate::sensitivity::TIER;
 use crate::start::solved;
+use crate::state::TIER;
 
 /// Units that lengths may be in by mistake, and how many millimetres they have.
 pub(crate) const UNITS: [(f64, &str); 4] =
@@ -339,7 +339,6 @@ pub type Reports<'a> = &'a dyn Fn(usize) -> Option<Pose>;
 
 /// Where the light is, of rows with reported poses.
 struct Spots<'a> {
-    /// The head.
     plan: Plan<f64>,
     /// How far tolerances move the spots of each cell, as a share of half the detector.
     sigmas: Vec<f64>,

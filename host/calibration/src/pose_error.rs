@@ -5,9 +5,9 @@ use slitpose_head::scene_file::Workspace;
 use slitpose_model::{ModelError, Pose, Scene, SceneError};
 
 use crate::normal::{backward, cholesky6, forward};
-use crate::reading_noise::{directions, whiten, whitener};
-use crate::sensitivity::{CellSensitivity, sensitivities};
+use crate::reading::{directions, whiten, whitener};
 use crate::state::State;
+use crate::state::{CellSensitivity, sensitivities};
 
 /// Functions of the pose that its error is made of: 1, the translation, the rotation vector.
 pub(crate) const FUNCTIONS: usize = 7;
@@ -28,7 +28,6 @@ pub(crate) struct PoseError {
     pub(crate) coefficients: Vec<f64>,
 }
 
-/// The functions at a pose.
 pub(crate) fn functions(pose: &Pose, length_scale_m: f64) -> [f64; FUNCTIONS] {
     let (t, r) = (pose.translation_m / length_scale_m, pose.rotation_rad());
     [1.0, t.x, t.y, t.z, r.x, r.y, r.z]

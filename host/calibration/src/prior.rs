@@ -1,10 +1,10 @@
-//! What is known of a head before calibration: the scene, and the tolerances of its parts.
+//! The parameters of a head as one vector, and what is known of them before calibration: the scene, and the tolerances of its parts.
 
+use heapless::Vec as FixedVec;
 use slitpose_head::scene_file::{SceneFile, Tolerance};
-use slitpose_model::{Cell, Opening, Plan, Pose, Profile, SceneError, Tier};
+use slitpose_model::{Cell, MAX_CELLS, Opening, Plan, Pose, Profile, Scene, SceneError, Tier};
 
-use crate::parameter::{NONLINEARITY_ORDERS, Quantity};
-use crate::parameters::{Parameter, Parameters};
+use crate::parameter::{NONLINEARITY_ORDERS, Quantity, cell_with};
 
 /// Thickness of the mask of a scene that does not give it, and its standard deviation, metres: foil that holds a slit.
 const MASK_M: [f64; 2] = [0.15e-3, 0.03e-3];
@@ -120,15 +120,116 @@ fn of_cell(tolerance: &Tolerance, cell: &Cell, quantity: Quantity, stray_a: f64,
     (found[1] > 0.0).then_some(found)
 }
 
+/// One parameter: what was known, and what is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Parameter {
+    /// The cell it belongs to; `None`: shared by all cells.
+    pub cell: Option<usize>,
+    /// What it is.
+    pub quantity: Quantity,
+    /// Most probable value before calibration, in the unit of the quantity.
+    pub prior: f64,
+    /// Its standard deviation.
+    pub prior_sigma: f64,
+    /// Value now.
+    pub value: f64,
+    /// Its standard deviation.
+    pub sigma: f64,
+}
+
+impl Parameter {
+    pub(crate) fn at_prior(cell: Option<usize>, quantity: Quantity, prior: f64, prior_sigma: f64) -> Self {
+        Self { cell, quantity, prior, prior_sigma, value: prior, sigma: prior_sigma }
+    }
+
+    /// Name with the cell, for people and files.
+    pub fn name(&self) -> String {
+        match self.cell {
+            Some(cell) => format!("cell {cell} {}", self.quantity),
+            None => self.quantity.to_string(),
+        }
+    }
+
+    /// Shift from the prior, in its standard deviations.
+    pub fn shift(&self) -> f64 {
+        (self.value - self.prior) / self.prior_sigma
+    }
+}
+
+/// All parameters of a head.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Parameters {
+    pub(crate) entries: Vec<Parameter>,
+    /// Current at the top code of the converters, amperes.
+    pub(crate) full_scale_a: f64,
+}
+
+impl Parameters {
+    /// The cell whose parameters are those of the emitter of `cell`, cell `number`: two axes of a detector have one.
+    pub(crate) fn emitter_of(cell: &Cell, number: usize) -> usize {
+        cell.other_axis().map_or(number, |other| other.min(number))
+    }
+
+    /// Which parameters act on `cell`, cell `number`, which sees light of the emitters `lit_together`, too: places in
+    /// [`Self::entries`].
+    pub(crate) fn acting_on(&self, cell: &Cell, number: usize, lit_together: u16) -> Vec<usize> {
+        let emitters = lit_together | 1 << Self::emitter_of(cell, number);
+        let acts = |parameter: &Parameter| match parameter.cell {
+            None => true,
+            Some(own) => own == number || emitters >> own & 1 == 1 && parameter.quantity.is_of_emitter(),
+        };
+        (0..self.entries.len()).filter(|&k| acts(&self.entries[k])).collect()
+    }
+
+    /// Cell `number` with the parameters in force, that at place `changed.0` with another value.
+    pub(crate) fn cell(&self, nominal: &Cell, number: usize, changed: Option<(usize, f64)>) -> Cell {
+        let emitter = Self::emitter_of(nominal, number);
+        let acts = |entry: &Parameter| {
+            entry.cell.is_none_or(|own| own == if entry.quantity.is_of_emitter() { emitter } else { number })
+        };
+        let of_cell = self.entries.iter().enumerate().filter(|(_, entry)| acts(entry));
+        let values = of_cell.map(|(k, entry)| match changed {
+            Some((place, value)) if place == k => (entry.quantity, value),
+            _ => (entry.quantity, entry.value),
+        });
+        cell_with(nominal, self.full_scale_a, values)
+    }
+
+    /// The scene with the parameters in force.
+    pub(crate) fn scene(&self, nominal: &Scene) -> Scene {
+        let cells = nominal.cells.iter().enumerate().map(|(number, cell)| self.cell(cell, number, None));
+        Scene { cells: cells.collect::<FixedVec<_, MAX_CELLS>>(), ..nominal.clone() }
+    }
+}
+
+/// A head whose parts deviate from the scene of `file` by chance, as its tolerances say: its optics, and every parameter
+/// as it is, with a standard deviation of zero. `normal` gives standard normal numbers.
+///
+/// # Errors
+/// Those of [`slitpose_model::Plan::compile`].
+pub fn draw(file: &SceneFile, mut normal: impl FnMut() -> f64) -> Result<(Scene, Vec<Parameter>), SceneError> {
+    let mut parameters = parameters(file)?;
+    for entry in &mut parameters.entries {
+        entry.value = entry.prior + entry.prior_sigma * normal();
+        // Light adds; a scene's own may be less.
+        if matches!(entry.quantity, Quantity::Stray(_)) && entry.prior > 0.0 {
+            entry.value = entry.value.abs();
+        }
+        entry.sigma = 0.0;
+    }
+    Ok((parameters.scene(&file.scene), parameters.entries))
+}
+
 #[cfg(test)]
 mod tests {
+    use super::*;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
     use rand_distr::StandardNormal;
     use slitpose_head::scene_file::{SceneFile, WIDE};
     use slitpose_model::{Plan, Pose, Tier};
 
-    use crate::{Quantity, draw};
+    use crate::Quantity;
 
     #[test]
     fn default_tolerances_leave_everything_open() {
@@ -151,7 +252,7 @@ mod tests {
         let variance = of_electrode.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / SPOTS as f64;
         // Five times the standard error of the mean; that of a standard deviation is about the same.
         let tolerance = 5.0 * (variance / SPOTS as f64).sqrt();
-        let [of_mean, of_sigma] = super::STRAY_OF_ELECTRODE;
+        let [of_mean, of_sigma] = STRAY_OF_ELECTRODE;
         assert!((mean - of_mean).abs() < tolerance && (variance.sqrt() - of_sigma).abs() < tolerance, "seed {SEED}");
     }
 

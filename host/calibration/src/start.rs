@@ -7,7 +7,7 @@ use slitpose_model::{FEWEST_CELLS, MotionPrior, Pair, Photocurrents, Pose, Readi
 use crate::constraint;
 use crate::data::{Constraint, Data, Group, Knowledge, Row, compose, inverse, values_of};
 use crate::frames;
-use crate::sensitivity::TIER;
+use crate::state::TIER;
 use crate::{CalibrateError, Calibration, uncalibrated};
 
 /// Share of a group's rows that must lead to a pose for the others to follow from home.
@@ -109,7 +109,7 @@ fn of_group(
     found: &[Option<Pose>],
     places: &mut [Pose],
 ) -> Result<Vec<f64>, CalibrateError> {
-    let weak = || CalibrateError::LittleMotion { file: group.file.clone() };
+    let weak = || CalibrateError::LittleMotion(group.file.clone());
     let solved: Vec<Pose> = found.iter().flatten().copied().collect();
     let first = *solved.first().ok_or_else(weak)?;
     Ok(match group.constraint {

@@ -42,10 +42,12 @@ impl Track {
         let columns = PoseColumns::keyed(&reader, "time_s")?;
         let time = reader.column("time_s")?;
         let (mut times_s, mut poses): (Vec<f64>, Vec<Pose>) = (Vec::new(), Vec::new());
+        let refuse = |text: String| Err(ClockError(table.to_owned(), text).into());
         while let Some(row) = reader.next_row()? {
             let time_s = row.number(time)?;
             if times_s.last().is_some_and(|&last| time_s <= last) {
-                return Err(ClockError::Order { file: table.to_owned(), row: times_s.len() + 1 }.into());
+                let row = times_s.len() + 1;
+                return refuse(format!(": time_s does not ascend in row {row}; sort the rows by time, each once"));
             }
             times_s.push(time_s);
             poses.push(columns.pose(&row)?);
@@ -57,13 +59,20 @@ impl Track {
                 let left_out = lost(&poses);
                 if 2 * left_out.len() > poses.len() {
                     let (rows, first) = (left_out.len(), left_out[0] + 1);
-                    return Err(ClockError::Lost { file: table.to_owned(), rows, of: poses.len(), first }.into());
+                    return refuse(format!(
+                        ": in {rows} of {} rows, from row {first} on, the pose stands still or is far from those around: the \
+                         instrument had lost its marker; record again with the marker in view",
+                        poses.len()
+                    ));
                 }
                 let is_kept = |row: &usize| left_out.binary_search(row).is_err();
                 let (times_s, poses) = (0..poses.len()).filter(is_kept).map(|row| (times_s[row], poses[row])).unzip();
                 Ok(Self { usual_s, times_s, poses, left_out: left_out.into_iter().map(|row| row + 1).collect() })
             }
-            _ => Err(ClockError::Short { file: table.to_owned(), rows: times_s.len() }.into()),
+            _ => refuse(format!(
+                " has {} poses; an instrument that tracks a motion gives a hundred and more",
+                times_s.len()
+            )),
         }
     }
 
@@ -75,7 +84,6 @@ impl Track {
         (gap_s, ends)
     }
 
-    /// First and last instant.
     pub(crate) fn span_s(&self) -> [f64; 2] {
         [self.times_s[0], self.times_s[self.times_s.len() - 1]]
     }
@@ -167,7 +175,6 @@ pub(crate) struct FoundClock {
     pub(crate) ahead_s: f64,
     /// How much faster it is, as a share.
     pub(crate) faster: f64,
-    /// Middle of the capture.
     pub(crate) centre_s: f64,
     pub(crate) track: Arc<Track>,
 }

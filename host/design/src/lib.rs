@@ -33,11 +33,10 @@
 
 pub mod identification;
 pub mod map;
-mod mask_frame;
 pub mod optimise;
 pub mod paper;
 pub mod plot;
 pub mod report;
 pub mod survey;
 
-pub use mask_frame::{MaskFrame, mask_half_extents_m};
+pub use plot::{MaskFrame, mask_half_extents_m};

@@ -13,7 +13,6 @@ pub enum Speed {
     Times(f64),
 }
 
-/// Slowest permitted speed.
 const SLOWEST: f64 = 1e-3;
 
 impl FromStr for Speed {

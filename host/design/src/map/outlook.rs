@@ -109,7 +109,6 @@ impl Outlook {
         self.plan.cell_count()
     }
 
-    /// The optics.
     pub(crate) fn plan(&self) -> &Plan<f64> {
         &self.plan
     }

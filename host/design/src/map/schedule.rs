@@ -63,7 +63,7 @@ impl Schedules {
     /// # Errors
     /// A scene that cannot be computed; a front end that cannot run at that rate, whatever the slots.
     pub fn of(file: &SceneFile, rate_hz: f64) -> Result<Self, ReportError> {
-        let front_end = file.front_end.ok_or_else(|| TimingError::NoFrontEnd { scene: file.name.clone() })?;
+        let front_end = file.front_end.ok_or_else(|| TimingError::NoFrontEnd(file.name.clone()))?;
         let groupings = groupings(file)?;
         let at = |frame_rate_hz: f64| -> Result<Vec<Candidate>, ReportError> {
             let (mut found, mut refused) = (Vec::new(), None);

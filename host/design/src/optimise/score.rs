@@ -6,10 +6,10 @@ use slitpose_head::scene_file::{SceneFile, Workspace};
 use slitpose_model::{Cell, Opening, Plan, Pose, SceneError, Status, Tier};
 
 use crate::map::{Outlook, View, quantiles_of};
-use crate::mask_frame::MaskFrame;
+use crate::plot::MaskFrame;
 use crate::survey::share_of_others;
 
-use super::limits::{Excesses, Limit, Limits};
+use super::{Excesses, Limit, Limits};
 
 /// Which σ is to be least.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -12,7 +12,7 @@ use super::{OptimiseError, Quantity};
 /// # Errors
 /// A text that has not the sections that they stand in.
 pub(super) fn with_values(file: &SceneFile, values: &[(Quantity, f64)]) -> Result<String, OptimiseError> {
-    let error = |message: &str| OptimiseError::Text { origin: file.origin.clone(), message: message.to_owned() };
+    let error = |message: &str| OptimiseError::Text(file.origin.clone(), format!(": {message}"));
     let mut document: DocumentMut =
         file.source.parse().map_err(|found: toml_edit::TomlError| error(found.message()))?;
     let mut cells: Vec<Cell> = file.scene.cells.iter().cloned().collect();
@@ -36,7 +36,8 @@ pub(super) fn with_values(file: &SceneFile, values: &[(Quantity, f64)]) -> Resul
             Quantity::SlitLength => set(&mut document, "slit", "length_mm", number),
             Quantity::FullScale => {
                 if file.front_end.is_none() {
-                    return Err(OptimiseError::NoFrontEnd { origin: file.origin.clone() });
+                    let text = " has no [front_end], so there is no full scale to choose; leave full_scale out, or add the section";
+                    return Err(OptimiseError::Text(file.origin.clone(), text.to_owned()));
                 }
                 // Digits of microamperes, not of their product with 1e-6.
                 set(

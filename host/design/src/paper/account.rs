@@ -4,9 +4,9 @@ use glam::DVec3;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_model::{Pair, Plan, SceneError, Stray, Tier, Window};
 
-use super::figures::{Figure, POSITION, SIMULATED, curve};
+use super::figures::{Figure, POSITION, SIMULATED};
 use super::{Experiment, TOLERANCE};
-use crate::plot::CurveStyle;
+use crate::plot::{CurveStyle, curve};
 use crate::report::{Picture, Report, Section, Table, Value, column, program, scene};
 
 /// Thickness of the paper's mask (section V.A), metres.

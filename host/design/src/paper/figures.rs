@@ -3,7 +3,7 @@
 use glam::dvec2;
 use slitpose_model::{Cell, Profile};
 
-use crate::plot::{Axis, Canvas, Chart, Colour, Curve, CurveStyle, TextStyle, cell_colour};
+use crate::plot::{Axis, Canvas, Chart, Curve, CurveStyle, curve};
 
 use super::{Point, Study};
 
@@ -123,11 +123,6 @@ fn points(points: &[Point], value: impl Fn(&Point) -> Option<f64>) -> Vec<[f64; 
     points.iter().filter_map(|point| Some([point.amount, value(point)?])).collect()
 }
 
-pub(super) fn curve(label: &str, colour: usize, style: CurveStyle, points: Vec<[f64; 2]>) -> Curve {
-    let colour: Colour = cell_colour(colour);
-    Curve { label: label.to_owned(), colour, style, points }
-}
-
 fn difference_curve(label: &str, points: Vec<[f64; 2]>) -> Curve {
     curve(label, 6, CurveStyle::Markers, points)
 }
@@ -166,9 +161,7 @@ impl Figure<'_> {
         };
         let top = 64.0 + upper.legend_height();
         let lower_top = top + UPPER + 30.0 + lower.legend_height();
-        let mut canvas = Canvas::new(WIDTH, lower_top + LOWER + 56.0, self.title);
-        canvas.text(dvec2(20.0, 30.0), self.title, TextStyle::new(16.0).bold());
-        canvas.text(dvec2(20.0, 50.0), self.note, TextStyle::new(12.0));
+        let mut canvas = Canvas::titled(WIDTH, lower_top + LOWER + 56.0, self.title, self.note);
         upper.draw(&mut canvas, dvec2(LEFT, top), dvec2(WIDTH - RIGHT, top + UPPER));
         lower.draw(&mut canvas, dvec2(LEFT, lower_top), dvec2(WIDTH - RIGHT, lower_top + LOWER));
         canvas.into_svg()

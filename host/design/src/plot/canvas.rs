@@ -1,11 +1,11 @@
-//! A sheet to draw on: lines, areas and labels to SVG.
+//! A sheet to draw on: lines, areas and labels to SVG. In labels, text between `$` is set as a formula, `$X_A$` as italic X
+//! with a small A below; `_` takes the next letter or a group in braces.
 
 use glam::{DVec2, dvec2};
 use quick_xml::Writer;
 use quick_xml::events::{BytesEnd, BytesStart, BytesText, Event};
 
-use super::label;
-use super::palette::{Colour, INK, WHITE};
+use super::style::{Colour, INK, WHITE};
 
 const FONT: &str = "Helvetica, Arial, 'Liberation Sans', 'DejaVu Sans', sans-serif";
 
@@ -25,12 +25,10 @@ pub(crate) struct Stroke {
 }
 
 impl Stroke {
-    /// A solid line.
     pub(crate) const fn new(colour: Colour, width: f64) -> Self {
         Self { colour, width, dash: None }
     }
 
-    /// The same line, dashed.
     pub(crate) const fn dashed(self, dash: f64, gap: f64) -> Self {
         Self { dash: Some([dash, gap]), ..self }
     }
@@ -68,7 +66,6 @@ impl TextStyle {
         Self { size, colour: INK, anchor: Anchor::Start, bold: false, upwards: false }
     }
 
-    /// The same, aligned otherwise.
     pub(crate) const fn anchored(self, anchor: Anchor) -> Self {
         Self { anchor, ..self }
     }
@@ -78,7 +75,6 @@ impl TextStyle {
         Self { colour, ..self }
     }
 
-    /// The same in bold.
     pub(crate) const fn bold(self) -> Self {
         Self { bold: true, ..self }
     }
@@ -108,12 +104,18 @@ impl Canvas {
         canvas
     }
 
-    /// A straight line.
+    /// The same with the title and a note on it.
+    pub(crate) fn titled(width: f64, height: f64, title: &str, note: &str) -> Self {
+        let mut canvas = Self::new(width, height, title);
+        canvas.text(dvec2(20.0, 30.0), title, TextStyle::new(16.0).bold());
+        canvas.text(dvec2(20.0, 50.0), note, TextStyle::new(12.0));
+        canvas
+    }
+
     pub(crate) fn line(&mut self, from: DVec2, to: DVec2, stroke: Stroke) {
         self.path(&[from, to], stroke);
     }
 
-    /// A line through points.
     pub(crate) fn path(&mut self, points: &[DVec2], stroke: Stroke) {
         let mut attributes = vec![("points", joined(points)), ("fill", "none".to_owned())];
         attributes.extend(stroke_attributes(stroke));
@@ -133,7 +135,6 @@ impl Canvas {
         self.element("polygon", &attributes);
     }
 
-    /// A disc, with a rim.
     pub(crate) fn disc(&mut self, centre: DVec2, radius: f64, fill: Colour, rim: Stroke) {
         let mut attributes =
             vec![("cx", number(centre.x)), ("cy", number(centre.y)), ("r", number(radius)), ("fill", fill.to_owned())];
@@ -183,7 +184,7 @@ impl Canvas {
         }
         self.event(Event::Start(text));
         let mut lowered = false;
-        for run in label::runs(&printable(label)) {
+        for run in runs(&printable(label)) {
             let mut span = BytesStart::new("tspan");
             if run.italic {
                 span.push_attribute(("font-style", "italic"));
@@ -257,6 +258,47 @@ fn number(value: f64) -> String {
     format!("{}", (value * 100.0).round() / 100.0 + 0.0)
 }
 
+/// A run of letters of one kind.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Run {
+    pub(super) text: String,
+    pub(super) italic: bool,
+    pub(super) subscript: bool,
+}
+
+/// Splits a label into runs.
+pub(super) fn runs(label: &str) -> Vec<Run> {
+    let mut runs = Vec::new();
+    for (index, part) in label.split('$').enumerate() {
+        if index % 2 == 0 {
+            push(&mut runs, part, false, false);
+        } else {
+            formula(&mut runs, part);
+        }
+    }
+    runs
+}
+
+fn formula(runs: &mut Vec<Run>, text: &str) {
+    let mut rest = text;
+    while let Some((before, after)) = rest.split_once('_') {
+        push(runs, before, true, false);
+        let (subscript, after) = match after.strip_prefix('{').and_then(|group| group.split_once('}')) {
+            Some(group) => group,
+            None => after.split_at(after.chars().next().map_or(0, char::len_utf8)),
+        };
+        push(runs, subscript, false, true);
+        rest = after;
+    }
+    push(runs, rest, true, false);
+}
+
+fn push(runs: &mut Vec<Run>, text: &str, italic: bool, subscript: bool) {
+    if !text.is_empty() {
+        runs.push(Run { text: text.to_owned(), italic, subscript });
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -274,5 +316,22 @@ mod tests {
     #[test]
     fn numbers_are_short_and_never_negative_zero() {
         assert_eq!((number(1.23456), number(-0.001), number(2.0)), ("1.23".into(), "0".into(), "2".into()));
+    }
+
+    fn plain(label: &str) -> String {
+        let mark = |run: Run| match (run.italic, run.subscript) {
+            (true, _) => format!("/{}/", run.text),
+            (_, true) => format!("[{}]", run.text),
+            _ => run.text,
+        };
+        runs(label).into_iter().map(mark).collect()
+    }
+
+    #[test]
+    fn formulas_are_split_into_letters_and_subscripts() {
+        assert_eq!(plain("spot $X_A$ / mm"), "spot /X/[A] / mm");
+        assert_eq!(plain("$I_{rel}(γ)$"), "/I/[rel]/(γ)/");
+        assert_eq!(plain("no formula"), "no formula");
+        assert_eq!(plain("$x_"), "/x/");
     }
 }

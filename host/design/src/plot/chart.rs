@@ -3,8 +3,8 @@
 use glam::{DVec2, dvec2};
 
 use super::canvas::{Anchor, Canvas, Stroke, TextStyle};
-use super::palette::{Colour, FAINT, INK, PALE, SOFT_INK, WHITE};
-use super::ticks::{decades, ticks};
+use super::style::{Colour, FAINT, INK, PALE, SOFT_INK, WHITE, cell_colour};
+use super::style::{decades, ticks};
 
 const LABEL: TextStyle = TextStyle::new(13.0);
 const TICK: TextStyle = TextStyle::new(12.0).coloured(SOFT_INK);
@@ -128,6 +128,11 @@ pub struct Curve {
     pub style: CurveStyle,
     /// The points, in the units of the axes.
     pub points: Vec<[f64; 2]>,
+}
+
+/// A curve in the colour of a cell.
+pub(crate) fn curve(label: &str, colour: usize, style: CurveStyle, points: Vec<[f64; 2]>) -> Curve {
+    Curve { label: label.to_owned(), colour: cell_colour(colour), style, points }
 }
 
 /// A word beside a point.

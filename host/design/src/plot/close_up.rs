@@ -4,10 +4,10 @@ use glam::{DVec2, DVec3, dvec2};
 use slitpose_model::{Cell, Opening, Plan, Pose, Response};
 
 use super::canvas::{Anchor, Canvas, Stroke, TextStyle};
-use super::palette::{ALERT, INK, MASK, PALE, SOFT_INK, cell_colour};
 use super::scene::pose_text;
-use super::size::{PlotError, quantity, require_drawable};
-use crate::mask_frame::MaskFrame;
+use super::shape::MaskFrame;
+use super::style::{ALERT, INK, MASK, PALE, SOFT_INK, cell_colour};
+use super::style::{PlotError, quantity, require_drawable};
 
 const WIDTH: f64 = 900.0;
 /// Room at either side: for d_A and d_B, and for names.
@@ -52,7 +52,6 @@ struct SideView<'a> {
     /// Pixels per millimetre, and the pixel of the detector's centre.
     scale: f64,
     origin: DVec2,
-    /// Height of the drawing.
     top_mm: f64,
     emitter: DVec2,
     axis: DVec2,

@@ -4,8 +4,8 @@ use glam::{DVec2, dvec2};
 
 use super::canvas::{Anchor, Canvas, Stroke, TextStyle};
 use super::chart::tick_text;
-use super::palette::{ALERT, BANDS, Colour, INK, SOFT_INK, WHITE};
-use super::ticks::{three_digits, ticks};
+use super::style::{ALERT, BANDS, Colour, INK, SOFT_INK, WHITE};
+use super::style::{three_digits, ticks};
 
 const LEFT: f64 = 70.0;
 const TOP: f64 = 96.0;
@@ -13,7 +13,6 @@ const SIZE: f64 = 210.0;
 const GAP: DVec2 = DVec2::new(74.0, 78.0);
 const LEGEND: f64 = 56.0;
 
-/// Values over a plane.
 #[derive(Clone, Debug)]
 pub(crate) struct Heat {
     /// What is shown; formulas between `$`.
@@ -67,9 +66,7 @@ pub(crate) fn heat_picture(title: &str, note: &str, unit: &str, columns: usize, 
     let pitch = DVec2::splat(SIZE) + GAP;
     let width = LEFT + columns as f64 * pitch.x - GAP.x + 30.0;
     let bottom = TOP + rows as f64 * pitch.y;
-    let mut canvas = Canvas::new(width, bottom + LEGEND, title);
-    canvas.text(dvec2(20.0, 30.0), title, TextStyle::new(16.0).bold());
-    canvas.text(dvec2(20.0, 50.0), note, TextStyle::new(12.0));
+    let mut canvas = Canvas::titled(width, bottom + LEGEND, title, note);
     let bands = Bands::of(heats);
     for (index, heat) in heats.iter().enumerate() {
         let corner = dvec2(LEFT, TOP) + pitch * dvec2((index % columns) as f64, (index / columns) as f64);

@@ -8,23 +8,22 @@ mod canvas;
 mod chart;
 mod close_up;
 mod heat;
-mod label;
-mod palette;
-mod projection;
 mod scene;
-mod size;
+mod shape;
 mod strips;
-mod ticks;
+mod style;
 
 pub use canvas::{Anchor, Canvas};
 pub(crate) use canvas::{Stroke, TextStyle};
+pub(crate) use chart::curve;
 pub use chart::{Axis, Chart, Curve, CurveStyle, Note, Scale};
 pub use close_up::cell_picture;
 pub(crate) use heat::{Heat, heat_picture};
-pub use palette::{Colour, SOFT_INK, cell_colour};
 pub use scene::scene_picture;
-pub use size::PlotError;
-pub(crate) use ticks::three_digits;
+pub use shape::{MaskFrame, mask_half_extents_m};
+pub use style::PlotError;
+pub(crate) use style::three_digits;
+pub use style::{Colour, SOFT_INK, cell_colour};
 
 #[cfg(test)]
 mod tests;

@@ -4,11 +4,11 @@ use glam::{DVec2, DVec3, dvec2};
 use slitpose_model::{Plan, Pose, Scene};
 
 use super::canvas::{Anchor, Canvas, Stroke, TextStyle};
-use super::palette::{INK, MASK, SOFT_INK, TOOL, WHITE, cell_colour};
-use super::projection::{CellShape, FRONT, SIDE, TOP, View, bounds, hull};
-use super::size::{PlotError, require_drawable};
+use super::shape::{CellShape, FRONT, SIDE, TOP, View, bounds, hull};
 use super::strips;
-use super::ticks::round_step;
+use super::style::round_step;
+use super::style::{INK, MASK, SOFT_INK, TOOL, WHITE, cell_colour};
+use super::style::{PlotError, require_drawable};
 
 const MARGIN: f64 = 28.0;
 const COLUMN: f64 = 560.0;
@@ -86,7 +86,6 @@ struct Sheet {
     view: View,
     /// Pixels of the middle of the drawing.
     middle: DVec2,
-    /// Pixels per millimetre.
     scale: f64,
     /// Millimetres of the middle.
     centre: DVec2,

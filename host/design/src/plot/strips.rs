@@ -4,9 +4,9 @@ use glam::{DVec2, dvec2};
 use slitpose_model::{Cell, Plan, Pose, Response, Scene, Status};
 
 use super::canvas::{Anchor, Canvas, Stroke, TextStyle};
-use super::palette::{ALERT, INK, PALE, SOFT_INK, cell_colour};
-use super::size::quantity;
-use super::ticks::ticks;
+use super::style::quantity;
+use super::style::ticks;
+use super::style::{ALERT, INK, PALE, SOFT_INK, cell_colour};
 
 /// Room for the numbers at the right of a strip.
 const READOUT: f64 = 226.0;

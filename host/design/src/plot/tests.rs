@@ -62,7 +62,7 @@ fn a_picture_of_a_cell_names_the_pose() {
 
 #[test]
 fn an_arrow_shorter_than_its_head_has_none() {
-    let stroke = Stroke::new(palette::INK, 1.6);
+    let stroke = Stroke::new(style::INK, 1.6);
     for (length, heads) in [(0.0, 0), (1e-9, 0), (2.0, 0), (7.9, 0), (8.5, 1), (60.0, 1)] {
         let mut canvas = Canvas::new(100.0, 100.0, "arrow");
         let before = canvas_parts(Canvas::new(100.0, 100.0, "arrow"));

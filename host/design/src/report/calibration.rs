@@ -4,9 +4,9 @@ use slitpose_calibration::{Calibrated, Calibration, Residual};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_model::Pose;
 
-use super::conditions::{program, scene};
-use super::section::{Report, Section, Table, Value, column};
-use super::sheet::{Sheet, curve};
+use super::section::{Report, Section, Table, Value, column, program, scene};
+use super::sheet::Sheet;
+use crate::plot::curve;
 use crate::plot::{Axis, Chart, CurveStyle};
 
 /// Readings drawn of each cell, at most: more hide each other.
@@ -47,7 +47,6 @@ pub fn calibration_report(file: &SceneFile, calibrated: &Calibrated) -> Report {
     }
 }
 
-/// Residuals by cell.
 fn fit(calibrated: &Calibrated) -> Section {
     let (calibration, residuals) = (&calibrated.calibration, &calibrated.residuals);
     let statistics = calibration.statistics();
@@ -71,18 +70,9 @@ fn fit(calibrated: &Calibrated) -> Section {
         let values: Vec<f64> = residuals.iter().filter(|residual| residual.cell == cell).map(of).collect();
         (values.iter().map(|value| value * value).sum::<f64>() / values.len().max(1) as f64).sqrt()
     };
-    let row = |cell: usize| {
-        let error = calibration.model_errors()[cell];
-        vec![
-            cell.into(),
-            (1e2 * rms(cell, &|residual| residual.before[0])).into(),
-            (1e2 * rms(cell, &|residual| residual.after[0])).into(),
-            (1e6 * rms(cell, &|residual| residual.before[1])).into(),
-            (1e6 * rms(cell, &|residual| residual.after[1])).into(),
-            (1e2 * error.relative).into(),
-            (1e6 * error.position_m).into(),
-        ]
-    };
+    let before = |cell: &usize, axis: usize| rms(*cell, &|residual| residual.before[axis]);
+    let after = |cell: &usize, axis: usize| rms(*cell, &|residual| residual.after[axis]);
+    let numbers: Vec<usize> = (0..cells).collect();
     let over = |name, title: &str, caption: &str, label: &str, x: &dyn Fn(&Residual) -> f64| {
         let panel = |heading: &str, y: &dyn Fn(&Residual) -> f64| {
             let of_cell = |cell: usize| {
@@ -130,20 +120,22 @@ fn fit(calibrated: &Calibrated) -> Section {
             }),
             histogram(residuals),
         ],
-        tables: vec![Table {
-            name: "cells",
-            caption: "Residuals of each cell, rms, and the model error that its poses are told".to_owned(),
-            columns: vec![
-                column("cell", "cell"),
-                column("light_before_percent", "light before / %"),
-                column("light_after_percent", "after / %"),
-                column("position_before_um", "position before / µm"),
-                column("position_after_um", "after / µm"),
-                column("model_error_percent", "model error / %"),
-                column("model_error_um", "/ µm"),
+        tables: vec![Table::of(
+            "cells",
+            "Residuals of each cell, rms, and the model error that its poses are told",
+            &numbers,
+            &[
+                ("cell", "cell", &|cell| (*cell).into()),
+                ("light_before_percent", "light before / %", &|cell| (1e2 * before(cell, 0)).into()),
+                ("light_after_percent", "after / %", &|cell| (1e2 * after(cell, 0)).into()),
+                ("position_before_um", "position before / µm", &|cell| (1e6 * before(cell, 1)).into()),
+                ("position_after_um", "after / µm", &|cell| (1e6 * after(cell, 1)).into()),
+                ("model_error_percent", "model error / %", &|cell| {
+                    (1e2 * calibration.model_errors()[*cell].relative).into()
+                }),
+                ("model_error_um", "/ µm", &|cell| (1e6 * calibration.model_errors()[*cell].position_m).into()),
             ],
-            rows: (0..cells).map(row).collect(),
-        }],
+        )],
     }
 }
 
@@ -182,7 +174,6 @@ fn histogram(residuals: &[Residual]) -> super::section::Picture {
     .draw("histogram", "Distribution of the normalised residuals after calibration.")
 }
 
-/// Principal directions.
 fn observability(calibration: &Calibration) -> Section {
     let directions = calibration.directions();
     let points: Vec<[f64; 2]> =
@@ -262,9 +253,8 @@ fn open(file: &SceneFile, calibration: &Calibration) -> Section {
             root(0..3) * 1e6,
             root(3..6) * 1e3
         )],
-        paragraphs: Vec::new(),
         pictures: vec![picture],
-        tables: Vec::new(),
+        ..Section::default()
     }
 }
 
@@ -321,42 +311,29 @@ fn instruments(calibration: &Calibration) -> Option<Section> {
 }
 
 fn parameters(calibration: &Calibration) -> Section {
-    let row = |entry: &slitpose_calibration::Parameter| {
-        vec![
-            Value::from(entry.name()),
-            entry.quantity.unit().into(),
-            entry.value.into(),
-            entry.sigma.into(),
-            entry.prior.into(),
-            entry.prior_sigma.into(),
-            entry.shift().into(),
-            (entry.sigma / entry.prior_sigma).into(),
-        ]
-    };
     Section {
         name: "parameters",
         title: "Parameters",
-        summary: Vec::new(),
         paragraphs: vec![
             "Each as its deviation from the scene. The shift is counted in σ of the tolerance: far beyond 3, the part is \
              not what the scene says, or the tolerance is too narrow."
                 .to_owned(),
         ],
-        pictures: Vec::new(),
-        tables: vec![Table {
-            name: "parameters",
-            caption: "All parameters".to_owned(),
-            columns: vec![
-                column("parameter", "parameter"),
-                column("unit", "unit"),
-                column("value", "value"),
-                column("sigma", "σ"),
-                column("prior", "before"),
-                column("prior_sigma", "σ before"),
-                column("shift", "shift / σ before"),
-                column("sigma_ratio", "σ after by before"),
+        tables: vec![Table::of(
+            "parameters",
+            "All parameters",
+            calibration.parameters(),
+            &[
+                ("parameter", "parameter", &|entry| entry.name().into()),
+                ("unit", "unit", &|entry| entry.quantity.unit().into()),
+                ("value", "value", &|entry| entry.value.into()),
+                ("sigma", "σ", &|entry| entry.sigma.into()),
+                ("prior", "before", &|entry| entry.prior.into()),
+                ("prior_sigma", "σ before", &|entry| entry.prior_sigma.into()),
+                ("shift", "shift / σ before", &|entry| entry.shift().into()),
+                ("sigma_ratio", "σ after by before", &|entry| (entry.sigma / entry.prior_sigma).into()),
             ],
-            rows: calibration.parameters().iter().map(row).collect(),
-        }],
+        )],
+        ..Section::default()
     }
 }

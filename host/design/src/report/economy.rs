@@ -7,12 +7,11 @@ use slitpose_model::{
     MotionPrior, Noise, Photocurrents, Plan, Pose, Profile, Scene, Solution, Solver, Start, Tier, Twist, Uncertainty,
 };
 
-use super::head::{Head, STREAM, exponent, is_lit};
+use super::head::{Candidate, Head, RunTime, STREAM, exponent, is_lit, race};
 use super::noise::NoiseSource;
-use super::section::{Section, Table, Value, column};
+use super::section::{Section, Table, Value};
 use super::sheet::{Row, ratios};
 use super::solver::{PRIOR_M, PRIOR_RAD};
-use super::stopwatch::{Candidate, RunTime, race};
 use super::{ReportError, Settings};
 
 pub(super) const TITLE: &str = "What is left out costs nothing";
@@ -68,7 +67,6 @@ pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, R
     Ok(Section {
         name: "economy",
         title: TITLE,
-        summary: Vec::new(),
         paragraphs: vec![
             "The same head with one thing added at a time. A scene is compiled to a plan that holds only what the scene \
              has, so that the first row of each group pays for nothing it does not use. Warm solves are of noisy \
@@ -81,6 +79,7 @@ pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, R
             table("economy", "Exact tier at 1e-6, f64", &exact),
             table("economy_paper", "Paper tier, f64", &paper),
         ],
+        ..Section::default()
     })
 }
 
@@ -226,7 +225,7 @@ fn measure(head: &Head<'_>, settings: &Settings, tier: Tier) -> Result<Vec<Entry
                     black_box(bench.solve(index));
                 }
             };
-            [Candidate::new(forward), Candidate::new(solve)]
+            [Box::new(forward) as Candidate<'_>, Box::new(solve)]
         })
         .collect();
     let run_times = race(&mut candidates, settings.rounds(), poses.len());
@@ -238,34 +237,24 @@ fn measure(head: &Head<'_>, settings: &Settings, tier: Tier) -> Result<Vec<Entry
 }
 
 fn table(name: &'static str, caption: &str, entries: &[Entry]) -> Table {
-    let row = |entry: &Entry| {
-        let first = first_of_group(entries, entry);
-        vec![
-            entry.variant.group.into(),
-            entry.variant.name.as_str().into(),
-            Value::from(entry.forward.least_s * 1e6),
-            Value::from(entry.forward.median_s * 1e6),
-            Value::from(entry.forward.least_s / first.forward.least_s),
-            Value::from(entry.solve.least_s * 1e6),
-            Value::from(entry.solve.median_s * 1e6),
-            Value::from(entry.solve.least_s / first.solve.least_s),
-            Value::from(entry.steps),
-        ]
+    let us = |seconds: f64| Value::from(seconds * 1e6);
+    let ratio = |entry: &Entry, of: fn(&Entry) -> RunTime| {
+        Value::from(of(entry).least_s / of(first_of_group(entries, entry)).least_s)
     };
-    Table {
+    Table::of(
         name,
-        caption: caption.to_owned(),
-        columns: vec![
-            column("group", "group"),
-            column("variant", "variant"),
-            column("forward_least_us", "forward, least / µs"),
-            column("forward_median_us", "median / µs"),
-            column("forward_ratio", "ratio"),
-            column("solve_least_us", "warm solve, least / µs"),
-            column("solve_median_us", "median / µs"),
-            column("solve_ratio", "ratio"),
-            column("steps", "steps, mean"),
+        caption,
+        entries,
+        &[
+            ("group", "group", &|entry| entry.variant.group.into()),
+            ("variant", "variant", &|entry| entry.variant.name.as_str().into()),
+            ("forward_least_us", "forward, least / µs", &|entry| us(entry.forward.least_s)),
+            ("forward_median_us", "median / µs", &|entry| us(entry.forward.median_s)),
+            ("forward_ratio", "ratio", &|entry| ratio(entry, |entry| entry.forward)),
+            ("solve_least_us", "warm solve, least / µs", &|entry| us(entry.solve.least_s)),
+            ("solve_median_us", "median / µs", &|entry| us(entry.solve.median_s)),
+            ("solve_ratio", "ratio", &|entry| ratio(entry, |entry| entry.solve)),
+            ("steps", "steps, mean", &|entry| entry.steps.into()),
         ],
-        rows: entries.iter().map(row).collect(),
-    }
+    )
 }

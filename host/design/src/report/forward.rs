@@ -5,12 +5,12 @@ use std::hint::black_box;
 use glam::dvec2;
 use slitpose_model::{Pair, Plan, Pose, Scalar, Scene, SceneError, Tier};
 
-use super::head::Head;
+use super::head::{Candidate, Head, RunTime, race};
 use super::method::{Precision, tier_name};
-use super::section::{Picture, Section, Table, Value, column};
-use super::sheet::{Sheet, curve};
-use super::stopwatch::{Candidate, RunTime, race};
+use super::section::{Picture, Section, Table, Value};
+use super::sheet::Sheet;
 use super::{ReportError, Settings};
+use crate::plot::curve;
 use crate::plot::{Anchor, Axis, Chart, CurveStyle, Note, cell_colour};
 
 pub(super) const TITLE: &str = "Forward model: error against time";
@@ -39,7 +39,6 @@ struct Entry {
     derivatives: RunTime,
 }
 
-/// Currents of a cell at a pose.
 type Currents = Box<dyn Fn(usize, &Pose) -> Pair<f64>>;
 
 /// Evaluates all cells at all poses, for the stopwatch.
@@ -137,7 +136,7 @@ fn measure(head: &Head<'_>, settings: &Settings) -> Result<Vec<Entry>, ReportErr
     let mut candidates: Vec<Candidate<'_>> = compiled
         .iter_mut()
         .flat_map(|Compiled { time_currents, time_derivatives, .. }| {
-            [Candidate::new(move || time_currents(timed)), Candidate::new(move || time_derivatives(timed))]
+            [Box::new(move || time_currents(timed)) as Candidate<'_>, Box::new(move || time_derivatives(timed))]
         })
         .collect();
     let run_times = race(&mut candidates, settings.rounds(), timed.len());
@@ -169,38 +168,26 @@ fn spread(head: &Head<'_>, currents: &Currents, reference: &Currents) -> Spread 
 
 fn table(entries: &[Entry]) -> Table {
     let base_s = entries.first().map_or(f64::NAN, |entry| entry.derivatives.least_s);
-    let row = |entry: &Entry| {
-        let us = |seconds: f64| Value::from(seconds * 1e6);
-        vec![
-            tier_name(entry.tier).into(),
-            entry.precision.name().into(),
-            entry.error.median.into(),
-            entry.error.worst.into(),
-            Value::optional(entry.rounding.as_ref().map(|rounding| rounding.worst)),
-            us(entry.currents.least_s),
-            us(entry.currents.median_s),
-            us(entry.derivatives.least_s),
-            us(entry.derivatives.median_s),
-            Value::from(entry.derivatives.least_s / base_s),
-        ]
-    };
-    Table {
-        name: "forward",
-        caption: "Errors of currents and times per evaluation of all cells".to_owned(),
-        columns: vec![
-            column("tier", "tier"),
-            column("number", "numbers"),
-            column("error_median", "error, median"),
-            column("error_worst", "error, worst"),
-            column("rounding_worst", "of which f32, worst"),
-            column("currents_least_us", "currents, least / µs"),
-            column("currents_median_us", "median / µs"),
-            column("derivatives_least_us", "with derivatives, least / µs"),
-            column("derivatives_median_us", "median / µs"),
-            column("ratio", "ratio to the first"),
+    let us = |seconds: f64| Value::from(seconds * 1e6);
+    Table::of(
+        "forward",
+        "Errors of currents and times per evaluation of all cells",
+        entries,
+        &[
+            ("tier", "tier", &|entry| tier_name(entry.tier).into()),
+            ("number", "numbers", &|entry| entry.precision.name().into()),
+            ("error_median", "error, median", &|entry| entry.error.median.into()),
+            ("error_worst", "error, worst", &|entry| entry.error.worst.into()),
+            ("rounding_worst", "of which f32, worst", &|entry| {
+                Value::optional(entry.rounding.as_ref().map(|rounding| rounding.worst))
+            }),
+            ("currents_least_us", "currents, least / µs", &|entry| us(entry.currents.least_s)),
+            ("currents_median_us", "median / µs", &|entry| us(entry.currents.median_s)),
+            ("derivatives_least_us", "with derivatives, least / µs", &|entry| us(entry.derivatives.least_s)),
+            ("derivatives_median_us", "median / µs", &|entry| us(entry.derivatives.median_s)),
+            ("ratio", "ratio to the first", &|entry| (entry.derivatives.least_s / base_s).into()),
         ],
-        rows: entries.iter().map(row).collect(),
-    }
+    )
 }
 
 fn picture(entries: &[Entry], head: &Head<'_>) -> Picture {

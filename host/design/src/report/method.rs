@@ -68,11 +68,9 @@ pub(super) enum Effort {
     Planes,
     /// At most this many steps.
     Steps(usize),
-    /// To the minimum.
     Full,
 }
 
-/// A way to solve.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Method {
     pub(super) tier: Tier,

@@ -5,47 +5,58 @@
 //! to the last digit for a seed, times are what the machine gave.
 //!
 //! * `head` and `noise` supply poses, currents and their noise; `method` the ways to solve;
-//!   `attainable` is the best accuracy of a pose at all;
 //! * `forward`, `solver`, `economy` and `stiff` are the sections;
 //! * `calibration` is the report on a calibration, `map` that on accuracy over the workspace,
-//!   `comparison` that on several heads, `pareto` that on their size;
-//! * `section` has their parts; `page`, `markdown`, `folder` write it.
+//!   `heads` those on several heads;
+//! * `section` has their parts; `write` makes files of them.
 
-mod accuracy;
-mod attainable;
 mod calibration;
-mod comparison;
-mod conditions;
 mod economy;
-mod error;
-mod folder;
 mod forward;
 mod head;
+mod heads;
 mod map;
-mod markdown;
 mod method;
 mod noise;
-mod page;
-mod pareto;
 mod section;
 mod sheet;
 mod solver;
 mod stiff;
-mod stopwatch;
+mod write;
+
+use std::fs;
+
+use slitpose_head::front_end::TimingError;
+use slitpose_head::scene_file::SceneFile;
+use slitpose_model::SceneError;
+use thiserror::Error;
 
 pub use calibration::calibration_report;
-pub use comparison::comparison;
-pub(crate) use conditions::{program, scene};
-pub use error::ReportError;
-pub use folder::Folder;
+pub(crate) use head::frame_scene;
+pub use heads::{comparison, pareto, scene_name};
 pub use map::map_report;
-pub use pareto::{pareto, scene_name};
 pub use section::{Column, Report, Section, Table, Value};
-pub(crate) use section::{Picture, column};
+pub(crate) use section::{Picture, column, program, scene};
+pub use write::Folder;
 
 use head::Head;
-pub(crate) use head::frame_scene;
-use slitpose_head::scene_file::SceneFile;
+
+/// Why a scene cannot be studied.
+#[derive(Debug, Error)]
+pub enum ReportError {
+    /// The optics.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// A scene whose poses cannot be studied: why, and what to do.
+    #[error("{0}")]
+    Poses(String),
+    /// A front end that cannot run.
+    #[error(transparent)]
+    Timing(#[from] TimingError),
+}
+
+/// Optimisation level of the compiler, from the build script.
+const OPT_LEVEL: &str = env!("SLITPOSE_OPT_LEVEL");
 
 /// Default number of poses of a full study: rms errors are known to 1 % or so.
 pub const POSES: usize = 1000;
@@ -65,7 +76,6 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// Rounds of timing.
     fn rounds(&self) -> usize {
         if self.quick { 5 } else { 21 }
     }
@@ -79,7 +89,6 @@ impl Settings {
 /// Sections of a study.
 pub const SECTIONS: u64 = 4;
 
-/// Makes a section.
 type Measure = fn(&Head<'_>, &Settings) -> Result<Section, ReportError>;
 
 /// Studies `file`. `progress` gets the title of each section before it begins.
@@ -88,23 +97,97 @@ type Measure = fn(&Head<'_>, &Settings) -> Result<Section, ReportError>;
 /// If the scene gives no poses to study.
 pub fn study(file: &SceneFile, settings: &Settings, mut progress: impl FnMut(&str)) -> Result<Report, ReportError> {
     let head = Head::of(file, settings)?;
-    let mut measure = |title: &str, section: Measure| {
-        progress(title);
-        section(&head, settings)
-    };
-    let sections = vec![
-        measure(forward::TITLE, forward::section)?,
-        measure(solver::TITLE, solver::section)?,
-        measure(economy::TITLE, economy::section)?,
-        measure(stiff::TITLE, stiff::section)?,
+    let mut sections = Vec::new();
+    let measures: [(&str, Measure); SECTIONS as usize] = [
+        (forward::TITLE, forward::section),
+        (solver::TITLE, solver::section),
+        (economy::TITLE, economy::section),
+        (stiff::TITLE, stiff::section),
     ];
+    for (title, section) in measures {
+        progress(title);
+        sections.push(section(&head, settings)?);
+    }
     Ok(Report {
         title: "Error against run time",
         scene: file.name.clone(),
-        conditions: conditions::conditions(file, settings),
-        warnings: conditions::warnings(),
+        conditions: conditions(file, settings),
+        warnings: warnings(),
         sections,
         leading: 1,
         data: Vec::new(),
     })
+}
+
+/// Name and value of each condition.
+fn conditions(file: &SceneFile, settings: &Settings) -> Vec<(&'static str, String)> {
+    let checks = if cfg!(debug_assertions) { "debug" } else { "release" };
+    let counts = format!(
+        "{} poses spread evenly over the workspace with every cell lit, the same ones every time; {} rounds of \
+         timing, least and median shown",
+        settings.poses,
+        settings.rounds()
+    );
+    vec![
+        program(),
+        scene(file),
+        ("processor", processor()),
+        (
+            "build",
+            format!("{checks}, optimisation level {OPT_LEVEL}, {} {}", std::env::consts::ARCH, std::env::consts::OS),
+        ),
+        ("threads", "one".to_owned()),
+        ("seed", settings.seed.to_string()),
+        ("counts", counts),
+        ("data", "computed by the model and disturbed by computed noise; nothing was measured".to_owned()),
+    ]
+}
+
+/// Conditions under which times were measured.
+fn warnings() -> Vec<String> {
+    let slow = format!(
+        "This program was built with optimisation level {OPT_LEVEL}{}: its times say little. Build it with \
+         `cargo build --release`.",
+        if cfg!(debug_assertions) { " and with debug checks" } else { "" }
+    );
+    if is_fast(OPT_LEVEL, cfg!(debug_assertions)) { Vec::new() } else { vec![slow] }
+}
+
+/// Whether a build is one whose times are worth reading.
+fn is_fast(opt_level: &str, debug_checks: bool) -> bool {
+    !debug_checks && matches!(opt_level, "2" | "3")
+}
+
+/// The processor's name, from Linux.
+fn processor() -> String {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let name = fs::read_to_string("/proc/cpuinfo").ok().and_then(|text| model_name(&text));
+    format!("{}, {cores} of its cores usable", name.as_deref().unwrap_or("unknown"))
+}
+
+fn model_name(cpuinfo: &str) -> Option<String> {
+    let value = |key: &str| {
+        let line = cpuinfo.lines().find(|line| line.starts_with(key))?;
+        Some(line.split_once(':')?.1.trim().to_owned()).filter(|value| !value.is_empty())
+    };
+    value("model name").or_else(|| value("Model")).or_else(|| value("CPU part"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_of_slow_builds_are_warned_of() {
+        assert!(is_fast("3", false) && !is_fast("0", false) && !is_fast("2", true) && !is_fast("", false));
+    }
+
+    #[test]
+    fn a_processor_is_called_what_the_system_calls_it() {
+        let x86 = "processor\t: 0\nvendor_id\t: A\nmodel name\t: Some CPU @ 2 GHz\n";
+        assert_eq!(model_name(x86).as_deref(), Some("Some CPU @ 2 GHz"));
+        assert_eq!(model_name("CPU part\t: 0xd0b\n").as_deref(), Some("0xd0b"));
+        assert_eq!(model_name("nothing"), None);
+        assert!(!processor().is_empty());
+    }
 }

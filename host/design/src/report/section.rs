@@ -1,6 +1,18 @@
 //! The parts of a report, independent of its format.
 
+use slitpose_head::scene_file::SceneFile;
+
 use crate::plot::three_digits;
+
+/// The program and its version.
+pub(crate) fn program() -> (&'static str, String) {
+    ("program", format!("slitpose {}", env!("CARGO_PKG_VERSION")))
+}
+
+/// The scene, where it came from, and its hash.
+pub(crate) fn scene(file: &SceneFile) -> (&'static str, String) {
+    ("scene", format!("{} ({}), hash {:016x}", file.name, file.origin, file.hash))
+}
 
 /// One entry of a table.
 #[derive(Clone, Debug, PartialEq)]
@@ -90,7 +102,20 @@ pub struct Table {
     pub rows: Vec<Vec<Value>>,
 }
 
+/// A column of a table of `T`: its name in CSV, its heading on a page, and its value in a row.
+pub(crate) type Getter<'a, T> = (&'static str, &'static str, &'a dyn Fn(&T) -> Value);
+
 impl Table {
+    /// A table with one row for each of `rows`.
+    pub(crate) fn of<T>(name: &'static str, caption: impl Into<String>, rows: &[T], columns: &[Getter<'_, T>]) -> Self {
+        Self {
+            name,
+            caption: caption.into(),
+            columns: columns.iter().map(|(name, heading, _)| column(name, heading)).collect(),
+            rows: rows.iter().map(|row| columns.iter().map(|(.., value)| value(row)).collect()).collect(),
+        }
+    }
+
     /// In columns, for people.
     pub fn as_text(&self) -> String {
         let heading: Vec<String> = self.columns.iter().map(|column| column.heading.to_owned()).collect();
@@ -112,7 +137,6 @@ impl Table {
     }
 }
 
-/// A picture.
 #[derive(Clone, Debug)]
 pub(crate) struct Picture {
     /// The stem of its SVG file.
@@ -124,7 +148,7 @@ pub(crate) struct Picture {
 }
 
 /// A chapter of a report.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Section {
     /// Where links lead.
     pub name: &'static str,
@@ -134,14 +158,13 @@ pub struct Section {
     pub summary: Vec<String>,
     /// Method and conclusions.
     pub paragraphs: Vec<String>,
-    /// Pictures, which come first.
     pub(crate) pictures: Vec<Picture>,
     /// Tables.
     pub tables: Vec<Table>,
 }
 
 /// A whole report.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Report {
     /// What it is about.
     pub title: &'static str,

@@ -3,7 +3,7 @@
 use glam::dvec2;
 
 use super::section::{Picture, Value};
-use crate::plot::{Anchor, Axis, Canvas, Chart, Curve, CurveStyle, SOFT_INK, Scale, Stroke, TextStyle, cell_colour};
+use crate::plot::{Anchor, Axis, Canvas, Chart, CurveStyle, SOFT_INK, Scale, Stroke, TextStyle, cell_colour, curve};
 
 const LEFT: f64 = 84.0;
 const GAP: f64 = 84.0;
@@ -22,12 +22,10 @@ pub(super) struct Sheet {
     pub(super) title: String,
     /// Conditions, in one line.
     pub(super) note: String,
-    /// Heading and chart of each panel.
     pub(super) panels: Vec<(String, Chart)>,
 }
 
 impl Sheet {
-    /// The finished picture.
     pub(super) fn draw(mut self, name: &'static str, caption: &str) -> Picture {
         for (_, chart) in self.panels.iter_mut().skip(1) {
             for curve in &mut chart.curves {
@@ -38,9 +36,7 @@ impl Sheet {
         let legend = self.panels.first().map_or(0.0, |(_, chart)| chart.legend_height());
         let top = 66.0 + legend + HEADING;
         let full = LEFT + self.panels.len() as f64 * (width + GAP) - GAP + RIGHT;
-        let mut canvas = Canvas::new(full, top + HEIGHT + 56.0, &self.title);
-        canvas.text(dvec2(20.0, 30.0), &self.title, TextStyle::new(16.0).bold());
-        canvas.text(dvec2(20.0, 50.0), &self.note, TextStyle::new(12.0));
+        let mut canvas = Canvas::titled(full, top + HEIGHT + 56.0, &self.title, &self.note);
         for (index, (heading, chart)) in self.panels.iter().enumerate() {
             let left = LEFT + index as f64 * (width + GAP);
             let (top_left, bottom_right) = (dvec2(left, top), dvec2(left + width, top + HEIGHT));
@@ -50,11 +46,6 @@ impl Sheet {
         }
         Picture { name, caption: caption.to_owned(), svg: canvas.into_svg() }
     }
-}
-
-/// A curve of the report's own colours.
-pub(super) fn curve(label: &str, colour: usize, style: CurveStyle, points: Vec<[f64; 2]>) -> Curve {
-    Curve { label: label.to_owned(), colour: cell_colour(colour), style, points }
 }
 
 /// One row of a chart of ratios.
@@ -82,9 +73,7 @@ pub(super) fn ratios(
     let gaps = 8.0 * rows.iter().filter(|row| row.opens_group).count() as f64;
     let top = 76.0 + 18.0 * kinds.len() as f64;
     let bottom = top + height * rows.len() as f64 + gaps + 6.0;
-    let mut canvas = Canvas::new(LABELS + ALONE, bottom + 56.0, title);
-    canvas.text(dvec2(20.0, 30.0), title, TextStyle::new(16.0).bold());
-    canvas.text(dvec2(20.0, 50.0), note, TextStyle::new(12.0));
+    let mut canvas = Canvas::titled(LABELS + ALONE, bottom + 56.0, title, note);
     let all = || rows.iter().flat_map(|row| row.ratios.iter().copied());
     // Room for the number beside the longest stalk.
     let mut x = Axis::logarithmic("ratio of times", all().chain([0.5, 10.0]));

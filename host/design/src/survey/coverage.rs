@@ -1,12 +1,75 @@
-//! Statistics of every cell over a sample of the workspace.
+//! Every cell over a sample of the workspace: statistics of its light, and what its integrals take for a solver.
 
+use std::convert::Infallible;
+
+use glam::DVec3;
 use serde::Serialize;
-use slitpose_model::{Plan, Pose, Response, Status};
+use slitpose_head::scene_file::{SceneFile, Workspace};
+use slitpose_head::threads::{cores, in_order};
+use slitpose_model::{Plan, Pose, Response, SceneError, Status, Tier};
 
-use slitpose_head::scene_file::Workspace;
-
-use super::sample::{self, Tally};
 use super::serialize_pose;
+
+/// Poses that a core takes at a time.
+const POSES: usize = 256;
+
+/// What is known of the poses that were looked at.
+pub(super) trait Tally: Clone + Send + Sync {
+    /// Adds a pose, looked at with the optics of `plan`.
+    fn add(&mut self, plan: &Plan<f64>, pose: &Pose);
+
+    /// Adds the poses of `later`, which come after those of `self`.
+    fn merge(&mut self, later: Self);
+}
+
+impl<T: Tally> Tally for Vec<T> {
+    fn add(&mut self, plan: &Plan<f64>, pose: &Pose) {
+        self.iter_mut().for_each(|tally| tally.add(plan, pose));
+    }
+
+    fn merge(&mut self, later: Self) {
+        self.iter_mut().zip(later).for_each(|(tally, later)| tally.merge(later));
+    }
+}
+
+/// What `none` becomes with all of `poses`, on all cores, the same however many they are. `progress` gets the number of
+/// poses of each piece that is done.
+pub(super) fn over<T: Tally>(
+    plan: &Plan<f64>,
+    none: &T,
+    mut poses: impl Iterator<Item = Pose>,
+    mut progress: impl FnMut(usize),
+) -> T {
+    let mut all = none.clone();
+    let next = || {
+        Ok::<_, Infallible>(Some(poses.by_ref().take(POSES).collect()).filter(|piece: &Vec<Pose>| !piece.is_empty()))
+    };
+    let work = |piece: Vec<Pose>| {
+        let mut tally = none.clone();
+        piece.iter().for_each(|pose| tally.add(plan, pose));
+        (tally, piece.len())
+    };
+    let Ok(()) = in_order(cores(), next, work, |(tally, count)| {
+        all.merge(tally);
+        progress(count);
+        Ok(())
+    });
+    all
+}
+
+/// The six axes of motion from home, in the order (t, θ).
+pub(crate) const AXES: [&str; 6] = ["tx", "ty", "tz", "rx", "ry", "rz"];
+
+/// The pose after a pure motion from home along one of [`AXES`], in metres or radians.
+///
+/// # Panics
+/// If `axis` is not below 6.
+pub(crate) fn axis_motion(axis: usize, amount: f64) -> Pose {
+    let mut motion = [0.0; 6];
+    motion[axis] = amount;
+    let [tx, ty, tz, rx, ry, rz] = motion;
+    Pose::from_vectors(DVec3::new(tx, ty, tz), DVec3::new(rx, ry, rz))
+}
 
 /// The workspace as the cells see it. Shares are of the sampled poses, 0 to 1.
 #[derive(Clone, Debug, Serialize)]
@@ -64,7 +127,6 @@ impl CellCoverage {
         }
     }
 
-    /// Counts one pose.
     fn add(&mut self, pose: &Pose, response: &Response<f64>, full_scale_a: Option<f64>) {
         match response.status {
             Status::Lit => self.lit += 1.0,
@@ -118,13 +180,11 @@ impl CellCoverage {
         ]
     }
 
-    /// Turns counts into shares.
     fn divide_by(&mut self, samples: f64) {
         self.counts().into_iter().for_each(|count| *count /= samples);
     }
 }
 
-/// Counts of poses.
 #[derive(Clone)]
 struct Counts {
     full_scale_a: Option<f64>,
@@ -163,9 +223,67 @@ impl Coverage {
             cells: (0..plan.cell_count()).map(CellCoverage::new).collect(),
             lit: vec![0; plan.cell_count() + 1],
         };
-        let Counts { mut cells, lit, .. } = sample::over(plan, &none, workspace.poses(samples), progress);
+        let Counts { mut cells, lit, .. } = over(plan, &none, workspace.poses(samples), progress);
         cells.iter_mut().for_each(|cell| cell.divide_by(samples as f64));
         let at_least = |least| lit[least..].iter().sum::<usize>() as f64 / samples as f64;
         Self { samples, at_least_lit: (0..lit.len()).map(at_least).collect(), cells }
     }
+}
+
+/// What `solve`, `run`, `replay` and `simulate` ask for unless told otherwise.
+const TOLERANCE: f64 = 1e-6;
+
+/// Poses evaluated: the dearest of them is not far from the dearest of all.
+const MOST_SAMPLES: usize = 200;
+
+/// One cell's integrals at the tolerance of solving.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(crate) struct CellCost {
+    /// Number of the cell.
+    pub cell: usize,
+    /// The tolerance.
+    pub tolerance: f64,
+    /// Most values of the emission profile for one pair of currents.
+    pub most_evaluations: usize,
+    /// The greatest error reached: the tolerance, unless the limit of work came first; infinite, in JSON null, if no
+    /// light was found by then where there may be some.
+    pub relative_error: f64,
+}
+
+/// How many poses are looked at, of `samples` of the workspace.
+pub(super) fn poses_of(samples: usize) -> usize {
+    samples.min(MOST_SAMPLES)
+}
+
+impl Tally for CellCost {
+    fn add(&mut self, plan: &Plan<f64>, pose: &Pose) {
+        if let Some(integration) = plan.respond(self.cell, pose).integration {
+            self.raise(integration.evaluations, integration.relative_error);
+        }
+    }
+
+    fn merge(&mut self, later: Self) {
+        self.raise(later.most_evaluations, later.relative_error);
+    }
+}
+
+impl CellCost {
+    fn raise(&mut self, evaluations: usize, relative_error: f64) {
+        self.most_evaluations = self.most_evaluations.max(evaluations);
+        self.relative_error = self.relative_error.max(relative_error);
+    }
+}
+
+/// The costs of all cells over some of `samples` poses of the workspace.
+pub(super) fn of_cells(
+    file: &SceneFile,
+    samples: usize,
+    progress: impl FnMut(usize),
+) -> Result<Vec<CellCost>, SceneError> {
+    let tolerance = TOLERANCE;
+    let plan = Plan::<f64>::compile(&file.scene, Tier::Exact { tolerance })?;
+    let costs: Vec<_> = (0..plan.cell_count())
+        .map(|cell| CellCost { cell, tolerance, most_evaluations: 0, relative_error: tolerance })
+        .collect();
+    Ok(over(&plan, &costs, file.workspace.poses(poses_of(samples)), progress))
 }

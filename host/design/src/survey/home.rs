@@ -1,7 +1,14 @@
-//! Each cell with the tool at home.
+//! The head at home: each cell, how far the tool moves from there, and what it shows before it is calibrated.
+
+use std::f64::consts::PI;
 
 use serde::Serialize;
-use slitpose_model::{Plan, Pose, Scene};
+use slitpose_calibration::uncalibrated;
+use slitpose_head::scene_file::SceneFile;
+use slitpose_model::{MotionPrior, Photocurrents, Plan, Pose, Scene, SceneError, Solver, Start, Status, Tier};
+
+use super::SOLVING_TOLERANCE;
+use super::coverage::{AXES, axis_motion};
 
 /// Geometry and light of a cell at home.
 #[derive(Clone, Debug, Serialize)]
@@ -43,4 +50,86 @@ pub(super) fn at_home(scene: &Scene, plan: &Plan<f64>) -> Vec<CellAtHome> {
         }
     };
     scene.cells.iter().enumerate().map(describe).collect()
+}
+
+/// Steps of the search outward from home: finer than any gap between two lit regions.
+const STEP_M: f64 = 0.1e-3;
+const STEP_RAD: f64 = 0.5 * PI / 180.0;
+
+/// Where the search gives up: no head of this kind is as large.
+const FARTHEST_M: f64 = 0.1;
+const FARTHEST_RAD: f64 = PI;
+
+/// Halvings of a step: to a millionth of it.
+const BISECTIONS: usize = 20;
+
+/// Pure motion from home along one axis.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct Travel {
+    /// `tx` … `rz`.
+    pub axis: &'static str,
+    /// Towards the negative end.
+    pub negative: End,
+    /// Towards the positive end.
+    pub positive: End,
+}
+
+/// Where a motion ends, and why.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub(crate) struct End {
+    /// Signed motion from home, metres or radians; zero if a cell is not usable even at home.
+    pub at: f64,
+    /// The first cell that is no longer usable; `None` if the search ended before.
+    pub cell: Option<usize>,
+    /// What that cell becomes: a status other than `lit`, or `faint`.
+    pub becomes: Option<&'static str>,
+}
+
+pub(super) fn along_axes(plan: &Plan<f64>) -> Vec<Travel> {
+    let travel =
+        |(number, axis)| Travel { axis, negative: farthest(plan, number, -1.0), positive: farthest(plan, number, 1.0) };
+    AXES.into_iter().enumerate().map(travel).collect()
+}
+
+fn farthest(plan: &Plan<f64>, axis: usize, sign: f64) -> End {
+    let (step, limit) = if axis < 3 { (STEP_M, FARTHEST_M) } else { (STEP_RAD, FARTHEST_RAD) };
+    let failure = |amount: f64| first_unusable(plan, &axis_motion(axis, sign * amount));
+    let steps = (limit / step).round() as usize;
+    let Some(first_bad) = (0..=steps).find(|index| failure(*index as f64 * step).is_some()) else {
+        return End { at: sign * limit, cell: None, becomes: None };
+    };
+    let (mut good, mut bad) = ((first_bad as f64 - 1.0).max(0.0) * step, first_bad as f64 * step);
+    for _ in 0..BISECTIONS {
+        let middle = 0.5 * (good + bad);
+        if failure(middle).is_some() { bad = middle } else { good = middle }
+    }
+    let (cell, becomes) = failure(bad).unzip();
+    End { at: sign * good, cell, becomes }
+}
+
+fn first_unusable(plan: &Plan<f64>, pose: &Pose) -> Option<(usize, &'static str)> {
+    (0..plan.cell_count()).find_map(|cell| {
+        let response = plan.respond(cell, pose);
+        match response.status {
+            Status::Lit if response.flags.faint => Some((cell, "faint")),
+            Status::Lit => None,
+            status => Some((cell, status.as_str())),
+        }
+    })
+}
+
+/// Poses of the workspace that are tried.
+const POSES: usize = 16;
+
+/// Share of poses of the workspace whose currents, by `plan`, lead to a pose by the head's tolerances, which are the default
+/// ones where the scene states none.
+pub(super) fn told(file: &SceneFile, plan: &Plan<f64>) -> Result<f64, SceneError> {
+    let solver = Solver::<f64>::new(&uncalibrated(file)?, Tier::Exact { tolerance: SOLVING_TOLERANCE })?;
+    let is_told =
+        |currents: &Photocurrents| solver.solve(currents, Start::Cold, &MotionPrior::AT_REST).estimate.is_some();
+    let currents = file
+        .workspace
+        .poses(POSES)
+        .map(|pose| Photocurrents::of_pairs((0..plan.cell_count()).map(|cell| plan.photocurrents(cell, &pose))));
+    Ok(currents.filter(is_told).count() as f64 / POSES as f64)
 }

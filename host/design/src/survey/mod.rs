@@ -3,15 +3,10 @@
 //! [`Survey::of`] evaluates the optics at home, over a sample of the workspace and along the six
 //! axes, and derives warnings. All numbers are SI and are serialised as they stand.
 
-mod cost;
 mod coverage;
-mod crosstalk;
-mod first_light;
 mod home;
+mod lighting;
 mod report;
-mod sample;
-mod timing;
-mod travel;
 mod warning;
 
 use std::fmt;
@@ -23,13 +18,13 @@ use slitpose_head::finding::Finding;
 use slitpose_head::scene_file::{SceneFile, Workspace};
 
 use crate::map::{NoiseOf, Outlook};
-pub(crate) use cost::CellCost;
+pub(crate) use coverage::AXES;
+pub(crate) use coverage::CellCost;
 pub(crate) use coverage::Coverage;
-pub(crate) use crosstalk::{SlotCrosstalk, share_of_others};
 pub(crate) use home::CellAtHome;
-pub(crate) use sample::AXES;
-pub(crate) use timing::Timing;
-pub(crate) use travel::{End, Travel};
+pub(crate) use home::{End, Travel};
+pub(crate) use lighting::Timing;
+pub(crate) use lighting::{SlotCrosstalk, share_of_others};
 
 /// Relative error of the integrals. A designer's decision turns on percents.
 const TOLERANCE: f64 = 1e-4;
@@ -48,14 +43,12 @@ pub struct Survey {
     pub hash: String,
     /// The box that was sampled.
     pub(crate) workspace: WorkspaceFacts,
-    /// Each cell with the tool at home.
     pub(crate) home: Vec<CellAtHome>,
     /// Which noise that is by which a pose is told.
     #[serde(skip)]
     pub(crate) noise: NoiseOf,
     /// Standard deviations that one frame gives the pose at home, metres and radians; `None` if it gives none.
     pub(crate) sigma_at_home: Option<[f64; 6]>,
-    /// The sampled workspace.
     pub(crate) coverage: Coverage,
     /// How far the tool moves along each axis with every cell lit and not faint.
     pub(crate) travel: Vec<Travel>,
@@ -94,7 +87,7 @@ impl Survey {
         let tier = Tier::Exact { tolerance: TOLERANCE };
         let plan = Plan::<f64>::compile(&file.scene, tier)?;
         let solver = Solver::<f64>::new(&file.scene, Tier::Exact { tolerance: SOLVING_TOLERANCE })?;
-        let (crosstalk, carried) = crosstalk::of_slots(file, &plan, samples, &mut progress);
+        let (crosstalk, carried) = lighting::of_slots(file, &plan, samples, &mut progress);
         let full_scale_a = file.front_end.map(|front_end| front_end.full_scale_a);
         let outlook = Outlook::of(file.clone().into())?;
         let mut survey = Self {
@@ -106,13 +99,13 @@ impl Survey {
             noise: outlook.noise,
             sigma_at_home: outlook.at(&Pose::HOME).sigma,
             coverage: Coverage::of(&plan, &file.workspace, samples, full_scale_a, &mut progress),
-            travel: travel::along_axes(&plan),
-            cost: cost::of_cells(file, samples, &mut progress)?,
+            travel: home::along_axes(&plan),
+            cost: coverage::of_cells(file, samples, &mut progress)?,
             crosstalk,
             carried,
             timing: Timing::of(file),
             free_at_home: solver.free_directions(&Pose::HOME).map(|free| free.to_string()).unwrap_or_default(),
-            told_uncalibrated: first_light::told(file, &plan)?,
+            told_uncalibrated: home::told(file, &plan)?,
             mirror_images: solver.has_mirror_images(),
             warnings: Vec::new(),
         };
@@ -123,7 +116,7 @@ impl Survey {
     /// How many poses a survey with `samples` poses evaluates: all of them for coverage and for cross-talk, some for
     /// the cost.
     pub fn poses_of(samples: usize) -> usize {
-        2 * samples + cost::poses_of(samples)
+        2 * samples + coverage::poses_of(samples)
     }
 
     /// The survey as a text for people, in millimetres, degrees and microamperes.
@@ -155,7 +148,6 @@ fn rounded(value: f64) -> f64 {
     (value * 1e6).round() / 1e6 + 0.0
 }
 
-/// Each finding as one line.
 fn serialize_lines<S: Serializer>(findings: &[Finding], serializer: S) -> Result<S::Ok, S::Error> {
     serializer.collect_seq(findings.iter().map(Finding::to_string))
 }

@@ -226,7 +226,7 @@ fn pieces_of_the_sample_add_up_to_all_of_it() {
         let status = |status: Status| share(&|response| response.status == status);
         assert_eq!([cell.lit, cell.clipped], [status(Status::Lit), status(Status::Clipped)], "cell {number}");
         let evaluations =
-            poses.iter().take(cost::poses_of(samples)).filter_map(|pose| solving.respond(number, pose).integration);
+            poses.iter().take(coverage::poses_of(samples)).filter_map(|pose| solving.respond(number, pose).integration);
         let most = evaluations.map(|integration| integration.evaluations).max();
         assert_eq!(Some(survey.cost[number].most_evaluations), most, "cell {number}");
     }

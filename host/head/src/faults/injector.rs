@@ -7,9 +7,9 @@ use slitpose_protocol::{
 };
 
 use super::Faults;
-use super::kinds::Layer;
+use super::kinds::{Effect, Layer};
 use super::schedule::FaultClock;
-use super::spec::{Effect, Fault};
+use super::text::Fault;
 use super::wire::{Passage, WireFault};
 use super::words::{WordFaults, WordScale};
 
@@ -140,7 +140,7 @@ impl Injector {
         let mut passage = Passage { bytes: packet, ..Passage::default() };
         for fault in &mut self.wire {
             let begun = fault.fault.window.begun(time_s);
-            if fault.fault.effect == Effect::HangUp && begun > fault.begun {
+            if fault.fault.kind.effect == Effect::HangUp && begun > fault.begun {
                 fault.begun = begun;
                 for lost in [&mut self.late, &mut self.held, &mut self.packet] {
                     lost.clear();
@@ -216,13 +216,14 @@ impl Injector {
         let before_s = self.time_s.replace(time_s).unwrap_or(time_s);
         for fault in &mut self.wire {
             let begun = fault.fault.window.begun(time_s);
-            match fault.fault.effect {
-                Effect::Drift { ppm } if fault.fault.window.is_open(time_s) => {
-                    self.ahead_ticks += (time_s - before_s) * f64::from(tick_hz) * ppm * 1e-6;
+            let [amount, _] = fault.fault.values;
+            match fault.fault.kind.effect {
+                Effect::Drift if fault.fault.window.is_open(time_s) => {
+                    self.ahead_ticks += (time_s - before_s) * f64::from(tick_hz) * amount * 1e-6;
                 }
-                Effect::Step { by_s } if begun > fault.begun => {
+                Effect::Step if begun > fault.begun => {
                     // A clock that steps back beyond its beginning goes on from there.
-                    let ahead_ticks = by_s * f64::from(tick_hz) * (begun - fault.begun) as f64 + self.ahead_ticks;
+                    let ahead_ticks = amount * f64::from(tick_hz) * (begun - fault.begun) as f64 + self.ahead_ticks;
                     self.ahead_ticks = ahead_ticks.max(-(tick as f64));
                     fault.begun = begun;
                 }

@@ -1,6 +1,6 @@
 //! The table of faults: what each does, what its text may say, and what a user sees of it.
 
-use super::quantity::Unit;
+use super::text::Unit;
 
 /// Where a fault acts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -54,6 +54,7 @@ pub enum Lasts {
 pub struct Kind {
     /// Its name.
     pub name: &'static str,
+    pub(super) effect: Effect,
     /// Where it acts.
     pub layer: Layer,
     /// Its keys.
@@ -70,6 +71,38 @@ pub struct Kind {
     pub example: &'static str,
 }
 
+/// What happens while a fault acts; [`Kind::what`] says it in words.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Effect {
+    Flip,
+    Drop,
+    Duplicate,
+    Reorder,
+    Truncate,
+    Burst,
+    Stall,
+    HangUp,
+    Drift,
+    Step,
+    Occlude,
+    Dim,
+    Saturate,
+    Glint,
+    Stray,
+    Noisy,
+    Stuck,
+    SwapElectrodes,
+    SwapCells,
+    Dead,
+    Move,
+    Warm,
+    Overrun,
+    Reset,
+    Restart,
+    Slow,
+    Stop,
+}
+
 const fn key(name: &'static str, unit: Unit, default: &'static str) -> Key {
     Key { name, unit, default: Some(default) }
 }
@@ -83,277 +116,260 @@ const RATE: Key = key("rate", Unit::Rate, "0.01");
 const DAMAGE: &str = "gap in seq, counted as missing and damaged";
 const GAP: &str = "gap in seq, counted as missing";
 
+const EXCLUDED: &str = "degraded (cell_excluded, doubted); health: excluded";
+
+/// What kinds of a layer have in common, unless the table says otherwise.
+const WIRE: Kind = Kind {
+    name: "",
+    effect: Effect::Flip,
+    layer: Layer::Wire,
+    keys: &[RATE],
+    lasts: Lasts::ToTheEnd,
+    what: "",
+    sees: DAMAGE,
+    exit: 3,
+    example: "",
+};
+const WORDS: Kind = Kind { layer: Layer::Words, keys: &[CELL], sees: EXCLUDED, exit: 0, ..WIRE };
+const LIGHT: Kind = Kind { layer: Layer::Light, ..WORDS };
+const BOARD: Kind = Kind { layer: Layer::Board, keys: &[], lasts: Lasts::Instant, ..WIRE };
+
 /// All kinds, by layer.
 pub const KINDS: [Kind; 27] = [
     Kind {
         name: "flip",
-        layer: Layer::Wire,
+        effect: Effect::Flip,
         keys: &[key("rate", Unit::Rate, "1e-5")],
-        lasts: Lasts::ToTheEnd,
         what: "inverts each bit with probability RATE",
-        sees: DAMAGE,
-        exit: 3,
         example: "flip:rate=1e-5",
+        ..WIRE
     },
     Kind {
         name: "drop",
-        layer: Layer::Wire,
-        keys: &[RATE],
-        lasts: Lasts::ToTheEnd,
+        effect: Effect::Drop,
         what: "loses each packet with probability RATE",
         sees: GAP,
-        exit: 3,
         example: "drop:rate=0.01",
+        ..WIRE
     },
     Kind {
         name: "duplicate",
-        layer: Layer::Wire,
-        keys: &[RATE],
-        lasts: Lasts::ToTheEnd,
+        effect: Effect::Duplicate,
         what: "delivers each packet twice with probability RATE",
         sees: "repeats are left out and counted",
-        exit: 3,
         example: "duplicate:rate=0.01",
+        ..WIRE
     },
     Kind {
         name: "reorder",
-        layer: Layer::Wire,
-        keys: &[RATE],
-        lasts: Lasts::ToTheEnd,
+        effect: Effect::Reorder,
         what: "delivers each packet behind the next with probability RATE",
         sees: "gap in seq, counted as missing; late scans are left out and counted",
-        exit: 3,
         example: "reorder:rate=0.01",
+        ..WIRE
     },
     Kind {
         name: "truncate",
-        layer: Layer::Wire,
-        keys: &[RATE],
-        lasts: Lasts::ToTheEnd,
+        effect: Effect::Truncate,
         what: "cuts the end off each packet with probability RATE",
-        sees: DAMAGE,
-        exit: 3,
         example: "truncate:rate=0.01",
+        ..WIRE
     },
     Kind {
         name: "burst",
-        layer: Layer::Wire,
+        effect: Effect::Burst,
         keys: &[RATE, key("bytes", Unit::Count, "64")],
-        lasts: Lasts::ToTheEnd,
         what: "replaces BYTES by noise, from each packet on with probability RATE",
-        sees: DAMAGE,
-        exit: 3,
         example: "burst:rate=0.01,bytes=300",
+        ..WIRE
     },
     Kind {
         name: "stall",
-        layer: Layer::Wire,
+        effect: Effect::Stall,
         keys: &[],
         lasts: Lasts::For("200ms"),
         what: "holds all bytes back, and then delivers them at once",
         sees: "poses come late; none is missing",
         exit: 0,
         example: "stall:from=1s,for=300ms",
+        ..WIRE
     },
     Kind {
         name: "hangup",
-        layer: Layer::Wire,
+        effect: Effect::HangUp,
         keys: &[],
         lasts: Lasts::For("200ms"),
         what: "breaks the link; the port is back later",
         sees: "link lost, reconnects counted; gap in seq; needs --patience, else the run fails",
-        exit: 3,
         example: "hangup:from=1s,for=300ms",
+        ..WIRE
     },
     Kind {
         name: "drift",
-        layer: Layer::Wire,
+        effect: Effect::Drift,
         keys: &[key("ppm", Unit::Ppm, "100ppm")],
-        lasts: Lasts::ToTheEnd,
         what: "lets the board's clock gain PPM",
         sees: "device times drift; drift_ppm in /status in real time",
         exit: 0,
         example: "drift:ppm=-300ppm",
+        ..WIRE
     },
     Kind {
         name: "step",
-        layer: Layer::Wire,
+        effect: Effect::Step,
         keys: &[key("by", Unit::TimeStep, "10ms")],
         lasts: Lasts::Instant,
         what: "sets the board's clock forward BY a time, or back",
         sees: "event: the board's clock jumped",
         exit: 0,
         example: "step:from=1s,by=-5ms",
+        ..WIRE
     },
     Kind {
         name: "occlude",
-        layer: Layer::Words,
-        keys: &[CELL],
-        lasts: Lasts::ToTheEnd,
+        effect: Effect::Occlude,
         what: "takes all light from a cell",
         sees: "degraded (fewer_cells); health: dark",
-        exit: 0,
         example: "occlude:cell=2,from=1s,for=500ms",
+        ..WORDS
     },
     Kind {
         name: "dim",
-        layer: Layer::Words,
+        effect: Effect::Dim,
         keys: &[CELL, key("to", Unit::Ratio, "0.5")],
-        lasts: Lasts::ToTheEnd,
         what: "dims the light of a cell TO a share",
-        sees: "degraded (cell_excluded, doubted); health: excluded",
-        exit: 0,
         example: "dim:cell=0,to=0.7",
+        ..WORDS
     },
     Kind {
         name: "saturate",
-        layer: Layer::Words,
-        keys: &[CELL],
-        lasts: Lasts::ToTheEnd,
+        effect: Effect::Saturate,
         what: "drives a cell's converter to the end of its range",
         sees: "degraded (fewer_cells); health: saturated",
-        exit: 0,
         example: "saturate:cell=1,every=10ms,for=1ms",
+        ..WORDS
     },
     Kind {
         name: "glint",
-        layer: Layer::Words,
+        effect: Effect::Glint,
         keys: &[CELL, key("current", Unit::Current, "1uA")],
-        lasts: Lasts::ToTheEnd,
         what: "adds a reflection of its own emitter to electrode 1 of a cell",
-        sees: "degraded (cell_excluded, doubted); health: excluded",
-        exit: 0,
         example: "glint:cell=3,current=500nA",
+        ..WORDS
     },
     Kind {
         name: "stray",
-        layer: Layer::Words,
+        effect: Effect::Stray,
         keys: &[CELL, key("current", Unit::Current, "400nA")],
-        lasts: Lasts::ToTheEnd,
         what: "adds CURRENT of other light to each electrode of a cell in all slots",
         sees: "poses hold; health: stray_rising",
-        exit: 0,
         example: "stray:cell=3,current=400nA,from=2s",
+        ..WORDS
     },
     Kind {
         name: "noisy",
-        layer: Layer::Words,
+        effect: Effect::Noisy,
         keys: &[CELL, key("rms", Unit::Current, "20nA")],
-        lasts: Lasts::ToTheEnd,
         what: "adds noise to each word of a cell",
         sees: "degraded (misfit, cell_excluded, doubted); health: excluded or noisy",
-        exit: 0,
         example: "noisy:cell=4,rms=20nA",
+        ..WORDS
     },
     Kind {
         name: "stuck",
-        layer: Layer::Words,
-        keys: &[CELL],
-        lasts: Lasts::ToTheEnd,
+        effect: Effect::Stuck,
         what: "lets the words of a cell stay as they are",
         sees: "degraded (cell_excluded, doubted); health: stuck",
-        exit: 0,
         example: "stuck:cell=5,from=1s",
+        ..WORDS
     },
     Kind {
         name: "swap-electrodes",
-        layer: Layer::Words,
-        keys: &[CELL],
-        lasts: Lasts::ToTheEnd,
+        effect: Effect::SwapElectrodes,
         what: "exchanges the electrodes of a cell",
         sees: "degraded (cell_excluded, doubted); health: swapped",
-        exit: 0,
         example: "swap-electrodes:cell=0",
+        ..WORDS
     },
     Kind {
         name: "swap-cells",
-        layer: Layer::Words,
+        effect: Effect::SwapCells,
         keys: &[CELL, Key { name: "with", unit: Unit::Number, default: None }],
-        lasts: Lasts::ToTheEnd,
         what: "exchanges two cells",
         sees: "degraded (misfit, doubted) or no pose; health: swapped",
-        exit: 0,
         example: "swap-cells:cell=0,with=3",
+        ..WORDS
     },
     Kind {
         name: "dead",
-        layer: Layer::Light,
+        effect: Effect::Dead,
         keys: &[Key { name: "emitter", unit: Unit::Number, default: None }],
-        lasts: Lasts::ToTheEnd,
         what: "lets an emitter fail",
         sees: "degraded (fewer_cells); health: dark",
-        exit: 0,
         example: "dead:emitter=4,from=1s",
+        ..LIGHT
     },
     Kind {
         name: "move",
-        layer: Layer::Light,
+        effect: Effect::Move,
         keys: &[CELL, key("by", Unit::Length, "50um")],
-        lasts: Lasts::ToTheEnd,
         what: "moves the slit of a cell along its detector",
-        sees: "degraded (cell_excluded, doubted); health: excluded",
-        exit: 0,
         example: "move:cell=2,by=30um,from=1s",
+        ..LIGHT
     },
     Kind {
         name: "warm",
-        layer: Layer::Light,
+        effect: Effect::Warm,
         keys: &[key("by", Unit::Kelvin, "20K"), key("over", Unit::Time, "1s")],
-        lasts: Lasts::ToTheEnd,
         what: "warms head and board within OVER: emitters weaken, dark currents rise",
         sees: "degraded (misfit, doubted); temperature in status",
-        exit: 0,
         example: "warm:by=20K,over=2s",
+        ..LIGHT
     },
     Kind {
         name: "overrun",
-        layer: Layer::Board,
+        effect: Effect::Overrun,
         keys: &[key("scans", Unit::Count, "8")],
-        lasts: Lasts::Instant,
         what: "has the converters overwrite SCANS before they are collected",
         sees: "gap in seq, counted as missing; lost scans and overruns in status",
-        exit: 3,
         example: "overrun:scans=8,every=500ms",
+        ..BOARD
     },
     Kind {
         name: "reset",
-        layer: Layer::Board,
+        effect: Effect::Reset,
         keys: &[key("boot", Unit::Time, "20ms")],
-        lasts: Lasts::Instant,
         what: "resets the board by its watchdog; the link stays open",
         sees: "restart counted; the board is started again; needs --patience, else the run fails",
-        exit: 3,
         example: "reset:from=1s",
+        ..BOARD
     },
     Kind {
         name: "restart",
-        layer: Layer::Board,
-        keys: &[],
+        effect: Effect::Restart,
         lasts: Lasts::For("300ms"),
         what: "takes the board's supply away; the port is gone, too",
         sees: "link lost, reconnects counted; restart counted; needs --patience, else the run fails",
-        exit: 3,
         example: "restart:from=1s,for=300ms",
+        ..BOARD
     },
     Kind {
         name: "slow",
-        layer: Layer::Board,
+        effect: Effect::Slow,
         keys: &[key("poll", Unit::Time, "30ms")],
         lasts: Lasts::ToTheEnd,
         what: "lets the board look after its scans only every POLL",
         sees: "scans come late; beyond 21 ms at 4 kHz a gap in seq, overruns in status",
-        exit: 3,
         example: "slow:poll=30ms,from=1s,for=200ms",
+        ..BOARD
     },
     Kind {
         name: "stop",
-        layer: Layer::Board,
-        keys: &[],
-        lasts: Lasts::Instant,
+        effect: Effect::Stop,
         what: "has the converters fail: the board stops and goes dark",
         sees: "event of the board; it is started again; needs --patience, else the run fails",
-        exit: 3,
         example: "stop:from=1s",
+        ..BOARD
     },
 ];
 

@@ -15,24 +15,18 @@
 //! pages have it. True poses of simulated boards pass untouched. No text of a fault changes what comes before its begin.
 
 mod board;
-mod error;
 mod injector;
 mod kinds;
-mod light;
-mod quantity;
 mod schedule;
-mod spec;
+mod text;
 mod wire;
 mod words;
 
-pub use board::{BoardFaults, Trouble};
-pub use error::FaultError;
+pub use board::{BoardFaults, LightFaults, Trouble};
 pub use injector::{ANNOUNCED, Injector, Link};
 pub use kinds::{KINDS, Key, Kind, Lasts, Layer};
-pub use light::LightFaults;
-pub use quantity::Unit;
 pub use schedule::{FaultClock, Window};
-pub use spec::Fault;
+pub use text::{Fault, FaultError, Unit};
 pub use words::WordFaults;
 pub(crate) use words::WordScale;
 
@@ -52,8 +46,11 @@ impl Faults {
     /// A cell that the head does not have.
     pub fn new(faults: Vec<Fault>, cells: usize) -> Result<Self, FaultError> {
         for fault in &faults {
-            if let Some(cell) = fault.effect.cells().find(|&cell| cell >= cells) {
-                return Err(FaultError::NoSuchCell { fault: fault.to_string(), cell, last: cells.saturating_sub(1) });
+            if let Some(cell) = fault.cells().find(|&cell| cell >= cells) {
+                let last = cells.saturating_sub(1);
+                return Err(FaultError(format!(
+                    "`{fault}` is for cell {cell}, and the head has the cells 0 to {last}"
+                )));
             }
         }
         Ok(Self(faults))
@@ -98,7 +95,7 @@ fn check(
     refused: impl Fn(&Kind) -> Option<&'static str>,
 ) -> Result<(), FaultError> {
     faults.iter().try_for_each(|fault| match refused(fault.kind) {
-        Some(reason) => Err(FaultError::NotHere { fault: fault.to_string(), place, reason }),
+        Some(reason) => Err(FaultError(format!("`{fault}` cannot be injected into {place}: {reason}"))),
         None => Ok(()),
     })
 }

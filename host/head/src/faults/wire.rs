@@ -3,9 +3,9 @@
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-use super::spec::{Effect, Fault};
+use super::kinds::Effect;
+use super::text::Fault;
 
-/// A fault of the wire.
 #[derive(Clone, Debug)]
 pub(super) struct WireFault {
     pub(super) fault: Fault,
@@ -23,11 +23,9 @@ pub(super) struct WireFault {
 pub(super) struct Passage {
     /// Its bytes, delimiter included; empty if it is lost.
     pub(super) bytes: Vec<u8>,
-    /// It is delivered twice.
     pub(super) is_double: bool,
     /// It is delivered behind the next.
     pub(super) is_late: bool,
-    /// It is held back.
     pub(super) is_held: bool,
 }
 
@@ -42,19 +40,19 @@ impl WireFault {
         if !self.fault.window.is_open(time_s) && self.burst == 0 {
             return;
         }
-        let effect = self.fault.effect;
+        let ([rate, bytes], effect) = (self.fault.values, self.fault.kind.effect);
         match effect {
-            Effect::Flip { rate } => self.flip(rate, &mut packet.bytes),
-            Effect::Drop { rate } if self.happens(rate) => packet.bytes.clear(),
-            Effect::Duplicate { rate } => packet.is_double |= self.happens(rate),
-            Effect::Reorder { rate } => packet.is_late |= self.happens(rate),
-            Effect::Truncate { rate } if self.happens(rate) => {
+            Effect::Flip => self.flip(rate, &mut packet.bytes),
+            Effect::Drop if self.happens(rate) => packet.bytes.clear(),
+            Effect::Duplicate => packet.is_double |= self.happens(rate),
+            Effect::Reorder => packet.is_late |= self.happens(rate),
+            Effect::Truncate if self.happens(rate) => {
                 let kept = self.random.random_range(0..packet.bytes.len().max(1));
                 packet.bytes.truncate(kept);
             }
-            Effect::Burst { rate, bytes } => {
+            Effect::Burst => {
                 if self.burst == 0 && self.happens(rate) {
-                    self.burst = bytes;
+                    self.burst = bytes as usize;
                 }
                 let hit = self.burst.min(packet.bytes.len());
                 packet.bytes[..hit].iter_mut().for_each(|byte| *byte = self.random.random());

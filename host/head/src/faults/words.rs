@@ -8,16 +8,15 @@ use rand_distr::{Distribution, StandardNormal};
 use slitpose_protocol::{AdcScaling, RawScan, WordPair};
 
 use super::Faults;
-use super::kinds::Layer;
+use super::kinds::{Effect, Layer};
 use super::schedule::FaultClock;
-use super::spec::{Effect, Fault};
+use super::text::Fault;
 
 /// The faults of a head on the words of one board.
 #[derive(Clone, Debug)]
 pub struct WordFaults {
     faults: Vec<WordFault>,
     clock: FaultClock,
-    /// Dark words of the scan before.
     dark_before: Option<RawScan>,
 }
 
@@ -32,9 +31,7 @@ struct WordFault {
 /// What words of one configuration are worth.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct WordScale {
-    /// Of one conversion.
     pub(crate) scaling: AdcScaling,
-    /// Conversions of a word.
     pub(crate) oversampling: u16,
     /// Ticks a second.
     pub(crate) tick_hz: u32,
@@ -49,7 +46,6 @@ impl WordScale {
         value.round().clamp(0.0, self.top()) as u16
     }
 
-    /// Steps of a word for a current.
     fn steps(&self, current_a: f64) -> f64 {
         f64::from(self.oversampling) * current_a / self.scaling.amperes_per_code
     }
@@ -87,34 +83,37 @@ impl WordFaults {
 impl WordFault {
     fn apply(&mut self, scan: &mut RawScan, before: Option<&RawScan>, scale: &WordScale) {
         // A board that has fewer cells than its head is refused elsewhere.
-        if self.fault.effect.cells().any(|cell| cell >= scan.cells()) {
+        if self.fault.cells().any(|cell| cell >= scan.cells()) {
             return;
         }
-        match self.fault.effect {
-            Effect::Dim { cell, to } => {
+        let [cell, amount] = self.fault.values;
+        let cell = cell as usize;
+        match self.fault.kind.effect {
+            effect @ (Effect::Occlude | Effect::Dim) => {
+                let to = if effect == Effect::Dim { amount } else { 0.0 };
                 let zero = [scale.word(scale.zero()); 2];
                 let dark = before.unwrap_or(scan).dark().map_or(zero, |dark| dark[cell]);
                 for (lit, dark) in scan.lit_mut()[cell].iter_mut().zip(dark) {
                     *lit = scale.word(to * f64::from(*lit) + (1.0 - to) * f64::from(dark));
                 }
             }
-            Effect::Saturate { cell } => {
+            Effect::Saturate => {
                 scan.lit_mut()[cell] =
                     [if scale.scaling.amperes_per_code < 0.0 { 0 } else { scale.word(scale.top()) }; 2];
             }
-            Effect::Glint { cell, current_a } => {
+            Effect::Glint => {
                 let word = &mut scan.lit_mut()[cell][0];
-                *word = scale.word(f64::from(*word) + scale.steps(current_a));
+                *word = scale.word(f64::from(*word) + scale.steps(amount));
             }
-            Effect::Stray { cell, current_a } => {
-                change(scan, cell, |word| scale.word(f64::from(word) + scale.steps(current_a)));
+            Effect::Stray => {
+                change(scan, cell, |word| scale.word(f64::from(word) + scale.steps(amount)));
             }
-            Effect::Noisy { cell, rms_a } => {
-                let rms = scale.steps(rms_a).abs();
+            Effect::Noisy => {
+                let rms = scale.steps(amount).abs();
                 let mut draw = || <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut self.random);
                 change(scan, cell, |word| scale.word(f64::from(word) + rms * draw()));
             }
-            Effect::Stuck { cell } => {
+            Effect::Stuck => {
                 let now = || (scan.lit()[cell], scan.dark().map(|dark| dark[cell]));
                 let (lit, dark) = *self.kept.get_or_insert_with(now);
                 scan.lit_mut()[cell] = lit;
@@ -122,13 +121,14 @@ impl WordFault {
                     words[cell] = dark;
                 }
             }
-            Effect::SwapElectrodes { cell } => {
+            Effect::SwapElectrodes => {
                 scan.lit_mut()[cell].swap(0, 1);
                 if let Some(dark) = scan.dark_mut() {
                     dark[cell].swap(0, 1);
                 }
             }
-            Effect::SwapCells { cell, with } => {
+            Effect::SwapCells => {
+                let with = amount as usize;
                 scan.lit_mut().swap(cell, with);
                 if let Some(dark) = scan.dark_mut() {
                     dark.swap(cell, with);
@@ -140,7 +140,6 @@ impl WordFault {
     }
 }
 
-/// Changes all words of a cell.
 fn change(scan: &mut RawScan, cell: usize, mut change: impl FnMut(u16) -> u16) {
     scan.lit_mut()[cell] = scan.lit()[cell].map(&mut change);
     if let Some(dark) = scan.dark_mut() {

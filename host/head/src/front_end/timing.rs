@@ -14,57 +14,18 @@ const TICK_HZ: u32 = 170_000_000;
 /// Why a board cannot run a scene.
 #[derive(Debug, Error)]
 pub enum TimingError {
-    /// The scene has no front end.
-    #[error("scene `{scene}` has no [front_end], so no board can sample it; add one, or use the shipped scene `wide`")]
-    NoFrontEnd {
-        /// The scene.
-        scene: String,
-    },
-    /// More conversions than a word holds.
-    #[error(
-        "scene `{scene}` sums {oversampling} conversions, a word on the wire holds {MAX_OVERSAMPLING}; \
-         lower front_end.oversampling"
-    )]
-    Oversampling {
-        /// The scene.
-        scene: String,
-        /// Requested number of conversions.
-        oversampling: u32,
-    },
-    /// Conversions whose sum a word does not hold.
-    #[error(
-        "scene `{scene}` sums {oversampling} conversions of {bits} bits, more than the 16 bits of a word on the wire; \
-         lower front_end.oversampling or front_end.adc_bits"
-    )]
-    Bits {
-        /// The scene.
-        scene: String,
-        /// Bits of one conversion.
-        bits: u32,
-        /// Conversions in a word.
-        oversampling: u32,
-    },
-    /// A duration that cannot be expressed in ticks.
-    #[error("scene `{scene}`: front_end.{key} = {value} is not a duration a timer of {TICK_HZ} Hz can count")]
-    Ticks {
-        /// The scene.
-        scene: String,
-        /// The key.
-        key: &'static str,
-        /// Its value.
-        value: f64,
-    },
+    /// A scene that has no front end.
+    #[error("scene `{0}` has no [front_end], so no board can sample it; add one, or use the shipped scene `wide`")]
+    NoFrontEnd(String),
+    /// A scene whose front end no board can have: why, and what to change.
+    #[error("scene `{0}`{1}")]
+    FrontEnd(String, String),
     /// Slots that take longer than a frame.
     #[error(transparent)]
     Slots(#[from] SceneFileError),
-    /// A schedule that no board can run.
-    #[error("scene `{scene}`: the schedule cannot be run; change [lighting] or [front_end]")]
-    Schedule {
-        /// The scene.
-        scene: String,
-        /// The contradiction.
-        source: ScheduleError,
-    },
+    /// A scene with a schedule that no board can run.
+    #[error("scene `{0}`: the schedule cannot be run; change [lighting] or [front_end]")]
+    Schedule(String, #[source] ScheduleError),
 }
 
 /// As [`configuration`], for a board that is to send what it converts.
@@ -75,7 +36,11 @@ pub fn board_configuration(file: &SceneFile) -> Result<Configuration, TimingErro
     let configuration = configuration(file)?;
     match file.front_end {
         Some(FrontEnd { adc_bits: bits, oversampling, .. }) if !AdcScaling::fits_a_word(bits, oversampling) => {
-            Err(TimingError::Bits { scene: file.name.clone(), bits, oversampling })
+            let text = format!(
+                " sums {oversampling} conversions of {bits} bits, more than the 16 bits of a word on the wire; lower \
+                 front_end.oversampling or front_end.adc_bits"
+            );
+            Err(TimingError::FrontEnd(file.name.clone(), text))
         }
         _ => Ok(configuration),
     }
@@ -88,17 +53,24 @@ pub fn board_configuration(file: &SceneFile) -> Result<Configuration, TimingErro
 /// If the scene has no front end, or one whose schedule does not fit its frame period.
 pub fn configuration(file: &SceneFile) -> Result<Configuration, TimingError> {
     let scene = || file.name.clone();
-    let front_end = file.front_end.ok_or_else(|| TimingError::NoFrontEnd { scene: scene() })?;
+    let front_end = file.front_end.ok_or_else(|| TimingError::NoFrontEnd(scene()))?;
     let oversampling = u16::try_from(front_end.oversampling)
         .ok()
         .filter(|&oversampling| oversampling <= MAX_OVERSAMPLING)
-        .ok_or_else(|| TimingError::Oversampling { scene: scene(), oversampling: front_end.oversampling })?;
-    let ticks = |key, value: f64, seconds: f64| {
+        .ok_or_else(|| {
+            let text = format!(
+                " sums {} conversions, a word on the wire holds {MAX_OVERSAMPLING}; lower front_end.oversampling",
+                front_end.oversampling
+            );
+            TimingError::FrontEnd(scene(), text)
+        })?;
+    let ticks = |key: &str, value: f64, seconds: f64| {
         let ticks = (seconds * f64::from(TICK_HZ)).round();
         if ticks <= f64::from(u32::MAX) {
             Ok(ticks as u32)
         } else {
-            Err(TimingError::Ticks { scene: scene(), key, value })
+            let text = format!(": front_end.{key} = {value} is not a duration a timer of {TICK_HZ} Hz can count");
+            Err(TimingError::FrontEnd(scene(), text))
         }
     };
     file.require_slots_fit()?;
@@ -118,7 +90,7 @@ pub fn configuration(file: &SceneFile) -> Result<Configuration, TimingError> {
         oversampling,
         cells: cells as u8,
     };
-    schedule.validate().map_err(|source| TimingError::Schedule { scene: scene(), source })?;
+    schedule.validate().map_err(|source| TimingError::Schedule(scene(), source))?;
     let levels = [Level::NOMINAL; MAX_CELLS].into_iter().take(cells).collect();
     Ok(Configuration { schedule, levels, exposure: Exposure::Fixed })
 }

@@ -9,9 +9,7 @@ use slitpose_model::{Fault, SceneError};
 use toml::Spanned;
 use toml::de::{DeArray, DeInteger, DeTable, DeValue};
 
-use super::error::{ContentFault, FilePlace, KeyPath, SceneFileError};
-use super::schema;
-use super::spelling::nearest;
+use super::keys::{self, FilePlace, KeyPath, SceneFileError, nearest};
 use crate::foreign::printable;
 
 type Entry<'a> = Spanned<DeValue<'a>>;
@@ -32,7 +30,8 @@ impl<'a> Document<'a> {
         let root = DeTable::parse(text).map_err(|error| {
             let offset = error.span().map_or(0, |span| span.start);
             let message = error.message().replace('\n', ", ");
-            SceneFileError::content(FilePlace::of(origin, text, offset), ContentFault::Syntax { message })
+            let text_of_error = format!("not valid TOML here: {}; correct this line", printable(&message));
+            SceneFileError::Content(FilePlace::of(origin, text, offset), text_of_error)
         })?;
         let document = Self { origin, text, root: root.into_inner() };
         document.check_keys()?;
@@ -40,8 +39,8 @@ impl<'a> Document<'a> {
     }
 
     fn check_keys(&self) -> Result<(), SceneFileError> {
-        self.check_table(&self.root, "the scene file", schema::TOP)?;
-        for (section, known) in schema::sections() {
+        self.check_table(&self.root, "the scene file", keys::TOP)?;
+        for (section, known) in keys::sections() {
             if let Some(entry) = self.root.get(section) {
                 let table = self.as_table(KeyPath::top(section), entry)?;
                 self.check_table(table, &format!("[{section}]"), known)?;
@@ -49,8 +48,8 @@ impl<'a> Document<'a> {
         }
         for (number, entry) in self.cell_entries()?.iter().enumerate() {
             let cell = self.as_table(KeyPath::top("cell"), entry)?;
-            self.check_table(cell, &format!("[[cell]] number {number}"), schema::CELL)?;
-            for (section, known) in schema::sections().filter(|(name, _)| schema::PER_CELL.contains(name)) {
+            self.check_table(cell, &format!("[[cell]] number {number}"), keys::CELL)?;
+            for (section, known) in keys::sections().filter(|(name, _)| keys::PER_CELL.contains(name)) {
                 if let Some(entry) = cell.get(section) {
                     let table = self.as_table(KeyPath::of_cell(number, "cell", section), entry)?;
                     self.check_table(table, &format!("`{section}` of cell {number}"), known)?;
@@ -71,15 +70,12 @@ impl<'a> Document<'a> {
         let Some(key) = unknown else {
             return Ok(());
         };
-        Err(self.error_at(
-            key.span(),
-            ContentFault::UnknownKey {
-                section: section.to_owned(),
-                key: key.get_ref().to_string(),
-                nearest: nearest(key.get_ref(), known),
-                known,
-            },
-        ))
+        let suggestion = match nearest(key.get_ref(), known) {
+            Some(nearest) => format!("did you mean `{nearest}`?"),
+            None => format!("known keys: {}", known.join(", ")),
+        };
+        let text = format!("unknown key `{}` in {section}; {suggestion}", printable(key.get_ref()));
+        Err(self.error_at(key.span(), text))
     }
 
     /// How many cells there are.
@@ -119,8 +115,8 @@ impl<'a> Document<'a> {
     pub(super) fn profiles_given(&self, cell: usize) -> Vec<&'static str> {
         let own = |key: &&'static str| self.find_own(cell, "emitter", key).is_some();
         let any = |key: &&'static str| self.find(KeyPath::section("emitter", key)).is_some();
-        let given = schema::PROFILES.into_iter().filter(own).collect::<Vec<_>>();
-        if given.is_empty() { schema::PROFILES.into_iter().filter(any).collect() } else { given }
+        let given = keys::PROFILES.into_iter().filter(own).collect::<Vec<_>>();
+        if given.is_empty() { keys::PROFILES.into_iter().filter(any).collect() } else { given }
     }
 
     /// Whether a section is in the file.
@@ -133,7 +129,6 @@ impl<'a> Document<'a> {
         self.has_section(section) || self.find_own(cell, "cell", section).is_some()
     }
 
-    /// A text, if the key is there.
     pub(super) fn text(&self, path: KeyPath) -> Result<Option<String>, SceneFileError> {
         let Some(entry) = self.find(path) else {
             return Ok(None);
@@ -144,23 +139,49 @@ impl<'a> Document<'a> {
         }
     }
 
-    /// A finite number, if the key is there.
+    /// A finite number in SI, if the key is there.
     pub(super) fn number(&self, path: KeyPath) -> Result<Option<f64>, SceneFileError> {
+        Ok(self.written(path)?.map(|written| written * path.unit()))
+    }
+
+    /// A finite number in the file's own unit, if the key is there.
+    pub(super) fn written(&self, path: KeyPath) -> Result<Option<f64>, SceneFileError> {
         self.find(path).map(|entry| self.as_number(path, entry)).transpose()
     }
 
-    /// A finite number that must be there.
+    /// A finite number in SI that must be there.
     pub(super) fn required(&self, path: KeyPath) -> Result<f64, SceneFileError> {
         self.number(path)?.ok_or_else(|| self.missing(path))
     }
 
-    /// A vector of `N` finite numbers, if the key is there.
+    /// A number in SI; out of range unless `is_allowed`, which `allowed` says in words.
+    pub(super) fn within(
+        &self,
+        path: KeyPath,
+        value: f64,
+        is_allowed: impl FnOnce(f64) -> bool,
+        allowed: &str,
+    ) -> Result<f64, SceneFileError> {
+        match self.find(path) {
+            Some(entry) if !is_allowed(value) => Err(self.out_of_range(path, entry, allowed)),
+            _ => Ok(value),
+        }
+    }
+
+    /// A number of zero or more in SI; `default` if the key is not there.
+    pub(super) fn not_negative(&self, path: KeyPath, default: f64) -> Result<f64, SceneFileError> {
+        let value = self.number(path)?.unwrap_or(default);
+        self.within(path, value, |value| value >= 0.0, "zero or more")
+    }
+
+    /// A vector of `N` finite numbers in SI, if the key is there.
     pub(super) fn vector<const N: usize>(
         &self,
         path: KeyPath,
         expected: &'static str,
     ) -> Result<Option<[f64; N]>, SceneFileError> {
-        self.find(path).map(|entry| self.as_vector(path, entry, expected)).transpose()
+        let written = self.find(path).map(|entry| self.as_vector(path, entry, expected)).transpose()?;
+        Ok(written.map(|written| written.map(|value| value * path.unit())))
     }
 
     /// `N` rows of `M` finite numbers, if the key is there.
@@ -183,7 +204,7 @@ impl<'a> Document<'a> {
         Ok(Some(matrix))
     }
 
-    /// Up to `N` finite numbers; none if the key is not there.
+    /// Up to `N` finite numbers in SI; none if the key is not there.
     pub(super) fn list<const N: usize>(
         &self,
         path: KeyPath,
@@ -195,7 +216,7 @@ impl<'a> Document<'a> {
         };
         for number in self.as_array(path, entry, expected)?.iter() {
             let number = self.as_number(path, number)?;
-            list.push(number).map_err(|_| self.wrong_type(path, entry, expected))?;
+            list.push(number * path.unit()).map_err(|_| self.wrong_type(path, entry, expected))?;
         }
         Ok(list)
     }
@@ -260,32 +281,31 @@ impl<'a> Document<'a> {
         table_of(entry).ok_or_else(|| self.wrong_type(path, entry, "a table"))
     }
 
-    /// The error of a fault at a key; at the key's section or cell, if the key is not written.
-    pub(super) fn error(&self, path: KeyPath, fault: ContentFault) -> SceneFileError {
+    /// The error `text` at a key; at the key's section or cell, if the key is not written.
+    pub(super) fn error(&self, path: KeyPath, text: String) -> SceneFileError {
         let section = || self.root.get(path.section).filter(|_| path.section != "cell");
         let cell = || self.cell_entries().ok()?.get(path.cell?);
         let place = self.find(path).or_else(section).or_else(cell);
-        self.error_at(place.map_or(0..0, Spanned::span), fault)
+        self.error_at(place.map_or(0..0, Spanned::span), text)
     }
 
-    /// The error of a fault at a span of the text.
-    pub(super) fn error_at(&self, span: Range<usize>, fault: ContentFault) -> SceneFileError {
-        SceneFileError::content(FilePlace::of(self.origin, self.text, span.start), fault)
+    /// The error `text` at a span of the text.
+    pub(super) fn error_at(&self, span: Range<usize>, text: String) -> SceneFileError {
+        SceneFileError::Content(FilePlace::of(self.origin, self.text, span.start), text)
     }
 
     pub(super) fn missing(&self, path: KeyPath) -> SceneFileError {
-        self.error(path, ContentFault::MissingKey { path })
+        self.error(path, format!("{path} is missing; add `{} = …` to {}", path.key, path.home()))
     }
 
-    pub(super) fn wrong_type(&self, path: KeyPath, entry: &Entry<'_>, expected: &'static str) -> SceneFileError {
-        let fault =
-            ContentFault::WrongType { path, text: self.quote(entry.span()), found: kind_of(entry.get_ref()), expected };
-        self.error_at(entry.span(), fault)
+    pub(super) fn wrong_type(&self, path: KeyPath, entry: &Entry<'_>, expected: &str) -> SceneFileError {
+        let (text, found) = (self.quote(entry.span()), kind_of(entry.get_ref()));
+        self.error_at(entry.span(), format!("{path} = {text} is {found}; give {expected}"))
     }
 
-    pub(super) fn out_of_range(&self, path: KeyPath, entry: &Entry<'_>, allowed: &'static str) -> SceneFileError {
+    pub(super) fn out_of_range(&self, path: KeyPath, entry: &Entry<'_>, allowed: &str) -> SceneFileError {
         let text = self.quote(entry.span());
-        self.error_at(entry.span(), ContentFault::OutOfRange { path, text, allowed })
+        self.error_at(entry.span(), format!("{path} = {text} is out of range; give {allowed}"))
     }
 
     /// What the model says of a value, at the place of that value, in the file's own unit.
@@ -301,8 +321,8 @@ impl<'a> Document<'a> {
         let given = path.cell.filter(|_| path.key == "profile_exponent").map(|cell| self.profiles_given(cell));
         if given.is_some_and(|given| given == ["half_angle_deg"]) {
             let path = KeyPath { key: "half_angle_deg", ..path };
-            let text = self.find(path).map(|entry| self.quote(entry.span()));
-            return self.error(path, ContentFault::TooNarrow { path, text: text.unwrap_or_default() });
+            let text = self.quoted(path);
+            return self.error(path, format!("{path} = {text} degrees is too narrow to compute; give 0.07 or more"));
         }
         let entry = self.find(path);
         let written = entry.and_then(|entry| self.as_number(path, entry).ok());
@@ -313,12 +333,17 @@ impl<'a> Document<'a> {
             (Fault::NotPositive(_), Some(value)) => Fault::NotPositive(value),
             (fault, _) => fault,
         };
-        let text = entry.map(|entry| self.quote(entry.span()));
-        self.error(path, ContentFault::Optics { path, text, fault })
+        let text = entry.map(|entry| format!(" = {}", self.quote(entry.span()))).unwrap_or_default();
+        self.error(path, format!("{path}{text}: {fault}"))
+    }
+
+    /// The value of a key as the file writes it.
+    pub(super) fn quoted(&self, path: KeyPath) -> String {
+        self.find(path).map(|entry| self.quote(entry.span())).unwrap_or_default()
     }
 
     /// The text of a span, on one line and not too long.
-    pub(super) fn quote(&self, span: Range<usize>) -> String {
+    fn quote(&self, span: Range<usize>) -> String {
         let line = self.text.get(span).unwrap_or_default().split_whitespace();
         printable(&line.collect::<Vec<_>>().join(" ")).at_most(LONGEST_QUOTE).to_string()
     }

@@ -7,10 +7,8 @@ use slitpose_model::{
 };
 
 use super::document::Document;
-use super::error::{KeyPath, SceneFileError};
-use super::lighting::Lighting;
-use super::optics::M_FROM_MM;
-use super::workspace::Workspace;
+use super::keys::{KeyPath, SceneFileError};
+use super::settings::{Lighting, Workspace};
 
 const PER_M_FROM_PER_MM: f64 = 1e3;
 
@@ -21,13 +19,12 @@ const FACING_AWAY: f64 = -0.173_648_177_666_930_33;
 pub(super) fn read(document: &Document<'_>, cell: usize, length_m: f64) -> Result<Effects, SceneFileError> {
     let detector = |key| KeyPath::of_cell(cell, "detector", key);
     let emitter = |key| KeyPath::of_cell(cell, "emitter", key);
-    let mut nonlinearity = document.list(detector("nonlinearity_mm"), "a list of at most 12 numbers")?;
-    nonlinearity.iter_mut().for_each(|value| *value *= M_FROM_MM);
+    let nonlinearity = document.list(detector("nonlinearity_mm"), "a list of at most 12 numbers")?;
     let gain = document.vector(detector("electrode_gain"), "two numbers, those of I_X1 and I_X2")?;
     let radial = document.vector::<RADIAL_TERMS>(emitter("profile_radial"), "four numbers")?;
     let azimuthal = document.vector::<AZIMUTHAL_TERMS>(emitter("profile_azimuthal"), "four numbers")?;
     Ok(Effects {
-        source_diameter_m: document.number(emitter("source_diameter_mm"))?.unwrap_or(0.0) * M_FROM_MM,
+        source_diameter_m: document.number(emitter("source_diameter_mm"))?.unwrap_or(0.0),
         profile: ProfileShape { radial: radial.unwrap_or_default(), azimuthal: azimuthal.unwrap_or_default() },
         window: read_window(document, cell)?,
         nonlinearity_m: if is_zero(&nonlinearity) { Vec::new() } else { nonlinearity },
@@ -47,22 +44,16 @@ fn read_window(document: &Document<'_>, cell: usize) -> Result<Option<Window>, S
         return Ok(None);
     }
     let key = |key| document.required(KeyPath::of_cell(cell, "window", key));
-    let window = Window { thickness_m: key("thickness_mm")? * M_FROM_MM, refractive_index: key("refractive_index")? };
+    let window = Window { thickness_m: key("thickness_mm")?, refractive_index: key("refractive_index")? };
     Ok(Some(window).filter(|window| window.thickness_m != 0.0))
 }
 
 fn read_stray(document: &Document<'_>, cell: usize, length_m: f64) -> Result<Option<Stray>, SceneFileError> {
     let key = |key| KeyPath::of_cell(cell, "stray", key);
-    let current_a = document.number(key("current_a"))?.unwrap_or(0.0);
-    let centre_m = document.number(key("centre_mm"))?.unwrap_or(0.0) * M_FROM_MM;
-    for (path, is_possible, allowed) in [
-        (key("current_a"), current_a >= 0.0, "zero or more"),
-        (key("centre_mm"), centre_m.abs() <= 0.5 * length_m, "a place on the detector, at most half its length"),
-    ] {
-        if let Some(entry) = document.find(path).filter(|_| !is_possible) {
-            return Err(document.out_of_range(path, entry, allowed));
-        }
-    }
+    let current_a = document.not_negative(key("current_a"), 0.0)?;
+    let centre_m = document.number(key("centre_mm"))?.unwrap_or(0.0);
+    let allowed = "a place on the detector, at most half its length";
+    let centre_m = document.within(key("centre_mm"), centre_m, |at_m| at_m.abs() <= 0.5 * length_m, allowed)?;
     let linear = document.matrix::<2, 3>(key("linear_a_per_mm"), "two rows of three numbers, by t_x, t_y, t_z")?;
     let quadratic = document.matrix::<2, 6>(
         key("quadratic_a_per_mm2"),

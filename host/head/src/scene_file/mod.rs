@@ -1,36 +1,24 @@
 //! The scene file: one TOML text that describes a sensor head.
 //!
-//! Read in this order: `document` parses the text and knows every key's place in it, `optics`, `opening`, `second_axis`
-//! and `effects` build the model's [`Scene`], `electronics`, `lighting` and `workspace` the rest, `shipped` holds
-//! the scenes compiled into the program.
+//! Read in this order: `keys` has every key, `document` parses the text and knows the place of each, `optics` and
+//! `effects` build the model's [`Scene`], `settings` has the rest, `shipped` the scenes compiled into the program.
 //! The file speaks millimetres and degrees; everything that leaves this module is SI.
 
 mod document;
 mod effects;
-mod electronics;
-mod error;
-mod lighting;
-mod opening;
+mod keys;
 mod optics;
-mod schema;
-mod second_axis;
+mod settings;
 mod shipped;
-mod spelling;
-mod tolerance;
-mod workspace;
 
 use std::ops::RangeInclusive;
 use std::path::Path;
 
 use slitpose_model::{Plan, Profile, Scene, Tier};
 
-pub use electronics::FrontEnd;
-pub use error::{ContentFault, FilePlace, KeyPath, LightingFault, SceneFileError};
-pub use lighting::Lighting;
+pub use keys::{FilePlace, KeyPath, SceneFileError, nearest};
+pub use settings::{FrontEnd, Lighting, Tolerance, Workspace};
 pub use shipped::{BASE, BENCH, FINE, MAGLEV, REDUNDANT, SHIPPED, SPACEMOUSE, Shipped, WIDE};
-pub use spelling::nearest;
-pub use tolerance::Tolerance;
-pub use workspace::Workspace;
 
 use crate::finding::Finding;
 use crate::foreign::printable;
@@ -74,7 +62,7 @@ impl SceneFile {
             Some(shipped) if !path.exists() || path.is_dir() => shipped.read(),
             _ => match text_file::read(path) {
                 Ok(bytes) => Self::from_bytes(argument, &bytes),
-                Err(source) => Err(SceneFileError::Read { argument: argument.to_owned(), source }),
+                Err(source) => Err(SceneFileError::Read(argument.to_owned(), source)),
             },
         }
     }
@@ -87,7 +75,10 @@ impl SceneFile {
                 let valid = String::from_utf8_lossy(&bytes[..error.valid_up_to()]);
                 let place = FilePlace::of(origin, &valid, valid.len());
                 let byte = bytes[error.valid_up_to()];
-                Err(SceneFileError::content(place, ContentFault::NotText { byte }))
+                Err(SceneFileError::Content(
+                    place,
+                    format!("byte 0x{byte:02x} is not UTF-8 text; save the file as UTF-8"),
+                ))
             }
         }
     }
@@ -96,8 +87,8 @@ impl SceneFile {
     pub fn parse(origin: &str, text: &str) -> Result<Self, SceneFileError> {
         let document = Document::parse(origin, text)?;
         let mut scene = optics::read(&document)?;
-        let lighting = lighting::read(&document, &scene)?;
-        let workspace = workspace::read(&document)?;
+        let lighting = settings::read_lighting(&document, &scene)?;
+        let workspace = settings::read_workspace(&document)?;
         effects::light_together(&mut scene, &lighting, &workspace);
         // Every rule about optical values stands in the model; compiling applies them all.
         Plan::<f64>::compile(&scene, Tier::Paper).map_err(|error| document.optics_error(error))?;
@@ -109,8 +100,8 @@ impl SceneFile {
             origin: origin.to_owned(),
             source: text.to_owned(),
             hash: fnv1a_64(text.as_bytes()),
-            front_end: electronics::read(&document)?,
-            tolerance: tolerance::read(&document)?,
+            front_end: settings::read_front_end(&document)?,
+            tolerance: settings::read_tolerance(&document)?,
             lighting,
             workspace,
             scene,
@@ -165,14 +156,15 @@ impl SceneFile {
             return Ok(());
         }
         let document = Document::parse(&self.origin, &self.source)?;
-        Err(document.error(
-            KeyPath::section("lighting", "slots"),
-            ContentFault::Lighting(LightingFault::DoNotFit {
-                slots: self.lighting.slots.len(),
-                slot_us: slot_s * 1e6,
-                period_us: period_s * 1e6,
-            }),
-        ))
+        let slots = self.lighting.slots.len();
+        let text = format!(
+            "lighting.slots: {slots} slots of {:.1} µs take {:.1} µs, the frame period is {:.1} µs; light more emitters \
+             together, or lower front_end.frame_rate_hz, oversampling or settling_s",
+            slot_s * 1e6,
+            slots as f64 * (slot_s * 1e6),
+            period_s * 1e6
+        );
+        Err(document.error(KeyPath::section("lighting", "slots"), text))
     }
 }
 

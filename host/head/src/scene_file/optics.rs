@@ -1,23 +1,17 @@
-//! From the document to the model's scene: millimetres to metres, degrees to radians, defaults
-//! and each cell's own values merged.
+//! From the document to the model's scene: defaults and each cell's own values merged.
 //!
 //! Which values are physically possible is the model's to say; here stand only the file's
-//! shape and the conversion of units.
+//! shape.
 
 use glam::{DVec2, DVec3};
 use slitpose_model::{
-    Cell, DEFAULT_FAINT_A, Detector, Effects, Emitter, Fault, MAX_CELLS, MAX_PROFILE_KNOTS, Noise, Profile, Scene,
-    Slit, Uncertainty,
+    Cell, DEFAULT_FAINT_A, Detector, Effects, Emitter, Fault, MAX_CELLS, MAX_PROFILE_KNOTS, Noise, Opening, Profile,
+    Scene, Slit, Uncertainty,
 };
 
 use super::document::Document;
 use super::effects;
-use super::error::{ContentFault, KeyPath, SceneFileError};
-use super::opening::Passage;
-use super::schema::PROFILES;
-use super::second_axis;
-
-pub(super) const M_FROM_MM: f64 = 1e-3;
+use super::keys::{CELL, KeyPath, PROFILES, SceneFileError};
 
 /// The optics of the scene, not yet checked by the model.
 pub(super) fn read(document: &Document<'_>) -> Result<Scene, SceneFileError> {
@@ -25,20 +19,17 @@ pub(super) fn read(document: &Document<'_>) -> Result<Scene, SceneFileError> {
         Scene { noise: read_noise(document)?, uncertainty: read_uncertainty(document)?, ..Scene::default() };
     let count = document.cell_count()?;
     for number in 0..count {
-        let cell = match second_axis::read(document, &mut scene, number)? {
+        let cell = match read_second_axis(document, &mut scene, number)? {
             Some(cell) => cell,
             None => read_cell(document, number)?,
         };
         if scene.cells.push(cell).is_err() {
-            let path = KeyPath::of_cell(number, "cell", "");
-            let most = MAX_CELLS;
-            return Err(document.error(path, ContentFault::TooManyCells { count, most }));
+            let text = format!("the scene has {count} cells; at most {MAX_CELLS} are possible, remove the others");
+            return Err(document.error(KeyPath::of_cell(number, "cell", ""), text));
         }
     }
     if count == 0 {
-        let path = KeyPath::top("cell");
-        let fault = Fault::NoCells;
-        return Err(document.error_at(0..0, ContentFault::Optics { path, text: None, fault }));
+        return Err(document.error_at(0..0, format!("{}: {}", KeyPath::top("cell"), Fault::NoCells)));
     }
     Ok(scene)
 }
@@ -60,11 +51,11 @@ fn read_cell(document: &Document<'_>, number: usize) -> Result<Cell, SceneFileEr
 fn read_detector(document: &Document<'_>, cell: usize) -> Result<Detector, SceneFileError> {
     let key = |key| KeyPath::of_cell(cell, "detector", key);
     Ok(Detector {
-        centre_base_m: position(document, cell, "detector_mm")?,
-        x_axis_base: direction(document, cell, "x_axis")?,
-        normal_base: direction(document, cell, "normal")?,
-        length_m: document.required(key("length_mm"))? * M_FROM_MM,
-        width_m: document.required(key("width_mm"))? * M_FROM_MM,
+        centre_base_m: vector(document, cell, "detector_mm")?,
+        x_axis_base: vector(document, cell, "x_axis")?,
+        normal_base: vector(document, cell, "normal")?,
+        length_m: document.required(key("length_mm"))?,
+        width_m: document.required(key("width_mm"))?,
         responsivity_a_per_w: document.required(key("responsivity_a_per_w"))?,
         dark_current_a: document.number(key("dark_current_a"))?.unwrap_or(0.0),
         interelectrode_ohm: document.number(key("interelectrode_ohm"))?,
@@ -75,22 +66,22 @@ fn read_detector(document: &Document<'_>, cell: usize) -> Result<Detector, Scene
 
 fn read_slit(document: &Document<'_>, cell: usize, passage: &Passage) -> Result<Slit, SceneFileError> {
     let key = |key| KeyPath::of_cell(cell, "slit", key);
-    let offset_mm = document.vector(key("offset_mm"), "two numbers, [x, y]")?;
-    let tilt_deg = document.vector(key("tilt_deg"), "three numbers, [x, y, z]")?;
+    let offset_m = document.vector(key("offset_mm"), "two numbers, [x, y]")?;
+    let tilt_rad = document.vector(key("tilt_deg"), "three numbers, [x, y, z]")?;
     Ok(Slit {
-        distance_m: document.required(key("distance_mm"))? * M_FROM_MM,
-        width_m: document.required(key(passage.width))? * M_FROM_MM,
-        length_m: document.required(key(passage.length))? * M_FROM_MM,
-        offset_m: DVec2::from_array(offset_mm.unwrap_or_default()) * M_FROM_MM,
-        tilt_rad: DVec3::from_array(tilt_deg.unwrap_or_default().map(f64::to_radians)),
-        thickness_m: document.number(key("thickness_mm"))?.unwrap_or(0.0) * M_FROM_MM,
+        distance_m: document.required(key("distance_mm"))?,
+        width_m: document.required(key(passage.width))?,
+        length_m: document.required(key(passage.length))?,
+        offset_m: DVec2::from_array(offset_m.unwrap_or_default()),
+        tilt_rad: DVec3::from_array(tilt_rad.unwrap_or_default()),
+        thickness_m: document.number(key("thickness_mm"))?.unwrap_or(0.0),
     })
 }
 
 fn read_emitter(document: &Document<'_>, cell: usize) -> Result<Emitter, SceneFileError> {
     Ok(Emitter {
-        position_tool_m: position(document, cell, "emitter_mm")?,
-        axis_tool: direction(document, cell, "emitter_axis")?,
+        position_tool_m: vector(document, cell, "emitter_mm")?,
+        axis_tool: vector(document, cell, "emitter_axis")?,
         radiant_intensity_w_per_sr: document.required(KeyPath::of_cell(
             cell,
             "emitter",
@@ -104,18 +95,20 @@ fn read_profile(document: &Document<'_>, cell: usize) -> Result<Profile, SceneFi
     let given = document.profiles_given(cell);
     let &[key] = given.as_slice() else {
         let path = KeyPath::of_cell(cell, "emitter", given.first().copied().unwrap_or(PROFILES[0]));
-        let count = given.len();
-        return Err(document.error(path, ContentFault::ProfileChoice { cell, count }));
+        let text = format!(
+            "cell {cell} has {} emission profiles; give exactly one of half_angle_deg, profile_exponent, profile in [emitter]",
+            given.len()
+        );
+        return Err(document.error(path, text));
     };
     let path = KeyPath::of_cell(cell, "emitter", key);
     match key {
         "half_angle_deg" => {
-            let half_angle_deg = document.required(path)?;
+            let half_angle_deg = document.written(path)?.ok_or_else(|| document.missing(path))?;
             if half_angle_deg > 0.0 && half_angle_deg < 90.0 {
                 return Ok(Profile::from_half_angle(half_angle_deg.to_radians()));
             }
-            let fault = Fault::HalfAngle(half_angle_deg);
-            Err(document.error(path, ContentFault::Optics { path, text: None, fault }))
+            Err(document.error(path, format!("{path}: {}", Fault::HalfAngle(half_angle_deg))))
         }
         "profile_exponent" => Ok(Profile::Cosine { exponent: document.required(path)? }),
         _ => read_profile_table(document, path),
@@ -126,13 +119,12 @@ fn read_profile_table(document: &Document<'_>, path: KeyPath) -> Result<Profile,
     let expected = "pairs of numbers, [[degrees, relative intensity], …]";
     let entry = document.find(path).ok_or_else(|| document.missing(path))?;
     let array = document.as_array(path, entry, expected)?;
-    let (count, most) = (array.len(), MAX_PROFILE_KNOTS);
+    let too_many =
+        || document.error(path, format!("{path} has {} knots; give at most {MAX_PROFILE_KNOTS}", array.len()));
     let mut knots = heapless::Vec::new();
     for knot in array.iter() {
         let [angle_deg, relative] = document.as_vector(path, knot, expected)?;
-        knots
-            .push((angle_deg.to_radians(), relative))
-            .map_err(|_| document.error(path, ContentFault::TooManyKnots { path, count, most }))?;
+        knots.push((angle_deg.to_radians(), relative)).map_err(|_| too_many())?;
     }
     Ok(Profile::Table(knots))
 }
@@ -156,16 +148,118 @@ fn read_uncertainty(document: &Document<'_>) -> Result<Uncertainty, SceneFileErr
     Ok(Uncertainty {
         emitter_gain_relative: key("emitter_gain_relative")?,
         electrode_gain_relative: key("electrode_gain_relative")?,
-        position_m: key("position_mm")? * M_FROM_MM,
+        position_m: key("position_mm")?,
     })
 }
 
-fn position(document: &Document<'_>, cell: usize, key: &'static str) -> Result<DVec3, SceneFileError> {
-    Ok(direction(document, cell, key)? * M_FROM_MM)
-}
-
-fn direction(document: &Document<'_>, cell: usize, key: &'static str) -> Result<DVec3, SceneFileError> {
+fn vector(document: &Document<'_>, cell: usize, key: &'static str) -> Result<DVec3, SceneFileError> {
     let path = KeyPath::of_cell(cell, "cell", key);
     let vector = document.vector(path, "three numbers, [x, y, z]")?;
     vector.map(DVec3::from_array).ok_or_else(|| document.missing(path))
+}
+
+/// What the light of a cell passes through, and the keys of its sizes.
+struct Passage {
+    opening: Opening,
+    /// Key of the size along x.
+    width: &'static str,
+    /// Key of the size along y.
+    length: &'static str,
+}
+
+impl Passage {
+    /// That of cell `cell`. A hole is given by its diameter, a slit by width and length: a cell that gives either has no
+    /// use for the other's defaults.
+    fn read(document: &Document<'_>, cell: usize) -> Result<Self, SceneFileError> {
+        let path = |key| KeyPath::of_cell(cell, "slit", key);
+        let own = |key| document.find_own(cell, "slit", key).is_some();
+        let given = |key| document.find(path(key)).is_some();
+        let refuse = |key, why: &str| {
+            let path = path(key);
+            Err(document.error(path, format!("{path} = {}: {why}", document.quoted(path))))
+        };
+        let (own_hole, own_slit) = (own("diameter_mm"), own("width_mm") || own("length_mm"));
+        let is_hole = given("diameter_mm") && (own_hole || !own_slit);
+        if is_hole && own_hole == own_slit && (given("width_mm") || given("length_mm")) {
+            return refuse("diameter_mm", "a round hole has neither width_mm nor length_mm; remove those or this");
+        }
+        let rides = match document.text(path("mount"))?.as_deref() {
+            None | Some("base") => false,
+            Some("tool") => true,
+            Some(_) => return refuse("mount", "give \"base\" or \"tool\""),
+        };
+        // A cell with sizes of its own has a lens of its own, too, if any.
+        let may_focus = !(own_hole || own_slit) || own("focal_length_mm");
+        let focal_length_m = document.number(path("focal_length_mm"))?.filter(|_| may_focus);
+        let opening = match (is_hole, rides, focal_length_m) {
+            (true, true, _) => return refuse("mount", "a round hole is on the base; give \"base\", or a slit"),
+            (false, _, Some(_)) => {
+                return refuse(
+                    "focal_length_mm",
+                    "a lens fills a round hole; give its diameter_mm in place of width_mm and length_mm",
+                );
+            }
+            (true, false, Some(focal_length_m)) => Opening::Lens { focal_length_m },
+            (true, false, None) => Opening::Pinhole,
+            (false, true, None) => Opening::RidingSlit,
+            (false, false, None) => Opening::Slit,
+        };
+        let (width, length) = if is_hole { ("diameter_mm", "diameter_mm") } else { ("width_mm", "length_mm") };
+        Ok(Self { opening, width, length })
+    }
+}
+
+const SECOND_AXIS: &str = "second_axis_of";
+
+/// Cell `number`, if it reads the second axis of the detector of an earlier cell; notes that in the earlier one.
+fn read_second_axis(document: &Document<'_>, scene: &mut Scene, number: usize) -> Result<Option<Cell>, SceneFileError> {
+    let path = KeyPath::of_cell(number, "cell", SECOND_AXIS);
+    let Some(entry) = document.find_own(number, "cell", SECOND_AXIS) else {
+        return Ok(None);
+    };
+    let given = document.as_integer(path, entry)?;
+    let refuse = |why: &str| {
+        let next_step = "give the number of an earlier cell that has a detector of its own";
+        Err(document.error(path, format!("{path} = {given} {why}; {next_step}")))
+    };
+    let Some(first) = usize::try_from(given).ok().filter(|&first| first < scene.cells.len()) else {
+        return refuse("is no earlier cell");
+    };
+    match scene.cells[first].effects.other_axis {
+        Some(other) if other < first => return refuse("is a second axis itself"),
+        Some(_) => return refuse("has a second axis already"),
+        None => {}
+    }
+    if let Some(key) = CELL.iter().find(|&&key| key != SECOND_AXIS && document.find_own(number, "cell", key).is_some())
+    {
+        let path = KeyPath::of_cell(number, "cell", key);
+        let why = format!("cannot be given for a second axis, which has everything from cell {first}; remove it");
+        return Err(document.error(path, format!("{path} {why}")));
+    }
+    scene.cells[first].effects.other_axis = Some(number);
+    Ok(Some(turned(&scene.cells[first], first)))
+}
+
+/// The same parts in a cell frame turned by 90 degrees about z: its x is the y of `cell`, number `first`.
+fn turned(cell: &Cell, first: usize) -> Cell {
+    let Cell { detector, slit, emitter, effects } = cell.clone();
+    let mut effects = effects;
+    effects.other_axis = Some(first);
+    Cell {
+        detector: Detector {
+            x_axis_base: detector.normal_base.cross(detector.x_axis_base),
+            length_m: detector.width_m,
+            width_m: detector.length_m,
+            ..detector
+        },
+        slit: Slit {
+            width_m: slit.length_m,
+            length_m: slit.width_m,
+            offset_m: DVec2::new(slit.offset_m.y, -slit.offset_m.x),
+            tilt_rad: DVec3::new(slit.tilt_rad.y, -slit.tilt_rad.x, slit.tilt_rad.z),
+            ..slit
+        },
+        emitter,
+        effects,
+    }
 }

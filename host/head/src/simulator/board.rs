@@ -10,9 +10,9 @@ use slitpose_protocol::{
 };
 use thiserror::Error;
 
+use super::Light;
 use super::electronics::Electronics;
 use super::hardware::SimulatedHardware;
-use super::light::Light;
 use super::trajectory::Trajectory;
 use crate::faults::{BoardFaults, FaultClock, Faults, LightFaults, Trouble, WordFaults};
 use crate::front_end::{self, TimingError};
@@ -100,7 +100,7 @@ impl SimulatedBoard {
         seed: u64,
     ) -> Result<Self, SimulatorError> {
         let configuration: Configuration = front_end::board_configuration(file)?;
-        let front_end = file.front_end.as_ref().ok_or_else(|| TimingError::NoFrontEnd { scene: file.name.clone() })?;
+        let front_end = file.front_end.as_ref().ok_or_else(|| TimingError::NoFrontEnd(file.name.clone()))?;
         let electronics = Electronics::new(&file.scene, front_end);
         let mut device_id = *b"simulated\0\0\0";
         device_id[11] = number;

@@ -11,8 +11,8 @@ use slitpose_firmware::{Acquisition, Health, Indicator, ScanError, Storage, Stor
 use slitpose_model::{MAX_CELLS, Pair, Pose};
 use slitpose_protocol::{BootTarget, Configuration, HardwareFault, Level, RawScan, Schedule, Truth};
 
+use super::Light;
 use super::electronics::Electronics;
-use super::light::Light;
 use super::trajectory::Trajectory;
 use crate::faults::{LightFaults, WordFaults, WordScale};
 
@@ -43,7 +43,6 @@ pub(crate) struct SimulatedHardware {
     word_faults: Option<Box<WordFaults>>,
 }
 
-/// An acquisition under way.
 #[derive(Debug)]
 struct Run {
     configuration: Configuration,
@@ -94,7 +93,6 @@ impl SimulatedHardware {
         }
     }
 
-    /// Injects faults of the head.
     pub(crate) fn inject(&mut self, light: Option<LightFaults>, words: Option<WordFaults>) {
         (self.light_faults, self.word_faults) = (light.map(Box::new), words.map(Box::new));
     }
@@ -123,7 +121,6 @@ impl SimulatedHardware {
         self.run.as_ref().map(|run| run.next_frame_ticks)
     }
 
-    /// Lets device time pass.
     pub(crate) fn advance(&mut self, ticks: u64) {
         self.now_ticks += ticks;
     }

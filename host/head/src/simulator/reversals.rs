@@ -10,7 +10,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use slitpose_model::Pose;
 
-use super::knots::on_path;
+use super::trajectory::on_path;
 
 /// Duration of a straight leg, seconds.
 const LEG_S: Range<f64> = 5e-3..25e-3;
@@ -73,7 +73,6 @@ impl Plan {
         Self { random, knots: VecDeque::from([(0.0, Pose::HOME)]) }
     }
 
-    /// Adds a leg.
     fn fly(&mut self, [by_m, by_rad]: [DVec3; 2]) {
         let Self { random, knots } = self;
         if knots.len() == KEPT {

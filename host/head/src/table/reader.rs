@@ -1,14 +1,13 @@
 //! CSV in.
 
 use std::fs::Metadata;
-use std::io::{self, BufRead, BufReader, Read};
+use std::io::{self, Read};
 use std::path::Path;
 use std::sync::Arc;
 
-use csv_core::ReadRecordResult;
+use csv::StringRecord;
 use thiserror::Error;
 
-use super::line_ends::LineFeeds;
 use crate::foreign::printable;
 use crate::text_file::{self, TextFileError};
 
@@ -16,154 +15,21 @@ use crate::text_file::{self, TextFileError};
 #[derive(Debug, Error)]
 pub enum TableError {
     /// The file cannot be opened.
-    #[error("cannot read {}; give a CSV file, or - for standard input", printable(file))]
-    Open {
-        /// The file.
-        file: String,
-        /// Why not.
-        source: TextFileError,
-    },
-    /// Reading failed on the way.
-    #[error("reading {file} failed after row {row}")]
-    Read {
-        /// The file.
-        file: String,
-        /// Data rows read before.
-        row: u64,
-        /// The system's error.
-        source: io::Error,
-    },
-    /// A row without an end.
-    #[error(
-        "{file}, line {line}: a row of more than {MAX_ROW_BYTES} bytes; end each row with a line feed, and close quotes"
-    )]
-    LongRow {
-        /// The file.
-        file: String,
-        /// Line of the file, from 1.
-        line: u64,
-    },
-    /// More rows than are held in memory at once.
-    #[error(
-        "{file} has more than {max_rows} rows, which are needed in memory at once; give fewer, such as every tenth"
-    )]
-    TooManyRows {
-        /// The file.
-        file: String,
-        /// The most rows that are read.
-        max_rows: u64,
-    },
-    /// A file without a header row.
-    #[error("{file} is empty; give a header row and at least one row of data")]
-    Empty {
-        /// The file.
-        file: String,
-    },
-    /// A header row and nothing else.
-    #[error("{file} has a header but no row of data; add at least one row")]
-    NoRows {
-        /// The file.
-        file: String,
-    },
-    /// Columns that are separated by something else than commas.
-    #[error(
-        "{file}, line 1: columns are separated by {separator}; save the file with commas between columns, and points in \
-         numbers"
-    )]
-    Separator {
-        /// The file.
-        file: String,
-        /// What separates them, in a word.
-        separator: &'static str,
-    },
-    /// A column that is needed and not there.
-    #[error(
-        "{file}, line 1: column `{}` is missing; the header has {}; {next_step}",
-        printable(column),
-        printable(present)
-    )]
-    MissingColumn {
-        /// The file.
-        file: String,
-        /// The column's name.
-        column: String,
-        /// The names that are there.
-        present: String,
-        /// What to do.
-        next_step: String,
-    },
-    /// Two columns of one name.
-    #[error("{file}, line 1: column `{}` stands in the header twice; remove or rename one", printable(column))]
-    DuplicateColumn {
-        /// The file.
-        file: String,
-        /// The column's name.
-        column: String,
-    },
-    /// A row that is longer or shorter than the header.
-    #[error("{file}, row {row} (line {line}): {found} fields, but the header has {expected}; {next_step}")]
-    UnequalRow {
-        /// The file.
-        file: String,
-        /// Data row, from 1.
-        row: u64,
-        /// Line of the file, from 1.
-        line: u64,
-        /// Fields in the row.
-        found: u64,
-        /// Fields in the header.
-        expected: u64,
-        /// What to do.
-        next_step: &'static str,
-    },
-    /// Bytes that are no text.
-    #[error("{file}, row {row} (line {line}): not UTF-8 text; save the file as UTF-8")]
-    NotText {
-        /// The file.
-        file: String,
-        /// Data row, from 1; 0 for the header.
-        row: u64,
-        /// Line of the file, from 1.
-        line: u64,
-    },
-    /// A field that should be a number.
-    #[error(
-        "{file}, row {row} (line {line}), column `{}`: `{}` is not a finite number; give one like -1.5 or 2e-6",
-        printable(column),
-        printable(text)
-    )]
-    NotANumber {
-        /// The file.
-        file: String,
-        /// Data row, from 1.
-        row: u64,
-        /// Line of the file, from 1.
-        line: u64,
-        /// The column's name.
-        column: String,
-        /// What stands there.
-        text: String,
-    },
-    /// A number outside what the column can mean.
-    #[error("{file}, row {row} (line {line}), column `{}`: {value} is out of range; give {allowed}", printable(column))]
-    OutOfRange {
-        /// The file.
-        file: String,
-        /// Data row, from 1.
-        row: u64,
-        /// Line of the file, from 1.
-        line: u64,
-        /// The column's name.
-        column: String,
-        /// What stands there.
-        value: f64,
-        /// The allowed numbers, in words.
-        allowed: &'static str,
-    },
+    #[error("cannot read {}; give a CSV file, or - for standard input", printable(.0))]
+    Open(String, #[source] TextFileError),
+    /// Reading the file failed on the way, after so many rows of data.
+    #[error("reading {0} failed after row {1}")]
+    Read(String, u64, #[source] io::Error),
+    /// A place of the file, and what is wrong there, with the next step.
+    #[error("{0} {1}")]
+    Content(String, String),
+    /// The place of a field that should be a number, and its text.
+    #[error("{} `{}` is not a finite number; give one like -1.5 or 2e-6", .0, printable(.1))]
+    NotANumber(String, String),
 }
 
 /// Longest row, bytes: the header of 16 cells has less than 2 kB.
-const MAX_ROW_BYTES: usize = 1 << 20;
+const MAX_ROW_BYTES: u64 = 1 << 20;
 
 /// Bytes that are read at a time.
 const READ_BYTES: usize = 1 << 16;
@@ -181,78 +47,30 @@ struct Names {
     header: Vec<String>,
 }
 
+impl Names {
+    fn in_header(&self, text: String) -> TableError {
+        TableError::Content(format!("{}, line 1:", self.file), text)
+    }
+
+    fn in_row(&self, row: u64, line: u64, text: &str) -> TableError {
+        TableError::Content(format!("{}, row {row} (line {line}):", self.file), text.to_owned())
+    }
+}
+
 /// A CSV file that is read row by row, or many rows at a time.
 pub struct TableReader {
     names: Arc<Names>,
-    records: Records,
+    csv: csv::Reader<Lines>,
     /// Bytes of the file; `None` if it has no length.
     length: Option<u64>,
     /// The row that was read last.
-    row: Rows,
-    /// Whether [`TableReader::next_row`] has not given it out yet.
+    record: StringRecord,
+    /// Whether it has not been given out yet.
     waiting: bool,
     rows: u64,
     max_rows: u64,
     /// What [`TableReader::next_rows`] found after the rows that it gave out last.
     postponed: Option<TableError>,
-}
-
-/// CSV, record by record.
-struct Records {
-    source: BufReader<Box<dyn Read>>,
-    /// Bytes of it that were parsed.
-    parsed: u64,
-    parser: Box<csv_core::Reader>,
-    /// The fields of the record at hand one after another, with room behind them.
-    text: Vec<u8>,
-    /// Where each of them ends, with room behind.
-    ends: Vec<usize>,
-}
-
-/// A record: its fields one after another, the end of each, and the line where it begins.
-struct Record<'a> {
-    text: &'a [u8],
-    ends: &'a [usize],
-    line: u64,
-}
-
-impl Records {
-    fn of(source: impl Read + 'static) -> Self {
-        Self {
-            source: BufReader::with_capacity(READ_BYTES, Box::new(LineFeeds::of(source))),
-            parsed: 0,
-            parser: Box::new(csv_core::Reader::new()),
-            text: vec![0; 1024],
-            ends: vec![0; 64],
-        }
-    }
-
-    /// The next one of the table `file`, behind `row`; `None` at the end.
-    fn next(&mut self, file: &str, row: u64) -> Result<Option<Record<'_>>, TableError> {
-        let line = self.parser.line();
-        let (mut length, mut fields) = (0, 0);
-        loop {
-            let input = self.source.fill_buf();
-            let input = input.map_err(|source| TableError::Read { file: file.to_owned(), row, source })?;
-            let (result, read, written, ended) =
-                self.parser.read_record(input, &mut self.text[length..], &mut self.ends[fields..]);
-            self.source.consume(read);
-            self.parsed += read as u64;
-            (length, fields) = (length + written, fields + ended);
-            if length + fields > MAX_ROW_BYTES {
-                return Err(TableError::LongRow { file: file.to_owned(), line });
-            }
-            match result {
-                ReadRecordResult::InputEmpty => {}
-                ReadRecordResult::OutputFull => self.text.resize(2 * self.text.len(), 0),
-                ReadRecordResult::OutputEndsFull => self.ends.resize(2 * self.ends.len(), 0),
-                ReadRecordResult::Record => {
-                    return Ok(Some(Record { text: &self.text[..length], ends: &self.ends[..fields], line }));
-                }
-                ReadRecordResult::End => return Ok(None),
-            }
-        }
-    }
 }
 
 impl TableReader {
@@ -262,38 +80,49 @@ impl TableReader {
             return Self::new("standard input", io::stdin().lock());
         }
         let opened = text_file::open(Path::new(file));
-        let opened = opened.map_err(|source| TableError::Open { file: file.to_owned(), source })?;
+        let opened = opened.map_err(|source| TableError::Open(file.to_owned(), source))?;
         let length = opened.metadata().ok().filter(Metadata::is_file).map(|metadata| metadata.len());
         Ok(Self { length, ..Self::new(file, opened)? })
     }
 
     /// Reads from any source; `file` names it in messages. A table without any row is an error.
     pub fn new(file: &str, source: impl Read + 'static) -> Result<Self, TableError> {
-        let mut records = Records::of(source);
+        let lines = Lines { source: Box::new(source), held: false, passed: 0, row_begin: 0 };
+        let csv =
+            csv::ReaderBuilder::new().has_headers(false).flexible(true).buffer_capacity(READ_BYTES).from_reader(lines);
+        let names = |header| Arc::new(Names { file: file.to_owned(), header });
+        let mut table = Self {
+            names: names(Vec::new()),
+            csv,
+            length: None,
+            record: StringRecord::new(),
+            waiting: false,
+            rows: 0,
+            max_rows: u64::MAX,
+            postponed: None,
+        };
+        let whole = |text: &str| TableError::Content(file.to_owned(), text.to_owned());
         let header = loop {
-            let Some(Record { text, ends, line }) = records.next(file, 0)? else {
-                return Err(TableError::Empty { file: file.to_owned() });
-            };
-            let text =
-                std::str::from_utf8(text).map_err(|_| TableError::NotText { file: file.to_owned(), row: 0, line })?;
-            let header: Vec<_> = (0..ends.len()).map(|index| field(text, ends, index).trim().to_owned()).collect();
+            if !table.read_record()? {
+                return Err(whole("is empty; give a header row and at least one row of data"));
+            }
+            let header: Vec<_> = table.record.iter().map(|name| name.trim().to_owned()).collect();
             // A line for spreadsheets alone: it says that commas separate the columns.
             if header != ["sep=", ""] {
                 break header;
             }
         };
-        if let [only] = &header[..]
+        table.names = names(header);
+        if let [only] = &table.names.header[..]
             && !only.starts_with('#')
             && let Some((_, separator)) = SEPARATORS.into_iter().find(|(separator, _)| only.contains(*separator))
         {
-            return Err(TableError::Separator { file: file.to_owned(), separator });
+            return Err(table.names.in_header(format!(
+                "columns are separated by {separator}; save the file with commas between columns, and points in numbers"
+            )));
         }
-        let names = Arc::new(Names { file: file.to_owned(), header });
-        let row = Rows::none(&names, 1);
-        let (length, max_rows) = (None, u64::MAX);
-        let mut table = Self { names, records, length, row, waiting: false, rows: 0, max_rows, postponed: None };
         table.waiting = table.advance()?;
-        if table.waiting { Ok(table) } else { Err(TableError::NoRows { file: file.to_owned() }) }
+        if table.waiting { Ok(table) } else { Err(whole("has a header but no row of data; add at least one row")) }
     }
 
     /// Refuses tables of more rows: for those who need all rows at once.
@@ -314,16 +143,19 @@ impl TableReader {
 
     /// Bytes of the file that were read; lines that end in `\r\n` count one byte less.
     pub fn position(&self) -> u64 {
-        self.records.parsed
+        self.csv.position().byte()
     }
 
     /// Finds a column that must be there.
     pub fn column(&self, name: &str) -> Result<Column, TableError> {
-        self.optional_column(name)?.ok_or_else(|| TableError::MissingColumn {
-            file: self.names.file.clone(),
-            column: name.to_owned(),
-            present: self.names.header.join(", "),
-            next_step: next_step(name, &self.names.header),
+        let header = &self.names.header;
+        self.optional_column(name)?.ok_or_else(|| {
+            self.names.in_header(format!(
+                "column `{}` is missing; the header has {}; {}",
+                printable(name),
+                printable(&header.join(", ")),
+                next_step(name, header)
+            ))
         })
     }
 
@@ -333,14 +165,16 @@ impl TableReader {
         let mut found = (0..header.len()).filter(|index| header[*index] == name);
         match (found.next(), found.next()) {
             (first, None) => Ok(first.map(Column)),
-            _ => Err(TableError::DuplicateColumn { file: self.names.file.clone(), column: name.to_owned() }),
+            _ => Err(self
+                .names
+                .in_header(format!("column `{}` stands in the header twice; remove or rename one", printable(name)))),
         }
     }
 
     /// The next row; `None` at the end.
     pub fn next_row(&mut self) -> Result<Option<Row<'_>>, TableError> {
         let more = std::mem::take(&mut self.waiting) || self.advance()?;
-        Ok(if more { self.row.iter().next() } else { None })
+        Ok(more.then(|| Row { names: &self.names, record: &self.record, number: self.rows }))
     }
 
     /// Up to `most` of the next rows, fewer long ones; none at the end. An error belongs to the row after those of the last call and before
@@ -349,11 +183,16 @@ impl TableReader {
         if let Some(error) = self.postponed.take() {
             return Err(error);
         }
-        let none = Rows::none(&self.names, self.rows + 1);
-        let mut rows = if std::mem::take(&mut self.waiting) { std::mem::replace(&mut self.row, none) } else { none };
-        while rows.len() < most && rows.text.len() < MAX_ROW_BYTES {
-            match self.read_into(&mut rows) {
-                Ok(true) => {}
+        let mut rows = Rows { names: Arc::clone(&self.names), records: Vec::new(), first: 0 };
+        let mut bytes = 0;
+        while rows.len() < most && bytes < MAX_ROW_BYTES {
+            match if std::mem::take(&mut self.waiting) { Ok(true) } else { self.advance() } {
+                Ok(true) => {
+                    let length = self.record.as_slice().len();
+                    bytes += length as u64;
+                    let next = StringRecord::with_capacity(length, self.record.len());
+                    rows.records.push(std::mem::replace(&mut self.record, next));
+                }
                 Ok(false) => break,
                 Err(error) if rows.is_empty() => return Err(error),
                 Err(error) => {
@@ -362,29 +201,25 @@ impl TableReader {
                 }
             }
         }
+        rows.first = self.rows + 1 - rows.len() as u64;
         Ok(rows)
     }
 
+    /// Reads the next row of data; `false` at the end.
     fn advance(&mut self) -> Result<bool, TableError> {
-        let mut row = std::mem::replace(&mut self.row, Rows::none(&self.names, 0));
-        row.clear(self.rows + 1);
-        let more = self.read_into(&mut row);
-        self.row = row;
-        more
-    }
-
-    /// Adds the next row to `rows`; `false` at the end.
-    fn read_into(&mut self, rows: &mut Rows) -> Result<bool, TableError> {
-        let file = || self.names.file.clone();
-        let next = self.records.next(&self.names.file, self.rows)?;
-        let Some(Record { text, ends, line }) = next else { return Ok(false) };
+        if !self.read_record()? {
+            return Ok(false);
+        }
         let row = self.rows + 1;
         if row > self.max_rows {
-            return Err(TableError::TooManyRows { file: file(), max_rows: self.max_rows });
+            let text = format!(
+                "has more than {} rows, which are needed in memory at once; give fewer, such as every tenth",
+                self.max_rows
+            );
+            return Err(TableError::Content(self.names.file.clone(), text));
         }
-        let text = std::str::from_utf8(text).map_err(|_| TableError::NotText { file: file(), row, line })?;
-        if ends.len() != self.names.header.len() {
-            let [found, expected] = [ends.len(), self.names.header.len()].map(|fields| fields as u64);
+        let (found, expected) = (self.record.len(), self.names.header.len());
+        if found != expected {
             let next_step = if self.names.header[0].starts_with('#') {
                 REMOVE_COMMENTS
             } else if found > expected {
@@ -392,15 +227,36 @@ impl TableReader {
             } else {
                 "correct this row"
             };
-            return Err(TableError::UnequalRow { file: file(), row, line, found, expected, next_step });
+            let text = format!("{found} fields, but the header has {expected}; {next_step}");
+            return Err(self.names.in_row(row, line_of(&self.record), &text));
         }
-        rows.begins.push(rows.text.len());
-        rows.lines.push(line);
-        rows.text.push_str(text);
-        rows.ends.extend_from_slice(ends);
         self.rows = row;
         Ok(true)
     }
+
+    fn read_record(&mut self) -> Result<bool, TableError> {
+        let begin = self.csv.position().clone();
+        self.csv.get_mut().row_begin = begin.byte();
+        let read = self.csv.read_record(&mut self.record);
+        let length = self.record.as_slice().len() + self.record.len();
+        if self.csv.get_ref().is_too_long() || length as u64 > MAX_ROW_BYTES {
+            let text =
+                format!("a row of more than {MAX_ROW_BYTES} bytes; end each row with a line feed, and close quotes");
+            return Err(TableError::Content(format!("{}, line {}:", self.names.file, begin.line()), text));
+        }
+        read.map_err(|error| match error.into_kind() {
+            csv::ErrorKind::Io(source) => TableError::Read(self.names.file.clone(), self.rows, source),
+            // The header is row 0. No other error is left for a reader of texts.
+            _ => {
+                let row = if self.names.header.is_empty() { 0 } else { self.rows + 1 };
+                self.names.in_row(row, begin.line(), "not UTF-8 text; save the file as UTF-8")
+            }
+        })
+    }
+}
+
+fn line_of(record: &StringRecord) -> u64 {
+    record.position().map_or(0, csv::Position::line)
 }
 
 const REMOVE_COMMENTS: &str = "remove lines of comments, and the # before the header";
@@ -430,62 +286,28 @@ fn next_step(wanted: &str, header: &[String]) -> String {
     }
 }
 
-/// Field number `index` of a record.
-fn field<'a>(text: &'a str, ends: &[usize], index: usize) -> &'a str {
-    let begin = index.checked_sub(1).map_or(0, |before| ends[before]);
-    // Between the ends of two fields there is no part of a character, unless the parser lied.
-    text.get(begin..ends[index]).unwrap_or_default()
-}
-
 /// Rows of data that are no part of the reader any more, for another thread.
 pub struct Rows {
     names: Arc<Names>,
-    /// The fields of all rows, one after another, and where each row begins.
-    text: String,
-    begins: Vec<usize>,
-    /// Where each field ends, in its row.
-    ends: Vec<usize>,
-    /// The line where each row begins.
-    lines: Vec<u64>,
+    records: Vec<StringRecord>,
     /// Number of the first.
     first: u64,
 }
 
 impl Rows {
-    /// No row, of which the first is to be number `first`.
-    fn none(names: &Arc<Names>, first: u64) -> Self {
-        let names = Arc::clone(names);
-        Self { names, text: String::new(), begins: Vec::new(), ends: Vec::new(), lines: Vec::new(), first }
-    }
-
-    fn clear(&mut self, first: u64) {
-        self.text.clear();
-        self.begins.clear();
-        self.ends.clear();
-        self.lines.clear();
-        self.first = first;
-    }
-
     /// The rows in their order.
     pub fn iter(&self) -> impl Iterator<Item = Row<'_>> {
-        let places = self.begins.iter().zip(&self.lines).zip(self.ends.chunks_exact(self.names.header.len()));
-        places.zip(self.first..).map(|(((&begin, &line), ends), number)| Row {
-            names: &self.names,
-            text: &self.text[begin..],
-            ends,
-            line,
-            number,
-        })
+        self.records.iter().zip(self.first..).map(|(record, number)| Row { names: &self.names, record, number })
     }
 
     /// How many there are.
     pub fn len(&self) -> usize {
-        self.begins.len()
+        self.records.len()
     }
 
     /// Whether there is none.
     pub fn is_empty(&self) -> bool {
-        self.begins.is_empty()
+        self.records.is_empty()
     }
 }
 
@@ -493,10 +315,7 @@ impl Rows {
 #[derive(Clone, Copy)]
 pub struct Row<'a> {
     names: &'a Names,
-    /// Its fields one after another, and more behind them.
-    text: &'a str,
-    ends: &'a [usize],
-    line: u64,
+    record: &'a StringRecord,
     /// From 1.
     number: u64,
 }
@@ -504,7 +323,7 @@ pub struct Row<'a> {
 impl<'a> Row<'a> {
     /// A field as it stands, without surrounding blanks.
     pub fn text(&self, column: Column) -> &'a str {
-        field(self.text, self.ends, column.0).trim()
+        self.record.get(column.0).unwrap_or_default().trim()
     }
 
     /// A field as a finite number.
@@ -512,26 +331,13 @@ impl<'a> Row<'a> {
         let text = self.text(column);
         match text.parse::<f64>() {
             Ok(value) if value.is_finite() => Ok(value),
-            _ => Err(TableError::NotANumber {
-                file: self.names.file.clone(),
-                row: self.number_of_row(),
-                line: self.line,
-                column: self.name(column),
-                text: text.to_owned(),
-            }),
+            _ => Err(TableError::NotANumber(self.place(column), text.to_owned())),
         }
     }
 
     /// The error of a number that the caller cannot use.
     pub fn out_of_range(&self, column: Column, value: f64, allowed: &'static str) -> TableError {
-        TableError::OutOfRange {
-            file: self.names.file.clone(),
-            row: self.number_of_row(),
-            line: self.line,
-            column: self.name(column),
-            value,
-            allowed,
-        }
+        TableError::Content(self.place(column), format!("{value} is out of range; give {allowed}"))
     }
 
     /// Number of this data row, from 1.
@@ -539,8 +345,60 @@ impl<'a> Row<'a> {
         self.number
     }
 
-    fn name(&self, column: Column) -> String {
-        self.names.header[column.0].clone()
+    fn place(&self, column: Column) -> String {
+        let Names { file, header } = self.names;
+        let (row, line) = (self.number, line_of(self.record));
+        format!("{file}, row {row} (line {line}), column `{}`:", printable(&header[column.0]))
+    }
+}
+
+/// Passes text on with every carriage return before a line feed left out, for the parser would count such lines one short;
+/// fails once a row has more than [`MAX_ROW_BYTES`].
+struct Lines {
+    source: Box<dyn Read>,
+    /// A carriage return has been read and not passed on, for what follows is not known.
+    held: bool,
+    /// Bytes that were passed on, and how many of them came before the row at hand.
+    passed: u64,
+    row_begin: u64,
+}
+
+impl Lines {
+    fn is_too_long(&self) -> bool {
+        self.passed > self.row_begin + MAX_ROW_BYTES + READ_BYTES as u64
+    }
+}
+
+impl Read for Lines {
+    /// `out` must have room for two bytes, as a reader's buffer has.
+    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
+        if self.is_too_long() {
+            return Err(io::ErrorKind::FileTooLarge.into());
+        }
+        let first = usize::from(self.held);
+        out[..first].fill(b'\r');
+        let count = self.source.read(&mut out[first..])?;
+        let filled = first + count;
+        let mut kept = filled;
+        if count == 0 {
+            self.held = false;
+        } else if out[..filled].contains(&b'\r') {
+            self.held = out[filled - 1] == b'\r';
+            kept = 0;
+            for at in 0..filled {
+                if out[at] == b'\r' && (at + 1 == filled || out[at + 1] == b'\n') {
+                    continue;
+                }
+                out[kept] = out[at];
+                kept += 1;
+            }
+            // Nothing but a carriage return is not the end.
+            if kept == 0 {
+                return self.read(out);
+            }
+        }
+        self.passed += kept as u64;
+        Ok(kept)
     }
 }
 

@@ -1,14 +1,16 @@
-//! How well poses are conditioned and checked, and how far currents are from their limits.
+//! How well poses are conditioned and checked, how far currents are from their limits, and what schedules and tolerances do.
+
+use glam::dvec2;
+use slitpose_calibration::{PartCosts, PoseRms};
 
 use super::{Of, micro};
-use crate::map::{Map, View, quantiles_of};
-use crate::report::section::{Section, Table, Value, column};
+use crate::map::{Candidate, KNOWN, Map, Schedules, Tolerances, View, quantiles_of};
+use crate::plot::curve;
+use crate::plot::{Anchor, Axis, Canvas, Chart, CurveStyle, Scale, Stroke, TextStyle, cell_colour};
+use crate::report::head::median;
+use crate::report::section::{Picture, Section, Table, Value, column};
 
 pub(super) fn redundancy(map: &Map) -> Section {
-    let lit = |count: usize| {
-        let exactly = map.share(|view| view.lit == count);
-        vec![Value::from(count), Value::from(100.0 * exactly), Value::from(100.0 * map.share(|view| view.lit >= count))]
-    };
     let row = |what: &str, of: Of| {
         let mut row = vec![Value::from(what), Value::optional(of(&map.home))];
         row.extend(map.quantiles([0.5, 0.95, 0.99, 1.0], of).map(Value::from));
@@ -19,15 +21,9 @@ pub(super) fn redundancy(map: &Map) -> Section {
     let [median, most] = map.quantiles([0.5, 0.95], unnoticed);
     let with_pose =
         |views: &Vec<View>| views.iter().filter(|view| view.sigma.is_some()).count() as f64 / views.len() as f64;
-    let dark = |cell: usize, views: &Vec<View>| {
-        let median = |of: Of| quantiles_of(views.iter(), [0.5], of)[0];
-        vec![
-            cell.into(),
-            micro(median(View::sigma_m)),
-            Value::from(median(View::sigma_rad) * 1e3),
-            (100.0 * with_pose(views)).into(),
-        ]
-    };
+    let while_dark_of = |cell: &usize, of: Of| quantiles_of(map.one_dark[*cell].iter(), [0.5], of)[0];
+    let dark: Vec<usize> = (0..map.one_dark.len()).collect();
+    let counts: Vec<usize> = (0..=map.cells()).rev().collect();
     let least_with_pose = map.one_dark.iter().map(with_pose).fold(1.0, f64::min);
     // As many numbers as unknowns.
     let unchecked = map.share(|view| view.sigma.is_some() && !view.unnoticed_sigmas.is_finite());
@@ -72,7 +68,6 @@ pub(super) fn redundancy(map: &Map) -> Section {
              of the pose, the least fault of one cell that χ² shows in one case of two moves the pose."
                 .to_owned(),
         ],
-        pictures: Vec::new(),
         tables: vec![
             Table {
                 name: "condition",
@@ -87,28 +82,33 @@ pub(super) fn redundancy(map: &Map) -> Section {
                 ],
                 rows: vec![row("condition", |view| view.condition), row("unnoticed / σ", unnoticed)],
             },
-            Table {
-                name: "one_dark",
-                caption: "While one cell is dark: medians over the workspace".to_owned(),
-                columns: vec![
-                    column("dark", "dark cell"),
-                    column("sigma_position_um", "σ / µm"),
-                    column("sigma_rotation_mrad", "σ / mrad"),
-                    column("with_pose_percent", "with pose / %"),
+            Table::of(
+                "one_dark",
+                "While one cell is dark: medians over the workspace",
+                &dark,
+                &[
+                    ("dark", "dark cell", &|cell| (*cell).into()),
+                    ("sigma_position_um", "σ / µm", &|cell| micro(while_dark_of(cell, View::sigma_m))),
+                    ("sigma_rotation_mrad", "σ / mrad", &|cell| (while_dark_of(cell, View::sigma_rad) * 1e3).into()),
+                    ("with_pose_percent", "with pose / %", &|cell| (100.0 * with_pose(&map.one_dark[*cell])).into()),
                 ],
-                rows: map.one_dark.iter().enumerate().map(|(cell, views)| dark(cell, views)).collect(),
-            },
-            Table {
-                name: "lit",
-                caption: "Cells whose whole spot is on the detector".to_owned(),
-                columns: vec![
-                    column("cells", "cells"),
-                    column("share_percent", "of the workspace / %"),
-                    column("at_least_percent", "so many or more / %"),
+            ),
+            Table::of(
+                "lit",
+                "Cells whose whole spot is on the detector",
+                &counts,
+                &[
+                    ("cells", "cells", &|count| (*count).into()),
+                    ("share_percent", "of the workspace / %", &|count| {
+                        (100.0 * map.share(|view| view.lit == *count)).into()
+                    }),
+                    ("at_least_percent", "so many or more / %", &|count| {
+                        (100.0 * map.share(|view| view.lit >= *count)).into()
+                    }),
                 ],
-                rows: (0..=map.cells()).rev().map(lit).collect(),
-            },
+            ),
         ],
+        ..Section::default()
     }
 }
 
@@ -136,7 +136,6 @@ pub(super) fn margins(map: &Map) -> Section {
         paragraphs: vec![
             "Ratios: below one, the limit is passed. Of all cells, the one nearest to it counts.".to_owned(),
         ],
-        pictures: Vec::new(),
         tables: vec![Table {
             name: "margins",
             caption: "Margins".to_owned(),
@@ -149,5 +148,169 @@ pub(super) fn margins(map: &Map) -> Section {
             ],
             rows: kinds.map(|(what, of)| row(what, of)).into(),
         }],
+        ..Section::default()
     }
+}
+
+/// Slots as a scene file has them.
+fn slots(candidate: &Candidate) -> String {
+    format!("{:?}", candidate.slots)
+}
+
+pub(super) fn schedules(schedules: &Schedules) -> Section {
+    let table = |name, caption: &str, candidates: &[Candidate]| {
+        Table::of(
+            name,
+            caption,
+            candidates,
+            &[
+                ("frame_rate_hz", "frames/s", &|one| one.frame_rate_hz.into()),
+                ("bandwidth_hz", "bandwidth / Hz", &|one| (one.frame_rate_hz / 2.0).into()),
+                ("slots", "slots", &|one| slots(one).into()),
+                ("oversampling", "oversampling", &|one| Value::from(one.oversampling as usize)),
+                ("busy_percent", "busy / %", &|one| (100.0 * one.busy).into()),
+                ("sigma_position_um", "σ / µm", &|one| micro(one.sigma_m)),
+                ("sigma_rotation_mrad", "σ / mrad", &|one| (one.sigma_rad * 1e3).into()),
+                ("position_um_per_root_hz", "µm/√Hz", &|one| micro(one.sigma_m * one.per_root_hz())),
+                ("rotation_mrad_per_root_hz", "mrad/√Hz", &|one| (one.sigma_rad * 1e3 * one.per_root_hz()).into()),
+            ],
+        )
+    };
+    let summary = schedules.at_rate.first().map(|best| {
+        format!(
+            "Best at {} frames/s: `lighting.slots = {}` and `front_end.oversampling = {}`, {:.2} µm and {:.3} mrad in the \
+             median of the workspace.",
+            best.frame_rate_hz,
+            slots(best),
+            best.oversampling,
+            best.sigma_m * 1e6,
+            best.sigma_rad * 1e3
+        )
+    });
+    Section {
+        name: "schedules",
+        title: "What the schedule does",
+        summary: summary.into_iter().collect(),
+        paragraphs: vec![
+            "Emitters are lit as the scene says, one by one, or as many together as do not shine on each other's detectors; \
+             words are sums of as many conversions as the board adds up; settling and conversion are those of `[front_end]`. \
+             Only schedules that fit the frame are listed. σ is that of a single frame, three axes together, the median of the \
+             workspace; frames follow motion up to half their rate."
+                .to_owned(),
+        ],
+        tables: vec![
+            table("schedules", "Schedules at the wanted rate, the best first", &schedules.at_rate),
+            table("rates", "The best at each rate", &schedules.best_by_rate),
+        ],
+        ..Section::default()
+    }
+}
+
+pub(super) fn tolerances(studied: &Tolerances, are_stated: bool) -> Section {
+    let Tolerances { costs, heads, .. } = studied;
+    let mut parts: Vec<_> = costs.parts.iter().map(|part| (part.part, part.key, [part.before, part.after])).collect();
+    parts.push(("all together", "", [costs.before, costs.after]));
+    let drawn: Vec<(usize, [PoseRms; 2])> = heads.iter().copied().enumerate().collect();
+    let mut summary = Vec::new();
+    if !heads.is_empty() {
+        let [before, after] = [0, 1].map(|k| median(heads.iter().map(|head| head[k][0]).collect()));
+        summary.push(format!(
+            "Heads of parts within their tolerances err by {:.0} µm uncalibrated, by {:.2} µm calibrated at {} known poses \
+             (rms, median of {}).",
+            before * 1e6,
+            after * 1e6,
+            KNOWN.count,
+            if heads.len() == 1 { "one head".to_owned() } else { format!("{} heads", heads.len()) }
+        ));
+    }
+    if let [first, ..] = costs.parts.as_slice() {
+        let dearest = costs.parts.iter().max_by(|a, b| a.after[0].total_cmp(&b.after[0])).unwrap_or(first);
+        summary.push(format!("The dearest tolerance: {} before calibration, {} after it.", first.part, dearest.part));
+    }
+    let whose = if are_stated { "of `[tolerance]`" } else { "of usual parts: the scene has no `[tolerance]`" };
+    Section {
+        name: "tolerances",
+        title: "What tolerances cost",
+        summary,
+        paragraphs: vec![format!(
+            "Tolerances are those {whose}. What each kind of part costs is calculated to first order: before calibration, its \
+             share of the errors; after it, by how much the head would err less if that part were known. Calibrated at {} \
+             poses by an instrument of {:.0} µm and {:.0} µrad, {:.0} frames at each. Heads are drawn (seed {}), calibrated, and \
+             solved without noise. Errors are root mean squares over the workspace, three axes together.",
+            KNOWN.count,
+            KNOWN.instrument[0] * 1e6,
+            KNOWN.instrument[1] * 1e6,
+            KNOWN.frames,
+            studied.seed
+        )],
+        pictures: vec![Picture {
+            name: "tolerances",
+            caption: "What each kind of part costs, before calibration and after it.".to_owned(),
+            svg: cost_picture(costs),
+        }],
+        tables: vec![
+            Table::of(
+                "tolerances",
+                "By kind of part, the dearest first",
+                &parts,
+                &[
+                    ("part", "part", &|(part, ..)| (*part).into()),
+                    ("key", "key in [tolerance]", &|(_, key, _)| (*key).into()),
+                    ("before_um", "before / µm", &|(.., [before, _])| micro(before[0])),
+                    ("before_mrad", "mrad", &|(.., [before, _])| (before[1] * 1e3).into()),
+                    ("after_um", "after / µm", &|(.., [_, after])| micro(after[0])),
+                    ("after_mrad", "mrad", &|(.., [_, after])| (after[1] * 1e3).into()),
+                ],
+            ),
+            Table::of(
+                "heads",
+                "Drawn heads",
+                &drawn,
+                &[
+                    ("head", "head", &|(number, _)| (*number).into()),
+                    ("before_um", "before / µm", &|(_, [before, _])| micro(before[0])),
+                    ("before_mrad", "mrad", &|(_, [before, _])| (before[1] * 1e3).into()),
+                    ("after_um", "after / µm", &|(_, [_, after])| micro(after[0])),
+                    ("after_mrad", "mrad", &|(_, [_, after])| (after[1] * 1e3).into()),
+                ],
+            ),
+        ],
+    }
+}
+
+/// Errors by kind of part, as discs on a logarithmic axis.
+fn cost_picture(costs: &PartCosts) -> String {
+    const LABELS: f64 = 230.0;
+    const WIDTH: f64 = 560.0;
+    const ROW: f64 = 24.0;
+    const TOP: f64 = 112.0;
+    let rows: Vec<(&str, [PoseRms; 2])> = (costs.parts.iter().map(|part| (part.part, [part.before, part.after])))
+        .chain([("all together", [costs.before, costs.after])])
+        .collect();
+    let bottom = TOP + ROW * rows.len() as f64;
+    let title = "What tolerances cost in position";
+    let mut canvas = Canvas::titled(
+        LABELS + WIDTH + 30.0,
+        bottom + 56.0,
+        title,
+        "Errors of poses, root mean square over the workspace.",
+    );
+    let all =
+        rows.iter().flat_map(|(_, errors)| errors.iter().map(|error| error[0] * 1e6)).filter(|value| *value > 0.0);
+    let x = Axis::logarithmic("error of the position / µm", all);
+    let curves = ["before calibration", "after it"].into_iter().enumerate();
+    let y = Axis { label: String::new(), range: [0.0, 1.0], scale: Scale::Bare };
+    let curves = curves.map(|(index, label)| curve(label, index, CurveStyle::Markers, Vec::new())).collect();
+    let chart = Chart { x, y, curves, notes: Vec::new() };
+    chart.draw(&mut canvas, dvec2(LABELS, TOP), dvec2(LABELS + WIDTH, bottom));
+    for (index, (part, errors)) in rows.into_iter().enumerate() {
+        let y = TOP + ROW * (index as f64 + 0.5);
+        canvas.text(dvec2(LABELS - 10.0, y + 4.5), part, TextStyle::new(13.0).anchored(Anchor::End));
+        for (kind, error) in errors.into_iter().enumerate().filter(|(_, error)| error[0] > 0.0) {
+            let colour = cell_colour(kind);
+            let at = dvec2(LABELS + WIDTH * chart.x.share(error[0] * 1e6), y);
+            canvas.disc(at, 4.5, colour, Stroke::new(colour, 0.5));
+        }
+    }
+    canvas.into_svg()
 }

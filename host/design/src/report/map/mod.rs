@@ -1,22 +1,17 @@
 //! A page on the accuracy of a head over its workspace: `slitpose scene map`.
 
-mod accuracy;
-mod checks;
-mod data;
-mod planes;
-mod schedules;
-mod tolerances;
-
 use slitpose_calibration::Head;
 use slitpose_head::causes::with_causes;
 use slitpose_head::front_end::configuration;
 
-pub(super) use accuracy::distribution;
+use crate::map::{Map, NoiseOf, Plane, PlanePoint, Schedules, Tolerances, View};
+use crate::plot::curve;
+use crate::plot::{Axis, Chart, CurveStyle, Heat, heat_picture};
+use crate::report::section::{Getter, Picture, Report, Section, Table, Value, column, program, scene};
+use crate::report::sheet::Sheet;
+use crate::survey::{AXES, WorkspaceFacts};
 
-use super::conditions::{program, scene};
-use super::section::{Report, Value};
-use crate::map::{Map, NoiseOf, PlanePoint, Schedules, Tolerances, View};
-use crate::survey::WorkspaceFacts;
+mod checks;
 
 /// A value of a view.
 type Of = fn(&View) -> Option<f64>;
@@ -69,18 +64,248 @@ pub fn map_report(head: &Head, map: &Map, studied: Option<&Tolerances>, proposed
         scene: file.name.clone(),
         conditions,
         warnings,
-        sections: [accuracy::section(map)]
+        sections: [accuracy(map)]
             .into_iter()
-            .chain(planes::section(map))
+            .chain(planes(map))
             .chain([checks::redundancy(map), checks::margins(map)])
-            .chain(proposed.map(schedules::section))
-            .chain(studied.map(|studied| tolerances::section(studied, file.tolerance.is_some())))
+            .chain(proposed.map(checks::schedules))
+            .chain(studied.map(|studied| checks::tolerances(studied, file.tolerance.is_some())))
             .collect(),
         leading: 0,
-        data: vec![data::points(map), data::samples(map)],
+        data: vec![points(map), samples(map)],
     }
 }
 
 fn micro(value: f64) -> Value {
     Value::from(value * 1e6)
+}
+
+const POINTS: usize = 200;
+
+/// Ratio of greatest to least σ from which an axis is logarithmic.
+const WIDE: f64 = 10.0;
+
+fn accuracy(map: &Map) -> Section {
+    let shares = [0.5, 0.95, 0.99, 1.0];
+    let row = |name: &str, (unit, scale): (&'static str, f64), of: &dyn Fn(&View) -> Option<f64>| {
+        let at = map.quantiles(shares, of).map(|value| Value::from(value * scale));
+        let density = map.per_root_hz().map(|by| map.quantile(0.5, of) * by * scale);
+        let mut row = vec![name.into(), unit.into(), Value::optional(of(&map.home).map(|value| value * scale))];
+        row.extend(at);
+        row.push(Value::optional(density));
+        row
+    };
+    let axis = |k: usize| {
+        let Kind { unit, scale, .. } = if k < 3 { POSITION } else { ROTATION };
+        row(AXES[k], (unit, scale), &move |view: &View| view.sigma.map(|sigma| sigma[k]))
+    };
+    let mut rows: Vec<_> = KINDS.iter().map(|kind| row(kind.name, (kind.unit, kind.scale), &kind.of)).collect();
+    rows.extend((0..6).map(axis));
+    let [[median_m, worst_m], [median_rad, worst_rad]] =
+        KINDS.map(|kind| map.quantiles([0.5, 1.0], kind.of).map(|value| value * kind.scale));
+    let with_pose = map.share(|view| view.sigma.is_some());
+    let mut summary = Vec::new();
+    if median_m.is_finite() {
+        let worst = format!("; {worst_m:.2} µm and {worst_rad:.3} mrad at worst");
+        summary.push(format!(
+            "{} gives the position to {median_m:.2} µm and the rotation to {median_rad:.3} mrad in the median of \
+             the workspace (σ, all three axes together){}.",
+            map.noise.reading(),
+            if worst_m.is_finite() { &worst } else { "" }
+        ));
+    }
+    if with_pose < 1.0 {
+        summary.push(format!("In {:.2} % of the workspace a frame gives no pose.", 100.0 * (1.0 - with_pose)));
+    }
+    if let Some(by) = map.per_root_hz().filter(|_| median_m.is_finite()) {
+        summary.push(format!(
+            "Filtered, that is {:.3} µm and {:.4} mrad per √Hz of bandwidth.",
+            median_m * by,
+            median_rad * by
+        ));
+    }
+    let place = |kind: &Kind| {
+        map.worst(kind.of).map(|(pose, value)| {
+            let (t, r) = (pose.translation_m * 1e3, pose.rotation_rad());
+            format!(
+                "The {} is worst, {:.2} {}, at ({:+.2}, {:+.2}, {:+.2}) mm and ({:+.1}, {:+.1}, {:+.1})°.",
+                kind.name,
+                value * kind.scale,
+                kind.unit,
+                t.x,
+                t.y,
+                t.z,
+                r.x.to_degrees(),
+                r.y.to_degrees(),
+                r.z.to_degrees()
+            )
+        })
+    };
+    Section {
+        name: "accuracy",
+        title: "Accuracy of a single frame",
+        summary,
+        paragraphs: KINDS.iter().filter_map(place).collect(),
+        pictures: vec![distribution(&[("", map)])],
+        tables: vec![Table {
+            name: "accuracy",
+            caption: "σ of single frames: at home, and at shares of the workspace".to_owned(),
+            columns: vec![
+                column("axis", "axis"),
+                column("unit", "unit"),
+                column("home", "home"),
+                column("median", "median"),
+                column("of_95_percent", "95 %"),
+                column("of_99_percent", "99 %"),
+                column("worst", "worst"),
+                column("median_per_root_hz", "median per √Hz"),
+            ],
+            rows,
+        }],
+    }
+}
+
+/// Share of the workspace by accuracy, for each of `maps`.
+pub(super) fn distribution(maps: &[(&str, &Map)]) -> Picture {
+    let panel = |kind: &Kind| {
+        let of_map = |(index, (name, map)): (usize, &(&str, &Map))| {
+            let shares: [f64; POINTS] = std::array::from_fn(|k| (k + 1) as f64 / POINTS as f64);
+            let values = map.quantiles(shares, kind.of).into_iter().zip(shares);
+            let points = values.map(|(value, share)| [value * kind.scale, 100.0 * share]);
+            curve(name, index, CurveStyle::Line, points.filter(|[value, _]| value.is_finite()).collect())
+        };
+        let curves: Vec<_> = maps.iter().enumerate().map(of_map).collect();
+        let values = || curves.iter().flat_map(|curve| curve.points.iter().map(|point| point[0]));
+        let [least, most] =
+            values().fold([f64::INFINITY, 0.0], |[least, most]: [f64; 2], value| [least.min(value), most.max(value)]);
+        let label = format!("σ / {}", kind.unit);
+        let x = if most > WIDE * least { Axis::logarithmic(&label, values()) } else { Axis::around(&label, values()) };
+        let y = Axis::around("share of the workspace / %", [0.0, 100.0]);
+        (kind.name.to_owned(), Chart { x, y, curves, notes: Vec::new() })
+    };
+    Sheet {
+        title: "Share of the workspace by accuracy".to_owned(),
+        note: "Share of evenly spread poses whose single frame has a σ of at most that; three axes together."
+            .to_owned(),
+        panels: KINDS.iter().map(panel).collect(),
+    }
+    .draw("distribution", "Distribution of σ over the workspace.")
+}
+
+/// `None` if the map has no planes.
+fn planes(map: &Map) -> Option<Section> {
+    let pictures = [
+        ("position_by_translation", &KINDS[0], "translations"),
+        ("position_by_rotation", &KINDS[0], "rotations"),
+        ("rotation_by_translation", &KINDS[1], "translations"),
+        ("rotation_by_rotation", &KINDS[1], "rotations"),
+    ];
+    (!map.planes.is_empty()).then(|| Section {
+        name: "planes",
+        title: "Accuracy over planes through home",
+        summary: Vec::new(),
+        paragraphs: vec!["Where a point is crossed out, there is a pose at which a frame gives none.".to_owned()],
+        pictures: pictures.map(|(name, kind, over)| picture(map, name, kind, over)).into(),
+        tables: Vec::new(),
+    })
+}
+
+/// σ of one kind over the three planes of translations or rotations.
+fn picture(map: &Map, name: &'static str, kind: &Kind, over: &str) -> Picture {
+    let chosen = || map.planes.iter().filter(|plane| (plane.axes[0] < 3) == (over == "translations"));
+    let in_plane = |point: &PlanePoint| (kind.of)(&point.view).unwrap_or(f64::INFINITY);
+    let heats: Vec<Heat> = chosen()
+        .map(|plane| heat(plane, "others at home", |point| in_plane(point) * kind.scale))
+        .chain(chosen().map(|plane| heat(plane, "worst of the others", |point| (kind.worst)(point) * kind.scale)))
+        .collect();
+    let title = format!("σ of the {} over {over}", kind.name);
+    let note = format!(
+        "Upper row: the other coordinates at home. Lower row: the worst of {} poses over all of their range.",
+        map.behind + 1
+    );
+    let unit = format!("σ of a single frame, {}, three axes together", kind.unit);
+    Picture { name, caption: format!("{title}."), svg: heat_picture(&title, &note, &unit, 3, &heats) }
+}
+
+fn heat(plane: &Plane, heading: &str, value: impl Fn(&PlanePoint) -> f64) -> Heat {
+    let degrees = |axis: usize| axis >= 3;
+    Heat {
+        heading: heading.to_owned(),
+        labels: plane.axes.map(|axis| format!("{} / {}", AXES[axis], if degrees(axis) { "°" } else { "mm" })),
+        extents: [0, 1].map(|k| {
+            let extent = plane.extents[k];
+            if degrees(plane.axes[k]) { extent.to_degrees() } else { extent * 1e3 }
+        }),
+        side: plane.side,
+        values: plane.points.iter().map(value).collect(),
+    }
+}
+
+/// Columns of a view, after those that say where it is.
+const VIEW: [Getter<'_, View>; 9] = [
+    ("lit", "lit", &|view| view.lit.into()),
+    ("sigma_position_um", "σ / µm", &|view| Value::optional(view.sigma_m().map(|value| value * 1e6))),
+    ("sigma_rotation_mrad", "σ / mrad", &|view| Value::optional(view.sigma_rad().map(|value| value * 1e3))),
+    ("condition", "condition", &|view| Value::optional(view.condition)),
+    ("unnoticed_sigmas", "unnoticed / σ", &|view| view.unnoticed_sigmas.into()),
+    ("full_scale_margin", "full scale", &|view| view.full_scale.into()),
+    ("saturation_margin", "saturation", &|view| view.saturation.into()),
+    ("faint_margin", "faint", &|view| view.faint.into()),
+    ("has_pose", "pose", &|view| usize::from(view.sigma.is_some()).into()),
+];
+
+/// A table of views and their places: `before` them and `after` them stand columns of the places.
+fn of_views<T>(
+    name: &'static str,
+    caption: &str,
+    rows: &[T],
+    view: fn(&T) -> &View,
+    before: &[Getter<'_, T>],
+    after: &[Getter<'_, T>],
+) -> Table {
+    let views = VIEW.map(|(name, heading, value)| (name, heading, move |row: &T| value(view(row))));
+    let views = views.iter().map(|(name, heading, value)| (*name, *heading, value as &dyn Fn(&T) -> Value));
+    let columns: Vec<_> = before.iter().copied().chain(views).chain(after.iter().copied()).collect();
+    Table::of(name, caption, rows, &columns)
+}
+
+fn points(map: &Map) -> Table {
+    let rows: Vec<(&Plane, &PlanePoint)> =
+        map.planes.iter().flat_map(|plane| plane.points.iter().map(move |point| (plane, point))).collect();
+    let in_units = |axis: usize, value: f64| Value::from(if axis < 3 { value * 1e3 } else { value });
+    of_views(
+        "planes",
+        "All points of the planes",
+        &rows,
+        |(_, point)| &point.view,
+        &[
+            ("axis_1", "axis", &|(plane, _)| AXES[plane.axes[0]].into()),
+            ("axis_2", "axis", &|(plane, _)| AXES[plane.axes[1]].into()),
+            ("value_1", "mm or rad", &|(plane, point)| in_units(plane.axes[0], point.at[0])),
+            ("value_2", "mm or rad", &|(plane, point)| in_units(plane.axes[1], point.at[1])),
+        ],
+        &[
+            ("worst_position_um", "worst / µm", &|(_, point)| micro(point.worst_m)),
+            ("worst_rotation_mrad", "worst / mrad", &|(_, point)| (point.worst_rad * 1e3).into()),
+            ("least_lit", "fewest lit", &|(_, point)| point.least_lit.into()),
+        ],
+    )
+}
+
+fn samples(map: &Map) -> Table {
+    of_views(
+        "samples",
+        "All poses that were spread over the workspace",
+        &map.samples,
+        |(_, view)| view,
+        &[
+            ("tx_mm", "tx_mm", &|(pose, _)| (pose.translation_m.x * 1e3).into()),
+            ("ty_mm", "ty_mm", &|(pose, _)| (pose.translation_m.y * 1e3).into()),
+            ("tz_mm", "tz_mm", &|(pose, _)| (pose.translation_m.z * 1e3).into()),
+            ("rx_rad", "rx_rad", &|(pose, _)| pose.rotation_rad().x.into()),
+            ("ry_rad", "ry_rad", &|(pose, _)| pose.rotation_rad().y.into()),
+            ("rz_rad", "rz_rad", &|(pose, _)| pose.rotation_rad().z.into()),
+        ],
+        &[],
+    )
 }

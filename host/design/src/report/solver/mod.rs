@@ -1,19 +1,18 @@
 //! The solver: the cost of each method, and its error against the bound.
 
-mod picture;
-mod tables;
-
 use std::hint::black_box;
 
-use slitpose_model::{Photocurrents, Plan, Pose, Solver, Tier};
+use slitpose_model::{Photocurrents, Plan, Pose, Scene, Solver, Tier};
 
-use crate::report::accuracy::{Errors, rms_of_covariances};
+use crate::report::head::{Candidate, RunTime, race};
+use crate::report::head::{Errors, rms_of_covariances};
 use crate::report::head::{Head, STREAM, currents};
-use crate::report::method::{Effort, Method, Precision, Start};
+use crate::report::method::{Compiled, Effort, Method, Precision, Start, effort_name, tier_name};
 use crate::report::noise::NoiseSource;
-use crate::report::section::{Section, Value};
-use crate::report::stopwatch::{Candidate, RunTime, race};
+use crate::report::section::{Section, Table, Value};
 use crate::report::{ReportError, Settings};
+
+mod picture;
 
 pub(in crate::report) const TITLE: &str = "Solver: error against time";
 
@@ -24,39 +23,17 @@ const STEPS: [usize; 4] = [1, 2, 3, 4];
 pub(in crate::report) const PRIOR_M: f64 = 3e-6;
 pub(in crate::report) const PRIOR_RAD: f64 = 3e-4;
 
-/// Which model the light obeys.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Light {
-    /// The exact one, as in reality.
-    Exact,
-    /// That of the paper: an answer book for its own solver.
-    Paper,
-}
-
-/// One way to solve, on one kind of data.
-#[derive(Clone, Copy, Debug)]
-struct Run {
-    method: Method,
-    light: Light,
-}
-
 struct Entry {
-    run: Run,
+    method: Method,
     noisy: Errors,
     clean: Errors,
     run_time: RunTime,
 }
 
-/// Currents of all poses in one kind of light.
-struct Data {
-    noisy: Vec<Photocurrents>,
-    clean: Vec<Photocurrents>,
-}
-
 pub(in crate::report) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, ReportError> {
     let bound = bound(head)?;
     let entries = measure(head, settings)?;
-    let floor = tables::floor(head, settings)?;
+    let floor = floor(head, settings)?;
     let mut section = Section {
         name: "solver",
         title: TITLE,
@@ -78,8 +55,7 @@ pub(in crate::report) fn section(head: &Head<'_>, settings: &Settings) -> Result
                 "Errors are root mean squares of the length of the error vector. The Cramér–Rao bound, below which no \
                  unbiased estimate from one frame comes on average, is {} µm and {} µrad; of so many poses a root mean \
                  square strays from its expectation by up to {} % (1 σ). The light obeys the exact tier, as \
-                 real light would; rows with the light of the paper tier show what that tier's solver would do if its \
-                 model were true.",
+                 real light would.",
                 Value::from(bound.0 * 1e6).shown(),
                 Value::from(bound.1 * 1e6).shown(),
                 // Of errors along one axis of each pose; more axes stray less.
@@ -90,7 +66,7 @@ pub(in crate::report) fn section(head: &Head<'_>, settings: &Settings) -> Result
             picture::picture(&entries, head, bound.0, &picture::TRANSLATION),
             picture::picture(&entries, head, bound.1, &picture::ROTATION),
         ],
-        tables: vec![tables::noisy(&entries, bound), tables::clean(&entries), floor],
+        tables: vec![table(&entries, bound), floor],
     };
     let slowest_s = entries.iter().filter(|entry| searched(&entry.noisy)).map(|entry| entry.run_time.least_s);
     if let Some(slowest_s) = slowest_s.reduce(f64::max) {
@@ -107,9 +83,8 @@ pub(in crate::report) fn section(head: &Head<'_>, settings: &Settings) -> Result
 /// The default solver on this head.
 fn summary(entries: &[Entry], bound: (f64, f64)) -> Vec<String> {
     let full = |wanted: Start| {
-        entries.iter().find(|Entry { run: Run { method, light }, .. }| {
-            let Method { tier, precision, start, effort } = *method;
-            (tier, precision, start, effort, *light) == (STREAM, Precision::Double, wanted, Effort::Full, Light::Exact)
+        entries.iter().find(|Entry { method: Method { tier, precision, start, effort }, .. }| {
+            (*tier, *precision, *start, *effort) == (STREAM, Precision::Double, wanted, Effort::Full)
         })
     };
     let (Some(cold), Some(warm)) = (full(Start::Cold), full(Start::Warm)) else { return Vec::new() };
@@ -148,15 +123,15 @@ fn bound(head: &Head<'_>) -> Result<(f64, f64), ReportError> {
     Ok(rms_of_covariances(head.poses.iter().filter_map(|pose| solver.bound(pose))))
 }
 
-fn runs(head: &Head<'_>) -> Vec<Run> {
-    let mut runs = Vec::new();
-    for (tier, light) in [(STREAM, Light::Exact), (Tier::Paper, Light::Exact), (Tier::Paper, Light::Paper)] {
+fn methods(head: &Head<'_>) -> Vec<Method> {
+    let mut methods = Vec::new();
+    for tier in [STREAM, Tier::Paper] {
         for precision in Precision::BOTH {
             for start in Start::BOTH {
                 // From a pose nearby the planes are skipped.
                 let planes = (start == Start::Cold).then_some(Effort::Planes);
                 let efforts = planes.into_iter().chain(STEPS.map(Effort::Steps)).chain([Effort::Full]);
-                runs.extend(efforts.map(|effort| Run { method: Method { tier, precision, start, effort }, light }));
+                methods.extend(efforts.map(|effort| Method { tier, precision, start, effort }));
             }
         }
     }
@@ -164,58 +139,108 @@ fn runs(head: &Head<'_>) -> Vec<Run> {
     for start in Start::BOTH {
         let efforts = STEPS.map(Effort::Steps).into_iter().chain([Effort::Full]);
         let method = |effort| Method { tier: head.truth_tier, precision: Precision::Double, start, effort };
-        runs.extend(efforts.map(|effort| Run { method: method(effort), light: Light::Exact }));
+        methods.extend(efforts.map(method));
     }
-    runs
+    methods
 }
 
 fn measure(head: &Head<'_>, settings: &Settings) -> Result<Vec<Entry>, ReportError> {
     let mut noise = NoiseSource::seeded(settings.seed);
-    let mut data = |plan: &Plan<f64>| {
-        let clean: Vec<Photocurrents> = head.poses.iter().map(|pose| currents(plan, pose)).collect();
-        let disturbed =
-            clean.iter().zip(&head.poses).map(|(clean, pose)| noise.disturb(&head.scene, plan, pose, clean));
-        Data { noisy: disturbed.collect(), clean }
-    };
-    let exact = data(&head.truth);
-    let paper_plan = Plan::<f64>::compile(&head.scene, Tier::Paper)?;
-    let paper = data(&paper_plan);
+    let clean: Vec<Photocurrents> = head.poses.iter().map(|pose| currents(&head.truth, pose)).collect();
+    let disturbed =
+        clean.iter().zip(&head.poses).map(|(clean, pose)| noise.disturb(&head.scene, &head.truth, pose, clean));
+    let noisy: Vec<Photocurrents> = disturbed.collect();
     let priors: Vec<Pose> = head.poses.iter().map(|pose| noise.near(pose, PRIOR_M, PRIOR_RAD)).collect();
-    let of = |light| if light == Light::Exact { &exact } else { &paper };
 
-    let runs = runs(head);
-    let solves = runs.iter().map(|run| run.method.compile(&head.scene)).collect::<Result<Vec<_>, _>>()?;
-    let errors: Vec<[Errors; 2]> = runs
-        .iter()
-        .zip(&solves)
-        .map(|(run, solve)| {
-            let data = of(run.light);
-            [&data.noisy, &data.clean].map(|readings| {
-                let solved = readings.iter().zip(&priors).map(|(readings, prior)| solve(readings, prior));
-                Errors::of(solved.zip(&head.poses))
-            })
-        })
-        .collect();
+    let methods = methods(head);
+    let solves = methods.iter().map(|method| method.compile(&head.scene)).collect::<Result<Vec<_>, _>>()?;
+    let errors_of = |solve: &Compiled, readings: &[Photocurrents]| {
+        let solved = readings.iter().zip(&priors).map(|(readings, prior)| solve(readings, prior));
+        Errors::of(solved.zip(&head.poses))
+    };
+    let errors: Vec<[Errors; 2]> =
+        solves.iter().map(|solve| [&noisy, &clean].map(|readings| errors_of(solve, readings))).collect();
     let timed = settings.timed_poses();
-    let mut candidates: Vec<Candidate<'_>> = runs
-        .iter()
-        .zip(&solves)
-        .map(|(run, solve)| {
-            let readings = &of(run.light).noisy[..timed];
-            let priors = &priors;
-            Candidate::new(move || {
-                for (readings, prior) in readings.iter().zip(priors) {
-                    black_box(solve(black_box(readings), prior));
-                }
-            })
-        })
-        .collect();
+    let mut candidates: Vec<Candidate<'_>> = Vec::new();
+    for solve in &solves {
+        candidates.push(Box::new(|| {
+            for (readings, prior) in noisy[..timed].iter().zip(&priors) {
+                black_box(solve(black_box(readings), prior));
+            }
+        }));
+    }
     let run_times = race(&mut candidates, settings.rounds(), timed);
-    drop(candidates);
-    Ok(runs
-        .into_iter()
-        .zip(errors)
-        .zip(run_times)
-        .map(|((run, [noisy, clean]), run_time)| Entry { run, noisy, clean, run_time })
-        .collect())
+    let entries = methods.into_iter().zip(errors).zip(run_times);
+    Ok(entries.map(|((method, [noisy, clean]), run_time)| Entry { method, noisy, clean, run_time }).collect())
+}
+
+fn table(entries: &[Entry], bound: (f64, f64)) -> Table {
+    let micro = |value: f64| Value::from(value * 1e6);
+    Table::of(
+        "solver",
+        "Noisy currents: error, its ratio to the Cramér–Rao bound, and time per solve; free of noise: the method's own error",
+        entries,
+        &[
+            ("tier", "tier", &|entry| tier_name(entry.method.tier).into()),
+            ("number", "numbers", &|entry| entry.method.precision.name().into()),
+            ("start", "start", &|entry| entry.method.start.name().into()),
+            ("effort", "effort", &|entry| effort_name(entry.method.effort).into()),
+            ("solved_percent", "solved / %", &|entry| (100.0 * entry.noisy.solved()).into()),
+            ("rms_um", "rms / µm", &|entry| micro(entry.noisy.rms_m())),
+            ("rms_urad", "rms / µrad", &|entry| micro(entry.noisy.rms_rad())),
+            ("ratio_to_bound_translation", "translation to bound", &|entry| (entry.noisy.rms_m() / bound.0).into()),
+            ("ratio_to_bound_rotation", "rotation to bound", &|entry| (entry.noisy.rms_rad() / bound.1).into()),
+            ("steps", "steps, mean", &|entry| entry.noisy.mean_iterations().into()),
+            ("least_us", "least / µs", &|entry| micro(entry.run_time.least_s)),
+            ("median_us", "median / µs", &|entry| micro(entry.run_time.median_s)),
+            ("clean_solved_percent", "free of noise: solved / %", &|entry| (100.0 * entry.clean.solved()).into()),
+            ("clean_rms_um", "rms / µm", &|entry| micro(entry.clean.rms_m())),
+            ("clean_rms_urad", "rms / µrad", &|entry| micro(entry.clean.rms_rad())),
+            ("clean_median_um", "median / µm", &|entry| micro(entry.clean.median_m())),
+            ("clean_median_urad", "median / µrad", &|entry| micro(entry.clean.median_rad())),
+        ],
+    )
+}
+
+/// The numerical floor: no noise in the currents and none in the weights, so that a solve goes on
+/// until arithmetic ends it.
+fn floor(head: &Head<'_>, settings: &Settings) -> Result<Table, ReportError> {
+    let silent: Scene = head.silent();
+    let mut noise = NoiseSource::seeded(settings.seed);
+    let priors: Vec<Pose> = head.poses.iter().map(|pose| noise.near(pose, PRIOR_M, PRIOR_RAD)).collect();
+    let mut rows = Vec::new();
+    for tier in [Tier::Paper, STREAM, head.truth_tier] {
+        // Each tier on its own light: the model is no part of this error.
+        let own = if tier == Tier::Paper { tier } else { head.truth_tier };
+        let plan = Plan::<f64>::compile(&silent, own)?;
+        let readings: Vec<Photocurrents> = head.poses.iter().map(|pose| currents(&plan, pose)).collect();
+        // What `f32` cannot keep it is not asked for.
+        let kept = Precision::BOTH.into_iter().filter(|p| *p == Precision::Double || tier != head.truth_tier);
+        for precision in kept {
+            for start in Start::BOTH {
+                let method = Method { tier, precision, start, effort: Effort::Full };
+                let solve = method.compile(&silent)?;
+                let solved = readings.iter().zip(&priors).map(|(readings, prior)| solve(readings, prior));
+                let errors = Errors::of(solved.zip(&head.poses));
+                rows.push((method, errors));
+            }
+        }
+    }
+    let micro = |value: f64| Value::from(value * 1e6);
+    Ok(Table::of(
+        "solver_floor",
+        "Numerical floor: no noise in currents and weights, each tier in its own light",
+        &rows,
+        &[
+            ("tier", "tier", &|(method, _)| tier_name(method.tier).into()),
+            ("number", "numbers", &|(method, _)| method.precision.name().into()),
+            ("start", "start", &|(method, _)| method.start.name().into()),
+            ("solved_percent", "solved / %", &|(_, errors)| (100.0 * errors.solved()).into()),
+            ("rms_um", "rms / µm", &|(_, errors)| micro(errors.rms_m())),
+            ("rms_urad", "rms / µrad", &|(_, errors)| micro(errors.rms_rad())),
+            ("median_um", "median / µm", &|(_, errors)| micro(errors.median_m())),
+            ("median_urad", "median / µrad", &|(_, errors)| micro(errors.median_rad())),
+            ("steps", "steps, mean", &|(_, errors)| errors.mean_iterations().into()),
+        ],
+    ))
 }

@@ -3,13 +3,13 @@
 use glam::dvec2;
 use slitpose_model::Tier;
 
-use super::{Entry, Light, searched};
+use super::{Entry, searched};
+use crate::plot::curve;
 use crate::plot::{Anchor, Axis, Chart, Curve, CurveStyle, Note, SOFT_INK, cell_colour};
-use crate::report::accuracy::Errors;
-use crate::report::head::{Head, STREAM};
+use crate::report::head::{Errors, Head, STREAM};
 use crate::report::method::{Effort, Method, Precision, Start, effort_name, tier_name};
 use crate::report::section::{Picture, Value};
-use crate::report::sheet::{Sheet, curve};
+use crate::report::sheet::Sheet;
 
 /// Which half of a pose a picture shows.
 pub(super) struct Half {
@@ -45,8 +45,8 @@ pub(super) fn picture(entries: &[Entry], head: &Head<'_>, bound: f64, half: &Hal
         let point = |entry: &Entry| [entry.run_time.least_s * 1e6, (half.rms)(errors(entry)) * 1e6];
         let chosen = |tier: Tier, start, precision| {
             entries.iter().filter(move |entry| {
-                let Method { tier: t, precision: p, start: s, .. } = entry.run.method;
-                (t, p, s, entry.run.light) == (tier, precision, start, Light::Exact)
+                let Method { tier: t, precision: p, start: s, .. } = entry.method;
+                (t, p, s) == (tier, precision, start)
             })
         };
         let is_shown = |entry: &&Entry| !searched(errors(entry));
@@ -62,7 +62,7 @@ pub(super) fn picture(entries: &[Entry], head: &Head<'_>, bound: f64, half: &Hal
         .enumerate()
         {
             let points = |precision, full: bool| {
-                let is_full = move |entry: &&Entry| (entry.run.method.effort == Effort::Full) == full;
+                let is_full = move |entry: &&Entry| (entry.method.effort == Effort::Full) == full;
                 chosen(tier, start, precision).filter(is_shown).filter(is_full).map(point).collect::<Vec<_>>()
             };
             curves.push(curve(name, colour, CurveStyle::Joined, points(Precision::Double, false)));
@@ -81,7 +81,7 @@ pub(super) fn picture(entries: &[Entry], head: &Head<'_>, bound: f64, half: &Hal
         // The clearest curve says what its points are, as far as they do not lie on the bound.
         let is_apart = |entry: &&Entry| floor.is_none_or(|floor| (half.rms)(errors(entry)) > 2.0 * floor);
         for entry in chosen(STREAM, Start::Cold, Precision::Double).take(2).filter(is_apart) {
-            let text = effort_name(entry.run.method.effort);
+            let text = effort_name(entry.method.effort);
             note(point(entry), dvec2(9.0, -5.0), Anchor::Start, &text, cell_colour(0));
         }
         for start in Start::BOTH {

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use crate::report::method::Precision;
-use crate::report::section::{Table, Value, column};
+use crate::report::section::{Table, Value};
 
 /// Errors this many times what is attainable are as good as attained: algorithms round more than
 /// once, and a solver that takes its currents for rounded sixteen times stops where that leaves it.
@@ -12,7 +12,6 @@ const ENOUGH: f64 = 100.0;
 /// A solve that takes longer is not good, however exact: twenty scans at 4 kHz.
 const SLOW_S: f64 = 5e-3;
 
-/// The expected result.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Expected {
     /// One of these words, whatever the number.
@@ -52,7 +51,6 @@ pub(super) struct Reached {
 }
 
 impl Reached {
-    /// One outcome with its error.
     pub(super) fn once(outcome: &str, error: Option<f64>, attainable: Option<f64>) -> Self {
         let without_value = usize::from(error.is_none());
         let outcomes = BTreeMap::from([(outcome.to_owned(), 1)]);
@@ -67,7 +65,6 @@ impl Reached {
         counted.join(", ")
     }
 
-    /// Error over attainable error.
     fn ratio(&self) -> Option<f64> {
         match (self.error?, self.attainable?) {
             (0.0, _) => Some(0.0),
@@ -90,10 +87,8 @@ impl Reached {
     }
 }
 
-/// One case.
 #[derive(Clone, Debug)]
 pub(super) struct Case {
-    /// Which of the extremes.
     pub(super) study: &'static str,
     /// How far it was driven.
     pub(super) case: String,
@@ -124,61 +119,50 @@ impl Case {
         self.reached.iter().find(|(of, _)| *of == precision).map(|(_, reached)| reached)
     }
 
-    fn row(&self) -> Vec<Value> {
-        let mut row = vec![
-            self.study.into(),
-            self.case.as_str().into(),
-            Value::optional(self.condition),
-            self.quantity.into(),
-            self.expected.text().into(),
-        ];
-        for precision in Precision::BOTH {
-            let reached = self.reached_in(precision);
-            row.push(reached.map_or("".into(), |reached| reached.outcome().into()));
-            row.push(Value::optional(reached.and_then(|reached| reached.error)));
-            row.push(Value::optional(reached.and_then(|reached| reached.attainable)));
-            row.push(Value::optional(reached.and_then(Reached::ratio)));
-            row.push(Value::optional(reached.and_then(|reached| Some(1e6 * reached.slowest_s?))));
-        }
-        row.push(match (&self.short()[..], self.slow_s()) {
+    fn verdict(&self) -> Value {
+        match (&self.short()[..], self.slow_s()) {
             ([], None) => "good".into(),
             ([], Some(slow_s)) => Value::Alert(format!("slow: {:.0} ms", slow_s * 1e3)),
             (short, _) => Value::Alert(format!("short: {}", short.join(", "))),
-        });
-        row
+        }
     }
 }
 
-/// All cases as a table.
 pub(super) fn table(cases: &[Case]) -> Table {
-    Table {
-        name: "stiff",
-        caption: format!(
-            "Extreme cases: what came back, its error, what is attainable in that number type, and their ratio. Good: \
-             the ratio is at most {ENOUGH}, each pose came back or a reason why it cannot, and no solve took longer \
-             than {:.0} ms",
-            SLOW_S * 1e3
-        ),
-        columns: vec![
-            column("study", "study"),
-            column("case", "case"),
-            column("condition", "condition number"),
-            column("quantity", "error of"),
-            column("expected", "expected"),
-            column("f64_outcome", "f64"),
-            column("f64_error", "error"),
-            column("f64_attainable", "attainable"),
-            column("f64_ratio", "ratio"),
-            column("f64_slowest_us", "slowest / µs"),
-            column("f32_outcome", "f32"),
-            column("f32_error", "error"),
-            column("f32_attainable", "attainable"),
-            column("f32_ratio", "ratio"),
-            column("f32_slowest_us", "slowest / µs"),
-            column("verdict", "verdict"),
+    use Precision::{Double, Single};
+    let outcome = |case: &Case, of| Value::from(case.reached_in(of).map(Reached::outcome).unwrap_or_default());
+    let number =
+        |case: &Case, of, value: fn(&Reached) -> Option<f64>| Value::optional(case.reached_in(of).and_then(value));
+    let slowest_us = |reached: &Reached| Some(1e6 * reached.slowest_s?);
+    let caption = format!(
+        "Extreme cases: what came back, its error, what is attainable in that number type, and their ratio. Good: \
+         the ratio is at most {ENOUGH}, each pose came back or a reason why it cannot, and no solve took longer \
+         than {:.0} ms",
+        SLOW_S * 1e3
+    );
+    Table::of(
+        "stiff",
+        caption,
+        cases,
+        &[
+            ("study", "study", &|case| case.study.into()),
+            ("case", "case", &|case| case.case.as_str().into()),
+            ("condition", "condition number", &|case| Value::optional(case.condition)),
+            ("quantity", "error of", &|case| case.quantity.into()),
+            ("expected", "expected", &|case| case.expected.text().into()),
+            ("f64_outcome", "f64", &|case| outcome(case, Double)),
+            ("f64_error", "error", &|case| number(case, Double, |reached| reached.error)),
+            ("f64_attainable", "attainable", &|case| number(case, Double, |reached| reached.attainable)),
+            ("f64_ratio", "ratio", &|case| number(case, Double, Reached::ratio)),
+            ("f64_slowest_us", "slowest / µs", &|case| number(case, Double, slowest_us)),
+            ("f32_outcome", "f32", &|case| outcome(case, Single)),
+            ("f32_error", "error", &|case| number(case, Single, |reached| reached.error)),
+            ("f32_attainable", "attainable", &|case| number(case, Single, |reached| reached.attainable)),
+            ("f32_ratio", "ratio", &|case| number(case, Single, Reached::ratio)),
+            ("f32_slowest_us", "slowest / µs", &|case| number(case, Single, slowest_us)),
+            ("verdict", "verdict", &Case::verdict),
         ],
-        rows: cases.iter().map(Case::row).collect(),
-    }
+    )
 }
 
 #[cfg(test)]
@@ -196,8 +180,8 @@ mod tests {
             let reached = Reached::once("converged", Some(1e-17), Some(1e-17));
             case(Expected::Value, Reached { slowest_s: Some(slowest_s), ..reached })
         };
-        assert_eq!(slow(0.1).row().last(), Some(&Value::Alert("slow: 100 ms".to_owned())));
-        assert_eq!(slow(1e-4).row().last(), Some(&Value::from("good")));
+        assert_eq!(slow(0.1).verdict(), Value::Alert("slow: 100 ms".to_owned()));
+        assert_eq!(slow(1e-4).verdict(), Value::from("good"));
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Stiff and extreme cases, which are numerically difficult, and their results.
 //!
 //! `cell` drives one cell's optics to extremes and compares with `reference`, an integration of its
-//! own; `pose` and `trial` drive solves there and compare with what rounding allows; `time` has
+//! own; `pose` drives solves there and compares with what rounding allows; `time` has
 //! front ends and jumps. A `case` is judged by the ratio of its error to what is attainable.
 
 mod case;
@@ -9,15 +9,15 @@ mod cell;
 mod pose;
 mod reference;
 mod time;
-mod trial;
 
 use std::collections::BTreeMap;
 
 use super::head::Head;
 use super::method::Precision;
 use super::section::{Picture, Section, Value};
-use super::sheet::{Sheet, curve};
+use super::sheet::Sheet;
 use super::{ReportError, Settings};
+use crate::plot::curve;
 use crate::plot::{Axis, Chart, CurveStyle};
 use case::Case;
 
@@ -29,7 +29,6 @@ pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, R
     cases.extend(pose::masks(head, settings)?);
     cases.extend(pose::rotations(head, settings)?);
     cases.extend(pose::scales(head, settings)?);
-    cases.extend(pose::noises(head, settings)?);
     cases.extend(time::front_ends(head));
     cases.extend(time::jumps(head, settings)?);
     let summary = summary(&cases);
@@ -49,7 +48,7 @@ pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, R
                  remains when every number that goes in is rounded once: the condition number times the number type's \
                  rounding. Currents of one cell are compared with an integration that shares nothing with the \
                  model; poses, {} near home in each case, with the truth.{of_slits}",
-                trial::POSES
+                pose::POSES
             ),
             summary,
         ],

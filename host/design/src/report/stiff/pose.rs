@@ -1,21 +1,22 @@
-//! Poses driven to extremes: layouts that hardly tell them, masked cells, turned frames, currents
-//! of any size, noise of any size.
+//! Poses driven to extremes: layouts that hardly tell them, masked cells, turned frames, currents of any size.
+//!
+//! What a number type can attain at all: a relative error ρ of each current, and of each coordinate of detectors and
+//! emitters, moves the pose by ρ times a factor that belongs to the head and the pose, the condition. No arithmetic can do
+//! better with rounded data, and a stable one does little worse.
 
 use std::f64::consts::PI;
+use std::time::Instant;
 
 use glam::DVec3;
-use slitpose_model::{
-    Noise, Opening, Pair, Photocurrents, Pose, Reading, Scene, SceneError, Solver, rotation_exp, rotation_log,
-};
+use nalgebra::DMatrix;
+use slitpose_model::{Opening, Pair, Photocurrents, Plan, Pose, Reading, Scene, SceneError, rotation_exp};
 
 use super::case::{Case, Expected, Reached};
-use super::trial::{AT_EMITTERS, Trial, condition};
 use crate::report::Settings;
-use crate::report::head::Head;
-use crate::report::method::{Precision, Start};
+use crate::report::head::{Head, currents};
+use crate::report::method::{Effort, Method, Precision, Start};
 use crate::report::noise::NoiseSource;
 use crate::report::section::Value;
-use slitpose_head::front_end::ROOM_TEMPERATURE_K;
 
 /// A pose whose rounding moves the emitters by less than this share of their distance can be had.
 const TELLS_A_POSE: f64 = 1e-2;
@@ -32,7 +33,7 @@ pub(super) fn layouts(head: &Head<'_>, settings: &Settings) -> Result<Vec<Case>,
             let scene = rolled(&head.arithmetic(), roll_deg);
             let trial = Trial::within(scene, &Pose::HOME, roll_deg / degrees[0], settings.seed)?;
             let attainable = trial.attainable(|_| true);
-            let mut reached = trial.solve_to_rounding(start, &attainable)?;
+            let mut reached = trial.solve(start, &attainable)?;
             let is_equal = roll_deg == 0.0;
             if is_equal {
                 reached.iter_mut().for_each(|(_, reached)| reached.attainable = None);
@@ -50,7 +51,7 @@ pub(super) fn layouts(head: &Head<'_>, settings: &Settings) -> Result<Vec<Case>,
     Ok(cases)
 }
 
-/// A pose must come back where rounding and noise leave one.
+/// A pose must come back where rounding leaves one.
 fn telling(head: &Head<'_>) -> Expected {
     Expected::ValueBelow(TELLS_A_POSE * head.scene.length_scale_m() * 1e6)
 }
@@ -98,30 +99,17 @@ pub(super) fn masks(head: &Head<'_>, settings: &Settings) -> Result<Vec<Case>, S
                     4 if !head.is_of_slits() => Expected::Honest,
                     _ => Expected::Value,
                 },
-                reached: trial.solve_to_rounding(Start::Cold, &attainable)?,
+                reached: trial.solve(Start::Cold, &attainable)?,
             });
         }
     }
     Ok(cases)
 }
 
-/// Rotation vectors near π there and back, and solves in a tool frame turned that far.
+/// Solves in a tool frame that is turned by nearly half a turn.
 pub(super) fn rotations(head: &Head<'_>, settings: &Settings) -> Result<Vec<Case>, SceneError> {
     let axis = DVec3::new(0.36, -0.48, 0.8);
     let mut cases = Vec::new();
-    for short in [1.0, 1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12, 1e-15] {
-        let vector = axis * (PI - short);
-        let error = (rotation_log(rotation_exp(vector)) - vector).length();
-        let reached = Reached::once("value", Some(error), Some(Precision::Double.unit_roundoff() * PI));
-        cases.push(Case {
-            study: "rotation near π",
-            case: format!("exp and log of π − {short:e}"),
-            condition: None,
-            quantity: "rotation vector / rad",
-            expected: Expected::Value,
-            reached: vec![(Precision::Double, reached)],
-        });
-    }
     // A slit on the tool is where it is at home, in a frame that is not turned.
     let rides = head.scene.cells.iter().any(|cell| cell.opening() == Opening::RidingSlit);
     for short in [1.0, 1e-3, 1e-6, 0.0].into_iter().filter(|_| !rides) {
@@ -141,7 +129,7 @@ pub(super) fn rotations(head: &Head<'_>, settings: &Settings) -> Result<Vec<Case
             condition: Some(condition(&attainable)),
             quantity: AT_EMITTERS,
             expected: Expected::Value,
-            reached: trial.solve_to_rounding(Start::Warm, &attainable)?,
+            reached: trial.solve(Start::Warm, &attainable)?,
         });
     }
     Ok(cases)
@@ -167,48 +155,173 @@ pub(super) fn scales(head: &Head<'_>, settings: &Settings) -> Result<Vec<Case>, 
             condition: Some(condition(&attainable)),
             quantity: AT_EMITTERS,
             expected: Expected::Value,
-            reached: trial.solve_to_rounding(Start::Cold, &attainable)?,
+            reached: trial.solve(Start::Cold, &attainable)?,
         })
     };
     (-9..=9).step_by(3).map(case).collect()
 }
 
-/// Noise from none to more than there is light.
-pub(super) fn noises(head: &Head<'_>, settings: &Settings) -> Result<Vec<Case>, SceneError> {
-    let case = |adc_a: f64| {
-        let (shot_bandwidth_hz, johnson_bandwidth_hz, temperature_k) = (0.0, 0.0, ROOM_TEMPERATURE_K);
-        let noise = Noise { shot_bandwidth_hz, johnson_bandwidth_hz, temperature_k, adc_a };
-        let scene = Scene { noise: Some(noise), ..head.arithmetic() };
-        let mut trial = Trial::around(scene, &Pose::HOME, settings.seed)?;
-        let mut noise = NoiseSource::seeded(settings.seed);
-        let disturbed: Vec<Photocurrents> = trial
-            .poses
-            .iter()
-            .zip(&trial.readings)
-            .map(|(pose, clean)| noise.disturb(&trial.scene, &trial.plan, pose, clean))
-            .collect();
-        trial.readings = disturbed;
-        let (rounding, arm_m) = (trial.attainable(|_| true), trial.scene.length_scale_m());
-        let solvers = Precision::BOTH.map(|precision| Solver::<f64>::new(&trial.scene, precision.tightest_tier()));
-        let [double, single] = solvers;
-        let (double, single) = (double?, single?);
-        // Noise and rounding together.
-        let attainable_m = |index: usize, precision| {
-            let solver = if precision == Precision::Double { &double } else { &single };
-            let bound = solver.bound(&trial.poses[index]).map_or(f64::NAN, |covariance| {
-                let axes = |axes: std::ops::Range<usize>| axes.map(|axis| covariance[axis][axis]).sum::<f64>();
-                (axes(0..3) + arm_m * arm_m * axes(3..6)).sqrt()
-            });
-            bound.hypot(rounding[index].at_emitters_m(precision, arm_m))
+pub(super) const POSES: usize = 20;
+
+/// How far from home they are, per axis: so near that cases differ and not poses.
+const NEAR_HOME_M: f64 = 0.3e-3;
+const NEAR_HOME_RAD: f64 = 0.02;
+
+/// Repetitions of a timed solve; the least time counts, the others were disturbed.
+const TIMES: usize = 3;
+
+/// How far a warm start is off, per axis.
+const PRIOR_M: f64 = 3e-6;
+const PRIOR_RAD: f64 = 3e-4;
+
+/// The measure of a pose error.
+const AT_EMITTERS: &str = "pose at the emitters / µm";
+
+struct Trial {
+    scene: Scene,
+    plan: Plan<f64>,
+    poses: Vec<Pose>,
+    readings: Vec<Photocurrents>,
+    priors: Vec<Pose>,
+}
+
+impl Trial {
+    /// Noise-free currents of `scene` at poses around `centre`.
+    fn around(scene: Scene, centre: &Pose, seed: u64) -> Result<Self, SceneError> {
+        Self::within(scene, centre, 1.0, seed)
+    }
+
+    /// The same with poses `spread` times as far from `centre`.
+    fn within(scene: Scene, centre: &Pose, spread: f64, seed: u64) -> Result<Self, SceneError> {
+        let plan = Plan::compile(&scene, Precision::Double.tightest_tier())?;
+        let mut noise = NoiseSource::seeded(seed);
+        let poses: Vec<Pose> =
+            (0..POSES).map(|_| noise.near(centre, spread * NEAR_HOME_M, spread * NEAR_HOME_RAD)).collect();
+        let readings = poses.iter().map(|pose| currents(&plan, pose)).collect();
+        let priors = poses.iter().map(|pose| noise.near(pose, PRIOR_M, PRIOR_RAD)).collect();
+        Ok(Self { scene, plan, poses, readings, priors })
+    }
+
+    /// Solves all of it with a full effort, against what rounding allows.
+    fn solve(&self, start: Start, attainable: &[Attainable]) -> Result<Vec<(Precision, Reached)>, SceneError> {
+        let arm_m = self.scene.length_scale_m();
+        let of = |precision: Precision| {
+            let tier = precision.tightest_tier();
+            let solve = Method { tier, precision, start, effort: Effort::Full }.compile(&self.scene)?;
+            let mut reached = Reached::default();
+            let (mut squares, mut best, mut found, mut slowest_s) = (0.0, 0.0, 0.0, 0.0_f64);
+            for (index, pose) in self.poses.iter().enumerate() {
+                let timed = || {
+                    let clock = Instant::now();
+                    let solved = solve(&self.readings[index], &self.priors[index]);
+                    (clock.elapsed().as_secs_f64(), solved)
+                };
+                let (mut least_s, solved) = timed();
+                for _ in 1..TIMES {
+                    least_s = least_s.min(timed().0);
+                }
+                slowest_s = slowest_s.max(least_s);
+                *reached.outcomes.entry(solved.outcome.as_str().to_owned()).or_default() += 1;
+                reached.without_value += usize::from(solved.pose.is_none());
+                best += attainable[index].at_emitters_m(precision, arm_m).powi(2);
+                if let Some(found_pose) = solved.pose {
+                    let (dt, dr) = found_pose.displacement_from(pose);
+                    squares += dt.length_squared() + arm_m * arm_m * dr.length_squared();
+                    found += 1.0;
+                }
+            }
+            let rms_um = |sum: f64, count: f64| (sum / count).sqrt() * 1e6;
+            reached.error = Some(rms_um(squares, found)).filter(|error| error.is_finite());
+            reached.slowest_s = Some(slowest_s);
+            reached.attainable = Some(rms_um(best, self.poses.len() as f64));
+            Ok((precision, reached))
         };
-        Ok(Case {
-            study: "noise",
-            case: format!("{adc_a:e} A at each electrode"),
-            condition: Some(condition(&rounding)),
-            quantity: AT_EMITTERS,
-            expected: telling(head),
-            reached: trial.solve(Start::Cold, attainable_m)?,
-        })
-    };
-    [0.0, 1e-15, 1e-13, 1e-11, 1e-9, 1e-8, 1e-7, 3e-7, 1e-6].into_iter().map(case).collect()
+        Precision::BOTH.into_iter().map(of).collect()
+    }
+
+    /// What rounding allows at each pose, from the cells that `used` lets pass.
+    fn attainable(&self, used: impl Fn(usize) -> bool) -> Vec<Attainable> {
+        self.poses.iter().map(|pose| Attainable::at(&self.scene, &self.plan, pose, &used)).collect()
+    }
+}
+
+fn condition(attainable: &[Attainable]) -> f64 {
+    crate::report::head::median(attainable.iter().map(|attainable| attainable.condition).collect())
+}
+
+/// The amplification of relative errors into errors of a pose.
+#[derive(Clone, Copy, Debug)]
+struct Attainable {
+    /// Ratio of the extreme singular values of the Jacobian, each current in units of its own
+    /// rounding, translations in units of the emitters' distance from the tool's origin.
+    condition: f64,
+    /// Translation per relative error, metres.
+    translation_m: f64,
+    /// Rotation per relative error, radians.
+    rotation_rad: f64,
+}
+
+impl Attainable {
+    /// With the tool of `scene` at `pose`, from the cells that `used` lets pass.
+    fn at(scene: &Scene, plan: &Plan<f64>, pose: &Pose, used: impl Fn(usize) -> bool) -> Self {
+        let arm_m = scene.length_scale_m();
+        let mut rows = Vec::new();
+        for (number, cell) in scene.cells.iter().enumerate().filter(|(number, _)| used(*number)) {
+            let (_, pair, jacobian) = plan.linearise(number, pose);
+            let coordinates =
+                cell.detector.centre_base_m.length_squared() + cell.emitter.position_tool_m.length_squared();
+            for (current, row) in [pair.i_x1_a, pair.i_x2_a].into_iter().zip(jacobian) {
+                let slope = row[0] * row[0] + row[1] * row[1] + row[2] * row[2];
+                let rounding_a = ((current * current + slope * coordinates) / 3.0).sqrt();
+                if rounding_a > 0.0 {
+                    rows.extend((0..6).map(|axis| row[axis] * if axis < 3 { arm_m } else { 1.0 } / rounding_a));
+                }
+            }
+        }
+        // Rows of zeros change no singular value; without them two cells would have four.
+        rows.resize(rows.len().max(36), 0.0);
+        // The right singular vectors of A are the left ones of its transpose.
+        let svd = DMatrix::from_column_slice(6, rows.len() / 6, &rows).svd(true, false);
+        let values = &svd.singular_values;
+        let variance = |axes: std::ops::Range<usize>| -> f64 {
+            let of = |vectors: &DMatrix<f64>| {
+                let weighted = |k: usize| vectors.column(k).rows_range(axes.clone()).norm_squared() / values[k].powi(2);
+                (0..6).map(weighted).sum()
+            };
+            svd.u.as_ref().map_or(f64::NAN, of)
+        };
+        Self {
+            condition: values[0] / values[5],
+            translation_m: arm_m * variance(0..3).sqrt(),
+            rotation_rad: variance(3..6).sqrt(),
+        }
+    }
+
+    /// How far rounding in `precision` moves the emitters of a tool with the given arm: root mean
+    /// square, metres.
+    fn at_emitters_m(&self, precision: Precision, arm_m: f64) -> f64 {
+        precision.unit_roundoff() * self.translation_m.hypot(arm_m * self.rotation_rad)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use slitpose_head::scene_file::WIDE;
+    use slitpose_model::Tier;
+
+    #[test]
+    fn rounding_moves_a_pose_by_a_few_roundings_of_the_heads_size() {
+        let scene = WIDE.read().unwrap().scene;
+        let plan = Plan::compile(&scene, Tier::Paper).unwrap();
+        let all = Attainable::at(&scene, &plan, &Pose::HOME, |_| true);
+        assert!((1.0..10.0).contains(&all.condition), "{}", all.condition);
+        for precision in Precision::BOTH {
+            // Detectors lie 25 mm from the middle.
+            let roundings = all.at_emitters_m(precision, scene.length_scale_m()) / (precision.unit_roundoff() * 25e-3);
+            assert!((0.3..10.0).contains(&roundings), "{roundings}");
+        }
+        let half = Attainable::at(&scene, &plan, &Pose::HOME, |cell| cell > 1);
+        assert!(half.condition > all.condition, "fewer cells tell no more");
+    }
 }

@@ -23,9 +23,7 @@ pub(super) struct Reference {
     pub(super) slit_height_m: f64,
     /// Position of the emitter, metres.
     pub(super) emitter_m: DVec3,
-    /// Its axis.
     pub(super) axis: DVec3,
-    /// Exponent of its profile.
     pub(super) exponent: f64,
     /// Responsivity times radiant intensity, A/sr.
     pub(super) gain_a_per_sr: f64,

@@ -7,8 +7,7 @@ use slitpose_protocol::Schedule;
 
 use super::case::{Case, Expected, Reached};
 use crate::report::Settings;
-use crate::report::accuracy::rms_of_covariances;
-use crate::report::head::{Head, STREAM, currents};
+use crate::report::head::{Head, STREAM, currents, rms_of_covariances};
 use crate::report::method::Precision;
 use crate::report::noise::NoiseSource;
 use slitpose_head::front_end::{Settling, configuration};

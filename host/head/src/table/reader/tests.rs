@@ -128,7 +128,7 @@ fn what_has_no_end_is_refused_before_it_is_all_in_memory() {
     let message = three.next_rows(9).err().unwrap().to_string();
     assert!(message.contains("more than 2 rows") && message.contains("fewer"), "{message}");
     // Long rows come a few at a time.
-    let long = "x".repeat(MAX_ROW_BYTES / 2);
+    let long = "x".repeat(MAX_ROW_BYTES as usize / 2);
     let mut many = table(&format!("id\n{}", format!("{long}\n").repeat(9))).unwrap();
     assert_eq!([9; 4].map(|most| many.next_rows(most).unwrap().len()), [2; 4]);
 }
@@ -139,4 +139,34 @@ fn bytes_that_are_no_text_are_an_error_with_their_row() {
     table.next_row().unwrap();
     let message = table.next_row().err().unwrap().to_string();
     assert!(message.contains("row 2 (line 3)") && message.contains("UTF-8"), "{message}");
+}
+
+#[test]
+fn line_feeds_are_all_that_is_left_wherever_reads_are_cut() {
+    for text in ["a,b\r\n1,2\r\n", "\r\r\n\r", "a\rb\n\r\nc\r", "", "\r", "no end"] {
+        let expected = text.replace("\r\n", "\n");
+        for size in 1..8 {
+            for room in 2..6 {
+                let cut = Box::new(Cut { text: text.as_bytes(), size });
+                let mut source = Lines { source: cut, held: false, passed: 0, row_begin: 0 };
+                let (mut read, mut buffer) = (Vec::new(), vec![0; room]);
+                while let count @ 1.. = source.read(&mut buffer).unwrap() {
+                    read.extend_from_slice(&buffer[..count]);
+                }
+                assert_eq!(String::from_utf8(read).unwrap(), expected, "{text:?} by {size} and {room}");
+            }
+        }
+    }
+}
+
+struct Cut {
+    text: &'static [u8],
+    size: usize,
+}
+
+impl Read for Cut {
+    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
+        let most = self.size.min(out.len());
+        self.text.read(&mut out[..most])
+    }
 }

@@ -1,13 +1,37 @@
-//! The columns that hold a pose: `id,tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad`.
+//! The columns that hold currents, poses and solutions.
 
 use std::f64::consts::{PI, TAU};
 
 use glam::DVec3;
-use slitpose_model::Pose;
+use slitpose_model::{Outcome, Pair, Pose, Solution};
 
 use super::reader::{Column, Row, TableError, TableReader};
 use crate::finding::Finding;
 use crate::scene_file::Workspace;
+
+/// Where a table keeps the two currents of each cell.
+#[derive(Clone, Debug)]
+pub struct CurrentColumns {
+    cells: Vec<[Column; 2]>,
+}
+
+impl CurrentColumns {
+    /// Finds the columns of all cells by name.
+    pub fn find(table: &TableReader, cells: usize) -> Result<Self, TableError> {
+        let pair =
+            |cell: usize| Ok([table.column(&format!("i_x1_{cell}_a"))?, table.column(&format!("i_x2_{cell}_a"))?]);
+        Ok(Self { cells: (0..cells).map(pair).collect::<Result<_, _>>()? })
+    }
+
+    /// The currents of one cell in a row.
+    ///
+    /// # Panics
+    /// If there is no such cell.
+    pub fn pair(&self, row: &Row<'_>, cell: usize) -> Result<Pair<f64>, TableError> {
+        let [i_x1, i_x2] = self.cells[cell];
+        Ok(Pair { i_x1_a: row.number(i_x1)?, i_x2_a: row.number(i_x2)? })
+    }
+}
 
 /// Names of the six columns of a pose.
 pub const POSE_COLUMNS: [&str; 6] = ["tx_mm", "ty_mm", "tz_mm", "rx_rad", "ry_rad", "rz_rad"];
@@ -156,5 +180,92 @@ impl PoseSizes {
         let (value, row) = self.largest(index);
         let place = format!("{file}, row {row}, column `{}`", POSE_COLUMNS[index]);
         Some(Finding::warning(place, format!("{value} {what}"), next_step))
+    }
+}
+
+/// Names of a solution's columns; see [`SolutionRow`].
+pub const SOLUTION_COLUMNS: [&str; 21] = [
+    "status",
+    "tx_mm",
+    "ty_mm",
+    "tz_mm",
+    "rx_rad",
+    "ry_rad",
+    "rz_rad",
+    "sigma_tx_mm",
+    "sigma_ty_mm",
+    "sigma_tz_mm",
+    "sigma_rx_rad",
+    "sigma_ry_rad",
+    "sigma_rz_rad",
+    "condition",
+    "chi2",
+    "iterations",
+    "cells_used",
+    "free_directions",
+    "excluded_cells",
+    "verified",
+    "reason",
+];
+
+/// A solution in the units of tables.
+#[derive(Clone, Debug)]
+pub struct SolutionRow {
+    /// The word for its outcome.
+    pub status: &'static str,
+    /// Pose, standard deviations, condition and χ²; without pose empty.
+    pub numbers: [Option<f64>; 14],
+    /// Refinement steps.
+    pub iterations: usize,
+    /// How many cells entered.
+    pub cells_used: usize,
+    /// Coordinates an unobservable pose leaves open, joined by `;`.
+    pub free_directions: String,
+    /// Cells that contradict all others, joined by `;`.
+    pub excluded_cells: String,
+    /// How well redundancy checked the pose: `well`, `weakly` or `not`.
+    pub verified: &'static str,
+    /// Why a pose is degraded; of others empty.
+    pub reason: &'static str,
+}
+
+impl SolutionRow {
+    /// The row of a solution.
+    pub fn of(solution: &Solution) -> Self {
+        Self::with_condition(solution, solution.condition())
+    }
+
+    /// The row of a solution whose condition number is known.
+    pub fn with_condition(solution: &Solution, condition: Option<f64>) -> Self {
+        let mut numbers = [None; 14];
+        if let Some(estimate) = &solution.estimate {
+            let (t, r) = (estimate.pose.translation_m * 1e3, estimate.pose.rotation_rad());
+            let sigma = estimate.sigma();
+            let scale = |axis: usize| if axis < 3 { 1e3 } else { 1.0 };
+            for (axis, value) in [t.x, t.y, t.z, r.x, r.y, r.z].into_iter().enumerate() {
+                numbers[axis] = Some(value);
+                numbers[6 + axis] = Some(sigma[axis] * scale(axis));
+            }
+        }
+        let finite = |value: &f64| value.is_finite();
+        numbers[12] = condition.filter(finite);
+        numbers[13] = Some(solution.chi2).filter(finite);
+        let free_directions = match solution.outcome {
+            Outcome::Unobservable(directions) => directions.to_string(),
+            _ => String::new(),
+        };
+        Self {
+            status: solution.outcome.as_str(),
+            numbers,
+            iterations: solution.iterations,
+            cells_used: solution.cells_used.count(),
+            free_directions,
+            excluded_cells: solution.excluded.to_string(),
+            verified: solution.verified().as_str(),
+            reason: match solution.outcome {
+                Outcome::Degraded(reason) => reason.as_str(),
+                _ => "",
+            },
+        }
     }
 }

@@ -1,13 +1,12 @@
 //! Light on a cell from other emitters: those that are lit with its own, and those of the slot before, whose light the
-//! front end has not forgotten.
+//! front end has not forgotten; and how the slots fill the frame.
 
 use serde::Serialize;
+use slitpose_head::scene_file::SceneFile;
 use slitpose_model::{Plan, Pose, Status};
 
-use slitpose_head::scene_file::SceneFile;
-
-use super::sample::{self, Tally};
-use super::serialize_pose;
+use super::coverage::Tally;
+use super::{coverage, serialize_pose};
 
 /// Cross-talk below this share stays under what gains are known to (1e-3).
 pub(super) const CROSSTALK_LIMIT: f64 = 1e-3;
@@ -76,7 +75,7 @@ pub(super) fn of_slots(
     // Less than this is too little even of neighbours that are as bright as a cell's own light.
     let carried = carried.filter(|slot| slot.weight > CROSSTALK_LIMIT && !slot.emitters.is_empty());
     let mut all: Vec<_> = together.iter().cloned().chain(carried.filter(|slot| !slot.others.is_empty())).collect();
-    all = sample::over(plan, &all, file.workspace.poses(samples), progress);
+    all = coverage::over(plan, &all, file.workspace.poses(samples), progress);
     let carried = all.split_off(together.len());
     (all, carried)
 }
@@ -102,4 +101,26 @@ pub(crate) fn share_of_others(plan: &Plan<f64>, cell: usize, emitters: &[usize],
     let others = emitters.iter().filter(|emitter| **emitter != cell);
     let from_others: f64 = others.map(|emitter| plan.crosstalk(cell, *emitter, pose).total_a()).sum();
     from_others / plan.crosstalk(cell, cell, pose).total_a()
+}
+
+/// Durations of slots and frame.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(crate) struct Timing {
+    /// Lighting slots in a frame, the dark one included.
+    pub slots: usize,
+    /// Duration of one slot.
+    pub slot_s: f64,
+    /// Duration of all slots.
+    pub busy_s: f64,
+    /// Duration of a frame.
+    pub frame_s: f64,
+}
+
+impl Timing {
+    pub(super) fn of(file: &SceneFile) -> Option<Self> {
+        let front_end = file.front_end?;
+        let slot_s = front_end.slot_duration_s(file.scene.cells.len());
+        let slots = file.lighting.slots.len();
+        Some(Self { slots, slot_s, busy_s: slots as f64 * slot_s, frame_s: front_end.frame_period_s() })
+    }
 }

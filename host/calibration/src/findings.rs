@@ -1,15 +1,17 @@
-//! What is wrong with data that were adjusted: refused, or remarked.
+//! What adjusted data showed and what they left open; what is wrong with them, refused or remarked.
 
+use nalgebra::{DMatrix, SymmetricEigen};
 use slitpose_head::scene_file::Workspace;
 use slitpose_head::table::POSE_COLUMNS;
-use slitpose_model::{Plan, Scene, SceneError};
+use slitpose_model::{Plan, Pose, Scene, SceneError};
 
-use crate::CalibrateError;
 use crate::adjust::FIRST_ERROR;
-use crate::data::{Data, values_of};
-use crate::parameters::Parameter;
-use crate::sensitivity::TIER;
+use crate::data::{Constraint, Data, values_of};
+use crate::pose_error::{COEFFICIENTS, PoseError};
+use crate::prior::Parameter;
+use crate::state::TIER;
 use crate::state::{State, Weights};
+use crate::{CalibrateError, Calibration};
 
 /// Share of what tolerances do to a cell that no adjustment leaves over: a hundredth is usual, and where cells or electrodes
 /// are exchanged it is more than all.
@@ -53,7 +55,7 @@ fn foreign_rows(data: &Data, weights: &Weights) -> Result<(), CalibrateError> {
         let (file, rows) = (group.file.clone(), group.rows.len());
         let left_out = weights.poses[group.rows.clone()].iter().filter(|weight| **weight < 1.0).count();
         if left_out as f64 > MOST_LEFT_OUT * rows as f64 {
-            return Err(CalibrateError::ForeignRows { file, left_out, rows });
+            return Err(CalibrateError::ForeignRows(file, left_out, rows));
         }
     }
     Ok(())
@@ -66,7 +68,7 @@ fn foreign_poses(data: &Data, state: &State) -> Result<(), CalibrateError> {
         let found = |k: usize| stated[k] * ratios[k];
         let Some(k) = (0..2).find(|&k| ratios[k] > COARSE_RATIO && found(k) > COARSE[k]) else { continue };
         let found = if k == 0 { format!("{:.2} mm", found(0) * 1e3) } else { format!("{:.0} mrad", found(1) * 1e3) };
-        return Err(CalibrateError::ForeignPoses { file: group.file.clone(), found, ratio: ratios[k] });
+        return Err(CalibrateError::ForeignPoses(group.file.clone(), found, ratios[k]));
     }
     Ok(())
 }
@@ -83,7 +85,7 @@ fn foreign_cells(by_tolerances: &Scene, state: &State) -> Result<(), CalibrateEr
             .then(|| format!("{:.0} µm and {:.1} % of cell {number}", left.position_m * 1e6, 100.0 * left.relative))
     });
     let left: Vec<String> = foreign.collect();
-    if left.is_empty() { Ok(()) } else { Err(CalibrateError::ForeignCells { left: left.join(", ") }) }
+    if left.is_empty() { Ok(()) } else { Err(CalibrateError::ForeignCells(left.join(", "))) }
 }
 
 /// Ratio of an instrument's errors to its stated σ that counts as worse.
@@ -215,3 +217,112 @@ pub(crate) fn light_drift(nominal: &Scene, data: &Data, state: &State) -> Result
 
 /// Fewest rows that show a trend.
 const MIN_TREND: usize = 20;
+
+/// Errors of poses below these are not worth a word, metres and radians: those of a single frame.
+const WORTH_M: f64 = 4e-6;
+const WORTH_RAD: f64 = 4e-4;
+
+/// Share of the prior σ from which a parameter counts as unseen.
+const UNSEEN: f64 = 0.9;
+
+/// Sentences, the gravest first.
+pub(crate) fn weaknesses(
+    error: &PoseError,
+    parameters: &[Parameter],
+    workspace: &Workspace,
+    data: &Data,
+) -> Vec<String> {
+    let mut found = Vec::new();
+    let home = error.covariance(&Pose::HOME);
+    let rms = |from: usize| ((from..from + 3).map(|k| home[k][k]).sum::<f64>() / 3.0).sqrt();
+    let has = |constraint| data.groups.iter().any(|group| group.constraint == constraint);
+    if rms(0) > WORTH_M || rms(3) > WORTH_RAD {
+        let reason = if has(Constraint::Known) {
+            "more known poses would fix it"
+        } else {
+            "only poses by an instrument in the scene's own frames (--known) would fix it, and a common offset does no \
+             harm to motions"
+        };
+        found.push(format!(
+            "where the base and the tool frame lie: {:.0} µm and {:.2} mrad per axis; {reason}",
+            rms(0) * 1e6,
+            rms(3) * 1e3
+        ));
+    }
+    let scale = scale_sigma(error);
+    let extent_m = workspace.half_extent_m.max_element();
+    if scale * extent_m > WORTH_M {
+        found.push(format!(
+            "the scale of translations: {:.2e}, {:.0} µm at {:.0} mm; known steps along a line (--stage) or poses by an \
+             instrument (--known) would fix it",
+            scale,
+            scale * extent_m * 1e6,
+            extent_m * 1e3
+        ));
+    }
+    let mut unseen: Vec<&Parameter> =
+        parameters.iter().filter(|entry| entry.sigma > UNSEEN * entry.prior_sigma).collect();
+    if !unseen.is_empty() {
+        let count = unseen.len();
+        unseen.sort_by(|a, b| (b.sigma / b.prior_sigma).total_cmp(&(a.sigma / a.prior_sigma)));
+        let names: Vec<String> = unseen.iter().take(6).map(|entry| entry.name()).collect();
+        let more = if count > names.len() { format!(", and {} more", count - names.len()) } else { String::new() };
+        found.push(format!(
+            "{count} of {} parameters stay as the tolerances have them: {}{more}; poses farther out and turned farther \
+             would show them",
+            parameters.len(),
+            names.join(", ")
+        ));
+    }
+    found
+}
+
+/// Standard deviation of the common factor of all translations.
+fn scale_sigma(error: &PoseError) -> f64 {
+    // The mean of ∂t_x/∂t_x, ∂t_y/∂t_y and ∂t_z/∂t_z: coordinate k of coefficient k + 1.
+    let place = |k: usize| 6 * (k + 1) + k;
+    let sum: f64 = (0..3)
+        .flat_map(|i| (0..3).map(move |j| (i, j)))
+        .map(|(i, j)| error.coefficients[place(i) * COEFFICIENTS + place(j)])
+        .sum();
+    (sum / 9.0).max(0.0).sqrt() / error.length_scale_m
+}
+
+/// A direction among the parameters.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Direction<'a> {
+    /// σ along it, in units of the prior σ: 1 is unseen.
+    pub sigma: f64,
+    /// The parameters with the largest shares of it, and these, in units of their prior σ.
+    pub shares: Vec<(&'a Parameter, f64)>,
+}
+
+/// Parameters named of each direction.
+const NAMED_SHARES: usize = 6;
+
+impl Calibration {
+    /// All principal directions of what the data left open, the weakest first.
+    pub fn directions(&self) -> Vec<Direction<'_>> {
+        let entries = self.parameters();
+        let sigma = |k: usize| entries[k].sigma / entries[k].prior_sigma;
+        let covariance = DMatrix::from_fn(entries.len(), entries.len(), |i, j| {
+            let correlation = match i.cmp(&j) {
+                std::cmp::Ordering::Equal => 1.0,
+                std::cmp::Ordering::Greater => self.correlation[i][j],
+                std::cmp::Ordering::Less => self.correlation[j][i],
+            };
+            correlation * sigma(i) * sigma(j)
+        });
+        let eigen = SymmetricEigen::new(covariance);
+        let mut order: Vec<usize> = (0..entries.len()).collect();
+        order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]));
+        let direction = |place: usize| {
+            let vector = eigen.eigenvectors.column(place);
+            let mut shares: Vec<_> = entries.iter().zip(vector.iter().copied()).collect();
+            shares.sort_by(|a, b| b.1.abs().total_cmp(&a.1.abs()));
+            shares.truncate(NAMED_SHARES);
+            Direction { sigma: eigen.eigenvalues[place].max(0.0).sqrt(), shares }
+        };
+        order.into_iter().map(direction).collect()
+    }
+}

@@ -1,4 +1,38 @@
-//! Round numbers for axes.
+//! What all pictures have in common: colours, round numbers, sizes of sheets.
+
+use slitpose_model::Cell;
+use thiserror::Error;
+
+/// A colour as SVG writes it.
+pub type Colour = &'static str;
+
+/// Text and the axes of charts.
+pub(crate) const INK: Colour = "#222222";
+/// Secondary text, dimension lines.
+pub const SOFT_INK: Colour = "#666666";
+/// Grid lines, outlines of secondary objects.
+pub(crate) const PALE: Colour = "#d4d4d4";
+/// Grid lines between numbered ones.
+pub(crate) const FAINT: Colour = "#ededed";
+pub(crate) const TOOL: Colour = "#9a9a9a";
+pub(crate) const MASK: Colour = "#3c3c3c";
+/// Where a picture must warn.
+pub(crate) const ALERT: Colour = "#c1121f";
+pub(crate) const WHITE: Colour = "#ffffff";
+
+/// Colours of cells, in order; distinguishable with the common forms of colour blindness
+/// (Okabe and Ito 2008, the yellow left out for want of contrast on white).
+const CELLS: [Colour; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#5a5a5a"];
+
+/// The colour of a cell in every picture.
+pub fn cell_colour(cell: usize) -> Colour {
+    CELLS[cell % CELLS.len()]
+}
+
+/// Bands of a value, ascending: lightness grows steadily, for all eyes and in print (cividis; Nuñez, Anderton, Renslow
+/// 2018).
+pub(crate) const BANDS: [Colour; 8] =
+    ["#00224e", "#213b6e", "#4c556c", "#6c6e72", "#8e8978", "#b1a570", "#d9c55c", "#fee838"];
 
 /// Positions of about `count` ticks inside a range, at multiples of 1, 2, 2.5 or 5 times a power
 /// of ten, and how many decimals they need.
@@ -73,9 +107,56 @@ pub(crate) fn three_digits(value: f64) -> String {
     text.replace('-', "−")
 }
 
+/// The largest size or distance that a picture can show: 1000 km.
+const LARGEST_M: f64 = 1e6;
+
+/// The smallest detector that a picture can show: a nanometre.
+const SMALLEST_M: f64 = 1e-9;
+
+/// Why a scene cannot be drawn.
+#[derive(Clone, Copy, Debug, Error, PartialEq)]
+pub enum PlotError {
+    /// Something too large or too small to have a picture.
+    #[error(
+        "cell {cell} has a size or distance of {size_mm:e} mm; pictures can show 1e-6 to 1e9 mm, correct the scene"
+    )]
+    OutOfProportion {
+        /// The cell.
+        cell: usize,
+        /// The size, millimetres.
+        size_mm: f64,
+    },
+}
+
+/// Refuses values whose coordinates would not be finite.
+pub(super) fn require_drawable(number: usize, cell: &Cell) -> Result<(), PlotError> {
+    let (detector, slit) = (&cell.detector, &cell.slit);
+    let distances = [slit.distance_m, slit.width_m, slit.length_m, slit.thickness_m];
+    let vectors = [detector.centre_base_m, cell.emitter.position_tool_m, slit.offset_m.extend(0.0)];
+    let sizes = [detector.length_m, detector.width_m];
+    let too_large = distances
+        .into_iter()
+        .chain(vectors.into_iter().flat_map(|vector| vector.to_array()))
+        .chain(sizes)
+        .find(|distance| distance.abs() > LARGEST_M);
+    match too_large.or_else(|| sizes.into_iter().find(|size| *size < SMALLEST_M)) {
+        None => Ok(()),
+        Some(size_m) => Err(PlotError::OutOfProportion { cell: number, size_mm: size_m * 1e3 }),
+    }
+}
+
+/// A number for a label: three decimals at most and none that say nothing, powers of ten where
+/// those would not do, a true minus sign.
+pub(super) fn quantity(value: f64) -> String {
+    let plain = (1e-3..1e6).contains(&value.abs()) || value.abs() < 1e-9;
+    let text = if plain { format!("{}", (value * 1e3).round() / 1e3 + 0.0) } else { format!("{value:.2e}") };
+    text.replace('-', "−")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use slitpose_head::scene_file::BENCH;
 
     #[test]
     fn ticks_are_round_and_inside() {
@@ -109,5 +190,22 @@ mod tests {
         let few = decades([0.9, 9.0], 8);
         assert_eq!(few.numbered, [1.0, 2.0, 5.0]);
         assert_eq!(few.minor, [0.9, 3.0, 4.0, 6.0, 7.0, 8.0, 9.0]);
+    }
+
+    #[test]
+    fn numbers_are_short() {
+        let cases = [(1.0, "1"), (-2.345_678, "−2.346"), (-1e-17, "0"), (4.2e-5, "4.20e−5"), (1e300, "1.00e300")];
+        for (value, text) in cases {
+            assert_eq!(quantity(value), text);
+        }
+    }
+
+    #[test]
+    fn a_scene_too_large_for_a_picture_is_refused_with_its_size() {
+        let mut cell = BENCH.read().unwrap().scene.cells[0].clone();
+        assert_eq!(require_drawable(0, &cell), Ok(()));
+        cell.slit.width_m = 1e300;
+        let message = require_drawable(3, &cell).unwrap_err().to_string();
+        assert!(message.contains("cell 3") && message.contains("1e303 mm"), "{message}");
     }
 }

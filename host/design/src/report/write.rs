@@ -1,0 +1,235 @@
+//! A report in a folder: one page that needs nothing else, the same in Markdown, tables and pictures.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use quick_xml::escape::escape;
+use slitpose_head::table::{Output, OutputError, TableWriter};
+
+use super::section::{Report, Section, Table, Value};
+
+const STYLE: &str = include_str!("page.css");
+
+fn page(report: &Report) -> String {
+    let title = format!("{}: {}", report.title, escape(&report.scene));
+    let mut page = format!(
+        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
+         <title>{title}</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>\n"
+    );
+    for warning in &report.warnings {
+        page += &format!("<p class=\"alert\">{}</p>\n", words(warning));
+    }
+    page += "<h2 id=\"summary\">In short</h2>\n<ul>\n";
+    for sentence in report.summary() {
+        page += &format!("<li>{}</li>\n", words(sentence));
+    }
+    page += "</ul>\n<h2 id=\"conditions\">Conditions</h2>\n<dl>\n";
+    for (name, value) in &report.conditions {
+        page += &format!("<dt>{name}</dt><dd>{}</dd>\n", words(value));
+    }
+    page += "</dl>\n<nav>";
+    for section in &report.sections {
+        page += &format!("<a href=\"#{}\">{}</a> ", section.name, escape(section.title));
+    }
+    page += "</nav>\n";
+    for section in &report.sections {
+        page += &of_section(section);
+    }
+    for table in &report.data {
+        let file = format!("{}.csv", table.name);
+        page += &format!("<p>{} (<a href=\"{file}\">{file}</a>)</p>\n", words(&table.caption));
+    }
+    page + "</body>\n</html>\n"
+}
+
+fn of_section(section: &Section) -> String {
+    let mut text = format!("<h2 id=\"{}\">{}</h2>\n", section.name, escape(section.title));
+    for paragraph in &section.paragraphs {
+        text += &format!("<p>{}</p>\n", words(paragraph));
+    }
+    for picture in &section.pictures {
+        text += &format!("<figure>\n{}<figcaption>{}</figcaption>\n</figure>\n", picture.svg, words(&picture.caption));
+    }
+    for table in &section.tables {
+        text += &of_table(table);
+    }
+    text
+}
+
+fn of_table(table: &Table) -> String {
+    let file = format!("{}.csv", table.name);
+    let caption = words(&table.caption);
+    let mut text = format!(
+        "<div class=\"wide\"><table>\n<caption>{caption} (<a href=\"{file}\">{file}</a>)</caption>\n<thead><tr>"
+    );
+    let is_number = |index: usize| table.rows.first().is_some_and(|row| row.get(index).is_some_and(Value::is_number));
+    for (index, column) in table.columns.iter().enumerate() {
+        let class = if is_number(index) { " class=\"number\"" } else { "" };
+        text += &format!("<th{class}>{}</th>", escape(column.heading));
+    }
+    text += "</tr></thead>\n<tbody>\n";
+    for row in &table.rows {
+        text += "<tr>";
+        for value in row {
+            let class = match value {
+                Value::Alert(_) => " class=\"alert\"",
+                Value::Text(_) => "",
+                _ => " class=\"number\"",
+            };
+            text += &format!("<td{class}>{}</td>", escape(value.shown()));
+        }
+        text += "</tr>\n";
+    }
+    text + "</tbody>\n</table></div>\n"
+}
+
+/// Escaped, with text between back ticks as code.
+fn words(text: &str) -> String {
+    let parts = text.split('`').enumerate().map(|(index, part)| {
+        let part = escape(part);
+        if index % 2 == 1 { format!("<code>{part}</code>") } else { part.into_owned() }
+    });
+    parts.collect()
+}
+
+fn markdown(report: &Report) -> String {
+    let mut text = format!("# {}: {}\n\n", report.title, report.scene);
+    for warning in &report.warnings {
+        text += &format!("**{warning}**\n\n");
+    }
+    text += "## In short\n\n";
+    for sentence in report.summary() {
+        text += &format!("* {sentence}\n");
+    }
+    text += "\n## Conditions\n\n";
+    for (name, value) in &report.conditions {
+        text += &format!("* {name}: {value}\n");
+    }
+    for section in &report.sections {
+        text += &markdown_section(section);
+    }
+    for table in &report.data {
+        text += &format!("\n{} (`{}.csv`)\n", table.caption, table.name);
+    }
+    // Names of scenes come from strangers, and Markdown passes elements of HTML on.
+    text.replace('<', "&lt;")
+}
+
+fn markdown_section(section: &Section) -> String {
+    let mut text = format!("\n## {}\n", section.title);
+    for paragraph in &section.paragraphs {
+        text += &format!("\n{paragraph}\n");
+    }
+    for picture in &section.pictures {
+        text += &format!("\n![{}]({}.svg)\n", picture.caption, picture.name);
+    }
+    for table in &section.tables {
+        text += &markdown_table(table);
+    }
+    text
+}
+
+fn markdown_table(table: &Table) -> String {
+    let line = |fields: Vec<String>| format!("| {} |\n", fields.join(" | "));
+    let mut text = format!("\n{} (`{}.csv`)\n\n", table.caption, table.name);
+    text += &line(table.columns.iter().map(|column| column.heading.to_owned()).collect());
+    let first = table.rows.first();
+    let is_number = |index: usize| first.is_some_and(|row| row.get(index).is_some_and(Value::is_number));
+    text += &line((0..table.columns.len()).map(|i| if is_number(i) { "--:" } else { "---" }.to_owned()).collect());
+    for row in &table.rows {
+        text += &line(row.iter().map(|value| value.shown().replace('|', "\\|")).collect());
+    }
+    text
+}
+
+/// Endings of names that are those of a page, a table or a picture.
+const FILES: [&str; 7] = ["csv", "htm", "html", "md", "pdf", "png", "svg"];
+
+/// The folder of a report. Made before anything is measured: an impossible place is refused at once.
+#[derive(Debug)]
+pub struct Folder {
+    path: PathBuf,
+}
+
+impl Folder {
+    /// Makes the folder if it is not there.
+    ///
+    /// # Errors
+    /// If it cannot be made, or is named as a file.
+    pub fn create(path: &Path) -> Result<Self, OutputError> {
+        let path = path.to_owned();
+        if !path.is_dir() && path.extension().is_some_and(|ending| FILES.iter().any(|file| ending == *file)) {
+            return Err(OutputError::Folder { path });
+        }
+        match fs::create_dir_all(&path) {
+            Ok(()) => Ok(Self { path }),
+            Err(source) => Err(OutputError::Create { path, source }),
+        }
+    }
+
+    /// Writes everything; gives the files, the page first.
+    ///
+    /// # Errors
+    /// If something cannot be written.
+    pub fn write(&self, report: &Report) -> Result<Vec<PathBuf>, OutputError> {
+        let mut written = Vec::new();
+        let mut text = |name: String, text: &str| {
+            let path = self.path.join(name);
+            let done = Output::file(&path)?.write_text(text);
+            written.push(path);
+            done
+        };
+        text("index.html".to_owned(), &page(report))?;
+        text("report.md".to_owned(), &markdown(report))?;
+        for picture in report.sections.iter().flat_map(|section| &section.pictures) {
+            text(format!("{}.svg", picture.name), &picture.svg)?;
+        }
+        for table in report.sections.iter().flat_map(|section| &section.tables).chain(&report.data) {
+            let path = self.path.join(format!("{}.csv", table.name));
+            write_table(table, Output::file(&path)?)?;
+            written.push(path);
+        }
+        Ok(written)
+    }
+}
+
+fn write_table(table: &Table, output: Output) -> Result<(), OutputError> {
+    let mut writer = TableWriter::new(output, table.columns.iter().map(|column| column.name))?;
+    for row in &table.rows {
+        for value in row {
+            match value {
+                Value::Text(text) | Value::Alert(text) => writer.text(text),
+                Value::Number(number) => writer.number(*number),
+                Value::Count(count) => writer.text(&count.to_string()),
+                Value::Missing => writer.optional(None),
+            }
+        }
+        writer.end_row()?;
+    }
+    writer.finish()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_are_escaped_and_code_is_marked() {
+        assert_eq!(words("a < `b & c` > d"), "a &lt; <code>b &amp; c</code> &gt; d");
+    }
+
+    #[test]
+    fn a_page_fetches_nothing_and_names_are_no_elements() {
+        let section = Section { name: "a", title: "A", summary: vec!["Short.".into()], ..Section::default() };
+        let conditions = vec![("seed", "1".into())];
+        let report = Report { scene: "<script>".into(), conditions, sections: vec![section], ..Report::default() };
+        let page = page(&report);
+        for word in ["src=", "@import", "url(", "<script", "<link"] {
+            assert!(!page.contains(word), "{word}");
+        }
+        assert!(!markdown(&report).contains('<'));
+        assert!(page.contains("prefers-color-scheme: dark") && page.contains("<dt>seed</dt>"));
+        assert!(page.find("<li>Short.</li>") < page.find("<dt>"), "the summary comes first");
+    }
+}
