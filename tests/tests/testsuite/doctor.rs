@@ -11,7 +11,7 @@ use slitpose_protocol::Message;
 use slitpose_tests::process::Finished;
 use slitpose_tests::scenes::changed;
 use slitpose_tests::slitpose;
-use slitpose_tests::terminal::{Board, Device, Terminal, edited};
+use slitpose_tests::terminal::{Board, Device, Terminal, edited, greeting};
 
 /// Runs the doctor and gives each check's verdict, too.
 fn doctor(device: &str, arguments: &[&str]) -> (Finished, BTreeMap<String, String>) {
@@ -125,12 +125,8 @@ fn what_is_no_board_gets_no_further() {
 
 #[test]
 fn a_board_of_another_head_is_not_measured() {
-    let other = edited(Board::wide(94), |message| match message {
-        Message::Hello(mut hello) => {
-            hello.hashes.scene = Some(7);
-            Some(Message::Hello(hello))
-        }
-        message => Some(message),
+    let other = greeting(Board::wide(94), |hello| {
+        hello.hashes.scene = Some(7);
     });
     let (finished, checks, _) = at(other);
     assert_eq!((checks["scene"].as_str(), checks["measurement"].as_str()), ("failed", "skipped"));
