@@ -375,8 +375,12 @@ impl Report {
         }
         verdicts.check(self.wrong() == 0, format!("{what}: {} wrong poses", self.wrong()));
         let is_tracked = healthy > 0;
-        // Two cells tell of no pose; a track of three ends where its pose has a twin.
-        let least = [0.0, 0.0, 0.0, 0.1].get(lit).copied().unwrap_or(0.99);
+        // Two cells tell of no pose; a track of three ends where its pose has a twin, after 25 scans at the least.
+        let least = match lit {
+            0..=2 => 0.0,
+            3 => 25.0 / options.scans as f64,
+            _ => 0.99,
+        };
         let with_pose = self.scans().filter(|scan| scan.worst_sigmas.is_some()).count() as f64;
         let share = with_pose / self.scans().count() as f64;
         verdicts.check(!is_tracked || share >= least, format!("{what}: {share:.3} of scans with a pose"));

@@ -121,7 +121,7 @@ fn fields_that_are_no_numbers() {
     for (row, parts) in [
         ("b,0,0,0", &["4 fields", "header has 7", "correct this row"]),
         ("b,0,0,0,0,0,0,0", &["8 fields", "header has 7", "correct this row"]),
-        ("b,1e12,0,0,0,0,0", &["column `tx_mm`: 1000000000000"]),
+        ("b,1e12,0,0,0,0,0", &["column `tx_mm`: 1000000000000", "out of range", "at most 1e9"]),
     ] {
         std::fs::write(&path, format!("{POSES}a,0,0,0,0,0,0\n{row}\nc,0,0,0,0,0,0\n")).expect("table");
         // To a file: what was written to standard output cannot be taken back.

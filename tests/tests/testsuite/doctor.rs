@@ -8,7 +8,7 @@ use std::process::Command;
 use slitpose::device::SerialDevice;
 use slitpose_head::scene_file::WIDE;
 use slitpose_protocol::Message;
-use slitpose_tests::process::Finished;
+use slitpose_tests::process::{Finished, name_in};
 use slitpose_tests::scenes::changed;
 use slitpose_tests::slitpose;
 use slitpose_tests::terminal::{Board, Device, Terminal, edited, greeting};
@@ -38,8 +38,7 @@ fn at(served: impl Device) -> (Finished, BTreeMap<String, String>, String) {
 #[test]
 fn a_simulated_board_is_well_and_its_bundle_is_whole() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let bundle = folder.path().join("report.tar.gz");
-    let bundle = bundle.to_str().expect("UTF-8");
+    let bundle = &*name_in(folder.path(), "report.tar.gz");
     let (finished, checks) = doctor("sim", &["--duration", "200ms", "--bundle", bundle]);
     let good = ["hello", "version", "last start", "scene", "full scale", "board", "link", "poses", "health"];
     for name in good.into_iter().chain(["oscillator", "settings"]) {

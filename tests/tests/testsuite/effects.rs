@@ -4,6 +4,7 @@ use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_model::Outcome;
 use slitpose_tests::capture::{STREAM, capture, solve};
 use slitpose_tests::consistency::{Honesty, error, median};
+use slitpose_tests::process::name_in;
 use slitpose_tests::scenes::{parse, wide_with};
 use slitpose_tests::table::{POSE, SIGMA, Table};
 use slitpose_tests::{poses, slitpose};
@@ -28,9 +29,8 @@ fn with_all_effects() -> String {
 #[test]
 fn a_solver_that_knows_all_effects_recovers_poses() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let scene = folder.path().join("real.toml");
-    std::fs::write(&scene, with_all_effects()).expect("scene");
-    let scene = scene.to_str().expect("UTF-8 path");
+    let scene = &*name_in(folder.path(), "real.toml");
+    std::fs::write(scene, with_all_effects()).expect("scene");
     let truths = poses::in_box(&mut poses::generator(71), 3.0, 10.0, 100);
     let currents = slitpose!().run_with_input(["model", scene, "--poses", "-"], &poses::table("p", &truths)).done();
     // The largest error of each row: in σ, or translations in micrometres.

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use nix::sys::signal::Signal;
 use serde_json::{Value, json};
-use slitpose_tests::process::signal;
+use slitpose_tests::process::{name_in, signal};
 use slitpose_tests::slitpose;
 use tungstenite::stream::MaybeTlsStream;
 use tungstenite::{Message, WebSocket};
@@ -128,8 +128,7 @@ fn recordings_begin_and_end_while_a_daemon_runs_and_each_replays_whole() {
 #[test]
 fn a_replay_is_paused_moved_and_played_again() {
     let folder = tempfile::tempdir().expect("a folder");
-    let capture = folder.path().join("capture.mcap");
-    let capture = capture.to_str().expect("UTF-8");
+    let capture = &*name_in(folder.path(), "capture.mcap");
     slitpose!().run(["simulate", "--duration", "4s", "--output", capture]).done();
     let mut page = Page::of(folder.path(), ["replay", capture]);
     page.until(|message| message["kind"] == "frame");

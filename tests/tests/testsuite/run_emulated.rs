@@ -15,7 +15,7 @@ use slitpose_model::{Plan, Status};
 use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message};
 use slitpose_tests::consistency::Honesty;
 use slitpose_tests::ndjson::{self, Line};
-use slitpose_tests::process::{Finished, signal};
+use slitpose_tests::process::{Finished, name_in, signal};
 use slitpose_tests::scenes;
 use slitpose_tests::slitpose;
 use slitpose_tests::terminal::FRAME_RATE_HZ;
@@ -65,8 +65,7 @@ fn honesty(lines: &[Line]) -> (usize, Honesty) {
 #[test]
 fn ten_seconds_of_the_image_behind_the_programs() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let record = folder.path().join("run.capture");
-    let record = record.to_str().expect("UTF-8");
+    let record = &*name_in(folder.path(), "run.capture");
     let emulator = Emulator::start(&["wide", "--seed", "21", "--speed", "max"]);
     let finished = emulator.run(&["--duration", "10s", "--record", record]);
     let printed = finished.stdout.clone();
@@ -117,9 +116,8 @@ fn fast_motion_and_abrupt_reversals_cost_no_pose() {
 #[test]
 fn another_head_by_the_serial_port() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let scene = folder.path().join("head.toml");
-    std::fs::write(&scene, format!("{}\n{}", BASE.text, scenes::front_end(2000.0))).expect("scene");
-    let scene = scene.to_str().expect("UTF-8");
+    let scene = &*name_in(folder.path(), "head.toml");
+    std::fs::write(scene, format!("{}\n{}", BASE.text, scenes::front_end(2000.0))).expect("scene");
     let emulator = Emulator::start(&[scene, "--seed", "24", "--speed", "max", "--link", "uart"]);
     let lines = poses(emulator.run(&["--duration", "1s", "--scene", scene]), TrajectoryKind::Smooth, 24);
     assert_complete(&lines, 0, 2_000, 2000.0);

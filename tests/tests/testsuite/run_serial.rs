@@ -15,7 +15,7 @@ use slitpose_protocol::{
 use slitpose_tests::capture::decode;
 use slitpose_tests::consistency::Honesty;
 use slitpose_tests::ndjson::{self, Line};
-use slitpose_tests::process::{Finished, signal};
+use slitpose_tests::process::{Finished, name_in, signal};
 use slitpose_tests::slitpose;
 use slitpose_tests::terminal::{Board, Device, FRAME_RATE_HZ, Log, Terminal, edited, greeting, packet, reply};
 
@@ -52,8 +52,7 @@ fn is_ping(command: &Command) -> bool {
 #[test]
 fn two_seconds_through_a_terminal() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let record = folder.path().join("run.capture");
-    let record = record.to_str().expect("UTF-8");
+    let record = &*name_in(folder.path(), "run.capture");
     let (finished, log, _) = run(Board::wide(61), &["--duration", "2s", "--record", record]);
     assert_eq!((finished.code, finished.stderr.as_str()), (0, ""));
     let lines = ndjson::parse(&finished.clone().done());

@@ -5,6 +5,7 @@ use std::fmt::Write;
 
 use slitpose_tests::consistency::median;
 use slitpose_tests::poses::{self, PoseRow};
+use slitpose_tests::process::name_in;
 use slitpose_tests::scenes::{changed, ring};
 use slitpose_tests::slitpose;
 use slitpose_tests::table::{POSE, Row, SIGMA, Table};
@@ -112,10 +113,9 @@ fn round_trips_in_both_tiers() {
 #[test]
 fn dark_current_is_taken_off_as_each_tier_puts_it_on() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let path = folder.path().join("dark.toml");
+    let scene = &*name_in(folder.path(), "dark.toml");
     let text = changed(slitpose_head::scene_file::WIDE.text, &[("dark_current_a = 0.0", "dark_current_a = 200e-9")]);
-    std::fs::write(&path, text).expect("scene");
-    let scene = path.to_str().expect("UTF-8 path");
+    std::fs::write(scene, text).expect("scene");
     let truths = poses::in_box(&mut poses::generator(17), WORKSPACE.0, WORKSPACE.1, 50);
     for tier in ["paper", "exact"] {
         let currents = currents(scene, tier, &truths);
@@ -201,10 +201,9 @@ fn cells_that_see_nothing_are_left_out() {
 fn a_saturated_detector_is_flagged_and_left_out() {
     // At home each detector of `wide` carries 6.8 µA, cell 0 at 2 mm towards it 9.8 µA.
     let folder = tempfile::tempdir().expect("temporary folder");
-    let path = folder.path().join("dim.toml");
+    let scene = &*name_in(folder.path(), "dim.toml");
     let text = changed(slitpose_head::scene_file::WIDE.text, &[("saturation_a = 100e-6", "saturation_a = 9e-6")]);
-    std::fs::write(&path, text).expect("scene");
-    let scene = path.to_str().expect("UTF-8 path");
+    std::fs::write(scene, text).expect("scene");
     let truth = [2.0, 0.0, 0.0, 0.0, 0.0, 0.0];
     let model = currents(scene, "exact", &[truth]);
     let table = Table::parse(&model);

@@ -45,6 +45,8 @@ impl Frame {
 /// did not converge.
 type Run = (Vec<Frame>, Vec<Frame>, usize);
 
+type Part = fn(&Run) -> &Vec<Frame>;
+
 fn follow(file: &SceneFile, motion: TrajectoryKind, frames: usize, seed: u64) -> Run {
     let trajectory = Trajectory::of_kind(motion, seed, 10.0);
     let Decoded { schedule, scaling, scans, truths } =
@@ -105,7 +107,7 @@ pub fn study(conditions: &Conditions, verdicts: &mut Verdicts) {
         // one in 1000 has one beyond 6.
         let worst_range = 3.2..if all > 1500 { 6.0 } else { 5.5 };
         let mut table = Table::new(&[&["", "NEES mean", "its σ", "worst"], &AXES[..]].concat());
-        let parts: [(&str, fn(&Run) -> &Vec<Frame>); 2] = [("tracked", |run| &run.0), ("twist known", |run| &run.1)];
+        let parts: [(&str, Part); 2] = [("tracked", |run| &run.0), ("twist known", |run| &run.1)];
         let in_bounds = parts.map(|(name, part)| {
             let mean = |frames: &[Frame]| frames.iter().map(|frame| frame.nees).sum::<f64>() / frames.len() as f64;
             let means: Vec<f64> = runs.iter().map(|run| mean(part(run))).collect();
