@@ -12,7 +12,7 @@ use serde_json::Value;
 use slitpose::device::SerialDevice;
 use slitpose::link::DeviceId;
 use slitpose_head::scene_file::{SceneFile, WIDE};
-use slitpose_protocol::{BootTarget, Command, Decoder, Hashes, MAX_REQUEST_BYTES, Message, Request, ResetCause};
+use slitpose_protocol::{BootTarget, Command, Decoder, Hashes, MAX_REQUEST_BYTES, Request, ResetCause};
 use slitpose_tests::process::Finished;
 use slitpose_tests::slitpose;
 use slitpose_tests::terminal::{Board, Device, Log, Terminal, greeting};
