@@ -18,9 +18,6 @@ use slitpose_protocol::{
 pub const STREAM: Tier = Tier::Exact { tolerance: 1e-6 };
 
 /// What a simulated board sends while it takes `scans` scans.
-///
-/// # Panics
-/// If no board can run the scene.
 pub fn capture(file: &SceneFile, trajectory: Trajectory, tier: Tier, seed: u64, scans: usize) -> Vec<u8> {
     let configuration = front_end::configuration(file).unwrap_or_else(|error| panic!("{error}"));
     let mut board = SimulatedBoard::new(file, trajectory, tier, seed).unwrap_or_else(|error| panic!("{error}"));
@@ -40,9 +37,6 @@ pub fn capture(file: &SceneFile, trajectory: Trajectory, tier: Tier, seed: u64, 
 }
 
 /// What comes of a capture of a head with so many cells, into which `faults` are injected as `replay --fault` does.
-///
-/// # Panics
-/// If one is no fault, or not one of this head.
 pub fn with_faults(bytes: Vec<u8>, cells: usize, faults: &[String]) -> Vec<u8> {
     let faults = faults.iter().map(|text| text.parse().unwrap_or_else(|error| panic!("{error}")));
     let faults = Faults::new(faults.collect(), cells).unwrap_or_else(|error| panic!("{error}"));
@@ -59,9 +53,6 @@ pub fn pipeline(file: &SceneFile, tier: Tier) -> Pipeline {
 }
 
 /// Solves a capture as `replay` does.
-///
-/// # Panics
-/// If the board does not suit the scene.
 pub fn solve(file: &SceneFile, tier: Tier, bytes: &[u8]) -> (Vec<Record>, Counts) {
     let mut pipeline = pipeline(file, tier);
     let mut records = Vec::new();
@@ -85,9 +76,6 @@ pub struct Packet {
 }
 
 /// The packets of an undamaged capture, in order.
-///
-/// # Panics
-/// If it is damaged.
 pub fn packets(bytes: &[u8]) -> Vec<Packet> {
     let mut packets = Vec::new();
     let mut schedule = None;
@@ -132,9 +120,6 @@ pub struct Decoded {
 }
 
 /// Reads an undamaged capture.
-///
-/// # Panics
-/// If it is damaged or holds no scan.
 pub fn decode(mut bytes: &[u8]) -> Decoded {
     let mut decoder = Decoder::<MAX_MESSAGE_BYTES>::new();
     let (mut hello, mut scans, mut truths) = (None, Vec::new(), Vec::new());

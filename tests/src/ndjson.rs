@@ -5,7 +5,7 @@ use serde_json::{Map, Value};
 use slitpose_model::Pose;
 
 use crate::consistency;
-use crate::statistics::Matrix6;
+use crate::consistency::Matrix6;
 
 /// Statuses of a scan with a pose.
 const WITH_POSE: [&str; 2] = ["converged", "degraded"];
@@ -42,19 +42,11 @@ impl Line {
 }
 
 /// Reads all lines of a simulated run.
-///
-/// # Panics
-/// If one is not what the interface promises: an object of its own, every key with its type, pose
-/// and covariance exactly when the status says so, finite numbers, a unit quaternion, a symmetric
-/// covariance with positive variances.
 pub fn parse(text: &str) -> Vec<Line> {
     parse_lines(text, true)
 }
 
 /// Reads all lines of a run that measured.
-///
-/// # Panics
-/// As [`parse`], or if one has a truth.
 pub fn parse_measured(text: &str) -> Vec<Line> {
     let lines = parse_lines(text, false);
     assert!(lines.iter().all(|line| line.truth.is_none()), "a measured pose with a truth");

@@ -1,9 +1,12 @@
 //! The `slitpose` command as a process.
 
 use std::ffi::OsStr;
-use std::io::Write;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
+use std::io::{Read, Write};
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
 
 /// The command under test. Only a test knows where cargo put it: see [`slitpose!`](crate::slitpose).
 #[derive(Clone, Copy, Debug)]
@@ -22,35 +25,16 @@ macro_rules! slitpose {
 /// A command that has ended.
 #[derive(Clone, Debug)]
 pub struct Finished {
-    /// The exit code.
     pub code: i32,
-    /// All of standard output.
     pub stdout: Vec<u8>,
-    /// All of standard error.
     pub stderr: String,
 }
 
 impl Slitpose {
-    /// The executable at `path`.
     pub fn at(path: &'static str) -> Self {
         Self { path }
     }
 
-    /// That of `path`, or the one that cargo has put beside the running example.
-    ///
-    /// # Panics
-    /// If there is none.
-    pub fn given_or_beside(path: Option<PathBuf>) -> Self {
-        let path = path.unwrap_or_else(|| {
-            let example = std::env::current_exe().expect("the running example has a path");
-            example.parent().and_then(Path::parent).expect("a folder of examples").join("slitpose")
-        });
-        assert!(path.is_file(), "no {}; build it with `cargo build --release -p slitpose`", path.display());
-        // Once in a process.
-        Self { path: path.into_os_string().into_string().expect("UTF-8 path").leak() }
-    }
-
-    /// Where it is.
     pub fn path(self) -> &'static str {
         self.path
     }
@@ -61,9 +45,6 @@ impl Slitpose {
     }
 
     /// Runs it with `input` on standard input.
-    ///
-    /// # Panics
-    /// If it cannot be started, or ends by a signal.
     pub fn run_with_input<A: AsRef<OsStr>>(self, arguments: impl IntoIterator<Item = A>, input: &str) -> Finished {
         let mut child = self.command(arguments).stdin(Stdio::piped()).spawn().expect("slitpose starts");
         let mut stdin = child.stdin.take().expect("piped");
@@ -73,9 +54,9 @@ impl Slitpose {
             // A command that fails early does not read its input.
             let _ = stdin.write_all(input.as_bytes());
         });
-        let output = child.wait_with_output().expect("slitpose ends");
+        let finished = Finished::of(child);
         feeder.join().expect("feeder");
-        output.into()
+        finished
     }
 
     /// The command itself, its outputs captured, for tests that wire it up otherwise.
@@ -84,11 +65,13 @@ impl Slitpose {
         command.args(arguments).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         command
     }
+
+    pub fn spawn<A: AsRef<OsStr>>(self, arguments: impl IntoIterator<Item = A>) -> Child {
+        self.command(arguments).spawn().expect("slitpose starts")
+    }
 }
 
 impl From<Output> for Finished {
-    /// # Panics
-    /// If the command ended by a signal.
     fn from(output: Output) -> Self {
         Self {
             code: output.status.code().expect("ends without a signal"),
@@ -99,24 +82,80 @@ impl From<Output> for Finished {
 }
 
 impl Finished {
+    /// Waits for the end of `child`.
+    pub fn of(child: Child) -> Self {
+        child.wait_with_output().expect("ends").into()
+    }
+
+    /// Interrupts `child`, and waits for its end.
+    pub fn interrupted(child: Child) -> Self {
+        signal(&child, Signal::SIGINT);
+        Self::of(child)
+    }
+
+    pub fn text(&self) -> &str {
+        std::str::from_utf8(&self.stdout).expect("data is UTF-8")
+    }
+
     /// Standard output of a command that has done its work.
-    ///
-    /// # Panics
-    /// If it has not, or has printed anything but text.
+    #[track_caller]
     pub fn done(self) -> String {
         assert_eq!(self.code, 0, "stderr: {}", self.stderr);
         String::from_utf8(self.stdout).expect("data is UTF-8")
     }
 
+    /// The same of one that had nothing to say.
+    #[track_caller]
+    pub fn silently_done(self) -> Vec<u8> {
+        assert_eq!((self.code, self.stderr.as_str()), (0, ""));
+        self.stdout
+    }
+
     /// Asserts that the command failed with `code`, printed no data, and said all of `parts`.
-    ///
-    /// # Panics
-    /// If not.
+    #[track_caller]
     pub fn assert_refused(&self, code: i32, parts: &[&str]) {
-        assert_eq!(self.code, code, "stderr: {}", self.stderr);
         assert!(self.stdout.is_empty(), "data in spite of failure: {}", String::from_utf8_lossy(&self.stdout));
+        self.assert_said(code, parts);
+    }
+
+    /// Asserts that the command ended with `code` and said all of `parts`.
+    #[track_caller]
+    pub fn assert_said(&self, code: i32, parts: &[&str]) {
+        assert_eq!(self.code, code, "stderr: {}", self.stderr);
         for part in parts {
             assert!(self.stderr.contains(part), "`{part}` is not in: {}", self.stderr);
         }
     }
+}
+
+pub fn signal(child: &Child, signal: Signal) {
+    kill(Pid::from_raw(i32::try_from(child.id()).expect("an id")), signal).expect("running");
+}
+
+/// The text of a path.
+pub fn text(path: &Path) -> &str {
+    path.to_str().expect("UTF-8 path")
+}
+
+/// The text of a name in `folder`.
+pub fn name_in(folder: &Path, name: &str) -> String {
+    text(&folder.join(name)).to_owned()
+}
+
+/// Names of the files in `folder`, hidden ones included.
+pub fn names(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).expect("folder");
+    let mut names: Vec<String> =
+        entries.map(|entry| entry.expect("entry").file_name().into_string().expect("UTF-8")).collect();
+    names.sort();
+    names
+}
+
+/// Code and body of what a server answers on `stream`; `None` if it does not.
+pub fn get(mut stream: impl Read + Write, path: &str) -> Option<(u16, String)> {
+    write!(stream, "GET {path} HTTP/1.0\r\n\r\n").ok()?;
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).ok()?;
+    let (head, body) = answer.split_once("\r\n\r\n")?;
+    Some((head.split(' ').nth(1)?.parse().ok()?, body.to_owned()))
 }

@@ -3,17 +3,11 @@
 use slitpose_head::scene_file::{SceneFile, WIDE};
 
 /// The shipped default scene with each `(old, new)` of `changes` replaced.
-///
-/// # Panics
-/// If a text to be replaced does not stand there exactly once.
 pub fn wide_with(changes: &[(&str, &str)]) -> String {
     changed(WIDE.text, changes)
 }
 
 /// `text` with each `(old, new)` of `changes` replaced.
-///
-/// # Panics
-/// If a text to be replaced does not stand there exactly once.
 pub fn changed(text: &str, changes: &[(&str, &str)]) -> String {
     changes.iter().fold(text.to_owned(), |text, (old, new)| {
         assert_eq!(text.matches(old).count(), 1, "`{old}` should stand in the scene once");
@@ -22,9 +16,6 @@ pub fn changed(text: &str, changes: &[(&str, &str)]) -> String {
 }
 
 /// Reads a scene file from its text.
-///
-/// # Panics
-/// If it is refused.
 pub fn parse(text: &str) -> SceneFile {
     SceneFile::parse("test.toml", text).unwrap_or_else(|error| panic!("{error}"))
 }

@@ -1,5 +1,12 @@
 //! CSV tables, read without the product's own reader.
 
+/// Columns of a pose.
+pub const POSE: [&str; 6] = ["tx_mm", "ty_mm", "tz_mm", "rx_rad", "ry_rad", "rz_rad"];
+
+/// Columns of its standard deviations.
+pub const SIGMA: [&str; 6] =
+    ["sigma_tx_mm", "sigma_ty_mm", "sigma_tz_mm", "sigma_rx_rad", "sigma_ry_rad", "sigma_rz_rad"];
+
 /// A CSV text with a header row.
 #[derive(Debug)]
 pub struct Table {
@@ -16,9 +23,6 @@ pub struct Row<'a> {
 
 impl Table {
     /// Reads a text.
-    ///
-    /// # Panics
-    /// If it is no table.
     pub fn parse(text: &str) -> Self {
         let mut reader = csv::Reader::from_reader(text.as_bytes());
         let header = reader.headers().expect("header").iter().map(str::to_owned).collect();
@@ -39,26 +43,17 @@ impl Table {
 
 impl<'a> Row<'a> {
     /// The text in `column`.
-    ///
-    /// # Panics
-    /// If there is no such column.
     pub fn text(&self, column: &str) -> &'a str {
         let index = self.header.iter().position(|name| name == column).unwrap_or_else(|| panic!("no column {column}"));
         &self.record[index]
     }
 
     /// The number in `column`; `nan` is a number here.
-    ///
-    /// # Panics
-    /// If there is none.
     pub fn number(&self, column: &str) -> f64 {
         self.text(column).parse().unwrap_or_else(|_| panic!("{column} holds {:?}", self.text(column)))
     }
 
     /// The numbers in `columns`.
-    ///
-    /// # Panics
-    /// If one is missing.
     pub fn numbers<const N: usize>(&self, columns: [&str; N]) -> [f64; N] {
         columns.map(|column| self.number(column))
     }

@@ -14,7 +14,9 @@ use nix::unistd::{read, ttyname, write};
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
 use slitpose_model::Tier;
-use slitpose_protocol::{Command, Decoder, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, Reply, Request, encode};
+use slitpose_protocol::{
+    Command, Decoder, Hello, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, Reply, Request, encode,
+};
 
 use crate::capture::STREAM;
 
@@ -46,9 +48,6 @@ pub struct Terminal {
 /// Takes so many terminals, as long as they are kept. Numbers of terminals are given again, and whoever looks
 /// for a board that was at such a number would take the next one there for it: behind these numbers nobody
 /// looks.
-///
-/// # Panics
-/// If the system has not as many.
 pub fn occupy(count: usize) -> Vec<PtyMaster> {
     let flags = OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_CLOEXEC;
     (0..count).map(|_| posix_openpt(flags).expect("pseudo-terminal")).collect()
@@ -65,9 +64,6 @@ pub struct Log {
 
 impl Log {
     /// The commands of the host, in order.
-    ///
-    /// # Panics
-    /// If one is damaged.
     pub fn commands(&self) -> Vec<Command> {
         let mut decoder = Decoder::<MAX_REQUEST_BYTES>::new();
         let mut bytes = &self.received[..];
@@ -81,18 +77,12 @@ impl Log {
 
 impl Terminal {
     /// A new terminal with `device` behind it.
-    ///
-    /// # Panics
-    /// If the system has no terminals.
     pub fn serve(device: impl Device) -> Self {
         Self::start(device, true)
     }
 
     /// The same, but it stays when the host closes it, which may open it again: only the device can pull the
     /// plug. Its log is empty.
-    ///
-    /// # Panics
-    /// If the system has no terminals.
     pub fn serve_until_pulled(device: impl Device) -> Self {
         Self::start(device, false)
     }
@@ -120,9 +110,6 @@ impl Terminal {
     }
 
     /// Waits until it is closed from either side.
-    ///
-    /// # Panics
-    /// If the device has.
     pub fn closed(self) -> Log {
         self.thread.join().expect("device")
     }
@@ -203,25 +190,16 @@ pub struct Board {
 
 impl Board {
     /// One with the head of the default scene and a smoothly moved tool.
-    ///
-    /// # Panics
-    /// Never: the default scene can be simulated.
     pub fn wide(seed: u64) -> Self {
         Self::of(&WIDE.read().expect("shipped"), seed)
     }
 
     /// One with the head of `file`.
-    ///
-    /// # Panics
-    /// If no board can run the scene.
     pub fn of(file: &SceneFile, seed: u64) -> Self {
         Self::numbered(0, file, STREAM, seed)
     }
 
     /// One of several, with optics of `tier`.
-    ///
-    /// # Panics
-    /// If no board can run the scene.
     pub fn numbered(number: u8, file: &SceneFile, tier: Tier, seed: u64) -> Self {
         let trajectory = Trajectory::of_kind(TrajectoryKind::Smooth, seed, 10.0);
         let board = SimulatedBoard::numbered(number, file, trajectory, tier, seed).expect("can be simulated");
@@ -282,18 +260,22 @@ pub fn edited(
     }
 }
 
+/// `board` with each hello changed by `edit`.
+pub fn greeting(board: impl Device, mut edit: impl FnMut(&mut Hello<'_>) + Send + 'static) -> impl Device {
+    edited(board, move |mut message| {
+        if let Message::Hello(hello) = &mut message {
+            edit(hello);
+        }
+        Some(message)
+    })
+}
+
 /// A message as it goes over the wire.
-///
-/// # Panics
-/// If it is too long.
 pub fn packet(message: &Message<'_>) -> Vec<u8> {
     encode(message, &mut [0; MAX_MESSAGE_BYTES]).expect("room").to_vec()
 }
 
 /// A command as it goes over the wire.
-///
-/// # Panics
-/// Never: all commands fit.
 pub fn request(number: u16, command: Command) -> Vec<u8> {
     encode(&Request { number, command }, &mut [0; MAX_REQUEST_BYTES]).expect("room").to_vec()
 }

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use slitpose::datagram::{Answer, Mode, Request as DatagramRequest};
 use slitpose_firmware::pcb::{default_configuration, default_scaling};
-use slitpose_fuzz::framing;
+use slitpose_fuzz::wire;
 use slitpose_head::board_head;
 use slitpose_head::scene_file::{SHIPPED, WIDE};
 use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
@@ -75,7 +75,7 @@ fn wire() -> Result<(), Failure> {
         let mut buffer = [0; MAX_REQUEST_BYTES];
         let packet = encode(&Request { number, command }, &mut buffer)?;
         write("decoder", name, [&[128], packet].concat())?;
-        let payload = framing::payload(&packet[..packet.len() - 1]).ok_or("no packet")?;
+        let payload = wire::payload(&packet[..packet.len() - 1]).ok_or("no packet")?;
         let step = [&[1, payload.len() as u8], &payload[..], &[2, 3, 9, 200, 90], &[3, 1, 200]].concat();
         write("board", name, &step)?;
         if name != "reboot" {

@@ -12,7 +12,7 @@ use slitpose_protocol::{
     Message, RawScan, ResetCause, Schedule, SettingsSource,
 };
 
-use crate::framing::{packet, steps};
+use crate::wire::{packet, steps};
 
 /// Most scans that wait in the hardware: more is an overrun.
 const RING: usize = 64;

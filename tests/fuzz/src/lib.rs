@@ -5,21 +5,13 @@
 //! them. `tests/fuzz/README.md` has the commands and what was found.
 
 mod board;
-#[cfg(feature = "host")]
-mod capture;
 mod files;
-pub mod framing;
-mod head;
 #[cfg(feature = "host")]
-mod network;
-#[cfg(feature = "host")]
-mod pipeline;
-mod precision;
-#[cfg(feature = "host")]
-mod settings;
+mod host;
+mod solver;
 #[cfg(feature = "host")]
 mod usb;
-mod wire;
+pub mod wire;
 
 /// A function of bytes from strangers.
 #[derive(Clone, Copy, Debug)]
@@ -35,24 +27,24 @@ pub struct Target {
 /// All targets.
 pub const TARGETS: &[Target] = &[
     Target { name: "board", smoke: 1000, run: board::any_link_and_any_fault },
-    Target { name: "board_pose", smoke: 200, run: precision::board_and_host_agree },
+    Target { name: "board_pose", smoke: 200, run: solver::board_and_host_agree },
     #[cfg(feature = "host")]
-    Target { name: "calibration", smoke: 200, run: settings::calibration },
+    Target { name: "calibration", smoke: 200, run: host::calibration },
     #[cfg(feature = "host")]
-    Target { name: "capture", smoke: 1000, run: capture::capture },
+    Target { name: "capture", smoke: 1000, run: host::capture },
     #[cfg(feature = "host")]
-    Target { name: "configuration", smoke: 100, run: settings::configuration },
+    Target { name: "configuration", smoke: 100, run: host::configuration },
     #[cfg(feature = "host")]
-    Target { name: "datagram", smoke: 4000, run: network::datagram },
+    Target { name: "datagram", smoke: 4000, run: host::datagram },
     Target { name: "decoder", smoke: 2000, run: wire::decoder },
-    Target { name: "head", smoke: 1000, run: head::head },
+    Target { name: "head", smoke: 1000, run: solver::head },
     #[cfg(feature = "host")]
-    Target { name: "http", smoke: 4000, run: network::http },
-    Target { name: "optics", smoke: 1000, run: precision::single_and_double_agree },
+    Target { name: "http", smoke: 4000, run: host::http },
+    Target { name: "optics", smoke: 1000, run: solver::single_and_double_agree },
     #[cfg(feature = "host")]
-    Target { name: "page", smoke: 4000, run: network::page },
+    Target { name: "page", smoke: 4000, run: host::page },
     #[cfg(feature = "host")]
-    Target { name: "pipeline", smoke: 100, run: pipeline::hostile_board },
+    Target { name: "pipeline", smoke: 100, run: host::hostile_board },
     Target { name: "scene", smoke: 300, run: files::scene },
     Target { name: "table", smoke: 1000, run: files::table },
     #[cfg(feature = "host")]

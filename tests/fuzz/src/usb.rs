@@ -15,7 +15,7 @@ use slitpose_emulator::usb_wire::{
 use slitpose_emulator::world::World;
 use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message};
 
-use crate::framing::steps;
+use crate::wire::steps;
 
 /// Most steps of a script: eight seconds of the board's time, if all of them wait for long. It may take hundreds to meet the
 /// driver between two of its accesses.

@@ -85,14 +85,8 @@ macro_rules! targets {
         })*
 
         #[test]
-        fn every_target_is_run_here_and_has_a_program() {
-            let names: Vec<_> = TARGETS.iter().map(|target| target.name).collect();
-            assert_eq!(names, [$(stringify!($name)),*]);
-            for name in names {
-                let program = format!("libfuzzer/fuzz_targets/{name}.rs");
-                let text = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(&program)).expect(&program);
-                assert!(text.contains(&format!("slitpose_fuzz::run(\"{name}\", bytes)")), "{program} runs another");
-            }
+        fn every_target_is_run_here() {
+            assert!(TARGETS.iter().map(|target| target.name).eq([$(stringify!($name)),*]));
         }
     };
 }

@@ -1,99 +1,44 @@
 //! Scene files, tables and command lines that are wrong: refused with a message that says where, what
 //! stands there and what to do, with nothing on standard output. Of a table a field refuses its row only.
 
-use slitpose_head::scene_file::{BENCH, WIDE};
+use slitpose_head::scene_file::BENCH;
+use slitpose_tests::process::name_in;
 use slitpose_tests::scenes::wide_with;
 use slitpose_tests::slitpose;
 
 const POSES: &str = "id,tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad\n";
 
-/// Offers `scene` to every verb that reads one; each must refuse it with all of `parts`.
-fn assert_scene_refused(scene: &str, parts: &[&str]) {
+/// Which mistakes are found, and in which words, are tests of the crate `slitpose-head`.
+#[test]
+fn every_verb_refuses_a_wrong_scene_and_says_where_it_is_wrong() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let path = folder.path().join("head.toml");
-    std::fs::write(&path, scene).expect("scene");
-    let path = path.to_str().expect("UTF-8 path");
-    let parts: Vec<&str> = parts.iter().copied().chain([path]).collect();
+    let path = name_in(folder.path(), "head.toml");
     let poses = format!("{POSES}a,0,0,0,0,0,0\n");
-    slitpose!().run_with_input(["model", path, "--poses", "-"], &poses).assert_refused(1, &parts);
-    slitpose!().run_with_input(["solve", path, "--currents", "-"], "id\n1\n").assert_refused(1, &parts);
-    slitpose!().run(["run", "--device", "sim", "--scene", path, "--duration", "1ms"]).assert_refused(1, &parts);
-    slitpose!().run(["simulate", "--output", "-", "--scene", path, "--duration", "1ms"]).assert_refused(1, &parts);
-    slitpose!().run(["scene", "check", path]).assert_refused(1, &parts);
-}
-
-/// `:line:column` of the first `text` in `scene`, `skip` characters into it.
-fn place(scene: &str, text: &str, skip: usize) -> String {
-    let at = scene.find(text).expect("stands there") + skip;
-    let line = scene[..at].matches('\n').count() + 1;
-    let column = at - scene[..at].rfind('\n').map_or(0, |newline| newline + 1) + 1;
-    format!(".toml:{line}:{column}")
-}
-
-#[test]
-fn text_that_is_no_toml() {
-    let scene = wide_with(&[("[slit]\n", "[slit\n")]);
-    assert_scene_refused(&scene, &["not valid TOML", &place(&scene, "[slit\n", 5)]);
-    let scene = wide_with(&[("distance_mm = 5.0", "distance_mm 5.0")]);
-    assert_scene_refused(&scene, &["not valid TOML", &place(&scene, "distance_mm 5.0", 12)]);
-    assert_scene_refused("", &["no cell"]);
-}
-
-#[test]
-fn keys_that_no_scene_has() {
-    let scene = wide_with(&[("distance_mm = 5.0", "distanse_mm = 5.0")]);
-    assert_scene_refused(&scene, &["`distanse_mm`", "did you mean `distance_mm`?", &place(&scene, "distanse_mm", 0)]);
-    let scene = WIDE.text.to_owned() + "colour = 3\n";
-    assert_scene_refused(&scene, &["`colour`", "cell", &place(&scene, "colour", 0)]);
-    let scene = wide_with(&[("[emitter] ", "[emiter] ")]);
-    assert_scene_refused(&scene, &["did you mean `emitter`?", &place(&scene, "emiter", 0)]);
-}
-
-#[test]
-fn effects_that_cannot_be() {
-    let thin = WIDE.text.to_owned() + "[window]\nthickness_mm = 0.7\nrefractive_index = 0.9\n";
-    assert_scene_refused(&thin, &["window.refractive_index = 0.9", "below 1", &place(&thin, "0.9\n", 0)]);
-    let stray = WIDE.text.to_owned() + "[stray]\ncurrent_a = -1e-9\n";
-    assert_scene_refused(&stray, &["stray.current_a = -1e-9", "zero or more", &place(&stray, "-1e-9\n", 0)]);
-    let turned = wide_with(&[
-        ("half_angle_deg = 55.0", "source_diameter_mm = 0.3\nhalf_angle_deg = 55.0"),
-        ("distance_mm = 5.0", "tilt_deg = [0.0, 0.0, 30.0]\ndistance_mm = 5.0"),
-    ]);
-    assert_scene_refused(&turned, &["slit.tilt_deg", "10 degrees at most", &place(&turned, "[0.0, 0.0, 30.0]", 0)]);
-}
-
-#[test]
-fn values_that_cannot_be() {
-    for (old, new, parts) in [
-        ("distance_mm = 5.0", "distance_mm = -5.0", &["slit.distance_mm = -5.0", "-5"][..]),
-        ("width_mm = 1.0", "width_mm = -1.0", &["detector.width_mm = -1.0", "not positive"]),
-        ("responsivity_a_per_w = 0.54", "responsivity_a_per_w = nan", &["responsivity_a_per_w = nan", "finite"]),
-        ("radiant_intensity_w_per_sr = 3.16e-3", "radiant_intensity_w_per_sr = inf", &["= inf", "finite"]),
-        (
-            "x_axis = [0.0, 0.707106781186548, 0.707106781186547]",
-            "x_axis = [0.0, 0.7071, 0.7071]",
-            &["x_axis", "0.99999", "not 1"],
-        ),
-        ("emitter_axis = [1.0, 0.0, 0.0]", "emitter_axis = [0.0, 0.0, 0.0]", &["emitter_axis", "length 0"]),
-        ("normal = [-1.0, 0.0, 0.0]", "normal = [0.0, 0.0, 1.0]", &["x_axis", "not perpendicular"]),
-        (
-            "half_angle_deg = 55.0",
-            "half_angle_deg = 55.0\nprofile_exponent = 1.2",
-            &["2 emission profiles", "exactly one"],
-        ),
-        ("slots = [[0, 3], [1, 4], [2, 5], []]", "slots = [[0, 3], [1, 4], [2], []]", &["emitter 5", "no slot"]),
+    let old = "distance_mm = 5.0";
+    for (new, fault) in [
+        ("distanse_mm = 5.0", "did you mean `distance_mm`?"),
+        ("distance_mm 5.0", "not valid TOML"),
+        ("distance_mm = -5.0", "slit.distance_mm = -5.0"),
     ] {
-        assert_scene_refused(&wide_with(&[(old, new)]), parts);
+        let scene = wide_with(&[(old, new)]);
+        std::fs::write(&path, &scene).expect("scene");
+        let before = &scene[..scene.find(new).expect("stands there")];
+        let line = before.matches('\n').count() + 1;
+        let parts = [format!("{path}:{line}:"), fault.to_owned()];
+        let parts = parts.each_ref().map(String::as_str);
+        slitpose!().run_with_input(["model", &path, "--poses", "-"], &poses).assert_refused(1, &parts);
+        slitpose!().run_with_input(["solve", &path, "--currents", "-"], "id\n1\n").assert_refused(1, &parts);
+        slitpose!().run(["run", "--device", "sim", "--scene", &path, "--duration", "1ms"]).assert_refused(1, &parts);
+        slitpose!().run(["simulate", "--output", "-", "--scene", &path]).assert_refused(1, &parts);
+        slitpose!().run(["scene", "check", &path]).assert_refused(1, &parts);
     }
-}
-
-#[test]
-fn too_few_and_too_many_cells() {
-    let (head, cells) = WIDE.text.split_at(WIDE.text.find("[[cell]]").expect("cells"));
-    let one = &cells[..cells[1..].find("[[cell]]").expect("more") + 1];
-    let without_lighting = head.replace("slots = [[0, 3], [1, 4], [2, 5], []]", "");
-    assert_scene_refused(&without_lighting, &["no cell", "add", "[[cell]]"]);
-    assert_scene_refused(&(without_lighting + &one.repeat(17)), &["17 cells", "at most 16"]);
+    for (old, new, parts) in [
+        ("emitter_axis = [1.0, 0.0, 0.0]", "emitter_axis = [0.0, 0.0, 0.0]", ["emitter_axis", "length 0"]),
+        ("slots = [[0, 3], [1, 4], [2, 5], []]", "slots = [[0, 3], [1, 4], [2], []]", ["emitter 5", "no slot"]),
+    ] {
+        std::fs::write(&path, wide_with(&[(old, new)])).expect("scene");
+        slitpose!().run(["scene", "check", &path]).assert_refused(1, &parts);
+    }
 }
 
 #[test]
@@ -192,8 +137,8 @@ fn fields_that_are_no_numbers() {
 #[test]
 fn paths_that_do_not_advance() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let path = folder.path().join("path.csv");
-    let name = path.to_str().expect("UTF-8 path");
+    let path = name_in(folder.path(), "path.csv");
+    let name = path.as_str();
     let run = ["run", "--device", "sim", "--speed", "max", "--duration", "1ms", "--trajectory", name];
     slitpose!().run(run).assert_refused(1, &[name, "the motions are still, smooth, fast, contact", "cannot read"]);
     let misspelt = ["simulate", "--output", "-", "--trajectory", "contct"];
@@ -228,8 +173,8 @@ fn paths_far_beyond_the_workspace_are_told() {
 #[test]
 fn integrals_that_meet_the_limit_of_work_are_told() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let path = folder.path().join("scene.toml");
-    let path = path.to_str().expect("UTF-8 path");
+    let path = name_in(folder.path(), "scene.toml");
+    let path = path.as_str();
     let text = BENCH.text.replace("distance_mm = 7.5", "distance_mm = 1.0").replace("width_mm = 0.4", "width_mm = 4.0");
     let text = text.replace("width_mm = 1.0", "width_mm = 5.0");
     let text = text.replace("[0.0, 0.0, -15.0]", "[0.0, 0.0, -2.262242254704235]");

@@ -185,7 +185,7 @@ fn at_a_terminal_a_step_waits_for_enter() {
     std::thread::sleep(Duration::from_millis(500));
     assert!(child.try_wait().expect("a child").is_none(), "it has not waited");
     nix::unistd::write(&pair.master, b"\n").expect("written");
-    let finished = Finished::from(child.wait_with_output().expect("ends"));
+    let finished = Finished::of(child);
     assert_eq!(finished.code, 0);
     assert!(text(&finished).contains("V_DDA 3.300 V"), "{}", text(&finished));
 }

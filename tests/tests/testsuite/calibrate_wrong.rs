@@ -8,7 +8,7 @@ use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use slitpose_head::scene_file::SceneFile;
-use slitpose_model::{Plan, Pose, Tier, rotation_exp, rotation_log};
+use slitpose_model::{Plan, Pose, Tier};
 use slitpose_tests::slitpose;
 use tempfile::TempDir;
 
@@ -75,23 +75,14 @@ impl Known {
 fn wrong_data_are_recognised_and_named() {
     let known = Known::read();
     let few_millimetres = |row: &mut ([f64; 6], _)| row.0 = row.0.map(|value| 0.01 * value);
-    let inverted = |row: &mut ([f64; 6], _)| {
-        let rotation = rotation_exp(DVec3::new(row.0[3], row.0[4], row.0[5])).conjugate();
-        let (t, r) = (-(rotation * DVec3::new(row.0[0], row.0[1], row.0[2])), rotation_log(rotation));
-        row.0 = [t.x, t.y, t.z, r.x, r.y, r.z];
-    };
-    let mut late = known.clone();
-    let poses: Vec<_> = late.rows.iter().map(|(pose, _)| *pose).collect();
-    late.rows.iter_mut().zip(poses.iter().cycle().skip(1)).for_each(|(row, pose)| row.0 = *pose);
-    let scaled = |from: usize, factor: f64| {
-        known.clone().spoilt(|row| row.0[from..from + 3].iter_mut().for_each(|value| *value *= factor))
-    };
     // Angles of degrees that could be radians.
     let mut little = Known::read_every(1);
     let is_little = |pose: &[f64; 6]| pose[3..].iter().all(|angle| angle.to_degrees().abs() < TAU);
     little.rows.retain(|(pose, _)| is_little(pose));
     let in_degrees = |row: &mut ([f64; 6], _)| row.0[3..].iter_mut().for_each(|angle| *angle = angle.to_degrees());
-    let cases: [(&str, Known, &[&str]); 11] = [
+    // Other lengths, inverted poses and shifted rows are cases of the crate of calibrations; one of them comes this way, too.
+    let metres = |row: &mut ([f64; 6], _)| row.0[..3].iter_mut().for_each(|value| *value *= 1e-3);
+    let cases: [(&str, Known, &[&str]); 7] = [
         ("little motion", known.clone().spoilt(few_millimetres), &["too little to tell parts apart"]),
         (
             "a dead cell",
@@ -100,13 +91,9 @@ fn wrong_data_are_recognised_and_named() {
         ),
         ("electrodes", known.clone().spoilt(|row| row.1[2].swap(0, 1)), &["electrodes of cell 2", "i_x1_2_a"]),
         ("cells", known.clone().spoilt(|row| row.1.swap(1, 2)), &["cell 1 look like those of cell 2"]),
-        ("a shift", late, &["shifted against the currents by -1 rows"]),
-        ("metres", scaled(0, 1e-3), &["tx_mm, ty_mm and tz_mm are millimetres", "are these metres?"]),
-        ("micrometres", scaled(0, 1e3), &["are these micrometres?"]),
-        ("inches", scaled(0, 25.4f64.recip()), &["are these inches?"]),
+        ("metres", known.clone().spoilt(metres), &["tx_mm, ty_mm and tz_mm are millimetres", "are these metres?"]),
         ("degrees", known.clone().spoilt(in_degrees), &["row 1", "column `rx_rad`", "are these degrees?"]),
         ("degrees within a turn", little.spoilt(in_degrees), &["radians, but are these degrees?"]),
-        ("inversion", known.clone().spoilt(inverted), &["look inverted", "base_from_tool"]),
     ];
     for (case, table, parts) in cases {
         let (code, said) = table.calibrate(&data("nominal.toml"), &[]);
@@ -185,21 +172,6 @@ fn another_scene_is_recognised() {
     assert!(code == 1 && said.contains("do not belong to this scene") && said.contains("tolerances explain"), "{said}");
     let (code, said) = Known::read().calibrate("bench", &[]);
     assert!(code == 1 && said.contains("currents of a cell 1, the scene has the cells 0 to 0"), "{said}");
-}
-
-#[test]
-fn an_instrument_ten_times_worse_than_stated_is_weighed_as_it_is() {
-    let (code, said) =
-        Known::read().calibrate(&data("nominal.toml"), &["--known-sigma-um", "0.2", "--known-sigma-urad", "2"]);
-    assert_eq!(code, 0, "{said}");
-    let found: f64 = said
-        .split("poses err by ")
-        .nth(1)
-        .and_then(|rest| rest.split(' ').next())
-        .and_then(|number| number.parse().ok())
-        .unwrap_or_else(|| panic!("no error of the instrument in: {said}"));
-    // Two micrometres, from 300 coordinates: within 10 %, and a little more for what the parameters take up.
-    assert!((1.6..2.4).contains(&found), "{found}: {said}");
 }
 
 #[test]

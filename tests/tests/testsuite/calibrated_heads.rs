@@ -2,21 +2,18 @@
 
 use std::fmt::Write;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use slitpose_head::scene_file::{WIDE, fnv1a_64};
 use slitpose_protocol::{Command, Hashes};
 use slitpose_tests::poses;
-use slitpose_tests::process::Finished;
+use slitpose_tests::process::text;
 use slitpose_tests::slitpose;
-use slitpose_tests::table::Table;
+use slitpose_tests::table::{POSE, SIGMA, Table};
 use slitpose_tests::terminal::{Board, Terminal};
 use tempfile::TempDir;
 
-const HEADS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/data/heads");
-
-const POSE: [&str; 6] = ["tx_mm", "ty_mm", "tz_mm", "rx_rad", "ry_rad", "rz_rad"];
-const SIGMA: [&str; 6] = ["sigma_tx_mm", "sigma_ty_mm", "sigma_tz_mm", "sigma_rx_rad", "sigma_ry_rad", "sigma_rz_rad"];
+use super::calibrate::data;
 
 /// What the calibration below leaves open of each translation, metres.
 const OPEN_M: f64 = 10e-6;
@@ -49,37 +46,6 @@ fn calibration(folder: &TempDir, name: &str, scene_hash: u64) -> PathBuf {
     let hashed = format!("hash = \"{:016x}\"\n{text}", fnv1a_64(text.as_bytes()));
     fs::write(&path, hashed).expect("written");
     path
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().expect("UTF-8")
-}
-
-fn silent(finished: &Finished) -> &[u8] {
-    assert_eq!((finished.code, finished.stderr.as_str()), (0, ""));
-    &finished.stdout
-}
-
-#[test]
-fn a_scene_with_tolerances_has_a_pose_for_each_row() {
-    let solve = |arguments: &[&str]| {
-        let currents = format!("{HEADS}/head_1_test.csv");
-        let scene = format!("{HEADS}/nominal.toml");
-        Table::parse(&slitpose!().run(["solve", &scene, "--currents", &currents].iter().chain(arguments)).done())
-    };
-    let truths = Table::parse(&fs::read_to_string(format!("{HEADS}/head_1_test.csv")).expect("rows"));
-    let table = solve(&[]);
-    let mut squares = 0.0;
-    for (row, truth) in table.rows().zip(truths.rows()) {
-        assert_eq!((row.text("status"), row.text("reason")), ("degraded", "uncalibrated"));
-        let (pose, sigma, truth) = (row.numbers(POSE), row.numbers(SIGMA), truth.numbers(POSE));
-        squares += (0..6).map(|k| ((pose[k] - truth[k]) / sigma[k]).powi(2)).sum::<f64>() / 6.0;
-    }
-    // The bounds are those of `first_light` in the crate of calibrations.
-    let rms = (squares / table.rows().len() as f64).sqrt();
-    assert!((0.2..2.0).contains(&rms) && table.rows().len() == 100, "{rms}");
-    // Taken for what the scene says the head contradicts itself.
-    assert!(solve(&["--calibration", "none"]).rows().filter(|row| row.text("reason") == "uncalibrated").count() == 0);
 }
 
 #[test]
@@ -138,7 +104,7 @@ fn a_calibration_of_another_scene_is_refused_with_both_hashes() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = calibration(&folder, "head.toml", 0x1234_5678_9abc_def0);
     let hash = format!("{:016x}", WIDE.read().expect("shipped").hash);
-    let (table, output) = (format!("{HEADS}/head_1_test.csv"), folder.path().join("output"));
+    let (table, output) = (data("head_1_test.csv"), folder.path().join("output"));
     let output = text(&output);
     for verb in [
         &["solve", "wide", "--currents", &table][..],
@@ -162,16 +128,15 @@ fn captures_replay_with_the_calibration_they_were_made_with() {
     let [recorded, simulated] = ["recorded.mcap", "simulated.mcap"].map(|name| folder.path().join(name));
     let common = ["--duration", "300ms", "--seed", "3", "--calibration", text(&path)];
     let run = ["run", "--device", "sim", "--speed", "max", "--format", "ndjson", "--record", text(&recorded)];
-    let ran = slitpose!().run(run.iter().chain(&common));
-    let ran = silent(&ran);
-    silent(&slitpose!().run(["simulate", "--output", text(&simulated)].iter().chain(&common)));
+    let ran = slitpose!().run(run.iter().chain(&common)).silently_done();
+    slitpose!().run(["simulate", "--output", text(&simulated)].iter().chain(&common)).silently_done();
     fs::remove_file(&path).expect("removed");
     for capture in [&recorded, &simulated] {
         let replayed = slitpose!().run(["replay", text(capture), "--format", "ndjson"]);
-        assert!(silent(&replayed) == ran, "replay differs from run");
-        assert!(!replayed.done().contains("degraded"));
+        assert!(!replayed.text().contains("degraded"));
+        assert!(replayed.silently_done() == ran, "replay differs from run");
         let drawn = slitpose!().run(["replay", text(capture), "--format", "ndjson", "--calibration", "none"]);
-        assert!(silent(&drawn) != ran);
+        assert!(drawn.silently_done() != ran);
     }
 }
 
@@ -189,7 +154,7 @@ fn an_uncalibrated_run_says_so_and_replays_as_it_ran() {
         assert!(line.contains(r#""status":"degraded","reason":"uncalibrated""#), "{line}");
     }
     let replayed = slitpose!().run(["replay", text(&capture), "--format", "ndjson"]);
-    assert!(silent(&replayed) == printed, "replay differs from run");
+    assert!(replayed.silently_done() == printed, "replay differs from run");
 }
 
 #[test]
@@ -214,7 +179,7 @@ fn a_board_keeps_the_hash_of_its_calibration_and_refuses_another() {
         let run = ["run", "--device", &terminal.path, "--duration", "50ms", "--format", "ndjson"];
         slitpose!().run(run.iter().chain(arguments))
     };
-    silent(&run(number, &["--calibration", text(&path)]));
+    run(number, &["--calibration", text(&path)]).silently_done();
     let other = run(!number, &["--calibration", text(&path)]);
     other.assert_refused(1, &[&hash, &format!("{:016x}", !number), "--calibration", "device set"]);
 }

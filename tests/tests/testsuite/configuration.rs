@@ -1,8 +1,9 @@
 //! The options of `run` from flags, environment and file, as a process sees them.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use slitpose_tests::process::Finished;
+use slitpose_tests::process::text;
 use slitpose_tests::slitpose;
 use tempfile::TempDir;
 
@@ -42,10 +43,6 @@ impl Bench {
 fn line<'a>(printed: &'a str, option: &str) -> &'a str {
     let is_of = |line: &&str| line.trim_start_matches("# ").starts_with(&format!("{option} = "));
     printed.lines().find(is_of).unwrap_or_else(|| panic!("no `{option}` in:\n{printed}"))
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().expect("UTF-8")
 }
 
 /// What a printed configuration says, without where it comes from.
@@ -137,26 +134,17 @@ fn a_file_configures_a_run() {
     assert_eq!(configured.lines().count(), 401);
 }
 
+/// Which mistakes are found is a test of the host's reader of configurations.
 #[test]
-fn mistakes_in_a_file_are_named_with_their_place() {
+fn mistakes_are_wrong_usage_and_named_with_their_place() {
     let bench = Bench::new();
-    for (content, place, parts) in [
-        ("seed = 1\ndevise = 'sim'\n", "2:1", &["`devise`", "`device` is"][..]),
-        ("print_config = true\n", "1:1", &["`print_config`"]),
-        ("[run]\nseed = 1\n", "1:2", &["`run`"]),
-        ("seed = \n", "1:", &["not valid TOML"]),
-        ("\n\nduration = 'soon'\n", "3:12", &["'soon'", "--duration", "10s"]),
-        ("format = 'xml'\n", "1:10", &["'xml'", "ndjson"]),
-        ("device = []\n", "1:10", &["at least one"]),
-        ("seed = [1, 2]\n", "1:8", &["one value"]),
-        ("overwrite = 'yes'\n", "1:13", &["true or false"]),
-        ("real_time = 100\n", "1:13", &["1..=99"]),
-    ] {
-        let file = bench.file("wrong.toml", content);
-        let place = format!("{}:{place}", file.display());
-        let parts = [&[place.as_str()], parts].concat();
-        bench.run(&[], &["--config", text(&file)]).assert_refused(2, &parts);
-    }
+    let file = bench.file("wrong.toml", "seed = 1\ndevise = 'sim'\n");
+    let place = format!("{}:2:1", file.display());
+    bench.run(&[], &["--config", text(&file)]).assert_refused(2, &[&place, "`devise`", "`device` is"]);
     bench.run(&[], &["--config", "/nowhere.toml"]).assert_refused(2, &["/nowhere.toml", "--config none"]);
     bench.run(&[("SLITPOSE_SEED", "many")], &["--config", "none"]).assert_refused(2, &["'many'", "--seed"]);
+    let file = bench.file("wrong.toml", "print_config = true\n");
+    bench.run(&[], &["--config", text(&file)]).assert_refused(2, &["1:1", "`print_config`"]);
+    let file = bench.file("wrong.toml", "real_time = 100\n");
+    bench.run(&[], &["--config", text(&file)]).assert_refused(2, &["1:13", "1..=99"]);
 }

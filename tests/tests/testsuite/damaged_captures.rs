@@ -7,9 +7,7 @@ use slitpose::pipeline::{Counts, PipelineError, Record};
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_model::Tier;
-use slitpose_protocol::{
-    Batch, DELIMITER, Decoder, Event, Hello, Level, MAX_MESSAGE_BYTES, Message, Severity, Truth, encode,
-};
+use slitpose_protocol::{Batch, Decoder, Event, Hello, Level, MAX_MESSAGE_BYTES, Message, Severity, Truth, encode};
 use slitpose_tests::capture::{Packet, capture, packets, pipeline, solve};
 use slitpose_tests::consistency::{error, worst_axis};
 use slitpose_tests::poses::generator;
@@ -97,28 +95,6 @@ fn every_flipped_byte_costs_its_packet() {
 }
 
 #[test]
-fn every_cut_keeps_what_was_whole() {
-    let whole = Whole::new();
-    let mut pipeline = pipeline(&whole.file, Tier::Paper);
-    let mut done = whole.packets.iter().peekable();
-    let (mut scans, mut pending) = (0, 0);
-    // Byte by byte: after each one the counts are those of a capture that was cut there.
-    for position in 0..whole.bytes.len() {
-        pipeline.push::<PipelineError>(&whole.bytes[position..=position], |_| Ok(())).expect("suits");
-        if let Some(packet) = done.next_if(|packet| packet.bytes.end == position + 1) {
-            scans += packet.scans.end - packet.scans.start;
-        }
-        pending = if whole.bytes[position] == DELIMITER { 0 } else { pending + 1 };
-        let counts = pipeline.counts();
-        assert_eq!(counts.scans, scans, "cut after byte {position}");
-        assert_eq!(counts.pending_bytes, pending, "cut after byte {position}");
-        assert_eq!(counts.has_loss(), counts.pending_bytes > 0, "cut after byte {position}");
-        assert_eq!((counts.scans_lost, counts.has_loss_before_end()), (0, false), "cut after byte {position}");
-    }
-    assert_eq!(scans, SCANS as u64);
-}
-
-#[test]
 fn every_dropped_packet_is_a_gap() {
     let whole = Whole::new();
     let hello = whole.packets.iter().position(|packet| !packet.scans.is_empty()).expect("batches");
@@ -160,15 +136,6 @@ fn garbage_is_passed_over() {
 
 fn is_hello(whole: &Whole, i: usize) -> bool {
     whole.packets[..=i].iter().all(|packet| packet.scans.is_empty())
-}
-
-#[test]
-fn without_its_hello_nothing_is_guessed() {
-    let whole = Whole::new();
-    let first_batch = whole.packets.iter().position(|packet| !packet.scans.is_empty()).expect("batches");
-    let (records, counts) = solve(&whole.file, Tier::Paper, &whole.bytes[whole.packets[first_batch].bytes.start..]);
-    assert!(records.is_empty());
-    assert_eq!((counts.batches_without_hello, counts.has_loss()), (SCANS as u64 / 4, true));
 }
 
 #[test]

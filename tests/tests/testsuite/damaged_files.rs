@@ -1,9 +1,10 @@
 //! Captures that are damaged, cut off or none at all, and results that cannot be written, through
 //! processes: exit code, message, and no half result under a final name.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use slitpose_tests::capture::{Packet, packets};
+use slitpose_tests::process::{names, text};
 use slitpose_tests::slitpose;
 
 /// 100 batches of four scans.
@@ -63,10 +64,6 @@ impl Capture {
     fn packet_of(&self, scan: u64) -> &Packet {
         self.packets.iter().find(|packet| packet.scans.contains(&scan)).expect("taken")
     }
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().expect("UTF-8 path")
 }
 
 #[test]
@@ -177,36 +174,4 @@ fn a_failure_on_the_way_leaves_the_old_result() {
     slitpose!().run(command).assert_refused(1, &["5 fields"]);
     assert_eq!(std::fs::read_to_string(&output).expect("old result"), "old");
     assert_eq!(names(folder.path()), ["output.csv", "poses.csv"]);
-}
-
-#[cfg(target_os = "linux")]
-#[test]
-fn a_full_disk_is_an_error_and_the_recording_is_kept() {
-    let folder = tempfile::tempdir().expect("temporary folder");
-    let record = folder.path().join("run.capture");
-    let full = || std::fs::File::options().write(true).open("/dev/full").expect("a full device");
-    let run = ["run", "--device", "sim", "--speed", "max", "--duration", "1s"];
-    let with_record = [&run[..], &["--record", text(&record)]].concat();
-    let output = slitpose!().command(with_record).stdout(full()).output().expect("runs");
-    let talk = String::from_utf8(output.stderr).expect("UTF-8");
-    assert_eq!(output.status.code(), Some(1), "{talk}");
-    assert!(talk.contains("standard output") && talk.contains("No space left"), "{talk}");
-    assert_eq!(names(folder.path()), ["run.capture"]);
-
-    let finished = slitpose!().run([&run[..], &["--record", "/dev/full"]].concat());
-    // The daemon goes on; what was to be recorded is missed at the end.
-    assert_eq!(finished.code, 3, "{}", finished.stderr);
-    assert_eq!(finished.stdout.iter().filter(|byte| **byte == b'\n').count(), 4000);
-    for part in ["/dev/full", "No space left", "the capture is not whole"] {
-        assert!(finished.stderr.contains(part), "{}", finished.stderr);
-    }
-}
-
-/// Names of the files in `folder`, hidden ones included.
-fn names(folder: &Path) -> Vec<String> {
-    let entries = std::fs::read_dir(folder).expect("folder");
-    let mut names: Vec<String> =
-        entries.map(|entry| entry.expect("entry").file_name().into_string().expect("UTF-8")).collect();
-    names.sort();
-    names
 }

@@ -12,10 +12,10 @@ use serde_json::Value;
 use slitpose::device::SerialDevice;
 use slitpose::link::DeviceId;
 use slitpose_head::scene_file::{SceneFile, WIDE};
-use slitpose_protocol::{BootTarget, Command, Decoder, Hashes, MAX_REQUEST_BYTES, Message, Request, ResetCause};
+use slitpose_protocol::{BootTarget, Command, Decoder, Hashes, MAX_REQUEST_BYTES, Request, ResetCause};
 use slitpose_tests::process::Finished;
 use slitpose_tests::slitpose;
-use slitpose_tests::terminal::{Board, Device, Log, Terminal, edited};
+use slitpose_tests::terminal::{Board, Device, Log, Terminal, greeting};
 
 const FIRST: &str = "0036002900544850025a0320";
 const SECOND: &str = "0036002900544850025a0321";
@@ -23,12 +23,8 @@ const SECOND: &str = "0036002900544850025a0321";
 /// A board of this number.
 fn board(serial: &str) -> impl Device + use<> {
     let device: DeviceId = serial.parse().expect("24 digits");
-    edited(Board::wide(81), move |message| match message {
-        Message::Hello(mut hello) => {
-            hello.device_id = device.0;
-            Some(Message::Hello(hello))
-        }
-        message => Some(message),
+    greeting(Board::wide(81), move |hello| {
+        hello.device_id = device.0;
     })
 }
 
@@ -70,12 +66,8 @@ fn only_asked(log: &Log) -> bool {
 
 #[test]
 fn ports_are_listed_with_what_is_there() {
-    let other = edited(Board::wide(82), |message| match message {
-        Message::Hello(mut hello) => {
-            hello.protocol.major = 7;
-            Some(Message::Hello(hello))
-        }
-        message => Some(message),
+    let other = greeting(Board::wide(82), |hello| {
+        hello.protocol.major = 7;
     });
     let (free, other) = (Terminal::serve(board(FIRST)), Terminal::serve(other));
     let silent = Terminal::serve(|_: &[u8], _: f64, _: &mut Vec<u8>| true);
@@ -162,12 +154,8 @@ fn a_board_says_what_it_is() {
 #[test]
 fn a_board_of_another_version_is_not_told_anything() {
     for (major, side) in [(1, "the firmware is older"), (9, "this program is older")] {
-        let other = edited(Board::wide(83), move |message| match message {
-            Message::Hello(mut hello) => {
-                hello.protocol.major = major;
-                Some(Message::Hello(hello))
-            }
-            message => Some(message),
+        let other = greeting(Board::wide(83), move |hello| {
+            hello.protocol.major = major;
         });
         let (finished, log, path) = at(other, &["identify"]);
         finished.assert_refused(1, &[&path, side, "update"]);
@@ -177,12 +165,8 @@ fn a_board_of_another_version_is_not_told_anything() {
     let keys: Vec<u8> = slitpose_protocol::schema::SchemaKeys::messages().0.iter().map(|byte| !byte).collect();
     let keys: &'static [u8] = keys.leak();
     let other = move || {
-        edited(Board::wide(84), move |message| match message {
-            Message::Hello(mut hello) => {
-                hello.message_keys.0 = keys;
-                Some(Message::Hello(hello))
-            }
-            message => Some(message),
+        greeting(Board::wide(84), move |hello| {
+            hello.message_keys.0 = keys;
         })
     };
     let (finished, log, _) = at(other(), &["set", "--scene", "wide"]);
@@ -232,12 +216,8 @@ fn a_board_keeps_the_scene_it_is_given() {
     assert!(finished.done().contains("keeps no scene"));
     assert_eq!(log.commands(), [Command::Hello, Command::Forget, Command::Hello]);
 
-    let forgetful = edited(Board::wide(85), |message| match message {
-        Message::Hello(mut hello) => {
-            hello.hashes.scene = None;
-            Some(Message::Hello(hello))
-        }
-        message => Some(message),
+    let forgetful = greeting(Board::wide(85), |hello| {
+        hello.hashes.scene = None;
     });
     let (finished, _, path) = at(forgetful, &["set", "--scene", "wide"]);
     finished.assert_refused(1, &[&path, "another scene"]);
@@ -273,12 +253,8 @@ fn a_board_shows_itself() {
 
 /// A board that has been reset by command.
 fn restarted() -> impl Device {
-    edited(Board::wide(88), |message| match message {
-        Message::Hello(mut hello) => {
-            hello.reset_cause = ResetCause::Software;
-            Some(Message::Hello(hello))
-        }
-        message => Some(message),
+    greeting(Board::wide(88), |hello| {
+        hello.reset_cause = ResetCause::Software;
     })
 }
 
@@ -330,11 +306,11 @@ fn a_board_that_is_gone_while_it_restarts_is_waited_for() {
     let before = Terminal::serve(until_reboot(unplugged));
     point(&before);
     let link_text = link.to_str().expect("UTF-8");
-    let child = slitpose!().command(["device", "reboot", "--device", link_text]).spawn().expect("slitpose starts");
+    let child = slitpose!().spawn(["device", "reboot", "--device", link_text]);
     before.closed();
     let after = Terminal::serve(restarted());
     point(&after);
-    let finished = Finished::from(child.wait_with_output().expect("ends"));
+    let finished = Finished::of(child);
     assert_eq!(finished.code, 0, "{}", finished.stderr);
     assert!(finished.stderr.contains(&format!("is back on {link_text}")), "{}", finished.stderr);
     assert!(only_asked(&after.closed()));

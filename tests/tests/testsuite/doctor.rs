@@ -8,10 +8,10 @@ use std::process::Command;
 use slitpose::device::SerialDevice;
 use slitpose_head::scene_file::WIDE;
 use slitpose_protocol::Message;
-use slitpose_tests::process::Finished;
+use slitpose_tests::process::{Finished, name_in};
 use slitpose_tests::scenes::changed;
 use slitpose_tests::slitpose;
-use slitpose_tests::terminal::{Board, Device, Terminal, edited};
+use slitpose_tests::terminal::{Board, Device, Terminal, edited, greeting};
 
 /// Runs the doctor and gives each check's verdict, too.
 fn doctor(device: &str, arguments: &[&str]) -> (Finished, BTreeMap<String, String>) {
@@ -38,8 +38,7 @@ fn at(served: impl Device) -> (Finished, BTreeMap<String, String>, String) {
 #[test]
 fn a_simulated_board_is_well_and_its_bundle_is_whole() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let bundle = folder.path().join("report.tar.gz");
-    let bundle = bundle.to_str().expect("UTF-8");
+    let bundle = &*name_in(folder.path(), "report.tar.gz");
     let (finished, checks) = doctor("sim", &["--duration", "200ms", "--bundle", bundle]);
     let good = ["hello", "version", "last start", "scene", "full scale", "board", "link", "poses", "health"];
     for name in good.into_iter().chain(["oscillator", "settings"]) {
@@ -125,12 +124,8 @@ fn what_is_no_board_gets_no_further() {
 
 #[test]
 fn a_board_of_another_head_is_not_measured() {
-    let other = edited(Board::wide(94), |message| match message {
-        Message::Hello(mut hello) => {
-            hello.hashes.scene = Some(7);
-            Some(Message::Hello(hello))
-        }
-        message => Some(message),
+    let other = greeting(Board::wide(94), |hello| {
+        hello.hashes.scene = Some(7);
     });
     let (finished, checks, _) = at(other);
     assert_eq!((checks["scene"].as_str(), checks["measurement"].as_str()), ("failed", "skipped"));

@@ -1,10 +1,12 @@
-//! Documents point to what is there: links lead to files and headings, and what the page of the architecture names
-//! can be found by searching.
+//! Documents point to what is there: links lead to files and headings, what the page of the architecture names can be
+//! found by searching, threats have tests, pictures are what the program draws; and dependencies come from the registry.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use slitpose_tests::process::name_in;
 use slitpose_tests::reference::data;
+use slitpose_tests::slitpose;
 
 /// All files of the project whose names end so.
 fn files(endings: &[&str]) -> Vec<PathBuf> {
@@ -96,4 +98,50 @@ fn the_architecture_names_what_can_be_found() {
 fn the_first_page_is_short() {
     let lines = read(&data("../../README.md")).lines().count();
     assert!(lines <= 120, "README.md has {lines} lines");
+}
+
+#[test]
+fn every_threat_names_tests_that_exist() {
+    let sources: String = files(&[".rs"]).iter().map(|path| read(path)).collect();
+    let page = read(&data("../../.github/SECURITY.md"));
+    let rows: Vec<Vec<&str>> =
+        page.lines().filter(|line| line.starts_with('|')).skip(2).map(|row| row.split('|').collect()).collect();
+    assert!(rows.len() > 10, "{} threats", rows.len());
+    for row in rows {
+        let [_, _, threat, _, tests, targets, _] = row[..] else { panic!("a row of {} columns: {row:?}", row.len()) };
+        let names = |text: &str| -> Vec<String> { text.split('`').skip(1).step_by(2).map(str::to_owned).collect() };
+        assert!(!names(tests).is_empty(), "no test against `{threat}`");
+        for name in names(tests) {
+            assert!(sources.contains(&format!("fn {name}(")), "there is no test {name}");
+        }
+        for name in names(targets) {
+            assert!(data("../fuzz/corpus").join(&name).is_dir(), "there is no fuzz target {name}");
+        }
+    }
+}
+
+#[test]
+fn every_dependency_comes_from_the_registry() {
+    for lock in ["../../Cargo.lock", "../fuzz/libfuzzer/Cargo.lock"] {
+        let text = read(&data(lock));
+        for source in text.lines().filter_map(|line| line.strip_prefix("source = ")) {
+            assert_eq!(source, "\"registry+https://github.com/rust-lang/crates.io-index\"", "{lock}");
+        }
+        let unpinned = text.split("[[package]]").filter(|it| it.contains("source = ") && !it.contains("checksum = "));
+        assert_eq!(unpinned.count(), 0, "{lock} has packages without a checksum");
+    }
+}
+
+#[test]
+fn the_readme_shows_what_the_program_draws() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let drawn = name_in(folder.path(), "drawn.svg");
+    for (name, arguments) in [
+        ("wide.svg", ["scene", "plot", "wide", "--pose", "1.5,-1,2,0,4,8"].as_slice()),
+        ("cell.svg", &["scene", "plot", "bench", "--cell", "0", "--pose", "2,0,0,0,0,0"]),
+    ] {
+        slitpose!().run(arguments.iter().chain(&["--output", &drawn])).done();
+        let is_shown = read(&data("../../host/pictures").join(name)) == read(Path::new(&drawn));
+        assert!(is_shown, "{name}: draw it anew with `slitpose {}`", arguments.join(" "));
+    }
 }

@@ -47,7 +47,7 @@ impl Emulator {
         let mut rest = String::new();
         self.stdout.read_to_string(&mut rest).expect("UTF-8");
         assert_eq!(rest, "", "more than the path on standard output");
-        let finished = Finished::from(self.child.wait_with_output().expect("ends"));
+        let finished = Finished::of(self.child);
         assert_eq!(finished.code, 0, "{}", finished.stderr);
         println!("{}", finished.stderr);
         let ratio = finished.stderr.lines().next().unwrap_or_default();

@@ -1,69 +1,13 @@
-//! Injected faults: each kind is noticed, costs no scan silently, and gives no wrong pose unflagged; and `--fault` does
-//! the same in every command that has it.
+//! `--fault` in every command that has it. That each kind is noticed, costs no scan silently, and gives no wrong pose
+//! unflagged, is shown by the study of the same name.
 
 use std::fs;
 
-use slitpose_head::faults::{KINDS, Kind, Lasts};
-use slitpose_head::scene_file::WIDE;
-use slitpose_head::simulator::TrajectoryKind;
-use slitpose_model::Tier;
-use slitpose_tests::faults::memory::Conditions;
-use slitpose_tests::faults::{Report, Spans, kinds_in_memory, memory, needs_daemon, process, table};
+use slitpose_head::faults::{KINDS, Kind};
+use slitpose_tests::process::name_in;
 use slitpose_tests::reference::data;
 use slitpose_tests::slitpose;
-
-const SEED: u64 = 20_180_718;
-
-/// Faults whose errors may be so small that the redundancy of six cells does not reveal each of them, with the most
-/// poses that were wrong and unflagged. What such a pose says of itself covers its error all the same.
-const SUBTLE: [(&str, usize); 5] =
-    [("noisy", 200), ("swap-electrodes", 5), ("swap-cells", 5), ("move", 100), ("warm", 5)];
-
-fn conditions(spans: Spans) -> Conditions {
-    let mut file = Box::new(WIDE.read().expect("shipped"));
-    // Half of the shipped rate: packets, and so faults of the wire, are half as many.
-    file.front_end.as_mut().expect("has one").frame_rate_hz = 2000.0;
-    Conditions { file, tier: Tier::Paper, motion: TrajectoryKind::Smooth, seed: SEED, spans }
-}
-
-#[test]
-fn where_there_is_no_fault_nothing_is_noticed() {
-    let spans = Spans::of(1);
-    let report = Report::of("none", &spans, false, &memory::run(&conditions(spans), ""));
-    assert!(report.by.is_empty(), "seed {SEED}: {report:?}");
-    assert_eq!((report.silently_lost, report.unflagged, report.flagged, report.out_of_order), (0, 0, 0, 0));
-}
-
-#[test]
-fn each_fault_is_noticed_and_costs_nothing_silently() {
-    let spans = Spans::of(1);
-    let conditions = conditions(spans);
-    let study = |kind: &Kind| {
-        let trace = memory::run(&conditions, &spans.spec(kind));
-        Report::of(kind.name, &spans, kind.lasts == Lasts::Instant, &trace)
-    };
-    let reports: Vec<_> = kinds_in_memory().map(study).collect();
-    print!("seed {SEED}\n{}", table(&reports));
-    for report in &reports {
-        assert_eq!(report.detected, report.injected, "{report:?}");
-        assert_eq!((report.silently_lost, report.out_of_order, report.beyond), (0, 0, 0), "{report:?}");
-        let most = SUBTLE.iter().find(|(name, _)| report.fault == *name).map_or(0, |(_, most)| *most);
-        assert!(report.unflagged <= most, "{report:?}");
-        assert!(report.recovery().1.is_finite(), "{report:?}");
-    }
-}
-
-#[test]
-fn a_board_that_is_lost_is_found_again_and_what_it_took_meanwhile_is_counted() {
-    let spans = Spans::of(1);
-    for kind in KINDS.iter().filter(|kind| needs_daemon(kind)) {
-        let (trace, code) = process::run(slitpose!(), kind, &spans, SEED);
-        let report = Report::of(kind.name, &spans, kind.lasts == Lasts::Instant, &trace);
-        assert_eq!((report.detected, report.injected), (1, 1), "{report:?}");
-        assert_eq!((report.silently_lost, report.unflagged), (0, 0), "{report:?}");
-        assert_eq!(code, i32::from(kind.exit), "{}", kind.name);
-    }
-}
+use slitpose_tests::studies::faults::{Spans, needs_daemon};
 
 #[test]
 fn a_fault_without_patience_ends_the_run_as_the_table_says() {
@@ -79,7 +23,7 @@ fn a_fault_without_patience_ends_the_run_as_the_table_says() {
 
 #[test]
 fn the_exit_code_is_that_of_the_table() {
-    for kind in kinds_in_memory() {
+    for kind in KINDS.iter().filter(|kind| !needs_daemon(kind)) {
         let spec = Spans { from_s: 0.1, for_s: 0.3, every_s: 0.7, count: 1 }.spec(kind);
         let run = ["run", "--device", "sim", "--speed", "max", "--duration", "600ms", "--tier", "paper"];
         let finished = slitpose!().run(run.iter().chain(&["--format", "none", "--fault", &spec]));
@@ -91,8 +35,7 @@ fn the_exit_code_is_that_of_the_table() {
 #[test]
 fn a_faulty_capture_is_that_of_a_sound_one_with_the_fault_and_says_so() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let path = |name: &str| folder.path().join(name).to_str().expect("UTF-8").to_owned();
-    let (sound, faulty) = (path("sound"), path("faulty"));
+    let [sound, faulty] = ["sound", "faulty"].map(|name| name_in(folder.path(), name));
     let common = ["simulate", "--duration", "300ms", "--tier", "paper", "--output"];
     let fault = ["--fault", "flip:rate=1e-4,from=50ms", "--fault", "occlude:cell=2,from=100ms"];
     assert_eq!(slitpose!().run(common.iter().chain(&[&*sound])).code, 0);

@@ -10,7 +10,7 @@ use slitpose_protocol::{Event, Message, Severity};
 use slitpose_tests::capture::{STREAM, capture, packets};
 use slitpose_tests::process::Finished;
 use slitpose_tests::slitpose;
-use slitpose_tests::terminal::{Board, Device, Terminal, edited, packet};
+use slitpose_tests::terminal::{Board, Device, Terminal, greeting, packet};
 
 /// Sets the window's title (xterm), clears the screen (ECMA-48), both also as C1; turns the order of
 /// writing round (UAX #9); begins a line of its own.
@@ -38,12 +38,8 @@ fn check(finished: &Finished, what: &str) -> String {
 
 /// A board of that name and firmware, which complains in the same words.
 fn hostile() -> impl Device {
-    edited(Board::wide(83), |message| match message {
-        Message::Hello(mut hello) => {
-            (hello.board, hello.firmware) = (HOSTILE, HOSTILE);
-            Some(Message::Hello(hello))
-        }
-        message => Some(message),
+    greeting(Board::wide(83), |hello| {
+        (hello.board, hello.firmware) = (HOSTILE, HOSTILE);
     })
 }
 

@@ -20,6 +20,7 @@ use std::time::{Duration, Instant};
 
 use nix::sys::signal::{Signal, killpg};
 use nix::unistd::Pid;
+use slitpose_tests::process::names;
 use slitpose_tests::reference::data;
 use slitpose_tests::slitpose;
 
@@ -199,71 +200,36 @@ fn run(name: &str, page: &str) -> Result<(), String> {
     Ok(())
 }
 
-#[track_caller]
-fn works(name: &str) {
-    let since = Instant::now();
-    if let Err(complaint) = run(name, &page(name)) {
-        panic!("{complaint}");
-    }
-    println!("{name}: {:.1} s", since.elapsed().as_secs_f64());
+macro_rules! works {
+    ($($test:ident: $chapter:literal,)*) => {
+        /// Chapters that are run.
+        const CHAPTERS: &[&str] = &[$($chapter),*];
+
+        $(#[test]
+        fn $test() {
+            run($chapter, &page($chapter)).unwrap_or_else(|complaint| panic!("{complaint}"));
+        })*
+    };
 }
 
-#[test]
-fn the_designer_gets_a_head() {
-    works("designer.md");
-}
-
-#[test]
-fn the_designer_gets_a_better_head() {
-    works("accuracy.md");
-}
-
-#[test]
-fn the_bench_engineer_finds_the_faults() {
-    works("bench.md");
-}
-
-#[test]
-fn a_raw_head_becomes_a_calibrated_one() {
-    works("calibration.md");
-}
-
-#[test]
-fn the_lab_user_gets_recordings_and_tables() {
-    works("lab.md");
-}
-
-#[test]
-fn the_application_writer_closes_a_loop() {
-    works("application.md");
-}
-
-#[test]
-fn the_analyst_judges_poses() {
-    works("analyst.md");
-}
-
-#[test]
-fn faults_are_injected_and_seen() {
-    works("faults.md");
-}
-
-#[test]
-fn an_uncalibrated_head_has_its_first_light() {
-    works("first_light.md");
+works! {
+    the_designer_gets_a_head: "designer.md",
+    the_designer_gets_a_better_head: "accuracy.md",
+    the_bench_engineer_finds_the_faults: "bench.md",
+    a_raw_head_becomes_a_calibrated_one: "calibration.md",
+    the_lab_user_gets_recordings_and_tables: "lab.md",
+    the_application_writer_closes_a_loop: "application.md",
+    the_analyst_judges_poses: "analyst.md",
+    faults_are_injected_and_seen: "faults.md",
+    an_uncalibrated_head_has_its_first_light: "first_light.md",
 }
 
 #[test]
 fn every_chapter_is_in_the_index_and_is_run() {
-    let tests = include_str!("guide.rs");
     let index = page("README.md");
-    for entry in fs::read_dir(guide()).expect("the guide") {
-        let name = entry.expect("an entry").file_name().into_string().expect("UTF-8");
-        if name == "README.md" {
-            continue;
-        }
+    for name in names(&guide()).into_iter().filter(|name| name != "README.md") {
         assert!(index.contains(&format!("]({name})")), "host/guide/README.md does not list {name}");
-        assert!(tests.contains(&format!("works(\"{name}\")")), "no test runs {name}");
+        assert!(CHAPTERS.contains(&name.as_str()), "no test runs {name}");
         let lines = page(&name).lines().count();
         assert!(lines <= 135, "{name} has {lines} lines");
     }
@@ -271,7 +237,7 @@ fn every_chapter_is_in_the_index_and_is_run() {
 
 #[test]
 fn commands_that_are_not_run_exist() {
-    for name in ["designer.md", "bench.md", "first_light.md", "lab.md", "application.md", "analyst.md"] {
+    for name in CHAPTERS {
         for block in blocks(&page(name)).iter().filter(|block| block.language == "console") {
             for (line, text) in (block.line + 1..).zip(&block.text) {
                 let Some(command) = text.strip_prefix("$ slitpose ") else { continue };

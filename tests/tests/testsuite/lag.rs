@@ -2,19 +2,17 @@
 //! an interrupt ends it.
 #![cfg(target_os = "linux")]
 
-use std::os::unix::net::UnixDatagram;
 use std::path::Path;
 use std::process::Child;
 use std::time::{Duration, Instant};
 
-use nix::sys::signal::{Signal, kill};
-use nix::unistd::Pid;
-use slitpose::datagram::{Mode, Request};
-use slitpose_tests::acceptance::daemon::name_in;
-use slitpose_tests::acceptance::scan_table;
+use nix::sys::signal::Signal;
+use slitpose::datagram::PoseDatagram;
+use slitpose_tests::daemon::Follower;
 use slitpose_tests::ndjson;
-use slitpose_tests::process::Finished;
+use slitpose_tests::process::{Finished, name_in, signal};
 use slitpose_tests::slitpose;
+use slitpose_tests::studies::scan_table;
 use slitpose_tests::terminal::{Board, Terminal};
 
 /// However busy the machine is. Nothing is judged by it but what would never come.
@@ -32,9 +30,7 @@ const SEQUENCE_AT: usize = 48;
 /// A daemon on a virtual board, with a client that follows; nobody reads what it prints.
 struct Unread {
     child: Child,
-    client: UnixDatagram,
-    server: String,
-    asked: Option<Instant>,
+    client: Follower,
     since: Instant,
 }
 
@@ -43,28 +39,19 @@ impl Unread {
         let server = name_in(folder, "pose");
         let publish = format!("unix:{server}");
         let first = ["run", "--device", &terminal.path, "--format", "ndjson", "--publish", &publish];
-        let child = slitpose!().command(first.iter().chain(arguments)).spawn().expect("slitpose starts");
-        let client = UnixDatagram::bind(folder.join("client")).expect("socket");
-        client.set_read_timeout(Some(Duration::from_millis(100))).expect("settable");
-        Self { child, client, server, asked: None, since: Instant::now() }
+        let child = slitpose!().spawn(first.iter().chain(arguments));
+        Self { child, client: Follower::of(server.into()), since: Instant::now() }
     }
 
     /// The number and the flags of the next pose.
     fn next(&mut self) -> (u64, u32) {
-        loop {
+        let mut datagram = [0; PoseDatagram::BYTES];
+        while !self.client.receive(&mut datagram) {
             assert!(self.since.elapsed() < PATIENCE, "no pose comes");
-            if self.asked.is_none_or(|asked| asked.elapsed() > Duration::from_millis(500)) {
-                // There is no socket before the daemon has made it.
-                let request = Request::new(Mode::Follow, None);
-                self.asked = self.client.send_to(&request.to_bytes(), &self.server).is_ok().then(Instant::now);
-            }
-            let mut datagram = [0; 544];
-            if self.client.recv(&mut datagram).is_ok() {
-                let flags = u32::from_le_bytes(datagram[FLAGS_AT..][..4].try_into().expect("four bytes"));
-                let sequence = u64::from_le_bytes(datagram[SEQUENCE_AT..][..8].try_into().expect("eight bytes"));
-                return (sequence, flags);
-            }
         }
+        let flags = u32::from_le_bytes(datagram[FLAGS_AT..][..4].try_into().expect("four bytes"));
+        let sequence = u64::from_le_bytes(datagram[SEQUENCE_AT..][..8].try_into().expect("eight bytes"));
+        (sequence, flags)
     }
 }
 
@@ -83,7 +70,7 @@ fn who_does_not_read_standard_output_keeps_no_control_loop_waiting() {
     }
     assert!(behind > 0, "it does not say that scans were passed over");
     // Standard output never drops.
-    let finished = Finished::from(unread.child.wait_with_output().expect("ends"));
+    let finished = Finished::of(unread.child);
     terminal.closed();
     let lines = ndjson::parse(&finished.done());
     assert_eq!(lines.len(), 12_000);
@@ -100,7 +87,7 @@ fn an_interrupt_ends_a_run_whose_output_nobody_reads() {
     while last < 2 * FULL {
         last = unread.next().0;
     }
-    kill(Pid::from_raw(unread.child.id() as i32), Signal::SIGINT).expect("running");
+    signal(&unread.child, Signal::SIGINT);
     let since = Instant::now();
     // Nothing is read before it has ended.
     while unread.child.try_wait().expect("status").is_none() {
@@ -108,7 +95,7 @@ fn an_interrupt_ends_a_run_whose_output_nobody_reads() {
         std::thread::sleep(Duration::from_millis(10));
     }
     println!("ended {:?} after the interrupt", since.elapsed());
-    let finished = Finished::from(unread.child.wait_with_output().expect("has ended"));
+    let finished = Finished::of(unread.child);
     terminal.closed();
     assert_eq!(finished.code, 1, "{}", finished.stderr);
     assert!(finished.stderr.contains("nobody reads what is printed"), "{}", finished.stderr);

@@ -7,9 +7,9 @@ use std::process::{Child, ChildStderr};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use nix::sys::signal::{Signal, kill};
-use nix::unistd::Pid;
+use nix::sys::signal::Signal;
 use serde_json::{Value, json};
+use slitpose_tests::process::{name_in, signal};
 use slitpose_tests::slitpose;
 use tungstenite::stream::MaybeTlsStream;
 use tungstenite::{Message, WebSocket};
@@ -81,7 +81,7 @@ impl Page {
     }
 
     fn end(mut self) {
-        kill(Pid::from_raw(i32::try_from(self.program.id()).expect("an id")), Signal::SIGINT).expect("running");
+        signal(&self.program, Signal::SIGINT);
         let ended = self.program.wait().expect("ends");
         // 3 if the machine was so busy that scans were left out.
         assert!(matches!(ended.code(), Some(0 | 3)), "{ended}");
@@ -128,8 +128,7 @@ fn recordings_begin_and_end_while_a_daemon_runs_and_each_replays_whole() {
 #[test]
 fn a_replay_is_paused_moved_and_played_again() {
     let folder = tempfile::tempdir().expect("a folder");
-    let capture = folder.path().join("capture.mcap");
-    let capture = capture.to_str().expect("UTF-8");
+    let capture = &*name_in(folder.path(), "capture.mcap");
     slitpose!().run(["simulate", "--duration", "4s", "--output", capture]).done();
     let mut page = Page::of(folder.path(), ["replay", capture]);
     page.until(|message| message["kind"] == "frame");
@@ -158,7 +157,7 @@ fn a_page_for_other_hosts_needs_a_token() {
     slitpose!().run(["replay", "--live", "capture.mcap"]).assert_refused(2, &["capture.mcap", "is no address"]);
     // It is not printed: standard error may be a journal.
     let arguments = ["scene", "view", "wide", "--live", "127.0.0.1:0", "--live-token", "correct-horse-battery"];
-    let mut program = slitpose!().command(arguments).spawn().expect("slitpose starts");
+    let mut program = slitpose!().spawn(arguments);
     let mut line = String::new();
     BufReader::new(program.stderr.take().expect("piped")).read_line(&mut line).expect("UTF-8");
     program.kill().expect("running");

@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use slitpose_tests::process::Finished;
+use slitpose_tests::process::{Finished, name_in};
 use slitpose_tests::slitpose;
 
 const POSES: [&str; 6] = ["tx_mm", "ty_mm", "tz_mm", "rx_rad", "ry_rad", "rz_rad"];
@@ -101,7 +101,7 @@ fn profiles_are_not_identified_from_poses_of_other_units() {
 #[test]
 fn references_of_other_clocks_and_units_are_told() {
     let folder = tempfile::tempdir().expect("a folder");
-    let path = |name: &str| folder.path().join(name).to_str().expect("UTF-8").to_owned();
+    let path = |name: &str| name_in(folder.path(), name);
     let (capture, truth, other) = (path("a.mcap"), path("truth.csv"), path("other.csv"));
     let simulate = ["simulate", "--duration", "300ms", "--tier", "paper", "--output", &capture, "--truth", &truth];
     assert_eq!(slitpose!().run(simulate).code, 0);
@@ -151,7 +151,7 @@ fn references_of_other_clocks_and_units_are_told() {
 #[test]
 fn paths_by_another_clock_are_told() {
     let folder = tempfile::tempdir().expect("a folder");
-    let path = |name: &str| folder.path().join(name).to_str().expect("UTF-8").to_owned();
+    let path = |name: &str| name_in(folder.path(), name);
     let (table, capture) = (path("path.csv"), path("a.mcap"));
     for (times, code, parts) in [
         ([0.0, 0.01, 0.02], 0, &[][..]),

@@ -3,27 +3,14 @@
 
 use std::fs;
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-use nix::sys::signal::{Signal, kill};
-use nix::unistd::{Pid, mkfifo};
-use slitpose_tests::process::Finished;
+use nix::sys::signal::Signal;
+use nix::unistd::mkfifo;
+use slitpose_tests::process::{Finished, name_in, names, text};
 use slitpose_tests::slitpose;
-
-fn text(path: &Path) -> &str {
-    path.to_str().expect("UTF-8 path")
-}
-
-/// Names of the files in `folder`, hidden ones included.
-fn names(folder: &Path) -> Vec<String> {
-    let entries = fs::read_dir(folder).expect("folder");
-    let mut names: Vec<String> =
-        entries.map(|entry| entry.expect("entry").file_name().into_string().expect("UTF-8")).collect();
-    names.sort();
-    names
-}
 
 /// A folder with a capture of 20 ms in it.
 fn folder_with_capture() -> (tempfile::TempDir, PathBuf, Vec<u8>) {
@@ -98,8 +85,7 @@ fn the_name_of_an_export_says_how_it_is_written() {
     }
     let pipe = folder.path().join("pipe");
     mkfifo(&pipe, nix::sys::stat::Mode::S_IRWXU).expect("pipe");
-    let mut exporting =
-        slitpose!().command(["export", text(&capture), "--output", text(&pipe)]).spawn().expect("starts");
+    let mut exporting = slitpose!().spawn(["export", text(&capture), "--output", text(&pipe)]);
     assert_eq!(fs::read_to_string(&pipe).expect("pipe"), csv);
     assert!(exporting.wait().expect("ends").success());
 }
@@ -118,12 +104,6 @@ fn wait_until(child: &mut Child, is_ready: impl Fn() -> bool) {
     }
 }
 
-/// Interrupts it once, and gives how it ended.
-fn interrupted(child: Child) -> Finished {
-    kill(Pid::from_raw(i32::try_from(child.id()).expect("an id")), Signal::SIGINT).expect("interrupt");
-    child.wait_with_output().expect("ends").into()
-}
-
 #[test]
 fn an_interrupted_simulation_leaves_nothing() {
     let folder = tempfile::tempdir().expect("temporary folder");
@@ -139,7 +119,7 @@ fn an_interrupted_simulation_leaves_nothing() {
         parts.map(|part| part.len()).max() > Some(100_000)
     };
     wait_until(&mut child, grows);
-    interrupted(child).assert_refused(1, &["interrupted", text(&capture)]);
+    Finished::interrupted(child).assert_refused(1, &["interrupted", text(&capture)]);
     assert!(names(folder.path()).is_empty(), "{:?}", names(folder.path()));
 }
 
@@ -162,7 +142,7 @@ fn a_table_or_text_that_is_interrupted_leaves_nothing() {
         let mut input = child.stdin.take().expect("piped");
         input.write_all(rows.as_bytes()).expect("written");
         wait_until(&mut child, || names(folder.path()).iter().any(|name| name.ends_with(".part")));
-        interrupted(child).assert_refused(1, &["interrupted", text(&output)]);
+        Finished::interrupted(child).assert_refused(1, &["interrupted", text(&output)]);
         assert_eq!(names(folder.path()), ["result"], "{command:?}");
         assert_eq!(fs::read_to_string(&output).expect("older"), "older");
     }
@@ -180,7 +160,7 @@ fn a_pipe_that_nobody_reads_is_left_at_the_first_interrupt() {
     ] {
         let mut child = slitpose!().command(command.iter().chain(&[text(&pipe)])).spawn().expect("starts");
         wait_until(&mut child, || true);
-        interrupted(child).assert_refused(1, &["interrupted", text(&pipe)]);
+        Finished::interrupted(child).assert_refused(1, &["interrupted", text(&pipe)]);
     }
 }
 
@@ -209,7 +189,7 @@ fn a_file_that_may_not_grow_is_an_error_of_writing() {
 #[test]
 fn a_reference_of_another_order_is_refused() {
     let folder = tempfile::tempdir().expect("a folder");
-    let path = |name: &str| folder.path().join(name).to_str().expect("UTF-8").to_owned();
+    let path = |name: &str| name_in(folder.path(), name);
     let (capture, truth, reversed) = (path("a.mcap"), path("truth.csv"), path("reversed.csv"));
     let simulate = ["simulate", "--duration", "50ms", "--tier", "paper", "--output", &capture, "--truth", &truth];
     assert_eq!(slitpose!().run(simulate).code, 0);

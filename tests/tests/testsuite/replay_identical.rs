@@ -3,25 +3,18 @@
 use std::path::Path;
 
 use slitpose_protocol::Command;
+use slitpose_tests::process::text;
 use slitpose_tests::scenes::wide_with;
 use slitpose_tests::slitpose;
 use slitpose_tests::table::Table;
 use slitpose_tests::terminal::{Board, Terminal};
 
-fn text(path: &Path) -> &str {
-    path.to_str().expect("UTF-8 path")
-}
-
 fn run(arguments: &[&str]) -> Vec<u8> {
-    let finished = slitpose!().run(["run", "--device", "sim", "--speed", "max"].iter().chain(arguments));
-    assert_eq!((finished.code, finished.stderr.as_str()), (0, ""), "{arguments:?}");
-    finished.stdout
+    slitpose!().run(["run", "--device", "sim", "--speed", "max"].iter().chain(arguments)).silently_done()
 }
 
 fn replay(capture: &Path, arguments: &[&str]) -> Vec<u8> {
-    let finished = slitpose!().run(["replay", text(capture)].iter().chain(arguments));
-    assert_eq!((finished.code, finished.stderr.as_str()), (0, ""), "{arguments:?}");
-    finished.stdout
+    slitpose!().run(["replay", text(capture)].iter().chain(arguments)).silently_done()
 }
 
 #[test]

@@ -7,25 +7,21 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::process::Stdio;
 
 use super::emulated::{Emulator, emulator};
-use nix::sys::signal::{Signal, kill};
-use nix::unistd::Pid;
+use nix::sys::signal::Signal;
 use slitpose_emulator::rig::WORLD_TIER;
 use slitpose_head::scene_file::{BASE, SceneFile};
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_model::{Plan, Status};
 use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message};
-use slitpose_tests::consistency::{nees, worst_axis};
+use slitpose_tests::consistency::Honesty;
 use slitpose_tests::ndjson::{self, Line};
-use slitpose_tests::process::Finished;
+use slitpose_tests::process::{Finished, name_in, signal};
 use slitpose_tests::scenes;
 use slitpose_tests::slitpose;
-use slitpose_tests::statistics::median;
+use slitpose_tests::terminal::FRAME_RATE_HZ;
 
 /// Device seconds for which the emulator plans its motions.
 const HORIZON_S: f64 = 3600.0;
-
-/// Frames a second of the default scene.
-const RATE_HZ: f64 = 4000.0;
 
 /// Root mean square error of all axes in smooth motion: within 15 % of what `run --device sim`
 /// gives with this scene, 2.34 µm and 285 µrad.
@@ -59,56 +55,29 @@ fn assert_complete(lines: &[Line], first: u64, count: usize, rate_hz: f64) {
     }
 }
 
-#[derive(Debug)]
-struct Honesty {
-    converged: usize,
-    median_nees: f64,
-    beyond_five_sigma: usize,
-    /// Root mean square of all axes.
-    translation_m: f64,
-    rotation_rad: f64,
-    largest_m: f64,
-}
-
-fn honesty(lines: &[Line]) -> Honesty {
-    let errors: Vec<_> = lines.iter().filter_map(Line::error).collect();
-    let rms = |axes: std::ops::Range<usize>| {
-        let square = errors.iter().flat_map(|(error, _)| &error[axes.clone()]).map(|axis| axis * axis).sum::<f64>();
-        (square / (errors.len() * axes.len()) as f64).sqrt()
-    };
-    let honesty = Honesty {
-        converged: lines.iter().filter(|line| line.status == "converged").count(),
-        median_nees: median(errors.iter().map(|(error, covariance)| nees(error, covariance))),
-        beyond_five_sigma: errors.iter().filter(|(error, covariance)| worst_axis(error, covariance) > 5.0).count(),
-        translation_m: rms(0..3),
-        rotation_rad: rms(3..6),
-        largest_m: errors.iter().flat_map(|(error, _)| &error[..3]).fold(0.0, |largest, axis| largest.max(axis.abs())),
-    };
-    println!("{honesty:?}");
-    honesty
+/// How many have converged, and how good they are.
+fn honesty(lines: &[Line]) -> (usize, Honesty) {
+    let converged = lines.iter().filter(|line| line.status == "converged").count();
+    println!("{converged} converged");
+    (converged, Honesty::of(lines.iter().filter_map(Line::error)))
 }
 
 #[test]
 fn ten_seconds_of_the_image_behind_the_programs() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let record = folder.path().join("run.capture");
-    let record = record.to_str().expect("UTF-8");
+    let record = &*name_in(folder.path(), "run.capture");
     let emulator = Emulator::start(&["wide", "--seed", "21", "--speed", "max"]);
     let finished = emulator.run(&["--duration", "10s", "--record", record]);
     let printed = finished.stdout.clone();
     let lines = poses(finished, TrajectoryKind::Smooth, 21);
-    assert_complete(&lines, 0, 40_000, RATE_HZ);
-    let honest = honesty(&lines);
-    assert_eq!(honest.converged, 40_000);
-    // As for the simulated board: of 240 000 normal numbers 0.14 lie beyond 5 σ, and χ² of six
-    // degrees has the median 5.35.
-    assert!(honest.beyond_five_sigma <= 3);
-    assert!((4.5..6.5).contains(&honest.median_nees));
-    assert!((RMS_M.0..RMS_M.1).contains(&honest.translation_m));
-    assert!((RMS_RAD.0..RMS_RAD.1).contains(&honest.rotation_rad));
+    assert_complete(&lines, 0, 40_000, FRAME_RATE_HZ);
+    let (converged, honest) = honesty(&lines);
+    assert_eq!(converged, 40_000);
+    honest.assert(4.5..6.5, 3);
+    assert!((RMS_M.0..RMS_M.1).contains(&honest.rms_m) && (RMS_RAD.0..RMS_RAD.1).contains(&honest.rms_rad));
     // Where the tool was a frame later would not do.
     let late = lines.windows(2).map(|pair| Line { truth: pair[1].truth, ..pair[0].clone() }).collect::<Vec<_>>();
-    assert!(honesty(&late).median_nees > 6.5);
+    assert!(honesty(&late).1.median_nees > 6.5);
 
     let replayed = slitpose!().run(["replay", record]);
     assert_eq!(replayed.code, 0, "{}", replayed.stderr);
@@ -118,49 +87,41 @@ fn ten_seconds_of_the_image_behind_the_programs() {
     let again = poses(emulator.run(&["--duration", "200ms"]), TrajectoryKind::Smooth, 21);
     assert!((40_000..41_000).contains(&again[0].sequence), "{}", again[0].sequence);
     assert!(again[0].device_time_s > lines[39_999].device_time_s);
-    assert_complete(&again, again[0].sequence, 800, RATE_HZ);
-    assert!(honesty(&again).median_nees < 6.5);
+    assert_complete(&again, again[0].sequence, 800, FRAME_RATE_HZ);
+    honesty(&again).1.assert(4.5..6.5, 0);
     emulator.close();
 }
 
 #[test]
-fn four_times_the_usual_speed_costs_no_pose() {
-    let emulator = Emulator::start(&["wide", "--trajectory", "fast", "--seed", "22", "--speed", "max"]);
-    let lines = poses(emulator.run(&["--duration", "2s"]), TrajectoryKind::Fast, 22);
-    assert_complete(&lines, 0, 8_000, RATE_HZ);
-    let honest = honesty(&lines);
-    assert!(honest.converged >= 7_992 && honest.beyond_five_sigma <= 3);
-    // A parabola through five frames misses part of such bends: a covariance a quarter too small.
-    assert!((4.5..7.1).contains(&honest.median_nees));
-    emulator.close();
-}
-
-#[test]
-fn abrupt_reversals_cost_no_pose() {
-    let emulator = Emulator::start(&["wide", "--trajectory", "contact", "--seed", "23", "--speed", "max"]);
-    let lines = poses(emulator.run(&["--duration", "2s"]), TrajectoryKind::Contact, 23);
-    assert_complete(&lines, 0, 8_000, RATE_HZ);
-    let honest = honesty(&lines);
-    assert!(honest.converged >= 7_992);
-    // A reversal in the middle of a frame can surprise it. Of the simulated board with the same motion
-    // (seeds 23 to 30) 0 to 3 frames of 2 s are, 1.25 on average; more than 8 come once in 100 000.
-    assert!(honest.beyond_five_sigma <= 8);
-    // The longest leg, 5 mm along each axis, in the shortest time, 5 ms, is 59 µm a slot of 34 µs.
-    assert!(honest.largest_m < 59e-6);
-    assert!((4.5..6.5).contains(&honest.median_nees));
-    emulator.close();
+fn fast_motion_and_abrupt_reversals_cost_no_pose() {
+    for (name, kind, seed, nees, most_beyond) in [
+        // A parabola through five frames misses part of such bends: a covariance a quarter too small.
+        ("fast", TrajectoryKind::Fast, 22, 4.5..7.1, 3),
+        // A reversal in the middle of a frame can surprise it. Of the simulated board with the same motion
+        // (seeds 23 to 30) 0 to 3 frames of 2 s are, 1.25 on average; more than 8 come once in 100 000.
+        ("contact", TrajectoryKind::Contact, 23, 4.5..6.5, 8),
+    ] {
+        let emulator = Emulator::start(&["wide", "--trajectory", name, "--seed", &seed.to_string(), "--speed", "max"]);
+        let lines = poses(emulator.run(&["--duration", "2s"]), kind, seed);
+        assert_complete(&lines, 0, 8_000, FRAME_RATE_HZ);
+        let (converged, honest) = honesty(&lines);
+        assert!(converged >= 7_992, "{name}: {converged}");
+        honest.assert(nees, most_beyond);
+        // The longest leg, 5 mm along each axis, in the shortest time, 5 ms, is 59 µm a slot of 34 µs.
+        assert!(honest.largest_m < 59e-6, "{name}");
+        emulator.close();
+    }
 }
 
 #[test]
 fn another_head_by_the_serial_port() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let scene = folder.path().join("head.toml");
-    std::fs::write(&scene, format!("{}\n{}", BASE.text, scenes::front_end(2000.0))).expect("scene");
-    let scene = scene.to_str().expect("UTF-8");
+    let scene = &*name_in(folder.path(), "head.toml");
+    std::fs::write(scene, format!("{}\n{}", BASE.text, scenes::front_end(2000.0))).expect("scene");
     let emulator = Emulator::start(&[scene, "--seed", "24", "--speed", "max", "--link", "uart"]);
     let lines = poses(emulator.run(&["--duration", "1s", "--scene", scene]), TrajectoryKind::Smooth, 24);
     assert_complete(&lines, 0, 2_000, 2000.0);
-    let honest = honesty(&lines);
+    let (_, honest) = honesty(&lines);
     // On its way the tool leaves one of these cells in the dark now and then, or might bring one
     // to its converter's limit; when, in this second, depends on when the host came. Where it is tells
     // which scans those are: all but those near the limits.
@@ -191,8 +152,7 @@ fn another_head_by_the_serial_port() {
     // A refinement astride the end of a detector may end without a pose, or take the cell for an outlier:
     // 2 of 40 000 scans of a simulated board, and 1 of some 18 000 here.
     assert!(at_a_kink <= 3);
-    assert!(honest.beyond_five_sigma <= 3);
-    assert!((4.5..6.5).contains(&honest.median_nees));
+    honest.assert(4.5..6.5, 3);
     emulator.close();
 }
 
@@ -234,20 +194,20 @@ fn an_interrupt_leaves_the_board_dark() {
     let emulator = Emulator::start(&["wide", "--speed", "0.25"]);
     // A program that is killed cannot stop the board: it goes on for whoever comes within half a
     // second, so silence is not for want of light.
-    for (signal, stops) in [(Signal::SIGKILL, false), (Signal::SIGINT, true)] {
-        let mut child = slitpose!().command(["run", "--device", &emulator.path]).spawn().expect("slitpose starts");
+    for (by, stops) in [(Signal::SIGKILL, false), (Signal::SIGINT, true)] {
+        let mut child = slitpose!().spawn(["run", "--device", &emulator.path]);
         let mut stdout = BufReader::new(child.stdout.take().expect("piped"));
         for _ in 0..400 {
             stdout.read_line(&mut String::new()).expect("line");
         }
-        kill(Pid::from_raw(child.id() as i32), signal).expect("running");
+        signal(&child, by);
         let mut rest = String::new();
         stdout.read_to_string(&mut rest).expect("UTF-8");
         let output = child.wait_with_output().expect("ends");
         println!("{}", String::from_utf8_lossy(&output.stderr));
         let code = output.status.code();
         let heard = listen(&emulator.path);
-        println!("{signal}: {heard:?}");
+        println!("{by}: {heard:?}");
         assert!(heard.events.is_empty());
         assert!(heard.acquiring.iter().all(|&acquiring| acquiring != stops));
         assert_eq!(heard.batches == 0, stops);
@@ -289,15 +249,14 @@ fn it_ends_with_its_standard_input_whoever_listens() {
     assert!(std::path::Path::new(&emulator.path).exists(), "{}", emulator.path);
     // What comes on standard input is not an end.
     (&emulator.stdin).write_all(b"words\n").expect("read");
-    let mut child =
-        slitpose!().command(["run", "--patience", "0s", "--device", &emulator.path]).spawn().expect("slitpose starts");
+    let mut child = slitpose!().spawn(["run", "--patience", "0s", "--device", &emulator.path]);
     let mut stdout = BufReader::new(child.stdout.take().expect("piped"));
     stdout.read_line(&mut String::new()).expect("line");
     let path = emulator.path.clone();
     emulator.close();
     let mut rest = String::new();
     stdout.read_to_string(&mut rest).expect("UTF-8");
-    let finished = Finished::from(child.wait_with_output().expect("ends"));
+    let finished = Finished::of(child);
     assert_eq!(finished.code, 1, "{}", finished.stderr);
     assert!(finished.stderr.contains(&path) && finished.stderr.contains("unplugged"), "{}", finished.stderr);
 }

@@ -7,18 +7,17 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use nix::sys::signal::{Signal, kill};
-use nix::unistd::Pid;
+use nix::sys::signal::Signal;
 use slitpose_head::scene_file::WIDE;
 use slitpose_protocol::{
     BoardKind, Command, DELIMITER, Decoder, HardwareFault, MAX_REQUEST_BYTES, Message, PROTOCOL, Rejection, Request,
 };
 use slitpose_tests::capture::decode;
-use slitpose_tests::consistency::worst_axis;
+use slitpose_tests::consistency::Honesty;
 use slitpose_tests::ndjson::{self, Line};
-use slitpose_tests::process::Finished;
+use slitpose_tests::process::{Finished, name_in, signal};
 use slitpose_tests::slitpose;
-use slitpose_tests::terminal::{Board, Device, FRAME_RATE_HZ, Log, Terminal, edited, packet, reply};
+use slitpose_tests::terminal::{Board, Device, FRAME_RATE_HZ, Log, Terminal, edited, greeting, packet, reply};
 
 /// However busy the machine is. Nothing is judged by it but what would never come.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -32,7 +31,7 @@ fn run(device: impl Device, arguments: &[&str]) -> (Finished, Log, String) {
 }
 
 fn spawn(terminal: &Terminal, arguments: &[&str]) -> Child {
-    slitpose!().command(["run", "--device", &terminal.path].iter().chain(arguments)).spawn().expect("slitpose starts")
+    slitpose!().spawn(["run", "--device", &terminal.path].iter().chain(arguments))
 }
 
 /// Asserts that scans follow each other from the first on, each with a pose near the truth.
@@ -40,11 +39,10 @@ fn assert_followed(lines: &[Line]) {
     for (line, expected) in lines.iter().zip(lines[0].sequence..) {
         assert_eq!(line.sequence, expected);
     }
-    let errors: Vec<_> = lines.iter().filter_map(Line::error).collect();
-    assert!(errors.len() * 1000 >= lines.len() * 999, "{} of {} scans have a pose", errors.len(), lines.len());
+    let honesty = Honesty::of(lines.iter().filter_map(Line::error));
     // Of 48 000 normal numbers 0.03 lie beyond 5 σ.
-    let beyond = errors.iter().filter(|(error, covariance)| worst_axis(error, covariance) > 5.0).count();
-    assert!(beyond <= 2, "{beyond} poses beyond 5 σ");
+    let is_followed = honesty.poses * 1000 >= lines.len() * 999 && honesty.beyond_five_sigma <= 2;
+    assert!(is_followed, "of {} scans: {honesty:?}", lines.len());
 }
 
 fn is_ping(command: &Command) -> bool {
@@ -54,8 +52,7 @@ fn is_ping(command: &Command) -> bool {
 #[test]
 fn two_seconds_through_a_terminal() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let record = folder.path().join("run.capture");
-    let record = record.to_str().expect("UTF-8");
+    let record = &*name_in(folder.path(), "run.capture");
     let (finished, log, _) = run(Board::wide(61), &["--duration", "2s", "--record", record]);
     assert_eq!((finished.code, finished.stderr.as_str()), (0, ""));
     let lines = ndjson::parse(&finished.clone().done());
@@ -102,7 +99,7 @@ fn poses_are_printed_before_the_next_scans_come() {
     while stdout.read_line(&mut String::new()).expect("UTF-8") > 0 {
         printed.fetch_add(1, Ordering::Relaxed);
     }
-    let finished = Finished::from(child.wait_with_output().expect("ends"));
+    let finished = Finished::of(child);
     assert_eq!((finished.code, printed.load(Ordering::Relaxed)), (0, 200), "{}", finished.stderr);
     assert!(terminal.closed().commands().contains(&Command::Stop));
 }
@@ -138,9 +135,9 @@ fn an_interrupt_stops_the_board_and_prints_all_it_took() {
     let folder = tempfile::tempdir().expect("temporary folder");
     // Whoever closes a terminal hangs up twice: the kernel does, and the shell does.
     for signals in [&[Signal::SIGINT][..], &[Signal::SIGTERM], &[Signal::SIGHUP, Signal::SIGHUP]] {
-        let signal = signals[0];
+        let first = signals[0];
         let terminal = Terminal::serve(Board::wide(63));
-        let record = folder.path().join(signal.as_str());
+        let record = folder.path().join(first.as_str());
         let record = record.to_str().expect("UTF-8");
         let mut child = spawn(&terminal, &["--record", record]);
         let mut stdout = BufReader::new(child.stdout.take().expect("piped"));
@@ -148,18 +145,16 @@ fn an_interrupt_stops_the_board_and_prints_all_it_took() {
         for _ in 0..1000 {
             stdout.read_line(&mut text).expect("line");
         }
-        for signal in signals {
-            kill(Pid::from_raw(child.id() as i32), *signal).expect("running");
-        }
+        signals.iter().for_each(|by| signal(&child, *by));
         stdout.read_to_string(&mut text).expect("UTF-8");
-        let finished = Finished::from(child.wait_with_output().expect("ends"));
-        assert_eq!((finished.code, finished.stderr.as_str()), (0, ""), "{signal}");
+        let finished = Finished::of(child);
+        assert_eq!((finished.code, finished.stderr.as_str()), (0, ""), "{first}");
         let lines = ndjson::parse(&text);
         assert_followed(&lines);
         let log = terminal.closed();
-        assert_eq!(log.commands().last(), Some(&Command::Stop), "{signal}");
-        assert_eq!(lines.len(), decode(&log.sent).scans.len(), "{signal}");
-        assert!(slitpose!().run(["replay", record]).done() == text, "{signal}: the capture has other poses");
+        assert_eq!(log.commands().last(), Some(&Command::Stop), "{first}");
+        assert_eq!(lines.len(), decode(&log.sent).scans.len(), "{first}");
+        assert!(slitpose!().run(["replay", record]).done() == text, "{first}: the capture has other poses");
     }
 }
 
@@ -172,7 +167,7 @@ fn a_hang_up_that_is_ignored_ends_nothing() {
     let mut stdout = BufReader::new(child.stdout.take().expect("piped"));
     let mut text = String::new();
     stdout.read_line(&mut text).expect("line");
-    kill(Pid::from_raw(child.id() as i32), Signal::SIGHUP).expect("running");
+    signal(&child, Signal::SIGHUP);
     stdout.read_to_string(&mut text).expect("UTF-8");
     assert_eq!(child.wait().expect("ends").code(), Some(0));
     assert_eq!(ndjson::parse(&text).len(), 4000);
@@ -185,7 +180,7 @@ fn a_reader_that_goes_stops_the_board() {
     let mut stdout = BufReader::new(child.stdout.take().expect("piped"));
     stdout.read_line(&mut String::new()).expect("line");
     drop(stdout);
-    let finished = Finished::from(child.wait_with_output().expect("ends"));
+    let finished = Finished::of(child);
     assert_eq!((finished.code, finished.stderr.as_str()), (0, ""));
     assert_eq!(terminal.closed().commands().last(), Some(&Command::Stop));
 }
@@ -207,7 +202,7 @@ fn a_reader_that_sleeps_costs_nothing_and_the_board_stays_lit() {
     while pings.load(Ordering::Relaxed) < 3 && since.elapsed() < PATIENCE {
         std::thread::sleep(Duration::from_millis(10));
     }
-    let finished = Finished::from(child.wait_with_output().expect("ends"));
+    let finished = Finished::of(child);
     terminal.closed();
     assert!(pings.load(Ordering::Relaxed) >= 3, "no pings while nobody read");
     let lines = ndjson::parse(&finished.done());
@@ -287,10 +282,8 @@ fn garbage_is_not_a_board() {
 
 #[test]
 fn a_board_of_another_version_is_named_as_such() {
-    let device = edited(Board::wide(69), |message| {
-        let Message::Hello(mut hello) = message else { return Some(message) };
+    let device = greeting(Board::wide(69), |hello| {
         hello.protocol.major = 7;
-        Some(Message::Hello(hello))
     });
     let (finished, log, path) = run(device, &[]);
     finished.assert_refused(1, &[&path, "protocol 7.0", &PROTOCOL.to_string(), "update"]);
@@ -330,12 +323,8 @@ fn a_refused_command_is_named_with_its_reason() {
 
 #[test]
 fn a_board_with_another_full_scale_is_pointed_out() {
-    let device = edited(Board::wide(72), |message| match message {
-        Message::Hello(mut hello) => {
-            hello.scaling.amperes_per_code *= 0.9;
-            Some(Message::Hello(hello))
-        }
-        message => Some(message),
+    let device = greeting(Board::wide(72), |hello| {
+        hello.scaling.amperes_per_code *= 0.9;
     });
     let (finished, _, _) = run(device, &["--duration", "50ms"]);
     for word in ["up to 9.000 uA", "up to 10.000 uA", "full_scale_a"] {
@@ -413,6 +402,6 @@ fn a_port_in_use_is_left_alone() {
     let second = slitpose!().run(["run", "--device", &terminal.path, "--duration", "100ms"]);
     second.assert_refused(1, &[&terminal.path, "in use"]);
     stdout.read_to_string(&mut text).expect("UTF-8");
-    assert_eq!(Finished::from(first.wait_with_output().expect("ends")).code, 0);
+    assert_eq!(Finished::of(first).code, 0);
     assert_eq!(ndjson::parse(&text).len(), 4000);
 }

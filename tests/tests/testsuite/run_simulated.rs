@@ -1,20 +1,20 @@
 //! `slitpose run --device sim`: every scan arrives, says what the interface promises, and is as near
 //! to the truth as it claims.
 
-use std::collections::BTreeMap;
 use std::fmt::Write;
+use std::ops::Range;
 
 use serde_json::Value;
 use slitpose_model::Pose;
-use slitpose_tests::consistency::{error, nees, worst_axis};
+use slitpose_tests::consistency::{Honesty, error};
 use slitpose_tests::ndjson::{self, Line};
 use slitpose_tests::poses::{self, between};
-use slitpose_tests::statistics::median;
 use slitpose_tests::table::Table;
+use slitpose_tests::terminal::FRAME_RATE_HZ;
 use slitpose_tests::{process::Finished, slitpose};
 
-/// Frames a second of the default scene.
-const RATE_HZ: f64 = 4000.0;
+/// χ² of six degrees has the median 5.35: a covariance 19 % too large or 18 % too small fails.
+const USUAL_NEES: Range<f64> = 4.5..6.5;
 
 fn run(arguments: &[&str]) -> Finished {
     let finished = slitpose!().run(["run", "--device", "sim", "--speed", "max"].iter().chain(arguments));
@@ -34,31 +34,13 @@ fn assert_complete(lines: &[Line], count: usize) {
     for (i, line) in lines.iter().enumerate() {
         assert_eq!(line.sequence, i as u64);
         // Instants are exact in ticks of 6 ns.
-        assert!((line.device_time_s - start_s - i as f64 / RATE_HZ).abs() < 1e-9, "{line:?}");
+        assert!((line.device_time_s - start_s - i as f64 / FRAME_RATE_HZ).abs() < 1e-9, "{line:?}");
         assert!(line.truth.is_some() && line.cells_used <= 6, "{line:?}");
     }
 }
 
-struct Honesty {
-    poses: usize,
-    median_nees: f64,
-    beyond_five_sigma: usize,
-}
-
 fn honesty(lines: &[Line]) -> Honesty {
-    let errors: Vec<_> = lines.iter().filter_map(Line::error).collect();
-    let honesty = Honesty {
-        poses: errors.len(),
-        median_nees: median(errors.iter().map(|(error, covariance)| nees(error, covariance))),
-        beyond_five_sigma: errors.iter().filter(|(error, covariance)| worst_axis(error, covariance) > 5.0).count(),
-    };
-    let mut statuses = BTreeMap::new();
-    lines.iter().for_each(|line| *statuses.entry(line.status.as_str()).or_insert(0) += 1);
-    println!(
-        "{statuses:?}, median NEES {:.3}, {} of {} beyond 5 σ",
-        honesty.median_nees, honesty.beyond_five_sigma, honesty.poses
-    );
-    honesty
+    Honesty::of(lines.iter().filter_map(Line::error))
 }
 
 #[test]
@@ -71,60 +53,35 @@ fn ten_seconds_of_the_default() {
     assert!((lines[0].device_time_s - reference_ticks / 170e6).abs() < 1e-12, "{}", lines[0].device_time_s);
     let honesty = honesty(&lines);
     assert!(honesty.poses >= 39_960, "99.9 % of the scans must give a pose");
-    // Of 240 000 normal numbers 0.14 lie beyond 5 σ.
-    assert!(honesty.beyond_five_sigma <= 3);
-    // χ² of six degrees has the median 5.35: a covariance 19 % too large or 18 % too small fails.
-    assert!((4.5..6.5).contains(&honesty.median_nees));
+    honesty.assert(USUAL_NEES, 3);
 }
 
-#[test]
-fn the_paper_tier_is_as_honest() {
-    let lines = lines(&["--duration", "2s", "--tier", "paper", "--seed", "2"]);
-    assert_complete(&lines, 8_000);
-    let honesty = honesty(&lines);
-    assert!(honesty.poses >= 7_992 && honesty.beyond_five_sigma <= 3);
-    assert!((4.5..6.5).contains(&honesty.median_nees));
-}
-
-#[test]
-fn at_rest_nothing_but_noise_is_left() {
-    let lines = lines(&["--duration", "2s", "--trajectory", "still", "--seed", "3"]);
-    assert_complete(&lines, 8_000);
-    assert!(lines.iter().all(|line| line.truth == Some(Pose::HOME)));
-    let honesty = honesty(&lines);
-    assert!(honesty.poses == 8_000 && honesty.beyond_five_sigma <= 3);
-    assert!((4.5..6.5).contains(&honesty.median_nees));
-}
-
-#[test]
-fn four_times_the_usual_speed_costs_no_pose() {
-    let lines = lines(&["--duration", "2s", "--trajectory", "fast", "--seed", "4"]);
-    assert_complete(&lines, 8_000);
-    let honesty = honesty(&lines);
-    assert!(honesty.poses >= 7_992 && honesty.beyond_five_sigma <= 3);
-    // A parabola through five frames misses part of such bends: a covariance a quarter too small.
-    assert!((4.5..7.1).contains(&honesty.median_nees));
-}
-
-#[test]
-fn abrupt_reversals_cost_no_pose() {
-    let lines = lines(&["--duration", "2s", "--trajectory", "contact", "--seed", "5"]);
-    assert_complete(&lines, 8_000);
-    let honesty = honesty(&lines);
-    assert!(honesty.poses >= 7_992);
+/// Motions, and how their poses are: arguments, the fewest of 8 000 scans with a pose, the range of the median NEES, and the
+/// most poses beyond 5 σ.
+const MOTIONS: [(&[&str], usize, Range<f64>, usize); 4] = [
+    (&["--tier", "paper", "--seed", "2"], 7_992, USUAL_NEES, 3),
+    // Nothing but noise is left.
+    (&["--trajectory", "still", "--seed", "3"], 8_000, USUAL_NEES, 3),
+    // Four times the usual speed: a parabola through five frames misses part of such bends, a covariance a quarter too small.
+    (&["--trajectory", "fast", "--seed", "4"], 7_992, 4.5..7.1, 3),
     // Only a frame with a reversal between its exposures, 68 µs of 250, has no one twist: 36 of the 133 that
     // legs of 15 ms on average make in 2 s. Of those 2 do not show in the currents; of 2 on average more than
     // 10 come in one draw of 100 000.
-    assert!(honesty.beyond_five_sigma <= 10);
-    let largest_m = lines
-        .iter()
-        .filter_map(Line::error)
-        .map(|(error, _)| error[..3].iter().fold(0.0, |largest: f64, axis| largest.max(axis.abs())))
-        .fold(0.0, f64::max);
-    println!("largest error {:.1} um", largest_m * 1e6);
-    // The longest leg, 5 mm along each axis, in the shortest time, 5 ms, is 59 µm a slot of 34 µs.
-    assert!(largest_m < 59e-6);
-    assert!((4.5..6.5).contains(&honesty.median_nees));
+    (&["--trajectory", "contact", "--seed", "5"], 7_992, USUAL_NEES, 10),
+];
+
+#[test]
+fn whatever_the_motion_poses_are_as_honest() {
+    for (arguments, least_poses, nees, most_beyond) in MOTIONS {
+        let lines = lines(&[arguments, &["--duration", "2s"]].concat());
+        assert_complete(&lines, 8_000);
+        let honesty = honesty(&lines);
+        assert!(honesty.poses >= least_poses, "{honesty:?}");
+        honesty.assert(nees, most_beyond);
+        // Of abrupt reversals: the longest leg, 5 mm along each axis, in the shortest time, 5 ms, is 59 µm a slot of 34 µs.
+        assert!(honesty.largest_m < 59e-6, "{honesty:?}");
+        assert!(!arguments.contains(&"still") || lines.iter().all(|line| line.truth == Some(Pose::HOME)));
+    }
 }
 
 #[test]
@@ -200,7 +157,7 @@ fn a_path_from_a_table_is_followed() {
     }
     let honesty = honesty(&lines);
     assert_eq!(honesty.poses, 800);
-    assert!((4.5..6.5).contains(&honesty.median_nees));
+    honesty.assert(USUAL_NEES, 0);
 }
 
 #[test]

@@ -2,15 +2,11 @@
 //! depend on it.
 
 use std::fs;
-use std::path::Path;
 
 use slitpose_tests::poses;
+use slitpose_tests::process::text;
 use slitpose_tests::slitpose;
 use slitpose_tests::table::Table;
-
-fn text(path: &Path) -> &str {
-    path.to_str().expect("UTF-8 path")
-}
 
 #[test]
 fn captures_side_by_side_have_the_poses_of_their_own_replays() {

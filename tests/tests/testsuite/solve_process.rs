@@ -3,14 +3,12 @@
 
 use std::fmt::Write;
 
+use slitpose_tests::consistency::median;
 use slitpose_tests::poses::{self, PoseRow};
+use slitpose_tests::process::name_in;
 use slitpose_tests::scenes::{changed, ring};
 use slitpose_tests::slitpose;
-use slitpose_tests::statistics::median;
-use slitpose_tests::table::{Row, Table};
-
-const POSE: [&str; 6] = ["tx_mm", "ty_mm", "tz_mm", "rx_rad", "ry_rad", "rz_rad"];
-const SIGMA: [&str; 6] = ["sigma_tx_mm", "sigma_ty_mm", "sigma_tz_mm", "sigma_rx_rad", "sigma_ry_rad", "sigma_rz_rad"];
+use slitpose_tests::table::{POSE, Row, SIGMA, Table};
 
 /// Half extents of the shipped scenes' workspace.
 const WORKSPACE: (f64, f64) = (4.0, 15.0);
@@ -101,36 +99,23 @@ fn round_trip(scene: &str, tier: &str, seed: u64, least_converged: usize) {
     assert!(elsewhere < 3, "{elsewhere} poses elsewhere");
 }
 
-// Of this box 99.9 % light all cells of `wide`, and 80 % give each cell of `base` at least a
-// clipped spot; four σ of 500 draws are allowed for.
-
+/// Of this box 99.9 % light all cells of `wide`, and 80 % give each cell of `base` at least a
+/// clipped spot; four σ of 500 draws are allowed for.
 #[test]
-fn wide_round_trip_paper() {
-    round_trip("wide", "paper", 11, 497);
-}
-
-#[test]
-fn wide_round_trip_exact() {
-    round_trip("wide", "exact", 12, 497);
-}
-
-#[test]
-fn base_round_trip_paper() {
-    round_trip("base", "paper", 13, 364);
-}
-
-#[test]
-fn base_round_trip_exact() {
-    round_trip("base", "exact", 14, 364);
+fn round_trips_in_both_tiers() {
+    for (scene, tier, seed, least_converged) in
+        [("wide", "paper", 11, 497), ("wide", "exact", 12, 497), ("base", "paper", 13, 364), ("base", "exact", 14, 364)]
+    {
+        round_trip(scene, tier, seed, least_converged);
+    }
 }
 
 #[test]
 fn dark_current_is_taken_off_as_each_tier_puts_it_on() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let path = folder.path().join("dark.toml");
+    let scene = &*name_in(folder.path(), "dark.toml");
     let text = changed(slitpose_head::scene_file::WIDE.text, &[("dark_current_a = 0.0", "dark_current_a = 200e-9")]);
-    std::fs::write(&path, text).expect("scene");
-    let scene = path.to_str().expect("UTF-8 path");
+    std::fs::write(scene, text).expect("scene");
     let truths = poses::in_box(&mut poses::generator(17), WORKSPACE.0, WORKSPACE.1, 50);
     for tier in ["paper", "exact"] {
         let currents = currents(scene, tier, &truths);
@@ -216,10 +201,9 @@ fn cells_that_see_nothing_are_left_out() {
 fn a_saturated_detector_is_flagged_and_left_out() {
     // At home each detector of `wide` carries 6.8 µA, cell 0 at 2 mm towards it 9.8 µA.
     let folder = tempfile::tempdir().expect("temporary folder");
-    let path = folder.path().join("dim.toml");
+    let scene = &*name_in(folder.path(), "dim.toml");
     let text = changed(slitpose_head::scene_file::WIDE.text, &[("saturation_a = 100e-6", "saturation_a = 9e-6")]);
-    std::fs::write(&path, text).expect("scene");
-    let scene = path.to_str().expect("UTF-8 path");
+    std::fs::write(scene, text).expect("scene");
     let truth = [2.0, 0.0, 0.0, 0.0, 0.0, 0.0];
     let model = currents(scene, "exact", &[truth]);
     let table = Table::parse(&model);

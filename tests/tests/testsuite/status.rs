@@ -1,14 +1,12 @@
 //! A daemon tells how it does, to people, programs and Prometheus.
 
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{BufRead, BufReader};
 use std::net::TcpStream;
 use std::process::Child;
 use std::time::{Duration, Instant};
 
-use nix::sys::signal::{Signal, kill};
-use nix::unistd::Pid;
 use serde_json::Value;
-use slitpose_tests::process::Finished;
+use slitpose_tests::process::{self, Finished};
 use slitpose_tests::slitpose;
 
 /// No line for people is longer.
@@ -20,7 +18,7 @@ const PATIENCE: Duration = Duration::from_secs(30);
 /// A board followed in real time, and where the daemon tells how it does.
 fn start(device: &str, more: &[&str]) -> (Child, String) {
     let arguments = ["run", "--config", "none", "--device", device, "--format", "none", "--status", "127.0.0.1:0"];
-    let mut daemon = slitpose!().command(arguments.iter().chain(more)).spawn().expect("slitpose starts");
+    let mut daemon = slitpose!().spawn(arguments.iter().chain(more));
     let mut line = String::new();
     // Nothing more is said that could be lost with this reader.
     BufReader::new(daemon.stderr.as_mut().expect("piped")).read_line(&mut line).expect("UTF-8");
@@ -28,19 +26,8 @@ fn start(device: &str, more: &[&str]) -> (Child, String) {
     (daemon, address.to_owned())
 }
 
-fn interrupt(daemon: &Child) {
-    kill(Pid::from_raw(i32::try_from(daemon.id()).expect("an id")), Signal::SIGINT).expect("running");
-}
-
-/// The status line's code, and what follows the header.
 fn get(address: &str, path: &str) -> (u16, String) {
-    let mut stream = TcpStream::connect(address).expect("listens");
-    write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n").expect("request");
-    let mut text = String::new();
-    stream.read_to_string(&mut text).expect("an answer");
-    let (head, body) = text.split_once("\r\n\r\n").expect("a header");
-    let code = head.split(' ').nth(1).and_then(|code| code.parse().ok()).expect("a code");
-    (code, body.to_owned())
+    process::get(TcpStream::connect(address).expect("listens"), path).expect("an answer")
 }
 
 fn status(address: &str) -> Value {
@@ -99,8 +86,7 @@ fn a_daemon_tells_how_it_does() {
     assert!(json["boards"][0]["scans"].as_u64() >= board["scans"].as_u64(), "{json}");
     assert!(sample(&ask("prometheus"), "slitpose_scans_total") >= Some(scans));
 
-    interrupt(&daemon);
-    let finished = Finished::from(daemon.wait_with_output().expect("ends"));
+    let finished = Finished::interrupted(daemon);
     assert_eq!((finished.code, finished.stderr.as_str()), (0, ""));
     let silent = slitpose!().run(["status", "--address", &address]);
     silent.assert_refused(1, &[&address, "--status"]);
@@ -119,8 +105,7 @@ fn a_daemon_without_its_board_is_not_healthy() {
         assert!(since.elapsed() < PATIENCE, "{health}");
         std::thread::sleep(Duration::from_millis(20));
     }
-    interrupt(&daemon);
-    let finished = Finished::from(daemon.wait_with_output().expect("ends"));
+    let finished = Finished::interrupted(daemon);
     assert_eq!(finished.code, 0, "{}", finished.stderr);
 }
 
@@ -141,8 +126,7 @@ fn a_recording_that_is_taken_away_is_told() {
     until(&|health| health == "ok\n");
     std::fs::remove_file(&path).expect("was there");
     until(&|health| health.contains("was deleted, or replaced"));
-    interrupt(&daemon);
-    let finished = Finished::from(daemon.wait_with_output().expect("ends"));
+    let finished = Finished::interrupted(daemon);
     assert_eq!(finished.code, 3, "{}", finished.stderr);
     assert!(finished.stderr.contains("was deleted, or replaced"), "{}", finished.stderr);
 }

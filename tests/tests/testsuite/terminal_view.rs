@@ -5,7 +5,6 @@ use std::fs::File;
 use std::io::Read;
 use std::num::NonZero;
 use std::os::fd::OwnedFd;
-use std::path::Path;
 use std::process::Child;
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
@@ -13,8 +12,8 @@ use std::time::{Duration, Instant};
 
 use nix::fcntl::{FcntlArg, FdFlag, fcntl};
 use nix::pty::{Winsize, openpty};
-use nix::sys::signal::{Signal, kill};
-use nix::unistd::Pid;
+use nix::sys::signal::Signal;
+use slitpose_tests::process::{signal, text};
 use slitpose_tests::slitpose;
 
 /// A view that never comes is given up after this; it is no measure of speed.
@@ -110,9 +109,9 @@ impl Window {
     }
 
     /// Interrupts the command, if it is to be, and gives all that it wrote to the terminal.
-    fn end(mut self, signal: Option<Signal>) -> String {
-        if let Some(signal) = signal {
-            kill(Pid::from_raw(i32::try_from(self.child.0.id()).expect("an id")), signal).expect("signal");
+    fn end(mut self, by: Option<Signal>) -> String {
+        if let Some(by) = by {
+            signal(&self.child.0, by);
         }
         self.child.0.wait().expect("ends");
         self.reader.join().expect("reader");
@@ -128,15 +127,11 @@ fn count(characters: u16) -> NonZero<u16> {
 /// Names of lines that must not stand twice.
 const OTHERS: [&str; 6] = ["rate", "lost", "outcomes", "cells", "against", "MCU"];
 
-fn path(path: &Path) -> &str {
-    path.to_str().expect("UTF-8")
-}
-
 #[test]
 fn a_live_view_fits_every_window() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let capture = folder.path().join("c.mcap");
-    let arguments = ["run", "--config", "none", "--device", "sim", "--record", path(&capture)];
+    let arguments = ["run", "--config", "none", "--device", "sim", "--record", text(&capture)];
     let window = Window::open(&arguments, 24, 80, &[]);
     let (wide, low) =
         (["board", "link", "rate", "position", "rotation", "recorder"], ["board", "position", "rotation", "recorder"]);
@@ -145,8 +140,8 @@ fn a_live_view_fits_every_window() {
         window.resize(rows, columns);
         window.expect(names, &OTHERS);
     }
-    let text = window.end(Some(Signal::SIGINT));
-    assert!(text.contains("MB in ") && text.contains("slitpose: recorded "), "{text}");
+    let printed = window.end(Some(Signal::SIGINT));
+    assert!(printed.contains("MB in ") && printed.contains("slitpose: recorded "), "{printed}");
     let window = Window::open(&arguments[..5], 10, 40, &[]);
     window.expect(&["board", "position", "rotation"], &OTHERS);
     window.end(Some(Signal::SIGINT));
@@ -166,17 +161,17 @@ fn messages_stand_above_the_view() {
         ],
         &OTHERS,
     );
-    let text = window.end(Some(Signal::SIGINT));
-    assert!(text.contains("\u{1b}[33mlink        searching"), "what is wrong has no colour: {text:?}");
+    let printed = window.end(Some(Signal::SIGINT));
+    assert!(printed.contains("\u{1b}[33mlink        searching"), "what is wrong has no colour: {printed:?}");
 }
 
 #[test]
 fn a_replay_shows_summary_and_progress() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let capture = folder.path().join("capture.mcap");
-    slitpose!().run(["simulate", "--duration", "2s", "--output", path(&capture)]).done();
+    slitpose!().run(["simulate", "--duration", "2s", "--output", text(&capture)]).done();
     for (rows, columns) in [(24, 80), (10, 40)] {
-        let window = Window::open(&["replay", path(&capture), "--speed", "0.01"], rows, columns, &[]);
+        let window = Window::open(&["replay", text(&capture), "--speed", "0.01"], rows, columns, &[]);
         window.expect(&["board", "position", "rotation", "progress"], &OTHERS);
         window.resize(20, 60);
         window.expect(&["board", "position", "rotation", "progress"], &OTHERS);
@@ -184,12 +179,15 @@ fn a_replay_shows_summary_and_progress() {
     }
     // A terminal that cannot move its cursor gets the summary once.
     for terminal in ["dumb", ""] {
-        let text = Window::open(&["replay", path(&capture)], 24, 80, &[("TERM", terminal)]).end(None);
-        assert!(!text.contains('\u{1b}') && text.matches("position").count() == 1, "{text:?}");
-        assert!(!text.contains("progress"), "{text}");
+        let printed = Window::open(&["replay", text(&capture)], 24, 80, &[("TERM", terminal)]).end(None);
+        assert!(!printed.contains('\u{1b}') && printed.matches("position").count() == 1, "{printed:?}");
+        assert!(!printed.contains("progress"), "{printed}");
     }
-    let text = Window::open(&["replay", path(&capture)], 24, 80, &[("NO_COLOR", "1")]).end(None);
-    assert!(text.contains("progress") && !text.contains("m\u{1b}") && !text.contains("\u{1b}[0m"), "{text:?}");
+    let printed = Window::open(&["replay", text(&capture)], 24, 80, &[("NO_COLOR", "1")]).end(None);
+    assert!(
+        printed.contains("progress") && !printed.contains("m\u{1b}") && !printed.contains("\u{1b}[0m"),
+        "{printed:?}"
+    );
 }
 
 #[test]
@@ -199,11 +197,11 @@ fn a_table_that_goes_to_a_file_shows_its_progress() {
     let rows = (0..4000).map(|id| format!("{id},0.1,0.2,0.3,0,0,0\n"));
     let header = "id,tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad\n";
     std::fs::write(&poses, header.to_owned() + &rows.collect::<String>()).expect("written");
-    let model = ["model", "wide", "--poses", path(&poses)];
+    let model = ["model", "wide", "--poses", text(&poses)];
     let shown = |arguments: &[&str]| Window::open(arguments, 24, 80, &[]).end(None);
     assert!(!shown(&model).contains(" MB"), "the table goes to the terminal");
-    let text = shown(&[&model[..], &["--output", path(&currents)]].concat());
-    assert!(text.contains("model") && text.contains(" MB"), "{text:?}");
+    let printed = shown(&[&model[..], &["--output", text(&currents)]].concat());
+    assert!(printed.contains("model") && printed.contains(" MB"), "{printed:?}");
 }
 
 #[test]

@@ -1,16 +1,14 @@
 //! Boards that answer, and whose poses cannot be had: each is named with what to do, and no run waits for ever.
 
-use std::io::{Read, Write};
+use std::io::{BufRead, BufReader};
 use std::net::TcpStream;
 use std::process::Child;
 use std::time::{Duration, Instant};
 
-use nix::sys::signal::{Signal, kill};
-use nix::unistd::Pid;
 use slitpose_protocol::{BoardKind, Command, Decoder, Hello, MAX_MESSAGE_BYTES, Message};
-use slitpose_tests::process::Finished;
+use slitpose_tests::process::{Finished, get};
 use slitpose_tests::slitpose;
-use slitpose_tests::terminal::{Board, Device, Log, Terminal, edited, packet};
+use slitpose_tests::terminal::{Board, Device, Log, Terminal, edited, greeting, packet};
 
 /// A busy machine may take its time.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -29,12 +27,12 @@ impl Run {
     fn on(terminal: Terminal, arguments: &[&str]) -> Self {
         let arguments =
             ["run", "--config", "none", "--device", &terminal.path].into_iter().chain(arguments.iter().copied());
-        let child = slitpose!().command(arguments).spawn().expect("slitpose starts");
+        let child = slitpose!().spawn(arguments);
         Self { terminal, child }
     }
 
     fn end(self) -> (Finished, Log) {
-        let finished = Finished::from(self.child.wait_with_output().expect("ends"));
+        let finished = Finished::of(self.child);
         (finished, self.terminal.closed())
     }
 }
@@ -89,34 +87,17 @@ fn a_run_without_usable_scans_ends_and_says_why() {
     }
 }
 
-/// The status line's code, and what follows the header.
-fn health(address: &str) -> (u16, String) {
-    let mut stream = TcpStream::connect(address).expect("listens");
-    write!(stream, "GET /health HTTP/1.0\r\n\r\n").expect("request");
-    let mut text = String::new();
-    stream.read_to_string(&mut text).expect("an answer");
-    let (head, body) = text.split_once("\r\n\r\n").expect("a header");
-    (head.split(' ').nth(1).and_then(|code| code.parse().ok()).expect("a code"), body.to_owned())
-}
-
 #[test]
 fn no_board_without_scans_is_healthy_at_any_time() {
     let mut run =
         Run::on(Terminal::serve_until_pulled(misconfigured(84)), &["--format", "none", "--status", "127.0.0.1:0"]);
-    let mut said = Vec::new();
-    let mut stderr = run.child.stderr.take().expect("piped");
-    let address = loop {
-        let mut byte = [0];
-        stderr.read_exact(&mut byte).expect("says where it is");
-        match byte {
-            [b'\n'] => break String::from_utf8(said).expect("UTF-8"),
-            [byte] => said.push(byte),
-        }
-    };
-    let address = address.strip_prefix("slitpose: status at ").expect("an address");
+    // Nothing more is said that could be lost with this reader.
+    let mut address = String::new();
+    BufReader::new(run.child.stderr.as_mut().expect("piped")).read_line(&mut address).expect("says where it is");
+    let address = address.trim_end().strip_prefix("slitpose: status at ").expect("an address");
     let since = Instant::now();
     loop {
-        let (code, text) = health(address);
+        let (code, text) = get(TcpStream::connect(address).expect("listens"), "/health").expect("an answer");
         assert_eq!(code, 503, "{text}");
         if text.contains("that this program has not given") {
             break;
@@ -124,24 +105,17 @@ fn no_board_without_scans_is_healthy_at_any_time() {
         assert!(since.elapsed() < PATIENCE, "{text}");
         std::thread::sleep(Duration::from_millis(50));
     }
-    kill(Pid::from_raw(i32::try_from(run.child.id()).expect("an id")), Signal::SIGINT).expect("running");
-    assert_eq!(run.child.wait().expect("ends").code(), Some(3), "batches were lost");
+    assert_eq!(Finished::interrupted(run.child).code, 3, "batches were lost");
 }
 
 #[test]
 fn what_only_a_person_can_mend_ends_the_program_at_once() {
-    let of_four_cells = edited(Board::wide(85), |mut message| {
-        if let Message::Hello(hello) = &mut message {
-            hello.schedule.cells = 4;
-            hello.schedule.slots.iter_mut().for_each(|lit| lit.0 &= 0b1111);
-        }
-        Some(message)
+    let of_four_cells = greeting(Board::wide(85), |hello| {
+        hello.schedule.cells = 4;
+        hello.schedule.slots.iter_mut().for_each(|lit| lit.0 &= 0b1111);
     });
-    let without_scale = edited(Board::wide(86), |mut message| {
-        if let Message::Hello(hello) = &mut message {
-            hello.scaling.amperes_per_code = f64::NAN;
-        }
-        Some(message)
+    let without_scale = greeting(Board::wide(86), |hello| {
+        hello.scaling.amperes_per_code = f64::NAN;
     });
     let runs = [
         (Run::start(of_four_cells, &[]), ["samples 4 cells", "6"]),
@@ -177,11 +151,8 @@ fn what_no_sound_board_does_is_said_once_and_poses_go_on() {
         }
         Some(message)
     });
-    let truthful = edited(Board::wide(90), |mut message| {
-        if let Message::Hello(hello) = &mut message {
-            hello.kind = BoardKind::Physical;
-        }
-        Some(message)
+    let truthful = greeting(Board::wide(90), |hello| {
+        hello.kind = BoardKind::Physical;
     });
     // Says who it is once more after a hundred batches, by another name.
     let (mut board, mut decoder) = (Board::wide(91), Decoder::<MAX_MESSAGE_BYTES>::new());

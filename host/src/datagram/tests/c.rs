@@ -1,4 +1,4 @@
-//! Clients in C, compiled as users would.
+//! Clients in C, compiled as users would, and the header as programs find it once it is installed.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -15,10 +15,9 @@ use crate::pipeline::Record;
 /// What a test compiles and runs.
 pub(super) fn compile(source: &Path, folder: &TempDir) -> PathBuf {
     let program = folder.path().join(source.file_stem().unwrap());
-    let include = Path::new(env!("CARGO_MANIFEST_DIR")).join("include");
     let output = Command::new("cc")
         .args(["-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-std=c11", "-pthread", "-I"])
-        .arg(include)
+        .arg(host("include"))
         .arg("-o")
         .args([&program, source])
         .arg("-lm")
@@ -183,7 +182,7 @@ fn publish_for(mut program: Child, publisher: &mut Publisher, record: &Record) -
 #[test]
 fn the_example_client_follows_on_both_kinds_of_socket() {
     let bench = Bench::new();
-    let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/c/follow_pose.c");
+    let example = host("examples/c/follow_pose.c");
     let program = compile(&example, &bench.folder);
     let mut publisher = bench.server.publisher(DEVICE);
     let record = record();
@@ -235,18 +234,75 @@ fn c_asks_for_the_newest_of_a_board() {
     }
 }
 
+/// A file of this crate.
+pub(super) fn host(path: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
+}
+
+fn install(prefix: &str, destination: &str) -> Output {
+    let mut command = Command::new(host("include/install"));
+    command.env("PREFIX", prefix).env("DESTDIR", destination).output().unwrap()
+}
+
+/// The output of a shell command that finds the package under `prefix`.
+fn shell(prefix: &str, command: &str) -> String {
+    let path = format!("{prefix}/share/pkgconfig");
+    let output = Command::new("sh").args(["-c", command]).env("PKG_CONFIG_PATH", path).output().unwrap();
+    assert!(output.status.success(), "`{command}` (needs cc and pkg-config): {output:?}");
+    String::from_utf8(output.stdout).unwrap().trim().to_owned()
+}
+
 #[test]
-fn latency_is_measured_by_a_client() {
-    let bench = Bench::new();
-    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/latency/latency.c");
-    let program = compile(&source, &bench.folder);
-    let mut publisher = bench.server.publisher(DEVICE);
-    let address = bench.server.addresses()[0].to_string();
-    let client = Command::new(&program).args([&address, "200", "20"]).stdout(Stdio::piped()).spawn().unwrap();
-    let output = publish_for(client, &mut publisher, &record());
-    let text = String::from_utf8(output.stdout).unwrap();
-    println!("{text}");
-    let lines: Vec<&str> = text.lines().collect();
-    assert!(output.status.success() && lines[0].starts_with("datagrams 220, "), "{text}");
-    assert!(lines[1].starts_with("bytes-in to pose-out: median ") && lines.len() == 3, "{text}");
+fn a_program_finds_the_installed_header_by_pkg_config() {
+    let folder = TempDir::new().unwrap();
+    let prefix = folder.path().join("prefix").to_str().unwrap().to_owned();
+    let output = install(&prefix, "");
+    assert!(output.status.success() && output.stderr.is_empty(), "{output:?}");
+    assert_eq!(shell(&prefix, "pkg-config --modversion slitpose-pose"), env!("CARGO_PKG_VERSION"));
+    let (source, program) = (host("examples/c/follow_pose.c"), folder.path().join("follow_pose"));
+    let (source, program) = (source.display(), program.display());
+    shell(&prefix, &format!("cc -std=c11 $(pkg-config --cflags slitpose-pose) -o '{program}' '{source}'"));
+    // Installed is what this tree has, and it is what was found: the source has no other header beside it.
+    let installed = std::fs::read(format!("{prefix}/include/slitpose_pose.h")).unwrap();
+    assert_eq!(installed, std::fs::read(host("include/slitpose_pose.h")).unwrap());
+    assert_eq!(shell(&prefix, "pkg-config --cflags slitpose-pose"), format!("-I{prefix}/include"));
+}
+
+#[test]
+fn a_package_is_staged_under_destdir_and_a_relative_prefix_is_refused() {
+    let folder = TempDir::new().unwrap();
+    let stage = folder.path().to_str().unwrap();
+    assert!(install("/opt/slitpose", stage).status.success());
+    let package = std::fs::read_to_string(format!("{stage}/opt/slitpose/share/pkgconfig/slitpose-pose.pc")).unwrap();
+    assert!(package.starts_with("prefix=/opt/slitpose\n") && !package.contains(stage), "{package}");
+    assert!(Path::new(&format!("{stage}/opt/slitpose/include/slitpose_pose.h")).exists());
+
+    let refused = install("local", stage);
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("PREFIX=local"), "{refused:?}");
+    assert!(!Path::new(&format!("{stage}local")).exists());
+}
+
+#[test]
+fn header_and_examples_compile_without_warnings_in_every_standard() {
+    const WARNINGS: [&str; 7] = ["-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Wundef", "-Werror"];
+    let folder = TempDir::new().unwrap();
+    let alone = folder.path().join("alone.c");
+    std::fs::write(&alone, "#define _POSIX_C_SOURCE 200809L\n#include \"slitpose_pose.h\"\n").unwrap();
+    let sources = [alone, host("examples/c/follow_pose.c"), host("examples/c/virtual_wall.c")];
+    let in_c: &[&[&str]] = &[&["-std=c99"], &["-std=c11"]];
+    let in_cpp: &[&[&str]] = &[&["-x", "c++", "-std=c++11"], &["-x", "c++", "-std=c++17"]];
+    for (compiler, standards) in [("cc", in_c), ("c++", in_cpp)] {
+        for (standard, source) in standards.iter().flat_map(|s| sources.iter().map(move |source| (s, source))) {
+            let mut command = Command::new(compiler);
+            command.args(*standard).args(WARNINGS).arg("-O2").arg("-I").arg(host("include"));
+            let output = command
+                .args(["-c", "-o"])
+                .arg(folder.path().join("object"))
+                .arg(source)
+                .output()
+                .expect("cc and c++; on Debian: apt-get install g++");
+            assert!(output.status.success(), "{command:?}: {}", String::from_utf8_lossy(&output.stderr));
+        }
+    }
 }

@@ -1,11 +1,8 @@
 //! What the tests of this folder share.
 
 mod c;
-mod installed;
 mod server;
-mod slot;
 mod wall;
-mod wall_loop;
 
 use std::io::IoSlice;
 use std::net::{Ipv4Addr, UdpSocket};

@@ -1,4 +1,0 @@
-//! The target `scene` of `tests/fuzz`.
-#![no_main]
-
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| slitpose_fuzz::run("scene", bytes));

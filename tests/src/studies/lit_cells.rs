@@ -1,0 +1,450 @@
+//! What a tracker costs, and whether it keeps up, whatever its head sees: few lit cells, faulty
+//! cells, light of another tier than the solver's.
+//!
+//! Work is counted in evaluations of the whole head, which any machine counts alike; times are those of a thread's own on
+//! the machine that ran, so that other programs are not in them.
+
+use std::collections::BTreeMap;
+
+use clap::Args;
+use nix::time::{ClockId, clock_gettime};
+use rand::RngExt;
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+use slitpose::pipeline::{Pipeline, PipelineError, SceneMatch};
+use slitpose_head::front_end::Stage;
+use slitpose_head::scene_file::SceneFile;
+use slitpose_head::simulator::{Trajectory, TrajectoryKind};
+use slitpose_model::{DegradedReason, Outcome, Pair, Plan, Pose, Solver, Tier, Tracker, Verified};
+
+use super::trials::{Disturbance, HALF, Trials, lit_pose};
+use super::{Table, Verdicts};
+use crate::capture::{Decoded, STREAM, capture, decode, packets};
+use crate::consistency::{Sorted, error, worst_axis};
+use crate::poses::pose;
+
+/// What a scan may take, 99 % of all scans, µs.
+const MOST_P99_US: f64 = 100.0;
+
+/// A scan that waits for longer is late, µs, as `slitpose run` has it. The system may stop a thread for less.
+const LATE_US: f64 = 5000.0;
+
+/// Evaluations of one scan: its own 20, 56 that scans before have saved, and a dozen to end what has begun.
+/// At some 2.5 µs each they leave some of the 250 µs of a scan at 4 kHz.
+const MOST_EVALUATIONS: f64 = 88.0;
+
+/// Of 99 % of all scans: without what is saved but rarely. At 2.5 µs each 90 µs.
+const MOST_OF_99: f64 = 36.0;
+
+/// A pose this many of its σ from the truth, on any axis, is wrong.
+const WRONG_SIGMAS: f64 = 8.0;
+
+#[derive(Debug, Args)]
+pub struct Options {
+    /// Names of shipped scenes, or scene files
+    #[arg(default_value = "wide")]
+    scenes: Vec<String>,
+    /// Runs of each case
+    #[arg(long, default_value_t = 10)]
+    runs: usize,
+    /// Scans of each run
+    #[arg(long, default_value_t = 1000)]
+    scans: usize,
+    /// Times that each run is made; a scan counts with the least: what other users of the processor's caches and units add
+    /// differs from pass to pass
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(1..))]
+    passes: u8,
+    /// Scans with all cells well before each run of a second set of cases
+    #[arg(long, default_value_t = 20)]
+    healthy: usize,
+    /// Seed of everything that is drawn
+    #[arg(long, default_value_t = 20_180_718)]
+    seed: u64,
+    /// Without a verdict on times
+    #[arg(long)]
+    untimed: bool,
+}
+
+/// What the head sees.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Sight {
+    /// So many random cells; the others are blocked and measure noise.
+    Lit(usize),
+    /// Both electrodes of one cell scatter by 5 % of their current.
+    NoisyCell,
+    /// The electrodes of one cell are exchanged.
+    SwappedElectrodes,
+    /// Two cells are exchanged.
+    SwappedCells,
+    /// One electrode measures the same whatever the light.
+    StuckElectrode,
+    /// Two cells, drawn anew each scan, are exchanged.
+    RandomSwaps,
+}
+
+impl Sight {
+    const FAULTS: [Self; 5] =
+        [Self::NoisyCell, Self::SwappedElectrodes, Self::SwappedCells, Self::StuckElectrode, Self::RandomSwaps];
+
+    /// What the cells then measure; `order` is the run's random order of the cells.
+    fn apply(self, order: &[usize], light: &mut [Pair<f64>], rng: &mut ChaCha8Rng) {
+        let faulty = order[0];
+        let pair = &mut light[faulty];
+        match self {
+            Self::Lit(lit) => order[lit..].iter().for_each(|&cell| light[cell] = Pair::default()),
+            Self::NoisyCell => {
+                let mut scatter = || 1.0 + 0.05 * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, rng);
+                *pair = Pair { i_x1_a: pair.i_x1_a * scatter(), i_x2_a: pair.i_x2_a * scatter() };
+            }
+            Self::SwappedElectrodes => std::mem::swap(&mut pair.i_x1_a, &mut pair.i_x2_a),
+            Self::SwappedCells => light.swap(faulty, order[1]),
+            // About the middle of what an electrode of the default head measures.
+            Self::StuckElectrode => pair.i_x2_a = 5e-6,
+            Self::RandomSwaps => {
+                let mut cells: Vec<usize> = (0..light.len()).collect();
+                cells.shuffle(rng);
+                light.swap(cells[0], cells[1]);
+            }
+        }
+    }
+}
+
+/// One case: each run draws its pose or path, and its cells, anew.
+#[derive(Clone, Copy, Debug)]
+struct Case {
+    sight: Sight,
+    /// What the solver assumes.
+    tier: Tier,
+    /// What the light does.
+    light: Tier,
+    /// Along a smooth path, or at rest at a random pose at which all cells are lit.
+    moves: bool,
+    /// Scans in which all cells are well and lit before `sight` begins: none, or a track to hold on to.
+    healthy: usize,
+}
+
+/// What one scan came to.
+#[derive(Clone, Copy, Debug)]
+struct Scan {
+    /// Evaluations of all cells.
+    evaluations: usize,
+    /// Time that the tracker took of a processor.
+    cost_ns: u64,
+    outcome: Outcome,
+    verified: Verified,
+    /// The largest error of an axis in σ; `None` without pose.
+    worst_sigmas: Option<f64>,
+}
+
+impl Scan {
+    /// Whether its pose is wrong and not called a misfit.
+    fn is_wrong(&self) -> bool {
+        let is_doubted = matches!(self.outcome, Outcome::Degraded(DegradedReason::Misfit | DegradedReason::Unfinished));
+        !is_doubted && self.worst_sigmas.is_some_and(|sigmas| sigmas > WRONG_SIGMAS)
+    }
+}
+
+pub fn study(options: &Options) -> Verdicts {
+    let trials = Trials { count: options.runs, seed: options.seed };
+    println!("{options:?}");
+    let mut table = Table::new(&[
+        "head",
+        "cells",
+        "tier on light",
+        "tool",
+        "start",
+        "evaluations",
+        "99 %",
+        "most",
+        "us",
+        "99 %",
+        "most",
+        "lag us",
+        "verified/wrong",
+        "outcomes",
+    ]);
+    let mut verdicts = Verdicts::default();
+    for scene in &options.scenes {
+        let file = SceneFile::open(scene).unwrap_or_else(|error| panic!("{error}"));
+        let besides_us = intake_us(&file, options.seed);
+        println!(
+            "{scene}: besides its tracker 99 % of scans cost at most {besides_us:.1} us, which is in all that follows"
+        );
+        let sights = (0..=file.scene.cells.len()).rev().map(Sight::Lit).chain(Sight::FAULTS);
+        for sight in sights {
+            for (tier, light) in [(STREAM, STREAM), (Tier::Paper, Tier::Paper), (Tier::Paper, STREAM)] {
+                for (moves, healthy) in [(false, 0), (false, options.healthy), (true, 0), (true, options.healthy)] {
+                    let case = Case { sight, tier, light, moves, healthy };
+                    let runs = (0..trials.count).map(|run| {
+                        let pass = || Rig::new(&file, case).run(options.scans, &mut trials.generator(run));
+                        (1..options.passes).fold(pass(), |least, _| with_least_times(least, &pass()))
+                    });
+                    let report = Report { case, runs: runs.collect(), besides_us, period_s: period_s(&file) };
+                    table.row(report.row(&file.name));
+                    report.check(options, &mut verdicts);
+                }
+            }
+        }
+    }
+    print!("{table}");
+    verdicts
+}
+
+/// A head in front of a tool, and the tracker that follows it.
+struct Rig<'a> {
+    file: &'a SceneFile,
+    case: Case,
+    light: Plan<f64>,
+    disturbance: Disturbance,
+    exposures_s: Vec<f64>,
+    tracker: Tracker<f64>,
+}
+
+fn period_s(file: &SceneFile) -> f64 {
+    file.front_end.as_ref().expect("the scene has a front end").frame_rate_hz.recip()
+}
+
+impl<'a> Rig<'a> {
+    fn new(file: &'a SceneFile, case: Case) -> Self {
+        let still = Trajectory::of_kind(TrajectoryKind::Still, 0, 1.0);
+        let Decoded { schedule, scaling, .. } = decode(&capture(file, still, case.tier, 0, 1));
+        let exposures_s = Stage::new(file, &schedule, &scaling).exposures_s();
+        let scene = Stage::weighted_scene(file, &schedule, &scaling);
+        let solver =
+            Solver::new(&scene, case.tier).unwrap_or_else(|error| panic!("{error}")).with_exposures(&exposures_s);
+        Self {
+            file,
+            case,
+            light: Plan::compile(&scene, case.light).unwrap_or_else(|error| panic!("{error}")),
+            disturbance: Disturbance::of(&scene),
+            exposures_s,
+            tracker: Tracker::new(solver, schedule.frame_rate_hz().recip()),
+        }
+    }
+
+    /// Where the tool is, as a function of time.
+    fn motion(&self, rng: &mut ChaCha8Rng) -> Box<dyn Fn(f64) -> Pose> {
+        if self.case.moves {
+            let trajectory = Trajectory::of_kind(TrajectoryKind::Smooth, rng.random(), 10.0);
+            Box::new(move |time_s| trajectory.pose(time_s))
+        } else {
+            let pose = pose(lit_pose(&self.file.scene, &self.light, HALF, rng).0);
+            Box::new(move |_| pose)
+        }
+    }
+
+    fn run(mut self, scans: usize, rng: &mut ChaCha8Rng) -> Vec<Scan> {
+        let Case { sight, healthy, .. } = self.case;
+        let motion = self.motion(rng);
+        let mut order: Vec<usize> = (0..self.exposures_s.len()).collect();
+        order.shuffle(rng);
+        (0..healthy + scans)
+            .map(|frame| {
+                let time_s = frame as f64 * period_s(self.file);
+                let mut light: Vec<Pair<f64>> = (self.exposures_s.iter().enumerate())
+                    .map(|(cell, exposure_s)| self.light.photocurrents(cell, &motion(time_s + exposure_s)))
+                    .collect();
+                if frame >= healthy {
+                    sight.apply(&order, &mut light, rng);
+                }
+                let readings = self.disturbance.measured(&light, rng);
+                let start_ns = processor_ns();
+                let solution = self.tracker.track(frame as u64, &readings).solution;
+                let cost_ns = processor_ns() - start_ns;
+                let worst_sigmas = solution
+                    .estimate
+                    .map(|estimate| worst_axis(&error(&estimate.pose, &motion(time_s)), &estimate.covariance));
+                let (evaluations, outcome, verified) = (solution.evaluations, solution.outcome, solution.verified());
+                Scan { evaluations, cost_ns, outcome, verified, worst_sigmas }
+            })
+            .skip(healthy)
+            .collect()
+    }
+}
+
+fn with_least_times(mut scans: Vec<Scan>, again: &[Scan]) -> Vec<Scan> {
+    assert_eq!(scans.len(), again.len());
+    for (scan, again) in scans.iter_mut().zip(again) {
+        assert_eq!(scan.evaluations, again.evaluations, "the same draws");
+        scan.cost_ns = scan.cost_ns.min(again.cost_ns);
+    }
+    scans
+}
+
+/// What a scan costs besides its tracker, µs: decoding, scaling, the health of the cells, and a record; what 99 % do not
+/// exceed, by packets of some scans each.
+fn intake_us(file: &SceneFile, seed: u64) -> f64 {
+    const SCANS: usize = 4000;
+    let bytes = capture(file, Trajectory::of_kind(TrajectoryKind::Smooth, seed, 1.0), Tier::Paper, seed, SCANS);
+    // A tracker for which all of this light is too faint returns at once.
+    let mut blind = file.clone();
+    blind.scene.cells.iter_mut().for_each(|cell| cell.detector.faint_a = f64::MAX);
+    let mut pipeline = Pipeline::new(blind, STREAM, SceneMatch::Waived).watched();
+    let mut costs_us = Vec::new();
+    for packet in packets(&bytes) {
+        let start_ns = processor_ns();
+        pipeline.push(&bytes[packet.bytes], |_| Ok::<_, PipelineError>(())).unwrap_or_else(|error| panic!("{error}"));
+        let cost_ns = processor_ns() - start_ns;
+        if !packet.scans.is_empty() {
+            costs_us.push(cost_ns as f64 * 1e-3 / packet.scans.count() as f64);
+        }
+    }
+    assert_eq!(pipeline.counts().scans, SCANS as u64);
+    Sorted::of(costs_us).at(0.99)
+}
+
+/// Time that this thread has had of a processor.
+fn processor_ns() -> u64 {
+    let time = clock_gettime(ClockId::CLOCK_THREAD_CPUTIME_ID).expect("a clock of threads");
+    (time.tv_sec() * 1_000_000_000 + time.tv_nsec()) as u64
+}
+
+/// The longest time from a scan's arrival to its pose, seconds, if scans arrive every `period_s` and
+/// cost `costs_s` each: one server, first come, first served.
+fn most_lag_s(period_s: f64, costs_s: impl IntoIterator<Item = f64>) -> f64 {
+    let (mut free_s, mut most_s) = (0.0_f64, 0.0_f64);
+    for (scan, cost_s) in costs_s.into_iter().enumerate() {
+        let arrival_s = scan as f64 * period_s;
+        free_s = free_s.max(arrival_s) + cost_s;
+        most_s = most_s.max(free_s - arrival_s);
+    }
+    most_s
+}
+
+/// What a case came to.
+struct Report {
+    case: Case,
+    runs: Vec<Vec<Scan>>,
+    period_s: f64,
+    besides_us: f64,
+}
+
+impl Report {
+    fn scans(&self) -> impl Iterator<Item = &Scan> {
+        self.runs.iter().flatten()
+    }
+
+    /// All scans but the first of each run, whose search may take as long as a cold solve.
+    fn later(&self) -> impl Iterator<Item = &Scan> {
+        self.runs.iter().flat_map(|run| &run[1..])
+    }
+
+    fn evaluations(&self) -> Sorted {
+        Sorted::of(self.later().map(|scan| scan.evaluations as f64))
+    }
+
+    fn cost_us(&self, scan: &Scan) -> f64 {
+        scan.cost_ns as f64 * 1e-3 + self.besides_us
+    }
+
+    fn costs_us(&self) -> Sorted {
+        Sorted::of(self.later().map(|scan| self.cost_us(scan)))
+    }
+
+    /// The longest time from a scan's arrival to its pose after the first, were this computer's solver fed
+    /// at the head's rate, µs.
+    fn most_lag_us(&self) -> f64 {
+        let of_run = |run: &Vec<Scan>| most_lag_s(self.period_s, run[1..].iter().map(|scan| self.cost_us(scan) * 1e-6));
+        self.runs.iter().map(of_run).fold(0.0, f64::max) * 1e6
+    }
+
+    fn wrong(&self) -> usize {
+        self.scans().filter(|scan| scan.is_wrong()).count()
+    }
+
+    fn check(&self, options: &Options, verdicts: &mut Verdicts) {
+        let Case { sight, tier, light, moves, healthy } = self.case;
+        let what = format!("{:?}", self.case);
+        let evaluations = self.evaluations();
+        let (most, of_99) = (evaluations.most(), evaluations.at(0.99));
+        verdicts.check(
+            most <= MOST_EVALUATIONS && of_99 <= MOST_OF_99,
+            format!("{what}: at most {most} evaluations, of 99 % {of_99}"),
+        );
+        if !options.untimed {
+            let (of_99_us, lag_us) = (self.costs_us().at(0.99), self.most_lag_us());
+            verdicts.check(
+                of_99_us <= MOST_P99_US && lag_us <= LATE_US,
+                format!("{what}: 99 % within {MOST_P99_US} us, none later than {LATE_US} us"),
+            );
+        }
+        let Sight::Lit(lit) = sight else { return };
+        if tier != light {
+            return;
+        }
+        verdicts.check(self.wrong() == 0, format!("{what}: {} wrong poses", self.wrong()));
+        let is_tracked = healthy > 0;
+        // Two cells tell of no pose; a track of three ends where its pose has a twin, after 25 scans at the least.
+        let least = match lit {
+            0..=2 => 0.0,
+            3 => 25.0 / options.scans as f64,
+            _ => 0.99,
+        };
+        let with_pose = self.scans().filter(|scan| scan.worst_sigmas.is_some()).count() as f64;
+        let share = with_pose / self.scans().count() as f64;
+        verdicts.check(!is_tracked || share >= least, format!("{what}: {share:.3} of scans with a pose"));
+        if lit == 6 || lit > 3 && is_tracked || !moves && lit < 3 {
+            // What one solve of a tool that was expected takes.
+            let mean = self.later().map(|scan| scan.evaluations as f64).sum::<f64>() / self.later().count() as f64;
+            verdicts.check(mean < 2.5, format!("{what}: {mean:.2} evaluations in the mean"));
+        }
+    }
+
+    /// The two most frequent outcomes and their shares.
+    fn outcomes(&self) -> String {
+        let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
+        for scan in self.scans() {
+            let word = match &scan.outcome {
+                Outcome::Degraded(weakness) => weakness.as_str(),
+                other => other.as_str(),
+            };
+            *counts.entry(word).or_default() += 1;
+        }
+        let mut counts: Vec<_> = counts.into_iter().collect();
+        counts.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
+        let total = self.scans().count() as f64;
+        let part = |(word, count): &(&str, usize)| format!("{word} {:.1} %", 100.0 * *count as f64 / total);
+        counts.iter().take(2).map(part).collect::<Vec<_>>().join(", ")
+    }
+
+    fn row(&self, head: &str) -> [String; 14] {
+        let Case { sight, tier, light, moves, healthy } = self.case;
+        let name = |tier| if tier == Tier::Paper { "paper" } else { "exact" };
+        let (evaluations, costs_us) = (self.evaluations(), self.costs_us());
+        let verified = self.scans().filter(|scan| scan.is_wrong() && scan.verified != Verified::Not).count();
+        [
+            head.to_owned(),
+            match sight {
+                Sight::Lit(lit) => format!("{lit} lit"),
+                fault => format!("{fault:?}"),
+            },
+            format!("{} on {}", name(tier), name(light)),
+            if moves { "smooth" } else { "rest" }.to_owned(),
+            if healthy > 0 { "tracked" } else { "cold" }.to_owned(),
+            evaluations.at(0.5).to_string(),
+            evaluations.at(0.99).to_string(),
+            evaluations.most().to_string(),
+            format!("{:.1}", costs_us.at(0.5)),
+            format!("{:.1}", costs_us.at(0.99)),
+            format!("{:.1}", costs_us.most()),
+            format!("{:.0}", self.most_lag_us()),
+            format!("{verified}/{}", self.wrong()),
+            self.outcomes(),
+        ]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lag_grows_while_scans_cost_more_than_they_leave_time() {
+        let most = |costs: &[f64]| most_lag_s(1.0, costs.iter().copied());
+        assert_eq!(most(&[0.5, 0.25, 0.5]), 0.5);
+        // Each of four scans adds half a period; then there is time to catch up.
+        assert_eq!(most(&[1.5, 1.5, 1.5, 1.5, 0.25]), 3.0);
+        assert_eq!(most(&[3.0, 0.25, 0.25, 0.25, 0.5]), 3.0);
+    }
+}

@@ -1,0 +1,405 @@
+//! A soak in bad weather: boards whose link and light fail by schedule, and a daemon that is suspended, killed, left
+//! without a disk or with one that stands still, and whose wall clock is set, at random. Nothing may be lost silently, and
+//! nothing may grow.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use clap::Args;
+use glam::{DVec2, dvec2};
+use nix::sys::signal::Signal;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde_json::Value;
+use slitpose_design::plot::{Anchor, Axis, Canvas, Chart, Curve, CurveStyle, Note, SOFT_INK, Scale, cell_colour};
+
+use super::scan_table::{self, Scans};
+use super::{Table, Verdicts, mib};
+use crate::consistency::Sorted;
+use crate::daemon::{Daemon, Ended, Subscriber, Usage, WallClock, boards, live_pages, scans};
+use crate::process::{Slitpose, name_in, signal};
+
+/// Faults of the boards: each comes again and again, at intervals that have no common multiple in a soak.
+const FAULTS: [&str; 12] = [
+    "flip:rate=1e-7",
+    "drop:rate=1e-4",
+    "duplicate:rate=1e-4",
+    "reorder:rate=1e-4",
+    "burst:rate=1e-5,bytes=300",
+    "stall:every=7s,from=3s,for=200ms",
+    "hangup:every=61s,from=20s,for=300ms",
+    "step:every=11s,from=5s,by=5ms",
+    "occlude:cell=2,every=5s,from=2s,for=1s",
+    "saturate:cell=1,every=13s,from=4s,for=500ms",
+    "overrun:scans=8,every=3s,from=1s",
+    "reset:every=83s,from=40s",
+];
+
+/// Looks at the daemon.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
+
+/// A daemon that has not recovered by then does not.
+const RECOVERS_WITHIN: Duration = Duration::from_secs(60);
+
+/// Most by which the wall clock is off: an hour.
+const MOST_AHEAD_NS: i64 = 3_600_000_000_000;
+
+/// What can happen to the daemon, and its letter in the picture.
+const BLOWS: [(Blow, &str); 5] = [
+    (Blow::Suspended, "S"),
+    (Blow::Killed, "K"),
+    (Blow::DiskFull, "F"),
+    (Blow::ClockSet, "C"),
+    (Blow::DiskStandsStill, "D"),
+];
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Blow {
+    /// It is stopped for some time, as when a machine sleeps.
+    Suspended,
+    /// It is killed, and started again.
+    Killed,
+    /// The capture may not grow any more.
+    DiskFull,
+    /// The disk takes nothing for some time.
+    DiskStandsStill,
+    /// Its wall clock is set, by up to an hour ahead or back.
+    ClockSet,
+}
+
+#[derive(Debug, Args)]
+pub struct Conditions {
+    /// Boards, simulated, each at 4 kHz
+    #[arg(long, default_value_t = 4)]
+    boards: usize,
+    /// For how long, such as 20m or 24h
+    #[arg(long, default_value = "20m", value_parser = humantime::parse_duration)]
+    duration: Duration,
+    /// And so many blows, however slow the machine is
+    #[arg(long, default_value_t = 0)]
+    least_blows: usize,
+    /// Seed of faults and blows
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Least time between two blows, seconds; at most it is three times that
+    #[arg(long, default_value_t = 8.3)]
+    pause_s: f64,
+    /// Live pages that look at the boards
+    #[arg(long, default_value_t = 1)]
+    pages: usize,
+    /// A mounted file system of its own, for captures; it is frozen now and then, which needs root
+    #[arg(long, value_name = "FOLDER")]
+    disk: Option<PathBuf>,
+    /// Each daemon may take so many MiB of memory
+    #[arg(long, default_value_t = 160)]
+    most_mib: u32,
+    /// Write the looks at the daemon as CSV
+    #[arg(long, value_name = "FILE")]
+    csv: Option<PathBuf>,
+    /// Draw them as SVG
+    #[arg(long, value_name = "FILE")]
+    picture: Option<PathBuf>,
+}
+
+/// A look at the daemon.
+struct Sample {
+    /// From the beginning, seconds.
+    elapsed_s: f64,
+    /// The how manieth daemon.
+    life: usize,
+    usage: Usage,
+    /// From light to pose over the last second, the worst of all boards: median, 99 %, most; seconds.
+    latency_s: [f64; 3],
+    /// Scans that wait to be solved, of all boards.
+    waiting: u64,
+}
+
+/// A blow, and what came of it.
+struct Struck {
+    /// From the beginning, seconds.
+    at_s: f64,
+    /// Of [`BLOWS`].
+    blow: usize,
+    /// From its end until all boards sent poses again, seconds; `None` if they did not.
+    recovered_s: Option<f64>,
+}
+
+/// A capture of one daemon.
+struct Captured {
+    scans: Vec<Scans>,
+    code: i32,
+    stderr: String,
+    was_killed: bool,
+}
+
+/// Each daemon's capture is counted and removed when it ends, so that a day needs as much disk as the longest life of one.
+pub fn study(slitpose: Slitpose, conditions: &Conditions) -> Verdicts {
+    let mut rng = ChaCha8Rng::seed_from_u64(conditions.seed);
+    let begun = Instant::now();
+    let (mut samples, mut struck, mut unanswered) = (Vec::new(), Vec::<Struck>::new(), 0);
+    let mut counting: Vec<JoinHandle<Captured>> = Vec::new();
+    let (mut life, mut datagrams) = (0, 0);
+    let clock = WallClock::make();
+    let live = (conditions.pages > 0).then(|| live_pages(conditions.pages, 0).to_string());
+    let begin = |life: usize| {
+        let daemon = start(slitpose, conditions, life, &clock, live.as_deref());
+        let client = Subscriber::start(daemon.folder().join("publish"));
+        (daemon, client)
+    };
+    let (mut daemon, mut client) = begin(life);
+    let blows = BLOWS.len() - usize::from(conditions.disk.is_none());
+    let pause = |rng: &mut ChaCha8Rng| Duration::from_secs_f64(conditions.pause_s * rng.random_range(1.0..3.0));
+    let mut next = pause(&mut rng);
+    while begun.elapsed() < conditions.duration || struck.len() < conditions.least_blows {
+        match sample(&daemon, begun, life) {
+            Some(sample) => samples.push(sample),
+            None => unanswered += 1,
+        }
+        if begun.elapsed() >= next {
+            let blow = rng.random_range(0..blows);
+            let lasts = Duration::from_secs_f64(rng.random_range(0.2..3.0));
+            let at_s = begun.elapsed().as_secs_f64();
+            match BLOWS[blow].0 {
+                Blow::Suspended => {
+                    signal(&daemon.child, Signal::SIGSTOP);
+                    std::thread::sleep(lasts);
+                    signal(&daemon.child, Signal::SIGCONT);
+                }
+                Blow::Killed => {
+                    datagrams += client.end();
+                    counting.push(count(slitpose, daemon.end_by(Signal::SIGKILL), true));
+                    life += 1;
+                    (daemon, client) = begin(life);
+                }
+                Blow::DiskFull => {
+                    // No file of it may grow beyond 4 KiB, which its capture has passed.
+                    let process = daemon.child.id().to_string();
+                    let limit = Command::new("prlimit").args(["--pid", &process, "--fsize=4096"]).status();
+                    assert!(limit.is_ok_and(|status| status.success()), "prlimit (util-linux) sets a limit");
+                }
+                Blow::DiskStandsStill => stand_still(conditions.disk.as_deref().expect("a disk"), lasts),
+                Blow::ClockSet => clock.set_ahead(rng.random_range(-MOST_AHEAD_NS..MOST_AHEAD_NS)),
+            }
+            let since = Instant::now();
+            let recovered_s = recovers(&daemon).then(|| since.elapsed().as_secs_f64());
+            struck.push(Struck { at_s, blow, recovered_s });
+            next = begun.elapsed() + pause(&mut rng);
+        }
+        std::thread::sleep(LOOK_EVERY);
+    }
+    datagrams += client.end();
+    let ended = daemon.end_by(Signal::SIGINT);
+    let last = (ended.status.code(), ended.stderr.clone());
+    counting.push(count(slitpose, ended, false));
+    let captured: Vec<Captured> = counting.into_iter().map(|thread| thread.join().expect("counted")).collect();
+
+    let Conditions { boards, duration, seed, .. } = conditions;
+    println!("{boards} boards at 4 kHz with {} faults, for {duration:?}, seed {seed}", FAULTS.len());
+    let mut table = Table::new(&["blow", "times", "back, median s", "most s"]);
+    for (number, (blow, _)) in BLOWS.iter().enumerate() {
+        let of_kind = struck.iter().filter(|struck| struck.blow == number);
+        let back = Sorted::of(of_kind.filter_map(|struck| struck.recovered_s));
+        let times = [back.median(), back.most()].map(|time_s| format!("{time_s:.2}"));
+        table.row([format!("{blow:?}"), back.0.len().to_string()].into_iter().chain(times));
+    }
+    let sum = |of: fn(&Scans) -> u64| captured.iter().flat_map(|captured| &captured.scans).map(of).sum::<u64>();
+    let (scans, missing) = (sum(|scans| scans.count), sum(|scans| scans.missing));
+    println!("{table}  {} captures with {scans} scans, {missing} missing; {datagrams} datagrams", captured.len());
+    for (path, text) in [(&conditions.csv, csv(&samples)), (&conditions.picture, picture(&samples, &struck))] {
+        if let Some(path) = path {
+            std::fs::write(path, text).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+        }
+    }
+
+    let mut verdicts = Verdicts::default();
+    let lost = struck.iter().filter(|struck| struck.recovered_s.is_none()).count();
+    verdicts.check(lost == 0, format!("all boards send poses again after each of {} blows", struck.len()));
+    verdicts.check(unanswered == 0, "the daemon always answers");
+    verdicts.check(matches!(last.0, Some(0 | 3)), format!("the last daemon ends when told to: {last:?}"));
+    captured.iter().for_each(|captured| captured.check(conditions.boards, &mut verdicts));
+    check_usage(&samples, conditions, &mut verdicts);
+    verdicts
+}
+
+fn start(slitpose: Slitpose, conditions: &Conditions, life: usize, clock: &WallClock, live: Option<&str>) -> Daemon {
+    let folder = match &conditions.disk {
+        Some(disk) => tempfile::tempdir_in(disk),
+        None => tempfile::tempdir(),
+    };
+    let folder = folder.expect("temporary folder");
+    let [capture, publish] = ["storm.mcap", "publish"].map(|name| name_in(folder.path(), name));
+    let devices = vec!["sim"; conditions.boards].join(",");
+    let mut arguments: Vec<String> =
+        ["--device", &devices, "--format", "none", "--patience", "1h", "--record", &capture].map(str::to_owned).into();
+    arguments.extend(["--publish".to_owned(), format!("unix:{publish}")]);
+    for fault in FAULTS {
+        arguments.extend(["--fault".to_owned(), format!("{fault},seed={}", conditions.seed + life as u64)]);
+    }
+    arguments.extend(live.iter().flat_map(|live| ["--live", *live]).map(str::to_owned));
+    let daemon = Daemon::start(Some(clock), slitpose, folder, &arguments, Stdio::null());
+    daemon.await_scans(conditions.boards);
+    daemon
+}
+
+/// Waits until each board has sent poses since now.
+fn recovers(daemon: &Daemon) -> bool {
+    let since = Instant::now();
+    let mut before = None;
+    while since.elapsed() < RECOVERS_WITHIN {
+        if let Some(now) = daemon.status().map(|status| scans(&status)) {
+            let before = before.get_or_insert_with(|| now.clone());
+            if now.len() == before.len() && now.iter().zip(before).all(|(now, before)| now > before) {
+                return true;
+            }
+        }
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    false
+}
+
+fn stand_still(disk: &Path, lasts: Duration) {
+    let freeze = |how: &str| Command::new("fsfreeze").arg(how).arg(disk).status().is_ok_and(|status| status.success());
+    assert!(freeze("--freeze"), "{} cannot be frozen: mount a file system of its own there, as root", disk.display());
+    std::thread::sleep(lasts);
+    assert!(freeze("--unfreeze"), "{} stays frozen", disk.display());
+}
+
+/// Counts what a daemon has recorded, beside the soak, and removes it.
+fn count(slitpose: Slitpose, ended: Ended, was_killed: bool) -> JoinHandle<Captured> {
+    std::thread::spawn(move || {
+        let capture = name_in(ended.folder.path(), "storm.mcap");
+        let (scans, replayed) = scan_table::count(slitpose, &capture, &["--tier", "paper"]);
+        Captured { scans: scans.into_values().collect(), code: replayed.code, stderr: replayed.stderr, was_killed }
+    })
+}
+
+impl Captured {
+    fn check(&self, boards: usize, verdicts: &mut Verdicts) {
+        let Self { scans, code, stderr, was_killed } = self;
+        if *was_killed && scans.is_empty() && scan_table::is_empty(stderr) {
+            return;
+        }
+        let count: u64 = scans.iter().map(|scans| scans.count).sum();
+        let missing: u64 = scans.iter().map(|scans| scans.missing).sum();
+        let number_before = |line: &str| line.split_once(" scans missing")?.0.rsplit(' ').next()?.parse::<u64>().ok();
+        let told: u64 = stderr.lines().filter_map(number_before).sum();
+        let text = format!("of a capture with {count} scans {missing} are missing, and {told} are told");
+        verdicts.check(told == missing && scans.len() == boards, text);
+        let is_lossy = missing > 0 || *was_killed;
+        verdicts.check(*code == 3 || (*code == 0 && !is_lossy), format!("its exit code is {code}"));
+        let is_told = stderr.contains("was not ended by its recorder");
+        verdicts.check(is_told || !was_killed, "that of a killed daemon says so");
+    }
+}
+
+fn sample(daemon: &Daemon, begun: Instant, life: usize) -> Option<Sample> {
+    let usage = daemon.usage().expect("the daemon runs");
+    let status = daemon.status()?;
+    let recent = |quantile: &str| {
+        let of_board = |board: &Value| {
+            let recent = &board["latencies"]["total"]["recent"];
+            recent[quantile].as_f64().filter(|_| recent["count"] != 0)
+        };
+        boards(&status).filter_map(of_board).fold(f64::NAN, f64::max)
+    };
+    let waiting = boards(&status).filter_map(|board| board["lag"]["waiting_scans"].as_u64()).sum();
+    let latency_s = ["p50_s", "p99_s", "max_s"].map(recent);
+    Some(Sample { elapsed_s: begun.elapsed().as_secs_f64(), life, usage, latency_s, waiting })
+}
+
+fn check_usage(samples: &[Sample], conditions: &Conditions, verdicts: &mut Verdicts) {
+    let most_mib = samples.iter().map(|sample| mib(sample.usage.peak_bytes)).fold(0.0, f64::max);
+    let bound = conditions.most_mib;
+    verdicts.check(most_mib <= f64::from(bound), format!("a daemon takes {most_mib:.0} MiB at most, {bound} allowed"));
+    // Of each daemon the most, so that one that is just starting counts for nothing.
+    for (what, of) in
+        [("threads", (|usage| usage.threads) as fn(&Usage) -> u64), ("descriptors", |usage| usage.descriptors)]
+    {
+        let lives: Vec<u64> = samples
+            .chunk_by(|before, after| before.life == after.life)
+            .filter_map(|life| life.iter().map(|sample| of(&sample.usage)).max())
+            .collect();
+        let (least, most) = (lives.iter().copied().min().unwrap_or(0), lives.iter().copied().max().unwrap_or(0));
+        // A board that is lost has one thread and one descriptor less for a while.
+        let is_close = most - least <= 2 * conditions.boards as u64;
+        verdicts.check(is_close, format!("all daemons have about as many {what}: {least} to {most}"));
+    }
+}
+
+fn csv(samples: &[Sample]) -> String {
+    let mut text = "elapsed_s,life,resident_mib,threads,descriptors,p50_ms,p99_ms,max_ms,waiting_scans\n".to_owned();
+    for Sample { elapsed_s, life, usage, latency_s, waiting } in samples {
+        let [p50, p99, max] = latency_s.map(|latency_s| latency_s * 1e3);
+        let Usage { resident_bytes, threads, descriptors, .. } = *usage;
+        let mib = mib(resident_bytes);
+        text +=
+            &format!("{elapsed_s:.1},{life},{mib:.2},{threads},{descriptors},{p50:.3},{p99:.3},{max:.3},{waiting}\n");
+    }
+    text
+}
+
+/// Names of curves, and their values.
+type Curves = &'static [(&'static str, fn(&Sample) -> f64)];
+
+/// What the picture shows over time, below each other: a label with the unit, whether its axis is logarithmic, and curves.
+const PANELS: [(&str, bool, Curves); 4] = [
+    ("memory (MiB)", false, &[("resident", |it| mib(it.usage.resident_bytes))]),
+    ("number", false, &[("threads", |it| it.usage.threads as f64), ("descriptors", |it| it.usage.descriptors as f64)]),
+    (
+        "light to pose (ms)",
+        true,
+        &[
+            ("median", |it| it.latency_s[0] * 1e3),
+            ("99 %", |it| it.latency_s[1] * 1e3),
+            ("most", |it| it.latency_s[2] * 1e3),
+        ],
+    ),
+    ("waiting scans", false, &[("all boards", |it| it.waiting as f64)]),
+];
+
+/// Memory, threads and descriptors, latency of the worst board, and what waits, over time, with a letter for each blow.
+fn picture(samples: &[Sample], struck: &[Struck]) -> String {
+    // Sizes in pixels: of a plotting area, and of the room around it.
+    const SIZE: DVec2 = dvec2(800.0, 130.0);
+    let [left, right, above, below] = [80.0, 20.0, 66.0, 50.0];
+    let end_s = samples.iter().map(|sample| sample.elapsed_s).fold(1.0, f64::max);
+    let pitch = above + SIZE.y + below;
+    let mut canvas = Canvas::new(left + SIZE.x + right, PANELS.len() as f64 * pitch, "A daemon in a storm");
+    for (number, (label, is_logarithmic, of_panel)) in PANELS.iter().enumerate() {
+        let x = Axis { label: "$t$ (s)".to_owned(), range: [0.0, end_s], scale: Scale::Linear };
+        let values = of_panel.iter().flat_map(|(_, of)| samples.iter().map(of)).filter(|value| value.is_finite());
+        let y = if *is_logarithmic {
+            Axis::logarithmic(label, values)
+        } else {
+            Axis::around(label, values).starting_at_zero()
+        };
+        let line = |label: &str, colour, style, points: Vec<[f64; 2]>| {
+            let label = label.to_owned();
+            Curve { label, colour, style, points }
+        };
+        let mark = |it: &Struck| line("", SOFT_INK, CurveStyle::Dashed, y.range.map(|value| [it.at_s, value]).to_vec());
+        let mut curves: Vec<Curve> = struck.iter().map(mark).collect();
+        for (number, (name, of)) in of_panel.iter().enumerate() {
+            let points: Vec<[f64; 2]> = samples.iter().map(|sample| [sample.elapsed_s, of(sample)]).collect();
+            // A curve breaks where nothing was measured. A name for the first part only, or the legend would repeat it.
+            let parts = points.chunk_by(|[_, before], [_, after]| before.is_finite() == after.is_finite());
+            let names = std::iter::once(*name).chain(std::iter::repeat(""));
+            for (part, name) in parts.filter(|part| part[0][1].is_finite()).zip(names) {
+                curves.push(line(name, cell_colour(number), CurveStyle::Line, part.to_vec()));
+            }
+        }
+        let note = |it: &Struck| Note {
+            at: [it.at_s, y.range[1]],
+            offset: dvec2(3.0, 13.0),
+            anchor: Anchor::Start,
+            text: BLOWS[it.blow].1.to_owned(),
+            colour: SOFT_INK,
+        };
+        let notes = struck.iter().map(note).collect();
+        let top_left = dvec2(left, number as f64 * pitch + above);
+        Chart { x, y, curves, notes }.draw(&mut canvas, top_left, top_left + SIZE);
+    }
+    canvas.into_svg()
+}

@@ -1,0 +1,226 @@
+//! Random trials on all cores, each with a generator of its own: trial 4711 is the same whatever
+//! the count and however many cores, so what failed in a long run can be repeated alone. And the photocurrents of a pose,
+//! disturbed as the scene says.
+//!
+//! The noise of a cell's two currents, each term with the covariance physics gives it:
+//! * shot noise 2q·B·(I_O) of a point-like spot is common to both and divides like the current;
+//! * Johnson noise 4kT·B/R_ie of the inter-electrode resistance leaves one and enters the other;
+//! * the converter's is their own.
+
+use std::thread;
+
+use glam::DVec3;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+use slitpose_model::{BOLTZMANN_J_PER_K, ELEMENTARY_CHARGE_C, Pair, Photocurrents, Plan, Pose, Scene};
+
+use crate::poses::{PoseRow, one_in_box, pose};
+
+/// Half sides of the box of poses that a head is meant for, mm and degrees.
+pub const HALF: [f64; 2] = [4.0, 15.0];
+
+/// How many trials, and from which seed.
+#[derive(Clone, Copy, Debug)]
+pub struct Trials {
+    pub count: usize,
+    pub seed: u64,
+}
+
+impl Trials {
+    /// The generator of trial `index`: a stream of the seed's own.
+    pub fn generator(&self, index: usize) -> ChaCha8Rng {
+        let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
+        rng.set_stream(index as u64);
+        rng
+    }
+
+    /// Runs `trial` with its number and generator, for all numbers; results in their order.
+    pub fn run<T: Send>(&self, trial: impl Fn(usize, &mut ChaCha8Rng) -> T + Sync) -> Vec<T> {
+        let workers = thread::available_parallelism().map_or(1, usize::from);
+        let trial = &trial;
+        thread::scope(|scope| {
+            // Dealt in turn: hard trials come in no order, and no worker is left with them all.
+            let deal = |worker| (worker..self.count).step_by(workers).map(|i| trial(i, &mut self.generator(i)));
+            let handles: Vec<_> =
+                (0..workers).map(|worker| scope.spawn(move || deal(worker).collect::<Vec<T>>())).collect();
+            let mut hands: Vec<_> = handles
+                .into_iter()
+                .map(|handle| handle.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)).into_iter())
+                .collect();
+            (0..self.count).filter_map(|i| hands[i % workers].next()).collect()
+        })
+    }
+}
+
+/// What disturbs the currents of a scene.
+#[derive(Clone, Debug)]
+pub struct Disturbance {
+    cells: Vec<CellDisturbance>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct CellDisturbance {
+    /// 2q·B: variance of I_O per ampere.
+    shot_a: f64,
+    dark_a: f64,
+    /// Standard deviations.
+    johnson_a: f64,
+    converter_a: f64,
+    emitter_gain: f64,
+    electrode_gain: f64,
+}
+
+fn normal(rng: &mut ChaCha8Rng) -> f64 {
+    StandardNormal.sample(rng)
+}
+
+impl Disturbance {
+    /// Noise and calibration errors of `scene`.
+    pub fn of(scene: &Scene) -> Self {
+        let uncertainty = scene.uncertainty;
+        let cells = scene.cells.iter().map(|cell| {
+            let detector = &cell.detector;
+            let mut disturbance = CellDisturbance {
+                shot_a: 0.0,
+                dark_a: detector.dark_current_a,
+                johnson_a: 0.0,
+                converter_a: 0.0,
+                emitter_gain: uncertainty.emitter_gain_relative,
+                electrode_gain: uncertainty.electrode_gain_relative,
+            };
+            if let Some(noise) = scene.noise {
+                disturbance.shot_a = 2.0 * ELEMENTARY_CHARGE_C * noise.shot_bandwidth_hz;
+                disturbance.converter_a = noise.adc_a;
+                let kt = BOLTZMANN_J_PER_K * noise.temperature_k;
+                disturbance.johnson_a =
+                    detector.interelectrode_ohm.map_or(0.0, |ohm| (4.0 * kt * noise.johnson_bandwidth_hz / ohm).sqrt());
+            }
+            disturbance
+        });
+        Self { cells: cells.collect() }
+    }
+
+    /// `pairs` as the cells would measure them: gains drawn anew, then noise.
+    pub fn measured(&self, pairs: &[Pair<f64>], rng: &mut ChaCha8Rng) -> Photocurrents {
+        Photocurrents::of_pairs(self.cells.iter().zip(pairs).map(|(cell, pair)| cell.measure(*pair, rng)))
+    }
+
+    /// `difference` in uncorrelated units of σ of cell `cell` at `pair`: its length is the
+    /// Mahalanobis norm.
+    pub fn whiten(&self, cell: usize, pair: Pair<f64>, difference: [f64; 2]) -> [f64; 2] {
+        let [[first, mixed], [_, second]] = self.cells[cell].covariance(pair);
+        let sigma = first.sqrt();
+        let lean = mixed / sigma;
+        let x = difference[0] / sigma;
+        [x, (difference[1] - lean * x) / (second - lean * lean).sqrt()]
+    }
+}
+
+impl CellDisturbance {
+    fn measure(&self, pair: Pair<f64>, rng: &mut ChaCha8Rng) -> Pair<f64> {
+        let emitter = 1.0 + self.emitter_gain * normal(rng);
+        let mut electrode = |current_a: f64| current_a * emitter * (1.0 + self.electrode_gain * normal(rng));
+        let first = electrode(pair.i_x1_a);
+        let second = electrode(pair.i_x2_a);
+
+        let total = first + second;
+        let shot = if total > 0.0 { (self.shot_a * (total + self.dark_a)).sqrt() * normal(rng) / total } else { 0.0 };
+        let johnson = self.johnson_a * normal(rng);
+        Pair {
+            i_x1_a: first * (1.0 + shot) + johnson + self.converter_a * normal(rng),
+            i_x2_a: second * (1.0 + shot) - johnson + self.converter_a * normal(rng),
+        }
+    }
+
+    /// Covariance of what [`Self::measure`] makes of `pair`, A².
+    fn covariance(&self, pair: Pair<f64>) -> [[f64; 2]; 2] {
+        let (a, b, total) = (pair.i_x1_a, pair.i_x2_a, pair.total_a());
+        let common = self.emitter_gain.powi(2)
+            + if total > 0.0 { self.shot_a * (total + self.dark_a) / (total * total) } else { 0.0 };
+        let opposed = self.johnson_a.powi(2);
+        let own = |current_a: f64| self.converter_a.powi(2) + (self.electrode_gain * current_a).powi(2);
+        [
+            [common * a * a + opposed + own(a), common * a * b - opposed],
+            [common * a * b - opposed, common * b * b + opposed + own(b)],
+        ]
+    }
+}
+
+/// The photocurrents of all cells at `pose`, undisturbed.
+pub fn pairs(plan: &Plan<f64>, pose: &Pose) -> Vec<Pair<f64>> {
+    (0..plan.cell_count()).map(|cell| plan.photocurrents(cell, pose)).collect()
+}
+
+/// The same where each cell's detector and slit are off by `position_m` along each axis, drawn anew: they
+/// see the emitter off the other way.
+pub fn displaced_pairs(plan: &Plan<f64>, pose: &Pose, position_m: f64, rng: &mut ChaCha8Rng) -> Vec<Pair<f64>> {
+    let mut displaced = || {
+        let off_m = DVec3::from_array([0; 3].map(|_| position_m * normal(rng)));
+        Pose { translation_m: pose.translation_m - off_m, ..*pose }
+    };
+    (0..plan.cell_count()).map(|cell| plan.photocurrents(cell, &displaced())).collect()
+}
+
+/// A random pose of a box, and its currents.
+pub fn any_pose(plan: &Plan<f64>, [half_mm, half_deg]: [f64; 2], rng: &mut ChaCha8Rng) -> (PoseRow, Vec<Pair<f64>>) {
+    let row = one_in_box(rng, half_mm, half_deg);
+    (row, pairs(plan, &pose(row)))
+}
+
+/// One at which no cell of `scene` is faint; clipped spots are not.
+pub fn lit_pose(scene: &Scene, plan: &Plan<f64>, half: [f64; 2], rng: &mut ChaCha8Rng) -> (PoseRow, Vec<Pair<f64>>) {
+    loop {
+        let (row, pairs) = any_pose(plan, half, rng);
+        if scene.cells.iter().zip(&pairs).all(|(cell, pair)| pair.total_a() >= cell.detector.faint_a) {
+            return (row, pairs);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::RngExt;
+    use slitpose_head::scene_file::WIDE;
+    use slitpose_model::Uncertainty;
+
+    #[test]
+    fn a_trial_does_not_depend_on_the_others() {
+        let draw = |_: usize, rng: &mut ChaCha8Rng| rng.random_range(0.0..1.0);
+        let many: Vec<f64> = Trials { count: 23, seed: 1 }.run(draw);
+        let few = Trials { count: 5, seed: 1 }.run(draw);
+        assert_eq!((many.len(), &many[..5]), (23, &few[..]));
+        assert!(many.windows(2).all(|pair| pair[0] != pair[1]));
+    }
+
+    #[test]
+    fn draws_have_the_stated_covariance() {
+        let mut scene = WIDE.read().expect("shipped").scene;
+        // Bandwidths that give each kind of noise a like share.
+        let noise = scene.noise.as_mut().expect("noise");
+        (noise.shot_bandwidth_hz, noise.johnson_bandwidth_hz) = (1e6, 1e6);
+        let pair = Pair { i_x1_a: 1e-6, i_x2_a: 3e-6 };
+        let calibrated = Uncertainty::default();
+        for uncertainty in [
+            calibrated,
+            Uncertainty { emitter_gain_relative: 1e-3, ..calibrated },
+            Uncertainty { electrode_gain_relative: 1e-3, ..calibrated },
+        ] {
+            scene.uncertainty = uncertainty;
+            let disturbance = Disturbance::of(&scene);
+            let count = 40_000;
+            let draws = Trials { count, seed: 3 }.run(|_, rng| {
+                let measured = disturbance.cells[0].measure(pair, rng);
+                disturbance.whiten(0, pair, [measured.i_x1_a - pair.i_x1_a, measured.i_x2_a - pair.i_x2_a])
+            });
+            let mean = |i: usize, j: usize| draws.iter().map(|z| z[i] * z[j]).sum::<f64>() / count as f64;
+            // 4.5 σ: variances scatter by √(2/n), products by √(1/n).
+            let sigma = 4.5 / (count as f64).sqrt();
+            let moments = [mean(0, 0), mean(0, 1), mean(1, 1)];
+            assert!((moments[0] - 1.0).abs() < sigma * 2f64.sqrt(), "{uncertainty:?}: {moments:?}");
+            assert!((moments[2] - 1.0).abs() < sigma * 2f64.sqrt(), "{uncertainty:?}: {moments:?}");
+            assert!(moments[1].abs() < sigma, "{uncertainty:?}: {moments:?}");
+        }
+    }
+}
