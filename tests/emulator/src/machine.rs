@@ -6,9 +6,9 @@
 
 use crate::board::Board;
 use crate::cpu::{Cpu, FaultReport, Step};
+use crate::faults::{Fault, Faults};
 use crate::memory::FlashArray;
 use crate::peripherals::{ResetCause, Ticks};
-use crate::silicon::{Fault, Silicon};
 use crate::world::World;
 
 /// Timer index of the free-running device clock, TIM5.
@@ -68,9 +68,9 @@ impl<W: World> Machine<W> {
 
     /// The same with faults of the silicon, which come by chance from `seed`; before it runs.
     #[must_use]
-    pub fn with_silicon(mut self, silicon: Silicon, seed: u64) -> Self {
-        self.board.set_silicon(silicon, seed);
-        self.cpu.fetch_wrong_behind_sleep(silicon.has(Fault::SleepFetch));
+    pub fn with_faults(mut self, faults: Faults, seed: u64) -> Self {
+        self.board.set_faults(faults, seed);
+        self.cpu.fetch_wrong_behind_sleep(faults.has(Fault::SleepFetch));
         self
     }
 

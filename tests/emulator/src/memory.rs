@@ -96,7 +96,7 @@ pub struct FlashArray {
     bytes: Box<[u8]>,
     /// Offsets of double words whose ECC does not fit: a program or erase was cut short.
     torn: BTreeSet<usize>,
-    /// Offsets of double words that read as erased and are not: see [`crate::silicon::Fault::FlashTornOnes`].
+    /// Offsets of double words that read as erased and are not: see [`crate::faults::Fault::FlashTornOnes`].
     refusing: BTreeSet<usize>,
 }
 

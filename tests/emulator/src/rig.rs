@@ -3,6 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
+use clap::ValueEnum;
 use slitpose_firmware::pose::{HEAD_BYTES, Head};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::Trajectory;
@@ -11,13 +12,13 @@ use slitpose_protocol::{Command, DELIMITER, HeadPart, MAX_REQUEST_BYTES, Request
 use thiserror::Error;
 
 use crate::built::{self, StaleError};
+use crate::faults::{Fault, Faults, LOW_SUPPLY_V};
 use crate::image::{Image, ImageError};
 use crate::machine::{Machine, Stop};
 use crate::memory::FlashArray;
 use crate::peripherals::uart::SentByte;
 use crate::peripherals::{TICKS_PER_SECOND, Ticks};
-use crate::silicon::Silicon;
-use crate::world::{Flaw, Flaws, LOW_SUPPLY_V, NoiseSource, OpticsWorld, World, WorldError};
+use crate::world::{NoiseSource, OpticsWorld, World, WorldError};
 
 /// Optics are evaluated to this relative error, which is far below a code of the converters.
 const TOLERANCE: f64 = 1e-6;
@@ -26,7 +27,7 @@ const TOLERANCE: f64 = 1e-6;
 pub const WORLD_TIER: Tier = Tier::Exact { tolerance: TOLERANCE };
 
 /// Seed of what the silicon's faults do by chance.
-const SILICON_SEED: u64 = 20_180_718;
+const SEED: u64 = 20_180_718;
 
 /// Longest time a program may take to its first start of the device clock.
 const BOOT_TICKS: Ticks = TICKS_PER_SECOND / 10;
@@ -112,11 +113,11 @@ pub(crate) fn read_image(path: &Path) -> Result<Image, OpenError> {
 }
 
 /// The board's link in use.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Link {
-    /// The controller's own USB.
+    /// The controller's own USB
     Usb,
-    /// The debugger's serial port.
+    /// The debugger's serial port
     Uart,
 }
 
@@ -131,7 +132,7 @@ pub struct Rig<W = OpticsWorld> {
 }
 
 impl Rig {
-    /// Powers a board with `image` in front of the head of `scene`, its host at its USB, and
+    /// Powers a board with `image` and `faults` in front of the head of `scene`, its host at its USB, and
     /// lets it start its clock: the tool's time is that clock's, and goes on if the board is
     /// reset.
     ///
@@ -142,29 +143,14 @@ impl Rig {
         scene: &SceneFile,
         trajectory: Trajectory,
         noise: NoiseSource,
-        silicon: Silicon,
+        faults: Faults,
     ) -> Result<Self, WorldError> {
-        Self::boot_flawed(image, scene, trajectory, noise, silicon, Flaws::default())
-    }
-
-    /// The same with `flaws` of board and head.
-    ///
-    /// # Errors
-    /// If the board cannot be connected to such a head.
-    pub fn boot_flawed(
-        image: &Image,
-        scene: &SceneFile,
-        trajectory: Trajectory,
-        noise: NoiseSource,
-        silicon: Silicon,
-        flaws: Flaws,
-    ) -> Result<Self, WorldError> {
-        let world = OpticsWorld::with_flaws(scene, trajectory, WORLD_TIER, noise, flaws)?;
-        let mut rig = Self::power_on(image, world, silicon);
-        if flaws.has(Flaw::LowSupply) {
+        let world = OpticsWorld::new(scene, trajectory, WORLD_TIER, noise, faults)?;
+        let mut rig = Self::power_on(image, world, faults);
+        if faults.has(Fault::LowSupply) {
             rig.machine.set_supply_v(LOW_SUPPLY_V);
         }
-        if flaws.has(Flaw::LostSettings) {
+        if faults.has(Fault::LostSettings) {
             rig.machine.board.lose_settings_at_reset();
         }
         if let Some(origin) = rig.machine.device_clock_origin() {
@@ -176,12 +162,12 @@ impl Rig {
 
 impl<W: World> Rig<W> {
     /// Powers a board with `image` in `world`, its host at its USB, and lets it start its clock.
-    pub fn power_on(image: &Image, world: W, silicon: Silicon) -> Self {
+    pub fn power_on(image: &Image, world: W, faults: Faults) -> Self {
         let mut flash = FlashArray::erased();
         image.load_into(&mut flash);
         let stack_start = flash.stack_start();
         let mut rig = Self {
-            machine: Machine::new(flash, world).with_silicon(silicon, SILICON_SEED),
+            machine: Machine::new(flash, world).with_faults(faults, SEED),
             link: Link::Usb,
             next_number: 0,
             stack_start,

@@ -39,9 +39,9 @@ pub enum BusSignal {
     ResumeEnds,
 }
 
-/// What a device answers to an IN token.
+/// What a device answers to an IN token, or to a data packet.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum InAnswer {
+pub enum Answer {
     /// A data packet.
     Data {
         /// DATA1 rather than DATA0.
@@ -49,20 +49,9 @@ pub enum InAnswer {
         /// Its content.
         bytes: Vec<u8>,
     },
-    /// Nothing to send yet.
-    Nak,
-    /// The endpoint is halted.
-    Stall,
-    /// Nothing at all.
-    Silence,
-}
-
-/// What a device answers to a data packet.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Handshake {
-    /// Taken.
+    /// The data packet is taken.
     Ack,
-    /// No room yet.
+    /// Nothing to send yet, or no room.
     Nak,
     /// The endpoint is halted.
     Stall,
@@ -94,13 +83,13 @@ pub trait FullSpeedDevice {
     fn signal(&mut self, signal: BusSignal);
 
     /// An IN token.
-    fn token_in(&mut self, address: u8, endpoint: u8) -> InAnswer;
+    fn token_in(&mut self, address: u8, endpoint: u8) -> Answer;
 
     /// The host has acknowledged the data that the last IN token brought.
     fn acknowledged(&mut self, address: u8, endpoint: u8);
 
     /// An OUT or SETUP token and its data packet, at the end of the latter.
-    fn packet_out(&mut self, packet: OutPacket<'_>) -> Handshake;
+    fn packet_out(&mut self, packet: OutPacket<'_>) -> Answer;
 }
 
 /// Ticks of `bits` at 12 Mbit/s: a bit has 170/12 of them.

@@ -3,7 +3,7 @@
 //! Simplified: a fault while stacking or while reading a vector becomes HardFault at once instead of competing
 //! as a derived exception, and late arrival is not modelled.
 
-use super::cycles::{ENTRY, FLOAT_FRAME, NOTHING_IN_FLIGHT, RETURN, TAIL_CHAIN};
+use super::code::{ENTRY, FLOAT_FRAME, NOTHING_IN_FLIGHT, RETURN, TAIL_CHAIN};
 use super::nvic::{HARD_FAULT, NMI, SV_CALL, SYS_TICK};
 use super::{Bus, Cpu, Fault, FaultReport, Size, Step, Waiting};
 

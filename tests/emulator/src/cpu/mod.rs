@@ -12,13 +12,9 @@
 
 mod arithmetic;
 mod code;
-mod cycles;
-pub mod decode;
-mod decode_dsp;
-mod decode_fields;
+mod decode;
 mod decode_float;
 mod decode_wide;
-mod dsp;
 mod exceptions;
 mod execute;
 mod execute_dsp;
@@ -26,17 +22,15 @@ mod execute_float;
 mod execute_memory;
 mod fault;
 mod float;
-pub mod instruction;
+mod instruction;
 mod nvic;
-mod operands;
 mod registers;
 mod system;
 #[cfg(test)]
 mod tests;
-mod timers;
 
-use code::{Code, Decoded};
-use cycles::{Accelerator, NOTHING_IN_FLIGHT};
+use code::{Accelerator, Code, Decoded, NOTHING_IN_FLIGHT};
+pub use decode::direct_branch;
 pub use fault::{Fault, FaultReport};
 use float::FloatUnit;
 use instruction::{Instruction, Reg};
@@ -158,7 +152,7 @@ pub struct Cpu {
     event: bool,
     /// The local exclusive monitor; that of the Cortex-M4 keeps no address (DDI0439, 3.7).
     exclusive: bool,
-    /// Registers the next access's address cannot use at once: see `cycles::Timing`.
+    /// Registers the next access's address cannot use at once: see `code::Timing`.
     in_flight: u16,
     /// Whether the instruction being executed stands in an IT block.
     in_it_block: bool,
@@ -259,7 +253,7 @@ impl Cpu {
     }
 
     /// Whether a WFE or WFI that sleeps has an undefined instruction behind it, whatever is there but ISB; see
-    /// [`crate::silicon::Fault::SleepFetch`].
+    /// [`crate::faults::Fault::SleepFetch`].
     pub fn fetch_wrong_behind_sleep(&mut self, wrong: bool) {
         self.fetches_wrong_behind_sleep = wrong;
     }

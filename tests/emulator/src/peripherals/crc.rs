@@ -4,12 +4,16 @@
 //! description"): here its checksum is there at once.
 
 use super::Effects;
+use super::registers::{ALL, Bank, registers};
 
-const DR: u32 = 0x00;
-const IDR: u32 = 0x04;
-const CR: u32 = 0x08;
-const INIT: u32 = 0x10;
-const POL: u32 = 0x14;
+registers! {
+    /// The checksum, its bits not reversed.
+    DR = 0x00, reset u32::MAX;
+    IDR = 0x04, keeps ALL;
+    CR = 0x08, keeps CR_REV_IN | CR_REV_OUT;
+    INIT = 0x10, reset u32::MAX, keeps ALL;
+    POL = 0x14, reset ETHERNET, keeps ALL;
+}
 
 const CR_RESET: u32 = 1 << 0;
 const CR_POLYSIZE: u32 = 0b11 << 3;
@@ -19,77 +23,49 @@ const CR_REV_OUT: u32 = 1 << 7;
 /// POL after reset: the polynomial of Ethernet.
 const ETHERNET: u32 = 0x04C1_1DB7;
 
-/// The unit.
 #[derive(Debug)]
-pub struct Crc {
-    /// The checksum, its bits not reversed.
-    sum: u32,
-    independent: u32,
-    cr: u32,
-    init: u32,
-    polynomial: u32,
-}
-
-impl Default for Crc {
-    fn default() -> Self {
-        Self::new()
-    }
-}
+pub struct Crc(Bank);
 
 impl Crc {
-    /// State after power-on.
     pub fn new() -> Self {
-        Self { sum: u32::MAX, independent: 0, cr: 0, init: u32::MAX, polynomial: ETHERNET }
+        Self(Bank::new(REGISTERS))
     }
 
-    /// State after reset.
-    pub fn reset(&mut self) {
-        *self = Self::new();
-    }
-
-    /// Value of a register.
-    pub fn read(&mut self, offset: u32, effects: &mut Effects) -> u32 {
+    pub fn read(&self, offset: u32, effects: &mut Effects) -> u32 {
         match offset {
-            DR if self.cr & CR_REV_OUT != 0 => self.sum.reverse_bits(),
-            DR => self.sum,
-            IDR => self.independent,
-            CR => self.cr,
-            INIT => self.init,
-            POL => self.polynomial,
-            _ => {
-                effects.unmodelled();
-                0
-            }
+            DR if self.0[CR] & CR_REV_OUT != 0 => self.0[DR].reverse_bits(),
+            _ => self.0.read(offset, effects),
         }
     }
 
-    /// Writes a register. Data count as a word.
+    /// Data count as a word.
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
+        if offset == DR {
+            return self.add(value);
+        }
+        self.0.write(offset, value, effects);
         match offset {
-            DR => self.add(value),
-            IDR => self.independent = value,
             CR => {
                 effects.unmodelled_bits(value & CR_POLYSIZE);
-                self.cr = value & (CR_REV_IN | CR_REV_OUT);
                 if value & CR_RESET != 0 {
-                    self.sum = self.init;
+                    self.0[DR] = self.0[INIT];
                 }
             }
-            INIT => (self.init, self.sum) = (value, value),
-            POL => self.polynomial = value,
-            _ => effects.unmodelled(),
+            INIT => self.0[DR] = value,
+            _ => {}
         }
     }
 
     fn add(&mut self, word: u32) {
-        let word = match (self.cr & CR_REV_IN) >> CR_REV_IN.trailing_zeros() {
+        let word = match (self.0[CR] & CR_REV_IN) >> CR_REV_IN.trailing_zeros() {
             0 => word,
             1 => word.swap_bytes().reverse_bits(),
             2 => word.rotate_left(16).reverse_bits(),
             _ => word.reverse_bits(),
         };
-        self.sum =
-            (0..32).fold(self.sum ^ word, |sum, _| if sum >> 31 != 0 { sum << 1 ^ self.polynomial } else { sum << 1 });
+        let polynomial = self.0[POL];
+        self.0[DR] =
+            (0..32).fold(self.0[DR] ^ word, |sum, _| if sum >> 31 != 0 { sum << 1 ^ polynomial } else { sum << 1 });
     }
 }
 
@@ -107,7 +83,7 @@ mod tests {
         crc.write(INIT, u32::MAX, &mut effects);
         crc.write(CR, CR_REV_IN | CR_REV_OUT, &mut effects);
         for _ in 0..2 {
-            crc.write(CR, crc.cr | CR_RESET, &mut effects);
+            crc.write(CR, crc.0[CR] | CR_RESET, &mut effects);
             for bytes in [*b"1234", *b"5678"] {
                 crc.write(DR, u32::from_le_bytes(bytes), &mut effects);
             }
@@ -131,7 +107,7 @@ mod tests {
 
     #[test]
     fn registers_are_those_of_st() {
-        assert_facts!("CRC_TypeDef."; DR, IDR, CR, INIT, POL);
+        super::super::registers::assert_offsets("CRC_TypeDef", REGISTERS);
         assert_facts!("CRC_"; CR_RESET, CR_POLYSIZE, CR_REV_IN, CR_REV_OUT);
         assert_eq!(ETHERNET, facts::bits("DEFAULT_CRC32_POLY"));
     }

@@ -3,7 +3,7 @@
 //!
 //! A request is served in the tick in which it arises; where several wait, by priority level,
 //! then DMA1 before DMA2, then by channel number. The hardware takes about five bus cycles for
-//! each transfer, and more on a busy bus: [`crate::silicon::Fault::DmaLatency`]. Memory-to-memory transfers, synchronisation and request generators are not
+//! each transfer, and more on a busy bus: [`crate::faults::Fault::DmaLatency`]. Memory-to-memory transfers, synchronisation and request generators are not
 //! modelled. The data move through the board, which owns the bus.
 
 use super::{Effects, Request, interrupt};
@@ -48,12 +48,10 @@ const TEIF: u32 = 1 << 3;
 /// Width of one side of a transfer, in bytes: 1, 2 or 4.
 pub type Width = u32;
 
-/// One data item to move.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Transfer {
     /// Where it is read.
     pub source: u32,
-    /// How wide it is read.
     pub source_width: Width,
     /// Where it is written.
     pub destination: u32,
@@ -120,7 +118,6 @@ impl Channel {
     }
 }
 
-/// Both controllers and the multiplexer.
 #[derive(Debug, Default)]
 pub struct Dma {
     channels: [Channel; CHANNELS],
@@ -129,7 +126,6 @@ pub struct Dma {
 }
 
 impl Dma {
-    /// State after power-on.
     pub fn new() -> Self {
         Self::default()
     }
@@ -143,7 +139,6 @@ impl Dma {
         self.find_wanted();
     }
 
-    /// Resets the multiplexer.
     pub fn reset_multiplexer(&mut self) {
         for channel in &mut self.channels {
             channel.mux = 0;
@@ -192,7 +187,6 @@ impl Dma {
         }
     }
 
-    /// Value of a multiplexer register.
     pub fn read_multiplexer(&mut self, offset: u32, effects: &mut Effects) -> u32 {
         match offset {
             0..=MUX_LAST_CHANNEL => self.channels[(offset / 4) as usize].mux,
@@ -204,7 +198,6 @@ impl Dma {
         }
     }
 
-    /// Writes a multiplexer register.
     pub fn write_multiplexer(&mut self, offset: u32, value: u32, effects: &mut Effects) {
         match offset {
             0..=MUX_LAST_CHANNEL => {

@@ -6,8 +6,8 @@
 //! write and read protection.
 
 use super::{Effects, TICKS_PER_SECOND, Ticks, interrupt};
+use crate::faults::Fault;
 use crate::memory::{BANK_BYTES, DOUBLE_WORD_BYTES, FLASH_BASE, FLASH_BYTES, FlashArray, PAGE_BYTES, load};
-use crate::silicon::Fault;
 
 const ACR: u32 = 0x00;
 const PDKEYR: u32 = 0x04;
@@ -127,7 +127,7 @@ impl Flash {
         if let Some(operation) = self.operation.take() {
             let granted = (effects.now() - operation.started) as f64 / (operation.done - operation.started) as f64;
             match operation.work {
-                Work::Program { offset, .. } if effects.silicon.has(Fault::FlashTornOnes) => {
+                Work::Program { offset, .. } if effects.faults.has(Fault::FlashTornOnes) => {
                     self.array.tear_unseen(offset);
                 }
                 work => self.apply(work, granted),
@@ -140,7 +140,6 @@ impl Flash {
         *self = Self { loses_settings: self.loses_settings, ..Self::new(array) };
     }
 
-    /// The cells.
     pub fn array(&self) -> &FlashArray {
         &self.array
     }
@@ -151,7 +150,6 @@ impl Flash {
         self.acr & LATENCY
     }
 
-    /// Value of a register.
     pub fn read(&mut self, offset: u32, effects: &mut Effects) -> u32 {
         match offset {
             ACR => self.acr,
@@ -167,7 +165,6 @@ impl Flash {
         }
     }
 
-    /// Writes a register.
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
         match offset {
             ACR => self.acr = value,
@@ -180,13 +177,11 @@ impl Flash {
         self.update_line(effects);
     }
 
-    /// End of the operation under way.
     #[inline]
     pub fn next_event(&self) -> Ticks {
         self.operation.map_or(Ticks::MAX, |operation| operation.done)
     }
 
-    /// The operation under way is done.
     pub fn advance(&mut self, effects: &mut Effects) {
         let Some(operation) = self.operation.take() else { return };
         self.apply(operation.work, 1.0);
@@ -216,7 +211,7 @@ impl Flash {
             return Some(self.load_after(operation.work, offset, width));
         }
         if self.array.is_torn(offset) && self.eccr & ECCD == 0 {
-            let is_second = (offset >= BANK_BYTES) != effects.silicon.has(Fault::EccBank);
+            let is_second = (offset >= BANK_BYTES) != effects.faults.has(Fault::EccBank);
             let bank = if is_second { BK_ECC } else { 0 };
             self.eccr = ECCD | bank | ((offset % BANK_BYTES) & !(DOUBLE_WORD_BYTES - 1)) as u32;
             effects.raise_nmi();

@@ -9,7 +9,7 @@
 //! CNT = (now − zero_at) / (PSC + 1). The timer asks to be called at the next compare match
 //! or overflow, so flags, requests and triggers come at their exact ticks.
 
-use super::{Edge, Effects, Request, Ticks, Trigger, interrupt};
+use super::{Edge, Effects, Request, Ticks, Trigger, interrupt, request};
 
 const CR1: u32 = 0x00;
 const CR2: u32 = 0x04;
@@ -44,7 +44,6 @@ const FLAGS: u32 = 0x1F;
 const DIER_MODELLED: u32 = FLAGS | FLAGS << 8;
 const EGR_MODELLED: u32 = FLAGS;
 
-/// Where a timer is connected.
 #[derive(Clone, Copy, Debug)]
 struct Wiring {
     interrupt: u8,
@@ -55,7 +54,6 @@ struct Wiring {
     maximum: u32,
 }
 
-/// One general-purpose timer.
 #[derive(Debug)]
 pub struct Timer {
     wiring: Wiring,
@@ -84,53 +82,23 @@ pub struct Timer {
     top: u32,
     /// Tick at which the counter, never wrapping, would have been zero.
     origin: Option<Ticks>,
-    /// A debugger halts the counter.
     is_halted: bool,
     next: Ticks,
 }
 
 impl Timer {
-    /// TIM2: 32 bits.
-    pub fn tim2() -> Self {
-        Self::new(Wiring {
-            interrupt: interrupt::TIM2,
-            first_request: Request::TIM2_CH1,
-            trigger: Trigger::Tim2,
-            maximum: u32::MAX,
+    /// TIM2 to TIM5 for `index` 0 to 3; the outer two count 32 bits.
+    pub fn new(index: usize) -> Self {
+        let wiring = |interrupt, first_request, trigger, maximum| Wiring { interrupt, first_request, trigger, maximum };
+        Self::at_reset(match index {
+            0 => wiring(interrupt::TIM2, request::TIM2_CH1, Trigger::Tim2, u32::MAX),
+            1 => wiring(interrupt::TIM3, request::TIM3_CH1, Trigger::Tim3, 0xFFFF),
+            2 => wiring(interrupt::TIM4, request::TIM4_CH1, Trigger::Tim4, 0xFFFF),
+            _ => wiring(interrupt::TIM5, request::TIM5_CH1, Trigger::Tim5, u32::MAX),
         })
     }
 
-    /// TIM3: 16 bits.
-    pub fn tim3() -> Self {
-        Self::new(Wiring {
-            interrupt: interrupt::TIM3,
-            first_request: Request::TIM3_CH1,
-            trigger: Trigger::Tim3,
-            maximum: 0xFFFF,
-        })
-    }
-
-    /// TIM4: 16 bits.
-    pub fn tim4() -> Self {
-        Self::new(Wiring {
-            interrupt: interrupt::TIM4,
-            first_request: Request::TIM4_CH1,
-            trigger: Trigger::Tim4,
-            maximum: 0xFFFF,
-        })
-    }
-
-    /// TIM5: 32 bits.
-    pub fn tim5() -> Self {
-        Self::new(Wiring {
-            interrupt: interrupt::TIM5,
-            first_request: Request::TIM5_CH1,
-            trigger: Trigger::Tim5,
-            maximum: u32::MAX,
-        })
-    }
-
-    fn new(wiring: Wiring) -> Self {
+    fn at_reset(wiring: Wiring) -> Self {
         Self {
             wiring,
             cr1: 0,
@@ -157,14 +125,12 @@ impl Timer {
         }
     }
 
-    /// State after reset.
     pub fn reset(&mut self, effects: &mut Effects) {
         self.withdraw(self.dier, effects);
-        *self = Self::new(self.wiring);
+        *self = Self::at_reset(self.wiring);
         self.update_line(effects);
     }
 
-    /// Value of a register.
     pub fn read(&mut self, offset: u32, effects: &mut Effects) -> u32 {
         match offset {
             CR1 => self.cr1,
@@ -187,7 +153,6 @@ impl Timer {
         }
     }
 
-    /// Writes a register.
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
         self.done = self.count(effects.now());
         match offset {
@@ -252,7 +217,6 @@ impl Timer {
         self.next
     }
 
-    /// Does what is due now.
     pub fn advance(&mut self, effects: &mut Effects) {
         let elapsed = effects.now().wrapping_sub(self.zero_at) / self.period();
         let reached = elapsed.min(u64::from(self.top)) as u32;
@@ -479,8 +443,7 @@ impl Timer {
     }
 
     fn request_of(&self, event: usize) -> Request {
-        let first = self.wiring.first_request.0;
-        Request(if event == 0 { first + 4 } else { first + event as u8 - 1 })
+        self.wiring.first_request.after(if event == 0 { 4 } else { event as u8 - 1 })
     }
 
     fn settle_references(&mut self, effects: &mut Effects) {

@@ -7,7 +7,7 @@
 
 use std::collections::VecDeque;
 
-use super::{Effects, Request, Ticks, interrupt};
+use super::{Effects, Request, Ticks, interrupt, request};
 
 // Register offsets.
 const CR1: u32 = 0x00;
@@ -94,8 +94,8 @@ const LPUART1: Kind = Kind {
     least_divider: 0x300,
     divider_mask: 0xf_ffff,
     interrupt: interrupt::LPUART1,
-    receive: Request::LPUART1_RX,
-    transmit: Request::LPUART1_TX,
+    receive: request::LPUART1_RX,
+    transmit: request::LPUART1_TX,
 };
 
 /// A bit is BRR periods (RM0440, "USART baud rate generation"; the least divider from HAL hal_uart.c).
@@ -104,15 +104,13 @@ const USART1: Kind = Kind {
     least_divider: 0x10,
     divider_mask: 0xffff,
     interrupt: interrupt::USART1,
-    receive: Request::USART1_RX,
-    transmit: Request::USART1_TX,
+    receive: request::USART1_RX,
+    transmit: request::USART1_TX,
 };
 
-/// A serial port.
 #[derive(Debug)]
 pub struct Uart {
     kind: &'static Kind,
-    /// Whether somebody takes what has left.
     is_heard: bool,
     cr1: u32,
     cr2: u32,
@@ -203,7 +201,6 @@ impl Uart {
         std::mem::take(&mut self.sent)
     }
 
-    /// Value of a register.
     pub fn read(&mut self, offset: u32, effects: &mut Effects) -> u32 {
         match offset {
             CR1 => self.cr1,
@@ -228,7 +225,6 @@ impl Uart {
         }
     }
 
-    /// Writes a register.
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
         match offset {
             CR1 => self.write_cr1(value, effects),
@@ -284,7 +280,6 @@ impl Uart {
         [sent, self.arrives_at, self.idle_at].into_iter().flatten().min().unwrap_or(Ticks::MAX)
     }
 
-    /// Does what is due.
     pub fn advance(&mut self, effects: &mut Effects) {
         let now = effects.now();
         if let Some((byte, end)) = self.sending

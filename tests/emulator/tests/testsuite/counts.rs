@@ -6,11 +6,11 @@ use crate::common::silicon;
 use crate::common::trial::words::{Codes, FRAME_TICKS, Model, TOLERANCE_CODES, difference};
 use crate::common::wiring::inputs;
 use slitpose_emulator::facts;
+use slitpose_emulator::faults::{Fault, Faults};
 use slitpose_emulator::machine::{Machine, Stop};
 use slitpose_emulator::memory::FlashArray;
 use slitpose_emulator::peripherals::Ticks;
 use slitpose_emulator::rig::{open_image, request};
-use slitpose_emulator::silicon::{Fault, Silicon};
 use slitpose_emulator::world::{NoiseSource, World};
 use slitpose_firmware::pcb::default_configuration;
 use slitpose_head::scene_file::WIDE;
@@ -161,10 +161,10 @@ fn conversion_ticks() -> Ticks {
 
 /// A run of the default configuration: the scans, with the instants at which their first slot's gates came on, and the
 /// tick of power at which the device clock was zero.
-fn witness(silicon: Silicon, seed: u64, seconds: f64) -> (Vec<(RawScan, Ticks)>, Ticks) {
+fn witness(silicon: Faults, seed: u64, seconds: f64) -> (Vec<(RawScan, Ticks)>, Ticks) {
     let mut flash = FlashArray::erased();
     open_image(None).expect("an image").load_into(&mut flash);
-    let mut machine = Machine::new(flash, Witness::default()).with_silicon(silicon, seed);
+    let mut machine = Machine::new(flash, Witness::default()).with_faults(silicon, seed);
     let run = |machine: &mut Machine<Witness>, seconds: f64| {
         assert_eq!(machine.run_until(machine.now() + (seconds * 170e6) as Ticks), Stop::Reached);
     };
@@ -219,7 +219,7 @@ fn is_held(scan: &RawScan, start: Ticks, settling: Ticks, wired: &[[u8; 6]; 2]) 
 fn every_conversion_is_held_at_its_tick_in_its_light() {
     let Schedule { settling_ticks, frame_ticks, conversion_ticks: asked, .. } = default_configuration().schedule;
     assert_eq!(u64::from(asked), conversion_ticks());
-    let (scans, origin) = witness(Silicon::default(), 1, 1.0);
+    let (scans, origin) = witness(Faults::default(), 1, 1.0);
     let wired = inputs();
     let late = (origin + scans[0].0.tick).wrapping_sub(scans[0].1);
     assert!(late <= MOST_TICKS_LATE, "labelled {late} ticks late");

@@ -14,7 +14,6 @@ const GATES: &str = "TIM2_UP";
 const PERIODS: &str = "TIM2_CH2";
 const LEVELS: [&str; 2] = ["TIM2_CH1", "TIM2_CH3"];
 
-/// Something that goes wrong once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Disturbance {
     /// The DMA request of a word of converter 1 or 2 (index 0 or 1) is not seen.

@@ -7,10 +7,9 @@ use crate::common::registers::{multiplexer, register};
 use crate::common::solving::{SEED, chain, chain_of, is_ready_high, scene};
 use crate::common::wiring::{port_and_number, wires};
 use slitpose_emulator::facts::{bits, number};
-use slitpose_emulator::peripherals::uart::SentByte;
-use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
-use slitpose_emulator::silicon::{Fault, Silicon};
-use slitpose_emulator::world::{Flaws, NoiseSource};
+use slitpose_emulator::faults::{Fault, Faults};
+use slitpose_emulator::peripherals::{SentByte, TICKS_PER_SECOND, Ticks};
+use slitpose_emulator::world::NoiseSource;
 use slitpose_firmware::pcb::default_configuration;
 use slitpose_protocol::poses::{PoseStatus, READY_TICKS};
 use slitpose_protocol::{Command, Level, PoseRecord, Stream};
@@ -250,8 +249,8 @@ fn without_a_tool_frames_have_a_status_and_no_numbers() {
 #[test]
 fn on_faulty_silicon_no_frame_is_wrong() {
     let faults = [Fault::DmaLatency, Fault::TriggerPhase, Fault::AdcNeighbour, Fault::AdcStop, Fault::AdcStale];
-    let silicon: Silicon = faults.into_iter().collect();
-    let mut chain = chain_of(&scene(), NoiseSource::Seeded(SEED), silicon, Flaws::default());
+    let silicon: Faults = faults.into_iter().collect();
+    let mut chain = chain_of(&scene(), NoiseSource::Seeded(SEED), silicon);
     chain.rig.listen_as_controller();
     chain.rig.send(Command::Stream(Stream { scans: 0, poses: 1 }));
     chain.run_for(1e-3);

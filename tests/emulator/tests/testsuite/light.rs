@@ -6,9 +6,9 @@ use crate::common::trial::endings::{
 };
 use crate::common::trial::words::FRAME_TICKS;
 use crate::common::{dma_ticks, silicon};
+use slitpose_emulator::faults::Fault;
 use slitpose_emulator::memory::RAM_BASE;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
-use slitpose_emulator::silicon::Fault;
 use slitpose_protocol::{BootTarget, ClockSource, Command, HardwareFault, Rejection, ResetCause};
 
 /// How long the gates were on behind `event`; 0 if they were off already.
@@ -107,21 +107,6 @@ fn a_closed_port_ends_the_light() {
     bench.run_ms(300);
     assert!(bench.record().drives.len() > 4 * 1_100);
     bench.assert_no_faults();
-}
-
-#[test]
-fn a_pulled_cable_ends_the_light() {
-    let mut bench = lit();
-    let pulled = bench.rig.now();
-    bench.rig.set_cable(false);
-    bench.run_ms(520);
-    let lit = bench.dark_since() - pulled;
-    println!("cable pulled: dark after {:.3} ms", us(lit) / 1e3);
-    // 3 ms without frames are a suspended bus (USB 2.0, 7.1.7.6); 500 ms; a poll.
-    assert!((500 * MS..=505 * MS).contains(&lit), "{lit}");
-    bench.rig.set_cable(true);
-    // The board has not been reset: the last start was that of the supply.
-    assert_comes_back(&mut bench, ResetCause::PowerOn);
 }
 
 #[test]

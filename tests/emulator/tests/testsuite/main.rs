@@ -1,6 +1,5 @@
 //! The tests of the whole emulated board, in one program.
 
-mod commands;
 mod common;
 mod counts;
 mod disturbances;

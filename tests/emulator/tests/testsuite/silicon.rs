@@ -4,9 +4,9 @@
 use crate::common::silicon;
 use crate::common::trial::Plan;
 use crate::common::trial::endings::Ending;
-use slitpose_emulator::rig::{Rig, WORLD_TIER, open_image, open_pose_image};
-use slitpose_emulator::silicon::{Fault, Silicon};
-use slitpose_emulator::world::{NoiseSource, OpticsWorld};
+use slitpose_emulator::faults::{Fault, Faults};
+use slitpose_emulator::rig::{Rig, open_image, open_pose_image};
+use slitpose_emulator::world::NoiseSource;
 use slitpose_head::scene_file::WIDE;
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 
@@ -17,8 +17,8 @@ fn images_start_where_first_writes_are_lost_and_sleep_with_a_barrier_behind_it()
     for image in [open_image(None), open_pose_image()] {
         let image = image.expect("firmware/build makes it");
         for fault in [Fault::SramFirstWrite, Fault::SleepFetch] {
-            let world = OpticsWorld::new(&wide, still.clone(), WORLD_TIER, NoiseSource::Off).expect("it fits");
-            let mut rig = Rig::power_on(&image, world, Silicon::default().with(fault));
+            let mut rig = Rig::boot(&image, &wide, still.clone(), NoiseSource::Off, Faults::default().with(fault))
+                .expect("it fits");
             rig.run_for(0.05);
             assert_eq!(rig.faults(), [""; 0], "{fault:?}");
             let machine = rig.machine();

@@ -3,7 +3,6 @@
 mod exceptions;
 mod float;
 mod instructions;
-mod speed;
 mod system;
 
 use super::{Bus, BusFault, Cpu, Fault, Size, Step};

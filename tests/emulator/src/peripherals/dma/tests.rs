@@ -1,5 +1,6 @@
 use super::*;
 use crate::facts::{self, assert_facts};
+use crate::peripherals::request;
 
 const CH3: u32 = FIRST_CHANNEL + 2 * CHANNEL_SPAN;
 
@@ -14,63 +15,16 @@ fn ring(flags: u32) -> (Dma, Effects) {
     (dma, effects)
 }
 
-fn serve(dma: &mut Dma, effects: &mut Effects) -> Transfer {
-    let (channel, request) = dma.select(1 << 5, 0..CHANNELS).expect("the channel listens");
-    assert_eq!((channel, request), (2, Request::ADC1));
-    let transfer = dma.transfer(channel).expect("no fault injected");
-    dma.finish(channel, true, effects);
-    transfer
-}
-
-#[test]
-fn circular_ring_sets_half_and_full_flags_and_wraps() {
-    let (mut dma, mut effects) = ring(CIRC | HTIE);
-    let mut seen = Vec::new();
-    for _ in 0..5 {
-        let destination = serve(&mut dma, &mut effects).destination;
-        let (isr, line) = (dma.read(0, ISR, &mut effects), effects.lines()[0]);
-        seen.push((destination & 0xF, isr >> 8, line >> 13));
-        dma.write(0, IFCR, 0xF00, &mut effects);
-    }
-    let half = HTIF | GIF;
-    assert_eq!(seen, [(0, 0, 0), (2, half, 1), (4, 0, 0), (6, TCIF | GIF, 0), (0, 0, 0)]);
-    assert_eq!(dma.read(0, CH3 + CNDTR, &mut effects), 3);
-}
-
-#[test]
-fn normal_channel_stops_at_the_end() {
-    let (mut dma, mut effects) = ring(TCIE);
-    for _ in 0..4 {
-        serve(&mut dma, &mut effects);
-    }
-    assert_eq!(dma.wanted(), 0);
-    assert_eq!(dma.select(1 << 5, 0..CHANNELS), None);
-    assert_eq!(effects.lines()[0], 1 << 13);
-    dma.write(0, IFCR, TCIF << 8, &mut effects);
-    assert_eq!((effects.lines()[0], dma.read(0, ISR, &mut effects)), (0, HTIF << 8 | GIF << 8));
-}
-
-#[test]
-fn a_refused_transfer_disables_the_channel() {
-    let (mut dma, mut effects) = ring(CIRC | TEIE);
-    dma.fail_next(2);
-    assert_eq!(dma.transfer(2), None);
-    dma.finish(2, false, &mut effects);
-    assert_eq!(dma.read(0, ISR, &mut effects), (TEIF | GIF) << 8);
-    assert_eq!(dma.read(0, CH3 + CCR, &mut effects) & EN, 0);
-    assert_eq!((effects.lines()[0], dma.wanted()), (1 << 13, 0));
-}
-
 #[test]
 fn priority_then_number_decides() {
     let (mut dma, mut effects) = ring(CIRC);
     dma.write_multiplexer(0, 36, &mut effects);
     dma.write(0, FIRST_CHANNEL + CNDTR, 1, &mut effects);
     dma.write(0, FIRST_CHANNEL + CCR, EN, &mut effects);
-    assert_eq!(dma.select(1 << 5 | 1 << 36, 0..CHANNELS), Some((0, Request::ADC2)));
+    assert_eq!(dma.select(1 << 5 | 1 << 36, 0..CHANNELS), Some((0, request::ADC2)));
     dma.write(0, CH3 + CCR, 0, &mut effects);
     dma.write(0, CH3 + CCR, EN | 2 << 12, &mut effects);
-    assert_eq!(dma.select(1 << 5 | 1 << 36, 0..CHANNELS), Some((2, Request::ADC1)));
+    assert_eq!(dma.select(1 << 5 | 1 << 36, 0..CHANNELS), Some((2, request::ADC1)));
 }
 
 #[test]

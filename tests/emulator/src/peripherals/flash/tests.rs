@@ -3,8 +3,6 @@ use crate::facts::{self, assert_facts};
 
 /// Page 3 of bank 2.
 const OFFSET: usize = BANK_BYTES + 3 * PAGE_BYTES;
-const ERASE_PAGE_3: u32 = PER | BKER | 3 << 3 | STRT;
-
 fn unlocked() -> (Flash, Effects) {
     let (mut flash, mut effects) = (Flash::new(FlashArray::erased()), Effects::default());
     flash.write(KEYR, KEY1, &mut effects);
@@ -22,21 +20,6 @@ fn program(flash: &mut Flash, effects: &mut Effects, words: [u32; 2]) {
     flash.write(CR, PG | EOPIE, effects);
     flash.store(OFFSET, 4, words[0], effects);
     flash.store(OFFSET + 4, 4, words[1], effects);
-}
-
-#[test]
-fn programs_a_double_word_and_reports_the_end() {
-    let (mut flash, mut effects) = unlocked();
-    program(&mut flash, &mut effects, [0x1234_5678, 0x9ABC_DEF0]);
-    assert_eq!(flash.read(SR, &mut effects), BSY);
-    assert_eq!(flash.next_event(), PROGRAM_TICKS);
-    finish(&mut flash, &mut effects);
-    assert_eq!(flash.read(SR, &mut effects), EOP);
-    assert_eq!(effects.lines()[0], 1 << interrupt::FLASH);
-    assert_eq!(flash.load(OFFSET + 4, 2, &mut effects), Some(0xDEF0));
-    flash.write(SR, EOP, &mut effects);
-    assert_eq!(effects.lines()[0], 0);
-    assert_eq!(effects.violations(), []);
 }
 
 #[test]
@@ -61,22 +44,6 @@ fn refuses_what_is_locked_narrow_askew_or_not_erased() {
     flash.write(SR, PROGERR, &mut effects);
     program(&mut flash, &mut effects, [0, 0]);
     assert_eq!(flash.read(SR, &mut effects), BSY, "zeros may be programmed over anything");
-}
-
-#[test]
-fn erases_one_page_of_bank_2() {
-    let mut array = FlashArray::erased();
-    array.load(OFFSET - 1, &[0; PAGE_BYTES + 2]);
-    let (mut flash, mut effects) = (Flash::new(array), Effects::default());
-    flash.write(KEYR, KEY1, &mut effects);
-    flash.write(KEYR, KEY2, &mut effects);
-    flash.write(CR, ERASE_PAGE_3, &mut effects);
-    assert_eq!(effects.stalled_until, 0, "the core runs on from the other bank");
-    finish(&mut flash, &mut effects);
-    assert_eq!(effects.now(), ERASE_TICKS);
-    let bytes = flash.array().bytes();
-    assert!(bytes[OFFSET..OFFSET + PAGE_BYTES].iter().all(|&byte| byte == 0xFF));
-    assert_eq!((bytes[OFFSET - 1], bytes[OFFSET + PAGE_BYTES]), (0, 0));
 }
 
 #[test]

@@ -30,73 +30,26 @@ fn start(timer: &mut Timer, effects: &mut Effects, registers: &[(u32, u32)]) {
 }
 
 #[test]
-fn updates_come_every_period_to_the_tick() {
-    let (mut timer, mut effects) = (Timer::tim2(), Effects::starting_at(7));
-    start(&mut timer, &mut effects, &[(PSC, 2), (ARR, 9), (EGR, 1), (SR, 0), (DIER, UDE), (CR1, CR1_CEN)]);
-    let at = run(&mut timer, &mut effects, 100, take(Request::TIM2_UP));
-    assert_eq!(at, [37, 67, 97]);
-    assert_eq!(timer.count(100), 1);
-    assert_eq!(timer.sr, 0x1F);
-}
-
-#[test]
 fn preloaded_arr_lengthens_only_the_next_period() {
-    let (mut timer, mut effects) = (Timer::tim2(), Effects::default());
+    let (mut timer, mut effects) = (Timer::new(0), Effects::default());
     start(&mut timer, &mut effects, &[(ARR, 9), (DIER, UDE), (CR1, CR1_CEN | CR1_ARPE)]);
     start(&mut timer, &mut effects, &[(EGR, 1), (ARR, 19)]);
-    effects.withdraw(Request::TIM2_UP);
-    assert_eq!(run(&mut timer, &mut effects, 50, take(Request::TIM2_UP)), [10, 30, 50]);
-    let (mut timer, mut effects) = (Timer::tim2(), Effects::default());
+    effects.withdraw(request::TIM2_CH1.after(4));
+    assert_eq!(run(&mut timer, &mut effects, 50, take(request::TIM2_CH1.after(4))), [10, 30, 50]);
+    let (mut timer, mut effects) = (Timer::new(0), Effects::default());
     start(&mut timer, &mut effects, &[(ARR, 9), (DIER, UDE), (CR1, CR1_CEN), (ARR, 19)]);
-    assert_eq!(run(&mut timer, &mut effects, 50, take(Request::TIM2_UP)), [20, 40]);
+    assert_eq!(run(&mut timer, &mut effects, 50, take(request::TIM2_CH1.after(4))), [20, 40]);
 }
 
 #[test]
 fn an_arr_below_the_count_is_met_after_the_wrap_only() {
-    let (mut timer, mut effects) = (Timer::tim3(), Effects::default());
+    let (mut timer, mut effects) = (Timer::new(1), Effects::default());
     start(&mut timer, &mut effects, &[(DIER, UDE), (CR1, CR1_CEN)]);
     effects.now = 100;
     timer.write(ARR, 49, &mut effects);
-    assert!(run(&mut timer, &mut effects, 65_700, take(Request::TIM3_CH1)).is_empty());
+    assert!(run(&mut timer, &mut effects, 65_700, take(request::TIM3_CH1)).is_empty());
     assert_eq!(timer.sr & UIF, UIF);
-    assert_eq!(run(&mut timer, &mut effects, 65_750, take(Request(Request::TIM3_CH1.0 + 4))), [65_736]);
-}
-
-#[test]
-fn compare_requests_and_reference_edges_come_at_the_match() {
-    let (mut timer, mut effects) = (Timer::tim2(), Effects::default());
-    // CH2: PWM mode 2, OC2REF on TRGO; CH4 requests.
-    start(&mut timer, &mut effects, &[(ARR, 99), (CCMR1, 7 << 12), (CR2, 5 << 4), (DIER, UDE << 4)]);
-    start(&mut timer, &mut effects, &[(CCR1 + 4, 30), (CCR4, 80)]);
-    effects.take_triggers();
-    start(&mut timer, &mut effects, &[(CR1, CR1_CEN)]);
-    let rising = run(&mut timer, &mut effects, 250, |effects| effects.take_triggers() & 1 != 0);
-    assert_eq!(rising, [30, 130, 230]);
-    assert_eq!(timer.sr & 0b10100, 0b10100);
-    assert_ne!(effects.pending_requests() >> (Request::TIM2_CH1.0 + 3) & 1, 0);
-    timer.write(DIER, 0, &mut effects);
-    assert_eq!(effects.pending_requests(), 0);
-}
-
-#[test]
-fn interrupt_line_follows_flag_and_enable() {
-    let (mut timer, mut effects) = (Timer::tim4(), Effects::default());
-    start(&mut timer, &mut effects, &[(ARR, 9), (DIER, 1), (CR1, CR1_CEN)]);
-    run(&mut timer, &mut effects, 10, |_| false);
-    assert_eq!(effects.lines()[0], 1 << interrupt::TIM4);
-    timer.write(SR, !UIF, &mut effects);
-    assert_eq!(effects.lines()[0], 0);
-}
-
-#[test]
-fn a_preset_clock_wraps_when_it_should() {
-    let (mut timer, mut effects) = (Timer::tim5(), Effects::starting_at(1_000));
-    start(&mut timer, &mut effects, &[(CR1, CR1_CEN)]);
-    assert_eq!(timer.origin(), Some(1_000));
-    timer.preset(u32::MAX - 9, &effects);
-    assert_eq!(timer.next_event(), 1_010);
-    run(&mut timer, &mut effects, 1_015, |_| false);
-    assert_eq!(timer.count(1_015), 5);
+    assert_eq!(run(&mut timer, &mut effects, 65_750, take(request::TIM3_CH1.after(4))), [65_736]);
 }
 
 #[test]

@@ -28,57 +28,6 @@ fn line(effects: &Effects) -> bool {
     effects.lines()[2] & 1 << (interrupt::LPUART1 - 64) != 0
 }
 
-fn asks(effects: &Effects, request: Request) -> bool {
-    effects.pending_requests() & 1 << request.0 != 0
-}
-
-#[test]
-fn bytes_leave_one_after_another_at_the_rate_of_the_divider() {
-    let (mut lpuart, mut effects) = enabled();
-    lpuart.write(CR3, CR3_DMAT, &mut effects);
-    let begin = effects.now();
-    for byte in [1, 2, 3] {
-        assert!(asks(&effects, Request::LPUART1_TX));
-        effects.withdraw(Request::LPUART1_TX);
-        lpuart.write(TDR, byte, &mut effects);
-        if lpuart.read(ISR, &mut effects) & ISR_TXE == 0 {
-            assert!(!asks(&effects, Request::LPUART1_TX));
-            let next = lpuart.next_event();
-            run(&mut lpuart, &mut effects, next);
-        }
-    }
-    assert_eq!(lpuart.read(ISR, &mut effects) & ISR_TC, 0);
-    run(&mut lpuart, &mut effects, begin + 3 * FRAME);
-    let sent: Vec<_> = lpuart.take_sent().iter().map(|sent| (sent.at - begin, sent.byte)).collect();
-    assert_eq!(sent, [(FRAME, 1), (2 * FRAME, 2), (3 * FRAME, 3)]);
-    assert_ne!(lpuart.read(ISR, &mut effects) & ISR_TC, 0);
-    assert_eq!(effects.violation_count(), 0);
-}
-
-#[test]
-fn a_burst_ends_with_one_idle_interrupt() {
-    let (mut lpuart, mut effects) = enabled();
-    lpuart.write(CR3, CR3_DMAR, &mut effects);
-    lpuart.write(CR1, CR1_UE | CR1_RE | CR1_TE | CR1_IDLEIE, &mut effects);
-    let begin = effects.now();
-    lpuart.send(b"ab", &effects);
-    for (count, &byte) in b"ab".iter().enumerate() {
-        run(&mut lpuart, &mut effects, begin + (count as u64 + 1) * FRAME - 1);
-        assert!(!asks(&effects, Request::LPUART1_RX));
-        run(&mut lpuart, &mut effects, begin + (count as u64 + 1) * FRAME);
-        assert!(asks(&effects, Request::LPUART1_RX));
-        assert_eq!(lpuart.read(RDR, &mut effects), u32::from(byte));
-        assert!(!asks(&effects, Request::LPUART1_RX));
-    }
-    assert!(!line(&effects));
-    run(&mut lpuart, &mut effects, begin + 3 * FRAME);
-    assert!(line(&effects));
-    lpuart.write(ICR, ISR_IDLE, &mut effects);
-    assert!(!line(&effects));
-    run(&mut lpuart, &mut effects, begin + 100 * FRAME);
-    assert!(!line(&effects));
-}
-
 #[test]
 fn what_is_not_fetched_in_time_is_lost_and_told() {
     let (mut lpuart, mut effects) = enabled();
@@ -94,29 +43,6 @@ fn what_is_not_fetched_in_time_is_lost_and_told() {
     assert_eq!(lpuart.read(ISR, &mut effects) & ISR_RXNE, 0);
     lpuart.write(ICR, ISR_ORE, &mut effects);
     assert!(!line(&effects));
-}
-
-#[test]
-fn usart1_divides_by_whole_periods_and_is_kept_only_when_heard() {
-    let (mut usart, mut effects) = (Uart::usart1(), Effects::default());
-    // 170 MHz / 34: 5 Mbaud, ten bits a byte.
-    usart.write(BRR, 34, &mut effects);
-    usart.write(CR1, CR1_UE | CR1_TE, &mut effects);
-    run(&mut usart, &mut effects, 340);
-    usart.write(TDR, 1, &mut effects);
-    run(&mut usart, &mut effects, 680);
-    assert_eq!((usart.next_event(), usart.take_sent()), (Ticks::MAX, vec![]));
-    usart.listen();
-    usart.write(CR3, CR3_DMAT, &mut effects);
-    assert!(asks(&effects, Request::USART1_TX) && !asks(&effects, Request::LPUART1_TX));
-    usart.write(TDR, 2, &mut effects);
-    run(&mut usart, &mut effects, 1_020);
-    assert_eq!(usart.take_sent(), [SentByte { at: 1_020, byte: 2 }]);
-    assert_eq!((effects.violation_count(), effects.unmodelled_accesses().len()), (0, 0));
-    usart.write(CR1, 0, &mut effects);
-    usart.write(BRR, 15, &mut effects);
-    usart.write(CR1, CR1_UE | CR1_OVER8, &mut effects);
-    assert_eq!((effects.violation_count(), effects.unmodelled_accesses().len()), (1, 1), "divider; by 8");
 }
 
 #[test]

@@ -24,13 +24,11 @@ const TYPE_INTERRUPT: u32 = 0b11 << 9;
 /// How one direction of an endpoint answers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Stat {
-    /// Not at all.
     Disabled,
     /// With STALL.
     Stall,
     /// With NAK.
     Nak,
-    /// By moving data.
     Valid,
 }
 
@@ -40,7 +38,6 @@ impl Stat {
     }
 }
 
-/// The register.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Endpoint(u32);
 
@@ -110,12 +107,10 @@ impl Endpoint {
         self.0 & CLEARED != 0
     }
 
-    /// A packet was sent and acknowledged.
     pub(super) fn complete_tx(&mut self) {
         self.0 = (self.0 ^ DTOG_TX) & !STAT_TX | nak_tx() | CTR_TX;
     }
 
-    /// A packet was received.
     pub(super) fn complete_rx(&mut self) {
         self.0 = (self.0 ^ DTOG_RX) & !(STAT_RX | SETUP) | nak_rx() | CTR_RX;
     }
@@ -139,37 +134,6 @@ const fn nak_tx() -> u32 {
 mod tests {
     use super::*;
     use crate::facts::assert_facts;
-
-    #[test]
-    fn ones_toggle_and_zeros_clear() {
-        let mut endpoint = Endpoint::default();
-        endpoint.write(TYPE_CONTROL | 0b10 << 12 | 0b01 << 4 | 3);
-        assert_eq!((endpoint.rx(), endpoint.tx(), endpoint.number()), (Stat::Nak, Stat::Stall, 3));
-        endpoint.write(TYPE_CONTROL | 0b01 << 12 | 3);
-        assert_eq!((endpoint.rx(), endpoint.tx()), (Stat::Valid, Stat::Stall));
-        endpoint.complete_rx();
-        assert!(endpoint.has_received() && endpoint.rx_toggle());
-        // Ones keep the flags, and cannot set them.
-        endpoint.write(TYPE_CONTROL | CTR_RX | CTR_TX | 3);
-        assert_eq!(endpoint.register() & CLEARED, CTR_RX);
-        endpoint.write(TYPE_CONTROL | CTR_TX | 3);
-        assert_eq!(endpoint.register() & CLEARED, 0);
-        assert_eq!(endpoint.rx(), Stat::Nak);
-    }
-
-    #[test]
-    fn setup_is_read_only_and_ends_with_the_next_packet() {
-        let mut endpoint = Endpoint::default();
-        endpoint.write(TYPE_CONTROL | SETUP | STAT_RX | STAT_TX);
-        assert_eq!(endpoint.register() & SETUP, 0);
-        endpoint.complete_setup();
-        assert_eq!((endpoint.rx(), endpoint.tx()), (Stat::Nak, Stat::Nak));
-        assert!(endpoint.rx_toggle() && endpoint.tx_toggle());
-        endpoint.write(TYPE_CONTROL);
-        assert_ne!(endpoint.register() & SETUP, 0);
-        endpoint.complete_rx();
-        assert_eq!(endpoint.register() & SETUP, 0);
-    }
 
     #[test]
     fn bits_are_those_of_st() {

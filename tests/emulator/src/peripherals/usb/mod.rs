@@ -76,7 +76,6 @@ const MISSED_FRAME_TICKS: Ticks = FRAME_TICKS + FRAME_TICKS / 100;
 /// Missed frames that mean suspension: 3 ms.
 const SUSPEND_FRAMES: u32 = 3;
 
-/// The block.
 #[derive(Debug)]
 pub struct Usb {
     endpoints: [Endpoint; ENDPOINTS],
@@ -107,7 +106,6 @@ impl Default for Usb {
 }
 
 impl Usb {
-    /// The block after power-on.
     pub fn new() -> Self {
         Self {
             endpoints: [Endpoint::default(); ENDPOINTS],
@@ -143,7 +141,6 @@ impl Usb {
         }
     }
 
-    /// Reads a register.
     pub fn read(&mut self, offset: u32, effects: &mut Effects) -> u32 {
         match offset {
             0..EPNR_END => self.endpoints[(offset / 4) as usize].register(),
@@ -161,7 +158,6 @@ impl Usb {
         }
     }
 
-    /// Writes a register.
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
         match offset {
             0..EPNR_END => self.write_endpoint((offset / 4) as usize, value, effects),
@@ -240,7 +236,6 @@ impl Usb {
         self.update_interrupt(effects);
     }
 
-    /// The host's end of the block.
     pub fn port<'a>(&'a mut self, effects: &'a mut Effects) -> UsbPort<'a> {
         UsbPort { usb: self, effects }
     }

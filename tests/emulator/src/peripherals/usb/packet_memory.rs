@@ -6,7 +6,6 @@
 
 use std::ops::Range;
 
-/// Size of the memory.
 pub(super) const BYTES: usize = 1024;
 
 const COUNT: usize = 0x3ff;

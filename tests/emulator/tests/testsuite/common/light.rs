@@ -97,7 +97,8 @@ impl Bench {
     pub fn new(trajectory: Trajectory, noise: NoiseSource) -> Self {
         let image = open_image(None).expect("firmware/build makes it");
         let scene = wide();
-        let world = OpticsWorld::new(&scene, trajectory, WORLD_TIER, noise).expect("the board is made for it");
+        let world =
+            OpticsWorld::new(&scene, trajectory, WORLD_TIER, noise, silicon()).expect("the board is made for it");
         let now = Drive { at: 0, gates: 0, levels: [0; 2] };
         let recorder = Recorder { world, now, drives: Vec::new(), holds: Vec::new(), records_holds: false };
         let mut bench = Self {
@@ -214,7 +215,6 @@ impl Bench {
         at
     }
 
-    /// Forgets what was said and recorded.
     pub fn forget(&mut self) {
         self.said.clear();
         self.record().drives.clear();
@@ -225,12 +225,10 @@ impl Bench {
         &mut self.rig.machine().board.world
     }
 
-    /// Gates that are on now.
     pub fn gates(&mut self) -> u8 {
         self.record().now.gates
     }
 
-    /// All scans heard, in order.
     pub fn scans(&self) -> Vec<RawScan> {
         let scans = self.said.iter().filter_map(|(_, said)| match said {
             Said::Scans { scans, .. } => Some(scans.iter().copied()),
@@ -239,7 +237,6 @@ impl Bench {
         scans.flatten().collect()
     }
 
-    /// The next status.
     pub fn ask_status(&mut self) -> Status {
         let told = self.said.len();
         for _ in 0..600 {

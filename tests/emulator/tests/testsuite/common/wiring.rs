@@ -5,7 +5,6 @@ use slitpose_emulator::facts;
 
 const PAGE: &str = include_str!("../../../../../firmware/README.md");
 
-/// A row of the table.
 #[derive(Clone, Debug)]
 pub struct Wire {
     pub signal: &'static str,
@@ -59,7 +58,6 @@ pub fn inputs() -> [[u8; 6]; 2] {
     [1, 2].map(|electrode| std::array::from_fn(|cell| input(electrode, cell)))
 }
 
-/// The level line of an emitter.
 pub fn level_line(emitter: usize) -> usize {
     let lines = ["level of emitters 0 to 2", "level of emitters 3 to 5"];
     let holds = |signal: &str| {
