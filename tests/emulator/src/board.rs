@@ -6,14 +6,14 @@
 //! reach the converters; DMA requests are served by priority.
 
 use crate::faults::Fault;
-use crate::memory::{Bits, FlashArray, RAM_BASE, RAM_BYTES, TS_CAL1, TS_CAL2, VREFINT_CAL, load, store};
+use crate::memory::{Bits, FlashArray, RAM_BYTES, TS_CAL1, TS_CAL2, VREFINT_CAL};
 use crate::peripherals::adc::AdcGroup;
-use crate::peripherals::crc::Crc;
 use crate::peripherals::dac::Dac;
 use crate::peripherals::dma::{CHANNELS as DMA_CHANNELS, Dma};
 use crate::peripherals::exti::{Exti, PVD_LINE};
 use crate::peripherals::flash::Flash;
 use crate::peripherals::gpio::{PORTS, Port};
+use crate::peripherals::plain::crc::Crc;
 use crate::peripherals::plain::{Backup, crs, syscfg};
 use crate::peripherals::power::Power;
 use crate::peripherals::rcc::{Pulled, Rcc};
@@ -239,16 +239,6 @@ impl<W: World> Board<W> {
     /// When the flash operation under way will be done; `None` if there is none.
     pub fn flash_busy_until(&self) -> Option<Ticks> {
         Some(self.flash.next_event()).filter(|&done| done != Ticks::MAX)
-    }
-
-    /// Word of RAM at `address`, as a debugger reads it; `None` outside RAM.
-    pub fn ram_word(&self, address: u32) -> Option<u32> {
-        load(&self.ram, address.checked_sub(RAM_BASE)? as usize, 4)
-    }
-
-    /// Sets a word of RAM, as a debugger writes it; `None` outside RAM.
-    pub fn set_ram_word(&mut self, address: u32, word: u32) -> Option<()> {
-        store(&mut self.ram, address.checked_sub(RAM_BASE)? as usize, 4, word)
     }
 
     /// The emitter gates: bit k for PC(6 + k).

@@ -14,13 +14,11 @@
 //! | [`usb_wire`], `usb_host` | the cable and the computer at its other end |
 //! | [`terminal`] | that computer's serial port, as programs open it |
 //! | [`facts`] | numbers from outside the project, for tests |
-//! | [`rig`] | all of it together, running an [`image`] that `firmware/build` has made (`built`) |
+//! | [`rig`] | all of it together, running an [`image`] that `firmware/build` has made |
 //!
-//! What a program does against the reference manual is recorded, not tolerated: see
-//! [`peripherals::Effects::violations`].
+//! What a program does against the reference manual is recorded, not tolerated: see [`rig::Rig::faults`].
 
 pub mod board;
-mod built;
 pub mod cpu;
 pub mod facts;
 pub mod faults;

@@ -11,13 +11,13 @@ use slitpose_model::Tier;
 use slitpose_protocol::{Command, DELIMITER, HeadPart, MAX_REQUEST_BYTES, Request, encode};
 use thiserror::Error;
 
-use crate::built::{self, StaleError};
 use crate::faults::{Fault, Faults, LOW_SUPPLY_V};
-use crate::image::{Image, ImageError};
+use crate::image::{Image, ImageError, StaleError, check_sources, image_path};
 use crate::machine::{Machine, Stop};
 use crate::memory::FlashArray;
 use crate::peripherals::uart::SentByte;
 use crate::peripherals::{TICKS_PER_SECOND, Ticks};
+use crate::usb_host::UsbHost;
 use crate::world::{NoiseSource, OpticsWorld, World, WorldError};
 
 /// Optics are evaluated to this relative error, which is far below a code of the converters.
@@ -32,32 +32,14 @@ const SEED: u64 = 20_180_718;
 /// Longest time a program may take to its first start of the device clock.
 const BOOT_TICKS: Ticks = TICKS_PER_SECOND / 10;
 
-/// The file that `firmware/build` made last: in the target directory of the environment, or that
-/// of the sources this was built from.
-pub fn default_image_path() -> PathBuf {
-    built::image_path("slitpose-board")
-}
-
 /// Why there is no image to run.
 #[derive(Debug, Error)]
+#[allow(missing_docs)] // The messages say it.
 pub enum OpenError {
-    /// The file cannot be read.
     #[error("cannot read the image {}; make it with firmware/build, or give another with --elf", path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// It is no program for the board.
+    Read { path: PathBuf, source: std::io::Error },
     #[error("{} cannot run on the board", path.display())]
-    Image {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: ImageError,
-    },
-    /// It is older than its sources.
+    Image { path: PathBuf, source: ImageError },
     #[error(transparent)]
     Stale(#[from] StaleError),
 }
@@ -67,7 +49,7 @@ pub enum OpenError {
 /// # Errors
 /// If there is none, or the one made last is older than its sources.
 pub fn open_image(path: Option<&Path>) -> Result<Image, OpenError> {
-    path.map_or_else(|| open_built(&default_image_path(), "firmware/build"), read_image)
+    path.map_or_else(|| open_built(&image_path("slitpose-board")), read_image)
 }
 
 /// Reads the image that solves poses, which `firmware/build` makes beside the default one.
@@ -75,7 +57,7 @@ pub fn open_image(path: Option<&Path>) -> Result<Image, OpenError> {
 /// # Errors
 /// If there is none, or it is older than its sources.
 pub fn open_pose_image() -> Result<Image, OpenError> {
-    open_built(&pose_image_path(), "firmware/build")
+    open_built(&image_path("slitpose-board-pose"))
 }
 
 /// The ELF files of both images as `firmware/build` made them last: the default one, and the one that solves poses.
@@ -85,26 +67,19 @@ pub fn open_pose_image() -> Result<Image, OpenError> {
 pub fn built_files() -> Result<[Vec<u8>; 2], OpenError> {
     let read = |path: PathBuf| {
         let file = std::fs::read(&path).map_err(|source| OpenError::Read { path: path.clone(), source })?;
-        built::check(&path, "firmware/build")?;
+        check_sources(&path)?;
         Ok::<_, OpenError>(file)
     };
-    Ok([read(default_image_path())?, read(pose_image_path())?])
+    Ok([read(image_path("slitpose-board"))?, read(image_path("slitpose-board-pose"))?])
 }
 
-/// Where `firmware/build` puts the image that solves poses.
-fn pose_image_path() -> PathBuf {
-    built::image_path("slitpose-board-pose")
-}
-
-/// Reads the image in `path`, which `build` has made.
-pub(crate) fn open_built(path: &Path, build: &'static str) -> Result<Image, OpenError> {
+fn open_built(path: &Path) -> Result<Image, OpenError> {
     let image = read_image(path)?;
-    built::check(path, build)?;
+    check_sources(path)?;
     Ok(image)
 }
 
-/// Reads the image in `path`, whoever made it.
-pub(crate) fn read_image(path: &Path) -> Result<Image, OpenError> {
+fn read_image(path: &Path) -> Result<Image, OpenError> {
     let path = path.to_owned();
     match std::fs::read(&path) {
         Ok(file) => Image::from_elf(&file).map_err(|source| OpenError::Image { path, source }),
@@ -184,8 +159,7 @@ impl<W: World> Rig<W> {
     pub fn with_link(mut self, link: Link) -> Self {
         self.link = link;
         if link == Link::Uart {
-            self.machine.board.usb_host.detach(self.machine.board.now());
-            self.machine.board.outside_changed();
+            self.set_cable(false);
         }
         self
     }
@@ -211,32 +185,28 @@ impl<W: World> Rig<W> {
         self.run_until(end)
     }
 
+    /// Lets the host at the USB cable do something now.
+    pub fn host(&mut self, act: impl FnOnce(&mut UsbHost, Ticks)) {
+        let board = &mut self.machine.board;
+        act(&mut board.usb_host, board.effects.now());
+        board.outside_changed();
+    }
+
     /// Opens or closes the serial port at the host. A line without control signals does not notice.
     pub fn set_open(&mut self, open: bool) {
-        let board = &mut self.machine.board;
-        if self.link == Link::Usb && board.usb_host.dtr() != open {
-            board.usb_host.set_dtr(open, board.effects.now());
-            board.outside_changed();
+        if self.link == Link::Usb && self.machine.board.usb_host.dtr() != open {
+            self.host(|host, now| host.set_dtr(open, now));
         }
     }
 
     /// Lets the host leave what comes where it is, or fetch it again.
     pub fn stop_reading(&mut self, stop: bool) {
-        let board = &mut self.machine.board;
-        board.usb_host.stop_reading(stop, board.effects.now());
-        board.outside_changed();
+        self.host(|host, now| host.stop_reading(stop, now));
     }
 
     /// Pulls the USB cable, or plugs it in again.
     pub fn set_cable(&mut self, plugged: bool) {
-        let board = &mut self.machine.board;
-        let now = board.effects.now();
-        if plugged {
-            board.usb_host.attach(now);
-        } else {
-            board.usb_host.detach(now);
-        }
-        board.outside_changed();
+        self.host(|host, now| if plugged { host.attach(now) } else { host.detach(now) });
     }
 
     /// Sends bytes to the board.

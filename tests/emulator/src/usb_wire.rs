@@ -74,24 +74,6 @@ pub struct OutPacket<'a> {
     pub bytes: &'a [u8],
 }
 
-/// What a host finds at the other end of the cable.
-pub trait FullSpeedDevice {
-    /// Whether D+ is pulled up: the device wants to be seen.
-    fn is_pulled_up(&self) -> bool;
-
-    /// Something other than a packet happens on the bus.
-    fn signal(&mut self, signal: BusSignal);
-
-    /// An IN token.
-    fn token_in(&mut self, address: u8, endpoint: u8) -> Answer;
-
-    /// The host has acknowledged the data that the last IN token brought.
-    fn acknowledged(&mut self, address: u8, endpoint: u8);
-
-    /// An OUT or SETUP token and its data packet, at the end of the latter.
-    fn packet_out(&mut self, packet: OutPacket<'_>) -> Answer;
-}
-
 /// Ticks of `bits` at 12 Mbit/s: a bit has 170/12 of them.
 pub fn bit_ticks(bits: u64) -> Ticks {
     (bits * 85).div_ceil(6)
@@ -151,10 +133,5 @@ mod tests {
         assert_eq!(stuffed_bits(&[0x55; 64]), 0);
         // Six ones may straddle two bytes.
         assert_eq!(stuffed_bits(&[0xe0, 0x07]), 1);
-    }
-
-    #[test]
-    fn twelve_bits_are_a_microsecond() {
-        assert_eq!(bit_ticks(12), 170);
     }
 }

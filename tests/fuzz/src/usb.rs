@@ -7,12 +7,10 @@ use slitpose_emulator::faults::Faults;
 use slitpose_emulator::image::Image;
 use slitpose_emulator::machine::{Reset, Stop};
 use slitpose_emulator::peripherals::{
-    READ_WHILE_RECEIVING, ResetCause, TICKS_PER_SECOND, Ticks, WRITTEN_WHILE_SENDING,
+    READ_WHILE_RECEIVING, ResetCause, TICKS_PER_SECOND, Ticks, UsbPort, WRITTEN_WHILE_SENDING,
 };
 use slitpose_emulator::rig::{Rig, open_image};
-use slitpose_emulator::usb_wire::{
-    Answer, BusSignal, FRAME_TICKS, FullSpeedDevice, MAX_PACKET_BYTES, OutPacket, data_ticks,
-};
+use slitpose_emulator::usb_wire::{Answer, BusSignal, FRAME_TICKS, MAX_PACKET_BYTES, OutPacket, data_ticks};
 use slitpose_emulator::world::World;
 use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message};
 
@@ -95,7 +93,7 @@ impl Hostile {
         host
     }
 
-    fn device<T>(&mut self, act: impl FnOnce(&mut dyn FullSpeedDevice) -> T) -> T {
+    fn device<T>(&mut self, act: impl FnOnce(&mut UsbPort<'_>) -> T) -> T {
         let board = &mut self.rig.machine().board;
         let result = act(&mut board.usb.port(&mut board.effects));
         board.outside_changed();

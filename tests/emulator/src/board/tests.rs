@@ -3,7 +3,7 @@
 use super::*;
 use crate::cpu::{Bus, BusFault, Size};
 use crate::facts;
-use crate::memory::CCM_BASE;
+use crate::memory::{CCM_BASE, RAM_BASE};
 use crate::peripherals::{TICKS_PER_SECOND, interrupt};
 
 const RCC: u32 = 0x4002_1000;

@@ -1,5 +1,5 @@
-//! The private peripheral bus: system control block, NVIC registers, SysTick, cycle counter (DDI0403, B3 and
-//! C1.8). Registers without a model read 0 and ignore writes, among them the debug components.
+//! The private peripheral bus: system control block, NVIC registers, cycle counter (DDI0403, B3 and C1.8). Registers
+//! without a model read 0 and ignore writes, among them the debug components and SysTick.
 
 use super::nvic::{BUS_FAULT, FIRST_INTERRUPT, MEM_MANAGE, NMI, PEND_SV, SV_CALL, SYS_TICK, USAGE_FAULT};
 use super::{Cpu, Fault, Size};
@@ -24,7 +24,7 @@ const MMARVALID: u32 = 1 << 7;
 const BFARVALID: u32 = 1 << 15;
 
 /// Registers read as constants: identification of a Cortex-M4 r0p1 with FPU (DDI0439, 4.1).
-const IDENTIFICATION: [(u32, u32); 17] = [
+const IDENTIFICATION: [(u32, u32); 16] = [
     (0xe000_e004, 3), // ICTR: 128 lines
     (0xe000_ed00, 0x410f_c241),
     (0xe000_ed40, 0x0000_0030),
@@ -40,7 +40,6 @@ const IDENTIFICATION: [(u32, u32); 17] = [
     (0xe000_ed90, 8 << 8),      // MPU_TYPE: eight regions
     (0xe000_ef40, 0x1011_0021), // MVFR0
     (0xe000_ef44, 0x1100_0011), // MVFR1
-    (0xe000_e01c, 0x4000_4e1f), // SYST_CALIB of the STM32G4: no exact 10 ms
     (0xe000_0000, 1),           // ITM_STIM0: ready, so that nobody waits for a trace port
 ];
 
@@ -89,7 +88,6 @@ pub(super) struct System {
     frozen_in_halt: u32,
     demcr: u32,
     cycle_counter: CycleCounter,
-    pub systick: SysTick,
     pub reset_requested: bool,
 }
 
@@ -114,7 +112,6 @@ impl System {
             fpdscr: 0,
             demcr: 0,
             cycle_counter: CycleCounter::default(),
-            systick: SysTick::default(),
             reset_requested: false,
         }
     }
@@ -231,11 +228,9 @@ impl Cpu {
     }
 
     fn read_register(&mut self, address: u32) -> u32 {
-        let time = self.time();
         match address {
             0xe000_1000 => 0x4000_0000 | u32::from(self.system.cycle_counter.enabled), // four comparators
             0xe000_1004 => self.system.cycle_counter.value(self.executed),
-            0xe000_e010..=0xe000_e018 => self.system.systick.read(address & 15, time),
             0xe000_e100..=0xe000_e17c => self.interrupt_word(self.nvic.enabled, address),
             0xe000_e180..=0xe000_e1fc => self.interrupt_word(self.nvic.enabled, address),
             0xe000_e200..=0xe000_e27c => self.interrupt_word(self.nvic.pending, address),
@@ -266,10 +261,9 @@ impl Cpu {
     }
 
     fn write_register(&mut self, address: u32, written: Written) {
-        let (time, value) = (self.time(), written.value);
+        let value = written.value;
         match address {
             0xe000_1000 | 0xe000_1004 | 0xe000_edfc => self.write_cycle_counter(address, written),
-            0xe000_e010..=0xe000_e018 => self.system.systick.write(address & 15, value, time),
             0xe000_e100..=0xe000_e17c => self.nvic.enabled |= interrupt_bits(address, value),
             0xe000_e180..=0xe000_e1fc => self.nvic.enabled &= !interrupt_bits(address, value),
             0xe000_e200..=0xe000_e27c => self.nvic.pend_all(interrupt_bits(address, value)),
@@ -410,88 +404,6 @@ impl CycleCounter {
     pub fn set(&mut self, value: u32, running: bool, executed: u64) {
         self.running = running;
         self.base = if running { value.wrapping_sub(executed as u32) } else { value };
-    }
-}
-
-/// SysTick (DDI0403, B3.3), as the time at which it next reaches zero.
-#[derive(Clone, Debug, Default)]
-pub(super) struct SysTick {
-    control: u32,
-    reload: u32,
-    /// Reached zero since CTRL was last read.
-    count_flag: bool,
-    /// Time of the next zero while counting.
-    due: Option<u64>,
-}
-
-impl SysTick {
-    /// Time of the next zero; the reference clock of the STM32G4 is HCLK/8.
-    pub fn due(&self) -> Option<u64> {
-        self.due
-    }
-
-    /// [`Self::due`] for comparison with the time.
-    #[inline(always)]
-    pub fn deadline(&self) -> u64 {
-        self.due.unwrap_or(u64::MAX)
-    }
-
-    fn divider(&self) -> u64 {
-        if self.control & 4 != 0 { 1 } else { 8 }
-    }
-
-    fn period(&self) -> u64 {
-        (u64::from(self.reload) + 1) * self.divider()
-    }
-
-    fn restart(&mut self, now: u64) {
-        self.due = (self.control & 1 != 0 && self.reload != 0).then(|| now + self.period());
-    }
-
-    /// Passes the zeros up to `now`; whether the exception becomes pending.
-    pub fn advance(&mut self, now: u64) -> bool {
-        let period = self.period();
-        let Some(due) = self.due.as_mut().filter(|due| **due <= now) else { return false };
-        *due += ((now - *due) / period + 1) * period;
-        self.count_flag = true;
-        self.control & 2 != 0
-    }
-
-    fn value(&self, now: u64) -> u32 {
-        let left = self.due.map_or(0, |due| due.saturating_sub(now).div_ceil(self.divider()));
-        (left % (u64::from(self.reload) + 1)) as u32
-    }
-
-    /// The register at `offset` from SYST_CSR.
-    pub fn read(&mut self, offset: u32, now: u64) -> u32 {
-        match offset {
-            0 => self.control | u32::from(std::mem::take(&mut self.count_flag)) << 16,
-            4 => self.reload,
-            _ => self.value(now),
-        }
-    }
-
-    /// See [`Self::read`].
-    pub fn write(&mut self, offset: u32, value: u32, now: u64) {
-        match offset {
-            0 => {
-                let restart = (self.control ^ value) & 5 != 0;
-                self.control = value & 7;
-                if restart {
-                    self.restart(now);
-                }
-            }
-            4 => {
-                self.reload = value & 0xff_ffff;
-                if self.due.is_none() {
-                    self.restart(now);
-                }
-            }
-            _ => {
-                self.count_flag = false;
-                self.restart(now);
-            }
-        }
     }
 }
 

@@ -16,13 +16,12 @@
 
 mod commands;
 mod group;
-mod registers;
 
 pub use group::AdcGroup;
 
 use super::{Effects, Request, Ticks};
 use crate::faults::Fault;
-use registers::*;
+use commands::*;
 
 /// What the converter does by itself next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -74,22 +74,16 @@ pub mod request {
 /// Trigger outputs (TRGO) of the general-purpose timers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Trigger {
-    /// TIM2_TRGO.
     Tim2,
-    /// TIM3_TRGO.
     Tim3,
-    /// TIM4_TRGO.
     Tim4,
     /// TIM5_TRGO (no converter listens to it).
     Tim5,
 }
 
-/// Direction of a trigger's edge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Edge {
-    /// Low to high.
     Rising,
-    /// High to low.
     Falling,
 }
 
@@ -111,15 +105,12 @@ pub enum ResetCause {
 /// A rule of the reference manual that the program has broken.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Violation {
-    /// When, in ticks since power-on.
     pub at: Ticks,
     /// Address of the instruction (during a DMA transfer: of the instruction beside it).
     pub pc: u32,
-    /// Register or memory address.
     pub address: u32,
     /// Value written, or 0 for a read.
     pub value: u32,
-    /// The rule.
     pub rule: &'static str,
 }
 
@@ -129,44 +120,39 @@ const VIOLATIONS_KEPT: usize = 1_000;
 /// Everything that passes between peripherals, the core and the outside.
 #[derive(Debug, Default)]
 pub struct Effects {
-    /// The present, in ticks since power-on.
-    pub(crate) now: Ticks,
-    /// Address of the instruction being executed.
-    pub(crate) pc: u32,
-    /// Address of the access being made.
-    pub(crate) address: u32,
+    pub now: Ticks,
+    pub pc: u32,
+    pub address: u32,
     lines: [u32; 4],
     /// The core or the machine has to look: lines, reset, NMI, stall, changed code or boot loader.
-    pub(crate) attention: bool,
+    pub attention: bool,
     requests: u128,
     triggers: u16,
-    pub(crate) reset: Option<ResetCause>,
-    pub(crate) nmi: bool,
+    pub reset: Option<ResetCause>,
+    pub nmi: bool,
     /// Flash has new content.
-    pub(crate) code_changed: bool,
+    pub code_changed: bool,
     /// The core has jumped into the factory's boot loader.
-    pub(crate) boot_loader_entered: bool,
+    pub boot_loader_entered: bool,
     /// The core waits on the bus until this instant.
-    pub(crate) stalled_until: Ticks,
+    pub stalled_until: Ticks,
     /// What the silicon does against its manual.
-    pub(crate) faults: Faults,
+    pub faults: Faults,
     /// What it does by chance.
-    pub(crate) chance: Bits,
+    pub chance: Bits,
     /// Phase of the converters' clock, in ticks of any period.
-    pub(crate) clock_phase: Ticks,
+    pub clock_phase: Ticks,
     violations: Vec<Violation>,
     violation_count: u64,
     unmodelled: BTreeMap<u32, u64>,
 }
 
 impl Effects {
-    /// Nothing has happened yet, and it is tick `now`.
     #[cfg(test)]
-    pub(crate) fn starting_at(now: Ticks) -> Self {
+    pub fn starting_at(now: Ticks) -> Self {
         Self { now, ..Self::default() }
     }
 
-    /// The present, in ticks since power-on.
     pub fn now(&self) -> Ticks {
         self.now
     }
@@ -180,7 +166,6 @@ impl Effects {
         self.attention |= self.lines[word] != before;
     }
 
-    /// Levels of all interrupt lines.
     pub fn lines(&self) -> &[u32; 4] {
         &self.lines
     }
@@ -211,7 +196,7 @@ impl Effects {
 
     /// Edges sent since the last call, as bits 2·trigger (rising) and 2·trigger + 1 (falling).
     #[inline]
-    pub(crate) fn take_triggers(&mut self) -> u16 {
+    pub fn take_triggers(&mut self) -> u16 {
         std::mem::take(&mut self.triggers)
     }
 
@@ -221,32 +206,31 @@ impl Effects {
         self.attention = true;
     }
 
-    /// Makes the non-maskable interrupt pending.
-    pub(crate) fn raise_nmi(&mut self) {
+    pub fn raise_nmi(&mut self) {
         self.nmi = true;
         self.attention = true;
     }
 
     /// Lets the core wait until `end`.
-    pub(crate) fn stall_until(&mut self, end: Ticks) {
+    pub fn stall_until(&mut self, end: Ticks) {
         self.stalled_until = self.stalled_until.max(end);
         self.attention = true;
     }
 
     /// Decoded code is out of date.
-    pub(crate) fn forget_code(&mut self) {
+    pub fn forget_code(&mut self) {
         self.code_changed = true;
         self.attention = true;
     }
 
     /// Code is fetched from the boot loader.
-    pub(crate) fn enter_boot_loader(&mut self) {
+    pub fn enter_boot_loader(&mut self) {
         self.boot_loader_entered = true;
         self.attention = true;
     }
 
     /// Forgets all that waits, for a reset; the records stay.
-    pub(crate) fn clear_signals(&mut self) {
+    pub fn clear_signals(&mut self) {
         self.lines = [0; 4];
         self.requests = 0;
         self.triggers = 0;

@@ -29,7 +29,6 @@
 //!   model knows are [`Effects::unmodelled`].
 
 pub(crate) mod adc;
-pub(crate) mod crc;
 pub(crate) mod dac;
 pub(crate) mod dma;
 mod effects;
@@ -46,10 +45,10 @@ pub(crate) mod usb;
 pub(crate) mod watchdog;
 
 pub use uart::SentByte;
-pub use usb::{READ_WHILE_RECEIVING, WRITTEN_WHILE_SENDING};
+pub use usb::{READ_WHILE_RECEIVING, UsbPort, WRITTEN_WHILE_SENDING};
 
-pub use effects::{Edge, Effects, Request, ResetCause, Trigger, Violation};
-pub(crate) use effects::{interrupt, request};
+pub use effects::ResetCause;
+pub(crate) use effects::{Edge, Effects, Request, Trigger, interrupt, request};
 
 /// Periods of the 170 MHz core clock since power-on. The core starts on the 16 MHz
 /// oscillator until it selects the PLL; every core cycle counts as one tick all the same.

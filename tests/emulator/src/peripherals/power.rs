@@ -122,15 +122,6 @@ mod tests {
     }
 
     #[test]
-    fn boost_and_backup_access_follow_their_bits() {
-        let (mut power, mut effects) = (Power::new(3.3), Effects::default());
-        assert!(!power.is_boosted() && !power.backup_access());
-        power.write(CR5, 0, &mut effects);
-        power.write(CR1, 0x0200 | DBP, &mut effects);
-        assert!(power.is_boosted() && power.backup_access());
-    }
-
-    #[test]
     fn registers_and_thresholds_are_those_of_st() {
         super::super::registers::assert_offsets("PWR_TypeDef", REGISTERS);
         assert_facts!("PWR_"; DBP = "CR1_DBP", PVDE = "CR2_PVDE", PVDO = "SR2_PVDO", REGLPS = "SR2_REGLPS");

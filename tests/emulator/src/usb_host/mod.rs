@@ -5,7 +5,7 @@
 //! at [`UsbHost::next_event`]. Each transaction takes the time it takes on the wire.
 //!
 //! ```text
-//! port ─▶ enumeration ─▶ transfer ─▶ transaction ─▶ FullSpeedDevice
+//! port ─▶ enumeration ─▶ transfer ─▶ transaction ─▶ UsbPort
 //!                        pipes   ───┘
 //! ```
 //! `enumeration` says what to ask next, `transfer` has a control transfer and the pipes of bulk and interrupt
@@ -16,8 +16,9 @@ mod transfer;
 
 use std::collections::VecDeque;
 
+use crate::peripherals::usb::UsbPort;
 use crate::peripherals::{TICKS_PER_SECOND, Ticks};
-use crate::usb_wire::{self, Answer, BusSignal, FRAME_TICKS, FullSpeedDevice, OutPacket};
+use crate::usb_wire::{self, Answer, BusSignal, FRAME_TICKS, OutPacket};
 
 pub use enumeration::DeviceDescription;
 
@@ -221,10 +222,6 @@ impl UsbHost {
         self.hurry(now);
     }
 
-    pub fn unsent(&self) -> usize {
-        self.outgoing.len()
-    }
-
     /// Packets received since the last call, in order.
     pub fn take_received(&mut self) -> Vec<Received> {
         std::mem::take(&mut self.received)
@@ -251,7 +248,7 @@ impl UsbHost {
     }
 
     /// Does what is due at `now`.
-    pub fn advance(&mut self, now: Ticks, device: &mut impl FullSpeedDevice) {
+    pub fn advance(&mut self, now: Ticks, device: &mut UsbPort<'_>) {
         if now < self.due {
             return;
         }
@@ -303,7 +300,7 @@ impl UsbHost {
         }
     }
 
-    fn start_frames(&mut self, now: Ticks, device: &mut impl FullSpeedDevice) {
+    fn start_frames(&mut self, now: Ticks, device: &mut UsbPort<'_>) {
         self.port = Port::Active;
         self.next_frame = now;
         self.quiet_until = now + RECOVERY_TICKS;
@@ -318,13 +315,13 @@ impl UsbHost {
         self.enumeration.lose();
     }
 
-    fn disconnect(&mut self, now: Ticks, device: &mut impl FullSpeedDevice) {
+    fn disconnect(&mut self, now: Ticks, device: &mut UsbPort<'_>) {
         self.leave(Port::Watching, device);
         self.due = now + WATCH_TICKS;
     }
 
     /// Ends whatever goes on with a device; lines that are held down for it come back to rest.
-    fn leave(&mut self, port: Port, device: &mut impl FullSpeedDevice) {
+    fn leave(&mut self, port: Port, device: &mut UsbPort<'_>) {
         if matches!(self.port, Port::Resetting { .. } | Port::Resuming { .. }) {
             device.signal(BusSignal::ResetEnds);
         }
@@ -332,7 +329,7 @@ impl UsbHost {
         self.port = port;
     }
 
-    fn sleep(&mut self, now: Ticks, device: &mut impl FullSpeedDevice) {
+    fn sleep(&mut self, now: Ticks, device: &mut UsbPort<'_>) {
         match self.order.take() {
             Some(Order::Resume) => {
                 device.signal(BusSignal::ResumeBegins);
@@ -344,7 +341,7 @@ impl UsbHost {
     }
 
     /// An active port: ends a transaction, begins a frame, begins a transaction.
-    fn run(&mut self, now: Ticks, device: &mut impl FullSpeedDevice) {
+    fn run(&mut self, now: Ticks, device: &mut UsbPort<'_>) {
         if let Some(in_flight) = self.in_flight.take() {
             if now < in_flight.end {
                 self.due = in_flight.end;
@@ -386,7 +383,7 @@ impl UsbHost {
     }
 
     /// Begins the transaction that is next in turn, if there is one and the frame has room for it.
-    fn begin_transaction(&mut self, now: Ticks, device: &mut impl FullSpeedDevice) {
+    fn begin_transaction(&mut self, now: Ticks, device: &mut UsbPort<'_>) {
         if self.transfer.is_none()
             && let Some(request) = self.enumeration.next_request(self.dtr)
         {
@@ -421,12 +418,7 @@ impl UsbHost {
 
     /// Puts a transaction for `purpose` on the wire: its endpoint, its token, and the time until its end. `None`: the frame
     /// has no room left.
-    fn transaction(
-        &mut self,
-        purpose: Purpose,
-        now: Ticks,
-        device: &mut impl FullSpeedDevice,
-    ) -> Option<(u8, Kind, Ticks)> {
+    fn transaction(&mut self, purpose: Purpose, now: Ticks, device: &mut UsbPort<'_>) -> Option<(u8, Kind, Ticks)> {
         let (endpoint, room, out) = match purpose {
             Purpose::Control => (0, usb_wire::MAX_PACKET_BYTES, self.transfer.as_ref()?.packet()),
             Purpose::Pipe(place) => {
@@ -454,7 +446,7 @@ impl UsbHost {
         Some((endpoint, Kind::In(answer), ticks))
     }
 
-    fn complete(&mut self, in_flight: InFlight, now: Ticks, device: &mut impl FullSpeedDevice) {
+    fn complete(&mut self, in_flight: InFlight, now: Ticks, device: &mut UsbPort<'_>) {
         let InFlight { purpose, endpoint, kind, .. } = in_flight;
         let address = self.enumeration.address;
         let (answer, sent) = match kind {
@@ -514,6 +506,3 @@ impl UsbHost {
         Ok(())
     }
 }
-
-#[cfg(test)]
-mod tests;

@@ -192,3 +192,53 @@ impl Pipe {
         Err(fault)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn data(toggle: bool, len: usize) -> Answer {
+        Answer::Data { toggle, bytes: vec![1; len] }
+    }
+
+    #[test]
+    fn a_pipe_tells_who_breaks_the_protocol_and_is_closed() {
+        for (answers, fault, is_closed) in [
+            (vec![data(true, 10)], "wrong data toggle, 10 bytes thrown away", false),
+            (vec![data(false, 64), data(true, 65)], "babble: 65 bytes where 64 are the most", true),
+            (vec![Answer::Nak, Answer::Stall], "STALL", true),
+            (
+                vec![Answer::Silence, Answer::Silence, Answer::Nak, Answer::Silence, Answer::Silence, Answer::Silence],
+                "no answer",
+                true,
+            ),
+        ] {
+            let mut pipe = Pipe::new(Endpoint { number: 1, packet_bytes: 64, interval: 0 }, 0);
+            let last = answers.len() - 1;
+            for (n, answer) in answers.into_iter().enumerate() {
+                let faulty = pipe.progress(answer, 0).err();
+                assert_eq!(faulty.as_deref(), (n == last).then_some(fault));
+            }
+            assert_eq!(pipe.ready_at == Ticks::MAX, is_closed, "{fault}");
+        }
+    }
+
+    #[test]
+    fn a_control_transfer_tells_what_has_ended_it() {
+        let ack = || Answer::Ack;
+        for (answers, fault) in [
+            (vec![Answer::Nak], "NAK to a SETUP packet"),
+            (vec![Answer::Silence; 3], "no answer in the setup stage"),
+            (vec![ack(), Answer::Nak, Answer::Stall], "STALL in the data stage"),
+            (vec![ack(), data(false, 8)], "wrong data toggle in the data stage"),
+            (vec![ack(), data(true, 8), data(false, 3)], "babble: a packet of 3 bytes, 11 of 10 in all"),
+            (vec![ack(), data(true, 8), data(false, 2), Answer::Stall], "STALL in the status stage"),
+        ] {
+            let request = Request { setup: [0x80, 6, 0, 1, 0, 0, 10, 0], data: Vec::new() };
+            let mut transfer = Transfer::new(request, 8, 0);
+            let mut outcomes = answers.into_iter().map(|answer| transfer.progress(answer, 0, 0));
+            let failed = outcomes.find_map(Result::err);
+            assert_eq!(failed.as_deref(), Some(fault));
+        }
+    }
+}

@@ -95,7 +95,7 @@ fn a_closed_port_ends_the_light() {
         assert!(lit <= 502 * MS + MS / 2, "{lit}");
         bench.open();
         bench.run_ms(20);
-        assert!(bench.events().iter().any(|text| text.contains("link had been closed")), "{:?}", bench.said);
+        assert!(bench.events().iter().any(|text| text.contains("link had been closed")), "{:?}", bench.ear.said);
         assert_eq!(bench.gates(), 0, "dark until Start");
         bench.light();
     }
@@ -246,7 +246,7 @@ fn a_falling_supply_ends_the_light_within_microseconds() {
         longest = longest.max(lit);
         assert!(lit <= Ending::LowSupply.most_ticks(silicon()), "{lit}");
         assert!(bench.record().drives.iter().all(|drive| drive.gates == 0 || drive.at < event + lit), "and stays dark");
-        assert!(bench.events().iter().any(|text| text.contains("supply")), "{:?}", bench.said);
+        assert!(bench.events().iter().any(|text| text.contains("supply")), "{:?}", bench.ear.said);
         bench.rig.machine().set_supply_v(3.3);
         bench.run_ms(5);
         assert_eq!(bench.gates(), 0, "dark until Start");
@@ -328,7 +328,7 @@ fn a_low_supply_refuses_the_start() {
     bench.forget();
     bench.run_ms(100);
     assert!(bench.scans().len() >= 395, "{}", bench.scans().len());
-    let heard = bench.said.iter().filter(|(_, said)| matches!(said, Said::Event(_))).count();
+    let heard = bench.ear.said.iter().filter(|(_, said)| matches!(said, Said::Event(..))).count();
     assert_eq!(heard, 0);
     bench.assert_no_faults();
 }

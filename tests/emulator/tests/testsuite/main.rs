@@ -3,7 +3,6 @@
 mod common;
 mod counts;
 mod disturbances;
-mod exposure;
 mod facts;
 mod facts_page;
 mod frames;
@@ -11,7 +10,5 @@ mod light;
 mod links;
 mod panics;
 mod poses;
-mod readme;
 mod schedules;
-mod silicon;
 mod storage;

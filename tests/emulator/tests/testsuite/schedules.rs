@@ -6,10 +6,11 @@
 //! controller takes some ten ticks from request to write, and a few more when the bus is busy.
 
 use crate::common::light::{Bench, check_counters, run, tick_offset, worst_codes};
-use crate::common::pins::check_pins;
+use crate::common::pins::{check_pins, level_code};
 use crate::common::talk::{FRAME_TICKS, Talk};
 use slitpose_firmware::pcb::default_configuration;
-use slitpose_protocol::{Command, Configuration, EmitterSet, Level, Schedule};
+use slitpose_firmware::pcb::wiring::highest_level;
+use slitpose_protocol::{Command, Configuration, EmitterSet, Exposure, Level, Schedule};
 
 /// Ticks from a frame's start on the pins to its tick in a batch: the program reads the clock just
 /// after it lets the timer go, a load and a store over the slow bus.
@@ -174,6 +175,39 @@ fn each_emitter_has_its_level() {
         configuration.levels.copy_from_slice(&levels);
         check(&mut bench, &format!("levels, {name}"), &configuration, 50);
     }
+}
+
+/// The light of home with cells 3 and 4 faint: levels settle where light is in range, and neither those on the wire nor those
+/// on the lines go beyond what the hardware allows.
+#[test]
+fn automatic_exposure_settles_within_the_range_and_the_highest_level() {
+    let mut bench = Bench::quiet();
+    let mut configuration = default_configuration();
+    configuration.exposure = Exposure::Automatic;
+    configuration.levels = [0xf000, 0x8000, 0x8000, 0x2000, 0x1000, 0x8000].map(Level).into_iter().collect();
+    bench.accept(&Command::Configure(configuration.clone()));
+    bench.forget();
+    bench.accept(&Command::Start);
+    bench.run_ms(300);
+    bench.accept(&Command::Stop);
+    bench.run_ms(5);
+    let (scans, highest) = (bench.scans(), highest_level(&configuration.schedule));
+    let settled = &scans[scans.len() - 400..];
+    assert!(settled.iter().all(|scan| scan.levels() == settled[0].levels()), "100 ms without a change");
+    assert_ne!(scans[0].levels(), settled[0].levels());
+    println!("levels {:04x?}", settled[0].levels());
+    for (cell, [x1, x2]) in settled[0].lit().iter().enumerate() {
+        let zero = bench.scaling.zero_code * f64::from(configuration.schedule.oversampling);
+        let share = [x1, x2].map(|&word| (f64::from(word) / zero - 1.0).abs()).into_iter().fold(0.0, f64::max);
+        assert!(share < 0.85 && (share > 0.3 || settled[0].levels()[cell] == highest), "cell {cell}: {share}");
+    }
+    assert!(scans.iter().all(|scan| scan.levels().iter().all(|&level| level <= highest)));
+    let most = level_code(highest);
+    assert!(bench.record().drives.iter().all(|drive| drive.levels.iter().all(|&code| code <= most)));
+    // A change of levels costs the frame under way, and no other.
+    let lost: u64 = scans.windows(2).map(|pair| pair[1].sequence - pair[0].sequence - 1).sum();
+    assert!(lost < 8, "{lost}");
+    bench.assert_no_faults();
 }
 
 fn shortest_slot(schedule: &Schedule) -> u32 {

@@ -1,7 +1,6 @@
 //! Programs of a few halfwords on the whole core, with results worked out by hand from the ARMv7-M ARM.
 
 mod exceptions;
-mod float;
 mod instructions;
 mod system;
 

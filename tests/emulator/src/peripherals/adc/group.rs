@@ -1,6 +1,6 @@
 //! Converters that share a clock, the common registers and interrupts.
 
-use super::registers::*;
+use super::commands::*;
 use super::{Adc, Phase};
 use crate::faults::Fault;
 use crate::peripherals::{Effects, Ticks, interrupt, request};

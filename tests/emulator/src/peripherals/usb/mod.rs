@@ -5,13 +5,11 @@
 //! endpoints, link power management and charger detection are not modelled.
 
 mod endpoint;
-mod packet_memory;
 mod port;
 
 use super::{Effects, TICKS_PER_SECOND, Ticks, interrupt};
 use crate::usb_wire::FRAME_TICKS;
-use endpoint::{Endpoint, Stat};
-use packet_memory::PacketMemory;
+use endpoint::{Endpoint, PacketMemory, Stat};
 
 pub use port::UsbPort;
 
@@ -320,7 +318,7 @@ impl Usb {
     /// A buffer that the block may now use: in memory, apart from the table and from the buffers
     /// of all other enabled endpoints.
     fn check_buffer(&self, buffer: std::ops::Range<usize>, index: usize, value: u32, effects: &mut Effects) {
-        if buffer.end > packet_memory::BYTES {
+        if buffer.end > endpoint::BYTES {
             effects.violation(value, "USB: a buffer ends behind the packet memory");
         }
         for (other, endpoint) in self.endpoints.iter().enumerate().filter(|(_, endpoint)| endpoint.is_enabled()) {

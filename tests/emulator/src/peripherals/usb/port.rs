@@ -3,35 +3,40 @@
 use super::endpoint::{Endpoint, Stat};
 use super::{BCDR_DPPU, CNTR_FSUSP, CNTR_LPMODE, CNTR_PDWN, DADDR_EF, FNR_FRAME, FNR_LCK, ISTR_SOF, ISTR_WKUP, Usb};
 use crate::peripherals::{Effects, Ticks};
-use crate::usb_wire::{Answer, BusSignal, FullSpeedDevice, OutPacket};
+use crate::usb_wire::{Answer, BusSignal, OutPacket};
 
-/// The block as the host sees it.
+/// What a host finds at the other end of the cable.
 #[derive(Debug)]
 pub struct UsbPort<'a> {
     pub(super) usb: &'a mut Usb,
     pub(super) effects: &'a mut Effects,
 }
 
-impl FullSpeedDevice for UsbPort<'_> {
-    fn is_pulled_up(&self) -> bool {
+impl UsbPort<'_> {
+    /// Whether D+ is pulled up: the device wants to be seen.
+    pub fn is_pulled_up(&self) -> bool {
         self.usb.battery & BCDR_DPPU != 0 && self.usb.control & CNTR_PDWN == 0
     }
 
-    fn signal(&mut self, signal: BusSignal) {
+    /// Something other than a packet happens on the bus.
+    pub fn signal(&mut self, signal: BusSignal) {
         self.usb.signal(signal, self.effects.now());
         self.usb.update_interrupt(self.effects);
     }
 
-    fn token_in(&mut self, address: u8, endpoint: u8) -> Answer {
+    /// An IN token.
+    pub fn token_in(&mut self, address: u8, endpoint: u8) -> Answer {
         self.usb.token_in(address, endpoint)
     }
 
-    fn acknowledged(&mut self, address: u8, endpoint: u8) {
+    /// The host has acknowledged the data that the last IN token brought.
+    pub fn acknowledged(&mut self, address: u8, endpoint: u8) {
         self.usb.acknowledged(address, endpoint);
         self.usb.update_interrupt(self.effects);
     }
 
-    fn packet_out(&mut self, packet: OutPacket<'_>) -> Answer {
+    /// An OUT or SETUP token and its data packet, at the end of the latter.
+    pub fn packet_out(&mut self, packet: OutPacket<'_>) -> Answer {
         let handshake = self.usb.packet_out(packet);
         self.usb.update_interrupt(self.effects);
         handshake

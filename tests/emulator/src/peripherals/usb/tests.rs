@@ -1,6 +1,6 @@
 use super::*;
 use crate::facts::assert_facts;
-use crate::usb_wire::{Answer, BusSignal, FullSpeedDevice, OutPacket};
+use crate::usb_wire::{Answer, BusSignal, OutPacket};
 
 const CONTROL: u32 = 0b01 << 9;
 const RUNNING: u32 = 0xbf00;

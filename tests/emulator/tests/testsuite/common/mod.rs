@@ -3,7 +3,6 @@
 pub mod chain;
 pub mod light;
 pub mod pins;
-pub mod registers;
 pub mod solving;
 pub mod talk;
 pub mod trial;
