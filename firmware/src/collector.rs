@@ -35,7 +35,6 @@ pub(crate) struct Collector {
     last_tick: Option<u64>,
     lost: u64,
     overruns: u32,
-    /// Which scans are put into batches.
     stream: Stream,
 }
 
@@ -118,12 +117,10 @@ impl Collector {
         self.lost
     }
 
-    /// Overruns the hardware has reported.
     pub fn overruns(&self) -> u32 {
         self.overruns
     }
 
-    /// Takes over the scan just read.
     fn take<M: AsRef<[u8]> + AsMut<[u8]>>(&mut self, outbox: &mut Outbox<M>) -> Result<(), HardwareFault> {
         let missed = self.scan.sequence.checked_sub(self.taken);
         let taken = self.scan.sequence.checked_add(1);
@@ -158,11 +155,11 @@ impl Collector {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fixture;
+    use crate::pcb::default_configuration;
 
     #[test]
     fn a_batch_spans_a_millisecond_at_most() {
-        let mut schedule = fixture::configuration().schedule;
+        let mut schedule = default_configuration().schedule;
         for (frame_rate_hz, scans) in [(7_000, 4), (4_000, 4), (2_000, 2), (1_001, 1), (10, 1)] {
             schedule.frame_ticks = schedule.tick_hz / frame_rate_hz;
             assert_eq!(batch_scans(&schedule), scans, "{frame_rate_hz} Hz");

@@ -112,7 +112,9 @@ fn decide(level: Level, share: f32) -> Level {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fixture::{TICKS_PER_MS, configuration};
+    use crate::pcb::{TICK_HZ, default_configuration as configuration};
+
+    const TICKS_PER_MS: u64 = TICK_HZ as u64 / 1_000;
 
     /// The highest level of the tests' hardware: 1.875 times nominal.
     const HIGHEST: Level = Level(0xf000);

@@ -96,10 +96,6 @@ pub mod pose;
 mod pose;
 mod queue;
 pub mod settings;
-mod validate;
-
-#[cfg(test)]
-mod fixture;
 
 #[cfg(test)]
 extern crate std;

@@ -40,7 +40,6 @@ pub(crate) struct Outbox<M> {
     /// A host has opened the link and no byte has been sent to it yet.
     fresh: bool,
     dropped: Dropped,
-    /// Buffer in which packets are encoded.
     scratch: [u8; MAX_MESSAGE_BYTES],
 }
 
@@ -67,7 +66,6 @@ impl<M: AsRef<[u8]> + AsMut<[u8]>> Outbox<M> {
         }
     }
 
-    /// A host listens from now on.
     pub fn open(&mut self) {
         self.open = true;
         self.fresh = true;
@@ -113,7 +111,6 @@ impl<M: AsRef<[u8]> + AsMut<[u8]>> Outbox<M> {
         self.arrived = self.arrived.wrapping_add(1);
     }
 
-    /// Queues any message but a batch.
     pub fn push_answer(&mut self, message: &Message<'_>) {
         match encode(message, &mut self.scratch).map(<[u8]>::len) {
             Ok(length) => self.queue_answer(length),

@@ -11,18 +11,14 @@ pub(crate) const HEADER_BYTES: usize = 6;
 #[derive(Debug)]
 pub(crate) struct PacketQueue<M> {
     ring: M,
-    /// Index of the oldest header.
     head: usize,
     /// Bytes in use from `head` on.
     used: usize,
 }
 
-/// The oldest packet of a queue.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Front {
-    /// Length of the packet in bytes.
     pub length: usize,
-    /// Tag of the packet.
     pub tag: u32,
 }
 
@@ -51,7 +47,6 @@ impl<M: AsRef<[u8]> + AsMut<[u8]>> PacketQueue<M> {
         true
     }
 
-    /// The oldest packet, which stays.
     pub fn front(&self) -> Option<Front> {
         if self.used == 0 {
             return None;
@@ -79,7 +74,6 @@ impl<M: AsRef<[u8]> + AsMut<[u8]>> PacketQueue<M> {
         Some(tag)
     }
 
-    /// Forgets all packets.
     pub fn clear(&mut self) {
         self.used = 0;
     }

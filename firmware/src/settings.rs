@@ -215,14 +215,14 @@ mod tests {
     use slitpose_protocol::{EmitterSet, Exposure, Level, Schedule};
 
     use super::*;
-    use crate::fixture;
+    use crate::pcb::default_configuration;
 
     const BLANK: Pages = [[ERASED; PAGE_BYTES]; 2];
 
     fn settings(scene: u64) -> Settings {
         let hashes = Hashes { scene: Some(scene), calibration: None };
         Settings {
-            configuration: fixture::configuration(),
+            configuration: default_configuration(),
             hashes,
             head: (scene % 3).try_into().ok().filter(|&area| area < 2),
             full_scale_pa: NonZeroU32::new(scene as u32),

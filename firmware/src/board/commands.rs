@@ -28,7 +28,6 @@ use slitpose_protocol::{
 use super::{Board, Emitters, Reboot, Storing};
 use crate::hardware::{Hardware, StorageError};
 use crate::settings::Settings;
-use crate::validate::check;
 
 /// A reboot waits this long for its reply to be taken, and for settings to be stored.
 const REBOOT_MS: u64 = 200;
@@ -198,4 +197,22 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
 enum Done {
     Now,
     Later,
+}
+
+/// Checks that a board of `board_hz` ticks a second could run `configuration`, apart from
+/// the limits of its hardware.
+///
+/// # Errors
+/// If the schedule contradicts itself or is in other ticks, or if there is not one level
+/// for each cell.
+pub(crate) fn check(configuration: &Configuration, board_hz: u32) -> Result<(), Rejection> {
+    let Configuration { schedule, levels, .. } = configuration;
+    schedule.validate().map_err(Rejection::Schedule)?;
+    if schedule.tick_hz != board_hz {
+        return Err(Rejection::TickRate { asked_hz: schedule.tick_hz, board_hz });
+    }
+    if levels.len() != usize::from(schedule.cells) {
+        return Err(Rejection::Levels { levels: levels.len() as u8, cells: schedule.cells });
+    }
+    Ok(())
 }

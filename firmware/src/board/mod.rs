@@ -6,6 +6,8 @@
 mod commands;
 mod polling;
 
+pub(crate) use commands::check;
+
 use core::fmt::{self, Write};
 use core::num::NonZeroU32;
 
@@ -24,7 +26,6 @@ use crate::outbox::Outbox;
 #[cfg(feature = "pose")]
 use crate::pose::HeadError;
 use crate::pose::Poser;
-use crate::validate::check;
 
 /// After this many milliseconds with its link closed a board stops and goes dark. Long
 /// enough for a program on the host to close and reopen its port.

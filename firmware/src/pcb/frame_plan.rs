@@ -19,7 +19,7 @@
 use heapless::Vec;
 use slitpose_protocol::{Configuration, HardwareFault, Level, Schedule};
 
-use super::defaults::TICK_HZ;
+use super::TICK_HZ;
 use super::wiring::{CHANNELS, LEVEL_LINES, check_levels, level_line};
 
 /// Ticks of one period of the converters' clock: 170 MHz / 4 = 42.5 MHz, under the limit
@@ -265,7 +265,7 @@ mod tests {
     use slitpose_protocol::EmitterSet;
 
     use super::*;
-    use crate::pcb::defaults::default_configuration;
+    use crate::pcb::default_configuration;
 
     fn refused(change: impl FnOnce(&mut Configuration)) -> HardwareFault {
         let mut configuration = default_configuration();

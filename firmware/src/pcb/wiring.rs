@@ -86,7 +86,7 @@ mod tests {
     use slitpose_protocol::EmitterSet;
 
     use super::*;
-    use crate::pcb::defaults::default_configuration;
+    use crate::pcb::default_configuration;
 
     #[test]
     fn short_rare_pulses_are_allowed_levels_above_nominal_and_others_are_not() {

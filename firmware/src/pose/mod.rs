@@ -85,7 +85,6 @@ impl PoseSolver {
     }
 }
 
-/// Solves scans between packets and commands.
 #[derive(Debug)]
 pub(crate) struct Poser {
     /// Parts of a head, or a whole one.
@@ -97,7 +96,6 @@ pub(crate) struct Poser {
     batch: PosesBuilder<{ BATCH_SCANS * POSE_BYTES }>,
     configuration: u16,
     missed: u32,
-    /// Which poses are sent.
     stream: Stream,
 }
 
@@ -193,7 +191,6 @@ impl Poser {
         self.solver.loaded.as_ref().is_some_and(|loaded| !loaded.fits)
     }
 
-    /// Whether scans wait.
     pub fn is_behind(&self) -> bool {
         !self.waiting.is_empty()
     }

@@ -6,7 +6,6 @@ use crate::HEAD_KIND;
 use crate::hardware::System;
 use crate::outbox::Outbox;
 
-/// Solves nothing.
 #[derive(Debug)]
 pub(crate) struct Poser;
 

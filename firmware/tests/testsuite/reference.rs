@@ -57,7 +57,6 @@ fn step() -> impl Strategy<Value = Step> {
     ]
 }
 
-/// The expected state of a board.
 struct Reference {
     acquiring: bool,
     open: bool,
@@ -66,7 +65,6 @@ struct Reference {
     /// Commands without an answer heard, and whether they ought to be accepted.
     owed: Vec<(u16, bool)>,
     rejected: u32,
-    /// Hashes kept on the board.
     hashes: Hashes,
 }
 

@@ -13,7 +13,6 @@ fn started(clock: ClockSource, settings: SettingsSource) -> Started {
     Board::new(Fake::default(), identity, configuration(), [0; 2_048]).expect("the configuration is valid")
 }
 
-/// What the next status says.
 fn said(board: &mut Started, listener: &mut Listener) -> (ClockSource, SettingsSource) {
     board.hardware_mut().now += STATUS_MS * u64::from(TICK_HZ) / 1_000;
     match turn(board, listener).pop() {

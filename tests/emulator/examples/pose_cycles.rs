@@ -7,11 +7,11 @@
 
 use std::collections::BTreeMap;
 
+use slitpose_emulator::faults::Faults;
 use slitpose_emulator::image::Image;
 use slitpose_emulator::machine::Stop;
 use slitpose_emulator::peripherals::Ticks;
 use slitpose_emulator::rig::{Rig, open_pose_image};
-use slitpose_emulator::silicon::Silicon;
 use slitpose_emulator::world::NoiseSource;
 use slitpose_firmware::pcb::{default_configuration, default_scaling};
 use slitpose_head::board_head;
@@ -19,7 +19,6 @@ use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_protocol::{Command, Hashes, Stream};
 
-/// Functions listed.
 const FUNCTIONS: usize = 40;
 
 /// Frames noted, instruction by instruction.
@@ -34,7 +33,7 @@ fn main() {
     let head =
         board_head::compile(&file, &schedule, &default_scaling(), Hashes::default()).expect("a head for the board");
     let trajectory = Trajectory::of_kind(TrajectoryKind::Smooth, 17, 20.0);
-    let mut rig = Rig::boot(&image, &file, trajectory, NoiseSource::Seeded(17), Silicon::default()).expect("a board");
+    let mut rig = Rig::boot(&image, &file, trajectory, NoiseSource::Seeded(17), Faults::default()).expect("a board");
     rig.set_open(true);
     rig.run_for(0.1);
     rig.send_head(&head);

@@ -14,13 +14,12 @@ mod trial;
 use std::num::NonZero;
 use std::process::ExitCode;
 
-use clap::{Parser, ValueEnum};
+use clap::Parser;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use slitpose_emulator::named::Named;
+use slitpose_emulator::faults::{Fault, Faults, Kind};
 use slitpose_emulator::peripherals::TICKS_PER_SECOND;
 use slitpose_emulator::rig::open_image;
-use slitpose_emulator::silicon::{Fault, Silicon};
 use slitpose_head::threads;
 use trial::Plan;
 use trial::endings::Ending;
@@ -50,11 +49,11 @@ fn main() -> ExitCode {
     let options = Options::parse();
     let image = open_image(None).unwrap_or_else(|error| panic!("{error}"));
     let mut chance = ChaCha8Rng::seed_from_u64(options.seed);
-    let mut silicons = vec![("none".to_owned(), Silicon::default())];
-    silicons.extend(Fault::value_variants().iter().map(|fault| (fault.name(), Silicon::default().with(*fault))));
-    silicons.push(("all".to_owned(), Silicon::all()));
+    let mut silicons = vec![("none".to_owned(), Faults::default())];
+    silicons.extend(Fault::of(Kind::Silicon).iter().map(|fault| (fault.name(), Faults::default().with(*fault))));
+    silicons.push(("all".to_owned(), Faults::all_of_silicon()));
     for _ in 0..options.mixtures {
-        let faults: Vec<Fault> = Fault::value_variants().iter().copied().filter(|_| chance.random()).collect();
+        let faults: Vec<Fault> = Fault::of(Kind::Silicon).iter().copied().filter(|_| chance.random()).collect();
         let names: Vec<_> = faults.iter().map(|fault| fault.name()).collect();
         silicons.push((names.join("+"), faults.into_iter().collect()));
     }

@@ -5,32 +5,32 @@
 //! order: converters hold their samples; timers and the others have their events; trigger edges
 //! reach the converters; DMA requests are served by priority.
 
-use crate::memory::{Bits, FlashArray, RAM_BASE, RAM_BYTES, TS_CAL1, TS_CAL2, VREFINT_CAL, load, store};
+use crate::faults::Fault;
+use crate::memory::{Bits, FlashArray, RAM_BYTES, TS_CAL1, TS_CAL2, VREFINT_CAL};
 use crate::peripherals::adc::AdcGroup;
-use crate::peripherals::backup::Backup;
-use crate::peripherals::crc::Crc;
-use crate::peripherals::crs::Crs;
 use crate::peripherals::dac::Dac;
 use crate::peripherals::dma::{CHANNELS as DMA_CHANNELS, Dma};
 use crate::peripherals::exti::{Exti, PVD_LINE};
 use crate::peripherals::flash::Flash;
 use crate::peripherals::gpio::{PORTS, Port};
+use crate::peripherals::plain::crc::Crc;
+use crate::peripherals::plain::{Backup, crs, syscfg};
 use crate::peripherals::power::Power;
-use crate::peripherals::rcc::{Gate, Pulled, Rcc};
-use crate::peripherals::syscfg::Syscfg;
+use crate::peripherals::rcc::{Pulled, Rcc};
+use crate::peripherals::registers::Bank;
 use crate::peripherals::timer::Timer;
 use crate::peripherals::uart::Uart;
 use crate::peripherals::usb::Usb;
 use crate::peripherals::watchdog::Watchdog;
 use crate::peripherals::{Edge, Effects, Request, ResetCause, Ticks};
-use crate::silicon::Fault;
 use crate::usb_host::UsbHost;
 use crate::world::World;
 
 mod bus;
 mod faults;
 
-use faults::Faults;
+use bus::{UNITS, Unit};
+use faults::UnderWay;
 
 /// Flash wait states that the core needs at 170 MHz (RM0440, "Number of wait states according
 /// to CPU clock frequency", range 1 boost mode).
@@ -88,12 +88,12 @@ pub struct Board<W> {
     rcc: Rcc,
     power: Power,
     exti: Exti,
-    syscfg: Syscfg,
+    syscfg: Bank,
     backup: Backup,
     ports: [Port; PORTS],
     dacs: [Dac; 2],
     watchdog: Watchdog,
-    crs: Crs,
+    crs: Bank,
     crc: Crc,
     /// Temperature of the chip, in degrees Celsius.
     temperature_c: f64,
@@ -102,7 +102,7 @@ pub struct Board<W> {
     gates: u8,
     levels: [u16; 2],
     gate_log: Option<Vec<GateEdge>>,
-    faults: Faults,
+    under_way: UnderWay,
     /// Fault sram-first-write: some block of SRAM may lose a write, or has lost one that was not repeated.
     loses_writes: bool,
     next_event: Ticks,
@@ -114,7 +114,7 @@ impl<W: World> Board<W> {
         let mut board = Self {
             world,
             effects: Effects::default(),
-            timers: [Timer::tim2(), Timer::tim3(), Timer::tim4(), Timer::tim5()],
+            timers: std::array::from_fn(Timer::new),
             adc12: AdcGroup::adc12(),
             adc345: AdcGroup::adc345(),
             dma: Dma::new(),
@@ -127,19 +127,19 @@ impl<W: World> Board<W> {
             rcc: Rcc::new(),
             power: Power::new(3.3),
             exti: Exti::new(),
-            syscfg: Syscfg::new(),
-            backup: Backup::new(),
+            syscfg: Bank::new(syscfg::REGISTERS),
+            backup: Backup::default(),
             ports: std::array::from_fn(Port::new),
             dacs: [Dac::new(), Dac::new()],
             watchdog: Watchdog::new(),
-            crs: Crs::new(),
+            crs: Bank::new(crs::REGISTERS),
             crc: Crc::new(),
             temperature_c: CALIBRATION_C[0],
             pvd: false,
             gates: 0,
             levels: [0; 2],
             gate_log: None,
-            faults: Faults::default(),
+            under_way: UnderWay::default(),
             loses_writes: false,
             next_event: Ticks::MAX,
         };
@@ -188,32 +188,15 @@ impl<W: World> Board<W> {
     /// that was under way leaves torn cells.
     pub fn reset(&mut self, cause: ResetCause) {
         self.effects.clear_signals();
-        self.faults.reset();
+        self.under_way.reset();
         self.forget_accesses();
         self.flash.reset(&self.effects);
         self.effects.forget_code();
         self.rcc.reset(cause);
-        self.power.reset();
         self.pvd = false;
-        self.exti.reset(&mut self.effects);
-        self.syscfg.reset();
-        self.ports.iter_mut().for_each(Port::reset);
-        for timer in &mut self.timers {
-            timer.reset(&mut self.effects);
+        for (unit, _) in UNITS {
+            self.reset_unit(*unit);
         }
-        self.adc12.reset(&mut self.effects);
-        self.adc345.reset(&mut self.effects);
-        self.dacs.iter_mut().for_each(Dac::reset);
-        for controller in 0..2 {
-            self.dma.reset_controller(controller, &mut self.effects);
-        }
-        self.dma.reset_multiplexer();
-        self.usb.reset(&mut self.effects);
-        self.lpuart.reset(&mut self.effects);
-        self.usart.reset(&mut self.effects);
-        self.crs.reset();
-        self.crc.reset();
-        self.watchdog = Watchdog::new();
         if matches!(cause, ResetCause::PowerOn | ResetCause::BrownOut) {
             self.scramble_ram();
         }
@@ -230,7 +213,7 @@ impl<W: World> Board<W> {
 
     /// Sets the supply, in volts. Returns whether it is high enough for the device to run.
     pub fn set_supply_v(&mut self, volts: f64) -> bool {
-        self.power.set_supply_v(volts);
+        self.power.supply_v = volts;
         if volts < BACKUP_V {
             self.lose_backup();
         }
@@ -256,16 +239,6 @@ impl<W: World> Board<W> {
     /// When the flash operation under way will be done; `None` if there is none.
     pub fn flash_busy_until(&self) -> Option<Ticks> {
         Some(self.flash.next_event()).filter(|&done| done != Ticks::MAX)
-    }
-
-    /// Word of RAM at `address`, as a debugger reads it; `None` outside RAM.
-    pub fn ram_word(&self, address: u32) -> Option<u32> {
-        load(&self.ram, address.checked_sub(RAM_BASE)? as usize, 4)
-    }
-
-    /// Sets a word of RAM, as a debugger writes it; `None` outside RAM.
-    pub fn set_ram_word(&mut self, address: u32, word: u32) -> Option<()> {
-        store(&mut self.ram, address.checked_sub(RAM_BASE)? as usize, 4, word)
     }
 
     /// The emitter gates: bit k for PC(6 + k).
@@ -316,7 +289,7 @@ impl<W: World> Board<W> {
     }
 
     fn lose_backup(&mut self) {
-        self.backup.clear();
+        self.backup = Backup::default();
         self.rcc.reset_backup_domain();
     }
 
@@ -348,7 +321,7 @@ impl<W: World> Board<W> {
             self.flash.advance(&mut self.effects);
         }
         if self.adc345.next_event() == now {
-            let codes = InternalCodes { supply_v: self.power.supply_v(), temperature_c: self.temperature_c };
+            let codes = InternalCodes { supply_v: self.power.supply_v, temperature_c: self.temperature_c };
             self.adc345.advance(&mut self.effects, &mut |_, channel| codes.code(channel));
             self.disturb_neighbours();
         }
@@ -373,7 +346,7 @@ impl<W: World> Board<W> {
             if ready == 0 {
                 break;
             }
-            if self.effects.silicon.has(Fault::DmaLatency) {
+            if self.effects.faults.has(Fault::DmaLatency) {
                 if !self.begin_transfers(ready) {
                     break;
                 }
@@ -409,7 +382,7 @@ impl<W: World> Board<W> {
             .min(self.flash.next_event())
             .min(self.adc345.next_event())
             .min(self.watchdog.next_event())
-            .min(self.faults.next_event());
+            .min(self.under_way.next_event());
     }
 
     /// Tells the world, if gates or levels have changed.
@@ -432,7 +405,7 @@ impl<W: World> Board<W> {
     /// Carries the detector's output to its interrupt line.
     fn follow_pvd(&mut self) {
         self.power.compare();
-        let low = self.power.is_low();
+        let low = self.power.is_low;
         if low != self.pvd {
             self.pvd = low;
             self.exti.edge(PVD_LINE, if low { Edge::Rising } else { Edge::Falling }, &mut self.effects);
@@ -458,7 +431,7 @@ impl<W: World> Board<W> {
             }
         }
         if self.rcc.holds_backup_domain() {
-            self.backup.clear();
+            self.backup = Backup::default();
         }
         self.update_clocks();
         if !pulled.is_empty() {
@@ -468,58 +441,36 @@ impl<W: World> Board<W> {
 
     /// Resets the peripherals whose reset bits were set in RCC.
     fn reset_pulled(&mut self, pulled: Pulled) {
-        let effects = &mut self.effects;
-        for (index, timer) in (0..).zip(&mut self.timers) {
-            if pulled.includes(Gate::timer(index)) {
-                timer.reset(effects);
+        for (unit, gate) in UNITS {
+            if gate.is_some_and(|gate| pulled.includes(gate)) {
+                self.reset_unit(*unit);
             }
-        }
-        for (index, port) in (0..).zip(&mut self.ports) {
-            if pulled.includes(Gate::gpio(index)) {
-                port.reset();
-            }
-        }
-        for (index, dac) in (0..).zip(&mut self.dacs) {
-            if pulled.includes(Gate::dac(index)) {
-                dac.reset();
-            }
-        }
-        for (controller, gate) in [Gate::DMA1, Gate::DMA2].into_iter().enumerate() {
-            if pulled.includes(gate) {
-                self.dma.reset_controller(controller, effects);
-            }
-        }
-        if pulled.includes(Gate::DMAMUX1) {
-            self.dma.reset_multiplexer();
-        }
-        if pulled.includes(Gate::ADC12) {
-            self.adc12.reset(effects);
-        }
-        if pulled.includes(Gate::ADC345) {
-            self.adc345.reset(effects);
-        }
-        if pulled.includes(Gate::USB) {
-            self.usb.reset(effects);
-        }
-        if pulled.includes(Gate::LPUART1) {
-            self.lpuart.reset(effects);
-        }
-        if pulled.includes(Gate::USART1) {
-            self.usart.reset(effects);
-        }
-        if pulled.includes(Gate::CRC) {
-            self.crc.reset();
-        }
-        if pulled.includes(Gate::CRS) {
-            self.crs.reset();
-        }
-        if pulled.includes(Gate::PWR) {
-            self.power.reset();
-        }
-        if pulled.includes(Gate::SYSCFG) {
-            self.syscfg.reset();
         }
         self.update_drive();
+    }
+
+    /// Brings a unit into its state after reset; flash, RCC and the backup registers have ways of their own.
+    fn reset_unit(&mut self, unit: Unit) {
+        let effects = &mut self.effects;
+        match unit {
+            Unit::Timer(index) => self.timers[index].reset(effects),
+            Unit::Adc12 => self.adc12.reset(effects),
+            Unit::Adc345 => self.adc345.reset(effects),
+            Unit::Dma(controller) => self.dma.reset_controller(controller, effects),
+            Unit::Dmamux => self.dma.reset_multiplexer(),
+            Unit::Gpio(index) => self.ports[index].reset(),
+            Unit::Dac(index) => self.dacs[index].reset(),
+            Unit::Usb => self.usb.reset(effects),
+            Unit::Lpuart => self.lpuart.reset(effects),
+            Unit::Usart => self.usart.reset(effects),
+            Unit::Power => self.power.reset(),
+            Unit::Exti => self.exti.reset(effects),
+            Unit::Syscfg => self.syscfg.reset(),
+            Unit::Watchdog => self.watchdog = Watchdog::new(),
+            Unit::Crs => self.crs.reset(),
+            Unit::Crc => self.crc = Crc::new(),
+            Unit::Flash | Unit::Rcc | Unit::Backup => {}
+        }
     }
 }
 

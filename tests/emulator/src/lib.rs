@@ -9,30 +9,25 @@
 //! | [`cpu`] | the core: instructions with their cycles, interrupts, faults |
 //! | [`memory`], [`peripherals`] | the rest of the controller, from its reference manual (RM0440) |
 //! | [`board`], [`machine`] | the controller as a whole: bus, time, resets, supply |
-//! | [`silicon`], [`named`] | what real silicon does against its manual, to be switched on by name |
+//! | [`faults`] | what can be wrong with silicon and board, to be switched on by name |
 //! | [`world`] | emitters, optics, electronics |
-//! | [`usb_wire`], [`usb_host`] | the cable and the computer at its other end |
+//! | [`usb_wire`], `usb_host` | the cable and the computer at its other end |
 //! | [`terminal`] | that computer's serial port, as programs open it |
 //! | [`facts`] | numbers from outside the project, for tests |
-//! | [`rig`] | all of it together, running an [`image`] that `firmware/build` has made ([`built`]) |
+//! | [`rig`] | all of it together, running an [`image`] that `firmware/build` has made |
 //!
-//! What a program does against the reference manual is recorded, not tolerated: see
-//! [`peripherals::Effects::violations`].
+//! What a program does against the reference manual is recorded, not tolerated: see [`rig::Rig::faults`].
 
 pub mod board;
-pub mod built;
 pub mod cpu;
 pub mod facts;
+pub mod faults;
 pub mod image;
 pub mod machine;
 pub mod memory;
-pub mod named;
-pub mod panics;
 pub mod peripherals;
 pub mod rig;
-pub mod silicon;
-pub mod talk;
 pub mod terminal;
-pub mod usb_host;
+mod usb_host;
 pub mod usb_wire;
 pub mod world;

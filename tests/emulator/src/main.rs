@@ -1,5 +1,6 @@
 //! `slitpose-emulator`: a board without a board, behind a pseudo-terminal.
 
+use std::fmt;
 use std::io::{self, Read, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -10,14 +11,13 @@ use std::time::{Duration, Instant};
 
 use clap::{Parser, ValueEnum};
 use slitpose_emulator::cpu::FaultReport;
+use slitpose_emulator::faults::{Fault, Faults, Kind};
 use slitpose_emulator::machine::Stop;
-use slitpose_emulator::named::Named;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::rig::{Link, OpenError, Rig, open_image};
-use slitpose_emulator::silicon::{Fault, Silicon};
-use slitpose_emulator::talk::{ended, talk};
 use slitpose_emulator::terminal::{Terminal, TerminalError};
-use slitpose_emulator::world::{Flaw, Flaws, NoiseSource, WorldError};
+use slitpose_emulator::world::{NoiseSource, WorldError};
+use slitpose_head::causes::with_causes;
 use slitpose_head::pace::{Pace, Speed};
 use slitpose_head::scene_file::{SceneFile, SceneFileError};
 use slitpose_head::simulator::{PathError, Trajectory, TrajectoryKind};
@@ -58,22 +58,14 @@ struct Args {
     #[arg(long, value_name = "N", default_value_t = Speed::Times(1.0), allow_negative_numbers = true)]
     speed: Speed,
     /// What the silicon does against its manual: names separated by commas, or all [default: nothing]
-    #[arg(long, value_name = "FAULTS", env = "SLITPOSE_SILICON", long_help = format!("What the silicon does against its manual: names separated by commas, or all [default: nothing]\n{}", Fault::list()))]
-    silicon: Option<Silicon>,
+    #[arg(long, value_name = "FAULTS", env = "SLITPOSE_SILICON", value_parser = Faults::of_silicon, long_help = format!("What the silicon does against its manual: names separated by commas, or all [default: nothing]\n{}", Fault::list(Kind::Silicon)))]
+    silicon: Option<Faults>,
     /// What is wrong with board and head: names separated by commas [default: nothing]
-    #[arg(long, value_name = "FLAWS", long_help = format!("What is wrong with board and head: names separated by commas [default: nothing]\n{}", Flaw::list()))]
-    flaw: Option<Flaws>,
+    #[arg(long, value_name = "FLAWS", value_parser = Faults::of_board, long_help = format!("What is wrong with board and head: names separated by commas [default: nothing]\n{}", Fault::list(Kind::Board)))]
+    flaw: Option<Faults>,
     /// The board's link that the terminal stands for
-    #[arg(long, value_enum, default_value_t = LinkKind::Usb)]
-    link: LinkKind,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum LinkKind {
-    /// The controller's own USB
-    Usb,
-    /// The debugger's serial port
-    Uart,
+    #[arg(long, value_enum, default_value_t = Link::Usb)]
+    link: Link,
 }
 
 #[derive(Debug, Error)]
@@ -96,11 +88,15 @@ enum Failure {
     Lockup(FaultReport),
 }
 
-/// The name this program talks under.
-const NAME: &str = "slitpose-emulator";
-
 fn main() -> ExitCode {
-    ended(NAME, run(&Args::parse()))
+    let Err(failure) = run(&Args::parse()) else { return ExitCode::SUCCESS };
+    talk(format_args!("{}", with_causes(&failure)));
+    ExitCode::FAILURE
+}
+
+/// Says something on standard error, if that is open.
+fn talk(text: fmt::Arguments<'_>) {
+    let _ = writeln!(io::stderr(), "slitpose-emulator: {text}");
 }
 
 fn run(args: &Args) -> Result<(), Failure> {
@@ -111,12 +107,8 @@ fn run(args: &Args) -> Result<(), Failure> {
         Err(_) => Trajectory::from_table(&args.trajectory)?,
     };
     let noise = if args.quiet { NoiseSource::Off } else { NoiseSource::Seeded(args.seed) };
-    let link = match args.link {
-        LinkKind::Usb => Link::Usb,
-        LinkKind::Uart => Link::Uart,
-    };
-    let (silicon, flaws) = (args.silicon.unwrap_or_default(), args.flaw.unwrap_or_default());
-    let rig = Rig::boot_flawed(&image, &scene, trajectory, noise, silicon, flaws)?.with_link(link);
+    let faults = args.silicon.unwrap_or_default().and(args.flaw.unwrap_or_default());
+    let rig = Rig::boot(&image, &scene, trajectory, noise, faults)?.with_link(args.link);
     let terminal = Terminal::open()?;
     let mut out = io::stdout();
     writeln!(out, "{}", terminal.path().display())?;
@@ -232,18 +224,15 @@ impl Session {
         let device_s = self.device_s();
         let wall_s = self.started.elapsed().as_secs_f64();
         let instructions = self.rig.machine().cpu.instructions() - self.first_instruction;
-        talk(
-            NAME,
-            format_args!(
-                "{device_s:.3} s of device time in {wall_s:.3} s, ratio {:.2}; \
+        talk(format_args!(
+            "{device_s:.3} s of device time in {wall_s:.3} s, ratio {:.2}; \
              {:.1} million instructions a second; stack {} bytes at most",
-                device_s / wall_s,
-                instructions as f64 / wall_s / 1e6,
-                self.rig.stack_bytes(),
-            ),
-        );
+            device_s / wall_s,
+            instructions as f64 / wall_s / 1e6,
+            self.rig.stack_bytes(),
+        ));
         for fault in self.rig.faults() {
-            talk(NAME, format_args!("{fault}"));
+            talk(format_args!("{fault}"));
         }
     }
 }

@@ -96,7 +96,7 @@ pub struct FlashArray {
     bytes: Box<[u8]>,
     /// Offsets of double words whose ECC does not fit: a program or erase was cut short.
     torn: BTreeSet<usize>,
-    /// Offsets of double words that read as erased and are not: see [`crate::silicon::Fault::FlashTornOnes`].
+    /// Offsets of double words that read as erased and are not: see [`crate::faults::Fault::FlashTornOnes`].
     refusing: BTreeSet<usize>,
 }
 
@@ -192,7 +192,7 @@ impl FlashArray {
 /// Reproducible random bits (xorshift; Marsaglia, 2003, "Xorshift RNGs", triple 13, 7, 17), to
 /// decide which cells a cut operation has reached, and what RAM holds after power-on.
 #[derive(Clone, Debug)]
-pub(crate) struct Bits(u64);
+pub struct Bits(u64);
 
 impl Default for Bits {
     fn default() -> Self {
@@ -228,30 +228,6 @@ impl Bits {
 mod tests {
     use super::*;
     use crate::facts::{self, assert_facts};
-
-    #[test]
-    fn programming_only_clears_bits() {
-        let mut flash = FlashArray::erased();
-        flash.program(64, 0x00FF, 1.0);
-        assert_eq!(flash.double_word(64), 0x00FF);
-        flash.program(64, 0, 1.0);
-        assert_eq!(flash.double_word(64), 0);
-        assert!(!flash.has_torn());
-    }
-
-    #[test]
-    fn cut_operations_leave_torn_mixtures() {
-        let mut flash = FlashArray::erased();
-        flash.program(8, 0, 0.5);
-        let word = flash.double_word(8);
-        assert!(flash.is_torn(12) && !flash.is_torn(16));
-        assert!(word != 0 && word != u64::MAX, "{word:#x}");
-        flash.erase(0, PAGE_BYTES, 0.5);
-        assert!(flash.is_torn(0) && flash.is_torn(PAGE_BYTES - 8) && !flash.is_torn(PAGE_BYTES));
-        flash.erase(0, PAGE_BYTES, 1.0);
-        assert!(!flash.has_torn());
-        assert_eq!(flash.double_word(8), u64::MAX);
-    }
 
     #[test]
     fn system_memory_holds_the_factory_constants() {

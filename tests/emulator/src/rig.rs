@@ -3,6 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
+use clap::ValueEnum;
 use slitpose_firmware::pose::{HEAD_BYTES, Head};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::Trajectory;
@@ -10,14 +11,14 @@ use slitpose_model::Tier;
 use slitpose_protocol::{Command, DELIMITER, HeadPart, MAX_REQUEST_BYTES, Request, encode};
 use thiserror::Error;
 
-use crate::built::{self, StaleError};
-use crate::image::{Image, ImageError};
+use crate::faults::{Fault, Faults, LOW_SUPPLY_V};
+use crate::image::{Image, ImageError, StaleError, check_sources, image_path};
 use crate::machine::{Machine, Stop};
 use crate::memory::FlashArray;
 use crate::peripherals::uart::SentByte;
 use crate::peripherals::{TICKS_PER_SECOND, Ticks};
-use crate::silicon::Silicon;
-use crate::world::{Flaw, Flaws, LOW_SUPPLY_V, NoiseSource, OpticsWorld, World, WorldError};
+use crate::usb_host::UsbHost;
+use crate::world::{NoiseSource, OpticsWorld, World, WorldError};
 
 /// Optics are evaluated to this relative error, which is far below a code of the converters.
 const TOLERANCE: f64 = 1e-6;
@@ -26,37 +27,19 @@ const TOLERANCE: f64 = 1e-6;
 pub const WORLD_TIER: Tier = Tier::Exact { tolerance: TOLERANCE };
 
 /// Seed of what the silicon's faults do by chance.
-const SILICON_SEED: u64 = 20_180_718;
+const SEED: u64 = 20_180_718;
 
 /// Longest time a program may take to its first start of the device clock.
 const BOOT_TICKS: Ticks = TICKS_PER_SECOND / 10;
 
-/// The file that `firmware/build` made last: in the target directory of the environment, or that
-/// of the sources this was built from.
-pub fn default_image_path() -> PathBuf {
-    built::image_path("slitpose-board")
-}
-
 /// Why there is no image to run.
 #[derive(Debug, Error)]
+#[allow(missing_docs)] // The messages say it.
 pub enum OpenError {
-    /// The file cannot be read.
     #[error("cannot read the image {}; make it with firmware/build, or give another with --elf", path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// It is no program for the board.
+    Read { path: PathBuf, source: std::io::Error },
     #[error("{} cannot run on the board", path.display())]
-    Image {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: ImageError,
-    },
-    /// It is older than its sources.
+    Image { path: PathBuf, source: ImageError },
     #[error(transparent)]
     Stale(#[from] StaleError),
 }
@@ -66,7 +49,7 @@ pub enum OpenError {
 /// # Errors
 /// If there is none, or the one made last is older than its sources.
 pub fn open_image(path: Option<&Path>) -> Result<Image, OpenError> {
-    path.map_or_else(|| open_built(&default_image_path(), "firmware/build"), read_image)
+    path.map_or_else(|| open_built(&image_path("slitpose-board")), read_image)
 }
 
 /// Reads the image that solves poses, which `firmware/build` makes beside the default one.
@@ -74,7 +57,7 @@ pub fn open_image(path: Option<&Path>) -> Result<Image, OpenError> {
 /// # Errors
 /// If there is none, or it is older than its sources.
 pub fn open_pose_image() -> Result<Image, OpenError> {
-    open_built(&pose_image_path(), "firmware/build")
+    open_built(&image_path("slitpose-board-pose"))
 }
 
 /// The ELF files of both images as `firmware/build` made them last: the default one, and the one that solves poses.
@@ -84,26 +67,19 @@ pub fn open_pose_image() -> Result<Image, OpenError> {
 pub fn built_files() -> Result<[Vec<u8>; 2], OpenError> {
     let read = |path: PathBuf| {
         let file = std::fs::read(&path).map_err(|source| OpenError::Read { path: path.clone(), source })?;
-        built::check(&path, "firmware/build")?;
+        check_sources(&path)?;
         Ok::<_, OpenError>(file)
     };
-    Ok([read(default_image_path())?, read(pose_image_path())?])
+    Ok([read(image_path("slitpose-board"))?, read(image_path("slitpose-board-pose"))?])
 }
 
-/// Where `firmware/build` puts the image that solves poses.
-fn pose_image_path() -> PathBuf {
-    built::image_path("slitpose-board-pose")
-}
-
-/// Reads the image in `path`, which `build` has made.
-pub(crate) fn open_built(path: &Path, build: &'static str) -> Result<Image, OpenError> {
+fn open_built(path: &Path) -> Result<Image, OpenError> {
     let image = read_image(path)?;
-    built::check(path, build)?;
+    check_sources(path)?;
     Ok(image)
 }
 
-/// Reads the image in `path`, whoever made it.
-pub(crate) fn read_image(path: &Path) -> Result<Image, OpenError> {
+fn read_image(path: &Path) -> Result<Image, OpenError> {
     let path = path.to_owned();
     match std::fs::read(&path) {
         Ok(file) => Image::from_elf(&file).map_err(|source| OpenError::Image { path, source }),
@@ -112,11 +88,11 @@ pub(crate) fn read_image(path: &Path) -> Result<Image, OpenError> {
 }
 
 /// The board's link in use.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Link {
-    /// The controller's own USB.
+    /// The controller's own USB
     Usb,
-    /// The debugger's serial port.
+    /// The debugger's serial port
     Uart,
 }
 
@@ -131,7 +107,7 @@ pub struct Rig<W = OpticsWorld> {
 }
 
 impl Rig {
-    /// Powers a board with `image` in front of the head of `scene`, its host at its USB, and
+    /// Powers a board with `image` and `faults` in front of the head of `scene`, its host at its USB, and
     /// lets it start its clock: the tool's time is that clock's, and goes on if the board is
     /// reset.
     ///
@@ -142,29 +118,14 @@ impl Rig {
         scene: &SceneFile,
         trajectory: Trajectory,
         noise: NoiseSource,
-        silicon: Silicon,
+        faults: Faults,
     ) -> Result<Self, WorldError> {
-        Self::boot_flawed(image, scene, trajectory, noise, silicon, Flaws::default())
-    }
-
-    /// The same with `flaws` of board and head.
-    ///
-    /// # Errors
-    /// If the board cannot be connected to such a head.
-    pub fn boot_flawed(
-        image: &Image,
-        scene: &SceneFile,
-        trajectory: Trajectory,
-        noise: NoiseSource,
-        silicon: Silicon,
-        flaws: Flaws,
-    ) -> Result<Self, WorldError> {
-        let world = OpticsWorld::with_flaws(scene, trajectory, WORLD_TIER, noise, flaws)?;
-        let mut rig = Self::power_on(image, world, silicon);
-        if flaws.has(Flaw::LowSupply) {
+        let world = OpticsWorld::new(scene, trajectory, WORLD_TIER, noise, faults)?;
+        let mut rig = Self::power_on(image, world, faults);
+        if faults.has(Fault::LowSupply) {
             rig.machine.set_supply_v(LOW_SUPPLY_V);
         }
-        if flaws.has(Flaw::LostSettings) {
+        if faults.has(Fault::LostSettings) {
             rig.machine.board.lose_settings_at_reset();
         }
         if let Some(origin) = rig.machine.device_clock_origin() {
@@ -176,12 +137,12 @@ impl Rig {
 
 impl<W: World> Rig<W> {
     /// Powers a board with `image` in `world`, its host at its USB, and lets it start its clock.
-    pub fn power_on(image: &Image, world: W, silicon: Silicon) -> Self {
+    pub fn power_on(image: &Image, world: W, faults: Faults) -> Self {
         let mut flash = FlashArray::erased();
         image.load_into(&mut flash);
         let stack_start = flash.stack_start();
         let mut rig = Self {
-            machine: Machine::new(flash, world).with_silicon(silicon, SILICON_SEED),
+            machine: Machine::new(flash, world).with_faults(faults, SEED),
             link: Link::Usb,
             next_number: 0,
             stack_start,
@@ -198,8 +159,7 @@ impl<W: World> Rig<W> {
     pub fn with_link(mut self, link: Link) -> Self {
         self.link = link;
         if link == Link::Uart {
-            self.machine.board.usb_host.detach(self.machine.board.now());
-            self.machine.board.outside_changed();
+            self.set_cable(false);
         }
         self
     }
@@ -225,32 +185,28 @@ impl<W: World> Rig<W> {
         self.run_until(end)
     }
 
+    /// Lets the host at the USB cable do something now.
+    pub fn host(&mut self, act: impl FnOnce(&mut UsbHost, Ticks)) {
+        let board = &mut self.machine.board;
+        act(&mut board.usb_host, board.effects.now());
+        board.outside_changed();
+    }
+
     /// Opens or closes the serial port at the host. A line without control signals does not notice.
     pub fn set_open(&mut self, open: bool) {
-        let board = &mut self.machine.board;
-        if self.link == Link::Usb && board.usb_host.dtr() != open {
-            board.usb_host.set_dtr(open, board.effects.now());
-            board.outside_changed();
+        if self.link == Link::Usb && self.machine.board.usb_host.dtr() != open {
+            self.host(|host, now| host.set_dtr(open, now));
         }
     }
 
     /// Lets the host leave what comes where it is, or fetch it again.
     pub fn stop_reading(&mut self, stop: bool) {
-        let board = &mut self.machine.board;
-        board.usb_host.stop_reading(stop, board.effects.now());
-        board.outside_changed();
+        self.host(|host, now| host.stop_reading(stop, now));
     }
 
     /// Pulls the USB cable, or plugs it in again.
     pub fn set_cable(&mut self, plugged: bool) {
-        let board = &mut self.machine.board;
-        let now = board.effects.now();
-        if plugged {
-            board.usb_host.attach(now);
-        } else {
-            board.usb_host.detach(now);
-        }
-        board.outside_changed();
+        self.host(|host, now| if plugged { host.attach(now) } else { host.detach(now) });
     }
 
     /// Sends bytes to the board.

@@ -39,9 +39,9 @@ pub enum BusSignal {
     ResumeEnds,
 }
 
-/// What a device answers to an IN token.
+/// What a device answers to an IN token, or to a data packet.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum InAnswer {
+pub enum Answer {
     /// A data packet.
     Data {
         /// DATA1 rather than DATA0.
@@ -49,20 +49,9 @@ pub enum InAnswer {
         /// Its content.
         bytes: Vec<u8>,
     },
-    /// Nothing to send yet.
-    Nak,
-    /// The endpoint is halted.
-    Stall,
-    /// Nothing at all.
-    Silence,
-}
-
-/// What a device answers to a data packet.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Handshake {
-    /// Taken.
+    /// The data packet is taken.
     Ack,
-    /// No room yet.
+    /// Nothing to send yet, or no room.
     Nak,
     /// The endpoint is halted.
     Stall,
@@ -83,24 +72,6 @@ pub struct OutPacket<'a> {
     pub toggle: bool,
     /// Content.
     pub bytes: &'a [u8],
-}
-
-/// What a host finds at the other end of the cable.
-pub trait FullSpeedDevice {
-    /// Whether D+ is pulled up: the device wants to be seen.
-    fn is_pulled_up(&self) -> bool;
-
-    /// Something other than a packet happens on the bus.
-    fn signal(&mut self, signal: BusSignal);
-
-    /// An IN token.
-    fn token_in(&mut self, address: u8, endpoint: u8) -> InAnswer;
-
-    /// The host has acknowledged the data that the last IN token brought.
-    fn acknowledged(&mut self, address: u8, endpoint: u8);
-
-    /// An OUT or SETUP token and its data packet, at the end of the latter.
-    fn packet_out(&mut self, packet: OutPacket<'_>) -> Handshake;
 }
 
 /// Ticks of `bits` at 12 Mbit/s: a bit has 170/12 of them.
@@ -162,10 +133,5 @@ mod tests {
         assert_eq!(stuffed_bits(&[0x55; 64]), 0);
         // Six ones may straddle two bytes.
         assert_eq!(stuffed_bits(&[0xe0, 0x07]), 1);
-    }
-
-    #[test]
-    fn twelve_bits_are_a_microsecond() {
-        assert_eq!(bit_ticks(12), 170);
     }
 }

@@ -10,9 +10,9 @@ use std::time::Instant;
 
 use chain::Chain;
 use slitpose::pipeline::{Item, Pipeline, PipelineError, SceneMatch};
+use slitpose_emulator::faults::Faults;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::rig::{Link, Rig, WORLD_TIER, open_image};
-use slitpose_emulator::silicon::Silicon;
 use slitpose_emulator::world::NoiseSource;
 use slitpose_firmware::pcb::default_configuration;
 use slitpose_head::scene_file::{SceneFile, WIDE};
@@ -61,7 +61,7 @@ fn smooth() -> Trajectory {
 }
 
 fn opened(file: &SceneFile) -> Chain {
-    Chain::open(file, smooth(), NoiseSource::Seeded(1), Silicon::default())
+    Chain::open(file, smooth(), NoiseSource::Seeded(1), Faults::default())
 }
 
 fn percent(share: f64) -> String {
@@ -139,7 +139,7 @@ fn held(file: &SceneFile, frame_ticks: u32, seconds: f64) -> (f64, u64) {
 fn boot(file: &SceneFile, row: &impl Fn(&str, String, &str)) {
     let image = open_image(None).expect("an image");
     let mut rig =
-        Rig::boot(&image, file, smooth(), NoiseSource::Off, Silicon::default()).expect("a head").with_link(Link::Uart);
+        Rig::boot(&image, file, smooth(), NoiseSource::Off, Faults::default()).expect("a head").with_link(Link::Uart);
     let origin = rig.machine().device_clock_origin().expect("started");
     row("power to clock", milliseconds(origin), "oscillator, PLL, settings; until the device clock starts");
     let hello = first_hello(&mut rig, true);
@@ -148,7 +148,7 @@ fn boot(file: &SceneFile, row: &impl Fn(&str, String, &str)) {
         milliseconds(hello),
         "end of its last byte; asked as soon as the clock runs, then every ms",
     );
-    let mut rig = Rig::boot(&image, file, smooth(), NoiseSource::Off, Silicon::default()).expect("a head");
+    let mut rig = Rig::boot(&image, file, smooth(), NoiseSource::Off, Faults::default()).expect("a head");
     rig.set_open(true);
     let hello = first_hello(&mut rig, false);
     row(

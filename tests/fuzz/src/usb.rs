@@ -3,15 +3,14 @@
 use std::sync::LazyLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use slitpose_emulator::faults::Faults;
 use slitpose_emulator::image::Image;
 use slitpose_emulator::machine::{Reset, Stop};
-use slitpose_emulator::peripherals::usb::{READ_WHILE_RECEIVING, WRITTEN_WHILE_SENDING};
-use slitpose_emulator::peripherals::{ResetCause, TICKS_PER_SECOND, Ticks};
-use slitpose_emulator::rig::{Rig, open_image};
-use slitpose_emulator::silicon::Silicon;
-use slitpose_emulator::usb_wire::{
-    BusSignal, FRAME_TICKS, FullSpeedDevice, Handshake, InAnswer, MAX_PACKET_BYTES, OutPacket, data_ticks,
+use slitpose_emulator::peripherals::{
+    READ_WHILE_RECEIVING, ResetCause, TICKS_PER_SECOND, Ticks, UsbPort, WRITTEN_WHILE_SENDING,
 };
+use slitpose_emulator::rig::{Rig, open_image};
+use slitpose_emulator::usb_wire::{Answer, BusSignal, FRAME_TICKS, MAX_PACKET_BYTES, OutPacket, data_ticks};
 use slitpose_emulator::world::World;
 use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message};
 
@@ -85,7 +84,7 @@ struct Hostile {
 
 impl Hostile {
     fn plugged_in(image: &Image) -> Self {
-        let mut rig = Rig::power_on(image, Dark, Silicon::default());
+        let mut rig = Rig::power_on(image, Dark, Faults::default());
         rig.set_cable(false);
         let mut host = Self { rig, address: 0, next_frame: 0, frame: 0, silent_until: 0 };
         host.wait(TICKS_PER_SECOND / 100);
@@ -94,7 +93,7 @@ impl Hostile {
         host
     }
 
-    fn device<T>(&mut self, act: impl FnOnce(&mut dyn FullSpeedDevice) -> T) -> T {
+    fn device<T>(&mut self, act: impl FnOnce(&mut UsbPort<'_>) -> T) -> T {
         let board = &mut self.rig.machine().board;
         let result = act(&mut board.usb.port(&mut board.effects));
         board.outside_changed();
@@ -130,7 +129,7 @@ impl Hostile {
         self.wait(FRAME_TICKS);
     }
 
-    fn put(&mut self, endpoint: u8, setup: bool, toggle: bool, bytes: &[u8]) -> Handshake {
+    fn put(&mut self, endpoint: u8, setup: bool, toggle: bool, bytes: &[u8]) -> Answer {
         let bytes = &bytes[..bytes.len().min(MAX_PACKET_BYTES)];
         self.wait(data_ticks(bytes));
         let address = self.address;
@@ -138,10 +137,10 @@ impl Hostile {
     }
 
     /// Asks for data. The device sends data that are not acknowledged again.
-    fn get(&mut self, endpoint: u8, acknowledges: bool) -> InAnswer {
+    fn get(&mut self, endpoint: u8, acknowledges: bool) -> Answer {
         let address = self.address;
         let answer = self.device(|device| device.token_in(address, endpoint));
-        if let InAnswer::Data { bytes, .. } = &answer {
+        if let Answer::Data { bytes, .. } = &answer {
             assert!(bytes.len() <= MAX_PACKET_BYTES, "a packet of {} bytes", bytes.len());
             self.wait(data_ticks(bytes));
             if acknowledges {
@@ -191,7 +190,7 @@ impl Hostile {
         let mut request = [0; 8];
         let (head, mut data) = bytes.split_at(bytes.len().min(8));
         request[..head.len()].copy_from_slice(head);
-        if self.put(0, true, false, &request) != Handshake::Ack {
+        if self.put(0, true, false, &request) != Answer::Ack {
             return;
         }
         let length = usize::from(u16::from_le_bytes([request[6], request[7]]));
@@ -221,18 +220,18 @@ impl Hostile {
 
     /// Data of endpoint 0 as soon as it has some; `None` if it has none, or takes too long.
     fn get_when_ready(&mut self) -> Option<Vec<u8>> {
-        (0..MAX_TRIES).map(|_| self.get(0, true)).find(|answer| *answer != InAnswer::Nak).and_then(
+        (0..MAX_TRIES).map(|_| self.get(0, true)).find(|answer| *answer != Answer::Nak).and_then(
             |answer| match answer {
-                InAnswer::Data { bytes, .. } => Some(bytes),
-                InAnswer::Nak | InAnswer::Stall | InAnswer::Silence => None,
+                Answer::Data { bytes, .. } => Some(bytes),
+                Answer::Ack | Answer::Nak | Answer::Stall | Answer::Silence => None,
             },
         )
     }
 
     /// Data to endpoint 0 as soon as it has room; whether it took them.
     fn put_when_ready(&mut self, toggle: bool, bytes: &[u8]) -> bool {
-        let answer = (0..MAX_TRIES).map(|_| self.put(0, false, toggle, bytes)).find(|answer| *answer != Handshake::Nak);
-        answer == Some(Handshake::Ack)
+        let answer = (0..MAX_TRIES).map(|_| self.put(0, false, toggle, bytes)).find(|answer| *answer != Answer::Nak);
+        answer == Some(Answer::Ack)
     }
 
     /// The cable goes to a host of good will.

@@ -6,11 +6,9 @@ use std::process::Command;
 use std::time::Duration;
 
 use super::emulated::Emulator;
-use clap::ValueEnum;
 use nix::pty::openpty;
 use slitpose_emulator::facts::number;
-use slitpose_emulator::named::Named;
-use slitpose_emulator::world::Flaw;
+use slitpose_emulator::faults::{Fault, Kind};
 use slitpose_tests::process::Finished;
 use slitpose_tests::slitpose;
 
@@ -20,30 +18,30 @@ const STEPS: [&str; 10] =
 /// Arguments of an emulator as fast as it can, its tool at rest at home.
 const AT_HOME: [&str; 7] = ["wide", "--seed", "5", "--trajectory", "still", "--speed", "max"];
 
-/// Flaws with which light settles in time, and when 0.3 codes of full scale are left by an integration of their
+/// Faults with which light settles in time, and when 0.3 codes of full scale are left by an integration of their
 /// resistors, capacitors and poles, microseconds.
-const SETTLE: [(Flaw, f64); 2] = [(Flaw::LineDetector, 11.9), (Flaw::SlowDetector, 13.5)];
+const SETTLE: [(Fault, f64); 2] = [(Fault::LineDetector, 11.9), (Fault::SlowDetector, 13.5)];
 
 /// Each other flaw, the step that must find it, and the words of its finding.
-const FOUND: [(Flaw, &str, &[&str]); 14] = [
-    (Flaw::OpenElectrode, "emitters", &["I_X1 of cell 2 (PC0, CN7-38) sees no light"]),
-    (Flaw::StuckElectrode, "dark", &["I_X2 of cell 4 (PB11, CN10-18)", "stuck at ground"]),
-    (Flaw::NoisyChannel, "noise", &["I_X1 of cell 1 (PA1, CN7-30)", "too noisy"]),
-    (Flaw::DeadEmitter, "emitters", &["emitter 3 gives no light", "PC9"]),
-    (Flaw::SwappedGates, "emitters", &["gates exchanged: gate of emitter 1 (PC7", "gate of emitter 4 (PC10"]),
-    (Flaw::SwappedCells, "emitters", &["inputs exchanged: I_X1 of cell 0 (PA0", "I_X2 of cell 5 (PB15"]),
-    (Flaw::StuckLevel, "levels", &["level line of emitters 0 to 2 (PA4, CN7-32) stays at nominal"]),
-    (Flaw::LiftedLevel, "levels", &["level line of emitters 0 to 2 (PA4, CN7-32) is off by 5.0 % of nominal"]),
-    (Flaw::StuckGate, "dark", &["shine while their gates are off: 2 (26"]),
-    (Flaw::WeakEmitter, "emitters", &["0.50 of that", "emitter 5 is weak"]),
+const FOUND: [(Fault, &str, &[&str]); 14] = [
+    (Fault::OpenElectrode, "emitters", &["I_X1 of cell 2 (PC0, CN7-38) sees no light"]),
+    (Fault::StuckElectrode, "dark", &["I_X2 of cell 4 (PB11, CN10-18)", "stuck at ground"]),
+    (Fault::NoisyChannel, "noise", &["I_X1 of cell 1 (PA1, CN7-30)", "too noisy"]),
+    (Fault::DeadEmitter, "emitters", &["emitter 3 gives no light", "PC9"]),
+    (Fault::SwappedGates, "emitters", &["gates exchanged: gate of emitter 1 (PC7", "gate of emitter 4 (PC10"]),
+    (Fault::SwappedCells, "emitters", &["inputs exchanged: I_X1 of cell 0 (PA0", "I_X2 of cell 5 (PB15"]),
+    (Fault::StuckLevel, "levels", &["level line of emitters 0 to 2 (PA4, CN7-32) stays at nominal"]),
+    (Fault::LiftedLevel, "levels", &["level line of emitters 0 to 2 (PA4, CN7-32) is off by 5.0 % of nominal"]),
+    (Fault::StuckGate, "dark", &["shine while their gates are off: 2 (26"]),
+    (Fault::WeakEmitter, "emitters", &["0.50 of that", "emitter 5 is weak"]),
     (
-        Flaw::SlowFrontEnd,
+        Fault::SlowFrontEnd,
         "settling",
         &["full scale are left after 32.", "one time constant of 3.", "the front end is slow"],
     ),
-    (Flaw::MissingBaffle, "crosstalk", &["too much by emitter 2", "too much by emitter 1"]),
-    (Flaw::LowSupply, "supply", &["V_DDA 3.000 V, expected 3.135 to 3.465 V"]),
-    (Flaw::LostSettings, "storage", &["after a reboot none", "settings are lost"]),
+    (Fault::MissingBaffle, "crosstalk", &["too much by emitter 2", "too much by emitter 1"]),
+    (Fault::LowSupply, "supply", &["V_DDA 3.000 V, expected 3.135 to 3.465 V"]),
+    (Fault::LostSettings, "storage", &["after a reboot none", "settings are lost"]),
 ];
 
 fn bring_up(device: &str, arguments: &[&str]) -> Finished {
@@ -111,7 +109,7 @@ fn an_emulated_board_passes_every_step_and_is_left_as_it_was() {
 #[test]
 fn each_flaw_is_named_by_the_step_that_looks_for_it() {
     let tested = || FOUND.map(|(flaw, ..)| flaw).into_iter().chain(SETTLE.map(|(flaw, _)| flaw));
-    assert!(Flaw::value_variants().iter().all(|flaw| tested().any(|tested| tested == *flaw)));
+    assert!(Fault::of(Kind::Board).iter().all(|flaw| tested().any(|tested| tested == *flaw)));
     for (flaw, step, words) in FOUND {
         let emulator = Emulator::start(&[&AT_HOME[..], &["--silicon", "dac-rest-80", "--flaw", &flaw.name()]].concat());
         let finished = bring_up(&emulator.path, &["--step", step, "--scene", "wide"]);
@@ -125,9 +123,9 @@ fn each_flaw_is_named_by_the_step_that_looks_for_it() {
         assert!(finished.stderr.contains(&format!("take these steps again: {step}")), "{}", finished.stderr);
         // Nothing but the flaw is complained of.
         let most = match flaw {
-            Flaw::SlowFrontEnd => 6,
-            Flaw::StuckLevel | Flaw::LiftedLevel => 3,
-            Flaw::MissingBaffle => 2,
+            Fault::SlowFrontEnd => 6,
+            Fault::StuckLevel | Fault::LiftedLevel => 3,
+            Fault::MissingBaffle => 2,
             _ => 1,
         };
         assert_eq!(failed.len(), most, "{}", flaw.name());

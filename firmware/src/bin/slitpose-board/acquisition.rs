@@ -31,8 +31,7 @@ use crate::clock::Clock;
 use crate::converters::{Converters, Unresponsive};
 use crate::dma::{Channel, Table};
 use crate::emitters::{Emitters, GATE_DMA, LATE_GATE_DMA};
-use crate::guard::Guard;
-use crate::supply;
+use crate::guard::{self, Guard};
 
 /// Words in the ring of a converter: 85 frames of the default, 21 ms.
 const RING_WORDS: usize = 2048;
@@ -66,7 +65,6 @@ pub struct Sampler {
     next_sequence: u64,
 }
 
-/// An acquisition under way.
 #[derive(Debug)]
 struct Run {
     plan: FramePlan,
@@ -116,7 +114,7 @@ impl Sampler {
         let plan = FramePlan::new(configuration)?;
         // A start clears the record of a low supply; a change under way does not.
         if self.run.is_none() {
-            supply::clear();
+            guard::clear_low_supply();
         }
         self.stop(emitters)?;
         let run = Run {
@@ -142,14 +140,13 @@ impl Sampler {
         self.halt(emitters)
     }
 
-    /// Reads the oldest finished frame.
     pub fn next_scan(
         &mut self,
         scan: &mut RawScan,
         emitters: &mut Emitters,
         clock: &mut Clock,
     ) -> Result<bool, ScanError> {
-        if supply::is_low() {
+        if guard::is_supply_low() {
             return Err(ScanError::Fault(HardwareFault::Supply));
         }
         let Some(run) = &mut self.run else {
@@ -276,7 +273,7 @@ impl Sampler {
         // No interrupt may come between the start of the timer and the reading of the clock.
         // The timer does not start if the supply has become too low meanwhile.
         let is_supplied = cortex_m::interrupt::free(|_| {
-            let is_supplied = !supply::is_low();
+            let is_supplied = !guard::is_supply_low();
             timer.cr1().modify(|w| w.set_cen(is_supplied));
             run.tick = clock.now();
             is_supplied
@@ -402,7 +399,6 @@ impl Run {
     }
 }
 
-/// A place in a frame.
 #[derive(Debug, Clone, Copy)]
 struct At {
     slot: u32,

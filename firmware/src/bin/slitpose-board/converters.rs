@@ -38,7 +38,6 @@ const CALIBRATION_PATIENCE: u32 = 10_000;
 #[derive(Debug, Clone, Copy)]
 pub struct Unresponsive;
 
-/// Both converters.
 #[derive(Debug)]
 pub struct Converters {
     is_up: bool,
@@ -53,7 +52,6 @@ fn wait(patience: u32, mut done: impl FnMut() -> bool) -> Result<(), Unresponsiv
 }
 
 impl Converters {
-    /// Both converters, not yet powered.
     pub fn new(_first: Peri<'static, ADC1>, _second: Peri<'static, ADC2>) -> Self {
         // ADC1 and ADC2 share one clock and one reset.
         rcc::enable_and_reset::<ADC1>();
@@ -207,7 +205,6 @@ fn configure(adc: Adc, inputs: &[u8], plan: &FramePlan) {
     clear_flags(adc);
 }
 
-/// Clears the flags of past conversions.
 fn clear_flags(adc: Adc) {
     adc.isr().write(|w| {
         w.set_eoc(true);

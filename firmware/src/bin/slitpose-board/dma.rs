@@ -19,12 +19,10 @@ pub struct Table {
 }
 
 impl Table {
-    /// A table of half words.
     pub fn of_halves(items: &'static [AtomicU16]) -> Self {
         Self { address: items.as_ptr() as u32, items: items.len() as u16, size: Size::BITS16 }
     }
 
-    /// A table of words.
     pub fn of_words(items: &'static [AtomicU32]) -> Self {
         Self { address: items.as_ptr() as u32, items: items.len() as u16, size: Size::BITS32 }
     }

@@ -45,7 +45,6 @@ pub struct Emitters {
 }
 
 impl Emitters {
-    /// All dark, at level zero.
     pub fn new(
         gates: [Output<'static>; CHANNELS as usize],
         supply: Output<'static>,

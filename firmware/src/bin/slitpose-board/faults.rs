@@ -64,7 +64,6 @@ pub fn failed_starts(cause: ResetCause) -> u32 {
     if has_failed { (recall(1) & FAILED_MASK) + 1 } else { 0 }
 }
 
-/// Records that this start went well.
 pub fn started_well() {
     write_backup(1, 0);
 }

@@ -1,24 +1,25 @@
-//! Switches the emitters off when the frame timer stands still: by itself, without the firmware.
+//! Switches the emitters off when the frame timer stands still, by itself, without the firmware; and when the supply falls,
+//! before measurements become wrong.
 //!
 //! The guard timer (TIM3) begins anew at every trigger of the frame timer. If it comes to its end, the DMA clears all
 //! gates. A debugger that halts the processor halts the frame timer and not the guard, so the emitters go dark.
 
-use core::sync::atomic::AtomicU32;
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
+use embassy_stm32::interrupt::InterruptExt;
 use embassy_stm32::pac::timer::vals::{Sms, Ts, Urs};
 use embassy_stm32::peripherals::TIM3;
-use embassy_stm32::{Peri, pac, rcc};
+use embassy_stm32::{Peri, interrupt, pac, rcc};
 use slitpose_firmware::pcb::frame_plan::FramePlan;
 
 use crate::dma::{Channel, Table};
-use crate::emitters::GATES;
+use crate::emitters::{self, GATES};
 
 /// Clears all gates at the guard timer's update.
 const GUARD_DMA: Channel = Channel::new(7, 65);
 
 static ALL_OFF: [AtomicU32; 1] = [AtomicU32::new(GATES << 16)];
 
-/// The guard timer.
 #[derive(Debug)]
 pub struct Guard {
     /// The guard comes to its end in the idle rest of every frame.
@@ -59,7 +60,6 @@ impl Guard {
         timer.cr1().modify(|w| w.set_cen(true));
     }
 
-    /// Ends watching.
     pub fn stop(&mut self) {
         pac::TIM3.cr1().modify(|w| w.set_cen(false));
         pac::TIM3.dier().write(|_| {});
@@ -70,4 +70,45 @@ impl Guard {
     pub fn has_fired(&self) -> bool {
         !self.fires_in_rest && pac::TIM3.sr().read().uif() || GUARD_DMA.has_failed()
     }
+}
+
+/// The detector's highest threshold, 2.9 V (RM0440, PWR_CR2, PLS).
+const THRESHOLD: u8 = 6;
+
+/// The detector's line among the external interrupts.
+const LINE: usize = 16;
+
+static FELL: AtomicBool = AtomicBool::new(false);
+
+pub fn watch_supply() {
+    pac::PWR.cr2().modify(|w| {
+        w.set_pls(THRESHOLD);
+        w.set_pvde(true);
+    });
+    // The detector's output rises when the supply falls.
+    pac::EXTI.rtsr(0).modify(|w| w.set_line(LINE, true));
+    pac::EXTI.imr(0).modify(|w| w.set_line(LINE, true));
+    // SAFETY: the handler below only switches emitters off; no critical section relies on
+    // this interrupt being masked.
+    #[allow(unsafe_code)]
+    unsafe {
+        interrupt::PVD_PVM.enable();
+    }
+}
+
+/// Whether the supply is too low, or has been too low since the last [`clear_low_supply`].
+pub fn is_supply_low() -> bool {
+    pac::PWR.sr2().read().pvdo() || FELL.load(Ordering::Relaxed)
+}
+
+/// Clears the record of a low supply in the past.
+pub fn clear_low_supply() {
+    FELL.store(false, Ordering::Relaxed);
+}
+
+#[interrupt]
+fn PVD_PVM() {
+    emitters::darken();
+    FELL.store(true, Ordering::Relaxed);
+    pac::EXTI.pr(0).write(|w| w.set_line(LINE, true));
 }

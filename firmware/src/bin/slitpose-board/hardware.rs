@@ -19,7 +19,6 @@ use crate::sensors::Sensors;
 #[cfg(feature = "storage")]
 use crate::storage;
 
-/// All parts that the core commands.
 pub struct BoardHardware {
     emitters: Emitters,
     sampler: Sampler,

@@ -16,7 +16,6 @@
 
 mod acquisition;
 mod clock;
-mod clock_tree;
 mod converters;
 mod dma;
 mod emitters;
@@ -31,7 +30,6 @@ mod pose_port;
 mod sensors;
 #[cfg(feature = "storage")]
 mod storage;
-mod supply;
 
 use core::cell::RefCell;
 
@@ -112,7 +110,7 @@ async fn run(spawner: Spawner) {
     memory::guard_stack();
     let failed_starts = faults::failed_starts(reset_cause);
     let p = embassy_stm32::init(config());
-    let clock = clock_tree::raise();
+    let clock = clock::raise();
     faults::running(failed_starts);
     let emitters = [
         Output::new(p.PC6, Level::Low, Speed::Medium),
@@ -122,7 +120,7 @@ async fn run(spawner: Spawner) {
         Output::new(p.PC10, Level::Low, Speed::Medium),
         Output::new(p.PC11, Level::Low, Speed::Medium),
     ];
-    supply::watch();
+    guard::watch_supply();
 
     #[cfg(feature = "storage")]
     let (store, settings) = storage::open(p.FLASH).unzip();

@@ -16,7 +16,7 @@ use embassy_stm32::{Peri, pac};
 use slitpose_firmware::SolvedPose;
 use slitpose_firmware::pose::frame::{CHECKED_WORDS, FRAME_BYTES, FRAME_WORDS, frame};
 
-use crate::clock_tree::believed_baud;
+use crate::clock::believed_baud;
 use crate::dma::{Channel, Table};
 
 /// 170 MHz / 34, without a rest; a byte takes 2 µs.
@@ -28,10 +28,8 @@ const FRAME_DMA: Channel<true> = Channel::new(2, 25);
 /// CRC-32/ISO-HDLC: bits of each word from the lowest on, all ones before the first and turned over at the end.
 const POLYNOMIAL: u32 = 0x04c1_1db7;
 
-/// The frame being sent.
 static FRAME: [AtomicU32; FRAME_WORDS] = [const { AtomicU32::new(0) }; FRAME_WORDS];
 
-/// The pin and the port.
 pub struct PosePort {
     ready: Output<'static>,
     sender: Option<Sender>,
@@ -59,7 +57,6 @@ impl PosePort {
     }
 }
 
-/// The port.
 struct Sender {
     _port: UartTx<'static, Blocking>,
     crc: Crc<'static>,

@@ -49,7 +49,6 @@ pub struct Sensors {
 /// Readings of both sensors; NaN if they could not be read.
 #[derive(Debug, Clone, Copy)]
 pub struct Readings {
-    /// Supply voltage in volts.
     pub supply_v: f32,
     /// Temperature of the MCU in kelvin.
     pub temperature_k: f32,

@@ -15,7 +15,6 @@ use slitpose_protocol::{
 /// Ticks per second of the scripted board.
 pub const TICK_HZ: u32 = 1_000_000;
 
-/// What the hardware gives out next.
 #[derive(Debug, Clone)]
 pub enum Finished {
     Scan(RawScan),
@@ -23,13 +22,11 @@ pub enum Finished {
     Fault(HardwareFault),
 }
 
-/// Hardware that follows a script.
 #[derive(Debug, Default)]
 pub struct Fake {
     pub now: u64,
     /// The configuration under way; `None`: emitters off.
     pub running: Option<Configuration>,
-    /// Frames sampled so far.
     pub sampled: u64,
     /// The fault of the next attempt to light.
     pub refuse_light: Option<HardwareFault>,
@@ -192,14 +189,12 @@ pub fn configuration() -> Configuration {
     }
 }
 
-/// The same without the dark slot.
 pub fn without_dark() -> Configuration {
     let mut configuration = configuration();
     configuration.schedule.slots.pop();
     configuration
 }
 
-/// Identity of the scripted board.
 pub fn identity() -> Identity {
     Identity {
         device_id: *b"scripted 001",
@@ -219,13 +214,11 @@ pub fn board(fake: Fake) -> Board<Fake, [u8; 2_048]> {
     Board::new(fake, identity(), configuration(), [0; 2_048]).expect("the configuration is valid")
 }
 
-/// Bytes of a command.
 pub fn request(number: u16, command: Command) -> Vec<u8> {
     let mut buffer = [0; MAX_REQUEST_BYTES];
     encode(&Request { number, command }, &mut buffer).expect("every command fits").to_vec()
 }
 
-/// A message without its borrows.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Heard {
     Hello { configuration: u16, schedule: Schedule, hashes: Hashes },
@@ -291,7 +284,6 @@ fn scans(batch: &Batch, schedule: &Schedule) -> Vec<Heard> {
     scans.map(|scan| Heard::Scan { configuration: batch.configuration, scan }).collect()
 }
 
-/// Polls and listens.
 pub fn turn<const QUEUE: usize>(board: &mut Board<Fake, [u8; QUEUE]>, listener: &mut Listener) -> Vec<Heard> {
     board.poll(Link::Open);
     listener.listen(board)

@@ -6,7 +6,8 @@ use crate::memory::{
     BOOT_LOADER_BASE, BOOT_LOADER_END, CCM_BASE, CCM_BYTES, FLASH_BASE, FLASH_BYTES, RAM_BASE, RAM_BYTES, load, store,
     system_word,
 };
-use crate::peripherals::rcc::Gate;
+use crate::peripherals::plain::crs;
+use crate::peripherals::rcc::{self, Gate};
 use crate::world::World;
 
 /// Start of system memory, and behind its end.
@@ -19,11 +20,13 @@ const OFFSET_MASK: u32 = 0x3FF;
 const APB_WAIT: u32 = 2;
 /// Extra cycles of an access to a peripheral on AHB: an estimate, not in the manual.
 const AHB_WAIT: u32 = 1;
+/// The gate of registers and packet memory.
+const USB: Gate = Gate { register: rcc::APB1ENR1, bit: 23 };
 
 impl<W: World> Board<W> {
     /// Reads `width` bytes; the lane of the word for peripherals.
     #[inline]
-    pub(super) fn access_read(&mut self, address: u32, width: u32) -> Result<u32, BusFault> {
+    pub fn access_read(&mut self, address: u32, width: u32) -> Result<u32, BusFault> {
         let in_ram = address.wrapping_sub(RAM_BASE);
         if (in_ram as usize) < self.ram.len() {
             if self.loses_writes {
@@ -64,7 +67,7 @@ impl<W: World> Board<W> {
 
     /// Writes `width` bytes.
     #[inline]
-    pub(super) fn access_write(&mut self, address: u32, width: u32, value: u32) -> Result<(), BusFault> {
+    pub fn access_write(&mut self, address: u32, width: u32, value: u32) -> Result<(), BusFault> {
         let in_ram = address.wrapping_sub(RAM_BASE);
         if (in_ram as usize) < self.ram.len() {
             if self.loses_writes && self.loses_access(in_ram as usize, Some(value)) {
@@ -101,11 +104,11 @@ impl<W: World> Board<W> {
     }
 
     fn read_packet_memory(&mut self, offset: u32, width: u32) -> u32 {
-        if self.is_clocked(Gate::USB, 0) { self.usb.read_memory(offset, width as usize, &mut self.effects) } else { 0 }
+        if self.is_clocked(USB, 0) { self.usb.read_memory(offset, width as usize, &mut self.effects) } else { 0 }
     }
 
     fn write_packet_memory(&mut self, offset: u32, width: u32, value: u32) {
-        if self.is_clocked(Gate::USB, value) {
+        if self.is_clocked(USB, value) {
             self.usb.write_memory(offset, width as usize, value, &mut self.effects);
         }
     }
@@ -121,7 +124,7 @@ impl<W: World> Board<W> {
     }
 
     fn read_peripheral(&mut self, address: u32) -> u32 {
-        let Some((unit, gate)) = unit_at(address) else {
+        let Some((unit, gate)) = unit_at(address).filter(|_| !is_behind_syscfg(address)) else {
             self.effects.unmodelled();
             return 0;
         };
@@ -154,7 +157,7 @@ impl<W: World> Board<W> {
     }
 
     fn write_peripheral(&mut self, address: u32, value: u32) {
-        let Some((unit, gate)) = unit_at(address) else {
+        let Some((unit, gate)) = unit_at(address).filter(|_| !is_behind_syscfg(address)) else {
             self.effects.unmodelled();
             return;
         };
@@ -190,7 +193,7 @@ impl<W: World> Board<W> {
             Unit::Syscfg => self.syscfg.write(offset, value, effects),
             Unit::Backup => self.backup.write(offset, value, self.power.backup_access(), effects),
             Unit::Watchdog => self.watchdog.write(offset, value, effects),
-            Unit::Crs => self.crs.write(offset, value, effects),
+            Unit::Crs => crs::write(&mut self.crs, offset, value, effects),
             Unit::Crc => self.crc.write(offset, value, effects),
         }
     }
@@ -237,9 +240,8 @@ impl<W: World> Bus for Board<W> {
     }
 }
 
-/// What answers at an address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Unit {
+pub enum Unit {
     Timer(usize),
     Adc12,
     Adc345,
@@ -261,37 +263,72 @@ enum Unit {
     Crc,
 }
 
-/// The address map (RM0440, "Memory map and peripheral register boundary addresses").
-#[inline]
-fn unit_at(address: u32) -> Option<(Unit, Option<Gate>)> {
-    let block = address & !OFFSET_MASK;
-    let index = block >> 10 & 7;
-    let (unit, gate) = match block {
-        0x4000_0000 | 0x4000_0400 | 0x4000_0800 | 0x4000_0C00 => (Unit::Timer(index as usize), Gate::timer(index)),
-        0x4000_2000 => (Unit::Crs, Gate::CRS),
-        0x4000_2400 => (Unit::Backup, Gate::RTC_APB),
-        0x4000_3000 => return Some((Unit::Watchdog, None)),
-        0x4000_5C00 => (Unit::Usb, Gate::USB),
-        0x4000_7000 => (Unit::Power, Gate::PWR),
-        0x4000_8000 => (Unit::Lpuart, Gate::LPUART1),
-        // VREFBUF, comparators and amplifiers share the kilobyte with SYSCFG.
-        0x4001_0000 if address < 0x4001_0030 => (Unit::Syscfg, Gate::SYSCFG),
-        0x4001_3800 => (Unit::Usart, Gate::USART1),
-        0x4001_0400 => return Some((Unit::Exti, None)),
-        0x4002_0000 => (Unit::Dma(0), Gate::DMA1),
-        0x4002_0400 => (Unit::Dma(1), Gate::DMA2),
-        0x4002_0800 => (Unit::Dmamux, Gate::DMAMUX1),
-        0x4002_1000 => return Some((Unit::Rcc, None)),
-        0x4002_2000 => (Unit::Flash, Gate::FLASH),
-        0x4002_3000 => (Unit::Crc, Gate::CRC),
-        0x4800_0000..=0x4800_1800 => (Unit::Gpio(index as usize), Gate::gpio(index)),
-        0x5000_0000 => (Unit::Adc12, Gate::ADC12),
-        0x5000_0400 => (Unit::Adc345, Gate::ADC345),
-        0x5000_0800 => (Unit::Dac(0), Gate::dac(0)),
-        0x5000_0C00 => (Unit::Dac(1), Gate::dac(1)),
-        _ => return None,
+/// The address map (RM0440, "Memory map and peripheral register boundary addresses") and the gates of RCC: each unit with
+/// its base, ST's name of that, and the clock it needs.
+macro_rules! units {
+    ($($unit:ident $(($index:literal))? = $base:literal $name:literal $(, $register:ident $bit:literal $gate:literal)?;)+) => {
+        fn unit_at(address: u32) -> Option<(Unit, Option<Gate>)> {
+            Some(match address & !OFFSET_MASK {
+                $($base => (Unit::$unit$(($index))?, gate!($($register $bit)?)),)+
+                _ => return None,
+            })
+        }
+
+        /// All units with their gates.
+        pub const UNITS: &[(Unit, Option<Gate>)] = &[$((Unit::$unit$(($index))?, gate!($($register $bit)?))),+];
+
+        #[cfg(test)]
+        const NAMES: &[(u32, &str, &[(&str, &str)])] = &[$(($base, $name, &[$((stringify!($register), $gate))?])),+];
     };
-    Some((unit, Some(gate)))
+}
+
+macro_rules! gate {
+    () => {
+        None
+    };
+    ($register:ident $bit:literal) => {
+        Some(Gate { register: rcc::$register, bit: $bit })
+    };
+}
+
+units! {
+    Timer(0) = 0x4000_0000 "TIM2", APB1ENR1 0 "TIM2EN";
+    Timer(1) = 0x4000_0400 "TIM3", APB1ENR1 1 "TIM3EN";
+    Timer(2) = 0x4000_0800 "TIM4", APB1ENR1 2 "TIM4EN";
+    Timer(3) = 0x4000_0C00 "TIM5", APB1ENR1 3 "TIM5EN";
+    Crs = 0x4000_2000 "CRS", APB1ENR1 8 "CRSEN";
+    Backup = 0x4000_2400 "TAMP", APB1ENR1 10 "RTCAPBEN";
+    Watchdog = 0x4000_3000 "IWDG";
+    Usb = 0x4000_5C00 "USB", APB1ENR1 23 "USBEN";
+    Power = 0x4000_7000 "PWR", APB1ENR1 28 "PWREN";
+    Lpuart = 0x4000_8000 "LPUART1", APB1ENR2 0 "LPUART1EN";
+    Syscfg = 0x4001_0000 "SYSCFG", APB2ENR 0 "SYSCFGEN";
+    Exti = 0x4001_0400 "EXTI";
+    Usart = 0x4001_3800 "USART1", APB2ENR 14 "USART1EN";
+    Dma(0) = 0x4002_0000 "DMA1", AHB1ENR 0 "DMA1EN";
+    Dma(1) = 0x4002_0400 "DMA2", AHB1ENR 1 "DMA2EN";
+    Dmamux = 0x4002_0800 "DMAMUX1", AHB1ENR 2 "DMAMUX1EN";
+    Rcc = 0x4002_1000 "RCC";
+    Flash = 0x4002_2000 "FLASH_R", AHB1ENR 8 "FLASHEN";
+    Crc = 0x4002_3000 "CRC", AHB1ENR 12 "CRCEN";
+    Gpio(0) = 0x4800_0000 "GPIOA", AHB2ENR 0 "GPIOAEN";
+    Gpio(1) = 0x4800_0400 "GPIOB", AHB2ENR 1 "GPIOBEN";
+    Gpio(2) = 0x4800_0800 "GPIOC", AHB2ENR 2 "GPIOCEN";
+    Gpio(3) = 0x4800_0C00 "GPIOD", AHB2ENR 3 "GPIODEN";
+    Gpio(4) = 0x4800_1000 "GPIOE", AHB2ENR 4 "GPIOEEN";
+    Gpio(5) = 0x4800_1400 "GPIOF", AHB2ENR 5 "GPIOFEN";
+    Gpio(6) = 0x4800_1800 "GPIOG", AHB2ENR 6 "GPIOGEN";
+    Adc12 = 0x5000_0000 "ADC1", AHB2ENR 13 "ADC12EN";
+    Adc345 = 0x5000_0400 "ADC3", AHB2ENR 14 "ADC345EN";
+    Dac(0) = 0x5000_0800 "DAC1", AHB2ENR 16 "DAC1EN";
+    Dac(1) = 0x5000_0C00 "DAC2", AHB2ENR 17 "DAC2EN";
+}
+
+/// VREFBUF, comparators and amplifiers share the kilobyte with SYSCFG.
+const BEHIND_SYSCFG: u32 = 0x4001_0030;
+
+fn is_behind_syscfg(address: u32) -> bool {
+    (BEHIND_SYSCFG..0x4001_0400).contains(&address)
 }
 
 fn packet_memory_offset(address: u32) -> Option<u32> {
@@ -313,44 +350,28 @@ mod tests {
     use crate::facts;
 
     #[test]
-    fn units_answer_at_st_s_addresses() {
-        let units = [
-            ("TIM2_BASE", Unit::Timer(0)),
-            ("TIM3_BASE", Unit::Timer(1)),
-            ("TIM4_BASE", Unit::Timer(2)),
-            ("TIM5_BASE", Unit::Timer(3)),
-            ("CRS_BASE", Unit::Crs),
-            ("TAMP_BASE", Unit::Backup),
-            ("IWDG_BASE", Unit::Watchdog),
-            ("USB_BASE", Unit::Usb),
-            ("PWR_BASE", Unit::Power),
-            ("LPUART1_BASE", Unit::Lpuart),
-            ("USART1_BASE", Unit::Usart),
-            ("CRC_BASE", Unit::Crc),
-            ("SYSCFG_BASE", Unit::Syscfg),
-            ("EXTI_BASE", Unit::Exti),
-            ("DMA1_BASE", Unit::Dma(0)),
-            ("DMA2_BASE", Unit::Dma(1)),
-            ("DMAMUX1_BASE", Unit::Dmamux),
-            ("RCC_BASE", Unit::Rcc),
-            ("FLASH_R_BASE", Unit::Flash),
-            ("GPIOA_BASE", Unit::Gpio(0)),
-            ("GPIOB_BASE", Unit::Gpio(1)),
-            ("GPIOC_BASE", Unit::Gpio(2)),
-            ("GPIOG_BASE", Unit::Gpio(6)),
-            ("ADC1_BASE", Unit::Adc12),
-            ("ADC2_BASE", Unit::Adc12),
-            ("ADC12_COMMON_BASE", Unit::Adc12),
-            ("ADC3_BASE", Unit::Adc345),
-            ("ADC5_BASE", Unit::Adc345),
-            ("ADC345_COMMON_BASE", Unit::Adc345),
-            ("DAC1_BASE", Unit::Dac(0)),
-            ("DAC2_BASE", Unit::Dac(1)),
-        ];
-        for (base, unit) in units {
-            assert_eq!(unit_at(facts::bits(base)).map(|(unit, _)| unit), Some(unit), "{base}");
+    fn units_answer_at_st_s_addresses_behind_st_s_gates() {
+        let known = |name: &str| facts::all().any(|fact| fact.name == name).then(|| facts::bits(name));
+        let mut compared = 0;
+        for ((base, name, named_gate), (_, gate)) in NAMES.iter().zip(UNITS) {
+            if let Some(fact) = known(&format!("{name}_BASE")) {
+                assert_eq!(*base, fact, "{name}");
+                compared += 1;
+            }
+            let (&[(register, bit)], Some(gate)) = (*named_gate, gate) else { continue };
+            assert_eq!(gate.register, facts::bits(&format!("RCC_TypeDef.{register}")), "{name}");
+            if let Some(fact) = known(&format!("RCC_{register}_{bit}")) {
+                assert_eq!(1 << gate.bit, fact, "{name}");
+                compared += 1;
+            }
         }
-        assert!(unit_at(facts::bits("VREFBUF_BASE")).is_none());
+        // All but ports D to F, and the gates of what lies between others.
+        assert_eq!(compared, 27 + 20);
+        for (name, unit) in [("ADC2", Unit::Adc12), ("ADC12_COMMON", Unit::Adc12), ("ADC345_COMMON", Unit::Adc345)] {
+            assert_eq!(unit_at(facts::bits(&format!("{name}_BASE"))).map(|(at, _)| at), Some(unit), "{name}");
+        }
         assert_eq!(packet_memory_offset(facts::bits("USB_PMAADDR")), Some(0));
+        assert!(facts::bits("VREFBUF_BASE") >= BEHIND_SYSCFG);
+        assert_eq!(UNITS[7], (Unit::Usb, Some(USB)));
     }
 }

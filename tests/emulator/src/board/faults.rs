@@ -4,9 +4,9 @@
 use std::ops::RangeInclusive;
 
 use super::Board;
+use crate::faults::{Fault, Faults};
 use crate::memory::{Bits, CCM_BYTES, RAM_BASE, RAM_BYTES};
 use crate::peripherals::{Request, TICKS_PER_SECOND, Ticks};
-use crate::silicon::{Fault, Silicon};
 use crate::world::World;
 
 /// Fault dma-latency: ticks of a transfer.
@@ -31,7 +31,7 @@ enum Block {
 
 /// What faults have under way.
 #[derive(Debug)]
-pub(super) struct Faults {
+pub(super) struct UnderWay {
     /// Fault dma-latency: transfers of DMA1 and DMA2.
     transfers: [Option<Transfer>; 2],
     /// Fault pvd-slow: when the detector's output follows the supply.
@@ -49,13 +49,13 @@ struct Transfer {
     done: Ticks,
 }
 
-impl Default for Faults {
+impl Default for UnderWay {
     fn default() -> Self {
         Self { transfers: [None; 2], pvd_due: Ticks::MAX, usb_due: Ticks::MAX, blocks: [Block::Sound; BLOCKS.len()] }
     }
 }
 
-impl Faults {
+impl UnderWay {
     /// When [`Board::handle_faults`] is to be called.
     #[inline]
     pub(super) fn next_event(&self) -> Ticks {
@@ -71,61 +71,60 @@ impl Faults {
 
 impl<W: World> Board<W> {
     /// Gives the silicon its faults; before the board runs.
-    pub fn set_silicon(&mut self, silicon: Silicon, seed: u64) {
-        self.effects.silicon = silicon;
+    pub fn set_faults(&mut self, faults: Faults, seed: u64) {
+        self.effects.faults = faults;
         self.effects.chance = Bits::seeded(seed);
         self.effects.clock_phase = self.effects.chance.within(0..=3);
-        self.dacs.iter_mut().for_each(|dac| dac.set_rest_v(silicon.dac_rest_v()));
+        self.dacs.iter_mut().for_each(|dac| dac.set_rest_v(faults.dac_rest_v()));
         self.forget_accesses();
-        if silicon.has(Fault::UsbHost) {
-            self.faults.usb_due = *USB_PAUSE_TICKS.start();
+        if faults.has(Fault::UsbHost) {
+            self.under_way.usb_due = *USB_PAUSE_TICKS.start();
         }
         self.find_next_event();
     }
 
     /// A reset: no block of SRAM counts as touched, if the silicon has fault sram-first-write.
     pub(super) fn forget_accesses(&mut self) {
-        self.loses_writes = self.effects.silicon.has(Fault::SramFirstWrite);
-        self.faults.blocks.fill(if self.loses_writes { Block::Untouched } else { Block::Sound });
+        self.loses_writes = self.effects.faults.has(Fault::SramFirstWrite);
+        self.under_way.blocks.fill(if self.loses_writes { Block::Untouched } else { Block::Sound });
     }
 
     /// An access to RAM; whether it is a write that is lost. One that is not repeated at once breaks a rule.
     #[cold]
     pub(super) fn loses_access(&mut self, offset: usize, written: Option<u32>) -> bool {
         let index = BLOCKS.iter().rposition(|&start| start <= offset).unwrap_or(0);
-        let before = self.faults.blocks[index];
+        let before = self.under_way.blocks[index];
         let is_lost = before == Block::Untouched && written.is_some();
-        self.faults.blocks[index] = if is_lost { Block::Lost(offset) } else { Block::Sound };
+        self.under_way.blocks[index] = if is_lost { Block::Lost(offset) } else { Block::Sound };
         if matches!(before, Block::Lost(at) if at != offset || written.is_none()) {
             self.effects.address = RAM_BASE + offset as u32;
             let rule = "a first access to SRAM that is a write is lost: it is repeated before any other";
             self.effects.violation(written.unwrap_or(0), rule);
         }
-        self.loses_writes = self.faults.blocks.iter().any(|&block| block != Block::Sound);
+        self.loses_writes = self.under_way.blocks.iter().any(|&block| block != Block::Sound);
         is_lost
     }
 
     /// Fault injection: the crystal stops, for good.
     pub fn stop_crystal(&mut self) {
-        self.effects.silicon = self.effects.silicon.with(Fault::HseDead);
+        self.effects.faults = self.effects.faults.with(Fault::HseDead);
         self.rcc.lose_crystal(&mut self.effects);
     }
 
-    /// Does what is due now.
     pub(super) fn handle_faults(&mut self, now: Ticks) {
         for controller in 0..2 {
-            if let Some(transfer) = self.faults.transfers[controller].take_if(|transfer| transfer.done == now)
+            if let Some(transfer) = self.under_way.transfers[controller].take_if(|transfer| transfer.done == now)
                 // A channel that was stopped meanwhile lets go.
                 && self.dma.is_enabled(transfer.channel)
             {
                 self.carry_out(transfer.channel, transfer.request);
             }
         }
-        if self.faults.usb_due == now {
-            self.faults.usb_due = now + self.trouble_usb(now);
+        if self.under_way.usb_due == now {
+            self.under_way.usb_due = now + self.trouble_usb(now);
         }
-        if self.faults.pvd_due == now {
-            self.faults.pvd_due = Ticks::MAX;
+        if self.under_way.pvd_due == now {
+            self.under_way.pvd_due = Ticks::MAX;
             self.follow_pvd();
         }
     }
@@ -133,7 +132,7 @@ impl<W: World> Board<W> {
     /// Fault dma-latency: each controller that is free begins its next transfer. Gives whether one has.
     pub(super) fn begin_transfers(&mut self, ready: u128) -> bool {
         let mut has_begun = false;
-        for (controller, transfer) in self.faults.transfers.iter_mut().enumerate().filter(|(_, is)| is.is_none()) {
+        for (controller, transfer) in self.under_way.transfers.iter_mut().enumerate().filter(|(_, is)| is.is_none()) {
             let channels = 8 * controller..8 * (controller + 1);
             if let Some((channel, request)) = self.dma.select(ready, channels) {
                 let done = self.effects.now() + self.effects.chance.within(DMA_LATENCY_TICKS);
@@ -147,15 +146,15 @@ impl<W: World> Board<W> {
     /// Fault adc-neighbour.
     #[inline]
     pub(super) fn disturb_neighbours(&mut self) {
-        if self.effects.silicon.has(Fault::AdcNeighbour) && self.adc12.is_converting() && self.adc345.is_converting() {
+        if self.effects.faults.has(Fault::AdcNeighbour) && self.adc12.is_converting() && self.adc345.is_converting() {
             self.adc12.disturb(&mut self.effects);
         }
     }
 
     /// Lets the detector see the supply: at once, or late with fault pvd-slow.
     pub(super) fn update_pvd(&mut self) {
-        if self.effects.silicon.has(Fault::PvdSlow) {
-            self.faults.pvd_due = self.effects.now() + PVD_TICKS;
+        if self.effects.faults.has(Fault::PvdSlow) {
+            self.under_way.pvd_due = self.effects.now() + PVD_TICKS;
         } else {
             self.follow_pvd();
         }

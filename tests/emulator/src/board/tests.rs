@@ -1,36 +1,19 @@
 //! The wires between the peripherals, driven through the bus as a program drives them.
 
-use std::time::Instant;
-
 use super::*;
 use crate::cpu::{Bus, BusFault, Size};
 use crate::facts;
-use crate::memory::CCM_BASE;
+use crate::memory::{CCM_BASE, RAM_BASE};
 use crate::peripherals::{TICKS_PER_SECOND, interrupt};
 
 const RCC: u32 = 0x4002_1000;
 const FLASH_ACR: u32 = 0x4002_2000;
 const TIM2: u32 = 0x4000_0000;
 const PWR: u32 = 0x4000_7000;
-const EXTI: u32 = 0x4001_0400;
 const DMA1: u32 = 0x4002_0000;
 const DMAMUX: u32 = 0x4002_0800;
 const GPIOC: u32 = 0x4800_0800;
-const ADC1: u32 = 0x5000_0000;
-const ADC2: u32 = 0x5000_0100;
-const ADC12_CCR: u32 = 0x5000_0308;
-const ADC345: u32 = 0x5000_0400;
 const DAC1_DHR12R1: u32 = 0x5000_0808;
-
-/// One slot of lighting: 4 slots a frame at 4 kHz.
-const SLOT_TICKS: u32 = (TICKS_PER_SECOND / 16_000) as u32;
-/// From the switch of the emitters to the trigger of the converters.
-const SETTLING_TICKS: u32 = 2_300;
-const BSRR_RING: u32 = RAM_BASE + 0x1000;
-const ADC_RINGS: [u32; 2] = [RAM_BASE + 0x2000, RAM_BASE + 0x3000];
-/// Halfwords in an ADC ring: four slots of six ranks.
-const RING_WORDS: u32 = 24;
-
 /// Remembers what it is asked and told.
 #[derive(Debug, Default)]
 struct Recorder {
@@ -85,39 +68,6 @@ fn ring(board: &mut Board<Recorder>, index: u32, request: u32, places: (u32, u32
     put(board, channel, ccr | 1 << 5 | 1);
 }
 
-/// Everything the switched acquisition needs, short of the timer's start.
-fn acquisition() -> Board<Recorder> {
-    let mut board = board();
-    put(&mut board, GPIOC, 0x0055_5000);
-    for (slot, word) in [0x0FC0_0040_u32, 0x0FC0_0080, 0x0FC0_0100, 0x0FC0_0000].into_iter().enumerate() {
-        put(&mut board, BSRR_RING + 4 * slot as u32, word);
-    }
-    ring(&mut board, 0, 60, (GPIOC + 0x18, BSRR_RING), 4, 2 << 10 | 2 << 8 | 1 << 7 | 1 << 4);
-    put(&mut board, ADC12_CCR, 3 << 16);
-    for (index, (adc, request)) in [(ADC1, 5), (ADC2, 36)].into_iter().enumerate() {
-        put(&mut board, adc + 0x08, 0);
-        put(&mut board, adc + 0x08, 1 << 28);
-        wait(&mut board, 3_400);
-        put(&mut board, adc + 0x08, 1 << 28 | 1 << 31);
-        wait(&mut board, 1_000);
-        put(&mut board, adc + 0x08, 1 << 28 | 1);
-        wait(&mut board, 100);
-        put(&mut board, adc + 0x10, 1 | 1 << 2);
-        put(&mut board, adc + 0x14, 0x1B6D_B6DB);
-        put(&mut board, adc + 0x30, 5 | 1 << 6 | 2 << 12 | 3 << 18 | 4 << 24);
-        put(&mut board, adc + 0x34, 5 | 6 << 6);
-        put(&mut board, adc + 0x0C, 1 << 31 | 1 << 10 | 11 << 5 | 0b11);
-        ring(&mut board, 1 + index as u32, request, (adc + 0x40, ADC_RINGS[index]), RING_WORDS, 0b0101 << 8 | 1 << 7);
-        put(&mut board, adc + 0x08, 1 << 28 | 1 | 1 << 2);
-    }
-    put(&mut board, TIM2 + 0x2C, SLOT_TICKS - 1);
-    put(&mut board, TIM2 + 0x38, SETTLING_TICKS);
-    put(&mut board, TIM2 + 0x18, 7 << 12);
-    put(&mut board, TIM2 + 0x04, 5 << 4);
-    put(&mut board, TIM2 + 0x0C, 1 << 8);
-    board
-}
-
 #[test]
 fn a_narrow_write_fills_all_lanes_and_a_narrow_read_takes_one() {
     let mut board = board();
@@ -165,46 +115,6 @@ fn a_reset_bit_resets_its_peripheral_once() {
 }
 
 #[test]
-fn the_gates_switch_at_each_update() {
-    let mut board = acquisition();
-    board.log_gates();
-    let start = board.now();
-    put(&mut board, TIM2, 1 << 7 | 1);
-    wait(&mut board, 5 * Ticks::from(SLOT_TICKS));
-    let edge = |slot: u64, gates| GateEdge { at: start + slot * Ticks::from(SLOT_TICKS), gates };
-    assert_eq!(board.take_gate_log(), [edge(1, 1), edge(2, 2), edge(3, 4), edge(4, 0), edge(5, 1)]);
-}
-
-#[test]
-fn both_rings_fill_in_step_after_each_trigger() {
-    let mut board = acquisition();
-    let start = board.now();
-    put(&mut board, TIM2, 1 << 7 | 1);
-    // Trigger, 8 ticks, four conversions of 148 ticks for each of six ranks.
-    let done = Ticks::from(SETTLING_TICKS) + 8 + 6 * 4 * 148;
-    wait(&mut board, done - 1);
-    let taken = |board: &mut Board<Recorder>, index: u32| RING_WORDS - get(board, DMA1 + 8 + 20 * index + 4);
-    assert_eq!((taken(&mut board, 1), taken(&mut board, 2)), (5, 5));
-    wait(&mut board, 1);
-    assert_eq!((taken(&mut board, 1), taken(&mut board, 2)), (6, 6));
-    assert_eq!(board.world.last_sample, start + done - 50);
-    assert_eq!(board.ram_word(ADC_RINGS[0]), Some((4 * 101) | ((4 * 102) << 16)));
-    assert_eq!(board.ram_word(ADC_RINGS[1] + 8), Some((4 * 205) | ((4 * 206) << 16)));
-    assert_eq!(board.effects.violations(), []);
-    assert!(board.effects.unmodelled_accesses().is_empty());
-}
-
-#[test]
-fn a_swallowed_request_puts_one_ring_out_of_step() {
-    let mut board = acquisition();
-    board.adc12.adc_mut(0).swallow_request();
-    put(&mut board, TIM2, 1 << 7 | 1);
-    wait(&mut board, Ticks::from(SLOT_TICKS));
-    assert_eq!(get(&mut board, ADC1) & 1 << 4, 1 << 4, "ADC1 has overrun");
-    assert_eq!(get(&mut board, ADC2) & 1 << 4, 0);
-}
-
-#[test]
 fn dma_to_nowhere_is_a_transfer_error() {
     let mut board = board();
     ring(&mut board, 3, 60, (GPIOC + 0x18, 0x3000_0000), 4, 2 << 10 | 2 << 8 | 1 << 4 | 1 << 3);
@@ -212,19 +122,6 @@ fn dma_to_nowhere_is_a_transfer_error() {
     put(&mut board, TIM2 + 0x14, 1);
     assert_eq!(get(&mut board, DMA1) >> 12, 0b1001);
     assert_eq!(board.effects.lines()[0], 1 << (interrupt::DMA1_CHANNEL1 + 3));
-}
-
-#[test]
-fn the_voltage_detector_interrupts_when_the_supply_falls() {
-    let mut board = board();
-    put(&mut board, PWR + 4, 1 | 6 << 1);
-    put(&mut board, EXTI, 0x1F84_0000 | 1 << 16);
-    put(&mut board, EXTI + 8, 1 << 16);
-    assert!(board.set_supply_v(3.0));
-    assert_eq!(board.effects.lines()[0], 0);
-    assert!(board.set_supply_v(2.89));
-    assert_eq!(board.effects.lines()[0], 1 << interrupt::PVD_PVM);
-    assert!(!board.set_supply_v(1.6));
 }
 
 #[test]
@@ -244,50 +141,6 @@ fn the_pll_needs_boost_and_wait_states() {
         board.effects.violation_count()
     };
     assert_eq!((select(true), select(false)), (0, 2));
-}
-
-#[test]
-fn internal_channels_follow_supply_and_temperature() {
-    let codes = |supply_v, temperature_c| {
-        let codes = InternalCodes { supply_v, temperature_c };
-        [4, 18].map(|channel| codes.code(channel))
-    };
-    assert_eq!(codes(3.0, 30.0), [TS_CAL1, VREFINT_CAL]);
-    assert_eq!(codes(3.0, 130.0), [TS_CAL2, VREFINT_CAL]);
-    assert_eq!(codes(3.3, 30.0), [943, 1_504]);
-}
-
-#[test]
-fn adc5_converts_the_reference() {
-    let mut board = board();
-    let adc5 = ADC345 + 0x200;
-    put(&mut board, ADC345 + 0x308, 3 << 16);
-    put(&mut board, adc5 + 8, 0);
-    put(&mut board, adc5 + 8, 1 << 28);
-    wait(&mut board, 3_400);
-    put(&mut board, adc5 + 8, 1 << 28 | 1 << 31);
-    wait(&mut board, 1_000);
-    put(&mut board, adc5 + 8, 1 << 28 | 1);
-    wait(&mut board, 100);
-    put(&mut board, adc5 + 0x30, 18 << 6);
-    put(&mut board, adc5 + 8, 1 << 28 | 1 | 1 << 2);
-    wait(&mut board, 1_000);
-    assert_eq!(get(&mut board, adc5 + 0x40), 1_504);
-    assert_eq!(board.effects.violations(), []);
-}
-
-/// Prints what the peripherals cost at the firmware's full load: 4 kHz, four slots, six ranks
-/// of two converters, oversampled four times.
-#[test]
-fn full_load_takes_every_sample() {
-    let mut board = acquisition();
-    put(&mut board, TIM2, 1 << 7 | 1);
-    let start = Instant::now();
-    wait(&mut board, TICKS_PER_SECOND / 10);
-    println!("0.1 s of the device's time took {:?}", start.elapsed());
-    assert_eq!(board.world.samples, 2 * 38_400);
-    assert_eq!(board.world.drives.len(), 1_600);
-    assert_eq!(get(&mut board, ADC1) & 1 << 4, 0);
 }
 
 #[test]

@@ -1,6 +1,7 @@
-//! Integer arithmetic of the ARMv7-M pseudocode (DDI0403, A2.2.1): pure functions of their arguments.
+//! Integer arithmetic of the ARMv7-M pseudocode (DDI0403, A2.2.1), and of the DSP extension on the halfwords and bytes of a
+//! register (A4.4.3 to A4.4.5): pure functions of their arguments.
 
-use super::instruction::{Shift, ShiftKind, UnaryOp};
+use super::instruction::{Extension, ParallelKind, ParallelOp, SaturatingOp, Shift, ShiftKind, UnaryOp};
 
 /// AddWithCarry: sum, carry out, overflow.
 #[inline(always)]
@@ -63,7 +64,6 @@ pub(super) fn extract(value: u32, lsb: u8, width: u8, signed: bool) -> u32 {
     if signed { (top as i32 >> down) as u32 } else { top >> down }
 }
 
-/// Operations with one operand.
 pub(super) fn unary(op: UnaryOp, value: u32) -> u32 {
     match op {
         UnaryOp::Clz => value.leading_zeros(),
@@ -74,20 +74,105 @@ pub(super) fn unary(op: UnaryOp, value: u32) -> u32 {
     }
 }
 
+/// The signed low halfword of `x`, or its high one.
+pub(super) fn half(x: u32, top: bool) -> i64 {
+    i64::from(if top { (x >> 16) as i16 } else { x as i16 })
+}
+
+/// Both products of halfwords; with `exchange` the halves of `y` change places first.
+pub(super) fn dual_products(x: u32, y: u32, exchange: bool) -> (i64, i64) {
+    (half(x, false) * half(y, exchange), half(x, true) * half(y, !exchange))
+}
+
+/// A parallel addition or subtraction: result, and GE bits if the operation sets them.
+pub(super) fn parallel(op: ParallelOp, kind: ParallelKind, x: u32, y: u32) -> (u32, Option<u8>) {
+    match op {
+        ParallelOp::Add8 => lanes(kind, 8, x, y, [false; 4]),
+        ParallelOp::Sub8 => lanes(kind, 8, x, y, [true; 4]),
+        ParallelOp::Add16 => lanes(kind, 16, x, y, [false; 4]),
+        ParallelOp::Sub16 => lanes(kind, 16, x, y, [true; 4]),
+        ParallelOp::Asx => lanes(kind, 16, x, y.rotate_left(16), [true, false, false, false]),
+        ParallelOp::Sax => lanes(kind, 16, x, y.rotate_left(16), [false, true, false, false]),
+    }
+}
+
+/// Adds or subtracts lanes of `bits` bits, lowest lane first.
+fn lanes(kind: ParallelKind, bits: u32, x: u32, y: u32, subtract: [bool; 4]) -> (u32, Option<u8>) {
+    use ParallelKind::{Signed, SignedHalving, SignedSaturating, Unsigned, UnsignedHalving, UnsignedSaturating};
+    let signed = matches!(kind, Signed | SignedSaturating | SignedHalving);
+    let mask = (1u32 << bits) - 1;
+    let lane_flags = (1u8 << (bits / 8)) - 1;
+    let widen = |word: u32, lane: u32| {
+        let up = word << (32 - bits - lane * bits);
+        if signed { (up as i32 >> (32 - bits)).into() } else { i64::from(up >> (32 - bits)) }
+    };
+    let (mut result, mut ge) = (0, 0);
+    for lane in 0..32 / bits {
+        let (a, b) = (widen(x, lane), widen(y, lane));
+        let minus = subtract[lane as usize];
+        let exact: i64 = if minus { a - b } else { a + b };
+        let value = match kind {
+            Signed | Unsigned => exact as u32,
+            SignedSaturating => saturate_signed(exact, bits as u8).0,
+            UnsignedSaturating => saturate_unsigned(exact, bits as u8).0,
+            SignedHalving | UnsignedHalving => (exact >> 1) as u32,
+        };
+        result |= (value & mask) << (lane * bits);
+        // GE: not negative, except for an unsigned sum: carry out.
+        let carried = if signed || minus { exact >= 0 } else { exact > i64::from(mask) };
+        if carried {
+            ge |= lane_flags << (lane * bits / 8);
+        }
+    }
+    (result, matches!(kind, Signed | Unsigned).then_some(ge))
+}
+
+/// QADD and its kin, with `x` = Rm and `y` = Rn: result and whether it saturated.
+pub(super) fn saturating_add(op: SaturatingOp, x: u32, y: u32) -> (u32, bool) {
+    let (x, y) = (i64::from(x as i32), i64::from(y as i32));
+    let (doubled, saturated) = match op {
+        SaturatingOp::Qadd | SaturatingOp::Qsub => (y, false),
+        SaturatingOp::Qdadd | SaturatingOp::Qdsub => {
+            let (value, saturated) = saturate_signed(2 * y, 32);
+            (i64::from(value as i32), saturated)
+        }
+    };
+    let sum = match op {
+        SaturatingOp::Qadd | SaturatingOp::Qdadd => x + doubled,
+        SaturatingOp::Qsub | SaturatingOp::Qdsub => x - doubled,
+    };
+    let (result, saturated_again) = saturate_signed(sum, 32);
+    (result, saturated | saturated_again)
+}
+
+/// The widened part of `rotated`, added to `base`.
+pub(super) fn extend(extension: Extension, rotated: u32, base: u32) -> u32 {
+    let halves = |low: u32, high: u32| base.wrapping_add(low) & 0xffff | (base >> 16).wrapping_add(high) << 16;
+    match extension {
+        Extension::SignedByte => base.wrapping_add(rotated as i8 as u32),
+        Extension::SignedHalf => base.wrapping_add(rotated as i16 as u32),
+        Extension::Byte => base.wrapping_add(rotated & 0xff),
+        Extension::Half => base.wrapping_add(rotated & 0xffff),
+        Extension::SignedBytes => halves(rotated as i8 as u32, (rotated >> 16) as i8 as u32),
+        Extension::Bytes => halves(rotated & 0xff, rotated >> 16 & 0xff),
+    }
+}
+
+/// SEL: byte by byte from `x` where GE is set, else from `y`.
+pub(super) fn select(ge: u8, x: u32, y: u32) -> u32 {
+    let mask = (0..4).filter(|lane| ge >> lane & 1 != 0).fold(0, |mask, lane| mask | 0xff << (8 * lane));
+    x & mask | y & !mask
+}
+
+/// Sum of the absolute differences of the four bytes.
+pub(super) fn absolute_differences(x: u32, y: u32) -> u32 {
+    let (x, y) = (x.to_le_bytes(), y.to_le_bytes());
+    x.iter().zip(y).map(|(&a, b)| u32::from(a.abs_diff(b))).sum()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn addition_carries_and_overflows() {
-        assert_eq!(add_with_carry(0xffff_ffff, 1, false), (0, true, false));
-        assert_eq!(add_with_carry(0x7fff_ffff, 0, true), (0x8000_0000, false, true));
-        // 5 − 5: no borrow is carry.
-        assert_eq!(add_with_carry(5, !5, true), (0, true, false));
-        assert_eq!(add_with_carry(0x8000_0000, !1, true), (0x7fff_ffff, true, true));
-        // The carry alone wraps.
-        assert_eq!(add_with_carry(0xffff_ffff, 0, true), (0, true, false));
-    }
 
     #[test]
     fn shifts_by_0_32_and_more() {
@@ -130,5 +215,43 @@ mod tests {
         assert_eq!(unary(UnaryOp::Rev16, 0x1122_3344), 0x2211_4433);
         assert_eq!(unary(UnaryOp::Revsh, 0x1122_3384), 0xffff_8433);
         assert_eq!(unary(UnaryOp::Clz, 0), 32);
+    }
+
+    #[test]
+    fn bytes_in_parallel() {
+        // 0xff+1, 0x7f+1, 0x80+0x80, 1+2, from the top.
+        let (x, y) = (0xff7f_8001, 0x0101_8002);
+        assert_eq!(parallel(ParallelOp::Add8, ParallelKind::Unsigned, x, y), (0x0080_0003, Some(0b1010)));
+        assert_eq!(parallel(ParallelOp::Add8, ParallelKind::Signed, x, y), (0x0080_0003, Some(0b1101)));
+        assert_eq!(parallel(ParallelOp::Add8, ParallelKind::SignedSaturating, x, y), (0x007f_8003, None));
+        assert_eq!(parallel(ParallelOp::Add8, ParallelKind::UnsignedSaturating, x, y), (0xff80_ff03, None));
+        assert_eq!(parallel(ParallelOp::Add8, ParallelKind::UnsignedHalving, x, y), (0x8040_8001, None));
+    }
+
+    #[test]
+    fn halfwords_exchanged() {
+        // High: 1 + 4 (low half of y); low: 2 − 3 (high half of y).
+        assert_eq!(
+            parallel(ParallelOp::Asx, ParallelKind::Signed, 0x0001_0002, 0x0003_0004),
+            (0x0005_ffff, Some(0b1100))
+        );
+        assert_eq!(
+            parallel(ParallelOp::Sax, ParallelKind::Signed, 0x0001_0002, 0x0003_0004),
+            (0xfffd_0005, Some(0b0011))
+        );
+    }
+
+    #[test]
+    fn doubling_saturates_on_its_own() {
+        assert_eq!(saturating_add(SaturatingOp::Qdsub, 0, 0x4000_0000), (0x8000_0001, true));
+        assert_eq!(saturating_add(SaturatingOp::Qadd, 0x7fff_ffff, 1), (0x7fff_ffff, true));
+        assert_eq!(saturating_add(SaturatingOp::Qsub, 1, 2), (0xffff_ffff, false));
+    }
+
+    #[test]
+    fn selection_and_differences() {
+        assert_eq!(select(0b0101, 0x1122_3344, 0xaabb_ccdd), 0xaa22_cc44);
+        assert_eq!(absolute_differences(0x0010_ff00, 0x0112_0001), 1 + 2 + 255 + 1);
+        assert_eq!(extend(Extension::SignedBytes, 0x0080_007f, 0x0001_0001), 0xff81_0080);
     }
 }

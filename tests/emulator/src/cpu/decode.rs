@@ -1,7 +1,6 @@
 //! From halfwords to [`Instruction`]: the 16-bit encodings (DDI0403, A5.2) and what both widths share.
 
 use super::Size;
-use super::decode_fields::{bit, hint, immediate_shift, sign_extend};
 use super::decode_wide;
 use super::instruction::{
     Address, AluOp, Extension, ImmediateCarry, Instruction, LoadKind, Reg, SetFlags, Shift, ShiftKind, UnaryOp,
@@ -21,7 +20,17 @@ pub fn decode(first: u16, second: u16) -> Instruction {
     }
 }
 
-/// A register number of three bits.
+/// Length of the instruction at `at`, and where it branches to, if it names that.
+pub fn direct_branch(at: u32, first: u16, second: u16) -> (u32, Option<u32>) {
+    let target = match decode(first, second) {
+        Instruction::Branch { offset } | Instruction::BranchIf { offset, .. } | Instruction::BranchLink { offset } => {
+            Some((at + 4).wrapping_add_signed(offset))
+        }
+        _ => None,
+    };
+    (if is_wide(first) { 4 } else { 2 }, target)
+}
+
 fn low(word: u32, position: u32) -> Reg {
     Reg((word >> position & 7) as u8)
 }
@@ -203,4 +212,64 @@ fn conditional_branch(h: u32) -> Instruction {
         15 => Instruction::SupervisorCall,
         condition => Instruction::BranchIf { condition: condition as u8, offset: sign_extend(h << 1, 9) },
     }
+}
+
+// Fields that instructions of several groups have.
+
+/// Bit `n` of `word`.
+pub(super) fn bit(word: u32, n: u32) -> bool {
+    word >> n & 1 != 0
+}
+
+/// The low `bits` bits of `value` as a two's complement number.
+pub(super) fn sign_extend(value: u32, bits: u32) -> i32 {
+    (value << (32 - bits)) as i32 >> (32 - bits)
+}
+
+/// DecodeImmShift.
+pub(super) fn immediate_shift(kind: u32, amount: u32) -> Shift {
+    let or_32 = if amount == 0 { 32 } else { amount as u8 };
+    match (kind & 3, amount) {
+        (0, _) => Shift { kind: ShiftKind::Lsl, amount: amount as u8 },
+        (1, _) => Shift { kind: ShiftKind::Lsr, amount: or_32 },
+        (2, _) => Shift { kind: ShiftKind::Asr, amount: or_32 },
+        (_, 0) => Shift { kind: ShiftKind::Rrx, amount: 1 },
+        _ => Shift { kind: ShiftKind::Ror, amount: amount as u8 },
+    }
+}
+
+/// The hints of both widths by number.
+pub(super) fn hint(number: u32) -> Instruction {
+    match number {
+        2 => Instruction::Wfe,
+        3 => Instruction::Wfi,
+        4 => Instruction::Sev,
+        _ => Instruction::Nop,
+    }
+}
+
+pub(super) fn rn(w: u32) -> Reg {
+    Reg::at(w, 16)
+}
+
+pub(super) fn rd(w: u32) -> Reg {
+    Reg::at(w, 8)
+}
+
+pub(super) fn rm(w: u32) -> Reg {
+    Reg::at(w, 0)
+}
+
+/// Field Rt of loads and stores, Ra and RdLo of multiplications.
+pub(super) fn rt(w: u32) -> Reg {
+    Reg::at(w, 12)
+}
+
+/// A register field in which 15 stands for "none".
+pub(super) fn unless_15(register: Reg) -> Option<Reg> {
+    (register != Reg::PC).then_some(register)
+}
+
+pub(super) fn set_flags(w: u32) -> SetFlags {
+    if bit(w, 20) { SetFlags::Yes } else { SetFlags::No }
 }

@@ -1,6 +1,6 @@
 //! Encodings of the coprocessors: FPv4-SP is coprocessors 10 and 11 (DDI0403, A6), others do not exist.
 
-use super::decode_fields::bit;
+use super::decode::bit;
 use super::instruction::{Fixed, FloatAddress, FloatInstruction, FloatOp, FloatUnaryOp, Instruction, Reg, SReg};
 
 /// Decodes an instruction of the coprocessor space.

@@ -3,8 +3,8 @@
 //! Simplified: a fault while stacking or while reading a vector becomes HardFault at once instead of competing
 //! as a derived exception, and late arrival is not modelled.
 
-use super::cycles::{ENTRY, FLOAT_FRAME, NOTHING_IN_FLIGHT, RETURN, TAIL_CHAIN};
-use super::nvic::{HARD_FAULT, NMI, SV_CALL, SYS_TICK};
+use super::code::{ENTRY, FLOAT_FRAME, NOTHING_IN_FLIGHT, RETURN, TAIL_CHAIN};
+use super::nvic::{HARD_FAULT, NMI, SV_CALL};
 use super::{Bus, Cpu, Fault, FaultReport, Size, Step, Waiting};
 
 /// R0–R3, R12, LR, return address, xPSR.
@@ -27,9 +27,6 @@ impl Cpu {
         }
         if let Some(report) = self.lockup {
             return Some(Step::Lockup(report));
-        }
-        if self.system.systick.advance(self.time()) {
-            self.nvic.pend(SYS_TICK);
         }
         if std::mem::take(&mut self.nvic.newly_pending) && self.system.event_on_pending() {
             self.event = true;

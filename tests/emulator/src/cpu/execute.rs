@@ -2,11 +2,11 @@
 //! pseudocode is applied, results are written.
 
 use super::arithmetic::{
-    add_with_carry, extract, field_mask, saturate_signed, saturate_unsigned, shift, shift_by, unary,
+    add_with_carry, extend, extract, field_mask, saturate_signed, saturate_unsigned, shift, shift_by, unary,
 };
-use super::cycles::REFILL;
+use super::code::REFILL;
 use super::instruction::{AluOp, ImmediateCarry, Instruction, Reg, SetFlags, ShiftKind, Special};
-use super::{Bus, Cpu, Fault, Size, Trap, Waiting, dsp};
+use super::{Bus, Cpu, Fault, Size, Trap, Waiting};
 
 /// The halfwords of ISB.
 const ISB: [u16; 2] = [0xf3bf, 0x8f6f];
@@ -43,7 +43,7 @@ impl Cpu {
             }
             Instruction::Extend { extension, rd, rn, rm, rotate } => {
                 let base = rn.map_or(0, |rn| self.get(rn));
-                self.set(rd, dsp::extend(extension, self.get(rm).rotate_right(rotate.into()), base));
+                self.set(rd, extend(extension, self.get(rm).rotate_right(rotate.into()), base));
             }
             Instruction::Unary { op, rd, rm } => self.set(rd, unary(op, self.get(rm))),
             Instruction::Multiply { flags, rd, rn, rm } => {
@@ -196,9 +196,9 @@ impl Cpu {
             (_, false) => x / y,
         };
         self.cycles += if signed {
-            super::cycles::division((x as i32).unsigned_abs(), (y as i32).unsigned_abs())
+            super::code::division((x as i32).unsigned_abs(), (y as i32).unsigned_abs())
         } else {
-            super::cycles::division(x, y)
+            super::code::division(x, y)
         };
         self.set(rd, quotient);
         Ok(())

@@ -1,8 +1,8 @@
 //! Execution: multiplications other than MUL, and the DSP extension.
 
-use super::arithmetic::{saturate_signed, saturate_unsigned, shift};
+use super::Cpu;
+use super::arithmetic::{self as dsp, saturate_signed, saturate_unsigned, shift};
 use super::instruction::{Instruction, Reg};
-use super::{Cpu, dsp};
 
 impl Cpu {
     /// Executes an instruction of the multiply and DSP groups.

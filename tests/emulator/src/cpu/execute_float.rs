@@ -1,6 +1,6 @@
 //! Execution: the floating-point extension.
 
-use super::cycles::FLOAT_FRAME;
+use super::code::FLOAT_FRAME;
 use super::float::{FloatUnit, fixed_from_float, float_from_fixed};
 use super::instruction::{Fixed, FloatAddress, FloatInstruction, FloatUnaryOp, Reg, SReg};
 use super::registers::Flags;

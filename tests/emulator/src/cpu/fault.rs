@@ -2,94 +2,40 @@
 
 /// Reason of a fault (DDI0403, B1.5.6).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs)] // The messages say it.
 pub enum Fault {
-    /// Nothing answers a data access, or it is refused.
     #[error("bus fault: data access to {address:#010x}")]
-    DataBus {
-        /// Address of the access.
-        address: u32,
-    },
-    /// The MPU forbids a data access.
+    DataBus { address: u32 },
     #[error("memory fault: data access to guarded {address:#010x}")]
-    Guarded {
-        /// Address of the access.
-        address: u32,
-    },
-    /// Nothing answers an instruction fetch.
+    Guarded { address: u32 },
     #[error("bus fault: instruction fetch from {address:#010x}")]
-    FetchBus {
-        /// Address of the fetch.
-        address: u32,
-    },
-    /// A fetch from a region that is never executable (0x4000_0000–0x5FFF_FFFF and 0xA000_0000 up).
+    FetchBus { address: u32 },
     #[error("memory fault: instruction fetch from non-executable {address:#010x}")]
-    FetchNeverExecute {
-        /// Address of the fetch.
-        address: u32,
-    },
-    /// The register frame of an exception could not be written.
+    FetchNeverExecute { address: u32 },
     #[error("bus fault while stacking at {address:#010x}")]
-    Stacking {
-        /// Address of the access.
-        address: u32,
-    },
-    /// The MPU forbids to write the register frame of an exception.
+    Stacking { address: u32 },
     #[error("memory fault while stacking at guarded {address:#010x}")]
-    StackingGuarded {
-        /// Address of the access.
-        address: u32,
-    },
-    /// The register frame of an exception could not be read.
+    StackingGuarded { address: u32 },
     #[error("bus fault while unstacking at {address:#010x}")]
-    Unstacking {
-        /// Address of the access.
-        address: u32,
-    },
-    /// An exception vector could not be read.
+    Unstacking { address: u32 },
     #[error("bus fault while reading the vector at {address:#010x}")]
-    VectorTable {
-        /// Address of the vector.
-        address: u32,
-    },
-    /// Code that switches on a mode of the floating-point unit which is not modelled.
+    VectorTable { address: u32 },
     #[error("usage fault: FPSCR {fpscr:#010x} asks for a mode that the emulator does not model")]
-    FloatMode {
-        /// What was to be written.
-        fpscr: u32,
-    },
-    /// An encoding without a meaning.
+    FloatMode { fpscr: u32 },
     #[error("usage fault: undefined instruction {first:#06x} {second:#06x}")]
-    Undefined {
-        /// First halfword.
-        first: u16,
-        /// Second halfword, 0 for a 16-bit instruction.
-        second: u16,
-    },
-    /// A jump to an address with bit 0 clear: the state of another instruction set.
+    Undefined { first: u16, second: u16 },
     #[error("usage fault: execution with EPSR.T clear")]
     InvalidState,
-    /// An exception return that fits no active exception.
     #[error("usage fault: invalid exception return {value:#010x}")]
-    InvalidReturn {
-        /// The EXC_RETURN value.
-        value: u32,
-    },
-    /// A coprocessor that is not there, or not enabled in CPACR.
+    InvalidReturn { value: u32 },
     #[error("usage fault: coprocessor absent or not enabled")]
     NoCoprocessor,
-    /// An unaligned access that must be aligned.
     #[error("usage fault: unaligned access to {address:#010x}")]
-    Unaligned {
-        /// Address of the access.
-        address: u32,
-    },
-    /// A division by zero with CCR.DIV_0_TRP set.
+    Unaligned { address: u32 },
     #[error("usage fault: division by zero")]
     DivideByZero,
-    /// BKPT without a debugger.
     #[error("breakpoint without a debugger")]
     Breakpoint,
-    /// SVC where its handler cannot preempt.
     #[error("supervisor call at a priority that forbids it")]
     SupervisorCall,
 }
@@ -99,20 +45,14 @@ pub enum Fault {
 #[error(
     "{fault} at pc {pc:#010x} (lr {lr:#010x}, sp {sp:#010x}, xpsr {xpsr:#010x}, CFSR {cfsr:#010x}, HFSR {hfsr:#010x})"
 )]
+#[allow(missing_docs)] // The registers of these names.
 pub struct FaultReport {
-    /// Reason.
     pub fault: Fault,
-    /// Address of the instruction.
     pub pc: u32,
-    /// Link register.
     pub lr: u32,
-    /// Stack pointer in use.
     pub sp: u32,
-    /// Program status.
     pub xpsr: u32,
-    /// Configurable fault status register.
     pub cfsr: u32,
-    /// HardFault status register.
     pub hfsr: u32,
 }
 

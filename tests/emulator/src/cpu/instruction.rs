@@ -4,14 +4,8 @@
 //! flags) differ only in fields. Names follow the ARMv7-M ARM (DDI0403), chapter A7.
 
 use super::Size;
-pub use super::operands::{
-    Address, AluOp, Extension, Fixed, FloatAddress, FloatOp, FloatUnaryOp, ImmediateCarry, LoadKind, ParallelKind,
-    ParallelOp, Reg, SReg, SaturatingOp, SetFlags, Shift, ShiftKind, Special, UnaryOp,
-};
 
-/// A decoded instruction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[allow(missing_docs)] // Field names are those of the ARMv7-M ARM; offsets are in bytes, branch offsets from PC.
 #[rustfmt::skip] // One line an operation: it reads as a table.
 pub enum Instruction {
     AluImmediate { op: AluOp, flags: SetFlags, rd: Reg, rn: Reg, carry: ImmediateCarry, value: u32 },
@@ -116,7 +110,6 @@ pub enum Instruction {
 
 /// A decoded instruction of the floating-point extension.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[allow(missing_docs)] // Field names are those of the ARMv7-M ARM.
 #[rustfmt::skip] // One line an operation: it reads as a table.
 pub enum FloatInstruction {
     Arithmetic { op: FloatOp, sd: SReg, sn: SReg, sm: SReg },
@@ -145,3 +138,252 @@ pub enum FloatInstruction {
 }
 
 const _: () = assert!(size_of::<Instruction>() <= 12, "the decoded-instruction cache relies on small instructions");
+
+/// A core register, 0–15.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Reg(pub u8);
+
+impl Reg {
+    /// Stack pointer (the one in use of MSP and PSP).
+    pub const SP: Self = Self(13);
+    /// Program counter; reads as the address of the instruction plus 4.
+    pub const PC: Self = Self(15);
+
+    /// The four bits of `word` from bit `low` on, as a register.
+    pub(super) fn at(word: u32, low: u32) -> Self {
+        Self((word >> low & 15) as u8)
+    }
+
+    /// Index into an array of 16.
+    pub(super) fn index(self) -> usize {
+        usize::from(self.0 & 15)
+    }
+
+    /// A mask with this register's bit set.
+    pub(super) fn bit(self) -> u16 {
+        1 << (self.0 & 15)
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SetFlags {
+    No,
+    Yes,
+    /// 16-bit encodings: flags are written outside an IT block only.
+    OutsideIt,
+}
+
+/// Data-processing operations with two operands (`Mov`, `Mvn` use the second alone).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AluOp {
+    And,
+    Bic,
+    Orr,
+    Orn,
+    Eor,
+    Mov,
+    Mvn,
+    Add,
+    Adc,
+    Sub,
+    Sbc,
+    Rsb,
+    Tst,
+    Teq,
+    Cmp,
+    Cmn,
+}
+
+/// What an immediate operand does to the carry flag in a logical operation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ImmediateCarry {
+    /// The immediate was not rotated: carry stays.
+    Keep,
+    /// The immediate was rotated: carry becomes its bit 31.
+    Bit31,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ShiftKind {
+    Lsl,
+    Lsr,
+    Asr,
+    Ror,
+    /// Rotate right by one through the carry flag.
+    Rrx,
+}
+
+/// A shift by a constant; `amount` is 0–32, as `DecodeImmShift` gives it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shift {
+    pub kind: ShiftKind,
+    pub amount: u8,
+}
+
+impl Shift {
+    pub const NONE: Self = Self { kind: ShiftKind::Lsl, amount: 0 };
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum UnaryOp {
+    Clz,
+    Rbit,
+    Rev,
+    Rev16,
+    Revsh,
+}
+
+/// Which part of the (rotated) register an extension widens.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Extension {
+    SignedByte,
+    SignedHalf,
+    /// SXTB16, SXTAB16: bytes 0 and 2 to two halfwords.
+    SignedBytes,
+    Byte,
+    Half,
+    Bytes,
+}
+
+/// Operation of a parallel addition or subtraction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ParallelOp {
+    Add8,
+    Add16,
+    /// Exchange halves of the second operand; add high, subtract low.
+    Asx,
+    /// Exchange halves of the second operand; subtract high, add low.
+    Sax,
+    Sub8,
+    Sub16,
+}
+
+/// Arithmetic of a parallel addition or subtraction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ParallelKind {
+    Signed,
+    SignedSaturating,
+    SignedHalving,
+    Unsigned,
+    UnsignedSaturating,
+    UnsignedHalving,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SaturatingOp {
+    Qadd,
+    Qdadd,
+    Qsub,
+    Qdsub,
+}
+
+/// What a load puts into its register.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LoadKind {
+    Word,
+    Half,
+    Byte,
+    SignedHalf,
+    SignedByte,
+}
+
+impl LoadKind {
+    pub fn size(self) -> Size {
+        match self {
+            Self::Word => Size::Word,
+            Self::Half | Self::SignedHalf => Size::Half,
+            Self::Byte | Self::SignedByte => Size::Byte,
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Address {
+    /// `[rn, #offset]`; with `rn` = PC the PC is aligned down to a word first.
+    Offset { rn: Reg, offset: i16 },
+    /// `[rn, #offset]!`.
+    PreIndexed { rn: Reg, offset: i16 },
+    /// `[rn], #offset`.
+    PostIndexed { rn: Reg, offset: i16 },
+    /// `[rn, rm, LSL #shift]`.
+    Register { rn: Reg, rm: Reg, shift: u8 },
+}
+
+/// A special register of MRS and MSR.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Special {
+    /// The combinations of APSR, IPSR and EPSR: bit 0 of the number adds IPSR, bit 2 leaves APSR out.
+    Psr(u8),
+    Msp,
+    Psp,
+    Primask,
+    Basepri,
+    /// BASEPRI, only ever raised in urgency.
+    BasepriMax,
+    Faultmask,
+    Control,
+}
+
+/// A single-precision register, 0–31.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SReg(pub u8);
+
+impl SReg {
+    /// Index into an array of 32.
+    pub(super) fn index(self) -> usize {
+        usize::from(self.0 & 31)
+    }
+}
+
+/// Operations with two operands and, for the multiply-accumulates, the destination as third.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FloatOp {
+    Add,
+    Sub,
+    Mul,
+    Nmul,
+    Div,
+    Mla,
+    Mls,
+    Nmla,
+    Nmls,
+    Fma,
+    Fms,
+    Fnma,
+    Fnms,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FloatUnaryOp {
+    Mov,
+    Abs,
+    Neg,
+    Sqrt,
+}
+
+/// Number format of the integer or fixed-point side of a conversion.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Fixed {
+    pub signed: bool,
+    pub bits: u8,
+    pub fraction: u8,
+}
+
+/// Address of a floating-point load or store.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FloatAddress {
+    Offset {
+        rn: Reg,
+        offset: i16,
+    },
+    /// VLDM, VSTM upwards from `rn`; `bytes` is what write-back adds, or 0.
+    Increment {
+        rn: Reg,
+        bytes: u8,
+    },
+    /// VLDMDB, VSTMDB downwards from `rn`, by `bytes`, with write-back.
+    Decrement {
+        rn: Reg,
+        bytes: u8,
+    },
+}

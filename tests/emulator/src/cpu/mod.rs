@@ -1,24 +1,20 @@
-//! The processor core: a Cortex-M4F (ARMv7E-M, FPv4-SP) with its NVIC, SysTick, cycle counter and system control
+//! The processor core: a Cortex-M4F (ARMv7E-M, FPv4-SP) with its NVIC, cycle counter and system control
 //! block.
 //!
 //! Halfwords become [`instruction::Instruction`]s ([`decode`]), once per address of flash; `execute` and its
 //! siblings carry them out; `exceptions` takes interrupts and faults; `system` is the private peripheral bus
 //! 0xE000_0000–0xE00F_FFFF, which the [`Bus`] never sees.
 //!
-//! Not modelled: the MPU but for data accesses to a region 0 that allows none, debug halting, and the imprecision of bus faults on buffered
+//! Not modelled: SysTick, which the image leaves alone, the MPU but for data accesses to a region 0 that allows none, debug halting, and the imprecision of bus faults on buffered
 //! writes (they are all precise here). Floating-point registers are stacked at once; with lazy stacking enabled
 //! (FPCCR.LSPEN) its cycles are charged when the handler first uses the floating-point unit, as lazy stacking
 //! would.
 
 mod arithmetic;
 mod code;
-mod cycles;
-pub mod decode;
-mod decode_dsp;
-mod decode_fields;
+mod decode;
 mod decode_float;
 mod decode_wide;
-mod dsp;
 mod exceptions;
 mod execute;
 mod execute_dsp;
@@ -26,17 +22,15 @@ mod execute_float;
 mod execute_memory;
 mod fault;
 mod float;
-pub mod instruction;
+mod instruction;
 mod nvic;
-mod operands;
 mod registers;
 mod system;
 #[cfg(test)]
 mod tests;
-mod timers;
 
-use code::{Code, Decoded};
-use cycles::{Accelerator, NOTHING_IN_FLIGHT};
+use code::{Accelerator, Code, Decoded, NOTHING_IN_FLIGHT};
+pub use decode::direct_branch;
 pub use fault::{Fault, FaultReport};
 use float::FloatUnit;
 use instruction::{Instruction, Reg};
@@ -158,7 +152,7 @@ pub struct Cpu {
     event: bool,
     /// The local exclusive monitor; that of the Cortex-M4 keeps no address (DDI0439, 3.7).
     exclusive: bool,
-    /// Registers the next access's address cannot use at once: see `cycles::Timing`.
+    /// Registers the next access's address cannot use at once: see `code::Timing`.
     in_flight: u16,
     /// Whether the instruction being executed stands in an IT block.
     in_it_block: bool,
@@ -166,8 +160,6 @@ pub struct Cpu {
     cycles: u32,
     /// Cycles executed since the first reset, without sleep.
     executed: u64,
-    /// Cycles slept since the first reset.
-    slept: u64,
     instructions: u64,
     last_fault: Option<FaultReport>,
     lockup: Option<FaultReport>,
@@ -203,7 +195,6 @@ impl Cpu {
             in_it_block: false,
             cycles: 0,
             executed: 0,
-            slept: 0,
             instructions: 0,
             last_fault: None,
             lockup: None,
@@ -253,20 +244,10 @@ impl Cpu {
         self.code = Code::new();
     }
 
-    /// Tells that the core slept for `cycles`: SysTick counts on, the cycle counter does not.
-    pub fn sleep_for(&mut self, cycles: u64) {
-        self.slept += cycles;
-    }
-
     /// Whether a WFE or WFI that sleeps has an undefined instruction behind it, whatever is there but ISB; see
-    /// [`crate::silicon::Fault::SleepFetch`].
+    /// [`crate::faults::Fault::SleepFetch`].
     pub fn fetch_wrong_behind_sleep(&mut self, wrong: bool) {
         self.fetches_wrong_behind_sleep = wrong;
-    }
-
-    /// Cycles until SysTick reaches zero, which may wake the core; `None` while it is off.
-    pub fn next_tick(&self) -> Option<u64> {
-        self.system.systick.due().map(|due| due.saturating_sub(self.time()))
     }
 
     /// Address of the next instruction.
@@ -325,17 +306,12 @@ impl Cpu {
     /// Takes a pending exception or executes one instruction.
     #[inline]
     pub fn step<B: Bus>(&mut self, bus: &mut B) -> Step {
-        if (self.attention || self.time() >= self.system.systick.deadline())
+        if self.attention
             && let Some(step) = self.attend(bus)
         {
             return step;
         }
         self.execute_next(bus)
-    }
-
-    /// Core cycles since the first reset, asleep or not.
-    fn time(&self) -> u64 {
-        self.executed + self.slept
     }
 
     fn execute_next<B: Bus>(&mut self, bus: &mut B) -> Step {

@@ -81,7 +81,6 @@ impl Nvic {
         self.enabled >> exception & 1 != 0
     }
 
-    /// The handler starts.
     pub fn activate(&mut self, exception: u8) {
         self.pending &= !(1 << exception);
         self.active |= 1 << exception;
@@ -178,18 +177,6 @@ mod tests {
         let registers = Registers::at_reset(0);
         assert_eq!(nvic.preempting(nvic.execution_priority(&registers)), Some(20));
         nvic.group_position = 4; // Three bits of group priority: 0x40 and 0x50 are one group.
-        assert_eq!(nvic.preempting(nvic.execution_priority(&registers)), None);
-    }
-
-    #[test]
-    fn masks_hold_back() {
-        let nvic = with_pending(&[(20, 0x40)]);
-        let mut registers = Registers::at_reset(0);
-        registers.basepri = 0x40;
-        assert_eq!(nvic.preempting(nvic.execution_priority(&registers)), None);
-        registers.basepri = 0x50;
-        assert_eq!(nvic.preempting(nvic.execution_priority(&registers)), Some(20));
-        registers.primask = true;
         assert_eq!(nvic.preempting(nvic.execution_priority(&registers)), None);
     }
 

@@ -50,7 +50,6 @@ impl Flags {
     }
 }
 
-/// Register file and special registers.
 #[derive(Clone, Debug)]
 pub(super) struct Registers {
     /// R0–R15. R13 is the stack pointer in use; R15 reads as instruction address plus 4.

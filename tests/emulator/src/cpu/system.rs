@@ -1,8 +1,7 @@
-//! The private peripheral bus: system control block, NVIC registers, SysTick, cycle counter (DDI0403, B3 and
-//! C1.8). Registers without a model read 0 and ignore writes, among them the debug components.
+//! The private peripheral bus: system control block, NVIC registers, cycle counter (DDI0403, B3 and C1.8). Registers
+//! without a model read 0 and ignore writes, among them the debug components and SysTick.
 
 use super::nvic::{BUS_FAULT, FIRST_INTERRUPT, MEM_MANAGE, NMI, PEND_SV, SV_CALL, SYS_TICK, USAGE_FAULT};
-use super::timers::{CycleCounter, SysTick};
 use super::{Cpu, Fault, Size};
 
 /// CCR bits.
@@ -25,7 +24,7 @@ const MMARVALID: u32 = 1 << 7;
 const BFARVALID: u32 = 1 << 15;
 
 /// Registers read as constants: identification of a Cortex-M4 r0p1 with FPU (DDI0439, 4.1).
-const IDENTIFICATION: [(u32, u32); 17] = [
+const IDENTIFICATION: [(u32, u32); 16] = [
     (0xe000_e004, 3), // ICTR: 128 lines
     (0xe000_ed00, 0x410f_c241),
     (0xe000_ed40, 0x0000_0030),
@@ -41,7 +40,6 @@ const IDENTIFICATION: [(u32, u32); 17] = [
     (0xe000_ed90, 8 << 8),      // MPU_TYPE: eight regions
     (0xe000_ef40, 0x1011_0021), // MVFR0
     (0xe000_ef44, 0x1100_0011), // MVFR1
-    (0xe000_e01c, 0x4000_4e1f), // SYST_CALIB of the STM32G4: no exact 10 ms
     (0xe000_0000, 1),           // ITM_STIM0: ready, so that nobody waits for a trace port
 ];
 
@@ -90,7 +88,6 @@ pub(super) struct System {
     frozen_in_halt: u32,
     demcr: u32,
     cycle_counter: CycleCounter,
-    pub systick: SysTick,
     pub reset_requested: bool,
 }
 
@@ -115,7 +112,6 @@ impl System {
             fpdscr: 0,
             demcr: 0,
             cycle_counter: CycleCounter::default(),
-            systick: SysTick::default(),
             reset_requested: false,
         }
     }
@@ -232,11 +228,9 @@ impl Cpu {
     }
 
     fn read_register(&mut self, address: u32) -> u32 {
-        let time = self.time();
         match address {
             0xe000_1000 => 0x4000_0000 | u32::from(self.system.cycle_counter.enabled), // four comparators
             0xe000_1004 => self.system.cycle_counter.value(self.executed),
-            0xe000_e010..=0xe000_e018 => self.system.systick.read(address & 15, time),
             0xe000_e100..=0xe000_e17c => self.interrupt_word(self.nvic.enabled, address),
             0xe000_e180..=0xe000_e1fc => self.interrupt_word(self.nvic.enabled, address),
             0xe000_e200..=0xe000_e27c => self.interrupt_word(self.nvic.pending, address),
@@ -267,10 +261,9 @@ impl Cpu {
     }
 
     fn write_register(&mut self, address: u32, written: Written) {
-        let (time, value) = (self.time(), written.value);
+        let value = written.value;
         match address {
             0xe000_1000 | 0xe000_1004 | 0xe000_edfc => self.write_cycle_counter(address, written),
-            0xe000_e010..=0xe000_e018 => self.system.systick.write(address & 15, value, time),
             0xe000_e100..=0xe000_e17c => self.nvic.enabled |= interrupt_bits(address, value),
             0xe000_e180..=0xe000_e1fc => self.nvic.enabled &= !interrupt_bits(address, value),
             0xe000_e200..=0xe000_e27c => self.nvic.pend_all(interrupt_bits(address, value)),
@@ -389,6 +382,29 @@ impl Cpu {
 /// The exceptions of `value` written to a register of interrupt bits at `address`.
 fn interrupt_bits(address: u32, value: u32) -> u128 {
     u128::from(value).checked_shl(8 * (address & 0x7c)).unwrap_or(0) << FIRST_INTERRUPT
+}
+
+/// DWT_CYCCNT: counts executed cycles while DEMCR.TRCENA and DWT_CTRL.CYCCNTENA are set.
+#[derive(Clone, Debug, Default)]
+pub(super) struct CycleCounter {
+    /// DWT_CTRL.CYCCNTENA.
+    pub enabled: bool,
+    running: bool,
+    /// Value minus executed cycles while running, value otherwise.
+    base: u32,
+}
+
+impl CycleCounter {
+    /// Value after `executed` cycles.
+    pub fn value(&self, executed: u64) -> u32 {
+        if self.running { self.base.wrapping_add(executed as u32) } else { self.base }
+    }
+
+    /// Counts on from `value`, or stands at it.
+    pub fn set(&mut self, value: u32, running: bool, executed: u64) {
+        self.running = running;
+        self.base = if running { value.wrapping_sub(executed as u32) } else { value };
+    }
 }
 
 #[cfg(test)]

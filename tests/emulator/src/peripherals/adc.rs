@@ -16,19 +16,17 @@
 
 mod commands;
 mod group;
-mod registers;
 
 pub use group::AdcGroup;
 
 use super::{Effects, Request, Ticks};
-use crate::silicon::Fault;
-use registers::*;
+use crate::faults::Fault;
+use commands::*;
 
 /// What the converter does by itself next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
     Idle,
-    /// The end of a sampling time.
     Hold,
     /// The end of a rank's last conversion.
     Result,
@@ -54,7 +52,6 @@ struct Plan {
     trigger_mask: u16,
 }
 
-/// One converter.
 #[derive(Debug)]
 pub struct Adc {
     number: u8,
@@ -82,7 +79,6 @@ pub struct Adc {
     /// When the pending command (ADCAL, ADEN, ADDIS, ADSTP) is done.
     command_at: Ticks,
     next: Ticks,
-    missed_triggers: u64,
     swallow: bool,
     /// ADSTP was set since the converter was enabled.
     was_stopped: bool,
@@ -116,16 +112,10 @@ impl Adc {
             sum: 0,
             command_at: Ticks::MAX,
             next: Ticks::MAX,
-            missed_triggers: 0,
             swallow: false,
             was_stopped: false,
             last_conversion: 0,
         }
-    }
-
-    /// Triggers that found the converter at work and were lost, since the last reset.
-    pub fn missed_triggers(&self) -> u64 {
-        self.missed_triggers
     }
 
     /// Fault injection: the next DMA request of this converter is not made.
@@ -242,8 +232,8 @@ impl Adc {
 
     /// A trigger edge, which the converter's clock sees `late` ticks later, or the software start.
     fn begin(&mut self, now: Ticks, late: Ticks) {
+        // A trigger that finds the converter at work is lost.
         if self.phase != Phase::Idle {
-            self.missed_triggers += 1;
             return;
         }
         self.rank = 0;
@@ -276,9 +266,9 @@ impl Adc {
     fn hold(&mut self, effects: &Effects, sample: &mut impl FnMut(u8, u8) -> u16) {
         let rank = self.plan.ranks[self.rank];
         let lost_bits = 2 * (self.cfgr >> 3 & 3);
-        let is_zero = std::mem::take(&mut self.was_stopped) && effects.silicon.has(Fault::AdcStop);
+        let is_zero = std::mem::take(&mut self.was_stopped) && effects.faults.has(Fault::AdcStop);
         let mut code = sample(self.number, if is_zero { 0 } else { rank.channel });
-        if effects.now() - self.last_conversion > STALE_TICKS && effects.silicon.has(Fault::AdcStale) {
+        if effects.now() - self.last_conversion > STALE_TICKS && effects.faults.has(Fault::AdcStale) {
             code = code.abs_diff(STALE_CODES);
         }
         self.last_conversion = effects.now();

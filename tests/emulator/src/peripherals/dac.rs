@@ -6,48 +6,44 @@
 //! The output buffer reaches ground unless the silicon has one of the faults `dac-rest`.
 
 use super::Effects;
+use super::registers::{ALL, Bank, registers};
 
-const CR: u32 = 0x00;
-const DHR12R1: u32 = 0x08;
-const DHR12L1: u32 = 0x0C;
-const DHR8R1: u32 = 0x10;
-const DHR12R2: u32 = 0x14;
-const DHR12L2: u32 = 0x18;
-const DHR8R2: u32 = 0x1C;
-const DHR12RD: u32 = 0x20;
-const DOR1: u32 = 0x2C;
-const DOR2: u32 = 0x30;
-const SR: u32 = 0x34;
-const CCR: u32 = 0x38;
-const MCR: u32 = 0x3C;
+registers! {
+    CR = 0x00, keeps CR_MODELLED;
+    DHR12R1 = 0x08;
+    DHR12L1 = 0x0C;
+    DHR8R1 = 0x10;
+    DHR12R2 = 0x14;
+    DHR12L2 = 0x18;
+    DHR8R2 = 0x1C;
+    DHR12RD = 0x20;
+    DOR1 = 0x2C;
+    DOR2 = 0x30;
+    SR = 0x34;
+    CCR = 0x38, keeps ALL;
+    MCR = 0x3C, keeps ALL;
+}
 
 const CR_EN: [u32; 2] = [1, 1 << 16];
 const CR_MODELLED: u32 = 1 | 1 << 16;
 /// DAC channel ready flags.
 const SR_RDY: [u32; 2] = [1 << 11, 1 << 27];
-/// MODE of a channel other than "external pin with buffer", and bits of sample-and-hold.
-const MCR_MODES: u32 = 0x0007_0007;
-/// High-frequency interface mode selection.
+/// High-frequency interface mode selection; the modes of the channels but "external pin with buffer" are not modelled.
 const MCR_HFSEL: u32 = 0b11 << 14;
 
-/// One converter of two channels.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Dac {
-    cr: u32,
-    ccr: u32,
-    mcr: u32,
+    bank: Bank,
     codes: [u16; 2],
     /// The code of the lowest voltage that the output buffer reaches.
     rest: u16,
 }
 
 impl Dac {
-    /// State after power-on.
     pub fn new() -> Self {
-        Self::default()
+        Self { bank: Bank::new(REGISTERS), codes: [0; 2], rest: 0 }
     }
 
-    /// State after reset.
     pub fn reset(&mut self) {
         *self = Self { rest: self.rest, ..Self::new() };
     }
@@ -57,23 +53,20 @@ impl Dac {
         self.rest = (rest_v / 3.3 * 4096.0).round() as u16;
     }
 
-    /// Value of a register.
-    pub fn read(&mut self, offset: u32, effects: &mut Effects) -> u32 {
+    pub fn read(&self, offset: u32, effects: &mut Effects) -> u32 {
         match offset {
-            CR => self.cr,
             DHR12R1 | DOR1 => u32::from(self.codes[0]),
             DHR12R2 | DOR2 => u32::from(self.codes[1]),
             SR => (0..2).filter(|&channel| self.enabled(channel)).map(|channel| SR_RDY[channel]).sum(),
-            CCR => self.ccr,
-            MCR => self.mcr,
-            _ => {
+            // Not read back.
+            DHR12L1..=DHR8R1 | DHR12L2..=DHR12RD => {
                 effects.unmodelled();
                 0
             }
+            _ => self.bank.read(offset, effects),
         }
     }
 
-    /// Writes a register.
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
         match offset {
             DHR12R1 => self.set(0, value),
@@ -86,16 +79,13 @@ impl Dac {
                 self.set(0, value);
                 self.set(1, value >> 16);
             }
-            CR => {
-                if value & !CR_MODELLED != 0 {
-                    effects.unmodelled();
-                }
-                self.cr = value & CR_MODELLED;
-            }
-            CCR => self.ccr = value,
-            MCR => self.write_mcr(value, effects),
             SR => {}
-            _ => effects.unmodelled(),
+            CR => {
+                effects.unmodelled_bits(value & !CR_MODELLED);
+                self.bank.write(CR, value, effects);
+            }
+            MCR => self.write_mcr(value, effects),
+            _ => self.bank.write(offset, value, effects),
         }
     }
 
@@ -106,7 +96,7 @@ impl Dac {
     }
 
     fn enabled(&self, channel: usize) -> bool {
-        self.cr & CR_EN[channel] != 0
+        self.bank[CR] & CR_EN[channel] != 0
     }
 
     fn set(&mut self, channel: usize, value: u32) {
@@ -115,21 +105,19 @@ impl Dac {
 
     fn write_mcr(&mut self, value: u32, effects: &mut Effects) {
         for channel in 0..2 {
-            if self.enabled(channel) && (value ^ self.mcr) & (7 << (16 * channel)) != 0 {
+            if self.enabled(channel) && (value ^ self.bank[MCR]) & (7 << (16 * channel)) != 0 {
                 effects.violation(value, "DAC_MCR.MODE is written only while ENx = 0");
             }
         }
-        if value & (MCR_MODES | !(MCR_MODES | MCR_HFSEL)) != 0 {
-            effects.unmodelled();
-        }
-        self.mcr = value;
+        effects.unmodelled_bits(value & !MCR_HFSEL);
+        self.bank.write(MCR, value, effects);
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::facts::{self, assert_facts};
+    use crate::facts;
 
     #[test]
     fn code_is_out_only_while_enabled() {
@@ -158,8 +146,7 @@ mod tests {
 
     #[test]
     fn registers_are_those_of_st() {
-        assert_facts!("DAC_TypeDef."; CR, DHR12R1, DHR12L1, DHR8R1, DHR12R2, DHR12L2, DHR8R2, DHR12RD, DOR1, DOR2, SR, CCR);
-        assert_facts!("DAC_TypeDef."; MCR);
+        super::super::registers::assert_offsets("DAC_TypeDef", REGISTERS);
         assert_eq!(CR_EN, ["DAC_CR_EN1", "DAC_CR_EN2"].map(facts::bits));
         assert_eq!(SR_RDY, ["DAC_SR_DAC1RDY", "DAC_SR_DAC2RDY"].map(facts::bits));
         assert_eq!(MCR_HFSEL, facts::bits("DAC_MCR_HFSEL"));

@@ -2,90 +2,88 @@
 //! and the record of broken rules.
 
 use super::Ticks;
+use crate::faults::Faults;
 use crate::memory::Bits;
-use crate::silicon::Silicon;
 use std::collections::BTreeMap;
+
+/// Numbers by ST's names, and `ALL`, the table of them for a test.
+macro_rules! numbered {
+    ($type:ty; |$number:ident| $make:expr; $($name:ident = $value:literal,)+) => {
+        $(pub const $name: $type = { let $number = $value; $make };)+
+        #[cfg(test)]
+        pub const ALL: &[(&str, u32)] = &[$((stringify!($name), $value)),+];
+    };
+}
 
 /// Position of an interrupt in the vector table (RM0440, "Interrupt and exception vectors").
 pub mod interrupt {
-    #![allow(missing_docs)]
-    pub const PVD_PVM: u8 = 1;
-    pub const FLASH: u8 = 4;
-    pub const RCC: u8 = 5;
-    pub const EXTI0: u8 = 6;
-    pub const DMA1_CHANNEL1: u8 = 11;
-    pub const ADC1_2: u8 = 18;
-    pub const USB_HP: u8 = 19;
-    pub const USB_LP: u8 = 20;
-    pub const EXTI9_5: u8 = 23;
-    pub const TIM2: u8 = 28;
-    pub const TIM3: u8 = 29;
-    pub const TIM4: u8 = 30;
-    pub const USART1: u8 = 37;
-    pub const EXTI15_10: u8 = 40;
-    pub const USB_WAKEUP: u8 = 42;
-    pub const ADC3: u8 = 47;
-    pub const TIM5: u8 = 50;
-    pub const DMA2_CHANNEL1: u8 = 56;
-    pub const ADC4: u8 = 61;
-    pub const ADC5: u8 = 62;
-    pub const CRS: u8 = 75;
-    pub const LPUART1: u8 = 91;
-    pub const DMA1_CHANNEL8: u8 = 96;
-    pub const DMA2_CHANNEL6: u8 = 97;
+    numbered! { u8; |number| number;
+        PVD_PVM = 1,
+        FLASH = 4,
+        EXTI0 = 6,
+        DMA1_CHANNEL1 = 11,
+        ADC1_2 = 18,
+        USB_LP = 20,
+        EXTI9_5 = 23,
+        TIM2 = 28,
+        TIM3 = 29,
+        TIM4 = 30,
+        USART1 = 37,
+        EXTI15_10 = 40,
+        ADC3 = 47,
+        TIM5 = 50,
+        DMA2_CHANNEL1 = 56,
+        ADC4 = 61,
+        ADC5 = 62,
+        LPUART1 = 91,
+        DMA1_CHANNEL8 = 96,
+        DMA2_CHANNEL6 = 97,
+    }
 }
 
-/// Number of a DMA request line (RM0440, "DMAMUX: assignment of multiplexer inputs to
-/// resources").
+/// Number of a DMA request line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Request(pub u8);
 
 impl Request {
-    /// ADC1 has a result.
-    pub const ADC1: Self = Self(5);
-    /// USART1 has received a byte.
-    pub const USART1_RX: Self = Self(24);
-    /// USART1 has room for a byte to send.
-    pub const USART1_TX: Self = Self(25);
-    /// LPUART1 has received a byte.
-    pub const LPUART1_RX: Self = Self(34);
-    /// LPUART1 has room for a byte to send.
-    pub const LPUART1_TX: Self = Self(35);
-    /// ADC2 has a result.
-    pub const ADC2: Self = Self(36);
-    /// ADC3 has a result; ADC4 and ADC5 follow.
-    pub const ADC3: Self = Self(37);
-    /// TIM2 compare 1; channels 2 to 4 and the update follow.
-    pub const TIM2_CH1: Self = Self(56);
-    /// TIM2 update.
-    pub const TIM2_UP: Self = Self(60);
-    /// TIM3 compare 1; channels 2 to 4 and the update follow.
-    pub const TIM3_CH1: Self = Self(61);
-    /// TIM4 compare 1; channels 2 to 4 and the update follow.
-    pub const TIM4_CH1: Self = Self(67);
-    /// TIM5 compare 1; channels 2 to 4 and the update follow.
-    pub const TIM5_CH1: Self = Self(72);
+    /// The request `offset` lines on: ADC4 and ADC5 follow ADC3, channels 2 to 4 and the update follow channel 1 of a timer.
+    pub fn after(self, offset: u8) -> Self {
+        Self(self.0 + offset)
+    }
+}
+
+/// RM0440, "DMAMUX: assignment of multiplexer inputs to resources".
+pub mod request {
+    use super::Request;
+
+    numbered! { Request; |number| Request(number);
+        ADC1 = 5,
+        USART1_RX = 24,
+        USART1_TX = 25,
+        LPUART1_RX = 34,
+        LPUART1_TX = 35,
+        ADC2 = 36,
+        ADC3 = 37,
+        TIM2_CH1 = 56,
+        TIM3_CH1 = 61,
+        TIM4_CH1 = 67,
+        TIM5_CH1 = 72,
+    }
 }
 
 /// Trigger outputs (TRGO) of the general-purpose timers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Trigger {
-    /// TIM2_TRGO.
     Tim2,
-    /// TIM3_TRGO.
     Tim3,
-    /// TIM4_TRGO.
     Tim4,
     /// TIM5_TRGO (no converter listens to it).
     Tim5,
 }
 
-/// Direction of a trigger's edge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Edge {
-    /// Low to high.
     Rising,
-    /// High to low.
     Falling,
 }
 
@@ -107,15 +105,12 @@ pub enum ResetCause {
 /// A rule of the reference manual that the program has broken.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Violation {
-    /// When, in ticks since power-on.
     pub at: Ticks,
     /// Address of the instruction (during a DMA transfer: of the instruction beside it).
     pub pc: u32,
-    /// Register or memory address.
     pub address: u32,
     /// Value written, or 0 for a read.
     pub value: u32,
-    /// The rule.
     pub rule: &'static str,
 }
 
@@ -125,44 +120,39 @@ const VIOLATIONS_KEPT: usize = 1_000;
 /// Everything that passes between peripherals, the core and the outside.
 #[derive(Debug, Default)]
 pub struct Effects {
-    /// The present, in ticks since power-on.
-    pub(crate) now: Ticks,
-    /// Address of the instruction being executed.
-    pub(crate) pc: u32,
-    /// Address of the access being made.
-    pub(crate) address: u32,
+    pub now: Ticks,
+    pub pc: u32,
+    pub address: u32,
     lines: [u32; 4],
     /// The core or the machine has to look: lines, reset, NMI, stall, changed code or boot loader.
-    pub(crate) attention: bool,
+    pub attention: bool,
     requests: u128,
     triggers: u16,
-    pub(crate) reset: Option<ResetCause>,
-    pub(crate) nmi: bool,
+    pub reset: Option<ResetCause>,
+    pub nmi: bool,
     /// Flash has new content.
-    pub(crate) code_changed: bool,
+    pub code_changed: bool,
     /// The core has jumped into the factory's boot loader.
-    pub(crate) boot_loader_entered: bool,
+    pub boot_loader_entered: bool,
     /// The core waits on the bus until this instant.
-    pub(crate) stalled_until: Ticks,
+    pub stalled_until: Ticks,
     /// What the silicon does against its manual.
-    pub(crate) silicon: Silicon,
+    pub faults: Faults,
     /// What it does by chance.
-    pub(crate) chance: Bits,
+    pub chance: Bits,
     /// Phase of the converters' clock, in ticks of any period.
-    pub(crate) clock_phase: Ticks,
+    pub clock_phase: Ticks,
     violations: Vec<Violation>,
     violation_count: u64,
     unmodelled: BTreeMap<u32, u64>,
 }
 
 impl Effects {
-    /// Nothing has happened yet, and it is tick `now`.
     #[cfg(test)]
-    pub(crate) fn starting_at(now: Ticks) -> Self {
+    pub fn starting_at(now: Ticks) -> Self {
         Self { now, ..Self::default() }
     }
 
-    /// The present, in ticks since power-on.
     pub fn now(&self) -> Ticks {
         self.now
     }
@@ -176,7 +166,6 @@ impl Effects {
         self.attention |= self.lines[word] != before;
     }
 
-    /// Levels of all interrupt lines.
     pub fn lines(&self) -> &[u32; 4] {
         &self.lines
     }
@@ -207,7 +196,7 @@ impl Effects {
 
     /// Edges sent since the last call, as bits 2·trigger (rising) and 2·trigger + 1 (falling).
     #[inline]
-    pub(crate) fn take_triggers(&mut self) -> u16 {
+    pub fn take_triggers(&mut self) -> u16 {
         std::mem::take(&mut self.triggers)
     }
 
@@ -217,32 +206,31 @@ impl Effects {
         self.attention = true;
     }
 
-    /// Makes the non-maskable interrupt pending.
-    pub(crate) fn raise_nmi(&mut self) {
+    pub fn raise_nmi(&mut self) {
         self.nmi = true;
         self.attention = true;
     }
 
     /// Lets the core wait until `end`.
-    pub(crate) fn stall_until(&mut self, end: Ticks) {
+    pub fn stall_until(&mut self, end: Ticks) {
         self.stalled_until = self.stalled_until.max(end);
         self.attention = true;
     }
 
     /// Decoded code is out of date.
-    pub(crate) fn forget_code(&mut self) {
+    pub fn forget_code(&mut self) {
         self.code_changed = true;
         self.attention = true;
     }
 
     /// Code is fetched from the boot loader.
-    pub(crate) fn enter_boot_loader(&mut self) {
+    pub fn enter_boot_loader(&mut self) {
         self.boot_loader_entered = true;
         self.attention = true;
     }
 
     /// Forgets all that waits, for a reset; the records stay.
-    pub(crate) fn clear_signals(&mut self) {
+    pub fn clear_signals(&mut self) {
         self.lines = [0; 4];
         self.requests = 0;
         self.triggers = 0;
@@ -295,48 +283,33 @@ impl Effects {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::facts::{self, assert_facts};
+    use crate::facts;
 
     #[test]
     fn interrupts_are_those_of_st() {
-        use interrupt::*;
-        assert_facts!(""; PVD_PVM = "PVD_PVM_IRQn", FLASH = "FLASH_IRQn", RCC = "RCC_IRQn", EXTI0 = "EXTI0_IRQn");
-        assert_facts!(""; DMA1_CHANNEL1 = "DMA1_Channel1_IRQn", ADC1_2 = "ADC1_2_IRQn", USB_HP = "USB_HP_IRQn");
-        assert_facts!(""; USB_LP = "USB_LP_IRQn", EXTI9_5 = "EXTI9_5_IRQn", TIM2 = "TIM2_IRQn", TIM3 = "TIM3_IRQn");
-        assert_facts!(""; TIM4 = "TIM4_IRQn", EXTI15_10 = "EXTI15_10_IRQn", USB_WAKEUP = "USBWakeUp_IRQn");
-        assert_facts!(""; ADC3 = "ADC3_IRQn", TIM5 = "TIM5_IRQn", DMA2_CHANNEL1 = "DMA2_Channel1_IRQn");
-        assert_facts!(""; ADC4 = "ADC4_IRQn", ADC5 = "ADC5_IRQn", CRS = "CRS_IRQn", LPUART1 = "LPUART1_IRQn", USART1 = "USART1_IRQn");
-        assert_facts!(""; DMA1_CHANNEL8 = "DMA1_Channel8_IRQn", DMA2_CHANNEL6 = "DMA2_Channel6_IRQn");
+        for (name, number) in interrupt::ALL {
+            let name = name.replace("CHANNEL", "Channel");
+            assert_eq!(*number, facts::bits(&format!("{name}_IRQn")), "{name}");
+        }
     }
 
     #[test]
     fn requests_are_those_of_st() {
-        let offset = |request: Request, by: u8| Request(request.0 + by);
-        let requests = [
-            ("ADC1", Request::ADC1),
-            ("USART1_RX", Request::USART1_RX),
-            ("USART1_TX", Request::USART1_TX),
-            ("LPUART1_RX", Request::LPUART1_RX),
-            ("LPUART1_TX", Request::LPUART1_TX),
-            ("ADC2", Request::ADC2),
-            ("ADC3", Request::ADC3),
-            ("ADC4", offset(Request::ADC3, 1)),
-            ("ADC5", offset(Request::ADC3, 2)),
-            ("TIM2_CH1", Request::TIM2_CH1),
-            ("TIM2_CH2", offset(Request::TIM2_CH1, 1)),
-            ("TIM2_CH3", offset(Request::TIM2_CH1, 2)),
-            ("TIM2_CH4", offset(Request::TIM2_CH1, 3)),
-            ("TIM2_UP", Request::TIM2_UP),
-            ("TIM2_UP", offset(Request::TIM2_CH1, 4)),
-            ("TIM3_CH1", Request::TIM3_CH1),
-            ("TIM3_UP", offset(Request::TIM3_CH1, 4)),
-            ("TIM4_CH1", Request::TIM4_CH1),
-            ("TIM4_UP", offset(Request::TIM4_CH1, 4)),
-            ("TIM5_CH1", Request::TIM5_CH1),
-            ("TIM5_UP", offset(Request::TIM5_CH1, 4)),
+        let after = |name, number: &u32, by| (name, number + by);
+        let [_, _, _, _, _, _, (_, adc3), (_, tim2), (_, tim3), (_, tim4), (_, tim5)] = request::ALL else { panic!() };
+        let following = [
+            after("ADC4", adc3, 1),
+            after("ADC5", adc3, 2),
+            after("TIM2_CH2", tim2, 1),
+            after("TIM2_CH3", tim2, 2),
+            after("TIM2_CH4", tim2, 3),
+            after("TIM2_UP", tim2, 4),
+            after("TIM3_UP", tim3, 4),
+            after("TIM4_UP", tim4, 4),
+            after("TIM5_UP", tim5, 4),
         ];
-        for (name, request) in requests {
-            assert_eq!(u32::from(request.0), facts::bits(&format!("LL_DMAMUX_REQ_{name}")), "{name}");
+        for (name, number) in request::ALL.iter().copied().chain(following) {
+            assert_eq!(number, facts::bits(&format!("LL_DMAMUX_REQ_{name}")), "{name}");
         }
     }
 }

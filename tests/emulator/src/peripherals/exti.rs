@@ -1,18 +1,21 @@
 //! Extended interrupts and events: lines 0 to 15 (pins) and 16 (voltage detector) (RM0440,
 //! "Extended interrupts and events controller").
 
+use super::registers::{ALL, Bank, registers};
 use super::{Edge, Effects, interrupt};
 
-const IMR1: u32 = 0x00;
-const EMR1: u32 = 0x04;
-const RTSR1: u32 = 0x08;
-const FTSR1: u32 = 0x0C;
-const SWIER1: u32 = 0x10;
-const PR1: u32 = 0x14;
-const IMR2: u32 = 0x20;
-const EMR2: u32 = 0x24;
-const RTSR2: u32 = 0x28;
-const PR2: u32 = 0x34;
+registers! {
+    IMR1 = 0x00, reset IMR1_RESET, keeps ALL;
+    EMR1 = 0x04;
+    RTSR1 = 0x08, keeps ALL;
+    FTSR1 = 0x0C, keeps ALL;
+    SWIER1 = 0x10;
+    PR1 = 0x14;
+    IMR2 = 0x20, reset IMR2_RESET, keeps ALL;
+    EMR2 = 0x24;
+    RTSR2 = 0x28;
+    PR2 = 0x34;
+}
 
 /// EXTI line of the voltage detector's output.
 pub const PVD_LINE: u8 = 16;
@@ -34,61 +37,34 @@ const GROUPS: [(u32, u8); 8] = [
     (1 << PVD_LINE, interrupt::PVD_PVM),
 ];
 
-/// The controller.
 #[derive(Debug)]
-pub struct Exti {
-    imr: u32,
-    imr2: u32,
-    rtsr: u32,
-    ftsr: u32,
-    pending: u32,
-}
+pub struct Exti(Bank);
 
 impl Exti {
-    /// State after power-on.
     pub fn new() -> Self {
-        Self { imr: IMR1_RESET, imr2: IMR2_RESET, rtsr: 0, ftsr: 0, pending: 0 }
+        Self(Bank::new(REGISTERS))
     }
 
-    /// State after reset.
     pub fn reset(&mut self, effects: &mut Effects) {
-        *self = Self::new();
+        self.0.reset();
         self.update_lines(effects);
     }
 
-    /// Value of a register.
-    pub fn read(&mut self, offset: u32, effects: &mut Effects) -> u32 {
-        match offset {
-            IMR1 => self.imr,
-            RTSR1 => self.rtsr,
-            FTSR1 => self.ftsr,
-            PR1 => self.pending,
-            IMR2 => self.imr2,
-            EMR1 | SWIER1 | EMR2..=PR2 => 0,
-            _ => {
-                effects.unmodelled();
-                0
-            }
-        }
+    pub fn read(&self, offset: u32, effects: &mut Effects) -> u32 {
+        if matches!(offset, RTSR2..=PR2) { 0 } else { self.0.read(offset, effects) }
     }
 
-    /// Writes a register.
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
         match offset {
-            IMR1 => {
-                effects.unmodelled_bits(value & !(IMR1_RESET | MODELLED));
-                self.imr = value;
-            }
-            RTSR1 => self.rtsr = value,
-            FTSR1 => self.ftsr = value,
-            SWIER1 => self.pending |= value & self.imr & MODELLED,
-            PR1 => self.pending &= !value,
-            IMR2 => {
-                effects.unmodelled_bits(value & !IMR2_RESET);
-                self.imr2 = value;
-            }
+            IMR1 => effects.unmodelled_bits(value & !(IMR1_RESET | MODELLED)),
+            IMR2 => effects.unmodelled_bits(value & !IMR2_RESET),
+            _ => {}
+        }
+        match offset {
+            SWIER1 => self.0[PR1] |= value & self.0[IMR1] & MODELLED,
+            PR1 => self.0[PR1] &= !value,
             EMR1 | EMR2 | RTSR2..=PR2 => effects.unmodelled_bits(value),
-            _ => effects.unmodelled(),
+            _ => self.0.write(offset, value, effects),
         }
         self.update_lines(effects);
     }
@@ -96,30 +72,23 @@ impl Exti {
     /// An edge on `line`.
     pub fn edge(&mut self, line: u8, edge: Edge, effects: &mut Effects) {
         let selected = match edge {
-            Edge::Rising => self.rtsr,
-            Edge::Falling => self.ftsr,
+            Edge::Rising => self.0[RTSR1],
+            Edge::Falling => self.0[FTSR1],
         };
-        self.pending |= selected & 1 << line;
+        self.0[PR1] |= selected & 1 << line;
         self.update_lines(effects);
     }
 
     fn update_lines(&self, effects: &mut Effects) {
         for (lines, number) in GROUPS {
-            effects.set_line(number, self.pending & self.imr & lines != 0);
+            effects.set_line(number, self.0[PR1] & self.0[IMR1] & lines != 0);
         }
-    }
-}
-
-impl Default for Exti {
-    fn default() -> Self {
-        Self::new()
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::facts::assert_facts;
 
     #[test]
     fn selected_edges_interrupt_until_cleared() {
@@ -140,7 +109,7 @@ mod tests {
 
     #[test]
     fn registers_are_those_of_st() {
-        assert_facts!("EXTI_TypeDef."; IMR1, EMR1, RTSR1, FTSR1, SWIER1, PR1, IMR2, EMR2, RTSR2, PR2);
+        super::super::registers::assert_offsets("EXTI_TypeDef", REGISTERS);
         assert_eq!(1 << PVD_LINE, crate::facts::bits("LL_EXTI_LINE_16"));
     }
 }

@@ -28,25 +28,27 @@
 //!   the reference manual (RM0440) are [`Effects::violation`]s; registers or modes that no
 //!   model knows are [`Effects::unmodelled`].
 
-pub mod adc;
-pub mod backup;
-pub mod crc;
-pub mod crs;
-pub mod dac;
-pub mod dma;
+pub(crate) mod adc;
+pub(crate) mod dac;
+pub(crate) mod dma;
 mod effects;
-pub mod exti;
-pub mod flash;
-pub mod gpio;
-pub mod power;
-pub mod rcc;
-pub mod syscfg;
-pub mod timer;
-pub mod uart;
-pub mod usb;
-pub mod watchdog;
+pub(crate) mod exti;
+pub(crate) mod flash;
+pub(crate) mod gpio;
+pub(crate) mod plain;
+pub(crate) mod power;
+pub(crate) mod rcc;
+pub(crate) mod registers;
+pub(crate) mod timer;
+pub(crate) mod uart;
+pub(crate) mod usb;
+pub(crate) mod watchdog;
 
-pub use effects::{Edge, Effects, Request, ResetCause, Trigger, Violation, interrupt};
+pub use uart::SentByte;
+pub use usb::{READ_WHILE_RECEIVING, UsbPort, WRITTEN_WHILE_SENDING};
+
+pub use effects::ResetCause;
+pub(crate) use effects::{Edge, Effects, Request, Trigger, interrupt, request};
 
 /// Periods of the 170 MHz core clock since power-on. The core starts on the 16 MHz
 /// oscillator until it selects the PLL; every core cycle counts as one tick all the same.

@@ -5,7 +5,7 @@
 //! a program that settles on another one is recorded as unmodelled.
 
 use super::{Effects, ResetCause, TICKS_PER_SECOND, Ticks};
-use crate::silicon::Fault;
+use crate::faults::Fault;
 
 const CR: u32 = 0x00;
 const ICSCR: u32 = 0x04;
@@ -16,11 +16,11 @@ const CIFR: u32 = 0x1C;
 const CICR: u32 = 0x20;
 const AHB1RSTR: u32 = 0x28;
 const APB2RSTR: u32 = 0x40;
-const AHB1ENR: u32 = 0x48;
-const AHB2ENR: u32 = 0x4C;
-const APB1ENR1: u32 = 0x58;
-const APB1ENR2: u32 = 0x5C;
-const APB2ENR: u32 = 0x60;
+pub const AHB1ENR: u32 = 0x48;
+pub const AHB2ENR: u32 = 0x4C;
+pub const APB1ENR1: u32 = 0x58;
+pub const APB1ENR2: u32 = 0x5C;
+pub const APB2ENR: u32 = 0x60;
 const AHB1SMENR: u32 = 0x68;
 const APB2SMENR: u32 = 0x80;
 const CCIPR: u32 = 0x88;
@@ -66,42 +66,8 @@ const HALF_SPEED_TICKS: Ticks = TICKS_PER_SECOND / 1_000_000;
 /// A bit of one of the clock-enable registers; the reset register has the same layout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Gate {
-    /// Offset of the enable register.
-    register: u32,
-    bit: u32,
-}
-
-#[allow(missing_docs)]
-impl Gate {
-    pub const DMA1: Self = Self { register: AHB1ENR, bit: 0 };
-    pub const DMA2: Self = Self { register: AHB1ENR, bit: 1 };
-    pub const DMAMUX1: Self = Self { register: AHB1ENR, bit: 2 };
-    pub const FLASH: Self = Self { register: AHB1ENR, bit: 8 };
-    pub const CRC: Self = Self { register: AHB1ENR, bit: 12 };
-    pub const ADC12: Self = Self { register: AHB2ENR, bit: 13 };
-    pub const ADC345: Self = Self { register: AHB2ENR, bit: 14 };
-    pub const CRS: Self = Self { register: APB1ENR1, bit: 8 };
-    pub const RTC_APB: Self = Self { register: APB1ENR1, bit: 10 };
-    pub const USB: Self = Self { register: APB1ENR1, bit: 23 };
-    pub const PWR: Self = Self { register: APB1ENR1, bit: 28 };
-    pub const LPUART1: Self = Self { register: APB1ENR2, bit: 0 };
-    pub const SYSCFG: Self = Self { register: APB2ENR, bit: 0 };
-    pub const USART1: Self = Self { register: APB2ENR, bit: 14 };
-
-    /// Port `index`, 0 for GPIOA.
-    pub const fn gpio(index: u32) -> Self {
-        Self { register: AHB2ENR, bit: index }
-    }
-
-    /// TIM2 to TIM5 for `index` 0 to 3.
-    pub const fn timer(index: u32) -> Self {
-        Self { register: APB1ENR1, bit: index }
-    }
-
-    /// DAC1 or DAC2 for `index` 0 or 1.
-    pub const fn dac(index: u32) -> Self {
-        Self { register: AHB2ENR, bit: 16 + index }
-    }
+    pub register: u32,
+    pub bit: u32,
 }
 
 /// Reset lines that a write has pulled.
@@ -113,7 +79,6 @@ pub struct Pulled {
 }
 
 impl Pulled {
-    /// Whether nothing was pulled.
     pub fn is_empty(self) -> bool {
         self.bits == 0
     }
@@ -124,7 +89,6 @@ impl Pulled {
     }
 }
 
-/// Clock and reset control.
 #[derive(Debug)]
 pub struct Rcc {
     /// Registers without their ready bits.
@@ -138,7 +102,6 @@ pub struct Rcc {
 }
 
 impl Rcc {
-    /// State after power-on.
     pub fn new() -> Self {
         let mut rcc = Self { words: [0; WORDS], crystal_since: 0, switched_at: 0, clock_lost: 0 };
         rcc.reset(ResetCause::PowerOn);
@@ -172,7 +135,6 @@ impl Rcc {
         self.set(BDCR, 0);
     }
 
-    /// Value of a register.
     pub fn read(&mut self, offset: u32, effects: &mut Effects) -> u32 {
         match offset {
             CR => {
@@ -244,7 +206,7 @@ impl Rcc {
 
     /// Whether the crystal oscillates.
     fn has_crystal(&self, effects: &Effects) -> bool {
-        let is_dead = effects.silicon.has(Fault::HseDead);
+        let is_dead = effects.faults.has(Fault::HseDead);
         self.get(CR) & HSEON != 0 && !is_dead && effects.now() >= self.crystal_since + CRYSTAL_TICKS
     }
 
@@ -346,12 +308,6 @@ impl Rcc {
         };
         let (m, n, r) = (u64::from(pll >> 4 & 0xF) + 1, u64::from(pll >> 8 & 0x7F), 2 * (u64::from(pll >> 25 & 3) + 1));
         source * n / m / r
-    }
-}
-
-impl Default for Rcc {
-    fn default() -> Self {
-        Self::new()
     }
 }
 

@@ -9,7 +9,7 @@
 //! CNT = (now − zero_at) / (PSC + 1). The timer asks to be called at the next compare match
 //! or overflow, so flags, requests and triggers come at their exact ticks.
 
-use super::{Edge, Effects, Request, Ticks, Trigger, interrupt};
+use super::{Edge, Effects, Request, Ticks, Trigger, interrupt, request};
 
 const CR1: u32 = 0x00;
 const CR2: u32 = 0x04;
@@ -44,7 +44,6 @@ const FLAGS: u32 = 0x1F;
 const DIER_MODELLED: u32 = FLAGS | FLAGS << 8;
 const EGR_MODELLED: u32 = FLAGS;
 
-/// Where a timer is connected.
 #[derive(Clone, Copy, Debug)]
 struct Wiring {
     interrupt: u8,
@@ -55,7 +54,6 @@ struct Wiring {
     maximum: u32,
 }
 
-/// One general-purpose timer.
 #[derive(Debug)]
 pub struct Timer {
     wiring: Wiring,
@@ -84,53 +82,23 @@ pub struct Timer {
     top: u32,
     /// Tick at which the counter, never wrapping, would have been zero.
     origin: Option<Ticks>,
-    /// A debugger halts the counter.
     is_halted: bool,
     next: Ticks,
 }
 
 impl Timer {
-    /// TIM2: 32 bits.
-    pub fn tim2() -> Self {
-        Self::new(Wiring {
-            interrupt: interrupt::TIM2,
-            first_request: Request::TIM2_CH1,
-            trigger: Trigger::Tim2,
-            maximum: u32::MAX,
+    /// TIM2 to TIM5 for `index` 0 to 3; the outer two count 32 bits.
+    pub fn new(index: usize) -> Self {
+        let wiring = |interrupt, first_request, trigger, maximum| Wiring { interrupt, first_request, trigger, maximum };
+        Self::at_reset(match index {
+            0 => wiring(interrupt::TIM2, request::TIM2_CH1, Trigger::Tim2, u32::MAX),
+            1 => wiring(interrupt::TIM3, request::TIM3_CH1, Trigger::Tim3, 0xFFFF),
+            2 => wiring(interrupt::TIM4, request::TIM4_CH1, Trigger::Tim4, 0xFFFF),
+            _ => wiring(interrupt::TIM5, request::TIM5_CH1, Trigger::Tim5, u32::MAX),
         })
     }
 
-    /// TIM3: 16 bits.
-    pub fn tim3() -> Self {
-        Self::new(Wiring {
-            interrupt: interrupt::TIM3,
-            first_request: Request::TIM3_CH1,
-            trigger: Trigger::Tim3,
-            maximum: 0xFFFF,
-        })
-    }
-
-    /// TIM4: 16 bits.
-    pub fn tim4() -> Self {
-        Self::new(Wiring {
-            interrupt: interrupt::TIM4,
-            first_request: Request::TIM4_CH1,
-            trigger: Trigger::Tim4,
-            maximum: 0xFFFF,
-        })
-    }
-
-    /// TIM5: 32 bits.
-    pub fn tim5() -> Self {
-        Self::new(Wiring {
-            interrupt: interrupt::TIM5,
-            first_request: Request::TIM5_CH1,
-            trigger: Trigger::Tim5,
-            maximum: u32::MAX,
-        })
-    }
-
-    fn new(wiring: Wiring) -> Self {
+    fn at_reset(wiring: Wiring) -> Self {
         Self {
             wiring,
             cr1: 0,
@@ -157,14 +125,12 @@ impl Timer {
         }
     }
 
-    /// State after reset.
     pub fn reset(&mut self, effects: &mut Effects) {
         self.withdraw(self.dier, effects);
-        *self = Self::new(self.wiring);
+        *self = Self::at_reset(self.wiring);
         self.update_line(effects);
     }
 
-    /// Value of a register.
     pub fn read(&mut self, offset: u32, effects: &mut Effects) -> u32 {
         match offset {
             CR1 => self.cr1,
@@ -187,7 +153,6 @@ impl Timer {
         }
     }
 
-    /// Writes a register.
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
         self.done = self.count(effects.now());
         match offset {
@@ -252,7 +217,6 @@ impl Timer {
         self.next
     }
 
-    /// Does what is due now.
     pub fn advance(&mut self, effects: &mut Effects) {
         let elapsed = effects.now().wrapping_sub(self.zero_at) / self.period();
         let reached = elapsed.min(u64::from(self.top)) as u32;
@@ -479,8 +443,7 @@ impl Timer {
     }
 
     fn request_of(&self, event: usize) -> Request {
-        let first = self.wiring.first_request.0;
-        Request(if event == 0 { first + 4 } else { first + event as u8 - 1 })
+        self.wiring.first_request.after(if event == 0 { 4 } else { event as u8 - 1 })
     }
 
     fn settle_references(&mut self, effects: &mut Effects) {
@@ -537,4 +500,73 @@ fn channel_of(offset: u32) -> usize {
 }
 
 #[cfg(test)]
-mod tests;
+mod tests {
+    use super::*;
+    use crate::facts::assert_facts;
+
+    /// Runs `timer` to `end` and returns the ticks at which `seen` became true.
+    fn run(
+        timer: &mut Timer,
+        effects: &mut Effects,
+        end: Ticks,
+        mut seen: impl FnMut(&mut Effects) -> bool,
+    ) -> Vec<Ticks> {
+        let mut at = Vec::new();
+        while timer.next_event() <= end {
+            effects.now = timer.next_event();
+            timer.advance(effects);
+            if seen(effects) {
+                at.push(effects.now);
+            }
+        }
+        effects.now = end;
+        at
+    }
+
+    fn take(request: Request) -> impl FnMut(&mut Effects) -> bool {
+        move |effects| {
+            let pending = effects.pending_requests() >> request.0 & 1 != 0;
+            effects.withdraw(request);
+            pending
+        }
+    }
+
+    fn start(timer: &mut Timer, effects: &mut Effects, registers: &[(u32, u32)]) {
+        for &(offset, value) in registers {
+            timer.write(offset, value, effects);
+        }
+    }
+
+    #[test]
+    fn preloaded_arr_lengthens_only_the_next_period() {
+        let (mut timer, mut effects) = (Timer::new(0), Effects::default());
+        start(&mut timer, &mut effects, &[(ARR, 9), (DIER, UDE), (CR1, CR1_CEN | CR1_ARPE)]);
+        start(&mut timer, &mut effects, &[(EGR, 1), (ARR, 19)]);
+        effects.withdraw(request::TIM2_CH1.after(4));
+        assert_eq!(run(&mut timer, &mut effects, 50, take(request::TIM2_CH1.after(4))), [10, 30, 50]);
+        let (mut timer, mut effects) = (Timer::new(0), Effects::default());
+        start(&mut timer, &mut effects, &[(ARR, 9), (DIER, UDE), (CR1, CR1_CEN), (ARR, 19)]);
+        assert_eq!(run(&mut timer, &mut effects, 50, take(request::TIM2_CH1.after(4))), [20, 40]);
+    }
+
+    #[test]
+    fn an_arr_below_the_count_is_met_after_the_wrap_only() {
+        let (mut timer, mut effects) = (Timer::new(1), Effects::default());
+        start(&mut timer, &mut effects, &[(DIER, UDE), (CR1, CR1_CEN)]);
+        effects.now = 100;
+        timer.write(ARR, 49, &mut effects);
+        assert!(run(&mut timer, &mut effects, 65_700, take(request::TIM3_CH1)).is_empty());
+        assert_eq!(timer.sr & UIF, UIF);
+        assert_eq!(run(&mut timer, &mut effects, 65_750, take(request::TIM3_CH1.after(4))), [65_736]);
+    }
+
+    #[test]
+    fn registers_are_those_of_st() {
+        assert_facts!("TIM_TypeDef."; CR1, CR2, SMCR, DIER, SR, EGR, CCMR1, CCMR2, CCER, CNT, PSC, ARR, CCR1, CCR4);
+        assert_facts!("TIM_"; CR1_CEN, CR1_UDIS, CR1_URS, CR1_ARPE, CR1_UIFREMAP, CR2_CCDS);
+        // MMS[3], for encoders, stands apart.
+        assert_eq!(CR2_MMS, crate::facts::bits("TIM_CR2_MMS") & 0xFFFF);
+        assert_facts!("TIM_"; UIF = "SR_UIF", UDE = "DIER_UDE");
+        assert_eq!(FLAGS + 1, 2 * crate::facts::bits("TIM_SR_CC4IF"));
+    }
+}

@@ -3,13 +3,16 @@
 //! Counts the 32 kHz internal oscillator, taken as exact. Once started only a reset stops it.
 //! Updates of its registers are in force at once; the hardware takes five oscillator periods.
 
+use super::registers::{Bank, registers};
 use super::{Effects, ResetCause, TICKS_PER_SECOND, Ticks};
 
-const KR: u32 = 0x00;
-const PR: u32 = 0x04;
-const RLR: u32 = 0x08;
-const SR: u32 = 0x0C;
-const WINR: u32 = 0x10;
+registers! {
+    KR = 0x00;
+    PR = 0x04, keeps 7;
+    RLR = 0x08, reset 0xFFF, keeps 0xFFF;
+    SR = 0x0C;
+    WINR = 0x10, reset 0xFFF, keeps 0xFFF;
+}
 
 const KEY_UNLOCK: u32 = 0x5555;
 const KEY_REFRESH: u32 = 0xAAAA;
@@ -18,13 +21,10 @@ const KEY_START: u32 = 0xCCCC;
 /// Low-speed internal oscillator, in hertz.
 const LSI_HZ: u64 = 32_000;
 
-/// The watchdog.
 #[derive(Debug)]
 pub struct Watchdog {
+    bank: Bank,
     unlocked: bool,
-    prescaler: u32,
-    reload: u32,
-    window: u32,
     /// When the counter was last reloaded; `None` before the start.
     refreshed: Option<Ticks>,
 }
@@ -32,47 +32,32 @@ pub struct Watchdog {
 impl Watchdog {
     /// State after any reset: stopped.
     pub fn new() -> Self {
-        Self { unlocked: false, prescaler: 0, reload: 0xFFF, window: 0xFFF, refreshed: None }
+        Self { bank: Bank::new(REGISTERS), unlocked: false, refreshed: None }
     }
 
-    /// Value of a register.
-    pub fn read(&mut self, offset: u32, effects: &mut Effects) -> u32 {
-        match offset {
-            KR | SR => 0,
-            PR => self.prescaler,
-            RLR => self.reload,
-            WINR => self.window,
-            _ => {
-                effects.unmodelled();
-                0
-            }
-        }
+    pub fn read(&self, offset: u32, effects: &mut Effects) -> u32 {
+        self.bank.read(offset, effects)
     }
 
-    /// Writes a register.
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
         match offset {
             KR => self.key(value & 0xFFFF, effects),
             PR | RLR | WINR if !self.unlocked => {
                 effects.violation(value, "IWDG_PR, RLR and WINR are written only after the key 0x5555");
             }
-            PR => self.prescaler = value & 7,
-            RLR => self.reload = value & 0xFFF,
-            WINR => {
-                self.window = value & 0xFFF;
-                // RM0440, "Window option": writing the window reloads the counter.
-                self.refreshed = self.refreshed.map(|_| effects.now());
-            }
-            _ => effects.unmodelled(),
+            _ => self.bank.write(offset, value, effects),
+        }
+        if offset == WINR && self.unlocked {
+            // RM0440, "Window option": writing the window reloads the counter.
+            self.refreshed = self.refreshed.map(|_| effects.now());
         }
     }
 
     /// Tick at which the watchdog bites.
     pub fn next_event(&self) -> Ticks {
-        self.refreshed.map_or(Ticks::MAX, |at| at + (u64::from(self.reload) + 1) * self.count_ticks())
+        self.refreshed.map_or(Ticks::MAX, |at| at + (u64::from(self.bank[RLR]) + 1) * self.count_ticks())
     }
 
-    /// The time is over.
     pub fn advance(&mut self, effects: &mut Effects) {
         self.refreshed = None;
         effects.request_reset(ResetCause::Watchdog);
@@ -90,7 +75,7 @@ impl Watchdog {
     fn refresh(&mut self, effects: &mut Effects) {
         let Some(since) = self.refreshed else { return };
         let counted = (effects.now() - since) / self.count_ticks();
-        if u64::from(self.reload).saturating_sub(counted) > u64::from(self.window) {
+        if u64::from(self.bank[RLR]).saturating_sub(counted) > u64::from(self.bank[WINR]) {
             effects.request_reset(ResetCause::Watchdog);
         }
         self.refreshed = Some(effects.now());
@@ -98,13 +83,7 @@ impl Watchdog {
 
     /// Ticks per count: 4 · 2^PR oscillator periods, at most 256.
     fn count_ticks(&self) -> u64 {
-        (4 << self.prescaler.min(6)) * TICKS_PER_SECOND / LSI_HZ
-    }
-}
-
-impl Default for Watchdog {
-    fn default() -> Self {
-        Self::new()
+        (4 << self.bank[PR].min(6)) * TICKS_PER_SECOND / LSI_HZ
     }
 }
 
@@ -119,19 +98,6 @@ mod tests {
             watchdog.write(offset, value, &mut effects);
         }
         (watchdog, effects)
-    }
-
-    #[test]
-    fn bites_after_its_period() {
-        // 400 counts of 8 periods of 32 kHz: 0.1 s.
-        let (mut watchdog, mut effects) = started();
-        assert_eq!(watchdog.next_event(), TICKS_PER_SECOND / 10);
-        effects.now = 1_000;
-        watchdog.write(KR, KEY_REFRESH, &mut effects);
-        assert_eq!(watchdog.next_event(), TICKS_PER_SECOND / 10 + 1_000);
-        effects.now = watchdog.next_event();
-        watchdog.advance(&mut effects);
-        assert_eq!(effects.reset, Some(ResetCause::Watchdog));
     }
 
     #[test]
@@ -160,7 +126,7 @@ mod tests {
 
     #[test]
     fn registers_and_clock_are_those_of_st() {
-        assert_facts!("IWDG_TypeDef."; KR, PR, RLR, SR, WINR);
+        super::super::registers::assert_offsets("IWDG_TypeDef", REGISTERS);
         assert_facts!("LL_IWDG_KEY_"; KEY_UNLOCK = "WR_ACCESS_ENABLE", KEY_REFRESH = "RELOAD", KEY_START = "ENABLE");
         assert_eq!(LSI_HZ as f64, 1e3 * crate::facts::number("LSI"));
     }

@@ -2,11 +2,8 @@
 //! its answer means (USB 2.0 chapter 9; Communication Devices PSTN subclass 1.2, section 6.3).
 
 use super::MS;
-use super::descriptors::{self, AcmEndpoints, SerialFunction};
-use super::transfer::Request;
 use crate::peripherals::Ticks;
 
-/// The address the device is given.
 const ADDRESS: u8 = 5;
 
 /// What a device may take to answer at a new address (section 9.2.6.3).
@@ -15,36 +12,63 @@ const ADDRESS_RECOVERY_TICKS: Ticks = 2 * MS;
 /// Before its descriptor is known a control endpoint takes at least this much.
 const SMALLEST_PACKET_BYTES: usize = 8;
 
-/// US English, the language asked for if the device knows it.
-const ENGLISH: u16 = 0x0409;
-
 // Descriptor types (table 9-5).
 const DEVICE: u8 = 1;
 const CONFIGURATION: u8 = 2;
 const STRING: u8 = 3;
+const INTERFACE: u8 = 4;
+const ENDPOINT: u8 = 5;
+
+const DEVICE_BYTES: usize = 18;
+
+// Classes of interfaces, and types of endpoints.
+const COMMUNICATION: u8 = 0x02;
+const COMMUNICATION_DATA: u8 = 0x0a;
+const BULK: u8 = 2;
+const INTERRUPT: u8 = 3;
 
 /// The line coding a terminal program sets: 115 200 baud, one stop bit, no parity, 8 bits.
 const LINE_CODING: [u8; 7] = [0x00, 0xc2, 0x01, 0x00, 0, 0, 8];
 
-/// What a device says of itself.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct DeviceDescription {
-    /// The device descriptor.
     pub device: Vec<u8>,
     /// The configuration descriptor with all that belongs to it.
     pub configuration: Vec<u8>,
-    /// Who made it.
     pub manufacturer: Option<String>,
-    /// What it is.
     pub product: Option<String>,
-    /// Which one it is.
     pub serial: Option<String>,
 }
 
-/// Where the device is in its life.
+/// A request to the device: its SETUP packet, and what goes to the device with it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Request {
+    pub setup: [u8; 8],
+    pub data: Vec<u8>,
+}
+
+/// An endpoint of the serial port; bulk endpoints have no interval.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Endpoint {
+    pub number: u8,
+    pub packet_bytes: usize,
+    pub interval: Ticks,
+}
+
+/// Notification, bulk IN and bulk OUT.
+pub type Endpoints = [Endpoint; 3];
+
+/// A serial port (CDC-ACM) in a configuration.
+#[derive(Clone, Copy, Debug)]
+struct SerialPort {
+    /// bConfigurationValue.
+    configuration: u8,
+    control_interface: u8,
+    endpoints: Endpoints,
+}
+
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum Step {
-    /// There is no device.
     #[default]
     Absent,
     DeviceHead,
@@ -58,104 +82,80 @@ enum Step {
     Serial,
     Configure,
     LineCoding,
-    /// The serial port works.
     Ready,
     ControlLines,
     /// A request has failed; nothing more is asked.
     Failed,
 }
 
-/// The enumeration of one device.
 #[derive(Debug, Default)]
-pub(super) struct Enumeration {
+pub struct Enumeration {
     step: Step,
-    address: u8,
+    pub address: u8,
     language: u16,
-    description: DeviceDescription,
-    function: Option<SerialFunction>,
-    dtr: bool,
+    pub description: DeviceDescription,
+    port: Option<SerialPort>,
+    pub dtr: bool,
     wanted_dtr: bool,
-    recovery: Ticks,
+    /// What the device may take before the next transaction.
+    pub recovery: Ticks,
 }
 
 impl Enumeration {
     /// Of a device that has just been reset.
-    pub(super) fn begin() -> Self {
+    pub fn begin() -> Self {
         Self { step: Step::DeviceHead, ..Self::default() }
     }
 
     /// The device is gone; what it said of itself stays readable.
-    pub(super) fn lose(&mut self) {
+    pub fn lose(&mut self) {
         *self = Self { description: std::mem::take(&mut self.description), ..Self::default() };
     }
 
-    pub(super) fn address(&self) -> u8 {
-        self.address
-    }
-
-    pub(super) fn is_ready(&self) -> bool {
+    pub fn is_ready(&self) -> bool {
         matches!(self.step, Step::Ready | Step::ControlLines)
     }
 
-    pub(super) fn dtr(&self) -> bool {
-        self.dtr
-    }
-
-    pub(super) fn description(&self) -> &DeviceDescription {
-        &self.description
-    }
-
-    /// What the device may take before the next transaction.
-    pub(super) fn recovery_ticks(&self) -> Ticks {
-        self.recovery
-    }
-
     /// bMaxPacketSize0.
-    pub(super) fn control_packet_bytes(&self) -> usize {
+    pub fn control_packet_bytes(&self) -> usize {
         self.description.device.get(7).map_or(0, |&bytes| usize::from(bytes)).max(SMALLEST_PACKET_BYTES)
     }
 
     /// The request that comes next; `dtr` is what DTR shall be. `None`: nothing to ask for now.
-    pub(super) fn next_request(&mut self, dtr: bool) -> Option<Request> {
+    pub fn next_request(&mut self, dtr: bool) -> Option<Request> {
         if self.step == Step::Ready && dtr != self.dtr {
             self.step = Step::ControlLines;
             self.wanted_dtr = dtr;
         }
-        let interface = self.function.as_ref().map_or(0, |function| u16::from(function.control_interface));
+        let interface = self.port.map_or(0, |port| u16::from(port.control_interface));
         let string = |index: usize| get_descriptor(STRING, self.description.device[index], self.language, 255);
-        let whole = descriptors::total_length(&self.description.configuration);
         Some(match self.step {
             Step::Absent | Step::Ready | Step::Failed => return None,
             Step::DeviceHead => get_descriptor(DEVICE, 0, 0, 8),
             Step::Address => command(0x00, 5, u16::from(ADDRESS), 0, &[]),
             Step::Device => get_descriptor(DEVICE, 0, 0, 18),
             Step::ConfigurationHead => get_descriptor(CONFIGURATION, 0, 0, 9),
-            Step::Configuration => get_descriptor(CONFIGURATION, 0, 0, whole),
+            Step::Configuration => {
+                let head = &self.description.configuration;
+                get_descriptor(CONFIGURATION, 0, 0, head.get(2..4).map_or(0, |total| le16(total)))
+            }
             Step::Languages => get_descriptor(STRING, 0, 0, 255),
             Step::Manufacturer => string(14),
             Step::Product => string(15),
             Step::Serial => string(16),
-            Step::Configure => {
-                let value = self.function.as_ref().map_or(1, |function| function.configuration);
-                command(0x00, 9, u16::from(value), 0, &[])
-            }
+            Step::Configure => command(0x00, 9, self.port.map_or(1, |port| port.configuration).into(), 0, &[]),
             Step::LineCoding => command(0x21, 0x20, 0, interface, &LINE_CODING),
             // DTR and RTS go together, as with a terminal.
             Step::ControlLines => command(0x21, 0x22, if self.wanted_dtr { 3 } else { 0 }, interface, &[]),
         })
     }
 
-    /// Takes the answer to the last request; what is wrong with it goes to `complaints`. When the
-    /// serial port works, returns its endpoints.
-    pub(super) fn answered(&mut self, data: &[u8], complaints: &mut Vec<String>) -> Option<AcmEndpoints> {
+    /// Takes the answer to the last request. When the serial port works, returns its endpoints.
+    pub fn answered(&mut self, data: &[u8]) -> Result<Option<Endpoints>, String> {
         self.recovery = 0;
-        let next = match self.step {
+        self.step = match self.step {
             Step::DeviceHead => {
-                if data.len() != 8 {
-                    complaints.push(format!("device descriptor: {} bytes where 8 were asked for", data.len()));
-                    return self.give_up();
-                }
-                self.description.device = data.to_vec();
+                self.description.device = exactly(data, SMALLEST_PACKET_BYTES)?;
                 Step::Address
             }
             Step::Address => {
@@ -164,11 +164,7 @@ impl Enumeration {
                 Step::Device
             }
             Step::Device => {
-                let head = std::mem::replace(&mut self.description.device, data.to_vec());
-                descriptors::check_device(data, &head, complaints);
-                if data.len() != descriptors::DEVICE_BYTES {
-                    return self.give_up();
-                }
+                self.description.device = exactly(data, DEVICE_BYTES)?;
                 Step::ConfigurationHead
             }
             Step::ConfigurationHead => {
@@ -177,32 +173,29 @@ impl Enumeration {
             }
             Step::Configuration => {
                 self.description.configuration = data.to_vec();
-                self.function = descriptors::serial_function(&self.description.device, data, complaints);
-                if self.function.is_none() {
-                    return self.give_up();
-                }
+                self.port = Some(serial_port(data).ok_or("no serial port (CDC-ACM) in it")?);
                 Step::Languages
             }
             Step::Languages => {
-                self.language = descriptors::choose_language(data, ENGLISH, complaints);
+                self.language = data.get(2..4).map_or(0, le16);
                 Step::Manufacturer
             }
             Step::Manufacturer => {
-                self.description.manufacturer = descriptors::string(data, "manufacturer", complaints);
+                self.description.manufacturer = string(data);
                 Step::Product
             }
             Step::Product => {
-                self.description.product = descriptors::string(data, "product", complaints);
+                self.description.product = string(data);
                 Step::Serial
             }
             Step::Serial => {
-                self.description.serial = descriptors::string(data, "serial number", complaints);
+                self.description.serial = string(data);
                 Step::Configure
             }
             Step::Configure => Step::LineCoding,
             Step::LineCoding => {
                 self.step = Step::Ready;
-                return self.function.as_ref().map(|function| function.endpoints.clone());
+                return Ok(self.port.map(|port| port.endpoints));
             }
             Step::ControlLines => {
                 self.dtr = self.wanted_dtr;
@@ -210,18 +203,12 @@ impl Enumeration {
             }
             Step::Absent | Step::Ready | Step::Failed => self.step,
         };
-        self.step = self.past_absent_strings(next);
-        None
+        Ok(None)
     }
 
-    /// The last request has failed.
-    pub(super) fn failed(&mut self) {
-        self.step = Step::Failed;
-    }
-
-    /// What the last request was for.
-    pub(super) fn current_name(&self) -> &'static str {
-        match self.step {
+    /// The last request has failed; gives what it was for.
+    pub fn fail(&mut self) -> &'static str {
+        match std::mem::replace(&mut self.step, Step::Failed) {
             Step::Absent | Step::Ready | Step::Failed => "no request",
             Step::DeviceHead | Step::Device => "GET_DESCRIPTOR device",
             Step::Address => "SET_ADDRESS",
@@ -232,29 +219,56 @@ impl Enumeration {
             Step::ControlLines => "SET_CONTROL_LINE_STATE",
         }
     }
+}
 
-    fn give_up(&mut self) -> Option<AcmEndpoints> {
-        self.step = Step::Failed;
-        None
+fn exactly(data: &[u8], bytes: usize) -> Result<Vec<u8>, String> {
+    if data.len() == bytes {
+        Ok(data.to_vec())
+    } else {
+        Err(format!("{} bytes where {bytes} were asked for", data.len()))
     }
+}
 
-    /// A string whose index is 0 does not exist (section 9.6.1); without any there are no languages.
-    fn past_absent_strings(&self, mut step: Step) -> Step {
-        let absent = |index: usize| self.description.device[index] == 0;
-        if step == Step::Languages && (14..=16).all(absent) {
-            return Step::Configure;
-        }
-        for (this, index, next) in [
-            (Step::Manufacturer, 14, Step::Product),
-            (Step::Product, 15, Step::Serial),
-            (Step::Serial, 16, Step::Configure),
-        ] {
-            if step == this && absent(index) {
-                step = next;
+/// Finds the serial port in a configuration (USB 2.0 section 9.6).
+fn serial_port(configuration: &[u8]) -> Option<SerialPort> {
+    let (mut class, mut control, mut endpoints) = (0, None, [None; 3]);
+    let mut rest = configuration;
+    while let [length, kind, ..] = *rest {
+        let part = rest.get(..length.into()).filter(|part| part.len() > 1)?;
+        rest = &rest[part.len()..];
+        match (kind, part) {
+            (INTERFACE, &[_, _, number, _, _, its_class, ..]) => {
+                class = its_class;
+                control = control.or((class == COMMUNICATION).then_some(number));
             }
+            (ENDPOINT, &[_, _, address, transfer, low, high, interval_ms, ..]) => {
+                let (place, interval) = match (class, transfer & 3, address & 0x80 != 0) {
+                    (COMMUNICATION, INTERRUPT, true) => (0, Ticks::from(interval_ms) * MS),
+                    (COMMUNICATION_DATA, BULK, true) => (1, 0),
+                    (COMMUNICATION_DATA, BULK, false) => (2, 0),
+                    _ => continue,
+                };
+                let packet_bytes = le16(&[low, high]).into();
+                endpoints[place] = Some(Endpoint { number: address & 0xf, packet_bytes, interval });
+            }
+            _ => {}
         }
-        step
     }
+    let [Some(notification), Some(bulk_in), Some(bulk_out)] = endpoints else { return None };
+    Some(SerialPort {
+        configuration: *configuration.get(5)?,
+        control_interface: control?,
+        endpoints: [notification, bulk_in, bulk_out],
+    })
+}
+
+fn string(data: &[u8]) -> Option<String> {
+    let units: Vec<u16> = data.get(2..)?.chunks_exact(2).map(le16).collect();
+    String::from_utf16(&units).ok()
+}
+
+fn le16(bytes: &[u8]) -> u16 {
+    u16::from_le_bytes([bytes[0], bytes[1]])
 }
 
 fn get_descriptor(kind: u8, index: u8, language: u16, length: u16) -> Request {

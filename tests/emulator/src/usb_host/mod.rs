@@ -5,31 +5,25 @@
 //! at [`UsbHost::next_event`]. Each transaction takes the time it takes on the wire.
 //!
 //! ```text
-//! port ─▶ enumeration ─▶ transfer ─▶ transaction ─▶ FullSpeedDevice
+//! port ─▶ enumeration ─▶ transfer ─▶ transaction ─▶ UsbPort
 //!                        pipes   ───┘
 //! ```
-//! `enumeration` says what to ask next and `descriptors` whether the answers agree; `transfer` is
-//! one control transfer, `pipe` one bulk or interrupt endpoint, `traffic` has the frames and the
-//! choice of the next transaction. This module has the port, and what a user of the host may do.
+//! `enumeration` says what to ask next, `transfer` has a control transfer and the pipes of bulk and interrupt
+//! endpoints. This module has the port, the frames, the choice of the next transaction, and what a user of the host may do.
 
-mod attempt;
-mod descriptors;
 mod enumeration;
-mod pipe;
-mod traffic;
 mod transfer;
 
 use std::collections::VecDeque;
 
+use crate::peripherals::usb::UsbPort;
 use crate::peripherals::{TICKS_PER_SECOND, Ticks};
-use crate::usb_wire::{BusSignal, FullSpeedDevice};
+use crate::usb_wire::{self, Answer, BusSignal, FRAME_TICKS, OutPacket};
 
 pub use enumeration::DeviceDescription;
 
 use enumeration::Enumeration;
-use pipe::Pipes;
-use traffic::InFlight;
-use transfer::Transfer;
+use transfer::{Pipe, Transfer};
 
 const MS: Ticks = TICKS_PER_SECOND / 1_000;
 
@@ -52,22 +46,17 @@ const RESUME_TICKS: Ticks = 20 * MS;
 /// A packet that the device has sent.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Received {
-    /// When its acknowledgement was over.
     pub at: Ticks,
-    /// Content.
     pub bytes: Vec<u8>,
 }
 
 /// Something a device should not have done.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Complaint {
-    /// When it was noticed.
     pub at: Ticks,
-    /// What it was.
     pub text: String,
 }
 
-/// The host.
 #[derive(Debug)]
 pub struct UsbHost {
     port: Port,
@@ -85,7 +74,9 @@ pub struct UsbHost {
     in_flight: Option<InFlight>,
     transfer: Option<Transfer>,
     enumeration: Enumeration,
-    pipes: Option<Pipes>,
+    /// Notification, bulk IN and bulk OUT.
+    pipes: Option<[Pipe; 3]>,
+    last_was_out: bool,
     dtr: bool,
     reading: bool,
     outgoing: VecDeque<u8>,
@@ -95,9 +86,7 @@ pub struct UsbHost {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Port {
-    /// No cable.
     Open,
-    /// Waiting for a pull-up.
     Watching,
     Debouncing {
         until: Ticks,
@@ -118,6 +107,31 @@ enum Order {
     Suspend,
     Resume,
     Reset,
+}
+
+/// Whom a transaction is for; pipes by their place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Purpose {
+    Control,
+    Pipe(usize),
+}
+
+const NOTIFICATION: usize = 0;
+const BULK_IN: usize = 1;
+const BULK_OUT: usize = 2;
+
+#[derive(Debug)]
+struct InFlight {
+    end: Ticks,
+    purpose: Purpose,
+    endpoint: u8,
+    kind: Kind,
+}
+
+#[derive(Debug)]
+enum Kind {
+    In(Answer),
+    Out { setup: bool, toggle: bool, bytes: Vec<u8> },
 }
 
 impl Default for UsbHost {
@@ -142,6 +156,7 @@ impl UsbHost {
             transfer: None,
             enumeration: Enumeration::default(),
             pipes: None,
+            last_was_out: false,
             dtr: false,
             reading: true,
             outgoing: VecDeque::new(),
@@ -150,13 +165,11 @@ impl UsbHost {
         }
     }
 
-    /// Pulls the cable.
     pub fn detach(&mut self, now: Ticks) {
         (self.cable, self.pulled) = (false, true);
         self.due = now;
     }
 
-    /// Plugs the cable in.
     pub fn attach(&mut self, now: Ticks) {
         if !self.cable {
             self.cable = true;
@@ -170,7 +183,6 @@ impl UsbHost {
         self.hurry(now);
     }
 
-    /// Wakes the device and goes on.
     pub fn resume(&mut self, now: Ticks) {
         self.order = Some(Order::Resume);
         self.hurry(now);
@@ -195,7 +207,7 @@ impl UsbHost {
 
     /// Whether DTR has been set and acknowledged by the device.
     pub fn dtr(&self) -> bool {
-        self.enumeration.dtr()
+        self.enumeration.dtr
     }
 
     /// Stops (`true`) or resumes asking for bytes, as when no program reads the port.
@@ -210,11 +222,6 @@ impl UsbHost {
         self.hurry(now);
     }
 
-    /// Bytes that have not left yet.
-    pub fn unsent(&self) -> usize {
-        self.outgoing.len()
-    }
-
     /// Packets received since the last call, in order.
     pub fn take_received(&mut self) -> Vec<Received> {
         std::mem::take(&mut self.received)
@@ -227,7 +234,7 @@ impl UsbHost {
 
     /// What the device has said of itself so far.
     pub fn device(&self) -> &DeviceDescription {
-        self.enumeration.description()
+        &self.enumeration.description
     }
 
     /// What the device should not have done, in order.
@@ -241,7 +248,7 @@ impl UsbHost {
     }
 
     /// Does what is due at `now`.
-    pub fn advance(&mut self, now: Ticks, device: &mut impl FullSpeedDevice) {
+    pub fn advance(&mut self, now: Ticks, device: &mut UsbPort<'_>) {
         if now < self.due {
             return;
         }
@@ -293,15 +300,11 @@ impl UsbHost {
         }
     }
 
-    fn start_frames(&mut self, now: Ticks, device: &mut impl FullSpeedDevice) {
+    fn start_frames(&mut self, now: Ticks, device: &mut UsbPort<'_>) {
         self.port = Port::Active;
         self.next_frame = now;
         self.quiet_until = now + RECOVERY_TICKS;
         self.run(now, device);
-    }
-
-    fn complain(&mut self, now: Ticks, text: impl Into<String>) {
-        self.complaints.push(Complaint { at: now, text: text.into() });
     }
 
     fn lose_device(&mut self) {
@@ -312,14 +315,13 @@ impl UsbHost {
         self.enumeration.lose();
     }
 
-    /// The pull-up is gone.
-    fn disconnect(&mut self, now: Ticks, device: &mut impl FullSpeedDevice) {
+    fn disconnect(&mut self, now: Ticks, device: &mut UsbPort<'_>) {
         self.leave(Port::Watching, device);
         self.due = now + WATCH_TICKS;
     }
 
     /// Ends whatever goes on with a device; lines that are held down for it come back to rest.
-    fn leave(&mut self, port: Port, device: &mut impl FullSpeedDevice) {
+    fn leave(&mut self, port: Port, device: &mut UsbPort<'_>) {
         if matches!(self.port, Port::Resetting { .. } | Port::Resuming { .. }) {
             device.signal(BusSignal::ResetEnds);
         }
@@ -327,7 +329,7 @@ impl UsbHost {
         self.port = port;
     }
 
-    fn sleep(&mut self, now: Ticks, device: &mut impl FullSpeedDevice) {
+    fn sleep(&mut self, now: Ticks, device: &mut UsbPort<'_>) {
         match self.order.take() {
             Some(Order::Resume) => {
                 device.signal(BusSignal::ResumeBegins);
@@ -337,9 +339,170 @@ impl UsbHost {
             _ => self.due = now + WATCH_TICKS,
         }
     }
-}
 
-#[cfg(test)]
-mod tests;
-#[cfg(test)]
-mod tests_with_block;
+    /// An active port: ends a transaction, begins a frame, begins a transaction.
+    fn run(&mut self, now: Ticks, device: &mut UsbPort<'_>) {
+        if let Some(in_flight) = self.in_flight.take() {
+            if now < in_flight.end {
+                self.due = in_flight.end;
+                self.in_flight = Some(in_flight);
+                return;
+            }
+            self.complete(in_flight, now, device);
+        }
+        match self.order.take() {
+            Some(Order::Suspend) => {
+                self.port = Port::Suspended;
+                self.due = now + WATCH_TICKS;
+                return;
+            }
+            Some(Order::Reset) => {
+                self.lose_device();
+                device.signal(BusSignal::ResetBegins);
+                self.enter(Port::Resetting { until: now + RESET_TICKS });
+                return;
+            }
+            Some(Order::Resume) | None => {}
+        }
+        if now >= self.next_frame {
+            if !device.is_pulled_up() {
+                self.disconnect(now, device);
+                return;
+            }
+            device.signal(BusSignal::StartOfFrame(self.frame_number));
+            self.frame_number = (self.frame_number + 1) & 0x7ff;
+            self.next_frame += FRAME_TICKS;
+            self.quiet_until = self.quiet_until.max(now + usb_wire::start_of_frame_ticks());
+        }
+        self.due = self.next_frame;
+        if now >= self.quiet_until {
+            self.begin_transaction(now, device);
+        } else {
+            self.due = self.due.min(self.quiet_until);
+        }
+    }
+
+    /// Begins the transaction that is next in turn, if there is one and the frame has room for it.
+    fn begin_transaction(&mut self, now: Ticks, device: &mut UsbPort<'_>) {
+        if self.transfer.is_none()
+            && let Some(request) = self.enumeration.next_request(self.dtr)
+        {
+            self.transfer = Some(Transfer::new(request, self.enumeration.control_packet_bytes(), now));
+        }
+        let control_at = self.transfer.as_ref().map_or(Ticks::MAX, |transfer| transfer.ready_at);
+        let mut pipes_at = [Ticks::MAX; 3];
+        if let Some(pipes) = &self.pipes {
+            let is_used = [true, self.reading, !self.outgoing.is_empty()];
+            for (at, (pipe, is_used)) in pipes_at.iter_mut().zip(pipes.iter().zip(is_used)) {
+                *at = if is_used { pipe.ready_at } else { Ticks::MAX };
+            }
+        }
+        let is_ready = pipes_at.map(|at| at <= now);
+        let purpose = match is_ready {
+            _ if control_at <= now => Purpose::Control,
+            [true, ..] => Purpose::Pipe(NOTIFICATION),
+            // Both directions take turns.
+            [_, reads, true] if !(reads && self.last_was_out) => Purpose::Pipe(BULK_OUT),
+            [_, true, _] => Purpose::Pipe(BULK_IN),
+            _ => {
+                self.due = pipes_at.into_iter().fold(self.next_frame.min(control_at), Ticks::min);
+                return;
+            }
+        };
+        if let Some((endpoint, kind, ticks)) = self.transaction(purpose, now, device) {
+            let end = now + ticks;
+            self.due = end;
+            self.in_flight = Some(InFlight { end, purpose, endpoint, kind });
+        }
+    }
+
+    /// Puts a transaction for `purpose` on the wire: its endpoint, its token, and the time until its end. `None`: the frame
+    /// has no room left.
+    fn transaction(&mut self, purpose: Purpose, now: Ticks, device: &mut UsbPort<'_>) -> Option<(u8, Kind, Ticks)> {
+        let (endpoint, room, out) = match purpose {
+            Purpose::Control => (0, usb_wire::MAX_PACKET_BYTES, self.transfer.as_ref()?.packet()),
+            Purpose::Pipe(place) => {
+                let pipe = &self.pipes.as_ref()?[place];
+                let (number, room) = (pipe.endpoint.number, pipe.endpoint.packet_bytes);
+                if place != NOTIFICATION {
+                    self.last_was_out = place == BULK_OUT;
+                }
+                let bytes = || self.outgoing.iter().copied().take(room).collect();
+                (number, room, (place == BULK_OUT).then(|| (false, pipe.toggle, bytes())))
+            }
+        };
+        if let Some((setup, toggle, bytes)) = out {
+            let ticks = usb_wire::data_ticks(&bytes);
+            return (now + ticks <= self.next_frame).then_some((endpoint, Kind::Out { setup, toggle, bytes }, ticks));
+        }
+        if now + usb_wire::longest_data_ticks(room) > self.next_frame {
+            return None;
+        }
+        let answer = device.token_in(self.enumeration.address, endpoint);
+        let ticks = match &answer {
+            Answer::Data { bytes, .. } => usb_wire::data_ticks(bytes),
+            _ => usb_wire::refused_in_ticks(),
+        };
+        Some((endpoint, Kind::In(answer), ticks))
+    }
+
+    fn complete(&mut self, in_flight: InFlight, now: Ticks, device: &mut UsbPort<'_>) {
+        let InFlight { purpose, endpoint, kind, .. } = in_flight;
+        let address = self.enumeration.address;
+        let (answer, sent) = match kind {
+            Kind::In(answer) => {
+                if let Answer::Data { .. } = answer {
+                    device.acknowledged(address, endpoint);
+                }
+                (answer, 0)
+            }
+            Kind::Out { setup, toggle, bytes } => {
+                let packet = OutPacket { address, endpoint, setup, toggle, bytes: &bytes };
+                (device.packet_out(packet), bytes.len())
+            }
+        };
+        if answer == Answer::Silence && !device.is_pulled_up() {
+            // The device is leaving; the next frame will find the port empty.
+            return;
+        }
+        let fault = match purpose {
+            Purpose::Control => self.complete_control(answer, sent, now),
+            Purpose::Pipe(place) => self.complete_pipe(place, answer, sent, now),
+        };
+        self.complaints.extend(fault.err().map(|text| Complaint { at: now, text }));
+    }
+
+    fn complete_control(&mut self, answer: Answer, sent: usize, now: Ticks) -> Result<(), String> {
+        let Some(mut transfer) = self.transfer.take() else { return Ok(()) };
+        let endpoints = match transfer.progress(answer, sent, now) {
+            Ok(None) => {
+                self.transfer = Some(transfer);
+                return Ok(());
+            }
+            Ok(Some(data)) => self.enumeration.answered(&data),
+            Err(fault) => Err(fault),
+        };
+        let endpoints = endpoints.map_err(|fault| format!("{}: {fault}", self.enumeration.fail()))?;
+        if let Some(endpoints) = endpoints {
+            self.pipes = Some(endpoints.map(|endpoint| Pipe::new(endpoint, now)));
+            self.last_was_out = false;
+        }
+        self.quiet_until = now + self.enumeration.recovery;
+        Ok(())
+    }
+
+    fn complete_pipe(&mut self, place: usize, answer: Answer, sent: usize, now: Ticks) -> Result<(), String> {
+        let Some(pipes) = &mut self.pipes else { return Ok(()) };
+        let (is_data, is_taken) = (matches!(answer, Answer::Data { .. }), answer == Answer::Ack);
+        let name = ["notification", "bulk IN", "bulk OUT"][place];
+        let bytes = pipes[place].progress(answer, now).map_err(|fault| format!("{name}: {fault}"))?;
+        if is_taken {
+            self.outgoing.drain(..sent);
+        }
+        // Changes of serial state concern nobody here.
+        if is_data && place == BULK_IN {
+            self.received.push(Received { at: now, bytes });
+        }
+        Ok(())
+    }
+}

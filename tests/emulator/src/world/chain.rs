@@ -36,7 +36,6 @@ const MAX_STEPS: f64 = 1_000.0;
 /// A low-pass this close to what drives it has settled, amperes: 1e-3 codes.
 const SETTLED_A: f64 = 2.5e-12;
 
-/// The chains of all cells.
 #[derive(Debug)]
 pub(super) struct Chain {
     time_constants_s: LowPasses,

@@ -7,7 +7,7 @@ use slitpose_head::simulator::Trajectory;
 use slitpose_model::{Pair, Plan, Pose, Scene, SceneError, Tier};
 
 use super::BOARD_CELLS;
-use super::flaw::{BAFFLE, BAFFLE_SHARE, DEAD, Flaw, Flaws, WEAK, WEAK_STRENGTH};
+use crate::faults::{BAFFLE, BAFFLE_SHARE, DEAD, Fault, Faults, WEAK, WEAK_STRENGTH};
 use crate::peripherals::{TICKS_PER_SECOND, Ticks};
 
 /// Length of a stretch: 35 µs, a little above one lighting slot of the default schedule. At 0.5 m/s
@@ -42,7 +42,7 @@ pub(super) struct Illumination {
     plan: Plan<f64>,
     /// For each emitter on the other cells.
     stray: Plan<f64>,
-    flaws: Flaws,
+    faults: Faults,
     trajectory: Trajectory,
     origin: Ticks,
     /// Bit k: emitter k shines.
@@ -54,7 +54,7 @@ pub(super) struct Illumination {
 }
 
 impl Illumination {
-    pub(super) fn new(scene: &Scene, trajectory: Trajectory, tier: Tier, flaws: Flaws) -> Result<Self, SceneError> {
+    pub(super) fn new(scene: &Scene, trajectory: Trajectory, tier: Tier, faults: Faults) -> Result<Self, SceneError> {
         let stray = match tier {
             Tier::Exact { tolerance } => Tier::Exact { tolerance: tolerance.max(STRAY_TOLERANCE) },
             Tier::Paper => Tier::Paper,
@@ -62,7 +62,7 @@ impl Illumination {
         let (plan, stray) = (Plan::compile(scene, tier)?, Plan::compile(scene, stray)?);
         let dark = [Pair::default(); BOARD_CELLS];
         let nowhere = Knot { at: 0, pose: Pose::HOME, known: 0, by_emitter: [dark; BOARD_CELLS], sum: dark };
-        Ok(Self { plan, stray, flaws, trajectory, origin: 0, lit: 0, levels: [0.0; 2], from: nowhere, to: nowhere })
+        Ok(Self { plan, stray, faults, trajectory, origin: 0, lit: 0, levels: [0.0; 2], from: nowhere, to: nowhere })
     }
 
     pub(super) fn set_origin(&mut self, origin: Ticks) {
@@ -126,7 +126,7 @@ impl Illumination {
                         let plan = if cell == emitter { &self.plan } else { &self.stray };
                         light[cell] = plan.crosstalk(cell, emitter, &knot.pose);
                     }
-                    plant(self.flaws, emitter, light);
+                    plant(self.faults, emitter, light);
                     knot.known |= 1 << emitter;
                 }
                 let level = self.levels[emitter / EMITTERS_PER_LEVEL];
@@ -139,21 +139,21 @@ impl Illumination {
     }
 }
 
-/// Changes the `light` of `emitter` on all cells as the flaws do.
-fn plant(flaws: Flaws, emitter: usize, light: &mut [Pair<f64>; BOARD_CELLS]) {
+/// Changes the `light` of `emitter` on all cells as faults do.
+fn plant(faults: Faults, emitter: usize, light: &mut [Pair<f64>; BOARD_CELLS]) {
     let add = |to: Pair<f64>, share: f64, of: Pair<f64>| Pair {
         i_x1_a: to.i_x1_a + share * of.i_x1_a,
         i_x2_a: to.i_x2_a + share * of.i_x2_a,
     };
     let strength = match emitter {
-        DEAD if flaws.has(Flaw::DeadEmitter) => 0.0,
-        WEAK if flaws.has(Flaw::WeakEmitter) => WEAK_STRENGTH,
+        DEAD if faults.has(Fault::DeadEmitter) => 0.0,
+        WEAK if faults.has(Fault::WeakEmitter) => WEAK_STRENGTH,
         _ => 1.0,
     };
     if strength < 1.0 {
         light.iter_mut().for_each(|pair| *pair = add(Pair::default(), strength, *pair));
     }
-    if flaws.has(Flaw::MissingBaffle) && BAFFLE.contains(&emitter) {
+    if faults.has(Fault::MissingBaffle) && BAFFLE.contains(&emitter) {
         let [first, second] = BAFFLE;
         let other = if emitter == first { second } else { first };
         light[other] = add(light[other], BAFFLE_SHARE, light[emitter]);

@@ -5,7 +5,6 @@
 //! and the electronics of the host's simulator settle, add noise and quantise.
 
 mod chain;
-mod flaw;
 mod light;
 
 use rand::SeedableRng;
@@ -17,10 +16,9 @@ use slitpose_model::{SceneError, Tier};
 use slitpose_protocol::AdcScaling;
 use thiserror::Error;
 
+use crate::faults::{self, Fault, Faults};
 use crate::peripherals::{TICKS_PER_SECOND, Ticks};
 use chain::{Chain, STAGE_S};
-pub(crate) use flaw::LOW_SUPPLY_V;
-pub use flaw::{Flaw, Flaws};
 use light::Illumination;
 
 /// Cells a board has converter inputs for.
@@ -62,30 +60,14 @@ pub enum NoiseSource {
 
 /// Why a scene cannot be put around the board.
 #[derive(Debug, Error)]
+#[allow(missing_docs)] // The messages say it.
 pub enum WorldError {
-    /// No electronics.
     #[error("scene `{scene}` has no [front_end]; add one, or use the shipped scene `wide`")]
-    NoFrontEnd {
-        /// The scene.
-        scene: String,
-    },
-    /// Another converter.
+    NoFrontEnd { scene: String },
     #[error("scene `{scene}`: front_end.adc_bits = {bits}, the board's converters have {ADC_BITS}")]
-    AdcBits {
-        /// The scene.
-        scene: String,
-        /// What it asks for.
-        bits: u32,
-    },
-    /// More cells than inputs.
+    AdcBits { scene: String, bits: u32 },
     #[error("scene `{scene}` has {cells} cells, the board has inputs for {BOARD_CELLS}")]
-    TooManyCells {
-        /// The scene.
-        scene: String,
-        /// Its cells.
-        cells: usize,
-    },
-    /// The optics.
+    TooManyCells { scene: String, cells: usize },
     #[error(transparent)]
     Optics(#[from] SceneError),
 }
@@ -95,13 +77,13 @@ pub enum WorldError {
 pub struct OpticsWorld {
     illumination: Illumination,
     electronics: Electronics,
-    /// Flaws line-detector and slow-detector: the poles before the electronics.
+    /// Faults line-detector and slow-detector: the poles before the electronics.
     chain: Option<Chain>,
     /// Until when each cell's low-pass has run.
     settled_to: Vec<Ticks>,
     noise: Option<Noise>,
     zero_current_code: u16,
-    flaws: Flaws,
+    faults: Faults,
 }
 
 /// Where noise comes from, and what it is at each cell.
@@ -113,24 +95,16 @@ struct Noise {
 }
 
 impl OpticsWorld {
-    /// The head of `file` in the dark at tick 0, its tool on `trajectory`, optics of `tier`.
+    /// The head of `file` with `faults` in the dark at tick 0, its tool on `trajectory`, optics of `tier`.
     ///
     /// # Errors
     /// If the board cannot be connected to such a head.
-    pub fn new(file: &SceneFile, trajectory: Trajectory, tier: Tier, noise: NoiseSource) -> Result<Self, WorldError> {
-        Self::with_flaws(file, trajectory, tier, noise, Flaws::default())
-    }
-
-    /// The same with `flaws` of board and head.
-    ///
-    /// # Errors
-    /// If the board cannot be connected to such a head.
-    pub fn with_flaws(
+    pub fn new(
         file: &SceneFile,
         trajectory: Trajectory,
         tier: Tier,
         noise: NoiseSource,
-        flaws: Flaws,
+        faults: Faults,
     ) -> Result<Self, WorldError> {
         let scene = || file.name.clone();
         let front_end = file.front_end.as_ref().ok_or_else(|| WorldError::NoFrontEnd { scene: scene() })?;
@@ -141,13 +115,13 @@ impl OpticsWorld {
         if cells > BOARD_CELLS {
             return Err(WorldError::TooManyCells { scene: scene(), cells });
         }
-        let line_s = flaw::LINES_S.into_iter().find(|(line, _)| flaws.has(*line)).map(|(_, line_s)| line_s);
-        let slowness = if flaws.has(Flaw::SlowFrontEnd) { flaw::SLOW_FACTOR } else { 1.0 };
+        let line_s = faults::LINES_S.into_iter().find(|(line, _)| faults.has(*line)).map(|(_, line_s)| line_s);
+        let slowness = if faults.has(Fault::SlowFrontEnd) { faults::SLOW_FACTOR } else { 1.0 };
         let stage_s = if line_s.is_some() { STAGE_S } else { front_end.time_constant_s };
         let front_end = FrontEnd { time_constant_s: slowness * stage_s, ..*front_end };
         let electronics = Electronics::new(&file.scene, &front_end);
         Ok(Self {
-            illumination: Illumination::new(&file.scene, trajectory, tier, flaws)?,
+            illumination: Illumination::new(&file.scene, trajectory, tier, faults)?,
             zero_current_code: electronics.scaling().zero_code.round() as u16,
             electronics,
             chain: line_s.map(Chain::new),
@@ -158,7 +132,7 @@ impl OpticsWorld {
                 }
                 NoiseSource::Off => None,
             },
-            flaws,
+            faults,
         })
     }
 
@@ -187,19 +161,19 @@ impl OpticsWorld {
 
     /// Gates and level codes as they reach the drivers.
     fn driven(&self, mut gates: u8, mut level_codes: [u16; 2]) -> (u8, [u16; 2]) {
-        if self.flaws.has(Flaw::StuckLevel) {
-            level_codes[flaw::LEVEL_LINE] = NOMINAL_LEVEL_CODE;
+        if self.faults.has(Fault::StuckLevel) {
+            level_codes[faults::LEVEL_LINE] = NOMINAL_LEVEL_CODE;
         }
-        if self.flaws.has(Flaw::LiftedLevel) {
-            level_codes[flaw::LEVEL_LINE] += flaw::LIFTED_CODES;
+        if self.faults.has(Fault::LiftedLevel) {
+            level_codes[faults::LEVEL_LINE] += faults::LIFTED_CODES;
         }
-        if self.flaws.has(Flaw::StuckGate) {
-            gates |= 1 << flaw::STUCK_GATE;
+        if self.faults.has(Fault::StuckGate) {
+            gates |= 1 << faults::STUCK_GATE;
         }
-        if !self.flaws.has(Flaw::SwappedGates) {
+        if !self.faults.has(Fault::SwappedGates) {
             return (gates, level_codes);
         }
-        let at_driver = |driver: usize| gates >> exchanged(flaw::GATES, driver) & 1;
+        let at_driver = |driver: usize| gates >> exchanged(faults::GATES, driver) & 1;
         ((0..BOARD_CELLS).fold(0, |driven, driver| driven | at_driver(driver) << driver), level_codes)
     }
 
@@ -232,8 +206,8 @@ impl World for OpticsWorld {
             // An open input; 0 is also what an electrode gives that is far beyond full scale.
             return 0;
         };
-        let cell = match self.flaws.has(Flaw::SwappedCells) {
-            true => exchanged(flaw::CELLS, cell),
+        let cell = match self.faults.has(Fault::SwappedCells) {
+            true => exchanged(faults::CELLS, cell),
             false => cell,
         };
         if cell >= self.settled_to.len() {
@@ -241,14 +215,14 @@ impl World for OpticsWorld {
         }
         self.follow_light(now);
         self.settle(cell, now);
-        let has = |flaw, place| self.flaws.has(flaw) && (cell, electrode) == place;
-        if has(Flaw::OpenElectrode, flaw::OPEN) {
+        let has = |fault, place| self.faults.has(fault) && (cell, electrode) == place;
+        if has(Fault::OpenElectrode, faults::OPEN) {
             return self.zero_current_code;
         }
-        if has(Flaw::StuckElectrode, flaw::STUCK) {
+        if has(Fault::StuckElectrode, faults::STUCK) {
             return 0;
         }
-        let noisiness = if has(Flaw::NoisyChannel, flaw::NOISY) { flaw::NOISE_FACTOR } else { 1.0 };
+        let noisiness = if has(Fault::NoisyChannel, faults::NOISY) { faults::NOISE_FACTOR } else { 1.0 };
         match &mut self.noise {
             Some(noise) => {
                 let disturbance = noise.at(cell, now, &self.electronics);
@@ -304,4 +278,64 @@ fn seconds(ticks: Ticks) -> f64 {
 }
 
 #[cfg(test)]
-mod tests;
+mod tests {
+    use super::*;
+    use slitpose_head::scene_file::Shipped;
+    use slitpose_head::simulator::TrajectoryKind;
+
+    const TIER: Tier = Tier::Exact { tolerance: 1e-6 };
+    const NOMINAL: [u16; 2] = [NOMINAL_LEVEL_CODE; 2];
+
+    fn wide() -> SceneFile {
+        Shipped::named("wide").unwrap().read().unwrap()
+    }
+
+    fn moving() -> Trajectory {
+        Trajectory::of_kind(TrajectoryKind::Smooth, 3, 1.0)
+    }
+
+    fn world(trajectory: Trajectory, noise: NoiseSource) -> OpticsWorld {
+        OpticsWorld::new(&wide(), trajectory, TIER, noise, Faults::default()).unwrap()
+    }
+    #[test]
+    fn the_same_seed_gives_the_same_codes() {
+        let codes = |seed| {
+            let mut world = world(moving(), NoiseSource::Seeded(seed));
+            world.drive(0, 1, NOMINAL);
+            (1..200).map(|i| world.sample(i * 148, 1, ADC1_INPUTS[0])).collect::<Vec<_>>()
+        };
+        assert_eq!(codes(1), codes(1));
+        assert_ne!(codes(1), codes(2));
+    }
+
+    #[test]
+    fn inputs_without_detector_and_scenes_without_board() {
+        let bench = Shipped::named("bench").unwrap().read().unwrap();
+        assert_eq!(bench.scene.cells.len(), 1);
+        let still = || Trajectory::of_kind(TrajectoryKind::Still, 0, 0.0);
+        let mut file = wide();
+        file.front_end.as_mut().unwrap().adc_bits = 16;
+        assert!(matches!(
+            OpticsWorld::new(&file, still(), TIER, NoiseSource::Off, Faults::default()),
+            Err(WorldError::AdcBits { bits: 16, .. })
+        ));
+        file.front_end = None;
+        assert!(matches!(
+            OpticsWorld::new(&file, still(), TIER, NoiseSource::Off, Faults::default()),
+            Err(WorldError::NoFrontEnd { .. })
+        ));
+        let mut file = wide();
+        file.scene.cells.truncate(2);
+        let mut world = OpticsWorld::new(&file, still(), TIER, NoiseSource::Seeded(1), Faults::default()).unwrap();
+        world.drive(0, 0b111_111, NOMINAL);
+        assert_eq!(world.sample(1_000, 2, ADC2_INPUTS[5]), world.scaling().zero_code as u16);
+        assert_eq!(world.sample(1_000, 1, 3), 0);
+        let mut file = wide();
+        let cell = file.scene.cells[0].clone();
+        file.scene.cells.push(cell).unwrap();
+        assert!(matches!(
+            OpticsWorld::new(&file, still(), TIER, NoiseSource::Off, Faults::default()),
+            Err(WorldError::TooManyCells { cells: 7, .. })
+        ));
+    }
+}

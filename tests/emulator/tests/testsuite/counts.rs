@@ -3,14 +3,14 @@
 
 use crate::common::chain::Chain;
 use crate::common::silicon;
-use crate::common::trial::words::{Codes, FRAME_TICKS, Model, TOLERANCE_CODES, difference};
+use crate::common::trial::words::{FRAME_TICKS, Model, TOLERANCE_CODES, difference};
 use crate::common::wiring::inputs;
 use slitpose_emulator::facts;
+use slitpose_emulator::faults::{Fault, Faults};
 use slitpose_emulator::machine::{Machine, Stop};
 use slitpose_emulator::memory::FlashArray;
 use slitpose_emulator::peripherals::Ticks;
 use slitpose_emulator::rig::{open_image, request};
-use slitpose_emulator::silicon::{Fault, Silicon};
 use slitpose_emulator::world::{NoiseSource, World};
 use slitpose_firmware::pcb::default_configuration;
 use slitpose_head::scene_file::WIDE;
@@ -18,73 +18,6 @@ use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_protocol::{Command, Decoder, MAX_MESSAGE_BYTES, Message, RawScan, Schedule};
 
 const SEED: u64 = 11;
-
-/// How far scans would be off if two cells or two electrodes had changed places, at least.
-fn least_difference_if_swapped(scans: &[(RawScan, [Vec<Codes>; 2])]) -> f64 {
-    let largest = |swap: &dyn Fn(&mut RawScan)| {
-        scans.iter().fold(0.0, |largest: f64, (scan, expected)| {
-            let mut swapped = *scan;
-            swap(&mut swapped);
-            largest.max(difference(&swapped, expected))
-        })
-    };
-    let cells = 6;
-    let electrodes = (0..cells).map(|cell| largest(&|scan| scan.lit_mut()[cell].reverse()));
-    let pairs = (0..cells).flat_map(|a| (0..a).map(move |b| (a, b)));
-    let swapped_cells = pairs.map(|(a, b)| largest(&|scan| scan.lit_mut().swap(a, b)));
-    electrodes.chain(swapped_cells).fold(f64::INFINITY, f64::min)
-}
-
-#[test]
-fn ten_seconds_of_words_are_those_of_the_model() {
-    let (file, seconds) = (WIDE.read().expect("shipped"), 10);
-    let trajectory = || Trajectory::of_kind(TrajectoryKind::Smooth, SEED, 20.0);
-    println!("seed {SEED}");
-    let mut chain = Chain::open(&file, trajectory(), NoiseSource::Off, silicon());
-    chain.rig.send(Command::Start);
-    let count = 4_000 * seconds;
-    for _ in 0..seconds {
-        chain.run_for(1.0);
-    }
-    chain.run_for(5e-3);
-    assert!(chain.scans.len() >= count && chain.damaged == 0, "{} scans", chain.scans.len());
-    assert_eq!(chain.schedule.as_ref(), Some(&default_configuration().schedule));
-
-    let first_tick = chain.scans[0].1.tick;
-    let check = |scans: &[(Ticks, RawScan)], first: usize| {
-        let model = Model::new(&file, trajectory());
-        let (mut worst, mut kept) = (0.0_f64, Vec::new());
-        for (sequence, (_, scan)) in (first as u64..).zip(scans) {
-            assert_eq!((scan.sequence, scan.tick), (sequence, first_tick + sequence * FRAME_TICKS));
-            let expected = model.frame(scan.tick);
-            let off = difference(scan, &expected);
-            assert!(off <= TOLERANCE_CODES, "scan {sequence}: {off} codes\n{scan:?}\n{expected:?}");
-            worst = worst.max(off);
-            if sequence.is_multiple_of(100) {
-                kept.push((*scan, expected));
-            }
-        }
-        (worst, kept)
-    };
-    let halves = chain.scans[..count].split_at(count / 2);
-    let ((worst, mut kept), (other, more)) = std::thread::scope(|scope| {
-        let second = scope.spawn(|| check(halves.1, count / 2));
-        (check(halves.0, 0), second.join().expect("the second half"))
-    });
-    kept.extend(more);
-    let worst = worst.max(other);
-    println!("{count} scans, {} words: off by at most {worst:.4} codes", count * 24);
-
-    // None of these would have passed unseen.
-    let swapped = least_difference_if_swapped(&kept);
-    let late = chain.scans.windows(2).step_by(100).take(kept.len()).zip(&kept);
-    let late = late.map(|(pair, (_, expected))| difference(&pair[1].1, expected)).fold(0.0, f64::max);
-    println!("with swapped words off by {swapped:.0} codes at least, with the next scan's by {late:.0}");
-    assert!(swapped > 100.0 && late > 10.0);
-
-    let status = chain.status.expect("comes twice a second");
-    assert_eq!((status.scans_dropped, status.scans_lost, status.adc_overruns), (0, 0, 0), "{status:?}");
-}
 
 /// Whatever a start finds under way, the first words of its rings are its own.
 #[test]
@@ -161,10 +94,10 @@ fn conversion_ticks() -> Ticks {
 
 /// A run of the default configuration: the scans, with the instants at which their first slot's gates came on, and the
 /// tick of power at which the device clock was zero.
-fn witness(silicon: Silicon, seed: u64, seconds: f64) -> (Vec<(RawScan, Ticks)>, Ticks) {
+fn witness(silicon: Faults, seed: u64, seconds: f64) -> (Vec<(RawScan, Ticks)>, Ticks) {
     let mut flash = FlashArray::erased();
     open_image(None).expect("an image").load_into(&mut flash);
-    let mut machine = Machine::new(flash, Witness::default()).with_silicon(silicon, seed);
+    let mut machine = Machine::new(flash, Witness::default()).with_faults(silicon, seed);
     let run = |machine: &mut Machine<Witness>, seconds: f64| {
         assert_eq!(machine.run_until(machine.now() + (seconds * 170e6) as Ticks), Stop::Reached);
     };
@@ -219,7 +152,7 @@ fn is_held(scan: &RawScan, start: Ticks, settling: Ticks, wired: &[[u8; 6]; 2]) 
 fn every_conversion_is_held_at_its_tick_in_its_light() {
     let Schedule { settling_ticks, frame_ticks, conversion_ticks: asked, .. } = default_configuration().schedule;
     assert_eq!(u64::from(asked), conversion_ticks());
-    let (scans, origin) = witness(Silicon::default(), 1, 1.0);
+    let (scans, origin) = witness(Faults::default(), 1, 1.0);
     let wired = inputs();
     let late = (origin + scans[0].0.tick).wrapping_sub(scans[0].1);
     assert!(late <= MOST_TICKS_LATE, "labelled {late} ticks late");

@@ -2,13 +2,13 @@
 //! (`tests/data/stm32g474/facts.csv`): an error of reading that image and emulator share would show here.
 
 use crate::common::pins::level_code;
-use crate::common::registers::{channel_of, multiplexer, register};
 use crate::common::silicon;
 use crate::common::talk::{MS, Talk};
 use crate::common::wiring::{Wire, inputs, port_and_number, wires};
+use crate::common::wiring::{channel_of, multiplexer, register};
 use slitpose_emulator::facts::{bits, number};
+use slitpose_emulator::faults::Fault;
 use slitpose_emulator::peripherals::TICKS_PER_SECOND;
-use slitpose_emulator::silicon::Fault;
 use slitpose_firmware::pcb::frame_plan::FramePlan;
 use slitpose_firmware::pcb::wiring::highest_level;
 use slitpose_firmware::pcb::{TICK_HZ, default_configuration};

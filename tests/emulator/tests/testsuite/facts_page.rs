@@ -2,6 +2,7 @@
 //! those numbers that readers want (`tests/data/stm32g474/README.md`).
 
 use std::path::Path;
+use std::process::Command;
 
 use crate::common::wiring::{Wire, pin, wires};
 use slitpose_emulator::facts::{self, number};
@@ -92,7 +93,16 @@ fn the_readers_table_names_every_fact_and_tests_that_exist() {
         let [_, source, image, emulator, test] = row[..] else { panic!("{row:?}") };
         assert!([source, image, emulator, test].iter().all(|cell| !cell.is_empty()), "{row:?}");
         for (cell, folders) in [
-            (image, &["firmware/src/bin/slitpose-board", "firmware/src/pcb", "firmware", "host/head/scenes"][..]),
+            (
+                image,
+                &[
+                    "firmware/src/bin/slitpose-board",
+                    "firmware/src/pcb",
+                    "firmware/src",
+                    "firmware",
+                    "host/head/scenes",
+                ][..],
+            ),
             (emulator, &["tests/emulator/src", "tests/emulator/src/peripherals"]),
         ] {
             for file in code(cell) {
@@ -106,5 +116,19 @@ fn the_readers_table_names_every_fact_and_tests_that_exist() {
                 folders.iter().filter_map(|folder| std::fs::read_to_string(root.join(folder).join(file)).ok());
             assert!(sources.any(|source| source.contains(&format!("fn {name}("))), "`{test}` of {row:?}");
         }
+    }
+}
+
+#[test]
+fn the_tables_of_the_analogue_front_end_are_those_of_the_program() {
+    let firmware = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../firmware");
+    let printed = Command::new("python3").arg(firmware.join("analogue")).output().expect("python3 runs");
+    assert!(printed.status.success(), "{}", String::from_utf8_lossy(&printed.stderr));
+    let printed = String::from_utf8(printed.stdout).expect("UTF-8");
+    let page = std::fs::read_to_string(firmware.join("README.md")).expect("the page");
+    let rows: Vec<&str> = printed.lines().filter(|line| line.starts_with('|')).collect();
+    assert!(rows.len() > 20, "{printed}");
+    for row in rows {
+        assert!(page.lines().any(|line| line == row), "firmware/README.md lacks: {row}");
     }
 }

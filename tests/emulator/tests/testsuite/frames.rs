@@ -3,14 +3,12 @@
 //! What is read here follows the table of `slitpose_firmware::pose::frame`; its code has no part in it.
 
 use crate::common::chain::Chain;
-use crate::common::registers::{multiplexer, register};
-use crate::common::solving::{SEED, chain, chain_of, is_ready_high, scene};
+use crate::common::solving::{SEED, chain, is_ready_high, scene};
+use crate::common::wiring::{multiplexer, register};
 use crate::common::wiring::{port_and_number, wires};
 use slitpose_emulator::facts::{bits, number};
-use slitpose_emulator::peripherals::uart::SentByte;
-use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
-use slitpose_emulator::silicon::{Fault, Silicon};
-use slitpose_emulator::world::{Flaws, NoiseSource};
+use slitpose_emulator::peripherals::{SentByte, TICKS_PER_SECOND, Ticks};
+use slitpose_emulator::world::NoiseSource;
 use slitpose_firmware::pcb::default_configuration;
 use slitpose_protocol::poses::{PoseStatus, READY_TICKS};
 use slitpose_protocol::{Command, Level, PoseRecord, Stream};
@@ -244,24 +242,6 @@ fn without_a_tool_frames_have_a_status_and_no_numbers() {
             None => assert!(!pose.2.status.has_pose(), "{pose:?}"),
         }
     }
-}
-
-/// Slow DMA, late triggers and disturbed converters: poses may be missing, but no byte is wrong.
-#[test]
-fn on_faulty_silicon_no_frame_is_wrong() {
-    let faults = [Fault::DmaLatency, Fault::TriggerPhase, Fault::AdcNeighbour, Fault::AdcStop, Fault::AdcStale];
-    let silicon: Silicon = faults.into_iter().collect();
-    let mut chain = chain_of(&scene(), NoiseSource::Seeded(SEED), silicon, Flaws::default());
-    chain.rig.listen_as_controller();
-    chain.rig.send(Command::Stream(Stream { scans: 0, poses: 1 }));
-    chain.run_for(1e-3);
-    chain.rig.send(Command::Start);
-    chain.run_for(0.5);
-    let (frames, others) = stop(&mut chain);
-    println!("{} frames, {} poses over USB", frames.len(), chain.poses.len());
-    assert_eq!(others, 0);
-    assert!(frames.len() > 1_000 && frames.len() == chain.poses.len(), "{}", frames.len());
-    frames.iter().zip(&chain.poses).for_each(|(frame, (_, pose))| frame.assert_is(pose));
 }
 
 /// The DMA meets a bus error within a frame: that one is cut short, the next one counts it and all others are right.

@@ -1,10 +1,8 @@
 //! The tests of the whole emulated board, in one program.
 
-mod commands;
 mod common;
 mod counts;
 mod disturbances;
-mod exposure;
 mod facts;
 mod facts_page;
 mod frames;
@@ -12,7 +10,5 @@ mod light;
 mod links;
 mod panics;
 mod poses;
-mod readme;
 mod schedules;
-mod silicon;
 mod storage;

@@ -1,9 +1,18 @@
-//! The images could panic at no place that `firmware/PANICS.md` does not give a reason for.
+//! The images could panic at no place that `firmware/PANICS.md` does not give a reason for: every call in their machine code
+//! that ends in the panic handler, with the source of it.
+//!
+//! What the compiler could prove away is not there, so this is what is left. A direct call is an instruction with the
+//! address in it; functions that do nothing but panic are followed until they reach the handler, so that a bounds check or
+//! an `expect` counts where it stands, and not in `core`. Debug information, inlined calls included, says where that is.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use slitpose_emulator::panics::sites;
+use addr2line::Context;
+use addr2line::gimli::{Dwarf, EndianSlice, LittleEndian, SectionId};
+use object::read::elf::ElfFile32;
+use object::{Endianness, Object, ObjectSection, ObjectSymbol, SectionFlags, SymbolKind, elf};
+use slitpose_emulator::cpu::direct_branch;
 use slitpose_emulator::rig::built_files;
 
 #[test]
@@ -20,9 +29,10 @@ fn every_panic_that_the_images_could_reach_has_its_reason() {
     let images = built_files().unwrap_or_else(|error| panic!("{error}"));
     for file in &images {
         let mut found: BTreeMap<&str, Vec<_>> = BTreeMap::new();
-        let sites = sites(file).unwrap_or_else(|error| panic!("{error}"));
+        let sites = sites(file);
         // The bounds checks of the outbox's ring at the least.
         assert!(sites.len() > 20, "{sites:?}");
+        sites.iter().for_each(|site| println!("{}:{} {}", site.file, site.line, site.kind));
         sites.iter().for_each(|site| found.entry(&site.file).or_default().push((site.line, &site.kind)));
         for (file, sites) in found {
             let most = listed.get(file).copied().unwrap_or(0);
@@ -33,4 +43,180 @@ fn every_panic_that_the_images_could_reach_has_its_reason() {
             );
         }
     }
+}
+
+/// A place in the source from which the panic handler can be reached.
+#[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Site {
+    /// The file, from the project's folder, or `CRATE-VERSION/src/…` of a dependency; that of the innermost inlined
+    /// function outside `core`.
+    file: String,
+    line: u32,
+    /// What is called there, such as `panic_bounds_check`.
+    kind: String,
+}
+
+/// Parts of `core` whose functions may do nothing but panic.
+const PANICKING: [&str; 6] =
+    ["core::panicking::", "core::option::", "core::result::", "core::slice::", "core::cell::", "core::num::"];
+
+/// The same of a dependency.
+const PANICKING_ELSEWHERE: [&str; 1] = ["arrayvec::arrayvec::extend_panic"];
+
+/// What a linker calls a stub that only jumps to a function too far away.
+const STUB: &str = "__Thumbv7ABSLongThunk_";
+
+/// All of them, once each, in order.
+fn sites(file: &[u8]) -> BTreeSet<Site> {
+    let elf = ElfFile32::<Endianness>::parse(file).expect("an ELF file of 32 bits");
+    let names = functions(&elf);
+    let calls = calls(&elf, &names);
+    let panicking = panicking(&names, &calls);
+    let section = |id: SectionId| -> Result<_, addr2line::gimli::Error> {
+        let data = elf.section_by_name(id.name()).and_then(|section| section.data().ok()).unwrap_or_default();
+        Ok(EndianSlice::new(data, LittleEndian))
+    };
+    let context = Context::from_dwarf(Dwarf::load(section).expect("sections")).expect("debug information");
+    let calls = calls.iter().filter(|call| panicking.contains(&call.to) && !panicking.contains(&call.from));
+    calls
+        .map(|call| {
+            let (file, line) = source(&context, call.at).expect("debug information");
+            let name = &names[&call.to];
+            Site { file, line, kind: name.rsplit("::").next().unwrap_or(name).to_owned() }
+        })
+        .collect()
+}
+
+/// Functions by address, demangled; a stub has the name of what it jumps to.
+fn functions(elf: &ElfFile32<'_, Endianness>) -> BTreeMap<u32, String> {
+    let is_code = |symbol: &object::read::elf::ElfSymbol32<'_, '_, Endianness>| {
+        symbol.kind() == SymbolKind::Text && symbol.size() > 0
+    };
+    elf.symbols()
+        .filter(is_code)
+        .filter_map(|symbol| {
+            let name = symbol.name().ok()?;
+            let name = name.strip_prefix(STUB).unwrap_or(name);
+            Some((symbol.address() as u32 & !1, format!("{:#}", rustc_demangle::demangle(name))))
+        })
+        .collect()
+}
+
+/// A direct call or jump from one function to the beginning of another.
+struct Call {
+    at: u32,
+    /// The functions' addresses.
+    from: u32,
+    to: u32,
+}
+
+fn calls(elf: &ElfFile32<'_, Endianness>, names: &BTreeMap<u32, String>) -> Vec<Call> {
+    // Of AAELF32, 5.5.5: `$t` begins Thumb code, `$d` data among it.
+    let marks: BTreeMap<u32, bool> = elf
+        .symbols()
+        .filter_map(|symbol| {
+            let name = symbol.name().ok()?;
+            let is_code = name.starts_with("$t");
+            (is_code || name.starts_with("$d")).then_some((symbol.address() as u32, is_code))
+        })
+        .collect();
+    let mut calls = Vec::new();
+    for section in elf.sections() {
+        let SectionFlags::Elf { sh_flags } = section.flags() else { continue };
+        if sh_flags & u64::from(elf::SHF_EXECINSTR) == 0 {
+            continue;
+        }
+        let (base, data) = (section.address() as u32, section.data().unwrap_or_default());
+        let half = |at: u32| {
+            let at = (at - base) as usize;
+            data.get(at..at + 2).map(|bytes| u16::from_le_bytes([bytes[0], bytes[1]]))
+        };
+        let mut at = base;
+        while let Some(first) = half(at) {
+            if marks.range(..=at).next_back().is_some_and(|(_, is_code)| !is_code) {
+                at = marks.range(at + 1..).find(|(_, is_code)| **is_code).map_or(u32::MAX, |(next, _)| *next);
+                if at == u32::MAX {
+                    break;
+                }
+                continue;
+            }
+            let (bytes, target) = direct_branch(at, first, half(at + 2).unwrap_or(0));
+            let from = names.range(..=at).next_back().map(|(address, _)| *address);
+            if let (Some(to), Some(from)) = (target, from)
+                && names.contains_key(&to)
+                && to != from
+            {
+                calls.push(Call { at, from, to });
+            }
+            at += bytes;
+        }
+    }
+    calls
+}
+
+/// Addresses of the functions that only panic: the handler's entry, and what of `core` calls one of them.
+fn panicking(names: &BTreeMap<u32, String>, calls: &[Call]) -> BTreeSet<u32> {
+    let mut found: BTreeSet<u32> =
+        names.iter().filter(|(_, name)| *name == "core::panicking::panic_fmt").map(|(address, _)| *address).collect();
+    let may = |address: &u32| {
+        let name = &names[address];
+        PANICKING.iter().any(|part| name.starts_with(part)) || PANICKING_ELSEWHERE.contains(&name.as_str())
+    };
+    // A stub has the name of its target.
+    let named: BTreeSet<&String> = found.iter().map(|address| &names[address]).collect();
+    let stubs: Vec<u32> = names.iter().filter(|(_, name)| named.contains(name)).map(|(address, _)| *address).collect();
+    found.extend(stubs);
+    loop {
+        let more: Vec<u32> = calls
+            .iter()
+            .filter(|call| found.contains(&call.to) && !found.contains(&call.from) && may(&call.from))
+            .flat_map(|call| names.iter().filter(|(_, name)| **name == names[&call.from]).map(|(address, _)| *address))
+            .collect();
+        if more.is_empty() {
+            return found;
+        }
+        found.extend(more);
+    }
+}
+
+/// File and line of the instruction at `address`: of the innermost function that is not of `core`.
+fn source<'a>(
+    context: &Context<EndianSlice<'a, LittleEndian>>,
+    address: u32,
+) -> Result<(String, u32), addr2line::gimli::Error> {
+    let mut frames = context.find_frames(address.into()).skip_all_loads()?;
+    let mut last = ("?".to_owned(), 0);
+    while let Some(frame) = frames.next()? {
+        let Some(location) = frame.location else { continue };
+        let file = location.file.unwrap_or("?");
+        last = (short(file), location.line.unwrap_or(0));
+        if !file.contains("/library/") && !file.starts_with("/rustc/") {
+            break;
+        }
+    }
+    Ok(last)
+}
+
+/// Without the folders of the machine that built it: of the project, of the registry, of what a build script has made, or
+/// of the compiler.
+fn short(file: &str) -> String {
+    let behind = |mark: &str| file.split_once(mark).map(|(_, rest)| rest);
+    let of_registry =
+        || behind("/registry/src/").and_then(|rest| rest.split_once('/')).map(|(_, rest)| rest.to_owned());
+    // `target/…/build/NAME-HASH/out/FILE`.
+    let of_script = || {
+        let (folder, name) = behind("/build/")?.split_once("/out/")?;
+        Some(format!("{}/out/{name}", folder.rsplit_once('-')?.0))
+    };
+    let of_compiler = || Some(behind("/library/")?.to_owned());
+    let found = of_script().or_else(of_registry).or_else(of_compiler);
+    let mut parts: Vec<&str> = Vec::new();
+    for part in found.as_deref().unwrap_or(file.trim_start_matches("/slitpose/")).split('/') {
+        if part == ".." {
+            parts.pop();
+        } else {
+            parts.push(part);
+        }
+    }
+    parts.join("/")
 }

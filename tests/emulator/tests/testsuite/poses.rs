@@ -3,10 +3,11 @@
 use crate::common::chain::Chain;
 use crate::common::silicon;
 use crate::common::solving::{SEED, calibrated, chain, chain_of, head_of, is_ready_high, scene, smooth};
+use slitpose_emulator::faults::Fault;
 use slitpose_emulator::memory::{CCM_BYTES, RAM_BYTES};
 use slitpose_emulator::peripherals::TICKS_PER_SECOND;
 use slitpose_emulator::rig::open_pose_image;
-use slitpose_emulator::world::{Flaw, NoiseSource};
+use slitpose_emulator::world::NoiseSource;
 use slitpose_firmware::pcb::default_configuration;
 use slitpose_firmware::pose::{HEAD_BYTES, Head, PoseSolver};
 use slitpose_head::front_end::{Stage, board_configuration};
@@ -399,8 +400,7 @@ fn what_happens_to_light_schedule_and_head_shows_in_the_poses_and_passes() {
 /// acquisition loses nothing.
 #[test]
 fn a_board_with_a_faulty_cell_has_poses_of_the_others() {
-    let flaws = [Flaw::WeakEmitter].into_iter().collect();
-    let mut chain = chain_of(&scene(), NoiseSource::Seeded(SEED), silicon(), flaws);
+    let mut chain = chain_of(&scene(), NoiseSource::Seeded(SEED), silicon().with(Fault::WeakEmitter));
     chain.rig.send(Command::Stream(Stream { scans: 0, poses: 1 }));
     chain.run_for(1e-3);
     chain.rig.send(Command::Start);

@@ -16,13 +16,11 @@ use slitpose_firmware::{Link, TransmitBuffer};
 
 use crate::Core;
 
-/// A way to the host.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Port {
     /// The MCU's own USB.
     #[cfg(feature = "usb")]
     Usb,
-    /// The debugger's serial port.
     #[cfg(feature = "uart")]
     Uart,
 }

@@ -16,7 +16,7 @@ use static_cell::StaticCell;
 
 use super::{Links, Port, start};
 use crate::Interrupts;
-use crate::clock_tree::believed_baud;
+use crate::clock::believed_baud;
 
 /// 4 000 frames of 60 bytes a second take 2.4 Mbaud.
 const BAUD: u32 = 3_000_000;

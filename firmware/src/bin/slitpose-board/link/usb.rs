@@ -79,7 +79,6 @@ pub fn spawn(
     start(spawner, receive(links, receiver));
 }
 
-/// Follows the state of the bus.
 struct Watch {
     is_configured: bool,
     is_suspended: bool,
@@ -153,7 +152,6 @@ async fn missed() -> Missed {
     }
 }
 
-/// Opens and closes the link.
 #[embassy_executor::task]
 async fn open(links: &'static Links, control: ControlChanged<'static>) {
     loop {

@@ -1,9 +1,7 @@
 //! Programs of a few halfwords on the whole core, with results worked out by hand from the ARMv7-M ARM.
 
 mod exceptions;
-mod float;
 mod instructions;
-mod speed;
 mod system;
 
 use super::{Bus, BusFault, Cpu, Fault, Size, Step};

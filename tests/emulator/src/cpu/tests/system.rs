@@ -54,28 +54,10 @@ fn the_cycle_counter_counts_executed_cycles() {
     board.poke(0xe000_1004, 100);
     board.poke(0xe000_1000, 1);
     board.run(20);
-    board.cpu.sleep_for(1000);
     assert_eq!(board.peek(0xe000_1004), 140);
     board.poke(0xe000_1000, 0);
     board.run(20);
     assert_eq!(board.peek(0xe000_1004), 140);
-}
-
-#[test]
-fn systick_counts_down_asleep_or_not() {
-    let mut board = Board::new(&[0xbf30, 0xbf00]); // wfi
-    board.poke(0xe000_e014, 99);
-    board.poke(0xe000_e010, 0b111);
-    assert_eq!(board.cpu.next_tick(), Some(100));
-    board.run(1);
-    assert_eq!(board.step(), Step::Asleep);
-    board.cpu.sleep_for(98);
-    assert_eq!((board.step(), board.peek(0xe000_e018)), (Step::Asleep, 1));
-    board.cpu.sleep_for(1);
-    board.run(1);
-    assert_eq!(board.cpu.exception(), 15);
-    assert_eq!(board.peek(0xe000_e010), 1 << 16 | 7);
-    assert_eq!(board.peek(0xe000_e010), 7, "the flag is cleared by reading");
 }
 
 #[test]

@@ -1,19 +1,94 @@
-//! What a write to the control register sets going, and the rules of when it may.
+//! Registers, their bits, and times in them; what a write to the control register sets going, and the rules of when it may.
 
-use super::registers::*;
 use super::{Adc, Phase};
-use crate::peripherals::{Effects, Ticks};
+use crate::peripherals::{Effects, TICKS_PER_SECOND, Ticks};
+
+pub const ISR: u32 = 0x00;
+pub const IER: u32 = 0x04;
+pub const CR: u32 = 0x08;
+pub const CFGR: u32 = 0x0C;
+pub const CFGR2: u32 = 0x10;
+pub const SMPR1: u32 = 0x14;
+pub const SMPR2: u32 = 0x18;
+pub const TR1: u32 = 0x20;
+pub const TR3: u32 = 0x28;
+pub const SQR1: u32 = 0x30;
+pub const SQR4: u32 = 0x3C;
+pub const DR: u32 = 0x40;
+pub const DIFSEL: u32 = 0xB0;
+pub const CALFACT: u32 = 0xB4;
+/// Registers common to a group of converters, from the group's base.
+pub const COMMON: u32 = 0x300;
+pub const CSR: u32 = COMMON;
+pub const CCR: u32 = COMMON + 0x08;
+
+pub const ADRDY: u32 = 1;
+pub const EOSMP: u32 = 1 << 1;
+pub const EOC: u32 = 1 << 2;
+pub const EOS: u32 = 1 << 3;
+pub const OVR: u32 = 1 << 4;
+
+pub const ADEN: u32 = 1;
+pub const ADDIS: u32 = 1 << 1;
+pub const ADSTART: u32 = 1 << 2;
+pub const JADSTART: u32 = 1 << 3;
+pub const ADSTP: u32 = 1 << 4;
+pub const JADSTP: u32 = 1 << 5;
+pub const ADVREGEN: u32 = 1 << 28;
+pub const DEEPPWD: u32 = 1 << 29;
+pub const ADCALDIF: u32 = 1 << 30;
+pub const ADCAL: u32 = 1 << 31;
+/// Bits of ADC_CR that software only sets and hardware clears.
+pub const CR_COMMANDS: u32 = ADEN | ADDIS | ADSTART | JADSTART | ADSTP | JADSTP | ADCAL;
+
+pub const DMAEN: u32 = 1;
+pub const OVRMOD: u32 = 1 << 12;
+pub const CONT: u32 = 1 << 13;
+/// DMAEN, DMACFG, RES, EXTSEL, EXTEN, OVRMOD, CONT, and JQDIS (set after reset).
+pub const CFGR_MODELLED: u32 = 0x8000_3FFF & !(1 << 2);
+pub const ROVSE: u32 = 1;
+/// ROVSE, OVSR, OVSS and ROVSM (without injected conversions both modes are the same).
+pub const CFGR2_MODELLED: u32 = ROVSE | 0b111 << 2 | 0b1111 << 5 | 1 << 10;
+/// CKMODE, PRESC, and the switches of the internal channels.
+pub const CCR_MODELLED: u32 = 0b11 << 16 | 0b1111 << 18 | 0b111 << 22;
+pub const CCR_CLOCK: u32 = 0b11 << 16 | 0b1111 << 18;
+
+/// Twice the sampling time in converter clocks, by SMP code.
+pub const SAMPLE_HALF_CLOCKS: [u64; 8] = [5, 13, 25, 49, 95, 185, 495, 1281];
+/// Twice the duration of the successive approximation in clocks, by RES code.
+pub const APPROXIMATION_HALF_CLOCKS: [u64; 4] = [25, 21, 17, 13];
+pub const PRESCALERS: [u64; 12] = [1, 2, 4, 6, 8, 10, 12, 16, 32, 64, 128, 256];
+/// Trigger to start of sampling, in clocks.
+pub const TRIGGER_CLOCKS: u64 = 2;
+/// Calibration, in clocks (STM32G474 data sheet, "ADC characteristics", t_CAL).
+pub const CALIBRATION_CLOCKS: u64 = 116;
+/// From ADEN to ADRDY: one conversion (data sheet, t_STAB), in clocks.
+pub const STABILISATION_CLOCKS: u64 = 15;
+/// From ADSTP or ADDIS to the end of the command, in clocks.
+pub const STOP_CLOCKS: u64 = 2;
+/// Wait between ADCAL cleared and ADEN, in clocks (RM0440, "Software procedure to enable the ADC").
+pub const CALIBRATION_TO_ENABLE_CLOCKS: u64 = 4;
+/// Start-up of the regulator: 20 µs (data sheet, t_ADCVREG_STUP).
+pub const REGULATOR_TICKS: Ticks = 3_400;
+/// Fault adc-stale: a conversion this long after the one before is wrong.
+pub const STALE_TICKS: Ticks = TICKS_PER_SECOND / 1_000;
+/// Fault adc-stale: by so many codes.
+pub const STALE_CODES: u16 = 700;
+/// Fault adc-neighbour: the most codes that a conversion is off by.
+pub const NEIGHBOUR_CODES: u64 = 8;
+/// Shortest clock period in ticks that the converter follows (60 MHz).
+pub const SHORTEST_CLOCK_TICKS: u64 = 3;
 
 impl Adc {
     /// A write that changes nothing breaks no rule.
-    pub(super) fn while_stopped(&self, value: u32, before: u32, rule: &'static str, effects: &mut Effects) {
+    pub fn while_stopped(&self, value: u32, before: u32, rule: &'static str, effects: &mut Effects) {
         if value != before && self.cr & ADSTART != 0 {
             effects.violation(value, rule);
         }
     }
 
     /// Writes ADC_CR.
-    pub(super) fn command(&mut self, value: u32, effects: &mut Effects) {
+    pub fn command(&mut self, value: u32, effects: &mut Effects) {
         let now = effects.now();
         self.write_supply(value, effects);
         let commands = value & CR_COMMANDS & !self.cr;
@@ -48,7 +123,7 @@ impl Adc {
     }
 
     /// DEEPPWD, ADVREGEN and ADCALDIF.
-    pub(super) fn write_supply(&mut self, value: u32, effects: &mut Effects) {
+    pub fn write_supply(&mut self, value: u32, effects: &mut Effects) {
         let bits = DEEPPWD | ADVREGEN | ADCALDIF;
         if (value ^ self.cr) & bits != 0 && self.cr & CR_COMMANDS != 0 {
             effects.violation(value, "DEEPPWD, ADVREGEN and ADCALDIF are written only while the ADC is disabled");
@@ -62,11 +137,11 @@ impl Adc {
         self.cr = self.cr & !bits | value & bits;
     }
 
-    pub(super) fn regulated(&self, now: Ticks) -> bool {
+    pub fn regulated(&self, now: Ticks) -> bool {
         self.cr & (ADVREGEN | DEEPPWD) == ADVREGEN && now - self.regulator_since >= REGULATOR_TICKS
     }
 
-    pub(super) fn calibrate(&mut self, value: u32, effects: &mut Effects) {
+    pub fn calibrate(&mut self, value: u32, effects: &mut Effects) {
         if !self.regulated(effects.now()) {
             effects.violation(value, "ADCAL is set only 20 µs after ADVREGEN");
         }
@@ -78,7 +153,7 @@ impl Adc {
         self.command_at = effects.now() + CALIBRATION_CLOCKS * self.clock;
     }
 
-    pub(super) fn enable(&mut self, value: u32, effects: &mut Effects) {
+    pub fn enable(&mut self, value: u32, effects: &mut Effects) {
         let now = effects.now();
         if self.cr & CR_COMMANDS != 0 || !self.regulated(now) {
             effects.violation(value, "ADEN is set only while all other commands are 0 and the regulator is ready");
@@ -98,7 +173,7 @@ impl Adc {
         self.command_at = now + STABILISATION_CLOCKS * self.clock;
     }
 
-    pub(super) fn start(&mut self, value: u32, effects: &mut Effects) {
+    pub fn start(&mut self, value: u32, effects: &mut Effects) {
         if self.cr & (ADEN | ADDIS) != ADEN || self.isr & ADRDY == 0 && self.command_at != Ticks::MAX {
             effects.violation(value, "ADSTART is set only while ADEN = 1, ADRDY = 1 and ADDIS = 0");
             return;
@@ -110,7 +185,7 @@ impl Adc {
         }
     }
 
-    pub(super) fn finish_command(&mut self, now: Ticks) {
+    pub fn finish_command(&mut self, now: Ticks) {
         self.command_at = Ticks::MAX;
         if self.cr & ADCAL != 0 {
             self.cr &= !ADCAL;

@@ -1,9 +1,9 @@
 //! Converters that share a clock, the common registers and interrupts.
 
-use super::registers::*;
+use super::commands::*;
 use super::{Adc, Phase};
-use crate::peripherals::{Effects, Request, Ticks, interrupt};
-use crate::silicon::Fault;
+use crate::faults::Fault;
+use crate::peripherals::{Effects, Ticks, interrupt, request};
 
 /// Converters that share a clock and the common registers: ADC1 and ADC2, or ADC3 to ADC5.
 #[derive(Debug)]
@@ -19,7 +19,7 @@ pub struct AdcGroup<const N: usize> {
 impl AdcGroup<2> {
     /// ADC1 and ADC2.
     pub fn adc12() -> Self {
-        let adcs = [Adc::new(1, Request::ADC1), Adc::new(2, Request::ADC2)];
+        let adcs = [Adc::new(1, request::ADC1), Adc::new(2, request::ADC2)];
         Self::new(adcs, [interrupt::ADC1_2; 2])
     }
 }
@@ -27,7 +27,7 @@ impl AdcGroup<2> {
 impl AdcGroup<3> {
     /// ADC3, ADC4 and ADC5.
     pub fn adc345() -> Self {
-        let adcs = [0, 1, 2].map(|index| Adc::new(3 + index, Request(Request::ADC3.0 + index)));
+        let adcs = [0, 1, 2].map(|index| Adc::new(3 + index, request::ADC3.after(index)));
         Self::new(adcs, [interrupt::ADC3, interrupt::ADC4, interrupt::ADC5])
     }
 }
@@ -68,7 +68,6 @@ impl<const N: usize> AdcGroup<N> {
         self.update(effects);
     }
 
-    /// Value of a register.
     pub fn read(&mut self, offset: u32, effects: &mut Effects) -> u32 {
         match offset {
             CSR => self.status(),
@@ -89,7 +88,6 @@ impl<const N: usize> AdcGroup<N> {
         }
     }
 
-    /// Writes a register.
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
         match offset {
             CCR => self.write_ccr(value, effects),
@@ -198,7 +196,7 @@ impl<const N: usize> AdcGroup<N> {
 /// Fault trigger-phase: ticks to the next edge of the converters' clock, whose phase is that of the power-on, and an
 /// eighth of a clock, rounded up.
 pub(super) fn late_ticks(effects: &Effects, clock: u64) -> Ticks {
-    if !effects.silicon.has(Fault::TriggerPhase) {
+    if !effects.faults.has(Fault::TriggerPhase) {
         return 0;
     }
     (effects.clock_phase + clock - effects.now() % clock) % clock + clock.div_ceil(8)

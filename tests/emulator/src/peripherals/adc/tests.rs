@@ -1,4 +1,4 @@
-use super::super::{Edge, TICKS_PER_SECOND, Trigger, interrupt};
+use super::super::TICKS_PER_SECOND;
 use super::group::{clock_ticks, late_ticks};
 use super::*;
 use crate::facts::{self, assert_facts};
@@ -53,106 +53,6 @@ fn armed() -> (AdcGroup<2>, Effects) {
         group.write(base + CR, ADVREGEN | ADEN | ADSTART, &mut effects);
     }
     (group, effects)
-}
-
-fn fire(group: &mut AdcGroup<2>, effects: &mut Effects) {
-    effects.trigger(Trigger::Tim2, Edge::Rising);
-    let edges = effects.take_triggers();
-    group.trigger(edges, effects);
-}
-
-#[test]
-fn oversampled_sequence_holds_at_the_calculated_ticks() {
-    let (mut group, mut effects) = armed();
-    let start = effects.now();
-    fire(&mut group, &mut effects);
-    let mut holds = Vec::new();
-    for _ in 0..1_000 {
-        holds.extend(drain(&mut group, &mut effects, 1));
-        for adc in 0..2 {
-            if effects.pending_requests() & 1 << [5, 36][adc] != 0 {
-                effects.withdraw([Request::ADC1, Request::ADC2][adc]);
-                holds.push((effects.now(), 0, group.read(0x100 * adc as u32 + DR, &mut effects) as u8));
-            }
-        }
-    }
-    // 8 ticks to the start, 98 of sampling, 50 of conversion, 148 to the next hold.
-    let expected = [106, 254, 402, 550].map(|at| start + at);
-    let of_adc = |number| holds.iter().filter(|hold| hold.1 == number).map(|hold| hold.0).collect::<Vec<_>>();
-    assert_eq!(of_adc(1), expected);
-    assert_eq!(of_adc(2), expected);
-    assert_eq!(of_adc(0), [304, 304, 600, 600].map(|at| start + at));
-    assert_eq!(group.read(ISR, &mut effects) & (EOS | OVR), EOS);
-}
-
-#[test]
-fn results_are_sums_and_unfetched_ones_overrun() {
-    let (mut group, mut effects) = armed();
-    fire(&mut group, &mut effects);
-    drain(&mut group, &mut effects, 400);
-    assert_eq!(effects.pending_requests(), 1 << 5 | 1 << 36);
-    drain(&mut group, &mut effects, 400);
-    assert_eq!(group.read(ISR, &mut effects) & OVR, OVR);
-    // Old data are kept (OVRMOD = 0): holds 1 and 3 of channel 1.
-    assert_eq!(group.read(DR, &mut effects), 100 + 1 + 100 + 3);
-    effects.withdraw(Request::ADC1);
-    effects.withdraw(Request::ADC2);
-    fire(&mut group, &mut effects);
-    drain(&mut group, &mut effects, 1_000);
-    assert_eq!(effects.pending_requests(), 0, "no request before OVR is cleared");
-}
-
-#[test]
-fn overrun_interrupts_and_can_be_forced() {
-    let (mut group, mut effects) = enabled();
-    group.write(0x100 + IER, OVR, &mut effects);
-    assert_eq!(effects.lines()[0], 0);
-    group.force_overrun(1, &mut effects);
-    assert_eq!(effects.lines()[0], 1 << interrupt::ADC1_2);
-    group.write(0x100 + ISR, OVR, &mut effects);
-    assert_eq!(effects.lines()[0], 0);
-}
-
-#[test]
-fn a_swallowed_request_is_an_overrun_later() {
-    let (mut group, mut effects) = armed();
-    group.adc_mut(0).swallow_request();
-    fire(&mut group, &mut effects);
-    drain(&mut group, &mut effects, 1_000);
-    assert_eq!(effects.pending_requests(), 1 << 36);
-    assert_eq!(group.read(ISR, &mut effects) & OVR, OVR);
-}
-
-#[test]
-fn a_trigger_during_a_sequence_is_missed() {
-    let (mut group, mut effects) = armed();
-    fire(&mut group, &mut effects);
-    drain(&mut group, &mut effects, 100);
-    fire(&mut group, &mut effects);
-    assert_eq!(drain(&mut group, &mut effects, 1_000).len(), 8);
-    assert_eq!(group.adc(0).missed_triggers(), 1);
-}
-
-#[test]
-fn software_start_converts_once() {
-    let (mut group, mut effects) = enabled();
-    group.write(SQR1, 4 << 6, &mut effects);
-    group.write(CR, ADVREGEN | ADEN | ADSTART, &mut effects);
-    assert_eq!(drain(&mut group, &mut effects, 1_000).len(), 1);
-    assert_eq!(group.read(CR, &mut effects), ADVREGEN | ADEN);
-    assert_eq!(group.read(DR, &mut effects), 401);
-}
-
-#[test]
-fn stop_ends_a_sequence() {
-    let (mut group, mut effects) = armed();
-    fire(&mut group, &mut effects);
-    drain(&mut group, &mut effects, 200);
-    group.write(CR, ADVREGEN | ADEN | ADSTART | ADSTP, &mut effects);
-    assert_eq!(group.read(CR, &mut effects) & ADSTP, ADSTP);
-    let holds = drain(&mut group, &mut effects, 1_000);
-    assert!(holds.iter().all(|hold| hold.1 == 2));
-    assert_eq!(group.read(CR, &mut effects) & (ADSTP | ADSTART), 0);
 }
 
 #[test]
@@ -223,7 +123,7 @@ fn the_triggers_latency_is_that_of_the_data_sheet_less_an_eighth() {
     let (group, _) = enabled();
     let clock = group.adc(0).clock;
     let mut effects = Effects::default();
-    effects.silicon = [Fault::TriggerPhase].into_iter().collect();
+    effects.faults = [Fault::TriggerPhase].into_iter().collect();
     let mut late: Vec<_> = (0..clock)
         .map(|now| {
             effects.now = now;

@@ -1,6 +1,6 @@
 use super::*;
 use crate::facts::{self, assert_facts};
-use crate::silicon::Silicon;
+use crate::faults::Faults;
 
 /// HSI / 4 × 85 / 2.
 const PLL_170_MHZ: u32 = 2 | 3 << 4 | 85 << 8 | 1 << 24;
@@ -52,25 +52,14 @@ fn the_clock_is_raised_by_way_of_half_the_bus_clock() {
 
 #[test]
 fn the_crystal_takes_its_time_or_does_not_start() {
-    for (silicon, is_ready) in [(Silicon::default(), true), ([Fault::HseDead].into_iter().collect(), false)] {
+    for (silicon, is_ready) in [(Faults::default(), true), ([Fault::HseDead].into_iter().collect(), false)] {
         let (mut rcc, mut effects) = (Rcc::new(), Effects::default());
-        effects.silicon = silicon;
+        effects.faults = silicon;
         rcc.write(CR, 1 << 8 | HSEON, false, &mut effects);
         assert_eq!(rcc.read(CR, &mut effects) & HSERDY, 0);
         effects.now += CRYSTAL_TICKS;
         assert_eq!(rcc.read(CR, &mut effects) & HSERDY != 0, is_ready);
     }
-}
-
-#[test]
-fn reset_flags_add_up_until_removed() {
-    let (mut rcc, mut effects) = (Rcc::new(), Effects::default());
-    assert_eq!(rcc.read(CSR, &mut effects), BORRSTF | PINRSTF);
-    rcc.write(CSR, RMVF, false, &mut effects);
-    assert_eq!(rcc.read(CSR, &mut effects), 0);
-    rcc.reset(ResetCause::Watchdog);
-    rcc.reset(ResetCause::Software);
-    assert_eq!(rcc.read(CSR, &mut effects), IWDGRSTF | SFTRSTF | PINRSTF);
 }
 
 #[test]
@@ -86,10 +75,11 @@ fn backup_domain_is_guarded_and_survives() {
 #[test]
 fn gates_and_reset_lines_match() {
     let (mut rcc, mut effects) = (Rcc::new(), Effects::default());
+    let timer = |bit| Gate { register: APB1ENR1, bit };
     rcc.write(APB1ENR1, 0b1001, false, &mut effects);
-    assert!(rcc.is_on(Gate::timer(3)) && !rcc.is_on(Gate::timer(1)));
+    assert!(rcc.is_on(timer(3)) && !rcc.is_on(timer(1)));
     let pulled = rcc.write(0x38, 0b1000, false, &mut effects);
-    assert!(pulled.includes(Gate::timer(3)) && !pulled.includes(Gate::timer(0)));
+    assert!(pulled.includes(timer(3)) && !pulled.includes(timer(0)));
     assert!(rcc.write(0x38, 0b1000, false, &mut effects).is_empty());
 }
 
@@ -110,36 +100,6 @@ fn registers_are_those_of_st() {
     assert_facts!("RCC_"; SFTRSTF = "CSR_SFTRSTF", IWDGRSTF = "CSR_IWDGRSTF");
     let timers = ["TIM2EN", "TIM5EN"].map(|name| facts::bits(&format!("RCC_APB1ENR1_{name}")));
     assert_eq!(FRAME_TIMERS, timers[0] | timers[1]);
-}
-
-#[test]
-fn gates_are_those_of_st() {
-    let gates = [
-        ("AHB1ENR", "DMA1EN", Gate::DMA1),
-        ("AHB1ENR", "DMA2EN", Gate::DMA2),
-        ("AHB1ENR", "DMAMUX1EN", Gate::DMAMUX1),
-        ("AHB1ENR", "FLASHEN", Gate::FLASH),
-        ("AHB1ENR", "CRCEN", Gate::CRC),
-        ("AHB2ENR", "ADC12EN", Gate::ADC12),
-        ("AHB2ENR", "ADC345EN", Gate::ADC345),
-        ("AHB2ENR", "GPIOAEN", Gate::gpio(0)),
-        ("AHB2ENR", "GPIOGEN", Gate::gpio(6)),
-        ("AHB2ENR", "DAC1EN", Gate::dac(0)),
-        ("AHB2ENR", "DAC2EN", Gate::dac(1)),
-        ("APB1ENR1", "TIM2EN", Gate::timer(0)),
-        ("APB1ENR1", "TIM5EN", Gate::timer(3)),
-        ("APB1ENR1", "CRSEN", Gate::CRS),
-        ("APB1ENR1", "RTCAPBEN", Gate::RTC_APB),
-        ("APB1ENR1", "USBEN", Gate::USB),
-        ("APB1ENR1", "PWREN", Gate::PWR),
-        ("APB1ENR2", "LPUART1EN", Gate::LPUART1),
-        ("APB2ENR", "SYSCFGEN", Gate::SYSCFG),
-        ("APB2ENR", "USART1EN", Gate::USART1),
-    ];
-    for (register, bit, gate) in gates {
-        assert_eq!(gate.register, facts::bits(&format!("RCC_TypeDef.{register}")), "{bit}");
-        assert_eq!(1 << gate.bit, facts::bits(&format!("RCC_{register}_{bit}")), "{bit}");
-    }
 }
 
 #[test]

@@ -1,4 +1,10 @@
-//! An endpoint register, USB_EPnR: the rules by which program and block write it.
+//! An endpoint register, USB_EPnR, with the rules by which program and block write it; and the packet memory: buffers, and
+//! the table that says where they are (RM0440, "Buffer descriptor table").
+//!
+//! An entry of the table has four halfwords: address and count of the transmission buffer, address
+//! and count of the reception buffer. The upper bits of the latter hold the buffer's size.
+
+use std::ops::Range;
 
 const CTR_RX: u32 = 1 << 15;
 const DTOG_RX: u32 = 1 << 14;
@@ -23,14 +29,12 @@ const TYPE_INTERRUPT: u32 = 0b11 << 9;
 
 /// How one direction of an endpoint answers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Stat {
-    /// Not at all.
+pub enum Stat {
     Disabled,
     /// With STALL.
     Stall,
     /// With NAK.
     Nak,
-    /// By moving data.
     Valid,
 }
 
@@ -40,56 +44,55 @@ impl Stat {
     }
 }
 
-/// The register.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Endpoint(u32);
+pub struct Endpoint(u32);
 
 impl Endpoint {
-    pub(super) fn register(&self) -> u32 {
+    pub fn register(&self) -> u32 {
         self.0
     }
 
     /// A write by the program. SETUP is read-only.
-    pub(super) fn write(&mut self, value: u32) {
+    pub fn write(&mut self, value: u32) {
         let kept = self.0 & SETUP;
         self.0 = kept | (self.0 & value & CLEARED) | ((self.0 ^ value) & TOGGLED) | value & (EP_TYPE | EP_KIND | EA);
     }
 
     /// A reset of the bus leaves what the program has not seen yet.
-    pub(super) fn reset(&mut self) {
+    pub fn reset(&mut self) {
         self.0 &= CLEARED;
     }
 
-    pub(super) fn number(&self) -> u8 {
+    pub fn number(&self) -> u8 {
         (self.0 & EA) as u8
     }
 
-    pub(super) fn rx(&self) -> Stat {
+    pub fn rx(&self) -> Stat {
         Stat::of(self.0 >> 12)
     }
 
-    pub(super) fn tx(&self) -> Stat {
+    pub fn tx(&self) -> Stat {
         Stat::of(self.0 >> 4)
     }
 
-    pub(super) fn rx_toggle(&self) -> bool {
+    pub fn rx_toggle(&self) -> bool {
         self.0 & DTOG_RX != 0
     }
 
-    pub(super) fn tx_toggle(&self) -> bool {
+    pub fn tx_toggle(&self) -> bool {
         self.0 & DTOG_TX != 0
     }
 
-    pub(super) fn is_enabled(&self) -> bool {
+    pub fn is_enabled(&self) -> bool {
         self.0 & (STAT_RX | STAT_TX) != 0
     }
 
-    pub(super) fn is_control(&self) -> bool {
+    pub fn is_control(&self) -> bool {
         self.0 & EP_TYPE == TYPE_CONTROL
     }
 
     /// Isochronous and double-buffered endpoints are not.
-    pub(super) fn is_modelled(&self) -> bool {
+    pub fn is_modelled(&self) -> bool {
         match self.0 & EP_TYPE {
             TYPE_BULK => self.0 & EP_KIND == 0,
             TYPE_CONTROL | TYPE_INTERRUPT => true,
@@ -98,31 +101,29 @@ impl Endpoint {
     }
 
     /// A control endpoint that takes only the empty packet of a status stage.
-    pub(super) fn expects_status_out(&self) -> bool {
+    pub fn expects_status_out(&self) -> bool {
         self.is_control() && self.0 & EP_KIND != 0
     }
 
-    pub(super) fn has_received(&self) -> bool {
+    pub fn has_received(&self) -> bool {
         self.0 & CTR_RX != 0
     }
 
-    pub(super) fn has_completed(&self) -> bool {
+    pub fn has_completed(&self) -> bool {
         self.0 & CLEARED != 0
     }
 
-    /// A packet was sent and acknowledged.
-    pub(super) fn complete_tx(&mut self) {
+    pub fn complete_tx(&mut self) {
         self.0 = (self.0 ^ DTOG_TX) & !STAT_TX | nak_tx() | CTR_TX;
     }
 
-    /// A packet was received.
-    pub(super) fn complete_rx(&mut self) {
+    pub fn complete_rx(&mut self) {
         self.0 = (self.0 ^ DTOG_RX) & !(STAT_RX | SETUP) | nak_rx() | CTR_RX;
     }
 
     /// A SETUP was received, as DATA0: both directions go on with DATA1, when the program has
     /// understood the request.
-    pub(super) fn complete_setup(&mut self) {
+    pub fn complete_setup(&mut self) {
         self.0 = self.0 & !(STAT_RX | STAT_TX) | nak_rx() | nak_tx() | DTOG_RX | DTOG_TX | SETUP | CTR_RX;
     }
 }
@@ -135,41 +136,80 @@ const fn nak_tx() -> u32 {
     0b10 << 4
 }
 
+pub const BYTES: usize = 1024;
+
+const COUNT: usize = 0x3ff;
+
+/// Blocks of 32 bytes rather than 2.
+const BLOCK_SIZE: usize = 1 << 15;
+
+/// 1 KB of memory beside the bus.
+#[derive(Clone, Debug)]
+pub struct PacketMemory([u8; BYTES]);
+
+impl Default for PacketMemory {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl PacketMemory {
+    pub fn new() -> Self {
+        Self([0; BYTES])
+    }
+
+    /// A little-endian number of up to four bytes. Beyond the memory there is nothing.
+    pub fn read(&self, range: Range<usize>) -> u32 {
+        self.bytes(range).iter().rev().fold(0, |value, &byte| value << 8 | u32::from(byte))
+    }
+
+    pub fn write(&mut self, range: Range<usize>, value: u32) {
+        if let Some(bytes) = self.0.get_mut(range) {
+            let len = bytes.len();
+            bytes.copy_from_slice(&value.to_le_bytes()[..len]);
+        }
+    }
+
+    /// The part of `range` that exists.
+    pub fn bytes(&self, range: Range<usize>) -> &[u8] {
+        let end = range.end.min(BYTES);
+        &self.0[range.start.min(end)..end]
+    }
+
+    /// What the entry at `entry` says is to be sent.
+    pub fn tx_buffer(&self, entry: usize) -> Range<usize> {
+        let start = self.half(entry) & !1;
+        start..start + (self.half(entry + 2) & COUNT)
+    }
+
+    /// Where the entry at `entry` has room for a packet.
+    pub fn rx_buffer(&self, entry: usize) -> Range<usize> {
+        let start = self.half(entry + 4) & !1;
+        let size = self.half(entry + 6);
+        let blocks = size >> 10 & 0x1f;
+        start..start + if size & BLOCK_SIZE != 0 { 32 * (blocks + 1) } else { 2 * blocks }
+    }
+
+    /// Puts a packet into the reception buffer of the entry at `entry`, and its length into the
+    /// entry.
+    pub fn receive(&mut self, entry: usize, packet: &[u8]) {
+        let start = self.rx_buffer(entry).start;
+        if let Some(buffer) = self.0.get_mut(start..start + packet.len()) {
+            buffer.copy_from_slice(packet);
+        }
+        let count = self.half(entry + 6) & !COUNT | packet.len();
+        self.write(entry + 6..entry + 8, count as u32);
+    }
+
+    fn half(&self, offset: usize) -> usize {
+        self.read(offset..offset + 2) as usize
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::facts::assert_facts;
-
-    #[test]
-    fn ones_toggle_and_zeros_clear() {
-        let mut endpoint = Endpoint::default();
-        endpoint.write(TYPE_CONTROL | 0b10 << 12 | 0b01 << 4 | 3);
-        assert_eq!((endpoint.rx(), endpoint.tx(), endpoint.number()), (Stat::Nak, Stat::Stall, 3));
-        endpoint.write(TYPE_CONTROL | 0b01 << 12 | 3);
-        assert_eq!((endpoint.rx(), endpoint.tx()), (Stat::Valid, Stat::Stall));
-        endpoint.complete_rx();
-        assert!(endpoint.has_received() && endpoint.rx_toggle());
-        // Ones keep the flags, and cannot set them.
-        endpoint.write(TYPE_CONTROL | CTR_RX | CTR_TX | 3);
-        assert_eq!(endpoint.register() & CLEARED, CTR_RX);
-        endpoint.write(TYPE_CONTROL | CTR_TX | 3);
-        assert_eq!(endpoint.register() & CLEARED, 0);
-        assert_eq!(endpoint.rx(), Stat::Nak);
-    }
-
-    #[test]
-    fn setup_is_read_only_and_ends_with_the_next_packet() {
-        let mut endpoint = Endpoint::default();
-        endpoint.write(TYPE_CONTROL | SETUP | STAT_RX | STAT_TX);
-        assert_eq!(endpoint.register() & SETUP, 0);
-        endpoint.complete_setup();
-        assert_eq!((endpoint.rx(), endpoint.tx()), (Stat::Nak, Stat::Nak));
-        assert!(endpoint.rx_toggle() && endpoint.tx_toggle());
-        endpoint.write(TYPE_CONTROL);
-        assert_ne!(endpoint.register() & SETUP, 0);
-        endpoint.complete_rx();
-        assert_eq!(endpoint.register() & SETUP, 0);
-    }
 
     #[test]
     fn bits_are_those_of_st() {

@@ -5,13 +5,11 @@
 //! endpoints, link power management and charger detection are not modelled.
 
 mod endpoint;
-mod packet_memory;
 mod port;
 
 use super::{Effects, TICKS_PER_SECOND, Ticks, interrupt};
 use crate::usb_wire::FRAME_TICKS;
-use endpoint::{Endpoint, Stat};
-use packet_memory::PacketMemory;
+use endpoint::{Endpoint, PacketMemory, Stat};
 
 pub use port::UsbPort;
 
@@ -76,7 +74,6 @@ const MISSED_FRAME_TICKS: Ticks = FRAME_TICKS + FRAME_TICKS / 100;
 /// Missed frames that mean suspension: 3 ms.
 const SUSPEND_FRAMES: u32 = 3;
 
-/// The block.
 #[derive(Debug)]
 pub struct Usb {
     endpoints: [Endpoint; ENDPOINTS],
@@ -107,7 +104,6 @@ impl Default for Usb {
 }
 
 impl Usb {
-    /// The block after power-on.
     pub fn new() -> Self {
         Self {
             endpoints: [Endpoint::default(); ENDPOINTS],
@@ -143,7 +139,6 @@ impl Usb {
         }
     }
 
-    /// Reads a register.
     pub fn read(&mut self, offset: u32, effects: &mut Effects) -> u32 {
         match offset {
             0..EPNR_END => self.endpoints[(offset / 4) as usize].register(),
@@ -161,7 +156,6 @@ impl Usb {
         }
     }
 
-    /// Writes a register.
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
         match offset {
             0..EPNR_END => self.write_endpoint((offset / 4) as usize, value, effects),
@@ -240,7 +234,6 @@ impl Usb {
         self.update_interrupt(effects);
     }
 
-    /// The host's end of the block.
     pub fn port<'a>(&'a mut self, effects: &'a mut Effects) -> UsbPort<'a> {
         UsbPort { usb: self, effects }
     }
@@ -325,7 +318,7 @@ impl Usb {
     /// A buffer that the block may now use: in memory, apart from the table and from the buffers
     /// of all other enabled endpoints.
     fn check_buffer(&self, buffer: std::ops::Range<usize>, index: usize, value: u32, effects: &mut Effects) {
-        if buffer.end > packet_memory::BYTES {
+        if buffer.end > endpoint::BYTES {
             effects.violation(value, "USB: a buffer ends behind the packet memory");
         }
         for (other, endpoint) in self.endpoints.iter().enumerate().filter(|(_, endpoint)| endpoint.is_enabled()) {

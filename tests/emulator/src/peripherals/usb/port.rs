@@ -3,35 +3,40 @@
 use super::endpoint::{Endpoint, Stat};
 use super::{BCDR_DPPU, CNTR_FSUSP, CNTR_LPMODE, CNTR_PDWN, DADDR_EF, FNR_FRAME, FNR_LCK, ISTR_SOF, ISTR_WKUP, Usb};
 use crate::peripherals::{Effects, Ticks};
-use crate::usb_wire::{BusSignal, FullSpeedDevice, Handshake, InAnswer, OutPacket};
+use crate::usb_wire::{Answer, BusSignal, OutPacket};
 
-/// The block as the host sees it.
+/// What a host finds at the other end of the cable.
 #[derive(Debug)]
 pub struct UsbPort<'a> {
     pub(super) usb: &'a mut Usb,
     pub(super) effects: &'a mut Effects,
 }
 
-impl FullSpeedDevice for UsbPort<'_> {
-    fn is_pulled_up(&self) -> bool {
+impl UsbPort<'_> {
+    /// Whether D+ is pulled up: the device wants to be seen.
+    pub fn is_pulled_up(&self) -> bool {
         self.usb.battery & BCDR_DPPU != 0 && self.usb.control & CNTR_PDWN == 0
     }
 
-    fn signal(&mut self, signal: BusSignal) {
+    /// Something other than a packet happens on the bus.
+    pub fn signal(&mut self, signal: BusSignal) {
         self.usb.signal(signal, self.effects.now());
         self.usb.update_interrupt(self.effects);
     }
 
-    fn token_in(&mut self, address: u8, endpoint: u8) -> InAnswer {
+    /// An IN token.
+    pub fn token_in(&mut self, address: u8, endpoint: u8) -> Answer {
         self.usb.token_in(address, endpoint)
     }
 
-    fn acknowledged(&mut self, address: u8, endpoint: u8) {
+    /// The host has acknowledged the data that the last IN token brought.
+    pub fn acknowledged(&mut self, address: u8, endpoint: u8) {
         self.usb.acknowledged(address, endpoint);
         self.usb.update_interrupt(self.effects);
     }
 
-    fn packet_out(&mut self, packet: OutPacket<'_>) -> Handshake {
+    /// An OUT or SETUP token and its data packet, at the end of the latter.
+    pub fn packet_out(&mut self, packet: OutPacket<'_>) -> Answer {
         let handshake = self.usb.packet_out(packet);
         self.usb.update_interrupt(self.effects);
         handshake
@@ -69,20 +74,20 @@ impl Usb {
             && self.address == DADDR_EF | u32::from(address)
     }
 
-    fn token_in(&self, address: u8, number: u8) -> InAnswer {
+    fn token_in(&self, address: u8, number: u8) -> Answer {
         let serves = |endpoint: &Endpoint| endpoint.number() == number && endpoint.tx() != Stat::Disabled;
         let Some(index) = self.endpoints.iter().position(serves).filter(|_| self.hears(address)) else {
-            return InAnswer::Silence;
+            return Answer::Silence;
         };
         let endpoint = &self.endpoints[index];
         match endpoint.tx() {
-            Stat::Valid => InAnswer::Data {
+            Stat::Valid => Answer::Data {
                 toggle: endpoint.tx_toggle(),
                 bytes: self.memory.bytes(self.memory.tx_buffer(self.entry(index))).to_vec(),
             },
-            Stat::Nak => InAnswer::Nak,
-            Stat::Stall => InAnswer::Stall,
-            Stat::Disabled => InAnswer::Silence,
+            Stat::Nak => Answer::Nak,
+            Stat::Stall => Answer::Stall,
+            Stat::Disabled => Answer::Silence,
         }
     }
 
@@ -95,35 +100,35 @@ impl Usb {
         }
     }
 
-    fn packet_out(&mut self, packet: OutPacket<'_>) -> Handshake {
+    fn packet_out(&mut self, packet: OutPacket<'_>) -> Answer {
         let serves = |endpoint: &Endpoint| endpoint.number() == packet.endpoint && endpoint.rx() != Stat::Disabled;
         let Some(index) = self.endpoints.iter().position(serves).filter(|_| self.hears(packet.address)) else {
-            return Handshake::Silence;
+            return Answer::Silence;
         };
         let entry = self.entry(index);
         let endpoint = &mut self.endpoints[index];
         // A SETUP is taken in any state, unless the one before has not been seen yet.
         if packet.setup {
             if !endpoint.is_control() || endpoint.has_received() {
-                return Handshake::Silence;
+                return Answer::Silence;
             }
         } else {
             match endpoint.rx() {
-                Stat::Nak => return Handshake::Nak,
-                Stat::Stall => return Handshake::Stall,
-                Stat::Disabled => return Handshake::Silence,
+                Stat::Nak => return Answer::Nak,
+                Stat::Stall => return Answer::Stall,
+                Stat::Disabled => return Answer::Silence,
                 Stat::Valid => {}
             }
             if endpoint.expects_status_out() && !packet.bytes.is_empty() {
-                return Handshake::Stall;
+                return Answer::Stall;
             }
             // The host has missed the last handshake and repeats the packet.
             if packet.toggle != endpoint.rx_toggle() {
-                return Handshake::Ack;
+                return Answer::Ack;
             }
         }
         if packet.bytes.len() > self.memory.rx_buffer(entry).len() {
-            return Handshake::Silence;
+            return Answer::Silence;
         }
         self.memory.receive(entry, packet.bytes);
         if packet.setup {
@@ -131,6 +136,6 @@ impl Usb {
         } else {
             endpoint.complete_rx();
         }
-        Handshake::Ack
+        Answer::Ack
     }
 }

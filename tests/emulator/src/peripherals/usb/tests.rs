@@ -1,6 +1,6 @@
 use super::*;
 use crate::facts::assert_facts;
-use crate::usb_wire::{BusSignal, FullSpeedDevice, Handshake, InAnswer, OutPacket};
+use crate::usb_wire::{Answer, BusSignal, OutPacket};
 
 const CONTROL: u32 = 0b01 << 9;
 const RUNNING: u32 = 0xbf00;
@@ -29,122 +29,19 @@ fn packet(bytes: &[u8], setup: bool, toggle: bool) -> OutPacket<'_> {
     OutPacket { address: 0, endpoint: 0, setup, toggle, bytes }
 }
 
-fn line(effects: &Effects) -> bool {
-    effects.lines()[0] & 1 << interrupt::USB_LP != 0
-}
-
-fn run(usb: &mut Usb, effects: &mut Effects, until: Ticks) {
-    while usb.next_event() <= until {
-        effects.now = usb.next_event();
-        usb.advance(effects);
-    }
-    effects.now = until;
-}
-
-#[test]
-fn a_setup_packet_arrives_whatever_the_endpoint_says() {
-    let (mut usb, mut effects) = running();
-    // Reception is refused, transmission stalled.
-    usb.write(0, CONTROL | 0b10 << 12 | 0b01 << 4, &mut effects);
-    assert_eq!(usb.port(&mut effects).packet_out(packet(&[1; 8], false, true)), Handshake::Nak);
-    assert!(!line(&effects));
-    let setup = [0x80, 6, 0, 1, 0, 0, 8, 0];
-    assert_eq!(usb.port(&mut effects).packet_out(packet(&setup, true, false)), Handshake::Ack);
-    assert!(line(&effects));
-    assert_eq!(usb.read(ISTR, &mut effects), ISTR_CTR | ISTR_DIR);
-    assert_eq!(usb.read_memory(64, 4, &mut effects), 0x0100_0680);
-    assert_eq!(usb.read_memory(6, 2, &mut effects) & 0x3ff, 8);
-    // The next one is not heard before this one has been seen.
-    assert_eq!(usb.port(&mut effects).packet_out(packet(&setup, true, false)), Handshake::Silence);
-    usb.write(0, CONTROL | 1 << 7, &mut effects);
-    assert!(!line(&effects));
-    assert_eq!(usb.port(&mut effects).packet_out(packet(&setup, true, false)), Handshake::Ack);
-}
-
-#[test]
-fn data_leave_with_alternating_toggles_once_for_each_validation() {
-    let (mut usb, mut effects) = running();
-    usb.write(0, CONTROL | 0b10 << 4, &mut effects);
-    for toggle in [false, true, false] {
-        assert_eq!(usb.port(&mut effects).token_in(0, 0), InAnswer::Nak);
-        usb.write_memory(128, 2, 0x2211, &mut effects);
-        usb.write_memory(130, 1, 0x33, &mut effects);
-        usb.write_memory(2, 2, 3, &mut effects);
-        usb.write(0, CONTROL | 1 << 15 | 1 << 7 | 0b01 << 4, &mut effects);
-        let answer = InAnswer::Data { toggle, bytes: vec![0x11, 0x22, 0x33] };
-        // Unacknowledged, it is sent again.
-        assert_eq!(usb.port(&mut effects).token_in(0, 0), answer);
-        assert_eq!(usb.port(&mut effects).token_in(0, 0), answer);
-        usb.port(&mut effects).acknowledged(0, 0);
-        assert_eq!(usb.read(ISTR, &mut effects), ISTR_CTR);
-        usb.write(0, CONTROL | 1 << 15, &mut effects);
-    }
-    assert_eq!(effects.violation_count(), 0);
-}
-
 #[test]
 fn a_repeated_packet_is_acknowledged_and_ignored() {
     let (mut usb, mut effects) = running();
     usb.write(0, CONTROL | 0b11 << 12, &mut effects);
-    assert_eq!(usb.port(&mut effects).packet_out(packet(b"first", false, false)), Handshake::Ack);
+    assert_eq!(usb.port(&mut effects).packet_out(packet(b"first", false, false)), Answer::Ack);
     usb.write(0, CONTROL | 1 << 7 | 0b01 << 12, &mut effects);
-    assert_eq!(usb.port(&mut effects).packet_out(packet(b"again", false, false)), Handshake::Ack);
+    assert_eq!(usb.port(&mut effects).packet_out(packet(b"again", false, false)), Answer::Ack);
     assert_eq!(usb.read(ISTR, &mut effects) & ISTR_CTR, 0);
-    assert_eq!(usb.port(&mut effects).packet_out(packet(b"after", false, true)), Handshake::Ack);
+    assert_eq!(usb.port(&mut effects).packet_out(packet(b"after", false, true)), Answer::Ack);
     assert_eq!(usb.read_memory(64, 1, &mut effects), u32::from(b'a'));
     // More than the buffer holds is not acknowledged.
     usb.write(0, CONTROL | 1 << 7 | 0b01 << 12, &mut effects);
-    assert_eq!(usb.port(&mut effects).packet_out(packet(&[0; 65], false, false)), Handshake::Silence);
-}
-
-#[test]
-fn other_addresses_and_endpoints_hear_nothing() {
-    let (mut usb, mut effects) = running();
-    usb.write(0, CONTROL | 0b11 << 12 | 0b11 << 4, &mut effects);
-    assert_eq!(usb.port(&mut effects).token_in(1, 0), InAnswer::Silence);
-    assert_eq!(usb.port(&mut effects).token_in(0, 1), InAnswer::Silence);
-    usb.write(DADDR, DADDR_EF | 9, &mut effects);
-    assert_eq!(usb.port(&mut effects).token_in(0, 0), InAnswer::Silence);
-    assert_ne!(usb.port(&mut effects).token_in(9, 0), InAnswer::Silence);
-    usb.write(DADDR, 9, &mut effects);
-    assert_eq!(usb.port(&mut effects).token_in(9, 0), InAnswer::Silence);
-}
-
-#[test]
-fn silence_means_suspension_after_three_milliseconds() {
-    let (mut usb, mut effects) = running();
-    let begin = effects.now();
-    for frame in 0..10 {
-        effects.now = begin + u64::from(frame) * FRAME_TICKS;
-        usb.port(&mut effects).signal(BusSignal::StartOfFrame(frame));
-        run(&mut usb, &mut effects, begin + u64::from(frame + 1) * FRAME_TICKS - 1);
-    }
-    assert_eq!(usb.read(ISTR, &mut effects), ISTR_SOF);
-    assert_eq!(usb.read(FNR, &mut effects), FNR_RXDP | FNR_LCK | 9);
-    usb.write(ISTR, 0, &mut effects);
-    let last = begin + 9 * FRAME_TICKS;
-    run(&mut usb, &mut effects, last + 5 * FRAME_TICKS / 2);
-    assert_eq!(usb.read(ISTR, &mut effects), ISTR_ESOF);
-    run(&mut usb, &mut effects, last + 7 * FRAME_TICKS / 2);
-    assert_eq!(usb.read(ISTR, &mut effects), ISTR_ESOF | ISTR_SUSP);
-    usb.write(CNTR, RUNNING | CNTR_FSUSP | CNTR_LPMODE, &mut effects);
-    usb.write(ISTR, 0, &mut effects);
-    assert!(!line(&effects));
-    assert_eq!(usb.next_event(), Ticks::MAX);
-    usb.port(&mut effects).signal(BusSignal::ResumeBegins);
-    assert_eq!(usb.read(ISTR, &mut effects), ISTR_WKUP);
-    assert_eq!(usb.read(CNTR, &mut effects), RUNNING | CNTR_FSUSP);
-}
-
-#[test]
-fn a_bus_reset_forgets_address_and_endpoints() {
-    let (mut usb, mut effects) = running();
-    usb.write(0, CONTROL | 0b11 << 12 | 0b11 << 4, &mut effects);
-    usb.write(4, 1, &mut effects);
-    usb.port(&mut effects).signal(BusSignal::ResetBegins);
-    assert!(line(&effects));
-    assert_eq!(usb.read(ISTR, &mut effects), ISTR_RESET);
-    assert_eq!((usb.read(0, &mut effects), usb.read(4, &mut effects), usb.read(DADDR, &mut effects)), (0, 0, 0));
+    assert_eq!(usb.port(&mut effects).packet_out(packet(&[0; 65], false, false)), Answer::Silence);
 }
 
 #[test]

@@ -2,11 +2,11 @@
 
 #![allow(dead_code, reason = "each program uses its part")]
 
+use slitpose_emulator::faults::Faults;
 use slitpose_emulator::image::Image;
 use slitpose_emulator::peripherals::Ticks;
 use slitpose_emulator::rig::{Rig, open_image};
-use slitpose_emulator::silicon::Silicon;
-use slitpose_emulator::world::{Flaws, NoiseSource};
+use slitpose_emulator::world::NoiseSource;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::Trajectory;
 use slitpose_protocol::poses::TRIANGLE;
@@ -38,7 +38,6 @@ pub struct Chain {
     pub packets: Vec<(Ticks, Vec<u8>)>,
     /// Packets that could not be read.
     pub damaged: usize,
-    /// The last status.
     pub status: Option<Status>,
     /// Whether each command was accepted, in the order of the replies.
     pub replies: Vec<bool>,
@@ -47,32 +46,19 @@ pub struct Chain {
 impl Chain {
     /// Powers a board with the image of `firmware/build`, waits for its host, opens the port, and
     /// waits for the hello.
-    pub fn open(scene: &SceneFile, trajectory: Trajectory, noise: NoiseSource, silicon: Silicon) -> Self {
+    pub fn open(scene: &SceneFile, trajectory: Trajectory, noise: NoiseSource, faults: Faults) -> Self {
         let image = open_image(None).expect("an image");
-        Self::open_with(&image, scene, trajectory, noise, silicon)
+        Self::open_with(&image, scene, trajectory, noise, faults)
     }
 
-    /// The same with another image.
     pub fn open_with(
         image: &Image,
         scene: &SceneFile,
         trajectory: Trajectory,
         noise: NoiseSource,
-        silicon: Silicon,
+        faults: Faults,
     ) -> Self {
-        Self::open_flawed(image, scene, trajectory, noise, silicon, Flaws::default())
-    }
-
-    /// The same with `flaws` of board and head.
-    pub fn open_flawed(
-        image: &Image,
-        scene: &SceneFile,
-        trajectory: Trajectory,
-        noise: NoiseSource,
-        silicon: Silicon,
-        flaws: Flaws,
-    ) -> Self {
-        let mut rig = Rig::boot_flawed(image, scene, trajectory, noise, silicon, flaws).expect("a head for the board");
+        let mut rig = Rig::boot(image, scene, trajectory, noise, faults).expect("a head for the board");
         let origin = rig.machine().device_clock_origin().expect("the program starts its clock");
         rig.set_open(true);
         let mut chain = Self {

@@ -1,8 +1,10 @@
 //! A board on the bench: what its host hears, and every change of its emitter pins and every
 //! instant at which a converter holds a sample.
 
+use super::talk::Listener;
+pub use super::talk::Said;
 pub use super::trial::endings::MS;
-use super::{dma_ticks, is_of_silicon, silicon};
+use super::{dma_ticks, silicon};
 use slitpose_emulator::image::Image;
 use slitpose_emulator::machine::Stop;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
@@ -12,10 +14,10 @@ use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::{SceneFile, Shipped};
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_model::{Pair, Plan, Pose, Reading};
-use slitpose_protocol::{
-    AdcScaling, Command, Configuration, Decoder, Level, MAX_MESSAGE_BYTES, Message, RawScan, Rejection, ResetCause,
-    Schedule, Status,
-};
+use slitpose_protocol::{AdcScaling, Command, Configuration, Level, RawScan, Rejection, ResetCause, Schedule, Status};
+
+/// Breaks of links by which every scan may be lost: what becomes of scans is no concern of these tests.
+const MANY_BREAKS: u64 = 1_000;
 
 /// Gates and level codes from `at` on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -58,26 +60,13 @@ impl World for Recorder {
     }
 }
 
-/// What the host has been told, in order, with the instants at which it was over.
-#[derive(Clone, Debug)]
-pub enum Said {
-    Hello { cause: ResetCause },
-    Scans { scans: Vec<RawScan> },
-    Status(Status),
-    Event(String),
-    Reply(u16, Result<(), Rejection>),
-    Other,
-}
-
 /// A board, its host and a record of its pins.
 pub struct Bench {
     pub rig: Rig<Recorder>,
     pub image: Image,
     pub scene: SceneFile,
     pub scaling: AdcScaling,
-    pub said: Vec<(Ticks, Said)>,
-    decoder: Decoder<MAX_MESSAGE_BYTES>,
-    schedules: Vec<(u16, Schedule)>,
+    pub ear: Listener,
 }
 
 pub fn wide() -> SceneFile {
@@ -97,7 +86,8 @@ impl Bench {
     pub fn new(trajectory: Trajectory, noise: NoiseSource) -> Self {
         let image = open_image(None).expect("firmware/build makes it");
         let scene = wide();
-        let world = OpticsWorld::new(&scene, trajectory, WORLD_TIER, noise).expect("the board is made for it");
+        let world =
+            OpticsWorld::new(&scene, trajectory, WORLD_TIER, noise, silicon()).expect("the board is made for it");
         let now = Drive { at: 0, gates: 0, levels: [0; 2] };
         let recorder = Recorder { world, now, drives: Vec::new(), holds: Vec::new(), records_holds: false };
         let mut bench = Self {
@@ -105,9 +95,7 @@ impl Bench {
             image,
             scene,
             scaling: slitpose_firmware::pcb::default_scaling(),
-            said: Vec::new(),
-            decoder: Decoder::new(),
-            schedules: Vec::new(),
+            ear: Listener::default(),
         };
         assert_eq!(bench.connect(), ResetCause::PowerOn);
         bench
@@ -117,7 +105,7 @@ impl Bench {
     pub fn connect(&mut self) -> ResetCause {
         // What was on its way when the board went is half a packet.
         self.listen();
-        self.decoder.reset();
+        self.ear.forget_board();
         while self.rig.machine().device_clock_origin().is_none() {
             self.run_ms(1);
         }
@@ -135,21 +123,18 @@ impl Bench {
         self.open();
         for _ in 0..100 {
             self.run_ms(1);
-            if let Some(cause) = self.said.iter().find_map(|(_, said)| match said {
-                Said::Hello { cause, .. } => Some(*cause),
-                _ => None,
-            }) {
-                return cause;
+            if let Some(hello) = self.ear.hello() {
+                return hello.reset_cause;
             }
         }
-        panic!("no hello: {:?}", self.said);
+        panic!("no hello: {:?}", self.ear.said);
     }
 
     /// Opens the port; half a packet that was left on the line belongs to nobody.
     pub fn open(&mut self) {
         self.listen();
-        self.decoder.reset();
-        self.said.clear();
+        self.ear.begin_session();
+        self.ear.breaks += MANY_BREAKS;
         self.rig.set_open(true);
     }
 
@@ -167,27 +152,7 @@ impl Bench {
 
     pub fn listen(&mut self) {
         for (at, bytes) in self.rig.take_packets() {
-            let mut bytes = &bytes[..];
-            while let Some(message) = self.decoder.next::<Message>(&mut bytes) {
-                let said = match message.expect("the line is clean") {
-                    Message::Hello(hello) => {
-                        self.scaling = hello.scaling;
-                        self.schedules.push((hello.configuration, hello.schedule));
-                        Said::Hello { cause: hello.reset_cause }
-                    }
-                    Message::Batch(batch) => {
-                        let of = |(number, _): &&(u16, Schedule)| *number == batch.configuration;
-                        let (_, schedule) = self.schedules.iter().rev().find(of).expect("a hello comes first");
-                        let scans = batch.scans(schedule).expect("it is of its schedule").collect();
-                        Said::Scans { scans }
-                    }
-                    Message::Status(status) => Said::Status(status),
-                    Message::Event(event) => Said::Event(event.text.to_owned()),
-                    Message::Reply(reply) => Said::Reply(reply.number, reply.outcome),
-                    _ => Said::Other,
-                };
-                self.said.push((at, said));
-            }
+            self.ear.hear(at, &bytes);
         }
     }
 
@@ -198,8 +163,8 @@ impl Bench {
         while self.rig.now() < end {
             let next = self.rig.now() + MS / 10;
             self.run_until(next);
-            if let Some(reply) = self.said.iter().rev().find_map(|(at, said)| match said {
-                Said::Reply(n, outcome) if *n == number => Some((*at, *outcome)),
+            if let Some(reply) = self.ear.said.iter().rev().find_map(|(at, said)| match said {
+                Said::Reply(reply) if reply.number == number => Some((*at, reply.outcome)),
                 _ => None,
             }) {
                 return reply;
@@ -214,9 +179,8 @@ impl Bench {
         at
     }
 
-    /// Forgets what was said and recorded.
     pub fn forget(&mut self) {
-        self.said.clear();
+        self.ear.clear();
         self.record().drives.clear();
         self.record().holds.clear();
     }
@@ -225,46 +189,29 @@ impl Bench {
         &mut self.rig.machine().board.world
     }
 
-    /// Gates that are on now.
     pub fn gates(&mut self) -> u8 {
         self.record().now.gates
     }
 
-    /// All scans heard, in order.
     pub fn scans(&self) -> Vec<RawScan> {
-        let scans = self.said.iter().filter_map(|(_, said)| match said {
-            Said::Scans { scans, .. } => Some(scans.iter().copied()),
-            _ => None,
-        });
-        scans.flatten().collect()
+        self.ear.scans.clone()
     }
 
-    /// The next status.
     pub fn ask_status(&mut self) -> Status {
-        let told = self.said.len();
-        for _ in 0..600 {
+        self.ear.status = None;
+        let end = self.rig.now() + 600 * MS;
+        while self.ear.status.is_none() && self.rig.now() < end {
             self.run_ms(1);
-            if self.said[told..].iter().any(|(_, said)| matches!(said, Said::Status(_))) {
-                return self.last_status();
-            }
         }
-        panic!("no status within 600 ms");
+        self.last_status()
     }
 
     pub fn last_status(&self) -> Status {
-        let status = self.said.iter().rev().find_map(|(_, said)| match said {
-            Said::Status(status) => Some(*status),
-            _ => None,
-        });
-        status.expect("a status comes twice a second")
+        self.ear.status.expect("a status comes twice a second")
     }
 
     pub fn events(&self) -> Vec<&str> {
-        let events = self.said.iter().filter_map(|(_, said)| match said {
-            Said::Event(text) if !is_of_silicon(text) => Some(text.as_str()),
-            _ => None,
-        });
-        events.collect()
+        self.ear.events()
     }
 
     /// The instant since which all gates have been off.
@@ -286,6 +233,7 @@ impl Bench {
     pub fn assert_no_faults(&self) {
         let faults = self.rig.faults();
         assert!(faults.is_empty(), "{faults:#?}");
+        assert_eq!(self.ear.damaged(), 0, "the line is clean");
     }
 }
 

@@ -3,13 +3,12 @@
 pub mod chain;
 pub mod light;
 pub mod pins;
-pub mod registers;
 pub mod solving;
 pub mod talk;
 pub mod trial;
 pub mod wiring;
 
-use slitpose_emulator::silicon::{Fault, Silicon};
+use slitpose_emulator::faults::{Fault, Faults};
 
 /// The variable that gives the silicon its faults: names, or `all`. Without it there are none.
 const SILICON: &str = "SLITPOSE_SILICON";
@@ -30,9 +29,11 @@ pub fn trigger_ticks() -> u64 {
 }
 
 /// The silicon that the tests run on.
-pub fn silicon() -> Silicon {
+pub fn silicon() -> Faults {
     match std::env::var(SILICON) {
-        Ok(faults) if !faults.is_empty() => faults.parse().unwrap_or_else(|error| panic!("{SILICON}: {error}")),
-        _ => Silicon::default(),
+        Ok(faults) if !faults.is_empty() => {
+            Faults::of_silicon(&faults).unwrap_or_else(|error| panic!("{SILICON}: {error}"))
+        }
+        _ => Faults::default(),
     }
 }

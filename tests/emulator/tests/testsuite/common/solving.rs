@@ -2,9 +2,9 @@
 
 use super::chain::Chain;
 use super::silicon;
+use slitpose_emulator::faults::Faults;
 use slitpose_emulator::rig::open_pose_image;
-use slitpose_emulator::silicon::Silicon;
-use slitpose_emulator::world::{Flaws, NoiseSource};
+use slitpose_emulator::world::NoiseSource;
 use slitpose_firmware::pose::Head;
 use slitpose_head::board_head;
 use slitpose_head::scene_file::{SceneFile, WIDE};
@@ -39,14 +39,14 @@ pub fn head_of(chain: &Chain, scene: &SceneFile) -> Head {
 
 /// A board with the image that solves poses, its port open, and the head of `scene` sent to it.
 pub fn chain(scene: &SceneFile, noise: NoiseSource) -> Chain {
-    chain_of(scene, noise, silicon(), Flaws::default())
+    chain_of(scene, noise, silicon())
 }
 
-/// The same of `silicon`, with `flaws`.
-pub fn chain_of(scene: &SceneFile, noise: NoiseSource, silicon: Silicon, flaws: Flaws) -> Chain {
+/// The same with `faults`.
+pub fn chain_of(scene: &SceneFile, noise: NoiseSource, faults: Faults) -> Chain {
     println!("seed {SEED}");
     let image = open_pose_image().expect("an image");
-    let mut chain = Chain::open_flawed(&image, scene, smooth(), noise, silicon, flaws);
+    let mut chain = Chain::open_with(&image, scene, smooth(), noise, faults);
     let head = head_of(&chain, scene);
     chain.rig.send_head(&head);
     chain.run_for(1e-3);

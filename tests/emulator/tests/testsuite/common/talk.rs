@@ -6,11 +6,11 @@
 pub use super::trial::endings::MS;
 pub use super::trial::words::FRAME_TICKS;
 use super::{is_of_silicon, silicon};
+use slitpose_emulator::faults::Faults;
 use slitpose_emulator::image::Image;
 use slitpose_emulator::machine::Stop;
 use slitpose_emulator::peripherals::Ticks;
 use slitpose_emulator::rig::{Link, Rig, open_image, open_pose_image};
-use slitpose_emulator::silicon::Silicon;
 use slitpose_emulator::world::NoiseSource;
 use slitpose_head::scene_file::Shipped;
 use slitpose_head::simulator::Trajectory;
@@ -37,7 +37,6 @@ const ON_BOARD_SCANS: u64 = 480;
 /// Scans in a transfer of 1 KB, which is lost if the link breaks while it is sent.
 pub const TRANSFER_SCANS: u64 = 20;
 
-/// What a board says of itself.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Introduction {
     pub device_id: [u8; 12],
@@ -72,7 +71,6 @@ pub struct Gap {
     pub ticks: u64,
 }
 
-/// One end of the line.
 #[derive(Debug)]
 pub struct Listener {
     decoder: Decoder<MAX_MESSAGE_BYTES>,
@@ -245,12 +243,10 @@ impl Listener {
         self.said.iter().filter_map(reply).collect()
     }
 
-    /// The last hello of this session.
     pub fn hello(&self) -> Option<&Introduction> {
         self.said.iter().rev().find_map(|(_, said)| if let Said::Hello(hello) = said { Some(hello) } else { None })
     }
 
-    /// Hellos of this session.
     pub fn hellos(&self) -> usize {
         self.said.iter().filter(|(_, said)| matches!(said, Said::Hello(_))).count()
     }
@@ -268,7 +264,6 @@ impl Listener {
             .collect()
     }
 
-    /// Scans missing in the gaps.
     pub fn missing(&self) -> u64 {
         self.gaps.iter().map(|gap| gap.missing).sum()
     }
@@ -289,7 +284,7 @@ impl Talk {
     }
 
     /// A board on `silicon`, its port open at USB.
-    pub fn on(silicon: Silicon) -> Self {
+    pub fn on(silicon: Faults) -> Self {
         let mut talk = Self::boot_with(NoiseSource::Off, silicon);
         talk.await_port();
         talk.open();
@@ -304,11 +299,11 @@ impl Talk {
         talk
     }
 
-    fn boot_with(noise: NoiseSource, silicon: Silicon) -> Self {
+    fn boot_with(noise: NoiseSource, silicon: Faults) -> Self {
         Self::boot_image(&open_image(None).expect("firmware/build has made an image"), noise, silicon)
     }
 
-    fn boot_image(image: &Image, noise: NoiseSource, silicon: Silicon) -> Self {
+    fn boot_image(image: &Image, noise: NoiseSource, silicon: Faults) -> Self {
         let scene = Shipped::named("wide").expect("a shipped scene").read().expect("shipped scenes are valid");
         let rig = Rig::boot(image, &scene, at_rest(), noise, silicon).expect("the board fits the scene");
         Self { rig, ear: Listener::default() }
@@ -322,7 +317,6 @@ impl Talk {
         talk
     }
 
-    /// The same at the serial port.
     pub fn at_uart() -> Self {
         Self::boot().turned_to_uart()
     }
@@ -346,12 +340,10 @@ impl Talk {
         self.listen();
     }
 
-    /// The same by duration.
     pub fn run_ms(&mut self, ms: f64) {
         self.run_until(self.rig.now() + (ms * MS as f64) as Ticks);
     }
 
-    /// Hears what has come.
     pub fn listen(&mut self) {
         for (at, bytes) in self.rig.take_packets() {
             self.ear.hear(at, &bytes);
@@ -411,14 +403,12 @@ impl Talk {
         replies[0]
     }
 
-    /// Waits for the next status.
     pub fn next_status(&mut self) -> Status {
         self.ear.status = None;
         assert!(self.wait_for(520, |talk| talk.ear.status.is_some()), "no status in 520 ms");
         self.ear.status.expect("it was waited for")
     }
 
-    /// Whether scans come.
     pub fn is_acquiring(&mut self) -> bool {
         let before = self.ear.received;
         self.run_ms(4.0);
@@ -435,7 +425,6 @@ impl Talk {
         status
     }
 
-    /// Nothing was done against the manuals.
     pub fn expect_no_faults(&self) {
         assert_eq!(self.rig.faults(), Vec::<String>::new());
     }

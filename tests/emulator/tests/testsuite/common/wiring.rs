@@ -1,11 +1,14 @@
 //! The board's wiring table (`firmware/README.md`), and the converters' inputs that follow from it and from ST's pin
-//! data: from neither the image nor the emulator.
+//! data: from neither the image nor the emulator. Registers of the board, read as by a debugger, at the addresses of the
+//! facts table.
 
-use slitpose_emulator::facts;
+use slitpose_emulator::board::Board;
+use slitpose_emulator::cpu::{Bus, Size};
+use slitpose_emulator::facts::{self, bits};
+use slitpose_emulator::world::World;
 
 const PAGE: &str = include_str!("../../../../../firmware/README.md");
 
-/// A row of the table.
 #[derive(Clone, Debug)]
 pub struct Wire {
     pub signal: &'static str,
@@ -54,12 +57,11 @@ pub fn port_and_number(pin: &str) -> (u32, u32) {
 pub fn inputs() -> [[u8; 6]; 2] {
     let input = |electrode: usize, cell: usize| {
         let pin = pin(&format!("I_X{electrode}, cell {cell}"));
-        facts::bits(&format!("ADC{electrode}_IN_{pin}")) as u8
+        bits(&format!("ADC{electrode}_IN_{pin}")) as u8
     };
     [1, 2].map(|electrode| std::array::from_fn(|cell| input(electrode, cell)))
 }
 
-/// The level line of an emitter.
 pub fn level_line(emitter: usize) -> usize {
     let lines = ["level of emitters 0 to 2", "level of emitters 3 to 5"];
     let holds = |signal: &str| {
@@ -71,4 +73,26 @@ pub fn level_line(emitter: usize) -> usize {
     // The first line is that of DAC1.
     assert!(pin(lines[line]) == facts::fact(["DAC1_OUT1", "DAC2_OUT1"][line]).value);
     line
+}
+
+/// The register at `offset` from `base`, both facts, and `more`.
+pub fn register<W: World>(board: &mut Board<W>, base: &str, offset: &str, more: u32) -> u32 {
+    read(board, bits(base) + bits(offset) + more)
+}
+
+/// The multiplexer channel `channel`, from 0: those of DMA1, then those of DMA2.
+pub fn multiplexer<W: World>(board: &mut Board<W>, channel: usize) -> u32 {
+    let base = bits("DMAMUX1_BASE");
+    read(board, base + (bits("DMAMUX1_Channel1_BASE") - base) * channel as u32)
+}
+
+/// The channel of DMA1, from 0, that serves `request`; its multiplexer channel has the same number.
+pub fn channel_of<W: World>(board: &mut Board<W>, request: &str) -> usize {
+    let number = bits(&format!("LL_DMAMUX_REQ_{request}"));
+    let channel = (0..8).find(|&channel| multiplexer(board, channel) == number);
+    channel.unwrap_or_else(|| panic!("no channel serves {request}, {number}"))
+}
+
+fn read<W: World>(board: &mut Board<W>, address: u32) -> u32 {
+    board.read(address, Size::Word).expect("it answers")
 }

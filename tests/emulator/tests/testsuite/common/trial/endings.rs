@@ -1,14 +1,13 @@
 //! What ends the light of a board, and how long it may go on then.
 
+use slitpose_emulator::faults::{Fault, Faults};
 use slitpose_emulator::image::Image;
 use slitpose_emulator::memory::FLASH_BASE;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::rig::Rig;
-use slitpose_emulator::silicon::{Fault, Silicon};
 use slitpose_emulator::world::World;
 use slitpose_protocol::Command;
 
-/// Ticks of a millisecond.
 pub const MS: Ticks = TICKS_PER_SECOND / 1_000;
 
 /// From an event of the supply or a fault to the gates: an exception's entry, some ten instructions from flash, and
@@ -58,12 +57,12 @@ impl Ending {
     ];
 
     /// Whether it can happen: a crystal that has never run cannot stop.
-    pub fn is_possible(self, silicon: Silicon) -> bool {
+    pub fn is_possible(self, silicon: Faults) -> bool {
         self != Self::DeadCrystal || !silicon.has(Fault::HseDead)
     }
 
     /// Longest time that the light may go on.
-    pub fn most_ticks(self, silicon: Silicon) -> Ticks {
+    pub fn most_ticks(self, silicon: Faults) -> Ticks {
         match self {
             // A frame of the bus until the command is there, and a poll.
             Self::Stop if !silicon.has(Fault::UsbHost) => 2 * MS,

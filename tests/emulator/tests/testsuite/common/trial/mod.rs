@@ -8,9 +8,9 @@ pub mod words;
 
 use super::chain::Chain;
 use endings::{Ending, MS, last_light, until_lit_and_awake};
+use slitpose_emulator::faults::{Fault, Faults};
 use slitpose_emulator::image::Image;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
-use slitpose_emulator::silicon::{Fault, Silicon};
 use slitpose_emulator::world::NoiseSource;
 use slitpose_head::scene_file::WIDE;
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
@@ -24,10 +24,9 @@ const PAUSES_S: [f64; 3] = [0.5e-3, 5e-3, 50e-3];
 /// How long it must stay dark, with its cause and without.
 const DARK_TICKS: Ticks = 100 * MS;
 
-/// A board's life.
 #[derive(Clone, Copy, Debug)]
 pub struct Plan {
-    pub silicon: Silicon,
+    pub silicon: Faults,
     pub ending: Ending,
     /// Light before the end, in seconds, in four starts.
     pub seconds: f64,
@@ -35,22 +34,18 @@ pub struct Plan {
     pub seed: u64,
 }
 
-/// What became of it.
 #[derive(Clone, Debug)]
 pub struct Outcome {
-    /// Scans that came.
     pub scans: usize,
     /// Those of which a word is not the model's.
     pub wrong: usize,
     /// Those whose tick is not that of their number.
     pub misplaced: usize,
-    /// Numbers that did not come.
     pub missing: u64,
     /// Furthest that a word's mean code is from the model's.
     pub worst_codes: f64,
     /// How long it was lit after its end.
     pub lit_ticks: Ticks,
-    /// Whether it lit again.
     pub relit: bool,
     /// What the program did against the manuals before its end.
     pub faults: Vec<String>,

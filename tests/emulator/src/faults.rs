@@ -1,0 +1,267 @@
+//! What can be wrong with a board: each fault can be switched on by its name, those of the silicon by `--silicon`, those of
+//! the board around it by `--flaw`.
+//!
+//! Without faults every transfer, trigger and conversion is ideal, and the board is built as `firmware/README.md` describes
+//! it, with one time constant. The board must not show a wrong word with any fault of the silicon
+//! (`tests/data/stm32g474/README.md` has the sources); `slitpose doctor --bring-up` must name each fault of the board,
+//! except that of a detector which settles in time.
+
+use std::fmt::Write;
+
+use clap::ValueEnum;
+use slitpose_head::simulator::Electrode;
+use thiserror::Error;
+
+/// Whose faults they are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// What the microcontroller does against its manual, or at its worst.
+    Silicon,
+    /// What is wrong with wiring, parts and supply around it.
+    Board,
+}
+
+/// A fault; names and phrases of help texts are those of the variants and their documentation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Fault {
+    /// After ADSTP the next conversion takes channel 0, unless the converter was disabled (ES0430)
+    AdcStop,
+    /// A conversion more than 1 ms after the one before or after calibration is wrong (ES0430)
+    AdcStale,
+    /// ADC1 and ADC2 are off by up to 8 codes while ADC3 to ADC5 convert (ES0430)
+    AdcNeighbour,
+    /// Triggers are seen up to 3 ticks late, and an eighth of a clock more (DS12288, t_LATR)
+    TriggerPhase,
+    /// Each DMA transfer takes 5 to 60 ticks (no figure is published)
+    DmaLatency,
+    /// The ECC error of a torn double word names the other bank (no source; the image does not ask)
+    EccBank,
+    /// A torn double word reads as erased, and refuses to be programmed (RM0440)
+    FlashTornOnes,
+    /// The crystal does not start
+    HseDead,
+    /// The supply detector reacts 100 us late (no figure is published)
+    PvdSlow,
+    /// The first access to each block of SRAM after a reset is a read, and a write is lost (ES0430)
+    SramFirstWrite,
+    /// What is fetched behind WFE or WFI is wrong, unless it is ISB (ES0430, with a debugger's DBG_SLEEP)
+    SleepFetch,
+    /// The USB host suspends the bus for 5 ms or resets it in the middle of streaming, again and again
+    UsbHost,
+    /// The buffered DACs end 25 mV above ground (measured on an STM32L496; DS12288 promises 200 mV)
+    #[value(name = "dac-rest-25")]
+    DacRest25,
+    /// The buffered DACs end 48 mV above ground (measured on an STM32F446)
+    #[value(name = "dac-rest-48")]
+    DacRest48,
+    /// The buffered DACs end 80 mV above ground (more than any measured)
+    #[value(name = "dac-rest-80")]
+    DacRest80,
+    /// I_X1 of cell 2 is not connected: always dark
+    OpenElectrode,
+    /// The stage of I_X2 of cell 4 lies at ground: always code 0
+    StuckElectrode,
+    /// I_X1 of cell 1 has five times the converter's noise
+    NoisyChannel,
+    /// Emitter 3 stays dark
+    DeadEmitter,
+    /// The gate lines of emitters 1 and 4 are exchanged
+    SwappedGates,
+    /// The inputs of cells 0 and 5 are exchanged
+    SwappedCells,
+    /// The level line of emitters 0 to 2 stays at nominal
+    StuckLevel,
+    /// The level line of emitters 0 to 2 is 0.1 V too high
+    LiftedLevel,
+    /// The switch of emitter 2 stays on: its gate does not darken it
+    StuckGate,
+    /// Emitter 5 has half its intensity
+    WeakEmitter,
+    /// All stages have 2.5 times the scene's time constant
+    SlowFrontEnd,
+    /// Detectors are resistive lines of 0.6 us, in a chain of several poles
+    LineDetector,
+    /// Detectors are resistive lines of 1.0 us, in a chain of several poles
+    SlowDetector,
+    /// 5 % of the light of cells 1 and 2 reaches the other one as well
+    MissingBaffle,
+    /// The supply is 3.0 V
+    LowSupply,
+    /// Flash does not keep stored settings over a reset
+    LostSettings,
+}
+
+/// The first fault of the board.
+const FIRST_OF_BOARD: Fault = Fault::OpenElectrode;
+
+impl Fault {
+    /// All of a kind.
+    pub fn of(kind: Kind) -> &'static [Self] {
+        let (silicon, board) = Self::value_variants().split_at(FIRST_OF_BOARD as usize);
+        match kind {
+            Kind::Silicon => silicon,
+            Kind::Board => board,
+        }
+    }
+
+    /// Its name on the command line.
+    pub fn name(self) -> String {
+        self.to_possible_value().expect("none is hidden").get_name().to_owned()
+    }
+
+    /// What happens, in a phrase.
+    pub fn what(self) -> String {
+        self.to_possible_value().and_then(|value| value.get_help().map(ToString::to_string)).unwrap_or_default()
+    }
+
+    /// All of a kind, a line each, for a help text.
+    pub fn list(kind: Kind) -> String {
+        Self::of(kind).iter().fold(String::new(), |mut list, fault| {
+            let _ = write!(list, "\n  {:16} {}", fault.name(), fault.what());
+            list
+        })
+    }
+}
+
+/// Some of the faults; none by default.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Faults(u64);
+
+/// A name that no fault of the kind has.
+#[derive(Debug, Error)]
+#[error("no {kind} is called `{name}`; there are {known}")]
+pub struct UnknownName {
+    kind: &'static str,
+    name: String,
+    known: String,
+}
+
+impl Faults {
+    /// All that the silicon has.
+    pub fn all_of_silicon() -> Self {
+        Fault::of(Kind::Silicon).iter().copied().collect()
+    }
+
+    /// These and `fault`.
+    #[must_use]
+    pub fn with(self, fault: Fault) -> Self {
+        Self(self.0 | 1 << fault as u32)
+    }
+
+    /// These and `others`.
+    #[must_use]
+    pub fn and(self, others: Self) -> Self {
+        Self(self.0 | others.0)
+    }
+
+    /// Whether `fault` is among them.
+    #[inline]
+    pub fn has(self, fault: Fault) -> bool {
+        self.0 >> fault as u32 & 1 != 0
+    }
+
+    /// Names of the silicon's faults separated by commas, or `all`.
+    ///
+    /// # Errors
+    /// The name that none has.
+    pub fn of_silicon(text: &str) -> Result<Self, UnknownName> {
+        if text == "all" { Ok(Self::all_of_silicon()) } else { Self::parse(text, Kind::Silicon) }
+    }
+
+    /// Names of the board's faults separated by commas.
+    ///
+    /// # Errors
+    /// The name that none has.
+    pub fn of_board(text: &str) -> Result<Self, UnknownName> {
+        Self::parse(text, Kind::Board)
+    }
+
+    fn parse(text: &str, kind: Kind) -> Result<Self, UnknownName> {
+        let find = |name: &str| {
+            Fault::of(kind).iter().copied().find(|fault| fault.name() == name).ok_or_else(|| {
+                let (called, all) = match kind {
+                    Kind::Silicon => ("silicon fault", Some("all".to_owned())),
+                    Kind::Board => ("flaw", None),
+                };
+                let known = all.into_iter().chain(Fault::of(kind).iter().map(|fault| fault.name()));
+                UnknownName { kind: called, name: name.to_owned(), known: known.collect::<Vec<_>>().join(", ") }
+            })
+        };
+        text.split(',').map(str::trim).map(find).collect()
+    }
+
+    /// The lowest output of the buffered DACs, volts: the highest of several faults, 0 without one.
+    pub fn dac_rest_v(self) -> f64 {
+        let rests = DAC_RESTS_V.iter().filter(|(fault, _)| self.has(*fault));
+        rests.fold(0.0, |most, &(_, rest_v)| most.max(rest_v))
+    }
+}
+
+impl FromIterator<Fault> for Faults {
+    fn from_iter<I: IntoIterator<Item = Fault>>(faults: I) -> Self {
+        faults.into_iter().fold(Self::default(), Self::with)
+    }
+}
+
+/// The lowest output of the buffered DACs by each fault, volts.
+const DAC_RESTS_V: [(Fault, f64); 3] =
+    [(Fault::DacRest25, 0.025), (Fault::DacRest48, 0.048), (Fault::DacRest80, 0.080)];
+
+/// The electrodes, emitters and lines that flaws concern.
+pub(crate) const OPEN: (usize, Electrode) = (2, Electrode::X1);
+pub(crate) const STUCK: (usize, Electrode) = (4, Electrode::X2);
+pub(crate) const NOISY: (usize, Electrode) = (1, Electrode::X1);
+pub(crate) const NOISE_FACTOR: f64 = 5.0;
+pub(crate) const DEAD: usize = 3;
+pub(crate) const WEAK: usize = 5;
+pub(crate) const WEAK_STRENGTH: f64 = 0.5;
+pub(crate) const GATES: [usize; 2] = [1, 4];
+pub(crate) const CELLS: [usize; 2] = [0, 5];
+pub(crate) const LEVEL_LINE: usize = 0;
+/// 0.1 V of 3.3 V, in codes of the DAC.
+pub(crate) const LIFTED_CODES: u16 = 124;
+pub(crate) const STUCK_GATE: usize = 2;
+pub(crate) const SLOW_FACTOR: f64 = 2.5;
+pub(crate) const LINES_S: [(Fault, f64); 2] = [(Fault::LineDetector, 0.6e-6), (Fault::SlowDetector, 1.0e-6)];
+pub(crate) const BAFFLE: [usize; 2] = [1, 2];
+pub(crate) const BAFFLE_SHARE: f64 = 0.05;
+pub(crate) const LOW_SUPPLY_V: f64 = 3.0;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::facts::number;
+
+    #[test]
+    fn faults_are_read_by_name_and_unknown_ones_refused() {
+        let some = Faults::of_silicon("hse-dead, adc-stop").expect("names");
+        assert!(some.has(Fault::HseDead) && some.has(Fault::AdcStop) && !some.has(Fault::AdcStale));
+        assert_eq!(Faults::of_silicon("all").expect("all"), Faults::all_of_silicon());
+        assert_eq!(Faults::all_of_silicon().0.count_ones(), 15);
+        for (result, name, known) in [
+            (Faults::of_silicon("adc-stop,low-supply"), "`low-supply`", "are all, adc-stop, "),
+            (Faults::of_board("low-supply,x"), "no flaw is called `x`", "missing-baffle"),
+            (Faults::of_board("all"), "`all`", "are open-electrode, "),
+        ] {
+            let error = result.expect_err("no such fault").to_string();
+            assert!(error.contains(name) && error.contains(known), "{error}");
+        }
+    }
+
+    #[test]
+    fn each_has_a_phrase_of_its_own() {
+        let phrases: std::collections::BTreeSet<_> = Fault::value_variants().iter().map(|fault| fault.what()).collect();
+        assert!(phrases.len() == Fault::value_variants().len() && !phrases.contains(""), "{phrases:?}");
+    }
+
+    /// The data sheet's promise bounds them from above; each value that was measured on a relative is reached.
+    #[test]
+    fn dac_rests_are_between_what_was_measured_and_what_the_data_sheet_promises() {
+        let highest_v = Faults::all_of_silicon().dac_rest_v();
+        assert!(highest_v >= number("V_DAC_rest_F407") && highest_v <= number("V_DAC_headroom"));
+        for name in ["V_DAC_rest_L496", "V_DAC_rest_F446"] {
+            assert!(DAC_RESTS_V.iter().any(|&(_, rest_v)| rest_v == number(name)), "{name}");
+        }
+        assert_eq!(Faults::default().dac_rest_v(), 0.0);
+    }
+}
