@@ -39,7 +39,6 @@ impl Accuracy {
         self.beyond_five_sigma += u64::from(beyond);
     }
 
-    /// The number of poses added.
     pub(crate) fn count(&self) -> u64 {
         self.count
     }
@@ -74,7 +73,6 @@ impl Accuracy {
 /// Names of the axes, and of a millionth of the unit along each.
 const AXES: [(&str, &str); 6] = [("x", "um"), ("y", "um"), ("z", "um"), ("rx", "urad"), ("ry", "urad"), ("rz", "urad")];
 
-/// Compares poses with a table.
 pub(crate) struct Comparison {
     name: String,
     reference: Reference,
@@ -88,7 +86,6 @@ pub(crate) struct Comparison {
     scans: Option<[(u64, f64); 2]>,
 }
 
-/// A table whose times are others.
 #[derive(Debug, Error)]
 #[error(
     "{file}: nothing in it matches: its {column} runs from {:?} to {:?}, and that of {of} from {:?} to {:?}; {}",
@@ -105,13 +102,11 @@ pub(crate) struct Comparison {
     }
 )]
 pub(crate) struct NothingMatches {
-    /// The table.
     pub(crate) file: String,
     /// First and last value of its column.
     pub(crate) theirs: [f64; 2],
     /// The column: `seq`, or `time_s`.
     pub(crate) column: &'static str,
-    /// What it should match.
     pub(crate) of: &'static str,
     /// First and last value of that.
     pub(crate) ours: [f64; 2],
@@ -123,7 +118,6 @@ const EPOCH_S: f64 = 1e8;
 enum Reference {
     /// By the number of the scan, in order.
     Scans(Box<Scans>),
-    /// By device time, interpolated between poses.
     Path(Box<Trajectory>),
 }
 
@@ -139,7 +133,6 @@ struct Scans {
     span: Option<[u64; 2]>,
 }
 
-/// The error along one axis.
 #[derive(Clone, Copy, Default)]
 struct Axis {
     sum: f64,
@@ -230,7 +223,6 @@ impl Comparison {
         }
     }
 
-    /// The result, in lines for people.
     pub(crate) fn lines(&self) -> Vec<String> {
         let count = self.accuracy.count();
         let mut lines =

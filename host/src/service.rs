@@ -15,7 +15,6 @@ pub(crate) const READY: &str = "READY=1";
 /// The program is alive: to be sent every [`Service::watchdog_every`].
 pub(crate) const ALIVE: &str = "WATCHDOG=1";
 
-/// The program is about to end.
 pub(crate) const STOPPING: &str = "STOPPING=1";
 
 /// The service manager, if there is one.

@@ -8,36 +8,20 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
-/// Why a socket cannot be bound.
 #[derive(Debug, Error)]
 pub(crate) enum SocketFileError {
-    /// Another program answers at it.
     #[error("another program serves unix:{}; give another path, or end that program", path.display())]
-    InUse {
-        /// The path.
-        path: PathBuf,
-    },
-    /// The path is that of another file.
+    InUse { path: PathBuf },
     #[error("{} is no socket and is left alone; give another path", path.display())]
-    NotASocket {
-        /// The path.
-        path: PathBuf,
-    },
-    /// It cannot be bound.
+    NotASocket { path: PathBuf },
     #[error("cannot listen on unix:{}", path.display())]
-    Bind {
-        /// The path.
-        path: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
+    Bind { path: PathBuf, source: io::Error },
 }
 
 /// A bound socket; its file is removed when this is dropped, unless it has been replaced.
 #[derive(Debug)]
 pub(crate) struct SocketFile {
     path: PathBuf,
-    /// Device and inode.
     file: [u64; 2],
 }
 

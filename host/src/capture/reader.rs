@@ -11,7 +11,7 @@ use mcap::records::op;
 use slitpose_head::special_file;
 use slitpose_protocol::DELIMITER;
 
-use super::entry::Entry;
+use super::Entry;
 use super::index::Index;
 use super::packets::last_hello;
 use super::records::{ChunkRecords, Next, Records, is_capture, is_rewritten};
@@ -40,7 +40,6 @@ const FOREIGN: [(&[u8], &str, &str); 6] = [
     (b"PK\x03\x04", "a ZIP archive", "unpack it first"),
 ];
 
-/// How a capture ended.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct End {
     /// Whether the recorder ended the file. If not, it was cut off, or is still being recorded;
@@ -72,7 +71,6 @@ impl End {
         !self.finished || self.is_damaged() || self.refused.is_some() || self.unordered_messages > 0
     }
 
-    /// Whether the file is damaged.
     pub(crate) fn is_damaged(&self) -> bool {
         self.damaged_records > 0 || self.checksum_failed || self.index_damaged || self.trailing_bytes > 0
     }
@@ -99,7 +97,6 @@ enum Input<R> {
 
 struct McapInput<R> {
     records: Records<R>,
-    /// The chunk that is being read.
     chunk: Option<ChunkRecords>,
     index: Index,
     /// The entry to return after its settings.

@@ -16,29 +16,14 @@ use slitpose_head::scene_file::SceneFile;
 /// Why a capture gives no readings.
 #[derive(Debug, Error)]
 pub enum ReadingsError {
-    /// The file.
     #[error(transparent)]
     Capture(#[from] CaptureError),
-    /// A board with another head.
     #[error("{}", path.display())]
-    Board {
-        /// The capture.
-        path: PathBuf,
-        /// What is wrong with the board.
-        source: PipelineError,
-    },
-    /// Boards of several heads.
+    Board { path: PathBuf, source: PipelineError },
     #[error("{} holds several boards, and a calibration is of one head; give a capture of that head alone", path.display())]
-    SeveralBoards {
-        /// The capture.
-        path: PathBuf,
-    },
-    /// Nothing that can be read.
+    SeveralBoards { path: PathBuf },
     #[error("{} holds no scan; give a capture written by `run --record` or `simulate`", path.display())]
-    NoScan {
-        /// The capture.
-        path: PathBuf,
-    },
+    NoScan { path: PathBuf },
 }
 
 /// Readings of one board, with the noise of one frame.

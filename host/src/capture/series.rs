@@ -10,9 +10,9 @@ use mcap::McapError;
 use serde::Serialize;
 
 use super::file::{CaptureFile, Channels, io_error, report_text};
-use super::naming::{Existing, next_number, numbered};
 use super::packets::{Packets, last_hello};
 use super::place::Place;
+use super::place::{Existing, next_number, numbered};
 use super::{About, CaptureError, Setup};
 use crate::link::{DeviceId, Segment};
 use crate::pipeline::Record;
@@ -25,14 +25,11 @@ const FLUSH_EVERY: Duration = Duration::from_millis(900);
 pub(crate) struct Limits {
     /// Greatest length of a file, without the summary at its end.
     pub max_bytes: Option<u64>,
-    /// Greatest duration of a file.
     pub max_age: Option<Duration>,
 }
 
-/// The result of a recording.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Recorded {
-    /// Files begun.
     pub files: u64,
     /// Bytes of links that were not recorded because writing failed.
     pub dropped_bytes: u64,
@@ -52,7 +49,6 @@ pub(crate) struct CaptureSeries {
     message: Segment,
 }
 
-/// A board that is recorded.
 struct DeviceStream {
     setup: Setup,
     channels: Channels,
@@ -61,7 +57,6 @@ struct DeviceStream {
     log_ns: u64,
 }
 
-/// The current file.
 struct Output {
     file: Option<CaptureFile<File>>,
     /// Its place; `None` for a file opened by the caller.
@@ -253,7 +248,6 @@ impl CaptureSeries {
         self.output.file.is_some()
     }
 
-    /// The current file.
     pub(crate) fn path(&self) -> &Path {
         &self.output.path
     }
@@ -317,7 +311,6 @@ impl Output {
         }
     }
 
-    /// Begins the next file.
     fn open(&mut self, existing: Existing, about: &About) -> Result<(), CaptureError> {
         let existing = match &mut self.next {
             Some((path, number)) => {
@@ -389,7 +382,6 @@ impl Output {
         Err(CaptureError::Lost { path: self.path.clone() })
     }
 
-    /// Ends the current file.
     fn end(&mut self) -> Result<(), CaptureError> {
         self.attempt(0, CaptureFile::finish)?;
         self.check()?;

@@ -2,7 +2,7 @@
 
 use clap_complete::Shell;
 
-use super::{CommandError, Outcome, command, names};
+use super::{CommandError, Outcome, command, options};
 use slitpose_head::table::Output;
 
 /// Prints the script that teaches a shell to complete this command.
@@ -38,7 +38,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
 
 /// The generators take a list of names for all there is. Here it stands beside files.
 fn with_files(shell: Shell, script: String) -> String {
-    let lists = [names::scenes(), names::devices(), names::motions()].map(|names| names.list().join(" "));
+    let lists = [options::scenes(), options::devices(), options::motions()].map(|names| names.list().join(" "));
     match shell {
         Shell::Bash => lists.iter().fold(script, |script, list| {
             script.replace(&format!("compgen -W \"{list}\" --"), &format!("compgen -f -W \"{list}\" --"))

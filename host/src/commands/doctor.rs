@@ -4,9 +4,9 @@ use std::io::{self, IsTerminal, Write};
 use std::path::PathBuf;
 
 use super::device::BoardOptions;
-use super::poses::parse_duration;
+use super::options::parse_duration;
 use super::{CommandError, Outcome};
-use super::{names, talk};
+use super::{options, talk};
 use crate::doctor::{BringUp, Bundle, Step, Subject, examine, scene_of_bring_up};
 use crate::terminal::{self, Tone};
 use slitpose_head::finding::{Finding, Grade};
@@ -29,7 +29,7 @@ pub(super) struct Args {
     #[command(flatten)]
     board: BoardOptions,
     /// The scene of its head: a file, or the name of a shipped scene
-    #[arg(long, value_name = "SCENE", value_parser = names::scenes(), hide_possible_values = true)]
+    #[arg(long, value_name = "SCENE", value_parser = options::scenes(), hide_possible_values = true)]
     scene: Option<String>,
     /// Where recordings go
     #[arg(long, value_name = "DIR", default_value = ".")]
@@ -104,7 +104,6 @@ impl Report {
         Ok(Self { output, has_colours, failed: 0, warnings: 0 })
     }
 
-    /// The numbers of failures and warnings.
     fn finish(self) -> Result<(usize, usize), OutputError> {
         self.output.finish()?;
         Ok((self.failed, self.warnings))

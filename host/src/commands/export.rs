@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 
+use super::options::PoseOptions;
 use super::playback::{PlayOptions, Playback, Printing};
-use super::poses::PoseOptions;
 use super::{CommandError, Outcome, interrupt};
 use crate::sink::{Account, Format};
 use slitpose_head::faults::Fault;

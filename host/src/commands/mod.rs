@@ -15,29 +15,21 @@ mod export;
 mod faults;
 mod identify;
 mod live;
-mod losses;
 mod man;
 mod model;
-mod mouse;
-mod names;
 mod options;
 mod paper;
 mod playback;
 mod player;
-mod poses;
-mod publish;
 mod record;
 mod replay;
 mod report;
 mod run;
 mod scene;
-mod side_by_side;
 mod simulate;
 mod solve;
 mod status;
 mod talk;
-mod tool;
-mod zenoh;
 
 use std::ffi::OsString;
 use std::io;
@@ -116,11 +108,9 @@ enum Verb {
 /// How a command that did its work ended; the worst last.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Outcome {
-    /// Done.
     Done,
     /// Done with what there was; input data were damaged or lost.
     DataLost,
-    /// Done, but a check failed.
     Failed,
 }
 
@@ -140,201 +130,127 @@ const ENDINGS: &str = if cfg!(feature = "parquet") { ".csv, .ndjson or .parquet"
 /// Why a command could not do its work.
 #[derive(Debug, Error)]
 pub(crate) enum CommandError {
-    /// The scene.
     #[error(transparent)]
     SceneFile(#[from] SceneFileError),
-    /// A tolerance study of a head without poses.
     #[error(
         "scene `{scene}` gives no pose anywhere in its workspace, so there is none for tolerances to move; \
          --tolerance-study is for heads that have poses, such as the shipped scene `wide`"
     )]
-    NoPosesToStudy {
-        /// The scene.
-        scene: String,
-    },
-    /// A search for a better head.
+    NoPosesToStudy { scene: String },
     #[error(transparent)]
     Optimise(#[from] OptimiseError),
-    /// The optics of a scene that was put together by a command.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// A calibration.
     #[error(transparent)]
     Calibration(#[from] CalibrationFileError),
-    /// A picture.
     #[error(transparent)]
     Plot(#[from] PlotError),
-    /// A cell that the scene does not have.
     #[error("there is no cell {number}; the scene has the cells 0 to {last}")]
     NoSuchCell {
-        /// The number asked for.
         number: usize,
         /// The last cell's number.
         last: usize,
     },
-    /// A table that was read.
     #[error(transparent)]
     Table(#[from] TableError),
-    /// Currents from which no profile follows.
     #[error(transparent)]
     Profile(#[from] CellProfileError),
-    /// Measurements for a calibration.
     #[error(transparent)]
     Measurements(#[from] MeasurementsError),
-    /// A virtual bench.
     #[error(transparent)]
     Bench(#[from] BenchError),
-    /// Data that give no calibration.
     #[error(transparent)]
     Calibrate(#[from] CalibrateError),
-    /// The schedule of a scene.
     #[error(transparent)]
     Timing(#[from] TimingError),
-    /// A simulated board.
     #[error(transparent)]
     Simulator(#[from] SimulatorError),
-    /// A motion of the tool.
     #[error(transparent)]
     Path(#[from] PathError),
-    /// Neither a motion nor a table of one.
     #[error(
         "no motion is called {}{}; the motions are {known}, or give a table of one",
         printable(name),
         nearest.as_ref().map_or_else(String::new, |name| format!(" (did you mean `{name}`?)"))
     )]
     NoMotion {
-        /// What was asked for.
         name: String,
         /// The motion that is spelt almost like it.
         nearest: Option<String>,
-        /// All motions.
         known: String,
         /// Why it is no table.
         source: Box<TableError>,
     },
-    /// A table of other times.
     #[error(transparent)]
     NothingMatches(#[from] NothingMatches),
-    /// A fault that cannot be injected.
     #[error(transparent)]
     Fault(#[from] FaultError),
-    /// An option that means nothing to a real board.
     #[error("{option} is for simulated boards and means nothing to {device}; leave it out, or give --device sim")]
-    OnlySimulated {
-        /// The option.
-        option: &'static str,
-        /// The device asked for.
-        device: String,
-    },
-    /// An option of solving, where the board solves.
+    OnlySimulated { option: &'static str, device: String },
     #[error(
         "{option} says how this program solves poses, and with --stream pose the board does; leave one of both out"
     )]
-    OnlyHere {
-        /// The option.
-        option: &'static str,
-    },
-    /// More scenes than one and yet not one for each board.
+    OnlyHere { option: &'static str },
     #[error("{scenes} scenes for {devices} boards; give one for all, or one for each, in the same order")]
-    Scenes {
-        /// Scenes given.
-        scenes: usize,
-        /// Boards given.
-        devices: usize,
-    },
-    /// Calibrations, and not one for each board.
+    Scenes { scenes: usize, devices: usize },
     #[error(
         "{calibrations} calibrations for {devices} boards; give one for each, in the same order, or `none` for one"
     )]
-    Calibrations {
-        /// Calibrations given.
-        calibrations: usize,
-        /// Boards given.
-        devices: usize,
-    },
-    /// The configuration file.
+    Calibrations { calibrations: usize, devices: usize },
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// A board.
     #[error(transparent)]
     Board(#[from] BoardError),
-    /// A device.
     #[error(transparent)]
     Device(#[from] DeviceError),
-    /// A capture.
     #[error(transparent)]
     Capture(#[from] CaptureError),
-    /// A name that does not say how to write.
     #[error(
         "the name {} does not say how poses are to be written; give one that ends in {ENDINGS}, or --format",
         path.display()
     )]
-    Extension {
-        /// The file asked for.
-        path: PathBuf,
-    },
+    Extension { path: PathBuf },
     /// Poses of several captures, and no folder for them, or a folder and no poses.
     #[error(
         "with --jobs each capture has its own file of poses; give --output DIR with --format ndjson or csv, or neither"
     )]
     FormatOfEach,
-    /// A format of another build.
     #[cfg(not(feature = "parquet"))]
     #[error(
         "this build cannot write {} as Parquet; build with `cargo build --release -p slitpose --features parquet`, or \
          give a name that ends in .csv or .ndjson",
         path.display()
     )]
-    NoParquet {
-        /// The file asked for.
-        path: PathBuf,
-    },
-    /// Bytes that a terminal cannot show.
+    NoParquet { path: PathBuf },
     #[error("Parquet is no text for a terminal; redirect standard output, or choose another --format")]
     NoText,
-    /// A capture that cannot be solved.
     #[error(transparent)]
     Playback(#[from] PlaybackError),
-    /// A reference for one board, and several of them.
     #[error(transparent)]
     SeveralBoards(#[from] SeveralBoards),
-    /// The way poses are sent on.
     #[error(transparent)]
     Datagram(#[from] DatagramError),
-    /// Notifications to the service manager.
     #[error(transparent)]
     Status(#[from] StatusError),
-    /// The rules of the live page.
     #[error(transparent)]
     Access(#[from] AccessError),
-    /// The 6-DoF mouse.
     #[error(transparent)]
     Spacenav(#[from] SpacenavError),
-    /// The live page.
     #[error(transparent)]
     Live(#[from] LiveError),
-    /// Zenoh.
     #[error(transparent)]
     Zenoh(#[from] ZenohError),
-    /// The server for Foxglove.
     #[error(transparent)]
     Foxglove(#[from] FoxgloveError),
-    /// A service manager that cannot be told anything.
     #[error("the service manager that NOTIFY_SOCKET names cannot be reached; start the program without it")]
     Service(#[source] io::Error),
-    /// The user cannot be asked.
     #[error("cannot read from standard input; give --yes to go on without questions")]
     Input(#[source] io::Error),
-    /// Signals cannot be handled.
     #[error("cannot listen to signals")]
     Interrupt(#[source] io::Error),
-    /// A daemon that does not answer.
     #[error(transparent)]
     Fetch(#[from] FetchError),
-    /// A study of errors and times.
     #[error(transparent)]
     Report(#[from] ReportError),
-    /// The result.
     #[error(transparent)]
     Output(#[from] OutputError),
 }
@@ -348,12 +264,10 @@ impl CommandError {
         }
     }
 
-    /// Standard output cannot be written.
     fn printing(source: io::Error) -> Self {
         Self::Output(OutputError::Write { target: "standard output".to_owned(), source })
     }
 
-    /// The exit code of the program.
     fn exit_code(&self) -> ExitCode {
         match self {
             #[cfg(not(feature = "parquet"))]

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::publish::store;
+use super::talk::store;
 use super::{CommandError, Outcome, talk};
 use slitpose_design::paper::{Experiment, Point, Study, account, figures};
 use slitpose_design::report::Folder;

@@ -9,9 +9,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use super::options::CalibrationOption;
+use super::options::{PoseOptions, parse_duration};
 use super::player::Player;
-use super::poses::{PoseOptions, parse_duration};
-use super::{CommandError, Outcome, interrupt, names, talk};
+use super::{CommandError, Outcome, interrupt, options, talk};
 use crate::clock::HostInstant;
 use crate::comparison::Comparison;
 use crate::link::DeviceId;
@@ -30,7 +30,7 @@ use thiserror::Error;
 #[derive(clap::Args, Debug)]
 pub(super) struct PlayOptions {
     /// Scene file, or the name of a shipped scene, also if it is not the one of the capture
-    #[arg(long, value_name = "SCENE", value_parser = names::scenes(), hide_possible_values = true)]
+    #[arg(long, value_name = "SCENE", value_parser = options::scenes(), hide_possible_values = true)]
     scene: Option<String>,
     #[command(flatten)]
     calibration: CalibrationOption,
@@ -52,7 +52,6 @@ impl PlayOptions {
         self.to
     }
 
-    /// Files that are read besides captures.
     pub(super) fn sources(&self) -> impl Iterator<Item = &Path> {
         self.scene.iter().chain(&self.compare).map(Path::new).chain(self.calibration.file())
     }
@@ -63,14 +62,11 @@ impl PlayOptions {
 #[error("--compare compares one board, and the capture holds several; record them apart")]
 pub(crate) struct SeveralBoards;
 
-/// Output and format of poses.
 pub(super) struct Printing<'a> {
     /// `None`: nowhere.
     pub(super) sink: Option<Box<dyn Sink + Send + 'a>>,
-    /// The name of the output.
     pub(super) target: &'a str,
     pub(super) format: Format,
-    /// Whether that is a terminal.
     pub(super) is_terminal: bool,
     /// The capture, if others are replayed at the same time: messages name it, and there is no progress line.
     pub(super) name: Option<&'a str>,
@@ -79,7 +75,6 @@ pub(super) struct Printing<'a> {
 /// A capture that rests looks this often for orders.
 const MOMENT: Duration = Duration::from_millis(20);
 
-/// Captures being solved.
 pub(super) struct Playback<'a> {
     files: &'a [PathBuf],
     choice: Choice,
@@ -98,15 +93,11 @@ pub(super) struct Playback<'a> {
     began: HostInstant,
 }
 
-/// Where poses go.
 struct Outputs<'a> {
     sink: Option<Box<dyn Sink + Send + 'a>>,
-    /// Where that writes.
     target: &'a str,
-    /// What messages begin with.
     name: Option<&'a str>,
     comparison: Option<Comparison>,
-    /// Of each board.
     statistics: Vec<RefCell<BoardStatistics>>,
     /// Of each board, if a page shows them.
     samplers: Vec<Sampler>,
@@ -155,7 +146,6 @@ impl<'a> Playback<'a> {
         Ok(self)
     }
 
-    /// Solves all of them.
     pub(super) fn run(self) -> Result<Outcome, CommandError> {
         self.play().map(|(outcome, _)| outcome)
     }
@@ -255,7 +245,6 @@ impl<'a> Playback<'a> {
         Ok(())
     }
 
-    /// Shows the page what has come.
     fn show(&mut self) {
         let Self { player: Some(player), captures, output, .. } = self else { return };
         let boards = captures.boards();

@@ -3,12 +3,12 @@
 use std::io::{self, IsTerminal};
 use std::path::PathBuf;
 
+use super::compare::SideBySide;
 use super::faults::FaultOptions;
 use super::live::LiveOptions;
+use super::options::PoseOptions;
 use super::playback::{PlayOptions, Playback, Printing};
 use super::player::{Orders, Player};
-use super::poses::PoseOptions;
-use super::side_by_side::SideBySide;
 use super::{CommandError, Outcome};
 use crate::live::LivePlan;
 use crate::playback;

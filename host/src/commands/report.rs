@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use super::options::{Jobs, open_scene};
-use super::publish::store;
-use super::{CommandError, Outcome, names};
+use super::talk::store;
+use super::{CommandError, Outcome, options};
 use crate::terminal::{Amount, Progress};
 use slitpose_design::report::{Folder, POSES, QUICK_POSES, SECTIONS, Settings, study};
 use slitpose_head::scene_file::WIDE;
@@ -22,7 +22,7 @@ use slitpose_head::scene_file::WIDE;
 )]
 pub(super) struct Args {
     /// Scene file, or the name of a shipped scene
-    #[arg(default_value = WIDE.name, value_parser = names::scenes(), hide_possible_values = true)]
+    #[arg(default_value = WIDE.name, value_parser = options::scenes(), hide_possible_values = true)]
     scene: String,
     /// Make this folder with the page, its tables and pictures
     #[arg(long, value_name = "DIR")]

@@ -10,14 +10,14 @@ use clap::ValueEnum;
 use slitpose_calibration::{Basis, Head};
 use slitpose_protocol::{Hello, Stream};
 
+use super::live::MouseOptions;
 use super::live::{Changes, FoxgloveOptions, LiveOptions};
-use super::mouse::MouseOptions;
+use super::live::{ZenohOptions, key_of};
 use super::options::open_scene;
-use super::poses::{PoseOptions, parse_duration};
+use super::options::{PoseOptions, parse_duration};
 use super::record::RecordOptions;
-use super::tool::ToolOptions;
-use super::zenoh::{ZenohOptions, key_of};
-use super::{CommandError, Outcome, interrupt, losses, names, talk};
+use super::simulate::ToolOptions;
+use super::{CommandError, Outcome, interrupt, options, talk};
 use crate::clock::{HostInstant, UtcWatch};
 use crate::daemon::{Admit, BoardPlan, Daemon, Ended, Opener, Plan, PortOpener, SimulatedOpener};
 use crate::datagram::{Address, DatagramServer};
@@ -62,10 +62,10 @@ const ACCOUNT_EVERY: Duration = Duration::from_secs(1);
 pub(super) struct Args {
     /// Which board: `auto`, a serial number, the path of a port, zenoh:KEY, or `sim`, a simulated one;
     /// once for each board
-    #[arg(long, value_name = "DEVICE", value_delimiter = ',', default_value = "auto", value_parser = names::devices(), hide_possible_values = true)]
+    #[arg(long, value_name = "DEVICE", value_delimiter = ',', default_value = "auto", value_parser = options::devices(), hide_possible_values = true)]
     device: Vec<String>,
     /// Scene file, or the name of a shipped scene; one for all boards, or one for each
-    #[arg(long, value_name = "SCENE", value_delimiter = ',', default_value = "wide", value_parser = names::scenes(), hide_possible_values = true)]
+    #[arg(long, value_name = "SCENE", value_delimiter = ',', default_value = "wide", value_parser = options::scenes(), hide_possible_values = true)]
     scene: Vec<String>,
     /// Calibration of the head, as `slitpose calibrate` wrote it, one for each board; or none: the head is as
     /// its scene says
@@ -269,7 +269,7 @@ fn outcome_of(ended: Ended, reconnects: &[u64], interrupted: bool, bounded: bool
             outcome = Outcome::DataLost;
         }
         let wanted = interrupted || (bounded && followed.is_ok());
-        outcome = outcome.max(losses::tell(&name, &counts, wanted));
+        outcome = outcome.max(talk::tell(&name, &counts, wanted));
         let behind = counts.scans_skipped - counts.scans_given_up;
         for (count, reason) in
             [(behind, "the solver was behind"), (counts.scans_given_up, "they waited at the interrupt")]
@@ -304,7 +304,6 @@ fn outcome_of(ended: Ended, reconnects: &[u64], interrupted: bool, bounded: bool
 }
 
 impl Args {
-    /// The boards to follow.
     fn boards(&self, zenoh: Option<&ZenohSession>) -> Result<Vec<BoardPlan>, CommandError> {
         let scenes = self.scene.iter().map(|scene| open_scene(scene)).collect::<Result<Vec<_>, _>>()?;
         if scenes.len() != 1 && scenes.len() != self.device.len() {

@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 
 use slitpose_protocol::{Configuration, Hello, Stream};
 
-use super::error::BoardError;
+use super::board::BoardError;
 use crate::device::{
     Conversation, DeviceError, Found, Keep, Search, Selector, SerialDevice, SimulatedDevice, SimulatedPort, find,
     locate,
@@ -18,7 +18,6 @@ pub(crate) type Admit = Box<dyn Fn(&Hello<'_>) -> Result<(), PipelineError> + Se
 
 /// The stream of a board: of one that this host speaks to, or of one that another host follows.
 pub(crate) trait Feed {
-    /// The user's name for it.
     fn name(&self) -> String;
 
     /// Waits for the board's hello, which `admit` accepts or refuses.
@@ -85,9 +84,7 @@ impl Feed for Conversation {
 /// each other's ports in use.
 static LOOKING: Mutex<()> = Mutex::new(());
 
-/// Opens the board of a reader.
 pub(crate) trait Opener: Send {
-    /// The user's name for the board.
     fn name(&self) -> String;
 
     /// Waits until no other reader searches for boards, if that would disturb the search.

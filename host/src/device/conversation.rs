@@ -7,7 +7,7 @@ use slitpose_protocol::{
     Message, PayloadError, Rejection, Request, Stream, encode,
 };
 
-use super::keep_alive::{self, KeepAlive, ping};
+use super::orders::{self, KeepAlive, ping};
 use super::{Device, DeviceError};
 use crate::clock::HostInstant;
 use crate::link::{Asked, Segment, Versions};
@@ -40,7 +40,6 @@ pub enum Keep {
     Replies,
 }
 
-/// What to do with one packet.
 enum Verdict {
     Keep,
     KeepFromHere,
@@ -51,7 +50,6 @@ enum Verdict {
 pub(crate) struct Conversation {
     device: Box<dyn Device>,
     pub(super) decoder: Decoder<MAX_MESSAGE_BYTES>,
-    /// Bytes received and kept.
     pub(super) inbox: Vec<u8>,
     /// Length of the whole packets at its start.
     whole: usize,
@@ -251,7 +249,6 @@ impl Conversation {
         self.started = false;
     }
 
-    /// The user's name for the device.
     pub(crate) fn name(&self) -> String {
         self.device.name().to_owned()
     }
@@ -321,7 +318,7 @@ impl Conversation {
         if !self.started || !self.device.keeps_time() || now < self.ping_at {
             return None;
         }
-        self.ping_at = now + keep_alive::INTERVAL;
+        self.ping_at = now + orders::INTERVAL;
         self.token = self.token.wrapping_add(1);
         let mut buffer = [0; MAX_REQUEST_BYTES];
         let (packet, asked) = ping(self.token, &mut buffer)?;

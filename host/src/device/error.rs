@@ -251,7 +251,6 @@ pub enum Scanless {
     },
 }
 
-/// Boards and ports in a row.
 fn in_words(listed: &[Listed]) -> String {
     let word = |listed: &Listed| match listed.device() {
         Some(device) => format!("{device} on {}", listed.port.name),

@@ -30,7 +30,6 @@ const DEBUGGERS: [(u16, u16); 9] = [
     (0x0483, 0x3757),
 ];
 
-/// USB descriptors.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub(crate) struct UsbId {
     /// Vendor number.

@@ -13,7 +13,6 @@ use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::{SimulatedBoard, SimulatorError, Trajectory, TrajectoryKind};
 use slitpose_head::threads::lock;
 
-/// What its user calls it.
 const NAME: &str = "sim";
 
 /// Device time that passes between two waits.
@@ -89,7 +88,6 @@ impl SimulatedDevice {
         }
     }
 
-    /// With faults on its link.
     #[must_use]
     pub(crate) fn with_faults(mut self, injector: Option<Injector>) -> Self {
         self.wire = injector.map(|injector| Box::new(FaultyWire { injector, sent: Vec::new(), hung_up_s: None }));

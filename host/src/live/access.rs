@@ -21,28 +21,15 @@ pub(crate) struct LiveAddress(pub(super) SocketAddr);
 /// Why a page cannot be served so.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub(crate) enum AccessError {
-    /// No address.
     #[error("`{text}` is no address; give one such as {DEFAULT_LIVE_ADDRESS}, [::1]:7451 or 0.0.0.0:7451")]
-    Address {
-        /// The text.
-        text: String,
-    },
-    /// Every host could look.
+    Address { text: String },
     #[error(
         "{address} can be reached from other hosts: give --live-token with a secret of {LEAST_TOKEN} characters or more, \
          or listen on 127.0.0.1"
     )]
-    NoToken {
-        /// The address.
-        address: SocketAddr,
-    },
-    /// A token that could be guessed.
+    NoToken { address: SocketAddr },
     #[error("a token of {found} characters can be guessed; give --live-token with {LEAST_TOKEN} characters or more")]
-    ShortToken {
-        /// Its length.
-        found: usize,
-    },
-    /// A token that a URL cannot hold as it is.
+    ShortToken { found: usize },
     #[error("a token has letters, digits, `-`, `_`, `.` and `~` only; `{letter}` is none of them")]
     Letter {
         /// The first other one.
@@ -64,7 +51,6 @@ impl fmt::Display for LiveAddress {
     }
 }
 
-/// The rules of a server.
 #[derive(Clone, PartialEq, Eq)]
 pub(crate) struct Access {
     pub(super) address: SocketAddr,

@@ -36,7 +36,6 @@ impl SimulatedLink {
         Self::numbered(0)
     }
 
-    /// One of several boards.
     fn numbered(number: u8) -> Self {
         let file = WIDE.read().unwrap();
         let configuration = front_end::configuration(&file).unwrap();
@@ -189,7 +188,6 @@ fn scans_behind_the_end_are_not_solved() {
     assert!(taken < segment.bytes.len() && records.len() == 20 && pipeline.is_complete());
 }
 
-/// Simulated boards report a crystal.
 #[test]
 fn a_status_sets_the_bounds_of_the_clock() {
     for (permille, contradicts) in [(1000, false), (1010, true), (990, true)] {

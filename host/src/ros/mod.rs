@@ -16,7 +16,6 @@ pub(crate) use schemas::{MARKERS, POSE, POSE_STAMPED, REPORT, RosType, TRANSFORM
 use crate::link::DeviceId;
 use crate::pipeline::Record;
 
-/// Beginning of a board's topics.
 const TOPICS: &str = "/slitpose/";
 
 /// A topic of a board. No part of a name of ROS may begin with a digit, as numbers of boards do.

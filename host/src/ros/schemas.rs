@@ -176,7 +176,6 @@ pub(crate) const TWIST: RosType = RosType {
     definition: definition!("std_msgs/Header header\nTwistWithCovariance twist\n", twist_with_covariance twist vector3 header time),
 };
 
-/// The same pose without covariance.
 pub(crate) const POSE_STAMPED: RosType = RosType {
     name: "geometry_msgs/msg/PoseStamped",
     definition: definition!("std_msgs/Header header\nPose pose\n", pose point quaternion header time),
@@ -191,7 +190,6 @@ pub(crate) const TRANSFORMS: RosType = RosType {
 /// A report, as JSON text in CDR: ROS tools refuse files with messages in other encodings.
 pub(crate) const REPORT: RosType = RosType { name: "std_msgs/msg/String", definition: "string data\n" };
 
-/// Shapes, each with a frame.
 pub(crate) const MARKERS: RosType = RosType {
     name: "visualization_msgs/msg/MarkerArray",
     definition: definition!("visualization_msgs/Marker[] markers\n", marker uv_coordinate mesh_file compressed_image pose point quaternion vector3 colour header time duration),

@@ -2,19 +2,16 @@
 
 mod csv;
 mod ndjson;
-mod note;
 #[cfg(feature = "parquet")]
 mod parquet;
 mod summary;
-#[cfg(test)]
-mod tests;
 
 use std::io::{self, Write};
 
 use clap::ValueEnum;
+use slitpose_protocol::{BoardKind, Hello, Severity};
 
-pub(crate) use note::Note;
-
+use crate::link::DeviceId;
 use crate::pipeline::Record;
 use crate::telemetry::{BoardReport, RecorderReport};
 
@@ -46,7 +43,6 @@ impl Format {
         }
     }
 
-    /// Whether people can read it.
     pub(crate) fn is_text(self) -> bool {
         #[cfg(feature = "parquet")]
         if self == Self::Parquet {
@@ -56,19 +52,14 @@ impl Format {
     }
 }
 
-/// The state of boards and recording.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Account {
-    /// Each board.
     pub boards: Vec<BoardReport>,
-    /// The capture that is written.
     pub recorder: RecorderReport,
 }
 
-/// Returns the present account.
 pub(crate) type Accounts<'a> = dyn Fn() -> Account + 'a;
 
-/// An output for poses.
 pub(crate) trait Sink {
     /// Writes the solution of the next scan.
     ///
@@ -115,3 +106,40 @@ pub(crate) fn open<'a>(
         Format::None => None,
     }
 }
+
+/// An event in the stream of poses.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Note {
+    Hello {
+        device: DeviceId,
+        board: String,
+        /// Whether its photocurrents are measured or computed.
+        kind: BoardKind,
+        firmware: String,
+        /// Frames a second of its schedule.
+        frame_rate_hz: f64,
+    },
+    Event {
+        /// The board; `None` if it has not introduced itself.
+        device: Option<DeviceId>,
+        severity: Severity,
+        /// Its time by the board's clock, seconds.
+        device_time_s: f64,
+        text: String,
+    },
+}
+
+impl Note {
+    pub(crate) fn hello(hello: &Hello<'_>) -> Self {
+        Self::Hello {
+            device: DeviceId(hello.device_id),
+            board: hello.board.to_owned(),
+            kind: hello.kind,
+            firmware: hello.firmware.to_owned(),
+            frame_rate_hz: hello.schedule.frame_rate_hz(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -9,8 +9,8 @@ use glam::DVec3;
 use slitpose_head::scene_file::Workspace;
 use slitpose_model::Pose;
 
-use super::motion::Feel;
 use super::server::{MOST_CLIENTS, SpacenavServer};
+use super::*;
 
 /// Longer than any answer takes on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -123,4 +123,56 @@ fn a_client_that_reads_late_learns_that_the_tool_rests() {
         read += 1;
     }
     assert!((1..4_000).contains(&read), "{read}");
+}
+
+const WORKSPACE: Workspace = Workspace { half_extent_m: DVec3::splat(4e-3), half_extent_rad: DVec3::splat(0.25) };
+
+fn feel(axes: &str) -> Feel {
+    Feel { gain: 1.0, dead_zone: 0.1, axes: axes.parse().unwrap() }
+}
+
+#[test]
+fn axes_are_read_or_refused() {
+    for text in ["x,z,y", "y,-z,-x", "-x,-y,-z"] {
+        assert_eq!(text.parse::<Axes>().unwrap().to_string(), text);
+    }
+    for text in ["", "x,y", "x,y,y", "x,y,z,x", "x,y,w", "--x,y,z", "x;y;z"] {
+        assert!(text.parse::<Axes>().is_err(), "{text}");
+    }
+}
+
+/// libspnav's `spnav_posrot_moveobj` (util.c) moves an object in OpenGL's frame (x right, y up, z out of the screen,
+/// right-handed) by (x, y, -z) and turns it about (rx, ry, -rz). With x to the right, y away and z up, that has to be
+/// the motion of the tool.
+#[test]
+fn an_object_in_opengl_follows_the_tool() {
+    let opengl = |motion: [i32; 6]| {
+        let [x, y, z, rx, ry, rz] = motion.map(f64::from);
+        (DVec3::new(x, y, -z), DVec3::new(rx, ry, -rz))
+    };
+    let opengl_from_base = |v: DVec3| DVec3::new(v.x, v.z, -v.y);
+    let (t, r) = (DVec3::new(1e-3, -2e-3, 3e-3), DVec3::new(0.05, 0.1, -0.15));
+    let still = Feel { dead_zone: 0.0, ..feel("x,z,y") };
+    let motion = still.motion(&WORKSPACE, &Pose::HOME, &Pose::from_vectors(t, r));
+    let (moved, turned) = opengl(motion);
+    assert!(moved.distance(opengl_from_base(t) / 4e-3 * FULL) < 1.0, "{moved}");
+    assert!(turned.distance(opengl_from_base(r) / 0.25 * FULL) < 1.0, "{turned}");
+}
+
+#[test]
+fn deflection_grows_from_the_dead_zone_to_the_edge_and_no_further() {
+    let x = |x_m: f64, zero_m: f64| {
+        let at = |x_m| Pose::from_vectors(DVec3::new(x_m, 0.0, 0.0), DVec3::ZERO);
+        feel("x,z,y").motion(&WORKSPACE, &at(zero_m), &at(x_m))[0]
+    };
+    assert_eq!((x(0.39e-3, 0.0), x(-0.39e-3, 0.0)), (0, 0));
+    assert_eq!((x(2.2e-3, 0.0), x(-2.2e-3, 0.0)), (175, -175));
+    assert_eq!((x(4e-3, 0.0), x(0.1, 0.0)), (350, 350));
+    assert_eq!((x(1e-3, 1e-3), x(3.2e-3, 1e-3)), (0, 175), "relative to zero");
+}
+
+#[test]
+fn an_axis_without_workspace_does_not_move() {
+    let flat = Workspace { half_extent_m: DVec3::new(4e-3, 4e-3, 0.0), ..WORKSPACE };
+    assert_eq!(feel("x,y,z").motion(&flat, &Pose::HOME, &Pose::HOME), [0; 6]);
 }

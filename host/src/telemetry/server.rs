@@ -29,35 +29,19 @@ const SOCKET_MODE: u32 = 0o660;
 const TEXT: &str = "text/plain; charset=utf-8";
 const JSON: &str = "application/json";
 
-/// Why the status cannot be served.
 #[derive(Debug, Error)]
 pub(crate) enum StatusError {
-    /// Other hosts could connect, too.
     #[error(
         "{address} can be reached from other hosts, and the status server asks for no password; \
          give 127.0.0.1 or [::1], or a unix: path"
     )]
-    NotLoopback {
-        /// The address.
-        address: StatusAddress,
-    },
-    /// A Unix socket.
+    NotLoopback { address: StatusAddress },
     #[error(transparent)]
     Socket(#[from] SocketFileError),
-    /// Another program answers at the port.
     #[error("another program serves {address}; give another address, or end that program")]
-    InUse {
-        /// The address.
-        address: StatusAddress,
-    },
-    /// The address cannot be bound.
+    InUse { address: StatusAddress },
     #[error("cannot listen on {address}")]
-    Listen {
-        /// The address.
-        address: StatusAddress,
-        /// The system's error.
-        source: io::Error,
-    },
+    Listen { address: StatusAddress, source: io::Error },
 }
 
 /// Serves the status until dropped.

@@ -17,12 +17,9 @@ const LONGEST_TEXT: usize = 800;
 /// The importance of a line, shown by its colour.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Tone {
-    /// Normal.
     #[default]
     Plain,
-    /// Worth attention.
     Careful,
-    /// A fault.
     Wrong,
 }
 
@@ -78,7 +75,6 @@ impl Line {
         Self { rank: *RANKS.end(), ..Self::default() }
     }
 
-    /// Sets the tone.
     pub(crate) fn tone(&mut self, tone: Tone) -> &mut Self {
         self.tone = tone;
         self
@@ -136,7 +132,6 @@ fn split_at_width(word: &str, width: usize) -> (&str, &str) {
     word.split_at(end)
 }
 
-/// One row on the screen.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Row {
     pub(super) text: String,

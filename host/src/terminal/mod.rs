@@ -7,7 +7,6 @@
 //! Nothing is drawn in place unless the stream is a terminal that can move its cursor (TERM is set
 //! and not `dumb`). Colours mark faults; a non-empty NO_COLOR turns them off.
 
-mod block;
 mod line;
 mod progress;
 
@@ -20,13 +19,12 @@ use console::Term;
 pub(crate) use line::{Line, Tone, WIDTH, layout};
 pub(crate) use progress::{Amount, Progress, hide as hide_progress};
 
-use block::{Block, Size};
+use progress::{Block, Size};
 use slitpose_head::foreign::printable;
 
 /// Longer messages, with texts from boards or files, are cut.
 const LONGEST_MESSAGE: usize = 4000;
 
-/// Everything that is drawn in place.
 static SCREEN: Mutex<Screen> =
     Mutex::new(Screen { view: Vec::new(), progress: None, target: None, block: Block::NONE });
 
@@ -70,7 +68,6 @@ pub(crate) fn columns() -> usize {
     Size::of(&Term::stdout()).columns
 }
 
-/// Erases the lines drawn in place.
 pub(crate) fn clear() {
     let mut screen = screen();
     (screen.view, screen.progress) = (Vec::new(), None);
@@ -132,7 +129,6 @@ impl Screen {
         target.flush()
     }
 
-    /// Writes above what is drawn.
     fn above(&mut self, write: impl FnOnce() -> io::Result<()>) -> io::Result<()> {
         let Some(target) = &self.target else { return write() };
         target.write_str(&self.block.replace(&[], Size::of(target), false))?;

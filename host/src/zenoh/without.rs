@@ -19,7 +19,6 @@ impl ZenohSession {
         Err(ZenohError::NotBuilt)
     }
 
-    /// What would publish boards.
     pub(crate) fn publisher(
         &self,
         _: Vec<LiveBoard>,

@@ -5,7 +5,7 @@ use std::time::Duration;
 use clap::builder::TypedValueParser;
 
 use crate::commands::CommandError;
-use crate::commands::{names, talk};
+use crate::commands::{options, talk};
 use crate::device::{
     BoardInfo, Conversation, Device, DeviceError, Found, Search, Selector, SerialDevice, SimulatedDevice, find, holders,
 };
@@ -22,7 +22,7 @@ pub(in crate::commands) struct BoardOptions {
     /// The board: its serial number, the path of its port, auto: the one there is, or sim: a simulated one
     #[arg(
         long, value_name = "DEVICE", default_value = "auto", hide_possible_values = true,
-        value_parser = names::devices().try_map(|text| text.parse::<Selector>())
+        value_parser = options::devices().try_map(|text| text.parse::<Selector>())
     )]
     pub(in crate::commands) device: Selector,
     /// Look for boards here, too: a path with * and ?, such as '/dev/ttyUSB*'; may be repeated
@@ -30,7 +30,6 @@ pub(in crate::commands) struct BoardOptions {
     pub(in crate::commands) search: Vec<Search>,
 }
 
-/// A board that has introduced itself.
 pub(in crate::commands) struct Connection {
     pub(in crate::commands) board: Conversation,
     pub(in crate::commands) info: BoardInfo,
@@ -63,7 +62,6 @@ impl Connection {
         }
     }
 
-    /// Which board, and where.
     pub(in crate::commands) fn name(&self) -> String {
         format!("{} on {}", self.info.device, self.found.port)
     }

@@ -150,7 +150,6 @@ fn counters(info: &BoardInfo, status: &Status) -> Vec<(&'static str, String)> {
     ]
 }
 
-/// The same for programs.
 #[derive(Serialize)]
 struct Info<'a> {
     port: &'a str,

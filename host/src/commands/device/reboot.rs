@@ -17,10 +17,8 @@ const GONE_WITHIN: Duration = Duration::from_millis(300);
 /// A board is up in milliseconds; on USB the host needs a second or two to see it.
 const BACK_WITHIN: Duration = Duration::from_secs(10);
 
-/// One try to have an answer.
 const ANSWER_WITHIN: Duration = Duration::from_secs(1);
 
-/// Between two looks for the port.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 
 /// Restarts a board, and waits until it is back.

@@ -8,7 +8,7 @@ use slitpose_calibration::{Calibration, Head};
 use slitpose_protocol::{Hashes, Schedule};
 
 use super::{BoardOptions, Connection};
-use crate::commands::{CommandError, Outcome, names};
+use crate::commands::{CommandError, Outcome, options};
 use crate::device::DeviceError;
 use crate::solving;
 use slitpose_head::front_end;
@@ -32,7 +32,7 @@ pub(super) struct Args {
     #[command(flatten)]
     board: BoardOptions,
     /// The scene of its head: a file, or the name of a shipped scene
-    #[arg(long, value_name = "SCENE", value_parser = names::scenes(), hide_possible_values = true, required_unless_present = "clear", conflicts_with = "clear")]
+    #[arg(long, value_name = "SCENE", value_parser = options::scenes(), hide_possible_values = true, required_unless_present = "clear", conflicts_with = "clear")]
     scene: Option<String>,
     /// The calibration of its head, which `slitpose calibrate` wrote
     #[arg(long, value_name = "FILE", requires = "scene")]
@@ -97,7 +97,6 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     Ok(Outcome::Done)
 }
 
-/// Reads microamperes.
 fn parse_full_scale(text: &str) -> Result<NonZeroU32, String> {
     let pa = text.parse().map_or(f64::NAN, |ua: f64| (ua * 1e6).round());
     // What is no number, or below zero, becomes zero.

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 
 use super::{CommandError, Outcome};
-use crate::commands::names;
+use crate::commands::options;
 use crate::commands::options::{CalibrationOption, Jobs, open_scene};
 use crate::terminal::{Amount, Progress};
 use slitpose_design::survey::Survey;
@@ -19,7 +19,7 @@ use slitpose_head::table::Output;
 #[command(after_help = "Examples:\n  slitpose scene check wide\n  slitpose scene check mine.toml --format json")]
 pub(super) struct Args {
     /// Scene file, or the name of a shipped scene
-    #[arg(value_parser = names::scenes(), hide_possible_values = true)]
+    #[arg(value_parser = options::scenes(), hide_possible_values = true)]
     scene: String,
     #[command(flatten)]
     calibration: CalibrationOption,

@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 
 use super::{CommandError, Outcome};
-use crate::commands::names;
+use crate::commands::options;
 use crate::commands::options::{CalibrationOption, Jobs, open_scene, parse_number};
-use crate::commands::publish::publish;
+use crate::commands::talk::publish;
 use crate::terminal::{Amount, Progress};
 use slitpose_design::map::{Fineness, Map, Schedules, Tolerances};
 use slitpose_design::report::{Folder, map_report};
@@ -24,7 +24,7 @@ use slitpose_head::scene_file::SceneFile;
 )]
 pub(super) struct Args {
     /// Scene file, or the name of a shipped scene
-    #[arg(value_parser = names::scenes(), hide_possible_values = true)]
+    #[arg(value_parser = options::scenes(), hide_possible_values = true)]
     scene: String,
     #[command(flatten)]
     calibration: CalibrationOption,

@@ -5,12 +5,11 @@ use std::path::PathBuf;
 use slitpose_model::{Plan, Pose, Tier};
 
 use super::{CommandError, Outcome};
-use crate::commands::names;
+use crate::commands::options;
 use crate::commands::options::{CalibrationOption, open_scene, parse_pose};
 use slitpose_design::plot::{cell_picture, scene_picture};
 use slitpose_head::table::Output;
 
-/// More than a picture can show.
 const TOLERANCE: f64 = 1e-6;
 
 /// Draws a scene as SVG: three views with slits, emitters and beams, and the light on each detector.
@@ -19,7 +18,7 @@ const TOLERANCE: f64 = 1e-6;
                         slitpose scene plot bench --cell 0 --pose 3,0,0,0,0,0 --output cell.svg")]
 pub(super) struct Args {
     /// Scene file, or the name of a shipped scene
-    #[arg(value_parser = names::scenes(), hide_possible_values = true)]
+    #[arg(value_parser = options::scenes(), hide_possible_values = true)]
     scene: String,
     #[command(flatten)]
     calibration: CalibrationOption,

@@ -6,7 +6,7 @@ use std::time::Duration;
 use super::{CommandError, Outcome};
 use crate::commands::live::AccessOptions;
 use crate::commands::options::{CalibrationOption, open_scene};
-use crate::commands::{interrupt, names};
+use crate::commands::{interrupt, options};
 use crate::live::{Control, DEFAULT_LIVE_ADDRESS, LiveAddress, LiveBoard, LivePlan, Order, Refusal, SceneView};
 
 /// Shows a scene on a page: drag the tool, and see the light on each detector and the accuracy of a frame there.
@@ -18,7 +18,7 @@ use crate::live::{Control, DEFAULT_LIVE_ADDRESS, LiveAddress, LiveBoard, LivePla
                         slitpose scene view head.toml --calibration calibration.toml --live 127.0.0.1:8000")]
 pub(super) struct Args {
     /// Scene file, or the name of a shipped scene
-    #[arg(value_parser = names::scenes(), hide_possible_values = true)]
+    #[arg(value_parser = options::scenes(), hide_possible_values = true)]
     scene: String,
     #[command(flatten)]
     calibration: CalibrationOption,

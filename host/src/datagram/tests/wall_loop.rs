@@ -21,7 +21,6 @@ struct Running {
     csv: PathBuf,
 }
 
-/// A line of its table.
 struct Row {
     input: String,
     datagram: u64,
@@ -49,7 +48,6 @@ impl Running {
         assert!(Command::new("sh").args(["-c", "kill -INT $0", &pid]).status().unwrap().success());
     }
 
-    /// Exit code, both outputs, table.
     fn end(mut self) -> (Option<i32>, String, Vec<Row>) {
         let since = Instant::now();
         while !self.has_ended() {

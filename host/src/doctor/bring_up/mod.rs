@@ -21,9 +21,7 @@ mod codes;
 mod crosstalk;
 mod dark;
 mod emitters;
-mod expected;
 mod levels;
-mod lighting;
 mod link;
 mod pins;
 mod safety;
@@ -44,33 +42,23 @@ use slitpose_head::causes::with_causes;
 use slitpose_head::finding::Finding;
 use slitpose_head::scene_file::SceneFile;
 
-/// A step of the bring-up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Step {
-    /// Link and start.
     Link,
-    /// Supply and temperature.
     Supply,
-    /// Codes without light.
     Dark,
-    /// Noise without light.
     Noise,
-    /// Each emitter alone.
     Emitters,
-    /// Current against level.
     Levels,
     /// The time that light takes to settle.
     Settling,
-    /// Light of other emitters.
     Crosstalk,
     /// Dark after Stop and without a host.
     Safety,
-    /// Settings over a power cut.
     Storage,
 }
 
 impl Step {
-    /// All steps, in their order.
     pub(crate) const ALL: [Self; 10] = [
         Self::Link,
         Self::Supply,
@@ -89,7 +77,6 @@ impl Step {
         self as usize + 1
     }
 
-    /// Its name on the command line.
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Link => "link",
@@ -105,7 +92,6 @@ impl Step {
         }
     }
 
-    /// What to connect or to prepare.
     pub(crate) fn preparation(self) -> &'static str {
         match self {
             Self::Link => "power and data cable; detectors covered; emitters need not be connected",
@@ -173,14 +159,12 @@ pub(crate) struct UnknownStep {
 impl FromStr for Step {
     type Err = UnknownStep;
 
-    /// Its number or its name.
     fn from_str(text: &str) -> Result<Self, UnknownStep> {
         let is_it = |step: &Self| step.name() == text || step.number().to_string() == text;
         Self::ALL.into_iter().find(is_it).ok_or_else(|| UnknownStep { text: text.to_owned() })
     }
 }
 
-/// The bring-up of one board.
 pub(crate) struct BringUp<'a> {
     bench: Bench<'a>,
     /// The schedule that the board had at first.
@@ -259,7 +243,7 @@ impl<'a> BringUp<'a> {
     /// # Errors
     /// A finding, if it does not take it.
     pub(crate) fn restore(mut self) -> Result<(), Finding> {
-        let configuration = lighting::at(self.schedule.clone(), Level::NOMINAL);
+        let configuration = sampling::at(self.schedule.clone(), Level::NOMINAL);
         let restored = self.bench.connect().and_then(|(mut board, _)| Ok(board.configure(configuration)?));
         restored.map_err(|error| {
             Finding::warning(

@@ -41,7 +41,6 @@ const X2: [Pin; 6] = [
     pin("PB15", "CN10-26"),
 ];
 
-/// Gates, by emitter.
 const GATES: [Pin; 6] = [
     pin("PC6", "CN10-4"),
     pin("PC7", "CN10-19"),
@@ -91,7 +90,6 @@ impl Wiring {
         }
     }
 
-    /// An electrode.
     pub(super) fn electrode(self, cell: usize, electrode: Electrode) -> String {
         let (name, pins) = match electrode {
             Electrode::X1 => ("I_X1", X1),
@@ -100,7 +98,6 @@ impl Wiring {
         self.named(format!("{name} of cell {cell}"), &pins, cell)
     }
 
-    /// The gate of an emitter.
     pub(super) fn gate(self, emitter: usize) -> String {
         self.named(format!("gate of emitter {emitter}"), &GATES, emitter)
     }

@@ -5,10 +5,9 @@ use std::time::Duration;
 use slitpose_protocol::{Level, Status};
 
 use super::bench::{Bench, BenchError, sample};
-use super::lighting;
+use super::sampling;
 use slitpose_head::finding::Finding;
 
-/// Scans before Stop.
 const SCANS: usize = 40;
 
 /// Time without a host. By its own USB port the board goes dark after 0.5 s, by a serial line after 2 s of silence and
@@ -18,7 +17,7 @@ const CLOSED_SERIAL: Duration = Duration::from_secs(3);
 
 pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
     let (mut board, _) = bench.connect()?;
-    let configuration = lighting::at(bench.schedule()?, Level::NOMINAL);
+    let configuration = sampling::at(bench.schedule()?, Level::NOMINAL);
     let taken = sample(&mut board, configuration, SCANS)?.scans.len();
     let mut findings = vec![judge(After::Stop, &[board.status()?, board.status()?], taken)];
     if bench.is_simulated() {
@@ -74,7 +73,6 @@ pub(super) mod tests {
     use slitpose_head::finding::Grade;
     use slitpose_head::scene_file::WIDE;
 
-    /// The status of an idle board.
     pub(in super::super) fn status() -> Status {
         let device = SimulatedDevice::at_rest(&WIDE.read().unwrap()).unwrap();
         Conversation::open(Box::new(device)).unwrap().status().unwrap()

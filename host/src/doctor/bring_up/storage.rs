@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use slitpose_protocol::{BootTarget, Hashes, Level, Schedule, SettingsSource};
 
 use super::bench::{Bench, BenchError};
-use super::lighting;
+use super::sampling;
 use crate::device::{BoardInfo, Conversation, DeviceError};
 use slitpose_head::causes::with_causes;
 use slitpose_head::finding::Finding;
@@ -20,7 +20,6 @@ const LOOK_EVERY: Duration = Duration::from_millis(200);
 /// Timeout of the hello that shows what was stored.
 const HELLO_WITHIN: Duration = Duration::from_secs(1);
 
-/// What is stored.
 #[derive(Clone, Debug, PartialEq)]
 struct Stored {
     hashes: Hashes,
@@ -47,7 +46,7 @@ pub(super) fn take(bench: &mut Bench<'_>, cut_power: &mut dyn FnMut() -> bool) -
         // One frame in two: a schedule that no board starts with.
         let schedule = bench.schedule()?;
         board
-            .configure(lighting::at(Schedule { frame_ticks: 2 * schedule.frame_ticks, ..schedule }, Level::NOMINAL))?;
+            .configure(sampling::at(Schedule { frame_ticks: 2 * schedule.frame_ticks, ..schedule }, Level::NOMINAL))?;
         let hashes = Hashes { scene: Some(bench.scene.hash), ..Hashes::default() };
         if let Err(error) = board.store(hashes) {
             return Ok(vec![refused(&error)]);
@@ -76,7 +75,6 @@ pub(super) fn take(bench: &mut Bench<'_>, cut_power: &mut dyn FnMut() -> bool) -
     Ok(findings)
 }
 
-/// Reboots the board and connects again.
 fn restart(bench: &mut Bench<'_>, mut board: Conversation) -> Result<(Conversation, BoardInfo), BenchError> {
     board.reboot(BootTarget::Firmware)?;
     drop(board);

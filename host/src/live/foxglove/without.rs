@@ -20,12 +20,10 @@ impl FoxgloveServer {
         Err(FoxgloveError::NotBuilt)
     }
 
-    /// Where it would be found.
     pub(crate) fn url(&self) -> &str {
         match *self {}
     }
 
-    /// Where samples would go.
     pub(crate) fn input(&self) -> LiveInput {
         match *self {}
     }
