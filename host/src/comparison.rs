@@ -143,9 +143,6 @@ struct Axis {
 impl Comparison {
     /// Opens the reference, the CSV table `file`: the columns of a pose, and either `seq`, as `simulate --truth` and
     /// `replay --format csv` write it, or `time_s`, device seconds.
-    ///
-    /// # Errors
-    /// If `file` is no such table.
     pub(crate) fn open(file: &str) -> Result<Self, PathError> {
         let table = TableReader::open(file)?;
         let reference = match table.optional_column("seq")? {
@@ -170,9 +167,6 @@ impl Comparison {
     }
 
     /// Compares the next pose.
-    ///
-    /// # Errors
-    /// If the table cannot be read further.
     pub(crate) fn add(&mut self, record: &Record) -> Result<(), TableError> {
         let reference = match &mut self.reference {
             Reference::Scans(scans) => scans.pose(record.sequence)?,
@@ -198,9 +192,6 @@ impl Comparison {
     }
 
     /// Refuses a reference without any counterpart of the poses.
-    ///
-    /// # Errors
-    /// What is there instead.
     pub(crate) fn require_match(&mut self) -> Result<(), NothingMatches> {
         let Some([first, last]) = self.scans.filter(|_| self.accuracy.count() == 0) else { return Ok(()) };
         let (column, theirs, ours) = match &mut self.reference {

@@ -36,9 +36,6 @@ pub(crate) fn tcp_address(text: &str) -> Option<SocketAddr> {
 
 /// Listens on `address`; returns the address with the port that the system chose for port 0. To be called within the
 /// runtime that serves the socket.
-///
-/// # Errors
-/// Those of the system.
 pub(crate) fn listen(address: SocketAddr) -> io::Result<(Socket, SocketAddr)> {
     let listener = std::net::TcpListener::bind(address)?;
     let bound = listener.local_addr()?;

@@ -27,9 +27,6 @@ pub(crate) struct SocketFile {
 
 impl SocketFile {
     /// Binds a socket at `path` by `bind`, with the permissions `mode`.
-    ///
-    /// # Errors
-    /// If another program serves the path, or another file is there, or binding fails.
     pub(crate) fn bind<T>(
         path: &Path,
         mode: u32,

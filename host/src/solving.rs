@@ -159,9 +159,6 @@ pub(crate) fn hashes(head: &Head) -> Hashes {
 }
 
 /// The bytes of `head` for a board that runs `schedule` with `scaling`.
-///
-/// # Errors
-/// If the board does not compute what the head has.
 pub(crate) fn compile(head: &Head, schedule: &Schedule, scaling: &AdcScaling) -> Result<Vec<u8>, BoardHeadError> {
     board_head::encode(&head.file, schedule, scaling, hashes(head))
 }

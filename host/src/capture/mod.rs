@@ -51,6 +51,7 @@ pub(crate) struct About {
 
 /// Why a capture cannot be written or read.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is, and no other crate can name them")]
 pub enum CaptureError {
     #[error("{} is there already; give another name, or --overwrite to replace it", path.display())]
     Exists { path: PathBuf },

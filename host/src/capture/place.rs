@@ -26,9 +26,6 @@ pub(super) struct Place {
 
 impl Place {
     /// Creates a file for `path`.
-    ///
-    /// # Errors
-    /// Errors of the system; [`io::ErrorKind::WouldBlock`] if another program records there.
     pub(super) fn create(path: &Path, existing: Existing) -> io::Result<(File, Self)> {
         let replaces = existing == Existing::Replaced && fs::metadata(path).is_ok_and(|found| found.is_file());
         let (file, path, pending) = if replaces {
@@ -45,9 +42,6 @@ impl Place {
     }
 
     /// Moves the file to its place, over the one it replaces. To be called once it has content.
-    ///
-    /// # Errors
-    /// As for [`create`](Self::create).
     pub(super) fn settle(&mut self) -> io::Result<()> {
         if self.pending.is_none() {
             return Ok(());

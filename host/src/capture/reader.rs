@@ -110,9 +110,6 @@ struct McapInput<R> {
 
 impl CaptureReader {
     /// Opens the file `path`.
-    ///
-    /// # Errors
-    /// If it cannot be read.
     pub(crate) fn open(path: &Path) -> Result<Self, CaptureError> {
         let error = |source| CaptureError::Open { path: path.to_owned(), source };
         if special_file::is_special(path) {
@@ -126,9 +123,6 @@ impl CaptureReader {
 
 impl<R: Read + Seek> CaptureReader<R> {
     /// Reads from `input`; `path` names it in messages.
-    ///
-    /// # Errors
-    /// If nothing can be read, or another kind of file is.
     pub(crate) fn new(path: &Path, mut input: R) -> Result<Self, CaptureError> {
         let mut begin = Vec::new();
         let read = input.by_ref().take(BEGIN_BYTES).read_to_end(&mut begin);
@@ -163,9 +157,6 @@ impl<R: Read + Seek> CaptureReader<R> {
     /// [end](Self::end).
     ///
     /// Damage is no error: it is skipped and counted.
-    ///
-    /// # Errors
-    /// Errors of the disk.
     pub(crate) fn next(&mut self, segment: &mut Segment) -> Result<Option<Entry>, CaptureError> {
         if let Some((entry, mut held)) = self.held.take() {
             std::mem::swap(segment, &mut held);

@@ -15,6 +15,7 @@ use slitpose_head::scene_file::SceneFile;
 
 /// Why a capture gives no readings.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is, and no other crate can name them")]
 pub enum ReadingsError {
     #[error(transparent)]
     Capture(#[from] CaptureError),
@@ -43,9 +44,6 @@ struct Scan {
 ///
 /// Cells are exposed one after the other; their currents are carried to the reference instant of the frame with the
 /// slope between the frames before and after. Frames at a gap are left out.
-///
-/// # Errors
-/// A capture that cannot be read, of another head, or of several boards.
 pub(crate) fn read(path: &Path, file: &SceneFile) -> Result<Readings, ReadingsError> {
     let mut reader = CaptureReader::open(path)?;
     let (mut segment, mut decoder) = (Segment::default(), Decoder::<MAX_MESSAGE_BYTES>::new());

@@ -469,9 +469,6 @@ impl ChunkRecords {
     }
 
     /// Passes the next record to `take`, if there is one.
-    ///
-    /// # Errors
-    /// If the chunk is damaged: before its first record, unless it has no checksum.
     pub(super) fn next<T>(&mut self, take: impl FnOnce(u8, &[u8]) -> T) -> Result<Option<T>, McapError> {
         loop {
             match self.reader.next_event() {

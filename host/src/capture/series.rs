@@ -75,9 +75,6 @@ impl CaptureSeries {
     /// Begins a capture. Without limits it is the file `path`. With limits it is a series of files
     /// numbered from 1 after the stem of `path`: `name-0001.mcap`, `name-0002.mcap`, …; the numbers
     /// continue after existing ones, so that no file is replaced.
-    ///
-    /// # Errors
-    /// If the file exists and must be kept, or cannot be written.
     pub(crate) fn create(path: &Path, limits: Limits, existing: Existing, about: About) -> Result<Self, CaptureError> {
         let next = if limits == Limits::default() {
             None
@@ -91,9 +88,6 @@ impl CaptureSeries {
     }
 
     /// Begins a capture in a file that is open; `path` names it in messages.
-    ///
-    /// # Errors
-    /// If it cannot be written.
     pub(crate) fn in_file(file: File, path: &Path, about: About) -> Result<Self, CaptureError> {
         let mut output = Output::new(path.to_owned(), None);
         output.begin(file, &about)?;
@@ -109,9 +103,6 @@ impl CaptureSeries {
     ///
     /// `log_ns`, in all methods: UTC, or the device time of a stream that does not run in real time,
     /// nanoseconds.
-    ///
-    /// # Errors
-    /// Those of the disk.
     pub(crate) fn add_device(&mut self, setup: Setup, hello: Option<&[u8]>, log_ns: u64) -> Result<(), CaptureError> {
         let device = setup.device;
         let mut added = None;
@@ -127,9 +118,6 @@ impl CaptureSeries {
     }
 
     /// Records a segment of the link of `device`. Reads without a time get `log_ns`.
-    ///
-    /// # Errors
-    /// Those of the disk; if the board was not [added](Self::add_device).
     pub(crate) fn segment(&mut self, device: DeviceId, segment: &Segment, log_ns: u64) -> Result<(), CaptureError> {
         let bytes = segment.bytes.len() as u64;
         if let Err(error) = self.rotate_if_due(log_ns) {
@@ -158,9 +146,6 @@ impl CaptureSeries {
     }
 
     /// Records the pose of a scan, and its velocity, if there are any.
-    ///
-    /// # Errors
-    /// Those of the disk; if the board was not [added](Self::add_device).
     pub(crate) fn pose(&mut self, record: &Record, log_ns: u64) -> Result<(), CaptureError> {
         let Some(channels) = self.channels(record.device)? else { return Ok(()) };
         self.output.attempt(0, |file| file.pose(channels, record, log_ns))?;
@@ -168,9 +153,6 @@ impl CaptureSeries {
     }
 
     /// Records a report of a board, or of the program itself: health, statistics, events.
-    ///
-    /// # Errors
-    /// Those of the disk; if it cannot be JSON; if the board was not [added](Self::add_device).
     pub(crate) fn report(
         &mut self,
         device: Option<DeviceId>,
@@ -199,9 +181,6 @@ impl CaptureSeries {
     }
 
     /// Flushes if a flush is due; to be called several times per second while no data come.
-    ///
-    /// # Errors
-    /// Those of the disk.
     pub(crate) fn tick(&mut self) -> Result<(), CaptureError> {
         if self.output.flushed.elapsed() < FLUSH_EVERY || self.output.file.as_ref().is_some_and(CaptureFile::is_flushed)
         {
@@ -211,9 +190,6 @@ impl CaptureSeries {
     }
 
     /// Ends the chunk, and waits until it would survive a power cut.
-    ///
-    /// # Errors
-    /// Those of the disk.
     pub(crate) fn flush(&mut self) -> Result<(), CaptureError> {
         self.output.attempt(0, CaptureFile::flush)?;
         // From its end on: a disk that takes longer than the interval would be flushed after every message.
@@ -229,9 +205,6 @@ impl CaptureSeries {
     }
 
     /// Ends the capture.
-    ///
-    /// # Errors
-    /// Those of the disk.
     pub(crate) fn finish(mut self) -> Result<Recorded, CaptureError> {
         for stream in self.devices.values_mut() {
             let message = &mut self.message;

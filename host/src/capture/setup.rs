@@ -36,9 +36,6 @@ pub(crate) struct CapturedScene {
 
 impl CapturedScene {
     /// Parses the text.
-    ///
-    /// # Errors
-    /// If this version of the program does not support it.
     pub(crate) fn parse(&self) -> Result<SceneFile, SceneFileError> {
         SceneFile::parse(&self.origin, &self.source)
     }
@@ -54,9 +51,6 @@ pub(crate) struct CapturedCalibration {
 
 impl CapturedCalibration {
     /// Reads the text.
-    ///
-    /// # Errors
-    /// If this version of the program does not support it.
     pub(crate) fn parse(&self) -> Result<Calibration, CalibrationFileError> {
         Calibration::from_bytes(&self.name, self.source.as_bytes())
     }

@@ -119,9 +119,6 @@ fn default_paths() -> Vec<PathBuf> {
 }
 
 /// The options that a file of this text sets.
-///
-/// # Errors
-/// The message to the user.
 pub(crate) fn configured_options(path: &Path, text: &str) -> Result<Vec<String>, String> {
     let command = super::command();
     let Some(verb) = command.find_subcommand(VERB) else { return Ok(Vec::new()) };

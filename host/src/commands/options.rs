@@ -220,9 +220,6 @@ impl PoseOptions {
     }
 
     /// The sink of `format`. Says so if that leaves out what was asked for.
-    ///
-    /// # Errors
-    /// A format that is no text, on a terminal.
     pub(super) fn open_sink<'a>(
         &self,
         format: Format,

@@ -241,9 +241,6 @@ pub(super) struct Claims(Arc<Mutex<Vec<(DeviceId, String)>>>);
 
 impl Claims {
     /// Claims a board for the reader of `name`.
-    ///
-    /// # Errors
-    /// If another reader has claimed it.
     pub(super) fn claim(&self, device: DeviceId, name: &str) -> Result<(), BoardError> {
         let mut claims = lock(&self.0);
         match claims.iter().find(|(claimed, owner)| *claimed == device && owner != name) {

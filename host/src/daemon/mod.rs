@@ -108,9 +108,6 @@ pub(crate) struct Ended {
 
 impl Daemon {
     /// Starts all threads. They end when their boards do, when `stop` is set, or when the sink fails.
-    ///
-    /// # Errors
-    /// If the system does not start a thread.
     pub(crate) fn start(plan: Plan, stop: Arc<AtomicBool>) -> Result<Self, BoardError> {
         let Plan { boards, sink, capture, datagrams, streams, takers, real_time } = plan;
         let datagrams = datagrams.map(Arc::new);

@@ -21,31 +21,19 @@ pub(crate) trait Feed {
     fn name(&self) -> String;
 
     /// Waits for the board's hello, which `admit` accepts or refuses.
-    ///
-    /// # Errors
-    /// If no board answers, or `admit` refuses it.
     fn greet(&mut self, admit: &mut dyn FnMut(&Hello<'_>) -> Result<(), BoardError>) -> Result<(), BoardError>;
 
     /// Has the board send scans by `configuration`, and what `stream` says of them, unless another host says by which.
     /// With a `head` it solves poses.
-    ///
-    /// # Errors
-    /// If the board refuses, or does not reply.
     fn start(&mut self, configuration: &Configuration, stream: Stream, head: Option<&[u8]>) -> Result<(), DeviceError>;
 
     /// Waits for bytes, a few hundredths of a second at most. `false` if the stream has ended.
-    ///
-    /// # Errors
-    /// If the board is gone, or has been quiet for too long.
     fn listen(&mut self) -> Result<bool, DeviceError>;
 
     /// Appends to `segment` what came since the last call.
     fn fill(&mut self, segment: &mut Segment);
 
     /// Ends what [`start`](Self::start) began.
-    ///
-    /// # Errors
-    /// If the board refuses, or does not reply.
     fn stop(&mut self, keep: Keep) -> Result<(), DeviceError>;
 }
 
@@ -93,9 +81,6 @@ pub(crate) trait Opener: Send {
     }
 
     /// Opens the board.
-    ///
-    /// # Errors
-    /// If the board is missing or cannot be opened.
     fn open(&mut self) -> Result<Box<dyn Feed>, DeviceError>;
 
     /// The board that was opened last has introduced itself.

@@ -38,9 +38,6 @@ impl From<Listed> for Found {
 /// Searches for the board that `selector` names, also in the places of `search`.
 ///
 /// A path is accepted as it is: opening shows whether there is a board.
-///
-/// # Errors
-/// If no board matches, or more than one.
 pub(crate) fn find(selector: &Selector, search: &[Search]) -> Result<Found, DeviceError> {
     match selector {
         Selector::Sim => Ok(Found { port: SIM.to_owned(), usb: None, device: None }),
@@ -64,9 +61,6 @@ pub(crate) fn find(selector: &Selector, search: &[Search]) -> Result<Found, Devi
 
 /// All boards, and all ports that might have one. With `ask` these ports are asked; boards in use are left
 /// alone.
-///
-/// # Errors
-/// If the system does not list its ports.
 pub(crate) fn list(search: &[Search], ask: bool) -> Result<Vec<Listed>, DeviceError> {
     let ports = ports()?;
     let unsure = unsure(&ports, search, true);

@@ -36,6 +36,7 @@ pub(crate) use simulated::{SimulatedDevice, SimulatedPort};
 
 /// A byte stream to and from a board.
 pub trait Device: Send {
+    /// The user's name for the device.
     fn name(&self) -> &str;
 
     /// Sends bytes to the board.

@@ -20,9 +20,6 @@ const STATUS_WITHIN: Duration = Duration::from_millis(1500);
 
 impl Conversation {
     /// [`greet`](Self::greet)s the board and returns its hello. The caller decides whether the board can be used.
-    ///
-    /// # Errors
-    /// If no board answers within `within`, or one of another version.
     pub(crate) fn introduce(&mut self, within: Duration) -> Result<BoardInfo, DeviceError> {
         let mut last = None;
         self.greet_within(within, |hello| {
@@ -33,9 +30,6 @@ impl Conversation {
     }
 
     /// Waits for the board's next status. Other messages are dropped meanwhile.
-    ///
-    /// # Errors
-    /// If there is none, or the board has gone.
     pub(crate) fn status(&mut self) -> Result<Status, DeviceError> {
         let until = Instant::now() + STATUS_WITHIN;
         self.decoder.reset();
@@ -58,17 +52,11 @@ impl Conversation {
     }
 
     /// Stores configuration and `hashes` in the board's flash memory.
-    ///
-    /// # Errors
-    /// If the flash memory fails, or the board does not reply.
     pub(crate) fn store(&mut self, hashes: Hashes) -> Result<(), DeviceError> {
         self.order(Command::Store(hashes))
     }
 
     /// Takes the head from the board, which then solves no poses; `false` if it never does.
-    ///
-    /// # Errors
-    /// If the board does not reply.
     pub(crate) fn forget_head(&mut self) -> Result<bool, DeviceError> {
         let none = HeadPart { offset: 0, total: 0, bytes: [].into_iter().collect() };
         match self.order(Command::Head(none)) {
@@ -78,33 +66,21 @@ impl Conversation {
     }
 
     /// Tells the board the full scale of its front end, in picoamperes. The board has no head then.
-    ///
-    /// # Errors
-    /// If the board does not know the command, or does not reply.
     pub(crate) fn set_full_scale(&mut self, full_scale_pa: NonZeroU32) -> Result<(), DeviceError> {
         self.order(Command::FullScale { full_scale_pa })
     }
 
     /// Erases the board's stored configuration and hashes.
-    ///
-    /// # Errors
-    /// If the flash memory fails, or the board does not reply.
     pub(crate) fn forget_stored(&mut self) -> Result<(), DeviceError> {
         self.order(Command::Forget)
     }
 
     /// Lets the board's indicator blink for a number of seconds; 0 ends it.
-    ///
-    /// # Errors
-    /// If it does not reply.
     pub(crate) fn identify(&mut self, seconds: u8) -> Result<(), DeviceError> {
         self.order(Command::Identify { seconds })
     }
 
     /// Reboots the board. It replies first, and disconnects within 0.2 s.
-    ///
-    /// # Errors
-    /// If it does not reply.
     pub(crate) fn reboot(&mut self, target: BootTarget) -> Result<(), DeviceError> {
         self.order(Command::Reboot(target))
     }

@@ -50,17 +50,11 @@ struct FaultyWire {
 
 impl SimulatedDevice {
     /// A board for trials, without end and in real time: the head of `file`, a smoothly moved tool.
-    ///
-    /// # Errors
-    /// If a board cannot run the scene.
     pub(crate) fn live(file: &SceneFile) -> Result<Self, SimulatorError> {
         Self::endless(file, Trajectory::of_kind(TrajectoryKind::Smooth, 1, MOTION_S).within(&file.workspace))
     }
 
     /// As [`live`](Self::live), with the tool at rest at home.
-    ///
-    /// # Errors
-    /// If a board cannot run the scene.
     pub(crate) fn at_rest(file: &SceneFile) -> Result<Self, SimulatorError> {
         Self::endless(file, Trajectory::of_kind(TrajectoryKind::Still, 1, MOTION_S))
     }

@@ -117,9 +117,6 @@ struct Report<'a> {
 
 impl Bundle {
     /// The files of `examination`; those without content are left out.
-    ///
-    /// # Errors
-    /// If the findings cannot be written as JSON, which does not happen.
     pub(crate) fn of(examination: &Examination) -> io::Result<Self> {
         let utc_ns = HostInstant::now().utc_ns;
         let report = Report { slitpose: env!("CARGO_PKG_VERSION"), utc_ns, checks: &examination.checks };
@@ -147,9 +144,6 @@ impl Bundle {
     }
 
     /// Writes all to `output`: a tar archive, compressed by gzip.
-    ///
-    /// # Errors
-    /// Errors of `output`.
     pub(crate) fn write<W: Write>(&self, output: W) -> io::Result<W> {
         let mut archive = tar::Builder::new(GzEncoder::new(output, Compression::default()));
         for (name, _, bytes) in &self.files {

@@ -69,9 +69,6 @@ impl fmt::Debug for Access {
 
 impl Access {
     /// Pages at `address`. Those of other hosts need `token`, and change something only if `writes` allows it.
-    ///
-    /// # Errors
-    /// If other hosts could look without a token, or the token is poor.
     pub(crate) fn new(address: LiveAddress, token: Option<String>, writes: bool) -> Result<Self, AccessError> {
         let LiveAddress(address) = address;
         if let Some(token) = &token {

@@ -69,9 +69,6 @@ impl Refusal {
 
 pub(crate) trait Control: Send + Sync {
     /// Carries out `order`, or begins to.
-    ///
-    /// # Errors
-    /// If it cannot be carried out.
     fn order(&self, order: Order) -> Result<(), Refusal>;
 }
 
@@ -109,9 +106,6 @@ pub(super) enum Request {
 
 impl Request {
     /// The request in `text`: an object. Of a list serde would take the first value for its kind.
-    ///
-    /// # Errors
-    /// If it is none.
     pub(super) fn read(text: &str) -> serde_json::Result<Self> {
         let object: Map<String, Value> = serde_json::from_str(text)?;
         serde_json::from_value(Value::Object(object))

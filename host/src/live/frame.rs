@@ -101,9 +101,6 @@ struct Known {
 
 impl Optics {
     /// Those of `head`.
-    ///
-    /// # Errors
-    /// If its scene cannot be computed.
     pub(super) fn of(head: &Head) -> Result<Self, SceneError> {
         let scene = &head.file.scene;
         let cells = scene.cells.iter().map(|cell| Known {

@@ -132,9 +132,6 @@ pub(crate) struct SceneView {
 
 impl SceneView {
     /// Of `head`.
-    ///
-    /// # Errors
-    /// If its scene cannot be computed.
     pub(crate) fn of(head: &Head) -> Result<Self, SceneError> {
         Ok(Self { outlook: Outlook::of(head.clone())?, optics: Optics::of(head)? })
     }

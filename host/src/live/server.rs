@@ -116,9 +116,6 @@ pub(crate) struct LiveServer {
 
 impl LiveServer {
     /// Serves the page.
-    ///
-    /// # Errors
-    /// If the address cannot be bound.
     pub(crate) fn start(plan: LivePlan) -> Result<Self, LiveError> {
         let LivePlan { access, source, has_zero, boards, scene, control, report } = plan;
         let address = access.address;

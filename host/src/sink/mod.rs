@@ -62,9 +62,6 @@ pub(crate) type Accounts<'a> = dyn Fn() -> Account + 'a;
 
 pub(crate) trait Sink {
     /// Writes the solution of the next scan.
-    ///
-    /// # Errors
-    /// Errors of the output.
     fn pose(&mut self, record: &Record) -> io::Result<()>;
 
     /// Whether each pose must be written, however late.
@@ -73,21 +70,12 @@ pub(crate) trait Sink {
     }
 
     /// Writes a note.
-    ///
-    /// # Errors
-    /// Errors of the output.
     fn note(&mut self, note: &Note) -> io::Result<()>;
 
     /// Flushes or redraws; called regularly, even without poses.
-    ///
-    /// # Errors
-    /// Errors of the output.
     fn tick(&mut self, accounts: &Accounts<'_>) -> io::Result<()>;
 
     /// Ends the output.
-    ///
-    /// # Errors
-    /// Errors of the output.
     fn finish(&mut self, accounts: &Accounts<'_>) -> io::Result<()>;
 }
 

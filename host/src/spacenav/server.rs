@@ -80,9 +80,6 @@ impl TakesSamples for SpacenavInput {
 
 impl SpacenavServer {
     /// Serves `path`, for a tool in `workspace`.
-    ///
-    /// # Errors
-    /// If the socket cannot be bound.
     pub(crate) fn start(path: &Path, feel: Feel, workspace: Workspace) -> Result<Self, SpacenavError> {
         let (listener, file) = SocketFile::bind(path, SOCKET_MODE, |path| UnixListener::bind(path))?;
         let failed = |source| SpacenavError::Thread { path: path.to_owned(), source };

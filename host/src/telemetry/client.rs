@@ -32,9 +32,6 @@ pub(crate) enum FetchError {
 }
 
 /// The text at `path` of the daemon at `address`, such as `/status`.
-///
-/// # Errors
-/// If there is no answer with the status 200 within two seconds.
 pub(crate) fn fetch(address: &StatusAddress, path: &str) -> Result<String, FetchError> {
     let connect = |source| FetchError::Connect { address: address.to_string(), source };
     let answer = match address {

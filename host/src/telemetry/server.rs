@@ -57,9 +57,6 @@ type Source = Arc<dyn Fn() -> DaemonReport + Send + Sync>;
 
 impl StatusServer {
     /// Serves the reports of `source` at `address`. A socket left behind by a killed daemon is replaced.
-    ///
-    /// # Errors
-    /// If the address cannot be bound, or has a wider `reach`.
     pub(crate) fn start(
         address: &StatusAddress,
         reach: Reach,

@@ -53,9 +53,6 @@ pub(crate) fn has_colours(is_terminal: bool) -> bool {
 }
 
 /// Draws `lines` on standard output in place of the last ones.
-///
-/// # Errors
-/// Errors of standard output.
 pub(crate) fn show(lines: Vec<Line>) -> io::Result<()> {
     let mut screen = screen();
     screen.view = lines;
@@ -76,9 +73,6 @@ pub(crate) fn clear() {
 }
 
 /// Writes one line to `output`, standard output, above what is drawn in place.
-///
-/// # Errors
-/// Errors of `output`.
 pub(crate) fn print(output: &mut impl Write, line: fmt::Arguments<'_>) -> io::Result<()> {
     screen().above(|| {
         writeln!(output, "{line}")?;

@@ -29,9 +29,6 @@ pub(crate) struct ZenohSession {
 
 impl ZenohSession {
     /// A session by the router at `endpoint`, or by the file that ZENOH_SESSION_CONFIG_URI names, as ROS 2 does.
-    ///
-    /// # Errors
-    /// Settings that Zenoh refuses.
     pub(crate) fn open(endpoint: &str) -> Result<Self, ZenohError> {
         let domain = domain(env::var_os("ROS_DOMAIN_ID"))?;
         let (what, config) = match env::var_os("ZENOH_SESSION_CONFIG_URI") {
@@ -45,9 +42,6 @@ impl ZenohSession {
     }
 
     /// The session, once its router is there. Takes a second at most.
-    ///
-    /// # Errors
-    /// Why it does not begin.
     pub(super) fn get(&self) -> Result<Session, ZenohError> {
         let mut session = lock(&self.session);
         if let Some(session) = &*session {
@@ -74,9 +68,6 @@ impl ZenohSession {
     }
 
     /// Opens the board that another daemon publishes; `key` is what its topics begin with.
-    ///
-    /// # Errors
-    /// A key that no board can have.
     pub(crate) fn opener(&self, key: &str) -> Result<Box<dyn Opener>, ZenohError> {
         Ok(Box::new(FarBoardOpener::new(self.clone(), topic_of(key)?)))
     }

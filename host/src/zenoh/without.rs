@@ -12,9 +12,6 @@ pub(crate) enum ZenohSession {}
 
 impl ZenohSession {
     /// Opens none.
-    ///
-    /// # Errors
-    /// Always [`ZenohError::NotBuilt`].
     pub(crate) fn open(_: &str) -> Result<Self, ZenohError> {
         Err(ZenohError::NotBuilt)
     }
@@ -30,9 +27,6 @@ impl ZenohSession {
     }
 
     /// What would open a board.
-    ///
-    /// # Errors
-    /// None.
     pub(crate) fn opener(&self, _: &str) -> Result<Box<dyn Opener>, ZenohError> {
         match *self {}
     }

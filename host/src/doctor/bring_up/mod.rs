@@ -206,9 +206,6 @@ fn unreachable_board(error: &BenchError) -> Finding {
 
 impl<'a> BringUp<'a> {
     /// Of the board that `device` names, with the head of `scene`.
-    ///
-    /// # Errors
-    /// A finding, if the board cannot be reached.
     pub(crate) fn begin(device: &'a Selector, search: &'a [Search], scene: &'a SceneFile) -> Result<Self, Finding> {
         let mut bench = Bench::new(device, search, scene);
         match bench.connect() {
@@ -239,9 +236,6 @@ impl<'a> BringUp<'a> {
     }
 
     /// Gives the board the schedule that it had at first, at nominal levels.
-    ///
-    /// # Errors
-    /// A finding, if it does not take it.
     pub(crate) fn restore(mut self) -> Result<(), Finding> {
         let configuration = sampling::at(self.schedule.clone(), Level::NOMINAL);
         let restored = self.bench.connect().and_then(|(mut board, _)| Ok(board.configure(configuration)?));

@@ -41,9 +41,6 @@ struct Shown {
 
 impl FoxgloveServer {
     /// Serves Foxglove. `report`: the state of the daemon.
-    ///
-    /// # Errors
-    /// If the address cannot be bound.
     pub(crate) fn start(
         FoxgloveAddress(address): FoxgloveAddress,
         boards: Vec<LiveBoard>,

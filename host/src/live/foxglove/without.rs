@@ -9,9 +9,6 @@ pub(crate) enum FoxgloveServer {}
 
 impl FoxgloveServer {
     /// Starts none.
-    ///
-    /// # Errors
-    /// Always [`FoxgloveError::NotBuilt`].
     pub(crate) fn start(
         FoxgloveAddress(_): FoxgloveAddress,
         _: Vec<LiveBoard>,
