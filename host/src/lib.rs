@@ -74,7 +74,6 @@ pub mod playback;
 mod ros;
 mod service;
 mod sink;
-mod socket_file;
 pub mod solving;
 mod spacenav;
 pub mod telemetry;

@@ -18,7 +18,7 @@ use super::faults::FaultOptions;
 use super::options::{self, Jobs, PoseOptions, open_scene};
 use super::playback::{PlayOptions, Playback, Printing};
 use super::talk::publish;
-use super::{CommandError, Outcome, complain, export, talk};
+use super::{CommandError, Outcome, complain, replay, talk};
 use crate::sink::{Account, Format};
 use crate::telemetry::BoardReport;
 use crate::terminal::{Amount, Progress};
@@ -179,7 +179,7 @@ impl Job<'_> {
         let files = std::slice::from_ref(self.capture);
         let name = self.capture.display().to_string();
         if let Some(poses) = &self.poses {
-            return export::write(poses, format, files, options, faults, Some(&name));
+            return replay::write(poses, format, files, options, faults, Some(&name));
         }
         let (play, poses) = options;
         let printing = Printing { sink: None, target: "", format, is_terminal: false, name: Some(&name) };

@@ -14,7 +14,7 @@ use thiserror::Error;
 use toml::Value;
 use toml::de::{DeTable, DeValue};
 
-use super::defaults;
+use super::completions;
 use slitpose_head::foreign::printable;
 use slitpose_head::scene_file::{FilePlace, nearest};
 use slitpose_head::text_file::{self, TextFileError};
@@ -230,7 +230,7 @@ pub(super) fn print(configured: &Configured, matches: &ArgMatches) -> String {
             (ArgAction::Append, Some(_)) => format!("{id} = {}  # {source}", Value::from(texts)),
             (_, Some(text)) => format!("{id} = {}  # {source}", Value::from(text.as_str())),
             // Not given: the default, as a comment, for some make sense with a simulated board only.
-            (_, None) => match defaults::of(VERB, id) {
+            (_, None) => match completions::default_of(VERB, id) {
                 Some(value) if !value.contains(' ') => format!("# {id} = {}  # default", Value::from(value)),
                 Some(rule) => format!("# {id}: {rule}  # default"),
                 None => format!("# {id}: none  # default"),

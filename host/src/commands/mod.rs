@@ -8,17 +8,13 @@ mod calibrate;
 mod compare;
 mod completions;
 mod config;
-mod defaults;
 mod device;
 mod doctor;
-mod export;
 mod faults;
 mod identify;
 mod live;
-mod man;
 mod model;
 mod options;
-mod paper;
 mod playback;
 mod player;
 mod record;
@@ -85,8 +81,8 @@ pub struct Cli {
 #[derive(Debug, Subcommand)]
 enum Verb {
     Run(Box<run::Args>),
-    Replay(replay::Args),
-    Export(export::Args),
+    Replay(replay::ReplayArgs),
+    Export(replay::ExportArgs),
     Device(device::Args),
     Status(status::Args),
     Doctor(doctor::Args),
@@ -97,12 +93,12 @@ enum Verb {
     Identify(identify::Args),
     Calibrate(calibrate::Args),
     Bench(bench::Args),
-    Paper(paper::Args),
-    Report(report::Args),
+    Paper(report::PaperArgs),
+    Report(report::ReportArgs),
     Scene(scene::Args),
     Compare(compare::Args),
-    Completions(completions::Args),
-    Man(man::Args),
+    Completions(completions::CompletionsArgs),
+    Man(completions::ManArgs),
 }
 
 /// How a command that did its work ended; the worst last.
@@ -293,7 +289,7 @@ impl CommandError {
 /// The command line as it can be typed here: options of `run` may stand in the environment, too, and help
 /// shows the defaults.
 pub fn command() -> clap::Command {
-    defaults::in_help(Cli::command()).mut_subcommand("run", config::with_environment)
+    completions::in_help(Cli::command()).mut_subcommand("run", config::with_environment)
 }
 
 /// Does what `arguments`, the name of the program first, ask for, and says why if it cannot; ends the program if they
@@ -326,8 +322,8 @@ fn run(arguments: &[OsString]) -> Result<Outcome, CommandError> {
             Ok(Output::open(None)?.write_text(&config::print(&configured, &matches)).map(|()| Outcome::Done)?)
         }
         Verb::Run(args) => run::run(&args),
-        Verb::Replay(args) => replay::run(&args),
-        Verb::Export(args) => export::run(&args),
+        Verb::Replay(args) => replay::replay(&args),
+        Verb::Export(args) => replay::export(&args),
         Verb::Device(args) => device::run(&args),
         Verb::Status(args) => status::run(&args),
         Verb::Doctor(args) => doctor::run(&args),
@@ -338,11 +334,11 @@ fn run(arguments: &[OsString]) -> Result<Outcome, CommandError> {
         Verb::Identify(args) => identify::run(&args),
         Verb::Calibrate(args) => calibrate::run(&args),
         Verb::Bench(args) => bench::run(&args),
-        Verb::Paper(args) => paper::run(&args),
-        Verb::Report(args) => report::run(&args),
+        Verb::Paper(args) => report::paper(&args),
+        Verb::Report(args) => report::report(&args),
         Verb::Compare(args) => compare::run(&args),
         Verb::Scene(args) => scene::run(&args),
-        Verb::Completions(args) => completions::run(&args),
-        Verb::Man(args) => man::run(&args),
+        Verb::Completions(args) => completions::completions(&args),
+        Verb::Man(args) => completions::man(&args),
     }
 }

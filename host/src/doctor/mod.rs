@@ -5,7 +5,6 @@
 //! the board is changed, and nothing is stored on it.
 
 mod bring_up;
-mod head;
 mod host;
 mod link;
 mod measurement;
@@ -74,13 +73,13 @@ fn board(subject: &Subject<'_>, examination: &mut Examination) -> Option<f64> {
         checks.extend(["scene", "measurement"].map(|name| Finding::skipped(name, "no board to be asked")));
         return None;
     };
-    let scene = head::scene(subject.scene, &info, checks);
+    let scene = link::scene(subject.scene, &info, checks);
     examination.board = Some(info.clone());
     let Some(scene) = scene else {
         checks.push(Finding::skipped("measurement", "the board belongs to another scene"));
         return None;
     };
-    checks.push(head::full_scale(&scene, &info));
+    checks.push(link::full_scale(&scene, &info));
     let measured = measurement::measure(&mut board, &scene, subject.duration_s, &mut examination.bytes);
     examination.scene = Some(scene);
     match measured {

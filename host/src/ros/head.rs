@@ -7,7 +7,7 @@ use slitpose_design::{MaskFrame, mask_half_extents_m};
 use slitpose_model::{Cell, Opening, Pose};
 
 use super::cdr::Encoder;
-use super::geometry::{BASE, header, pose, vector};
+use super::cdr::{BASE, header, pose, vector};
 
 /// Shapes by their numbers in `visualization_msgs/msg/Marker`.
 const LINE_LIST: i32 = 5;

@@ -14,8 +14,8 @@ use slitpose_model::Pose;
 use thiserror::Error;
 
 use super::Feel;
+use crate::http::{SocketFile, SocketFileError};
 use crate::live::{Sample, TakesSamples};
-use crate::socket_file::{SocketFile, SocketFileError};
 
 /// Most clients; more are not let in.
 pub(super) const MOST_CLIENTS: usize = 16;

@@ -21,7 +21,7 @@ use tokio::sync::oneshot;
 use super::{DaemonReport, StatusAddress, metrics, view};
 use crate::clock::HostInstant;
 use crate::http::{self, Door, Reach, Socket};
-use crate::socket_file::{SocketFile, SocketFileError};
+use crate::http::{SocketFile, SocketFileError};
 
 /// Mode of the Unix socket: owner and group may connect, other users may not.
 const SOCKET_MODE: u32 = 0o660;

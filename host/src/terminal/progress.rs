@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use console::{Term, measure_text_width};
 
-use super::line::Row;
+use super::Row;
 use super::{Line, screen};
 
 /// Period of redrawing: a person reads no faster.
@@ -135,7 +135,7 @@ mod tests {
 
     use super::*;
     use crate::terminal::Line;
-    use crate::terminal::line::fit;
+    use crate::terminal::fit;
 
     #[test]
     fn says_how_far_and_how_long() {

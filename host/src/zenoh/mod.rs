@@ -7,15 +7,20 @@ mod far_board;
 mod publisher;
 #[cfg(feature = "zenoh")]
 mod session;
-#[cfg(not(feature = "zenoh"))]
-mod without;
 
+#[cfg(not(feature = "zenoh"))]
+use std::sync::Arc;
 use thiserror::Error;
 
 #[cfg(feature = "zenoh")]
 pub(crate) use session::ZenohSession;
+
 #[cfg(not(feature = "zenoh"))]
-pub(crate) use without::ZenohSession;
+use crate::daemon::{Opener, StreamPlan, Talk};
+#[cfg(not(feature = "zenoh"))]
+use crate::live::LiveBoard;
+#[cfg(not(feature = "zenoh"))]
+use crate::telemetry::DaemonReport;
 
 /// Where the router of ROS 2 listens.
 pub(crate) const DEFAULT_ROUTER: &str = "tcp/localhost:7447";
@@ -43,4 +48,31 @@ pub(crate) enum ZenohError {
     #[cfg(feature = "zenoh")]
     #[error("no router of Zenoh by {what} ({reason}); start one, or give its endpoint with --zenoh-router")]
     Open { what: String, reason: String },
+}
+
+/// Builds without it have none.
+#[cfg(not(feature = "zenoh"))]
+pub(crate) enum ZenohSession {}
+
+#[cfg(not(feature = "zenoh"))]
+impl ZenohSession {
+    /// Opens none.
+    pub(crate) fn open(_: &str) -> Result<Self, ZenohError> {
+        Err(ZenohError::NotBuilt)
+    }
+
+    pub(crate) fn publisher(
+        &self,
+        _: Vec<LiveBoard>,
+        _: f64,
+        _: impl Fn() -> DaemonReport + Send + 'static,
+        _: Arc<Talk>,
+    ) -> StreamPlan {
+        match *self {}
+    }
+
+    /// What would open a board.
+    pub(crate) fn opener(&self, _: &str) -> Result<Box<dyn Opener>, ZenohError> {
+        match *self {}
+    }
 }

@@ -27,7 +27,6 @@ mod pins;
 mod safety;
 mod sampling;
 mod settling;
-mod storage;
 
 use std::fmt;
 use std::str::FromStr;
@@ -36,7 +35,7 @@ use slitpose_protocol::{Level, Schedule};
 use thiserror::Error;
 
 use self::bench::{Bench, BenchError};
-use super::{default_scene, head};
+use super::default_scene;
 use crate::device::{Search, Selector};
 use slitpose_head::causes::with_causes;
 use slitpose_head::finding::Finding;
@@ -189,8 +188,8 @@ pub(crate) fn scene(
     match Bench::new(device, search, &trial).connect() {
         Ok((_, info)) => {
             findings.extend(pins::unknown_board(&info));
-            let scene = head::scene(given, &info, findings)?;
-            findings.push(head::full_scale(&scene, &info));
+            let scene = super::link::scene(given, &info, findings)?;
+            findings.push(super::link::full_scale(&scene, &info));
             Some(scene)
         }
         Err(error) => {
@@ -228,7 +227,7 @@ impl<'a> BringUp<'a> {
             Step::Settling => settling::take(bench),
             Step::Crosstalk => crosstalk::take(bench),
             Step::Safety => safety::take(bench),
-            Step::Storage => storage::take(bench, cut_power),
+            Step::Storage => safety::take_storage(bench, cut_power),
         };
         done.unwrap_or_else(|error| {
             vec![Finding::failed(step.name(), with_causes(&error), "reset the board and take this step again")]

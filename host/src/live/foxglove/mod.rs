@@ -2,8 +2,6 @@
 
 #[cfg(feature = "foxglove")]
 mod server;
-#[cfg(not(feature = "foxglove"))]
-mod without;
 
 #[cfg(feature = "foxglove")]
 use std::io;
@@ -14,10 +12,12 @@ use thiserror::Error;
 
 #[cfg(feature = "foxglove")]
 pub(crate) use server::FoxgloveServer;
-#[cfg(not(feature = "foxglove"))]
-pub(crate) use without::FoxgloveServer;
 
 use super::access::LiveAddress;
+#[cfg(not(feature = "foxglove"))]
+use super::{LiveBoard, LiveInput};
+#[cfg(not(feature = "foxglove"))]
+use crate::telemetry::DaemonReport;
 
 pub(crate) const DEFAULT_FOXGLOVE_ADDRESS: &str = "127.0.0.1:8765";
 
@@ -55,6 +55,30 @@ impl FromStr for FoxgloveAddress {
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         let LiveAddress(address) = text.parse().map_err(|_| FoxgloveError::Address { text: text.to_owned() })?;
         if address.ip().is_loopback() { Ok(Self(address)) } else { Err(FoxgloveError::NotLoopback { address }) }
+    }
+}
+
+/// Builds without it have none.
+#[cfg(not(feature = "foxglove"))]
+pub(crate) enum FoxgloveServer {}
+
+#[cfg(not(feature = "foxglove"))]
+impl FoxgloveServer {
+    /// Starts none.
+    pub(crate) fn start(
+        FoxgloveAddress(_): FoxgloveAddress,
+        _: Vec<LiveBoard>,
+        _: impl Fn() -> DaemonReport + Send + 'static,
+    ) -> Result<Self, FoxgloveError> {
+        Err(FoxgloveError::NotBuilt)
+    }
+
+    pub(crate) fn url(&self) -> &str {
+        match *self {}
+    }
+
+    pub(crate) fn input(&self) -> LiveInput {
+        match *self {}
     }
 }
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use foxglove::{Context, FoxgloveError as SdkError, FoxgloveError, RawChannel, Schema};
+use ::foxglove::{Context, FoxgloveError as SdkError, RawChannel, Schema};
 use slitpose_calibration::Head;
 use tokio::runtime::Builder;
 use tokio::sync::mpsc::Receiver;
@@ -170,7 +170,7 @@ impl Board {
         Self { number, head, optics, channels: None, frames: 0, message: Vec::new() }
     }
 
-    pub(super) fn show(&mut self, sample: &Sample, context: &Arc<Context>) -> Result<(), FoxgloveError> {
+    pub(super) fn show(&mut self, sample: &Sample, context: &Arc<Context>) -> Result<(), SdkError> {
         let record = &sample.record;
         // Another board may take the place of one that was unplugged.
         if self.channels.as_ref().is_none_or(|channels| channels.device != record.device) {
@@ -208,7 +208,7 @@ impl Board {
 }
 
 impl Channels {
-    fn new(number: usize, device: DeviceId, head: &Head, context: &Arc<Context>) -> Result<Self, FoxgloveError> {
+    fn new(number: usize, device: DeviceId, head: &Head, context: &Arc<Context>) -> Result<Self, SdkError> {
         let ros_channel = |of: RosType, topic: &str| {
             let schema = Schema::new(of.name, "ros2msg", of.definition.as_bytes());
             context.channel_builder(topic).message_encoding("cdr").schema(schema).build_raw()
