@@ -163,7 +163,6 @@ impl Comparison {
         })
     }
 
-    /// Compares the next pose.
     pub(crate) fn add(&mut self, record: &Record) -> Result<(), TableError> {
         let reference = match &mut self.reference {
             Reference::Scans(scans) => scans.pose(record.sequence)?,

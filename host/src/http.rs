@@ -9,6 +9,7 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::{Context, Poll};
+use std::thread::JoinHandle;
 use std::time::Duration;
 
 use axum::extract::connect_info::Connected;
@@ -18,6 +19,7 @@ use axum::serve::{IncomingStream, Listener};
 use thiserror::Error;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::{TcpListener, TcpStream, UnixListener, UnixStream};
+use tokio::runtime::Runtime;
 use tokio::sync::oneshot;
 use tokio::time::{Sleep, sleep};
 
@@ -45,6 +47,36 @@ pub(crate) fn listen(address: SocketAddr) -> io::Result<(Socket, SocketAddr)> {
     let bound = listener.local_addr()?;
     listener.set_nonblocking(true)?;
     Ok((Socket::Tcp(TcpListener::from_std(listener)?), bound))
+}
+
+/// A thread that runs a runtime with all its tasks until this is dropped.
+#[derive(Debug)]
+pub(crate) struct Serving {
+    end: Option<oneshot::Sender<()>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Serving {
+    pub(crate) fn start(name: &str, runtime: Runtime) -> io::Result<Self> {
+        let (end, ended) = oneshot::channel();
+        let run = move || {
+            // Either way this has been dropped. The tasks end with the runtime: a graceful shutdown would wait for
+            // connections that hang.
+            let _ = runtime.block_on(ended);
+        };
+        let thread = std::thread::Builder::new().name(name.to_owned()).spawn(run)?;
+        Ok(Self { end: Some(end), thread: Some(thread) })
+    }
+}
+
+impl Drop for Serving {
+    fn drop(&mut self) {
+        drop(self.end.take());
+        if let Some(thread) = self.thread.take() {
+            // A panic of the thread has already been reported on standard error.
+            let _ = thread.join();
+        }
+    }
 }
 
 // Any page can make a browser send requests to a port of the browser's host. A page whose domain resolves to this host

@@ -4,10 +4,9 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use mcap::records::{Record, op};
 
-use super::Entry;
-use super::link_bytes;
 use super::records::attachment;
 use super::setup::{METADATA, Setup, SetupError, Texts};
+use super::{Entry, link_bytes};
 use crate::link::{DeviceId, Segment};
 use crate::ros;
 use slitpose_head::scene_file::fnv1a_64;

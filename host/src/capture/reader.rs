@@ -11,11 +11,10 @@ use mcap::records::op;
 use slitpose_head::special_file;
 use slitpose_protocol::DELIMITER;
 
-use super::Entry;
 use super::index::Index;
 use super::packets::last_hello;
 use super::records::{ChunkRecords, Next, Records, is_capture, is_rewritten};
-use super::{CaptureError, SetupError};
+use super::{CaptureError, Entry, SetupError};
 use crate::link::{self, DeviceId, Segment};
 
 /// Bytes of a plain byte stream in a segment: some 20 ms of a board at 4 kHz.

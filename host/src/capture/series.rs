@@ -11,8 +11,7 @@ use serde::Serialize;
 
 use super::file::{CaptureFile, Channels, io_error, report_text};
 use super::packets::{Packets, last_hello};
-use super::place::Place;
-use super::place::{Existing, next_number, numbered};
+use super::place::{Existing, Place, next_number, numbered};
 use super::{About, CaptureError, Setup};
 use crate::link::{DeviceId, Segment};
 use crate::pipeline::Record;
@@ -204,7 +203,6 @@ impl CaptureSeries {
         self.output.flushes
     }
 
-    /// Ends the capture.
     pub(crate) fn finish(mut self) -> Result<Recorded, CaptureError> {
         for stream in self.devices.values_mut() {
             let message = &mut self.message;

@@ -35,7 +35,6 @@ pub(crate) struct CapturedScene {
 }
 
 impl CapturedScene {
-    /// Parses the text.
     pub(crate) fn parse(&self) -> Result<SceneFile, SceneFileError> {
         SceneFile::parse(&self.origin, &self.source)
     }
@@ -50,7 +49,6 @@ pub(crate) struct CapturedCalibration {
 }
 
 impl CapturedCalibration {
-    /// Reads the text.
     pub(crate) fn parse(&self) -> Result<Calibration, CalibrationFileError> {
         Calibration::from_bytes(&self.name, self.source.as_bytes())
     }

@@ -40,10 +40,8 @@
 
 use slitpose_protocol::ClockSource;
 
-use super::UtcOffset;
-use super::band::RateBounds;
-use super::band::{Band, Envelope, Side, WINDOW_NS};
-use super::{HostInstant, HostTime};
+use super::band::{Band, Envelope, RateBounds, Side, WINDOW_NS};
+use super::{HostInstant, HostTime, UtcOffset};
 
 /// Least time between pongs that shows that a board keeps time. Pings come twice per second.
 const PROOF_NS: i64 = 400_000_000;

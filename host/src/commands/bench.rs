@@ -7,8 +7,7 @@ use slitpose_bench::{DrawnHead, Session, Settings, Within, write};
 use slitpose_calibration::Head;
 use slitpose_model::Tier;
 
-use super::options::parse_duration;
-use super::options::{DEFAULT_TOLERANCE, open_scene, parse_number};
+use super::options::{DEFAULT_TOLERANCE, open_scene, parse_duration, parse_number};
 use super::simulate::{Target, record};
 use super::{CommandError, Outcome, interrupt, options, talk};
 use crate::device::SimulatedDevice;

@@ -18,7 +18,7 @@ use super::faults::FaultOptions;
 use super::options::{self, Jobs, PoseOptions, open_scene};
 use super::playback::{PlayOptions, Playback, Printing};
 use super::talk::publish;
-use super::{CommandError, Outcome, complain, replay, talk};
+use super::{CommandError, Outcome, UsageError, complain, replay, talk};
 use crate::sink::{Account, Format};
 use crate::telemetry::BoardReport;
 use crate::terminal::{Amount, Progress};
@@ -117,7 +117,7 @@ impl SideBySide {
         let work: Vec<Job> = match (&self.output, format.ending()) {
             (None, None) => files.iter().map(|capture| Job { capture, poses: None }).collect(),
             (Some(folder), Some(ending)) => self.targets(folder, ending, files, play)?,
-            _ => return Err(CommandError::FormatOfEach),
+            _ => return Err(UsageError::FormatOfEach.into()),
         };
         faults.tell();
         let faults: &[Fault] = &faults.fault;
@@ -131,7 +131,7 @@ impl SideBySide {
             |(job, result)| {
                 let name = job.capture.display().to_string();
                 let (outcome, account) = result.unwrap_or_else(|error| {
-                    complain(format_args!("{name}: {}", with_causes(&error)));
+                    complain(format_args!("{name}: {}", with_causes(error.as_ref())));
                     (Outcome::Failed, Account::default())
                 });
                 ended = ended.max(outcome);

@@ -28,41 +28,20 @@ mod status;
 mod talk;
 
 use std::ffi::OsString;
-use std::io;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
-use slitpose_model::SceneError;
 use thiserror::Error;
 
 pub(crate) use config::{ConfigError, configured_options};
-pub(crate) use identify::CellProfileError;
-pub(crate) use playback::SeveralBoards;
 
-use crate::capture::CaptureError;
-use crate::comparison::NothingMatches;
-use crate::daemon::BoardError;
-use crate::datagram::DatagramError;
 use crate::device::DeviceError;
-use crate::live::{AccessError, FoxgloveError, LiveError};
-use crate::measurements::MeasurementsError;
 use crate::playback::PlaybackError;
-use crate::spacenav::SpacenavError;
-use crate::telemetry::{FetchError, StatusError};
 use crate::terminal::{complain, hide_progress};
-use crate::zenoh::ZenohError;
-use slitpose_bench::BenchError;
-use slitpose_calibration::{CalibrateError, CalibrationFileError};
-use slitpose_design::optimise::OptimiseError;
-use slitpose_design::plot::PlotError;
-use slitpose_design::report::ReportError;
 use slitpose_head::causes::with_causes;
 use slitpose_head::faults::FaultError;
 use slitpose_head::foreign::printable;
-use slitpose_head::front_end::TimingError;
-use slitpose_head::scene_file::SceneFileError;
-use slitpose_head::simulator::{PathError, SimulatorError};
 use slitpose_head::table::{Output, OutputError, TableError};
 use talk::{interrupt, talk};
 
@@ -123,63 +102,12 @@ impl From<Outcome> for ExitCode {
 /// Endings of names that say how poses are written.
 const ENDINGS: &str = if cfg!(feature = "parquet") { ".csv, .ndjson or .parquet" } else { ".csv or .ndjson" };
 
-/// Why a command could not do its work.
+/// Why a command could not do its work: the error of whatever it called, or one of those below.
+pub(crate) type CommandError = anyhow::Error;
+
+/// Options that do not go together, or not with what they are about: wrong usage.
 #[derive(Debug, Error)]
-pub(crate) enum CommandError {
-    #[error(transparent)]
-    SceneFile(#[from] SceneFileError),
-    #[error(
-        "scene `{scene}` gives no pose anywhere in its workspace, so there is none for tolerances to move; \
-         --tolerance-study is for heads that have poses, such as the shipped scene `wide`"
-    )]
-    NoPosesToStudy { scene: String },
-    #[error(transparent)]
-    Optimise(#[from] OptimiseError),
-    #[error(transparent)]
-    Scene(#[from] SceneError),
-    #[error(transparent)]
-    Calibration(#[from] CalibrationFileError),
-    #[error(transparent)]
-    Plot(#[from] PlotError),
-    #[error("there is no cell {number}; the scene has the cells 0 to {last}")]
-    NoSuchCell {
-        number: usize,
-        /// The last cell's number.
-        last: usize,
-    },
-    #[error(transparent)]
-    Table(#[from] TableError),
-    #[error(transparent)]
-    Profile(#[from] CellProfileError),
-    #[error(transparent)]
-    Measurements(#[from] MeasurementsError),
-    #[error(transparent)]
-    Bench(#[from] BenchError),
-    #[error(transparent)]
-    Calibrate(#[from] CalibrateError),
-    #[error(transparent)]
-    Timing(#[from] TimingError),
-    #[error(transparent)]
-    Simulator(#[from] SimulatorError),
-    #[error(transparent)]
-    Path(#[from] PathError),
-    #[error(
-        "no motion is called {}{}; the motions are {known}, or give a table of one",
-        printable(name),
-        nearest.as_ref().map_or_else(String::new, |name| format!(" (did you mean `{name}`?)"))
-    )]
-    NoMotion {
-        name: String,
-        /// The motion that is spelt almost like it.
-        nearest: Option<String>,
-        known: String,
-        /// Why it is no table.
-        source: Box<TableError>,
-    },
-    #[error(transparent)]
-    NothingMatches(#[from] NothingMatches),
-    #[error(transparent)]
-    Fault(#[from] FaultError),
+pub(crate) enum UsageError {
     #[error("{option} is for simulated boards and means nothing to {device}; leave it out, or give --device sim")]
     OnlySimulated { option: &'static str, device: String },
     #[error(
@@ -192,14 +120,6 @@ pub(crate) enum CommandError {
         "{calibrations} calibrations for {devices} boards; give one for each, in the same order, or `none` for one"
     )]
     Calibrations { calibrations: usize, devices: usize },
-    #[error(transparent)]
-    Config(#[from] ConfigError),
-    #[error(transparent)]
-    Board(#[from] BoardError),
-    #[error(transparent)]
-    Device(#[from] DeviceError),
-    #[error(transparent)]
-    Capture(#[from] CaptureError),
     #[error(
         "the name {} does not say how poses are to be written; give one that ends in {ENDINGS}, or --format",
         path.display()
@@ -219,71 +139,50 @@ pub(crate) enum CommandError {
     NoParquet { path: PathBuf },
     #[error("Parquet is no text for a terminal; redirect standard output, or choose another --format")]
     NoText,
-    #[error(transparent)]
-    Playback(#[from] PlaybackError),
-    #[error(transparent)]
-    SeveralBoards(#[from] SeveralBoards),
-    #[error(transparent)]
-    Datagram(#[from] DatagramError),
-    #[error(transparent)]
-    Status(#[from] StatusError),
-    #[error(transparent)]
-    Access(#[from] AccessError),
-    #[error(transparent)]
-    Spacenav(#[from] SpacenavError),
-    #[error(transparent)]
-    Live(#[from] LiveError),
-    #[error(transparent)]
-    Zenoh(#[from] ZenohError),
-    #[error(transparent)]
-    Foxglove(#[from] FoxgloveError),
-    #[error("the service manager that NOTIFY_SOCKET names cannot be reached; start the program without it")]
-    Service(#[source] io::Error),
-    #[error("cannot read from standard input; give --yes to go on without questions")]
-    Input(#[source] io::Error),
-    #[error("cannot listen to signals")]
-    Interrupt(#[source] io::Error),
-    #[error(transparent)]
-    Fetch(#[from] FetchError),
-    #[error(transparent)]
-    Report(#[from] ReportError),
-    #[error(transparent)]
-    Output(#[from] OutputError),
 }
 
-impl CommandError {
-    /// Whether the reader of the result has gone: an ordinary end, not a failure.
-    fn is_broken_pipe(&self) -> bool {
-        match self {
-            Self::Output(error) => error.is_broken_pipe(),
-            _ => false,
-        }
-    }
+/// Arguments that name what is not there.
+#[derive(Debug, Error)]
+pub(crate) enum ArgumentError {
+    #[error(
+        "scene `{scene}` gives no pose anywhere in its workspace, so there is none for tolerances to move; \
+         --tolerance-study is for heads that have poses, such as the shipped scene `wide`"
+    )]
+    Poseless { scene: String },
+    #[error("there is no cell {number}; the scene has the cells 0 to {last}")]
+    Cell {
+        number: usize,
+        /// The last cell's number.
+        last: usize,
+    },
+    #[error(
+        "no motion is called {}{}; the motions are {known}, or give a table of one",
+        printable(name),
+        nearest.as_ref().map_or_else(String::new, |name| format!(" (did you mean `{name}`?)"))
+    )]
+    Motion {
+        name: String,
+        /// The motion that is spelt almost like it.
+        nearest: Option<String>,
+        known: String,
+        /// Why it is no table.
+        source: Box<TableError>,
+    },
+}
 
-    fn printing(source: io::Error) -> Self {
-        Self::Output(OutputError::Write { target: "standard output".to_owned(), source })
-    }
+/// Whether the reader of the result has gone: an ordinary end, not a failure.
+fn is_broken_pipe(error: &CommandError) -> bool {
+    error.downcast_ref().is_some_and(OutputError::is_broken_pipe)
+}
 
-    fn exit_code(&self) -> ExitCode {
-        match self {
-            #[cfg(not(feature = "parquet"))]
-            Self::NoParquet { .. } => ExitCode::from(2),
-            Self::Fault(_)
-            | Self::Playback(PlaybackError::Fault(_))
-            | Self::OnlySimulated { .. }
-            | Self::OnlyHere { .. }
-            | Self::Scenes { .. }
-            | Self::Calibrations { .. }
-            | Self::Config(_)
-            | Self::Extension { .. }
-            | Self::NoText
-            | Self::FormatOfEach
-            | Self::Output(OutputError::Twice { .. })
-            | Self::Playback(PlaybackError::Range { .. })
-            | Self::Device(DeviceError::NotAPath { .. } | DeviceError::Pattern { .. }) => ExitCode::from(2),
-            _ => ExitCode::FAILURE,
-        }
-    }
+fn exit_code(error: &CommandError) -> ExitCode {
+    let is_usage = error.is::<UsageError>()
+        || error.is::<FaultError>()
+        || error.is::<ConfigError>()
+        || matches!(error.downcast_ref(), Some(OutputError::Twice { .. }))
+        || matches!(error.downcast_ref(), Some(PlaybackError::Fault(_) | PlaybackError::Range { .. }))
+        || matches!(error.downcast_ref(), Some(DeviceError::NotAPath { .. } | DeviceError::Pattern { .. }));
+    if is_usage { ExitCode::from(2) } else { ExitCode::FAILURE }
 }
 
 /// The command line as it can be typed here: options of `run` may stand in the environment, too, and help
@@ -298,11 +197,10 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     let arguments: Vec<OsString> = arguments.into_iter().collect();
     match run(&arguments) {
         Ok(outcome) => outcome.into(),
-        Err(error) if error.is_broken_pipe() => ExitCode::SUCCESS,
+        Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
-            let code = error.exit_code();
-            complain(format_args!("{}", with_causes(&error)));
-            code
+            complain(format_args!("{}", with_causes(error.as_ref())));
+            exit_code(&error)
         }
     }
 }

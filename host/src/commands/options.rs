@@ -18,7 +18,7 @@ use slitpose_model::{Pose, Tier};
 pub(super) use crate::solving::{STREAM_TOLERANCE as DEFAULT_TOLERANCE, TierOptions, parse_duration};
 
 use super::talk::talk;
-use super::{CommandError, Outcome};
+use super::{CommandError, Outcome, UsageError};
 use crate::pipeline::Following;
 use crate::sink::{self, Format, Sink};
 use crate::solving::{Filter, NOT_CALIBRATED, Solving, head_by};
@@ -227,7 +227,7 @@ impl PoseOptions {
         is_terminal: bool,
     ) -> Result<Option<Box<dyn Sink + Send + 'a>>, CommandError> {
         if is_terminal && !format.is_text() {
-            return Err(CommandError::NoText);
+            return Err(UsageError::NoText.into());
         }
         if format == Format::Csv && matches!(self.solving.filter, Some(Filter(Some(_)))) {
             talk(format_args!("--filter: CSV has no columns for the filtered pose; --format ndjson has it"));

@@ -8,15 +8,14 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use super::options::CalibrationOption;
-use super::options::{PoseOptions, parse_duration};
+use super::options::{CalibrationOption, PoseOptions, parse_duration};
 use super::player::Player;
 use super::{CommandError, Outcome, interrupt, options, talk};
 use crate::clock::HostInstant;
 use crate::comparison::Comparison;
 use crate::link::DeviceId;
 use crate::live::Sampler;
-use crate::pipeline::{Item, PipelineError};
+use crate::pipeline::Item;
 use crate::playback::{self, Choice, Event, PlaybackError, Yields};
 use crate::sink::{Account, Format, Note, Sink};
 use crate::telemetry::{BoardReport, BoardStatistics, DaemonReport, LinkReport, LinkState, RecorderReport};
@@ -180,8 +179,12 @@ impl<'a> Playback<'a> {
         });
         match ended {
             // Interrupted where the page had led it.
-            Err(CommandError::Playback(PlaybackError::NoScan { .. } | PlaybackError::Beyond { .. }))
-                if player.is_some() =>
+            Err(error)
+                if player.is_some()
+                    && matches!(
+                        error.downcast_ref(),
+                        Some(PlaybackError::NoScan { .. } | PlaybackError::Beyond { .. })
+                    ) =>
             {
                 Ok((output.outcome, account(&captures, &output.statistics)))
             }
@@ -357,10 +360,4 @@ fn report(board: &playback::Board, statistics: &RefCell<BoardStatistics>) -> Boa
     // What a capture has to say it has said.
     let link = LinkReport { state: LinkState::Ended, since_utc_ns: now.utc_ns, ..LinkReport::default() };
     BoardReport { link, ..report }
-}
-
-impl From<PipelineError> for CommandError {
-    fn from(error: PipelineError) -> Self {
-        Self::Board(error.into())
-    }
 }

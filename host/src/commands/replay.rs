@@ -15,7 +15,7 @@ use super::live::LiveOptions;
 use super::options::PoseOptions;
 use super::playback::{PlayOptions, Playback, Printing};
 use super::player::{Orders, Player};
-use super::{CommandError, Outcome, interrupt};
+use super::{CommandError, Outcome, UsageError, interrupt};
 use crate::live::LivePlan;
 use crate::playback;
 use crate::sink::{Account, Format};
@@ -147,9 +147,9 @@ fn format_of(output: &Path) -> Result<Format, CommandError> {
         #[cfg(feature = "parquet")]
         Some("parquet") => Ok(Format::Parquet),
         #[cfg(not(feature = "parquet"))]
-        Some("parquet") => Err(CommandError::NoParquet { path: output.to_owned() }),
+        Some("parquet") => Err(UsageError::NoParquet { path: output.to_owned() }.into()),
         // Standard output, devices and pipes have no name that could say it.
         _ if output == Path::new("-") || special_file::is_special(output) => Ok(Format::Csv),
-        _ => Err(CommandError::Extension { path: output.to_owned() }),
+        _ => Err(UsageError::Extension { path: output.to_owned() }.into()),
     }
 }

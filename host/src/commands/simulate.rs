@@ -16,7 +16,7 @@ use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message, Schedule};
 
 use super::faults::FaultOptions;
 use super::options::{self, CalibrationOption, DEFAULT_TOLERANCE, TierOptions, open_scene, parse_duration};
-use super::{CommandError, Outcome, interrupt, talk};
+use super::{ArgumentError, CommandError, Outcome, interrupt, talk};
 use crate::capture::{About, CaptureError, CaptureSeries, Settings, Setup};
 use crate::comparison::NothingMatches;
 use crate::device::{Conversation, DeviceError, Keep, SimulatedDevice};
@@ -309,12 +309,8 @@ impl ToolOptions {
                     let motions = options::motions();
                     let known: Vec<&str> = motions.list().iter().map(String::as_str).collect();
                     let nearest = nearest(name, &known).map(str::to_owned);
-                    CommandError::NoMotion {
-                        name: name.to_owned(),
-                        nearest,
-                        known: known.join(", "),
-                        source: Box::new(source),
-                    }
+                    let (name, known) = (name.to_owned(), known.join(", "));
+                    ArgumentError::Motion { name, nearest, known, source: Box::new(source) }.into()
                 }
                 error => error.into(),
             }),

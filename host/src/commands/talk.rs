@@ -4,6 +4,7 @@ use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
+use anyhow::Context;
 use slitpose_design::report::{Folder, Report};
 use slitpose_head::table::Output;
 
@@ -17,14 +18,16 @@ pub(super) fn talk(text: fmt::Arguments<'_>) {
 
 /// The flag that is set when the user interrupts: see [`flag`](slitpose_head::interrupt::flag).
 pub(super) fn interrupt() -> Result<Arc<AtomicBool>, CommandError> {
-    slitpose_head::interrupt::flag().map_err(CommandError::Interrupt)
+    slitpose_head::interrupt::flag().context("cannot listen to signals")
 }
 
 /// Lets a file that must not grow any more be an error of writing to it, as a full disk is, and not the
 /// end of the program: its other work goes on.
 pub(super) fn outlive_file_limits() -> Result<(), CommandError> {
     // A signal that is taken notice of is not fatal.
-    signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Arc::default()).map(drop).map_err(CommandError::Interrupt)
+    signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Arc::default())
+        .map(drop)
+        .context("cannot listen to signals")
 }
 
 /// Reports the losses of a stream on standard error, if there are any. A packet under way when the

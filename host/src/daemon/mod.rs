@@ -37,8 +37,7 @@ use std::sync::atomic::{self, AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
 
-pub(crate) use board::BoardError;
-pub(crate) use board::BoardPlan;
+pub(crate) use board::{BoardError, BoardPlan};
 pub(crate) use link::Talk;
 #[cfg(feature = "zenoh")]
 pub(crate) use opener::Feed;
@@ -57,12 +56,9 @@ use crate::live::TakesSamples;
 use crate::pipeline::Counts;
 use crate::sink::{Account, Sink};
 use crate::telemetry::{BoardReport, DaemonReport, LinkState, RecorderReport};
-use board::BoardSlot;
-use board::BoardThreads;
-use board::Claims;
+use board::{BoardSlot, BoardThreads, Claims};
 use buffer_pool::buffer_pool;
-use outputs::PrinterThread;
-use outputs::{OUTBOX_POSES, Outbox};
+use outputs::{OUTBOX_POSES, Outbox, PrinterThread};
 use recorder::RecorderThread;
 use slitpose_head::threads::lock;
 use streamer::StreamerThread;

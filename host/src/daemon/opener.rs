@@ -80,7 +80,6 @@ pub(crate) trait Opener: Send {
         None
     }
 
-    /// Opens the board.
     fn open(&mut self) -> Result<Box<dyn Feed>, DeviceError>;
 
     /// The board that was opened last has introduced itself.

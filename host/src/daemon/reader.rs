@@ -9,13 +9,10 @@ use crossbeam_channel::Receiver;
 use slitpose_calibration::Head;
 use slitpose_protocol::{Configuration, Stream};
 
-use super::board::BoardError;
-use super::board::BoardSlot;
-use super::board::Claims;
+use super::board::{BoardError, BoardSlot, Claims};
 use super::handoff::ReaderEnd;
 use super::opener::{Admit, Feed, Opener};
-use super::solver::Solver;
-use super::solver::StreamEvent;
+use super::solver::{Solver, StreamEvent};
 use crate::device::{DeviceError, Keep};
 use crate::link::DeviceId;
 use crate::pipeline::head_of;

@@ -8,8 +8,7 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, Sender, bounded, unbounded};
 use slitpose_calibration::Head;
 
-use super::board::BoardError;
-use super::board::BoardPlan;
+use super::board::{BoardError, BoardPlan};
 use super::buffer_pool::{Consumer, Empty, buffer_pool};
 use super::tap::{TapChunk, TapEnds};
 use super::{Talk, spawn};

@@ -55,32 +55,18 @@ pub enum Address {
 
 /// A text that is not a permitted [`Address`].
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum AddressError {
-    /// Neither kind of address.
     #[error("`{text}` is no address for poses; give unix:PATH or udp:127.0.0.1:PORT")]
-    Kind {
-        /// The text.
-        text: String,
-    },
-    /// A Unix socket without a path.
+    Kind { text: String },
     #[error("`unix:` lacks the path of the socket; give unix:PATH")]
     NoPath,
-    /// A UDP address that cannot be parsed.
     #[error("`{text}` is no address and port; give udp:127.0.0.1:PORT")]
-    Udp {
-        /// What follows `udp:`.
-        text: String,
-        /// The parser's error.
-        source: AddrParseError,
-    },
-    /// Poses are not sent to other hosts.
+    Udp { text: String, source: AddrParseError },
     #[error(
         "{address} can be reached from other hosts, and poses carry no proof of their origin; give udp:127.0.0.1:PORT"
     )]
-    NotLoopback {
-        /// The address.
-        address: SocketAddr,
-    },
+    NotLoopback { address: SocketAddr },
 }
 
 impl AddressError {
@@ -119,31 +105,16 @@ impl fmt::Display for Address {
 
 /// Why datagrams cannot be served.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum DatagramError {
-    /// Another daemon uses the socket.
     #[error("{} is in use by another program that runs; give another path, or stop that program", path.display())]
-    InUse {
-        /// The socket.
-        path: PathBuf,
-    },
-    /// The path is that of another kind of file.
+    InUse { path: PathBuf },
     #[error("{} exists and is no socket; give another path", path.display())]
-    NotASocket {
-        /// The file.
-        path: PathBuf,
-    },
-    /// The address cannot be bound.
+    NotASocket { path: PathBuf },
     #[error("cannot listen on {address}; check that its folder exists and may be written to, or that the port is free")]
-    Bind {
-        /// The address.
-        address: Address,
-        /// The system's error.
-        source: io::Error,
-    },
-    /// The address is not permitted.
+    Bind { address: Address, source: io::Error },
     #[error(transparent)]
     Address(#[from] AddressError),
-    /// The system does not start a thread.
     #[error("cannot start a thread for requests")]
     Thread(#[source] io::Error),
 }

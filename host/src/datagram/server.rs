@@ -12,15 +12,13 @@ use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::DatagramError;
-use super::publisher::Publisher;
-use super::publisher::{Counters, Shared};
+use super::publisher::{Counters, Publisher, Shared};
 use super::slot::Slot;
 use super::socket::{Delivery, Peer, Socket, SocketFile};
-use super::subscription::{Admission, Lease, Leases};
-use super::subscription::{Cookies, Worth};
-use super::subscription::{MAX_FOLLOWERS, MAX_NEWS, SlowClient, Subscription};
-use super::{Address, Answer, Mode, Request};
+use super::subscription::{
+    Admission, Cookies, Lease, Leases, MAX_FOLLOWERS, MAX_NEWS, SlowClient, Subscription, Worth,
+};
+use super::{Address, Answer, DatagramError, Mode, Request};
 use crate::clock::HostInstant;
 use crate::link::DeviceId;
 use slitpose_head::threads::lock;

@@ -22,21 +22,19 @@ mod simulated;
 use std::io;
 
 pub(crate) use conversation::{Conversation, Keep};
-pub(crate) use discovery::Selector;
-pub(crate) use discovery::{Found, find, list, locate};
+pub(crate) use discovery::{Found, Selector, find, list, locate};
 pub use error::DeviceError;
 pub(crate) use error::Scanless;
 pub use orders::KeepAlive;
 pub(crate) use ports::{Port, Search, UsbId, ports};
-pub(crate) use probe::BoardInfo;
-pub(crate) use probe::{Listed, PortState};
+pub(crate) use probe::{BoardInfo, Listed, PortState};
 pub use serial::SerialDevice;
 pub(crate) use serial::holders;
 pub(crate) use simulated::{SimulatedDevice, SimulatedPort};
 
 /// A byte stream to and from a board.
 pub trait Device: Send {
-    /// The user's name for the device.
+    /// What its user calls the device, in messages.
     fn name(&self) -> &str;
 
     /// Sends bytes to the board.

@@ -1,7 +1,6 @@
 //! Verdicts from the sums of a window.
 
-use super::diagnosis::Residuals;
-use super::diagnosis::{CellHealth, Diagnosis, Fault, HeadHealth, Shares, Verdict};
+use super::diagnosis::{CellHealth, Diagnosis, Fault, HeadHealth, Residuals, Shares, Verdict};
 use super::window::{Bucket, CellSums};
 use super::{Cell, Exchange, Health};
 use slitpose_head::finding::Finding;

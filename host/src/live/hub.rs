@@ -12,8 +12,7 @@ use tokio::sync::broadcast;
 use tokio::sync::mpsc::{Receiver, Sender, channel};
 
 use super::control::PlayerState;
-use super::frame::Optics;
-use super::frame::{FRAMES_HZ, Sample, TakesSamples};
+use super::frame::{FRAMES_HZ, Optics, Sample, TakesSamples};
 use super::head::HeadMessage;
 use crate::clock::HostInstant;
 use crate::telemetry::DaemonReport;

@@ -22,11 +22,10 @@ mod session;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use access::{Access, AccessError, DEFAULT_LIVE_ADDRESS, LiveAddress};
-pub(crate) use control::is_request;
-pub(crate) use control::{Control, Order, PlayerOrder, PlayerState, Refusal};
-pub(crate) use foxglove::{DEFAULT_FOXGLOVE_ADDRESS, FoxgloveAddress, FoxgloveError, FoxgloveServer};
+pub(crate) use access::{Access, DEFAULT_LIVE_ADDRESS, LiveAddress};
+pub(crate) use control::{Control, Order, PlayerOrder, PlayerState, Refusal, is_request};
+pub(crate) use foxglove::{DEFAULT_FOXGLOVE_ADDRESS, FoxgloveAddress, FoxgloveServer};
 pub(crate) use frame::{Sample, Sampler, TakesSamples};
 pub(crate) use head::SceneView;
 pub(crate) use hub::{LiveBoard, LiveInput};
-pub(crate) use server::{LiveError, LivePlan, LiveServer};
+pub(crate) use server::{LivePlan, LiveServer};

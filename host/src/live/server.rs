@@ -3,7 +3,6 @@
 use std::io;
 use std::net::{IpAddr, SocketAddr};
 use std::sync::{Arc, Mutex};
-use std::thread::JoinHandle;
 use std::time::Duration;
 
 use axum::Router;
@@ -18,9 +17,7 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use slitpose_head::threads::lock;
 use thiserror::Error;
-use tokio::runtime::{Builder, Runtime};
-use tokio::sync::mpsc::Receiver;
-use tokio::sync::oneshot;
+use tokio::runtime::Builder;
 use tokio::time::{MissedTickBehavior, interval};
 
 use super::access::Access;
@@ -28,7 +25,7 @@ use super::control::{Control, Refusal};
 use super::head::SceneView;
 use super::hub::{Hub, Input, LiveBoard, LiveInput};
 use super::session;
-use crate::http::{self, Door, Leash, Reach, Socket};
+use crate::http::{self, Door, Leash, Reach, Serving};
 use crate::telemetry::DaemonReport;
 
 /// Most clients at a time, of those that have said hello.
@@ -110,12 +107,10 @@ impl Drop for Place<'_> {
 pub(crate) struct LiveServer {
     url: String,
     input: LiveInput,
-    end: Option<oneshot::Sender<()>>,
-    thread: Option<JoinHandle<()>>,
+    _serving: Serving,
 }
 
 impl LiveServer {
-    /// Serves the page.
     pub(crate) fn start(plan: LivePlan) -> Result<Self, LiveError> {
         let LivePlan { access, source, has_zero, boards, scene, control, report } = plan;
         let address = access.address;
@@ -134,13 +129,28 @@ impl LiveServer {
         let shared = Arc::new(Shared { access, source, has_zero, hub: Hub::new(), scene, control, clients });
         shared.hub.accept(Input::Boards(boards));
         let routes = routes(&shared, reach);
-        let (input, inputs) = LiveInput::new();
-        let (end, ended) = oneshot::channel();
-        let thread = std::thread::Builder::new()
-            .name("live".to_owned())
-            .spawn(move || serve(runtime, socket, routes, &shared, inputs, report, ended))
-            .map_err(listen)?;
-        Ok(Self { url, input, end: Some(end), thread: Some(thread) })
+        let routes = routes.into_make_service_with_connect_info::<Leash>();
+        runtime.spawn(async move { axum::serve(Door::new(socket), routes).await });
+        let (input, mut inputs) = LiveInput::new();
+        let of_inputs = Arc::clone(&shared);
+        runtime.spawn(async move {
+            while let Some(input) = inputs.recv().await {
+                of_inputs.hub.accept(input);
+            }
+        });
+        if let Some(report) = report {
+            runtime.spawn(async move {
+                let mut ticks = interval(REPORT_EVERY);
+                ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+                loop {
+                    ticks.tick().await;
+                    shared.hub.report(&report());
+                }
+            });
+        }
+        // When it is dropped, clients see their connections end.
+        let serving = Serving::start("live", runtime).map_err(listen)?;
+        Ok(Self { url, input, _serving: serving })
     }
 
     /// The address of the page, for a browser.
@@ -151,49 +161,6 @@ impl LiveServer {
     pub(crate) fn input(&self) -> LiveInput {
         self.input.clone()
     }
-}
-
-impl Drop for LiveServer {
-    fn drop(&mut self) {
-        drop(self.end.take());
-        if let Some(thread) = self.thread.take() {
-            // A panic of the thread has already been reported on standard error.
-            let _ = thread.join();
-        }
-    }
-}
-
-fn serve(
-    runtime: Runtime,
-    socket: Socket,
-    routes: Router,
-    shared: &Arc<Shared>,
-    mut inputs: Receiver<Input>,
-    report: Option<Box<dyn Fn() -> DaemonReport + Send + Sync>>,
-    ended: oneshot::Receiver<()>,
-) {
-    let routes = routes.into_make_service_with_connect_info::<Leash>();
-    runtime.spawn(async move { axum::serve(Door::new(socket), routes).await });
-    let of_inputs = Arc::clone(shared);
-    runtime.spawn(async move {
-        while let Some(input) = inputs.recv().await {
-            of_inputs.hub.accept(input);
-        }
-    });
-    if let Some(report) = report {
-        let shared = Arc::clone(shared);
-        runtime.spawn(async move {
-            let mut ticks = interval(REPORT_EVERY);
-            ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-            loop {
-                ticks.tick().await;
-                shared.hub.report(&report());
-            }
-        });
-    }
-    // Either way the server has been dropped; clients see their connections end.
-    let _ = runtime.block_on(ended);
-    drop(runtime);
 }
 
 fn routes(shared: &Arc<Shared>, reach: Reach) -> Router {

@@ -18,8 +18,7 @@ use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::{RecvError, TryRecvError};
 use tokio::time::{Instant, sleep, sleep_until, timeout};
 
-use super::control::Request;
-use super::control::{Order, PlayerOrder, Refusal};
+use super::control::{Order, PlayerOrder, Refusal, Request};
 use super::frame::FRAMES_HZ;
 use super::hub::{Event, HISTORY_S, Snapshot, text_of};
 use super::server::Shared;

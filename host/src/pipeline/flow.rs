@@ -9,8 +9,7 @@ use slitpose_model::{Pose, Tier, Tracked};
 use slitpose_protocol::poses::READY_TICKS;
 use slitpose_protocol::{Batch, BoardKind, Hello, Message, Poses, Stream, Truth};
 
-use super::board_clock::BoardClock;
-use super::board_clock::Span;
+use super::board_clock::{BoardClock, Span};
 use super::board_poses::BoardPose;
 use super::oddity::ClockWatch;
 use super::session::Session;

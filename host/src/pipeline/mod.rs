@@ -23,11 +23,9 @@ use slitpose_model::{Photocurrents, Tier};
 use slitpose_protocol::{DELIMITER, Decoder, MAX_MESSAGE_BYTES, Message, Status};
 
 pub use board_poses::{Agreement, PoseFault};
-pub use counts::Counts;
-pub use counts::Outcomes;
 pub(crate) use counts::reason;
-pub use item::PipelineError;
-pub use item::{Following, Item, PoseSource, Record, SceneMatch};
+pub use counts::{Counts, Outcomes};
+pub use item::{Following, Item, PipelineError, PoseSource, Record, SceneMatch};
 pub use oddity::Oddity;
 pub use session::{check, check_calibration, head_of};
 pub use waiting::{Queue, Scan};

@@ -10,10 +10,9 @@ use slitpose_protocol::{
 use super::{Following, Item, Oddity, Pipeline, PipelineError, PoseFault, PoseSource, Record, SceneMatch};
 use crate::clock::HostInstant;
 use crate::link::{Asked, Segment};
-use slitpose_head::board_head;
-use slitpose_head::front_end;
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
+use slitpose_head::{board_head, front_end};
 
 const TIER: Tier = Tier::Exact { tolerance: 1e-4 };
 

@@ -8,8 +8,7 @@ mod board;
 mod choice;
 mod files;
 
-use std::collections::BTreeSet;
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -23,11 +22,9 @@ use crate::link::{DeviceId, Segment};
 use crate::pipeline::{Item, Pipeline, PipelineError, Scan, SceneMatch};
 use crate::solving::head_by;
 pub use board::{Board, Seam};
-pub use choice::PlaybackError;
-pub use choice::{Choice, Yields};
+pub use choice::{Choice, PlaybackError, Yields};
 
-use board::Faulty;
-use board::Phase;
+use board::{Faulty, Phase};
 
 /// Boards are recorded a piece at a time: what one said before the end may stand so far behind it.
 const LATEST_NS: u64 = 1_000_000_000;

@@ -6,8 +6,7 @@ use glam::{DVec2, DVec3, dvec2};
 use slitpose_design::{MaskFrame, mask_half_extents_m};
 use slitpose_model::{Cell, Opening, Pose};
 
-use super::cdr::Encoder;
-use super::cdr::{BASE, header, pose, vector};
+use super::cdr::{BASE, Encoder, header, pose, vector};
 
 /// Shapes by their numbers in `visualization_msgs/msg/Marker`.
 const LINE_LIST: i32 = 5;

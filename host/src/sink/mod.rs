@@ -69,13 +69,11 @@ pub(crate) trait Sink {
         true
     }
 
-    /// Writes a note.
     fn note(&mut self, note: &Note) -> io::Result<()>;
 
     /// Flushes or redraws; called regularly, even without poses.
     fn tick(&mut self, accounts: &Accounts<'_>) -> io::Result<()>;
 
-    /// Ends the output.
     fn finish(&mut self, accounts: &Accounts<'_>) -> io::Result<()>;
 }
 

@@ -19,7 +19,7 @@ use slitpose_head::scene_file::Workspace;
 use slitpose_model::{Pose, rotation_log};
 use thiserror::Error;
 
-pub(crate) use server::{SpacenavError, SpacenavInput, SpacenavServer};
+pub(crate) use server::{SpacenavInput, SpacenavServer};
 
 /// Full deflection of the usual devices: ±350 steps.
 const FULL: f64 = 350.0;

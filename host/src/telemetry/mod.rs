@@ -15,11 +15,10 @@ mod statistics;
 mod tests;
 pub(crate) mod view;
 
-pub(crate) use client::{DEFAULT_STATUS_ADDRESS, StatusAddress};
-pub(crate) use client::{FetchError, fetch};
+pub(crate) use client::{DEFAULT_STATUS_ADDRESS, StatusAddress, fetch};
 pub(crate) use report::{
     BoardReport, DaemonReport, HostLosses, LagReport, LinkReport, LinkState, RecorderReport, RecorderState,
     report_schema,
 };
-pub(crate) use server::{StatusError, StatusServer};
+pub(crate) use server::StatusServer;
 pub use statistics::BoardStatistics;

@@ -5,7 +5,6 @@
 
 use std::io;
 use std::sync::Arc;
-use std::thread::JoinHandle;
 
 use axum::Router;
 use axum::extract::Request;
@@ -15,13 +14,11 @@ use axum::middleware::{Next, from_fn};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use thiserror::Error;
-use tokio::runtime::{Builder, Runtime};
-use tokio::sync::oneshot;
+use tokio::runtime::Builder;
 
 use super::{DaemonReport, StatusAddress, metrics, view};
 use crate::clock::HostInstant;
-use crate::http::{self, Door, Reach, Socket};
-use crate::http::{SocketFile, SocketFileError};
+use crate::http::{self, Door, Reach, Serving, Socket, SocketFile, SocketFileError};
 
 /// Mode of the Unix socket: owner and group may connect, other users may not.
 const SOCKET_MODE: u32 = 0o660;
@@ -48,8 +45,8 @@ pub(crate) enum StatusError {
 #[derive(Debug)]
 pub(crate) struct StatusServer {
     address: StatusAddress,
-    end: Option<oneshot::Sender<()>>,
-    thread: Option<JoinHandle<()>>,
+    // Ends before the file is removed.
+    _serving: Serving,
     _file: Option<SocketFile>,
 }
 
@@ -85,7 +82,6 @@ impl StatusServer {
                 }
             }
         };
-        let (end, ended) = oneshot::channel();
         let source: Source = Arc::new(source);
         // Browsers cannot reach a Unix socket: any host name is allowed there.
         let named = if matches!(address, StatusAddress::Unix(_)) { Reach::Anywhere } else { reach };
@@ -98,35 +94,16 @@ impl StatusServer {
                 reply(StatusCode::FORBIDDEN, TEXT, text.to_owned())
             }
         }));
-        let thread = std::thread::Builder::new()
-            .name("status".to_owned())
-            .spawn(move || serve(runtime, socket, routes, ended))
+        runtime.spawn(async move { axum::serve(Door::new(socket), routes).await });
+        let serving = Serving::start("status", runtime)
             .map_err(|source| StatusError::Listen { address: address.clone(), source })?;
-        Ok(Self { address, end: Some(end), thread: Some(thread), _file: file })
+        Ok(Self { address, _serving: serving, _file: file })
     }
 
     /// The address it listens on, with the port that the system chose for port 0.
     pub(crate) fn address(&self) -> &StatusAddress {
         &self.address
     }
-}
-
-impl Drop for StatusServer {
-    fn drop(&mut self) {
-        drop(self.end.take());
-        if let Some(thread) = self.thread.take() {
-            // A panic of the thread has already been reported on standard error.
-            let _ = thread.join();
-        }
-    }
-}
-
-fn serve(runtime: Runtime, socket: Socket, routes: Router, ended: oneshot::Receiver<()>) {
-    // Ends with the runtime: a graceful shutdown would wait for connections that hang.
-    runtime.spawn(async move { axum::serve(Door::new(socket), routes).await });
-    // Either way the server has been dropped.
-    let _ = runtime.block_on(ended);
-    drop(runtime);
 }
 
 fn routes(source: &Source) -> Router {

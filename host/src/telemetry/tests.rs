@@ -10,6 +10,8 @@ use std::time::{Duration, Instant};
 
 use slitpose_protocol::{ClockSource, SettingsSource, Severity, Status};
 
+use super::client::FetchError;
+use super::server::StatusError;
 use super::*;
 use crate::clock::{HostInstant, HostTime};
 use crate::datagram::DatagramCounts;

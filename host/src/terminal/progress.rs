@@ -4,8 +4,7 @@ use std::time::{Duration, Instant};
 
 use console::{Term, measure_text_width};
 
-use super::Row;
-use super::{Line, screen};
+use super::{Line, Row, screen};
 
 /// Period of redrawing: a person reads no faster.
 const RENEWAL: Duration = Duration::from_millis(200);
@@ -134,8 +133,7 @@ mod tests {
     use std::num::NonZero;
 
     use super::*;
-    use crate::terminal::Line;
-    use crate::terminal::fit;
+    use crate::terminal::{Line, fit};
 
     #[test]
     fn says_how_far_and_how_long() {

@@ -71,7 +71,6 @@ impl ZenohSession {
         match *self {}
     }
 
-    /// What would open a board.
     pub(crate) fn opener(&self, _: &str) -> Result<Box<dyn Opener>, ZenohError> {
         match *self {}
     }

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::{CommandError, Outcome};
+use super::{ArgumentError, CommandError, Outcome};
 use crate::commands::options;
 use crate::commands::options::{CalibrationOption, Jobs, open_scene, parse_number};
 use crate::commands::talk::publish;
@@ -66,7 +66,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     })?;
     drop(progress);
     if args.tolerance_study.is_some() && map.share(|view| view.sigma.is_some()) == 0.0 {
-        return Err(CommandError::NoPosesToStudy { scene: head.file.origin.clone() });
+        return Err(ArgumentError::Poseless { scene: head.file.origin.clone() }.into());
     }
     let studied = args.tolerance_study.map(|heads| tolerances(head.simulated(), heads, args.seed)).transpose()?;
     publish(&map_report(&head, &map, studied.as_ref(), schedules.as_ref()), folder.as_ref())?;

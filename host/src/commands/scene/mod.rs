@@ -17,7 +17,7 @@ use slitpose_model::{Plan, Pose, Tier};
 
 use super::live::AccessOptions;
 use super::options::{self, CalibrationOption, Jobs, open_scene, parse_pose};
-use super::{CommandError, Outcome, interrupt};
+use super::{ArgumentError, CommandError, Outcome, interrupt};
 use crate::live::{Control, DEFAULT_LIVE_ADDRESS, LiveAddress, LiveBoard, LivePlan, Order, Refusal, SceneView};
 use crate::terminal::{Amount, Progress};
 
@@ -157,7 +157,7 @@ fn plot(args: &PlotArgs) -> Result<Outcome, CommandError> {
         None => scene_picture(&file.name, &file.scene, &plan, &pose)?,
         Some(number) => {
             let last = file.scene.cells.len() - 1;
-            let cell = file.scene.cells.get(number).ok_or(CommandError::NoSuchCell { number, last })?;
+            let cell = file.scene.cells.get(number).ok_or(ArgumentError::Cell { number, last })?;
             cell_picture(&file.name, number, cell, &plan, &pose)?
         }
     };

@@ -9,8 +9,7 @@ use slitpose_protocol::{
 use thiserror::Error;
 
 use super::pins::Wiring;
-use super::sampling::Expected;
-use super::sampling::Sampling;
+use super::sampling::{Expected, Sampling};
 use crate::device::{
     BoardInfo, Conversation, Device, DeviceError, Found, Keep, Search, Selector, SerialDevice, SimulatedDevice, find,
     locate,
