@@ -1,4 +1,4 @@
-//! What the HTTP servers of the daemon share: limits of connections, and whose requests are answered.
+//! What servers share: limits of connections, whose requests are answered, threads, and sockets in the file system.
 
 use std::fs::{self, Permissions};
 use std::io::{self, ErrorKind};

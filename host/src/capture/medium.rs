@@ -1,4 +1,4 @@
-//! The file under a capture, and the number of its bytes that are on the disk.
+//! The file under a capture: written with the number of its bytes that are on the disk, read by a moving window.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};

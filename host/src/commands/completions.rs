@@ -1,4 +1,4 @@
-//! `slitpose completions`: what a shell needs to complete the command line.
+//! What follows from the command line itself: completions for shells, manual pages, and defaults in the help.
 
 use std::fs;
 use std::path::{Path, PathBuf};

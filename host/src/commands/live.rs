@@ -1,4 +1,4 @@
-//! The live page, as `run`, `replay` and `scene view` offer it.
+//! What `run` and `replay` serve besides poses: the live page, the 6-DoF mouse, Zenoh.
 
 use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};

@@ -1,7 +1,7 @@
-//! The command line: one verb, one file.
+//! The command line: a file for each verb; small ones of a kind share one.
 //!
-//! A verb has its arguments (`Args`) and a function `run`, which returns how it ended. To add
-//! one, add its file, its line in `Verb` and its line in `run`.
+//! A verb has its arguments (`Args`) and a function (`run`), which returns how it ended. To add one, add both, its line
+//! in `Verb` and its line in `run`.
 
 mod bench;
 mod calibrate;
@@ -25,7 +25,6 @@ mod scene;
 mod simulate;
 mod solve;
 mod status;
-mod talk;
 
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -39,11 +38,11 @@ pub(crate) use config::{ConfigError, configured_options};
 use crate::device::DeviceError;
 use crate::playback::PlaybackError;
 use crate::terminal::{complain, hide_progress};
+use options::{interrupt, talk};
 use slitpose_head::causes::with_causes;
 use slitpose_head::faults::FaultError;
 use slitpose_head::foreign::printable;
 use slitpose_head::table::{Output, OutputError, TableError};
-use talk::{interrupt, talk};
 
 /// Six slits, six light spots, one pose: tools for a contactless 6-DoF tracker.
 ///
@@ -210,7 +209,7 @@ fn run(arguments: &[OsString]) -> Result<Outcome, CommandError> {
     let configured = config::configured(command(), &matches)?;
     let matches = configured.command.clone().get_matches_from(arguments);
     let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
-    talk::outlive_file_limits()?;
+    options::outlive_file_limits()?;
     slitpose_head::interrupt::say_by(|error| {
         hide_progress();
         complain(format_args!("{error}"));

@@ -6,8 +6,7 @@ use std::sync::Mutex;
 use slitpose_model::{Plan, Pose, Response, Tier};
 
 use super::options::{CalibrationOption, Jobs, TierOptions, UNREADABLE, open_scene};
-use super::talk::talk;
-use super::{CommandError, Outcome, options};
+use super::{CommandError, Outcome, options, talk};
 pub(super) use crate::solving::MODEL_TOLERANCE as DEFAULT_TOLERANCE;
 use slitpose_head::table::{Output, PoseColumns, PoseSizes, TableError, TableReader, TableRows, TableWriter};
 use slitpose_head::threads::lock;

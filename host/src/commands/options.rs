@@ -1,25 +1,29 @@
-//! Options that several verbs share.
+//! What verbs share: options, arguments that take names, tables of rows, and words to the user.
 
 use std::ffi::OsStr;
+use std::fmt;
 use std::io::Write;
 use std::num::NonZero;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
+use anyhow::Context;
 use clap::builder::{PossibleValue, StringValueParser, TypedValueParser};
 use clap::{Arg, Args, Command, ValueEnum};
 use glam::DVec3;
 use slitpose_calibration::Head;
+use slitpose_design::report::{Folder, Report};
 use slitpose_head::scene_file::{SHIPPED, SceneFile};
 use slitpose_head::simulator::TrajectoryKind;
-use slitpose_head::table::{Rows, TableError, TableReader, TableRows, TableWriter};
+use slitpose_head::table::{Output, Rows, TableError, TableReader, TableRows, TableWriter};
 use slitpose_head::threads::{cores, in_order, limit};
 use slitpose_model::{Pose, Tier};
 
 pub(super) use crate::solving::{STREAM_TOLERANCE as DEFAULT_TOLERANCE, TierOptions, parse_duration};
 
-use super::talk::talk;
 use super::{CommandError, Outcome, UsageError};
-use crate::pipeline::Following;
+use crate::pipeline::{Counts, Following};
 use crate::sink::{self, Format, Sink};
 use crate::solving::{Filter, NOT_CALIBRATED, Solving, head_by};
 use crate::terminal::{self, Amount, Progress};
@@ -241,6 +245,62 @@ impl PoseOptions {
 
     pub(super) fn tier(&self) -> Tier {
         self.solving.tier_or(None)
+    }
+}
+
+pub(super) fn talk(text: fmt::Arguments<'_>) {
+    terminal::say(text);
+}
+
+/// The flag that is set when the user interrupts: see [`flag`](slitpose_head::interrupt::flag).
+pub(super) fn interrupt() -> Result<Arc<AtomicBool>, CommandError> {
+    slitpose_head::interrupt::flag().context("cannot listen to signals")
+}
+
+/// Lets a file that must not grow any more be an error of writing to it, as a full disk is, and not the
+/// end of the program: its other work goes on.
+pub(super) fn outlive_file_limits() -> Result<(), CommandError> {
+    // A signal that is taken notice of is not fatal.
+    signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Arc::default())
+        .map(drop)
+        .context("cannot listen to signals")
+}
+
+/// Reports the losses of a stream on standard error, if there are any. A packet under way when the
+/// end was `wanted` is not lost: it was not waited for.
+pub(super) fn tell(name: &str, counts: &Counts, wanted: bool) -> Outcome {
+    match counts.losses(wanted) {
+        None => Outcome::Done,
+        Some(losses) => {
+            talk(format_args!("{name}: {losses}"));
+            Outcome::DataLost
+        }
+    }
+}
+
+/// Writes `report` to `folder`; without one, prints it in short.
+pub(super) fn publish(report: &Report, folder: Option<&Folder>) -> Result<(), CommandError> {
+    match folder {
+        Some(folder) => store(report, folder),
+        None => {
+            warn(report);
+            Ok(Output::open(None)?.write_text(&report.in_short())?)
+        }
+    }
+}
+
+/// Writes `report` to `folder`, and says where.
+pub(super) fn store(report: &Report, folder: &Folder) -> Result<(), CommandError> {
+    warn(report);
+    for path in folder.write(report)? {
+        talk(format_args!("wrote {}", path.display()));
+    }
+    Ok(())
+}
+
+fn warn(report: &Report) {
+    for warning in &report.warnings {
+        talk(format_args!("{warning}"));
     }
 }
 

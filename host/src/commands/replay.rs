@@ -1,4 +1,4 @@
-//! `slitpose replay`: captures through the live path.
+//! `slitpose replay` and `slitpose export`: captures through the live path.
 
 use std::io::{self, IsTerminal};
 use std::path::{Path, PathBuf};

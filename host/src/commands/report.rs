@@ -1,4 +1,4 @@
-//! `slitpose report`: error against run time, and what happens in extreme cases.
+//! `slitpose report` and `slitpose paper`: studies of the method, in folders.
 
 use std::path::PathBuf;
 
@@ -7,8 +7,8 @@ use slitpose_design::report::{Folder, POSES, QUICK_POSES, SECTIONS, Settings, st
 use slitpose_head::scene_file::{BENCH, WIDE};
 use slitpose_head::table::{Output, OutputError, TableWriter};
 
+use super::options::store;
 use super::options::{self, Jobs, open_scene};
-use super::talk::store;
 use super::{CommandError, Outcome, talk};
 use crate::terminal::{Amount, Progress};
 

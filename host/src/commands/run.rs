@@ -269,7 +269,7 @@ fn outcome_of(ended: Ended, reconnects: &[u64], interrupted: bool, bounded: bool
             outcome = Outcome::DataLost;
         }
         let wanted = interrupted || (bounded && followed.is_ok());
-        outcome = outcome.max(talk::tell(&name, &counts, wanted));
+        outcome = outcome.max(options::tell(&name, &counts, wanted));
         let behind = counts.scans_skipped - counts.scans_given_up;
         for (count, reason) in
             [(behind, "the solver was behind"), (counts.scans_given_up, "they waited at the interrupt")]

@@ -1,4 +1,4 @@
-//! `slitpose simulate`: a capture of a simulated board, without solving it.
+//! `slitpose simulate`, and the tool in front of a simulated board.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};

@@ -1,4 +1,5 @@
-//! A thread that hands the streams of all boards to a taker, which may be slow: no other thread waits for it.
+//! A thread that hands the streams of all boards to a taker, which may be slow: no other thread waits for it. And the
+//! priority of threads that must not be late.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;

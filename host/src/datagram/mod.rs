@@ -103,7 +103,6 @@ impl fmt::Display for Address {
     }
 }
 
-/// Why datagrams cannot be served.
 #[derive(Debug, Error)]
 #[allow(missing_docs, reason = "the texts say what each is")]
 pub enum DatagramError {

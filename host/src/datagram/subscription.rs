@@ -1,4 +1,4 @@
-//! Clients that follow boards.
+//! Clients that follow boards: places are few, and shared evenly between users.
 
 use std::hash::{BuildHasher, RandomState};
 use std::net::SocketAddr;

@@ -18,7 +18,6 @@ use crate::link::DeviceId;
 
 const SIM: &str = "sim";
 
-/// The place of a board.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Found {
     /// Its port; `sim` for the simulated board.

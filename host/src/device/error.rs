@@ -80,12 +80,7 @@ pub enum DeviceError {
         seconds: f64,
     },
     #[error("no usable scan for {seconds:.0} s from the board on {name}: {cause}")]
-    NoScans {
-        name: String,
-        /// Time without scans.
-        seconds: f64,
-        cause: Scanless,
-    },
+    NoScans { name: String, seconds: f64, cause: Scanless },
     #[error("the board on {name} has stopped sampling: {reason}")]
     Stopped { name: String, reason: String },
 }
@@ -93,7 +88,6 @@ pub enum DeviceError {
 /// The data that come instead of scans.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum Scanless {
-    /// At most status messages.
     #[error("the board says that it is there, and nothing else; reset the board")]
     Nothing,
     /// Batches of another configuration than the one sent to the board.
@@ -101,22 +95,12 @@ pub enum Scanless {
         "{batches} batches came by a configuration that this program has not given; end any other program that speaks to the \
          board, then reset the board"
     )]
-    Unexplained {
-        /// Their number.
-        batches: u64,
-    },
+    Unexplained { batches: u64 },
     /// Whole packets that this program cannot read.
     #[error("{packets} packets came that cannot be read; build firmware and program from the same source")]
-    Unreadable {
-        /// How many.
-        packets: u64,
-    },
-    /// Damaged packets.
+    Unreadable { packets: u64 },
     #[error("{packets} packets came damaged; check cable, hub and port of the board")]
-    Damaged {
-        /// How many.
-        packets: u64,
-    },
+    Damaged { packets: u64 },
 }
 
 fn in_words(listed: &[Listed]) -> String {

@@ -41,7 +41,6 @@ impl PortState {
 /// A port, its state and its board.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Listed {
-    /// The port.
     pub port: Port,
     pub(crate) state: PortState,
     pub(crate) board: Option<BoardInfo>,
@@ -53,7 +52,6 @@ impl Listed {
         Self { port, state: PortState::NotAsked, board: None }
     }
 
-    /// Asks a port.
     pub fn ask(port: Port) -> Self {
         match greet(&port.name) {
             Ok(board) => {
@@ -101,27 +99,18 @@ fn greet(port: &str) -> Result<BoardInfo, DeviceError> {
 
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct BoardInfo {
-    /// The board.
     pub device: DeviceId,
-    /// Whether its photocurrents are measured.
     pub kind: BoardKind,
-    /// Name of the board, for people.
     pub board: String,
-    /// Version of its firmware, for people.
     pub firmware: String,
-    /// Version of the protocol it speaks.
     pub protocol: ProtocolVersion,
     /// The first kind of message with another layout than in this program, if any.
     pub mismatch: Option<SchemaMismatch>,
     /// Cause of its last reset.
     pub reset_cause: ResetCause,
-    /// Hashes stored on it.
     pub hashes: Hashes,
-    /// Scaling of its words.
     pub scaling: AdcScaling,
-    /// Number of the configuration in force.
     pub configuration: u16,
-    /// Its schedule.
     pub schedule: Schedule,
 }
 

@@ -1,4 +1,4 @@
-//! The machine: its clock, and permitted priorities.
+//! The machine: its clock, permitted priorities, and the disk for recordings.
 
 use std::fs;
 use std::io::{self, Write};

@@ -1,4 +1,4 @@
-//! Ports, permissions, and whether a board answers.
+//! Ports, permissions, whether a board answers, and whether board, head and scene belong together.
 
 use std::os::unix::fs::MetadataExt;
 use std::time::Duration;

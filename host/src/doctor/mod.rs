@@ -1,8 +1,8 @@
 //! Checks everything between a board and its poses, one part after the other.
 //!
-//! `link` finds and opens the board, `head` compares it with its scene, `measurement` lets it measure for a while,
-//! `host` and `disk` check the machine. `bring_up` walks through the steps for a new board. A [`Bundle`] packs the findings for a report of a fault. Only the schedule of
-//! the board is changed, and nothing is stored on it.
+//! `link` finds and opens the board and compares it with its scene, `measurement` lets it measure for a while, `host`
+//! checks the machine. `bring_up` walks through the steps for a new board. A [`Bundle`] packs the findings for a report of
+//! a fault. Only the schedule of the board is changed, and nothing is stored on it.
 
 mod bring_up;
 mod host;

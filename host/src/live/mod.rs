@@ -11,7 +11,6 @@
 //! not acknowledge what it got is sent the newest frames only, and how many it has missed. `LIVE.md` describes the
 //! messages. With the feature `foxglove` a second server takes the same samples and speaks Foxglove's protocol.
 
-mod access;
 mod control;
 mod foxglove;
 mod frame;
@@ -22,8 +21,9 @@ mod session;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use access::{Access, DEFAULT_LIVE_ADDRESS, LiveAddress};
-pub(crate) use control::{Control, Order, PlayerOrder, PlayerState, Refusal, is_request};
+pub(crate) use control::{
+    Access, Control, DEFAULT_LIVE_ADDRESS, LiveAddress, Order, PlayerOrder, PlayerState, Refusal, is_request,
+};
 pub(crate) use foxglove::{DEFAULT_FOXGLOVE_ADDRESS, FoxgloveAddress, FoxgloveServer};
 pub(crate) use frame::{Sample, Sampler, TakesSamples};
 pub(crate) use head::SceneView;

@@ -20,8 +20,7 @@ use thiserror::Error;
 use tokio::runtime::Builder;
 use tokio::time::{MissedTickBehavior, interval};
 
-use super::access::Access;
-use super::control::{Control, Refusal};
+use super::control::{Access, Control, Refusal};
 use super::head::SceneView;
 use super::hub::{Hub, Input, LiveBoard, LiveInput};
 use super::session;

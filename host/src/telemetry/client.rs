@@ -102,7 +102,6 @@ pub(crate) enum StatusAddress {
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("`{text}` is no address; give one such as {DEFAULT_STATUS_ADDRESS}, [::1]:7450, or unix:/run/slitpose/status")]
 pub struct AddressError {
-    /// The text.
     pub text: String,
 }
 

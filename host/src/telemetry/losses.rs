@@ -1,4 +1,4 @@
-//! The places where missing scans were lost.
+//! The places where missing scans were lost, and percentiles of durations.
 //!
 //! Gaps in the numbering show missing scans. Twice per second the board reports how many it has lost itself since its
 //! reset. The rest was lost on the link.

@@ -1,8 +1,7 @@
 //! The user's terminal: the only module that draws on it.
 //!
 //! A view (the state of boards) and a progress line are redrawn in place; messages are printed above
-//! them. `line` lays lines out for a window, `block` tracks the rows on the screen, `progress` shows
-//! the progress of a long command.
+//! them. `progress` shows the progress of a long command, and tracks the rows on the screen.
 //!
 //! Nothing is drawn in place unless the stream is a terminal that can move its cursor (TERM is set
 //! and not `dumb`). Colours mark faults; a non-empty NO_COLOR turns them off.

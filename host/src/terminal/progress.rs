@@ -1,4 +1,4 @@
-//! The progress of a long command.
+//! The progress of a long command, and the rows that are drawn in place.
 
 use std::time::{Duration, Instant};
 

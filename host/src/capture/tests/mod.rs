@@ -3,7 +3,6 @@
 mod damage;
 mod foreign;
 mod series;
-mod size;
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};

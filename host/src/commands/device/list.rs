@@ -1,4 +1,4 @@
-//! `slitpose device list`: which boards there are.
+//! `slitpose device list` and `slitpose device info`: which boards there are, and all that one reports.
 
 use clap::ValueEnum;
 use serde::Serialize;

@@ -4,8 +4,7 @@ use std::path::PathBuf;
 
 use super::{ArgumentError, CommandError, Outcome};
 use crate::commands::options;
-use crate::commands::options::{CalibrationOption, Jobs, open_scene, parse_number};
-use crate::commands::talk::publish;
+use crate::commands::options::{CalibrationOption, Jobs, open_scene, parse_number, publish};
 use crate::terminal::{Amount, Progress};
 use slitpose_design::map::{Fineness, Map, Schedules, Tolerances};
 use slitpose_design::report::{Folder, map_report};

@@ -6,8 +6,7 @@ use std::sync::atomic::AtomicBool;
 use clap::ValueEnum;
 
 use super::{CommandError, Outcome};
-use crate::commands::options::{Jobs, open_scene, parse_number};
-use crate::commands::talk::store;
+use crate::commands::options::{Jobs, open_scene, parse_number, store};
 use crate::commands::{interrupt, options, talk};
 use crate::terminal::{Amount, Progress};
 use slitpose_design::optimise::{Demand, Excess, Free, Goal, Limit, Limits, Score, Search};

@@ -8,12 +8,11 @@
 //! | `levels`, `codes` | current against level; codes on the way |
 //! | `settling` | the time that light takes to settle |
 //! | `crosstalk` | light of other emitters |
-//! | `safety` | dark after Stop and without a host |
-//! | `storage` | settings over a power cut |
+//! | `safety` | dark after Stop and without a host; settings over a power cut |
 //!
 //! Each of these files measures first and judges then: what judges is a pure function from measured numbers to
-//! findings. `bench` connects the board and takes scans, `lighting` makes their configurations, `sampling` their
-//! statistics, `expected` what the scene predicts; `pins` names signals. A step opens the port and closes it, so that
+//! findings. `bench` connects the board and takes scans, `sampling` has their configurations, their statistics, and what
+//! the scene predicts; `pins` names signals. A step opens the port and closes it, so that
 //! between steps the board is idle without a host.
 
 mod bench;

@@ -13,7 +13,7 @@ use thiserror::Error;
 #[cfg(feature = "foxglove")]
 pub(crate) use server::FoxgloveServer;
 
-use super::access::LiveAddress;
+use super::control::LiveAddress;
 #[cfg(not(feature = "foxglove"))]
 use super::{LiveBoard, LiveInput};
 #[cfg(not(feature = "foxglove"))]
