@@ -7,10 +7,9 @@ use std::path::Path;
 use axum::http::{HeaderMap, HeaderName, HeaderValue};
 
 use crate::capture::{CaptureError, CaptureReader, Entry};
-use crate::commands;
 use crate::http::{self, Reach};
 use crate::link::Segment;
-use crate::live;
+use crate::{commands, live};
 
 /// What a capture holds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -17,7 +17,7 @@
 //!
 //! Behind the commands: `terminal` draws for the user, `comparison` compares poses with a reference, `capture` writes
 //! and reads captures, `sink` writes poses, `ros` has poses and heads as messages, `daemon` follows boards live, `live`
-//! shows them on a page and to Foxglove, `spacenav` makes a mouse of the tool, `http` and `socket_file` guard the servers,
+//! shows them on a page and to Foxglove, `spacenav` makes a mouse of the tool, `http` guards the servers,
 //! `zenoh` takes boards to ROS 2 and to other machines,
 //! `service` notifies the service manager, `doctor` examines boards, heads and hosts.
 //!
@@ -74,7 +74,6 @@ pub mod playback;
 mod ros;
 mod service;
 mod sink;
-mod socket_file;
 pub mod solving;
 mod spacenav;
 pub mod telemetry;

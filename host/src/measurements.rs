@@ -62,24 +62,18 @@ impl Default for Measurements {
 
 /// Why measurements cannot be read.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum MeasurementsError {
-    /// A table, or a record of an instrument.
     #[error(transparent)]
     Data(#[from] CalibrateError),
-    /// A capture without readings.
     #[error(transparent)]
     Readings(#[from] ReadingsError),
-    /// The schedule of the scene.
     #[error(transparent)]
     Timing(#[from] TimingError),
-    /// A capture without the poses that belong to it.
     #[error(
         "--known-capture {capture} is one more than the tables of --known; give --known with the instrument's poses of each capture"
     )]
-    NoPosesOfCapture {
-        /// The capture.
-        capture: String,
-    },
+    NoPosesOfCapture { capture: String },
 }
 
 impl Measurements {

@@ -15,7 +15,6 @@ pub(crate) const READY: &str = "READY=1";
 /// The program is alive: to be sent every [`Service::watchdog_every`].
 pub(crate) const ALIVE: &str = "WATCHDOG=1";
 
-/// The program is about to end.
 pub(crate) const STOPPING: &str = "STOPPING=1";
 
 /// The service manager, if there is one.
@@ -27,9 +26,6 @@ pub(crate) struct Service {
 
 impl Service {
     /// The manager that the environment names, if any.
-    ///
-    /// # Errors
-    /// If its socket cannot be reached.
     pub(crate) fn from_environment() -> io::Result<Self> {
         let variable = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty());
         let manager = variable("NOTIFY_SOCKET").map(|name| open(&name)).transpose()?;
@@ -47,9 +43,6 @@ impl Service {
 
     /// Sends [`READY`], [`ALIVE`], [`STOPPING`], or a `STATUS=` line for people to the manager, if there is one.
     /// Never blocks, allocates nothing.
-    ///
-    /// # Errors
-    /// If the manager does not accept the message.
     pub(crate) fn notify(&self, state: &str) -> io::Result<()> {
         match &self.manager {
             Some((socket, address)) => socket.send_to_addr(state.as_bytes(), address).map(drop),

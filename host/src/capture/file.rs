@@ -16,9 +16,8 @@ use serde::Serialize;
 
 use super::medium::{Medium, Sink};
 use super::records::PROGRAM;
-use super::schemas::{LINK_BYTES, REPORT_SCHEMA};
 use super::setup::{LinkChannels, METADATA, Setup};
-use super::{About, link_bytes};
+use super::{About, LINK_BYTES, REPORT_SCHEMA, link_bytes};
 use crate::link::{DeviceId, Segment};
 use crate::pipeline::Record;
 use crate::ros::cdr::Encoder;
@@ -34,7 +33,6 @@ const CHUNK_BYTES: u64 = 1 << 17;
 /// Scenes are repeated before each chunk with a number divisible by this: some 10 s apart.
 const SCENE_EVERY: u64 = 32;
 
-/// Metadata of the channels of reports.
 const REPORT_CONTENT: (&str, &str) = ("content", "JSON; its schema is the attachment report.schema.json");
 
 /// The channels of a board in one file.
@@ -63,10 +61,8 @@ struct Board {
     is_new: bool,
 }
 
-/// A file that is being written.
 pub(super) struct CaptureFile<M: Medium> {
     writer: Writer<Sink<M>>,
-    /// The program's own reports.
     report: u16,
     transforms: u16,
     /// Texts of scenes by name of attachment.
@@ -74,7 +70,6 @@ pub(super) struct CaptureFile<M: Medium> {
     /// Texts of calibrations likewise. They are long: only the end of the file has copies.
     calibrations: BTreeMap<String, Arc<str>>,
     boards: BTreeMap<DeviceId, Board>,
-    /// Chunks begun.
     chunks: u64,
     /// Time of the last message.
     log_ns: u64,
@@ -86,7 +81,6 @@ pub(super) struct CaptureFile<M: Medium> {
 }
 
 impl<M: Medium> CaptureFile<M> {
-    /// Begins a file.
     pub(super) fn create(medium: M, about: &About) -> Result<Self, McapError> {
         let options = WriteOptions::new()
             .profile("ros2")
@@ -190,7 +184,6 @@ impl<M: Medium> CaptureFile<M> {
         self.boards.get(&device).map_or(&[], |board| &board.hello)
     }
 
-    /// Writes a segment of a link.
     pub(super) fn link(&mut self, channels: Channels, segment: &Segment, log_ns: u64) -> Result<(), McapError> {
         link_bytes::encode(segment, &mut self.message);
         self.unflushed_link_bytes += segment.bytes.len() as u64;
@@ -280,7 +273,6 @@ impl<M: Medium> CaptureFile<M> {
         Ok(())
     }
 
-    /// Whether nothing waits for a flush.
     pub(super) fn is_flushed(&self) -> bool {
         self.chunk_bytes == 0
     }
@@ -295,7 +287,6 @@ impl<M: Medium> CaptureFile<M> {
         self.unflushed_link_bytes
     }
 
-    /// Ends the file.
     pub(super) fn finish(&mut self) -> Result<(), McapError> {
         // The records are safe before the summary is written.
         self.flush()?;
@@ -349,12 +340,10 @@ fn ros_channel<M: Medium>(
     writer.add_channel(schema, topic, "cdr", &metadata)
 }
 
-/// The text of a report.
 pub(super) fn report_text(report: &impl Serialize) -> Result<String, serde_json::Error> {
     serde_json::to_string(report)
 }
 
-/// The system's error.
 pub(super) fn io_error(error: McapError) -> io::Error {
     match error {
         McapError::Io(error) => error,

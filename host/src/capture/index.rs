@@ -4,10 +4,9 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use mcap::records::{Record, op};
 
-use super::entry::Entry;
-use super::link_bytes;
 use super::records::attachment;
 use super::setup::{METADATA, Setup, SetupError, Texts};
+use super::{Entry, link_bytes};
 use crate::link::{DeviceId, Segment};
 use crate::ros;
 use slitpose_head::scene_file::fnv1a_64;
@@ -30,7 +29,6 @@ const MAX_TOPICS: usize = 20;
 pub(super) struct Index {
     channels: BTreeMap<u16, Channel>,
     texts: Texts,
-    /// Bytes in them.
     kept_bytes: usize,
     /// Boards with their last settings.
     setups: BTreeMap<DeviceId, Setup>,
@@ -50,7 +48,6 @@ pub(super) struct Index {
     pub(super) unordered_messages: u64,
     /// Records that are damaged, so far.
     pub(super) damaged_records: u64,
-    /// Bytes in them.
     pub(super) damaged_bytes: u64,
     /// The first settings that cannot be used, though nothing damaged them.
     refused: Option<SetupError>,

@@ -14,41 +14,109 @@
 //!   a packet is never split between two files, because incomplete packets are held back.
 //! * *A full disk ends the recording, not the program*: the file is cut back to its last flush.
 
-mod entry;
-mod error;
 mod file;
 mod index;
 mod link_bytes;
 mod medium;
-mod naming;
 mod packets;
 mod place;
 mod reader;
 mod readings;
 mod records;
-mod schemas;
 mod series;
 mod setup;
-#[cfg(test)]
-mod tests;
-mod window;
 
-pub(crate) use entry::Entry;
-pub use error::CaptureError;
+use std::io;
+use std::path::PathBuf;
+
+use thiserror::Error;
+
 #[cfg(feature = "zenoh")]
 pub(crate) use link_bytes::{decode as decode_link_bytes, encode as encode_link_bytes};
-pub(crate) use naming::Existing;
+pub(crate) use place::Existing;
 pub(crate) use reader::{CaptureReader, End};
 pub use readings::ReadingsError;
 pub(crate) use readings::{Readings, read as readings};
-#[cfg(feature = "zenoh")]
-pub(crate) use schemas::LINK_BYTES;
 pub(crate) use series::{CaptureSeries, Limits};
 pub(crate) use setup::{CapturedBasis, Settings, Setup, SetupError};
+
+use crate::link::DeviceId;
+use crate::ros::RosType;
 
 /// Information in a capture about the program that writes it.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct About {
-    /// JSON schema of all reports.
     pub report_schema: String,
 }
+
+/// Why a capture cannot be written or read.
+#[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is, and no other crate can name them")]
+pub enum CaptureError {
+    #[error("{} is there already; give another name, or --overwrite to replace it", path.display())]
+    Exists { path: PathBuf },
+    #[error("{} is being recorded by another program; give another name, or end that program", path.display())]
+    InUse { path: PathBuf },
+    #[error(
+        "recording to {} has ended: the file was deleted, or replaced by another one, while it was recorded; what was \
+         in it is lost; record to another file",
+        path.display()
+    )]
+    Lost { path: PathBuf },
+    #[error("cannot write to {}; give a file in a folder that exists and may be written", path.display())]
+    Create { path: PathBuf, source: io::Error },
+    #[error("interrupted: nobody reads {} yet; start its reader first", path.display())]
+    Interrupted { path: PathBuf },
+    #[error(
+        "recording to {} has ended: writing failed; its first {kept_bytes} bytes are whole and can be replayed; \
+         make room there, then record to another file",
+        path.display()
+    )]
+    Write {
+        path: PathBuf,
+        /// Number of its bytes that are whole.
+        kept_bytes: u64,
+        source: io::Error,
+    },
+    #[error("a report cannot be written as JSON")]
+    Report(#[from] serde_json::Error),
+    #[error("board {device} is not part of this capture; its scene must be given first")]
+    UnknownDevice { device: DeviceId },
+    #[error("cannot read {}; give a capture written by `run --record` or `simulate`", path.display())]
+    Open { path: PathBuf, source: io::Error },
+    #[error("{} is not a capture but {what}; {next_step}", path.display())]
+    Foreign { path: PathBuf, what: &'static str, next_step: &'static str },
+    #[error("reading {} failed after {bytes} bytes; copy it from that medium if you can, and read the copy", path.display())]
+    Read {
+        path: PathBuf,
+        /// Number of bytes read.
+        bytes: u64,
+        source: io::Error,
+    },
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Entry {
+    /// The setup of a board, before its data.
+    Setup(Box<Setup>),
+    /// The last hello of a board before the following data; the segment holds its packet.
+    Hello { device: DeviceId, log_ns: u64 },
+    /// The segment holds bytes of the link of a board.
+    Link {
+        /// The board; `None` if the file is a plain byte stream.
+        device: Option<DeviceId>,
+        /// UTC of the first read, or the time given by the recorder, nanoseconds; 0 in a plain byte
+        /// stream.
+        log_ns: u64,
+    },
+}
+
+/// The bytes of a link: a type of this project, as no standard type keeps the time of each read.
+pub(crate) const LINK_BYTES: RosType =
+    RosType { name: "slitpose_msgs/msg/LinkBytes", definition: include_str!("../ros/msg/LinkBytes.msg") };
+
+/// Name of the attachment with the JSON schema of reports.
+const REPORT_SCHEMA: &str = "report.schema.json";
+
+#[cfg(test)]
+mod tests;

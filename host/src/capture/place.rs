@@ -1,17 +1,18 @@
 //! The place of a file during recording. It is locked against other programs, a file to be replaced is kept until the
 //! new one has content, and a loss of the file is detected.
 
+use std::ffi::OsStr;
 use std::fs::{self, File};
 use std::io;
+use std::os::fd::AsFd;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use nix::errno::Errno;
 use nix::fcntl::{Flock, FlockArg};
+use slitpose_head::replacement::{folder_of, part_of};
+use slitpose_head::special_file;
 use tempfile::TempPath;
-
-use super::naming::{self, Existing};
-use slitpose_head::replacement::part_of;
 
 /// The place of a file that is being recorded.
 #[derive(Debug)]
@@ -25,9 +26,6 @@ pub(super) struct Place {
 
 impl Place {
     /// Creates a file for `path`.
-    ///
-    /// # Errors
-    /// Errors of the system; [`io::ErrorKind::WouldBlock`] if another program records there.
     pub(super) fn create(path: &Path, existing: Existing) -> io::Result<(File, Self)> {
         let replaces = existing == Existing::Replaced && fs::metadata(path).is_ok_and(|found| found.is_file());
         let (file, path, pending) = if replaces {
@@ -37,16 +35,13 @@ impl Place {
             let (file, pending) = part_of(&path)?.into_parts();
             (file, path, Some(pending))
         } else {
-            (naming::create(path, existing)?, path.to_owned(), None)
+            (create(path, existing)?, path.to_owned(), None)
         };
         let lock = if file.metadata()?.is_file() { lock(file.try_clone()?)? } else { None };
         Ok((file, Self { path, pending, lock }))
     }
 
     /// Moves the file to its place, over the one it replaces. To be called once it has content.
-    ///
-    /// # Errors
-    /// As for [`create`](Self::create).
     pub(super) fn settle(&mut self) -> io::Result<()> {
         if self.pending.is_none() {
             return Ok(());
@@ -57,7 +52,7 @@ impl Place {
         }
         if let Some(pending) = self.pending.take() {
             pending.persist(&self.path).map_err(|error| error.error)?;
-            naming::sync_folder(&self.path);
+            sync_folder(&self.path);
         }
         Ok(())
     }
@@ -75,6 +70,65 @@ fn lock(file: File) -> io::Result<Option<Flock<File>>> {
         Err((_, Errno::EWOULDBLOCK)) => Err(io::ErrorKind::WouldBlock.into()),
         Err(_) => Ok(None),
     }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Existing {
+    Kept,
+    Replaced,
+}
+
+const STANDARD_OUTPUT: &str = "-";
+
+/// Creates a file whose name, too, survives a power cut.
+pub(super) fn create(path: &Path, existing: Existing) -> io::Result<File> {
+    if path.is_dir() {
+        return Err(io::ErrorKind::IsADirectory.into());
+    }
+    if path == Path::new(STANDARD_OUTPUT) {
+        return io::stdout().as_fd().try_clone_to_owned().map(File::from);
+    }
+    // A special file, such as a device or a named pipe, is opened as it is.
+    if special_file::is_special(path) {
+        return special_file::open(path);
+    }
+    let file = match existing {
+        Existing::Kept => File::create_new(path),
+        Existing::Replaced => File::create(path),
+    }?;
+    sync_folder(path);
+    Ok(file)
+}
+
+/// Syncs the folder of `path`, so that the names in it survive a power cut.
+pub(super) fn sync_folder(path: &Path) {
+    // Some file systems cannot; the file itself is synced.
+    let _ = File::open(folder_of(path)).and_then(|folder| folder.sync_all());
+}
+
+/// Stem and extension that the names of a series share.
+fn parts(path: &Path) -> (String, String) {
+    let text = |part: Option<&OsStr>| part.map(|part| part.to_string_lossy().into_owned());
+    (text(path.file_stem()).unwrap_or_default(), text(path.extension()).unwrap_or_else(|| "mcap".to_owned()))
+}
+
+/// The file of this number in a series.
+pub(super) fn numbered(path: &Path, number: u64) -> PathBuf {
+    let (stem, extension) = parts(path);
+    path.with_file_name(format!("{stem}-{number:04}.{extension}"))
+}
+
+pub(super) fn next_number(path: &Path) -> io::Result<u64> {
+    let (stem, extension) = parts(path);
+    let mut last = 0;
+    for entry in fs::read_dir(folder_of(path))? {
+        let name = entry?.file_name();
+        let number = name.to_str().and_then(|name| {
+            name.strip_prefix(&stem)?.strip_prefix('-')?.strip_suffix(&extension)?.strip_suffix('.')?.parse().ok()
+        });
+        last = last.max(number.unwrap_or(0));
+    }
+    Ok(last + 1)
 }
 
 #[cfg(test)]

@@ -11,11 +11,10 @@ use mcap::records::op;
 use slitpose_head::special_file;
 use slitpose_protocol::DELIMITER;
 
-use super::entry::Entry;
 use super::index::Index;
 use super::packets::last_hello;
 use super::records::{ChunkRecords, Next, Records, is_capture, is_rewritten};
-use super::{CaptureError, SetupError};
+use super::{CaptureError, Entry, SetupError};
 use crate::link::{self, DeviceId, Segment};
 
 /// Bytes of a plain byte stream in a segment: some 20 ms of a board at 4 kHz.
@@ -40,7 +39,6 @@ const FOREIGN: [(&[u8], &str, &str); 6] = [
     (b"PK\x03\x04", "a ZIP archive", "unpack it first"),
 ];
 
-/// How a capture ended.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct End {
     /// Whether the recorder ended the file. If not, it was cut off, or is still being recorded;
@@ -72,7 +70,6 @@ impl End {
         !self.finished || self.is_damaged() || self.refused.is_some() || self.unordered_messages > 0
     }
 
-    /// Whether the file is damaged.
     pub(crate) fn is_damaged(&self) -> bool {
         self.damaged_records > 0 || self.checksum_failed || self.index_damaged || self.trailing_bytes > 0
     }
@@ -99,7 +96,6 @@ enum Input<R> {
 
 struct McapInput<R> {
     records: Records<R>,
-    /// The chunk that is being read.
     chunk: Option<ChunkRecords>,
     index: Index,
     /// The entry to return after its settings.
@@ -113,9 +109,6 @@ struct McapInput<R> {
 
 impl CaptureReader {
     /// Opens the file `path`.
-    ///
-    /// # Errors
-    /// If it cannot be read.
     pub(crate) fn open(path: &Path) -> Result<Self, CaptureError> {
         let error = |source| CaptureError::Open { path: path.to_owned(), source };
         if special_file::is_special(path) {
@@ -129,9 +122,6 @@ impl CaptureReader {
 
 impl<R: Read + Seek> CaptureReader<R> {
     /// Reads from `input`; `path` names it in messages.
-    ///
-    /// # Errors
-    /// If nothing can be read, or another kind of file is.
     pub(crate) fn new(path: &Path, mut input: R) -> Result<Self, CaptureError> {
         let mut begin = Vec::new();
         let read = input.by_ref().take(BEGIN_BYTES).read_to_end(&mut begin);
@@ -166,9 +156,6 @@ impl<R: Read + Seek> CaptureReader<R> {
     /// [end](Self::end).
     ///
     /// Damage is no error: it is skipped and counted.
-    ///
-    /// # Errors
-    /// Errors of the disk.
     pub(crate) fn next(&mut self, segment: &mut Segment) -> Result<Option<Entry>, CaptureError> {
         if let Some((entry, mut held)) = self.held.take() {
             std::mem::swap(segment, &mut held);

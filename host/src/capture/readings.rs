@@ -15,30 +15,16 @@ use slitpose_head::scene_file::SceneFile;
 
 /// Why a capture gives no readings.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is, and no other crate can name them")]
 pub enum ReadingsError {
-    /// The file.
     #[error(transparent)]
     Capture(#[from] CaptureError),
-    /// A board with another head.
     #[error("{}", path.display())]
-    Board {
-        /// The capture.
-        path: PathBuf,
-        /// What is wrong with the board.
-        source: PipelineError,
-    },
-    /// Boards of several heads.
+    Board { path: PathBuf, source: PipelineError },
     #[error("{} holds several boards, and a calibration is of one head; give a capture of that head alone", path.display())]
-    SeveralBoards {
-        /// The capture.
-        path: PathBuf,
-    },
-    /// Nothing that can be read.
+    SeveralBoards { path: PathBuf },
     #[error("{} holds no scan; give a capture written by `run --record` or `simulate`", path.display())]
-    NoScan {
-        /// The capture.
-        path: PathBuf,
-    },
+    NoScan { path: PathBuf },
 }
 
 /// Readings of one board, with the noise of one frame.
@@ -58,9 +44,6 @@ struct Scan {
 ///
 /// Cells are exposed one after the other; their currents are carried to the reference instant of the frame with the
 /// slope between the frames before and after. Frames at a gap are left out.
-///
-/// # Errors
-/// A capture that cannot be read, of another head, or of several boards.
 pub(crate) fn read(path: &Path, file: &SceneFile) -> Result<Readings, ReadingsError> {
     let mut reader = CaptureReader::open(path)?;
     let (mut segment, mut decoder) = (Segment::default(), Decoder::<MAX_MESSAGE_BYTES>::new());

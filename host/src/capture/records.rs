@@ -10,7 +10,7 @@ use mcap::McapError;
 use mcap::records::{Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
-use super::window::Window;
+use super::medium::Window;
 
 /// Longest record accepted, which limits the memory for a damaged length: a chunk has some 128 KiB, and
 /// other MCAP writers stay far below.
@@ -60,10 +60,8 @@ pub(super) struct Records<R> {
     work_bytes: [u64; 2],
 }
 
-/// The next element of a file.
 #[derive(Debug)]
 pub(super) enum Next<'a> {
-    /// A record, without its frame.
     Record(u8, &'a [u8]),
     /// This many bytes are not a record; a record follows.
     Damaged(u64),
@@ -71,7 +69,6 @@ pub(super) enum Next<'a> {
     Finished {
         /// Whether the checksum of the records is wrong.
         checksum_failed: bool,
-        /// Whether the index is damaged.
         index_damaged: bool,
         /// Bytes behind the end of the file's format, such as another capture's.
         trailing_bytes: u64,
@@ -104,7 +101,6 @@ impl<R: Read> Records<R> {
         Self { whole_bytes, damaged_to: 0, window, given: 0, has_gap: false, is_begun, work_bytes }
     }
 
-    /// The next element.
     pub(super) fn next(&mut self) -> io::Result<Next<'_>> {
         let given = std::mem::take(&mut self.given);
         self.window.advance(given);
@@ -136,7 +132,6 @@ impl<R: Read> Records<R> {
         }
     }
 
-    /// Where the next record begins.
     pub(super) fn position(&self) -> u64 {
         self.window.offset() + self.given as u64
     }
@@ -146,7 +141,6 @@ impl<R: Read> Records<R> {
         self.whole_bytes
     }
 
-    /// Reads the magic at the beginning.
     fn begin(&mut self) -> io::Result<Option<Next<'static>>> {
         let length = mcap::MAGIC.len();
         let bytes = self.window.fill(length)?;
@@ -164,7 +158,6 @@ impl<R: Read> Records<R> {
         Ok(Some(Next::Damaged(length as u64)))
     }
 
-    /// Searches for the next proven record.
     fn search(&mut self) -> io::Result<Next<'static>> {
         let (mut passed, mut at) = (0, 1);
         loop {
@@ -428,7 +421,6 @@ fn is_metadata(body: &[u8]) -> bool {
     pairs().is_some()
 }
 
-/// The records in a chunk.
 pub(super) struct ChunkRecords {
     reader: LinearReader,
     bytes: u64,
@@ -477,9 +469,6 @@ impl ChunkRecords {
     }
 
     /// Passes the next record to `take`, if there is one.
-    ///
-    /// # Errors
-    /// If the chunk is damaged: before its first record, unless it has no checksum.
     pub(super) fn next<T>(&mut self, take: impl FnOnce(u8, &[u8]) -> T) -> Result<Option<T>, McapError> {
         loop {
             match self.reader.next_event() {

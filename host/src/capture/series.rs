@@ -10,9 +10,8 @@ use mcap::McapError;
 use serde::Serialize;
 
 use super::file::{CaptureFile, Channels, io_error, report_text};
-use super::naming::{Existing, next_number, numbered};
 use super::packets::{Packets, last_hello};
-use super::place::Place;
+use super::place::{Existing, Place, next_number, numbered};
 use super::{About, CaptureError, Setup};
 use crate::link::{DeviceId, Segment};
 use crate::pipeline::Record;
@@ -25,14 +24,11 @@ const FLUSH_EVERY: Duration = Duration::from_millis(900);
 pub(crate) struct Limits {
     /// Greatest length of a file, without the summary at its end.
     pub max_bytes: Option<u64>,
-    /// Greatest duration of a file.
     pub max_age: Option<Duration>,
 }
 
-/// The result of a recording.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Recorded {
-    /// Files begun.
     pub files: u64,
     /// Bytes of links that were not recorded because writing failed.
     pub dropped_bytes: u64,
@@ -52,7 +48,6 @@ pub(crate) struct CaptureSeries {
     message: Segment,
 }
 
-/// A board that is recorded.
 struct DeviceStream {
     setup: Setup,
     channels: Channels,
@@ -61,7 +56,6 @@ struct DeviceStream {
     log_ns: u64,
 }
 
-/// The current file.
 struct Output {
     file: Option<CaptureFile<File>>,
     /// Its place; `None` for a file opened by the caller.
@@ -80,9 +74,6 @@ impl CaptureSeries {
     /// Begins a capture. Without limits it is the file `path`. With limits it is a series of files
     /// numbered from 1 after the stem of `path`: `name-0001.mcap`, `name-0002.mcap`, …; the numbers
     /// continue after existing ones, so that no file is replaced.
-    ///
-    /// # Errors
-    /// If the file exists and must be kept, or cannot be written.
     pub(crate) fn create(path: &Path, limits: Limits, existing: Existing, about: About) -> Result<Self, CaptureError> {
         let next = if limits == Limits::default() {
             None
@@ -96,9 +87,6 @@ impl CaptureSeries {
     }
 
     /// Begins a capture in a file that is open; `path` names it in messages.
-    ///
-    /// # Errors
-    /// If it cannot be written.
     pub(crate) fn in_file(file: File, path: &Path, about: About) -> Result<Self, CaptureError> {
         let mut output = Output::new(path.to_owned(), None);
         output.begin(file, &about)?;
@@ -114,9 +102,6 @@ impl CaptureSeries {
     ///
     /// `log_ns`, in all methods: UTC, or the device time of a stream that does not run in real time,
     /// nanoseconds.
-    ///
-    /// # Errors
-    /// Those of the disk.
     pub(crate) fn add_device(&mut self, setup: Setup, hello: Option<&[u8]>, log_ns: u64) -> Result<(), CaptureError> {
         let device = setup.device;
         let mut added = None;
@@ -132,9 +117,6 @@ impl CaptureSeries {
     }
 
     /// Records a segment of the link of `device`. Reads without a time get `log_ns`.
-    ///
-    /// # Errors
-    /// Those of the disk; if the board was not [added](Self::add_device).
     pub(crate) fn segment(&mut self, device: DeviceId, segment: &Segment, log_ns: u64) -> Result<(), CaptureError> {
         let bytes = segment.bytes.len() as u64;
         if let Err(error) = self.rotate_if_due(log_ns) {
@@ -163,9 +145,6 @@ impl CaptureSeries {
     }
 
     /// Records the pose of a scan, and its velocity, if there are any.
-    ///
-    /// # Errors
-    /// Those of the disk; if the board was not [added](Self::add_device).
     pub(crate) fn pose(&mut self, record: &Record, log_ns: u64) -> Result<(), CaptureError> {
         let Some(channels) = self.channels(record.device)? else { return Ok(()) };
         self.output.attempt(0, |file| file.pose(channels, record, log_ns))?;
@@ -173,9 +152,6 @@ impl CaptureSeries {
     }
 
     /// Records a report of a board, or of the program itself: health, statistics, events.
-    ///
-    /// # Errors
-    /// Those of the disk; if it cannot be JSON; if the board was not [added](Self::add_device).
     pub(crate) fn report(
         &mut self,
         device: Option<DeviceId>,
@@ -204,9 +180,6 @@ impl CaptureSeries {
     }
 
     /// Flushes if a flush is due; to be called several times per second while no data come.
-    ///
-    /// # Errors
-    /// Those of the disk.
     pub(crate) fn tick(&mut self) -> Result<(), CaptureError> {
         if self.output.flushed.elapsed() < FLUSH_EVERY || self.output.file.as_ref().is_some_and(CaptureFile::is_flushed)
         {
@@ -216,9 +189,6 @@ impl CaptureSeries {
     }
 
     /// Ends the chunk, and waits until it would survive a power cut.
-    ///
-    /// # Errors
-    /// Those of the disk.
     pub(crate) fn flush(&mut self) -> Result<(), CaptureError> {
         self.output.attempt(0, CaptureFile::flush)?;
         // From its end on: a disk that takes longer than the interval would be flushed after every message.
@@ -233,10 +203,6 @@ impl CaptureSeries {
         self.output.flushes
     }
 
-    /// Ends the capture.
-    ///
-    /// # Errors
-    /// Those of the disk.
     pub(crate) fn finish(mut self) -> Result<Recorded, CaptureError> {
         for stream in self.devices.values_mut() {
             let message = &mut self.message;
@@ -253,7 +219,6 @@ impl CaptureSeries {
         self.output.file.is_some()
     }
 
-    /// The current file.
     pub(crate) fn path(&self) -> &Path {
         &self.output.path
     }
@@ -317,7 +282,6 @@ impl Output {
         }
     }
 
-    /// Begins the next file.
     fn open(&mut self, existing: Existing, about: &About) -> Result<(), CaptureError> {
         let existing = match &mut self.next {
             Some((path, number)) => {
@@ -389,7 +353,6 @@ impl Output {
         Err(CaptureError::Lost { path: self.path.clone() })
     }
 
-    /// Ends the current file.
     fn end(&mut self) -> Result<(), CaptureError> {
         self.attempt(0, CaptureFile::finish)?;
         self.check()?;

@@ -19,79 +19,54 @@ pub(super) const METADATA: &str = "slitpose.device";
 /// How scans were solved during the recording, and are solved by a replay without options.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Settings {
-    /// The tier of the optics.
     pub tier: Tier,
-    /// Options of the tracker.
     pub following: Following,
 }
 
 /// The scene of a board, as it was read.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct CapturedScene {
-    /// The scene's name.
     pub name: String,
     /// Its origin: a path, or the name of a shipped scene.
     pub origin: String,
     /// [`SceneFile::hash`].
     pub hash: u64,
-    /// The text of the file.
     pub source: Arc<str>,
 }
 
 impl CapturedScene {
-    /// Parses the text.
-    ///
-    /// # Errors
-    /// If this version of the program does not support it.
     pub(crate) fn parse(&self) -> Result<SceneFile, SceneFileError> {
         SceneFile::parse(&self.origin, &self.source)
     }
 }
 
-/// A calibration, as it was read.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct CapturedCalibration {
-    /// Name of the attachment.
     name: String,
     /// FNV-1a, 64 bits, of the text.
     hash: u64,
-    /// The text of the file.
     source: Arc<str>,
 }
 
 impl CapturedCalibration {
-    /// Reads the text.
-    ///
-    /// # Errors
-    /// If this version of the program does not support it.
     pub(crate) fn parse(&self) -> Result<Calibration, CalibrationFileError> {
         Calibration::from_bytes(&self.name, self.source.as_bytes())
     }
 }
 
-/// What a head was known by.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum CapturedBasis {
-    /// Its scene.
     Scene,
-    /// A calibration.
     Calibration(CapturedCalibration),
-    /// The tolerances of its parts.
     Tolerances,
 }
 
-/// A board in a capture.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Setup {
-    /// The board.
     pub device: DeviceId,
-    /// The board's head.
     pub scene: CapturedScene,
-    /// What that was known by.
     pub basis: CapturedBasis,
-    /// How its scans were solved.
     pub settings: Settings,
-    /// Version of the program that recorded.
     pub program: String,
 }
 
@@ -298,44 +273,27 @@ fn check_hash(map: &BTreeMap<String, String>) -> Result<(), SetupError> {
 /// Why the settings of a board cannot be used.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub(crate) enum SetupError {
-    /// The settings are damaged.
     #[error("settings of a board are damaged")]
     Damaged,
-    /// The settings are undamaged, but make no sense.
     #[error(
         "the settings of board {} say {key} = `{}`, and {expected} is needed; \
          give --scene, and what else differs from the defaults, to solve its bytes all the same",
         printable(device),
         printable(value)
     )]
-    Value {
-        /// The board.
-        device: String,
-        /// The entry.
-        key: &'static str,
-        /// The value.
-        value: String,
-        /// The permitted values.
-        expected: &'static str,
-    },
-    /// The scene of the settings is missing.
+    Value { device: String, key: &'static str, value: String, expected: &'static str },
     #[error("the scene of hash {hash:016x} is missing or damaged")]
     Scene {
         /// [`SceneFile::hash`].
         hash: u64,
     },
-    /// The calibration of the settings is missing.
     #[error("the calibration of hash {hash:016x} is missing or damaged")]
     Calibration {
         /// FNV-1a, 64 bits, of its text.
         hash: u64,
     },
-    /// More boards than one host can follow.
     #[error("the capture holds more than {limit} boards; the others are passed over")]
-    TooMany {
-        /// Most boards that are read.
-        limit: usize,
-    },
+    TooMany { limit: usize },
 }
 
 #[cfg(test)]

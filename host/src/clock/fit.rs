@@ -40,10 +40,8 @@
 
 use slitpose_protocol::ClockSource;
 
-use super::band::{Band, Envelope, Side, WINDOW_NS};
-use super::bounds::RateBounds;
-use super::utc::UtcOffset;
-use super::{HostInstant, HostTime};
+use super::band::{Band, Envelope, RateBounds, Side, WINDOW_NS};
+use super::{HostInstant, HostTime, UtcOffset};
 
 /// Least time between pongs that shows that a board keeps time. Pings come twice per second.
 const PROOF_NS: i64 = 400_000_000;
@@ -97,23 +95,19 @@ impl Steered {
     }
 }
 
-/// Whether the board keeps time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Trust {
-    /// Unknown yet.
     New,
     /// Pongs over [`PROOF_NS`] agree.
     Proven {
         /// The previous contradiction, if any.
         doubted: Option<Doubt>,
     },
-    /// Pongs contradict each other.
     Lost(Doubt),
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Doubt {
-    /// Device time of the contradiction.
     since_ns: i64,
     /// Device time over which pongs must agree again.
     proof_ns: i64,
@@ -333,7 +327,6 @@ fn nominal_ns(tick: u64, origin: Origin, tick_hz: u32) -> i64 {
     i64::try_from(ns).unwrap_or(if ns < 0 { i64::MIN / 4 } else { i64::MAX / 4 })
 }
 
-/// Host time from the origin.
 fn since_ns(host_ns: u64, origin: Origin) -> i64 {
     host_ns.wrapping_sub(origin.host_ns).cast_signed()
 }
@@ -342,7 +335,6 @@ fn instant(origin: Origin, since_ns: i64) -> u64 {
     origin.host_ns.saturating_add_signed(since_ns)
 }
 
-/// Saturates.
 fn nearest(ns: f64) -> i64 {
     ns.round() as i64
 }

@@ -7,10 +7,9 @@ use slitpose_bench::{DrawnHead, Session, Settings, Within, write};
 use slitpose_calibration::Head;
 use slitpose_model::Tier;
 
-use super::options::{DEFAULT_TOLERANCE, open_scene, parse_number};
-use super::poses::parse_duration;
+use super::options::{DEFAULT_TOLERANCE, open_scene, parse_duration, parse_number};
 use super::simulate::{Target, record};
-use super::{CommandError, Outcome, interrupt, names, talk};
+use super::{CommandError, Outcome, interrupt, options, talk};
 use crate::device::SimulatedDevice;
 use crate::terminal::{Amount, Progress};
 use slitpose_head::front_end;
@@ -38,7 +37,7 @@ const LONGEST_S: f64 = 3600.0;
 )]
 pub(super) struct Args {
     /// Scene file, or the name of a shipped scene
-    #[arg(value_parser = names::scenes(), hide_possible_values = true)]
+    #[arg(value_parser = options::scenes(), hide_possible_values = true)]
     scene: String,
     /// Make this folder with the tables
     #[arg(long, value_name = "DIR")]

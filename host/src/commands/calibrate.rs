@@ -8,7 +8,7 @@ use clap::ValueEnum;
 use slitpose_calibration::{Calibration, CellValidity, Progress as Step, Request, Validity, calibrate, validity};
 
 use super::options::{Jobs, open_scene, parse_number};
-use super::{CommandError, Outcome, interrupt, names, talk};
+use super::{CommandError, Outcome, interrupt, options, talk};
 use crate::measurements::Measurements;
 use crate::terminal::{Amount, Progress};
 use slitpose_design::report::{Folder, calibration_report};
@@ -31,7 +31,7 @@ use slitpose_head::table::Output;
 )]
 pub(super) struct Args {
     /// Scene file, or the name of a shipped scene; with --check, a calibration
-    #[arg(value_parser = names::scenes(), hide_possible_values = true)]
+    #[arg(value_parser = options::scenes(), hide_possible_values = true)]
     scene: String,
     /// Find out from these readings whether the calibration still holds: a capture, or a table as for --free
     #[arg(long, value_name = "FILE", conflicts_with_all = ["known", "known_capture", "free", "pivot", "stage", "rest", "start", "output", "report"])]

@@ -1,9 +1,14 @@
-//! `slitpose completions`: what a shell needs to complete the command line.
+//! What follows from the command line itself: completions for shells, manual pages, and defaults in the help.
 
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use clap::{Arg, ArgAction, Command};
 use clap_complete::Shell;
+use clap_mangen::Man;
+use slitpose_head::table::{Output, OutputError};
 
-use super::{CommandError, Outcome, command, names};
-use slitpose_head::table::Output;
+use super::{CommandError, Outcome, command, options};
 
 /// Prints the script that teaches a shell to complete this command.
 #[derive(Debug, clap::Args)]
@@ -11,7 +16,7 @@ use slitpose_head::table::Output;
     after_help = "Examples:\n  slitpose completions bash > ~/.local/share/bash-completion/completions/slitpose\n  \
                   slitpose completions fish > ~/.config/fish/completions/slitpose.fish"
 )]
-pub(super) struct Args {
+pub(super) struct CompletionsArgs {
     /// The shell
     #[arg(value_enum)]
     shell: Shell,
@@ -27,7 +32,7 @@ const SCENE_VERBS: [&str; 6] = [
     "__fish_slitpose_using_subcommand scene; and __fish_seen_subcommand_from plot",
 ];
 
-pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
+pub(super) fn completions(args: &CompletionsArgs) -> Result<Outcome, CommandError> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut command(), "slitpose", &mut script);
     // The generators write text only.
@@ -38,7 +43,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
 
 /// The generators take a list of names for all there is. Here it stands beside files.
 fn with_files(shell: Shell, script: String) -> String {
-    let lists = [names::scenes(), names::devices(), names::motions()].map(|names| names.list().join(" "));
+    let lists = [options::scenes(), options::devices(), options::motions()].map(|names| names.list().join(" "));
     match shell {
         Shell::Bash => lists.iter().fold(script, |script, list| {
             script.replace(&format!("compgen -W \"{list}\" --"), &format!("compgen -f -W \"{list}\" --"))
@@ -62,5 +67,156 @@ fn with_files(shell: Shell, script: String) -> String {
             script + &lines.concat()
         }
         _ => script,
+    }
+}
+
+/// Writes the manual pages: one for the program, and one for each verb.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  slitpose man --output ~/.local/share/man/man1 && man slitpose-run")]
+pub(super) struct ManArgs {
+    /// Write to this folder
+    #[arg(long, value_name = "DIR")]
+    output: PathBuf,
+}
+
+/// What the foot of a page says it is about.
+const SOURCE: &str = concat!("slitpose ", env!("CARGO_PKG_VERSION"));
+
+pub(super) fn man(args: &ManArgs) -> Result<Outcome, CommandError> {
+    let folder = &args.output;
+    fs::create_dir_all(folder).map_err(|source| OutputError::Create { path: folder.clone(), source })?;
+    let mut command = command().disable_help_subcommand(true);
+    // Gives verbs their full names.
+    command.build();
+    write_page(&command, folder)?;
+    Ok(Outcome::Done)
+}
+
+/// The page of `command`, and those of its verbs.
+fn write_page(command: &Command, folder: &Path) -> Result<(), OutputError> {
+    let man = Man::new(command.clone()).source(SOURCE).manual("slitpose");
+    let mut text = Vec::new();
+    // Writing to memory cannot fail; the generator writes text only.
+    let _ = man.render(&mut text);
+    let text = with_values(&String::from_utf8_lossy(&text), command);
+    Output::file(&folder.join(man.get_filename()))?.write_text(&text)?;
+    command.get_subcommands().try_for_each(|verb| write_page(verb, folder))
+}
+
+/// `page` with a synopsis that names the values of options.
+fn with_values(page: &str, command: &Command) -> String {
+    const HEADING: &str = ".SH SYNOPSIS\n";
+    let Some((before, rest)) = page.split_once(HEADING) else { return page.to_owned() };
+    let after = rest.find("\n.SH ").map_or("", |at| &rest[at..]);
+    format!("{before}{HEADING}{}{after}", synopsis(command))
+}
+
+/// In roff: literal words bold, values in italics.
+fn synopsis(command: &Command) -> String {
+    let hyphens = |text: &str| text.replace('-', "\\-");
+    let name = command.get_bin_name().unwrap_or_else(|| command.get_name());
+    let mut words = vec![format!("\\fB{}\\fR", hyphens(name))];
+    let is_own = |arg: &&Arg| !arg.is_hide_set() && !matches!(arg.get_id().as_str(), "help" | "version");
+    for arg in command.get_arguments().filter(is_own) {
+        let value = arg.get_value_names().and_then(|names| names.first());
+        let value = format!("\\fI{}\\fR", hyphens(value.map_or(arg.get_id().as_str(), |name| name.as_str())));
+        let word = match (arg.get_long(), arg.get_action().takes_values()) {
+            (Some(long), true) => format!("\\fB\\-\\-{}\\fR {value}", hyphens(long)),
+            (Some(long), false) => format!("\\fB\\-\\-{}\\fR", hyphens(long)),
+            (None, _) => value,
+        };
+        let many = if matches!(arg.get_action(), ArgAction::Append) { " ..." } else { "" };
+        words.push(if arg.is_required_set() { format!("{word}{many}") } else { format!("[{word}]{many}") });
+    }
+    if command.get_subcommands().next().is_some() {
+        words.push("\\fIVERB\\fR".to_owned());
+    }
+    words.join(" ")
+}
+
+const STREAM: [(&str, &str); 3] = [("tier", "exact"), ("tolerance", "1e-6"), ("filter", "off")];
+
+const RECORDED: [(&str, &str); 4] = [
+    ("tier", "as recorded, else exact"),
+    ("tolerance", "as recorded, else 1e-6"),
+    ("filter", "as recorded, else off"),
+    ("calibration", "as recorded, else the tolerances of the scene"),
+];
+
+const TOLERANCES: (&str, &str) = ("calibration", "the tolerances of the scene, if it has any");
+
+const LOOKED_AT: (&str, &str) = ("format", "summary on a terminal, else ndjson");
+
+const TOOL: [(&str, &str); 2] = [("trajectory", "smooth"), ("seed", "1")];
+
+/// Options of a verb, and their defaults. A value has no spaces; anything else is a rule.
+fn of_verb(verb: &str) -> Vec<(&'static str, &'static str)> {
+    match verb {
+        "run" => [&STREAM[..], &TOOL, &[LOOKED_AT, ("speed", "1")], &RUN].concat(),
+        "replay" => [&RECORDED[..], &[LOOKED_AT, ("speed", "max; with --live 1")]].concat(),
+        "export" => [&RECORDED[..], &[("format", "by the ending of --output")]].concat(),
+        "simulate" => [&STREAM[..2], &TOOL, &[TOLERANCES]].concat(),
+        "model" => vec![("tier", "exact"), ("tolerance", "1e-10"), ("calibration", "none")],
+        "solve" => [&STREAM[..2], &[TOLERANCES]].concat(),
+        "report" => vec![("poses", "1000, quick: 100")],
+        "doctor" => vec![("scene", "the one the board belongs to")],
+        _ => Vec::new(),
+    }
+}
+
+const RUN: [(&str, &str); 3] = [
+    ("calibration", "the tolerances of the scene, or usual ones; of a simulated board none"),
+    ("patience", "forever; with --duration not at all"),
+    ("config", "~/.config/slitpose/config.toml or /etc/slitpose/config.toml, if there is one"),
+];
+
+/// The default of `option` of `verb`, if it has one.
+pub(super) fn default_of(verb: &str, option: &str) -> Option<&'static str> {
+    of_verb(verb).into_iter().find(|(id, _)| *id == option).map(|(_, default)| default)
+}
+
+/// Adds the default to the help of each option.
+pub(super) fn in_help(command: Command) -> Command {
+    command.mut_subcommands(|verb| {
+        of_verb(verb.get_name()).into_iter().fold(verb, |verb, (option, default)| {
+            verb.mut_arg(option, |arg| {
+                let help = arg.get_help().map(ToString::to_string).unwrap_or_default();
+                let stop = if help.is_empty() { "" } else { " " };
+                arg.help(format!("{help}{stop}[default: {default}]"))
+            })
+        })
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::commands::{command, model, options, solve};
+
+    #[test]
+    fn tolerances_are_those_in_use() {
+        for (verb, tolerance) in [
+            ("run", options::DEFAULT_TOLERANCE),
+            ("simulate", options::DEFAULT_TOLERANCE),
+            ("solve", solve::DEFAULT_TOLERANCE),
+            ("model", model::DEFAULT_TOLERANCE),
+        ] {
+            assert_eq!(default_of(verb, "tolerance").unwrap().parse(), Ok(tolerance), "{verb}");
+        }
+        assert!(default_of("replay", "tolerance").unwrap().ends_with(default_of("run", "tolerance").unwrap()));
+    }
+
+    #[test]
+    fn every_option_is_there_and_its_help_says_so() {
+        for verb in command().get_subcommands() {
+            for (option, default) in of_verb(verb.get_name()) {
+                let arg = verb.get_arguments().find(|arg| arg.get_id() == option);
+                let arg = arg.unwrap_or_else(|| panic!("{} has no --{option}", verb.get_name()));
+                let help = arg.get_help().unwrap().to_string();
+                assert_eq!(help.matches("[default: ").count(), 1, "{option}: {help}");
+                assert!(help.ends_with(&format!("[default: {default}]")), "{option}: {help}");
+                assert!(arg.get_default_values().is_empty(), "{option} has two defaults");
+            }
+        }
     }
 }

@@ -14,12 +14,11 @@ use thiserror::Error;
 use toml::Value;
 use toml::de::{DeTable, DeValue};
 
-use super::defaults;
+use super::completions;
 use slitpose_head::foreign::printable;
 use slitpose_head::scene_file::{FilePlace, nearest};
 use slitpose_head::text_file::{self, TextFileError};
 
-/// The verb that is configured.
 const VERB: &str = "run";
 
 /// Options that are about the file itself.
@@ -31,53 +30,27 @@ const FILE: &str = "slitpose/config.toml";
 /// Answers of the command line list the values an option takes.
 const LONGEST_ANSWER: usize = 400;
 
-/// Why a configuration cannot be used.
 #[derive(Debug, Error)]
 pub(crate) enum ConfigError {
-    /// The file.
     #[error("cannot read the configuration {}; give a file with --config, or `--config none`", path.display())]
     Read {
-        /// Its path.
         path: PathBuf,
         /// Why not.
         source: TextFileError,
     },
-    /// Its text.
     #[error("{place}: not valid TOML here: {}; correct this line", printable(message))]
-    Syntax {
-        /// Where.
-        place: FilePlace,
-        /// What the parser said.
-        message: String,
-    },
-    /// A key that is no option.
+    Syntax { place: FilePlace, message: String },
     #[error("{place}: `{}` is no option of `slitpose {VERB}`{}; see `slitpose {VERB} --help`", printable(key), hint(nearest.as_deref()))]
     UnknownKey {
-        /// Where.
         place: FilePlace,
-        /// The key.
         key: String,
         /// An option that it may be meant for.
         nearest: Option<String>,
     },
-    /// A value of another kind.
     #[error("{place}: `{key}` is given as {found}; give a text, a number, true or false, or a list of texts")]
-    Kind {
-        /// Where.
-        place: FilePlace,
-        /// The key.
-        key: String,
-        /// What was found.
-        found: &'static str,
-    },
-    /// A value that the option does not take.
+    Kind { place: FilePlace, key: String, found: &'static str },
     #[error("{place}: {}; see `slitpose {VERB} --help`", printable(message).at_most(LONGEST_ANSWER))]
-    Value {
-        /// Where.
-        place: FilePlace,
-        /// The error of the command line.
-        message: String,
-    },
+    Value { place: FilePlace, message: String },
 }
 
 fn hint(nearest: Option<&str>) -> String {
@@ -86,11 +59,8 @@ fn hint(nearest: Option<&str>) -> String {
 
 /// The command line with a configuration behind it.
 pub(super) struct Configured {
-    /// With the file's values as defaults.
     pub(super) command: Command,
-    /// The file.
     path: Option<PathBuf>,
-    /// The options in it.
     keys: Vec<String>,
 }
 
@@ -149,9 +119,6 @@ fn default_paths() -> Vec<PathBuf> {
 }
 
 /// The options that a file of this text sets.
-///
-/// # Errors
-/// The message to the user.
 pub(crate) fn configured_options(path: &Path, text: &str) -> Result<Vec<String>, String> {
     let command = super::command();
     let Some(verb) = command.find_subcommand(VERB) else { return Ok(Vec::new()) };
@@ -263,7 +230,7 @@ pub(super) fn print(configured: &Configured, matches: &ArgMatches) -> String {
             (ArgAction::Append, Some(_)) => format!("{id} = {}  # {source}", Value::from(texts)),
             (_, Some(text)) => format!("{id} = {}  # {source}", Value::from(text.as_str())),
             // Not given: the default, as a comment, for some make sense with a simulated board only.
-            (_, None) => match defaults::of(VERB, id) {
+            (_, None) => match completions::default_of(VERB, id) {
                 Some(value) if !value.contains(' ') => format!("# {id} = {}  # default", Value::from(value)),
                 Some(rule) => format!("# {id}: {rule}  # default"),
                 None => format!("# {id}: none  # default"),

@@ -4,11 +4,11 @@ use std::io::{self, IsTerminal, Write};
 use std::path::PathBuf;
 
 use super::device::BoardOptions;
-use super::poses::parse_duration;
-use super::{CommandError, Outcome};
-use super::{names, talk};
+use super::options::parse_duration;
+use super::{CommandError, Outcome, options, talk};
 use crate::doctor::{BringUp, Bundle, Step, Subject, examine, scene_of_bring_up};
 use crate::terminal::{self, Tone};
+use anyhow::Context;
 use slitpose_head::finding::{Finding, Grade};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::table::{Output, OutputError};
@@ -29,7 +29,7 @@ pub(super) struct Args {
     #[command(flatten)]
     board: BoardOptions,
     /// The scene of its head: a file, or the name of a shipped scene
-    #[arg(long, value_name = "SCENE", value_parser = names::scenes(), hide_possible_values = true)]
+    #[arg(long, value_name = "SCENE", value_parser = options::scenes(), hide_possible_values = true)]
     scene: Option<String>,
     /// Where recordings go
     #[arg(long, value_name = "DIR", default_value = ".")]
@@ -52,7 +52,7 @@ pub(super) struct Args {
 }
 
 fn step_help() -> String {
-    let steps = Step::ALL.map(|step| format!("\n  {:2} {:10} {}", step.number(), step.name(), step.expectation()));
+    let steps = Step::ALL.map(|step| format!("\n  {:2} {:10} {}", step.number(), step.name, step.expectation));
     format!("Only this step of the bring-up, by number or name:\n{}", steps.concat())
 }
 
@@ -104,7 +104,6 @@ impl Report {
         Ok(Self { output, has_colours, failed: 0, warnings: 0 })
     }
 
-    /// The numbers of failures and warnings.
     fn finish(self) -> Result<(usize, usize), OutputError> {
         self.output.finish()?;
         Ok((self.failed, self.warnings))
@@ -135,8 +134,8 @@ fn bring_up(args: &Args, given: Option<&SceneFile>) -> Result<Outcome, CommandEr
             Ok(mut bring_up) => {
                 let steps = args.step.map_or_else(|| Step::ALL.to_vec(), |step| vec![step]);
                 for step in steps {
-                    report.line(&format!("{step}: {}", step.preparation()))?;
-                    report.line(&format!("{:8} {}", "expected", step.expectation()))?;
+                    report.line(&format!("{step}: {}", step.preparation))?;
+                    report.line(&format!("{:8} {}", "expected", step.expectation))?;
                     if asks {
                         wait_for_enter("press Enter when it is so")?;
                     }
@@ -151,7 +150,7 @@ fn bring_up(args: &Args, given: Option<&SceneFile>) -> Result<Outcome, CommandEr
                         report.finding(&finding)?;
                     }
                     if report.failed > before {
-                        failed_steps.push(step.name());
+                        failed_steps.push(step.name);
                     }
                 }
                 if let Err(finding) = bring_up.restore() {
@@ -172,5 +171,8 @@ fn bring_up(args: &Args, given: Option<&SceneFile>) -> Result<Outcome, CommandEr
 /// Asks on standard error and waits for a line of standard input; its end counts as one.
 fn wait_for_enter(what: &str) -> Result<(), CommandError> {
     talk(format_args!("{what}"));
-    io::stdin().read_line(&mut String::new()).map(drop).map_err(CommandError::Input)
+    io::stdin()
+        .read_line(&mut String::new())
+        .map(drop)
+        .context("cannot read from standard input; give --yes to go on without questions")
 }

@@ -6,7 +6,7 @@ use clap::ValueEnum;
 use slitpose_model::{Plan, Tier};
 
 use super::options::{open_scene, parse_number};
-use super::{CommandError, Outcome, names, talk};
+use super::{CommandError, Outcome, options, talk};
 use slitpose_calibration::{
     CalibrateError, Constraint, Data, Implausible, Knowledge, Row, check_poses, tables, uncalibrated,
 };
@@ -26,7 +26,7 @@ use slitpose_head::table::{CurrentColumns, Output, PoseColumns, TableReader, Tab
 #[command(after_help = "Example:\n  slitpose identify bench --currents measured.csv --format profile --step 5")]
 pub(super) struct Args {
     /// Scene file, or the name of a shipped scene
-    #[arg(value_parser = names::scenes(), hide_possible_values = true)]
+    #[arg(value_parser = options::scenes(), hide_possible_values = true)]
     scene: String,
     /// Table of poses and currents; - is standard input
     #[arg(long, value_name = "CSV")]

@@ -1,16 +1,21 @@
-//! The live page, as `run`, `replay` and `scene view` offer it.
+//! What `run` and `replay` serve besides poses: the live page, the 6-DoF mouse, Zenoh.
 
+use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
 
+use slitpose_head::scene_file::Workspace;
+
+use super::options::parse_number;
 use super::record::RecordOptions;
 use super::{CommandError, talk};
-use crate::daemon::Daemon;
+use crate::daemon::{Daemon, StreamPlan};
 use crate::live::{
     Access, Control, DEFAULT_FOXGLOVE_ADDRESS, DEFAULT_LIVE_ADDRESS, FoxgloveAddress, FoxgloveServer, LiveAddress,
     LiveBoard, LivePlan, LiveServer, Order, Refusal,
 };
-use crate::spacenav::SpacenavInput;
+use crate::spacenav::{Axes, Feel, SpacenavInput, SpacenavServer};
 use crate::telemetry::{DaemonReport, RecorderState};
+use crate::zenoh::{DEFAULT_ROUTER, ZenohError, ZenohSession};
 
 /// The page asked for.
 #[derive(clap::Args, Debug)]
@@ -134,4 +139,94 @@ impl Control for Changes {
             (Order::Player(_), _) => Err(Refusal::NO_PLAYER),
         }
     }
+}
+
+/// The mouse asked for.
+#[derive(clap::Args, Debug)]
+pub(super) struct MouseOptions {
+    /// Serve the tool as a 6-DoF mouse, as spacenavd does, at this socket; programs find it by SPNAV_SOCKET=PATH, or at
+    /// /var/run/spnav.sock
+    #[arg(long, value_name = "PATH")]
+    spacenav: Option<PathBuf>,
+    /// Full deflections at the edge of the workspace
+    #[arg(long, value_name = "GAIN", default_value_t = 1.0, value_parser = parse_gain)]
+    spacenav_gain: f64,
+    /// Share of the workspace around zero in which an axis gives nothing
+    #[arg(long, value_name = "SHARE", default_value_t = 0.05, value_parser = parse_share)]
+    spacenav_dead_zone: f64,
+    /// Axes of the base that point to the right, up, and into the screen
+    #[arg(long, value_name = "AXES", default_value = "x,z,y", allow_hyphen_values = true)]
+    spacenav_axes: Axes,
+}
+
+impl MouseOptions {
+    /// Serves the mouse, if asked, for a tool in `workspace`.
+    pub(super) fn start(&self, workspace: Workspace) -> Result<Option<SpacenavServer>, CommandError> {
+        let Some(path) = &self.spacenav else { return Ok(None) };
+        let feel = Feel { gain: self.spacenav_gain, dead_zone: self.spacenav_dead_zone, axes: self.spacenav_axes };
+        let server = SpacenavServer::start(path, feel, workspace)?;
+        talk(format_args!("6-DoF mouse at {}", path.display()));
+        Ok(Some(server))
+    }
+}
+
+fn parse_gain(text: &str) -> Result<f64, &'static str> {
+    parse_number(text, |gain| gain > 0.0 && gain <= 1e3, "give a number above 0, such as 1 or 2.5")
+}
+
+fn parse_share(text: &str) -> Result<f64, &'static str> {
+    parse_number(text, |share| (0.0..=0.9).contains(&share), "give a number from 0 to 0.9, such as 0.05")
+}
+
+/// Poses a second: what other programs of a robot take without effort.
+const POSES_HZ: f64 = 100.0;
+
+/// What is published, and where.
+#[derive(clap::Args, Debug)]
+pub(super) struct ZenohOptions {
+    /// Publish poses, velocities, head, health and bytes of boards by Zenoh, where ROS 2 with rmw_zenoh sees them
+    #[arg(long, hide = !cfg!(feature = "zenoh"))]
+    zenoh: bool,
+    /// The router of Zenoh
+    #[arg(long, value_name = "ENDPOINT", default_value = DEFAULT_ROUTER, hide = !cfg!(feature = "zenoh"))]
+    zenoh_router: String,
+    /// Poses a second by Zenoh; 0 for every scan
+    #[arg(long, value_name = "HZ", value_parser = parse_rate, default_value_t = POSES_HZ, hide = !cfg!(feature = "zenoh"))]
+    zenoh_poses: f64,
+}
+
+/// The name of a board that another host publishes begins with this.
+const PREFIX: &str = "zenoh:";
+
+/// The key of a board that another host publishes.
+pub(super) fn key_of(device: &str) -> Option<&str> {
+    device.strip_prefix(PREFIX)
+}
+
+impl ZenohOptions {
+    /// The session, if one of the `devices` or the user needs it.
+    pub(super) fn open(&self, devices: &[String]) -> Result<Option<ZenohSession>, ZenohError> {
+        let is_needed = self.zenoh || devices.iter().any(|device| key_of(device).is_some());
+        is_needed.then(|| ZenohSession::open(&self.zenoh_router)).transpose()
+    }
+
+    /// What publishes the boards, if asked.
+    pub(super) fn publisher(
+        &self,
+        session: Option<&ZenohSession>,
+        boards: impl FnOnce() -> Vec<LiveBoard>,
+        report: impl Fn() -> DaemonReport + Send + 'static,
+    ) -> Option<StreamPlan> {
+        let session = session.filter(|_| self.zenoh)?;
+        let pose_every_s = if self.zenoh_poses > 0.0 { self.zenoh_poses.recip() } else { 0.0 };
+        Some(session.publisher(boards(), pose_every_s, report, Arc::new(talk)))
+    }
+}
+
+fn parse_rate(text: &str) -> Result<f64, &'static str> {
+    parse_number(
+        text,
+        |rate| rate >= 0.0 && rate.is_finite(),
+        "give a number of poses a second, such as 100, or 0 for every scan",
+    )
 }

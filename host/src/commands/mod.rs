@@ -1,82 +1,48 @@
-//! The command line: one verb, one file.
+//! The command line: a file for each verb; small ones of a kind share one.
 //!
-//! A verb has its arguments (`Args`) and a function `run`, which returns how it ended. To add
-//! one, add its file, its line in `Verb` and its line in `run`.
+//! A verb has its arguments (`Args`) and a function (`run`), which returns how it ended. To add one, add both, its line
+//! in `Verb` and its line in `run`.
 
 mod bench;
 mod calibrate;
 mod compare;
 mod completions;
 mod config;
-mod defaults;
 mod device;
 mod doctor;
-mod export;
 mod faults;
 mod identify;
 mod live;
-mod losses;
-mod man;
 mod model;
-mod mouse;
-mod names;
 mod options;
-mod paper;
 mod playback;
 mod player;
-mod poses;
-mod publish;
 mod record;
 mod replay;
 mod report;
 mod run;
 mod scene;
-mod side_by_side;
 mod simulate;
 mod solve;
 mod status;
-mod talk;
-mod tool;
-mod zenoh;
 
 use std::ffi::OsString;
-use std::io;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
-use slitpose_model::SceneError;
 use thiserror::Error;
 
 pub(crate) use config::{ConfigError, configured_options};
-pub(crate) use identify::CellProfileError;
-pub(crate) use playback::SeveralBoards;
 
-use crate::capture::CaptureError;
-use crate::comparison::NothingMatches;
-use crate::daemon::BoardError;
-use crate::datagram::DatagramError;
 use crate::device::DeviceError;
-use crate::live::{AccessError, FoxgloveError, LiveError};
-use crate::measurements::MeasurementsError;
 use crate::playback::PlaybackError;
-use crate::spacenav::SpacenavError;
-use crate::telemetry::{FetchError, StatusError};
 use crate::terminal::{complain, hide_progress};
-use crate::zenoh::ZenohError;
-use slitpose_bench::BenchError;
-use slitpose_calibration::{CalibrateError, CalibrationFileError};
-use slitpose_design::optimise::OptimiseError;
-use slitpose_design::plot::PlotError;
-use slitpose_design::report::ReportError;
+use options::{interrupt, talk};
 use slitpose_head::causes::with_causes;
 use slitpose_head::faults::FaultError;
 use slitpose_head::foreign::printable;
-use slitpose_head::front_end::TimingError;
-use slitpose_head::scene_file::SceneFileError;
-use slitpose_head::simulator::{PathError, SimulatorError};
 use slitpose_head::table::{Output, OutputError, TableError};
-use talk::{interrupt, talk};
 
 /// Six slits, six light spots, one pose: tools for a contactless 6-DoF tracker.
 ///
@@ -93,8 +59,8 @@ pub struct Cli {
 #[derive(Debug, Subcommand)]
 enum Verb {
     Run(Box<run::Args>),
-    Replay(replay::Args),
-    Export(export::Args),
+    Replay(replay::ReplayArgs),
+    Export(replay::ExportArgs),
     Device(device::Args),
     Status(status::Args),
     Doctor(doctor::Args),
@@ -105,22 +71,20 @@ enum Verb {
     Identify(identify::Args),
     Calibrate(calibrate::Args),
     Bench(bench::Args),
-    Paper(paper::Args),
-    Report(report::Args),
+    Paper(report::PaperArgs),
+    Report(report::ReportArgs),
     Scene(scene::Args),
     Compare(compare::Args),
-    Completions(completions::Args),
-    Man(man::Args),
+    Completions(completions::CompletionsArgs),
+    Man(completions::ManArgs),
 }
 
 /// How a command that did its work ended; the worst last.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Outcome {
-    /// Done.
     Done,
     /// Done with what there was; input data were damaged or lost.
     DataLost,
-    /// Done, but a check failed.
     Failed,
 }
 
@@ -137,249 +101,93 @@ impl From<Outcome> for ExitCode {
 /// Endings of names that say how poses are written.
 const ENDINGS: &str = if cfg!(feature = "parquet") { ".csv, .ndjson or .parquet" } else { ".csv or .ndjson" };
 
-/// Why a command could not do its work.
+/// Why a command could not do its work: the error of whatever it called, or one of those below.
+pub(crate) type CommandError = anyhow::Error;
+
+/// Options that do not go together, or not with what they are about: wrong usage.
 #[derive(Debug, Error)]
-pub(crate) enum CommandError {
-    /// The scene.
-    #[error(transparent)]
-    SceneFile(#[from] SceneFileError),
-    /// A tolerance study of a head without poses.
-    #[error(
-        "scene `{scene}` gives no pose anywhere in its workspace, so there is none for tolerances to move; \
-         --tolerance-study is for heads that have poses, such as the shipped scene `wide`"
-    )]
-    NoPosesToStudy {
-        /// The scene.
-        scene: String,
-    },
-    /// A search for a better head.
-    #[error(transparent)]
-    Optimise(#[from] OptimiseError),
-    /// The optics of a scene that was put together by a command.
-    #[error(transparent)]
-    Scene(#[from] SceneError),
-    /// A calibration.
-    #[error(transparent)]
-    Calibration(#[from] CalibrationFileError),
-    /// A picture.
-    #[error(transparent)]
-    Plot(#[from] PlotError),
-    /// A cell that the scene does not have.
-    #[error("there is no cell {number}; the scene has the cells 0 to {last}")]
-    NoSuchCell {
-        /// The number asked for.
-        number: usize,
-        /// The last cell's number.
-        last: usize,
-    },
-    /// A table that was read.
-    #[error(transparent)]
-    Table(#[from] TableError),
-    /// Currents from which no profile follows.
-    #[error(transparent)]
-    Profile(#[from] CellProfileError),
-    /// Measurements for a calibration.
-    #[error(transparent)]
-    Measurements(#[from] MeasurementsError),
-    /// A virtual bench.
-    #[error(transparent)]
-    Bench(#[from] BenchError),
-    /// Data that give no calibration.
-    #[error(transparent)]
-    Calibrate(#[from] CalibrateError),
-    /// The schedule of a scene.
-    #[error(transparent)]
-    Timing(#[from] TimingError),
-    /// A simulated board.
-    #[error(transparent)]
-    Simulator(#[from] SimulatorError),
-    /// A motion of the tool.
-    #[error(transparent)]
-    Path(#[from] PathError),
-    /// Neither a motion nor a table of one.
-    #[error(
-        "no motion is called {}{}; the motions are {known}, or give a table of one",
-        printable(name),
-        nearest.as_ref().map_or_else(String::new, |name| format!(" (did you mean `{name}`?)"))
-    )]
-    NoMotion {
-        /// What was asked for.
-        name: String,
-        /// The motion that is spelt almost like it.
-        nearest: Option<String>,
-        /// All motions.
-        known: String,
-        /// Why it is no table.
-        source: Box<TableError>,
-    },
-    /// A table of other times.
-    #[error(transparent)]
-    NothingMatches(#[from] NothingMatches),
-    /// A fault that cannot be injected.
-    #[error(transparent)]
-    Fault(#[from] FaultError),
-    /// An option that means nothing to a real board.
+pub(crate) enum UsageError {
     #[error("{option} is for simulated boards and means nothing to {device}; leave it out, or give --device sim")]
-    OnlySimulated {
-        /// The option.
-        option: &'static str,
-        /// The device asked for.
-        device: String,
-    },
-    /// An option of solving, where the board solves.
+    OnlySimulated { option: &'static str, device: String },
     #[error(
         "{option} says how this program solves poses, and with --stream pose the board does; leave one of both out"
     )]
-    OnlyHere {
-        /// The option.
-        option: &'static str,
-    },
-    /// More scenes than one and yet not one for each board.
+    OnlyHere { option: &'static str },
     #[error("{scenes} scenes for {devices} boards; give one for all, or one for each, in the same order")]
-    Scenes {
-        /// Scenes given.
-        scenes: usize,
-        /// Boards given.
-        devices: usize,
-    },
-    /// Calibrations, and not one for each board.
+    Scenes { scenes: usize, devices: usize },
     #[error(
         "{calibrations} calibrations for {devices} boards; give one for each, in the same order, or `none` for one"
     )]
-    Calibrations {
-        /// Calibrations given.
-        calibrations: usize,
-        /// Boards given.
-        devices: usize,
-    },
-    /// The configuration file.
-    #[error(transparent)]
-    Config(#[from] ConfigError),
-    /// A board.
-    #[error(transparent)]
-    Board(#[from] BoardError),
-    /// A device.
-    #[error(transparent)]
-    Device(#[from] DeviceError),
-    /// A capture.
-    #[error(transparent)]
-    Capture(#[from] CaptureError),
-    /// A name that does not say how to write.
+    Calibrations { calibrations: usize, devices: usize },
     #[error(
         "the name {} does not say how poses are to be written; give one that ends in {ENDINGS}, or --format",
         path.display()
     )]
-    Extension {
-        /// The file asked for.
-        path: PathBuf,
-    },
+    Extension { path: PathBuf },
     /// Poses of several captures, and no folder for them, or a folder and no poses.
     #[error(
         "with --jobs each capture has its own file of poses; give --output DIR with --format ndjson or csv, or neither"
     )]
     FormatOfEach,
-    /// A format of another build.
     #[cfg(not(feature = "parquet"))]
     #[error(
         "this build cannot write {} as Parquet; build with `cargo build --release -p slitpose --features parquet`, or \
          give a name that ends in .csv or .ndjson",
         path.display()
     )]
-    NoParquet {
-        /// The file asked for.
-        path: PathBuf,
-    },
-    /// Bytes that a terminal cannot show.
+    NoParquet { path: PathBuf },
     #[error("Parquet is no text for a terminal; redirect standard output, or choose another --format")]
     NoText,
-    /// A capture that cannot be solved.
-    #[error(transparent)]
-    Playback(#[from] PlaybackError),
-    /// A reference for one board, and several of them.
-    #[error(transparent)]
-    SeveralBoards(#[from] SeveralBoards),
-    /// The way poses are sent on.
-    #[error(transparent)]
-    Datagram(#[from] DatagramError),
-    /// Notifications to the service manager.
-    #[error(transparent)]
-    Status(#[from] StatusError),
-    /// The rules of the live page.
-    #[error(transparent)]
-    Access(#[from] AccessError),
-    /// The 6-DoF mouse.
-    #[error(transparent)]
-    Spacenav(#[from] SpacenavError),
-    /// The live page.
-    #[error(transparent)]
-    Live(#[from] LiveError),
-    /// Zenoh.
-    #[error(transparent)]
-    Zenoh(#[from] ZenohError),
-    /// The server for Foxglove.
-    #[error(transparent)]
-    Foxglove(#[from] FoxgloveError),
-    /// A service manager that cannot be told anything.
-    #[error("the service manager that NOTIFY_SOCKET names cannot be reached; start the program without it")]
-    Service(#[source] io::Error),
-    /// The user cannot be asked.
-    #[error("cannot read from standard input; give --yes to go on without questions")]
-    Input(#[source] io::Error),
-    /// Signals cannot be handled.
-    #[error("cannot listen to signals")]
-    Interrupt(#[source] io::Error),
-    /// A daemon that does not answer.
-    #[error(transparent)]
-    Fetch(#[from] FetchError),
-    /// A study of errors and times.
-    #[error(transparent)]
-    Report(#[from] ReportError),
-    /// The result.
-    #[error(transparent)]
-    Output(#[from] OutputError),
 }
 
-impl CommandError {
-    /// Whether the reader of the result has gone: an ordinary end, not a failure.
-    fn is_broken_pipe(&self) -> bool {
-        match self {
-            Self::Output(error) => error.is_broken_pipe(),
-            _ => false,
-        }
-    }
+/// Arguments that name what is not there.
+#[derive(Debug, Error)]
+pub(crate) enum ArgumentError {
+    #[error(
+        "scene `{scene}` gives no pose anywhere in its workspace, so there is none for tolerances to move; \
+         --tolerance-study is for heads that have poses, such as the shipped scene `wide`"
+    )]
+    Poseless { scene: String },
+    #[error("there is no cell {number}; the scene has the cells 0 to {last}")]
+    Cell {
+        number: usize,
+        /// The last cell's number.
+        last: usize,
+    },
+    #[error(
+        "no motion is called {}{}; the motions are {known}, or give a table of one",
+        printable(name),
+        nearest.as_ref().map_or_else(String::new, |name| format!(" (did you mean `{name}`?)"))
+    )]
+    Motion {
+        name: String,
+        /// The motion that is spelt almost like it.
+        nearest: Option<String>,
+        known: String,
+        /// Why it is no table.
+        source: Box<TableError>,
+    },
+}
 
-    /// Standard output cannot be written.
-    fn printing(source: io::Error) -> Self {
-        Self::Output(OutputError::Write { target: "standard output".to_owned(), source })
-    }
+/// Whether the reader of the result has gone: an ordinary end, not a failure.
+fn is_broken_pipe(error: &CommandError) -> bool {
+    error.downcast_ref().is_some_and(OutputError::is_broken_pipe)
+}
 
-    /// The exit code of the program.
-    fn exit_code(&self) -> ExitCode {
-        match self {
-            #[cfg(not(feature = "parquet"))]
-            Self::NoParquet { .. } => ExitCode::from(2),
-            Self::Fault(_)
-            | Self::Playback(PlaybackError::Fault(_))
-            | Self::OnlySimulated { .. }
-            | Self::OnlyHere { .. }
-            | Self::Scenes { .. }
-            | Self::Calibrations { .. }
-            | Self::Config(_)
-            | Self::Extension { .. }
-            | Self::NoText
-            | Self::FormatOfEach
-            | Self::Output(OutputError::Twice { .. })
-            | Self::Playback(PlaybackError::Range { .. })
-            | Self::Device(DeviceError::NotAPath { .. } | DeviceError::Pattern { .. }) => ExitCode::from(2),
-            _ => ExitCode::FAILURE,
-        }
-    }
+fn exit_code(error: &CommandError) -> ExitCode {
+    let is_usage = error.is::<UsageError>()
+        || error.is::<FaultError>()
+        || error.is::<ConfigError>()
+        || matches!(error.downcast_ref(), Some(OutputError::Twice { .. }))
+        || matches!(error.downcast_ref(), Some(PlaybackError::Fault(_) | PlaybackError::Range { .. }))
+        || matches!(error.downcast_ref(), Some(DeviceError::NotAPath { .. } | DeviceError::Pattern { .. }));
+    if is_usage { ExitCode::from(2) } else { ExitCode::FAILURE }
 }
 
 /// The command line as it can be typed here: options of `run` may stand in the environment, too, and help
 /// shows the defaults.
 pub fn command() -> clap::Command {
-    defaults::in_help(Cli::command()).mut_subcommand("run", config::with_environment)
+    completions::in_help(Cli::command()).mut_subcommand("run", config::with_environment)
 }
 
 /// Does what `arguments`, the name of the program first, ask for, and says why if it cannot; ends the program if they
@@ -388,11 +196,10 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     let arguments: Vec<OsString> = arguments.into_iter().collect();
     match run(&arguments) {
         Ok(outcome) => outcome.into(),
-        Err(error) if error.is_broken_pipe() => ExitCode::SUCCESS,
+        Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
-            let code = error.exit_code();
-            complain(format_args!("{}", with_causes(&error)));
-            code
+            complain(format_args!("{}", with_causes(error.as_ref())));
+            exit_code(&error)
         }
     }
 }
@@ -402,7 +209,7 @@ fn run(arguments: &[OsString]) -> Result<Outcome, CommandError> {
     let configured = config::configured(command(), &matches)?;
     let matches = configured.command.clone().get_matches_from(arguments);
     let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
-    talk::outlive_file_limits()?;
+    options::outlive_file_limits()?;
     slitpose_head::interrupt::say_by(|error| {
         hide_progress();
         complain(format_args!("{error}"));
@@ -412,8 +219,8 @@ fn run(arguments: &[OsString]) -> Result<Outcome, CommandError> {
             Ok(Output::open(None)?.write_text(&config::print(&configured, &matches)).map(|()| Outcome::Done)?)
         }
         Verb::Run(args) => run::run(&args),
-        Verb::Replay(args) => replay::run(&args),
-        Verb::Export(args) => export::run(&args),
+        Verb::Replay(args) => replay::replay(&args),
+        Verb::Export(args) => replay::export(&args),
         Verb::Device(args) => device::run(&args),
         Verb::Status(args) => status::run(&args),
         Verb::Doctor(args) => doctor::run(&args),
@@ -424,11 +231,11 @@ fn run(arguments: &[OsString]) -> Result<Outcome, CommandError> {
         Verb::Identify(args) => identify::run(&args),
         Verb::Calibrate(args) => calibrate::run(&args),
         Verb::Bench(args) => bench::run(&args),
-        Verb::Paper(args) => paper::run(&args),
-        Verb::Report(args) => report::run(&args),
+        Verb::Paper(args) => report::paper(&args),
+        Verb::Report(args) => report::report(&args),
         Verb::Compare(args) => compare::run(&args),
         Verb::Scene(args) => scene::run(&args),
-        Verb::Completions(args) => completions::run(&args),
-        Verb::Man(args) => man::run(&args),
+        Verb::Completions(args) => completions::completions(&args),
+        Verb::Man(args) => completions::man(&args),
     }
 }

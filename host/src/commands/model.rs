@@ -6,8 +6,7 @@ use std::sync::Mutex;
 use slitpose_model::{Plan, Pose, Response, Tier};
 
 use super::options::{CalibrationOption, Jobs, TierOptions, UNREADABLE, open_scene};
-use super::talk::talk;
-use super::{CommandError, Outcome, names};
+use super::{CommandError, Outcome, options, talk};
 pub(super) use crate::solving::MODEL_TOLERANCE as DEFAULT_TOLERANCE;
 use slitpose_head::table::{Output, PoseColumns, PoseSizes, TableError, TableReader, TableRows, TableWriter};
 use slitpose_head::threads::lock;
@@ -25,7 +24,7 @@ const FAR: f64 = 100.0;
 #[command(after_help = "Example:\n  slitpose model wide --poses poses.csv --output currents.csv")]
 pub(super) struct Args {
     /// Scene file, or the name of a shipped scene
-    #[arg(value_parser = names::scenes(), hide_possible_values = true)]
+    #[arg(value_parser = options::scenes(), hide_possible_values = true)]
     scene: String,
     /// Table of poses; - is standard input
     #[arg(long, value_name = "CSV")]

@@ -1,21 +1,32 @@
-//! Options that several verbs share.
+//! What verbs share: options, arguments that take names, tables of rows, and words to the user.
 
+use std::ffi::OsStr;
+use std::fmt;
+use std::io::Write;
 use std::num::NonZero;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
-use clap::Args;
+use anyhow::Context;
+use clap::builder::{PossibleValue, StringValueParser, TypedValueParser};
+use clap::{Arg, Args, Command, ValueEnum};
 use glam::DVec3;
 use slitpose_calibration::Head;
-use slitpose_head::scene_file::SceneFile;
-use slitpose_head::table::{Rows, TableError, TableReader, TableRows, TableWriter};
+use slitpose_design::report::{Folder, Report};
+use slitpose_head::scene_file::{SHIPPED, SceneFile};
+use slitpose_head::simulator::TrajectoryKind;
+use slitpose_head::table::{Output, Rows, TableError, TableReader, TableRows, TableWriter};
 use slitpose_head::threads::{cores, in_order, limit};
-use slitpose_model::Pose;
+use slitpose_model::{Pose, Tier};
 
-use super::talk::talk;
-use super::{CommandError, Outcome};
-use crate::solving::{NOT_CALIBRATED, head_by};
-pub(super) use crate::solving::{STREAM_TOLERANCE as DEFAULT_TOLERANCE, TierOptions};
-use crate::terminal::{Amount, Progress};
+pub(super) use crate::solving::{STREAM_TOLERANCE as DEFAULT_TOLERANCE, TierOptions, parse_duration};
+
+use super::{CommandError, Outcome, UsageError};
+use crate::pipeline::{Counts, Following};
+use crate::sink::{self, Format, Sink};
+use crate::solving::{Filter, NOT_CALIBRATED, Solving, head_by};
+use crate::terminal::{self, Amount, Progress};
 
 /// A number of millimetres or degrees beyond this is a slip of units: 1000 km.
 const MOST: f64 = 1e9;
@@ -142,6 +153,154 @@ pub(super) fn parse_pose(text: &str) -> Result<Pose, &'static str> {
             Ok(Pose::from_vectors(DVec3::new(tx, ty, tz) * 1e-3, degrees * (std::f64::consts::PI / 180.0)))
         }
         _ => Err("give six numbers, tx,ty,tz in mm and rx,ry,rz in degrees, such as 1.5,0,-2,0,10,0"),
+    }
+}
+
+/// Takes any text, and has shells complete some names.
+#[derive(Clone)]
+pub(super) struct Names(Vec<String>);
+
+impl TypedValueParser for Names {
+    type Value = String;
+
+    fn parse_ref(&self, command: &Command, arg: Option<&Arg>, value: &OsStr) -> Result<String, clap::Error> {
+        StringValueParser::new().parse_ref(command, arg, value)
+    }
+
+    fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
+        Some(Box::new(self.0.iter().map(PossibleValue::new)))
+    }
+}
+
+impl Names {
+    /// The names, as the scripts of shells list them.
+    pub(super) fn list(&self) -> &[String] {
+        &self.0
+    }
+}
+
+/// A scene file, or the name of a shipped scene.
+pub(super) fn scenes() -> Names {
+    Names(SHIPPED.iter().map(|shipped| shipped.name.to_owned()).collect())
+}
+
+/// The path of a port, the number of a board, or a name that stands for boards.
+pub(super) fn devices() -> Names {
+    Names(["auto", "sim"].map(str::to_owned).to_vec())
+}
+
+/// A table of poses, or the name of a motion.
+pub(super) fn motions() -> Names {
+    let values = TrajectoryKind::value_variants().iter().filter_map(ValueEnum::to_possible_value);
+    Names(values.map(|value| value.get_name().to_owned()).collect())
+}
+
+/// When a stream of poses ends, how it is written and how it is solved.
+#[derive(clap::Args, Debug)]
+pub(super) struct PoseOptions {
+    /// End after this much time of the board's clock, such as 10s; else at the end of the data, or at an interrupt
+    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
+    pub(super) duration: Option<f64>,
+    /// How poses are written
+    #[arg(long, value_enum)]
+    format: Option<Format>,
+    #[command(flatten)]
+    pub(super) solving: Solving,
+}
+
+impl PoseOptions {
+    /// The format to write in; `live` tells whether somebody looks.
+    pub(super) fn format(&self, live: bool) -> Format {
+        self.format_or(if live { Format::Summary } else { Format::Ndjson })
+    }
+
+    pub(super) fn asked_format(&self) -> Option<Format> {
+        self.format
+    }
+
+    /// The format to write in, `usual` unless one was asked for.
+    pub(super) fn format_or(&self, usual: Format) -> Format {
+        self.format.unwrap_or(usual)
+    }
+
+    /// The sink of `format`. Says so if that leaves out what was asked for.
+    pub(super) fn open_sink<'a>(
+        &self,
+        format: Format,
+        output: impl Write + Send + 'a,
+        is_terminal: bool,
+    ) -> Result<Option<Box<dyn Sink + Send + 'a>>, CommandError> {
+        if is_terminal && !format.is_text() {
+            return Err(UsageError::NoText.into());
+        }
+        if format == Format::Csv && matches!(self.solving.filter, Some(Filter(Some(_)))) {
+            talk(format_args!("--filter: CSV has no columns for the filtered pose; --format ndjson has it"));
+        }
+        Ok(sink::open(format, output, is_terminal && terminal::is_live()))
+    }
+
+    pub(super) fn following(&self) -> Following {
+        self.solving.following_or(None)
+    }
+
+    pub(super) fn tier(&self) -> Tier {
+        self.solving.tier_or(None)
+    }
+}
+
+pub(super) fn talk(text: fmt::Arguments<'_>) {
+    terminal::say(text);
+}
+
+/// The flag that is set when the user interrupts: see [`flag`](slitpose_head::interrupt::flag).
+pub(super) fn interrupt() -> Result<Arc<AtomicBool>, CommandError> {
+    slitpose_head::interrupt::flag().context("cannot listen to signals")
+}
+
+/// Lets a file that must not grow any more be an error of writing to it, as a full disk is, and not the
+/// end of the program: its other work goes on.
+pub(super) fn outlive_file_limits() -> Result<(), CommandError> {
+    // A signal that is taken notice of is not fatal.
+    signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Arc::default())
+        .map(drop)
+        .context("cannot listen to signals")
+}
+
+/// Reports the losses of a stream on standard error, if there are any. A packet under way when the
+/// end was `wanted` is not lost: it was not waited for.
+pub(super) fn tell(name: &str, counts: &Counts, wanted: bool) -> Outcome {
+    match counts.losses(wanted) {
+        None => Outcome::Done,
+        Some(losses) => {
+            talk(format_args!("{name}: {losses}"));
+            Outcome::DataLost
+        }
+    }
+}
+
+/// Writes `report` to `folder`; without one, prints it in short.
+pub(super) fn publish(report: &Report, folder: Option<&Folder>) -> Result<(), CommandError> {
+    match folder {
+        Some(folder) => store(report, folder),
+        None => {
+            warn(report);
+            Ok(Output::open(None)?.write_text(&report.in_short())?)
+        }
+    }
+}
+
+/// Writes `report` to `folder`, and says where.
+pub(super) fn store(report: &Report, folder: &Folder) -> Result<(), CommandError> {
+    warn(report);
+    for path in folder.write(report)? {
+        talk(format_args!("wrote {}", path.display()));
+    }
+    Ok(())
+}
+
+fn warn(report: &Report) {
+    for warning in &report.warnings {
+        talk(format_args!("{warning}"));
     }
 }
 

@@ -8,15 +8,14 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use super::options::CalibrationOption;
+use super::options::{CalibrationOption, PoseOptions, parse_duration};
 use super::player::Player;
-use super::poses::{PoseOptions, parse_duration};
-use super::{CommandError, Outcome, interrupt, names, talk};
+use super::{CommandError, Outcome, interrupt, options, talk};
 use crate::clock::HostInstant;
 use crate::comparison::Comparison;
 use crate::link::DeviceId;
 use crate::live::Sampler;
-use crate::pipeline::{Item, PipelineError};
+use crate::pipeline::Item;
 use crate::playback::{self, Choice, Event, PlaybackError, Yields};
 use crate::sink::{Account, Format, Note, Sink};
 use crate::telemetry::{BoardReport, BoardStatistics, DaemonReport, LinkReport, LinkState, RecorderReport};
@@ -30,7 +29,7 @@ use thiserror::Error;
 #[derive(clap::Args, Debug)]
 pub(super) struct PlayOptions {
     /// Scene file, or the name of a shipped scene, also if it is not the one of the capture
-    #[arg(long, value_name = "SCENE", value_parser = names::scenes(), hide_possible_values = true)]
+    #[arg(long, value_name = "SCENE", value_parser = options::scenes(), hide_possible_values = true)]
     scene: Option<String>,
     #[command(flatten)]
     calibration: CalibrationOption,
@@ -52,7 +51,6 @@ impl PlayOptions {
         self.to
     }
 
-    /// Files that are read besides captures.
     pub(super) fn sources(&self) -> impl Iterator<Item = &Path> {
         self.scene.iter().chain(&self.compare).map(Path::new).chain(self.calibration.file())
     }
@@ -63,14 +61,11 @@ impl PlayOptions {
 #[error("--compare compares one board, and the capture holds several; record them apart")]
 pub(crate) struct SeveralBoards;
 
-/// Output and format of poses.
 pub(super) struct Printing<'a> {
     /// `None`: nowhere.
     pub(super) sink: Option<Box<dyn Sink + Send + 'a>>,
-    /// The name of the output.
     pub(super) target: &'a str,
     pub(super) format: Format,
-    /// Whether that is a terminal.
     pub(super) is_terminal: bool,
     /// The capture, if others are replayed at the same time: messages name it, and there is no progress line.
     pub(super) name: Option<&'a str>,
@@ -79,7 +74,6 @@ pub(super) struct Printing<'a> {
 /// A capture that rests looks this often for orders.
 const MOMENT: Duration = Duration::from_millis(20);
 
-/// Captures being solved.
 pub(super) struct Playback<'a> {
     files: &'a [PathBuf],
     choice: Choice,
@@ -98,15 +92,11 @@ pub(super) struct Playback<'a> {
     began: HostInstant,
 }
 
-/// Where poses go.
 struct Outputs<'a> {
     sink: Option<Box<dyn Sink + Send + 'a>>,
-    /// Where that writes.
     target: &'a str,
-    /// What messages begin with.
     name: Option<&'a str>,
     comparison: Option<Comparison>,
-    /// Of each board.
     statistics: Vec<RefCell<BoardStatistics>>,
     /// Of each board, if a page shows them.
     samplers: Vec<Sampler>,
@@ -155,7 +145,6 @@ impl<'a> Playback<'a> {
         Ok(self)
     }
 
-    /// Solves all of them.
     pub(super) fn run(self) -> Result<Outcome, CommandError> {
         self.play().map(|(outcome, _)| outcome)
     }
@@ -190,8 +179,12 @@ impl<'a> Playback<'a> {
         });
         match ended {
             // Interrupted where the page had led it.
-            Err(CommandError::Playback(PlaybackError::NoScan { .. } | PlaybackError::Beyond { .. }))
-                if player.is_some() =>
+            Err(error)
+                if player.is_some()
+                    && matches!(
+                        error.downcast_ref(),
+                        Some(PlaybackError::NoScan { .. } | PlaybackError::Beyond { .. })
+                    ) =>
             {
                 Ok((output.outcome, account(&captures, &output.statistics)))
             }
@@ -255,7 +248,6 @@ impl<'a> Playback<'a> {
         Ok(())
     }
 
-    /// Shows the page what has come.
     fn show(&mut self) {
         let Self { player: Some(player), captures, output, .. } = self else { return };
         let boards = captures.boards();
@@ -368,10 +360,4 @@ fn report(board: &playback::Board, statistics: &RefCell<BoardStatistics>) -> Boa
     // What a capture has to say it has said.
     let link = LinkReport { state: LinkState::Ended, since_utc_ns: now.utc_ns, ..LinkReport::default() };
     BoardReport { link, ..report }
-}
-
-impl From<PipelineError> for CommandError {
-    fn from(error: PipelineError) -> Self {
-        Self::Board(error.into())
-    }
 }

@@ -20,7 +20,6 @@ pub(super) struct Orders(Arc<Mutex<PlayerOrder>>);
 /// What is left to play at least, seconds.
 const LEAST_S: f64 = 0.05;
 
-/// Slowest and fastest speeds.
 const SPEEDS: [f64; 2] = [1e-3, 1e3];
 
 impl Control for Orders {
@@ -50,7 +49,6 @@ impl Control for Orders {
     }
 }
 
-/// How a capture is played.
 pub(super) struct Player {
     orders: Orders,
     live: LiveInput,
@@ -72,7 +70,6 @@ impl Player {
         (0..boards.len()).map(|number| Sampler::new(number, Arc::new(self.live.clone()))).collect()
     }
 
-    /// Whether it goes on.
     pub(super) fn is_playing(&self) -> bool {
         self.state.playing && !self.state.ended
     }

@@ -4,8 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
-use super::options::parse_number;
-use super::poses::parse_duration;
+use super::options::{parse_duration, parse_number};
 use super::talk;
 use crate::capture::{About, CaptureError, CaptureSeries, Existing, Limits};
 use crate::daemon::CapturePlan;

@@ -1,18 +1,24 @@
-//! `slitpose replay`: captures through the live path.
+//! `slitpose replay` and `slitpose export`: captures through the live path.
 
 use std::io::{self, IsTerminal};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
 
+use slitpose_head::faults::Fault;
+use slitpose_head::pace::Speed;
+use slitpose_head::special_file;
+use slitpose_head::table::{Output, OutputError, refuse_twice};
+
+use super::compare::SideBySide;
 use super::faults::FaultOptions;
 use super::live::LiveOptions;
+use super::options::PoseOptions;
 use super::playback::{PlayOptions, Playback, Printing};
 use super::player::{Orders, Player};
-use super::poses::PoseOptions;
-use super::side_by_side::SideBySide;
-use super::{CommandError, Outcome};
+use super::{CommandError, Outcome, UsageError, interrupt};
 use crate::live::LivePlan;
 use crate::playback;
-use slitpose_head::pace::Speed;
+use crate::sink::{Account, Format};
 
 /// Solves captures again, through the same pipeline as live boards.
 ///
@@ -30,7 +36,7 @@ use slitpose_head::pace::Speed;
                         slitpose replay contact.mcap --live --open\n  \
                         slitpose replay a.mcap b.mcap c.mcap --jobs 2 --output poses --format csv\n  \
                         slitpose replay night-0001.mcap night-0002.mcap --compare truth.csv --format none")]
-pub(super) struct Args {
+pub(super) struct ReplayArgs {
     /// Captures
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
@@ -49,7 +55,7 @@ pub(super) struct Args {
     side_by_side: SideBySide,
 }
 
-pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
+pub(super) fn replay(args: &ReplayArgs) -> Result<Outcome, CommandError> {
     if let Some(jobs) = args.side_by_side.jobs {
         return args.side_by_side.replay(jobs, &args.files, (&args.play, &args.poses), &args.faults);
     }
@@ -78,4 +84,72 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let names: Vec<_> = args.files.iter().map(|file| file.display().to_string()).collect();
     let player = Player::new(orders, server.input(), names.join(", "), length_s);
     playback.played_by(player)?.run()
+}
+
+/// Writes a pose for every scan of captures to a file.
+///
+/// A capture holds some poses only; the others follow from its bytes, as when it was recorded. The
+/// ending of the file's name says how they are written: .csv, .ndjson, or .parquet if this build
+/// has it. Another needs --format.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  slitpose export contact.mcap --output poses.csv\n  \
+                        slitpose export night-0001.mcap night-0002.mcap --output night.ndjson --filter 5ms")]
+pub(super) struct ExportArgs {
+    /// Captures
+    #[arg(required = true, value_name = "FILE")]
+    files: Vec<PathBuf>,
+    /// File to write; - is standard output
+    #[arg(long, value_name = "FILE")]
+    output: PathBuf,
+    #[command(flatten)]
+    play: PlayOptions,
+    #[command(flatten)]
+    poses: PoseOptions,
+}
+
+pub(super) fn export(args: &ExportArgs) -> Result<Outcome, CommandError> {
+    let format = match args.poses.asked_format() {
+        Some(format) => format,
+        None => format_of(&args.output)?,
+    };
+    refuse_twice(&args.output, args.files.iter().map(PathBuf::as_path).chain(args.play.sources()))?;
+    Ok(write(&args.output, format, &args.files, (&args.play, &args.poses), Vec::new(), None)?.0)
+}
+
+/// Writes the poses of captures to `output`; returns how they did, too. `name`: that of a capture of several.
+pub(super) fn write(
+    output: &Path,
+    format: Format,
+    files: &[PathBuf],
+    (play, poses): (&PlayOptions, &PoseOptions),
+    faults: Vec<Fault>,
+    name: Option<&str>,
+) -> Result<(Outcome, Account), CommandError> {
+    let stop = interrupt()?;
+    let mut output = Output::open(Some(output))?;
+    let target = output.target().to_owned();
+    let is_terminal = output.is_terminal();
+    let sink = poses.open_sink(format, &mut output, is_terminal)?;
+    let printing = Printing { sink, target: &target, format, is_terminal, name };
+    let done = Playback::new(files, play, poses, faults, Speed::Max, printing)?.play()?;
+    if stop.load(Ordering::Relaxed) {
+        return Err(OutputError::Interrupted { target }.into());
+    }
+    output.finish()?;
+    Ok(done)
+}
+
+/// How poses are written to a file of this name.
+fn format_of(output: &Path) -> Result<Format, CommandError> {
+    match output.extension().and_then(|extension| extension.to_str()) {
+        Some("csv") => Ok(Format::Csv),
+        Some("ndjson") => Ok(Format::Ndjson),
+        #[cfg(feature = "parquet")]
+        Some("parquet") => Ok(Format::Parquet),
+        #[cfg(not(feature = "parquet"))]
+        Some("parquet") => Err(UsageError::NoParquet { path: output.to_owned() }.into()),
+        // Standard output, devices and pipes have no name that could say it.
+        _ if output == Path::new("-") || special_file::is_special(output) => Ok(Format::Csv),
+        _ => Err(UsageError::Extension { path: output.to_owned() }.into()),
+    }
 }

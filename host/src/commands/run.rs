@@ -6,18 +6,16 @@ use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
+use anyhow::Context;
 use clap::ValueEnum;
 use slitpose_calibration::{Basis, Head};
 use slitpose_protocol::{Hello, Stream};
 
-use super::live::{Changes, FoxgloveOptions, LiveOptions};
-use super::mouse::MouseOptions;
-use super::options::open_scene;
-use super::poses::{PoseOptions, parse_duration};
+use super::live::{Changes, FoxgloveOptions, LiveOptions, MouseOptions, ZenohOptions, key_of};
+use super::options::{PoseOptions, open_scene, parse_duration};
 use super::record::RecordOptions;
-use super::tool::ToolOptions;
-use super::zenoh::{ZenohOptions, key_of};
-use super::{CommandError, Outcome, interrupt, losses, names, talk};
+use super::simulate::ToolOptions;
+use super::{CommandError, Outcome, UsageError, interrupt, options, talk};
 use crate::clock::{HostInstant, UtcWatch};
 use crate::daemon::{Admit, BoardPlan, Daemon, Ended, Opener, Plan, PortOpener, SimulatedOpener};
 use crate::datagram::{Address, DatagramServer};
@@ -34,6 +32,7 @@ use crate::zenoh::ZenohSession;
 use slitpose_head::front_end;
 use slitpose_head::pace::Speed;
 use slitpose_head::scene_file::SceneFile;
+use slitpose_head::table::OutputError;
 use slitpose_head::threads::lock;
 
 /// Period of checks for ended boards, and of housekeeping.
@@ -62,10 +61,10 @@ const ACCOUNT_EVERY: Duration = Duration::from_secs(1);
 pub(super) struct Args {
     /// Which board: `auto`, a serial number, the path of a port, zenoh:KEY, or `sim`, a simulated one;
     /// once for each board
-    #[arg(long, value_name = "DEVICE", value_delimiter = ',', default_value = "auto", value_parser = names::devices(), hide_possible_values = true)]
+    #[arg(long, value_name = "DEVICE", value_delimiter = ',', default_value = "auto", value_parser = options::devices(), hide_possible_values = true)]
     device: Vec<String>,
     /// Scene file, or the name of a shipped scene; one for all boards, or one for each
-    #[arg(long, value_name = "SCENE", value_delimiter = ',', default_value = "wide", value_parser = names::scenes(), hide_possible_values = true)]
+    #[arg(long, value_name = "SCENE", value_delimiter = ',', default_value = "wide", value_parser = options::scenes(), hide_possible_values = true)]
     scene: Vec<String>,
     /// Calibration of the head, as `slitpose calibrate` wrote it, one for each board; or none: the head is as
     /// its scene says
@@ -151,7 +150,7 @@ fn parse_patience(text: &str) -> Result<Patience, String> {
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     if let (StreamName::Pose, Some(option)) = (args.stream, args.poses.solving.for_this_program()) {
-        return Err(CommandError::OnlyHere { option });
+        return Err(UsageError::OnlyHere { option }.into());
     }
     let zenoh = args.zenoh.open(&args.device)?;
     let boards = args.boards(zenoh.as_ref())?;
@@ -164,7 +163,8 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let output = io::BufWriter::with_capacity(1 << 16, io::stdout());
     let is_terminal = io::stdout().is_terminal();
     let sink = args.poses.open_sink(args.poses.format(is_terminal), output, is_terminal)?;
-    let service = Service::from_environment().map_err(CommandError::Service)?;
+    let service = Service::from_environment()
+        .context("the service manager that NOTIFY_SOCKET names cannot be reached; start the program without it")?;
     // All that can fail comes before the first thread: a board that is lit is stopped by its own.
     let (began, followed) = (HostInstant::now(), Arc::new(OnceLock::<Arc<Daemon>>::new()));
     let reports = || {
@@ -269,7 +269,7 @@ fn outcome_of(ended: Ended, reconnects: &[u64], interrupted: bool, bounded: bool
             outcome = Outcome::DataLost;
         }
         let wanted = interrupted || (bounded && followed.is_ok());
-        outcome = outcome.max(losses::tell(&name, &counts, wanted));
+        outcome = outcome.max(options::tell(&name, &counts, wanted));
         let behind = counts.scans_skipped - counts.scans_given_up;
         for (count, reason) in
             [(behind, "the solver was behind"), (counts.scans_given_up, "they waited at the interrupt")]
@@ -299,22 +299,22 @@ fn outcome_of(ended: Ended, reconnects: &[u64], interrupted: bool, bounded: bool
     match printed {
         // The reader of the poses has gone; what was lost besides still counts.
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe && outcome == Outcome::DataLost => Ok(outcome),
-        printed => printed.map(|()| outcome).map_err(CommandError::printing),
+        printed => {
+            let target = "standard output".to_owned();
+            Ok(printed.map(|()| outcome).map_err(|source| OutputError::Write { target, source })?)
+        }
     }
 }
 
 impl Args {
-    /// The boards to follow.
     fn boards(&self, zenoh: Option<&ZenohSession>) -> Result<Vec<BoardPlan>, CommandError> {
         let scenes = self.scene.iter().map(|scene| open_scene(scene)).collect::<Result<Vec<_>, _>>()?;
         if scenes.len() != 1 && scenes.len() != self.device.len() {
-            return Err(CommandError::Scenes { scenes: scenes.len(), devices: self.device.len() });
+            return Err(UsageError::Scenes { scenes: scenes.len(), devices: self.device.len() }.into());
         }
         if ![0, self.device.len()].contains(&self.calibration.len()) {
-            return Err(CommandError::Calibrations {
-                calibrations: self.calibration.len(),
-                devices: self.device.len(),
-            });
+            let (calibrations, devices) = (self.calibration.len(), self.device.len());
+            return Err(UsageError::Calibrations { calibrations, devices }.into());
         }
         let search = self.search.iter().map(|pattern| pattern.parse()).collect::<Result<Vec<Search>, _>>()?;
         let boards = self.device.iter().zip(scenes.iter().cycle()).enumerate();
@@ -360,7 +360,7 @@ impl Args {
             }
             Some(opener) => {
                 if let Some(option) = self.tool.given().or(self.speed.map(|_| "--speed")) {
-                    return Err(CommandError::OnlySimulated { option, device: device.to_owned() });
+                    return Err(UsageError::OnlySimulated { option, device: device.to_owned() }.into());
                 }
                 (opener, true)
             }

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::options::{CalibrationOption, Jobs, TierOptions, UNREADABLE, open_scene};
-use super::{CommandError, Outcome, names};
+use super::{CommandError, Outcome, options};
 use crate::solving::RowSolver;
 pub(super) use crate::solving::STREAM_TOLERANCE as DEFAULT_TOLERANCE;
 use slitpose_head::table::{
@@ -31,7 +31,7 @@ const AT_ONCE: usize = 64;
 #[command(after_help = "Example:\n  slitpose model wide --poses poses.csv | slitpose solve wide --currents -")]
 pub(super) struct Args {
     /// Scene file, or the name of a shipped scene
-    #[arg(value_parser = names::scenes(), hide_possible_values = true)]
+    #[arg(value_parser = options::scenes(), hide_possible_values = true)]
     scene: String,
     /// Table of currents; - is standard input
     #[arg(long, value_name = "CSV")]
@@ -71,7 +71,6 @@ struct Columns {
     frames: Option<Column>,
 }
 
-/// A row as it was read.
 struct Read<'a> {
     id: &'a str,
     /// Of every cell; of none, if the row is unreadable.

@@ -23,7 +23,6 @@ const GRACE_NS: u64 = 5_000_000;
 const FIRST_TRIAL_AFTER_NS: u64 = 10_000_000;
 const LAST_TRIAL_AFTER_NS: u64 = 1_000_000_000;
 
-/// The next action.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Next {
     /// Wait for more bytes, or until poses are printed.

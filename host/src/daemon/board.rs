@@ -1,37 +1,36 @@
 //! The two threads of a board.
 
-use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use crossbeam_channel::bounded;
 use slitpose_calibration::Head;
+use slitpose_head::board_head::BoardHeadError;
+use slitpose_head::threads::{join, lock};
 use slitpose_model::Tier;
-use slitpose_protocol::{Configuration, Stream};
+use slitpose_protocol::{Configuration, Rejection, Stream};
+use thiserror::Error;
 
 use super::backlog::Backlog;
 use super::buffer_pool::{Producer, buffer_pool};
-use super::claims::Claims;
-use super::error::BoardError;
 use super::handoff::handoff;
 use super::link::Link;
 use super::opener::{Admit, Opener};
 use super::outputs::{Outbox, Outputs};
 use super::reader::Reader;
-use super::real_time;
 use super::scan_watch::ScanWatch;
-use super::slot::BoardSlot;
 use super::solver::{Solver, State};
 use super::tap::{Overflow, Tap, TapEnds};
-use super::{Talk, spawn};
+use super::{Talk, spawn, streamer};
 use crate::clock::HostInstant;
 use crate::datagram::DatagramServer;
-use crate::link::Segment;
+use crate::device::DeviceError;
+use crate::link::{DeviceId, Segment};
 use crate::live::{Sampler, TakesSamples};
-use crate::pipeline::{Counts, Following, Pipeline, SceneMatch};
-use crate::telemetry::BoardStatistics;
-use slitpose_head::threads::join;
+use crate::pipeline::{Counts, Following, Pipeline, PipelineError, SceneMatch};
+use crate::telemetry::{BoardReport, BoardStatistics};
 
 /// Most reads on their way to the solver: a quarter of a second at one read per millisecond.
 const SEGMENTS: usize = 256;
@@ -44,19 +43,13 @@ const EVENTS: usize = 4;
 
 /// A board to follow, and how to follow it.
 pub(crate) struct BoardPlan {
-    /// Opens the board.
     pub opener: Box<dyn Opener>,
-    /// The board's head.
     pub head: Head,
-    /// The board's configuration.
     pub configuration: Configuration,
-    /// What the board is to send.
     pub stream: Stream,
     /// Decides whether a board may be followed.
     pub admit: Admit,
-    /// The tier of the optics.
     pub tier: Tier,
-    /// Options of the tracker.
     pub following: Following,
     /// Duration of the run in device time, seconds; `None`: unlimited.
     pub until_s: Option<f64>,
@@ -64,7 +57,6 @@ pub(crate) struct BoardPlan {
     pub patience: Option<Duration>,
     /// Whether device time runs in real time. If not, it waits for the slowest thread.
     pub keeps_time: bool,
-    /// Prints a message for the user.
     pub talk: Arc<Talk>,
 }
 
@@ -87,7 +79,6 @@ pub(super) struct Shared {
     pub(super) claims: Claims,
 }
 
-/// The threads of a board.
 pub(super) struct BoardThreads {
     name: String,
     reader: JoinHandle<Result<(), BoardError>>,
@@ -153,14 +144,14 @@ impl BoardThreads {
         };
         let (talk_slot, priority) = (Arc::clone(slot), shared.real_time);
         let solve = move || {
-            if let Some(remedy) = priority.and_then(|priority| real_time::claim(priority).err()) {
+            if let Some(remedy) = priority.and_then(|priority| streamer::claim(priority).err()) {
                 talk_slot.link.say(format_args!("{remedy}"));
             }
             Solver::run(&solver_end)
         };
         let read = move || {
             // The solving thread reports a refusal.
-            let _ = priority.map(real_time::claim);
+            let _ = priority.map(streamer::claim);
             reader.run()
         };
         let solver = spawn(format!("solve {number}"), solve)?;
@@ -181,5 +172,130 @@ impl BoardThreads {
         let read = join(self.reader);
         let counts = join(self.solver);
         (self.name, counts, read)
+    }
+}
+
+/// Why a board is followed no longer.
+#[derive(Debug, Error)]
+pub(crate) enum BoardError {
+    #[error(transparent)]
+    Device(#[from] DeviceError),
+    #[error(transparent)]
+    Pipeline(#[from] PipelineError),
+    #[error("the board cannot solve poses of this head, and this program can: give --stream raw")]
+    Head(#[from] BoardHeadError),
+    #[error("the board refused a command")]
+    Refused(#[source] Rejection),
+    #[error(
+        "{name} and {other} have one number, {device}: give only one of them if they are two ports of one board; two \
+         boards whose poses shall be told apart need different numbers"
+    )]
+    Twice {
+        device: DeviceId,
+        /// The second reader's name for the board.
+        name: String,
+        /// The first reader's name for the board.
+        other: String,
+    },
+    #[error("cannot start a thread; close other programs, or raise the limit of threads")]
+    Thread(#[source] std::io::Error),
+}
+
+impl BoardError {
+    /// Whether the error may pass once the user plugs the board in and switches it on.
+    pub(super) fn is_passing(&self) -> bool {
+        match self {
+            Self::Device(error) => error.is_passing(),
+            Self::Pipeline(_) | Self::Head(_) | Self::Refused(_) | Self::Twice { .. } | Self::Thread(_) => false,
+        }
+    }
+
+    /// Time since the last usable scan when the error was noticed, seconds.
+    pub(super) fn missed_s(&self) -> f64 {
+        match self {
+            Self::Device(
+                DeviceError::Quiet { seconds, .. }
+                | DeviceError::NoScans { seconds, .. }
+                | DeviceError::NotPublished { seconds, .. },
+            ) => *seconds,
+            _ => 0.0,
+        }
+    }
+
+    /// Whether the user most likely has to act, so that trying again is not urgent.
+    pub(super) fn needs_user(&self) -> bool {
+        let is_silent = matches!(self, Self::Device(DeviceError::NoScans { .. }));
+        is_silent || !self.is_passing() && !self.is_away()
+    }
+
+    /// Whether the board is not there, or its port is in use: another program may probe a port that has just appeared.
+    /// Both may end at any moment.
+    pub(super) fn is_away(&self) -> bool {
+        let Self::Device(error) = self else { return false };
+        matches!(error, DeviceError::Missing { .. } | DeviceError::Gone { .. } | DeviceError::Busy { .. })
+    }
+}
+
+#[derive(Clone, Debug, Default)]
+pub(super) struct Claims(Arc<Mutex<Vec<(DeviceId, String)>>>);
+
+impl Claims {
+    /// Claims a board for the reader of `name`.
+    pub(super) fn claim(&self, device: DeviceId, name: &str) -> Result<(), BoardError> {
+        let mut claims = lock(&self.0);
+        match claims.iter().find(|(claimed, owner)| *claimed == device && owner != name) {
+            Some((_, owner)) => Err(BoardError::Twice { device, name: name.to_owned(), other: owner.clone() }),
+            None => {
+                claims.push((device, name.to_owned()));
+                Ok(())
+            }
+        }
+    }
+
+    /// Releases the claims of `name`.
+    pub(super) fn release(&self, name: &str) {
+        lock(&self.0).retain(|(_, owner)| owner != name);
+    }
+}
+
+pub(super) struct BoardSlot {
+    pub(super) link: Link,
+    report: Mutex<BoardReport>,
+}
+
+impl BoardSlot {
+    pub(super) fn new(name: String, link: Link) -> Self {
+        Self { link, report: Mutex::new(BoardReport { name, ..BoardReport::default() }) }
+    }
+
+    /// Updates the state; called a few times per second.
+    pub(super) fn account(&self, pipeline: &Pipeline, statistics: &mut BoardStatistics) {
+        statistics.set_clock(pipeline.drift_ppm(), pipeline.contradicts_crystal());
+        let report = statistics.report(&pipeline.counts(), pipeline.health(), HostInstant::now());
+        *lock(&self.report) = BoardReport { board_poses: pipeline.agreement(), ..report };
+    }
+
+    pub(super) fn report(&self) -> BoardReport {
+        let report = lock(&self.report).clone();
+        BoardReport { link: self.link.report(), ..report }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_board_is_claimed_by_one_reader_until_it_is_released() {
+        let claims = Claims::default();
+        let [one, other] = [DeviceId(*b"one board   "), DeviceId(*b"another one ")];
+        claims.claim(one, "A").unwrap();
+        claims.claim(one, "A").unwrap();
+        claims.claim(other, "B").unwrap();
+        let twice = claims.claim(one, "B").unwrap_err().to_string();
+        assert!(twice.contains("B and A") && twice.contains(&one.to_string()), "{twice}");
+        claims.release("A");
+        claims.claim(one, "B").unwrap();
+        assert!(claims.claim(other, "A").is_err());
     }
 }

@@ -44,7 +44,6 @@ pub(super) struct Producer<T> {
     alarm: Alarm,
 }
 
-/// Empties buffers.
 #[derive(Debug)]
 pub(super) struct Consumer<T> {
     full: Receiver<T>,
@@ -57,7 +56,6 @@ pub(super) struct Consumer<T> {
 pub(super) enum Empty {
     /// No buffer has been handed over yet.
     ForNow,
-    /// All producers are dropped.
     Closed,
 }
 
@@ -136,7 +134,6 @@ impl<T> Consumer<T> {
         self.full.is_empty()
     }
 
-    /// Returns an emptied buffer.
     pub(super) fn give_back(&self, buffer: T) {
         // Without a producer the buffer is not needed.
         let _ = self.empty.try_send(buffer);

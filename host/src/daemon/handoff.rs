@@ -10,9 +10,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use super::buffer_pool::{Consumer, Producer};
 use slitpose_head::threads::lock;
 
-/// Processes chunks, one after another.
 pub(super) trait Worker {
-    /// The unit of work.
     type Chunk;
 
     /// Whether it takes another chunk before the work that it has left to the solving thread is done.
@@ -22,20 +20,16 @@ pub(super) trait Worker {
     fn process(&mut self, chunk: &mut Self::Chunk) -> bool;
 }
 
-/// The reading thread's end.
 pub(super) struct ReaderEnd<W: Worker> {
     worker: Arc<Mutex<W>>,
     chunks: Producer<W::Chunk>,
-    /// The chunk to fill next.
     own: Option<W::Chunk>,
     /// Whether the reading thread processes chunks, too.
     processes: bool,
 }
 
-/// The solving thread's end.
 pub(super) struct SolverEnd<W: Worker> {
     worker: Arc<Mutex<W>>,
-    /// The chunks left to this thread.
     pub(super) chunks: Consumer<W::Chunk>,
 }
 

@@ -4,7 +4,7 @@ use std::fmt;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
-use super::error::BoardError;
+use super::board::BoardError;
 use crate::clock::HostInstant;
 use crate::device::DeviceError;
 use crate::link::DeviceId;
@@ -16,13 +16,10 @@ use slitpose_head::threads::lock;
 /// week.
 const TOLD_AGAIN: Duration = Duration::from_secs(2);
 
-/// Most reasons remembered.
 const REASONS: usize = 8;
 
-/// Prints a message for the user.
 pub(crate) type Talk = dyn Fn(fmt::Arguments<'_>) + Send + Sync;
 
-/// The link to one board.
 pub(super) struct Link {
     state: Mutex<State>,
     talk: Arc<Talk>,
@@ -40,12 +37,10 @@ struct State {
     told: Vec<Told>,
 }
 
-/// A reason that was reported.
 struct Told {
     /// The reason without its numbers, which differ each time.
     reason: String,
     at: Instant,
-    /// Its latest occurrence.
     last: Instant,
     /// Time during which it is not reported again.
     pause: Duration,
@@ -91,7 +86,6 @@ impl Link {
         Self { state: Mutex::new(state), talk }
     }
 
-    /// The present state of the link.
     pub(super) fn report(&self) -> LinkReport {
         self.lock().report.clone()
     }
@@ -229,7 +223,6 @@ mod tests {
         assert_eq!(state.is_told("another", began), Some(0));
     }
 
-    /// What can happen to a link.
     #[derive(Clone, Copy, Debug)]
     enum Step {
         Connecting,

@@ -20,21 +20,15 @@
 mod backlog;
 mod board;
 mod buffer_pool;
-mod claims;
-mod error;
 mod handoff;
 mod link;
 mod opener;
 mod outputs;
-mod printer;
 mod reader;
-mod real_time;
 mod recorder;
 mod scan_watch;
 mod sleeper;
-mod slot;
 mod solver;
-mod stream_event;
 mod streamer;
 mod tap;
 
@@ -43,8 +37,7 @@ use std::sync::atomic::{self, AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
 
-pub(crate) use board::BoardPlan;
-pub(crate) use error::BoardError;
+pub(crate) use board::{BoardError, BoardPlan};
 pub(crate) use link::Talk;
 #[cfg(feature = "zenoh")]
 pub(crate) use opener::Feed;
@@ -63,14 +56,11 @@ use crate::live::TakesSamples;
 use crate::pipeline::Counts;
 use crate::sink::{Account, Sink};
 use crate::telemetry::{BoardReport, DaemonReport, LinkState, RecorderReport};
-use board::BoardThreads;
+use board::{BoardSlot, BoardThreads, Claims};
 use buffer_pool::buffer_pool;
-use claims::Claims;
-use outputs::{OUTBOX_POSES, Outbox};
-use printer::PrinterThread;
+use outputs::{OUTBOX_POSES, Outbox, PrinterThread};
 use recorder::RecorderThread;
 use slitpose_head::threads::lock;
-use slot::BoardSlot;
 use streamer::StreamerThread;
 
 /// Most outboxes on their way to the printer: half a second of one board at 4 kHz.
@@ -79,11 +69,8 @@ const OUTBOXES: usize = 128;
 /// A solver without a report for this long hangs: it makes five per second.
 const HANGS_AFTER_S: f64 = 5.0;
 
-/// The tasks of a daemon.
 pub(crate) struct Plan {
-    /// The boards to follow.
     pub boards: Vec<BoardPlan>,
-    /// The output that prints poses.
     pub sink: Option<Box<dyn Sink + Send>>,
     /// The captures to record, now or later.
     pub capture: Option<CapturePlan>,
@@ -93,11 +80,9 @@ pub(crate) struct Plan {
     pub streams: Vec<StreamPlan>,
     /// Takers of samples: the live page, and others.
     pub takers: Vec<Arc<dyn TakesSamples>>,
-    /// Real-time priority of readers and solvers.
     pub real_time: Option<u8>,
 }
 
-/// Boards being followed.
 pub(crate) struct Daemon {
     started: HostInstant,
     slots: Vec<Arc<BoardSlot>>,
@@ -109,22 +94,16 @@ pub(crate) struct Daemon {
     stop: Arc<AtomicBool>,
 }
 
-/// The result of a daemon.
 #[derive(Debug)]
 pub(crate) struct Ended {
     /// For each board: the user's name for it, the counts of its data, and its error.
     pub boards: Vec<(String, Counts, Result<(), BoardError>)>,
-    /// The result of printing.
     pub printed: io::Result<()>,
-    /// The state of the recording.
     pub capture: RecorderReport,
 }
 
 impl Daemon {
     /// Starts all threads. They end when their boards do, when `stop` is set, or when the sink fails.
-    ///
-    /// # Errors
-    /// If the system does not start a thread.
     pub(crate) fn start(plan: Plan, stop: Arc<AtomicBool>) -> Result<Self, BoardError> {
         let Plan { boards, sink, capture, datagrams, streams, takers, real_time } = plan;
         let datagrams = datagrams.map(Arc::new);
@@ -186,7 +165,6 @@ impl Daemon {
         })
     }
 
-    /// The state of the daemon.
     pub(crate) fn report(&self) -> DaemonReport {
         let boards = self.boards_report();
         let recorder = with_unrecorded(self.recorder_report(), &boards);
@@ -194,7 +172,6 @@ impl Daemon {
         DaemonReport { datagrams, ..DaemonReport::of_now(self.started, boards, recorder) }
     }
 
-    /// The state of the recorder alone.
     pub(crate) fn recorder_report(&self) -> RecorderReport {
         self.recorder.as_ref().map(RecorderThread::report).unwrap_or_default()
     }
@@ -203,7 +180,6 @@ impl Daemon {
         self.slots.iter().map(|slot| slot.report()).collect()
     }
 
-    /// Records the state of the daemon.
     pub(crate) fn record_report(&self) {
         if let Some(recorder) = &self.recorder {
             recorder.account(self.report());
@@ -262,7 +238,6 @@ fn with_unrecorded(recorder: RecorderReport, boards: &[BoardReport]) -> Recorder
 /// The stack size of the main thread: scenes and pipelines take tens of kilobytes, and are moved during construction.
 const STACK_BYTES: usize = 8 << 20;
 
-/// A thread with a name.
 fn spawn<T: Send + 'static>(
     name: String,
     run: impl FnOnce() -> T + Send + 'static,

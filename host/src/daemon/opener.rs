@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 
 use slitpose_protocol::{Configuration, Hello, Stream};
 
-use super::error::BoardError;
+use super::board::BoardError;
 use crate::device::{
     Conversation, DeviceError, Found, Keep, Search, Selector, SerialDevice, SimulatedDevice, SimulatedPort, find,
     locate,
@@ -18,35 +18,22 @@ pub(crate) type Admit = Box<dyn Fn(&Hello<'_>) -> Result<(), PipelineError> + Se
 
 /// The stream of a board: of one that this host speaks to, or of one that another host follows.
 pub(crate) trait Feed {
-    /// The user's name for it.
     fn name(&self) -> String;
 
     /// Waits for the board's hello, which `admit` accepts or refuses.
-    ///
-    /// # Errors
-    /// If no board answers, or `admit` refuses it.
     fn greet(&mut self, admit: &mut dyn FnMut(&Hello<'_>) -> Result<(), BoardError>) -> Result<(), BoardError>;
 
     /// Has the board send scans by `configuration`, and what `stream` says of them, unless another host says by which.
     /// With a `head` it solves poses.
-    ///
-    /// # Errors
-    /// If the board refuses, or does not reply.
     fn start(&mut self, configuration: &Configuration, stream: Stream, head: Option<&[u8]>) -> Result<(), DeviceError>;
 
     /// Waits for bytes, a few hundredths of a second at most. `false` if the stream has ended.
-    ///
-    /// # Errors
-    /// If the board is gone, or has been quiet for too long.
     fn listen(&mut self) -> Result<bool, DeviceError>;
 
     /// Appends to `segment` what came since the last call.
     fn fill(&mut self, segment: &mut Segment);
 
     /// Ends what [`start`](Self::start) began.
-    ///
-    /// # Errors
-    /// If the board refuses, or does not reply.
     fn stop(&mut self, keep: Keep) -> Result<(), DeviceError>;
 }
 
@@ -85,9 +72,7 @@ impl Feed for Conversation {
 /// each other's ports in use.
 static LOOKING: Mutex<()> = Mutex::new(());
 
-/// Opens the board of a reader.
 pub(crate) trait Opener: Send {
-    /// The user's name for the board.
     fn name(&self) -> String;
 
     /// Waits until no other reader searches for boards, if that would disturb the search.
@@ -95,10 +80,6 @@ pub(crate) trait Opener: Send {
         None
     }
 
-    /// Opens the board.
-    ///
-    /// # Errors
-    /// If the board is missing or cannot be opened.
     fn open(&mut self) -> Result<Box<dyn Feed>, DeviceError>;
 
     /// The board that was opened last has introduced itself.

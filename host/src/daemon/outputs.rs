@@ -1,23 +1,28 @@
 //! The outputs of a board: control loops, statistics, capture, other takers of all bytes, printer.
 
 use std::collections::VecDeque;
+use std::io;
 use std::sync::Arc;
-use std::time::Duration;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
+use slitpose_head::threads::join;
 use slitpose_model::Photocurrents;
 use slitpose_protocol::{Rejection, Reply, Severity};
 
-use super::buffer_pool::Producer;
+use super::board::BoardError;
+use super::buffer_pool::{Consumer, Empty, Producer};
+use super::spawn;
 use super::tap::Tap;
 use crate::clock::HostInstant;
 use crate::datagram::{DatagramServer, Publisher};
 use crate::link::{DeviceId, Segment};
 use crate::live::Sampler;
 use crate::pipeline::{Item, Record};
-use crate::sink::Note;
+use crate::sink::{Account, Note, Sink};
 use crate::telemetry::BoardStatistics;
 
-/// Something for the printer.
 #[derive(Clone, Debug)]
 #[expect(clippy::large_enum_variant, reason = "a box would be allocated for each pose")]
 pub(super) enum Outgoing {
@@ -33,10 +38,8 @@ const TOGETHER_NS: u64 = 50_000;
 /// Poses in a full outbox: some milliseconds of a board at 4 kHz.
 pub(super) const OUTBOX_POSES: usize = 16;
 
-/// A chunk for the printer.
 pub(super) type Outbox = Vec<Outgoing>;
 
-/// The outputs of a pipeline.
 pub(super) struct Outputs {
     pub(super) datagrams: Option<Arc<DatagramServer>>,
     pub(super) publisher: Option<Publisher>,
@@ -265,4 +268,107 @@ impl Outputs {
             tap.hand_over_old();
         }
     }
+}
+
+/// Longest wait without a pose to print.
+const IDLE: Duration = Duration::from_millis(50);
+
+/// Longest time without a flush or redraw for a stream that is always behind.
+const TICK_AFTER: Duration = Duration::from_millis(200);
+
+/// Returns the state of boards and recorder.
+pub(super) type Accounts = dyn Fn() -> Account + Send;
+
+/// After an interrupt, the longest wait for a reader that reads nothing.
+const PATIENCE: Duration = Duration::from_millis(500);
+
+/// Pause between checks whether the thread has ended.
+const MOMENT: Duration = Duration::from_millis(5);
+
+pub(super) struct PrinterThread {
+    thread: JoinHandle<io::Result<()>>,
+    /// Outboxes printed so far.
+    printed: Arc<AtomicU64>,
+}
+
+impl PrinterThread {
+    /// Starts the thread. If the sink fails, it sets `stop`.
+    pub(super) fn start(
+        outboxes: Consumer<Outbox>,
+        sink: Box<dyn Sink + Send>,
+        accounts: Box<Accounts>,
+        stop: Arc<AtomicBool>,
+    ) -> Result<Self, BoardError> {
+        let printed = Arc::<AtomicU64>::default();
+        let progress = Arc::clone(&printed);
+        let run = move || print(&outboxes, sink, &*accounts, &stop, &progress);
+        Ok(Self { thread: spawn("printer".to_owned(), run)?, printed })
+    }
+
+    /// Waits until all is printed; all solvers must have ended. If `stop` is set and the output is not read, the rest
+    /// is dropped.
+    pub(super) fn end(self, stop: &AtomicBool) -> io::Result<()> {
+        let (mut before, mut since) = (0, Instant::now());
+        while !self.thread.is_finished() {
+            let printed = self.printed.load(Ordering::Relaxed);
+            if printed != before || !stop.load(Ordering::Relaxed) {
+                (before, since) = (printed, Instant::now());
+            } else if since.elapsed() >= PATIENCE {
+                return Err(io::Error::new(io::ErrorKind::TimedOut, "nobody reads what is printed"));
+            }
+            std::thread::sleep(MOMENT);
+        }
+        join(self.thread)
+    }
+}
+
+/// Prints the solvers' outboxes until the solvers have ended. If the sink fails, sets `stop` and drops later outboxes.
+fn print(
+    outboxes: &Consumer<Outbox>,
+    mut sink: Box<dyn Sink + Send>,
+    accounts: &Accounts,
+    stop: &AtomicBool,
+    printed: &AtomicU64,
+) -> io::Result<()> {
+    let mut failed = None;
+    let mut ticked_at = Instant::now();
+    loop {
+        let (written, is_over) = match outboxes.next(IDLE) {
+            Ok(mut outbox) => {
+                let written = if failed.is_none() { write_outbox(&mut *sink, &outbox) } else { Ok(()) };
+                outbox.clear();
+                // A stall may have enlarged it, and there are many outboxes.
+                outbox.shrink_to(OUTBOX_POSES);
+                outboxes.give_back(outbox);
+                printed.fetch_add(1, Ordering::Relaxed);
+                (written, false)
+            }
+            Err(Empty::ForNow) => (Ok(()), false),
+            Err(Empty::Closed) => (Ok(()), true),
+        };
+        let ticked = match (&failed, is_over) {
+            (Some(_), _) => Ok(()),
+            (None, true) => sink.finish(accounts),
+            // Printing goes first.
+            (None, false) if !outboxes.is_empty() && ticked_at.elapsed() < TICK_AFTER => Ok(()),
+            (None, false) => {
+                ticked_at = Instant::now();
+                sink.tick(accounts)
+            }
+        };
+        if let Err(error) = written.and(ticked) {
+            failed = Some(error);
+            stop.store(true, Ordering::Relaxed);
+        }
+        if is_over {
+            return failed.map_or(Ok(()), Err);
+        }
+    }
+}
+
+fn write_outbox(sink: &mut dyn Sink, outbox: &Outbox) -> io::Result<()> {
+    outbox.iter().try_for_each(|outgoing| match outgoing {
+        Outgoing::Pose(record) => sink.pose(record),
+        Outgoing::Note(note) => sink.note(note),
+    })
 }

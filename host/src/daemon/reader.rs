@@ -9,13 +9,10 @@ use crossbeam_channel::Receiver;
 use slitpose_calibration::Head;
 use slitpose_protocol::{Configuration, Stream};
 
-use super::claims::Claims;
-use super::error::BoardError;
+use super::board::{BoardError, BoardSlot, Claims};
 use super::handoff::ReaderEnd;
 use super::opener::{Admit, Feed, Opener};
-use super::slot::BoardSlot;
-use super::solver::Solver;
-use super::stream_event::StreamEvent;
+use super::solver::{Solver, StreamEvent};
 use crate::device::{DeviceError, Keep};
 use crate::link::DeviceId;
 use crate::pipeline::head_of;
@@ -33,14 +30,11 @@ const LATER: Duration = Duration::from_millis(500);
 /// Number of times that the pause between attempts at an unusable board doubles, to half a minute.
 const DOUBLINGS: u32 = 6;
 
-/// Interrupts are noticed within this time.
 const MOMENT: Duration = Duration::from_millis(20);
 
-/// Reads one board.
 pub(super) struct Reader {
     pub(super) opener: Box<dyn Opener>,
     pub(super) configuration: Configuration,
-    /// What the board is to send.
     pub(super) stream: Stream,
     /// By which it solves poses, if these are asked for.
     pub(super) head: Head,
@@ -60,7 +54,6 @@ pub(super) struct Reader {
     pub(super) stop: Arc<AtomicBool>,
 }
 
-/// How reading ended.
 enum Ending {
     /// As requested, or because the stream is complete.
     Wanted(Keep),

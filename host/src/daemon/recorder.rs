@@ -8,9 +8,8 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, Sender, bounded, unbounded};
 use slitpose_calibration::Head;
 
-use super::board::BoardPlan;
+use super::board::{BoardError, BoardPlan};
 use super::buffer_pool::{Consumer, Empty, buffer_pool};
-use super::error::BoardError;
 use super::tap::{TapChunk, TapEnds};
 use super::{Talk, spawn};
 use crate::capture::{CaptureError, CaptureSeries, Settings, Setup};
@@ -20,7 +19,6 @@ use crate::telemetry::{DaemonReport, RecorderReport, RecorderState};
 use slitpose_head::causes::with_causes;
 use slitpose_head::threads::{join, lock};
 
-/// Time of a chunk.
 const CHUNK: Duration = Duration::from_millis(20);
 
 /// Most chunks on their way to the disk: 5 s of one board.
@@ -29,23 +27,19 @@ const CHUNKS_A_BOARD: usize = 256;
 /// Most reports on their way to the disk.
 const ACCOUNTS: usize = 4;
 
-/// Longest wait without anything to record.
 const IDLE: Duration = Duration::from_millis(100);
 
 /// A board hands over its last chunk of an ended recording within this time.
 const LAST_CHUNK: Duration = Duration::from_millis(200);
 
-/// Captures to be recorded.
 pub(crate) struct CapturePlan {
     /// The files; `None`: the recording begins later.
     pub series: Option<CaptureSeries>,
     /// Poses recorded per device second, in addition to the bytes from which all poses can be solved again.
     pub poses_hz: f64,
-    /// Prints a message for the user.
     pub talk: Arc<Talk>,
 }
 
-/// The recorder's thread.
 pub(super) struct RecorderThread {
     thread: Mutex<Option<JoinHandle<()>>>,
     accounts: Mutex<Option<Sender<DaemonReport>>>,
@@ -54,7 +48,6 @@ pub(super) struct RecorderThread {
     report: Arc<Mutex<RecorderReport>>,
 }
 
-/// The board of a number.
 struct Source {
     head: Head,
     settings: Settings,
@@ -62,7 +55,6 @@ struct Source {
     device: Option<DeviceId>,
 }
 
-/// State of the thread.
 struct Recorder {
     series: Option<CaptureSeries>,
     captures: Receiver<Option<CaptureSeries>>,
@@ -118,7 +110,6 @@ impl RecorderThread {
 }
 
 impl RecorderThread {
-    /// The state of the recording.
     pub(super) fn report(&self) -> RecorderReport {
         lock(&self.report).clone()
     }
@@ -135,7 +126,6 @@ impl RecorderThread {
         let _ = self.captures.send(Some(series));
     }
 
-    /// Ends the present recording.
     pub(super) fn end_capture(&self) {
         let _ = self.captures.send(None);
     }
@@ -318,7 +308,6 @@ mod tests {
     /// Bytes of each board in a capture.
     type Bytes = BTreeMap<DeviceId, Vec<u8>>;
 
-    /// What can happen to a recorder.
     #[derive(Clone, Copy, Debug)]
     enum Step {
         /// The user begins a recording, or ends it.
@@ -335,7 +324,6 @@ mod tests {
         proptest::collection::vec(prop_oneof![any::<bool>().prop_map(Step::Order), chunk, look], 0..40)
     }
 
-    /// What the steps alone say.
     #[derive(Default)]
     struct Reference {
         orders: VecDeque<bool>,

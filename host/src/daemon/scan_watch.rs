@@ -29,7 +29,6 @@ pub(super) struct ScanWatch {
     since: Option<HostInstant>,
     scans: u64,
     begun: bool,
-    /// The counters at that time.
     counts: Counts,
 }
 

@@ -12,26 +12,24 @@ use crossbeam_channel::Sender;
 
 use super::BoardSlot;
 use super::backlog::{Backlog, Next};
+use super::board::BoardError;
 use super::buffer_pool::Empty;
-use super::error::BoardError;
 use super::handoff::{SolverEnd, Worker};
 use super::outputs::Outputs;
 use super::scan_watch::{News, ScanWatch};
-use super::stream_event::StreamEvent;
 use super::tap::Tap;
 use crate::clock::HostInstant;
 use crate::datagram::Publisher;
+use crate::device::Scanless;
 use crate::link::Segment;
 use crate::pipeline::{Counts, Item, Pipeline, Queue};
 use crate::telemetry::{HostLosses, LagReport};
 
-/// Longest wait without anything to solve.
 const IDLE: Duration = Duration::from_millis(100);
 
 /// Interval of checks for room at the printer.
 const ROOM_EVERY: Duration = Duration::from_millis(1);
 
-/// Period of the board's reports.
 const ACCOUNT_EVERY_NS: u64 = 200_000_000;
 
 /// A solver that was behind counts as keeping up again after this many reports without a scan out of turn: 3 s.
@@ -44,7 +42,6 @@ const GIVES_UP_AFTER_NS: u64 = 500_000_000;
 /// operating system.
 const PROCESSES_FOR_NS: u64 = 500_000;
 
-/// Solves one board.
 pub(super) struct Solver {
     pub(super) name: String,
     pub(super) pipeline: Pipeline,
@@ -57,7 +54,6 @@ pub(super) struct Solver {
     pub(super) state: State,
 }
 
-/// State of a solver.
 #[derive(Default)]
 pub(super) struct State {
     /// Number of the connection, from 1.
@@ -66,7 +62,6 @@ pub(super) struct State {
     is_complete: bool,
     /// The tick of the last status of a board that does not sample.
     idle_tick: Option<u64>,
-    /// The reader has ended.
     is_over: bool,
     gives_up_at_ns: Option<u64>,
     now: HostInstant,
@@ -328,4 +323,17 @@ impl Solver {
             (None, told) => state.told = told.map(|calm| calm + 1),
         }
     }
+}
+
+/// An event of the stream of a board.
+#[derive(Debug)]
+pub(super) enum StreamEvent {
+    /// The first scan of the connection has come.
+    Scans,
+    /// No scan has come for this many seconds; the second field says what came instead.
+    Scanless(f64, Scanless),
+    Complete,
+    /// The board has stopped by itself, with its last warning or error.
+    Stopped(Option<String>),
+    Unusable(BoardError),
 }

@@ -1,15 +1,21 @@
-//! A thread that hands the streams of all boards to a taker, which may be slow: no other thread waits for it.
+//! A thread that hands the streams of all boards to a taker, which may be slow: no other thread waits for it. And the
+//! priority of threads that must not be late.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use slitpose_head::threads::join;
+use thread_priority::{
+    RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
+    set_thread_priority_and_policy, thread_native_id,
+};
+
+use super::board::BoardError;
 use super::buffer_pool::{Empty, buffer_pool};
-use super::error::BoardError;
 use super::spawn;
 use super::tap::{TapChunk, TapEnds};
-use slitpose_head::threads::join;
 
 /// Time of a chunk: as short as allows a few messages a millisecond of four boards.
 const CHUNK: Duration = Duration::from_millis(2);
@@ -17,10 +23,8 @@ const CHUNK: Duration = Duration::from_millis(2);
 /// Most chunks on their way: a quarter of a second of one board.
 const CHUNKS_A_BOARD: usize = 128;
 
-/// Longest wait without anything to take.
 const IDLE: Duration = Duration::from_millis(100);
 
-/// Takes the streams of all boards.
 pub(crate) trait TakesChunks: Send {
     /// Takes the next chunk of a board.
     fn chunk(&mut self, chunk: &TapChunk);
@@ -36,7 +40,6 @@ pub(crate) struct StreamPlan {
     pub(crate) pose_every_s: f64,
 }
 
-/// The thread of a taker.
 pub(super) struct StreamerThread(JoinHandle<()>);
 
 impl StreamerThread {
@@ -66,4 +69,17 @@ impl StreamerThread {
     pub(super) fn end(self) {
         join(self.0);
     }
+}
+
+/// Gives the calling thread this priority (SCHED_FIFO, 1 to 99). The error is advice for the user.
+pub(super) fn claim(priority: u8) -> Result<(), &'static str> {
+    const REMEDY: &str = "no real-time priority for the threads of the board: allow it with LimitRTPRIO=99 in the \
+                          systemd unit, or in /etc/security/limits.conf, or leave --real-time out";
+    let value = ThreadPriorityValue::try_from(priority).map_err(|_| REMEDY)?;
+    set_thread_priority_and_policy(
+        thread_native_id(),
+        ThreadPriority::Crossplatform(value),
+        ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo),
+    )
+    .map_err(|_| REMEDY)
 }

@@ -60,7 +60,6 @@ pub(super) enum Overflow {
 /// What a board needs of a taker.
 #[derive(Clone, Debug)]
 pub(super) struct TapEnds {
-    /// The queue.
     pub(super) chunks: Producer<TapChunk>,
     /// Whether bytes are wanted now.
     pub(super) is_wanted: Arc<AtomicBool>,
@@ -72,7 +71,6 @@ pub(super) struct TapEnds {
     pub(super) tells_hello: bool,
 }
 
-/// The board's end of the queue.
 #[derive(Debug)]
 pub(super) struct Tap {
     board: usize,
@@ -152,7 +150,6 @@ impl Tap {
         self.bytes_dropped
     }
 
-    /// Keeps the board's hello.
     pub(super) fn hello(&mut self, hello: &Hello<'_>) {
         self.device = Some(DeviceId(hello.device_id));
         let mut buffer = [0; MAX_MESSAGE_BYTES];
@@ -206,7 +203,6 @@ impl Tap {
         }
     }
 
-    /// Hands over the current chunk.
     pub(super) fn hand_over(&mut self) {
         self.is_full = false;
         if let Some(chunk) = self.under_way.take() {

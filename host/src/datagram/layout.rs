@@ -190,7 +190,6 @@ impl Request {
     /// Its length.
     pub const BYTES: usize = 32;
 
-    /// Its length without a cookie.
     const SHORT_BYTES: usize = 24;
 
     /// A request without a cookie.

@@ -1,13 +1,13 @@
 //! The sending side, on the thread that solves.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use crossbeam_channel::Receiver;
 
 use super::PoseDatagram;
-use super::shared::{Counters, Shared};
 use super::slot::Slot;
-use super::socket::Delivery;
+use super::socket::{Delivery, Socket};
 use super::subscription::{MAX_FOLLOWERS, MAX_NEWS, Subscription};
 use crate::clock::HostInstant;
 use crate::pipeline::Record;
@@ -88,4 +88,26 @@ fn admit(followers: &mut Vec<Subscription>, new: Subscription, counters: &Counte
     } else {
         Counters::count(&counters.refused);
     }
+}
+
+#[derive(Debug, Default)]
+pub(super) struct Counters {
+    pub(super) requests: AtomicU64,
+    pub(super) places_refused: AtomicU64,
+    pub(super) unproven: AtomicU64,
+    pub(super) refused: AtomicU64,
+    pub(super) sent: AtomicU64,
+    pub(super) missed: AtomicU64,
+}
+
+impl Counters {
+    pub(super) fn count(counter: &AtomicU64) {
+        counter.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+#[derive(Debug)]
+pub(super) struct Shared {
+    pub(super) sockets: Vec<Socket>,
+    pub(super) counters: Counters,
 }

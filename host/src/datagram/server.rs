@@ -12,15 +12,13 @@ use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::cookie::{Cookies, Worth};
-use super::error::DatagramError;
-use super::leases::{Admission, Lease, Leases};
-use super::publisher::Publisher;
-use super::shared::{Counters, Shared};
+use super::publisher::{Counters, Publisher, Shared};
 use super::slot::Slot;
 use super::socket::{Delivery, Peer, Socket, SocketFile};
-use super::subscription::{MAX_FOLLOWERS, MAX_NEWS, SlowClient, Subscription};
-use super::{Address, Answer, Mode, Request};
+use super::subscription::{
+    Admission, Cookies, Lease, Leases, MAX_FOLLOWERS, MAX_NEWS, SlowClient, Subscription, Worth,
+};
+use super::{Address, Answer, DatagramError, Mode, Request};
 use crate::clock::HostInstant;
 use crate::link::DeviceId;
 use slitpose_head::threads::lock;
@@ -59,7 +57,6 @@ struct Board {
     subscriptions: Sender<Subscription>,
 }
 
-/// Boards and their followers.
 #[derive(Debug, Default)]
 struct Directory {
     boards: Vec<Board>,
@@ -73,7 +70,6 @@ pub struct DatagramServer {
     shared: Arc<Shared>,
     directory: Arc<Mutex<Directory>>,
     addresses: Vec<Address>,
-    /// Closing it ends the thread.
     end: Option<UnixStream>,
     thread: Option<JoinHandle<()>>,
     _files: Vec<SocketFile>,

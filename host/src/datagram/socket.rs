@@ -21,7 +21,6 @@ use nix::sys::socket::{setsockopt, sockopt::PassCred};
 
 use super::{Address, AddressError, DatagramError};
 
-/// A bound socket.
 #[derive(Debug)]
 pub(super) enum Socket {
     Unix(UnixDatagram),
@@ -72,9 +71,7 @@ impl PassedSocket {
 /// one that does not read can fill it for the others.
 #[derive(Debug)]
 pub(super) struct UnixPeer {
-    /// The name chosen by the client.
     name: net::SocketAddr,
-    /// The address to send to.
     address: net::SocketAddr,
     /// The file of its socket, if its name is one.
     file: Option<PinnedSocket>,
@@ -300,14 +297,10 @@ impl Socket {
     }
 }
 
-/// The result of sending a datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Delivery {
-    /// It is in the receiver's queue.
     Sent,
-    /// The queue is full.
     Full,
-    /// The receiver is gone.
     Gone,
 }
 

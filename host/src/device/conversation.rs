@@ -7,7 +7,7 @@ use slitpose_protocol::{
     Message, PayloadError, Rejection, Request, Stream, encode,
 };
 
-use super::keep_alive::{self, KeepAlive, ping};
+use super::orders::{self, KeepAlive, ping};
 use super::{Device, DeviceError};
 use crate::clock::HostInstant;
 use crate::link::{Asked, Segment, Versions};
@@ -40,7 +40,6 @@ pub enum Keep {
     Replies,
 }
 
-/// What to do with one packet.
 enum Verdict {
     Keep,
     KeepFromHere,
@@ -51,7 +50,6 @@ enum Verdict {
 pub(crate) struct Conversation {
     device: Box<dyn Device>,
     pub(super) decoder: Decoder<MAX_MESSAGE_BYTES>,
-    /// Bytes received and kept.
     pub(super) inbox: Vec<u8>,
     /// Length of the whole packets at its start.
     whole: usize,
@@ -69,9 +67,6 @@ pub(crate) struct Conversation {
 
 impl Conversation {
     /// Opens the conversation; ends any incomplete command that an earlier host has left on the link.
-    ///
-    /// # Errors
-    /// If the device is gone.
     pub(crate) fn open(device: Box<dyn Device>) -> Result<Self, DeviceError> {
         let mut conversation = Self {
             device,
@@ -95,9 +90,6 @@ impl Conversation {
 
     /// Requests the board's hello, which `admit` accepts or refuses. Also waits for the reply, because a hello alone
     /// may be an earlier one. Bytes received until then are dropped.
-    ///
-    /// # Errors
-    /// If no board answers, or `admit` refuses it.
     pub(crate) fn greet<E: From<DeviceError>>(
         &mut self,
         admit: impl FnMut(&Hello<'_>) -> Result<(), E>,
@@ -149,9 +141,6 @@ impl Conversation {
     }
 
     /// Replaces the configuration of the board. The inbox then starts with the hello of that configuration.
-    ///
-    /// # Errors
-    /// If the board refuses it, or does not reply.
     pub(crate) fn configure(&mut self, configuration: Configuration) -> Result<(), DeviceError> {
         // At low frame rates a board is quiet between frames.
         let frame = Duration::from_secs_f64(configuration.schedule.frame_rate_hz().recip());
@@ -165,17 +154,11 @@ impl Conversation {
     }
 
     /// Sends a compiled head, by which the board then solves poses. Received bytes are appended to the inbox.
-    ///
-    /// # Errors
-    /// If the board refuses it, solves no poses, or does not reply.
     pub(crate) fn send_head(&mut self, head: &[u8]) -> Result<(), DeviceError> {
         HeadPart::all(head).try_for_each(|part| self.ask(Command::Head(part), Keep::All, REPLY_WITHIN).map(drop))
     }
 
     /// Chooses what the board sends once it is started. Received bytes are appended to the inbox.
-    ///
-    /// # Errors
-    /// If the board refuses, or does not reply.
     pub(crate) fn stream(&mut self, stream: Stream) -> Result<(), DeviceError> {
         // So it does without being told.
         if stream == Stream::SCANS {
@@ -186,9 +169,6 @@ impl Conversation {
     }
 
     /// Starts acquisition. Received bytes are appended to the inbox.
-    ///
-    /// # Errors
-    /// If the board refuses, or does not reply.
     pub(crate) fn start(&mut self) -> Result<(), DeviceError> {
         self.started = true;
         self.ask(Command::Start, Keep::All, REPLY_WITHIN)?;
@@ -198,9 +178,6 @@ impl Conversation {
 
     /// Waits for bytes of the board, a few hundredths of a second at most; the inbox then holds only these. `false` if
     /// the stream has ended.
-    ///
-    /// # Errors
-    /// If the device is gone, or no byte has come for half a second.
     pub(crate) fn listen(&mut self) -> Result<bool, DeviceError> {
         self.forget();
         let since = Instant::now();
@@ -214,9 +191,6 @@ impl Conversation {
     }
 
     /// Stops acquisition. The inbox then holds the kept bytes before the reply.
-    ///
-    /// # Errors
-    /// If the board refuses, or does not reply.
     pub(crate) fn stop(&mut self, keep: Keep) -> Result<(), DeviceError> {
         self.keep_alive = None;
         self.started = false;
@@ -251,7 +225,6 @@ impl Conversation {
         self.started = false;
     }
 
-    /// The user's name for the device.
     pub(crate) fn name(&self) -> String {
         self.device.name().to_owned()
     }
@@ -321,7 +294,7 @@ impl Conversation {
         if !self.started || !self.device.keeps_time() || now < self.ping_at {
             return None;
         }
-        self.ping_at = now + keep_alive::INTERVAL;
+        self.ping_at = now + orders::INTERVAL;
         self.token = self.token.wrapping_add(1);
         let mut buffer = [0; MAX_REQUEST_BYTES];
         let (packet, asked) = ping(self.token, &mut buffer)?;

@@ -7,15 +7,17 @@
 //! Debuggers are asked only if no board has its own USB port: a board serves the port that asked last for two seconds,
 //! and both cables of a Nucleo may be plugged in.
 
+use std::fmt;
+use std::path::{MAIN_SEPARATOR, Path};
+use std::str::FromStr;
+
+use super::error::DeviceError;
 use super::ports::{Port, Search, UsbId, ports};
 use super::probe::{Listed, PortState};
-use super::{DeviceError, Selector};
 use crate::link::DeviceId;
 
-/// The port of a simulated board.
 const SIM: &str = "sim";
 
-/// The place of a board.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Found {
     /// Its port; `sim` for the simulated board.
@@ -35,9 +37,6 @@ impl From<Listed> for Found {
 /// Searches for the board that `selector` names, also in the places of `search`.
 ///
 /// A path is accepted as it is: opening shows whether there is a board.
-///
-/// # Errors
-/// If no board matches, or more than one.
 pub(crate) fn find(selector: &Selector, search: &[Search]) -> Result<Found, DeviceError> {
     match selector {
         Selector::Sim => Ok(Found { port: SIM.to_owned(), usb: None, device: None }),
@@ -61,9 +60,6 @@ pub(crate) fn find(selector: &Selector, search: &[Search]) -> Result<Found, Devi
 
 /// All boards, and all ports that might have one. With `ask` these ports are asked; boards in use are left
 /// alone.
-///
-/// # Errors
-/// If the system does not list its ports.
 pub(crate) fn list(search: &[Search], ask: bool) -> Result<Vec<Listed>, DeviceError> {
     let ports = ports()?;
     let unsure = unsure(&ports, search, true);
@@ -91,7 +87,7 @@ pub(crate) fn locate(selector: &Selector, known: Option<&Found>) -> Option<Found
 }
 
 fn located(selector: &Selector, known: Option<&Found>, ports: &[Port]) -> Option<String> {
-    let exists = |name: &str| std::path::Path::new(name).exists().then(|| name.to_owned());
+    let exists = |name: &str| Path::new(name).exists().then(|| name.to_owned());
     let device = match selector {
         Selector::Serial(device) => Some(*device),
         _ => known.and_then(|known| known.device),
@@ -158,6 +154,49 @@ fn choose(selector: &Selector, listed: Vec<Listed>) -> Result<Found, DeviceError
         1 => Ok(boards.swap_remove(0).into()),
         _ => Err(DeviceError::SeveralBoards { boards }),
     }
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Selector {
+    /// The only board connected.
+    Auto,
+    Sim,
+    /// The board with this number, at any port.
+    Serial(DeviceId),
+    Path(String),
+}
+
+impl FromStr for Selector {
+    type Err = DeviceError;
+
+    /// `auto`, `sim`, the serial number of a board, or the path of a port.
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        match text {
+            "auto" => Ok(Self::Auto),
+            "sim" => Ok(Self::Sim),
+            _ => match text.parse() {
+                Ok(device) => Ok(Self::Serial(device)),
+                Err(_) if is_path(text) => Ok(Self::Path(text.to_owned())),
+                Err(_) => Err(DeviceError::NotAPath { name: text.to_owned() }),
+            },
+        }
+    }
+}
+
+impl fmt::Display for Selector {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Auto => f.write_str("auto"),
+            Self::Sim => f.write_str("sim"),
+            Self::Serial(device) => device.fmt(f),
+            Self::Path(path) => f.write_str(path),
+        }
+    }
+}
+
+/// Whether `name` looks like the path of a port, and not like the name of a board.
+pub(super) fn is_path(name: &str) -> bool {
+    name.contains(['/', MAIN_SEPARATOR]) || (cfg!(windows) && name.starts_with("COM")) || Path::new(name).exists()
 }
 
 #[cfg(test)]
@@ -270,5 +309,24 @@ mod tests {
         assert_eq!(names(&[], true), ["/dev/ttyACM1"]);
         assert!(names(&["/dev/null"], false).is_empty(), "the board itself");
         assert_eq!(names(&["/dev/zer*", "/dev/zero"], false), ["/dev/zero"]);
+    }
+
+    #[test]
+    fn names_of_boards_are_no_paths() {
+        for path in ["/dev/ttyACM0", "./port", "/dev/serial/by-id/board"] {
+            assert_eq!(path.parse::<Selector>().unwrap(), Selector::Path(path.to_owned()));
+        }
+        for name in ["3600290054485002", "usb", "", "Auto"] {
+            assert!(name.parse::<Selector>().is_err(), "{name}");
+        }
+    }
+
+    #[test]
+    fn what_is_written_is_read() {
+        for text in ["auto", "sim", "0036002900544850025a0320", "/dev/slitpose/0036002900544850025a0320"] {
+            assert_eq!(text.parse::<Selector>().unwrap().to_string(), text);
+        }
+        let large = "0036002900544850025A0320".parse::<Selector>().unwrap();
+        assert_eq!(large, "0036002900544850025a0320".parse().unwrap());
     }
 }

@@ -10,222 +10,84 @@ use crate::link::{DeviceId, Versions};
 
 /// Why a board cannot be used, or no longer.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum DeviceError {
-    /// The system does not list its ports.
     #[error("cannot list the serial ports of this system; give the path of the board's port, such as /dev/ttyACM0")]
-    Ports {
-        /// The system's error.
-        source: serialport::Error,
-    },
-    /// An invalid pattern of paths.
+    Ports { source: serialport::Error },
     #[error("`{pattern}` is no pattern of paths; give one such as '/dev/ttyUSB*'")]
-    Pattern {
-        /// What was given.
-        pattern: String,
-        /// The error in the pattern.
-        source: glob::PatternError,
-    },
-    /// There is no board.
+    Pattern { pattern: String, source: glob::PatternError },
     #[error(
         "no board found: nothing on USB is a `slitpose board` (1209:0001){}; plug one in, give its port with \
          --device PATH or where to look with --search, or --device sim for a simulated one",
         others(asked)
     )]
-    NoBoard {
-        /// The ports that were asked.
-        asked: Vec<Listed>,
-    },
-    /// Several boards match.
+    NoBoard { asked: Vec<Listed> },
     #[error("there are {} boards: {}; say which with --device SERIAL", boards.len(), in_words(boards))]
-    SeveralBoards {
-        /// The boards.
-        boards: Vec<Listed>,
-    },
-    /// The requested board is missing.
+    SeveralBoards { boards: Vec<Listed> },
     #[error(
         "the board {device} is not there{}; plug it in, or look with `slitpose device list` what is there",
         others(there)
     )]
-    NoSuchBoard {
-        /// The requested board.
-        device: DeviceId,
-        /// The boards and ports found instead.
-        there: Vec<Listed>,
-    },
-    /// A name that is neither a path nor a number.
+    NoSuchBoard { device: DeviceId, there: Vec<Listed> },
     #[error(
         "`{name}` is neither the path of a serial port nor the serial number of a board (24 hexadecimal digits), as \
          `slitpose device list` shows them; give the path, such as /dev/ttyACM0, or --device sim for a simulated board"
     )]
-    NotAPath {
-        /// The name.
-        name: String,
-    },
-    /// The path does not exist.
+    NotAPath { name: String },
     #[error("there is no {name}; plug the board in and look for its port, or give --device sim for a simulated board")]
-    Missing {
-        /// The path.
-        name: String,
-    },
-    /// The path is not a serial port.
+    Missing { name: String },
     #[error("{name} is a {what}, not a serial port; give the port of the board, such as /dev/ttyACM0")]
-    NotAPort {
-        /// The path.
-        name: String,
-        /// The kind of file.
-        what: &'static str,
-    },
-    /// The user may not open the port.
+    NotAPort { name: String, what: &'static str },
     #[error("{name} may not be opened by this user; on most systems the group dialout may: join it and log in again")]
-    Forbidden {
-        /// The path.
-        name: String,
-    },
-    /// Another program has the port open.
+    Forbidden { name: String },
     #[error("{name} is in use by another program, such as a running `slitpose run`; end that first")]
-    Busy {
-        /// The path.
-        name: String,
-    },
-    /// The system does not open it as a serial port.
+    Busy { name: String },
     #[error("{name} cannot be opened as a serial port; give the port of the board, such as /dev/ttyACM0")]
-    Open {
-        /// The path.
-        name: String,
-        /// The system's error.
-        source: serialport::Error,
-    },
-    /// No byte came.
+    Open { name: String, source: serialport::Error },
     #[error(
         "nothing answers on {name}: not a byte came within {seconds} s; \
          check that this is the port of the board, and that the board has its firmware and power"
     )]
-    Silent {
-        /// The device.
-        name: String,
-        /// How long was waited.
-        seconds: f64,
-    },
-    /// Another host does not publish the board.
+    Silent { name: String, seconds: f64 },
     #[error(
         "no {what} of {name} came within {seconds} s; check that `slitpose run --zenoh` follows the board there, and that \
          both reach the same router"
     )]
-    NotPublished {
-        /// The device.
-        name: String,
-        /// What was waited for.
-        what: &'static str,
-        /// How long was waited.
-        seconds: f64,
-    },
-    /// Bytes came, but no hello.
+    NotPublished { name: String, what: &'static str, seconds: f64 },
     #[error(
         "no board answers on {name}: {bytes} bytes came within {seconds} s, {packets} readable packets and no hello \
          among them; check that this is the port of the board, and reset the board"
     )]
-    NoHello {
-        /// The device.
-        name: String,
-        /// How long was waited.
-        seconds: f64,
-        /// Bytes received.
-        bytes: u64,
-        /// Packets among them.
-        packets: u64,
-    },
-    /// A board with another version of the protocol.
+    NoHello { name: String, seconds: f64, bytes: u64, packets: u64 },
     #[error("{name} cannot be used: {versions}")]
-    Version {
-        /// The device.
-        name: String,
-        /// Both versions.
-        versions: Versions,
-    },
-    /// The board sends no hello or status.
+    Version { name: String, versions: Versions },
     #[error("the board on {name} sent no status within {seconds} s; reset the board")]
-    NoStatus {
-        /// The device.
-        name: String,
-        /// How long was waited.
-        seconds: f64,
-    },
-    /// The board did not come back after a reboot.
+    NoStatus { name: String, seconds: f64 },
     #[error("the board on {name} has not come back within {seconds} s; reset it, or unplug it and plug it in again")]
-    NotBack {
-        /// The device.
-        name: String,
-        /// How long was waited.
-        seconds: f64,
-    },
-    /// The stored data differ from those sent.
+    NotBack { name: String, seconds: f64 },
     #[error("the board on {name} says that another scene or schedule is stored than was sent; try again")]
-    NotStored {
-        /// The device.
-        name: String,
-    },
-    /// A command without a reply.
+    NotStored { name: String },
     #[error("the board on {name} did not reply to {command} within {seconds} s; reset the board")]
-    NoReply {
-        /// The device.
-        name: String,
-        /// The command.
-        command: &'static str,
-        /// How long was waited.
-        seconds: f64,
-    },
-    /// The board refuses a command.
+    NoReply { name: String, command: &'static str, seconds: f64 },
     #[error("the board on {name} refused {command}; {next_step}")]
-    Refused {
-        /// The device.
-        name: String,
-        /// The command.
-        command: &'static str,
-        /// The next step for the user.
-        next_step: &'static str,
-        /// The board's reason.
-        source: Rejection,
-    },
-    /// The port has disappeared.
+    Refused { name: String, command: &'static str, next_step: &'static str, source: Rejection },
     #[error("the board on {name} has gone; if it was unplugged, plug it in again")]
-    Gone {
-        /// The device.
-        name: String,
-        /// The system's error.
-        source: io::Error,
-    },
-    /// No more bytes come.
+    Gone { name: String, source: io::Error },
     #[error("no data for {seconds} s from the board on {name}; reset the board")]
     Quiet {
-        /// The device.
         name: String,
         /// Time without bytes.
         seconds: f64,
     },
-    /// Bytes come, but no scans.
     #[error("no usable scan for {seconds:.0} s from the board on {name}: {cause}")]
-    NoScans {
-        /// The device.
-        name: String,
-        /// Time without scans.
-        seconds: f64,
-        /// What came instead.
-        cause: Scanless,
-    },
-    /// The board stopped by itself.
+    NoScans { name: String, seconds: f64, cause: Scanless },
     #[error("the board on {name} has stopped sampling: {reason}")]
-    Stopped {
-        /// The device.
-        name: String,
-        /// The last thing it reported.
-        reason: String,
-    },
+    Stopped { name: String, reason: String },
 }
 
 /// The data that come instead of scans.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum Scanless {
-    /// At most status messages.
     #[error("the board says that it is there, and nothing else; reset the board")]
     Nothing,
     /// Batches of another configuration than the one sent to the board.
@@ -233,25 +95,14 @@ pub enum Scanless {
         "{batches} batches came by a configuration that this program has not given; end any other program that speaks to the \
          board, then reset the board"
     )]
-    Unexplained {
-        /// Their number.
-        batches: u64,
-    },
+    Unexplained { batches: u64 },
     /// Whole packets that this program cannot read.
     #[error("{packets} packets came that cannot be read; build firmware and program from the same source")]
-    Unreadable {
-        /// How many.
-        packets: u64,
-    },
-    /// Damaged packets.
+    Unreadable { packets: u64 },
     #[error("{packets} packets came damaged; check cable, hub and port of the board")]
-    Damaged {
-        /// How many.
-        packets: u64,
-    },
+    Damaged { packets: u64 },
 }
 
-/// Boards and ports in a row.
 fn in_words(listed: &[Listed]) -> String {
     let word = |listed: &Listed| match listed.device() {
         Some(device) => format!("{device} on {}", listed.port.name),

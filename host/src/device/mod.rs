@@ -10,37 +10,31 @@
 //! The host drops no bytes: those not fetched wait in the operating system, then in the board's queue, which drops its
 //! oldest scans when full and so leaves gaps in their numbers.
 
-mod board_info;
 mod conversation;
 mod discovery;
 mod error;
-mod holder;
-mod keep_alive;
 mod orders;
 mod ports;
 mod probe;
-mod selector;
 mod serial;
 mod simulated;
 
 use std::io;
 
-pub(crate) use board_info::BoardInfo;
 pub(crate) use conversation::{Conversation, Keep};
-pub(crate) use discovery::{Found, find, list, locate};
+pub(crate) use discovery::{Found, Selector, find, list, locate};
 pub use error::DeviceError;
 pub(crate) use error::Scanless;
-pub(crate) use holder::holders;
-pub use keep_alive::KeepAlive;
+pub use orders::KeepAlive;
 pub(crate) use ports::{Port, Search, UsbId, ports};
-pub(crate) use probe::{Listed, PortState};
-pub(crate) use selector::Selector;
+pub(crate) use probe::{BoardInfo, Listed, PortState};
 pub use serial::SerialDevice;
+pub(crate) use serial::holders;
 pub(crate) use simulated::{SimulatedDevice, SimulatedPort};
 
 /// A byte stream to and from a board.
 pub trait Device: Send {
-    /// The user's name for it.
+    /// What its user calls the device, in messages.
     fn name(&self) -> &str;
 
     /// Sends bytes to the board.

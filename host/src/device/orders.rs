@@ -1,21 +1,25 @@
 //! Commands other than measurement: introduce, store, identify, reboot.
 
+use std::io::Write;
 use std::num::NonZeroU32;
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use slitpose_protocol::{BootTarget, Command, Hashes, HeadPart, Message, Rejection, Status};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
+use slitpose_protocol::{
+    BootTarget, Command, Hashes, HeadPart, MAX_REQUEST_BYTES, Message, Rejection, Request, Status, encode,
+};
 
 use super::conversation::REPLY_WITHIN;
 use super::{BoardInfo, Conversation, DeviceError, Keep};
+use crate::clock::HostInstant;
+use crate::link::Asked;
 
 /// Timeout of a status: a board sends one every 0.5 s, and the first after opening may be damaged.
 const STATUS_WITHIN: Duration = Duration::from_millis(1500);
 
 impl Conversation {
     /// [`greet`](Self::greet)s the board and returns its hello. The caller decides whether the board can be used.
-    ///
-    /// # Errors
-    /// If no board answers within `within`, or one of another version.
     pub(crate) fn introduce(&mut self, within: Duration) -> Result<BoardInfo, DeviceError> {
         let mut last = None;
         self.greet_within(within, |hello| {
@@ -26,9 +30,6 @@ impl Conversation {
     }
 
     /// Waits for the board's next status. Other messages are dropped meanwhile.
-    ///
-    /// # Errors
-    /// If there is none, or the board has gone.
     pub(crate) fn status(&mut self) -> Result<Status, DeviceError> {
         let until = Instant::now() + STATUS_WITHIN;
         self.decoder.reset();
@@ -51,17 +52,11 @@ impl Conversation {
     }
 
     /// Stores configuration and `hashes` in the board's flash memory.
-    ///
-    /// # Errors
-    /// If the flash memory fails, or the board does not reply.
     pub(crate) fn store(&mut self, hashes: Hashes) -> Result<(), DeviceError> {
         self.order(Command::Store(hashes))
     }
 
     /// Takes the head from the board, which then solves no poses; `false` if it never does.
-    ///
-    /// # Errors
-    /// If the board does not reply.
     pub(crate) fn forget_head(&mut self) -> Result<bool, DeviceError> {
         let none = HeadPart { offset: 0, total: 0, bytes: [].into_iter().collect() };
         match self.order(Command::Head(none)) {
@@ -71,33 +66,21 @@ impl Conversation {
     }
 
     /// Tells the board the full scale of its front end, in picoamperes. The board has no head then.
-    ///
-    /// # Errors
-    /// If the board does not know the command, or does not reply.
     pub(crate) fn set_full_scale(&mut self, full_scale_pa: NonZeroU32) -> Result<(), DeviceError> {
         self.order(Command::FullScale { full_scale_pa })
     }
 
     /// Erases the board's stored configuration and hashes.
-    ///
-    /// # Errors
-    /// If the flash memory fails, or the board does not reply.
     pub(crate) fn forget_stored(&mut self) -> Result<(), DeviceError> {
         self.order(Command::Forget)
     }
 
     /// Lets the board's indicator blink for a number of seconds; 0 ends it.
-    ///
-    /// # Errors
-    /// If it does not reply.
     pub(crate) fn identify(&mut self, seconds: u8) -> Result<(), DeviceError> {
         self.order(Command::Identify { seconds })
     }
 
     /// Reboots the board. It replies first, and disconnects within 0.2 s.
-    ///
-    /// # Errors
-    /// If it does not reply.
     pub(crate) fn reboot(&mut self, target: BootTarget) -> Result<(), DeviceError> {
         self.order(Command::Reboot(target))
     }
@@ -109,15 +92,76 @@ impl Conversation {
     }
 }
 
+/// Interval of pings: a board on a link without modem lines goes dark after 2 s without a command, four intervals.
+pub(super) const INTERVAL: Duration = Duration::from_millis(500);
+
+/// Most sent pings kept until they are fetched.
+const MAX_UNTOLD: usize = 16;
+
+/// Number of the pings; a [`Conversation`](super::Conversation) counts its commands from 1.
+pub(super) const PING: u16 = 0;
+
+/// Sends pings until dropped, on its own thread so that a slow reader of the poses does not darken the
+/// board. No other thread may write to the port meanwhile.
+#[derive(Debug)]
+pub struct KeepAlive {
+    end: Option<Sender<()>>,
+    asked: Receiver<Asked>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl KeepAlive {
+    /// Starts pings through `port`, at once and every half second.
+    pub fn new(mut port: impl Write + Send + 'static) -> Self {
+        let (end, ended) = bounded(0);
+        let (tell, asked) = bounded(MAX_UNTOLD);
+        let thread = std::thread::spawn(move || {
+            for token in 0.. {
+                let mut buffer = [0; MAX_REQUEST_BYTES];
+                if let Some((ping, told)) = ping(token, &mut buffer) {
+                    // Queued before it is sent, so that its answer cannot come first.
+                    let _ = tell.try_send(told);
+                    // The loss of the port is detected by its reader.
+                    let _ = port.write_all(ping);
+                }
+                if ended.recv_timeout(INTERVAL) != Err(RecvTimeoutError::Timeout) {
+                    break;
+                }
+            }
+        });
+        Self { end: Some(end), asked, thread: Some(thread) }
+    }
+
+    /// The next sent ping that was not fetched yet.
+    pub fn asked(&self) -> Option<Asked> {
+        self.asked.try_recv().ok()
+    }
+}
+
+pub(super) fn ping(token: u32, buffer: &mut [u8]) -> Option<(&[u8], Asked)> {
+    let packet = encode(&Request { number: PING, command: Command::Ping { token } }, buffer).ok()?;
+    Some((packet, Asked { token, at: HostInstant::now() }))
+}
+
+impl Drop for KeepAlive {
+    fn drop(&mut self) {
+        drop(self.end.take());
+        if let Some(thread) = self.thread.take() {
+            // It does not panic.
+            let _ = thread.join();
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
+    use slitpose_head::pace::Speed;
+    use slitpose_head::scene_file::WIDE;
+    use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
     use slitpose_model::Tier;
 
     use super::*;
     use crate::device::SimulatedDevice;
-    use slitpose_head::pace::Speed;
-    use slitpose_head::scene_file::WIDE;
-    use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
 
     #[test]
     fn a_board_does_as_it_is_told() {

@@ -30,18 +30,13 @@ const DEBUGGERS: [(u16, u16); 9] = [
     (0x0483, 0x3757),
 ];
 
-/// USB descriptors.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub(crate) struct UsbId {
-    /// Vendor number.
     pub vid: u16,
-    /// Product number.
     pub pid: u16,
     /// Serial number, if any; that of a debugger is not that of the board behind it.
     pub serial: Option<String>,
-    /// Name of the manufacturer.
     pub manufacturer: Option<String>,
-    /// Name of the product.
     pub product: Option<String>,
 }
 
@@ -64,10 +59,8 @@ impl UsbId {
     }
 }
 
-/// A serial port.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Port {
-    /// Its path.
     pub name: String,
     /// Descriptors of the USB device, if it is one.
     pub(crate) usb: Option<UsbId>,

@@ -2,34 +2,30 @@
 
 use std::time::Duration;
 
-use slitpose_protocol::ProtocolVersion;
+use serde::{Serialize, Serializer};
+use slitpose_protocol::schema::SchemaMismatch;
+use slitpose_protocol::{AdcScaling, BoardKind, Hashes, Hello, PROTOCOL, ProtocolVersion, ResetCause, Schedule};
 
 use super::ports::Port;
-use super::{BoardInfo, Conversation, DeviceError, SerialDevice};
+use super::{Conversation, DeviceError, SerialDevice};
 use crate::link::DeviceId;
 
 /// Timeout: a running board answers within milliseconds; the rest is for a busy host.
 const ANSWER_WITHIN: Duration = Duration::from_secs(1);
 
-/// The state of a port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum PortState {
     /// It was not asked.
     NotAsked,
-    /// A board answers.
     Free,
-    /// Another program has it.
     InUse,
     /// This user may not open it.
     NoPermission,
-    /// No board answers.
     NoAnswer,
-    /// A board with another protocol.
     OtherVersion(ProtocolVersion),
 }
 
 impl PortState {
-    /// In words.
     pub(crate) fn as_str(self) -> &'static str {
         match self {
             Self::NotAsked => "not asked",
@@ -45,11 +41,8 @@ impl PortState {
 /// A port, its state and its board.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Listed {
-    /// The port.
     pub port: Port,
-    /// Its state.
     pub(crate) state: PortState,
-    /// The board's hello.
     pub(crate) board: Option<BoardInfo>,
 }
 
@@ -59,7 +52,6 @@ impl Listed {
         Self { port, state: PortState::NotAsked, board: None }
     }
 
-    /// Asks a port.
     pub fn ask(port: Port) -> Self {
         match greet(&port.name) {
             Ok(board) => {
@@ -103,4 +95,108 @@ impl Listed {
 
 fn greet(port: &str) -> Result<BoardInfo, DeviceError> {
     Conversation::open(Box::new(SerialDevice::open(port)?))?.introduce(ANSWER_WITHIN)
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct BoardInfo {
+    pub device: DeviceId,
+    pub kind: BoardKind,
+    pub board: String,
+    pub firmware: String,
+    pub protocol: ProtocolVersion,
+    /// The first kind of message with another layout than in this program, if any.
+    pub mismatch: Option<SchemaMismatch>,
+    /// Cause of its last reset.
+    pub reset_cause: ResetCause,
+    pub hashes: Hashes,
+    pub scaling: AdcScaling,
+    pub configuration: u16,
+    pub schedule: Schedule,
+}
+
+impl From<&Hello<'_>> for BoardInfo {
+    fn from(hello: &Hello<'_>) -> Self {
+        Self {
+            device: DeviceId(hello.device_id),
+            kind: hello.kind,
+            board: hello.board.to_owned(),
+            firmware: hello.firmware.to_owned(),
+            protocol: hello.protocol,
+            mismatch: hello.check_schemas().err(),
+            reset_cause: hello.reset_cause,
+            hashes: hello.hashes,
+            scaling: hello.scaling,
+            configuration: hello.configuration,
+            schedule: hello.schedule.clone(),
+        }
+    }
+}
+
+impl BoardInfo {
+    /// `physical` or `simulated`.
+    pub(crate) fn kind_name(&self) -> &'static str {
+        match self.kind {
+            BoardKind::Physical => "physical",
+            BoardKind::Simulated => "simulated",
+        }
+    }
+
+    /// Cause of its last reset, in one word.
+    pub(crate) fn reset_cause_name(&self) -> &'static str {
+        match self.reset_cause {
+            ResetCause::Unknown => "unknown",
+            ResetCause::PowerOn => "power_on",
+            ResetCause::BrownOut => "brown_out",
+            ResetCause::Pin => "pin",
+            ResetCause::Software => "software",
+            ResetCause::Watchdog => "watchdog",
+            ResetCause::Panic => "panic",
+            ResetCause::StackOverflow => "stack_overflow",
+        }
+    }
+}
+
+#[derive(Serialize)]
+struct Fields<'a> {
+    serial: DeviceId,
+    board: &'a str,
+    kind: &'a str,
+    firmware: &'a str,
+    protocol: String,
+    program_protocol: String,
+    /// The kind of message with another layout than in this program.
+    mismatch: Option<&'a str>,
+    reset_cause: &'a str,
+    /// 16 hexadecimal digits, as in messages: JSON numbers do not hold 64 bits everywhere.
+    scene_hash: Option<String>,
+    calibration_hash: Option<String>,
+    full_scale_a: f64,
+    scaling: AdcScaling,
+    frame_rate_hz: f64,
+    configuration: u16,
+    schedule: &'a Schedule,
+}
+
+impl Serialize for BoardInfo {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let hex = |hash: Option<u64>| hash.map(|hash| format!("{hash:016x}"));
+        let fields = Fields {
+            serial: self.device,
+            board: &self.board,
+            kind: self.kind_name(),
+            firmware: &self.firmware,
+            protocol: self.protocol.to_string(),
+            program_protocol: PROTOCOL.to_string(),
+            mismatch: self.mismatch.map(|mismatch| mismatch.name),
+            reset_cause: self.reset_cause_name(),
+            scene_hash: hex(self.hashes.scene),
+            calibration_hash: hex(self.hashes.calibration),
+            full_scale_a: self.scaling.full_scale_a(),
+            scaling: self.scaling,
+            frame_rate_hz: self.schedule.frame_rate_hz(),
+            configuration: self.configuration,
+            schedule: &self.schedule,
+        };
+        fields.serialize(serializer)
+    }
 }

@@ -13,7 +13,6 @@ use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::{SimulatedBoard, SimulatorError, Trajectory, TrajectoryKind};
 use slitpose_head::threads::lock;
 
-/// What its user calls it.
 const NAME: &str = "sim";
 
 /// Device time that passes between two waits.
@@ -51,17 +50,11 @@ struct FaultyWire {
 
 impl SimulatedDevice {
     /// A board for trials, without end and in real time: the head of `file`, a smoothly moved tool.
-    ///
-    /// # Errors
-    /// If a board cannot run the scene.
     pub(crate) fn live(file: &SceneFile) -> Result<Self, SimulatorError> {
         Self::endless(file, Trajectory::of_kind(TrajectoryKind::Smooth, 1, MOTION_S).within(&file.workspace))
     }
 
     /// As [`live`](Self::live), with the tool at rest at home.
-    ///
-    /// # Errors
-    /// If a board cannot run the scene.
     pub(crate) fn at_rest(file: &SceneFile) -> Result<Self, SimulatorError> {
         Self::endless(file, Trajectory::of_kind(TrajectoryKind::Still, 1, MOTION_S))
     }
@@ -89,7 +82,6 @@ impl SimulatedDevice {
         }
     }
 
-    /// With faults on its link.
     #[must_use]
     pub(crate) fn with_faults(mut self, injector: Option<Injector>) -> Self {
         self.wire = injector.map(|injector| Box::new(FaultyWire { injector, sent: Vec::new(), hung_up_s: None }));

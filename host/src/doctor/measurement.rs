@@ -14,7 +14,6 @@ use slitpose_head::finding::Finding;
 use slitpose_head::front_end::{self, TimingError};
 use slitpose_head::scene_file::SceneFile;
 
-/// The tier for streams.
 const TIER: Tier = Tier::Exact { tolerance: 1e-6 };
 
 /// Duration limit relative to real time, for slow emulators; and the time to begin.
@@ -44,24 +43,18 @@ const BUSIEST_PERMILLE: u16 = 900;
 /// Most warnings and errors of the board that are kept.
 const EVENTS: usize = 5;
 
-/// Why the measurement failed.
 #[derive(Debug, Error)]
 pub(super) enum MeasurementError {
-    /// The scene's optics.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// The scene's schedule.
     #[error(transparent)]
     Timing(#[from] TimingError),
-    /// The stream.
     #[error(transparent)]
     Pipeline(#[from] PipelineError),
-    /// The board.
     #[error(transparent)]
     Device(#[from] DeviceError),
 }
 
-/// The result of a measurement.
 #[derive(Clone, Debug)]
 pub(super) struct Measurement {
     counts: Counts,
@@ -150,7 +143,6 @@ impl Measurement {
         (seconds > 0.0).then(|| self.bytes as f64 / seconds)
     }
 
-    /// The findings.
     pub(super) fn checks(&self) -> Vec<Finding> {
         let mut checks = vec![
             self.rate(),

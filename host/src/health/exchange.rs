@@ -7,7 +7,6 @@ use slitpose_model::{
 };
 use slitpose_protocol::Schedule;
 
-/// Scans kept for the trials.
 const SAMPLES: usize = 8;
 
 /// Least number of scans that distinguish an exchange from chance.
@@ -82,7 +81,6 @@ impl Exchange {
         }
     }
 
-    /// The photocurrents without the exchange.
     fn undone(&self, photocurrents: &Photocurrents) -> Photocurrents {
         let mut photocurrents = photocurrents.clone();
         match *self {
@@ -114,7 +112,6 @@ pub(super) struct Search {
     found: Option<Exchange>,
 }
 
-/// The progress of a search.
 #[derive(Clone, Copy, Debug)]
 struct Trial {
     exchange: Exchange,

@@ -1,7 +1,6 @@
 //! Verdicts from the sums of a window.
 
-use super::diagnosis::{CellHealth, Diagnosis, Fault, HeadHealth, Shares, Verdict};
-use super::places::Residuals;
+use super::diagnosis::{CellHealth, Diagnosis, Fault, HeadHealth, Residuals, Shares, Verdict};
 use super::window::{Bucket, CellSums};
 use super::{Cell, Exchange, Health};
 use slitpose_head::finding::Finding;
@@ -9,7 +8,6 @@ use slitpose_head::finding::Finding;
 /// Least number of scans for a verdict.
 const LEAST_SCANS: u32 = 32;
 
-/// Cells that a pose needs.
 const NEEDED: usize = 3;
 
 /// Share of scans above which a condition is a fault. It may occur in fewer, at the edge of the workspace.
@@ -28,7 +26,7 @@ const NOISY_FROM: f64 = 2.0;
 const LIVELY_STEPS: f64 = 0.5;
 
 /// χ² by its expectation from which a calibration counts as stale. Model errors are part of the expectation, so that its
-/// mean over [`super::places`] is near 1; a cell that has moved by 15 µm makes it 3.
+/// mean over [`super::diagnosis`] is near 1; a cell that has moved by 15 µm makes it 3.
 const STALE: f64 = 2.5;
 
 /// Share that stands for all scans, as the first one after a gap does not count.
@@ -72,7 +70,6 @@ impl Health {
         HeadHealth { unexplained, cells, findings }
     }
 
-    /// A calibration whose residuals have grown.
     fn stale(&self) -> Option<Diagnosis> {
         let now_s = self.before.as_ref()?.tick as f64 * self.tick_s;
         let Residuals { chi2, shifts_m } = self.places.as_ref()?.residuals(now_s)?;
@@ -92,7 +89,6 @@ impl Health {
         Some(Diagnosis { fault, finding: Finding::failed("head", text, next_step) })
     }
 
-    /// The measurements of a cell.
     fn measure(&self, cell: usize, sum: &Bucket) -> CellHealth {
         let (known, sums) = (&self.cells[cell], &sum.cells[cell]);
         let step_a = self.step_a();

@@ -11,7 +11,6 @@
 mod diagnosis;
 mod exchange;
 mod judge;
-mod places;
 #[cfg(test)]
 mod tests;
 mod window;
@@ -22,8 +21,8 @@ use slitpose_protocol::{AdcScaling, RawScan, Schedule};
 pub use diagnosis::{CellHealth, CellTotals, Diagnosis, Fault, HeadHealth, Shares, Verdict};
 pub use exchange::Exchange;
 
+use diagnosis::Places;
 use exchange::Search;
-use places::Places;
 use slitpose_head::front_end::{self, Settling, Stage};
 use slitpose_head::scene_file::SceneFile;
 use window::{Bucket, Turn, Window};
@@ -213,7 +212,6 @@ impl Health {
         self.search.update(photocurrents, troubled);
     }
 
-    /// A bucket is full.
     fn turned(&mut self) {
         if !self.window.is_full() {
             return;

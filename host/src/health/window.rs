@@ -6,7 +6,6 @@ use slitpose_protocol::WordPair;
 /// Full buckets of a window; one more is being filled.
 const FULL: usize = 4;
 
-/// Sums of one cell.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct CellSums {
     pub(super) saturated: u32,
@@ -76,7 +75,6 @@ impl DarkSums {
     }
 }
 
-/// Sums of all cells.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Bucket {
     pub(super) scans: u32,
@@ -111,15 +109,12 @@ impl Bucket {
 /// The effect of a new scan on the window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Turn {
-    /// It belongs to the current bucket.
     Same,
-    /// The current bucket is full.
     Next,
     /// The buckets are too old, or the clock has restarted.
     Anew,
 }
 
-/// A ring of buckets.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Window {
     buckets: [Bucket; FULL + 1],
@@ -151,7 +146,6 @@ impl Window {
         }
     }
 
-    /// The current bucket.
     pub(super) fn current(&mut self) -> &mut Bucket {
         &mut self.buckets[index_of(self.number.unwrap_or(0))]
     }
@@ -161,7 +155,6 @@ impl Window {
         self.full == FULL
     }
 
-    /// The sum of all buckets.
     pub(super) fn sum(&self) -> Bucket {
         let mut sum = Bucket::default();
         self.buckets.iter().for_each(|bucket| sum.add(bucket));

@@ -1,14 +1,18 @@
-//! What a page may change, and how that is refused.
+//! What a page may change, who may look at it and change it, and how that is refused.
 
-use serde::Serialize;
+use std::fmt;
+use std::net::SocketAddr;
+use std::str::FromStr;
+
+use serde::{Deserialize, Deserializer, Serialize};
+use serde_json::{Map, Value};
 use thiserror::Error;
 
-/// A change.
+use crate::http::{self, Reach};
+
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Order {
-    /// Start or end a recording.
     Record(bool),
-    /// Play a capture otherwise.
     Player(PlayerOrder),
     /// Make the present pose the zero of the 6-DoF mouse.
     Zero,
@@ -17,7 +21,6 @@ pub(crate) enum Order {
 /// How a capture is to be played; what is `None` stays as it is.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct PlayerOrder {
-    /// Go on, or pause.
     pub playing: Option<bool>,
     /// Device seconds per second; `Some(None)`: as fast as it goes.
     pub speed: Option<Option<f64>>,
@@ -25,66 +28,36 @@ pub(crate) struct PlayerOrder {
     pub seek_s: Option<f64>,
 }
 
-/// How a capture is played.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 #[serde(tag = "kind", rename = "player")]
 pub(crate) struct PlayerState {
-    /// Whether it goes on.
     pub playing: bool,
     /// Device seconds per second; `None`: as fast as it goes.
     pub speed: Option<f64>,
-    /// Seconds after the beginning.
     pub position_s: f64,
     /// Length of the capture, seconds.
     pub duration_s: f64,
-    /// The file.
     pub file: String,
-    /// Whether its end is reached.
     pub ended: bool,
 }
 
 /// Why an order is not carried out.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub(crate) enum Refusal {
-    /// Looking only.
     #[error("this page may look only; start slitpose with --live-writes to change that")]
     ReadOnly,
-    /// The token.
     #[error("the token is missing or wrong; add #token= and the secret of --live-token to the address")]
     Token,
-    /// Too many clients.
     #[error("as many clients look already as there are places; close one of them")]
     Full,
-    /// Something that this kind of program does not have.
     #[error("there is no {what} here; {instead}")]
-    NotHere {
-        /// What was asked for.
-        what: &'static str,
-        /// Where there is one.
-        instead: &'static str,
-    },
-    /// A request that cannot be read.
+    NotHere { what: &'static str, instead: &'static str },
     #[error("cannot read the request: {reason}")]
-    Unreadable {
-        /// Why.
-        reason: String,
-    },
-    /// A value beyond its limits.
+    Unreadable { reason: String },
     #[error("{key} is {value}; give {hint}")]
-    Value {
-        /// The key.
-        key: &'static str,
-        /// Its value.
-        value: f64,
-        /// A good one.
-        hint: &'static str,
-    },
-    /// The recording could not be started or ended.
+    Value { key: &'static str, value: f64, hint: &'static str },
     #[error("{reason}")]
-    Recording {
-        /// Why, with the next step.
-        reason: String,
-    },
+    Recording { reason: String },
 }
 
 impl Refusal {
@@ -100,11 +73,249 @@ impl Refusal {
         Self::NotHere { what: "6-DoF mouse", instead: "`slitpose run --spacenav PATH --live` has one" };
 }
 
-/// Carries out orders.
 pub(crate) trait Control: Send + Sync {
     /// Carries out `order`, or begins to.
-    ///
-    /// # Errors
-    /// If it cannot be carried out.
     fn order(&self, order: Order) -> Result<(), Refusal>;
+}
+
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+pub(super) enum Request {
+    /// The first one.
+    Hello {
+        /// The server's token, if it asks for one.
+        token: Option<String>,
+    },
+    /// How many messages have been received since the connection began.
+    Ack {
+        messages: u64,
+    },
+    Record {
+        on: bool,
+    },
+    Player {
+        playing: Option<bool>,
+        /// Device seconds per second; `null`: as fast as it goes.
+        #[serde(default, deserialize_with = "given")]
+        speed: Option<Option<f64>>,
+        /// Go on from here, seconds after the beginning.
+        seek_s: Option<f64>,
+    },
+    /// Make the present pose the zero of the 6-DoF mouse.
+    Zero {},
+    Pose {
+        /// Translation, metres.
+        t_m: [f64; 3],
+        r_rad: [f64; 3],
+    },
+}
+
+impl Request {
+    /// The request in `text`: an object. Of a list serde would take the first value for its kind.
+    pub(super) fn read(text: &str) -> serde_json::Result<Self> {
+        let object: Map<String, Value> = serde_json::from_str(text)?;
+        serde_json::from_value(Value::Object(object))
+    }
+}
+
+/// Whether `text` is a request.
+pub(crate) fn is_request(text: &str) -> bool {
+    Request::read(text).is_ok()
+}
+
+/// Tells a `null` from a key that is absent.
+fn given<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Option<f64>>, D::Error> {
+    Option::deserialize(deserializer).map(Some)
+}
+
+/// The address of the page unless another is given.
+pub(crate) const DEFAULT_LIVE_ADDRESS: &str = "127.0.0.1:7451";
+
+/// Shortest token: 16 characters are beyond guessing over a network.
+const LEAST_TOKEN: usize = 16;
+
+/// A host and a port to listen on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct LiveAddress(pub(super) SocketAddr);
+
+/// Why a page cannot be served so.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub(crate) enum AccessError {
+    #[error("`{text}` is no address; give one such as {DEFAULT_LIVE_ADDRESS}, [::1]:7451 or 0.0.0.0:7451")]
+    Address { text: String },
+    #[error(
+        "{address} can be reached from other hosts: give --live-token with a secret of {LEAST_TOKEN} characters or more, \
+         or listen on 127.0.0.1"
+    )]
+    NoToken { address: SocketAddr },
+    #[error("a token of {found} characters can be guessed; give --live-token with {LEAST_TOKEN} characters or more")]
+    ShortToken { found: usize },
+    #[error("a token has letters, digits, `-`, `_`, `.` and `~` only; `{letter}` is none of them")]
+    Letter {
+        /// The first other one.
+        letter: char,
+    },
+}
+
+impl FromStr for LiveAddress {
+    type Err = AccessError;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        http::tcp_address(text).map(Self).ok_or_else(|| AccessError::Address { text: text.to_owned() })
+    }
+}
+
+impl fmt::Display for LiveAddress {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+#[derive(Clone, PartialEq, Eq)]
+pub(crate) struct Access {
+    pub(super) address: SocketAddr,
+    token: Option<String>,
+    /// Whether a page may start recordings and move a replay.
+    may_write: bool,
+}
+
+impl fmt::Debug for Access {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { address, token, may_write } = self;
+        let token = token.as_ref().map(|_| "…");
+        f.debug_struct("Access").field("address", address).field("token", &token).field("may_write", may_write).finish()
+    }
+}
+
+impl Access {
+    /// Pages at `address`. Those of other hosts need `token`, and change something only if `writes` allows it.
+    pub(crate) fn new(address: LiveAddress, token: Option<String>, writes: bool) -> Result<Self, AccessError> {
+        let LiveAddress(address) = address;
+        if let Some(token) = &token {
+            let is_plain = |letter: &char| letter.is_ascii_alphanumeric() || "-_.~".contains(*letter);
+            if let Some(letter) = token.chars().find(|letter| !is_plain(letter)) {
+                return Err(AccessError::Letter { letter });
+            }
+            if token.len() < LEAST_TOKEN {
+                return Err(AccessError::ShortToken { found: token.len() });
+            }
+        }
+        let is_local = address.ip().is_loopback();
+        if !is_local && token.is_none() {
+            return Err(AccessError::NoToken { address });
+        }
+        Ok(Self { address, token, may_write: is_local || writes })
+    }
+
+    /// Whether a page may start recordings and move a replay.
+    pub(crate) fn may_write(&self) -> bool {
+        self.may_write
+    }
+
+    /// The hosts that may connect.
+    pub(super) fn reach(&self) -> Reach {
+        if self.address.ip().is_loopback() { Reach::Loopback } else { Reach::Anywhere }
+    }
+
+    /// Whether `token` is the right one, or none is needed. Takes the same time for every wrong one of the right length.
+    pub(super) fn admits(&self, token: Option<&str>) -> bool {
+        let Some(own) = &self.token else { return true };
+        let token = token.unwrap_or_default();
+        let differences = own.bytes().zip(token.bytes()).fold(0, |sum, (own, other)| sum | (own ^ other));
+        own.len() == token.len() && std::hint::black_box(differences) == 0
+    }
+
+    /// The URL of the page at the address that was bound.
+    pub(super) fn url(&self, bound: SocketAddr) -> String {
+        let token = self.token.as_ref().map_or(String::new(), |token| format!("#token={token}"));
+        // A browser cannot ask for "every address".
+        let host = match bound.ip() {
+            ip if ip.is_unspecified() => "127.0.0.1".to_owned(),
+            std::net::IpAddr::V6(ip) => format!("[{ip}]"),
+            ip => ip.to_string(),
+        };
+        format!("http://{host}:{}/{token}", bound.port())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(text: &str) -> Option<Request> {
+        Request::read(text).ok()
+    }
+
+    #[test]
+    fn requests_are_read_or_refused() {
+        assert_eq!(read(r#"{"kind":"hello"}"#), Some(Request::Hello { token: None }));
+        assert_eq!(read(r#"{"kind":"ack","messages":7}"#), Some(Request::Ack { messages: 7 }));
+        let player = |playing, speed, seek_s| Some(Request::Player { playing, speed, seek_s });
+        assert_eq!(read(r#"{"kind":"player","playing":true}"#), player(Some(true), None, None));
+        assert_eq!(read(r#"{"kind":"player","speed":null}"#), player(None, Some(None), None));
+        assert_eq!(read(r#"{"kind":"player","speed":0.5,"seek_s":3}"#), player(None, Some(Some(0.5)), Some(3.0)));
+        for text in [
+            "",
+            "7",
+            r#"["zero"]"#,
+            r#"["ack",7]"#,
+            r#"{"kind":"erase"}"#,
+            r#"{"kind":"ack"}"#,
+            r#"{"kind":"ack","messages":-1}"#,
+            r#"{"kind":"record","on":true,"file":"/etc/passwd"}"#,
+            r#"{"kind":"pose","t_m":[1,2],"r_rad":[0,0,0]}"#,
+        ] {
+            assert_eq!(read(text), None, "{text}");
+        }
+    }
+
+    const TOKEN: &str = "correct-horse-battery";
+
+    fn access(address: &str, token: Option<&str>, writes: bool) -> Result<Access, AccessError> {
+        Access::new(address.parse().unwrap(), token.map(str::to_owned), writes)
+    }
+
+    #[test]
+    fn other_hosts_need_a_token_and_leave_to_write() {
+        for local in [DEFAULT_LIVE_ADDRESS, "localhost:0", "[::1]:7451", "127.8.9.1:80"] {
+            let open = access(local, None, false).unwrap();
+            assert!(open.may_write && open.reach() == Reach::Loopback && open.admits(None), "{local}");
+        }
+        for wide in ["0.0.0.0:7451", "[::]:7451", "192.0.2.1:80"] {
+            assert!(matches!(access(wide, None, true), Err(AccessError::NoToken { .. })), "{wide}");
+            let guarded = access(wide, Some(TOKEN), false).unwrap();
+            assert!(!guarded.may_write && guarded.reach() == Reach::Anywhere, "{wide}");
+            assert!(access(wide, Some(TOKEN), true).unwrap().may_write, "{wide}");
+        }
+    }
+
+    #[test]
+    fn only_the_whole_token_admits() {
+        for address in ["127.0.0.1:0", "0.0.0.0:0"] {
+            let guarded = access(address, Some(TOKEN), false).unwrap();
+            assert!(guarded.admits(Some(TOKEN)));
+            for wrong in [None, Some(""), Some("correct-horse-batterz"), Some("correct-horse-batter"), Some("correct")]
+            {
+                assert!(!guarded.admits(wrong), "{wrong:?}");
+            }
+            assert!(!guarded.admits(Some(&format!("{TOKEN}s"))));
+            assert!(!format!("{guarded:?}").contains("horse"));
+        }
+        assert_eq!(access("127.0.0.1:0", Some("short"), false), Err(AccessError::ShortToken { found: 5 }));
+        let letter = access("127.0.0.1:0", Some("a token with spaces"), false);
+        assert_eq!(letter, Err(AccessError::Letter { letter: ' ' }));
+    }
+
+    #[test]
+    fn addresses_are_read_as_they_are_written() {
+        for text in [DEFAULT_LIVE_ADDRESS, "[::1]:7451", "0.0.0.0:1"] {
+            assert_eq!(text.parse::<LiveAddress>().unwrap().to_string(), text);
+        }
+        for text in ["", "7451", "localhost:", "example.org:80", "unix:/run/live", "127.0.0.1:99999"] {
+            assert!(text.parse::<LiveAddress>().is_err(), "{text}");
+        }
+        let guarded = access("0.0.0.0:0", Some(TOKEN), false).unwrap();
+        assert_eq!(guarded.url("0.0.0.0:80".parse().unwrap()), format!("http://127.0.0.1:80/#token={TOKEN}"));
+        assert_eq!(access("[::1]:0", None, false).unwrap().url("[::1]:5".parse().unwrap()), "http://[::1]:5/");
+    }
 }

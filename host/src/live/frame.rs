@@ -1,13 +1,16 @@
 //! One moment of a board, as the page shows it.
 
+use std::fmt::Debug;
+use std::sync::Arc;
+
 use serde::Serialize;
 use slitpose_calibration::Head;
 use slitpose_model::{
     Estimate, Pair, Photocurrents, Plan, Pose, Reading, SceneError, Solution, Status, Tier, TwistEstimate,
 };
 
-use super::sampler::{Sample, coordinates};
-use crate::pipeline::reason;
+use crate::clock::HostInstant;
+use crate::pipeline::{Record, reason};
 
 /// Relative error of the integrals: a page shows three digits.
 const TIER: Tier = Tier::Exact { tolerance: 1e-3 };
@@ -61,7 +64,6 @@ struct FilteredPlace {
 
 #[derive(Serialize)]
 struct CellFrame {
-    /// Photocurrents of both electrodes.
     i_a: Option<[f32; 2]>,
     /// The light's position by them, by the model, and the ends of the spot by the model.
     x_m: Option<f32>,
@@ -71,7 +73,6 @@ struct CellFrame {
 }
 
 impl FrameMessage<'_> {
-    /// Says nothing of accuracy.
     pub(super) fn forget_accuracy(&mut self) {
         (self.sigma, self.cov_t) = (None, None);
     }
@@ -100,9 +101,6 @@ struct Known {
 
 impl Optics {
     /// Those of `head`.
-    ///
-    /// # Errors
-    /// If its scene cannot be computed.
     pub(super) fn of(head: &Head) -> Result<Self, SceneError> {
         let scene = &head.file.scene;
         let cells = scene.cells.iter().map(|cell| Known {
@@ -113,7 +111,6 @@ impl Optics {
         Ok(Self { plan: Plan::compile(scene, TIER)?, cells: cells.collect() })
     }
 
-    /// The frame of a sample.
     pub(super) fn frame(&self, board: usize, n: u64, sample: &Sample) -> FrameMessage<'static> {
         let Sample { record, photocurrents, scans, poses, range } = sample;
         let numbers = range.map(|range| range.map(single));
@@ -137,7 +134,6 @@ impl Optics {
         }
     }
 
-    /// The frame of a solution alone.
     pub(super) fn solved(
         &self,
         board: usize,
@@ -234,6 +230,89 @@ fn rounded(value: f64) -> f32 {
     let scale = 10_f64.powi((3.0 - value.abs().log10().floor()) as i32);
     let rounded = (value * scale).round() / scale;
     if rounded.is_finite() { rounded as f32 } else { value as f32 }
+}
+
+/// Samples per second of the host's clock.
+pub(super) const FRAMES_HZ: u64 = 60;
+
+/// The newest pose of a board, and the range of all since the sample before.
+#[derive(Clone, Debug)]
+pub(crate) struct Sample {
+    pub(super) record: Record,
+    pub(super) photocurrents: Photocurrents,
+    /// Scans since the sample before.
+    pub(super) scans: u32,
+    /// Scans of these that had a pose.
+    pub(super) poses: u32,
+    /// Least and greatest coordinates of these poses: translation, rotation vector; metres, radians.
+    pub(super) range: Option<[[f64; 6]; 2]>,
+}
+
+impl Sample {
+    /// The pose of the newest scan; `None` if it has none.
+    pub(crate) fn pose(&self) -> Option<Pose> {
+        self.record.solution.estimate.map(|estimate| estimate.pose)
+    }
+}
+
+/// Takes samples from the threads that solve.
+pub(crate) trait TakesSamples: Debug + Send + Sync {
+    /// Takes a sample of a board; `false` if it has no time. Never blocks.
+    fn sample(&self, board: usize, sample: &Sample) -> bool;
+}
+
+/// Makes the samples of one board. Never blocks.
+#[derive(Debug)]
+pub(crate) struct Sampler {
+    board: usize,
+    taker: Arc<dyn TakesSamples>,
+    due_ns: u64,
+    newest: Option<Record>,
+    scans: u32,
+    poses: u32,
+    range: Option<[[f64; 6]; 2]>,
+}
+
+impl Sampler {
+    /// Samples of the board of this number, for `taker`.
+    pub(crate) fn new(board: usize, taker: Arc<dyn TakesSamples>) -> Self {
+        Self { board, taker, due_ns: 0, newest: None, scans: 0, poses: 0, range: None }
+    }
+
+    pub(crate) fn add(&mut self, record: &Record) {
+        self.newest = Some(*record);
+        self.scans += 1;
+        if let Some(estimate) = &record.solution.estimate {
+            self.poses += 1;
+            let at = coordinates(&estimate.pose);
+            let [low, high] = self.range.get_or_insert([at; 2]);
+            for ((low, high), value) in low.iter_mut().zip(high).zip(at) {
+                *low = low.min(value);
+                *high = high.max(value);
+            }
+        }
+    }
+
+    /// Sends a sample if one is due; `photocurrents` are those of the scan added last.
+    pub(crate) fn send(&mut self, photocurrents: Option<&Photocurrents>, now: HostInstant) {
+        const PERIOD_NS: u64 = 1_000_000_000 / FRAMES_HZ;
+        if now.monotonic_ns < self.due_ns {
+            return;
+        }
+        let (Some(record), Some(photocurrents)) = (self.newest, photocurrents) else { return };
+        let Self { board, scans, poses, range, .. } = *self;
+        let photocurrents = photocurrents.clone();
+        // A sample that is not taken in time is part of the next one.
+        if self.taker.sample(board, &Sample { record, photocurrents, scans, poses, range }) {
+            (self.newest, self.scans, self.poses, self.range) = (None, 0, 0, None);
+        }
+        self.due_ns = (self.due_ns + PERIOD_NS).max(now.monotonic_ns + PERIOD_NS / 2);
+    }
+}
+
+pub(super) fn coordinates(pose: &Pose) -> [f64; 6] {
+    let ([tx, ty, tz], [rx, ry, rz]) = (pose.translation_m.to_array(), pose.rotation_rad().to_array());
+    [tx, ty, tz, rx, ry, rz]
 }
 
 #[cfg(test)]

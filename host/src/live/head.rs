@@ -1,9 +1,14 @@
 //! The geometry of a head, as the page draws it.
 
+use axum::extract::ws::Utf8Bytes;
 use serde::Serialize;
 use slitpose_calibration::{Basis, Head};
+use slitpose_design::map::{NoiseOf, Outlook};
 use slitpose_design::{MaskFrame, mask_half_extents_m};
-use slitpose_model::{Cell, Opening};
+use slitpose_model::{Cell, Opening, Pose, SceneError};
+
+use super::frame::Optics;
+use super::hub::text_of;
 
 /// A head. Detectors and masks are in frame base, metres; emitters, and masks that ride, in frame tool.
 #[derive(Serialize)]
@@ -117,5 +122,28 @@ impl CellParts {
             emitter: EmitterPart { position_m: emitter.position_tool_m.to_array(), axis: emitter.axis_tool.to_array() },
             second_axis_of: cell.other_axis().filter(|_| cell.is_second_axis(number)),
         }
+    }
+}
+
+pub(crate) struct SceneView {
+    outlook: Outlook,
+    optics: Optics,
+}
+
+impl SceneView {
+    /// Of `head`.
+    pub(crate) fn of(head: &Head) -> Result<Self, SceneError> {
+        Ok(Self { outlook: Outlook::of(head.clone())?, optics: Optics::of(head)? })
+    }
+
+    /// The frame, number `n`, with the tool at rest at `pose`; accuracy is the Cramér–Rao bound, and absent where the scene
+    /// states no noise.
+    pub(super) fn frame(&self, n: u64, pose: &Pose) -> Option<Utf8Bytes> {
+        let (readings, solution) = self.outlook.frame_at(pose);
+        let mut frame = self.optics.solved(0, n, &solution, &readings);
+        if self.outlook.noise == NoiseOf::Nothing {
+            frame.forget_accuracy();
+        }
+        text_of(&frame)
     }
 }

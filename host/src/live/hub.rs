@@ -12,9 +12,8 @@ use tokio::sync::broadcast;
 use tokio::sync::mpsc::{Receiver, Sender, channel};
 
 use super::control::PlayerState;
-use super::frame::Optics;
+use super::frame::{FRAMES_HZ, Optics, Sample, TakesSamples};
 use super::head::HeadMessage;
-use super::sampler::{FRAMES_HZ, Sample, TakesSamples};
 use crate::clock::HostInstant;
 use crate::telemetry::DaemonReport;
 use slitpose_head::finding::Finding;
@@ -29,26 +28,20 @@ const INPUTS: usize = 16;
 /// Most frames on their way to a client; one that is further behind misses the oldest.
 const EVENTS: usize = 256;
 
-/// A board shown on the page.
 #[derive(Clone, Debug)]
 pub(crate) struct LiveBoard {
-    /// The user's name for it.
     pub name: String,
     /// Its head; `None` while unknown.
     pub head: Option<Head>,
 }
 
-/// An input of the server.
 #[derive(Debug)]
 #[expect(clippy::large_enum_variant, reason = "a box would be allocated for each sample")]
 pub(super) enum Input {
-    /// A new sample of a board.
     Sample(usize, Sample),
     /// The heads of all boards, anew; their histories end.
     Boards(Vec<LiveBoard>),
-    /// The state of the daemon.
     Report(Box<DaemonReport>),
-    /// A capture is played otherwise.
     Player(PlayerState),
 }
 
@@ -57,7 +50,6 @@ pub(super) enum Input {
 pub(crate) struct LiveInput(Sender<Input>);
 
 impl LiveInput {
-    /// Both ends.
     pub(super) fn new() -> (Self, Receiver<Input>) {
         let (sender, receiver) = channel(INPUTS);
         (Self(sender), receiver)
@@ -86,19 +78,14 @@ impl TakesSamples for LiveInput {
     }
 }
 
-/// News for all clients.
 #[derive(Clone, Debug)]
 pub(super) enum Event {
-    /// A frame of a history.
     Frame {
-        /// The history's number.
         history: u64,
-        /// The message.
         text: Utf8Bytes,
     },
     /// A message that stands for itself: a report, the state of a player.
     State(Utf8Bytes),
-    /// Another history has begun.
     Changed,
 }
 
@@ -107,17 +94,13 @@ pub(super) enum Event {
 pub(super) struct Snapshot {
     /// The number of the present history; frames of others are void.
     pub(super) history: u64,
-    /// Names of the boards.
     pub(super) names: Vec<String>,
-    /// Heads of the boards.
     pub(super) heads: Vec<Utf8Bytes>,
-    /// The newest report and player.
     pub(super) states: Vec<Utf8Bytes>,
     /// Numbers of the frames of each board so far.
     pub(super) frames: Vec<Range<u64>>,
 }
 
-/// The shared state.
 pub(super) struct Hub {
     events: broadcast::Sender<Event>,
     state: Mutex<State>,
@@ -158,7 +141,6 @@ impl Hub {
         (self.events.subscribe(), state.snapshot())
     }
 
-    /// The number of the present history.
     pub(super) fn history(&self) -> u64 {
         lock(&self.state).history
     }
@@ -253,7 +235,6 @@ impl State {
 }
 
 impl Board {
-    /// Keeps the next frame.
     fn keep(&mut self, text: Utf8Bytes) {
         self.next += 1;
         if self.frames.len() == HISTORY {
@@ -280,7 +261,6 @@ impl Board {
     }
 }
 
-/// A message as JSON.
 pub(super) fn text_of(message: &impl Serialize) -> Option<Utf8Bytes> {
     serde_json::to_string(message).ok().map(Utf8Bytes::from)
 }

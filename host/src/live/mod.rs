@@ -11,26 +11,21 @@
 //! not acknowledge what it got is sent the newest frames only, and how many it has missed. `LIVE.md` describes the
 //! messages. With the feature `foxglove` a second server takes the same samples and speaks Foxglove's protocol.
 
-mod access;
 mod control;
 mod foxglove;
 mod frame;
 mod head;
 mod hub;
-mod page;
-mod request;
-mod sampler;
-mod scene_view;
 mod server;
 mod session;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use access::{Access, AccessError, DEFAULT_LIVE_ADDRESS, LiveAddress};
-pub(crate) use control::{Control, Order, PlayerOrder, PlayerState, Refusal};
-pub(crate) use foxglove::{DEFAULT_FOXGLOVE_ADDRESS, FoxgloveAddress, FoxgloveError, FoxgloveServer};
+pub(crate) use control::{
+    Access, Control, DEFAULT_LIVE_ADDRESS, LiveAddress, Order, PlayerOrder, PlayerState, Refusal, is_request,
+};
+pub(crate) use foxglove::{DEFAULT_FOXGLOVE_ADDRESS, FoxgloveAddress, FoxgloveServer};
+pub(crate) use frame::{Sample, Sampler, TakesSamples};
+pub(crate) use head::SceneView;
 pub(crate) use hub::{LiveBoard, LiveInput};
-pub(crate) use request::is_request;
-pub(crate) use sampler::{Sample, Sampler, TakesSamples};
-pub(crate) use scene_view::SceneView;
-pub(crate) use server::{LiveError, LivePlan, LiveServer};
+pub(crate) use server::{LivePlan, LiveServer};

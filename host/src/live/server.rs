@@ -3,7 +3,6 @@
 use std::io;
 use std::net::{IpAddr, SocketAddr};
 use std::sync::{Arc, Mutex};
-use std::thread::JoinHandle;
 use std::time::Duration;
 
 use axum::Router;
@@ -16,21 +15,17 @@ use axum::http::header::{
 use axum::middleware::{Next, from_fn};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
+use slitpose_head::threads::lock;
 use thiserror::Error;
-use tokio::runtime::{Builder, Runtime};
-use tokio::sync::mpsc::Receiver;
-use tokio::sync::oneshot;
+use tokio::runtime::Builder;
 use tokio::time::{MissedTickBehavior, interval};
 
-use super::access::Access;
-use super::control::{Control, Refusal};
+use super::control::{Access, Control, Refusal};
+use super::head::SceneView;
 use super::hub::{Hub, Input, LiveBoard, LiveInput};
-use super::page::{FILES, PageFile, VERSION_MARK};
-use super::scene_view::SceneView;
 use super::session;
-use crate::http::{self, Door, Leash, Reach, Socket};
+use crate::http::{self, Door, Leash, Reach, Serving};
 use crate::telemetry::DaemonReport;
-use slitpose_head::threads::lock;
 
 /// Most clients at a time, of those that have said hello.
 pub(super) const MOST_CLIENTS: usize = 32;
@@ -38,16 +33,13 @@ pub(super) const MOST_CLIENTS: usize = 32;
 /// Longest message of a client, bytes: requests have less than 200.
 pub(super) const LONGEST_REQUEST: usize = 4096;
 
-/// Time between reports.
 const REPORT_EVERY: Duration = Duration::from_millis(500);
 
 /// Nothing but the page's own files, and no page of others around it.
 const POLICY: &str = "default-src 'self'; img-src 'self' data:; base-uri 'none'; form-action 'none'; \
                       frame-ancestors 'none'";
 
-/// What a server shows.
 pub(crate) struct LivePlan {
-    /// Where, and to whom.
     pub access: Access,
     /// What it shows: `run`, `replay` or `scene`.
     pub source: &'static str,
@@ -55,34 +47,20 @@ pub(crate) struct LivePlan {
     pub boards: Vec<LiveBoard>,
     /// Whether there is a 6-DoF mouse, whose zero can be set.
     pub has_zero: bool,
-    /// The tool can be dragged.
     pub scene: Option<SceneView>,
-    /// Carries out what clients ask for.
     pub control: Box<dyn Control>,
     /// The state of the daemon, if there is one.
     pub report: Option<Box<dyn Fn() -> DaemonReport + Send + Sync>>,
 }
 
-/// Why the page cannot be served.
 #[derive(Debug, Error)]
 pub(crate) enum LiveError {
-    /// Another program listens there.
     #[error("another program serves {address}; give another address with --live, or end that program")]
-    InUse {
-        /// The address.
-        address: SocketAddr,
-    },
-    /// The address cannot be bound.
+    InUse { address: SocketAddr },
     #[error("cannot serve the live page at {address}")]
-    Listen {
-        /// The address.
-        address: SocketAddr,
-        /// The system's error.
-        source: io::Error,
-    },
+    Listen { address: SocketAddr, source: io::Error },
 }
 
-/// What all clients share.
 pub(super) struct Shared {
     pub(super) access: Access,
     pub(super) source: &'static str,
@@ -109,7 +87,6 @@ impl Clients {
     }
 }
 
-/// The place of a client.
 #[derive(Debug)]
 pub(super) struct Place<'c> {
     clients: &'c Clients,
@@ -129,15 +106,10 @@ impl Drop for Place<'_> {
 pub(crate) struct LiveServer {
     url: String,
     input: LiveInput,
-    end: Option<oneshot::Sender<()>>,
-    thread: Option<JoinHandle<()>>,
+    _serving: Serving,
 }
 
 impl LiveServer {
-    /// Serves the page.
-    ///
-    /// # Errors
-    /// If the address cannot be bound.
     pub(crate) fn start(plan: LivePlan) -> Result<Self, LiveError> {
         let LivePlan { access, source, has_zero, boards, scene, control, report } = plan;
         let address = access.address;
@@ -156,13 +128,28 @@ impl LiveServer {
         let shared = Arc::new(Shared { access, source, has_zero, hub: Hub::new(), scene, control, clients });
         shared.hub.accept(Input::Boards(boards));
         let routes = routes(&shared, reach);
-        let (input, inputs) = LiveInput::new();
-        let (end, ended) = oneshot::channel();
-        let thread = std::thread::Builder::new()
-            .name("live".to_owned())
-            .spawn(move || serve(runtime, socket, routes, &shared, inputs, report, ended))
-            .map_err(listen)?;
-        Ok(Self { url, input, end: Some(end), thread: Some(thread) })
+        let routes = routes.into_make_service_with_connect_info::<Leash>();
+        runtime.spawn(async move { axum::serve(Door::new(socket), routes).await });
+        let (input, mut inputs) = LiveInput::new();
+        let of_inputs = Arc::clone(&shared);
+        runtime.spawn(async move {
+            while let Some(input) = inputs.recv().await {
+                of_inputs.hub.accept(input);
+            }
+        });
+        if let Some(report) = report {
+            runtime.spawn(async move {
+                let mut ticks = interval(REPORT_EVERY);
+                ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+                loop {
+                    ticks.tick().await;
+                    shared.hub.report(&report());
+                }
+            });
+        }
+        // When it is dropped, clients see their connections end.
+        let serving = Serving::start("live", runtime).map_err(listen)?;
+        Ok(Self { url, input, _serving: serving })
     }
 
     /// The address of the page, for a browser.
@@ -170,53 +157,9 @@ impl LiveServer {
         &self.url
     }
 
-    /// Where samples go.
     pub(crate) fn input(&self) -> LiveInput {
         self.input.clone()
     }
-}
-
-impl Drop for LiveServer {
-    fn drop(&mut self) {
-        drop(self.end.take());
-        if let Some(thread) = self.thread.take() {
-            // A panic of the thread has already been reported on standard error.
-            let _ = thread.join();
-        }
-    }
-}
-
-fn serve(
-    runtime: Runtime,
-    socket: Socket,
-    routes: Router,
-    shared: &Arc<Shared>,
-    mut inputs: Receiver<Input>,
-    report: Option<Box<dyn Fn() -> DaemonReport + Send + Sync>>,
-    ended: oneshot::Receiver<()>,
-) {
-    let routes = routes.into_make_service_with_connect_info::<Leash>();
-    runtime.spawn(async move { axum::serve(Door::new(socket), routes).await });
-    let of_inputs = Arc::clone(shared);
-    runtime.spawn(async move {
-        while let Some(input) = inputs.recv().await {
-            of_inputs.hub.accept(input);
-        }
-    });
-    if let Some(report) = report {
-        let shared = Arc::clone(shared);
-        runtime.spawn(async move {
-            let mut ticks = interval(REPORT_EVERY);
-            ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-            loop {
-                ticks.tick().await;
-                shared.hub.report(&report());
-            }
-        });
-    }
-    // Either way the server has been dropped; clients see their connections end.
-    let _ = runtime.block_on(ended);
-    drop(runtime);
 }
 
 fn routes(shared: &Arc<Shared>, reach: Reach) -> Router {
@@ -262,4 +205,81 @@ async fn upgrade(
     }
     let upgrade = upgrade.max_message_size(LONGEST_REQUEST).max_frame_size(LONGEST_REQUEST);
     upgrade.on_upgrade(async move |socket| session::serve(socket, shared, leash).await)
+}
+
+/// A file: its path after `/`, its media type, its text.
+pub(super) type PageFile = (&'static str, &'static str, &'static str);
+
+const HTML: &str = "text/html; charset=utf-8";
+const CSS: &str = "text/css; charset=utf-8";
+const SVG: &str = "image/svg+xml";
+const JAVASCRIPT: &str = "text/javascript; charset=utf-8";
+
+/// In the page's text: the version of the program.
+pub(super) const VERSION_MARK: &str = "SLITPOSE_VERSION";
+
+macro_rules! files {
+    ($($media:ident $name:literal)*) => {
+        [$(($name, $media, include_str!(concat!("page/", $name)))),*]
+    };
+}
+
+/// All of them; the first is the page itself.
+pub(super) const FILES: &[PageFile] = &files! {
+    HTML "index.html"
+    JAVASCRIPT "banner.js"
+    JAVASCRIPT "camera.js"
+    JAVASCRIPT "daemon.js"
+    JAVASCRIPT "dom.js"
+    JAVASCRIPT "findings.js"
+    JAVASCRIPT "format.js"
+    JAVASCRIPT "gestures.js"
+    JAVASCRIPT "head.js"
+    JAVASCRIPT "history.js"
+    SVG "icon.svg"
+    JAVASCRIPT "link.js"
+    JAVASCRIPT "main.js"
+    JAVASCRIPT "numbers.js"
+    JAVASCRIPT "palette.js"
+    JAVASCRIPT "placement.js"
+    JAVASCRIPT "player.js"
+    JAVASCRIPT "plots.js"
+    JAVASCRIPT "strips.js"
+    CSS "style.css"
+    JAVASCRIPT "timeline.js"
+    JAVASCRIPT "vectors.js"
+    JAVASCRIPT "view3d.js"
+};
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// All of it comes over a phone's network.
+    const MOST_BYTES: usize = 200_000;
+
+    #[test]
+    fn the_page_is_small_whole_and_fetches_nothing_from_elsewhere() {
+        let bytes: usize = FILES.iter().map(|(_, _, text)| text.len()).sum();
+        println!("{bytes} bytes in {} files", FILES.len());
+        assert!(bytes <= MOST_BYTES, "{bytes}");
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/src/live/page");
+        let mut there: Vec<_> =
+            std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+        there.sort();
+        let mut served: Vec<_> = FILES.iter().map(|(name, _, _)| (*name).to_owned()).collect();
+        served.sort();
+        assert_eq!(served, there, "files of the page that are not served, or the other way round");
+        for (name, media, text) in FILES {
+            for import in text.lines().filter_map(|line| line.split(" from \"./").nth(1)) {
+                let module = import.split('"').next().unwrap();
+                assert!(served.iter().any(|file| file == module), "{name} imports {module}");
+            }
+            let elsewhere = text.replace("http://www.w3.org/2000/svg", "");
+            assert!(!elsewhere.contains("https://") && !elsewhere.contains("http://"), "{name}");
+            if *media == HTML {
+                assert!(text.contains(VERSION_MARK) && !text.contains("<style") && !text.contains(" style="), "{name}");
+            }
+        }
+    }
 }

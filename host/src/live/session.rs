@@ -18,10 +18,9 @@ use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::{RecvError, TryRecvError};
 use tokio::time::{Instant, sleep, sleep_until, timeout};
 
-use super::control::{Order, PlayerOrder, Refusal};
+use super::control::{Order, PlayerOrder, Refusal, Request};
+use super::frame::FRAMES_HZ;
 use super::hub::{Event, HISTORY_S, Snapshot, text_of};
-use super::request::Request;
-use super::sampler::FRAMES_HZ;
 use super::server::Shared;
 use crate::http::Leash;
 
@@ -73,7 +72,6 @@ enum Answer<'a> {
     },
 }
 
-/// The connection has ended.
 struct Gone;
 
 /// Serves a client until it goes. It has a place, and `leash` is released, once it has shown that it may look.
@@ -105,7 +103,6 @@ struct Session {
     acknowledged: u64,
     missed: u64,
     history: u64,
-    /// Names of the boards.
     boards: Vec<String>,
     /// Numbers of the frames of the past that are still to be sent, by board.
     past: VecDeque<(usize, Range<u64>)>,
@@ -230,7 +227,6 @@ impl Session {
         self.send(text.into()).await
     }
 
-    /// Does what the client asks for.
     async fn accept(&mut self, text: &str) -> Result<(), Gone> {
         let request = match Request::read(text) {
             Ok(request) => request,

@@ -29,7 +29,6 @@ const TIER: Tier = Tier::Exact { tolerance: 1e-6 };
 /// Longer than any answer takes on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Orders that have come.
 #[derive(Clone, Default)]
 struct Orders(Arc<Mutex<Vec<Order>>>);
 
@@ -77,7 +76,6 @@ impl Client {
         Ok(Self(socket))
     }
 
-    /// Connects and introduces itself.
     fn greeted(server: &LiveServer) -> Self {
         let mut client = Self::connect(server).unwrap();
         client.say(&json!({"kind": "hello"}));

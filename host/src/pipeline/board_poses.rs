@@ -149,7 +149,6 @@ fn pose_of(record: &PoseRecord) -> Option<Pose> {
     pose.is_finite().then_some(pose)
 }
 
-/// Pairs poses of the same scan.
 #[derive(Debug)]
 pub(super) struct Comparison {
     by_board: Vec<Option<(u64, PoseRecord)>>,
@@ -161,7 +160,6 @@ pub(super) struct Comparison {
     is_checked: bool,
 }
 
-/// Consecutive scans of one side.
 #[derive(Clone, Copy, Debug, Default)]
 struct Run {
     next: u64,

@@ -9,11 +9,10 @@ use slitpose_model::{Pose, Tier, Tracked};
 use slitpose_protocol::poses::READY_TICKS;
 use slitpose_protocol::{Batch, BoardKind, Hello, Message, Poses, Stream, Truth};
 
-use super::board_clock::BoardClock;
+use super::board_clock::{BoardClock, Span};
 use super::board_poses::BoardPose;
 use super::oddity::ClockWatch;
 use super::session::Session;
-use super::span::Span;
 use super::waiting::{Content, Waiting};
 use super::{Counts, Following, Item, Oddity, PipelineError, PoseSource, Record, Scan, SceneMatch};
 use crate::link::DeviceId;
@@ -24,7 +23,6 @@ const MAX_TRUTHS: usize = 1024;
 /// A board's poses that are taken as they are must be compared within this device time.
 const MAX_UNCHECKED_S: f64 = 1.5;
 
-/// All stages after the decoder.
 #[derive(Debug)]
 pub(super) struct Flow {
     head: Head,
@@ -180,7 +178,6 @@ impl Flow {
         Ok(())
     }
 
-    /// Takes poses of the board.
     fn take_poses<E: From<PipelineError>>(
         &mut self,
         poses: &Poses<'_>,

@@ -1,11 +1,14 @@
 //! What the pipeline gives out, and what it is asked for.
 
-use slitpose_model::{Filtered, Pose, Solution, TwistEstimate};
-use slitpose_protocol::{Hello, Severity, Status};
+use slitpose_head::foreign::printable;
+use slitpose_model::{Filtered, Pose, SceneError, Solution, TwistEstimate};
+use slitpose_protocol::schema::SchemaMismatch;
+use slitpose_protocol::{Hello, ScalingError, ScheduleError, Severity, Status};
+use thiserror::Error;
 
 use super::{Oddity, Scan};
 use crate::clock::{HostInstant, HostTime};
-use crate::link::DeviceId;
+use crate::link::{DeviceId, Versions};
 
 /// The pose of one scan.
 #[derive(Clone, Copy, Debug)]
@@ -91,4 +94,43 @@ pub struct Following {
     pub filter_s: Option<f64>,
     /// Whether cells whose light falls on an end of the detector are left out.
     pub without_clipped: bool,
+}
+
+/// Why the pipeline cannot go on.
+#[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
+pub enum PipelineError {
+    #[error("board `{}` and this program disagree on the protocol: {versions}", printable(board))]
+    Schema { board: String, versions: Versions, source: SchemaMismatch },
+    #[error("board `{}` announces a schedule that contradicts itself; update its firmware", printable(board))]
+    Schedule { board: String, source: ScheduleError },
+    #[error("board `{}` announces an ADC scaling that cannot be used; update its firmware", printable(board))]
+    Scaling { board: String, source: ScalingError },
+    #[error(
+        "board `{}` samples {board_cells} cells, scene `{scene}` has {scene_cells}; give the scene of this head",
+        printable(board)
+    )]
+    Cells {
+        board: String,
+        /// The board's number of cells.
+        board_cells: usize,
+        scene: String,
+        /// The scene's number of cells.
+        scene_cells: usize,
+    },
+    #[error(
+        "board `{}` belongs to the scene with hash {board_hash:016x}, but `{scene}` has {scene_hash:016x}; \
+         give the scene it belongs to with --scene",
+        printable(board)
+    )]
+    SceneHash { board: String, board_hash: u64, scene: String, scene_hash: u64 },
+    #[error(
+        "board `{}` belongs to the calibration with hash {board_hash:016x}, but {} has {calibration_hash:016x}; give the \
+         calibration it belongs to with --calibration, or store this one with `slitpose device set --scene … --calibration …`",
+        printable(board),
+        printable(calibration)
+    )]
+    CalibrationHash { board: String, board_hash: u64, calibration: String, calibration_hash: u64 },
+    #[error(transparent)]
+    Scene(#[from] SceneError),
 }

@@ -9,14 +9,10 @@
 mod board_clock;
 mod board_poses;
 mod counts;
-mod doubt;
-mod error;
 mod flow;
 mod item;
 mod oddity;
-mod outcomes;
 mod session;
-mod span;
 #[cfg(test)]
 mod tests;
 mod waiting;
@@ -27,19 +23,17 @@ use slitpose_model::{Photocurrents, Tier};
 use slitpose_protocol::{DELIMITER, Decoder, MAX_MESSAGE_BYTES, Message, Status};
 
 pub use board_poses::{Agreement, PoseFault};
-pub use counts::Counts;
-pub use error::PipelineError;
-pub use item::{Following, Item, PoseSource, Record, SceneMatch};
+pub(crate) use counts::reason;
+pub use counts::{Counts, Outcomes};
+pub use item::{Following, Item, PipelineError, PoseSource, Record, SceneMatch};
 pub use oddity::Oddity;
-pub use outcomes::Outcomes;
-pub(crate) use outcomes::reason;
 pub use session::{check, check_calibration, head_of};
 pub use waiting::{Queue, Scan};
 
 use crate::health::HeadHealth;
 use crate::link::Segment;
+use board_clock::Span;
 use flow::{Flow, session_of};
-use span::Span;
 use waiting::Content;
 
 /// Turns bytes into poses.
@@ -285,7 +279,6 @@ impl Pipeline {
         self.flow.span.is_complete()
     }
 
-    /// The board's latest status.
     pub(crate) fn board_status(&self) -> Option<&Status> {
         self.flow.counts.board_status.as_ref()
     }

@@ -6,7 +6,7 @@ use slitpose_protocol::poses::{Poses, TRIANGLE};
 use slitpose_protocol::{AdcScaling, BoardKind, Hello, PoseStatus, RawScan, Schedule};
 
 use super::board_poses::{Agreement, BoardPose, Comparison, PoseFault};
-use super::doubt::Doubt;
+use super::oddity::Doubt;
 use super::waiting::{Content, Scan};
 use super::{Following, PipelineError, SceneMatch};
 use crate::health::{HeadHealth, Health};
@@ -271,7 +271,6 @@ impl Session {
         self.comparison.as_ref().map(|comparison| comparison.agreement())
     }
 
-    /// Solves a scan by its words.
     pub(super) fn solve_words(&mut self, scan: &RawScan, watched: bool) -> Tracked {
         self.photocurrents = self.stage.photocurrents(scan);
         let mut tracked = self.tracker.track(scan.sequence, &self.photocurrents);
@@ -285,7 +284,6 @@ impl Session {
         tracked
     }
 
-    /// The photocurrents of a scan.
     pub(super) fn photocurrents(&self, scan: &RawScan) -> Photocurrents {
         self.stage.photocurrents(scan)
     }

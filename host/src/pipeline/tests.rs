@@ -10,10 +10,9 @@ use slitpose_protocol::{
 use super::{Following, Item, Oddity, Pipeline, PipelineError, PoseFault, PoseSource, Record, SceneMatch};
 use crate::clock::HostInstant;
 use crate::link::{Asked, Segment};
-use slitpose_head::board_head;
-use slitpose_head::front_end;
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
+use slitpose_head::{board_head, front_end};
 
 const TIER: Tier = Tier::Exact { tolerance: 1e-4 };
 
@@ -36,7 +35,6 @@ impl SimulatedLink {
         Self::numbered(0)
     }
 
-    /// One of several boards.
     fn numbered(number: u8) -> Self {
         let file = WIDE.read().unwrap();
         let configuration = front_end::configuration(&file).unwrap();
@@ -189,7 +187,6 @@ fn scans_behind_the_end_are_not_solved() {
     assert!(taken < segment.bytes.len() && records.len() == 20 && pipeline.is_complete());
 }
 
-/// Simulated boards report a crystal.
 #[test]
 fn a_status_sets_the_bounds_of_the_clock() {
     for (permille, contradicts) in [(1000, false), (1010, true), (990, true)] {

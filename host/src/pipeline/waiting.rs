@@ -17,7 +17,6 @@ const MAX_SESSIONS: usize = 4;
 /// Initial capacity: 30 ms of a board at 4 kHz.
 const USUAL: usize = 128;
 
-/// What has come of a scan.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Content {
     /// The words of its converters: to be solved here.
@@ -33,7 +32,6 @@ pub struct Scan {
     /// Scans before it that the board says not to have solved: they are missing, and yet not lost.
     pub unsolved: u64,
     pub(super) content: Content,
-    /// Number of its session.
     pub(super) session: u64,
     /// The instant of its pose by the board's clock, seconds.
     pub device_time_s: f64,

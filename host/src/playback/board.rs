@@ -1,13 +1,13 @@
 //! A board of a capture.
 
 use slitpose_calibration::Head;
+use slitpose_head::faults::{FaultError, Faults, Injector};
 
+use super::Choice;
+use super::files::HostClock;
 use crate::capture::Setup;
-use crate::link::DeviceId;
+use crate::link::{DeviceId, Segment};
 use crate::pipeline::Pipeline;
-
-use super::faulty::Faulty;
-use super::host_clock::HostClock;
 
 /// A board of a capture.
 pub struct Board {
@@ -27,7 +27,6 @@ pub struct Board {
     pub(super) seam: Seam,
     /// When the sessions began behind which a part can begin, seconds after the beginning.
     pub(super) sessions_s: Vec<f64>,
-    /// Whether it has had a session.
     pub(super) has_begun: bool,
     /// Whether another has begun since its last bytes.
     pub(super) begins_anew: bool,
@@ -40,9 +39,7 @@ pub struct Board {
 /// Where the bytes of a board are, relative to a part that is solved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Phase {
-    /// Only decoded.
     Before,
-    /// Solved unheard.
     WarmUp,
     Within,
     Behind,
@@ -100,5 +97,45 @@ impl Board {
     /// The name of the board in messages.
     pub fn name(&self) -> String {
         self.device.map_or_else(|| "capture".to_owned(), |device| format!("board {device}"))
+    }
+}
+
+/// Injects faults into the segments of one board.
+pub(super) struct Faulty {
+    injector: Injector,
+    bytes: Vec<u8>,
+    segment: Segment,
+}
+
+impl Faulty {
+    /// As `choice` asks, for a head with so many cells; `None` if it asks for none.
+    pub(super) fn of(choice: &Choice, cells: usize) -> Result<Option<Box<Self>>, FaultError> {
+        let injector = Injector::of_recording(&Faults::new(choice.faults.clone(), cells)?);
+        let faulty = |injector| Box::new(Self { injector, bytes: Vec::new(), segment: Segment::default() });
+        Ok(injector.map(faulty))
+    }
+
+    /// What comes of `segment`; each of its bytes that is passed on has the instant of the read that completed its
+    /// packet.
+    pub(super) fn pass(&mut self, segment: &Segment) -> &Segment {
+        self.segment.clear();
+        self.segment.opened = segment.opened;
+        self.segment.asked.extend_from_slice(&segment.asked);
+        for (bytes, at) in segment.chunks() {
+            self.bytes.clear();
+            // Recordings refuse faults that break the link.
+            self.injector.push(bytes, &mut self.bytes);
+            self.segment.push(&self.bytes, at);
+        }
+        &self.segment
+    }
+
+    /// What was held back to the end.
+    pub(super) fn finish(&mut self) -> &Segment {
+        self.segment.clear();
+        self.bytes.clear();
+        self.injector.finish(&mut self.bytes);
+        self.segment.push(&self.bytes, None);
+        &self.segment
     }
 }

@@ -1,12 +1,18 @@
 //! Which part of captures is solved, and how.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 
-use slitpose_head::faults::{Fault, Faults};
+use slitpose_calibration::CalibrationFileError;
+use slitpose_head::faults::{Fault, FaultError, Faults};
+use slitpose_head::foreign::printable;
+use slitpose_head::scene_file::SceneFileError;
+use slitpose_model::SceneError;
+use thiserror::Error;
 
+use crate::capture::CaptureError;
+use crate::pipeline::PipelineError;
 use crate::solving::Solving;
-
-use super::PlaybackError;
 
 /// Which part of captures is solved, and how.
 #[derive(Clone, Debug, Default)]
@@ -56,4 +62,51 @@ impl Choice {
             _ => Ok(()),
         }
     }
+}
+
+/// Why captures cannot be solved again.
+#[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
+pub enum PlaybackError {
+    #[error(transparent)]
+    Capture(#[from] CaptureError),
+    #[error(transparent)]
+    SceneFile(#[from] SceneFileError),
+    #[error(transparent)]
+    Calibration(#[from] CalibrationFileError),
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    #[error(transparent)]
+    Fault(#[from] FaultError),
+    #[error(transparent)]
+    Board(#[from] PipelineError),
+    #[error("{} is no regular file, as a pipe is none, and a capture is read more than once; write it to a file first", path.display())]
+    NotAFile { path: PathBuf },
+    #[error("{} is given twice; name each capture once", path.display())]
+    Twice { path: PathBuf },
+    #[error(
+        "{} holds no scan: {bytes} bytes of links, {packets} readable packets{}; \
+         give a capture written by `run --record` or `simulate`", path.display(), named(topics)
+    )]
+    NoScan { path: PathBuf, bytes: u64, packets: u64, topics: BTreeSet<String> },
+    #[error("there is no scan from {from_s} s after the beginning of {} on; begin earlier", path.display())]
+    Beyond {
+        path: PathBuf,
+        /// The beginning asked for, seconds.
+        from_s: f64,
+    },
+    #[error("{} has no times to cut it by, as bytes of a port have none; solve it whole", path.display())]
+    Timeless { path: PathBuf },
+    #[error("--to {to_s} s does not lie behind --from {from_s} s; give a later end")]
+    Range {
+        /// The beginning, seconds.
+        from_s: f64,
+        /// The end, seconds.
+        to_s: f64,
+    },
+}
+
+fn named(topics: &BTreeSet<String>) -> String {
+    let topics: Vec<_> = topics.iter().map(|topic| printable(topic).at_most(100).to_string()).collect();
+    if topics.is_empty() { String::new() } else { format!(", topics {}", topics.join(", ")) }
 }

@@ -6,13 +6,9 @@
 
 mod board;
 mod choice;
-mod error;
-mod faulty;
 mod files;
-mod host_clock;
 
-use std::collections::BTreeSet;
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -26,11 +22,9 @@ use crate::link::{DeviceId, Segment};
 use crate::pipeline::{Item, Pipeline, PipelineError, Scan, SceneMatch};
 use crate::solving::head_by;
 pub use board::{Board, Seam};
-pub use choice::{Choice, Yields};
-pub use error::PlaybackError;
+pub use choice::{Choice, PlaybackError, Yields};
 
-use board::Phase;
-use faulty::Faulty;
+use board::{Faulty, Phase};
 
 /// Boards are recorded a piece at a time: what one said before the end may stand so far behind it.
 const LATEST_NS: u64 = 1_000_000_000;
@@ -81,7 +75,6 @@ pub struct Playback {
     first: Option<PathBuf>,
     reader: Option<(PathBuf, CaptureReader)>,
     segment: Segment,
-    /// UTC of warm-up, beginning and end.
     turns_ns: [u64; 3],
     /// UTC of the first bytes.
     start_ns: u64,
@@ -90,7 +83,6 @@ pub struct Playback {
     unsettled: BTreeSet<DeviceId>,
     /// Names of the first topics of the captures.
     topics: BTreeSet<String>,
-    /// Bytes of the files before.
     read_bytes: u64,
     is_over: bool,
 }

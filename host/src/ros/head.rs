@@ -6,8 +6,7 @@ use glam::{DVec2, DVec3, dvec2};
 use slitpose_design::{MaskFrame, mask_half_extents_m};
 use slitpose_model::{Cell, Opening, Pose};
 
-use super::cdr::Encoder;
-use super::geometry::{BASE, header, pose, vector};
+use super::cdr::{BASE, Encoder, header, pose, vector};
 
 /// Shapes by their numbers in `visualization_msgs/msg/Marker`.
 const LINE_LIST: i32 = 5;
@@ -22,13 +21,11 @@ const LINE_M: f64 = 0.3e-3;
 /// Corners of a round opening. A multiple of four: the corners of the mask are among those around it.
 const ROUND: usize = 16;
 
-/// Shapes of one kind and frame.
 struct Marker<'a> {
     namespace: &'static str,
     frame: &'a str,
     kind: i32,
     scale_m: f64,
-    /// Red, green, blue, opacity.
     colour: [f32; 4],
     points: Vec<DVec3>,
 }
@@ -62,7 +59,6 @@ pub(crate) fn encode_head(cells: &[Cell], tool: &str, bytes: &mut Vec<u8>) {
     drawn().for_each(|marker| marker.encode(&mut encoder));
 }
 
-/// Two triangles.
 fn detector(cell: &Cell) -> [DVec3; 6] {
     let detector = &cell.detector;
     let (x, y) = (detector.x_axis_base, detector.normal_base.cross(detector.x_axis_base));
@@ -94,7 +90,6 @@ fn mask(cell: &Cell) -> Vec<DVec3> {
     (0..corners).flat_map(between).collect()
 }
 
-/// Both ends of an emitter's axis.
 fn axis(cell: &Cell) -> [DVec3; 2] {
     let emitter = &cell.emitter;
     [emitter.position_tool_m, emitter.position_tool_m + AXIS_M * emitter.axis_tool]

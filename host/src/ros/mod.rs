@@ -3,20 +3,16 @@
 //! Frames: `base`, and `tool` for the tool in front of the first board. Lengths are in metres.
 
 pub(crate) mod cdr;
-mod geometry;
 mod head;
-mod schemas;
 
 #[cfg(feature = "zenoh")]
-pub(crate) use geometry::header as encode_header;
-pub(crate) use geometry::{encode_pose, encode_pose_stamped, encode_transform, encode_twist};
+pub(crate) use cdr::header as encode_header;
+pub(crate) use cdr::{encode_pose, encode_pose_stamped, encode_transform, encode_twist};
 pub(crate) use head::encode_head;
-pub(crate) use schemas::{MARKERS, POSE, POSE_STAMPED, REPORT, RosType, TRANSFORMS, TWIST};
 
 use crate::link::DeviceId;
 use crate::pipeline::Record;
 
-/// Beginning of a board's topics.
 const TOPICS: &str = "/slitpose/";
 
 /// A topic of a board. No part of a name of ROS may begin with a digit, as numbers of boards do.
@@ -40,3 +36,37 @@ pub(crate) fn stamp_ns(record: &Record) -> u64 {
     // Saturates; times are never negative.
     record.host_time.map_or((record.device_time_s * 1e9) as u64, |time| time.utc_ns)
 }
+
+// A definition has the fields of the message, then the types of these, each once.
+
+/// A message type: its name and its definition in the syntax of ROS 2 (`ros2msg`).
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct RosType {
+    pub(crate) name: &'static str,
+    pub(crate) definition: &'static str,
+}
+
+/// A pose `base_from_tool` with the covariance of (translation, rotation) in the base frame.
+pub(crate) const POSE: RosType = RosType {
+    name: "geometry_msgs/msg/PoseWithCovarianceStamped",
+    definition: include_str!("msg/PoseWithCovarianceStamped.msg"),
+};
+
+/// The velocity of the tool in the base frame with the covariance of (linear, angular).
+pub(crate) const TWIST: RosType = RosType {
+    name: "geometry_msgs/msg/TwistWithCovarianceStamped",
+    definition: include_str!("msg/TwistWithCovarianceStamped.msg"),
+};
+
+pub(crate) const POSE_STAMPED: RosType =
+    RosType { name: "geometry_msgs/msg/PoseStamped", definition: include_str!("msg/PoseStamped.msg") };
+
+/// The same pose as a transform from the tool's frame to the base frame.
+pub(crate) const TRANSFORMS: RosType =
+    RosType { name: "tf2_msgs/msg/TFMessage", definition: include_str!("msg/TFMessage.msg") };
+
+pub(crate) const MARKERS: RosType =
+    RosType { name: "visualization_msgs/msg/MarkerArray", definition: include_str!("msg/MarkerArray.msg") };
+
+/// A report, as JSON text in CDR: ROS tools refuse files with messages in other encodings.
+pub(crate) const REPORT: RosType = RosType { name: "std_msgs/msg/String", definition: "string data\n" };

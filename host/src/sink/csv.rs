@@ -9,7 +9,6 @@ use slitpose_head::table::SOLUTION_COLUMNS;
 /// Columns of a stream. The host's time of the pose is empty while unknown.
 const STREAM_COLUMNS: [&str; 5] = ["simulated", "device", "host_monotonic_ns", "host_utc_ns", "host_uncertainty_ns"];
 
-/// Writes CSV.
 pub(super) struct Csv<W: Write> {
     writer: csv::Writer<W>,
     begun: bool,
@@ -30,7 +29,6 @@ impl<W: Write> Csv<W> {
         Ok(())
     }
 
-    /// A field, without allocating.
     fn text(&mut self, value: impl std::fmt::Display) -> io::Result<()> {
         use std::fmt::Write;
         self.field.clear();

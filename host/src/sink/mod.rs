@@ -2,19 +2,16 @@
 
 mod csv;
 mod ndjson;
-mod note;
 #[cfg(feature = "parquet")]
 mod parquet;
 mod summary;
-#[cfg(test)]
-mod tests;
 
 use std::io::{self, Write};
 
 use clap::ValueEnum;
+use slitpose_protocol::{BoardKind, Hello, Severity};
 
-pub(crate) use note::Note;
-
+use crate::link::DeviceId;
 use crate::pipeline::Record;
 use crate::telemetry::{BoardReport, RecorderReport};
 
@@ -46,7 +43,6 @@ impl Format {
         }
     }
 
-    /// Whether people can read it.
     pub(crate) fn is_text(self) -> bool {
         #[cfg(feature = "parquet")]
         if self == Self::Parquet {
@@ -56,24 +52,16 @@ impl Format {
     }
 }
 
-/// The state of boards and recording.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Account {
-    /// Each board.
     pub boards: Vec<BoardReport>,
-    /// The capture that is written.
     pub recorder: RecorderReport,
 }
 
-/// Returns the present account.
 pub(crate) type Accounts<'a> = dyn Fn() -> Account + 'a;
 
-/// An output for poses.
 pub(crate) trait Sink {
     /// Writes the solution of the next scan.
-    ///
-    /// # Errors
-    /// Errors of the output.
     fn pose(&mut self, record: &Record) -> io::Result<()>;
 
     /// Whether each pose must be written, however late.
@@ -81,22 +69,11 @@ pub(crate) trait Sink {
         true
     }
 
-    /// Writes a note.
-    ///
-    /// # Errors
-    /// Errors of the output.
     fn note(&mut self, note: &Note) -> io::Result<()>;
 
     /// Flushes or redraws; called regularly, even without poses.
-    ///
-    /// # Errors
-    /// Errors of the output.
     fn tick(&mut self, accounts: &Accounts<'_>) -> io::Result<()>;
 
-    /// Ends the output.
-    ///
-    /// # Errors
-    /// Errors of the output.
     fn finish(&mut self, accounts: &Accounts<'_>) -> io::Result<()>;
 }
 
@@ -113,5 +90,93 @@ pub(crate) fn open<'a>(
         #[cfg(feature = "parquet")]
         Format::Parquet => Some(Box::new(parquet::Parquet::new(output))),
         Format::None => None,
+    }
+}
+
+/// An event in the stream of poses.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Note {
+    Hello {
+        device: DeviceId,
+        board: String,
+        /// Whether its photocurrents are measured or computed.
+        kind: BoardKind,
+        firmware: String,
+        /// Frames a second of its schedule.
+        frame_rate_hz: f64,
+    },
+    Event {
+        /// The board; `None` if it has not introduced itself.
+        device: Option<DeviceId>,
+        severity: Severity,
+        /// Its time by the board's clock, seconds.
+        device_time_s: f64,
+        text: String,
+    },
+}
+
+impl Note {
+    pub(crate) fn hello(hello: &Hello<'_>) -> Self {
+        Self::Hello {
+            device: DeviceId(hello.device_id),
+            board: hello.board.to_owned(),
+            kind: hello.kind,
+            firmware: hello.firmware.to_owned(),
+            frame_rate_hz: hello.schedule.frame_rate_hz(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use slitpose_model::{MotionPrior, Photocurrents, Solver, Start};
+
+    use super::{Account, Format, open};
+    use crate::clock::HostTime;
+    use crate::link::DeviceId;
+    use crate::pipeline::Record;
+
+    fn record(host_time: Option<HostTime>) -> Record {
+        Record {
+            device: DeviceId(*b"simulated\0\0\0"),
+            sequence: 0,
+            device_time_s: 0.0,
+            host_time,
+            arrival: None,
+            solution: Solver::<f64>::empty().solve(&Photocurrents::default(), Start::Cold, &MotionPrior::AT_REST),
+            twist: None,
+            filtered: None,
+            simulated: true,
+            truth: None,
+        }
+    }
+
+    #[test]
+    fn host_times_are_written_only_where_they_are_known() {
+        let time =
+            HostTime { monotonic_ns: 90_000_250_000, utc_ns: 1_700_000_090_000_250_000, uncertainty_ns: 140_000 };
+        let records = [record(None), record(Some(time))];
+        let written = |format| {
+            let mut output = Vec::new();
+            let mut sink = open(format, &mut output, false).unwrap();
+            for record in &records {
+                sink.pose(record).unwrap();
+            }
+            sink.finish(&Account::default).unwrap();
+            drop(sink);
+            String::from_utf8(output).unwrap()
+        };
+        let [monotonic, utc, uncertainty] = [time.monotonic_ns, time.utc_ns, time.uncertainty_ns];
+        let (ndjson, csv) = (written(Format::Ndjson), written(Format::Csv));
+        let lines: Vec<&str> = ndjson.lines().collect();
+        let device = r#""device":"73696d756c61746564000000""#;
+        assert!(lines[0].contains(device) && !lines[0].contains("host_"), "{}", lines[0]);
+        let times =
+            format!(r#""host_monotonic_ns":{monotonic},"host_utc_ns":{utc},"host_uncertainty_ns":{uncertainty},"#);
+        assert!(lines[1].contains(device) && lines[1].contains(&times), "{}", lines[1]);
+        let lines: Vec<&str> = csv.lines().collect();
+        assert!(lines[0].ends_with(",device,host_monotonic_ns,host_utc_ns,host_uncertainty_ns"), "{csv}");
+        assert!(lines[1].ends_with(",73696d756c61746564000000,,,"), "{csv}");
+        assert!(lines[2].ends_with(&format!(",{monotonic},{utc},{uncertainty}")), "{csv}");
     }
 }

@@ -35,12 +35,10 @@ struct Line<'a> {
     cells_used: usize,
     chi2: Option<f64>,
     redundancy: usize,
-    /// How well redundancy checked the pose.
     verified: &'static str,
     /// External reliability: greatest shift of the pose by one undetected outlier, in its σ; absent if unbounded.
     #[serde(skip_serializing_if = "Option::is_none")]
     unnoticed_sigmas: Option<f64>,
-    /// Cells that contradict all others.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     excluded_cells: Vec<usize>,
     twist: Option<Motion>,
@@ -68,7 +66,6 @@ mod covariance {
 struct Motion {
     linear_m_per_s: [f64; 3],
     angular_rad_per_s: [f64; 3],
-    /// Standard deviations of the six components.
     sigma: [f64; 6],
 }
 
@@ -82,7 +79,6 @@ impl From<TwistEstimate> for Motion {
     }
 }
 
-/// A pose from many scans.
 #[derive(Serialize)]
 struct Filtered {
     translation_m: [f64; 3],
@@ -154,7 +150,6 @@ impl<'a> From<&'a Record> for Line<'a> {
     }
 }
 
-/// The begin of an injected fault.
 #[derive(Serialize)]
 struct FaultLine<'a> {
     kind: &'static str,
@@ -163,7 +158,6 @@ struct FaultLine<'a> {
     device_time_s: f64,
 }
 
-/// Writes NDJSON.
 pub(super) struct Ndjson<W> {
     output: W,
 }

@@ -58,7 +58,6 @@ impl<T: DataType> Column<T> {
     }
 }
 
-/// Writes Parquet.
 pub(super) struct Parquet<W: Write + Send> {
     output: Output<W>,
     rows: usize,
@@ -149,7 +148,6 @@ impl<W: Write + Send> Parquet<W> {
         SerializedFileWriter::new(output, Arc::new(schema), Arc::new(properties.build()))
     }
 
-    /// Writes the rows that are held.
     fn write(&mut self) -> Result<(), ParquetError> {
         if let Output::Waiting(output) = &mut self.output
             && let Some(output) = output.take()
@@ -206,7 +204,6 @@ fn system(error: ParquetError) -> io::Error {
     }
 }
 
-/// Names of the columns of numbers.
 fn number_names() -> impl Iterator<Item = String> {
     let pose = |prefix: &'static str| {
         AXES.into_iter().map(move |axis| format!("{prefix}{axis}_{}", if axis.starts_with('t') { "mm" } else { "rad" }))
@@ -232,12 +229,10 @@ fn pose(pose: Option<Pose>) -> [Option<f64>; 6] {
     }))
 }
 
-/// Metres as millimetres.
 fn scaled(values: Option<[f64; 6]>) -> [Option<f64>; 6] {
     std::array::from_fn(|axis| values.map(|values| if axis < 3 { values[axis] * 1e3 } else { values[axis] }))
 }
 
-/// The velocity, and its standard deviations.
 fn motion(estimate: Option<TwistEstimate>) -> [Option<f64>; 12] {
     std::array::from_fn(|k| {
         let TwistEstimate { twist, covariance } = estimate?;

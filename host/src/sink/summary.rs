@@ -60,7 +60,6 @@ impl Seen {
     }
 }
 
-/// Writes the summary.
 pub(super) struct Summary<W> {
     output: W,
     live: bool,

@@ -13,9 +13,9 @@ use slitpose_head::scene_file::Workspace;
 use slitpose_model::Pose;
 use thiserror::Error;
 
-use super::motion::Feel;
+use super::Feel;
+use crate::http::{SocketFile, SocketFileError};
 use crate::live::{Sample, TakesSamples};
-use crate::socket_file::{SocketFile, SocketFileError};
 
 /// Most clients; more are not let in.
 pub(super) const MOST_CLIENTS: usize = 16;
@@ -30,20 +30,12 @@ const MAX_READS: usize = 16;
 const CHANGE_VERSION: u32 = 0x7faa_5500;
 const VERSION: u32 = 0xff;
 
-/// Why the socket cannot be served.
 #[derive(Debug, Error)]
 pub(crate) enum SpacenavError {
-    /// The socket.
     #[error(transparent)]
     Socket(#[from] SocketFileError),
-    /// The thread.
     #[error("cannot serve {}", path.display())]
-    Thread {
-        /// The socket.
-        path: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
+    Thread { path: PathBuf, source: io::Error },
 }
 
 /// Owner and group may connect, other users may not.
@@ -61,7 +53,6 @@ pub(crate) struct SpacenavServer {
     _file: SocketFile,
 }
 
-/// The server's end for poses.
 #[derive(Clone, Debug)]
 pub(crate) struct SpacenavInput {
     sightings: Sender<Option<Pose>>,
@@ -89,9 +80,6 @@ impl TakesSamples for SpacenavInput {
 
 impl SpacenavServer {
     /// Serves `path`, for a tool in `workspace`.
-    ///
-    /// # Errors
-    /// If the socket cannot be bound.
     pub(crate) fn start(path: &Path, feel: Feel, workspace: Workspace) -> Result<Self, SpacenavError> {
         let (listener, file) = SocketFile::bind(path, SOCKET_MODE, |path| UnixListener::bind(path))?;
         let failed = |source| SpacenavError::Thread { path: path.to_owned(), source };
@@ -114,7 +102,6 @@ impl SpacenavServer {
         Ok(Self { input: SpacenavInput { sightings: sender, is_zeroed }, end, thread: Some(thread), _file: file })
     }
 
-    /// Where samples go.
     pub(crate) fn input(&self) -> SpacenavInput {
         self.input.clone()
     }
@@ -130,7 +117,6 @@ impl Drop for SpacenavServer {
     }
 }
 
-/// What a pose is turned into.
 struct Mouse {
     feel: Feel,
     workspace: Workspace,
@@ -176,7 +162,6 @@ impl Mouse {
     }
 }
 
-/// A program that uses the mouse.
 struct Client {
     stream: UnixStream,
     sensitivity: f64,

@@ -1,14 +1,17 @@
 //! Requests the status of a daemon.
 
+use std::fmt;
 use std::io::{self, Read, Write};
-use std::net::TcpStream;
+use std::net::{SocketAddr, TcpStream};
 use std::os::unix::net::UnixStream;
+use std::path::PathBuf;
+use std::str::FromStr;
 use std::time::{Duration, Instant};
 
+use slitpose_head::foreign::printable;
 use thiserror::Error;
 
-use super::StatusAddress;
-use slitpose_head::foreign::printable;
+use crate::http;
 
 /// Timeout of a request: a daemon answers within milliseconds.
 const WITHIN: Duration = Duration::from_secs(2);
@@ -16,49 +19,19 @@ const WITHIN: Duration = Duration::from_secs(2);
 /// Longest answer: reports take some kilobytes per board.
 const MOST_BYTES: usize = 1 << 24;
 
-/// Why the request failed.
 #[derive(Debug, Error)]
 pub(crate) enum FetchError {
-    /// No program listens at the address.
     #[error("nothing answers at {address}; start a daemon with `slitpose run --status {address}`, or give its address")]
-    Connect {
-        /// The address.
-        address: String,
-        /// The system's error.
-        source: io::Error,
-    },
-    /// The answer was incomplete, or did not come.
+    Connect { address: String, source: io::Error },
     #[error("the answer from {address} did not come within {} s; see whether the daemon still runs", WITHIN.as_secs())]
-    Broken {
-        /// The address.
-        address: String,
-        /// The system's error.
-        source: io::Error,
-    },
-    /// Another program listens at the address.
+    Broken { address: String, source: io::Error },
     #[error("what listens at {address} is no slitpose daemon; give the address of one")]
-    NotHttp {
-        /// The address.
-        address: String,
-    },
-    /// The daemon answers with a status other than 200.
+    NotHttp { address: String },
     #[error("{address} answers {status} to {path}: {}", printable(text))]
-    Status {
-        /// The address.
-        address: String,
-        /// The requested path.
-        path: String,
-        /// The HTTP status.
-        status: u16,
-        /// The body of the answer.
-        text: String,
-    },
+    Status { address: String, path: String, status: u16, text: String },
 }
 
 /// The text at `path` of the daemon at `address`, such as `/status`.
-///
-/// # Errors
-/// If there is no answer with the status 200 within two seconds.
 pub(crate) fn fetch(address: &StatusAddress, path: &str) -> Result<String, FetchError> {
     let connect = |source| FetchError::Connect { address: address.to_string(), source };
     let answer = match address {
@@ -104,13 +77,53 @@ fn ask<S: Read + Write>(
     }
 }
 
-/// Status and body of an answer.
 fn parse(answer: &[u8]) -> Option<(u16, &str)> {
     let answer = std::str::from_utf8(answer).ok()?;
     let (head, body) = answer.split_once("\r\n\r\n")?;
     let mut words = head.lines().next()?.split(' ');
     words.next().filter(|version| version.starts_with("HTTP/1."))?;
     Some((words.next()?.parse().ok()?, body))
+}
+
+/// The default address of `slitpose status`.
+pub(crate) const DEFAULT_STATUS_ADDRESS: &str = "127.0.0.1:7450";
+
+/// Prefix that distinguishes a path from a host.
+const UNIX: &str = "unix:";
+
+/// An address to listen on, or to connect to.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum StatusAddress {
+    Tcp(SocketAddr),
+    Unix(PathBuf),
+}
+
+/// A text that is not a [`StatusAddress`].
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("`{text}` is no address; give one such as {DEFAULT_STATUS_ADDRESS}, [::1]:7450, or unix:/run/slitpose/status")]
+pub struct AddressError {
+    pub text: String,
+}
+
+impl FromStr for StatusAddress {
+    type Err = AddressError;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let error = || AddressError { text: text.to_owned() };
+        if let Some(path) = text.strip_prefix(UNIX) {
+            return if path.is_empty() { Err(error()) } else { Ok(Self::Unix(path.into())) };
+        }
+        http::tcp_address(text).map(Self::Tcp).ok_or_else(error)
+    }
+}
+
+impl fmt::Display for StatusAddress {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Tcp(address) => address.fmt(f),
+            Self::Unix(path) => write!(f, "{UNIX}{}", path.display()),
+        }
+    }
 }
 
 #[cfg(test)]
@@ -140,5 +153,16 @@ mod tests {
         assert!(matches!(fetch(&address, "/status"), Err(FetchError::NotHttp { .. } | FetchError::Broken { .. })));
         answers.join().unwrap().unwrap().unwrap();
         assert!(matches!(fetch(&address, "/status"), Err(FetchError::Connect { .. })));
+    }
+
+    #[test]
+    fn addresses_are_read_as_they_are_written() {
+        for text in [DEFAULT_STATUS_ADDRESS, "[::1]:7450", "0.0.0.0:1", "unix:/run/slitpose/status"] {
+            assert_eq!(text.parse::<StatusAddress>().unwrap().to_string(), text);
+        }
+        assert_eq!("localhost:7450".parse(), DEFAULT_STATUS_ADDRESS.parse::<StatusAddress>());
+        for text in ["", "7450", ":7450", "127.0.0.1", "127.0.0.1:99999", "unix:", "example.org:80", "localhost:x"] {
+            assert!(text.parse::<StatusAddress>().is_err(), "{text}");
+        }
     }
 }

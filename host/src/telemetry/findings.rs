@@ -45,7 +45,6 @@ impl LagReport {
 }
 
 impl BoardEvent {
-    /// The event with its time.
     pub(super) fn finding(&self) -> Finding {
         let grade = if self.is_error { Grade::Failed } else { Grade::Warning };
         let place = self.device_time_s.map_or("board".into(), |time_s| format!("board at {time_s:.3} s").into());
@@ -87,7 +86,6 @@ impl DaemonReport {
     }
 }
 
-/// A client that misses poses.
 fn of_client(client: &SlowClient) -> Finding {
     let SlowClient { process, user, shares_queue, missed, missing_s } = client;
     let process = process.map_or("a client".to_owned(), |process| format!("process {process}"));

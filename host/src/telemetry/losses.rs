@@ -1,8 +1,11 @@
-//! The places where missing scans were lost.
+//! The places where missing scans were lost, and percentiles of durations.
 //!
 //! Gaps in the numbering show missing scans. Twice per second the board reports how many it has lost itself since its
 //! reset. The rest was lost on the link.
 
+use hdrhistogram::Histogram;
+use schemars::JsonSchema;
+use serde::Serialize;
 use slitpose_protocol::Status;
 
 use super::report::BoardLosses;
@@ -22,7 +25,6 @@ pub(super) struct LossBook {
 }
 
 impl LossBook {
-    /// Restarts the numbering for another board.
     pub(super) fn begin_numbering(&mut self) {
         self.next_sequence = None;
     }
@@ -65,7 +67,6 @@ impl LossBook {
         self.link_scans = self.link_scans.max(self.missed.saturating_sub(board.scans_dropped + board.scans_lost));
     }
 
-    /// Losses on the board.
     pub(super) fn board(&self) -> BoardLosses {
         let last = self.last.map_or(self.base, |(_, last)| last);
         let since = |last: u64, base: u64, carried: u64| carried + last.saturating_sub(base);
@@ -76,14 +77,120 @@ impl LossBook {
         }
     }
 
-    /// Scans lost on the link.
     pub(super) fn link_scans(&self) -> u64 {
         self.link_scans
     }
 }
 
+/// Range of the histogram: 1 µs to 100 s with 1 % resolution, in some 30 KiB.
+const LEAST_NS: u64 = 1_000;
+const MOST_NS: u64 = 100_000_000_000;
+const DIGITS: u8 = 2;
+
+const QUANTILES: [f64; 4] = [0.5, 0.9, 0.99, 0.999];
+
+/// Percentiles of durations, seconds; zeros if there are no durations.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
+pub(crate) struct Percentiles {
+    /// Median.
+    pub p50_s: f64,
+    /// 90th percentile.
+    pub p90_s: f64,
+    /// 99th percentile.
+    pub p99_s: f64,
+    /// 99.9th percentile.
+    pub p999_s: f64,
+    /// Maximum.
+    pub max_s: f64,
+    /// Sum.
+    pub sum_s: f64,
+    /// Number of durations.
+    pub count: u64,
+}
+
+impl Percentiles {
+    /// Each quantile, 0 to 1, with its duration in seconds.
+    pub(crate) fn quantiles(&self) -> [(f64, f64); 4] {
+        let values = [self.p50_s, self.p90_s, self.p99_s, self.p999_s];
+        std::array::from_fn(|i| (QUANTILES[i], values[i]))
+    }
+}
+
+/// Percentiles of durations since the start, and of the last interval.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
+pub struct Latency {
+    /// Durations since the start.
+    pub(crate) total: Percentiles,
+    /// Durations of the last full interval: see [`Rates::interval_s`](super::report::Rates::interval_s).
+    pub(crate) recent: Percentiles,
+}
+
+#[derive(Clone, Debug)]
+pub(crate) struct LatencyHistogram {
+    total: Sums,
+    interval: Sums,
+    recent: Percentiles,
+}
+
+#[derive(Clone, Debug)]
+struct Sums {
+    histogram: Histogram<u64>,
+    sum_ns: u64,
+    max_ns: u64,
+}
+
+impl Sums {
+    fn new() -> Self {
+        let histogram = Histogram::new_with_bounds(LEAST_NS, MOST_NS, DIGITS).expect("bounds that are in order");
+        Self { histogram, sum_ns: 0, max_ns: 0 }
+    }
+
+    fn record(&mut self, duration_ns: u64) {
+        // Within its bounds a histogram accepts every value without more memory.
+        let _ = self.histogram.record(duration_ns.min(MOST_NS));
+        self.sum_ns = self.sum_ns.saturating_add(duration_ns);
+        self.max_ns = self.max_ns.max(duration_ns);
+    }
+
+    fn percentiles(&self) -> Percentiles {
+        let seconds = |duration_ns: u64| duration_ns as f64 * 1e-9;
+        // The upper end of a bin may exceed the maximum.
+        let at = |quantile: f64| seconds(self.histogram.value_at_quantile(quantile).min(self.max_ns));
+        let [p50_s, p90_s, p99_s, p999_s] = QUANTILES.map(at);
+        let (max_s, sum_s) = (seconds(self.max_ns), seconds(self.sum_ns));
+        Percentiles { p50_s, p90_s, p99_s, p999_s, max_s, sum_s, count: self.histogram.len() }
+    }
+}
+
+impl Default for LatencyHistogram {
+    fn default() -> Self {
+        Self { total: Sums::new(), interval: Sums::new(), recent: Percentiles::default() }
+    }
+}
+
+impl LatencyHistogram {
+    /// Adds a duration in nanoseconds.
+    pub(crate) fn record_ns(&mut self, duration_ns: u64) {
+        self.total.record(duration_ns);
+        self.interval.record(duration_ns);
+    }
+
+    pub(crate) fn end_interval(&mut self) {
+        self.recent = self.interval.percentiles();
+        self.interval.histogram.reset();
+        (self.interval.sum_ns, self.interval.max_ns) = (0, 0);
+    }
+
+    /// The percentiles so far.
+    pub(crate) fn latency(&self) -> Latency {
+        Latency { total: self.total.percentiles(), recent: self.recent }
+    }
+}
+
 #[cfg(test)]
 mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
     use slitpose_protocol::{ClockSource, SettingsSource};
 
     use super::*;
@@ -162,5 +269,49 @@ mod tests {
         [0, 4].iter().for_each(|&sequence| book.scan(sequence, 0));
         book.status(&status(10, 2, 1));
         assert_eq!(shares(&book), (7, 1, 0));
+    }
+
+    fn reference(sorted: &[u64], quantile: f64) -> f64 {
+        let index = (quantile * sorted.len() as f64).ceil() as usize - 1;
+        sorted[index] as f64 * 1e-9
+    }
+
+    #[test]
+    fn percentiles_are_those_of_the_sorted_durations() {
+        for seed in 0..20 {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            // From microseconds to tens of seconds, uniformly in the logarithm.
+            let mut durations: Vec<u64> = (0..5000).map(|_| 10_f64.powf(rng.random_range(3.5..10.5)) as u64).collect();
+            let mut histogram = LatencyHistogram::default();
+            durations.iter().for_each(|&duration| histogram.record_ns(duration));
+            durations.sort_unstable();
+            let found = histogram.latency().total;
+            for (quantile, value_s) in found.quantiles() {
+                let expected_s = reference(&durations, quantile);
+                // Two digits: the relative width of a bin is at most 1/128.
+                let off = value_s / expected_s - 1.0;
+                assert!((0.0..1.0 / 128.0).contains(&off), "seed {seed}, {quantile}: {value_s} for {expected_s}");
+            }
+            assert_eq!(found.max_s, durations[4999] as f64 * 1e-9, "seed {seed}");
+            assert_eq!(found.count, 5000);
+            let sum_s: f64 = durations.iter().map(|&duration| duration as f64 * 1e-9).sum();
+            assert!((found.sum_s / sum_s - 1.0).abs() < 1e-12, "seed {seed}");
+        }
+    }
+
+    #[test]
+    fn an_interval_begins_with_nothing() {
+        let mut histogram = LatencyHistogram::default();
+        assert_eq!(histogram.latency(), Latency::default());
+        histogram.record_ns(0);
+        histogram.record_ns(u64::MAX);
+        assert_eq!(histogram.latency().recent.count, 0, "the interval has not ended");
+        histogram.end_interval();
+        let latency = histogram.latency();
+        assert_eq!((latency.recent.count, latency.recent.max_s), (2, u64::MAX as f64 * 1e-9));
+        assert!(latency.recent.p50_s < 2e-6 && latency.recent.p999_s >= 100.0, "{latency:?}");
+        histogram.end_interval();
+        assert_eq!(histogram.latency().recent, Percentiles::default());
+        assert_eq!(histogram.latency().total.count, 2);
     }
 }

@@ -7,17 +7,15 @@ use std::fmt::Write;
 
 use slitpose_protocol::{ClockSource, SettingsSource};
 
-use super::latency::Latency;
+use super::losses::Latency;
 use super::report::{BoardReport, DaemonReport, LinkState, RecorderState};
 use crate::clock::HostInstant;
 use crate::health::CellHealth;
 
-/// The content type of the text.
 pub(crate) const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
 
 const KELVIN_AT_0_CELSIUS: f64 = 273.15;
 
-/// Names and values of labels.
 type Labels<'a> = Vec<(&'static str, &'a str)>;
 
 /// Reads a value of a cell, if there is one.

@@ -4,13 +4,10 @@
 //! times per second. A `DaemonReport` holds those of all boards. `view` formats it for people, `metrics` for
 //! Prometheus, and JSON serves other programs; `StatusServer` offers all three, and `fetch` requests them.
 
-mod address;
 mod client;
 mod findings;
-mod latency;
 mod losses;
 pub(crate) mod metrics;
-mod process;
 mod report;
 mod server;
 mod statistics;
@@ -18,11 +15,10 @@ mod statistics;
 mod tests;
 pub(crate) mod view;
 
-pub(crate) use address::{DEFAULT_STATUS_ADDRESS, StatusAddress};
-pub(crate) use client::{FetchError, fetch};
+pub(crate) use client::{DEFAULT_STATUS_ADDRESS, StatusAddress, fetch};
 pub(crate) use report::{
     BoardReport, DaemonReport, HostLosses, LagReport, LinkReport, LinkState, RecorderReport, RecorderState,
     report_schema,
 };
-pub(crate) use server::{StatusError, StatusServer};
+pub(crate) use server::StatusServer;
 pub use statistics::BoardStatistics;

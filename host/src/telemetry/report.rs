@@ -8,7 +8,7 @@ use schemars::generate::SchemaSettings;
 use serde::Serialize;
 use slitpose_protocol::{ClockSource, SettingsSource};
 
-use super::latency::Latency;
+use super::losses::Latency;
 use crate::clock::HostInstant;
 use crate::datagram::DatagramCounts;
 use crate::health::HeadHealth;
@@ -122,7 +122,6 @@ pub(crate) enum LinkState {
 }
 
 impl LinkState {
-    /// All states.
     pub(crate) const ALL: [Self; 7] =
         [Self::Searching, Self::Connecting, Self::Running, Self::Quiet, Self::Gone, Self::Refused, Self::Ended];
 
@@ -222,7 +221,6 @@ pub(crate) struct HostLosses {
 }
 
 impl LinkLosses {
-    /// Packets damaged on the link.
     pub(crate) fn damaged(&self) -> u64 {
         self.bad_checksum + self.misframed + self.overlong
     }
@@ -346,7 +344,6 @@ pub(crate) enum RecorderState {
 }
 
 impl RecorderState {
-    /// All states.
     pub(crate) const ALL: [Self; 3] = [Self::Off, Self::Recording, Self::Failed];
 
     /// The word used in tables and messages.

@@ -5,7 +5,6 @@
 
 use std::io;
 use std::sync::Arc;
-use std::thread::JoinHandle;
 
 use axum::Router;
 use axum::extract::Request;
@@ -15,13 +14,11 @@ use axum::middleware::{Next, from_fn};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use thiserror::Error;
-use tokio::runtime::{Builder, Runtime};
-use tokio::sync::oneshot;
+use tokio::runtime::Builder;
 
 use super::{DaemonReport, StatusAddress, metrics, view};
 use crate::clock::HostInstant;
-use crate::http::{self, Door, Reach, Socket};
-use crate::socket_file::{SocketFile, SocketFileError};
+use crate::http::{self, Door, Reach, Serving, Socket, SocketFile, SocketFileError};
 
 /// Mode of the Unix socket: owner and group may connect, other users may not.
 const SOCKET_MODE: u32 = 0o660;
@@ -29,43 +26,27 @@ const SOCKET_MODE: u32 = 0o660;
 const TEXT: &str = "text/plain; charset=utf-8";
 const JSON: &str = "application/json";
 
-/// Why the status cannot be served.
 #[derive(Debug, Error)]
 pub(crate) enum StatusError {
-    /// Other hosts could connect, too.
     #[error(
         "{address} can be reached from other hosts, and the status server asks for no password; \
          give 127.0.0.1 or [::1], or a unix: path"
     )]
-    NotLoopback {
-        /// The address.
-        address: StatusAddress,
-    },
-    /// A Unix socket.
+    NotLoopback { address: StatusAddress },
     #[error(transparent)]
     Socket(#[from] SocketFileError),
-    /// Another program answers at the port.
     #[error("another program serves {address}; give another address, or end that program")]
-    InUse {
-        /// The address.
-        address: StatusAddress,
-    },
-    /// The address cannot be bound.
+    InUse { address: StatusAddress },
     #[error("cannot listen on {address}")]
-    Listen {
-        /// The address.
-        address: StatusAddress,
-        /// The system's error.
-        source: io::Error,
-    },
+    Listen { address: StatusAddress, source: io::Error },
 }
 
 /// Serves the status until dropped.
 #[derive(Debug)]
 pub(crate) struct StatusServer {
     address: StatusAddress,
-    end: Option<oneshot::Sender<()>>,
-    thread: Option<JoinHandle<()>>,
+    // Ends before the file is removed.
+    _serving: Serving,
     _file: Option<SocketFile>,
 }
 
@@ -73,9 +54,6 @@ type Source = Arc<dyn Fn() -> DaemonReport + Send + Sync>;
 
 impl StatusServer {
     /// Serves the reports of `source` at `address`. A socket left behind by a killed daemon is replaced.
-    ///
-    /// # Errors
-    /// If the address cannot be bound, or has a wider `reach`.
     pub(crate) fn start(
         address: &StatusAddress,
         reach: Reach,
@@ -104,7 +82,6 @@ impl StatusServer {
                 }
             }
         };
-        let (end, ended) = oneshot::channel();
         let source: Source = Arc::new(source);
         // Browsers cannot reach a Unix socket: any host name is allowed there.
         let named = if matches!(address, StatusAddress::Unix(_)) { Reach::Anywhere } else { reach };
@@ -117,35 +94,16 @@ impl StatusServer {
                 reply(StatusCode::FORBIDDEN, TEXT, text.to_owned())
             }
         }));
-        let thread = std::thread::Builder::new()
-            .name("status".to_owned())
-            .spawn(move || serve(runtime, socket, routes, ended))
+        runtime.spawn(async move { axum::serve(Door::new(socket), routes).await });
+        let serving = Serving::start("status", runtime)
             .map_err(|source| StatusError::Listen { address: address.clone(), source })?;
-        Ok(Self { address, end: Some(end), thread: Some(thread), _file: file })
+        Ok(Self { address, _serving: serving, _file: file })
     }
 
     /// The address it listens on, with the port that the system chose for port 0.
     pub(crate) fn address(&self) -> &StatusAddress {
         &self.address
     }
-}
-
-impl Drop for StatusServer {
-    fn drop(&mut self) {
-        drop(self.end.take());
-        if let Some(thread) = self.thread.take() {
-            // A panic of the thread has already been reported on standard error.
-            let _ = thread.join();
-        }
-    }
-}
-
-fn serve(runtime: Runtime, socket: Socket, routes: Router, ended: oneshot::Receiver<()>) {
-    // Ends with the runtime: a graceful shutdown would wait for connections that hang.
-    runtime.spawn(async move { axum::serve(Door::new(socket), routes).await });
-    // Either way the server has been dropped.
-    let _ = runtime.block_on(ended);
-    drop(runtime);
 }
 
 fn routes(source: &Source) -> Router {

@@ -10,14 +10,16 @@ use std::time::{Duration, Instant};
 
 use slitpose_protocol::{ClockSource, SettingsSource, Severity, Status};
 
+use super::client::FetchError;
+use super::server::StatusError;
 use super::*;
 use crate::clock::{HostInstant, HostTime};
 use crate::datagram::DatagramCounts;
 use crate::health::{CellHealth, CellTotals, Diagnosis, Fault, HeadHealth, Shares, Verdict};
+use crate::http::SocketFileError;
 use crate::http::{self, Reach};
 use crate::link::DeviceId;
 use crate::pipeline::{Counts, Item, Outcomes, Record};
-use crate::socket_file::SocketFileError;
 use slitpose_head::finding::Finding;
 
 /// A name with all characters that a label must escape.

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use super::latency::Latency;
+use super::losses::Latency;
 use super::report::{BoardReport, DaemonReport, LinkState, Losses, RecorderReport, RecorderState};
 use crate::clock::HostInstant;
 use crate::health::{CellHealth, Verdict};
@@ -190,7 +190,6 @@ fn in_words(name: &str) -> String {
     letters.collect()
 }
 
-/// A cell in a word.
 fn word(health: &CellHealth) -> String {
     let shares = &health.shares;
     let share = match health.verdict {

@@ -1,32 +1,27 @@
 //! The user's terminal: the only module that draws on it.
 //!
 //! A view (the state of boards) and a progress line are redrawn in place; messages are printed above
-//! them. `line` lays lines out for a window, `block` tracks the rows on the screen, `progress` shows
-//! the progress of a long command.
+//! them. `progress` shows the progress of a long command, and tracks the rows on the screen.
 //!
 //! Nothing is drawn in place unless the stream is a terminal that can move its cursor (TERM is set
 //! and not `dumb`). Colours mark faults; a non-empty NO_COLOR turns them off.
 
-mod block;
-mod line;
 mod progress;
 
 use std::fmt;
 use std::io::{self, IsTerminal, Write};
 use std::sync::{Mutex, PoisonError};
 
-use console::Term;
-
-pub(crate) use line::{Line, Tone, WIDTH, layout};
-pub(crate) use progress::{Amount, Progress, hide as hide_progress};
-
-use block::{Block, Size};
+use console::{Term, measure_text_width};
+use progress::{Block, Size};
+use slitpose_head::finding::Grade;
 use slitpose_head::foreign::printable;
+
+pub(crate) use progress::{Amount, Progress, hide as hide_progress};
 
 /// Longer messages, with texts from boards or files, are cut.
 const LONGEST_MESSAGE: usize = 4000;
 
-/// Everything that is drawn in place.
 static SCREEN: Mutex<Screen> =
     Mutex::new(Screen { view: Vec::new(), progress: None, target: None, block: Block::NONE });
 
@@ -55,9 +50,6 @@ pub(crate) fn has_colours(is_terminal: bool) -> bool {
 }
 
 /// Draws `lines` on standard output in place of the last ones.
-///
-/// # Errors
-/// Errors of standard output.
 pub(crate) fn show(lines: Vec<Line>) -> io::Result<()> {
     let mut screen = screen();
     screen.view = lines;
@@ -70,7 +62,6 @@ pub(crate) fn columns() -> usize {
     Size::of(&Term::stdout()).columns
 }
 
-/// Erases the lines drawn in place.
 pub(crate) fn clear() {
     let mut screen = screen();
     (screen.view, screen.progress) = (Vec::new(), None);
@@ -79,9 +70,6 @@ pub(crate) fn clear() {
 }
 
 /// Writes one line to `output`, standard output, above what is drawn in place.
-///
-/// # Errors
-/// Errors of `output`.
 pub(crate) fn print(output: &mut impl Write, line: fmt::Arguments<'_>) -> io::Result<()> {
     screen().above(|| {
         writeln!(output, "{line}")?;
@@ -127,17 +115,211 @@ impl Screen {
         let Some(target) = &self.target else { return Ok(()) };
         let size = Size::of(target);
         let lines: Vec<&Line> = self.view.iter().chain(&self.progress).collect();
-        let rows = line::fit(&lines, size.columns, size.rows.saturating_sub(1));
+        let rows = fit(&lines, size.columns, size.rows.saturating_sub(1));
         target.write_str(&self.block.replace(&rows, size, has_colours(true)))?;
         target.flush()
     }
 
-    /// Writes above what is drawn.
     fn above(&mut self, write: impl FnOnce() -> io::Result<()>) -> io::Result<()> {
         let Some(target) = &self.target else { return write() };
         target.write_str(&self.block.replace(&[], Size::of(target), false))?;
         target.flush()?;
         let written = write();
         written.and(self.draw())
+    }
+}
+
+/// Columns of pages without a window; no line is longer.
+pub(crate) const WIDTH: usize = 100;
+
+/// Width of the column with the names of the lines.
+const INDENT: usize = 12;
+
+/// Longer texts, from boards or files, are cut.
+const LONGEST_TEXT: usize = 800;
+
+/// The importance of a line, shown by its colour.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum Tone {
+    #[default]
+    Plain,
+    Careful,
+    Wrong,
+}
+
+impl Tone {
+    /// The control sequences that begin and end its colour (SGR of ECMA-48).
+    fn codes(self) -> (&'static str, &'static str) {
+        match self {
+            Self::Plain => ("", ""),
+            Self::Careful => ("\x1b[33m", "\x1b[0m"),
+            Self::Wrong => ("\x1b[1;31m", "\x1b[0m"),
+        }
+    }
+}
+
+impl Tone {
+    /// `text` in its colour, if it `has_colours`.
+    pub(crate) fn paint(self, text: &str, has_colours: bool) -> String {
+        let (begin, end) = if has_colours { self.codes() } else { ("", "") };
+        format!("{begin}{text}{end}")
+    }
+}
+
+impl From<Grade> for Tone {
+    fn from(grade: Grade) -> Self {
+        match grade {
+            Grade::Ok | Grade::Skipped => Self::Plain,
+            Grade::Warning => Self::Careful,
+            Grade::Failed => Self::Wrong,
+        }
+    }
+}
+
+/// A name and the text under it.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Line {
+    name: &'static str,
+    text: String,
+    tone: Tone,
+    rank: u8,
+}
+
+/// Ranks of lines, from the last to the first left out in a low window.
+const RANKS: std::ops::RangeInclusive<u8> = 0..=3;
+
+impl Line {
+    /// `text` under `name`; control characters in it are escaped.
+    pub(crate) fn new(name: &'static str, text: &str) -> Self {
+        Self { name, text: printable(text).at_most(LONGEST_TEXT).to_string(), ..Self::default() }
+    }
+
+    /// A blank line, for use between boards.
+    pub(crate) fn blank() -> Self {
+        Self { rank: *RANKS.end(), ..Self::default() }
+    }
+
+    pub(crate) fn tone(&mut self, tone: Tone) -> &mut Self {
+        self.tone = tone;
+        self
+    }
+
+    /// Sets the rank, 0 to 3, by default 0: a window that is too low leaves out lines of higher ranks first.
+    pub(crate) fn rank(&mut self, rank: u8) -> &mut Self {
+        self.rank = rank;
+        self
+    }
+
+    /// The rows of this line in `width` columns.
+    fn rows(&self, width: usize) -> Vec<Row> {
+        let width = width.clamp(1, WIDTH);
+        let indent = INDENT.min(width / 4);
+        let mut rows = Vec::new();
+        let mut row = format!("{:<indent$}", self.name.chars().take(width).collect::<String>());
+        if self.name.chars().count() >= indent && !self.text.is_empty() && indent > 0 {
+            row.push(' ');
+        }
+        let mut columns = row.chars().count();
+        let mut is_empty = true;
+        for word in self.text.split(' ') {
+            let mut word = word;
+            loop {
+                let length = measure_text_width(word);
+                let gap = usize::from(!is_empty);
+                if columns + gap + length <= width {
+                    row.extend(std::iter::repeat_n(' ', gap));
+                    row.push_str(word);
+                    columns += gap + length;
+                    is_empty = false;
+                    break;
+                }
+                if is_empty && columns <= indent.max(1) {
+                    // The word is longer than a row: it continues in the next.
+                    let (head, tail) = split_at_width(word, width - columns.min(width - 1));
+                    row.push_str(head);
+                    word = tail;
+                }
+                rows.push(std::mem::replace(&mut row, " ".repeat(indent)));
+                (columns, is_empty) = (indent, true);
+            }
+        }
+        rows.push(row);
+        rows.into_iter().map(|text| Row { text: text.trim_end().to_owned(), tone: self.tone }).collect()
+    }
+}
+
+/// At least one character, then as many as `width` columns hold.
+fn split_at_width(word: &str, width: usize) -> (&str, &str) {
+    let fits = |end: &usize| measure_text_width(&word[..*end]) <= width;
+    let ends = || word.char_indices().skip(1).map(|(at, _)| at);
+    let end = ends().take_while(fits).last().or_else(|| ends().next()).unwrap_or(word.len());
+    word.split_at(end)
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Row {
+    text: String,
+    tone: Tone,
+}
+
+/// All of `lines` in `width` columns, [`WIDTH`] at most.
+pub(crate) fn layout(lines: &[Line], width: usize) -> Vec<String> {
+    lines.iter().flat_map(|line| line.rows(width)).map(|row| row.text).collect()
+}
+
+/// As many of `lines` as `height` rows of `width` columns hold, those of low rank first.
+fn fit(lines: &[&Line], width: usize, height: usize) -> Vec<Row> {
+    let of_rank = |most: u8| -> Vec<Row> {
+        lines.iter().filter(|line| line.rank <= most).flat_map(|line| line.rows(width)).collect()
+    };
+    let fitting = RANKS.rev().map(of_rank).find(|rows| rows.len() <= height);
+    fitting.unwrap_or_else(|| {
+        let mut rows = of_rank(*RANKS.start());
+        rows.truncate(height.saturating_sub(1));
+        rows.push(Row { text: "… more".chars().take(width).collect(), tone: Tone::Plain });
+        rows.truncate(height);
+        rows
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_keep_to_the_width_and_lose_no_word() {
+        let words = "the quick brown fox 頭頭頭 jumps over averyveryveryveryveryveryverylongword 12345";
+        for name in ["name", "a long name"] {
+            for width in [1, 2, 5, 12, 13, 20, 40, 80, 100, 300] {
+                let rows = layout(&[Line::new(name, words)], width);
+                let longest = rows.iter().map(|row| measure_text_width(row)).max().unwrap();
+                // A wide character does not fit a window of one column.
+                assert!(longest <= width.max(2) && longest <= WIDTH, "{width}: {rows:#?}");
+                let all = |text: &str| text.chars().filter(|c| *c != ' ').collect::<String>();
+                let shown = all(&rows.concat());
+                assert!(shown.ends_with(&all(words)), "{width}: {rows:#?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_low_window_keeps_what_matters() {
+        let mut lines = [Line::new("pose", "1 2 3"), Line::new("rate", "4000"), Line::new("clock", "fine")];
+        lines[1].rank(1);
+        lines[2].rank(3);
+        let lines: Vec<_> = lines.iter().collect();
+        let names = |height| {
+            let rows = fit(&lines, 40, height);
+            rows.iter().map(|row| row.text.split(' ').next().unwrap_or_default().to_owned()).collect::<Vec<_>>()
+        };
+        assert_eq!(names(5), ["pose", "rate", "clock"]);
+        assert_eq!(names(2), ["pose", "rate"]);
+        assert_eq!(names(1), ["pose"]);
+        assert_eq!(names(0), [""; 0]);
+    }
+
+    #[test]
+    fn control_characters_are_escaped() {
+        assert_eq!(layout(&[Line::new("said", "a\u{1b}[2Jb\nc")], 80), ["said        a\\u{1b}[2Jb\\nc"]);
     }
 }

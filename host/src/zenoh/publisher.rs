@@ -9,7 +9,7 @@ use ::zenoh::{Session, Wait, pubsub};
 use slitpose_head::finding::{Finding, Grade};
 
 use super::ZenohSession;
-use super::graph::{Attachment, Node, Type, gid, topic_key};
+use super::session::{Attachment, Node, Type, gid, topic_key};
 use crate::capture::encode_link_bytes;
 use crate::clock::HostInstant;
 use crate::daemon::{TakesChunks, Talk, TapChunk};
@@ -22,10 +22,8 @@ use crate::telemetry::DaemonReport;
 /// Time between copies of what late subscribers need, too: hellos, heads, health.
 const REPEAT_EVERY: Duration = Duration::from_secs(1);
 
-/// Publishes all boards of a daemon.
 pub(super) struct Publisher {
     session: ZenohSession,
-    /// Once there is a session.
     daemon: Option<DaemonTopics>,
     boards: Vec<Shown>,
     report: Box<dyn Fn() -> DaemonReport + Send>,
@@ -39,13 +37,11 @@ pub(super) struct Publisher {
 struct DaemonTopics {
     session: Session,
     node: Node,
-    /// Present while the session lasts.
     _token: LivelinessToken,
     transforms: Topic,
     health: Topic,
 }
 
-/// A board of the daemon.
 struct Shown {
     board: LiveBoard,
     /// The board, and its last hello as it is repeated.

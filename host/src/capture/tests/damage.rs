@@ -21,7 +21,6 @@ struct OnDisk {
     bytes: Vec<u8>,
     /// Lengths of the file at each flush, and how many messages it held.
     flushes: Vec<(u64, usize)>,
-    /// Whether nothing failed.
     written: bool,
     messages: Vec<Segment>,
 }
@@ -176,7 +175,6 @@ impl Chunked {
     }
 }
 
-/// Scans as a decoder gives them.
 #[derive(Default)]
 struct Rows {
     decoder: Decoder<MAX_MESSAGE_BYTES>,

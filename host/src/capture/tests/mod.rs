@@ -3,7 +3,6 @@
 mod damage;
 mod foreign;
 mod series;
-mod size;
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
@@ -78,7 +77,6 @@ fn is_truth(mut packet: &[u8]) -> bool {
     matches!(decoder.next::<Message<'_>>(&mut packet), Some(Ok(Message::Truth(_))))
 }
 
-/// Everything in a capture.
 #[derive(Debug, Default, PartialEq)]
 struct Content {
     setups: Vec<Setup>,
@@ -126,7 +124,6 @@ fn joined(content: Content) -> Vec<u8> {
     segments(content).into_iter().flat_map(|segment| segment.bytes).collect()
 }
 
-/// A disk of limited size.
 #[derive(Debug)]
 struct Disk {
     bytes: Vec<u8>,

@@ -14,7 +14,6 @@ pub(super) const TICK_HZ: u32 = 170_000_000;
 /// Ticks from scan to scan: 4 kHz.
 const FRAME_TICKS: u64 = 42_500;
 
-/// Scans in a batch.
 const BATCH: u64 = 4;
 
 const PING_EVERY_NS: f64 = 500e6;
@@ -26,12 +25,10 @@ pub(super) struct Link {
     pub(super) rate: f64,
     pub(super) wander: f64,
     pub(super) wander_period_s: f64,
-    /// Tick the board begins with.
     pub(super) first_tick: u64,
     /// Least delay to the host and to the board.
     pub(super) up_ns: f64,
     pub(super) down_ns: f64,
-    /// Mean of what comes on top.
     pub(super) jitter_ns: f64,
     /// USB: what is sent crosses at the next frame; 0 without frames.
     pub(super) frame_ns: f64,
@@ -67,16 +64,21 @@ pub(super) const USB: Link = Link {
     utc_step_ns: None,
 };
 
-/// What the host sees.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Seen {
     /// A batch whose first scan is at `tick`, and in which the last sample is at `last`.
-    Batch { tick: u64, last: u64, at: HostInstant },
-    /// An answered ping.
-    Pong { asked: HostInstant, tick: u64, at: HostInstant },
+    Batch {
+        tick: u64,
+        last: u64,
+        at: HostInstant,
+    },
+    Pong {
+        asked: HostInstant,
+        tick: u64,
+        at: HostInstant,
+    },
 }
 
-/// Host monotonic time of the start.
 const MONOTONIC_NS: f64 = 5e12;
 const UTC_MINUS_MONOTONIC_NS: u64 = 1_700_000_000_000_000_000;
 

@@ -4,7 +4,7 @@ mod link;
 use hdrhistogram::Histogram;
 use slitpose_protocol::ClockSource;
 
-use super::{ClockFit, HostInstant, HostTime};
+use super::*;
 use link::{Link, Seen, TICK_HZ, USB};
 
 /// The pose of a scan refers to an instant within it, between ticks.
@@ -345,4 +345,29 @@ fn clocks_go_on() {
     assert!(second.monotonic_ns - first.monotonic_ns >= 2_000_000, "{first:?}, {second:?}");
     // 2020 has begun.
     assert!(first.utc_ns > 1_577_836_800_000_000_000);
+}
+
+/// What a watch says at looks 20 ms apart, of which each knows UTC's step and the delay between its readings, ms.
+fn steps(looks: &[(i64, u64)]) -> Vec<Option<f64>> {
+    let mut watch = UtcWatch::default();
+    let at = |(look, &(step_ms, delay_ms)): (usize, &(i64, u64))| {
+        let monotonic_ns = 5_000_000_000 + 20_000_000 * look as u64;
+        let utc_ns = (1_700_000_000_000_000_000 + monotonic_ns).wrapping_add_signed(step_ms * 1_000_000);
+        HostInstant { monotonic_ns, utc_ns: utc_ns + delay_ms * 1_000_000 }
+    };
+    looks.iter().enumerate().map(at).map(|now| watch.step_s(now)).collect()
+}
+
+#[test]
+fn a_step_of_utc_is_told_once_with_its_sign_and_a_delay_between_two_readings_is_none() {
+    let back = [(0, 0), (0, 0), (-3_600_000, 0), (-3_600_000, 0), (-3_600_000, 0)];
+    assert_eq!(steps(&back), [None, None, Some(-3600.0), None, None]);
+    // Only the next look tells a step ahead from a delay.
+    let ahead = [(0, 0), (0, 0), (250, 0), (250, 0), (250, 0)];
+    assert_eq!(steps(&ahead), [None, None, None, Some(0.25), None]);
+    assert_eq!(steps(&[(0, 0), (0, 0), (0, 9_000), (0, 0), (0, 0)]), [None; 5]);
+    assert_eq!(steps(&[(0, 9_000), (0, 0), (0, 0), (0, 0)]), [None; 4]);
+    // A second in two minutes is slewing.
+    let slewed: Vec<_> = (0..6000).map(|look| (look / 6, 0)).collect();
+    assert!(steps(&slewed).iter().all(Option::is_none));
 }

@@ -1,14 +1,16 @@
-//! `slitpose device list`: which boards there are.
+//! `slitpose device list` and `slitpose device info`: which boards there are, and all that one reports.
 
 use clap::ValueEnum;
 use serde::Serialize;
-
-use crate::commands::talk;
-use crate::commands::{CommandError, Outcome};
-use crate::device::{Listed, PortState, Search, UsbId, list};
-use crate::link::DeviceId;
 use slitpose_head::foreign::printable;
+use slitpose_head::scene_file::{Shipped, WIDE};
 use slitpose_head::table::Output;
+use slitpose_protocol::{PROTOCOL, Schedule, Status};
+
+use super::{BoardOptions, Connection};
+use crate::commands::{CommandError, Outcome, talk};
+use crate::device::{BoardInfo, Listed, PortState, Search, UsbId};
+use crate::link::{DeviceId, Versions};
 
 /// Lists the boards there are, and the ports that might have one.
 ///
@@ -18,7 +20,7 @@ use slitpose_head::table::Output;
 #[command(
     after_help = "Examples:\n  slitpose device list\n  slitpose device list --search '/dev/ttyUSB*' --format ndjson"
 )]
-pub(super) struct Args {
+pub(super) struct ListArgs {
     /// Look here, too: a path with * and ?, such as '/dev/ttyUSB*'; may be repeated
     #[arg(long, value_name = "GLOB")]
     search: Vec<Search>,
@@ -26,22 +28,22 @@ pub(super) struct Args {
     #[arg(long)]
     no_probe: bool,
     /// For people, or for programs: one JSON object a port
-    #[arg(long, value_enum, default_value_t = Format::Table)]
-    format: Format,
+    #[arg(long, value_enum, default_value_t = ListFormat::Table)]
+    format: ListFormat,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Format {
+enum ListFormat {
     Table,
     Ndjson,
 }
 
-pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
-    let listed = list(&args.search, !args.no_probe)?;
+pub(super) fn list(args: &ListArgs) -> Result<Outcome, CommandError> {
+    let listed = crate::device::list(&args.search, !args.no_probe)?;
     let output = Output::open(None)?;
     let text = match args.format {
-        Format::Table => table(&listed),
-        Format::Ndjson => ndjson(&listed).map_err(|error| output.error(error.into()))?,
+        ListFormat::Table => table(&listed),
+        ListFormat::Ndjson => ndjson(&listed).map_err(|error| output.error(error.into()))?,
     };
     output.write_text(&text)?;
     for hint in hints(&listed) {
@@ -141,6 +143,152 @@ fn ndjson(listed: &[Listed]) -> serde_json::Result<String> {
         text.push('\n');
     }
     Ok(text)
+}
+
+/// Shows all that a board reports: versions, schedule, scaling, what it stores, its counters.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  slitpose device info\n  slitpose device info --device /dev/ttyACM0 --format json")]
+pub(super) struct InfoArgs {
+    #[command(flatten)]
+    board: BoardOptions,
+    /// For people, or for programs (SI units)
+    #[arg(long, value_enum, default_value_t = InfoFormat::Text)]
+    format: InfoFormat,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum InfoFormat {
+    Text,
+    Json,
+}
+
+pub(super) fn info(args: &InfoArgs) -> Result<Outcome, CommandError> {
+    let mut connection = args.board.connect(&WIDE.read()?)?;
+    // What a board of another build counts cannot be trusted.
+    let status = match connection.info.mismatch {
+        None => Some(connection.board.status()?),
+        Some(_) => None,
+    };
+    let output = Output::open(None)?;
+    let text = match args.format {
+        InfoFormat::Text => info_text(&connection, status.as_ref()),
+        InfoFormat::Json => {
+            let Connection { info, found, .. } = &connection;
+            let info = Info { port: &found.port, usb: found.usb.as_ref(), hello: info, status: status.as_ref() };
+            serde_json::to_string_pretty(&info).map_err(|error| output.error(error.into()))? + "\n"
+        }
+    };
+    output.write_text(&text)?;
+    Ok(Outcome::Done)
+}
+
+fn info_text(connection: &Connection, status: Option<&Status>) -> String {
+    let Connection { info, found, .. } = connection;
+    let mut lines = vec![("serial", info.device.to_string()), ("port", found.port.clone())];
+    if let Some(usb) = &found.usb {
+        let product = usb.product.as_deref().unwrap_or("");
+        lines.push(("usb", format!("{:04x}:{:04x} {product}", usb.vid, usb.pid)));
+    }
+    lines.push(("board", format!("{} ({}), firmware {}", info.board, info.kind_name(), info.firmware)));
+    lines.push(match &info.mismatch {
+        None => ("protocol", format!("{}; this program speaks {PROTOCOL}", info.protocol)),
+        Some(mismatch) => ("protocol", format!("{}; {mismatch}", Versions { board: info.protocol })),
+    });
+    lines.push(("last start", info.reset_cause_name().replace('_', " ")));
+    lines.push(("scene", stored(info.hashes.scene)));
+    lines.push(("calibration", stored(info.hashes.calibration)));
+    let scaling = &info.scaling;
+    lines.push((
+        "scaling",
+        format!(
+            "up to {:.3} uA in {} bits, zero at code {:.1}, {:.4} nA a code, full scale at code {}",
+            scaling.full_scale_a() * 1e6,
+            scaling.bits,
+            scaling.zero_code,
+            scaling.amperes_per_code * 1e9,
+            scaling.saturation_code
+        ),
+    ));
+    lines.push(("schedule", schedule(&info.schedule)));
+    if let Some(status) = status {
+        lines.extend(counters(info, status));
+    }
+    let shown = |value| printable(value).at_most(LONGEST_VALUE);
+    lines.iter().map(|(name, value)| format!("{name:<12} {}\n", shown(value))).collect()
+}
+
+/// A text of the board that is longer is cut.
+const LONGEST_VALUE: usize = 800;
+
+/// A stored hash, with the shipped scene it belongs to.
+fn stored(hash: Option<u64>) -> String {
+    match hash {
+        None => "none stored".to_owned(),
+        Some(hash) => match Shipped::with_hash(hash) {
+            Some(file) => format!("{hash:016x} (`{}`)", file.origin),
+            None => format!("{hash:016x}"),
+        },
+    }
+}
+
+fn schedule(schedule: &Schedule) -> String {
+    let us = |ticks: u32| f64::from(ticks) / f64::from(schedule.tick_hz) * 1e6;
+    let slots: Vec<String> = schedule
+        .slots
+        .iter()
+        .map(|set| {
+            let emitters: Vec<_> = set.emitters().map(|emitter| emitter.to_string()).collect();
+            if emitters.is_empty() { "dark".to_owned() } else { emitters.join("+") }
+        })
+        .collect();
+    format!(
+        "{:.3} frames/s of {} cells; slots {} of {:.2} us: {:.2} us settling, {} conversions of {:.3} us a word",
+        schedule.frame_rate_hz(),
+        schedule.cells,
+        slots.join(", "),
+        us(schedule.slot_ticks),
+        us(schedule.settling_ticks),
+        schedule.oversampling,
+        us(schedule.conversion_ticks)
+    )
+}
+
+fn counters(info: &BoardInfo, status: &Status) -> Vec<(&'static str, String)> {
+    let up_s = status.tick as f64 / f64::from(info.schedule.tick_hz);
+    vec![
+        ("clock", status.clock.to_string()),
+        ("settings", status.settings.to_string()),
+        ("up since", format!("{up_s:.3} s, {}", if status.acquiring { "measuring" } else { "idle" })),
+        (
+            "scans",
+            format!(
+                "{} taken, {} dropped in {} batches, {} lost, {} overruns",
+                status.scans_taken,
+                status.scans_dropped,
+                status.batches_dropped,
+                status.scans_lost,
+                status.adc_overruns
+            ),
+        ),
+        (
+            "commands",
+            format!(
+                "{} damaged, {} rejected, {} replies dropped",
+                status.commands_damaged, status.commands_rejected, status.replies_dropped
+            ),
+        ),
+        ("supply", format!("{:.3} V", status.supply_v)),
+        ("temperature", format!("{:.1} C", status.temperature_k - 273.15)),
+        ("load", format!("{:.1} %", f64::from(status.cpu_load_permille) / 10.0)),
+    ]
+}
+
+#[derive(Serialize)]
+struct Info<'a> {
+    port: &'a str,
+    usb: Option<&'a UsbId>,
+    hello: &'a BoardInfo,
+    status: Option<&'a Status>,
 }
 
 #[cfg(test)]

@@ -1,17 +1,28 @@
 //! `slitpose device`: which boards there are, and what one is told beside measuring.
 
-mod connection;
-mod identify;
-mod info;
 mod list;
-mod reboot;
-mod set;
+
+use std::num::NonZeroU32;
+use std::path::PathBuf;
+use std::thread::sleep;
+use std::time::{Duration, Instant};
 
 use clap::Subcommand;
+use clap::builder::TypedValueParser;
+use slitpose_calibration::{Calibration, Head};
+use slitpose_head::front_end;
+use slitpose_head::scene_file::{SceneFile, WIDE};
+use slitpose_head::table::Output;
+use slitpose_protocol::{BootTarget, Hashes, ResetCause, Schedule};
 
-pub(super) use connection::{BoardOptions, Connection};
-
-use super::{CommandError, Outcome};
+use super::{CommandError, Outcome, options, talk};
+use crate::device::{
+    BoardInfo, Conversation, Device, DeviceError, Found, Search, Selector, SerialDevice, SimulatedDevice, find,
+    holders, locate,
+};
+use crate::link::Versions;
+use crate::pipeline::PipelineError;
+use crate::solving;
 
 /// Lists boards; tells one what head it has, to show itself, or to start anew.
 ///
@@ -24,19 +35,290 @@ pub(super) struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Verb {
-    List(list::Args),
-    Info(info::Args),
-    Set(set::Args),
-    Identify(identify::Args),
-    Reboot(reboot::Args),
+    List(list::ListArgs),
+    Info(list::InfoArgs),
+    Set(SetArgs),
+    Identify(IdentifyArgs),
+    Reboot(RebootArgs),
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     match &args.verb {
-        Verb::List(args) => list::run(args),
-        Verb::Info(args) => info::run(args),
-        Verb::Set(args) => set::run(args),
-        Verb::Identify(args) => identify::run(args),
-        Verb::Reboot(args) => reboot::run(args),
+        Verb::List(args) => list::list(args),
+        Verb::Info(args) => list::info(args),
+        Verb::Set(args) => set(args),
+        Verb::Identify(args) => identify(args),
+        Verb::Reboot(args) => reboot(args),
     }
+}
+
+/// Time that a board needs if its other port was asked just before.
+const HELLO_WITHIN: Duration = Duration::from_millis(2500);
+
+/// Which board.
+#[derive(Debug, clap::Args)]
+pub(super) struct BoardOptions {
+    /// The board: its serial number, the path of its port, auto: the one there is, or sim: a simulated one
+    #[arg(
+        long, value_name = "DEVICE", default_value = "auto", hide_possible_values = true,
+        value_parser = options::devices().try_map(|text| text.parse::<Selector>())
+    )]
+    pub(super) device: Selector,
+    /// Look for boards here, too: a path with * and ?, such as '/dev/ttyUSB*'; may be repeated
+    #[arg(long, value_name = "GLOB")]
+    pub(super) search: Vec<Search>,
+}
+
+pub(super) struct Connection {
+    pub(super) board: Conversation,
+    pub(super) info: BoardInfo,
+    pub(super) found: Found,
+}
+
+impl BoardOptions {
+    /// Finds the board, opens its port and asks who it is; a simulated one has the head of `file`.
+    pub(super) fn connect(&self, file: &SceneFile) -> Result<Connection, CommandError> {
+        let found = find(&self.device, &self.search)?;
+        let device: Box<dyn Device> = match &self.device {
+            Selector::Sim => Box::new(SimulatedDevice::live(file)?),
+            _ => Box::new(SerialDevice::open(&found.port).inspect_err(|error| name_holders(error, &found.port))?),
+        };
+        let mut board = Conversation::open(device)?;
+        let info = board.introduce(HELLO_WITHIN)?;
+        Ok(Connection { board, info, found })
+    }
+}
+
+impl Connection {
+    /// The same, if board and program understand each other.
+    pub(super) fn understood(self) -> Result<Self, CommandError> {
+        match self.info.mismatch {
+            None => Ok(self),
+            Some(source) => {
+                let versions = Versions { board: self.info.protocol };
+                Err(PipelineError::Schema { board: self.info.board, versions, source }.into())
+            }
+        }
+    }
+
+    pub(super) fn name(&self) -> String {
+        format!("{} on {}", self.info.device, self.found.port)
+    }
+}
+
+fn name_holders(error: &DeviceError, port: &str) {
+    if let DeviceError::Busy { .. } = error {
+        for holder in holders(port) {
+            talk(format_args!("{holder} has {port} open"));
+        }
+    }
+}
+
+/// A board that has just replied answers at once.
+const AT_ONCE: Duration = Duration::from_secs(1);
+
+/// Has a board keep the schedule and the hashes of its head's scene and calibration, also without supply.
+///
+/// From then on it starts with that schedule, and `run` refuses to read it by the scene or the calibration of another
+/// head. What is stored is read back. Unless one is given, a calibration stays stored only if the scene stays the same,
+/// and the full scale stays as it is.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  slitpose device set --scene head.toml\n  \
+                  slitpose device set --scene head.toml --calibration calibration.toml\n  \
+                  slitpose device set --scene head.toml --full-scale 6.6\n  \
+                  slitpose device set --device 0036002900544850025a0320 --clear")]
+struct SetArgs {
+    #[command(flatten)]
+    board: BoardOptions,
+    /// The scene of its head: a file, or the name of a shipped scene
+    #[arg(long, value_name = "SCENE", value_parser = options::scenes(), hide_possible_values = true, required_unless_present = "clear", conflicts_with = "clear")]
+    scene: Option<String>,
+    /// The calibration of its head, which `slitpose calibrate` wrote
+    #[arg(long, value_name = "FILE", requires = "scene")]
+    calibration: Option<PathBuf>,
+    /// Photocurrent of an electrode at the end of its converter's range, in microamperes: the reference voltage over the
+    /// feedback resistor
+    #[arg(long, value_name = "UA", requires = "scene", value_parser = parse_full_scale)]
+    full_scale: Option<NonZeroU32>,
+    /// Forget what is stored; the board starts with its defaults from then on
+    #[arg(long)]
+    clear: bool,
+}
+
+fn set(args: &SetArgs) -> Result<Outcome, CommandError> {
+    let said = match &args.scene {
+        None => clear(args.board.connect(&WIDE.read()?)?.understood()?)?,
+        Some(scene) => {
+            let file = SceneFile::open(scene)?;
+            let configuration = front_end::configuration(&file)?;
+            let given =
+                args.calibration.as_deref().map(|path| Head::open_calibrated(file.clone(), path)).transpose()?;
+            let calibrated = given;
+            let given = calibrated.as_ref().and_then(Head::calibration).map(Calibration::hash);
+            let mut connection = args.board.connect(&file)?.understood()?;
+            let before = connection.info.hashes;
+            let same = before.scene == Some(file.hash);
+            let hashes = Hashes { scene: Some(file.hash), calibration: given.or(before.calibration.filter(|_| same)) };
+            let schedule = configuration.schedule.clone();
+            connection.board.configure(configuration)?;
+            if let Some(full_scale_pa) = args.full_scale {
+                connection.board.set_full_scale(full_scale_pa)?;
+                connection.info = connection.board.introduce(AT_ONCE)?;
+            }
+            let solving = if given == hashes.calibration {
+                let head = calibrated.unwrap_or_else(|| file.clone().into());
+                send_head(&mut connection, &head, &schedule)?
+            } else {
+                connection.board.forget_head()?;
+                "; it solves no poses itself: give the calibration, too".to_owned()
+            };
+            connection.board.store(hashes)?;
+            let after = connection.board.introduce(AT_ONCE)?;
+            if after.hashes != hashes || after.schedule != schedule || after.scaling != connection.info.scaling {
+                return Err(DeviceError::NotStored { name: connection.board.name() }.into());
+            }
+            let calibration = match hashes.calibration {
+                Some(hash) => format!(", and the calibration with hash {hash:016x}"),
+                None if before.calibration.is_some() => "; the calibration is forgotten".to_owned(),
+                None => String::new(),
+            };
+            format!(
+                "{} keeps scene `{}` with hash {:016x}, {:.3} frames/s, up to {:.3} uA{calibration}{solving}\n",
+                connection.name(),
+                file.name,
+                file.hash,
+                schedule.frame_rate_hz(),
+                after.scaling.full_scale_a() * 1e6
+            )
+        }
+    };
+    Output::open(None)?.write_text(&said)?;
+    Ok(Outcome::Done)
+}
+
+fn parse_full_scale(text: &str) -> Result<NonZeroU32, String> {
+    let pa = text.parse().map_or(f64::NAN, |ua: f64| (ua * 1e6).round());
+    // What is no number, or below zero, becomes zero.
+    let full_scale = NonZeroU32::new(pa as u32).filter(|_| pa <= f64::from(u32::MAX));
+    full_scale.ok_or_else(|| "give microamperes, more than 0 and up to 4294".to_owned())
+}
+
+/// Gives a board that solves poses its head, and says how that went.
+fn send_head(connection: &mut Connection, head: &Head, schedule: &Schedule) -> Result<String, CommandError> {
+    let Connection { board, info, .. } = connection;
+    // Of a board without the command, or of one that solves no poses, nothing is said: it has poses as ever, by `run`.
+    if !board.forget_head()? {
+        return Ok(String::new());
+    }
+    match solving::compile(head, schedule, &info.scaling) {
+        Ok(bytes) => {
+            board.send_head(&bytes)?;
+            Ok("; with them it solves poses itself".to_owned())
+        }
+        Err(error) => Ok(format!("; it solves no poses itself: {error}")),
+    }
+}
+
+fn clear(mut connection: Connection) -> Result<String, CommandError> {
+    connection.board.forget_stored()?;
+    if connection.board.introduce(AT_ONCE)?.hashes != Hashes::default() {
+        return Err(DeviceError::NotStored { name: connection.board.name() }.into());
+    }
+    Ok(format!("{} keeps no scene and no calibration; it starts with its defaults\n", connection.name()))
+}
+
+/// Blinks a board's indicator light, to find it among several.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  slitpose device identify --device 0036002900544850025a0320 --seconds 30")]
+struct IdentifyArgs {
+    #[command(flatten)]
+    board: BoardOptions,
+    /// For how long; 0 ends it
+    #[arg(long, value_name = "N", default_value_t = 10)]
+    seconds: u8,
+}
+
+fn identify(args: &IdentifyArgs) -> Result<Outcome, CommandError> {
+    let mut connection = args.board.connect(&WIDE.read()?)?.understood()?;
+    connection.board.identify(args.seconds)?;
+    match args.seconds {
+        0 => talk(format_args!("{} shows itself no more", connection.name())),
+        seconds => talk(format_args!("{} shows itself by its indicator light for {seconds} s", connection.name())),
+    }
+    Ok(Outcome::Done)
+}
+
+/// A board restarts 0.2 s after its reply at the latest; until then the old one might answer.
+const GONE_WITHIN: Duration = Duration::from_millis(300);
+
+/// A board is up in milliseconds; on USB the host needs a second or two to see it.
+const BACK_WITHIN: Duration = Duration::from_secs(10);
+
+const ANSWER_WITHIN: Duration = Duration::from_secs(1);
+
+const LOOK_EVERY: Duration = Duration::from_millis(100);
+
+/// Restarts a board, and waits until it is back.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  slitpose device reboot --device /dev/ttyACM0")]
+struct RebootArgs {
+    #[command(flatten)]
+    board: BoardOptions,
+    /// Start the boot loader in the controller instead, to be given new firmware
+    #[arg(long)]
+    boot_loader: bool,
+}
+
+fn reboot(args: &RebootArgs) -> Result<Outcome, CommandError> {
+    let mut connection = args.board.connect(&WIDE.read()?)?.understood()?;
+    if args.boot_loader {
+        connection.board.reboot(BootTarget::BootLoader)?;
+        talk(format_args!(
+            "{} is in its boot loader, on its own USB port. Next, with the image as a binary file:\n  \
+             dfu-util -a 0 -s 0x08000000:leave -D slitpose-board.bin\nthen reset the board",
+            connection.name()
+        ));
+        return Ok(Outcome::Done);
+    }
+    connection.board.reboot(BootTarget::Firmware)?;
+    let device = connection.info.device;
+    let (port, info) = wait(connection, args)?;
+    if info.device != device {
+        talk(format_args!("another board is on {port} now: {}", info.device));
+        return Err(DeviceError::NotBack { name: port, seconds: BACK_WITHIN.as_secs_f64() }.into());
+    }
+    talk(format_args!("{device} is back on {port}, firmware {}", info.firmware));
+    if info.reset_cause != ResetCause::Software {
+        talk(format_args!("it says that it last started by `{}`, not by command", info.reset_cause_name()));
+    }
+    Ok(Outcome::Done)
+}
+
+/// Where the board answers again, and what it says.
+fn wait(connection: Connection, args: &RebootArgs) -> Result<(String, BoardInfo), DeviceError> {
+    let Connection { board, mut found, info } = connection;
+    let name = found.port.clone();
+    found.device = Some(info.device);
+    let until = Instant::now() + BACK_WITHIN;
+    // The port of a debugger outlives the board behind it, and stays open.
+    let mut open = Some(board);
+    sleep(GONE_WITHIN);
+    while Instant::now() < until {
+        let Some(board) = &mut open else {
+            let there = locate(&args.board.device, Some(&found));
+            // It may be there and not yet be allowed to this user, or not yet be ready.
+            open = there.and_then(|there| Conversation::open(Box::new(SerialDevice::open(&there.port).ok()?)).ok());
+            if open.is_none() {
+                sleep(LOOK_EVERY);
+            }
+            continue;
+        };
+        match board.introduce(ANSWER_WITHIN) {
+            Ok(info) => return Ok((board.name(), info)),
+            Err(DeviceError::Gone { .. }) => open = None,
+            Err(DeviceError::Silent { .. } | DeviceError::NoHello { .. }) => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Err(DeviceError::NotBack { name, seconds: BACK_WITHIN.as_secs_f64() })
 }

@@ -2,10 +2,9 @@
 
 use std::path::PathBuf;
 
-use super::{CommandError, Outcome};
-use crate::commands::names;
-use crate::commands::options::{CalibrationOption, Jobs, open_scene, parse_number};
-use crate::commands::publish::publish;
+use super::{ArgumentError, CommandError, Outcome};
+use crate::commands::options;
+use crate::commands::options::{CalibrationOption, Jobs, open_scene, parse_number, publish};
 use crate::terminal::{Amount, Progress};
 use slitpose_design::map::{Fineness, Map, Schedules, Tolerances};
 use slitpose_design::report::{Folder, map_report};
@@ -24,7 +23,7 @@ use slitpose_head::scene_file::SceneFile;
 )]
 pub(super) struct Args {
     /// Scene file, or the name of a shipped scene
-    #[arg(value_parser = names::scenes(), hide_possible_values = true)]
+    #[arg(value_parser = options::scenes(), hide_possible_values = true)]
     scene: String,
     #[command(flatten)]
     calibration: CalibrationOption,
@@ -66,7 +65,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     })?;
     drop(progress);
     if args.tolerance_study.is_some() && map.share(|view| view.sigma.is_some()) == 0.0 {
-        return Err(CommandError::NoPosesToStudy { scene: head.file.origin.clone() });
+        return Err(ArgumentError::Poseless { scene: head.file.origin.clone() }.into());
     }
     let studied = args.tolerance_study.map(|heads| tolerances(head.simulated(), heads, args.seed)).transpose()?;
     publish(&map_report(&head, &map, studied.as_ref(), schedules.as_ref()), folder.as_ref())?;

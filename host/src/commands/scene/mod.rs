@@ -1,16 +1,25 @@
 //! `slitpose scene`: everything about scenes that needs no device.
 
-mod check;
-mod list;
 mod map;
 mod optimise;
-mod plot;
-mod show;
-mod view;
 
-use clap::Subcommand;
+use std::path::PathBuf;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
 
-use super::{CommandError, Outcome};
+use clap::builder::PossibleValuesParser;
+use clap::{Subcommand, ValueEnum};
+use slitpose_design::plot::{cell_picture, scene_picture};
+use slitpose_design::survey::Survey;
+use slitpose_head::scene_file::{SHIPPED, Shipped};
+use slitpose_head::table::Output;
+use slitpose_model::{Plan, Pose, Tier};
+
+use super::live::AccessOptions;
+use super::options::{self, CalibrationOption, Jobs, open_scene, parse_pose};
+use super::{ArgumentError, CommandError, Outcome, interrupt};
+use crate::live::{Control, DEFAULT_LIVE_ADDRESS, LiveAddress, LiveBoard, LivePlan, Order, Refusal, SceneView};
+use crate::terminal::{Amount, Progress};
 
 /// Checks, maps, draws, lists and shows scenes.
 #[derive(Debug, clap::Args)]
@@ -21,25 +30,191 @@ pub(super) struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Verb {
-    Check(check::Args),
+    Check(CheckArgs),
     /// Lists the scenes that come with the program
     #[command(after_help = "Example:\n  slitpose scene list")]
     List,
     Map(map::Args),
     Optimise(optimise::Args),
-    Plot(plot::Args),
-    Show(show::Args),
-    View(view::Args),
+    Plot(PlotArgs),
+    Show(ShowArgs),
+    View(ViewArgs),
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     match &args.verb {
-        Verb::Check(args) => check::run(args),
-        Verb::List => list::run(),
+        Verb::Check(args) => check(args),
+        Verb::List => list(),
         Verb::Map(args) => map::run(args),
         Verb::Optimise(args) => optimise::run(args),
-        Verb::Plot(args) => plot::run(args),
-        Verb::Show(args) => show::run(args),
-        Verb::View(args) => view::run(args),
+        Verb::Plot(args) => plot(args),
+        Verb::Show(args) => show(args),
+        Verb::View(args) => view(args),
     }
+}
+
+fn list() -> Result<Outcome, CommandError> {
+    let lines: String = SHIPPED.iter().map(|shipped| format!("{:<9} {}\n", shipped.name, shipped.about)).collect();
+    Output::open(None)?.write_text(&lines)?;
+    Ok(Outcome::Done)
+}
+
+/// Prints the scene file of a shipped scene: the place to start one's own from.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  slitpose scene show wide > mine.toml")]
+struct ShowArgs {
+    /// Its name
+    #[arg(value_parser = PossibleValuesParser::new(SHIPPED.map(|shipped| shipped.name)))]
+    name: String,
+}
+
+fn show(args: &ShowArgs) -> Result<Outcome, CommandError> {
+    // The argument parser lets no other names through.
+    let text = Shipped::named(&args.name).map_or("", |shipped| shipped.text);
+    Output::open(None)?.write_text(text)?;
+    Ok(Outcome::Done)
+}
+
+/// Shows what a scene can do, and warns of what it cannot.
+///
+/// Each cell at home, over the workspace and along every axis; cross-talk of emitters that are lit
+/// together; timing. Ends with 0 also if there are warnings, with 1 if the scene cannot be used.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  slitpose scene check wide\n  slitpose scene check mine.toml --format json")]
+struct CheckArgs {
+    /// Scene file, or the name of a shipped scene
+    #[arg(value_parser = options::scenes(), hide_possible_values = true)]
+    scene: String,
+    #[command(flatten)]
+    calibration: CalibrationOption,
+    /// For people, or for programs (SI units)
+    #[arg(long, value_enum, default_value_t = Format::Text)]
+    format: Format,
+    /// How many poses to spread over the workspace
+    #[arg(long, value_name = "N", default_value_t = 20_000, value_parser = clap::value_parser!(u32).range(1..))]
+    samples: u32,
+    /// Write to this file instead of standard output
+    #[arg(long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    #[command(flatten)]
+    jobs: Jobs,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Format {
+    Text,
+    Json,
+}
+
+fn check(args: &CheckArgs) -> Result<Outcome, CommandError> {
+    let file = args.calibration.head_as_drawn(open_scene(&args.scene)?)?.file;
+    let output = Output::open(args.output.as_deref())?;
+    let samples = args.samples as usize;
+    args.jobs.apply();
+    let mut progress = Progress::new("check", Survey::poses_of(samples) as u64, Amount::Of("poses"));
+    let mut done = 0;
+    let survey = Survey::of(&file, samples, |poses| {
+        done += poses as u64;
+        progress.at(done);
+    })?;
+    drop(progress);
+    let text = match args.format {
+        Format::Text => survey.report(),
+        Format::Json => serde_json::to_string_pretty(&survey).map_err(|error| output.error(error.into()))? + "\n",
+    };
+    output.write_text(&text)?;
+    Ok(Outcome::Done)
+}
+
+const TOLERANCE: f64 = 1e-6;
+
+/// Draws a scene as SVG: three views with slits, emitters and beams, and the light on each detector.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  slitpose scene plot wide --pose 2,0,-3,0,5,10 --output wide.svg\n  \
+                        slitpose scene plot bench --cell 0 --pose 3,0,0,0,0,0 --output cell.svg")]
+struct PlotArgs {
+    /// Scene file, or the name of a shipped scene
+    #[arg(value_parser = options::scenes(), hide_possible_values = true)]
+    scene: String,
+    #[command(flatten)]
+    calibration: CalibrationOption,
+    /// Pose of the tool: translation in mm, rotation vector in degrees
+    #[arg(long, value_name = "TX,TY,TZ,RX,RY,RZ", allow_hyphen_values = true, value_parser = parse_pose)]
+    pose: Option<Pose>,
+    /// Draw this cell only, from the side, with its dimensions
+    #[arg(long, value_name = "K")]
+    cell: Option<usize>,
+    /// The picture
+    #[arg(long, value_name = "FILE.svg")]
+    output: PathBuf,
+}
+
+fn plot(args: &PlotArgs) -> Result<Outcome, CommandError> {
+    let file = args.calibration.head_as_drawn(open_scene(&args.scene)?)?.file;
+    let plan = Plan::<f64>::compile(&file.scene, Tier::Exact { tolerance: TOLERANCE })?;
+    let pose = args.pose.unwrap_or(Pose::HOME);
+    let picture = match args.cell {
+        None => scene_picture(&file.name, &file.scene, &plan, &pose)?,
+        Some(number) => {
+            let last = file.scene.cells.len() - 1;
+            let cell = file.scene.cells.get(number).ok_or(ArgumentError::Cell { number, last })?;
+            cell_picture(&file.name, number, cell, &plan, &pose)?
+        }
+    };
+    Output::open(Some(&args.output))?.write_text(&picture)?;
+    Ok(Outcome::Done)
+}
+
+/// Shows a scene on a page: drag the tool, and see the light on each detector and the accuracy of a frame there.
+///
+/// Accuracy is the Cramér–Rao bound of one frame; a scene without front end and noise has none. Runs until it is
+/// interrupted.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  slitpose scene view wide --open\n  \
+                        slitpose scene view head.toml --calibration calibration.toml --live 127.0.0.1:8000")]
+struct ViewArgs {
+    /// Scene file, or the name of a shipped scene
+    #[arg(value_parser = options::scenes(), hide_possible_values = true)]
+    scene: String,
+    #[command(flatten)]
+    calibration: CalibrationOption,
+    /// Where the page is served
+    #[arg(long, value_name = "ADDRESS", default_value = DEFAULT_LIVE_ADDRESS)]
+    live: LiveAddress,
+    #[command(flatten)]
+    access: AccessOptions,
+}
+
+/// Nothing of a scene can be changed.
+struct Still;
+
+impl Control for Still {
+    fn order(&self, order: Order) -> Result<(), Refusal> {
+        Err(match order {
+            Order::Record(_) => Refusal::NO_RECORDER,
+            Order::Zero => Refusal::NO_MOUSE,
+            Order::Player(_) => Refusal::NO_PLAYER,
+        })
+    }
+}
+
+/// Longest time until an interrupt is answered.
+const MOMENT: Duration = Duration::from_millis(50);
+
+fn view(args: &ViewArgs) -> Result<Outcome, CommandError> {
+    let head = args.calibration.head_as_drawn(open_scene(&args.scene)?)?;
+    let stop = interrupt()?;
+    let _server = args.access.start(LivePlan {
+        access: args.access.at(args.live)?,
+        source: "scene",
+        has_zero: false,
+        scene: Some(SceneView::of(&head)?),
+        boards: vec![LiveBoard { name: head.file.name.clone(), head: Some(head) }],
+        control: Box::new(Still),
+        report: None,
+    })?;
+    while !stop.load(Ordering::Relaxed) {
+        std::thread::sleep(MOMENT);
+    }
+    Ok(Outcome::Done)
 }

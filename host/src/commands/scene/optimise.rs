@@ -6,9 +6,8 @@ use std::sync::atomic::AtomicBool;
 use clap::ValueEnum;
 
 use super::{CommandError, Outcome};
-use crate::commands::options::{Jobs, open_scene, parse_number};
-use crate::commands::publish::store;
-use crate::commands::{interrupt, names, talk};
+use crate::commands::options::{Jobs, open_scene, parse_number, store};
+use crate::commands::{interrupt, options, talk};
 use crate::terminal::{Amount, Progress};
 use slitpose_design::optimise::{Demand, Excess, Free, Goal, Limit, Limits, Score, Search};
 use slitpose_design::report::{Folder, pareto, scene_name};
@@ -34,7 +33,7 @@ use slitpose_head::table::Output;
 )]
 pub(super) struct Args {
     /// Scene file, or the name of a shipped scene, to begin with
-    #[arg(value_parser = names::scenes(), hide_possible_values = true)]
+    #[arg(value_parser = options::scenes(), hide_possible_values = true)]
     scene: String,
     /// What is free, within what: slit_width, or slit_width=0.3..1.2
     #[arg(long, value_name = "NAME[=FROM..TO]")]

@@ -12,7 +12,6 @@ use crate::clock::{HostInstant, HostTime};
 use crate::datagram::{PoseDatagram, Publisher};
 use crate::pipeline::Record;
 
-/// What a test compiles and runs.
 pub(super) fn compile(source: &Path, folder: &TempDir) -> PathBuf {
     let program = folder.path().join(source.file_stem().unwrap());
     let output = Command::new("cc")

@@ -4,7 +4,7 @@ mod c;
 mod server;
 mod wall;
 
-use std::io::IoSlice;
+use std::io::{self, IoSlice};
 use std::net::{Ipv4Addr, UdpSocket};
 use std::os::fd::{AsFd, AsRawFd};
 use std::os::unix::net::UnixDatagram;
@@ -14,7 +14,7 @@ use nix::sys::socket::{ControlMessage, MsgFlags, sendmsg};
 use slitpose_model::Tier;
 use tempfile::TempDir;
 
-use super::{Address, Answer, DatagramServer, Mode, PoseDatagram, Request};
+use super::*;
 use crate::clock::{HostInstant, HostTime};
 use crate::link::DeviceId;
 use crate::pipeline::{Item, Pipeline, PipelineError, Record, SceneMatch};
@@ -90,14 +90,14 @@ impl Bench {
     }
 
     /// A client with a queue of its own; of its socket pair, the end that it reads. `renew` requests datagrams again.
-    fn passing_client(&self) -> (UnixDatagram, impl Fn(Request) -> std::io::Result<usize> + use<>) {
+    fn passing_client(&self) -> (UnixDatagram, impl Fn(Request) -> io::Result<usize> + use<>) {
         let (near, far) = UnixDatagram::pair().unwrap();
         near.set_read_timeout(Some(PATIENCE)).unwrap();
         (near, self.passes(far))
     }
 
     /// Sends requests with `passed`.
-    fn passes<F: AsFd>(&self, passed: F) -> impl Fn(Request) -> std::io::Result<usize> + use<F> {
+    fn passes<F: AsFd>(&self, passed: F) -> impl Fn(Request) -> io::Result<usize> + use<F> {
         let Address::Unix(path) = &self.server.addresses()[0] else { panic!("unix first") };
         let ask = UnixDatagram::unbound().unwrap();
         ask.connect(path).unwrap();
@@ -126,7 +126,7 @@ impl Bench {
     }
 
     /// Sends bytes and waits until the server has seen them.
-    fn tell(&self, send: impl FnOnce() -> std::io::Result<usize>) {
+    fn tell(&self, send: impl FnOnce() -> io::Result<usize>) {
         let seen = || {
             let counts = self.server.counts();
             counts.requests + counts.refused
@@ -141,5 +141,23 @@ impl Bench {
 
     fn ask(&self, client: &UnixDatagram, mode: Mode, device: Option<DeviceId>) {
         self.tell(|| client.send(&Request::new(mode, device).to_bytes()));
+    }
+}
+
+#[test]
+fn addresses_are_read_as_they_are_written() {
+    for text in ["unix:/run/slitpose/pose", "unix:pose", "udp:127.0.0.1:7440", "udp:[::1]:7440", "udp:127.9.9.9:0"] {
+        assert_eq!(text.parse::<Address>().unwrap().to_string(), text);
+    }
+    for text in ["", "pose", "unix", "unix:", "tcp:127.0.0.1:1", "udp:", "udp:localhost:1", "udp:127.0.0.1"] {
+        assert!(text.parse::<Address>().is_err(), "{text}");
+    }
+}
+
+#[test]
+fn other_hosts_are_not_served() {
+    for text in ["udp:0.0.0.0:7440", "udp:192.168.1.2:7440", "udp:[::]:7440"] {
+        let error = text.parse::<Address>().unwrap_err();
+        assert!(matches!(error, AddressError::NotLoopback { .. }), "{text}: {error}");
     }
 }

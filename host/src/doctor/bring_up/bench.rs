@@ -8,9 +8,8 @@ use slitpose_protocol::{
 };
 use thiserror::Error;
 
-use super::expected::Expected;
 use super::pins::Wiring;
-use super::sampling::Sampling;
+use super::sampling::{Expected, Sampling};
 use crate::device::{
     BoardInfo, Conversation, Device, DeviceError, Found, Keep, Search, Selector, SerialDevice, SimulatedDevice, find,
     locate,
@@ -33,51 +32,30 @@ const EVENTS: usize = 3;
 /// Why a step could not be done.
 #[derive(Debug, Error)]
 pub(super) enum BenchError {
-    /// The board.
     #[error(transparent)]
     Device(#[from] DeviceError),
-    /// The schedule of the scene.
     #[error(transparent)]
     Timing(#[from] TimingError),
-    /// The simulated board.
     #[error(transparent)]
     Simulator(#[from] SimulatorError),
-    /// The optics of the scene.
     #[error(transparent)]
     Optics(#[from] SceneError),
-    /// Board and program do not understand each other.
     #[error("{versions}: update whichever is older")]
-    Version {
-        /// Versions of both.
-        versions: Versions,
-    },
-    /// The board has stopped by itself.
+    Version { versions: Versions },
     #[error("the board stopped by itself after {got} of {wanted} scans; it said: {}", if events.is_empty() { "nothing" } else { events })]
-    Stopped {
-        /// Scans that came.
-        got: usize,
-        /// Scans asked for.
-        wanted: usize,
-        /// Its warnings and errors.
-        events: String,
-    },
-    /// Scans that did not come.
+    Stopped { got: usize, wanted: usize, events: String },
     #[error("{got} of {wanted} scans came within {seconds:.0} s")]
     Scans {
-        /// Scans that came.
         got: usize,
-        /// Scans asked for.
         wanted: usize,
         /// Time waited, seconds.
         seconds: f64,
     },
 }
 
-/// The board and its head.
 pub(super) struct Bench<'a> {
     device: &'a Selector,
     search: &'a [Search],
-    /// The scene of the head.
     pub(super) scene: &'a SceneFile,
     /// The wiring of the board that was last connected.
     pub(super) wiring: Wiring,
@@ -90,7 +68,6 @@ impl<'a> Bench<'a> {
         Self { device, search, scene, wiring: Wiring::default(), found: None }
     }
 
-    /// Whether the board is simulated.
     pub(super) fn is_simulated(&self) -> bool {
         *self.device == Selector::Sim
     }
@@ -121,7 +98,6 @@ impl<'a> Bench<'a> {
         Ok((board, info))
     }
 
-    /// The schedule of the scene.
     pub(super) fn schedule(&self) -> Result<Schedule, BenchError> {
         Ok(front_end::configuration(self.scene)?.schedule)
     }
@@ -207,7 +183,6 @@ struct Reader {
     missing: u64,
     /// The board was acquiring and says that it is idle.
     is_stopped: bool,
-    /// Its warnings and errors.
     events: Vec<String>,
     /// Instants of the first bytes with scans, of the last ones, and the number of scans with the first.
     times: Option<(Instant, Instant, usize)>,

@@ -9,8 +9,8 @@ use std::collections::BTreeMap;
 use slitpose_protocol::{Level, Schedule};
 
 use super::bench::{BenchError, sample};
-use super::lighting;
 use super::pins::{ELECTRODES, Wiring};
+use super::sampling;
 use crate::device::Conversation;
 use slitpose_head::finding::Finding;
 
@@ -36,11 +36,11 @@ const REPEATED: f64 = 3.0;
 type Words = Vec<[Vec<u16>; 2]>;
 
 pub(super) fn take(board: &mut Conversation, base: &Schedule, wiring: Wiring) -> Result<Vec<Finding>, BenchError> {
-    let schedule = lighting::alone(&Schedule { oversampling: 1, ..base.clone() });
+    let schedule = sampling::alone(&Schedule { oversampling: 1, ..base.clone() });
     let mut words: Words = vec![[Vec::new(), Vec::new()]; usize::from(base.cells)];
     for step in 0..LEVELS {
         let level = Level(Level::NOMINAL.0 - step * LEVEL_STEP);
-        let sampling = sample(board, lighting::at(schedule.clone(), level), SCANS)?;
+        let sampling = sample(board, sampling::at(schedule.clone(), level), SCANS)?;
         for scan in &sampling.scans {
             for (words, lit) in words.iter_mut().zip(scan.lit()) {
                 (0..2).for_each(|electrode| words[electrode].push(lit[electrode]));
@@ -50,7 +50,6 @@ pub(super) fn take(board: &mut Conversation, base: &Schedule, wiring: Wiring) ->
     Ok(judge(&words, wiring))
 }
 
-/// Codes of a channel.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Histogram {
     first: u16,

@@ -7,8 +7,8 @@ use slitpose_model::Pair;
 use slitpose_protocol::{Level, Schedule};
 
 use super::bench::{Bench, BenchError, sample};
-use super::expected::Expected;
-use super::lighting;
+use super::sampling;
+use super::sampling::Expected;
 use crate::device::Conversation;
 use slitpose_head::finding::Finding;
 
@@ -30,7 +30,7 @@ pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
     let expected = bench.expected()?;
     let (mut board, _) = bench.connect()?;
     let schedule = bench.schedule()?;
-    let alone = lighting::at(lighting::alone(&schedule), Level::NOMINAL);
+    let alone = sampling::at(sampling::alone(&schedule), Level::NOMINAL);
     let before = sample(&mut board, alone.clone(), SCANS)?.all_light();
     let responses = responses(&mut board, &schedule, &before, SCANS)?;
     let after = sample(&mut board, alone, SCANS)?.all_light();
@@ -48,8 +48,8 @@ pub(super) fn responses(
     for (cell, own) in own.iter().enumerate() {
         responses[cell][cell] = *own;
     }
-    for round in lighting::rounds(own.len()) {
-        let light = sample(board, lighting::at(lighting::grouped(base, &round), Level::NOMINAL), scans)?.all_light();
+    for round in sampling::rounds(own.len()) {
+        let light = sample(board, sampling::at(sampling::grouped(base, &round), Level::NOMINAL), scans)?.all_light();
         for group in round.iter().filter(|group| group.len() == 2) {
             for [cell, emitter] in [[group[0], group[1]], [group[1], group[0]]] {
                 responses[cell][emitter] = Pair {

@@ -3,8 +3,8 @@
 use slitpose_protocol::{AdcScaling, Level};
 
 use super::bench::{Bench, BenchError, sample};
-use super::lighting;
 use super::pins::{ELECTRODES, Wiring};
+use super::sampling;
 use super::sampling::{Codes, Sampling};
 use slitpose_head::finding::Finding;
 use slitpose_head::front_end::dark_word_noise_a;
@@ -35,9 +35,9 @@ const TOO_NOISY: f64 = 2.0;
 
 pub(super) fn zero(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
     let (mut board, _) = bench.connect()?;
-    let schedule = lighting::alone(&bench.schedule()?);
-    let sampling = sample(&mut board, lighting::at(schedule.clone(), Level(0)), ZERO_SCANS)?;
-    let at_nominal = sample(&mut board, lighting::at(schedule, Level::NOMINAL), ZERO_SCANS)?;
+    let schedule = sampling::alone(&bench.schedule()?);
+    let sampling = sample(&mut board, sampling::at(schedule.clone(), Level(0)), ZERO_SCANS)?;
+    let at_nominal = sample(&mut board, sampling::at(schedule, Level::NOMINAL), ZERO_SCANS)?;
     let cells = 0..sampling.cells();
     let of = |sampling: &Sampling, cell: usize| [0, 1].map(|electrode| sampling.dark(cell, electrode).mean);
     let change = |cell: usize| of(&at_nominal, cell).iter().sum::<f64>() - of(&sampling, cell).iter().sum::<f64>();
@@ -129,7 +129,7 @@ pub(super) fn noise(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
     // One conversion a word: the converter's codes themselves.
     let mut schedule = bench.schedule()?;
     schedule.oversampling = 1;
-    let sampling = sample(&mut board, lighting::at(lighting::alone(&schedule), Level(0)), NOISE_SCANS)?;
+    let sampling = sample(&mut board, sampling::at(sampling::alone(&schedule), Level(0)), NOISE_SCANS)?;
     let scene = single_conversions(bench.scene);
     let channels = (0..sampling.cells()).map(|cell| Noise {
         codes: [0, 1].map(|electrode| sampling.dark(cell, electrode)),

@@ -8,12 +8,11 @@ use slitpose_protocol::{Level, Schedule};
 
 use super::bench::{Bench, BenchError, is_shared_level, sample};
 use super::crosstalk::responses;
-use super::lighting;
 use super::pins::{ELECTRODES, Wiring};
+use super::sampling;
 use crate::device::Conversation;
 use slitpose_head::finding::Finding;
 
-/// Scans of each configuration.
 const SCANS: usize = 200;
 
 /// Least share of the scene's light at which an electrode, or a cell, counts as lit.
@@ -41,7 +40,7 @@ pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
     let expected = bench.expected()?;
     let (mut board, _) = bench.connect()?;
     let schedule = bench.schedule()?;
-    let sampling = sample(&mut board, lighting::at(lighting::alone(&schedule), Level::NOMINAL), SCANS)?;
+    let sampling = sample(&mut board, sampling::at(sampling::alone(&schedule), Level::NOMINAL), SCANS)?;
     let own = sampling.all_light();
     let saturated: Vec<usize> = (0..own.len())
         .filter(|&cell| {
@@ -59,7 +58,6 @@ pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
     Ok(judge(&own, &expected.own, &saturated, &exchanges, bench.wiring))
 }
 
-/// Whether neither electrode sees light.
 fn is_dark(light: Pair<f64>, expected: Pair<f64>) -> bool {
     !is_lit(light.i_x1_a, expected) && !is_lit(light.i_x2_a, expected)
 }
@@ -87,7 +85,7 @@ fn tell(
     let [first, second] = pair;
     let others = (0..usize::from(base.cells)).filter(|emitter| !pair.contains(emitter));
     let groups: Vec<Vec<usize>> = std::iter::once(pair.to_vec()).chain(others.map(|emitter| vec![emitter])).collect();
-    let mut configuration = lighting::at(lighting::grouped(base, &groups), Level::NOMINAL);
+    let mut configuration = sampling::at(sampling::grouped(base, &groups), Level::NOMINAL);
     configuration.levels[second] = Level(0);
     match sample(board, configuration, SCANS) {
         Ok(sampling) => {

@@ -5,10 +5,9 @@ use slitpose_protocol::Level;
 
 use super::bench::{Bench, BenchError, sample};
 use super::pins::Wiring;
-use super::{codes, lighting};
+use super::{codes, sampling};
 use slitpose_head::finding::Finding;
 
-/// Scans of each level.
 const SCANS: usize = 200;
 
 /// Levels, rising to nominal; none above, where pulses are limited. The lowest is 0.206 V: below 0.2 V the buffer of the
@@ -26,10 +25,10 @@ pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
     let expected = bench.expected()?;
     let (mut board, _) = bench.connect()?;
     let base = bench.schedule()?;
-    let schedule = lighting::alone(&base);
+    let schedule = sampling::alone(&base);
     let mut light = Vec::new();
     for level in LEVELS {
-        light.push(sample(&mut board, lighting::at(schedule.clone(), level), SCANS)?.all_light());
+        light.push(sample(&mut board, sampling::at(schedule.clone(), level), SCANS)?.all_light());
     }
     let mut findings = judge(&light, &expected.own, bench.wiring);
     findings.extend(codes::take(&mut board, &base, bench.wiring)?);
@@ -44,7 +43,6 @@ type Shares = [f64; LEVELS.len()];
 enum Following {
     /// In proportion; the largest difference.
     Proportional(f64),
-    /// Not at all.
     Not,
     /// Up to about this level, and not beyond.
     UpTo(f64),

@@ -3,7 +3,7 @@
 use slitpose_protocol::{Level, Status};
 
 use super::bench::{Bench, BenchError, sample};
-use super::lighting;
+use super::sampling;
 use crate::doctor::{link, measurement};
 use crate::link::start_findings;
 use slitpose_head::finding::Finding;
@@ -25,7 +25,7 @@ struct Counted {
 pub(super) fn link(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
     let (mut board, info) = bench.connect()?;
     let (mut findings, _) = link::judge(&info);
-    let configuration = lighting::at(bench.schedule()?, Level(0));
+    let configuration = sampling::at(bench.schedule()?, Level(0));
     let scheduled_hz = configuration.schedule.frame_rate_hz();
     let before = board.status()?;
     let sampling = sample(&mut board, configuration, (DURATION_S * scheduled_hz) as usize)?;

@@ -8,12 +8,11 @@
 //! | `levels`, `codes` | current against level; codes on the way |
 //! | `settling` | the time that light takes to settle |
 //! | `crosstalk` | light of other emitters |
-//! | `safety` | dark after Stop and without a host |
-//! | `storage` | settings over a power cut |
+//! | `safety` | dark after Stop and without a host; settings over a power cut |
 //!
 //! Each of these files measures first and judges then: what judges is a pure function from measured numbers to
-//! findings. `bench` connects the board and takes scans, `lighting` makes their configurations, `sampling` their
-//! statistics, `expected` what the scene predicts; `pins` names signals. A step opens the port and closes it, so that
+//! findings. `bench` connects the board and takes scans, `sampling` has their configurations, their statistics, and what
+//! the scene predicts; `pins` names signals. A step opens the port and closes it, so that
 //! between steps the board is idle without a host.
 
 mod bench;
@@ -21,15 +20,12 @@ mod codes;
 mod crosstalk;
 mod dark;
 mod emitters;
-mod expected;
 mod levels;
-mod lighting;
 mod link;
 mod pins;
 mod safety;
 mod sampling;
 mod settling;
-mod storage;
 
 use std::fmt;
 use std::str::FromStr;
@@ -38,134 +34,117 @@ use slitpose_protocol::{Level, Schedule};
 use thiserror::Error;
 
 use self::bench::{Bench, BenchError};
-use super::{default_scene, head};
+use super::default_scene;
 use crate::device::{Search, Selector};
 use slitpose_head::causes::with_causes;
 use slitpose_head::finding::Finding;
 use slitpose_head::scene_file::SceneFile;
 
-/// A step of the bring-up.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Step {
-    /// Link and start.
-    Link,
-    /// Supply and temperature.
-    Supply,
-    /// Codes without light.
-    Dark,
-    /// Noise without light.
-    Noise,
-    /// Each emitter alone.
-    Emitters,
-    /// Current against level.
-    Levels,
-    /// The time that light takes to settle.
-    Settling,
-    /// Light of other emitters.
-    Crosstalk,
-    /// Dark after Stop and without a host.
-    Safety,
-    /// Settings over a power cut.
-    Storage,
+/// A step, as one of [`Step::ALL`].
+#[derive(Clone, Copy)]
+pub(crate) struct Step {
+    pub(crate) name: &'static str,
+    pub(crate) preparation: &'static str,
+    /// What is expected, with its tolerance and its origin.
+    pub(crate) expectation: &'static str,
+    take: Take,
 }
 
+/// Does a step. The second argument asks the user to cut the board's power, and is false if there is no one to ask; then
+/// the board is rebooted instead.
+type Take = fn(&mut Bench<'_>, &mut dyn FnMut() -> bool) -> Result<Vec<Finding>, BenchError>;
+
 impl Step {
-    /// All steps, in their order.
     pub(crate) const ALL: [Self; 10] = [
-        Self::Link,
-        Self::Supply,
-        Self::Dark,
-        Self::Noise,
-        Self::Emitters,
-        Self::Levels,
-        Self::Settling,
-        Self::Crosstalk,
-        Self::Safety,
-        Self::Storage,
+        Self {
+            name: "link",
+            preparation: "power and data cable; detectors covered; emitters need not be connected",
+            expectation: "hello in this program's protocol, frames at the scheduled rate within 5 % of the host's clock, \
+                          none lost in 2 s",
+            take: |bench, _| link::link(bench),
+        },
+        Self {
+            name: "supply",
+            preparation: "as before; the multimeter on 3.3 V",
+            expectation: "3.3 V within 5 % (regulator of the Nucleo), -40 to 85 C (data sheet, suffix 6)",
+            take: |bench, _| link::supply(bench),
+        },
+        Self {
+            name: "dark",
+            preparation: "all detectors connected and covered from room light; emitters, if connected, are lit",
+            expectation: "each word within 10 codes of the zero code: divider 1.3, amplifiers 2.6, converter 4 \
+                          (firmware/README.md, analogue front end); no light from emitters while their gates are off",
+            take: |bench, _| dark::zero(bench),
+        },
+        Self {
+            name: "noise",
+            preparation: "as before; lids closed, no lamp and no cable moved meanwhile",
+            expectation: "rms of one conversion 0.4 to 1.3 times the scene's front end, failed above 2; codes in steps of 1",
+            take: |bench, _| dark::noise(bench),
+        },
+        Self {
+            name: "emitters",
+            preparation: "all emitters connected; the tool fixed at its home pose; head covered from room light",
+            expectation: "each cell sees its own emitter, by both electrodes, at 0.6 to 1.6 times the scene's light at \
+                          home (spread of such emitters)",
+            take: |bench, _| emitters::take(bench),
+        },
+        Self {
+            name: "levels",
+            preparation: "as before; the tool must not move",
+            expectation: "light in proportion to the level within 2 % of nominal, from an eighth on (below, the level \
+                          buffers are not specified); no code missing or repeated on the way",
+            take: |bench, _| levels::take(bench),
+        },
+        Self {
+            name: "settling",
+            preparation: "as before; the tool must not move",
+            expectation: "settled to 0.3 codes of full scale within 1.1 times the scene's settling time \
+                          (firmware/README.md, bandwidth and settling)",
+            take: |bench, _| settling::take(bench),
+        },
+        Self {
+            name: "crosstalk",
+            preparation: "as before; baffles fitted",
+            expectation: "light of another emitter below the scene's prediction plus 1 % of the cell's own: 1 % at the end \
+                          of a 12 mm detector moves the spot by 60 um, the detector's own error",
+            take: |bench, _| crosstalk::take(bench),
+        },
+        Self {
+            name: "safety",
+            preparation: "as before; no other program opens the port",
+            expectation: "idle after Stop; idle 1 s after the port was closed (serial link: 3 s)",
+            take: |bench, _| safety::take(bench),
+        },
+        Self {
+            name: "storage",
+            preparation: "as before; be ready to unplug all cables of the board and to plug them in again",
+            expectation: "schedule and hash of the scene are back after the power cut",
+            take: safety::take_storage,
+        },
     ];
 
     /// Its number, from 1.
-    pub(crate) fn number(self) -> usize {
-        self as usize + 1
+    pub(crate) fn number(&self) -> usize {
+        1 + Self::ALL.iter().take_while(|step| step.name != self.name).count()
     }
+}
 
-    /// Its name on the command line.
-    pub(crate) fn name(self) -> &'static str {
-        match self {
-            Self::Link => "link",
-            Self::Supply => "supply",
-            Self::Dark => "dark",
-            Self::Noise => "noise",
-            Self::Emitters => "emitters",
-            Self::Levels => "levels",
-            Self::Settling => "settling",
-            Self::Crosstalk => "crosstalk",
-            Self::Safety => "safety",
-            Self::Storage => "storage",
-        }
-    }
-
-    /// What to connect or to prepare.
-    pub(crate) fn preparation(self) -> &'static str {
-        match self {
-            Self::Link => "power and data cable; detectors covered; emitters need not be connected",
-            Self::Supply => "as before; the multimeter on 3.3 V",
-            Self::Dark => "all detectors connected and covered from room light; emitters, if connected, are lit",
-            Self::Noise => "as before; lids closed, no lamp and no cable moved meanwhile",
-            Self::Emitters => "all emitters connected; the tool fixed at its home pose; head covered from room light",
-            Self::Levels | Self::Settling => "as before; the tool must not move",
-            Self::Crosstalk => "as before; baffles fitted",
-            Self::Safety => "as before; no other program opens the port",
-            Self::Storage => "as before; be ready to unplug all cables of the board and to plug them in again",
-        }
-    }
-
-    /// What is expected, with its tolerance and its origin.
-    pub(crate) fn expectation(self) -> &'static str {
-        match self {
-            Self::Link => {
-                "hello in this program's protocol, frames at the scheduled rate within 5 % of the host's clock, \
-                 none lost in 2 s"
-            }
-            Self::Supply => "3.3 V within 5 % (regulator of the Nucleo), -40 to 85 C (data sheet, suffix 6)",
-            Self::Dark => {
-                "each word within 10 codes of the zero code: divider 1.3, amplifiers 2.6, converter 4 \
-                 (firmware/README.md, analogue front end); no light from emitters while their gates are off"
-            }
-            Self::Noise => {
-                "rms of one conversion 0.4 to 1.3 times the scene's front end, failed above 2; codes in steps of 1"
-            }
-            Self::Emitters => {
-                "each cell sees its own emitter, by both electrodes, at 0.6 to 1.6 times the scene's light at home \
-                 (spread of such emitters)"
-            }
-            Self::Levels => {
-                "light in proportion to the level within 2 % of nominal, from an eighth on (below, the level buffers are \
-                 not specified); no code missing or repeated on the way"
-            }
-            Self::Settling => {
-                "settled to 0.3 codes of full scale within 1.1 times the scene's settling time (firmware/README.md, \
-                 bandwidth and settling)"
-            }
-            Self::Crosstalk => {
-                "light of another emitter below the scene's prediction plus 1 % of the cell's own: 1 % at the end of a \
-                 12 mm detector moves the spot by 60 um, the detector's own error"
-            }
-            Self::Safety => "idle after Stop; idle 1 s after the port was closed (serial link: 3 s)",
-            Self::Storage => "schedule and hash of the scene are back after the power cut",
-        }
+impl fmt::Debug for Step {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name)
     }
 }
 
 impl fmt::Display for Step {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "step {} of {}, {}", self.number(), Self::ALL.len(), self.name())
+        write!(f, "step {} of {}, {}", self.number(), Self::ALL.len(), self.name)
     }
 }
 
 /// A step that is not in the list.
 #[derive(Debug, Error)]
-#[error("no step is called `{text}`; there are 1 to {}, or {}", Step::ALL.len(), Step::ALL.map(Step::name).join(", "))]
+#[error("no step is called `{text}`; there are 1 to {}, or {}", Step::ALL.len(), Step::ALL.map(|step| step.name).join(", "))]
 pub(crate) struct UnknownStep {
     text: String,
 }
@@ -173,14 +152,12 @@ pub(crate) struct UnknownStep {
 impl FromStr for Step {
     type Err = UnknownStep;
 
-    /// Its number or its name.
     fn from_str(text: &str) -> Result<Self, UnknownStep> {
-        let is_it = |step: &Self| step.name() == text || step.number().to_string() == text;
+        let is_it = |step: &Self| step.name == text || step.number().to_string() == text;
         Self::ALL.into_iter().find(is_it).ok_or_else(|| UnknownStep { text: text.to_owned() })
     }
 }
 
-/// The bring-up of one board.
 pub(crate) struct BringUp<'a> {
     bench: Bench<'a>,
     /// The schedule that the board had at first.
@@ -205,8 +182,8 @@ pub(crate) fn scene(
     match Bench::new(device, search, &trial).connect() {
         Ok((_, info)) => {
             findings.extend(pins::unknown_board(&info));
-            let scene = head::scene(given, &info, findings)?;
-            findings.push(head::full_scale(&scene, &info));
+            let scene = super::link::scene(given, &info, findings)?;
+            findings.push(super::link::full_scale(&scene, &info));
             Some(scene)
         }
         Err(error) => {
@@ -222,9 +199,6 @@ fn unreachable_board(error: &BenchError) -> Finding {
 
 impl<'a> BringUp<'a> {
     /// Of the board that `device` names, with the head of `scene`.
-    ///
-    /// # Errors
-    /// A finding, if the board cannot be reached.
     pub(crate) fn begin(device: &'a Selector, search: &'a [Search], scene: &'a SceneFile) -> Result<Self, Finding> {
         let mut bench = Bench::new(device, search, scene);
         match bench.connect() {
@@ -233,33 +207,16 @@ impl<'a> BringUp<'a> {
         }
     }
 
-    /// Does `step`. `cut_power` asks the user to cut the board's power, and is false if there is no one to ask; then the
-    /// board is rebooted instead.
+    /// Does `step`; see [`Take`].
     pub(crate) fn take(&mut self, step: Step, cut_power: &mut dyn FnMut() -> bool) -> Vec<Finding> {
-        let bench = &mut self.bench;
-        let done = match step {
-            Step::Link => link::link(bench),
-            Step::Supply => link::supply(bench),
-            Step::Dark => dark::zero(bench),
-            Step::Noise => dark::noise(bench),
-            Step::Emitters => emitters::take(bench),
-            Step::Levels => levels::take(bench),
-            Step::Settling => settling::take(bench),
-            Step::Crosstalk => crosstalk::take(bench),
-            Step::Safety => safety::take(bench),
-            Step::Storage => storage::take(bench, cut_power),
-        };
-        done.unwrap_or_else(|error| {
-            vec![Finding::failed(step.name(), with_causes(&error), "reset the board and take this step again")]
+        (step.take)(&mut self.bench, cut_power).unwrap_or_else(|error| {
+            vec![Finding::failed(step.name, with_causes(&error), "reset the board and take this step again")]
         })
     }
 
     /// Gives the board the schedule that it had at first, at nominal levels.
-    ///
-    /// # Errors
-    /// A finding, if it does not take it.
     pub(crate) fn restore(mut self) -> Result<(), Finding> {
-        let configuration = lighting::at(self.schedule.clone(), Level::NOMINAL);
+        let configuration = sampling::at(self.schedule.clone(), Level::NOMINAL);
         let restored = self.bench.connect().and_then(|(mut board, _)| Ok(board.configure(configuration)?));
         restored.map_err(|error| {
             Finding::warning(
@@ -278,13 +235,13 @@ mod tests {
     #[test]
     fn steps_are_named_by_number_and_by_name() {
         for step in Step::ALL {
-            assert_eq!(step.name().parse::<Step>().unwrap(), step);
-            assert_eq!(step.number().to_string().parse::<Step>().unwrap(), step);
+            assert_eq!(step.name.parse::<Step>().unwrap().name, step.name);
+            assert_eq!(step.number().to_string().parse::<Step>().unwrap().name, step.name);
         }
         for text in ["0", "11", "Dark", ""] {
             let error = text.parse::<Step>().unwrap_err().to_string();
             assert!(error.contains("crosstalk") && error.contains(text), "{error}");
         }
-        assert_eq!(Step::Storage.to_string(), "step 10 of 10, storage");
+        assert_eq!(Step::ALL[9].to_string(), "step 10 of 10, storage");
     }
 }

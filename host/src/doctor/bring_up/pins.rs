@@ -1,8 +1,7 @@
-//! Signals of a board by name, with pin and contact if this program knows the board's wiring.
-//!
-//! It knows that of the Nucleo: the wiring table of `firmware/README.md` holds the same; a test compares both.
+//! Signals of a board by name, with pin and contact if this program knows the board's wiring: that of the Nucleo, from the
+//! wiring table of `firmware/README.md`.
 
-use std::fmt;
+use std::ops::RangeInclusive;
 
 use slitpose_head::finding::Finding;
 use slitpose_head::simulator::Electrode;
@@ -10,55 +9,20 @@ use slitpose_protocol::BoardKind;
 
 use crate::device::BoardInfo;
 
-/// A pin of the microcontroller, and its place on the Morpho connectors.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Pin {
-    name: &'static str,
-    morpho: &'static str,
-}
+/// The page with the wiring table: signal, pin, function, place on the Morpho connectors.
+const PAGE: &str = include_str!("../../../../firmware/README.md");
 
-const fn pin(name: &'static str, morpho: &'static str) -> Pin {
-    Pin { name, morpho }
-}
+const LEVELS: [RangeInclusive<usize>; 2] = [0..=2, 3..=5];
 
-/// Inputs of I_X1, by cell.
-const X1: [Pin; 6] = [
-    pin("PA0", "CN7-28"),
-    pin("PA1", "CN7-30"),
-    pin("PC0", "CN7-38"),
-    pin("PC1", "CN7-36"),
-    pin("PC2", "CN7-35"),
-    pin("PC3", "CN7-37"),
-];
-
-/// Inputs of I_X2, by cell.
-const X2: [Pin; 6] = [
-    pin("PA7", "CN10-15"),
-    pin("PC4", "CN10-34"),
-    pin("PC5", "CN10-6"),
-    pin("PB2", "CN10-22"),
-    pin("PB11", "CN10-18"),
-    pin("PB15", "CN10-26"),
-];
-
-/// Gates, by emitter.
-const GATES: [Pin; 6] = [
-    pin("PC6", "CN10-4"),
-    pin("PC7", "CN10-19"),
-    pin("PC8", "CN10-2"),
-    pin("PC9", "CN10-1"),
-    pin("PC10", "CN7-1"),
-    pin("PC11", "CN7-2"),
-];
-
-/// Level lines, and the emitters of each.
-const LEVELS: [(Pin, std::ops::RangeInclusive<usize>); 2] =
-    [(pin("PA4", "CN7-32"), 0..=2), (pin("PA6", "CN10-13"), 3..=5)];
-
-impl fmt::Display for Pin {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}, {}", self.name, self.morpho)
-    }
+/// The pin of the microcontroller for `signal`, and its place on the Morpho connectors: `PC10, CN7-1`.
+fn pin(signal: &str) -> Option<String> {
+    PAGE.lines().find_map(|line| {
+        let fields: Vec<&str> = line.strip_prefix("| ")?.split(" | ").collect();
+        match fields[..] {
+            [name, pin, _, morpho, ..] if name == signal => Some(format!("{pin}, {morpho}")),
+            _ => None,
+        }
+    })
 }
 
 /// The two electrodes of a cell, in the order of its words.
@@ -83,33 +47,34 @@ impl Wiring {
         if board == NUCLEO { Self::Nucleo } else { Self::Unknown }
     }
 
-    /// `signal`, with the pin of its place in `pins`: `gate of emitter 4 (PC10, CN7-1)`.
-    fn named(self, signal: String, pins: &[Pin], place: usize) -> String {
-        match (self, pins.get(place)) {
-            (Self::Nucleo, Some(pin)) => format!("{signal} ({pin})"),
-            _ => signal,
-        }
+    /// The pin of `signal` by the table, if the board is the one it describes.
+    fn pin(self, signal: &str) -> Option<String> {
+        (self == Self::Nucleo).then(|| pin(signal))?
     }
 
-    /// An electrode.
+    /// `name`, with the pin of `signal` in the table: `gate of emitter 4 (PC10, CN7-1)`.
+    fn named(self, name: &str, signal: &str) -> String {
+        self.pin(signal).map_or(name.to_owned(), |pin| format!("{name} ({pin})"))
+    }
+
     pub(super) fn electrode(self, cell: usize, electrode: Electrode) -> String {
-        let (name, pins) = match electrode {
-            Electrode::X1 => ("I_X1", X1),
-            Electrode::X2 => ("I_X2", X2),
+        let name = match electrode {
+            Electrode::X1 => "I_X1",
+            Electrode::X2 => "I_X2",
         };
-        self.named(format!("{name} of cell {cell}"), &pins, cell)
+        self.named(&format!("{name} of cell {cell}"), &format!("{name}, cell {cell}"))
     }
 
-    /// The gate of an emitter.
     pub(super) fn gate(self, emitter: usize) -> String {
-        self.named(format!("gate of emitter {emitter}"), &GATES, emitter)
+        self.named(&format!("gate of emitter {emitter}"), &format!("gate, emitter {emitter}"))
     }
 
     /// The level line of an emitter, and all emitters of that line; `None` if that is not known.
-    pub(super) fn level_line(self, emitter: usize) -> Option<(String, std::ops::RangeInclusive<usize>)> {
-        let (pin, emitters) = LEVELS.into_iter().find(|(_, emitters)| emitters.contains(&emitter))?;
-        let name = format!("level line of emitters {} to {} ({pin})", emitters.start(), emitters.end());
-        (self == Self::Nucleo).then_some((name, emitters))
+    pub(super) fn level_line(self, emitter: usize) -> Option<(String, RangeInclusive<usize>)> {
+        let emitters = LEVELS.into_iter().find(|emitters| emitters.contains(&emitter))?;
+        let line = format!("emitters {} to {}", emitters.start(), emitters.end());
+        let pin = self.pin(&format!("level of {line}"))?;
+        Some((format!("level line of {line} ({pin})"), emitters))
     }
 }
 
@@ -128,35 +93,6 @@ pub(super) fn unknown_board(info: &BoardInfo) -> Option<Finding> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// The rows of the wiring table: signal, pin, Morpho.
-    fn rows() -> Vec<[&'static str; 3]> {
-        let page = include_str!("../../../../firmware/README.md");
-        let table = page.lines().skip_while(|line| !line.starts_with("| signal |")).skip(2);
-        table
-            .take_while(|line| line.starts_with('|'))
-            .map(|line| {
-                let fields: Vec<&str> = line.split('|').map(str::trim).collect();
-                [fields[1], fields[2], fields[4]]
-            })
-            .collect()
-    }
-
-    #[test]
-    fn pins_are_those_of_the_wiring_table() {
-        let rows = rows();
-        let listed = |signal: String, pin: Pin| {
-            assert!(rows.contains(&[&signal, pin.name, pin.morpho]), "{signal}: {pin}, but the table has {rows:?}");
-        };
-        for k in 0..6 {
-            listed(format!("I_X1, cell {k}"), X1[k]);
-            listed(format!("I_X2, cell {k}"), X2[k]);
-            listed(format!("gate, emitter {k}"), GATES[k]);
-        }
-        for (pin, emitters) in LEVELS {
-            listed(format!("level of emitters {} to {}", emitters.start(), emitters.end()), pin);
-        }
-    }
 
     #[test]
     fn signals_beyond_the_board_and_of_other_boards_are_named_without_a_pin() {

@@ -1,18 +1,14 @@
 //! Words of some frames, and what follows from them for one word: mean, noise, and the steps of its codes.
 
-use slitpose_model::Pair;
-use slitpose_protocol::{AdcScaling, RawScan, Schedule};
+use slitpose_model::{Pair, Plan, Pose};
+use slitpose_protocol::{AdcScaling, Configuration, EmitterSet, Exposure, Level, MAX_CELLS, RawScan, Schedule};
 
-/// The scans of one configuration.
 #[derive(Clone, Debug)]
 pub(super) struct Sampling {
-    /// The schedule they were taken by.
     pub(super) schedule: Schedule,
-    /// Scaling of their codes.
     pub(super) scaling: AdcScaling,
     /// The scans, without the first ones.
     pub(super) scans: Vec<RawScan>,
-    /// Scans missing in their numbers.
     pub(super) missing: u64,
     /// Time between the first scan and the last by the host's clock, seconds.
     pub(super) elapsed_s: f64,
@@ -21,11 +17,8 @@ pub(super) struct Sampling {
 /// Statistics of one word, in codes of one conversion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Codes {
-    /// Mean.
     pub(super) mean: f64,
-    /// Standard deviation.
     pub(super) rms: f64,
-    /// Number of different values.
     pub(super) distinct: usize,
     /// Greatest common divisor of all differences between words: 1 unless codes are missing regularly. 0 for a word
     /// that never changes.
@@ -52,7 +45,6 @@ fn gcd(a: u16, b: u16) -> u16 {
 }
 
 impl Sampling {
-    /// Number of cells.
     pub(super) fn cells(&self) -> usize {
         usize::from(self.schedule.cells)
     }
@@ -76,14 +68,85 @@ impl Sampling {
         Pair { i_x1_a, i_x2_a }
     }
 
-    /// Mean photocurrents of all cells.
     pub(super) fn all_light(&self) -> Vec<Pair<f64>> {
         (0..self.cells()).map(|cell| self.light(cell)).collect()
     }
 }
 
+// The dark slot comes first, after the idle rest of the frame: so dark words hold no light that has not settled.
+
+/// The schedule of `base` with a dark slot, then one slot for each of `groups`, whose emitters are lit together. The
+/// frame is at least as long as that of `base`, with a rest of two settling times.
+pub(super) fn grouped(base: &Schedule, groups: &[Vec<usize>]) -> Schedule {
+    let conversions = u32::from(base.cells) * u32::from(base.oversampling);
+    let slot_ticks = base.slot_ticks.max(base.settling_ticks + conversions * base.conversion_ticks);
+    let frame_ticks = (groups.len() as u32 + 1) * slot_ticks + 2 * base.settling_ticks;
+    Schedule {
+        frame_ticks: frame_ticks.max(base.frame_ticks),
+        slots: std::iter::once(EmitterSet::DARK).chain(groups.iter().map(|group| EmitterSet::of(group))).collect(),
+        slot_ticks,
+        ..base.clone()
+    }
+}
+
+pub(super) fn alone(base: &Schedule) -> Schedule {
+    let singles: Vec<_> = (0..usize::from(base.cells)).map(|emitter| vec![emitter]).collect();
+    grouped(base, &singles)
+}
+
+/// `schedule` with all emitters at `level`.
+pub(super) fn at(schedule: Schedule, level: Level) -> Configuration {
+    let cells = usize::from(schedule.cells);
+    let levels = [level; MAX_CELLS].into_iter().take(cells).collect();
+    Configuration { schedule, levels, exposure: Exposure::Fixed }
+}
+
+/// Rounds in which each of `count` emitters is lit along with each other one once: the circle method for tournaments.
+/// Where the number is odd, one emitter of each round is lit alone.
+pub(super) fn rounds(count: usize) -> Vec<Vec<Vec<usize>>> {
+    let seats = count + count % 2;
+    let turning = seats.saturating_sub(1);
+    let group = |first: usize, second: usize| {
+        let mut group: Vec<_> = [first, second].into_iter().filter(|&emitter| emitter < count).collect();
+        group.sort_unstable();
+        group
+    };
+    (0..turning)
+        .map(|round| {
+            let seat = |k: usize| (round + k) % turning;
+            let fixed = group(turning, seat(0));
+            let others = (1..seats / 2).map(|k| group(seat(k), seat(turning - k)));
+            std::iter::once(fixed).chain(others).collect()
+        })
+        .collect()
+}
+
+#[derive(Clone, Debug)]
+pub(super) struct Expected {
+    pub(super) own: Vec<Pair<f64>>,
+    /// `stray[cell][emitter]`: light of the other emitters, both electrodes together, as a share of the cell's own.
+    pub(super) stray: Vec<Vec<f64>>,
+}
+
+impl Expected {
+    /// By the optics `plan`, and `coarse` ones for light of other emitters.
+    pub(super) fn of(plan: &Plan<f64>, coarse: &Plan<f64>) -> Self {
+        let cells = 0..plan.cell_count();
+        let own: Vec<_> = cells.clone().map(|cell| plan.crosstalk(cell, cell, &Pose::HOME)).collect();
+        let share = |cell: usize, emitter: usize| {
+            let light = if cell == emitter { own[cell] } else { coarse.crosstalk(cell, emitter, &Pose::HOME) };
+            light.total_a() / own[cell].total_a()
+        };
+        let stray = cells.clone().map(|cell| cells.clone().map(|emitter| share(cell, emitter)).collect()).collect();
+        Self { own, stray }
+    }
+}
+
 #[cfg(test)]
 mod tests {
+    use slitpose_head::front_end;
+    use slitpose_head::scene_file::WIDE;
+
     use super::*;
 
     #[test]
@@ -95,5 +158,32 @@ mod tests {
         let same = Codes::of([7; 5].into_iter(), 1);
         assert_eq!((same.mean, same.rms, same.distinct, same.step), (7.0, 0.0, 1, 0));
         assert_eq!(Codes::of([10, 13, 14].into_iter(), 1).step, 1);
+    }
+
+    #[test]
+    fn each_pair_of_emitters_meets_once_and_none_is_left_out_of_a_round() {
+        for count in 1..=7 {
+            let rounds = rounds(count);
+            let mut met = std::collections::BTreeSet::new();
+            for round in &rounds {
+                let mut lit: Vec<_> = round.concat();
+                lit.sort_unstable();
+                assert_eq!(lit, (0..count).collect::<Vec<_>>(), "{round:?}");
+                met.extend(round.iter().filter(|group| group.len() == 2).cloned());
+            }
+            assert_eq!(met.len(), count * (count - 1) / 2, "{rounds:?}");
+        }
+    }
+
+    #[test]
+    fn every_schedule_of_the_bring_up_is_valid_and_dark_first() {
+        let base = front_end::configuration(&WIDE.read().unwrap()).unwrap().schedule;
+        let fewer = Schedule { oversampling: 1, ..base.clone() };
+        let pairs = rounds(6).into_iter().map(|round| grouped(&base, &round));
+        for schedule in pairs.chain([alone(&base), alone(&fewer)]) {
+            assert_eq!(schedule.validate(), Ok(()), "{schedule:?}");
+            assert_eq!(schedule.dark_slot(), Some(0));
+            assert!(schedule.frame_rate_hz() > 3_500.0, "{}", schedule.frame_rate_hz());
+        }
     }
 }

@@ -9,7 +9,7 @@ use slitpose_model::Pair;
 use slitpose_protocol::{Level, Schedule};
 
 use super::bench::{Bench, BenchError, least_settling_ticks, sample};
-use super::lighting;
+use super::sampling;
 use slitpose_head::finding::Finding;
 
 /// Scans of each instant, and of the light long after: its error is in the remainder at all instants.
@@ -61,7 +61,7 @@ pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
     let base = Schedule { oversampling: 1, ..bench.schedule()? };
     let settling_s = f64::from(base.settling_ticks) / f64::from(base.tick_hz);
     let longest = Schedule { settling_ticks: LONG_AFTER * base.settling_ticks, ..base.clone() };
-    let mut configuration = lighting::at(lighting::alone(&longest), Level::NOMINAL);
+    let mut configuration = sampling::at(sampling::alone(&longest), Level::NOMINAL);
     let least = least_settling_ticks(&mut board, &configuration)?.max(base.settling_ticks / EARLIEST);
     let settled: Vec<f64> =
         sample(&mut board, configuration.clone(), SETTLED_SCANS)?.all_light().iter().map(Pair::total_a).collect();

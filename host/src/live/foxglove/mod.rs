@@ -1,11 +1,7 @@
 //! Foxglove shows boards live, by its own protocol. The server is in builds with the feature `foxglove` only.
 
 #[cfg(feature = "foxglove")]
-mod board;
-#[cfg(feature = "foxglove")]
 mod server;
-#[cfg(not(feature = "foxglove"))]
-mod without;
 
 #[cfg(feature = "foxglove")]
 use std::io;
@@ -16,61 +12,41 @@ use thiserror::Error;
 
 #[cfg(feature = "foxglove")]
 pub(crate) use server::FoxgloveServer;
+
+use super::control::LiveAddress;
 #[cfg(not(feature = "foxglove"))]
-pub(crate) use without::FoxgloveServer;
+use super::{LiveBoard, LiveInput};
+#[cfg(not(feature = "foxglove"))]
+use crate::telemetry::DaemonReport;
 
-use super::access::LiveAddress;
-
-/// The address that Foxglove proposes.
 pub(crate) const DEFAULT_FOXGLOVE_ADDRESS: &str = "127.0.0.1:8765";
 
 /// A port of this host: the protocol has no secret by which others could be refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct FoxgloveAddress(pub(super) SocketAddr);
 
-/// Why Foxglove cannot be served.
 #[derive(Debug, Error)]
 pub(crate) enum FoxgloveError {
-    /// No address.
     #[error("`{text}` is no address; give one such as {DEFAULT_FOXGLOVE_ADDRESS} or [::1]:8765")]
-    Address {
-        /// The text.
-        text: String,
-    },
-    /// Other hosts could connect.
+    Address { text: String },
     #[error(
         "{address} can be reached from other hosts, and Foxglove's protocol knows no secret: give an address such as \
          {DEFAULT_FOXGLOVE_ADDRESS}, and reach it by `ssh -L 8765:127.0.0.1:8765 HOST`"
     )]
-    NotLoopback {
-        /// The address.
-        address: SocketAddr,
-    },
-    /// Another build has it.
+    NotLoopback { address: SocketAddr },
     #[cfg(not(feature = "foxglove"))]
     #[error(
         "this build has no server for Foxglove; build with `cargo build --release -p slitpose --features foxglove`, \
          or record a capture, which Foxglove opens"
     )]
     NotBuilt,
-    /// The address cannot be bound.
     #[cfg(feature = "foxglove")]
     #[error("cannot serve Foxglove at {address}; give another address with --foxglove")]
-    Listen {
-        /// The address.
-        address: SocketAddr,
-        /// The system's error.
-        source: io::Error,
-    },
+    Listen { address: SocketAddr, source: io::Error },
     /// The server does not start.
     #[cfg(feature = "foxglove")]
     #[error("cannot serve Foxglove at {address}")]
-    Start {
-        /// The address.
-        address: SocketAddr,
-        /// The reason.
-        source: Box<::foxglove::FoxgloveError>,
-    },
+    Start { address: SocketAddr, source: Box<::foxglove::FoxgloveError> },
 }
 
 impl FromStr for FoxgloveAddress {
@@ -79,6 +55,30 @@ impl FromStr for FoxgloveAddress {
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         let LiveAddress(address) = text.parse().map_err(|_| FoxgloveError::Address { text: text.to_owned() })?;
         if address.ip().is_loopback() { Ok(Self(address)) } else { Err(FoxgloveError::NotLoopback { address }) }
+    }
+}
+
+/// Builds without it have none.
+#[cfg(not(feature = "foxglove"))]
+pub(crate) enum FoxgloveServer {}
+
+#[cfg(not(feature = "foxglove"))]
+impl FoxgloveServer {
+    /// Starts none.
+    pub(crate) fn start(
+        FoxgloveAddress(_): FoxgloveAddress,
+        _: Vec<LiveBoard>,
+        _: impl Fn() -> DaemonReport + Send + 'static,
+    ) -> Result<Self, FoxgloveError> {
+        Err(FoxgloveError::NotBuilt)
+    }
+
+    pub(crate) fn url(&self) -> &str {
+        match *self {}
+    }
+
+    pub(crate) fn input(&self) -> LiveInput {
+        match *self {}
     }
 }
 

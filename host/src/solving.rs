@@ -1,19 +1,21 @@
 //! How readings are solved: choices that commands and other programs offer.
 
-mod board;
-mod rows;
-
+use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use clap::{Args, ValueEnum};
-use slitpose_calibration::{CalibrationFileError, Head};
-use slitpose_model::Tier;
+use slitpose_calibration::{Calibration, CalibrationFileError, Head};
+use slitpose_head::board_head::{self, BoardHeadError};
+use slitpose_head::scene_file::SceneFile;
+use slitpose_head::threads::lock;
+use slitpose_model::{
+    Batch, MotionPrior, Pair, Photocurrents, Reading, Scene, SceneError, Solution, Solver, Starts, Tier,
+};
+use slitpose_protocol::{AdcScaling, Hashes, Schedule};
 
 use crate::pipeline::Following;
-pub(crate) use board::{compile, hashes};
-pub use rows::{RowSolver, RowsOf};
-use slitpose_head::scene_file::SceneFile;
 
 /// Streams are solved to a tolerance below their noise.
 pub const STREAM_TOLERANCE: f64 = 1e-6;
@@ -148,6 +150,105 @@ pub(crate) fn parse_duration(text: &str) -> Result<f64, String> {
         Ok(duration) if duration > Duration::ZERO => Ok(duration.as_secs_f64()),
         Ok(_) => Err("give more than nothing, such as 10s".to_owned()),
         Err(error) => Err(format!("{error}; give a duration such as 10s, 500ms or 2m")),
+    }
+}
+
+/// The hashes of what `head` is made from.
+pub(crate) fn hashes(head: &Head) -> Hashes {
+    Hashes { scene: Some(head.file.hash), calibration: head.calibration().map(Calibration::hash) }
+}
+
+/// The bytes of `head` for a board that runs `schedule` with `scaling`.
+pub(crate) fn compile(head: &Head, schedule: &Schedule, scaling: &AdcScaling) -> Result<Vec<u8>, BoardHeadError> {
+    board_head::encode(&head.file, schedule, scaling, hashes(head))
+}
+
+/// Most numbers of averaged frames whose solvers are kept.
+const MOST_SOLVERS: usize = 64;
+
+/// Solves readings of one head that do not belong together.
+pub struct RowSolver {
+    head: Head,
+    tier: Tier,
+    without_clipped: bool,
+    /// By the frames that a reading is the mean of.
+    solvers: Mutex<BTreeMap<u64, Arc<Solver<f64>>>>,
+}
+
+impl RowSolver {
+    /// For readings of `head`; `without_clipped`: cells whose light falls on an end of the detector are left out.
+    ///
+    /// # Errors
+    /// A scene that cannot be computed.
+    pub fn new(head: Head, tier: Tier, without_clipped: bool) -> Result<Self, SceneError> {
+        let rows = Self { head, tier, without_clipped, solvers: Mutex::default() };
+        rows.with_frames(1.0)?;
+        Ok(rows)
+    }
+
+    /// How many cells the head has.
+    pub fn cells(&self) -> usize {
+        self.head.file.scene.cells.len()
+    }
+
+    /// Makes ready for readings that are the mean of `frames` frames.
+    ///
+    /// # Errors
+    /// A scene that cannot be computed.
+    pub fn with_frames(&self, frames: f64) -> Result<RowsOf<'_>, SceneError> {
+        let key = frames.to_bits();
+        let known = lock(&self.solvers).get(&key).cloned();
+        let solver = match known {
+            Some(solver) => solver,
+            None => {
+                let scene = &self.head.file.scene;
+                let noise = scene.noise.map(|noise| noise.averaged(frames));
+                let mut solver = Solver::new(&Scene { noise, ..scene.clone() }, self.tier)?;
+                if self.without_clipped {
+                    solver = solver.without_clipped();
+                }
+                let mut solvers = lock(&self.solvers);
+                if solvers.len() >= MOST_SOLVERS {
+                    solvers.clear();
+                }
+                Arc::clone(solvers.entry(key).or_insert(Arc::new(solver)))
+            }
+        };
+        Ok(RowsOf { head: &self.head, solver })
+    }
+}
+
+/// Solves readings that are means of as many frames.
+#[derive(Clone)]
+pub struct RowsOf<'a> {
+    head: &'a Head,
+    solver: Arc<Solver<f64>>,
+}
+
+impl RowsOf<'_> {
+    /// One row, from the currents of each cell, dark current included; `None`: not measured.
+    pub fn readings(&self, row: impl IntoIterator<Item = Option<Pair<f64>>>) -> Photocurrents {
+        let reading = |(pair, cell): (Option<Pair<f64>>, &slitpose_model::Cell)| match pair {
+            Some(Pair { i_x1_a, i_x2_a }) => {
+                let half_dark_a = 0.5 * cell.detector.dark_current_a;
+                Reading::Light(Pair { i_x1_a: i_x1_a - half_dark_a, i_x2_a: i_x2_a - half_dark_a })
+            }
+            None => Reading::Missing,
+        };
+        Photocurrents { cells: row.into_iter().zip(&self.head.file.scene.cells).map(reading).collect() }
+    }
+
+    /// Passes the solution of each of `rows` to `take`, in their order: the pose behind it, found from a cold start.
+    pub fn solve(&self, rows: &[Photocurrents], mut take: impl FnMut(Solution)) {
+        Batch::new(&self.solver).solve(rows, Starts::Cold, &MotionPrior::AT_REST, |_, mut solution| {
+            self.head.complete(&mut solution);
+            take(solution);
+        });
+    }
+
+    /// Passes the condition number of each of `solutions` to `take`, in their order.
+    pub fn conditions(&self, solutions: &[Solution], mut take: impl FnMut(Option<f64>)) {
+        Batch::new(&self.solver).conditions(solutions, |_, condition| take(condition));
     }
 }
 

@@ -1,0 +1,364 @@
+//! What servers share: limits of connections, whose requests are answered, threads, and sockets in the file system.
+
+use std::fs::{self, Permissions};
+use std::io::{self, ErrorKind};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::os::unix::fs::{FileTypeExt, MetadataExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::task::{Context, Poll};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use axum::extract::connect_info::Connected;
+use axum::http::HeaderMap;
+use axum::http::header::{HOST, ORIGIN};
+use axum::serve::{IncomingStream, Listener};
+use thiserror::Error;
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::net::{TcpListener, TcpStream, UnixListener, UnixStream};
+use tokio::runtime::Runtime;
+use tokio::sync::oneshot;
+use tokio::time::{Sleep, sleep};
+
+/// The hosts that may connect over TCP.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Reach {
+    Loopback,
+    /// Every host that can reach the address, as permitted by the user.
+    Anywhere,
+}
+
+/// The address and port that `text` names, if any.
+pub(crate) fn tcp_address(text: &str) -> Option<SocketAddr> {
+    // The only name that has the same meaning on every host.
+    match text.strip_prefix("localhost:") {
+        Some(port) => Some((Ipv4Addr::LOCALHOST, port.parse().ok()?).into()),
+        None => text.parse().ok(),
+    }
+}
+
+/// Listens on `address`; returns the address with the port that the system chose for port 0. To be called within the
+/// runtime that serves the socket.
+pub(crate) fn listen(address: SocketAddr) -> io::Result<(Socket, SocketAddr)> {
+    let listener = std::net::TcpListener::bind(address)?;
+    let bound = listener.local_addr()?;
+    listener.set_nonblocking(true)?;
+    Ok((Socket::Tcp(TcpListener::from_std(listener)?), bound))
+}
+
+/// A thread that runs a runtime with all its tasks until this is dropped.
+#[derive(Debug)]
+pub(crate) struct Serving {
+    end: Option<oneshot::Sender<()>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Serving {
+    pub(crate) fn start(name: &str, runtime: Runtime) -> io::Result<Self> {
+        let (end, ended) = oneshot::channel();
+        let run = move || {
+            // Either way this has been dropped. The tasks end with the runtime: a graceful shutdown would wait for
+            // connections that hang.
+            let _ = runtime.block_on(ended);
+        };
+        let thread = std::thread::Builder::new().name(name.to_owned()).spawn(run)?;
+        Ok(Self { end: Some(end), thread: Some(thread) })
+    }
+}
+
+impl Drop for Serving {
+    fn drop(&mut self) {
+        drop(self.end.take());
+        if let Some(thread) = self.thread.take() {
+            // A panic of the thread has already been reported on standard error.
+            let _ = thread.join();
+        }
+    }
+}
+
+// Any page can make a browser send requests to a port of the browser's host. A page whose domain resolves to this host
+// (DNS rebinding) could even read the answers: its requests carry that domain as `Host`. Requests of other pages carry
+// the page's origin as `Origin` (RFC 6454, section 7). Programs send neither.
+
+/// Whether these are the headers of a program's request to a name of this host.
+pub(crate) fn is_own(headers: &HeaderMap, reach: Reach) -> bool {
+    let mut hosts = headers.get_all(HOST).iter();
+    let host = hosts.next().map(|host| host.as_bytes());
+    if hosts.next().is_some() {
+        return false;
+    }
+    // A server that any host may reach may have any name.
+    let is_ours = |host: &[u8]| reach == Reach::Anywhere || std::str::from_utf8(host).is_ok_and(is_loopback);
+    host.is_none_or(is_ours)
+        && headers.get_all(ORIGIN).iter().all(|origin| {
+            let origin = origin.as_bytes();
+            origin.strip_prefix(b"http://").is_some_and(|origin| Some(origin) == host)
+        })
+}
+
+/// Whether `host`, with or without a port, is a loopback name.
+fn is_loopback(host: &str) -> bool {
+    let name = match host.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
+        Some((address, _)) => address,
+        None => host.rsplit_once(':').map_or(host, |(name, _)| name),
+    };
+    name.eq_ignore_ascii_case("localhost") || name.parse().is_ok_and(|address: IpAddr| address.is_loopback())
+}
+
+/// A connection is closed after this time unless its [`Leash`] was released: an answer takes milliseconds.
+pub(crate) const LIFETIME: Duration = Duration::from_secs(3);
+
+/// Most simultaneous connections. For one more the oldest is closed of those whose [`Leash`] was not released, of the
+/// address that has most of these: silent connections keep nobody out.
+pub(crate) const MOST: usize = 100;
+
+/// Pause before a failed accept is tried again: file descriptors may have run out.
+const PAUSE: Duration = Duration::from_millis(100);
+
+pub(crate) enum Socket {
+    Tcp(TcpListener),
+    Unix(UnixListener),
+}
+
+/// Accepts no more than [`MOST`] connections at a time.
+pub(crate) struct Door {
+    socket: Socket,
+    /// The oldest first; each is closed by dropping the sender.
+    open: Vec<(Leash, oneshot::Sender<()>)>,
+}
+
+impl Door {
+    pub(crate) fn new(socket: Socket) -> Self {
+        Self { socket, open: Vec::new() }
+    }
+
+    /// Makes room for one more connection; `false` if there is none.
+    fn make_room(&mut self) -> bool {
+        self.open.retain(|(_, end)| !end.is_closed());
+        if self.open.len() < MOST {
+            return true;
+        }
+        let strangers = || (0..self.open.len()).filter(|&number| !self.open[number].0.is_released());
+        let address_of = |number: usize| self.open[number].0.address;
+        let count = |number: usize| strangers().filter(|&other| address_of(other) == address_of(number)).count();
+        // The first of equals.
+        let oldest = strangers().rev().max_by_key(|&number| count(number));
+        oldest.map(|number| self.open.remove(number)).is_some()
+    }
+}
+
+impl Listener for Door {
+    type Io = Connection;
+    type Addr = ();
+
+    async fn accept(&mut self) -> (Self::Io, Self::Addr) {
+        loop {
+            let accepted = match &self.socket {
+                Socket::Tcp(listener) => {
+                    listener.accept().await.map(|(stream, address)| (Stream::Tcp(stream), Some(address.ip())))
+                }
+                Socket::Unix(listener) => listener.accept().await.map(|(stream, _)| (Stream::Unix(stream), None)),
+            };
+            match accepted {
+                Ok((stream, address)) if self.make_room() => {
+                    let leash = Leash { address, ..Leash::default() };
+                    let (end, ended) = oneshot::channel();
+                    self.open.push((leash.clone(), end));
+                    let lifetime = Box::pin(sleep(LIFETIME));
+                    return (Connection { stream, lifetime, ended, is_over: false, leash }, ());
+                }
+                Ok(_) => {}
+                Err(_) => sleep(PAUSE).await,
+            }
+        }
+    }
+
+    fn local_addr(&self) -> io::Result<Self::Addr> {
+        Ok(())
+    }
+}
+
+enum Stream {
+    Tcp(TcpStream),
+    Unix(UnixStream),
+}
+
+/// Ends the lifetime's limit of one connection.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Leash {
+    /// The other end's; `None` on a Unix socket.
+    pub(crate) address: Option<IpAddr>,
+    is_released: Arc<AtomicBool>,
+}
+
+impl Leash {
+    /// From now on the connection may last.
+    pub(crate) fn release(&self) {
+        self.is_released.store(true, Ordering::Relaxed);
+    }
+
+    fn is_released(&self) -> bool {
+        self.is_released.load(Ordering::Relaxed)
+    }
+}
+
+impl Connected<IncomingStream<'_, Door>> for Leash {
+    fn connect_info(stream: IncomingStream<'_, Door>) -> Self {
+        stream.io().leash.clone()
+    }
+}
+
+/// A connection that fails at the end of its lifetime, or when another one needs its place.
+pub(crate) struct Connection {
+    stream: Stream,
+    lifetime: Pin<Box<Sleep>>,
+    ended: oneshot::Receiver<()>,
+    is_over: bool,
+    leash: Leash,
+}
+
+impl Connection {
+    /// The result of `poll`, or an error after the connection's lifetime.
+    fn in_time<T>(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        poll: impl FnOnce(&mut Stream, &mut Context<'_>) -> Poll<io::Result<T>>,
+    ) -> Poll<io::Result<T>> {
+        let polled = poll(&mut self.stream, context);
+        if self.leash.is_released() || polled.is_ready() {
+            return polled;
+        }
+        // A receiver that is ready is not polled again.
+        self.is_over = self.is_over
+            || self.lifetime.as_mut().poll(context).is_ready()
+            || Pin::new(&mut self.ended).poll(context).is_ready();
+        if self.is_over { Poll::Ready(Err(ErrorKind::TimedOut.into())) } else { polled }
+    }
+}
+
+impl AsyncRead for Connection {
+    fn poll_read(self: Pin<&mut Self>, context: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+        self.in_time(context, |stream, context| match stream {
+            Stream::Tcp(stream) => Pin::new(stream).poll_read(context, buffer),
+            Stream::Unix(stream) => Pin::new(stream).poll_read(context, buffer),
+        })
+    }
+}
+
+impl AsyncWrite for Connection {
+    fn poll_write(self: Pin<&mut Self>, context: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
+        self.in_time(context, |stream, context| match stream {
+            Stream::Tcp(stream) => Pin::new(stream).poll_write(context, bytes),
+            Stream::Unix(stream) => Pin::new(stream).poll_write(context, bytes),
+        })
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        self.in_time(context, |stream, context| match stream {
+            Stream::Tcp(stream) => Pin::new(stream).poll_flush(context),
+            Stream::Unix(stream) => Pin::new(stream).poll_flush(context),
+        })
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        self.in_time(context, |stream, context| match stream {
+            Stream::Tcp(stream) => Pin::new(stream).poll_shutdown(context),
+            Stream::Unix(stream) => Pin::new(stream).poll_shutdown(context),
+        })
+    }
+}
+
+#[derive(Debug, Error)]
+pub(crate) enum SocketFileError {
+    #[error("another program serves unix:{}; give another path, or end that program", path.display())]
+    InUse { path: PathBuf },
+    #[error("{} is no socket and is left alone; give another path", path.display())]
+    NotASocket { path: PathBuf },
+    #[error("cannot listen on unix:{}", path.display())]
+    Bind { path: PathBuf, source: io::Error },
+}
+
+/// A bound socket; its file is removed when this is dropped, unless it has been replaced.
+#[derive(Debug)]
+pub(crate) struct SocketFile {
+    path: PathBuf,
+    file: [u64; 2],
+}
+
+impl SocketFile {
+    /// Binds a socket at `path` by `bind`, with the permissions `mode`.
+    pub(crate) fn bind<T>(
+        path: &Path,
+        mode: u32,
+        bind: impl FnOnce(&Path) -> io::Result<T>,
+    ) -> Result<(T, Self), SocketFileError> {
+        let failed = |source| SocketFileError::Bind { path: path.to_owned(), source };
+        match fs::symlink_metadata(path) {
+            Err(error) if error.kind() == ErrorKind::NotFound => {}
+            Err(source) => return Err(failed(source)),
+            Ok(found) if !found.file_type().is_socket() => {
+                return Err(SocketFileError::NotASocket { path: path.to_owned() });
+            }
+            Ok(_) => match std::os::unix::net::UnixStream::connect(path) {
+                Err(error) if error.kind() == ErrorKind::ConnectionRefused => fs::remove_file(path).map_err(failed)?,
+                Err(source) => return Err(failed(source)),
+                Ok(_) => return Err(SocketFileError::InUse { path: path.to_owned() }),
+            },
+        }
+        let socket = bind(path).map_err(failed)?;
+        fs::set_permissions(path, Permissions::from_mode(mode)).map_err(failed)?;
+        let file = identity(path).map_err(failed)?;
+        Ok((socket, Self { path: path.to_owned(), file }))
+    }
+}
+
+impl Drop for SocketFile {
+    fn drop(&mut self) {
+        if identity(&self.path).is_ok_and(|found| found == self.file) {
+            let _ = fs::remove_file(&self.path);
+        }
+    }
+}
+
+fn identity(path: &Path) -> io::Result<[u64; 2]> {
+    fs::symlink_metadata(path).map(|found| [found.dev(), found.ino()])
+}
+
+#[cfg(test)]
+mod tests {
+    use axum::http::HeaderValue;
+
+    use super::*;
+
+    fn is_allowed(host: Option<&'static str>, origin: Option<&'static str>, reach: Reach) -> bool {
+        let mut headers = HeaderMap::new();
+        for (name, value) in [(HOST, host), (ORIGIN, origin)] {
+            headers.extend(value.map(|value| (name, HeaderValue::from_static(value))));
+        }
+        is_own(&headers, reach)
+    }
+
+    #[test]
+    fn pages_of_others_are_not_answered() {
+        for host in ["localhost", "LOCALHOST:7450", "127.0.0.1", "127.0.0.1:7450", "127.3.2.1:1", "[::1]:7450", "[::1]"]
+        {
+            assert!(is_allowed(Some(host), None, Reach::Loopback), "{host}");
+        }
+        assert!(is_allowed(None, None, Reach::Loopback), "as HTTP/1.0 may do");
+        for host in ["evil.example:7450", "localhost.evil.example", "127.0.0.1.evil.example", "", "[::2]:1", "10.0.0.1"]
+        {
+            assert!(!is_allowed(Some(host), None, Reach::Loopback), "{host}");
+            assert!(is_allowed(Some(host), None, Reach::Anywhere), "{host}");
+        }
+        for reach in [Reach::Loopback, Reach::Anywhere] {
+            let asked_by = |origin| is_allowed(Some("127.0.0.1:7450"), Some(origin), reach);
+            assert!(asked_by("http://127.0.0.1:7450"));
+            for origin in ["http://evil.example", "https://127.0.0.1:7450", "http://127.0.0.1:8000", "null", ""] {
+                assert!(!asked_by(origin), "{origin}");
+            }
+        }
+    }
+}
