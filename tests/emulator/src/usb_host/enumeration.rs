@@ -137,7 +137,7 @@ impl Enumeration {
             Step::ConfigurationHead => get_descriptor(CONFIGURATION, 0, 0, 9),
             Step::Configuration => {
                 let head = &self.description.configuration;
-                get_descriptor(CONFIGURATION, 0, 0, head.get(2..4).map_or(0, |total| le16(total)))
+                get_descriptor(CONFIGURATION, 0, 0, head.get(2..4).map_or(0, le16))
             }
             Step::Languages => get_descriptor(STRING, 0, 0, 255),
             Step::Manufacturer => string(14),
