@@ -6,8 +6,8 @@ use slitpose_head::table::{Column, PoseColumns, TableError, TableReader};
 use slitpose_model::{Estimate, Pose};
 use thiserror::Error;
 
-use crate::pipeline::Record;
 use crate::terminal::{Line, WIDTH, layout};
+use slitpose_tracking::pipeline::Record;
 
 /// Errors of poses against a known truth.
 #[derive(Clone, Debug, Default)]

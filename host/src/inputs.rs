@@ -6,10 +6,10 @@ use std::path::Path;
 
 use axum::http::{HeaderMap, HeaderName, HeaderValue};
 
-use crate::capture::{CaptureError, CaptureReader, Entry};
 use crate::http::{self, Reach};
-use crate::link::Segment;
 use crate::{commands, live};
+use slitpose_tracking::capture::{CaptureError, CaptureReader, Entry};
+use slitpose_tracking::link::Segment;
 
 /// What a capture holds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -11,12 +11,12 @@ use std::hint::black_box;
 use std::time::Duration;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use slitpose::pipeline::{Item, PipelineError};
 use slitpose_head::scene_file::WIDE;
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_model::Tier;
 use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message};
 use slitpose_tests::capture::{STREAM, capture, pipeline};
+use slitpose_tracking::pipeline::{Item, PipelineError};
 
 /// A quarter of a second.
 const SCANS: usize = 1000;

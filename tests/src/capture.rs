@@ -3,7 +3,6 @@
 use std::ops::Range;
 
 use glam::{DQuat, DVec3};
-use slitpose::pipeline::{Counts, Item, Pipeline, PipelineError, Record, SceneMatch};
 use slitpose_head::faults::{Faults, Injector, Link};
 use slitpose_head::front_end;
 use slitpose_head::scene_file::SceneFile;
@@ -13,6 +12,7 @@ use slitpose_protocol::{
     AdcScaling, Command, DELIMITER, Decoder, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, RawScan, Request, Schedule,
     encode,
 };
+use slitpose_tracking::pipeline::{Counts, Item, Pipeline, PipelineError, Record, SceneMatch};
 
 /// What streams are solved to by default.
 pub const STREAM: Tier = Tier::Exact { tolerance: 1e-6 };

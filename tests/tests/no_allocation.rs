@@ -3,11 +3,7 @@
 use std::os::unix::net::UnixDatagram;
 
 use allocation_counter::AllocationInfo;
-use slitpose::clock::{HostInstant, HostTime};
 use slitpose::datagram::{self, Address, DatagramServer, Mode, PoseDatagram};
-use slitpose::health::Health;
-use slitpose::link::{Asked, DeviceId, Segment};
-use slitpose::pipeline::{Item, PipelineError};
 use slitpose::telemetry::BoardStatistics;
 use slitpose_head::front_end::{self, Stage};
 use slitpose_head::scene_file::WIDE;
@@ -16,6 +12,10 @@ use slitpose_model::{Solver, Tier, Tracker};
 use slitpose_protocol::Command;
 use slitpose_tests::capture::{STREAM, capture, decode, pipeline, solve};
 use slitpose_tests::terminal::request;
+use slitpose_tracking::clock::{HostInstant, HostTime};
+use slitpose_tracking::health::Health;
+use slitpose_tracking::link::{Asked, DeviceId, Segment};
+use slitpose_tracking::pipeline::{Item, PipelineError};
 
 const SCANS: usize = 10_000;
 

@@ -3,9 +3,9 @@
 use numpy::{Element, IntoPyArray, PyArray, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use slitpose::link::DeviceId;
-use slitpose::pipeline::{Outcomes, Record};
 use slitpose_model::{AXES, DegradedReason, Outcome, Pose, Solution, TwistEstimate, Verified};
+use slitpose_tracking::link::DeviceId;
+use slitpose_tracking::pipeline::{Outcomes, Record};
 
 /// The numbers of `verified`.
 pub(crate) const VERIFIED: [Verified; 3] = [Verified::Not, Verified::Weakly, Verified::Well];

@@ -7,9 +7,9 @@ use std::sync::atomic::Ordering;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use slitpose::measurements::Measurements;
 use slitpose_calibration as adjustment;
 use slitpose_calibration::{Clock, Frames, Request, Statistics, validity};
+use slitpose_tracking::measurements::Measurements;
 
 use crate::error::raised;
 use crate::scene::{Scene, texts};

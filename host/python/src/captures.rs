@@ -7,15 +7,15 @@ use std::sync::{Mutex, PoisonError};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use slitpose::link::DeviceId;
-use slitpose::pipeline::{Item, Scan};
-use slitpose::playback::{Choice, Event, Playback, PlaybackError, Yields};
-use slitpose::solving::{Filter, Solving};
 use slitpose_head::threads::lock;
 use slitpose_model::{Photocurrents, Reading};
+use slitpose_tracking::link::DeviceId;
+use slitpose_tracking::pipeline::{Item, Scan};
+use slitpose_tracking::playback::{Choice, Event, Playback, PlaybackError, Yields};
+use slitpose_tracking::solving::{Filter, Solving};
 
 use crate::arrays::{Columns, RecordColumns};
-use crate::error::{raised, seconds, tier_options};
+use crate::error::{raised, seconds, tier_choice};
 use crate::work::beside;
 
 /// What a cell's reading is, by its number.
@@ -81,7 +81,7 @@ impl Captures {
         let choice = Choice {
             scene,
             calibration,
-            solving: Solving { filter, without_clipped, tier: tier_options(tier, tolerance)? },
+            solving: Solving { filter, without_clipped, tier: tier_choice(tier, tolerance)? },
             from_s,
             to_s,
             duration_s: duration_s.filter(|duration_s| *duration_s > 0.0),

@@ -4,8 +4,8 @@ use std::error::Error;
 
 use pyo3::exceptions::{PyException, PyValueError};
 use pyo3::{PyErr, create_exception};
-use slitpose::solving::{TierName, TierOptions, is_tolerance};
 use slitpose_head::causes::with_causes;
+use slitpose_tracking::solving::{TierChoice, is_tolerance};
 
 create_exception!(slitpose, SlitposeError, PyException, "What cannot be done, why, and the next step.");
 
@@ -15,18 +15,16 @@ pub(crate) fn raised(error: impl Error) -> PyErr {
 }
 
 /// The tier by its name and tolerance.
-pub(crate) fn tier_options(tier: Option<&str>, tolerance: Option<f64>) -> Result<TierOptions, PyErr> {
-    let tier = match tier {
-        None => None,
-        Some("paper") => Some(TierName::Paper),
-        Some("exact") => Some(TierName::Exact),
-        Some(other) => return Err(PyValueError::new_err(format!("tier = {other:?}; give \"paper\" or \"exact\""))),
-    };
-    match tolerance.filter(|tolerance| !is_tolerance(*tolerance)) {
-        Some(other) => {
-            Err(PyValueError::new_err(format!("tolerance = {other}; give a number between 0 and 1, such as 1e-10")))
-        }
-        None => Ok(TierOptions { tier, tolerance }),
+pub(crate) fn tier_choice(tier: Option<&str>, tolerance: Option<f64>) -> Result<TierChoice, PyErr> {
+    if let Some(other) = tolerance.filter(|tolerance| !is_tolerance(*tolerance)) {
+        let text = format!("tolerance = {other}; give a number between 0 and 1, such as 1e-10");
+        return Err(PyValueError::new_err(text));
+    }
+    match tier {
+        None if tolerance.is_none() => Ok(TierChoice::Usual),
+        None | Some("exact") => Ok(TierChoice::Exact(tolerance)),
+        Some("paper") => Ok(TierChoice::Paper),
+        Some(other) => Err(PyValueError::new_err(format!("tier = {other:?}; give \"paper\" or \"exact\""))),
     }
 }
 

@@ -12,9 +12,9 @@ mod scene;
 mod work;
 
 use pyo3::prelude::*;
-use slitpose::pipeline::Outcomes;
 use slitpose_head::scene_file::SHIPPED;
 use slitpose_model::AXES;
+use slitpose_tracking::pipeline::Outcomes;
 
 #[pymodule]
 fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {

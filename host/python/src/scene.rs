@@ -7,16 +7,16 @@ use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use slitpose::solving::{MODEL_TOLERANCE, RowSolver, STREAM_TOLERANCE};
 use slitpose_calibration::Head;
 use slitpose_design::map::Outlook;
 use slitpose_design::plot::{cell_picture, scene_picture};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_model::{Pair, Plan, Pose, Status, Tier};
+use slitpose_tracking::solving::{MODEL_TOLERANCE, RowSolver, STREAM_TOLERANCE};
 
 use crate::arrays::{Columns, SolutionColumns, put_matrix};
 use crate::calibration::Calibration;
-use crate::error::{raised, tier_options};
+use crate::error::{raised, tier_choice};
 use crate::rotations::poses;
 use crate::work::{beside, each_piece, each_row};
 
@@ -119,7 +119,7 @@ impl Scene {
         tolerance: Option<f64>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let poses = poses(&translation_m, &rotation)?;
-        let tier = tier_options(tier, tolerance)?.tier(MODEL_TOLERANCE);
+        let tier = tier_choice(tier, tolerance)?.tier(MODEL_TOLERANCE);
         let plan = beside(py, |_| Plan::<f64>::compile(&self.head.file.scene, tier))?.map_err(raised)?;
         let cells = self.cells();
         let rows = each_row(py, poses.len(), |row| {
@@ -165,7 +165,7 @@ impl Scene {
         tolerance: Option<f64>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let poses = poses(&translation_m, &rotation)?;
-        let tier = tier_options(tier, tolerance)?.tier(MODEL_TOLERANCE);
+        let tier = tier_choice(tier, tolerance)?.tier(MODEL_TOLERANCE);
         let plan = beside(py, |_| Plan::<f64>::compile(&self.head.file.scene, tier))?.map_err(raised)?;
         let cells = self.cells();
         let rows = each_row(py, poses.len(), |row| {
@@ -220,7 +220,7 @@ impl Scene {
             let [i_x1_a, i_x2_a] = [0, 1].map(|electrode| currents[[row, cell, electrode]]);
             Some(Pair { i_x1_a, i_x2_a }).filter(|pair| pair.i_x1_a.is_finite() && pair.i_x2_a.is_finite())
         };
-        let tier = tier_options(tier, tolerance)?.tier(STREAM_TOLERANCE);
+        let tier = tier_choice(tier, tolerance)?.tier(STREAM_TOLERANCE);
         let head = beside(py, |_| self.solving_head())??;
         let solver = beside(py, |_| RowSolver::new(head, tier, without_clipped))?.map_err(raised)?;
         let mut distinct = frames.clone();

@@ -9,10 +9,10 @@ use slitpose_calibration::{Calibration, CellValidity, Progress as Step, Request,
 
 use super::options::{Jobs, open_scene, parse_number};
 use super::{CommandError, Outcome, interrupt, options, talk};
-use crate::measurements::Measurements;
 use crate::terminal::{Amount, Progress};
 use slitpose_design::report::{Folder, calibration_report};
 use slitpose_head::table::Output;
+use slitpose_tracking::measurements::Measurements;
 
 /// Finds the parameters of a real head from measurements on it.
 ///

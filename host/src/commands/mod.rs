@@ -36,13 +36,13 @@ use thiserror::Error;
 pub(crate) use config::{ConfigError, configured_options};
 
 use crate::device::DeviceError;
-use crate::playback::PlaybackError;
 use crate::terminal::{complain, hide_progress};
 use options::{interrupt, talk};
 use slitpose_head::causes::with_causes;
 use slitpose_head::faults::FaultError;
 use slitpose_head::foreign::printable;
 use slitpose_head::table::{Output, OutputError, TableError};
+use slitpose_tracking::playback::PlaybackError;
 
 /// Six slits, six light spots, one pose: tools for a contactless 6-DoF tracker.
 ///

@@ -7,9 +7,9 @@ use slitpose_model::{Plan, Pose, Response, Tier};
 
 use super::options::{CalibrationOption, Jobs, TierOptions, UNREADABLE, open_scene};
 use super::{CommandError, Outcome, options, talk};
-pub(super) use crate::solving::MODEL_TOLERANCE as DEFAULT_TOLERANCE;
 use slitpose_head::table::{Output, PoseColumns, PoseSizes, TableError, TableReader, TableRows, TableWriter};
 use slitpose_head::threads::lock;
+pub(super) use slitpose_tracking::solving::MODEL_TOLERANCE as DEFAULT_TOLERANCE;
 
 /// How many times as far out as the workspace poses may lead without a word: beyond, currents are of interest, too.
 const FAR: f64 = 100.0;

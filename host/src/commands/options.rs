@@ -7,6 +7,7 @@ use std::num::NonZero;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
+use std::time::Duration;
 
 use anyhow::Context;
 use clap::builder::{PossibleValue, StringValueParser, TypedValueParser};
@@ -20,13 +21,13 @@ use slitpose_head::table::{Output, Rows, TableError, TableReader, TableRows, Tab
 use slitpose_head::threads::{cores, in_order, limit};
 use slitpose_model::{Pose, Tier};
 
-pub(super) use crate::solving::{STREAM_TOLERANCE as DEFAULT_TOLERANCE, TierOptions, parse_duration};
+pub(super) use slitpose_tracking::solving::STREAM_TOLERANCE as DEFAULT_TOLERANCE;
 
 use super::{CommandError, Outcome, UsageError};
-use crate::pipeline::{Counts, Following};
 use crate::sink::{self, Format, Sink};
-use crate::solving::{Filter, NOT_CALIBRATED, Solving, head_by};
 use crate::terminal::{self, Amount, Progress};
+use slitpose_tracking::pipeline::{Counts, Following};
+use slitpose_tracking::solving::{Filter, NOT_CALIBRATED, Solving, TierChoice, head_by, is_tolerance};
 
 /// A number of millimetres or degrees beyond this is a slip of units: 1000 km.
 const MOST: f64 = 1e9;
@@ -195,6 +196,72 @@ pub(super) fn motions() -> Names {
     Names(values.map(|value| value.get_name().to_owned()).collect())
 }
 
+/// How exactly the optics are evaluated.
+#[derive(Args, Clone, Copy, Debug)]
+pub(super) struct TierOptions {
+    /// Equations as printed in the source paper, or integrated over the spot
+    #[arg(long, value_enum)]
+    tier: Option<TierName>,
+    /// Relative error of the exact tier's integrals; given alone it means the exact tier
+    #[arg(long, value_name = "T", value_parser = parse_tolerance)]
+    tolerance: Option<f64>,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum TierName {
+    /// Equations (1) to (6) of De La Cruz et al. 2018
+    Paper,
+    /// Integrated over the spot
+    Exact,
+}
+
+impl TierOptions {
+    fn choice(self) -> TierChoice {
+        match (self.tier, self.tolerance) {
+            (Some(TierName::Paper), _) => TierChoice::Paper,
+            (None, None) => TierChoice::Usual,
+            (_, tolerance) => TierChoice::Exact(tolerance),
+        }
+    }
+
+    /// The tier asked for; exact to `default_tolerance` if none is.
+    pub(super) fn tier(self, default_tolerance: f64) -> Tier {
+        self.choice().tier(default_tolerance)
+    }
+}
+
+fn parse_tolerance(text: &str) -> Result<f64, &'static str> {
+    let tolerance = text.parse().ok().filter(|&tolerance| is_tolerance(tolerance));
+    tolerance.ok_or("give a number between 0 and 1, such as 1e-10")
+}
+
+/// A duration such as `10s`, `500ms` or `2m`.
+pub(super) fn parse_duration(text: &str) -> Result<f64, String> {
+    match humantime::parse_duration(text) {
+        Ok(duration) if duration > Duration::ZERO => Ok(duration.as_secs_f64()),
+        Ok(_) => Err("give more than nothing, such as 10s".to_owned()),
+        Err(error) => Err(format!("{error}; give a duration such as 10s, 500ms or 2m")),
+    }
+}
+
+fn parse_filter(text: &str) -> Result<Filter, String> {
+    Ok(Filter(if text == "off" { None } else { Some(parse_duration(text)?) }))
+}
+
+/// How scans are solved.
+#[derive(Args, Clone, Copy, Debug)]
+struct SolvingOptions {
+    /// Also estimate each pose from many scans, by a parabola through about this long, such as 5ms;
+    /// or off
+    #[arg(long, value_name = "TIME", value_parser = parse_filter)]
+    filter: Option<Filter>,
+    /// Leave out cells whose light falls on an end of the detector
+    #[arg(long)]
+    without_clipped: bool,
+    #[command(flatten)]
+    tier: TierOptions,
+}
+
 /// When a stream of poses ends, how it is written and how it is solved.
 #[derive(clap::Args, Debug)]
 pub(super) struct PoseOptions {
@@ -205,7 +272,7 @@ pub(super) struct PoseOptions {
     #[arg(long, value_enum)]
     format: Option<Format>,
     #[command(flatten)]
-    pub(super) solving: Solving,
+    solving: SolvingOptions,
 }
 
 impl PoseOptions {
@@ -239,12 +306,25 @@ impl PoseOptions {
         Ok(sink::open(format, output, is_terminal && terminal::is_live()))
     }
 
+    pub(super) fn solving(&self) -> Solving {
+        let SolvingOptions { filter, without_clipped, tier } = self.solving;
+        Solving { filter, without_clipped, tier: tier.choice() }
+    }
+
     pub(super) fn following(&self) -> Following {
-        self.solving.following_or(None)
+        self.solving().following_or(None)
     }
 
     pub(super) fn tier(&self) -> Tier {
-        self.solving.tier_or(None)
+        self.solving().tier_or(None)
+    }
+
+    /// An option that was given for poses found by this program.
+    pub(super) fn for_this_program(&self) -> Option<&'static str> {
+        let SolvingOptions { filter, without_clipped, .. } = self.solving;
+        [(matches!(filter, Some(Filter(Some(_)))), "--filter"), (without_clipped, "--without-clipped")]
+            .into_iter()
+            .find_map(|(is_given, option)| is_given.then_some(option))
     }
 }
 
@@ -315,6 +395,25 @@ mod tests {
         assert!((pose.rotation_rad().z - std::f64::consts::FRAC_PI_2).abs() < 1e-15);
         for text in ["", "1,2,3", "1,2,3,4,5,6,7", "1,2,3,4,5,x", "nan,0,0,0,0,0", "inf,0,0,0,0,0", "1e12,0,0,0,0,0"] {
             assert!(parse_pose(text).is_err(), "`{text}` was taken for a pose");
+        }
+    }
+
+    #[test]
+    fn durations_are_read_or_refused() {
+        assert_eq!(parse_duration("10s"), Ok(10.0));
+        assert_eq!(parse_duration("500ms"), Ok(0.5));
+        for text in ["", "10", "0s", "-1s", "soon"] {
+            assert!(parse_duration(text).is_err(), "{text}");
+        }
+        assert_eq!(parse_filter("off"), Ok(Filter(None)));
+        assert_eq!(parse_filter("5ms"), Ok(Filter(Some(0.005))));
+    }
+
+    #[test]
+    fn a_tolerance_lies_between_zero_and_one() {
+        assert_eq!(parse_tolerance("1e-6"), Ok(1e-6));
+        for text in ["0", "1", "-1e-3", "nan", "tight"] {
+            assert!(parse_tolerance(text).is_err(), "`{text}` was taken for a tolerance");
         }
     }
 }

@@ -11,18 +11,18 @@ use std::time::Duration;
 use super::options::{CalibrationOption, PoseOptions, parse_duration};
 use super::player::Player;
 use super::{CommandError, Outcome, interrupt, options, talk};
-use crate::clock::HostInstant;
 use crate::comparison::Comparison;
-use crate::link::DeviceId;
 use crate::live::Sampler;
-use crate::pipeline::Item;
-use crate::playback::{self, Choice, Event, PlaybackError, Yields};
 use crate::sink::{Account, Format, Note, Sink};
 use crate::telemetry::{BoardReport, BoardStatistics, DaemonReport, LinkReport, LinkState, RecorderReport};
 use crate::terminal::{Amount, Progress};
 use slitpose_head::faults::Fault;
 use slitpose_head::pace::{Pace, Speed};
 use slitpose_head::table::OutputError;
+use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::link::DeviceId;
+use slitpose_tracking::pipeline::Item;
+use slitpose_tracking::playback::{self, Choice, Event, PlaybackError, Yields};
 use thiserror::Error;
 
 /// Which part of captures is solved, and how.
@@ -115,7 +115,7 @@ impl<'a> Playback<'a> {
         let choice = Choice {
             scene: play.scene.clone(),
             calibration: play.calibration.given().map(Path::to_owned),
-            solving: poses.solving,
+            solving: poses.solving(),
             from_s: play.from,
             to_s: play.to,
             duration_s: poses.duration,

@@ -7,8 +7,8 @@ use slitpose_head::pace::Speed;
 use slitpose_head::threads::lock;
 
 use crate::live::{Control, LiveBoard, LiveInput, Order, PlayerOrder, PlayerState, Refusal, Sampler};
-use crate::playback::Board;
 use crate::telemetry::DaemonReport;
+use slitpose_tracking::playback::Board;
 
 /// Time between messages on the state of the player.
 const TELL_EVERY: Duration = Duration::from_millis(250);

@@ -6,9 +6,9 @@ use std::time::{Duration, SystemTime};
 
 use super::options::{parse_duration, parse_number};
 use super::talk;
-use crate::capture::{About, CaptureError, CaptureSeries, Existing, Limits};
 use crate::daemon::CapturePlan;
 use crate::telemetry::report_schema;
+use slitpose_tracking::capture::{About, CaptureError, CaptureSeries, Existing, Limits};
 
 /// Poses a device second in a capture: enough to look at it; all others follow from its bytes.
 const POSES_HZ: f64 = 25.0;

@@ -17,8 +17,8 @@ use super::playback::{PlayOptions, Playback, Printing};
 use super::player::{Orders, Player};
 use super::{CommandError, Outcome, UsageError, interrupt};
 use crate::live::LivePlan;
-use crate::playback;
 use crate::sink::{Account, Format};
+use slitpose_tracking::playback;
 
 /// Solves captures again, through the same pipeline as live boards.
 ///

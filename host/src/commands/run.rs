@@ -16,16 +16,12 @@ use super::options::{PoseOptions, open_scene, parse_duration};
 use super::record::RecordOptions;
 use super::simulate::ToolOptions;
 use super::{CommandError, Outcome, UsageError, interrupt, options, talk};
-use crate::clock::{HostInstant, UtcWatch};
 use crate::daemon::{Admit, BoardPlan, Daemon, Ended, Opener, Plan, PortOpener, SimulatedOpener};
 use crate::datagram::{Address, DatagramServer};
 use crate::device::{Search, Selector};
 use crate::http::Reach;
-use crate::link::DeviceId;
 use crate::live::{Access, LiveBoard, LivePlan, TakesSamples};
-use crate::pipeline::{self, Following, PipelineError, PoseSource, SceneMatch};
 use crate::service::{self, Service};
-use crate::solving::head_by;
 use crate::spacenav::SpacenavServer;
 use crate::telemetry::{DaemonReport, RecorderReport, RecorderState, StatusAddress, StatusServer};
 use crate::zenoh::ZenohSession;
@@ -34,6 +30,10 @@ use slitpose_head::pace::Speed;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::table::OutputError;
 use slitpose_head::threads::lock;
+use slitpose_tracking::clock::{HostInstant, UtcWatch};
+use slitpose_tracking::link::DeviceId;
+use slitpose_tracking::pipeline::{self, Following, PipelineError, PoseSource, SceneMatch};
+use slitpose_tracking::solving::head_by;
 
 /// Period of checks for ended boards, and of housekeeping.
 const MOMENT: Duration = Duration::from_millis(20);
@@ -149,7 +149,7 @@ fn parse_patience(text: &str) -> Result<Patience, String> {
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
-    if let (StreamName::Pose, Some(option)) = (args.stream, args.poses.solving.for_this_program()) {
+    if let (StreamName::Pose, Some(option)) = (args.stream, args.poses.for_this_program()) {
         return Err(UsageError::OnlyHere { option }.into());
     }
     let zenoh = args.zenoh.open(&args.device)?;

@@ -17,12 +17,12 @@ use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message, Schedule};
 use super::faults::FaultOptions;
 use super::options::{self, CalibrationOption, DEFAULT_TOLERANCE, TierOptions, open_scene, parse_duration};
 use super::{ArgumentError, CommandError, Outcome, interrupt, talk};
-use crate::capture::{About, CaptureError, CaptureSeries, Settings, Setup};
 use crate::comparison::NothingMatches;
 use crate::device::{Conversation, DeviceError, Keep, SimulatedDevice};
-use crate::link::{DeviceId, Segment};
-use crate::pipeline::Following;
 use crate::telemetry::report_schema;
+use slitpose_tracking::capture::{About, CaptureError, CaptureSeries, Settings, Setup};
+use slitpose_tracking::link::{DeviceId, Segment};
+use slitpose_tracking::pipeline::Following;
 
 /// Writes what a simulated board would send: a capture for `replay`.
 ///

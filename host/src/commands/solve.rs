@@ -4,13 +4,13 @@ use std::path::PathBuf;
 
 use super::options::{CalibrationOption, Jobs, TierOptions, UNREADABLE, open_scene};
 use super::{CommandError, Outcome, options};
-use crate::solving::RowSolver;
-pub(super) use crate::solving::STREAM_TOLERANCE as DEFAULT_TOLERANCE;
 use slitpose_head::table::{
     Column, CurrentColumns, Output, Row, Rows, SOLUTION_COLUMNS, SolutionRow, TableError, TableReader, TableRows,
     TableWriter,
 };
 use slitpose_model::Pair;
+use slitpose_tracking::solving::RowSolver;
+pub(super) use slitpose_tracking::solving::STREAM_TOLERANCE as DEFAULT_TOLERANCE;
 
 /// Solutions that are kept until their condition numbers are known.
 const AT_ONCE: usize = 64;

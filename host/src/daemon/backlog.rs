@@ -8,7 +8,7 @@
 //! Thus a control loop gets each pose at most [`LATE_NS`] + [`GRACE_NS`] and the duration of three solutions after its
 //! scan arrived, however long a solution takes.
 
-use crate::pipeline::Queue;
+use slitpose_tracking::pipeline::Queue;
 
 /// A scan that has waited longer is late: 20 scans at 4 kHz.
 const LATE_NS: u64 = 5_000_000;

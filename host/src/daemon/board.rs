@@ -24,13 +24,13 @@ use super::scan_watch::ScanWatch;
 use super::solver::{Solver, State};
 use super::tap::{Overflow, Tap, TapEnds};
 use super::{Talk, spawn, streamer};
-use crate::clock::HostInstant;
 use crate::datagram::DatagramServer;
 use crate::device::DeviceError;
-use crate::link::{DeviceId, Segment};
 use crate::live::{Sampler, TakesSamples};
-use crate::pipeline::{Counts, Following, Pipeline, PipelineError, SceneMatch};
 use crate::telemetry::{BoardReport, BoardStatistics};
+use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::link::{DeviceId, Segment};
+use slitpose_tracking::pipeline::{Counts, Following, Pipeline, PipelineError, SceneMatch};
 
 /// Most reads on their way to the solver: a quarter of a second at one read per millisecond.
 const SEGMENTS: usize = 256;

@@ -5,12 +5,12 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
 use super::board::BoardError;
-use crate::clock::HostInstant;
 use crate::device::DeviceError;
-use crate::link::DeviceId;
 use crate::telemetry::{LinkReport, LinkState};
 use slitpose_head::causes::with_causes;
 use slitpose_head::threads::lock;
+use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::link::DeviceId;
 
 /// A repeated reason is reported again after this time, then after twice this time, and so on: some twenty times a
 /// week.

@@ -49,11 +49,8 @@ pub(crate) use streamer::TakesChunks;
 #[cfg(feature = "zenoh")]
 pub(crate) use tap::TapChunk;
 
-use crate::capture::CaptureSeries;
-use crate::clock::HostInstant;
 use crate::datagram::DatagramServer;
 use crate::live::TakesSamples;
-use crate::pipeline::Counts;
 use crate::sink::{Account, Sink};
 use crate::telemetry::{BoardReport, DaemonReport, LinkState, RecorderReport};
 use board::{BoardSlot, BoardThreads, Claims};
@@ -61,6 +58,9 @@ use buffer_pool::buffer_pool;
 use outputs::{OUTBOX_POSES, Outbox, PrinterThread};
 use recorder::RecorderThread;
 use slitpose_head::threads::lock;
+use slitpose_tracking::capture::CaptureSeries;
+use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::pipeline::Counts;
 use streamer::StreamerThread;
 
 /// Most outboxes on their way to the printer: half a second of one board at 4 kHz.

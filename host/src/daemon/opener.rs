@@ -9,9 +9,9 @@ use crate::device::{
     Conversation, DeviceError, Found, Keep, Search, Selector, SerialDevice, SimulatedDevice, SimulatedPort, find,
     locate,
 };
-use crate::link::{DeviceId, Segment};
-use crate::pipeline::PipelineError;
 use slitpose_head::threads::lock;
+use slitpose_tracking::link::{DeviceId, Segment};
+use slitpose_tracking::pipeline::PipelineError;
 
 /// Decides from a board's hello whether it can be followed.
 pub(crate) type Admit = Box<dyn Fn(&Hello<'_>) -> Result<(), PipelineError> + Send>;

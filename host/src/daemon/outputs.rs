@@ -15,13 +15,13 @@ use super::board::BoardError;
 use super::buffer_pool::{Consumer, Empty, Producer};
 use super::spawn;
 use super::tap::Tap;
-use crate::clock::HostInstant;
 use crate::datagram::{DatagramServer, Publisher};
-use crate::link::{DeviceId, Segment};
 use crate::live::Sampler;
-use crate::pipeline::{Item, Record};
 use crate::sink::{Account, Note, Sink};
 use crate::telemetry::BoardStatistics;
+use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::link::{DeviceId, Segment};
+use slitpose_tracking::pipeline::{Item, Record};
 
 #[derive(Clone, Debug)]
 #[expect(clippy::large_enum_variant, reason = "a box would be allocated for each pose")]

@@ -14,9 +14,9 @@ use super::handoff::ReaderEnd;
 use super::opener::{Admit, Feed, Opener};
 use super::solver::{Solver, StreamEvent};
 use crate::device::{DeviceError, Keep};
-use crate::link::DeviceId;
-use crate::pipeline::head_of;
-use crate::solving;
+use slitpose_tracking::link::DeviceId;
+use slitpose_tracking::pipeline::head_of;
+use slitpose_tracking::solving;
 
 /// Pause between searches for a board lost recently: a re-plugged one is back at once.
 const SOON: Duration = Duration::from_millis(100);

@@ -12,12 +12,12 @@ use super::board::{BoardError, BoardPlan};
 use super::buffer_pool::{Consumer, Empty, buffer_pool};
 use super::tap::{TapChunk, TapEnds};
 use super::{Talk, spawn};
-use crate::capture::{CaptureError, CaptureSeries, Settings, Setup};
-use crate::clock::HostInstant;
-use crate::link::DeviceId;
 use crate::telemetry::{DaemonReport, RecorderReport, RecorderState};
 use slitpose_head::causes::with_causes;
 use slitpose_head::threads::{join, lock};
+use slitpose_tracking::capture::{CaptureError, CaptureSeries, Settings, Setup};
+use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::link::DeviceId;
 
 const CHUNK: Duration = Duration::from_millis(20);
 
@@ -297,11 +297,11 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::capture::{About, CaptureReader, Entry, Existing, Limits};
-    use crate::link::Segment;
-    use crate::pipeline::Following;
     use slitpose_head::scene_file::WIDE;
     use slitpose_model::Tier;
+    use slitpose_tracking::capture::{About, CaptureReader, Entry, Existing, Limits};
+    use slitpose_tracking::link::Segment;
+    use slitpose_tracking::pipeline::Following;
 
     const BOARDS: [DeviceId; 2] = [DeviceId(*b"first board."), DeviceId(*b"second board")];
 

@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
-use crate::clock::HostInstant;
 use crate::device::Scanless;
-use crate::pipeline::Counts;
+use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::pipeline::Counts;
 
 /// Longest time without a scan from a board that runs, even if it sends other messages …
 const NO_SCANS: Duration = Duration::from_secs(3);

@@ -18,12 +18,12 @@ use super::handoff::{SolverEnd, Worker};
 use super::outputs::Outputs;
 use super::scan_watch::{News, ScanWatch};
 use super::tap::Tap;
-use crate::clock::HostInstant;
 use crate::datagram::Publisher;
 use crate::device::Scanless;
-use crate::link::Segment;
-use crate::pipeline::{Counts, Item, Pipeline, Queue};
 use crate::telemetry::{HostLosses, LagReport};
+use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::link::Segment;
+use slitpose_tracking::pipeline::{Counts, Item, Pipeline, Queue};
 
 const IDLE: Duration = Duration::from_millis(100);
 

@@ -8,8 +8,8 @@ use std::time::{Duration, Instant};
 use slitpose_protocol::{Hello, MAX_MESSAGE_BYTES, Message, encode};
 
 use super::buffer_pool::Producer;
-use crate::link::{DeviceId, Segment};
-use crate::pipeline::Record;
+use slitpose_tracking::link::{DeviceId, Segment};
+use slitpose_tracking::pipeline::Record;
 
 /// A chunk holds the bytes read within the tap's time, by the host's clock or by the board's, or this many, if they come
 /// sooner.

@@ -48,9 +48,9 @@
 //! 2. The request was not served, or the client has lost its place: all places are taken. Ask again each second.
 //! 3. The request was served; use this cookie from now on, as the last one expires soon.
 
-use crate::clock::HostInstant;
-use crate::link::DeviceId;
-use crate::pipeline::{Outcomes, Record};
+use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::link::DeviceId;
+use slitpose_tracking::pipeline::{Outcomes, Record};
 
 const POSE_MAGIC: [u8; 4] = *b"SLPP";
 const REQUEST_MAGIC: [u8; 4] = *b"SLPQ";

@@ -9,8 +9,8 @@ use super::PoseDatagram;
 use super::slot::Slot;
 use super::socket::{Delivery, Socket};
 use super::subscription::{MAX_FOLLOWERS, MAX_NEWS, Subscription};
-use crate::clock::HostInstant;
-use crate::pipeline::Record;
+use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::pipeline::Record;
 
 /// Sends the poses of one board. Never waits, takes no lock, allocates nothing.
 #[derive(Debug)]

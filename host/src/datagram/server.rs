@@ -19,9 +19,9 @@ use super::subscription::{
     Admission, Cookies, Lease, Leases, MAX_FOLLOWERS, MAX_NEWS, SlowClient, Subscription, Worth,
 };
 use super::{Address, Answer, DatagramError, Mode, Request};
-use crate::clock::HostInstant;
-use crate::link::DeviceId;
 use slitpose_head::threads::lock;
+use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::link::DeviceId;
 
 /// Duration of a lease after each request. Clients send one each second.
 pub(super) const LEASE: Duration = Duration::from_secs(3);

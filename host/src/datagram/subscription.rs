@@ -9,7 +9,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::socket::{Party, Peer};
-use crate::link::DeviceId;
+use slitpose_tracking::link::DeviceId;
 
 /// Most clients that follow a board at once: each costs the solver some microseconds per scan.
 pub(super) const MAX_FOLLOWERS: usize = 16;

@@ -9,8 +9,8 @@ use slitpose_protocol::{
 
 use super::orders::{self, KeepAlive, ping};
 use super::{Device, DeviceError};
-use crate::clock::HostInstant;
-use crate::link::{Asked, Segment, Versions};
+use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::link::{Asked, Segment, Versions};
 
 /// Timeout of a hello: a board that was asked by its other port is free again 2 s later; one that has
 /// just been plugged in needs less.

@@ -14,7 +14,7 @@ use std::str::FromStr;
 use super::error::DeviceError;
 use super::ports::{Port, Search, UsbId, ports};
 use super::probe::{Listed, PortState};
-use crate::link::DeviceId;
+use slitpose_tracking::link::DeviceId;
 
 const SIM: &str = "sim";
 

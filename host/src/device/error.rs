@@ -6,7 +6,7 @@ use slitpose_protocol::Rejection;
 use thiserror::Error;
 
 use super::probe::Listed;
-use crate::link::{DeviceId, Versions};
+use slitpose_tracking::link::{DeviceId, Versions};
 
 /// Why a board cannot be used, or no longer.
 #[derive(Debug, Error)]

@@ -12,8 +12,8 @@ use slitpose_protocol::{
 
 use super::conversation::REPLY_WITHIN;
 use super::{BoardInfo, Conversation, DeviceError, Keep};
-use crate::clock::HostInstant;
-use crate::link::Asked;
+use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::link::Asked;
 
 /// Timeout of a status: a board sends one every 0.5 s, and the first after opening may be damaged.
 const STATUS_WITHIN: Duration = Duration::from_millis(1500);

@@ -8,7 +8,7 @@ use serde::Serialize;
 use serialport::{SerialPortInfo, SerialPortType};
 
 use super::DeviceError;
-use crate::link::DeviceId;
+use slitpose_tracking::link::DeviceId;
 
 /// USB vendor and product number of a board: a pair for tests, shared with other devices, so that the texts must match,
 /// too.

@@ -8,7 +8,7 @@ use slitpose_protocol::{AdcScaling, BoardKind, Hashes, Hello, PROTOCOL, Protocol
 
 use super::ports::Port;
 use super::{Conversation, DeviceError, SerialDevice};
-use crate::link::DeviceId;
+use slitpose_tracking::link::DeviceId;
 
 /// Timeout: a running board answers within milliseconds; the rest is for a busy host.
 const ANSWER_WITHIN: Duration = Duration::from_secs(1);

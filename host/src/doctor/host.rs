@@ -10,7 +10,7 @@ use nix::sys::statvfs::statvfs;
 use nix::unistd::geteuid;
 use slitpose_head::finding::Finding;
 
-use crate::clock::HostInstant;
+use slitpose_tracking::clock::HostInstant;
 
 /// Start of 2026, before the first build: an earlier time is wrong.
 const EARLIEST_UTC_NS: u64 = 1_767_225_600_000_000_000;

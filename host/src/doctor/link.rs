@@ -14,7 +14,7 @@ use crate::device::{
     BoardInfo, Conversation, Device, DeviceError, Found, Port, Selector, SerialDevice, SimulatedDevice, find, holders,
     ports,
 };
-use crate::link::Versions;
+use slitpose_tracking::link::Versions;
 
 /// Time that a board needs to answer if its other port was asked just before.
 const HELLO_WITHIN: Duration = Duration::from_millis(2500);

@@ -8,11 +8,11 @@ use slitpose_protocol::{Severity, Status};
 use thiserror::Error;
 
 use crate::device::{Conversation, DeviceError, Keep};
-use crate::link::{Segment, contradicted_crystal, start_findings};
-use crate::pipeline::{Counts, Item, Pipeline, PipelineError, SceneMatch};
 use slitpose_head::finding::Finding;
 use slitpose_head::front_end::{self, TimingError};
 use slitpose_head::scene_file::SceneFile;
+use slitpose_tracking::link::{Segment, contradicted_crystal, start_findings};
+use slitpose_tracking::pipeline::{Counts, Item, Pipeline, PipelineError, SceneMatch};
 
 const TIER: Tier = Tier::Exact { tolerance: 1e-6 };
 
@@ -277,9 +277,9 @@ mod tests {
 
     use super::*;
     use crate::device::SimulatedDevice;
-    use crate::pipeline::Outcomes;
     use slitpose_head::finding::Grade::{self, Failed, Ok, Warning};
     use slitpose_head::scene_file::WIDE;
+    use slitpose_tracking::pipeline::Outcomes;
 
     fn measured() -> (Measurement, Vec<u8>) {
         let scene = WIDE.read().unwrap();

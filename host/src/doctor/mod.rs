@@ -23,8 +23,8 @@ use slitpose_head::scene_file::{SceneFile, WIDE};
 
 pub(crate) use bring_up::{BringUp, Step, scene as scene_of_bring_up};
 
-use crate::clock::HostInstant;
 use crate::device::{BoardInfo, Search, Selector};
+use slitpose_tracking::clock::HostInstant;
 
 /// Bytes per second assumed for a board that was not measured: 4 000 scans of 60 bytes.
 const USUAL_BYTES_PER_S: f64 = 240e3;

@@ -9,8 +9,8 @@ use slitpose_model::{
     Estimate, Pair, Photocurrents, Plan, Pose, Reading, SceneError, Solution, Status, Tier, TwistEstimate,
 };
 
-use crate::clock::HostInstant;
-use crate::pipeline::{Record, reason};
+use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::pipeline::{Record, reason};
 
 /// Relative error of the integrals: a page shows three digits.
 const TIER: Tier = Tier::Exact { tolerance: 1e-3 };

@@ -14,9 +14,9 @@ use tokio::sync::mpsc::{Receiver, Sender, channel};
 use super::control::PlayerState;
 use super::frame::{FRAMES_HZ, Optics, Sample, TakesSamples};
 use super::head::HeadMessage;
-use crate::clock::HostInstant;
 use crate::telemetry::DaemonReport;
 use slitpose_head::finding::Finding;
+use slitpose_tracking::clock::HostInstant;
 
 /// The frames of the last minute are kept.
 pub(super) const HISTORY_S: u64 = 60;

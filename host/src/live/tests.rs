@@ -18,9 +18,9 @@ use super::hub::LiveBoard;
 use super::server::{Clients, LONGEST_REQUEST, MOST_CLIENTS};
 use super::session::WINDOW;
 use super::*;
-use crate::clock::HostInstant;
 use crate::http::{LIFETIME, MOST};
-use crate::pipeline::{Item, Pipeline, PipelineError, Record, SceneMatch};
+use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::pipeline::{Item, Pipeline, PipelineError, Record, SceneMatch};
 
 const TOKEN: &str = "correct-horse-battery";
 

@@ -3,8 +3,8 @@
 use std::io::{self, Write};
 
 use super::{Accounts, Note, Sink};
-use crate::pipeline::Record;
 use slitpose_head::table::SOLUTION_COLUMNS;
+use slitpose_tracking::pipeline::Record;
 
 /// Columns of a stream. The host's time of the pose is empty while unknown.
 const STREAM_COLUMNS: [&str; 5] = ["simulated", "device", "host_monotonic_ns", "host_utc_ns", "host_uncertainty_ns"];

@@ -11,9 +11,9 @@ use std::io::{self, Write};
 use clap::ValueEnum;
 use slitpose_protocol::{BoardKind, Hello, Severity};
 
-use crate::link::DeviceId;
-use crate::pipeline::Record;
 use crate::telemetry::{BoardReport, RecorderReport};
+use slitpose_tracking::link::DeviceId;
+use slitpose_tracking::pipeline::Record;
 
 /// How poses are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -132,9 +132,9 @@ mod tests {
     use slitpose_model::{MotionPrior, Photocurrents, Solver, Start};
 
     use super::{Account, Format, open};
-    use crate::clock::HostTime;
-    use crate::link::DeviceId;
-    use crate::pipeline::Record;
+    use slitpose_tracking::clock::HostTime;
+    use slitpose_tracking::link::DeviceId;
+    use slitpose_tracking::pipeline::Record;
 
     fn record(host_time: Option<HostTime>) -> Record {
         Record {

@@ -7,8 +7,8 @@ use slitpose_head::faults::ANNOUNCED;
 use slitpose_model::{self as model, Estimate, Pose, TwistEstimate};
 
 use super::{Accounts, Note, Sink};
-use crate::link::DeviceId;
-use crate::pipeline::{Record, reason};
+use slitpose_tracking::link::DeviceId;
+use slitpose_tracking::pipeline::{Record, reason};
 
 /// A pose as JSON: SI units, frame base_from_tool, quaternion x, y, z, w.
 #[derive(Serialize)]

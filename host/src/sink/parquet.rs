@@ -13,7 +13,7 @@ use slitpose_head::table::{SOLUTION_COLUMNS, SolutionRow};
 use slitpose_model::{AXES, Pose, TwistEstimate};
 
 use super::{Accounts, Note, Sink};
-use crate::pipeline::Record;
+use slitpose_tracking::pipeline::Record;
 
 /// Rows that are held until they are written: some 30 MB.
 const GROUP: usize = 1 << 16;

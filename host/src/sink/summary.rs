@@ -7,11 +7,11 @@ use slitpose_protocol::Severity;
 
 use super::{Account, Accounts, Note, Sink};
 use crate::comparison::Accuracy;
-use crate::link::DeviceId;
-use crate::pipeline::Record;
 use crate::telemetry::view;
 use crate::terminal::{self, Line, Tone, WIDTH, layout};
 use slitpose_head::foreign::printable;
+use slitpose_tracking::link::DeviceId;
+use slitpose_tracking::pipeline::Record;
 
 /// Period of redrawing: a person reads no faster.
 const RENEWAL: Duration = Duration::from_millis(200);

@@ -1,10 +1,10 @@
 //! The findings that explain missing or bad poses.
 
 use super::report::{BoardEvent, BoardReport, DaemonReport, LagReport, LinkLosses, LinkState, RecorderState};
-use crate::clock::HostInstant;
 use crate::datagram::SlowClient;
-use crate::pipeline::Agreement;
 use slitpose_head::finding::{Finding, Grade};
+use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::pipeline::Agreement;
 
 /// A report this old shows that the daemon hangs: reports are made several times per second.
 const STALE_S: f64 = 3.0;
@@ -181,7 +181,7 @@ mod tests {
     use super::super::report::{LinkReport, RecorderReport};
     use super::*;
     use crate::datagram::DatagramCounts;
-    use crate::pipeline::Outcomes;
+    use slitpose_tracking::pipeline::Outcomes;
 
     const NOW: HostInstant = HostInstant { monotonic_ns: 100_000_000_000, utc_ns: 0 };
 

@@ -9,8 +9,8 @@ use slitpose_protocol::{ClockSource, SettingsSource};
 
 use super::losses::Latency;
 use super::report::{BoardReport, DaemonReport, LinkState, RecorderState};
-use crate::clock::HostInstant;
-use crate::health::CellHealth;
+use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::health::CellHealth;
 
 pub(crate) const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
 

@@ -9,11 +9,11 @@ use serde::Serialize;
 use slitpose_protocol::{ClockSource, SettingsSource};
 
 use super::losses::Latency;
-use crate::clock::HostInstant;
 use crate::datagram::DatagramCounts;
-use crate::health::HeadHealth;
-use crate::link::DeviceId;
-use crate::pipeline::{Agreement, Outcomes};
+use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::health::HeadHealth;
+use slitpose_tracking::link::DeviceId;
+use slitpose_tracking::pipeline::{Agreement, Outcomes};
 
 /// The state of a daemon.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]

@@ -17,8 +17,8 @@ use thiserror::Error;
 use tokio::runtime::Builder;
 
 use super::{DaemonReport, StatusAddress, metrics, view};
-use crate::clock::HostInstant;
 use crate::http::{self, Door, Reach, Serving, Socket, SocketFile, SocketFileError};
+use slitpose_tracking::clock::HostInstant;
 
 /// Mode of the Unix socket: owner and group may connect, other users may not.
 const SOCKET_MODE: u32 = 0o660;

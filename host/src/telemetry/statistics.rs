@@ -9,10 +9,10 @@ use super::report::{
     BoardEvent, BoardReport, ClockReport, DaemonReport, HostLosses, LagReport, Latencies, LinkLosses, LinkReport,
     Losses, ProcessReport, Rates, RecorderReport, Vitals,
 };
-use crate::clock::HostInstant;
-use crate::health::HeadHealth;
-use crate::link::DeviceId;
-use crate::pipeline::{Counts, Item, Outcomes, Record};
+use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::health::HeadHealth;
+use slitpose_tracking::link::DeviceId;
+use slitpose_tracking::pipeline::{Counts, Item, Outcomes, Record};
 
 /// Length of the interval of recent values.
 const INTERVAL_NS: u64 = 1_000_000_000;

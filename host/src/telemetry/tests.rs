@@ -13,14 +13,14 @@ use slitpose_protocol::{ClockSource, SettingsSource, Severity, Status};
 use super::client::FetchError;
 use super::server::StatusError;
 use super::*;
-use crate::clock::{HostInstant, HostTime};
 use crate::datagram::DatagramCounts;
-use crate::health::{CellHealth, CellTotals, Diagnosis, Fault, HeadHealth, Shares, Verdict};
 use crate::http::SocketFileError;
 use crate::http::{self, Reach};
-use crate::link::DeviceId;
-use crate::pipeline::{Counts, Item, Outcomes, Record};
 use slitpose_head::finding::Finding;
+use slitpose_tracking::clock::{HostInstant, HostTime};
+use slitpose_tracking::health::{CellHealth, CellTotals, Diagnosis, Fault, HeadHealth, Shares, Verdict};
+use slitpose_tracking::link::DeviceId;
+use slitpose_tracking::pipeline::{Counts, Item, Outcomes, Record};
 
 /// A name with all characters that a label must escape.
 const AWKWARD: &str = "a \"port\"\\with\nlines";

@@ -4,13 +4,13 @@ use std::time::Duration;
 
 use super::losses::Latency;
 use super::report::{BoardReport, DaemonReport, LinkState, Losses, RecorderReport, RecorderState};
-use crate::clock::HostInstant;
-use crate::health::{CellHealth, Verdict};
-use crate::link::{contradicted_crystal, start_findings};
-use crate::pipeline::Agreement;
 use crate::terminal::{Line, Tone, WIDTH, layout};
 use slitpose_head::finding::{Finding, Grade};
 use slitpose_head::foreign::printable;
+use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::health::{CellHealth, Verdict};
+use slitpose_tracking::link::{contradicted_crystal, start_findings};
+use slitpose_tracking::pipeline::Agreement;
 
 /// Longer names of boards and firmware are cut.
 const LONGEST_NAME: usize = 60;

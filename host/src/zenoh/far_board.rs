@@ -13,11 +13,11 @@ use slitpose_protocol::{
 
 use super::ZenohSession;
 use super::session::{Attachment, Type, topic_key};
-use crate::capture::decode_link_bytes;
-use crate::clock::HostInstant;
 use crate::daemon::{BoardError, Feed, Opener};
 use crate::device::{DeviceError, Keep};
-use crate::link::{Segment, Versions};
+use slitpose_tracking::capture::decode_link_bytes;
+use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::link::{Segment, Versions};
 
 /// Timeout of a hello, which comes each second.
 const HELLO_WITHIN: Duration = Duration::from_millis(2500);

@@ -10,14 +10,14 @@ use slitpose_head::finding::{Finding, Grade};
 
 use super::ZenohSession;
 use super::session::{Attachment, Node, Type, gid, topic_key};
-use crate::capture::encode_link_bytes;
-use crate::clock::HostInstant;
 use crate::daemon::{TakesChunks, Talk, TapChunk};
-use crate::link::{DeviceId, Segment};
 use crate::live::LiveBoard;
-use crate::pipeline::Record;
-use crate::ros::{self, cdr::Encoder};
 use crate::telemetry::DaemonReport;
+use slitpose_tracking::capture::encode_link_bytes;
+use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::link::{DeviceId, Segment};
+use slitpose_tracking::pipeline::Record;
+use slitpose_tracking::ros::{self, cdr::Encoder};
 
 /// Time between copies of what late subscribers need, too: hellos, heads, health.
 const REPEAT_EVERY: Duration = Duration::from_secs(1);

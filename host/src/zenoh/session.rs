@@ -12,11 +12,11 @@ use zenoh::{Config, Session, Wait};
 use super::ZenohError;
 use super::far_board::FarBoardOpener;
 use super::publisher::Publisher;
-use crate::capture::LINK_BYTES;
 use crate::daemon::{Opener, StreamPlan, Talk};
 use crate::live::LiveBoard;
-use crate::ros::{MARKERS, POSE, RosType, TRANSFORMS, TWIST};
 use crate::telemetry::DaemonReport;
+use slitpose_tracking::capture::LINK_BYTES;
+use slitpose_tracking::ros::{MARKERS, POSE, RosType, TRANSFORMS, TWIST};
 
 /// A session of Zenoh, which begins as soon as its router is there, and reaches that again whenever it was away.
 #[derive(Clone)]

@@ -9,7 +9,6 @@ mod chain;
 use std::time::Instant;
 
 use chain::Chain;
-use slitpose::pipeline::{Item, Pipeline, PipelineError, SceneMatch};
 use slitpose_emulator::faults::Faults;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::rig::{Link, Rig, WORLD_TIER, open_image};
@@ -19,6 +18,7 @@ use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_protocol::{Command, Configuration, Decoder, Exposure, Hashes, MAX_MESSAGE_BYTES, Message, Schedule};
 use slitpose_tests::consistency::Sorted;
+use slitpose_tracking::pipeline::{Item, Pipeline, PipelineError, SceneMatch};
 
 /// Device seconds over which latency is looked at, and for which a load or a rate is held.
 const LATENCY_S: f64 = 4.0;

@@ -5,11 +5,11 @@ use std::sync::LazyLock;
 
 use slitpose::datagram::{Answer, Request};
 use slitpose::inputs::{self, Captured};
-use slitpose::pipeline::{Item, Pipeline, PipelineError, SceneMatch};
 use slitpose_calibration::Calibration;
 use slitpose_head::scene_file::{SceneFile, WIDE, fnv1a_64};
 use slitpose_head::table::CAPTURE_MAGIC;
 use slitpose_model::{Plan, Pose, Tier};
+use slitpose_tracking::pipeline::{Item, Pipeline, PipelineError, SceneMatch};
 
 use crate::wire::repaired;
 

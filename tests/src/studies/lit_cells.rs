@@ -12,11 +12,11 @@ use rand::RngExt;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use slitpose::pipeline::{Pipeline, PipelineError, SceneMatch};
 use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_model::{DegradedReason, Outcome, Pair, Plan, Pose, Solver, Tier, Tracker, Verified};
+use slitpose_tracking::pipeline::{Pipeline, PipelineError, SceneMatch};
 
 use super::trials::{Disturbance, HALF, Trials, lit_pose};
 use super::{Table, Verdicts};

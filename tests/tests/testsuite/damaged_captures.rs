@@ -3,7 +3,6 @@
 //! In memory, where every position can be tried; `damaged_files` does the same through processes.
 
 use rand::RngExt;
-use slitpose::pipeline::{Counts, PipelineError, Record};
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_model::Tier;
@@ -11,6 +10,7 @@ use slitpose_protocol::{Batch, Decoder, Event, Hello, Level, MAX_MESSAGE_BYTES, 
 use slitpose_tests::capture::{Packet, capture, packets, pipeline, solve};
 use slitpose_tests::consistency::{error, worst_axis};
 use slitpose_tests::poses::generator;
+use slitpose_tracking::pipeline::{Counts, PipelineError, Record};
 
 /// Scans of the capture: twelve batches of four.
 const SCANS: usize = 48;

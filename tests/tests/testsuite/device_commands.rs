@@ -10,12 +10,12 @@ use std::path::Path;
 use nix::fcntl::OFlag;
 use serde_json::Value;
 use slitpose::device::SerialDevice;
-use slitpose::link::DeviceId;
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_protocol::{BootTarget, Command, Decoder, Hashes, MAX_REQUEST_BYTES, Request, ResetCause};
 use slitpose_tests::process::Finished;
 use slitpose_tests::slitpose;
 use slitpose_tests::terminal::{Board, Device, Log, Terminal, greeting};
+use slitpose_tracking::link::DeviceId;
 
 const FIRST: &str = "0036002900544850025a0320";
 const SECOND: &str = "0036002900544850025a0321";

@@ -2,12 +2,12 @@
 
 use std::io::Write;
 
-use slitpose::health::{Diagnosis, Exchange, Fault, HeadHealth, Health, Verdict};
 use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_model::{Solver, Tier, Tracker};
 use slitpose_tests::capture::{capture, decode, with_faults};
+use slitpose_tracking::health::{Diagnosis, Exchange, Fault, HeadHealth, Health, Verdict};
 
 /// Frames a second: a quarter of the shipped rate. What is said rests on a second of scans, however many these are.
 const FRAME_RATE: usize = 1000;

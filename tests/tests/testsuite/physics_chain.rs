@@ -1,7 +1,6 @@
 //! The physics of time and noise through simulator, wire, front-end stage and solver: each effect
 //! that the chain accounts for is shown to be there, and accounted for.
 
-use slitpose::pipeline::Record;
 use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
@@ -9,6 +8,7 @@ use slitpose_model::{DegradedReason, Estimate, MotionPrior, Outcome, Pose, Solve
 use slitpose_tests::capture::{Decoded, STREAM, capture, decode, solve};
 use slitpose_tests::consistency::{Honesty, Matrix6, chi2_quantile, error, median, sigma, whiten, worst_axis};
 use slitpose_tests::scenes::{front_end, parse, ring, wide_with};
+use slitpose_tracking::pipeline::Record;
 
 const PAIRS: &str = "slots = [[0, 3], [1, 4], [2, 5], []]";
 

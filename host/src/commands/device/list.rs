@@ -10,7 +10,7 @@ use slitpose_protocol::{PROTOCOL, Schedule, Status};
 use super::{BoardOptions, Connection};
 use crate::commands::{CommandError, Outcome, talk};
 use crate::device::{BoardInfo, Listed, PortState, Search, UsbId};
-use crate::link::{DeviceId, Versions};
+use slitpose_tracking::link::{DeviceId, Versions};
 
 /// Lists the boards there are, and the ports that might have one.
 ///

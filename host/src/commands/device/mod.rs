@@ -20,9 +20,9 @@ use crate::device::{
     BoardInfo, Conversation, Device, DeviceError, Found, Search, Selector, SerialDevice, SimulatedDevice, find,
     holders, locate,
 };
-use crate::link::Versions;
-use crate::pipeline::PipelineError;
-use crate::solving;
+use slitpose_tracking::link::Versions;
+use slitpose_tracking::pipeline::PipelineError;
+use slitpose_tracking::solving;
 
 /// Lists boards; tells one what head it has, to show itself, or to start anew.
 ///

@@ -8,9 +8,9 @@ use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 use super::{Bench, DEVICE, OTHER, PATIENCE, record};
-use crate::clock::{HostInstant, HostTime};
 use crate::datagram::{PoseDatagram, Publisher};
-use crate::pipeline::Record;
+use slitpose_tracking::clock::{HostInstant, HostTime};
+use slitpose_tracking::pipeline::Record;
 
 pub(super) fn compile(source: &Path, folder: &TempDir) -> PathBuf {
     let program = folder.path().join(source.file_stem().unwrap());

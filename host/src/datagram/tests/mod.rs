@@ -15,12 +15,12 @@ use slitpose_model::Tier;
 use tempfile::TempDir;
 
 use super::*;
-use crate::clock::{HostInstant, HostTime};
-use crate::link::DeviceId;
-use crate::pipeline::{Item, Pipeline, PipelineError, Record, SceneMatch};
 use slitpose_head::front_end;
 use slitpose_head::scene_file::WIDE;
 use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
+use slitpose_tracking::clock::{HostInstant, HostTime};
+use slitpose_tracking::link::DeviceId;
+use slitpose_tracking::pipeline::{Item, Pipeline, PipelineError, Record, SceneMatch};
 
 const DEVICE: DeviceId = DeviceId(*b"simulated\0\0\0");
 const OTHER: DeviceId = DeviceId(*b"another one\0");

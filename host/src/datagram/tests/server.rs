@@ -7,10 +7,10 @@ use std::os::unix::net::UnixDatagram;
 use tempfile::TempDir;
 
 use super::{Bench, DEVICE, OTHER, record};
-use crate::clock::HostInstant;
 use crate::datagram::server::LEASE;
 use crate::datagram::{Address, AddressError, Answer, DatagramError, DatagramServer, Mode, PoseDatagram, Request};
-use crate::pipeline::Record;
+use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::pipeline::Record;
 
 #[test]
 fn requests_are_read_as_they_are_written() {

@@ -12,9 +12,9 @@ use tempfile::TempDir;
 
 use super::c::{compile, compile_text, host};
 use super::{Bench, DEVICE, PATIENCE, record};
-use crate::clock::{HostInstant, HostTime};
 use crate::datagram::PoseDatagram;
-use crate::pipeline::Record;
+use slitpose_tracking::clock::{HostInstant, HostTime};
+use slitpose_tracking::pipeline::Record;
 
 const POSITION_M: f64 = 1e-3;
 const STIFFNESS: f64 = 2000.0;

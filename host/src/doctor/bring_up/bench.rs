@@ -15,10 +15,10 @@ use crate::device::{
     locate,
 };
 use crate::doctor::measurement::patience;
-use crate::link::{Segment, Versions};
 use slitpose_head::front_end::{self, TimingError};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::SimulatorError;
+use slitpose_tracking::link::{Segment, Versions};
 
 /// Time that a board needs to answer if its other port was asked just before.
 const HELLO_WITHIN: Duration = Duration::from_millis(2500);

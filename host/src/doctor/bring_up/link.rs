@@ -5,8 +5,8 @@ use slitpose_protocol::{Level, Status};
 use super::bench::{Bench, BenchError, sample};
 use super::sampling;
 use crate::doctor::{link, measurement};
-use crate::link::start_findings;
 use slitpose_head::finding::Finding;
+use slitpose_tracking::link::start_findings;
 
 /// Duration of the measurement, seconds.
 const DURATION_S: f64 = 2.0;

@@ -13,11 +13,11 @@ use tokio::sync::oneshot;
 use tokio::time::{MissedTickBehavior, interval};
 
 use super::{FoxgloveAddress, FoxgloveError};
-use crate::link::DeviceId;
 use crate::live::frame::{Optics, Sample};
 use crate::live::hub::{Input, LiveBoard, LiveInput};
-use crate::ros::{self, MARKERS, POSE, RosType, TRANSFORMS, TWIST};
 use crate::telemetry::DaemonReport;
+use slitpose_tracking::link::DeviceId;
+use slitpose_tracking::ros::{self, MARKERS, POSE, RosType, TRANSFORMS, TWIST};
 
 /// Time between reports, and between copies of heads: the protocol keeps no message for those who come later.
 const REPORT_EVERY: Duration = Duration::from_millis(500);

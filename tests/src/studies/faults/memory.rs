@@ -3,15 +3,15 @@
 use std::collections::BTreeMap;
 
 use glam::DQuat;
-use slitpose::clock::HostInstant;
-use slitpose::health::Fault;
-use slitpose::link::{Asked, Segment};
-use slitpose::pipeline::{Counts, Item, Pipeline, PipelineError, Record, SceneMatch};
 use slitpose_head::faults::{Faults, Injector, Link};
 use slitpose_head::front_end;
 use slitpose_head::simulator::{SimulatedBoard, Trajectory};
 use slitpose_model::{DegradedReason, Outcome, Pose};
 use slitpose_protocol::{Command, Decoder, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, Request, encode};
+use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::health::Fault;
+use slitpose_tracking::link::{Asked, Segment};
+use slitpose_tracking::pipeline::{Counts, Item, Pipeline, PipelineError, Record, SceneMatch};
 
 use super::{Conditions, Scan, Trace};
 use crate::consistency::{error, worst_axis};

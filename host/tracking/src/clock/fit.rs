@@ -51,7 +51,7 @@ const STEERING_NS: f64 = 1e9;
 
 /// Finds the host's time of a board's ticks.
 #[derive(Debug)]
-pub(crate) struct ClockFit {
+pub struct ClockFit {
     tick_hz: u32,
     /// Source of the board's clock; `None` until the board reports it.
     source: Option<ClockSource>,
@@ -115,7 +115,7 @@ struct Doubt {
 
 impl ClockFit {
     /// A fit for a board that counts `tick_hz` ticks per second.
-    pub(crate) fn new(tick_hz: u32) -> Self {
+    pub fn new(tick_hz: u32) -> Self {
         Self {
             tick_hz: tick_hz.max(1),
             source: None,
@@ -137,7 +137,7 @@ impl ClockFit {
 
     /// Restarts the fit: the link was reopened, or the ticks restarted, with `tick_hz` of them per second.
     /// New times follow those already given.
-    pub(crate) fn restart(&mut self, tick_hz: u32) {
+    pub fn restart(&mut self, tick_hz: u32) {
         self.tick_hz = tick_hz.max(1);
         self.source = None;
         self.contradicts_crystal = false;
@@ -154,7 +154,7 @@ impl ClockFit {
 
     /// Sets the source of the board's clock. The first report since a restart narrows the bounds for all points so far.
     /// A report of another source shows that the board has restarted.
-    pub(crate) fn set_source(&mut self, source: ClockSource) {
+    pub fn set_source(&mut self, source: ClockSource) {
         if self.source.is_some_and(|before| before != source) {
             self.restart(self.tick_hz);
         }
@@ -163,7 +163,7 @@ impl ClockFit {
 
     /// Adds an arrival: the host knew at `at` of an event on the board at `tick`, such as the last sample of a batch.
     /// Ticks come in order; a tick before the last one shows that the board has restarted.
-    pub(crate) fn arrived(&mut self, tick: u64, at: HostInstant) {
+    pub fn arrived(&mut self, tick: u64, at: HostInstant) {
         if is_behind(tick, self.last_arrived) {
             self.restart(self.tick_hz);
         }
@@ -173,7 +173,7 @@ impl ClockFit {
 
     /// Adds an answered ping: about to be sent at `asked`, read by the board at its `tick`, its answer read at `at`.
     /// As for [`arrived`](Self::arrived), ticks come in order.
-    pub(crate) fn answered(&mut self, asked: HostInstant, tick: u64, at: HostInstant) {
+    pub fn answered(&mut self, asked: HostInstant, tick: u64, at: HostInstant) {
         if is_behind(tick, self.last_answered) {
             self.restart(self.tick_hz);
         }
@@ -187,7 +187,7 @@ impl ClockFit {
 
     /// The host's time at `fraction_ticks` after `tick`, if known; see the head of the module. To be called
     /// in the order of the scans, for each after its [`arrived`](Self::arrived).
-    pub(crate) fn time_of(&mut self, tick: u64, fraction_ticks: f64) -> Option<HostTime> {
+    pub fn time_of(&mut self, tick: u64, fraction_ticks: f64) -> Option<HostTime> {
         let origin = self.origin?;
         let (band, steered) = (self.band?, self.steered?);
         let x_ns = nominal_ns(tick, origin, self.tick_hz) + nearest(fraction_ticks * 1e9 / f64::from(self.tick_hz));
@@ -239,13 +239,13 @@ impl ClockFit {
     }
 
     /// Rate error of the board's clock, ppm, positive if fast; `None` while unknown.
-    pub(crate) fn drift_ppm(&self) -> Option<f64> {
+    pub fn drift_ppm(&self) -> Option<f64> {
         let is_proven = matches!(self.trust, Trust::Proven { .. });
         self.band.filter(|_| is_proven).map(|band| -band.rate * 1e6)
     }
 
     /// Whether the board reports a crystal and its rate has broken the bounds of one.
-    pub(crate) fn contradicts_crystal(&self) -> bool {
+    pub fn contradicts_crystal(&self) -> bool {
         self.contradicts_crystal
     }
 

@@ -32,7 +32,7 @@ struct Marker<'a> {
 
 /// `visualization_msgs/msg/MarkerArray` of a head. Detectors and masks are in frame base; emitters, and masks that ride, in
 /// frame `tool`, with which they move.
-pub(crate) fn encode_head(cells: &[Cell], tool: &str, bytes: &mut Vec<u8>) {
+pub fn encode_head(cells: &[Cell], tool: &str, bytes: &mut Vec<u8>) {
     // Both axes of a detector have its parts in common.
     let cells =
         || cells.iter().enumerate().filter(|(number, cell)| !cell.is_second_axis(*number)).map(|(_, cell)| cell);

@@ -18,14 +18,16 @@ pub(super) const METADATA: &str = "slitpose.device";
 
 /// How scans were solved during the recording, and are solved by a replay without options.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Settings {
+pub struct Settings {
+    /// How exactly the optics were evaluated.
     pub tier: Tier,
+    /// How scans were followed.
     pub following: Following,
 }
 
 /// The scene of a board, as it was read.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct CapturedScene {
+pub struct CapturedScene {
     pub name: String,
     /// Its origin: a path, or the name of a shipped scene.
     pub origin: String,
@@ -35,13 +37,13 @@ pub(crate) struct CapturedScene {
 }
 
 impl CapturedScene {
-    pub(crate) fn parse(&self) -> Result<SceneFile, SceneFileError> {
+    pub fn parse(&self) -> Result<SceneFile, SceneFileError> {
         SceneFile::parse(&self.origin, &self.source)
     }
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct CapturedCalibration {
+pub struct CapturedCalibration {
     name: String,
     /// FNV-1a, 64 bits, of the text.
     hash: u64,
@@ -49,24 +51,34 @@ pub(crate) struct CapturedCalibration {
 }
 
 impl CapturedCalibration {
-    pub(crate) fn parse(&self) -> Result<Calibration, CalibrationFileError> {
+    pub fn parse(&self) -> Result<Calibration, CalibrationFileError> {
         Calibration::from_bytes(&self.name, self.source.as_bytes())
     }
 }
 
+/// What a head was known by.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum CapturedBasis {
+pub enum CapturedBasis {
+    /// Its scene alone.
     Scene,
+    /// A calibration.
     Calibration(CapturedCalibration),
+    /// The tolerances of its parts.
     Tolerances,
 }
 
+/// Everything that is needed to solve the scans of a board.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Setup {
+pub struct Setup {
+    /// The board.
     pub device: DeviceId,
+    /// Its scene.
     pub scene: CapturedScene,
+    /// What its head was known by.
     pub basis: CapturedBasis,
+    /// How its scans were solved.
     pub settings: Settings,
+    /// Version of the program that recorded.
     pub program: String,
 }
 
@@ -79,7 +91,7 @@ pub(super) struct LinkChannels {
 
 impl Setup {
     /// A board with `head`, recorded by this program.
-    pub(crate) fn new(device: DeviceId, head: &Head, settings: Settings) -> Self {
+    pub fn new(device: DeviceId, head: &Head, settings: Settings) -> Self {
         let file = &head.file;
         let basis = match head.basis() {
             Basis::Scene => CapturedBasis::Scene,
@@ -272,7 +284,8 @@ fn check_hash(map: &BTreeMap<String, String>) -> Result<(), SetupError> {
 
 /// Why the settings of a board cannot be used.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
-pub(crate) enum SetupError {
+#[allow(missing_docs, reason = "the texts say what each is")]
+pub enum SetupError {
     #[error("settings of a board are damaged")]
     Damaged,
     #[error(

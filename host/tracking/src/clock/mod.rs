@@ -8,7 +8,7 @@ mod fit;
 
 use nix::time::{ClockId, clock_gettime};
 
-pub(crate) use fit::ClockFit;
+pub use fit::ClockFit;
 
 /// Both clocks of the host, read at one instant, in nanoseconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -54,7 +54,7 @@ fn offset_ns(at: HostInstant) -> i64 {
 
 /// Notices steps of UTC: its clock was set, or the host was suspended, while CLOCK_MONOTONIC stands still.
 #[derive(Debug, Default)]
-pub(crate) struct UtcWatch {
+pub struct UtcWatch {
     last_ns: Option<i64>,
     /// The lesser of the last two offsets: a delay between the two readings of an instant makes one greater.
     least_ns: Option<i64>,
@@ -62,7 +62,7 @@ pub(crate) struct UtcWatch {
 
 impl UtcWatch {
     /// The step by which UTC has gone ahead (positive) or back since the last looks, seconds, if it is a step.
-    pub(crate) fn step_s(&mut self, now: HostInstant) -> Option<f64> {
+    pub fn step_s(&mut self, now: HostInstant) -> Option<f64> {
         let now_ns = offset_ns(now);
         let least_ns = now_ns.min(self.last_ns.replace(now_ns)?);
         let step_ns = least_ns - self.least_ns.replace(least_ns)?;

@@ -11,13 +11,14 @@ use slitpose_model::{Estimate, Pose, TwistEstimate};
 const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
 
 /// Writes one message into a reused buffer.
-pub(crate) struct Encoder<'a> {
+pub struct Encoder<'a> {
     bytes: &'a mut Vec<u8>,
 }
 
+#[allow(missing_docs, reason = "numbers are named by their types")]
 impl<'a> Encoder<'a> {
     /// Begins a message; clears `bytes`.
-    pub(crate) fn new(bytes: &'a mut Vec<u8>) -> Self {
+    pub fn new(bytes: &'a mut Vec<u8>) -> Self {
         bytes.clear();
         bytes.extend_from_slice(&ENCAPSULATION);
         Self { bytes }
@@ -29,23 +30,23 @@ impl<'a> Encoder<'a> {
         self.bytes.extend_from_slice(&value);
     }
 
-    pub(crate) fn bool(&mut self, value: bool) {
+    pub fn bool(&mut self, value: bool) {
         self.u8(value.into());
     }
 
-    pub(crate) fn u8(&mut self, value: u8) {
+    pub fn u8(&mut self, value: u8) {
         self.put([value]);
     }
 
-    pub(crate) fn i32(&mut self, value: i32) {
+    pub fn i32(&mut self, value: i32) {
         self.put(value.to_le_bytes());
     }
 
-    pub(crate) fn u32(&mut self, value: u32) {
+    pub fn u32(&mut self, value: u32) {
         self.put(value.to_le_bytes());
     }
 
-    pub(crate) fn u64(&mut self, value: u64) {
+    pub fn u64(&mut self, value: u64) {
         self.put(value.to_le_bytes());
     }
 
@@ -53,24 +54,24 @@ impl<'a> Encoder<'a> {
         self.put(value.to_le_bytes());
     }
 
-    pub(crate) fn f64(&mut self, value: f64) {
+    pub fn f64(&mut self, value: f64) {
         self.put(value.to_le_bytes());
     }
 
     /// The number of elements of a sequence, which follow one by one.
-    pub(crate) fn length(&mut self, length: usize) {
+    pub fn length(&mut self, length: usize) {
         debug_assert!(u32::try_from(length).is_ok(), "a sequence of {length} elements");
         self.u32(length as u32);
     }
 
     /// `uint8[]`.
-    pub(crate) fn bytes(&mut self, value: &[u8]) {
+    pub fn bytes(&mut self, value: &[u8]) {
         self.length(value.len());
         self.bytes.extend_from_slice(value);
     }
 
     /// A text; its length includes a final zero.
-    pub(crate) fn text(&mut self, value: &str) {
+    pub fn text(&mut self, value: &str) {
         self.length(value.len() + 1);
         self.bytes.extend_from_slice(value.as_bytes());
         self.bytes.push(0);
@@ -78,14 +79,15 @@ impl<'a> Encoder<'a> {
 }
 
 /// Reads one message; all methods return `None` if it ends too soon.
-pub(crate) struct Decoder<'a> {
+pub struct Decoder<'a> {
     body: &'a [u8],
     at: usize,
 }
 
+#[allow(missing_docs, reason = "numbers are named by their types")]
 impl<'a> Decoder<'a> {
     /// `None` if the message is in another encoding.
-    pub(crate) fn new(bytes: &'a [u8]) -> Option<Self> {
+    pub fn new(bytes: &'a [u8]) -> Option<Self> {
         let (header, body) = bytes.split_first_chunk::<4>()?;
         // The last two bytes are options, which plain CDR does not use.
         (header[..2] == ENCAPSULATION[..2]).then_some(Self { body, at: 0 })
@@ -102,20 +104,20 @@ impl<'a> Decoder<'a> {
         self.take(N)?.first_chunk().copied()
     }
 
-    pub(crate) fn bool(&mut self) -> Option<bool> {
+    pub fn bool(&mut self) -> Option<bool> {
         self.get().map(|[value]: [u8; 1]| value != 0)
     }
 
-    pub(crate) fn u32(&mut self) -> Option<u32> {
+    pub fn u32(&mut self) -> Option<u32> {
         self.get().map(u32::from_le_bytes)
     }
 
-    pub(crate) fn u64(&mut self) -> Option<u64> {
+    pub fn u64(&mut self) -> Option<u64> {
         self.get().map(u64::from_le_bytes)
     }
 
     /// `uint8[]`.
-    pub(crate) fn bytes(&mut self) -> Option<&'a [u8]> {
+    pub fn bytes(&mut self) -> Option<&'a [u8]> {
         let length = self.length::<1>()?;
         self.take(length)
     }
@@ -128,7 +130,7 @@ impl<'a> Decoder<'a> {
     }
 
     /// `uint32[]`, element by element.
-    pub(crate) fn each_u32(&mut self, mut take: impl FnMut(u32)) -> Option<usize> {
+    pub fn each_u32(&mut self, mut take: impl FnMut(u32)) -> Option<usize> {
         let length = self.length::<4>()?;
         for _ in 0..length {
             take(self.u32()?);
@@ -137,7 +139,7 @@ impl<'a> Decoder<'a> {
     }
 
     /// `uint64[]` and `int64[]`, element by element.
-    pub(crate) fn each_u64(&mut self, mut take: impl FnMut(usize, u64)) -> Option<usize> {
+    pub fn each_u64(&mut self, mut take: impl FnMut(usize, u64)) -> Option<usize> {
         let length = self.length::<8>()?;
         for index in 0..length {
             take(index, self.u64()?);
@@ -150,7 +152,7 @@ impl<'a> Decoder<'a> {
 pub(super) const BASE: &str = "base";
 
 /// `geometry_msgs/msg/PoseWithCovarianceStamped`.
-pub(crate) fn encode_pose(stamp_ns: u64, estimate: &Estimate, bytes: &mut Vec<u8>) {
+pub fn encode_pose(stamp_ns: u64, estimate: &Estimate, bytes: &mut Vec<u8>) {
     let mut encoder = Encoder::new(bytes);
     header(&mut encoder, stamp_ns, BASE);
     pose(&mut encoder, &estimate.pose);
@@ -158,14 +160,14 @@ pub(crate) fn encode_pose(stamp_ns: u64, estimate: &Estimate, bytes: &mut Vec<u8
 }
 
 /// `geometry_msgs/msg/PoseStamped`.
-pub(crate) fn encode_pose_stamped(stamp_ns: u64, of: &Pose, bytes: &mut Vec<u8>) {
+pub fn encode_pose_stamped(stamp_ns: u64, of: &Pose, bytes: &mut Vec<u8>) {
     let mut encoder = Encoder::new(bytes);
     header(&mut encoder, stamp_ns, BASE);
     pose(&mut encoder, of);
 }
 
 /// `tf2_msgs/msg/TFMessage` with one transform; `child` is the name of the tool's frame.
-pub(crate) fn encode_transform(stamp_ns: u64, child: &str, of: &Pose, bytes: &mut Vec<u8>) {
+pub fn encode_transform(stamp_ns: u64, child: &str, of: &Pose, bytes: &mut Vec<u8>) {
     let mut encoder = Encoder::new(bytes);
     encoder.length(1);
     header(&mut encoder, stamp_ns, BASE);
@@ -174,7 +176,7 @@ pub(crate) fn encode_transform(stamp_ns: u64, child: &str, of: &Pose, bytes: &mu
 }
 
 /// `geometry_msgs/msg/TwistWithCovarianceStamped`.
-pub(crate) fn encode_twist(stamp_ns: u64, estimate: &TwistEstimate, bytes: &mut Vec<u8>) {
+pub fn encode_twist(stamp_ns: u64, estimate: &TwistEstimate, bytes: &mut Vec<u8>) {
     let mut encoder = Encoder::new(bytes);
     header(&mut encoder, stamp_ns, BASE);
     vector(&mut encoder, estimate.twist.linear_m_per_s);
@@ -182,7 +184,8 @@ pub(crate) fn encode_twist(stamp_ns: u64, estimate: &TwistEstimate, bytes: &mut 
     covariance(&mut encoder, &estimate.covariance);
 }
 
-pub(crate) fn header(encoder: &mut Encoder<'_>, stamp_ns: u64, frame: &str) {
+/// `std_msgs/msg/Header`: the stamp in nanoseconds and the frame.
+pub fn header(encoder: &mut Encoder<'_>, stamp_ns: u64, frame: &str) {
     const S: u64 = 1_000_000_000;
     encoder.i32(i32::try_from(stamp_ns / S).unwrap_or(i32::MAX));
     encoder.u32((stamp_ns % S) as u32);

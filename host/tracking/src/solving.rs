@@ -3,9 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
 
-use clap::{Args, ValueEnum};
 use slitpose_calibration::{Calibration, CalibrationFileError, Head};
 use slitpose_head::board_head::{self, BoardHeadError};
 use slitpose_head::scene_file::SceneFile;
@@ -24,45 +22,36 @@ pub const STREAM_TOLERANCE: f64 = 1e-6;
 pub const MODEL_TOLERANCE: f64 = 1e-10;
 
 /// In place of a calibration: the head is as its scene says.
-pub(crate) const NOT_CALIBRATED: &str = "none";
+pub const NOT_CALIBRATED: &str = "none";
 
-/// How exactly the optics are evaluated.
-#[derive(Args, Clone, Copy, Debug, Default)]
-pub struct TierOptions {
-    /// Equations as printed in the source paper, or integrated over the spot
-    #[arg(long, value_enum)]
-    pub tier: Option<TierName>,
-    /// Relative error of the exact tier's integrals; given alone it means the exact tier
-    #[arg(long, value_name = "T", value_parser = parse_tolerance)]
-    pub tolerance: Option<f64>,
-}
-
-/// A [`Tier`] without its tolerance.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum TierName {
-    /// Equations (1) to (6) of De La Cruz et al. 2018
+/// How exactly the optics are evaluated, as far as it was chosen.
+#[derive(Clone, Copy, Debug, Default)]
+pub enum TierChoice {
+    /// As usual.
+    #[default]
+    Usual,
+    /// Equations (1) to (6) of De La Cruz et al. 2018.
     Paper,
-    /// Integrated over the spot
-    Exact,
+    /// Integrated over the spot, to a relative error, or to the usual one.
+    Exact(Option<f64>),
 }
 
-impl TierOptions {
-    /// The tier asked for; exact to `default_tolerance` if nothing is asked.
+impl TierChoice {
+    /// The tier chosen; exact to `default_tolerance` if none was.
     pub fn tier(self, default_tolerance: f64) -> Tier {
         self.tier_or(Tier::Exact { tolerance: default_tolerance })
     }
 
-    /// The tier asked for; what is not asked for is as `usual`, or as usual for streams.
+    /// The tier chosen; what was not chosen is as `usual`, or as usual for streams.
     pub fn tier_or(self, usual: Tier) -> Tier {
         let usual_tolerance = match usual {
             Tier::Exact { tolerance } => tolerance,
             Tier::Paper => STREAM_TOLERANCE,
         };
-        match (self.tier, self.tolerance) {
-            (Some(TierName::Paper), _) => Tier::Paper,
-            (Some(TierName::Exact), tolerance) => Tier::Exact { tolerance: tolerance.unwrap_or(usual_tolerance) },
-            (None, Some(tolerance)) => Tier::Exact { tolerance },
-            (None, None) => usual,
+        match self {
+            Self::Usual => usual,
+            Self::Paper => Tier::Paper,
+            Self::Exact(tolerance) => Tier::Exact { tolerance: tolerance.unwrap_or(usual_tolerance) },
         }
     }
 }
@@ -72,33 +61,20 @@ pub fn is_tolerance(tolerance: f64) -> bool {
     tolerance > 0.0 && tolerance < 1.0
 }
 
-fn parse_tolerance(text: &str) -> Result<f64, &'static str> {
-    let tolerance = text.parse().ok().filter(|&tolerance| is_tolerance(tolerance));
-    tolerance.ok_or("give a number between 0 and 1, such as 1e-10")
-}
-
-/// How scans are solved.
-#[derive(Args, Clone, Copy, Debug, Default)]
+/// How scans are solved, as far as it was chosen.
+#[derive(Clone, Copy, Debug, Default)]
 pub struct Solving {
-    /// Also estimate each pose from many scans, by a parabola through about this long, such as 5ms;
-    /// or off
-    #[arg(long, value_name = "TIME", value_parser = parse_filter)]
+    /// Also estimates each pose from many scans, or does not.
     pub filter: Option<Filter>,
-    /// Leave out cells whose light falls on an end of the detector
-    #[arg(long)]
+    /// Leaves out cells whose light falls on an end of the detector.
     pub without_clipped: bool,
     /// How exactly the optics are evaluated.
-    #[command(flatten)]
-    pub tier: TierOptions,
+    pub tier: TierChoice,
 }
 
 /// Memory of the filter, seconds; `None`: no filter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Filter(pub Option<f64>);
-
-fn parse_filter(text: &str) -> Result<Filter, String> {
-    Ok(Filter(if text == "off" { None } else { Some(parse_duration(text)?) }))
-}
 
 impl Solving {
     /// How scans are followed: as they were, unless asked otherwise.
@@ -112,13 +88,6 @@ impl Solving {
             },
             without_clipped: self.without_clipped || recorded.without_clipped,
         }
-    }
-
-    /// An option that was given for poses found by this program.
-    pub(crate) fn for_this_program(&self) -> Option<&'static str> {
-        [(matches!(self.filter, Some(Filter(Some(_)))), "--filter"), (self.without_clipped, "--without-clipped")]
-            .into_iter()
-            .find_map(|(is_given, option)| is_given.then_some(option))
     }
 
     /// The tier to solve in: as it was, unless asked otherwise.
@@ -144,22 +113,13 @@ pub fn head_by<E: From<CalibrationFileError>>(
     }
 }
 
-/// A duration such as `10s`, `500ms` or `2m`.
-pub(crate) fn parse_duration(text: &str) -> Result<f64, String> {
-    match humantime::parse_duration(text) {
-        Ok(duration) if duration > Duration::ZERO => Ok(duration.as_secs_f64()),
-        Ok(_) => Err("give more than nothing, such as 10s".to_owned()),
-        Err(error) => Err(format!("{error}; give a duration such as 10s, 500ms or 2m")),
-    }
-}
-
 /// The hashes of what `head` is made from.
-pub(crate) fn hashes(head: &Head) -> Hashes {
+pub fn hashes(head: &Head) -> Hashes {
     Hashes { scene: Some(head.file.hash), calibration: head.calibration().map(Calibration::hash) }
 }
 
 /// The bytes of `head` for a board that runs `schedule` with `scaling`.
-pub(crate) fn compile(head: &Head, schedule: &Schedule, scaling: &AdcScaling) -> Result<Vec<u8>, BoardHeadError> {
+pub fn compile(head: &Head, schedule: &Schedule, scaling: &AdcScaling) -> Result<Vec<u8>, BoardHeadError> {
     board_head::encode(&head.file, schedule, scaling, hashes(head))
 }
 
@@ -249,29 +209,5 @@ impl RowsOf<'_> {
     /// Passes the condition number of each of `solutions` to `take`, in their order.
     pub fn conditions(&self, solutions: &[Solution], mut take: impl FnMut(Option<f64>)) {
         Batch::new(&self.solver).conditions(solutions, |_, condition| take(condition));
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn durations_are_read_or_refused() {
-        assert_eq!(parse_duration("10s"), Ok(10.0));
-        assert_eq!(parse_duration("500ms"), Ok(0.5));
-        for text in ["", "10", "0s", "-1s", "soon"] {
-            assert!(parse_duration(text).is_err(), "{text}");
-        }
-        assert_eq!(parse_filter("off"), Ok(Filter(None)));
-        assert_eq!(parse_filter("5ms"), Ok(Filter(Some(0.005))));
-    }
-
-    #[test]
-    fn a_tolerance_lies_between_zero_and_one() {
-        assert_eq!(parse_tolerance("1e-6"), Ok(1e-6));
-        for text in ["0", "1", "-1e-3", "nan", "tight"] {
-            assert!(parse_tolerance(text).is_err(), "`{text}` was taken for a tolerance");
-        }
     }
 }

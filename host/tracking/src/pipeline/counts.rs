@@ -132,7 +132,7 @@ impl Counts {
 }
 
 /// Why a pose is degraded, or which coordinates are unobservable.
-pub(crate) fn reason(outcome: &Outcome) -> Option<String> {
+pub fn reason(outcome: &Outcome) -> Option<String> {
     match outcome {
         Outcome::Degraded(reason) => Some(reason.as_str().to_owned()),
         Outcome::Unobservable(directions) => Some(directions.to_string()),
@@ -187,7 +187,8 @@ impl Outcomes {
         Self::kinds().into_iter().take_while(is_other).count() as u16
     }
 
-    pub(crate) fn count(&mut self, outcome: &Outcome) {
+    /// Counts one more `outcome`.
+    pub fn count(&mut self, outcome: &Outcome) {
         *self.of_kind(outcome) += 1;
     }
 

@@ -31,21 +31,21 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
-#[cfg(feature = "zenoh")]
-pub(crate) use link_bytes::{decode as decode_link_bytes, encode as encode_link_bytes};
-pub(crate) use place::Existing;
-pub(crate) use reader::{CaptureReader, End};
+pub use link_bytes::{decode as decode_link_bytes, encode as encode_link_bytes};
+pub use place::Existing;
+pub use reader::{CaptureReader, End};
 pub use readings::ReadingsError;
-pub(crate) use readings::{Readings, read as readings};
-pub(crate) use series::{CaptureSeries, Limits};
-pub(crate) use setup::{CapturedBasis, Settings, Setup, SetupError};
+pub use readings::{Readings, read as readings};
+pub use series::{CaptureSeries, Limits};
+pub use setup::{CapturedBasis, Settings, Setup, SetupError};
 
 use crate::link::DeviceId;
 use crate::ros::RosType;
 
 /// Information in a capture about the program that writes it.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct About {
+pub struct About {
+    /// JSON schema of the reports.
     pub report_schema: String,
 }
 
@@ -95,12 +95,18 @@ pub enum CaptureError {
     },
 }
 
+/// What a capture has next.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Entry {
+pub enum Entry {
     /// The setup of a board, before its data.
     Setup(Box<Setup>),
     /// The last hello of a board before the following data; the segment holds its packet.
-    Hello { device: DeviceId, log_ns: u64 },
+    Hello {
+        /// The board.
+        device: DeviceId,
+        /// Time of the message, nanoseconds.
+        log_ns: u64,
+    },
     /// The segment holds bytes of the link of a board.
     Link {
         /// The board; `None` if the file is a plain byte stream.
@@ -112,7 +118,7 @@ pub(crate) enum Entry {
 }
 
 /// The bytes of a link: a type of this project, as no standard type keeps the time of each read.
-pub(crate) const LINK_BYTES: RosType =
+pub const LINK_BYTES: RosType =
     RosType { name: "slitpose_msgs/msg/LinkBytes", definition: include_str!("../ros/msg/LinkBytes.msg") };
 
 /// Name of the attachment with the JSON schema of reports.

@@ -72,9 +72,12 @@ fn lock(file: File) -> io::Result<Option<Flock<File>>> {
     }
 }
 
+/// What happens to a file of the same name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Existing {
+pub enum Existing {
+    /// It stays, and recording fails.
     Kept,
+    /// It is replaced.
     Replaced,
 }
 

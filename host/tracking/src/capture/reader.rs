@@ -39,8 +39,9 @@ const FOREIGN: [(&[u8], &str, &str); 6] = [
     (b"PK\x03\x04", "a ZIP archive", "unpack it first"),
 ];
 
+/// How a capture ended, and what of it could not be read.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(crate) struct End {
+pub struct End {
     /// Whether the recorder ended the file. If not, it was cut off, or is still being recorded;
     /// the missing data came after the last flush, or after the cut.
     pub finished: bool,
@@ -66,17 +67,18 @@ pub(crate) struct End {
 
 impl End {
     /// Whether data are or may be missing.
-    pub(crate) fn has_loss(&self) -> bool {
+    pub fn has_loss(&self) -> bool {
         !self.finished || self.is_damaged() || self.refused.is_some() || self.unordered_messages > 0
     }
 
-    pub(crate) fn is_damaged(&self) -> bool {
+    /// Whether bytes of the file are not those that were written.
+    pub fn is_damaged(&self) -> bool {
         self.damaged_records > 0 || self.checksum_failed || self.index_damaged || self.trailing_bytes > 0
     }
 }
 
 /// Reads a capture, or a plain byte stream as it comes from a port, which has no times.
-pub(crate) struct CaptureReader<R = File> {
+pub struct CaptureReader<R = File> {
     path: PathBuf,
     input: Input<R>,
     from_ns: u64,
@@ -109,7 +111,7 @@ struct McapInput<R> {
 
 impl CaptureReader {
     /// Opens the file `path`.
-    pub(crate) fn open(path: &Path) -> Result<Self, CaptureError> {
+    pub fn open(path: &Path) -> Result<Self, CaptureError> {
         let error = |source| CaptureError::Open { path: path.to_owned(), source };
         if special_file::is_special(path) {
             let (what, next_step) = ("a pipe or a device", "write it to a regular file first");
@@ -122,7 +124,7 @@ impl CaptureReader {
 
 impl<R: Read + Seek> CaptureReader<R> {
     /// Reads from `input`; `path` names it in messages.
-    pub(crate) fn new(path: &Path, mut input: R) -> Result<Self, CaptureError> {
+    pub fn new(path: &Path, mut input: R) -> Result<Self, CaptureError> {
         let mut begin = Vec::new();
         let read = input.by_ref().take(BEGIN_BYTES).read_to_end(&mut begin);
         read.map_err(|source| CaptureError::Open { path: path.to_owned(), source })?;
@@ -147,7 +149,7 @@ impl<R: Read + Seek> CaptureReader<R> {
     /// Skips the data of links before `log_ns`. Setups are still returned, and the data of each board begin
     /// with its last hello from before. A plain byte stream has no times and is read as a whole.
     #[must_use]
-    pub(crate) fn starting_at(mut self, log_ns: u64) -> Self {
+    pub fn starting_at(mut self, log_ns: u64) -> Self {
         self.from_ns = log_ns;
         self
     }
@@ -156,7 +158,7 @@ impl<R: Read + Seek> CaptureReader<R> {
     /// [end](Self::end).
     ///
     /// Damage is no error: it is skipped and counted.
-    pub(crate) fn next(&mut self, segment: &mut Segment) -> Result<Option<Entry>, CaptureError> {
+    pub fn next(&mut self, segment: &mut Segment) -> Result<Option<Entry>, CaptureError> {
         if let Some((entry, mut held)) = self.held.take() {
             std::mem::swap(segment, &mut held);
             return Ok(Some(entry));
@@ -184,7 +186,7 @@ impl<R: Read + Seek> CaptureReader<R> {
     }
 
     /// How the capture ended, or its state so far.
-    pub(crate) fn end(&self) -> End {
+    pub fn end(&self) -> End {
         self.end.clone()
     }
 

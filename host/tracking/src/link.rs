@@ -162,8 +162,7 @@ impl Segment {
     }
 
     /// Drops the first `length` bytes.
-    #[cfg(feature = "zenoh")]
-    pub(crate) fn skip(&mut self, length: usize) {
+    pub fn skip(&mut self, length: usize) {
         let mut left = length.min(self.bytes.len());
         self.bytes.drain(..left);
         self.reads.retain_mut(|read| {
@@ -186,7 +185,7 @@ impl Segment {
 }
 
 /// What a board's status says of its start: one finding on its clock, one on its settings.
-pub(crate) fn start_findings(clock: ClockSource, settings: SettingsSource) -> [Finding; 2] {
+pub fn start_findings(clock: ClockSource, settings: SettingsSource) -> [Finding; 2] {
     let (oscillator, stored) = ("oscillator", "settings");
     [
         match clock {
@@ -209,7 +208,7 @@ pub(crate) fn start_findings(clock: ClockSource, settings: SettingsSource) -> [F
 }
 
 /// The finding on a board that says crystal and has drifted from the host's clock as none does.
-pub(crate) fn contradicted_crystal() -> Finding {
+pub fn contradicted_crystal() -> Finding {
     Finding::warning(
         "board clock",
         "the board says that it runs from a crystal and does not keep time as a crystal does, by this host's clock",

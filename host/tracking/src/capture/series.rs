@@ -21,14 +21,15 @@ const FLUSH_EVERY: Duration = Duration::from_millis(900);
 
 /// When a file ends and the next begins. Without limits there is one file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Limits {
+pub struct Limits {
     /// Greatest length of a file, without the summary at its end.
     pub max_bytes: Option<u64>,
+    /// Greatest time between the first and the last data of a file.
     pub max_age: Option<Duration>,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Recorded {
+pub struct Recorded {
     pub files: u64,
     /// Bytes of links that were not recorded because writing failed.
     pub dropped_bytes: u64,
@@ -40,7 +41,7 @@ pub(crate) struct Recorded {
 /// recording [is over](Self::is_recording): all later calls only count.
 ///
 /// It keeps 0.9 kB of memory per chunk of the current file, for the index at its end: 4 kB per second of a board at 4 kHz.
-pub(crate) struct CaptureSeries {
+pub struct CaptureSeries {
     about: About,
     limits: Limits,
     output: Output,
@@ -74,7 +75,7 @@ impl CaptureSeries {
     /// Begins a capture. Without limits it is the file `path`. With limits it is a series of files
     /// numbered from 1 after the stem of `path`: `name-0001.mcap`, `name-0002.mcap`, …; the numbers
     /// continue after existing ones, so that no file is replaced.
-    pub(crate) fn create(path: &Path, limits: Limits, existing: Existing, about: About) -> Result<Self, CaptureError> {
+    pub fn create(path: &Path, limits: Limits, existing: Existing, about: About) -> Result<Self, CaptureError> {
         let next = if limits == Limits::default() {
             None
         } else {
@@ -87,7 +88,7 @@ impl CaptureSeries {
     }
 
     /// Begins a capture in a file that is open; `path` names it in messages.
-    pub(crate) fn in_file(file: File, path: &Path, about: About) -> Result<Self, CaptureError> {
+    pub fn in_file(file: File, path: &Path, about: About) -> Result<Self, CaptureError> {
         let mut output = Output::new(path.to_owned(), None);
         output.begin(file, &about)?;
         Ok(Self::over(output, Limits::default(), about))
@@ -102,7 +103,7 @@ impl CaptureSeries {
     ///
     /// `log_ns`, in all methods: UTC, or the device time of a stream that does not run in real time,
     /// nanoseconds.
-    pub(crate) fn add_device(&mut self, setup: Setup, hello: Option<&[u8]>, log_ns: u64) -> Result<(), CaptureError> {
+    pub fn add_device(&mut self, setup: Setup, hello: Option<&[u8]>, log_ns: u64) -> Result<(), CaptureError> {
         let device = setup.device;
         let mut added = None;
         self.output.attempt(0, |file| {
@@ -117,7 +118,7 @@ impl CaptureSeries {
     }
 
     /// Records a segment of the link of `device`. Reads without a time get `log_ns`.
-    pub(crate) fn segment(&mut self, device: DeviceId, segment: &Segment, log_ns: u64) -> Result<(), CaptureError> {
+    pub fn segment(&mut self, device: DeviceId, segment: &Segment, log_ns: u64) -> Result<(), CaptureError> {
         let bytes = segment.bytes.len() as u64;
         if let Err(error) = self.rotate_if_due(log_ns) {
             self.output.recorded.dropped_bytes += bytes;
@@ -145,14 +146,14 @@ impl CaptureSeries {
     }
 
     /// Records the pose of a scan, and its velocity, if there are any.
-    pub(crate) fn pose(&mut self, record: &Record, log_ns: u64) -> Result<(), CaptureError> {
+    pub fn pose(&mut self, record: &Record, log_ns: u64) -> Result<(), CaptureError> {
         let Some(channels) = self.channels(record.device)? else { return Ok(()) };
         self.output.attempt(0, |file| file.pose(channels, record, log_ns))?;
         self.tick()
     }
 
     /// Records a report of a board, or of the program itself: health, statistics, events.
-    pub(crate) fn report(
+    pub fn report(
         &mut self,
         device: Option<DeviceId>,
         report: &impl Serialize,
@@ -180,7 +181,7 @@ impl CaptureSeries {
     }
 
     /// Flushes if a flush is due; to be called several times per second while no data come.
-    pub(crate) fn tick(&mut self) -> Result<(), CaptureError> {
+    pub fn tick(&mut self) -> Result<(), CaptureError> {
         if self.output.flushed.elapsed() < FLUSH_EVERY || self.output.file.as_ref().is_some_and(CaptureFile::is_flushed)
         {
             return Ok(());
@@ -189,7 +190,7 @@ impl CaptureSeries {
     }
 
     /// Ends the chunk, and waits until it would survive a power cut.
-    pub(crate) fn flush(&mut self) -> Result<(), CaptureError> {
+    pub fn flush(&mut self) -> Result<(), CaptureError> {
         self.output.attempt(0, CaptureFile::flush)?;
         // From its end on: a disk that takes longer than the interval would be flushed after every message.
         self.output.flushed = Instant::now();
@@ -199,11 +200,15 @@ impl CaptureSeries {
     }
 
     /// Number of flushes so far, in all files.
-    pub(crate) fn flushes(&self) -> u64 {
+    pub fn flushes(&self) -> u64 {
         self.output.flushes
     }
 
-    pub(crate) fn finish(mut self) -> Result<Recorded, CaptureError> {
+    /// Writes what waits, and ends the last file.
+    ///
+    /// # Errors
+    /// A file that cannot be written.
+    pub fn finish(mut self) -> Result<Recorded, CaptureError> {
         for stream in self.devices.values_mut() {
             let message = &mut self.message;
             if stream.packets.take_rest(message) {
@@ -215,21 +220,22 @@ impl CaptureSeries {
     }
 
     /// Whether data are still written: `false` once writing has failed.
-    pub(crate) fn is_recording(&self) -> bool {
+    pub fn is_recording(&self) -> bool {
         self.output.file.is_some()
     }
 
-    pub(crate) fn path(&self) -> &Path {
+    /// The file that is written now.
+    pub fn path(&self) -> &Path {
         &self.output.path
     }
 
     /// Upper bound of the length of that file.
-    pub(crate) fn bytes(&self) -> u64 {
+    pub fn bytes(&self) -> u64 {
         self.output.file.as_ref().map_or(0, CaptureFile::bytes)
     }
 
     /// What has been recorded so far.
-    pub(crate) fn recorded(&self) -> Recorded {
+    pub fn recorded(&self) -> Recorded {
         self.output.recorded
     }
 

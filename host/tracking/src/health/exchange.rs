@@ -51,7 +51,7 @@ pub enum Exchange {
 
 impl Exchange {
     /// Whether `cell` takes part.
-    pub(crate) fn concerns(&self, cell: usize) -> bool {
+    pub fn concerns(&self, cell: usize) -> bool {
         match self {
             Self::Electrodes { cell: exchanged } => *exchanged == cell,
             Self::Cells { cells } => cells.contains(&cell),

@@ -66,7 +66,7 @@ pub struct Queue {
 
 impl Queue {
     /// Whether more scans may arrive. Without read times no pose can be late, and chunks are received one at a time.
-    pub(crate) fn has_room(&self) -> bool {
+    pub fn has_room(&self) -> bool {
         let is_full = self.oldest_ns.is_none() || self.waiting >= MAX_WAITING || self.sessions >= MAX_SESSIONS;
         self.waiting == 0 || !is_full
     }

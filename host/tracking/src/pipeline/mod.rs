@@ -23,7 +23,7 @@ use slitpose_model::{Photocurrents, Tier};
 use slitpose_protocol::{DELIMITER, Decoder, MAX_MESSAGE_BYTES, Message, Status};
 
 pub use board_poses::{Agreement, PoseFault};
-pub(crate) use counts::reason;
+pub use counts::reason;
 pub use counts::{Counts, Outcomes};
 pub use item::{Following, Item, PipelineError, PoseSource, Record, SceneMatch};
 pub use oddity::Oddity;
@@ -125,13 +125,13 @@ impl Pipeline {
     }
 
     /// Solves the oldest waiting scan. Poses solved in this order do not depend on the delay.
-    pub(crate) fn solve_next(&mut self) -> Option<Record> {
+    pub fn solve_next(&mut self) -> Option<Record> {
         self.flow.solve_next()
     }
 
     /// Solves the newest waiting scan ahead of its turn; it keeps its place in the queue. `None` if it has already
     /// been solved ahead.
-    pub(crate) fn solve_newest(&mut self) -> Option<Record> {
+    pub fn solve_newest(&mut self) -> Option<Record> {
         self.flow.solve_newest()
     }
 
@@ -171,7 +171,7 @@ impl Pipeline {
     }
 
     /// Drops all waiting scans unsolved, and counts them as given up.
-    pub(crate) fn give_up(&mut self) -> usize {
+    pub fn give_up(&mut self) -> usize {
         let count = self.queue().waiting;
         self.skip(count);
         self.flow.counts.scans_given_up += count as u64;
@@ -238,12 +238,12 @@ impl Pipeline {
     }
 
     /// Counts scans as lost that the stream, which has ended by itself, did not bring before [`until`](Self::until).
-    pub(crate) fn end(&mut self) {
+    pub fn end(&mut self) {
         self.flow.end();
     }
 
     /// The photocurrents of the scan that was solved last; `None` before the first hello.
-    pub(crate) fn last_photocurrents(&self) -> Option<&Photocurrents> {
+    pub fn last_photocurrents(&self) -> Option<&Photocurrents> {
         self.flow.session.as_ref().map(|session| session.last_photocurrents())
     }
 
@@ -265,7 +265,7 @@ impl Pipeline {
     }
 
     /// Whether the board reports a crystal and its rate has broken the bounds of one.
-    pub(crate) fn contradicts_crystal(&self) -> bool {
+    pub fn contradicts_crystal(&self) -> bool {
         self.flow.clock.contradicts_crystal()
     }
 
@@ -275,11 +275,12 @@ impl Pipeline {
     }
 
     /// Whether the [end](Self::until) is reached.
-    pub(crate) fn is_complete(&self) -> bool {
+    pub fn is_complete(&self) -> bool {
         self.flow.span.is_complete()
     }
 
-    pub(crate) fn board_status(&self) -> Option<&Status> {
+    /// The board's last status.
+    pub fn board_status(&self) -> Option<&Status> {
         self.flow.counts.board_status.as_ref()
     }
 

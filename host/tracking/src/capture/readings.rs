@@ -28,9 +28,11 @@ pub enum ReadingsError {
 }
 
 /// Readings of one board, with the noise of one frame.
-pub(crate) struct Readings {
-    pub(crate) rows: Vec<Row>,
-    pub(crate) noise: Option<Noise>,
+pub struct Readings {
+    /// Photocurrents, a row per reading.
+    pub rows: Vec<Row>,
+    /// Noise of one frame; `None` if there are too few scans to measure it.
+    pub noise: Option<Noise>,
 }
 
 /// Photocurrents of one scan, not yet at one instant.
@@ -44,7 +46,7 @@ struct Scan {
 ///
 /// Cells are exposed one after the other; their currents are carried to the reference instant of the frame with the
 /// slope between the frames before and after. Frames at a gap are left out.
-pub(crate) fn read(path: &Path, file: &SceneFile) -> Result<Readings, ReadingsError> {
+pub fn read(path: &Path, file: &SceneFile) -> Result<Readings, ReadingsError> {
     let mut reader = CaptureReader::open(path)?;
     let (mut segment, mut decoder) = (Segment::default(), Decoder::<MAX_MESSAGE_BYTES>::new());
     let (mut device, mut board, mut rows) = (None, None::<Board<'_>>, Vec::new());

@@ -8,7 +8,7 @@ use crate::ros::cdr::{Decoder, Encoder};
 const NO_TIME: u64 = u64::MAX;
 
 /// Writes `segment` into `bytes`, which is cleared first.
-pub(crate) fn encode(segment: &Segment, bytes: &mut Vec<u8>) {
+pub fn encode(segment: &Segment, bytes: &mut Vec<u8>) {
     let mut encoder = Encoder::new(bytes);
     encoder.bool(segment.opened);
     encoder.bytes(&segment.bytes);
@@ -37,7 +37,7 @@ fn instants(encoder: &mut Encoder<'_>, all: impl ExactSizeIterator<Item = Option
 }
 
 /// Reads a message into `segment`; `None` if `bytes` are not a message, and `segment` is then empty.
-pub(crate) fn decode(bytes: &[u8], segment: &mut Segment) -> Option<()> {
+pub fn decode(bytes: &[u8], segment: &mut Segment) -> Option<()> {
     segment.clear();
     let decoded = fill(bytes, segment);
     if decoded.is_none() {
