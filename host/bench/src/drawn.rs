@@ -1,6 +1,5 @@
 //! One head, drawn from the tolerances of a scene.
 
-use clap::ValueEnum;
 use slitpose_calibration::{Parameter, draw};
 use slitpose_head::front_end::{Stage, TimingError, configuration};
 use slitpose_head::scene_file::{SceneFile, SceneFileError};
@@ -18,11 +17,11 @@ const TIER: Tier = Tier::Exact { tolerance: 1e-7 };
 const USED_SCALE: f64 = 0.98;
 
 /// What a head deviates in.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Within {
-    /// Only in parameters that a calibration has
+    /// Only in parameters that a calibration has.
     Family,
-    /// In these, and in what no calibration describes
+    /// In these, and in effects that no calibration describes.
     Richer,
 }
 

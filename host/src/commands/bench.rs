@@ -20,6 +20,23 @@ use slitpose_head::table::Replace;
 /// Longest free motion, seconds.
 const LONGEST_S: f64 = 3600.0;
 
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum WithinName {
+    /// Only in parameters that a calibration has
+    Family,
+    /// In these, and in what no calibration describes
+    Richer,
+}
+
+impl From<WithinName> for Within {
+    fn from(name: WithinName) -> Self {
+        match name {
+            WithinName::Family => Self::Family,
+            WithinName::Richer => Self::Richer,
+        }
+    }
+}
+
 /// Draws one head from the tolerances of a scene, and simulates what is measured on it.
 ///
 /// The folder gets scene.toml, the scene with a [tolerance], and, for `calibrate`: known.csv, poses by an instrument; known_own.csv, other poses in
@@ -46,8 +63,8 @@ pub(super) struct Args {
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
     /// What the head deviates in
-    #[arg(long, value_enum, default_value_t = Within::Family)]
-    within: Within,
+    #[arg(long, value_enum, default_value = "family")]
+    within: WithinName,
     /// Poses that the instrument measures
     #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     poses: u32,
@@ -81,7 +98,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         free_s: args.duration,
         instrument: [args.instrument_um * 1e-6, args.instrument_urad * 1e-6],
     };
-    let head = DrawnHead::draw(&file, args.within, args.seed)?;
+    let head = DrawnHead::draw(&file, args.within.into(), args.seed)?;
     let session = Session::of(&head, &settings)?;
     write(&args.output, &head, &session)?;
     for table in &session.tables {

@@ -192,8 +192,7 @@ pub(super) fn devices() -> Names {
 
 /// A table of poses, or the name of a motion.
 pub(super) fn motions() -> Names {
-    let values = TrajectoryKind::value_variants().iter().filter_map(ValueEnum::to_possible_value);
-    Names(values.map(|value| value.get_name().to_owned()).collect())
+    Names(TrajectoryKind::NAMED.map(|(name, _)| name.to_owned()).to_vec())
 }
 
 /// How exactly the optics are evaluated.

@@ -251,8 +251,7 @@ impl ToolOptions {
 
     /// The table of a motion, if it is one.
     pub(super) fn table(&self) -> Option<&str> {
-        use clap::ValueEnum;
-        self.trajectory.as_deref().filter(|name| TrajectoryKind::from_str(name, false).is_err())
+        self.trajectory.as_deref().filter(|name| TrajectoryKind::named(name).is_none())
     }
 
     /// The simulated board with this number and the head of `file`, for `duration_s`, which may be
@@ -300,11 +299,10 @@ impl ToolOptions {
 
     /// The motion of the tool of that board, of the head of `file`, over `duration_s`, which may be infinite.
     pub(super) fn trajectory(&self, file: &SceneFile, number: u8, duration_s: f64) -> Result<Trajectory, CommandError> {
-        use clap::ValueEnum;
         let name = self.trajectory.as_deref().unwrap_or("smooth");
-        match TrajectoryKind::from_str(name, false) {
-            Ok(kind) => Ok(Trajectory::of_kind(kind, self.seed(number), duration_s).within(&file.workspace)),
-            Err(_) => Trajectory::from_table(name).map_err(|error| match error {
+        match TrajectoryKind::named(name) {
+            Some(kind) => Ok(Trajectory::of_kind(kind, self.seed(number), duration_s).within(&file.workspace)),
+            None => Trajectory::from_table(name).map_err(|error| match error {
                 PathError::Table(source @ TableError::Open { .. }) => {
                     let motions = options::motions();
                     let known: Vec<&str> = motions.list().iter().map(String::as_str).collect();

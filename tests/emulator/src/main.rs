@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use clap::{Parser, ValueEnum};
+use clap::Parser;
 use slitpose_emulator::cpu::FaultReport;
 use slitpose_emulator::faults::{Fault, Faults, Kind};
 use slitpose_emulator::machine::Stop;
@@ -102,9 +102,9 @@ fn talk(text: fmt::Arguments<'_>) {
 fn run(args: &Args) -> Result<(), Failure> {
     let scene = SceneFile::open(&args.scene)?;
     let image = open_image(args.elf.as_deref())?;
-    let trajectory = match TrajectoryKind::from_str(&args.trajectory, false) {
-        Ok(kind) => Trajectory::of_kind(kind, args.seed, HORIZON_S).within(&scene.workspace),
-        Err(_) => Trajectory::from_table(&args.trajectory)?,
+    let trajectory = match TrajectoryKind::named(&args.trajectory) {
+        Some(kind) => Trajectory::of_kind(kind, args.seed, HORIZON_S).within(&scene.workspace),
+        None => Trajectory::from_table(&args.trajectory)?,
     };
     let noise = if args.quiet { NoiseSource::Off } else { NoiseSource::Seeded(args.seed) };
     let faults = args.silicon.unwrap_or_default().and(args.flaw.unwrap_or_default());

@@ -2,7 +2,6 @@
 
 use std::f64::consts::PI;
 
-use clap::ValueEnum;
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -31,16 +30,27 @@ const FAST: f64 = 4.0;
 pub const MAX_KNOTS: u64 = 1 << 23;
 
 /// Motions that need no file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TrajectoryKind {
-    /// At rest at home
+    /// At rest at home.
     Still,
-    /// Sinusoids in all six coordinates, up to 0.5 m/s and 5 rad/s
+    /// Sinusoids in all six coordinates, up to 0.5 m/s and 5 rad/s.
     Smooth,
-    /// The same four times as fast
+    /// The same four times as fast.
     Fast,
-    /// Straight flight with abrupt reversals, as against a wall
+    /// Straight flight with abrupt reversals, as against a wall.
     Contact,
+}
+
+impl TrajectoryKind {
+    /// All kinds with their names.
+    pub const NAMED: [(&'static str, Self); 4] =
+        [("still", Self::Still), ("smooth", Self::Smooth), ("fast", Self::Fast), ("contact", Self::Contact)];
+
+    /// The kind of this name.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::NAMED.iter().find_map(|&(known, kind)| (known == name).then_some(kind))
+    }
 }
 
 /// The pose of the tool as a function of time.

@@ -45,7 +45,7 @@ pub struct Options {
     #[arg(long, default_value_t = 10)]
     spans: usize,
     /// Motion of the tool
-    #[arg(long, value_enum, default_value_t = TrajectoryKind::Smooth)]
+    #[arg(long, default_value = "smooth", value_parser = motion)]
     motion: TrajectoryKind,
     /// Seed of motion, noise and faults
     #[arg(long, default_value_t = 20_180_718)]
@@ -53,6 +53,11 @@ pub struct Options {
     /// Only faults whose name contains this
     #[arg(long, default_value = "")]
     only: String,
+}
+
+fn motion(name: &str) -> Result<TrajectoryKind, String> {
+    let names = TrajectoryKind::NAMED.map(|(name, _)| name).join(", ");
+    TrajectoryKind::named(name).ok_or(format!("no such motion; give one of {names}"))
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
