@@ -16,8 +16,8 @@ use crate::queue::{HEADER_BYTES, PacketQueue};
 /// Room for answers and events: a hundred replies at least.
 const ANSWER_BYTES: usize = 2048;
 
-const LARGEST_ENTRY: usize = MAX_MESSAGE_BYTES + HEADER_BYTES;
-const _: () = assert!(ANSWER_BYTES >= LARGEST_ENTRY);
+const MAX_ENTRY: usize = MAX_MESSAGE_BYTES + HEADER_BYTES;
+const _: () = assert!(ANSWER_BYTES >= MAX_ENTRY);
 
 /// Tag of a packet of poses.
 const POSES: u32 = 0;

@@ -98,7 +98,7 @@ pub use scene::{
 };
 pub use solve::{
     AXES, BoardTracker, Cells, CompactError, CompactFrame, CompactPart, DegradedReason, Directions, Estimate,
-    FEWEST_CELLS, Filtered, MotionPrior, Outcome, Photocurrents, Reading, Solution, Solver, Start, Tracked, Tracker,
+    MIN_CELLS, Filtered, MotionPrior, Outcome, Photocurrents, Reading, Solution, Solver, Start, Tracked, Tracker,
     TwistEstimate, Verified,
 };
 #[cfg(feature = "batch")]

@@ -37,12 +37,12 @@ pub struct Rectangle<S> {
 }
 
 /// Slack per distance of the emitter from a wall of a thick mask, where the other face begins to bound the beam. Nothing
-/// magnifies the emitter's motion there, while [`MOST_MAGNIFICATION`] is allowed for elsewhere; √17 is that of an
+/// magnifies the emitter's motion there, while [`MAX_MAGNIFICATION`] is allowed for elsewhere; √17 is that of an
 /// emitter on the longest arm that one of sixteen can have, four length scales.
-pub const WALL_SLACK: f64 = MOST_MAGNIFICATION / 4.124;
+pub const WALL_SLACK: f64 = MAX_MAGNIFICATION / 4.124;
 
 /// Bound on how far the side of a spot moves per motion of its emitter, including rotations of long tools.
-pub const MOST_MAGNIFICATION: f64 = 10.0;
+pub const MAX_MAGNIFICATION: f64 = 10.0;
 
 /// Origin of a side that is an edge of the detector; else the index of its face.
 const DETECTOR: f64 = -1.0;

@@ -38,7 +38,7 @@ const SAMPLING_HALF_CLOCKS: [u32; 8] = [5, 13, 25, 49, 95, 185, 495, 1281];
 /// (DS12288, C_ADC) still has the voltage of the cell before, up to 4 096 codes away. It takes 5/(470 + 5) of that
 /// difference from the capacitor at the pin, 43 codes, which come back through 220 Ω: with 0.104 µs to half a code
 /// within 0.104 µs · ln(43/0.5) = 0.47 µs. Code 3 has 24.5 periods, 0.58 µs; code 2 would leave 2.6 codes.
-const LEAST_SAMPLING_CODE: usize = 3;
+const MIN_SAMPLING_CODE: usize = 3;
 
 /// Ticks without a conversion after which the next one may be wrong: the 1 ms of ES0430, less a tenth for a clock
 /// that runs late.
@@ -54,10 +54,10 @@ pub const BOARD_SLOTS: usize = CHANNELS as usize + 1;
 const DMA_TICKS: u32 = 170;
 
 /// Ticks of the shortest frame: above 20 kHz frames cannot be read and sent fast enough.
-pub const LEAST_FRAME_TICKS: u32 = TICK_HZ / 20_000;
+pub const MIN_FRAME_TICKS: u32 = TICK_HZ / 20_000;
 
 /// Ticks of the longest frame: 12.6 seconds, half the range of the counter.
-pub const LONGEST_FRAME_TICKS: u32 = i32::MAX as u32;
+pub const MAX_FRAME_TICKS: u32 = i32::MAX as u32;
 
 /// Ticks by which the emitters of a last slot with an idle rest go off before its end. The
 /// compare event comes in every slot, so it must stay clear of the next slot's start. The
@@ -124,7 +124,7 @@ impl FramePlan {
         if !schedule.oversampling.is_power_of_two() {
             return Err(HardwareFault::Oversampling { oversampling: schedule.oversampling });
         }
-        if !(LEAST_FRAME_TICKS..=LONGEST_FRAME_TICKS).contains(&schedule.frame_ticks) {
+        if !(MIN_FRAME_TICKS..=MAX_FRAME_TICKS).contains(&schedule.frame_ticks) {
             return Err(HardwareFault::Timing);
         }
         check_levels(configuration)?;
@@ -188,7 +188,7 @@ fn conversion_ticks(code: usize) -> u32 {
 
 fn sampling_code(asked_ticks: u32) -> Result<usize, HardwareFault> {
     let distance = |code: &usize| conversion_ticks(*code).abs_diff(asked_ticks);
-    let nearest = (LEAST_SAMPLING_CODE..SAMPLING_HALF_CLOCKS.len()).min_by_key(distance).unwrap_or(LEAST_SAMPLING_CODE);
+    let nearest = (MIN_SAMPLING_CODE..SAMPLING_HALF_CLOCKS.len()).min_by_key(distance).unwrap_or(MIN_SAMPLING_CODE);
     let nearest_ticks = conversion_ticks(nearest);
     if nearest_ticks == asked_ticks {
         Ok(nearest)
@@ -297,7 +297,7 @@ mod tests {
         assert_eq!(guard(5_800, 2_104, 2_104 + 1_024), (5_800 + 512, true));
         assert_eq!(guard(5_800, 2_104, 2_104 + 1_023), (5_800 + 2_104 + 1_023 + 512, false));
         assert_eq!(guard(5_800, 2_104, 0), (6_312, false));
-        for idle in [4_000, 19_300, 100_000, 10_000_000, LONGEST_FRAME_TICKS - 4 * 5_800] {
+        for idle in [4_000, 19_300, 100_000, 10_000_000, MAX_FRAME_TICKS - 4 * 5_800] {
             let (ticks, fires_in_rest) = guard(5_800, 2_104, idle);
             assert!(fires_in_rest && (6_312..2 * 6_312).contains(&ticks), "{ticks}");
             // From the last trigger of a frame to the next frame's light and first trigger.
@@ -377,10 +377,10 @@ mod tests {
             assert_eq!(configuration.schedule.validate(), Ok(()));
             FramePlan::new(&configuration)
         };
-        assert_eq!(frame(LEAST_FRAME_TICKS - 1), Err(HardwareFault::Timing));
+        assert_eq!(frame(MIN_FRAME_TICKS - 1), Err(HardwareFault::Timing));
         assert_eq!(frame(u32::MAX), Err(HardwareFault::Timing));
-        assert!(frame(LEAST_FRAME_TICKS).is_ok());
-        assert!(frame(LONGEST_FRAME_TICKS).is_ok_and(|plan| plan.done_ticks > LONGEST_FRAME_TICKS));
+        assert!(frame(MIN_FRAME_TICKS).is_ok());
+        assert!(frame(MAX_FRAME_TICKS).is_ok_and(|plan| plan.done_ticks > MAX_FRAME_TICKS));
     }
 
     #[test]
@@ -398,7 +398,7 @@ mod tests {
             let sampling_s = f64::from(sampling_ticks(code)) / f64::from(TICK_HZ);
             4_096.0 * 5.0 / 475.0 * (-sampling_s / time_constant_s).exp()
         };
-        assert!(left(LEAST_SAMPLING_CODE) < 0.5 && left(LEAST_SAMPLING_CODE - 1) > 2.0);
+        assert!(left(MIN_SAMPLING_CODE) < 0.5 && left(MIN_SAMPLING_CODE - 1) > 2.0);
     }
 
     #[test]

@@ -23,14 +23,14 @@ const POSE_LIMIT: f64 = 40.0;
 pub(crate) const FIRST_ERROR: ModelError = ModelError { relative: 0.03, position_m: 50e-6, current_a: 0.0 };
 
 /// The least model error: of the arithmetic.
-const LEAST_ERROR: ModelError = ModelError { relative: 1e-6, position_m: 1e-9, current_a: 0.0 };
+const MIN_ERROR: ModelError = ModelError { relative: 1e-6, position_m: 1e-9, current_a: 0.0 };
 
 /// What the model leaves out of a usual head, and how many readings this knowledge is worth.
 pub(crate) const USUAL_ERROR: ModelError = ModelError { relative: 2e-4, position_m: 0.4e-6, current_a: 0.0 };
 const USUAL_READINGS: f64 = 30.0;
 
 /// Least share of a pose's redundancy in its instrument's errors that rounding leaves to be told.
-const LEAST_SHARE: f64 = 1e-6;
+const MIN_SHARE: f64 = 1e-6;
 
 /// Rows that the redundancy is computed for.
 const SAMPLE: usize = 300;
@@ -199,7 +199,7 @@ impl<'a> Adjustment<'a> {
                     }
                 }
                 let w = whitener(state.covariance(cell, reading, measured.frames));
-                let noise = state.noise[cell].covariance(reading, measured.frames, &LEAST_ERROR);
+                let noise = state.noise[cell].covariance(reading, measured.frames, &MIN_ERROR);
                 readings[cell] += 1.0;
                 for (sum, direction) in sums[cell].iter_mut().zip(directions(reading, self.half_length_m(cell))) {
                     // e = c·W⁻¹·(whitened residual).
@@ -221,7 +221,7 @@ impl<'a> Adjustment<'a> {
                 continue;
             }
             let before = [error.relative, error.position_m];
-            let least = [LEAST_ERROR.relative, LEAST_ERROR.position_m];
+            let least = [MIN_ERROR.relative, MIN_ERROR.position_m];
             let usual = [USUAL_ERROR.relative, USUAL_ERROR.position_m];
             let after: [f64; 2] = std::array::from_fn(|k| {
                 let [found, expected, noise] = sums[cell][k];
@@ -386,7 +386,7 @@ impl<'a> Adjustment<'a> {
         }
         // What is known beforehand counts as so many poses that say as little of the instrument as these do.
         let ratio = |[found, expected, count]: [f64; 3]| {
-            let usual = USUAL_READINGS * f64::max(expected / f64::max(count, 1.0), LEAST_SHARE);
+            let usual = USUAL_READINGS * f64::max(expected / f64::max(count, 1.0), MIN_SHARE);
             ((found + usual) / (expected.max(0.0) + usual)).sqrt()
         };
         sums.into_iter().map(|of_group| of_group.map(ratio)).collect()

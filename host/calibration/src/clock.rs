@@ -37,28 +37,28 @@ const STEP_S: f64 = 0.01;
 const MAX_INTERVAL_S: f64 = 0.5;
 
 /// Longest search, in steps: three hours.
-const MOST_STEPS: f64 = 1.1e6;
+const MAX_STEPS: f64 = 1.1e6;
 
 /// Golden sections of the steps around a shift: to some microseconds.
 const SECTIONS: usize = 18;
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
 /// Fewest pairs within the instrument's record, as a share of all.
-const LEAST_OVERLAP: f64 = 0.5;
+const MIN_OVERLAP: f64 = 0.5;
 
 /// Root-mean-square angle between the orientations below which the tool hardly turns, radians.
-const LEAST_TURN: f64 = 0.01;
+const MIN_TURN: f64 = 0.01;
 
 /// Share of the variance of the angles that the right shift leaves at most. Heads as they come leave some hundredths,
 /// the worst a half.
-const MOST_LEFT: f64 = 0.7;
+const MAX_LEFT: f64 = 0.7;
 
 /// Angles greater than this multiple of the instrument's greatest are no turns of the tool: poses of an uncalibrated head
 /// may jump between two minima.
 const JUMP: f64 = 1.5;
 
 /// Median square distance of the poses at the right shift, by the median square of the tool's motion, at most.
-const MOST_APART: f64 = 0.3;
+const MAX_APART: f64 = 0.3;
 
 /// Factor by which the median square distance of the poses has to be greater at any other shift, and how far off that is
 /// another one, seconds.
@@ -113,7 +113,7 @@ fn left(track: &Track, turns: &[Turn], ahead_s: f64) -> Option<f64> {
     }
     let variances = [0, 1].map(|k| squares[k] - sums[k] * sums[k] / count);
     let covariance = product - sums[0] * sums[1] / count;
-    let is_enough = count >= LEAST_OVERLAP * turns.len() as f64 && variances.iter().all(|&variance| variance > 0.0);
+    let is_enough = count >= MIN_OVERLAP * turns.len() as f64 && variances.iter().all(|&variance| variance > 0.0);
     is_enough
         .then(|| if covariance > 0.0 { 1.0 - covariance * covariance / (variances[0] * variances[1]) } else { 1.0 })
 }
@@ -171,7 +171,7 @@ impl Motion<'_> {
         }
         let from_s = track_from_s - last_s;
         let steps = (track_to_s - first_s - from_s) / STEP_S;
-        if steps > MOST_STEPS {
+        if steps > MAX_STEPS {
             let span_s = track_to_s - track_from_s;
             return refuse(format!(
                 " is {span_s:.0} s long, and {capture} {capture_s:.0} s: is its time_s in seconds? Else cut it to the same \
@@ -189,7 +189,7 @@ impl Motion<'_> {
         let most = JUMP * track.greatest_turn(apart_s);
         turns.retain(|turn| turn.angle <= most);
         let mean_square = turns.iter().map(|turn| turn.angle * turn.angle).sum::<f64>() / turns.len().max(1) as f64;
-        if mean_square.sqrt() <= LEAST_TURN {
+        if mean_square.sqrt() <= MIN_TURN {
             return refuse(still.to_owned());
         }
         let turns_tried = some(&turns, TRIED);
@@ -204,12 +204,12 @@ impl Motion<'_> {
             (0..shares.len()).filter(|&k| is_low(k)).map(|k| (shares[k], from_s + k as f64 * STEP_S)).collect();
         low.sort_by(|a, b| a.0.total_cmp(&b.0));
         match low.first() {
-            Some((share, _)) if *share < MOST_LEFT => {}
+            Some((share, _)) if *share < MAX_LEFT => {}
             other => return no_match(other.map_or(1.0, |other| other.0)),
         }
         // The frames tell the rest: a motion that turns alike at two times is hardly at the same places then.
         let poses = some(&self.poses, TRIED);
-        let alike = low.iter().take_while(|(share, _)| *share < MOST_LEFT);
+        let alike = low.iter().take_while(|(share, _)| *share < MAX_LEFT);
         let mut found: Vec<(f64, f64)> =
             alike.take(CANDIDATES).map(|&(_, rough_s)| self.settled(track, &poses, rough_s)).collect();
         found.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -226,7 +226,7 @@ impl Motion<'_> {
                 ));
             }
         }
-        if found[0].0 > MOST_APART * motion {
+        if found[0].0 > MAX_APART * motion {
             return no_match((found[0].0 / motion).min(1.0));
         }
         match *found {

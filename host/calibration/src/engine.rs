@@ -27,7 +27,7 @@ const ROUNDS: usize = 12;
 const BLOCKS: usize = 4;
 
 /// Fewest known poses for which errors of poses left out mean something.
-const LEAST_HELD_OUT: usize = 20;
+const MIN_HELD_OUT: usize = 20;
 
 /// Most adjustments for the clocks of instruments alone, and the change of a clock below which none follows, seconds.
 const CLOCK_ROUNDS: usize = 3;
@@ -335,7 +335,7 @@ fn hold_out(
     let data = adjustment.data;
     let known: Vec<usize> =
         (0..data.len()).filter(|&row| weights.poses[row] == 1.0 && data.rows[row].reported().is_some()).collect();
-    if known.len() < LEAST_HELD_OUT {
+    if known.len() < MIN_HELD_OUT {
         return Ok(false);
     }
     let (mut squares, mut count) = ([0.0; 2], 0.0);

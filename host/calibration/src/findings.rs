@@ -18,7 +18,7 @@ use crate::{CalibrateError, Calibration};
 const FOREIGN: f64 = 0.25;
 
 /// Share of the rows of a file that may be outliers: a third are not exceptions.
-const MOST_LEFT_OUT: f64 = 1.0 / 3.0;
+const MAX_LEFT_OUT: f64 = 1.0 / 3.0;
 
 /// Errors of an instrument's poses, metres and radians, that no calibration needs, if they also are so many times what is
 /// stated: parts within their tolerances do as much.
@@ -54,7 +54,7 @@ fn foreign_rows(data: &Data, weights: &Weights) -> Result<(), CalibrateError> {
     for group in &data.groups {
         let (file, rows) = (group.file.clone(), group.rows.len());
         let left_out = weights.poses[group.rows.clone()].iter().filter(|weight| **weight < 1.0).count();
-        if left_out as f64 > MOST_LEFT_OUT * rows as f64 {
+        if left_out as f64 > MAX_LEFT_OUT * rows as f64 {
             return Err(CalibrateError::ForeignRows(file, left_out, rows));
         }
     }

@@ -207,7 +207,7 @@ fn powers<const N: usize>(legendre: &[f64; N]) -> [f64; N] {
 }
 
 /// The least that positive dimensions shrink to on the way, metres.
-const LEAST_M: f64 = 1e-6;
+const MIN_M: f64 = 1e-6;
 
 /// Deviations of one cell, gathered before they act on it.
 struct Deviations {
@@ -244,8 +244,8 @@ pub(crate) fn cell_with(nominal: &Cell, full_scale_a: f64, values: impl IntoIter
             Quantity::DetectorShift(k) => by.detector_shift[index(k)] += value,
             Quantity::DetectorTurn(k) => by.detector_turn[index(k)] += value,
             Quantity::SlitOffset => cell.slit.offset_m += DVec2::new(value, 0.0),
-            Quantity::SlitDistance => cell.slit.distance_m = (cell.slit.distance_m + value).max(LEAST_M),
-            Quantity::SlitWidth => cell.slit.width_m = (cell.slit.width_m + value).max(LEAST_M),
+            Quantity::SlitDistance => cell.slit.distance_m = (cell.slit.distance_m + value).max(MIN_M),
+            Quantity::SlitWidth => cell.slit.width_m = (cell.slit.width_m + value).max(MIN_M),
             Quantity::SlitTilt(k) => by.slit_tilt[index(k)] += value,
             Quantity::MaskThickness => cell.slit.thickness_m = (cell.slit.thickness_m + value).max(0.0),
             Quantity::EmitterShift(k) => cell.emitter.position_tool_m[index(k)] += value,
@@ -311,7 +311,7 @@ impl Deviations {
             let cell_from_base = base_from_cell(detector.x_axis_base, detector.normal_base).transpose();
             let place = nominal.0 + nominal.1 * slit.offset_m.extend(slit.distance_m) - detector.centre_base_m;
             let place = cell_from_base * place;
-            (slit.offset_m, slit.distance_m) = (place.truncate(), place.z.max(LEAST_M));
+            (slit.offset_m, slit.distance_m) = (place.truncate(), place.z.max(MIN_M));
             let turned = DQuat::from_mat3(&(cell_from_base * nominal.1));
             slit.tilt_rad = slitpose_model::rotation_log(turned * rotation_exp(slit.tilt_rad));
         }

@@ -44,7 +44,7 @@ const CONTRADICTION: f64 = 5.0;
 
 /// Least standard deviation of a spot's place that is counted with, as a share of half the detector: what noise of weak
 /// light leaves.
-const LEAST_SIGMA: f64 = 1e-3;
+const MIN_SIGMA: f64 = 1e-3;
 
 /// Distance of a spot from the place of one that is not there, as a share of half the detector.
 const NO_SPOT: f64 = 2.0;
@@ -365,7 +365,7 @@ impl<'a> Spots<'a> {
             rows = rows.into_iter().step_by(every).collect();
         }
         // What is off in both currents alike does not move a spot.
-        let sigma = |cell: &Cell| (2.0 * cell.effects.model_error.position_m / cell.detector.length_m).max(LEAST_SIGMA);
+        let sigma = |cell: &Cell| (2.0 * cell.effects.model_error.position_m / cell.detector.length_m).max(MIN_SIGMA);
         let of_rows: Vec<Row> =
             if has_own_frames { rows.iter().map(|&row| data.rows[row].clone()).collect() } else { Vec::new() };
         Ok(Some(Self {

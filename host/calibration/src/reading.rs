@@ -21,7 +21,7 @@ pub(crate) struct ReadingNoise {
 }
 
 /// Least relative error of a current: what the arithmetic of the optics is good for.
-const LEAST_RELATIVE: f64 = 1e-6;
+const MIN_RELATIVE: f64 = 1e-6;
 
 impl ReadingNoise {
     pub(crate) fn new(noise: Option<&Noise>, cell: &Cell) -> Self {
@@ -43,7 +43,7 @@ impl ReadingNoise {
         let square = total * total;
         let moved = error.position_m * self.per_length;
         let own =
-            self.electrode / frames + error.current_a * error.current_a + LEAST_RELATIVE * LEAST_RELATIVE * square;
+            self.electrode / frames + error.current_a * error.current_a + MIN_RELATIVE * MIN_RELATIVE * square;
         let across = self.johnson / frames + moved * moved * square;
         let even = 0.25 * self.dark / frames;
         let along = self.shot_a / (total * frames) + error.relative * error.relative;
@@ -60,10 +60,10 @@ const DIFFERENCES: [f64; 5] = [1.0, -4.0, 6.0, -4.0, 1.0];
 const SQUARES: f64 = 70.0;
 
 /// Fewest differences that tell the noise, to some percent.
-const LEAST_DIFFERENCES: usize = 1000;
+const MIN_DIFFERENCES: usize = 1000;
 
 /// Most of them, in time: the noise is then known to a percent.
-const MOST_WINDOWS: usize = 20_000;
+const MAX_WINDOWS: usize = 20_000;
 
 /// Median of χ² with two degrees of freedom: 2·ln 2.
 const MEDIAN: f64 = 2.0 * std::f64::consts::LN_2;
@@ -73,7 +73,7 @@ const MEDIAN: f64 = 2.0 * std::f64::consts::LN_2;
 pub fn measured_noise(rows: &[Row], scene: &Scene, noise: &Noise) -> Option<f64> {
     let stated: Vec<ReadingNoise> = scene.cells.iter().map(|cell| ReadingNoise::new(Some(noise), cell)).collect();
     let mut squares = Vec::new();
-    for five in rows.windows(DIFFERENCES.len()).step_by(rows.len().div_ceil(MOST_WINDOWS).max(1)) {
+    for five in rows.windows(DIFFERENCES.len()).step_by(rows.len().div_ceil(MAX_WINDOWS).max(1)) {
         let times_s: [Option<[f64; 2]>; 5] = std::array::from_fn(|k| five[k].time_s.filter(|_| five[k].frames == 1.0));
         let [Some([a, _]), Some([b, _]), Some([c, _]), Some([d, _]), Some([e, _])] = times_s else { continue };
         let step_s = (e - a) / 4.0;
@@ -89,7 +89,7 @@ pub fn measured_noise(rows: &[Row], scene: &Scene, noise: &Noise) -> Option<f64>
             squares.push((x * x + y * y) / SQUARES);
         }
     }
-    if squares.len() < LEAST_DIFFERENCES {
+    if squares.len() < MIN_DIFFERENCES {
         return None;
     }
     let middle = squares.len() / 2;
@@ -118,10 +118,10 @@ pub(crate) fn directions(pair: [f64; 2], half_length_m: f64) -> [[f64; 2]; 2] {
 }
 
 /// Fewest rows that a verdict is given on.
-const LEAST_ROWS: usize = 20;
+const MIN_ROWS: usize = 20;
 
 /// Rows that are looked at, spread over all.
-const MOST_ROWS: usize = 400;
+const MAX_ROWS: usize = 400;
 
 /// Mean χ² by its expectation, from which a calibration counts as stale. Of the heads that it was tried on it is 0.8 to
 /// 1.1; a cell whose slit or emitter has moved by 10 µm makes it 3.
@@ -166,7 +166,7 @@ pub struct Validity {
 /// A scene that cannot be computed.
 pub fn validity(scene: &Scene, noise: Option<Noise>, rows: &[Row]) -> Result<Validity, SceneError> {
     let count = scene.cells.len();
-    let every = rows.len().div_ceil(MOST_ROWS).max(1);
+    let every = rows.len().div_ceil(MAX_ROWS).max(1);
     let (mut used, mut sums) = (0, [0.0; 2]);
     let mut cells = vec![CellValidity::default(); count];
     let mut without = vec![[0.0; 2]; count];
@@ -225,7 +225,7 @@ pub fn validity(scene: &Scene, noise: Option<Noise>, rows: &[Row]) -> Result<Val
         cell.without = chi2 / f64::max(redundancy, 1.0);
     }
     let chi2 = sums[0] / sums[1].max(1.0);
-    let is_valid = (used >= LEAST_ROWS).then_some(chi2 < STALE);
+    let is_valid = (used >= MIN_ROWS).then_some(chi2 < STALE);
     // Where one cell contradicts the others, rows without another one often have no pose that tells anything.
     let is_judged = |cell: &usize| 2 * cells[*cell].readings > used;
     let best = (0..count).filter(is_judged).min_by(|&a, &b| cells[a].without.total_cmp(&cells[b].without));

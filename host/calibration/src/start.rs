@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 use slitpose_head::scene_file::SceneFile;
-use slitpose_model::{FEWEST_CELLS, MotionPrior, Pair, Photocurrents, Pose, Reading, Scene, SceneError, Solver, Start};
+use slitpose_model::{MIN_CELLS, MotionPrior, Pair, Photocurrents, Pose, Reading, Scene, SceneError, Solver, Start};
 
 use crate::constraint;
 use crate::data::{Constraint, Data, Group, Knowledge, Row, compose, inverse, values_of};
@@ -11,7 +11,7 @@ use crate::state::TIER;
 use crate::{CalibrateError, Calibration, uncalibrated};
 
 /// Share of a group's rows that must lead to a pose for the others to follow from home.
-const LEAST_WITH_POSE: f64 = 0.25;
+const MIN_WITH_POSE: f64 = 0.25;
 
 /// Poses of all rows and unknowns of all groups. Rows without a pose stay at home.
 pub(crate) struct Beginning {
@@ -53,14 +53,14 @@ pub(crate) fn first_poses(
 ) -> Result<Vec<Option<Pose>>, CalibrateError> {
     let poses = solved(scene, rows)?;
     let found = poses.iter().flatten().count();
-    if (found as f64) >= LEAST_WITH_POSE * rows.len() as f64 {
+    if (found as f64) >= MIN_WITH_POSE * rows.len() as f64 {
         return Ok(poses);
     }
     let (basis, next_step) = match start {
         Some(_) => {
             ("the calibration to start with", "check that it is of this head, and that the currents are in amperes")
         }
-        None if scene.cells.len() < FEWEST_CELLS => (
+        None if scene.cells.len() < MIN_CELLS => (
             "the scene, which has fewer than three cells",
             "such a head can only be calibrated by poses in the frames of the scene (--known)",
         ),

@@ -10,7 +10,7 @@ use crate::data::{Constraint, Data, Knowledge, Row};
 use crate::{CalibrateError, Implausible};
 
 /// Rows of a table without poses that are taken at most; more tell next to nothing new.
-pub const MOST_ROWS: usize = 1500;
+pub const MAX_ROWS: usize = 1500;
 
 /// Rows of a table that are read at most: some 300 MB of memory for six cells.
 const MAX_READ_ROWS: u64 = 1 << 20;
@@ -20,7 +20,7 @@ const MAX_READ_ROWS: u64 = 1 << 20;
 const AVERAGED_CHANGE: f64 = 0.02;
 
 /// Most readings that are averaged.
-const MOST_AVERAGED: usize = 256;
+const MAX_AVERAGED: usize = 256;
 
 /// Reads a table into `data`.
 ///
@@ -116,9 +116,9 @@ pub fn above_dark(detector: &Detector, pair: &Pair<f64>) -> Option<[f64; 2]> {
     is_usable.then_some([pair.i_x1_a - half_dark, pair.i_x2_a - half_dark])
 }
 
-/// Thins rows without poses: at most [`MOST_ROWS`] rows, spread evenly, each the mean of its neighbours as long as the tool hardly moves.
+/// Thins rows without poses: at most [`MAX_ROWS`] rows, spread evenly, each the mean of its neighbours as long as the tool hardly moves.
 pub fn thinned(rows: Vec<Row>) -> Vec<Row> {
-    if rows.len() <= MOST_ROWS {
+    if rows.len() <= MAX_ROWS {
         return rows;
     }
     let mut groups: Vec<Row> = Vec::new();
@@ -126,7 +126,7 @@ pub fn thinned(rows: Vec<Row>) -> Vec<Row> {
     while let Some(first) = rows.next() {
         let mut sum = first.clone();
         let mut count = 1;
-        while count < MOST_AVERAGED && rows.peek().is_some_and(|next| is_near(&first, next)) {
+        while count < MAX_AVERAGED && rows.peek().is_some_and(|next| is_near(&first, next)) {
             let Some(next) = rows.next() else { break };
             count += 1;
             sum.frames += next.frames;
@@ -147,7 +147,7 @@ pub fn thinned(rows: Vec<Row>) -> Vec<Row> {
         groups.push(sum);
     }
     let count = groups.len();
-    let most = MOST_ROWS.min(count);
+    let most = MAX_ROWS.min(count);
     (0..most).map(|k| groups[k * count / most].clone()).collect()
 }
 

@@ -12,7 +12,7 @@ use crate::plausibility::middle;
 use crate::{CalibrateError, ClockError};
 
 /// Intervals of the instrument beyond which poses are not interpolated, in units of its usual one.
-const LONGEST_GAP: f64 = 3.5;
+const MAX_GAP: f64 = 3.5;
 
 /// Instants at which the instrument's pose is averaged over the frames of a row.
 const INSTANTS: usize = 9;
@@ -108,7 +108,7 @@ impl Track {
         let after = self.times_s.partition_point(|&at| at <= time_s);
         let before = after.checked_sub(1)?;
         let step_s = self.times_s.get(after)? - self.times_s[before];
-        if step_s > LONGEST_GAP * self.usual_s {
+        if step_s > MAX_GAP * self.usual_s {
             return None;
         }
         let (t, r) = self.poses[after].displacement_from(&self.poses[before]);

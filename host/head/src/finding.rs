@@ -8,7 +8,7 @@ use serde::Serialize;
 use crate::foreign::printable;
 
 /// A text that a board or a file makes longer is cut.
-const LONGEST_TEXT: usize = 800;
+const MAX_TEXT: usize = 800;
 
 /// How grave a finding is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -95,7 +95,7 @@ impl Finding {
 impl fmt::Display for Finding {
     /// One line, `place: text; next step`. With `{:#}` a row of a table, and another for the next step.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (place, text) = (printable(&self.place), printable(&self.text).at_most(LONGEST_TEXT));
+        let (place, text) = (printable(&self.place), printable(&self.text).at_most(MAX_TEXT));
         let is_row = f.alternate();
         if is_row {
             write!(f, "{:<8} {:<14} {text}", self.grade, place.to_string())?;

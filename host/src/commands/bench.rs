@@ -18,7 +18,7 @@ use slitpose_head::simulator::{SimulatedBoard, Trajectory};
 use slitpose_head::table::Replace;
 
 /// Longest free motion, seconds.
-const LONGEST_S: f64 = 3600.0;
+const MAX_S: f64 = 3600.0;
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 enum WithinName {
@@ -81,7 +81,7 @@ pub(super) struct Args {
 
 fn parse_free(text: &str) -> Result<f64, String> {
     match parse_duration(text)? {
-        duration_s if duration_s <= LONGEST_S => Ok(duration_s),
+        duration_s if duration_s <= MAX_S => Ok(duration_s),
         _ => Err("give an hour at most, such as 20s".to_owned()),
     }
 }

@@ -28,7 +28,7 @@ const OWN: [&str; 2] = ["config", "print_config"];
 const FILE: &str = "slitpose/config.toml";
 
 /// Answers of the command line list the values an option takes.
-const LONGEST_ANSWER: usize = 400;
+const MAX_ANSWER: usize = 400;
 
 #[derive(Debug, Error)]
 pub(crate) enum ConfigError {
@@ -49,7 +49,7 @@ pub(crate) enum ConfigError {
     },
     #[error("{place}: `{key}` is given as {found}; give a text, a number, true or false, or a list of texts")]
     Kind { place: FilePlace, key: String, found: &'static str },
-    #[error("{place}: {}; see `slitpose {VERB} --help`", printable(message).at_most(LONGEST_ANSWER))]
+    #[error("{place}: {}; see `slitpose {VERB} --help`", printable(message).at_most(MAX_ANSWER))]
     Value { place: FilePlace, message: String },
 }
 

@@ -18,7 +18,7 @@ const TELL_EVERY: Duration = Duration::from_millis(250);
 pub(super) struct Orders(Arc<Mutex<PlayerOrder>>);
 
 /// What is left to play at least, seconds.
-const LEAST_S: f64 = 0.05;
+const MIN_S: f64 = 0.05;
 
 const SPEEDS: [f64; 2] = [1e-3, 1e3];
 
@@ -84,7 +84,7 @@ impl Player {
         let again = (self.state.ended && playing == Some(true)).then_some(0.0);
         self.state.playing = playing.unwrap_or(self.state.playing);
         // Not so near the end that nothing is left to play.
-        let seek_s = seek_s.map(|seek_s| seek_s.min(self.state.duration_s - LEAST_S).max(0.0)).or(again);
+        let seek_s = seek_s.map(|seek_s| seek_s.min(self.state.duration_s - MIN_S).max(0.0)).or(again);
         if let Some(seek_s) = seek_s {
             (self.state.position_s, self.state.ended) = (seek_s, false);
         }

@@ -132,7 +132,7 @@ fn given<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Option<f64
 pub(crate) const DEFAULT_LIVE_ADDRESS: &str = "127.0.0.1:7451";
 
 /// Shortest token: 16 characters are beyond guessing over a network.
-const LEAST_TOKEN: usize = 16;
+const MIN_TOKEN: usize = 16;
 
 /// A host and a port to listen on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -144,11 +144,11 @@ pub(crate) enum AccessError {
     #[error("`{text}` is no address; give one such as {DEFAULT_LIVE_ADDRESS}, [::1]:7451 or 0.0.0.0:7451")]
     Address { text: String },
     #[error(
-        "{address} can be reached from other hosts: give --live-token with a secret of {LEAST_TOKEN} characters or more, \
+        "{address} can be reached from other hosts: give --live-token with a secret of {MIN_TOKEN} characters or more, \
          or listen on 127.0.0.1"
     )]
     NoToken { address: SocketAddr },
-    #[error("a token of {found} characters can be guessed; give --live-token with {LEAST_TOKEN} characters or more")]
+    #[error("a token of {found} characters can be guessed; give --live-token with {MIN_TOKEN} characters or more")]
     ShortToken { found: usize },
     #[error("a token has letters, digits, `-`, `_`, `.` and `~` only; `{letter}` is none of them")]
     Letter {
@@ -196,7 +196,7 @@ impl Access {
             if let Some(letter) = token.chars().find(|letter| !is_plain(letter)) {
                 return Err(AccessError::Letter { letter });
             }
-            if token.len() < LEAST_TOKEN {
+            if token.len() < MIN_TOKEN {
                 return Err(AccessError::ShortToken { found: token.len() });
             }
         }

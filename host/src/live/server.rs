@@ -28,10 +28,10 @@ use crate::http::{self, Door, Leash, Reach, Serving};
 use crate::telemetry::DaemonReport;
 
 /// Most clients at a time, of those that have said hello.
-pub(super) const MOST_CLIENTS: usize = 32;
+pub(super) const MAX_CLIENTS: usize = 32;
 
 /// Longest message of a client, bytes: requests have less than 200.
-pub(super) const LONGEST_REQUEST: usize = 4096;
+pub(super) const MAX_REQUEST: usize = 4096;
 
 const REPORT_EVERY: Duration = Duration::from_millis(500);
 
@@ -79,7 +79,7 @@ impl Clients {
     /// Takes a place for a client of `address`, until dropped. The last one is kept for an address without any.
     pub(super) fn place(&self, address: Option<IpAddr>) -> Option<Place<'_>> {
         let mut clients = lock(&self.0);
-        let is_free = clients.len() + usize::from(clients.contains(&address)) < MOST_CLIENTS;
+        let is_free = clients.len() + usize::from(clients.contains(&address)) < MAX_CLIENTS;
         is_free.then(|| {
             clients.push(address);
             Place { clients: self, address }
@@ -203,7 +203,7 @@ async fn upgrade(
     if shared.clients.place(leash.address).is_none() {
         return refusal(StatusCode::SERVICE_UNAVAILABLE, format!("{}\n", Refusal::Full));
     }
-    let upgrade = upgrade.max_message_size(LONGEST_REQUEST).max_frame_size(LONGEST_REQUEST);
+    let upgrade = upgrade.max_message_size(MAX_REQUEST).max_frame_size(MAX_REQUEST);
     upgrade.on_upgrade(async move |socket| session::serve(socket, shared, leash).await)
 }
 
@@ -256,13 +256,13 @@ mod tests {
     use super::*;
 
     /// All of it comes over a phone's network.
-    const MOST_BYTES: usize = 200_000;
+    const MAX_BYTES: usize = 200_000;
 
     #[test]
     fn the_page_is_small_whole_and_fetches_nothing_from_elsewhere() {
         let bytes: usize = FILES.iter().map(|(_, _, text)| text.len()).sum();
         println!("{bytes} bytes in {} files", FILES.len());
-        assert!(bytes <= MOST_BYTES, "{bytes}");
+        assert!(bytes <= MAX_BYTES, "{bytes}");
         let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/src/live/page");
         let mut there: Vec<_> =
             std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();

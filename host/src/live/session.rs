@@ -34,7 +34,7 @@ const PAST_WINDOW: u64 = 4;
 const PAST: usize = 60;
 
 /// A client for which more frames wait goes on with the present: half a second of one board.
-const MOST_WAITING: usize = (FRAMES_HZ / 2) as usize;
+const MAX_WAITING: usize = (FRAMES_HZ / 2) as usize;
 
 /// A client from which nothing came for this long is asked whether it is there; …
 const ASK_AFTER: Duration = Duration::from_secs(15);
@@ -196,7 +196,7 @@ impl Session {
 
     /// Passes over frames if too many wait. Other news come again by themselves.
     fn skip_to_newest(&mut self, news: &mut Receiver<Event>) {
-        if news.len() <= MOST_WAITING * self.boards.len().max(1) {
+        if news.len() <= MAX_WAITING * self.boards.len().max(1) {
             return;
         }
         while news.len() > self.boards.len() {

@@ -15,7 +15,7 @@ use tungstenite::stream::MaybeTlsStream;
 use tungstenite::{Message, WebSocket};
 
 use super::hub::LiveBoard;
-use super::server::{Clients, LONGEST_REQUEST, MOST_CLIENTS};
+use super::server::{Clients, MAX_REQUEST, MAX_CLIENTS};
 use super::session::WINDOW;
 use super::*;
 use crate::http::{LIFETIME, MOST};
@@ -360,7 +360,7 @@ fn orders_are_passed_on_and_nonsense_is_refused() {
     }
     let player = PlayerOrder { playing: Some(false), speed: None, seek_s: Some(2.5) };
     assert_eq!(*orders.0.lock().unwrap(), [Order::Record(true), Order::Player(player)]);
-    client.0.send(Message::text("x".repeat(LONGEST_REQUEST + 1))).unwrap();
+    client.0.send(Message::text("x".repeat(MAX_REQUEST + 1))).unwrap();
     while client.hear().is_some() {}
 }
 
@@ -369,7 +369,7 @@ fn clients_are_limited_and_those_who_say_nothing_keep_nobody_out() {
     let (server, _) = start("127.0.0.1:0", None);
     // More than there are connections: the oldest ones are closed for the rest, and none has a client's place.
     let mut silent: Vec<Client> = (0..2 * MOST).map(|_| Client::connect(&server).unwrap()).collect();
-    let mut clients: Vec<Client> = (1..MOST_CLIENTS).map(|_| Client::greeted(&server)).collect();
+    let mut clients: Vec<Client> = (1..MAX_CLIENTS).map(|_| Client::greeted(&server)).collect();
     clients.iter_mut().for_each(|client| drop(client.hear_of("head")));
     assert_eq!((silent[0].hear(), silent[2 * MOST - 1].hear()), (None, None));
     // The last place is kept for another address.
@@ -392,8 +392,8 @@ fn clients_are_limited_and_those_who_say_nothing_keep_nobody_out() {
 fn the_last_place_is_kept_for_an_address_that_has_none() {
     let clients = Clients::default();
     let [here, there] = ["192.0.2.1", "192.0.2.2"].map(|text| text.parse().ok());
-    let places: Vec<_> = (0..MOST_CLIENTS).map_while(|_| clients.place(here)).collect();
-    assert_eq!(places.len(), MOST_CLIENTS - 1);
+    let places: Vec<_> = (0..MAX_CLIENTS).map_while(|_| clients.place(here)).collect();
+    assert_eq!(places.len(), MAX_CLIENTS - 1);
     let last = clients.place(there);
     assert!(last.is_some() && clients.place(there).is_none() && clients.place(None).is_none());
     drop(places);

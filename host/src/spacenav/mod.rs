@@ -103,7 +103,7 @@ mod tests {
     use slitpose_head::scene_file::Workspace;
     use slitpose_model::Pose;
 
-    use super::server::{MOST_CLIENTS, SpacenavServer};
+    use super::server::{MAX_CLIENTS, SpacenavServer};
     use super::*;
 
     /// Longer than any answer takes on a busy machine.
@@ -188,7 +188,7 @@ mod tests {
         odd.write_all(&f32::NAN.to_ne_bytes()).unwrap();
         odd.write_all(&[1, 2, 3]).unwrap();
         show(&server, None);
-        let rest: Vec<_> = (0..MOST_CLIENTS).map(|_| connect(&path)).collect();
+        let rest: Vec<_> = (0..MAX_CLIENTS).map(|_| connect(&path)).collect();
         show(&server, at(2e-3));
         assert_eq!(event(&mut client).1[0], 200);
         assert_eq!(event(&mut odd).1[0], 200);

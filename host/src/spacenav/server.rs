@@ -18,7 +18,7 @@ use crate::http::{SocketFile, SocketFileError};
 use crate::live::{Sample, TakesSamples};
 
 /// Most clients; more are not let in.
-pub(super) const MOST_CLIENTS: usize = 16;
+pub(super) const MAX_CLIENTS: usize = 16;
 
 /// Longest wait for a pose: then new clients are let in, and the tool counts as at rest.
 const MOMENT: Duration = Duration::from_millis(100);
@@ -136,7 +136,7 @@ impl Mouse {
                 Err(RecvTimeoutError::Disconnected) => return,
             };
             while let Ok((stream, _)) = listener.accept() {
-                if self.clients.len() < MOST_CLIENTS && stream.set_nonblocking(true).is_ok() {
+                if self.clients.len() < MAX_CLIENTS && stream.set_nonblocking(true).is_ok() {
                     self.clients.push(Client { stream, sensitivity: 1.0, at_rest: true, part: Vec::new() });
                 }
             }

@@ -17,7 +17,7 @@ use crate::http;
 const WITHIN: Duration = Duration::from_secs(2);
 
 /// Longest answer: reports take some kilobytes per board.
-const MOST_BYTES: usize = 1 << 24;
+const MAX_BYTES: usize = 1 << 24;
 
 #[derive(Debug, Error)]
 pub(crate) enum FetchError {
@@ -64,7 +64,7 @@ fn ask<S: Read + Write>(
     let (mut answer, mut chunk) = (Vec::new(), [0; 4096]);
     loop {
         let left = until.saturating_duration_since(Instant::now());
-        if left.is_zero() || answer.len() > MOST_BYTES {
+        if left.is_zero() || answer.len() > MAX_BYTES {
             return Err(io::ErrorKind::TimedOut.into());
         }
         set_timeout(&stream, Some(left))?;

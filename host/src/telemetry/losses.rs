@@ -83,8 +83,8 @@ impl LossBook {
 }
 
 /// Range of the histogram: 1 µs to 100 s with 1 % resolution, in some 30 KiB.
-const LEAST_NS: u64 = 1_000;
-const MOST_NS: u64 = 100_000_000_000;
+const MIN_NS: u64 = 1_000;
+const MAX_NS: u64 = 100_000_000_000;
 const DIGITS: u8 = 2;
 
 const QUANTILES: [f64; 4] = [0.5, 0.9, 0.99, 0.999];
@@ -141,13 +141,13 @@ struct Sums {
 
 impl Sums {
     fn new() -> Self {
-        let histogram = Histogram::new_with_bounds(LEAST_NS, MOST_NS, DIGITS).expect("bounds that are in order");
+        let histogram = Histogram::new_with_bounds(MIN_NS, MAX_NS, DIGITS).expect("bounds that are in order");
         Self { histogram, sum_ns: 0, max_ns: 0 }
     }
 
     fn record(&mut self, duration_ns: u64) {
         // Within its bounds a histogram accepts every value without more memory.
-        let _ = self.histogram.record(duration_ns.min(MOST_NS));
+        let _ = self.histogram.record(duration_ns.min(MAX_NS));
         self.sum_ns = self.sum_ns.saturating_add(duration_ns);
         self.max_ns = self.max_ns.max(duration_ns);
     }

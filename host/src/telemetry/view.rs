@@ -13,7 +13,7 @@ use slitpose_tracking::link::{contradicted_crystal, start_findings};
 use slitpose_tracking::pipeline::Agreement;
 
 /// Longer names of boards and firmware are cut.
-const LONGEST_NAME: usize = 60;
+const MAX_NAME: usize = 60;
 
 const KELVIN_AT_0_CELSIUS: f32 = 273.15;
 
@@ -72,7 +72,7 @@ pub(crate) fn recorder(report: &RecorderReport, bytes_per_s: Option<f64>) -> Opt
 pub(crate) fn lines(report: &BoardReport) -> Vec<Line> {
     let mut lines = Vec::new();
     let BoardReport { link, losses, rates, .. } = report;
-    let name = |text| printable(text).at_most(LONGEST_NAME);
+    let name = |text| printable(text).at_most(MAX_NAME);
     let board = name(if report.board.is_empty() { "not known yet" } else { &report.board });
     let id = report.device.map_or(String::new(), |device| format!(", id {device}"));
     let firmware =

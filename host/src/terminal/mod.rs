@@ -20,7 +20,7 @@ use slitpose_head::foreign::printable;
 pub(crate) use progress::{Amount, Progress, hide as hide_progress};
 
 /// Longer messages, with texts from boards or files, are cut.
-const LONGEST_MESSAGE: usize = 4000;
+const MAX_MESSAGE: usize = 4000;
 
 static SCREEN: Mutex<Screen> =
     Mutex::new(Screen { view: Vec::new(), progress: None, target: None, block: Block::NONE });
@@ -89,7 +89,7 @@ pub(crate) fn complain(text: fmt::Arguments<'_>) {
 
 fn write_message(tone: Tone, text: fmt::Arguments<'_>) {
     let text = text.to_string();
-    let text = printable(&text).at_most(LONGEST_MESSAGE);
+    let text = printable(&text).at_most(MAX_MESSAGE);
     let name = tone.paint("slitpose:", has_colours(io::stderr().is_terminal()));
     let write = || writeln!(io::stderr(), "{name} {text}");
     // Elsewhere it disturbs no view, and does not wait for a terminal that is held (Ctrl-S). An error
@@ -136,7 +136,7 @@ pub(crate) const WIDTH: usize = 100;
 const INDENT: usize = 12;
 
 /// Longer texts, from boards or files, are cut.
-const LONGEST_TEXT: usize = 800;
+const MAX_TEXT: usize = 800;
 
 /// The importance of a line, shown by its colour.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -191,7 +191,7 @@ const RANKS: std::ops::RangeInclusive<u8> = 0..=3;
 impl Line {
     /// `text` under `name`; control characters in it are escaped.
     pub(crate) fn new(name: &'static str, text: &str) -> Self {
-        Self { name, text: printable(text).at_most(LONGEST_TEXT).to_string(), ..Self::default() }
+        Self { name, text: printable(text).at_most(MAX_TEXT).to_string(), ..Self::default() }
     }
 
     /// A blank line, for use between boards.

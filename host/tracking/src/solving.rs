@@ -124,7 +124,7 @@ pub fn compile(head: &Head, schedule: &Schedule, scaling: &AdcScaling) -> Result
 }
 
 /// Most numbers of averaged frames whose solvers are kept.
-const MOST_SOLVERS: usize = 64;
+const MAX_SOLVERS: usize = 64;
 
 /// Solves readings of one head that do not belong together.
 pub struct RowSolver {
@@ -168,7 +168,7 @@ impl RowSolver {
                     solver = solver.without_clipped();
                 }
                 let mut solvers = lock(&self.solvers);
-                if solvers.len() >= MOST_SOLVERS {
+                if solvers.len() >= MAX_SOLVERS {
                     solvers.clear();
                 }
                 Arc::clone(solvers.entry(key).or_insert(Arc::new(solver)))

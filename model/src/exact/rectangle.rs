@@ -90,7 +90,7 @@ pub fn needs<S: Number>(spot: &Rectangle<S>, axis: S::Vec3, orders: &Orders<S>) 
 }
 
 /// Least share of its middle's light that a spot is taken to have: below, it is so wide that the expansion fails.
-const LEAST_SHARE: f64 = 0.25;
+const MIN_SHARE: f64 = 0.25;
 
 /// The light of a narrow spot by the expansion of g about its middle, in the half angles δ that the spot subtends: along
 /// x to the fourth order, along y, where a detector is narrow, to the second. Power and centroid of the shipped scenes'
@@ -135,7 +135,7 @@ pub fn narrow_light<S: Number, const GRADIENT: bool>(
     let (hx2, hy2) = (hx * hx, hy * hy);
     let lower = S::of(1.0 / 6.0) * hx2 * second;
     let mean = (one + lower + S::of(1.0 / 120.0) * hx2 * hx2 * of_fourth) * (one + S::of(1.0 / 6.0) * hy2 * second_y);
-    let power = S::of(4.0) * hx * hy * z * relative * mean.max(S::of(LEAST_SHARE));
+    let power = S::of(4.0) * hx * hy * z * relative * mean.max(S::of(MIN_SHARE));
     let by_middle = S::of(1.0 / 3.0) * spot.x.half * hx;
     let offset = by_middle * (first + S::of(0.1) * hx2 * of_third) * (one - lower);
     let mut light = RectangleLight { power: SideGradient::of_value(power), centroid: SideGradient::of_value(offset) };

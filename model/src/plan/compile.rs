@@ -19,7 +19,7 @@ use super::{CompiledCell, CompiledEmitter, Tier};
 const AXIS_TOLERANCE: f64 = 1e-6;
 
 /// Greatest length or position, metres: squares and cubes of larger ones leave the range of `f32`.
-const LONGEST_M: f64 = 1e6;
+const MAX_M: f64 = 1e6;
 
 /// Greatest intensity, responsivity, current or relative intensity, SI units.
 const LARGEST: f64 = 1e9;
@@ -28,7 +28,7 @@ const LARGEST: f64 = 1e9;
 const OPENING_TOLERANCE: f64 = 1e-6;
 
 /// Greatest exponent of a profile: a half angle of 0.07°.
-const LARGEST_EXPONENT: f64 = 1e6;
+const MAX_EXPONENT: f64 = 1e6;
 
 /// Checks of single values; holds their place in the scene for the error.
 struct Check {
@@ -170,7 +170,7 @@ fn compile_cell<S: Number>(index: usize, cell: &Cell, tier: Tier) -> Result<Comp
 }
 
 fn check_detector(section: &Check, cell: &Check, detector: &Detector) -> Result<(DVec3, DVec3), SceneError> {
-    cell.within("detector_mm", &detector.centre_base_m.to_array(), LONGEST_M)?;
+    cell.within("detector_mm", &detector.centre_base_m.to_array(), MAX_M)?;
     let x_axis = cell.unit("x_axis", detector.x_axis_base)?;
     let normal = cell.unit("normal", detector.normal_base)?;
     let cosine = x_axis.dot(normal);
@@ -179,8 +179,8 @@ fn check_detector(section: &Check, cell: &Check, detector: &Detector) -> Result<
     }
     section.positive("length_mm", detector.length_m)?;
     section.positive("width_mm", detector.width_m)?;
-    section.within("length_mm", &[detector.length_m], LONGEST_M)?;
-    section.within("width_mm", &[detector.width_m], LONGEST_M)?;
+    section.within("length_mm", &[detector.length_m], MAX_M)?;
+    section.within("width_mm", &[detector.width_m], MAX_M)?;
     section.not_negative("responsivity_a_per_w", detector.responsivity_a_per_w)?;
     section.not_negative("dark_current_a", detector.dark_current_a)?;
     section.not_negative("faint_a", detector.faint_a)?;
@@ -200,11 +200,11 @@ fn check_slit(check: &Check, slit: &Slit) -> Result<(), SceneError> {
     check.not_negative("width_mm", slit.width_m)?;
     check.not_negative("length_mm", slit.length_m)?;
     check.not_negative("thickness_mm", slit.thickness_m)?;
-    check.within("distance_mm", &[slit.distance_m], LONGEST_M)?;
-    check.within("width_mm", &[slit.width_m], LONGEST_M)?;
-    check.within("length_mm", &[slit.length_m], LONGEST_M)?;
-    check.within("thickness_mm", &[slit.thickness_m], LONGEST_M)?;
-    check.within("offset_mm", &slit.offset_m.to_array(), LONGEST_M)?;
+    check.within("distance_mm", &[slit.distance_m], MAX_M)?;
+    check.within("width_mm", &[slit.width_m], MAX_M)?;
+    check.within("length_mm", &[slit.length_m], MAX_M)?;
+    check.within("thickness_mm", &[slit.thickness_m], MAX_M)?;
+    check.within("offset_mm", &slit.offset_m.to_array(), MAX_M)?;
     check.finite("tilt_deg", &slit.tilt_rad.to_array())?;
     let below = 0.5 * slit.thickness_m - slit.distance_m;
     if below > 0.0 {
@@ -222,7 +222,7 @@ fn check_opening(index: usize, cell: &Cell, effects: &Effects) -> Result<(), Sce
     }
     if let Opening::Lens { focal_length_m } = effects.opening {
         at(slit).positive("focal_length_mm", focal_length_m)?;
-        at(slit).within("focal_length_mm", &[focal_length_m], LONGEST_M)?;
+        at(slit).within("focal_length_mm", &[focal_length_m], MAX_M)?;
     }
     if effects.opening.is_hole() {
         if cell.slit.tilt_rad != DVec3::ZERO {
@@ -239,18 +239,18 @@ fn check_effects(cell: usize, effects: &Effects) -> Result<(), SceneError> {
     let at = |section| Check { cell: Some(cell), section };
     let (detector, emitter, stray) = (at("detector"), at("emitter"), at("stray"));
     emitter.not_negative("source_diameter_mm", effects.source_diameter_m)?;
-    emitter.within("source_diameter_mm", &[effects.source_diameter_m], LONGEST_M)?;
+    emitter.within("source_diameter_mm", &[effects.source_diameter_m], MAX_M)?;
     emitter.within("profile_radial", &effects.profile.radial, LARGEST)?;
     emitter.within("profile_azimuthal", &effects.profile.azimuthal, LARGEST)?;
     if let Some(window) = effects.window {
         at("window").not_negative("thickness_mm", window.thickness_m)?;
-        at("window").within("thickness_mm", &[window.thickness_m], LONGEST_M)?;
+        at("window").within("thickness_mm", &[window.thickness_m], MAX_M)?;
         at("window").within("refractive_index", &[window.refractive_index], LARGEST)?;
         if window.refractive_index < 1.0 {
             return Err(at("window").fault("refractive_index", Fault::BelowOne(window.refractive_index)));
         }
     }
-    detector.within("nonlinearity_mm", &effects.nonlinearity_m, LONGEST_M)?;
+    detector.within("nonlinearity_mm", &effects.nonlinearity_m, MAX_M)?;
     if let Some(of) = &effects.stray {
         stray.within("current_a", &of.constant_a, LARGEST)?;
         stray.within("linear_a_per_mm", of.linear_a_per_m.as_flattened(), LARGEST)?;
@@ -269,14 +269,14 @@ fn check_effects(cell: usize, effects: &Effects) -> Result<(), SceneError> {
 }
 
 fn check_emitter(section: &Check, cell: &Check, emitter: &Emitter) -> Result<DVec3, SceneError> {
-    cell.within("emitter_mm", &emitter.position_tool_m.to_array(), LONGEST_M)?;
+    cell.within("emitter_mm", &emitter.position_tool_m.to_array(), MAX_M)?;
     let axis = cell.unit("emitter_axis", emitter.axis_tool)?;
     section.not_negative("radiant_intensity_w_per_sr", emitter.radiant_intensity_w_per_sr)?;
     section.within("radiant_intensity_w_per_sr", &[emitter.radiant_intensity_w_per_sr], LARGEST)?;
     match &emitter.profile {
         Profile::Cosine { exponent } => {
             section.not_negative("profile_exponent", *exponent)?;
-            section.within("profile_exponent", &[*exponent], LARGEST_EXPONENT)?;
+            section.within("profile_exponent", &[*exponent], MAX_EXPONENT)?;
         }
         Profile::Table(knots) => {
             for &(angle, value) in knots {

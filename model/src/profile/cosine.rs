@@ -11,7 +11,7 @@ use super::{Emission, Falloff, MAX_TERMS, Series};
 const RESOLVED_FALL: f64 = 1e-15;
 
 /// Least ratio of cosines that counts in that fall: towards the horizon cⁿ has no scale of its own.
-const LEAST_RATIO: f64 = 1e-3;
+const MIN_RATIO: f64 = 1e-3;
 
 /// I_rel = cⁿ.
 #[derive(Clone, Debug)]
@@ -145,7 +145,7 @@ impl<S: Number> Emission<S> for Cosine<S> {
     }
 
     fn is_resolved(&self, lower: S, upper: S) -> bool {
-        (lower / upper).max(S::of(LEAST_RATIO)).power(self.power.exponent()) >= S::of(RESOLVED_FALL)
+        (lower / upper).max(S::of(MIN_RATIO)).power(self.power.exponent()) >= S::of(RESOLVED_FALL)
     }
 
     fn is_smooth(&self, _: S, _: S) -> bool {

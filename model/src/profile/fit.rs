@@ -16,7 +16,7 @@ use crate::scene::MAX_PROFILE_KNOTS;
 pub const MAX_DEGREE: usize = 8;
 
 /// Most decimals that count as written; with more, the points stand for themselves to [`EXACT`].
-const MOST_DECIMALS: i32 = 11;
+const MAX_DECIMALS: i32 = 11;
 
 /// Allowed deviations, relative to the greatest I_rel: at least the rounding of the arithmetic, and at most that of
 /// two decimals, for a table with fewer.
@@ -27,7 +27,7 @@ const COARSE: f64 = 5e-3;
 const STEPS: usize = 60;
 
 /// Greatest n: narrower lobes have vanished before 90°.
-const GREATEST_EXPONENT: f64 = 100.0;
+const MAX_EXPONENT: f64 = 100.0;
 
 /// Factor up to which n differs from the slope over all points.
 const NEAREST_RANGE: f64 = 1.5;
@@ -114,7 +114,7 @@ impl Smooth {
 /// Half a unit of the last decimal that any of the values has.
 fn half_unit(knots: &[(f64, f64)]) -> f64 {
     let is_whole = |value: f64| (value - libm::round(value)).abs() <= 4.0 * f64::EPSILON * value.abs();
-    let units = (0..=MOST_DECIMALS).map(|decimals| libm::pow(10.0, f64::from(decimals)));
+    let units = (0..=MAX_DECIMALS).map(|decimals| libm::pow(10.0, f64::from(decimals)));
     let mut units = units.filter(|unit| knots.iter().all(|&(_, value)| is_whole(value * unit)));
     units.next().map_or(0.0, |unit| 0.5 / unit)
 }
@@ -134,7 +134,7 @@ fn exponent(points: &Points) -> Option<f64> {
     }
     let exponent = products / squares;
     // NaN fails, too: no light on the axis or beside it.
-    (exponent > 0.0 && exponent <= GREATEST_EXPONENT).then_some(exponent)
+    (exponent > 0.0 && exponent <= MAX_EXPONENT).then_some(exponent)
 }
 
 /// Weights all points by cosⁿγ.

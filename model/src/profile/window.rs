@@ -212,7 +212,7 @@ impl Fit {
 const LOWEST: [f64; 7] = [0.2, 0.25, 0.3, 0.4, 0.5, 0.65, 0.8];
 
 /// Greatest relative error of the polynomial: a few roundings of `f32`.
-const MOST_ERROR: f64 = 1e-6;
+const MAX_ERROR: f64 = 1e-6;
 
 const CHECKS: usize = 200;
 
@@ -233,7 +233,7 @@ impl<S: Number> Curve<S> {
                 let c = lowest + (1.0 - lowest) * i as f64 / CHECKS as f64;
                 let exact = profile.relative(c);
                 // Written so that NaN does not fit.
-                exact > 0.0 && (curve.bends(c)[0] - exact).abs() <= MOST_ERROR * exact
+                exact > 0.0 && (curve.bends(c)[0] - exact).abs() <= MAX_ERROR * exact
             });
             fits.then(|| Self { lowest: S::of(lowest), coefficients: curve.coefficients.map(S::of) })
         })

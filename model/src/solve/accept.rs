@@ -193,7 +193,7 @@ const RANK_ROUNDINGS: f64 = 64.0;
 
 /// A direction is free, too, if its σ exceeds one radian (or its equivalent in translation): the
 /// linearisation it stems from holds much less far.
-pub const LARGEST_SIGMA: f64 = 1.0;
+pub const MAX_SIGMA: f64 = 1.0;
 
 /// A factor whose diagonal spans less than this has full rank without further proof.
 pub const EVEN: f64 = 1e-3;
@@ -206,7 +206,7 @@ pub fn covariance<S: Number>(factor: &Factor<S>, length_scale_m: S) -> Option<Ma
     }
     let inverse = factor.inverse();
     // Written so that NaN fails, too.
-    let is_bounded = inverse.iter().enumerate().all(|(i, row)| row[i] <= S::of(LARGEST_SIGMA * LARGEST_SIGMA));
+    let is_bounded = inverse.iter().enumerate().all(|(i, row)| row[i] <= S::of(MAX_SIGMA * MAX_SIGMA));
     if !is_bounded {
         return None;
     }
@@ -227,7 +227,7 @@ pub fn is_singular<S: Number>(factor: &Factor<S>) -> bool {
 pub fn free_directions<S: Number>(factor: &Factor<S>) -> Option<Directions> {
     let pairs = factor.singular();
     let largest = pairs[5].0;
-    let least = (S::of(RANK_ROUNDINGS) * S::epsilon() * largest).max(S::of(LARGEST_SIGMA.recip()));
+    let least = (S::of(RANK_ROUNDINGS) * S::epsilon() * largest).max(S::of(MAX_SIGMA.recip()));
     let free: heapless::Vec<[f64; 6], 6> = pairs
         .iter()
         .filter(|(value, _)| *value <= least || value.is_nan())
@@ -239,7 +239,7 @@ pub fn free_directions<S: Number>(factor: &Factor<S>) -> Option<Directions> {
 /// Whether the σ of a direction with this singular value is infinite, or beyond the range of any linearisation.
 pub fn is_free<S: Number>(value: S) -> bool {
     // Written so that NaN is.
-    let is_held = value > S::of(LARGEST_SIGMA.recip());
+    let is_held = value > S::of(MAX_SIGMA.recip());
     !is_held
 }
 

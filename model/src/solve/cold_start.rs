@@ -13,7 +13,7 @@ use super::images::{IMAGES, Minima, SOFT_STEPS, Seen, image};
 use super::levenberg_marquardt::Stopping;
 use super::normal_equations::{Problem, Workspace};
 use super::outcome::{Outcome, Solution};
-use super::outlier::{LEAST_WORK, OutlierSearch, exclude};
+use super::outlier::{MIN_WORK, OutlierSearch, exclude};
 use super::readings::Sorted;
 
 /// Evaluations of all cells that one cold solve may take: some 2 ms on a desktop core, by currents to
@@ -26,7 +26,7 @@ pub const WORK_FOR_IMAGES: usize = 2 * COLD_WORK;
 
 /// Evaluations after which a search in pieces ends, if there are no images to be found: of two cold solves, for each piece
 /// begins with the planes again.
-const LONGEST_WORK: usize = 2 * COLD_WORK;
+const MAX_WORK: usize = 2 * COLD_WORK;
 
 /// Starts that must all have led to one place for a misfit there to be the answer.
 const AGREEING: usize = 8;
@@ -220,7 +220,7 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
         let mut minima = Minima::new(self.length_scale_m);
         let mut iterations = 0;
         // Half of a small piece does not suffice to leave out the next cell.
-        let is_all_for_outlier = P::HAS_SMALL_FRAMES && search.outlier.is_paused && workspace.work / 2 < LEAST_WORK;
+        let is_all_for_outlier = P::HAS_SMALL_FRAMES && search.outlier.is_paused && workspace.work / 2 < MIN_WORK;
         if !search.has_begun || !may_have_images && !is_all_for_outlier {
             // A start that fails on the currents of one frame may succeed on those of another.
             // It leaves half of a later piece to the starts that have not been tried yet.
@@ -252,7 +252,7 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
         let mut is_cut_short = false;
         while let Some(next) = Try::of(search.next).filter(|_| !self.is_enough(sorted, &minima, &seen, search.next)) {
             if workspace.work == 0 {
-                if search.may_pause && (may_have_images || search.spent < LONGEST_WORK) {
+                if search.may_pause && (may_have_images || search.spent < MAX_WORK) {
                     search.spent += workspace.evaluations;
                     return search.pause(&minima, unfinished(iterations));
                 }

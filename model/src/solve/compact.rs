@@ -24,7 +24,7 @@ const TOLERANCE: f64 = 2e-5;
 
 /// The largest relative error with which a head is accepted. Thin masks whose slits are turned by a degree, as a
 /// calibration may find them, exceed [`TOLERANCE`] by a little; the error then counts as noise.
-const MOST_ERROR: f64 = 5e-5;
+const MAX_ERROR: f64 = 5e-5;
 
 /// Of the currents that it is measured by.
 const TRUE_TOLERANCE: f64 = 1e-9;
@@ -100,7 +100,7 @@ impl<S: Scalar> Solver<S, CompactPlan<S>> {
         let other_kind = |(cell, what)| CompactError::Kind { cell, what };
         let truth = Plan::<f64>::compile(scene, Tier::Exact { tolerance: TRUE_TOLERANCE })?;
         let error = worst_error(&CompactPlan::of(scene, &truth, &truth).map_err(other_kind)?, &truth);
-        if error > MOST_ERROR {
+        if error > MAX_ERROR {
             return Err(CompactError::Spots { error });
         }
         let tier = Tier::Exact { tolerance: error.max(TOLERANCE) };
@@ -301,7 +301,7 @@ mod tests {
             .map(|tenth| turned(0.1 * f64::from(tenth)))
             .find(|(_, error)| *error > 1.2 * TOLERANCE)
             .expect("turned far enough");
-        assert!(error < MOST_ERROR, "{error:e}");
+        assert!(error < MAX_ERROR, "{error:e}");
         let solver = Solver::<f64, CompactPlan<f64>>::compact(&scene).expect("accepted");
         let with = |tolerance| Solver::<f64>::new(&scene, Tier::Exact { tolerance }).expect("valid");
         let weighted = |of: &CellNoise<f64>| of.whitener([1e-6; 2]).apply([1e-6, 0.0])[0];
@@ -415,7 +415,7 @@ mod tests {
             assert_eq!(refused, CompactError::Kind { cell: number, what });
         }
         let wide = compact(&|scene| scene.cells[1].detector.width_m = 8e-3);
-        assert!(matches!(wide, CompactError::Spots { error } if error > MOST_ERROR), "{wide}");
+        assert!(matches!(wide, CompactError::Spots { error } if error > MAX_ERROR), "{wide}");
         let empty = compact(&|scene| scene.cells.clear());
         assert!(matches!(empty, CompactError::Scene(_)), "{empty}");
     }

@@ -17,7 +17,7 @@ use super::readings::{Limits, Photocurrents, Sorted};
 use super::weights::CellNoise;
 
 /// Cells whose currents, two each, tell the six coordinates of a pose.
-pub const FEWEST_CELLS: usize = 3;
+pub const MIN_CELLS: usize = 3;
 
 /// What is known beforehand of the tool's motion within a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -137,7 +137,7 @@ impl<S: Scalar> Compiled<S> {
     /// The factor of the information of all cells with light at `pose`, the tool at rest.
     pub fn factor_at(&self, pose: &Pose) -> Option<Factor<S>> {
         let sorted = self.seen_at(pose);
-        if sorted.usable.len() < FEWEST_CELLS {
+        if sorted.usable.len() < MIN_CELLS {
             return None;
         }
         let problem = self.problem(&sorted, &Prior::at_rest());
@@ -185,12 +185,12 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
         Problem::new(self, sorted, motion)
     }
 
-    /// Six unknowns need [`FEWEST_CELLS`].
+    /// Six unknowns need [`MIN_CELLS`].
     pub fn too_few(&self, sorted: &Sorted<S>) -> Option<Solution<S>> {
-        if sorted.usable.len() >= FEWEST_CELLS {
+        if sorted.usable.len() >= MIN_CELLS {
             return None;
         }
-        let outcome = if sorted.usable.len() + sorted.faint.count() >= FEWEST_CELLS {
+        let outcome = if sorted.usable.len() + sorted.faint.count() >= MIN_CELLS {
             Outcome::TooDark
         } else {
             Outcome::Unobservable(Directions::all())

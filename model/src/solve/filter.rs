@@ -53,7 +53,7 @@ const SHRINK: f64 = 0.7;
 const GROW: f64 = 1.03;
 
 /// Shortest memory, frames: three and a half of them count.
-const SHORTEST: f64 = 2.0;
+const MIN: f64 = 2.0;
 
 /// Frames of lag per frame of memory: of a step too small to raise the alarm half has come through.
 const LAG_PER_MEMORY: f64 = 0.2;
@@ -182,7 +182,7 @@ impl<S: Number> FadingFilter<S> {
     /// For frames `period_s` apart. With a memory of `memory_s` a frame counts m/(1 + m) of the next,
     /// m = `memory_s`/`period_s`.
     pub fn new(period_s: f64, memory_s: f64) -> Self {
-        Self { period_s: S::of(period_s), longest: S::of((memory_s / period_s).max(SHORTEST)), state: None }
+        Self { period_s: S::of(period_s), longest: S::of((memory_s / period_s).max(MIN)), state: None }
     }
 
     pub fn forget(&mut self) {
@@ -263,7 +263,7 @@ impl<S: Number> FadingFilter<S> {
                 next.strains[group] = toward(next.strains[group], NEWEST_BEND, squared);
             }
             let factor = if next.alarm > S::of(ALARM) { SHRINK } else { GROW };
-            next.memory = (next.memory * S::of(factor)).max(S::of(SHORTEST)).min(self.longest);
+            next.memory = (next.memory * S::of(factor)).max(S::of(MIN)).min(self.longest);
         }
         let expanding = Gains::<S>::expanding(next.frames);
         let fading = Gains::fading(next.theta());
@@ -334,7 +334,7 @@ impl<S: Number> State<S> {
         let Gains([of_pose, of_step, _]) = Gains::<S>::fading(theta);
         let (left, astray) = (S::one() - of_pose, astray(theta) - of_step);
         // With a short memory chance adds a tenth to what noise does; with a long one it would be most.
-        let chance = S::of(CHANCE_BEND) * (S::one() - S::of(SHORTEST) / self.memory);
+        let chance = S::of(CHANCE_BEND) * (S::one() - S::of(MIN) / self.memory);
         self.strains.map(|strain| {
             let square = (strain - S::one() - chance).max(S::zero()) * (S::one() + self.spread[0][0]);
             [left * left * square, S::of(SWING) * astray * astray * square]

@@ -285,7 +285,7 @@ const PROBE_SIGMAS: f64 = 2.0;
 
 /// The furthest that is, in radians or its equivalent in translation: of a fold σ is as large as you like, and
 /// beyond some hundredths the currents bend by more than a square.
-const LONGEST_PROBE: f64 = 0.01;
+const MAX_PROBE: f64 = 0.01;
 
 /// A twin further than this, in σ of the pose along that direction, is told apart by any motion.
 const FAR_SIGMAS: f64 = 60.0;
@@ -329,7 +329,7 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
         let problem = self.problem(sorted, motion);
         let here = problem.whitened(&pose, workspace);
         let along = |share: S| loose.map(|value| value * (share * sigma));
-        let probe = S::of(PROBE_SIGMAS).min(S::of(LONGEST_PROBE) / sigma);
+        let probe = S::of(PROBE_SIGMAS).min(S::of(MAX_PROBE) / sigma);
         let [there, back] =
             [probe, -probe].map(|share| problem.whitened(&problem.moved(&pose, &along(share)), workspace));
         // (j·probe)² and j·c·probe³, both by what one σ along v does.

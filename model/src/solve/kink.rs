@@ -8,7 +8,7 @@ use arrayvec::ArrayVec;
 
 use crate::plan::Optics;
 use crate::pose::Transform;
-use crate::rectangle::{MOST_MAGNIFICATION, WALL_SLACK};
+use crate::rectangle::{MAX_MAGNIFICATION, WALL_SLACK};
 use crate::scalar::Number;
 use crate::scene::MAX_CELLS;
 
@@ -140,7 +140,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     #[inline(always)]
     pub fn may_cross_wall(&self, step: &Step<S>, workspace: &Workspace<S>) -> bool {
         let most_moved_m =
-            S::of(MOST_MAGNIFICATION / WALL_SLACK) * square(&step.step).root() * self.head.length_scale_m;
+            S::of(MAX_MAGNIFICATION / WALL_SLACK) * square(&step.step).root() * self.head.length_scale_m;
         workspace.walls_m.iter().any(|&wall_m| wall_m <= most_moved_m)
     }
 

@@ -35,7 +35,7 @@ pub const REUSABLE_CHANGE: f64 = 0.02;
 const PROMISING_CHANGE: f64 = 0.3;
 
 /// Ratio of the second step to the first above which a reused Jacobian was too old.
-pub const MOST_SECOND_STEP: f64 = 0.2;
+pub const MAX_SECOND_STEP: f64 = 0.2;
 
 /// Cost of a QR step beyond one by normal equations, in evaluations of all cells.
 const QR_WORK: usize = 3;
@@ -289,7 +289,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
         let (second, reduction) = (first.factor.backward(&half_way), square(&half_way));
         let ratio = (reduction / first.predicted_reduction).root();
         // Written so that NaN is too old.
-        let is_good = ratio <= S::of(MOST_SECOND_STEP);
+        let is_good = ratio <= S::of(MAX_SECOND_STEP);
         if !is_good {
             return Reused::TooOld;
         }

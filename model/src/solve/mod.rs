@@ -47,7 +47,7 @@ mod weights;
 #[cfg(feature = "batch")]
 pub use batch::{Batch, Starts};
 pub use compact::{BoardTracker, CompactError, CompactFrame, CompactPart};
-pub use compiled::{FEWEST_CELLS, MotionPrior};
+pub use compiled::{MIN_CELLS, MotionPrior};
 pub use filter::{Filtered, TwistEstimate};
 pub use outcome::{AXES, Cells, DegradedReason, Directions, Estimate, Outcome, Solution, Verified};
 pub use readings::{Photocurrents, Reading};

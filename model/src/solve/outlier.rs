@@ -27,7 +27,7 @@ const OUTLIER_THRESHOLD: f64 = 20.0;
 const PROMISED_GATES: f64 = 4.0;
 
 /// Evaluations that must be left for one more cell to be tried.
-pub const LEAST_WORK: usize = 8;
+pub const MIN_WORK: usize = 8;
 
 /// The cell that was left out of the last pose.
 #[derive(Clone, Copy, Debug)]
@@ -102,7 +102,7 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
         }
         let mut iterations = 0;
         for index in search.next..sorted.usable.len() {
-            if search.may_pause && workspace.work < LEAST_WORK {
+            if search.may_pause && workspace.work < MIN_WORK {
                 search.pause(index, search.under_way);
                 return None;
             }
@@ -149,7 +149,7 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
             }
         }
         let (cell, mut found) = search.best?;
-        if P::HAS_SMALL_FRAMES && search.may_pause && workspace.work < LEAST_WORK {
+        if P::HAS_SMALL_FRAMES && search.may_pause && workspace.work < MIN_WORK {
             search.pause(sorted.usable.len(), None);
             return None;
         }

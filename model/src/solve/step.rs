@@ -6,7 +6,7 @@
 
 use crate::plan::Optics;
 use crate::pose::Transform;
-use crate::rectangle::MOST_MAGNIFICATION;
+use crate::rectangle::MAX_MAGNIFICATION;
 use crate::scalar::{Linear3, Number};
 
 use super::algebra::{Factor, Triangle, Vector6, add_outer, dot, mirror, square};
@@ -86,7 +86,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
 
     /// Whether a step of this `length` moves no spot of the last linearisation so far that derivatives jump.
     pub fn is_smooth(&self, length: S, workspace: &Workspace<S>) -> bool {
-        let most_moved = S::of(MOST_MAGNIFICATION) * length * self.head.length_scale_m;
+        let most_moved = S::of(MAX_MAGNIFICATION) * length * self.head.length_scale_m;
         workspace.slacks_m.iter().all(|&slack_m| slack_m > most_moved)
     }
 
@@ -110,7 +110,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
         let arm = self.head.plan.arm(reading.cell, pose);
         // The most that a step of that length moves this emitter, by its length.
         let most = (S::one() + arm.dot(arm) / (self.head.length_scale_m * self.head.length_scale_m)).root();
-        workspace.slacks_m[index] * most > S::of(MOST_MAGNIFICATION) * self.emitter_moves_m(step, pose, reading)
+        workspace.slacks_m[index] * most > S::of(MAX_MAGNIFICATION) * self.emitter_moves_m(step, pose, reading)
     }
 
     /// How far a `step` from `pose` moves the emitter of a reading, metres.

@@ -42,7 +42,7 @@ const UNKNOWN_LINEAR_M_PER_S: f64 = 0.5;
 const UNKNOWN_ANGULAR_RAD_PER_S: f64 = 5.0;
 
 /// Weak poses of other cells in a row over which the motion is extrapolated: with more of them poses are what they are now.
-const MOST_WEAK: u32 = 2;
+const MAX_WEAK: u32 = 2;
 
 /// Acceleration allowed for while only a straight line can be fitted: a fast hand reverses
 /// 0.5 m/s within some 2 ms.
@@ -60,7 +60,7 @@ const BEND_FROM: u32 = 5;
 const MANOEUVRE: f64 = 38.3;
 
 /// Largest factor by which past prediction errors may widen this bound.
-const MOST_STRAIN: f64 = 10.0;
+const MAX_STRAIN: f64 = 10.0;
 
 /// Noise that is allowed for beyond the distance that a tool can have moved, in σ. A tool that hits something may
 /// turn back as fast as it came.
@@ -241,7 +241,7 @@ impl<S: Number, P: Optics<S>> Tracker<S, P> {
     #[cold]
     #[inline(never)]
     fn says_little(&self, solution: &Solution<S>) -> bool {
-        let is_weak = |estimate: &Estimate<S>| self.weak < MOST_WEAK && self.motion.is_weak(&estimate.covariance);
+        let is_weak = |estimate: &Estimate<S>| self.weak < MAX_WEAK && self.motion.is_weak(&estimate.covariance);
         solution.estimate.as_ref().is_none_or(is_weak)
     }
 
@@ -379,7 +379,7 @@ impl<S: Number, P: Optics<S>> Tracker<S, P> {
     fn is_near(&self, pose: &Rigid<S>, solution: &Solution<S>, expected: &Prediction<S>) -> bool {
         let displacement = pose.displacement_from(&expected.pose);
         let squared = self.solver.compiled.squared_sigmas(solution, displacement) / (S::one() + expected.pose_variance);
-        squared <= S::of(MANOEUVRE) * expected.strain.min(S::of(MOST_STRAIN))
+        squared <= S::of(MANOEUVRE) * expected.strain.min(S::of(MAX_STRAIN))
     }
 
     /// How the tool is expected to move within the next frame.

@@ -17,7 +17,7 @@ const NOISE_A: f64 = 0.6e-9;
 
 /// Evaluations of all cells that a cold solve may take: its budget of 600, and what a refinement that has
 /// begun and the account of its end take more.
-const MOST_EVALUATIONS: usize = 620;
+const MAX_EVALUATIONS: usize = 620;
 
 /// χ² at the minimum near `pose` without `cell`; infinite where that is no fit.
 fn chi2_without(solver: &Solver<f64>, readings: &Photocurrents, cell: usize, pose: &Pose) -> f64 {
@@ -152,7 +152,7 @@ fn no_currents_cost_more_than_the_budget() {
                 |_| {},
             );
             println!("{tier:?}: nonsense {nonsense}, torn {torn}, five cells {five}");
-            assert!([nonsense, torn, five].iter().all(|&most| most <= MOST_EVALUATIONS), "{nonsense} {torn} {five}");
+            assert!([nonsense, torn, five].iter().all(|&most| most <= MAX_EVALUATIONS), "{nonsense} {torn} {five}");
         }
     }
 }
@@ -173,10 +173,10 @@ fn light_of_the_other_tier_is_a_misfit_soon() {
 }
 
 /// Evaluations of one cold solve: its budget, a refinement that has begun, and a rough one.
-const MOST_OF_A_MISFIT: usize = 640;
+const MAX_OF_A_MISFIT: usize = 640;
 
 /// As in `track`.
-const MOST_OF_A_FRAME: usize = 24 + 64 + 12;
+const MAX_OF_A_FRAME: usize = 24 + 64 + 12;
 const MEAN_OF_A_FRAME: f64 = 24.0 + 2.0 + 3.0;
 
 /// The scene as the parts of a workshop make it: places off by 0.06 mm, emitters brighter or dimmer by 30 %.
@@ -219,7 +219,7 @@ fn a_misfit_has_a_pose_that_owns_up_to_it() {
     println!("{count} poses, error/sigma {rms:.2}, {:.2} mm at most, {most} evaluations at most", worst_m * 1e3);
     // Six degrees of freedom tell how large errors are to a third; and coarse weights are one guess for all heads.
     assert!((0.4..2.0).contains(&rms), "{rms}");
-    assert!(most <= MOST_OF_A_MISFIT, "{most}");
+    assert!(most <= MAX_OF_A_MISFIT, "{most}");
 }
 
 #[test]
@@ -249,7 +249,7 @@ fn a_misfit_is_tracked_within_the_budget_of_a_frame() {
             "head {head}: {without} without a pose, {:.2} mm, {mean:.1} evaluations, {most} at most",
             largest * 1e3
         );
-        assert!(*most <= MOST_OF_A_FRAME && mean <= MEAN_OF_A_FRAME);
+        assert!(*most <= MAX_OF_A_FRAME && mean <= MEAN_OF_A_FRAME);
         // A first search takes 600 evaluations more than its first frame has, 22 a frame; parts off by 0.06 mm and gains by
         // 30 % move a pose by half a millimetre, the worst of many by three times that.
         assert!(without < 40 && largest < 2e-3);

@@ -9,7 +9,7 @@ use slitpose_model::{Cell, Detector, Emitter, Pair, Plan, Pose, Profile, Scene, 
 use crate::common::{KINDS, Kind, generator, scene, uniform, vector};
 
 /// Next to the end of the number range currents have fewer digits, or none: they are numbers all the same.
-const LEAST_A: f64 = 1e-290;
+const MIN_A: f64 = 1e-290;
 
 const EXACT: Tier = Tier::Exact { tolerance: 1e-10 };
 
@@ -88,9 +88,9 @@ fn both_currents_keep_the_tolerance() {
         for row in rows() {
             let plan = Plan::<f64>::compile(&row.scene, Tier::Exact { tolerance }).expect("scene");
             let pair = plan.photocurrents(0, &Pose::HOME);
-            if row.i_o_a < LEAST_A {
+            if row.i_o_a < MIN_A {
                 let jacobian = plan.linearise(0, &Pose::HOME).2;
-                assert!((0.0..=LEAST_A).contains(&pair.total_a()), "{}: {pair:?}", row.id);
+                assert!((0.0..=MIN_A).contains(&pair.total_a()), "{}: {pair:?}", row.id);
                 assert!(jacobian.as_flattened().iter().all(|slope| slope.is_finite()), "{}: {jacobian:?}", row.id);
                 continue;
             }

@@ -20,7 +20,7 @@ use crate::process::{Slitpose, name_in};
 const LOOK_EVERY: Duration = Duration::from_millis(25);
 
 /// Each other daemon lives until it has flushed so often, however slow the machine is: then it owes something.
-const LEAST_FLUSHES: u64 = 3;
+const MIN_FLUSHES: u64 = 3;
 
 /// It does within this, or never.
 const STARTS_WITHIN: Duration = Duration::from_secs(60);
@@ -112,7 +112,7 @@ fn trial(slitpose: Slitpose, conditions: &Conditions, number: u64) -> Death {
     let daemon = Daemon::start(None, slitpose, folder, arguments, Stdio::null());
     let mut looks = Vec::new();
     let has_to_owe = number % 2 == 1;
-    let owes = |looks: &[(u64, u64)]| looks.last().is_some_and(|(flushes, _)| *flushes >= LEAST_FLUSHES);
+    let owes = |looks: &[(u64, u64)]| looks.last().is_some_and(|(flushes, _)| *flushes >= MIN_FLUSHES);
     while begun.elapsed() + LOOK_EVERY < lives || (has_to_owe && !owes(&looks) && begun.elapsed() < STARTS_WITHIN) {
         if let Some(status) = daemon.status() {
             looks.push((status["recorder"]["flushes"].as_u64().unwrap_or(0), scans(&status).iter().sum::<u64>()));

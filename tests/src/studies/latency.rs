@@ -25,7 +25,7 @@ use crate::process::{Finished, Slitpose, name_in};
 use crate::terminal::{Board, Device, FRAME_RATE_HZ, Terminal};
 
 /// Bytes in to pose out, of half and of 99 % of all poses, µs.
-const MOST_US: [(f64, f64); 2] = [(0.5, 150.0), (0.99, 1000.0)];
+const MAX_US: [(f64, f64); 2] = [(0.5, 150.0), (0.99, 1000.0)];
 
 /// The daemon is ready within this, or never.
 const READY_WITHIN: Duration = Duration::from_secs(20);
@@ -133,7 +133,7 @@ pub fn study(slitpose: Slitpose, conditions: &Conditions) -> Verdicts {
     };
     let backwards: Vec<&Way> = ways.iter().filter(|way| !is_forward(way)).take(5).collect();
     verdicts.check(backwards.is_empty(), format!("no pose goes back in time: {backwards:?}"));
-    for (share, most_us) in MOST_US.into_iter().filter(|_| !conditions.untimed) {
+    for (share, most_us) in MAX_US.into_iter().filter(|_| !conditions.untimed) {
         verdicts.check(total.at(share) <= most_us, format!("{:.0} % within {most_us} us", 100.0 * share));
     }
     verdicts

@@ -25,17 +25,17 @@ use crate::consistency::{Sorted, error, worst_axis};
 use crate::poses::pose;
 
 /// What a scan may take, 99 % of all scans, µs.
-const MOST_P99_US: f64 = 100.0;
+const MAX_P99_US: f64 = 100.0;
 
 /// A scan that waits for longer is late, µs, as `slitpose run` has it. The system may stop a thread for less.
 const LATE_US: f64 = 5000.0;
 
 /// Evaluations of one scan: its own 20, 56 that scans before have saved, and a dozen to end what has begun.
 /// At some 2.5 µs each they leave some of the 250 µs of a scan at 4 kHz.
-const MOST_EVALUATIONS: f64 = 88.0;
+const MAX_EVALUATIONS: f64 = 88.0;
 
 /// Of 99 % of all scans: without what is saved but rarely. At 2.5 µs each 90 µs.
-const MOST_OF_99: f64 = 36.0;
+const MAX_OF_99: f64 = 36.0;
 
 /// A pose this many of its σ from the truth, on any axis, is wrong.
 const WRONG_SIGMAS: f64 = 8.0;
@@ -359,14 +359,14 @@ impl Report {
         let evaluations = self.evaluations();
         let (most, of_99) = (evaluations.most(), evaluations.at(0.99));
         verdicts.check(
-            most <= MOST_EVALUATIONS && of_99 <= MOST_OF_99,
+            most <= MAX_EVALUATIONS && of_99 <= MAX_OF_99,
             format!("{what}: at most {most} evaluations, of 99 % {of_99}"),
         );
         if !options.untimed {
             let (of_99_us, lag_us) = (self.costs_us().at(0.99), self.most_lag_us());
             verdicts.check(
-                of_99_us <= MOST_P99_US && lag_us <= LATE_US,
-                format!("{what}: 99 % within {MOST_P99_US} us, none later than {LATE_US} us"),
+                of_99_us <= MAX_P99_US && lag_us <= LATE_US,
+                format!("{what}: 99 % within {MAX_P99_US} us, none later than {LATE_US} us"),
             );
         }
         let Sight::Lit(lit) = sight else { return };

@@ -44,7 +44,7 @@ const LOOK_EVERY: Duration = Duration::from_secs(1);
 const RECOVERS_WITHIN: Duration = Duration::from_secs(60);
 
 /// Most by which the wall clock is off: an hour.
-const MOST_AHEAD_NS: i64 = 3_600_000_000_000;
+const MAX_AHEAD_NS: i64 = 3_600_000_000_000;
 
 /// What can happen to the daemon, and its letter in the picture.
 const BLOWS: [(Blow, &str); 5] = [
@@ -180,7 +180,7 @@ pub fn study(slitpose: Slitpose, conditions: &Conditions) -> Verdicts {
                     assert!(limit.is_ok_and(|status| status.success()), "prlimit (util-linux) sets a limit");
                 }
                 Blow::DiskStandsStill => stand_still(conditions.disk.as_deref().expect("a disk"), lasts),
-                Blow::ClockSet => clock.set_ahead(rng.random_range(-MOST_AHEAD_NS..MOST_AHEAD_NS)),
+                Blow::ClockSet => clock.set_ahead(rng.random_range(-MAX_AHEAD_NS..MAX_AHEAD_NS)),
             }
             let since = Instant::now();
             let recovered_s = recovers(&daemon).then(|| since.elapsed().as_secs_f64());

@@ -18,7 +18,7 @@ const HOSTILE: &str =
     "evil\u{1b}]0;owned\u{7}\u{1b}[2J\u{9b}2J\u{9d}0;x\u{9c}\u{202e}txet\u{2066}\nslitpose: all is well\r";
 
 /// More than any message of ours.
-const MOST_BYTES: usize = 6000;
+const MAX_BYTES: usize = 6000;
 
 /// Every character that a terminal acts on, by the general category Cc and UAX #9.
 fn assert_harmless(text: &str, what: &str) {
@@ -32,7 +32,7 @@ fn assert_harmless(text: &str, what: &str) {
 fn check(finished: &Finished, what: &str) -> String {
     let text = String::from_utf8(finished.stdout.clone()).expect("UTF-8") + &finished.stderr;
     assert_harmless(&text, what);
-    assert!(text.len() < MOST_BYTES, "{what}: {} bytes", text.len());
+    assert!(text.len() < MAX_BYTES, "{what}: {} bytes", text.len());
     text
 }
 

@@ -19,7 +19,7 @@ const OTHER_RATES: [f64; 4] = [0.25, 0.5, 2.0, 4.0];
 const POSES: usize = 200;
 
 /// Cross-talk above this share asks for slots of their own: gains are known to about that.
-const MOST_CROSSTALK: f64 = 1e-3;
+const MAX_CROSSTALK: f64 = 1e-3;
 
 /// Relative difference of σ that counts for nothing.
 const EQUAL: f64 = 0.01;
@@ -125,7 +125,7 @@ fn groupings(file: &SceneFile) -> Result<Vec<Lighting>, SceneError> {
         let worst = |cell, other| {
             poses.iter().map(|pose| share_of_others(&plan, cell, &[cell, other], pose)).fold(0.0, f64::max)
         };
-        worst(a, b) > MOST_CROSSTALK || worst(b, a) > MOST_CROSSTALK
+        worst(a, b) > MAX_CROSSTALK || worst(b, a) > MAX_CROSSTALK
     };
     let mut together = Lighting { slots: Vec::new() };
     // Both axes of a detector have one emitter, and one slot.

@@ -49,7 +49,7 @@ const CROSSTALK_POSES: usize = 32;
 const CHECKED: usize = 20_000;
 
 /// What spots miss at least where too many of those poses are not lit, as drawings round.
-const LEAST_MISSED_MM: f64 = 0.01;
+const MIN_MISSED_MM: f64 = 0.01;
 
 /// What is learnt of currents is kept with a little to spare, so that rounding to the digits of a drawing does not pass it.
 const LEARNT_MARGIN: f64 = 0.999;
@@ -111,7 +111,7 @@ impl Judge {
         if score.excesses.is_empty()
             && self.lit(file)?.filter(|is_lit| !is_lit).count() as f64 > (1.0 - self.limits.lit) * CHECKED as f64
         {
-            score.excesses.note(Limit::Lit, LEAST_MISSED_MM, LEAST_MISSED_MM);
+            score.excesses.note(Limit::Lit, MIN_MISSED_MM, MIN_MISSED_MM);
         }
         Ok(score)
     }
@@ -139,7 +139,7 @@ impl Judge {
         let [all, few] = [&views[..], &views[..SIGMA_POSES]].map(|views| self.margin(views));
         self.full_scale *= LEARNT_MARGIN * (all / few).min(1.0);
         let checked = margins_m(file, self.workspace.poses(CHECKED)).zip(self.lit(file)?);
-        let checked = checked.map(|(m, is_lit)| if is_lit { m.max(0.0) } else { m.min(-1e-3 * LEAST_MISSED_MM) });
+        let checked = checked.map(|(m, is_lit)| if is_lit { m.max(0.0) } else { m.min(-1e-3 * MIN_MISSED_MM) });
         let [few, all] = [margins_m(file, self.poses.iter().copied()).collect(), checked.collect()]
             .map(|margins| self.limits.counted_m(margins));
         self.spare_m += (few - all).max(0.0);

@@ -108,10 +108,10 @@ pub(crate) fn three_digits(value: f64) -> String {
 }
 
 /// The largest size or distance that a picture can show: 1000 km.
-const LARGEST_M: f64 = 1e6;
+const MAX_M: f64 = 1e6;
 
 /// The smallest detector that a picture can show: a nanometre.
-const SMALLEST_M: f64 = 1e-9;
+const MIN_M: f64 = 1e-9;
 
 /// Why a scene cannot be drawn.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
@@ -138,8 +138,8 @@ pub(super) fn require_drawable(number: usize, cell: &Cell) -> Result<(), PlotErr
         .into_iter()
         .chain(vectors.into_iter().flat_map(|vector| vector.to_array()))
         .chain(sizes)
-        .find(|distance| distance.abs() > LARGEST_M);
-    match too_large.or_else(|| sizes.into_iter().find(|size| *size < SMALLEST_M)) {
+        .find(|distance| distance.abs() > MAX_M);
+    match too_large.or_else(|| sizes.into_iter().find(|size| *size < MIN_M)) {
         None => Ok(()),
         Some(size_m) => Err(PlotError::OutOfProportion { cell: number, size_mm: size_m * 1e3 }),
     }

@@ -234,7 +234,7 @@ impl Coverage {
 const TOLERANCE: f64 = 1e-6;
 
 /// Poses evaluated: the dearest of them is not far from the dearest of all.
-const MOST_SAMPLES: usize = 200;
+const MAX_SAMPLES: usize = 200;
 
 /// One cell's integrals at the tolerance of solving.
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -252,7 +252,7 @@ pub(crate) struct CellCost {
 
 /// How many poses are looked at, of `samples` of the workspace.
 pub(super) fn poses_of(samples: usize) -> usize {
-    samples.min(MOST_SAMPLES)
+    samples.min(MAX_SAMPLES)
 }
 
 impl Tally for CellCost {

@@ -4,7 +4,7 @@ use slitpose_head::causes::with_causes;
 use slitpose_head::finding::{Finding, Grade};
 use slitpose_head::front_end::{TimingError, board_configuration};
 use slitpose_head::scene_file::{FrontEnd, SceneFile};
-use slitpose_model::{FEWEST_CELLS, Pose, Status};
+use slitpose_model::{MIN_CELLS, Pose, Status};
 
 use super::coverage::CellCost;
 use super::coverage::CellCoverage;
@@ -19,7 +19,7 @@ const TOLD_UNCALIBRATED: f64 = 0.5;
 
 /// Values of a profile that six cells may take in the three to five evaluations of a solve, at some 25 ns each
 /// with derivatives, and leave it within 100 µs.
-const MOST_EVALUATIONS: usize = 150;
+const MAX_EVALUATIONS: usize = 150;
 
 /// A hand that goes to and fro over 5 mm at up to 0.5 m/s.
 const FAST_HAND_M_PER_S2: f64 = 100.0;
@@ -56,8 +56,8 @@ pub(super) fn find(file: &SceneFile, survey: &Survey) -> Vec<Finding> {
         warnings.push(Finding::warning("scene", text, TURN_DETECTORS));
     }
     let cells = survey.home.len();
-    if cells < FEWEST_CELLS {
-        let text = format!("six coordinates take {FEWEST_CELLS} cells, it has {cells}: every pose is `unobservable`");
+    if cells < MIN_CELLS {
+        let text = format!("six coordinates take {MIN_CELLS} cells, it has {cells}: every pose is `unobservable`");
         warnings.push(Finding::warning("scene", text, "add cells"));
     }
     if survey.sigma_at_home.is_some() && survey.told_uncalibrated < TOLD_UNCALIBRATED {
@@ -200,7 +200,7 @@ fn of_cost(cost: &CellCost) -> Option<Finding> {
         let next_step = "give the profile fewer bends or make the spot smaller";
         return Some(Finding::warning(cell(cost.cell), text, next_step));
     }
-    (most_evaluations > MOST_EVALUATIONS).then(|| {
+    (most_evaluations > MAX_EVALUATIONS).then(|| {
         let text = format!(
             "up to {most_evaluations} values of its emission profile for one pair of currents at tolerance \
              {tolerance:.0e} (an ordinary cell: 9), so that solving may fall behind"

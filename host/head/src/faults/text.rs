@@ -187,7 +187,7 @@ pub enum Unit {
 }
 
 /// Longest time that the text of a fault may give: a day.
-const MOST_S: f64 = 86_400.0;
+const MAX_S: f64 = 86_400.0;
 
 impl Unit {
     /// Endings of a text, with the factor to SI; the longest first.
@@ -208,8 +208,8 @@ impl Unit {
             Self::Count => value.fract() == 0.0 && (1.0..=1e6).contains(&value),
             Self::Rate => value > 0.0 && value <= 1.0,
             Self::Ratio => (0.0..=10.0).contains(&value),
-            Self::Time => (0.0..=MOST_S).contains(&value),
-            Self::TimeStep => value.abs() <= MOST_S,
+            Self::Time => (0.0..=MAX_S).contains(&value),
+            Self::TimeStep => value.abs() <= MAX_S,
             Self::Ppm => value.abs() <= 1e5,
             Self::Current => (0.0..=1e-3).contains(&value),
             Self::Length => value.abs() <= 0.1,

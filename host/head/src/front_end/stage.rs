@@ -8,7 +8,7 @@ use super::settling::Settling;
 use crate::scene_file::SceneFile;
 
 /// Least settling gain of a front end that measures.
-const LEAST_GAIN: f64 = 1e-9;
+const MIN_GAIN: f64 = 1e-9;
 
 /// Converts the scans of one configuration of one board.
 #[derive(Clone, Debug)]
@@ -25,7 +25,7 @@ struct CellStage {
     exposure_s: f64,
     /// I_D/2, for schedules without a dark slot.
     half_dark_a: f64,
-    /// Whether the front end has at least the gain [`LEAST_GAIN`].
+    /// Whether the front end has at least the gain [`MIN_GAIN`].
     measures: bool,
 }
 
@@ -46,7 +46,7 @@ impl Stage {
                 CellStage {
                     amperes_per_word: scaling.amperes_per_code / f64::from(schedule.oversampling) / settling.gain,
                     exposure_s: (sampled - reference) * tick_s - settling.delay_s,
-                    measures: settling.gain.abs() >= LEAST_GAIN,
+                    measures: settling.gain.abs() >= MIN_GAIN,
                     half_dark_a: 0.5 * file.scene.cells[cell].detector.dark_current_a,
                 }
             })
@@ -62,7 +62,7 @@ impl Stage {
                 .filter_map(|cell| Settling::of_cell(schedule, cell, front_end.time_constant_s))
                 .map(|settling| settling.gain.abs())
                 .fold(1.0, f64::min)
-                .max(LEAST_GAIN);
+                .max(MIN_GAIN);
             scene.noise = Some(noise::of_lit_minus_dark(&scene, front_end, schedule, scaling, gain));
         }
         scene

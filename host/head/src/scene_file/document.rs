@@ -15,7 +15,7 @@ use crate::foreign::printable;
 type Entry<'a> = Spanned<DeValue<'a>>;
 
 /// A value longer than this, in characters, is cut in messages.
-const LONGEST_QUOTE: usize = 60;
+const MAX_QUOTE: usize = 60;
 
 /// A scene file's text and tree.
 pub(super) struct Document<'a> {
@@ -345,7 +345,7 @@ impl<'a> Document<'a> {
     /// The text of a span, on one line and not too long.
     fn quote(&self, span: Range<usize>) -> String {
         let line = self.text.get(span).unwrap_or_default().split_whitespace();
-        printable(&line.collect::<Vec<_>>().join(" ")).at_most(LONGEST_QUOTE).to_string()
+        printable(&line.collect::<Vec<_>>().join(" ")).at_most(MAX_QUOTE).to_string()
     }
 }
 

@@ -10,7 +10,7 @@ use super::keys::{KeyPath, SceneFileError};
 const WIDEST_BITS: i64 = 16;
 
 /// The most conversions the converters' hardware adds up to one result (STM32G4).
-const MOST_OVERSAMPLING: i64 = 256;
+const MAX_OVERSAMPLING: i64 = 256;
 
 /// Gain, noise and timing of the electronics.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -61,7 +61,7 @@ pub(super) fn read_front_end(document: &Document<'_>) -> Result<Option<FrontEnd>
         adc_bits: count(document, path("adc_bits"), WIDEST_BITS, "a whole number from 1 to 16")?
             .ok_or_else(|| document.missing(path("adc_bits")))?,
         raw_noise_lsb: not_negative("raw_noise_lsb")?,
-        oversampling: count(document, path("oversampling"), MOST_OVERSAMPLING, "a whole number from 1 to 256")?
+        oversampling: count(document, path("oversampling"), MAX_OVERSAMPLING, "a whole number from 1 to 256")?
             .unwrap_or(1),
         time_constant_s: not_negative("time_constant_s")?,
         settling_s: not_negative("settling_s")?,

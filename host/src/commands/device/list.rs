@@ -75,7 +75,7 @@ fn hints(listed: &[Listed]) -> Vec<&'static str> {
 }
 
 /// A board's name that is longer is cut: columns are as wide as the longest.
-const LONGEST_NAME: usize = 40;
+const MAX_NAME: usize = 40;
 
 const HEADINGS: [&str; 7] = ["SERIAL", "USB", "PORT", "BOARD", "FIRMWARE", "KIND", "STATE"];
 
@@ -93,7 +93,7 @@ fn table(listed: &[Listed]) -> String {
 }
 
 fn row(listed: &Listed) -> [String; HEADINGS.len()] {
-    let name = |text: &str| printable(text).at_most(LONGEST_NAME).to_string();
+    let name = |text: &str| printable(text).at_most(MAX_NAME).to_string();
     let or_dash = |text: Option<String>| text.unwrap_or_else(|| "-".to_owned());
     let board = listed.board.as_ref();
     [
@@ -213,12 +213,12 @@ fn info_text(connection: &Connection, status: Option<&Status>) -> String {
     if let Some(status) = status {
         lines.extend(counters(info, status));
     }
-    let shown = |value| printable(value).at_most(LONGEST_VALUE);
+    let shown = |value| printable(value).at_most(MAX_VALUE);
     lines.iter().map(|(name, value)| format!("{name:<12} {}\n", shown(value))).collect()
 }
 
 /// A text of the board that is longer is cut.
-const LONGEST_VALUE: usize = 800;
+const MAX_VALUE: usize = 800;
 
 /// A stored hash, with the shipped scene it belongs to.
 fn stored(hash: Option<u64>) -> String {

@@ -24,8 +24,8 @@ const SCANS: usize = 100;
 const ENDS: usize = 20;
 
 /// Least number of codes, and of words of each on average, that are judged.
-const LEAST_CODES: u16 = 16;
-const LEAST_WORDS: f64 = 30.0;
+const MIN_CODES: u16 = 16;
+const MIN_WORDS: f64 = 30.0;
 
 /// A code that comes less often than this share of the average is missing, one that comes more often is repeated: a
 /// converter may be off by a step in its differential linearity, and 30 words vary by 18 %.
@@ -64,7 +64,7 @@ fn histogram(words: &[u16]) -> Option<Histogram> {
     sorted.sort_unstable();
     let end = sorted.len() / ENDS;
     let (first, last) = (*sorted.get(end)?, *sorted.get(sorted.len().checked_sub(end + 1)?)?);
-    if last < first + LEAST_CODES {
+    if last < first + MIN_CODES {
         return None;
     }
     let mut counts: BTreeMap<u16, u32> = (first..=last).map(|code| (code, 0)).collect();
@@ -78,7 +78,7 @@ fn histogram(words: &[u16]) -> Option<Histogram> {
         counts.iter().filter(|(_, count)| is_so(f64::from(**count) / average)).map(|(code, _)| *code).collect()
     };
     let (missing, repeated) = (with(&|share| share < MISSING), with(&|share| share > REPEATED));
-    (average >= LEAST_WORDS).then_some(Histogram { first, last, missing, repeated })
+    (average >= MIN_WORDS).then_some(Histogram { first, last, missing, repeated })
 }
 
 fn judge(words: &Words, wiring: Wiring) -> Vec<Finding> {

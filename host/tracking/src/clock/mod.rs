@@ -46,7 +46,7 @@ fn read(clock: ClockId) -> u64 {
 }
 
 /// Least step of UTC that is told, ns: more than clocks are slewed by between two looks.
-const LEAST_STEP_NS: i64 = 100_000_000;
+const MIN_STEP_NS: i64 = 100_000_000;
 
 fn offset_ns(at: HostInstant) -> i64 {
     at.utc_ns.wrapping_sub(at.monotonic_ns).cast_signed()
@@ -66,7 +66,7 @@ impl UtcWatch {
         let now_ns = offset_ns(now);
         let least_ns = now_ns.min(self.last_ns.replace(now_ns)?);
         let step_ns = least_ns - self.least_ns.replace(least_ns)?;
-        (step_ns.abs() >= LEAST_STEP_NS).then_some(step_ns as f64 * 1e-9)
+        (step_ns.abs() >= MIN_STEP_NS).then_some(step_ns as f64 * 1e-9)
     }
 }
 

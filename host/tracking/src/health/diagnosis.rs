@@ -181,8 +181,8 @@ const REMEMBERED: usize = 24;
 const REMEMBERED_S: f64 = 60.0;
 
 /// Places that a verdict needs, and the redundancy of each: that of a scan with five cells.
-const LEAST_PLACES: usize = 8;
-const LEAST_REDUNDANCY: f64 = 4.0;
+const MIN_PLACES: usize = 8;
+const MIN_REDUNDANCY: f64 = 4.0;
 
 #[derive(Clone, Debug)]
 struct Place {
@@ -248,9 +248,9 @@ impl Places {
 
     /// What all places say; `None`: the tool has been at too few.
     pub(super) fn residuals(&self, now_s: f64) -> Option<Residuals> {
-        let is_told = |place: &&Place| place.redundancy >= LEAST_REDUNDANCY && now_s - place.seen_s < REMEMBERED_S;
+        let is_told = |place: &&Place| place.redundancy >= MIN_REDUNDANCY && now_s - place.seen_s < REMEMBERED_S;
         let told: Vec<&Place> = self.places.iter().filter(is_told).collect();
-        if told.len() < LEAST_PLACES {
+        if told.len() < MIN_PLACES {
             return None;
         }
         let chi2 = told.iter().map(|place| place.chi2 / place.redundancy).sum::<f64>() / told.len() as f64;

@@ -10,13 +10,13 @@ use slitpose_protocol::Schedule;
 const SAMPLES: usize = 8;
 
 /// Least number of scans that distinguish an exchange from chance.
-const LEAST_SAMPLES: usize = 4;
+const MIN_SAMPLES: usize = 4;
 
 /// Scans that the right exchange may leave unexplained: another fault may occur in them.
 const MISSES: usize = 1;
 
 /// Least number of data beyond the unknowns, that of five cells: with fewer, wrong exchanges fit, too.
-const LEAST_REDUNDANCY: usize = 4;
+const MIN_REDUNDANCY: usize = 4;
 
 /// Steps of a first attempt, and the χ² above which a longer one is useless. The right exchange has a χ²
 /// of some tens; the search for a pose that does not exist would take as long as a hundred frames.
@@ -169,7 +169,7 @@ impl Search {
     pub(super) fn turned(&mut self, mostly_troubled: bool) {
         if !mostly_troubled {
             (self.kept, self.until_next, self.trial, self.found) = (0, 0, None, None);
-        } else if self.trial.is_none() && self.kept >= LEAST_SAMPLES {
+        } else if self.trial.is_none() && self.kept >= MIN_SAMPLES {
             let exchange = Exchange::Electrodes { cell: 0 };
             self.trial = Some(Trial { exchange, sample: 0, misses: 0, explains: None });
         }
@@ -259,7 +259,7 @@ impl Search {
 /// Whether all cells with light agree on a pose, and enough of them do.
 fn is_clean(solution: &Solution) -> bool {
     matches!(solution.outcome, Outcome::Converged | Outcome::Degraded(DegradedReason::FewerCells))
-        && solution.redundancy >= LEAST_REDUNDANCY
+        && solution.redundancy >= MIN_REDUNDANCY
 }
 
 #[cfg(test)]

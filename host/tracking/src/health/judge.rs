@@ -6,7 +6,7 @@ use super::{Cell, Exchange, Health};
 use slitpose_head::finding::Finding;
 
 /// Least number of scans for a verdict.
-const LEAST_SCANS: u32 = 32;
+const MIN_SCANS: u32 = 32;
 
 const NEEDED: usize = 3;
 
@@ -36,7 +36,7 @@ impl Health {
     /// The health over the last second. Allocates; to be called a few times per second.
     pub fn report(&self) -> HeadHealth {
         let sum = self.window.sum();
-        let judged = self.window.is_full() && sum.scans >= LEAST_SCANS;
+        let judged = self.window.is_full() && sum.scans >= MIN_SCANS;
         let exchange = self.search.found().filter(|_| judged);
         let mut findings: Vec<Diagnosis> = exchange.map(of_exchange).into_iter().collect();
         let cells: Vec<CellHealth> = (0..self.cells.len())

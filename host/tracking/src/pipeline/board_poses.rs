@@ -3,7 +3,7 @@
 use glam::{DQuat, DVec3};
 use schemars::JsonSchema;
 use serde::Serialize;
-use slitpose_model::{Cells, DegradedReason, Directions, Estimate, FEWEST_CELLS, Outcome, Plan, Pose, Solution};
+use slitpose_model::{Cells, DegradedReason, Directions, Estimate, MIN_CELLS, Outcome, Plan, Pose, Solution};
 use slitpose_protocol::poses::TRIANGLE;
 use slitpose_protocol::{PoseRecord, PoseStatus};
 use thiserror::Error;
@@ -56,10 +56,10 @@ pub enum PoseFault {
     #[error("its covariance is not positive definite")]
     Covariance,
     /// Cells that the head lacks, or too few.
-    #[error("it is said to come from fewer than {FEWEST_CELLS} cells, or from cells that the head lacks")]
+    #[error("it is said to come from fewer than {MIN_CELLS} cells, or from cells that the head lacks")]
     Cells,
     /// The head cannot see the tool there.
-    #[error("fewer than {FEWEST_CELLS} of its cells see the tool there")]
+    #[error("fewer than {MIN_CELLS} of its cells see the tool there")]
     Unseen,
 }
 
@@ -91,9 +91,9 @@ impl BoardPose {
             Some(PoseFault::NoCovariance)
         } else if !is_positive_definite(full(covariance)) {
             Some(PoseFault::Covariance)
-        } else if used.count() < FEWEST_CELLS || !used.iter().chain(excluded.iter()).all(has) {
+        } else if used.count() < MIN_CELLS || !used.iter().chain(excluded.iter()).all(has) {
             Some(PoseFault::Cells)
-        } else if pose_of(record).is_none_or(|pose| sees(&pose) < FEWEST_CELLS) {
+        } else if pose_of(record).is_none_or(|pose| sees(&pose) < MIN_CELLS) {
             Some(PoseFault::Unseen)
         } else {
             None

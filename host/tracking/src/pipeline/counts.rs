@@ -42,7 +42,7 @@ pub struct Counts {
 }
 
 /// Scans that come again, or late, are at most so many behind the newest: more than a board queues.
-const MOST_BEHIND: u64 = 1024;
+const MAX_BEHIND: u64 = 1024;
 
 impl Counts {
     /// Takes note that the board has introduced itself, as it does when it starts.
@@ -54,7 +54,7 @@ impl Counts {
     /// restarted introduces itself before it sends a scan.
     pub(super) fn count_repeat(&mut self, sequence: u64) -> bool {
         let behind = self.next_sequence.map_or(0, |expected| expected.saturating_sub(sequence));
-        let is_repeat = !self.is_greeted && (1..=MOST_BEHIND).contains(&behind);
+        let is_repeat = !self.is_greeted && (1..=MAX_BEHIND).contains(&behind);
         self.scans_repeated += u64::from(is_repeat);
         is_repeat
     }

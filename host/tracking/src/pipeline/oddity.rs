@@ -106,7 +106,7 @@ const WITHIN_S: f64 = 0.25;
 const CELLS: usize = 6;
 
 /// Least number of scans that this time stands for.
-const LEAST_SCANS: u64 = 8;
+const MIN_SCANS: u64 = 8;
 
 /// Follows the scans of a session in the order of their numbers.
 #[derive(Clone, Debug)]
@@ -119,7 +119,7 @@ pub(super) struct Doubt {
 impl Doubt {
     /// Of a board that takes a scan each `frame_s`.
     pub(super) fn new(frame_s: f64) -> Self {
-        Self { within: ((WITHIN_S / frame_s) as u64).max(LEAST_SCANS), latest: [None; CONTRADICTIONS] }
+        Self { within: ((WITHIN_S / frame_s) as u64).max(MIN_SCANS), latest: [None; CONTRADICTIONS] }
     }
 
     /// Counts the scan `sequence`, which came to `outcome` by so many `cells`.

@@ -24,7 +24,7 @@ use super::super::optics::{Light, Place};
 use crate::polygon::EmitterGradient;
 
 /// Sine of the greatest turn of a slit for which this geometry stands.
-const MOST_TURN: f64 = 0.18;
+const MAX_TURN: f64 = 0.18;
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(bound = "", from = "Parts<S>", into = "Parts<S>")]
@@ -186,7 +186,7 @@ impl<S: Number> Beam<S> {
     /// `None`: the slit is turned too far for this geometry.
     pub fn compile(slit: &Slit, window: Option<Window>) -> Option<Self> {
         let axes = DMat3::from_quat(rotation_exp(slit.tilt_rad));
-        if axes.y_axis.y < libm::sqrt(1.0 - MOST_TURN * MOST_TURN) || axes.x_axis.x < 0.0 || axes.z_axis.z < 0.0 {
+        if axes.y_axis.y < libm::sqrt(1.0 - MAX_TURN * MAX_TURN) || axes.x_axis.x < 0.0 || axes.z_axis.z < 0.0 {
             return None;
         }
         let parts = Parts {

@@ -8,15 +8,15 @@ use arrayvec::ArrayVec;
 
 use crate::lanes::{set, zero_half_one};
 use crate::pose::Transform;
-use crate::rectangle::MOST_MAGNIFICATION;
+use crate::rectangle::MAX_MAGNIFICATION;
 use crate::scalar::{Linear3, Real};
 use crate::scene::MAX_CELLS;
 
 use super::super::accept::DISTINCT_SIGMAS;
-use super::super::accept::{EVEN, LARGEST_SIGMA};
+use super::super::accept::{EVEN, MAX_SIGMA};
 use super::super::algebra::{Factor, Matrix6, Vector6, add_outer, dot, square};
 use super::super::compiled::Compiled;
-use super::super::levenberg_marquardt::{MOST_SECOND_STEP, PATIENCE, REUSABLE_CHANGE, Stopping};
+use super::super::levenberg_marquardt::{MAX_SECOND_STEP, PATIENCE, REUSABLE_CHANGE, Stopping};
 use super::super::planes::{self, PULL, STEP_M};
 use super::super::step::SAFE_ROUNDINGS;
 use super::super::weights::Whitener;
@@ -25,12 +25,12 @@ use super::minimum::{Frames, Minima};
 
 /// Steps with derivatives that a frame of the common course takes at most: no more than six evaluations, to which the
 /// descent to an expected pose is limited, and no more than [`PATIENCE`].
-const MOST_ROUNDS: usize = 3;
+const MAX_ROUNDS: usize = 3;
 
 /// σ of the pose up to which a single solve looks for kinks, and a little for the rounding of how far that is.
 const REACH: f64 = 1.001 * DISTINCT_SIGMAS;
 
-const _: () = assert!(2 * MOST_ROUNDS <= PATIENCE, "two iterations a round");
+const _: () = assert!(2 * MAX_ROUNDS <= PATIENCE, "two iterations a round");
 
 /// Where a solve starts, and what ends it.
 #[derive(Clone, Copy, Debug)]
@@ -176,7 +176,7 @@ pub fn minimise<R: Real<Element = f64>, const EXACT: bool>(
             let half_way = factor.forward(&again.by_pose);
             let (second, second_reduction) = (factor.backward(&half_way), square(&half_way));
             let ratio = (second_reduction / reduction).root();
-            let is_good = both(reusing, at_most(ratio, like.constant(MOST_SECOND_STEP)));
+            let is_good = both(reusing, at_most(ratio, like.constant(MAX_SECOND_STEP)));
             let nearer = moved(&trial, &second, scale);
             let remaining = jacobian_change * square(&second).root() * steepness;
             let is_minimum = both(is_good, at_most(remaining.at_least(ratio * second_reduction.root()), tolerance));
@@ -189,7 +189,7 @@ pub fn minimise<R: Real<Element = f64>, const EXACT: bool>(
             before = choose(is_good, like.constant(f64::INFINITY), before);
         }
         active = both(active, not(is_end));
-        if !any(active) || round >= MOST_ROUNDS {
+        if !any(active) || round >= MAX_ROUNDS {
             stays = both(stays, not(active));
             conclude(head, course, &linearised, &factor, (&end, end_chi2), stays, minima);
             set(&mut minima.iterations, iterations);
@@ -354,7 +354,7 @@ fn smooth<R: Real<Element = f64>>(
     pose: &Transform<R>,
 ) -> R {
     let one = length.constant(1.0);
-    let (scale, magnification) = (length.all(head.length_scale_m), length.constant(MOST_MAGNIFICATION));
+    let (scale, magnification) = (length.all(head.length_scale_m), length.constant(MAX_MAGNIFICATION));
     let most_moved = magnification * length * scale;
     let mut anyhow = one;
     for &slack_m in &linearised.slacks_m {
@@ -396,13 +396,13 @@ fn conclude<R: Real<Element = f64>>(
     stays = both(stays, above(least, chi2.constant(EVEN) * largest));
     let inverse = factor.inverse();
     for (i, row) in inverse.iter().enumerate() {
-        stays = both(stays, at_most(row[i], chi2.constant(LARGEST_SIGMA * LARGEST_SIGMA)));
+        stays = both(stays, at_most(row[i], chi2.constant(MAX_SIGMA * MAX_SIGMA)));
     }
     if let Some(doubted) = course.doubted_chi2 {
         // No step of so many σ is longer than the root of the covariance's trace allows: beyond no kink can there be
         // another minimum.
         let trace = inverse.iter().enumerate().fold(zero, |sum, (i, row)| sum + row[i]);
-        let most_moved = trace.root() * chi2.all(REACH * MOST_MAGNIFICATION * head.length_scale_m);
+        let most_moved = trace.root() * chi2.all(REACH * MAX_MAGNIFICATION * head.length_scale_m);
         let far = linearised.slacks_m.iter().fold(one, |far, &slack_m| both(far, above(slack_m, most_moved)));
         stays = both(stays, choose(at_most(chi2, chi2.all(doubted)), one, far));
     }

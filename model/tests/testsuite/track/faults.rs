@@ -6,7 +6,7 @@ use slitpose_model::{DegradedReason, Outcome};
 
 /// Evaluations that a frame may take, whatever it sees: 24 of its own and 64 saved by frames before, and
 /// a dozen to end refinements that have begun and to conclude.
-const MOST_EVALUATIONS: usize = 24 + 64 + 12;
+const MAX_EVALUATIONS: usize = 24 + 64 + 12;
 
 /// The same in the long run: a frame saves two of its own.
 const MEAN_EVALUATIONS: f64 = 24.0 + 2.0 + 3.0;
@@ -113,7 +113,7 @@ fn whatever_a_head_sees_a_frame_keeps_to_its_budget() {
                 let most = evaluations[first..].iter().max().expect("frames");
                 let mean = evaluations[first..].iter().sum::<usize>() as f64 / (600 - first) as f64;
                 println!("{what}, after {healthy}: {mean:.1} evaluations, {most} at most");
-                assert!(*most <= MOST_EVALUATIONS && mean <= MEAN_EVALUATIONS, "{what}");
+                assert!(*most <= MAX_EVALUATIONS && mean <= MEAN_EVALUATIONS, "{what}");
             }
         }
     }

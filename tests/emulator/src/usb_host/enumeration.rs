@@ -10,7 +10,7 @@ const ADDRESS: u8 = 5;
 const ADDRESS_RECOVERY_TICKS: Ticks = 2 * MS;
 
 /// Before its descriptor is known a control endpoint takes at least this much.
-const SMALLEST_PACKET_BYTES: usize = 8;
+const MIN_PACKET_BYTES: usize = 8;
 
 // Descriptor types (table 9-5).
 const DEVICE: u8 = 1;
@@ -118,7 +118,7 @@ impl Enumeration {
 
     /// bMaxPacketSize0.
     pub fn control_packet_bytes(&self) -> usize {
-        self.description.device.get(7).map_or(0, |&bytes| usize::from(bytes)).max(SMALLEST_PACKET_BYTES)
+        self.description.device.get(7).map_or(0, |&bytes| usize::from(bytes)).max(MIN_PACKET_BYTES)
     }
 
     /// The request that comes next; `dtr` is what DTR shall be. `None`: nothing to ask for now.
@@ -155,7 +155,7 @@ impl Enumeration {
         self.recovery = 0;
         self.step = match self.step {
             Step::DeviceHead => {
-                self.description.device = exactly(data, SMALLEST_PACKET_BYTES)?;
+                self.description.device = exactly(data, MIN_PACKET_BYTES)?;
                 Step::Address
             }
             Step::Address => {

@@ -81,7 +81,7 @@ impl World for Witness {
 
 /// A frame's tick is read from the clock right behind the start of the frames' timer, so it is a
 /// few instructions late; in 100 ns the tool moves 50 nm.
-const MOST_TICKS_LATE: u64 = 17;
+const MAX_TICKS_LATE: u64 = 17;
 
 /// Periods of the converters' clock in ticks.
 const CLOCK_TICKS: f64 = 4.0;
@@ -155,7 +155,7 @@ fn every_conversion_is_held_at_its_tick_in_its_light() {
     let (scans, origin) = witness(Faults::default(), 1, 1.0);
     let wired = inputs();
     let late = (origin + scans[0].0.tick).wrapping_sub(scans[0].1);
-    assert!(late <= MOST_TICKS_LATE, "labelled {late} ticks late");
+    assert!(late <= MAX_TICKS_LATE, "labelled {late} ticks late");
     for (n, (scan, start)) in (0..).zip(&scans) {
         assert_eq!(scan.sequence, n);
         assert_eq!(*start, scans[0].1 + n * u64::from(frame_ticks), "the gates of frame {n}");

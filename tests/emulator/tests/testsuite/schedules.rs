@@ -14,11 +14,11 @@ use slitpose_protocol::{Command, Configuration, EmitterSet, Exposure, Level, Sch
 
 /// Ticks from a frame's start on the pins to its tick in a batch: the program reads the clock just
 /// after it lets the timer go, a load and a store over the slow bus.
-const MOST_OFFSET_TICKS: i64 = 32;
+const MAX_OFFSET_TICKS: i64 = 32;
 
 /// Rounding of a lit and of a dark conversion, half a code each, and light from before that has not
 /// decayed, below a tenth at the default settling.
-const MOST_CODES: f64 = 1.1;
+const MAX_CODES: f64 = 1.1;
 
 fn slots(schedule: &mut Schedule, sets: &[&[usize]]) {
     schedule.slots = sets.iter().map(|set| EmitterSet::of(set)).collect();
@@ -40,14 +40,14 @@ fn check(bench: &mut Bench, name: &str, configuration: &Configuration, ms: u64) 
     let least = ms * 170_000 / u64::from(schedule.frame_ticks);
     assert!(scans.len() as u64 >= least.saturating_sub(1), "{name}: {} scans of {least}", scans.len());
     let offset = tick_offset(bench, &scans, start);
-    assert!((0..=MOST_OFFSET_TICKS).contains(&offset), "{name}: {offset} ticks");
+    assert!((0..=MAX_OFFSET_TICKS).contains(&offset), "{name}: {offset} ticks");
     let worst = worst_codes(bench, &scans, configuration);
     println!(
         "{name}: {:.1} Hz, {} scans, tick − pins {offset}, {worst:.3} codes at most",
         schedule.frame_rate_hz(),
         scans.len()
     );
-    assert!(worst <= MOST_CODES, "{name}: {worst} codes");
+    assert!(worst <= MAX_CODES, "{name}: {worst} codes");
     bench.assert_no_faults();
 }
 
@@ -81,7 +81,7 @@ fn the_offset_of_the_clock_is_the_same_after_every_start() {
     }
     let (least, most) = (offsets.iter().min().unwrap(), offsets.iter().max().unwrap());
     println!("tick of a frame − its start on the pins: {least} to {most}");
-    assert!(*least >= 0 && *most <= MOST_OFFSET_TICKS, "{offsets:?}");
+    assert!(*least >= 0 && *most <= MAX_OFFSET_TICKS, "{offsets:?}");
     assert_eq!(least, most, "two instructions with interrupts off always take as long");
     bench.assert_no_faults();
 }

@@ -77,7 +77,7 @@ pub const STALE_CODES: u16 = 700;
 /// Fault adc-neighbour: the most codes that a conversion is off by.
 pub const NEIGHBOUR_CODES: u64 = 8;
 /// Shortest clock period in ticks that the converter follows (60 MHz).
-pub const SHORTEST_CLOCK_TICKS: u64 = 3;
+pub const MIN_CLOCK_TICKS: u64 = 3;
 
 impl Adc {
     /// A write that changes nothing breaks no rule.
@@ -166,7 +166,7 @@ impl Adc {
             }
             Some(_) => {}
         }
-        if self.clock < SHORTEST_CLOCK_TICKS {
+        if self.clock < MIN_CLOCK_TICKS {
             effects.violation(value, "the ADC clock is at most 60 MHz");
         }
         self.cr |= ADEN;

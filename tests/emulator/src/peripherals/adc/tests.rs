@@ -111,7 +111,7 @@ fn registers_and_times_are_those_of_st() {
     assert_eq!(REGULATOR_TICKS, us("t_ADCVREG_STUP"));
     assert_eq!(STALE_TICKS, 1_000 * us("T_TRIG"));
     let tick_mhz = TICKS_PER_SECOND as f64 / 1e6;
-    assert_eq!(SHORTEST_CLOCK_TICKS as f64, (tick_mhz / facts::number("f_ADC_single")).ceil());
+    assert_eq!(MIN_CLOCK_TICKS as f64, (tick_mhz / facts::number("f_ADC_single")).ceil());
 }
 
 /// Without fault trigger-phase the latency is that of the data sheet in whole clocks; the fault adds the eighth that
