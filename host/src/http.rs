@@ -25,7 +25,7 @@ use tokio::time::{Sleep, sleep};
 
 /// The hosts that may connect over TCP.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Reach {
+pub(crate) enum BindScope {
     Loopback,
     /// Every host that can reach the address, as permitted by the user.
     Anywhere,
@@ -84,14 +84,14 @@ impl Drop for Serving {
 // the page's origin as `Origin` (RFC 6454, section 7). Programs send neither.
 
 /// Whether these are the headers of a program's request to a name of this host.
-pub(crate) fn is_own(headers: &HeaderMap, reach: Reach) -> bool {
+pub(crate) fn is_own(headers: &HeaderMap, scope: BindScope) -> bool {
     let mut hosts = headers.get_all(HOST).iter();
     let host = hosts.next().map(|host| host.as_bytes());
     if hosts.next().is_some() {
         return false;
     }
     // A server that any host may reach may have any name.
-    let is_ours = |host: &[u8]| reach == Reach::Anywhere || std::str::from_utf8(host).is_ok_and(is_loopback);
+    let is_ours = |host: &[u8]| scope == BindScope::Anywhere || std::str::from_utf8(host).is_ok_and(is_loopback);
     host.is_none_or(is_ours)
         && headers.get_all(ORIGIN).iter().all(|origin| {
             let origin = origin.as_bytes();
@@ -108,10 +108,10 @@ fn is_loopback(host: &str) -> bool {
     name.eq_ignore_ascii_case("localhost") || name.parse().is_ok_and(|address: IpAddr| address.is_loopback())
 }
 
-/// A connection is closed after this time unless its [`Leash`] was released: an answer takes milliseconds.
+/// A connection is closed after this time unless its [`ConnectionDeadline`] was released: an answer takes milliseconds.
 pub(crate) const LIFETIME: Duration = Duration::from_secs(3);
 
-/// Most simultaneous connections. For one more the oldest is closed of those whose [`Leash`] was not released, of the
+/// Most simultaneous connections. For one more the oldest is closed of those whose [`ConnectionDeadline`] was not released, of the
 /// address that has most of these: silent connections keep nobody out.
 pub(crate) const MOST: usize = 100;
 
@@ -124,13 +124,13 @@ pub(crate) enum Socket {
 }
 
 /// Accepts no more than [`MOST`] connections at a time.
-pub(crate) struct Door {
+pub(crate) struct LimitedListener {
     socket: Socket,
     /// The oldest first; each is closed by dropping the sender.
-    open: Vec<(Leash, oneshot::Sender<()>)>,
+    open: Vec<(ConnectionDeadline, oneshot::Sender<()>)>,
 }
 
-impl Door {
+impl LimitedListener {
     pub(crate) fn new(socket: Socket) -> Self {
         Self { socket, open: Vec::new() }
     }
@@ -150,7 +150,7 @@ impl Door {
     }
 }
 
-impl Listener for Door {
+impl Listener for LimitedListener {
     type Io = Connection;
     type Addr = ();
 
@@ -164,11 +164,11 @@ impl Listener for Door {
             };
             match accepted {
                 Ok((stream, address)) if self.make_room() => {
-                    let leash = Leash { address, ..Leash::default() };
+                    let deadline = ConnectionDeadline { address, ..ConnectionDeadline::default() };
                     let (end, ended) = oneshot::channel();
-                    self.open.push((leash.clone(), end));
+                    self.open.push((deadline.clone(), end));
                     let lifetime = Box::pin(sleep(LIFETIME));
-                    return (Connection { stream, lifetime, ended, is_over: false, leash }, ());
+                    return (Connection { stream, lifetime, ended, is_over: false, deadline }, ());
                 }
                 Ok(_) => {}
                 Err(_) => sleep(PAUSE).await,
@@ -188,13 +188,13 @@ enum Stream {
 
 /// Ends the lifetime's limit of one connection.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Leash {
+pub(crate) struct ConnectionDeadline {
     /// The other end's; `None` on a Unix socket.
     pub(crate) address: Option<IpAddr>,
     is_released: Arc<AtomicBool>,
 }
 
-impl Leash {
+impl ConnectionDeadline {
     /// From now on the connection may last.
     pub(crate) fn release(&self) {
         self.is_released.store(true, Ordering::Relaxed);
@@ -205,9 +205,9 @@ impl Leash {
     }
 }
 
-impl Connected<IncomingStream<'_, Door>> for Leash {
-    fn connect_info(stream: IncomingStream<'_, Door>) -> Self {
-        stream.io().leash.clone()
+impl Connected<IncomingStream<'_, LimitedListener>> for ConnectionDeadline {
+    fn connect_info(stream: IncomingStream<'_, LimitedListener>) -> Self {
+        stream.io().deadline.clone()
     }
 }
 
@@ -217,7 +217,7 @@ pub(crate) struct Connection {
     lifetime: Pin<Box<Sleep>>,
     ended: oneshot::Receiver<()>,
     is_over: bool,
-    leash: Leash,
+    deadline: ConnectionDeadline,
 }
 
 impl Connection {
@@ -228,7 +228,7 @@ impl Connection {
         poll: impl FnOnce(&mut Stream, &mut Context<'_>) -> Poll<io::Result<T>>,
     ) -> Poll<io::Result<T>> {
         let polled = poll(&mut self.stream, context);
-        if self.leash.is_released() || polled.is_ready() {
+        if self.deadline.is_released() || polled.is_ready() {
             return polled;
         }
         // A receiver that is ready is not polled again.
@@ -333,28 +333,28 @@ mod tests {
 
     use super::*;
 
-    fn is_allowed(host: Option<&'static str>, origin: Option<&'static str>, reach: Reach) -> bool {
+    fn is_allowed(host: Option<&'static str>, origin: Option<&'static str>, scope: BindScope) -> bool {
         let mut headers = HeaderMap::new();
         for (name, value) in [(HOST, host), (ORIGIN, origin)] {
             headers.extend(value.map(|value| (name, HeaderValue::from_static(value))));
         }
-        is_own(&headers, reach)
+        is_own(&headers, scope)
     }
 
     #[test]
     fn pages_of_others_are_not_answered() {
         for host in ["localhost", "LOCALHOST:7450", "127.0.0.1", "127.0.0.1:7450", "127.3.2.1:1", "[::1]:7450", "[::1]"]
         {
-            assert!(is_allowed(Some(host), None, Reach::Loopback), "{host}");
+            assert!(is_allowed(Some(host), None, BindScope::Loopback), "{host}");
         }
-        assert!(is_allowed(None, None, Reach::Loopback), "as HTTP/1.0 may do");
+        assert!(is_allowed(None, None, BindScope::Loopback), "as HTTP/1.0 may do");
         for host in ["evil.example:7450", "localhost.evil.example", "127.0.0.1.evil.example", "", "[::2]:1", "10.0.0.1"]
         {
-            assert!(!is_allowed(Some(host), None, Reach::Loopback), "{host}");
-            assert!(is_allowed(Some(host), None, Reach::Anywhere), "{host}");
+            assert!(!is_allowed(Some(host), None, BindScope::Loopback), "{host}");
+            assert!(is_allowed(Some(host), None, BindScope::Anywhere), "{host}");
         }
-        for reach in [Reach::Loopback, Reach::Anywhere] {
-            let asked_by = |origin| is_allowed(Some("127.0.0.1:7450"), Some(origin), reach);
+        for scope in [BindScope::Loopback, BindScope::Anywhere] {
+            let asked_by = |origin| is_allowed(Some("127.0.0.1:7450"), Some(origin), scope);
             assert!(asked_by("http://127.0.0.1:7450"));
             for origin in ["http://evil.example", "https://127.0.0.1:7450", "http://127.0.0.1:8000", "null", ""] {
                 assert!(!asked_by(origin), "{origin}");

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use axum::http::{HeaderMap, HeaderName, HeaderValue};
 
-use crate::http::{self, Reach};
+use crate::http::{self, BindScope};
 use crate::{commands, live};
 use slitpose_tracking::capture::{CaptureError, CaptureReader, Entry};
 use slitpose_tracking::link::Segment;
@@ -67,5 +67,5 @@ pub fn is_own_request<'a>(headers: impl IntoIterator<Item = (&'a [u8], &'a [u8])
         };
         map.append(name, value);
     }
-    http::is_own(&map, Reach::Loopback)
+    http::is_own(&map, BindScope::Loopback)
 }

@@ -6,8 +6,8 @@ use std::time::Duration;
 use criterion::{Criterion, criterion_group, criterion_main};
 use glam::DVec3;
 use slitpose_model::{
-    Converters, MotionPrior, Photocurrents, Plan, Pose, Profile, ProfileShape, Scene, Solver, Start, Stray, Tier,
-    Window,
+    CompiledScene, Converters, MotionPrior, Photocurrents, Pose, Profile, ProfileShape, Scene, Solver, Start, Stray,
+    Tier, Window,
 };
 
 #[path = "../tests/testsuite/common/mod.rs"]
@@ -85,7 +85,7 @@ fn forward(c: &mut Criterion) {
     let mut group = c.benchmark_group("six cells");
     group.measurement_time(Duration::from_secs(3)).throughput(criterion::Throughput::Elements(poses.len() as u64));
     for (name, scene, tier) in cases() {
-        let plan = Plan::<f64>::compile(&scene, tier).expect("scene");
+        let plan = CompiledScene::<f64>::compile(&scene, tier).expect("scene");
         group.bench_function(format!("{name}, currents"), |b| {
             b.iter(|| {
                 for pose in &poses {

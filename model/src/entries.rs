@@ -6,7 +6,7 @@
 
 use heapless::Vec;
 
-use crate::plan::{CellTerms, CellsAtOnce, NoLanes, Plan, Tier, evaluate};
+use crate::plan::{CellTerms, CellsAtOnce, CompiledScene, NoLanes, Tier, evaluate};
 use crate::pose::{Pose, Transform};
 use crate::response::{Pair, Response};
 use crate::scalar::Number;
@@ -20,17 +20,17 @@ pub trait Scalar: Number {
     type WideCells: CellsAtOnce<Self>;
 
     fn set_scene(solver: &mut Solver<Self>, scene: &Scene, tier: Tier) -> Result<(), SceneError>;
-    fn compile(scene: &Scene, tier: Tier) -> Result<Plan<Self>, SceneError>;
-    fn respond(plan: &Plan<Self>, cell: usize, pose: &Pose) -> Response<Self>;
-    fn photocurrents(plan: &Plan<Self>, cell: usize, pose: &Pose) -> Pair<Self>;
+    fn compile(scene: &Scene, tier: Tier) -> Result<CompiledScene<Self>, SceneError>;
+    fn respond(plan: &CompiledScene<Self>, cell: usize, pose: &Pose) -> Response<Self>;
+    fn photocurrents(plan: &CompiledScene<Self>, cell: usize, pose: &Pose) -> Pair<Self>;
     fn photocurrents_of(
-        plan: &Plan<Self>,
+        plan: &CompiledScene<Self>,
         cell: usize,
         lit: &mut dyn Iterator<Item = (usize, Self)>,
         pose: &Pose,
     ) -> Pair<Self>;
-    fn linearise(plan: &Plan<Self>, cell: usize, pose: &Pose) -> CellTerms<Self>;
-    fn spot_outline_m(plan: &Plan<Self>, cell: usize, pose: &Pose) -> Vec<[Self; 2], 16>;
+    fn linearise(plan: &CompiledScene<Self>, cell: usize, pose: &Pose) -> CellTerms<Self>;
+    fn spot_outline_m(plan: &CompiledScene<Self>, cell: usize, pose: &Pose) -> Vec<[Self; 2], 16>;
     fn free_directions(solver: &Solver<Self>, pose: &Pose) -> Option<Directions>;
     fn bound(solver: &Solver<Self>, pose: &Pose) -> Option<[[Self; 6]; 6]>;
     fn solve(
@@ -65,24 +65,24 @@ macro_rules! entries_of {
             set_scene(solver: &mut Solver<Self>, scene: &Scene, tier: Tier) -> Result<(), SceneError> {
                 solver.set_scene_here(scene, tier)
             }
-            compile(scene: &Scene, tier: Tier) -> Result<Plan<Self>, SceneError> {
-                Plan::compile_here(scene, tier)
+            compile(scene: &Scene, tier: Tier) -> Result<CompiledScene<Self>, SceneError> {
+                CompiledScene::compile_here(scene, tier)
             }
-            respond(plan: &Plan<Self>, cell: usize, pose: &Pose) -> Response<Self> {
+            respond(plan: &CompiledScene<Self>, cell: usize, pose: &Pose) -> Response<Self> {
                 evaluate::respond(plan, cell, &Transform::of(pose))
             }
-            photocurrents(plan: &Plan<Self>, cell: usize, pose: &Pose) -> Pair<Self> {
+            photocurrents(plan: &CompiledScene<Self>, cell: usize, pose: &Pose) -> Pair<Self> {
                 evaluate::photocurrents(plan, cell, &Transform::of(pose))
             }
             photocurrents_of(
-                plan: &Plan<Self>, cell: usize, lit: &mut dyn Iterator<Item = (usize, Self)>, pose: &Pose
+                plan: &CompiledScene<Self>, cell: usize, lit: &mut dyn Iterator<Item = (usize, Self)>, pose: &Pose
             ) -> Pair<Self> {
                 evaluate::photocurrents_of_emitters(plan, cell, lit, &Transform::of(pose))
             }
-            linearise(plan: &Plan<Self>, cell: usize, pose: &Pose) -> CellTerms<Self> {
+            linearise(plan: &CompiledScene<Self>, cell: usize, pose: &Pose) -> CellTerms<Self> {
                 evaluate::linearise(plan, cell, &Transform::of(pose))
             }
-            spot_outline_m(plan: &Plan<Self>, cell: usize, pose: &Pose) -> Vec<[Self; 2], 16> {
+            spot_outline_m(plan: &CompiledScene<Self>, cell: usize, pose: &Pose) -> Vec<[Self; 2], 16> {
                 evaluate::outline(plan, cell, &Transform::of(pose))
             }
             free_directions(solver: &Solver<Self>, pose: &Pose) -> Option<Directions> {

@@ -2,7 +2,7 @@
 //!
 //! Each cell is an infrared emitter on the tool, a slit in a mask on the base, and behind it a
 //! one-dimensional position-sensitive detector whose two photocurrents measure position and power of
-//! the light that passes the slit. A [`Scene`] describes the cells; a [`Plan`], compiled from the
+//! the light that passes the slit. A [`Scene`] describes the cells; a [`CompiledScene`], compiled from the
 //! scene, gives each cell's photocurrents at a [`Pose`] and their derivatives with respect to the pose.
 //!
 //! # Conventions
@@ -48,7 +48,7 @@
 //! };
 //! let scene = Scene { cells: (0..6).map(cell).collect(), ..Scene::default() };
 //! let tier = Tier::Exact { tolerance: 1e-6 };
-//! let plan = Plan::<f64>::compile(&scene, tier)?;
+//! let plan = CompiledScene::<f64>::compile(&scene, tier)?;
 //! let truth = Pose::from_vectors(DVec3::new(1e-3, -2e-3, 0.5e-3), DVec3::new(0.0, 0.1, 0.05));
 //! let currents = Photocurrents::of_pairs((0..6).map(|k| plan.photocurrents(k, &truth)));
 //!
@@ -88,7 +88,7 @@ pub use effects::{
 };
 pub use entries::Scalar;
 pub use paper::identified_relative_intensity;
-pub use plan::{BOARD_CELLS, CompactPlan, CurrentsJacobian, Plan, Tier};
+pub use plan::{BOARD_CELLS, CompactPlan, CompiledScene, CurrentsJacobian, Tier};
 pub use pose::{Pose, Twist, rotation_exp, rotation_log};
 pub use response::{Flags, Integration, Pair, Response, Status};
 pub use scalar::{Linear3, Number, Real, Vector3};
@@ -97,9 +97,9 @@ pub use scene::{
     MAX_PROFILE_KNOTS, Noise, Place, Profile, Scene, SceneError, Slit, Uncertainty,
 };
 pub use solve::{
-    AXES, BoardTracker, Cells, CompactError, CompactFrame, CompactPart, DegradedReason, Directions, Estimate,
-    MIN_CELLS, Filtered, MotionPrior, Outcome, Photocurrents, Reading, Solution, Solver, Start, Tracked, Tracker,
-    TwistEstimate, Verified,
+    AXES, BoardTracker, Cells, CompactError, CompactFrame, CompactPart, DegradedReason, Directions, Estimate, Filtered,
+    MIN_CELLS, MotionPrior, Outcome, Photocurrents, Reading, Solution, Solver, Start, Tracked, Tracker, TwistEstimate,
+    Verified,
 };
 #[cfg(feature = "batch")]
 pub use solve::{Batch, Starts};

@@ -10,7 +10,7 @@ pub struct Integration<S> {
     /// Evaluations of the profile for one cell's currents.
     pub evaluations: usize,
     /// Greatest error of each electrode's photocurrent, relative to the sum of both: the plan's
-    /// tolerance, or more if rounding or [`Plan::MAX_EVALUATIONS`](crate::Plan::MAX_EVALUATIONS) prevents that;
+    /// tolerance, or more if rounding or [`CompiledScene::MAX_EVALUATIONS`](crate::CompiledScene::MAX_EVALUATIONS) prevents that;
     /// infinite if the limit was reached before any light was found.
     pub relative_error: S,
 }

@@ -2,7 +2,7 @@
 //!
 //! All values are `f64` in SI units. Positions and directions of detectors are in the base frame,
 //! those of emitters in the tool frame. To evaluate a [`Scene`], compile it to a
-//! [`Plan`](crate::Plan).
+//! [`CompiledScene`](crate::CompiledScene).
 
 use crate::effects::{Effects, Opening};
 use glam::{DVec2, DVec3};

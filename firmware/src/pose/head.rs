@@ -206,7 +206,7 @@ pub(super) mod tests {
 
     use glam::{DVec2, DVec3};
     use slitpose_model::{
-        Cell, DEFAULT_FAINT_A, Detector, Effects, Emitter, Noise, Plan, Pose, Profile, Scene, Slit, Tier,
+        Cell, CompiledScene, DEFAULT_FAINT_A, Detector, Effects, Emitter, Noise, Pose, Profile, Scene, Slit, Tier,
     };
     use slitpose_protocol::WordPair;
 
@@ -272,7 +272,7 @@ pub(super) mod tests {
 
     /// What the converters give with the tool at rest at `pose`.
     pub(in crate::pose) fn scan(pose: &Pose, sequence: u64) -> RawScan {
-        let plan = Plan::<f64>::compile(&scene(), Tier::Exact { tolerance: 1e-6 }).expect("valid");
+        let plan = CompiledScene::<f64>::compile(&scene(), Tier::Exact { tolerance: 1e-6 }).expect("valid");
         let mut scan = RawScan::new(6, true);
         (scan.sequence, scan.tick) = (sequence, 42_500 * sequence);
         scan.levels_mut().fill(Level::NOMINAL);

@@ -6,7 +6,7 @@ use std::f64::consts::{PI, TAU};
 
 use glam::{DVec2, DVec3};
 use slitpose_head::scene_file::SceneFile;
-use slitpose_model::{Cell, Effects, Pair, Plan, Pose, Scene, SceneError, Tier, rotation_exp};
+use slitpose_model::{Cell, CompiledScene, Effects, Pair, Pose, Scene, SceneError, Tier, rotation_exp};
 
 use crate::chance::Chance;
 
@@ -72,7 +72,7 @@ pub(crate) struct BeyondOptics {
     of: Beyond,
     length_m: f64,
     /// Light of the cell alone, with its weight: the differences that make chip and slit.
-    parts: Vec<(f64, Plan<f64>)>,
+    parts: Vec<(f64, CompiledScene<f64>)>,
 }
 
 impl BeyondOptics {
@@ -98,7 +98,7 @@ impl BeyondOptics {
         }
         let compile = |(weight, cell): (f64, Cell)| {
             let scene = Scene { cells: [cell].into_iter().collect(), ..Scene::default() };
-            Ok((weight, Plan::compile(&scene, tier)?))
+            Ok((weight, CompiledScene::compile(&scene, tier)?))
         };
         let parts = cells.into_iter().map(compile).collect::<Result<_, SceneError>>()?;
         Ok(Self { of: beyond, length_m: cell.detector.length_m, parts })
@@ -152,7 +152,7 @@ mod tests {
         let pose = Pose::from_vectors(DVec3::new(1e-3, -2e-3, 1e-3), DVec3::new(0.1, -0.05, 0.1));
         let total = |cell: Cell| {
             let scene = Scene { cells: [cell].into_iter().collect(), ..Scene::default() };
-            Plan::<f64>::compile(&scene, TIER).unwrap().photocurrents(0, &pose).total_a()
+            CompiledScene::<f64>::compile(&scene, TIER).unwrap().photocurrents(0, &pose).total_a()
         };
         let halves = total(half_slit(&cell, 1.0)) + total(half_slit(&cell, -1.0));
         let whole = total(cell);
@@ -165,7 +165,7 @@ mod tests {
         let file = WIDE.read().unwrap();
         let mut chance = Chance::of(1, 0);
         let drawn = Beyond::draw(&file, 7e-6, &mut chance);
-        let plan = Plan::<f64>::compile(&file.scene, TIER).unwrap();
+        let plan = CompiledScene::<f64>::compile(&file.scene, TIER).unwrap();
         let pose = Pose::from_vectors(DVec3::new(1e-3, -2e-3, 1e-3), DVec3::new(0.1, -0.05, 0.1));
         let pair = plan.photocurrents(0, &pose);
         let change = |beyond: Beyond| {

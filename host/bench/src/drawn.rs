@@ -4,7 +4,7 @@ use slitpose_calibration::{Parameter, draw};
 use slitpose_head::front_end::{Stage, TimingError, configuration};
 use slitpose_head::scene_file::{SceneFile, SceneFileError};
 use slitpose_head::simulator::{Electronics, Light, noisy_reading};
-use slitpose_model::{Noise, Pair, Plan, Pose, Scene, SceneError, Status, Tier};
+use slitpose_model::{CompiledScene, Noise, Pair, Pose, Scene, SceneError, Status, Tier};
 
 use crate::BenchError;
 use crate::beyond::{Beyond, BeyondOptics};
@@ -44,7 +44,7 @@ pub struct DrawnHead {
 /// The light of a drawn head.
 #[derive(Debug)]
 struct Optics {
-    plan: Plan<f64>,
+    plan: CompiledScene<f64>,
     beyond: Vec<BeyondOptics>,
 }
 
@@ -66,7 +66,7 @@ impl Light for Optics {
 impl Optics {
     fn of(scene: &Scene, beyond: &[Beyond]) -> Result<Self, SceneError> {
         let beyond = scene.cells.iter().zip(beyond).map(|(cell, beyond)| BeyondOptics::of(cell, beyond.clone(), TIER));
-        Ok(Self { plan: Plan::compile(scene, TIER)?, beyond: beyond.collect::<Result<_, _>>()? })
+        Ok(Self { plan: CompiledScene::compile(scene, TIER)?, beyond: beyond.collect::<Result<_, _>>()? })
     }
 }
 
@@ -79,7 +79,7 @@ impl DrawnHead {
         let nominal = &with_tolerance(scene)?;
         let mut chance = Chance::of(seed, 0);
         let (scene, parameters) = draw(nominal, || chance.within_three_sigma())?;
-        let plan = Plan::compile(&scene, TIER)?;
+        let plan = CompiledScene::compile(&scene, TIER)?;
         let mut chance = Chance::of(seed, 1);
         let mut of_cell = |cell| Beyond::draw(nominal, plan.photocurrents(cell, &Pose::HOME).total_a(), &mut chance);
         let beyond: Vec<Beyond> = match within {

@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, SymmetricEigen};
 use slitpose_head::scene_file::Workspace;
 use slitpose_head::table::POSE_COLUMNS;
-use slitpose_model::{Plan, Pose, Scene, SceneError};
+use slitpose_model::{CompiledScene, Pose, Scene, SceneError};
 
 use crate::adjust::FIRST_ERROR;
 use crate::data::{Constraint, Data, values_of};
@@ -182,7 +182,7 @@ const EXPLAINED: f64 = 0.5;
 /// # Errors
 /// A scene that cannot be computed.
 pub(crate) fn light_drift(nominal: &Scene, data: &Data, state: &State) -> Result<Option<String>, SceneError> {
-    let plan = Plan::<f64>::compile(&state.parameters.scene(nominal), TIER)?;
+    let plan = CompiledScene::<f64>::compile(&state.parameters.scene(nominal), TIER)?;
     for group in &data.groups {
         let trend = |cell: usize| {
             let rows = group.rows.clone().filter_map(|row| {

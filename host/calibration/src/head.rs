@@ -6,7 +6,8 @@ use std::sync::Arc;
 use heapless::Vec as FixedVec;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_model::{
-    Cell, DegradedReason, Estimate, ModelError, Outcome, Plan, Pose, Scene, SceneError, Solution, Status, Tier, Tracked,
+    Cell, CompiledScene, DegradedReason, Estimate, ModelError, Outcome, Pose, Scene, SceneError, Solution, Status,
+    Tier, Tracked,
 };
 
 use crate::parameter::Quantity;
@@ -159,7 +160,7 @@ const STEP: f64 = 0.25;
 /// Its poses are off by the same amount at every visit: half a millimetre for milled parts.
 ///
 /// # Errors
-/// Those of [`Plan::compile`].
+/// Those of [`CompiledScene::compile`].
 pub fn uncalibrated(file: &SceneFile) -> Result<Scene, SceneError> {
     let parameters = prior::parameters(file)?;
     let mut scene = parameters.scene(&file.scene);
@@ -210,7 +211,7 @@ fn is_stray(quantity: Quantity) -> bool {
 
 /// One cell on its own.
 struct Observer {
-    plan: Plan<f64>,
+    plan: CompiledScene<f64>,
     half_length_m: f64,
 }
 
@@ -220,7 +221,7 @@ impl Observer {
         cell.effects.lit_together = 0;
         let half_length_m = 0.5 * cell.detector.length_m;
         let scene = Scene { cells: FixedVec::from_iter([cell]), ..Scene::default() };
-        Ok(Self { plan: Plan::compile(&scene, Tier::Paper)?, half_length_m })
+        Ok(Self { plan: CompiledScene::compile(&scene, Tier::Paper)?, half_length_m })
     }
 
     /// The currents of a spot that lies on the detector.
@@ -276,7 +277,7 @@ mod tests {
     fn heads_drawn_from_the_tolerances_have_a_pose_everywhere_with_an_honest_covariance() {
         let file = WIDE.read().expect("the scene");
         let scene = uncalibrated(&file).expect("a head");
-        let usual = Plan::<f64>::compile(&scene, TIER).expect("a head");
+        let usual = CompiledScene::<f64>::compile(&scene, TIER).expect("a head");
         let solver = Solver::<f64>::new(&scene, TIER).expect("a head");
         let parameters = prior::parameters(&file).expect("a prior");
         let mut rng = ChaCha8Rng::seed_from_u64(SEED);
@@ -287,7 +288,7 @@ mod tests {
             for entry in &mut drawn.entries {
                 entry.value += entry.sigma * rng.sample::<f64, _>(StandardNormal);
             }
-            let truth = Plan::<f64>::compile(&drawn.scene(&file.scene), TIER).expect("a head");
+            let truth = CompiledScene::<f64>::compile(&drawn.scene(&file.scene), TIER).expect("a head");
             for _ in 0..ROWS {
                 let mut within =
                     |extent: DVec3| extent * DVec3::from_array([(); 3].map(|()| rng.random_range(-1.0..1.0)));

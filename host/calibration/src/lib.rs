@@ -38,7 +38,7 @@ mod track;
 
 use serde::Deserialize;
 use slitpose_head::scene_file::SceneFile;
-use slitpose_model::{ModelError, Plan, Pose, Scene, Tier};
+use slitpose_model::{CompiledScene, ModelError, Pose, Scene, Tier};
 
 pub use clock::{Clock, ClockError, read_tracked};
 pub use data::{Constraint, Data, Group, Knowledge, Row, compose, inverse};
@@ -189,7 +189,7 @@ impl Calibration {
         for (cell, error) in scene.cells.iter_mut().zip(&self.model_errors) {
             cell.effects.model_error = *error;
         }
-        Plan::<f64>::compile(&scene, Tier::Paper)
+        CompiledScene::<f64>::compile(&scene, Tier::Paper)
             .map_err(|source| CalibrationFileError::Impossible(self.origin.clone(), source))?;
         Ok(scene)
     }

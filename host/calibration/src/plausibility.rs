@@ -2,7 +2,7 @@
 
 use glam::{DQuat, DVec3};
 use slitpose_head::table::POSE_COLUMNS;
-use slitpose_model::{Cell, Plan, Pose, Scene, SceneError, rotation_exp};
+use slitpose_model::{Cell, CompiledScene, Pose, Scene, SceneError, rotation_exp};
 use thiserror::Error;
 
 use crate::data::{Constraint, Data, Group, Row, compose, inverse, values_of};
@@ -339,7 +339,7 @@ pub type Reports<'a> = &'a dyn Fn(usize) -> Option<Pose>;
 
 /// Where the light is, of rows with reported poses.
 struct Spots<'a> {
-    plan: Plan<f64>,
+    plan: CompiledScene<f64>,
     /// How far tolerances move the spots of each cell, as a share of half the detector.
     sigmas: Vec<f64>,
     /// The rows, and where they are in their file.
@@ -369,7 +369,7 @@ impl<'a> Spots<'a> {
         let of_rows: Vec<Row> =
             if has_own_frames { rows.iter().map(|&row| data.rows[row].clone()).collect() } else { Vec::new() };
         Ok(Some(Self {
-            plan: Plan::compile(scene, TIER)?,
+            plan: CompiledScene::compile(scene, TIER)?,
             sigmas: scene.cells.iter().map(sigma).collect(),
             readings: rows.iter().map(|&row| data.rows[row].readings.as_slice()).collect(),
             reports: rows.iter().filter_map(|&row| data.rows[row].reported()).collect(),

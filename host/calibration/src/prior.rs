@@ -2,7 +2,7 @@
 
 use heapless::Vec as FixedVec;
 use slitpose_head::scene_file::{SceneFile, Tolerance};
-use slitpose_model::{Cell, MAX_CELLS, Opening, Plan, Pose, Profile, Scene, SceneError, Tier};
+use slitpose_model::{Cell, CompiledScene, MAX_CELLS, Opening, Pose, Profile, Scene, SceneError, Tier};
 
 use crate::parameter::{NONLINEARITY_ORDERS, Quantity, cell_with};
 
@@ -40,10 +40,10 @@ const CODES: f64 = 4096.0;
 /// Every parameter that the tolerances of `file` leave open, at its most probable value.
 ///
 /// # Errors
-/// Those of [`Plan::compile`].
+/// Those of [`CompiledScene::compile`].
 pub(crate) fn parameters(file: &SceneFile) -> Result<Parameters, SceneError> {
     let tolerance = file.tolerance.unwrap_or_default();
-    let plan = Plan::<f64>::compile(&file.scene, Tier::Exact { tolerance: 1e-6 })?;
+    let plan = CompiledScene::<f64>::compile(&file.scene, Tier::Exact { tolerance: 1e-6 })?;
     let extent_m = file.workspace.half_extent_m.max_element().max(1e-3);
     let (full_scale_a, codes) = match &file.front_end {
         Some(front_end) => (front_end.full_scale_a, f64::from(front_end.adc_bits).exp2()),
@@ -206,7 +206,7 @@ impl Parameters {
 /// as it is, with a standard deviation of zero. `normal` gives standard normal numbers.
 ///
 /// # Errors
-/// Those of [`slitpose_model::Plan::compile`].
+/// Those of [`slitpose_model::CompiledScene::compile`].
 pub fn draw(file: &SceneFile, mut normal: impl FnMut() -> f64) -> Result<(Scene, Vec<Parameter>), SceneError> {
     let mut parameters = parameters(file)?;
     for entry in &mut parameters.entries {
@@ -227,7 +227,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
     use rand_distr::StandardNormal;
     use slitpose_head::scene_file::{SceneFile, WIDE};
-    use slitpose_model::{Plan, Pose, Tier};
+    use slitpose_model::{CompiledScene, Pose, Tier};
 
     use crate::Quantity;
 
@@ -264,7 +264,7 @@ mod tests {
             let (_, found) = draw(file, || 0.0).expect("a head");
             found.iter().filter(|entry| matches!(entry.quantity, Quantity::Stray(_))).map(|entry| entry.value).collect()
         };
-        let home = Plan::<f64>::compile(&file.scene, Tier::Exact { tolerance: 1e-6 }).expect("a scene");
+        let home = CompiledScene::<f64>::compile(&file.scene, Tier::Exact { tolerance: 1e-6 }).expect("a scene");
         let expected = 0.03 * 0.399 * home.photocurrents(0, &Pose::HOME).total_a();
         let found = stray(&file);
         assert!(found.len() == 12 && found.iter().all(|value| (value / expected - 1.0).abs() < 1e-3), "{found:?}");

@@ -42,8 +42,7 @@ impl ReadingNoise {
         let total = (pair[0] + pair[1]).abs().max(f64::MIN_POSITIVE);
         let square = total * total;
         let moved = error.position_m * self.per_length;
-        let own =
-            self.electrode / frames + error.current_a * error.current_a + MIN_RELATIVE * MIN_RELATIVE * square;
+        let own = self.electrode / frames + error.current_a * error.current_a + MIN_RELATIVE * MIN_RELATIVE * square;
         let across = self.johnson / frames + moved * moved * square;
         let even = 0.25 * self.dark / frames;
         let along = self.shot_a / (total * frames) + error.relative * error.relative;

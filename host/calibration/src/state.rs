@@ -1,7 +1,7 @@
 //! Everything that an adjustment changes; currents and their derivatives there, and what is left between readings and model.
 
 use slitpose_head::threads::on_all_cores;
-use slitpose_model::{ModelError, Plan, Pose, Scene, SceneError, Status, Tier};
+use slitpose_model::{CompiledScene, ModelError, Pose, Scene, SceneError, Status, Tier};
 
 use crate::constraint;
 use crate::data::{Constraint, Data, Group, compose, inverse, pose_of};
@@ -198,7 +198,7 @@ fn of_cell(
     let acting = parameters.acting_on(cell, number, cell.effects.lit_together);
     let plan_of = |changed| {
         let (scene, index) = scene_of(nominal, parameters, number, changed);
-        Ok((Plan::<f64>::compile(&scene, TIER)?, index))
+        Ok((CompiledScene::<f64>::compile(&scene, TIER)?, index))
     };
     let (plan, index) = plan_of(None)?;
     let mut pairs = Vec::with_capacity(poses.len());
@@ -266,7 +266,8 @@ pub(crate) fn residuals(nominal: &Scene, data: &Data, state: &State) -> Result<V
             .collect(),
         ..state.parameters
     };
-    let [before, after] = [&at_prior, &state.parameters].map(|of| Plan::<f64>::compile(&of.scene(nominal), TIER));
+    let [before, after] =
+        [&at_prior, &state.parameters].map(|of| CompiledScene::<f64>::compile(&of.scene(nominal), TIER));
     let (before, after) = (before?, after?);
     let mut found = Vec::new();
     for (row, pose) in data.rows.iter().zip(&state.poses) {
@@ -274,7 +275,7 @@ pub(crate) fn residuals(nominal: &Scene, data: &Data, state: &State) -> Result<V
             let (Some(reading), response) = (*reading, after.respond(cell, pose)) else { continue };
             let (Some(position_m), Some(angle_rad)) = (response.x_a_m, response.gamma_rad) else { continue };
             let half_length_m = 0.5 * nominal.cells[cell].detector.length_m;
-            let deviation = |plan: &Plan<f64>| {
+            let deviation = |plan: &CompiledScene<f64>| {
                 let pair = plan.photocurrents(cell, pose);
                 let expected = [pair.i_x1_a, pair.i_x2_a];
                 let change = [reading[0] - expected[0], reading[1] - expected[1]];

@@ -11,7 +11,7 @@ use slitpose_calibration::{
     calibrate, draw, inverse, validity,
 };
 use slitpose_head::scene_file::{MAGLEV, SPACEMOUSE, SceneFile, WIDE};
-use slitpose_model::{Noise, Plan, Pose, Scene, Tier};
+use slitpose_model::{CompiledScene, Noise, Pose, Scene, Tier};
 
 const SEED: u64 = 5;
 const TIER: Tier = Tier::Exact { tolerance: 1e-6 };
@@ -51,7 +51,7 @@ impl Bench {
 
     /// Readings all over the workspace, means of 16 frames, and what an instrument says of them.
     fn rows(&mut self, head: &Scene, count: usize, [sigma_m, sigma_rad]: [f64; 2]) -> Vec<Row> {
-        let plan = Plan::<f64>::compile(head, TIER).expect("a head");
+        let plan = CompiledScene::<f64>::compile(head, TIER).expect("a head");
         let row = |_| {
             let workspace = self.file.workspace;
             let pose = Pose::from_vectors(self.vector(workspace.half_extent_m), self.vector(workspace.half_extent_rad));
@@ -65,7 +65,7 @@ impl Bench {
 
     /// Readings along x, a fifth of a millimetre apart, and how far the stage says it has moved.
     fn stage(&mut self, head: &Scene, scale: f64) -> Vec<Row> {
-        let plan = Plan::<f64>::compile(head, TIER).expect("a head");
+        let plan = CompiledScene::<f64>::compile(head, TIER).expect("a head");
         let row = |number: i32| {
             let moved_m = f64::from(number) * 0.2e-3;
             let readings = self.readings(&plan, &Pose::from_vectors(DVec3::X * moved_m, DVec3::splat(0.05)));
@@ -74,7 +74,7 @@ impl Bench {
         (-10..=10).map(row).collect()
     }
 
-    fn readings(&mut self, plan: &Plan<f64>, pose: &Pose) -> Vec<Option<[f64; 2]>> {
+    fn readings(&mut self, plan: &CompiledScene<f64>, pose: &Pose) -> Vec<Option<[f64; 2]>> {
         let noise_a = NOISE_A / 4.0;
         let mut read = |cell| {
             let pair = plan.photocurrents(cell, pose);
@@ -94,8 +94,8 @@ impl Bench {
     /// `found` predicts the light of `head` to 0.1 % of its intensity and a micrometre of its place, root mean square over
     /// the workspace.
     fn assert_predicted(&mut self, found: &Calibration, head: &Scene) {
-        let plan = Plan::<f64>::compile(&found.apply(&self.file).expect("a head"), TIER).expect("a head");
-        let truth = Plan::<f64>::compile(head, TIER).expect("a head");
+        let plan = CompiledScene::<f64>::compile(&found.apply(&self.file).expect("a head"), TIER).expect("a head");
+        let truth = CompiledScene::<f64>::compile(head, TIER).expect("a head");
         let mut squares = [0.0_f64; 2];
         for _ in 0..200 {
             let most = |usual: f64, extent: DVec3| extent.min(DVec3::splat(usual));
@@ -103,7 +103,7 @@ impl Bench {
             let translation_m = self.vector(most(3e-3, workspace.half_extent_m));
             let pose = Pose::from_vectors(translation_m, self.vector(most(0.2, workspace.half_extent_rad)));
             for cell in 0..plan.cell_count() {
-                let share = |plan: &Plan<f64>| {
+                let share = |plan: &CompiledScene<f64>| {
                     let pair = plan.photocurrents(cell, &pose);
                     [pair.total_a().ln(), pair.i_x2_a / pair.total_a()]
                 };

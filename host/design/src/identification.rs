@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use slitpose_model::{Cell, Plan, Pose, Status, identified_relative_intensity};
+use slitpose_model::{Cell, CompiledScene, Pose, Status, identified_relative_intensity};
 use thiserror::Error;
 
 /// One point of a profile.
@@ -20,7 +20,7 @@ pub struct Identified {
 /// I_rel(γ) = I_Om/(S·Ω·I_e), with the known dark current taken off I_Om first.
 ///
 /// `None` unless the cell is lit.
-pub fn identify(cell: &Cell, plan: &Plan<f64>, number: usize, pose: &Pose, i_om_a: f64) -> Option<Identified> {
+pub fn identify(cell: &Cell, plan: &CompiledScene<f64>, number: usize, pose: &Pose, i_om_a: f64) -> Option<Identified> {
     let response = plan.respond(number, pose);
     let relative_intensity = identified_relative_intensity(
         i_om_a - cell.detector.dark_current_a,

@@ -11,7 +11,7 @@ use slitpose_calibration::Head;
 use slitpose_design::map::Outlook;
 use slitpose_design::plot::{cell_picture, scene_picture};
 use slitpose_head::scene_file::SceneFile;
-use slitpose_model::{Pair, Plan, Pose, Status, Tier};
+use slitpose_model::{CompiledScene, Pair, Pose, Status, Tier};
 use slitpose_tracking::solving::{MODEL_TOLERANCE, RowSolver, STREAM_TOLERANCE};
 
 use crate::arrays::{Columns, SolutionColumns, put_matrix};
@@ -120,7 +120,7 @@ impl Scene {
     ) -> PyResult<Bound<'py, PyDict>> {
         let poses = poses(&translation_m, &rotation)?;
         let tier = tier_choice(tier, tolerance)?.tier(MODEL_TOLERANCE);
-        let plan = beside(py, |_| Plan::<f64>::compile(&self.head.file.scene, tier))?.map_err(raised)?;
+        let plan = beside(py, |_| CompiledScene::<f64>::compile(&self.head.file.scene, tier))?.map_err(raised)?;
         let cells = self.cells();
         let rows = each_row(py, poses.len(), |row| {
             (0..cells).map(|cell| plan.respond(cell, &poses[row])).collect::<Vec<_>>()
@@ -166,7 +166,7 @@ impl Scene {
     ) -> PyResult<Bound<'py, PyDict>> {
         let poses = poses(&translation_m, &rotation)?;
         let tier = tier_choice(tier, tolerance)?.tier(MODEL_TOLERANCE);
-        let plan = beside(py, |_| Plan::<f64>::compile(&self.head.file.scene, tier))?.map_err(raised)?;
+        let plan = beside(py, |_| CompiledScene::<f64>::compile(&self.head.file.scene, tier))?.map_err(raised)?;
         let cells = self.cells();
         let rows = each_row(py, poses.len(), |row| {
             (0..cells).map(|cell| plan.linearise(cell, &poses[row])).collect::<Vec<_>>()
@@ -286,7 +286,7 @@ impl Scene {
         };
         let file = &self.head.file;
         let tier = Tier::Exact { tolerance: PICTURE_TOLERANCE };
-        let plan = beside(py, |_| Plan::<f64>::compile(&file.scene, tier))?.map_err(raised)?;
+        let plan = beside(py, |_| CompiledScene::<f64>::compile(&file.scene, tier))?.map_err(raised)?;
         match cell {
             None => scene_picture(&file.name, &file.scene, &plan, pose).map_err(raised),
             Some(number) => match file.scene.cells.get(number) {

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::ValueEnum;
-use slitpose_model::{Plan, Tier};
+use slitpose_model::{CompiledScene, Tier};
 
 use super::options::{open_scene, parse_number};
 use super::{CommandError, Outcome, options, talk};
@@ -65,7 +65,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let file = open_scene(&args.scene)?;
     let scene = &file.scene;
     // The solid angle and γ of the equations as printed: the profile is for use with them.
-    let plan = Plan::<f64>::compile(scene, Tier::Paper)?;
+    let plan = CompiledScene::<f64>::compile(scene, Tier::Paper)?;
     let mut rows = TableReader::open(&args.currents)?.of_at_most(MAX_ROWS);
     let poses = PoseColumns::find(&rows)?;
     let currents = CurrentColumns::find(&rows, plan.cell_count())?;

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::sync::Mutex;
 
-use slitpose_model::{Plan, Pose, Response, Tier};
+use slitpose_model::{CompiledScene, Pose, Response, Tier};
 
 use super::options::{CalibrationOption, Jobs, TierOptions, UNREADABLE, open_scene};
 use super::{CommandError, Outcome, options, talk};
@@ -43,7 +43,7 @@ pub(super) struct Args {
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let file = args.calibration.head_as_drawn(open_scene(&args.scene)?)?.file;
     let tier = args.tier.tier(DEFAULT_TOLERANCE);
-    let plan = Plan::<f64>::compile(&file.scene, tier)?;
+    let plan = CompiledScene::<f64>::compile(&file.scene, tier)?;
     let mut poses = TableReader::open(&args.poses)?;
     let columns = PoseColumns::find(&poses)?;
     let names: Vec<String> = (0..plan.cell_count()).flat_map(column_names).collect();
@@ -76,7 +76,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let finding = lock(&all_sizes).finding(&args.poses, &file.workspace, FAR);
     finding.iter().for_each(|finding| talk(format_args!("{finding}")));
     let Inexact { rows: inexact_rows, worst } = *lock(&inexact);
-    let most = Plan::<f64>::MAX_EVALUATIONS;
+    let most = CompiledScene::<f64>::MAX_EVALUATIONS;
     if worst.is_infinite() {
         talk(format_args!(
             "{inexact_rows} rows are not good to the tolerance: the exact tier met its limit of {most} values of a \
@@ -106,7 +106,7 @@ impl Inexact {
 }
 
 /// Writes the row of a pose, and says how large the relative error of its integrals may be.
-fn evaluate(plan: &Plan<f64>, id: &str, pose: &Pose, table: &mut TableRows) -> f64 {
+fn evaluate(plan: &CompiledScene<f64>, id: &str, pose: &Pose, table: &mut TableRows) -> f64 {
     table.text(id);
     let mut reached = 0.0_f64;
     for cell in 0..plan.cell_count() {

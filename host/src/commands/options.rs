@@ -26,7 +26,7 @@ pub(super) use slitpose_tracking::solving::STREAM_TOLERANCE as DEFAULT_TOLERANCE
 use super::{CommandError, Outcome, UsageError};
 use crate::sink::{self, Format, Sink};
 use crate::terminal::{self, Amount, Progress};
-use slitpose_tracking::pipeline::{Counts, Following};
+use slitpose_tracking::pipeline::{Counts, PipelineOptions};
 use slitpose_tracking::solving::{Filter, NOT_CALIBRATED, Solving, TierChoice, head_by, is_tolerance};
 
 /// A number of millimetres or degrees beyond this is a slip of units: 1000 km.
@@ -310,7 +310,7 @@ impl PoseOptions {
         Solving { filter, without_clipped, tier: tier.choice() }
     }
 
-    pub(super) fn following(&self) -> Following {
+    pub(super) fn following(&self) -> PipelineOptions {
         self.solving().following_or(None)
     }
 

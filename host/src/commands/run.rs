@@ -19,8 +19,8 @@ use super::{CommandError, Outcome, UsageError, interrupt, options, talk};
 use crate::daemon::{Admit, BoardPlan, Daemon, Ended, Opener, Plan, PortOpener, SimulatedOpener};
 use crate::datagram::{Address, DatagramServer};
 use crate::device::{Search, Selector};
-use crate::http::Reach;
-use crate::live::{Access, LiveBoard, LivePlan, TakesSamples};
+use crate::http::BindScope;
+use crate::live::{Access, LiveBoard, LivePlan, SampleSink};
 use crate::service::{self, Service};
 use crate::spacenav::SpacenavServer;
 use crate::telemetry::{DaemonReport, RecorderReport, RecorderState, StatusAddress, StatusServer};
@@ -32,7 +32,7 @@ use slitpose_head::table::OutputError;
 use slitpose_head::threads::lock;
 use slitpose_tracking::clock::{HostInstant, UtcWatch};
 use slitpose_tracking::link::DeviceId;
-use slitpose_tracking::pipeline::{self, Following, PipelineError, PoseSource, SceneMatch};
+use slitpose_tracking::pipeline::{self, PipelineError, PipelineOptions, PoseSource, SceneMatch};
 use slitpose_tracking::solving::head_by;
 
 /// Period of checks for ended boards, and of housekeeping.
@@ -202,17 +202,17 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let foxglove = args.foxglove.start(shown(), reports())?;
     let status = match &args.status {
         Some(address) => {
-            let server = StatusServer::start(address, Reach::Loopback, reports())?;
+            let server = StatusServer::start(address, BindScope::Loopback, reports())?;
             talk(format_args!("status at {}", server.address()));
             Some(server)
         }
         None => None,
     };
     let capture = args.record.open(is_recorded_later)?;
-    let mut takers: Vec<Arc<dyn TakesSamples>> = Vec::new();
-    takers.extend(live.iter().map(|live| Arc::new(live.input()) as Arc<dyn TakesSamples>));
-    takers.extend(foxglove.iter().map(|foxglove| Arc::new(foxglove.input()) as Arc<dyn TakesSamples>));
-    takers.extend(mouse.iter().map(|mouse| Arc::new(mouse.input()) as Arc<dyn TakesSamples>));
+    let mut takers: Vec<Arc<dyn SampleSink>> = Vec::new();
+    takers.extend(live.iter().map(|live| Arc::new(live.input()) as Arc<dyn SampleSink>));
+    takers.extend(foxglove.iter().map(|foxglove| Arc::new(foxglove.input()) as Arc<dyn SampleSink>));
+    takers.extend(mouse.iter().map(|mouse| Arc::new(mouse.input()) as Arc<dyn SampleSink>));
     let streams = args.zenoh.publisher(zenoh.as_ref(), shown, reports()).into_iter().collect();
     let plan = Plan { boards, sink, capture, datagrams, streams, takers, real_time: args.real_time };
     let daemon = Arc::new(Daemon::start(plan, Arc::clone(&stop))?);
@@ -376,7 +376,7 @@ impl Args {
             head,
             configuration,
             tier,
-            following: Following { source: self.stream.source(), ..self.poses.following() },
+            following: PipelineOptions { source: self.stream.source(), ..self.poses.following() },
             stream: self.stream.stream(),
             until_s: self.poses.duration,
             patience,

@@ -22,7 +22,7 @@ use crate::device::{Conversation, DeviceError, Keep, SimulatedDevice};
 use crate::telemetry::report_schema;
 use slitpose_tracking::capture::{About, CaptureError, CaptureSeries, Settings, Setup};
 use slitpose_tracking::link::{DeviceId, Segment};
-use slitpose_tracking::pipeline::Following;
+use slitpose_tracking::pipeline::PipelineOptions;
 
 /// Writes what a simulated board would send: a capture for `replay`.
 ///
@@ -154,7 +154,7 @@ impl Recording {
             let file_of_capture = output.as_file().map_err(|source| output.error(source))?;
             let mut series =
                 CaptureSeries::in_file(file_of_capture, target.path, About { report_schema: report_schema() })?;
-            let settings = Settings { tier, following: Following::default() };
+            let settings = Settings { tier, following: PipelineOptions::default() };
             series.add_device(Setup::new(device, head, settings), None, 0).map_err(|error| writing(&output, error))?;
             Some((Box::new(series), device))
         };

@@ -26,11 +26,11 @@ use super::tap::{Overflow, Tap, TapEnds};
 use super::{Talk, spawn, streamer};
 use crate::datagram::DatagramServer;
 use crate::device::DeviceError;
-use crate::live::{Sampler, TakesSamples};
+use crate::live::{SampleSink, Sampler};
 use crate::telemetry::{BoardReport, BoardStatistics};
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::{DeviceId, Segment};
-use slitpose_tracking::pipeline::{Counts, Following, Pipeline, PipelineError, SceneMatch};
+use slitpose_tracking::pipeline::{Counts, Pipeline, PipelineError, PipelineOptions, SceneMatch};
 
 /// Most reads on their way to the solver: a quarter of a second at one read per millisecond.
 const SEGMENTS: usize = 256;
@@ -50,7 +50,7 @@ pub(crate) struct BoardPlan {
     /// Decides whether a board may be followed.
     pub admit: Admit,
     pub tier: Tier,
-    pub following: Following,
+    pub following: PipelineOptions,
     /// Duration of the run in device time, seconds; `None`: unlimited.
     pub until_s: Option<f64>,
     /// How long to look for a missing board; `None`: for ever.
@@ -74,7 +74,7 @@ pub(super) struct Shared {
     pub(super) recorder: Option<TapEnds>,
     pub(super) streams: Vec<TapEnds>,
     pub(super) datagrams: Option<Arc<DatagramServer>>,
-    pub(super) takers: Vec<Arc<dyn TakesSamples>>,
+    pub(super) takers: Vec<Arc<dyn SampleSink>>,
     pub(super) real_time: Option<u8>,
     pub(super) claims: Claims,
 }

@@ -43,14 +43,14 @@ pub(crate) use link::Talk;
 pub(crate) use opener::Feed;
 pub(crate) use opener::{Admit, Opener, PortOpener, SimulatedOpener};
 pub(crate) use recorder::CapturePlan;
-pub(crate) use streamer::StreamPlan;
 #[cfg(feature = "zenoh")]
-pub(crate) use streamer::TakesChunks;
+pub(crate) use streamer::ChunkSink;
+pub(crate) use streamer::StreamPlan;
 #[cfg(feature = "zenoh")]
 pub(crate) use tap::TapChunk;
 
 use crate::datagram::DatagramServer;
-use crate::live::TakesSamples;
+use crate::live::SampleSink;
 use crate::sink::{Account, Sink};
 use crate::telemetry::{BoardReport, DaemonReport, LinkState, RecorderReport};
 use board::{BoardSlot, BoardThreads, Claims};
@@ -79,7 +79,7 @@ pub(crate) struct Plan {
     /// Takers of all bytes.
     pub streams: Vec<StreamPlan>,
     /// Takers of samples: the live page, and others.
-    pub takers: Vec<Arc<dyn TakesSamples>>,
+    pub takers: Vec<Arc<dyn SampleSink>>,
     pub real_time: Option<u8>,
 }
 

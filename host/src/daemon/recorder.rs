@@ -301,7 +301,7 @@ mod tests {
     use slitpose_model::Tier;
     use slitpose_tracking::capture::{About, CaptureReader, Entry, Existing, Limits};
     use slitpose_tracking::link::Segment;
-    use slitpose_tracking::pipeline::Following;
+    use slitpose_tracking::pipeline::PipelineOptions;
 
     const BOARDS: [DeviceId; 2] = [DeviceId(*b"first board."), DeviceId(*b"second board")];
 
@@ -386,7 +386,7 @@ mod tests {
             let (order, captures) = unbounded();
             let source = || Source {
                 head: WIDE.read().unwrap().into(),
-                settings: Settings { tier: Tier::Paper, following: Following::default() },
+                settings: Settings { tier: Tier::Paper, following: PipelineOptions::default() },
                 keeps_time: true,
                 device: None,
             };

@@ -25,7 +25,7 @@ const CHUNKS_A_BOARD: usize = 128;
 
 const IDLE: Duration = Duration::from_millis(100);
 
-pub(crate) trait TakesChunks: Send {
+pub(crate) trait ChunkSink: Send {
     /// Takes the next chunk of a board.
     fn chunk(&mut self, chunk: &TapChunk);
 
@@ -35,7 +35,7 @@ pub(crate) trait TakesChunks: Send {
 
 /// A taker of all bytes.
 pub(crate) struct StreamPlan {
-    pub(crate) taker: Box<dyn TakesChunks>,
+    pub(crate) taker: Box<dyn ChunkSink>,
     /// Device time between the poses that it takes, seconds.
     pub(crate) pose_every_s: f64,
 }

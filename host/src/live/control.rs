@@ -8,7 +8,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::{Map, Value};
 use thiserror::Error;
 
-use crate::http::{self, Reach};
+use crate::http::{self, BindScope};
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Order {
@@ -213,8 +213,8 @@ impl Access {
     }
 
     /// The hosts that may connect.
-    pub(super) fn reach(&self) -> Reach {
-        if self.address.ip().is_loopback() { Reach::Loopback } else { Reach::Anywhere }
+    pub(super) fn scope(&self) -> BindScope {
+        if self.address.ip().is_loopback() { BindScope::Loopback } else { BindScope::Anywhere }
     }
 
     /// Whether `token` is the right one, or none is needed. Takes the same time for every wrong one of the right length.
@@ -279,12 +279,12 @@ mod tests {
     fn other_hosts_need_a_token_and_leave_to_write() {
         for local in [DEFAULT_LIVE_ADDRESS, "localhost:0", "[::1]:7451", "127.8.9.1:80"] {
             let open = access(local, None, false).unwrap();
-            assert!(open.may_write && open.reach() == Reach::Loopback && open.admits(None), "{local}");
+            assert!(open.may_write && open.scope() == BindScope::Loopback && open.admits(None), "{local}");
         }
         for wide in ["0.0.0.0:7451", "[::]:7451", "192.0.2.1:80"] {
             assert!(matches!(access(wide, None, true), Err(AccessError::NoToken { .. })), "{wide}");
             let guarded = access(wide, Some(TOKEN), false).unwrap();
-            assert!(!guarded.may_write && guarded.reach() == Reach::Anywhere, "{wide}");
+            assert!(!guarded.may_write && guarded.scope() == BindScope::Anywhere, "{wide}");
             assert!(access(wide, Some(TOKEN), true).unwrap().may_write, "{wide}");
         }
     }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use serde::Serialize;
 use slitpose_calibration::Head;
 use slitpose_model::{
-    Estimate, Pair, Photocurrents, Plan, Pose, Reading, SceneError, Solution, Status, Tier, TwistEstimate,
+    CompiledScene, Estimate, Pair, Photocurrents, Pose, Reading, SceneError, Solution, Status, Tier, TwistEstimate,
 };
 
 use slitpose_tracking::clock::HostInstant;
@@ -89,7 +89,7 @@ impl From<&Pose> for Place {
 
 /// What frames need to know of a head.
 pub(super) struct Optics {
-    plan: Plan<f64>,
+    plan: CompiledScene<f64>,
     cells: Vec<Known>,
 }
 
@@ -108,7 +108,7 @@ impl Optics {
             faint_a: cell.detector.faint_a,
             dark_current_a: cell.detector.dark_current_a,
         });
-        Ok(Self { plan: Plan::compile(scene, TIER)?, cells: cells.collect() })
+        Ok(Self { plan: CompiledScene::compile(scene, TIER)?, cells: cells.collect() })
     }
 
     pub(super) fn frame(&self, board: usize, n: u64, sample: &Sample) -> FrameMessage<'static> {
@@ -256,7 +256,7 @@ impl Sample {
 }
 
 /// Takes samples from the threads that solve.
-pub(crate) trait TakesSamples: Debug + Send + Sync {
+pub(crate) trait SampleSink: Debug + Send + Sync {
     /// Takes a sample of a board; `false` if it has no time. Never blocks.
     fn sample(&self, board: usize, sample: &Sample) -> bool;
 }
@@ -265,7 +265,7 @@ pub(crate) trait TakesSamples: Debug + Send + Sync {
 #[derive(Debug)]
 pub(crate) struct Sampler {
     board: usize,
-    taker: Arc<dyn TakesSamples>,
+    taker: Arc<dyn SampleSink>,
     due_ns: u64,
     newest: Option<Record>,
     scans: u32,
@@ -275,7 +275,7 @@ pub(crate) struct Sampler {
 
 impl Sampler {
     /// Samples of the board of this number, for `taker`.
-    pub(crate) fn new(board: usize, taker: Arc<dyn TakesSamples>) -> Self {
+    pub(crate) fn new(board: usize, taker: Arc<dyn SampleSink>) -> Self {
         Self { board, taker, due_ns: 0, newest: None, scans: 0, poses: 0, range: None }
     }
 

@@ -12,7 +12,7 @@ use tokio::sync::broadcast;
 use tokio::sync::mpsc::{Receiver, Sender, channel};
 
 use super::control::PlayerState;
-use super::frame::{FRAMES_HZ, Optics, Sample, TakesSamples};
+use super::frame::{FRAMES_HZ, Optics, Sample, SampleSink};
 use super::head::HeadMessage;
 use crate::telemetry::DaemonReport;
 use slitpose_head::finding::Finding;
@@ -72,7 +72,7 @@ impl LiveInput {
     }
 }
 
-impl TakesSamples for LiveInput {
+impl SampleSink for LiveInput {
     fn sample(&self, board: usize, sample: &Sample) -> bool {
         self.0.try_reserve().map(|room| room.send(Input::Sample(board, sample.clone()))).is_ok()
     }

@@ -25,7 +25,7 @@ pub(crate) use control::{
     Access, Control, DEFAULT_LIVE_ADDRESS, LiveAddress, Order, PlayerOrder, PlayerState, Refusal, is_request,
 };
 pub(crate) use foxglove::{DEFAULT_FOXGLOVE_ADDRESS, FoxgloveAddress, FoxgloveServer};
-pub(crate) use frame::{Sample, Sampler, TakesSamples};
+pub(crate) use frame::{Sample, SampleSink, Sampler};
 pub(crate) use head::SceneView;
 pub(crate) use hub::{LiveBoard, LiveInput};
 pub(crate) use server::{LivePlan, LiveServer};

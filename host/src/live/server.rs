@@ -24,7 +24,7 @@ use super::control::{Access, Control, Refusal};
 use super::head::SceneView;
 use super::hub::{Hub, Input, LiveBoard, LiveInput};
 use super::session;
-use crate::http::{self, Door, Leash, Reach, Serving};
+use crate::http::{self, BindScope, ConnectionDeadline, LimitedListener, Serving};
 use crate::telemetry::DaemonReport;
 
 /// Most clients at a time, of those that have said hello.
@@ -123,13 +123,13 @@ impl LiveServer {
             let _entered = runtime.enter();
             http::listen(address).map_err(listen)?
         };
-        let (url, reach) = (access.url(bound), access.reach());
+        let (url, scope) = (access.url(bound), access.scope());
         let clients = Clients::default();
         let shared = Arc::new(Shared { access, source, has_zero, hub: Hub::new(), scene, control, clients });
         shared.hub.accept(Input::Boards(boards));
-        let routes = routes(&shared, reach);
-        let routes = routes.into_make_service_with_connect_info::<Leash>();
-        runtime.spawn(async move { axum::serve(Door::new(socket), routes).await });
+        let routes = routes(&shared, scope);
+        let routes = routes.into_make_service_with_connect_info::<ConnectionDeadline>();
+        runtime.spawn(async move { axum::serve(LimitedListener::new(socket), routes).await });
         let (input, mut inputs) = LiveInput::new();
         let of_inputs = Arc::clone(&shared);
         runtime.spawn(async move {
@@ -162,14 +162,14 @@ impl LiveServer {
     }
 }
 
-fn routes(shared: &Arc<Shared>, reach: Reach) -> Router {
+fn routes(shared: &Arc<Shared>, scope: BindScope) -> Router {
     let mut router = Router::new().route("/live", get(upgrade)).with_state(Arc::clone(shared));
     for (number, file) in FILES.iter().enumerate() {
         let path = if number == 0 { "/".to_owned() } else { format!("/{}", file.0) };
         router = router.route(&path, get(move || async move { page_file(file) }));
     }
     let guard = move |request: Request, next: Next| async move {
-        if http::is_own(request.headers(), reach) {
+        if http::is_own(request.headers(), scope) {
             next.run(request).await
         } else {
             let text = "pages of other sites get no answer; open this page by 127.0.0.1, [::1] or localhost\n";
@@ -197,14 +197,14 @@ fn refusal(status: StatusCode, text: impl IntoResponse) -> Response {
 
 async fn upgrade(
     State(shared): State<Arc<Shared>>,
-    ConnectInfo(leash): ConnectInfo<Leash>,
+    ConnectInfo(deadline): ConnectInfo<ConnectionDeadline>,
     upgrade: WebSocketUpgrade,
 ) -> Response {
-    if shared.clients.place(leash.address).is_none() {
+    if shared.clients.place(deadline.address).is_none() {
         return refusal(StatusCode::SERVICE_UNAVAILABLE, format!("{}\n", Refusal::Full));
     }
     let upgrade = upgrade.max_message_size(MAX_REQUEST).max_frame_size(MAX_REQUEST);
-    upgrade.on_upgrade(async move |socket| session::serve(socket, shared, leash).await)
+    upgrade.on_upgrade(async move |socket| session::serve(socket, shared, deadline).await)
 }
 
 /// A file: its path after `/`, its media type, its text.

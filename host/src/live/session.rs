@@ -22,7 +22,7 @@ use super::control::{Order, PlayerOrder, Refusal, Request};
 use super::frame::FRAMES_HZ;
 use super::hub::{Event, HISTORY_S, Snapshot, text_of};
 use super::server::Shared;
-use crate::http::Leash;
+use crate::http::ConnectionDeadline;
 
 /// Most messages that a client has not acknowledged.
 pub(super) const WINDOW: u64 = 64;
@@ -74,8 +74,8 @@ enum Answer<'a> {
 
 struct Gone;
 
-/// Serves a client until it goes. It has a place, and `leash` is released, once it has shown that it may look.
-pub(super) async fn serve(mut socket: WebSocket, shared: Arc<Shared>, leash: Leash) {
+/// Serves a client until it goes. It has a place, and `deadline` is released, once it has shown that it may look.
+pub(super) async fn serve(mut socket: WebSocket, shared: Arc<Shared>, deadline: ConnectionDeadline) {
     let hello = match socket.recv().await {
         Some(Ok(Message::Text(text))) => Request::read(&text).ok(),
         _ => None,
@@ -87,11 +87,11 @@ pub(super) async fn serve(mut socket: WebSocket, shared: Arc<Shared>, leash: Lea
         let _ = session.refuse(&Refusal::Token).await;
         return;
     }
-    let Some(_place) = shared.clients.place(leash.address) else {
+    let Some(_place) = shared.clients.place(deadline.address) else {
         let _ = session.refuse(&Refusal::Full).await;
         return;
     };
-    leash.release();
+    deadline.release();
     let _ = session.run().await;
 }
 

@@ -15,7 +15,7 @@ use tungstenite::stream::MaybeTlsStream;
 use tungstenite::{Message, WebSocket};
 
 use super::hub::LiveBoard;
-use super::server::{Clients, MAX_REQUEST, MAX_CLIENTS};
+use super::server::{Clients, MAX_CLIENTS, MAX_REQUEST};
 use super::session::WINDOW;
 use super::*;
 use crate::http::{LIFETIME, MOST};

@@ -15,7 +15,7 @@ use thiserror::Error;
 
 use super::Feel;
 use crate::http::{SocketFile, SocketFileError};
-use crate::live::{Sample, TakesSamples};
+use crate::live::{Sample, SampleSink};
 
 /// Most clients; more are not let in.
 pub(super) const MAX_CLIENTS: usize = 16;
@@ -71,7 +71,7 @@ impl SpacenavInput {
     }
 }
 
-impl TakesSamples for SpacenavInput {
+impl SampleSink for SpacenavInput {
     fn sample(&self, board: usize, sample: &Sample) -> bool {
         // The first board is the mouse.
         board > 0 || self.see(sample.pose())

@@ -17,7 +17,7 @@ use thiserror::Error;
 use tokio::runtime::Builder;
 
 use super::{DaemonReport, StatusAddress, metrics, view};
-use crate::http::{self, Door, Reach, Serving, Socket, SocketFile, SocketFileError};
+use crate::http::{self, BindScope, LimitedListener, Serving, Socket, SocketFile, SocketFileError};
 use slitpose_tracking::clock::HostInstant;
 
 /// Mode of the Unix socket: owner and group may connect, other users may not.
@@ -56,7 +56,7 @@ impl StatusServer {
     /// Serves the reports of `source` at `address`. A socket left behind by a killed daemon is replaced.
     pub(crate) fn start(
         address: &StatusAddress,
-        reach: Reach,
+        scope: BindScope,
         source: impl Fn() -> DaemonReport + Send + Sync + 'static,
     ) -> Result<Self, StatusError> {
         let listen = |source| StatusError::Listen { address: address.clone(), source };
@@ -66,7 +66,7 @@ impl StatusServer {
             let _entered = runtime.enter();
             match address {
                 StatusAddress::Tcp(tcp) => {
-                    if reach == Reach::Loopback && !tcp.ip().is_loopback() {
+                    if scope == BindScope::Loopback && !tcp.ip().is_loopback() {
                         return Err(StatusError::NotLoopback { address: address.clone() });
                     }
                     let (socket, bound) = http::listen(*tcp).map_err(|source| match source.kind() {
@@ -84,7 +84,7 @@ impl StatusServer {
         };
         let source: Source = Arc::new(source);
         // Browsers cannot reach a Unix socket: any host name is allowed there.
-        let named = if matches!(address, StatusAddress::Unix(_)) { Reach::Anywhere } else { reach };
+        let named = if matches!(address, StatusAddress::Unix(_)) { BindScope::Anywhere } else { scope };
         let routes = routes(&source).layer(from_fn(move |request: Request, next: Next| async move {
             if http::is_own(request.headers(), named) {
                 next.run(request).await
@@ -94,7 +94,7 @@ impl StatusServer {
                 reply(StatusCode::FORBIDDEN, TEXT, text.to_owned())
             }
         }));
-        runtime.spawn(async move { axum::serve(Door::new(socket), routes).await });
+        runtime.spawn(async move { axum::serve(LimitedListener::new(socket), routes).await });
         let serving = Serving::start("status", runtime)
             .map_err(|source| StatusError::Listen { address: address.clone(), source })?;
         Ok(Self { address, _serving: serving, _file: file })

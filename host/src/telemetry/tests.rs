@@ -15,7 +15,7 @@ use super::server::StatusError;
 use super::*;
 use crate::datagram::DatagramCounts;
 use crate::http::SocketFileError;
-use crate::http::{self, Reach};
+use crate::http::{self, BindScope};
 use slitpose_head::finding::Finding;
 use slitpose_tracking::clock::{HostInstant, HostTime};
 use slitpose_tracking::health::{CellHealth, CellTotals, Diagnosis, Fault, HeadHealth, Shares, Verdict};
@@ -119,7 +119,7 @@ fn daemon(boards: Vec<BoardReport>) -> DaemonReport {
 
 fn serve(address: &str) -> Result<StatusServer, StatusError> {
     let (well, ill) = (board(AWKWARD, None), board("other", Some(head())));
-    StatusServer::start(&address.parse().unwrap(), Reach::Loopback, move || daemon(vec![well.clone(), ill.clone()]))
+    StatusServer::start(&address.parse().unwrap(), BindScope::Loopback, move || daemon(vec![well.clone(), ill.clone()]))
 }
 
 #[test]
@@ -323,7 +323,8 @@ fn other_hosts_are_let_in_only_if_the_user_says_so() {
     for address in ["0.0.0.0:0", "[::]:0"] {
         assert!(matches!(serve(address), Err(StatusError::NotLoopback { .. })), "{address}");
     }
-    let anywhere = StatusServer::start(&"0.0.0.0:0".parse().unwrap(), Reach::Anywhere, || daemon(Vec::new())).unwrap();
+    let anywhere =
+        StatusServer::start(&"0.0.0.0:0".parse().unwrap(), BindScope::Anywhere, || daemon(Vec::new())).unwrap();
     assert!(matches!(anywhere.address(), StatusAddress::Tcp(address) if address.port() != 0));
 }
 
@@ -332,7 +333,7 @@ fn health_is_ok_of_a_healthy_board() {
     let started = HostInstant::now();
     let healthy = board("sim", Some(HeadHealth::default()));
     let source = move || DaemonReport::of_now(started, vec![healthy.clone()], RecorderReport::default());
-    let server = StatusServer::start(&"127.0.0.1:0".parse().unwrap(), Reach::Loopback, source).unwrap();
+    let server = StatusServer::start(&"127.0.0.1:0".parse().unwrap(), BindScope::Loopback, source).unwrap();
     assert_eq!(fetch(server.address(), "/health").unwrap(), "ok\n");
 }
 

@@ -10,7 +10,7 @@ use slitpose_head::finding::{Finding, Grade};
 
 use super::ZenohSession;
 use super::session::{Attachment, Node, Type, gid, topic_key};
-use crate::daemon::{TakesChunks, Talk, TapChunk};
+use crate::daemon::{ChunkSink, Talk, TapChunk};
 use crate::live::LiveBoard;
 use crate::telemetry::DaemonReport;
 use slitpose_tracking::capture::encode_link_bytes;
@@ -149,7 +149,7 @@ impl Publisher {
     }
 }
 
-impl TakesChunks for Publisher {
+impl ChunkSink for Publisher {
     fn chunk(&mut self, chunk: &TapChunk) {
         let Self { daemon, boards, message, .. } = self;
         let (Some(device), Some(shown)) = (chunk.device, boards.get_mut(chunk.board)) else { return };

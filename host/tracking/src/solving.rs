@@ -13,7 +13,7 @@ use slitpose_model::{
 };
 use slitpose_protocol::{AdcScaling, Hashes, Schedule};
 
-use crate::pipeline::Following;
+use crate::pipeline::PipelineOptions;
 
 /// Streams are solved to a tolerance below their noise.
 pub const STREAM_TOLERANCE: f64 = 1e-6;
@@ -78,9 +78,9 @@ pub struct Filter(pub Option<f64>);
 
 impl Solving {
     /// How scans are followed: as they were, unless asked otherwise.
-    pub fn following_or(&self, recorded: Option<Following>) -> Following {
+    pub fn following_or(&self, recorded: Option<PipelineOptions>) -> PipelineOptions {
         let recorded = recorded.unwrap_or_default();
-        Following {
+        PipelineOptions {
             source: recorded.source,
             filter_s: match self.filter {
                 Some(Filter(filter_s)) => filter_s,

@@ -13,7 +13,7 @@ use crate::width::{Instructions, Lanes, Task, Width};
 use super::optics::Instant;
 use super::pack::{Masks, Numbers, Pack};
 use super::poses::InLanes;
-use super::{CellTerms, CellsAtOnce, CompiledCell, Plan, evaluate};
+use super::{CellTerms, CellsAtOnce, CompiledCell, CompiledScene, evaluate};
 
 /// Most numbers of a cell: those of [`Pack::of_numbers`] with a thick mask.
 const NUMBERS: usize = 38;
@@ -76,7 +76,7 @@ impl<R: Real<Element = f64>> Numbers<R> for Loaded<'_, R> {
 impl WideCells {
     /// `None` if the cells of `plan` are not of one kind. (Emitters of one exponent need the same rules: a plan has one
     /// tolerance.)
-    pub(crate) fn with_width(plan: &Plan<f64>, width: Width) -> Option<Self> {
+    pub(crate) fn with_width(plan: &CompiledScene<f64>, width: Width) -> Option<Self> {
         let masks = Masks::of(&plan.cells)?;
         let exponent = |cell: &CompiledCell<f64>| cell.emitter.profile.as_power().map(|power| power.exponent());
         let first = exponent(plan.cells.first()?)?;
@@ -98,7 +98,7 @@ impl WideCells {
     #[inline(always)]
     fn each<const SLOPES: bool, T>(
         &self,
-        (plan, instant): (&Plan<f64>, &Instant<'_, f64>),
+        (plan, instant): (&CompiledScene<f64>, &Instant<'_, f64>),
         wanted: impl Fn(usize) -> bool,
         of_lane: impl Fn(&InLanes, usize) -> Option<T>,
         alone: impl Fn(usize, &Transform<f64>) -> T,
@@ -121,13 +121,13 @@ impl WideCells {
 }
 
 impl CellsAtOnce<f64> for WideCells {
-    fn of(plan: &Plan<f64>) -> Option<Self> {
+    fn of(plan: &CompiledScene<f64>) -> Option<Self> {
         Self::with_width(plan, Width::widest())
     }
 
     fn linearise(
         &self,
-        plan: &Plan<f64>,
+        plan: &CompiledScene<f64>,
         instant: &Instant<'_, f64>,
         wanted: impl Fn(usize) -> bool,
         mut sink: impl FnMut(usize, &CellTerms<f64>),
@@ -138,7 +138,7 @@ impl CellsAtOnce<f64> for WideCells {
 
     fn currents(
         &self,
-        plan: &Plan<f64>,
+        plan: &CompiledScene<f64>,
         instant: &Instant<'_, f64>,
         wanted: impl Fn(usize) -> bool,
         sink: impl FnMut(usize, [f64; 2]),
@@ -154,7 +154,7 @@ impl CellsAtOnce<f64> for WideCells {
 /// As many cells as there are lanes, from number `first` on; `SLOPES`: with derivatives.
 struct AtOnce<'a, const SLOPES: bool> {
     cells: &'a WideCells,
-    plan: &'a Plan<f64>,
+    plan: &'a CompiledScene<f64>,
     instant: &'a Instant<'a, f64>,
     first: usize,
     found: &'a mut InLanes,

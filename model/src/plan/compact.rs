@@ -27,7 +27,7 @@ use super::imperfect::electrical::Electrical;
 use super::imperfect::passage::Passage;
 use super::imperfect::{Imperfect, Sums, azimuthal_factor};
 use super::optics::{Instant, Light, Place, Receiver, Seen, Source, of_sides};
-use super::{CellTerms, CompiledCell, Near, Optics, Plan};
+use super::{CellTerms, CompiledCell, CompiledScene, Near, Optics};
 
 /// Most cells of a compact plan: what a board has converters for.
 pub const BOARD_CELLS: usize = 6;
@@ -67,7 +67,11 @@ impl<S: Scalar> CompactPlan<S> {
     ///
     /// # Errors
     /// The first cell that has no place in a compact plan, and what it has.
-    pub(crate) fn of(scene: &Scene, plan: &Plan<S>, exact: &Plan<f64>) -> Result<Self, (usize, &'static str)> {
+    pub(crate) fn of(
+        scene: &Scene,
+        plan: &CompiledScene<S>,
+        exact: &CompiledScene<f64>,
+    ) -> Result<Self, (usize, &'static str)> {
         let cell = |(index, cell): (usize, _)| {
             let of_scene = &scene.cells[index];
             CompactCell::of(cell, of_scene, &exact.cells[index].emitter.profile).map_err(|what| (index, what))

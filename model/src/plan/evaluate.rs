@@ -14,7 +14,7 @@ use crate::response::{Flags, Integration, Pair, Response, Status};
 use crate::scalar::{Linear3, Number};
 
 use super::optics::{Light, Place, Receiver, Seen, of_sides};
-use super::{CellTerms, CompiledCell, CompiledEmitter, Plan, imperfect};
+use super::{CellTerms, CompiledCell, CompiledEmitter, CompiledScene, imperfect};
 
 impl<S: Number> CompiledCell<S> {
     #[inline(always)]
@@ -43,7 +43,7 @@ enum Spot<S: Number> {
 /// The light of a spot, if any, and the cost and accuracy of its integrals, if any.
 #[inline(always)]
 fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
-    plan: &Plan<S>,
+    plan: &CompiledScene<S>,
     cell: &CompiledCell<S>,
     emitter: &CompiledEmitter<S>,
     emission: &E,
@@ -92,7 +92,7 @@ fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
 /// The light of a rectangular spot that one tensor rule cannot integrate.
 #[cold]
 fn divided<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
-    plan: &Plan<S>,
+    plan: &CompiledScene<S>,
     cell: &CompiledCell<S>,
     emitter: &CompiledEmitter<S>,
     emission: &E,
@@ -107,7 +107,7 @@ impl<S: Scalar> CompiledEmitter<S> {
     #[inline(always)]
     fn light_on<const GRADIENT: bool>(
         &self,
-        plan: &Plan<S>,
+        plan: &CompiledScene<S>,
         cell: &CompiledCell<S>,
         seen: &Seen<S>,
         spot: &Spot<S>,
@@ -126,7 +126,7 @@ impl<S: Scalar> CompiledEmitter<S> {
 /// [`light`], apart: so that the code for the commonest profile stays short.
 #[inline(never)]
 fn light_apart<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
-    plan: &Plan<S>,
+    plan: &CompiledScene<S>,
     cell: &CompiledCell<S>,
     emitter: &CompiledEmitter<S>,
     emission: &E,
@@ -136,7 +136,7 @@ fn light_apart<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     light::<S, E, GRADIENT>(plan, cell, emitter, emission, seen, spot)
 }
 
-impl<S: Scalar> Plan<S> {
+impl<S: Scalar> CompiledScene<S> {
     /// `photocurrent` at `x_a` divided between the electrodes, without dark current.
     #[inline(always)]
     fn above_dark(&self, receiver: &Receiver<S>, photocurrent: S, x_a: S) -> Pair<S> {
@@ -145,7 +145,7 @@ impl<S: Scalar> Plan<S> {
     }
 }
 
-pub fn photocurrents<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &Transform<S>) -> Pair<S> {
+pub fn photocurrents<S: Scalar>(plan: &CompiledScene<S>, cell: usize, base_from_tool: &Transform<S>) -> Pair<S> {
     let cell = &plan.cells[cell];
     if let Some(imperfect) = plan.imperfect_of(cell) {
         return imperfect::photocurrents(plan, cell, imperfect, base_from_tool);
@@ -155,7 +155,7 @@ pub fn photocurrents<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &Tr
 
 #[inline(never)]
 fn photocurrents_of<S: Scalar>(
-    plan: &Plan<S>,
+    plan: &CompiledScene<S>,
     cell: &CompiledCell<S>,
     emitter: &CompiledEmitter<S>,
     base_from_tool: &Transform<S>,
@@ -174,7 +174,7 @@ fn photocurrents_of<S: Scalar>(
 }
 
 #[inline(never)]
-pub fn linearise<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &Transform<S>) -> CellTerms<S> {
+pub fn linearise<S: Scalar>(plan: &CompiledScene<S>, cell: usize, base_from_tool: &Transform<S>) -> CellTerms<S> {
     let cell = &plan.cells[cell];
     if let Some(imperfect) = plan.imperfect_of(cell) {
         return imperfect::linearise(plan, cell, imperfect, base_from_tool);
@@ -191,7 +191,7 @@ pub fn linearise<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &Transf
     CellTerms { status, pair, jacobian, slack_m, wall_m: S::infinity() }
 }
 
-pub fn respond<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &Transform<S>) -> Response<S> {
+pub fn respond<S: Scalar>(plan: &CompiledScene<S>, cell: usize, base_from_tool: &Transform<S>) -> Response<S> {
     let cell = &plan.cells[cell];
     if let Some(imperfect) = plan.imperfect_of(cell) {
         return imperfect::respond(plan, cell, imperfect, base_from_tool);
@@ -255,7 +255,11 @@ pub fn rectangle_solid_angle<S: Number>(rectangle: &Rectangle<S>) -> S {
     fan_solid_angle(a, [(half_area, b, c), (half_area, c, d)].into_iter(), rectangle.height)
 }
 
-pub fn outline<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &Transform<S>) -> Vec<[S; 2], MAX_CORNERS> {
+pub fn outline<S: Scalar>(
+    plan: &CompiledScene<S>,
+    cell: usize,
+    base_from_tool: &Transform<S>,
+) -> Vec<[S; 2], MAX_CORNERS> {
     let cell = &plan.cells[cell];
     if let Some(imperfect) = plan.imperfect_of(cell) {
         return imperfect::outline(cell, imperfect, base_from_tool);
@@ -270,7 +274,7 @@ pub fn outline<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &Transfor
 }
 
 pub fn photocurrents_of_emitters<S: Scalar>(
-    plan: &Plan<S>,
+    plan: &CompiledScene<S>,
     cell: usize,
     lit: impl Iterator<Item = (usize, S)>,
     base_from_tool: &Transform<S>,

@@ -52,7 +52,7 @@ pub enum Tier {
 
 /// A scene compiled for one tier and one number type. Fixed size and no heap, except with the feature `batch`.
 #[derive(Clone, Debug)]
-pub struct Plan<S: Scalar> {
+pub struct CompiledScene<S: Scalar> {
     cells: List<CompiledCell<S>, MAX_CELLS>,
     /// The effects of those cells that have any.
     imperfect: List<Imperfect<S>, MAX_CELLS>,
@@ -68,12 +68,12 @@ pub struct Plan<S: Scalar> {
 /// Cells of a plan in as many lanes as the processor has: what each gives alone, bit for bit.
 pub trait CellsAtOnce<S: Scalar>: Clone + Debug + Send + Sync + 'static {
     /// `None` if the cells of `plan` are not of one kind, or not of the exact tier, or there are no lanes.
-    fn of(plan: &Plan<S>) -> Option<Self>;
+    fn of(plan: &CompiledScene<S>) -> Option<Self>;
 
     /// [`Optics::linearise_all`] of `plan`.
     fn linearise(
         &self,
-        plan: &Plan<S>,
+        plan: &CompiledScene<S>,
         instant: &Instant<'_, S>,
         wanted: impl Fn(usize) -> bool,
         sink: impl FnMut(usize, &CellTerms<S>),
@@ -82,7 +82,7 @@ pub trait CellsAtOnce<S: Scalar>: Clone + Debug + Send + Sync + 'static {
     /// [`Optics::currents_all`] of `plan`.
     fn currents(
         &self,
-        plan: &Plan<S>,
+        plan: &CompiledScene<S>,
         instant: &Instant<'_, S>,
         wanted: impl Fn(usize) -> bool,
         sink: impl FnMut(usize, [S; 2]),
@@ -94,13 +94,13 @@ pub trait CellsAtOnce<S: Scalar>: Clone + Debug + Send + Sync + 'static {
 pub enum NoLanes {}
 
 impl<S: Scalar> CellsAtOnce<S> for NoLanes {
-    fn of(_: &Plan<S>) -> Option<Self> {
+    fn of(_: &CompiledScene<S>) -> Option<Self> {
         None
     }
 
     fn linearise(
         &self,
-        _: &Plan<S>,
+        _: &CompiledScene<S>,
         _: &Instant<'_, S>,
         _: impl Fn(usize) -> bool,
         _: impl FnMut(usize, &CellTerms<S>),
@@ -108,7 +108,13 @@ impl<S: Scalar> CellsAtOnce<S> for NoLanes {
         match *self {}
     }
 
-    fn currents(&self, _: &Plan<S>, _: &Instant<'_, S>, _: impl Fn(usize) -> bool, _: impl FnMut(usize, [S; 2])) {
+    fn currents(
+        &self,
+        _: &CompiledScene<S>,
+        _: &Instant<'_, S>,
+        _: impl Fn(usize) -> bool,
+        _: impl FnMut(usize, [S; 2]),
+    ) {
         match *self {}
     }
 }
@@ -231,7 +237,7 @@ pub trait Optics<S: Number>: Sized {
     fn currents_all(&self, instant: &Instant<'_, S>, wanted: impl Fn(usize) -> bool, sink: impl FnMut(usize, [S; 2]));
 }
 
-impl<S: Scalar> Plan<S> {
+impl<S: Scalar> CompiledScene<S> {
     /// Most evaluations of the profile for one cell's currents at one pose. Their derivatives take up to
     /// the same number for the spot's area, and again for its sides.
     pub const MAX_EVALUATIONS: usize = MAX_EVALUATIONS;
@@ -362,7 +368,7 @@ impl<S: Scalar> Plan<S> {
     }
 }
 
-impl<S: Scalar> Optics<S> for Plan<S> {
+impl<S: Scalar> Optics<S> for CompiledScene<S> {
     const TELLS_RELIABILITY: bool = true;
     // With six lit cells no pose but the truth keeps all of them lit, if their planes fix a pose.
     const UNIQUE_FROM: usize = 6;

@@ -14,7 +14,7 @@ use crate::{exact, paper};
 
 use super::optics::{Light, Seen, of_sides};
 use super::pack::{Masks, Numbers, Pack};
-use super::{CellTerms, CompiledCell, CompiledEmitter, CurrentsJacobian, Plan};
+use super::{CellTerms, CompiledCell, CompiledEmitter, CompiledScene, CurrentsJacobian};
 
 /// A cell's currents at the pose of each lane.
 pub struct Currents<R> {
@@ -33,7 +33,7 @@ pub struct Terms<R> {
     pub slack_m: R,
 }
 
-impl Plan<f64> {
+impl CompiledScene<f64> {
     /// Whether its cells can be evaluated at several poses at once.
     pub(crate) fn has_lanes(&self) -> bool {
         let has_lanes = |cell: &CompiledCell<f64>| {
@@ -232,9 +232,9 @@ impl InLanes {
     }
 }
 
-/// All cells of a plan that [has lanes](Plan::has_lanes), at a pose per lane.
+/// All cells of a plan that [has lanes](CompiledScene::has_lanes), at a pose per lane.
 struct Linearise<'a> {
-    plan: &'a Plan<f64>,
+    plan: &'a CompiledScene<f64>,
     poses: &'a [Pose],
     found: &'a mut [InLanes; MAX_CELLS],
 }

@@ -76,7 +76,7 @@ const BEND: [DVec3; 2] = [DVec3::new(90.0, 150.0, -70.0), DVec3::new(-900.0, 800
 
 /// Asserts that all cells at once give the same as each cell alone.
 fn check_all_at_once<S: Scalar>(scene: &Scene, tier: Tier) {
-    let plan = Plan::<S>::compile(scene, tier).expect("scene");
+    let plan = CompiledScene::<S>::compile(scene, tier).expect("scene");
     // The tool in motion: every cell at its own instant, or all at one.
     let offsets: Vec<S, MAX_CELLS> = (0..scene.cells.len()).map(|i| S::of(34e-6 * i as f64)).collect();
     let [twist, bend] = [TWIST, BEND].map(|rates| rates.map(<S::Vec3 as crate::Vector3<S>>::of));
@@ -155,7 +155,7 @@ fn cells_in_wide_lanes_have_the_bits_of_cells_alone() {
             cell.slit.thickness_m = thickness_m;
             cell.emitter.profile = Profile::Cosine { exponent: 1.3 };
         });
-        let mut plan = Plan::<f64>::compile(&scene, EXACT).expect("scene");
+        let mut plan = CompiledScene::<f64>::compile(&scene, EXACT).expect("scene");
         let offsets: Vec<f64, MAX_CELLS> = (0..count).map(|i| 34e-6 * i as f64).collect();
         for pose in poses().into_iter().chain([turned]) {
             let pose = Transform::of(&pose);
@@ -202,7 +202,7 @@ fn poses_of_narrow_emitters_have_no_lanes() {
     for (exponent, in_paper_tier, in_exact_tier) in [(1.3, true, true), (5.0, true, false), (30.0, false, false)] {
         for (tier, expected) in [(Tier::Paper, in_paper_tier), (EXACT, in_exact_tier)] {
             let scene = scene(6, |cell| cell.emitter.profile = Profile::Cosine { exponent });
-            let plan = Plan::<f64>::compile(&scene, tier).expect("scene");
+            let plan = CompiledScene::<f64>::compile(&scene, tier).expect("scene");
             assert_eq!(plan.has_lanes(), expected, "exponent {exponent}, {tier:?}");
         }
     }
@@ -220,10 +220,10 @@ fn cells_of_several_kinds_have_no_wide_lanes() {
     ];
     for (kind, change) in kinds.into_iter().enumerate() {
         let mut scene = scene(4, |cell| cell.emitter.profile = Profile::Cosine { exponent: 1.3 });
-        assert!(Plan::<f64>::compile(&scene, EXACT).expect("scene").wide.is_some());
+        assert!(CompiledScene::<f64>::compile(&scene, EXACT).expect("scene").wide.is_some());
         change(&mut scene.cells[2]);
-        assert!(Plan::<f64>::compile(&scene, EXACT).expect("scene").wide.is_none(), "{kind}");
-        assert!(Plan::<f64>::compile(&scene, Tier::Paper).expect("scene").wide.is_none());
+        assert!(CompiledScene::<f64>::compile(&scene, EXACT).expect("scene").wide.is_none(), "{kind}");
+        assert!(CompiledScene::<f64>::compile(&scene, Tier::Paper).expect("scene").wide.is_none());
     }
 }
 
@@ -254,8 +254,9 @@ fn cells_of_different_kinds_answer_as_cells_alone() {
 fn dark_current_is_divided_as_each_tier_says() {
     for (tier, divided) in [(Tier::Paper, true), (EXACT, false)] {
         let dark_a = cell(0).detector.dark_current_a;
-        let plan = Plan::<f64>::compile(&scene(1, |_| ()), tier).expect("scene");
-        let clear = Plan::<f64>::compile(&scene(1, |cell| cell.detector.dark_current_a = 0.0), tier).expect("scene");
+        let plan = CompiledScene::<f64>::compile(&scene(1, |_| ()), tier).expect("scene");
+        let clear =
+            CompiledScene::<f64>::compile(&scene(1, |cell| cell.detector.dark_current_a = 0.0), tier).expect("scene");
         let (with, without) = (plan.respond(0, &poses()[1]), clear.respond(0, &poses()[1]));
         let share = if divided { with.x_a_m.expect("light") / cell(0).detector.length_m } else { 0.0 };
         assert!((with.i_o_a - without.i_o_a - dark_a).abs() < 1e-20);
@@ -275,9 +276,9 @@ fn dark_current_is_divided_as_each_tier_says() {
 fn flags_follow_the_whole_current_or_the_light_alone() {
     for tier in [Tier::Paper, EXACT] {
         let flags = |change: &dyn Fn(&mut Cell)| {
-            Plan::<f64>::compile(&scene(1, change), tier).expect("scene").respond(0, &Pose::HOME).flags
+            CompiledScene::<f64>::compile(&scene(1, change), tier).expect("scene").respond(0, &Pose::HOME).flags
         };
-        let response = Plan::<f64>::compile(&scene(1, |_| ()), tier).expect("scene").respond(0, &Pose::HOME);
+        let response = CompiledScene::<f64>::compile(&scene(1, |_| ()), tier).expect("scene").respond(0, &Pose::HOME);
         let dark_a = cell(0).detector.dark_current_a;
         let light_a = response.i_o_a - dark_a;
         assert_eq!(response.flags, Flags::default());
@@ -294,7 +295,7 @@ fn flags_follow_the_whole_current_or_the_light_alone() {
 fn an_emitter_turned_away_is_flagged_and_sends_nothing() {
     for tier in [Tier::Paper, EXACT] {
         let turned = scene(1, |cell| cell.emitter.axis_tool = DVec3::new(0.05, 0.0, 1.0).normalize());
-        let response = Plan::<f64>::compile(&turned, tier).expect("scene").respond(0, &Pose::HOME);
+        let response = CompiledScene::<f64>::compile(&turned, tier).expect("scene").respond(0, &Pose::HOME);
         assert!(response.flags.facing_away && response.flags.faint && response.status == Status::Lit);
         assert_eq!(response.i_o_a, cell(0).detector.dark_current_a);
         // 90.4°: the beam's axis is behind the horizon, but part of the spot is in front of it.
@@ -302,7 +303,7 @@ fn an_emitter_turned_away_is_flagged_and_sends_nothing() {
             cell.emitter.axis_tool = DVec3::X;
             cell.emitter.position_tool_m = DVec3::new(0.45e-3, 0.0, 15e-3);
         });
-        let response = Plan::<f64>::compile(&grazing, tier).expect("scene").respond(0, &Pose::HOME);
+        let response = CompiledScene::<f64>::compile(&grazing, tier).expect("scene").respond(0, &Pose::HOME);
         assert!(response.flags.facing_away && response.gamma_rad.expect("spot") > core::f64::consts::FRAC_PI_2);
         assert_eq!(response.x_a_m.is_some(), response.i_o_a > cell(0).detector.dark_current_a || tier == Tier::Paper);
     }
@@ -311,7 +312,7 @@ fn an_emitter_turned_away_is_flagged_and_sends_nothing() {
 #[test]
 fn half_the_mask_reaches_down_to_the_detector() {
     let with = |thickness_m: f64| {
-        Plan::<f64>::compile(
+        CompiledScene::<f64>::compile(
             &scene(1, |cell| (cell.slit.distance_m, cell.slit.thickness_m) = (1e-3, thickness_m)),
             Tier::Paper,
         )
@@ -330,7 +331,8 @@ fn an_emitter_inside_a_thick_mask_is_behind() {
             (cell.slit.distance_m, cell.slit.thickness_m) = (7e-3, 1e-3);
             cell.emitter.position_tool_m = DVec3::new(0.0, 0.0, distance_m);
         });
-        Plan::<f64>::compile(&scene, Tier::Paper).expect("scene").respond(0, &Pose::HOME).status == Status::Behind
+        CompiledScene::<f64>::compile(&scene, Tier::Paper).expect("scene").respond(0, &Pose::HOME).status
+            == Status::Behind
     };
     assert_eq!([6.8e-3, 7.2e-3, 7.5e-3, 7.6e-3].map(inside), [true, true, true, false]);
 }
@@ -342,7 +344,7 @@ fn crosstalk_is_the_other_emitter_on_this_detector() {
         let all = scene(2, |cell| cell.emitter.axis_tool = DVec3::new(0.3, 0.2, -1.0).normalize());
         let mut swapped = all.clone();
         swapped.cells[0].emitter = all.cells[1].emitter.clone();
-        let (plan, alone) = (Plan::<f64>::compile(&all, tier), Plan::<f64>::compile(&swapped, tier));
+        let (plan, alone) = (CompiledScene::<f64>::compile(&all, tier), CompiledScene::<f64>::compile(&swapped, tier));
         let (plan, alone) = (plan.expect("scene"), alone.expect("scene"));
         let pose = poses()[1];
         assert_eq!(plan.crosstalk(0, 1, &pose), alone.photocurrents(0, &pose));
@@ -359,7 +361,7 @@ fn currents_are_continuous_in_the_tilt_of_the_slit() {
             let turned = scene(1, |cell| {
                 cell.slit.tilt_rad = (DVec3::Z * base_deg + axis * tilt_deg) * core::f64::consts::PI / 180.0;
             });
-            let plan = Plan::<f64>::compile(&turned, tier).expect("scene");
+            let plan = CompiledScene::<f64>::compile(&turned, tier).expect("scene");
             plan.respond(0, &Pose::from_vectors(DVec3::new(1e-3, 0.0, 0.0), DVec3::new(0.0, 0.1, 0.0))).currents
         };
         for base_deg in [0.0, 90.0] {
@@ -395,7 +397,7 @@ fn what_no_head_can_have_is_refused_with_its_place() {
         ("radiant_intensity_w_per_sr", &|cell| cell.emitter.radiant_intensity_w_per_sr = 1e300),
     ];
     for (key, change) in changes {
-        let error = Plan::<f64>::compile(&scene(1, change), EXACT).map(|_| ()).expect_err("too large");
+        let error = CompiledScene::<f64>::compile(&scene(1, change), EXACT).map(|_| ()).expect_err("too large");
         assert!(matches!(error.fault, Fault::TooLarge(_)) && error.place.key == key, "{error}");
     }
 }
@@ -413,6 +415,6 @@ fn a_plan_leaves_room_on_the_board() {
         sizes::<Imperfect<f32>, MAX_CELLS>(),
         sizes::<Pack<f32>, MAX_CELLS>(),
     ];
-    let size = lists.iter().fold(size_of::<Plan<f32>>(), |size, (here, in_place)| size - here + in_place);
+    let size = lists.iter().fold(size_of::<CompiledScene<f32>>(), |size, (here, in_place)| size - here + in_place);
     assert!(size <= 60 * 1024, "{size} bytes");
 }

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::entries::Scalar;
-use crate::plan::{BOARD_CELLS, CompactCell, CompactPlan, Plan, Tier};
+use crate::plan::{BOARD_CELLS, CompactCell, CompactPlan, CompiledScene, Tier};
 use crate::pose::Pose;
 use crate::scalar::Number;
 use crate::scene::{MAX_CELLS, Scene, SceneError};
@@ -98,7 +98,7 @@ impl<S: Scalar> Solver<S, CompactPlan<S>> {
             return Err(CompactError::Cells { cells: scene.cells.len(), most: BOARD_CELLS });
         }
         let other_kind = |(cell, what)| CompactError::Kind { cell, what };
-        let truth = Plan::<f64>::compile(scene, Tier::Exact { tolerance: TRUE_TOLERANCE })?;
+        let truth = CompiledScene::<f64>::compile(scene, Tier::Exact { tolerance: TRUE_TOLERANCE })?;
         let error = worst_error(&CompactPlan::of(scene, &truth, &truth).map_err(other_kind)?, &truth);
         if error > MAX_ERROR {
             return Err(CompactError::Spots { error });
@@ -195,13 +195,13 @@ impl BoardTracker {
     #[inline(never)]
     pub fn track_on_board(&mut self, frame: u64, readings: &Photocurrents<f32>) -> Solution<f32> {
         let mut solution = self.advance(frame, readings);
-        solution.own_up();
+        solution.inflate_covariance();
         solution
     }
 }
 
 /// The greatest relative error of a current of `plan`, over the reach of a head.
-fn worst_error(plan: &CompactPlan<f64>, truth: &Plan<f64>) -> f64 {
+fn worst_error(plan: &CompactPlan<f64>, truth: &CompiledScene<f64>) -> f64 {
     let poses = core::iter::once(Pose::HOME).chain((0..LOOKS).map(|index| spread::<f64>(index).to_pose()));
     poses.fold(0.0, |worst: f64, pose| {
         let found = plan.currents_at(&pose);
@@ -239,7 +239,7 @@ mod tests {
         check_derivatives(&CompactPlan::of(&head(), &plan, &plan).expect("slits and cosines"), &plan, "ideal");
     }
 
-    fn check_derivatives(compact: &CompactPlan<f64>, plan: &Plan<f64>, name: &str) {
+    fn check_derivatives(compact: &CompactPlan<f64>, plan: &CompiledScene<f64>, name: &str) {
         for index in 0..40 {
             let pose = spread::<f64>(index).to_pose();
             let here = Transform::of(&pose);
@@ -323,7 +323,7 @@ mod tests {
             assert!(copy.push(&frame, &part));
         }
         assert!(!copy.push(&frame, &solver.parts().next().expect("six")), "there is room for six");
-        let plan = Plan::<f64>::compile(&head(), Tier::Exact { tolerance: 1e-9 }).expect("valid");
+        let plan = CompiledScene::<f64>::compile(&head(), Tier::Exact { tolerance: 1e-9 }).expect("valid");
         let readings = super::super::fixture::currents(&plan, &super::super::fixture::pose()).rounded();
         let solved = [&solver, &copy].map(|solver| {
             let solution = solver.solve(&readings, crate::Start::Cold, &crate::MotionPrior::AT_REST);
@@ -386,8 +386,8 @@ mod tests {
         }
     }
 
-    fn plan_of(scene: &Scene) -> Plan<f64> {
-        Plan::compile(scene, Tier::Exact { tolerance: 1e-9 }).expect("valid")
+    fn plan_of(scene: &Scene) -> CompiledScene<f64> {
+        CompiledScene::compile(scene, Tier::Exact { tolerance: 1e-9 }).expect("valid")
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use heapless::Vec;
 
 use crate::entries::Scalar;
-use crate::plan::{Optics, Plan, Tier};
+use crate::plan::{CompiledScene, Optics, Tier};
 use crate::pose::{Pose, Transform, Twist};
 use crate::scalar::{Linear3, Number, Vector3};
 use crate::scene::{Cell, MAX_CELLS, Scene, SceneError};
@@ -73,7 +73,7 @@ impl<S: Number> Prior<S> {
 }
 
 #[derive(Clone, Debug)]
-pub struct Compiled<S: Number, P = Plan<S>> {
+pub struct Compiled<S: Number, P = CompiledScene<S>> {
     pub plan: P,
     pub planes: Vec<PlaneCell<S>, MAX_CELLS>,
     pub noise: Vec<CellNoise<S>, MAX_CELLS>,
@@ -92,14 +92,14 @@ pub struct Compiled<S: Number, P = Plan<S>> {
 impl<S: Scalar> Compiled<S> {
     #[inline(always)]
     pub fn empty() -> Self {
-        Self::without_cells(Plan::empty())
+        Self::without_cells(CompiledScene::empty())
     }
 
     /// Compiles `scene` in place, for a processor whose RAM holds one solver and not two: cells
     /// exposed at the reference instant.
     ///
     /// # Errors
-    /// Those of [`Plan::compile`]. It is then empty.
+    /// Those of [`CompiledScene::compile`]. It is then empty.
     #[inline(never)]
     pub fn set_scene(&mut self, scene: &Scene, tier: Tier) -> Result<(), SceneError> {
         self.planes.clear();

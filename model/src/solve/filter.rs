@@ -203,7 +203,7 @@ impl<S: Number> FadingFilter<S> {
     }
 
     /// A frame without a pose: the motion goes on as it was.
-    pub fn coast(&mut self) {
+    pub fn extrapolate(&mut self) {
         if let Some(state) = &mut self.state {
             *state = state.advanced();
         }

@@ -2,7 +2,7 @@
 
 use glam::{DVec2, DVec3};
 
-use crate::plan::{Plan, Tier};
+use crate::plan::{CompiledScene, Tier};
 use crate::pose::Pose;
 use crate::scene::{Cell, DEFAULT_FAINT_A, Detector, Emitter, Noise, Profile, Scene, Slit, Uncertainty};
 
@@ -65,7 +65,7 @@ pub fn pose() -> Pose {
     Pose::HOME.perturbed(DVec3::new(0.8e-3, -0.5e-3, 0.3e-3), DVec3::new(0.05, 0.03, -0.04))
 }
 
-pub fn currents(plan: &Plan<f64>, pose: &Pose) -> Photocurrents {
+pub fn currents(plan: &CompiledScene<f64>, pose: &Pose) -> Photocurrents {
     Photocurrents::of_pairs((0..plan.cell_count()).map(|cell| plan.photocurrents(cell, pose)))
 }
 

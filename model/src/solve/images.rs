@@ -12,7 +12,7 @@
 use arrayvec::ArrayVec;
 
 use crate::entries::Scalar;
-use crate::plan::{Optics, Plan};
+use crate::plan::{CompiledScene, Optics};
 use crate::pose::{Pose, Transform};
 use crate::scalar::{Linear3, Number};
 use crate::scene::MAX_CELLS;
@@ -189,7 +189,7 @@ impl<S: Scalar> Compiled<S> {
         let home = Transform::of(&Pose::HOME);
         core::iter::once(home).chain((0..LOOKS).map(spread::<S>)).any(|pose| {
             let sorted = self.seen_at(&pose.to_pose());
-            sorted.usable.len() >= <Plan<S> as Optics<S>>::UNIQUE_FROM
+            sorted.usable.len() >= <CompiledScene<S> as Optics<S>>::UNIQUE_FROM
                 && self.firmness_of_planes(&sorted, &pose) < S::of(FIXED)
                 && self.has_image_near(&sorted, &pose)
         })

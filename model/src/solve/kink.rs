@@ -139,8 +139,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// Whether a step from the last linearisation may take an emitter to a wall.
     #[inline(always)]
     pub fn may_cross_wall(&self, step: &Step<S>, workspace: &Workspace<S>) -> bool {
-        let most_moved_m =
-            S::of(MAX_MAGNIFICATION / WALL_SLACK) * square(&step.step).root() * self.head.length_scale_m;
+        let most_moved_m = S::of(MAX_MAGNIFICATION / WALL_SLACK) * square(&step.step).root() * self.head.length_scale_m;
         workspace.walls_m.iter().any(|&wall_m| wall_m <= most_moved_m)
     }
 
@@ -148,7 +147,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// cells are linearised anew at its end.
     #[cold]
     #[inline(never)]
-    pub fn stepped_again(
+    pub fn second_step(
         &self,
         step: &Step<S>,
         (start, minimum): (&Transform<S>, Minimum<S>),
@@ -180,10 +179,10 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
         wall_m <= self.emitter_moves_m(&step.step, start, &self.sorted.usable[index])
     }
 
-    /// [`Self::stepped_again`], but only the cells at walls are linearised anew, where the motion is known.
+    /// [`Self::second_step`], but only the cells at walls are linearised anew, where the motion is known.
     #[cold]
     #[inline(never)]
-    pub fn behind_walls(
+    pub fn relinearise_at_walls(
         &self,
         step: &Step<S>,
         (start, minimum): (&Transform<S>, Minimum<S>),

@@ -132,9 +132,9 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
             let end = self.end_of(step, self.moved(&start, &step.step), &at, 1);
             if P::CROSSES_WALLS && self.may_cross_wall(step, workspace) {
                 return if workspace.is_unhurried {
-                    self.stepped_again(step, (&start, end), workspace)
+                    self.second_step(step, (&start, end), workspace)
                 } else {
-                    self.behind_walls(step, (&start, end), workspace)
+                    self.relinearise_at_walls(step, (&start, end), workspace)
                 };
             }
             return end;

@@ -290,7 +290,7 @@ impl<S: Number> Solution<S> {
     ///
     /// In place: on the board a copy of a solution takes hundreds of cycles.
     #[inline]
-    pub(crate) fn own_up(&mut self) {
+    pub(crate) fn inflate_covariance(&mut self) {
         if let (Outcome::Degraded(DegradedReason::Misfit), Some(estimate)) = (self.outcome, &mut self.estimate) {
             let factor = (self.chi2 / S::of(self.redundancy.max(1) as f64)).max(S::one());
             estimate.covariance = estimate.covariance.map(|row| row.map(|value| value * factor));

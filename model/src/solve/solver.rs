@@ -1,7 +1,7 @@
 //! The interface of the solver.
 
 use crate::entries::Scalar;
-use crate::plan::{Optics, Plan, Tier};
+use crate::plan::{CompiledScene, Optics, Tier};
 use crate::pose::{Pose, Transform};
 use crate::scalar::Number;
 use crate::scene::{Scene, SceneError};
@@ -30,7 +30,7 @@ pub enum Start<'a> {
 ///
 /// Holds the compiled scene and no state: every solve is a function of its arguments.
 #[derive(Clone, Debug)]
-pub struct Solver<S: Number, P = Plan<S>> {
+pub struct Solver<S: Number, P = CompiledScene<S>> {
     pub(crate) compiled: Compiled<S, P>,
     pub(crate) max_steps: Option<usize>,
 }
@@ -39,7 +39,7 @@ impl<S: Scalar> Solver<S> {
     /// For cells that are all exposed at the reference instant.
     ///
     /// # Errors
-    /// Those of [`Plan::compile`].
+    /// Those of [`CompiledScene::compile`].
     pub fn new(scene: &Scene, tier: Tier) -> Result<Self, SceneError> {
         let mut solver = Self::empty();
         solver.set_scene(scene, tier)?;
@@ -57,7 +57,7 @@ impl<S: Scalar> Solver<S> {
     /// exposed at the reference instant, the limit of steps as before.
     ///
     /// # Errors
-    /// Those of [`Plan::compile`]. The solver is then an empty one.
+    /// Those of [`CompiledScene::compile`]. The solver is then an empty one.
     #[inline(always)]
     pub fn set_scene(&mut self, scene: &Scene, tier: Tier) -> Result<(), SceneError> {
         S::set_scene(self, scene, tier)
@@ -192,7 +192,7 @@ impl<S: Number, P: Optics<S>> Solver<S, P> {
         let workspace = &mut Workspace::with_work(work);
         let mut solution = self.compiled.search(sorted, motion, &mut Search::at_once(), workspace);
         solution.evaluations = workspace.evaluations;
-        solution.own_up();
+        solution.inflate_covariance();
         solution
     }
 

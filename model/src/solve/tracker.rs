@@ -17,7 +17,7 @@
 //! is lost, or followed where no pose explains the currents, is searched for over several frames, each part of the
 //! search on the currents of its own frame.
 
-use crate::plan::{Optics, Plan};
+use crate::plan::{CompiledScene, Optics};
 use crate::pose::{Pose, Rigid, Transform};
 use crate::scalar::{Linear3, Number};
 
@@ -35,7 +35,7 @@ use super::solver::Solver;
 const MEMORY_FRAMES: f64 = 2.0;
 
 /// Frames without a pose over which the motion is extrapolated.
-const MAX_COAST: u32 = 8;
+const MAX_EXTRAPOLATED_FRAMES: u32 = 8;
 
 /// Standard deviation per axis of an unknown twist: a fast hand.
 const UNKNOWN_LINEAR_M_PER_S: f64 = 0.5;
@@ -82,7 +82,7 @@ pub struct Tracked<S: Number = f64> {
 
 /// Solves consecutive frames.
 #[derive(Clone, Debug)]
-pub struct Tracker<S: Number, P = Plan<S>> {
+pub struct Tracker<S: Number, P = CompiledScene<S>> {
     solver: Solver<S, P>,
     period_s: f64,
     frame_rate_hz: S,
@@ -99,7 +99,7 @@ pub struct Tracker<S: Number, P = Plan<S>> {
     weak: u32,
     /// Whether the motion is to be forgotten, if this frame says enough.
     forgets: bool,
-    coasted: u32,
+    extrapolated_frames: u32,
     /// The cell that was left out of the last pose.
     left_out: Option<usize>,
     /// The frame in which it was looked at again.
@@ -124,7 +124,7 @@ impl<S: Number, P: Optics<S>> Tracker<S, P> {
             cells: Cells::default(),
             weak: 0,
             forgets: false,
-            coasted: 0,
+            extrapolated_frames: 0,
             left_out: None,
             last_look: 0,
             is_misfit: false,
@@ -147,7 +147,7 @@ impl<S: Number, P: Optics<S>> Tracker<S, P> {
         self.last_twist = [S::Vec3::default(); 2];
         self.cells = Cells::default();
         self.weak = 0;
-        self.coasted = 0;
+        self.extrapolated_frames = 0;
         self.left_out = None;
         self.last_look = 0;
         self.is_misfit = false;
@@ -189,7 +189,7 @@ impl<S: Number, P: Optics<S>> Tracker<S, P> {
         };
         let twist = self.motion.state(covariance).map(|state| state.twist);
         let filtered = self.filter.as_ref().and_then(|filter| filter.state(covariance));
-        solution.own_up();
+        solution.inflate_covariance();
         Tracked { solution, twist, filtered }
     }
 
@@ -197,7 +197,9 @@ impl<S: Number, P: Optics<S>> Tracker<S, P> {
     #[inline(always)]
     pub(crate) fn advance(&mut self, frame: u64, readings: &Photocurrents<S>) -> Solution<S> {
         match frame.checked_sub(self.next_frame) {
-            Some(missed) if missed <= u64::from(MAX_COAST) => (0..missed).for_each(|_| self.coast()),
+            Some(missed) if missed <= u64::from(MAX_EXTRAPOLATED_FRAMES) => {
+                (0..missed).for_each(|_| self.extrapolate())
+            }
             _ => self.forget(),
         }
         self.next_frame = frame.wrapping_add(1);
@@ -208,14 +210,14 @@ impl<S: Number, P: Optics<S>> Tracker<S, P> {
             self.forget();
         }
         let Some(estimate) = &solution.estimate else {
-            self.coast();
+            self.extrapolate();
             self.is_misfit = false;
             self.lost.wait = 0;
             return solution;
         };
         if is_weak {
             self.weak += 1;
-            self.coast();
+            self.extrapolate();
         } else {
             let (pose, covariance) = (solution.rigid, &estimate.covariance);
             let solver = &self.solver;
@@ -226,7 +228,7 @@ impl<S: Number, P: Optics<S>> Tracker<S, P> {
             }
             (self.cells, self.weak) = (solution.cells_used, 0);
         }
-        self.coasted = 0;
+        self.extrapolated_frames = 0;
         self.left_out = solution.excluded.iter().next();
         self.is_misfit = is_misfit(&solution);
         let most_saved = self.budget.most_saved;
@@ -252,19 +254,19 @@ impl<S: Number, P: Optics<S>> Tracker<S, P> {
         if let Some(filter) = &mut self.filter {
             filter.forget();
         }
-        self.coasted = 0;
+        self.extrapolated_frames = 0;
     }
 
     #[cold]
     #[inline(never)]
-    fn coast(&mut self) {
-        self.coasted += 1;
-        if self.coasted > MAX_COAST {
+    fn extrapolate(&mut self) {
+        self.extrapolated_frames += 1;
+        if self.extrapolated_frames > MAX_EXTRAPOLATED_FRAMES {
             return self.forget();
         }
-        self.motion.coast();
+        self.motion.extrapolate();
         if let Some(filter) = &mut self.filter {
-            filter.coast();
+            filter.extrapolate();
         }
     }
 
@@ -340,7 +342,7 @@ impl<S: Number, P: Optics<S>> Tracker<S, P> {
         let unknown = self.unknown_motion(&expected.twist);
         if !(is_expected && self.is_misfit) {
             // The tool did not go on as before: what it did within this frame is unknown.
-            let time_s = S::of(self.period_s * f64::from(self.coasted + 1));
+            let time_s = S::of(self.period_s * f64::from(self.extrapolated_frames + 1));
             let sigmas = self.motion.sigmas();
             let reach = [0, 1].map(|i| S::two() * unknown.sigmas[i] * time_s + S::of(REACH_SIGMAS) * sigmas[i]);
             self.forgets = true;

@@ -4,7 +4,7 @@
 use glam::DVec3;
 use rand_chacha::ChaCha8Rng;
 use slitpose_model::{
-    DegradedReason, Outcome, Pair, Photocurrents, Plan, Pose, Reading, Scene, Solution, Solver, Tier, Tracker,
+    CompiledScene, DegradedReason, Outcome, Pair, Photocurrents, Pose, Reading, Scene, Solution, Solver, Tier, Tracker,
 };
 
 use crate::common::{
@@ -198,7 +198,7 @@ fn a_misfit_has_a_pose_that_owns_up_to_it() {
     let mut rng = generator();
     let (mut squares, mut count, mut most, mut worst_m) = (0.0, 0, 0, 0.0_f64);
     for _ in 0..40 {
-        let plan = Plan::<f64>::compile(&assembled(&mut rng), TIERS[1]).expect("scene");
+        let plan = CompiledScene::<f64>::compile(&assembled(&mut rng), TIERS[1]).expect("scene");
         for _ in 0..10 {
             let truth = pose_in_box(&mut rng, 3.0, 12.0);
             let solution = cold(&solver, &seen(&plan, &truth));
@@ -226,7 +226,7 @@ fn a_misfit_has_a_pose_that_owns_up_to_it() {
 fn a_misfit_is_tracked_within_the_budget_of_a_frame() {
     let mut rng = generator();
     for head in 0..10 {
-        let plan = Plan::<f64>::compile(&assembled(&mut rng), TIERS[1]).expect("scene");
+        let plan = CompiledScene::<f64>::compile(&assembled(&mut rng), TIERS[1]).expect("scene");
         let mut tracker = Tracker::new(Solver::<f64>::new(&wide(), TIERS[1]).expect("scene"), 250e-6);
         let (mut without, mut evaluations, mut largest) = (0, Vec::new(), 0.0_f64);
         for frame in 0..2000 {

@@ -3,8 +3,8 @@
 use glam::{DQuat, DVec2, DVec3};
 use rand::{RngExt, SeedableRng};
 use slitpose_model::{
-    Batch, MotionPrior, Outcome, Pair, Photocurrents, Plan, Pose, Profile, Reading, Scene, Solution, Solver, Start,
-    Starts, Tier, Tracker, Twist, Width,
+    Batch, CompiledScene, MotionPrior, Outcome, Pair, Photocurrents, Pose, Profile, Reading, Scene, Solution, Solver,
+    Start, Starts, Tier, Tracker, Twist, Width,
 };
 use std::num::NonZero;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -242,7 +242,7 @@ fn many_poses_at_once_have_the_light_and_derivatives_of_each_alone() {
         (unlike, EXACT),
         (turned, EXACT),
     ] {
-        let plan = Plan::<f64>::compile(&scene, tier).expect("a possible scene");
+        let plan = CompiledScene::<f64>::compile(&scene, tier).expect("a possible scene");
         // From poses where all cells are lit to some where emitters are behind their slits.
         let poses: Vec<Pose> = (0..500)
             .map(|i| {

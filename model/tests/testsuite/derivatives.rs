@@ -3,13 +3,13 @@
 use crate::common::{KINDS, Kind, generator, pose, scene, vector};
 use glam::DVec3;
 use rand_chacha::ChaCha8Rng;
-use slitpose_model::{Plan, Pose, Scene, Tier};
+use slitpose_model::{CompiledScene, Pose, Scene, Tier};
 
 /// Metres and radians (arms of some 30 mm): the light moves by micrometres, 1e-3 of the spot.
 const STEPS: [f64; 2] = [1e-6, 5e-5];
 
 /// Difference quotient of fourth order: error h⁴·|f⁽⁵⁾|/30 plus rounding ε·|f|/h.
-fn numeric(plan: &Plan<f64>, pose: &Pose, axis: usize, h: f64) -> [f64; 2] {
+fn numeric(plan: &CompiledScene<f64>, pose: &Pose, axis: usize, h: f64) -> [f64; 2] {
     let at = |factor: f64| {
         let mut step = [0.0; 6];
         step[axis] = factor * h;
@@ -34,7 +34,7 @@ pub fn check(
     let (mut checked, mut at_kinks) = (0, 0);
     while checked < count {
         let (scene, pose) = draw(&mut rng);
-        let plan = Plan::<f64>::compile(&scene, tier).expect("scene");
+        let plan = CompiledScene::<f64>::compile(&scene, tier).expect("scene");
         let (status, pair, jacobian) = plan.linearise(0, &pose);
         if !status.has_spot() || pair.total_a() < 1e-8 {
             continue;
@@ -74,7 +74,7 @@ fn check_kind(kind: Kind, tier: Tier, count: usize, turn_rad: f64, tolerance: f6
     let draw = |rng: &mut ChaCha8Rng| {
         let scene = scene(rng, kind);
         let pose = pose(rng, &scene, 2.5e-3, turn_rad);
-        let plan = Plan::<f64>::compile(&scene, tier).expect("scene");
+        let plan = CompiledScene::<f64>::compile(&scene, tier).expect("scene");
         assert_eq!(plan.linearise(0, &pose).1, plan.photocurrents(0, &pose), "{kind:?} {tier:?}");
         (scene, pose)
     };

@@ -4,8 +4,8 @@
 use glam::{DQuat, DVec2, DVec3};
 use rand_chacha::ChaCha8Rng;
 use slitpose_model::{
-    Cell, Converters, DegradedReason, Effects, Outcome, Pair, Photocurrents, Plan, Pose, Profile, ProfileShape, Scene,
-    Solver, Status, Stray, Tier, Window, rotation_exp,
+    Cell, CompiledScene, Converters, DegradedReason, Effects, Outcome, Pair, Photocurrents, Pose, Profile,
+    ProfileShape, Scene, Solver, Status, Stray, Tier, Window, rotation_exp,
 };
 
 use super::derivatives::check;
@@ -67,7 +67,7 @@ fn effects_that_are_off_change_no_bit() {
         off.cells[0].effects.model_error.position_m = 1e-6;
         let pose = common::pose(rng, &scene, 1e-3, 0.2);
         for tier in [EXACT, Tier::Paper] {
-            let respond = |scene: &Scene| Plan::<f64>::compile(scene, tier).expect("valid").respond(0, &pose);
+            let respond = |scene: &Scene| CompiledScene::<f64>::compile(scene, tier).expect("valid").respond(0, &pose);
             assert_eq!(respond(&scene), respond(&off));
         }
     }
@@ -83,7 +83,8 @@ fn effects_too_small_to_matter_give_the_ideal_cell() {
             nearly.cells[0].effects.electrode_gain = [1.0 + 1e-15, 1.0];
             let pose = common::pose(rng, &scene, 2e-3, 0.2);
             for tier in [EXACT, Tier::Paper] {
-                let respond = |scene: &Scene| Plan::<f64>::compile(scene, tier).expect("valid").respond(0, &pose);
+                let respond =
+                    |scene: &Scene| CompiledScene::<f64>::compile(scene, tier).expect("valid").respond(0, &pose);
                 let (ideal, imperfect) = (respond(&scene), respond(&nearly));
                 assert_eq!((ideal.status, ideal.flags), (imperfect.status, imperfect.flags));
                 let difference = (ideal.currents.i_x1_a - imperfect.currents.i_x1_a).abs();
@@ -193,7 +194,7 @@ impl Rays<'_> {
 /// By how much the exact tier errs, relative in power, and in position in metres, against the sum over rays.
 fn errors(scene: &Scene, pose: &Pose) -> Option<(f64, f64)> {
     let cell = &scene.cells[0];
-    let plan = Plan::<f64>::compile(scene, EXACT).expect("valid");
+    let plan = CompiledScene::<f64>::compile(scene, EXACT).expect("valid");
     let response = plan.respond(0, pose);
     let (z, x) = (cell.detector.normal_base, cell.detector.x_axis_base);
     let into_cell = DQuat::from_mat3(&glam::DMat3::from_cols(x, z.cross(x), z)).inverse();
@@ -248,7 +249,8 @@ fn converters_beyond_their_range_err_as_at_its_end() {
     let curve: heapless::Vec<f64, 10> = (0..10).map(|k| if k == 9 { 5e-9 } else { 0.0 }).collect();
     // The range ends below the light at home.
     scene.cells[0].effects.converters = Some(Converters { full_scale_a: 1e-6, curves_a: [curve.clone(), curve] });
-    let linearise = |scene: &Scene| Plan::<f64>::compile(scene, EXACT).expect("valid").linearise(0, &Pose::HOME);
+    let linearise =
+        |scene: &Scene| CompiledScene::<f64>::compile(scene, EXACT).expect("valid").linearise(0, &Pose::HOME);
     let ((_, without, slopes), (_, with, same_slopes)) = (linearise(&ideal), linearise(&scene));
     assert!((with.i_x1_a - without.i_x1_a - 5e-9).abs() < 1e-9 * without.i_x1_a, "{with:?} {without:?}");
     for (slope, same) in slopes.as_flattened().iter().zip(same_slopes.as_flattened()) {

@@ -3,8 +3,8 @@
 use glam::{DQuat, DVec3};
 use rand_chacha::ChaCha8Rng;
 use slitpose_model::{
-    DegradedReason, Outcome, Pair, Photocurrents, Plan, Pose, Profile, Reading, Scalar, Scene, Solution, Solver, Tier,
-    Tracker,
+    CompiledScene, DegradedReason, Outcome, Pair, Photocurrents, Pose, Profile, Reading, Scalar, Scene, Solution,
+    Solver, Tier, Tracker,
 };
 
 use crate::common::{
@@ -147,7 +147,7 @@ fn a_head_of_equal_rolls_is_refused_where_it_is_singular_only() {
 
 /// What a solver makes of noise-free light at home, expected there to 3 µm and 0.3 mrad, or anywhere.
 fn found_at_home<S: Scalar>(scene: &Scene, tier: Tier, rng: &mut ChaCha8Rng) -> Vec<Solution> {
-    let light = Plan::<f64>::compile(scene, Tier::Exact { tolerance: 1e-15 }).expect("scene");
+    let light = CompiledScene::<f64>::compile(scene, Tier::Exact { tolerance: 1e-15 }).expect("scene");
     let readings = common::seen(&light, &Pose::HOME);
     let solver = Solver::<S>::new(scene, tier).expect("scene");
     let mut solve = |_| {

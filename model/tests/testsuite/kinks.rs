@@ -4,7 +4,7 @@ use glam::DVec3;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use slitpose_model::{
-    DegradedReason, Outcome, Pair, Photocurrents, Plan, Pose, Scalar, Scene, Solution, Solver, Status, Tier,
+    CompiledScene, DegradedReason, Outcome, Pair, Photocurrents, Pose, Scalar, Scene, Solution, Solver, Status, Tier,
 };
 
 use crate::common::{base, cold, generator, near, noisy, normal, pairs, pose_in_box, uniform, unit, vector};
@@ -19,7 +19,7 @@ fn tier() -> Tier {
 }
 
 /// A pose within some micrometres of one at which a spot touches an end of its detector, all cells lit.
-fn beside_a_kink(plan: &Plan<f64>, rng: &mut ChaCha8Rng) -> Pose {
+fn beside_a_kink(plan: &CompiledScene<f64>, rng: &mut ChaCha8Rng) -> Pose {
     let clipped = |pose: &Pose| (0..6).filter(|&cell| plan.respond(cell, pose).status == Status::Clipped).count();
     let is_lit = |pose: &Pose| (0..6).all(|cell| plan.respond(cell, pose).i_o_a > 1e-7);
     loop {
@@ -46,7 +46,7 @@ fn beside_a_kink(plan: &Plan<f64>, rng: &mut ChaCha8Rng) -> Pose {
 fn solved<S: Scalar>(noise_a: f64) -> [Vec<(Pose, Solution)>; 2] {
     let mut scene = base();
     scene.noise.as_mut().expect("noise").adc_a = NOISE_A;
-    let light = Plan::<f64>::compile(&scene, Tier::Exact { tolerance: 1e-9 }).expect("scene");
+    let light = CompiledScene::<f64>::compile(&scene, Tier::Exact { tolerance: 1e-9 }).expect("scene");
     let solver = Solver::<S>::new(&scene, tier()).expect("scene");
     let mut rng = generator();
     let mut solved = [const { Vec::new() }; 2];
@@ -135,7 +135,7 @@ fn poses_among_many_clipped_spots_are_found() {
         let (mut tried, mut none, mut off, mut with_images) = (0, 0, 0, 0);
         for _ in 0..40 {
             let scene = crowded(&mut rng);
-            let plan = Plan::<f64>::compile(&scene, tier()).expect("scene");
+            let plan = CompiledScene::<f64>::compile(&scene, tier()).expect("scene");
             let solver = Solver::<f64>::new(&scene, tier()).expect("scene");
             for _ in 0..200 {
                 let pose = pose_in_box(&mut rng, 3.0, 20.0);

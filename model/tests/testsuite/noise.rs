@@ -7,7 +7,7 @@
 use glam::DVec3;
 use rand_chacha::ChaCha8Rng;
 use slitpose_model::{
-    MotionPrior, Noise, Outcome, Pair, Photocurrents, Plan, Pose, Scene, Solver, Start, Tier, Uncertainty,
+    CompiledScene, MotionPrior, Noise, Outcome, Pair, Photocurrents, Pose, Scene, Solver, Start, Tier, Uncertainty,
 };
 
 use crate::common::{cold, errors_in_sigmas, generator, normal, pose_in_box, seen, wide};
@@ -45,7 +45,7 @@ struct Found {
 }
 
 /// Solves for random poses at which all cells are lit; `measure` disturbs what cell `k` delivers at a pose.
-fn study(scene: &Scene, measure: impl Fn(&Plan<f64>, usize, &Pose, &mut ChaCha8Rng) -> Pair<f64>) -> Found {
+fn study(scene: &Scene, measure: impl Fn(&CompiledScene<f64>, usize, &Pose, &mut ChaCha8Rng) -> Pair<f64>) -> Found {
     let solver = Solver::<f64>::new(scene, Tier::Paper).expect("scene");
     let mut rng = generator();
     let mut found = Found { chi2: 0.0, nees: 0.0, errors: [0.0; 6], sigmas: [0.0; 6] };

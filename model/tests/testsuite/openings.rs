@@ -4,8 +4,8 @@
 use glam::{DMat3, DVec2, DVec3};
 use rand_chacha::ChaCha8Rng;
 use slitpose_model::{
-    Cell, Effects, Fault, Opening, Plan, Pose, Profile, ProfileShape, Scene, Solver, Status, Stray, Tier, Window,
-    rotation_exp, rotation_log,
+    Cell, CompiledScene, Effects, Fault, Opening, Pose, Profile, ProfileShape, Scene, Solver, Status, Stray, Tier,
+    Window, rotation_exp, rotation_log,
 };
 
 use super::derivatives::check;
@@ -176,7 +176,7 @@ fn through_hole(cell: &Cell, pose: &Pose, per_focal_length: f64) -> Light {
 
 /// Power per axial intensity and X_A by the model.
 fn by_model(scene: &Scene, pose: &Pose) -> (Light, Status) {
-    let plan = Plan::<f64>::compile(scene, EXACT).expect("a valid scene");
+    let plan = CompiledScene::<f64>::compile(scene, EXACT).expect("a valid scene");
     let response = plan.respond(0, pose);
     let cell = &scene.cells[0];
     let gain = cell.detector.responsivity_a_per_w * cell.emitter.radiant_intensity_w_per_sr;
@@ -270,7 +270,7 @@ fn both_axes_of_a_detector_count_one_emitter_once() {
     other.slit.offset_m = DVec2::new(other.slit.offset_m.y, -other.slit.offset_m.x);
     (scene.cells[0].effects.other_axis, other.effects.other_axis) = (Some(1), Some(0));
     scene.cells.push(other).expect("room");
-    let plan = Plan::<f64>::compile(&scene, EXACT).expect("a valid scene");
+    let plan = CompiledScene::<f64>::compile(&scene, EXACT).expect("a valid scene");
     let pose = pose(rng, &scene);
     for cell in 0..2 {
         let alone = plan.photocurrents(cell, &pose);
@@ -284,7 +284,7 @@ fn both_axes_of_a_detector_count_one_emitter_once() {
 #[test]
 fn what_an_opening_cannot_be_computed_with_is_refused() {
     let rng = &mut generator();
-    let refusal = |scene: &Scene| Plan::<f64>::compile(scene, Tier::Paper).expect_err("refused").to_string();
+    let refusal = |scene: &Scene| CompiledScene::<f64>::compile(scene, Tier::Paper).expect_err("refused").to_string();
     let mut windowed = riding(rng, Kind::Thin);
     windowed.cells[0].effects.window = Some(Window { thickness_m: 0.7e-3, refractive_index: 1.52 });
     assert_eq!(
@@ -299,7 +299,7 @@ fn what_an_opening_cannot_be_computed_with_is_refused() {
     assert_eq!(refusal(&thick), "cell 0, slit.thickness_mm: a thick mask cannot be computed with a lens; leave it out");
     let mut blunt = round(rng, true);
     blunt.cells[0].effects.opening = Opening::Lens { focal_length_m: 0.0 };
-    let error = Plan::<f64>::compile(&blunt, Tier::Paper).expect_err("refused");
+    let error = CompiledScene::<f64>::compile(&blunt, Tier::Paper).expect_err("refused");
     assert_eq!((error.place.key, error.fault), ("focal_length_mm", Fault::NotPositive(0.0)));
 }
 
@@ -363,8 +363,8 @@ fn the_paper_tier_takes_integrals_over_openings_to_a_millionth() {
         // Which each tier divides its own way.
         scene.cells[0].detector.dark_current_a = 0.0;
         let pose = pose(rng, &scene);
-        let [paper, exact] =
-            [Tier::Paper, EXACT].map(|tier| Plan::<f64>::compile(&scene, tier).expect("valid").photocurrents(0, &pose));
+        let [paper, exact] = [Tier::Paper, EXACT]
+            .map(|tier| CompiledScene::<f64>::compile(&scene, tier).expect("valid").photocurrents(0, &pose));
         let difference = (paper.i_x1_a - exact.i_x1_a).abs().max((paper.i_x2_a - exact.i_x2_a).abs());
         assert!(difference <= 1e-6 * exact.total_a(), "{trial}: {paper:?} {exact:?}");
     }
@@ -382,7 +382,7 @@ fn nothing_passes_an_opening_that_is_not_between_emitter_and_detector() {
         // As far down as the emitter is above the detector: a slit on the tool is below it, a hole above the emitter.
         let sunk = Pose { translation_m: cell.detector.normal_base * -(height_m - 1e-3), ..Pose::HOME };
         for (scene, pose) in [(&behind, Pose::HOME), (&scene, sunk)] {
-            let plan = Plan::<f64>::compile(scene, EXACT).expect("a valid scene");
+            let plan = CompiledScene::<f64>::compile(scene, EXACT).expect("a valid scene");
             assert_eq!(plan.respond(0, &pose).status, Status::Behind, "riding: {is_riding}");
             assert_eq!(plan.photocurrents(0, &pose).total_a(), 0.0);
             assert!(plan.spot_outline_m(0, &pose).is_empty());
@@ -406,9 +406,9 @@ fn light_of_a_riding_slit_falls_on_any_detector_it_meets() {
     across.detector.centre_base_m += apart;
     across.slit.offset_m.y -= 3e-3;
     scene.cells.push(second).expect("room");
-    let plan = Plan::<f64>::compile(&scene, EXACT).expect("valid");
+    let plan = CompiledScene::<f64>::compile(&scene, EXACT).expect("valid");
     let across = Scene { cells: [across].into_iter().collect(), ..scene.clone() };
-    let across = Plan::<f64>::compile(&across, EXACT).expect("valid");
+    let across = CompiledScene::<f64>::compile(&across, EXACT).expect("valid");
     for pose in [Pose::HOME, common::pose(rng, &scene, 0.5e-3, 0.1)] {
         let (light, expected) = (plan.crosstalk(1, 0, &pose), across.photocurrents(0, &pose));
         assert!(expected.total_a() > 1e-8, "{expected:?}");

@@ -4,7 +4,7 @@
 
 use glam::{DVec2, DVec3};
 use rand_chacha::ChaCha8Rng;
-use slitpose_model::{Cell, Detector, Emitter, Pair, Plan, Pose, Profile, Scene, Slit, Tier, Uncertainty};
+use slitpose_model::{Cell, CompiledScene, Detector, Emitter, Pair, Pose, Profile, Scene, Slit, Tier, Uncertainty};
 
 use crate::common::{KINDS, Kind, generator, scene, uniform, vector};
 
@@ -86,7 +86,7 @@ fn both_currents_keep_the_tolerance() {
     for tolerance in [1e-3, 1e-6, 1e-10, 1e-12] {
         let (mut worst, mut most) = (0.0_f64, 0);
         for row in rows() {
-            let plan = Plan::<f64>::compile(&row.scene, Tier::Exact { tolerance }).expect("scene");
+            let plan = CompiledScene::<f64>::compile(&row.scene, Tier::Exact { tolerance }).expect("scene");
             let pair = plan.photocurrents(0, &Pose::HOME);
             if row.i_o_a < MIN_A {
                 let jacobian = plan.linearise(0, &Pose::HOME).2;
@@ -115,7 +115,7 @@ fn both_currents_keep_the_tolerance() {
                     row.id, row.profile, integration.evaluations
                 ));
             }
-            assert!(integration.evaluations <= Plan::<f64>::MAX_EVALUATIONS, "{integration:?}");
+            assert!(integration.evaluations <= CompiledScene::<f64>::MAX_EVALUATIONS, "{integration:?}");
         }
         println!("at {tolerance:e}: worst {worst:.2} of the achieved error, most evaluations {most}");
     }
@@ -137,7 +137,7 @@ fn a_table_of_a_power_is_that_power() {
         let angles = (0..18).map(|i| f64::from(5 * i).to_radians());
         scene.cells[0].emitter.profile =
             Profile::Table(angles.map(|gamma| (gamma, gamma.cos().powf(exponent))).collect());
-        let pair = Plan::<f64>::compile(&scene, EXACT).expect("scene").photocurrents(0, &Pose::HOME);
+        let pair = CompiledScene::<f64>::compile(&scene, EXACT).expect("scene").photocurrents(0, &Pose::HOME);
         let reference = Pair { i_x1_a: row.electrodes_a[0], i_x2_a: row.electrodes_a[1] };
         // The table's values round, and so does n.
         assert!(difference(&pair, &reference) < 1e-10 + 1e-12, "{}: {pair:?} {reference:?}", row.id);
@@ -160,7 +160,7 @@ fn a_smooth_table_keeps_the_tolerance_and_takes_no_more_nodes_than_a_power() {
             let at = |profile: &Profile, tolerance: f64| {
                 let mut scene = row.scene.clone();
                 scene.cells[0].emitter.profile = profile.clone();
-                let plan = Plan::<f64>::compile(&scene, Tier::Exact { tolerance }).expect("scene");
+                let plan = CompiledScene::<f64>::compile(&scene, Tier::Exact { tolerance }).expect("scene");
                 (plan.photocurrents(0, &Pose::HOME), plan.respond(0, &Pose::HOME).integration.expect("light"))
             };
             let ((pair, table), (fine, _)) = (at(&smooth, tolerance), at(&smooth, 1e-13));
@@ -176,7 +176,7 @@ fn a_smooth_table_keeps_the_tolerance_and_takes_no_more_nodes_than_a_power() {
 
 /// Fails unless everything the plan says of cell 0 is finite and no current is negative.
 fn check(scene: &Scene, pose: &Pose, tier: Tier, name: &str) {
-    let plan = Plan::<f64>::compile(scene, tier).expect("scene");
+    let plan = CompiledScene::<f64>::compile(scene, tier).expect("scene");
     let response = plan.respond(0, pose);
     let (_, pair, jacobian) = plan.linearise(0, pose);
     assert_eq!(pair, plan.photocurrents(0, pose), "{name} {tier:?}: {scene:?} {pose:?}");
@@ -243,7 +243,7 @@ fn light_fainter_than_the_least_normal_number_keeps_its_digits_and_its_place() {
         cell.emitter.position_tool_m = DVec3::Z * 15e-3;
         cell.emitter.axis_tool = DVec3::from(["ux", "uy", "uz"].map(number));
         cell.emitter.profile = Profile::Cosine { exponent: number("profile_exponent") };
-        let plan = Plan::<f64>::compile(&scene, Tier::Exact { tolerance: 1e-10 }).expect("scene");
+        let plan = CompiledScene::<f64>::compile(&scene, Tier::Exact { tolerance: 1e-10 }).expect("scene");
         let response = plan.respond(0, &Pose::HOME);
         // Half of the least number is what any of them is rounded by.
         let (current, least) = (number("exact_i_o_a"), f64::from_bits(1));

@@ -2,15 +2,15 @@
 
 use glam::DVec3;
 use slitpose_model::{
-    DegradedReason, MotionPrior, Outcome, Pair, Photocurrents, Plan, Pose, Reading, Scene, Solver, Start, Status, Tier,
-    Twist, Verified,
+    CompiledScene, DegradedReason, MotionPrior, Outcome, Pair, Photocurrents, Pose, Reading, Scene, Solver, Start,
+    Status, Tier, Twist, Verified,
 };
 
 use crate::common::{
     base, cold, errors_in_sigmas, generator, near, noisy, pairs, pose_in_box, seen, uniform, vector, wide,
 };
 
-fn lit(plan: &Plan<f64>, pose: &Pose) -> bool {
+fn lit(plan: &CompiledScene<f64>, pose: &Pose) -> bool {
     (0..6).all(|cell| !plan.respond(cell, pose).flags.faint)
 }
 

@@ -2,7 +2,7 @@
 
 use glam::{DQuat, DVec2, DVec3};
 use rand_chacha::ChaCha8Rng;
-use slitpose_model::{Cell, Plan, Pose, Profile, Scene, Tier};
+use slitpose_model::{Cell, CompiledScene, Pose, Profile, Scene, Tier};
 
 use crate::common::{KINDS, Kind, generator, pose, scene, uniform, vector};
 
@@ -145,8 +145,8 @@ fn errors(
     while errors.len() < count {
         let mut scene = scene(&mut rng, kind);
         change(&mut scene, &mut rng);
-        let coarse = Plan::<f64>::compile(&scene, Tier::Exact { tolerance }).expect("scene");
-        let fine = Plan::<f64>::compile(&scene, Tier::Exact { tolerance: 1e-2 * tolerance }).expect("scene");
+        let coarse = CompiledScene::<f64>::compile(&scene, Tier::Exact { tolerance }).expect("scene");
+        let fine = CompiledScene::<f64>::compile(&scene, Tier::Exact { tolerance: 1e-2 * tolerance }).expect("scene");
         let pose = pose(&mut rng, &scene, 2.5e-3, turn_rad);
         let (a, b) = (coarse.photocurrents(0, &pose), fine.photocurrents(0, &pose));
         let [x1, x2] = photocurrents(&scene.cells[0], &pose).unwrap_or([b.i_x1_a, b.i_x2_a]);
@@ -222,7 +222,7 @@ fn a_lobe_narrower_than_its_spot_takes_few_values_of_its_profile() {
     for cell in &mut scene.cells {
         cell.emitter.profile = Profile::from_half_angle(1_f64.to_radians());
     }
-    let plan = Plan::<f64>::compile(&scene, Tier::Exact { tolerance: 1e-6 }).expect("scene");
+    let plan = CompiledScene::<f64>::compile(&scene, Tier::Exact { tolerance: 1e-6 }).expect("scene");
     let poses: Vec<Pose> = (0..300).map(|_| crate::common::pose_in_box(&mut rng, 4.0, 15.0)).collect();
     let integrations = poses.iter().flat_map(|pose| (0..6).filter_map(|cell| plan.respond(cell, pose).integration));
     let evaluations: Vec<usize> = integrations.map(|integration| integration.evaluations).collect();
@@ -239,7 +239,7 @@ fn a_spot_across_the_horizon_takes_few_values_of_its_profile() {
     let mut evaluations: Vec<usize> = Vec::new();
     while evaluations.len() < 5000 {
         let scene = scene(&mut rng, Kind::Thin);
-        let plan = Plan::<f64>::compile(&scene, Tier::Exact { tolerance: 1e-6 }).expect("scene");
+        let plan = CompiledScene::<f64>::compile(&scene, Tier::Exact { tolerance: 1e-6 }).expect("scene");
         let pose = pose(&mut rng, &scene, 2.5e-3, 1.6);
         evaluations.extend(plan.respond(0, &pose).integration.map(|integration| integration.evaluations));
     }

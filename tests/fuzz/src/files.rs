@@ -4,7 +4,7 @@ use std::io::Cursor;
 
 use slitpose_head::scene_file::{SceneFile, fnv1a_64};
 use slitpose_head::table::TableReader;
-use slitpose_model::{Plan, Pose, Solver, Tier};
+use slitpose_model::{CompiledScene, Pose, Solver, Tier};
 
 /// A scene is refused with a message that names the file, or compiles in all tiers and for the solver, has the hash of
 /// its bytes each time it is read, and gives no current that is not a number at home.
@@ -17,12 +17,12 @@ pub(crate) fn scene(bytes: &[u8]) {
     let again = SceneFile::parse("stranger.toml", &file.source).expect("its own source");
     assert_eq!((again.hash, &again.scene), (file.hash, &file.scene));
     let _ = slitpose_head::front_end::configuration(&file);
-    let paper = Plan::<f64>::compile(&file.scene, Tier::Paper).expect("what parses compiles");
+    let paper = CompiledScene::<f64>::compile(&file.scene, Tier::Paper).expect("what parses compiles");
     let currents = |cell| paper.photocurrents(cell, &Pose::HOME);
     let is_number = |cell| currents(cell).i_x1_a.is_finite() && currents(cell).i_x2_a.is_finite();
     assert!((0..paper.cell_count()).all(is_number), "a current is no number");
     assert!(Solver::<f64>::new(&file.scene, Tier::Paper).is_ok());
-    let exact = Plan::<f32>::compile(&file.scene, Tier::Exact { tolerance: 1e-4 });
+    let exact = CompiledScene::<f32>::compile(&file.scene, Tier::Exact { tolerance: 1e-4 });
     assert!(exact.is_ok(), "compiles in double precision only");
 }
 

@@ -8,7 +8,7 @@ use slitpose::inputs::{self, Captured};
 use slitpose_calibration::Calibration;
 use slitpose_head::scene_file::{SceneFile, WIDE, fnv1a_64};
 use slitpose_head::table::CAPTURE_MAGIC;
-use slitpose_model::{Plan, Pose, Tier};
+use slitpose_model::{CompiledScene, Pose, Tier};
 use slitpose_tracking::pipeline::{Item, Pipeline, PipelineError, SceneMatch};
 
 use crate::wire::repaired;
@@ -53,7 +53,7 @@ pub(crate) fn calibration(bytes: &[u8]) {
         let own = calibration.scene_file().ok();
         for file in own.into_iter().chain(WIDE.read()) {
             if let Ok(scene) = calibration.apply(&file) {
-                assert!(Plan::<f64>::compile(&scene, Tier::Paper).is_ok());
+                assert!(CompiledScene::<f64>::compile(&scene, Tier::Paper).is_ok());
             }
         }
     }

@@ -8,7 +8,7 @@ use slitpose_firmware::pose::{HEAD_BYTES, Head, PoseSolver};
 use slitpose_head::board_head;
 use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::{SceneFile, WIDE};
-use slitpose_model::{Outcome, Plan, Pose, Solver, Tier, Tracker};
+use slitpose_model::{CompiledScene, Outcome, Pose, Solver, Tier, Tracker};
 use slitpose_protocol::{AdcScaling, Hashes, Level, PoseStatus, RawScan, Schedule};
 
 /// Bytes before the payload: magic, version, length, checksum.
@@ -91,8 +91,10 @@ fn pose(bytes: &[u8]) -> Option<Pose> {
 
 /// The currents of a pose agree in both precisions.
 pub(crate) fn single_and_double_agree(bytes: &[u8]) {
-    static DOUBLE: LazyLock<Plan<f64>> = LazyLock::new(|| Plan::compile(&FILE.scene, Tier::Paper).expect("shipped"));
-    static SINGLE: LazyLock<Plan<f32>> = LazyLock::new(|| Plan::compile(&FILE.scene, Tier::Paper).expect("shipped"));
+    static DOUBLE: LazyLock<CompiledScene<f64>> =
+        LazyLock::new(|| CompiledScene::compile(&FILE.scene, Tier::Paper).expect("shipped"));
+    static SINGLE: LazyLock<CompiledScene<f32>> =
+        LazyLock::new(|| CompiledScene::compile(&FILE.scene, Tier::Paper).expect("shipped"));
     let Some(pose) = pose(bytes) else { return };
     for cell in 0..DOUBLE.cell_count() {
         let (double, single) = (DOUBLE.photocurrents(cell, &pose), SINGLE.photocurrents(cell, &pose));
@@ -106,8 +108,8 @@ pub(crate) fn single_and_double_agree(bytes: &[u8]) {
 
 /// Of the words of a pose, which the bytes after it disturb, the board's pose is the host's, where both are sure.
 pub(crate) fn board_and_host_agree(bytes: &[u8]) {
-    static LIGHT: LazyLock<Plan<f64>> =
-        LazyLock::new(|| Plan::compile(&FILE.scene, Tier::Exact { tolerance: 1e-6 }).expect("shipped"));
+    static LIGHT: LazyLock<CompiledScene<f64>> =
+        LazyLock::new(|| CompiledScene::compile(&FILE.scene, Tier::Exact { tolerance: 1e-6 }).expect("shipped"));
     static STAGE: LazyLock<Stage> = LazyLock::new(|| {
         let (schedule, scaling) = setup();
         Stage::new(&FILE, &schedule, &scaling)

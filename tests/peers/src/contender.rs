@@ -55,7 +55,7 @@ pub trait Contender {
 /// All that take part in problems of `kind`; the first is the measure of the others.
 ///
 /// # Errors
-/// Those of [`slitpose_model::Plan::compile`].
+/// Those of [`slitpose_model::CompiledScene::compile`].
 pub fn all(scene: &Scene, kind: Kind) -> Result<Vec<Box<dyn Contender>>, SceneError> {
     let mut contenders: Vec<Box<dyn Contender>> =
         vec![Box::new(Ours::new(scene, kind)?), Box::new(AtOnce::new(scene, kind)?)];

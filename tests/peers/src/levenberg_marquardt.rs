@@ -4,7 +4,7 @@
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
 use nalgebra::storage::Owned;
 use nalgebra::{Matrix3, Matrix6, SMatrix, SVector, U6, U12};
-use slitpose_model::{Pair, Plan, Pose, Scene, SceneError, Tier};
+use slitpose_model::{Pair, CompiledScene, Pose, Scene, SceneError, Tier};
 
 use crate::chart::{self, ARM_M};
 use crate::contender::{Answer, Contender};
@@ -16,7 +16,7 @@ use crate::weights::{CELLS, CellNoise, Weighted};
 /// Nearly all of its steps succeed, and a step that succeeds wants derivatives, too: computing both
 /// at once is cheaper than the currents first.
 struct Currents<'a> {
-    plan: &'a Plan<f64>,
+    plan: &'a CompiledScene<f64>,
     readings: [Weighted; CELLS],
     x: SVector<f64, 6>,
     residuals: SVector<f64, 12>,
@@ -24,7 +24,7 @@ struct Currents<'a> {
 }
 
 impl<'a> Currents<'a> {
-    fn new(plan: &'a Plan<f64>, noise: &[CellNoise; CELLS], pairs: &[Pair<f64>; CELLS], start: &Pose) -> Self {
+    fn new(plan: &'a CompiledScene<f64>, noise: &[CellNoise; CELLS], pairs: &[Pair<f64>; CELLS], start: &Pose) -> Self {
         let mut currents = Self {
             plan,
             readings: core::array::from_fn(|cell| noise[cell].weigh(&pairs[cell])),
@@ -74,14 +74,14 @@ impl LeastSquaresProblem<f64, U12, U6> for Currents<'_> {
 }
 
 /// The pose of the least χ², as sharp as rounding allows, from a start nearby.
-pub fn strict(plan: &Plan<f64>, noise: &[CellNoise; CELLS], pairs: &[Pair<f64>; CELLS], start: &Pose) -> Pose {
+pub fn strict(plan: &CompiledScene<f64>, noise: &[CellNoise; CELLS], pairs: &[Pair<f64>; CELLS], start: &Pose) -> Pose {
     let (found, _) = LevenbergMarquardt::new().minimize(Currents::new(plan, noise, pairs, start));
     chart::pose(&found.x.into())
 }
 
 /// The contender.
 pub struct Crate {
-    plan: Plan<f64>,
+    plan: CompiledScene<f64>,
     noise: [CellNoise; CELLS],
     minimiser: LevenbergMarquardt<f64>,
 }
@@ -90,10 +90,10 @@ impl Crate {
     /// For the cells of `scene`.
     ///
     /// # Errors
-    /// Those of [`Plan::compile`].
+    /// Those of [`CompiledScene::compile`].
     pub fn new(scene: &Scene) -> Result<Self, SceneError> {
         Ok(Self {
-            plan: Plan::compile(scene, Tier::Paper)?,
+            plan: CompiledScene::compile(scene, Tier::Paper)?,
             noise: CellNoise::of(scene),
             minimiser: LevenbergMarquardt::new()
                 // Of χ², which noise leaves at some 6.

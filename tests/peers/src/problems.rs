@@ -5,7 +5,7 @@ use glam::DVec3;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use slitpose_model::{MotionPrior, Pair, Photocurrents, Plan, Pose, Scene, SceneError, Solver, Start, Status, Tier};
+use slitpose_model::{MotionPrior, Pair, Photocurrents, CompiledScene, Pose, Scene, SceneError, Solver, Start, Status, Tier};
 
 use crate::common;
 use crate::levenberg_marquardt;
@@ -87,9 +87,9 @@ impl Kind {
     /// The first `count` problems of this kind; the same for the same `seed`.
     ///
     /// # Errors
-    /// Those of [`Plan::compile`].
+    /// Those of [`CompiledScene::compile`].
     pub fn problems(self, scene: &Scene, seed: u64, count: usize) -> Result<Vec<Problem>, SceneError> {
-        let plan = Plan::<f64>::compile(scene, Tier::Paper)?;
+        let plan = CompiledScene::<f64>::compile(scene, Tier::Paper)?;
         let solver = Solver::<f64>::new(scene, Tier::Paper)?;
         let noise = CellNoise::of(scene);
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -122,7 +122,7 @@ impl Kind {
 }
 
 /// A pose in the box with the whole spot of every cell on its detector.
-fn lit_pose(rng: &mut ChaCha8Rng, plan: &Plan<f64>) -> Pose {
+fn lit_pose(rng: &mut ChaCha8Rng, plan: &CompiledScene<f64>) -> Pose {
     loop {
         let pose = common::pose_in_box(rng, BOX_MM, BOX_DEG);
         if (0..CELLS).all(|cell| plan.respond(cell, &pose).status == Status::Lit) {

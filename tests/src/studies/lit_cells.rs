@@ -15,7 +15,7 @@ use rand_distr::{Distribution, StandardNormal};
 use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
-use slitpose_model::{DegradedReason, Outcome, Pair, Plan, Pose, Solver, Tier, Tracker, Verified};
+use slitpose_model::{CompiledScene, DegradedReason, Outcome, Pair, Pose, Solver, Tier, Tracker, Verified};
 use slitpose_tracking::pipeline::{Pipeline, PipelineError, SceneMatch};
 
 use super::trials::{Disturbance, HALF, Trials, lit_pose};
@@ -195,7 +195,7 @@ pub fn study(options: &Options) -> Verdicts {
 struct Rig<'a> {
     file: &'a SceneFile,
     case: Case,
-    light: Plan<f64>,
+    light: CompiledScene<f64>,
     disturbance: Disturbance,
     exposures_s: Vec<f64>,
     tracker: Tracker<f64>,
@@ -216,7 +216,7 @@ impl<'a> Rig<'a> {
         Self {
             file,
             case,
-            light: Plan::compile(&scene, case.light).unwrap_or_else(|error| panic!("{error}")),
+            light: CompiledScene::compile(&scene, case.light).unwrap_or_else(|error| panic!("{error}")),
             disturbance: Disturbance::of(&scene),
             exposures_s,
             tracker: Tracker::new(solver, schedule.frame_rate_hz().recip()),

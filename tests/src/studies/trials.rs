@@ -13,7 +13,7 @@ use glam::DVec3;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use slitpose_model::{BOLTZMANN_J_PER_K, ELEMENTARY_CHARGE_C, Pair, Photocurrents, Plan, Pose, Scene};
+use slitpose_model::{BOLTZMANN_J_PER_K, CompiledScene, ELEMENTARY_CHARGE_C, Pair, Photocurrents, Pose, Scene};
 
 use crate::poses::{PoseRow, one_in_box, pose};
 
@@ -148,13 +148,18 @@ impl CellDisturbance {
 }
 
 /// The photocurrents of all cells at `pose`, undisturbed.
-pub fn pairs(plan: &Plan<f64>, pose: &Pose) -> Vec<Pair<f64>> {
+pub fn pairs(plan: &CompiledScene<f64>, pose: &Pose) -> Vec<Pair<f64>> {
     (0..plan.cell_count()).map(|cell| plan.photocurrents(cell, pose)).collect()
 }
 
 /// The same where each cell's detector and slit are off by `position_m` along each axis, drawn anew: they
 /// see the emitter off the other way.
-pub fn displaced_pairs(plan: &Plan<f64>, pose: &Pose, position_m: f64, rng: &mut ChaCha8Rng) -> Vec<Pair<f64>> {
+pub fn displaced_pairs(
+    plan: &CompiledScene<f64>,
+    pose: &Pose,
+    position_m: f64,
+    rng: &mut ChaCha8Rng,
+) -> Vec<Pair<f64>> {
     let mut displaced = || {
         let off_m = DVec3::from_array([0; 3].map(|_| position_m * normal(rng)));
         Pose { translation_m: pose.translation_m - off_m, ..*pose }
@@ -163,13 +168,22 @@ pub fn displaced_pairs(plan: &Plan<f64>, pose: &Pose, position_m: f64, rng: &mut
 }
 
 /// A random pose of a box, and its currents.
-pub fn any_pose(plan: &Plan<f64>, [half_mm, half_deg]: [f64; 2], rng: &mut ChaCha8Rng) -> (PoseRow, Vec<Pair<f64>>) {
+pub fn any_pose(
+    plan: &CompiledScene<f64>,
+    [half_mm, half_deg]: [f64; 2],
+    rng: &mut ChaCha8Rng,
+) -> (PoseRow, Vec<Pair<f64>>) {
     let row = one_in_box(rng, half_mm, half_deg);
     (row, pairs(plan, &pose(row)))
 }
 
 /// One at which no cell of `scene` is faint; clipped spots are not.
-pub fn lit_pose(scene: &Scene, plan: &Plan<f64>, half: [f64; 2], rng: &mut ChaCha8Rng) -> (PoseRow, Vec<Pair<f64>>) {
+pub fn lit_pose(
+    scene: &Scene,
+    plan: &CompiledScene<f64>,
+    half: [f64; 2],
+    rng: &mut ChaCha8Rng,
+) -> (PoseRow, Vec<Pair<f64>>) {
     loop {
         let (row, pairs) = any_pose(plan, half, rng);
         if scene.cells.iter().zip(&pairs).all(|(cell, pair)| pair.total_a() >= cell.detector.faint_a) {

@@ -8,7 +8,7 @@ use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use slitpose_head::scene_file::SceneFile;
-use slitpose_model::{Plan, Pose, Tier};
+use slitpose_model::{CompiledScene, Pose, Tier};
 use slitpose_tests::slitpose;
 use tempfile::TempDir;
 
@@ -108,7 +108,7 @@ fn wrong_data_are_recognised_and_named() {
 #[test]
 fn translations_alone_calibrate_what_they_tell_and_a_row_counts_once() {
     let file = SceneFile::open(&data("nominal.toml")).expect("a scene");
-    let plan = Plan::<f64>::compile(&file.scene, Tier::Paper).expect("a head");
+    let plan = CompiledScene::<f64>::compile(&file.scene, Tier::Paper).expect("a head");
     let mut known = Known::read().spoilt(|row| {
         row.0[3..].fill(0.0);
         let pose = Pose::from_vectors(DVec3::new(row.0[0], row.0[1], row.0[2]) * 1e-3, DVec3::ZERO);

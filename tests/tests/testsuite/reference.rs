@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use slitpose_model::{Plan, Pose, Tier};
+use slitpose_model::{CompiledScene, Pose, Tier};
 use slitpose_tests::process::Slitpose;
 use slitpose_tests::reference::{self, data, single_cell_scene_file};
 use slitpose_tests::table::{Row, Table};
@@ -109,8 +109,8 @@ fn single_precision_follows_double_precision() {
         }
         let scene = scenes::parse(&single_cell_scene_file(&row)).scene;
         for tier in [Tier::Paper, Tier::Exact { tolerance: 1e-6 }] {
-            let double = Plan::<f64>::compile(&scene, tier).expect("scene").respond(0, &Pose::HOME);
-            let single = Plan::<f32>::compile(&scene, tier).expect("scene").respond(0, &Pose::HOME);
+            let double = CompiledScene::<f64>::compile(&scene, tier).expect("scene").respond(0, &Pose::HOME);
+            let single = CompiledScene::<f32>::compile(&scene, tier).expect("scene").respond(0, &Pose::HOME);
             if double.i_o_a == 0.0 {
                 assert_eq!(single.i_o_a, 0.0, "{}", row.text("name"));
                 continue;

@@ -11,7 +11,7 @@ use nix::sys::signal::Signal;
 use slitpose_emulator::rig::WORLD_TIER;
 use slitpose_head::scene_file::{BASE, SceneFile};
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
-use slitpose_model::{Plan, Status};
+use slitpose_model::{CompiledScene, Status};
 use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message};
 use slitpose_tests::consistency::Honesty;
 use slitpose_tests::ndjson::{self, Line};
@@ -126,7 +126,7 @@ fn another_head_by_the_serial_port() {
     // to its converter's limit; when, in this second, depends on when the host came. Where it is tells
     // which scans those are: all but those near the limits.
     let file = SceneFile::open(scene).expect("valid");
-    let plan: Plan<f64> = Plan::compile(&file.scene, WORLD_TIER).expect("valid");
+    let plan: CompiledScene<f64> = CompiledScene::compile(&file.scene, WORLD_TIER).expect("valid");
     let full_scale_a = file.front_end.expect("added above").full_scale_a;
     let (mut masked, mut at_a_kink) = (0, 0);
     for line in &lines {

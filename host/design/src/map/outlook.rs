@@ -2,8 +2,8 @@
 
 use slitpose_calibration::Head;
 use slitpose_model::{
-    Estimate, MotionPrior, Outcome, Pair, Photocurrents, Plan, Pose, Reading, Response, SceneError, Solution, Solver,
-    Start, Status, Tier,
+    CompiledScene, Estimate, MotionPrior, Outcome, Pair, Photocurrents, Pose, Reading, Response, SceneError, Solution,
+    Solver, Start, Status, Tier,
 };
 
 use crate::report::frame_scene;
@@ -39,7 +39,7 @@ impl NoiseOf {
 pub struct Outlook {
     head: Head,
     solver: Solver<f64>,
-    plan: Plan<f64>,
+    plan: CompiledScene<f64>,
     /// Largest current of an electrode.
     full_scale_a: f64,
     /// Where the noise comes from.
@@ -96,7 +96,7 @@ impl Outlook {
         };
         Ok(Self {
             solver: Solver::new(&scene, TIER)?,
-            plan: Plan::compile(&scene, TIER)?,
+            plan: CompiledScene::compile(&scene, TIER)?,
             full_scale_a: head.file.front_end.map_or(f64::INFINITY, |front_end| front_end.full_scale_a),
             noise,
             frame_rate_hz: frame.map(|frame| frame.period_s.recip()),
@@ -109,7 +109,7 @@ impl Outlook {
         self.plan.cell_count()
     }
 
-    pub(crate) fn plan(&self) -> &Plan<f64> {
+    pub(crate) fn plan(&self) -> &CompiledScene<f64> {
         &self.plan
     }
 

@@ -3,7 +3,7 @@
 use slitpose_calibration::Head;
 use slitpose_head::front_end::{TimingError, configuration};
 use slitpose_head::scene_file::{FrontEnd, Lighting, SceneFile};
-use slitpose_model::{Plan, SceneError, Tier};
+use slitpose_model::{CompiledScene, SceneError, Tier};
 
 use super::{Outlook, View, per_root_hz, quantiles_of};
 use crate::report::ReportError;
@@ -119,7 +119,7 @@ fn candidate(file: SceneFile, front_end: FrontEnd) -> Result<Candidate, SceneErr
 /// Ways to light the emitters: as the scene says, one by one, and as many together as do not shine on each other's
 /// detectors.
 fn groupings(file: &SceneFile) -> Result<Vec<Lighting>, SceneError> {
-    let plan = Plan::<f64>::compile(&file.scene, Tier::Paper)?;
+    let plan = CompiledScene::<f64>::compile(&file.scene, Tier::Paper)?;
     let poses: Vec<_> = file.workspace.poses(POSES).collect();
     let disturb = |a: usize, b: usize| {
         let worst = |cell, other| {

@@ -12,7 +12,7 @@ use slitpose_calibration::{
 };
 use slitpose_head::scene_file::{SceneFile, Workspace};
 use slitpose_head::simulator::noisy_reading;
-use slitpose_model::{MotionPrior, Photocurrents, Plan, Pose, Solver, Start, Tier};
+use slitpose_model::{CompiledScene, MotionPrior, Photocurrents, Pose, Solver, Start, Tier};
 
 use crate::report::frame_scene;
 
@@ -50,7 +50,7 @@ impl Tolerances {
         for _ in 0..heads {
             progress();
             let (head, _) = draw(&file, || rng.sample(StandardNormal))?;
-            let truth = Plan::compile(&head, TIER)?;
+            let truth = CompiledScene::compile(&head, TIER)?;
             let mut data = Data::default();
             data.add("drawn", Constraint::Known, KNOWN.instrument, measured(&file, &truth, &mut rng));
             let request = Request { file: &file, data: &data, start: None, date: None };
@@ -63,7 +63,7 @@ impl Tolerances {
 }
 
 /// What an instrument and the board measure of the head whose optics are `truth`.
-fn measured(file: &SceneFile, truth: &Plan<f64>, rng: &mut ChaCha8Rng) -> Vec<Row> {
+fn measured(file: &SceneFile, truth: &CompiledScene<f64>, rng: &mut ChaCha8Rng) -> Vec<Row> {
     let noise = file.scene.noise.map(|noise| noise.averaged(KNOWN.frames));
     let mut row = |pose: Pose| {
         let readings = (0..truth.cell_count()).map(|cell| {
@@ -84,7 +84,7 @@ fn measured(file: &SceneFile, truth: &Plan<f64>, rng: &mut ChaCha8Rng) -> Vec<Ro
 }
 
 /// Errors of the poses that `solver` finds in the light of `truth`, without noise.
-fn errors(workspace: &Workspace, truth: &Plan<f64>, solver: &Solver<f64>) -> PoseRms {
+fn errors(workspace: &Workspace, truth: &CompiledScene<f64>, solver: &Solver<f64>) -> PoseRms {
     let (mut squares, mut count) = ([0.0; 2], 0.0);
     // Not those of the calibration.
     for pose in workspace.poses(KNOWN.count + POSES).skip(KNOWN.count) {

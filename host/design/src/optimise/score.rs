@@ -3,7 +3,7 @@
 use glam::{DVec2, DVec3};
 use slitpose_head::front_end::configuration;
 use slitpose_head::scene_file::{SceneFile, Workspace};
-use slitpose_model::{Cell, Opening, Plan, Pose, SceneError, Status, Tier};
+use slitpose_model::{Cell, CompiledScene, Opening, Pose, SceneError, Status, Tier};
 
 use crate::map::{Outlook, View, quantiles_of};
 use crate::plot::MaskFrame;
@@ -118,7 +118,7 @@ impl Judge {
 
     /// Whether all cells are lit, at each pose of `slitpose scene check`.
     fn lit(&self, file: &SceneFile) -> Result<impl Iterator<Item = bool> + use<>, SceneError> {
-        let plan = Plan::<f64>::compile(&file.scene, Tier::Paper)?;
+        let plan = CompiledScene::<f64>::compile(&file.scene, Tier::Paper)?;
         let is_lit =
             move |pose: &Pose| (0..plan.cell_count()).all(|cell| plan.respond(cell, pose).status == Status::Lit);
         Ok(self.workspace.poses(CHECKED).map(move |pose| is_lit(&pose)))
@@ -362,7 +362,7 @@ fn apart_m([a, b]: [DVec3; 2], [c, d]: [DVec3; 2]) -> f64 {
 #[cfg(test)]
 mod tests {
     use slitpose_head::scene_file::{BASE, MAGLEV, SPACEMOUSE};
-    use slitpose_model::{Plan, Status, Tier};
+    use slitpose_model::{CompiledScene, Status, Tier};
 
     use super::*;
 
@@ -371,7 +371,7 @@ mod tests {
     fn spots_are_on_their_detectors_where_the_model_has_them() {
         for shipped in [BASE, SPACEMOUSE, MAGLEV] {
             let file = shipped.read().expect("a scene");
-            let plan = Plan::<f64>::compile(&file.scene, Tier::Paper).expect("a head");
+            let plan = CompiledScene::<f64>::compile(&file.scene, Tier::Paper).expect("a head");
             // Far enough for spots to run off.
             let far = Workspace {
                 half_extent_m: 2.0 * file.workspace.half_extent_m,

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 use slitpose_head::scene_file::SceneFile;
-use slitpose_model::{Pair, Plan, SceneError, Stray, Tier, Window};
+use slitpose_model::{CompiledScene, Pair, SceneError, Stray, Tier, Window};
 
 use super::figures::{Figure, POSITION, SIMULATED};
 use super::{Experiment, TOLERANCE};
@@ -45,7 +45,7 @@ impl Bench {
     /// Positions of experiment 1, millimetres, with the error of X_A there, millimetres: X by equation (1) from currents
     /// integrated over the spot, minus X_A of the equations as printed.
     fn errors(&self, file: &SceneFile) -> Result<Vec<[f64; 2]>, SceneError> {
-        let calculated = Plan::<f64>::compile(&file.scene, Tier::Paper)?;
+        let calculated = CompiledScene::<f64>::compile(&file.scene, Tier::Paper)?;
         let centre_a = calculated.photocurrents(0, &Experiment::Translation.pose(0.0)).total_a();
         let mut scene = file.scene.clone();
         let cell = &mut scene.cells[0];
@@ -58,7 +58,7 @@ impl Bench {
             cell.slit.thickness_m = MASK_M;
             cell.effects.window = Some(RESIN);
         }
-        let measured = Plan::<f64>::compile(&scene, Tier::Exact { tolerance: TOLERANCE })?;
+        let measured = CompiledScene::<f64>::compile(&scene, Tier::Exact { tolerance: TOLERANCE })?;
         let error = |amount: f64| {
             let pose = Experiment::Translation.pose(amount);
             let Pair { i_x1_a, i_x2_a } = measured.photocurrents(0, &pose);
@@ -94,7 +94,7 @@ fn misfit_mm(numbers_mm: &[f64; 4]) -> f64 {
 /// A page that puts the published errors beside those of simulated benches, made from the scene `bench`.
 ///
 /// # Errors
-/// Those of [`Plan::compile`].
+/// Those of [`CompiledScene::compile`].
 pub fn account(bench: &SceneFile) -> Result<Report, SceneError> {
     let mut errors = Vec::new();
     for bench_parts in &BENCHES {

@@ -8,7 +8,7 @@ mod account;
 mod figures;
 
 use glam::DVec3;
-use slitpose_model::{Plan, Pose, Profile, Response, SceneError, Tier};
+use slitpose_model::{CompiledScene, Pose, Profile, Response, SceneError, Tier};
 
 use crate::identification::{Identified, identify};
 use slitpose_head::scene_file::SceneFile;
@@ -85,8 +85,8 @@ impl Study {
     /// Calculates everything for the first cell of the `bench` scene.
     pub fn of(bench: &SceneFile) -> Result<Self, SceneError> {
         let scene = &bench.scene;
-        let paper = Plan::<f64>::compile(scene, Tier::Paper)?;
-        let exact = Plan::<f64>::compile(scene, Tier::Exact { tolerance: TOLERANCE })?;
+        let paper = CompiledScene::<f64>::compile(scene, Tier::Paper)?;
+        let exact = CompiledScene::<f64>::compile(scene, Tier::Exact { tolerance: TOLERANCE })?;
         let run = |experiment: Experiment| -> Vec<Point> {
             let point = |amount| {
                 let pose = experiment.pose(amount);
@@ -103,7 +103,7 @@ impl Study {
 
         let mut refit = scene.clone();
         refit.cells[0].emitter.profile = Profile::Table(mean_of_both_sides(&identified));
-        let refit = Plan::<f64>::compile(&refit, Tier::Paper)?;
+        let refit = CompiledScene::<f64>::compile(&refit, Tier::Paper)?;
         let with_identified =
             Experiment::Translation.amounts().map(|amount| refit.respond(0, &Experiment::Translation.pose(amount)));
         Ok(Self { translation, rotation, identified, with_identified: with_identified.collect() })

@@ -1,7 +1,7 @@
 //! One cell seen from the side: emitter, slit and detector with the paper's dimensions.
 
 use glam::{DVec2, DVec3, dvec2};
-use slitpose_model::{Cell, Opening, Plan, Pose, Response};
+use slitpose_model::{Cell, CompiledScene, Opening, Pose, Response};
 
 use super::canvas::{Anchor, Canvas, Stroke, TextStyle};
 use super::scene::pose_text;
@@ -27,7 +27,7 @@ pub fn cell_picture(
     name: &str,
     number: usize,
     cell: &Cell,
-    plan: &Plan<f64>,
+    plan: &CompiledScene<f64>,
     pose: &Pose,
 ) -> Result<String, PlotError> {
     require_drawable(number, cell)?;
@@ -62,7 +62,7 @@ struct SideView<'a> {
 }
 
 impl<'a> SideView<'a> {
-    fn of(number: usize, cell: &'a Cell, plan: &Plan<f64>, pose: &Pose) -> Self {
+    fn of(number: usize, cell: &'a Cell, plan: &CompiledScene<f64>, pose: &Pose) -> Self {
         let (detector, slit) = (&cell.detector, &cell.slit);
         let section = |v: DVec3| dvec2(v.dot(detector.x_axis_base), v.dot(detector.normal_base));
         let emitter_base = pose.rotation * cell.emitter.position_tool_m + pose.translation_m;

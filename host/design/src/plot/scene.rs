@@ -1,7 +1,7 @@
 //! A sensor head from above, from the front and from the side, and the light on its detectors.
 
 use glam::{DVec2, DVec3, dvec2};
-use slitpose_model::{Plan, Pose, Scene};
+use slitpose_model::{CompiledScene, Pose, Scene};
 
 use super::canvas::{Anchor, Canvas, Stroke, TextStyle};
 use super::shape::{CellShape, FRONT, SIDE, TOP, View, bounds, hull};
@@ -48,7 +48,7 @@ const LABEL_ROOM: DVec2 = dvec2(30.0, 14.0);
 ///
 /// # Panics
 /// If `plan` is not of `scene`.
-pub fn scene_picture(name: &str, scene: &Scene, plan: &Plan<f64>, pose: &Pose) -> Result<String, PlotError> {
+pub fn scene_picture(name: &str, scene: &Scene, plan: &CompiledScene<f64>, pose: &Pose) -> Result<String, PlotError> {
     for (number, cell) in scene.cells.iter().enumerate() {
         require_drawable(number, cell)?;
     }

@@ -1,7 +1,7 @@
 //! A sensor head in space, and the three ways to look at it.
 
 use glam::{DVec2, DVec3, dvec2, dvec3};
-use slitpose_model::{Cell, Opening, Plan, Pose, Scene, rotation_exp};
+use slitpose_model::{Cell, CompiledScene, Opening, Pose, Scene, rotation_exp};
 
 /// Outlines of one cell in the base frame, millimetres.
 pub(super) struct CellShape {
@@ -22,7 +22,7 @@ pub(super) struct CellShape {
 }
 
 impl CellShape {
-    pub(super) fn of(number: usize, cell: &Cell, plan: &Plan<f64>, pose: &Pose) -> Self {
+    pub(super) fn of(number: usize, cell: &Cell, plan: &CompiledScene<f64>, pose: &Pose) -> Self {
         let (detector, emitter) = (&cell.detector, &cell.emitter);
         let (x, z) = (detector.x_axis_base, detector.normal_base);
         let y = z.cross(x);
@@ -51,7 +51,7 @@ impl CellShape {
         }
     }
 
-    pub(super) fn all(scene: &Scene, plan: &Plan<f64>, pose: &Pose) -> Vec<Self> {
+    pub(super) fn all(scene: &Scene, plan: &CompiledScene<f64>, pose: &Pose) -> Vec<Self> {
         scene.cells.iter().enumerate().map(|(number, cell)| Self::of(number, cell, plan, pose)).collect()
     }
 

@@ -1,7 +1,7 @@
 //! The detectors side by side, with the light on them.
 
 use glam::{DVec2, dvec2};
-use slitpose_model::{Cell, Plan, Pose, Response, Scene, Status};
+use slitpose_model::{Cell, CompiledScene, Pose, Response, Scene, Status};
 
 use super::canvas::{Anchor, Canvas, Stroke, TextStyle};
 use super::style::quantity;
@@ -45,7 +45,14 @@ pub(super) fn height(scene: &Scene, width: f64) -> f64 {
 }
 
 /// Draws the panel with its corner at `top_left`.
-pub(super) fn draw(canvas: &mut Canvas, top_left: DVec2, width: f64, scene: &Scene, plan: &Plan<f64>, pose: &Pose) {
+pub(super) fn draw(
+    canvas: &mut Canvas,
+    top_left: DVec2,
+    width: f64,
+    scene: &Scene,
+    plan: &CompiledScene<f64>,
+    pose: &Pose,
+) {
     canvas.text(top_left + dvec2(0.0, 14.0), "light on the detectors", TextStyle::new(15.0).bold());
     let longest_m = scene.cells.iter().map(|cell| cell.detector.length_m).fold(0.0, f64::max);
     let (scale, row) = scale(scene, width);

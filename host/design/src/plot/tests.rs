@@ -1,7 +1,7 @@
 use glam::{DVec3, dvec2};
 use quick_xml::Reader;
 use quick_xml::events::Event;
-use slitpose_model::{Plan, Pose, Tier};
+use slitpose_model::{CompiledScene, Pose, Tier};
 
 use super::*;
 use slitpose_head::scene_file::SHIPPED;
@@ -28,7 +28,7 @@ fn labels(svg: &str) -> String {
 #[test]
 fn every_picture_is_well_formed_and_all_coordinates_are_numbers() {
     for file in SHIPPED.map(|shipped| shipped.read().unwrap()) {
-        let plan = Plan::<f64>::compile(&file.scene, Tier::Paper).unwrap();
+        let plan = CompiledScene::<f64>::compile(&file.scene, Tier::Paper).unwrap();
         for pose in poses() {
             let mut pictures = vec![scene_picture(&file.name, &file.scene, &plan, &pose).unwrap()];
             for (number, cell) in file.scene.cells.iter().enumerate() {
@@ -45,7 +45,7 @@ fn every_picture_is_well_formed_and_all_coordinates_are_numbers() {
 #[test]
 fn a_name_with_characters_that_xml_cannot_hold_loses_only_those() {
     let file = SHIPPED[0].read().unwrap();
-    let plan = Plan::<f64>::compile(&file.scene, Tier::Paper).unwrap();
+    let plan = CompiledScene::<f64>::compile(&file.scene, Tier::Paper).unwrap();
     let picture = scene_picture("a\u{1}b\u{fffe} 1 < 2", &file.scene, &plan, &Pose::HOME).unwrap();
     assert!(picture.contains("ab 1 &lt; 2") && !picture.contains('\u{1}') && !picture.contains('\u{fffe}'));
 }
@@ -53,7 +53,7 @@ fn a_name_with_characters_that_xml_cannot_hold_loses_only_those() {
 #[test]
 fn a_picture_of_a_cell_names_the_pose() {
     let file = SHIPPED[0].read().unwrap();
-    let plan = Plan::<f64>::compile(&file.scene, Tier::Paper).unwrap();
+    let plan = CompiledScene::<f64>::compile(&file.scene, Tier::Paper).unwrap();
     for (pose, text) in [(Pose::HOME, "tool at home"), (poses()[1], "tool at (2, 0, −3) mm")] {
         let picture = cell_picture(&file.name, 0, &file.scene.cells[0], &plan, &pose).unwrap();
         assert!(labels(&picture).contains(text), "{text}");
@@ -79,7 +79,7 @@ fn canvas_parts(canvas: Canvas) -> usize {
 #[test]
 fn a_picture_tells_what_the_model_says() {
     let file = SHIPPED.map(|shipped| shipped.read().unwrap()).into_iter().find(|file| file.origin == "bench").unwrap();
-    let plan = Plan::<f64>::compile(&file.scene, Tier::Paper).unwrap();
+    let plan = CompiledScene::<f64>::compile(&file.scene, Tier::Paper).unwrap();
     let at = |tx_mm: f64| Pose::from_vectors(DVec3::X * tx_mm * 1e-3, DVec3::ZERO);
     let text = labels(&scene_picture(&file.name, &file.scene, &plan, &at(3.0)).unwrap());
     assert!(text.contains("XA = −3 mm") && text.contains("lit"), "{text}");
@@ -102,7 +102,7 @@ fn each_of_six_cells_side_by_side_has_its_own_number_beside_it() {
         (cell.detector.normal_base, cell.detector.x_axis_base) = (-DVec3::Z, DVec3::new(cos, sin, 0.0));
         (cell.emitter.position_tool_m, cell.emitter.axis_tool) = (across, DVec3::Z);
     }
-    let plan = Plan::<f64>::compile(&scene, Tier::Paper).unwrap();
+    let plan = CompiledScene::<f64>::compile(&scene, Tier::Paper).unwrap();
     let labels = labels(&scene_picture("flat", &scene, &plan, &Pose::HOME).unwrap());
     let top = labels.split("top view").nth(1).and_then(|rest| rest.split("front view").next()).unwrap();
     assert!(!top.contains(", "), "{top}");

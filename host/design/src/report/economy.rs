@@ -4,7 +4,8 @@ use std::hint::black_box;
 
 use glam::DVec3;
 use slitpose_model::{
-    MotionPrior, Noise, Photocurrents, Plan, Pose, Profile, Scene, Solution, Solver, Start, Tier, Twist, Uncertainty,
+    CompiledScene, MotionPrior, Noise, Photocurrents, Pose, Profile, Scene, Solution, Solver, Start, Tier, Twist,
+    Uncertainty,
 };
 
 use super::head::{Candidate, Head, RunTime, STREAM, exponent, is_lit, race};
@@ -166,7 +167,7 @@ fn tabulate(profile: &mut Profile) {
 
 /// A variant compiled, with its data.
 struct Bench {
-    plan: Plan<f64>,
+    plan: CompiledScene<f64>,
     solver: Solver<f64>,
     motion: MotionPrior,
     readings: Vec<Photocurrents>,
@@ -181,8 +182,9 @@ impl Bench {
 
 fn measure(head: &Head<'_>, settings: &Settings, tier: Tier) -> Result<Vec<Entry>, ReportError> {
     let variants = variants(head);
-    let plans = variants.iter().map(|variant| Plan::compile(&variant.scene, tier)).collect::<Result<Vec<_>, _>>()?;
-    let lit = head.poses.iter().filter(|pose| plans.iter().all(|plan: &Plan<f64>| is_lit(plan, pose)));
+    let plans =
+        variants.iter().map(|variant| CompiledScene::compile(&variant.scene, tier)).collect::<Result<Vec<_>, _>>()?;
+    let lit = head.poses.iter().filter(|pose| plans.iter().all(|plan: &CompiledScene<f64>| is_lit(plan, pose)));
     let poses: Vec<Pose> = lit.take(settings.timed_poses()).copied().collect();
     let mut benches = Vec::new();
     for (variant, plan) in variants.iter().zip(plans) {

@@ -3,7 +3,7 @@
 use std::hint::black_box;
 
 use glam::dvec2;
-use slitpose_model::{Pair, Plan, Pose, Scalar, Scene, SceneError, Tier};
+use slitpose_model::{CompiledScene, Pair, Pose, Scalar, Scene, SceneError, Tier};
 
 use super::head::{Candidate, Head, RunTime, race};
 use super::method::{Precision, tier_name};
@@ -52,7 +52,7 @@ struct Compiled {
 }
 
 fn compile<S: Scalar>(scene: &Scene, tier: Tier) -> Result<Compiled, SceneError> {
-    let plan = Plan::<S>::compile(scene, tier)?;
+    let plan = CompiledScene::<S>::compile(scene, tier)?;
     let (first, second) = (plan.clone(), plan.clone());
     Ok(Compiled {
         currents: Box::new(move |cell, pose| {

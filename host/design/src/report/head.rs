@@ -6,7 +6,7 @@ use slitpose_head::front_end::{Stage, configuration};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::Electronics;
 use slitpose_model::{
-    Cell, MotionPrior, Opening, Pair, Photocurrents, Plan, Pose, Profile, Scalar, Scene, Solver, Start, Tier,
+    Cell, CompiledScene, MotionPrior, Opening, Pair, Photocurrents, Pose, Profile, Scalar, Scene, Solver, Start, Tier,
     Uncertainty,
 };
 
@@ -40,7 +40,7 @@ pub(super) struct Head<'a> {
     /// Poses of the workspace at which every cell has light.
     pub(super) poses: Vec<Pose>,
     /// The optics that stand for the truth, and their tier.
-    pub(super) truth: Plan<f64>,
+    pub(super) truth: CompiledScene<f64>,
     pub(super) truth_tier: Tier,
 }
 
@@ -71,7 +71,7 @@ impl<'a> Head<'a> {
         let (scene, frame) = frame_scene(file);
         let is_table = |cell: &Cell| matches!(cell.emitter.profile, Profile::Table(_));
         let truth_tier = if scene.cells.iter().any(is_table) { TRUTH_OF_TABLES } else { TRUTH };
-        let truth = Plan::compile(&scene, truth_tier)?;
+        let truth = CompiledScene::compile(&scene, truth_tier)?;
         let home = Solver::<f64>::new(&scene, STREAM)?.solve(
             &currents(&truth, &Pose::HOME),
             Start::Cold,
@@ -128,7 +128,7 @@ pub(super) fn exponent(profile: &Profile) -> f64 {
 }
 
 /// The photocurrents of every cell at a pose.
-pub(super) fn currents<S: Scalar>(plan: &Plan<S>, pose: &Pose) -> Photocurrents {
+pub(super) fn currents<S: Scalar>(plan: &CompiledScene<S>, pose: &Pose) -> Photocurrents {
     Photocurrents::of_pairs((0..plan.cell_count()).map(|cell| {
         let pair = plan.photocurrents(cell, pose);
         Pair { i_x1_a: pair.i_x1_a.as_f64(), i_x2_a: pair.i_x2_a.as_f64() }
@@ -136,7 +136,7 @@ pub(super) fn currents<S: Scalar>(plan: &Plan<S>, pose: &Pose) -> Photocurrents 
 }
 
 /// Whether every cell gives a current that can be used.
-pub(super) fn is_lit(plan: &Plan<f64>, pose: &Pose) -> bool {
+pub(super) fn is_lit(plan: &CompiledScene<f64>, pose: &Pose) -> bool {
     (0..plan.cell_count()).all(|cell| {
         let response = plan.respond(cell, pose);
         response.status.has_spot() && !response.flags.faint && !response.flags.saturated

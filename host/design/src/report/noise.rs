@@ -5,7 +5,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use slitpose_head::simulator::noisy_reading;
-use slitpose_model::{Cell, Pair, Photocurrents, Plan, Pose, Reading, Scene, Uncertainty};
+use slitpose_model::{Cell, CompiledScene, Pair, Photocurrents, Pose, Reading, Scene, Uncertainty};
 
 /// Draws the noise and the calibration errors of a scene.
 pub(super) struct NoiseSource {
@@ -26,7 +26,7 @@ impl NoiseSource {
     pub(super) fn disturb(
         &mut self,
         scene: &Scene,
-        plan: &Plan<f64>,
+        plan: &CompiledScene<f64>,
         pose: &Pose,
         clean: &Photocurrents,
     ) -> Photocurrents {
@@ -44,7 +44,7 @@ impl NoiseSource {
     /// the other way.
     fn displaced(
         &mut self,
-        plan: &Plan<f64>,
+        plan: &CompiledScene<f64>,
         cell: usize,
         pose: &Pose,
         position_m: f64,
@@ -93,7 +93,7 @@ mod tests {
             Some(Noise { shot_bandwidth_hz: 1e6, johnson_bandwidth_hz: 1e5, temperature_k: 300.0, adc_a: 1e-9 });
         let clean = Pair { i_x1_a: 2e-6, i_x2_a: 5e-6 };
         let readings = Photocurrents::of_pairs([clean; 6]);
-        let plan = Plan::compile(&scene, Tier::Paper).unwrap();
+        let plan = CompiledScene::compile(&scene, Tier::Paper).unwrap();
         let mut source = NoiseSource::seeded(7);
         let (mut sums, mut count) = ([0.0; 3], 0.0);
         for _ in 0..10_000 {
@@ -126,7 +126,7 @@ mod tests {
         const POSES: u32 = 2000;
         let mut scene = WIDE.read().unwrap().scene;
         scene.uncertainty.position_m = 20e-6;
-        let plan = Plan::compile(&scene, Tier::Paper).unwrap();
+        let plan = CompiledScene::compile(&scene, Tier::Paper).unwrap();
         let solver = Solver::<f64>::new(&scene, Tier::Paper).unwrap();
         let mut source = NoiseSource::seeded(SEED);
         let mut sum = 0.0;

@@ -6,7 +6,7 @@ use glam::DVec3;
 use serde::Serialize;
 use slitpose_head::scene_file::{SceneFile, Workspace};
 use slitpose_head::threads::{cores, in_order};
-use slitpose_model::{Plan, Pose, Response, SceneError, Status, Tier};
+use slitpose_model::{CompiledScene, Pose, Response, SceneError, Status, Tier};
 
 use super::serialize_pose;
 
@@ -16,14 +16,14 @@ const POSES: usize = 256;
 /// What is known of the poses that were looked at.
 pub(super) trait Tally: Clone + Send + Sync {
     /// Adds a pose, looked at with the optics of `plan`.
-    fn add(&mut self, plan: &Plan<f64>, pose: &Pose);
+    fn add(&mut self, plan: &CompiledScene<f64>, pose: &Pose);
 
     /// Adds the poses of `later`, which come after those of `self`.
     fn merge(&mut self, later: Self);
 }
 
 impl<T: Tally> Tally for Vec<T> {
-    fn add(&mut self, plan: &Plan<f64>, pose: &Pose) {
+    fn add(&mut self, plan: &CompiledScene<f64>, pose: &Pose) {
         self.iter_mut().for_each(|tally| tally.add(plan, pose));
     }
 
@@ -35,7 +35,7 @@ impl<T: Tally> Tally for Vec<T> {
 /// What `none` becomes with all of `poses`, on all cores, the same however many they are. `progress` gets the number of
 /// poses of each piece that is done.
 pub(super) fn over<T: Tally>(
-    plan: &Plan<f64>,
+    plan: &CompiledScene<f64>,
     none: &T,
     mut poses: impl Iterator<Item = Pose>,
     mut progress: impl FnMut(usize),
@@ -194,7 +194,7 @@ struct Counts {
 }
 
 impl Tally for Counts {
-    fn add(&mut self, plan: &Plan<f64>, pose: &Pose) {
+    fn add(&mut self, plan: &CompiledScene<f64>, pose: &Pose) {
         let mut lit = 0;
         for (number, cell) in self.cells.iter_mut().enumerate() {
             let response = plan.respond(number, pose);
@@ -212,7 +212,7 @@ impl Tally for Counts {
 
 impl Coverage {
     pub(super) fn of(
-        plan: &Plan<f64>,
+        plan: &CompiledScene<f64>,
         workspace: &Workspace,
         samples: usize,
         full_scale_a: Option<f64>,
@@ -256,7 +256,7 @@ pub(super) fn poses_of(samples: usize) -> usize {
 }
 
 impl Tally for CellCost {
-    fn add(&mut self, plan: &Plan<f64>, pose: &Pose) {
+    fn add(&mut self, plan: &CompiledScene<f64>, pose: &Pose) {
         if let Some(integration) = plan.respond(self.cell, pose).integration {
             self.raise(integration.evaluations, integration.relative_error);
         }
@@ -281,7 +281,7 @@ pub(super) fn of_cells(
     progress: impl FnMut(usize),
 ) -> Result<Vec<CellCost>, SceneError> {
     let tolerance = TOLERANCE;
-    let plan = Plan::<f64>::compile(&file.scene, Tier::Exact { tolerance })?;
+    let plan = CompiledScene::<f64>::compile(&file.scene, Tier::Exact { tolerance })?;
     let costs: Vec<_> = (0..plan.cell_count())
         .map(|cell| CellCost { cell, tolerance, most_evaluations: 0, relative_error: tolerance })
         .collect();

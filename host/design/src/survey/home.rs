@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use serde::Serialize;
 use slitpose_calibration::uncalibrated;
 use slitpose_head::scene_file::SceneFile;
-use slitpose_model::{MotionPrior, Photocurrents, Plan, Pose, Scene, SceneError, Solver, Start, Status, Tier};
+use slitpose_model::{CompiledScene, MotionPrior, Photocurrents, Pose, Scene, SceneError, Solver, Start, Status, Tier};
 
 use super::SOLVING_TOLERANCE;
 use super::coverage::{AXES, axis_motion};
@@ -33,7 +33,7 @@ pub(crate) struct CellAtHome {
     pub i_o_a: f64,
 }
 
-pub(super) fn at_home(scene: &Scene, plan: &Plan<f64>) -> Vec<CellAtHome> {
+pub(super) fn at_home(scene: &Scene, plan: &CompiledScene<f64>) -> Vec<CellAtHome> {
     let describe = |(number, cell): (usize, &slitpose_model::Cell)| {
         let response = plan.respond(number, &Pose::HOME);
         let above_detector = cell.emitter.position_tool_m - cell.detector.centre_base_m;
@@ -85,13 +85,13 @@ pub(crate) struct End {
     pub becomes: Option<&'static str>,
 }
 
-pub(super) fn along_axes(plan: &Plan<f64>) -> Vec<Travel> {
+pub(super) fn along_axes(plan: &CompiledScene<f64>) -> Vec<Travel> {
     let travel =
         |(number, axis)| Travel { axis, negative: farthest(plan, number, -1.0), positive: farthest(plan, number, 1.0) };
     AXES.into_iter().enumerate().map(travel).collect()
 }
 
-fn farthest(plan: &Plan<f64>, axis: usize, sign: f64) -> End {
+fn farthest(plan: &CompiledScene<f64>, axis: usize, sign: f64) -> End {
     let (step, limit) = if axis < 3 { (STEP_M, FARTHEST_M) } else { (STEP_RAD, FARTHEST_RAD) };
     let failure = |amount: f64| first_unusable(plan, &axis_motion(axis, sign * amount));
     let steps = (limit / step).round() as usize;
@@ -107,7 +107,7 @@ fn farthest(plan: &Plan<f64>, axis: usize, sign: f64) -> End {
     End { at: sign * good, cell, becomes }
 }
 
-fn first_unusable(plan: &Plan<f64>, pose: &Pose) -> Option<(usize, &'static str)> {
+fn first_unusable(plan: &CompiledScene<f64>, pose: &Pose) -> Option<(usize, &'static str)> {
     (0..plan.cell_count()).find_map(|cell| {
         let response = plan.respond(cell, pose);
         match response.status {
@@ -123,7 +123,7 @@ const POSES: usize = 16;
 
 /// Share of poses of the workspace whose currents, by `plan`, lead to a pose by the head's tolerances, which are the default
 /// ones where the scene states none.
-pub(super) fn told(file: &SceneFile, plan: &Plan<f64>) -> Result<f64, SceneError> {
+pub(super) fn told(file: &SceneFile, plan: &CompiledScene<f64>) -> Result<f64, SceneError> {
     let solver = Solver::<f64>::new(&uncalibrated(file)?, Tier::Exact { tolerance: SOLVING_TOLERANCE })?;
     let is_told =
         |currents: &Photocurrents| solver.solve(currents, Start::Cold, &MotionPrior::AT_REST).estimate.is_some();

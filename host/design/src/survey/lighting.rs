@@ -3,7 +3,7 @@
 
 use serde::Serialize;
 use slitpose_head::scene_file::SceneFile;
-use slitpose_model::{Plan, Pose, Status};
+use slitpose_model::{CompiledScene, Pose, Status};
 
 use super::coverage::Tally;
 use super::{coverage, serialize_pose};
@@ -41,7 +41,7 @@ impl SlotCrosstalk {
 }
 
 impl Tally for SlotCrosstalk {
-    fn add(&mut self, plan: &Plan<f64>, pose: &Pose) {
+    fn add(&mut self, plan: &CompiledScene<f64>, pose: &Pose) {
         for &cell in &self.emitters {
             let share = self.weight * share_of_others(plan, cell, &self.others, pose);
             if share > self.share {
@@ -61,7 +61,7 @@ impl Tally for SlotCrosstalk {
 /// for it to count.
 pub(super) fn of_slots(
     file: &SceneFile,
-    plan: &Plan<f64>,
+    plan: &CompiledScene<f64>,
     samples: usize,
     progress: impl FnMut(usize),
 ) -> (Vec<SlotCrosstalk>, Vec<SlotCrosstalk>) {
@@ -93,7 +93,7 @@ fn share_carried_into(file: &SceneFile, slot: usize) -> f64 {
 }
 
 /// Zero where the cell's own signal is no measurement anyway: not lit, or faint.
-pub(crate) fn share_of_others(plan: &Plan<f64>, cell: usize, emitters: &[usize], pose: &Pose) -> f64 {
+pub(crate) fn share_of_others(plan: &CompiledScene<f64>, cell: usize, emitters: &[usize], pose: &Pose) -> f64 {
     let own = plan.respond(cell, pose);
     if own.status != Status::Lit || own.flags.faint {
         return 0.0;

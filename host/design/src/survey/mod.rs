@@ -12,7 +12,7 @@ mod warning;
 use std::fmt;
 
 use serde::{Serialize, Serializer};
-use slitpose_model::{Plan, Pose, SceneError, Solver, Tier};
+use slitpose_model::{CompiledScene, Pose, SceneError, Solver, Tier};
 
 use slitpose_head::finding::Finding;
 use slitpose_head::scene_file::{SceneFile, Workspace};
@@ -85,7 +85,7 @@ impl Survey {
     /// were evaluated, [`Self::poses_of`] in all.
     pub fn of(file: &SceneFile, samples: usize, mut progress: impl FnMut(usize)) -> Result<Self, SceneError> {
         let tier = Tier::Exact { tolerance: TOLERANCE };
-        let plan = Plan::<f64>::compile(&file.scene, tier)?;
+        let plan = CompiledScene::<f64>::compile(&file.scene, tier)?;
         let solver = Solver::<f64>::new(&file.scene, Tier::Exact { tolerance: SOLVING_TOLERANCE })?;
         let (crosstalk, carried) = lighting::of_slots(file, &plan, samples, &mut progress);
         let full_scale_a = file.front_end.map(|front_end| front_end.full_scale_a);

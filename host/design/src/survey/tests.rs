@@ -207,7 +207,7 @@ fn pieces_of_the_sample_add_up_to_all_of_it() {
     // More than two pieces.
     let samples = 700;
     let survey = Survey::of(&file, samples, |_| {}).unwrap();
-    let compile = |tolerance| Plan::<f64>::compile(&file.scene, Tier::Exact { tolerance }).unwrap();
+    let compile = |tolerance| CompiledScene::<f64>::compile(&file.scene, Tier::Exact { tolerance }).unwrap();
     let (plan, solving) = (compile(TOLERANCE), compile(SOLVING_TOLERANCE));
     let poses: Vec<Pose> = file.workspace.poses(samples).collect();
     for (number, cell) in survey.coverage.cells.iter().enumerate() {
@@ -247,7 +247,7 @@ fn light_of_the_slot_before_counts_as_a_slow_front_end_leaves_it() {
     let text = text.replace("frame_rate_hz = 4000", &rate);
     let file = SceneFile::parse("scene.toml", &text).unwrap();
     let survey = survey_of(&text);
-    let plan = Plan::<f64>::compile(&file.scene, Tier::Exact { tolerance: TOLERANCE }).unwrap();
+    let plan = CompiledScene::<f64>::compile(&file.scene, Tier::Exact { tolerance: TOLERANCE }).unwrap();
     // Four conversions, 0.87 µs apart, 2 µs after switching: the mean of exp(−t/1.36 µs), and exp(−0.4/1.36) of it.
     let weights = [(0, [0, 3], [2, 5], 0.0836), (1, [1, 4], [0, 3], 0.1122), (2, [2, 5], [1, 4], 0.1122)];
     assert_eq!(survey.carried.len(), weights.len());

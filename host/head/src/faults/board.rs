@@ -1,6 +1,6 @@
 //! Faults in a board and its head: what processor and converters do wrong, and what is wrong with the light.
 
-use slitpose_model::{Pair, Plan, Pose, Scene, SceneError, Tier};
+use slitpose_model::{CompiledScene, Pair, Pose, Scene, SceneError, Tier};
 
 use super::Faults;
 use super::kinds::{Effect, Layer};
@@ -81,7 +81,7 @@ pub struct LightFaults {
 struct LightFault {
     fault: Fault,
     /// The optics with the part that has moved.
-    moved: Option<Plan<f64>>,
+    moved: Option<CompiledScene<f64>>,
 }
 
 impl LightFaults {
@@ -146,10 +146,10 @@ impl LightFaults {
 }
 
 /// The optics of `scene` with the slit of a cell elsewhere.
-fn moved(scene: &Scene, cell: usize, by_m: f64, tier: Tier) -> Result<Plan<f64>, SceneError> {
+fn moved(scene: &Scene, cell: usize, by_m: f64, tier: Tier) -> Result<CompiledScene<f64>, SceneError> {
     let mut scene = scene.clone();
     scene.cells[cell].slit.offset_m.x += by_m;
-    Plan::compile(&scene, tier)
+    CompiledScene::compile(&scene, tier)
 }
 
 #[cfg(test)]
@@ -203,7 +203,7 @@ mod tests {
     fn a_slit_that_has_moved_shifts_the_light_of_its_cell_alone() {
         let mut moved = faults("move:cell=2,by=50um");
         moved.begin(0, 10);
-        let plan = Plan::<f64>::compile(&WIDE.read().unwrap().scene, Tier::Paper).unwrap();
+        let plan = CompiledScene::<f64>::compile(&WIDE.read().unwrap().scene, Tier::Paper).unwrap();
         let sound = plan.photocurrents_of(2, [(2, 1.0)], &Pose::HOME);
         let shifted = moved.moved(2, &[(2, 1.0)], &Pose::HOME).unwrap();
         let place = |pair: Pair<f64>| (pair.i_x2_a - pair.i_x1_a) / pair.total_a();

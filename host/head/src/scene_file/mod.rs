@@ -14,7 +14,7 @@ mod shipped;
 use std::ops::RangeInclusive;
 use std::path::Path;
 
-use slitpose_model::{Plan, Profile, Scene, Tier};
+use slitpose_model::{CompiledScene, Profile, Scene, Tier};
 
 pub use keys::{FilePlace, KeyPath, SceneFileError, nearest};
 pub use settings::{FrontEnd, Lighting, Tolerance, Workspace};
@@ -91,7 +91,7 @@ impl SceneFile {
         let workspace = settings::read_workspace(&document)?;
         effects::light_together(&mut scene, &lighting, &workspace);
         // Every rule about optical values stands in the model; compiling applies them all.
-        Plan::<f64>::compile(&scene, Tier::Paper).map_err(|error| document.optics_error(error))?;
+        CompiledScene::<f64>::compile(&scene, Tier::Paper).map_err(|error| document.optics_error(error))?;
         let stem = Path::new(origin).file_stem().map(|stem| stem.to_string_lossy());
         let name: String = document.text(KeyPath::top("name"))?.or_else(|| stem.map(Into::into)).unwrap_or_default();
         Ok(Self {

@@ -52,7 +52,7 @@ fn assert_refused(text: &str, parts: &[&str]) {
 fn the_shipped_scenes_are_lit_at_home() {
     for shipped in &SHIPPED {
         let file = SceneFile::open(shipped.name).unwrap();
-        let plan = Plan::<f64>::compile(&file.scene, Tier::Paper).unwrap();
+        let plan = CompiledScene::<f64>::compile(&file.scene, Tier::Paper).unwrap();
         for cell in 0..plan.cell_count() {
             assert_eq!(plan.respond(cell, &Pose::HOME).status, Status::Lit, "{}, cell {cell}", shipped.name);
         }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use slitpose_firmware::{Board, Identity, Link, TRANSMIT_BYTES, TransmitBuffer};
-use slitpose_model::{Plan, SceneError, Tier};
+use slitpose_model::{CompiledScene, SceneError, Tier};
 use slitpose_protocol::{
     BoardKind, ClockSource, Configuration, Hashes, MAX_MESSAGE_BYTES, Message, Rejection, ResetCause, SettingsSource,
     encode,
@@ -85,7 +85,7 @@ impl SimulatedBoard {
         tier: Tier,
         seed: u64,
     ) -> Result<Self, SimulatorError> {
-        Self::with_light(number, file, Arc::new(Plan::compile(&file.scene, tier)?), trajectory, seed)
+        Self::with_light(number, file, Arc::new(CompiledScene::compile(&file.scene, tier)?), trajectory, seed)
     }
 
     /// As [`numbered`](Self::numbered), with a head that `file` describes, but whose detectors get `light`.

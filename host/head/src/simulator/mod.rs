@@ -18,9 +18,9 @@ pub use trajectory::{MAX_KNOTS, PathError, Trajectory, TrajectoryKind};
 
 use std::fmt::Debug;
 
-use slitpose_model::{Detector, Noise, Pair, Plan, Pose};
+use slitpose_model::{CompiledScene, Detector, Noise, Pair, Pose};
 
-/// Optics of a head. [`Plan`] has those of the model; a virtual bench may have more.
+/// Optics of a head. [`CompiledScene`] has those of the model; a virtual bench may have more.
 pub trait Light: Debug + Send + Sync {
     /// Number of cells.
     fn cell_count(&self) -> usize;
@@ -33,7 +33,7 @@ pub trait Light: Debug + Send + Sync {
     fn photocurrents(&self, cell: usize, lit: &[(usize, f64)], pose: &Pose) -> Pair<f64>;
 }
 
-impl Light for Plan<f64> {
+impl Light for CompiledScene<f64> {
     fn cell_count(&self) -> usize {
         self.cell_count()
     }

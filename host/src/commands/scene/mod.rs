@@ -13,7 +13,7 @@ use slitpose_design::plot::{cell_picture, scene_picture};
 use slitpose_design::survey::Survey;
 use slitpose_head::scene_file::{SHIPPED, Shipped};
 use slitpose_head::table::Output;
-use slitpose_model::{Plan, Pose, Tier};
+use slitpose_model::{CompiledScene, Pose, Tier};
 
 use super::live::AccessOptions;
 use super::options::{self, CalibrationOption, Jobs, open_scene, parse_pose};
@@ -151,7 +151,7 @@ struct PlotArgs {
 
 fn plot(args: &PlotArgs) -> Result<Outcome, CommandError> {
     let file = args.calibration.head_as_drawn(open_scene(&args.scene)?)?.file;
-    let plan = Plan::<f64>::compile(&file.scene, Tier::Exact { tolerance: TOLERANCE })?;
+    let plan = CompiledScene::<f64>::compile(&file.scene, Tier::Exact { tolerance: TOLERANCE })?;
     let pose = args.pose.unwrap_or(Pose::HOME);
     let picture = match args.cell {
         None => scene_picture(&file.name, &file.scene, &plan, &pose)?,

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use slitpose_model::{Plan, SceneError, Tier};
+use slitpose_model::{CompiledScene, SceneError, Tier};
 use slitpose_protocol::{
     AdcScaling, Configuration, Decoder, HardwareFault, MAX_MESSAGE_BYTES, Message, Rejection, Schedule, Severity,
 };
@@ -104,7 +104,7 @@ impl<'a> Bench<'a> {
 
     /// What the scene predicts with the tool at home.
     pub(super) fn expected(&self) -> Result<Expected, BenchError> {
-        let optics = |tolerance| Plan::compile(&self.scene.scene, Tier::Exact { tolerance });
+        let optics = |tolerance| CompiledScene::compile(&self.scene.scene, Tier::Exact { tolerance });
         let (own, stray) = (optics(OWN_TOLERANCE)?, optics(STRAY_TOLERANCE)?);
         Ok(Expected::of(&own, &stray))
     }

@@ -1,6 +1,6 @@
 //! Words of some frames, and what follows from them for one word: mean, noise, and the steps of its codes.
 
-use slitpose_model::{Pair, Plan, Pose};
+use slitpose_model::{CompiledScene, Pair, Pose};
 use slitpose_protocol::{AdcScaling, Configuration, EmitterSet, Exposure, Level, MAX_CELLS, RawScan, Schedule};
 
 #[derive(Clone, Debug)]
@@ -130,7 +130,7 @@ pub(super) struct Expected {
 
 impl Expected {
     /// By the optics `plan`, and `coarse` ones for light of other emitters.
-    pub(super) fn of(plan: &Plan<f64>, coarse: &Plan<f64>) -> Self {
+    pub(super) fn of(plan: &CompiledScene<f64>, coarse: &CompiledScene<f64>) -> Self {
         let cells = 0..plan.cell_count();
         let own: Vec<_> = cells.clone().map(|cell| plan.crosstalk(cell, cell, &Pose::HOME)).collect();
         let share = |cell: usize, emitter: usize| {

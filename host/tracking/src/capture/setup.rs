@@ -9,7 +9,7 @@ use slitpose_model::{Cell, Tier};
 use thiserror::Error;
 
 use crate::link::DeviceId;
-use crate::pipeline::{Following, PoseSource};
+use crate::pipeline::{PipelineOptions, PoseSource};
 use slitpose_head::foreign::printable;
 use slitpose_head::scene_file::{SceneFile, SceneFileError, fnv1a_64};
 
@@ -22,7 +22,7 @@ pub struct Settings {
     /// How exactly the optics were evaluated.
     pub tier: Tier,
     /// How scans were followed.
-    pub following: Following,
+    pub following: PipelineOptions,
 }
 
 /// The scene of a board, as it was read.
@@ -235,7 +235,7 @@ impl Setup {
             Some("board") => PoseSource::Board,
             Some(_) => return Err(value("poses", "`board`, or nothing")),
         };
-        let settings = Settings { tier, following: Following { source, filter_s, without_clipped } };
+        let settings = Settings { tier, following: PipelineOptions { source, filter_s, without_clipped } };
         let setup = Self { device, scene, basis, settings, program: get("program")?.clone() };
         Ok((setup, LinkChannels { link: channel("link_channel")?, hello: channel("hello_channel")? }))
     }
@@ -322,7 +322,7 @@ mod tests {
             (Tier::Paper, PoseSource::Host, None, true),
             (Tier::Exact { tolerance: 1.0 / 3.0e6 }, PoseSource::Board, Some(0.1 + 0.2), false),
         ] {
-            let settings = Settings { tier, following: Following { source, filter_s, without_clipped } };
+            let settings = Settings { tier, following: PipelineOptions { source, filter_s, without_clipped } };
             let setup = Setup::new(DeviceId(*b"0123456789ab"), &file.clone().into(), settings);
             let name = setup.attachment(|_| false);
             assert_eq!(name, "wide.toml");
@@ -336,7 +336,7 @@ mod tests {
 
     fn entries() -> (BTreeMap<String, String>, Texts) {
         let file = WIDE.read().unwrap();
-        let following = Following { filter_s: Some(0.005), ..Following::default() };
+        let following = PipelineOptions { filter_s: Some(0.005), ..PipelineOptions::default() };
         let settings = Settings { tier: Tier::Exact { tolerance: 1e-6 }, following };
         let setup = Setup::new(DeviceId(*b"0123456789ab"), &file.clone().into(), settings);
         let map = setup.to_metadata("wide.toml", LinkChannels { link: 1, hello: 7 });
@@ -404,7 +404,7 @@ mod tests {
     fn names_of_attachments_are_fit_for_files() {
         let mut file = WIDE.read().unwrap();
         file.origin = "../scenes/a b.toml".to_owned();
-        let settings = Settings { tier: Tier::Paper, following: Following::default() };
+        let settings = Settings { tier: Tier::Paper, following: PipelineOptions::default() };
         let setup = Setup::new(DeviceId::default(), &file.clone().into(), settings);
         assert_eq!(setup.attachment(|_| false), "a_b.toml");
         assert_eq!(setup.attachment(|name| name == "a_b.toml"), format!("a_b-{:016x}.toml", file.hash));

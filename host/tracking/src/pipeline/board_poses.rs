@@ -3,7 +3,7 @@
 use glam::{DQuat, DVec3};
 use schemars::JsonSchema;
 use serde::Serialize;
-use slitpose_model::{Cells, DegradedReason, Directions, Estimate, MIN_CELLS, Outcome, Plan, Pose, Solution};
+use slitpose_model::{Cells, CompiledScene, DegradedReason, Directions, Estimate, MIN_CELLS, Outcome, Pose, Solution};
 use slitpose_protocol::poses::TRIANGLE;
 use slitpose_protocol::{PoseRecord, PoseStatus};
 use thiserror::Error;
@@ -73,7 +73,7 @@ pub(super) struct BoardPose {
 
 impl BoardPose {
     /// Why it cannot be right, by the optics of the head: if it is a pose, it must be one that a solver could find.
-    pub(super) fn fault(&self, plan: &Plan<f64>) -> Option<PoseFault> {
+    pub(super) fn fault(&self, plan: &CompiledScene<f64>) -> Option<PoseFault> {
         let Self { record, covariance } = self;
         if !record.status.has_pose() {
             return None;

@@ -14,7 +14,7 @@ use super::board_poses::BoardPose;
 use super::oddity::ClockWatch;
 use super::session::Session;
 use super::waiting::{Content, Waiting};
-use super::{Counts, Following, Item, Oddity, PipelineError, PoseSource, Record, Scan, SceneMatch};
+use super::{Counts, Item, Oddity, PipelineError, PipelineOptions, PoseSource, Record, Scan, SceneMatch};
 use crate::link::DeviceId;
 
 /// True poses that may wait for their scans: more than a board queues.
@@ -28,7 +28,7 @@ pub(super) struct Flow {
     head: Head,
     tier: Tier,
     scene_match: SceneMatch,
-    pub(super) following: Following,
+    pub(super) following: PipelineOptions,
     pub(super) watched: bool,
     pub(super) session: Option<Box<Session>>,
     /// Ended sessions with waiting scans, the oldest first.
@@ -57,7 +57,7 @@ impl Flow {
             head,
             tier,
             scene_match,
-            following: Following::default(),
+            following: PipelineOptions::default(),
             watched: false,
             session: None,
             earlier: VecDeque::new(),

@@ -87,7 +87,7 @@ pub enum PoseSource {
 
 /// Options of the tracker.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Following {
+pub struct PipelineOptions {
     /// Who finds the poses. The options that follow are for poses found here.
     pub source: PoseSource,
     /// Memory of a filter over many scans, seconds; `None` for no filter.

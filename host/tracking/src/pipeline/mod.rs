@@ -25,7 +25,7 @@ use slitpose_protocol::{DELIMITER, Decoder, MAX_MESSAGE_BYTES, Message, Status};
 pub use board_poses::{Agreement, PoseFault};
 pub use counts::reason;
 pub use counts::{Counts, Outcomes};
-pub use item::{Following, Item, PipelineError, PoseSource, Record, SceneMatch};
+pub use item::{Item, PipelineError, PipelineOptions, PoseSource, Record, SceneMatch};
 pub use oddity::Oddity;
 pub use session::{check, check_calibration, head_of};
 pub use waiting::{Queue, Scan};
@@ -65,7 +65,7 @@ impl Pipeline {
 
     /// Sets the options of the tracker.
     #[must_use]
-    pub fn following(mut self, following: Following) -> Self {
+    pub fn following(mut self, following: PipelineOptions) -> Self {
         self.flow.following = following;
         self
     }

@@ -8,7 +8,7 @@ use slitpose_protocol::{AdcScaling, BoardKind, Hello, PoseStatus, RawScan, Sched
 use super::board_poses::{Agreement, BoardPose, Comparison, PoseFault};
 use super::oddity::Doubt;
 use super::waiting::{Content, Scan};
-use super::{Following, PipelineError, SceneMatch};
+use super::{PipelineError, PipelineOptions, SceneMatch};
 use crate::health::{HeadHealth, Health};
 use crate::link::{DeviceId, Versions};
 use crate::solving;
@@ -96,7 +96,7 @@ impl Session {
         head: &Head,
         tier: Tier,
         scene_match: SceneMatch,
-        following: Following,
+        following: PipelineOptions,
         watched: bool,
         hello: &Hello<'_>,
         number: u64,

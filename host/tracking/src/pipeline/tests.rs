@@ -7,7 +7,7 @@ use slitpose_protocol::{
     Stream, encode,
 };
 
-use super::{Following, Item, Oddity, Pipeline, PipelineError, PoseFault, PoseSource, Record, SceneMatch};
+use super::{Item, Oddity, Pipeline, PipelineError, PipelineOptions, PoseFault, PoseSource, Record, SceneMatch};
 use crate::clock::HostInstant;
 use crate::link::{Asked, Segment};
 use slitpose_head::scene_file::{SceneFile, WIDE};
@@ -232,7 +232,7 @@ fn of_stream(stream: Stream, source: PoseSource, change: u64, segments: u32) -> 
         link.tell(number, Command::Head(part));
     }
     link.tell(9, Command::Stream(stream));
-    pipeline = link.pipeline().following(Following { source, ..Following::default() });
+    pipeline = link.pipeline().following(PipelineOptions { source, ..PipelineOptions::default() });
     // The session began without it.
     link.tell(8, Command::Hello);
     let (mut records, mut oddities) = (Vec::new(), Vec::new());
@@ -360,7 +360,8 @@ fn poses_that_cannot_be_right_are_left_out_named_and_counted() {
     ];
     for (number, (fault, change)) in cases.iter().enumerate() {
         let mut link = SimulatedLink::new();
-        let mut pipeline = link.pipeline().following(Following { source: PoseSource::Board, ..Following::default() });
+        let mut pipeline =
+            link.pipeline().following(PipelineOptions { source: PoseSource::Board, ..PipelineOptions::default() });
         let (mut record, mut covariance) = (sound, [0.0; TRIANGLE]);
         (0..6).for_each(|i| covariance[i * (i + 3) / 2] = 1e-12);
         change(&mut record, &mut covariance);

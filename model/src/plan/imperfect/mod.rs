@@ -25,7 +25,7 @@ use self::electrical::Electrical;
 use self::opening::Opening;
 use self::passage::{Passage, Passed, pass};
 use super::optics::{Place, Seen, Source};
-use super::{CellTerms, CompiledCell, CompiledEmitter, Plan};
+use super::{CellTerms, CompiledCell, CompiledEmitter, CompiledScene};
 
 #[derive(Clone, Debug)]
 pub struct Imperfect<S: Number> {
@@ -139,7 +139,7 @@ struct Own<S: Number> {
 /// Adds the light of one point of the emitter of cell `of` to `sums`, with a `weight`.
 #[allow(clippy::too_many_arguments, reason = "one point of one emitter through one cell")]
 fn add_point<S: Scalar, const GRADIENT: bool>(
-    plan: &Plan<S>,
+    plan: &CompiledScene<S>,
     cell: &CompiledCell<S>,
     imperfect: &Imperfect<S>,
     passage: &Passage<S>,
@@ -222,7 +222,7 @@ fn add_point<S: Scalar, const GRADIENT: bool>(
 
 /// Adds the light of the emitter of cell `of`; what is known of the spot of its centre.
 fn add_emitter<S: Scalar, const GRADIENT: bool>(
-    plan: &Plan<S>,
+    plan: &CompiledScene<S>,
     cell: &CompiledCell<S>,
     imperfect: &Imperfect<S>,
     of: &CompiledCell<S>,
@@ -252,7 +252,7 @@ fn add_emitter<S: Scalar, const GRADIENT: bool>(
 
 /// All light on the detector of `cell`.
 fn gather<S: Scalar, const GRADIENT: bool>(
-    plan: &Plan<S>,
+    plan: &CompiledScene<S>,
     cell: &CompiledCell<S>,
     imperfect: &Imperfect<S>,
     pose: &Transform<S>,
@@ -273,7 +273,7 @@ fn gather<S: Scalar, const GRADIENT: bool>(
 #[cold]
 #[inline(never)]
 pub fn photocurrents<S: Scalar>(
-    plan: &Plan<S>,
+    plan: &CompiledScene<S>,
     cell: &CompiledCell<S>,
     imperfect: &Imperfect<S>,
     pose: &Transform<S>,
@@ -287,7 +287,7 @@ pub fn photocurrents<S: Scalar>(
 #[cold]
 #[inline(never)]
 pub fn linearise<S: Scalar>(
-    plan: &Plan<S>,
+    plan: &CompiledScene<S>,
     cell: &CompiledCell<S>,
     imperfect: &Imperfect<S>,
     pose: &Transform<S>,
@@ -305,7 +305,7 @@ pub fn linearise<S: Scalar>(
 #[cold]
 #[inline(never)]
 pub fn respond<S: Scalar>(
-    plan: &Plan<S>,
+    plan: &CompiledScene<S>,
     cell: &CompiledCell<S>,
     imperfect: &Imperfect<S>,
     pose: &Transform<S>,
@@ -394,9 +394,9 @@ pub fn outline<S: Number>(
     }
 }
 
-/// See [`Plan::photocurrents_of`]; of the emitter of each cell in `lit`, at its level.
+/// See [`CompiledScene::photocurrents_of`]; of the emitter of each cell in `lit`, at its level.
 pub fn photocurrents_of_emitters<'a, S: Scalar>(
-    plan: &Plan<S>,
+    plan: &CompiledScene<S>,
     cell: &CompiledCell<S>,
     imperfect: &Imperfect<S>,
     lit: impl Iterator<Item = (&'a CompiledCell<S>, S)>,

@@ -12,7 +12,7 @@ use crate::response::{Integration, Status};
 use crate::scalar::{Linear3, Number};
 
 use super::super::optics::{Light, Seen, Source};
-use super::super::{CompiledCell, CompiledEmitter, Plan};
+use super::super::{CompiledCell, CompiledEmitter, CompiledScene};
 use super::beam::{Beam, Spot};
 use super::opening::Opening;
 
@@ -43,7 +43,7 @@ pub struct Passed<S: Number> {
 /// Light of `emission` through what cell `cell` has in its way.
 #[allow(clippy::too_many_arguments, reason = "one point of one emitter through one cell")]
 pub fn pass<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
-    plan: &Plan<S>,
+    plan: &CompiledScene<S>,
     cell: &CompiledCell<S>,
     passage: &Passage<S>,
     emitter: &CompiledEmitter<S>,
@@ -82,7 +82,7 @@ pub fn pass<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
 }
 
 fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
-    plan: &Plan<S>,
+    plan: &CompiledScene<S>,
     emitter: &CompiledEmitter<S>,
     emission: &E,
     seen: &Seen<S>,

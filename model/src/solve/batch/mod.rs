@@ -72,7 +72,7 @@ impl<'a> Batch<'a> {
     pub fn with_width(solver: &'a Solver<f64>, width: Width) -> Self {
         let head = &solver.compiled;
         let has_lanes = head.plan.has_lanes()
-            && head.plan.cell_count() >= <crate::plan::Plan<f64> as Optics<f64>>::UNIQUE_FROM
+            && head.plan.cell_count() >= <crate::plan::CompiledScene<f64> as Optics<f64>>::UNIQUE_FROM
             && !head.has_images
             && head.offsets_s.is_empty()
             && solver.max_steps.is_none()
@@ -153,7 +153,7 @@ impl<'a> Batch<'a> {
                 doubted_chi2: Some(DOUBTED * gate),
             },
             Starts::Near(_) => {
-                let near = <crate::plan::Plan<f64> as Optics<f64>>::NEAR.sigmas;
+                let near = <crate::plan::CompiledScene<f64> as Optics<f64>>::NEAR.sigmas;
                 let stopping = Stopping { tolerance_sigmas: near, ..Stopping::near() };
                 Course { is_cold: false, stopping, most_chi2: gate, doubted_chi2: None }
             }

@@ -6,8 +6,8 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use slitpose_model::{
-    Cell, DEFAULT_FAINT_A, Detector, Emitter, Estimate, MotionPrior, Noise, Pair, Photocurrents, Plan, Pose, Profile,
-    Scalar, Scene, Slit, Solution, Solver, Start, Tier, Uncertainty,
+    Cell, CompiledScene, DEFAULT_FAINT_A, Detector, Emitter, Estimate, MotionPrior, Noise, Pair, Photocurrents, Pose,
+    Profile, Scalar, Scene, Slit, Solution, Solver, Start, Tier, Uncertainty,
 };
 
 /// The tiers in which solvers are tested.
@@ -165,11 +165,11 @@ pub fn normal(rng: &mut ChaCha8Rng) -> f64 {
 }
 
 /// What each cell delivers with the tool at `pose`.
-pub fn pairs(plan: &Plan<f64>, pose: &Pose) -> Vec<Pair<f64>> {
+pub fn pairs(plan: &CompiledScene<f64>, pose: &Pose) -> Vec<Pair<f64>> {
     (0..plan.cell_count()).map(|cell| plan.photocurrents(cell, pose)).collect()
 }
 
-pub fn seen(plan: &Plan<f64>, pose: &Pose) -> Photocurrents {
+pub fn seen(plan: &CompiledScene<f64>, pose: &Pose) -> Photocurrents {
     Photocurrents::of_pairs(pairs(plan, pose))
 }
 

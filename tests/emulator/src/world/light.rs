@@ -4,7 +4,7 @@
 //! light is linear in time; each switching of an emitter begins a new stretch, so edges stay sharp.
 
 use slitpose_head::simulator::Trajectory;
-use slitpose_model::{Pair, Plan, Pose, Scene, SceneError, Tier};
+use slitpose_model::{CompiledScene, Pair, Pose, Scene, SceneError, Tier};
 
 use super::BOARD_CELLS;
 use crate::faults::{BAFFLE, BAFFLE_SHARE, DEAD, Fault, Faults, WEAK, WEAK_STRENGTH};
@@ -39,9 +39,9 @@ struct Knot {
 #[derive(Debug)]
 pub(super) struct Illumination {
     /// For each emitter on its own cell.
-    plan: Plan<f64>,
+    plan: CompiledScene<f64>,
     /// For each emitter on the other cells.
-    stray: Plan<f64>,
+    stray: CompiledScene<f64>,
     faults: Faults,
     trajectory: Trajectory,
     origin: Ticks,
@@ -59,7 +59,7 @@ impl Illumination {
             Tier::Exact { tolerance } => Tier::Exact { tolerance: tolerance.max(STRAY_TOLERANCE) },
             Tier::Paper => Tier::Paper,
         };
-        let (plan, stray) = (Plan::compile(scene, tier)?, Plan::compile(scene, stray)?);
+        let (plan, stray) = (CompiledScene::compile(scene, tier)?, CompiledScene::compile(scene, stray)?);
         let dark = [Pair::default(); BOARD_CELLS];
         let nowhere = Knot { at: 0, pose: Pose::HOME, known: 0, by_emitter: [dark; BOARD_CELLS], sum: dark };
         Ok(Self { plan, stray, faults, trajectory, origin: 0, lit: 0, levels: [0.0; 2], from: nowhere, to: nowhere })

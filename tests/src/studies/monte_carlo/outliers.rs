@@ -3,7 +3,7 @@
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use slitpose_head::scene_file::WIDE;
-use slitpose_model::{Outcome, Pair, Photocurrents, Plan, Pose, Reading, Tier};
+use slitpose_model::{CompiledScene, Outcome, Pair, Photocurrents, Pose, Reading, Tier};
 
 use super::case::{Case, Kind, Tally, WRONG_SIGMAS, print_failures};
 use super::{Conditions, case, read, solver};
@@ -140,7 +140,13 @@ fn length(v: &[f64; 2]) -> f64 {
 ///
 /// This is what any estimator has to tell the error by, as long as the optics are linear over the
 /// error of the pose.
-fn least_chi2(plan: &Plan<f64>, disturbance: &Disturbance, pose: &Pose, outlier: usize, error: [f64; 2]) -> f64 {
+fn least_chi2(
+    plan: &CompiledScene<f64>,
+    disturbance: &Disturbance,
+    pose: &Pose,
+    outlier: usize,
+    error: [f64; 2],
+) -> f64 {
     // Millimetres go with tenths of radians on arms of 10 mm.
     const SCALE: [f64; 6] = [0.01, 0.01, 0.01, 1.0, 1.0, 1.0];
     let mut information: Matrix6 = Default::default();

@@ -2,7 +2,7 @@
 
 use std::hint::black_box;
 
-use slitpose_model::{Photocurrents, Plan, Pose, Scene, Solver, Tier};
+use slitpose_model::{CompiledScene, Photocurrents, Pose, Scene, Solver, Tier};
 
 use crate::report::head::{Candidate, RunTime, race};
 use crate::report::head::{Errors, rms_of_covariances};
@@ -212,7 +212,7 @@ fn floor(head: &Head<'_>, settings: &Settings) -> Result<Table, ReportError> {
     for tier in [Tier::Paper, STREAM, head.truth_tier] {
         // Each tier on its own light: the model is no part of this error.
         let own = if tier == Tier::Paper { tier } else { head.truth_tier };
-        let plan = Plan::<f64>::compile(&silent, own)?;
+        let plan = CompiledScene::<f64>::compile(&silent, own)?;
         let readings: Vec<Photocurrents> = head.poses.iter().map(|pose| currents(&plan, pose)).collect();
         // What `f32` cannot keep it is not asked for.
         let kept = Precision::BOTH.into_iter().filter(|p| *p == Precision::Double || tier != head.truth_tier);

@@ -2,7 +2,7 @@
 
 use glam::{DVec2, DVec3};
 use slitpose_model::{
-    Cell, Effects, Pair, Plan, Pose, Profile, Response, Scalar, Scene, SceneError, Tier, Uncertainty,
+    Cell, CompiledScene, Effects, Pair, Pose, Profile, Response, Scalar, Scene, SceneError, Tier, Uncertainty,
 };
 
 use super::case::{Case, Expected, Reached};
@@ -78,7 +78,7 @@ impl Lone {
 
     /// The model's currents in a number type, the dark current subtracted exactly.
     fn respond<S: Scalar>(&self, tier: Tier, emitter_m: DVec3) -> Result<(Response<S>, Pair<f64>), SceneError> {
-        let plan = Plan::<S>::compile(&self.scene, tier)?;
+        let plan = CompiledScene::<S>::compile(&self.scene, tier)?;
         let pose = at(emitter_m);
         let pair = plan.photocurrents(0, &pose);
         Ok((plan.respond(0, &pose), Pair { i_x1_a: pair.i_x1_a.as_f64(), i_x2_a: pair.i_x2_a.as_f64() }))
@@ -132,7 +132,7 @@ impl Lone {
     /// The relative change of a current when every number that goes in is rounded once, in units of
     /// the rounding: the condition of the forward problem.
     fn rounding(&self, emitter_m: DVec3) -> Result<f64, SceneError> {
-        let plan = Plan::<f64>::compile(&self.scene, TIGHTEST)?;
+        let plan = CompiledScene::<f64>::compile(&self.scene, TIGHTEST)?;
         let (_, pair, jacobian) = plan.linearise(0, &at(emitter_m));
         let along = emitter_m.x.abs() + self.half_slit_m();
         let up = emitter_m.z + self.slit_height_m();

@@ -9,7 +9,7 @@ use std::time::Instant;
 
 use glam::DVec3;
 use nalgebra::DMatrix;
-use slitpose_model::{Opening, Pair, Photocurrents, Plan, Pose, Reading, Scene, SceneError, rotation_exp};
+use slitpose_model::{CompiledScene, Opening, Pair, Photocurrents, Pose, Reading, Scene, SceneError, rotation_exp};
 
 use super::case::{Case, Expected, Reached};
 use crate::report::Settings;
@@ -179,7 +179,7 @@ const AT_EMITTERS: &str = "pose at the emitters / µm";
 
 struct Trial {
     scene: Scene,
-    plan: Plan<f64>,
+    plan: CompiledScene<f64>,
     poses: Vec<Pose>,
     readings: Vec<Photocurrents>,
     priors: Vec<Pose>,
@@ -193,7 +193,7 @@ impl Trial {
 
     /// The same with poses `spread` times as far from `centre`.
     fn within(scene: Scene, centre: &Pose, spread: f64, seed: u64) -> Result<Self, SceneError> {
-        let plan = Plan::compile(&scene, Precision::Double.tightest_tier())?;
+        let plan = CompiledScene::compile(&scene, Precision::Double.tightest_tier())?;
         let mut noise = NoiseSource::seeded(seed);
         let poses: Vec<Pose> =
             (0..POSES).map(|_| noise.near(centre, spread * NEAR_HOME_M, spread * NEAR_HOME_RAD)).collect();
@@ -263,7 +263,7 @@ struct Attainable {
 
 impl Attainable {
     /// With the tool of `scene` at `pose`, from the cells that `used` lets pass.
-    fn at(scene: &Scene, plan: &Plan<f64>, pose: &Pose, used: impl Fn(usize) -> bool) -> Self {
+    fn at(scene: &Scene, plan: &CompiledScene<f64>, pose: &Pose, used: impl Fn(usize) -> bool) -> Self {
         let arm_m = scene.length_scale_m();
         let mut rows = Vec::new();
         for (number, cell) in scene.cells.iter().enumerate().filter(|(number, _)| used(*number)) {
@@ -313,7 +313,7 @@ mod tests {
     #[test]
     fn rounding_moves_a_pose_by_a_few_roundings_of_the_heads_size() {
         let scene = WIDE.read().unwrap().scene;
-        let plan = Plan::compile(&scene, Tier::Paper).unwrap();
+        let plan = CompiledScene::compile(&scene, Tier::Paper).unwrap();
         let all = Attainable::at(&scene, &plan, &Pose::HOME, |_| true);
         assert!((1.0..10.0).contains(&all.condition), "{}", all.condition);
         for precision in Precision::BOTH {

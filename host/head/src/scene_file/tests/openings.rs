@@ -66,7 +66,7 @@ fn a_second_axis_reads_the_same_light_across() {
     let axes = |cell: usize| file.scene.cells[cell].effects.other_axis;
     assert_eq!((axes(0), axes(1)), (Some(1), Some(0)));
     assert!(file.scene.cells.iter().all(|cell| cell.effects.lit_together == 0));
-    let plan = Plan::<f64>::compile(&file.scene, Tier::Exact { tolerance: 1e-12 }).unwrap();
+    let plan = CompiledScene::<f64>::compile(&file.scene, Tier::Exact { tolerance: 1e-12 }).unwrap();
     let of = |cell, pose: &Pose| plan.respond(cell, pose);
     let (here, there) = (Pose::HOME, Pose::from_vectors(DVec3::new(0.0, 0.3e-3, 0.2e-3), DVec3::ZERO));
     let outline = |cell, pose: &Pose| {

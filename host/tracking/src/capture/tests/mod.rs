@@ -22,7 +22,7 @@ use super::series::Recorded;
 use super::*;
 use crate::clock::{HostInstant, HostTime};
 use crate::link::{Asked, DeviceId, Segment};
-use crate::pipeline::{Following, Item, Pipeline, PipelineError, Record, SceneMatch};
+use crate::pipeline::{Item, Pipeline, PipelineError, PipelineOptions, Record, SceneMatch};
 use slitpose_head::front_end;
 use slitpose_head::scene_file::{BENCH, SceneFile, WIDE};
 use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
@@ -42,7 +42,7 @@ fn later(at: HostInstant, ns: u64) -> HostInstant {
 fn settings() -> Settings {
     Settings {
         tier: Tier::Exact { tolerance: 1e-6 },
-        following: Following { without_clipped: true, ..Following::default() },
+        following: PipelineOptions { without_clipped: true, ..PipelineOptions::default() },
     }
 }
 

@@ -13,7 +13,7 @@ use slitpose_emulator::world::{NoiseSource, OpticsWorld, World};
 use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::{SceneFile, Shipped};
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
-use slitpose_model::{Pair, Plan, Pose, Reading};
+use slitpose_model::{CompiledScene, Pair, Pose, Reading};
 use slitpose_protocol::{AdcScaling, Command, Configuration, Level, RawScan, Rejection, ResetCause, Schedule, Status};
 
 /// Breaks of links by which every scan may be lost: what becomes of scans is no concern of these tests.
@@ -279,7 +279,13 @@ pub fn tick_offset(bench: &mut Bench, scans: &[RawScan], start: Ticks) -> i64 {
 }
 
 /// Light on `cell` in its slot, for a level of its own emitter of 1.
-pub fn light_on(plan: &Plan<f64>, schedule: &Schedule, cell: usize, levels: &[Level], pose: &Pose) -> Pair<f64> {
+pub fn light_on(
+    plan: &CompiledScene<f64>,
+    schedule: &Schedule,
+    cell: usize,
+    levels: &[Level],
+    pose: &Pose,
+) -> Pair<f64> {
     let slot = schedule.lit_slot(cell).expect("each cell is lit");
     let mut sum = Pair::<f64>::default();
     for emitter in schedule.slots[slot].emitters() {
@@ -296,7 +302,7 @@ pub fn light_on(plan: &Plan<f64>, schedule: &Schedule, cell: usize, levels: &[Le
 pub fn worst_codes(bench: &Bench, scans: &[RawScan], configuration: &Configuration) -> f64 {
     let Configuration { schedule, .. } = configuration;
     let stage = Stage::new(&bench.scene, schedule, &bench.scaling);
-    let plan = Plan::<f64>::compile(&bench.scene.scene, WORLD_TIER).expect("the scene is valid");
+    let plan = CompiledScene::<f64>::compile(&bench.scene.scene, WORLD_TIER).expect("the scene is valid");
     let cells = usize::from(schedule.cells);
     let expected: Vec<_> =
         (0..cells).map(|cell| light_on(&plan, schedule, cell, scans[0].levels(), &Pose::HOME)).collect();
