@@ -33,7 +33,7 @@ impl Real for f64x2 {
     const LANES: usize = 2;
 
     #[inline(always)]
-    fn each(self, mut lane: impl FnMut(usize) -> f64) -> Self {
+    fn from_fn(self, mut lane: impl FnMut(usize) -> f64) -> Self {
         Self::new([lane(0), lane(1)])
     }
     #[inline(always)]
@@ -49,7 +49,7 @@ impl Real for f64x2 {
         self.constant(1.0) / self.sqrt()
     }
     #[inline(always)]
-    fn where_at_least(a: Self, b: Self, yes: Self, no: Self) -> Self {
+    fn select_ge(a: Self, b: Self, yes: Self, no: Self) -> Self {
         a.cmp_ge(b).blend(yes, no)
     }
 }

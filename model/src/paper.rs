@@ -79,7 +79,7 @@ const SMALL_TANGENT: f64 = 0.03;
 #[inline(always)]
 fn quarter_angle<R: Real>(tangent: R) -> R {
     if !R::ARE_POSES && (0..R::LANES).any(|i| tangent.lane(i) > R::Element::of(SMALL_TANGENT)) {
-        return tangent.each(|i| tangent.lane(i).arc_tangent());
+        return tangent.from_fn(|i| tangent.lane(i).arc_tangent());
     }
     let square = tangent * tangent;
     // t⁰/1 − t²/3 + t⁴/5 − …: the first term left out is t¹²/13, 4e-20 of the first.
@@ -88,7 +88,7 @@ fn quarter_angle<R: Real>(tangent: R) -> R {
         sum = tangent.constant(odd.recip()) - square * sum;
     }
     if R::ARE_POSES {
-        return R::where_at_least(tangent.constant(SMALL_TANGENT), tangent, tangent * sum, tangent.constant(f64::NAN));
+        return R::select_ge(tangent.constant(SMALL_TANGENT), tangent, tangent * sum, tangent.constant(f64::NAN));
     }
     tangent * sum
 }
@@ -177,8 +177,8 @@ pub fn rectangle_light<R: Real, E: Falloff<R>, const GRADIENT: bool>(
     let direction = sum * inverse;
     let cosine = axis.dot(direction);
     // Behind the horizon there is no light, and the profile is not defined.
-    let in_front = |value| R::where_at_least(zero, cosine, zero, value);
-    let front = R::where_at_least(zero, cosine, one, cosine);
+    let in_front = |value| R::select_ge(zero, cosine, zero, value);
+    let front = R::select_ge(zero, cosine, one, cosine);
     let (alpha, beta) = rays.plate(spot);
     let (omega, by_alpha, by_beta) = plate_solid_angle(alpha.tangent2, beta.tangent2);
     if !GRADIENT {

@@ -199,14 +199,14 @@ pub struct Transform<R: Real> {
     translation: R::Vec3,
 }
 
-/// [`Real::where_above`] of vectors.
+/// [`Real::select_gt`] of vectors.
 #[cfg(feature = "batch")]
 #[inline(always)]
 fn where_above3<R: Real>(a: R, b: R, yes: R::Vec3, no: R::Vec3) -> R::Vec3 {
     R::Vec3::new(
-        R::where_above(a, b, yes.x(), no.x()),
-        R::where_above(a, b, yes.y(), no.y()),
-        R::where_above(a, b, yes.z(), no.z()),
+        R::select_gt(a, b, yes.x(), no.x()),
+        R::select_gt(a, b, yes.y(), no.y()),
+        R::select_gt(a, b, yes.z(), no.z()),
     )
 }
 
@@ -231,14 +231,14 @@ impl<R: Real> Transform<R> {
     /// Lane by lane: `yes` where a > b, else `no`.
     #[cfg(feature = "batch")]
     #[inline(always)]
-    pub fn where_above(a: R, b: R, yes: &Self, no: &Self) -> Self {
+    pub fn select_gt(a: R, b: R, yes: &Self, no: &Self) -> Self {
         let mut chosen = *no;
         chosen.translation = where_above3(a, b, yes.translation, no.translation);
         for i in 0..3 {
             chosen.columns[i] = where_above3(a, b, yes.columns[i], no.columns[i]);
         }
         for i in 0..4 {
-            chosen.rotation[i] = R::where_above(a, b, yes.rotation[i], no.rotation[i]);
+            chosen.rotation[i] = R::select_gt(a, b, yes.rotation[i], no.rotation[i]);
         }
         chosen
     }
@@ -301,9 +301,9 @@ impl<S: Number> Transform<S> {
     #[inline(always)]
     pub fn in_all_lanes<R: Real<Element = S>>(&self, like: R) -> Transform<R> {
         Transform {
-            columns: self.columns.map(|column| like.all3(column)),
-            rotation: self.rotation.map(|component| like.all(component)),
-            translation: like.all3(self.translation),
+            columns: self.columns.map(|column| like.splat3(column)),
+            rotation: self.rotation.map(|component| like.splat(component)),
+            translation: like.splat3(self.translation),
         }
     }
 

@@ -128,8 +128,8 @@ impl<R: Real> PowerLanes<R> {
     pub fn of(like: R, table: impl Fn(usize) -> Power<R::Element>) -> Self {
         let tables: heapless::Vec<_, 2> = (0..R::LANES).map(table).collect();
         Self {
-            binomials: core::array::from_fn(|k| like.each(|i| tables[i].binomials[k])),
-            exponent: like.each(|i| tables[i].exponent),
+            binomials: core::array::from_fn(|k| like.from_fn(|i| tables[i].binomials[k])),
+            exponent: like.from_fn(|i| tables[i].exponent),
             tables,
         }
     }
@@ -141,10 +141,10 @@ impl<R: Real> PowerLanes<R> {
         for (i, table) in self.tables.iter().enumerate() {
             match table.anchor(c.lane(i)) {
                 Some(anchor) => anchors[i] = anchor,
-                None => return c.each(|i| self.tables[i].of(c.lane(i))),
+                None => return c.from_fn(|i| self.tables[i].of(c.lane(i))),
             }
         }
-        series(c.each(|i| anchors[i].delta), c.each(|i| anchors[i].factor), &self.binomials)
+        series(c.from_fn(|i| anchors[i].delta), c.from_fn(|i| anchors[i].factor), &self.binomials)
     }
 }
 
@@ -160,7 +160,7 @@ pub struct SharedPower<'a, R: Real> {
 impl<'a, R: Real> SharedPower<'a, R> {
     #[inline(always)]
     pub fn of(like: R, table: &'a Power<R::Element>) -> Self {
-        Self { table, binomials: array(like, |k| like.all(table.binomials[k])), exponent: like.all(table.exponent) }
+        Self { table, binomials: array(like, |k| like.splat(table.binomials[k])), exponent: like.splat(table.exponent) }
     }
 
     /// cⁿ lane by lane, c > 0.
@@ -168,14 +168,14 @@ impl<'a, R: Real> SharedPower<'a, R> {
     pub fn of_lanes(&self, c: R) -> R {
         let nan = R::Element::of(f64::NAN);
         let mut factors = [nan; MAX_LANES];
-        let delta = c.each(|lane| match self.table.anchor(c.lane(lane)) {
+        let delta = c.from_fn(|lane| match self.table.anchor(c.lane(lane)) {
             Some(anchor) => {
                 factors[lane] = anchor.factor;
                 anchor.delta
             }
             None => nan,
         });
-        series(delta, c.each(|lane| factors[lane]), &self.binomials)
+        series(delta, c.from_fn(|lane| factors[lane]), &self.binomials)
     }
 }
 

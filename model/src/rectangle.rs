@@ -49,7 +49,7 @@ const DETECTOR: f64 = -1.0;
 
 #[inline(always)]
 fn magnitude<R: Real>(value: R) -> R {
-    R::where_at_least(value, -value, value, -value)
+    R::select_ge(value, -value, value, -value)
 }
 
 impl<R: Real> Extent<R> {
@@ -75,26 +75,26 @@ impl<R: Real> Extent<R> {
                 let mut apart = magnitude(apart);
                 if N > 1 {
                     let from_wall = e.constant(WALL_SLACK) * magnitude(e - wall);
-                    apart = R::where_at_least(from, zero, from_wall, apart);
+                    apart = R::select_ge(from, zero, from_wall, apart);
                 }
-                slack = R::where_at_least(slack, apart, apart, slack);
+                slack = R::select_ge(slack, apart, apart, slack);
             }
             let from = low.position;
-            low.position = R::where_at_least(a, from, a, from);
-            low.magnification = R::where_at_least(a, from, k, low.magnification);
-            from_low = R::where_at_least(a, from, index, from_low);
-            length = R::where_at_least(a, from, span.length * k, length);
+            low.position = R::select_ge(a, from, a, from);
+            low.magnification = R::select_ge(a, from, k, low.magnification);
+            from_low = R::select_ge(a, from, index, from_low);
+            length = R::select_ge(a, from, span.length * k, length);
             let to = high.position;
-            high.position = R::where_at_least(to, b, b, to);
-            high.magnification = R::where_at_least(to, b, k, high.magnification);
-            from_high = R::where_at_least(to, b, index, from_high);
+            high.position = R::select_ge(to, b, b, to);
+            high.magnification = R::select_ge(to, b, k, high.magnification);
+            from_high = R::select_ge(to, b, index, from_high);
         }
-        let cut = R::where_at_least(from_low, zero, R::where_at_least(from_high, zero, zero, one), one);
+        let cut = R::select_ge(from_low, zero, R::select_ge(from_high, zero, zero, one), one);
         // If both sides are of one face, its magnified length replaces the difference, which may cancel.
         let difference = high.position - low.position;
-        let one_face = R::where_at_least(from_low, from_high, length, difference);
-        let extent = R::where_at_least(from_high, from_low, one_face, difference);
-        let extent = R::where_at_least(zero, cut, extent, difference);
+        let one_face = R::select_ge(from_low, from_high, length, difference);
+        let extent = R::select_ge(from_high, from_low, one_face, difference);
+        let extent = R::select_ge(zero, cut, extent, difference);
         let landing = half * (low.position + high.position);
         let low = Edge { position: low.position - e, ..low };
         let high = Edge { position: high.position - e, ..high };
@@ -116,7 +116,7 @@ impl<R: Real> Rectangle<R> {
         let mut behind = zero;
         let (mut along_x, mut along_y) = ([(faces[0].x, [one; 2]); N], [(faces[0].y, [one; 2]); N]);
         for (i, face) in faces.into_iter().enumerate() {
-            behind = R::where_at_least(face.z, ez, one, behind);
+            behind = R::select_ge(face.z, ez, one, behind);
             let inverse = (ez - face.z).inverse();
             let by = [ez * inverse, face.z * inverse];
             (along_x[i], along_y[i]) = ((face.x, by), (face.y, by));
@@ -124,8 +124,8 @@ impl<R: Real> Rectangle<R> {
         let (x, cut, slack_x) = Extent::of_beam(along_x, ex, detector_half[0]);
         let (y, _, slack_y) = Extent::of_beam(along_y, ey, detector_half[1]);
         // With a pose that is NaN both half extents are NaN, and the spot is dark.
-        let narrower = R::where_at_least(x.half, y.half, y.half, x.half);
-        let slack = R::where_at_least(slack_x, slack_y, slack_y, slack_x);
+        let narrower = R::select_ge(x.half, y.half, y.half, x.half);
+        let slack = R::select_ge(slack_x, slack_y, slack_y, slack_x);
         (Self { x, y, height: ez }, Visibility { behind, cut, narrower, slack })
     }
 
@@ -182,7 +182,7 @@ impl<R: Real> Visibility<R> {
     #[inline(always)]
     pub fn where_spot(&self, yes: R, no: R) -> R {
         let zero = self.behind.constant(0.0);
-        R::where_above(self.behind, zero, no, R::where_above(self.narrower, zero, yes, no))
+        R::select_gt(self.behind, zero, no, R::select_gt(self.narrower, zero, yes, no))
     }
 
     #[inline(always)]

@@ -37,7 +37,7 @@ pub trait Real:
     const ARE_POSES: bool = false;
 
     /// From the number of each lane: as many as `self` has, whose own do not count.
-    fn each(self, lane: impl FnMut(usize) -> Self::Element) -> Self;
+    fn from_fn(self, lane: impl FnMut(usize) -> Self::Element) -> Self;
     /// The number in lane `i`.
     fn lane(self, i: usize) -> Self::Element;
     /// √, within two units in the last place; for SIMD lanes, correctly rounded.
@@ -45,13 +45,13 @@ pub trait Real:
     /// 1/√ of a positive, normal number, within two units in the last place.
     fn inverse_root(self) -> Self;
     /// Lane by lane: `yes` where a ≥ b, else `no`.
-    fn where_at_least(a: Self, b: Self, yes: Self, no: Self) -> Self;
+    fn select_ge(a: Self, b: Self, yes: Self, no: Self) -> Self;
 
     /// Lane by lane: `yes` where a > b, else `no`.
     #[inline(always)]
-    fn where_above(a: Self, b: Self, yes: Self, no: Self) -> Self {
+    fn select_gt(a: Self, b: Self, yes: Self, no: Self) -> Self {
         // Written so that NaN is not above.
-        Self::where_at_least(a, b, Self::where_at_least(b, a, no, yes), no)
+        Self::select_ge(a, b, Self::select_ge(b, a, no, yes), no)
     }
 
     /// Whether a > b in any lane.
@@ -65,37 +65,37 @@ pub trait Real:
     fn magnitude(self) -> Self {
         let zero = self.constant(0.0);
         // Of −0 as of 0.
-        Self::where_above(self, zero, self, zero - self)
+        Self::select_gt(self, zero, self, zero - self)
     }
 
     /// The larger of two numbers, lane by lane; `self` where `other` is NaN.
     #[inline(always)]
     fn at_least(self, other: Self) -> Self {
-        Self::where_at_least(other, self, other, self)
+        Self::select_ge(other, self, other, self)
     }
 
     /// The smaller of two numbers, lane by lane; `self` where `other` is NaN.
     #[inline(always)]
     fn at_most(self, other: Self) -> Self {
-        Self::where_at_least(self, other, other, self)
+        Self::select_ge(self, other, other, self)
     }
 
     /// The same number in all lanes.
     #[inline(always)]
-    fn all(self, value: Self::Element) -> Self {
-        self.each(|_| value)
+    fn splat(self, value: Self::Element) -> Self {
+        self.from_fn(|_| value)
     }
 
     /// The same vector in all lanes.
     #[inline(always)]
-    fn all3(self, vector: <Self::Element as Real>::Vec3) -> Self::Vec3 {
-        Self::Vec3::new(self.all(vector.x()), self.all(vector.y()), self.all(vector.z()))
+    fn splat3(self, vector: <Self::Element as Real>::Vec3) -> Self::Vec3 {
+        Self::Vec3::new(self.splat(vector.x()), self.splat(vector.y()), self.splat(vector.z()))
     }
 
     /// The nearest number to a constant, in all lanes.
     #[inline(always)]
     fn constant(self, value: f64) -> Self {
-        self.all(Self::Element::of(value))
+        self.splat(Self::Element::of(value))
     }
 
     /// The inverse.
@@ -271,7 +271,7 @@ macro_rules! implement_scalar {
             const LANES: usize = 1;
 
             #[inline(always)]
-            fn each(self, mut lane: impl FnMut(usize) -> Self) -> Self {
+            fn from_fn(self, mut lane: impl FnMut(usize) -> Self) -> Self {
                 lane(0)
             }
             #[inline(always)]
@@ -287,7 +287,7 @@ macro_rules! implement_scalar {
                 $inverse_root(self)
             }
             #[inline(always)]
-            fn where_at_least(a: Self, b: Self, yes: Self, no: Self) -> Self {
+            fn select_ge(a: Self, b: Self, yes: Self, no: Self) -> Self {
                 if a >= b { yes } else { no }
             }
             #[inline(always)]

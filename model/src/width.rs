@@ -108,8 +108,8 @@ impl Debug for Width {
 pub trait Instructions: Copy + Debug + Send + Sync + 'static {
     type Vector: Copy + Debug + Send + Sync + 'static;
     const LANES: usize;
-    fn all(self, value: f64) -> Self::Vector;
-    fn each(self, lane: impl FnMut(usize) -> f64) -> Self::Vector;
+    fn splat(self, value: f64) -> Self::Vector;
+    fn from_fn(self, lane: impl FnMut(usize) -> f64) -> Self::Vector;
     fn lane(vector: &Self::Vector, i: usize) -> f64;
     fn add(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
     fn sub(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
@@ -117,8 +117,8 @@ pub trait Instructions: Copy + Debug + Send + Sync + 'static {
     fn div(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
     fn neg(self, a: Self::Vector) -> Self::Vector;
     fn sqrt(self, a: Self::Vector) -> Self::Vector;
-    fn where_at_least(self, a: Self::Vector, b: Self::Vector, yes: Self::Vector, no: Self::Vector) -> Self::Vector;
-    fn where_above(self, a: Self::Vector, b: Self::Vector, yes: Self::Vector, no: Self::Vector) -> Self::Vector;
+    fn select_ge(self, a: Self::Vector, b: Self::Vector, yes: Self::Vector, no: Self::Vector) -> Self::Vector;
+    fn select_gt(self, a: Self::Vector, b: Self::Vector, yes: Self::Vector, no: Self::Vector) -> Self::Vector;
     fn any_above(self, a: Self::Vector, b: Self::Vector) -> bool;
 }
 
@@ -131,11 +131,11 @@ impl Instructions for Baseline {
     const LANES: usize = 2;
 
     #[inline(always)]
-    fn all(self, value: f64) -> f64x2 {
+    fn splat(self, value: f64) -> f64x2 {
         f64x2::splat(value)
     }
     #[inline(always)]
-    fn each(self, mut lane: impl FnMut(usize) -> f64) -> f64x2 {
+    fn from_fn(self, mut lane: impl FnMut(usize) -> f64) -> f64x2 {
         f64x2::new([lane(0), lane(1)])
     }
     #[inline(always)]
@@ -168,11 +168,11 @@ impl Instructions for Baseline {
         a.sqrt()
     }
     #[inline(always)]
-    fn where_at_least(self, a: f64x2, b: f64x2, yes: f64x2, no: f64x2) -> f64x2 {
+    fn select_ge(self, a: f64x2, b: f64x2, yes: f64x2, no: f64x2) -> f64x2 {
         a.cmp_ge(b).blend(yes, no)
     }
     #[inline(always)]
-    fn where_above(self, a: f64x2, b: f64x2, yes: f64x2, no: f64x2) -> f64x2 {
+    fn select_gt(self, a: f64x2, b: f64x2, yes: f64x2, no: f64x2) -> f64x2 {
         a.cmp_gt(b).blend(yes, no)
     }
     #[inline(always)]
@@ -187,11 +187,11 @@ impl<S: Simd> Instructions for S {
     const LANES: usize = S::F64_LANES;
 
     #[inline(always)]
-    fn all(self, value: f64) -> S::f64s {
+    fn splat(self, value: f64) -> S::f64s {
         self.splat_f64s(value)
     }
     #[inline(always)]
-    fn each(self, mut lane: impl FnMut(usize) -> f64) -> S::f64s {
+    fn from_fn(self, mut lane: impl FnMut(usize) -> f64) -> S::f64s {
         let mut vector = [self.splat_f64s(0.0)];
         for (i, number) in cast_slice_mut::<S::f64s, f64>(&mut vector).iter_mut().enumerate() {
             *number = lane(i);
@@ -227,11 +227,11 @@ impl<S: Simd> Instructions for S {
         self.sqrt_f64s(a)
     }
     #[inline(always)]
-    fn where_at_least(self, a: S::f64s, b: S::f64s, yes: S::f64s, no: S::f64s) -> S::f64s {
+    fn select_ge(self, a: S::f64s, b: S::f64s, yes: S::f64s, no: S::f64s) -> S::f64s {
         self.select_f64s(self.greater_than_or_equal_f64s(a, b), yes, no)
     }
     #[inline(always)]
-    fn where_above(self, a: S::f64s, b: S::f64s, yes: S::f64s, no: S::f64s) -> S::f64s {
+    fn select_gt(self, a: S::f64s, b: S::f64s, yes: S::f64s, no: S::f64s) -> S::f64s {
         self.select_f64s(self.greater_than_f64s(a, b), yes, no)
     }
     #[inline(always)]
@@ -250,7 +250,7 @@ pub struct Lanes<I: Instructions> {
 impl<I: Instructions> Lanes<I> {
     #[inline(always)]
     pub fn zero(instructions: I) -> Self {
-        Self { vector: instructions.all(0.0), instructions }
+        Self { vector: instructions.splat(0.0), instructions }
     }
 
     #[inline(always)]
@@ -266,8 +266,8 @@ impl<I: Instructions> Real for Lanes<I> {
     const ARE_POSES: bool = true;
 
     #[inline(always)]
-    fn each(self, lane: impl FnMut(usize) -> f64) -> Self {
-        self.with(self.instructions.each(lane))
+    fn from_fn(self, lane: impl FnMut(usize) -> f64) -> Self {
+        self.with(self.instructions.from_fn(lane))
     }
     #[inline(always)]
     fn lane(self, i: usize) -> f64 {
@@ -282,20 +282,20 @@ impl<I: Instructions> Real for Lanes<I> {
         self.constant(1.0) / self.root()
     }
     #[inline(always)]
-    fn where_at_least(a: Self, b: Self, yes: Self, no: Self) -> Self {
-        a.with(a.instructions.where_at_least(a.vector, b.vector, yes.vector, no.vector))
+    fn select_ge(a: Self, b: Self, yes: Self, no: Self) -> Self {
+        a.with(a.instructions.select_ge(a.vector, b.vector, yes.vector, no.vector))
     }
     #[inline(always)]
-    fn where_above(a: Self, b: Self, yes: Self, no: Self) -> Self {
-        a.with(a.instructions.where_above(a.vector, b.vector, yes.vector, no.vector))
+    fn select_gt(a: Self, b: Self, yes: Self, no: Self) -> Self {
+        a.with(a.instructions.select_gt(a.vector, b.vector, yes.vector, no.vector))
     }
     #[inline(always)]
     fn any_above(a: Self, b: Self) -> bool {
         a.instructions.any_above(a.vector, b.vector)
     }
     #[inline(always)]
-    fn all(self, value: f64) -> Self {
-        self.with(self.instructions.all(value))
+    fn splat(self, value: f64) -> Self {
+        self.with(self.instructions.splat(value))
     }
 }
 

@@ -100,7 +100,7 @@ pub fn rectangle_light_lanes<R: Real, const GRADIENT: bool>(
     let count_y = orders.nodes_lanes(reaches.emitter[1], reaches.horizon[1]);
     let (mut along_x, mut along_y) = (LaneRule::new(), LaneRule::new());
     let one = zero.constant(1.0);
-    rules.in_lanes(count_x + R::where_above(reaches.distance, zero.all(orders.far()), one, zero), &mut along_x);
+    rules.in_lanes(count_x + R::select_gt(reaches.distance, zero.splat(orders.far()), one, zero), &mut along_x);
     rules.in_lanes(count_y, &mut along_y);
     let series = emission.near_lanes(reaches.cosine, reaches.spread);
     let nodes = (along_x.iter().copied(), along_y.iter().copied());
@@ -108,9 +108,9 @@ pub fn rectangle_light_lanes<R: Real, const GRADIENT: bool>(
     let power = light.power.value;
     let nan = zero.constant(f64::NAN);
     for above in [reaches.least, count_x, count_y] {
-        light.power.value = R::where_above(above, zero, light.power.value, nan);
+        light.power.value = R::select_gt(above, zero, light.power.value, nan);
     }
-    light.power.value = R::where_at_least(power, zero.all(least_power()), light.power.value, nan);
+    light.power.value = R::select_ge(power, zero.splat(least_power()), light.power.value, nan);
     light
 }
 

@@ -185,14 +185,14 @@ impl<S: Number> Orders<S> {
     pub fn nodes_lanes<R: Real<Element = S>>(&self, emitter: R, horizon: R) -> R {
         let (zero, infinity) = (emitter.constant(0.0), emitter.constant(f64::INFINITY));
         let far = emitter.constant(2.0) * emitter;
-        let reach = R::where_at_least(horizon, far, emitter, emitter.at_most(horizon));
-        let beyond = R::where_at_least(horizon, far, horizon, infinity);
+        let reach = R::select_ge(horizon, far, emitter, emitter.at_most(horizon));
+        let beyond = R::select_ge(horizon, far, horizon, infinity);
         let mut count = zero;
         for i in 0..MAX_NODES {
-            let least = R::where_at_least(horizon, far, emitter.all(self.emitter[i]), emitter.all(self.both[i]));
+            let least = R::select_ge(horizon, far, emitter.splat(self.emitter[i]), emitter.splat(self.both[i]));
             let nodes = emitter.constant((i + 1) as f64);
-            let nodes = R::where_at_least(beyond, emitter.all(self.horizon[i]), nodes, zero);
-            count = R::where_above(count, zero, count, R::where_at_least(reach, least, nodes, zero));
+            let nodes = R::select_ge(beyond, emitter.splat(self.horizon[i]), nodes, zero);
+            count = R::select_gt(count, zero, count, R::select_ge(reach, least, nodes, zero));
             if !R::any_above(emitter.constant(1.0), count) {
                 break;
             }
@@ -320,12 +320,12 @@ impl<S: Number> Rules<S> {
             (least, most) = (least.min(count), most.max(count));
         }
         for i in 0..most {
-            let mut node = counts.all(self.nodes[least - 1][i]);
-            let mut weight = counts.all(self.weights[least - 1][i]);
+            let mut node = counts.splat(self.nodes[least - 1][i]);
+            let mut weight = counts.splat(self.weights[least - 1][i]);
             for count in least + 1..=most {
                 let limit = counts.constant(count as f64);
-                node = R::where_at_least(counts, limit, counts.all(self.nodes[count - 1][i]), node);
-                weight = R::where_at_least(counts, limit, counts.all(self.weights[count - 1][i]), weight);
+                node = R::select_ge(counts, limit, counts.splat(self.nodes[count - 1][i]), node);
+                weight = R::select_ge(counts, limit, counts.splat(self.weights[count - 1][i]), weight);
             }
             rule.push((node, weight));
         }

@@ -71,7 +71,7 @@ impl<S: Number> Instant<'_, S> {
     #[inline(always)]
     pub(crate) fn offsets_in_lanes<R: Real<Element = S>>(&self, like: R, first: usize) -> Option<R> {
         let last = self.offsets_s.len().checked_sub(1)?;
-        Some(like.each(|lane| self.offsets_s[(first + lane).min(last)]))
+        Some(like.from_fn(|lane| self.offsets_s[(first + lane).min(last)]))
     }
 
     /// The pose at the exposure of one cell.
@@ -88,9 +88,9 @@ impl<S: Number> Instant<'_, S> {
     /// How far the tool moves and turns until `offset_s` seconds after the reference instant.
     #[inline(always)]
     pub(crate) fn displacement<R: Real<Element = S>>(&self, offset_s: R) -> [R::Vec3; 2] {
-        let twist = self.twist.map(|rate| offset_s.all3(rate));
+        let twist = self.twist.map(|rate| offset_s.splat3(rate));
         let mean = match &self.bend {
-            Some(bend) => [0, 1].map(|i| twist[i] + offset_s.all3(bend[i]) * offset_s),
+            Some(bend) => [0, 1].map(|i| twist[i] + offset_s.splat3(bend[i]) * offset_s),
             None => twist,
         };
         mean.map(|rate| rate * offset_s)

@@ -160,7 +160,7 @@ impl CompiledScene<f64> {
     /// From the tool's origin to the emitter of cell `cell`, base frame, metres.
     #[inline(always)]
     pub(crate) fn arm_lanes<R: Real<Element = f64>>(&self, cell: usize, pose: &Transform<R>) -> R::Vec3 {
-        pose.rotate(pose.translation().x().all3(self.cells[cell].emitter.source.position))
+        pose.rotate(pose.translation().x().splat3(self.cells[cell].emitter.source.position))
     }
 }
 
@@ -245,15 +245,15 @@ impl Linearise<'_> {
         let last = self.poses.len() - 1;
         let of = |lane: usize| &self.poses[lane.min(last)];
         let rotation = [
-            like.each(|lane| of(lane).rotation.x),
-            like.each(|lane| of(lane).rotation.y),
-            like.each(|lane| of(lane).rotation.z),
-            like.each(|lane| of(lane).rotation.w),
+            like.from_fn(|lane| of(lane).rotation.x),
+            like.from_fn(|lane| of(lane).rotation.y),
+            like.from_fn(|lane| of(lane).rotation.z),
+            like.from_fn(|lane| of(lane).rotation.w),
         ];
         let translation = R::Vec3::new(
-            like.each(|lane| of(lane).translation_m.x),
-            like.each(|lane| of(lane).translation_m.y),
-            like.each(|lane| of(lane).translation_m.z),
+            like.from_fn(|lane| of(lane).translation_m.x),
+            like.from_fn(|lane| of(lane).translation_m.y),
+            like.from_fn(|lane| of(lane).translation_m.z),
         );
         let pose = Transform::of_parts(rotation, translation);
         for (cell, found) in self.found.iter_mut().enumerate().take(self.plan.cell_count()) {
@@ -290,7 +290,7 @@ struct Shared<'a, R: Real> {
 impl<R: Real> Numbers<R> for Shared<'_, R> {
     #[inline(always)]
     fn next(&mut self, of: impl Fn(&CompiledCell<R::Element>) -> R::Element) -> R {
-        self.like.all(of(self.cell))
+        self.like.splat(of(self.cell))
     }
 }
 

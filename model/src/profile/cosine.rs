@@ -56,14 +56,14 @@ impl<S: Number> Cosine<S> {
         // One where the series goes on.
         let mut goes_on = one;
         for (k, (&binomial, &most)) in self.binomials.iter().zip(&self.spreads).enumerate() {
-            series.coefficients[k] = R::where_above(goes_on, zero, value * centre.all(binomial), zero);
+            series.coefficients[k] = R::select_gt(goes_on, zero, value * centre.splat(binomial), zero);
             series.terms = k;
-            goes_on = R::where_at_least(centre.all(most), spread, zero, goes_on);
+            goes_on = R::select_ge(centre.splat(most), spread, zero, goes_on);
             if !R::any_above(goes_on, zero) {
                 return series;
             }
         }
-        series.inverse = R::where_above(goes_on, zero, centre.constant(f64::NAN), series.inverse);
+        series.inverse = R::select_gt(goes_on, zero, centre.constant(f64::NAN), series.inverse);
         series
     }
 }

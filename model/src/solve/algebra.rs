@@ -225,24 +225,24 @@ impl<R: Real> Factor<R> {
         // Columns of Lᵀ are rows of L.
         let mut columns = self.lower;
         let [zero, _, one] = zero_half_one(columns[0][0]);
-        let quarter = zero.all(R::Element::of(0.25) * R::Element::epsilon());
+        let quarter = zero.splat(R::Element::of(0.25) * R::Element::epsilon());
         for _ in 0..SWEEPS {
             let mut is_done = true;
             for p in 0..5 {
                 for q in p + 1..6 {
                     let (a, b, c) = (square(&columns[p]), square(&columns[q]), dot(&columns[p], &columns[q]));
                     // Written so that NaN is not.
-                    let is_right = R::where_at_least(quarter * (a * b).root(), c.magnitude(), one, zero);
+                    let is_right = R::select_ge(quarter * (a * b).root(), c.magnitude(), one, zero);
                     if !R::any_above(one, is_right) {
                         continue;
                     }
                     is_done = false;
                     let theta = (b - a) / (zero.constant(2.0) * c);
                     let size = theta.magnitude() + (theta * theta + one).root();
-                    let t = R::where_at_least(theta, zero, one, -one) / size;
+                    let t = R::select_ge(theta, zero, one, -one) / size;
                     let cosine = (t * t + one).root().inverse();
-                    let sine = R::where_above(is_right, zero, zero, t * cosine);
-                    let cosine = R::where_above(is_right, zero, one, cosine);
+                    let sine = R::select_gt(is_right, zero, zero, t * cosine);
+                    let cosine = R::select_gt(is_right, zero, one, cosine);
                     rotate(&mut columns, p, q, cosine, sine);
                     rotated(p, q, cosine, sine);
                 }

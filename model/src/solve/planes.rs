@@ -114,20 +114,20 @@ impl<S: Number> PlaneCell<S> {
     /// Where the light of a pair of currents lands, and the weight of the distance from its plane.
     #[inline(always)]
     pub fn landing<R: Real<Element = S>>(&self, [first, second]: [R; 2]) -> (R::Vec3, R) {
-        let half = first.all(self.half_length);
-        let x_a = half * (second - first) / (first + second + first.all(self.dark));
+        let half = first.splat(self.half_length);
+        let x_a = half * (second - first) / (first + second + first.splat(self.dark));
         let x_a = x_a.at_least(-half).at_most(half);
-        let distance = R::where_at_least(x_a, first.constant(0.0), x_a, -x_a);
+        let distance = R::select_ge(x_a, first.constant(0.0), x_a, -x_a);
         let (clipped, whole) = (first.constant(CLIPPED_WEIGHT), first.constant(1.0));
-        let weight = R::where_above(distance, first.all(self.unclipped), clipped, whole);
-        (first.all3(self.detector) + first.all3(self.x_axis) * x_a, weight)
+        let weight = R::select_gt(distance, first.splat(self.unclipped), clipped, whole);
+        (first.splat3(self.detector) + first.splat3(self.x_axis) * x_a, weight)
     }
 
     /// Unit normal of the plane through the slit and where the light lands.
     #[inline(always)]
     pub fn normal<R: Real<Element = S>>(&self, landing: R::Vec3) -> R::Vec3 {
         let like = landing.x();
-        let normal = (like.all3(self.slit) - landing).cross(like.all3(self.along));
+        let normal = (like.splat3(self.slit) - landing).cross(like.splat3(self.along));
         normal * normal.length().inverse()
     }
 
@@ -139,7 +139,7 @@ impl<S: Number> PlaneCell<S> {
         pose: &Transform<R>,
         length_scale_m: S,
     ) -> (Vector6<R>, R) {
-        self.row_from(normal.x().all3(self.slit), normal, pose, length_scale_m)
+        self.row_from(normal.x().splat3(self.slit), normal, pose, length_scale_m)
     }
 
     /// Distance of the emitter from its plane with the tool at `pose`, metres, and its derivatives
@@ -178,8 +178,8 @@ impl<S: Number> PlaneCell<S> {
         length_scale_m: S,
     ) -> (Vector6<R>, R) {
         let like = normal.x();
-        let arm = pose.rotate(like.all3(self.emitter_tool));
-        let turn = arm.cross(normal) * like.all(length_scale_m.recip());
+        let arm = pose.rotate(like.splat3(self.emitter_tool));
+        let turn = arm.cross(normal) * like.splat(length_scale_m.recip());
         let row = [normal.x(), normal.y(), normal.z(), turn.x(), turn.y(), turn.z()];
         (row, normal.dot(arm + pose.translation() - origin))
     }

@@ -52,7 +52,7 @@ impl<R: Real> Whitener<R> {
         let zero = variance.constant(0.0);
         let mut rows = self.rows;
         for (i, row) in rows.iter_mut().enumerate() {
-            *row = array(zero, |j| R::where_above(variance, zero, looser.rows[i][j], row[j]));
+            *row = array(zero, |j| R::select_gt(variance, zero, looser.rows[i][j], row[j]));
         }
         Self { rows }
     }
@@ -152,17 +152,17 @@ impl<S: Number> CellNoise<S> {
         let like = currents[0];
         let [zero, half, one] = zero_half_one(like);
         let total = currents[0] + currents[1];
-        let total = R::where_at_least(total, zero, total, -total);
+        let total = R::select_ge(total, zero, total, -total);
         let square = total * total;
-        let own = like.all(self.converter) + like.all(self.arithmetic) * square;
-        let gain = like.all(self.electrode_gain);
+        let own = like.splat(self.converter) + like.splat(self.arithmetic) * square;
+        let gain = like.splat(self.electrode_gain);
         let mut whitener = Whitener::of_variances(array(own, |k| own + gain * currents[k] * currents[k]));
-        let across = like.all(self.johnson) + like.all(self.position) * square;
+        let across = like.splat(self.johnson) + like.splat(self.position) * square;
         whitener = whitener.loosened_if_positive([-one, one], across);
         if self.dark > S::zero() {
-            whitener = whitener.loosened([half, half], like.all(self.dark));
+            whitener = whitener.loosened([half, half], like.splat(self.dark));
         }
-        let along = like.all(self.shot) * total / square + like.all(self.emitter_gain);
+        let along = like.splat(self.shot) * total / square + like.splat(self.emitter_gain);
         whitener.loosened_if_positive(currents, along)
     }
 }

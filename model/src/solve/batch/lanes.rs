@@ -87,24 +87,24 @@ fn any<R: Real>(a: R) -> bool {
 /// `yes` where `choice` is one, `no` where it is zero.
 #[inline(always)]
 fn choose<R: Real>(choice: R, yes: R, no: R) -> R {
-    R::where_above(choice, choice.constant(0.0), yes, no)
+    R::select_gt(choice, choice.constant(0.0), yes, no)
 }
 
 #[inline(always)]
 fn choose_pose<R: Real>(choice: R, yes: &Transform<R>, no: &Transform<R>) -> Transform<R> {
-    Transform::where_above(choice, choice.constant(0.0), yes, no)
+    Transform::select_gt(choice, choice.constant(0.0), yes, no)
 }
 
 /// Is a ≤ b? Not where one is NaN.
 #[inline(always)]
 fn at_most<R: Real>(a: R, b: R) -> R {
-    R::where_at_least(b, a, a.constant(1.0), a.constant(0.0))
+    R::select_ge(b, a, a.constant(1.0), a.constant(0.0))
 }
 
 /// Is a > b? Not where one is NaN.
 #[inline(always)]
 fn above<R: Real>(a: R, b: R) -> R {
-    R::where_above(a, b, a.constant(1.0), a.constant(0.0))
+    R::select_gt(a, b, a.constant(1.0), a.constant(0.0))
 }
 
 /// Follows `frames` along `course` in lanes like `like`, and stores what is found. `EXACT`: the head's plan is of the exact
@@ -128,8 +128,8 @@ pub fn minimise<R: Real<Element = f64>, const EXACT: bool>(
     if course.is_cold {
         pose = on_planes(head, &measured, pose, &mut stays);
     }
-    let (change_rate, scale) = (like.all(head.jacobian_change_rate), like.all(head.length_scale_m));
-    let tolerance = like.all(course.stopping.tolerance_sigmas);
+    let (change_rate, scale) = (like.splat(head.jacobian_change_rate), like.splat(head.length_scale_m));
+    let tolerance = like.splat(course.stopping.tolerance_sigmas);
     let mut active = stays;
     // χ² that the next linearisation must be below: infinite if it need not.
     let mut before = like.constant(f64::INFINITY);
@@ -217,7 +217,7 @@ fn on_planes<R: Real<Element = f64>>(
     }
     let mut pose = start;
     let mut active = *stays;
-    let per_length = like.all(head.length_scale_m.recip());
+    let per_length = like.splat(head.length_scale_m.recip());
     for _ in 0..planes::MAX_STEPS {
         let mut matrix: Matrix6<R> = [[zero; 6]; 6];
         let mut right: Vector6<R> = [zero; 6];
@@ -295,7 +295,7 @@ fn linearise<R: Real<Element = f64>, const EXACT: bool>(
 ) {
     let like = pose.translation().x();
     let [zero, _, one] = zero_half_one(like);
-    let scale = like.all(head.length_scale_m);
+    let scale = like.splat(head.length_scale_m);
     linearised.rows.clear();
     linearised.slacks_m.clear();
     (linearised.information, linearised.sums, linearised.lit) = ([[zero; 6]; 6], ResidualSums::zero(zero), one);
@@ -354,7 +354,7 @@ fn smooth<R: Real<Element = f64>>(
     pose: &Transform<R>,
 ) -> R {
     let one = length.constant(1.0);
-    let (scale, magnification) = (length.all(head.length_scale_m), length.constant(MAX_MAGNIFICATION));
+    let (scale, magnification) = (length.splat(head.length_scale_m), length.constant(MAX_MAGNIFICATION));
     let most_moved = magnification * length * scale;
     let mut anyhow = one;
     for &slack_m in &linearised.slacks_m {
@@ -388,7 +388,7 @@ fn conclude<R: Real<Element = f64>>(
     minima: &mut Minima,
 ) {
     let [zero, half, one] = zero_half_one(chi2);
-    stays = both(stays, at_most(chi2, chi2.all(course.most_chi2)));
+    stays = both(stays, at_most(chi2, chi2.splat(course.most_chi2)));
     let (mut least, mut largest) = (chi2.constant(f64::INFINITY), zero);
     for (i, row) in factor.lower().iter().enumerate() {
         (least, largest) = (least.at_most(row[i]), largest.at_least(row[i]));
@@ -402,9 +402,9 @@ fn conclude<R: Real<Element = f64>>(
         // No step of so many σ is longer than the root of the covariance's trace allows: beyond no kink can there be
         // another minimum.
         let trace = inverse.iter().enumerate().fold(zero, |sum, (i, row)| sum + row[i]);
-        let most_moved = trace.root() * chi2.all(REACH * MAX_MAGNIFICATION * head.length_scale_m);
+        let most_moved = trace.root() * chi2.splat(REACH * MAX_MAGNIFICATION * head.length_scale_m);
         let far = linearised.slacks_m.iter().fold(one, |far, &slack_m| both(far, above(slack_m, most_moved)));
-        stays = both(stays, choose(at_most(chi2, chi2.all(doubted)), one, far));
+        stays = both(stays, choose(at_most(chi2, chi2.splat(doubted)), one, far));
     }
     let mut size = zero;
     for component in end.rotation() {
