@@ -3,7 +3,7 @@
 use slitpose_firmware::pcb::{default_configuration, default_scaling};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::Trajectory;
-use slitpose_model::{Plan, Tier};
+use slitpose_model::{CompiledScene, Tier};
 use slitpose_protocol::{AdcScaling, RawScan, Schedule};
 
 /// Ticks from one frame to the next in the default configuration.
@@ -17,8 +17,8 @@ pub const TOLERANCE_CODES: f64 = 0.5 + 0.02;
 
 /// What words should be, from optics, schedule and scaling alone.
 pub struct Model {
-    own: Plan<f64>,
-    stray: Plan<f64>,
+    own: CompiledScene<f64>,
+    stray: CompiledScene<f64>,
     trajectory: Trajectory,
     schedule: Schedule,
     scaling: AdcScaling,
@@ -31,7 +31,7 @@ pub type Codes = [f64; 2];
 
 impl Model {
     pub fn new(file: &SceneFile, trajectory: Trajectory) -> Self {
-        let plan = |tolerance| Plan::compile(&file.scene, Tier::Exact { tolerance }).expect("shipped");
+        let plan = |tolerance| CompiledScene::compile(&file.scene, Tier::Exact { tolerance }).expect("shipped");
         let schedule = default_configuration().schedule;
         let tau_s = file.front_end.expect("the default has one").time_constant_s;
         Self {
