@@ -57,7 +57,12 @@ pub(super) fn read_front_end(document: &Document<'_>) -> Result<Option<FrontEnd>
         |key| document.within(path(key), document.required(path(key))?, |value| value > 0.0, "a number above zero");
     let not_negative = |key| document.not_negative(path(key), 0.0);
     Ok(Some(FrontEnd {
-        full_scale_a: positive("full_scale_a")?,
+        full_scale_a: document.within(
+            path("full_scale_a"),
+            document.required(path("full_scale_a"))?,
+            |value| (1e-12..=1.0).contains(&value),
+            "amperes from 1e-12 to 1, such as 10e-6",
+        )?,
         adc_bits: count(document, path("adc_bits"), WIDEST_BITS, "a whole number from 1 to 16")?
             .ok_or_else(|| document.missing(path("adc_bits")))?,
         raw_noise_lsb: not_negative("raw_noise_lsb")?,

@@ -262,7 +262,8 @@ fn the_front_end_is_read_and_its_limits_kept() {
         ),
         ("adc_bits = 12", "adc_bits = 12.5", "scene.toml:20:12", "12.5 is a number; give a whole number"),
         ("oversampling = 4", "oversampling = 0", "scene.toml:21:16", "from 1 to 256"),
-        ("10e-6", "0.0", "scene.toml:19:16", "full_scale_a = 0.0 is out of range; give a number above zero"),
+        ("10e-6", "0.0", "scene.toml:19:16", "full_scale_a = 0.0 is out of range; give amperes from 1e-12 to 1"),
+        ("10e-6", "1e300", "scene.toml:19:16", "out of range; give amperes from 1e-12 to 1"),
         ("13e-6", "-1e-6", "scene.toml:22:14", "settling_s = -1e-6 is out of range; give zero or more"),
     ];
     for (old, new, place, fault) in cases {
