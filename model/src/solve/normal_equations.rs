@@ -20,8 +20,7 @@ use super::algebra::{Matrix6, Vector6, add_outer, dot, mirror};
 use super::compiled::{Compiled, Prior};
 use super::readings::{Sorted, Usable};
 use super::twist::{Elimination, Motion};
-use super::weights::Whitener;
-use super::weights::{ResidualSums, Row};
+use super::weights::{CellNoise, ResidualSums, Row, Whitener};
 
 /// Distance from a guiding plane that counts as one σ.
 const GUIDE_M: f64 = 20e-6;
@@ -93,6 +92,13 @@ impl<S: Number> Workspace<S> {
     }
 }
 
+/// The weights of `readings`. A function of its own, because a board has room for it in its fast memory, and not for what
+/// calls it.
+#[inline(never)]
+fn whiteners<S: Number>(noise: &[CellNoise<S>], readings: &[Usable<S>]) -> Whiteners<S> {
+    readings.iter().map(|reading| noise[reading.cell].whitener(reading.pair)).collect()
+}
+
 /// χ² = rᵀr, the information JᵀJ and Jᵀr at a pose, the twist eliminated.
 #[derive(Clone, Copy, Debug)]
 pub struct NormalEquations<S> {
@@ -127,8 +133,7 @@ impl<S: Number> NormalEquations<S> {
 impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
     pub fn new(head: &'a Compiled<S, P>, sorted: &'a Sorted<S>, motion: &Prior<S>) -> Self {
         let motion = Motion::new(motion, head.duration_s(), head.length_scale_m);
-        let whitener = |reading: &Usable<S>| head.noise[reading.cell].whitener(reading.pair);
-        Self { head, sorted, motion, whiteners: sorted.usable.iter().map(whitener).collect() }
+        Self { head, sorted, motion, whiteners: whiteners(&head.noise, &sorted.usable) }
     }
 
     pub fn instant<'b>(&'b self, pose: &'b Transform<S>) -> Instant<'b, S> {
@@ -166,7 +171,7 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
         currents
     }
 
-    /// With weights for a pose that is far off: see [`CellNoise::coarse`](super::weights::CellNoise::coarse).
+    /// With weights for a pose that is far off: see [`CellNoise::coarse`].
     pub fn coarse(&self) -> Self {
         let whitener = |reading: &Usable<S>| {
             let length = self.head.planes[reading.cell].detector_length_m();
