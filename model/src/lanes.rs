@@ -33,7 +33,7 @@ impl Real for f64x2 {
     const LANES: usize = 2;
 
     #[inline(always)]
-    fn from_fn(self, mut lane: impl FnMut(usize) -> f64) -> Self {
+    fn fill_with(self, mut lane: impl FnMut(usize) -> f64) -> Self {
         Self::new([lane(0), lane(1)])
     }
     #[inline(always)]

@@ -79,7 +79,7 @@ const SMALL_TANGENT: f64 = 0.03;
 #[inline(always)]
 fn quarter_angle<R: Real>(tangent: R) -> R {
     if !R::ARE_POSES && (0..R::LANES).any(|i| tangent.lane(i) > R::Element::of(SMALL_TANGENT)) {
-        return tangent.from_fn(|i| tangent.lane(i).arc_tangent());
+        return tangent.fill_with(|i| tangent.lane(i).arc_tangent());
     }
     let square = tangent * tangent;
     // t⁰/1 − t²/3 + t⁴/5 − …: the first term left out is t¹²/13, 4e-20 of the first.

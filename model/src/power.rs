@@ -128,8 +128,8 @@ impl<R: Real> PowerLanes<R> {
     pub fn of(like: R, table: impl Fn(usize) -> Power<R::Element>) -> Self {
         let tables: heapless::Vec<_, 2> = (0..R::LANES).map(table).collect();
         Self {
-            binomials: core::array::from_fn(|k| like.from_fn(|i| tables[i].binomials[k])),
-            exponent: like.from_fn(|i| tables[i].exponent),
+            binomials: core::array::from_fn(|k| like.fill_with(|i| tables[i].binomials[k])),
+            exponent: like.fill_with(|i| tables[i].exponent),
             tables,
         }
     }
@@ -141,10 +141,10 @@ impl<R: Real> PowerLanes<R> {
         for (i, table) in self.tables.iter().enumerate() {
             match table.anchor(c.lane(i)) {
                 Some(anchor) => anchors[i] = anchor,
-                None => return c.from_fn(|i| self.tables[i].of(c.lane(i))),
+                None => return c.fill_with(|i| self.tables[i].of(c.lane(i))),
             }
         }
-        series(c.from_fn(|i| anchors[i].delta), c.from_fn(|i| anchors[i].factor), &self.binomials)
+        series(c.fill_with(|i| anchors[i].delta), c.fill_with(|i| anchors[i].factor), &self.binomials)
     }
 }
 
@@ -168,14 +168,14 @@ impl<'a, R: Real> SharedPower<'a, R> {
     pub fn of_lanes(&self, c: R) -> R {
         let nan = R::Element::of(f64::NAN);
         let mut factors = [nan; MAX_LANES];
-        let delta = c.from_fn(|lane| match self.table.anchor(c.lane(lane)) {
+        let delta = c.fill_with(|lane| match self.table.anchor(c.lane(lane)) {
             Some(anchor) => {
                 factors[lane] = anchor.factor;
                 anchor.delta
             }
             None => nan,
         });
-        series(delta, c.from_fn(|lane| factors[lane]), &self.binomials)
+        series(delta, c.fill_with(|lane| factors[lane]), &self.binomials)
     }
 }
 

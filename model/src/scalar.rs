@@ -37,7 +37,7 @@ pub trait Real:
     const ARE_POSES: bool = false;
 
     /// From the number of each lane: as many as `self` has, whose own do not count.
-    fn from_fn(self, lane: impl FnMut(usize) -> Self::Element) -> Self;
+    fn fill_with(self, lane: impl FnMut(usize) -> Self::Element) -> Self;
     /// The number in lane `i`.
     fn lane(self, i: usize) -> Self::Element;
     /// √, within two units in the last place; for SIMD lanes, correctly rounded.
@@ -83,7 +83,7 @@ pub trait Real:
     /// The same number in all lanes.
     #[inline(always)]
     fn splat(self, value: Self::Element) -> Self {
-        self.from_fn(|_| value)
+        self.fill_with(|_| value)
     }
 
     /// The same vector in all lanes.
@@ -271,7 +271,7 @@ macro_rules! implement_scalar {
             const LANES: usize = 1;
 
             #[inline(always)]
-            fn from_fn(self, mut lane: impl FnMut(usize) -> Self) -> Self {
+            fn fill_with(self, mut lane: impl FnMut(usize) -> Self) -> Self {
                 lane(0)
             }
             #[inline(always)]

@@ -109,7 +109,7 @@ pub trait Instructions: Copy + Debug + Send + Sync + 'static {
     type Vector: Copy + Debug + Send + Sync + 'static;
     const LANES: usize;
     fn splat(self, value: f64) -> Self::Vector;
-    fn from_fn(self, lane: impl FnMut(usize) -> f64) -> Self::Vector;
+    fn fill_with(self, lane: impl FnMut(usize) -> f64) -> Self::Vector;
     fn lane(vector: &Self::Vector, i: usize) -> f64;
     fn add(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
     fn sub(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
@@ -135,7 +135,7 @@ impl Instructions for Baseline {
         f64x2::splat(value)
     }
     #[inline(always)]
-    fn from_fn(self, mut lane: impl FnMut(usize) -> f64) -> f64x2 {
+    fn fill_with(self, mut lane: impl FnMut(usize) -> f64) -> f64x2 {
         f64x2::new([lane(0), lane(1)])
     }
     #[inline(always)]
@@ -191,7 +191,7 @@ impl<S: Simd> Instructions for S {
         self.splat_f64s(value)
     }
     #[inline(always)]
-    fn from_fn(self, mut lane: impl FnMut(usize) -> f64) -> S::f64s {
+    fn fill_with(self, mut lane: impl FnMut(usize) -> f64) -> S::f64s {
         let mut vector = [self.splat_f64s(0.0)];
         for (i, number) in cast_slice_mut::<S::f64s, f64>(&mut vector).iter_mut().enumerate() {
             *number = lane(i);
@@ -266,8 +266,8 @@ impl<I: Instructions> Real for Lanes<I> {
     const ARE_POSES: bool = true;
 
     #[inline(always)]
-    fn from_fn(self, lane: impl FnMut(usize) -> f64) -> Self {
-        self.with(self.instructions.from_fn(lane))
+    fn fill_with(self, lane: impl FnMut(usize) -> f64) -> Self {
+        self.with(self.instructions.fill_with(lane))
     }
     #[inline(always)]
     fn lane(self, i: usize) -> f64 {

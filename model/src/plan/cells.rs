@@ -66,7 +66,7 @@ impl<R: Real<Element = f64>> Numbers<R> for Loaded<'_, R> {
         match self.numbers.next() {
             Some(number) => {
                 let number = &number[self.first..][..R::LANES];
-                self.like.from_fn(|lane| number[lane])
+                self.like.fill_with(|lane| number[lane])
             }
             None => self.like,
         }

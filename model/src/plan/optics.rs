@@ -71,7 +71,7 @@ impl<S: Number> Instant<'_, S> {
     #[inline(always)]
     pub(crate) fn offsets_in_lanes<R: Real<Element = S>>(&self, like: R, first: usize) -> Option<R> {
         let last = self.offsets_s.len().checked_sub(1)?;
-        Some(like.from_fn(|lane| self.offsets_s[(first + lane).min(last)]))
+        Some(like.fill_with(|lane| self.offsets_s[(first + lane).min(last)]))
     }
 
     /// The pose at the exposure of one cell.

@@ -76,7 +76,7 @@ impl<R: Real> Gathered<'_, R> {
 impl<R: Real> Numbers<R> for Gathered<'_, R> {
     #[inline(always)]
     fn next(&mut self, of: impl Fn(&CompiledCell<R::Element>) -> R::Element) -> R {
-        self.like.from_fn(|lane| of(self.cell(lane)))
+        self.like.fill_with(|lane| of(self.cell(lane)))
     }
 }
 

@@ -245,15 +245,15 @@ impl Linearise<'_> {
         let last = self.poses.len() - 1;
         let of = |lane: usize| &self.poses[lane.min(last)];
         let rotation = [
-            like.from_fn(|lane| of(lane).rotation.x),
-            like.from_fn(|lane| of(lane).rotation.y),
-            like.from_fn(|lane| of(lane).rotation.z),
-            like.from_fn(|lane| of(lane).rotation.w),
+            like.fill_with(|lane| of(lane).rotation.x),
+            like.fill_with(|lane| of(lane).rotation.y),
+            like.fill_with(|lane| of(lane).rotation.z),
+            like.fill_with(|lane| of(lane).rotation.w),
         ];
         let translation = R::Vec3::new(
-            like.from_fn(|lane| of(lane).translation_m.x),
-            like.from_fn(|lane| of(lane).translation_m.y),
-            like.from_fn(|lane| of(lane).translation_m.z),
+            like.fill_with(|lane| of(lane).translation_m.x),
+            like.fill_with(|lane| of(lane).translation_m.y),
+            like.fill_with(|lane| of(lane).translation_m.z),
         );
         let pose = Transform::of_parts(rotation, translation);
         for (cell, found) in self.found.iter_mut().enumerate().take(self.plan.cell_count()) {

@@ -198,7 +198,7 @@ impl<S: Number, P: Optics<S>> Tracker<S, P> {
     pub(crate) fn advance(&mut self, frame: u64, readings: &Photocurrents<S>) -> Solution<S> {
         match frame.checked_sub(self.next_frame) {
             Some(missed) if missed <= u64::from(MAX_EXTRAPOLATED_FRAMES) => {
-                (0..missed).for_each(|_| self.extrapolate())
+                (0..missed).for_each(|_| self.extrapolate());
             }
             _ => self.forget(),
         }

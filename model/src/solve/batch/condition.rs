@@ -29,7 +29,7 @@ impl<'f, F: Fn(usize) -> &'f Factor<f64>> Task for Condition<'_, F> {
         let mut lower = [[zero; 6]; 6];
         for (i, row) in lower.iter_mut().enumerate() {
             for (j, element) in row.iter_mut().enumerate() {
-                *element = zero.from_fn(|lane| (self.factor)(lane).lower()[i][j]);
+                *element = zero.fill_with(|lane| (self.factor)(lane).lower()[i][j]);
             }
         }
         let [least, largest] = Factor::of_parts(lower, array(zero, |_| zero)).extreme_singular_values();

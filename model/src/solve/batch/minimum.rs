@@ -53,20 +53,20 @@ impl Frames {
     #[inline(always)]
     pub fn pair<R: Real<Element = f64>>(&self, cell: usize, like: R) -> [R; 2] {
         let [first, second] = &self.pairs[cell];
-        [like.from_fn(|lane| first[lane]), like.from_fn(|lane| second[lane])]
+        [like.fill_with(|lane| first[lane]), like.fill_with(|lane| second[lane])]
     }
 
     #[inline(always)]
     pub fn start<R: Real<Element = f64>>(&self, like: R) -> Transform<R> {
-        let [x, y, z]: [R; 3] = array(like, |i| like.from_fn(|lane| self.translations[i][lane]));
-        let rotation = array(like, |i| like.from_fn(|lane| self.rotations[i][lane]));
+        let [x, y, z]: [R; 3] = array(like, |i| like.fill_with(|lane| self.translations[i][lane]));
+        let rotation = array(like, |i| like.fill_with(|lane| self.rotations[i][lane]));
         Transform::of_parts(rotation, R::Vec3::new(x, y, z))
     }
 
     /// One in lanes with a frame, else zero.
     #[inline(always)]
     pub fn presence<R: Real<Element = f64>>(&self, like: R) -> R {
-        like.from_fn(|lane| if self.is_present[lane] { 1.0 } else { 0.0 })
+        like.fill_with(|lane| if self.is_present[lane] { 1.0 } else { 0.0 })
     }
 }
 
