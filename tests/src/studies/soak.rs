@@ -168,7 +168,10 @@ pub fn study(slitpose: Slitpose, conditions: &Conditions) -> Verdicts {
     print!("{table}");
 
     let mut verdicts = Verdicts::default();
-    verdicts.check(exit.code() == Some(0), format!("the daemon ends with 0: {exit}: {stderr}"));
+    // A machine that is busy with other things leaves scans unsolved, which is no loss of data: they are in the capture.
+    let is_behind = stderr.contains("scans were not solved: the solver was behind");
+    let code = if is_behind { 3 } else { 0 };
+    verdicts.check(exit.code() == Some(code), format!("the daemon ends with {code}: {exit}: {stderr}"));
     let is_reported = reported.iter().all(|(reported, sent)| reported == sent);
     verdicts.check(is_reported, format!("the daemon reports what was sent: {reported:?}"));
     let counts = all(|scans| scans.count);
