@@ -3,13 +3,12 @@
 use std::time::{Duration, Instant};
 
 use slitpose_calibration::Head;
-use slitpose_model::{SceneError, Tier};
+use slitpose_model::Tier;
 use slitpose_protocol::{Severity, Status};
-use thiserror::Error;
 
-use crate::device::{Conversation, DeviceError, Keep};
+use crate::device::{Conversation, Keep};
 use slitpose_head::finding::Finding;
-use slitpose_head::front_end::{self, TimingError};
+use slitpose_head::front_end;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_tracking::link::{Segment, contradicted_crystal, start_findings};
 use slitpose_tracking::pipeline::{Counts, Item, Pipeline, PipelineError, SceneMatch};
@@ -43,18 +42,6 @@ const BUSIEST_PERMILLE: u16 = 900;
 /// Most warnings and errors of the board that are kept.
 const EVENTS: usize = 5;
 
-#[derive(Debug, Error)]
-pub(super) enum MeasurementError {
-    #[error(transparent)]
-    Scene(#[from] SceneError),
-    #[error(transparent)]
-    Timing(#[from] TimingError),
-    #[error(transparent)]
-    Pipeline(#[from] PipelineError),
-    #[error(transparent)]
-    Device(#[from] DeviceError),
-}
-
 #[derive(Clone, Debug)]
 pub(super) struct Measurement {
     counts: Counts,
@@ -76,7 +63,7 @@ pub(super) fn measure(
     scene: &SceneFile,
     duration_s: f64,
     bytes: &mut Vec<u8>,
-) -> Result<Measurement, MeasurementError> {
+) -> anyhow::Result<Measurement> {
     let configuration = front_end::configuration(scene)?;
     let frame_rate_hz = configuration.schedule.frame_rate_hz();
     let mut pipeline =

@@ -88,7 +88,7 @@ fn board(subject: &Subject<'_>, examination: &mut Examination) -> Option<f64> {
             measurement.bytes_per_s()
         }
         Err(error) => {
-            let finding = with_causes(&error);
+            let finding = with_causes(error.as_ref());
             checks.push(Finding::failed("measurement", finding, "reset the board and try again"));
             None
         }

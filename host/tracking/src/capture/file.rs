@@ -12,7 +12,6 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
-use serde::Serialize;
 
 use super::medium::{Medium, Sink};
 use super::records::PROGRAM;
@@ -338,10 +337,6 @@ fn ros_channel<M: Medium>(
     let about = about.iter().chain([&("offered_qos_profiles", "")]);
     let metadata = about.map(|(key, value)| ((*key).to_owned(), (*value).to_owned())).collect();
     writer.add_channel(schema, topic, "cdr", &metadata)
-}
-
-pub(super) fn report_text(report: &impl Serialize) -> Result<String, serde_json::Error> {
-    serde_json::to_string(report)
 }
 
 pub(super) fn io_error(error: McapError) -> io::Error {

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use mcap::McapError;
 use serde::Serialize;
 
-use super::file::{CaptureFile, Channels, io_error, report_text};
+use super::file::{CaptureFile, Channels, io_error};
 use super::packets::{Packets, last_hello};
 use super::place::{Existing, Place, next_number, numbered};
 use super::{About, CaptureError, Setup};
@@ -166,7 +166,7 @@ impl CaptureSeries {
             },
             None => None,
         };
-        let report = report_text(report)?;
+        let report = serde_json::to_string(report)?;
         self.output.attempt(0, |file| file.report(channels, &report, log_ns))?;
         self.tick()
     }
