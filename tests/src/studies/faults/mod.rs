@@ -1,10 +1,10 @@
 //! What becomes of injected faults: each kind of `slitpose faults` against the whole chain, judged by the truth of the
 //! simulator. All times are device time.
 //!
-//! * [`memory`]: board, injector and pipeline in one thread, with a clock of the host that is device time. Nothing
+//! * `memory`: board, injector and pipeline in one thread, with a clock of the host that is device time. Nothing
 //!   depends on how fast the machine is.
-//! * [`process`]: faults that cost the link or the board need a daemon that finds it again.
-//! * [`Report`]: what was injected, who noticed, what was lost, and when poses were sound again.
+//! * `process`: faults that cost the link or the board need a daemon that finds it again.
+//! * `Report`: what was injected, who noticed, what was lost, and when poses were sound again.
 
 mod memory;
 mod process;
