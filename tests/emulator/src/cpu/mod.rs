@@ -1,7 +1,7 @@
 //! The processor core: a Cortex-M4F (ARMv7E-M, FPv4-SP) with its NVIC, cycle counter and system control
 //! block.
 //!
-//! Halfwords become [`instruction::Instruction`]s ([`decode`]), once per address of flash; `execute` and its
+//! Halfwords become `instruction::Instruction`s (`decode`), once per address of flash; `execute` and its
 //! siblings carry them out; `exceptions` takes interrupts and faults; `system` is the private peripheral bus
 //! 0xE000_0000–0xE00F_FFFF, which the [`Bus`] never sees.
 //!

@@ -15,18 +15,18 @@
 //! * `offset` counts from the peripheral's base and is word aligned; `value` is a word. The
 //!   board widens narrow accesses as the AHB-APB bridge does: a byte or halfword written is
 //!   repeated over the word; a narrow read returns the lane of the word addressed.
-//! * The present time is [`Effects::now`]. An event is never handled late: the board calls
+//! * The present time is `Effects::now`. An event is never handled late: the board calls
 //!   `advance` once for every instant a peripheral has asked for, in time order, with `now`
 //!   equal to that instant; and before any register access all earlier events are done.
 //!   `next_event` is asked after every access and every event, so it must be cheap
 //!   (a field, computed when the state changes).
 //! * The board checks the clock enable in RCC and records the violation; a peripheral is
 //!   never called while its clock is off.
-//! * Everything a peripheral does to others passes through [`Effects`]: interrupt lines are
+//! * Everything a peripheral does to others passes through `Effects`: interrupt lines are
 //!   levels that the peripheral sets whenever they may have changed; DMA requests are
 //!   latched until the DMA serves or the peripheral withdraws them; broken write rules of
-//!   the reference manual (RM0440) are [`Effects::violation`]s; registers or modes that no
-//!   model knows are [`Effects::unmodelled`].
+//!   the reference manual (RM0440) are `Effects::violation`s; registers or modes that no
+//!   model knows are `Effects::unmodelled`.
 
 pub(crate) mod adc;
 pub(crate) mod dac;
