@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import shutil
 import signal
 import threading
 import time
@@ -141,8 +142,8 @@ def test_errors_are_those_of_the_command(command: Command, tmp_path: Path, captu
         slitpose.replay(captures)
 
 
-def test_other_threads_run_meanwhile_and_interrupts_end_it(captures: Path) -> None:
-    files = [captures / "contact.mcap"] * 200
+def test_other_threads_run_meanwhile_and_interrupts_end_it(captures: Path, tmp_path: Path) -> None:
+    files = [Path(shutil.copyfile(captures / "contact.mcap", tmp_path / f"{number}.mcap")) for number in range(200)]
     ticks = []
 
     def tick() -> None:
