@@ -1,4 +1,4 @@
-//! `slitpose run` as a process that is watched while it runs: by its status, by what Linux tells of it, and by its clients.
+//! `slitpose run` as a process under observation: its status, its use of memory and processor, and its clients.
 
 use std::ffi::OsStr;
 use std::fs;
@@ -130,7 +130,7 @@ pub fn boards(status: &Value) -> impl Iterator<Item = &Value> {
     status["boards"].as_array().into_iter().flatten()
 }
 
-/// What a process takes at some moment, as Linux tells it in /proc.
+/// Memory, threads, descriptors and processor time of a process, from Linux's /proc.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Usage {
     pub resident_bytes: u64,
@@ -143,7 +143,7 @@ pub struct Usage {
 }
 
 impl Usage {
-    /// That of the process `id`; `None` if it has ended.
+    /// Reads the usage of process `id`; `None` if it has ended.
     pub fn of(id: u32) -> Option<Self> {
         let status = fs::read_to_string(format!("/proc/{id}/status")).ok()?;
         let field = |name: &str| -> Option<u64> {

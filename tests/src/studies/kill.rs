@@ -19,7 +19,7 @@ use crate::process::{Slitpose, name_in};
 /// Looks at how far the daemon is.
 const LOOK_EVERY: Duration = Duration::from_millis(25);
 
-/// Each other daemon lives until it has flushed so often, however slow the machine is: then it owes something.
+/// Every second daemon is killed only after this many flushes, so that its capture must hold data on a slow machine, too.
 const MIN_FLUSHES: u64 = 3;
 
 /// It does within this, or never.
@@ -27,10 +27,10 @@ const STARTS_WITHIN: Duration = Duration::from_secs(60);
 
 #[derive(Debug, Args)]
 pub struct Conditions {
-    /// Times
+    /// Number of daemons that are killed
     #[arg(long, default_value_t = 200)]
     times: usize,
-    /// Of the moments
+    /// Seed of the moments at which they are killed
     #[arg(long, default_value_t = 20_180_718)]
     seed: u64,
     /// Simulated boards of each daemon

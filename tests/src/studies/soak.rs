@@ -109,7 +109,7 @@ pub fn study(slitpose: Slitpose, conditions: &Conditions) -> Verdicts {
     let begun = Instant::now();
     let (mut usages, mut looks, mut status) = (Vec::new(), Vec::new(), Value::Null);
     while begun.elapsed() < conditions.duration {
-        // First, or the connection of whoever asks for the status would be counted, or not.
+        // Read before the status is requested: that connection would count as a descriptor.
         usages.push(daemon.usage().expect("the daemon runs"));
         status = daemon.status().expect("the daemon tells how it goes");
         looks.push((begun.elapsed().as_secs_f64(), scans(&status).iter().sum::<u64>()));
