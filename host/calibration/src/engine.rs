@@ -10,8 +10,9 @@ use thiserror::Error;
 
 use crate::adjust::Adjustment;
 use crate::data::{Constraint, Data};
+use crate::implausible::Implausible;
 use crate::normal::Normal;
-use crate::plausibility::{self, Implausible};
+use crate::plausibility;
 use crate::pose_error::PoseError;
 use crate::prior::Parameters;
 use crate::start::{Beginning, solved};

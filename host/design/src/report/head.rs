@@ -2,6 +2,7 @@
 
 use std::time::Instant;
 
+use slitpose_calibration::median;
 use slitpose_head::front_end::{Stage, configuration};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::Electronics;
@@ -214,12 +215,6 @@ pub(super) fn rms_of_covariances(covariances: impl IntoIterator<Item = [[f64; 6]
 
 fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
-}
-
-/// The middle of `values`; NaN of none.
-pub(super) fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
 /// Time of one unit of work.

@@ -1,13 +1,12 @@
 //! How well poses are conditioned and checked, how far currents are from their limits, and what schedules and tolerances do.
 
 use glam::dvec2;
-use slitpose_calibration::{PartCosts, PoseRms};
+use slitpose_calibration::{PartCosts, PoseRms, median};
 
 use super::{Of, micro};
 use crate::map::{Candidate, KNOWN, Map, Schedules, Tolerances, View, quantiles_of};
 use crate::plot::curve;
 use crate::plot::{Anchor, Axis, Canvas, Chart, CurveStyle, Scale, Stroke, TextStyle, cell_colour};
-use crate::report::head::median;
 use crate::report::section::{Picture, Section, Table, Value, column};
 
 pub(super) fn redundancy(map: &Map) -> Section {

@@ -246,7 +246,7 @@ impl Trial {
 }
 
 fn condition(attainable: &[Attainable]) -> f64 {
-    crate::report::head::median(attainable.iter().map(|attainable| attainable.condition).collect())
+    slitpose_calibration::median(attainable.iter().map(|attainable| attainable.condition).collect())
 }
 
 /// The amplification of relative errors into errors of a pose.
