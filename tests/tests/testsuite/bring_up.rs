@@ -48,13 +48,9 @@ fn bring_up(device: &str, arguments: &[&str]) -> Finished {
     slitpose!().run([&["doctor", "--bring-up", "--device", device], arguments].concat())
 }
 
-fn text(finished: &Finished) -> String {
-    String::from_utf8(finished.stdout.clone()).expect("UTF-8")
-}
-
 /// Asserts that all steps were taken in their order, and that nothing failed.
 fn assert_well(finished: &Finished) {
-    let text = text(finished);
+    let text = finished.text();
     println!("{text}{}", finished.stderr);
     assert_eq!(finished.code, 0, "{}", finished.stderr);
     let taken = text.lines().filter(|line| line.starts_with("step "));
@@ -72,11 +68,11 @@ fn a_simulated_board_passes_every_step() {
 #[test]
 fn an_emulated_board_passes_every_step_and_is_left_as_it_was() {
     let emulator = Emulator::start(&AT_HOME);
-    let info = || text(&slitpose!().run(["device", "info", "--device", &emulator.path]));
+    let info = || slitpose!().run(["device", "info", "--device", &emulator.path]).text().to_owned();
     let before = info();
     let finished = bring_up(&emulator.path, &["--yes", "--scene", "wide"]);
     assert_well(&finished);
-    let text = text(&finished);
+    let text = finished.text();
     for place in ["frames", "zero", "gates off", "noise", "codes", "stop", "port closed", "storage", "forget"] {
         assert!(text.lines().any(|line| line.starts_with(&format!("ok       {place:14} "))), "{place}");
     }
@@ -96,7 +92,7 @@ fn an_emulated_board_passes_every_step_and_is_left_as_it_was() {
     assert_eq!(set.code, 0, "{}", set.stderr);
     let stored = bring_up(&emulator.path, &["--step", "storage"]);
     assert_eq!(stored.code, 0, "{}", stored.stderr);
-    assert!(!self::text(&stored).contains("forget"), "{}", self::text(&stored));
+    assert!(!stored.text().contains("forget"), "{}", stored.text());
     assert!(info().lines().any(|line| line.starts_with("settings") && line.contains("stored")), "{}", info());
     // Steps are taken alone, too, by number.
     let alone = bring_up(&emulator.path, &["--step", "2"]);
@@ -113,7 +109,7 @@ fn each_flaw_is_named_by_the_step_that_looks_for_it() {
     for (flaw, step, words) in FOUND {
         let emulator = Emulator::start(&[&AT_HOME[..], &["--silicon", "dac-rest-80", "--flaw", &flaw.name()]].concat());
         let finished = bring_up(&emulator.path, &["--step", step, "--scene", "wide"]);
-        let text = text(&finished);
+        let text = finished.text();
         println!("{}: {}\n{text}{}", flaw.name(), flaw.what(), finished.stderr);
         assert_eq!(finished.code, 1, "{}", flaw.name());
         let failed: Vec<&str> = text.lines().filter(|line| line.starts_with("failed")).collect();
@@ -140,7 +136,7 @@ fn a_board_whose_dacs_do_not_reach_0_v_passes_every_step() {
         let emulator = Emulator::start(&[&AT_HOME[..], &["--silicon", rest]].concat());
         let finished = bring_up(&emulator.path, &["--yes", "--scene", "wide"]);
         assert_well(&finished);
-        let text = text(&finished);
+        let text = finished.text();
         let lowest = text.split("at levels ").nth(1).and_then(|levels| levels.split(' ').next()?.parse::<f64>().ok());
         // Nominal is half of V_DDA.
         assert!(lowest.expect("levels") * 0.5 * 3.3 >= number("V_DAC_headroom"), "{lowest:?}");
@@ -158,7 +154,7 @@ fn detectors_with_more_than_one_pole_have_the_instant_at_which_their_light_has_s
     for (flaw, settled_us) in SETTLE {
         let emulator = Emulator::start(&[&AT_HOME[..], &["--flaw", &flaw.name()]].concat());
         let finished = bring_up(&emulator.path, &["--step", "settling", "--scene", "wide"]);
-        let text = text(&finished);
+        let text = finished.text();
         println!("{}\n{text}", flaw.name());
         let rows: Vec<&str> = text.lines().filter(|line| line.starts_with("ok       settling")).collect();
         assert!(finished.code == 0 && rows.len() == 6, "{}", flaw.name());
@@ -185,7 +181,7 @@ fn at_a_terminal_a_step_waits_for_enter() {
     nix::unistd::write(&pair.master, b"\n").expect("written");
     let finished = Finished::of(child);
     assert_eq!(finished.code, 0);
-    assert!(text(&finished).contains("V_DDA 3.300 V"), "{}", text(&finished));
+    assert!(finished.text().contains("V_DDA 3.300 V"), "{}", finished.text());
 }
 
 #[test]
@@ -196,7 +192,7 @@ fn what_the_bring_up_cannot_do_is_refused() {
     refused(&["--bring-up", "--bundle", "report.tar.gz"]).assert_refused(2, &["--bundle"]);
     let missing = refused(&["--bring-up", "--device", "/dev/no-such-board"]);
     assert_eq!(missing.code, 1, "{}", missing.stderr);
-    assert!(text(&missing).contains("/dev/no-such-board") && text(&missing).contains("slitpose doctor"));
+    assert!(missing.text().contains("/dev/no-such-board") && missing.text().contains("slitpose doctor"));
     let unknown = Command::new(env!("CARGO_BIN_EXE_slitpose-emulator-under-test"))
         .args(["wide", "--flaw", "broken"])
         .output()

@@ -66,24 +66,9 @@ impl Settling {
 
 #[cfg(test)]
 mod tests {
-    use slitpose_protocol::EmitterSet;
+    use slitpose_firmware::pcb::default_configuration;
 
     use super::*;
-
-    /// Four slots of which the last is dark, at 4 kHz.
-    fn schedule() -> Schedule {
-        let slots = [EmitterSet::of(&[0, 3]), EmitterSet::of(&[1, 4]), EmitterSet::of(&[2, 5]), EmitterSet::DARK];
-        Schedule {
-            tick_hz: 170_000_000,
-            frame_ticks: 42_500,
-            slots: slots.into_iter().collect(),
-            slot_ticks: 5_800,
-            settling_ticks: 2_210,
-            conversion_ticks: 148,
-            oversampling: 4,
-            cells: 6,
-        }
-    }
 
     /// Integrates the front end in steps of half a tick, period after period, until it repeats.
     fn brute_force(schedule: &Schedule, cell: usize, time_constant_s: f64) -> f64 {
@@ -121,7 +106,7 @@ mod tests {
 
     #[test]
     fn gain_equals_step_by_step_integration() {
-        let schedule = schedule();
+        let schedule = default_configuration().schedule;
         for time_constant_s in [1e-7, 1.36e-6, 2e-5, 2e-4] {
             for cell in [0, 4, 5] {
                 let gain = Settling::of_cell(&schedule, cell, time_constant_s).unwrap().gain;
@@ -133,7 +118,7 @@ mod tests {
 
     #[test]
     fn any_time_constant_gives_numbers() {
-        let schedule = schedule();
+        let schedule = default_configuration().schedule;
         for exponent in -12..=3 {
             let settling = Settling::of_cell(&schedule, 0, 10_f64.powi(exponent)).unwrap();
             assert!(settling.gain.abs() <= 1.0, "1e{exponent}: {settling:?}");
@@ -147,7 +132,7 @@ mod tests {
     /// the exposure.
     #[test]
     fn delay_equals_step_by_step_integration() {
-        let mut schedule = schedule();
+        let mut schedule = default_configuration().schedule;
         schedule.oversampling = 1;
         for time_constant_s in [2e-6, 2e-5, 2e-4] {
             let exposure_s = f64::from(schedule.settling_ticks) / f64::from(schedule.tick_hz);
@@ -163,7 +148,7 @@ mod tests {
 
     #[test]
     fn a_fast_front_end_delays_by_its_time_constant() {
-        let schedule = schedule();
+        let schedule = default_configuration().schedule;
         let settling = Settling::of_cell(&schedule, 5, 1e-6).unwrap();
         assert!((settling.delay_s - 1e-6).abs() < 1e-9);
         assert!((settling.gain - 1.0).abs() < 1e-6);

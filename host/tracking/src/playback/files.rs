@@ -5,6 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use slitpose_head::scene_file::SceneFile;
+use slitpose_head::special_file;
 use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message};
 
 use super::PlaybackError;
@@ -74,7 +75,7 @@ pub(super) fn check(files: &[PathBuf]) -> Result<(), PlaybackError> {
     let mut known = BTreeSet::new();
     for path in files {
         // What is not there is told when it is read.
-        if fs::metadata(path).is_ok_and(|metadata| !metadata.is_file() && !metadata.is_dir()) {
+        if special_file::is_special(path) {
             return Err(PlaybackError::NotAFile { path: path.clone() });
         }
         if !known.insert(fs::canonicalize(path).unwrap_or_else(|_| path.clone())) {
