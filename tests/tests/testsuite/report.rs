@@ -64,7 +64,7 @@ fn pages(folder: &Path, talk: &str) {
 fn summary(folder: &Path) {
     let page = fs::read_to_string(folder.join("index.html")).expect("page");
     let (summary, _) = page.split_once("<h2 id=\"conditions\">").expect("a summary comes first");
-    let noisy = table(folder, "solver.csv");
+    let noisy = table(folder, "solver_noisy.csv");
     let default = [("tier", "exact 1e-6"), ("number", "f64"), ("start", "cold"), ("effort", "full")];
     let row = rows(&noisy, &default)[0];
     let shown = format!(
@@ -97,7 +97,7 @@ fn forward(table: &Table) {
 }
 
 fn solver(folder: &Path) {
-    let noisy = table(folder, "solver.csv");
+    let noisy = table(folder, "solver_noisy.csv");
     for row in rows(&noisy, &[("tier", "exact 1e-6"), ("effort", "full")]) {
         assert_eq!(row.number("solved_percent"), 100.0);
         for column in ["ratio_to_bound_translation", "ratio_to_bound_rotation"] {

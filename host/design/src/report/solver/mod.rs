@@ -9,7 +9,7 @@ use crate::report::head::{Errors, rms_of_covariances};
 use crate::report::head::{Head, STREAM, currents};
 use crate::report::method::{Compiled, Effort, Method, Precision, Start, effort_name, tier_name};
 use crate::report::noise::NoiseSource;
-use crate::report::section::{Section, Table, Value};
+use crate::report::section::{Getter, Section, Table, Value};
 use crate::report::{ReportError, Settings};
 
 mod picture;
@@ -40,22 +40,22 @@ pub(in crate::report) fn section(head: &Head<'_>, settings: &Settings) -> Result
         summary: summary(&entries, bound),
         paragraphs: vec![
             format!(
-                "{} poses of the workspace, one frame of photocurrents each, the tool at rest. Noise is that of the \
-                 scene's front end, drawn from the covariance of each pair of currents. A cold start knows nothing; a \
-                 warm one starts {} µm and {} mrad off per axis, as from the frame before. `planes` is the pose that \
-                 the positions of the light give; so many steps follow on the currents; `full` goes to the minimum and \
-                 judges the fit. A counted step ends with an evaluation of the model at the pose that it has reached, \
-                 to see that the fit is better there; a full solve from nearby knows before its last step that nothing \
-                 more can be won and leaves that evaluation out, so that it takes less time than one counted step.",
+                "{} poses of the workspace, one frame of photocurrents each, the tool at rest. The noise is that of the \
+                 scene's front end, drawn from the covariance of each pair of currents. A cold start has no prior pose; \
+                 a warm start is {} µm and {} mrad off per axis, as if from the frame before. `planes` is the initial \
+                 pose from the spot positions alone; the numbers count Gauss–Newton steps on the currents after it; \
+                 `full` iterates to the minimum and judges the fit. Each counted step includes a last evaluation of the \
+                 model, to check that the fit has improved. A full solve from a warm start stops before that evaluation \
+                 when the predicted gain is negligible, so that it takes less time than one counted step.",
                 head.poses.len(),
                 PRIOR_M * 1e6,
                 PRIOR_RAD * 1e3
             ),
             format!(
                 "Errors are root mean squares of the length of the error vector. The Cramér–Rao bound, below which no \
-                 unbiased estimate from one frame comes on average, is {} µm and {} µrad; of so many poses a root mean \
-                 square strays from its expectation by up to {} % (1 σ). The light obeys the exact tier, as \
-                 real light would.",
+                 unbiased estimate from one frame comes on average, is {} µm and {} µrad. With this number of poses a \
+                 root mean square scatters about its expectation by up to {} % (1 σ). The light follows the exact \
+                 tier, as real light would.",
                 Value::from(bound.0 * 1e6).shown(),
                 Value::from(bound.1 * 1e6).shown(),
                 // Of errors along one axis of each pose; more axes stray less.
@@ -66,7 +66,7 @@ pub(in crate::report) fn section(head: &Head<'_>, settings: &Settings) -> Result
             picture::picture(&entries, head, bound.0, &picture::TRANSLATION),
             picture::picture(&entries, head, bound.1, &picture::ROTATION),
         ],
-        tables: vec![table(&entries, bound), floor],
+        tables: tables(&entries, bound).into_iter().chain([floor]).collect(),
     };
     let slowest_s = entries.iter().filter(|entry| searched(&entry.noisy)).map(|entry| entry.run_time.least_s);
     if let Some(slowest_s) = slowest_s.reduce(f64::max) {
@@ -174,32 +174,42 @@ fn measure(head: &Head<'_>, settings: &Settings) -> Result<Vec<Entry>, ReportErr
     Ok(entries.map(|((method, [noisy, clean]), run_time)| Entry { method, noisy, clean, run_time }).collect())
 }
 
-fn table(entries: &[Entry], bound: (f64, f64)) -> Table {
+/// The errors with noise, and those without.
+fn tables(entries: &[Entry], bound: (f64, f64)) -> [Table; 2] {
     let micro = |value: f64| Value::from(value * 1e6);
-    Table::of(
-        "solver",
-        "Noisy currents: error, its ratio to the Cramér–Rao bound, and time per solve; free of noise: the method's own error",
-        entries,
-        &[
-            ("tier", "tier", &|entry| tier_name(entry.method.tier).into()),
-            ("number", "numbers", &|entry| entry.method.precision.name().into()),
-            ("start", "start", &|entry| entry.method.start.name().into()),
-            ("effort", "effort", &|entry| effort_name(entry.method.effort).into()),
-            ("solved_percent", "solved / %", &|entry| (100.0 * entry.noisy.solved()).into()),
-            ("rms_um", "rms / µm", &|entry| micro(entry.noisy.rms_m())),
-            ("rms_urad", "rms / µrad", &|entry| micro(entry.noisy.rms_rad())),
-            ("ratio_to_bound_translation", "translation to bound", &|entry| (entry.noisy.rms_m() / bound.0).into()),
-            ("ratio_to_bound_rotation", "rotation to bound", &|entry| (entry.noisy.rms_rad() / bound.1).into()),
-            ("steps", "steps, mean", &|entry| entry.noisy.mean_iterations().into()),
-            ("least_us", "least / µs", &|entry| micro(entry.run_time.least_s)),
-            ("median_us", "median / µs", &|entry| micro(entry.run_time.median_s)),
-            ("clean_solved_percent", "free of noise: solved / %", &|entry| (100.0 * entry.clean.solved()).into()),
-            ("clean_rms_um", "rms / µm", &|entry| micro(entry.clean.rms_m())),
-            ("clean_rms_urad", "rms / µrad", &|entry| micro(entry.clean.rms_rad())),
-            ("clean_median_um", "median / µm", &|entry| micro(entry.clean.median_m())),
-            ("clean_median_urad", "median / µrad", &|entry| micro(entry.clean.median_rad())),
-        ],
-    )
+    let run: [Getter<'_, Entry>; 4] = [
+        ("tier", "tier", &|entry| tier_name(entry.method.tier).into()),
+        ("number", "numbers", &|entry| entry.method.precision.name().into()),
+        ("start", "start", &|entry| entry.method.start.name().into()),
+        ("effort", "effort", &|entry| effort_name(entry.method.effort).into()),
+    ];
+    let noisy: [Getter<'_, Entry>; 8] = [
+        ("solved_percent", "solved / %", &|entry| (100.0 * entry.noisy.solved()).into()),
+        ("rms_um", "rms / µm", &|entry| micro(entry.noisy.rms_m())),
+        ("rms_urad", "rms / µrad", &|entry| micro(entry.noisy.rms_rad())),
+        ("ratio_to_bound_translation", "translation to bound", &|entry| (entry.noisy.rms_m() / bound.0).into()),
+        ("ratio_to_bound_rotation", "rotation to bound", &|entry| (entry.noisy.rms_rad() / bound.1).into()),
+        ("steps", "steps, mean", &|entry| entry.noisy.mean_iterations().into()),
+        ("least_us", "least / µs", &|entry| micro(entry.run_time.least_s)),
+        ("median_us", "median / µs", &|entry| micro(entry.run_time.median_s)),
+    ];
+    let clean: [Getter<'_, Entry>; 6] = [
+        ("solved_percent", "solved / %", &|entry| (100.0 * entry.clean.solved()).into()),
+        ("rms_um", "rms / µm", &|entry| micro(entry.clean.rms_m())),
+        ("rms_urad", "rms / µrad", &|entry| micro(entry.clean.rms_rad())),
+        ("median_um", "median / µm", &|entry| micro(entry.clean.median_m())),
+        ("median_urad", "median / µrad", &|entry| micro(entry.clean.median_rad())),
+        ("steps", "steps, mean", &|entry| entry.clean.mean_iterations().into()),
+    ];
+    let table = |name, caption, columns: &[Getter<'_, Entry>]| Table::of(name, caption, entries, columns);
+    [
+        table(
+            "solver_noisy",
+            "Noisy currents: error, its ratio to the Cramér–Rao bound, and time per solve",
+            &[&run[..], &noisy].concat(),
+        ),
+        table("solver_clean", "Currents free of noise: the error of the method itself", &[&run[..], &clean].concat()),
+    ]
 }
 
 /// The numerical floor: no noise in the currents and none in the weights, so that a solve goes on
