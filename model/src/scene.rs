@@ -203,6 +203,9 @@ pub struct Uncertainty {
     /// Standard deviation of the relative position of each cell's detector, slit and emitter, per axis of
     /// space, metres. A displacement moves the spot and changes its power.
     pub position_m: f64,
+    /// Relative standard deviation of a factor common to all light of a frame, which each frame finds for itself: emitters
+    /// that are fed together and warm together. Zero: known.
+    pub light_level_relative: f64,
 }
 
 /// Why a scene cannot be compiled.

@@ -164,6 +164,8 @@ const STEP: f64 = 0.25;
 pub fn uncalibrated(file: &SceneFile) -> Result<Scene, SceneError> {
     let parameters = prior::parameters(file)?;
     let mut scene = parameters.scene(&file.scene);
+    // Each emitter's own intensity is less known, and a common factor is part of that.
+    scene.uncertainty.light_level_relative = 0.0;
     let poses: Vec<Pose> = file.workspace.poses(POSES).collect();
     for (number, cell) in scene.cells.iter_mut().enumerate() {
         let given = cell.effects.model_error;

@@ -163,7 +163,12 @@ impl RowSolver {
             None => {
                 let scene = &self.head.file.scene;
                 let noise = scene.noise.map(|noise| noise.averaged(frames));
-                let mut solver = Solver::new(&Scene { noise, ..scene.clone() }, self.tier)?;
+                let mut scene = Scene { noise, ..scene.clone() };
+                if self.head.calibration().is_none() && !self.head.file.gives_light_level {
+                    // Rows of a table, not frames of a head that has warmed since it was calibrated.
+                    scene.uncertainty.light_level_relative = 0.0;
+                }
+                let mut solver = Solver::new(&scene, self.tier)?;
                 if self.without_clipped {
                     solver = solver.without_clipped();
                 }

@@ -125,7 +125,9 @@ fn check_noise(scene: &Scene) -> Result<(), SceneError> {
     let check = Check { cell: None, section: "uncertainty" };
     check.not_negative("emitter_gain_relative", scene.uncertainty.emitter_gain_relative)?;
     check.not_negative("electrode_gain_relative", scene.uncertainty.electrode_gain_relative)?;
-    check.not_negative("position_mm", scene.uncertainty.position_m)
+    check.not_negative("position_mm", scene.uncertainty.position_m)?;
+    let check = Check { cell: None, section: "tolerance" };
+    check.not_negative("light_level_relative", scene.uncertainty.light_level_relative)
 }
 
 fn compile_cell<S: Number>(index: usize, cell: &Cell, tier: Tier) -> Result<CompiledCell<S>, SceneError> {

@@ -1,6 +1,6 @@
 //! Whether a minimum is believed, and what a solution says of itself.
 //!
-//! Of a right pose χ² follows the χ² distribution with as many degrees of freedom as there are currents beyond six
+//! Of a right pose χ² follows the χ² distribution with as many degrees of freedom as there are currents beyond the
 //! unknowns; a minimum above its gate, the quantile for 1e-9, is a misfit. Beside χ² the cells without light
 //! count: a pose that would light them is a mirror image.
 //!
@@ -78,7 +78,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
 
     /// The solution at a minimum whose linearisation is in `workspace`.
     pub fn conclude(&self, minimum: &Minimum<S>, workspace: &Workspace<S>, fit: Fit) -> Solution<S> {
-        let redundancy = redundancy(self.sorted.usable.len());
+        let redundancy = self.head.redundancy(self.sorted.usable.len());
         let mut solution = Solution {
             chi2: minimum.chi2,
             redundancy,
@@ -166,10 +166,11 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// Whether the best pose found is too far from the data to call it one.
     pub fn is_elsewhere(&self, minimum: &Minimum<S>) -> bool {
         let predicted = self.predicted(&minimum.pose);
+        let level = self.light_level(&predicted);
         !minimum.converged
             || self.sorted.usable.iter().any(|reading| {
                 let [first, second] = reading.pair;
-                let [i_x1_a, i_x2_a] = predicted[reading.cell];
+                let [i_x1_a, i_x2_a] = predicted[reading.cell].map(|current| level * current);
                 let off = (first - i_x1_a).abs().max((second - i_x2_a).abs());
                 off > S::of(ELSEWHERE) * (first + second)
             })
@@ -253,9 +254,9 @@ pub fn sigmas_between<S: Number>(factor: &Factor<S>, a: &Transform<S>, b: &Trans
 /// Probability of a larger χ² by chance at which a fit is doubted: 1e-9, six one-sided σ.
 const GATE_SIGMAS: f64 = 6.0;
 
-/// Two currents a cell, less six unknowns.
-pub fn redundancy(cells: usize) -> usize {
-    (2 * cells).saturating_sub(6)
+/// Two currents a cell, less the unknowns: six of the pose, and the light level if that is one.
+pub fn redundancy(cells: usize, has_level: bool) -> usize {
+    (2 * cells).saturating_sub(6 + usize::from(has_level))
 }
 
 /// The χ² that `freedom` degrees of freedom exceed with probability 1e-9 (Wilson and Hilferty

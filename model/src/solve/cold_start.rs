@@ -7,7 +7,7 @@ use crate::plan::Optics;
 use crate::pose::{Pose, Transform};
 use crate::scalar::{Number, Vector3};
 
-use super::accept::{Fit, ROUGH_WORK, redundancy};
+use super::accept::{Fit, ROUGH_WORK};
 use super::compiled::{Compiled, Prior};
 use super::images::{IMAGES, Minima, SOFT_STEPS, Seen, image};
 use super::levenberg_marquardt::Stopping;
@@ -246,7 +246,7 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
         }
         search.has_begun = true;
         // Of three cells alone no pose will come of it.
-        let outcome = if is_unchecked(sorted) { Outcome::Ambiguous } else { Outcome::Diverged };
+        let outcome = if self.is_unchecked(sorted) { Outcome::Ambiguous } else { Outcome::Diverged };
         let unfinished = |iterations| Solution { iterations, ..nothing(sorted, outcome) };
         let mut seen = Seen::new();
         let mut is_cut_short = false;
@@ -347,8 +347,14 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
             }
             Try::Around(index) => Some((around(on_planes, index), true)),
             // Without redundancy a rough approach leads past too many poses.
-            Try::Spread(index) => Some((spread(index), redundancy(sorted.usable.len()) > 0)),
+            Try::Spread(index) => Some((spread(index), self.redundancy(sorted.usable.len()) > 0)),
         }
+    }
+
+    /// Whether nothing tells a pose from its mirror images. Of three cells nearly every pose has some, and no search is sure
+    /// to find them all; that another cell is dark at the pose, too, excludes few of them where emitters are narrow.
+    fn is_unchecked(&self, sorted: &Sorted<S>) -> bool {
+        self.redundancy(sorted.usable.len()) == 0
     }
 
     /// Whether nothing after [`Try`] `next` can change the answer.
@@ -356,7 +362,7 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
         let may_have_images = self.looks_for_images(sorted);
         match minima.best_fit() {
             Fit::None => seen.again >= AGREEING && (!may_have_images || next > Try::FURTHER),
-            Fit::Full if !may_have_images || is_unchecked(sorted) => true,
+            Fit::Full if !may_have_images || self.is_unchecked(sorted) => true,
             _ if minima.is_singular() => true,
             _ => minima.are_alike() && minima.cannot_be_beaten() || next >= Try::FURTHER,
         }
@@ -386,7 +392,10 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
             return problem.taken_roughly(*on_planes, workspace);
         }
         let may_have_images = self.looks_for_images(sorted);
-        if may_have_images && fit != Fit::None && !minima.is_singular() && (minima.are_alike() || is_unchecked(sorted))
+        if may_have_images
+            && fit != Fit::None
+            && !minima.is_singular()
+            && (minima.are_alike() || self.is_unchecked(sorted))
         {
             return nothing(sorted, Outcome::Ambiguous);
         }
@@ -403,12 +412,6 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
 
 fn nothing<S: Number>(sorted: &Sorted<S>, outcome: Outcome) -> Solution<S> {
     Solution::without_pose(outcome, sorted.used)
-}
-
-/// Whether nothing tells a pose from its mirror images. Of three cells nearly every pose has some, and no search is sure to
-/// find them all; that another cell is dark at the pose, too, excludes few of them where emitters are narrow.
-fn is_unchecked<S: Number>(sorted: &Sorted<S>) -> bool {
-    redundancy(sorted.usable.len()) == 0
 }
 
 /// How far the starts lie apart: half the reach of a head.

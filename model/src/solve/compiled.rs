@@ -87,6 +87,8 @@ pub struct Compiled<S: Number, P = CompiledScene<S>> {
     pub jacobian_change_rate: S,
     /// Whether poses of this head may have mirror images although all cells see light.
     pub has_images: bool,
+    /// What is known beforehand of the common light level: the inverse of its relative variance; `None`: all.
+    pub level_information: Option<S>,
 }
 
 impl<S: Scalar> Compiled<S> {
@@ -122,7 +124,9 @@ impl<S: Scalar> Compiled<S> {
             saturation_a: detector.saturation_a.map_or(S::infinity(), |limit| S::of(limit - detector.dark_current_a)),
             most_share: S::infinity(),
         }));
-        self.gates = core::array::from_fn(|cells| S::of(chi2_gate(redundancy(cells))));
+        let level_sigma = scene.uncertainty.light_level_relative;
+        self.level_information = (level_sigma > 0.0).then(|| S::of((level_sigma * level_sigma).recip()));
+        self.gates = core::array::from_fn(|cells| S::of(chi2_gate(self.redundancy(cells))));
         self.jacobian_change_rate = jacobian_change_rate(&self.planes, self.length_scale_m);
         self.has_images = false;
         Ok(())
@@ -158,13 +162,28 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
             length_scale_m: S::one(),
             jacobian_change_rate: S::zero(),
             has_images: false,
+            level_information: None,
         }
     }
 
+    /// Data of so many cells, less the unknowns.
+    pub fn redundancy(&self, cells: usize) -> usize {
+        redundancy(cells, self.level_information.is_some())
+    }
+
     pub fn with_plan<Q>(self, plan: Q) -> Compiled<S, Q> {
-        let Self { planes, noise, limits, gates, offsets_s, length_scale_m, jacobian_change_rate, has_images, .. } =
-            self;
-        Compiled { plan, planes, noise, limits, gates, offsets_s, length_scale_m, jacobian_change_rate, has_images }
+        Compiled {
+            plan,
+            planes: self.planes,
+            noise: self.noise,
+            limits: self.limits,
+            gates: self.gates,
+            offsets_s: self.offsets_s,
+            length_scale_m: self.length_scale_m,
+            jacobian_change_rate: self.jacobian_change_rate,
+            has_images: self.has_images,
+            level_information: self.level_information,
+        }
     }
 
     pub fn on_planes(&self, sorted: &Sorted<S>) -> Transform<S> {

@@ -14,6 +14,7 @@ use crate::scene::MAX_CELLS;
 
 use super::accept::{DISTINCT_SIGMAS, is_singular};
 use super::algebra::{Factor, Matrix6, Vector6, add_outer, dot, mirror, square};
+use super::level::Level;
 use super::levenberg_marquardt::{Minimum, Stopping};
 use super::normal_equations::{NormalEquations, Problem, Workspace};
 use super::readings::Usable;
@@ -194,8 +195,13 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
         if crossing.is_empty() || workspace.elimination.is_under_way() || !workspace.plane_rows.is_empty() {
             return minimum;
         }
+        let factor = workspace.level.as_ref().map_or(S::one(), Level::factor);
         for row in workspace.rows.iter_mut().flatten() {
-            row.residual -= dot(&row.by_pose, &step.step);
+            let change = dot(&row.by_pose, &step.step);
+            row.residual -= factor * change;
+            if workspace.level.is_some() {
+                row.by_level += change;
+            }
         }
         let crossing_cell =
             |cell: usize| crossing.iter().copied().find(|&index| self.sorted.usable[index].cell == cell);
@@ -211,13 +217,17 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
             },
         );
         let mut information = [[S::zero(); 6]; 6];
-        for [first, second] in &*rows {
+        workspace.level = self.head.level_information.map(Level::of_prior);
+        for rows @ [first, second] in &workspace.rows {
             let own = [&first.by_pose, &second.by_pose];
             add_outer(&mut information, own, own);
+            if let Some(level) = &mut workspace.level {
+                level.add(rows, S::zero(), 1);
+            }
         }
         mirror(&mut information);
         let sums = self.residual_sums(workspace);
-        let at = NormalEquations { chi2: sums.chi2, information, gradient: sums.by_pose };
+        let at = self.marginalised(information, sums, workspace.level.as_mut(), &mut workspace.elimination);
         self.one_step_on(&at, minimum, workspace)
     }
 }

@@ -5,7 +5,7 @@
 //! | readings that count | [`readings`] | limits of light and saturation |
 //! | first pose | [`planes`] | Gauss–Newton on the planes that the positions of the light give |
 //! | weights, whitened residuals | [`weights`] | covariance of a cell's two currents |
-//! | linearised problem | [`normal_equations`], [`twist`], [`step`] | least squares, Schur complement, Cholesky or QR |
+//! | linearised problem | [`normal_equations`], [`level`], [`twist`], [`step`] | least squares, Schur complement, Cholesky or QR |
 //! | minimum | [`levenberg_marquardt`], [`kink`] | damped Gauss–Newton, minima where derivatives jump |
 //! | one cell against all others | [`outlier`] | leave one out |
 //! | is it the pose? | [`accept`] | χ² gate, singular values, external reliability |
@@ -31,6 +31,7 @@ mod filter;
 mod fixture;
 mod images;
 mod kink;
+mod level;
 mod levenberg_marquardt;
 mod normal_equations;
 mod outcome;

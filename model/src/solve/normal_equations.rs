@@ -5,8 +5,8 @@
 //! Problems, 1996, section 9.2). JᵀJ is the Fisher information: its inverse is the covariance.
 //!
 //! Unknowns are (δt/ℓ, δθ), ℓ the length scale: translations are counted in units of the emitters' distance
-//! from the tool's origin, so that the matrix mixes like with like. A tool that moves within the frame adds six
-//! unknowns, which [`super::twist`] eliminates.
+//! from the tool's origin, so that the matrix mixes like with like. The light level is one more unknown, which
+//! [`super::level`] eliminates; a tool that moves within the frame adds six, which [`super::twist`] does.
 
 // heapless clears the memory of a new vector; here that would take as long as the algebra.
 use arrayvec::ArrayVec;
@@ -18,7 +18,9 @@ use crate::scene::MAX_CELLS;
 
 use super::algebra::{Matrix6, Vector6, add_outer, dot, mirror};
 use super::compiled::{Compiled, Prior};
+use super::level::{Level, keeps_digits};
 use super::readings::{Sorted, Usable};
+use super::step::SAFE_ROUNDINGS;
 use super::twist::{Elimination, Motion};
 use super::weights::{CellNoise, ResidualSums, Row, Whitener};
 
@@ -52,6 +54,8 @@ pub struct Workspace<S: Number> {
     pub slacks_m: ArrayVec<S, MAX_CELLS>,
     /// The readings' distances from walls, if steps cross them: on a board.
     pub walls_m: ArrayVec<S, BOARD_CELLS>,
+    /// `None`: the light level is known.
+    pub level: Option<Level<S>>,
     pub elimination: Elimination<S>,
     /// Evaluations of all cells that may still be made: see [`Self::with_work`].
     pub work: usize,
@@ -81,6 +85,7 @@ impl<S: Number> Workspace<S> {
             displaced: ArrayVec::new(),
             slacks_m: ArrayVec::new(),
             walls_m: ArrayVec::new(),
+            level: None,
             elimination: Elimination::new(),
         }
     }
@@ -99,13 +104,21 @@ fn whiteners<S: Number>(noise: &[CellNoise<S>], readings: &[Usable<S>]) -> White
     readings.iter().map(|reading| noise[reading.cell].whitener(reading.pair)).collect()
 }
 
-/// χ² = rᵀr, the information JᵀJ and Jᵀr at a pose, the twist eliminated.
+/// cᵀc and cᵀr of whitened pairs c and r.
+fn level_sums<S: Number>(by_level: &[[S; 2]], residuals: &[[S; 2]]) -> (S, S) {
+    let pairs = by_level.as_flattened().iter().zip(residuals.as_flattened());
+    pairs.fold((S::zero(), S::zero()), |(square, along), (&c, &r)| (square + c * c, along + c * r))
+}
+
+/// χ² = rᵀr, the information JᵀJ and Jᵀr at a pose, light level and twist eliminated.
 #[derive(Clone, Copy, Debug)]
 pub struct NormalEquations<S> {
     pub chi2: S,
     pub information: Matrix6<S>,
     /// Jᵀr: minus half the gradient of χ².
     pub gradient: Vector6<S>,
+    /// Whether marginalising the light level left enough digits to solve with.
+    pub is_safe: bool,
 }
 
 impl<S: Number> NormalEquations<S> {
@@ -188,7 +201,7 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
     /// χ² and the normal equations at `pose`.
     pub fn linearise(&self, pose: &Transform<S>, workspace: &mut Workspace<S>) -> NormalEquations<S> {
         workspace.count();
-        let Workspace { rows: all_rows, plane_rows, displaced, slacks_m, walls_m, elimination, .. } = workspace;
+        let Workspace { rows: all_rows, plane_rows, displaced, slacks_m, walls_m, level, elimination, .. } = workspace;
         slacks_m.clear();
         walls_m.clear();
         displaced.clear();
@@ -197,6 +210,7 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
         let mut information = [[S::zero(); 6]; 6];
         let is_twist_known = self.motion.prior.is_none();
         elimination.begin(&self.motion);
+        *level = self.head.level_information.map(Level::of_prior);
         self.head.plan.linearise_all(
             &self.instant(pose),
             |cell| self.wants(cell),
@@ -222,6 +236,9 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
                 let rows = self.rows(reading, terms, whitener);
                 let own = [&rows[0].by_pose, &rows[1].by_pose];
                 add_outer(&mut information, own, own);
+                if let Some(level) = level {
+                    level.add(&rows, self.share(reading), self.powers());
+                }
                 if !is_twist_known {
                     elimination.add(self.share(reading), &rows);
                 }
@@ -239,12 +256,39 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
         );
         mirror(&mut information);
         let sums = self.residual_sums(workspace);
-        let mut normal = NormalEquations { chi2: sums.chi2, information, gradient: sums.by_pose };
-        if !is_twist_known {
-            let Workspace { elimination, .. } = workspace;
-            (normal.chi2, normal.gradient) = elimination.eliminate(&self.motion, &mut normal.information, &sums);
+        let Workspace { level, elimination, .. } = workspace;
+        self.marginalised(information, sums, level.as_mut(), elimination)
+    }
+
+    /// The normal equations of rows with this `information` and these `sums`, without the `level` and the motion.
+    #[inline(always)]
+    pub fn marginalised(
+        &self,
+        information: Matrix6<S>,
+        mut sums: ResidualSums<S>,
+        level: Option<&mut Level<S>>,
+        elimination: &mut Elimination<S>,
+    ) -> NormalEquations<S> {
+        let mut normal = NormalEquations { chi2: sums.chi2, information, gradient: sums.by_pose, is_safe: true };
+        let level = level.map(|level| {
+            level.settle(&sums);
+            level.take_from(&mut normal.information, [0, 0]);
+            level.take_from_sums(&mut sums);
+            let threshold = S::of(SAFE_ROUNDINGS) * S::epsilon();
+            normal.is_safe = keeps_digits(&information, &normal.information, threshold) > S::zero();
+            (normal.chi2, normal.gradient) = (sums.chi2, sums.by_pose);
+            &*level
+        });
+        if self.motion.prior.is_some() {
+            (normal.chi2, normal.gradient) = elimination.eliminate(&self.motion, level, &mut normal.information, &sums);
         }
         normal
+    }
+
+    /// How many powers of the share of an exposure weight rows: one where the motion is known.
+    #[inline(always)]
+    pub fn powers(&self) -> usize {
+        1 + usize::from(self.motion.prior.is_some()) + usize::from(self.motion.bend_prior.is_some())
     }
 
     /// The rows of a reading whose cell has these `terms`.
@@ -253,7 +297,10 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
         // Translations are counted in units of the length scale.
         let scaled_whitener = whitener.scaled(self.head.length_scale_m);
         let residual = whitener.apply([reading.pair[0] - terms.pair[0], reading.pair[1] - terms.pair[1]]);
-        let mut rows = residual.map(|residual| Row { by_pose: [S::zero(); 6], residual });
+        let mut rows = residual.map(|residual| Row { by_pose: [S::zero(); 6], by_level: S::zero(), residual });
+        if self.head.level_information.is_some() {
+            [rows[0].by_level, rows[1].by_level] = whitener.apply(terms.pair);
+        }
         for axis in 0..6 {
             let whitener = if axis < 3 { &scaled_whitener } else { whitener };
             let column = whitener.apply(terms.jacobian.map(|row| row[axis]));
@@ -279,6 +326,7 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
         let (row, distance) = self.head.planes[reading.cell].row(reading, pose, self.head.length_scale_m);
         Row {
             by_pose: row.map(|value| value * self.head.length_scale_m / S::of(GUIDE_M)),
+            by_level: S::zero(),
             residual: -distance / S::of(GUIDE_M),
         }
     }
@@ -304,7 +352,8 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
         }
     }
 
-    /// The whitened residuals at `pose`, in the order of the readings.
+    /// The whitened residuals at `pose`, in the order of the readings: with an unknown light level, (I + s²·c·cᵀ)^(−½) times
+    /// those at the nominal one.
     pub fn whitened(&self, pose: &Transform<S>, workspace: &mut Workspace<S>) -> ArrayVec<[S; 2], MAX_CELLS> {
         workspace.count();
         let currents = self.predicted(pose);
@@ -312,7 +361,34 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
             let [first, second] = currents[reading.cell];
             whitener.apply([reading.pair[0] - first, reading.pair[1] - second])
         };
-        self.sorted.usable.iter().zip(&self.whiteners).map(of).collect()
+        let mut residuals: ArrayVec<[S; 2], MAX_CELLS> =
+            self.sorted.usable.iter().zip(&self.whiteners).map(of).collect();
+        if let Some(prior) = self.head.level_information {
+            let by_level: ArrayVec<[S; 2], MAX_CELLS> = self.by_level(&currents).collect();
+            let (square, along) = level_sums(&by_level, &residuals);
+            // c·cᵀ/(√D·(√D + s⁻¹)) of D = cᵀc + s⁻².
+            let root = (square + prior).root();
+            let share = along / (root * (root + prior.root()));
+            for (residual, by_level) in residuals.iter_mut().flatten().zip(by_level.iter().flatten()) {
+                *residual -= share * *by_level;
+            }
+        }
+        residuals
+    }
+
+    /// The whitened `currents` of the readings' cells.
+    fn by_level(&self, currents: &[[S; 2]]) -> impl Iterator<Item = [S; 2]> {
+        self.sorted.usable.iter().zip(&self.whiteners).map(|(reading, of)| of.apply(currents[reading.cell]))
+    }
+
+    /// By what factor all light is brighter than the head's scene says, if the tool is where the cells deliver `currents`.
+    pub fn light_level(&self, currents: &[[S; 2]]) -> S {
+        let Some(prior) = self.head.level_information else { return S::one() };
+        let by_level: ArrayVec<[S; 2], MAX_CELLS> = self.by_level(currents).collect();
+        let measured: ArrayVec<[S; 2], MAX_CELLS> =
+            self.sorted.usable.iter().zip(&self.whiteners).map(|(reading, of)| of.apply(reading.pair)).collect();
+        let (square, along) = level_sums(&by_level, &measured);
+        (along + prior) / (square + prior)
     }
 
     /// χ² and gradient at `pose`, with the Jacobian of the last linearisation.
@@ -337,7 +413,10 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
         for (index, row) in &mut workspace.plane_rows {
             row.residual = self.guide(&self.sorted.usable[*index], pose).residual;
         }
-        let sums = self.residual_sums(workspace);
+        let mut sums = self.residual_sums(workspace);
+        if let Some(level) = &workspace.level {
+            level.take_from_sums(&mut sums);
+        }
         workspace.elimination.apply(&sums)
     }
 }

@@ -251,6 +251,7 @@ impl<S: Number> Solution<S> {
         outcome: Outcome,
         estimate: Option<Estimate<S>>,
         chi2: S,
+        redundancy: usize,
         cells_used: Cells,
         excluded: Cells,
     ) -> Self {
@@ -258,7 +259,7 @@ impl<S: Number> Solution<S> {
             rigid: estimate.as_ref().map_or_else(Rigid::home, |estimate| Rigid::of(&estimate.pose)),
             estimate,
             chi2,
-            redundancy: (2 * cells_used.count()).saturating_sub(6),
+            redundancy,
             excluded,
             ..Self::without_pose(outcome, cells_used)
         }

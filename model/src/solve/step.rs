@@ -10,6 +10,7 @@ use crate::rectangle::MAX_MAGNIFICATION;
 use crate::scalar::{Linear3, Number};
 
 use super::algebra::{Factor, Triangle, Vector6, add_outer, dot, mirror, square};
+use super::level::Level;
 use super::normal_equations::{NormalEquations, Problem, Workspace};
 use super::readings::Usable;
 use super::twist::Elimination;
@@ -35,38 +36,46 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     #[inline]
     pub fn step(&self, at: &NormalEquations<S>, damping: S, workspace: &Workspace<S>) -> Option<Step<S>> {
         let safe = S::of(SAFE_ROUNDINGS) * S::epsilon();
-        match Factor::of_matrix(&at.information, damping, safe) {
+        let factor = if at.is_safe { Factor::of_matrix(&at.information, damping, safe) } else { None };
+        match factor {
             Some(factor) => {
                 let half_way = factor.forward(&at.gradient);
                 let step = factor.backward(&half_way);
                 Some(Step { step, predicted_reduction: square(&half_way), factor, is_by_qr: false })
             }
             None if damping > S::zero() => None,
-            None if self.has_bend() => Some(self.qr_step::<18>(workspace)),
-            None => Some(self.qr_step::<12>(workspace)),
+            None if self.has_bend() => Some(self.qr_step::<19>(workspace)),
+            None => Some(self.qr_step::<13>(workspace)),
         }
     }
 
     /// The undamped step by QR factorisation of the rows in `workspace`: slow, but right for any condition
-    /// number that the number type resolves. Of `N` unknowns the last six are the pose, those before the twist, and the
-    /// bend those before that.
+    /// number that the number type resolves. Of `N` unknowns the last six are the pose, those before the twist, the bend
+    /// those before that, and the light level is the first.
     #[cold]
     fn qr_step<const N: usize>(&self, workspace: &Workspace<S>) -> Step<S> {
         let mut triangle = Triangle::<S, N>::new();
-        let priors = [self.motion.bend_prior, self.motion.prior];
-        for (first, prior) in (0..N - 6).step_by(6).zip(&priors[3 - N / 6..]) {
-            let Some(prior) = prior else { continue };
-            for i in 0..6 {
-                let mut row = [S::zero(); N];
-                row[first + i] = prior[i / 3].root();
-                triangle.add(row, S::zero());
-            }
+        let mut prior_of = |unknown: usize, sigma_inverse: S| {
+            let mut row = [S::zero(); N];
+            row[unknown] = sigma_inverse;
+            triangle.add(row, S::zero());
+        };
+        if let Some(prior) = self.head.level_information {
+            prior_of(0, prior.root());
         }
+        let priors = [self.motion.bend_prior, self.motion.prior];
+        for (first, prior) in (1..N - 6).step_by(6).zip(&priors[3 - N / 6..]) {
+            let Some(prior) = prior else { continue };
+            (0..6).for_each(|i| prior_of(first + i, prior[i / 3].root()));
+        }
+        let factor = workspace.level.as_ref().map_or(S::one(), Level::factor);
         let mut add = |row: &Row<S>, share: S| {
             let share = if self.motion.prior.is_some() { share } else { S::zero() };
-            let powers = [share * share, share, S::one()];
+            let powers = [share * share, share, S::one()].map(|power| power * factor);
             let powers = &powers[3 - N / 6..];
-            triangle.add(core::array::from_fn(|i| row.by_pose[i % 6] * powers[i / 6]), row.residual);
+            let element = |i: usize| row.by_pose[i % 6] * powers[i / 6];
+            let row_of = |i: usize| if i == 0 { row.by_level } else { element(i - 1) };
+            triangle.add(core::array::from_fn(row_of), row.residual);
         };
         for (reading, rows) in self.sorted.usable.iter().zip(&workspace.rows) {
             rows.iter().for_each(|row| add(row, self.share(reading)));
@@ -125,8 +134,15 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// and C = (L·Lᵀ)⁻¹. The rest of the error goes into the pose.
     pub fn least_visible(&self, factor: &Factor<S>, workspace: &Workspace<S>) -> S {
         workspace.rows.iter().fold(S::one(), |least, rows| {
-            let [u, v] = [0, 1].map(|k| factor.forward(&rows[k].by_pose));
-            let (uu, vv, uv) = (square(&u), square(&v), dot(&u, &v));
+            let reduced = |row: &Row<S>| match &workspace.level {
+                Some(level) => level.reduced(row),
+                None => (row.by_pose, S::zero()),
+            };
+            let [(u, p), (v, q)] = rows.each_ref().map(|row| {
+                let (by_pose, by_level) = reduced(row);
+                (factor.forward(&by_pose), by_level)
+            });
+            let (uu, vv, uv) = (square(&u) + p * p, square(&v) + q * q, dot(&u, &v) + p * q);
             let half_difference = S::half() * (uu - vv);
             let radius = (half_difference * half_difference + uv * uv).root();
             least.min(S::one() - S::half() * (uu + vv) - radius)
@@ -139,8 +155,15 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     pub fn least_chi2_without(&self, index: usize, workspace: &Workspace<S>) -> Option<S> {
         let (mut information, mut elimination) = ([[S::zero(); 6]; 6], Elimination::new());
         elimination.begin(&self.motion);
+        let mut level = self.head.level_information.map(Level::of_prior);
         let mut sums = ResidualSums::zero(S::zero());
-        let of_readings = workspace.rows.iter().enumerate().map(|(reading, rows)| (reading, rows.as_slice()));
+        let of_readings = workspace.rows.iter().enumerate().filter(|(reading, _)| *reading != index);
+        if let Some(level) = &mut level {
+            for (reading, rows) in of_readings.clone() {
+                level.add(rows, self.share(&self.sorted.usable[reading]), self.powers());
+            }
+        }
+        let of_readings = of_readings.map(|(reading, rows)| (reading, rows.as_slice()));
         let of_planes = workspace.plane_rows.iter().map(|(reading, row)| (*reading, core::slice::from_ref(row)));
         for (reading, rows) in of_readings.chain(of_planes).filter(|(reading, _)| *reading != index) {
             let reading = &self.sorted.usable[reading];
@@ -151,10 +174,9 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
             sums.add(rows, self.share(reading), self.has_bend());
         }
         mirror(&mut information);
-        let mut normal = NormalEquations { chi2: sums.chi2, information, gradient: sums.by_pose };
-        (normal.chi2, normal.gradient) = elimination.eliminate(&self.motion, &mut normal.information, &sums);
+        let normal = self.marginalised(information, sums, level.as_mut(), &mut elimination);
         let safe = S::of(SAFE_ROUNDINGS) * S::epsilon();
-        let factor = Factor::of_matrix(&normal.information, S::zero(), safe)?;
+        let factor = Factor::of_matrix(&normal.information, S::zero(), safe).filter(|_| normal.is_safe)?;
         Some(normal.chi2 - square(&factor.forward(&normal.gradient)))
     }
 }
@@ -173,60 +195,70 @@ mod tests {
     const TWIST: [DVec3; 2] = [DVec3::new(0.2, -0.1, 0.3), DVec3::new(3.0, 1.0, -2.0)];
     const HALF_ACCELERATION: [DVec3; 2] = [DVec3::new(40.0, 90.0, -70.0), DVec3::new(-300.0, 500.0, 200.0)];
 
-    /// An unknown motion is noise that the cells share: with whitened rows A, exposed at shares τ of the motion's duration,
-    /// the residuals have the covariance Σ = 1 + P·ττᵀ∘AAᵀ + Q·τ²τ²ᵀ∘AAᵀ, and generalised least squares (Aitken 1935)
-    /// the information Aᵀ·Σ⁻¹·A. Both the elimination and the factorisation by QR agree with it.
+    /// Unknown motion and light level are noise that the cells share: with whitened rows A, exposed at shares τ of the
+    /// motion's duration, the residuals have the covariance Σ = 1 + P·ττᵀ∘AAᵀ + Q·τ²τ²ᵀ∘AAᵀ + s²·ccᵀ, c the whitened currents, and generalised
+    /// least squares (Aitken 1935) the information Aᵀ·Σ⁻¹·A. Both the elimination and the factorisation by QR agree with it.
     #[test]
-    fn an_unknown_motion_is_noise_that_the_cells_share() {
+    fn unknown_motion_and_light_level_are_noise_that_the_cells_share() {
         let (mut head, truth) = (compiled(), pose());
         head.offsets_s.extend_from_slice(&OFFSETS_S).expect("six cells");
         let sorted = Sorted::of(&currents(&head.plan, &truth), &head.limits);
         for (sigmas, bend_sigmas) in [([0.5, 5.0], [150.0, 1500.0]), ([0.01, 0.0], [0.0, 40.0]), ([0.2, 2.0], [0.0; 2])]
         {
             let bend = Some(Bend { half_acceleration: HALF_ACCELERATION, sigmas: bend_sigmas });
-            let problem = head.problem(&sorted, &Prior { twist: TWIST, sigmas, bend });
-            let workspace = &mut Workspace::new();
-            let start = Transform::of(&truth);
-            let at = problem.linearise(&start, workspace);
-            let reach = |sigmas: [f64; 2], time_s: f64| [sigmas[0] * time_s / head.length_scale_m, sigmas[1] * time_s];
-            let (duration, mut sigma) = (400e-6, [[0.0; 12]; 12]);
-            let (p, q) = (reach(sigmas, duration), reach(bend_sigmas, duration * duration));
-            for (i, a) in workspace.rows.iter().flatten().enumerate() {
-                for (j, b) in workspace.rows.iter().flatten().enumerate() {
-                    let both = OFFSETS_S[i / 2] * OFFSETS_S[j / 2] / (duration * duration);
-                    for k in 0..6 {
-                        let variance = p[k / 3].powi(2) * both + q[k / 3].powi(2) * both * both;
-                        sigma[i][j] += variance * a.by_pose[k] * b.by_pose[k];
+            for level_sigma in [None, Some(0.03)] {
+                head.level_information = level_sigma.map(|sigma: f64| sigma.powi(-2));
+                let problem = head.problem(&sorted, &Prior { twist: TWIST, sigmas, bend });
+                let workspace = &mut Workspace::new();
+                let start = Transform::of(&truth);
+                let at = problem.linearise(&start, workspace);
+                let reach =
+                    |sigmas: [f64; 2], time_s: f64| [sigmas[0] * time_s / head.length_scale_m, sigmas[1] * time_s];
+                let (duration, mut sigma) = (400e-6, [[0.0; 12]; 12]);
+                let (p, q) = (reach(sigmas, duration), reach(bend_sigmas, duration * duration));
+                // In which rows are multiplied, and the QR factorisation must not do so again.
+                let factor = workspace.level.take().as_ref().map_or(1.0, Level::factor);
+                for row in workspace.rows.iter_mut().flatten() {
+                    row.by_pose = row.by_pose.map(|value| factor * value);
+                }
+                for (i, a) in workspace.rows.iter().flatten().enumerate() {
+                    for (j, b) in workspace.rows.iter().flatten().enumerate() {
+                        sigma[i][j] += level_sigma.map_or(0.0, |sigma: f64| sigma * sigma * a.by_level * b.by_level);
+                        let both = OFFSETS_S[i / 2] * OFFSETS_S[j / 2] / (duration * duration);
+                        for k in 0..6 {
+                            let variance = p[k / 3].powi(2) * both + q[k / 3].powi(2) * both * both;
+                            sigma[i][j] += variance * a.by_pose[k] * b.by_pose[k];
+                        }
                     }
+                    sigma[i][i] += 1.0;
                 }
-                sigma[i][i] += 1.0;
-            }
-            let column = |k: usize| core::array::from_fn(|i| workspace.rows[i / 2][i % 2].by_pose[k]);
-            let residuals = core::array::from_fn(|i| workspace.rows[i / 2][i % 2].residual);
-            let product = |a: &[f64; 12], b: &[f64; 12]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-            let by_qr = if problem.has_bend() {
-                problem.qr_step::<18>(workspace).factor
-            } else {
-                problem.qr_step::<12>(workspace).factor
-            };
-            let of_residuals = solved(sigma, residuals);
-            assert!((product(&residuals, &of_residuals) - at.chi2).abs() < 1e-6 * at.chi2, "{}", at.chi2);
-            // Rounding times the square of what the motion adds to the noise, a thousandfold.
-            let tolerance = 1e-8;
-            for j in 0..6 {
-                let of_column = solved(sigma, column(j));
-                let expected: Vector6<f64> = core::array::from_fn(|i| product(&column(i), &of_column));
-                let unit = by_qr.solve(&expected);
-                for i in 0..6 {
-                    let scale = (at.information[i][i] * at.information[j][j]).sqrt();
-                    assert!((at.information[i][j] - expected[i]).abs() < tolerance * scale, "{i} {j}");
-                    let scale = (at.information[j][j] / at.information[i][i]).sqrt();
-                    let kept = if i == j { 1.0 } else { 0.0 };
-                    assert!((unit[i] - kept).abs() < 100.0 * tolerance * scale, "{i} {j}, by QR: {}", unit[i]);
+                let column = |k: usize| core::array::from_fn(|i| workspace.rows[i / 2][i % 2].by_pose[k]);
+                let residuals = core::array::from_fn(|i| workspace.rows[i / 2][i % 2].residual);
+                let product = |a: &[f64; 12], b: &[f64; 12]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+                let by_qr = if problem.has_bend() {
+                    problem.qr_step::<19>(workspace).factor
+                } else {
+                    problem.qr_step::<13>(workspace).factor
+                };
+                let of_residuals = solved(sigma, residuals);
+                assert!((product(&residuals, &of_residuals) - at.chi2).abs() < 1e-6 * at.chi2, "{}", at.chi2);
+                // Rounding times the square of what the motion adds to the noise, a thousandfold.
+                let tolerance = 1e-8;
+                for j in 0..6 {
+                    let of_column = solved(sigma, column(j));
+                    let expected: Vector6<f64> = core::array::from_fn(|i| product(&column(i), &of_column));
+                    let unit = by_qr.solve(&expected);
+                    for i in 0..6 {
+                        let scale = (at.information[i][i] * at.information[j][j]).sqrt();
+                        assert!((at.information[i][j] - expected[i]).abs() < tolerance * scale, "{i} {j}");
+                        let scale = (at.information[j][j] / at.information[i][i]).sqrt();
+                        let kept = if i == j { 1.0 } else { 0.0 };
+                        assert!((unit[i] - kept).abs() < 100.0 * tolerance * scale, "{i} {j}, by QR: {}", unit[i]);
+                    }
+                    let gradient = product(&column(j), &of_residuals);
+                    let scale = (at.information[j][j] * at.chi2).sqrt();
+                    assert!((at.gradient[j] - gradient).abs() < tolerance * scale, "{j}");
                 }
-                let gradient = product(&column(j), &of_residuals);
-                let scale = (at.information[j][j] * at.chi2).sqrt();
-                assert!((at.gradient[j] - gradient).abs() < tolerance * scale, "{j}");
             }
         }
     }

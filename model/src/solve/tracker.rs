@@ -132,6 +132,11 @@ impl<S: Number, P: Optics<S>> Tracker<S, P> {
         }
     }
 
+    /// The solver of its frames.
+    pub fn solver(&self) -> &Solver<S, P> {
+        &self.solver
+    }
+
     /// The solver, to be changed: [`Self::restart`] then.
     pub fn solver_mut(&mut self) -> &mut Solver<S, P> {
         &mut self.solver

@@ -5,7 +5,6 @@ use crate::pose::Transform;
 use crate::scalar::Number;
 
 use super::accept::Fit;
-use super::accept::redundancy;
 use super::compiled::{Compiled, Prior};
 use super::levenberg_marquardt::{Minimum, Stopping};
 use super::normal_equations::Workspace;
@@ -82,7 +81,7 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
             iterations += minimum.iterations;
         }
         let fit = problem.fit(&minimum);
-        let has_pose = fit != Fit::None || redundancy(sorted.usable.len()) > 0 && !problem.is_elsewhere(&minimum);
+        let has_pose = fit != Fit::None || self.redundancy(sorted.usable.len()) > 0 && !problem.is_elsewhere(&minimum);
         if !has_pose {
             if sorted.usable.len() >= P::UNIQUE_FROM {
                 let solution = problem.taken_roughly(start, workspace);

@@ -107,7 +107,7 @@ impl<S: Number> CellNoise<S> {
             let dark = noise.dark_shot_a2(detector);
             (noise.shot_a(), dark, noise.johnson_a2(detector) + dark / 12.0, noise.adc_a * noise.adc_a)
         });
-        let Uncertainty { emitter_gain_relative, electrode_gain_relative, position_m } = scene.uncertainty;
+        let Uncertainty { emitter_gain_relative, electrode_gain_relative, position_m, .. } = scene.uncertainty;
         let error = scene.cells[cell].effects.model_error;
         let moved = error.position_m / detector.length_m;
         // Two cells that read one detector see the same photons of the same emitter: what is common to both counts
@@ -167,27 +167,30 @@ impl<S: Number> CellNoise<S> {
     }
 }
 
-/// One whitened residual and its derivatives by the scaled pose.
+/// One whitened residual and its derivatives by the scaled pose and by the light level.
 #[derive(Clone, Copy, Debug)]
 pub struct Row<S> {
     pub by_pose: Vector6<S>,
+    /// Zero where the level is known.
+    pub by_level: S,
     pub residual: S,
 }
 
-/// Sums over residuals r: χ² = rᵀr, and Jᵀr by the pose, by the twist and by the bend.
+/// Sums over residuals r: χ² = rᵀr, and Jᵀr by the pose, by the twist, by the bend and by the light level.
 #[derive(Clone, Copy)]
 pub struct ResidualSums<S> {
     pub chi2: S,
     pub by_pose: Vector6<S>,
     pub by_twist: Vector6<S>,
     pub by_bend: Vector6<S>,
+    pub by_level: S,
 }
 
 impl<R: Real> ResidualSums<R> {
     #[inline(always)]
     pub fn zero(like: R) -> Self {
         let zero = like.constant(0.0);
-        Self { chi2: zero, by_pose: [zero; 6], by_twist: [zero; 6], by_bend: [zero; 6] }
+        Self { chi2: zero, by_pose: [zero; 6], by_twist: [zero; 6], by_bend: [zero; 6], by_level: zero }
     }
 
     /// Adds the `rows` of one reading, exposed at `share` of the motion's duration; to `by_bend` only if that is asked for.
@@ -196,6 +199,7 @@ impl<R: Real> ResidualSums<R> {
         let mut own = [share.constant(0.0); 6];
         for row in rows {
             self.chi2 += row.residual * row.residual;
+            self.by_level += row.by_level * row.residual;
             for i in 0..6 {
                 own[i] += row.by_pose[i] * row.residual;
             }

@@ -150,6 +150,15 @@ fn many_frames_at_once_have_the_bits_of_each_alone_in_the_exact_tier() {
     compare(&wide(), Tier::Exact { tolerance: 1e-11 }, FEW / 3, 1.0);
 }
 
+#[test]
+fn many_frames_of_unknown_light_level_have_the_bits_of_each_alone() {
+    let mut scene = wide();
+    scene.uncertainty.light_level_relative = 0.1;
+    compare(&scene, Tier::Paper, FEW / 3, 1.0);
+    compare(&scene, EXACT, FEW / 3, 1.0);
+    compare(&scene, EXACT, FEW / 3, 1.6);
+}
+
 /// A head of `count` cells of which no two are alike; masks of two thicknesses by turns.
 fn unlike(count: usize, thicknesses_m: [f64; 2]) -> Scene {
     let mut scene = wide();

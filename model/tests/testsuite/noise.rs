@@ -163,6 +163,34 @@ fn gains_and_converters_scatter_as_told() {
 }
 
 #[test]
+fn a_common_light_level_is_one_more_unknown() {
+    let mut scene = quiet();
+    scene.noise.as_mut().expect("noise").adc_a = 2e-9;
+    let seen_at = |scene: &Scene, level: f64| {
+        study(scene, |plan, cell, pose, rng| {
+            let Pair { i_x1_a, i_x2_a } = plan.photocurrents(cell, pose);
+            Pair { i_x1_a: level * i_x1_a + 2e-9 * normal(rng), i_x2_a: level * i_x2_a + 2e-9 * normal(rng) }
+        })
+    };
+    let known = seen_at(&scene, 1.0);
+    let sigma = 0.1;
+    scene.uncertainty.light_level_relative = sigma;
+    for level in [1.0, 0.995, 0.92, 1.2] {
+        let found = seen_at(&scene, level);
+        println!("level {level}: {found:?}");
+        // Five degrees of freedom, and what is known beforehand of the level: the means of 2000 to 4.5 of their σ.
+        let chi2 = 5.0 + ((level - 1.0) / sigma).powi(2);
+        let scatter = 4.5 * (12.0 / TRIALS as f64).sqrt();
+        assert!((found.chi2 - chi2).abs() < scatter && (found.nees - 6.0).abs() < scatter, "{level}: {found:?}");
+        // What positions alone tell of the pose is less, and no more than by a half; less light is more noise.
+        for (with, without) in found.sigmas.iter().zip(known.sigmas) {
+            let ratio = level * with / without;
+            assert!((0.999..1.5).contains(&ratio), "{level}: {found:?} {known:?}");
+        }
+    }
+}
+
+#[test]
 fn displaced_parts_are_told_by_covariance() {
     let mut scene = quiet();
     let position_m = 20e-6;

@@ -21,8 +21,12 @@ pub(super) const TITLE: &str = "What is left out costs nothing";
 const THICKNESS_M: f64 = 0.15e-3;
 const TILT_RAD: f64 = 0.035;
 const KNOT_STEP_DEG: usize = 5;
-const UNSETTLED: Uncertainty =
-    Uncertainty { emitter_gain_relative: 1e-3, electrode_gain_relative: 1e-3, position_m: 1e-6 };
+const UNSETTLED: Uncertainty = Uncertainty {
+    emitter_gain_relative: 1e-3,
+    electrode_gain_relative: 1e-3,
+    position_m: 1e-6,
+    light_level_relative: 0.0,
+};
 
 /// A tool that moves while its cells are exposed one after another.
 const SPEED_M_PER_S: f64 = 0.1;

@@ -246,6 +246,7 @@ const SECTIONS: &[(&str, &[&str])] = &[
             "angle_deg",
             "slit_width_mm",
             "emitter_angle_deg",
+            "light_level_relative",
             "emitter_gain_relative",
             "electrode_gain_relative",
             "profile_relative",

@@ -48,6 +48,8 @@ pub struct SceneFile {
     pub front_end: Option<FrontEnd>,
     /// How well parts are known before calibration; `None`: the file does not say.
     pub tolerance: Option<Tolerance>,
+    /// Whether the file says how well the common light level is known; else the scene has a usual value.
+    pub gives_light_level: bool,
     /// Which emitters are lit together, and in which order.
     pub lighting: Lighting,
     /// The box of poses the head is meant for.
@@ -102,6 +104,7 @@ impl SceneFile {
             hash: fnv1a_64(text.as_bytes()),
             front_end: settings::read_front_end(&document)?,
             tolerance: settings::read_tolerance(&document)?,
+            gives_light_level: optics::read_light_level(&document)?.is_some(),
             lighting,
             workspace,
             scene,

@@ -143,12 +143,21 @@ fn read_noise(document: &Document<'_>) -> Result<Option<Noise>, SceneFileError> 
     }))
 }
 
+/// How well the common level of all light is known, unless the scene says: emitters are brighter when cool, and age.
+const LIGHT_LEVEL_RELATIVE: f64 = 0.1;
+
+/// [`Uncertainty::light_level_relative`] as far as the file gives it.
+pub(super) fn read_light_level(document: &Document<'_>) -> Result<Option<f64>, SceneFileError> {
+    document.number(KeyPath::section("tolerance", "light_level_relative"))
+}
+
 fn read_uncertainty(document: &Document<'_>) -> Result<Uncertainty, SceneFileError> {
     let key = |key| Ok(document.number(KeyPath::section("uncertainty", key))?.unwrap_or(0.0));
     Ok(Uncertainty {
         emitter_gain_relative: key("emitter_gain_relative")?,
         electrode_gain_relative: key("electrode_gain_relative")?,
         position_m: key("position_mm")?,
+        light_level_relative: read_light_level(document)?.unwrap_or(LIGHT_LEVEL_RELATIVE),
     })
 }
 

@@ -224,7 +224,11 @@ impl Session {
 
     /// A pose that the board has found.
     fn completed(&self, pose: &BoardPose) -> Tracked {
-        let mut tracked = Tracked { solution: pose.solution(), twist: None, filtered: None };
+        let mut tracked = Tracked {
+            solution: pose.solution(|cells| self.tracker.solver().redundancy(cells)),
+            twist: None,
+            filtered: None,
+        };
         self.head.complete_tracked(&mut tracked);
         tracked
     }

@@ -16,6 +16,7 @@ use super::super::accept::DISTINCT_SIGMAS;
 use super::super::accept::{EVEN, MAX_SIGMA};
 use super::super::algebra::{Factor, Matrix6, Vector6, add_outer, dot, square};
 use super::super::compiled::Compiled;
+use super::super::level::{Level, keeps_digits};
 use super::super::levenberg_marquardt::{MAX_SECOND_STEP, PATIENCE, REUSABLE_CHANGE, Stopping};
 use super::super::planes::{self, PULL, STEP_M};
 use super::super::step::SAFE_ROUNDINGS;
@@ -56,15 +57,17 @@ struct Linearised<R> {
     slacks_m: ArrayVec<R, MAX_CELLS>,
     information: Matrix6<R>,
     sums: ResidualSums<R>,
-    /// One where all cells have a spot, else zero.
-    lit: R,
+    /// `None`: the light level is known.
+    level: Option<Level<R>>,
+    /// One where all cells have a spot and the information has digits enough, else zero.
+    is_sound: R,
 }
 
 impl<R: Real> Linearised<R> {
     #[inline(always)]
     fn nowhere(zero: R) -> Self {
         let (information, sums) = ([[zero; 6]; 6], ResidualSums::zero(zero));
-        Self { rows: ArrayVec::new(), slacks_m: ArrayVec::new(), information, sums, lit: zero }
+        Self { rows: ArrayVec::new(), slacks_m: ArrayVec::new(), information, sums, level: None, is_sound: zero }
     }
 }
 
@@ -138,9 +141,9 @@ pub fn minimise<R: Real<Element = f64>, const EXACT: bool>(
     let mut linearised = Linearised::nowhere(zero);
     for round in 1.. {
         linearise::<R, EXACT>(head, &measured, &pose, &mut linearised);
-        let Linearised { information, sums, lit, .. } = &linearised;
+        let Linearised { information, sums, is_sound, .. } = &linearised;
         evaluations += active;
-        stays = both(stays, choose(active, both(*lit, above(before, sums.chi2)), one));
+        stays = both(stays, choose(active, both(*is_sound, above(before, sums.chi2)), one));
         let mut is_safe = one;
         let threshold = like.constant(SAFE_ROUNDINGS * f64::EPSILON);
         let factor = factor_of(information, threshold, &mut is_safe);
@@ -172,7 +175,7 @@ pub fn minimise<R: Real<Element = f64>, const EXACT: bool>(
         if any(reusing) {
             iterations += reusing;
             evaluations += reusing;
-            let again = reevaluate::<R, EXACT>(head, &measured, &linearised.rows, &trial);
+            let again = reevaluate::<R, EXACT>(head, &measured, &linearised, &trial);
             let half_way = factor.forward(&again.by_pose);
             let (second, second_reduction) = (factor.backward(&half_way), square(&half_way));
             let ratio = (second_reduction / reduction).root();
@@ -298,17 +301,21 @@ fn linearise<R: Real<Element = f64>, const EXACT: bool>(
     let scale = like.splat(head.length_scale_m);
     linearised.rows.clear();
     linearised.slacks_m.clear();
-    (linearised.information, linearised.sums, linearised.lit) = ([[zero; 6]; 6], ResidualSums::zero(zero), one);
+    (linearised.information, linearised.sums, linearised.is_sound) = ([[zero; 6]; 6], ResidualSums::zero(zero), one);
+    linearised.level = head.level_information.map(|prior| Level::of_prior(like.splat(prior)));
     for (cell, Measured { pair, whitener }) in measured.iter().enumerate() {
         let Some(terms) = head.plan.linearise_lanes::<R, EXACT>(cell, pose) else {
-            linearised.lit = zero;
+            linearised.is_sound = zero;
             return;
         };
         let scaled_whitener = whitener.scaled(scale);
         let currents = terms.currents;
         let residual = whitener.apply([pair[0] - currents.pair[0], pair[1] - currents.pair[1]]);
         let [first, second] = residual;
-        let mut rows = [Row { by_pose: [zero; 6], residual: first }, Row { by_pose: [zero; 6], residual: second }];
+        let mut rows = [first, second].map(|residual| Row { by_pose: [zero; 6], by_level: zero, residual });
+        if linearised.level.is_some() {
+            [rows[0].by_level, rows[1].by_level] = whitener.apply(currents.pair);
+        }
         for axis in 0..6 {
             let whitener = if axis < 3 { &scaled_whitener } else { whitener };
             let column = whitener.apply([terms.jacobian[0][axis], terms.jacobian[1][axis]]);
@@ -317,10 +324,21 @@ fn linearise<R: Real<Element = f64>, const EXACT: bool>(
         }
         let own = [&rows[0].by_pose, &rows[1].by_pose];
         add_outer(&mut linearised.information, own, own);
+        if let Some(level) = &mut linearised.level {
+            level.add(&rows, zero, 1);
+        }
         linearised.sums.add(&rows, zero, false);
-        linearised.lit = both(linearised.lit, currents.lit);
+        linearised.is_sound = both(linearised.is_sound, currents.lit);
         linearised.slacks_m.push(terms.slack_m);
         linearised.rows.push(rows);
+    }
+    if let Some(level) = &mut linearised.level {
+        level.settle(&linearised.sums);
+        let before = linearised.information;
+        level.take_from(&mut linearised.information, [0, 0]);
+        level.take_from_sums(&mut linearised.sums);
+        let threshold = like.constant(SAFE_ROUNDINGS * f64::EPSILON);
+        linearised.is_sound = both(linearised.is_sound, keeps_digits(&before, &linearised.information, threshold));
     }
 }
 
@@ -329,17 +347,20 @@ fn linearise<R: Real<Element = f64>, const EXACT: bool>(
 fn reevaluate<R: Real<Element = f64>, const EXACT: bool>(
     head: &Compiled<f64>,
     measured: &[Measured<R>],
-    rows: &[[Row<R>; 2]],
+    linearised: &Linearised<R>,
     pose: &Transform<R>,
 ) -> ResidualSums<R> {
     let zero = pose.translation().x().constant(0.0);
     let mut sums = ResidualSums::zero(zero);
-    for (cell, (Measured { pair, whitener }, rows)) in measured.iter().zip(rows).enumerate() {
+    for (cell, (Measured { pair, whitener }, rows)) in measured.iter().zip(&linearised.rows).enumerate() {
         let Some(currents) = head.plan.currents_lanes::<R, EXACT>(cell, pose) else { break };
         let residual = whitener.apply([pair[0] - currents.pair[0], pair[1] - currents.pair[1]]);
         let [first, second] = rows;
         let rows = [Row { residual: residual[0], ..*first }, Row { residual: residual[1], ..*second }];
         sums.add(&rows, zero, false);
+    }
+    if let Some(level) = &linearised.level {
+        level.take_from_sums(&mut sums);
     }
     sums
 }
@@ -414,8 +435,10 @@ fn conclude<R: Real<Element = f64>>(
     stays = both(stays, at_most(size + distance, chi2.constant(f64::MAX)));
     let mut least_visible = one;
     for [first, second] in &linearised.rows {
-        let (u, v) = (factor.forward(&first.by_pose), factor.forward(&second.by_pose));
-        let (uu, vv, uv) = (square(&u), square(&v), dot(&u, &v));
+        let reduced = |row: &Row<R>| linearised.level.as_ref().map_or((row.by_pose, zero), |level| level.reduced(row));
+        let ((by_first, p), (by_second, q)) = (reduced(first), reduced(second));
+        let (u, v) = (factor.forward(&by_first), factor.forward(&by_second));
+        let (uu, vv, uv) = (square(&u) + p * p, square(&v) + q * q, dot(&u, &v) + p * q);
         let half_difference = half * (uu - vv);
         let radius = (half_difference * half_difference + uv * uv).root();
         least_visible = least_visible.at_most(one - half * (uu + vv) - radius);

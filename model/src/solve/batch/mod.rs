@@ -14,7 +14,6 @@ use crate::pose::Pose;
 use crate::scene::MAX_CELLS;
 use crate::width::{Instructions, Lanes, Task, Width};
 
-use super::accept::redundancy;
 use super::accept::unscaled;
 use super::cold_start::DOUBTED;
 use super::compiled::{Compiled, MotionPrior};
@@ -174,14 +173,14 @@ impl<'a> Batch<'a> {
                 covariance: unscaled(&minima.inverse(lane), head.length_scale_m),
             }),
             chi2: minima.chi2[lane],
-            redundancy: redundancy(cells),
+            redundancy: head.redundancy(cells),
             iterations: minima.iterations[lane] as usize,
             evaluations: minima.evaluations[lane] as usize,
             cells_used: Cells::from_bits(u16::MAX >> (MAX_CELLS - cells)),
             excluded: Cells::default(),
             unnoticed_sigmas: super::accept::unnoticed_sigmas(
                 head.gates[cells],
-                redundancy(cells),
+                head.redundancy(cells),
                 minima.least_visible[lane],
             ),
             factor: Some(minima.factor(lane)),
