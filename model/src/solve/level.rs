@@ -10,7 +10,7 @@
 //! the rows (Kaufman, A variable projection method for solving separable nonlinear least squares problems, 1975). Rows
 //! weighted by the time of their exposure, of a motion that is not known ([`super::twist`]), lose the same part.
 
-use crate::scalar::Real;
+use crate::scalar::{Number, Real};
 
 use super::algebra::{Matrix6, Vector6};
 use super::weights::{ResidualSums, Row};
@@ -21,8 +21,10 @@ const FACTORS: [f64; 2] = [0.5, 2.0];
 /// Sums over rows of the last linearisation.
 #[derive(Clone, Copy, Debug)]
 pub struct Level<R> {
-    /// Aᵀc, of rows weighted by the zeroth, first and second power of their share.
-    moments: [Vector6<R>; 3],
+    /// Aᵀc by the pose; and of rows weighted by their share, and by its square, by the twist and by the bend.
+    by_pose: Vector6<R>,
+    by_twist: Vector6<R>,
+    by_bend: Vector6<R>,
     /// D.
     information: R,
     per_information: R,
@@ -35,21 +37,17 @@ impl<R: Real> Level<R> {
     #[inline(always)]
     pub fn of_prior(prior: R) -> Self {
         let (zero, one) = (prior.constant(0.0), prior.constant(1.0));
-        Self { moments: [[zero; 6]; 3], information: prior, per_information: zero, factor: one }
+        let none = [zero; 6];
+        let (per_information, factor) = (zero, one);
+        Self { by_pose: none, by_twist: none, by_bend: none, information: prior, per_information, factor }
     }
 
-    /// Adds the rows of one reading, exposed at `share` of the motion's duration, to the first `powers` of the sums.
+    /// Adds the rows of one reading.
     #[inline(always)]
-    pub fn add(&mut self, rows: &[Row<R>; 2], share: R, powers: usize) {
-        let [first, second] = rows;
+    pub fn add(&mut self, [first, second]: &[Row<R>; 2]) {
         self.information += first.by_level * first.by_level + second.by_level * second.by_level;
-        let mut weight = share.constant(1.0);
-        for moment in &mut self.moments[..powers] {
-            let (of_first, of_second) = (weight * first.by_level, weight * second.by_level);
-            for i in 0..6 {
-                moment[i] += of_first * first.by_pose[i] + of_second * second.by_pose[i];
-            }
-            weight = weight * share;
+        for i in 0..6 {
+            self.by_pose[i] += first.by_level * first.by_pose[i] + second.by_level * second.by_pose[i];
         }
     }
 
@@ -68,28 +66,35 @@ impl<R: Real> Level<R> {
         self.factor
     }
 
-    /// Marginalises the level: Σ τⁱ⁺ʲ·AᵀA becomes the information of unknowns with the powers `i` and `j` of the share.
+    /// Marginalises the level of AᵀA.
     #[inline(always)]
-    pub fn take_from(&self, matrix: &mut Matrix6<R>, [i, j]: [usize; 2]) {
+    pub fn take_from(&self, information: &mut Matrix6<R>) {
+        self.take(information, &self.by_pose, &self.by_pose);
+    }
+
+    #[inline(always)]
+    fn take(&self, matrix: &mut Matrix6<R>, by_row: &Vector6<R>, by_column: &Vector6<R>) {
         let square = self.factor * self.factor;
-        for (row, &by) in matrix.iter_mut().zip(&self.moments[i]) {
+        for (row, &by) in matrix.iter_mut().zip(by_row) {
             let share = by * self.per_information;
-            for (element, &other) in row.iter_mut().zip(&self.moments[j]) {
+            for (element, &other) in row.iter_mut().zip(by_column) {
                 *element = (*element - share * other) * square;
             }
         }
     }
 
-    /// Marginalises the level of χ² and the gradients.
+    /// Marginalises the level of χ² and of the gradient by the pose.
     #[inline(always)]
     pub fn take_from_sums(&self, sums: &mut ResidualSums<R>) {
         let share = sums.by_level * self.per_information;
         sums.chi2 = (sums.chi2 - share * sums.by_level).at_least(share.constant(0.0));
-        for (sums, moments) in [&mut sums.by_pose, &mut sums.by_twist, &mut sums.by_bend].into_iter().zip(&self.moments)
-        {
-            for (sum, &moment) in sums.iter_mut().zip(moments) {
-                *sum = (*sum - moment * share) * self.factor;
-            }
+        self.take_share(&mut sums.by_pose, &self.by_pose, share);
+    }
+
+    #[inline(always)]
+    fn take_share(&self, sums: &mut Vector6<R>, moments: &Vector6<R>, share: R) {
+        for (sum, &moment) in sums.iter_mut().zip(moments) {
+            *sum = (*sum - moment * share) * self.factor;
         }
     }
 
@@ -97,11 +102,53 @@ impl<R: Real> Level<R> {
     #[inline(always)]
     pub fn reduced(&self, row: &Row<R>) -> (Vector6<R>, R) {
         let mut by_pose = row.by_pose;
-        let share = row.by_level * self.per_information;
-        for (element, &moment) in by_pose.iter_mut().zip(&self.moments[0]) {
-            *element = (*element - moment * share) * self.factor;
-        }
+        self.take_share(&mut by_pose, &self.by_pose, row.by_level * self.per_information);
         (by_pose, row.by_level * self.per_information.root())
+    }
+}
+
+/// The matrices Σ τⁿ·AᵀA of a motion that is not known, by their rows and columns.
+#[derive(Clone, Copy)]
+pub enum Unknowns {
+    PoseTwist,
+    Twist,
+    PoseBend,
+    BendTwist,
+    Bend,
+}
+
+impl<S: Number> Level<S> {
+    /// [`Self::add`] of rows exposed at `share` of the duration of a motion that is not known.
+    #[inline(never)]
+    pub fn add_moving(&mut self, rows: &[Row<S>; 2], share: S) {
+        self.add(rows);
+        let [first, second] = rows;
+        for i in 0..6 {
+            let moment = share * (first.by_level * first.by_pose[i] + second.by_level * second.by_pose[i]);
+            self.by_twist[i] += moment;
+            self.by_bend[i] += share * moment;
+        }
+    }
+
+    /// Marginalises the level of such a matrix.
+    #[inline(never)]
+    pub fn take_from_motion(&self, matrix: &mut Matrix6<S>, of: Unknowns) {
+        let (by_row, by_column) = match of {
+            Unknowns::PoseTwist => (&self.by_pose, &self.by_twist),
+            Unknowns::Twist => (&self.by_twist, &self.by_twist),
+            Unknowns::PoseBend => (&self.by_pose, &self.by_bend),
+            Unknowns::BendTwist => (&self.by_bend, &self.by_twist),
+            Unknowns::Bend => (&self.by_bend, &self.by_bend),
+        };
+        self.take(matrix, by_row, by_column);
+    }
+
+    /// Marginalises the level of the gradients by a motion that is not known, before [`Self::take_from_sums`].
+    #[inline(never)]
+    pub fn take_from_motion_sums(&self, sums: &mut ResidualSums<S>) {
+        let share = sums.by_level * self.per_information;
+        self.take_share(&mut sums.by_twist, &self.by_twist, share);
+        self.take_share(&mut sums.by_bend, &self.by_bend, share);
     }
 }
 

@@ -104,12 +104,6 @@ fn whiteners<S: Number>(noise: &[CellNoise<S>], readings: &[Usable<S>]) -> White
     readings.iter().map(|reading| noise[reading.cell].whitener(reading.pair)).collect()
 }
 
-/// cᵀc and cᵀr of whitened pairs c and r.
-fn level_sums<S: Number>(by_level: &[[S; 2]], residuals: &[[S; 2]]) -> (S, S) {
-    let pairs = by_level.as_flattened().iter().zip(residuals.as_flattened());
-    pairs.fold((S::zero(), S::zero()), |(square, along), (&c, &r)| (square + c * c, along + c * r))
-}
-
 /// χ² = rᵀr, the information JᵀJ and Jᵀr at a pose, light level and twist eliminated.
 #[derive(Clone, Copy, Debug)]
 pub struct NormalEquations<S> {
@@ -237,7 +231,7 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
                 let own = [&rows[0].by_pose, &rows[1].by_pose];
                 add_outer(&mut information, own, own);
                 if let Some(level) = level {
-                    level.add(&rows, self.share(reading), self.powers());
+                    self.add_level(level, &rows, reading);
                 }
                 if !is_twist_known {
                     elimination.add(self.share(reading), &rows);
@@ -261,7 +255,7 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
     }
 
     /// The normal equations of rows with this `information` and these `sums`, without the `level` and the motion.
-    #[inline(always)]
+    #[inline(never)]
     pub fn marginalised(
         &self,
         information: Matrix6<S>,
@@ -272,8 +266,8 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
         let mut normal = NormalEquations { chi2: sums.chi2, information, gradient: sums.by_pose, is_safe: true };
         let level = level.map(|level| {
             level.settle(&sums);
-            level.take_from(&mut normal.information, [0, 0]);
-            level.take_from_sums(&mut sums);
+            level.take_from(&mut normal.information);
+            self.take_level(level, &mut sums);
             let threshold = S::of(SAFE_ROUNDINGS) * S::epsilon();
             normal.is_safe = keeps_digits(&information, &normal.information, threshold) > S::zero();
             (normal.chi2, normal.gradient) = (sums.chi2, sums.by_pose);
@@ -285,10 +279,23 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
         normal
     }
 
-    /// How many powers of the share of an exposure weight rows: one where the motion is known.
-    #[inline(always)]
-    pub fn powers(&self) -> usize {
-        1 + usize::from(self.motion.prior.is_some()) + usize::from(self.motion.bend_prior.is_some())
+    /// Adds the `rows` of a reading to the sums of a light level that is not known.
+    #[inline]
+    pub fn add_level(&self, level: &mut Level<S>, rows: &[Row<S>; 2], reading: &Usable<S>) {
+        if self.motion.prior.is_some() {
+            level.add_moving(rows, self.share(reading));
+        } else {
+            level.add(rows);
+        }
+    }
+
+    /// Marginalises the light level of the `sums` over all rows.
+    #[inline]
+    fn take_level(&self, level: &Level<S>, sums: &mut ResidualSums<S>) {
+        if self.motion.prior.is_some() {
+            level.take_from_motion_sums(sums);
+        }
+        level.take_from_sums(sums);
     }
 
     /// The rows of a reading whose cell has these `terms`.
@@ -364,31 +371,39 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
         let mut residuals: ArrayVec<[S; 2], MAX_CELLS> =
             self.sorted.usable.iter().zip(&self.whiteners).map(of).collect();
         if let Some(prior) = self.head.level_information {
-            let by_level: ArrayVec<[S; 2], MAX_CELLS> = self.by_level(&currents).collect();
-            let (square, along) = level_sums(&by_level, &residuals);
-            // c·cᵀ/(√D·(√D + s⁻¹)) of D = cᵀc + s⁻².
-            let root = (square + prior).root();
+            let (information, along) = self.level_sums(&currents, prior);
+            // (I + s²·c·cᵀ)^(−½) = I − c·cᵀ/(√D·(√D + s⁻¹)).
+            let root = information.root();
             let share = along / (root * (root + prior.root()));
-            for (residual, by_level) in residuals.iter_mut().flatten().zip(by_level.iter().flatten()) {
-                *residual -= share * *by_level;
+            for (residual, (reading, of)) in residuals.iter_mut().zip(self.sorted.usable.iter().zip(&self.whiteners)) {
+                let [first, second] = of.apply(currents[reading.cell]);
+                residual[0] -= share * first;
+                residual[1] -= share * second;
             }
         }
         residuals
     }
 
-    /// The whitened `currents` of the readings' cells.
-    fn by_level(&self, currents: &[[S; 2]]) -> impl Iterator<Item = [S; 2]> {
-        self.sorted.usable.iter().zip(&self.whiteners).map(|(reading, of)| of.apply(currents[reading.cell]))
-    }
-
     /// By what factor all light is brighter than the head's scene says, if the tool is where the cells deliver `currents`.
     pub fn light_level(&self, currents: &[[S; 2]]) -> S {
-        let Some(prior) = self.head.level_information else { return S::one() };
-        let by_level: ArrayVec<[S; 2], MAX_CELLS> = self.by_level(currents).collect();
-        let measured: ArrayVec<[S; 2], MAX_CELLS> =
-            self.sorted.usable.iter().zip(&self.whiteners).map(|(reading, of)| of.apply(reading.pair)).collect();
-        let (square, along) = level_sums(&by_level, &measured);
-        (along + prior) / (square + prior)
+        self.head.level_information.map_or(S::one(), |prior| {
+            let (information, along) = self.level_sums(currents, prior);
+            S::one() + along / information
+        })
+    }
+
+    /// D and cᵀr of the readings where the cells deliver `currents`: see [`super::level`].
+    #[inline(never)]
+    fn level_sums(&self, currents: &[[S; 2]], prior: S) -> (S, S) {
+        let (mut information, mut along) = (prior, S::zero());
+        for (reading, of) in self.sorted.usable.iter().zip(&self.whiteners) {
+            let [expected, measured] = [of.apply(currents[reading.cell]), of.apply(reading.pair)];
+            for (c, measured) in expected.into_iter().zip(measured) {
+                information += c * c;
+                along += c * (measured - c);
+            }
+        }
+        (information, along)
     }
 
     /// χ² and gradient at `pose`, with the Jacobian of the last linearisation.
@@ -415,7 +430,7 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
         }
         let mut sums = self.residual_sums(workspace);
         if let Some(level) = &workspace.level {
-            level.take_from_sums(&mut sums);
+            self.take_level(level, &mut sums);
         }
         workspace.elimination.apply(&sums)
     }

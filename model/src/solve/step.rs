@@ -160,7 +160,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
         let of_readings = workspace.rows.iter().enumerate().filter(|(reading, _)| *reading != index);
         if let Some(level) = &mut level {
             for (reading, rows) in of_readings.clone() {
-                level.add(rows, self.share(&self.sorted.usable[reading]), self.powers());
+                self.add_level(level, rows, &self.sorted.usable[reading]);
             }
         }
         let of_readings = of_readings.map(|(reading, rows)| (reading, rows.as_slice()));

@@ -16,7 +16,7 @@ use crate::scalar::Number;
 
 use super::algebra::{Factor, Matrix6, Vector6, add_outer, mirror};
 use super::compiled::Prior;
-use super::level::Level;
+use super::level::{Level, Unknowns};
 use super::weights::{ResidualSums, Row};
 
 /// Largest information a prior on the motion can have: it is then known.
@@ -120,16 +120,15 @@ impl<S: Number> Elimination<S> {
             return (sums.chi2, sums.by_pose);
         };
         mirror(mixed);
-        // A row of a matrix of two unknowns is by the one with the lower power.
-        let take_level = |matrix: &mut Matrix6<S>, powers| {
+        let take_level = |matrix: &mut Matrix6<S>, of| {
             if let Some(level) = level {
-                level.take_from(matrix, powers);
+                level.take_from_motion(matrix, of);
             }
         };
         // The factorisation of a symmetric matrix reads the lower half.
         let mut with_prior = *twist;
-        take_level(mixed, [0, 1]);
-        take_level(&mut with_prior, [1, 1]);
+        take_level(mixed, Unknowns::PoseTwist);
+        take_level(&mut with_prior, Unknowns::Twist);
         add_prior(&mut with_prior, prior);
         // Positive definite, by the prior.
         let Some(factor) = Factor::of_matrix(&with_prior, S::zero(), S::zero()) else {
@@ -140,9 +139,9 @@ impl<S: Number> Elimination<S> {
         if let (Some(prior), [with_bend, bend]) = (motion.bend_prior, of_bend) {
             mirror(twist);
             mirror(with_bend);
-            take_level(twist, [0, 2]);
-            take_level(with_bend, [2, 1]);
-            take_level(bend, [2, 2]);
+            take_level(twist, Unknowns::PoseBend);
+            take_level(with_bend, Unknowns::BendTwist);
+            take_level(bend, Unknowns::Bend);
             columns(with_bend, &factor);
             add_prior(bend, prior);
             take(bend, with_bend, with_bend);

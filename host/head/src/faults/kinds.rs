@@ -322,7 +322,7 @@ pub const KINDS: [Kind; 27] = [
         effect: Effect::Warm,
         keys: &[key("by", Unit::Kelvin, "20K"), key("over", Unit::Time, "1s")],
         what: "warms head and board within OVER: emitters weaken, dark currents rise",
-        sees: "degraded (misfit, doubted); temperature in status",
+        sees: "temperature in status; poses stay right: the light level is an unknown of each scan",
         example: "warm:by=20K,over=2s",
         ..LIGHT
     },

@@ -325,7 +325,7 @@ fn linearise<R: Real<Element = f64>, const EXACT: bool>(
         let own = [&rows[0].by_pose, &rows[1].by_pose];
         add_outer(&mut linearised.information, own, own);
         if let Some(level) = &mut linearised.level {
-            level.add(&rows, zero, 1);
+            level.add(&rows);
         }
         linearised.sums.add(&rows, zero, false);
         linearised.is_sound = both(linearised.is_sound, currents.lit);
@@ -335,7 +335,7 @@ fn linearise<R: Real<Element = f64>, const EXACT: bool>(
     if let Some(level) = &mut linearised.level {
         level.settle(&linearised.sums);
         let before = linearised.information;
-        level.take_from(&mut linearised.information, [0, 0]);
+        level.take_from(&mut linearised.information);
         level.take_from_sums(&mut linearised.sums);
         let threshold = like.constant(SAFE_ROUNDINGS * f64::EPSILON);
         linearised.is_sound = both(linearised.is_sound, keeps_digits(&before, &linearised.information, threshold));
