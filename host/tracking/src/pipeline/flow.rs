@@ -11,7 +11,7 @@ use slitpose_protocol::{Batch, BoardKind, Hello, Message, Poses, Stream, Truth};
 
 use super::board_clock::{BoardClock, Span};
 use super::board_poses::BoardPose;
-use super::oddity::ClockWatch;
+use super::item::ClockWatch;
 use super::session::Session;
 use super::waiting::{Content, Waiting};
 use super::{Counts, Item, Oddity, PipelineError, PipelineOptions, PoseSource, Record, Scan, SceneMatch};

@@ -11,7 +11,6 @@ mod board_poses;
 mod counts;
 mod flow;
 mod item;
-mod oddity;
 mod session;
 #[cfg(test)]
 mod tests;
@@ -25,8 +24,7 @@ use slitpose_protocol::{DELIMITER, Decoder, MAX_MESSAGE_BYTES, Message, Status};
 pub use board_poses::{Agreement, PoseFault};
 pub use counts::reason;
 pub use counts::{Counts, Outcomes};
-pub use item::{Item, PipelineError, PipelineOptions, PoseSource, Record, SceneMatch};
-pub use oddity::Oddity;
+pub use item::{Item, Oddity, PipelineError, PipelineOptions, PoseSource, Record, SceneMatch};
 pub use session::{check, check_calibration, head_of};
 pub use waiting::{Queue, Scan};
 

@@ -5,7 +5,6 @@
 //! finds its first pose from nothing. [`Yields::PosesOfPart`] is for parts that are to give what the whole gives.
 
 mod board;
-mod choice;
 mod files;
 
 use std::collections::{BTreeSet, VecDeque};
@@ -21,8 +20,7 @@ use crate::capture::{CaptureReader, CapturedBasis, Entry, Setup};
 use crate::link::{DeviceId, Segment};
 use crate::pipeline::{Item, Pipeline, PipelineError, Scan, SceneMatch};
 use crate::solving::head_by;
-pub use board::{Board, Seam};
-pub use choice::{Choice, PlaybackError, Yields};
+pub use board::{Board, Choice, PlaybackError, Seam, Yields};
 
 use board::{Faulty, Phase};
 

@@ -1,4 +1,3 @@
-mod crystal;
 mod link;
 
 use hdrhistogram::Histogram;
