@@ -203,7 +203,7 @@ impl<R: Read> Records<R> {
             _ => false,
         };
         let (begin, end) = (at + FRAME_BYTES, at + FRAME_BYTES + length);
-        if !is_consistent || self.window.fill(end)?.len() < end {
+        if !is_consistent || self.window.fill(end)?.len() < end || !(follows || self.is_continued(opcode, end)?) {
             return Ok(Found::Nothing);
         }
         let body = begin..end;
@@ -226,6 +226,18 @@ impl<R: Read> Records<R> {
                 _ => true,
             };
         Ok(if is_sound { Found::Record { opcode, body, end } } else { Found::Nothing })
+    }
+
+    /// Whether what follows a record at `end` may follow it, as far as nothing else proves the record.
+    fn is_continued(&mut self, opcode: u8, end: usize) -> io::Result<bool> {
+        match opcode {
+            op::DATA_END => self.is_record_or_end(end),
+            op::FOOTER => {
+                let behind = &self.window.fill(end + mcap::MAGIC.len())?[end..];
+                Ok(mcap::MAGIC.starts_with(&behind[..behind.len().min(mcap::MAGIC.len())]))
+            }
+            _ => Ok(true),
+        }
     }
 
     /// Whether a record may begin at `at`, or the file ends there.
