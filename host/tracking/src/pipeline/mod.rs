@@ -141,7 +141,7 @@ impl Pipeline {
             self.flow.counts.scans_skipped += 1;
             let session = session_of(&mut self.flow.earlier, &mut self.flow.session, scan.session)?;
             if let Content::Words(words) = &scan.content {
-                let photocurrents = session.photocurrents(words);
+                let photocurrents = session.stage.photocurrents(words);
                 return Some((scan, photocurrents));
             }
         }
@@ -159,7 +159,7 @@ impl Pipeline {
     pub fn state(&self) -> Option<u64> {
         let session = self.flow.session.as_ref()?;
         // The text of a float says all its bits, and a field that is added to the tracker is in it.
-        Some(fnv1a_64(format!("{} {:?}", session.number(), session.state()).as_bytes()))
+        Some(fnv1a_64(format!("{} {:?}", session.number, session.state()).as_bytes()))
     }
 
     /// Drops the `count` oldest waiting scans unsolved, and counts them.
@@ -242,7 +242,7 @@ impl Pipeline {
 
     /// The photocurrents of the scan that was solved last; `None` before the first hello.
     pub fn last_photocurrents(&self) -> Option<&Photocurrents> {
-        self.flow.session.as_ref().map(|session| session.last_photocurrents())
+        self.flow.session.as_ref().map(|session| &session.photocurrents)
     }
 
     /// The health of the head, if it is [monitored](Self::watched).

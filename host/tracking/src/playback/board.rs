@@ -10,8 +10,8 @@ use slitpose_head::scene_file::SceneFileError;
 use slitpose_model::SceneError;
 use thiserror::Error;
 
-use super::files::HostClock;
 use crate::capture::{CaptureError, Setup};
+use crate::clock::UtcWatch;
 use crate::link::{DeviceId, Segment};
 use crate::pipeline::{Pipeline, PipelineError};
 use crate::solving::Solving;
@@ -25,7 +25,7 @@ pub struct Board {
     /// What has become of its bytes so far.
     pub pipeline: Pipeline,
     pub(super) setup: Option<Box<Setup>>,
-    pub(super) host_clock: HostClock,
+    pub(super) utc: UtcWatch,
     /// Nothing more can be made of it until its link was opened anew.
     pub(super) is_unusable: bool,
     pub(super) phase: Phase,
@@ -70,13 +70,13 @@ impl Board {
         phase: Phase,
         faulty: Option<Box<Faulty>>,
     ) -> Self {
-        let (host_clock, seam) = (HostClock::default(), Seam::default());
+        let (utc, seam) = (UtcWatch::default(), Seam::default());
         Self {
             device,
             head,
             pipeline,
             setup,
-            host_clock,
+            utc,
             is_unusable: false,
             phase,
             faulty,

@@ -367,7 +367,7 @@ impl Playback {
             return Ok(());
         }
         let is_heard = board.phase == Phase::Within;
-        for set_by_s in segment.reads.iter().filter_map(|read| board.host_clock.set_by_s(read.at?)) {
+        for set_by_s in segment.reads.iter().filter_map(|read| board.utc.step_s(read.at?)) {
             if is_heard {
                 let remark = format!("the clock of the host was set by {set_by_s:+.3} s while it recorded");
                 hear(Event::Remark(&remark))?;
