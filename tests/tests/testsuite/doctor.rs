@@ -74,20 +74,6 @@ fn a_simulated_board_is_well_and_its_bundle_is_whole() {
 }
 
 #[test]
-fn dark_current_is_nothing_to_complain_of() {
-    let mut scene = tempfile::NamedTempFile::new().expect("temporary file");
-    let text = changed(WIDE.text, &[("dark_current_a = 0.0", "dark_current_a = 200e-9")]);
-    scene.write_all(text.as_bytes()).expect("written");
-    let scene = scene.path().to_str().expect("UTF-8");
-    // A second of health, and one to begin with.
-    let (finished, checks) = doctor("sim", &["--duration", "2s", "--scene", scene]);
-    for name in ["scene", "full scale", "board", "link", "poses", "health"] {
-        assert_eq!(checks.get(name).map(String::as_str), Some("ok"), "{name}: {checks:?}");
-    }
-    assert_eq!(finished.code, 0, "{}", finished.stderr);
-}
-
-#[test]
 fn a_board_on_a_port_is_well() {
     let (finished, checks, path) = at(Board::wide(91));
     for name in ["ports", "permission", "exclusive", "hello", "scene", "board", "link", "poses"] {

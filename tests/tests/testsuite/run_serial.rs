@@ -250,16 +250,6 @@ fn garbage_is_not_a_board() {
     assert!(log.commands().iter().all(|command| *command == Command::Hello));
 }
 
-#[test]
-fn a_board_of_another_version_is_named_as_such() {
-    let device = greeting(Board::wide(69), |hello| {
-        hello.protocol.major = 7;
-    });
-    let (finished, log, path) = run(device, &[]);
-    finished.assert_refused(1, &[&path, "protocol 7.0", &PROTOCOL.to_string(), "update"]);
-    assert!(log.commands().iter().all(|command| *command == Command::Hello));
-}
-
 /// The default board, except that it refuses one kind of command.
 fn refusing(refused: fn(&Command) -> bool, rejection: Rejection) -> impl Device {
     let mut board = Board::wide(70);
@@ -360,20 +350,6 @@ fn what_is_no_port_is_named() {
         let (device, [option, value]) = ("/dev/no-such-board", option);
         slitpose!().run(["run", "--device", device, option, value]).assert_refused(2, &[option, device]);
     }
-}
-
-#[test]
-fn a_port_in_use_is_left_alone() {
-    let terminal = Terminal::serve(Board::wide(72));
-    let mut first = spawn(&terminal, &["--duration", "1s"]);
-    let mut stdout = BufReader::new(first.stdout.take().expect("piped"));
-    let mut text = String::new();
-    stdout.read_line(&mut text).expect("line");
-    let second = slitpose!().run(["run", "--device", &terminal.path, "--duration", "100ms"]);
-    second.assert_refused(1, &[&terminal.path, "in use"]);
-    stdout.read_to_string(&mut text).expect("UTF-8");
-    assert_eq!(Finished::of(first).code, 0);
-    assert_eq!(ndjson::parse(&text).len(), 4000);
 }
 
 /// Scans of more than half a second are on their way to an output that is not read: the pipe and all

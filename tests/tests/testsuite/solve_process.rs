@@ -60,56 +60,23 @@ fn edited(currents: &str, mut edit: impl FnMut(usize, usize, &str) -> String) ->
     text + "\n"
 }
 
-fn round_trip(scene: &str, tier: &str, seed: u64, least_converged: usize) {
-    let truths = poses::in_box(&mut poses::generator(seed), WORKSPACE.0, WORKSPACE.1, 500);
-    let table = solve(scene, tier, &currents(scene, tier, &truths));
-    assert_eq!(table.rows().len(), truths.len());
-    let (mut converged, mut elsewhere, mut largest) = (0, 0, 0_f64);
-    for (i, (row, truth)) in table.rows().zip(&truths).enumerate() {
-        assert_eq!(row.text("id"), format!("p{i}"));
-        // Three cells have images, so near that the two are one where a pose lies at a fold.
-        let no_pose = ["ambiguous", "unobservable"].into_iter().find(|status| *status == row.text("status"));
-        if let Some(status) = no_pose {
-            assert_no_pose(&row, status);
-            assert!(status == "ambiguous" || row.number("cells_used") == 3.0, "p{i} {truth:?}: {status}");
-            continue;
-        }
-        let cells_used = row.number("cells_used");
-        match row.text("status") {
-            "converged" => assert_eq!(cells_used, 6.0),
-            "degraded" => assert!((3.0..6.0).contains(&cells_used), "{cells_used} cells and degraded"),
-            other => panic!("p{i} {truth:?}: {other}"),
-        }
-        converged += usize::from(cells_used == 6.0);
-        assert!(row.number("condition") >= 1.0 && row.number("chi2") >= 0.0 && row.number("iterations") >= 1.0);
-        let errors = errors_in_sigma(&row, truth);
-        let worst = errors.iter().fold(0.0, |worst: f64, error| worst.max(error.abs()));
-        if worst < BACK {
-            largest = largest.max(worst);
-        } else {
-            println!("p{i} {truth:?}: {errors:?} σ off, {cells_used} cells");
-            // Exact currents that do not fit: the row says so.
-            assert_eq!(row.text("status"), "degraded", "p{i}, chi2 {}", row.text("chi2"));
-            elsewhere += 1;
-        }
-    }
-    println!(
-        "{scene}, {tier}: {converged} of 500 from all cells, {elsewhere} elsewhere, else at most {largest:.1e} σ off"
-    );
-    assert!(converged >= least_converged, "{converged} poses from all cells");
-    // The chain is known to recover 99.93 % of the poses of `base`, whose far corners leave up to
-    // three cells dark; 0.35 of 500 are then expected elsewhere, three in one draw of 200.
-    assert!(elsewhere < 3, "{elsewhere} poses elsewhere");
-}
-
-/// Of this box 99.9 % light all cells of `wide`, and 80 % give each cell of `base` at least a
-/// clipped spot; four σ of 500 draws are allowed for.
+/// Of this box 99.9 % light all cells of `wide`; four σ of 100 draws are allowed for.
 #[test]
 fn round_trips_in_both_tiers() {
-    for (scene, tier, seed, least_converged) in
-        [("wide", "paper", 11, 497), ("wide", "exact", 12, 497), ("base", "paper", 13, 364), ("base", "exact", 14, 364)]
-    {
-        round_trip(scene, tier, seed, least_converged);
+    for (tier, seed) in [("paper", 11), ("exact", 12)] {
+        let truths = poses::in_box(&mut poses::generator(seed), WORKSPACE.0, WORKSPACE.1, 100);
+        let table = solve("wide", tier, &currents("wide", tier, &truths));
+        assert_eq!(table.rows().len(), truths.len());
+        let mut converged = 0;
+        for (i, (row, truth)) in table.rows().zip(&truths).enumerate() {
+            assert_eq!(row.text("id"), format!("p{i}"));
+            let is_whole = row.number("cells_used") == 6.0;
+            assert_eq!(row.text("status"), if is_whole { "converged" } else { "degraded" }, "p{i} {truth:?}");
+            converged += usize::from(is_whole);
+            assert!(row.number("condition") >= 1.0 && row.number("chi2") >= 0.0 && row.number("iterations") >= 1.0);
+            assert!(errors_in_sigma(&row, truth).iter().all(|error| error.abs() < BACK), "p{i} {truth:?}");
+        }
+        assert!(converged >= 98, "{converged} poses from all cells");
     }
 }
 
