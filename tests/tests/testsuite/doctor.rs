@@ -3,7 +3,7 @@
 //! plants is named by the step that looks for it.
 
 use std::collections::BTreeMap;
-use std::io::{BufRead, BufReader, Write};
+use std::io::{BufRead, BufReader};
 use std::process::Command;
 use std::time::Duration;
 
@@ -14,7 +14,6 @@ use slitpose_emulator::faults::{Fault, Kind};
 use slitpose_head::scene_file::WIDE;
 use slitpose_protocol::Message;
 use slitpose_tests::process::{Finished, name_in};
-use slitpose_tests::scenes::changed;
 use slitpose_tests::slitpose;
 use slitpose_tests::terminal::{Board, Device, Terminal, edited, greeting};
 

@@ -12,7 +12,7 @@ use nix::sys::signal::Signal;
 use slitpose::datagram::PoseDatagram;
 use slitpose_head::scene_file::WIDE;
 use slitpose_protocol::{
-    BoardKind, Command, DELIMITER, Decoder, HardwareFault, MAX_REQUEST_BYTES, Message, PROTOCOL, Rejection, Request,
+    BoardKind, Command, DELIMITER, Decoder, HardwareFault, MAX_REQUEST_BYTES, Message, Rejection, Request,
 };
 use slitpose_tests::capture::decode;
 use slitpose_tests::consistency::Honesty;
@@ -208,12 +208,19 @@ fn a_board_that_is_unplugged_is_missed() {
 #[test]
 fn a_board_that_falls_silent_or_stops_by_itself_is_missed() {
     for (stops, what) in [(false, "no data for 0.45 s from the board on"), (true, "has stopped sampling")] {
-        let mut board = Board::wide(67);
+        let (mut board, mut bytes) = (Board::wide(67), 0);
         let device = move |received: &[u8], now_s: f64, sent: &mut Vec<u8>| {
-            if stops && now_s > 0.4 {
+            // Some hundred scans.
+            if bytes > 40_000 {
                 board.command(Command::Stop);
             }
-            (!stops && now_s >= 0.4) || board.act(received, now_s, sent)
+            if bytes > 40_000 && !stops {
+                return true;
+            }
+            let before = sent.len();
+            let plugged = board.act(received, now_s, sent);
+            bytes += sent.len() - before;
+            plugged
         };
         let (finished, log, path) = run(device, &["--duration", "10s"]);
         assert_eq!(finished.code, 1, "{}", finished.stderr);
@@ -225,29 +232,21 @@ fn a_board_that_falls_silent_or_stops_by_itself_is_missed() {
 }
 
 #[test]
-fn silence_is_not_a_board() {
-    let started = Instant::now();
-    let (finished, log, path) = run(|_: &[u8], _: f64, _: &mut Vec<u8>| true, &["--patience", "0s"]);
-    finished.assert_refused(1, &[&path, "not a byte"]);
-    assert!(started.elapsed() >= Duration::from_secs(2));
-    let commands = log.commands();
-    // Every 250 ms of 2 s.
-    assert!(commands.len() >= 6 && commands.iter().all(|command| *command == Command::Hello), "{commands:?}");
-}
-
-#[test]
-fn garbage_is_not_a_board() {
-    let mut count = 0;
-    let garbage = move |_: &[u8], _: f64, sent: &mut Vec<u8>| {
-        if count < 1000 {
-            sent.extend([0x55, 0x00, 0xaa, 0x13, 0xff]);
-            count += 5;
-        }
-        true
-    };
-    let (finished, log, path) = run(garbage, &["--patience", "0s"]);
-    finished.assert_refused(1, &[&path, "1000 bytes", "no hello"]);
-    assert!(log.commands().iter().all(|command| *command == Command::Hello));
+fn silence_and_garbage_are_no_boards() {
+    for (count, parts) in [(0, &["not a byte"][..]), (1000, &["1000 bytes", "no hello"])] {
+        let (started, mut left) = (Instant::now(), count);
+        let garbage = move |_: &[u8], _: f64, sent: &mut Vec<u8>| {
+            sent.extend(&[0x55, 0x00, 0xaa, 0x13, 0xff][..left.min(5)]);
+            left -= left.min(5);
+            true
+        };
+        let (finished, log, path) = run(garbage, &["--patience", "0s"]);
+        finished.assert_refused(1, &[parts, &[&path]].concat());
+        let commands = log.commands();
+        assert!(commands.iter().all(|command| *command == Command::Hello), "{commands:?}");
+        // Every 250 ms of 2 s.
+        assert!(count > 0 || (commands.len() >= 6 && started.elapsed() >= Duration::from_secs(2)), "{commands:?}");
+    }
 }
 
 /// The default board, except that it refuses one kind of command.
