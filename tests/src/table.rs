@@ -33,11 +33,6 @@ impl Table {
         Self { header, rows }
     }
 
-    /// Names of its columns.
-    pub fn header(&self) -> &[String] {
-        &self.header
-    }
-
     /// Its rows, in order.
     pub fn rows(&self) -> impl ExactSizeIterator<Item = Row<'_>> {
         self.rows.iter().map(|record| Row { header: &self.header, record })
