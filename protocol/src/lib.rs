@@ -213,9 +213,7 @@ mod message;
 pub mod poses;
 mod scan;
 mod schedule;
-mod schedule_error;
 pub mod schema;
-mod start;
 
 use core::fmt;
 
@@ -230,13 +228,12 @@ pub use frame::{
     DELIMITER, EncodeError, FrameError, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Packet, PayloadError, encode,
 };
 pub use message::{
-    BoardKind, Event, HardwareFault, Hello, Message, Pong, Rejection, Reply, ResetCause, Severity, Status, Truth,
+    BoardKind, ClockSource, Event, HardwareFault, Hello, Message, Pong, Rejection, Reply, ResetCause, SettingsSource,
+    Severity, Status, Truth,
 };
 pub use poses::{PoseRecord, PoseStatus, Poses, PosesBuilder};
 pub use scan::{AdcScaling, Level, Levels, RawScan, ScalingError, WordPair};
-pub use schedule::{EmitterSet, MAX_CELLS, MAX_OVERSAMPLING, MAX_SLOTS, Schedule};
-pub use schedule_error::{Quantity, ScheduleError};
-pub use start::{ClockSource, SettingsSource};
+pub use schedule::{EmitterSet, MAX_CELLS, MAX_OVERSAMPLING, MAX_SLOTS, Quantity, Schedule, ScheduleError};
 
 /// Version of the protocol this crate speaks.
 pub const PROTOCOL: ProtocolVersion = ProtocolVersion { major: 2, minor: 0 };

@@ -3,8 +3,7 @@
 //! * [`process`] runs the `slitpose` command, [`daemon`] watches it while it runs;
 //! * [`terminal`] puts boards on pseudo-terminals;
 //! * [`scenes`] writes scene files, [`poses`] draws poses, [`capture`] records a simulated board;
-//! * [`table`] and [`ndjson`] read what commands print;
-//! * [`mod@reference`] holds independent numbers;
+//! * [`table`] and [`ndjson`] read what commands print, and independent numbers;
 //! * [`consistency`] judges poses against the truth and says how far chance goes;
 //! * [`studies`] has all that is also run for long: by the example `study` in full size, by the tests in small.
 //!
@@ -18,7 +17,6 @@ pub mod daemon;
 pub mod ndjson;
 pub mod poses;
 pub mod process;
-pub mod reference;
 pub mod scenes;
 pub mod studies;
 pub mod table;

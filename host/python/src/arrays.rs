@@ -1,9 +1,13 @@
-//! Columns that become numpy arrays.
+//! Columns that become numpy arrays; rotation vectors and quaternions, as the command computes them.
 
-use numpy::{Element, IntoPyArray, PyArray, PyArrayMethods};
+use glam::{DQuat, DVec3};
+use numpy::{Element, IntoPyArray, PyArray, PyArray2, PyArrayMethods, PyReadonlyArray2};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use slitpose_model::{AXES, DegradedReason, Outcome, Pose, Solution, TwistEstimate, Verified};
+use slitpose_model::{
+    AXES, DegradedReason, Outcome, Pose, Solution, TwistEstimate, Verified, rotation_exp, rotation_log,
+};
 use slitpose_tracking::link::DeviceId;
 use slitpose_tracking::pipeline::{Outcomes, Record};
 
@@ -125,6 +129,15 @@ impl SolutionColumns {
     }
 }
 
+/// The number of a board among `devices`, to which it is added if it is new.
+pub(crate) fn number_in(devices: &mut Vec<DeviceId>, device: DeviceId) -> u8 {
+    let number = devices.iter().position(|known| *known == device).unwrap_or_else(|| {
+        devices.push(device);
+        devices.len() - 1
+    });
+    number as u8
+}
+
 /// Poses of a stream, one a row.
 #[derive(Default)]
 pub(crate) struct RecordColumns {
@@ -158,11 +171,7 @@ struct FilteredColumns {
 
 impl RecordColumns {
     pub(crate) fn push(&mut self, record: &Record, devices: &mut Vec<DeviceId>) {
-        let device = devices.iter().position(|device| *device == record.device).unwrap_or_else(|| {
-            devices.push(record.device);
-            devices.len() - 1
-        });
-        self.device.push(device as u8);
+        self.device.push(number_in(devices, record.device));
         self.solutions.push(&record.solution);
         self.sequence.push(record.sequence);
         self.time_s.push(record.device_time_s);
@@ -246,4 +255,76 @@ fn put_twist(values: &mut Vec<f64>, sigmas: &mut Vec<f64>, found: Option<TwistEs
     values.extend(twist.linear_m_per_s.to_array());
     values.extend(twist.angular_rad_per_s.to_array());
     sigmas.extend((0..6).map(|axis| covariance[axis][axis].sqrt()));
+}
+
+/// Largest deviation of a quaternion's length from 1 that rounding explains.
+const ROUNDING: f64 = 1e-6;
+
+/// Rotation vectors (N, 3), rad, of quaternions x, y, z, w (N, 4).
+#[pyfunction]
+pub(crate) fn rotation_vectors<'py>(
+    py: Python<'py>,
+    rotation_xyzw: PyReadonlyArray2<'py, f64>,
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let rows = rows_of::<4>("rotation_xyzw", &rotation_xyzw)?;
+    let vectors = rows.iter().flat_map(|row| rotation_log(DQuat::from_array(*row)).to_array()).collect();
+    matrix(py, vectors, [rows.len(), 3])
+}
+
+/// Quaternions x, y, z, w (N, 4) of rotation vectors (N, 3), rad.
+#[pyfunction]
+pub(crate) fn quaternions<'py>(
+    py: Python<'py>,
+    rotation_rad: PyReadonlyArray2<'py, f64>,
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let rows = rows_of::<3>("rotation_rad", &rotation_rad)?;
+    let found = rows.iter().flat_map(|row| rotation_exp(DVec3::from_array(*row)).to_array()).collect();
+    matrix(py, found, [rows.len(), 4])
+}
+
+/// Poses of translations (N, 3), m, and rotations: vectors (N, 3), rad, or quaternions (N, 4).
+pub(crate) fn poses(
+    translation_m: &PyReadonlyArray2<'_, f64>,
+    rotation: &PyReadonlyArray2<'_, f64>,
+) -> PyResult<Vec<Pose>> {
+    let translations = rows_of::<3>("translation_m", translation_m)?;
+    let rotations: Vec<DQuat> = if rotation.as_array().ncols() == 4 {
+        let rows = rows_of::<4>("rotation", rotation)?;
+        rows.into_iter().enumerate().map(|(row, xyzw)| unit("rotation", row, xyzw)).collect::<PyResult<_>>()?
+    } else {
+        let rows = rows_of::<3>("rotation", rotation)?;
+        rows.into_iter().map(|vector| rotation_exp(DVec3::from_array(vector))).collect()
+    };
+    if translations.len() != rotations.len() {
+        let (translations, rotations) = (translations.len(), rotations.len());
+        return Err(PyValueError::new_err(format!(
+            "{translations} translations and {rotations} rotations; give as many"
+        )));
+    }
+    let poses = translations.into_iter().zip(rotations);
+    let poses = poses.map(|(t, rotation)| Pose { rotation, translation_m: DVec3::from_array(t) });
+    let poses: Vec<Pose> = poses.collect();
+    match poses.iter().position(|pose| !pose.is_finite()) {
+        Some(row) => Err(PyValueError::new_err(format!("the pose of row {row} is not finite; give numbers"))),
+        None => Ok(poses),
+    }
+}
+
+fn unit(name: &str, row: usize, xyzw: [f64; 4]) -> PyResult<DQuat> {
+    let quaternion = DQuat::from_array(xyzw);
+    if (quaternion.length() - 1.0).abs() <= ROUNDING {
+        return Ok(quaternion.normalize());
+    }
+    let length = quaternion.length();
+    Err(PyValueError::new_err(format!("{name} of row {row} has the length {length}; give unit quaternions x, y, z, w")))
+}
+
+/// Rows of `N` numbers.
+fn rows_of<const N: usize>(name: &str, array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<[f64; N]>> {
+    let array = array.as_array();
+    if array.ncols() != N {
+        let shape = array.shape();
+        return Err(PyValueError::new_err(format!("{name} has the shape {shape:?}; give ({}, {N})", shape[0])));
+    }
+    Ok(array.rows().into_iter().map(|row| std::array::from_fn(|k| row[k])).collect())
 }

@@ -11,9 +11,8 @@ use slitpose_calibration as adjustment;
 use slitpose_calibration::{Clock, Frames, Request, Statistics, validity};
 use slitpose_tracking::measurements::Measurements;
 
-use crate::error::raised;
 use crate::scene::{Scene, texts};
-use crate::work::beside;
+use crate::work::{beside, raised};
 
 /// The parameters of one head.
 #[pyclass(module = "slitpose._native", frozen)]

@@ -14,9 +14,8 @@ use slitpose_tracking::pipeline::{Item, Scan};
 use slitpose_tracking::playback::{Choice, Event, Playback, PlaybackError, Yields};
 use slitpose_tracking::solving::{Filter, Solving};
 
-use crate::arrays::{Columns, RecordColumns};
-use crate::error::{raised, seconds, tier_choice};
-use crate::work::beside;
+use crate::arrays::{Columns, RecordColumns, number_in};
+use crate::work::{beside, raised, seconds, tier_choice};
 
 /// What a cell's reading is, by its number.
 pub(crate) const READINGS: [&str; 3] = ["light", "saturated", "missing"];
@@ -184,12 +183,8 @@ fn hear(
         Event::Item { item: Item::Oddity { oddity, .. }, .. } => remarks.push(oddity.to_string()),
         Event::Item { .. } | Event::Board { .. } => {}
         Event::Currents { device, scan, currents, .. } => {
-            let device = device.unwrap_or_default();
-            let number = devices.iter().position(|known| *known == device).unwrap_or_else(|| {
-                devices.push(device);
-                devices.len() - 1
-            });
-            found.currents.push(number as u8, scan, currents);
+            let device = number_in(devices, device.unwrap_or_default());
+            found.currents.push(device, scan, currents);
         }
         Event::Remark(remark) => remarks.push(remark.to_owned()),
         Event::Loss(loss) => losses.push(loss.to_owned()),

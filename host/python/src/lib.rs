@@ -6,8 +6,6 @@
 mod arrays;
 mod calibration;
 mod captures;
-mod error;
-mod rotations;
 mod scene;
 mod work;
 
@@ -20,7 +18,7 @@ use slitpose_tracking::pipeline::Outcomes;
 fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     let py = module.py();
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
-    module.add("SlitposeError", py.get_type::<error::SlitposeError>())?;
+    module.add("SlitposeError", py.get_type::<work::SlitposeError>())?;
     module.add("STATUSES", Outcomes::default().by_name().map(|(name, _)| name))?;
     module.add("REASONS", arrays::reasons())?;
     module.add("VERIFIED", arrays::VERIFIED.map(|verified| verified.as_str()))?;
@@ -33,6 +31,6 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<calibration::Calibration>()?;
     module.add_function(wrap_pyfunction!(calibration::calibrate, module)?)?;
     module.add_function(wrap_pyfunction!(work::limit_cores, module)?)?;
-    module.add_function(wrap_pyfunction!(rotations::rotation_vectors, module)?)?;
-    module.add_function(wrap_pyfunction!(rotations::quaternions, module)?)
+    module.add_function(wrap_pyfunction!(arrays::rotation_vectors, module)?)?;
+    module.add_function(wrap_pyfunction!(arrays::quaternions, module)?)
 }

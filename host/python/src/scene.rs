@@ -14,11 +14,9 @@ use slitpose_head::scene_file::SceneFile;
 use slitpose_model::{CompiledScene, Pair, Pose, Status, Tier};
 use slitpose_tracking::solving::{MODEL_TOLERANCE, RowSolver, STREAM_TOLERANCE};
 
-use crate::arrays::{Columns, SolutionColumns, put_matrix};
+use crate::arrays::{Columns, SolutionColumns, poses, put_matrix};
 use crate::calibration::Calibration;
-use crate::error::{raised, tier_choice};
-use crate::rotations::poses;
-use crate::work::{beside, each_piece, each_row};
+use crate::work::{beside, each_piece, each_row, raised, tier_choice};
 
 /// The numbers of a cell's status.
 pub(crate) const CELL_STATUSES: [Status; 4] = [Status::Lit, Status::Clipped, Status::Dark, Status::Behind];

@@ -30,9 +30,6 @@ const MAX_US: [(f64, f64); 2] = [(0.5, 150.0), (0.99, 1000.0)];
 /// The daemon is ready within this, or never.
 const READY_WITHIN: Duration = Duration::from_secs(20);
 
-/// Poses that each of two programs is given at a turn.
-const TURN: usize = 24_000;
-
 #[derive(Clone, Debug, Args)]
 pub struct Conditions {
     /// Seconds that are measured
@@ -50,9 +47,6 @@ pub struct Conditions {
     /// So many live pages look at the board meanwhile, of which one stalls
     #[arg(long, default_value_t = 0)]
     pages: usize,
-    /// Another `slitpose`, to compare with by turns
-    #[arg(long, value_name = "PROGRAM")]
-    against: Option<PathBuf>,
     /// More options of `slitpose run`
     #[arg(last = true)]
     options: Vec<String>,
@@ -97,12 +91,6 @@ pub fn study(slitpose: Slitpose, conditions: &Conditions) -> Verdicts {
         conditions.options.extend(["--live".to_owned(), live_pages(conditions.pages, 1).to_string()]);
     }
     print_conditions(&conditions);
-    if let Some(other) = &conditions.against {
-        // Once in a process.
-        let other = Slitpose::at(other.display().to_string().leak());
-        compare(slitpose, other, &conditions);
-        return Verdicts::default();
-    }
     let poses = (conditions.seconds * FRAME_RATE_HZ) as usize;
     let measurement = measure(slitpose, &conditions, poses);
     let total = print(&measurement);
@@ -139,31 +127,6 @@ pub fn study(slitpose: Slitpose, conditions: &Conditions) -> Verdicts {
     verdicts
 }
 
-/// Prints how both do.
-fn compare(slitpose: Slitpose, other: Slitpose, conditions: &Conditions) {
-    let turns = ((conditions.seconds * FRAME_RATE_HZ) as usize).div_ceil(TURN);
-    let (mut times_us, mut scan_us) = ([Vec::new(), Vec::new()], [0.0; 2]);
-    for _ in 0..turns {
-        for (which, program) in [slitpose, other].into_iter().enumerate() {
-            let Measurement { ways, processor_share, .. } = measure(program, conditions, TURN);
-            times_us[which].extend(ways.iter().map(|way| us(way.received_ns - way.written_ns)));
-            scan_us[which] += processor_share / FRAME_RATE_HZ * 1e6 / turns as f64;
-        }
-    }
-    println!("{turns} turns of {TURN} poses each");
-    let mut table = times_table();
-    for (name, times_us) in ["this", "the other"].into_iter().zip(times_us) {
-        row(&mut table, name, times_us);
-    }
-    print!("{table}");
-    println!(
-        "{:.2} and {:.2} us of a processor a scan: this takes {:.2} of the other's",
-        scan_us[0],
-        scan_us[1],
-        scan_us[0] / scan_us[1]
-    );
-}
-
 fn print_conditions(conditions: &Conditions) {
     let read = |path: &str| std::fs::read_to_string(path).ok().map(|text| text.trim().to_owned());
     let processors = read("/proc/cpuinfo").unwrap_or_default();
@@ -185,10 +148,6 @@ fn us(ns: u64) -> f64 {
     ns as f64 * 1e-3
 }
 
-fn times_table() -> Table {
-    Table::new(&["us", "median", "90 %", "99 %", "99.9 %", "longest"])
-}
-
 fn row(table: &mut Table, name: &str, times_us: impl IntoIterator<Item = f64>) -> Sorted {
     let times = Sorted::of(times_us);
     let quantiles = [0.5, 0.9, 0.99, 0.999, 1.0].map(|share| format!("{:.1}", times.at(share)));
@@ -199,7 +158,7 @@ fn row(table: &mut Table, name: &str, times_us: impl IntoIterator<Item = f64>) -
 /// Prints all times and gives those that count.
 fn print(measurement: &Measurement) -> Sorted {
     let Measurement { ways, writes_ns, processor_share, daemon, capture_bytes } = measurement;
-    let mut table = times_table();
+    let mut table = Table::new(&["us", "median", "90 %", "99 %", "99.9 %", "longest"]);
     let total = |way: &Way| us(way.received_ns - way.written_ns);
     let all = row(&mut table, "written to received", ways.iter().map(total));
     type Part = (&'static str, fn(&Way) -> [u64; 2]);

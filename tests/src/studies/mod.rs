@@ -166,15 +166,3 @@ fn check_growth(verdicts: &mut Verdicts, resident_bytes: &[u64], most_kib: f64) 
     let growth = after - before;
     verdicts.check(growth <= most_kib, format!("memory grows by {growth:.0} KiB, {most_kib:.0} allowed"));
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn columns_are_aligned() {
-        let mut table = Table::new(&["axis", "σ"]);
-        table.row(["tx".to_owned(), "0.71".to_owned()]);
-        assert_eq!(table.to_string(), "  axis     σ\n  tx    0.71\n");
-    }
-}

@@ -8,17 +8,14 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use glam::{DVec2, dvec2};
 use nix::sys::signal::Signal;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use serde_json::Value;
-use slitpose_design::plot::{Anchor, Axis, Canvas, Chart, Curve, CurveStyle, Note, SOFT_INK, Scale, cell_colour};
 
 use super::scan_table::{self, Scans};
 use super::{Table, Verdicts, mib};
 use crate::consistency::Sorted;
-use crate::daemon::{Daemon, Ended, Subscriber, Usage, WallClock, boards, live_pages, scans};
+use crate::daemon::{Daemon, Ended, Subscriber, Usage, WallClock, live_pages, scans};
 use crate::process::{Slitpose, name_in, signal};
 
 /// Faults of the boards: each comes again and again, at intervals that have no common multiple in a soak.
@@ -46,14 +43,8 @@ const RECOVERS_WITHIN: Duration = Duration::from_secs(60);
 /// Most by which the wall clock is off: an hour.
 const MAX_AHEAD_NS: i64 = 3_600_000_000_000;
 
-/// What can happen to the daemon, and its letter in the picture.
-const BLOWS: [(Blow, &str); 5] = [
-    (Blow::Suspended, "S"),
-    (Blow::Killed, "K"),
-    (Blow::DiskFull, "F"),
-    (Blow::ClockSet, "C"),
-    (Blow::DiskStandsStill, "D"),
-];
+/// What can happen to the daemon.
+const BLOWS: [Blow; 5] = [Blow::Suspended, Blow::Killed, Blow::DiskFull, Blow::ClockSet, Blow::DiskStandsStill];
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Blow {
@@ -95,33 +86,18 @@ pub struct Conditions {
     /// Each daemon may take so many MiB of memory
     #[arg(long, default_value_t = 160)]
     most_mib: u32,
-    /// Write the looks at the daemon as CSV
-    #[arg(long, value_name = "FILE")]
-    csv: Option<PathBuf>,
-    /// Draw them as SVG
-    #[arg(long, value_name = "FILE")]
-    picture: Option<PathBuf>,
 }
 
 /// A look at the daemon.
 struct Sample {
-    /// From the beginning, seconds.
-    elapsed_s: f64,
     /// The how manieth daemon.
     life: usize,
     usage: Usage,
-    /// From light to pose over the last second, the worst of all boards: median, 99 %, most; seconds.
-    latency_s: [f64; 3],
-    /// Scans that wait to be solved, of all boards.
-    waiting: u64,
 }
 
 /// A blow, and what came of it.
 struct Struck {
-    /// From the beginning, seconds.
-    at_s: f64,
-    /// Of [`BLOWS`].
-    blow: usize,
+    blow: Blow,
     /// From its end until all boards sent poses again, seconds; `None` if they did not.
     recovered_s: Option<f64>,
 }
@@ -153,15 +129,12 @@ pub fn study(slitpose: Slitpose, conditions: &Conditions) -> Verdicts {
     let pause = |rng: &mut ChaCha8Rng| Duration::from_secs_f64(conditions.pause_s * rng.random_range(1.0..3.0));
     let mut next = pause(&mut rng);
     while begun.elapsed() < conditions.duration || struck.len() < conditions.least_blows {
-        match sample(&daemon, begun, life) {
-            Some(sample) => samples.push(sample),
-            None => unanswered += 1,
-        }
+        samples.push(Sample { life, usage: daemon.usage().expect("the daemon runs") });
+        unanswered += usize::from(daemon.status().is_none());
         if begun.elapsed() >= next {
-            let blow = rng.random_range(0..blows);
+            let blow = BLOWS[rng.random_range(0..blows)];
             let lasts = Duration::from_secs_f64(rng.random_range(0.2..3.0));
-            let at_s = begun.elapsed().as_secs_f64();
-            match BLOWS[blow].0 {
+            match blow {
                 Blow::Suspended => {
                     signal(&daemon.child, Signal::SIGSTOP);
                     std::thread::sleep(lasts);
@@ -184,7 +157,7 @@ pub fn study(slitpose: Slitpose, conditions: &Conditions) -> Verdicts {
             }
             let since = Instant::now();
             let recovered_s = recovers(&daemon).then(|| since.elapsed().as_secs_f64());
-            struck.push(Struck { at_s, blow, recovered_s });
+            struck.push(Struck { blow, recovered_s });
             next = begun.elapsed() + pause(&mut rng);
         }
         std::thread::sleep(LOOK_EVERY);
@@ -198,8 +171,8 @@ pub fn study(slitpose: Slitpose, conditions: &Conditions) -> Verdicts {
     let Conditions { boards, duration, seed, .. } = conditions;
     println!("{boards} boards at 4 kHz with {} faults, for {duration:?}, seed {seed}", FAULTS.len());
     let mut table = Table::new(&["blow", "times", "back, median s", "most s"]);
-    for (number, (blow, _)) in BLOWS.iter().enumerate() {
-        let of_kind = struck.iter().filter(|struck| struck.blow == number);
+    for blow in BLOWS {
+        let of_kind = struck.iter().filter(|struck| struck.blow == blow);
         let back = Sorted::of(of_kind.filter_map(|struck| struck.recovered_s));
         let times = [back.median(), back.most()].map(|time_s| format!("{time_s:.2}"));
         table.row([format!("{blow:?}"), back.0.len().to_string()].into_iter().chain(times));
@@ -207,11 +180,6 @@ pub fn study(slitpose: Slitpose, conditions: &Conditions) -> Verdicts {
     let sum = |of: fn(&Scans) -> u64| captured.iter().flat_map(|captured| &captured.scans).map(of).sum::<u64>();
     let (scans, missing) = (sum(|scans| scans.count), sum(|scans| scans.missing));
     println!("{table}  {} captures with {scans} scans, {missing} missing; {datagrams} datagrams", captured.len());
-    for (path, text) in [(&conditions.csv, csv(&samples)), (&conditions.picture, picture(&samples, &struck))] {
-        if let Some(path) = path {
-            std::fs::write(path, text).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
-        }
-    }
 
     let mut verdicts = Verdicts::default();
     let lost = struck.iter().filter(|struck| struck.recovered_s.is_none()).count();
@@ -294,21 +262,6 @@ impl Captured {
     }
 }
 
-fn sample(daemon: &Daemon, begun: Instant, life: usize) -> Option<Sample> {
-    let usage = daemon.usage().expect("the daemon runs");
-    let status = daemon.status()?;
-    let recent = |quantile: &str| {
-        let of_board = |board: &Value| {
-            let recent = &board["latencies"]["total"]["recent"];
-            recent[quantile].as_f64().filter(|_| recent["count"] != 0)
-        };
-        boards(&status).filter_map(of_board).fold(f64::NAN, f64::max)
-    };
-    let waiting = boards(&status).filter_map(|board| board["lag"]["waiting_scans"].as_u64()).sum();
-    let latency_s = ["p50_s", "p99_s", "max_s"].map(recent);
-    Some(Sample { elapsed_s: begun.elapsed().as_secs_f64(), life, usage, latency_s, waiting })
-}
-
 fn check_usage(samples: &[Sample], conditions: &Conditions, verdicts: &mut Verdicts) {
     let most_mib = samples.iter().map(|sample| mib(sample.usage.peak_bytes)).fold(0.0, f64::max);
     let bound = conditions.most_mib;
@@ -326,80 +279,4 @@ fn check_usage(samples: &[Sample], conditions: &Conditions, verdicts: &mut Verdi
         let is_close = most - least <= 2 * conditions.boards as u64;
         verdicts.check(is_close, format!("all daemons have about as many {what}: {least} to {most}"));
     }
-}
-
-fn csv(samples: &[Sample]) -> String {
-    let mut text = "elapsed_s,life,resident_mib,threads,descriptors,p50_ms,p99_ms,max_ms,waiting_scans\n".to_owned();
-    for Sample { elapsed_s, life, usage, latency_s, waiting } in samples {
-        let [p50, p99, max] = latency_s.map(|latency_s| latency_s * 1e3);
-        let Usage { resident_bytes, threads, descriptors, .. } = *usage;
-        let mib = mib(resident_bytes);
-        text +=
-            &format!("{elapsed_s:.1},{life},{mib:.2},{threads},{descriptors},{p50:.3},{p99:.3},{max:.3},{waiting}\n");
-    }
-    text
-}
-
-/// Names of curves, and their values.
-type Curves = &'static [(&'static str, fn(&Sample) -> f64)];
-
-/// What the picture shows over time, below each other: a label with the unit, whether its axis is logarithmic, and curves.
-const PANELS: [(&str, bool, Curves); 4] = [
-    ("memory (MiB)", false, &[("resident", |it| mib(it.usage.resident_bytes))]),
-    ("number", false, &[("threads", |it| it.usage.threads as f64), ("descriptors", |it| it.usage.descriptors as f64)]),
-    (
-        "light to pose (ms)",
-        true,
-        &[
-            ("median", |it| it.latency_s[0] * 1e3),
-            ("99 %", |it| it.latency_s[1] * 1e3),
-            ("most", |it| it.latency_s[2] * 1e3),
-        ],
-    ),
-    ("waiting scans", false, &[("all boards", |it| it.waiting as f64)]),
-];
-
-/// Memory, threads and descriptors, latency of the worst board, and what waits, over time, with a letter for each blow.
-fn picture(samples: &[Sample], struck: &[Struck]) -> String {
-    // Sizes in pixels: of a plotting area, and of the room around it.
-    const SIZE: DVec2 = dvec2(800.0, 130.0);
-    let [left, right, above, below] = [80.0, 20.0, 66.0, 50.0];
-    let end_s = samples.iter().map(|sample| sample.elapsed_s).fold(1.0, f64::max);
-    let pitch = above + SIZE.y + below;
-    let mut canvas = Canvas::new(left + SIZE.x + right, PANELS.len() as f64 * pitch, "A daemon in a storm");
-    for (number, (label, is_logarithmic, of_panel)) in PANELS.iter().enumerate() {
-        let x = Axis { label: "$t$ (s)".to_owned(), range: [0.0, end_s], scale: Scale::Linear };
-        let values = of_panel.iter().flat_map(|(_, of)| samples.iter().map(of)).filter(|value| value.is_finite());
-        let y = if *is_logarithmic {
-            Axis::logarithmic(label, values)
-        } else {
-            Axis::around(label, values).starting_at_zero()
-        };
-        let line = |label: &str, colour, style, points: Vec<[f64; 2]>| {
-            let label = label.to_owned();
-            Curve { label, colour, style, points }
-        };
-        let mark = |it: &Struck| line("", SOFT_INK, CurveStyle::Dashed, y.range.map(|value| [it.at_s, value]).to_vec());
-        let mut curves: Vec<Curve> = struck.iter().map(mark).collect();
-        for (number, (name, of)) in of_panel.iter().enumerate() {
-            let points: Vec<[f64; 2]> = samples.iter().map(|sample| [sample.elapsed_s, of(sample)]).collect();
-            // A curve breaks where nothing was measured. A name for the first part only, or the legend would repeat it.
-            let parts = points.chunk_by(|[_, before], [_, after]| before.is_finite() == after.is_finite());
-            let names = std::iter::once(*name).chain(std::iter::repeat(""));
-            for (part, name) in parts.filter(|part| part[0][1].is_finite()).zip(names) {
-                curves.push(line(name, cell_colour(number), CurveStyle::Line, part.to_vec()));
-            }
-        }
-        let note = |it: &Struck| Note {
-            at: [it.at_s, y.range[1]],
-            offset: dvec2(3.0, 13.0),
-            anchor: Anchor::Start,
-            text: BLOWS[it.blow].1.to_owned(),
-            colour: SOFT_INK,
-        };
-        let notes = struck.iter().map(note).collect();
-        let top_left = dvec2(left, number as f64 * pitch + above);
-        Chart { x, y, curves, notes }.draw(&mut canvas, top_left, top_left + SIZE);
-    }
-    canvas.into_svg()
 }

@@ -1,11 +1,18 @@
-//! Captures that are damaged, cut off or none at all, and results that cannot be written, through
-//! processes: exit code, message, and no half result under a final name.
+//! Captures that are damaged, cut off, nonsense or none at all, and results that cannot be written: exit code,
+//! message, and no half result under a final name.
 
 use std::path::PathBuf;
 
-use slitpose_tests::capture::{Packet, packets};
+use rand::RngExt;
+use slitpose_head::scene_file::{SceneFile, WIDE};
+use slitpose_head::simulator::{Trajectory, TrajectoryKind};
+use slitpose_model::Tier;
+use slitpose_protocol::{Batch, Decoder, Event, Hello, Level, MAX_MESSAGE_BYTES, Message, Severity, Truth, encode};
+use slitpose_tests::capture::{Packet, capture, packets, pipeline, solve};
+use slitpose_tests::poses::generator;
 use slitpose_tests::process::{names, text};
 use slitpose_tests::slitpose;
+use slitpose_tracking::pipeline::PipelineError;
 
 /// 100 batches of four scans.
 const SCANS: usize = 400;
@@ -174,4 +181,88 @@ fn a_failure_on_the_way_leaves_the_old_result() {
     slitpose!().run(command).assert_refused(1, &["5 fields"]);
     assert_eq!(std::fs::read_to_string(&output).expect("old result"), "old");
     assert_eq!(names(folder.path()), ["output.csv", "poses.csv"]);
+}
+
+/// Scans of a short capture, in memory.
+const SHORT: usize = 48;
+
+fn short() -> (SceneFile, Vec<u8>) {
+    let file = WIDE.read().expect("shipped");
+    let bytes = capture(&file, Trajectory::of_kind(TrajectoryKind::Smooth, 31, 1.0), Tier::Paper, 31, SHORT);
+    (file, bytes)
+}
+
+#[test]
+fn undamaged_nonsense_gives_no_nonsense() {
+    let (file, whole) = short();
+    let mut rng = generator(34);
+    for round in 0..2000 {
+        let mut any = || rng.random_range(0..=u16::MAX);
+        let levels = (0..6).map(|_| Level([0, 1, 0x8000, any()][usize::from(any() % 4)])).collect();
+        let words: Vec<u8> = (0..24).flat_map(|_| [0, u16::MAX, any()][usize::from(any() % 3)].to_le_bytes()).collect();
+        let sequence = [100, u64::MAX - 1, u64::from(any())][usize::from(any() % 3)];
+        let truth = [f64::NAN, 1e300, 0.0][usize::from(any() % 3)];
+        let messages = [
+            Message::Truth(Truth { sequence, translation_m: [truth; 3], rotation_xyzw: [truth; 4] }),
+            Message::Batch(Batch { configuration: 1, sequence, tick: 42, levels, samples: &words }),
+            Message::Batch(Batch {
+                configuration: 1,
+                sequence: u64::MAX,
+                tick: u64::MAX,
+                levels: [Level::NOMINAL; 6].into_iter().collect(),
+                samples: &words,
+            }),
+            Message::Event(Event { tick: u64::MAX, severity: Severity::Error, text: "\u{1b}[2J" }),
+        ];
+        let mut bytes = whole.clone();
+        for message in &messages {
+            let mut buffer = [0; MAX_MESSAGE_BYTES];
+            bytes.extend_from_slice(encode(message, &mut buffer).expect("room"));
+        }
+        let (records, counts) = solve(&file, Tier::Paper, &bytes);
+        // A number that has come already is left out.
+        let repeated = usize::from(sequence < SHORT as u64);
+        assert_eq!((records.len(), counts.batches_unreadable), (SHORT + 1 - repeated, 1), "round {round}");
+        assert_eq!(counts.scans_repeated, repeated as u64, "round {round}");
+        let last = records[records.len() - 1];
+        assert!(last.truth.is_none_or(|truth| truth.is_finite()), "round {round}: {last:?}");
+        assert_eq!(last.solution.estimate.is_some(), last.solution.outcome.has_pose(), "round {round}");
+        if let Some(estimate) = last.solution.estimate {
+            let variances = (0..6).map(|i| estimate.covariance[i][i]);
+            assert!(estimate.pose.is_finite() && variances.into_iter().all(|v| v > 0.0), "round {round}: {last:?}");
+        }
+    }
+}
+
+type Change = fn(&mut Hello<'_>);
+
+#[test]
+fn a_hello_that_contradicts_itself_is_refused() {
+    let (file, whole) = short();
+    let changes: [(&str, Change); 9] = [
+        ("no slots", |hello| hello.schedule.slots.clear()),
+        ("no time", |hello| hello.schedule.tick_hz = 0),
+        ("no frame", |hello| hello.schedule.frame_ticks = 0),
+        ("no conversions", |hello| hello.schedule.oversampling = 0),
+        ("more cells than any board", |hello| hello.schedule.cells = u8::MAX),
+        ("fewer cells than the scene", |hello| hello.schedule.cells = 5),
+        ("no scale", |hello| hello.scaling.amperes_per_code = f64::NAN),
+        ("no zero", |hello| hello.scaling.zero_code = f64::INFINITY),
+        ("wider than a word", |hello| hello.scaling.bits = 40),
+    ];
+    for (what, change) in changes {
+        let mut decoder = Decoder::<MAX_MESSAGE_BYTES>::new();
+        let mut rest = whole.as_slice();
+        let mut hello = loop {
+            if let Message::Hello(hello) = decoder.next(&mut rest).expect("a hello").expect("undamaged") {
+                break hello;
+            }
+        };
+        change(&mut hello);
+        let mut buffer = [0; MAX_MESSAGE_BYTES];
+        let bytes = encode(&Message::Hello(hello), &mut buffer).expect("room");
+        let refused = pipeline(&file, Tier::Paper).push::<PipelineError>(bytes, |_| Ok(()));
+        let message = refused.expect_err(what).to_string();
+        assert!(message.contains("simulated"), "{what}: the board is not named in: {message}");
+    }
 }

@@ -1,17 +1,23 @@
 //! `slitpose doctor`: a good board is found good, a bad one is found bad in the right place, and the bundle holds
-//! what it says.
+//! what it says. In `--bring-up` a good board passes every step, simulated and emulated, and each flaw that the emulator
+//! plants is named by the step that looks for it.
 
 use std::collections::BTreeMap;
-use std::io::Write;
+use std::io::{BufRead, BufReader};
 use std::process::Command;
+use std::time::Duration;
 
+use nix::pty::openpty;
 use slitpose::device::SerialDevice;
+use slitpose_emulator::facts::number;
+use slitpose_emulator::faults::{Fault, Kind};
 use slitpose_head::scene_file::WIDE;
 use slitpose_protocol::Message;
 use slitpose_tests::process::{Finished, name_in};
-use slitpose_tests::scenes::changed;
 use slitpose_tests::slitpose;
 use slitpose_tests::terminal::{Board, Device, Terminal, edited, greeting};
+
+use super::run_emulated::Emulator;
 
 /// Runs the doctor and gives each check's verdict, too.
 fn doctor(device: &str, arguments: &[&str]) -> (Finished, BTreeMap<String, String>) {
@@ -67,20 +73,6 @@ fn a_simulated_board_is_well_and_its_bundle_is_whole() {
 }
 
 #[test]
-fn dark_current_is_nothing_to_complain_of() {
-    let mut scene = tempfile::NamedTempFile::new().expect("temporary file");
-    let text = changed(WIDE.text, &[("dark_current_a = 0.0", "dark_current_a = 200e-9")]);
-    scene.write_all(text.as_bytes()).expect("written");
-    let scene = scene.path().to_str().expect("UTF-8");
-    // A second of health, and one to begin with.
-    let (finished, checks) = doctor("sim", &["--duration", "2s", "--scene", scene]);
-    for name in ["scene", "full scale", "board", "link", "poses", "health"] {
-        assert_eq!(checks.get(name).map(String::as_str), Some("ok"), "{name}: {checks:?}");
-    }
-    assert_eq!(finished.code, 0, "{}", finished.stderr);
-}
-
-#[test]
 fn a_board_on_a_port_is_well() {
     let (finished, checks, path) = at(Board::wide(91));
     for name in ["ports", "permission", "exclusive", "hello", "scene", "board", "link", "poses"] {
@@ -131,4 +123,192 @@ fn a_board_of_another_head_is_not_measured() {
     assert_eq!((checks["scene"].as_str(), checks["measurement"].as_str()), ("failed", "skipped"));
     assert_eq!(finished.code, 1);
     assert!(String::from_utf8_lossy(&finished.stdout).contains("0000000000000007"));
+}
+
+const STEPS: [&str; 10] =
+    ["link", "supply", "dark", "noise", "emitters", "levels", "settling", "crosstalk", "safety", "storage"];
+
+/// Arguments of an emulator as fast as it can, its tool at rest at home.
+const AT_HOME: [&str; 7] = ["wide", "--seed", "5", "--trajectory", "still", "--speed", "max"];
+
+/// Faults with which light settles in time, and when 0.3 codes of full scale are left by an integration of their
+/// resistors, capacitors and poles, microseconds.
+const SETTLE: [(Fault, f64); 2] = [(Fault::LineDetector, 11.9), (Fault::SlowDetector, 13.5)];
+
+/// Each other flaw, the step that must find it, and the words of its finding.
+const FOUND: [(Fault, &str, &[&str]); 14] = [
+    (Fault::OpenElectrode, "emitters", &["I_X1 of cell 2 (PC0, CN7-38) sees no light"]),
+    (Fault::StuckElectrode, "dark", &["I_X2 of cell 4 (PB11, CN10-18)", "stuck at ground"]),
+    (Fault::NoisyChannel, "noise", &["I_X1 of cell 1 (PA1, CN7-30)", "too noisy"]),
+    (Fault::DeadEmitter, "emitters", &["emitter 3 gives no light", "PC9"]),
+    (Fault::SwappedGates, "emitters", &["gates exchanged: gate of emitter 1 (PC7", "gate of emitter 4 (PC10"]),
+    (Fault::SwappedCells, "emitters", &["inputs exchanged: I_X1 of cell 0 (PA0", "I_X2 of cell 5 (PB15"]),
+    (Fault::StuckLevel, "levels", &["level line of emitters 0 to 2 (PA4, CN7-32) stays at nominal"]),
+    (Fault::LiftedLevel, "levels", &["level line of emitters 0 to 2 (PA4, CN7-32) is off by 5.0 % of nominal"]),
+    (Fault::StuckGate, "dark", &["shine while their gates are off: 2 (26"]),
+    (Fault::WeakEmitter, "emitters", &["0.50 of that", "emitter 5 is weak"]),
+    (
+        Fault::SlowFrontEnd,
+        "settling",
+        &["full scale are left after 32.", "one time constant of 3.", "the front end is slow"],
+    ),
+    (Fault::MissingBaffle, "crosstalk", &["too much by emitter 2", "too much by emitter 1"]),
+    (Fault::LowSupply, "supply", &["V_DDA 3.000 V, expected 3.135 to 3.465 V"]),
+    (Fault::LostSettings, "storage", &["after a reboot none", "settings are lost"]),
+];
+
+fn bring_up(device: &str, arguments: &[&str]) -> Finished {
+    slitpose!().run([&["doctor", "--bring-up", "--device", device], arguments].concat())
+}
+
+/// Asserts that all steps were taken in their order, and that nothing failed.
+fn assert_well(finished: &Finished) {
+    let text = finished.text();
+    println!("{text}{}", finished.stderr);
+    assert_eq!(finished.code, 0, "{}", finished.stderr);
+    let taken = text.lines().filter(|line| line.starts_with("step "));
+    let expected = (1..).zip(STEPS).map(|(number, name)| format!("step {number} of 10, {name}"));
+    assert!(taken.zip(expected).filter(|(line, start)| line.starts_with(start)).count() == STEPS.len());
+    assert!(!text.lines().any(|line| line.starts_with("failed")));
+}
+
+#[test]
+fn a_simulated_board_passes_every_step() {
+    // Standard input is no terminal: nobody is asked.
+    assert_well(&bring_up("sim", &[]));
+}
+
+#[test]
+fn an_emulated_board_passes_every_step_and_is_left_as_it_was() {
+    let emulator = Emulator::start(&AT_HOME);
+    let info = || slitpose!().run(["device", "info", "--device", &emulator.path]).text().to_owned();
+    let before = info();
+    let finished = bring_up(&emulator.path, &["--yes", "--scene", "wide"]);
+    assert_well(&finished);
+    let text = finished.text();
+    for place in ["frames", "zero", "gates off", "noise", "codes", "stop", "port closed", "storage", "forget"] {
+        assert!(text.lines().any(|line| line.starts_with(&format!("ok       {place:14} "))), "{place}");
+    }
+    for [place, count] in [["emitters", "6"], ["levels", "6"], ["settling", "6"], ["crosstalk", "6"]] {
+        let rows = text.lines().filter(|line| line.starts_with(&format!("ok       {place:14} ")));
+        assert_eq!(rows.count().to_string(), count, "{place}");
+    }
+    let kept = |info: &str| -> Vec<String> {
+        let names = ["serial", "board", "scene", "calibration", "scaling", "schedule"];
+        let is_kept = |line: &&str| names.contains(&line.split(' ').next().unwrap_or_default());
+        info.lines().filter(is_kept).map(str::to_owned).collect()
+    };
+    let (before, after) = (kept(&before), kept(&info()));
+    assert!(before.len() == 6 && before == after, "{before:?} {after:?}");
+    // Settings that were there before are kept.
+    let set = slitpose!().run(["device", "set", "--device", &emulator.path, "--scene", "wide"]);
+    assert_eq!(set.code, 0, "{}", set.stderr);
+    let stored = bring_up(&emulator.path, &["--step", "storage"]);
+    assert_eq!(stored.code, 0, "{}", stored.stderr);
+    assert!(!stored.text().contains("forget"), "{}", stored.text());
+    assert!(info().lines().any(|line| line.starts_with("settings") && line.contains("stored")), "{}", info());
+    // Steps are taken alone, too, by number.
+    let alone = bring_up(&emulator.path, &["--step", "2"]);
+    assert_eq!(alone.code, 0, "{}", alone.stderr);
+    let stdout = String::from_utf8(alone.stdout).expect("UTF-8");
+    assert_eq!(stdout.lines().filter(|line| line.starts_with("step ")).count(), 1, "{stdout}");
+    emulator.close();
+}
+
+#[test]
+fn each_flaw_is_named_by_the_step_that_looks_for_it() {
+    let tested = || FOUND.map(|(flaw, ..)| flaw).into_iter().chain(SETTLE.map(|(flaw, _)| flaw));
+    assert!(Fault::of(Kind::Board).iter().all(|flaw| tested().any(|tested| tested == *flaw)));
+    for (flaw, step, words) in FOUND {
+        let emulator = Emulator::start(&[&AT_HOME[..], &["--silicon", "dac-rest-80", "--flaw", &flaw.name()]].concat());
+        let finished = bring_up(&emulator.path, &["--step", step, "--scene", "wide"]);
+        let text = finished.text();
+        println!("{}: {}\n{text}{}", flaw.name(), flaw.what(), finished.stderr);
+        assert_eq!(finished.code, 1, "{}", flaw.name());
+        let failed: Vec<&str> = text.lines().filter(|line| line.starts_with("failed")).collect();
+        for word in words {
+            assert!(failed.iter().any(|line| line.contains(word)), "{}: no `{word}`", flaw.name());
+        }
+        assert!(finished.stderr.contains(&format!("take these steps again: {step}")), "{}", finished.stderr);
+        // Nothing but the flaw is complained of.
+        let most = match flaw {
+            Fault::SlowFrontEnd => 6,
+            Fault::StuckLevel | Fault::LiftedLevel => 3,
+            Fault::MissingBaffle => 2,
+            _ => 1,
+        };
+        assert_eq!(failed.len(), most, "{}", flaw.name());
+        emulator.close();
+    }
+}
+
+/// Buffered DACs are promised from 0.2 V on, and relatives of the MCU end at 25 to 69 mV.
+#[test]
+fn a_board_whose_dacs_do_not_reach_0_v_passes_every_step() {
+    let check = |rest: &str| {
+        let emulator = Emulator::start(&[&AT_HOME[..], &["--silicon", rest]].concat());
+        let finished = bring_up(&emulator.path, &["--yes", "--scene", "wide"]);
+        assert_well(&finished);
+        let text = finished.text();
+        let lowest = text.split("at levels ").nth(1).and_then(|levels| levels.split(' ').next()?.parse::<f64>().ok());
+        // Nominal is half of V_DDA.
+        assert!(lowest.expect("levels") * 0.5 * 3.3 >= number("V_DAC_headroom"), "{lowest:?}");
+        emulator.close();
+    };
+    std::thread::scope(|scope| {
+        for rest in ["dac-rest-25", "dac-rest-48", "dac-rest-80"] {
+            scope.spawn(move || check(rest));
+        }
+    });
+}
+
+#[test]
+fn detectors_with_more_than_one_pole_have_the_instant_at_which_their_light_has_settled() {
+    for (flaw, settled_us) in SETTLE {
+        let emulator = Emulator::start(&[&AT_HOME[..], &["--flaw", &flaw.name()]].concat());
+        let finished = bring_up(&emulator.path, &["--step", "settling", "--scene", "wide"]);
+        let text = finished.text();
+        println!("{}\n{text}", flaw.name());
+        let rows: Vec<&str> = text.lines().filter(|line| line.starts_with("ok       settling")).collect();
+        assert!(finished.code == 0 && rows.len() == 6, "{}", flaw.name());
+        for row in rows {
+            let found_us =
+                row.split("left after ").nth(1).and_then(|found| found.split(' ').next()?.parse::<f64>().ok());
+            assert!((found_us.expect("an instant") - settled_us).abs() < 0.4, "{}: {row}", flaw.name());
+        }
+        emulator.close();
+    }
+}
+
+#[test]
+fn at_a_terminal_a_step_waits_for_enter() {
+    let pair = openpty(None, None).expect("pseudo-terminal");
+    let arguments = ["doctor", "--bring-up", "--device", "sim", "--step", "supply"];
+    let mut child = slitpose!().command(arguments).stdin(pair.slave).spawn().expect("slitpose starts");
+    let mut stderr = BufReader::new(child.stderr.take().expect("piped"));
+    let mut asked = String::new();
+    stderr.read_line(&mut asked).expect("UTF-8");
+    assert!(asked.contains("press Enter"), "{asked}");
+    std::thread::sleep(Duration::from_millis(500));
+    assert!(child.try_wait().expect("a child").is_none(), "it has not waited");
+    nix::unistd::write(&pair.master, b"\n").expect("written");
+    let finished = Finished::of(child);
+    assert_eq!(finished.code, 0);
+    assert!(finished.text().contains("V_DDA 3.300 V"), "{}", finished.text());
+}
+
+#[test]
+fn what_the_bring_up_cannot_do_is_refused() {
+    let refused = |arguments: &[&str]| slitpose!().run([&["doctor"], arguments].concat());
+    refused(&["--step", "dark"]).assert_refused(2, &["--bring-up"]);
+    refused(&["--bring-up", "--step", "11"]).assert_refused(2, &["`11`", "crosstalk"]);
+    refused(&["--bring-up", "--bundle", "report.tar.gz"]).assert_refused(2, &["--bundle"]);
+    let missing = refused(&["--bring-up", "--device", "/dev/no-such-board"]);
+    assert_eq!(missing.code, 1, "{}", missing.stderr);
+    assert!(missing.text().contains("/dev/no-such-board") && missing.text().contains("slitpose doctor"));
+    let unknown = Command::new(env!("CARGO_BIN_EXE_slitpose-emulator-under-test"))
+        .args(["wide", "--flaw", "broken"])
+        .output()
+        .expect("slitpose-emulator starts");
+    Finished::from(unknown).assert_refused(2, &["`broken`", "dead-emitter"]);
 }

@@ -1,5 +1,6 @@
-//! The chapters of the guide do what they say: every command of `host/guide` is run, in the order of the page, and
-//! prints what the page shows.
+//! Documents do what they say and point to what is there.
+//!
+//! Every command of `host/guide` is run, in the order of the page, and prints what the page shows:
 //!
 //! | block | what happens with it |
 //! |---|---|
@@ -10,7 +11,6 @@
 //! | others | nothing |
 #![cfg(target_os = "linux")]
 
-use std::fmt::Write as _;
 use std::fs;
 use std::os::unix::fs::symlink;
 use std::os::unix::process::CommandExt;
@@ -20,9 +20,9 @@ use std::time::{Duration, Instant};
 
 use nix::sys::signal::{Signal, killpg};
 use nix::unistd::Pid;
-use slitpose_tests::process::names;
-use slitpose_tests::reference::data;
+use slitpose_tests::process::{name_in, names};
 use slitpose_tests::slitpose;
+use slitpose_tests::table::data;
 
 /// Chapters take seconds. One that waits for what does not come ends as a failure, also on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(300);
@@ -68,26 +68,20 @@ fn blocks(page: &str) -> Vec<Block> {
     blocks
 }
 
-/// A script whose lines have the numbers they have on the page. Each `sh` block writes to `outputs`/LINE,
-/// and the number of a command that fails to `outputs`/failed.
+/// A script whose lines have the numbers they have on the page. Each `sh` block writes to `outputs`/LINE.
 fn script(blocks: &[Block], outputs: &Path) -> String {
-    let outputs = outputs.display();
-    let mut script = format!("trap 'echo $LINENO >{outputs}/failed' ERR; ");
+    let mut script = String::new();
     let mut lines = 1;
     for block in blocks {
         let (open, close) = match (&block.file, block.language.as_str()) {
             (Some(file), _) => (format!("cat >{file} <<'```'"), "```"),
-            (None, "sh") => (format!("exec >{outputs}/{} 2>&1", block.line), ""),
+            (None, "sh") => (format!("exec >{}/{} 2>&1", outputs.display(), block.line), ""),
             (None, _) => continue,
         };
-        while lines < block.line {
-            script.push('\n');
-            lines += 1;
-        }
-        for line in [&[open], &block.text[..], &[close.to_owned()]].concat() {
-            writeln!(script, "{line}").expect("a string takes it");
-            lines += 1;
-        }
+        script += &"\n".repeat(block.line - lines);
+        let text = [&[open], &block.text[..], &[close.to_owned()]].concat();
+        lines = block.line + text.len();
+        text.iter().for_each(|line| script += &format!("{line}\n"));
     }
     script
 }
@@ -166,16 +160,8 @@ fn run(name: &str, page: &str) -> Result<(), String> {
         let last = commands().rfind(|block| output(block).is_some());
         let printed = last.and_then(output).unwrap_or_default();
         let printed = String::from_utf8_lossy(&printed);
-        let failed = fs::read_to_string(outputs.join("failed")).ok().and_then(|line| line.trim().parse().ok());
-        // Of a variable that is not set or a word out of place bash speaks itself.
-        let spoken = || printed.rsplit_once(&format!("{}: line ", file.display()))?.1.split(':').next()?.parse().ok();
-        let line = failed.or_else(spoken).or(last.map(|block| block.line)).unwrap_or(1);
         let what = status.map_or_else(|| format!("did not end in {PATIENCE:?}"), |status| status.to_string());
-        return Err(format!(
-            "{}: {what}\n    {}\nThe block prints:\n{printed}",
-            place(line),
-            page.lines().nth(line - 1).unwrap_or_default(),
-        ));
+        return Err(format!("{}: {what}\nThe block prints:\n{printed}", place(last.map_or(1, |block| block.line))));
     }
     let mut before: Option<&Block> = None;
     for block in blocks.iter().filter(|block| block.file.is_none()) {
@@ -259,25 +245,152 @@ fn what_a_page_gets_wrong_is_told_with_its_line() {
     let page = "# Page\n\n```python ring.py\nprint('ring')\n```\n\n```sh\nside=3\npython3 ring.py\n```\n\n\
                 ```text\nring\n```\n\n```sh\necho \"side $side\"\ntrue\n```\n\n```text\n…\nside …\n```\n";
     assert_eq!(run("page.md", page), Ok(()));
-    for (from, to, line, said) in [
-        ("true", "slitpose no-such-verb", 18, "slitpose no-such-verb"),
-        ("true", "cat missing | sort", 18, "missing"),
-        ("echo \"side $side\"", "echo \"$sides\"", 17, "sides: unbound variable"),
-        ("```text\nring", "```text\nrong", 13, "rong"),
-        ("…\nside …", "side 3\nand more", 23, "and more"),
-        ("…\nside …", "…\nsite …", 23, "site …"),
-        ("```text\nring\n```\n\n```sh\necho", "```text\nring\n```\n\n```sh\necho first; echo", 0, ""),
-        ("print('ring')", "print('ring\\nrang')", 13, "ring"),
+    for (from, to, line) in [
+        ("true", "cat missing | sort", 16),
+        ("```text\nring", "```text\nrong", 13),
+        ("…\nside …", "side 3\nand more", 23),
+        ("…\nside …", "…\nsite …", 23),
+        ("print('ring')", "print('ring\\nrang')", 13),
     ] {
-        let wrong = page.replace(from, to);
-        assert_ne!(page, wrong);
-        let told = run("page.md", &wrong);
-        if line == 0 {
-            assert_eq!(told, Ok(()), "lines that `…` stands for");
-            continue;
+        let told = run("page.md", &page.replace(from, to)).expect_err(to);
+        assert!(told.starts_with(&format!("host/guide/page.md:{line}: ")), "{told}");
+    }
+}
+
+/// All files of the project whose names end so.
+fn files(endings: &[&str]) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    let mut folders = vec![fs::canonicalize(data("../..")).expect("the project")];
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(folder).expect("a folder") {
+            let path = entry.expect("an entry").path();
+            let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default().to_owned();
+            if path.is_dir() {
+                if name != "target" && name != ".git" {
+                    folders.push(path);
+                }
+            } else if endings.iter().any(|ending| name.ends_with(ending)) {
+                found.push(path);
+            }
         }
-        let told = told.expect_err(to);
-        let start = format!("host/guide/page.md:{line}: ");
-        assert!(told.starts_with(&start) && told.contains(said), "{start}… {said}\nis not in:\n{told}");
+    }
+    found
+}
+
+fn read(path: &Path) -> String {
+    fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
+/// Lines of a page outside its blocks of code, with their numbers.
+fn prose(page: &str) -> impl Iterator<Item = (usize, &str)> {
+    let mut is_code = false;
+    (1..).zip(page.lines()).filter(move |(_, line)| {
+        let is_fence = line.starts_with("```");
+        is_code ^= is_fence;
+        !is_code && !is_fence
+    })
+}
+
+/// The anchor that a heading gets: letters and digits in lower case, hyphens for spaces.
+fn anchor(heading: &str) -> String {
+    let kept = heading.trim().chars().filter(|c| c.is_alphanumeric() || matches!(c, ' ' | '-' | '_'));
+    kept.flat_map(char::to_lowercase).map(|c| if c == ' ' { '-' } else { c }).collect()
+}
+
+#[test]
+fn links_lead_somewhere() {
+    let mut links = 0;
+    let mut wrong = Vec::new();
+    for page in files(&[".md"]) {
+        let text = read(&page);
+        for (line, words) in prose(&text) {
+            for target in words.split("](").skip(1).filter_map(|rest| rest.split(')').next()) {
+                if target.contains("://") {
+                    continue;
+                }
+                links += 1;
+                let (file, heading) = target.split_once('#').unwrap_or((target, ""));
+                let leads_to = if file.is_empty() { page.clone() } else { page.with_file_name(file) };
+                let is_there = leads_to.exists()
+                    && (heading.is_empty()
+                        || prose(&read(&leads_to))
+                            .any(|(_, line)| line.starts_with('#') && anchor(line.trim_start_matches('#')) == heading));
+                if !is_there {
+                    wrong.push(format!("{}:{line}: {target}", page.display()));
+                }
+            }
+        }
+    }
+    assert!(links > 50, "only {links} links found");
+    assert!(wrong.is_empty(), "nothing is there:\n{}", wrong.join("\n"));
+}
+
+#[test]
+fn the_architecture_names_what_can_be_found() {
+    let sources: Vec<_> =
+        files(&[".rs", ".h", ".toml"]).into_iter().map(|path| (path.display().to_string(), read(&path))).collect();
+    let page = read(&data("../../.github/ARCHITECTURE.md"));
+    let names = page.split('`').skip(1).step_by(2).filter(|name| {
+        name.contains('_') || name.starts_with(char::is_uppercase) || name.contains('/') || name.ends_with(".rs")
+    });
+    let mut count = 0;
+    for name in names.filter(|name| !name.contains(['\n', '…']) && !name.starts_with("/")) {
+        count += 1;
+        let is_found = data("../..").join(name).exists()
+            || sources.iter().any(|(path, text)| path.ends_with(&format!("/{name}")) || text.contains(name));
+        assert!(is_found, "ARCHITECTURE.md names `{name}`, which is nowhere");
+    }
+    assert!(count > 20, "only {count} names");
+}
+
+#[test]
+fn the_first_page_is_short() {
+    let lines = read(&data("../../README.md")).lines().count();
+    assert!(lines <= 120, "README.md has {lines} lines");
+}
+
+#[test]
+fn every_threat_names_tests_that_exist() {
+    let sources: String = files(&[".rs"]).iter().map(|path| read(path)).collect();
+    let page = read(&data("../../.github/SECURITY.md"));
+    let rows: Vec<Vec<&str>> =
+        page.lines().filter(|line| line.starts_with('|')).skip(2).map(|row| row.split('|').collect()).collect();
+    assert!(rows.len() > 10, "{} threats", rows.len());
+    for row in rows {
+        let [_, _, threat, _, tests, targets, _] = row[..] else { panic!("a row of {} columns: {row:?}", row.len()) };
+        let names = |text: &str| -> Vec<String> { text.split('`').skip(1).step_by(2).map(str::to_owned).collect() };
+        assert!(!names(tests).is_empty(), "no test against `{threat}`");
+        for name in names(tests) {
+            assert!(sources.contains(&format!("fn {name}(")), "there is no test {name}");
+        }
+        for name in names(targets) {
+            assert!(data("../fuzz/corpus").join(&name).is_dir(), "there is no fuzz target {name}");
+        }
+    }
+}
+
+#[test]
+fn every_dependency_comes_from_the_registry() {
+    for lock in ["../../Cargo.lock", "../fuzz/libfuzzer/Cargo.lock"] {
+        let text = read(&data(lock));
+        for source in text.lines().filter_map(|line| line.strip_prefix("source = ")) {
+            assert_eq!(source, "\"registry+https://github.com/rust-lang/crates.io-index\"", "{lock}");
+        }
+        let unpinned = text.split("[[package]]").filter(|it| it.contains("source = ") && !it.contains("checksum = "));
+        assert_eq!(unpinned.count(), 0, "{lock} has packages without a checksum");
+    }
+}
+
+#[test]
+fn the_readme_shows_what_the_program_draws() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let drawn = name_in(folder.path(), "drawn.svg");
+    for (name, arguments) in [
+        ("wide.svg", ["scene", "plot", "wide", "--pose", "1.5,-1,2,0,4,8"].as_slice()),
+        ("cell.svg", &["scene", "plot", "bench", "--cell", "0", "--pose", "2,0,0,0,0,0"]),
+    ] {
+        slitpose!().run(arguments.iter().chain(&["--output", &drawn])).done();
+        let is_shown = read(&data("../../host/pictures").join(name)) == read(Path::new(&drawn));
+        assert!(is_shown, "{name}: draw it anew with `slitpose {}`", arguments.join(" "));
     }
 }

@@ -1,13 +1,15 @@
-//! A capture solved again gives what was printed when it was taken, byte for byte.
+//! A capture solved again gives what was printed when it was taken, byte for byte; and work on several cores gives what one
+//! gives.
 
+use std::fs;
 use std::path::Path;
 
 use slitpose_protocol::Command;
 use slitpose_tests::process::text;
 use slitpose_tests::scenes::wide_with;
-use slitpose_tests::slitpose;
 use slitpose_tests::table::Table;
 use slitpose_tests::terminal::{Board, Terminal};
+use slitpose_tests::{poses, slitpose};
 
 fn run(arguments: &[&str]) -> Vec<u8> {
     slitpose!().run(["run", "--device", "sim", "--speed", "max"].iter().chain(arguments)).silently_done()
@@ -73,19 +75,13 @@ fn simulating_and_replaying_is_running() {
     assert!(replay(&recorded, &[]) == ran, "replay of a recording differs from run");
 
     // Standard output takes a capture, too, and the bytes alone are one.
-    let read = |path| std::fs::read(path).expect("capture");
+    let read = |path| fs::read(path).expect("capture");
     let finished = slitpose!().run(["simulate", "--output", "-"].iter().chain(&common));
     assert!(finished.code == 0 && finished.stdout == read(&simulated), "standard output got another capture");
     let bytes = folder.path().join("bytes");
     let finished = slitpose!().run(["simulate", "--raw", "--output", text(&bytes)].iter().chain(&common));
     assert_eq!((finished.code, finished.stderr.as_str()), (0, ""));
     assert!(replay(&bytes, &[]) == ran, "replay of the bytes alone differs from run");
-}
-
-#[test]
-fn another_seed_is_another_capture() {
-    let capture = |seed| slitpose!().run(["simulate", "--output", "-", "--duration", "50ms", "--seed", seed]).stdout;
-    assert!(capture("1") != capture("2"));
 }
 
 #[test]
@@ -106,14 +102,14 @@ fn the_true_path_on_file_is_the_one_in_the_capture() {
     let (capture, truth) = (folder.path().join("capture"), folder.path().join("truth.csv"));
     let arguments = ["--duration", "100ms", "--output", text(&capture), "--truth", text(&truth), "--seed", "22"];
     assert_eq!(slitpose!().run(["simulate"].iter().chain(&arguments)).code, 0);
-    let table = Table::parse(&std::fs::read_to_string(&truth).expect("truth"));
+    let table = Table::parse(&fs::read_to_string(&truth).expect("truth"));
     let lines = slitpose_tests::ndjson::parse(&String::from_utf8(replay(&capture, &[])).expect("UTF-8"));
     assert_eq!((table.rows().len(), lines.len()), (400, 400));
     for (row, line) in table.rows().zip(&lines) {
         assert_eq!(row.number("seq"), line.sequence as f64);
         assert_eq!(row.number("device_time_s"), line.device_time_s);
         let [tx, ty, tz, rx, ry, rz] = row.numbers(["tx_mm", "ty_mm", "tz_mm", "rx_rad", "ry_rad", "rz_rad"]);
-        let filed = slitpose_tests::poses::pose([tx, ty, tz, rx, ry, rz]);
+        let filed = poses::pose([tx, ty, tz, rx, ry, rz]);
         let off = slitpose_tests::consistency::error(&filed, &line.truth.expect("simulated"));
         // From quaternion to rotation vector and back, from metres to millimetres and back: rounding.
         assert!(off.iter().all(|axis| axis.abs() < 1e-15), "{line:?}: {off:?}");
@@ -125,7 +121,7 @@ fn the_scene_of_a_capture_is_looked_after() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let (capture, scene) = (folder.path().join("capture"), folder.path().join("thick.toml"));
     let thick = wide_with(&[("length_mm = 10.0  ", "thickness_mm = 0.15\nlength_mm = 10.0  ")]);
-    std::fs::write(&scene, thick).expect("scene");
+    fs::write(&scene, thick).expect("scene");
     let ran = run(&["--duration", "20ms", "--scene", text(&scene), "--record", text(&capture)]);
     assert!(replay(&capture, &[]) == ran, "a capture holds its scene");
 
@@ -135,7 +131,7 @@ fn the_scene_of_a_capture_is_looked_after() {
     assert_eq!(slitpose!().run(simulate).code, 0);
     let refused = slitpose!().run(["replay", text(&bytes)]);
     let wide = slitpose_head::scene_file::WIDE.read().expect("shipped").hash;
-    let own = slitpose_tests::scenes::parse(&std::fs::read_to_string(&scene).expect("scene")).hash;
+    let own = slitpose_tests::scenes::parse(&fs::read_to_string(&scene).expect("scene")).hash;
     refused.assert_refused(1, &[&format!("{wide:016x}"), &format!("{own:016x}"), "--scene"]);
 
     assert!(replay(&bytes, &["--scene", text(&scene)]) == ran, "replay with the scene given differs from run");
@@ -149,4 +145,88 @@ fn the_scene_of_a_capture_is_looked_after() {
     // A shipped scene is found by its hash.
     let ran = run(&["--duration", "20ms", "--overwrite", "--record", text(&capture), "--scene", "wide"]);
     assert!(replay(&capture, &[]) == ran);
+}
+
+#[test]
+fn captures_side_by_side_have_the_poses_of_their_own_replays() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let captures = ["a", "b", "c"].map(|name| folder.path().join(format!("{name}.capture")));
+    for (seed, capture) in captures.iter().enumerate() {
+        let seed = seed.to_string();
+        let simulated = ["simulate", "--raw", "--output", text(capture), "--duration", "50ms", "--seed", &seed];
+        slitpose!().run(simulated).done();
+    }
+    // One of them ends within a packet.
+    let whole = fs::read(&captures[1]).expect("a capture");
+    fs::write(&captures[1], &whole[..whole.len() - 70]).expect("a shorter capture");
+    let own = captures.each_ref().map(|capture| slitpose!().run(["replay", text(capture), "--format", "csv"]));
+    assert_eq!(own.each_ref().map(|own| own.code), [0, 3, 0]);
+
+    for jobs in ["1", "2", "5"] {
+        let poses = folder.path().join(jobs);
+        let options = ["--jobs", jobs, "--output", text(&poses), "--format", "csv"];
+        let all = slitpose!().run(["replay"].into_iter().chain(captures.iter().map(|path| text(path))).chain(options));
+        assert_eq!(all.code, 3, "{}", all.stderr);
+        assert!(all.stderr.contains("b.capture: "), "which one is damaged? {}", all.stderr);
+        let table = Table::parse(std::str::from_utf8(&all.stdout).expect("UTF-8"));
+        assert_eq!(table.rows().len(), captures.len());
+        for (((row, capture), own), ended) in table.rows().zip(&captures).zip(&own).zip(["whole", "data_lost", "whole"])
+        {
+            assert_eq!([row.text("capture"), row.text("ended")], [text(capture), ended]);
+            let name = capture.file_stem().expect("a name").to_str().expect("UTF-8");
+            let written = fs::read(poses.join(format!("{name}.csv"))).expect("a file of poses");
+            assert!(written == own.stdout, "{name}: other poses than those of its own replay, {jobs} at a time");
+            let poses = written.iter().filter(|byte| **byte == b'\n').count() - 1;
+            assert_eq!([row.number("scans"), row.number("converged")], [poses as f64; 2], "{name}");
+        }
+        assert_eq!(fs::read_dir(&poses).expect("a folder").count(), captures.len());
+    }
+
+    // Without a folder the table is all; what cannot be replayed does not keep the others from it.
+    let missing = folder.path().join("d.capture");
+    let some = slitpose!().run(["replay", text(&captures[0]), text(&missing), text(&captures[2]), "--jobs", "2"]);
+    assert_eq!(some.code, 1, "{}", some.stderr);
+    assert!(some.stderr.contains("d.capture: ") && some.stderr.contains("cannot read"), "{}", some.stderr);
+    let table = Table::parse(std::str::from_utf8(&some.stdout).expect("UTF-8"));
+    let ended: Vec<_> = table.rows().map(|row| row.text("ended").to_owned()).collect();
+    assert_eq!(ended, ["whole", "failed", "whole"]);
+}
+
+#[test]
+fn captures_side_by_side_are_refused_where_their_poses_would_be_mixed_or_lost() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let capture = folder.path().join("a.capture");
+    slitpose!().run(["simulate", "--raw", "--output", text(&capture), "--duration", "5ms"]).done();
+    let output = text(folder.path());
+    for (arguments, parts) in [
+        (&["--jobs", "2", "--format", "csv"][..], &["--output DIR", "--format"][..]),
+        (&["--jobs", "2", "--output", output, "--format", "summary"], &["--output DIR", "--format"]),
+        (&["--jobs", "0"], &["--jobs", "0"]),
+        (&["--output", output], &["--jobs"]),
+        (&["--jobs", "2", "--speed", "1"], &["--speed", "--jobs"]),
+    ] {
+        slitpose!().run(["replay", text(&capture)].iter().chain(arguments)).assert_refused(2, parts);
+    }
+    let twice = ["replay", text(&capture), text(&capture), "--jobs", "2", "--output", output];
+    slitpose!().run(twice).assert_refused(2, &["a.ndjson", "twice"]);
+    assert_eq!(fs::read_dir(folder.path()).expect("a folder").count(), 1);
+}
+
+#[test]
+fn results_do_not_depend_on_the_number_of_jobs() {
+    let rows = poses::in_box(&mut poses::generator(5), 4.0, 15.0, 1_500);
+    let table = poses::table("p", &rows);
+    let with_jobs = |arguments: &[&str], input: &str| {
+        let [one, three] = ["1", "3"]
+            .map(|jobs| slitpose!().run_with_input(arguments.iter().copied().chain(["--jobs", jobs]), input).done());
+        assert_eq!(one, three, "{arguments:?}");
+        one
+    };
+    let currents = with_jobs(&["model", "wide", "--poses", "-"], &table);
+    with_jobs(&["solve", "wide", "--currents", "-"], &currents);
+    with_jobs(&["scene", "check", "wide", "--samples", "3000", "--format", "json"], "");
+    with_jobs(&["scene", "map", "wide", "--samples", "300"], "");
+    with_jobs(&["compare", "wide", "base", "--samples", "300"], "");
+    let free = ["--free", "slit_width", "--seed", "3"];
+    with_jobs(&[&["scene", "optimise", "wide"][..], &free].concat(), "");
 }

@@ -1,26 +1,30 @@
-//! `slitpose run --device PATH`: a board on a terminal is followed without loss, stopped in every
-//! case, and whatever else may be there is named.
+//! `slitpose run --device PATH`: a board on a terminal is followed without loss, also if nobody reads what is printed, stopped
+//! in every case, and whatever else may be there is named.
 
 use std::io::{BufRead, BufReader, Read};
+use std::path::Path;
 use std::process::{self, Child, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use nix::sys::signal::Signal;
+use slitpose::datagram::PoseDatagram;
 use slitpose_head::scene_file::WIDE;
 use slitpose_protocol::{
-    BoardKind, Command, DELIMITER, Decoder, HardwareFault, MAX_REQUEST_BYTES, Message, PROTOCOL, Rejection, Request,
+    BoardKind, Command, DELIMITER, Decoder, HardwareFault, MAX_REQUEST_BYTES, Message, Rejection, Request,
 };
 use slitpose_tests::capture::decode;
 use slitpose_tests::consistency::Honesty;
+use slitpose_tests::daemon::Follower;
 use slitpose_tests::ndjson::{self, Line};
 use slitpose_tests::process::{Finished, name_in, signal};
 use slitpose_tests::slitpose;
+use slitpose_tests::studies::scan_table;
 use slitpose_tests::terminal::{Board, Device, FRAME_RATE_HZ, Log, Terminal, edited, greeting, packet, reply};
 
 /// However busy the machine is. Nothing is judged by it but what would never come.
-const PATIENCE: Duration = Duration::from_secs(60);
+const PATIENCE: Duration = Duration::from_secs(120);
 
 /// Runs the command against `device` and gives what both say.
 fn run(device: impl Device, arguments: &[&str]) -> (Finished, Log, String) {
@@ -186,31 +190,6 @@ fn a_reader_that_goes_stops_the_board() {
 }
 
 #[test]
-fn a_reader_that_sleeps_costs_nothing_and_the_board_stays_lit() {
-    let (mut board, pings) = (Board::wide(65), Arc::new(AtomicU64::new(0)));
-    let (heard, mut decoder) = (Arc::clone(&pings), Decoder::<MAX_REQUEST_BYTES>::new());
-    let terminal = Terminal::serve(move |received: &[u8], now_s: f64, sent: &mut Vec<u8>| {
-        let mut bytes = received;
-        while let Some(request) = decoder.next::<Request>(&mut bytes) {
-            heard.fetch_add(u64::from(request.is_ok_and(|request| is_ping(&request.command))), Ordering::Relaxed);
-        }
-        board.act(received, now_s, sent)
-    });
-    let child = spawn(&terminal, &["--duration", "2s"]);
-    let since = Instant::now();
-    // Some 130 lines fit the pipe and the buffer ahead of it: 30 ms. Pings come twice a second.
-    while pings.load(Ordering::Relaxed) < 3 && since.elapsed() < PATIENCE {
-        std::thread::sleep(Duration::from_millis(10));
-    }
-    let finished = Finished::of(child);
-    terminal.closed();
-    assert!(pings.load(Ordering::Relaxed) >= 3, "no pings while nobody read");
-    let lines = ndjson::parse(&finished.done());
-    assert_eq!(lines.len(), 8000);
-    assert_followed(&lines);
-}
-
-#[test]
 fn a_board_that_is_unplugged_is_missed() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let record = folder.path().join("run.capture");
@@ -227,67 +206,47 @@ fn a_board_that_is_unplugged_is_missed() {
 }
 
 #[test]
-fn a_board_that_falls_silent_is_missed() {
-    let mut board = Board::wide(67);
-    let device =
-        move |received: &[u8], now_s: f64, sent: &mut Vec<u8>| now_s >= 0.4 || board.act(received, now_s, sent);
-    let (finished, log, path) = run(device, &["--duration", "10s"]);
-    assert_eq!(finished.code, 1, "{}", finished.stderr);
-    assert!(finished.stderr.contains(&format!("no data for 0.45 s from the board on {path}")), "{}", finished.stderr);
-    let lines = ndjson::parse(&String::from_utf8(finished.stdout).expect("UTF-8"));
-    assert!(lines.len() > 100, "{} lines", lines.len());
-    assert_eq!(log.commands().last(), Some(&Command::Stop), "told to stop in spite of it");
+fn a_board_that_falls_silent_or_stops_by_itself_is_missed() {
+    for (stops, what) in [(false, "no data for 0.45 s from the board on"), (true, "has stopped sampling")] {
+        let (mut board, mut bytes) = (Board::wide(67), 0);
+        let device = move |received: &[u8], now_s: f64, sent: &mut Vec<u8>| {
+            // Some hundred scans.
+            if bytes > 40_000 {
+                board.command(Command::Stop);
+            }
+            if bytes > 40_000 && !stops {
+                return true;
+            }
+            let before = sent.len();
+            let plugged = board.act(received, now_s, sent);
+            bytes += sent.len() - before;
+            plugged
+        };
+        let (finished, log, path) = run(device, &["--duration", "10s"]);
+        assert_eq!(finished.code, 1, "{}", finished.stderr);
+        assert!(finished.stderr.contains(what) && finished.stderr.contains(&path), "{}", finished.stderr);
+        let lines = ndjson::parse(&String::from_utf8(finished.stdout).expect("UTF-8"));
+        assert!(lines.len() > 100, "{} lines", lines.len());
+        assert!(stops || log.commands().last() == Some(&Command::Stop), "told to stop in spite of it");
+    }
 }
 
 #[test]
-fn a_board_that_stops_by_itself_is_missed() {
-    let mut board = Board::wide(68);
-    let device = move |received: &[u8], now_s: f64, sent: &mut Vec<u8>| {
-        if now_s > 0.4 {
-            board.command(Command::Stop);
-        }
-        board.act(received, now_s, sent)
-    };
-    let (finished, ..) = run(device, &["--duration", "10s"]);
-    assert_eq!(finished.code, 1, "{}", finished.stderr);
-    assert!(finished.stderr.contains("has stopped sampling"), "{}", finished.stderr);
-    assert!(ndjson::parse(&String::from_utf8(finished.stdout).expect("UTF-8")).len() > 100);
-}
-
-#[test]
-fn silence_is_not_a_board() {
-    let started = Instant::now();
-    let (finished, log, path) = run(|_: &[u8], _: f64, _: &mut Vec<u8>| true, &["--patience", "0s"]);
-    finished.assert_refused(1, &[&path, "not a byte"]);
-    assert!(started.elapsed() >= Duration::from_secs(2));
-    let commands = log.commands();
-    // Every 250 ms of 2 s.
-    assert!(commands.len() >= 6 && commands.iter().all(|command| *command == Command::Hello), "{commands:?}");
-}
-
-#[test]
-fn garbage_is_not_a_board() {
-    let mut count = 0;
-    let garbage = move |_: &[u8], _: f64, sent: &mut Vec<u8>| {
-        if count < 1000 {
-            sent.extend([0x55, 0x00, 0xaa, 0x13, 0xff]);
-            count += 5;
-        }
-        true
-    };
-    let (finished, log, path) = run(garbage, &["--patience", "0s"]);
-    finished.assert_refused(1, &[&path, "1000 bytes", "no hello"]);
-    assert!(log.commands().iter().all(|command| *command == Command::Hello));
-}
-
-#[test]
-fn a_board_of_another_version_is_named_as_such() {
-    let device = greeting(Board::wide(69), |hello| {
-        hello.protocol.major = 7;
-    });
-    let (finished, log, path) = run(device, &[]);
-    finished.assert_refused(1, &[&path, "protocol 7.0", &PROTOCOL.to_string(), "update"]);
-    assert!(log.commands().iter().all(|command| *command == Command::Hello));
+fn silence_and_garbage_are_no_boards() {
+    for (count, parts) in [(0, &["not a byte"][..]), (1000, &["1000 bytes", "no hello"])] {
+        let (started, mut left) = (Instant::now(), count);
+        let garbage = move |_: &[u8], _: f64, sent: &mut Vec<u8>| {
+            sent.extend(&[0x55, 0x00, 0xaa, 0x13, 0xff][..left.min(5)]);
+            left -= left.min(5);
+            true
+        };
+        let (finished, log, path) = run(garbage, &["--patience", "0s"]);
+        finished.assert_refused(1, &[parts, &[&path]].concat());
+        let commands = log.commands();
+        assert!(commands.iter().all(|command| *command == Command::Hello), "{commands:?}");
+        // Every 250 ms of 2 s.
+        assert!(count > 0 || (commands.len() >= 6 && started.elapsed() >= Duration::from_secs(2)), "{commands:?}");
+    }
 }
 
 /// The default board, except that it refuses one kind of command.
@@ -392,16 +351,91 @@ fn what_is_no_port_is_named() {
     }
 }
 
+/// Scans of more than half a second are on their way to an output that is not read: the pipe and all
+/// buffers are full by then.
+const FULL: u64 = 4_000;
+
+/// The datagram's flags, and its bit for scans that were passed over, as `slitpose_pose.h` has them.
+const FLAGS_AT: usize = 8;
+const BEHIND: u32 = 32;
+const SEQUENCE_AT: usize = 48;
+
+/// A daemon on a virtual board, with a client that follows; nobody reads what it prints.
+struct Unread {
+    child: Child,
+    client: Follower,
+    since: Instant,
+}
+
+impl Unread {
+    fn start(terminal: &Terminal, folder: &Path, arguments: &[&str]) -> Self {
+        let server = name_in(folder, "pose");
+        let publish = format!("unix:{server}");
+        let first = ["run", "--device", &terminal.path, "--format", "ndjson", "--publish", &publish];
+        let child = slitpose!().spawn(first.iter().chain(arguments));
+        Self { child, client: Follower::of(server.into()), since: Instant::now() }
+    }
+
+    /// The number and the flags of the next pose.
+    fn next(&mut self) -> (u64, u32) {
+        let mut datagram = [0; PoseDatagram::BYTES];
+        while !self.client.receive(&mut datagram) {
+            assert!(self.since.elapsed() < PATIENCE, "no pose comes");
+        }
+        let flags = u32::from_le_bytes(datagram[FLAGS_AT..][..4].try_into().expect("four bytes"));
+        let sequence = u64::from_le_bytes(datagram[SEQUENCE_AT..][..8].try_into().expect("eight bytes"));
+        (sequence, flags)
+    }
+}
+
 #[test]
-fn a_port_in_use_is_left_alone() {
-    let terminal = Terminal::serve(Board::wide(72));
-    let mut first = spawn(&terminal, &["--duration", "1s"]);
-    let mut stdout = BufReader::new(first.stdout.take().expect("piped"));
-    let mut text = String::new();
-    stdout.read_line(&mut text).expect("line");
-    let second = slitpose!().run(["run", "--device", &terminal.path, "--duration", "100ms"]);
-    second.assert_refused(1, &[&terminal.path, "in use"]);
-    stdout.read_to_string(&mut text).expect("UTF-8");
-    assert_eq!(Finished::of(first).code, 0);
-    assert_eq!(ndjson::parse(&text).len(), 4000);
+fn who_does_not_read_standard_output_keeps_no_control_loop_waiting() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let terminal = Terminal::serve(Board::wide(80));
+    let mut unread = Unread::start(&terminal, folder.path(), &["--duration", "3s"]);
+    let (mut last, mut behind) = (None, 0);
+    // Nothing has been read when the last scans come; one of each read is given in this case.
+    while last.is_none_or(|last| last < 11_900) {
+        let (sequence, flags) = unread.next();
+        assert!(last.is_none_or(|last| last < sequence), "scan {sequence} after {last:?}");
+        behind += u64::from(flags & BEHIND != 0);
+        last = Some(sequence);
+    }
+    assert!(behind > 0, "it does not say that scans were passed over");
+    // Standard output never drops.
+    let finished = Finished::of(unread.child);
+    terminal.closed();
+    let lines = ndjson::parse(&finished.done());
+    assert_eq!(lines.len(), 12_000);
+    lines.iter().zip(lines[0].sequence..).for_each(|(line, expected)| assert_eq!(line.sequence, expected));
+}
+
+#[test]
+fn an_interrupt_ends_a_run_whose_output_nobody_reads() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let capture = name_in(folder.path(), "run.mcap");
+    let terminal = Terminal::serve(Board::wide(81));
+    let mut unread = Unread::start(&terminal, folder.path(), &["--record", &capture]);
+    let mut last = 0;
+    while last < 2 * FULL {
+        last = unread.next().0;
+    }
+    signal(&unread.child, Signal::SIGINT);
+    let since = Instant::now();
+    // Nothing is read before it has ended.
+    while unread.child.try_wait().expect("status").is_none() {
+        assert!(since.elapsed() < PATIENCE, "the interrupt is not answered");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    println!("ended {:?} after the interrupt", since.elapsed());
+    let finished = Finished::of(unread.child);
+    terminal.closed();
+    assert_eq!(finished.code, 1, "{}", finished.stderr);
+    assert!(finished.stderr.contains("nobody reads what is printed"), "{}", finished.stderr);
+    // What was not solved is in the capture.
+    let (boards, replayed) = scan_table::count(slitpose!(), &capture, &[]);
+    assert_eq!(replayed.code, 0, "{}", replayed.stderr);
+    let scans = boards.into_values().next().expect("a board");
+    assert!(scans.jumps == 0 && scans.first + scans.count > last, "{scans:?}, {last} was sent");
+    assert_eq!(scans.poses, scans.count);
 }

@@ -17,7 +17,6 @@
 mod file;
 mod index;
 mod link_bytes;
-mod medium;
 mod packets;
 mod place;
 mod reader;

@@ -329,12 +329,7 @@ impl<R: Read + Seek> McapInput<R> {
         let mut behind_bytes = 0;
         let mut entry = None;
         match records.next()? {
-            Next::Record(op::CHUNK, record) => {
-                *chunk = ChunkRecords::new(record);
-                if chunk.is_none() {
-                    index.count_damage(record.len() as u64);
-                }
-            }
+            Next::Chunk(records) => *chunk = Some(records),
             Next::Record(opcode, record) => entry = index.interpret(opcode, record, segment),
             Next::Damaged(bytes) => {
                 index.count_damage(bytes);
@@ -382,9 +377,9 @@ impl<R: Read + Seek> McapInput<R> {
             loop {
                 let at = records.position();
                 match records.next()? {
-                    Next::Record(op::CHUNK, _) if is_found && is_settled(index) => return Ok(at),
+                    Next::Chunk(_) if is_found && is_settled(index) => return Ok(at),
                     Next::Record(opcode, record) => is_found |= index.take_ahead(opcode, record),
-                    Next::Damaged(_) => {}
+                    Next::Chunk(_) | Next::Damaged(_) => {}
                     Next::Finished { .. } | Next::Cut(_) => return Ok(u64::MAX),
                 }
             }
@@ -395,23 +390,15 @@ impl<R: Read + Seek> McapInput<R> {
 
     /// The next entry of the chunk that is being read.
     fn next_in_chunk(&mut self, segment: &mut Segment) -> Option<Entry> {
-        let Self { chunk, index, .. } = self;
-        while let Some(records) = chunk {
+        while let Some((opcode, record)) = self.chunk.as_mut()?.next() {
             // Attachments and metadata stand outside.
-            let mut interpret = |opcode, record: &[u8]| match opcode {
-                op::CHANNEL | op::MESSAGE => index.interpret(opcode, record, segment),
-                _ => None,
-            };
-            match records.next(&mut interpret) {
-                Ok(Some(Some(entry))) => return Some(entry),
-                Ok(Some(None)) => {}
-                Ok(None) => *chunk = None,
-                Err(_) => {
-                    index.count_damage(records.bytes());
-                    *chunk = None;
-                }
+            if matches!(opcode, op::CHANNEL | op::MESSAGE)
+                && let Some(entry) = self.index.interpret(opcode, record, segment)
+            {
+                return Some(entry);
             }
         }
+        self.chunk = None;
         None
     }
 }

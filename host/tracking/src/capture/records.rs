@@ -1,16 +1,15 @@
 //! The records of an MCAP file, from its beginning to its end, even if it is damaged.
 //!
-//! A record begins with its length, after which the next one begins. Where the length is impossible, the reader
-//! searches byte by byte for the next record that is proven by a checksum, or by consistent lengths.
+//! A record begins with its length, after which the next one begins. Where there is no sound record, the reader searches
+//! byte by byte for the next one that a checksum, or consistent lengths, prove.
 
-use std::io::{self, Read, Seek};
+use std::io::{self, Read, Seek, SeekFrom};
 use std::ops::Range;
+use std::vec;
 
-use mcap::McapError;
+use crc32fast::Hasher;
 use mcap::records::{Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
-
-use super::medium::Window;
 
 /// Longest record accepted, which limits the memory for a damaged length: a chunk has some 128 KiB, and
 /// other MCAP writers stay far below.
@@ -45,7 +44,7 @@ const END_BYTES: usize = 4 + mcap::MAGIC.len();
 /// The last record of the index: two offsets and a checksum.
 const FOOTER_BYTES: usize = FRAME_BYTES + 8 + 8 + 4;
 
-/// Reads records from `input`; chunks are not unpacked.
+/// Reads records from `input`.
 pub(super) struct Records<R> {
     window: Window<R>,
     /// Length of the record returned last.
@@ -60,10 +59,10 @@ pub(super) struct Records<R> {
     work_bytes: [u64; 2],
 }
 
-#[derive(Debug)]
 pub(super) enum Next<'a> {
+    Chunk(ChunkRecords),
     Record(u8, &'a [u8]),
-    /// This many bytes are not a record; a record follows.
+    /// This many bytes are not a sound record.
     Damaged(u64),
     /// The last record of the data; copies and an index follow.
     Finished {
@@ -77,17 +76,22 @@ pub(super) enum Next<'a> {
     Cut(u64),
 }
 
-/// Where a record stands in the window.
+/// What stands at a place of the window, up to `end`.
 enum Found {
     Record {
         opcode: u8,
         body: Range<usize>,
         end: usize,
     },
-    /// There is no record here.
-    None,
-    /// The file ends before a record could end.
-    End,
+    Chunk {
+        records: ChunkRecords,
+        end: usize,
+    },
+    /// A chunk that is damaged, or unpacks out of proportion; another record follows it.
+    Damaged {
+        end: usize,
+    },
+    Nothing,
 }
 
 impl<R: Read> Records<R> {
@@ -97,7 +101,7 @@ impl<R: Read> Records<R> {
     }
 
     fn within(window: Window<R>, is_begun: bool, work_bytes: u64) -> Self {
-        let (whole_bytes, work_bytes) = (window.offset(), [work_bytes, 0]);
+        let (whole_bytes, work_bytes) = (window.offset, [work_bytes, 0]);
         Self { whole_bytes, damaged_to: 0, window, given: 0, has_gap: false, is_begun, work_bytes }
     }
 
@@ -109,12 +113,17 @@ impl<R: Read> Records<R> {
         {
             return Ok(damage);
         }
-        match self.record_at(0)? {
+        let found = self.record_at(0, true)?;
+        if let Found::Record { end, .. } | Found::Chunk { end, .. } | Found::Damaged { end } = &found {
+            self.given = *end;
+            self.whole_bytes = self.window.offset + *end as u64;
+        }
+        match found {
             Found::Record { opcode: op::DATA_END, body, end } => {
-                let stated = self.window.slice(body).try_into().map_or(0, u32::from_le_bytes);
+                let stated = self.window.bytes()[body].try_into().map_or(0, u32::from_le_bytes);
                 let sum = self.window.take_checksum();
+                self.given = 0;
                 self.window.advance(end);
-                self.whole_bytes = self.window.offset();
                 let checksum_failed = self.has_gap || (stated != 0 && stated != sum);
                 let (index_damaged, trailing_bytes) = self.pass_index()?;
                 Ok(Next::Finished { checksum_failed, index_damaged, trailing_bytes })
@@ -122,18 +131,15 @@ impl<R: Read> Records<R> {
             Found::Record { opcode: op::FOOTER, .. } => {
                 Ok(Next::Finished { checksum_failed: true, index_damaged: true, trailing_bytes: 0 })
             }
-            Found::Record { opcode, body, end } => {
-                self.given = end;
-                self.whole_bytes = self.window.offset() + end as u64;
-                let is_small = opcode != op::CHUNK || self.can_verify(opcode, &body);
-                Ok(if is_small { Next::Record(opcode, self.window.slice(body)) } else { Next::Damaged(end as u64) })
-            }
-            Found::None | Found::End => self.search(),
+            Found::Record { opcode, body, .. } => Ok(Next::Record(opcode, &self.window.bytes()[body])),
+            Found::Chunk { records, .. } => Ok(Next::Chunk(records)),
+            Found::Damaged { end } => Ok(Next::Damaged(end as u64)),
+            Found::Nothing => self.search(),
         }
     }
 
     pub(super) fn position(&self) -> u64 {
-        self.window.offset() + self.given as u64
+        self.window.offset + self.given as u64
     }
 
     /// Bytes up to the end of the last whole record.
@@ -150,12 +156,16 @@ impl<R: Read> Records<R> {
         let is_magic = bytes.starts_with(mcap::MAGIC);
         self.window.advance(length);
         if is_magic {
-            self.whole_bytes = self.window.offset();
+            self.whole_bytes = self.window.offset;
             return Ok(None);
         }
-        self.has_gap = true;
-        self.damaged_to = self.window.offset();
-        Ok(Some(Next::Damaged(length as u64)))
+        Ok(Some(self.damaged(length as u64)))
+    }
+
+    /// The bytes before the window are damaged.
+    fn damaged(&mut self, bytes: u64) -> Next<'static> {
+        (self.has_gap, self.damaged_to) = (true, self.window.offset);
+        Next::Damaged(bytes)
     }
 
     fn search(&mut self) -> io::Result<Next<'static>> {
@@ -163,82 +173,70 @@ impl<R: Read> Records<R> {
         loop {
             if at >= SEARCHED_BYTES {
                 self.window.advance(at);
-                passed += at as u64;
-                at = 0;
+                (passed, at) = (passed + at as u64, 0);
             }
             let bytes = self.window.fill(at + CHUNK_BEGIN_BYTES)?;
             if at >= bytes.len() {
-                let rest = self.window.bytes().len();
+                let rest = bytes.len();
                 self.window.advance(rest);
-                return Ok(Next::Cut(self.window.offset() - self.whole_bytes.max(self.damaged_to)));
+                return Ok(Next::Cut(self.window.offset - self.whole_bytes.max(self.damaged_to)));
             }
-            // Up to where a chunk's beginning would be cut off; at the end of the file one byte at a time.
-            let last = bytes.len().saturating_sub(CHUNK_BEGIN_BYTES).max(at);
-            let Some(passed_over) = (at..=last).position(|at| may_begin(&bytes[at..])) else {
-                at = last + 1;
-                continue;
-            };
-            at += passed_over;
-            if matches!(self.proven_at(at)?, Found::Record { .. }) {
+            if may_begin(&bytes[at..]) && !matches!(self.record_at(at, false)?, Found::Nothing) {
                 self.window.advance(at);
-                self.has_gap = true;
-                self.damaged_to = self.window.offset();
-                return Ok(Next::Damaged(passed + at as u64));
+                return Ok(self.damaged(passed + at as u64));
             }
             at += 1;
         }
     }
 
-    /// The record at `at`, directly after another one.
-    fn record_at(&mut self, at: usize) -> io::Result<Found> {
+    /// The record at `at`: if it does not follow another one directly, only one that is proven.
+    fn record_at(&mut self, at: usize, follows: bool) -> io::Result<Found> {
         let bytes = &self.window.fill(at + CHUNK_BEGIN_BYTES)?[at..];
-        let Some((opcode, length)) = frame(bytes) else { return Ok(Found::End) };
-        let chunk = chunk_bytes(bytes);
-        if opcode == op::CHUNK && length.is_some() && chunk == length {
-            let found = self.found(at, opcode, length)?;
-            let Found::Record { body, end, .. } = &found else { return Ok(found) };
-            // Where bytes are missing in it, the next chunk may begin within its length.
-            let is_right = self.is_record_or_end(*end)?
-                || (self.can_verify(opcode, body) && ChunkRecords::is_whole(self.window.slice(body.clone())));
-            return Ok(if is_right { found } else { Found::None });
+        let Some((opcode, Some(length))) = frame(bytes) else { return Ok(Found::Nothing) };
+        let is_consistent = match opcode {
+            op::CHUNK => chunk_bytes(bytes) == Some(length),
+            op::METADATA | op::ATTACHMENT => true,
+            op::DATA_END => length == 4,
+            op::FOOTER => FRAME_BYTES + length == FOOTER_BYTES,
+            op::MESSAGE_INDEX => follows && index_bytes(bytes) == Some(length),
+            op::HEADER | op::SCHEMA | op::CHANNEL | op::MESSAGE | 0x80.. => follows,
+            _ => false,
+        };
+        let (begin, end) = (at + FRAME_BYTES, at + FRAME_BYTES + length);
+        if !is_consistent || self.window.fill(end)?.len() < end || !(follows || self.is_continued(opcode, end)?) {
+            return Ok(Found::Nothing);
         }
-        if chunk.is_some_and(|_| !is_uncompressed(bytes)) {
-            // A chunk whose frame is damaged.
-            return self.proven_at(at);
+        let body = begin..end;
+        let is_in_proportion = matches!(opcode, op::MESSAGE_INDEX | 0x80..) || self.can_verify(opcode, &body);
+        if opcode == op::CHUNK {
+            let records = if is_in_proportion { ChunkRecords::read(&self.window.bytes()[body]) } else { None };
+            return Ok(match records {
+                Some(records) => Found::Chunk { records, end },
+                // Where bytes are missing in it, the next chunk may begin within its length.
+                None if follows && self.is_record_or_end(end)? => Found::Damaged { end },
+                None => Found::Nothing,
+            });
         }
-        match opcode {
-            op::HEADER | op::SCHEMA | op::CHANNEL | op::MESSAGE => self.checked(at, opcode, length, parses),
-            op::MESSAGE_INDEX => {
-                let stated = bytes.get(FRAME_BYTES + 2..).and_then(|bytes| bytes.first_chunk());
-                let stated = stated.map(|stated| u32::from_le_bytes(*stated) as usize + 2 + 4);
-                if stated == length { self.found(at, opcode, length) } else { Ok(Found::None) }
-            }
-            0x80.. => self.found(at, opcode, length),
-            _ => self.proven_at(at),
-        }
+        let bytes = &self.window.bytes()[body.clone()];
+        let is_sound = is_in_proportion
+            && match opcode {
+                op::METADATA => is_metadata(bytes),
+                op::ATTACHMENT => attachment(bytes).is_some(),
+                op::HEADER | op::SCHEMA | op::CHANNEL | op::MESSAGE => mcap::parse_record(opcode, bytes).is_ok(),
+                _ => true,
+            };
+        Ok(if is_sound { Found::Record { opcode, body, end } } else { Found::Nothing })
     }
 
-    /// The record at `at`, if it is proven.
-    fn proven_at(&mut self, at: usize) -> io::Result<Found> {
-        let bytes = &self.window.fill(at + CHUNK_BEGIN_BYTES)?[at..];
-        let Some((opcode, length)) = frame(bytes) else { return Ok(Found::End) };
-        let chunk = chunk_bytes(bytes);
-        // Compressed data are a chunk, even if the frame is damaged.
-        if chunk.is_some() && (!is_uncompressed(bytes) || (opcode == op::CHUNK && chunk == length)) {
-            let found = self.checked(at, op::CHUNK, chunk, |_, body| ChunkRecords::is_whole(body))?;
-            // Bytes after the compressed data would not be detected.
-            let is_followed = match &found {
-                Found::Record { end, .. } => self.is_record_or_end(*end)?,
-                Found::None | Found::End => true,
-            };
-            return Ok(if is_followed { found } else { Found::None });
-        }
+    /// Whether what follows a record at `end` may follow it, as far as nothing else proves the record.
+    fn is_continued(&mut self, opcode: u8, end: usize) -> io::Result<bool> {
         match opcode {
-            op::METADATA => self.checked(at, opcode, length, |_, body| is_metadata(body)),
-            op::ATTACHMENT => self.checked(at, opcode, length, |_, body| attachment(body).is_some()),
-            op::DATA_END if length == Some(4) => self.found(at, opcode, length),
-            op::FOOTER if length == Some(8 + 8 + 4) => self.found(at, opcode, length),
-            _ => Ok(Found::None),
+            op::DATA_END => self.is_record_or_end(end),
+            op::FOOTER => {
+                let behind = &self.window.fill(end + mcap::MAGIC.len())?[end..];
+                Ok(mcap::MAGIC.starts_with(&behind[..behind.len().min(mcap::MAGIC.len())]))
+            }
+            _ => Ok(true),
         }
     }
 
@@ -249,44 +247,17 @@ impl<R: Read> Records<R> {
         Ok(frame(bytes).is_none_or(|(opcode, length)| is_known(opcode) && length.is_some()))
     }
 
-    /// The record of this length at `at`, if the file holds all of it.
-    fn found(&mut self, at: usize, opcode: u8, length: Option<usize>) -> io::Result<Found> {
-        let Some(length) = length else { return Ok(Found::None) };
-        let (begin, end) = (at + FRAME_BYTES, at + FRAME_BYTES + length);
-        let is_there = self.window.fill(end)?.len() >= end;
-        Ok(if is_there { Found::Record { opcode, body: begin..end, end } } else { Found::End })
-    }
-
     /// Whether the work of verifying or unpacking a record is in proportion to the file up to its end; counts it.
     fn can_verify(&mut self, opcode: u8, body: &Range<usize>) -> bool {
-        let bytes = self.window.slice(body.clone());
+        let bytes = &self.window.bytes()[body.clone()];
         let unpacked = bytes.get(16..).and_then(|bytes| bytes.first_chunk());
         let unpacked = unpacked.filter(|_| opcode == op::CHUNK).map_or(0, |bytes| u64::from_le_bytes(*bytes));
         let work_bytes = self.work_bytes[0].saturating_add(unpacked.max(bytes.len() as u64));
-        let is_fit = work_bytes <= MAX_WORK_AT_BEGIN + MAX_WORK_PER_BYTE * (self.window.offset() + body.end as u64);
+        let is_fit = work_bytes <= MAX_WORK_AT_BEGIN + MAX_WORK_PER_BYTE * (self.window.offset + body.end as u64);
         if is_fit {
             self.work_bytes[0] = work_bytes;
         }
         is_fit
-    }
-
-    /// As [`Self::found`], if the record is also `sound`.
-    fn checked(
-        &mut self,
-        at: usize,
-        opcode: u8,
-        length: Option<usize>,
-        sound: impl FnOnce(u8, &[u8]) -> bool,
-    ) -> io::Result<Found> {
-        let found = self.found(at, opcode, length)?;
-        match &found {
-            Found::Record { body, .. }
-                if !self.can_verify(opcode, body) || !sound(opcode, self.window.slice(body.clone())) =>
-            {
-                Ok(Found::None)
-            }
-            _ => Ok(found),
-        }
     }
 
     /// Reads to the end of the file; returns whether its index is damaged, and how many bytes follow the end.
@@ -352,17 +323,11 @@ pub(super) fn is_capture(begin: &[u8]) -> bool {
         return !begin.is_empty() && magic.starts_with(begin);
     }
     let agreeing = magic.iter().zip(begin).filter(|(a, b)| a == b).count();
-    let proves = |(opcode, length): (u8, Option<usize>), body: &[u8]| {
-        let body = length.and_then(|length| body.get(..length));
-        opcode == op::METADATA && body.is_some_and(is_metadata)
+    let is_metadata_at = |at: usize| {
+        let Some((op::METADATA, Some(length))) = frame(&begin[at..]) else { return false };
+        begin[at + FRAME_BYTES..].get(..length).is_some_and(is_metadata)
     };
-    let has_metadata = || {
-        (0..begin.len()).any(|at| {
-            let bytes = &begin[at..];
-            may_begin(bytes) && frame(bytes).is_some_and(|frame| proves(frame, &bytes[FRAME_BYTES..]))
-        })
-    };
-    2 * agreeing >= magic.len() || has_metadata()
+    2 * agreeing >= magic.len() || (0..begin.len()).any(is_metadata_at)
 }
 
 /// Whether the header at the `begin` of a file names another program.
@@ -382,9 +347,8 @@ fn frame(bytes: &[u8]) -> Option<(u8, Option<usize>)> {
 
 /// Whether a record that can be proven may begin with these bytes.
 fn may_begin(bytes: &[u8]) -> bool {
-    let is_short = bytes.get(5..FRAME_BYTES) == Some(&[0; 4]);
     let opcodes = [op::CHUNK, op::METADATA, op::ATTACHMENT, op::DATA_END, op::FOOTER];
-    (is_short && opcodes.contains(&bytes[0])) || chunk_bytes(bytes).is_some_and(|_| !is_uncompressed(bytes))
+    opcodes.contains(&bytes[0]) && bytes.get(5..FRAME_BYTES) == Some(&[0; 4])
 }
 
 /// Length of a chunk, from the fields after its frame.
@@ -396,12 +360,10 @@ fn chunk_bytes(bytes: &[u8]) -> Option<usize> {
     Some(COMPRESSION_AT - FRAME_BYTES + name.len() + 8 + records)
 }
 
-fn is_uncompressed(bytes: &[u8]) -> bool {
-    bytes[COMPRESSION_AT..].starts_with(&[0; 4])
-}
-
-fn parses(opcode: u8, body: &[u8]) -> bool {
-    mcap::parse_record(opcode, body).is_ok()
+/// Length of an index of messages, from its fields.
+fn index_bytes(bytes: &[u8]) -> Option<usize> {
+    let entries = bytes.get(FRAME_BYTES + 2..)?.first_chunk()?;
+    Some(u32::from_le_bytes(*entries) as usize + 2 + 4)
 }
 
 /// Whether `body` is exactly a name and a sequence of pairs of texts.
@@ -421,14 +383,15 @@ fn is_metadata(body: &[u8]) -> bool {
     pairs().is_some()
 }
 
+/// The records of a chunk whose checksum is right.
 pub(super) struct ChunkRecords {
-    reader: LinearReader,
-    bytes: u64,
+    bytes: Vec<u8>,
+    records: vec::IntoIter<(u8, Range<usize>)>,
 }
 
 impl ChunkRecords {
     /// The records of `chunk`, which is without its frame; `None` if it is damaged.
-    pub(super) fn new(chunk: &[u8]) -> Option<Self> {
+    fn read(chunk: &[u8]) -> Option<Self> {
         let Ok(Record::Chunk { header, data }) = mcap::parse_record(op::CHUNK, chunk) else {
             return None;
         };
@@ -442,43 +405,30 @@ impl ChunkRecords {
             .with_prevalidate_chunk_crcs(true)
             .with_record_length_limit(MAX_RECORD_BYTES);
         let mut reader = LinearReader::new_with_options(options);
-        let bytes = FRAME_BYTES + chunk.len();
-        let buffer = reader.insert(bytes);
+        let length = FRAME_BYTES + chunk.len();
+        let buffer = reader.insert(length);
         buffer[0] = op::CHUNK;
         buffer[1..FRAME_BYTES].copy_from_slice(&(chunk.len() as u64).to_le_bytes());
-        buffer[FRAME_BYTES..bytes].copy_from_slice(chunk);
-        reader.notify_read(bytes);
-        Some(Self { reader, bytes: bytes as u64 })
-    }
-
-    /// Whether all records of a chunk can be read.
-    fn is_whole(chunk: &[u8]) -> bool {
-        let Some(mut records) = Self::new(chunk) else { return false };
-        loop {
-            match records.next(|_, _| ()) {
-                Ok(Some(())) => {}
-                Ok(None) => return true,
-                Err(_) => return false,
-            }
-        }
-    }
-
-    /// Length of the chunk in the file.
-    pub(super) fn bytes(&self) -> u64 {
-        self.bytes
-    }
-
-    /// Passes the next record to `take`, if there is one.
-    pub(super) fn next<T>(&mut self, take: impl FnOnce(u8, &[u8]) -> T) -> Result<Option<T>, McapError> {
-        loop {
-            match self.reader.next_event() {
-                Some(Ok(LinearReadEvent::Record { opcode, data })) => return Ok(Some(take(opcode, data))),
+        buffer[FRAME_BYTES..length].copy_from_slice(chunk);
+        reader.notify_read(length);
+        let (mut bytes, mut records) = (Vec::new(), Vec::new());
+        while let Some(event) = reader.next_event() {
+            match event.ok()? {
+                LinearReadEvent::Record { opcode, data } => {
+                    let begin = bytes.len();
+                    bytes.extend_from_slice(data);
+                    records.push((opcode, begin..bytes.len()));
+                }
                 // There is no more: an end between two chunks, an error within one.
-                Some(Ok(LinearReadEvent::ReadRequest(_))) => self.reader.notify_read(0),
-                Some(Err(error)) => return Err(error),
-                None => return Ok(None),
+                LinearReadEvent::ReadRequest(_) => reader.notify_read(0),
             }
         }
+        Some(Self { bytes, records: records.into_iter() })
+    }
+
+    pub(super) fn next(&mut self) -> Option<(u8, &[u8])> {
+        let (opcode, record) = self.records.next()?;
+        Some((opcode, &self.bytes[record]))
     }
 }
 
@@ -511,4 +461,78 @@ fn text(bytes: &[u8]) -> Option<(&str, &[u8])> {
     let (length, rest) = bytes.split_first_chunk()?;
     let (text, rest) = rest.split_at_checked(u32::from_le_bytes(*length) as usize)?;
     Some((std::str::from_utf8(text).ok()?, rest))
+}
+
+const READ_BYTES: usize = 1 << 18;
+
+/// The bytes of a file from an offset on, as many as requested.
+struct Window<R> {
+    input: R,
+    buffer: Vec<u8>,
+    /// Offset of the window in `buffer`.
+    start: usize,
+    /// Offset of the window in the file.
+    offset: u64,
+    is_at_end: bool,
+    hasher: Hasher,
+}
+
+impl<R: Read> Window<R> {
+    /// Begins with `begin`, which was taken from `input` and stands at `offset` of the file.
+    fn new(begin: Vec<u8>, input: R, offset: u64) -> Self {
+        Self { input, buffer: begin, start: 0, offset, is_at_end: false, hasher: Hasher::new() }
+    }
+
+    /// All bytes at hand: `wanted` at least, unless the file ends before.
+    fn fill(&mut self, wanted: usize) -> io::Result<&[u8]> {
+        while self.buffer.len() - self.start < wanted && !self.is_at_end {
+            if self.start > READ_BYTES {
+                self.buffer.drain(..self.start);
+                self.start = 0;
+            }
+            let length = self.buffer.len();
+            self.buffer.resize(length + READ_BYTES, 0);
+            let read = loop {
+                match self.input.read(&mut self.buffer[length..]) {
+                    Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                    read => break read,
+                }
+            };
+            self.buffer.truncate(length + *read.as_ref().unwrap_or(&0));
+            self.is_at_end = read? == 0;
+        }
+        Ok(self.bytes())
+    }
+
+    /// All bytes at hand.
+    fn bytes(&self) -> &[u8] {
+        &self.buffer[self.start..]
+    }
+
+    /// Moves on by `length` of the bytes at hand.
+    fn advance(&mut self, length: usize) {
+        self.hasher.update(&self.buffer[self.start..self.start + length]);
+        self.start += length;
+        self.offset += length as u64;
+    }
+
+    /// CRC-32 of all bytes passed since the window was made, or since the last call.
+    fn take_checksum(&mut self) -> u32 {
+        std::mem::take(&mut self.hasher).finalize()
+    }
+}
+
+impl<R: Read + Seek> Window<R> {
+    /// Another window, at `offset` of the file. `None` if the input, such as a pipe, cannot seek.
+    /// [`Self::come_back`] must be called before this window is used again.
+    fn look_ahead(&mut self, offset: u64) -> Option<Window<&mut R>> {
+        self.input.seek(SeekFrom::Start(offset)).ok()?;
+        Some(Window::new(Vec::new(), &mut self.input, offset))
+    }
+
+    /// Restores the position before [`Self::look_ahead`].
+    fn come_back(&mut self) -> io::Result<()> {
+        let read = self.offset + self.bytes().len() as u64;
+        self.input.seek(SeekFrom::Start(read)).map(drop)
+    }
 }

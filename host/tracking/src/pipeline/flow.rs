@@ -11,7 +11,7 @@ use slitpose_protocol::{Batch, BoardKind, Hello, Message, Poses, Stream, Truth};
 
 use super::board_clock::{BoardClock, Span};
 use super::board_poses::BoardPose;
-use super::oddity::ClockWatch;
+use super::item::ClockWatch;
 use super::session::Session;
 use super::waiting::{Content, Waiting};
 use super::{Counts, Item, Oddity, PipelineError, PipelineOptions, PoseSource, Record, Scan, SceneMatch};
@@ -108,7 +108,7 @@ impl Flow {
                 Ok(())
             }
             Message::Truth(truth) => {
-                if self.session.as_ref().is_some_and(|session| session.kind() != BoardKind::Simulated) {
+                if self.session.as_ref().is_some_and(|session| session.kind != BoardKind::Simulated) {
                     return match std::mem::replace(&mut self.has_false_truth, true) {
                         true => Ok(()),
                         false => sink(Item::Oddity { device_time_s: f64::NAN, oddity: Oddity::Truth }),
@@ -132,7 +132,7 @@ impl Flow {
             return Ok(None);
         }
         let now = DeviceId(hello.device_id);
-        let before_now = self.session.as_ref().map(|session| session.device()).filter(|before| *before != now);
+        let before_now = self.session.as_ref().map(|session| session.device).filter(|before| *before != now);
         if before_now.is_some() {
             self.counts.begin_numbering();
         }
@@ -142,9 +142,9 @@ impl Flow {
         let session =
             Session::open(&self.head, self.tier, self.scene_match, self.following, self.watched, hello, number)?;
         self.sessions += 1;
-        self.clock.meet(session.device(), hello.schedule.tick_hz);
+        self.clock.meet(session.device, hello.schedule.tick_hz);
         let before = self.session.replace(Box::new(session));
-        self.earlier.extend(before.filter(|before| Some(before.number()) == self.waiting.newest_session()));
+        self.earlier.extend(before.filter(|before| Some(before.number) == self.waiting.newest_session()));
         Ok(before_now.filter(|_| !is_opened).map(|before| Oddity::Renamed { before, now }))
     }
 
@@ -153,12 +153,11 @@ impl Flow {
         batch: &Batch<'_>,
         sink: &mut impl FnMut(Item<'_>) -> Result<(), E>,
     ) -> Result<(), E> {
-        let Some(session) = self.session.as_mut().filter(|session| session.configuration() == batch.configuration)
-        else {
+        let Some(session) = self.session.as_mut().filter(|session| session.configuration == batch.configuration) else {
             self.counts.batches_without_hello += 1;
             return Ok(());
         };
-        let Ok(scans) = batch.scans(session.schedule()) else {
+        let Ok(scans) = batch.scans(&session.schedule) else {
             self.counts.batches_unreadable += 1;
             return Ok(());
         };
@@ -184,12 +183,11 @@ impl Flow {
         sink: &mut impl FnMut(Item<'_>) -> Result<(), E>,
     ) -> Result<(), E> {
         let is_source = self.following.source == PoseSource::Board;
-        let Some(session) = self.session.as_mut().filter(|session| session.configuration() == poses.configuration)
-        else {
+        let Some(session) = self.session.as_mut().filter(|session| session.configuration == poses.configuration) else {
             self.counts.batches_without_hello += u64::from(is_source);
             return Ok(());
         };
-        if let Some((_, tick, record)) = poses.iter(session.schedule().frame_ticks).last() {
+        if let Some((_, tick, record)) = poses.iter(session.schedule.frame_ticks).last() {
             // Not sent before it was solved.
             self.clock.arrive(tick.saturating_add(u64::from(record.ready) * u64::from(READY_TICKS)));
         }
@@ -260,7 +258,7 @@ impl Flow {
             Content::Pose(_) => session.place_unsolved(self.counts.missing_before(sequence)),
         };
         self.counts.count_scan(sequence, unsolved);
-        let frame_ticks = session.schedule().frame_ticks;
+        let frame_ticks = session.schedule.frame_ticks;
         if let Some(oddity) = self.clock_watch.check(sequence, tick, frame_ticks, session.tick_hz()) {
             sink(Item::Oddity { device_time_s, oddity })?;
         }
@@ -268,9 +266,9 @@ impl Flow {
             sequence,
             unsolved,
             content,
-            session: session.number(),
+            session: session.number,
             device_time_s,
-            host_time: self.clock.time_of(tick, session.reference_ticks()),
+            host_time: self.clock.time_of(tick, session.reference_ticks),
             arrival: self.clock.at(),
             truth: truth_of(&mut self.truths, sequence),
         };
@@ -289,7 +287,7 @@ impl Flow {
     /// Takes the oldest waiting scan, and drops the sessions before its own.
     pub(super) fn pop(&mut self) -> Option<(Scan, bool)> {
         let (scan, is_passed) = self.waiting.pop()?;
-        while self.earlier.front().is_some_and(|session| session.number() < scan.session) {
+        while self.earlier.front().is_some_and(|session| session.number < scan.session) {
             self.earlier.pop_front();
         }
         Some((scan, is_passed))
@@ -318,12 +316,12 @@ pub(super) fn session_of<'a>(
     current: &'a mut Option<Box<Session>>,
     number: u64,
 ) -> Option<&'a mut Session> {
-    earlier.iter_mut().chain(current).map(|session| &mut **session).find(|session| session.number() == number)
+    earlier.iter_mut().chain(current).map(|session| &mut **session).find(|session| session.number == number)
 }
 
 fn record(session: &Session, scan: &Scan, Tracked { solution, twist, filtered }: Tracked) -> Record {
     Record {
-        device: session.device(),
+        device: session.device,
         sequence: scan.sequence(),
         device_time_s: scan.device_time_s,
         host_time: scan.host_time,
@@ -331,7 +329,7 @@ fn record(session: &Session, scan: &Scan, Tracked { solution, twist, filtered }:
         solution,
         twist,
         filtered,
-        simulated: session.kind() == BoardKind::Simulated,
+        simulated: session.kind == BoardKind::Simulated,
         truth: scan.truth,
     }
 }

@@ -1,12 +1,13 @@
-//! What the pipeline gives out, and what it is asked for.
+//! What the pipeline gives out, and what it is asked for; faults in a stream that a sound board never shows, and their effect
+//! on the poses.
 
 use slitpose_head::foreign::printable;
-use slitpose_model::{Filtered, Pose, SceneError, Solution, TwistEstimate};
+use slitpose_model::{DegradedReason, Filtered, Outcome, Pose, SceneError, Solution, TwistEstimate};
 use slitpose_protocol::schema::SchemaMismatch;
 use slitpose_protocol::{Hello, ScalingError, ScheduleError, Severity, Status};
 use thiserror::Error;
 
-use super::{Oddity, Scan};
+use super::{PoseFault, Scan};
 use crate::clock::{HostInstant, HostTime};
 use crate::link::{DeviceId, Versions};
 
@@ -133,4 +134,212 @@ pub enum PipelineError {
     CalibrationHash { board: String, board_hash: u64, calibration: String, calibration_hash: u64 },
     #[error(transparent)]
     Scene(#[from] SceneError),
+}
+
+/// A fault in a stream that a sound board never shows. Poses continue.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum Oddity {
+    /// Number and tick of a scan do not fit those of the previous scan.
+    #[error(
+        "the board's clock jumped by {seconds:+.6} s between the scans {before} and {after}: device times before and \
+         after it do not compare; if it comes again, reset the board"
+    )]
+    ClockJump {
+        /// Size of the jump, positive if forward.
+        seconds: f64,
+        /// Number of the last scan before the jump.
+        before: u64,
+        /// Number of the first scan after the jump.
+        after: u64,
+    },
+    /// True poses from a board that says it measures; only simulated boards have them.
+    #[error(
+        "the board says that it measures, and sends true poses as simulated ones do: they are left out; flash its \
+         firmware anew"
+    )]
+    Truth,
+    /// The board solves poses by another head than this one.
+    #[error(
+        "the board's poses are of another head than that of the scene and the calibration given: they are left out; \
+         store this head with `slitpose device set`, or give the scene and the calibration that the board has"
+    )]
+    OtherHead,
+    /// A pose of the board cannot be right.
+    #[error(
+        "the board's pose of scan {sequence} cannot be right: {fault}; it is left out, as {count} in all so far; build \
+         firmware and program from the same source, and use --stream raw until then"
+    )]
+    Pose {
+        /// Number of the scan.
+        sequence: u64,
+        /// The fault.
+        fault: PoseFault,
+        /// Poses left out so far.
+        count: u64,
+    },
+    /// The board's number changed although the link was not reopened.
+    #[error(
+        "the board calls itself {now} in the midst of its stream, and was {before}: the poses that follow are told as \
+         those of {now}; see that one board alone is on this port, then reset it"
+    )]
+    Renamed {
+        /// The board's number before.
+        before: DeviceId,
+        /// The board's number now.
+        now: DeviceId,
+    },
+}
+
+/// Finds jumps of a board's clock: between two scans, the ticks must advance by one frame per number.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct ClockWatch {
+    /// Number and tick of the last scan of this link and this session.
+    last: Option<(u64, u64)>,
+    jumps: u64,
+}
+
+impl ClockWatch {
+    /// Restarts the check for another link, configuration or board.
+    pub(super) fn begin_anew(&mut self) {
+        self.last = None;
+    }
+
+    /// Checks the next scan of a board whose frames last `frame_ticks`. Of many jumps, the first, second, fourth,
+    /// eighth … are reported.
+    pub(super) fn check(&mut self, sequence: u64, tick: u64, frame_ticks: u32, tick_hz: f64) -> Option<Oddity> {
+        let (before, before_tick) = self.last.replace((sequence, tick))?;
+        // A number that goes back means that the board has restarted.
+        let frames = sequence.checked_sub(before)?;
+        let expected = i128::from(before_tick) + i128::from(frames) * i128::from(frame_ticks);
+        let ahead = i128::from(tick) - expected;
+        if ahead.unsigned_abs() <= u128::from(frame_ticks / 2) {
+            return None;
+        }
+        self.jumps += 1;
+        let seconds = ahead as f64 / tick_hz;
+        self.jumps.is_power_of_two().then_some(Oddity::ClockJump { seconds, before, after: sequence })
+    }
+}
+
+// One scan has six data more than unknowns, and an error of one cell hides from them at some poses. The tool moves on, and
+// the same error shows: so a pose is in doubt while several scans shortly before it contradicted the scene, even if its own
+// residuals are small.
+
+/// So many contradictions are no chance: of a sound head's scans one in 10⁵ has one, and three come within a thousand scans
+/// once in 2·10⁹, which is once in six days at 4 kHz.
+const CONTRADICTIONS: usize = 3;
+
+/// Within this time: a hand moves the tool by centimetres meanwhile, and the error to where it shows.
+const WITHIN_S: f64 = 0.25;
+
+/// From so many cells on their light has one pose, or contradicts the scene.
+const CELLS: usize = 6;
+
+/// Least number of scans that this time stands for.
+const MIN_SCANS: u64 = 8;
+
+/// Follows the scans of a session in the order of their numbers.
+#[derive(Clone, Debug)]
+pub(super) struct Doubt {
+    within: u64,
+    /// Numbers of the latest contradictions, the oldest first.
+    latest: [Option<u64>; CONTRADICTIONS],
+}
+
+impl Doubt {
+    /// Of a board that takes a scan each `frame_s`.
+    pub(super) fn new(frame_s: f64) -> Self {
+        Self { within: ((WITHIN_S / frame_s) as u64).max(MIN_SCANS), latest: [None; CONTRADICTIONS] }
+    }
+
+    /// Counts the scan `sequence`, which came to `outcome` by so many `cells`.
+    pub(super) fn count(&mut self, sequence: u64, outcome: &Outcome, cells: usize) {
+        // What counts no more leaves no trace: the state is that of a session which has not seen it.
+        for latest in &mut self.latest {
+            *latest = latest.filter(|latest| sequence.abs_diff(*latest) <= self.within);
+        }
+        if contradicts(outcome, cells) {
+            self.latest.rotate_left(1);
+            self.latest[CONTRADICTIONS - 1] = Some(sequence);
+        }
+    }
+
+    /// Degrades a pose that seems sound and is in doubt.
+    pub(super) fn apply(&self, sequence: u64, outcome: &mut Outcome) {
+        let is_doubted = self.latest[0].is_some_and(|oldest| sequence.abs_diff(oldest) <= self.within);
+        if is_doubted && *outcome == Outcome::Converged {
+            *outcome = Outcome::Degraded(DegradedReason::Doubted);
+        }
+    }
+}
+
+/// Whether the scene does not explain a scan: it has outliers, identified or not. Of few cells none is found because they
+/// leave too much open.
+fn contradicts(outcome: &Outcome, cells: usize) -> bool {
+    match outcome {
+        Outcome::Diverged => cells >= CELLS,
+        outcome => matches!(outcome, Outcome::Degraded(DegradedReason::Misfit | DegradedReason::CellExcluded)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn clock_jumps_are_reported_and_gaps_and_restarts_are_not() {
+        let mut watch = ClockWatch::default();
+        let mut check = |sequence, tick| watch.check(sequence, tick, 1000, 1e6);
+        for (sequence, tick) in [(10, 500), (11, 1500), (20, 10_500), (0, 70), (1, 1070), (2, 2500), (3, 3100)] {
+            assert_eq!(check(sequence, tick), None, "{sequence}");
+        }
+        assert_eq!(check(4, 5100), Some(Oddity::ClockJump { seconds: 1e-3, before: 3, after: 4 }));
+        assert_eq!(check(5, 100), Some(Oddity::ClockJump { seconds: -6e-3, before: 4, after: 5 }));
+        assert_eq!(check(6, 1100), None);
+        // The third is not reported, the fourth is.
+        assert_eq!(check(7, u64::MAX), None);
+        assert!(matches!(check(8, 0), Some(Oddity::ClockJump { seconds, .. }) if seconds < -1e13));
+        watch.begin_anew();
+        assert_eq!(watch.check(9, 77, 1000, 1e6), None);
+    }
+
+    /// Scans that are doubted of 0 to `count`, at 100 Hz, where those of `contradictions` contradict.
+    fn doubted(contradictions: &[u64], count: u64) -> Vec<u64> {
+        let mut doubt = Doubt::new(0.01);
+        let is_doubted = |&sequence: &u64| {
+            let contradicts = contradictions.contains(&sequence);
+            let mut outcome = if contradicts { Outcome::Degraded(DegradedReason::Misfit) } else { Outcome::Converged };
+            doubt.count(sequence, &outcome, CELLS);
+            doubt.apply(sequence, &mut outcome);
+            outcome == Outcome::Degraded(DegradedReason::Doubted)
+        };
+        (0..count).filter(is_doubted).collect()
+    }
+
+    #[test]
+    fn three_contradictions_within_a_quarter_second_put_what_follows_in_doubt() {
+        assert_eq!(doubted(&[10, 20], 100), [0; 0]);
+        // 25 scans from the first of the latest three on; their own status stays.
+        assert_eq!(doubted(&[10, 20, 30], 100), (31..=35).collect::<Vec<_>>());
+        assert_eq!(doubted(&[10, 11, 12, 40, 41], 100), (13..=35).collect::<Vec<_>>(), "two are forgotten");
+        assert_eq!(doubted(&[10, 22, 36], 100), [0; 0], "too far apart");
+    }
+
+    #[test]
+    fn only_poses_that_seem_sound_are_put_in_doubt() {
+        let mut doubt = Doubt::new(1.0);
+        (0..3).for_each(|sequence| doubt.count(sequence, &Outcome::Diverged, CELLS - 1));
+        let mut outcome = Outcome::Converged;
+        doubt.apply(3, &mut outcome);
+        assert_eq!(outcome, Outcome::Converged, "five cells leave a pose open");
+        (3..6).for_each(|sequence| doubt.count(sequence, &Outcome::Diverged, CELLS));
+        for kept in [Outcome::Ambiguous, Outcome::TooDark, Outcome::Degraded(DegradedReason::FewerCells)] {
+            let mut outcome = kept;
+            doubt.apply(8, &mut outcome);
+            assert_eq!(outcome, kept);
+        }
+        let mut outcome = Outcome::Converged;
+        doubt.apply(8, &mut outcome);
+        assert_ne!(outcome, Outcome::Converged, "a slow board has eight scans");
+    }
 }

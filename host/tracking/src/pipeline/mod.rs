@@ -11,7 +11,6 @@ mod board_poses;
 mod counts;
 mod flow;
 mod item;
-mod oddity;
 mod session;
 #[cfg(test)]
 mod tests;
@@ -25,8 +24,7 @@ use slitpose_protocol::{DELIMITER, Decoder, MAX_MESSAGE_BYTES, Message, Status};
 pub use board_poses::{Agreement, PoseFault};
 pub use counts::reason;
 pub use counts::{Counts, Outcomes};
-pub use item::{Item, PipelineError, PipelineOptions, PoseSource, Record, SceneMatch};
-pub use oddity::Oddity;
+pub use item::{Item, Oddity, PipelineError, PipelineOptions, PoseSource, Record, SceneMatch};
 pub use session::{check, check_calibration, head_of};
 pub use waiting::{Queue, Scan};
 
@@ -143,7 +141,7 @@ impl Pipeline {
             self.flow.counts.scans_skipped += 1;
             let session = session_of(&mut self.flow.earlier, &mut self.flow.session, scan.session)?;
             if let Content::Words(words) = &scan.content {
-                let photocurrents = session.photocurrents(words);
+                let photocurrents = session.stage.photocurrents(words);
                 return Some((scan, photocurrents));
             }
         }
@@ -161,7 +159,7 @@ impl Pipeline {
     pub fn state(&self) -> Option<u64> {
         let session = self.flow.session.as_ref()?;
         // The text of a float says all its bits, and a field that is added to the tracker is in it.
-        Some(fnv1a_64(format!("{} {:?}", session.number(), session.state()).as_bytes()))
+        Some(fnv1a_64(format!("{} {:?}", session.number, session.state()).as_bytes()))
     }
 
     /// Drops the `count` oldest waiting scans unsolved, and counts them.
@@ -244,7 +242,7 @@ impl Pipeline {
 
     /// The photocurrents of the scan that was solved last; `None` before the first hello.
     pub fn last_photocurrents(&self) -> Option<&Photocurrents> {
-        self.flow.session.as_ref().map(|session| session.last_photocurrents())
+        self.flow.session.as_ref().map(|session| &session.photocurrents)
     }
 
     /// The health of the head, if it is [monitored](Self::watched).

@@ -6,7 +6,7 @@ use slitpose_protocol::poses::{Poses, TRIANGLE};
 use slitpose_protocol::{AdcScaling, BoardKind, Hello, PoseStatus, RawScan, Schedule};
 
 use super::board_poses::{Agreement, BoardPose, Comparison, PoseFault};
-use super::oddity::Doubt;
+use super::item::Doubt;
 use super::waiting::{Content, Scan};
 use super::{PipelineError, PipelineOptions, SceneMatch};
 use crate::health::{HeadHealth, Health};
@@ -18,17 +18,19 @@ use slitpose_head::scene_file::SceneFile;
 /// A board under one configuration, opened by its hello.
 #[derive(Debug)]
 pub(super) struct Session {
-    number: u64,
-    device: DeviceId,
-    kind: BoardKind,
-    configuration: u16,
-    schedule: Schedule,
+    /// Number of the session in the pipeline.
+    pub(super) number: u64,
+    pub(super) device: DeviceId,
+    pub(super) kind: BoardKind,
+    pub(super) configuration: u16,
+    pub(super) schedule: Schedule,
     scaling: AdcScaling,
-    reference_ticks: f64,
+    /// Ticks from the start of a scan's frame to the instant of its pose.
+    pub(super) reference_ticks: f64,
     last_sample_ticks: u64,
-    stage: Stage,
+    pub(super) stage: Stage,
     /// Those of the scan that was solved last.
-    photocurrents: Photocurrents,
+    pub(super) photocurrents: Photocurrents,
     head: Head,
     tracker: Tracker<f64>,
     /// Tracks the newest scans while older ones wait.
@@ -114,14 +116,9 @@ impl Session {
         if board_cells != scene_cells {
             return Err(PipelineError::Cells { board: board(), board_cells, scene: file.name.clone(), scene_cells });
         }
-        let health = if watched {
-            {
-                let health = Health::new(file, tier, &hello.schedule, &hello.scaling)?;
-                Some(if matches!(head.basis(), Basis::Calibration(_)) { health.calibrated() } else { health })
-            }
-        } else {
-            None
-        };
+        let health = watched.then(|| Health::new(file, tier, &hello.schedule, &hello.scaling)).transpose()?;
+        let is_calibrated = matches!(head.basis(), Basis::Calibration(_));
+        let health = health.map(|health| if is_calibrated { health.calibrated() } else { health });
         let head_number = solving::hashes(&head).number();
         let stage = Stage::new(file, &hello.schedule, &hello.scaling);
         let scene = Stage::weighted_scene(file, &hello.schedule, &hello.scaling);
@@ -164,27 +161,6 @@ impl Session {
             && self.scaling == hello.scaling
     }
 
-    /// Number of the session in the pipeline.
-    pub(super) fn number(&self) -> u64 {
-        self.number
-    }
-
-    pub(super) fn device(&self) -> DeviceId {
-        self.device
-    }
-
-    pub(super) fn configuration(&self) -> u16 {
-        self.configuration
-    }
-
-    pub(super) fn kind(&self) -> BoardKind {
-        self.kind
-    }
-
-    pub(super) fn schedule(&self) -> &Schedule {
-        &self.schedule
-    }
-
     pub(super) fn tick_hz(&self) -> f64 {
         f64::from(self.schedule.tick_hz)
     }
@@ -197,11 +173,6 @@ impl Session {
     /// The instant of the pose of a scan whose frame began at `tick`, device seconds.
     pub(super) fn time_s(&self, tick: u64) -> f64 {
         (tick as f64 + self.reference_ticks) / self.tick_hz()
-    }
-
-    /// Ticks from the start of a scan's frame to the instant of its pose.
-    pub(super) fn reference_ticks(&self) -> f64 {
-        self.reference_ticks
     }
 
     /// Tick of the last sample in a batch of `scans` scans that begins at `tick`.
@@ -288,10 +259,6 @@ impl Session {
         tracked
     }
 
-    pub(super) fn photocurrents(&self, scan: &RawScan) -> Photocurrents {
-        self.stage.photocurrents(scan)
-    }
-
     /// All that the next pose depends on, besides its scan.
     pub(super) fn state(&self) -> (&Tracker<f64>, &Doubt) {
         (&self.tracker, &self.doubt)
@@ -323,11 +290,6 @@ impl Session {
             health.update(scan, &self.photocurrents, &tracked.solution);
         }
         tracked
-    }
-
-    /// The photocurrents of the scan that was solved last.
-    pub(super) fn last_photocurrents(&self) -> &Photocurrents {
-        &self.photocurrents
     }
 
     /// The health of the head, if it is monitored.

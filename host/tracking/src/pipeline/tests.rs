@@ -47,6 +47,14 @@ impl SimulatedLink {
         link
     }
 
+    /// Stops the board, configures it anew, and starts it.
+    pub(super) fn reconfigure(&mut self) {
+        let configuration = front_end::configuration(&self.file).unwrap();
+        self.tell(3, Command::Stop);
+        self.tell(4, Command::Configure(configuration));
+        self.tell(5, Command::Start);
+    }
+
     pub(super) fn tell(&mut self, number: u16, command: Command) {
         let mut buffer = [0; MAX_REQUEST_BYTES];
         self.board.write(encode(&Request { number, command }, &mut buffer).unwrap());

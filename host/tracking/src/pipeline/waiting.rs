@@ -125,8 +125,6 @@ impl Waiting {
 
 #[cfg(test)]
 mod tests {
-    use slitpose_protocol::Command;
-
     use crate::link::Segment;
     use crate::pipeline::tests::{SimulatedLink, feed};
     use crate::pipeline::{Item, Pipeline, PipelineError, Record};
@@ -210,14 +208,10 @@ mod tests {
     fn a_board_that_changes_its_configuration_all_the_time_costs_few_sessions() {
         let mut link = SimulatedLink::new();
         let mut pipeline = link.pipeline();
-        let file = slitpose_head::scene_file::WIDE.read().unwrap();
-        let configuration = slitpose_head::front_end::configuration(&file).unwrap();
         let (mut arrived, mut solved) = (0, 0);
         for round in 0..60 {
             if round > 0 {
-                link.tell(3, Command::Stop);
-                link.tell(4, Command::Configure(configuration.clone()));
-                link.tell(5, Command::Start);
+                link.reconfigure();
             }
             while !pipeline.queue().has_room() {
                 solved += u64::from(pipeline.solve_next().is_some());
@@ -237,14 +231,7 @@ mod tests {
         let mut in_time = first.pipeline();
         let mut early = first.segment(20, 0);
         // The second board counts configurations from there.
-        second.tell(3, Command::Stop);
-        second.tell(
-            4,
-            Command::Configure(
-                slitpose_head::front_end::configuration(&slitpose_head::scene_file::WIDE.read().unwrap()).unwrap(),
-            ),
-        );
-        second.tell(5, Command::Start);
+        second.reconfigure();
         let late = second.segment(20, 1);
         early.append(&late);
         let (_, expected) = feed(&mut in_time, &early);

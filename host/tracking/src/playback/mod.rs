@@ -5,7 +5,6 @@
 //! finds its first pose from nothing. [`Yields::PosesOfPart`] is for parts that are to give what the whole gives.
 
 mod board;
-mod choice;
 mod files;
 
 use std::collections::{BTreeSet, VecDeque};
@@ -21,8 +20,7 @@ use crate::capture::{CaptureReader, CapturedBasis, Entry, Setup};
 use crate::link::{DeviceId, Segment};
 use crate::pipeline::{Item, Pipeline, PipelineError, Scan, SceneMatch};
 use crate::solving::head_by;
-pub use board::{Board, Seam};
-pub use choice::{Choice, PlaybackError, Yields};
+pub use board::{Board, Choice, PlaybackError, Seam, Yields};
 
 use board::{Faulty, Phase};
 
@@ -369,7 +367,7 @@ impl Playback {
             return Ok(());
         }
         let is_heard = board.phase == Phase::Within;
-        for set_by_s in segment.reads.iter().filter_map(|read| board.host_clock.set_by_s(read.at?)) {
+        for set_by_s in segment.reads.iter().filter_map(|read| board.utc.step_s(read.at?)) {
             if is_heard {
                 let remark = format!("the clock of the host was set by {set_by_s:+.3} s while it recorded");
                 hear(Event::Remark(&remark))?;

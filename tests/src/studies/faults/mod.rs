@@ -1,14 +1,13 @@
 //! What becomes of injected faults: each kind of `slitpose faults` against the whole chain, judged by the truth of the
 //! simulator. All times are device time.
 //!
-//! * `memory`: board, injector and pipeline in one thread, with a clock of the host that is device time. Nothing
+//! * `in_memory`: board, injector and pipeline in one thread, with a clock of the host that is device time. Nothing
 //!   depends on how fast the machine is.
-//! * `process`: faults that cost the link or the board need a daemon that finds it again.
+//! * `of_daemon`: faults that cost the link or the board need a daemon that finds it again.
 //! * `Report`: what was injected, who noticed, what was lost, and when poses were sound again.
 
-mod memory;
-mod process;
 mod report;
+mod runs;
 
 use clap::{Args, ValueEnum};
 use slitpose_head::faults::{KINDS, Kind, Lasts};
@@ -20,6 +19,7 @@ use super::Verdicts;
 use crate::capture::STREAM;
 use crate::process::Slitpose;
 use report::{Report, Scan, Trace, table};
+use runs::{in_memory, of_daemon};
 
 /// A pose farther from the truth than this is wrong, in σ of its worst axis: of sound poses one in 10¹⁴ is.
 const WRONG_SIGMAS: f64 = 8.0;
@@ -144,15 +144,15 @@ pub fn study(slitpose: Slitpose, options: &Options) -> Verdicts {
     };
     let spans = Spans::of(options.spans);
     let conditions = Conditions { file, tier, motion: options.motion, seed: options.seed, spans };
-    let sound = Report::of("none", &Spans { count: 1, ..spans }, false, &memory::run(&conditions, ""));
+    let sound = Report::of("none", &Spans { count: 1, ..spans }, false, &in_memory(&conditions, ""));
     let (mut reports, mut codes) = (vec![sound], Vec::new());
     for kind in KINDS.iter().filter(|kind| kind.name.contains(&options.only)) {
         let trace = if needs_daemon(kind) {
-            let (trace, code) = process::run(slitpose, kind, &spans, options.seed);
+            let (trace, code) = of_daemon(slitpose, kind, &spans, options.seed);
             codes.push((kind.name, code, kind.exit));
             trace
         } else {
-            memory::run(&conditions, &spans.spec(kind))
+            in_memory(&conditions, &spans.spec(kind))
         };
         reports.push(Report::of(kind.name, &spans, kind.lasts == Lasts::Instant, &trace));
     }

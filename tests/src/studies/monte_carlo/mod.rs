@@ -5,7 +5,6 @@
 //! seed in 3000 has one outside. A number of poses as large as the default has bounds of its own.
 
 mod case;
-mod moving;
 mod outliers;
 
 use clap::{Args, ValueEnum};
@@ -71,7 +70,7 @@ pub fn study(conditions: &Conditions) -> Verdicts {
             Part::Cold => cold(conditions, &mut verdicts),
             Part::Efficiency => efficiency(conditions, &mut verdicts),
             Part::Openings => openings(conditions, &mut verdicts),
-            Part::Moving => moving::study(conditions, &mut verdicts),
+            Part::Moving => outliers::moving(conditions, &mut verdicts),
             Part::Outliers => outliers::study(conditions, &mut verdicts),
             Part::Subsets => outliers::subsets(conditions, &mut verdicts),
         }

@@ -1,7 +1,6 @@
 //! Captures as a whole: written, cut, damaged, split, and read again.
 
 mod damage;
-mod foreign;
 mod series;
 
 use std::collections::BTreeMap;
@@ -17,7 +16,7 @@ use slitpose_protocol::{
 };
 
 use super::file::{CaptureFile, Channels};
-use super::medium::Medium;
+use super::place::Medium;
 use super::series::Recorded;
 use super::*;
 use crate::clock::{HostInstant, HostTime};
