@@ -52,9 +52,27 @@ struct Solved {
     sigmas: Vec<[f64; 6]>,
 }
 
+/// The table `test` with all currents multiplied by `level`, in `folder`.
+fn dimmed(folder: &TempDir, test: &str, level: f64) -> String {
+    let text = std::fs::read_to_string(data(test)).expect("a table");
+    let (header, rows) = text.split_once('\n').expect("a header");
+    let is_current: Vec<bool> = header.split(',').map(|name| name.starts_with("i_x")).collect();
+    let mut dimmed = format!("{header}\n");
+    for row in rows.lines() {
+        let fields = row.split(',').zip(&is_current).map(|(field, is_current)| match is_current {
+            true => (level * field.parse::<f64>().expect("a number")).to_string(),
+            false => field.to_owned(),
+        });
+        dimmed += &(fields.collect::<Vec<_>>().join(",") + "\n");
+    }
+    let path = folder.path().join(format!("{level}.csv"));
+    std::fs::write(&path, dimmed).expect("a folder");
+    path.to_str().expect("UTF-8").to_owned()
+}
+
 impl Solved {
-    fn by(calibration: &Path, test: &str) -> Self {
-        let (scene, currents) = (data("nominal.toml"), data(test));
+    fn by(calibration: &Path, currents: &str) -> Self {
+        let (scene, currents) = (data("nominal.toml"), currents.to_owned());
         let path = calibration.to_str().expect("UTF-8");
         let table = slitpose!().run(["solve", &scene, "--currents", &currents, "--calibration", path]).done();
         let table = Table::parse(&table);
@@ -114,7 +132,7 @@ fn known_poses_calibrate_a_head_to_micrometres_with_honest_uncertainties() {
         let output = folder.path().join("head.toml");
         let said = calibrate(&["--known", &data(&format!("head_{head}_known.csv"))], &output);
         assert!(said.contains("poses left out in turn miss the instrument's by"), "{said}");
-        let quiet = Solved::by(&output, &format!("head_{head}_quiet.csv"));
+        let quiet = Solved::by(&output, &data(&format!("head_{head}_quiet.csv")));
         let [mean, largest, angle] = quiet.distances();
         println!("head {head}: {mean:.2} µm, {largest:.1} µm, {angle:.4}°, {:.2?}", quiet.normalised());
         // What a laboratory was promised: all of four hundred poses; here are a hundred of them.
@@ -123,12 +141,20 @@ fn known_poses_calibrate_a_head_to_micrometres_with_honest_uncertainties() {
         // asked of them then; of means of a hundred frames, which hardly have noise, half and one and a half.
         assert!(quiet.normalised().iter().all(|ratio| (0.5..1.5).contains(ratio)), "{:?}", quiet.normalised());
         if head == 1 {
-            let frames = Solved::by(&output, "head_1_test.csv");
+            let frames = Solved::by(&output, &data("head_1_test.csv"));
             // A hundred rows: the root mean square of a normal variable scatters by 7 %, beside the 0.8 to 1.25 of the model.
             let ratios = frames.normalised();
             assert!(ratios.iter().all(|ratio| (0.75..1.3).contains(ratio)), "{ratios:?}");
             let [mean, ..] = frames.distances();
             assert!((2.5..5.5).contains(&mean), "{mean} µm");
+            for level in [0.998, 0.995, 0.92, 1.02] {
+                // The head as it is after its lamps have warmed or cooled: as good, but for less light in the same noise.
+                let dimmed = Solved::by(&output, &dimmed(&folder, "head_1_test.csv", level));
+                let [mean_then, ..] = dimmed.distances();
+                println!("level {level}: {mean_then:.2} µm of {mean:.2}, {:.2?}", dimmed.normalised());
+                assert!(mean_then < 1.05 / level.min(1.0) * mean, "{level}: {mean_then} µm, not {mean}");
+                assert!(dimmed.normalised().iter().all(|ratio| (0.75..1.3).contains(ratio)), "{level}");
+            }
         }
     }
 }
@@ -138,11 +164,11 @@ fn fewer_poses_calibrate_less_well_and_a_later_file_goes_on_from_them() {
     let folder = TempDir::new().expect("a folder");
     let [few, all] = ["few.toml", "all.toml"].map(|name| folder.path().join(name));
     calibrate(&["--known", &part(&folder, "head_1_known.csv", 0, 50)], &few);
-    let [fewer, ..] = Solved::by(&few, "head_1_quiet.csv").distances();
+    let [fewer, ..] = Solved::by(&few, &data("head_1_quiet.csv")).distances();
     assert!((1.5..=5.0).contains(&fewer), "{fewer} µm");
     let start = few.to_str().expect("UTF-8");
     calibrate(&["--known", &part(&folder, "head_1_known.csv", 50, 150), "--start", start], &all);
-    let [mean, ..] = Solved::by(&all, "head_1_quiet.csv").distances();
+    let [mean, ..] = Solved::by(&all, &data("head_1_quiet.csv")).distances();
     assert!(mean < 0.8 * fewer && mean <= 3.0, "{mean} µm after {fewer} µm");
 }
 
@@ -169,7 +195,7 @@ fn an_instrument_with_frames_of_its_own_calibrates_as_well_and_its_frames_are_fo
     let output = folder.path().join("head.toml");
     let said = calibrate(&["--known", &data("head_1_own.csv"), "--frames", "own"], &output);
     assert!(said.contains("open: where the base and the tool frame lie"), "{said}");
-    let [mean, largest, angle] = Solved::by(&output, "head_1_quiet.csv").aligned().distances();
+    let [mean, largest, angle] = Solved::by(&output, &data("head_1_quiet.csv")).aligned().distances();
     assert!(mean <= 3.0 && largest <= 20.0 && angle <= 0.015, "{mean} µm, {largest} µm, {angle}°");
 
     let calibration = slitpose_calibration::Calibration::open(&output).expect("a calibration");
@@ -201,7 +227,7 @@ fn free_motion_alone_leaves_the_frames_and_the_scale_open_and_little_else() {
     for part in ["where the base and the tool frame lie", "the scale of translations", "--stage", "--known"] {
         assert!(said.contains(part), "`{part}` is not in: {said}");
     }
-    let [mean, _, angle] = Solved::by(&output, "head_1_quiet.csv").aligned().distances();
+    let [mean, _, angle] = Solved::by(&output, &data("head_1_quiet.csv")).aligned().distances();
     assert!(mean <= 20.0 && angle <= 0.1, "{mean} µm, {angle}°");
 }
 

@@ -60,9 +60,9 @@ fn ten_seconds_of_the_default() {
     honesty.assert(USUAL_NEES, 3);
 }
 
-/// Motions, and how their poses are: arguments, the fewest of 8 000 scans with a pose, the range of the median NEES, and the
+/// Motions and warmth, and how poses are: arguments, the fewest of 8 000 scans with a pose, the range of the median NEES, and the
 /// most poses beyond 5 σ.
-const MOTIONS: [(&[&str], usize, Range<f64>, usize); 4] = [
+const MOTIONS: [(&[&str], usize, Range<f64>, usize); 6] = [
     (&["--tier", "paper", "--seed", "2"], 7_992, USUAL_NEES, 3),
     // Nothing but noise is left.
     (&["--trajectory", "still", "--seed", "3"], 8_000, USUAL_NEES, 3),
@@ -72,10 +72,13 @@ const MOTIONS: [(&[&str], usize, Range<f64>, usize); 4] = [
     // legs of 15 ms on average make in 2 s. Of those 2 do not show in the currents; of 2 on average more than
     // 10 come in one draw of 100 000.
     (&["--trajectory", "contact", "--seed", "5"], 7_992, USUAL_NEES, 10),
+    // The light of all cells falls, by 0.3 and by 12 %.
+    (&["--fault", "warm:by=0.5K,over=500ms", "--seed", "6"], 7_992, USUAL_NEES, 3),
+    (&["--fault", "warm:by=20K,over=500ms", "--seed", "7"], 7_992, USUAL_NEES, 3),
 ];
 
 #[test]
-fn whatever_the_motion_poses_are_as_honest() {
+fn whatever_the_motion_and_the_warmth_poses_are_as_honest() {
     for (arguments, least_poses, nees, most_beyond) in MOTIONS {
         let lines = lines(&[arguments, &["--duration", "2s"]].concat());
         assert_complete(&lines, 8_000);

@@ -27,8 +27,7 @@ const WRONG_SIGMAS: f64 = 8.0;
 /// Faults whose errors may be so small that the redundancy of six cells does not reveal each of them, with the most
 /// poses of half a second at 2 kHz that were wrong and unflagged. What such a pose says of itself covers its error all the
 /// same.
-const SUBTLE: [(&str, usize); 5] =
-    [("noisy", 200), ("swap-electrodes", 5), ("swap-cells", 5), ("move", 100), ("warm", 5)];
+const SUBTLE: [(&str, usize); 4] = [("noisy", 200), ("swap-electrodes", 5), ("swap-cells", 5), ("move", 100)];
 
 #[derive(Debug, Args)]
 pub struct Options {
