@@ -3,6 +3,7 @@
 
 use super::nvic::{BUS_FAULT, FIRST_INTERRUPT, MEM_MANAGE, NMI, PEND_SV, SV_CALL, SYS_TICK, USAGE_FAULT};
 use super::{Cpu, Fault, Size};
+use crate::st::DBGMCU;
 
 /// CCR bits.
 const UNALIGN_TRP: u32 = 1 << 3;
@@ -15,7 +16,7 @@ const SEVONPEND: u32 = 1 << 4;
 const LSPEN: u32 = 1 << 30;
 const ASPEN: u32 = 1 << 31;
 /// Peripherals that stand still while a debugger halts the core (RM0440, "Debug support").
-const DBGMCU_APB1FZR1: u32 = 0xe004_2008;
+const DBGMCU_APB1FZR1: u32 = DBGMCU::BASE + DBGMCU::APB1FZR1;
 /// AIRCR key of a write, and what it reads as.
 const VECTKEY: u32 = 0x05fa;
 const VECTKEYSTAT: u32 = 0xfa05;
@@ -404,16 +405,5 @@ impl CycleCounter {
     pub fn set(&mut self, value: u32, running: bool, executed: u64) {
         self.running = running;
         self.base = if running { value.wrapping_sub(executed as u32) } else { value };
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::facts::bits;
-
-    #[test]
-    fn what_a_debugger_halts_is_at_st_s_address() {
-        assert_eq!(DBGMCU_APB1FZR1, bits("DBGMCU_BASE") + bits("DBGMCU_TypeDef.APB1FZR1"));
     }
 }

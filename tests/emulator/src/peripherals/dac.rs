@@ -6,30 +6,32 @@
 //! The output buffer reaches ground unless the silicon has one of the faults `dac-rest`.
 
 use super::Effects;
-use super::registers::{ALL, Bank, registers};
+use super::registers::{ALL, Bank, Register};
 
-registers! {
-    CR = 0x00, keeps CR_MODELLED;
-    DHR12R1 = 0x08;
-    DHR12L1 = 0x0C;
-    DHR8R1 = 0x10;
-    DHR12R2 = 0x14;
-    DHR12L2 = 0x18;
-    DHR8R2 = 0x1C;
-    DHR12RD = 0x20;
-    DOR1 = 0x2C;
-    DOR2 = 0x30;
-    SR = 0x34;
-    CCR = 0x38, keeps ALL;
-    MCR = 0x3C, keeps ALL;
-}
+use crate::st::DAC::{
+    CCR, CR, CR_EN1, CR_EN2, DHR8R1, DHR8R2, DHR12L1, DHR12L2, DHR12R1, DHR12R2, DHR12RD, DOR1, DOR2, MCR, MCR_HFSEL,
+    SR, SR_DAC1RDY, SR_DAC2RDY,
+};
 
-const CR_EN: [u32; 2] = [1, 1 << 16];
-const CR_MODELLED: u32 = 1 | 1 << 16;
-/// DAC channel ready flags.
-const SR_RDY: [u32; 2] = [1 << 11, 1 << 27];
-/// High-frequency interface mode selection; the modes of the channels but "external pin with buffer" are not modelled.
-const MCR_HFSEL: u32 = 0b11 << 14;
+const REGISTERS: &[Register] = &[
+    (CR, 0, CR_MODELLED),
+    (DHR12R1, 0, 0),
+    (DHR12L1, 0, 0),
+    (DHR8R1, 0, 0),
+    (DHR12R2, 0, 0),
+    (DHR12L2, 0, 0),
+    (DHR8R2, 0, 0),
+    (DHR12RD, 0, 0),
+    (DOR1, 0, 0),
+    (DOR2, 0, 0),
+    (SR, 0, 0),
+    (CCR, 0, ALL),
+    (MCR, 0, ALL),
+];
+
+const CR_EN: [u32; 2] = [CR_EN1, CR_EN2];
+const CR_MODELLED: u32 = CR_EN1 | CR_EN2;
+const SR_RDY: [u32; 2] = [SR_DAC1RDY, SR_DAC2RDY];
 
 #[derive(Debug)]
 pub struct Dac {
@@ -109,6 +111,7 @@ impl Dac {
                 effects.violation(value, "DAC_MCR.MODE is written only while ENx = 0");
             }
         }
+        // The modes of the channels but "external pin with buffer" are not.
         effects.unmodelled_bits(value & !MCR_HFSEL);
         self.bank.write(MCR, value, effects);
     }
@@ -117,7 +120,6 @@ impl Dac {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::facts;
 
     #[test]
     fn code_is_out_only_while_enabled() {
@@ -142,13 +144,5 @@ mod tests {
         assert_eq!(effects.violation_count(), 0);
         dac.write(MCR, MCR_HFSEL | 2, &mut effects);
         assert_eq!(effects.violation_count(), 1);
-    }
-
-    #[test]
-    fn registers_are_those_of_st() {
-        super::super::registers::assert_offsets("DAC_TypeDef", REGISTERS);
-        assert_eq!(CR_EN, ["DAC_CR_EN1", "DAC_CR_EN2"].map(facts::bits));
-        assert_eq!(SR_RDY, ["DAC_SR_DAC1RDY", "DAC_SR_DAC2RDY"].map(facts::bits));
-        assert_eq!(MCR_HFSEL, facts::bits("DAC_MCR_HFSEL"));
     }
 }

@@ -6,39 +6,30 @@ use crate::faults::Faults;
 use crate::memory::Bits;
 use std::collections::BTreeMap;
 
-/// Numbers by ST's names, and `ALL`, the table of them for a test.
-macro_rules! numbered {
-    ($type:ty; |$number:ident| $make:expr; $($name:ident = $value:literal,)+) => {
-        $(pub const $name: $type = { let $number = $value; $make };)+
-        #[cfg(test)]
-        pub const ALL: &[(&str, u32)] = &[$((stringify!($name), $value)),+];
-    };
-}
-
 /// Position of an interrupt in the vector table (RM0440, "Interrupt and exception vectors").
 pub mod interrupt {
-    numbered! { u8; |number| number;
-        PVD_PVM = 1,
-        FLASH = 4,
-        EXTI0 = 6,
-        DMA1_CHANNEL1 = 11,
-        ADC1_2 = 18,
-        USB_LP = 20,
-        EXTI9_5 = 23,
-        TIM2 = 28,
-        TIM3 = 29,
-        TIM4 = 30,
-        USART1 = 37,
-        EXTI15_10 = 40,
-        ADC3 = 47,
-        TIM5 = 50,
-        DMA2_CHANNEL1 = 56,
-        ADC4 = 61,
-        ADC5 = 62,
-        LPUART1 = 91,
-        DMA1_CHANNEL8 = 96,
-        DMA2_CHANNEL6 = 97,
-    }
+    use crate::st;
+
+    pub const PVD_PVM: u8 = st::PVD::PVM_IRQn as u8;
+    pub const FLASH: u8 = st::FLASH::IRQn as u8;
+    pub const EXTI0: u8 = st::EXTI0::IRQn as u8;
+    pub const DMA1_CHANNEL1: u8 = st::DMA1::Channel1_IRQn as u8;
+    pub const ADC1_2: u8 = st::ADC1::_2_IRQn as u8;
+    pub const USB_LP: u8 = st::USB::LP_IRQn as u8;
+    pub const EXTI9_5: u8 = st::EXTI9::_5_IRQn as u8;
+    pub const TIM2: u8 = st::TIM2::IRQn as u8;
+    pub const TIM3: u8 = st::TIM3::IRQn as u8;
+    pub const TIM4: u8 = st::TIM4::IRQn as u8;
+    pub const USART1: u8 = st::USART1::IRQn as u8;
+    pub const EXTI15_10: u8 = st::EXTI15::_10_IRQn as u8;
+    pub const ADC3: u8 = st::ADC3::IRQn as u8;
+    pub const TIM5: u8 = st::TIM5::IRQn as u8;
+    pub const DMA2_CHANNEL1: u8 = st::DMA2::Channel1_IRQn as u8;
+    pub const ADC4: u8 = st::ADC4::IRQn as u8;
+    pub const ADC5: u8 = st::ADC5::IRQn as u8;
+    pub const LPUART1: u8 = st::LPUART1::IRQn as u8;
+    pub const DMA1_CHANNEL8: u8 = st::DMA1::Channel8_IRQn as u8;
+    pub const DMA2_CHANNEL6: u8 = st::DMA2::Channel6_IRQn as u8;
 }
 
 /// Number of a DMA request line.
@@ -55,20 +46,19 @@ impl Request {
 /// RM0440, "DMAMUX: assignment of multiplexer inputs to resources".
 pub mod request {
     use super::Request;
+    use crate::st::LL;
 
-    numbered! { Request; |number| Request(number);
-        ADC1 = 5,
-        USART1_RX = 24,
-        USART1_TX = 25,
-        LPUART1_RX = 34,
-        LPUART1_TX = 35,
-        ADC2 = 36,
-        ADC3 = 37,
-        TIM2_CH1 = 56,
-        TIM3_CH1 = 61,
-        TIM4_CH1 = 67,
-        TIM5_CH1 = 72,
-    }
+    pub const ADC1: Request = Request(LL::DMAMUX_REQ_ADC1 as u8);
+    pub const USART1_RX: Request = Request(LL::DMAMUX_REQ_USART1_RX as u8);
+    pub const USART1_TX: Request = Request(LL::DMAMUX_REQ_USART1_TX as u8);
+    pub const LPUART1_RX: Request = Request(LL::DMAMUX_REQ_LPUART1_RX as u8);
+    pub const LPUART1_TX: Request = Request(LL::DMAMUX_REQ_LPUART1_TX as u8);
+    pub const ADC2: Request = Request(LL::DMAMUX_REQ_ADC2 as u8);
+    pub const ADC3: Request = Request(LL::DMAMUX_REQ_ADC3 as u8);
+    pub const TIM2_CH1: Request = Request(LL::DMAMUX_REQ_TIM2_CH1 as u8);
+    pub const TIM3_CH1: Request = Request(LL::DMAMUX_REQ_TIM3_CH1 as u8);
+    pub const TIM4_CH1: Request = Request(LL::DMAMUX_REQ_TIM4_CH1 as u8);
+    pub const TIM5_CH1: Request = Request(LL::DMAMUX_REQ_TIM5_CH1 as u8);
 }
 
 /// Trigger outputs (TRGO) of the general-purpose timers.
@@ -277,39 +267,5 @@ impl Effects {
     /// Addresses that no model knows, with the number of accesses.
     pub fn unmodelled_accesses(&self) -> &BTreeMap<u32, u64> {
         &self.unmodelled
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::facts;
-
-    #[test]
-    fn interrupts_are_those_of_st() {
-        for (name, number) in interrupt::ALL {
-            let name = name.replace("CHANNEL", "Channel");
-            assert_eq!(*number, facts::bits(&format!("{name}_IRQn")), "{name}");
-        }
-    }
-
-    #[test]
-    fn requests_are_those_of_st() {
-        let after = |name, number: &u32, by| (name, number + by);
-        let [_, _, _, _, _, _, (_, adc3), (_, tim2), (_, tim3), (_, tim4), (_, tim5)] = request::ALL else { panic!() };
-        let following = [
-            after("ADC4", adc3, 1),
-            after("ADC5", adc3, 2),
-            after("TIM2_CH2", tim2, 1),
-            after("TIM2_CH3", tim2, 2),
-            after("TIM2_CH4", tim2, 3),
-            after("TIM2_UP", tim2, 4),
-            after("TIM3_UP", tim3, 4),
-            after("TIM4_UP", tim4, 4),
-            after("TIM5_UP", tim5, 4),
-        ];
-        for (name, number) in request::ALL.iter().copied().chain(following) {
-            assert_eq!(number, facts::bits(&format!("LL_DMAMUX_REQ_{name}")), "{name}");
-        }
     }
 }

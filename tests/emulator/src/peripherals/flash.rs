@@ -8,45 +8,18 @@
 use super::{Effects, TICKS_PER_SECOND, Ticks, interrupt};
 use crate::faults::Fault;
 use crate::memory::{BANK_BYTES, DOUBLE_WORD_BYTES, FLASH_BASE, FLASH_BYTES, FlashArray, PAGE_BYTES, load};
-
-const ACR: u32 = 0x00;
-const PDKEYR: u32 = 0x04;
-const KEYR: u32 = 0x08;
-const OPTKEYR: u32 = 0x0C;
-const SR: u32 = 0x10;
-const CR: u32 = 0x14;
-const ECCR: u32 = 0x18;
-const OPTR: u32 = 0x20;
-
-const KEY1: u32 = 0x4567_0123;
-const KEY2: u32 = 0xCDEF_89AB;
+use crate::st::FLASH::{
+    ACR, ACR_LATENCY as LATENCY, CR, CR_BKER as BKER, CR_EOPIE as EOPIE, CR_ERRIE as ERRIE, CR_LOCK as LOCK,
+    CR_MER1 as MER1, CR_MER2 as MER2, CR_OPTLOCK as OPTLOCK, CR_PER as PER, CR_PG as PG, CR_PNB, CR_STRT as STRT, ECCR,
+    ECCR_BK_ECC as BK_ECC, ECCR_ECCD as ECCD, KEY1, KEY2, KEYR, OPTKEYR, OPTR, PDKEYR, SR, SR_BSY as BSY,
+    SR_EOP as EOP, SR_PGAERR as PGAERR, SR_PGSERR as PGSERR, SR_PROGERR as PROGERR, SR_SIZERR as SIZERR,
+};
 
 const ACR_RESET: u32 = 0x0004_0600;
-const LATENCY: u32 = 0xF;
 
-const EOP: u32 = 1;
-const PROGERR: u32 = 1 << 3;
-const PGAERR: u32 = 1 << 5;
-const SIZERR: u32 = 1 << 6;
-const PGSERR: u32 = 1 << 7;
 const ERRORS: u32 = PROGERR | PGAERR | SIZERR | PGSERR;
-const BSY: u32 = 1 << 16;
 
-const PG: u32 = 1;
-const PER: u32 = 1 << 1;
-const MER1: u32 = 1 << 2;
-const BKER: u32 = 1 << 11;
-const MER2: u32 = 1 << 15;
-const STRT: u32 = 1 << 16;
-const EOPIE: u32 = 1 << 24;
-const ERRIE: u32 = 1 << 25;
-const OPTLOCK: u32 = 1 << 30;
-const LOCK: u32 = 1 << 31;
-/// PG, PER, MER1, PNB, BKER, MER2, STRT, EOPIE, ERRIE and both locks.
-const CR_MODELLED: u32 = 0x3FF | BKER | MER2 | STRT | EOPIE | ERRIE | OPTLOCK | LOCK;
-
-const ECCD: u32 = 1 << 31;
-const BK_ECC: u32 = 1 << 21;
+const CR_MODELLED: u32 = PG | PER | MER1 | CR_PNB | BKER | MER2 | STRT | EOPIE | ERRIE | OPTLOCK | LOCK;
 
 /// Option bytes as delivered: no protection, dual bank, brown-out level 0, watchdog by software.
 const OPTR_DELIVERED: u32 = 0xFFEF_F8AA;
@@ -361,7 +334,7 @@ impl Flash {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::facts::{self, assert_facts};
+    use crate::facts;
 
     /// Page 3 of bank 2.
     const OFFSET: usize = BANK_BYTES + 3 * PAGE_BYTES;
@@ -456,14 +429,9 @@ mod tests {
     }
 
     #[test]
-    fn registers_and_times_are_those_of_st() {
-        assert_facts!("FLASH_TypeDef."; ACR, PDKEYR, KEYR, OPTKEYR, SR, CR, ECCR, OPTR);
-        assert_facts!("FLASH_"; KEY1, KEY2, LATENCY = "ACR_LATENCY", ECCD = "ECCR_ECCD", BK_ECC = "ECCR_BK_ECC");
-        assert_facts!("FLASH_SR_"; EOP, PROGERR, PGAERR, SIZERR, PGSERR, BSY);
-        assert_facts!("FLASH_CR_"; PG, PER, MER1, BKER, MER2, STRT, EOPIE, ERRIE, OPTLOCK, LOCK);
-        assert_eq!(CR_MODELLED & 0x3FF, PG | PER | MER1 | facts::bits("FLASH_CR_PNB"));
-        assert_eq!(OPTR_DELIVERED & facts::bits("FLASH_OPTR_DBANK"), facts::bits("FLASH_OPTR_DBANK"));
+    fn times_are_those_of_the_data_sheet() {
         let ticks = |name, unit_s: f64| (facts::number(name) * unit_s * TICKS_PER_SECOND as f64).round() as Ticks;
         assert_eq!((PROGRAM_TICKS, ERASE_TICKS), (ticks("t_prog", 1e-6), ticks("t_ERASE", 1e-3)));
+        assert_eq!(OPTR_DELIVERED & facts::bits("FLASH_OPTR_DBANK"), facts::bits("FLASH_OPTR_DBANK"));
     }
 }

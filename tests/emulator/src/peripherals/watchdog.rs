@@ -3,23 +3,18 @@
 //! Counts the 32 kHz internal oscillator, taken as exact. Once started only a reset stops it.
 //! Updates of its registers are in force at once; the hardware takes five oscillator periods.
 
-use super::registers::{Bank, registers};
+use super::registers::{Bank, Register};
 use super::{Effects, ResetCause, TICKS_PER_SECOND, Ticks};
+use crate::st::LL::{
+    IWDG_KEY_ENABLE as KEY_START, IWDG_KEY_RELOAD as KEY_REFRESH, IWDG_KEY_WR_ACCESS_ENABLE as KEY_UNLOCK,
+};
 
-registers! {
-    KR = 0x00;
-    PR = 0x04, keeps 7;
-    RLR = 0x08, reset 0xFFF, keeps 0xFFF;
-    SR = 0x0C;
-    WINR = 0x10, reset 0xFFF, keeps 0xFFF;
-}
+use crate::st::IWDG::{KR, PR, RLR, SR, WINR};
 
-const KEY_UNLOCK: u32 = 0x5555;
-const KEY_REFRESH: u32 = 0xAAAA;
-const KEY_START: u32 = 0xCCCC;
+const REGISTERS: &[Register] = &[(KR, 0, 0), (PR, 0, 7), (RLR, 0xFFF, 0xFFF), (SR, 0, 0), (WINR, 0xFFF, 0xFFF)];
 
 /// Low-speed internal oscillator, in hertz.
-const LSI_HZ: u64 = 32_000;
+const LSI_HZ: u64 = 1_000 * crate::st::one_word::LSI as u64;
 
 #[derive(Debug)]
 pub struct Watchdog {
@@ -90,7 +85,6 @@ impl Watchdog {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::facts::assert_facts;
 
     fn started() -> (Watchdog, Effects) {
         let (mut watchdog, mut effects) = (Watchdog::new(), Effects::default());
@@ -122,12 +116,5 @@ mod tests {
         effects.now *= 3;
         watchdog.write(KR, KEY_REFRESH, &mut effects);
         assert_eq!(effects.reset, None);
-    }
-
-    #[test]
-    fn registers_and_clock_are_those_of_st() {
-        super::super::registers::assert_offsets("IWDG_TypeDef", REGISTERS);
-        assert_facts!("LL_IWDG_KEY_"; KEY_UNLOCK = "WR_ACCESS_ENABLE", KEY_REFRESH = "RELOAD", KEY_START = "ENABLE");
-        assert_eq!(LSI_HZ as f64, 1e3 * crate::facts::number("LSI"));
     }
 }

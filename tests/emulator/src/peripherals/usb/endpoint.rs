@@ -4,28 +4,18 @@
 //! An entry of the table has four halfwords: address and count of the transmission buffer, address
 //! and count of the reception buffer. The upper bits of the latter hold the buffer's size.
 
+use crate::st::USB::{
+    EP_BULK as TYPE_BULK, EP_CONTROL as TYPE_CONTROL, EP_CTR_RX as CTR_RX, EP_CTR_TX as CTR_TX, EP_DTOG_RX as DTOG_RX,
+    EP_DTOG_TX as DTOG_TX, EP_INTERRUPT as TYPE_INTERRUPT, EP_KIND, EP_SETUP as SETUP, EP_T_FIELD as EP_TYPE,
+    EPADDR_FIELD as EA, EPRX_STAT as STAT_RX, EPTX_STAT as STAT_TX,
+};
 use std::ops::Range;
-
-const CTR_RX: u32 = 1 << 15;
-const DTOG_RX: u32 = 1 << 14;
-const STAT_RX: u32 = 0b11 << 12;
-const SETUP: u32 = 1 << 11;
-const EP_TYPE: u32 = 0b11 << 9;
-const EP_KIND: u32 = 1 << 8;
-const CTR_TX: u32 = 1 << 7;
-const DTOG_TX: u32 = 1 << 6;
-const STAT_TX: u32 = 0b11 << 4;
-const EA: u32 = 0xf;
 
 /// Bits that a one inverts and a zero leaves.
 const TOGGLED: u32 = DTOG_RX | STAT_RX | DTOG_TX | STAT_TX;
 
 /// Bits that a zero clears and a one leaves.
 const CLEARED: u32 = CTR_RX | CTR_TX;
-
-const TYPE_BULK: u32 = 0b00 << 9;
-const TYPE_CONTROL: u32 = 0b01 << 9;
-const TYPE_INTERRUPT: u32 = 0b11 << 9;
 
 /// How one direction of an endpoint answers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -203,18 +193,5 @@ impl PacketMemory {
 
     fn half(&self, offset: usize) -> usize {
         self.read(offset..offset + 2) as usize
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::facts::assert_facts;
-
-    #[test]
-    fn bits_are_those_of_st() {
-        assert_facts!("USB_EP_"; CTR_RX, DTOG_RX, SETUP, EP_TYPE = "T_FIELD", EP_KIND = "KIND", CTR_TX, DTOG_TX);
-        assert_facts!("USB_EP_"; TYPE_BULK = "BULK", TYPE_CONTROL = "CONTROL", TYPE_INTERRUPT = "INTERRUPT");
-        assert_facts!("USB_"; STAT_RX = "EPRX_STAT", STAT_TX = "EPTX_STAT", EA = "EPADDR_FIELD");
     }
 }

@@ -8,6 +8,11 @@ mod endpoint;
 mod port;
 
 use super::{Effects, TICKS_PER_SECOND, Ticks, interrupt};
+use crate::st::USB::{
+    BCDR, BCDR_DPPU, BTABLE, CNTR, CNTR_FRES, CNTR_FSUSP, CNTR_LPMODE, CNTR_PDWN, DADDR, DADDR_EF, FNR,
+    FNR_FN as FNR_FRAME, FNR_LCK, FNR_LSOF, FNR_RXDP, ISTR, ISTR_CTR, ISTR_DIR, ISTR_ESOF, ISTR_RESET, ISTR_SOF,
+    ISTR_SUSP, ISTR_WKUP, LPMCSR,
+};
 use crate::usb_wire::FRAME_TICKS;
 use endpoint::{Endpoint, PacketMemory, Stat};
 
@@ -18,40 +23,15 @@ const ENDPOINTS: usize = 8;
 
 // Register offsets.
 const EPNR_END: u32 = 0x20;
-const CNTR: u32 = 0x40;
-const ISTR: u32 = 0x44;
-const FNR: u32 = 0x48;
-const DADDR: u32 = 0x4c;
-const BTABLE: u32 = 0x50;
-const LPMCSR: u32 = 0x54;
-const BCDR: u32 = 0x58;
 
 // USB_CNTR; bits 8 to 15 enable the interrupts of the same bits in USB_ISTR.
-const CNTR_FRES: u32 = 1 << 0;
-const CNTR_PDWN: u32 = 1 << 1;
-const CNTR_LPMODE: u32 = 1 << 2;
-const CNTR_FSUSP: u32 = 1 << 3;
 const CNTR_MODELLED: u32 = 0xff00 | CNTR_FRES | CNTR_PDWN | CNTR_LPMODE | CNTR_FSUSP;
 
 // USB_ISTR.
-const ISTR_DIR: u32 = 1 << 4;
-const ISTR_ESOF: u32 = 1 << 8;
-const ISTR_SOF: u32 = 1 << 9;
-const ISTR_RESET: u32 = 1 << 10;
-const ISTR_SUSP: u32 = 1 << 11;
-const ISTR_WKUP: u32 = 1 << 12;
-const ISTR_CTR: u32 = 1 << 15;
 const INTERRUPTS: u32 = 0xff00;
 
 // USB_FNR.
-const FNR_FRAME: u32 = 0x7ff;
-const FNR_LSOF: u32 = 0x1800;
 const FNR_LSOF_ONE: u32 = 0x800;
-const FNR_LCK: u32 = 1 << 13;
-const FNR_RXDP: u32 = 1 << 15;
-
-const DADDR_EF: u32 = 1 << 7;
-const BCDR_DPPU: u32 = 1 << 15;
 
 /// Broken by a program that reads what the next packet may overwrite: of endpoint 0, of another.
 pub const READ_WHILE_RECEIVING: [&str; 2] = [

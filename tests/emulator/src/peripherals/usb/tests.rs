@@ -1,5 +1,4 @@
 use super::*;
-use crate::facts::assert_facts;
 use crate::usb_wire::{Answer, BusSignal, OutPacket};
 
 const CONTROL: u32 = 0b01 << 9;
@@ -91,12 +90,4 @@ fn rules_are_watched() {
     broken(&effects, "may send it");
     usb.write(BTABLE, 512, &mut effects);
     broken(&effects, "BTABLE");
-}
-
-#[test]
-fn registers_are_those_of_st() {
-    assert_facts!("USB_TypeDef."; CNTR, ISTR, FNR, DADDR, BTABLE, LPMCSR, BCDR);
-    assert_facts!("USB_"; CNTR_FRES, CNTR_PDWN, CNTR_LPMODE, CNTR_FSUSP, ISTR_DIR, ISTR_ESOF, ISTR_SOF, ISTR_RESET);
-    assert_facts!("USB_"; ISTR_SUSP, ISTR_WKUP, ISTR_CTR, FNR_FRAME = "FNR_FN", FNR_LSOF, FNR_LCK, FNR_RXDP);
-    assert_facts!("USB_"; DADDR_EF, BCDR_DPPU);
 }
