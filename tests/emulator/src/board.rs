@@ -7,6 +7,7 @@
 
 use crate::faults::Fault;
 use crate::memory::{Bits, FlashArray, RAM_BYTES, TS_CAL1, TS_CAL2, VREFINT_CAL};
+use crate::peripherals::Bank;
 use crate::peripherals::adc::AdcGroup;
 use crate::peripherals::dac::Dac;
 use crate::peripherals::dma::{CHANNELS as DMA_CHANNELS, Dma};
@@ -17,7 +18,6 @@ use crate::peripherals::plain::crc::Crc;
 use crate::peripherals::plain::{Backup, crs, syscfg};
 use crate::peripherals::power::Power;
 use crate::peripherals::rcc::{Pulled, Rcc};
-use crate::peripherals::registers::Bank;
 use crate::peripherals::timer::Timer;
 use crate::peripherals::uart::Uart;
 use crate::peripherals::usb::Usb;
@@ -412,10 +412,8 @@ impl<W: World> Board<W> {
         }
     }
 
-    /// Tells the peripherals with a clock of their own what RCC selects.
+    /// Tells the USB block, which has a clock of its own, what RCC selects.
     fn update_clocks(&mut self) {
-        self.adc12.set_kernel_clock(self.rcc.adc_clock_half_ticks(0));
-        self.adc345.set_kernel_clock(self.rcc.adc_clock_half_ticks(1));
         self.usb.set_clock(self.rcc.has_usb_clock(), &mut self.effects);
     }
 

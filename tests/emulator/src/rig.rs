@@ -244,7 +244,7 @@ impl<W: World> Rig<W> {
     pub fn take_packets(&mut self) -> Vec<(Ticks, Vec<u8>)> {
         let board = &mut self.machine.board;
         match self.link {
-            Link::Usb => board.usb_host.take_received().into_iter().map(|packet| (packet.at, packet.bytes)).collect(),
+            Link::Usb => board.usb_host.take_received(),
             Link::Uart => board.lpuart.take_sent().into_iter().map(|sent| (sent.at, vec![sent.byte])).collect(),
         }
     }
@@ -284,7 +284,7 @@ impl<W: World> Rig<W> {
             .unmodelled_accesses()
             .iter()
             .map(|(address, count)| format!("register {address:#010x} is not modelled; {count} accesses"));
-        let complaints = board.usb_host.complaints().iter().map(|complaint| format!("USB: {}", complaint.text));
+        let complaints = board.usb_host.complaints().iter().map(|complaint| format!("USB: {complaint}"));
         broken.chain(unknown).chain(complaints).collect()
     }
 }

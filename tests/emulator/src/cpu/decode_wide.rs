@@ -1,8 +1,9 @@
 //! The 32-bit encodings (DDI0403, A5.3). Bits are numbered in the word `first halfword << 16 | second`.
 
 use super::Size;
-use super::decode::{bit, hint, immediate_shift, rd, rm, rn, rt, set_flags, sign_extend, unless_15};
-use super::decode_float::decode_coprocessor;
+use super::decode::{
+    bit, decode_coprocessor, hint, immediate_shift, rd, rm, rn, rt, set_flags, sign_extend, unless_15,
+};
 use super::instruction::{
     Address, AluOp, Extension, ImmediateCarry, Instruction, LoadKind, ParallelKind, ParallelOp, Reg, SaturatingOp,
     SetFlags, ShiftKind, Special, UnaryOp,

@@ -13,14 +13,10 @@
 mod arithmetic;
 mod code;
 mod decode;
-mod decode_float;
 mod decode_wide;
 mod exceptions;
 mod execute;
-mod execute_dsp;
-mod execute_float;
 mod execute_memory;
-mod fault;
 mod float;
 mod instruction;
 mod nvic;
@@ -31,10 +27,10 @@ mod tests;
 
 use code::{Accelerator, Code, Decoded, NOTHING_IN_FLIGHT};
 pub use decode::direct_branch;
-pub use fault::{Fault, FaultReport};
 use float::FloatUnit;
 use instruction::{Instruction, Reg};
 use nvic::Nvic;
+pub use nvic::{Fault, FaultReport};
 use registers::Registers;
 use system::System;
 

@@ -18,7 +18,7 @@ mod group;
 
 pub use group::AdcGroup;
 
-use super::registers::{ALL, Bank, Register};
+use super::effects::{ALL, Bank, Register};
 use super::{Effects, Request, TICKS_PER_SECOND, Ticks};
 use crate::faults::Fault;
 use crate::st::ADC::{
@@ -41,15 +41,13 @@ const CFGR_MODELLED: u32 =
     DMAEN | ADC::CFGR_DMACFG | ADC::CFGR_RES | ADC::CFGR_EXTSEL | ADC::CFGR_EXTEN | OVRMOD | CONT | ADC::CFGR_JQDIS;
 /// Without injected conversions both modes of ROVSM are the same.
 const CFGR2_MODELLED: u32 = ROVSE | ADC::CFGR2_OVSR | ADC::CFGR2_OVSS | ADC::CFGR2_ROVSM;
-const CCR_CLOCK: u32 = ADC::CCR_CKMODE | ADC::CCR_PRESC;
 /// The clock, and the switches of the internal channels.
-const CCR_MODELLED: u32 = CCR_CLOCK | ADC::CCR_VREFEN | ADC::CCR_VSENSESEL | ADC::CCR_VBATSEL;
+const CCR_MODELLED: u32 = ADC::CCR_CKMODE | ADC::CCR_VREFEN | ADC::CCR_VSENSESEL | ADC::CCR_VBATSEL;
 
 /// Twice the sampling time in converter clocks, by SMP code.
 const SAMPLE_HALF_CLOCKS: [u64; 8] = [5, 13, 25, 49, 95, 185, 495, 1281];
 /// Twice the duration of the successive approximation in clocks, by RES code.
 const APPROXIMATION_HALF_CLOCKS: [u64; 4] = [25, 21, 17, 13];
-const PRESCALERS: [u64; 12] = [1, 2, 4, 6, 8, 10, 12, 16, 32, 64, 128, 256];
 /// Trigger to start of sampling, in clocks.
 const TRIGGER_CLOCKS: u64 = 2;
 /// Calibration, in clocks (STM32G474 data sheet, "ADC characteristics", t_CAL).

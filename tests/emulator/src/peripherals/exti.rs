@@ -1,7 +1,7 @@
 //! Extended interrupts and events: lines 0 to 15 (pins) and 16 (voltage detector) (RM0440,
 //! "Extended interrupts and events controller").
 
-use super::registers::{ALL, Bank, Register};
+use super::effects::{ALL, Bank, Register};
 use super::{Edge, Effects, interrupt};
 
 use crate::st::EXTI::{EMR1, EMR2, FTSR1, IMR1, IMR2, PR1, PR2, RTSR1, RTSR2, SWIER1};

@@ -4,7 +4,7 @@
 //! driven here.
 
 use super::Effects;
-use super::registers::{ALL, Bank, Register};
+use super::effects::{ALL, Bank, Register};
 
 pub const PORTS: usize = 7;
 

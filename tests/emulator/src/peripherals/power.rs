@@ -2,7 +2,7 @@
 //! "Power control").
 
 use super::Effects;
-use super::registers::{ALL, Bank, Register};
+use super::effects::{ALL, Bank, Register};
 use crate::st::PWR::{CR1_DBP as DBP, CR2_PVDE as PVDE, CR5_R1MODE as R1MODE, SR2_PVDO as PVDO, SR2_REGLPS as REGLPS};
 
 use crate::st::PWR::{CR1, CR2, CR3, CR4, CR5, PDCRG, PUCRA, SCR, SR1, SR2};

@@ -190,23 +190,6 @@ impl Rcc {
         self.get(BDCR) & BDRST != 0
     }
 
-    /// Period in half ticks of the asynchronous clock of ADC1/2 (group 0) or ADC3/4/5 (group 1);
-    /// 0: none selected. The PLL's oscillator runs at twice the core clock.
-    pub fn adc_clock_half_ticks(&self, group: u32) -> u64 {
-        match self.get(CCIPR) >> (28 + 2 * group) & 3 {
-            1 if self.get(PLLCFGR) & PLLPEN != 0 => {
-                let pll = self.get(PLLCFGR);
-                match (u64::from(pll >> 27), pll >> 17 & 1) {
-                    (0, 0) => 7,
-                    (0, _) => 17,
-                    (divider, _) => divider,
-                }
-            }
-            2 => 2,
-            _ => 0,
-        }
-    }
-
     /// Whether the USB block gets its 48 MHz.
     pub fn has_usb_clock(&self) -> bool {
         match self.get(CCIPR) >> 26 & 3 {
@@ -379,11 +362,6 @@ mod tests {
         assert_eq!(rcc.pll_hz(), TICKS_PER_SECOND);
         rcc.set(PLLCFGR, loops | facts::bits("RCC_PLLCFGR_PLLSRC_HSI"));
         assert_eq!(rcc.pll_hz(), TICKS_PER_SECOND * HSI_HZ / HSE_HZ);
-        let system_clock = |field: &str| 2 << facts::bits(&format!("RCC_CCIPR_{field}")).trailing_zeros();
-        rcc.set(CCIPR, system_clock("ADC12SEL"));
-        assert_eq!([0, 1].map(|group| rcc.adc_clock_half_ticks(group)), [2, 0]);
-        rcc.set(CCIPR, system_clock("ADC345SEL"));
-        assert_eq!([0, 1].map(|group| rcc.adc_clock_half_ticks(group)), [0, 2]);
         rcc.set(CRRCR, facts::bits("RCC_CRRCR_HSI48ON"));
         assert!(rcc.has_usb_clock());
         let ready = facts::bits("RCC_CRRCR_HSI48RDY");

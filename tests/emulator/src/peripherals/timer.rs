@@ -9,7 +9,7 @@
 //! CNT = (now − zero_at) / (PSC + 1). The timer asks to be called at the next compare match
 //! or overflow, so flags, requests and triggers come at their exact ticks.
 
-use super::registers::{ALL, Bank, Register};
+use super::effects::{ALL, Bank, Register};
 use super::{Edge, Effects, Request, Ticks, Trigger, interrupt, request};
 use crate::st::TIM::{
     self, ARR, CCER, CCMR1, CCMR2, CCR1, CCR4, CNT, CR1, CR1_ARPE, CR1_CEN, CR1_UDIS, CR1_UIFREMAP, CR1_URS, CR2,

@@ -14,7 +14,7 @@ use crate::st::USART::{
 use crate::st::{LPUART, USART};
 use std::collections::VecDeque;
 
-use super::registers::{ALL, Bank, Register};
+use super::effects::{ALL, Bank, Register};
 use super::{Effects, Request, Ticks, interrupt, request};
 
 const CR1_MODELLED: u32 = CR1_UE | CR1_RE | CR1_TE | CR1_IDLEIE | CR1_RXNEIE | CR1_TCIE | CR1_TXEIE | CR1_FIFOEN;

@@ -4,7 +4,7 @@
 use std::path::Path;
 use std::process::Command;
 
-use crate::common::wiring::{Wire, pin, wires};
+use crate::common::{Wire, pin, wires};
 use slitpose_emulator::facts::{self, number};
 use slitpose_head::scene_file::Shipped;
 

@@ -2,7 +2,7 @@
 
 use crate::common::chain::Chain;
 use crate::common::silicon;
-use crate::common::solving::{SEED, calibrated, chain, chain_of, head_of, is_ready_high, scene, smooth};
+use crate::common::{SEED, calibrated, chain, chain_of, head_of, is_ready_high, scene, smooth};
 use slitpose_emulator::faults::Fault;
 use slitpose_emulator::memory::{CCM_BYTES, RAM_BYTES};
 use slitpose_emulator::peripherals::TICKS_PER_SECOND;

@@ -9,8 +9,6 @@ pub struct AdcGroup<const N: usize> {
     adcs: [Adc; N],
     lines: [u8; N],
     ccr: u32,
-    /// Period of the asynchronous clock in half ticks; 0: none is selected.
-    kernel_half_ticks: u64,
     next: Ticks,
 }
 
@@ -32,10 +30,10 @@ impl AdcGroup<3> {
 
 impl<const N: usize> AdcGroup<N> {
     fn new(adcs: [Adc; N], lines: [u8; N]) -> Self {
-        Self { adcs, lines, ccr: 0, kernel_half_ticks: 0, next: Ticks::MAX }
+        Self { adcs, lines, ccr: 0, next: Ticks::MAX }
     }
 
-    /// State after reset; the clock selection belongs to RCC and stays.
+    /// State after reset.
     pub fn reset(&mut self, effects: &mut Effects) {
         for adc in &mut self.adcs {
             effects.withdraw(adc.request);
@@ -43,11 +41,6 @@ impl<const N: usize> AdcGroup<N> {
         }
         self.ccr = 0;
         self.update(effects);
-    }
-
-    /// Period of the asynchronous kernel clock that RCC_CCIPR selects, in half ticks; 0: none.
-    pub fn set_kernel_clock(&mut self, half_ticks: u64) {
-        self.kernel_half_ticks = half_ticks;
     }
 
     /// Converter `index` of the group.
@@ -92,9 +85,9 @@ impl<const N: usize> AdcGroup<N> {
             _ => match self.adcs.get_mut((offset / 0x100) as usize) {
                 Some(adc) => {
                     // The ratio of the clocks is fixed by the time a converter is commanded.
-                    adc.clock = clock_ticks(self.ccr, self.kernel_half_ticks);
+                    adc.clock = clock_ticks(self.ccr);
                     if offset % 0x100 == CR && value & (ADEN | ADCAL) != 0 && adc.clock == 0 {
-                        effects.violation(value, "an ADC needs a clock (RCC_CCIPR.ADCxSEL or ADC_CCR.CKMODE)");
+                        effects.violation(value, "an ADC needs a clock (ADC_CCR.CKMODE)");
                     }
                     adc.write(offset % 0x100, value, effects);
                 }
@@ -158,16 +151,11 @@ impl<const N: usize> AdcGroup<N> {
 
     fn write_ccr(&mut self, value: u32, effects: &mut Effects) {
         let busy = self.adcs.iter().any(|adc| adc.bank[CR] & CR_COMMANDS != 0);
-        if busy && (value ^ self.ccr) & CCR_CLOCK != 0 {
-            effects.violation(value, "ADC_CCR.CKMODE and PRESC are written only while all ADCs are disabled");
+        if busy && (value ^ self.ccr) & ADC::CCR_CKMODE != 0 {
+            effects.violation(value, "ADC_CCR.CKMODE is written only while all ADCs are disabled");
         }
         effects.unmodelled_bits(value & !CCR_MODELLED);
         self.ccr = value;
-        let clock = clock_ticks(value, self.kernel_half_ticks);
-        if clock == 0 && value >> 16 & 3 == 0 && !(self.kernel_half_ticks * prescaler(value)).is_multiple_of(2) {
-            // Only whole ticks are modelled.
-            effects.unmodelled();
-        }
     }
 
     fn update(&mut self, effects: &mut Effects) {
@@ -200,21 +188,9 @@ fn late_ticks(effects: &Effects, clock: u64) -> Ticks {
     (effects.clock_phase + clock - effects.now() % clock) % clock + clock.div_ceil(8)
 }
 
-fn prescaler(ccr: u32) -> u64 {
-    PRESCALERS.get((ccr >> 18 & 0xF) as usize).copied().unwrap_or(1)
-}
-
-/// Ticks of a converter clock; 0: no clock, or none of whole ticks.
-fn clock_ticks(ccr: u32, kernel_half_ticks: u64) -> u64 {
-    match ccr >> 16 & 3 {
-        0 => {
-            let half_ticks = kernel_half_ticks * prescaler(ccr);
-            if half_ticks.is_multiple_of(2) { half_ticks / 2 } else { 0 }
-        }
-        1 => 1,
-        2 => 2,
-        _ => 4,
-    }
+/// Ticks of a converter clock, by CKMODE; 0: none, as the asynchronous clock is not modelled.
+fn clock_ticks(ccr: u32) -> u64 {
+    [0, 1, 2, 4][(ccr >> 16 & 3) as usize]
 }
 
 #[cfg(test)]
@@ -291,14 +267,6 @@ mod tests {
     }
 
     #[test]
-    fn asynchronous_clock_counts_half_ticks() {
-        assert_eq!(clock_ticks(0, 0), 0);
-        assert_eq!(clock_ticks(2 << 18, 2), 4);
-        assert_eq!(clock_ticks(1 << 18, 7), 7);
-        assert_eq!(clock_ticks(0, 7), 0);
-    }
-
-    #[test]
     fn times_are_those_of_st() {
         let half_clocks = |name: &str| (2.0 * facts::number(name)) as u64;
         let sampling = [0, 1, 2, 3, 4, 5, 6, 7].map(|code| half_clocks(&format!("sampling_clocks_{code}")));
@@ -339,7 +307,7 @@ mod tests {
             assert_eq!(group.adc(0).trigger_mask(), 1 << (2 * index), "{timer}");
         }
         for (divider, mode) in [(1, 1), (2, 2), (4, facts::bits("LL_ADC_CLOCK_SYNC_PCLK_DIV4") >> 16)] {
-            assert_eq!(clock_ticks(mode << 16, 0), divider);
+            assert_eq!(clock_ticks(mode << 16), divider);
         }
     }
 }
