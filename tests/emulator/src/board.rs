@@ -161,7 +161,7 @@ impl<W: World> Board<W> {
     /// The present, in ticks since the machine was made.
     #[inline]
     pub fn now(&self) -> Ticks {
-        self.effects.now()
+        self.effects.now
     }
 
     /// The next tick at which something happens without the core.
@@ -282,7 +282,7 @@ impl<W: World> Board<W> {
     }
 
     fn scramble_ram(&mut self) {
-        let mut bits = Bits::seeded(self.effects.now());
+        let mut bits = Bits::seeded(self.effects.now);
         for chunk in self.ram.chunks_exact_mut(8) {
             chunk.copy_from_slice(&bits.next().to_le_bytes());
         }
@@ -294,7 +294,7 @@ impl<W: World> Board<W> {
     }
 
     fn handle_events(&mut self) {
-        let now = self.effects.now();
+        let now = self.effects.now;
         if self.adc12.next_event() == now {
             let world = &mut self.world;
             self.adc12.advance(&mut self.effects, &mut |adc, channel| world.sample(now, adc, channel));
@@ -321,8 +321,8 @@ impl<W: World> Board<W> {
             self.flash.advance(&mut self.effects);
         }
         if self.adc345.next_event() == now {
-            let codes = InternalCodes { supply_v: self.power.supply_v, temperature_c: self.temperature_c };
-            self.adc345.advance(&mut self.effects, &mut |_, channel| codes.code(channel));
+            let (supply_v, temperature_c) = (self.power.supply_v, self.temperature_c);
+            self.adc345.advance(&mut self.effects, &mut |_, channel| internal_code(channel, supply_v, temperature_c));
             self.disturb_neighbours();
         }
         self.handle_faults(now);
@@ -342,7 +342,7 @@ impl<W: World> Board<W> {
                     timer.trigger(edges, &mut self.effects);
                 }
             }
-            let ready = self.effects.pending_requests() & self.dma.wanted();
+            let ready = self.effects.requests & self.dma.wanted();
             if ready == 0 {
                 break;
             }
@@ -392,7 +392,7 @@ impl<W: World> Board<W> {
         if (gates, levels) == (self.gates, self.levels) {
             return;
         }
-        let at = self.effects.now();
+        let at = self.effects.now;
         if gates != self.gates
             && let Some(log) = &mut self.gate_log
         {
@@ -472,26 +472,18 @@ impl<W: World> Board<W> {
     }
 }
 
-/// What the internal channels of ADC3 to ADC5 convert.
-struct InternalCodes {
-    supply_v: f64,
-    temperature_c: f64,
-}
-
-impl InternalCodes {
-    /// Code of `channel` (data sheet, "Temperature sensor characteristics" and "Internal voltage
-    /// reference"): temperature on ADC5_IN4, reference on IN18; nothing else is connected.
-    fn code(&self, channel: u8) -> u16 {
-        let at_calibration_supply = match channel {
-            4 => {
-                let slope = f64::from(TS_CAL2 - TS_CAL1) / (CALIBRATION_C[1] - CALIBRATION_C[0]);
-                f64::from(TS_CAL1) + slope * (self.temperature_c - CALIBRATION_C[0])
-            }
-            18 => f64::from(VREFINT_CAL),
-            _ => 0.0,
-        };
-        (at_calibration_supply * CALIBRATION_V / self.supply_v).round().clamp(0.0, 4_095.0) as u16
-    }
+/// Code of `channel` of ADC3 to ADC5 (data sheet, "Temperature sensor characteristics" and "Internal voltage reference"):
+/// temperature on ADC5_IN4, reference on IN18; nothing else is connected.
+fn internal_code(channel: u8, supply_v: f64, temperature_c: f64) -> u16 {
+    let at_calibration_supply = match channel {
+        4 => {
+            let slope = f64::from(TS_CAL2 - TS_CAL1) / (CALIBRATION_C[1] - CALIBRATION_C[0]);
+            f64::from(TS_CAL1) + slope * (temperature_c - CALIBRATION_C[0])
+        }
+        18 => f64::from(VREFINT_CAL),
+        _ => 0.0,
+    };
+    (at_calibration_supply * CALIBRATION_V / supply_v).round().clamp(0.0, 4_095.0) as u16
 }
 
 #[cfg(test)]

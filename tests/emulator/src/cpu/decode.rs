@@ -166,9 +166,7 @@ fn miscellaneous(h: u32) -> Instruction {
         0b101000 => unary(UnaryOp::Rev),
         0b101001 => unary(UnaryOp::Rev16),
         0b101011 => unary(UnaryOp::Revsh),
-        0b011001 if bit(h, 5) => {
-            Instruction::ChangeMasks { disable: bit(h, 4), primask: bit(h, 1), faultmask: bit(h, 0) }
-        }
+        0b011001 if bit(h, 5) && h & 3 == 2 => Instruction::ChangeMask { disable: bit(h, 4) },
         op if op & 0b010100 == 0b000100 => Instruction::CompareBranch {
             nonzero: bit(h, 11),
             rn: low(h, 0),

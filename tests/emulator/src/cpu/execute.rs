@@ -54,7 +54,7 @@ impl Cpu {
                     self.registers.flags.set_nz(result);
                 }
             }
-            Instruction::Divide { signed, rd, rn, rm } => self.divide(signed, rd, rn, rm)?,
+            Instruction::Divide { signed, rd, rn, rm } => self.divide(signed, rd, rn, rm),
 
             Instruction::Load { kind, rt, address } => self.load(bus, kind, rt, address)?,
             Instruction::Store { size, rt, address } => self.store(bus, size, rt, address)?,
@@ -125,9 +125,19 @@ impl Cpu {
             Instruction::Sev => self.event = true,
             Instruction::Breakpoint => return Err(Fault::Breakpoint.into()),
             Instruction::SupervisorCall => return Err(Trap::SupervisorCall),
-            Instruction::ChangeMasks { disable, primask, faultmask } => self.change_masks(disable, primask, faultmask),
+            Instruction::ChangeMask { disable } => {
+                self.registers.primask = disable;
+                self.attention = true;
+            }
             Instruction::ReadSpecial { rd, special } => self.set(rd, self.registers.read_special(special)),
-            Instruction::WriteSpecial { special, rn, mask } => self.write_special(special, self.get(rn), mask),
+            // Unprivileged code and the process stack are not modelled.
+            Instruction::WriteSpecial { special: Special::Control, rn } if self.get(rn) & 3 != 0 => {
+                return Err(self.undefined(bus).into());
+            }
+            Instruction::WriteSpecial { special, rn } => {
+                self.registers.write_special(special, self.get(rn));
+                self.attention = true;
+            }
             Instruction::Undefined => return Err(self.undefined(bus).into()),
             Instruction::NoCoprocessor => return Err(Fault::NoCoprocessor.into()),
             dsp => self.execute_dsp(dsp),
@@ -186,11 +196,8 @@ impl Cpu {
         }
     }
 
-    fn divide(&mut self, signed: bool, rd: Reg, rn: Reg, rm: Reg) -> Result<(), Trap> {
+    fn divide(&mut self, signed: bool, rd: Reg, rn: Reg, rm: Reg) {
         let (x, y) = (self.get(rn), self.get(rm));
-        if y == 0 && self.system.traps_division_by_zero() {
-            return Err(Fault::DivideByZero.into());
-        }
         let quotient = match (y, signed) {
             (0, _) => 0,
             (_, true) => (x as i32).wrapping_div(y as i32) as u32,
@@ -202,7 +209,6 @@ impl Cpu {
             super::code::division(x, y)
         };
         self.set(rd, quotient);
-        Ok(())
     }
 
     /// BranchTo, with the refill of the pipeline.
@@ -260,25 +266,6 @@ impl Cpu {
         Ok(())
     }
 
-    fn change_masks(&mut self, disable: bool, primask: bool, faultmask: bool) {
-        if !self.registers.privileged() {
-            return;
-        }
-        if primask {
-            self.registers.primask = disable;
-        }
-        if faultmask && !(disable && self.execution_priority() <= -1) {
-            self.registers.faultmask = disable;
-        }
-        self.attention = true;
-    }
-
-    fn write_special(&mut self, special: Special, value: u32, mask: u8) {
-        let below_hardfault = self.execution_priority() > -1;
-        self.registers.write_special(special, value, mask, below_hardfault);
-        self.attention = true;
-    }
-
     /// The fault of the instruction being executed, with its halfwords.
     fn undefined<B: Bus>(&self, bus: &mut B) -> Fault {
         let address = self.get(Reg::PC).wrapping_sub(4);
@@ -295,33 +282,18 @@ impl Cpu {
     /// If it belongs elsewhere.
     pub(super) fn execute_dsp(&mut self, instruction: Instruction) {
         match instruction {
-            Instruction::SaturateHalves { signed, rd, rn, bits } => {
-                let value = self.get(rn);
-                let one = |top| {
-                    let half = dsp::half(value, top);
-                    if signed { saturate_signed(half, bits) } else { saturate_unsigned(half, bits) }
-                };
-                let ((low, low_saturated), (high, high_saturated)) = (one(false), one(true));
-                self.set(rd, low & 0xffff | high << 16);
-                self.registers.flags.q |= low_saturated | high_saturated;
-            }
             Instruction::Pack { tb, rd, rn, rm, shift: by } => {
                 let (x, y) = (self.get(rn), shift(self.get(rm), by, false).0);
                 let (top, bottom) = if tb { (x, y) } else { (y, x) };
                 self.set(rd, top & 0xffff_0000 | bottom & 0xffff);
             }
-            Instruction::Parallel { op, kind, rd, rn, rm } => {
-                let (result, ge) = dsp::parallel(op, kind, self.get(rn), self.get(rm));
-                self.set(rd, result);
-                self.registers.flags.ge = ge.unwrap_or(self.registers.flags.ge);
+            Instruction::SaturatingLanes { signed, subtract, bits, rd, rn, rm } => {
+                self.set(rd, dsp::saturating_lanes(signed, subtract, bits, self.get(rn), self.get(rm)));
             }
             Instruction::SaturatingAdd { op, rd, rn, rm } => {
                 let (result, saturated) = dsp::saturating_add(op, self.get(rm), self.get(rn));
                 self.set(rd, result);
                 self.registers.flags.q |= saturated;
-            }
-            Instruction::Select { rd, rn, rm } => {
-                self.set(rd, dsp::select(self.registers.flags.ge, self.get(rn), self.get(rm)));
             }
             _ => self.execute_multiply(instruction),
         }
@@ -353,10 +325,6 @@ impl Cpu {
                 let sum = if round { sum.wrapping_add(0x8000_0000) } else { sum };
                 self.set(rd, (sum >> 32) as u32);
             }
-            Instruction::AbsoluteDifferences { rd, rn, rm, ra } => {
-                let base = ra.map_or(0, |ra| self.get(ra));
-                self.set(rd, base.wrapping_add(dsp::absolute_differences(self.get(rn), self.get(rm))));
-            }
             _ => self.execute_long_multiply(instruction),
         }
     }
@@ -379,11 +347,6 @@ impl Cpu {
             Instruction::MultiplyHalvesLong { lo, hi, rn, rm, n_top, m_top } => {
                 let product = dsp::half(self.get(rn), n_top) * dsp::half(self.get(rm), m_top);
                 self.set_pair(lo, hi, self.pair(lo, hi).wrapping_add_signed(product));
-            }
-            Instruction::DualMultiplyLong { subtract, exchange, lo, hi, rn, rm } => {
-                let (low, high) = dsp::dual_products(self.get(rn), self.get(rm), exchange);
-                let sum = if subtract { low - high } else { low + high };
-                self.set_pair(lo, hi, self.pair(lo, hi).wrapping_add_signed(sum));
             }
             other => unreachable!("{other:?} is executed elsewhere"),
         }

@@ -232,17 +232,14 @@ impl Cpu {
     /// ExecuteFPCheck: the unit must be enabled; its first use makes it part of the context.
     #[inline(always)]
     fn check_float(&mut self) -> Result<(), Trap> {
-        if !self.system.float_enabled(self.registers.privileged()) {
+        if !self.system.float_enabled() {
             return Err(Fault::NoCoprocessor.into());
         }
         if self.float.stacking_unpaid {
             self.float.stacking_unpaid = false;
             self.cycles += FLOAT_FRAME;
         }
-        if !self.registers.float_active && self.system.tracks_float() {
-            self.registers.float_active = true;
-            self.float.set_fpscr(self.float.fpscr() | self.system.fpdscr)?;
-        }
+        self.registers.float_active = true;
         Ok(())
     }
 

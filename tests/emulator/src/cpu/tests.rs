@@ -215,12 +215,11 @@ fn division_and_multiplication() {
 }
 
 #[test]
-fn saturation_parallel_addition_and_selection() {
+fn saturation_lanes_and_bit_fields() {
     let board = after(&[0xf301, 0x0007], [0, 1000, 0, 0, 0], 1); // ssat r0, #8, r1
     assert_eq!((board.r(0), board.cpu.state().xpsr >> 27 & 1), (127, 1));
-    // sadd8 r0, r1, r2 (GE = 1, 0, 1, 1 from the top); sel r0, r1, r2
-    let board = after(&[0xfa81, 0xf002, 0xfaa1, 0xf082], [0, 0x0180_0102, 0x0101_0101, 0, 0], 2);
-    assert_eq!(board.r(0), 0x0101_0102);
+    let board = after(&[0xfac1, 0xf052], [0, 0x0180_0102, 0x0101_0203, 0, 0], 1); // uqsub8 r0, r1, r2
+    assert_eq!(board.r(0), 0x007f_0000);
     let board = after(&[0xf361, 0x200b], [0xffff_ffff, 0x5, 0, 0, 0], 1); // bfi r0, r1, #8, #4
     assert_eq!(board.r(0), 0xffff_f5ff);
 }

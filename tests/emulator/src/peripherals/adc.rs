@@ -1,10 +1,10 @@
 //! Analog-to-digital converters: regular sequences (RM0440, "Analog-to-digital converters").
 //!
 //! Modelled: power-up (deep power down, regulator, calibration, ADRDY), regular sequences
-//! started by software or by a timer's TRGO, single or continuous, sampling times, resolution,
-//! oversampling with shift, DMA requests and overrun, and the rules of when a register may be
-//! written. Not modelled: injected conversions, watchdogs, offsets, dual modes, discontinuous
-//! mode, triggered oversampling. Results are right-aligned.
+//! started by software or by a timer's TRGO, sampling times, oversampling, DMA requests and overrun,
+//! and the rules of when a register may be written. Not modelled: continuous and injected conversions,
+//! other resolutions than 12 bits, shifts, watchdogs, offsets, dual modes, discontinuous mode, triggered
+//! oversampling. Results are right-aligned.
 //!
 //! # Timing
 //! ```text
@@ -22,11 +22,11 @@ use super::effects::{ALL, Bank, Register};
 use super::{Effects, Request, TICKS_PER_SECOND, Ticks};
 use crate::faults::Fault;
 use crate::st::ADC::{
-    CALFACT, CFGR, CFGR_CONT as CONT, CFGR_DMAEN as DMAEN, CFGR_OVRMOD as OVRMOD, CFGR2, CFGR2_ROVSE as ROVSE, CR,
-    CR_ADCAL as ADCAL, CR_ADCALDIF as ADCALDIF, CR_ADDIS as ADDIS, CR_ADEN as ADEN, CR_ADSTART as ADSTART,
-    CR_ADSTP as ADSTP, CR_ADVREGEN as ADVREGEN, CR_DEEPPWD as DEEPPWD, CR_JADSTART as JADSTART, CR_JADSTP as JADSTP,
-    DIFSEL, DR, IER, ISR, ISR_ADRDY as ADRDY, ISR_EOC as EOC, ISR_EOS as EOS, ISR_EOSMP as EOSMP, ISR_OVR as OVR,
-    SMPR1, SMPR2, SQR1, SQR4, TR1, TR3,
+    CALFACT, CFGR, CFGR_DMAEN as DMAEN, CFGR_OVRMOD as OVRMOD, CFGR2, CFGR2_ROVSE as ROVSE, CR, CR_ADCAL as ADCAL,
+    CR_ADCALDIF as ADCALDIF, CR_ADDIS as ADDIS, CR_ADEN as ADEN, CR_ADSTART as ADSTART, CR_ADSTP as ADSTP,
+    CR_ADVREGEN as ADVREGEN, CR_DEEPPWD as DEEPPWD, CR_JADSTART as JADSTART, CR_JADSTP as JADSTP, DIFSEL, DR, IER, ISR,
+    ISR_ADRDY as ADRDY, ISR_EOC as EOC, ISR_EOS as EOS, ISR_EOSMP as EOSMP, ISR_OVR as OVR, SMPR1, SMPR2, SQR1, SQR4,
+    TR1, TR3,
 };
 use crate::st::{self, ADC, ADC1, ADC12};
 
@@ -37,17 +37,16 @@ const CCR: u32 = ADC12::COMMON_BASE - ADC1::BASE + ADC::Common_CCR;
 /// Bits of ADC_CR that software only sets and hardware clears.
 const CR_COMMANDS: u32 = ADEN | ADDIS | ADSTART | JADSTART | ADSTP | JADSTP | ADCAL;
 
-const CFGR_MODELLED: u32 =
-    DMAEN | ADC::CFGR_DMACFG | ADC::CFGR_RES | ADC::CFGR_EXTSEL | ADC::CFGR_EXTEN | OVRMOD | CONT | ADC::CFGR_JQDIS;
+const CFGR_MODELLED: u32 = DMAEN | ADC::CFGR_DMACFG | ADC::CFGR_EXTSEL | ADC::CFGR_EXTEN | OVRMOD | ADC::CFGR_JQDIS;
 /// Without injected conversions both modes of ROVSM are the same.
-const CFGR2_MODELLED: u32 = ROVSE | ADC::CFGR2_OVSR | ADC::CFGR2_OVSS | ADC::CFGR2_ROVSM;
+const CFGR2_MODELLED: u32 = ROVSE | ADC::CFGR2_OVSR | ADC::CFGR2_ROVSM;
 /// The clock, and the switches of the internal channels.
 const CCR_MODELLED: u32 = ADC::CCR_CKMODE | ADC::CCR_VREFEN | ADC::CCR_VSENSESEL | ADC::CCR_VBATSEL;
 
 /// Twice the sampling time in converter clocks, by SMP code.
 const SAMPLE_HALF_CLOCKS: [u64; 8] = [5, 13, 25, 49, 95, 185, 495, 1281];
-/// Twice the duration of the successive approximation in clocks, by RES code.
-const APPROXIMATION_HALF_CLOCKS: [u64; 4] = [25, 21, 17, 13];
+/// Twice the duration of the successive approximation in clocks.
+const APPROXIMATION_HALF_CLOCKS: u64 = 25;
 /// Trigger to start of sampling, in clocks.
 const TRIGGER_CLOCKS: u64 = 2;
 /// Calibration, in clocks (STM32G474 data sheet, "ADC characteristics", t_CAL).
@@ -109,7 +108,6 @@ struct Plan {
     length: usize,
     approximation: Ticks,
     oversampling: u32,
-    shift: u32,
     trigger_delay: Ticks,
     /// Edges of the trigger line that start a sequence, as in `Effects::take_triggers`.
     trigger_mask: u16,
@@ -229,9 +227,8 @@ impl Adc {
         Plan {
             ranks,
             length: (self.bank[SQR1] & 0xF) as usize + 1,
-            approximation: half_clock(APPROXIMATION_HALF_CLOCKS[(self.bank[CFGR] >> 3 & 3) as usize]),
+            approximation: half_clock(APPROXIMATION_HALF_CLOCKS),
             oversampling: if oversampled { 2 << (self.bank[CFGR2] >> 2 & 7) } else { 1 },
-            shift: if oversampled { self.bank[CFGR2] >> 5 & 0xF } else { 0 },
             trigger_delay: TRIGGER_CLOCKS * self.clock,
             trigger_mask: self.trigger_mask(),
         }
@@ -268,7 +265,7 @@ impl Adc {
     }
 
     fn advance(&mut self, effects: &mut Effects, sample: &mut impl FnMut(u8, u8) -> u16) {
-        let now = effects.now();
+        let now = effects.now;
         if self.phase_at == now {
             match self.phase {
                 Phase::Hold => self.hold(effects, sample),
@@ -284,14 +281,13 @@ impl Adc {
     #[inline]
     fn hold(&mut self, effects: &Effects, sample: &mut impl FnMut(u8, u8) -> u16) {
         let rank = self.plan.ranks[self.rank];
-        let lost_bits = 2 * (self.bank[CFGR] >> 3 & 3);
         let is_zero = std::mem::take(&mut self.was_stopped) && effects.faults.has(Fault::AdcStop);
         let mut code = sample(self.number, if is_zero { 0 } else { rank.channel });
-        if effects.now() - self.last_conversion > STALE_TICKS && effects.faults.has(Fault::AdcStale) {
+        if effects.now - self.last_conversion > STALE_TICKS && effects.faults.has(Fault::AdcStale) {
             code = code.abs_diff(STALE_CODES);
         }
-        self.last_conversion = effects.now();
-        self.sum += u32::from(code >> lost_bits);
+        self.last_conversion = effects.now;
+        self.sum += u32::from(code);
         self.conversions += 1;
         self.bank[ISR] |= EOSMP;
         self.phase_at += self.plan.approximation;
@@ -303,18 +299,14 @@ impl Adc {
     }
 
     fn finish_rank(&mut self, effects: &mut Effects) {
-        self.deliver(self.sum >> self.plan.shift & 0xFFFF, effects);
+        self.deliver(self.sum & 0xFFFF, effects);
         self.rank += 1;
         if self.rank < self.plan.length {
-            self.sample_rank(effects.now());
+            self.sample_rank(effects.now);
             return;
         }
         self.bank[ISR] |= EOS;
         self.rank = 0;
-        if self.bank[CFGR] & CONT != 0 {
-            self.sample_rank(effects.now());
-            return;
-        }
         self.phase = Phase::Idle;
         self.phase_at = Ticks::MAX;
         if self.plan.trigger_mask == 0 {
@@ -344,7 +336,7 @@ impl Adc {
 
     /// Writes ADC_CR.
     fn command(&mut self, value: u32, effects: &mut Effects) {
-        let now = effects.now();
+        let now = effects.now;
         self.write_supply(value, effects);
         let commands = value & CR_COMMANDS & !self.bank[CR];
         effects.unmodelled_bits(commands & (JADSTART | JADSTP));
@@ -384,7 +376,7 @@ impl Adc {
             effects.violation(value, "DEEPPWD, ADVREGEN and ADCALDIF are written only while the ADC is disabled");
         }
         if value & ADVREGEN != 0 && self.bank[CR] & ADVREGEN == 0 {
-            self.regulator_since = effects.now();
+            self.regulator_since = effects.now;
             if value & DEEPPWD != 0 {
                 effects.violation(value, "ADVREGEN is set only after DEEPPWD is cleared");
             }
@@ -397,7 +389,7 @@ impl Adc {
     }
 
     fn calibrate(&mut self, value: u32, effects: &mut Effects) {
-        if !self.regulated(effects.now()) {
+        if !self.regulated(effects.now) {
             effects.violation(value, "ADCAL is set only 20 µs after ADVREGEN");
         }
         if self.bank[CR] & CR_COMMANDS != 0 {
@@ -405,11 +397,11 @@ impl Adc {
             return;
         }
         self.bank[CR] |= ADCAL;
-        self.command_at = effects.now() + CALIBRATION_CLOCKS * self.clock;
+        self.command_at = effects.now + CALIBRATION_CLOCKS * self.clock;
     }
 
     fn enable(&mut self, value: u32, effects: &mut Effects) {
-        let now = effects.now();
+        let now = effects.now;
         if self.bank[CR] & CR_COMMANDS != 0 || !self.regulated(now) {
             effects.violation(value, "ADEN is set only while all other commands are 0 and the regulator is ready");
             return;
@@ -436,7 +428,7 @@ impl Adc {
         self.bank[CR] |= ADSTART;
         self.plan = self.plan_sequence();
         if self.plan.trigger_mask == 0 {
-            self.begin(effects.now(), 0);
+            self.begin(effects.now, 0);
         }
     }
 

@@ -93,8 +93,8 @@ mod tests {
         let (mut dac, mut effects) = (Dac::new(), Effects::default());
         dac.write(MCR, MCR_HFSEL, &mut effects);
         dac.write(CR, 1, &mut effects);
-        assert_eq!(effects.violation_count(), 0);
+        assert_eq!(effects.violation_count, 0);
         dac.write(MCR, MCR_HFSEL | 2, &mut effects);
-        assert_eq!(effects.violation_count(), 1);
+        assert_eq!(effects.violation_count, 1);
     }
 }

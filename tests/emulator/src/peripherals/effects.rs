@@ -114,10 +114,12 @@ pub struct Effects {
     pub now: Ticks,
     pub pc: u32,
     pub address: u32,
-    lines: [u32; 4],
+    /// Levels of the interrupt lines.
+    pub lines: [u32; 4],
     /// The core or the machine has to look: lines, reset, NMI, stall, changed code or boot loader.
     pub attention: bool,
-    requests: u128,
+    /// DMA requests that wait, bit n for request n.
+    pub requests: u128,
     triggers: u16,
     pub reset: Option<ResetCause>,
     pub nmi: bool,
@@ -133,19 +135,17 @@ pub struct Effects {
     pub chance: Bits,
     /// Phase of the converters' clock, in ticks of any period.
     pub clock_phase: Ticks,
-    violations: Vec<Violation>,
-    violation_count: u64,
-    unmodelled: BTreeMap<u32, u64>,
+    /// Broken rules in order; at most a thousand are kept.
+    pub violations: Vec<Violation>,
+    pub violation_count: u64,
+    /// Addresses that no model knows, with the number of accesses.
+    pub unmodelled: BTreeMap<u32, u64>,
 }
 
 impl Effects {
     #[cfg(test)]
     pub fn starting_at(now: Ticks) -> Self {
         Self { now, ..Self::default() }
-    }
-
-    pub fn now(&self) -> Ticks {
-        self.now
     }
 
     /// Sets the level of interrupt line `number` (see [`interrupt`]).
@@ -155,10 +155,6 @@ impl Effects {
         let before = self.lines[word];
         self.lines[word] = if level { before | bit } else { before & !bit };
         self.attention |= self.lines[word] != before;
-    }
-
-    pub fn lines(&self) -> &[u32; 4] {
-        &self.lines
     }
 
     /// Raises a DMA request. It stays until a channel serves it or it is withdrawn.
@@ -171,12 +167,6 @@ impl Effects {
     #[inline]
     pub fn withdraw(&mut self, request: Request) {
         self.requests &= !(1 << request.0);
-    }
-
-    /// DMA requests that wait, bit n for request n.
-    #[inline]
-    pub fn pending_requests(&self) -> u128 {
-        self.requests
     }
 
     /// Sends an edge of a timer's trigger output.
@@ -253,21 +243,6 @@ impl Effects {
     #[cold]
     pub fn unmodelled(&mut self) {
         *self.unmodelled.entry(self.address).or_default() += 1;
-    }
-
-    /// Broken rules in order; at most a thousand are kept.
-    pub fn violations(&self) -> &[Violation] {
-        &self.violations
-    }
-
-    /// Number of broken rules, kept or not.
-    pub fn violation_count(&self) -> u64 {
-        self.violation_count
-    }
-
-    /// Addresses that no model knows, with the number of accesses.
-    pub fn unmodelled_accesses(&self) -> &BTreeMap<u32, u64> {
-        &self.unmodelled
     }
 }
 

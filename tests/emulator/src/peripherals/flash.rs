@@ -1,8 +1,8 @@
 //! Interface of the embedded flash memory in dual-bank mode (RM0440, "Embedded flash memory").
 //!
-//! Modelled: latency, unlocking, programming of double words, erasure of pages and banks with
+//! Modelled: latency, unlocking, programming of double words, erasure of pages with
 //! their duration, error flags, the stall of accesses to a busy bank, and ECC errors of double
-//! words whose programming was cut short. Not modelled: fast programming, option bytes,
+//! words whose programming was cut short. Not modelled: fast programming, erasure of banks, option bytes,
 //! write and read protection.
 
 use super::{Effects, TICKS_PER_SECOND, Ticks, interrupt};
@@ -10,23 +10,23 @@ use crate::faults::Fault;
 use crate::memory::{BANK_BYTES, DOUBLE_WORD_BYTES, FLASH_BASE, FLASH_BYTES, FlashArray, PAGE_BYTES, load};
 use crate::st::FLASH::{
     ACR, ACR_LATENCY as LATENCY, CR, CR_BKER as BKER, CR_EOPIE as EOPIE, CR_ERRIE as ERRIE, CR_LOCK as LOCK,
-    CR_MER1 as MER1, CR_MER2 as MER2, CR_OPTLOCK as OPTLOCK, CR_PER as PER, CR_PG as PG, CR_PNB, CR_STRT as STRT, ECCR,
-    ECCR_BK_ECC as BK_ECC, ECCR_ECCD as ECCD, KEY1, KEY2, KEYR, OPTKEYR, OPTR, PDKEYR, SR, SR_BSY as BSY,
-    SR_EOP as EOP, SR_PGAERR as PGAERR, SR_PGSERR as PGSERR, SR_PROGERR as PROGERR, SR_SIZERR as SIZERR,
+    CR_OPTLOCK as OPTLOCK, CR_PER as PER, CR_PG as PG, CR_PNB, CR_STRT as STRT, ECCR, ECCR_BK_ECC as BK_ECC,
+    ECCR_ECCD as ECCD, KEY1, KEY2, KEYR, OPTKEYR, OPTR, PDKEYR, SR, SR_BSY as BSY, SR_EOP as EOP, SR_PGAERR as PGAERR,
+    SR_PGSERR as PGSERR, SR_PROGERR as PROGERR, SR_SIZERR as SIZERR,
 };
 
 const ACR_RESET: u32 = 0x0004_0600;
 
 const ERRORS: u32 = PROGERR | PGAERR | SIZERR | PGSERR;
 
-const CR_MODELLED: u32 = PG | PER | MER1 | CR_PNB | BKER | MER2 | STRT | EOPIE | ERRIE | OPTLOCK | LOCK;
+const CR_MODELLED: u32 = PG | PER | CR_PNB | BKER | STRT | EOPIE | ERRIE | OPTLOCK | LOCK;
 
 /// Option bytes as delivered: no protection, dual bank, brown-out level 0, watchdog by software.
 const OPTR_DELIVERED: u32 = 0xFFEF_F8AA;
 
 /// Programming of a double word: 81.7 µs (data sheet, t_prog, typical; 83.35 at most).
 const PROGRAM_TICKS: Ticks = 817 * TICKS_PER_SECOND / 10_000_000;
-/// Erasure of a page or a bank: 22.02 ms (data sheet, t_ERASE, typical; 24.47 at most).
+/// Erasure of a page: 22.02 ms (data sheet, t_ERASE, typical; 24.47 at most).
 const ERASE_TICKS: Ticks = 2_202 * TICKS_PER_SECOND / 100_000;
 
 #[derive(Clone, Copy, Debug)]
@@ -98,7 +98,7 @@ impl Flash {
     /// Reset or loss of power: an operation under way leaves torn cells.
     pub fn reset(&mut self, effects: &Effects) {
         if let Some(operation) = self.operation.take() {
-            let granted = (effects.now() - operation.started) as f64 / (operation.done - operation.started) as f64;
+            let granted = (effects.now - operation.started) as f64 / (operation.done - operation.started) as f64;
             match operation.work {
                 Work::Program { offset, .. } if effects.faults.has(Fault::FlashTornOnes) => {
                     self.array.tear_unseen(offset);
@@ -207,7 +207,7 @@ impl Flash {
 
     /// Writes to cells, which programs them (RM0440, "Flash main memory programming sequences").
     pub fn store(&mut self, offset: usize, width: u32, value: u32, effects: &mut Effects) {
-        let error = if self.cr & LOCK != 0 || self.cr & PG == 0 || self.cr & (PER | MER1 | MER2) != 0 {
+        let error = if self.cr & LOCK != 0 || self.cr & PG == 0 || self.cr & PER != 0 {
             Some((PGSERR, "flash is programmed only while PG alone is set"))
         } else if self.operation.is_some() {
             Some((PGSERR, "flash is programmed only while BSY = 0"))
@@ -286,7 +286,7 @@ impl Flash {
             Some((offset, length)) if self.sr & ERRORS == 0 && value & PG == 0 => {
                 self.begin(Work::Erase { offset, length }, ERASE_TICKS, effects);
             }
-            _ => self.fail(PGSERR, value, "STRT is set with one of PER, MER1, MER2 and without error flags", effects),
+            _ => self.fail(PGSERR, value, "STRT is set with PER and without error flags", effects),
         }
         if self.operation.is_none() {
             self.cr &= !STRT;
@@ -295,20 +295,13 @@ impl Flash {
 
     /// What FLASH_CR selects for erasure: offset and length.
     fn erasure(&self) -> Option<(usize, usize)> {
-        match self.cr & (PER | MER1 | MER2) {
-            PER => {
-                let page = (self.cr >> 3 & 0x7F) as usize;
-                let bank = if self.cr & BKER != 0 { BANK_BYTES } else { 0 };
-                Some((bank + page * PAGE_BYTES, PAGE_BYTES))
-            }
-            MER1 => Some((0, BANK_BYTES)),
-            MER2 => Some((BANK_BYTES, BANK_BYTES)),
-            _ => None,
-        }
+        let page = (self.cr >> 3 & 0x7F) as usize;
+        let bank = if self.cr & BKER != 0 { BANK_BYTES } else { 0 };
+        (self.cr & PER != 0).then_some((bank + page * PAGE_BYTES, PAGE_BYTES))
     }
 
     fn begin(&mut self, work: Work, duration: Ticks, effects: &mut Effects) {
-        let operation = Operation { work, started: effects.now(), done: effects.now() + duration };
+        let operation = Operation { work, started: effects.now, done: effects.now + duration };
         self.operation = Some(operation);
         // The core cannot fetch from a busy bank: it stands still where it is.
         let fetching = effects.pc.wrapping_sub(FLASH_BASE) as usize;
@@ -362,7 +355,7 @@ mod tests {
         let (mut flash, mut effects) = (Flash::new(FlashArray::erased()), Effects::default());
         flash.write(CR, PG, &mut effects);
         flash.store(OFFSET, 4, 0, &mut effects);
-        assert_eq!((flash.read(SR, &mut effects), effects.violation_count()), (PGSERR, 2));
+        assert_eq!((flash.read(SR, &mut effects), effects.violation_count), (PGSERR, 2));
         let (mut flash, mut effects) = unlocked();
         flash.write(CR, PG, &mut effects);
         flash.store(OFFSET, 2, 0, &mut effects);

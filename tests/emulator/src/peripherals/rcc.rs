@@ -177,7 +177,7 @@ impl Rcc {
     /// Whether the crystal oscillates.
     fn has_crystal(&self, effects: &Effects) -> bool {
         let is_dead = effects.faults.has(Fault::HseDead);
-        self.get(CR) & HSEON != 0 && !is_dead && effects.now() >= self.crystal_since + CRYSTAL_TICKS
+        self.get(CR) & HSEON != 0 && !is_dead && effects.now >= self.crystal_since + CRYSTAL_TICKS
     }
 
     /// Whether the core runs from the PLL.
@@ -212,7 +212,7 @@ impl Rcc {
             effects.violation(value, "the PLL is switched off only while it is not the system clock");
         }
         if value & HSEON != 0 && self.get(CR) & HSEON == 0 {
-            self.crystal_since = effects.now();
+            self.crystal_since = effects.now;
         }
         if value & PLLON != 0 && self.get(CR) & PLLON == 0 && self.get(PLLCFGR) & 3 == 3 && !self.has_crystal(effects) {
             effects.violation(value, "the PLL is switched on only while its source is ready");
@@ -227,11 +227,11 @@ impl Rcc {
             return;
         }
         if !was_pll {
-            self.switched_at = effects.now();
+            self.switched_at = effects.now;
             if value & HPRE != HPRE_HALF {
                 effects.violation(value, "the system clock is raised above 80 MHz while HPRE = 2");
             }
-        } else if self.is_at_full_speed() && !was_full && effects.now() < self.switched_at + HALF_SPEED_TICKS {
+        } else if self.is_at_full_speed() && !was_full && effects.now < self.switched_at + HALF_SPEED_TICKS {
             effects.violation(value, "HPRE is set to 1 at least 1 µs after the system clock was raised above 80 MHz");
         }
         if self.get(CR) & PLLON == 0 {
@@ -289,15 +289,15 @@ mod tests {
         effects.now += HALF_SPEED_TICKS;
         rcc.write(CFGR, 3, false, &mut effects);
         assert_eq!(rcc.read(CFGR, &mut effects), 0b1111);
-        assert_eq!((effects.violation_count(), effects.unmodelled_accesses().len()), (0, 0));
+        assert_eq!((effects.violation_count, effects.unmodelled.len()), (0, 0));
         rcc.write(PLLCFGR, PLL_170_MHZ + (1 << 8), false, &mut effects);
         rcc.write(CR, 1 << 8, false, &mut effects);
-        assert_eq!(effects.violation_count(), 2);
+        assert_eq!(effects.violation_count, 2);
         let (mut rcc, mut effects) = (Rcc::new(), Effects::default());
         rcc.write(PLLCFGR, PLL_170_MHZ - (1 << 8), false, &mut effects);
         rcc.write(CR, 1 << 8 | PLLON, false, &mut effects);
         rcc.write(CFGR, 3, false, &mut effects);
-        assert_eq!(effects.unmodelled_accesses().len(), 1, "another core clock");
+        assert_eq!(effects.unmodelled.len(), 1, "another core clock");
     }
 
     #[test]
@@ -315,7 +315,7 @@ mod tests {
                 effects.now += ticks;
                 rcc.write(CFGR, value, false, &mut effects);
             }
-            assert_eq!(effects.violation_count(), broken, "{steps:?}");
+            assert_eq!(effects.violation_count, broken, "{steps:?}");
             assert!(rcc.is_at_full_speed());
         }
     }
@@ -336,7 +336,7 @@ mod tests {
     fn backup_domain_is_guarded_and_survives() {
         let (mut rcc, mut effects) = (Rcc::new(), Effects::default());
         rcc.write(BDCR, 0x8200, false, &mut effects);
-        assert_eq!((rcc.read(BDCR, &mut effects), effects.violation_count()), (0, 1));
+        assert_eq!((rcc.read(BDCR, &mut effects), effects.violation_count), (0, 1));
         rcc.write(BDCR, 0x8200, true, &mut effects);
         rcc.reset(ResetCause::Pin);
         assert_eq!(rcc.read(BDCR, &mut effects), 0x8200);

@@ -2,8 +2,8 @@
 //!
 //! Modelled: up-counting with prescaler, auto-reload and compare registers with or without
 //! preload, update and compare flags, interrupts and DMA requests, the reference signals
-//! OC1REF–OC4REF, the trigger output TRGO, and TIM3's reset by TIM2's. Not modelled: capture, other counting modes,
-//! other slave modes, one-pulse mode, dithering, and the output pins. A debugger may halt a timer.
+//! OC1REF–OC4REF of PWM, which may be the trigger output TRGO, and TIM3's reset by TIM2's. Not modelled: capture, other
+//! counting modes, other compare, master and slave modes, one-pulse mode, dithering, and the output pins. A debugger may halt a timer.
 //!
 //! The counter is not stepped. It follows from the tick at which it was zero:
 //! CNT = (now − zero_at) / (PSC + 1). The timer asks to be called at the next compare match
@@ -12,11 +12,11 @@
 use super::effects::{ALL, Bank, Register};
 use super::{Edge, Effects, Request, Ticks, Trigger, interrupt, request};
 use crate::st::TIM::{
-    self, ARR, CCER, CCMR1, CCMR2, CCR1, CCR4, CNT, CR1, CR1_ARPE, CR1_CEN, CR1_UDIS, CR1_UIFREMAP, CR1_URS, CR2,
-    CR2_CCDS, DIER, DIER_UDE as UDE, EGR, PSC, SMCR, SR, SR_UIF as UIF,
+    self, ARR, CCER, CCMR1, CCMR2, CCR1, CCR4, CNT, CR1, CR1_ARPE, CR1_CEN, CR1_UDIS, CR1_URS, CR2, DIER,
+    DIER_UDE as UDE, EGR, PSC, SMCR, SR, SR_UIF as UIF,
 };
 
-const CR1_MODELLED: u32 = CR1_CEN | CR1_UDIS | CR1_URS | CR1_ARPE | CR1_UIFREMAP;
+const CR1_MODELLED: u32 = CR1_CEN | CR1_UDIS | CR1_URS | CR1_ARPE;
 /// Without MMS[3], which is for encoders.
 const CR2_MMS: u32 = TIM::CR2_MMS & 0xFFFF;
 /// SMCR: reset mode (SMS = 4) by ITR1 (TS = 1), the trigger of TIM2 for TIM3 (RM0440, "TIM3 internal trigger connection").
@@ -30,7 +30,7 @@ const CCMR_MODELLED: u32 = 0x7878;
 
 const REGISTERS: &[Register] = &[
     (CR1, 0, CR1_MODELLED),
-    (CR2, 0, CR2_CCDS | CR2_MMS),
+    (CR2, 0, CR2_MMS),
     (SMCR, 0, 0),
     (DIER, 0, DIER_MODELLED),
     (SR, 0, 0),
@@ -119,17 +119,18 @@ impl Timer {
 
     pub fn read(&mut self, offset: u32, effects: &mut Effects) -> u32 {
         match offset {
-            CNT => self.count(effects.now()) | self.remapped_flag(),
+            CNT => self.count(effects.now),
             _ => self.bank.read(offset, effects),
         }
     }
 
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
-        self.done = self.count(effects.now());
+        self.done = self.count(effects.now);
         match offset {
             CR1 => self.write_cr1(value, effects),
             CR2 => {
-                effects.unmodelled_bits(value & !(CR2_CCDS | CR2_MMS));
+                effects.unmodelled_bits(value & !CR2_MMS);
+                effects.unmodelled_bits(u32::from(matches!(value & CR2_MMS, 0x10..=0x30)));
                 self.bank.write(CR2, value, effects);
             }
             SMCR => {
@@ -156,7 +157,7 @@ impl Timer {
         let rising = 1 << (2 * Trigger::Tim2 as u16);
         if self.bank[SMCR] == RESET_BY_ITR1 && edges & rising != 0 && self.running() {
             self.load_preloads();
-            self.restart(0, effects.now());
+            self.restart(0, effects.now);
             if self.bank[CR1] & (CR1_URS | CR1_UDIS) == 0 {
                 self.raise(0, effects);
             }
@@ -170,12 +171,12 @@ impl Timer {
             return;
         }
         if is_halted {
-            self.held = self.count(effects.now());
+            self.held = self.count(effects.now);
         }
         self.is_halted = is_halted;
         if !is_halted && self.bank[CR1] & CR1_CEN != 0 {
             let done = self.done;
-            self.restart(self.held, effects.now());
+            self.restart(self.held, effects.now);
             self.done = done;
         }
         self.schedule();
@@ -188,7 +189,7 @@ impl Timer {
     }
 
     pub fn advance(&mut self, effects: &mut Effects) {
-        let elapsed = effects.now().wrapping_sub(self.zero_at) / self.period();
+        let elapsed = effects.now.wrapping_sub(self.zero_at) / self.period();
         let reached = elapsed.min(u64::from(self.top)) as u32;
         let before = std::mem::replace(&mut self.done, reached);
         for channel in 0..4 {
@@ -212,7 +213,7 @@ impl Timer {
     /// Sets the counter, as a write to CNT does. A running device clock can so be brought
     /// close to its wrap.
     pub fn preset(&mut self, count: u32, effects: &Effects) {
-        self.restart(count, effects.now());
+        self.restart(count, effects.now);
         self.schedule();
     }
 
@@ -229,10 +230,6 @@ impl Timer {
     /// Ticks per count.
     fn period(&self) -> u64 {
         u64::from(self.psc_active) + 1
-    }
-
-    fn remapped_flag(&self) -> u32 {
-        if self.bank[CR1] & CR1_UIFREMAP != 0 { (self.bank[SR] & UIF) << 31 } else { 0 }
     }
 
     /// Lets the counter go on from `count`.
@@ -254,11 +251,7 @@ impl Timer {
         let (was_running, count) = (self.running(), self.done);
         self.bank.write(CR1, value, effects);
         if self.running() != was_running {
-            self.restart(count, effects.now());
-            if self.master_mode() == 1 {
-                let edge = if was_running { Edge::Falling } else { Edge::Rising };
-                effects.trigger(self.wiring.trigger, edge);
-            }
+            self.restart(count, effects.now);
         }
     }
 
@@ -279,6 +272,7 @@ impl Timer {
 
     fn write_ccmr(&mut self, offset: u32, value: u32, effects: &mut Effects) {
         effects.unmodelled_bits(value & !CCMR_MODELLED);
+        effects.unmodelled_bits(u32::from([value >> 4, value >> 12].iter().any(|mode| matches!(mode & 7, 1..=5))));
         self.bank.write(offset, value, effects);
         let first = if offset == CCMR1 { 0 } else { 2 };
         for channel in [first, first + 1] {
@@ -334,13 +328,14 @@ impl Timer {
             if self.bank[CR1] & CR1_UDIS == 0 {
                 self.load_preloads();
             }
-            self.restart(0, effects.now());
+            self.restart(0, effects.now);
             self.settle_references(effects);
             if self.bank[CR1] & (CR1_URS | CR1_UDIS) == 0 {
                 self.raise(0, effects);
             }
-            if matches!(self.master_mode(), 0 | 2) {
-                self.pulse(effects);
+            if self.master_mode() == 0 {
+                effects.trigger(self.wiring.trigger, Edge::Rising);
+                effects.trigger(self.wiring.trigger, Edge::Falling);
             }
         }
         for channel in 0..4 {
@@ -367,7 +362,7 @@ impl Timer {
             }
             self.update_event(effects);
         }
-        self.zero_at = effects.now();
+        self.zero_at = effects.now;
         self.done = 0;
         self.top = self.arr_active;
         for channel in 0..4 {
@@ -384,35 +379,17 @@ impl Timer {
         }
         self.load_preloads();
         self.raise(0, effects);
-        if self.bank[CR2] & CR2_CCDS != 0 {
-            for channel in 1..5 {
-                self.request(channel, effects);
-            }
-        }
-        if self.master_mode() == 2 {
-            self.pulse(effects);
-        }
     }
 
     fn compare_match(&mut self, channel: usize, effects: &mut Effects) {
         self.raise(channel + 1, effects);
-        if channel == 0 && self.master_mode() == 3 {
-            self.pulse(effects);
-        }
-        match self.mode(channel) {
-            1 => self.set_reference(channel, true, effects),
-            2 => self.set_reference(channel, false, effects),
-            3 => self.set_reference(channel, !self.reference[channel], effects),
-            _ => self.settle_reference(channel, effects),
-        }
+        self.settle_reference(channel, effects);
     }
 
     /// Sets flag `event` (0: update, 1 to 4: compare channel) and raises its request.
     fn raise(&mut self, event: usize, effects: &mut Effects) {
         self.bank[SR] |= 1 << event;
-        if event == 0 || self.bank[CR2] & CR2_CCDS == 0 {
-            self.request(event, effects);
-        }
+        self.request(event, effects);
     }
 
     fn request(&self, event: usize, effects: &mut Effects) {
@@ -435,8 +412,6 @@ impl Timer {
     fn settle_reference(&mut self, channel: usize, effects: &mut Effects) {
         let below = self.done < self.ccr_active[channel];
         match self.mode(channel) {
-            4 => self.set_reference(channel, false, effects),
-            5 => self.set_reference(channel, true, effects),
             6 => self.set_reference(channel, below, effects),
             7 => self.set_reference(channel, !below, effects),
             _ => {}
@@ -447,12 +422,6 @@ impl Timer {
         if std::mem::replace(&mut self.reference[channel], level) != level && self.master_mode() == 4 + channel as u32 {
             effects.trigger(self.wiring.trigger, if level { Edge::Rising } else { Edge::Falling });
         }
-    }
-
-    /// A trigger of one clock: both edges within a tick.
-    fn pulse(&self, effects: &mut Effects) {
-        effects.trigger(self.wiring.trigger, Edge::Rising);
-        effects.trigger(self.wiring.trigger, Edge::Falling);
     }
 
     fn update_line(&self, effects: &mut Effects) {
@@ -503,7 +472,7 @@ mod tests {
 
     fn take(request: Request) -> impl FnMut(&mut Effects) -> bool {
         move |effects| {
-            let pending = effects.pending_requests() >> request.0 & 1 != 0;
+            let pending = effects.requests >> request.0 & 1 != 0;
             effects.withdraw(request);
             pending
         }

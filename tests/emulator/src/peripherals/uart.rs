@@ -151,7 +151,7 @@ impl Uart {
             return;
         }
         if self.incoming.is_empty() {
-            self.arrives_at = Some(effects.now() + self.frame_ticks());
+            self.arrives_at = Some(effects.now + self.frame_ticks());
             self.idle_at = None;
         }
         self.incoming.extend(bytes);
@@ -213,7 +213,7 @@ impl Uart {
                 }
                 self.to_send = Some(value as u8);
                 self.flags &= !ISR_TC;
-                self.start_sending(effects.now());
+                self.start_sending(effects.now);
             }
             _ => effects.unmodelled(),
         }
@@ -227,7 +227,7 @@ impl Uart {
     }
 
     pub fn advance(&mut self, effects: &mut Effects) {
-        let now = effects.now();
+        let now = effects.now;
         if let Some((byte, end)) = self.sending
             && end <= now
         {
@@ -274,7 +274,7 @@ impl Uart {
         if !self.sends() {
             self.sending = None;
         } else if !sent {
-            self.sending = Some((None, effects.now() + self.frame_ticks()));
+            self.sending = Some((None, effects.now + self.frame_ticks()));
         }
         if received && !self.receives() {
             self.incoming.clear();
@@ -380,14 +380,14 @@ mod tests {
     }
 
     fn line(effects: &Effects) -> bool {
-        effects.lines()[2] & 1 << (interrupt::LPUART1 - 64) != 0
+        effects.lines[2] & 1 << (interrupt::LPUART1 - 64) != 0
     }
 
     #[test]
     fn what_is_not_fetched_in_time_is_lost_and_told() {
         let (mut lpuart, mut effects) = enabled();
         lpuart.write(CR3, CR3_EIE, &mut effects);
-        let begin = effects.now();
+        let begin = effects.now;
         lpuart.send(b"xyz", &effects);
         run(&mut lpuart, &mut effects, begin + FRAME);
         assert!(!line(&effects));
@@ -404,18 +404,18 @@ mod tests {
     fn rules_are_watched() {
         let (mut lpuart, mut effects) = enabled();
         lpuart.write(BRR, BRR_3M, &mut effects);
-        assert_eq!(effects.violation_count(), 1, "divider while enabled");
+        assert_eq!(effects.violation_count, 1, "divider while enabled");
         lpuart.write(CR1, CR1_UE | CR1_RE | CR1_TE | 1 << 12, &mut effects);
-        assert_eq!(effects.violation_count(), 2, "word length while enabled");
+        assert_eq!(effects.violation_count, 2, "word length while enabled");
         lpuart.write(TDR, 1, &mut effects);
         lpuart.write(TDR, 2, &mut effects);
-        assert_eq!(effects.violation_count(), 2, "one byte on the line, one waiting");
+        assert_eq!(effects.violation_count, 2, "one byte on the line, one waiting");
         lpuart.write(TDR, 3, &mut effects);
-        assert_eq!(effects.violation_count(), 3, "no room");
+        assert_eq!(effects.violation_count, 3, "no room");
         lpuart.write(CR1, 0, &mut effects);
-        assert_eq!(effects.violation_count(), 4, "disabled while sending");
+        assert_eq!(effects.violation_count, 4, "disabled while sending");
         lpuart.write(BRR, 0x2ff, &mut effects);
         lpuart.write(CR1, CR1_UE, &mut effects);
-        assert_eq!(effects.violation_count(), 5, "divider too small");
+        assert_eq!(effects.violation_count, 5, "divider too small");
     }
 }

@@ -57,8 +57,8 @@ impl Watchdog {
     fn key(&mut self, key: u32, effects: &mut Effects) {
         self.unlocked = key == KEY_UNLOCK;
         match key {
-            KEY_START => self.refreshed = self.refreshed.or(Some(effects.now())),
-            KEY_REFRESH => self.refreshed = self.refreshed.map(|_| effects.now()),
+            KEY_START => self.refreshed = self.refreshed.or(Some(effects.now)),
+            KEY_REFRESH => self.refreshed = self.refreshed.map(|_| effects.now),
             _ => {}
         }
     }
@@ -77,7 +77,7 @@ mod tests {
     fn registers_are_locked_without_the_key() {
         let (mut watchdog, mut effects) = (Watchdog::new(), Effects::default());
         watchdog.write(RLR, 1, &mut effects);
-        assert_eq!(effects.violation_count(), 1);
+        assert_eq!(effects.violation_count, 1);
         assert_eq!(watchdog.read(RLR, &mut effects), 0xFFF);
         watchdog.write(KR, KEY_REFRESH, &mut effects);
         assert_eq!(watchdog.next_event(), Ticks::MAX);

@@ -215,7 +215,7 @@ impl UsbPort<'_> {
 
     /// Something other than a packet happens on the bus.
     pub fn signal(&mut self, signal: BusSignal) {
-        self.usb.signal(signal, self.effects.now());
+        self.usb.signal(signal, self.effects.now);
         self.usb.update_interrupt(self.effects);
     }
 

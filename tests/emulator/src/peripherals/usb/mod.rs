@@ -193,7 +193,7 @@ impl Usb {
             self.frame = self.frame & !FNR_LSOF | lost.min(FNR_LSOF);
         }
         self.missed_frames += 1;
-        self.silence_at = effects.now() + FRAME_TICKS;
+        self.silence_at = effects.now + FRAME_TICKS;
         if self.missed_frames == SUSPEND_FRAMES {
             self.status |= ISTR_SUSP;
             self.frames_seen = 0;
@@ -238,7 +238,7 @@ impl Usb {
     }
 
     fn write_control(&mut self, value: u32, effects: &mut Effects) {
-        let (before, now) = (self.control, effects.now());
+        let (before, now) = (self.control, effects.now);
         if value & !CNTR_MODELLED != 0 {
             effects.unmodelled();
         }
@@ -348,7 +348,7 @@ mod tests {
         usb.write_memory(0, 2, 128, &mut effects);
         usb.write_memory(4, 2, 64, &mut effects);
         usb.write_memory(6, 2, 1 << 15 | 1 << 10, &mut effects);
-        assert_eq!(effects.violation_count(), 0);
+        assert_eq!(effects.violation_count, 0);
         (usb, effects)
     }
 
@@ -377,8 +377,8 @@ mod tests {
         let mut count = 0;
         let mut broken = |effects: &Effects, rule: &str| {
             count += 1;
-            assert_eq!(effects.violation_count(), count, "{rule}: {:?}", effects.violations().last());
-            assert!(effects.violations()[count as usize - 1].rule.contains(rule), "{:?}", effects.violations().last());
+            assert_eq!(effects.violation_count, count, "{rule}: {:?}", effects.violations.last());
+            assert!(effects.violations[count as usize - 1].rule.contains(rule), "{:?}", effects.violations.last());
         };
         usb.write(0, CONTROL, &mut effects);
         broken(&effects, "held in reset");
@@ -401,8 +401,8 @@ mod tests {
         count = 0;
         let mut broken = |effects: &Effects, rule: &str| {
             count += 1;
-            assert_eq!(effects.violation_count(), count, "{rule}: {:?}", effects.violations());
-            assert!(effects.violations()[count as usize - 1].rule.contains(rule), "{:?}", effects.violations().last());
+            assert_eq!(effects.violation_count, count, "{rule}: {:?}", effects.violations);
+            assert!(effects.violations[count as usize - 1].rule.contains(rule), "{:?}", effects.violations.last());
         };
         // Transmission from the reception buffer of the same endpoint is its own business; from the
         // buffer table it is not.
