@@ -17,12 +17,12 @@ use crate::peripherals::gpio::{PORTS, Port};
 use crate::peripherals::plain::crc::Crc;
 use crate::peripherals::plain::{Backup, crs, syscfg};
 use crate::peripherals::power::Power;
-use crate::peripherals::rcc::{Pulled, Rcc};
+use crate::peripherals::rcc::Rcc;
 use crate::peripherals::timer::Timer;
 use crate::peripherals::uart::Uart;
 use crate::peripherals::usb::Usb;
 use crate::peripherals::watchdog::Watchdog;
-use crate::peripherals::{Edge, Effects, Request, ResetCause, Ticks};
+use crate::peripherals::{Edge, Effects, ResetCause, Ticks};
 use crate::usb_host::UsbHost;
 use crate::world::World;
 
@@ -357,7 +357,7 @@ impl<W: World> Board<W> {
         self.find_next_event();
     }
 
-    fn carry_out(&mut self, channel: usize, request: Request) {
+    fn carry_out(&mut self, channel: usize, request: u8) {
         // Acknowledged first: the access itself may raise the next request.
         self.effects.withdraw(request);
         let moved = self.dma.transfer(channel).is_some_and(|transfer| {
@@ -432,19 +432,14 @@ impl<W: World> Board<W> {
             self.backup = Backup::default();
         }
         self.update_clocks();
-        if !pulled.is_empty() {
-            self.reset_pulled(pulled);
-        }
-    }
-
-    /// Resets the peripherals whose reset bits were set in RCC.
-    fn reset_pulled(&mut self, pulled: Pulled) {
-        for (unit, gate) in UNITS {
-            if gate.is_some_and(|gate| pulled.includes(gate)) {
-                self.reset_unit(*unit);
+        if let Some(pulled) = pulled {
+            for (unit, gate) in UNITS {
+                if gate.is_some_and(|gate| pulled.meets(gate)) {
+                    self.reset_unit(*unit);
+                }
             }
+            self.update_drive();
         }
-        self.update_drive();
     }
 
     /// Brings a unit into its state after reset; flash, RCC and the backup registers have ways of their own.

@@ -6,7 +6,7 @@ use std::ops::RangeInclusive;
 use super::Board;
 use crate::faults::{Fault, Faults};
 use crate::memory::{Bits, CCM_BYTES, RAM_BASE, RAM_BYTES};
-use crate::peripherals::{Request, TICKS_PER_SECOND, Ticks};
+use crate::peripherals::{TICKS_PER_SECOND, Ticks};
 use crate::world::World;
 
 /// Fault dma-latency: ticks of a transfer.
@@ -45,7 +45,7 @@ pub(super) struct UnderWay {
 #[derive(Clone, Copy, Debug)]
 struct Transfer {
     channel: usize,
-    request: Request,
+    request: u8,
     done: Ticks,
 }
 

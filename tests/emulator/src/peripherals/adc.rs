@@ -19,7 +19,7 @@ mod group;
 pub use group::AdcGroup;
 
 use super::effects::{ALL, Bank, Register};
-use super::{Effects, Request, TICKS_PER_SECOND, Ticks};
+use super::{Effects, TICKS_PER_SECOND, Ticks};
 use crate::faults::Fault;
 use crate::st::ADC::{
     CALFACT, CFGR, CFGR_DMAEN as DMAEN, CFGR_OVRMOD as OVRMOD, CFGR2, CFGR2_ROVSE as ROVSE, CR, CR_ADCAL as ADCAL,
@@ -116,7 +116,7 @@ struct Plan {
 #[derive(Debug)]
 pub struct Adc {
     number: u8,
-    request: Request,
+    request: u8,
     bank: Bank,
     regulator_since: Ticks,
     calibrated_at: Option<Ticks>,
@@ -139,7 +139,7 @@ pub struct Adc {
 }
 
 impl Adc {
-    fn new(number: u8, request: Request) -> Self {
+    fn new(number: u8, request: u8) -> Self {
         Self {
             number,
             request,

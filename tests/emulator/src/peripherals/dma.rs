@@ -6,7 +6,7 @@
 //! each transfer, and more on a busy bus: [`crate::faults::Fault::DmaLatency`]. Memory-to-memory transfers, synchronisation and request generators are not
 //! modelled. The data move through the board, which owns the bus.
 
-use super::{Effects, Request, interrupt};
+use super::{Effects, interrupt};
 use crate::st::DMA::{
     CCR_CIRC as CIRC, CCR_DIR as DIR, CCR_EN as EN, CCR_HTIE as HTIE, CCR_MEM2MEM as MEM2MEM, CCR_MINC as MINC,
     CCR_PINC as PINC, CCR_TCIE as TCIE, CCR_TEIE as TEIE, Channel_CCR as CCR, Channel_CMAR as CMAR,
@@ -194,7 +194,7 @@ impl Dma {
     }
 
     /// The channel of `channels` to serve next among the waiting requests `ready` (all of them wanted).
-    pub fn select(&self, ready: u128, channels: std::ops::Range<usize>) -> Option<(usize, Request)> {
+    pub fn select(&self, ready: u128, channels: std::ops::Range<usize>) -> Option<(usize, u8)> {
         let serves = |channel: &Channel| {
             let request = channel.listens_to();
             request != 0 && ready >> request & 1 != 0
@@ -202,7 +202,7 @@ impl Dma {
         let candidates =
             self.channels.iter().enumerate().filter(|(index, channel)| channels.contains(index) && serves(channel));
         let best = candidates.min_by_key(|(index, channel)| (3 - channel.priority(), *index));
-        best.map(|(index, channel)| (index, Request(channel.listens_to())))
+        best.map(|(index, channel)| (index, channel.listens_to()))
     }
 
     /// Whether `channel` is still enabled.

@@ -33,33 +33,22 @@ pub mod interrupt {
     pub const DMA2_CHANNEL6: u8 = st::DMA2::Channel6_IRQn as u8;
 }
 
-/// Number of a DMA request line.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Request(pub u8);
-
-impl Request {
-    /// The request `offset` lines on: ADC4 and ADC5 follow ADC3, channels 2 to 4 and the update follow channel 1 of a timer.
-    pub fn after(self, offset: u8) -> Self {
-        Self(self.0 + offset)
-    }
-}
-
-/// RM0440, "DMAMUX: assignment of multiplexer inputs to resources".
+/// Numbers of DMA request lines; ADC4 and ADC5 follow ADC3, channels 2 to 4 and the update follow channel 1 of a timer
+/// (RM0440, "DMAMUX: assignment of multiplexer inputs to resources").
 pub mod request {
-    use super::Request;
     use crate::st::LL;
 
-    pub const ADC1: Request = Request(LL::DMAMUX_REQ_ADC1 as u8);
-    pub const USART1_RX: Request = Request(LL::DMAMUX_REQ_USART1_RX as u8);
-    pub const USART1_TX: Request = Request(LL::DMAMUX_REQ_USART1_TX as u8);
-    pub const LPUART1_RX: Request = Request(LL::DMAMUX_REQ_LPUART1_RX as u8);
-    pub const LPUART1_TX: Request = Request(LL::DMAMUX_REQ_LPUART1_TX as u8);
-    pub const ADC2: Request = Request(LL::DMAMUX_REQ_ADC2 as u8);
-    pub const ADC3: Request = Request(LL::DMAMUX_REQ_ADC3 as u8);
-    pub const TIM2_CH1: Request = Request(LL::DMAMUX_REQ_TIM2_CH1 as u8);
-    pub const TIM3_CH1: Request = Request(LL::DMAMUX_REQ_TIM3_CH1 as u8);
-    pub const TIM4_CH1: Request = Request(LL::DMAMUX_REQ_TIM4_CH1 as u8);
-    pub const TIM5_CH1: Request = Request(LL::DMAMUX_REQ_TIM5_CH1 as u8);
+    pub const ADC1: u8 = LL::DMAMUX_REQ_ADC1 as u8;
+    pub const USART1_RX: u8 = LL::DMAMUX_REQ_USART1_RX as u8;
+    pub const USART1_TX: u8 = LL::DMAMUX_REQ_USART1_TX as u8;
+    pub const LPUART1_RX: u8 = LL::DMAMUX_REQ_LPUART1_RX as u8;
+    pub const LPUART1_TX: u8 = LL::DMAMUX_REQ_LPUART1_TX as u8;
+    pub const ADC2: u8 = LL::DMAMUX_REQ_ADC2 as u8;
+    pub const ADC3: u8 = LL::DMAMUX_REQ_ADC3 as u8;
+    pub const TIM2_CH1: u8 = LL::DMAMUX_REQ_TIM2_CH1 as u8;
+    pub const TIM3_CH1: u8 = LL::DMAMUX_REQ_TIM3_CH1 as u8;
+    pub const TIM4_CH1: u8 = LL::DMAMUX_REQ_TIM4_CH1 as u8;
+    pub const TIM5_CH1: u8 = LL::DMAMUX_REQ_TIM5_CH1 as u8;
 }
 
 /// Trigger outputs (TRGO) of the general-purpose timers.
@@ -159,14 +148,14 @@ impl Effects {
 
     /// Raises a DMA request. It stays until a channel serves it or it is withdrawn.
     #[inline]
-    pub fn request(&mut self, request: Request) {
-        self.requests |= 1 << request.0;
+    pub fn request(&mut self, request: u8) {
+        self.requests |= 1 << request;
     }
 
     /// Takes a DMA request back: its cause is gone (data read, DMA enable bit cleared).
     #[inline]
-    pub fn withdraw(&mut self, request: Request) {
-        self.requests &= !(1 << request.0);
+    pub fn withdraw(&mut self, request: u8) {
+        self.requests &= !(1 << request);
     }
 
     /// Sends an edge of a timer's trigger output.

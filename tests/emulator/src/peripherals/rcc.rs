@@ -33,29 +33,17 @@ const CRYSTAL_TICKS: Ticks = st::t::SU_HSE as u64 * TICKS_PER_SECOND / 1_000;
 /// How long the bus stays at half speed after a switch above 80 MHz (RM0440, "Clock switching").
 const HALF_SPEED_TICKS: Ticks = st::half::speed_time as u64 * TICKS_PER_SECOND / 1_000_000;
 
-/// A bit of one of the clock-enable registers; the reset register has the same layout.
+/// Bits of one of the clock-enable registers; the reset register has the same layout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Gate {
     pub register: u32,
     pub bit: u32,
 }
 
-/// Reset lines that a write has pulled.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Pulled {
-    /// The enable register of the same layout.
-    register: u32,
-    bits: u32,
-}
-
-impl Pulled {
-    pub fn is_empty(self) -> bool {
-        self.bits == 0
-    }
-
-    /// Whether the peripheral behind `gate` is among them.
-    pub fn includes(self, gate: Gate) -> bool {
-        gate.register == self.register && self.bits & gate.bit != 0
+impl Gate {
+    /// Whether it has a bit of `other`.
+    pub fn meets(self, other: Self) -> bool {
+        self.register == other.register && self.bit & other.bit != 0
     }
 }
 
@@ -123,8 +111,8 @@ impl Rcc {
         }
     }
 
-    /// Writes a register. `backup_access`: PWR_CR1.DBP. Returns the resets that it pulls.
-    pub fn write(&mut self, offset: u32, value: u32, backup_access: bool, effects: &mut Effects) -> Pulled {
+    /// Writes a register. `backup_access`: PWR_CR1.DBP. Returns the resets that it pulls, as gates of the same layout.
+    pub fn write(&mut self, offset: u32, value: u32, backup_access: bool, effects: &mut Effects) -> Option<Gate> {
         let before = if is_register(offset) { self.get(offset) } else { 0 };
         match offset {
             CR => self.write_cr(value, effects),
@@ -141,7 +129,7 @@ impl Rcc {
             CRRCR => self.set(CRRCR, value & 1),
             AHB1RSTR..=APB2RSTR if is_register(offset) => {
                 self.set(offset, value);
-                return Pulled { register: offset + AHB1ENR - AHB1RSTR, bits: value & !before };
+                return Some(Gate { register: offset + AHB1ENR - AHB1RSTR, bit: value & !before });
             }
             APB1ENR1 => {
                 let is_slow = self.runs_from_pll() && !self.is_at_full_speed();
@@ -151,7 +139,7 @@ impl Rcc {
             _ if is_register(offset) => self.set(offset, value),
             _ => effects.unmodelled(),
         }
-        Pulled::default()
+        None
     }
 
     /// Whether the clock behind `gate` is on.
@@ -349,8 +337,8 @@ mod tests {
         rcc.write(APB1ENR1, 0b1001, false, &mut effects);
         assert!(rcc.is_on(timer(3)) && !rcc.is_on(timer(1)));
         let pulled = rcc.write(0x38, 0b1000, false, &mut effects);
-        assert!(pulled.includes(timer(3)) && !pulled.includes(timer(0)));
-        assert!(rcc.write(0x38, 0b1000, false, &mut effects).is_empty());
+        assert!(pulled.is_some_and(|pulled| pulled.meets(timer(3)) && !pulled.meets(timer(0))));
+        assert!(rcc.write(0x38, 0b1000, false, &mut effects).is_some_and(|pulled| pulled.bit == 0));
     }
 
     #[test]

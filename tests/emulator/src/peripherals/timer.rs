@@ -10,7 +10,7 @@
 //! or overflow, so flags, requests and triggers come at their exact ticks.
 
 use super::effects::{ALL, Bank, Register};
-use super::{Edge, Effects, Request, Ticks, Trigger, interrupt, request};
+use super::{Edge, Effects, Ticks, Trigger, interrupt, request};
 use crate::st::TIM::{
     self, ARR, CCER, CCMR1, CCMR2, CCR1, CCR4, CNT, CR1, CR1_ARPE, CR1_CEN, CR1_UDIS, CR1_URS, CR2, DIER,
     DIER_UDE as UDE, EGR, PSC, SMCR, SR, SR_UIF as UIF,
@@ -50,7 +50,7 @@ const REGISTERS: &[Register] = &[
 struct Wiring {
     interrupt: u8,
     /// DMA request of compare channel 1; channels 2 to 4 and the update follow.
-    first_request: Request,
+    first_request: u8,
     trigger: Trigger,
     /// Largest count: 16 or 32 bits.
     maximum: u32,
@@ -398,8 +398,8 @@ impl Timer {
         }
     }
 
-    fn request_of(&self, event: usize) -> Request {
-        self.wiring.first_request.after(if event == 0 { 4 } else { event as u8 - 1 })
+    fn request_of(&self, event: usize) -> u8 {
+        self.wiring.first_request + if event == 0 { 4 } else { event as u8 - 1 }
     }
 
     fn settle_references(&mut self, effects: &mut Effects) {
@@ -470,9 +470,9 @@ mod tests {
         at
     }
 
-    fn take(request: Request) -> impl FnMut(&mut Effects) -> bool {
+    fn take(request: u8) -> impl FnMut(&mut Effects) -> bool {
         move |effects| {
-            let pending = effects.requests >> request.0 & 1 != 0;
+            let pending = effects.requests >> request & 1 != 0;
             effects.withdraw(request);
             pending
         }
@@ -489,11 +489,11 @@ mod tests {
         let (mut timer, mut effects) = (Timer::new(0), Effects::default());
         start(&mut timer, &mut effects, &[(ARR, 9), (DIER, UDE), (CR1, CR1_CEN | CR1_ARPE)]);
         start(&mut timer, &mut effects, &[(EGR, 1), (ARR, 19)]);
-        effects.withdraw(request::TIM2_CH1.after(4));
-        assert_eq!(run(&mut timer, &mut effects, 50, take(request::TIM2_CH1.after(4))), [10, 30, 50]);
+        effects.withdraw(request::TIM2_CH1 + 4);
+        assert_eq!(run(&mut timer, &mut effects, 50, take(request::TIM2_CH1 + 4)), [10, 30, 50]);
         let (mut timer, mut effects) = (Timer::new(0), Effects::default());
         start(&mut timer, &mut effects, &[(ARR, 9), (DIER, UDE), (CR1, CR1_CEN), (ARR, 19)]);
-        assert_eq!(run(&mut timer, &mut effects, 50, take(request::TIM2_CH1.after(4))), [20, 40]);
+        assert_eq!(run(&mut timer, &mut effects, 50, take(request::TIM2_CH1 + 4)), [20, 40]);
     }
 
     #[test]
@@ -504,6 +504,6 @@ mod tests {
         timer.write(ARR, 49, &mut effects);
         assert!(run(&mut timer, &mut effects, 65_700, take(request::TIM3_CH1)).is_empty());
         assert_eq!(timer.bank[SR] & UIF, UIF);
-        assert_eq!(run(&mut timer, &mut effects, 65_750, take(request::TIM3_CH1.after(4))), [65_736]);
+        assert_eq!(run(&mut timer, &mut effects, 65_750, take(request::TIM3_CH1 + 4)), [65_736]);
     }
 }

@@ -15,7 +15,7 @@ use crate::st::{LPUART, USART};
 use std::collections::VecDeque;
 
 use super::effects::{ALL, Bank, Register};
-use super::{Effects, Request, Ticks, interrupt, request};
+use super::{Effects, Ticks, interrupt, request};
 
 const CR1_MODELLED: u32 = CR1_UE | CR1_RE | CR1_TE | CR1_IDLEIE | CR1_RXNEIE | CR1_TCIE | CR1_TXEIE | CR1_FIFOEN;
 /// Word length, parity, oversampling, driver-enable times and FIFO mode: only to be changed while disabled.
@@ -48,8 +48,8 @@ struct Kind {
     least_divider: u32,
     divider_mask: u32,
     interrupt: u8,
-    receive: Request,
-    transmit: Request,
+    receive: u8,
+    transmit: u8,
 }
 
 /// A bit is BRR/256 periods (RM0440, "LPUART baud rate generation").

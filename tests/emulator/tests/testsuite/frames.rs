@@ -3,9 +3,9 @@
 //! What is read here follows the table of `slitpose_firmware::pose::frame`; its code has no part in it.
 
 use crate::common::chain::Chain;
-use crate::common::{SEED, chain, is_ready_high, port_and_number, register, scene, wires};
+use crate::common::{SEED, chain, is_ready_high, port_and_number, register, scene, us, wires};
 use slitpose_emulator::facts::bits;
-use slitpose_emulator::peripherals::{SentByte, TICKS_PER_SECOND, Ticks};
+use slitpose_emulator::peripherals::{SentByte, Ticks};
 use slitpose_emulator::world::NoiseSource;
 use slitpose_firmware::pcb::default_configuration;
 use slitpose_protocol::poses::{PoseStatus, READY_TICKS};
@@ -88,10 +88,6 @@ fn stop(chain: &mut Chain) -> (Vec<Frame>, usize) {
     chain.rig.send(Command::Stop);
     chain.run_for(5e-3);
     frames(&chain.rig.take_controller_bytes())
-}
-
-fn us(ticks: Ticks) -> f64 {
-    ticks as f64 * 1e6 / TICKS_PER_SECOND as f64
 }
 
 /// A second at 4 kHz, a moving tool, poses alone over USB.

@@ -8,10 +8,10 @@ use crate::common::trial::FRAME_TICKS;
 use crate::common::trial::{
     AT_ONCE_TICKS, Ending, HALTED_TICKS, find_function, find_instruction, hang, jump, until_lit_and_awake,
 };
-use crate::common::{dma_ticks, silicon};
+use crate::common::{dma_ticks, silicon, us};
 use slitpose_emulator::faults::Fault;
 use slitpose_emulator::memory::RAM_BASE;
-use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
+use slitpose_emulator::peripherals::Ticks;
 use slitpose_emulator::rig::open_image;
 use slitpose_protocol::{BootTarget, ClockSource, Command, HardwareFault, Rejection, ResetCause};
 
@@ -46,10 +46,6 @@ fn lit() -> Bench {
     let mut bench = Bench::quiet();
     bench.light();
     bench
-}
-
-fn us(ticks: Ticks) -> f64 {
-    ticks as f64 * 1e6 / TICKS_PER_SECOND as f64
 }
 
 /// Lets time pass to another phase of frames, polls and the bus for each `n`.

@@ -23,7 +23,7 @@ impl AdcGroup<2> {
 impl AdcGroup<3> {
     /// ADC3, ADC4 and ADC5.
     pub fn adc345() -> Self {
-        let adcs = [0, 1, 2].map(|index| Adc::new(3 + index, request::ADC3.after(index)));
+        let adcs = [0, 1, 2].map(|index| Adc::new(3 + index, request::ADC3 + index));
         Self::new(adcs, [interrupt::ADC3, interrupt::ADC4, interrupt::ADC5])
     }
 }

@@ -263,10 +263,7 @@ impl Usb {
 
     /// Whether packets to `address` are for this device, in its present state.
     fn hears(&self, address: u8) -> bool {
-        self.is_running()
-            && self.clock
-            && self.control & CNTR_FSUSP == 0
-            && self.address == DADDR_EF | u32::from(address)
+        !self.is_held() && self.clock && self.control & CNTR_FSUSP == 0 && self.address == DADDR_EF | u32::from(address)
     }
 
     fn token_in(&self, address: u8, number: u8) -> Answer {

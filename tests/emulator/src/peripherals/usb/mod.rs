@@ -103,7 +103,7 @@ impl Usb {
     /// every change; when the whole device is reset, after [`Self::reset`].
     pub fn set_clock(&mut self, running: bool, effects: &mut Effects) {
         self.clock = running;
-        if !running && self.is_running() {
+        if !running && !self.is_held() {
             effects.violation(self.control, "USB: the 48 MHz clock is stopped while the block runs");
         }
     }
@@ -212,11 +212,6 @@ impl Usb {
         self.control & (CNTR_FRES | CNTR_PDWN) != 0
     }
 
-    /// Able to hear the bus and to answer.
-    fn is_running(&self) -> bool {
-        !self.is_held()
-    }
-
     /// Where the buffer table describes endpoint register `index`.
     fn entry(&self, index: usize) -> usize {
         self.buffer_table as usize + 8 * index
@@ -247,7 +242,7 @@ impl Usb {
         if cleared & CNTR_PDWN != 0 {
             self.transceiver_on_since = now;
         }
-        if before & (CNTR_FRES | CNTR_PDWN) != 0 && self.is_running() {
+        if before & (CNTR_FRES | CNTR_PDWN) != 0 && !self.is_held() {
             if now < self.transceiver_on_since + STARTUP_TICKS {
                 effects.violation(value, "USB: FRES cleared before the transceiver's start-up time");
             }

@@ -5,6 +5,7 @@ use slitpose_emulator::board::Board;
 use slitpose_emulator::cpu::{Bus, Size};
 use slitpose_emulator::facts::{self, bits};
 use slitpose_emulator::faults::{Fault, Faults};
+use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::rig::open_pose_image;
 use slitpose_emulator::world::{NoiseSource, World};
 use slitpose_firmware::pose::Head;
@@ -34,6 +35,10 @@ pub fn dma_ticks() -> u64 {
 /// Ticks by which the converters may see a trigger late: three to their clock's edge, and an eighth of a clock.
 pub fn trigger_ticks() -> u64 {
     if silicon().has(Fault::TriggerPhase) { 4 } else { 0 }
+}
+
+pub fn us(ticks: Ticks) -> f64 {
+    ticks as f64 * 1e6 / TICKS_PER_SECOND as f64
 }
 
 /// The silicon that the tests run on.
