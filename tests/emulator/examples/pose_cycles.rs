@@ -51,74 +51,42 @@ fn main() {
         assert_eq!(rig.run_until(now + 1), Stop::Reached);
         let spent = rig.machine().awake_ticks() - before;
         if spent > 0 {
-            profile.add(pc, spent);
+            let at = profile.entry(pc).or_default();
+            *at = (at.0 + 1, at.1 + spent);
         }
     }
     let spent = rig.machine().awake_ticks() - awake;
     println!("stack {} bytes at most", rig.stack_bytes());
     println!("load {:.1} %, {} cycles a frame", 100.0 * spent as f64 / (end - began) as f64, spent / FRAMES);
     println!("{:>8} {:>7}  function", "cycles", "calls");
-    for function in profile.functions(&image).iter().take(FUNCTIONS) {
-        let (cycles, calls) = (function.cycles as f64 / FRAMES as f64, function.calls as f64 / FRAMES as f64);
-        println!("{cycles:8.0} {calls:7.2}  {}", function.name);
+    for (cycles, calls, name) in functions(&profile, &image).iter().take(FUNCTIONS) {
+        println!("{:8.0} {:7.2}  {name}", *cycles as f64 / FRAMES as f64, *calls as f64 / FRAMES as f64);
     }
 }
 
-/// Time spent at each instruction.
-#[derive(Clone, Debug, Default)]
-struct Profile {
-    at: BTreeMap<u32, Spent>,
-}
+/// Times and cycles at each instruction.
+type Profile = BTreeMap<u32, (u64, Ticks)>;
 
-#[derive(Clone, Copy, Debug, Default)]
-struct Spent {
-    times: u64,
-    cycles: Ticks,
-}
-
-/// What a function took, without those it calls.
-#[derive(Clone, Debug, PartialEq)]
-struct FunctionCost {
-    /// Its name, as in the source; what stands in no function has none.
-    name: String,
-    /// How often its first instruction was executed.
-    calls: u64,
-    /// Core cycles.
-    cycles: Ticks,
-}
-
-impl Profile {
-    /// Notes that the instruction at `pc` took `cycles`.
-    fn add(&mut self, pc: u32, cycles: Ticks) {
-        let spent = self.at.entry(pc).or_default();
-        spent.times += 1;
-        spent.cycles += cycles;
+/// What the functions of `image` took, without those they call, dearest first: cycles, calls and name, as in the source; what
+/// stands in no function has none. What the compiler has inlined counts for where it was put.
+fn functions(profile: &Profile, image: &Image) -> Vec<(Ticks, u64, String)> {
+    // A function's symbol has the lowest bit set: Thumb code.
+    let functions: BTreeMap<u32, (u32, &str)> = image
+        .symbols()
+        .filter(|(_, symbol)| symbol.bytes > 0 && symbol.address & 1 == 1)
+        .map(|(name, symbol)| (symbol.address & !1, (symbol.bytes, name)))
+        .collect();
+    let mut costs: BTreeMap<Option<u32>, (Ticks, u64, String)> = BTreeMap::new();
+    for (&pc, &(times, cycles)) in profile {
+        let around = functions.range(..=pc).next_back().filter(|(start, (bytes, _))| pc - **start < *bytes);
+        let cost = costs.entry(around.map(|(start, _)| *start)).or_insert_with(|| {
+            let name = around.map(|(_, (_, name))| format!("{:#}", rustc_demangle::demangle(name)));
+            (0, 0, name.unwrap_or_default())
+        });
+        cost.0 += cycles;
+        cost.1 += if around.is_some_and(|(start, _)| *start == pc) { times } else { 0 };
     }
-
-    /// The functions of `image`, dearest first. What the compiler has inlined counts for where it
-    /// was put.
-    fn functions(&self, image: &Image) -> Vec<FunctionCost> {
-        // A function's symbol has the lowest bit set: Thumb code.
-        let functions: BTreeMap<u32, (u32, &str)> = image
-            .symbols()
-            .filter(|(_, symbol)| symbol.bytes > 0 && symbol.address & 1 == 1)
-            .map(|(name, symbol)| (symbol.address & !1, (symbol.bytes, name)))
-            .collect();
-        let mut costs: BTreeMap<Option<u32>, FunctionCost> = BTreeMap::new();
-        for (&pc, spent) in &self.at {
-            let around = functions.range(..=pc).next_back().filter(|(start, (bytes, _))| pc - **start < *bytes);
-            let cost = costs.entry(around.map(|(start, _)| *start)).or_insert_with(|| FunctionCost {
-                name: around.map_or_else(String::new, |(_, (_, name))| format!("{:#}", rustc_demangle::demangle(name))),
-                calls: 0,
-                cycles: 0,
-            });
-            cost.cycles += spent.cycles;
-            if around.is_some_and(|(start, _)| *start == pc) {
-                cost.calls += spent.times;
-            }
-        }
-        let mut costs: Vec<FunctionCost> = costs.into_values().collect();
-        costs.sort_by_key(|cost| std::cmp::Reverse(cost.cycles));
-        costs
-    }
+    let mut costs: Vec<_> = costs.into_values().collect();
+    costs.sort_by_key(|cost| std::cmp::Reverse(cost.0));
+    costs
 }

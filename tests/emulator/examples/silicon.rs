@@ -8,7 +8,7 @@
 
 #[path = "../tests/testsuite/common/chain.rs"]
 mod chain;
-#[path = "../tests/testsuite/common/trial/mod.rs"]
+#[path = "../tests/testsuite/common/trial.rs"]
 mod trial;
 
 use std::num::NonZero;
@@ -21,8 +21,8 @@ use slitpose_emulator::faults::{Fault, Faults, Kind};
 use slitpose_emulator::peripherals::TICKS_PER_SECOND;
 use slitpose_emulator::rig::open_image;
 use slitpose_head::threads;
+use trial::Ending;
 use trial::Plan;
-use trial::endings::Ending;
 
 /// What ends the light without waiting for anything.
 const AT_ONCE: [Ending; 6] =

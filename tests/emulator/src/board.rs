@@ -7,6 +7,7 @@
 
 use crate::faults::Fault;
 use crate::memory::{Bits, FlashArray, RAM_BYTES, TS_CAL1, TS_CAL2, VREFINT_CAL};
+use crate::peripherals::Bank;
 use crate::peripherals::adc::AdcGroup;
 use crate::peripherals::dac::Dac;
 use crate::peripherals::dma::{CHANNELS as DMA_CHANNELS, Dma};
@@ -16,13 +17,12 @@ use crate::peripherals::gpio::{PORTS, Port};
 use crate::peripherals::plain::crc::Crc;
 use crate::peripherals::plain::{Backup, crs, syscfg};
 use crate::peripherals::power::Power;
-use crate::peripherals::rcc::{Pulled, Rcc};
-use crate::peripherals::registers::Bank;
+use crate::peripherals::rcc::Rcc;
 use crate::peripherals::timer::Timer;
 use crate::peripherals::uart::Uart;
 use crate::peripherals::usb::Usb;
 use crate::peripherals::watchdog::Watchdog;
-use crate::peripherals::{Edge, Effects, Request, ResetCause, Ticks};
+use crate::peripherals::{Edge, Effects, ResetCause, Ticks};
 use crate::usb_host::UsbHost;
 use crate::world::World;
 
@@ -161,7 +161,7 @@ impl<W: World> Board<W> {
     /// The present, in ticks since the machine was made.
     #[inline]
     pub fn now(&self) -> Ticks {
-        self.effects.now()
+        self.effects.now
     }
 
     /// The next tick at which something happens without the core.
@@ -282,7 +282,7 @@ impl<W: World> Board<W> {
     }
 
     fn scramble_ram(&mut self) {
-        let mut bits = Bits::seeded(self.effects.now());
+        let mut bits = Bits::seeded(self.effects.now);
         for chunk in self.ram.chunks_exact_mut(8) {
             chunk.copy_from_slice(&bits.next().to_le_bytes());
         }
@@ -294,7 +294,7 @@ impl<W: World> Board<W> {
     }
 
     fn handle_events(&mut self) {
-        let now = self.effects.now();
+        let now = self.effects.now;
         if self.adc12.next_event() == now {
             let world = &mut self.world;
             self.adc12.advance(&mut self.effects, &mut |adc, channel| world.sample(now, adc, channel));
@@ -321,8 +321,8 @@ impl<W: World> Board<W> {
             self.flash.advance(&mut self.effects);
         }
         if self.adc345.next_event() == now {
-            let codes = InternalCodes { supply_v: self.power.supply_v, temperature_c: self.temperature_c };
-            self.adc345.advance(&mut self.effects, &mut |_, channel| codes.code(channel));
+            let (supply_v, temperature_c) = (self.power.supply_v, self.temperature_c);
+            self.adc345.advance(&mut self.effects, &mut |_, channel| internal_code(channel, supply_v, temperature_c));
             self.disturb_neighbours();
         }
         self.handle_faults(now);
@@ -342,7 +342,7 @@ impl<W: World> Board<W> {
                     timer.trigger(edges, &mut self.effects);
                 }
             }
-            let ready = self.effects.pending_requests() & self.dma.wanted();
+            let ready = self.effects.requests & self.dma.wanted();
             if ready == 0 {
                 break;
             }
@@ -357,7 +357,7 @@ impl<W: World> Board<W> {
         self.find_next_event();
     }
 
-    fn carry_out(&mut self, channel: usize, request: Request) {
+    fn carry_out(&mut self, channel: usize, request: u8) {
         // Acknowledged first: the access itself may raise the next request.
         self.effects.withdraw(request);
         let moved = self.dma.transfer(channel).is_some_and(|transfer| {
@@ -392,7 +392,7 @@ impl<W: World> Board<W> {
         if (gates, levels) == (self.gates, self.levels) {
             return;
         }
-        let at = self.effects.now();
+        let at = self.effects.now;
         if gates != self.gates
             && let Some(log) = &mut self.gate_log
         {
@@ -412,10 +412,8 @@ impl<W: World> Board<W> {
         }
     }
 
-    /// Tells the peripherals with a clock of their own what RCC selects.
+    /// Tells the USB block, which has a clock of its own, what RCC selects.
     fn update_clocks(&mut self) {
-        self.adc12.set_kernel_clock(self.rcc.adc_clock_half_ticks(0));
-        self.adc345.set_kernel_clock(self.rcc.adc_clock_half_ticks(1));
         self.usb.set_clock(self.rcc.has_usb_clock(), &mut self.effects);
     }
 
@@ -434,19 +432,14 @@ impl<W: World> Board<W> {
             self.backup = Backup::default();
         }
         self.update_clocks();
-        if !pulled.is_empty() {
-            self.reset_pulled(pulled);
-        }
-    }
-
-    /// Resets the peripherals whose reset bits were set in RCC.
-    fn reset_pulled(&mut self, pulled: Pulled) {
-        for (unit, gate) in UNITS {
-            if gate.is_some_and(|gate| pulled.includes(gate)) {
-                self.reset_unit(*unit);
+        if let Some(pulled) = pulled {
+            for (unit, gate) in UNITS {
+                if gate.is_some_and(|gate| pulled.meets(gate)) {
+                    self.reset_unit(*unit);
+                }
             }
+            self.update_drive();
         }
-        self.update_drive();
     }
 
     /// Brings a unit into its state after reset; flash, RCC and the backup registers have ways of their own.
@@ -474,26 +467,18 @@ impl<W: World> Board<W> {
     }
 }
 
-/// What the internal channels of ADC3 to ADC5 convert.
-struct InternalCodes {
-    supply_v: f64,
-    temperature_c: f64,
-}
-
-impl InternalCodes {
-    /// Code of `channel` (data sheet, "Temperature sensor characteristics" and "Internal voltage
-    /// reference"): temperature on ADC5_IN4, reference on IN18; nothing else is connected.
-    fn code(&self, channel: u8) -> u16 {
-        let at_calibration_supply = match channel {
-            4 => {
-                let slope = f64::from(TS_CAL2 - TS_CAL1) / (CALIBRATION_C[1] - CALIBRATION_C[0]);
-                f64::from(TS_CAL1) + slope * (self.temperature_c - CALIBRATION_C[0])
-            }
-            18 => f64::from(VREFINT_CAL),
-            _ => 0.0,
-        };
-        (at_calibration_supply * CALIBRATION_V / self.supply_v).round().clamp(0.0, 4_095.0) as u16
-    }
+/// Code of `channel` of ADC3 to ADC5 (data sheet, "Temperature sensor characteristics" and "Internal voltage reference"):
+/// temperature on ADC5_IN4, reference on IN18; nothing else is connected.
+fn internal_code(channel: u8, supply_v: f64, temperature_c: f64) -> u16 {
+    let at_calibration_supply = match channel {
+        4 => {
+            let slope = f64::from(TS_CAL2 - TS_CAL1) / (CALIBRATION_C[1] - CALIBRATION_C[0]);
+            f64::from(TS_CAL1) + slope * (temperature_c - CALIBRATION_C[0])
+        }
+        18 => f64::from(VREFINT_CAL),
+        _ => 0.0,
+    };
+    (at_calibration_supply * CALIBRATION_V / supply_v).round().clamp(0.0, 4_095.0) as u16
 }
 
 #[cfg(test)]

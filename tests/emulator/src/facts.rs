@@ -1,7 +1,8 @@
-//! Numbers of the microcontroller, its board and the detectors from outside the project, for tests.
+//! Numbers of the microcontroller, its board and the detectors from outside the project.
 //!
-//! Image and emulator come from one reading of the manual: an error of reading can be in both. Tests compare both with
-//! this table, `tests/data/stm32g474/facts.csv`, which names a source for each number. Neither of the two reads it.
+//! Image and emulator come from one reading of the manual: an error of reading could be in both. The table,
+//! `tests/data/stm32g474/facts.csv`, names a source for each number. The emulator has its registers and bits from there
+//! (`build.rs`), and tests compare the image with it, which does not read it.
 
 const TABLE: &str = include_str!("../../data/stm32g474/facts.csv");
 
@@ -56,20 +57,6 @@ pub fn number(name: &str) -> f64 {
     let value = fact(name).value;
     value.parse().unwrap_or_else(|_| panic!("`{name}` is {value}"))
 }
-
-/// Asserts that constants have the values of the facts of the same name behind a prefix; or, with `=`, of another name.
-#[cfg(test)]
-macro_rules! assert_facts {
-    ($prefix:literal; $($name:ident $(= $fact:literal)?),+ $(,)?) => {
-        $(
-            let fact = [$($fact,)? stringify!($name)][0];
-            let name = format!("{}{fact}", $prefix);
-            assert_eq!(i64::from($name), i64::from(crate::facts::bits(&name)), "{} is not {name}", stringify!($name));
-        )+
-    };
-}
-#[cfg(test)]
-pub(crate) use assert_facts;
 
 #[cfg(test)]
 mod tests {

@@ -13,7 +13,7 @@
 //! | [`world`] | emitters, optics, electronics |
 //! | [`usb_wire`], `usb_host` | the cable and the computer at its other end |
 //! | [`terminal`] | that computer's serial port, as programs open it |
-//! | [`facts`] | numbers from outside the project, for tests |
+//! | [`facts`] | numbers from outside the project, of which registers are made, and for tests |
 //! | [`rig`] | all of it together, running an [`image`] that `firmware/build` has made |
 //!
 //! What a program does against the reference manual is recorded, not tolerated: see [`rig::Rig::faults`].
@@ -27,6 +27,16 @@ pub mod machine;
 pub mod memory;
 pub mod peripherals;
 pub mod rig;
+#[allow(
+    missing_docs,
+    non_snake_case,
+    non_upper_case_globals,
+    dead_code,
+    reason = "names are ST's, and those of all facts"
+)]
+mod st {
+    include!(concat!(env!("OUT_DIR"), "/st.rs"));
+}
 pub mod terminal;
 mod usb_host;
 pub mod usb_wire;

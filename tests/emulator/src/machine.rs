@@ -186,7 +186,7 @@ impl<W: World> Machine<W> {
     fn reset(&mut self, cause: ResetCause) {
         self.resets.push(Reset { at: self.now(), cause });
         self.board.reset(cause);
-        self.cpu.set_lines(self.board.effects.lines());
+        self.cpu.set_lines(&self.board.effects.lines);
         self.cpu.reset(&mut self.board);
     }
 
@@ -208,7 +208,7 @@ impl<W: World> Machine<W> {
         if std::mem::take(&mut self.board.effects.nmi) {
             self.cpu.raise_nmi();
         }
-        self.cpu.set_lines(self.board.effects.lines());
+        self.cpu.set_lines(&self.board.effects.lines);
         None
     }
 

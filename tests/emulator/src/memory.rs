@@ -3,25 +3,26 @@
 
 use std::collections::BTreeSet;
 
+use crate::st;
 /// Where flash lies; also seen at address 0.
-pub const FLASH_BASE: u32 = 0x0800_0000;
+pub const FLASH_BASE: u32 = st::FLASH::BASE;
 /// Flash in bytes: two banks of 256 KiB.
-pub const FLASH_BYTES: usize = 512 * 1024;
+pub const FLASH_BYTES: usize = st::flash::size as usize;
 /// One bank in bytes (option bit DBANK set, as delivered).
 pub const BANK_BYTES: usize = FLASH_BYTES / 2;
 /// One page in bytes.
-pub const PAGE_BYTES: usize = 2_048;
+pub const PAGE_BYTES: usize = st::FLASH::PAGE_SIZE as usize;
 /// Flash is programmed and protected (ECC) in double words of this many bytes.
-pub const DOUBLE_WORD_BYTES: usize = 8;
+pub const DOUBLE_WORD_BYTES: usize = st::flash::double_word as usize;
 
 /// SRAM1, SRAM2 and the upper alias of CCM SRAM, one after another.
-pub const RAM_BASE: u32 = 0x2000_0000;
+pub const RAM_BASE: u32 = st::SRAM1::BASE;
 /// RAM in bytes.
-pub const RAM_BYTES: usize = 128 * 1024;
+pub const RAM_BYTES: usize = st::sram::size as usize;
 /// CCM SRAM, the last 32 KiB of RAM, at its own address.
-pub const CCM_BASE: u32 = 0x1000_0000;
+pub const CCM_BASE: u32 = st::CCMSRAM::BASE;
 /// CCM SRAM in bytes.
-pub const CCM_BYTES: usize = 32 * 1024;
+pub const CCM_BYTES: usize = st::ccm::size as usize;
 
 /// System memory with the factory's boot loader.
 pub const BOOT_LOADER_BASE: u32 = 0x1FFF_0000;
@@ -30,9 +31,7 @@ pub const BOOT_LOADER_END: u32 = 0x1FFF_7000;
 
 /// The 96-bit device identifier, as three words.
 pub const UNIQUE_ID: [u32; 3] = [0x0032_0045, 0x5848_500B, 0x2036_3152];
-const UNIQUE_ID_ADDRESS: u32 = 0x1FFF_7590;
-const PACKAGE_ADDRESS: u32 = 0x1FFF_7500;
-const FLASH_SIZE_ADDRESS: u32 = 0x1FFF_75E0;
+const UNIQUE_ID_ADDRESS: u32 = st::UID::BASE;
 
 /// Code of the temperature sensor at 30 °C and 3.0 V (data sheet, TS_CAL1; a typical device).
 pub const TS_CAL1: u16 = 1_037;
@@ -40,9 +39,6 @@ pub const TS_CAL1: u16 = 1_037;
 pub const TS_CAL2: u16 = 1_379;
 /// Code of the internal reference of 1.212 V at 3.0 V (VREFINT_CAL).
 pub const VREFINT_CAL: u16 = 1_654;
-const TS_CAL1_ADDRESS: u32 = 0x1FFF_75A8;
-const VREFINT_CAL_ADDRESS: u32 = 0x1FFF_75AA;
-const TS_CAL2_ADDRESS: u32 = 0x1FFF_75CA;
 
 /// The aligned word of system memory at `address`; erased where nothing is known.
 pub fn system_word(address: u32) -> u32 {
@@ -59,11 +55,11 @@ fn system_half(address: u32) -> u16 {
             (UNIQUE_ID[(offset / 4) as usize] >> (8 * (offset % 4))) as u16
         }
         // LQFP64.
-        PACKAGE_ADDRESS => 0b00010,
-        FLASH_SIZE_ADDRESS => (FLASH_BYTES / 1024) as u16,
-        TS_CAL1_ADDRESS => TS_CAL1,
-        VREFINT_CAL_ADDRESS => VREFINT_CAL,
-        TS_CAL2_ADDRESS => TS_CAL2,
+        st::PACKAGE::BASE => 0b00010,
+        st::FLASHSIZE::BASE => (FLASH_BYTES / 1024) as u16,
+        st::TEMPSENSOR::CAL1_ADDR => TS_CAL1,
+        st::VREFINT::CAL_ADDR => VREFINT_CAL,
+        st::TEMPSENSOR::CAL2_ADDR => TS_CAL2,
         _ => 0xFFFF,
     }
 }
@@ -227,25 +223,18 @@ impl Bits {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::facts::{self, assert_facts};
+    use crate::facts;
 
     #[test]
     fn system_memory_holds_the_factory_constants() {
         assert_eq!([0, 4, 8].map(|offset| system_word(UNIQUE_ID_ADDRESS + offset)), UNIQUE_ID);
-        assert_eq!(system_word(FLASH_SIZE_ADDRESS) & 0xFFFF, 512);
+        assert_eq!(system_word(st::FLASHSIZE::BASE) & 0xFFFF, 512);
         assert_eq!(system_word(0x1FFF_75A8), u32::from(VREFINT_CAL) << 16 | u32::from(TS_CAL1));
         assert_eq!(system_word(0x1FFF_75C8) >> 16, u32::from(TS_CAL2));
     }
 
     #[test]
-    fn sizes_and_addresses_are_those_of_st() {
-        assert_facts!(""; FLASH_BASE, RAM_BASE = "SRAM1_BASE", CCM_BASE = "CCMSRAM_BASE", UNIQUE_ID_ADDRESS = "UID_BASE");
-        assert_facts!(""; PACKAGE_ADDRESS = "PACKAGE_BASE", FLASH_SIZE_ADDRESS = "FLASHSIZE_BASE");
-        assert_facts!(""; VREFINT_CAL_ADDRESS = "VREFINT_CAL_ADDR", TS_CAL1_ADDRESS = "TEMPSENSOR_CAL1_ADDR");
-        assert_facts!(""; TS_CAL2_ADDRESS = "TEMPSENSOR_CAL2_ADDR");
-        let sizes = [FLASH_BYTES, BANK_BYTES, PAGE_BYTES, DOUBLE_WORD_BYTES, RAM_BYTES, CCM_BYTES];
-        let names = ["flash_size", "flash_bank_size", "FLASH_PAGE_SIZE", "flash_double_word", "sram_size", "ccm_size"];
-        assert_eq!(sizes, names.map(|name| facts::bits(name) as usize));
+    fn the_reference_s_code_is_that_of_its_voltage() {
         let full_scale_v = facts::number("calibration_supply");
         assert_eq!(f64::from(VREFINT_CAL), (4_095.0 * facts::number("V_REFINT") / full_scale_v).round());
     }

@@ -188,7 +188,7 @@ impl<W: World> Rig<W> {
     /// Lets the host at the USB cable do something now.
     pub fn host(&mut self, act: impl FnOnce(&mut UsbHost, Ticks)) {
         let board = &mut self.machine.board;
-        act(&mut board.usb_host, board.effects.now());
+        act(&mut board.usb_host, board.effects.now);
         board.outside_changed();
     }
 
@@ -216,7 +216,7 @@ impl<W: World> Rig<W> {
         }
         let board = &mut self.machine.board;
         match self.link {
-            Link::Usb => board.usb_host.send(bytes, board.effects.now()),
+            Link::Usb => board.usb_host.send(bytes, board.effects.now),
             Link::Uart => board.lpuart.send(bytes, &board.effects),
         }
         board.outside_changed();
@@ -244,7 +244,7 @@ impl<W: World> Rig<W> {
     pub fn take_packets(&mut self) -> Vec<(Ticks, Vec<u8>)> {
         let board = &mut self.machine.board;
         match self.link {
-            Link::Usb => board.usb_host.take_received().into_iter().map(|packet| (packet.at, packet.bytes)).collect(),
+            Link::Usb => board.usb_host.take_received(),
             Link::Uart => board.lpuart.take_sent().into_iter().map(|sent| (sent.at, vec![sent.byte])).collect(),
         }
     }
@@ -273,7 +273,7 @@ impl<W: World> Rig<W> {
     /// and registers nobody has modelled; empty if all is well.
     pub fn faults(&self) -> Vec<String> {
         let board = &self.machine.board;
-        let broken = board.effects.violations().iter().map(|violation| {
+        let broken = board.effects.violations.iter().map(|violation| {
             format!(
                 "tick {}, instruction {:#010x}, address {:#010x}, value {:#010x}: {}",
                 violation.at, violation.pc, violation.address, violation.value, violation.rule
@@ -281,10 +281,10 @@ impl<W: World> Rig<W> {
         });
         let unknown = board
             .effects
-            .unmodelled_accesses()
+            .unmodelled
             .iter()
             .map(|(address, count)| format!("register {address:#010x} is not modelled; {count} accesses"));
-        let complaints = board.usb_host.complaints().iter().map(|complaint| format!("USB: {}", complaint.text));
+        let complaints = board.usb_host.complaints().iter().map(|complaint| format!("USB: {complaint}"));
         broken.chain(unknown).chain(complaints).collect()
     }
 }

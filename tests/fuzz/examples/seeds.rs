@@ -1,11 +1,10 @@
-//! Writes the corpora anew: `cargo run -p slitpose-fuzz --example seeds`, in the top folder. Inputs that were found, whose
-//! names begin with `found`, stay.
+//! Makes those inputs anew that follow from scenes, formats and the wire: `cargo run -p slitpose-fuzz --example seeds`, in the
+//! top folder. Others, texts and scripts written by hand or inputs that were found, stay.
 
 use std::ffi::OsString;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use slitpose::datagram::{Answer, Mode, Request as DatagramRequest};
 use slitpose_firmware::pcb::{default_configuration, default_scaling};
 use slitpose_fuzz::wire;
 use slitpose_head::board_head;
@@ -20,29 +19,13 @@ type Failure = Box<dyn std::error::Error>;
 const HEADS: &str = "tests/data/heads";
 
 fn main() -> Result<(), Failure> {
-    for target in slitpose_fuzz::TARGETS {
-        let folder = folder(target.name);
-        fs::create_dir_all(&folder)?;
-        for entry in fs::read_dir(&folder)? {
-            let path = entry?.path();
-            if !path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("found")) {
-                fs::remove_file(path)?;
-            }
-        }
-    }
     wire()?;
     files()?;
-    captures()?;
-    network()?;
-    usb()
-}
-
-fn folder(target: &str) -> PathBuf {
-    Path::new("tests/fuzz/corpus").join(target)
+    captures()
 }
 
 fn write(target: &str, name: &str, bytes: impl AsRef<[u8]>) -> Result<(), Failure> {
-    Ok(fs::write(folder(target).join(name), bytes)?)
+    Ok(fs::write(Path::new("tests/fuzz/corpus").join(target).join(name), bytes)?)
 }
 
 /// Every command.
@@ -133,15 +116,6 @@ fn files() -> Result<(), Failure> {
         let text = fs::read_to_string(format!("{HEADS}/{name}.csv"))?;
         write("table", &format!("{name}.csv"), text.lines().take(4).collect::<Vec<_>>().join("\n"))?;
     }
-    write("table", "poses.csv", "tx_mm,ty_mm,tz_mm,rx_deg,ry_deg,rz_deg\r\n0,0,0,0,0,0\r\n\"1.5\",-2e-1,3,+4,5,6\r\n")?;
-    write("table", "quoted.csv", "tx_mm,note\n1,\"a\nb\"\n\n2,\"c\"\"d\"\n")?;
-    for (name, text) in [
-        ("one.toml", "device = \"simulated\"\n"),
-        ("several.toml", "duration = \"10s\"\nquiet = true\nrecord = \"a.mcap\"\n"),
-        ("types.toml", "live = [\"a\", \"b\"]\nfilter = 0.01\nport = 7\nday = 2026-01-01\n[table]\nx = 1\n"),
-    ] {
-        write("configuration", name, text)?;
-    }
     Ok(())
 }
 
@@ -184,77 +158,4 @@ fn shortened(text: &str) -> Result<String, Failure> {
     table["correlation"]["rows"] = toml::Value::Array(rows);
     table.remove("hash");
     Ok(format!("hash = \"0\"\n{}", toml::to_string(&table)?))
-}
-
-fn network() -> Result<(), Failure> {
-    let follow = DatagramRequest::new(Mode::Follow, None).to_bytes();
-    write("datagram", "newest", DatagramRequest::new(Mode::Newest, None).to_bytes())?;
-    write("datagram", "follow", follow)?;
-    for (name, answer) in [("prove", Answer::Prove(1 << 60)), ("refused", Answer::Refused), ("renew", Answer::Renew(3))]
-    {
-        write("datagram", name, answer.to_bytes())?;
-    }
-    for (name, text) in [
-        ("hello", r#"{"kind":"hello","token":"abc"}"#),
-        ("ack", r#"{"kind":"ack","messages":7}"#),
-        ("record", r#"{"kind":"record","on":true}"#),
-        ("player", r#"{"kind":"player","playing":true,"speed":null,"seek_s":3.5}"#),
-        ("zero", r#"{"kind":"zero"}"#),
-        ("list", r#"["zero"]"#),
-        ("pose", r#"{"kind":"pose","t_m":[0.001,0,0],"r_rad":[0,-0.1,1e-3]}"#),
-    ] {
-        write("page", name, text)?;
-    }
-    for (name, text) in [
-        ("program", "host:localhost:8000\naccept:*/*"),
-        ("address", "Host:127.0.0.1:8000\n"),
-        ("six", "host:[::1]:8000\norigin:http://[::1]:8000"),
-        ("page", "host:localhost:8000\norigin:http://localhost:8000"),
-        ("stranger", "host:localhost:8000\norigin:http://example.com"),
-        ("rebound", "host:example.com:8000"),
-        ("two", "host:localhost\nhost:example.com"),
-    ] {
-        write("http", name, text)?;
-    }
-    Ok(())
-}
-
-/// What a host asks a serial port for, in order, and what it does besides.
-fn usb() -> Result<(), Failure> {
-    let transfer = |request: [u8; 8], data: &[u8]| [&[7, 8 + data.len() as u8], &request[..], data].concat();
-    let read = |kind: u8, index: u8, length: u8| transfer([0x80, 6, index, kind, 0, 0, length, 0], &[]);
-    // USB 2.0, 9.4; CDC PSTN 1.2, 6.3.
-    let steps: [(&str, Vec<u8>); 14] = [
-        ("device", read(1, 0, 64)),
-        ("address", transfer([0, 5, 9, 0, 0, 0, 0, 0], &[])),
-        ("configuration", read(2, 0, 255)),
-        ("string", read(3, 1, 255)),
-        ("qualifier", read(6, 0, 10)),
-        ("configure", transfer([0, 9, 1, 0, 0, 0, 0, 0], &[])),
-        ("status", transfer([0x80, 0, 0, 0, 0, 0, 2, 0], &[])),
-        ("halt", transfer([2, 3, 0, 0, 0x81, 0, 0, 0], &[])),
-        ("clear_halt", transfer([2, 1, 0, 0, 0x81, 0, 0, 0], &[])),
-        ("line_coding", transfer([0x21, 0x20, 0, 0, 0, 0, 7, 0], &[0, 0xc2, 1, 0, 0, 0, 8])),
-        ("read_line_coding", transfer([0xa1, 0x21, 0, 0, 0, 0, 7, 0], &[])),
-        ("open", transfer([0x21, 0x22, 3, 0, 0, 0, 0, 0], &[])),
-        ("interface", transfer([1, 11, 0, 0, 1, 0, 0, 0], &[])),
-        ("traffic", vec![2, 9, 1, 0, 1, 2, 3, 4, 5, 6, 7, 2, 3, 0x11, 8, 0, 1, 1, 1, 1, 1, 0x12, 1, 1, 3]),
-    ];
-    for (name, step) in &steps {
-        write("usb", name, step)?;
-    }
-    // In changing order: each round of them steps on by another odd number.
-    let of = |i: usize| &steps[i * (i / steps.len() * 2 + 1) % steps.len()].1;
-    let storm: Vec<u8> = (0..400).flat_map(of).copied().take(4096).collect();
-    write("usb", "storm", storm)?;
-    let whole: Vec<u8> = steps.into_iter().flat_map(|(_, step)| step).collect();
-    write("usb", "whole", [&whole[..], &[3, 1, 200]].concat())?;
-    write("usb", "reset", [&whole[..], &[4, 0], &whole[..30]].concat())?;
-    write("usb", "suspension", [&whole[..], &[5, 1, 150, 3, 1, 64], &whole[..30]].concat())?;
-    // A request that is broken off by the next one, and data that nobody asked for.
-    write(
-        "usb",
-        "broken_off",
-        [0, 8, 0x80, 6, 0, 1, 0, 0, 64, 0, 0, 8, 0x80, 6, 0, 2, 0, 0, 255, 0, 1, 1, 0, 2, 3, 0x10, 1, 2],
-    )
 }

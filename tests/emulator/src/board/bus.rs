@@ -7,7 +7,8 @@ use crate::memory::{
     system_word,
 };
 use crate::peripherals::plain::crs;
-use crate::peripherals::rcc::{self, Gate};
+use crate::peripherals::rcc::Gate;
+use crate::st;
 use crate::world::World;
 
 /// Start of system memory, and behind its end.
@@ -21,7 +22,7 @@ const APB_WAIT: u32 = 2;
 /// Extra cycles of an access to a peripheral on AHB: an estimate, not in the manual.
 const AHB_WAIT: u32 = 1;
 /// The gate of registers and packet memory.
-const USB: Gate = Gate { register: rcc::APB1ENR1, bit: 23 };
+const USB: Gate = Gate { register: st::RCC::APB1ENR1, bit: st::RCC::APB1ENR1_USBEN };
 
 impl<W: World> Board<W> {
     /// Reads `width` bytes; the lane of the word for peripherals.
@@ -124,7 +125,7 @@ impl<W: World> Board<W> {
     }
 
     fn read_peripheral(&mut self, address: u32) -> u32 {
-        let Some((unit, gate)) = unit_at(address).filter(|_| !is_behind_syscfg(address)) else {
+        let Some((unit, gate)) = unit_at(address).filter(|_| !BEHIND_SYSCFG.contains(&address)) else {
             self.effects.unmodelled();
             return 0;
         };
@@ -157,7 +158,7 @@ impl<W: World> Board<W> {
     }
 
     fn write_peripheral(&mut self, address: u32, value: u32) {
-        let Some((unit, gate)) = unit_at(address).filter(|_| !is_behind_syscfg(address)) else {
+        let Some((unit, gate)) = unit_at(address).filter(|_| !BEHIND_SYSCFG.contains(&address)) else {
             self.effects.unmodelled();
             return;
         };
@@ -263,22 +264,18 @@ pub enum Unit {
     Crc,
 }
 
-/// The address map (RM0440, "Memory map and peripheral register boundary addresses") and the gates of RCC: each unit with
-/// its base, ST's name of that, and the clock it needs.
+/// The address map and the gates of RCC: each unit with its base and the clock it needs, by ST's names.
 macro_rules! units {
-    ($($unit:ident $(($index:literal))? = $base:literal $name:literal $(, $register:ident $bit:literal $gate:literal)?;)+) => {
+    ($($unit:ident $(($index:literal))? = $base:ident::$at:ident $(, $register:ident $gate:ident)?;)+) => {
         fn unit_at(address: u32) -> Option<(Unit, Option<Gate>)> {
             Some(match address & !OFFSET_MASK {
-                $($base => (Unit::$unit$(($index))?, gate!($($register $bit)?)),)+
+                $(st::$base::$at => (Unit::$unit$(($index))?, gate!($($register $gate)?)),)+
                 _ => return None,
             })
         }
 
         /// All units with their gates.
-        pub const UNITS: &[(Unit, Option<Gate>)] = &[$((Unit::$unit$(($index))?, gate!($($register $bit)?))),+];
-
-        #[cfg(test)]
-        const NAMES: &[(u32, &str, &[(&str, &str)])] = &[$(($base, $name, &[$((stringify!($register), $gate))?])),+];
+        pub const UNITS: &[(Unit, Option<Gate>)] = &[$((Unit::$unit$(($index))?, gate!($($register $gate)?))),+];
     };
 }
 
@@ -286,53 +283,49 @@ macro_rules! gate {
     () => {
         None
     };
-    ($register:ident $bit:literal) => {
-        Some(Gate { register: rcc::$register, bit: $bit })
+    ($register:ident $gate:ident) => {
+        Some(Gate { register: st::RCC::$register, bit: st::RCC::$gate })
     };
 }
 
 units! {
-    Timer(0) = 0x4000_0000 "TIM2", APB1ENR1 0 "TIM2EN";
-    Timer(1) = 0x4000_0400 "TIM3", APB1ENR1 1 "TIM3EN";
-    Timer(2) = 0x4000_0800 "TIM4", APB1ENR1 2 "TIM4EN";
-    Timer(3) = 0x4000_0C00 "TIM5", APB1ENR1 3 "TIM5EN";
-    Crs = 0x4000_2000 "CRS", APB1ENR1 8 "CRSEN";
-    Backup = 0x4000_2400 "TAMP", APB1ENR1 10 "RTCAPBEN";
-    Watchdog = 0x4000_3000 "IWDG";
-    Usb = 0x4000_5C00 "USB", APB1ENR1 23 "USBEN";
-    Power = 0x4000_7000 "PWR", APB1ENR1 28 "PWREN";
-    Lpuart = 0x4000_8000 "LPUART1", APB1ENR2 0 "LPUART1EN";
-    Syscfg = 0x4001_0000 "SYSCFG", APB2ENR 0 "SYSCFGEN";
-    Exti = 0x4001_0400 "EXTI";
-    Usart = 0x4001_3800 "USART1", APB2ENR 14 "USART1EN";
-    Dma(0) = 0x4002_0000 "DMA1", AHB1ENR 0 "DMA1EN";
-    Dma(1) = 0x4002_0400 "DMA2", AHB1ENR 1 "DMA2EN";
-    Dmamux = 0x4002_0800 "DMAMUX1", AHB1ENR 2 "DMAMUX1EN";
-    Rcc = 0x4002_1000 "RCC";
-    Flash = 0x4002_2000 "FLASH_R", AHB1ENR 8 "FLASHEN";
-    Crc = 0x4002_3000 "CRC", AHB1ENR 12 "CRCEN";
-    Gpio(0) = 0x4800_0000 "GPIOA", AHB2ENR 0 "GPIOAEN";
-    Gpio(1) = 0x4800_0400 "GPIOB", AHB2ENR 1 "GPIOBEN";
-    Gpio(2) = 0x4800_0800 "GPIOC", AHB2ENR 2 "GPIOCEN";
-    Gpio(3) = 0x4800_0C00 "GPIOD", AHB2ENR 3 "GPIODEN";
-    Gpio(4) = 0x4800_1000 "GPIOE", AHB2ENR 4 "GPIOEEN";
-    Gpio(5) = 0x4800_1400 "GPIOF", AHB2ENR 5 "GPIOFEN";
-    Gpio(6) = 0x4800_1800 "GPIOG", AHB2ENR 6 "GPIOGEN";
-    Adc12 = 0x5000_0000 "ADC1", AHB2ENR 13 "ADC12EN";
-    Adc345 = 0x5000_0400 "ADC3", AHB2ENR 14 "ADC345EN";
-    Dac(0) = 0x5000_0800 "DAC1", AHB2ENR 16 "DAC1EN";
-    Dac(1) = 0x5000_0C00 "DAC2", AHB2ENR 17 "DAC2EN";
+    Timer(0) = TIM2::BASE, APB1ENR1 APB1ENR1_TIM2EN;
+    Timer(1) = TIM3::BASE, APB1ENR1 APB1ENR1_TIM3EN;
+    Timer(2) = TIM4::BASE, APB1ENR1 APB1ENR1_TIM4EN;
+    Timer(3) = TIM5::BASE, APB1ENR1 APB1ENR1_TIM5EN;
+    Crs = CRS::BASE, APB1ENR1 APB1ENR1_CRSEN;
+    Backup = TAMP::BASE, APB1ENR1 APB1ENR1_RTCAPBEN;
+    Watchdog = IWDG::BASE;
+    Usb = USB::BASE, APB1ENR1 APB1ENR1_USBEN;
+    Power = PWR::BASE, APB1ENR1 APB1ENR1_PWREN;
+    Lpuart = LPUART1::BASE, APB1ENR2 APB1ENR2_LPUART1EN;
+    Syscfg = SYSCFG::BASE, APB2ENR APB2ENR_SYSCFGEN;
+    Exti = EXTI::BASE;
+    Usart = USART1::BASE, APB2ENR APB2ENR_USART1EN;
+    Dma(0) = DMA1::BASE, AHB1ENR AHB1ENR_DMA1EN;
+    Dma(1) = DMA2::BASE, AHB1ENR AHB1ENR_DMA2EN;
+    Dmamux = DMAMUX1::BASE, AHB1ENR AHB1ENR_DMAMUX1EN;
+    Rcc = RCC::BASE;
+    Flash = FLASH::R_BASE, AHB1ENR AHB1ENR_FLASHEN;
+    Crc = CRC::BASE, AHB1ENR AHB1ENR_CRCEN;
+    Gpio(0) = GPIOA::BASE, AHB2ENR AHB2ENR_GPIOAEN;
+    Gpio(1) = GPIOB::BASE, AHB2ENR AHB2ENR_GPIOBEN;
+    Gpio(2) = GPIOC::BASE, AHB2ENR AHB2ENR_GPIOCEN;
+    Gpio(3) = GPIOD::BASE, AHB2ENR AHB2ENR_GPIODEN;
+    Gpio(4) = GPIOE::BASE, AHB2ENR AHB2ENR_GPIOEEN;
+    Gpio(5) = GPIOF::BASE, AHB2ENR AHB2ENR_GPIOFEN;
+    Gpio(6) = GPIOG::BASE, AHB2ENR AHB2ENR_GPIOGEN;
+    Adc12 = ADC1::BASE, AHB2ENR AHB2ENR_ADC12EN;
+    Adc345 = ADC3::BASE, AHB2ENR AHB2ENR_ADC345EN;
+    Dac(0) = DAC1::BASE, AHB2ENR AHB2ENR_DAC1EN;
+    Dac(1) = DAC2::BASE, AHB2ENR AHB2ENR_DAC2EN;
 }
 
 /// VREFBUF, comparators and amplifiers share the kilobyte with SYSCFG.
-const BEHIND_SYSCFG: u32 = 0x4001_0030;
-
-fn is_behind_syscfg(address: u32) -> bool {
-    (BEHIND_SYSCFG..0x4001_0400).contains(&address)
-}
+const BEHIND_SYSCFG: std::ops::Range<u32> = st::VREFBUF::BASE..st::EXTI::BASE;
 
 fn packet_memory_offset(address: u32) -> Option<u32> {
-    Some(address.wrapping_sub(0x4000_6000)).filter(|&offset| offset < 1_024)
+    Some(address.wrapping_sub(st::USB::PMAADDR)).filter(|&offset| offset < 1_024)
 }
 
 /// A narrow value written to a peripheral appears in all lanes (RM0440, "AHB/APB bridges").
@@ -341,37 +334,5 @@ fn repeat(value: u32, width: u32) -> u32 {
         1 => (value & 0xFF) * 0x0101_0101,
         2 => (value & 0xFFFF) * 0x0001_0001,
         _ => value,
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::facts;
-
-    #[test]
-    fn units_answer_at_st_s_addresses_behind_st_s_gates() {
-        let known = |name: &str| facts::all().any(|fact| fact.name == name).then(|| facts::bits(name));
-        let mut compared = 0;
-        for ((base, name, named_gate), (_, gate)) in NAMES.iter().zip(UNITS) {
-            if let Some(fact) = known(&format!("{name}_BASE")) {
-                assert_eq!(*base, fact, "{name}");
-                compared += 1;
-            }
-            let (&[(register, bit)], Some(gate)) = (*named_gate, gate) else { continue };
-            assert_eq!(gate.register, facts::bits(&format!("RCC_TypeDef.{register}")), "{name}");
-            if let Some(fact) = known(&format!("RCC_{register}_{bit}")) {
-                assert_eq!(1 << gate.bit, fact, "{name}");
-                compared += 1;
-            }
-        }
-        // All but ports D to F, and the gates of what lies between others.
-        assert_eq!(compared, 27 + 20);
-        for (name, unit) in [("ADC2", Unit::Adc12), ("ADC12_COMMON", Unit::Adc12), ("ADC345_COMMON", Unit::Adc345)] {
-            assert_eq!(unit_at(facts::bits(&format!("{name}_BASE"))).map(|(at, _)| at), Some(unit), "{name}");
-        }
-        assert_eq!(packet_memory_offset(facts::bits("USB_PMAADDR")), Some(0));
-        assert!(facts::bits("VREFBUF_BASE") >= BEHIND_SYSCFG);
-        assert_eq!(UNITS[7], (Unit::Usb, Some(USB)));
     }
 }

@@ -6,7 +6,7 @@ use std::ops::RangeInclusive;
 use super::Board;
 use crate::faults::{Fault, Faults};
 use crate::memory::{Bits, CCM_BYTES, RAM_BASE, RAM_BYTES};
-use crate::peripherals::{Request, TICKS_PER_SECOND, Ticks};
+use crate::peripherals::{TICKS_PER_SECOND, Ticks};
 use crate::world::World;
 
 /// Fault dma-latency: ticks of a transfer.
@@ -45,7 +45,7 @@ pub(super) struct UnderWay {
 #[derive(Clone, Copy, Debug)]
 struct Transfer {
     channel: usize,
-    request: Request,
+    request: u8,
     done: Ticks,
 }
 
@@ -135,7 +135,7 @@ impl<W: World> Board<W> {
         for (controller, transfer) in self.under_way.transfers.iter_mut().enumerate().filter(|(_, is)| is.is_none()) {
             let channels = 8 * controller..8 * (controller + 1);
             if let Some((channel, request)) = self.dma.select(ready, channels) {
-                let done = self.effects.now() + self.effects.chance.within(DMA_LATENCY_TICKS);
+                let done = self.effects.now + self.effects.chance.within(DMA_LATENCY_TICKS);
                 *transfer = Some(Transfer { channel, request, done });
                 has_begun = true;
             }
@@ -154,7 +154,7 @@ impl<W: World> Board<W> {
     /// Lets the detector see the supply: at once, or late with fault pvd-slow.
     pub(super) fn update_pvd(&mut self) {
         if self.effects.faults.has(Fault::PvdSlow) {
-            self.under_way.pvd_due = self.effects.now() + PVD_TICKS;
+            self.under_way.pvd_due = self.effects.now + PVD_TICKS;
         } else {
             self.follow_pvd();
         }

@@ -96,11 +96,11 @@ fn an_unclocked_peripheral_neither_hears_nor_answers() {
     put(&mut board, GPIOC + 0x14, 1);
     assert_eq!(get(&mut board, GPIOC), 0);
     assert_eq!(
-        board.effects.violations().iter().map(|violation| violation.address).collect::<Vec<_>>(),
+        board.effects.violations.iter().map(|violation| violation.address).collect::<Vec<_>>(),
         [GPIOC + 0x14, GPIOC]
     );
     put(&mut board, 0x4000_6800, 1);
-    assert_eq!(board.effects.unmodelled_accesses().get(&0x4000_6800), Some(&1));
+    assert_eq!(board.effects.unmodelled.get(&0x4000_6800), Some(&1));
 }
 
 #[test]
@@ -121,7 +121,7 @@ fn dma_to_nowhere_is_a_transfer_error() {
     put(&mut board, TIM2 + 0x0C, 1 << 8);
     put(&mut board, TIM2 + 0x14, 1);
     assert_eq!(get(&mut board, DMA1) >> 12, 0b1001);
-    assert_eq!(board.effects.lines()[0], 1 << (interrupt::DMA1_CHANNEL1 + 3));
+    assert_eq!(board.effects.lines[0], 1 << (interrupt::DMA1_CHANNEL1 + 3));
 }
 
 #[test]
@@ -138,7 +138,7 @@ fn the_pll_needs_boost_and_wait_states() {
         put(&mut board, RCC + 8, 8 << 4 | 3);
         board.effects.now += 170;
         put(&mut board, RCC + 8, 3);
-        board.effects.violation_count()
+        board.effects.violation_count
     };
     assert_eq!((select(true), select(false)), (0, 2));
 }
@@ -153,11 +153,11 @@ fn supply_clock_and_sensors_are_those_of_the_data_sheet() {
     let at_calibration = ["TS_CAL1", "TS_CAL2"].map(|name| {
         let temperature_c = facts::number(&format!("{name}_temperature"));
         let sensor = facts::bits("LL_ADC_CHANNEL_TEMPSENSOR_ADC5") as u8;
-        InternalCodes { supply_v: CALIBRATION_V, temperature_c }.code(sensor)
+        internal_code(sensor, CALIBRATION_V, temperature_c)
     });
     assert_eq!(at_calibration, [TS_CAL1, TS_CAL2]);
     let reference = facts::bits("LL_ADC_CHANNEL_VREFINT") as u8;
-    assert_eq!(InternalCodes { supply_v: CALIBRATION_V, temperature_c: 0.0 }.code(reference), VREFINT_CAL);
+    assert_eq!(internal_code(reference, CALIBRATION_V, 0.0), VREFINT_CAL);
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Integer arithmetic of the ARMv7-M pseudocode (DDI0403, A2.2.1), and of the DSP extension on the halfwords and bytes of a
 //! register (A4.4.3 to A4.4.5): pure functions of their arguments.
 
-use super::instruction::{Extension, ParallelKind, ParallelOp, SaturatingOp, Shift, ShiftKind, UnaryOp};
+use super::instruction::{Extension, SaturatingOp, Shift, ShiftKind, UnaryOp};
 
 /// AddWithCarry: sum, carry out, overflow.
 #[inline(always)]
@@ -84,47 +84,19 @@ pub(super) fn dual_products(x: u32, y: u32, exchange: bool) -> (i64, i64) {
     (half(x, false) * half(y, exchange), half(x, true) * half(y, !exchange))
 }
 
-/// A parallel addition or subtraction: result, and GE bits if the operation sets them.
-pub(super) fn parallel(op: ParallelOp, kind: ParallelKind, x: u32, y: u32) -> (u32, Option<u8>) {
-    match op {
-        ParallelOp::Add8 => lanes(kind, 8, x, y, [false; 4]),
-        ParallelOp::Sub8 => lanes(kind, 8, x, y, [true; 4]),
-        ParallelOp::Add16 => lanes(kind, 16, x, y, [false; 4]),
-        ParallelOp::Sub16 => lanes(kind, 16, x, y, [true; 4]),
-        ParallelOp::Asx => lanes(kind, 16, x, y.rotate_left(16), [true, false, false, false]),
-        ParallelOp::Sax => lanes(kind, 16, x, y.rotate_left(16), [false, true, false, false]),
-    }
-}
-
-/// Adds or subtracts lanes of `bits` bits, lowest lane first.
-fn lanes(kind: ParallelKind, bits: u32, x: u32, y: u32, subtract: [bool; 4]) -> (u32, Option<u8>) {
-    use ParallelKind::{Signed, SignedHalving, SignedSaturating, Unsigned, UnsignedHalving, UnsignedSaturating};
-    let signed = matches!(kind, Signed | SignedSaturating | SignedHalving);
-    let mask = (1u32 << bits) - 1;
-    let lane_flags = (1u8 << (bits / 8)) - 1;
-    let widen = |word: u32, lane: u32| {
-        let up = word << (32 - bits - lane * bits);
-        if signed { (up as i32 >> (32 - bits)).into() } else { i64::from(up >> (32 - bits)) }
-    };
-    let (mut result, mut ge) = (0, 0);
-    for lane in 0..32 / bits {
-        let (a, b) = (widen(x, lane), widen(y, lane));
-        let minus = subtract[lane as usize];
-        let exact: i64 = if minus { a - b } else { a + b };
-        let value = match kind {
-            Signed | Unsigned => exact as u32,
-            SignedSaturating => saturate_signed(exact, bits as u8).0,
-            UnsignedSaturating => saturate_unsigned(exact, bits as u8).0,
-            SignedHalving | UnsignedHalving => (exact >> 1) as u32,
+/// Adds or subtracts lanes of `bits` bits with saturation.
+pub(super) fn saturating_lanes(signed: bool, subtract: bool, bits: u8, x: u32, y: u32) -> u32 {
+    let unused = 32 - u32::from(bits);
+    (0..32 / u32::from(bits)).fold(0, |result, lane| {
+        let at = lane * u32::from(bits);
+        let widen = |word: u32| {
+            let top = word << (unused - at);
+            if signed { (top as i32 >> unused).into() } else { i64::from(top >> unused) }
         };
-        result |= (value & mask) << (lane * bits);
-        // GE: not negative, except for an unsigned sum: carry out.
-        let carried = if signed || minus { exact >= 0 } else { exact > i64::from(mask) };
-        if carried {
-            ge |= lane_flags << (lane * bits / 8);
-        }
-    }
-    (result, matches!(kind, Signed | Unsigned).then_some(ge))
+        let exact: i64 = if subtract { widen(x) - widen(y) } else { widen(x) + widen(y) };
+        let (value, _) = if signed { saturate_signed(exact, bits) } else { saturate_unsigned(exact, bits) };
+        result | (value & u32::MAX >> unused) << at
+    })
 }
 
 /// QADD and its kin, with `x` = Rm and `y` = Rn: result and whether it saturated.
@@ -156,18 +128,6 @@ pub(super) fn extend(extension: Extension, rotated: u32, base: u32) -> u32 {
         Extension::SignedBytes => halves(rotated as i8 as u32, (rotated >> 16) as i8 as u32),
         Extension::Bytes => halves(rotated & 0xff, rotated >> 16 & 0xff),
     }
-}
-
-/// SEL: byte by byte from `x` where GE is set, else from `y`.
-pub(super) fn select(ge: u8, x: u32, y: u32) -> u32 {
-    let mask = (0..4).filter(|lane| ge >> lane & 1 != 0).fold(0, |mask, lane| mask | 0xff << (8 * lane));
-    x & mask | y & !mask
-}
-
-/// Sum of the absolute differences of the four bytes.
-pub(super) fn absolute_differences(x: u32, y: u32) -> u32 {
-    let (x, y) = (x.to_le_bytes(), y.to_le_bytes());
-    x.iter().zip(y).map(|(&a, b)| u32::from(a.abs_diff(b))).sum()
 }
 
 #[cfg(test)]
@@ -218,27 +178,13 @@ mod tests {
     }
 
     #[test]
-    fn bytes_in_parallel() {
+    fn lanes_saturate_on_their_own() {
         // 0xff+1, 0x7f+1, 0x80+0x80, 1+2, from the top.
         let (x, y) = (0xff7f_8001, 0x0101_8002);
-        assert_eq!(parallel(ParallelOp::Add8, ParallelKind::Unsigned, x, y), (0x0080_0003, Some(0b1010)));
-        assert_eq!(parallel(ParallelOp::Add8, ParallelKind::Signed, x, y), (0x0080_0003, Some(0b1101)));
-        assert_eq!(parallel(ParallelOp::Add8, ParallelKind::SignedSaturating, x, y), (0x007f_8003, None));
-        assert_eq!(parallel(ParallelOp::Add8, ParallelKind::UnsignedSaturating, x, y), (0xff80_ff03, None));
-        assert_eq!(parallel(ParallelOp::Add8, ParallelKind::UnsignedHalving, x, y), (0x8040_8001, None));
-    }
-
-    #[test]
-    fn halfwords_exchanged() {
-        // High: 1 + 4 (low half of y); low: 2 − 3 (high half of y).
-        assert_eq!(
-            parallel(ParallelOp::Asx, ParallelKind::Signed, 0x0001_0002, 0x0003_0004),
-            (0x0005_ffff, Some(0b1100))
-        );
-        assert_eq!(
-            parallel(ParallelOp::Sax, ParallelKind::Signed, 0x0001_0002, 0x0003_0004),
-            (0xfffd_0005, Some(0b0011))
-        );
+        assert_eq!(saturating_lanes(true, false, 8, x, y), 0x007f_8003);
+        assert_eq!(saturating_lanes(false, false, 8, x, y), 0xff80_ff03);
+        assert_eq!(saturating_lanes(false, true, 16, x, y), 0xfe7e_0000);
+        assert_eq!(saturating_lanes(true, true, 16, 0x7fff_8000, 0xffff_0001), 0x7fff_8000);
     }
 
     #[test]
@@ -249,9 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn selection_and_differences() {
-        assert_eq!(select(0b0101, 0x1122_3344, 0xaabb_ccdd), 0xaa22_cc44);
-        assert_eq!(absolute_differences(0x0010_ff00, 0x0112_0001), 1 + 2 + 255 + 1);
+    fn bytes_are_widened_and_added() {
         assert_eq!(extend(Extension::SignedBytes, 0x0080_007f, 0x0001_0001), 0xff81_0080);
     }
 }

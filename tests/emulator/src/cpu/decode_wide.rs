@@ -1,11 +1,12 @@
 //! The 32-bit encodings (DDI0403, A5.3). Bits are numbered in the word `first halfword << 16 | second`.
 
 use super::Size;
-use super::decode::{bit, hint, immediate_shift, rd, rm, rn, rt, set_flags, sign_extend, unless_15};
-use super::decode_float::decode_coprocessor;
+use super::decode::{
+    bit, decode_coprocessor, hint, immediate_shift, rd, rm, rn, rt, set_flags, sign_extend, unless_15,
+};
 use super::instruction::{
-    Address, AluOp, Extension, ImmediateCarry, Instruction, LoadKind, ParallelKind, ParallelOp, Reg, SaturatingOp,
-    SetFlags, ShiftKind, Special, UnaryOp,
+    Address, AluOp, Extension, ImmediateCarry, Instruction, LoadKind, Reg, SaturatingOp, SetFlags, ShiftKind, Special,
+    UnaryOp,
 };
 
 /// Decodes the 32-bit instruction `w`.
@@ -179,7 +180,7 @@ fn saturate(w: u32, amount: u8, low_5: u8) -> Instruction {
     let (rd, rn) = (rd(w), rn(w));
     let bits = low_5 + u8::from(signed);
     if bit(w, 21) && amount == 0 {
-        Instruction::SaturateHalves { signed, rd, rn, bits }
+        Instruction::Undefined
     } else {
         let shift = immediate_shift(w >> 20 & 2, amount.into());
         Instruction::Saturate { signed, rd, rn, bits, shift }
@@ -191,12 +192,8 @@ fn branch_and_control(w: u32) -> Instruction {
     match (w >> 12 & 7, w >> 20 & 0x7f) {
         (0 | 2, op) if op & 0x38 != 0x38 => conditional_branch(w),
         (0 | 2, 0x38 | 0x39) => {
-            let mask = (w >> 10 & 3) as u8;
-            special(w & 255).map_or(Instruction::Undefined, |special| Instruction::WriteSpecial {
-                special,
-                rn: rn(w),
-                mask,
-            })
+            let special = special(w & 255).filter(|_| w >> 10 & 3 == 2);
+            special.map_or(Instruction::Undefined, |special| Instruction::WriteSpecial { special, rn: rn(w) })
         }
         (0 | 2, 0x3a) if w >> 8 & 7 == 0 => hint(w & 255),
         (0 | 2, 0x3b) => match w >> 4 & 15 {
@@ -231,11 +228,7 @@ fn special(number: u32) -> Option<Special> {
     Some(match number {
         0..=3 | 5..=7 => Special::Psr(number as u8),
         8 => Special::Msp,
-        9 => Special::Psp,
         16 => Special::Primask,
-        17 => Special::Basepri,
-        18 => Special::BasepriMax,
-        19 => Special::Faultmask,
         20 => Special::Control,
         _ => return None,
     })
@@ -310,8 +303,10 @@ fn register_operations(w: u32) -> Instruction {
             ][op as usize];
             Instruction::Extend { extension, rd, rn: unless_15(rn), rm, rotate: (w >> 1 & 0x18) as u8 }
         }
-        (op @ 8..=15, kind @ 0..=7) => parallel(op & 7, kind)
-            .map_or(Instruction::Undefined, |(op, kind)| Instruction::Parallel { op, kind, rd, rn, rm }),
+        (op @ (8 | 9 | 12 | 13), kind @ (1 | 5)) => {
+            let (signed, subtract, bits) = (kind == 1, op & 4 != 0, if op & 1 == 0 { 8 } else { 16 });
+            Instruction::SaturatingLanes { signed, subtract, bits, rd, rn, rm }
+        }
         (8, 8) => Instruction::SaturatingAdd { op: SaturatingOp::Qadd, rd, rn, rm },
         (8, 9) => Instruction::SaturatingAdd { op: SaturatingOp::Qdadd, rd, rn, rm },
         (8, 10) => Instruction::SaturatingAdd { op: SaturatingOp::Qsub, rd, rn, rm },
@@ -320,32 +315,9 @@ fn register_operations(w: u32) -> Instruction {
         (9, 9) => Instruction::Unary { op: UnaryOp::Rev16, rd, rm },
         (9, 10) => Instruction::Unary { op: UnaryOp::Rbit, rd, rm },
         (9, 11) => Instruction::Unary { op: UnaryOp::Revsh, rd, rm },
-        (10, 8) => Instruction::Select { rd, rn, rm },
         (11, 8) => Instruction::Unary { op: UnaryOp::Clz, rd, rm },
         _ => Instruction::Undefined,
     }
-}
-
-fn parallel(op: u32, kind: u32) -> Option<(ParallelOp, ParallelKind)> {
-    let op = match op {
-        0 => ParallelOp::Add8,
-        1 => ParallelOp::Add16,
-        2 => ParallelOp::Asx,
-        4 => ParallelOp::Sub8,
-        5 => ParallelOp::Sub16,
-        6 => ParallelOp::Sax,
-        _ => return None,
-    };
-    let kind = match kind {
-        0 => ParallelKind::Signed,
-        1 => ParallelKind::SignedSaturating,
-        2 => ParallelKind::SignedHalving,
-        4 => ParallelKind::Unsigned,
-        5 => ParallelKind::UnsignedSaturating,
-        6 => ParallelKind::UnsignedHalving,
-        _ => return None,
-    };
-    Some((op, kind))
 }
 
 /// DDI0403, A5.3.16.
@@ -367,7 +339,6 @@ fn multiply(w: u32) -> Instruction {
         (4, false, exchange) => Instruction::DualMultiply { subtract: true, exchange, rd, rn, rm, ra },
         (5, false, round) => Instruction::MultiplyHigh { subtract: false, round, rd, rn, rm, ra },
         (6, false, round) => Instruction::MultiplyHigh { subtract: true, round, rd, rn, rm, ra },
-        (7, false, false) => Instruction::AbsoluteDifferences { rd, rn, rm, ra },
         _ => Instruction::Undefined,
     }
 }
@@ -383,9 +354,6 @@ fn multiply_long(w: u32) -> Instruction {
         (3, 15) => Instruction::Divide { signed: false, rd: hi, rn, rm },
         (4, 0) => long(true, true),
         (4, 8..=11) => Instruction::MultiplyHalvesLong { lo, hi, rn, rm, n_top: bit(w, 5), m_top: bit(w, 4) },
-        (op @ (4 | 5), 12 | 13) => {
-            Instruction::DualMultiplyLong { subtract: op == 5, exchange: bit(w, 4), lo, hi, rn, rm }
-        }
         (6, 0) => long(false, true),
         (6, 6) => Instruction::MultiplyAddAddLong { lo, hi, rn, rm },
         _ => Instruction::Undefined,

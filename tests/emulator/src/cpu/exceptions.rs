@@ -4,7 +4,7 @@
 //! as a derived exception, and late arrival is not modelled.
 
 use super::code::{ENTRY, FLOAT_FRAME, NOTHING_IN_FLIGHT, RETURN, TAIL_CHAIN};
-use super::nvic::{HARD_FAULT, NMI, SV_CALL};
+use super::nvic::{HARD_FAULT, SV_CALL};
 use super::{Bus, Cpu, Fault, FaultReport, Size, Step, Waiting};
 
 /// R0–R3, R12, LR, return address, xPSR.
@@ -27,9 +27,6 @@ impl Cpu {
         }
         if let Some(report) = self.lockup {
             return Some(Step::Lockup(report));
-        }
-        if std::mem::take(&mut self.nvic.newly_pending) && self.system.event_on_pending() {
-            self.event = true;
         }
         if let Some(exception) = self.nvic.preempting(self.execution_priority()) {
             self.waiting = Waiting::No;
@@ -86,12 +83,11 @@ impl Cpu {
     /// PushStack: the frame, and EXC_RETURN in LR.
     fn push_frame<B: Bus>(&mut self, bus: &mut B, return_address: u32) -> Result<(), Fault> {
         let float = self.registers.float_active;
-        let (bytes, align) = if float { (FLOAT_FRAME_BYTES, true) } else { (BASIC_FRAME, self.system.aligns_stack()) };
+        let bytes = if float { FLOAT_FRAME_BYTES } else { BASIC_FRAME };
         let old = self.registers.sp();
-        let padded = align && old & 4 != 0;
-        let base = old.wrapping_sub(bytes) & if align { !7 } else { !3 };
+        let padded = old & 4 != 0;
+        let base = old.wrapping_sub(bytes) & !7;
         let xpsr = self.registers.xpsr() | u32::from(padded) << 9;
-        let from_psp = self.registers.ipsr == 0 && self.registers.psp_selected;
         self.registers.set_sp(base);
         let r = &self.registers.r;
         let frame = [r[0], r[1], r[2], r[3], r[12], r[14], return_address, xpsr];
@@ -100,24 +96,12 @@ impl Cpu {
             let (low, status) = (self.float.s, self.float.fpscr());
             self.store_frame(bus, base.wrapping_add(BASIC_FRAME), &low[..16])?;
             self.store_frame(bus, base.wrapping_add(BASIC_FRAME + 64), &[status])?;
-            self.charge_float_frame();
+            // Paid when the floating-point unit is used.
+            self.float.stacking_unpaid = true;
         }
-        let mode = match (self.registers.ipsr != 0, from_psp) {
-            (true, _) => 0xffff_fff1,
-            (false, false) => 0xffff_fff9,
-            (false, true) => 0xffff_fffd,
-        };
+        let mode: u32 = if self.registers.ipsr != 0 { 0xffff_fff1 } else { 0xffff_fff9 };
         self.registers.r[14] = mode & !(u32::from(float) << 4);
         Ok(())
-    }
-
-    /// Lazy stacking pays when the floating-point unit is used, eager stacking at once.
-    fn charge_float_frame(&mut self) {
-        if self.system.lazy_stacking() {
-            self.float.stacking_unpaid = true;
-        } else {
-            self.cycles += FLOAT_FRAME;
-        }
     }
 
     fn store_frame<B: Bus>(&mut self, bus: &mut B, base: u32, words: &[u32]) -> Result<(), Fault> {
@@ -135,8 +119,6 @@ impl Cpu {
         self.nvic.activate(exception);
         self.registers.ipsr = exception.into();
         self.registers.float_active = false;
-        self.registers.psp_selected = false;
-        self.registers.select_stack();
         self.registers.it = 0;
         self.exclusive = false;
         self.event = true;
@@ -165,9 +147,6 @@ impl Cpu {
             return self.refuse_return(bus, fault, value);
         }
         self.nvic.deactivate(returning);
-        if returning != NMI {
-            self.registers.faultmask = false;
-        }
         self.attention = true;
         self.exclusive = false;
         self.event = true;
@@ -181,18 +160,15 @@ impl Cpu {
         if let Err(fault) = self.pop_frame(bus, value) {
             return self.refuse_return(bus, fault, value);
         }
-        if self.registers.ipsr == 0 && self.system.sleeps_on_exit() {
-            self.waiting = Waiting::Interrupt;
-        }
         self.ran()
     }
 
     /// The integrity checks of B1.5.8.
     fn check_return(&self, value: u32, returning: u8) -> Result<(), Fault> {
-        let to_thread = self.nvic.active.count_ones() == 1 || self.system.thread_from_any_level();
+        let nested = self.nvic.active.count_ones() > 1;
         let fits = match value & !0x10 {
-            0xffff_ffe1 => self.nvic.active.count_ones() > 1,
-            0xffff_ffe9 | 0xffff_ffed => to_thread,
+            0xffff_ffe1 => nested,
+            0xffff_ffe9 => !nested,
             _ => false,
         };
         if fits && self.nvic.is_active(returning) { Ok(()) } else { Err(Fault::InvalidReturn { value }) }
@@ -216,9 +192,8 @@ impl Cpu {
 
     /// PopStack.
     fn pop_frame<B: Bus>(&mut self, bus: &mut B, value: u32) -> Result<(), Fault> {
-        let to_psp = value & 15 == 13;
         let float = value & 0x10 == 0;
-        let base = if to_psp { self.registers.psp() } else { self.registers.msp() };
+        let base = self.registers.sp();
         let mut frame = [0; 8];
         load_frame(bus, base, &mut frame)?;
         let [r0, r1, r2, r3, r12, lr, pc, xpsr] = frame;
@@ -234,8 +209,6 @@ impl Cpu {
         self.registers.r[12] = r12;
         self.registers.r[14] = lr;
         self.registers.set_xpsr(xpsr);
-        self.registers.psp_selected = to_psp;
-        self.registers.select_stack();
         let bytes = if float { FLOAT_FRAME_BYTES } else { BASIC_FRAME };
         let padding = if xpsr >> 9 & 1 != 0 { 4 } else { 0 };
         self.registers.set_sp(base.wrapping_add(bytes + padding));

@@ -2,7 +2,8 @@
 //! pseudocode is applied, results are written.
 
 use super::arithmetic::{
-    add_with_carry, extend, extract, field_mask, saturate_signed, saturate_unsigned, shift, shift_by, unary,
+    self as dsp, add_with_carry, extend, extract, field_mask, saturate_signed, saturate_unsigned, shift, shift_by,
+    unary,
 };
 use super::code::REFILL;
 use super::instruction::{AluOp, ImmediateCarry, Instruction, Reg, SetFlags, ShiftKind, Special};
@@ -53,7 +54,7 @@ impl Cpu {
                     self.registers.flags.set_nz(result);
                 }
             }
-            Instruction::Divide { signed, rd, rn, rm } => self.divide(signed, rd, rn, rm)?,
+            Instruction::Divide { signed, rd, rn, rm } => self.divide(signed, rd, rn, rm),
 
             Instruction::Load { kind, rt, address } => self.load(bus, kind, rt, address)?,
             Instruction::Store { size, rt, address } => self.store(bus, size, rt, address)?,
@@ -124,9 +125,19 @@ impl Cpu {
             Instruction::Sev => self.event = true,
             Instruction::Breakpoint => return Err(Fault::Breakpoint.into()),
             Instruction::SupervisorCall => return Err(Trap::SupervisorCall),
-            Instruction::ChangeMasks { disable, primask, faultmask } => self.change_masks(disable, primask, faultmask),
+            Instruction::ChangeMask { disable } => {
+                self.registers.primask = disable;
+                self.attention = true;
+            }
             Instruction::ReadSpecial { rd, special } => self.set(rd, self.registers.read_special(special)),
-            Instruction::WriteSpecial { special, rn, mask } => self.write_special(special, self.get(rn), mask),
+            // Unprivileged code and the process stack are not modelled.
+            Instruction::WriteSpecial { special: Special::Control, rn } if self.get(rn) & 3 != 0 => {
+                return Err(self.undefined(bus).into());
+            }
+            Instruction::WriteSpecial { special, rn } => {
+                self.registers.write_special(special, self.get(rn));
+                self.attention = true;
+            }
             Instruction::Undefined => return Err(self.undefined(bus).into()),
             Instruction::NoCoprocessor => return Err(Fault::NoCoprocessor.into()),
             dsp => self.execute_dsp(dsp),
@@ -185,11 +196,8 @@ impl Cpu {
         }
     }
 
-    fn divide(&mut self, signed: bool, rd: Reg, rn: Reg, rm: Reg) -> Result<(), Trap> {
+    fn divide(&mut self, signed: bool, rd: Reg, rn: Reg, rm: Reg) {
         let (x, y) = (self.get(rn), self.get(rm));
-        if y == 0 && self.system.traps_division_by_zero() {
-            return Err(Fault::DivideByZero.into());
-        }
         let quotient = match (y, signed) {
             (0, _) => 0,
             (_, true) => (x as i32).wrapping_div(y as i32) as u32,
@@ -201,7 +209,6 @@ impl Cpu {
             super::code::division(x, y)
         };
         self.set(rd, quotient);
-        Ok(())
     }
 
     /// BranchTo, with the refill of the pipeline.
@@ -259,30 +266,109 @@ impl Cpu {
         Ok(())
     }
 
-    fn change_masks(&mut self, disable: bool, primask: bool, faultmask: bool) {
-        if !self.registers.privileged() {
-            return;
-        }
-        if primask {
-            self.registers.primask = disable;
-        }
-        if faultmask && !(disable && self.execution_priority() <= -1) {
-            self.registers.faultmask = disable;
-        }
-        self.attention = true;
-    }
-
-    fn write_special(&mut self, special: Special, value: u32, mask: u8) {
-        let below_hardfault = self.execution_priority() > -1;
-        self.registers.write_special(special, value, mask, below_hardfault);
-        self.attention = true;
-    }
-
     /// The fault of the instruction being executed, with its halfwords.
     fn undefined<B: Bus>(&self, bus: &mut B) -> Fault {
         let address = self.get(Reg::PC).wrapping_sub(4);
         let wide = self.pc.wrapping_sub(address) == 4;
         let mut fetch = |address| bus.fetch(address).unwrap_or(0);
         Fault::Undefined { first: fetch(address), second: if wide { fetch(address.wrapping_add(2)) } else { 0 } }
+    }
+}
+
+impl Cpu {
+    /// Executes an instruction of the multiply and DSP groups.
+    ///
+    /// # Panics
+    /// If it belongs elsewhere.
+    pub(super) fn execute_dsp(&mut self, instruction: Instruction) {
+        match instruction {
+            Instruction::Pack { tb, rd, rn, rm, shift: by } => {
+                let (x, y) = (self.get(rn), shift(self.get(rm), by, false).0);
+                let (top, bottom) = if tb { (x, y) } else { (y, x) };
+                self.set(rd, top & 0xffff_0000 | bottom & 0xffff);
+            }
+            Instruction::SaturatingLanes { signed, subtract, bits, rd, rn, rm } => {
+                self.set(rd, dsp::saturating_lanes(signed, subtract, bits, self.get(rn), self.get(rm)));
+            }
+            Instruction::SaturatingAdd { op, rd, rn, rm } => {
+                let (result, saturated) = dsp::saturating_add(op, self.get(rm), self.get(rn));
+                self.set(rd, result);
+                self.registers.flags.q |= saturated;
+            }
+            _ => self.execute_multiply(instruction),
+        }
+    }
+
+    fn execute_multiply(&mut self, instruction: Instruction) {
+        match instruction {
+            Instruction::MultiplyAdd { subtract, rd, rn, rm, ra } => {
+                let product = self.get(rn).wrapping_mul(self.get(rm));
+                let base = self.get(ra);
+                self.set(rd, if subtract { base.wrapping_sub(product) } else { base.wrapping_add(product) });
+            }
+            Instruction::MultiplyHalves { rd, rn, rm, ra, n_top, m_top } => {
+                let product = dsp::half(self.get(rn), n_top) * dsp::half(self.get(rm), m_top);
+                self.accumulate(rd, product, ra);
+            }
+            Instruction::MultiplyWordHalf { rd, rn, rm, ra, m_top } => {
+                let product = self.signed(rn) * dsp::half(self.get(rm), m_top);
+                self.accumulate(rd, product >> 16, ra);
+            }
+            Instruction::DualMultiply { subtract, exchange, rd, rn, rm, ra } => {
+                let (low, high) = dsp::dual_products(self.get(rn), self.get(rm), exchange);
+                self.accumulate(rd, if subtract { low - high } else { low + high }, ra);
+            }
+            Instruction::MultiplyHigh { subtract, round, rd, rn, rm, ra } => {
+                let base = ra.map_or(0, |ra| self.signed(ra) << 32);
+                let product = self.signed(rn) * self.signed(rm);
+                let sum = if subtract { base.wrapping_sub(product) } else { base.wrapping_add(product) };
+                let sum = if round { sum.wrapping_add(0x8000_0000) } else { sum };
+                self.set(rd, (sum >> 32) as u32);
+            }
+            _ => self.execute_long_multiply(instruction),
+        }
+    }
+
+    fn execute_long_multiply(&mut self, instruction: Instruction) {
+        match instruction {
+            Instruction::MultiplyLong { signed, accumulate, lo, hi, rn, rm } => {
+                let product = if signed {
+                    (self.signed(rn) * self.signed(rm)) as u64
+                } else {
+                    u64::from(self.get(rn)) * u64::from(self.get(rm))
+                };
+                let base = if accumulate { self.pair(lo, hi) } else { 0 };
+                self.set_pair(lo, hi, base.wrapping_add(product));
+            }
+            Instruction::MultiplyAddAddLong { lo, hi, rn, rm } => {
+                let product = u64::from(self.get(rn)) * u64::from(self.get(rm));
+                self.set_pair(lo, hi, product + u64::from(self.get(lo)) + u64::from(self.get(hi)));
+            }
+            Instruction::MultiplyHalvesLong { lo, hi, rn, rm, n_top, m_top } => {
+                let product = dsp::half(self.get(rn), n_top) * dsp::half(self.get(rm), m_top);
+                self.set_pair(lo, hi, self.pair(lo, hi).wrapping_add_signed(product));
+            }
+            other => unreachable!("{other:?} is executed elsewhere"),
+        }
+    }
+
+    /// `rd = value + ra`; Q when the sum does not fit.
+    fn accumulate(&mut self, rd: Reg, value: i64, ra: Option<Reg>) {
+        let sum = value + ra.map_or(0, |ra| self.signed(ra));
+        self.set(rd, sum as u32);
+        self.registers.flags.q |= i64::from(sum as i32) != sum;
+    }
+
+    fn signed(&self, register: Reg) -> i64 {
+        i64::from(self.get(register) as i32)
+    }
+
+    fn pair(&self, lo: Reg, hi: Reg) -> u64 {
+        u64::from(self.get(hi)) << 32 | u64::from(self.get(lo))
+    }
+
+    fn set_pair(&mut self, lo: Reg, hi: Reg, value: u64) {
+        self.set(lo, value as u32);
+        self.set(hi, (value >> 32) as u32);
     }
 }

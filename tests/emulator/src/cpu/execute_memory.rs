@@ -20,7 +20,7 @@ impl Cpu {
     #[inline(always)]
     fn read_aligned<B: Bus>(&mut self, bus: &mut B, address: u32, size: Size) -> Result<u32, Fault> {
         if is_private(address) {
-            return self.read_private(address, size);
+            return Ok(self.read_private(address, size));
         }
         if self.is_guarded(address) {
             return Err(Fault::Guarded { address });
@@ -41,7 +41,8 @@ impl Cpu {
     #[inline(always)]
     fn write_aligned<B: Bus>(&mut self, bus: &mut B, address: u32, size: Size, value: u32) -> Result<(), Fault> {
         if is_private(address) {
-            return self.write_private(address, size, value);
+            self.write_private(address, size, value);
+            return Ok(());
         }
         if self.is_guarded(address) {
             return Err(Fault::Guarded { address });
@@ -86,10 +87,10 @@ impl Cpu {
         Ok(())
     }
 
-    /// Unaligned accesses cost a cycle more, and fault on device memory or with CCR.UNALIGN_TRP.
+    /// Unaligned accesses cost a cycle more, and fault on device memory.
     fn check_unaligned(&mut self, address: u32) -> Result<(), Fault> {
         let device = matches!(address, 0x4000_0000..0x6000_0000 | 0xa000_0000..);
-        if device || self.system.traps_unaligned() {
+        if device {
             return Err(Fault::Unaligned { address });
         }
         self.cycles += 1;

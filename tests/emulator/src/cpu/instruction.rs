@@ -1,7 +1,9 @@
 //! The instructions of ARMv7E-M with FPv4-SP, decoded.
 //!
 //! One variant stands for one *operation*; the several encodings of it (16-bit, 32-bit, with or without
-//! flags) differ only in fields. Names follow the ARMv7-M ARM (DDI0403), chapter A7.
+//! flags) differ only in fields. Names follow the ARMv7-M ARM (DDI0403), chapter A7. Undefined here are parallel operations
+//! that set or read the GE bits, halve or exchange, SSAT16, USAT16, USAD8, SMLALD and their kin, which no compiler makes, and
+//! access to BASEPRI, FAULTMASK and the process stack.
 
 use super::Size;
 
@@ -21,17 +23,14 @@ pub enum Instruction {
     BitfieldInsert { rd: Reg, rn: Option<Reg>, lsb: u8, width: u8 },
     /// SSAT or USAT to `bits` bits.
     Saturate { signed: bool, rd: Reg, rn: Reg, bits: u8, shift: Shift },
-    /// SSAT16 or USAT16.
-    SaturateHalves { signed: bool, rd: Reg, rn: Reg, bits: u8 },
     /// SXTB…UXTB16, and with `rn` SXTAB…UXTAB16.
     Extend { extension: Extension, rd: Reg, rn: Option<Reg>, rm: Reg, rotate: u8 },
     Unary { op: UnaryOp, rd: Reg, rm: Reg },
     /// PKHBT, or with `tb` PKHTB.
     Pack { tb: bool, rd: Reg, rn: Reg, rm: Reg, shift: Shift },
-    Parallel { op: ParallelOp, kind: ParallelKind, rd: Reg, rn: Reg, rm: Reg },
+    /// QADD8, QADD16, UQADD8, UQADD16 and their subtractions, in lanes of `bits` bits.
+    SaturatingLanes { signed: bool, subtract: bool, bits: u8, rd: Reg, rn: Reg, rm: Reg },
     SaturatingAdd { op: SaturatingOp, rd: Reg, rn: Reg, rm: Reg },
-    /// SEL.
-    Select { rd: Reg, rn: Reg, rm: Reg },
 
     Multiply { flags: SetFlags, rd: Reg, rn: Reg, rm: Reg },
     /// MLA, MLS.
@@ -44,16 +43,12 @@ pub enum Instruction {
     DualMultiply { subtract: bool, exchange: bool, rd: Reg, rn: Reg, rm: Reg, ra: Option<Reg> },
     /// SMMUL, SMMLA, SMMLS.
     MultiplyHigh { subtract: bool, round: bool, rd: Reg, rn: Reg, rm: Reg, ra: Option<Reg> },
-    /// USAD8, USADA8.
-    AbsoluteDifferences { rd: Reg, rn: Reg, rm: Reg, ra: Option<Reg> },
     /// SMULL, UMULL, SMLAL, UMLAL.
     MultiplyLong { signed: bool, accumulate: bool, lo: Reg, hi: Reg, rn: Reg, rm: Reg },
     /// UMAAL.
     MultiplyAddAddLong { lo: Reg, hi: Reg, rn: Reg, rm: Reg },
     /// SMLALxy.
     MultiplyHalvesLong { lo: Reg, hi: Reg, rn: Reg, rm: Reg, n_top: bool, m_top: bool },
-    /// SMLALD, SMLSLD.
-    DualMultiplyLong { subtract: bool, exchange: bool, lo: Reg, hi: Reg, rn: Reg, rm: Reg },
     Divide { signed: bool, rd: Reg, rn: Reg, rm: Reg },
 
     Load { kind: LoadKind, rt: Reg, address: Address },
@@ -95,12 +90,12 @@ pub enum Instruction {
     Sev,
     Breakpoint,
     SupervisorCall,
-    /// CPSID, CPSIE.
-    ChangeMasks { disable: bool, primask: bool, faultmask: bool },
+    /// CPSID i, CPSIE i.
+    ChangeMask { disable: bool },
     /// MRS.
     ReadSpecial { rd: Reg, special: Special },
-    /// MSR; bit 1 of `mask` selects the flags, bit 0 the GE bits (PSR only).
-    WriteSpecial { special: Special, rn: Reg, mask: u8 },
+    /// MSR.
+    WriteSpecial { special: Special, rn: Reg },
     Float(FloatInstruction),
     /// An encoding without a meaning, or one reserved as undefined.
     Undefined,
@@ -144,7 +139,7 @@ const _: () = assert!(size_of::<Instruction>() <= 12, "the decoded-instruction c
 pub struct Reg(pub u8);
 
 impl Reg {
-    /// Stack pointer (the one in use of MSP and PSP).
+    /// The main stack pointer.
     pub const SP: Self = Self(13);
     /// Program counter; reads as the address of the instruction plus 4.
     pub const PC: Self = Self(15);
@@ -245,30 +240,6 @@ pub enum Extension {
     Bytes,
 }
 
-/// Operation of a parallel addition or subtraction.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ParallelOp {
-    Add8,
-    Add16,
-    /// Exchange halves of the second operand; add high, subtract low.
-    Asx,
-    /// Exchange halves of the second operand; subtract high, add low.
-    Sax,
-    Sub8,
-    Sub16,
-}
-
-/// Arithmetic of a parallel addition or subtraction.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ParallelKind {
-    Signed,
-    SignedSaturating,
-    SignedHalving,
-    Unsigned,
-    UnsignedSaturating,
-    UnsignedHalving,
-}
-
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SaturatingOp {
     Qadd,
@@ -315,12 +286,7 @@ pub enum Special {
     /// The combinations of APSR, IPSR and EPSR: bit 0 of the number adds IPSR, bit 2 leaves APSR out.
     Psr(u8),
     Msp,
-    Psp,
     Primask,
-    Basepri,
-    /// BASEPRI, only ever raised in urgency.
-    BasepriMax,
-    Faultmask,
     Control,
 }
 

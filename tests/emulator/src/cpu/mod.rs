@@ -5,22 +5,18 @@
 //! siblings carry them out; `exceptions` takes interrupts and faults; `system` is the private peripheral bus
 //! 0xE000_0000–0xE00F_FFFF, which the [`Bus`] never sees.
 //!
-//! Not modelled: SysTick, which the image leaves alone, the MPU but for data accesses to a region 0 that allows none, debug halting, and the imprecision of bus faults on buffered
-//! writes (they are all precise here). Floating-point registers are stacked at once; with lazy stacking enabled
-//! (FPCCR.LSPEN) its cycles are charged when the handler first uses the floating-point unit, as lazy stacking
-//! would.
+//! Not modelled: what the image leaves alone: SysTick, unprivileged code, the process stack, BASEPRI and FAULTMASK, groups of
+//! priorities; instructions that no compiler makes (see `instruction`); the MPU but for data accesses to a region 0 that allows none, debug halting, and the imprecision of bus faults on buffered
+//! writes (they are all precise here). Floating-point registers are stacked at once; their cycles are charged
+//! when the handler first uses the floating-point unit, as lazy stacking would.
 
 mod arithmetic;
 mod code;
 mod decode;
-mod decode_float;
 mod decode_wide;
 mod exceptions;
 mod execute;
-mod execute_dsp;
-mod execute_float;
 mod execute_memory;
-mod fault;
 mod float;
 mod instruction;
 mod nvic;
@@ -31,10 +27,10 @@ mod tests;
 
 use code::{Accelerator, Code, Decoded, NOTHING_IN_FLIGHT};
 pub use decode::direct_branch;
-pub use fault::{Fault, FaultReport};
 use float::FloatUnit;
 use instruction::{Instruction, Reg};
 use nvic::Nvic;
+pub use nvic::{Fault, FaultReport};
 use registers::Registers;
 use system::System;
 
@@ -281,7 +277,6 @@ impl Cpu {
     pub fn set_state(&mut self, state: &State) {
         self.registers.r = state.r;
         self.registers.set_xpsr(state.xpsr);
-        self.registers.select_stack();
         self.pc = state.r[15] & !1;
         self.float.s = state.s;
         self.float.restore_fpscr(state.fpscr);

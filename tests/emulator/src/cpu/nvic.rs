@@ -7,9 +7,6 @@ use super::registers::Registers;
 /// Exception numbers (DDI0403, B1.5.2).
 pub(super) const NMI: u8 = 2;
 pub(super) const HARD_FAULT: u8 = 3;
-pub(super) const MEM_MANAGE: u8 = 4;
-pub(super) const BUS_FAULT: u8 = 5;
-pub(super) const USAGE_FAULT: u8 = 6;
 pub(super) const SV_CALL: u8 = 11;
 pub(super) const PEND_SV: u8 = 14;
 pub(super) const SYS_TICK: u8 = 15;
@@ -28,10 +25,6 @@ pub(super) struct Nvic {
     lines: u128,
     /// Priorities by exception number; the STM32 has the upper four bits.
     priority: [u8; 128],
-    /// AIRCR.PRIGROUP.
-    pub group_position: u8,
-    /// An exception became pending since this was last cleared.
-    pub newly_pending: bool,
 }
 
 /// Exceptions that cannot be disabled.
@@ -39,15 +32,7 @@ const ALWAYS_ENABLED: u128 = 1 << NMI | 1 << HARD_FAULT | 1 << SV_CALL | 1 << PE
 
 impl Nvic {
     pub fn new() -> Self {
-        Self {
-            pending: 0,
-            enabled: ALWAYS_ENABLED,
-            active: 0,
-            lines: 0,
-            priority: [0; 128],
-            group_position: 0,
-            newly_pending: false,
-        }
+        Self { pending: 0, enabled: ALWAYS_ENABLED, active: 0, lines: 0, priority: [0; 128] }
     }
 
     /// Takes the levels of the interrupt lines; a rising one becomes pending. Returns whether one did.
@@ -64,7 +49,6 @@ impl Nvic {
     }
 
     pub fn pend_all(&mut self, exceptions: u128) {
-        self.newly_pending |= exceptions & !self.pending != 0;
         self.pending |= exceptions;
     }
 
@@ -100,39 +84,27 @@ impl Nvic {
         self.priority[usize::from(exception & 127)] = priority & 0xf0;
     }
 
-    /// Priority for preemption: without the sub-priority bits.
-    fn group(&self, priority: u8) -> i16 {
-        i16::from(priority) & !((2 << self.group_position) - 1)
-    }
-
     /// Preemption priority of an exception; smaller is more urgent.
     pub fn urgency(&self, exception: u8) -> i16 {
         match exception {
             0..=NMI => -2,
             HARD_FAULT => -1,
-            _ => self.group(self.priority(exception)),
+            _ => self.priority(exception).into(),
         }
     }
 
-    /// ExecutionPriority: of the active exceptions and the masks.
+    /// ExecutionPriority: of the active exceptions and PRIMASK.
     pub fn execution_priority(&self, registers: &Registers) -> i16 {
         let mut priority = numbers(self.active).map(|n| self.urgency(n)).min().unwrap_or(THREAD_PRIORITY);
-        if registers.basepri != 0 {
-            priority = priority.min(self.group(registers.basepri));
-        }
         if registers.primask {
             priority = priority.min(0);
-        }
-        if registers.faultmask {
-            priority = priority.min(-1);
         }
         priority
     }
 
     /// The most urgent exception that is pending and enabled; the lowest number among equals.
     pub fn most_urgent(&self) -> Option<u8> {
-        let full = |n: u8| if n <= HARD_FAULT { self.urgency(n) } else { self.priority(n).into() };
-        numbers(self.pending & self.enabled).min_by_key(|&n| full(n))
+        numbers(self.pending & self.enabled).min_by_key(|&n| self.urgency(n))
     }
 
     /// The pending exception that preempts execution at `priority`.
@@ -148,6 +120,81 @@ fn numbers(mut bits: u128) -> impl Iterator<Item = u8> {
         bits &= bits.wrapping_sub(1);
         (number < 128).then_some(number)
     })
+}
+
+/// Reason of a fault (DDI0403, B1.5.6).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs)] // The messages say it.
+pub enum Fault {
+    #[error("bus fault: data access to {address:#010x}")]
+    DataBus { address: u32 },
+    #[error("memory fault: data access to guarded {address:#010x}")]
+    Guarded { address: u32 },
+    #[error("bus fault: instruction fetch from {address:#010x}")]
+    FetchBus { address: u32 },
+    #[error("memory fault: instruction fetch from non-executable {address:#010x}")]
+    FetchNeverExecute { address: u32 },
+    #[error("bus fault while stacking at {address:#010x}")]
+    Stacking { address: u32 },
+    #[error("memory fault while stacking at guarded {address:#010x}")]
+    StackingGuarded { address: u32 },
+    #[error("bus fault while unstacking at {address:#010x}")]
+    Unstacking { address: u32 },
+    #[error("bus fault while reading the vector at {address:#010x}")]
+    VectorTable { address: u32 },
+    #[error("usage fault: FPSCR {fpscr:#010x} asks for a mode that the emulator does not model")]
+    FloatMode { fpscr: u32 },
+    #[error("usage fault: undefined instruction {first:#06x} {second:#06x}")]
+    Undefined { first: u16, second: u16 },
+    #[error("usage fault: execution with EPSR.T clear")]
+    InvalidState,
+    #[error("usage fault: invalid exception return {value:#010x}")]
+    InvalidReturn { value: u32 },
+    #[error("usage fault: coprocessor absent or not enabled")]
+    NoCoprocessor,
+    #[error("usage fault: unaligned access to {address:#010x}")]
+    Unaligned { address: u32 },
+    #[error("breakpoint without a debugger")]
+    Breakpoint,
+    #[error("supervisor call at a priority that forbids it")]
+    SupervisorCall,
+}
+
+/// The state of the core when a fault was taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "{fault} at pc {pc:#010x} (lr {lr:#010x}, sp {sp:#010x}, xpsr {xpsr:#010x}, CFSR {cfsr:#010x}, HFSR {hfsr:#010x})"
+)]
+#[allow(missing_docs)] // The registers of these names.
+pub struct FaultReport {
+    pub fault: Fault,
+    pub pc: u32,
+    pub lr: u32,
+    pub sp: u32,
+    pub xpsr: u32,
+    pub cfsr: u32,
+    pub hfsr: u32,
+}
+
+impl Fault {
+    /// Number of the exception that handles it when enabled, and its bit in CFSR.
+    pub(super) fn class(self) -> (u8, u32) {
+        match self {
+            Self::FetchNeverExecute { .. } => (4, 1 << 0),
+            Self::Guarded { .. } => (4, 1 << 1),
+            Self::StackingGuarded { .. } => (4, 1 << 4),
+            Self::FetchBus { .. } => (5, 1 << 8),
+            Self::DataBus { .. } => (5, 1 << 9),
+            Self::Unstacking { .. } => (5, 1 << 11),
+            Self::Stacking { .. } => (5, 1 << 12),
+            Self::Undefined { .. } | Self::FloatMode { .. } => (6, 1 << 16),
+            Self::InvalidState => (6, 1 << 17),
+            Self::InvalidReturn { .. } => (6, 1 << 18),
+            Self::NoCoprocessor => (6, 1 << 19),
+            Self::Unaligned { .. } => (6, 1 << 24),
+            Self::VectorTable { .. } | Self::Breakpoint | Self::SupervisorCall => (3, 0),
+        }
+    }
 }
 
 #[cfg(test)]
@@ -171,12 +218,12 @@ mod tests {
     }
 
     #[test]
-    fn preemption_needs_a_more_urgent_group() {
+    fn preemption_needs_more_urgency() {
         let mut nvic = with_pending(&[(20, 0x40), (30, 0x50)]);
         nvic.activate(30);
         let registers = Registers::at_reset(0);
         assert_eq!(nvic.preempting(nvic.execution_priority(&registers)), Some(20));
-        nvic.group_position = 4; // Three bits of group priority: 0x40 and 0x50 are one group.
+        nvic.set_priority(20, 0x50);
         assert_eq!(nvic.preempting(nvic.execution_priority(&registers)), None);
     }
 

@@ -1,8 +1,8 @@
-//! The programmer's registers: R0–R15 with both stack pointers, xPSR, masks and CONTROL (DDI0403, B1.4).
+//! The programmer's registers: R0–R15, xPSR, PRIMASK and CONTROL (DDI0403, B1.4).
 
 use super::instruction::{Reg, Special};
 
-/// N, Z, C, V, Q and GE of the APSR.
+/// N, Z, C, V and Q of the APSR.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Flags {
     pub n: bool,
@@ -10,7 +10,6 @@ pub(super) struct Flags {
     pub c: bool,
     pub v: bool,
     pub q: bool,
-    pub ge: u8,
 }
 
 impl Flags {
@@ -20,12 +19,11 @@ impl Flags {
             | u32::from(self.c) << 29
             | u32::from(self.v) << 28
             | u32::from(self.q) << 27
-            | u32::from(self.ge) << 16
     }
 
     pub fn from_bits(bits: u32) -> Self {
         let bit = |n: u32| bits >> n & 1 != 0;
-        Self { n: bit(31), z: bit(30), c: bit(29), v: bit(28), q: bit(27), ge: (bits >> 16 & 15) as u8 }
+        Self { n: bit(31), z: bit(30), c: bit(29), v: bit(28), q: bit(27) }
     }
 
     /// N and Z of `result`.
@@ -52,12 +50,8 @@ impl Flags {
 
 #[derive(Clone, Debug)]
 pub(super) struct Registers {
-    /// R0–R15. R13 is the stack pointer in use; R15 reads as instruction address plus 4.
+    /// R0–R15. R15 reads as instruction address plus 4.
     pub r: [u32; 16],
-    /// The stack pointer not in use.
-    other_sp: u32,
-    /// Whether R13 is PSP.
-    psp_in_use: bool,
     /// Lowest value the main stack pointer has had since reset.
     pub min_msp: u32,
     pub flags: Flags,
@@ -68,12 +62,6 @@ pub(super) struct Registers {
     /// Number of the exception being handled, 0 in thread mode.
     pub ipsr: u16,
     pub primask: bool,
-    pub faultmask: bool,
-    pub basepri: u8,
-    /// CONTROL.nPRIV.
-    pub unprivileged: bool,
-    /// CONTROL.SPSEL.
-    pub psp_selected: bool,
     /// CONTROL.FPCA: the context has floating-point state.
     pub float_active: bool,
 }
@@ -86,18 +74,12 @@ impl Registers {
         r[14] = 0xffff_ffff;
         Self {
             r,
-            other_sp: 0,
-            psp_in_use: false,
             min_msp: msp & !3,
             flags: Flags::default(),
             thumb: true,
             it: 0,
             ipsr: 0,
             primask: false,
-            faultmask: false,
-            basepri: 0,
-            unprivileged: false,
-            psp_selected: false,
             float_active: false,
         }
     }
@@ -124,48 +106,7 @@ impl Registers {
     #[inline]
     pub fn set_sp(&mut self, value: u32) {
         self.r[13] = value & !3;
-        if !self.psp_in_use {
-            self.min_msp = self.min_msp.min(value & !3);
-        }
-    }
-
-    /// Brings the stack pointer in use in line with mode and CONTROL.SPSEL.
-    pub fn select_stack(&mut self) {
-        let psp = self.psp_selected && self.ipsr == 0;
-        if psp != self.psp_in_use {
-            self.psp_in_use = psp;
-            std::mem::swap(&mut self.r[13], &mut self.other_sp);
-        }
-    }
-
-    pub fn msp(&self) -> u32 {
-        if self.psp_in_use { self.other_sp } else { self.r[13] }
-    }
-
-    pub fn psp(&self) -> u32 {
-        if self.psp_in_use { self.r[13] } else { self.other_sp }
-    }
-
-    fn set_msp(&mut self, value: u32) {
-        if self.psp_in_use {
-            self.other_sp = value & !3;
-        } else {
-            self.r[13] = value & !3;
-        }
         self.min_msp = self.min_msp.min(value & !3);
-    }
-
-    fn set_psp(&mut self, value: u32) {
-        if self.psp_in_use {
-            self.r[13] = value & !3;
-        } else {
-            self.other_sp = value & !3;
-        }
-    }
-
-    /// Handler mode is always privileged.
-    pub fn privileged(&self) -> bool {
-        self.ipsr != 0 || !self.unprivileged
     }
 
     pub fn xpsr(&self) -> u32 {
@@ -181,58 +122,27 @@ impl Registers {
         self.ipsr = (xpsr & 0x1ff) as u16;
     }
 
-    pub fn control(&self) -> u32 {
-        u32::from(self.float_active) << 2 | u32::from(self.psp_selected) << 1 | u32::from(self.unprivileged)
-    }
-
     /// MRS.
     pub fn read_special(&self, special: Special) -> u32 {
         match special {
             Special::Psr(number) => {
                 let apsr = if number & 4 == 0 { self.flags.to_bits() } else { 0 };
-                let ipsr = if number & 1 != 0 && self.privileged() { u32::from(self.ipsr) } else { 0 };
-                apsr | ipsr
+                apsr | if number & 1 != 0 { u32::from(self.ipsr) } else { 0 }
             }
-            Special::Control => self.control(),
-            _ if !self.privileged() => 0,
-            Special::Msp => self.msp(),
-            Special::Psp => self.psp(),
+            Special::Msp => self.sp(),
             Special::Primask => self.primask.into(),
-            Special::Basepri | Special::BasepriMax => self.basepri.into(),
-            Special::Faultmask => self.faultmask.into(),
+            Special::Control => u32::from(self.float_active) << 2,
         }
     }
 
-    /// MSR. Unprivileged code reaches the flags only. `below_hardfault`: the execution priority is lower in
-    /// urgency than HardFault's, so that FAULTMASK may be set.
-    pub fn write_special(&mut self, special: Special, value: u32, mask: u8, below_hardfault: bool) {
+    /// MSR.
+    pub fn write_special(&mut self, special: Special, value: u32) {
         match special {
-            Special::Psr(number) if number & 4 == 0 => {
-                let selected =
-                    if mask & 2 != 0 { 0xf800_0000 } else { 0 } | if mask & 1 != 0 { 0x000f_0000 } else { 0 };
-                self.flags = Flags::from_bits(self.flags.to_bits() & !selected | value & selected);
-            }
+            Special::Psr(number) if number & 4 == 0 => self.flags = Flags::from_bits(value),
             Special::Psr(_) => {}
-            _ if !self.privileged() => {}
-            Special::Msp => self.set_msp(value),
-            Special::Psp => self.set_psp(value),
+            Special::Msp => self.set_sp(value),
             Special::Primask => self.primask = value & 1 != 0,
-            Special::Basepri => self.basepri = value as u8 & 0xf0,
-            Special::BasepriMax => {
-                let value = value as u8 & 0xf0;
-                if value != 0 && (self.basepri == 0 || value < self.basepri) {
-                    self.basepri = value;
-                }
-            }
-            Special::Faultmask => self.faultmask = value & 1 != 0 && below_hardfault,
-            Special::Control => {
-                self.unprivileged = value & 1 != 0;
-                if self.ipsr == 0 {
-                    self.psp_selected = value & 2 != 0;
-                }
-                self.float_active = value & 4 != 0;
-                self.select_stack();
-            }
+            Special::Control => self.float_active = value & 4 != 0,
         }
     }
 }

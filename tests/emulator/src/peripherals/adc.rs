@@ -1,10 +1,10 @@
 //! Analog-to-digital converters: regular sequences (RM0440, "Analog-to-digital converters").
 //!
 //! Modelled: power-up (deep power down, regulator, calibration, ADRDY), regular sequences
-//! started by software or by a timer's TRGO, single or continuous, sampling times, resolution,
-//! oversampling with shift, DMA requests and overrun, and the rules of when a register may be
-//! written. Not modelled: injected conversions, watchdogs, offsets, dual modes, discontinuous
-//! mode, triggered oversampling. Results are right-aligned.
+//! started by software or by a timer's TRGO, sampling times, oversampling, DMA requests and overrun,
+//! and the rules of when a register may be written. Not modelled: continuous and injected conversions,
+//! other resolutions than 12 bits, shifts, watchdogs, offsets, dual modes, discontinuous mode, triggered
+//! oversampling. Results are right-aligned.
 //!
 //! # Timing
 //! ```text
@@ -14,14 +14,76 @@
 //! hold instant, the end of the sampling time. The result, its flag and its DMA request come with
 //! the end of the last conversion of a rank.
 
-mod commands;
 mod group;
 
 pub use group::AdcGroup;
 
-use super::{Effects, Request, Ticks};
+use super::effects::{ALL, Bank, Register};
+use super::{Effects, TICKS_PER_SECOND, Ticks};
 use crate::faults::Fault;
-use commands::*;
+use crate::st::ADC::{
+    CALFACT, CFGR, CFGR_DMAEN as DMAEN, CFGR_OVRMOD as OVRMOD, CFGR2, CFGR2_ROVSE as ROVSE, CR, CR_ADCAL as ADCAL,
+    CR_ADCALDIF as ADCALDIF, CR_ADDIS as ADDIS, CR_ADEN as ADEN, CR_ADSTART as ADSTART, CR_ADSTP as ADSTP,
+    CR_ADVREGEN as ADVREGEN, CR_DEEPPWD as DEEPPWD, CR_JADSTART as JADSTART, CR_JADSTP as JADSTP, DIFSEL, DR, IER, ISR,
+    ISR_ADRDY as ADRDY, ISR_EOC as EOC, ISR_EOS as EOS, ISR_EOSMP as EOSMP, ISR_OVR as OVR, SMPR1, SMPR2, SQR1, SQR4,
+    TR1, TR3,
+};
+use crate::st::{self, ADC, ADC1, ADC12};
+
+/// Registers common to a group of converters, from the group's base.
+const CSR: u32 = ADC12::COMMON_BASE - ADC1::BASE + ADC::Common_CSR;
+const CCR: u32 = ADC12::COMMON_BASE - ADC1::BASE + ADC::Common_CCR;
+
+/// Bits of ADC_CR that software only sets and hardware clears.
+const CR_COMMANDS: u32 = ADEN | ADDIS | ADSTART | JADSTART | ADSTP | JADSTP | ADCAL;
+
+const CFGR_MODELLED: u32 = DMAEN | ADC::CFGR_DMACFG | ADC::CFGR_EXTSEL | ADC::CFGR_EXTEN | OVRMOD | ADC::CFGR_JQDIS;
+/// Without injected conversions both modes of ROVSM are the same.
+const CFGR2_MODELLED: u32 = ROVSE | ADC::CFGR2_OVSR | ADC::CFGR2_ROVSM;
+/// The clock, and the switches of the internal channels.
+const CCR_MODELLED: u32 = ADC::CCR_CKMODE | ADC::CCR_VREFEN | ADC::CCR_VSENSESEL | ADC::CCR_VBATSEL;
+
+/// Twice the sampling time in converter clocks, by SMP code.
+const SAMPLE_HALF_CLOCKS: [u64; 8] = [5, 13, 25, 49, 95, 185, 495, 1281];
+/// Twice the duration of the successive approximation in clocks.
+const APPROXIMATION_HALF_CLOCKS: u64 = 25;
+/// Trigger to start of sampling, in clocks.
+const TRIGGER_CLOCKS: u64 = 2;
+/// Calibration, in clocks (STM32G474 data sheet, "ADC characteristics", t_CAL).
+const CALIBRATION_CLOCKS: u64 = st::t::CAL as u64;
+/// From ADEN to ADRDY: one conversion (data sheet, t_STAB), in clocks.
+const STABILISATION_CLOCKS: u64 = 15;
+/// From ADSTP or ADDIS to the end of the command, in clocks.
+const STOP_CLOCKS: u64 = 2;
+/// Wait between ADCAL cleared and ADEN, in clocks (RM0440, "Software procedure to enable the ADC").
+const CALIBRATION_TO_ENABLE_CLOCKS: u64 = st::calibration::to_enable_clocks as u64;
+/// Start-up of the regulator.
+const REGULATOR_TICKS: Ticks = st::t::ADCVREG_STUP as u64 * TICKS_PER_SECOND / 1_000_000;
+/// Fault adc-stale: a conversion this long after the one before is wrong.
+const STALE_TICKS: Ticks = st::T::TRIG as u64 * TICKS_PER_SECOND / 1_000;
+/// Fault adc-stale: by so many codes.
+const STALE_CODES: u16 = 700;
+/// Fault adc-neighbour: the most codes that a conversion is off by.
+const NEIGHBOUR_CODES: u64 = 8;
+/// Shortest clock period in ticks that the converter follows.
+const MIN_CLOCK_TICKS: u64 = TICKS_PER_SECOND.div_ceil(1_000_000 * st::f::ADC_single as u64);
+
+const REGISTERS: &[Register] = &[
+    (ISR, 0, 0),
+    (IER, 0, ALL),
+    (CR, DEEPPWD, 0),
+    (CFGR, ADC::CFGR_JQDIS, ALL),
+    (CFGR2, 0, ALL),
+    (SMPR1, 0, ALL),
+    (SMPR2, 0, ALL),
+    (SQR1, 0, ALL),
+    (SQR1 + 4, 0, ALL),
+    (SQR1 + 8, 0, ALL),
+    (SQR4, 0, ALL),
+    (DR, 0, 0),
+    (DIFSEL, 0, ALL),
+    (CALFACT, 0, ALL),
+];
 
 /// What the converter does by itself next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,7 +108,6 @@ struct Plan {
     length: usize,
     approximation: Ticks,
     oversampling: u32,
-    shift: u32,
     trigger_delay: Ticks,
     /// Edges of the trigger line that start a sequence, as in `Effects::take_triggers`.
     trigger_mask: u16,
@@ -55,17 +116,8 @@ struct Plan {
 #[derive(Debug)]
 pub struct Adc {
     number: u8,
-    request: Request,
-    isr: u32,
-    ier: u32,
-    cr: u32,
-    cfgr: u32,
-    cfgr2: u32,
-    smpr: [u32; 2],
-    sqr: [u32; 4],
-    dr: u32,
-    difsel: u32,
-    calfact: u32,
+    request: u8,
+    bank: Bank,
     regulator_since: Ticks,
     calibrated_at: Option<Ticks>,
     /// Ticks of a converter clock.
@@ -87,20 +139,11 @@ pub struct Adc {
 }
 
 impl Adc {
-    fn new(number: u8, request: Request) -> Self {
+    fn new(number: u8, request: u8) -> Self {
         Self {
             number,
             request,
-            isr: 0,
-            ier: 0,
-            cr: DEEPPWD,
-            cfgr: 1 << 31,
-            cfgr2: 0,
-            smpr: [0; 2],
-            sqr: [0; 4],
-            dr: 0,
-            difsel: 0,
-            calfact: 0,
+            bank: Bank::new(REGISTERS),
             regulator_since: 0,
             calibrated_at: None,
             clock: 4,
@@ -125,94 +168,67 @@ impl Adc {
 
     /// Fault injection: the overrun flag as if a result had been lost.
     fn force_overrun(&mut self) {
-        self.isr |= OVR;
+        self.bank[ISR] |= OVR;
     }
 
     fn read(&mut self, offset: u32, effects: &mut Effects) -> u32 {
-        match offset {
-            ISR => self.isr,
-            IER => self.ier,
-            CR => self.cr,
-            CFGR => self.cfgr,
-            CFGR2 => self.cfgr2,
-            SMPR1 | SMPR2 => self.smpr[usize::from(offset == SMPR2)],
-            SQR1..=SQR4 => self.sqr[((offset - SQR1) / 4) as usize],
-            DR => {
-                self.isr &= !EOC;
-                self.dr
-            }
-            DIFSEL => self.difsel,
-            CALFACT => self.calfact,
-            _ => {
-                effects.unmodelled();
-                0
-            }
+        if offset == DR {
+            self.bank[ISR] &= !EOC;
         }
+        self.bank.read(offset, effects)
     }
 
     fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
+        let rule = match offset {
+            CFGR => Some("ADC_CFGR is written only while ADSTART = 0"),
+            CFGR2 => Some("ADC_CFGR2 is written only while ADSTART = 0"),
+            SMPR1 | SMPR2 => Some("ADC_SMPRx is written only while ADSTART = 0"),
+            SQR1..=SQR4 => Some("ADC_SQRx is written only while ADSTART = 0"),
+            _ => None,
+        };
+        // A write that changes nothing breaks no rule.
+        if let Some(rule) = rule.filter(|_| value != self.bank[offset] && self.bank[CR] & ADSTART != 0) {
+            effects.violation(value, rule);
+        }
         match offset {
-            ISR => self.isr &= !value,
-            IER => self.ier = value,
-            CR => self.command(value, effects),
+            ISR => return self.bank[ISR] &= !value,
+            CR => return self.command(value, effects),
             CFGR => {
-                self.while_stopped(value, self.cfgr, "ADC_CFGR is written only while ADSTART = 0", effects);
                 effects.unmodelled_bits(value & !CFGR_MODELLED);
                 if value & DMAEN == 0 {
                     effects.withdraw(self.request);
                 }
-                self.cfgr = value;
             }
-            CFGR2 => {
-                self.while_stopped(value, self.cfgr2, "ADC_CFGR2 is written only while ADSTART = 0", effects);
-                effects.unmodelled_bits(value & !CFGR2_MODELLED);
-                self.cfgr2 = value;
+            CFGR2 => effects.unmodelled_bits(value & !CFGR2_MODELLED),
+            SMPR1 | SMPR2 => effects.unmodelled_bits(value >> 30),
+            DIFSEL if value != self.bank[DIFSEL] && self.bank[CR] & CR_COMMANDS != 0 => {
+                effects.violation(value, "ADC_DIFSEL is written only while the ADC is disabled");
             }
-            SMPR1 | SMPR2 => {
-                let half = usize::from(offset == SMPR2);
-                self.while_stopped(value, self.smpr[half], "ADC_SMPRx is written only while ADSTART = 0", effects);
-                effects.unmodelled_bits(value >> 30);
-                self.smpr[half] = value;
+            CALFACT if self.bank[CR] & ADEN == 0 || self.bank[CR] & ADSTART != 0 => {
+                effects.violation(value, "ADC_CALFACT is written only while ADEN = 1 and ADSTART = 0");
             }
-            SQR1..=SQR4 => {
-                let index = ((offset - SQR1) / 4) as usize;
-                self.while_stopped(value, self.sqr[index], "ADC_SQRx is written only while ADSTART = 0", effects);
-                self.sqr[index] = value;
-            }
-            DIFSEL => {
-                if value != self.difsel && self.cr & CR_COMMANDS != 0 {
-                    effects.violation(value, "ADC_DIFSEL is written only while the ADC is disabled");
-                }
-                self.difsel = value;
-            }
-            CALFACT => {
-                if self.cr & ADEN == 0 || self.cr & ADSTART != 0 {
-                    effects.violation(value, "ADC_CALFACT is written only while ADEN = 1 and ADSTART = 0");
-                }
-                self.calfact = value;
-            }
-            TR1..=TR3 => {}
-            _ => effects.unmodelled_bits(value),
+            TR1..=TR3 => return,
+            _ => {}
         }
+        self.bank.write(offset, value, effects);
     }
 
     fn plan_sequence(&self) -> Plan {
         let half_clock = |half_clocks: u64| half_clocks * self.clock / 2;
-        let oversampled = self.cfgr2 & ROVSE != 0;
+        let oversampled = self.bank[CFGR2] & ROVSE != 0;
         let mut ranks = [Rank::default(); 16];
         for (index, rank) in ranks.iter_mut().enumerate() {
             let field = index + 1;
-            rank.channel = (self.sqr[field / 5] >> (6 * (field % 5)) & 0x1F) as u8;
-            let (half, position) = (usize::from(rank.channel / 10), u32::from(rank.channel % 10));
-            let code = self.smpr[half] >> (3 * position) & 7;
+            rank.channel = (self.bank[SQR1 + 4 * (field / 5) as u32] >> (6 * (field % 5)) & 0x1F) as u8;
+            let half = if rank.channel < 10 { SMPR1 } else { SMPR2 };
+            let code = self.bank[half] >> (3 * (rank.channel % 10)) & 7;
             rank.sampling = half_clock(SAMPLE_HALF_CLOCKS[code as usize]);
         }
         Plan {
             ranks,
-            length: (self.sqr[0] & 0xF) as usize + 1,
-            approximation: half_clock(APPROXIMATION_HALF_CLOCKS[(self.cfgr >> 3 & 3) as usize]),
-            oversampling: if oversampled { 2 << (self.cfgr2 >> 2 & 7) } else { 1 },
-            shift: if oversampled { self.cfgr2 >> 5 & 0xF } else { 0 },
+            length: (self.bank[SQR1] & 0xF) as usize + 1,
+            approximation: half_clock(APPROXIMATION_HALF_CLOCKS),
+            oversampling: if oversampled { 2 << (self.bank[CFGR2] >> 2 & 7) } else { 1 },
             trigger_delay: TRIGGER_CLOCKS * self.clock,
             trigger_mask: self.trigger_mask(),
         }
@@ -220,14 +236,14 @@ impl Adc {
 
     /// Which trigger edges start a sequence (RM0440, "ADC1/2: external triggers for regular channels").
     fn trigger_mask(&self) -> u16 {
-        let trigger = match self.cfgr >> 5 & 0x1F {
+        let trigger = match self.bank[CFGR] >> 5 & 0x1F {
             11 => 0,
             4 => 1,
             12 => 2,
             // A source that is not modelled never comes.
             _ => 7,
         };
-        ((self.cfgr >> 10 & 3) as u16) << (2 * trigger)
+        ((self.bank[CFGR] >> 10 & 3) as u16) << (2 * trigger)
     }
 
     /// A trigger edge, which the converter's clock sees `late` ticks later, or the software start.
@@ -249,7 +265,7 @@ impl Adc {
     }
 
     fn advance(&mut self, effects: &mut Effects, sample: &mut impl FnMut(u8, u8) -> u16) {
-        let now = effects.now();
+        let now = effects.now;
         if self.phase_at == now {
             match self.phase {
                 Phase::Hold => self.hold(effects, sample),
@@ -265,16 +281,15 @@ impl Adc {
     #[inline]
     fn hold(&mut self, effects: &Effects, sample: &mut impl FnMut(u8, u8) -> u16) {
         let rank = self.plan.ranks[self.rank];
-        let lost_bits = 2 * (self.cfgr >> 3 & 3);
         let is_zero = std::mem::take(&mut self.was_stopped) && effects.faults.has(Fault::AdcStop);
         let mut code = sample(self.number, if is_zero { 0 } else { rank.channel });
-        if effects.now() - self.last_conversion > STALE_TICKS && effects.faults.has(Fault::AdcStale) {
+        if effects.now - self.last_conversion > STALE_TICKS && effects.faults.has(Fault::AdcStale) {
             code = code.abs_diff(STALE_CODES);
         }
-        self.last_conversion = effects.now();
-        self.sum += u32::from(code >> lost_bits);
+        self.last_conversion = effects.now;
+        self.sum += u32::from(code);
         self.conversions += 1;
-        self.isr |= EOSMP;
+        self.bank[ISR] |= EOSMP;
         self.phase_at += self.plan.approximation;
         if self.conversions < self.plan.oversampling {
             self.phase_at += rank.sampling;
@@ -284,45 +299,154 @@ impl Adc {
     }
 
     fn finish_rank(&mut self, effects: &mut Effects) {
-        self.deliver(self.sum >> self.plan.shift & 0xFFFF, effects);
+        self.deliver(self.sum & 0xFFFF, effects);
         self.rank += 1;
         if self.rank < self.plan.length {
-            self.sample_rank(effects.now());
+            self.sample_rank(effects.now);
             return;
         }
-        self.isr |= EOS;
+        self.bank[ISR] |= EOS;
         self.rank = 0;
-        if self.cfgr & CONT != 0 {
-            self.sample_rank(effects.now());
-            return;
-        }
         self.phase = Phase::Idle;
         self.phase_at = Ticks::MAX;
         if self.plan.trigger_mask == 0 {
-            self.cr &= !ADSTART;
+            self.bank[CR] &= !ADSTART;
         }
     }
 
     /// Puts a result into ADC_DR. A result that was not fetched is an overrun, after which no
     /// DMA request is made until software clears OVR (RM0440, "ADC overrun").
     fn deliver(&mut self, result: u32, effects: &mut Effects) {
-        if self.isr & EOC != 0 {
-            self.isr |= OVR;
+        if self.bank[ISR] & EOC != 0 {
+            self.bank[ISR] |= OVR;
         }
-        if self.isr & OVR != 0 && self.cfgr & OVRMOD == 0 {
+        if self.bank[ISR] & OVR != 0 && self.bank[CFGR] & OVRMOD == 0 {
             return;
         }
-        self.dr = result;
-        self.isr |= EOC;
-        if self.cfgr & DMAEN != 0 && self.isr & OVR == 0 && !std::mem::take(&mut self.swallow) {
+        self.bank[DR] = result;
+        self.bank[ISR] |= EOC;
+        if self.bank[CFGR] & DMAEN != 0 && self.bank[ISR] & OVR == 0 && !std::mem::take(&mut self.swallow) {
             effects.request(self.request);
         }
     }
 
     fn interrupt(&self) -> bool {
-        self.isr & self.ier != 0
+        self.bank[ISR] & self.bank[IER] != 0
+    }
+
+    /// Writes ADC_CR.
+    fn command(&mut self, value: u32, effects: &mut Effects) {
+        let now = effects.now;
+        self.write_supply(value, effects);
+        let commands = value & CR_COMMANDS & !self.bank[CR];
+        effects.unmodelled_bits(commands & (JADSTART | JADSTP));
+        if commands & ADCAL != 0 {
+            self.calibrate(value, effects);
+        }
+        if commands & ADEN != 0 {
+            self.enable(value, effects);
+        }
+        if commands & ADDIS != 0 {
+            if self.bank[CR] & ADEN == 0 || self.bank[CR] & ADSTART != 0 {
+                effects.violation(value, "ADDIS is set only while ADEN = 1 and ADSTART = 0");
+            } else {
+                self.bank[CR] |= ADDIS;
+                self.command_at = now + STOP_CLOCKS * self.clock;
+            }
+        }
+        if commands & ADSTART != 0 {
+            self.start(value, effects);
+        }
+        if commands & ADSTP != 0 {
+            if self.bank[CR] & ADSTART == 0 || self.bank[CR] & ADDIS != 0 {
+                effects.violation(value, "ADSTP is set only while ADSTART = 1 and ADDIS = 0");
+            } else {
+                self.bank[CR] |= ADSTP;
+                self.phase = Phase::Idle;
+                self.phase_at = Ticks::MAX;
+                self.command_at = now + STOP_CLOCKS * self.clock;
+            }
+        }
+    }
+
+    /// DEEPPWD, ADVREGEN and ADCALDIF.
+    fn write_supply(&mut self, value: u32, effects: &mut Effects) {
+        let bits = DEEPPWD | ADVREGEN | ADCALDIF;
+        if (value ^ self.bank[CR]) & bits != 0 && self.bank[CR] & CR_COMMANDS != 0 {
+            effects.violation(value, "DEEPPWD, ADVREGEN and ADCALDIF are written only while the ADC is disabled");
+        }
+        if value & ADVREGEN != 0 && self.bank[CR] & ADVREGEN == 0 {
+            self.regulator_since = effects.now;
+            if value & DEEPPWD != 0 {
+                effects.violation(value, "ADVREGEN is set only after DEEPPWD is cleared");
+            }
+        }
+        self.bank[CR] = self.bank[CR] & !bits | value & bits;
+    }
+
+    fn regulated(&self, now: Ticks) -> bool {
+        self.bank[CR] & (ADVREGEN | DEEPPWD) == ADVREGEN && now - self.regulator_since >= REGULATOR_TICKS
+    }
+
+    fn calibrate(&mut self, value: u32, effects: &mut Effects) {
+        if !self.regulated(effects.now) {
+            effects.violation(value, "ADCAL is set only 20 µs after ADVREGEN");
+        }
+        if self.bank[CR] & CR_COMMANDS != 0 {
+            effects.violation(value, "ADCAL is set only while the ADC is disabled");
+            return;
+        }
+        self.bank[CR] |= ADCAL;
+        self.command_at = effects.now + CALIBRATION_CLOCKS * self.clock;
+    }
+
+    fn enable(&mut self, value: u32, effects: &mut Effects) {
+        let now = effects.now;
+        if self.bank[CR] & CR_COMMANDS != 0 || !self.regulated(now) {
+            effects.violation(value, "ADEN is set only while all other commands are 0 and the regulator is ready");
+            return;
+        }
+        match self.calibrated_at {
+            None => effects.violation(value, "ADEN is set after a calibration"),
+            Some(at) if now < at + CALIBRATION_TO_ENABLE_CLOCKS * self.clock => {
+                effects.violation(value, "ADEN is set at least four ADC clocks after ADCAL is cleared");
+            }
+            Some(_) => {}
+        }
+        if self.clock < MIN_CLOCK_TICKS {
+            effects.violation(value, "the ADC clock is at most 60 MHz");
+        }
+        self.bank[CR] |= ADEN;
+        self.command_at = now + STABILISATION_CLOCKS * self.clock;
+    }
+
+    fn start(&mut self, value: u32, effects: &mut Effects) {
+        if self.bank[CR] & (ADEN | ADDIS) != ADEN || self.bank[ISR] & ADRDY == 0 && self.command_at != Ticks::MAX {
+            effects.violation(value, "ADSTART is set only while ADEN = 1, ADRDY = 1 and ADDIS = 0");
+            return;
+        }
+        self.bank[CR] |= ADSTART;
+        self.plan = self.plan_sequence();
+        if self.plan.trigger_mask == 0 {
+            self.begin(effects.now, 0);
+        }
+    }
+
+    fn finish_command(&mut self, now: Ticks) {
+        self.command_at = Ticks::MAX;
+        if self.bank[CR] & ADCAL != 0 {
+            self.bank[CR] &= !ADCAL;
+            self.calibrated_at = Some(now);
+            self.last_conversion = now;
+        } else if self.bank[CR] & ADSTP != 0 {
+            self.bank[CR] &= !(ADSTP | ADSTART);
+            self.was_stopped = true;
+        } else if self.bank[CR] & ADDIS != 0 {
+            self.bank[CR] &= !(ADDIS | ADEN);
+            self.bank[ISR] &= !ADRDY;
+            self.was_stopped = false;
+        } else if self.bank[CR] & ADEN != 0 {
+            self.bank[ISR] |= ADRDY;
+        }
     }
 }
-
-#[cfg(test)]
-mod tests;

@@ -1,51 +1,32 @@
-//! Digital-to-analog converters, without trigger, wave and sample-and-hold modes (RM0440,
-//! "Digital-to-analog converter").
+//! Digital-to-analog converters: channel 1, codes of 12 bits to the right, without trigger, wave and sample-and-hold modes
+//! (RM0440, "Digital-to-analog converter").
 //!
 //! A code written to a holding register is at the output in the same tick; the hardware takes
 //! up to three bus cycles, and the analog stage about a microsecond, which belongs to the optics.
 //! The output buffer reaches ground unless the silicon has one of the faults `dac-rest`.
 
 use super::Effects;
-use super::registers::{ALL, Bank, registers};
+use super::effects::{ALL, Bank, Register};
 
-registers! {
-    CR = 0x00, keeps CR_MODELLED;
-    DHR12R1 = 0x08;
-    DHR12L1 = 0x0C;
-    DHR8R1 = 0x10;
-    DHR12R2 = 0x14;
-    DHR12L2 = 0x18;
-    DHR8R2 = 0x1C;
-    DHR12RD = 0x20;
-    DOR1 = 0x2C;
-    DOR2 = 0x30;
-    SR = 0x34;
-    CCR = 0x38, keeps ALL;
-    MCR = 0x3C, keeps ALL;
-}
+use crate::st::DAC::{CCR, CR, CR_EN1, DHR12R1, DOR1, MCR, MCR_HFSEL, SR, SR_DAC1RDY};
 
-const CR_EN: [u32; 2] = [1, 1 << 16];
-const CR_MODELLED: u32 = 1 | 1 << 16;
-/// DAC channel ready flags.
-const SR_RDY: [u32; 2] = [1 << 11, 1 << 27];
-/// High-frequency interface mode selection; the modes of the channels but "external pin with buffer" are not modelled.
-const MCR_HFSEL: u32 = 0b11 << 14;
+const REGISTERS: &[Register] =
+    &[(CR, 0, CR_EN1), (DHR12R1, 0, 0xFFF), (DOR1, 0, 0), (SR, 0, 0), (CCR, 0, ALL), (MCR, 0, ALL)];
 
 #[derive(Debug)]
 pub struct Dac {
     bank: Bank,
-    codes: [u16; 2],
     /// The code of the lowest voltage that the output buffer reaches.
     rest: u16,
 }
 
 impl Dac {
     pub fn new() -> Self {
-        Self { bank: Bank::new(REGISTERS), codes: [0; 2], rest: 0 }
+        Self { bank: Bank::new(REGISTERS), rest: 0 }
     }
 
     pub fn reset(&mut self) {
-        *self = Self { rest: self.rest, ..Self::new() };
+        self.bank.reset();
     }
 
     /// Faults dac-rest: the output buffer goes no lower than `rest_v`, of 3.3 V.
@@ -55,69 +36,42 @@ impl Dac {
 
     pub fn read(&self, offset: u32, effects: &mut Effects) -> u32 {
         match offset {
-            DHR12R1 | DOR1 => u32::from(self.codes[0]),
-            DHR12R2 | DOR2 => u32::from(self.codes[1]),
-            SR => (0..2).filter(|&channel| self.enabled(channel)).map(|channel| SR_RDY[channel]).sum(),
-            // Not read back.
-            DHR12L1..=DHR8R1 | DHR12L2..=DHR12RD => {
-                effects.unmodelled();
-                0
-            }
+            DOR1 => self.bank[DHR12R1],
+            SR if self.is_enabled() => SR_DAC1RDY,
             _ => self.bank.read(offset, effects),
         }
     }
 
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
         match offset {
-            DHR12R1 => self.set(0, value),
-            DHR12L1 => self.set(0, value >> 4),
-            DHR8R1 => self.set(0, (value & 0xFF) << 4),
-            DHR12R2 => self.set(1, value),
-            DHR12L2 => self.set(1, value >> 4),
-            DHR8R2 => self.set(1, (value & 0xFF) << 4),
-            DHR12RD => {
-                self.set(0, value);
-                self.set(1, value >> 16);
+            SR => return,
+            CR => effects.unmodelled_bits(value & !CR_EN1),
+            MCR => {
+                if self.is_enabled() && (value ^ self.bank[MCR]) & 7 != 0 {
+                    effects.violation(value, "DAC_MCR.MODE is written only while ENx = 0");
+                }
+                // The modes of the channels but "external pin with buffer" are not.
+                effects.unmodelled_bits(value & !MCR_HFSEL);
             }
-            SR => {}
-            CR => {
-                effects.unmodelled_bits(value & !CR_MODELLED);
-                self.bank.write(CR, value, effects);
-            }
-            MCR => self.write_mcr(value, effects),
-            _ => self.bank.write(offset, value, effects),
+            _ => {}
         }
+        self.bank.write(offset, value, effects);
     }
 
-    /// 12-bit code at the output of channel 1; 0 while it is off.
+    /// 12-bit code at the output; 0 while it is off.
     #[inline]
     pub fn output(&self) -> u16 {
-        if self.enabled(0) { self.codes[0].max(self.rest) } else { 0 }
+        if self.is_enabled() { (self.bank[DHR12R1] as u16).max(self.rest) } else { 0 }
     }
 
-    fn enabled(&self, channel: usize) -> bool {
-        self.bank[CR] & CR_EN[channel] != 0
-    }
-
-    fn set(&mut self, channel: usize, value: u32) {
-        self.codes[channel] = (value & 0xFFF) as u16;
-    }
-
-    fn write_mcr(&mut self, value: u32, effects: &mut Effects) {
-        for channel in 0..2 {
-            if self.enabled(channel) && (value ^ self.bank[MCR]) & (7 << (16 * channel)) != 0 {
-                effects.violation(value, "DAC_MCR.MODE is written only while ENx = 0");
-            }
-        }
-        effects.unmodelled_bits(value & !MCR_HFSEL);
-        self.bank.write(MCR, value, effects);
+    fn is_enabled(&self) -> bool {
+        self.bank[CR] & CR_EN1 != 0
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::facts;
 
     #[test]
     fn code_is_out_only_while_enabled() {
@@ -126,7 +80,7 @@ mod tests {
         assert_eq!(dac.output(), 0);
         dac.write(CR, 1, &mut effects);
         assert_eq!(dac.output(), 0xABC);
-        assert_eq!(dac.read(SR, &mut effects), SR_RDY[0]);
+        assert_eq!(dac.read(SR, &mut effects), SR_DAC1RDY);
         dac.set_rest_v(0.048);
         dac.reset();
         assert_eq!(dac.output(), 0);
@@ -139,16 +93,8 @@ mod tests {
         let (mut dac, mut effects) = (Dac::new(), Effects::default());
         dac.write(MCR, MCR_HFSEL, &mut effects);
         dac.write(CR, 1, &mut effects);
-        assert_eq!(effects.violation_count(), 0);
+        assert_eq!(effects.violation_count, 0);
         dac.write(MCR, MCR_HFSEL | 2, &mut effects);
-        assert_eq!(effects.violation_count(), 1);
-    }
-
-    #[test]
-    fn registers_are_those_of_st() {
-        super::super::registers::assert_offsets("DAC_TypeDef", REGISTERS);
-        assert_eq!(CR_EN, ["DAC_CR_EN1", "DAC_CR_EN2"].map(facts::bits));
-        assert_eq!(SR_RDY, ["DAC_SR_DAC1RDY", "DAC_SR_DAC2RDY"].map(facts::bits));
-        assert_eq!(MCR_HFSEL, facts::bits("DAC_MCR_HFSEL"));
+        assert_eq!(effects.violation_count, 1);
     }
 }

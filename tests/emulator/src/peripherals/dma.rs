@@ -6,44 +6,27 @@
 //! each transfer, and more on a busy bus: [`crate::faults::Fault::DmaLatency`]. Memory-to-memory transfers, synchronisation and request generators are not
 //! modelled. The data move through the board, which owns the bus.
 
-use super::{Effects, Request, interrupt};
+use super::{Effects, interrupt};
+use crate::st::DMA::{
+    CCR_CIRC as CIRC, CCR_DIR as DIR, CCR_EN as EN, CCR_HTIE as HTIE, CCR_MEM2MEM as MEM2MEM, CCR_MINC as MINC,
+    CCR_PINC as PINC, CCR_TCIE as TCIE, CCR_TEIE as TEIE, Channel_CCR as CCR, Channel_CMAR as CMAR,
+    Channel_CNDTR as CNDTR, Channel_CPAR as CPAR, IFCR, ISR, ISR_GIF1 as GIF, ISR_HTIF1 as HTIF, ISR_TCIF1 as TCIF,
+    ISR_TEIF1 as TEIF,
+};
+use crate::st::DMA1;
+use crate::st::DMAMUX::{
+    ChannelStatus_CFR as MUX_CFR, ChannelStatus_CSR as MUX_CSR, CxCR_EGE as MUX_EVENTS,
+    RequestGenStatus_RGCFR as MUX_RGCFR, RequestGenStatus_RGSR as MUX_RGSR,
+};
 
 /// Channels of both controllers: DMA1 has 0 to 7, DMA2 has 8 to 15. DMAMUX counts the same way.
 pub const CHANNELS: usize = 16;
 
-const ISR: u32 = 0x00;
-const IFCR: u32 = 0x04;
-const FIRST_CHANNEL: u32 = 0x08;
-const CHANNEL_SPAN: u32 = 20;
-/// Registers of a channel.
-const CCR: u32 = 0;
-const CNDTR: u32 = 4;
-const CPAR: u32 = 8;
-const CMAR: u32 = 12;
+const FIRST_CHANNEL: u32 = DMA1::Channel1_BASE - DMA1::BASE;
+const CHANNEL_SPAN: u32 = DMA1::Channel2_BASE - DMA1::Channel1_BASE;
 
 const MUX_LAST_CHANNEL: u32 = 0x3C;
-const MUX_CSR: u32 = 0x80;
-const MUX_CFR: u32 = 0x84;
-const MUX_RGSR: u32 = 0x140;
-const MUX_RGCFR: u32 = 0x144;
 const MUX_REQUEST: u32 = 0x7F;
-/// Event generation, which nothing here listens to.
-const MUX_EVENTS: u32 = 1 << 9;
-
-const EN: u32 = 1;
-const TCIE: u32 = 1 << 1;
-const HTIE: u32 = 1 << 2;
-const TEIE: u32 = 1 << 3;
-const DIR: u32 = 1 << 4;
-const CIRC: u32 = 1 << 5;
-const PINC: u32 = 1 << 6;
-const MINC: u32 = 1 << 7;
-const MEM2MEM: u32 = 1 << 14;
-
-const GIF: u32 = 1;
-const TCIF: u32 = 1 << 1;
-const HTIF: u32 = 1 << 2;
-const TEIF: u32 = 1 << 3;
 
 /// Width of one side of a transfer, in bytes: 1, 2 or 4.
 pub type Width = u32;
@@ -98,23 +81,10 @@ impl Channel {
         let peripheral_width = 1 << (self.ccr >> 8 & 3).min(2);
         let memory_width = 1 << (self.ccr >> 10 & 3).min(2);
         let step = |increment: u32, width: Width| if self.ccr & increment != 0 { self.moved * width } else { 0 };
-        let peripheral = self.cpar.wrapping_add(step(PINC, peripheral_width));
-        let memory = self.cmar.wrapping_add(step(MINC, memory_width));
-        if self.ccr & DIR != 0 {
-            Transfer {
-                source: memory,
-                source_width: memory_width,
-                destination: peripheral,
-                destination_width: peripheral_width,
-            }
-        } else {
-            Transfer {
-                source: peripheral,
-                source_width: peripheral_width,
-                destination: memory,
-                destination_width: memory_width,
-            }
-        }
+        let peripheral = (self.cpar.wrapping_add(step(PINC, peripheral_width)), peripheral_width);
+        let memory = (self.cmar.wrapping_add(step(MINC, memory_width)), memory_width);
+        let (from, to) = if self.ccr & DIR != 0 { (memory, peripheral) } else { (peripheral, memory) };
+        Transfer { source: from.0, source_width: from.1, destination: to.0, destination_width: to.1 }
     }
 }
 
@@ -224,7 +194,7 @@ impl Dma {
     }
 
     /// The channel of `channels` to serve next among the waiting requests `ready` (all of them wanted).
-    pub fn select(&self, ready: u128, channels: std::ops::Range<usize>) -> Option<(usize, Request)> {
+    pub fn select(&self, ready: u128, channels: std::ops::Range<usize>) -> Option<(usize, u8)> {
         let serves = |channel: &Channel| {
             let request = channel.listens_to();
             request != 0 && ready >> request & 1 != 0
@@ -232,7 +202,7 @@ impl Dma {
         let candidates =
             self.channels.iter().enumerate().filter(|(index, channel)| channels.contains(index) && serves(channel));
         let best = candidates.min_by_key(|(index, channel)| (3 - channel.priority(), *index));
-        best.map(|(index, channel)| (index, Request(channel.listens_to())))
+        best.map(|(index, channel)| (index, channel.listens_to()))
     }
 
     /// Whether `channel` is still enabled.
@@ -362,7 +332,7 @@ fn channel_register(offset: u32) -> Option<(usize, u32)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::facts::{self, assert_facts};
+    use crate::facts;
     use crate::peripherals::request;
 
     const CH3: u32 = FIRST_CHANNEL + 2 * CHANNEL_SPAN;
@@ -394,31 +364,20 @@ mod tests {
     fn write_rules_are_watched() {
         let (mut dma, mut effects) = ring(CIRC);
         dma.write(0, CH3 + CMAR, 0x2000_0000, &mut effects);
-        assert_eq!(effects.violation_count(), 0, "nothing was changed");
+        assert_eq!(effects.violation_count, 0, "nothing was changed");
         dma.write(0, CH3 + CMAR, 0x2000_0010, &mut effects);
         dma.write_multiplexer(8, 36, &mut effects);
-        assert_eq!(effects.violation_count(), 2);
+        assert_eq!(effects.violation_count, 2);
         dma.write_multiplexer(0, 36, &mut effects);
         dma.write(0, FIRST_CHANNEL + CNDTR, 1, &mut effects);
         dma.write(0, FIRST_CHANNEL + CCR, EN, &mut effects);
-        assert_eq!(effects.violation_count(), 3, "two channels share a request");
+        assert_eq!(effects.violation_count, 3, "two channels share a request");
     }
 
     #[test]
-    fn registers_are_those_of_st() {
-        assert_facts!("DMA_TypeDef."; ISR, IFCR);
-        assert_facts!("DMA_Channel_TypeDef."; CCR, CNDTR, CPAR, CMAR);
-        let [controller, first, second] = ["DMA1_BASE", "DMA1_Channel1_BASE", "DMA1_Channel2_BASE"].map(facts::bits);
-        assert_eq!((FIRST_CHANNEL, CHANNEL_SPAN), (first - controller, second - first));
-        assert_facts!("DMA_CCR_"; EN, TCIE, HTIE, TEIE, DIR, CIRC, PINC, MINC, MEM2MEM);
-        assert_facts!("DMA_ISR_"; GIF = "GIF1", TCIF = "TCIF1", HTIF = "HTIF1", TEIF = "TEIF1");
-        assert_facts!("DMAMUX_"; MUX_CSR = "ChannelStatus_TypeDef.CSR", MUX_CFR = "ChannelStatus_TypeDef.CFR");
-        assert_facts!("DMAMUX_"; MUX_RGSR = "RequestGenStatus_TypeDef.RGSR");
-        assert_facts!("DMAMUX_"; MUX_RGCFR = "RequestGenStatus_TypeDef.RGCFR", MUX_EVENTS = "CxCR_EGE");
-        let wide = Channel {
-            ccr: facts::bits("DMA_CCR_PSIZE_1") | facts::bits("DMA_CCR_MSIZE_0") | facts::bits("DMA_CCR_PL"),
-            ..Channel::default()
-        };
+    fn widths_and_priority_are_st_s_fields() {
+        let ccr = ["DMA_CCR_PSIZE_1", "DMA_CCR_MSIZE_0", "DMA_CCR_PL"].map(facts::bits).iter().sum();
+        let wide = Channel { ccr, ..Channel::default() };
         let Transfer { source_width, destination_width, .. } = wide.transfer();
         assert_eq!((source_width, destination_width, wide.priority()), (4, 2, 3));
     }

@@ -1,74 +1,54 @@
 //! What one peripheral does to the others: interrupt lines, DMA requests, triggers, resets,
-//! and the record of broken rules.
+//! and the record of broken rules; and registers that hold what is written, as tables.
 
 use super::Ticks;
 use crate::faults::Faults;
 use crate::memory::Bits;
 use std::collections::BTreeMap;
-
-/// Numbers by ST's names, and `ALL`, the table of them for a test.
-macro_rules! numbered {
-    ($type:ty; |$number:ident| $make:expr; $($name:ident = $value:literal,)+) => {
-        $(pub const $name: $type = { let $number = $value; $make };)+
-        #[cfg(test)]
-        pub const ALL: &[(&str, u32)] = &[$((stringify!($name), $value)),+];
-    };
-}
+use std::ops::{Index, IndexMut};
 
 /// Position of an interrupt in the vector table (RM0440, "Interrupt and exception vectors").
 pub mod interrupt {
-    numbered! { u8; |number| number;
-        PVD_PVM = 1,
-        FLASH = 4,
-        EXTI0 = 6,
-        DMA1_CHANNEL1 = 11,
-        ADC1_2 = 18,
-        USB_LP = 20,
-        EXTI9_5 = 23,
-        TIM2 = 28,
-        TIM3 = 29,
-        TIM4 = 30,
-        USART1 = 37,
-        EXTI15_10 = 40,
-        ADC3 = 47,
-        TIM5 = 50,
-        DMA2_CHANNEL1 = 56,
-        ADC4 = 61,
-        ADC5 = 62,
-        LPUART1 = 91,
-        DMA1_CHANNEL8 = 96,
-        DMA2_CHANNEL6 = 97,
-    }
+    use crate::st;
+
+    pub const PVD_PVM: u8 = st::PVD::PVM_IRQn as u8;
+    pub const FLASH: u8 = st::FLASH::IRQn as u8;
+    pub const EXTI0: u8 = st::EXTI0::IRQn as u8;
+    pub const DMA1_CHANNEL1: u8 = st::DMA1::Channel1_IRQn as u8;
+    pub const ADC1_2: u8 = st::ADC1::_2_IRQn as u8;
+    pub const USB_LP: u8 = st::USB::LP_IRQn as u8;
+    pub const EXTI9_5: u8 = st::EXTI9::_5_IRQn as u8;
+    pub const TIM2: u8 = st::TIM2::IRQn as u8;
+    pub const TIM3: u8 = st::TIM3::IRQn as u8;
+    pub const TIM4: u8 = st::TIM4::IRQn as u8;
+    pub const USART1: u8 = st::USART1::IRQn as u8;
+    pub const EXTI15_10: u8 = st::EXTI15::_10_IRQn as u8;
+    pub const ADC3: u8 = st::ADC3::IRQn as u8;
+    pub const TIM5: u8 = st::TIM5::IRQn as u8;
+    pub const DMA2_CHANNEL1: u8 = st::DMA2::Channel1_IRQn as u8;
+    pub const ADC4: u8 = st::ADC4::IRQn as u8;
+    pub const ADC5: u8 = st::ADC5::IRQn as u8;
+    pub const LPUART1: u8 = st::LPUART1::IRQn as u8;
+    pub const DMA1_CHANNEL8: u8 = st::DMA1::Channel8_IRQn as u8;
+    pub const DMA2_CHANNEL6: u8 = st::DMA2::Channel6_IRQn as u8;
 }
 
-/// Number of a DMA request line.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Request(pub u8);
-
-impl Request {
-    /// The request `offset` lines on: ADC4 and ADC5 follow ADC3, channels 2 to 4 and the update follow channel 1 of a timer.
-    pub fn after(self, offset: u8) -> Self {
-        Self(self.0 + offset)
-    }
-}
-
-/// RM0440, "DMAMUX: assignment of multiplexer inputs to resources".
+/// Numbers of DMA request lines; ADC4 and ADC5 follow ADC3, channels 2 to 4 and the update follow channel 1 of a timer
+/// (RM0440, "DMAMUX: assignment of multiplexer inputs to resources").
 pub mod request {
-    use super::Request;
+    use crate::st::LL;
 
-    numbered! { Request; |number| Request(number);
-        ADC1 = 5,
-        USART1_RX = 24,
-        USART1_TX = 25,
-        LPUART1_RX = 34,
-        LPUART1_TX = 35,
-        ADC2 = 36,
-        ADC3 = 37,
-        TIM2_CH1 = 56,
-        TIM3_CH1 = 61,
-        TIM4_CH1 = 67,
-        TIM5_CH1 = 72,
-    }
+    pub const ADC1: u8 = LL::DMAMUX_REQ_ADC1 as u8;
+    pub const USART1_RX: u8 = LL::DMAMUX_REQ_USART1_RX as u8;
+    pub const USART1_TX: u8 = LL::DMAMUX_REQ_USART1_TX as u8;
+    pub const LPUART1_RX: u8 = LL::DMAMUX_REQ_LPUART1_RX as u8;
+    pub const LPUART1_TX: u8 = LL::DMAMUX_REQ_LPUART1_TX as u8;
+    pub const ADC2: u8 = LL::DMAMUX_REQ_ADC2 as u8;
+    pub const ADC3: u8 = LL::DMAMUX_REQ_ADC3 as u8;
+    pub const TIM2_CH1: u8 = LL::DMAMUX_REQ_TIM2_CH1 as u8;
+    pub const TIM3_CH1: u8 = LL::DMAMUX_REQ_TIM3_CH1 as u8;
+    pub const TIM4_CH1: u8 = LL::DMAMUX_REQ_TIM4_CH1 as u8;
+    pub const TIM5_CH1: u8 = LL::DMAMUX_REQ_TIM5_CH1 as u8;
 }
 
 /// Trigger outputs (TRGO) of the general-purpose timers.
@@ -98,7 +78,7 @@ pub enum ResetCause {
     Pin,
     /// SYSRESETREQ.
     Software,
-    /// The independent watchdog ran out, or was fed outside its window.
+    /// The independent watchdog ran out.
     Watchdog,
 }
 
@@ -123,10 +103,12 @@ pub struct Effects {
     pub now: Ticks,
     pub pc: u32,
     pub address: u32,
-    lines: [u32; 4],
+    /// Levels of the interrupt lines.
+    pub lines: [u32; 4],
     /// The core or the machine has to look: lines, reset, NMI, stall, changed code or boot loader.
     pub attention: bool,
-    requests: u128,
+    /// DMA requests that wait, bit n for request n.
+    pub requests: u128,
     triggers: u16,
     pub reset: Option<ResetCause>,
     pub nmi: bool,
@@ -142,19 +124,17 @@ pub struct Effects {
     pub chance: Bits,
     /// Phase of the converters' clock, in ticks of any period.
     pub clock_phase: Ticks,
-    violations: Vec<Violation>,
-    violation_count: u64,
-    unmodelled: BTreeMap<u32, u64>,
+    /// Broken rules in order; at most a thousand are kept.
+    pub violations: Vec<Violation>,
+    pub violation_count: u64,
+    /// Addresses that no model knows, with the number of accesses.
+    pub unmodelled: BTreeMap<u32, u64>,
 }
 
 impl Effects {
     #[cfg(test)]
     pub fn starting_at(now: Ticks) -> Self {
         Self { now, ..Self::default() }
-    }
-
-    pub fn now(&self) -> Ticks {
-        self.now
     }
 
     /// Sets the level of interrupt line `number` (see [`interrupt`]).
@@ -166,26 +146,16 @@ impl Effects {
         self.attention |= self.lines[word] != before;
     }
 
-    pub fn lines(&self) -> &[u32; 4] {
-        &self.lines
-    }
-
     /// Raises a DMA request. It stays until a channel serves it or it is withdrawn.
     #[inline]
-    pub fn request(&mut self, request: Request) {
-        self.requests |= 1 << request.0;
+    pub fn request(&mut self, request: u8) {
+        self.requests |= 1 << request;
     }
 
     /// Takes a DMA request back: its cause is gone (data read, DMA enable bit cleared).
     #[inline]
-    pub fn withdraw(&mut self, request: Request) {
-        self.requests &= !(1 << request.0);
-    }
-
-    /// DMA requests that wait, bit n for request n.
-    #[inline]
-    pub fn pending_requests(&self) -> u128 {
-        self.requests
+    pub fn withdraw(&mut self, request: u8) {
+        self.requests &= !(1 << request);
     }
 
     /// Sends an edge of a timer's trigger output.
@@ -263,53 +233,66 @@ impl Effects {
     pub fn unmodelled(&mut self) {
         *self.unmodelled.entry(self.address).or_default() += 1;
     }
+}
 
-    /// Broken rules in order; at most a thousand are kept.
-    pub fn violations(&self) -> &[Violation] {
-        &self.violations
+/// Offset, value after reset, and the bits that a write sets or clears; the others stay as after reset. With no such bits a
+/// register reads as after reset; that it is written no model knows, unless the unit's own code answers for it.
+pub type Register = (u32, u32, u32);
+
+pub const ALL: u32 = u32::MAX;
+
+#[derive(Clone, Debug)]
+pub struct Bank {
+    table: &'static [Register],
+    words: [u32; 46],
+}
+
+impl Bank {
+    pub fn new(table: &'static [Register]) -> Self {
+        let mut bank = Self { table, words: [0; 46] };
+        bank.reset();
+        bank
     }
 
-    /// Number of broken rules, kept or not.
-    pub fn violation_count(&self) -> u64 {
-        self.violation_count
+    pub fn reset(&mut self) {
+        for &(offset, reset, _) in self.table {
+            self[offset] = reset;
+        }
     }
 
-    /// Addresses that no model knows, with the number of accesses.
-    pub fn unmodelled_accesses(&self) -> &BTreeMap<u32, u64> {
-        &self.unmodelled
+    /// Bits that a write to the register keeps, if there is one.
+    fn keeps(&self, offset: u32) -> Option<u32> {
+        self.table.iter().find(|register| register.0 == offset).map(|register| register.2)
+    }
+
+    pub fn read(&self, offset: u32, effects: &mut Effects) -> u32 {
+        if self.keeps(offset).is_none() {
+            effects.unmodelled();
+            return 0;
+        }
+        self[offset]
+    }
+
+    pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
+        match self.keeps(offset) {
+            None | Some(0) => effects.unmodelled(),
+            Some(keeps) => self[offset] = self[offset] & !keeps | value & keeps,
+        }
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::facts;
+impl Index<u32> for Bank {
+    type Output = u32;
 
-    #[test]
-    fn interrupts_are_those_of_st() {
-        for (name, number) in interrupt::ALL {
-            let name = name.replace("CHANNEL", "Channel");
-            assert_eq!(*number, facts::bits(&format!("{name}_IRQn")), "{name}");
-        }
+    #[inline]
+    fn index(&self, offset: u32) -> &u32 {
+        &self.words[(offset / 4) as usize]
     }
+}
 
-    #[test]
-    fn requests_are_those_of_st() {
-        let after = |name, number: &u32, by| (name, number + by);
-        let [_, _, _, _, _, _, (_, adc3), (_, tim2), (_, tim3), (_, tim4), (_, tim5)] = request::ALL else { panic!() };
-        let following = [
-            after("ADC4", adc3, 1),
-            after("ADC5", adc3, 2),
-            after("TIM2_CH2", tim2, 1),
-            after("TIM2_CH3", tim2, 2),
-            after("TIM2_CH4", tim2, 3),
-            after("TIM2_UP", tim2, 4),
-            after("TIM3_UP", tim3, 4),
-            after("TIM4_UP", tim4, 4),
-            after("TIM5_UP", tim5, 4),
-        ];
-        for (name, number) in request::ALL.iter().copied().chain(following) {
-            assert_eq!(number, facts::bits(&format!("LL_DMAMUX_REQ_{name}")), "{name}");
-        }
+impl IndexMut<u32> for Bank {
+    #[inline]
+    fn index_mut(&mut self, offset: u32) -> &mut u32 {
+        &mut self.words[(offset / 4) as usize]
     }
 }

@@ -1,24 +1,26 @@
 //! Extended interrupts and events: lines 0 to 15 (pins) and 16 (voltage detector) (RM0440,
 //! "Extended interrupts and events controller").
 
-use super::registers::{ALL, Bank, registers};
+use super::effects::{ALL, Bank, Register};
 use super::{Edge, Effects, interrupt};
 
-registers! {
-    IMR1 = 0x00, reset IMR1_RESET, keeps ALL;
-    EMR1 = 0x04;
-    RTSR1 = 0x08, keeps ALL;
-    FTSR1 = 0x0C, keeps ALL;
-    SWIER1 = 0x10;
-    PR1 = 0x14;
-    IMR2 = 0x20, reset IMR2_RESET, keeps ALL;
-    EMR2 = 0x24;
-    RTSR2 = 0x28;
-    PR2 = 0x34;
-}
+use crate::st::EXTI::{EMR1, EMR2, FTSR1, IMR1, IMR2, PR1, PR2, RTSR1, RTSR2, SWIER1};
+
+const REGISTERS: &[Register] = &[
+    (IMR1, IMR1_RESET, ALL),
+    (EMR1, 0, 0),
+    (RTSR1, 0, ALL),
+    (FTSR1, 0, ALL),
+    (SWIER1, 0, 0),
+    (PR1, 0, 0),
+    (IMR2, IMR2_RESET, ALL),
+    (EMR2, 0, 0),
+    (RTSR2, 0, 0),
+    (PR2, 0, 0),
+];
 
 /// EXTI line of the voltage detector's output.
-pub const PVD_LINE: u8 = 16;
+pub const PVD_LINE: u8 = crate::st::LL::EXTI_LINE_16.trailing_zeros() as u8;
 /// Lines that some model drives.
 const MODELLED: u32 = 0x1_FFFF;
 /// Direct lines are unmasked after reset.
@@ -97,19 +99,13 @@ mod tests {
         exti.write(RTSR1, 1 << PVD_LINE, &mut effects);
         exti.edge(PVD_LINE, Edge::Falling, &mut effects);
         exti.edge(13, Edge::Rising, &mut effects);
-        assert_eq!(effects.lines(), &[0; 4]);
+        assert_eq!(effects.lines, [0; 4]);
         exti.edge(PVD_LINE, Edge::Rising, &mut effects);
-        assert_eq!(effects.lines(), &[1 << interrupt::PVD_PVM, 0, 0, 0]);
+        assert_eq!(effects.lines, [1 << interrupt::PVD_PVM, 0, 0, 0]);
         exti.write(PR1, 1 << PVD_LINE, &mut effects);
-        assert_eq!(effects.lines(), &[0; 4]);
+        assert_eq!(effects.lines, [0; 4]);
         exti.write(FTSR1, 1 << 13, &mut effects);
         exti.edge(13, Edge::Falling, &mut effects);
-        assert_eq!(effects.lines(), &[0, 1 << (interrupt::EXTI15_10 - 32), 0, 0]);
-    }
-
-    #[test]
-    fn registers_are_those_of_st() {
-        super::super::registers::assert_offsets("EXTI_TypeDef", REGISTERS);
-        assert_eq!(1 << PVD_LINE, crate::facts::bits("LL_EXTI_LINE_16"));
+        assert_eq!(effects.lines, [0, 1 << (interrupt::EXTI15_10 - 32), 0, 0]);
     }
 }

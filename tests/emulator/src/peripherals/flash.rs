@@ -1,59 +1,32 @@
 //! Interface of the embedded flash memory in dual-bank mode (RM0440, "Embedded flash memory").
 //!
-//! Modelled: latency, unlocking, programming of double words, erasure of pages and banks with
+//! Modelled: latency, unlocking, programming of double words, erasure of pages with
 //! their duration, error flags, the stall of accesses to a busy bank, and ECC errors of double
-//! words whose programming was cut short. Not modelled: fast programming, option bytes,
+//! words whose programming was cut short. Not modelled: fast programming, erasure of banks, option bytes,
 //! write and read protection.
 
 use super::{Effects, TICKS_PER_SECOND, Ticks, interrupt};
 use crate::faults::Fault;
 use crate::memory::{BANK_BYTES, DOUBLE_WORD_BYTES, FLASH_BASE, FLASH_BYTES, FlashArray, PAGE_BYTES, load};
-
-const ACR: u32 = 0x00;
-const PDKEYR: u32 = 0x04;
-const KEYR: u32 = 0x08;
-const OPTKEYR: u32 = 0x0C;
-const SR: u32 = 0x10;
-const CR: u32 = 0x14;
-const ECCR: u32 = 0x18;
-const OPTR: u32 = 0x20;
-
-const KEY1: u32 = 0x4567_0123;
-const KEY2: u32 = 0xCDEF_89AB;
+use crate::st::FLASH::{
+    ACR, ACR_LATENCY as LATENCY, CR, CR_BKER as BKER, CR_EOPIE as EOPIE, CR_ERRIE as ERRIE, CR_LOCK as LOCK,
+    CR_OPTLOCK as OPTLOCK, CR_PER as PER, CR_PG as PG, CR_PNB, CR_STRT as STRT, ECCR, ECCR_BK_ECC as BK_ECC,
+    ECCR_ECCD as ECCD, KEY1, KEY2, KEYR, OPTKEYR, OPTR, PDKEYR, SR, SR_BSY as BSY, SR_EOP as EOP, SR_PGAERR as PGAERR,
+    SR_PGSERR as PGSERR, SR_PROGERR as PROGERR, SR_SIZERR as SIZERR,
+};
 
 const ACR_RESET: u32 = 0x0004_0600;
-const LATENCY: u32 = 0xF;
 
-const EOP: u32 = 1;
-const PROGERR: u32 = 1 << 3;
-const PGAERR: u32 = 1 << 5;
-const SIZERR: u32 = 1 << 6;
-const PGSERR: u32 = 1 << 7;
 const ERRORS: u32 = PROGERR | PGAERR | SIZERR | PGSERR;
-const BSY: u32 = 1 << 16;
 
-const PG: u32 = 1;
-const PER: u32 = 1 << 1;
-const MER1: u32 = 1 << 2;
-const BKER: u32 = 1 << 11;
-const MER2: u32 = 1 << 15;
-const STRT: u32 = 1 << 16;
-const EOPIE: u32 = 1 << 24;
-const ERRIE: u32 = 1 << 25;
-const OPTLOCK: u32 = 1 << 30;
-const LOCK: u32 = 1 << 31;
-/// PG, PER, MER1, PNB, BKER, MER2, STRT, EOPIE, ERRIE and both locks.
-const CR_MODELLED: u32 = 0x3FF | BKER | MER2 | STRT | EOPIE | ERRIE | OPTLOCK | LOCK;
-
-const ECCD: u32 = 1 << 31;
-const BK_ECC: u32 = 1 << 21;
+const CR_MODELLED: u32 = PG | PER | CR_PNB | BKER | STRT | EOPIE | ERRIE | OPTLOCK | LOCK;
 
 /// Option bytes as delivered: no protection, dual bank, brown-out level 0, watchdog by software.
 const OPTR_DELIVERED: u32 = 0xFFEF_F8AA;
 
 /// Programming of a double word: 81.7 µs (data sheet, t_prog, typical; 83.35 at most).
 const PROGRAM_TICKS: Ticks = 817 * TICKS_PER_SECOND / 10_000_000;
-/// Erasure of a page or a bank: 22.02 ms (data sheet, t_ERASE, typical; 24.47 at most).
+/// Erasure of a page: 22.02 ms (data sheet, t_ERASE, typical; 24.47 at most).
 const ERASE_TICKS: Ticks = 2_202 * TICKS_PER_SECOND / 100_000;
 
 #[derive(Clone, Copy, Debug)]
@@ -125,7 +98,7 @@ impl Flash {
     /// Reset or loss of power: an operation under way leaves torn cells.
     pub fn reset(&mut self, effects: &Effects) {
         if let Some(operation) = self.operation.take() {
-            let granted = (effects.now() - operation.started) as f64 / (operation.done - operation.started) as f64;
+            let granted = (effects.now - operation.started) as f64 / (operation.done - operation.started) as f64;
             match operation.work {
                 Work::Program { offset, .. } if effects.faults.has(Fault::FlashTornOnes) => {
                     self.array.tear_unseen(offset);
@@ -234,7 +207,7 @@ impl Flash {
 
     /// Writes to cells, which programs them (RM0440, "Flash main memory programming sequences").
     pub fn store(&mut self, offset: usize, width: u32, value: u32, effects: &mut Effects) {
-        let error = if self.cr & LOCK != 0 || self.cr & PG == 0 || self.cr & (PER | MER1 | MER2) != 0 {
+        let error = if self.cr & LOCK != 0 || self.cr & PG == 0 || self.cr & PER != 0 {
             Some((PGSERR, "flash is programmed only while PG alone is set"))
         } else if self.operation.is_some() {
             Some((PGSERR, "flash is programmed only while BSY = 0"))
@@ -313,7 +286,7 @@ impl Flash {
             Some((offset, length)) if self.sr & ERRORS == 0 && value & PG == 0 => {
                 self.begin(Work::Erase { offset, length }, ERASE_TICKS, effects);
             }
-            _ => self.fail(PGSERR, value, "STRT is set with one of PER, MER1, MER2 and without error flags", effects),
+            _ => self.fail(PGSERR, value, "STRT is set with PER and without error flags", effects),
         }
         if self.operation.is_none() {
             self.cr &= !STRT;
@@ -322,20 +295,13 @@ impl Flash {
 
     /// What FLASH_CR selects for erasure: offset and length.
     fn erasure(&self) -> Option<(usize, usize)> {
-        match self.cr & (PER | MER1 | MER2) {
-            PER => {
-                let page = (self.cr >> 3 & 0x7F) as usize;
-                let bank = if self.cr & BKER != 0 { BANK_BYTES } else { 0 };
-                Some((bank + page * PAGE_BYTES, PAGE_BYTES))
-            }
-            MER1 => Some((0, BANK_BYTES)),
-            MER2 => Some((BANK_BYTES, BANK_BYTES)),
-            _ => None,
-        }
+        let page = (self.cr >> 3 & 0x7F) as usize;
+        let bank = if self.cr & BKER != 0 { BANK_BYTES } else { 0 };
+        (self.cr & PER != 0).then_some((bank + page * PAGE_BYTES, PAGE_BYTES))
     }
 
     fn begin(&mut self, work: Work, duration: Ticks, effects: &mut Effects) {
-        let operation = Operation { work, started: effects.now(), done: effects.now() + duration };
+        let operation = Operation { work, started: effects.now, done: effects.now + duration };
         self.operation = Some(operation);
         // The core cannot fetch from a busy bank: it stands still where it is.
         let fetching = effects.pc.wrapping_sub(FLASH_BASE) as usize;
@@ -361,7 +327,7 @@ impl Flash {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::facts::{self, assert_facts};
+    use crate::facts;
 
     /// Page 3 of bank 2.
     const OFFSET: usize = BANK_BYTES + 3 * PAGE_BYTES;
@@ -389,7 +355,7 @@ mod tests {
         let (mut flash, mut effects) = (Flash::new(FlashArray::erased()), Effects::default());
         flash.write(CR, PG, &mut effects);
         flash.store(OFFSET, 4, 0, &mut effects);
-        assert_eq!((flash.read(SR, &mut effects), effects.violation_count()), (PGSERR, 2));
+        assert_eq!((flash.read(SR, &mut effects), effects.violation_count), (PGSERR, 2));
         let (mut flash, mut effects) = unlocked();
         flash.write(CR, PG, &mut effects);
         flash.store(OFFSET, 2, 0, &mut effects);
@@ -456,14 +422,9 @@ mod tests {
     }
 
     #[test]
-    fn registers_and_times_are_those_of_st() {
-        assert_facts!("FLASH_TypeDef."; ACR, PDKEYR, KEYR, OPTKEYR, SR, CR, ECCR, OPTR);
-        assert_facts!("FLASH_"; KEY1, KEY2, LATENCY = "ACR_LATENCY", ECCD = "ECCR_ECCD", BK_ECC = "ECCR_BK_ECC");
-        assert_facts!("FLASH_SR_"; EOP, PROGERR, PGAERR, SIZERR, PGSERR, BSY);
-        assert_facts!("FLASH_CR_"; PG, PER, MER1, BKER, MER2, STRT, EOPIE, ERRIE, OPTLOCK, LOCK);
-        assert_eq!(CR_MODELLED & 0x3FF, PG | PER | MER1 | facts::bits("FLASH_CR_PNB"));
-        assert_eq!(OPTR_DELIVERED & facts::bits("FLASH_OPTR_DBANK"), facts::bits("FLASH_OPTR_DBANK"));
+    fn times_are_those_of_the_data_sheet() {
         let ticks = |name, unit_s: f64| (facts::number(name) * unit_s * TICKS_PER_SECOND as f64).round() as Ticks;
         assert_eq!((PROGRAM_TICKS, ERASE_TICKS), (ticks("t_prog", 1e-6), ticks("t_ERASE", 1e-3)));
+        assert_eq!(OPTR_DELIVERED & facts::bits("FLASH_OPTR_DBANK"), facts::bits("FLASH_OPTR_DBANK"));
     }
 }

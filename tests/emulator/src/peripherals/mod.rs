@@ -38,7 +38,6 @@ pub(crate) mod gpio;
 pub(crate) mod plain;
 pub(crate) mod power;
 pub(crate) mod rcc;
-pub(crate) mod registers;
 pub(crate) mod timer;
 pub(crate) mod uart;
 pub(crate) mod usb;
@@ -48,7 +47,7 @@ pub use uart::SentByte;
 pub use usb::{READ_WHILE_RECEIVING, UsbPort, WRITTEN_WHILE_SENDING};
 
 pub use effects::ResetCause;
-pub(crate) use effects::{Edge, Effects, Request, Trigger, interrupt, request};
+pub(crate) use effects::{Bank, Edge, Effects, Trigger, interrupt, request};
 
 /// Periods of the 170 MHz core clock since power-on. The core starts on the 16 MHz
 /// oscillator until it selects the PLL; every core cycle counts as one tick all the same.

@@ -2,31 +2,25 @@
 //! the CRC unit.
 
 use super::Effects;
-use super::registers::Bank;
-#[cfg(test)]
-use super::registers::assert_offsets;
+use super::effects::Bank;
+use crate::st::TAMP::{BKP0R, BKP31R};
 
 /// Clock recovery system. The 48 MHz oscillator is taken as exact, so there is nothing to trim (RM0440, "Clock recovery
 /// system").
 pub mod crs {
-    use super::super::registers::{ALL, registers};
+    use super::super::effects::{ALL, Register};
     use super::{Bank, Effects};
 
-    registers! {
-        CR = 0x00, reset 0x4000, keeps ALL;
-        CFGR = 0x04, reset 0x2022_BB7F, keeps ALL;
-        ISR = 0x08;
-        ICR = 0x0C;
-    }
+    use crate::st::CRS::{CFGR, CR, CR_CEN, ICR, ISR};
 
-    /// CEN: the frequency error counter runs.
-    pub const CEN: u32 = 1 << 5;
+    pub const REGISTERS: &[Register] = &[(CR, 0x4000, ALL), (CFGR, 0x2022_BB7F, ALL), (ISR, 0, 0), (ICR, 0, 0)];
+
     const INTERRUPTS: u32 = 0xF;
 
     pub fn write(bank: &mut Bank, offset: u32, value: u32, effects: &mut Effects) {
         match offset {
             CR => effects.unmodelled_bits(value & INTERRUPTS),
-            CFGR if bank[CR] & CEN != 0 && value != bank[CFGR] => {
+            CFGR if bank[CR] & CR_CEN != 0 && value != bank[CFGR] => {
                 effects.violation(value, "CRS_CFGR is written only while CEN = 0");
             }
             ICR => return,
@@ -39,18 +33,20 @@ pub mod crs {
 /// System configuration controller: the port of each external interrupt line, which nothing drives here (RM0440, "System
 /// configuration controller"). The boot loader is not executed, so what it finds at 0 does not matter.
 pub mod syscfg {
-    use super::super::registers::{ALL, registers};
+    use super::super::effects::{ALL, Register};
 
-    registers! {
-        MEMRMP = 0x00, keeps 0x107;
-        CFGR1 = 0x04, reset 0x7C00_0001, keeps ALL;
-        EXTICR = 0x08, keeps 0x7777;
-        EXTICR2 = 0x0C, keeps 0x7777;
-        EXTICR3 = 0x10, keeps 0x7777;
-        EXTICR4 = 0x14, keeps 0x7777;
-        SCSR = 0x18;
-        CFGR2 = 0x1C;
-    }
+    use crate::st::SYSCFG::{CFGR1, CFGR2, EXTICR, MEMRMP, SCSR};
+
+    pub const REGISTERS: &[Register] = &[
+        (MEMRMP, 0, 0x107),
+        (CFGR1, 0x7C00_0001, ALL),
+        (EXTICR, 0, 0x7777),
+        (EXTICR + 4, 0, 0x7777),
+        (EXTICR + 8, 0, 0x7777),
+        (EXTICR + 12, 0, 0x7777),
+        (SCSR, 0, 0),
+        (CFGR2, 0, 0),
+    ];
 }
 
 /// Backup registers of the tamper block (RM0440, "Tamper and backup registers"). They outlive
@@ -59,9 +55,6 @@ pub mod syscfg {
 pub struct Backup {
     registers: [u32; 32],
 }
-
-const BKP0R: u32 = 0x100;
-const BKP31R: u32 = 0x17C;
 
 impl Backup {
     pub fn read(&self, offset: u32, effects: &mut Effects) -> u32 {
@@ -89,25 +82,19 @@ impl Backup {
 /// A word takes four cycles of the bus, and the next one may be written meanwhile (RM0440, "CRC functional
 /// description"): here its checksum is there at once.
 pub mod crc {
-    use super::super::registers::{ALL, registers};
+    use super::super::effects::{ALL, Register};
     use super::{Bank, Effects};
 
-    registers! {
-        /// The checksum, its bits not reversed.
-        DR = 0x00, reset u32::MAX;
-        IDR = 0x04, keeps ALL;
-        CR = 0x08, keeps CR_REV_IN | CR_REV_OUT;
-        INIT = 0x10, reset u32::MAX, keeps ALL;
-        POL = 0x14, reset ETHERNET, keeps ALL;
-    }
+    use crate::st::CRC::{CR, CR_POLYSIZE, CR_RESET, CR_REV_IN, CR_REV_OUT, DR, IDR, INIT, POL};
 
-    const CR_RESET: u32 = 1 << 0;
-    const CR_POLYSIZE: u32 = 0b11 << 3;
-    const CR_REV_IN: u32 = 0b11 << 5;
-    const CR_REV_OUT: u32 = 1 << 7;
-
-    /// POL after reset: the polynomial of Ethernet.
-    const ETHERNET: u32 = 0x04C1_1DB7;
+    pub const REGISTERS: &[Register] = &[
+        // The checksum, its bits not reversed.
+        (DR, u32::MAX, 0),
+        (IDR, 0, ALL),
+        (CR, 0, CR_REV_IN | CR_REV_OUT),
+        (INIT, u32::MAX, ALL),
+        (POL, crate::st::DEFAULT::CRC32_POLY, ALL),
+    ];
 
     #[derive(Debug)]
     pub struct Crc(Bank);
@@ -133,6 +120,8 @@ pub mod crc {
             match offset {
                 CR => {
                     effects.unmodelled_bits(value & CR_POLYSIZE);
+                    // Bytes and halves, reversed where they are.
+                    effects.unmodelled_bits(if value & CR_REV_IN == CR_REV_IN { 0 } else { value & CR_REV_IN });
                     if value & CR_RESET != 0 {
                         self.0[DR] = self.0[INIT];
                     }
@@ -143,12 +132,7 @@ pub mod crc {
         }
 
         fn add(&mut self, word: u32) {
-            let word = match (self.0[CR] & CR_REV_IN) >> CR_REV_IN.trailing_zeros() {
-                0 => word,
-                1 => word.swap_bytes().reverse_bits(),
-                2 => word.rotate_left(16).reverse_bits(),
-                _ => word.reverse_bits(),
-            };
+            let word = if self.0[CR] & CR_REV_IN != 0 { word.reverse_bits() } else { word };
             let polynomial = self.0[POL];
             self.0[DR] =
                 (0..32).fold(self.0[DR] ^ word, |sum, _| if sum >> 31 != 0 { sum << 1 ^ polynomial } else { sum << 1 });
@@ -158,7 +142,6 @@ pub mod crc {
     #[cfg(test)]
     mod tests {
         use super::*;
-        use crate::facts::{self, assert_facts};
 
         /// "123456789" has CRC-32/ISO-HDLC 0xcbf43926 (catalogue of parametrised CRC algorithms); of its first eight bytes
         /// zlib's `crc32` gives 0x9ae0daaf.
@@ -175,27 +158,9 @@ pub mod crc {
                 }
                 assert_eq!(!crc.read(DR, &mut effects), 0x9ae0_daaf);
             }
-            assert_eq!(effects.unmodelled_accesses().len(), 0);
+            assert_eq!(effects.unmodelled.len(), 0);
             crc.write(CR, CR_POLYSIZE, &mut effects);
-            assert_eq!(effects.unmodelled_accesses().len(), 1, "7 bits");
-        }
-
-        #[test]
-        fn bytes_and_halves_are_reversed_where_they_are() {
-            let (mut crc, mut effects) = (Crc::new(), Effects::default());
-            for (code, seen) in [(0, 0x8000_0001_u32), (1, 0x0100_0080), (2, 0x0001_8000), (3, 0x8000_0001)] {
-                crc.write(CR, code << CR_REV_IN.trailing_zeros(), &mut effects);
-                crc.write(INIT, seen, &mut effects);
-                crc.write(DR, 0x8000_0001, &mut effects);
-                assert_eq!(crc.read(DR, &mut effects), 0, "{code}");
-            }
-        }
-
-        #[test]
-        fn registers_are_those_of_st() {
-            super::super::super::registers::assert_offsets("CRC_TypeDef", REGISTERS);
-            assert_facts!("CRC_"; CR_RESET, CR_POLYSIZE, CR_REV_IN, CR_REV_OUT);
-            assert_eq!(ETHERNET, facts::bits("DEFAULT_CRC32_POLY"));
+            assert_eq!(effects.unmodelled.len(), 1, "7 bits");
         }
     }
 }
@@ -203,13 +168,12 @@ pub mod crc {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::facts::assert_facts;
 
     #[test]
     fn backup_registers_need_backup_access() {
         let (mut backup, mut effects) = (Backup::default(), Effects::default());
         backup.write(BKP31R, 7, false, &mut effects);
-        assert_eq!((backup.read(BKP31R, &mut effects), effects.violation_count()), (0, 1));
+        assert_eq!((backup.read(BKP31R, &mut effects), effects.violation_count), (0, 1));
         backup.write(BKP31R, 7, true, &mut effects);
         assert_eq!(backup.read(BKP31R, &mut effects), 7);
     }
@@ -217,19 +181,10 @@ mod tests {
     #[test]
     fn clock_recovery_is_fixed_while_it_runs() {
         let (mut bank, mut effects) = (Bank::new(crs::REGISTERS), Effects::default());
-        crs::write(&mut bank, crs::CFGR, 0x1000_0000, &mut effects);
-        crs::write(&mut bank, crs::CR, crs::CEN, &mut effects);
-        assert_eq!(effects.violation_count(), 0);
-        crs::write(&mut bank, crs::CFGR, 0, &mut effects);
-        assert_eq!(effects.violation_count(), 1);
-    }
-
-    #[test]
-    fn registers_are_those_of_st() {
-        assert_facts!("TAMP_TypeDef."; BKP0R, BKP31R);
-        let (lines, others): (Vec<_>, Vec<_>) = syscfg::REGISTERS.iter().partition(|it| it.name.starts_with("EXTICR"));
-        assert_offsets("SYSCFG_TypeDef", others.into_iter().chain(lines.into_iter().take(1)));
-        assert_offsets("CRS_TypeDef", crs::REGISTERS);
-        assert_eq!(crs::CEN, crate::facts::bits("CRS_CR_CEN"));
+        crs::write(&mut bank, crate::st::CRS::CFGR, 0x1000_0000, &mut effects);
+        crs::write(&mut bank, crate::st::CRS::CR, crate::st::CRS::CR_CEN, &mut effects);
+        assert_eq!(effects.violation_count, 0);
+        crs::write(&mut bank, crate::st::CRS::CFGR, 0, &mut effects);
+        assert_eq!(effects.violation_count, 1);
     }
 }

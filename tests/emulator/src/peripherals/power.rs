@@ -2,30 +2,27 @@
 //! "Power control").
 
 use super::Effects;
-use super::registers::{ALL, Bank, registers};
+use super::effects::{ALL, Bank, Register};
+use crate::st::PWR::{CR1_DBP as DBP, CR2_PVDE as PVDE, CR5_R1MODE as R1MODE, SR2_PVDO as PVDO, SR2_REGLPS as REGLPS};
 
-registers! {
-    CR1 = 0x00, reset 0x0200, keeps ALL;
-    CR2 = 0x04, keeps 0xF;
-    /// Wake-up from standby and pulls in standby have no meaning without standby.
-    CR3 = 0x08, reset 0x8000, keeps ALL;
-    CR4 = 0x0C, keeps ALL;
-    SR1 = 0x10;
-    SR2 = 0x14;
-    SCR = 0x18;
-    PUCRA = 0x20;
-    PDCRG = 0x54;
-    CR5 = 0x80, reset R1MODE, keeps R1MODE;
-}
+use crate::st::PWR::{CR1, CR2, CR3, CR4, CR5, PDCRG, PUCRA, SCR, SR1, SR2};
 
-const DBP: u32 = 1 << 8;
+const REGISTERS: &[Register] = &[
+    (CR1, 0x0200, ALL),
+    (CR2, 0, 0xF),
+    // Wake-up from standby and pulls in standby have no meaning without standby.
+    (CR3, 0x8000, ALL),
+    (CR4, 0, ALL),
+    (SR1, 0, 0),
+    (SR2, 0, 0),
+    (SCR, 0, 0),
+    (PUCRA, 0, 0),
+    (PDCRG, 0, 0),
+    (CR5, R1MODE, R1MODE),
+];
+
 /// Low-power modes, voltage range 2 and low-power run.
 const CR1_UNMODELLED: u32 = 0b111 | 1 << 10 | 1 << 14;
-const PVDE: u32 = 1;
-const PVDO: u32 = 1 << 11;
-/// Main regulator started, as SR2 shows it.
-const REGLPS: u32 = 1 << 8;
-const R1MODE: u32 = 1 << 8;
 
 /// Falling thresholds of the voltage detector by PLS code, in volts (data sheet, "Embedded
 /// reset and power control block characteristics", V_PVD0 to V_PVD6, typical). The seventh code
@@ -102,7 +99,7 @@ impl Power {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::facts::{self, assert_facts};
+    use crate::facts;
 
     #[test]
     fn detector_has_its_threshold_and_hysteresis() {
@@ -122,11 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn registers_and_thresholds_are_those_of_st() {
-        super::super::registers::assert_offsets("PWR_TypeDef", REGISTERS);
-        assert_facts!("PWR_"; DBP = "CR1_DBP", PVDE = "CR2_PVDE", PVDO = "SR2_PVDO", REGLPS = "SR2_REGLPS");
-        assert_facts!("PWR_"; R1MODE = "CR5_R1MODE");
-        assert_eq!(facts::bits("PWR_CR2_PLS"), 7 << 1);
+    fn thresholds_are_those_of_the_data_sheet() {
         assert_eq!(PVD_FALLING_V, [0, 1, 2, 3, 4, 5, 6].map(|level| facts::number(&format!("V_PVD{level}_falling"))));
         assert_eq!(PVD_HYSTERESIS_V, facts::number("V_hyst_BOR_PVD"));
     }

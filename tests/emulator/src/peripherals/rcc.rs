@@ -6,86 +6,44 @@
 
 use super::{Effects, ResetCause, TICKS_PER_SECOND, Ticks};
 use crate::faults::Fault;
+use crate::st;
+use crate::st::RCC::{
+    AHB1ENR, AHB1RSTR, AHB1SMENR, APB1ENR1, APB1ENR1_TIM2EN, APB1ENR1_TIM5EN, APB2ENR, APB2RSTR, APB2SMENR, BDCR,
+    BDCR_BDRST as BDRST, CCIPR, CCIPR2, CFGR, CFGR_HPRE as HPRE, CFGR_HPRE_DIV2 as HPRE_HALF, CFGR_PPRE1, CFGR_PPRE2,
+    CFGR_SW as SW, CFGR_SW_PLL as SW_PLL, CICR, CIER, CIFR, CR, CR_CSSON as CSSON, CR_HSEON as HSEON,
+    CR_HSERDY as HSERDY, CR_HSION, CR_HSIRDY, CR_PLLON as PLLON, CR_PLLRDY, CRRCR, CSR, CSR_BORRSTF as BORRSTF,
+    CSR_IWDGRSTF as IWDGRSTF, CSR_PINRSTF as PINRSTF, CSR_RMVF as RMVF, CSR_SFTRSTF as SFTRSTF, ICSCR, PLLCFGR,
+    PLLCFGR_PLLP, PLLCFGR_PLLPDIV, PLLCFGR_PLLPEN as PLLPEN, PLLCFGR_PLLQEN as PLLQEN, PLLCFGR_PLLREN,
+};
 
-const CR: u32 = 0x00;
-const ICSCR: u32 = 0x04;
-const CFGR: u32 = 0x08;
-const PLLCFGR: u32 = 0x0C;
-const CIER: u32 = 0x18;
-const CIFR: u32 = 0x1C;
-const CICR: u32 = 0x20;
-const AHB1RSTR: u32 = 0x28;
-const APB2RSTR: u32 = 0x40;
-pub const AHB1ENR: u32 = 0x48;
-pub const AHB2ENR: u32 = 0x4C;
-pub const APB1ENR1: u32 = 0x58;
-pub const APB1ENR2: u32 = 0x5C;
-pub const APB2ENR: u32 = 0x60;
-const AHB1SMENR: u32 = 0x68;
-const APB2SMENR: u32 = 0x80;
-const CCIPR: u32 = 0x88;
-const BDCR: u32 = 0x90;
-const CSR: u32 = 0x94;
-const CRRCR: u32 = 0x98;
-const CCIPR2: u32 = 0x9C;
 const WORDS: usize = 0xA0 / 4;
 
-const PLLON: u32 = 1 << 24;
 /// (enable, ready) bits of HSI, HSE and PLL in RCC_CR.
-const CR_READY: [(u32, u32); 3] = [(1 << 8, 1 << 10), (1 << 16, 1 << 17), (PLLON, 1 << 25)];
-const SW: u32 = 0b11;
-const SW_PLL: u32 = 0b11;
-const PPRE: u32 = 0b11_1111 << 8;
-const HPRE: u32 = 0b1111 << 4;
-const HPRE_HALF: u32 = 0b1000 << 4;
+const CR_READY: [(u32, u32); 3] = [(CR_HSION, CR_HSIRDY), (HSEON, HSERDY), (PLLON, CR_PLLRDY)];
 const CSSF: u32 = 1 << 8;
-const CSSON: u32 = 1 << 19;
-const HSEON: u32 = 1 << 16;
-const HSERDY: u32 = 1 << 17;
-/// Start of the timers that schedule frames: TIM2 and TIM5 of RCC_APB1ENR1.
-const FRAME_TIMERS: u32 = 0b1001;
-const PLLPEN: u32 = 1 << 16;
-const PLLPEN_AND_DIVIDER: u32 = 0xF803_0000;
-const PLLQEN: u32 = 1 << 20;
-const BDRST: u32 = 1 << 16;
-const RMVF: u32 = 1 << 23;
+/// Start of the timers that schedule frames.
+const FRAME_TIMERS: u32 = APB1ENR1_TIM2EN | APB1ENR1_TIM5EN;
 const RESET_FLAGS: u32 = 0xFE00_0000;
-const PINRSTF: u32 = 1 << 26;
-const BORRSTF: u32 = 1 << 27;
-const SFTRSTF: u32 = 1 << 28;
-const IWDGRSTF: u32 = 1 << 29;
 
 /// High-speed internal oscillator, and the crystal of the NUCLEO-G474RE, in hertz.
-const HSI_HZ: u64 = 16_000_000;
-const HSE_HZ: u64 = 24_000_000;
-/// Start-up of the crystal: 2 ms (data sheet, t_SU(HSE), typical).
-const CRYSTAL_TICKS: Ticks = TICKS_PER_SECOND / 500;
-/// How long the bus stays at half speed after a switch above 80 MHz: 1 µs (RM0440, "Clock switching").
-const HALF_SPEED_TICKS: Ticks = TICKS_PER_SECOND / 1_000_000;
+const HSI_HZ: u64 = 1_000_000 * st::one_word::HSI16 as u64;
+const HSE_HZ: u64 = 1_000_000 * st::HSE::nucleo as u64;
+/// Start-up of the crystal, typical.
+const CRYSTAL_TICKS: Ticks = st::t::SU_HSE as u64 * TICKS_PER_SECOND / 1_000;
+/// How long the bus stays at half speed after a switch above 80 MHz (RM0440, "Clock switching").
+const HALF_SPEED_TICKS: Ticks = st::half::speed_time as u64 * TICKS_PER_SECOND / 1_000_000;
 
-/// A bit of one of the clock-enable registers; the reset register has the same layout.
+/// Bits of one of the clock-enable registers; the reset register has the same layout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Gate {
     pub register: u32,
     pub bit: u32,
 }
 
-/// Reset lines that a write has pulled.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Pulled {
-    /// The enable register of the same layout.
-    register: u32,
-    bits: u32,
-}
-
-impl Pulled {
-    pub fn is_empty(self) -> bool {
-        self.bits == 0
-    }
-
-    /// Whether the peripheral behind `gate` is among them.
-    pub fn includes(self, gate: Gate) -> bool {
-        gate.register == self.register && self.bits >> gate.bit & 1 != 0
+impl Gate {
+    /// Whether it has a bit of `other`.
+    pub fn meets(self, other: Self) -> bool {
+        self.register == other.register && self.bit & other.bit != 0
     }
 }
 
@@ -153,8 +111,8 @@ impl Rcc {
         }
     }
 
-    /// Writes a register. `backup_access`: PWR_CR1.DBP. Returns the resets that it pulls.
-    pub fn write(&mut self, offset: u32, value: u32, backup_access: bool, effects: &mut Effects) -> Pulled {
+    /// Writes a register. `backup_access`: PWR_CR1.DBP. Returns the resets that it pulls, as gates of the same layout.
+    pub fn write(&mut self, offset: u32, value: u32, backup_access: bool, effects: &mut Effects) -> Option<Gate> {
         let before = if is_register(offset) { self.get(offset) } else { 0 };
         match offset {
             CR => self.write_cr(value, effects),
@@ -171,7 +129,7 @@ impl Rcc {
             CRRCR => self.set(CRRCR, value & 1),
             AHB1RSTR..=APB2RSTR if is_register(offset) => {
                 self.set(offset, value);
-                return Pulled { register: offset + AHB1ENR - AHB1RSTR, bits: value & !before };
+                return Some(Gate { register: offset + AHB1ENR - AHB1RSTR, bit: value & !before });
             }
             APB1ENR1 => {
                 let is_slow = self.runs_from_pll() && !self.is_at_full_speed();
@@ -181,13 +139,13 @@ impl Rcc {
             _ if is_register(offset) => self.set(offset, value),
             _ => effects.unmodelled(),
         }
-        Pulled::default()
+        None
     }
 
     /// Whether the clock behind `gate` is on.
     #[inline]
     pub fn is_on(&self, gate: Gate) -> bool {
-        self.words[(gate.register / 4) as usize] >> gate.bit & 1 != 0
+        self.words[(gate.register / 4) as usize] & gate.bit != 0
     }
 
     /// The crystal stops. With the clock security system on, the non-maskable interrupt comes (RM0440, "Clock security
@@ -207,7 +165,7 @@ impl Rcc {
     /// Whether the crystal oscillates.
     fn has_crystal(&self, effects: &Effects) -> bool {
         let is_dead = effects.faults.has(Fault::HseDead);
-        self.get(CR) & HSEON != 0 && !is_dead && effects.now() >= self.crystal_since + CRYSTAL_TICKS
+        self.get(CR) & HSEON != 0 && !is_dead && effects.now >= self.crystal_since + CRYSTAL_TICKS
     }
 
     /// Whether the core runs from the PLL.
@@ -218,23 +176,6 @@ impl Rcc {
     /// Whether the backup domain is held in reset.
     pub fn holds_backup_domain(&self) -> bool {
         self.get(BDCR) & BDRST != 0
-    }
-
-    /// Period in half ticks of the asynchronous clock of ADC1/2 (group 0) or ADC3/4/5 (group 1);
-    /// 0: none selected. The PLL's oscillator runs at twice the core clock.
-    pub fn adc_clock_half_ticks(&self, group: u32) -> u64 {
-        match self.get(CCIPR) >> (28 + 2 * group) & 3 {
-            1 if self.get(PLLCFGR) & PLLPEN != 0 => {
-                let pll = self.get(PLLCFGR);
-                match (u64::from(pll >> 27), pll >> 17 & 1) {
-                    (0, 0) => 7,
-                    (0, _) => 17,
-                    (divider, _) => divider,
-                }
-            }
-            2 => 2,
-            _ => 0,
-        }
     }
 
     /// Whether the USB block gets its 48 MHz.
@@ -259,7 +200,7 @@ impl Rcc {
             effects.violation(value, "the PLL is switched off only while it is not the system clock");
         }
         if value & HSEON != 0 && self.get(CR) & HSEON == 0 {
-            self.crystal_since = effects.now();
+            self.crystal_since = effects.now;
         }
         if value & PLLON != 0 && self.get(CR) & PLLON == 0 && self.get(PLLCFGR) & 3 == 3 && !self.has_crystal(effects) {
             effects.violation(value, "the PLL is switched on only while its source is ready");
@@ -274,24 +215,24 @@ impl Rcc {
             return;
         }
         if !was_pll {
-            self.switched_at = effects.now();
+            self.switched_at = effects.now;
             if value & HPRE != HPRE_HALF {
                 effects.violation(value, "the system clock is raised above 80 MHz while HPRE = 2");
             }
-        } else if self.is_at_full_speed() && !was_full && effects.now() < self.switched_at + HALF_SPEED_TICKS {
+        } else if self.is_at_full_speed() && !was_full && effects.now < self.switched_at + HALF_SPEED_TICKS {
             effects.violation(value, "HPRE is set to 1 at least 1 µs after the system clock was raised above 80 MHz");
         }
         if self.get(CR) & PLLON == 0 {
             effects.violation(value, "the PLL is selected only while it is ready");
         }
-        effects.unmodelled_bits(value & PPRE);
+        effects.unmodelled_bits(value & (CFGR_PPRE1 | CFGR_PPRE2));
         effects.unmodelled_bits(if value & HPRE == HPRE_HALF { 0 } else { value & HPRE });
         effects.unmodelled_bits(u32::from(self.pll_hz() != TICKS_PER_SECOND));
     }
 
     fn write_pllcfgr(&mut self, value: u32, effects: &mut Effects) {
         // The outputs can be switched, and P divided, while the PLL runs; its loop cannot change.
-        let fixed = !(PLLPEN_AND_DIVIDER | PLLQEN | 1 << 24);
+        let fixed = !(PLLPEN | PLLCFGR_PLLP | PLLCFGR_PLLPDIV | PLLQEN | PLLCFGR_PLLREN);
         if self.get(CR) & PLLON != 0 && (value ^ self.get(PLLCFGR)) & fixed != 0 {
             effects.violation(value, "RCC_PLLCFGR is written only while the PLL is off");
         }
@@ -318,4 +259,102 @@ fn is_register(offset: u32) -> bool {
 }
 
 #[cfg(test)]
-mod tests;
+mod tests {
+    use super::*;
+    use crate::facts;
+    use crate::faults::Faults;
+
+    /// HSI / 4 × 85 / 2.
+    const PLL_170_MHZ: u32 = 2 | 3 << 4 | 85 << 8 | 1 << 24;
+
+    #[test]
+    fn oscillators_become_ready_and_the_switch_follows() {
+        let (mut rcc, mut effects) = (Rcc::new(), Effects::default());
+        rcc.write(PLLCFGR, PLL_170_MHZ, false, &mut effects);
+        rcc.write(CR, 1 << 8 | PLLON, false, &mut effects);
+        assert_eq!(rcc.read(CR, &mut effects), 1 << 8 | 1 << 10 | PLLON | 1 << 25);
+        rcc.write(CFGR, HPRE_HALF | 3, false, &mut effects);
+        effects.now += HALF_SPEED_TICKS;
+        rcc.write(CFGR, 3, false, &mut effects);
+        assert_eq!(rcc.read(CFGR, &mut effects), 0b1111);
+        assert_eq!((effects.violation_count, effects.unmodelled.len()), (0, 0));
+        rcc.write(PLLCFGR, PLL_170_MHZ + (1 << 8), false, &mut effects);
+        rcc.write(CR, 1 << 8, false, &mut effects);
+        assert_eq!(effects.violation_count, 2);
+        let (mut rcc, mut effects) = (Rcc::new(), Effects::default());
+        rcc.write(PLLCFGR, PLL_170_MHZ - (1 << 8), false, &mut effects);
+        rcc.write(CR, 1 << 8 | PLLON, false, &mut effects);
+        rcc.write(CFGR, 3, false, &mut effects);
+        assert_eq!(effects.unmodelled.len(), 1, "another core clock");
+    }
+
+    #[test]
+    fn the_clock_is_raised_by_way_of_half_the_bus_clock() {
+        for (steps, broken) in [
+            // (value of CFGR, ticks until then)
+            (&[(HPRE_HALF | 3, 0), (3, HALF_SPEED_TICKS)][..], 0),
+            (&[(HPRE_HALF | 3, 0), (3, HALF_SPEED_TICKS - 1)], 1),
+            (&[(3, 0)], 1),
+        ] {
+            let (mut rcc, mut effects) = (Rcc::new(), Effects::default());
+            rcc.write(PLLCFGR, PLL_170_MHZ, false, &mut effects);
+            rcc.write(CR, 1 << 8 | PLLON, false, &mut effects);
+            for &(value, ticks) in steps {
+                effects.now += ticks;
+                rcc.write(CFGR, value, false, &mut effects);
+            }
+            assert_eq!(effects.violation_count, broken, "{steps:?}");
+            assert!(rcc.is_at_full_speed());
+        }
+    }
+
+    #[test]
+    fn the_crystal_takes_its_time_or_does_not_start() {
+        for (silicon, is_ready) in [(Faults::default(), true), ([Fault::HseDead].into_iter().collect(), false)] {
+            let (mut rcc, mut effects) = (Rcc::new(), Effects::default());
+            effects.faults = silicon;
+            rcc.write(CR, 1 << 8 | HSEON, false, &mut effects);
+            assert_eq!(rcc.read(CR, &mut effects) & HSERDY, 0);
+            effects.now += CRYSTAL_TICKS;
+            assert_eq!(rcc.read(CR, &mut effects) & HSERDY != 0, is_ready);
+        }
+    }
+
+    #[test]
+    fn backup_domain_is_guarded_and_survives() {
+        let (mut rcc, mut effects) = (Rcc::new(), Effects::default());
+        rcc.write(BDCR, 0x8200, false, &mut effects);
+        assert_eq!((rcc.read(BDCR, &mut effects), effects.violation_count), (0, 1));
+        rcc.write(BDCR, 0x8200, true, &mut effects);
+        rcc.reset(ResetCause::Pin);
+        assert_eq!(rcc.read(BDCR, &mut effects), 0x8200);
+    }
+
+    #[test]
+    fn gates_and_reset_lines_match() {
+        let (mut rcc, mut effects) = (Rcc::new(), Effects::default());
+        let timer = |bit: u32| Gate { register: APB1ENR1, bit: 1 << bit };
+        rcc.write(APB1ENR1, 0b1001, false, &mut effects);
+        assert!(rcc.is_on(timer(3)) && !rcc.is_on(timer(1)));
+        let pulled = rcc.write(0x38, 0b1000, false, &mut effects);
+        assert!(pulled.is_some_and(|pulled| pulled.meets(timer(3)) && !pulled.meets(timer(0))));
+        assert!(rcc.write(0x38, 0b1000, false, &mut effects).is_some_and(|pulled| pulled.bit == 0));
+    }
+
+    #[test]
+    fn clocks_are_selected_by_st_s_bits() {
+        let mut rcc = Rcc::new();
+        let field = |name: &str, value: u32| value << facts::bits(&format!("RCC_PLLCFGR_{name}")).trailing_zeros();
+        let loops = field("PLLM", 6 - 1) | field("PLLN", 85) | field("PLLR", 0) | field("PLLREN", 1);
+        rcc.set(PLLCFGR, loops | facts::bits("RCC_PLLCFGR_PLLSRC_HSE"));
+        assert_eq!(rcc.pll_hz(), TICKS_PER_SECOND);
+        rcc.set(PLLCFGR, loops | facts::bits("RCC_PLLCFGR_PLLSRC_HSI"));
+        assert_eq!(rcc.pll_hz(), TICKS_PER_SECOND * HSI_HZ / HSE_HZ);
+        rcc.set(CRRCR, facts::bits("RCC_CRRCR_HSI48ON"));
+        assert!(rcc.has_usb_clock());
+        let ready = facts::bits("RCC_CRRCR_HSI48RDY");
+        assert_eq!(rcc.read(CRRCR, &mut Effects::default()) & ready, ready);
+        rcc.set(CCIPR, 1 << facts::bits("RCC_CCIPR_CLK48SEL").trailing_zeros());
+        assert!(!rcc.has_usb_clock(), "01 is reserved");
+    }
+}

@@ -2,53 +2,55 @@
 //!
 //! Modelled: up-counting with prescaler, auto-reload and compare registers with or without
 //! preload, update and compare flags, interrupts and DMA requests, the reference signals
-//! OC1REF–OC4REF, the trigger output TRGO, and TIM3's reset by TIM2's. Not modelled: capture, other counting modes,
-//! other slave modes, one-pulse mode, dithering, and the output pins. A debugger may halt a timer.
+//! OC1REF–OC4REF of PWM, which may be the trigger output TRGO, and TIM3's reset by TIM2's. Not modelled: capture, other
+//! counting modes, other compare, master and slave modes, one-pulse mode, dithering, and the output pins. A debugger may halt a timer.
 //!
 //! The counter is not stepped. It follows from the tick at which it was zero:
 //! CNT = (now − zero_at) / (PSC + 1). The timer asks to be called at the next compare match
 //! or overflow, so flags, requests and triggers come at their exact ticks.
 
-use super::{Edge, Effects, Request, Ticks, Trigger, interrupt, request};
+use super::effects::{ALL, Bank, Register};
+use super::{Edge, Effects, Ticks, Trigger, interrupt, request};
+use crate::st::TIM::{
+    self, ARR, CCER, CCMR1, CCMR2, CCR1, CCR4, CNT, CR1, CR1_ARPE, CR1_CEN, CR1_UDIS, CR1_URS, CR2, DIER,
+    DIER_UDE as UDE, EGR, PSC, SMCR, SR, SR_UIF as UIF,
+};
 
-const CR1: u32 = 0x00;
-const CR2: u32 = 0x04;
-const SMCR: u32 = 0x08;
-const DIER: u32 = 0x0C;
-const SR: u32 = 0x10;
-const EGR: u32 = 0x14;
-const CCMR1: u32 = 0x18;
-const CCMR2: u32 = 0x1C;
-const CCER: u32 = 0x20;
-const CNT: u32 = 0x24;
-const PSC: u32 = 0x28;
-const ARR: u32 = 0x2C;
-const CCR1: u32 = 0x34;
-const CCR4: u32 = 0x40;
-
-const CR1_CEN: u32 = 1;
-const CR1_UDIS: u32 = 1 << 1;
-const CR1_URS: u32 = 1 << 2;
-const CR1_ARPE: u32 = 1 << 7;
-const CR1_UIFREMAP: u32 = 1 << 11;
-const CR1_MODELLED: u32 = CR1_CEN | CR1_UDIS | CR1_URS | CR1_ARPE | CR1_UIFREMAP;
-const CR2_CCDS: u32 = 1 << 3;
-const CR2_MMS: u32 = 0b111 << 4;
-const UIF: u32 = 1;
-const UDE: u32 = 1 << 8;
+const CR1_MODELLED: u32 = CR1_CEN | CR1_UDIS | CR1_URS | CR1_ARPE;
+/// Without MMS[3], which is for encoders.
+const CR2_MMS: u32 = TIM::CR2_MMS & 0xFFFF;
 /// SMCR: reset mode (SMS = 4) by ITR1 (TS = 1), the trigger of TIM2 for TIM3 (RM0440, "TIM3 internal trigger connection").
 const RESET_BY_ITR1: u32 = 4 | 1 << 4;
 /// UIF and CC1IF to CC4IF.
-const FLAGS: u32 = 0x1F;
+const FLAGS: u32 = 2 * TIM::SR_CC4IF - 1;
 /// Enable bits of the five interrupts and five DMA requests.
 const DIER_MODELLED: u32 = FLAGS | FLAGS << 8;
-const EGR_MODELLED: u32 = FLAGS;
+/// OCxPE and OCxM. CCxS ≠ 0 is capture, OCxCE and OCxFE need pins; OCxM bit 3 selects modes beyond PWM 2.
+const CCMR_MODELLED: u32 = 0x7878;
+
+const REGISTERS: &[Register] = &[
+    (CR1, 0, CR1_MODELLED),
+    (CR2, 0, CR2_MMS),
+    (SMCR, 0, 0),
+    (DIER, 0, DIER_MODELLED),
+    (SR, 0, 0),
+    (EGR, 0, 0),
+    (CCMR1, 0, CCMR_MODELLED),
+    (CCMR2, 0, CCMR_MODELLED),
+    (CCER, 0, ALL),
+    (PSC, 0, 0xFFFF),
+    (ARR, 0, 0),
+    (CCR1, 0, 0),
+    (CCR1 + 4, 0, 0),
+    (CCR1 + 8, 0, 0),
+    (CCR4, 0, 0),
+];
 
 #[derive(Clone, Copy, Debug)]
 struct Wiring {
     interrupt: u8,
     /// DMA request of compare channel 1; channels 2 to 4 and the update follow.
-    first_request: Request,
+    first_request: u8,
     trigger: Trigger,
     /// Largest count: 16 or 32 bits.
     maximum: u32,
@@ -57,18 +59,9 @@ struct Wiring {
 #[derive(Debug)]
 pub struct Timer {
     wiring: Wiring,
-    cr1: u32,
-    cr2: u32,
-    smcr: u32,
-    dier: u32,
-    sr: u32,
-    ccmr: [u32; 2],
-    ccer: u32,
-    psc: u32,
+    bank: Bank,
     psc_active: u32,
-    arr: u32,
     arr_active: u32,
-    ccr: [u32; 4],
     ccr_active: [u32; 4],
     /// OC1REF to OC4REF.
     reference: [bool; 4],
@@ -99,20 +92,13 @@ impl Timer {
     }
 
     fn at_reset(wiring: Wiring) -> Self {
+        let mut bank = Bank::new(REGISTERS);
+        bank[ARR] = wiring.maximum;
         Self {
             wiring,
-            cr1: 0,
-            cr2: 0,
-            smcr: 0,
-            dier: 0,
-            sr: 0,
-            ccmr: [0; 2],
-            ccer: 0,
-            psc: 0,
+            bank,
             psc_active: 0,
-            arr: wiring.maximum,
             arr_active: wiring.maximum,
-            ccr: [0; 4],
             ccr_active: [0; 4],
             reference: [false; 4],
             zero_at: 0,
@@ -126,53 +112,38 @@ impl Timer {
     }
 
     pub fn reset(&mut self, effects: &mut Effects) {
-        self.withdraw(self.dier, effects);
+        self.withdraw(self.bank[DIER], effects);
         *self = Self::at_reset(self.wiring);
         self.update_line(effects);
     }
 
     pub fn read(&mut self, offset: u32, effects: &mut Effects) -> u32 {
         match offset {
-            CR1 => self.cr1,
-            CR2 => self.cr2,
-            DIER => self.dier,
-            SR => self.sr,
-            CCMR1 => self.ccmr[0],
-            CCMR2 => self.ccmr[1],
-            CCER => self.ccer,
-            CNT => self.count(effects.now()) | self.remapped_flag(),
-            PSC => self.psc,
-            ARR => self.arr,
-            CCR1..=CCR4 => self.ccr[channel_of(offset)],
-            SMCR => self.smcr,
-            EGR => 0,
-            _ => {
-                effects.unmodelled();
-                0
-            }
+            CNT => self.count(effects.now),
+            _ => self.bank.read(offset, effects),
         }
     }
 
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
-        self.done = self.count(effects.now());
+        self.done = self.count(effects.now);
         match offset {
             CR1 => self.write_cr1(value, effects),
             CR2 => {
-                effects.unmodelled_bits(value & !(CR2_CCDS | CR2_MMS));
-                self.cr2 = value & (CR2_CCDS | CR2_MMS);
+                effects.unmodelled_bits(value & !CR2_MMS);
+                effects.unmodelled_bits(u32::from(matches!(value & CR2_MMS, 0x10..=0x30)));
+                self.bank.write(CR2, value, effects);
             }
             SMCR => {
                 let is_tim3 = self.wiring.interrupt == interrupt::TIM3;
                 effects.unmodelled_bits(if is_tim3 && value == RESET_BY_ITR1 { 0 } else { value });
-                self.smcr = value;
+                self.bank[SMCR] = value;
             }
             DIER => self.write_dier(value, effects),
-            SR => self.sr &= value,
+            SR => self.bank[SR] &= value,
             EGR => self.generate(value, effects),
-            CCMR1 | CCMR2 => self.write_ccmr(usize::from(offset == CCMR2), value, effects),
-            CCER => self.ccer = value,
+            CCMR1 | CCMR2 => self.write_ccmr(offset, value, effects),
+            CCER | PSC => self.bank.write(offset, value, effects),
             CNT => self.preset(value & self.wiring.maximum, effects),
-            PSC => self.psc = value & 0xFFFF,
             ARR => self.write_arr(value & self.wiring.maximum),
             CCR1..=CCR4 => self.write_ccr(channel_of(offset), value & self.wiring.maximum, effects),
             _ => effects.unmodelled_bits(value),
@@ -184,10 +155,10 @@ impl Timer {
     /// Trigger edges, as `Effects::take_triggers` returns them: a slave begins anew.
     pub fn trigger(&mut self, edges: u16, effects: &mut Effects) {
         let rising = 1 << (2 * Trigger::Tim2 as u16);
-        if self.smcr == RESET_BY_ITR1 && edges & rising != 0 && self.running() {
+        if self.bank[SMCR] == RESET_BY_ITR1 && edges & rising != 0 && self.running() {
             self.load_preloads();
-            self.restart(0, effects.now());
-            if self.cr1 & (CR1_URS | CR1_UDIS) == 0 {
+            self.restart(0, effects.now);
+            if self.bank[CR1] & (CR1_URS | CR1_UDIS) == 0 {
                 self.raise(0, effects);
             }
             self.schedule();
@@ -200,12 +171,12 @@ impl Timer {
             return;
         }
         if is_halted {
-            self.held = self.count(effects.now());
+            self.held = self.count(effects.now);
         }
         self.is_halted = is_halted;
-        if !is_halted && self.cr1 & CR1_CEN != 0 {
+        if !is_halted && self.bank[CR1] & CR1_CEN != 0 {
             let done = self.done;
-            self.restart(self.held, effects.now());
+            self.restart(self.held, effects.now);
             self.done = done;
         }
         self.schedule();
@@ -218,7 +189,7 @@ impl Timer {
     }
 
     pub fn advance(&mut self, effects: &mut Effects) {
-        let elapsed = effects.now().wrapping_sub(self.zero_at) / self.period();
+        let elapsed = effects.now.wrapping_sub(self.zero_at) / self.period();
         let reached = elapsed.min(u64::from(self.top)) as u32;
         let before = std::mem::replace(&mut self.done, reached);
         for channel in 0..4 {
@@ -242,7 +213,7 @@ impl Timer {
     /// Sets the counter, as a write to CNT does. A running device clock can so be brought
     /// close to its wrap.
     pub fn preset(&mut self, count: u32, effects: &Effects) {
-        self.restart(count, effects.now());
+        self.restart(count, effects.now);
         self.schedule();
     }
 
@@ -253,16 +224,12 @@ impl Timer {
     }
 
     fn running(&self) -> bool {
-        self.cr1 & CR1_CEN != 0 && !self.is_halted
+        self.bank[CR1] & CR1_CEN != 0 && !self.is_halted
     }
 
     /// Ticks per count.
     fn period(&self) -> u64 {
         u64::from(self.psc_active) + 1
-    }
-
-    fn remapped_flag(&self) -> u32 {
-        if self.cr1 & CR1_UIFREMAP != 0 { (self.sr & UIF) << 31 } else { 0 }
     }
 
     /// Lets the counter go on from `count`.
@@ -282,20 +249,16 @@ impl Timer {
     fn write_cr1(&mut self, value: u32, effects: &mut Effects) {
         effects.unmodelled_bits(value & !CR1_MODELLED);
         let (was_running, count) = (self.running(), self.done);
-        self.cr1 = value & CR1_MODELLED;
+        self.bank.write(CR1, value, effects);
         if self.running() != was_running {
-            self.restart(count, effects.now());
-            if self.master_mode() == 1 {
-                let edge = if was_running { Edge::Falling } else { Edge::Rising };
-                effects.trigger(self.wiring.trigger, edge);
-            }
+            self.restart(count, effects.now);
         }
     }
 
     fn write_dier(&mut self, value: u32, effects: &mut Effects) {
         effects.unmodelled_bits(value & !DIER_MODELLED);
-        self.withdraw(self.dier & !value, effects);
-        self.dier = value & DIER_MODELLED;
+        self.withdraw(self.bank[DIER] & !value, effects);
+        self.bank.write(DIER, value, effects);
     }
 
     /// Takes back the requests whose enable bits are in `cleared`.
@@ -307,61 +270,72 @@ impl Timer {
         }
     }
 
-    fn write_ccmr(&mut self, half: usize, value: u32, effects: &mut Effects) {
-        // CCxS ≠ 0 is capture, OCxCE and OCxFE need pins; OCxM bit 3 selects modes beyond PWM 2.
-        effects.unmodelled_bits(value & !0x7878);
-        self.ccmr[half] = value & 0x7878;
-        for channel in [2 * half, 2 * half + 1] {
+    fn write_ccmr(&mut self, offset: u32, value: u32, effects: &mut Effects) {
+        effects.unmodelled_bits(value & !CCMR_MODELLED);
+        effects.unmodelled_bits(u32::from([value >> 4, value >> 12].iter().any(|mode| matches!(mode & 7, 1..=5))));
+        self.bank.write(offset, value, effects);
+        let first = if offset == CCMR1 { 0 } else { 2 };
+        for channel in [first, first + 1] {
             if !self.preloaded(channel) {
-                self.ccr_active[channel] = self.ccr[channel];
+                self.ccr_active[channel] = self.compare(channel);
             }
             self.settle_reference(channel, effects);
         }
     }
 
     fn write_arr(&mut self, value: u32) {
-        self.arr = value;
-        if self.cr1 & CR1_ARPE == 0 {
+        self.bank[ARR] = value;
+        if self.bank[CR1] & CR1_ARPE == 0 {
             self.arr_active = value;
             self.find_top(self.done);
         }
     }
 
     fn write_ccr(&mut self, channel: usize, value: u32, effects: &mut Effects) {
-        self.ccr[channel] = value;
+        self.bank[CCR1 + 4 * channel as u32] = value;
         if !self.preloaded(channel) {
             self.ccr_active[channel] = value;
             self.settle_reference(channel, effects);
         }
     }
 
-    fn preloaded(&self, channel: usize) -> bool {
-        self.ccmr[channel / 2] >> (8 * (channel % 2)) & 0b1000 != 0
+    /// CCRx.
+    fn compare(&self, channel: usize) -> u32 {
+        self.bank[CCR1 + 4 * channel as u32]
     }
 
-    /// OCxM.
+    /// OCxPE and OCxM, from bit 3 on.
+    fn output(&self, channel: usize) -> u32 {
+        self.bank[if channel < 2 { CCMR1 } else { CCMR2 }] >> (8 * (channel % 2) + 3)
+    }
+
+    fn preloaded(&self, channel: usize) -> bool {
+        self.output(channel) & 1 != 0
+    }
+
     fn mode(&self, channel: usize) -> u32 {
-        self.ccmr[channel / 2] >> (8 * (channel % 2) + 4) & 0b111
+        self.output(channel) >> 1 & 0b111
     }
 
     fn master_mode(&self) -> u32 {
-        (self.cr2 & CR2_MMS) >> 4
+        (self.bank[CR2] & CR2_MMS) >> 4
     }
 
     /// EGR: events by software.
     fn generate(&mut self, value: u32, effects: &mut Effects) {
-        effects.unmodelled_bits(value & !EGR_MODELLED);
+        effects.unmodelled_bits(value & !FLAGS);
         if value & UIF != 0 {
-            if self.cr1 & CR1_UDIS == 0 {
+            if self.bank[CR1] & CR1_UDIS == 0 {
                 self.load_preloads();
             }
-            self.restart(0, effects.now());
+            self.restart(0, effects.now);
             self.settle_references(effects);
-            if self.cr1 & (CR1_URS | CR1_UDIS) == 0 {
+            if self.bank[CR1] & (CR1_URS | CR1_UDIS) == 0 {
                 self.raise(0, effects);
             }
-            if matches!(self.master_mode(), 0 | 2) {
-                self.pulse(effects);
+            if self.master_mode() == 0 {
+                effects.trigger(self.wiring.trigger, Edge::Rising);
+                effects.trigger(self.wiring.trigger, Edge::Falling);
             }
         }
         for channel in 0..4 {
@@ -372,9 +346,9 @@ impl Timer {
     }
 
     fn load_preloads(&mut self) {
-        self.psc_active = self.psc;
-        self.arr_active = self.arr;
-        self.ccr_active = self.ccr;
+        self.psc_active = self.bank[PSC];
+        self.arr_active = self.bank[ARR];
+        self.ccr_active = std::array::from_fn(|channel| self.compare(channel));
     }
 
     fn overflow(&mut self, effects: &mut Effects) {
@@ -388,7 +362,7 @@ impl Timer {
             }
             self.update_event(effects);
         }
-        self.zero_at = effects.now();
+        self.zero_at = effects.now;
         self.done = 0;
         self.top = self.arr_active;
         for channel in 0..4 {
@@ -400,50 +374,32 @@ impl Timer {
     }
 
     fn update_event(&mut self, effects: &mut Effects) {
-        if self.cr1 & CR1_UDIS != 0 {
+        if self.bank[CR1] & CR1_UDIS != 0 {
             return;
         }
         self.load_preloads();
         self.raise(0, effects);
-        if self.cr2 & CR2_CCDS != 0 {
-            for channel in 1..5 {
-                self.request(channel, effects);
-            }
-        }
-        if self.master_mode() == 2 {
-            self.pulse(effects);
-        }
     }
 
     fn compare_match(&mut self, channel: usize, effects: &mut Effects) {
         self.raise(channel + 1, effects);
-        if channel == 0 && self.master_mode() == 3 {
-            self.pulse(effects);
-        }
-        match self.mode(channel) {
-            1 => self.set_reference(channel, true, effects),
-            2 => self.set_reference(channel, false, effects),
-            3 => self.set_reference(channel, !self.reference[channel], effects),
-            _ => self.settle_reference(channel, effects),
-        }
+        self.settle_reference(channel, effects);
     }
 
     /// Sets flag `event` (0: update, 1 to 4: compare channel) and raises its request.
     fn raise(&mut self, event: usize, effects: &mut Effects) {
-        self.sr |= 1 << event;
-        if event == 0 || self.cr2 & CR2_CCDS == 0 {
-            self.request(event, effects);
-        }
+        self.bank[SR] |= 1 << event;
+        self.request(event, effects);
     }
 
     fn request(&self, event: usize, effects: &mut Effects) {
-        if self.dier & UDE << event != 0 {
+        if self.bank[DIER] & UDE << event != 0 {
             effects.request(self.request_of(event));
         }
     }
 
-    fn request_of(&self, event: usize) -> Request {
-        self.wiring.first_request.after(if event == 0 { 4 } else { event as u8 - 1 })
+    fn request_of(&self, event: usize) -> u8 {
+        self.wiring.first_request + if event == 0 { 4 } else { event as u8 - 1 }
     }
 
     fn settle_references(&mut self, effects: &mut Effects) {
@@ -456,8 +412,6 @@ impl Timer {
     fn settle_reference(&mut self, channel: usize, effects: &mut Effects) {
         let below = self.done < self.ccr_active[channel];
         match self.mode(channel) {
-            4 => self.set_reference(channel, false, effects),
-            5 => self.set_reference(channel, true, effects),
             6 => self.set_reference(channel, below, effects),
             7 => self.set_reference(channel, !below, effects),
             _ => {}
@@ -470,14 +424,8 @@ impl Timer {
         }
     }
 
-    /// A trigger of one clock: both edges within a tick.
-    fn pulse(&self, effects: &mut Effects) {
-        effects.trigger(self.wiring.trigger, Edge::Rising);
-        effects.trigger(self.wiring.trigger, Edge::Falling);
-    }
-
     fn update_line(&self, effects: &mut Effects) {
-        effects.set_line(self.wiring.interrupt, self.sr & self.dier & FLAGS != 0);
+        effects.set_line(self.wiring.interrupt, self.bank[SR] & self.bank[DIER] & FLAGS != 0);
     }
 
     fn schedule(&mut self) {
@@ -502,7 +450,6 @@ fn channel_of(offset: u32) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::facts::assert_facts;
 
     /// Runs `timer` to `end` and returns the ticks at which `seen` became true.
     fn run(
@@ -523,9 +470,9 @@ mod tests {
         at
     }
 
-    fn take(request: Request) -> impl FnMut(&mut Effects) -> bool {
+    fn take(request: u8) -> impl FnMut(&mut Effects) -> bool {
         move |effects| {
-            let pending = effects.pending_requests() >> request.0 & 1 != 0;
+            let pending = effects.requests >> request & 1 != 0;
             effects.withdraw(request);
             pending
         }
@@ -542,11 +489,11 @@ mod tests {
         let (mut timer, mut effects) = (Timer::new(0), Effects::default());
         start(&mut timer, &mut effects, &[(ARR, 9), (DIER, UDE), (CR1, CR1_CEN | CR1_ARPE)]);
         start(&mut timer, &mut effects, &[(EGR, 1), (ARR, 19)]);
-        effects.withdraw(request::TIM2_CH1.after(4));
-        assert_eq!(run(&mut timer, &mut effects, 50, take(request::TIM2_CH1.after(4))), [10, 30, 50]);
+        effects.withdraw(request::TIM2_CH1 + 4);
+        assert_eq!(run(&mut timer, &mut effects, 50, take(request::TIM2_CH1 + 4)), [10, 30, 50]);
         let (mut timer, mut effects) = (Timer::new(0), Effects::default());
         start(&mut timer, &mut effects, &[(ARR, 9), (DIER, UDE), (CR1, CR1_CEN), (ARR, 19)]);
-        assert_eq!(run(&mut timer, &mut effects, 50, take(request::TIM2_CH1.after(4))), [20, 40]);
+        assert_eq!(run(&mut timer, &mut effects, 50, take(request::TIM2_CH1 + 4)), [20, 40]);
     }
 
     #[test]
@@ -556,17 +503,7 @@ mod tests {
         effects.now = 100;
         timer.write(ARR, 49, &mut effects);
         assert!(run(&mut timer, &mut effects, 65_700, take(request::TIM3_CH1)).is_empty());
-        assert_eq!(timer.sr & UIF, UIF);
-        assert_eq!(run(&mut timer, &mut effects, 65_750, take(request::TIM3_CH1.after(4))), [65_736]);
-    }
-
-    #[test]
-    fn registers_are_those_of_st() {
-        assert_facts!("TIM_TypeDef."; CR1, CR2, SMCR, DIER, SR, EGR, CCMR1, CCMR2, CCER, CNT, PSC, ARR, CCR1, CCR4);
-        assert_facts!("TIM_"; CR1_CEN, CR1_UDIS, CR1_URS, CR1_ARPE, CR1_UIFREMAP, CR2_CCDS);
-        // MMS[3], for encoders, stands apart.
-        assert_eq!(CR2_MMS, crate::facts::bits("TIM_CR2_MMS") & 0xFFFF);
-        assert_facts!("TIM_"; UIF = "SR_UIF", UDE = "DIER_UDE");
-        assert_eq!(FLAGS + 1, 2 * crate::facts::bits("TIM_SR_CC4IF"));
+        assert_eq!(timer.bank[SR] & UIF, UIF);
+        assert_eq!(run(&mut timer, &mut effects, 65_750, take(request::TIM3_CH1 + 4)), [65_736]);
     }
 }

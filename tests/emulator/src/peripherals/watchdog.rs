@@ -1,25 +1,20 @@
 //! Independent watchdog (RM0440, "Independent watchdog").
 //!
-//! Counts the 32 kHz internal oscillator, taken as exact. Once started only a reset stops it.
+//! Counts the 32 kHz internal oscillator, taken as exact. Once started only a reset stops it; its window is not modelled.
 //! Updates of its registers are in force at once; the hardware takes five oscillator periods.
 
-use super::registers::{Bank, registers};
+use super::effects::{Bank, Register};
 use super::{Effects, ResetCause, TICKS_PER_SECOND, Ticks};
+use crate::st::LL::{
+    IWDG_KEY_ENABLE as KEY_START, IWDG_KEY_RELOAD as KEY_REFRESH, IWDG_KEY_WR_ACCESS_ENABLE as KEY_UNLOCK,
+};
 
-registers! {
-    KR = 0x00;
-    PR = 0x04, keeps 7;
-    RLR = 0x08, reset 0xFFF, keeps 0xFFF;
-    SR = 0x0C;
-    WINR = 0x10, reset 0xFFF, keeps 0xFFF;
-}
+use crate::st::IWDG::{KR, PR, RLR, SR, WINR};
 
-const KEY_UNLOCK: u32 = 0x5555;
-const KEY_REFRESH: u32 = 0xAAAA;
-const KEY_START: u32 = 0xCCCC;
+const REGISTERS: &[Register] = &[(KR, 0, 0), (PR, 0, 7), (RLR, 0xFFF, 0xFFF), (SR, 0, 0), (WINR, 0xFFF, 0)];
 
 /// Low-speed internal oscillator, in hertz.
-const LSI_HZ: u64 = 32_000;
+const LSI_HZ: u64 = 1_000 * crate::st::one_word::LSI as u64;
 
 #[derive(Debug)]
 pub struct Watchdog {
@@ -42,14 +37,10 @@ impl Watchdog {
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
         match offset {
             KR => self.key(value & 0xFFFF, effects),
-            PR | RLR | WINR if !self.unlocked => {
-                effects.violation(value, "IWDG_PR, RLR and WINR are written only after the key 0x5555");
+            PR | RLR if !self.unlocked => {
+                effects.violation(value, "IWDG_PR and RLR are written only after the key 0x5555");
             }
             _ => self.bank.write(offset, value, effects),
-        }
-        if offset == WINR && self.unlocked {
-            // RM0440, "Window option": writing the window reloads the counter.
-            self.refreshed = self.refreshed.map(|_| effects.now());
         }
     }
 
@@ -66,19 +57,10 @@ impl Watchdog {
     fn key(&mut self, key: u32, effects: &mut Effects) {
         self.unlocked = key == KEY_UNLOCK;
         match key {
-            KEY_START => self.refreshed = self.refreshed.or(Some(effects.now())),
-            KEY_REFRESH => self.refresh(effects),
+            KEY_START => self.refreshed = self.refreshed.or(Some(effects.now)),
+            KEY_REFRESH => self.refreshed = self.refreshed.map(|_| effects.now),
             _ => {}
         }
-    }
-
-    fn refresh(&mut self, effects: &mut Effects) {
-        let Some(since) = self.refreshed else { return };
-        let counted = (effects.now() - since) / self.count_ticks();
-        if u64::from(self.bank[RLR]).saturating_sub(counted) > u64::from(self.bank[WINR]) {
-            effects.request_reset(ResetCause::Watchdog);
-        }
-        self.refreshed = Some(effects.now());
     }
 
     /// Ticks per count: 4 · 2^PR oscillator periods, at most 256.
@@ -90,44 +72,14 @@ impl Watchdog {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::facts::assert_facts;
-
-    fn started() -> (Watchdog, Effects) {
-        let (mut watchdog, mut effects) = (Watchdog::new(), Effects::default());
-        for (offset, value) in [(KR, KEY_UNLOCK), (PR, 1), (RLR, 399), (KR, KEY_START)] {
-            watchdog.write(offset, value, &mut effects);
-        }
-        (watchdog, effects)
-    }
 
     #[test]
     fn registers_are_locked_without_the_key() {
         let (mut watchdog, mut effects) = (Watchdog::new(), Effects::default());
         watchdog.write(RLR, 1, &mut effects);
-        assert_eq!(effects.violation_count(), 1);
+        assert_eq!(effects.violation_count, 1);
         assert_eq!(watchdog.read(RLR, &mut effects), 0xFFF);
         watchdog.write(KR, KEY_REFRESH, &mut effects);
         assert_eq!(watchdog.next_event(), Ticks::MAX);
-    }
-
-    #[test]
-    fn feeding_before_the_window_opens_resets() {
-        let (mut watchdog, mut effects) = started();
-        watchdog.write(KR, KEY_UNLOCK, &mut effects);
-        watchdog.write(WINR, 200, &mut effects);
-        effects.now = TICKS_PER_SECOND / 10 / 400 * 198;
-        watchdog.write(KR, KEY_REFRESH, &mut effects);
-        assert_eq!(effects.reset, Some(ResetCause::Watchdog));
-        effects.reset = None;
-        effects.now *= 3;
-        watchdog.write(KR, KEY_REFRESH, &mut effects);
-        assert_eq!(effects.reset, None);
-    }
-
-    #[test]
-    fn registers_and_clock_are_those_of_st() {
-        super::super::registers::assert_offsets("IWDG_TypeDef", REGISTERS);
-        assert_facts!("LL_IWDG_KEY_"; KEY_UNLOCK = "WR_ACCESS_ENABLE", KEY_REFRESH = "RELOAD", KEY_START = "ENABLE");
-        assert_eq!(LSI_HZ as f64, 1e3 * crate::facts::number("LSI"));
     }
 }

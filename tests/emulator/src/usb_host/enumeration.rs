@@ -35,9 +35,8 @@ pub struct DeviceDescription {
     pub device: Vec<u8>,
     /// The configuration descriptor with all that belongs to it.
     pub configuration: Vec<u8>,
-    pub manufacturer: Option<String>,
-    pub product: Option<String>,
-    pub serial: Option<String>,
+    /// Manufacturer, product and serial number.
+    pub texts: [Option<String>; 3],
 }
 
 /// A request to the device: its SETUP packet, and what goes to the device with it.
@@ -77,9 +76,8 @@ enum Step {
     ConfigurationHead,
     Configuration,
     Languages,
-    Manufacturer,
-    Product,
-    Serial,
+    /// One of the texts.
+    Text(usize),
     Configure,
     LineCoding,
     Ready,
@@ -128,7 +126,6 @@ impl Enumeration {
             self.wanted_dtr = dtr;
         }
         let interface = self.port.map_or(0, |port| u16::from(port.control_interface));
-        let string = |index: usize| get_descriptor(STRING, self.description.device[index], self.language, 255);
         Some(match self.step {
             Step::Absent | Step::Ready | Step::Failed => return None,
             Step::DeviceHead => get_descriptor(DEVICE, 0, 0, 8),
@@ -140,9 +137,7 @@ impl Enumeration {
                 get_descriptor(CONFIGURATION, 0, 0, head.get(2..4).map_or(0, le16))
             }
             Step::Languages => get_descriptor(STRING, 0, 0, 255),
-            Step::Manufacturer => string(14),
-            Step::Product => string(15),
-            Step::Serial => string(16),
+            Step::Text(n) => get_descriptor(STRING, self.description.device[14 + n], self.language, 255),
             Step::Configure => command(0x00, 9, self.port.map_or(1, |port| port.configuration).into(), 0, &[]),
             Step::LineCoding => command(0x21, 0x20, 0, interface, &LINE_CODING),
             // DTR and RTS go together, as with a terminal.
@@ -178,19 +173,11 @@ impl Enumeration {
             }
             Step::Languages => {
                 self.language = data.get(2..4).map_or(0, le16);
-                Step::Manufacturer
+                Step::Text(0)
             }
-            Step::Manufacturer => {
-                self.description.manufacturer = string(data);
-                Step::Product
-            }
-            Step::Product => {
-                self.description.product = string(data);
-                Step::Serial
-            }
-            Step::Serial => {
-                self.description.serial = string(data);
-                Step::Configure
+            Step::Text(n) => {
+                self.description.texts[n] = string(data);
+                if n < 2 { Step::Text(n + 1) } else { Step::Configure }
             }
             Step::Configure => Step::LineCoding,
             Step::LineCoding => {
@@ -207,17 +194,8 @@ impl Enumeration {
     }
 
     /// The last request has failed; gives what it was for.
-    pub fn fail(&mut self) -> &'static str {
-        match std::mem::replace(&mut self.step, Step::Failed) {
-            Step::Absent | Step::Ready | Step::Failed => "no request",
-            Step::DeviceHead | Step::Device => "GET_DESCRIPTOR device",
-            Step::Address => "SET_ADDRESS",
-            Step::ConfigurationHead | Step::Configuration => "GET_DESCRIPTOR configuration",
-            Step::Languages | Step::Manufacturer | Step::Product | Step::Serial => "GET_DESCRIPTOR string",
-            Step::Configure => "SET_CONFIGURATION",
-            Step::LineCoding => "SET_LINE_CODING",
-            Step::ControlLines => "SET_CONTROL_LINE_STATE",
-        }
+    pub fn fail(&mut self) -> String {
+        format!("{:?}", std::mem::replace(&mut self.step, Step::Failed))
     }
 }
 

@@ -43,20 +43,6 @@ const RECOVERY_TICKS: Ticks = 10 * MS;
 /// For how long resumption is signalled (TDRSMDN, section 7.1.7.7).
 const RESUME_TICKS: Ticks = 20 * MS;
 
-/// A packet that the device has sent.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Received {
-    pub at: Ticks,
-    pub bytes: Vec<u8>,
-}
-
-/// Something a device should not have done.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Complaint {
-    pub at: Ticks,
-    pub text: String,
-}
-
 #[derive(Debug)]
 pub struct UsbHost {
     port: Port,
@@ -80,8 +66,8 @@ pub struct UsbHost {
     dtr: bool,
     reading: bool,
     outgoing: VecDeque<u8>,
-    received: Vec<Received>,
-    complaints: Vec<Complaint>,
+    received: Vec<(Ticks, Vec<u8>)>,
+    complaints: Vec<String>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -132,12 +118,6 @@ struct InFlight {
 enum Kind {
     In(Answer),
     Out { setup: bool, toggle: bool, bytes: Vec<u8> },
-}
-
-impl Default for UsbHost {
-    fn default() -> Self {
-        Self::new()
-    }
 }
 
 impl UsbHost {
@@ -222,8 +202,8 @@ impl UsbHost {
         self.hurry(now);
     }
 
-    /// Packets received since the last call, in order.
-    pub fn take_received(&mut self) -> Vec<Received> {
+    /// Packets received since the last call, in order, each with the tick at which it was over.
+    pub fn take_received(&mut self) -> Vec<(Ticks, Vec<u8>)> {
         std::mem::take(&mut self.received)
     }
 
@@ -238,7 +218,7 @@ impl UsbHost {
     }
 
     /// What the device should not have done, in order.
-    pub fn complaints(&self) -> &[Complaint] {
+    pub fn complaints(&self) -> &[String] {
         &self.complaints
     }
 
@@ -469,7 +449,7 @@ impl UsbHost {
             Purpose::Control => self.complete_control(answer, sent, now),
             Purpose::Pipe(place) => self.complete_pipe(place, answer, sent, now),
         };
-        self.complaints.extend(fault.err().map(|text| Complaint { at: now, text }));
+        self.complaints.extend(fault.err());
     }
 
     fn complete_control(&mut self, answer: Answer, sent: usize, now: Ticks) -> Result<(), String> {
@@ -501,7 +481,7 @@ impl UsbHost {
         }
         // Changes of serial state concern nobody here.
         if is_data && place == BULK_IN {
-            self.received.push(Received { at: now, bytes });
+            self.received.push((now, bytes));
         }
         Ok(())
     }

@@ -69,27 +69,32 @@ impl Transfer {
 
     /// Goes on from the answer to a transaction; gives what the device has sent when all is over.
     pub fn progress(&mut self, answer: Answer, sent: usize, now: Ticks) -> Result<Option<Vec<u8>>, String> {
-        let stage = match self.stage {
-            Stage::Setup => "setup",
-            Stage::DataIn | Stage::DataOut => "data",
-            Stage::StatusIn | Stage::StatusOut => "status",
-        };
+        let stage = self.stage;
         self.ready_at = now;
         self.silences = if answer == Answer::Silence { self.silences + 1 } else { 0 };
+        let is_late = stage == Stage::Setup || now - self.begun_at > PATIENCE_TICKS;
         match answer {
-            Answer::Nak if self.stage == Stage::Setup => Err("NAK to a SETUP packet".to_owned()),
-            Answer::Nak if now - self.begun_at > PATIENCE_TICKS => {
-                Err(format!("still busy after 5 s in the {stage} stage"))
+            Answer::Nak if !is_late => self.ready_at = now + RETRY_TICKS,
+            Answer::Silence if self.silences < ATTEMPTS => self.ready_at = now + RETRY_TICKS,
+            Answer::Ack => return Ok(self.sent(sent)),
+            Answer::Data { toggle, bytes } => {
+                let (due, most) = match stage {
+                    Stage::StatusIn => (true, 0),
+                    _ => (self.toggle, self.packet_bytes.min(self.length() - self.received.len())),
+                };
+                check(toggle, bytes.len(), due, most).map_err(|fault| format!("{fault}, {stage:?}"))?;
+                if stage == Stage::StatusIn {
+                    return Ok(Some(Vec::new()));
+                }
+                self.toggle = !toggle;
+                self.received.extend_from_slice(&bytes);
+                if bytes.len() < self.packet_bytes || self.received.len() == self.length() {
+                    self.stage = Stage::StatusOut;
+                }
             }
-            Answer::Stall => Err(format!("STALL in the {stage} stage")),
-            Answer::Silence if self.silences == ATTEMPTS => Err(format!("no answer in the {stage} stage")),
-            Answer::Nak | Answer::Silence => {
-                self.ready_at = now + RETRY_TICKS;
-                Ok(None)
-            }
-            Answer::Ack => Ok(self.sent(sent)),
-            Answer::Data { toggle, bytes } => self.received(toggle, &bytes),
+            Answer::Nak | Answer::Silence | Answer::Stall => return Err(format!("{answer:?} at the last, {stage:?}")),
         }
+        Ok(None)
     }
 
     fn length(&self) -> usize {
@@ -117,29 +122,14 @@ impl Transfer {
         }
         None
     }
+}
 
-    fn received(&mut self, toggle: bool, bytes: &[u8]) -> Result<Option<Vec<u8>>, String> {
-        if self.stage == Stage::StatusIn {
-            return match (toggle, bytes) {
-                (true, []) => Ok(Some(Vec::new())),
-                (false, _) => Err("DATA0 in the status stage".to_owned()),
-                (true, _) => Err(format!("{} bytes in the status stage", bytes.len())),
-            };
-        }
-        if toggle != self.toggle {
-            return Err("wrong data toggle in the data stage".to_owned());
-        }
-        self.toggle = !self.toggle;
-        self.received.extend_from_slice(bytes);
-        let (len, all, most) = (bytes.len(), self.received.len(), self.length());
-        if len > self.packet_bytes || all > most {
-            return Err(format!("babble: a packet of {len} bytes, {all} of {most} in all"));
-        }
-        if len < self.packet_bytes || all == most {
-            self.stage = Stage::StatusOut;
-        }
-        Ok(None)
+fn check(toggle: bool, len: usize, due: bool, most: usize) -> Result<(), String> {
+    if toggle == due && len <= most {
+        return Ok(());
     }
+    let [came, due] = [toggle, due].map(u8::from);
+    Err(format!("{len} bytes of DATA{came} where DATA{due} of at most {most} is due"))
 }
 
 /// A bulk or interrupt endpoint, as the host keeps it.
@@ -158,38 +148,24 @@ impl Pipe {
     }
 
     /// Goes on from the answer to a transaction; gives what was received. A fault closes the pipe until the device is
-    /// configured anew, or throws data away.
+    /// configured anew.
     pub fn progress(&mut self, answer: Answer, now: Ticks) -> Result<Vec<u8>, String> {
-        self.ready_at = now + self.endpoint.interval;
+        let ready_at = now + self.endpoint.interval;
         self.silences = if answer == Answer::Silence { self.silences + 1 } else { 0 };
-        let fault = match answer {
-            Answer::Nak => {
-                self.ready_at = self.ready_at.max(now + RETRY_TICKS);
-                return Ok(Vec::new());
-            }
-            Answer::Silence if self.silences < ATTEMPTS => {
-                self.ready_at = now + RETRY_TICKS;
-                return Ok(Vec::new());
-            }
-            Answer::Ack => {
-                self.toggle = !self.toggle;
-                return Ok(Vec::new());
-            }
-            Answer::Data { toggle, bytes } if toggle != self.toggle => {
-                return Err(format!("wrong data toggle, {} bytes thrown away", bytes.len()));
-            }
-            Answer::Data { bytes, .. } if bytes.len() <= self.endpoint.packet_bytes => {
-                self.toggle = !self.toggle;
+        // Closed, unless all is well.
+        self.ready_at = Ticks::MAX;
+        match answer {
+            Answer::Nak => self.ready_at = ready_at.max(now + RETRY_TICKS),
+            Answer::Silence if self.silences < ATTEMPTS => self.ready_at = now + RETRY_TICKS,
+            Answer::Ack => (self.toggle, self.ready_at) = (!self.toggle, ready_at),
+            Answer::Data { toggle, bytes } => {
+                check(toggle, bytes.len(), self.toggle, self.endpoint.packet_bytes)?;
+                (self.toggle, self.ready_at) = (!toggle, ready_at);
                 return Ok(bytes);
             }
-            Answer::Data { bytes, .. } => {
-                format!("babble: {} bytes where {} are the most", bytes.len(), self.endpoint.packet_bytes)
-            }
-            Answer::Stall => "STALL".to_owned(),
-            Answer::Silence => "no answer".to_owned(),
-        };
-        self.ready_at = Ticks::MAX;
-        Err(fault)
+            Answer::Stall | Answer::Silence => return Err(format!("{answer:?} at the last")),
+        }
+        Ok(Vec::new())
     }
 }
 
@@ -197,48 +173,35 @@ impl Pipe {
 mod tests {
     use super::*;
 
-    fn data(toggle: bool, len: usize) -> Answer {
-        Answer::Data { toggle, bytes: vec![1; len] }
-    }
-
     #[test]
-    fn a_pipe_tells_who_breaks_the_protocol_and_is_closed() {
-        for (answers, fault, is_closed) in [
-            (vec![data(true, 10)], "wrong data toggle, 10 bytes thrown away", false),
-            (vec![data(false, 64), data(true, 65)], "babble: 65 bytes where 64 are the most", true),
-            (vec![Answer::Nak, Answer::Stall], "STALL", true),
-            (
-                vec![Answer::Silence, Answer::Silence, Answer::Nak, Answer::Silence, Answer::Silence, Answer::Silence],
-                "no answer",
-                true,
-            ),
+    fn who_breaks_the_protocol_is_told_and_is_asked_no_more() {
+        let data = |toggle, len| Answer::Data { toggle, bytes: vec![1; len] };
+        let silence = || Answer::Silence;
+        for (answers, fault) in [
+            (vec![data(true, 10)], "10 bytes of DATA1 where DATA0 of at most 64 is due"),
+            (vec![data(false, 64), data(true, 65)], "65 bytes of DATA1 where DATA1 of at most 64 is due"),
+            (vec![Answer::Nak, Answer::Stall], "Stall at the last"),
+            (vec![silence(), silence(), Answer::Nak, silence(), silence(), silence()], "Silence at the last"),
         ] {
             let mut pipe = Pipe::new(Endpoint { number: 1, packet_bytes: 64, interval: 0 }, 0);
-            let last = answers.len() - 1;
-            for (n, answer) in answers.into_iter().enumerate() {
-                let faulty = pipe.progress(answer, 0).err();
-                assert_eq!(faulty.as_deref(), (n == last).then_some(fault));
-            }
-            assert_eq!(pipe.ready_at == Ticks::MAX, is_closed, "{fault}");
+            let faults: Vec<_> = answers.into_iter().map(|answer| pipe.progress(answer, 0).err()).collect();
+            let told = faults.iter().position(Option::is_some).expect("a fault");
+            assert_eq!((told + 1, faults[told].as_deref()), (faults.len(), Some(fault)));
+            assert_eq!(pipe.ready_at, Ticks::MAX);
         }
-    }
-
-    #[test]
-    fn a_control_transfer_tells_what_has_ended_it() {
         let ack = || Answer::Ack;
         for (answers, fault) in [
-            (vec![Answer::Nak], "NAK to a SETUP packet"),
-            (vec![Answer::Silence; 3], "no answer in the setup stage"),
-            (vec![ack(), Answer::Nak, Answer::Stall], "STALL in the data stage"),
-            (vec![ack(), data(false, 8)], "wrong data toggle in the data stage"),
-            (vec![ack(), data(true, 8), data(false, 3)], "babble: a packet of 3 bytes, 11 of 10 in all"),
-            (vec![ack(), data(true, 8), data(false, 2), Answer::Stall], "STALL in the status stage"),
+            (vec![Answer::Nak], "Nak at the last, Setup"),
+            (vec![silence(), silence(), silence()], "Silence at the last, Setup"),
+            (vec![ack(), Answer::Nak, Answer::Stall], "Stall at the last, DataIn"),
+            (vec![ack(), data(false, 8)], "8 bytes of DATA0 where DATA1 of at most 8 is due, DataIn"),
+            (vec![ack(), data(true, 8), data(false, 3)], "3 bytes of DATA0 where DATA0 of at most 2 is due, DataIn"),
+            (vec![ack(), data(true, 8), data(false, 2), Answer::Stall], "Stall at the last, StatusOut"),
         ] {
             let request = Request { setup: [0x80, 6, 0, 1, 0, 0, 10, 0], data: Vec::new() };
             let mut transfer = Transfer::new(request, 8, 0);
             let mut outcomes = answers.into_iter().map(|answer| transfer.progress(answer, 0, 0));
-            let failed = outcomes.find_map(Result::err);
-            assert_eq!(failed.as_deref(), Some(fault));
+            assert_eq!(outcomes.find_map(Result::err).as_deref(), Some(fault));
         }
     }
 }

@@ -4,7 +4,6 @@
 //! and levels that the board drives say which emitters shine, `light` follows the moving tool,
 //! and the electronics of the host's simulator settle, add noise and quantise.
 
-mod chain;
 mod light;
 
 use rand::SeedableRng;
@@ -18,8 +17,7 @@ use thiserror::Error;
 
 use crate::faults::{self, Fault, Faults};
 use crate::peripherals::{TICKS_PER_SECOND, Ticks};
-use chain::{Chain, STAGE_S};
-use light::Illumination;
+use light::{Chain, Illumination, STAGE_S};
 
 /// Cells a board has converter inputs for.
 pub const BOARD_CELLS: usize = 6;

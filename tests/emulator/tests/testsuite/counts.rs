@@ -2,9 +2,9 @@
 //! instants the schedule names, scan after scan.
 
 use crate::common::chain::Chain;
+use crate::common::inputs;
 use crate::common::silicon;
-use crate::common::trial::words::{FRAME_TICKS, Model, TOLERANCE_CODES, difference};
-use crate::common::wiring::inputs;
+use crate::common::trial::{FRAME_TICKS, Model, TOLERANCE_CODES, difference};
 use slitpose_emulator::facts;
 use slitpose_emulator::faults::{Fault, Faults};
 use slitpose_emulator::machine::{Machine, Stop};
@@ -107,7 +107,7 @@ fn witness(silicon: Faults, seed: u64, seconds: f64) -> (Vec<(RawScan, Ticks)>, 
     machine.board.outside_changed();
     run(&mut machine, seconds);
     let schedule = default_configuration().schedule;
-    let bytes: Vec<u8> = machine.board.usb_host.take_received().into_iter().flat_map(|got| got.bytes).collect();
+    let bytes: Vec<u8> = machine.board.usb_host.take_received().into_iter().flat_map(|(_, bytes)| bytes).collect();
     let (mut decoder, mut rest) = (Decoder::<MAX_MESSAGE_BYTES>::new(), &bytes[..]);
     let mut scans = Vec::new();
     while let Some(message) = decoder.next::<Message<'_>>(&mut rest) {

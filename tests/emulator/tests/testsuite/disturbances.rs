@@ -1,9 +1,9 @@
 //! What goes wrong between converters, transfers and clock, and how the board gets over it.
 
+use crate::common::channel_of;
 use crate::common::talk::{FRAME_TICKS, MS, Talk};
+use crate::common::trial::Ending;
 use crate::common::trial::Plan;
-use crate::common::trial::endings::Ending;
-use crate::common::wiring::channel_of;
 use crate::common::{dma_ticks, silicon};
 use slitpose_emulator::faults::{Fault, Faults};
 use slitpose_emulator::peripherals::Ticks;

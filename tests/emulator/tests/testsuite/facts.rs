@@ -3,29 +3,27 @@
 
 use crate::common::pins::level_code;
 use crate::common::silicon;
-use crate::common::talk::{MS, Talk};
-use crate::common::wiring::{Wire, inputs, port_and_number, wires};
-use crate::common::wiring::{channel_of, multiplexer, register};
+use crate::common::talk::Talk;
+use crate::common::{Wire, port_and_number, register, wires};
 use slitpose_emulator::facts::{bits, number};
 use slitpose_emulator::faults::Fault;
 use slitpose_emulator::peripherals::TICKS_PER_SECOND;
 use slitpose_firmware::pcb::frame_plan::FramePlan;
 use slitpose_firmware::pcb::wiring::highest_level;
 use slitpose_firmware::pcb::{TICK_HZ, default_configuration};
-use slitpose_protocol::{Command, Configuration, Hashes, Level};
+use slitpose_protocol::{Command, Hashes};
 
 /// A board whose registers are read as by a debugger.
 struct Probe(Talk);
 
 impl Probe {
-    /// A board that acquires by `configuration`, in the idle rest of a frame.
-    fn acquiring(configuration: &Configuration) -> Self {
+    /// A board that acquires, in the idle rest of a frame.
+    fn acquiring() -> Self {
         let mut talk = Talk::at_usb();
-        assert_eq!(talk.ask(Command::Configure(configuration.clone())), Ok(()));
         assert_eq!(talk.ask(Command::Start), Ok(()));
         talk.run_ms(5.0);
         let origin = talk.rig.machine().device_clock_origin().expect("the clock runs");
-        let schedule = &configuration.schedule;
+        let schedule = default_configuration().schedule;
         let rest = u64::from(schedule.slots.len() as u32 * schedule.slot_ticks + 1_000);
         let last = talk.ear.scans.last().expect("scans come").tick + origin;
         talk.run_until(last + 8 * u64::from(schedule.frame_ticks) + rest);
@@ -49,12 +47,6 @@ impl Probe {
         let word = self.at("GPIOA_BASE", offset, port * span + bit / 32 * 4);
         word >> (bit % 32) & ((1 << width) - 1)
     }
-
-    /// A register of a channel of DMA1.
-    fn dma(&mut self, channel: usize, register: &str) -> u32 {
-        let span = bits("DMA1_Channel2_BASE") - bits("DMA1_Channel1_BASE");
-        self.at("DMA1_Channel1_BASE", &format!("DMA_Channel_TypeDef.{register}"), channel as u32 * span)
-    }
 }
 
 /// The bits `names` together.
@@ -67,10 +59,6 @@ fn field(name: &str, value: u32) -> u32 {
     value << bits(name).trailing_zeros()
 }
 
-fn default_probe() -> Probe {
-    Probe::acquiring(&default_configuration())
-}
-
 /// Periods of the converters' clock in ticks.
 const CLOCK_TICKS: u32 = 4;
 
@@ -78,17 +66,9 @@ fn ticks_of_us(name: &str) -> f64 {
     number(name) * 1e-6 * f64::from(TICK_HZ)
 }
 
-/// Levels that differ within both lines, so that their DMA is needed.
-fn varied_levels() -> Configuration {
-    let mut configuration = default_configuration();
-    let levels = [0x8000, 0x7000, 0x6000, 0x8000, 0x7800, 0x7000].map(Level);
-    configuration.levels = levels.into_iter().collect();
-    configuration
-}
-
 #[test]
 fn the_clock_is_that_of_the_crystal_times_what_the_registers_say() {
-    let mut probe = default_probe();
+    let mut probe = Probe::acquiring();
     // A board whose crystal does not start makes the same of its own oscillator.
     let has_crystal = !silicon().has(Fault::HseDead);
     let (source, source_mhz) = if has_crystal { ("HSE", "HSE_nucleo") } else { ("HSI", "HSI16") };
@@ -123,7 +103,7 @@ fn the_clock_is_that_of_the_crystal_times_what_the_registers_say() {
 
 #[test]
 fn core_voltage_wait_states_and_supply_detector_are_set_for_170_mhz() {
-    let mut probe = default_probe();
+    let mut probe = Probe::acquiring();
     assert_eq!(probe.get("PWR_BASE", "PWR_TypeDef.CR5") & bits("PWR_CR5_R1MODE"), 0, "range 1 boost mode");
     let latency = probe.get("FLASH_R_BASE", "FLASH_TypeDef.ACR") & bits("FLASH_ACR_LATENCY");
     assert_eq!(latency, bits("wait_states_170_MHz"));
@@ -141,112 +121,25 @@ fn core_voltage_wait_states_and_supply_detector_are_set_for_170_mhz() {
     );
 }
 
+/// Whatever else is set shows in instants and words of a run.
 #[test]
-fn each_dma_channel_of_a_run_has_its_request_its_register_and_its_width() {
-    let mut configuration = varied_levels();
-    // A lit last slot, so that compare 4 has its channel, too.
-    configuration.schedule.slots.pop();
-    let mut probe = Probe::acquiring(&configuration);
-    let at = |base: &str, offset: &str| bits(base) + bits(offset);
-    let word = all("DMA_CCR_", &["PSIZE_1", "MSIZE_1"]);
-    let half = all("DMA_CCR_", &["PSIZE_0", "MSIZE_0"]);
-    let out = bits("DMA_CCR_DIR");
-    let gates = at("GPIOC_BASE", "GPIO_TypeDef.BSRR");
-    let channels = [
-        ("ADC1", at("ADC1_BASE", "ADC_TypeDef.DR"), half),
-        ("ADC2", at("ADC2_BASE", "ADC_TypeDef.DR"), half),
-        ("TIM2_UP", gates, word | out),
-        ("TIM2_CH4", gates, word | out),
-        ("TIM2_CH2", at("TIM2_BASE", "TIM_TypeDef.ARR"), word | out),
-        ("TIM2_CH1", at("DAC1_BASE", "DAC_TypeDef.DHR12R1"), word | out),
-        ("TIM2_CH3", at("DAC2_BASE", "DAC_TypeDef.DHR12R1"), word | out),
-        ("TIM3_UP", gates, word | out),
-    ];
-    let always = all("DMA_CCR_", &["EN", "CIRC", "MINC", "PL"]);
-    for (request, register, mode) in channels {
-        let channel = channel_of(&mut probe.0.rig.machine().board, request);
-        assert_eq!(probe.dma(channel, "CPAR"), register, "{request}");
-        assert_eq!(probe.dma(channel, "CCR"), always | mode, "{request}");
-    }
-    let requests = all("TIM_DIER_", &["UDE", "CC1DE", "CC2DE", "CC3DE", "CC4DE"]);
-    assert_eq!(probe.get("TIM2_BASE", "TIM_TypeDef.DIER"), requests);
-    probe.0.expect_no_faults();
-}
-
-#[test]
-fn the_serial_port_has_its_requests() {
-    let mut talk = Talk::at_uart();
-    // On DMA2, whose first multiplexer channel is the ninth; receiving also gives events.
-    let requests = [8, 9].map(|channel| multiplexer(&mut talk.rig.machine().board, channel) & !bits("DMAMUX_CxCR_EGE"));
-    assert_eq!(requests, ["TX", "RX"].map(|name| bits(&format!("LL_DMAMUX_REQ_LPUART1_{name}"))));
-}
-
-#[test]
-fn the_converters_are_set_for_the_wired_inputs_the_frame_timer_and_the_schedule() {
-    let mut probe = default_probe();
-    let schedule = default_configuration().schedule;
-    let approximation = number("approximation_clocks_12_bits");
-    for (converter, inputs) in ["ADC1_BASE", "ADC2_BASE"].into_iter().zip(inputs()) {
-        let mut get = |register: &str| probe.get(converter, &format!("ADC_TypeDef.{register}"));
-        let sequence = [get("SQR1"), get("SQR2")];
-        let rank = |rank: usize| sequence[(rank + 1) / 5] >> (6 * ((rank + 1) % 5)) & 0x1F;
-        assert_eq!([0, 1, 2, 3, 4, 5].map(rank), inputs.map(u32::from), "{converter}");
-        assert_eq!(sequence[0] & 0xF, 5, "six ranks");
-        let sampling = [get("SMPR1"), get("SMPR2")];
-        for input in inputs.map(usize::from) {
-            let code = sampling[input / 10] >> (3 * (input % 10)) & 7;
-            let clocks = number(&format!("sampling_clocks_{code}")) + approximation;
-            assert_eq!(clocks * f64::from(CLOCK_TICKS), f64::from(schedule.conversion_ticks), "{converter}, {input}");
-        }
-        let trigger = bits("LL_ADC_REG_TRIG_EXT_TIM2_TRGO") & bits("ADC_CFGR_EXTSEL");
-        let expected = trigger | bits("LL_ADC_REG_TRIG_EXT_RISING") | all("ADC_CFGR_", &["DMAEN", "DMACFG", "JQDIS"]);
-        assert_eq!(get("CFGR"), expected, "{converter}");
-        assert_eq!(schedule.oversampling, 4);
-        assert_eq!(get("CFGR2"), bits("ADC_CFGR2_ROVSE") | bits("LL_ADC_OVS_RATIO_4"), "{converter}, no shift");
-        assert_eq!(get("DIFSEL"), 0, "{converter}, single ended");
+fn converters_are_single_ended_and_within_their_clock() {
+    let mut probe = Probe::acquiring();
+    for converter in ["ADC1_BASE", "ADC2_BASE"] {
+        assert_eq!(probe.get(converter, "ADC_TypeDef.DIFSEL"), 0, "{converter}");
     }
     for common in ["ADC12_COMMON_BASE", "ADC345_COMMON_BASE"] {
         let mode = probe.get(common, "ADC_Common_TypeDef.CCR") & all("ADC_CCR_", &["CKMODE", "PRESC"]);
         assert_eq!(mode, bits("LL_ADC_CLOCK_SYNC_PCLK_DIV4"), "{common}");
     }
-    let clock_mhz = number("f_HCLK") / f64::from(CLOCK_TICKS);
-    assert!(clock_mhz <= number("f_ADC_all"));
-}
-
-/// The default slots sample 24.5 periods of 42.5 MHz; the circuit at a pin is far below what the data sheet allows.
-#[test]
-fn the_trigger_comes_early_by_latency_and_sampling_time_in_whole_clocks() {
-    let mut probe = default_probe();
-    let schedule = default_configuration().schedule;
-    let latency = number("t_LATR_ckmode_11").trunc() * f64::from(CLOCK_TICKS);
-    let sampling = number("sampling_clocks_3") * f64::from(CLOCK_TICKS);
-    let compare = probe.get("TIM2_BASE", "TIM_TypeDef.CCR2");
-    assert_eq!(f64::from(compare), f64::from(schedule.settling_ticks) - latency - sampling);
+    assert!(number("f_HCLK") / f64::from(CLOCK_TICKS) <= number("f_ADC_all"));
+    // The circuit at a pin is far below what the data sheet allows.
     assert!(220.0 < number("R_AIN_slow_24.5_clocks"));
-    let output = probe.get("TIM2_BASE", "TIM_TypeDef.CR2") & bits("TIM_CR2_MMS");
-    assert_eq!(output, bits("LL_TIM_TRGO_OC2REF"));
-    let shift = bits("TIM_CCMR1_OC2M_Pos") - bits("LL_TIM_OCMODE_PWM2").trailing_zeros();
-    // Active from the compare on: the trigger rises there.
-    assert_eq!(probe.get("TIM2_BASE", "TIM_TypeDef.CCMR1") & 0xFF00, bits("LL_TIM_OCMODE_PWM2") << shift);
-    let running = all("TIM_CR1_", &["CEN", "ARPE"]);
-    assert_eq!(probe.get("TIM2_BASE", "TIM_TypeDef.CR1") & running, running);
-    assert_eq!(probe.get("TIM2_BASE", "TIM_TypeDef.PSC"), 0);
-}
-
-#[test]
-fn device_clock_and_guard_count_the_same_ticks() {
-    let mut probe = default_probe();
-    let clock = ["CR1", "PSC", "ARR"].map(|name| probe.get("TIM5_BASE", &format!("TIM_TypeDef.{name}")));
-    assert_eq!(clock, [bits("TIM_CR1_CEN"), 0, u32::MAX]);
-    let guard = probe.get("TIM3_BASE", "TIM_TypeDef.SMCR");
-    let by = bits("LL_TIM_SLAVEMODE_RESET") | bits("TIM3_by_TIM2_TRGO");
-    assert_eq!(guard, by, "set to zero by TIM2's trigger");
-    assert_eq!(probe.get("TIM3_BASE", "TIM_TypeDef.DIER"), bits("TIM_DIER_UDE"));
 }
 
 #[test]
 fn every_wired_pin_has_the_mode_of_its_signal() {
-    let mut probe = default_probe();
+    let mut probe = Probe::acquiring();
     let [output, alternate, analog] =
         ["OUTPUT", "ALTERNATE", "ANALOG"].map(|mode| bits(&format!("LL_GPIO_MODE_{mode}")));
     for Wire { signal, pin, function, .. } in wires().into_iter().filter(|wire| !wire.is_for_poses()) {
@@ -275,7 +168,7 @@ fn every_wired_pin_has_the_mode_of_its_signal() {
 
 #[test]
 fn serial_port_and_watchdog_are_set_by_their_clocks() {
-    let mut probe = default_probe();
+    let mut probe = Probe::acquiring();
     let divider = f64::from(probe.get("LPUART1_BASE", "USART_TypeDef.BRR"));
     let baud = number("LPUART_BRR_factor") * f64::from(TICK_HZ) / divider;
     assert!((baud / 3e6 - 1.0).abs() < 1e-4, "{baud}");
@@ -299,7 +192,7 @@ fn supply_and_temperature_are_read_by_the_factory_s_calibration() {
         assert!((read_c - temperature_c).abs() < 0.6, "{read_c} °C of {temperature_c}");
         assert!((f64::from(status.supply_v) - supply_v).abs() < 3e-3, "{} V of {supply_v}", status.supply_v);
     }
-    let mut probe = default_probe();
+    let mut probe = Probe::acquiring();
     let switches = all("ADC_CCR_", &["VREFEN", "VSENSESEL"]);
     assert_eq!(probe.get("ADC345_COMMON_BASE", "ADC_Common_TypeDef.CCR") & switches, switches);
     let sampling = ["SMPR1", "SMPR2"].map(|name| probe.get("ADC5_BASE", &format!("ADC_TypeDef.{name}")));
@@ -355,11 +248,4 @@ fn the_highest_level_is_within_the_reach_of_the_dac_s_buffer() {
     let output_v = supply_v * f64::from(highest) / f64::from(1 << bits("DAC_bits"));
     let margin_v = supply_v - number("V_DAC_headroom") - output_v;
     assert!((0.0..0.01).contains(&margin_v), "{margin_v} V");
-}
-
-/// A millisecond of the tests is one of the board.
-#[test]
-fn ticks_of_tests_are_those_of_the_data_sheet() {
-    assert_eq!(MS as f64, number("f_HCLK") * 1e3);
-    assert_eq!(u64::from(TICK_HZ), TICKS_PER_SECOND);
 }

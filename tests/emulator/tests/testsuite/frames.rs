@@ -3,11 +3,9 @@
 //! What is read here follows the table of `slitpose_firmware::pose::frame`; its code has no part in it.
 
 use crate::common::chain::Chain;
-use crate::common::solving::{SEED, chain, is_ready_high, scene};
-use crate::common::wiring::{multiplexer, register};
-use crate::common::wiring::{port_and_number, wires};
-use slitpose_emulator::facts::{bits, number};
-use slitpose_emulator::peripherals::{SentByte, TICKS_PER_SECOND, Ticks};
+use crate::common::{SEED, chain, is_ready_high, port_and_number, register, scene, us, wires};
+use slitpose_emulator::facts::bits;
+use slitpose_emulator::peripherals::{SentByte, Ticks};
 use slitpose_emulator::world::NoiseSource;
 use slitpose_firmware::pcb::default_configuration;
 use slitpose_protocol::poses::{PoseStatus, READY_TICKS};
@@ -20,9 +18,8 @@ const BYTES: usize = 64;
 /// 34 periods a bit, ten bits a byte.
 const BYTE_TICKS: Ticks = 340;
 
-/// Of DMA2, from 0; the multiplexer's channels of DMA2 begin with the ninth.
-const CHANNEL: u32 = 2;
-const FIRST_OF_DMA2: usize = 8;
+/// The third channel of DMA2, which begins with the ninth of all.
+const CHANNEL: usize = 8 + 2;
 
 /// A frame whose checksum is right.
 #[derive(Debug)]
@@ -91,10 +88,6 @@ fn stop(chain: &mut Chain) -> (Vec<Frame>, usize) {
     chain.rig.send(Command::Stop);
     chain.run_for(5e-3);
     frames(&chain.rig.take_controller_bytes())
-}
-
-fn us(ticks: Ticks) -> f64 {
-    ticks as f64 * 1e6 / TICKS_PER_SECOND as f64
 }
 
 /// A second at 4 kHz, a moving tool, poses alone over USB.
@@ -258,7 +251,7 @@ fn a_frame_that_the_dma_has_cut_short_costs_no_other() {
     while chain.rig.take_controller_bytes().is_empty() {
         let _ = chain.rig.run_for(1e-6);
     }
-    chain.rig.machine().board.dma.fail_next(FIRST_OF_DMA2 + CHANNEL as usize);
+    chain.rig.machine().board.dma.fail_next(CHANNEL);
     chain.run_for(20e-3);
     let (frames, others) = stop(&mut chain);
     assert!((1..BYTES).contains(&others), "the rest of one frame: {others}");
@@ -349,29 +342,11 @@ fn a_controller_in_c_reads_what_the_board_sends() {
 }
 
 #[test]
-fn the_controllers_port_is_set_by_st_s_numbers() {
+fn the_controllers_port_has_its_pins_and_its_clock() {
     let mut chain = chain(&scene(), NoiseSource::Off);
     let board = &mut chain.rig.machine().board;
-    let divider = register(board, "USART1_BASE", "USART_TypeDef.BRR", 0);
-    assert_eq!(number("f_HCLK") * 1e6 / (number("USART_BRR_factor") * f64::from(divider)), 5e6);
-    assert!(divider >= bits("USART_BRR_least"));
-    assert_eq!(Ticks::from(divider) * 10, BYTE_TICKS);
-    let on = ["UE", "TE", "FIFOEN"].iter().map(|name| bits(&format!("USART_CR1_{name}"))).sum();
-    assert_eq!(register(board, "USART1_BASE", "USART_TypeDef.CR1", 0), on, "it only sends");
-    assert_eq!(register(board, "USART1_BASE", "USART_TypeDef.CR3", 0), bits("USART_CR3_DMAT"));
     let selected = register(board, "RCC_BASE", "RCC_TypeDef.CCIPR", 0);
     assert_eq!(selected & bits("RCC_CCIPR_USART1SEL"), 0, "PCLK2");
-
-    let request = multiplexer(board, FIRST_OF_DMA2 + CHANNEL as usize);
-    assert_eq!(request, bits("LL_DMAMUX_REQ_USART1_TX"));
-    let span = bits("DMA1_Channel2_BASE") - bits("DMA1_Channel1_BASE");
-    let to_channel = bits("DMA2_BASE") - bits("DMA1_BASE") + CHANNEL * span;
-    let mut dma =
-        |name: &str| register(board, "DMA1_Channel1_BASE", &format!("DMA_Channel_TypeDef.{name}"), to_channel);
-    assert_eq!(dma("CPAR"), bits("USART1_BASE") + bits("USART_TypeDef.TDR"));
-    // Bytes, once, with the least priority.
-    assert_eq!(dma("CCR"), bits("DMA_CCR_DIR") | bits("DMA_CCR_MINC"));
-
     let wires: Vec<_> = wires().into_iter().filter(|wire| wire.is_for_poses()).collect();
     assert_eq!(wires.len(), 2);
     for wire in wires {

@@ -1,26 +1,25 @@
 //! What ends the light, with the instants on the emulated pins, and what the board says afterwards.
 
-use crate::common::light::{Bench, MS, Said};
-use crate::common::trial::endings::{
+use std::ops::RangeInclusive;
+
+use crate::common::pins::Bench;
+use crate::common::talk::{MS, Said};
+use crate::common::trial::FRAME_TICKS;
+use crate::common::trial::{
     AT_ONCE_TICKS, Ending, HALTED_TICKS, find_function, find_instruction, hang, jump, until_lit_and_awake,
 };
-use crate::common::trial::words::FRAME_TICKS;
-use crate::common::{dma_ticks, silicon};
+use crate::common::{dma_ticks, silicon, us};
 use slitpose_emulator::faults::Fault;
 use slitpose_emulator::memory::RAM_BASE;
-use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
+use slitpose_emulator::peripherals::Ticks;
+use slitpose_emulator::rig::open_image;
 use slitpose_protocol::{BootTarget, ClockSource, Command, HardwareFault, Rejection, ResetCause};
-
-/// How long the gates were on behind `event`; 0 if they were off already.
-fn lit_for(bench: &mut Bench, event: Ticks) -> Ticks {
-    bench.dark_since().saturating_sub(event)
-}
 
 /// The board is dark, says why it started, stays dark until a Start, and then lights.
 fn assert_comes_back(bench: &mut Bench, cause: ResetCause) {
     let event = bench.rig.now();
     assert_eq!(bench.connect(), cause);
-    bench.run_ms(20);
+    bench.run_ms(20.0);
     let lit = bench.record().drives.iter().filter(|drive| drive.at > event && drive.gates != 0).count();
     assert_eq!(lit, 0, "dark until Start");
     assert_eq!(bench.gates(), 0);
@@ -49,14 +48,9 @@ fn lit() -> Bench {
     bench
 }
 
-fn us(ticks: Ticks) -> f64 {
-    ticks as f64 * 1e6 / TICKS_PER_SECOND as f64
-}
-
 /// Lets time pass to another phase of frames, polls and the bus for each `n`.
 fn change_phase(bench: &mut Bench, n: u64) {
-    let next = bench.rig.now() + 3 * MS + 7_919 * n;
-    bench.run_until(next);
+    bench.run_until(bench.rig.now() + 3 * MS + 7_919 * n);
 }
 
 #[test]
@@ -72,56 +66,38 @@ fn stop_is_done_before_its_reply() {
         assert!(dark < replied);
         // A frame of the bus until the command is there, at the most; a poll under way; its carrying out.
         assert!(dark <= asked + 2 * MS);
-        bench.run_ms(20);
+        bench.run_ms(20.0);
         assert_eq!(bench.dark_since(), dark, "and stays dark");
         bench.light();
     }
     bench.assert_no_faults();
 }
 
-#[test]
-fn a_closed_port_ends_the_light() {
+/// Lets `event` happen while it is lit, checks for how long it stays so, and that the next start names `cause`.
+fn ends(name: &str, event: impl Fn(&mut Bench), within: RangeInclusive<Ticks>, cause: ResetCause) -> Bench {
     let mut bench = lit();
-    for n in 0..3 {
-        change_phase(&mut bench, n);
-        let closed = bench.rig.now();
-        bench.rig.set_open(false);
-        bench.run_ms(499);
-        assert!(bench.record().drives.iter().any(|drive| drive.gates != 0 && drive.at > closed + 498 * MS));
-        bench.run_ms(5);
-        let lit = bench.dark_since() - closed;
-        println!("port closed: dark after {:.3} ms", us(lit) / 1e3);
-        // A request of the bus until the board knows, 500 ms, and a poll of 1 ms.
-        assert!(lit <= 502 * MS + MS / 2, "{lit}");
-        bench.open();
-        bench.run_ms(20);
-        assert!(bench.events().iter().any(|text| text.contains("link had been closed")), "{:?}", bench.ear.said);
-        assert_eq!(bench.gates(), 0, "dark until Start");
-        bench.light();
-    }
-    // A port that is opened again in time changes nothing.
-    bench.rig.set_open(false);
-    bench.run_ms(400);
-    bench.open();
-    bench.forget();
-    bench.run_ms(300);
-    assert!(bench.record().drives.len() > 4 * 1_100);
-    bench.assert_no_faults();
+    until_lit_and_awake(&mut bench.rig);
+    let begun = bench.rig.now();
+    event(&mut bench);
+    bench.run_ms(120.0);
+    let lit = bench.dark_since().saturating_sub(begun);
+    println!("{name}: dark after {lit} ticks, {:.2} µs", us(lit));
+    assert!(within.contains(&lit), "{name}: {lit}");
+    bench.rig.machine().set_supply_v(3.3);
+    bench.run_ms(5.0);
+    assert_comes_back(&mut bench, cause);
+    bench
+}
+
+fn jump_to(bench: &mut Bench, function: &str) {
+    let address = find_function(&open_image(None).expect("firmware/build makes it"), function);
+    jump(&mut bench.rig, address);
 }
 
 #[test]
 fn a_panic_ends_the_light_at_once() {
     for function in ["panicking5panic", "panic_bounds_check", "panic_already_borrowed"] {
-        let mut bench = lit();
-        until_lit_and_awake(&mut bench.rig);
-        let event = bench.rig.now();
-        let address = find_function(&bench.image, function);
-        jump(&mut bench.rig, address);
-        bench.run_ms(1);
-        let lit = bench.dark_since() - event;
-        println!("{function}: dark after {lit} ticks, {:.2} µs", us(lit));
-        assert!(lit <= AT_ONCE_TICKS, "{lit}");
-        assert_comes_back(&mut bench, ResetCause::Panic);
+        ends(function, |bench| jump_to(bench, function), 0..=AT_ONCE_TICKS, ResetCause::Panic);
     }
 }
 
@@ -129,62 +105,44 @@ fn a_panic_ends_the_light_at_once() {
 fn a_fault_ends_the_light_at_once() {
     // UDF, a permanently undefined instruction; then an address where nothing is.
     for address in [None, Some(0x6000_0000)] {
-        let mut bench = lit();
-        until_lit_and_awake(&mut bench.rig);
-        let event = bench.rig.now();
-        let address = address.unwrap_or_else(|| find_instruction(&mut bench.rig, 0xDEFE));
-        jump(&mut bench.rig, address);
-        bench.run_ms(1);
-        let lit = bench.dark_since() - event;
-        println!("jump to {address:#010x}: dark after {lit} ticks, {:.2} µs", us(lit));
-        assert!(lit <= AT_ONCE_TICKS, "{lit}");
+        let happens = |bench: &mut Bench| {
+            let address = address.unwrap_or_else(|| find_instruction(&mut bench.rig, 0xDEFE));
+            jump(&mut bench.rig, address);
+        };
+        let mut bench = ends("fault", happens, 0..=AT_ONCE_TICKS, ResetCause::Panic);
         assert!(bench.rig.machine().cpu.last_fault().is_some());
-        assert_comes_back(&mut bench, ResetCause::Panic);
     }
 }
 
 #[test]
 fn a_stack_that_overflows_ends_the_light_and_the_next_start_says_so() {
     // At the frame of an interrupt; at the first instruction of a function.
-    for function in [None, Some("make_core")] {
-        let mut bench = lit();
-        until_lit_and_awake(&mut bench.rig);
-        let address = function.map(|name| find_function(&bench.image, name));
-        let cpu = &mut bench.rig.machine().cpu;
-        let mut state = cpu.state();
-        state.r[13] = RAM_BASE + 16;
-        state.r[15] = address.unwrap_or(state.r[15]);
-        cpu.set_state(&state);
-        let event = bench.rig.now();
-        bench.run_ms(2);
-        let lit = bench.dark_since() - event;
-        println!("{function:?}: dark after {lit} ticks, {:.2} µs", us(lit));
-        assert!(lit <= if function.is_some() { AT_ONCE_TICKS } else { MS + AT_ONCE_TICKS }, "{lit}");
-        assert_comes_back(&mut bench, ResetCause::StackOverflow);
+    for (function, most) in [(None, MS + AT_ONCE_TICKS), (Some("make_core"), AT_ONCE_TICKS)] {
+        let happens = |bench: &mut Bench| {
+            function.into_iter().for_each(|function| jump_to(bench, function));
+            let cpu = &mut bench.rig.machine().cpu;
+            let mut state = cpu.state();
+            state.r[13] = RAM_BASE + 16;
+            cpu.set_state(&state);
+        };
+        ends("stack", happens, 0..=most, ResetCause::StackOverflow);
     }
 }
 
 #[test]
 fn the_watchdog_ends_the_light_of_a_program_that_hangs() {
-    let mut bench = lit();
-    until_lit_and_awake(&mut bench.rig);
-    let event = bench.rig.now();
-    hang(&mut bench.rig);
-    bench.forget();
-    bench.run_ms(120);
-    let resets = bench.rig.machine().resets().len();
-    let reset = bench.rig.machine().resets()[resets - 1].at;
-    let dark = bench.dark_since();
-    println!("hang: dark and reset after {:.2} ms", us(dark - event) / 1e3);
-    assert!(dark <= reset);
-    // 100 ms from the last time it was fed, up to a poll of 1 ms before; its counter counts in
-    // steps of 32 periods of 32 kHz at the most, and as many are left over.
-    assert!((98 * MS..=102 * MS).contains(&(reset - event)), "{}", reset - event);
-    // Until then the schedule runs on by itself, on its frame.
-    let edges: Vec<_> = bench.record().drives.iter().filter(|drive| drive.gates == 0b00_1001).collect();
-    assert!(edges.len() > 390);
-    assert!(edges.windows(2).all(|pair| (pair[1].at - pair[0].at).abs_diff(FRAME_TICKS) <= dma_ticks()));
-    assert_comes_back(&mut bench, ResetCause::Watchdog);
+    let happens = |bench: &mut Bench| {
+        hang(&mut bench.rig);
+        bench.forget();
+        bench.run_ms(98.0);
+        // Until then the schedule runs on by itself, on its frame.
+        let edges: Vec<_> = bench.record().drives.iter().filter(|drive| drive.gates == 0b00_1001).collect();
+        assert!(edges.len() > 390);
+        assert!(edges.windows(2).all(|pair| (pair[1].at - pair[0].at).abs_diff(FRAME_TICKS) <= dma_ticks()));
+    };
+    // 100 ms from the last time it was fed, up to a poll of 1 ms before; its counter counts in steps of 32 periods of
+    // 32 kHz at the most, and as many are left over. The last frame may be dark at its end.
+    ends("hang", happens, 98 * MS - FRAME_TICKS..=102 * MS, ResetCause::Watchdog);
 }
 
 #[test]
@@ -197,8 +155,8 @@ fn a_debugger_that_halts_the_board_leaves_it_dark_and_lets_it_go_on() {
         bench.rig.machine().halt_until(event + 50 * MS);
         assert_eq!(bench.gates(), 0, "halted in the dark");
         longest = longest.max(dark_after(&mut bench, event));
-        bench.run_ms(50);
-        let scans = bench.scans();
+        bench.run_ms(50.0);
+        let scans = &bench.ear.scans;
         assert!(scans.len() >= 190, "it goes on: {}", scans.len());
         let words = *scans.last().expect("scans");
         let strange = scans.iter().filter(|scan| (scan.lit(), scan.dark()) != (words.lit(), words.dark()));
@@ -211,27 +169,19 @@ fn a_debugger_that_halts_the_board_leaves_it_dark_and_lets_it_go_on() {
     let event = bench.rig.now();
     bench.rig.machine().halt_until(event + 150 * MS);
     assert_eq!(bench.gates(), 0);
-    bench.run_ms(5);
+    bench.run_ms(5.0);
     assert_comes_back(&mut bench, ResetCause::Watchdog);
 }
 
 #[test]
 fn a_crystal_that_stops_ends_the_light_at_once_and_the_next_start_does_without() {
-    let mut bench = lit();
     if silicon().has(Fault::HseDead) {
         return;
     }
-    assert_eq!(bench.ask_status().clock, ClockSource::Crystal);
-    until_lit_and_awake(&mut bench.rig);
-    bench.forget();
-    let event = bench.rig.now();
-    bench.rig.machine().board.stop_crystal();
-    bench.run_ms(50);
-    let lit = dark_after(&mut bench, event);
-    assert!(lit <= AT_ONCE_TICKS, "{lit}");
-    assert_comes_back(&mut bench, ResetCause::Panic);
-    assert_eq!(bench.ask_status().clock, ClockSource::CrystalFailed);
-    assert!(bench.events().iter().any(|text| text.contains("crystal did not start")), "{:?}", bench.events());
+    let mut bench =
+        ends("crystal", |bench| bench.rig.machine().board.stop_crystal(), 0..=AT_ONCE_TICKS, ResetCause::Panic);
+    assert_eq!(bench.next_status().clock, ClockSource::CrystalFailed);
+    assert!(bench.ear.events().iter().any(|text| text.contains("crystal did not start")), "{:?}", bench.ear.events());
 }
 
 #[test]
@@ -241,14 +191,14 @@ fn a_falling_supply_ends_the_light_within_microseconds() {
     for n in 0..20 {
         let event = lit_in_phase(&mut bench, n);
         bench.rig.machine().set_supply_v(2.8);
-        bench.run_ms(5);
+        bench.run_ms(5.0);
         let lit = dark_after(&mut bench, event);
         longest = longest.max(lit);
         assert!(lit <= Ending::LowSupply.most_ticks(silicon()), "{lit}");
         assert!(bench.record().drives.iter().all(|drive| drive.gates == 0 || drive.at < event + lit), "and stays dark");
-        assert!(bench.events().iter().any(|text| text.contains("supply")), "{:?}", bench.ear.said);
+        assert!(bench.ear.events().iter().any(|text| text.contains("supply")), "{:?}", bench.ear.said);
         bench.rig.machine().set_supply_v(3.3);
-        bench.run_ms(5);
+        bench.run_ms(5.0);
         assert_eq!(bench.gates(), 0, "dark until Start");
         bench.light();
     }
@@ -260,30 +210,9 @@ fn a_falling_supply_ends_the_light_within_microseconds() {
 fn a_brown_out_lets_the_pins_float_at_once() {
     // Where the backup registers are kept the board knows that it had been running.
     for (volts, cause) in [(1.6, ResetCause::BrownOut), (0.0, ResetCause::PowerOn)] {
-        let mut bench = lit();
-        until_lit_and_awake(&mut bench.rig);
-        let event = bench.rig.now();
-        bench.rig.machine().set_supply_v(volts);
-        let lit = lit_for(&mut bench, event);
-        println!("supply of {volts} V: dark after {lit} ticks");
-        assert_eq!(lit, 0);
-        bench.run_ms(50);
-        assert_eq!(bench.gates(), 0);
-        bench.rig.machine().set_supply_v(3.3);
-        bench.run_ms(5);
-        assert_comes_back(&mut bench, cause);
+        ends("brown-out", |bench| bench.rig.machine().set_supply_v(volts), 0..=0, cause);
     }
-}
-
-#[test]
-fn the_reset_pin_ends_the_light_at_once() {
-    let mut bench = lit();
-    until_lit_and_awake(&mut bench.rig);
-    let event = bench.rig.now();
-    bench.rig.machine().pull_reset_pin();
-    let lit = lit_for(&mut bench, event);
-    assert_eq!(lit, 0);
-    assert_comes_back(&mut bench, ResetCause::Pin);
+    ends("reset pin", |bench| bench.rig.machine().pull_reset_pin(), 0..=0, ResetCause::Pin);
 }
 
 #[test]
@@ -292,7 +221,7 @@ fn a_reboot_is_done_in_the_dark_and_after_its_reply() {
     let asked = bench.rig.now();
     let replied = bench.accept(&Command::Reboot(BootTarget::Firmware));
     let dark = bench.dark_since();
-    bench.run_ms(150);
+    bench.run_ms(150.0);
     let reset = bench.rig.machine().resets().last().expect("it starts").at;
     println!(
         "Reboot: dark after {:.0} µs, reply after {:.0} µs, reset after {:.0} µs",
@@ -311,23 +240,24 @@ fn a_reboot_is_done_in_the_dark_and_after_its_reply() {
 fn a_low_supply_refuses_the_start() {
     let mut bench = Bench::quiet();
     bench.rig.machine().set_supply_v(2.8);
-    bench.run_ms(5);
+    bench.run_ms(5.0);
     bench.forget();
     for _ in 0..3 {
-        let (_, outcome) = bench.ask(&Command::Start);
+        let outcome = bench.ask(Command::Start);
         assert_eq!(outcome, Err(Rejection::Hardware(HardwareFault::Supply)));
-        bench.run_ms(5);
+        bench.run_ms(5.0);
     }
     assert!(bench.record().drives.iter().all(|drive| drive.gates == 0), "nothing lights");
-    let status = bench.ask_status();
+    let status = bench.next_status();
     assert!(!status.acquiring && (status.supply_v - 2.8).abs() < 0.02, "{status:?}");
+    assert!(status.clock == ClockSource::Crystal || silicon().has(Fault::HseDead), "{status:?}");
     // Above the detector's threshold and hysteresis, 3.00 V.
     bench.rig.machine().set_supply_v(3.1);
-    bench.run_ms(1);
+    bench.run_ms(1.0);
     bench.light();
     bench.forget();
-    bench.run_ms(100);
-    assert!(bench.scans().len() >= 395, "{}", bench.scans().len());
+    bench.run_ms(100.0);
+    assert!(bench.ear.scans.len() >= 395, "{}", bench.ear.scans.len());
     let heard = bench.ear.said.iter().filter(|(_, said)| matches!(said, Said::Event(..))).count();
     assert_eq!(heard, 0);
     bench.assert_no_faults();

@@ -3,12 +3,11 @@
 mod common;
 mod counts;
 mod disturbances;
+mod documents;
 mod facts;
-mod facts_page;
 mod frames;
 mod light;
 mod links;
-mod panics;
 mod poses;
 mod schedules;
 mod storage;

@@ -2,7 +2,7 @@
 
 use crate::common::chain::Chain;
 use crate::common::silicon;
-use crate::common::solving::{SEED, calibrated, chain, chain_of, head_of, is_ready_high, scene, smooth};
+use crate::common::{SEED, calibrated, chain, chain_of, head_of, is_ready_high, scene, smooth, us};
 use slitpose_emulator::faults::Fault;
 use slitpose_emulator::memory::{CCM_BYTES, RAM_BYTES};
 use slitpose_emulator::peripherals::TICKS_PER_SECOND;
@@ -173,7 +173,6 @@ fn every_frame_of_ten_seconds_is_solved_in_time() {
     let schedule = chain.schedule.clone().expect("a hello");
     let last = schedule.last_sample_ticks();
     let ready = |record: &PoseRecord| u64::from(record.ready) * u64::from(READY_TICKS);
-    let us = |ticks: u64| ticks as f64 * 1e6 / TICKS_PER_SECOND as f64;
     // The first poses are found from nothing.
     let mut late: Vec<u64> = chain.poses.iter().skip(40).map(|(_, (.., record))| ready(record) - last).collect();
     late.sort_unstable();
@@ -279,7 +278,6 @@ fn a_calibrated_head_takes_over_while_the_board_runs_and_outlives_the_supply() {
         })
         .collect();
     late.sort_unstable();
-    let us = |ticks: u64| ticks as f64 * 1e6 / TICKS_PER_SECOND as f64;
     println!(
         "calibrated: {} poses in {:.2} s, off by {:.1} um in the median, {:.1} at most; load {} per mille, last conversion to \
          pose {:.0} us in the median, {:.0} at most; stack {} bytes",
@@ -410,7 +408,6 @@ fn a_board_with_a_faulty_cell_has_poses_of_the_others() {
     let excluded = |record: &PoseRecord| record.status == PoseStatus::CellExcluded && record.excluded == 1 << 5;
     let first = chain.poses.iter().position(|(_, (.., record))| excluded(record)).expect("found out");
     let schedule = chain.schedule.clone().expect("a hello");
-    let us = |ticks: u64| ticks as f64 * 1e6 / TICKS_PER_SECOND as f64;
     let begun = us(chain.poses[first].1.1 - chain.poses[0].1.1);
     let (mut squares, mut late, mut without) = (0.0_f64, Vec::new(), 0);
     for (_, (sequence, tick, record)) in &chain.poses[first..] {

@@ -5,11 +5,10 @@
 //! exact, and a tolerance of zero ticks is what is asserted unless stated. A real transfer
 //! controller takes some ten ticks from request to write, and a few more when the bus is busy.
 
-use crate::common::light::{Bench, check_counters, run, tick_offset, worst_codes};
-use crate::common::pins::{check_pins, level_code};
+use crate::common::pins::{Bench, check_counters, check_pins, level_code, run, tick_offset, worst_codes};
 use crate::common::talk::{FRAME_TICKS, Talk};
-use slitpose_firmware::pcb::default_configuration;
 use slitpose_firmware::pcb::wiring::highest_level;
+use slitpose_firmware::pcb::{default_configuration, default_scaling};
 use slitpose_protocol::{Command, Configuration, EmitterSet, Exposure, Level, Schedule};
 
 /// Ticks from a frame's start on the pins to its tick in a batch: the program reads the clock just
@@ -31,7 +30,7 @@ const ALL: [&[usize]; 1] = [&[0, 1, 2, 3, 4, 5]];
 /// Runs `configuration` for `ms` and checks pins, counters and words.
 fn check(bench: &mut Bench, name: &str, configuration: &Configuration, ms: u64) {
     let schedule = &configuration.schedule;
-    let (scans, start) = run(bench, configuration, ms);
+    let (scans, start) = run(bench, configuration, ms as f64);
     let frames = check_pins(bench.record(), configuration, start);
     check_counters(&scans, schedule);
     // At the Stop a frame may be sampled, but not yet read.
@@ -41,7 +40,7 @@ fn check(bench: &mut Bench, name: &str, configuration: &Configuration, ms: u64) 
     assert!(scans.len() as u64 >= least.saturating_sub(1), "{name}: {} scans of {least}", scans.len());
     let offset = tick_offset(bench, &scans, start);
     assert!((0..=MAX_OFFSET_TICKS).contains(&offset), "{name}: {offset} ticks");
-    let worst = worst_codes(bench, &scans, configuration);
+    let worst = worst_codes(&scans, configuration);
     println!(
         "{name}: {:.1} Hz, {} scans, tick − pins {offset}, {worst:.3} codes at most",
         schedule.frame_rate_hz(),
@@ -57,7 +56,7 @@ fn the_default_schedule_is_exact_for_a_thousand_frames() {
     bench.rig.machine().board.log_gates();
     let configuration = default_configuration();
     check(&mut bench, "default", &configuration, 300);
-    assert!(bench.scans().len() >= 1_199);
+    assert!(bench.ear.scans.len() >= 1_199);
     // The pins' own log tells the same as the world.
     let log: Vec<_> = bench.rig.machine().board.take_gate_log().iter().map(|edge| (edge.at, edge.gates)).collect();
     let mut gates = 0;
@@ -75,7 +74,7 @@ fn the_offset_of_the_clock_is_the_same_after_every_start() {
         // Every start comes at another phase of everything else.
         let later = bench.rig.now() + 1_000 + 7_919 * n;
         bench.run_until(later);
-        let (scans, start) = run(&mut bench, &configuration, 8);
+        let (scans, start) = run(&mut bench, &configuration, 8.0);
         check_counters(&scans, &configuration.schedule);
         offsets.push(tick_offset(&mut bench, &scans, start));
     }
@@ -188,16 +187,16 @@ fn automatic_exposure_settles_within_the_range_and_the_highest_level() {
     bench.accept(&Command::Configure(configuration.clone()));
     bench.forget();
     bench.accept(&Command::Start);
-    bench.run_ms(300);
+    bench.run_ms(300.0);
     bench.accept(&Command::Stop);
-    bench.run_ms(5);
-    let (scans, highest) = (bench.scans(), highest_level(&configuration.schedule));
+    bench.run_ms(5.0);
+    let (scans, highest) = (bench.ear.scans.clone(), highest_level(&configuration.schedule));
     let settled = &scans[scans.len() - 400..];
     assert!(settled.iter().all(|scan| scan.levels() == settled[0].levels()), "100 ms without a change");
     assert_ne!(scans[0].levels(), settled[0].levels());
     println!("levels {:04x?}", settled[0].levels());
     for (cell, [x1, x2]) in settled[0].lit().iter().enumerate() {
-        let zero = bench.scaling.zero_code * f64::from(configuration.schedule.oversampling);
+        let zero = default_scaling().zero_code * f64::from(configuration.schedule.oversampling);
         let share = [x1, x2].map(|&word| (f64::from(word) / zero - 1.0).abs()).into_iter().fold(0.0, f64::max);
         assert!(share < 0.85 && (share > 0.3 || settled[0].levels()[cell] == highest), "cell {cell}: {share}");
     }
@@ -262,17 +261,17 @@ struct Outcome {
 
 fn outcome(bench: &mut Bench, configuration: &Configuration, ms: u64) -> Outcome {
     bench.accept(&Command::Configure(configuration.clone()));
-    let before = bench.ask_status();
+    let before = bench.next_status();
     bench.forget();
     bench.accept(&Command::Start);
     let (awake, since) = (bench.rig.machine().awake_ticks(), bench.rig.now());
-    bench.run_ms(ms);
+    bench.run_ms(ms as f64);
     let awake = bench.rig.machine().awake_ticks() - awake;
     let awake_permille = 1e3 * awake as f64 / (bench.rig.now() - since) as f64;
-    let load_permille = bench.last_status().cpu_load_permille;
+    let load_permille = bench.ear.status.expect("a status comes twice a second").cpu_load_permille;
     bench.accept(&Command::Stop);
-    let after = bench.ask_status();
-    let scans = bench.scans();
+    let after = bench.next_status();
+    let scans = bench.ear.scans.clone();
     let numbers = scans.last().map_or(0, |last| last.sequence + 1 - scans[0].sequence);
     let outcome = Outcome {
         scans: scans.len() as u64,

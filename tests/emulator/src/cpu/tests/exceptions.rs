@@ -1,4 +1,4 @@
-//! Entry and return, priorities, faults, sleep.
+//! Entry and return, priorities, faults, sleep; registers of the private peripheral bus.
 
 use super::*;
 
@@ -51,20 +51,19 @@ fn entry_stacks_eight_words_aligned_and_return_restores_them() {
 }
 
 #[test]
-fn process_stack_and_float_frame() {
-    // msr psp, r0; msr control, r1 (SPSEL, FPCA); svc
-    let mut board = Board::new(&[0xf380, 0x8809, 0xf381, 0x8814, SVC]).with_float();
+fn the_float_frame_follows_the_basic_one() {
+    // msr control, r1 (FPCA); svc
+    let mut board = Board::new(&[0xf381, 0x8814, SVC]).with_float();
     (board.cpu.float.s[0], board.cpu.float.s[15]) = (0x1111, 0x2222);
-    board.set(0, RAM + 0x400);
-    board.set(1, 6);
-    board.run(3);
-    assert_eq!((board.r(13), board.r(14)), (STACK, 0xffff_ffed));
-    let frame = RAM + 0x400 - 0x68;
+    board.set(1, 4);
+    board.run(2);
+    let frame = STACK - 0x68;
+    assert_eq!((board.r(13), board.r(14)), (frame, 0xffff_ffe9));
     assert_eq!((board.word(frame + 0x20), board.word(frame + 0x5c)), (0x1111, 0x2222));
     assert!(!board.cpu.registers.float_active);
     board.cpu.float.s[0] = 0x3333;
     board.run(1);
-    assert_eq!((board.r(13), board.cpu.state().s[0]), (RAM + 0x400, 0x1111));
+    assert_eq!((board.r(13), board.cpu.state().s[0]), (STACK, 0x1111));
     assert!(board.cpu.registers.float_active);
 }
 
@@ -223,17 +222,119 @@ fn events_wake_once() {
 }
 
 #[test]
-fn masked_interrupts_wake_wfi_and_by_choice_wfe() {
-    let mut board = Board::new(&[CPSID_I, WFI, WFE, WFE, NOP]);
+fn masked_interrupts_wake_wfi_and_not_wfe() {
+    let mut board = Board::new(&[CPSID_I, WFI, WFE, NOP]);
     board.enable(0, 0);
     board.run(2);
     assert_eq!(board.step(), Step::Asleep);
     board.lines(&[0]);
     board.run(1); // WFI ends, WFE begins
     assert_eq!(board.step(), Step::Asleep, "WFE does not see it");
-    board.cpu.write_private(0xe000_ed10, Size::Word, 1 << 4).unwrap(); // SEVONPEND
-    board.enable(1, 0);
-    board.lines(&[0, 1]);
+}
+
+impl Board {
+    fn poke(&mut self, address: u32, value: u32) {
+        self.cpu.write_private(address, Size::Word, value);
+    }
+
+    fn peek(&mut self, address: u32) -> u32 {
+        self.cpu.read_private(address, Size::Word)
+    }
+}
+
+#[test]
+fn interrupts_are_enabled_pended_and_given_priorities() {
+    let mut board = Board::new(&[0xe7fe]);
+    board.poke(0xe000_e108, 1 << 3); // ISER2: interrupt 67
+    board.cpu.write_private(0xe000_e400 + 67, Size::Byte, 0x5f);
+    assert_eq!(board.peek(0xe000_e108), 1 << 3);
+    assert_eq!(board.peek(0xe000_e400 + 64), 0x5000_0000, "four bits of priority");
+    board.poke(0xe000_ef00, 67); // STIR
+    assert_eq!(board.peek(0xe000_e208), 1 << 3);
+    assert_eq!(board.peek(0xe000_ed04), 1 << 22 | 83 << 12 | 1 << 11); // ICSR
+    board.poke(0xe000_e288, 1 << 3);
+    board.poke(0xe000_e188, 1 << 3);
+    assert_eq!((board.peek(0xe000_e208), board.peek(0xe000_e108)), (0, 0));
+}
+
+#[test]
+fn pendsv_comes_when_nothing_is_more_urgent() {
+    let mut board = Board::new(&[0xbf00, 0xbf00]);
+    board.poke(0xe000_ed20, 0xf0 << 16);
+    board.poke(0xe000_ed04, 1 << 28);
     board.run(1);
-    assert_eq!((board.r(15), board.cpu.exception()), (PROGRAM + 8, 0));
+    assert_eq!((board.cpu.exception(), board.peek(0xe000_ed04) & 0x1ff), (14, 14));
+}
+
+#[test]
+fn reset_needs_its_key() {
+    let mut board = Board::new(&[0xe7fe]);
+    board.poke(0xe000_ed0c, 4);
+    board.run(1);
+    board.poke(0xe000_ed0c, 0x05fa_0004);
+    assert_eq!([board.step(), board.step()], [Step::ResetRequested; 2]);
+    board.cpu.reset(&mut board.memory);
+    board.run(1);
+}
+
+#[test]
+fn the_cycle_counter_counts_executed_cycles() {
+    let mut board = Board::new(&[0xbf00, 0xe7fd]); // nop; b back: four cycles
+    board.poke(0xe000_edfc, 1 << 24);
+    board.poke(0xe000_1004, 100);
+    board.poke(0xe000_1000, 1);
+    board.run(20);
+    assert_eq!(board.peek(0xe000_1004), 140);
+    board.poke(0xe000_1000, 0);
+    board.run(20);
+    assert_eq!(board.peek(0xe000_1004), 140);
+}
+
+#[test]
+fn a_guarded_region_allows_no_data_access_but_to_a_hardfault() {
+    let [store, load, push, svc] = [0x600a, 0x6808, 0xb401, 0xdf00]; // str r2, [r1]; ldr r0, [r1]; push {r0}; svc
+    let end = RAM + 0x400;
+    for (program, r1, sp, expected, status) in [
+        (store, end - 4, STACK, Some(Fault::Guarded { address: end - 4 }), 0x82),
+        (load, end - 0x200, STACK, Some(Fault::Guarded { address: end - 0x200 }), 0x82),
+        // Its own fault's frame finds no place either.
+        (push, 0, end, Some(Fault::StackingGuarded { address: end - 0x20 }), 0x92),
+        (svc, 0, end + 0x10, Some(Fault::StackingGuarded { address: end - 0x10 }), 0x10),
+        (store, end, STACK, None, 0),
+        (store, end - 0x204, STACK, None, 0),
+    ] {
+        for control in [0, 0b101] {
+            let mut board = Board::new(&[program]).with_handler(3, &[store]);
+            board.poke(0xe000_ed9c, (end - 0x200) | 1 << 4);
+            board.poke(0xe000_eda0, 1 << 28 | 8 << 1 | 1); // 512 bytes
+            board.poke(0xe000_ed94, control);
+            board.set(1, r1);
+            board.set(13, sp);
+            board.run(1);
+            let (expected, status) = if control == 0 { (None, 0) } else { (expected, status) };
+            assert_eq!((board.fault(), board.cpu.system.cfsr), (expected, status), "{program:#x}, {control}");
+            if expected.is_some() {
+                board.set(1, end - 4);
+                board.run(1);
+                assert_eq!((board.cpu.exception(), board.fault()), (3, expected));
+            }
+        }
+    }
+}
+
+#[test]
+fn unprivileged_code_and_the_process_stack_are_not_modelled() {
+    for control in [1, 2] {
+        let board = after(&[0xf380, 0x8814], [control, 0, 0, 0, 0], 1); // msr control, r0
+        assert_eq!(board.fault(), Some(Fault::Undefined { first: 0xf380, second: 0x8814 }));
+    }
+}
+
+#[test]
+fn identification_and_unmodelled_registers() {
+    let mut board = Board::new(&[0xe7fe]);
+    assert_eq!(board.peek(0xe000_ed00), 0x410f_c241);
+    assert_eq!(board.peek(0xe00f_f000), 0);
+    board.poke(0xe000_0e80, 1);
+    assert_eq!(board.cpu.read_private(0xe000_ed02, Size::Half), 0x410f);
 }

@@ -1,9 +1,7 @@
 //! Converters that share a clock, the common registers and interrupts.
 
-use super::commands::*;
-use super::{Adc, Phase};
-use crate::faults::Fault;
-use crate::peripherals::{Effects, Ticks, interrupt, request};
+use super::*;
+use crate::peripherals::{interrupt, request};
 
 /// Converters that share a clock and the common registers: ADC1 and ADC2, or ADC3 to ADC5.
 #[derive(Debug)]
@@ -11,8 +9,6 @@ pub struct AdcGroup<const N: usize> {
     adcs: [Adc; N],
     lines: [u8; N],
     ccr: u32,
-    /// Period of the asynchronous clock in half ticks; 0: none is selected.
-    kernel_half_ticks: u64,
     next: Ticks,
 }
 
@@ -27,17 +23,17 @@ impl AdcGroup<2> {
 impl AdcGroup<3> {
     /// ADC3, ADC4 and ADC5.
     pub fn adc345() -> Self {
-        let adcs = [0, 1, 2].map(|index| Adc::new(3 + index, request::ADC3.after(index)));
+        let adcs = [0, 1, 2].map(|index| Adc::new(3 + index, request::ADC3 + index));
         Self::new(adcs, [interrupt::ADC3, interrupt::ADC4, interrupt::ADC5])
     }
 }
 
 impl<const N: usize> AdcGroup<N> {
     fn new(adcs: [Adc; N], lines: [u8; N]) -> Self {
-        Self { adcs, lines, ccr: 0, kernel_half_ticks: 0, next: Ticks::MAX }
+        Self { adcs, lines, ccr: 0, next: Ticks::MAX }
     }
 
-    /// State after reset; the clock selection belongs to RCC and stays.
+    /// State after reset.
     pub fn reset(&mut self, effects: &mut Effects) {
         for adc in &mut self.adcs {
             effects.withdraw(adc.request);
@@ -45,11 +41,6 @@ impl<const N: usize> AdcGroup<N> {
         }
         self.ccr = 0;
         self.update(effects);
-    }
-
-    /// Period of the asynchronous kernel clock that RCC_CCIPR selects, in half ticks; 0: none.
-    pub fn set_kernel_clock(&mut self, half_ticks: u64) {
-        self.kernel_half_ticks = half_ticks;
     }
 
     /// Converter `index` of the group.
@@ -94,9 +85,9 @@ impl<const N: usize> AdcGroup<N> {
             _ => match self.adcs.get_mut((offset / 0x100) as usize) {
                 Some(adc) => {
                     // The ratio of the clocks is fixed by the time a converter is commanded.
-                    adc.clock = clock_ticks(self.ccr, self.kernel_half_ticks);
+                    adc.clock = clock_ticks(self.ccr);
                     if offset % 0x100 == CR && value & (ADEN | ADCAL) != 0 && adc.clock == 0 {
-                        effects.violation(value, "an ADC needs a clock (RCC_CCIPR.ADCxSEL or ADC_CCR.CKMODE)");
+                        effects.violation(value, "an ADC needs a clock (ADC_CCR.CKMODE)");
                     }
                     adc.write(offset % 0x100, value, effects);
                 }
@@ -114,11 +105,11 @@ impl<const N: usize> AdcGroup<N> {
 
     /// Does what is due now. `sample` gives the code of (converter number, channel) held now.
     pub fn advance(&mut self, effects: &mut Effects, sample: &mut impl FnMut(u8, u8) -> u16) {
-        let now = effects.now();
+        let now = effects.now;
         let mut quiet = true;
         for adc in &mut self.adcs {
             if adc.next == now {
-                quiet &= adc.phase == Phase::Hold && adc.ier == 0;
+                quiet &= adc.phase == Phase::Hold && adc.bank[IER] == 0;
                 adc.advance(effects, sample);
                 adc.next = adc.phase_at.min(adc.command_at);
             }
@@ -145,8 +136,8 @@ impl<const N: usize> AdcGroup<N> {
     /// Timer trigger edges, as `Effects::take_triggers` returns them.
     pub fn trigger(&mut self, edges: u16, effects: &Effects) {
         for adc in &mut self.adcs {
-            if adc.cr & (ADSTART | ADSTP) == ADSTART && adc.plan.trigger_mask & edges != 0 {
-                adc.begin(effects.now(), late_ticks(effects, adc.clock));
+            if adc.bank[CR] & (ADSTART | ADSTP) == ADSTART && adc.plan.trigger_mask & edges != 0 {
+                adc.begin(effects.now, late_ticks(effects, adc.clock));
                 adc.next = adc.phase_at.min(adc.command_at);
             }
         }
@@ -155,21 +146,16 @@ impl<const N: usize> AdcGroup<N> {
 
     /// ADC_CSR: the flags of both converters of a pair.
     fn status(&self) -> u32 {
-        self.adcs.iter().take(2).enumerate().map(|(index, adc)| adc.isr << (16 * index)).sum()
+        self.adcs.iter().take(2).enumerate().map(|(index, adc)| adc.bank[ISR] << (16 * index)).sum()
     }
 
     fn write_ccr(&mut self, value: u32, effects: &mut Effects) {
-        let busy = self.adcs.iter().any(|adc| adc.cr & CR_COMMANDS != 0);
-        if busy && (value ^ self.ccr) & CCR_CLOCK != 0 {
-            effects.violation(value, "ADC_CCR.CKMODE and PRESC are written only while all ADCs are disabled");
+        let busy = self.adcs.iter().any(|adc| adc.bank[CR] & CR_COMMANDS != 0);
+        if busy && (value ^ self.ccr) & ADC::CCR_CKMODE != 0 {
+            effects.violation(value, "ADC_CCR.CKMODE is written only while all ADCs are disabled");
         }
         effects.unmodelled_bits(value & !CCR_MODELLED);
         self.ccr = value;
-        let clock = clock_ticks(value, self.kernel_half_ticks);
-        if clock == 0 && value >> 16 & 3 == 0 && !(self.kernel_half_ticks * prescaler(value)).is_multiple_of(2) {
-            // Only whole ticks are modelled.
-            effects.unmodelled();
-        }
     }
 
     fn update(&mut self, effects: &mut Effects) {
@@ -195,26 +181,132 @@ impl<const N: usize> AdcGroup<N> {
 
 /// Fault trigger-phase: ticks to the next edge of the converters' clock, whose phase is that of the power-on, and an
 /// eighth of a clock, rounded up.
-pub(super) fn late_ticks(effects: &Effects, clock: u64) -> Ticks {
+fn late_ticks(effects: &Effects, clock: u64) -> Ticks {
     if !effects.faults.has(Fault::TriggerPhase) {
         return 0;
     }
-    (effects.clock_phase + clock - effects.now() % clock) % clock + clock.div_ceil(8)
+    (effects.clock_phase + clock - effects.now % clock) % clock + clock.div_ceil(8)
 }
 
-fn prescaler(ccr: u32) -> u64 {
-    PRESCALERS.get((ccr >> 18 & 0xF) as usize).copied().unwrap_or(1)
+/// Ticks of a converter clock, by CKMODE; 0: none, as the asynchronous clock is not modelled.
+fn clock_ticks(ccr: u32) -> u64 {
+    [0, 1, 2, 4][(ccr >> 16 & 3) as usize]
 }
 
-/// Ticks of a converter clock; 0: no clock, or none of whole ticks.
-pub(super) fn clock_ticks(ccr: u32, kernel_half_ticks: u64) -> u64 {
-    match ccr >> 16 & 3 {
-        0 => {
-            let half_ticks = kernel_half_ticks * prescaler(ccr);
-            if half_ticks.is_multiple_of(2) { half_ticks / 2 } else { 0 }
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::facts;
+
+    const SMP_24_5: u32 = 3;
+    const EXTERNAL: u32 = 1 << 10 | 11 << 5;
+
+    /// ADC1 and ADC2 enabled at HCLK/4 without a broken rule.
+    fn enabled() -> (AdcGroup<2>, Effects) {
+        let (mut group, mut effects) = (AdcGroup::adc12(), Effects::default());
+        group.write(CCR, 3 << 16, &mut effects);
+        for base in [0, 0x100] {
+            group.write(base + CR, 0, &mut effects);
+            group.write(base + CR, ADVREGEN, &mut effects);
         }
-        1 => 1,
-        2 => 2,
-        _ => 4,
+        effects.now = 10_000;
+        for command in [ADCAL, ADEN] {
+            for base in [0, 0x100] {
+                group.write(base + CR, ADVREGEN | command, &mut effects);
+            }
+            drain(&mut group, &mut effects, 1_000);
+        }
+        assert_eq!(effects.violations, []);
+        assert_eq!(group.read(ISR, &mut effects), ADRDY);
+        (group, effects)
+    }
+
+    /// Lets `ticks` pass; returns (tick, ADC, channel) of every hold.
+    fn drain(group: &mut AdcGroup<2>, effects: &mut Effects, ticks: Ticks) -> Vec<(Ticks, u8, u8)> {
+        let end = effects.now + ticks;
+        let mut holds = Vec::new();
+        while group.next_event() <= end {
+            effects.now = group.next_event();
+            let now = effects.now;
+            group.advance(effects, &mut |adc, channel| {
+                holds.push((now, adc, channel));
+                100 * u16::from(channel) + holds.len() as u16
+            });
+        }
+        effects.now = end;
+        holds
+    }
+
+    /// Two ranks (IN1, IN6) at 24.5 clocks, oversampled ×2, triggered by TIM2.
+    fn armed() -> (AdcGroup<2>, Effects) {
+        let (mut group, mut effects) = enabled();
+        for base in [0, 0x100] {
+            group.write(base + SMPR1, SMP_24_5 << 3 | SMP_24_5 << 18, &mut effects);
+            group.write(base + SQR1, 1 | 1 << 6 | 6 << 12, &mut effects);
+            group.write(base + CFGR2, ROVSE, &mut effects);
+            group.write(base + CFGR, EXTERNAL | DMAEN | 2, &mut effects);
+            group.write(base + CR, ADVREGEN | ADEN | ADSTART, &mut effects);
+        }
+        (group, effects)
+    }
+
+    #[test]
+    fn write_rules_are_watched() {
+        let (mut group, mut effects) = armed();
+        for (count, (offset, value)) in
+            [(CFGR, 0), (CFGR2, 0), (SMPR1, 0), (SQR1, 0), (DIFSEL, 2), (CCR, 2 << 16)].into_iter().enumerate()
+        {
+            group.write(offset, value, &mut effects);
+            assert_eq!(effects.violation_count, count as u64 + 1, "register {offset:#x}");
+        }
+        let (mut group, mut effects) = (AdcGroup::adc12(), Effects::default());
+        group.write(CCR, 3 << 16, &mut effects);
+        group.write(CR, ADVREGEN, &mut effects);
+        group.write(CR, ADVREGEN | ADCAL, &mut effects);
+        assert_eq!(effects.violation_count, 1, "calibrated before the regulator is up");
+    }
+
+    #[test]
+    fn times_are_those_of_st() {
+        let half_clocks = |name: &str| (2.0 * facts::number(name)) as u64;
+        let sampling = [0, 1, 2, 3, 4, 5, 6, 7].map(|code| half_clocks(&format!("sampling_clocks_{code}")));
+        assert_eq!(SAMPLE_HALF_CLOCKS, sampling);
+        assert_eq!(APPROXIMATION_HALF_CLOCKS, half_clocks("approximation_clocks_12_bits"));
+        let conversion = sampling[0] + APPROXIMATION_HALF_CLOCKS;
+        assert_eq!(2 * STABILISATION_CLOCKS, u64::from(facts::bits("t_STAB")) * conversion);
+    }
+
+    /// Without fault trigger-phase the latency is that of the data sheet in whole clocks; the fault adds the eighth that
+    /// is left at a quarter of the bus clock, and the way to the clock's next edge.
+    #[test]
+    fn the_triggers_latency_is_that_of_the_data_sheet_less_an_eighth() {
+        let latency = facts::number("t_LATR_ckmode_11");
+        assert_eq!((TRIGGER_CLOCKS as f64, latency.fract()), (latency.trunc(), 0.125));
+        let (group, _) = enabled();
+        let clock = group.adc(0).clock;
+        let mut effects = Effects::default();
+        effects.faults = [Fault::TriggerPhase].into_iter().collect();
+        let mut late: Vec<_> = (0..clock)
+            .map(|now| {
+                effects.now = now;
+                late_ticks(&effects, clock)
+            })
+            .collect();
+        late.sort_unstable();
+        // Half a tick in whole ones, and up to three.
+        assert_eq!(late, [1, 2, 3, 4]);
+    }
+
+    #[test]
+    fn triggers_are_selected_by_st_s_numbers() {
+        for (index, timer) in ["TIM2", "TIM3", "TIM4"].into_iter().enumerate() {
+            let (mut group, mut effects) = enabled();
+            let select = facts::bits(&format!("LL_ADC_REG_TRIG_EXT_{timer}_TRGO")) & facts::bits("ADC_CFGR_EXTSEL");
+            group.write(CFGR, select | facts::bits("LL_ADC_REG_TRIG_EXT_RISING"), &mut effects);
+            assert_eq!(group.adc(0).trigger_mask(), 1 << (2 * index), "{timer}");
+        }
+        for (divider, mode) in [(1, 1), (2, 2), (4, facts::bits("LL_ADC_CLOCK_SYNC_PCLK_DIV4") >> 16)] {
+            assert_eq!(clock_ticks(mode << 16), divider);
+        }
     }
 }

@@ -5,53 +5,28 @@
 //! endpoints, link power management and charger detection are not modelled.
 
 mod endpoint;
-mod port;
 
 use super::{Effects, TICKS_PER_SECOND, Ticks, interrupt};
+use crate::st::USB::{
+    BCDR, BCDR_DPPU, BTABLE, CNTR, CNTR_FRES, CNTR_FSUSP, CNTR_LPMODE, CNTR_PDWN, DADDR, DADDR_EF, FNR,
+    FNR_FN as FNR_FRAME, FNR_LCK, FNR_LSOF, FNR_RXDP, ISTR, ISTR_CTR, ISTR_DIR, ISTR_ESOF, ISTR_RESET, ISTR_SOF,
+    ISTR_SUSP, ISTR_WKUP, LPMCSR,
+};
 use crate::usb_wire::FRAME_TICKS;
 use endpoint::{Endpoint, PacketMemory, Stat};
 
-pub use port::UsbPort;
+pub use endpoint::UsbPort;
 
 /// Endpoint registers, and so the largest number of endpoints.
 const ENDPOINTS: usize = 8;
 
-// Register offsets.
 const EPNR_END: u32 = 0x20;
-const CNTR: u32 = 0x40;
-const ISTR: u32 = 0x44;
-const FNR: u32 = 0x48;
-const DADDR: u32 = 0x4c;
-const BTABLE: u32 = 0x50;
-const LPMCSR: u32 = 0x54;
-const BCDR: u32 = 0x58;
 
 // USB_CNTR; bits 8 to 15 enable the interrupts of the same bits in USB_ISTR.
-const CNTR_FRES: u32 = 1 << 0;
-const CNTR_PDWN: u32 = 1 << 1;
-const CNTR_LPMODE: u32 = 1 << 2;
-const CNTR_FSUSP: u32 = 1 << 3;
 const CNTR_MODELLED: u32 = 0xff00 | CNTR_FRES | CNTR_PDWN | CNTR_LPMODE | CNTR_FSUSP;
 
-// USB_ISTR.
-const ISTR_DIR: u32 = 1 << 4;
-const ISTR_ESOF: u32 = 1 << 8;
-const ISTR_SOF: u32 = 1 << 9;
-const ISTR_RESET: u32 = 1 << 10;
-const ISTR_SUSP: u32 = 1 << 11;
-const ISTR_WKUP: u32 = 1 << 12;
-const ISTR_CTR: u32 = 1 << 15;
 const INTERRUPTS: u32 = 0xff00;
-
-// USB_FNR.
-const FNR_FRAME: u32 = 0x7ff;
-const FNR_LSOF: u32 = 0x1800;
 const FNR_LSOF_ONE: u32 = 0x800;
-const FNR_LCK: u32 = 1 << 13;
-const FNR_RXDP: u32 = 1 << 15;
-
-const DADDR_EF: u32 = 1 << 7;
-const BCDR_DPPU: u32 = 1 << 15;
 
 /// Broken by a program that reads what the next packet may overwrite: of endpoint 0, of another.
 pub const READ_WHILE_RECEIVING: [&str; 2] = [
@@ -97,12 +72,6 @@ pub struct Usb {
     missed_frames: u32,
 }
 
-impl Default for Usb {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
 impl Usb {
     pub fn new() -> Self {
         Self {
@@ -134,7 +103,7 @@ impl Usb {
     /// every change; when the whole device is reset, after [`Self::reset`].
     pub fn set_clock(&mut self, running: bool, effects: &mut Effects) {
         self.clock = running;
-        if !running && self.is_running() {
+        if !running && !self.is_held() {
             effects.violation(self.control, "USB: the 48 MHz clock is stopped while the block runs");
         }
     }
@@ -224,7 +193,7 @@ impl Usb {
             self.frame = self.frame & !FNR_LSOF | lost.min(FNR_LSOF);
         }
         self.missed_frames += 1;
-        self.silence_at = effects.now() + FRAME_TICKS;
+        self.silence_at = effects.now + FRAME_TICKS;
         if self.missed_frames == SUSPEND_FRAMES {
             self.status |= ISTR_SUSP;
             self.frames_seen = 0;
@@ -241,11 +210,6 @@ impl Usb {
     /// Held in reset by the program.
     fn is_held(&self) -> bool {
         self.control & (CNTR_FRES | CNTR_PDWN) != 0
-    }
-
-    /// Able to hear the bus and to answer.
-    fn is_running(&self) -> bool {
-        !self.is_held()
     }
 
     /// Where the buffer table describes endpoint register `index`.
@@ -269,7 +233,7 @@ impl Usb {
     }
 
     fn write_control(&mut self, value: u32, effects: &mut Effects) {
-        let (before, now) = (self.control, effects.now());
+        let (before, now) = (self.control, effects.now);
         if value & !CNTR_MODELLED != 0 {
             effects.unmodelled();
         }
@@ -278,7 +242,7 @@ impl Usb {
         if cleared & CNTR_PDWN != 0 {
             self.transceiver_on_since = now;
         }
-        if before & (CNTR_FRES | CNTR_PDWN) != 0 && self.is_running() {
+        if before & (CNTR_FRES | CNTR_PDWN) != 0 && !self.is_held() {
             if now < self.transceiver_on_since + STARTUP_TICKS {
                 effects.violation(value, "USB: FRES cleared before the transceiver's start-up time");
             }
@@ -356,4 +320,98 @@ fn overlaps(a: &std::ops::Range<usize>, b: &std::ops::Range<usize>) -> bool {
 }
 
 #[cfg(test)]
-mod tests;
+mod tests {
+    use super::*;
+    use crate::usb_wire::{Answer, BusSignal, OutPacket};
+
+    const CONTROL: u32 = 0b01 << 9;
+    const RUNNING: u32 = 0xbf00;
+
+    /// Powered, clocked and out of reset as the manual asks for, after a bus reset, at address 0.
+    fn running() -> (Usb, Effects) {
+        let (mut usb, mut effects) = (Usb::new(), Effects::default());
+        usb.set_clock(true, &mut effects);
+        usb.write(CNTR, CNTR_FRES, &mut effects);
+        effects.now += STARTUP_TICKS;
+        usb.write(CNTR, RUNNING, &mut effects);
+        usb.write(BCDR, BCDR_DPPU, &mut effects);
+        usb.port(&mut effects).signal(BusSignal::ResetBegins);
+        usb.port(&mut effects).signal(BusSignal::ResetEnds);
+        usb.write(ISTR, 0, &mut effects);
+        usb.write(DADDR, DADDR_EF, &mut effects);
+        // Endpoint 0: 8 bytes out at 64 + 0, 64 bytes in at 128.
+        usb.write_memory(0, 2, 128, &mut effects);
+        usb.write_memory(4, 2, 64, &mut effects);
+        usb.write_memory(6, 2, 1 << 15 | 1 << 10, &mut effects);
+        assert_eq!(effects.violation_count, 0);
+        (usb, effects)
+    }
+
+    fn packet(bytes: &[u8], setup: bool, toggle: bool) -> OutPacket<'_> {
+        OutPacket { address: 0, endpoint: 0, setup, toggle, bytes }
+    }
+
+    #[test]
+    fn a_repeated_packet_is_acknowledged_and_ignored() {
+        let (mut usb, mut effects) = running();
+        usb.write(0, CONTROL | 0b11 << 12, &mut effects);
+        assert_eq!(usb.port(&mut effects).packet_out(packet(b"first", false, false)), Answer::Ack);
+        usb.write(0, CONTROL | 1 << 7 | 0b01 << 12, &mut effects);
+        assert_eq!(usb.port(&mut effects).packet_out(packet(b"again", false, false)), Answer::Ack);
+        assert_eq!(usb.read(ISTR, &mut effects) & ISTR_CTR, 0);
+        assert_eq!(usb.port(&mut effects).packet_out(packet(b"after", false, true)), Answer::Ack);
+        assert_eq!(usb.read_memory(64, 1, &mut effects), u32::from(b'a'));
+        // More than the buffer holds is not acknowledged.
+        usb.write(0, CONTROL | 1 << 7 | 0b01 << 12, &mut effects);
+        assert_eq!(usb.port(&mut effects).packet_out(packet(&[0; 65], false, false)), Answer::Silence);
+    }
+
+    #[test]
+    fn rules_are_watched() {
+        let (mut usb, mut effects) = (Usb::new(), Effects::default());
+        let mut count = 0;
+        let mut broken = |effects: &Effects, rule: &str| {
+            count += 1;
+            assert_eq!(effects.violation_count, count, "{rule}: {:?}", effects.violations.last());
+            assert!(effects.violations[count as usize - 1].rule.contains(rule), "{:?}", effects.violations.last());
+        };
+        usb.write(0, CONTROL, &mut effects);
+        broken(&effects, "held in reset");
+        usb.write(DADDR, DADDR_EF, &mut effects);
+        broken(&effects, "held in reset");
+        usb.set_clock(true, &mut effects);
+        usb.write(CNTR, CNTR_FRES, &mut effects);
+        usb.write(CNTR, 0, &mut effects);
+        broken(&effects, "start-up time");
+        usb.write(CNTR, CNTR_FRES, &mut effects);
+        effects.now += STARTUP_TICKS;
+        usb.set_clock(false, &mut effects);
+        usb.write(CNTR, 0, &mut effects);
+        broken(&effects, "without the 48 MHz clock");
+        usb.set_clock(true, &mut effects);
+        usb.set_clock(false, &mut effects);
+        broken(&effects, "stopped");
+
+        let (mut usb, mut effects) = running();
+        count = 0;
+        let mut broken = |effects: &Effects, rule: &str| {
+            count += 1;
+            assert_eq!(effects.violation_count, count, "{rule}: {:?}", effects.violations);
+            assert!(effects.violations[count as usize - 1].rule.contains(rule), "{:?}", effects.violations.last());
+        };
+        // Transmission from the reception buffer of the same endpoint is its own business; from the
+        // buffer table it is not.
+        usb.write_memory(2, 2, 8, &mut effects);
+        usb.write_memory(0, 2, 0, &mut effects);
+        usb.write(0, CONTROL | 0b11 << 12 | 0b11 << 4, &mut effects);
+        broken(&effects, "buffer table");
+        usb.write_memory(64, 2, 1, &mut effects);
+        broken(&effects, "receive into it");
+        usb.read_memory(64, 2, &mut effects);
+        broken(&effects, "receive into it");
+        usb.write_memory(2, 2, 1, &mut effects);
+        broken(&effects, "may send it");
+        usb.write(BTABLE, 512, &mut effects);
+        broken(&effects, "BTABLE");
+    }
+}

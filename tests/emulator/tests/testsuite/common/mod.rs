@@ -1,14 +1,23 @@
 //! What the tests of the whole board share.
 
+use self::chain::Chain;
+use slitpose_emulator::board::Board;
+use slitpose_emulator::cpu::{Bus, Size};
+use slitpose_emulator::facts::{self, bits};
+use slitpose_emulator::faults::{Fault, Faults};
+use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
+use slitpose_emulator::rig::open_pose_image;
+use slitpose_emulator::world::{NoiseSource, World};
+use slitpose_firmware::pose::Head;
+use slitpose_head::board_head;
+use slitpose_head::scene_file::{SceneFile, WIDE};
+use slitpose_head::simulator::{Trajectory, TrajectoryKind};
+use slitpose_protocol::Hashes;
+
 pub mod chain;
-pub mod light;
 pub mod pins;
-pub mod solving;
 pub mod talk;
 pub mod trial;
-pub mod wiring;
-
-use slitpose_emulator::faults::{Fault, Faults};
 
 /// The variable that gives the silicon its faults: names, or `all`. Without it there are none.
 const SILICON: &str = "SLITPOSE_SILICON";
@@ -28,6 +37,10 @@ pub fn trigger_ticks() -> u64 {
     if silicon().has(Fault::TriggerPhase) { 4 } else { 0 }
 }
 
+pub fn us(ticks: Ticks) -> f64 {
+    ticks as f64 * 1e6 / TICKS_PER_SECOND as f64
+}
+
 /// The silicon that the tests run on.
 pub fn silicon() -> Faults {
     match std::env::var(SILICON) {
@@ -36,4 +49,138 @@ pub fn silicon() -> Faults {
         }
         _ => Faults::default(),
     }
+}
+
+const PAGE: &str = include_str!("../../../../../firmware/README.md");
+
+#[derive(Clone, Debug)]
+pub struct Wire {
+    pub signal: &'static str,
+    /// `PA0`.
+    pub pin: &'static str,
+    pub function: &'static str,
+    /// Contact on the Nucleo's Morpho connectors.
+    pub morpho: &'static str,
+    /// Contact on its Arduino connectors; empty if there is none.
+    pub arduino: &'static str,
+}
+
+impl Wire {
+    /// Whether only the image that solves poses drives the pin.
+    pub fn is_for_poses(&self) -> bool {
+        self.function.ends_with("image with poses")
+    }
+}
+
+/// All rows, those of two pins as two.
+pub fn wires() -> Vec<Wire> {
+    let table = PAGE.split_once("| signal | pin |").expect("the table").1;
+    let rows = table.lines().skip(2).take_while(|row| row.starts_with('|'));
+    let both = |cell: &'static str| cell.split(", ").collect::<Vec<_>>();
+    rows.flat_map(|row| {
+        let cells: Vec<&'static str> = row.trim_matches('|').split('|').map(str::trim).collect();
+        let [signal, pins, function, morpho, arduino] = cells[..] else { panic!("{row}") };
+        let pairs = both(pins).into_iter().zip(both(morpho));
+        pairs.map(|(pin, morpho)| Wire { signal, pin, function, morpho, arduino }).collect::<Vec<_>>()
+    })
+    .collect()
+}
+
+/// The pin of `signal`.
+pub fn pin(signal: &str) -> &'static str {
+    wires().iter().find(|wire| wire.signal == signal).unwrap_or_else(|| panic!("no wire is called `{signal}`")).pin
+}
+
+/// Index of the port (0: A) and number of `pin`.
+pub fn port_and_number(pin: &str) -> (u32, u32) {
+    let port = pin.as_bytes()[1] - b'A';
+    (port.into(), pin[2..].parse().expect("a number"))
+}
+
+/// Inputs of ADC1 and ADC2 by cell.
+pub fn inputs() -> [[u8; 6]; 2] {
+    let input = |electrode: usize, cell: usize| {
+        let pin = pin(&format!("I_X{electrode}, cell {cell}"));
+        bits(&format!("ADC{electrode}_IN_{pin}")) as u8
+    };
+    [1, 2].map(|electrode| std::array::from_fn(|cell| input(electrode, cell)))
+}
+
+pub fn level_line(emitter: usize) -> usize {
+    let lines = ["level of emitters 0 to 2", "level of emitters 3 to 5"];
+    let holds = |signal: &str| {
+        let range = signal.strip_prefix("level of emitters ").and_then(|range| range.split_once(" to "));
+        let (first, last) = range.expect("a range");
+        (first.parse().expect("a number")..=last.parse().expect("a number")).contains(&emitter)
+    };
+    let line = lines.iter().position(|line| holds(line)).expect("each emitter is on a line");
+    // The first line is that of DAC1.
+    assert!(pin(lines[line]) == facts::fact(["DAC1_OUT1", "DAC2_OUT1"][line]).value);
+    line
+}
+
+/// The register at `offset` from `base`, both facts, and `more`.
+pub fn register<W: World>(board: &mut Board<W>, base: &str, offset: &str, more: u32) -> u32 {
+    read(board, bits(base) + bits(offset) + more)
+}
+
+/// The channel of DMA1, from 0, that serves `request`; its multiplexer channel has the same number.
+pub fn channel_of<W: World>(board: &mut Board<W>, request: &str) -> usize {
+    let number = bits(&format!("LL_DMAMUX_REQ_{request}"));
+    let base = bits("DMAMUX1_BASE");
+    let span = bits("DMAMUX1_Channel1_BASE") - base;
+    let channel = (0..8).find(|&channel| read(board, base + span * channel) == number);
+    channel.unwrap_or_else(|| panic!("no channel serves {request}, {number}")) as usize
+}
+
+fn read<W: World>(board: &mut Board<W>, address: u32) -> u32 {
+    board.read(address, Size::Word).expect("it answers")
+}
+
+/// Of noise and motion.
+pub const SEED: u64 = 17;
+
+/// Of the tool.
+pub fn smooth() -> Trajectory {
+    Trajectory::of_kind(TrajectoryKind::Smooth, SEED, 20.0)
+}
+
+/// The head `wide`.
+pub fn scene() -> SceneFile {
+    WIDE.read().expect("shipped")
+}
+
+/// The head `wide` with all that a calibration has found of its parts: tests/data/heads.
+pub fn calibrated() -> SceneFile {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../data/heads/calibrated_1.toml");
+    SceneFile::open(path).expect("a scene")
+}
+
+/// The head of `scene` for the schedule that the board starts with.
+pub fn head_of(chain: &Chain, scene: &SceneFile) -> Head {
+    let (schedule, scaling) = (chain.schedule.as_ref().expect("a hello"), chain.scaling.expect("a hello"));
+    let hashes = Hashes { scene: Some(scene.hash), calibration: None };
+    board_head::compile(scene, schedule, &scaling, hashes).expect("a head for the board")
+}
+
+/// A board with the image that solves poses, its port open, and the head of `scene` sent to it.
+pub fn chain(scene: &SceneFile, noise: NoiseSource) -> Chain {
+    chain_of(scene, noise, silicon())
+}
+
+/// The same with `faults`.
+pub fn chain_of(scene: &SceneFile, noise: NoiseSource, faults: Faults) -> Chain {
+    println!("seed {SEED}");
+    let image = open_pose_image().expect("an image");
+    let mut chain = Chain::open_with(&image, scene, smooth(), noise, faults);
+    let head = head_of(&chain, scene);
+    chain.rig.send_head(&head);
+    chain.run_for(1e-3);
+    assert!(!chain.replies.is_empty() && chain.replies.iter().all(|&accepted| accepted), "{:?}", chain.replies);
+    chain
+}
+
+/// Pin PA8, which toggles with each pose.
+pub fn is_ready_high(chain: &mut Chain) -> bool {
+    chain.rig.machine().board.driven_high(0) & 1 << 8 != 0
 }

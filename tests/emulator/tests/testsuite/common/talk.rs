@@ -3,15 +3,15 @@
 //! [`Listener`] decodes what comes into messages of its own and checks what must hold of any of
 //! them: scans in order, counters that add up. [`Talk`] is a listener at a [`Rig`], with time.
 
-pub use super::trial::endings::MS;
-pub use super::trial::words::FRAME_TICKS;
+pub use super::trial::FRAME_TICKS;
+pub use super::trial::MS;
 use super::{is_of_silicon, silicon};
 use slitpose_emulator::faults::Faults;
 use slitpose_emulator::image::Image;
 use slitpose_emulator::machine::Stop;
 use slitpose_emulator::peripherals::Ticks;
 use slitpose_emulator::rig::{Link, Rig, open_image, open_pose_image};
-use slitpose_emulator::world::NoiseSource;
+use slitpose_emulator::world::{NoiseSource, OpticsWorld, World};
 use slitpose_head::scene_file::Shipped;
 use slitpose_head::simulator::Trajectory;
 use slitpose_protocol::{
@@ -271,8 +271,8 @@ impl Listener {
 
 /// A board and who talks to it.
 #[derive(Debug)]
-pub struct Talk {
-    pub rig: Rig,
+pub struct Talk<W = OpticsWorld> {
+    pub rig: Rig<W>,
     pub ear: Listener,
 }
 
@@ -333,10 +333,13 @@ impl Talk {
         assert_eq!(self.ask(Command::Hello), Ok(()));
         self
     }
+}
 
-    /// Lets time pass and listens. The board must live.
+impl<W: World> Talk<W> {
+    /// Lets time pass and listens. The board must live, if it has a supply.
     pub fn run_until(&mut self, end: Ticks) {
-        assert_eq!(self.rig.run_until(end), Stop::Reached);
+        let stop = self.rig.run_until(end);
+        assert!(matches!(stop, Stop::Reached | Stop::PoweredOff), "{stop:?}");
         self.listen();
     }
 
@@ -401,6 +404,13 @@ impl Talk {
         let replies = self.ear.replies(number);
         assert_eq!(replies.len(), 1, "one reply each");
         replies[0]
+    }
+
+    /// Says a command that is accepted, even if the board has its hands full; gives when its reply was over.
+    pub fn accept(&mut self, command: &Command) -> Ticks {
+        let number = self.rig.send(command.clone());
+        assert_eq!(self.answer(number, 100), Ok(()), "{command:?}");
+        self.ear.said.iter().rfind(|(_, said)| matches!(said, Said::Reply(_))).expect("a reply").0
     }
 
     pub fn next_status(&mut self) -> Status {

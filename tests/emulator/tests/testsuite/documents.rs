@@ -1,19 +1,148 @@
-//! The images could panic at no place that `firmware/PANICS.md` does not give a reason for: every call in their machine code
-//! that ends in the panic handler, with the source of it.
+//! What documents, scenes and programs beside the image say, against numbers from outside the project; the table of those
+//! numbers that readers want (`tests/data/stm32g474/README.md`); and `firmware/PANICS.md` against the machine code of the images.
 //!
-//! What the compiler could prove away is not there, so this is what is left. A direct call is an instruction with the
-//! address in it; functions that do nothing but panic are followed until they reach the handler, so that a bounds check or
+//! The images could panic at no place that it does not give a reason for: every call that ends in the panic handler, with the
+//! source of it. What the compiler could prove away is not there, so this is what is left. A direct call is an instruction with
+//! the address in it; functions that do nothing but panic are followed until they reach the handler, so that a bounds check or
 //! an `expect` counts where it stands, and not in `core`. Debug information, inlined calls included, says where that is.
 
-use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
-
+use crate::common::{Wire, pin, wires};
 use addr2line::Context;
 use addr2line::gimli::{Dwarf, EndianSlice, LittleEndian, SectionId};
 use object::read::elf::ElfFile32;
 use object::{Endianness, Object, ObjectSection, ObjectSymbol, SectionFlags, SymbolKind, elf};
 use slitpose_emulator::cpu::direct_branch;
+use slitpose_emulator::facts::{self, number};
 use slitpose_emulator::rig::built_files;
+use slitpose_head::scene_file::Shipped;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+use std::process::Command;
+
+#[test]
+fn the_wiring_table_has_the_pins_of_microcontroller_and_nucleo() {
+    for Wire { signal, pin, function, morpho, arduino } in wires() {
+        assert_eq!(morpho, facts::fact(&format!("morpho_{pin}")).value, "{signal}");
+        let contact = facts::all().find(|fact| fact.name == format!("arduino_{pin}")).map_or("", |fact| fact.value);
+        assert_eq!(arduino, contact, "{signal}");
+        if let Some((converter, input)) = function.split_once("_IN") {
+            assert_eq!(input, facts::fact(&format!("{converter}_IN_{pin}")).value, "{signal}");
+        }
+        let of_pin = ["DAC1_OUT1", "DAC2_OUT1", "USB_DM", "USB_DP"].into_iter().find(|name| function.starts_with(name));
+        assert!(of_pin.is_none_or(|name| facts::fact(name).value == pin), "{signal}");
+    }
+    let serial = wires().into_iter().filter(|wire| wire.function.starts_with("LPUART1"));
+    let serial: Vec<_> = serial.map(|wire| wire.pin).collect();
+    assert_eq!(serial, ["LPUART1_TX", "LPUART1_RX"].map(|name| facts::fact(name).value));
+    assert_eq!(pin("light LD2"), facts::fact("LD2").value);
+    assert_eq!(pin("poses to a motor controller"), facts::fact("USART1_TX").value);
+}
+
+#[test]
+fn detectors_are_those_of_the_data_sheet() {
+    for name in ["base", "wide"] {
+        let file = Shipped::named(name).expect("shipped").read().expect("valid");
+        for cell in &file.scene.cells {
+            assert_eq!(cell.detector.interelectrode_ohm, Some(1e3 * number("S3932_R_ie")), "{name}");
+        }
+    }
+    let firmware = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../firmware");
+    let program = std::fs::read_to_string(firmware.join("analogue")).expect("the program");
+    assert!(program.contains(&format!("R_IE = {:.0}e3 ", number("S3932_R_ie"))));
+    let page = std::fs::read_to_string(firmware.join("README.md")).expect("the page");
+    let [capacitance, error] = ["C_t", "position_error"].map(|name| number(&format!("S3932_{name}")));
+    assert!(page.contains(&format!("{:.0} kΩ · {capacitance:.0} pF / π²", number("S3932_R_ie"))));
+    assert!(page.contains(&format!("typically {error:.0} µm (S3932)")));
+    assert!(page.contains(&format!("onto {} pF", number("C_ADC"))), "the converters' own capacitor");
+    assert!(page.contains(&format!("{:.1} µs / 2.2", number("S3932_t_r"))));
+    let ranges = [["R_ie_least", "R_ie", "R_ie_most"], ["position_error", "position_error", "position_error_most"]];
+    for range in ranges {
+        assert!(range.map(|name| number(&format!("S3932_{name}"))).is_sorted());
+    }
+}
+
+/// Whether `name` is the fact that `pattern` means, in which `*` and `?` stand for anything.
+fn means(pattern: &str, name: &str) -> bool {
+    let mut parts = pattern.split(['*', '?']);
+    let first = parts.next().expect("a pattern");
+    let Some(mut rest) = name.strip_prefix(first) else { return false };
+    let Some(last) = parts.next_back() else { return rest.is_empty() };
+    for part in parts {
+        match rest.find(part) {
+            Some(at) => rest = &rest[at + part.len()..],
+            None => return false,
+        }
+    }
+    rest.ends_with(last)
+}
+
+/// The table that readers want stays the table that tests use.
+#[test]
+fn the_readers_table_names_every_fact_and_tests_that_exist() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let page = std::fs::read_to_string(root.join("tests/data/stm32g474/README.md")).expect("the page");
+    let table = page.split_once("| fact | source |").expect("the table").1;
+    let rows: Vec<Vec<&str>> = table
+        .lines()
+        .skip(2)
+        .take_while(|row| row.starts_with('|'))
+        .map(|row| row.trim_matches('|').split('|').map(str::trim).collect())
+        .collect();
+    let code = |cell: &str| cell.split('`').skip(1).step_by(2).map(str::to_owned).collect::<Vec<_>>();
+    let patterns: Vec<_> = rows.iter().flat_map(|row| code(row[0])).collect();
+    for fact in facts::all() {
+        assert!(patterns.iter().any(|pattern| means(pattern, fact.name)), "no row for `{}`", fact.name);
+    }
+    for pattern in &patterns {
+        assert!(facts::all().any(|fact| means(pattern, fact.name)), "no fact for `{pattern}`");
+    }
+    let of_headers = facts::all().filter(|fact| !fact.source.contains(' ') || fact.source.starts_with("HAL "));
+    let of_headers = of_headers.filter(|fact| fact.source.contains(':') && !fact.source.contains([';', '('])).count();
+    let share = format!("{of_headers} of {}", facts::all().count());
+    assert!(page.contains(&share), "rows that check.py compares: {share}");
+    for row in &rows {
+        let [_, source, image, emulator, test] = row[..] else { panic!("{row:?}") };
+        assert!([source, image, emulator, test].iter().all(|cell| !cell.is_empty()), "{row:?}");
+        for (cell, folders) in [
+            (
+                image,
+                &[
+                    "firmware/src/bin/slitpose-board",
+                    "firmware/src/pcb",
+                    "firmware/src",
+                    "firmware",
+                    "host/head/scenes",
+                ][..],
+            ),
+            (emulator, &["tests/emulator/src", "tests/emulator/src/peripherals"]),
+        ] {
+            for file in code(cell) {
+                assert!(folders.iter().any(|folder| root.join(folder).join(&file).exists()), "`{file}` of {row:?}");
+            }
+        }
+        for test in code(test) {
+            let (file, name) = test.split_once("::").expect("file and test");
+            let folders = ["tests/emulator/tests/testsuite", "tests/emulator/src/peripherals", "tests/emulator/src"];
+            let mut sources =
+                folders.iter().filter_map(|folder| std::fs::read_to_string(root.join(folder).join(file)).ok());
+            assert!(sources.any(|source| source.contains(&format!("fn {name}("))), "`{test}` of {row:?}");
+        }
+    }
+}
+
+#[test]
+fn the_tables_of_the_analogue_front_end_are_those_of_the_program() {
+    let firmware = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../firmware");
+    let printed = Command::new("python3").arg(firmware.join("analogue")).output().expect("python3 runs");
+    assert!(printed.status.success(), "{}", String::from_utf8_lossy(&printed.stderr));
+    let printed = String::from_utf8(printed.stdout).expect("UTF-8");
+    let page = std::fs::read_to_string(firmware.join("README.md")).expect("the page");
+    let rows: Vec<&str> = printed.lines().filter(|line| line.starts_with('|')).collect();
+    assert!(rows.len() > 20, "{printed}");
+    for row in rows {
+        assert!(page.lines().any(|line| line == row), "firmware/README.md lacks: {row}");
+    }
+}
 
 #[test]
 fn every_panic_that_the_images_could_reach_has_its_reason() {
