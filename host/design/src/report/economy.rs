@@ -4,15 +4,12 @@ use std::hint::black_box;
 
 use glam::DVec3;
 use slitpose_model::{
-    CompiledScene, MotionPrior, Noise, Photocurrents, Pose, Profile, Scene, Solution, Solver, Start, Tier, Twist,
-    Uncertainty,
+    CompiledScene, MotionPrior, Noise, Photocurrents, Pose, Profile, Scene, Solution, Solver, Start, Twist, Uncertainty,
 };
 
-use super::head::{Candidate, Head, RunTime, STREAM, exponent, is_lit, race};
-use super::noise::NoiseSource;
+use super::head::{Candidate, Head, NoiseSource, RunTime, STREAM, exponent, is_lit, race};
 use super::section::{Section, Table, Value};
-use super::sheet::{Row, ratios};
-use super::solver::{PRIOR_M, PRIOR_RAD};
+use super::solver::PRIOR;
 use super::{ReportError, Settings};
 
 pub(super) const TITLE: &str = "What is left out costs nothing";
@@ -48,23 +45,7 @@ struct Entry {
 }
 
 pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, ReportError> {
-    let exact = measure(head, settings, STREAM)?;
-    let paper = measure(head, settings, Tier::Paper)?;
-    let row = |index: usize, first: &Entry, entry: &Entry| Row {
-        label: entry.variant.name.clone(),
-        ratios: vec![entry.forward.least_s / first.forward.least_s, entry.solve.least_s / first.solve.least_s],
-        opens_group: index > 0 && std::ptr::eq(first, entry),
-    };
-    let rows: Vec<Row> =
-        exact.iter().enumerate().map(|(index, entry)| row(index, first_of_group(&exact, entry), entry)).collect();
-    let picture = ratios(
-        "economy",
-        "What effects cost when they are there",
-        "Time relative to the first of each group; exact tier at 1e-6, f64, least of interleaved rounds.",
-        "Times as ratios to those of the first of each group: the leanest, and all cells.",
-        &["forward evaluation of all cells", "warm solve"],
-        &rows,
-    );
+    let entries = measure(head, settings)?;
     Ok(Section {
         name: "economy",
         title: TITLE,
@@ -75,11 +56,7 @@ pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, R
              three cells nothing is left over to check a pose with, and images are searched for."
                 .to_owned(),
         ],
-        pictures: vec![picture],
-        tables: vec![
-            table("economy", "Exact tier at 1e-6, f64", &exact),
-            table("economy_paper", "Paper tier, f64", &paper),
-        ],
+        tables: vec![table(&entries)],
         ..Section::default()
     })
 }
@@ -180,7 +157,8 @@ impl Bench {
     }
 }
 
-fn measure(head: &Head<'_>, settings: &Settings, tier: Tier) -> Result<Vec<Entry>, ReportError> {
+fn measure(head: &Head<'_>, settings: &Settings) -> Result<Vec<Entry>, ReportError> {
+    let tier = STREAM;
     let variants = variants(head);
     let plans =
         variants.iter().map(|variant| CompiledScene::compile(&variant.scene, tier)).collect::<Result<Vec<_>, _>>()?;
@@ -201,7 +179,7 @@ fn measure(head: &Head<'_>, settings: &Settings, tier: Tier) -> Result<Vec<Entry
             Photocurrents::of_pairs((0..plan.cell_count()).map(|cell| plan.photocurrents(cell, &exposed(cell))))
         };
         let readings = poses.iter().map(|pose| noise.disturb(&variant.scene, &plan, pose, &reading(pose))).collect();
-        let priors = poses.iter().map(|pose| noise.near(pose, PRIOR_M, PRIOR_RAD)).collect();
+        let priors = poses.iter().map(|pose| noise.near(pose, PRIOR)).collect();
         benches.push(Bench { solver, motion: *motion, readings, priors, plan });
     }
     let steps: Vec<f64> = benches
@@ -238,14 +216,14 @@ fn measure(head: &Head<'_>, settings: &Settings, tier: Tier) -> Result<Vec<Entry
         .collect())
 }
 
-fn table(name: &'static str, caption: &str, entries: &[Entry]) -> Table {
+fn table(entries: &[Entry]) -> Table {
     let us = |seconds: f64| Value::from(seconds * 1e6);
     let ratio = |entry: &Entry, of: fn(&Entry) -> RunTime| {
         Value::from(of(entry).least_s / of(first_of_group(entries, entry)).least_s)
     };
     Table::of(
-        name,
-        caption,
+        "economy",
+        "Exact tier at 1e-6, f64",
         entries,
         &[
             ("group", "group", &|entry| entry.variant.group.into()),

@@ -4,12 +4,10 @@ use slitpose_model::{
     self as model, MotionPrior, Outcome, Photocurrents, Pose, Scalar, Scene, SceneError, Solution, Solver, Tier,
 };
 
-/// The number type that is computed with.
+/// The number type that is computed with: `f64`, or `f32` as on the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Precision {
-    /// `f64`.
     Double,
-    /// `f32`, as on the board.
     Single,
 }
 
@@ -32,7 +30,6 @@ impl Precision {
         }
     }
 
-    /// Largest relative error of a rounded number.
     pub(super) fn unit_roundoff(self) -> f64 {
         match self {
             Self::Double => 0.5 * f64::EPSILON,
@@ -41,12 +38,10 @@ impl Precision {
     }
 }
 
-/// The start of a solve.
+/// What a solve starts from: nothing, or a pose near the truth, as from the frame before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Start {
-    /// Nothing.
     Cold,
-    /// A pose near the truth, as from the frame before.
     Warm,
 }
 
@@ -61,14 +56,23 @@ impl Start {
     }
 }
 
-/// How far a solve goes.
+/// How far a solve goes: to the pose on the planes, at most so many steps, or to the end.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Effort {
-    /// The pose on the planes.
     Planes,
-    /// At most this many steps.
     Steps(usize),
     Full,
+}
+
+impl Effort {
+    pub(super) fn name(self) -> String {
+        match self {
+            Self::Planes => "planes".to_owned(),
+            Self::Steps(1) => "1 step".to_owned(),
+            Self::Steps(steps) => format!("{steps} steps"),
+            Self::Full => "full".to_owned(),
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -128,15 +132,5 @@ pub(super) fn tier_name(tier: Tier) -> String {
     match tier {
         Tier::Paper => "paper".to_owned(),
         Tier::Exact { tolerance } => format!("exact {tolerance:e}"),
-    }
-}
-
-/// The word for an effort in tables.
-pub(super) fn effort_name(effort: Effort) -> String {
-    match effort {
-        Effort::Planes => "planes".to_owned(),
-        Effort::Steps(1) => "1 step".to_owned(),
-        Effort::Steps(steps) => format!("{steps} steps"),
-        Effort::Full => "full".to_owned(),
     }
 }

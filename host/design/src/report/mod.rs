@@ -4,7 +4,7 @@
 //! section has its own file; a [`Folder`] stores the report. Errors are reproducible
 //! to the last digit for a seed, times are what the machine gave.
 //!
-//! * `head` and `noise` supply poses, currents and their noise; `method` the ways to solve;
+//! * `head` supplies poses, currents and their noise; `method` the ways to solve;
 //! * `forward`, `solver`, `economy` and `stiff` are the sections;
 //! * `calibration` is the report on a calibration, `map` that on accuracy over the workspace,
 //!   `heads` those on several heads;
@@ -17,7 +17,6 @@ mod head;
 mod heads;
 mod map;
 mod method;
-mod noise;
 mod section;
 mod sheet;
 mod solver;

@@ -2,15 +2,14 @@
 //! jump.
 
 use glam::DVec3;
+use slitpose_head::front_end::{Settling, configuration};
 use slitpose_model::{Pose, Scalar, SceneError, Solver, Tracker};
 use slitpose_protocol::Schedule;
 
-use super::case::{Case, Expected, Reached};
+use super::{Case, Expected, Reached};
 use crate::report::Settings;
-use crate::report::head::{Head, STREAM, currents, rms_of_covariances};
+use crate::report::head::{Head, NoiseSource, STREAM, currents, rms_of_covariances};
 use crate::report::method::Precision;
-use crate::report::noise::NoiseSource;
-use slitpose_head::front_end::{Settling, configuration};
 
 /// Frames before and after a jump.
 const BEFORE: u64 = 20;
@@ -38,7 +37,7 @@ pub(super) fn front_ends(head: &Head<'_>) -> Vec<Case> {
             condition: None,
             quantity: "gain / relative",
             expected: Expected::Value,
-            reached: vec![(Precision::Double, reached)],
+            reached: vec![reached],
         }
     };
     (-9..=0).map(case).collect()
@@ -87,7 +86,7 @@ pub(super) fn jumps(head: &Head<'_>, settings: &Settings) -> Result<Vec<Case>, S
             condition: None,
             quantity: "pose at the emitters in the frame of the jump / µm",
             expected: Expected::Honest,
-            reached: vec![(Precision::Double, double), (Precision::Single, single)],
+            reached: vec![double, single],
         });
     }
     Ok(cases)
@@ -103,7 +102,7 @@ fn jump<S: Scalar>(head: &Head<'_>, settings: &Settings, landed: &Pose) -> Resul
     }
     let arm_m = head.scene.length_scale_m();
     let resting = Solver::<f64>::new(&head.scene, STREAM)?;
-    let (bound_m, bound_rad) = rms_of_covariances(resting.bound(landed));
+    let [bound_m, bound_rad] = rms_of_covariances(resting.bound(landed));
     let bound = bound_m.hypot(arm_m * bound_rad);
     let mut tracker = Tracker::new(solver, period_s);
     let mut noise = NoiseSource::seeded(settings.seed);
