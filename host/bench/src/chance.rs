@@ -9,7 +9,6 @@ use rand_distr::{Distribution, StandardNormal};
 use slitpose_head::scene_file::Workspace;
 use slitpose_model::Pose;
 
-/// One stream of a seed.
 pub(crate) struct Chance(ChaCha8Rng);
 
 impl Chance {

@@ -12,7 +12,7 @@ use slitpose_head::table::{Output, OutputError, POSE_COLUMNS, TableWriter};
 use slitpose_model::{Pose, SceneError};
 use thiserror::Error;
 
-use crate::beyond::Beyond;
+use crate::drawn::Beyond;
 use crate::drawn::DrawnHead;
 use crate::session::{Row, Says, Session, Table};
 
@@ -26,7 +26,7 @@ pub fn write(folder: &Path, head: &DrawnHead, session: &Session) -> Result<Vec<P
         |path: &Path| fs::create_dir_all(path).map_err(|source| OutputError::Create { path: path.to_owned(), source });
     create(folder)?;
     if fs::read_dir(folder).is_ok_and(|mut files| files.next().is_some()) {
-        return Err(BenchError::NotEmpty { folder: folder.to_owned() });
+        return Err(BenchError::NotEmpty(folder.to_owned()));
     }
     let apart = folder.join("truth");
     create(&apart)?;
@@ -109,25 +109,15 @@ pub enum BenchError {
     /// The electronics.
     #[error(transparent)]
     Timing(#[from] TimingError),
-    /// A head that hardly has a usable pose.
+    /// A head that hardly has a usable pose: its seed, the table that was to be made, and how many poses were tried.
     #[error(
-        "seed {seed}, {table}: none of {tries} poses of the workspace has every spot on its detector and every current \
+        "seed {0}, {1}: none of {2} poses of the workspace has every spot on its detector and every current \
          within the converters' range; give another --seed, a smaller [workspace], or smaller tolerances"
     )]
-    Dark {
-        /// The table that was to be made.
-        table: &'static str,
-        /// Poses that were tried.
-        tries: usize,
-        /// The head.
-        seed: u64,
-    },
+    Dark(u64, &'static str, usize),
     /// A folder that holds something.
-    #[error("{} holds files already, which may have been measured; give a new folder", printable(&folder.to_string_lossy()))]
-    NotEmpty {
-        /// The folder.
-        folder: PathBuf,
-    },
+    #[error("{} holds files already, which may have been measured; give a new folder", printable(&.0.to_string_lossy()))]
+    NotEmpty(PathBuf),
     /// A file that cannot be written.
     #[error(transparent)]
     Output(#[from] OutputError),

@@ -38,7 +38,6 @@ const SAMPLE: usize = 300;
 /// Decrease of χ² below which a minimum counts as reached.
 const CONVERGED: f64 = 0.1;
 
-/// What is to be adjusted.
 pub(crate) struct Adjustment<'a> {
     pub(crate) nominal: &'a Scene,
     pub(crate) data: &'a Data,
@@ -76,7 +75,6 @@ fn shift(state: &State) -> DVector<f64> {
     DVector::from_iterator(entries.len(), entries.iter().map(|entry| entry.shift()))
 }
 
-/// Squared normalised residual of a reading.
 fn reading_square(data: &Data, state: &State, cells: &[CellSensitivity], row: usize, cell: usize) -> Option<f64> {
     let [a, b] = whitened(data, state, cells, row, cell)?;
     Some(a * a + b * b)
@@ -105,7 +103,6 @@ impl<'a> Adjustment<'a> {
         sensitivities(self.nominal, &state.parameters, &state.poses, derivatives)
     }
 
-    /// Weights at the residuals of `state`.
     fn weigh(&self, state: &State, cells: &[CellSensitivity]) -> Weights {
         let mut weights = Weights::equal(self.data);
         for row in 0..self.data.rows.len() {
@@ -326,7 +323,6 @@ impl<'a> Adjustment<'a> {
         statistics.chi2 / statistics.redundancy
     }
 
-    /// How well the data fit.
     pub(crate) fn statistics(&self, state: &State, normal: &Normal, weights: &Weights) -> Statistics {
         let cells = &normal.cells;
         let mut found = Statistics { rows: self.data.rows.len(), ..Statistics::default() };

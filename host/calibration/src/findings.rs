@@ -110,7 +110,6 @@ fn worse_instruments(data: &Data, state: &State) -> Vec<String> {
 /// Shift of a part, in units of its tolerance, that two in a thousand million have by chance.
 const FAR: f64 = 6.0;
 
-/// Most parts that are named.
 const NAMED: usize = 3;
 
 /// Parts that are elsewhere than the scene says. Of textures tolerances say little.
@@ -215,7 +214,6 @@ pub(crate) fn light_drift(nominal: &Scene, data: &Data, state: &State) -> Result
     Ok(None)
 }
 
-/// Fewest rows that show a trend.
 const MIN_TREND: usize = 20;
 
 /// Errors of poses below these are not worth a word, metres and radians: those of a single frame.
@@ -297,7 +295,6 @@ pub struct Direction<'a> {
     pub shares: Vec<(&'a Parameter, f64)>,
 }
 
-/// Parameters named of each direction.
 const NAMED_SHARES: usize = 6;
 
 impl Calibration {

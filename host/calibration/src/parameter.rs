@@ -339,7 +339,6 @@ impl Deviations {
     }
 }
 
-/// Two directions across `axis`.
 fn across(axis: DVec3) -> [DVec3; 2] {
     let (a, b) = axis.any_orthonormal_pair();
     [a, b]

@@ -36,7 +36,6 @@ pub(crate) fn functions(pose: &Pose, length_scale_m: f64) -> [f64; FUNCTIONS] {
 /// Poses at which the error is computed.
 pub(crate) const POSES: usize = 64;
 
-/// A pose of the workspace.
 struct Sample {
     functions: [f64; FUNCTIONS],
     /// Inverse of the mean variance of the pose by noise, in units of the length scale.

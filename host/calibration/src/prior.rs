@@ -156,7 +156,6 @@ impl Parameter {
     }
 }
 
-/// All parameters of a head.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Parameters {
     pub(crate) entries: Vec<Parameter>,

@@ -70,7 +70,7 @@ pub(crate) fn first_poses(
              if neither helps, check the scene, and that the currents are in amperes",
         ),
     };
-    Err(CalibrateError::NoPoses { file: name.to_owned(), found, rows: rows.len(), basis, next_step })
+    Err(CalibrateError::NoPoses(name.to_owned(), found, rows.len(), basis, next_step))
 }
 
 impl Beginning {

@@ -19,7 +19,6 @@ const MAX_READ_ROWS: u64 = 1 << 20;
 /// such a way is below 2e-5.
 const AVERAGED_CHANGE: f64 = 0.02;
 
-/// Most readings that are averaged.
 const MAX_AVERAGED: usize = 256;
 
 /// Reads a table into `data`.
@@ -36,7 +35,7 @@ pub fn read(
     let mut reader = TableReader::open(table)?.of_at_most(MAX_READ_ROWS);
     let cells = file.scene.cells.len();
     if reader.optional_column(&format!("i_x1_{cells}_a"))?.is_some() {
-        return Err(Implausible::MoreCells { file: table.to_owned(), cells }.into());
+        return Err(Implausible::MoreCells(table.to_owned(), cells).into());
     }
     let currents = CurrentColumns::find(&reader, cells)?;
     let frames = reader.optional_column("frames")?;
@@ -49,7 +48,7 @@ pub fn read(
                 let knowledge = Knowledge::Reported(poses.pose(&row)?);
                 let row = row_of(file, &currents, frames, &row, poses.id(&row), knowledge)?;
                 if digits(&row).is_some_and(|digits| !known.insert(digits)) {
-                    return Err(Implausible::Repeated { file: table.to_owned(), row: rows.len() + 1 }.into());
+                    return Err(Implausible::Repeated(table.to_owned(), rows.len() + 1).into());
                 }
                 rows.push(row);
             }

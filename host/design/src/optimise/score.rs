@@ -72,7 +72,6 @@ pub struct Score {
 }
 
 impl Score {
-    /// What a search makes least.
     pub(super) fn cost(&self) -> f64 {
         let kept = if self.excesses.is_empty() { 0.0 } else { NOT_KEPT + PENALTY * self.excesses.violation() };
         kept + if self.sigma_m.is_finite() { self.sigma_m.ln() } else { 0.0 }

@@ -13,10 +13,8 @@ const FONT: &str = "Helvetica, Arial, 'Liberation Sans', 'DejaVu Sans', sans-ser
 const SUBSCRIPT_SIZE: f64 = 0.72;
 const SUBSCRIPT_DROP: f64 = 0.22;
 
-/// How a line is drawn.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Stroke {
-    /// Colour.
     pub colour: Colour,
     /// Width in pixels.
     pub width: f64,
@@ -45,23 +43,18 @@ pub enum Anchor {
     End,
 }
 
-/// How a label is set.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct TextStyle {
     /// Letter size in pixels.
     pub size: f64,
-    /// Colour.
     pub colour: Colour,
-    /// Alignment.
     pub anchor: Anchor,
-    /// Bold letters.
     pub bold: bool,
     /// Written upwards instead of to the right.
     pub upwards: bool,
 }
 
 impl TextStyle {
-    /// Ordinary text of a size.
     pub(crate) const fn new(size: f64) -> Self {
         Self { size, colour: INK, anchor: Anchor::Start, bold: false, upwards: false }
     }
@@ -70,7 +63,6 @@ impl TextStyle {
         Self { anchor, ..self }
     }
 
-    /// The same in another colour.
     pub(crate) const fn coloured(self, colour: Colour) -> Self {
         Self { colour, ..self }
     }
@@ -128,7 +120,6 @@ impl Canvas {
         self.element("polygon", &attributes);
     }
 
-    /// The outline of an area.
     pub(crate) fn outline(&mut self, corners: &[DVec2], stroke: Stroke) {
         let mut attributes = vec![("points", joined(corners)), ("fill", "none".to_owned())];
         attributes.extend(stroke_attributes(stroke));
@@ -266,7 +257,6 @@ pub(super) struct Run {
     pub(super) subscript: bool,
 }
 
-/// Splits a label into runs.
 pub(super) fn runs(label: &str) -> Vec<Run> {
     let mut runs = Vec::new();
     for (index, part) in label.split('$').enumerate() {

@@ -55,9 +55,7 @@ struct SideView<'a> {
     top_mm: f64,
     emitter: DVec2,
     axis: DVec2,
-    /// The two edges of the slit.
     slit: [DVec2; 2],
-    /// Ends of the spot along x.
     spot: Option<[f64; 2]>,
 }
 

@@ -81,7 +81,6 @@ pub fn scene_picture(name: &str, scene: &Scene, plan: &CompiledScene<f64>, pose:
     Ok(canvas.into_svg())
 }
 
-/// One view on the canvas.
 struct Sheet {
     view: View,
     /// Pixels of the middle of the drawing.

@@ -4,8 +4,8 @@ use slitpose_calibration::{Calibrated, Calibration, Residual};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_model::Pose;
 
+use super::section::Sheet;
 use super::section::{Report, Section, Table, Value, column, program, scene};
-use super::sheet::Sheet;
 use crate::plot::curve;
 use crate::plot::{Axis, Chart, CurveStyle};
 
@@ -214,7 +214,6 @@ fn observability(calibration: &Calibration) -> Section {
     }
 }
 
-/// What is left open in poses.
 fn open(file: &SceneFile, calibration: &Calibration) -> Section {
     const STEPS: i32 = 20;
     let panel = |heading: &str, unit: f64, axes: std::ops::Range<usize>, label: &str| {

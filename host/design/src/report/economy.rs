@@ -25,10 +25,8 @@ const UNSETTLED: Uncertainty =
 const SPEED_M_PER_S: f64 = 0.1;
 const SPEED_RAD_PER_S: f64 = 1.0;
 
-/// Most cells that are left out.
 const LEAST_CELLS: usize = 3;
 
-/// A scene with or without something.
 struct Variant {
     group: &'static str,
     name: String,
@@ -131,7 +129,6 @@ fn variants(head: &Head<'_>) -> Vec<Variant> {
     variants
 }
 
-/// The same profile as a table.
 fn tabulate(profile: &mut Profile) {
     let exponent = exponent(profile);
     let knots = (0..=90).step_by(KNOT_STEP_DEG).map(|degrees| {
@@ -142,7 +139,6 @@ fn tabulate(profile: &mut Profile) {
     *profile = Profile::Table(knots.collect());
 }
 
-/// A variant compiled, with its data.
 struct Bench {
     plan: CompiledScene<f64>,
     solver: Solver<f64>,

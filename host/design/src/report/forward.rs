@@ -6,15 +6,14 @@ use glam::dvec2;
 use slitpose_model::{CompiledScene, Pair, Pose, Scalar, SceneError, Tier};
 
 use super::head::{Candidate, Head, RunTime, pair, race};
-use super::method::{Precision, tier_name};
+use super::section::Sheet;
 use super::section::{Picture, Section, Table, Value};
-use super::sheet::Sheet;
+use super::solver::{Precision, tier_name};
 use super::{ReportError, Settings};
 use crate::plot::{Anchor, Axis, Chart, Curve, CurveStyle, Note, cell_colour, curve};
 
 pub(super) const TITLE: &str = "Forward model: error against time";
 
-/// Tolerances of the exact tier.
 const TOLERANCES: [f64; 7] = [1e-2, 1e-3, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12];
 
 /// The tier that stands for the truth.

@@ -16,7 +16,7 @@ use slitpose_model::{
     Start, Tier, Uncertainty,
 };
 
-use super::method::Solved;
+use super::solver::Solved;
 use super::{ReportError, Settings};
 
 /// The truth: integrals far more exact than any method under study.
@@ -30,10 +30,8 @@ const TRUTH_OF_TABLES: Tier = Tier::Exact { tolerance: 1e-9 };
 /// half intensity at 55°.
 const EXPONENT: f64 = 1.246_972_446_943_724;
 
-/// The default tolerance of a solver.
 pub(super) const STREAM: Tier = Tier::Exact { tolerance: 1e-6 };
 
-/// Poses tried for each one wanted.
 const TRIES: usize = 40;
 
 /// A scene, prepared for its study.
@@ -128,13 +126,11 @@ pub(super) fn exponent(profile: &Profile) -> f64 {
     }
 }
 
-/// The photocurrents of one cell.
 pub(super) fn pair<S: Scalar>(plan: &CompiledScene<S>, cell: usize, pose: &Pose) -> Pair<f64> {
     let pair = plan.photocurrents(cell, pose);
     Pair { i_x1_a: pair.i_x1_a.as_f64(), i_x2_a: pair.i_x2_a.as_f64() }
 }
 
-/// The photocurrents of every cell.
 pub(super) fn currents(plan: &CompiledScene<f64>, pose: &Pose) -> Photocurrents {
     Photocurrents::of_pairs((0..plan.cell_count()).map(|cell| plan.photocurrents(cell, pose)))
 }
@@ -216,7 +212,6 @@ pub(super) struct Errors {
     pub(super) median: [f64; 2],
     /// Share of the solves that gave a pose.
     pub(super) solved: f64,
-    /// Mean number of refinement steps.
     pub(super) steps: f64,
 }
 
@@ -254,7 +249,6 @@ pub(super) fn rms_of_covariances(covariances: impl IntoIterator<Item = [[f64; 6]
     squares.map(|square: f64| (square / count).sqrt())
 }
 
-/// Time of one unit of work.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RunTime {
     /// In the fastest round, seconds.

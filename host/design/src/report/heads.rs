@@ -3,8 +3,8 @@
 use slitpose_head::scene_file::SceneFile;
 
 use super::map::{KINDS, Kind, distribution};
+use super::section::Sheet;
 use super::section::{Report, Section, Table, Value, column, program, scene};
-use super::sheet::Sheet;
 use crate::map::{Map, NoiseOf, View};
 use crate::optimise::{Demand, Found, Search};
 use crate::plot::curve;

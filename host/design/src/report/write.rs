@@ -160,7 +160,7 @@ impl Folder {
     pub fn create(path: &Path) -> Result<Self, OutputError> {
         let path = path.to_owned();
         if !path.is_dir() && path.extension().is_some_and(|ending| FILES.iter().any(|file| ending == *file)) {
-            return Err(OutputError::Folder { path });
+            return Err(OutputError::Folder(path));
         }
         match fs::create_dir_all(&path) {
             Ok(()) => Ok(Self { path }),

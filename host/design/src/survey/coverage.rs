@@ -74,18 +74,14 @@ pub(crate) fn axis_motion(axis: usize, amount: f64) -> Pose {
 /// The workspace as the cells see it. Shares are of the sampled poses, 0 to 1.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct Coverage {
-    /// How many poses were sampled.
     pub samples: usize,
     /// Share of poses with at least k cells lit, at index k.
     pub at_least_lit: Vec<f64>,
-    /// Each cell.
     pub cells: Vec<CellCoverage>,
 }
 
-/// One cell over the workspace.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct CellCoverage {
-    /// Number of the cell.
     pub cell: usize,
     /// Share of poses with the whole spot on the active area.
     pub lit: f64,
@@ -103,9 +99,7 @@ pub(crate) struct CellCoverage {
     pub over_scale: f64,
     /// Least and most I_O over the poses with a spot; `None` if there is none.
     pub i_o_range_a: Option<[f64; 2]>,
-    /// The largest current of one electrode.
     pub most_electrode_a: f64,
-    /// Where that is.
     #[serde(serialize_with = "serialize_pose")]
     pub most_electrode_at: Pose,
 }
@@ -239,9 +233,7 @@ const MAX_SAMPLES: usize = 200;
 /// One cell's integrals at the tolerance of solving.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub(crate) struct CellCost {
-    /// Number of the cell.
     pub cell: usize,
-    /// The tolerance.
     pub tolerance: f64,
     /// Most values of the emission profile for one pair of currents.
     pub most_evaluations: usize,

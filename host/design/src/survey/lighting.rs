@@ -14,15 +14,12 @@ pub(super) const CROSSTALK_LIMIT: f64 = 1e-3;
 /// The worst cross-talk of one lighting slot over the workspace.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct SlotCrosstalk {
-    /// Number of the slot.
     pub slot: usize,
-    /// The emitters it lights.
     pub emitters: Vec<usize>,
     /// Largest current from the others, as a share of the cell's own photocurrent.
     pub share: f64,
     /// The cell that receives it.
     pub cell: usize,
-    /// Where.
     #[serde(serialize_with = "serialize_pose")]
     pub at: Pose,
     /// The emitters whose light counts.
@@ -103,16 +100,12 @@ pub(crate) fn share_of_others(plan: &CompiledScene<f64>, cell: usize, emitters: 
     from_others / plan.crosstalk(cell, cell, pose).total_a()
 }
 
-/// Durations of slots and frame.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub(crate) struct Timing {
     /// Lighting slots in a frame, the dark one included.
     pub slots: usize,
-    /// Duration of one slot.
     pub slot_s: f64,
-    /// Duration of all slots.
     pub busy_s: f64,
-    /// Duration of a frame.
     pub frame_s: f64,
 }
 

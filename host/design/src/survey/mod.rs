@@ -41,7 +41,6 @@ pub struct Survey {
     pub origin: String,
     /// Hash of the scene file, 16 hexadecimal digits.
     pub hash: String,
-    /// The box that was sampled.
     pub(crate) workspace: WorkspaceFacts,
     pub(crate) home: Vec<CellAtHome>,
     /// Which noise that is by which a pose is told.
@@ -74,9 +73,7 @@ pub struct Survey {
 /// A workspace with its units in the names.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub(crate) struct WorkspaceFacts {
-    /// Half extents of the translation.
     pub half_extent_m: [f64; 3],
-    /// Half extents of the rotation vector.
     pub half_extent_rad: [f64; 3],
 }
 

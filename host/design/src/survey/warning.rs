@@ -88,7 +88,6 @@ pub(super) fn find(file: &SceneFile, survey: &Survey) -> Vec<Finding> {
     warnings
 }
 
-/// What no board can run.
 fn of_front_end(file: &SceneFile) -> Option<Finding> {
     file.front_end?;
     let text = match board_configuration(file).err()? {

@@ -4,8 +4,8 @@ use slitpose_model::{CompiledScene, Pair, Pose, Scene, SceneError, Tier};
 
 use super::Faults;
 use super::kinds::{Effect, Layer};
-use super::schedule::FaultClock;
 use super::text::Fault;
+use super::text::FaultClock;
 
 /// The faults of one simulated board.
 #[derive(Clone, Debug)]
@@ -101,17 +101,14 @@ impl LightFaults {
         Ok((!of_light.is_empty()).then(|| Self { faults: of_light, clock: FaultClock::default(), time_s: 0.0, dark_a }))
     }
 
-    /// Begins the scan at `tick`.
     pub(crate) fn begin(&mut self, tick: u64, tick_hz: u32) {
         self.time_s = self.clock.take(tick, tick_hz);
     }
 
-    /// The faults that act now.
     fn open(&self) -> impl Iterator<Item = &LightFault> {
         self.faults.iter().filter(|it| it.fault.window.is_open(self.time_s))
     }
 
-    /// Temperature above nominal, kelvin.
     pub(crate) fn warmer_k(&self) -> f64 {
         let of_fault = |it: &LightFault| {
             let ([by_k, over_s], since_s) = (it.fault.values, it.fault.window.since_s(self.time_s));
@@ -124,7 +121,6 @@ impl LightFaults {
         self.faults.iter().map(of_fault).sum()
     }
 
-    /// Whether the emitter is dark.
     pub(crate) fn is_dead(&self, emitter: usize) -> bool {
         self.open().any(|it| it.fault.kind.effect == Effect::Dead && it.fault.cells().any(|dead| dead == emitter))
     }

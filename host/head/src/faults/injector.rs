@@ -2,15 +2,16 @@
 
 use std::fmt::Write as _;
 
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
 use slitpose_protocol::{
     Batch, DELIMITER, Decoder, Event, Hello, MAX_MESSAGE_BYTES, Message, Poses, Schedule, Severity, Status, encode,
 };
 
 use super::Faults;
 use super::kinds::{Effect, Layer};
-use super::schedule::FaultClock;
 use super::text::Fault;
-use super::wire::{Passage, WireFault};
+use super::text::FaultClock;
 use super::words::{WordFaults, WordScale};
 
 /// How the text of an event begins that announces a fault.
@@ -288,6 +289,85 @@ fn announce(fault: &Fault, begun: u64, tick: u64, out: &mut Vec<u8>) {
     }
     let event = Event { tick, severity: Severity::Warning, text: &text };
     out.extend(packet_of(&Message::Event(event)).into_iter().flatten());
+}
+
+#[derive(Clone, Debug)]
+struct WireFault {
+    pub(super) fault: Fault,
+    random: ChaCha8Rng,
+    /// Bits to the next that is inverted.
+    bits: Option<u64>,
+    /// Bytes of a burst to come.
+    burst: usize,
+    /// Spans whose begin has been acted on.
+    pub(super) begun: u64,
+}
+
+#[derive(Clone, Debug, Default)]
+struct Passage {
+    /// Its bytes, delimiter included; empty if it is lost.
+    pub(super) bytes: Vec<u8>,
+    pub(super) is_double: bool,
+    /// It is delivered behind the next.
+    pub(super) is_late: bool,
+    pub(super) is_held: bool,
+}
+
+impl WireFault {
+    pub(super) fn new(fault: Fault, random: ChaCha8Rng) -> Self {
+        Self { fault, random, bits: None, burst: 0, begun: 0 }
+    }
+
+    /// Does to the packet what the fault does at `time_s`.
+    pub(super) fn act(&mut self, time_s: f64, packet: &mut Passage) {
+        // A burst that has begun goes on.
+        if !self.fault.window.is_open(time_s) && self.burst == 0 {
+            return;
+        }
+        let ([rate, bytes], effect) = (self.fault.values, self.fault.kind.effect);
+        match effect {
+            Effect::Flip => self.flip(rate, &mut packet.bytes),
+            Effect::Drop if self.happens(rate) => packet.bytes.clear(),
+            Effect::Duplicate => packet.is_double |= self.happens(rate),
+            Effect::Reorder => packet.is_late |= self.happens(rate),
+            Effect::Truncate if self.happens(rate) => {
+                let kept = self.random.random_range(0..packet.bytes.len().max(1));
+                packet.bytes.truncate(kept);
+            }
+            Effect::Burst => {
+                if self.burst == 0 && self.happens(rate) {
+                    self.burst = bytes as usize;
+                }
+                let hit = self.burst.min(packet.bytes.len());
+                packet.bytes[..hit].iter_mut().for_each(|byte| *byte = self.random.random());
+                self.burst -= hit;
+            }
+            Effect::Stall => packet.is_held = true,
+            // Of the clock, of the link as a whole, or of other layers.
+            _ => {}
+        }
+    }
+
+    fn happens(&mut self, rate: f64) -> bool {
+        self.random.random::<f64>() < rate
+    }
+
+    /// Inverts bits; the distance between two has the geometric distribution.
+    fn flip(&mut self, rate: f64, bytes: &mut [u8]) {
+        let length = 8 * bytes.len() as u64;
+        let mut next = self.bits.take().unwrap_or_else(|| self.gap(rate));
+        while next < length {
+            bytes[(next / 8) as usize] ^= 1 << (next % 8);
+            next += 1 + self.gap(rate);
+        }
+        self.bits = Some(next - length);
+    }
+
+    fn gap(&mut self, rate: f64) -> u64 {
+        let uniform: f64 = self.random.random();
+        // Of `rate` 1 the logarithm is infinite, and the gap zero.
+        ((1.0 - uniform).ln() / (-rate).ln_1p()).min(1e15) as u64
+    }
 }
 
 #[cfg(test)]

@@ -17,16 +17,13 @@
 mod board;
 mod injector;
 mod kinds;
-mod schedule;
 mod text;
-mod wire;
 mod words;
 
 pub use board::{BoardFaults, LightFaults, Trouble};
 pub use injector::{ANNOUNCED, Injector, Link};
 pub use kinds::{KINDS, Key, Kind, Lasts, Layer};
-pub use schedule::{FaultClock, Window};
-pub use text::{Fault, FaultError, Unit};
+pub use text::{Fault, FaultClock, FaultError, Unit, Window};
 pub use words::WordFaults;
 pub(crate) use words::WordScale;
 

@@ -9,8 +9,8 @@ use slitpose_protocol::{AdcScaling, RawScan, WordPair};
 
 use super::Faults;
 use super::kinds::{Effect, Layer};
-use super::schedule::FaultClock;
 use super::text::Fault;
+use super::text::FaultClock;
 
 /// The faults of a head on the words of one board.
 #[derive(Clone, Debug)]
@@ -33,7 +33,6 @@ struct WordFault {
 pub(crate) struct WordScale {
     pub(crate) scaling: AdcScaling,
     pub(crate) oversampling: u16,
-    /// Ticks a second.
     pub(crate) tick_hz: u32,
 }
 

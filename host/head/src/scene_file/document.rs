@@ -17,7 +17,6 @@ type Entry<'a> = Spanned<DeValue<'a>>;
 /// A value longer than this, in characters, is cut in messages.
 const MAX_QUOTE: usize = 60;
 
-/// A scene file's text and tree.
 pub(super) struct Document<'a> {
     origin: &'a str,
     text: &'a str,
@@ -78,7 +77,6 @@ impl<'a> Document<'a> {
         Err(self.error_at(key.span(), text))
     }
 
-    /// How many cells there are.
     pub(super) fn cell_count(&self) -> Result<usize, SceneFileError> {
         Ok(self.cell_entries()?.len())
     }
@@ -221,7 +219,6 @@ impl<'a> Document<'a> {
         Ok(list)
     }
 
-    /// Reads an entry as an array.
     pub(super) fn as_array<'s>(
         &'s self,
         path: KeyPath,

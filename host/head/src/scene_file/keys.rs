@@ -5,7 +5,7 @@ use std::fmt;
 use slitpose_model::Place;
 use thiserror::Error;
 
-use super::shipped::SHIPPED;
+use super::SHIPPED;
 use crate::foreign::printable;
 use crate::text_file::TextFileError;
 
@@ -177,7 +177,6 @@ pub(super) const PER_CELL: &[&str] = &["detector", "slit", "emitter", "window", 
 /// The three ways to give an emitter's profile, exactly one of which is needed.
 pub(super) const PROFILES: [&str; 3] = ["half_angle_deg", "profile_exponent", "profile"];
 
-/// Every section with its keys.
 const SECTIONS: &[(&str, &[&str])] = &[
     (
         "detector",

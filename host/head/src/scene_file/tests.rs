@@ -4,8 +4,7 @@ use slitpose_model::{Pose, Profile, Status};
 
 use super::*;
 
-mod effects;
-mod openings;
+mod optics;
 
 /// The least a scene needs; line numbers below count from its first line.
 const LEAST: &str = "\

@@ -7,13 +7,12 @@ use slitpose_head::front_end::configuration;
 use crate::map::{Map, NoiseOf, Plane, PlanePoint, Schedules, Tolerances, View};
 use crate::plot::curve;
 use crate::plot::{Axis, Chart, CurveStyle, Heat, heat_picture};
+use crate::report::section::Sheet;
 use crate::report::section::{Getter, Picture, Report, Section, Table, Value, column, program, scene};
-use crate::report::sheet::Sheet;
 use crate::survey::{AXES, WorkspaceFacts};
 
 mod checks;
 
-/// A value of a view.
 type Of = fn(&View) -> Option<f64>;
 
 /// What of a pose is shown, its three axes together.

@@ -7,7 +7,7 @@ use slitpose_model::{
 
 use super::{Case, Expected, Reached};
 use crate::report::head::{exponent, pair};
-use crate::report::method::Precision;
+use crate::report::solver::Precision;
 
 /// As exact as `f64` can be: the rest is rounding.
 const TIGHTEST: Tier = Tier::Exact { tolerance: 1e-14 };

@@ -1,18 +1,17 @@
 //! Stiff and extreme cases, which are numerically difficult, and their results.
 //!
 //! `cell` drives one cell's optics to extremes and compares with an integration of its own; `pose` drives solves there
-//! and compares with what rounding allows; `time` has front ends and jumps. A [`Case`] is judged by the ratio of its
+//! and compares with what rounding allows; so it does front ends and jumps. A [`Case`] is judged by the ratio of its
 //! error to what is attainable.
 
 mod cell;
 mod pose;
-mod time;
 
 use std::collections::BTreeMap;
 
 use super::head::Head;
-use super::method::Precision;
 use super::section::{Section, Table, Value};
+use super::solver::Precision;
 use super::{ReportError, Settings};
 
 pub(super) const TITLE: &str = "Stiff and extreme cases";
@@ -42,7 +41,6 @@ enum Expected {
 struct Reached {
     /// How many came back without a value.
     without_value: usize,
-    /// Outcomes, and how often each came.
     outcomes: BTreeMap<String, usize>,
     /// Error, in the unit of the case; `None` without a value.
     error: Option<f64>,
@@ -126,8 +124,8 @@ impl Case {
 pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, ReportError> {
     let mut cases = cell::cases(&head.scene)?;
     cases.extend(pose::cases(head, settings)?);
-    cases.extend(time::front_ends(head));
-    cases.extend(time::jumps(head, settings)?);
+    cases.extend(pose::front_ends(head));
+    cases.extend(pose::jumps(head, settings)?);
     let summary = summary(&cases);
     let of_slits = if head.is_of_slits() {
         ""
