@@ -75,9 +75,6 @@ impl Optics {
 
 impl DrawnHead {
     /// Draws a head of parts within the tolerances of `scene`; deviations are normal, cut at three standard deviations.
-    ///
-    /// # Errors
-    /// Parts that fit together to no head, and a front end that cannot sample the scene.
     pub fn draw(scene: &SceneFile, within: Within, seed: u64) -> Result<Self, BenchError> {
         let nominal = &with_tolerance(scene)?;
         let mut chance = Chance::of(seed, 0);
@@ -111,9 +108,6 @@ impl DrawnHead {
     }
 
     /// The light on its detectors, for a simulated board.
-    ///
-    /// # Errors
-    /// None that drawing it did not have.
     pub fn light(&self) -> Result<Box<dyn Light>, SceneError> {
         Ok(Box::new(Optics::of(&self.scene, &self.beyond)?))
     }

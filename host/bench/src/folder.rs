@@ -18,9 +18,6 @@ use crate::session::{Row, Says, Session, Table};
 
 /// Writes everything into `folder`, which is made: the scene and the tables, and in `truth/` what they were made from.
 /// Returns the files.
-///
-/// # Errors
-/// A folder with files in it, or that cannot be written.
 pub fn write(folder: &Path, head: &DrawnHead, session: &Session) -> Result<Vec<PathBuf>, BenchError> {
     let create =
         |path: &Path| fs::create_dir_all(path).map_err(|source| OutputError::Create { path: path.to_owned(), source });

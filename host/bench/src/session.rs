@@ -177,9 +177,6 @@ impl Maker<'_> {
 
 impl Session {
     /// Measures on `head`.
-    ///
-    /// # Errors
-    /// A head that hardly has a pose with light on all detectors.
     pub fn of(head: &DrawnHead, settings: &Settings) -> Result<Self, BenchError> {
         let workspace = head.nominal.workspace;
         let maker = |table, stream: Stream| {

@@ -244,7 +244,7 @@ impl<'a> Adjustment<'a> {
     fn estimate_sizes(&mut self, state: &State, normal: &Normal) {
         let Some(covariance) = normal.covariance() else { return };
         let mut sums = [[1.0, 1.0]; FAMILIES];
-        let families = state.parameters.entries.iter().map(|entry| entry.quantity.family());
+        let families = state.parameters.entries.iter().map(|entry| entry.quantity.kind().0.family);
         for (k, family) in families.clone().enumerate() {
             if let Some(family) = family {
                 let shift = state.parameters.entries[k].shift();

@@ -129,9 +129,6 @@ pub struct Calibrated {
 /// The most probable parameters of the head of `request`, given its data.
 ///
 /// `progress` is told how far the work is; a break ends it with the best so far.
-///
-/// # Errors
-/// Data that contradict the scene.
 pub fn calibrate(
     request: &Request<'_>,
     progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,

@@ -26,9 +26,6 @@ const COARSE: [f64; 2] = [0.1e-3, 10e-3];
 const COARSE_RATIO: f64 = 20.0;
 
 /// Refuses data that an adjustment did not bring together; `by_tolerances` is the head before it.
-///
-/// # Errors
-/// What they contradict.
 pub(crate) fn require_agreement(
     by_tolerances: &Scene,
     data: &Data,
@@ -114,7 +111,7 @@ const NAMED: usize = 3;
 
 /// Parts that are elsewhere than the scene says. Of textures tolerances say little.
 fn beyond_tolerances(parameters: &[Parameter]) -> Option<String> {
-    let is_far = |entry: &&Parameter| entry.quantity.family().is_none() && entry.shift().abs() > FAR;
+    let is_far = |entry: &&Parameter| entry.quantity.kind().0.family.is_none() && entry.shift().abs() > FAR;
     let mut far: Vec<&Parameter> = parameters.iter().filter(is_far).collect();
     far.sort_by(|a, b| b.shift().abs().total_cmp(&a.shift().abs()));
     let name = |entry: &&Parameter| format!("{} {:.0} times its tolerance", entry.name(), entry.shift().abs());
@@ -177,9 +174,6 @@ const DRIFT: f64 = 3e-3;
 const EXPLAINED: f64 = 0.5;
 
 /// The trend of the light over the rows of a file with known poses, if all cells have one in the same sense.
-///
-/// # Errors
-/// A scene that cannot be computed.
 pub(crate) fn light_drift(nominal: &Scene, data: &Data, state: &State) -> Result<Option<String>, SceneError> {
     let plan = CompiledScene::<f64>::compile(&state.parameters.scene(nominal), TIER)?;
     for group in &data.groups {

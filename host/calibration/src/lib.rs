@@ -136,9 +136,6 @@ impl Calibration {
     }
 
     /// The scene it was made with.
-    ///
-    /// # Errors
-    /// A text that is no scene, of a file that was made up.
     pub fn scene_file(&self) -> Result<SceneFile, slitpose_head::scene_file::SceneFileError> {
         SceneFile::parse(&self.scene_name, &self.scene_source)
     }
@@ -180,9 +177,6 @@ impl Calibration {
     }
 
     /// The calibrated optics of the head that `file` describes.
-    ///
-    /// # Errors
-    /// A scene with another hash, and parameters that no head can have.
     pub fn apply(&self, file: &SceneFile) -> Result<Scene, CalibrationFileError> {
         self.require_scene(file)?;
         let mut scene = self.parameters.scene(&file.scene);

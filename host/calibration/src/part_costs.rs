@@ -51,36 +51,9 @@ pub struct PartCosts {
     pub after: PoseRms,
 }
 
-/// What deviates, and by which key of `[tolerance]`.
-fn part(quantity: Quantity) -> (&'static str, &'static str) {
-    match quantity {
-        Quantity::DetectorShift(_) => ("detector, place", "position_mm"),
-        Quantity::DetectorTurn(_) => ("detector, direction", "angle_deg"),
-        Quantity::SlitOffset => ("slit, place along the detector", "position_mm"),
-        Quantity::SlitDistance => ("slit, distance", "position_mm"),
-        Quantity::SlitWidth => ("slit, width", "slit_width_mm"),
-        Quantity::SlitTilt(_) => ("slit, direction", "angle_deg"),
-        Quantity::MaskThickness => ("mask, thickness", "slit_width_mm"),
-        Quantity::EmitterShift(_) => ("emitter, place", "position_mm"),
-        Quantity::EmitterTilt(_) => ("emitter, axis", "emitter_angle_deg"),
-        Quantity::LogIntensity => ("emitter, intensity", "emitter_gain_relative"),
-        Quantity::ProfileExponent | Quantity::ProfileRadial(_) | Quantity::ProfileAzimuthal(_) => {
-            ("emitter, profile", "profile_relative")
-        }
-        Quantity::WindowThickness => ("cover, thickness", "window_mm"),
-        Quantity::Nonlinearity(_) => ("detector, linearity", "nonlinearity_mm"),
-        Quantity::Stray(_) | Quantity::StrayLevel(_) | Quantity::StrayBalance(_) => ("stray light", "stray_relative"),
-        Quantity::ElectrodeGain => ("electrodes, gain", "electrode_gain_relative"),
-        Quantity::Converter(..) => ("converters, linearity", "nonlinearity_mm"),
-    }
-}
-
 /// What the tolerances of `file` cost, whose `noise` of a single frame is that of its scene; calibrated at `known` poses.
 ///
 /// To first order around the scene.
-///
-/// # Errors
-/// A scene that cannot be computed, or without tolerances.
 pub fn part_costs(file: &SceneFile, known: KnownPoses) -> Result<PartCosts, CalibrateError> {
     let nominal = &file.scene;
     let parameters = prior::parameters(file)?;
@@ -127,14 +100,14 @@ pub fn part_costs(file: &SceneFile, known: KnownPoses) -> Result<PartCosts, Cali
 
     let mut kinds: Vec<(&str, &str)> = Vec::new();
     for entry in &parameters.entries {
-        if !kinds.contains(&part(entry.quantity)) {
-            kinds.push(part(entry.quantity));
+        if !kinds.contains(&entry.quantity.kind().0.part) {
+            kinds.push(entry.quantity.kind().0.part);
         }
     }
     let mut spreads = [vec![diagonal(&|_| true)], vec![without(&|_| false)?]];
     for kind in &kinds {
-        spreads[0].push(diagonal(&|quantity| part(quantity) == *kind));
-        spreads[1].push(without(&|quantity| part(quantity) == *kind)?);
+        spreads[0].push(diagonal(&|quantity| quantity.kind().0.part == *kind));
+        spreads[1].push(without(&|quantity| quantity.kind().0.part == *kind)?);
     }
     let poses: Vec<Pose> = file.workspace.poses(POSES).collect();
     let cells = sensitivities(nominal, &parameters, &poses, true)?;

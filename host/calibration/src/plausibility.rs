@@ -77,9 +77,6 @@ pub fn median(mut values: Vec<f64>) -> f64 {
 
 /// Refuses data that look like another thing than they are said to be; `scene` is the head by its tolerances. Gives the rows
 /// whose poses are gross outliers, and a remark on those of each file.
-///
-/// # Errors
-/// What they look like.
 pub(crate) fn check(scene: &Scene, data: &Data) -> Result<(Vec<usize>, Vec<String>), Implausible> {
     let (mut outliers, mut remarks) = (Vec::new(), Vec::new());
     for group in &data.groups {
@@ -110,9 +107,6 @@ pub(crate) fn check(scene: &Scene, data: &Data) -> Result<(Vec<usize>, Vec<Strin
 
 /// Refuses poses in frames of the scene that look like another thing than they are said to be, of however few rows; `scene` is
 /// the head by its tolerances.
-///
-/// # Errors
-/// What they look like.
 pub fn check_poses(scene: &Scene, data: &Data) -> Result<(), Implausible> {
     for group in &data.groups {
         if group.rows.clone().all(|row| data.rows[row].readings.iter().all(Option::is_none)) {
@@ -128,9 +122,6 @@ pub fn check_poses(scene: &Scene, data: &Data) -> Result<(), Implausible> {
 }
 
 /// What the poses of an adjusted head `scene` look like, which the currents contradict.
-///
-/// # Errors
-/// A scene that cannot be computed.
 pub(crate) fn likely_reading(scene: &Scene, data: &Data) -> Result<Option<Implausible>, SceneError> {
     for group in &data.groups {
         let Some(spots) = Spots::of(scene, data, group, LEAST)? else { continue };

@@ -42,9 +42,6 @@ pub(crate) fn known_so_far(file: &SceneFile, start: Option<&Calibration>) -> Res
 }
 
 /// The poses of `rows`, which are of the file `name`, by the head as it is [`known_so_far`].
-///
-/// # Errors
-/// Too few rows with a pose.
 pub(crate) fn first_poses(
     scene: &Scene,
     start: Option<&Calibration>,
@@ -75,9 +72,6 @@ pub(crate) fn first_poses(
 
 impl Beginning {
     /// From the data and the head as it is [`known_so_far`].
-    ///
-    /// # Errors
-    /// A group whose rows lead to too few poses, or whose poses do not fix what they have in common.
     pub(crate) fn of(scene: &Scene, start: Option<&Calibration>, data: &Data) -> Result<Self, CalibrateError> {
         let (mut poses, mut unknowns) = (vec![Pose::HOME; data.rows.len()], Vec::new());
         for group in &data.groups {

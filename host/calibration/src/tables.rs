@@ -22,9 +22,6 @@ const AVERAGED_CHANGE: f64 = 0.02;
 const MAX_AVERAGED: usize = 256;
 
 /// Reads a table into `data`.
-///
-/// # Errors
-/// A missing column, or a field that is no number.
 pub fn read(
     file: &SceneFile,
     table: &str,

@@ -28,9 +28,6 @@ pub enum TextFileError {
 }
 
 /// Reads a regular file of at most [`MAX_TEXT_BYTES`].
-///
-/// # Errors
-/// [`TextFileError`].
 pub fn read(path: &Path) -> Result<Vec<u8>, TextFileError> {
     let mut bytes = Vec::new();
     let file = open_kind(path, false)?;
@@ -39,9 +36,6 @@ pub fn read(path: &Path) -> Result<Vec<u8>, TextFileError> {
 }
 
 /// Opens a regular file, or a pipe such as a shell's `<(…)`, to be read as a stream.
-///
-/// # Errors
-/// [`TextFileError`].
 pub fn open(path: &Path) -> Result<File, TextFileError> {
     open_kind(path, true)
 }

@@ -75,9 +75,6 @@ pub struct Map {
 
 impl Map {
     /// Looks at the workspace of `head`, on all cores; `progress` is called for each pose, [`Fineness::poses`] in all.
-    ///
-    /// # Errors
-    /// A scene that cannot be computed.
     pub fn of(head: Head, fineness: Fineness, progress: impl FnMut() + Send) -> Result<Self, SceneError> {
         let workspace = head.file.workspace;
         let outlook = Outlook::of(head)?;
@@ -256,9 +253,6 @@ pub struct Tolerances {
 
 impl Tolerances {
     /// Draws `heads` heads of `file`; `progress` is called for each.
-    ///
-    /// # Errors
-    /// A scene that cannot be computed or calibrated.
     pub fn of(file: &SceneFile, heads: usize, seed: u64, mut progress: impl FnMut()) -> Result<Self, CalibrateError> {
         let (scene, _) = frame_scene(file);
         let file = SceneFile { scene, ..file.clone() };

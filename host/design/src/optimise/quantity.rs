@@ -152,9 +152,6 @@ impl FromStr for Free {
 }
 
 /// The text of `file` with `values` set, in their units.
-///
-/// # Errors
-/// A text that has not the sections that they stand in.
 pub(super) fn with_values(file: &SceneFile, values: &[(Quantity, f64)]) -> Result<String, OptimiseError> {
     let error = |message: &str| OptimiseError::Text(file.origin.clone(), format!(": {message}"));
     let mut document: DocumentMut =

@@ -102,9 +102,6 @@ impl Judge {
     }
 
     /// What `file` is worth, at all poses.
-    ///
-    /// # Errors
-    /// A scene that cannot be computed.
     pub fn score(&self, file: &SceneFile) -> Result<Score, SceneError> {
         let mut score = self.score_at(file, &self.poses, &self.learnt, CLIMBS[1], [1.0, 0.0])?;
         if score.excesses.is_empty()
@@ -129,9 +126,6 @@ impl Judge {
     }
 
     /// Lets further estimates see what is wrong with `file` at poses they would not have looked at.
-    ///
-    /// # Errors
-    /// A scene that cannot be computed.
     pub(super) fn learn(&mut self, file: &SceneFile) -> Result<(), SceneError> {
         let outlook = Outlook::of(file.clone().into())?;
         let views: Vec<View> = self.poses.iter().map(|pose| outlook.at(pose)).collect();

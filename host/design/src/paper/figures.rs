@@ -253,9 +253,6 @@ fn misfit_mm(numbers_mm: &[f64; 4]) -> f64 {
 }
 
 /// A page that puts the published errors beside those of simulated benches, made from the scene `bench`.
-///
-/// # Errors
-/// Those of [`CompiledScene::compile`].
 pub fn account(bench: &SceneFile) -> Result<Report, SceneError> {
     let mut errors = Vec::new();
     for bench_parts in &BENCHES {

@@ -89,9 +89,6 @@ pub const SECTIONS: u64 = 4;
 type Measure = fn(&Head<'_>, &Settings) -> Result<Section, ReportError>;
 
 /// Studies `file`. `progress` gets the title of each section before it begins.
-///
-/// # Errors
-/// If the scene gives no poses to study.
 pub fn study(file: &SceneFile, settings: &Settings, mut progress: impl FnMut(&str)) -> Result<Report, ReportError> {
     let head = Head::of(file, settings)?;
     let mut sections = Vec::new();

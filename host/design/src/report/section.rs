@@ -116,6 +116,11 @@ impl Table {
         }
     }
 
+    /// Whether a column has numbers, by its first row.
+    pub(crate) fn is_number(&self, column: usize) -> bool {
+        self.rows.first().is_some_and(|row| row.get(column).is_some_and(Value::is_number))
+    }
+
     /// In columns, for people.
     pub fn as_text(&self) -> String {
         let heading: Vec<String> = self.columns.iter().map(|column| column.heading.to_owned()).collect();
@@ -124,11 +129,10 @@ impl Table {
         let widths: Vec<usize> = (0..self.columns.len())
             .map(|k| lines.iter().map(|line| line[k].chars().count()).max().unwrap_or(0))
             .collect();
-        let is_number = |k: usize| self.rows.first().is_some_and(|row| row[k].is_number());
         let mut text = String::new();
         for line in lines {
             let fields = line.iter().zip(&widths).enumerate().map(|(k, (field, width))| {
-                if is_number(k) { format!("{field:>width$}") } else { format!("{field:<width$}") }
+                if self.is_number(k) { format!("{field:>width$}") } else { format!("{field:<width$}") }
             });
             text += format!("  {}", fields.collect::<Vec<_>>().join("  ")).trim_end();
             text.push('\n');

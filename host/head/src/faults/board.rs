@@ -86,9 +86,6 @@ struct LightFault {
 
 impl LightFaults {
     /// Those of `faults` that act on the light of `scene`; `None` if none does.
-    ///
-    /// # Errors
-    /// If a part has moved to where the optics of `tier` cannot have it.
     pub fn of(faults: &Faults, scene: &Scene, tier: Tier) -> Result<Option<Self>, SceneError> {
         let mut of_light = Vec::new();
         for (fault, _) in faults.of(Layer::Light) {

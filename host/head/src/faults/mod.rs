@@ -38,9 +38,6 @@ pub struct Faults(Vec<Fault>);
 
 impl Faults {
     /// These faults, for a head with so many cells.
-    ///
-    /// # Errors
-    /// A cell that the head does not have.
     pub fn new(faults: Vec<Fault>, cells: usize) -> Result<Self, FaultError> {
         for fault in &faults {
             if let Some(cell) = fault.cells().find(|&cell| cell >= cells) {
@@ -70,17 +67,11 @@ impl Faults {
     }
 
     /// Checks that each can be injected into a recording.
-    ///
-    /// # Errors
-    /// The first that cannot, and why.
     pub fn check_recording(faults: &[Fault]) -> Result<(), FaultError> {
         check(faults, "a recording", Kind::not_in_recordings)
     }
 
     /// Checks that each can be injected into a board that `simulate` records.
-    ///
-    /// # Errors
-    /// The first that cannot, and why.
     pub fn check_simulate(faults: &[Fault]) -> Result<(), FaultError> {
         check(faults, "the board of `simulate`", Kind::not_in_simulate)
     }

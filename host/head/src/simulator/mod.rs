@@ -120,17 +120,11 @@ pub enum SimulatorError {
 impl SimulatedBoard {
     /// A board with the head of `file`, its tool on `trajectory`, optics of `tier`, noise drawn from
     /// `seed`. It is idle until started.
-    ///
-    /// # Errors
-    /// If a board cannot run the scene.
     pub fn new(file: &SceneFile, trajectory: Trajectory, tier: Tier, seed: u64) -> Result<Self, SimulatorError> {
         Self::numbered(0, file, trajectory, tier, seed)
     }
 
     /// As [`new`](Self::new), for one of several boards: its device id ends in `number`.
-    ///
-    /// # Errors
-    /// If a board cannot run the scene.
     pub fn numbered(
         number: u8,
         file: &SceneFile,
@@ -142,9 +136,6 @@ impl SimulatedBoard {
     }
 
     /// As [`numbered`](Self::numbered), with a head that `file` describes, but whose detectors get `light`.
-    ///
-    /// # Errors
-    /// If a board cannot run the scene.
     pub fn with_light(
         number: u8,
         file: &SceneFile,
@@ -177,9 +168,6 @@ impl SimulatedBoard {
 
     /// With these of the `faults`: in the board, and in the head of `file`, whose optics are those of `tier`. Those of the
     /// wire are for an [`Injector`](crate::faults::Injector).
-    ///
-    /// # Errors
-    /// If a part has moved to where the optics cannot have it.
     pub fn with_faults(mut self, faults: &Faults, file: &SceneFile, tier: Tier) -> Result<Self, SimulatorError> {
         let light = LightFaults::of(faults, &file.scene, tier)?;
         self.board.hardware_mut().inject(light, WordFaults::of(faults));

@@ -113,17 +113,11 @@ impl Trajectory {
 
     /// A path through the poses of a CSV table: `time_s` and the columns of a pose. Between rows
     /// the twist is constant, so rows may turn corners.
-    ///
-    /// # Errors
-    /// If the table cannot be read, or time does not advance.
     pub fn from_table(file: &str) -> Result<Self, PathError> {
         Self::through_rows(TableReader::open(file)?)
     }
 
     /// As [`Self::from_table`], of a table that is open.
-    ///
-    /// # Errors
-    /// If the table cannot be read, or time does not advance.
     pub fn through_rows(table: TableReader) -> Result<Self, PathError> {
         let mut table = table.of_at_most(MAX_KNOTS);
         let time = table.column("time_s")?;
