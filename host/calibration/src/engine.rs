@@ -220,17 +220,8 @@ fn before(file: &SceneFile, start: Option<&Calibration>) -> Result<(Parameters, 
     };
     start.require_scene(file)?;
     let mut parameters = start.parameters.clone();
-    let count = parameters.entries.len();
-    let sigma = |k: usize| parameters.entries[k].sigma / parameters.entries[k].prior_sigma;
-    let covariance = DMatrix::from_fn(count, count, |i, j| {
-        let correlation = match i.cmp(&j) {
-            // The digits of the file are worth that much.
-            std::cmp::Ordering::Equal => 1.0 + 1e-3,
-            std::cmp::Ordering::Greater => start.correlation[i][j],
-            std::cmp::Ordering::Less => start.correlation[j][i],
-        };
-        correlation * sigma(i) * sigma(j)
-    });
+    // The digits of the file are worth that much.
+    let covariance = start.covariance(1.0 + 1e-3);
     let information = covariance.cholesky().ok_or(CalibrateError::Singular)?.inverse();
     for entry in &mut parameters.entries {
         entry.prior = entry.value;

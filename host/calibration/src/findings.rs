@@ -292,19 +292,20 @@ pub struct Direction<'a> {
 const NAMED_SHARES: usize = 6;
 
 impl Calibration {
+    /// Covariance of the parameters in units of their prior σ, each variance multiplied by `variances`.
+    pub(crate) fn covariance(&self, variances: f64) -> DMatrix<f64> {
+        let entries = self.parameters();
+        let sigma = |k: usize| entries[k].sigma / entries[k].prior_sigma;
+        DMatrix::from_fn(entries.len(), entries.len(), |i, j| {
+            let correlation = if i == j { variances } else { self.correlation[i.max(j)][i.min(j)] };
+            correlation * sigma(i) * sigma(j)
+        })
+    }
+
     /// All principal directions of what the data left open, the weakest first.
     pub fn directions(&self) -> Vec<Direction<'_>> {
         let entries = self.parameters();
-        let sigma = |k: usize| entries[k].sigma / entries[k].prior_sigma;
-        let covariance = DMatrix::from_fn(entries.len(), entries.len(), |i, j| {
-            let correlation = match i.cmp(&j) {
-                std::cmp::Ordering::Equal => 1.0,
-                std::cmp::Ordering::Greater => self.correlation[i][j],
-                std::cmp::Ordering::Less => self.correlation[j][i],
-            };
-            correlation * sigma(i) * sigma(j)
-        });
-        let eigen = SymmetricEigen::new(covariance);
+        let eigen = SymmetricEigen::new(self.covariance(1.0));
         let mut order: Vec<usize> = (0..entries.len()).collect();
         order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]));
         let direction = |place: usize| {

@@ -131,36 +131,25 @@ fn difference_curve(label: &str, points: Vec<[f64; 2]>) -> Curve {
 
 /// Curves above, their difference below, over the same horizontal axis.
 struct Figure<'a> {
-    pub(super) title: &'a str,
-    pub(super) note: &'a str,
-    pub(super) x: &'a str,
-    pub(super) y: &'a str,
-    pub(super) curves: Vec<Curve>,
-    pub(super) starting_at_zero: bool,
-    pub(super) lower_y: &'a str,
-    pub(super) lower: Vec<Curve>,
+    title: &'a str,
+    note: &'a str,
+    x: &'a str,
+    y: &'a str,
+    curves: Vec<Curve>,
+    starting_at_zero: bool,
+    lower_y: &'a str,
+    lower: Vec<Curve>,
 }
 
 impl Figure<'_> {
-    pub(super) fn draw(self) -> String {
-        let all = || self.curves.iter().flat_map(|curve| &curve.points);
-        let x = |label: &str| Axis::around(label, all().map(|point| point[0]));
-        let y = Axis::around(self.y, all().map(|point| point[1]));
-        let lower = Chart {
-            x: x(self.x),
-            y: Axis::around(
-                self.lower_y,
-                self.lower.iter().flat_map(|curve| &curve.points).map(|point| point[1]).chain([0.0]),
-            ),
-            curves: self.lower,
-            notes: Vec::new(),
+    fn draw(self) -> String {
+        let y = |y: Vec<f64>| {
+            let y = Axis::around(self.y, y);
+            if self.starting_at_zero { y.starting_at_zero() } else { y }
         };
-        let upper = Chart {
-            x: x(""),
-            y: if self.starting_at_zero { y.starting_at_zero() } else { y },
-            curves: self.curves,
-            notes: Vec::new(),
-        };
+        let upper = Chart::over(self.curves, |x| Axis::around("", x), y);
+        let x = |_| Axis { label: self.x.to_owned(), ..upper.x.clone() };
+        let lower = Chart::over(self.lower, x, |y| Axis::around(self.lower_y, y.into_iter().chain([0.0])));
         let top = 64.0 + upper.legend_height();
         let lower_top = top + UPPER + 30.0 + lower.legend_height();
         let mut canvas = Canvas::titled(WIDTH, lower_top + LOWER + 56.0, self.title, self.note);

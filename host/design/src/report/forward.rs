@@ -10,7 +10,7 @@ use super::section::Sheet;
 use super::section::{Picture, Section, Table, Value};
 use super::solver::{Precision, tier_name};
 use super::{ReportError, Settings};
-use crate::plot::{Anchor, Axis, Chart, Curve, CurveStyle, Note, cell_colour, curve};
+use crate::plot::{Anchor, Axis, Chart, CurveStyle, Note, cell_colour, curve};
 
 pub(super) const TITLE: &str = "Forward model: error against time";
 
@@ -154,7 +154,7 @@ fn picture(entries: &[Entry], head: &Head<'_>) -> Picture {
                 entries.iter().filter(move |e| e.precision == precision && (e.tier == Tier::Paper) == is_paper);
             chosen.map(|entry| [1e6 * time(entry), entry.error[0]]).collect::<Vec<_>>()
         };
-        let curves: Vec<Curve> = [
+        let curves = [
             ("exact tier, f64, at the tolerance written beside it", CurveStyle::Joined, Precision::Double, false),
             ("exact tier, f32", CurveStyle::DashedRings, Precision::Single, false),
             ("paper tier, f64: the difference between the models", CurveStyle::Markers, Precision::Double, true),
@@ -174,13 +174,12 @@ fn picture(entries: &[Entry], head: &Head<'_>) -> Picture {
             }),
             _ => None,
         };
-        let points = || curves.iter().flat_map(|curve| &curve.points);
-        let mut x = Axis::logarithmic("time for all cells / µs", points().map(|point| point[0]));
+        let x = |x| Axis::logarithmic("time for all cells / µs", x);
+        let mut chart = Chart::over(curves, x, |y| Axis::logarithmic("median error of a current", y));
         // Room for the last note.
-        x.range[1] *= 1.1;
-        let y = Axis::logarithmic("median error of a current", points().map(|point| point[1]));
-        let notes = entries.iter().filter_map(note).collect();
-        (heading.to_owned(), Chart { x, y, curves, notes })
+        chart.x.range[1] *= 1.1;
+        chart.notes = entries.iter().filter_map(note).collect();
+        (heading.to_owned(), chart)
     };
     let note =
         format!("{} cells; {}; {} poses of the workspace", head.scene.cells.len(), head.file.name, head.poses.len());

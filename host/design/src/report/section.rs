@@ -269,11 +269,9 @@ mod tests {
     #[test]
     fn the_legend_stands_above_the_headings_however_long_it_is() {
         let label = "a curve with a name as long as the panel is wide, or longer";
-        let chart = |label: &str| Chart {
-            x: Axis::around("x", [0.0, 1.0]),
-            y: Axis::around("y", [0.0, 1.0]),
-            curves: vec![curve(label, 0, CurveStyle::Line, vec![[0.0, 0.0], [1.0, 1.0]])],
-            notes: Vec::new(),
+        let chart = |label: &str| {
+            let curves = vec![curve(label, 0, CurveStyle::Line, vec![[0.0, 0.0], [1.0, 1.0]])];
+            Chart::over(curves, |x| Axis::around("x", x), |y| Axis::around("y", y))
         };
         let panels = vec![("first heading".to_owned(), chart(label)), ("second heading".to_owned(), chart(label))];
         let svg = Sheet { title: "t".to_owned(), note: "n".to_owned(), panels }.draw("name", "").svg;

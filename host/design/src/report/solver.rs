@@ -265,12 +265,11 @@ fn picture(
         }
     }
     let floor = bound[half] * 1e6;
-    let all = || curves.iter().flat_map(|curve: &Curve| curve.points.clone());
-    let x = Axis::logarithmic("time per solve / µs", all().map(|point| point[0]));
-    let y = Axis::logarithmic(&format!("rms error of the {what} / {unit}"), all().map(|point| point[1]).chain([floor]));
-    let mut notes = Vec::new();
+    let y = |y: Vec<f64>| Axis::logarithmic(&format!("rms error of the {what} / {unit}"), y.into_iter().chain([floor]));
+    let mut chart = Chart::over(curves, |x| Axis::logarithmic("time per solve / µs", x), y);
+    let times = chart.x.range;
     let mut note = |at, offset, anchor, text: &str, colour| {
-        notes.push(Note { at, offset, anchor, text: text.to_owned(), colour });
+        chart.notes.push(Note { at, offset, anchor, text: text.to_owned(), colour });
     };
     // The clearest curve says what its points are, as far as they do not lie on the bound.
     let named = chosen(STREAM, Start::Cold, Precision::Double).take(2);
@@ -280,11 +279,11 @@ fn picture(
     if let Some(entry) = chosen(Tier::Paper, Start::Cold, Precision::Double).find(|entry| searched(entry)) {
         let [time, error] = point(entry);
         let text = format!("paper tier in full: {} µs →", Value::from(time).shown());
-        note([x.range[1], error], dvec2(-8.0, 16.0), Anchor::End, &text, cell_colour(2));
+        note([times[1], error], dvec2(-8.0, 16.0), Anchor::End, &text, cell_colour(2));
     }
-    note([x.range[0], floor], dvec2(8.0, 16.0), Anchor::Start, "Cramér–Rao bound of one frame", SOFT_INK);
-    let points = x.range.map(|x| [x, floor]).to_vec();
-    curves.push(Curve { label: String::new(), colour: SOFT_INK, style: CurveStyle::Dashed, points });
+    note([times[0], floor], dvec2(8.0, 16.0), Anchor::Start, "Cramér–Rao bound of one frame", SOFT_INK);
+    let points = times.map(|x| [x, floor]).to_vec();
+    chart.curves.push(Curve { label: String::new(), colour: SOFT_INK, style: CurveStyle::Dashed, points });
     Sheet {
         title: format!("Pose from {} cells: error of the {what} against time", head.scene.cells.len()),
         note: format!(
@@ -293,7 +292,7 @@ fn picture(
             head.file.name,
             head.poses.len()
         ),
-        panels: vec![("noisy currents".to_owned(), Chart { x, y, curves, notes })],
+        panels: vec![("noisy currents".to_owned(), chart)],
     }
     .draw(name, caption)
 }

@@ -1,60 +1,32 @@
 //! Every cell over a sample of the workspace: statistics of its light, and what its integrals take for a solver.
 
-use std::convert::Infallible;
-
 use glam::DVec3;
 use serde::Serialize;
 use slitpose_head::scene_file::{SceneFile, Workspace};
-use slitpose_head::threads::{cores, in_order};
+use slitpose_head::threads::on_all_cores;
 use slitpose_model::{CompiledScene, Pose, Response, SceneError, Status, Tier};
 
 use super::serialize_pose;
 
-/// Poses that a core takes at a time.
-const POSES: usize = 256;
+/// Poses of a piece: bounds memory.
+const POSES: usize = 1024;
 
-/// What is known of the poses that were looked at.
-pub(super) trait Tally: Clone + Send + Sync {
-    /// Adds a pose, looked at with the optics of `plan`.
-    fn add(&mut self, plan: &CompiledScene<f64>, pose: &Pose);
-
-    /// Adds the poses of `later`, which come after those of `self`.
-    fn merge(&mut self, later: Self);
-}
-
-impl<T: Tally> Tally for Vec<T> {
-    fn add(&mut self, plan: &CompiledScene<f64>, pose: &Pose) {
-        self.iter_mut().for_each(|tally| tally.add(plan, pose));
-    }
-
-    fn merge(&mut self, later: Self) {
-        self.iter_mut().zip(later).for_each(|(tally, later)| tally.merge(later));
-    }
-}
-
-/// What `none` becomes with all of `poses`, on all cores, the same however many they are. `progress` gets the number of
-/// poses of each piece that is done.
-pub(super) fn over<T: Tally>(
-    plan: &CompiledScene<f64>,
-    none: &T,
+/// Does `work` on all of `poses`, on all cores, and hands what comes of it to `take` in their order. `progress` gets the number
+/// of poses of each piece that is done.
+pub(super) fn over<R: Send>(
     mut poses: impl Iterator<Item = Pose>,
     mut progress: impl FnMut(usize),
-) -> T {
-    let mut all = none.clone();
-    let next = || {
-        Ok::<_, Infallible>(Some(poses.by_ref().take(POSES).collect()).filter(|piece: &Vec<Pose>| !piece.is_empty()))
-    };
-    let work = |piece: Vec<Pose>| {
-        let mut tally = none.clone();
-        piece.iter().for_each(|pose| tally.add(plan, pose));
-        (tally, piece.len())
-    };
-    let Ok(()) = in_order(cores(), next, work, |(tally, count)| {
-        all.merge(tally);
-        progress(count);
-        Ok(())
-    });
-    all
+    work: impl Fn(&Pose) -> R + Sync,
+    mut take: impl FnMut(&Pose, R),
+) {
+    loop {
+        let piece: Vec<Pose> = poses.by_ref().take(POSES).collect();
+        if piece.is_empty() {
+            return;
+        }
+        piece.iter().zip(on_all_cores(&piece, &work)).for_each(|(pose, found)| take(pose, found));
+        progress(piece.len());
+    }
 }
 
 /// The six axes of motion from home, in the order (t, θ).
@@ -148,22 +120,8 @@ impl CellCoverage {
         self.i_o_range_a = Some([least.min(response.i_o_a), most.max(response.i_o_a)]);
     }
 
-    /// Adds the counts of other poses.
-    fn merge(&mut self, mut later: Self) {
-        for (count, further) in self.counts().into_iter().zip(later.counts()) {
-            *count += *further;
-        }
-        if later.most_electrode_a > self.most_electrode_a {
-            (self.most_electrode_a, self.most_electrode_at) = (later.most_electrode_a, later.most_electrode_at);
-        }
-        self.i_o_range_a = match (self.i_o_range_a, later.i_o_range_a) {
-            (Some([least, most]), Some([lower, upper])) => Some([least.min(lower), most.max(upper)]),
-            (range, None) | (None, range) => range,
-        };
-    }
-
-    fn counts(&mut self) -> [&mut f64; 7] {
-        [
+    fn divide_by(&mut self, samples: f64) {
+        for count in [
             &mut self.lit,
             &mut self.clipped,
             &mut self.dark,
@@ -171,36 +129,9 @@ impl CellCoverage {
             &mut self.saturated,
             &mut self.faint,
             &mut self.over_scale,
-        ]
-    }
-
-    fn divide_by(&mut self, samples: f64) {
-        self.counts().into_iter().for_each(|count| *count /= samples);
-    }
-}
-
-#[derive(Clone)]
-struct Counts {
-    full_scale_a: Option<f64>,
-    cells: Vec<CellCoverage>,
-    /// Of the poses with so many cells lit.
-    lit: Vec<usize>,
-}
-
-impl Tally for Counts {
-    fn add(&mut self, plan: &CompiledScene<f64>, pose: &Pose) {
-        let mut lit = 0;
-        for (number, cell) in self.cells.iter_mut().enumerate() {
-            let response = plan.respond(number, pose);
-            lit += usize::from(response.status == Status::Lit);
-            cell.add(pose, &response, self.full_scale_a);
+        ] {
+            *count /= samples;
         }
-        self.lit[lit] += 1;
-    }
-
-    fn merge(&mut self, later: Self) {
-        self.cells.iter_mut().zip(later.cells).for_each(|(cell, later)| cell.merge(later));
-        self.lit.iter_mut().zip(later.lit).for_each(|(count, later)| *count += later);
     }
 }
 
@@ -212,12 +143,14 @@ impl Coverage {
         full_scale_a: Option<f64>,
         progress: impl FnMut(usize),
     ) -> Self {
-        let none = Counts {
-            full_scale_a,
-            cells: (0..plan.cell_count()).map(CellCoverage::new).collect(),
-            lit: vec![0; plan.cell_count() + 1],
-        };
-        let Counts { mut cells, lit, .. } = over(plan, &none, workspace.poses(samples), progress);
+        let mut cells: Vec<CellCoverage> = (0..plan.cell_count()).map(CellCoverage::new).collect();
+        // Poses with so many cells lit.
+        let mut lit = vec![0; plan.cell_count() + 1];
+        let respond = |pose: &Pose| (0..plan.cell_count()).map(|cell| plan.respond(cell, pose)).collect::<Vec<_>>();
+        over(workspace.poses(samples), progress, respond, |pose, responses| {
+            lit[responses.iter().filter(|response| response.status == Status::Lit).count()] += 1;
+            cells.iter_mut().zip(&responses).for_each(|(cell, response)| cell.add(pose, response, full_scale_a));
+        });
         cells.iter_mut().for_each(|cell| cell.divide_by(samples as f64));
         let at_least = |least| lit[least..].iter().sum::<usize>() as f64 / samples as f64;
         Self { samples, at_least_lit: (0..lit.len()).map(at_least).collect(), cells }
@@ -247,25 +180,6 @@ pub(super) fn poses_of(samples: usize) -> usize {
     samples.min(MAX_SAMPLES)
 }
 
-impl Tally for CellCost {
-    fn add(&mut self, plan: &CompiledScene<f64>, pose: &Pose) {
-        if let Some(integration) = plan.respond(self.cell, pose).integration {
-            self.raise(integration.evaluations, integration.relative_error);
-        }
-    }
-
-    fn merge(&mut self, later: Self) {
-        self.raise(later.most_evaluations, later.relative_error);
-    }
-}
-
-impl CellCost {
-    fn raise(&mut self, evaluations: usize, relative_error: f64) {
-        self.most_evaluations = self.most_evaluations.max(evaluations);
-        self.relative_error = self.relative_error.max(relative_error);
-    }
-}
-
 /// The costs of all cells over some of `samples` poses of the workspace.
 pub(super) fn of_cells(
     file: &SceneFile,
@@ -274,8 +188,16 @@ pub(super) fn of_cells(
 ) -> Result<Vec<CellCost>, SceneError> {
     let tolerance = TOLERANCE;
     let plan = CompiledScene::<f64>::compile(&file.scene, Tier::Exact { tolerance })?;
-    let costs: Vec<_> = (0..plan.cell_count())
-        .map(|cell| CellCost { cell, tolerance, most_evaluations: 0, relative_error: tolerance })
-        .collect();
-    Ok(over(&plan, &costs, file.workspace.poses(poses_of(samples)), progress))
+    let cost = |cell| CellCost { cell, tolerance, most_evaluations: 0, relative_error: tolerance };
+    let mut costs: Vec<_> = (0..plan.cell_count()).map(cost).collect();
+    let integrate =
+        |pose: &Pose| (0..plan.cell_count()).map(|cell| plan.respond(cell, pose).integration).collect::<Vec<_>>();
+    over(file.workspace.poses(poses_of(samples)), progress, integrate, |_, integrations| {
+        for (cost, integration) in costs.iter_mut().zip(integrations) {
+            let Some(integration) = integration else { continue };
+            cost.most_evaluations = cost.most_evaluations.max(integration.evaluations);
+            cost.relative_error = cost.relative_error.max(integration.relative_error);
+        }
+    });
+    Ok(costs)
 }

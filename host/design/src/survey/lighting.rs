@@ -5,7 +5,6 @@ use serde::Serialize;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_model::{CompiledScene, Pose, Status};
 
-use super::coverage::Tally;
 use super::{coverage, serialize_pose};
 
 /// Cross-talk below this share stays under what gains are known to (1e-3).
@@ -22,36 +21,6 @@ pub(crate) struct SlotCrosstalk {
     pub cell: usize,
     #[serde(serialize_with = "serialize_pose")]
     pub at: Pose,
-    /// The emitters whose light counts.
-    #[serde(skip)]
-    others: Vec<usize>,
-    /// As which share of it.
-    #[serde(skip)]
-    weight: f64,
-}
-
-impl SlotCrosstalk {
-    fn new(slot: usize, emitters: &[usize], others: &[usize], weight: f64) -> Self {
-        let cell = emitters.first().copied().unwrap_or_default();
-        Self { slot, emitters: emitters.to_vec(), share: 0.0, cell, at: Pose::HOME, others: others.to_vec(), weight }
-    }
-}
-
-impl Tally for SlotCrosstalk {
-    fn add(&mut self, plan: &CompiledScene<f64>, pose: &Pose) {
-        for &cell in &self.emitters {
-            let share = self.weight * share_of_others(plan, cell, &self.others, pose);
-            if share > self.share {
-                (self.share, self.cell, self.at) = (share, cell, *pose);
-            }
-        }
-    }
-
-    fn merge(&mut self, later: Self) {
-        if later.share > self.share {
-            *self = later;
-        }
-    }
 }
 
 /// Cross-talk within each slot of several emitters, and from the slot before each slot where a front end is slow enough
@@ -63,18 +32,42 @@ pub(super) fn of_slots(
     progress: impl FnMut(usize),
 ) -> (Vec<SlotCrosstalk>, Vec<SlotCrosstalk>) {
     let slots = &file.lighting.slots;
-    let together = slots.iter().enumerate().filter(|(_, emitters)| emitters.len() > 1);
-    let together: Vec<_> = together.map(|(slot, emitters)| SlotCrosstalk::new(slot, emitters, emitters, 1.0)).collect();
-    let before = |slot: usize| (slot + slots.len() - 1) % slots.len();
-    let carried = slots.iter().enumerate().map(|(slot, emitters)| {
-        SlotCrosstalk::new(slot, emitters, &slots[before(slot)], share_carried_into(file, slot))
-    });
+    // Slot, the emitters whose light counts in it, and as which share of it.
+    let together = (0..slots.len()).filter(|&slot| slots[slot].len() > 1).map(|slot| (slot, &slots[slot], 1.0));
+    let mut sources: Vec<(usize, &Vec<usize>, f64)> = together.collect();
+    let count = sources.len();
+    let before = |slot: usize| &slots[(slot + slots.len() - 1) % slots.len()];
+    let carried = (0..slots.len()).map(|slot| (slot, before(slot), share_carried_into(file, slot)));
     // Less than this is too little even of neighbours that are as bright as a cell's own light.
-    let carried = carried.filter(|slot| slot.weight > CROSSTALK_LIMIT && !slot.emitters.is_empty());
-    let mut all: Vec<_> = together.iter().cloned().chain(carried.filter(|slot| !slot.others.is_empty())).collect();
-    all = coverage::over(plan, &all, file.workspace.poses(samples), progress);
-    let carried = all.split_off(together.len());
-    (all, carried)
+    let counts = |(slot, others, weight): &(usize, &Vec<usize>, f64)| {
+        *weight > CROSSTALK_LIMIT && !slots[*slot].is_empty() && !others.is_empty()
+    };
+    sources.extend(carried.filter(counts));
+    let none = |&(slot, ..): &(usize, &Vec<usize>, f64)| {
+        let emitters = slots[slot].clone();
+        SlotCrosstalk {
+            slot,
+            share: 0.0,
+            cell: emitters.first().copied().unwrap_or_default(),
+            at: Pose::HOME,
+            emitters,
+        }
+    };
+    let mut found: Vec<SlotCrosstalk> = sources.iter().map(none).collect();
+    let worst = |pose: &Pose| {
+        let of = |&(slot, others, weight): &(usize, &Vec<usize>, f64)| {
+            let shares = slots[slot].iter().map(|&cell| (weight * share_of_others(plan, cell, others, pose), cell));
+            shares.fold((0.0, 0), |most, it| if it.0 > most.0 { it } else { most })
+        };
+        sources.iter().map(of).collect::<Vec<_>>()
+    };
+    coverage::over(file.workspace.poses(samples), progress, worst, |pose, worst| {
+        for (slot, (share, cell)) in found.iter_mut().zip(worst).filter(|(slot, (share, _))| *share > slot.share) {
+            (slot.share, slot.cell, slot.at) = (share, cell, *pose);
+        }
+    });
+    let carried = found.split_off(count);
+    (found, carried)
 }
 
 /// Share of a current of the slot before that is in the words of `slot`: exp(−t/τ), in the mean of its conversions.

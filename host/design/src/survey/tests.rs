@@ -205,7 +205,7 @@ fn heads_with_mirror_images_or_nothing_to_tell_at_home_are_named() {
 fn pieces_of_the_sample_add_up_to_all_of_it() {
     let file = SceneFile::parse("scene.toml", WIDE.text).unwrap();
     // More than two pieces.
-    let samples = 700;
+    let samples = 2100;
     let survey = Survey::of(&file, samples, |_| {}).unwrap();
     let compile = |tolerance| CompiledScene::<f64>::compile(&file.scene, Tier::Exact { tolerance }).unwrap();
     let (plan, solving) = (compile(TOLERANCE), compile(SOLVING_TOLERANCE));

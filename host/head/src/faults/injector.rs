@@ -293,33 +293,33 @@ fn announce(fault: &Fault, begun: u64, tick: u64, out: &mut Vec<u8>) {
 
 #[derive(Clone, Debug)]
 struct WireFault {
-    pub(super) fault: Fault,
+    fault: Fault,
     random: ChaCha8Rng,
     /// Bits to the next that is inverted.
     bits: Option<u64>,
     /// Bytes of a burst to come.
     burst: usize,
     /// Spans whose begin has been acted on.
-    pub(super) begun: u64,
+    begun: u64,
 }
 
 #[derive(Clone, Debug, Default)]
 struct Passage {
     /// Its bytes, delimiter included; empty if it is lost.
-    pub(super) bytes: Vec<u8>,
-    pub(super) is_double: bool,
+    bytes: Vec<u8>,
+    is_double: bool,
     /// It is delivered behind the next.
-    pub(super) is_late: bool,
-    pub(super) is_held: bool,
+    is_late: bool,
+    is_held: bool,
 }
 
 impl WireFault {
-    pub(super) fn new(fault: Fault, random: ChaCha8Rng) -> Self {
+    fn new(fault: Fault, random: ChaCha8Rng) -> Self {
         Self { fault, random, bits: None, burst: 0, begun: 0 }
     }
 
     /// Does to the packet what the fault does at `time_s`.
-    pub(super) fn act(&mut self, time_s: f64, packet: &mut Passage) {
+    fn act(&mut self, time_s: f64, packet: &mut Passage) {
         // A burst that has begun goes on.
         if !self.fault.window.is_open(time_s) && self.burst == 0 {
             return;

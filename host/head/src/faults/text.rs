@@ -2,6 +2,7 @@
 //! the first scan.
 
 use std::fmt;
+use std::ops::RangeInclusive;
 use std::str::FromStr;
 
 use thiserror::Error;
@@ -188,58 +189,46 @@ pub enum Unit {
 /// Longest time that the text of a fault may give: a day.
 const MAX_S: f64 = 86_400.0;
 
-impl Unit {
-    /// Endings of a text, with the factor to SI; the longest first.
-    fn endings(self) -> &'static [(&'static str, f64)] {
-        match self {
-            Self::Time | Self::TimeStep => &[("min", 60.0), ("ms", 1e-3), ("us", 1e-6), ("s", 1.0)],
-            Self::Ppm => &[("ppm", 1.0)],
-            Self::Current => &[("nA", 1e-9), ("uA", 1e-6), ("mA", 1e-3)],
-            Self::Length => &[("nm", 1e-9), ("um", 1e-6), ("mm", 1e-3)],
-            Self::Kelvin => &[("K", 1.0)],
-            Self::Number | Self::Count | Self::Rate | Self::Ratio => &[("", 1.0)],
-        }
-    }
+/// Endings of a text with the factor to SI, the longest first.
+type Endings = &'static [(&'static str, f64)];
 
-    fn is_fit(self, value: f64) -> bool {
+const PLAIN: Endings = &[("", 1.0)];
+const TIMES: Endings = &[("min", 60.0), ("ms", 1e-3), ("us", 1e-6), ("s", 1.0)];
+const CURRENTS: Endings = &[("nA", 1e-9), ("uA", 1e-6), ("mA", 1e-3)];
+const LENGTHS: Endings = &[("nm", 1e-9), ("um", 1e-6), ("mm", 1e-3)];
+
+impl Unit {
+    /// Endings, the least and the greatest value, and what such a value looks like.
+    fn entry(self) -> (Endings, RangeInclusive<f64>, &'static str) {
         match self {
-            Self::Number => value.fract() == 0.0 && (0.0..256.0).contains(&value),
-            Self::Count => value.fract() == 0.0 && (1.0..=1e6).contains(&value),
-            Self::Rate => value > 0.0 && value <= 1.0,
-            Self::Ratio => (0.0..=10.0).contains(&value),
-            Self::Time => (0.0..=MAX_S).contains(&value),
-            Self::TimeStep => value.abs() <= MAX_S,
-            Self::Ppm => value.abs() <= 1e5,
-            Self::Current => (0.0..=1e-3).contains(&value),
-            Self::Length => value.abs() <= 0.1,
-            Self::Kelvin => value.abs() <= 200.0,
+            Self::Number => (PLAIN, 0.0..=255.0, "a number from 0, such as 2"),
+            Self::Count => (PLAIN, 1.0..=1e6, "a whole number from 1, such as 8"),
+            Self::Rate => (PLAIN, f64::MIN_POSITIVE..=1.0, "a probability above 0 and up to 1, such as 1e-5"),
+            Self::Ratio => (PLAIN, 0.0..=10.0, "a ratio from 0 to 10, such as 0.5"),
+            Self::Time => (TIMES, 0.0..=MAX_S, "a time from 0 to 1440min, such as 0.5s, 20ms or 250us"),
+            Self::TimeStep => (TIMES, -MAX_S..=MAX_S, "a time of either sign, such as 10ms or -2s"),
+            Self::Ppm => (&[("ppm", 1.0)], -1e5..=1e5, "parts per million up to 1e5, such as 50ppm"),
+            Self::Current => (CURRENTS, 0.0..=1e-3, "a current up to 1mA, such as 200nA or 1.5uA"),
+            Self::Length => (LENGTHS, -0.1..=0.1, "a length up to 100mm, such as 50um or -0.1mm"),
+            Self::Kelvin => (&[("K", 1.0)], -200.0..=200.0, "a difference up to 200K, such as 20K"),
         }
     }
 
     /// What such a value looks like, for messages.
     pub fn example(self) -> &'static str {
-        match self {
-            Self::Number => "a number from 0, such as 2",
-            Self::Count => "a whole number from 1, such as 8",
-            Self::Rate => "a probability above 0 and up to 1, such as 1e-5",
-            Self::Ratio => "a ratio from 0 to 10, such as 0.5",
-            Self::Time => "a time from 0 to 1440min, such as 0.5s, 20ms or 250us",
-            Self::TimeStep => "a time of either sign, such as 10ms or -2s",
-            Self::Ppm => "parts per million up to 1e5, such as 50ppm",
-            Self::Current => "a current up to 1mA, such as 200nA or 1.5uA",
-            Self::Length => "a length up to 100mm, such as 50um or -0.1mm",
-            Self::Kelvin => "a difference up to 200K, such as 20K",
-        }
+        self.entry().2
     }
 
     /// The value of `text` in SI units; `None` if it is none, or out of range.
     pub fn parse(self, text: &str) -> Option<f64> {
+        let (endings, range, _) = self.entry();
         let (number, factor) =
-            self.endings().iter().find_map(|&(ending, factor)| Some((text.strip_suffix(ending)?, factor)))?;
+            endings.iter().find_map(|&(ending, factor)| Some((text.strip_suffix(ending)?, factor)))?;
         // Neither `inf` nor `nan` begins or ends with a digit.
         let is_plain = number.ends_with(|last: char| last.is_ascii_digit() || last == '.');
         let value = number.parse::<f64>().ok().filter(|_| is_plain)? * factor;
-        self.is_fit(value).then_some(value)
+        let is_whole = !matches!(self, Self::Number | Self::Count) || value.fract() == 0.0;
+        (is_whole && range.contains(&value)).then_some(value)
     }
 }
 

@@ -38,18 +38,18 @@ impl<'a> Document<'a> {
     }
 
     fn check_keys(&self) -> Result<(), SceneFileError> {
-        self.check_table(&self.root, "the scene file", keys::TOP)?;
-        for (section, known) in keys::sections() {
-            if let Some(entry) = self.root.get(section) {
+        self.check_table(&self.root, "the scene file", &keys::top())?;
+        for (section, known) in keys::SECTIONS {
+            if let Some(entry) = self.root.get(*section) {
                 let table = self.as_table(KeyPath::top(section), entry)?;
                 self.check_table(table, &format!("[{section}]"), known)?;
             }
         }
         for (number, entry) in self.cell_entries()?.iter().enumerate() {
             let cell = self.as_table(KeyPath::top("cell"), entry)?;
-            self.check_table(cell, &format!("[[cell]] number {number}"), keys::CELL)?;
-            for (section, known) in keys::sections().filter(|(name, _)| keys::PER_CELL.contains(name)) {
-                if let Some(entry) = cell.get(section) {
+            self.check_table(cell, &format!("[[cell]] number {number}"), &keys::of_cell())?;
+            for (section, known) in keys::per_cell() {
+                if let Some(entry) = cell.get(*section) {
                     let table = self.as_table(KeyPath::of_cell(number, "cell", section), entry)?;
                     self.check_table(table, &format!("`{section}` of cell {number}"), known)?;
                 }
@@ -58,12 +58,7 @@ impl<'a> Document<'a> {
         Ok(())
     }
 
-    fn check_table(
-        &self,
-        table: &DeTable<'_>,
-        section: &str,
-        known: &'static [&'static str],
-    ) -> Result<(), SceneFileError> {
+    fn check_table(&self, table: &DeTable<'_>, section: &str, known: &[&'static str]) -> Result<(), SceneFileError> {
         let unknown =
             table.keys().filter(|key| !known.contains(&key.get_ref().as_ref())).min_by_key(|key| key.span().start);
         let Some(key) = unknown else {

@@ -12,7 +12,7 @@ use slitpose_model::{
 };
 
 use super::document::Document;
-use super::keys::{CELL, KeyPath, PROFILES, SceneFileError};
+use super::keys::{KeyPath, PROFILES, SceneFileError, of_cell};
 use super::settings::{Lighting, Workspace};
 
 /// The optics of the scene, not yet checked by the model.
@@ -232,7 +232,8 @@ fn read_second_axis(document: &Document<'_>, scene: &mut Scene, number: usize) -
         Some(_) => return refuse("has a second axis already"),
         None => {}
     }
-    if let Some(key) = CELL.iter().find(|&&key| key != SECOND_AXIS && document.find_own(number, "cell", key).is_some())
+    if let Some(key) =
+        of_cell().into_iter().find(|&key| key != SECOND_AXIS && document.find_own(number, "cell", key).is_some())
     {
         let path = KeyPath::of_cell(number, "cell", key);
         let why = format!("cannot be given for a second axis, which has everything from cell {first}; remove it");

@@ -14,7 +14,7 @@ use glam::DVec3;
 pub use output::{CAPTURE_MAGIC, Output, OutputError, Replace, is_capture, refuse_twice};
 pub use reader::{Column, Row, Rows, TableError, TableReader};
 use slitpose_model::{Outcome, Pair, Pose, Solution};
-pub use writer::{ChunkedTable, TableRows, TableWriter};
+pub use writer::{TableRows, TableWriter};
 
 use crate::finding::Finding;
 use crate::scene_file::Workspace;

@@ -1,8 +1,7 @@
 //! Stiff and extreme cases, which are numerically difficult, and their results.
 //!
-//! `cell` drives one cell's optics to extremes and compares with an integration of its own; `pose` drives solves there
-//! and compares with what rounding allows; so it does front ends and jumps. A [`Case`] is judged by the ratio of its
-//! error to what is attainable.
+//! `cell` drives one cell's optics to extremes and compares with an integration of its own; `pose` drives solves, front
+//! ends and jumps there and compares with what is attainable. A [`Case`] is judged by the ratio of its error to that.
 
 mod cell;
 mod pose;
