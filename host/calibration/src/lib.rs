@@ -41,7 +41,7 @@ use slitpose_head::scene_file::SceneFile;
 use slitpose_model::{CompiledScene, ModelError, Pose, Scene, Tier};
 
 pub use clock::{Clock, ClockError, read_tracked};
-pub use data::{Constraint, Data, Group, Knowledge, Row, compose, inverse};
+pub use data::{Constraint, Data, Group, Knowledge, Row, compose, inverse, pose_of, values_of};
 pub use engine::{CalibrateError, Calibrated, Implausible, Progress, Request, calibrate};
 pub use file::{CalibrationFileError, Frames};
 pub use findings::Direction;

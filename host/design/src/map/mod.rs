@@ -18,7 +18,7 @@ use rand_distr::StandardNormal;
 pub use schedule::{Candidate, Schedules};
 use slitpose_calibration::{
     CalibrateError, Constraint, Data, Head, Knowledge, KnownPoses, PartCosts, PoseRms, Request, Row, calibrate, draw,
-    part_costs, uncalibrated,
+    part_costs, pose_of, uncalibrated, values_of,
 };
 use slitpose_head::scene_file::{SceneFile, Workspace};
 use slitpose_head::simulator::noisy_reading;
@@ -204,13 +204,11 @@ impl Plane {
         let points = on_all_cores(&places, |&[column, row]| {
             let at = [along(column, extents[0]), along(row, extents[1])];
             let here = |pose: &Pose| {
-                let (t, r) = (pose.translation_m.to_array(), pose.rotation_rad().to_array());
-                let mut coordinates = [t, r].concat();
+                let mut coordinates = values_of(pose);
                 for (axis, value) in axes.into_iter().zip(at) {
                     coordinates[axis] = value;
                 }
-                let [t, r] = [0, 3].map(|from| DVec3::from_slice(&coordinates[from..from + 3]));
-                view(&Pose::from_vectors(t, r))
+                view(&pose_of(&coordinates))
             };
             let view = here(&Pose::HOME);
             let mut point = PlanePoint {

@@ -255,10 +255,8 @@ pub fn account(bench: &SceneFile) -> Result<Report, SceneError> {
             scene(bench),
             ("data", "simulated; of the paper's measurements, four numbers".to_owned()),
         ],
-        warnings: Vec::new(),
         sections: vec![section(&errors)],
-        leading: 0,
-        data: Vec::new(),
+        ..Report::default()
     })
 }
 

@@ -81,13 +81,15 @@ impl Canvas {
     /// An empty white sheet; `title` is for screen readers.
     pub fn new(width: f64, height: f64, title: &str) -> Self {
         let mut canvas = Self { writer: Writer::new(Vec::new()) };
-        let mut svg = BytesStart::new("svg");
-        svg.push_attribute(("xmlns", "http://www.w3.org/2000/svg"));
-        svg.push_attribute(("width", number(width).as_str()));
-        svg.push_attribute(("height", number(height).as_str()));
-        svg.push_attribute(("viewBox", format!("0 0 {} {}", number(width), number(height)).as_str()));
-        svg.push_attribute(("font-family", FONT));
-        canvas.event(Event::Start(svg));
+        let [w, h] = [width, height].map(number);
+        let attributes: [(&str, &str); 5] = [
+            ("xmlns", "http://www.w3.org/2000/svg"),
+            ("width", &w),
+            ("height", &h),
+            ("viewBox", &format!("0 0 {w} {h}")),
+            ("font-family", FONT),
+        ];
+        canvas.event(Event::Start(BytesStart::new("svg").with_attributes(attributes)));
         canvas.event(Event::Start(BytesStart::new("title")));
         canvas.event(Event::Text(BytesText::new(&printable(title))));
         canvas.event(Event::End(BytesEnd::new("title")));
@@ -109,9 +111,7 @@ impl Canvas {
     }
 
     pub(crate) fn path(&mut self, points: &[DVec2], stroke: Stroke) {
-        let mut attributes = vec![("points", joined(points)), ("fill", "none".to_owned())];
-        attributes.extend(stroke_attributes(stroke));
-        self.element("polyline", &attributes);
+        self.stroked("polyline", &[("points", joined(points)), ("fill", "none".to_owned())], stroke);
     }
 
     /// A filled area; `opacity` from 0 to 1.
@@ -121,16 +121,12 @@ impl Canvas {
     }
 
     pub(crate) fn outline(&mut self, corners: &[DVec2], stroke: Stroke) {
-        let mut attributes = vec![("points", joined(corners)), ("fill", "none".to_owned())];
-        attributes.extend(stroke_attributes(stroke));
-        self.element("polygon", &attributes);
+        self.stroked("polygon", &[("points", joined(corners)), ("fill", "none".to_owned())], stroke);
     }
 
     pub(crate) fn disc(&mut self, centre: DVec2, radius: f64, fill: Colour, rim: Stroke) {
-        let mut attributes =
-            vec![("cx", number(centre.x)), ("cy", number(centre.y)), ("r", number(radius)), ("fill", fill.to_owned())];
-        attributes.extend(stroke_attributes(rim));
-        self.element("circle", &attributes);
+        let [x, y, r] = [centre.x, centre.y, radius].map(number);
+        self.stroked("circle", &[("cx", x), ("cy", y), ("r", r), ("fill", fill.to_owned())], rim);
     }
 
     /// A line with an arrow head at `to`; without the head where the line is shorter than that.
@@ -205,6 +201,17 @@ impl Canvas {
         svg
     }
 
+    fn stroked(&mut self, name: &str, attributes: &[(&'static str, String)], stroke: Stroke) {
+        let mut attributes = attributes.to_vec();
+        attributes.push(("stroke", stroke.colour.to_owned()));
+        attributes.push(("stroke-width", number(stroke.width)));
+        attributes.push(("stroke-linejoin", "round".to_owned()));
+        if let Some([dash, gap]) = stroke.dash {
+            attributes.push(("stroke-dasharray", format!("{} {}", number(dash), number(gap))));
+        }
+        self.element(name, &attributes);
+    }
+
     fn element(&mut self, name: &str, attributes: &[(&str, String)]) {
         let attributes = attributes.iter().map(|(key, value)| (*key, value.as_str()));
         self.event(Event::Empty(BytesStart::new(name).with_attributes(attributes)));
@@ -225,18 +232,6 @@ impl Canvas {
 /// Without the characters that XML 1.0 has no way to write.
 fn printable(text: &str) -> String {
     text.chars().filter(|letter| !letter.is_control() && !matches!(letter, '\u{fffe}' | '\u{ffff}')).collect()
-}
-
-fn stroke_attributes(stroke: Stroke) -> Vec<(&'static str, String)> {
-    let mut attributes = vec![
-        ("stroke", stroke.colour.to_owned()),
-        ("stroke-width", number(stroke.width)),
-        ("stroke-linejoin", "round".to_owned()),
-    ];
-    if let Some([dash, gap]) = stroke.dash {
-        attributes.push(("stroke-dasharray", format!("{} {}", number(dash), number(gap))));
-    }
-    attributes
 }
 
 fn joined(points: &[DVec2]) -> String {

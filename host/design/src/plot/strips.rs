@@ -97,12 +97,16 @@ pub(super) fn draw(
     draw_axis(canvas, dvec2(centre_x, axis_y), scale, longest_m);
 }
 
-fn draw_readout(canvas: &mut Canvas, at: DVec2, response: &Response<f64>) {
+/// Status and flags in words, and whether there are flags.
+pub(super) fn condition(response: &Response<f64>) -> (String, bool) {
     let flags = response.flags.to_string().replace(';', ", ").replace('_', " ");
-    let good = response.status == Status::Lit && flags.is_empty();
-    let colour = if good { SOFT_INK } else { ALERT };
     let separator = if flags.is_empty() { "" } else { ", " };
-    let condition = format!("{}{separator}{flags}", response.status);
+    (format!("{}{separator}{flags}", response.status), !flags.is_empty())
+}
+
+fn draw_readout(canvas: &mut Canvas, at: DVec2, response: &Response<f64>) {
+    let (condition, has_flags) = condition(response);
+    let colour = if response.status == Status::Lit && !has_flags { SOFT_INK } else { ALERT };
     let numbers = match response.x_a_m {
         Some(x_a_m) => format!("$X_A$ = {} mm", quantity(x_a_m * 1e3)),
         None => "no light".to_owned(),

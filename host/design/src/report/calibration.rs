@@ -276,9 +276,7 @@ fn instruments(calibration: &Calibration) -> Option<Section> {
     (!rows.is_empty()).then(|| Section {
         name: "instruments",
         title: "Instruments",
-        summary: Vec::new(),
         paragraphs: vec!["Where an instrument's frame and marker lie, and how its clock goes, as found.".to_owned()],
-        pictures: Vec::new(),
         tables: vec![Table {
             name: "instruments",
             caption: "Frames and clocks of the instruments".to_owned(),
@@ -291,6 +289,7 @@ fn instruments(calibration: &Calibration) -> Option<Section> {
             ],
             rows,
         }],
+        ..Section::default()
     })
 }
 

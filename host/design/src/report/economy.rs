@@ -35,12 +35,8 @@ struct Variant {
     moving: Option<(Vec<f64>, MotionPrior)>,
 }
 
-struct Entry {
-    variant: Variant,
-    forward: RunTime,
-    solve: RunTime,
-    steps: f64,
-}
+/// A variant, times of the forward model and of solves, and mean steps of these.
+type Entry = (Variant, [RunTime; 2], f64);
 
 pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, ReportError> {
     let entries = measure(head, settings)?;
@@ -61,7 +57,7 @@ pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, R
 
 fn first_of_group<'a>(entries: &'a [Entry], entry: &Entry) -> &'a Entry {
     // Every group has a first.
-    entries.iter().find(|other| other.variant.group == entry.variant.group).unwrap_or(&entries[0])
+    entries.iter().find(|other| other.0.group == entry.0.group).unwrap_or(&entries[0])
 }
 
 fn variants(head: &Head<'_>) -> Vec<Variant> {
@@ -207,30 +203,26 @@ fn measure(head: &Head<'_>, settings: &Settings) -> Result<Vec<Entry>, ReportErr
     let run_times = race(&mut candidates, settings.rounds(), poses.len());
     drop(candidates);
     let entries = variants.into_iter().zip(run_times.chunks_exact(2)).zip(steps);
-    Ok(entries
-        .map(|((variant, run_times), steps)| Entry { variant, forward: run_times[0], solve: run_times[1], steps })
-        .collect())
+    Ok(entries.map(|((variant, times), steps)| (variant, [times[0], times[1]], steps)).collect())
 }
 
 fn table(entries: &[Entry]) -> Table {
     let us = |seconds: f64| Value::from(seconds * 1e6);
-    let ratio = |entry: &Entry, of: fn(&Entry) -> RunTime| {
-        Value::from(of(entry).least_s / of(first_of_group(entries, entry)).least_s)
-    };
+    let ratio = |entry: &Entry, k: usize| Value::from(entry.1[k].least_s / first_of_group(entries, entry).1[k].least_s);
     Table::of(
         "economy",
         "Exact tier at 1e-6, f64",
         entries,
         &[
-            ("group", "group", &|entry| entry.variant.group.into()),
-            ("variant", "variant", &|entry| entry.variant.name.as_str().into()),
-            ("forward_least_us", "forward, least / µs", &|entry| us(entry.forward.least_s)),
-            ("forward_median_us", "median / µs", &|entry| us(entry.forward.median_s)),
-            ("forward_ratio", "ratio", &|entry| ratio(entry, |entry| entry.forward)),
-            ("solve_least_us", "warm solve, least / µs", &|entry| us(entry.solve.least_s)),
-            ("solve_median_us", "median / µs", &|entry| us(entry.solve.median_s)),
-            ("solve_ratio", "ratio", &|entry| ratio(entry, |entry| entry.solve)),
-            ("steps", "steps, mean", &|entry| entry.steps.into()),
+            ("group", "group", &|(variant, ..)| variant.group.into()),
+            ("variant", "variant", &|(variant, ..)| variant.name.as_str().into()),
+            ("forward_least_us", "forward, least / µs", &|(_, [forward, _], _)| us(forward.least_s)),
+            ("forward_median_us", "median / µs", &|(_, [forward, _], _)| us(forward.median_s)),
+            ("forward_ratio", "ratio", &|entry| ratio(entry, 0)),
+            ("solve_least_us", "warm solve, least / µs", &|(_, [_, solve], _)| us(solve.least_s)),
+            ("solve_median_us", "median / µs", &|(_, [_, solve], _)| us(solve.median_s)),
+            ("solve_ratio", "ratio", &|entry| ratio(entry, 1)),
+            ("steps", "steps, mean", &|(.., steps)| (*steps).into()),
         ],
     )
 }

@@ -1,7 +1,7 @@
 //! Every cell over a sample of the workspace: statistics of its light, and what its integrals take for a solver.
 
-use glam::DVec3;
 use serde::Serialize;
+use slitpose_calibration::pose_of;
 use slitpose_head::scene_file::{SceneFile, Workspace};
 use slitpose_head::threads::on_all_cores;
 use slitpose_model::{CompiledScene, Pose, Response, SceneError, Status, Tier};
@@ -39,8 +39,7 @@ pub(crate) const AXES: [&str; 6] = ["tx", "ty", "tz", "rx", "ry", "rz"];
 pub(crate) fn axis_motion(axis: usize, amount: f64) -> Pose {
     let mut motion = [0.0; 6];
     motion[axis] = amount;
-    let [tx, ty, tz, rx, ry, rz] = motion;
-    Pose::from_vectors(DVec3::new(tx, ty, tz), DVec3::new(rx, ry, rz))
+    pose_of(&motion)
 }
 
 /// The workspace as the cells see it. Shares are of the sampled poses, 0 to 1.

@@ -3,9 +3,8 @@
 use slitpose_model::{CompiledScene, Pair, Pose, Scene, SceneError, Tier};
 
 use super::Faults;
-use super::kinds::{Effect, Layer};
-use super::text::Fault;
-use super::text::FaultClock;
+use super::kinds::Layer;
+use super::text::{Fault, FaultClock};
 
 /// The faults of one simulated board.
 #[derive(Clone, Debug)]
@@ -43,11 +42,11 @@ impl BoardFaults {
             }
             *acted = begun;
             let [amount, _] = fault.values;
-            match fault.kind.effect {
-                Effect::Overrun => Some(Trouble::Overrun(amount as u64)),
-                Effect::Reset => Some(Trouble::Reset(amount)),
-                Effect::Restart => Some(Trouble::Restart(fault.window.for_s)),
-                Effect::Stop => Some(Trouble::Stop),
+            match fault.kind.name {
+                "overrun" => Some(Trouble::Overrun(amount as u64)),
+                "reset" => Some(Trouble::Reset(amount)),
+                "restart" => Some(Trouble::Restart(fault.window.for_s)),
+                "stop" => Some(Trouble::Stop),
                 _ => None,
             }
         })
@@ -55,7 +54,7 @@ impl BoardFaults {
 
     /// The time between two looks of a board at its scans, while it is slow, seconds.
     pub fn poll_s(&self, time_s: f64) -> Option<f64> {
-        let is_slow = |fault: &Fault| fault.kind.effect == Effect::Slow && fault.window.is_open(time_s);
+        let is_slow = |fault: &Fault| fault.kind.name == "slow" && fault.window.is_open(time_s);
         self.faults.iter().find(|(fault, _)| is_slow(fault)).map(|(fault, _)| fault.values[0])
     }
 }
@@ -90,7 +89,7 @@ impl LightFaults {
         let mut of_light = Vec::new();
         for (fault, _) in faults.of(Layer::Light) {
             let [cell, by_m] = fault.values;
-            let moves = fault.kind.effect == Effect::Move;
+            let moves = fault.kind.name == "move";
             let moved = moves.then(|| moved(scene, cell as usize, by_m, tier)).transpose()?;
             of_light.push(LightFault { fault, moved });
         }
@@ -109,7 +108,7 @@ impl LightFaults {
     pub(crate) fn warmer_k(&self) -> f64 {
         let of_fault = |it: &LightFault| {
             let ([by_k, over_s], since_s) = (it.fault.values, it.fault.window.since_s(self.time_s));
-            match since_s.filter(|_| it.fault.kind.effect == Effect::Warm) {
+            match since_s.filter(|_| it.fault.kind.name == "warm") {
                 Some(since_s) if since_s < over_s => by_k * since_s / over_s,
                 Some(_) => by_k,
                 None => 0.0,
@@ -119,7 +118,7 @@ impl LightFaults {
     }
 
     pub(crate) fn is_dead(&self, emitter: usize) -> bool {
-        self.open().any(|it| it.fault.kind.effect == Effect::Dead && it.fault.cells().any(|dead| dead == emitter))
+        self.open().any(|it| it.fault.kind.name == "dead" && it.fault.cells().any(|dead| dead == emitter))
     }
 
     /// Photocurrents of `cell` where a part has moved: of the emitters `lit`, with the tool at `pose`.

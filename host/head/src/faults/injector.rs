@@ -9,9 +9,8 @@ use slitpose_protocol::{
 };
 
 use super::Faults;
-use super::kinds::{Effect, Layer};
-use super::text::Fault;
-use super::text::FaultClock;
+use super::kinds::Layer;
+use super::text::{Fault, FaultClock};
 use super::words::{WordFaults, WordScale};
 
 /// How the text of an event begins that announces a fault.
@@ -141,7 +140,7 @@ impl Injector {
         let mut passage = Passage { bytes: packet, ..Passage::default() };
         for fault in &mut self.wire {
             let begun = fault.fault.window.begun(time_s);
-            if fault.fault.kind.effect == Effect::HangUp && begun > fault.begun {
+            if fault.fault.kind.name == "hangup" && begun > fault.begun {
                 fault.begun = begun;
                 for lost in [&mut self.late, &mut self.held, &mut self.packet] {
                     lost.clear();
@@ -218,11 +217,11 @@ impl Injector {
         for fault in &mut self.wire {
             let begun = fault.fault.window.begun(time_s);
             let [amount, _] = fault.fault.values;
-            match fault.fault.kind.effect {
-                Effect::Drift if fault.fault.window.is_open(time_s) => {
+            match fault.fault.kind.name {
+                "drift" if fault.fault.window.is_open(time_s) => {
                     self.ahead_ticks += (time_s - before_s) * f64::from(tick_hz) * amount * 1e-6;
                 }
-                Effect::Step if begun > fault.begun => {
+                "step" if begun > fault.begun => {
                     // A clock that steps back beyond its beginning goes on from there.
                     let ahead_ticks = amount * f64::from(tick_hz) * (begun - fault.begun) as f64 + self.ahead_ticks;
                     self.ahead_ticks = ahead_ticks.max(-(tick as f64));
@@ -324,17 +323,17 @@ impl WireFault {
         if !self.fault.window.is_open(time_s) && self.burst == 0 {
             return;
         }
-        let ([rate, bytes], effect) = (self.fault.values, self.fault.kind.effect);
-        match effect {
-            Effect::Flip => self.flip(rate, &mut packet.bytes),
-            Effect::Drop if self.happens(rate) => packet.bytes.clear(),
-            Effect::Duplicate => packet.is_double |= self.happens(rate),
-            Effect::Reorder => packet.is_late |= self.happens(rate),
-            Effect::Truncate if self.happens(rate) => {
+        let ([rate, bytes], name) = (self.fault.values, self.fault.kind.name);
+        match name {
+            "flip" => self.flip(rate, &mut packet.bytes),
+            "drop" if self.happens(rate) => packet.bytes.clear(),
+            "duplicate" => packet.is_double |= self.happens(rate),
+            "reorder" => packet.is_late |= self.happens(rate),
+            "truncate" if self.happens(rate) => {
                 let kept = self.random.random_range(0..packet.bytes.len().max(1));
                 packet.bytes.truncate(kept);
             }
-            Effect::Burst => {
+            "burst" => {
                 if self.burst == 0 && self.happens(rate) {
                     self.burst = bytes as usize;
                 }
@@ -342,7 +341,7 @@ impl WireFault {
                 packet.bytes[..hit].iter_mut().for_each(|byte| *byte = self.random.random());
                 self.burst -= hit;
             }
-            Effect::Stall => packet.is_held = true,
+            "stall" => packet.is_held = true,
             // Of the clock, of the link as a whole, or of other layers.
             _ => {}
         }

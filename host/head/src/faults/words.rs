@@ -8,9 +8,8 @@ use rand_distr::{Distribution, StandardNormal};
 use slitpose_protocol::{AdcScaling, RawScan, WordPair};
 
 use super::Faults;
-use super::kinds::{Effect, Layer};
-use super::text::Fault;
-use super::text::FaultClock;
+use super::kinds::Layer;
+use super::text::{Fault, FaultClock};
 
 /// The faults of a head on the words of one board.
 #[derive(Clone, Debug)]
@@ -87,32 +86,32 @@ impl WordFault {
         }
         let [cell, amount] = self.fault.values;
         let cell = cell as usize;
-        match self.fault.kind.effect {
-            effect @ (Effect::Occlude | Effect::Dim) => {
-                let to = if effect == Effect::Dim { amount } else { 0.0 };
+        match self.fault.kind.name {
+            name @ ("occlude" | "dim") => {
+                let to = if name == "dim" { amount } else { 0.0 };
                 let zero = [scale.word(scale.zero()); 2];
                 let dark = before.unwrap_or(scan).dark().map_or(zero, |dark| dark[cell]);
                 for (lit, dark) in scan.lit_mut()[cell].iter_mut().zip(dark) {
                     *lit = scale.word(to * f64::from(*lit) + (1.0 - to) * f64::from(dark));
                 }
             }
-            Effect::Saturate => {
+            "saturate" => {
                 scan.lit_mut()[cell] =
                     [if scale.scaling.amperes_per_code < 0.0 { 0 } else { scale.word(scale.top()) }; 2];
             }
-            Effect::Glint => {
+            "glint" => {
                 let word = &mut scan.lit_mut()[cell][0];
                 *word = scale.word(f64::from(*word) + scale.steps(amount));
             }
-            Effect::Stray => {
+            "stray" => {
                 change(scan, cell, |word| scale.word(f64::from(word) + scale.steps(amount)));
             }
-            Effect::Noisy => {
+            "noisy" => {
                 let rms = scale.steps(amount).abs();
                 let mut draw = || <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut self.random);
                 change(scan, cell, |word| scale.word(f64::from(word) + rms * draw()));
             }
-            Effect::Stuck => {
+            "stuck" => {
                 let now = || (scan.lit()[cell], scan.dark().map(|dark| dark[cell]));
                 let (lit, dark) = *self.kept.get_or_insert_with(now);
                 scan.lit_mut()[cell] = lit;
@@ -120,13 +119,13 @@ impl WordFault {
                     words[cell] = dark;
                 }
             }
-            Effect::SwapElectrodes => {
+            "swap-electrodes" => {
                 scan.lit_mut()[cell].swap(0, 1);
                 if let Some(dark) = scan.dark_mut() {
                     dark[cell].swap(0, 1);
                 }
             }
-            Effect::SwapCells => {
+            "swap-cells" => {
                 let with = amount as usize;
                 scan.lit_mut().swap(cell, with);
                 if let Some(dark) = scan.dark_mut() {

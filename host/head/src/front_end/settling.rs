@@ -145,12 +145,4 @@ mod tests {
             assert!((delay_s / (sum / weight) - 1.0).abs() < 1e-5, "{time_constant_s}: {delay_s} {}", sum / weight);
         }
     }
-
-    #[test]
-    fn a_fast_front_end_delays_by_its_time_constant() {
-        let schedule = default_configuration().schedule;
-        let settling = Settling::of_cell(&schedule, 5, 1e-6).unwrap();
-        assert!((settling.delay_s - 1e-6).abs() < 1e-9);
-        assert!((settling.gain - 1.0).abs() < 1e-6);
-    }
 }

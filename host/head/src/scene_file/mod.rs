@@ -1,7 +1,7 @@
 //! The scene file: one TOML text that describes a sensor head.
 //!
-//! Read in this order: `keys` has every key, `document` parses the text and knows the place of each, `optics` and
-//! `effects` build the model's [`Scene`], `settings` has the rest, `shipped` the scenes compiled into the program.
+//! Read in this order: `keys` has every key, `document` parses the text and knows the place of each, `optics` builds the
+//! model's [`Scene`], `settings` has the rest. [`SHIPPED`] are the scenes compiled into the program.
 //! The file speaks millimetres and degrees; everything that leaves this module is SI.
 
 mod document;

@@ -237,18 +237,18 @@ struct Plan {
 
 impl Reversals {
     /// A motion that rests from the end of the leg flown at `end_s`.
-    pub(super) fn new(random: ChaCha8Rng, end_s: f64) -> Self {
+    fn new(random: ChaCha8Rng, end_s: f64) -> Self {
         let plan = RefCell::new(Plan::new(random.clone()));
         Self { random, end_s, shrunk: [DVec3::ONE; 2], plan }
     }
 
     /// Flies in a smaller box.
-    pub(super) fn shrink(&mut self, by_m: DVec3, by_rad: DVec3) {
+    fn shrink(&mut self, by_m: DVec3, by_rad: DVec3) {
         self.shrunk = [by_m, by_rad];
     }
 
     /// The pose of the tool at `time_s`.
-    pub(super) fn pose(&self, time_s: f64) -> Pose {
+    fn pose(&self, time_s: f64) -> Pose {
         let mut plan = self.plan.borrow_mut();
         if plan.knots.front().is_some_and(|(first_s, _)| time_s < *first_s) {
             *plan = Plan::new(self.random.clone());

@@ -92,6 +92,16 @@ enum Sink {
     Device(BufWriter<File>),
 }
 
+impl Sink {
+    fn buffer(&mut self) -> &mut dyn Write {
+        match self {
+            Self::Stdout(stdout) => stdout,
+            Self::Pending(file, ..) => file,
+            Self::Device(file) => file,
+        }
+    }
+}
+
 impl Output {
     /// Standard output for `None` and `-`, else the file of that name.
     pub fn open(path: Option<&Path>) -> Result<Self, OutputError> {
@@ -159,8 +169,6 @@ impl Output {
     pub fn finish(self) -> Result<(), OutputError> {
         let Self { sink, target } = self;
         let done = match sink {
-            Sink::Stdout(mut stdout) => stdout.flush(),
-            Sink::Device(mut file) => file.flush(),
             Sink::Pending(file, path, replace) => file
                 .into_inner()
                 .map_err(io::IntoInnerError::into_error)
@@ -169,6 +177,7 @@ impl Output {
                     Replace::Anything | Replace::NoCapture => file.persist(path).map_err(io::Error::from),
                 })
                 .map(drop),
+            mut other => other.buffer().flush(),
         };
         done.map_err(|source| OutputError::Write { target, source })
     }
@@ -200,19 +209,11 @@ impl Output {
 
 impl Write for Output {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        match &mut self.sink {
-            Sink::Stdout(stdout) => stdout.write(bytes),
-            Sink::Pending(file, ..) => file.write(bytes),
-            Sink::Device(file) => file.write(bytes),
-        }
+        self.sink.buffer().write(bytes)
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        match &mut self.sink {
-            Sink::Stdout(stdout) => stdout.flush(),
-            Sink::Pending(file, ..) => file.flush(),
-            Sink::Device(file) => file.flush(),
-        }
+        self.sink.buffer().flush()
     }
 }
 

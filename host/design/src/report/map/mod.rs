@@ -202,10 +202,9 @@ fn planes(map: &Map) -> Option<Section> {
     (!map.planes.is_empty()).then(|| Section {
         name: "planes",
         title: "Accuracy over planes through home",
-        summary: Vec::new(),
         paragraphs: vec!["Where a point is crossed out, there is a pose at which a frame gives none.".to_owned()],
         pictures: pictures.map(|(name, kind, over)| picture(map, name, kind, over)).into(),
-        tables: Vec::new(),
+        ..Section::default()
     })
 }
 
