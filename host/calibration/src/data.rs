@@ -3,7 +3,7 @@
 use glam::DVec3;
 use slitpose_model::{Noise, Pose, rotation_exp};
 
-use crate::track::FoundClock;
+use crate::tables::FoundClock;
 
 /// Measurements from any number of files.
 #[derive(Clone, Debug, Default)]

@@ -22,11 +22,9 @@ mod data;
 mod engine;
 mod file;
 mod findings;
-mod frames;
 mod head;
 mod normal;
 mod parameter;
-mod part_costs;
 mod plausibility;
 mod pose_error;
 mod prior;
@@ -34,7 +32,6 @@ mod reading;
 mod start;
 mod state;
 pub mod tables;
-mod track;
 
 use serde::Deserialize;
 use slitpose_head::scene_file::SceneFile;
@@ -45,16 +42,16 @@ pub use data::{Constraint, Data, Group, Knowledge, Row, compose, inverse, pose_o
 pub use engine::{CalibrateError, Calibrated, Implausible, Progress, Request, calibrate};
 pub use file::{CalibrationFileError, Frames};
 pub use findings::Direction;
-pub use frames::align;
 pub use head::uncalibrated;
 pub use head::{Basis, Head};
 pub use parameter::Quantity;
-pub use part_costs::{KnownPoses, PartCost, PartCosts, PoseRms, part_costs};
 pub use plausibility::{Reports, check_poses, median, other_reading};
+pub use pose_error::{KnownPoses, PartCost, PartCosts, PoseRms, part_costs};
 pub use prior::Parameter;
 pub use prior::draw;
 pub use reading::measured_noise;
 pub use reading::{CellValidity, Validity, validity};
+pub use start::align;
 pub use state::Residual;
 
 use pose_error::PoseError;

@@ -6,8 +6,7 @@ use slitpose_model::{Cell, CompiledScene, Pose, Scene, SceneError, rotation_exp}
 
 use crate::data::{Constraint, Data, Group, Row, compose, inverse, values_of};
 use crate::engine::Implausible;
-use crate::frames::align;
-use crate::start::solved;
+use crate::start::{align, solved};
 use crate::state::TIER;
 
 /// Units that lengths may be in by mistake, and how many millimetres they have.

@@ -4,9 +4,8 @@ use glam::{DVec2, DVec3, dvec2};
 use slitpose_model::{Cell, CompiledScene, Opening, Pose, Response};
 
 use super::canvas::{Anchor, Canvas, Stroke, TextStyle};
-use super::scene::pose_text;
+use super::scene::{condition, pose_text};
 use super::shape::MaskFrame;
-use super::strips::condition;
 use super::style::{ALERT, INK, MASK, PALE, SOFT_INK, cell_colour};
 use super::style::{PlotError, quantity, require_drawable};
 

@@ -10,7 +10,6 @@ mod close_up;
 mod heat;
 mod scene;
 mod shape;
-mod strips;
 mod style;
 
 pub use canvas::{Anchor, Canvas};

@@ -5,7 +5,6 @@
 
 mod coverage;
 mod home;
-mod lighting;
 mod report;
 mod warning;
 
@@ -21,10 +20,9 @@ use crate::map::{NoiseOf, Outlook};
 pub(crate) use coverage::AXES;
 pub(crate) use coverage::CellCost;
 pub(crate) use coverage::Coverage;
+pub(crate) use coverage::{SlotCrosstalk, Timing, share_of_others};
 pub(crate) use home::CellAtHome;
 pub(crate) use home::{End, Travel};
-pub(crate) use lighting::Timing;
-pub(crate) use lighting::{SlotCrosstalk, share_of_others};
 
 /// Relative error of the integrals. A designer's decision turns on percents.
 const TOLERANCE: f64 = 1e-4;
@@ -84,7 +82,7 @@ impl Survey {
         let tier = Tier::Exact { tolerance: TOLERANCE };
         let plan = CompiledScene::<f64>::compile(&file.scene, tier)?;
         let solver = Solver::<f64>::new(&file.scene, Tier::Exact { tolerance: SOLVING_TOLERANCE })?;
-        let (crosstalk, carried) = lighting::of_slots(file, &plan, samples, &mut progress);
+        let (crosstalk, carried) = coverage::of_slots(file, &plan, samples, &mut progress);
         let full_scale_a = file.front_end.map(|front_end| front_end.full_scale_a);
         let outlook = Outlook::of(file.clone().into())?;
         let mut survey = Self {

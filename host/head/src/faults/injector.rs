@@ -9,9 +9,9 @@ use slitpose_protocol::{
 };
 
 use super::Faults;
+use super::board::{WordFaults, WordScale};
 use super::kinds::Layer;
 use super::text::{Fault, FaultClock};
-use super::words::{WordFaults, WordScale};
 
 /// How the text of an event begins that announces a fault.
 pub const ANNOUNCED: &str = "injected fault: ";

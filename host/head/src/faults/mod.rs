@@ -18,14 +18,12 @@ mod board;
 mod injector;
 mod kinds;
 mod text;
-mod words;
 
-pub use board::{BoardFaults, LightFaults, Trouble};
+pub(crate) use board::WordScale;
+pub use board::{BoardFaults, LightFaults, Trouble, WordFaults};
 pub use injector::{ANNOUNCED, Injector, Link};
 pub use kinds::{KINDS, Key, Kind, Lasts, Layer};
 pub use text::{Fault, FaultClock, FaultError, Unit, Window};
-pub use words::WordFaults;
-pub(crate) use words::WordScale;
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;

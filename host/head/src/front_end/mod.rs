@@ -4,14 +4,12 @@
 //! of a first-order front end to switched light; [`Stage`] converts scans, and has the noise of lit-minus-dark
 //! currents.
 
-mod settling;
 mod stage;
 
-pub use settling::Settling;
 use slitpose_protocol::{
     AdcScaling, Configuration, EmitterSet, Exposure, Level, MAX_CELLS, MAX_OVERSAMPLING, Schedule, ScheduleError,
 };
-pub use stage::{ROOM_TEMPERATURE_K, Stage, dark_word_noise_a};
+pub use stage::{ROOM_TEMPERATURE_K, Settling, Stage, dark_word_noise_a};
 use thiserror::Error;
 
 use crate::scene_file::{FrontEnd, SceneFile, SceneFileError};
