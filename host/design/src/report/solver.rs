@@ -287,9 +287,7 @@ fn picture(
     Sheet {
         title: format!("Pose from {} cells: error of the {what} against time", head.scene.cells.len()),
         note: format!(
-            "{}; {} poses, one frame each; one thread. Discs f64, rings f32; curves: planes (from a cold start), 1, 2, 3, 4 \
-             steps; lone points: full.",
-            head.file.name,
+            "{} poses, one frame each. Discs f64, rings f32; curves: planes (cold start), 1, 2, 3, 4 steps; lone points: full.",
             head.poses.len()
         ),
         panels: vec![("noisy currents".to_owned(), chart)],
