@@ -6,10 +6,10 @@ use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
+use slitpose_calibration::pose_of;
 use slitpose_head::scene_file::Workspace;
 use slitpose_model::Pose;
 
-/// One stream of a seed.
 pub(crate) struct Chance(ChaCha8Rng);
 
 impl Chance {
@@ -94,8 +94,7 @@ impl FreeMotion {
 
     pub(crate) fn pose(&self, time_s: f64) -> Pose {
         let of = |[amplitude, frequency, phase]: &[f64; 3]| amplitude * (frequency * time_s + phase).sin();
-        let v = self.sines.each_ref().map(|pair| pair.iter().map(of).sum::<f64>());
-        Pose::from_vectors(DVec3::new(v[0], v[1], v[2]), DVec3::new(v[3], v[4], v[5]))
+        pose_of(&self.sines.each_ref().map(|pair| pair.iter().map(of).sum::<f64>()))
     }
 }
 

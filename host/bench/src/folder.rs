@@ -4,7 +4,7 @@ use std::fmt::Write;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use slitpose_calibration::Parameter;
+use slitpose_calibration::{Parameter, values_of};
 use slitpose_head::foreign::printable;
 use slitpose_head::front_end::TimingError;
 use slitpose_head::scene_file::SceneFileError;
@@ -12,21 +12,17 @@ use slitpose_head::table::{Output, OutputError, POSE_COLUMNS, TableWriter};
 use slitpose_model::{Pose, SceneError};
 use thiserror::Error;
 
-use crate::beyond::Beyond;
-use crate::drawn::DrawnHead;
+use crate::drawn::{Beyond, DrawnHead};
 use crate::session::{Row, Says, Session, Table};
 
 /// Writes everything into `folder`, which is made: the scene and the tables, and in `truth/` what they were made from.
 /// Returns the files.
-///
-/// # Errors
-/// A folder with files in it, or that cannot be written.
 pub fn write(folder: &Path, head: &DrawnHead, session: &Session) -> Result<Vec<PathBuf>, BenchError> {
     let create =
         |path: &Path| fs::create_dir_all(path).map_err(|source| OutputError::Create { path: path.to_owned(), source });
     create(folder)?;
     if fs::read_dir(folder).is_ok_and(|mut files| files.next().is_some()) {
-        return Err(BenchError::NotEmpty { folder: folder.to_owned() });
+        return Err(BenchError::NotEmpty(folder.to_owned()));
     }
     let apart = folder.join("truth");
     create(&apart)?;
@@ -109,25 +105,15 @@ pub enum BenchError {
     /// The electronics.
     #[error(transparent)]
     Timing(#[from] TimingError),
-    /// A head that hardly has a usable pose.
+    /// A head that hardly has a usable pose: its seed, the table that was to be made, and how many poses were tried.
     #[error(
-        "seed {seed}, {table}: none of {tries} poses of the workspace has every spot on its detector and every current \
+        "seed {0}, {1}: none of {2} poses of the workspace has every spot on its detector and every current \
          within the converters' range; give another --seed, a smaller [workspace], or smaller tolerances"
     )]
-    Dark {
-        /// The table that was to be made.
-        table: &'static str,
-        /// Poses that were tried.
-        tries: usize,
-        /// The head.
-        seed: u64,
-    },
+    Dark(u64, &'static str, usize),
     /// A folder that holds something.
-    #[error("{} holds files already, which may have been measured; give a new folder", printable(&folder.to_string_lossy()))]
-    NotEmpty {
-        /// The folder.
-        folder: PathBuf,
-    },
+    #[error("{} holds files already, which may have been measured; give a new folder", printable(&.0.to_string_lossy()))]
+    NotEmpty(PathBuf),
     /// A file that cannot be written.
     #[error(transparent)]
     Output(#[from] OutputError),
@@ -148,15 +134,15 @@ fn write_text(out: &mut String, head: &DrawnHead, session: &Session) -> std::fmt
     writeln!(out, "seed = {}\nscene_hash = \"{:016x}\"", settings.seed, head.nominal.hash)?;
     let [sigma_m, sigma_rad] = settings.instrument;
     writeln!(out, "\n[instrument]\nsigma_m = {sigma_m:e}\nsigma_rad = {sigma_rad:e}")?;
-    writeln!(out, "base_from_reference = {:?}", values(&session.base_from_reference))?;
-    writeln!(out, "tool_from_marker = {:?}", values(&session.tool_from_marker))?;
+    writeln!(out, "base_from_reference = {:?}", values_of(&session.base_from_reference))?;
+    writeln!(out, "tool_from_marker = {:?}", values_of(&session.tool_from_marker))?;
     let [ahead_s, faster] = session.clock;
     writeln!(out, "clock_ahead_s = {ahead_s:.9}\nclock_faster = {faster:e}")?;
     writeln!(out, "\n[pivot]\nin_tool_m = {:?}", session.pivot.in_tool_m.to_array())?;
     writeln!(out, "in_base_m = {:?}", session.pivot.in_base_m.to_array())?;
-    writeln!(out, "\n[stage]\nstart = {:?}", values(&session.stage_start))?;
+    writeln!(out, "\n[stage]\nstart = {:?}", values_of(&session.stage_start))?;
     writeln!(out, "direction = {:?}", session.stage_direction.to_array())?;
-    writeln!(out, "\n[rest]\npose = {:?}", values(&session.rest))?;
+    writeln!(out, "\n[rest]\npose = {:?}", values_of(&session.rest))?;
     writeln!(out, "\n# Parameters: name, deviation from the scene, most probable one, its sigma, unit.")?;
     for number in 0..head.nominal.scene.cells.len() {
         writeln!(out, "[[cell]]")?;
@@ -183,9 +169,4 @@ fn write_beyond(out: &mut String, beyond: &Beyond) -> std::fmt::Result {
     writeln!(out, "ripple_m = {ripple_m:e}\nripple_period_m = {ripple_period_m:e}")?;
     writeln!(out, "ripple_phase_rad = {ripple_phase_rad:e}\nchip = {chip:?}\nslit_step_m = {slit_step_m:e}")?;
     writeln!(out, "stray_a_per_rad = {stray_a_per_rad:?}")
-}
-
-fn values(pose: &Pose) -> [f64; 6] {
-    let (t, r) = (pose.translation_m, pose.rotation_rad());
-    [t.x, t.y, t.z, r.x, r.y, r.z]
 }

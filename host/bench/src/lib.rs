@@ -8,14 +8,12 @@
 
 #![forbid(unsafe_code)]
 
-mod beyond;
 mod chance;
 mod drawn;
 mod folder;
 mod session;
 
-pub use beyond::Beyond;
-pub use drawn::{DrawnHead, Within};
+pub use drawn::{Beyond, DrawnHead, Within};
 pub use folder::BenchError;
 pub use folder::write;
 pub use session::{Session, Settings, Table};

@@ -34,7 +34,6 @@ const STAGE_TURN: f64 = 0.3;
 const CONTACT: [f64; 2] = [3e-6, 100e-6];
 const STAGE: [f64; 2] = [1e-6, 20e-6];
 
-/// Rows of free motion per second.
 const FREE_HZ: f64 = 200.0;
 
 /// Poses per second of an instrument that tracks the free motion.
@@ -74,7 +73,6 @@ pub(crate) enum Says {
     Nothing,
 }
 
-/// A reading at one pose.
 #[derive(Clone, Debug)]
 pub(crate) struct Row {
     pub(crate) truth: Pose,
@@ -127,7 +125,6 @@ pub struct Session {
     pub(crate) rest: Pose,
 }
 
-/// The tables' streams of random numbers.
 #[derive(Clone, Copy)]
 enum Stream {
     Known = 16,
@@ -142,7 +139,6 @@ enum Stream {
     Tracked,
 }
 
-/// Makes rows of one table.
 struct Maker<'a> {
     head: &'a DrawnHead,
     seed: u64,
@@ -154,7 +150,7 @@ impl Maker<'_> {
     /// The first of the poses that `pose` draws at which all spots lie on their detectors, and what it says.
     fn usable<T>(&mut self, mut pose: impl FnMut(&mut Chance) -> (Pose, T)) -> Result<(Pose, T), BenchError> {
         let found = (0..TRIES).map(|_| pose(&mut self.chance)).find(|(pose, _)| self.head.currents(pose).is_some());
-        found.ok_or(BenchError::Dark { table: self.table, tries: TRIES, seed: self.seed })
+        found.ok_or(BenchError::Dark(self.seed, self.table, TRIES))
     }
 
     /// A row at `truth`, unless a spot does not lie on its detector there.
@@ -181,9 +177,6 @@ impl Maker<'_> {
 
 impl Session {
     /// Measures on `head`.
-    ///
-    /// # Errors
-    /// A head that hardly has a pose with light on all detectors.
     pub fn of(head: &DrawnHead, settings: &Settings) -> Result<Self, BenchError> {
         let workspace = head.nominal.workspace;
         let maker = |table, stream: Stream| {

@@ -124,6 +124,6 @@ fn measurements_never_replace_others() {
     let head = DrawnHead::draw(&file, Within::Family, 1).expect("a head");
     let settings = Settings { seed: 1, poses: 1, free_s: 0.1, instrument: INSTRUMENT };
     let session = Session::of(&head, &settings).expect("poses");
-    assert!(matches!(write(folder.path(), &head, &session), Err(BenchError::NotEmpty { .. })));
+    assert!(matches!(write(folder.path(), &head, &session), Err(BenchError::NotEmpty(_))));
     assert_eq!(fs::read_to_string(folder.path().join("known.csv")).expect("a file"), "measured");
 }

@@ -38,7 +38,6 @@ const SAMPLE: usize = 300;
 /// Decrease of χ² below which a minimum counts as reached.
 const CONVERGED: f64 = 0.1;
 
-/// What is to be adjusted.
 pub(crate) struct Adjustment<'a> {
     pub(crate) nominal: &'a Scene,
     pub(crate) data: &'a Data,
@@ -76,7 +75,6 @@ fn shift(state: &State) -> DVector<f64> {
     DVector::from_iterator(entries.len(), entries.iter().map(|entry| entry.shift()))
 }
 
-/// Squared normalised residual of a reading.
 fn reading_square(data: &Data, state: &State, cells: &[CellSensitivity], row: usize, cell: usize) -> Option<f64> {
     let [a, b] = whitened(data, state, cells, row, cell)?;
     Some(a * a + b * b)
@@ -105,7 +103,6 @@ impl<'a> Adjustment<'a> {
         sensitivities(self.nominal, &state.parameters, &state.poses, derivatives)
     }
 
-    /// Weights at the residuals of `state`.
     fn weigh(&self, state: &State, cells: &[CellSensitivity]) -> Weights {
         let mut weights = Weights::equal(self.data);
         for row in 0..self.data.rows.len() {
@@ -174,9 +171,7 @@ impl<'a> Adjustment<'a> {
         let mut readings = vec![0.0; count];
         let every = self.data.rows.len().div_ceil(SAMPLE);
         for row in (0..self.data.rows.len()).step_by(every) {
-            let Some(factor) = &normal.rows[row] else { continue };
-            let terms = row_terms(self.data, state, cells, weights, row, state.length_scale_m);
-            let reduced = Reduced::of(&terms.by_pose, &terms.by_unknown, &factor.factor, normal, row);
+            let Some(reduced) = self.reduced(state, normal, weights, row) else { continue };
             let spread = &covariance * &reduced.derivatives;
             let mut place = 0;
             for cell in 0..count {
@@ -191,13 +186,7 @@ impl<'a> Adjustment<'a> {
                     continue;
                 }
                 let Some(reading) = measured.readings[cell] else { continue };
-                let mut hat = [[0.0; 2]; 2];
-                for (i, hat_row) in hat.iter_mut().enumerate() {
-                    for (j, value) in hat_row.iter_mut().enumerate() {
-                        *value = reduced.derivatives.column(here + i).dot(&spread.column(here + j))
-                            + (0..6).map(|k| reduced.by_pose[here + i][k] * reduced.by_pose[here + j][k]).sum::<f64>();
-                    }
-                }
+                let hat = |i: usize, j: usize| reduced.hat(&spread, here + i, here + j);
                 let w = whitener(state.covariance(cell, reading, measured.frames));
                 let noise = state.noise[cell].covariance(reading, measured.frames, &MIN_ERROR);
                 readings[cell] += 1.0;
@@ -206,8 +195,8 @@ impl<'a> Adjustment<'a> {
                     let second = direction[1] / w[2];
                     let d = [(direction[0] - second * w[1]) / w[0], second];
                     let e = d[0] * found[0] + d[1] * found[1];
-                    let expected = d[0] * d[0] * (1.0 - hat[0][0]) + d[1] * d[1] * (1.0 - hat[1][1])
-                        - 2.0 * d[0] * d[1] * hat[0][1];
+                    let expected = d[0] * d[0] * (1.0 - hat(0, 0)) + d[1] * d[1] * (1.0 - hat(1, 1))
+                        - 2.0 * d[0] * d[1] * hat(0, 1);
                     let [c0, c1] = direction;
                     sum[0] += e * e;
                     sum[1] += expected;
@@ -247,7 +236,7 @@ impl<'a> Adjustment<'a> {
     fn estimate_sizes(&mut self, state: &State, normal: &Normal) {
         let Some(covariance) = normal.covariance() else { return };
         let mut sums = [[1.0, 1.0]; FAMILIES];
-        let families = state.parameters.entries.iter().map(|entry| entry.quantity.family());
+        let families = state.parameters.entries.iter().map(|entry| entry.quantity.kind().0.family);
         for (k, family) in families.clone().enumerate() {
             if let Some(family) = family {
                 let shift = state.parameters.entries[k].shift();
@@ -326,7 +315,6 @@ impl<'a> Adjustment<'a> {
         statistics.chi2 / statistics.redundancy
     }
 
-    /// How well the data fit.
     pub(crate) fn statistics(&self, state: &State, normal: &Normal, weights: &Weights) -> Statistics {
         let cells = &normal.cells;
         let mut found = Statistics { rows: self.data.rows.len(), ..Statistics::default() };
@@ -362,25 +350,20 @@ impl<'a> Adjustment<'a> {
     fn constraint_scales(&self, state: &State, normal: &Normal, weights: &Weights) -> Vec<[f64; 2]> {
         let mut sums = vec![[[0.0; 3]; 2]; self.data.groups.len()];
         let Some(covariance) = normal.covariance() else { return vec![[0.0; 2]; sums.len()] };
-        let cells = &normal.cells;
         let every = self.data.rows.len().div_ceil(SAMPLE);
         for row in (0..self.data.rows.len()).step_by(every) {
-            let Some(factor) = &normal.rows[row] else { continue };
             let (number, _) = state.group_of(self.data, row);
             if weights.poses[row] < 1.0 || !state.is_known(self.data, row) {
                 continue;
             }
-            let terms = row_terms(self.data, state, cells, weights, row, state.length_scale_m);
-            let reduced = Reduced::of(&terms.by_pose, &terms.by_unknown, &factor.factor, normal, row);
+            let Some(reduced) = self.reduced(state, normal, weights, row) else { continue };
             let spread = &covariance * &reduced.derivatives;
             // The last six are those of the instrument.
-            let first = terms.residuals.len() - 6;
+            let first = reduced.residuals.len() - 6;
             for k in 0..6 {
-                let hat = reduced.derivatives.column(first + k).dot(&spread.column(first + k))
-                    + reduced.by_pose[first + k].iter().map(|value| value * value).sum::<f64>();
                 let sum = &mut sums[number][k / 3];
-                sum[0] += terms.residuals[first + k].powi(2);
-                sum[1] += 1.0 - hat;
+                sum[0] += reduced.residuals[first + k].powi(2);
+                sum[1] += 1.0 - reduced.hat(&spread, first + k, first + k);
                 sum[2] += 1.0;
             }
         }
@@ -391,26 +374,14 @@ impl<'a> Adjustment<'a> {
         };
         sums.into_iter().map(|of_group| of_group.map(ratio)).collect()
     }
-}
 
-/// Derivatives by the unknowns of what the row's own pose cannot explain.
-struct Reduced {
-    derivatives: DMatrix<f64>,
-    /// L⁻¹ of the derivatives by the pose.
-    by_pose: Vec<[f64; 6]>,
-}
-
-impl Reduced {
-    fn of(
-        by_pose: &[[f64; 6]],
-        by_unknown: &[Vec<(usize, f64)>],
-        factor: &[[f64; 6]; 6],
-        normal: &Normal,
-        row: usize,
-    ) -> Self {
-        let mut derivatives = DMatrix::zeros(normal.matrix.nrows(), by_pose.len());
-        let by_pose: Vec<_> = by_pose.iter().map(|of| forward(factor, *of)).collect();
-        for (k, (of_pose, of_unknown)) in by_pose.iter().zip(by_unknown).enumerate() {
+    /// Row `row` without what its own pose explains; `None`: nothing tells that pose.
+    fn reduced(&self, state: &State, normal: &Normal, weights: &Weights, row: usize) -> Option<Reduced> {
+        let factor = &normal.rows[row].as_ref()?.factor;
+        let terms = row_terms(self.data, state, &normal.cells, weights, row, state.length_scale_m);
+        let mut derivatives = DMatrix::zeros(normal.matrix.nrows(), terms.by_pose.len());
+        let by_pose: Vec<_> = terms.by_pose.iter().map(|of| forward(factor, *of)).collect();
+        for (k, (of_pose, of_unknown)) in by_pose.iter().zip(&terms.by_unknown).enumerate() {
             let mut column = derivatives.column_mut(k);
             for &(place, value) in of_unknown {
                 column[place] = value;
@@ -419,6 +390,22 @@ impl Reduced {
                 column.axpy(-by, &normal.coupling.column(6 * row + j), 1.0);
             }
         }
-        Self { derivatives, by_pose }
+        Some(Reduced { residuals: terms.residuals, derivatives, by_pose })
+    }
+}
+
+struct Reduced {
+    residuals: Vec<f64>,
+    /// By the unknowns, of what the row's own pose cannot explain.
+    derivatives: DMatrix<f64>,
+    /// L⁻¹ of the derivatives by the pose.
+    by_pose: Vec<[f64; 6]>,
+}
+
+impl Reduced {
+    /// How far residual `i` follows an error of residual `j`; `spread`: covariance by derivatives.
+    fn hat(&self, spread: &DMatrix<f64>, i: usize, j: usize) -> f64 {
+        let by_pose = self.by_pose[i].iter().zip(self.by_pose[j]).map(|(a, b)| a * b).sum::<f64>();
+        self.derivatives.column(i).dot(&spread.column(j)) + by_pose
     }
 }

@@ -14,11 +14,10 @@ use slitpose_model::Pose;
 use thiserror::Error;
 
 use crate::data::{Constraint, Data, Row, compose, inverse};
-use crate::frames::align;
 use crate::plausibility::{BETTER, UNITS, median};
-use crate::start::{first_poses, known_so_far};
+use crate::start::{align, first_poses, known_so_far};
 use crate::tables::thinned;
-use crate::track::{FoundClock, Track};
+use crate::tables::{FoundClock, Track};
 use crate::{CalibrateError, Calibration};
 
 /// Rows between two orientations that are compared.

@@ -13,7 +13,6 @@ use slitpose_model::Pose;
 
 use crate::data::{Constraint, Group, Knowledge, Row, compose, inverse, pose_of};
 
-/// Most residuals of a row.
 pub(crate) const RESIDUALS: usize = 7;
 
 /// Unknowns of a group, in SI units.

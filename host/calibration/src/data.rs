@@ -3,7 +3,7 @@
 use glam::DVec3;
 use slitpose_model::{Noise, Pose, rotation_exp};
 
-use crate::track::FoundClock;
+use crate::tables::FoundClock;
 
 /// Measurements from any number of files.
 #[derive(Clone, Debug, Default)]
@@ -184,13 +184,13 @@ pub fn inverse(a_from_b: &Pose) -> Pose {
 }
 
 /// A pose from translation and rotation vector.
-pub(crate) fn pose_of(values: &[f64]) -> Pose {
+pub fn pose_of(values: &[f64]) -> Pose {
     let vector = |k: usize| DVec3::new(values[k], values[k + 1], values[k + 2]);
     Pose { rotation: rotation_exp(vector(3)), translation_m: vector(0) }
 }
 
 /// Translation and rotation vector of a pose.
-pub(crate) fn values_of(pose: &Pose) -> [f64; 6] {
+pub fn values_of(pose: &Pose) -> [f64; 6] {
     let (t, r) = (pose.translation_m, pose.rotation_rad());
     [t.x, t.y, t.z, r.x, r.y, r.z]
 }

@@ -102,9 +102,6 @@ pub struct Frames {
 
 impl Calibration {
     /// Reads a calibration file.
-    ///
-    /// # Errors
-    /// A file that cannot be read, or is no calibration.
     pub fn open(path: &Path) -> Result<Self, CalibrationFileError> {
         let file = || path.display().to_string();
         let bytes = text_file::read(path).map_err(|source| CalibrationFileError::Read(file(), source))?;
@@ -112,9 +109,6 @@ impl Calibration {
     }
 
     /// Reads a calibration from the bytes of a file; `origin` names it in messages.
-    ///
-    /// # Errors
-    /// Those of [`Self::open`].
     pub fn from_bytes(origin: &str, bytes: &[u8]) -> Result<Self, CalibrationFileError> {
         let refuse = |text: String| CalibrationFileError::Content(origin.to_owned(), text);
         let content = |what: String| {

@@ -26,9 +26,6 @@ const COARSE: [f64; 2] = [0.1e-3, 10e-3];
 const COARSE_RATIO: f64 = 20.0;
 
 /// Refuses data that an adjustment did not bring together; `by_tolerances` is the head before it.
-///
-/// # Errors
-/// What they contradict.
 pub(crate) fn require_agreement(
     by_tolerances: &Scene,
     data: &Data,
@@ -110,12 +107,11 @@ fn worse_instruments(data: &Data, state: &State) -> Vec<String> {
 /// Shift of a part, in units of its tolerance, that two in a thousand million have by chance.
 const FAR: f64 = 6.0;
 
-/// Most parts that are named.
 const NAMED: usize = 3;
 
 /// Parts that are elsewhere than the scene says. Of textures tolerances say little.
 fn beyond_tolerances(parameters: &[Parameter]) -> Option<String> {
-    let is_far = |entry: &&Parameter| entry.quantity.family().is_none() && entry.shift().abs() > FAR;
+    let is_far = |entry: &&Parameter| entry.quantity.kind().0.family.is_none() && entry.shift().abs() > FAR;
     let mut far: Vec<&Parameter> = parameters.iter().filter(is_far).collect();
     far.sort_by(|a, b| b.shift().abs().total_cmp(&a.shift().abs()));
     let name = |entry: &&Parameter| format!("{} {:.0} times its tolerance", entry.name(), entry.shift().abs());
@@ -178,9 +174,6 @@ const DRIFT: f64 = 3e-3;
 const EXPLAINED: f64 = 0.5;
 
 /// The trend of the light over the rows of a file with known poses, if all cells have one in the same sense.
-///
-/// # Errors
-/// A scene that cannot be computed.
 pub(crate) fn light_drift(nominal: &Scene, data: &Data, state: &State) -> Result<Option<String>, SceneError> {
     let plan = CompiledScene::<f64>::compile(&state.parameters.scene(nominal), TIER)?;
     for group in &data.groups {
@@ -215,7 +208,6 @@ pub(crate) fn light_drift(nominal: &Scene, data: &Data, state: &State) -> Result
     Ok(None)
 }
 
-/// Fewest rows that show a trend.
 const MIN_TREND: usize = 20;
 
 /// Errors of poses below these are not worth a word, metres and radians: those of a single frame.
@@ -297,23 +289,23 @@ pub struct Direction<'a> {
     pub shares: Vec<(&'a Parameter, f64)>,
 }
 
-/// Parameters named of each direction.
 const NAMED_SHARES: usize = 6;
 
 impl Calibration {
+    /// Covariance of the parameters in units of their prior σ, each variance multiplied by `variances`.
+    pub(crate) fn covariance(&self, variances: f64) -> DMatrix<f64> {
+        let entries = self.parameters();
+        let sigma = |k: usize| entries[k].sigma / entries[k].prior_sigma;
+        DMatrix::from_fn(entries.len(), entries.len(), |i, j| {
+            let correlation = if i == j { variances } else { self.correlation[i.max(j)][i.min(j)] };
+            correlation * sigma(i) * sigma(j)
+        })
+    }
+
     /// All principal directions of what the data left open, the weakest first.
     pub fn directions(&self) -> Vec<Direction<'_>> {
         let entries = self.parameters();
-        let sigma = |k: usize| entries[k].sigma / entries[k].prior_sigma;
-        let covariance = DMatrix::from_fn(entries.len(), entries.len(), |i, j| {
-            let correlation = match i.cmp(&j) {
-                std::cmp::Ordering::Equal => 1.0,
-                std::cmp::Ordering::Greater => self.correlation[i][j],
-                std::cmp::Ordering::Less => self.correlation[j][i],
-            };
-            correlation * sigma(i) * sigma(j)
-        });
-        let eigen = SymmetricEigen::new(covariance);
+        let eigen = SymmetricEigen::new(self.covariance(1.0));
         let mut order: Vec<usize> = (0..entries.len()).collect();
         order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]));
         let direction = |place: usize| {

@@ -47,26 +47,17 @@ impl Head {
     }
 
     /// The head of `file` by the calibration at `path`.
-    ///
-    /// # Errors
-    /// A calibration that cannot be read, or of another scene.
     pub fn open_calibrated(file: SceneFile, path: &Path) -> Result<Self, CalibrationFileError> {
         Self::calibrated(file, Calibration::open(path)?)
     }
 
     /// The head of `file` by `calibration`.
-    ///
-    /// # Errors
-    /// Those of [`Calibration::apply`].
     pub fn calibrated(file: SceneFile, calibration: Calibration) -> Result<Self, CalibrationFileError> {
         let scene = calibration.apply(&file)?;
         Ok(Self::by(Arc::new(SceneFile { scene, ..file }), Basis::Calibration(Arc::new(calibration))))
     }
 
     /// The head of `file` by the tolerances of its parts. A simulated head is as the scene says.
-    ///
-    /// # Errors
-    /// Those of [`uncalibrated`].
     pub fn uncalibrated(file: SceneFile) -> Result<Self, SceneError> {
         let scene = uncalibrated(&file)?;
         let known = SceneFile { scene, ..file.clone() };
@@ -74,9 +65,6 @@ impl Head {
     }
 
     /// By its tolerances if the scene has any, else as the scene says.
-    ///
-    /// # Errors
-    /// Those of [`uncalibrated`].
     pub fn as_scene_says(file: SceneFile) -> Result<Self, SceneError> {
         if file.tolerance.is_some() { Self::uncalibrated(file) } else { Ok(file.into()) }
     }
@@ -158,9 +146,6 @@ const STEP: f64 = 0.25;
 /// currents.
 ///
 /// Its poses are off by the same amount at every visit: half a millimetre for milled parts.
-///
-/// # Errors
-/// Those of [`CompiledScene::compile`].
 pub fn uncalibrated(file: &SceneFile) -> Result<Scene, SceneError> {
     let parameters = prior::parameters(file)?;
     let mut scene = parameters.scene(&file.scene);

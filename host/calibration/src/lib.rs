@@ -22,12 +22,9 @@ mod data;
 mod engine;
 mod file;
 mod findings;
-mod frames;
 mod head;
-mod implausible;
 mod normal;
 mod parameter;
-mod part_costs;
 mod plausibility;
 mod pose_error;
 mod prior;
@@ -35,28 +32,26 @@ mod reading;
 mod start;
 mod state;
 pub mod tables;
-mod track;
 
 use serde::Deserialize;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_model::{CompiledScene, ModelError, Pose, Scene, Tier};
 
 pub use clock::{Clock, ClockError, read_tracked};
-pub use data::{Constraint, Data, Group, Knowledge, Row, compose, inverse};
-pub use engine::{CalibrateError, Calibrated, Progress, Request, calibrate};
+pub use data::{Constraint, Data, Group, Knowledge, Row, compose, inverse, pose_of, values_of};
+pub use engine::{CalibrateError, Calibrated, Implausible, Progress, Request, calibrate};
 pub use file::{CalibrationFileError, Frames};
 pub use findings::Direction;
-pub use frames::align;
 pub use head::uncalibrated;
 pub use head::{Basis, Head};
-pub use implausible::Implausible;
 pub use parameter::Quantity;
-pub use part_costs::{KnownPoses, PartCost, PartCosts, PoseRms, part_costs};
 pub use plausibility::{Reports, check_poses, median, other_reading};
+pub use pose_error::{KnownPoses, PartCost, PartCosts, PoseRms, part_costs};
 pub use prior::Parameter;
 pub use prior::draw;
 pub use reading::measured_noise;
 pub use reading::{CellValidity, Validity, validity};
+pub use start::align;
 pub use state::Residual;
 
 use pose_error::PoseError;
@@ -138,9 +133,6 @@ impl Calibration {
     }
 
     /// The scene it was made with.
-    ///
-    /// # Errors
-    /// A text that is no scene, of a file that was made up.
     pub fn scene_file(&self) -> Result<SceneFile, slitpose_head::scene_file::SceneFileError> {
         SceneFile::parse(&self.scene_name, &self.scene_source)
     }
@@ -182,9 +174,6 @@ impl Calibration {
     }
 
     /// The calibrated optics of the head that `file` describes.
-    ///
-    /// # Errors
-    /// A scene with another hash, and parameters that no head can have.
     pub fn apply(&self, file: &SceneFile) -> Result<Scene, CalibrationFileError> {
         self.require_scene(file)?;
         let mut scene = self.parameters.scene(&file.scene);

@@ -44,7 +44,6 @@ pub(crate) struct RowTerms {
     pub(crate) by_unknown: Vec<Vec<(usize, f64)>>,
 }
 
-/// The terms of row `row`.
 pub(crate) fn row_terms(
     data: &Data,
     state: &State,

@@ -7,12 +7,6 @@ use slitpose_model::{
     Cell, Converters, MAX_CONVERTER, MAX_NONLINEARITY, Opening, Profile, Stray, Window, rotation_exp,
 };
 
-/// Highest Legendre order of a detector's non-linearity.
-pub(crate) const NONLINEARITY_ORDERS: usize = MAX_NONLINEARITY - 1;
-
-/// Highest Legendre order of a converter's curve.
-pub(crate) const CONVERTER_ORDERS: usize = MAX_CONVERTER - 1;
-
 /// Refractive index of a cover that the scene does not mention: clear resin.
 pub(crate) const RESIN_INDEX: f64 = 1.52;
 
@@ -64,64 +58,101 @@ pub enum Quantity {
     Converter(u8, u8),
 }
 
-const AXIS: [&str; 3] = ["x", "y", "z"];
-const STRAY_TERMS: [&str; 9] = ["x", "y", "z", "xx", "yy", "zz", "xy", "yz", "zx"];
+/// Quantities of one kind, one for each term.
+pub(crate) struct Kind {
+    of: fn(u8) -> Quantity,
+    name: &'static str,
+    terms: &'static [&'static str],
+    unit: &'static str,
+    /// Quantities with the same number have one size, which the data may tell, though the tolerances do not; `None`: the
+    /// tolerances do.
+    pub(crate) family: Option<usize>,
+    /// What deviates, and by which key of `[tolerance]`.
+    pub(crate) part: (&'static str, &'static str),
+}
+
+const ONE: &[&str] = &[""];
+const XYZ: &[&str] = &["x", "y", "z"];
+const SQUARES: &[&str] = &["xx", "yy", "zz", "xy", "yz", "zx"];
+const TWO: &[&str] = &["1", "2"];
+const FOUR: &[&str] = &["1", "2", "3", "4"];
+const ORDERS: &[&str] = &["1", "2", "3", "4", "5", "6", "7", "8", "9", "10", "11"];
+/// Orders 0 and 1 of a converter's curve are stray current and gain.
+const CURVE: &[&str] = &["2", "3", "4", "5", "6", "7", "8", "9"];
+const _: () = assert!(ORDERS.len() == MAX_NONLINEARITY - 1 && CURVE.len() == MAX_CONVERTER - 2);
+
+const fn kind(
+    of: fn(u8) -> Quantity,
+    (name, terms): (&'static str, &'static [&'static str]),
+    unit: &'static str,
+    family: Option<usize>,
+    part: (&'static str, &'static str),
+) -> Kind {
+    Kind { of, name, terms, unit, family, part }
+}
+
+const STRAY: (&str, &str) = ("stray light", "stray_relative");
+const PROFILE: (&str, &str) = ("emitter, profile", "profile_relative");
+const CONVERTERS: (&str, &str) = ("converters, linearity", "nonlinearity_mm");
+
+/// All kinds, in the order of calibration files.
+static KINDS: [Kind; 23] = {
+    use Quantity as Q;
+    [
+        kind(Q::DetectorShift, ("detector", XYZ), "m", None, ("detector, place", "position_mm")),
+        kind(Q::DetectorTurn, ("detector_turn", XYZ), "rad", None, ("detector, direction", "angle_deg")),
+        kind(|_| Q::SlitOffset, ("slit_x", ONE), "m", None, ("slit, place along the detector", "position_mm")),
+        kind(|_| Q::SlitDistance, ("slit_distance", ONE), "m", None, ("slit, distance", "position_mm")),
+        kind(|_| Q::SlitWidth, ("slit_width", ONE), "m", None, ("slit, width", "slit_width_mm")),
+        kind(Q::SlitTilt, ("slit_turn", XYZ), "rad", None, ("slit, direction", "angle_deg")),
+        kind(|_| Q::MaskThickness, ("mask_thickness", ONE), "m", None, ("mask, thickness", "slit_width_mm")),
+        kind(Q::EmitterShift, ("emitter", XYZ), "m", None, ("emitter, place", "position_mm")),
+        kind(Q::EmitterTilt, ("emitter_tilt", TWO), "rad", None, ("emitter, axis", "emitter_angle_deg")),
+        kind(|_| Q::LogIntensity, ("log_intensity", ONE), "1", None, ("emitter, intensity", "emitter_gain_relative")),
+        kind(|_| Q::ProfileExponent, ("profile_exponent", ONE), "1", None, PROFILE),
+        kind(Q::ProfileRadial, ("profile_radial", FOUR), "1", Some(0), PROFILE),
+        kind(Q::ProfileAzimuthal, ("profile_azimuthal", FOUR), "1", Some(1), PROFILE),
+        kind(|_| Q::WindowThickness, ("window_thickness", ONE), "m", None, ("cover, thickness", "window_mm")),
+        kind(|k| Q::Nonlinearity(k + 1), ("nonlinearity", ORDERS), "m", Some(2), ("detector, linearity", CONVERTERS.1)),
+        kind(Q::Stray, ("stray", TWO), "A", Some(3), STRAY),
+        kind(Q::StrayLevel, ("stray_level", XYZ), "1/m", Some(4), STRAY),
+        kind(|k| Q::StrayLevel(k + 3), ("stray_level", SQUARES), "1/m^2", Some(5), STRAY),
+        kind(Q::StrayBalance, ("stray_balance", XYZ), "1/m", Some(6), STRAY),
+        kind(|k| Q::StrayBalance(k + 3), ("stray_balance", SQUARES), "1/m^2", Some(7), STRAY),
+        kind(|_| Q::ElectrodeGain, ("electrode_gain", ONE), "1", None, ("electrodes, gain", "electrode_gain_relative")),
+        kind(|k| Q::Converter(0, k + 2), ("converter_1", CURVE), "A", Some(8), CONVERTERS),
+        kind(|k| Q::Converter(1, k + 2), ("converter_2", CURVE), "A", Some(8), CONVERTERS),
+    ]
+};
+
+pub(crate) const FAMILIES: usize = 9;
 
 impl fmt::Display for Quantity {
     /// The name in a calibration file.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let axis = |k: u8| AXIS[usize::from(k)];
-        match *self {
-            Self::DetectorShift(k) => write!(f, "detector_{}", axis(k)),
-            Self::DetectorTurn(k) => write!(f, "detector_turn_{}", axis(k)),
-            Self::SlitOffset => f.write_str("slit_x"),
-            Self::SlitDistance => f.write_str("slit_distance"),
-            Self::SlitWidth => f.write_str("slit_width"),
-            Self::SlitTilt(k) => write!(f, "slit_turn_{}", axis(k)),
-            Self::MaskThickness => f.write_str("mask_thickness"),
-            Self::EmitterShift(k) => write!(f, "emitter_{}", axis(k)),
-            Self::EmitterTilt(k) => write!(f, "emitter_tilt_{}", k + 1),
-            Self::LogIntensity => f.write_str("log_intensity"),
-            Self::ProfileExponent => f.write_str("profile_exponent"),
-            Self::ProfileRadial(k) => write!(f, "profile_radial_{}", k + 1),
-            Self::ProfileAzimuthal(k) => write!(f, "profile_azimuthal_{}", k + 1),
-            Self::WindowThickness => f.write_str("window_thickness"),
-            Self::Nonlinearity(k) => write!(f, "nonlinearity_{k}"),
-            Self::Stray(e) => write!(f, "stray_{}", e + 1),
-            Self::StrayLevel(k) => write!(f, "stray_level_{}", STRAY_TERMS[usize::from(k)]),
-            Self::StrayBalance(k) => write!(f, "stray_balance_{}", STRAY_TERMS[usize::from(k)]),
-            Self::ElectrodeGain => f.write_str("electrode_gain"),
-            Self::Converter(e, k) => write!(f, "converter_{}_{k}", e + 1),
-        }
+        let (kind, term) = self.kind();
+        write!(f, "{}{}{term}", kind.name, if term.is_empty() { "" } else { "_" })
     }
 }
 
 impl Quantity {
-    /// All quantities of one cell, in the order of calibration files.
-    pub fn of_cell() -> impl Iterator<Item = Self> {
-        let axes = || 0..3_u8;
-        axes()
-            .map(Self::DetectorShift)
-            .chain(axes().map(Self::DetectorTurn))
-            .chain([Self::SlitOffset, Self::SlitDistance, Self::SlitWidth])
-            .chain(axes().map(Self::SlitTilt))
-            .chain([Self::MaskThickness])
-            .chain(axes().map(Self::EmitterShift))
-            .chain((0..2).map(Self::EmitterTilt))
-            .chain([Self::LogIntensity, Self::ProfileExponent])
-            .chain((0..4).map(Self::ProfileRadial))
-            .chain((0..4).map(Self::ProfileAzimuthal))
-            .chain([Self::WindowThickness])
-            .chain((1..=NONLINEARITY_ORDERS as u8).map(Self::Nonlinearity))
-            .chain((0..2).map(Self::Stray))
-            .chain((0..9).map(Self::StrayLevel))
-            .chain((0..9).map(Self::StrayBalance))
-            .chain([Self::ElectrodeGain])
+    fn all() -> impl Iterator<Item = (Self, &'static Kind, &'static str)> {
+        KINDS.iter().flat_map(|kind| kind.terms.iter().zip(0..).map(move |(term, k)| ((kind.of)(k), kind, *term)))
     }
 
-    /// All quantities that the cells of a head share. Orders 0 and 1 of a curve are stray current and gain.
+    /// Its kind and its term; of an order that no file has, those of the first.
+    pub(crate) fn kind(&self) -> (&'static Kind, &'static str) {
+        Self::all().find(|(quantity, ..)| quantity == self).map_or((&KINDS[0], ""), |(_, kind, term)| (kind, term))
+    }
+
+    /// All quantities of one cell, in the order of calibration files.
+    pub fn of_cell() -> impl Iterator<Item = Self> {
+        Self::all().map(|(quantity, ..)| quantity).filter(|quantity| !matches!(quantity, Self::Converter(..)))
+    }
+
+    /// All quantities that the cells of a head share.
     pub fn of_head() -> impl Iterator<Item = Self> {
-        (0..2_u8).flat_map(|e| (2..=CONVERTER_ORDERS as u8).map(move |k| Self::Converter(e, k)))
+        Self::all().map(|(quantity, ..)| quantity).filter(|quantity| matches!(quantity, Self::Converter(..)))
     }
 
     /// Whether it changes the light of an emitter on whatever it falls.
@@ -137,53 +168,19 @@ impl Quantity {
         )
     }
 
-    /// Quantities of one kind whose common size the data may tell, though the tolerances do not; `None`: the tolerances
-    /// do.
-    pub(crate) fn family(&self) -> Option<usize> {
-        match self {
-            Self::ProfileRadial(_) => Some(0),
-            Self::ProfileAzimuthal(_) => Some(1),
-            Self::Nonlinearity(_) => Some(2),
-            Self::Stray(_) => Some(3),
-            Self::StrayLevel(0..3) => Some(4),
-            Self::StrayLevel(_) => Some(5),
-            Self::StrayBalance(0..3) => Some(6),
-            Self::StrayBalance(_) => Some(7),
-            Self::Converter(..) => Some(8),
-            _ => None,
-        }
-    }
-
     /// The quantity of this name.
     pub fn named(name: &str) -> Option<Self> {
-        Self::of_cell().chain(Self::of_head()).find(|quantity| quantity.to_string() == name)
+        let is_named = |(_, kind, term): &(Self, &Kind, &str)| {
+            name.strip_prefix(kind.name).is_some_and(|rest| rest.strip_prefix('_').unwrap_or(rest) == *term)
+        };
+        Self::all().find(is_named).map(|(quantity, ..)| quantity)
     }
 
     /// The unit of its values.
     pub fn unit(&self) -> &'static str {
-        match self {
-            Self::DetectorShift(_)
-            | Self::SlitOffset
-            | Self::SlitDistance
-            | Self::SlitWidth
-            | Self::MaskThickness
-            | Self::EmitterShift(_)
-            | Self::WindowThickness
-            | Self::Nonlinearity(_) => "m",
-            Self::DetectorTurn(_) | Self::SlitTilt(_) | Self::EmitterTilt(_) => "rad",
-            Self::LogIntensity
-            | Self::ProfileExponent
-            | Self::ProfileRadial(_)
-            | Self::ProfileAzimuthal(_)
-            | Self::ElectrodeGain => "1",
-            Self::Stray(_) | Self::Converter(..) => "A",
-            Self::StrayLevel(0..3) | Self::StrayBalance(0..3) => "1/m",
-            Self::StrayLevel(_) | Self::StrayBalance(_) => "1/m^2",
-        }
+        self.kind().0.unit
     }
 }
-
-pub(crate) const FAMILIES: usize = 9;
 
 /// Σ cₖ·Pₖ as a polynomial: coefficients of x⁰, x¹, …
 fn powers<const N: usize>(legendre: &[f64; N]) -> [f64; N] {
@@ -339,7 +336,6 @@ impl Deviations {
     }
 }
 
-/// Two directions across `axis`.
 fn across(axis: DVec3) -> [DVec3; 2] {
     let (a, b) = axis.any_orthonormal_pair();
     [a, b]

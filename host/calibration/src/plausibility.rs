@@ -5,9 +5,8 @@ use slitpose_head::table::POSE_COLUMNS;
 use slitpose_model::{Cell, CompiledScene, Pose, Scene, SceneError, rotation_exp};
 
 use crate::data::{Constraint, Data, Group, Row, compose, inverse, values_of};
-use crate::frames::align;
-use crate::implausible::Implausible;
-use crate::start::solved;
+use crate::engine::Implausible;
+use crate::start::{align, solved};
 use crate::state::TIER;
 
 /// Units that lengths may be in by mistake, and how many millimetres they have.
@@ -67,7 +66,6 @@ const MAX_GROSS_ROWS: usize = 3;
 /// Distance from the middle of all translations, by the median distance, beyond which a pose does not enter an alignment.
 const FAR_OFF: f64 = 4.0;
 
-/// Outliers that a message names.
 const NAMED: usize = 5;
 
 /// The median of `values`; NaN if there are none.
@@ -78,9 +76,6 @@ pub fn median(mut values: Vec<f64>) -> f64 {
 
 /// Refuses data that look like another thing than they are said to be; `scene` is the head by its tolerances. Gives the rows
 /// whose poses are gross outliers, and a remark on those of each file.
-///
-/// # Errors
-/// What they look like.
 pub(crate) fn check(scene: &Scene, data: &Data) -> Result<(Vec<usize>, Vec<String>), Implausible> {
     let (mut outliers, mut remarks) = (Vec::new(), Vec::new());
     for group in &data.groups {
@@ -93,7 +88,7 @@ pub(crate) fn check(scene: &Scene, data: &Data) -> Result<(Vec<usize>, Vec<Strin
             let named: Vec<String> = gross.iter().take(NAMED).map(|&row| spots.named(row)).collect();
             let named = named.join("; ") + if count > NAMED { "; and more" } else { "" };
             if count > MAX_GROSS_ROWS.max((MAX_GROSS * rows as f64) as usize) {
-                return Err(Implausible::Outliers { file, count, rows, named });
+                return Err(Implausible::Outliers(file, count, rows, named));
             }
             remarks.push(format!(
                 "{file}: {count} of {rows} poses left out, for the light has the tool elsewhere: {named}"
@@ -111,14 +106,11 @@ pub(crate) fn check(scene: &Scene, data: &Data) -> Result<(Vec<usize>, Vec<Strin
 
 /// Refuses poses in frames of the scene that look like another thing than they are said to be, of however few rows; `scene` is
 /// the head by its tolerances.
-///
-/// # Errors
-/// What they look like.
 pub fn check_poses(scene: &Scene, data: &Data) -> Result<(), Implausible> {
     for group in &data.groups {
         if group.rows.clone().all(|row| data.rows[row].readings.iter().all(Option::is_none)) {
-            let (file, rows) = (group.file.clone(), group.rows.len());
-            return Err(Implausible::Dark { file, cell: 0, dark: rows, rows });
+            let rows = group.rows.len();
+            return Err(Implausible::Dark(group.file.clone(), 0, rows, rows));
         }
         let Some(spots) = Spots::of(scene, data, group, LEAST.div_ceil(scene.cells.len()))? else { continue };
         let as_given = spots.check_reading(group)?;
@@ -129,9 +121,6 @@ pub fn check_poses(scene: &Scene, data: &Data) -> Result<(), Implausible> {
 }
 
 /// What the poses of an adjusted head `scene` look like, which the currents contradict.
-///
-/// # Errors
-/// A scene that cannot be computed.
 pub(crate) fn likely_reading(scene: &Scene, data: &Data) -> Result<Option<Implausible>, SceneError> {
     for group in &data.groups {
         let Some(spots) = Spots::of(scene, data, group, LEAST)? else { continue };
@@ -151,7 +140,7 @@ fn dark(scene: &Scene, data: &Data, group: &Group) -> Result<(), Implausible> {
         let is_lit = |row: usize| data.rows[row].readings[cell].is_some_and(|[a, b]| a + b > faint_a);
         let dark = group.rows.clone().filter(|&row| !is_lit(row)).count();
         if rows >= LEAST && 2 * dark > rows {
-            return Err(Implausible::Dark { file: group.file.clone(), cell, dark, rows });
+            return Err(Implausible::Dark(group.file.clone(), cell, dark, rows));
         }
     }
     Ok(())
@@ -176,8 +165,7 @@ fn little_motion(group: &Group, reports: &[Pose]) -> Result<(), Implausible> {
     if metres >= LITTLE_M || radians >= LITTLE_RAD {
         return Ok(());
     }
-    let (found_mm, found_deg) = (metres * 1e3, radians.to_degrees());
-    Err(Implausible::LittleMotion { file: group.file.clone(), found_mm, found_deg })
+    Err(Implausible::LittleMotion(group.file.clone(), metres * 1e3, radians.to_degrees()))
 }
 
 /// Some reading of the reported poses, by row.
@@ -331,7 +319,7 @@ impl<'a> Spots<'a> {
         }
         let half_m = scene.cells.iter().zip(&self.sigmas).map(|(cell, sigma)| 0.5 * cell.detector.length_m * sigma);
         let expected_mm = median(half_m.collect()) * 1e3;
-        Err(Implausible::OtherScene { file: file.to_owned(), found_mm: as_given * expected_mm, expected_mm })
+        Err(Implausible::OtherScene(file.to_owned(), as_given * expected_mm, expected_mm))
     }
 }
 
@@ -363,11 +351,11 @@ fn best_reading(file: &str, reports: &[Pose], miss: &dyn Fn(Reports<'_>) -> f64)
     let name = || file.to_owned();
     for (scale, unit) in UNITS {
         let longer = |row: usize| Some(Pose { translation_m: reports[row].translation_m * scale, ..reports[row] });
-        try_reading(&longer, &|better| Implausible::Lengths { file: name(), unit, better });
+        try_reading(&longer, &|better| Implausible::Lengths(name(), unit, better));
     }
     let mut try_rotations = |form: &str, rotation: &dyn Fn(DVec3) -> DQuat| {
         let turned = |row: usize| Some(Pose { rotation: rotation(reports[row].rotation_rad()), ..reports[row] });
-        try_reading(&turned, &|better| Implausible::Rotations { file: name(), form: form.to_owned(), better });
+        try_reading(&turned, &|better| Implausible::Rotations(name(), form.to_owned(), better));
     };
     try_rotations("degrees", &|r| rotation_exp(r.map(f64::to_radians)));
     let half = "vector parts of quaternions, sin(angle/2), or Gibbs vectors, tan(angle/2), times the axis";
@@ -381,23 +369,18 @@ fn best_reading(file: &str, reports: &[Pose], miss: &dyn Fn(Reports<'_>) -> f64)
             order.into_iter().map(about).product()
         });
     }
-    try_reading(&|row| Some(inverse(&reports[row])), &|_| Implausible::Inverted { file: name() });
+    try_reading(&|row| Some(inverse(&reports[row])), &|_| Implausible::Inverted(name()));
     for [t, r] in Axes::others() {
         let read = |row: usize| {
             let pose = reports[row];
             Some(Pose::from_vectors(t.turned(pose.translation_m), r.turned(pose.rotation_rad())))
         };
-        try_reading(&read, &|better| Implausible::Axes {
-            file: name(),
-            translation: t.named([0, 1, 2]),
-            rotation: r.named([3, 4, 5]),
-            better,
-        });
+        try_reading(&read, &|better| Implausible::Axes(name(), t.named([0, 1, 2]), r.named([3, 4, 5]), better));
     }
     let leaves_enough = |shift: &i64| *shift != 0 && reports.len() as u64 >= LEAST as u64 + shift.unsigned_abs();
     for shift in (-FARTHEST..=FARTHEST).filter(leaves_enough) {
         let of_row = |row: usize| reports.get(usize::try_from(row as i64 + shift).ok()?).copied();
-        try_reading(&of_row, &|_| Implausible::Shifted { file: name(), rows: shift });
+        try_reading(&of_row, &|_| Implausible::Shifted(name(), shift));
     }
     (as_given, best.1)
 }
@@ -456,11 +439,11 @@ fn columns(spots: &Spots<'_>, group: &Group) -> Result<(), Implausible> {
     for cell in 0..cells {
         let own = miss(cell, cell);
         if spots.miss_of(cell, cell, -1.0) * BETTER < own {
-            return Err(Implausible::Electrodes { file: group.file.clone(), cell });
+            return Err(Implausible::Electrodes(group.file.clone(), cell));
         }
         for like in (0..cells).filter(|&like| like != cell) {
             if miss(cell, like) * BETTER < own && miss(like, cell) * BETTER < miss(like, like) {
-                return Err(Implausible::Cells { file: group.file.clone(), cell, like });
+                return Err(Implausible::Cells(group.file.clone(), cell, like));
             }
         }
     }

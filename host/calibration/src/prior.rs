@@ -4,7 +4,7 @@ use heapless::Vec as FixedVec;
 use slitpose_head::scene_file::{SceneFile, Tolerance};
 use slitpose_model::{Cell, CompiledScene, MAX_CELLS, Opening, Pose, Profile, Scene, SceneError, Tier};
 
-use crate::parameter::{NONLINEARITY_ORDERS, Quantity, cell_with};
+use crate::parameter::{Quantity, cell_with};
 
 /// Thickness of the mask of a scene that does not give it, and its standard deviation, metres: foil that holds a slit.
 const MASK_M: [f64; 2] = [0.15e-3, 0.03e-3];
@@ -38,9 +38,6 @@ const FULL_SCALE_A: f64 = 10e-6;
 const CODES: f64 = 4096.0;
 
 /// Every parameter that the tolerances of `file` leave open, at its most probable value.
-///
-/// # Errors
-/// Those of [`CompiledScene::compile`].
 pub(crate) fn parameters(file: &SceneFile) -> Result<Parameters, SceneError> {
     let tolerance = file.tolerance.unwrap_or_default();
     let plan = CompiledScene::<f64>::compile(&file.scene, Tier::Exact { tolerance: 1e-6 })?;
@@ -103,7 +100,6 @@ fn of_cell(tolerance: &Tolerance, cell: &Cell, quantity: Quantity, stray_a: f64,
         Quantity::WindowThickness => around_zero(tolerance.window_m),
         Quantity::Nonlinearity(k) => {
             // Even and smooth: what a data sheet states as a whole is spread over the low orders.
-            debug_assert!(usize::from(k) <= NONLINEARITY_ORDERS);
             around_zero(tolerance.nonlinearity_m * 4.0 / (3.0 + f64::from(k)))
         }
         // What the scene gives may be wrong either way.
@@ -156,7 +152,6 @@ impl Parameter {
     }
 }
 
-/// All parameters of a head.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Parameters {
     pub(crate) entries: Vec<Parameter>,
@@ -204,9 +199,6 @@ impl Parameters {
 
 /// A head whose parts deviate from the scene of `file` by chance, as its tolerances say: its optics, and every parameter
 /// as it is, with a standard deviation of zero. `normal` gives standard normal numbers.
-///
-/// # Errors
-/// Those of [`slitpose_model::CompiledScene::compile`].
 pub fn draw(file: &SceneFile, mut normal: impl FnMut() -> f64) -> Result<(Scene, Vec<Parameter>), SceneError> {
     let mut parameters = parameters(file)?;
     for entry in &mut parameters.entries {

@@ -160,9 +160,6 @@ pub struct Validity {
 }
 
 /// Solves `rows` with the calibrated `scene`, whose `noise` is that of one frame, and compares each cell with the others.
-///
-/// # Errors
-/// A scene that cannot be computed.
 pub fn validity(scene: &Scene, noise: Option<Noise>, rows: &[Row]) -> Result<Validity, SceneError> {
     let count = scene.cells.len();
     let every = rows.len().div_ceil(MAX_ROWS).max(1);

@@ -160,9 +160,7 @@ pub(crate) const TIER: Tier = Tier::Exact { tolerance: 1e-6 };
 /// their size, so that curvature is below 1e-4 of the slope.
 const STEP: f64 = 0.01;
 
-/// A cell at every row's pose.
 pub(crate) struct CellSensitivity {
-    /// Which parameters act on it.
     pub(crate) acting: Vec<usize>,
     /// Currents above dark; `None`: no direct light reaches the detector.
     pub(crate) pairs: Vec<Option<[f64; 2]>>,

@@ -39,25 +39,16 @@ pub enum ProfileError {
     /// Nothing at all.
     #[error("no row has it lit and its emitter facing the slit; add such poses")]
     NoPoints,
-    /// Nothing near the axis, where a profile has to begin.
+    /// Nothing within half a step of the axis, where a profile has to begin, and the smallest angle there is: degrees.
     #[error(
-        "no current was taken within {limit_deg}° of the emitter's axis, the nearest at {nearest_deg:.1}°; \
-         add such a pose, or use larger steps"
+        "no current was taken within {0}° of the emitter's axis, the nearest at {1:.1}°; add such a pose, or use larger steps"
     )]
-    NothingOnAxis {
-        /// Half a step.
-        limit_deg: f64,
-        /// The smallest angle there is.
-        nearest_deg: f64,
-    },
-    /// All points in one step.
+    NothingOnAxis(f64, f64),
+    /// All points in one step, degrees.
     #[error(
-        "all currents were taken within {step_deg}° of the emitter's axis; add poses at larger angles, or use smaller steps"
+        "all currents were taken within {0}° of the emitter's axis; add poses at larger angles, or use smaller steps"
     )]
-    OnlyOnAxis {
-        /// The step.
-        step_deg: f64,
-    },
+    OnlyOnAxis(f64),
 }
 
 /// A profile table (degrees, relative intensity) from scattered points: the means of all points
@@ -76,10 +67,10 @@ pub fn profile_table(points: &[Identified], step_deg: f64) -> Result<Vec<[f64; 2
     }
     if !bins.contains_key(&0) {
         let nearest_deg = points.iter().map(|point| point.gamma_rad.to_degrees()).fold(f64::INFINITY, f64::min);
-        return Err(ProfileError::NothingOnAxis { limit_deg: 0.5 * step_deg, nearest_deg });
+        return Err(ProfileError::NothingOnAxis(0.5 * step_deg, nearest_deg));
     }
     if bins.len() < 2 {
-        return Err(ProfileError::OnlyOnAxis { step_deg });
+        return Err(ProfileError::OnlyOnAxis(step_deg));
     }
     let mean = |points: &[[f64; 2]], column: usize| {
         points.iter().map(|point| point[column]).sum::<f64>() / points.len() as f64

@@ -24,7 +24,6 @@ fn main() {
     println!("bytes {:016x}, {poses} filtered poses {:016x}", fnv1a_64(&bytes), fnv1a_64(text.as_bytes()));
 }
 
-/// What a simulated board sends.
 fn sent(file: &SceneFile) -> Vec<u8> {
     let configuration = front_end::configuration(file).expect("a board runs the scene");
     let scans = configuration.schedule.frame_rate_hz() * DURATION_S;

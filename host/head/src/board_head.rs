@@ -20,9 +20,6 @@ pub enum BoardHeadError {
 }
 
 /// The bytes of [`compile`]'s head, as they are sent to the board.
-///
-/// # Errors
-/// If a cell has what the board does not compute.
 pub fn encode(
     file: &SceneFile,
     schedule: &Schedule,
@@ -33,9 +30,6 @@ pub fn encode(
 }
 
 /// The head of `file` for a board that runs `schedule` with `scaling`, `hashes` those of what it is compiled from.
-///
-/// # Errors
-/// If a cell has what the board does not compute.
 pub fn compile(
     file: &SceneFile,
     schedule: &Schedule,

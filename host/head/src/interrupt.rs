@@ -45,7 +45,6 @@ pub fn flag() -> io::Result<Arc<AtomicBool>> {
     Ok(Arc::clone(STOP.get_or_init(|| stop)))
 }
 
-/// Whether the user has interrupted.
 pub(crate) fn is_asked() -> bool {
     STOP.get().is_some_and(|stop| stop.load(Ordering::Relaxed))
 }

@@ -12,42 +12,6 @@
 //! * [`interrupt`] handles Ctrl-C, [`threads`] panics of other threads, and work on all cores.
 //!
 //! Internally all units are SI. Millimetres and degrees appear in scene files, with the unit in the name.
-//!
-//! # Example
-//! The currents measured by a simulated board with a shipped head, tool at home:
-//! ```
-//! use slitpose_head::{front_end::Stage, scene_file::WIDE};
-//! use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
-//! use slitpose_model::{Reading, Tier};
-//! use slitpose_protocol::{Command, Decoder, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, Request, encode};
-//!
-//! let head = WIDE.read()?;
-//! let still = Trajectory::of_kind(TrajectoryKind::Still, 1, f64::INFINITY);
-//! let mut board = SimulatedBoard::new(&head, still, Tier::Exact { tolerance: 1e-6 }, 1)?;
-//! board.write(encode(&Request { number: 1, command: Command::Start }, &mut [0; MAX_REQUEST_BYTES])?);
-//! let mut bytes = Vec::new();
-//! (0..40).for_each(|_| board.step(&mut bytes)); // 10 ms at 4 kHz
-//!
-//! let (mut decoder, mut bytes) = (Decoder::<MAX_MESSAGE_BYTES>::new(), &bytes[..]);
-//! let (mut stage, mut scans) = (None, 0);
-//! while let Some(message) = decoder.next::<Message>(&mut bytes) {
-//!     match (message?, &stage) {
-//!         (Message::Hello(hello), _) => {
-//!             stage = Some((Stage::new(&head, &hello.schedule, &hello.scaling), hello.schedule));
-//!         }
-//!         (Message::Batch(batch), Some((stage, schedule))) => {
-//!             for scan in batch.scans(schedule)? {
-//!                 let Reading::Light(pair) = stage.photocurrents(&scan).cells[0] else { panic!("cell 0 is dark") };
-//!                 assert!((pair.total_a() - 6.816e-6).abs() < 0.02e-6);
-//!                 scans += 1;
-//!             }
-//!         }
-//!         _ => {}
-//!     }
-//! }
-//! assert_eq!(scans, 40);
-//! # Ok::<(), Box<dyn std::error::Error>>(())
-//! ```
 
 #![forbid(unsafe_code)]
 

@@ -11,9 +11,6 @@ use tempfile::NamedTempFile;
 const MODE: u32 = 0o666;
 
 /// Creates a file beside `path`, to be persisted there; with the permissions of a file that it will replace.
-///
-/// # Errors
-/// Those of the system.
 pub fn part_of(path: &Path) -> io::Result<NamedTempFile> {
     let permissions = fs::metadata(path).map_or_else(|_| Permissions::from_mode(MODE), |found| found.permissions());
     tempfile::Builder::new().prefix(".slitpose-").suffix(".part").permissions(permissions).tempfile_in(folder_of(path))

@@ -17,11 +17,8 @@ pub enum TextFileError {
     #[error(transparent)]
     System(#[from] io::Error),
     /// Another kind of file, which may have no end, or never a beginning.
-    #[error("it is a {kind}; copy the text to a regular file")]
-    Kind {
-        /// Its kind.
-        kind: &'static str,
-    },
+    #[error("it is a {0}; copy the text to a regular file")]
+    Kind(&'static str),
     /// Too long a text.
     #[error("it has more than the {MAX_TEXT_BYTES} bytes of the longest text that is read")]
     TooLong,
@@ -31,9 +28,6 @@ pub enum TextFileError {
 }
 
 /// Reads a regular file of at most [`MAX_TEXT_BYTES`].
-///
-/// # Errors
-/// [`TextFileError`].
 pub fn read(path: &Path) -> Result<Vec<u8>, TextFileError> {
     let mut bytes = Vec::new();
     let file = open_kind(path, false)?;
@@ -42,9 +36,6 @@ pub fn read(path: &Path) -> Result<Vec<u8>, TextFileError> {
 }
 
 /// Opens a regular file, or a pipe such as a shell's `<(…)`, to be read as a stream.
-///
-/// # Errors
-/// [`TextFileError`].
 pub fn open(path: &Path) -> Result<File, TextFileError> {
     open_kind(path, true)
 }
@@ -59,7 +50,7 @@ fn open_kind(path: &Path, pipes: bool) -> Result<File, TextFileError> {
         () if kind.is_socket() => "socket",
         () => "device",
     };
-    Err(TextFileError::Kind { kind })
+    Err(TextFileError::Kind(kind))
 }
 
 #[cfg(test)]
@@ -97,7 +88,7 @@ mod tests {
         assert_eq!(io::read_to_string(open(&path("pipe")).unwrap()).unwrap(), "a,b");
         writer.join().unwrap().unwrap();
         for path in ["/dev/zero".into(), path("socket"), folder.path().to_owned()] {
-            assert!(matches!(open(&path), Err(TextFileError::Kind { .. })), "{}", path.display());
+            assert!(matches!(open(&path), Err(TextFileError::Kind(_))), "{}", path.display());
         }
     }
 }

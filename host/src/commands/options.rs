@@ -63,10 +63,9 @@ impl Jobs {
         self,
         name: &'static str,
         reader: &mut TableReader,
-        table: TableWriter,
+        mut table: TableWriter,
         work: impl Fn(&Rows, &mut TableRows) -> Result<Vec<TableError>, CommandError> + Sync,
     ) -> Result<Outcome, CommandError> {
-        let mut table = table.into_chunks();
         let length = reader.length().filter(|_| !table.is_terminal());
         let mut progress = length.map(|length| Progress::new(name, length, Amount::Bytes));
         let start = table.starting();

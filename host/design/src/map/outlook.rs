@@ -84,9 +84,6 @@ impl View {
 
 impl Outlook {
     /// Of `head`, with the noise of its front end and schedule, else with that of its scene.
-    ///
-    /// # Errors
-    /// A scene that cannot be computed.
     pub fn of(head: Head) -> Result<Self, SceneError> {
         let (scene, frame) = frame_scene(&head.file);
         let noise = match (&frame, &scene.noise) {

@@ -13,7 +13,6 @@ use thiserror::Error;
 mod quantity;
 mod score;
 mod search;
-mod text;
 
 pub use quantity::{Free, Quantity};
 pub use score::{Demand, Goal, Judge, Score};

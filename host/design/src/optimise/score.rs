@@ -1,6 +1,7 @@
 //! How good a candidate is.
 
 use glam::{DVec2, DVec3};
+use slitpose_calibration::{pose_of, values_of};
 use slitpose_head::front_end::configuration;
 use slitpose_head::scene_file::{SceneFile, Workspace};
 use slitpose_model::{Cell, CompiledScene, Opening, Pose, SceneError, Status, Tier};
@@ -72,7 +73,6 @@ pub struct Score {
 }
 
 impl Score {
-    /// What a search makes least.
     pub(super) fn cost(&self) -> f64 {
         let kept = if self.excesses.is_empty() { 0.0 } else { NOT_KEPT + PENALTY * self.excesses.violation() };
         kept + if self.sigma_m.is_finite() { self.sigma_m.ln() } else { 0.0 }
@@ -103,9 +103,6 @@ impl Judge {
     }
 
     /// What `file` is worth, at all poses.
-    ///
-    /// # Errors
-    /// A scene that cannot be computed.
     pub fn score(&self, file: &SceneFile) -> Result<Score, SceneError> {
         let mut score = self.score_at(file, &self.poses, &self.learnt, CLIMBS[1], [1.0, 0.0])?;
         if score.excesses.is_empty()
@@ -130,9 +127,6 @@ impl Judge {
     }
 
     /// Lets further estimates see what is wrong with `file` at poses they would not have looked at.
-    ///
-    /// # Errors
-    /// A scene that cannot be computed.
     pub(super) fn learn(&mut self, file: &SceneFile) -> Result<(), SceneError> {
         let outlook = Outlook::of(file.clone().into())?;
         let views: Vec<View> = self.poses.iter().map(|pose| outlook.at(pose)).collect();
@@ -166,32 +160,27 @@ impl Judge {
 
     /// Uphill within the workspace, one coordinate at a time.
     fn climb(&self, outlook: &Outlook, (mut sigma, pose): (f64, Pose)) -> (f64, Pose) {
-        let extents =
-            self.workspace.half_extent_m.to_array().into_iter().chain(self.workspace.half_extent_rad.to_array());
-        let coordinates = pose.translation_m.to_array().into_iter().chain(pose.rotation_rad().to_array());
-        let mut axes: Vec<[f64; 2]> = coordinates.zip(extents).map(|(at, extent)| [at, extent]).collect();
-        let at = |axes: &[[f64; 2]]| {
-            let of = |k: usize| DVec3::new(axes[k][0], axes[k + 1][0], axes[k + 2][0]);
-            Pose::from_vectors(of(0), of(3))
-        };
+        let Workspace { half_extent_m, half_extent_rad } = self.workspace;
+        let extents = [half_extent_m.to_array(), half_extent_rad.to_array()].concat();
+        let mut axes = values_of(&pose);
         let mut step = CLIMB_STEP;
         for _ in 0..CLIMB_ROUNDS {
             let before = sigma;
             for (k, sign) in (0..6).flat_map(|k| [(k, 1.0), (k, -1.0)]) {
-                let [from, extent] = axes[k];
-                axes[k][0] = (from + sign * step * extent).clamp(-extent, extent);
-                let found = sigma_m(&outlook.at(&at(&axes)), &self.goal).unwrap_or(f64::INFINITY);
+                let (from, extent) = (axes[k], extents[k]);
+                axes[k] = (from + sign * step * extent).clamp(-extent, extent);
+                let found = sigma_m(&outlook.at(&pose_of(&axes)), &self.goal).unwrap_or(f64::INFINITY);
                 if found > sigma {
                     sigma = found;
                 } else {
-                    axes[k][0] = from;
+                    axes[k] = from;
                 }
             }
             if sigma == before {
                 step *= 0.5;
             }
         }
-        (sigma, at(&axes))
+        (sigma, pose_of(&axes))
     }
 
     /// Full scale over the largest current of the share of views that are to be within it.

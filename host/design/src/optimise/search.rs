@@ -10,7 +10,7 @@ use rand_chacha::ChaCha8Rng;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::threads::{lock, on_all_cores};
 
-use super::text::{current, with_values};
+use super::quantity::{current, with_values};
 use super::{Free, Goal, Judge, Limits, OptimiseError, Quantity, Score};
 
 /// Candidates that are spread over the bounds, for each free quantity.
@@ -83,7 +83,6 @@ struct Work<'a> {
     best: Mutex<Best>,
 }
 
-/// The best candidate so far.
 struct Best {
     cost: f64,
     sigma_m: f64,
@@ -197,7 +196,7 @@ impl Search {
             let [from, to] = free.bounds;
             Some((quantity, quantity.rounded(from + share.clamp(0.0, 1.0) * (to - from))))
         };
-        Quantity::ALL.into_iter().filter_map(of).collect()
+        Quantity::all().filter_map(of).collect()
     }
 }
 

@@ -2,7 +2,7 @@ use std::sync::atomic::AtomicBool;
 
 use slitpose_head::scene_file::{FINE, MAGLEV, REDUNDANT, SPACEMOUSE, SceneFile, WIDE};
 
-use super::text::{current, with_values};
+use super::quantity::{current, with_values};
 use super::*;
 use crate::map::{Fineness, Map, View};
 use crate::survey::Survey;
@@ -81,7 +81,7 @@ fn quantities_are_where_the_drawing_has_them() {
     ] {
         assert!((current(&file, quantity) - of_wide).abs() < 1e-9, "{quantity}");
         let changed = set(&file, &[(quantity, other)]);
-        for like in Quantity::ALL {
+        for like in Quantity::all() {
             let expected = if like == quantity { other } else { current(&file, like) };
             assert!((current(&changed, like) - expected).abs() < 1e-6, "{quantity}: {like}");
         }

@@ -4,7 +4,6 @@
 //! axis. The paper publishes its measurements as figures, without numbers; nothing here is
 //! measured, and where a current stands in for a measured one it is called simulated.
 
-mod account;
 mod figures;
 
 use glam::DVec3;
@@ -13,8 +12,7 @@ use slitpose_model::{CompiledScene, Pose, Profile, Response, SceneError, Tier};
 use crate::identification::{Identified, identify};
 use slitpose_head::scene_file::SceneFile;
 
-pub use account::account;
-pub use figures::figures;
+pub use figures::{account, figures};
 
 /// Relative error of the exact tier's integrals: far below anything a figure shows.
 const TOLERANCE: f64 = 1e-10;

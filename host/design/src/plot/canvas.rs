@@ -13,10 +13,8 @@ const FONT: &str = "Helvetica, Arial, 'Liberation Sans', 'DejaVu Sans', sans-ser
 const SUBSCRIPT_SIZE: f64 = 0.72;
 const SUBSCRIPT_DROP: f64 = 0.22;
 
-/// How a line is drawn.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Stroke {
-    /// Colour.
     pub colour: Colour,
     /// Width in pixels.
     pub width: f64,
@@ -45,23 +43,18 @@ pub enum Anchor {
     End,
 }
 
-/// How a label is set.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct TextStyle {
     /// Letter size in pixels.
     pub size: f64,
-    /// Colour.
     pub colour: Colour,
-    /// Alignment.
     pub anchor: Anchor,
-    /// Bold letters.
     pub bold: bool,
     /// Written upwards instead of to the right.
     pub upwards: bool,
 }
 
 impl TextStyle {
-    /// Ordinary text of a size.
     pub(crate) const fn new(size: f64) -> Self {
         Self { size, colour: INK, anchor: Anchor::Start, bold: false, upwards: false }
     }
@@ -70,7 +63,6 @@ impl TextStyle {
         Self { anchor, ..self }
     }
 
-    /// The same in another colour.
     pub(crate) const fn coloured(self, colour: Colour) -> Self {
         Self { colour, ..self }
     }
@@ -89,13 +81,15 @@ impl Canvas {
     /// An empty white sheet; `title` is for screen readers.
     pub fn new(width: f64, height: f64, title: &str) -> Self {
         let mut canvas = Self { writer: Writer::new(Vec::new()) };
-        let mut svg = BytesStart::new("svg");
-        svg.push_attribute(("xmlns", "http://www.w3.org/2000/svg"));
-        svg.push_attribute(("width", number(width).as_str()));
-        svg.push_attribute(("height", number(height).as_str()));
-        svg.push_attribute(("viewBox", format!("0 0 {} {}", number(width), number(height)).as_str()));
-        svg.push_attribute(("font-family", FONT));
-        canvas.event(Event::Start(svg));
+        let [w, h] = [width, height].map(number);
+        let attributes: [(&str, &str); 5] = [
+            ("xmlns", "http://www.w3.org/2000/svg"),
+            ("width", &w),
+            ("height", &h),
+            ("viewBox", &format!("0 0 {w} {h}")),
+            ("font-family", FONT),
+        ];
+        canvas.event(Event::Start(BytesStart::new("svg").with_attributes(attributes)));
         canvas.event(Event::Start(BytesStart::new("title")));
         canvas.event(Event::Text(BytesText::new(&printable(title))));
         canvas.event(Event::End(BytesEnd::new("title")));
@@ -117,9 +111,7 @@ impl Canvas {
     }
 
     pub(crate) fn path(&mut self, points: &[DVec2], stroke: Stroke) {
-        let mut attributes = vec![("points", joined(points)), ("fill", "none".to_owned())];
-        attributes.extend(stroke_attributes(stroke));
-        self.element("polyline", &attributes);
+        self.stroked("polyline", &[("points", joined(points)), ("fill", "none".to_owned())], stroke);
     }
 
     /// A filled area; `opacity` from 0 to 1.
@@ -128,18 +120,13 @@ impl Canvas {
         self.element("polygon", &attributes);
     }
 
-    /// The outline of an area.
     pub(crate) fn outline(&mut self, corners: &[DVec2], stroke: Stroke) {
-        let mut attributes = vec![("points", joined(corners)), ("fill", "none".to_owned())];
-        attributes.extend(stroke_attributes(stroke));
-        self.element("polygon", &attributes);
+        self.stroked("polygon", &[("points", joined(corners)), ("fill", "none".to_owned())], stroke);
     }
 
     pub(crate) fn disc(&mut self, centre: DVec2, radius: f64, fill: Colour, rim: Stroke) {
-        let mut attributes =
-            vec![("cx", number(centre.x)), ("cy", number(centre.y)), ("r", number(radius)), ("fill", fill.to_owned())];
-        attributes.extend(stroke_attributes(rim));
-        self.element("circle", &attributes);
+        let [x, y, r] = [centre.x, centre.y, radius].map(number);
+        self.stroked("circle", &[("cx", x), ("cy", y), ("r", r), ("fill", fill.to_owned())], rim);
     }
 
     /// A line with an arrow head at `to`; without the head where the line is shorter than that.
@@ -214,6 +201,17 @@ impl Canvas {
         svg
     }
 
+    fn stroked(&mut self, name: &str, attributes: &[(&'static str, String)], stroke: Stroke) {
+        let mut attributes = attributes.to_vec();
+        attributes.push(("stroke", stroke.colour.to_owned()));
+        attributes.push(("stroke-width", number(stroke.width)));
+        attributes.push(("stroke-linejoin", "round".to_owned()));
+        if let Some([dash, gap]) = stroke.dash {
+            attributes.push(("stroke-dasharray", format!("{} {}", number(dash), number(gap))));
+        }
+        self.element(name, &attributes);
+    }
+
     fn element(&mut self, name: &str, attributes: &[(&str, String)]) {
         let attributes = attributes.iter().map(|(key, value)| (*key, value.as_str()));
         self.event(Event::Empty(BytesStart::new(name).with_attributes(attributes)));
@@ -236,18 +234,6 @@ fn printable(text: &str) -> String {
     text.chars().filter(|letter| !letter.is_control() && !matches!(letter, '\u{fffe}' | '\u{ffff}')).collect()
 }
 
-fn stroke_attributes(stroke: Stroke) -> Vec<(&'static str, String)> {
-    let mut attributes = vec![
-        ("stroke", stroke.colour.to_owned()),
-        ("stroke-width", number(stroke.width)),
-        ("stroke-linejoin", "round".to_owned()),
-    ];
-    if let Some([dash, gap]) = stroke.dash {
-        attributes.push(("stroke-dasharray", format!("{} {}", number(dash), number(gap))));
-    }
-    attributes
-}
-
 fn joined(points: &[DVec2]) -> String {
     let points: Vec<_> = points.iter().map(|point| format!("{},{}", number(point.x), number(point.y))).collect();
     points.join(" ")
@@ -266,7 +252,6 @@ pub(super) struct Run {
     pub(super) subscript: bool,
 }
 
-/// Splits a label into runs.
 pub(super) fn runs(label: &str) -> Vec<Run> {
     let mut runs = Vec::new();
     for (index, part) in label.split('$').enumerate() {

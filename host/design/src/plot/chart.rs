@@ -164,6 +164,12 @@ pub struct Chart {
 }
 
 impl Chart {
+    /// `curves` over axes that `x` and `y` make of all their coordinates.
+    pub fn over(curves: Vec<Curve>, x: impl FnOnce(Vec<f64>) -> Axis, y: impl FnOnce(Vec<f64>) -> Axis) -> Self {
+        let along = |axis: usize| curves.iter().flat_map(|curve| &curve.points).map(|at| at[axis]).collect();
+        Self { x: x(along(0)), y: y(along(1)), curves, notes: Vec::new() }
+    }
+
     /// Draws the chart with its plotting area in the rectangle from `top_left` to `bottom_right`.
     /// Tick numbers and axis names stand to the left of and below it, the legend above it.
     pub fn draw(&self, canvas: &mut Canvas, top_left: DVec2, bottom_right: DVec2) {

@@ -4,7 +4,7 @@ use glam::{DVec2, DVec3, dvec2};
 use slitpose_model::{Cell, CompiledScene, Opening, Pose, Response};
 
 use super::canvas::{Anchor, Canvas, Stroke, TextStyle};
-use super::scene::pose_text;
+use super::scene::{condition, pose_text};
 use super::shape::MaskFrame;
 use super::style::{ALERT, INK, MASK, PALE, SOFT_INK, cell_colour};
 use super::style::{PlotError, quantity, require_drawable};
@@ -55,9 +55,7 @@ struct SideView<'a> {
     top_mm: f64,
     emitter: DVec2,
     axis: DVec2,
-    /// The two edges of the slit.
     slit: [DVec2; 2],
-    /// Ends of the spot along x.
     spot: Option<[f64; 2]>,
 }
 
@@ -251,9 +249,8 @@ impl<'a> SideView<'a> {
 
     fn draw_readout(&self, canvas: &mut Canvas, height: f64) {
         let response = &self.response;
-        let flags = response.flags.to_string().replace(';', ", ").replace('_', " ");
-        let mut parts =
-            vec![if flags.is_empty() { response.status.to_string() } else { format!("{}, {flags}", response.status) }];
+        let (condition, has_flags) = condition(response);
+        let mut parts = vec![condition];
         if let Some(gamma) = response.gamma_rad {
             parts.push(format!("$γ$ = {}°", quantity(gamma.to_degrees())));
         }
@@ -261,7 +258,7 @@ impl<'a> SideView<'a> {
         parts.push(format!("$I_O$ = {} µA", quantity(1e6 * response.i_o_a)));
         parts.push(format!("$I_{{X1}}$ = {} µA", quantity(1e6 * response.currents.i_x1_a)));
         parts.push(format!("$I_{{X2}}$ = {} µA", quantity(1e6 * response.currents.i_x2_a)));
-        let colour = if response.status.has_spot() && flags.is_empty() { INK } else { ALERT };
+        let colour = if response.status.has_spot() && !has_flags { INK } else { ALERT };
         canvas.text(dvec2(28.0, height - 14.0), &parts.join("   ·   "), TextStyle::new(14.0).coloured(colour));
     }
 }

@@ -27,37 +27,30 @@ pub(crate) struct Heat {
     pub values: Vec<f64>,
 }
 
-/// Edges of the bands: least, and between; what is above the last is in the last.
-struct Bands {
-    edges: Vec<f64>,
-}
-
 /// Share of the values that the bands divide; what is beyond shares the last.
 const SHOWN: f64 = 0.98;
 
 /// Ratio of greatest to least value from which bands have equal ratios instead of equal widths.
 const WIDE: f64 = 3.0;
 
-impl Bands {
-    fn of(heats: &[Heat]) -> Option<Self> {
-        let mut values: Vec<f64> =
-            heats.iter().flat_map(|heat| heat.values.iter().copied()).filter(|value| value.is_finite()).collect();
-        values.sort_by(f64::total_cmp);
-        let (least, most) = (*values.first()?, values[((values.len() - 1) as f64 * SHOWN) as usize]);
-        let share = |k: usize| k as f64 / BANDS.len() as f64;
-        let edge = |k: usize| {
-            if least > 0.0 && most > WIDE * least {
-                least * (most / least).powf(share(k))
-            } else {
-                least + (most - least) * share(k)
-            }
-        };
-        Some(Self { edges: (0..BANDS.len()).map(edge).collect() })
-    }
+/// Edges of the bands: least, and between; what is above the last is in the last. `None`: there are no values.
+fn edges(heats: &[Heat]) -> Option<[f64; BANDS.len()]> {
+    let mut values: Vec<f64> =
+        heats.iter().flat_map(|heat| heat.values.iter().copied()).filter(|value| value.is_finite()).collect();
+    values.sort_by(f64::total_cmp);
+    let (least, most) = (*values.first()?, values[((values.len() - 1) as f64 * SHOWN) as usize]);
+    let share = |k: usize| k as f64 / BANDS.len() as f64;
+    Some(std::array::from_fn(|k| {
+        if least > 0.0 && most > WIDE * least {
+            least * (most / least).powf(share(k))
+        } else {
+            least + (most - least) * share(k)
+        }
+    }))
+}
 
-    fn number(&self, value: f64) -> usize {
-        self.edges[1..].iter().take_while(|edge| value >= **edge).count()
-    }
+fn band(edges: &[f64; BANDS.len()], value: f64) -> usize {
+    edges[1..].iter().take_while(|edge| value >= **edge).count()
 }
 
 /// All `heats` with one scale, `columns` beside each other.
@@ -67,12 +60,12 @@ pub(crate) fn heat_picture(title: &str, note: &str, unit: &str, columns: usize, 
     let width = LEFT + columns as f64 * pitch.x - GAP.x + 30.0;
     let bottom = TOP + rows as f64 * pitch.y;
     let mut canvas = Canvas::titled(width, bottom + LEGEND, title, note);
-    let bands = Bands::of(heats);
+    let edges = edges(heats);
     for (index, heat) in heats.iter().enumerate() {
         let corner = dvec2(LEFT, TOP) + pitch * dvec2((index % columns) as f64, (index / columns) as f64);
-        draw(&mut canvas, corner, heat, bands.as_ref());
+        draw(&mut canvas, corner, heat, edges.as_ref());
     }
-    let Some(bands) = bands else { return canvas.into_svg() };
+    let Some(edges) = edges else { return canvas.into_svg() };
     let step = (width - LEFT - 30.0) / (BANDS.len() + 1) as f64;
     let swatch = |canvas: &mut Canvas, index: usize, colour: Colour, label: &str| {
         let at = dvec2(LEFT + index as f64 * step, bottom - 4.0);
@@ -82,8 +75,8 @@ pub(crate) fn heat_picture(title: &str, note: &str, unit: &str, columns: usize, 
         canvas.text(at + dvec2(0.0, 30.0), label, TextStyle::new(12.0));
         corners
     };
-    for (index, (colour, edge)) in BANDS.into_iter().zip(&bands.edges).enumerate() {
-        swatch(&mut canvas, index, colour, &format!("from {}", three_digits(*edge)));
+    for (index, (colour, edge)) in BANDS.into_iter().zip(edges).enumerate() {
+        swatch(&mut canvas, index, colour, &format!("from {}", three_digits(edge)));
     }
     let [corner, .., below] = swatch(&mut canvas, BANDS.len(), WHITE, "no pose");
     canvas.line(below, corner + dvec2(26.0, 0.0), Stroke::new(ALERT, 1.4));
@@ -91,9 +84,9 @@ pub(crate) fn heat_picture(title: &str, note: &str, unit: &str, columns: usize, 
     canvas.into_svg()
 }
 
-fn draw(canvas: &mut Canvas, corner: DVec2, heat: &Heat, bands: Option<&Bands>) {
+fn draw(canvas: &mut Canvas, corner: DVec2, heat: &Heat, edges: Option<&[f64; BANDS.len()]>) {
     let pixel = SIZE / heat.side as f64;
-    let band = |value: f64| bands.filter(|_| value.is_finite()).map(|bands| bands.number(value));
+    let band = |value: f64| edges.filter(|_| value.is_finite()).map(|edges| band(edges, value));
     for (row, values) in heat.values.chunks(heat.side).enumerate() {
         let top = corner.y + SIZE - (row + 1) as f64 * pixel;
         let mut from = 0;
@@ -149,11 +142,9 @@ mod tests {
     #[test]
     fn bands_part_the_values_and_what_has_none_is_crossed_out() {
         let heats = [heat(&[1.0, 1.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, f64::INFINITY])];
-        let bands = Bands::of(&heats).unwrap();
         // A ratio of 16 (the greatest value is beyond the share shown) in eight bands: √2 each.
-        assert_eq!(bands.edges.len(), BANDS.len());
-        let numbers: Vec<_> = [1.0, 1.9, 2.1, 8.1, 32.0].map(|value| bands.number(value)).into();
-        assert_eq!(numbers, [0, 1, 2, 6, 7]);
+        let edges = edges(&heats).unwrap();
+        assert_eq!([1.0, 1.9, 2.1, 8.1, 32.0].map(|value| band(&edges, value)), [0, 1, 2, 6, 7]);
         let svg = heat_picture("t", "n", "µm", 1, &heats);
         // One in the map, one in the legend.
         assert_eq!(svg.matches(ALERT).count(), 2, "{svg}");

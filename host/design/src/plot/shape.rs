@@ -55,12 +55,10 @@ impl CellShape {
         scene.cells.iter().enumerate().map(|(number, cell)| Self::of(number, cell, plan, pose)).collect()
     }
 
-    /// The middle of the detector.
     pub(super) fn centre(&self) -> DVec3 {
         self.detector.iter().sum::<DVec3>() / self.detector.len() as f64
     }
 
-    /// The middle of the opening.
     pub(super) fn slit_centre(&self) -> DVec3 {
         self.slit.iter().sum::<DVec3>() / self.slit.len() as f64
     }
@@ -70,7 +68,6 @@ impl CellShape {
     }
 }
 
-/// Corners of a drawn circle.
 const CIRCLE: usize = 32;
 
 /// The outline of the opening in its mask, metres.
@@ -116,7 +113,6 @@ impl View {
         dvec2(point.dot(self.right.0), point.dot(self.up.0))
     }
 
-    /// How near to the eye.
     pub(super) fn nearness(&self, point: DVec3) -> f64 {
         point.dot(self.right.0.cross(self.up.0))
     }

@@ -12,7 +12,6 @@ pub(crate) const INK: Colour = "#222222";
 pub const SOFT_INK: Colour = "#666666";
 /// Grid lines, outlines of secondary objects.
 pub(crate) const PALE: Colour = "#d4d4d4";
-/// Grid lines between numbered ones.
 pub(crate) const FAINT: Colour = "#ededed";
 pub(crate) const TOOL: Colour = "#9a9a9a";
 pub(crate) const MASK: Colour = "#3c3c3c";
@@ -54,7 +53,6 @@ pub(super) fn round_step(wanted: f64) -> f64 {
     factor.unwrap_or(10.0) * power
 }
 
-/// Ticks of a logarithmic axis.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Decades {
     /// Positions with a number, ascending.
@@ -113,20 +111,10 @@ const MAX_M: f64 = 1e6;
 /// The smallest detector that a picture can show: a nanometre.
 const MIN_M: f64 = 1e-9;
 
-/// Why a scene cannot be drawn.
+/// A cell that is too large or too small to have a picture, and the size, millimetres.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
-pub enum PlotError {
-    /// Something too large or too small to have a picture.
-    #[error(
-        "cell {cell} has a size or distance of {size_mm:e} mm; pictures can show 1e-6 to 1e9 mm, correct the scene"
-    )]
-    OutOfProportion {
-        /// The cell.
-        cell: usize,
-        /// The size, millimetres.
-        size_mm: f64,
-    },
-}
+#[error("cell {0} has a size or distance of {1:e} mm; pictures can show 1e-6 to 1e9 mm, correct the scene")]
+pub struct PlotError(usize, f64);
 
 /// Refuses values whose coordinates would not be finite.
 pub(super) fn require_drawable(number: usize, cell: &Cell) -> Result<(), PlotError> {
@@ -141,7 +129,7 @@ pub(super) fn require_drawable(number: usize, cell: &Cell) -> Result<(), PlotErr
         .find(|distance| distance.abs() > MAX_M);
     match too_large.or_else(|| sizes.into_iter().find(|size| *size < MIN_M)) {
         None => Ok(()),
-        Some(size_m) => Err(PlotError::OutOfProportion { cell: number, size_mm: size_m * 1e3 }),
+        Some(size_m) => Err(PlotError(number, size_m * 1e3)),
     }
 }
 

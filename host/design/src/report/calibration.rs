@@ -4,8 +4,8 @@ use slitpose_calibration::{Calibrated, Calibration, Residual};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_model::Pose;
 
+use super::section::Sheet;
 use super::section::{Report, Section, Table, Value, column, program, scene};
-use super::sheet::Sheet;
 use crate::plot::curve;
 use crate::plot::{Axis, Chart, CurveStyle};
 
@@ -81,14 +81,8 @@ fn fit(calibrated: &Calibrated) -> Section {
                 let points = own.iter().step_by(every).map(|residual| [x(residual), y(residual)]).collect();
                 curve(&format!("cell {cell}"), cell, CurveStyle::Markers, points)
             };
-            let curves: Vec<_> = (0..cells).map(of_cell).collect();
-            let all = |axis: usize| curves.iter().flat_map(move |curve| curve.points.iter().map(move |at| at[axis]));
-            let chart = Chart {
-                x: Axis::around(label, all(0)),
-                y: Axis::around("position / µm", all(1)),
-                curves: curves.clone(),
-                notes: Vec::new(),
-            };
+            let curves = (0..cells).map(of_cell).collect();
+            let chart = Chart::over(curves, |x| Axis::around(label, x), |y| Axis::around("position / µm", y));
             (heading.to_owned(), chart)
         };
         Sheet {
@@ -159,13 +153,8 @@ fn histogram(residuals: &[Residual]) -> super::section::Picture {
         curve("residuals", 0, CurveStyle::Line, steps.collect()),
         curve("normal distribution", 1, CurveStyle::Dashed, normal.collect()),
     ];
-    let heights: Vec<f64> = curves.iter().flat_map(|curve| curve.points.iter().map(|at| at[1])).collect();
-    let chart = Chart {
-        x: Axis::around("residual / σ", [-6.0, 6.0]),
-        y: Axis::around("density", heights).starting_at_zero(),
-        curves,
-        notes: Vec::new(),
-    };
+    let x = |_| Axis::around("residual / σ", [-6.0, 6.0]);
+    let chart = Chart::over(curves, x, |y| Axis::around("density", y).starting_at_zero());
     Sheet {
         title: "Residuals in units of their σ".to_owned(),
         note: "Noise and model error together; parameters and poses take up a part.".to_owned(),
@@ -178,12 +167,11 @@ fn observability(calibration: &Calibration) -> Section {
     let directions = calibration.directions();
     let points: Vec<[f64; 2]> =
         directions.iter().enumerate().map(|(k, direction)| [(k + 1) as f64, direction.sigma.max(1e-6)]).collect();
-    let chart = Chart {
-        x: Axis::around("direction, the weakest first", points.iter().map(|at| at[0])),
-        y: Axis::logarithmic("σ after by σ before", points.iter().map(|at| at[1])),
-        curves: vec![curve("", 0, CurveStyle::Line, points)],
-        notes: Vec::new(),
-    };
+    let chart = Chart::over(
+        vec![curve("", 0, CurveStyle::Line, points)],
+        |x| Axis::around("direction, the weakest first", x),
+        |y| Axis::logarithmic("σ after by σ before", y),
+    );
     let picture = Sheet {
         title: "What the data showed".to_owned(),
         note: "Singular values of what is left open, in units of the tolerances: 1 is as unknown as before.".to_owned(),
@@ -214,7 +202,6 @@ fn observability(calibration: &Calibration) -> Section {
     }
 }
 
-/// What is left open in poses.
 fn open(file: &SceneFile, calibration: &Calibration) -> Section {
     const STEPS: i32 = 20;
     let panel = |heading: &str, unit: f64, axes: std::ops::Range<usize>, label: &str| {
@@ -230,12 +217,9 @@ fn open(file: &SceneFile, calibration: &Calibration) -> Section {
             });
             curve(["along x", "along y", "along z"][axis], axis, CurveStyle::Line, points.collect())
         };
-        let curves: Vec<_> = (0..3).map(along).collect();
-        let all = |axis: usize| {
-            curves.iter().flat_map(move |curve| curve.points.iter().map(move |at| at[axis])).collect::<Vec<_>>()
-        };
-        let (x, y) = (Axis::around("translation / mm", all(0)), Axis::around(label, all(1)).starting_at_zero());
-        (heading.to_owned(), Chart { x, y, curves, notes: Vec::new() })
+        let x = |x| Axis::around("translation / mm", x);
+        let chart = Chart::over((0..3).map(along).collect(), x, |y| Axis::around(label, y).starting_at_zero());
+        (heading.to_owned(), chart)
     };
     let home = calibration.pose_covariance(&Pose::HOME);
     let root = |axes: std::ops::Range<usize>| axes.map(|k| home[k][k]).sum::<f64>().sqrt();
@@ -292,9 +276,7 @@ fn instruments(calibration: &Calibration) -> Option<Section> {
     (!rows.is_empty()).then(|| Section {
         name: "instruments",
         title: "Instruments",
-        summary: Vec::new(),
         paragraphs: vec!["Where an instrument's frame and marker lie, and how its clock goes, as found.".to_owned()],
-        pictures: Vec::new(),
         tables: vec![Table {
             name: "instruments",
             caption: "Frames and clocks of the instruments".to_owned(),
@@ -307,6 +289,7 @@ fn instruments(calibration: &Calibration) -> Option<Section> {
             ],
             rows,
         }],
+        ..Section::default()
     })
 }
 

@@ -4,15 +4,12 @@ use std::hint::black_box;
 
 use glam::DVec3;
 use slitpose_model::{
-    CompiledScene, MotionPrior, Noise, Photocurrents, Pose, Profile, Scene, Solution, Solver, Start, Tier, Twist,
-    Uncertainty,
+    CompiledScene, MotionPrior, Noise, Photocurrents, Pose, Profile, Scene, Solution, Solver, Start, Twist, Uncertainty,
 };
 
-use super::head::{Candidate, Head, RunTime, STREAM, exponent, is_lit, race};
-use super::noise::NoiseSource;
+use super::head::{Candidate, Head, NoiseSource, RunTime, STREAM, exponent, is_lit, race};
 use super::section::{Section, Table, Value};
-use super::sheet::{Row, ratios};
-use super::solver::{PRIOR_M, PRIOR_RAD};
+use super::solver::PRIOR;
 use super::{ReportError, Settings};
 
 pub(super) const TITLE: &str = "What is left out costs nothing";
@@ -32,10 +29,8 @@ const UNSETTLED: Uncertainty = Uncertainty {
 const SPEED_M_PER_S: f64 = 0.1;
 const SPEED_RAD_PER_S: f64 = 1.0;
 
-/// Most cells that are left out.
 const LEAST_CELLS: usize = 3;
 
-/// A scene with or without something.
 struct Variant {
     group: &'static str,
     name: String,
@@ -44,31 +39,11 @@ struct Variant {
     moving: Option<(Vec<f64>, MotionPrior)>,
 }
 
-struct Entry {
-    variant: Variant,
-    forward: RunTime,
-    solve: RunTime,
-    steps: f64,
-}
+/// A variant, times of the forward model and of solves, and mean steps of these.
+type Entry = (Variant, [RunTime; 2], f64);
 
 pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, ReportError> {
-    let exact = measure(head, settings, STREAM)?;
-    let paper = measure(head, settings, Tier::Paper)?;
-    let row = |index: usize, first: &Entry, entry: &Entry| Row {
-        label: entry.variant.name.clone(),
-        ratios: vec![entry.forward.least_s / first.forward.least_s, entry.solve.least_s / first.solve.least_s],
-        opens_group: index > 0 && std::ptr::eq(first, entry),
-    };
-    let rows: Vec<Row> =
-        exact.iter().enumerate().map(|(index, entry)| row(index, first_of_group(&exact, entry), entry)).collect();
-    let picture = ratios(
-        "economy",
-        "What effects cost when they are there",
-        "Time relative to the first of each group; exact tier at 1e-6, f64, least of interleaved rounds.",
-        "Times as ratios to those of the first of each group: the leanest, and all cells.",
-        &["forward evaluation of all cells", "warm solve"],
-        &rows,
-    );
+    let entries = measure(head, settings)?;
     Ok(Section {
         name: "economy",
         title: TITLE,
@@ -79,18 +54,14 @@ pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, R
              three cells nothing is left over to check a pose with, and images are searched for."
                 .to_owned(),
         ],
-        pictures: vec![picture],
-        tables: vec![
-            table("economy", "Exact tier at 1e-6, f64", &exact),
-            table("economy_paper", "Paper tier, f64", &paper),
-        ],
+        tables: vec![table(&entries)],
         ..Section::default()
     })
 }
 
 fn first_of_group<'a>(entries: &'a [Entry], entry: &Entry) -> &'a Entry {
     // Every group has a first.
-    entries.iter().find(|other| other.variant.group == entry.variant.group).unwrap_or(&entries[0])
+    entries.iter().find(|other| other.0.group == entry.0.group).unwrap_or(&entries[0])
 }
 
 fn variants(head: &Head<'_>) -> Vec<Variant> {
@@ -158,7 +129,6 @@ fn variants(head: &Head<'_>) -> Vec<Variant> {
     variants
 }
 
-/// The same profile as a table.
 fn tabulate(profile: &mut Profile) {
     let exponent = exponent(profile);
     let knots = (0..=90).step_by(KNOT_STEP_DEG).map(|degrees| {
@@ -169,7 +139,6 @@ fn tabulate(profile: &mut Profile) {
     *profile = Profile::Table(knots.collect());
 }
 
-/// A variant compiled, with its data.
 struct Bench {
     plan: CompiledScene<f64>,
     solver: Solver<f64>,
@@ -184,7 +153,8 @@ impl Bench {
     }
 }
 
-fn measure(head: &Head<'_>, settings: &Settings, tier: Tier) -> Result<Vec<Entry>, ReportError> {
+fn measure(head: &Head<'_>, settings: &Settings) -> Result<Vec<Entry>, ReportError> {
+    let tier = STREAM;
     let variants = variants(head);
     let plans =
         variants.iter().map(|variant| CompiledScene::compile(&variant.scene, tier)).collect::<Result<Vec<_>, _>>()?;
@@ -205,7 +175,7 @@ fn measure(head: &Head<'_>, settings: &Settings, tier: Tier) -> Result<Vec<Entry
             Photocurrents::of_pairs((0..plan.cell_count()).map(|cell| plan.photocurrents(cell, &exposed(cell))))
         };
         let readings = poses.iter().map(|pose| noise.disturb(&variant.scene, &plan, pose, &reading(pose))).collect();
-        let priors = poses.iter().map(|pose| noise.near(pose, PRIOR_M, PRIOR_RAD)).collect();
+        let priors = poses.iter().map(|pose| noise.near(pose, PRIOR)).collect();
         benches.push(Bench { solver, motion: *motion, readings, priors, plan });
     }
     let steps: Vec<f64> = benches
@@ -237,30 +207,26 @@ fn measure(head: &Head<'_>, settings: &Settings, tier: Tier) -> Result<Vec<Entry
     let run_times = race(&mut candidates, settings.rounds(), poses.len());
     drop(candidates);
     let entries = variants.into_iter().zip(run_times.chunks_exact(2)).zip(steps);
-    Ok(entries
-        .map(|((variant, run_times), steps)| Entry { variant, forward: run_times[0], solve: run_times[1], steps })
-        .collect())
+    Ok(entries.map(|((variant, times), steps)| (variant, [times[0], times[1]], steps)).collect())
 }
 
-fn table(name: &'static str, caption: &str, entries: &[Entry]) -> Table {
+fn table(entries: &[Entry]) -> Table {
     let us = |seconds: f64| Value::from(seconds * 1e6);
-    let ratio = |entry: &Entry, of: fn(&Entry) -> RunTime| {
-        Value::from(of(entry).least_s / of(first_of_group(entries, entry)).least_s)
-    };
+    let ratio = |entry: &Entry, k: usize| Value::from(entry.1[k].least_s / first_of_group(entries, entry).1[k].least_s);
     Table::of(
-        name,
-        caption,
+        "economy",
+        "Exact tier at 1e-6, f64",
         entries,
         &[
-            ("group", "group", &|entry| entry.variant.group.into()),
-            ("variant", "variant", &|entry| entry.variant.name.as_str().into()),
-            ("forward_least_us", "forward, least / µs", &|entry| us(entry.forward.least_s)),
-            ("forward_median_us", "median / µs", &|entry| us(entry.forward.median_s)),
-            ("forward_ratio", "ratio", &|entry| ratio(entry, |entry| entry.forward)),
-            ("solve_least_us", "warm solve, least / µs", &|entry| us(entry.solve.least_s)),
-            ("solve_median_us", "median / µs", &|entry| us(entry.solve.median_s)),
-            ("solve_ratio", "ratio", &|entry| ratio(entry, |entry| entry.solve)),
-            ("steps", "steps, mean", &|entry| entry.steps.into()),
+            ("group", "group", &|(variant, ..)| variant.group.into()),
+            ("variant", "variant", &|(variant, ..)| variant.name.as_str().into()),
+            ("forward_least_us", "forward, least / µs", &|(_, [forward, _], _)| us(forward.least_s)),
+            ("forward_median_us", "median / µs", &|(_, [forward, _], _)| us(forward.median_s)),
+            ("forward_ratio", "ratio", &|entry| ratio(entry, 0)),
+            ("solve_least_us", "warm solve, least / µs", &|(_, [_, solve], _)| us(solve.least_s)),
+            ("solve_median_us", "median / µs", &|(_, [_, solve], _)| us(solve.median_s)),
+            ("solve_ratio", "ratio", &|entry| ratio(entry, 1)),
+            ("steps", "steps, mean", &|(.., steps)| (*steps).into()),
         ],
     )
 }

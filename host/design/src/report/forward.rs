@@ -3,90 +3,61 @@
 use std::hint::black_box;
 
 use glam::dvec2;
-use slitpose_model::{CompiledScene, Pair, Pose, Scalar, Scene, SceneError, Tier};
+use slitpose_model::{CompiledScene, Pair, Pose, Scalar, SceneError, Tier};
 
-use super::head::{Candidate, Head, RunTime, race};
-use super::method::{Precision, tier_name};
+use super::head::{Candidate, Head, RunTime, pair, race};
+use super::section::Sheet;
 use super::section::{Picture, Section, Table, Value};
-use super::sheet::Sheet;
+use super::solver::{Precision, tier_name};
 use super::{ReportError, Settings};
-use crate::plot::curve;
-use crate::plot::{Anchor, Axis, Chart, CurveStyle, Note, cell_colour};
+use crate::plot::{Anchor, Axis, Chart, CurveStyle, Note, cell_colour, curve};
 
 pub(super) const TITLE: &str = "Forward model: error against time";
 
-/// Tolerances of the exact tier.
 const TOLERANCES: [f64; 7] = [1e-2, 1e-3, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12];
 
 /// The tier that stands for the truth.
 const REFERENCE: Tier = Tier::Exact { tolerance: 1e-13 };
 
-/// Errors of electrode currents relative to the total current of their cell.
-struct Spread {
-    median: f64,
-    worst: f64,
-}
-
-/// One way to evaluate, with its results.
+/// One way to evaluate, with its results. Errors are of electrode currents, relative to the total current of their cell.
 struct Entry {
     tier: Tier,
     precision: Precision,
-    /// Against the exact tier at its tightest, in `f64`.
-    error: Spread,
-    /// Against the same tier in `f64`: the error of the number type.
-    rounding: Option<Spread>,
+    /// Median and worst, against the exact tier at its tightest, in `f64`.
+    error: [f64; 2],
+    /// The worst against the same tier in `f64`: the error of the number type.
+    rounding: Option<f64>,
     currents: RunTime,
     derivatives: RunTime,
 }
 
-type Currents = Box<dyn Fn(usize, &Pose) -> Pair<f64>>;
+/// Currents of all cells at all poses, one pose after the other; and evaluations at the `timed` ones without and with
+/// derivatives.
+type Evaluated<'a> = (Vec<Pair<f64>>, [Candidate<'a>; 2]);
 
-/// Evaluates all cells at all poses, for the stopwatch.
-type Work = Box<dyn FnMut(&[Pose])>;
-
-/// The plan of one entry, its number type forgotten.
-struct Compiled {
-    currents: Currents,
-    time_currents: Work,
-    time_derivatives: Work,
-}
-
-fn compile<S: Scalar>(scene: &Scene, tier: Tier) -> Result<Compiled, SceneError> {
-    let plan = CompiledScene::<S>::compile(scene, tier)?;
-    let (first, second) = (plan.clone(), plan.clone());
-    Ok(Compiled {
-        currents: Box::new(move |cell, pose| {
-            let pair = plan.photocurrents(cell, pose);
-            Pair { i_x1_a: pair.i_x1_a.as_f64(), i_x2_a: pair.i_x2_a.as_f64() }
-        }),
-        time_currents: Box::new(move |poses| {
-            for pose in poses {
-                for cell in 0..first.cell_count() {
-                    black_box(first.photocurrents(cell, black_box(pose)));
-                }
-            }
-        }),
-        time_derivatives: Box::new(move |poses| {
-            for pose in poses {
-                for cell in 0..second.cell_count() {
-                    black_box(second.linearise(cell, black_box(pose)));
-                }
-            }
-        }),
-    })
-}
-
-fn compile_in(precision: Precision, scene: &Scene, tier: Tier) -> Result<Compiled, SceneError> {
-    match precision {
-        Precision::Double => compile::<f64>(scene, tier),
-        Precision::Single => compile::<f32>(scene, tier),
-    }
+fn evaluate<'a, S: Scalar>(head: &Head<'_>, tier: Tier, timed: &'a [Pose]) -> Result<Evaluated<'a>, SceneError> {
+    let plan = CompiledScene::<S>::compile(&head.scene, tier)?;
+    let cells = plan.cell_count();
+    let currents = head.poses.iter().flat_map(|pose| (0..cells).map(move |cell| (cell, pose)));
+    let currents = currents.map(|(cell, pose)| pair(&plan, cell, pose)).collect();
+    let other = plan.clone();
+    let without = move || {
+        for (pose, cell) in timed.iter().flat_map(|pose| (0..cells).map(move |cell| (pose, cell))) {
+            black_box(other.photocurrents(cell, black_box(pose)));
+        }
+    };
+    let with = move || {
+        for (pose, cell) in timed.iter().flat_map(|pose| (0..cells).map(move |cell| (pose, cell))) {
+            black_box(plan.linearise(cell, black_box(pose)));
+        }
+    };
+    Ok((currents, [Box::new(without), Box::new(with)]))
 }
 
 pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, ReportError> {
     let entries = measure(head, settings)?;
     let paper = entries.iter().find(|entry| entry.tier == Tier::Paper);
-    let difference = paper.map_or(f64::NAN, |entry| entry.error.worst);
+    let difference = paper.map_or(f64::NAN, |entry| entry.error[1]);
     Ok(Section {
         name: "forward",
         title: TITLE,
@@ -117,53 +88,41 @@ pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, R
 }
 
 fn measure(head: &Head<'_>, settings: &Settings) -> Result<Vec<Entry>, ReportError> {
-    let tiers = || std::iter::once(Tier::Paper).chain(TOLERANCES.map(|tolerance| Tier::Exact { tolerance }));
-    let variants: Vec<(Tier, Precision)> =
-        Precision::BOTH.into_iter().flat_map(|precision| tiers().map(move |tier| (tier, precision))).collect();
-    let reference = compile::<f64>(&head.scene, REFERENCE)?;
-    let mut compiled = Vec::new();
-    let mut errors = Vec::new();
-    for &(tier, precision) in &variants {
-        let this = compile_in(precision, &head.scene, tier)?;
-        let rounding = match precision {
-            Precision::Double => None,
-            Precision::Single => Some(spread(head, &this.currents, &compile::<f64>(&head.scene, tier)?.currents)),
-        };
-        errors.push((spread(head, &this.currents, &reference.currents), rounding));
-        compiled.push(this);
-    }
     let timed = &head.poses[..settings.timed_poses()];
-    let mut candidates: Vec<Candidate<'_>> = compiled
-        .iter_mut()
-        .flat_map(|Compiled { time_currents, time_derivatives, .. }| {
-            [Box::new(move || time_currents(timed)) as Candidate<'_>, Box::new(move || time_derivatives(timed))]
-        })
-        .collect();
-    let run_times = race(&mut candidates, settings.rounds(), timed.len());
-    let entries = variants.into_iter().zip(errors).zip(run_times.chunks_exact(2));
-    Ok(entries
-        .map(|(((tier, precision), (error, rounding)), run_times)| Entry {
-            tier,
-            precision,
-            error,
-            rounding,
-            currents: run_times[0],
-            derivatives: run_times[1],
-        })
-        .collect())
-}
-
-fn spread(head: &Head<'_>, currents: &Currents, reference: &Currents) -> Spread {
-    let mut errors = Vec::new();
-    for pose in &head.poses {
-        for cell in 0..head.scene.cells.len() {
-            let (found, truth) = (currents(cell, pose), reference(cell, pose));
-            let total = truth.total_a().abs();
-            errors.extend([(found.i_x1_a - truth.i_x1_a).abs() / total, (found.i_x2_a - truth.i_x2_a).abs() / total]);
+    let (reference, _) = evaluate::<f64>(head, REFERENCE, timed)?;
+    let tiers = [Tier::Paper].into_iter().chain(TOLERANCES.map(|tolerance| Tier::Exact { tolerance }));
+    let (mut doubles, mut errors, mut candidates) = (Vec::new(), Vec::new(), Vec::new());
+    for precision in Precision::BOTH {
+        for (number, tier) in tiers.clone().enumerate() {
+            let (currents, works) = match precision {
+                Precision::Double => evaluate::<f64>(head, tier, timed)?,
+                Precision::Single => evaluate::<f32>(head, tier, timed)?,
+            };
+            candidates.extend(works);
+            let error = spread(&currents, &reference);
+            let rounding = doubles.get(number).map(|double: &Vec<_>| spread(&currents, double)[1]);
+            errors.push((tier, precision, error, rounding));
+            if precision == Precision::Double {
+                doubles.push(currents);
+            }
         }
     }
+    let run_times = race(&mut candidates, settings.rounds(), timed.len());
+    let entry = |((tier, precision, error, rounding), run_times): (_, &[RunTime])| {
+        let (currents, derivatives) = (run_times[0], run_times[1]);
+        Entry { tier, precision, error, rounding, currents, derivatives }
+    };
+    Ok(errors.into_iter().zip(run_times.chunks_exact(2)).map(entry).collect())
+}
+
+/// Median and greatest difference of electrode currents, relative to the total current of their cell.
+fn spread(found: &[Pair<f64>], truth: &[Pair<f64>]) -> [f64; 2] {
+    let of_pair = |(found, truth): (&Pair<f64>, &Pair<f64>)| {
+        [found.i_x1_a - truth.i_x1_a, found.i_x2_a - truth.i_x2_a].map(|error| (error / truth.total_a()).abs())
+    };
+    let mut errors: Vec<f64> = found.iter().zip(truth).flat_map(of_pair).collect();
     errors.sort_by(f64::total_cmp);
-    Spread { median: errors[errors.len() / 2], worst: errors[errors.len() - 1] }
+    [errors[errors.len() / 2], errors[errors.len() - 1]]
 }
 
 fn table(entries: &[Entry]) -> Table {
@@ -176,11 +135,9 @@ fn table(entries: &[Entry]) -> Table {
         &[
             ("tier", "tier", &|entry| tier_name(entry.tier).into()),
             ("number", "numbers", &|entry| entry.precision.name().into()),
-            ("error_median", "error, median", &|entry| entry.error.median.into()),
-            ("error_worst", "error, worst", &|entry| entry.error.worst.into()),
-            ("rounding_worst", "of which f32, worst", &|entry| {
-                Value::optional(entry.rounding.as_ref().map(|rounding| rounding.worst))
-            }),
+            ("error_median", "error, median", &|entry| entry.error[0].into()),
+            ("error_worst", "error, worst", &|entry| entry.error[1].into()),
+            ("rounding_worst", "of which f32, worst", &|entry| Value::optional(entry.rounding)),
             ("currents_least_us", "currents, least / µs", &|entry| us(entry.currents.least_s)),
             ("currents_median_us", "median / µs", &|entry| us(entry.currents.median_s)),
             ("derivatives_least_us", "with derivatives, least / µs", &|entry| us(entry.derivatives.least_s)),
@@ -195,27 +152,21 @@ fn picture(entries: &[Entry], head: &Head<'_>) -> Picture {
         let of = |precision, is_paper| {
             let chosen =
                 entries.iter().filter(move |e| e.precision == precision && (e.tier == Tier::Paper) == is_paper);
-            chosen.map(|entry| [1e6 * time(entry), entry.error.median]).collect::<Vec<_>>()
+            chosen.map(|entry| [1e6 * time(entry), entry.error[0]]).collect::<Vec<_>>()
         };
-        let curves = vec![
-            curve(
-                "exact tier, f64, at the tolerance written beside it",
-                0,
-                CurveStyle::Joined,
-                of(Precision::Double, false),
-            ),
-            curve("exact tier, f32", 1, CurveStyle::DashedRings, of(Precision::Single, false)),
-            curve(
-                "paper tier, f64: the difference between the models",
-                2,
-                CurveStyle::Markers,
-                of(Precision::Double, true),
-            ),
-            curve("paper tier, f32", 3, CurveStyle::Rings, of(Precision::Single, true)),
-        ];
+        let curves = [
+            ("exact tier, f64, at the tolerance written beside it", CurveStyle::Joined, Precision::Double, false),
+            ("exact tier, f32", CurveStyle::DashedRings, Precision::Single, false),
+            ("paper tier, f64: the difference between the models", CurveStyle::Markers, Precision::Double, true),
+            ("paper tier, f32", CurveStyle::Rings, Precision::Single, true),
+        ]
+        .into_iter()
+        .enumerate()
+        .map(|(colour, (label, style, precision, is_paper))| curve(label, colour, style, of(precision, is_paper)))
+        .collect();
         let note = |entry: &Entry| match entry.tier {
             Tier::Exact { tolerance } if entry.precision == Precision::Double => Some(Note {
-                at: [1e6 * time(entry), entry.error.median],
+                at: [1e6 * time(entry), entry.error[0]],
                 offset: dvec2(8.0, -6.0),
                 anchor: Anchor::Start,
                 text: format!("{tolerance:e}").replace('-', "−"),
@@ -223,13 +174,12 @@ fn picture(entries: &[Entry], head: &Head<'_>) -> Picture {
             }),
             _ => None,
         };
-        let points = || curves.iter().flat_map(|curve| &curve.points);
-        let mut x = Axis::logarithmic("time for all cells / µs", points().map(|point| point[0]));
+        let x = |x| Axis::logarithmic("time for all cells / µs", x);
+        let mut chart = Chart::over(curves, x, |y| Axis::logarithmic("median error of a current", y));
         // Room for the last note.
-        x.range[1] *= 1.1;
-        let y = Axis::logarithmic("median error of a current", points().map(|point| point[1]));
-        let notes = entries.iter().filter_map(note).collect();
-        (heading.to_owned(), Chart { x, y, curves, notes })
+        chart.x.range[1] *= 1.1;
+        chart.notes = entries.iter().filter_map(note).collect();
+        (heading.to_owned(), chart)
     };
     let note =
         format!("{} cells; {}; {} poses of the workspace", head.scene.cells.len(), head.file.name, head.poses.len());

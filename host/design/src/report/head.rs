@@ -1,17 +1,22 @@
-//! The head under study: its scene as a solver weighs it, poses at which every cell has light, errors of poses and run times.
+//! The head under study: its scene as a solver weighs it, poses at which every cell has light, their currents and noise,
+//! errors of poses and run times.
 
 use std::time::Instant;
 
+use glam::DVec3;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
 use slitpose_calibration::median;
 use slitpose_head::front_end::{Stage, configuration};
 use slitpose_head::scene_file::SceneFile;
-use slitpose_head::simulator::Electronics;
+use slitpose_head::simulator::{Electronics, noisy_reading};
 use slitpose_model::{
-    Cell, CompiledScene, MotionPrior, Opening, Pair, Photocurrents, Pose, Profile, Scalar, Scene, Solver, Start, Tier,
-    Uncertainty,
+    Cell, CompiledScene, MotionPrior, Opening, Pair, Photocurrents, Pose, Profile, Reading, Scalar, Scene, Solver,
+    Start, Tier, Uncertainty,
 };
 
-use super::method::Solved;
+use super::solver::Solved;
 use super::{ReportError, Settings};
 
 /// The truth: integrals far more exact than any method under study.
@@ -25,10 +30,8 @@ const TRUTH_OF_TABLES: Tier = Tier::Exact { tolerance: 1e-9 };
 /// half intensity at 55°.
 const EXPONENT: f64 = 1.246_972_446_943_724;
 
-/// The default tolerance of a solver.
 pub(super) const STREAM: Tier = Tier::Exact { tolerance: 1e-6 };
 
-/// Poses tried for each one wanted.
 const TRIES: usize = 40;
 
 /// A scene, prepared for its study.
@@ -105,14 +108,9 @@ impl<'a> Head<'a> {
         self.scene.cells.iter().all(|cell| cell.opening() == Opening::Slit && cell.other_axis().is_none())
     }
 
-    /// The scene without any noise: only arithmetic remains.
-    pub(super) fn silent(&self) -> Scene {
-        Scene { noise: None, ..self.scene.clone() }
-    }
-
     /// The scene without noise and with cosine profiles only: for the study of arithmetic.
     pub(super) fn arithmetic(&self) -> Scene {
-        let mut scene = Scene { uncertainty: Uncertainty::default(), ..self.silent() };
+        let mut scene = Scene { noise: None, uncertainty: Uncertainty::default(), ..self.scene.clone() };
         for cell in &mut scene.cells {
             cell.emitter.profile = Profile::Cosine { exponent: exponent(&cell.emitter.profile) };
         }
@@ -128,12 +126,13 @@ pub(super) fn exponent(profile: &Profile) -> f64 {
     }
 }
 
-/// The photocurrents of every cell at a pose.
-pub(super) fn currents<S: Scalar>(plan: &CompiledScene<S>, pose: &Pose) -> Photocurrents {
-    Photocurrents::of_pairs((0..plan.cell_count()).map(|cell| {
-        let pair = plan.photocurrents(cell, pose);
-        Pair { i_x1_a: pair.i_x1_a.as_f64(), i_x2_a: pair.i_x2_a.as_f64() }
-    }))
+pub(super) fn pair<S: Scalar>(plan: &CompiledScene<S>, cell: usize, pose: &Pose) -> Pair<f64> {
+    let pair = plan.photocurrents(cell, pose);
+    Pair { i_x1_a: pair.i_x1_a.as_f64(), i_x2_a: pair.i_x2_a.as_f64() }
+}
+
+pub(super) fn currents(plan: &CompiledScene<f64>, pose: &Pose) -> Photocurrents {
+    Photocurrents::of_pairs((0..plan.cell_count()).map(|cell| plan.photocurrents(cell, pose)))
 }
 
 /// Whether every cell gives a current that can be used.
@@ -144,80 +143,112 @@ pub(super) fn is_lit(plan: &CompiledScene<f64>, pose: &Pose) -> bool {
     })
 }
 
-#[derive(Clone, Debug, Default)]
+/// Draws the noise and the calibration errors of a scene.
+pub(super) struct NoiseSource(ChaCha8Rng);
+
+impl NoiseSource {
+    pub(super) fn seeded(seed: u64) -> Self {
+        Self(ChaCha8Rng::seed_from_u64(seed))
+    }
+
+    fn normal(&mut self) -> f64 {
+        StandardNormal.sample(&mut self.0)
+    }
+
+    /// The `clean` light of `plan` at `pose` as `scene` would measure it. Gains and places of parts err anew each
+    /// time, as the covariance of a single solve has it.
+    pub(super) fn disturb(
+        &mut self,
+        scene: &Scene,
+        plan: &CompiledScene<f64>,
+        pose: &Pose,
+        clean: &Photocurrents,
+    ) -> Photocurrents {
+        let cells = clean.cells.iter().zip(&scene.cells).enumerate().map(|(index, (reading, cell))| match reading {
+            Reading::Light(pair) => Reading::Light(self.pair(scene, plan, (index, cell), pose, *pair)),
+            other => *other,
+        });
+        Photocurrents { cells: cells.collect() }
+    }
+
+    fn pair(
+        &mut self,
+        scene: &Scene,
+        plan: &CompiledScene<f64>,
+        (number, cell): (usize, &Cell),
+        pose: &Pose,
+        mut pair: Pair<f64>,
+    ) -> Pair<f64> {
+        let Uncertainty { emitter_gain_relative, electrode_gain_relative, position_m } = scene.uncertainty;
+        let off_m = DVec3::from_array([0; 3].map(|_| position_m * self.normal()));
+        if position_m != 0.0 {
+            // Detector and slit that are off see the emitter off the other way.
+            let from = plan.photocurrents(number, pose);
+            let to = plan.photocurrents(number, &Pose { translation_m: pose.translation_m - off_m, ..*pose });
+            pair =
+                Pair { i_x1_a: pair.i_x1_a + to.i_x1_a - from.i_x1_a, i_x2_a: pair.i_x2_a + to.i_x2_a - from.i_x2_a };
+        }
+        let common = emitter_gain_relative * self.normal();
+        let mut own = || electrode_gain_relative * self.normal();
+        pair = Pair { i_x1_a: pair.i_x1_a * (1.0 + common + own()), i_x2_a: pair.i_x2_a * (1.0 + common + own()) };
+        match &scene.noise {
+            Some(noise) => noisy_reading(pair, &cell.detector, noise, || self.normal()),
+            None => pair,
+        }
+    }
+
+    /// A pose near `pose`: each axis off by a normal number of `sigma_m` or `sigma_rad`.
+    pub(super) fn near(&mut self, pose: &Pose, [sigma_m, sigma_rad]: [f64; 2]) -> Pose {
+        let mut vector = |sigma: f64| DVec3::from_array([0; 3].map(|_| sigma * self.normal()));
+        let (dt, dr) = (vector(sigma_m), vector(sigma_rad));
+        pose.perturbed(dt, dr)
+    }
+}
+
+/// Errors of solves: translation in metres and rotation in radians, NaN without a pose.
+#[derive(Clone, Debug)]
 pub(super) struct Errors {
-    squares_m2: Vec<f64>,
-    squares_rad2: Vec<f64>,
-    tried: usize,
-    iterations: usize,
+    pub(super) rms: [f64; 2],
+    pub(super) median: [f64; 2],
+    /// Share of the solves that gave a pose.
+    pub(super) solved: f64,
+    pub(super) steps: f64,
 }
 
 impl Errors {
-    pub(super) fn add(&mut self, solved: &Solved, truth: &Pose) {
-        self.tried += 1;
-        self.iterations += solved.iterations;
-        if let Some(pose) = &solved.pose {
-            let (dt, dr) = pose.displacement_from(truth);
-            self.squares_m2.push(dt.length_squared());
-            self.squares_rad2.push(dr.length_squared());
-        }
-    }
-
     pub(super) fn of<'a>(solves: impl IntoIterator<Item = (Solved, &'a Pose)>) -> Self {
-        let mut errors = Self::default();
+        let (mut squares, mut tried, mut steps) = ([Vec::new(), Vec::new()], 0.0, 0.0);
         for (solved, truth) in solves {
-            errors.add(&solved, truth);
+            tried += 1.0;
+            steps += solved.iterations as f64;
+            if let Some(pose) = &solved.pose {
+                let (dt, dr) = pose.displacement_from(truth);
+                squares[0].push(dt.length_squared());
+                squares[1].push(dr.length_squared());
+            }
         }
-        errors
-    }
-
-    /// Root mean square of the translation's error, metres; NaN without a pose.
-    pub(super) fn rms_m(&self) -> f64 {
-        mean(&self.squares_m2).sqrt()
-    }
-
-    /// Root mean square of the rotation's error, radians; NaN without a pose.
-    pub(super) fn rms_rad(&self) -> f64 {
-        mean(&self.squares_rad2).sqrt()
-    }
-
-    /// Median error of the translation, metres; NaN without a pose.
-    pub(super) fn median_m(&self) -> f64 {
-        median(self.squares_m2.clone()).sqrt()
-    }
-
-    /// Median error of the rotation, radians; NaN without a pose.
-    pub(super) fn median_rad(&self) -> f64 {
-        median(self.squares_rad2.clone()).sqrt()
-    }
-
-    /// Share of the solves that gave a pose.
-    pub(super) fn solved(&self) -> f64 {
-        self.squares_m2.len() as f64 / self.tried as f64
-    }
-
-    /// Mean number of refinement steps.
-    pub(super) fn mean_iterations(&self) -> f64 {
-        self.iterations as f64 / self.tried as f64
+        let found = squares[0].len() as f64;
+        Self {
+            rms: squares.each_ref().map(|squares| (squares.iter().sum::<f64>() / found).sqrt()),
+            median: squares.map(|squares| median(squares).sqrt()),
+            solved: found / tried,
+            steps: steps / tried,
+        }
     }
 }
 
 /// Root mean squares of translation (metres) and rotation (radians) that covariances allow.
-pub(super) fn rms_of_covariances(covariances: impl IntoIterator<Item = [[f64; 6]; 6]>) -> (f64, f64) {
-    let (mut square_m2, mut square_rad2, mut count) = (0.0, 0.0, 0.0);
+pub(super) fn rms_of_covariances(covariances: impl IntoIterator<Item = [[f64; 6]; 6]>) -> [f64; 2] {
+    let (mut squares, mut count) = ([0.0; 2], 0.0);
     for covariance in covariances {
-        square_m2 += (0..3).map(|axis| covariance[axis][axis]).sum::<f64>();
-        square_rad2 += (3..6).map(|axis| covariance[axis][axis]).sum::<f64>();
+        for axis in 0..6 {
+            squares[axis / 3] += covariance[axis][axis];
+        }
         count += 1.0;
     }
-    ((square_m2 / count).sqrt(), (square_rad2 / count).sqrt())
+    squares.map(|square: f64| (square / count).sqrt())
 }
 
-fn mean(values: &[f64]) -> f64 {
-    values.iter().sum::<f64>() / values.len() as f64
-}
-
-/// Time of one unit of work.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RunTime {
     /// In the fastest round, seconds.
@@ -243,19 +274,21 @@ pub(super) fn race(candidates: &mut [Candidate<'_>], rounds: usize, units: usize
             }
         }
     }
-    times
-        .into_iter()
-        .map(|mut times| {
-            times.sort_by(f64::total_cmp);
-            RunTime { least_s: times[0], median_s: times[times.len() / 2] }
-        })
-        .collect()
+    let run_time = |mut times: Vec<f64>| {
+        times.sort_by(f64::total_cmp);
+        RunTime { least_s: times[0], median_s: times[times.len() / 2] }
+    };
+    times.into_iter().map(run_time).collect()
 }
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use std::cell::Cell;
+
+    use slitpose_head::scene_file::WIDE;
+    use slitpose_model::{BOLTZMANN_J_PER_K, ELEMENTARY_CHARGE_C, Noise};
+
+    use super::*;
 
     #[test]
     fn candidates_take_turns() {
@@ -271,5 +304,62 @@ mod tests {
         drop(candidates);
         assert_eq!((first.get(), second.get()), (6, 6));
         assert!(run_times.iter().all(|run_time| run_time.least_s <= run_time.median_s));
+    }
+
+    /// Variances of both electrodes and their covariance, in units of what the parts add up to.
+    #[test]
+    fn drawn_noise_has_the_covariance_of_its_parts() {
+        let mut scene = WIDE.read().unwrap().scene;
+        scene.noise =
+            Some(Noise { shot_bandwidth_hz: 1e6, johnson_bandwidth_hz: 1e5, temperature_k: 300.0, adc_a: 1e-9 });
+        let clean = Pair { i_x1_a: 2e-6, i_x2_a: 5e-6 };
+        let readings = Photocurrents::of_pairs([clean; 6]);
+        let plan = CompiledScene::compile(&scene, Tier::Paper).unwrap();
+        let mut source = NoiseSource::seeded(7);
+        let (mut sums, mut count) = ([0.0; 3], 0.0);
+        for _ in 0..10_000 {
+            for reading in source.disturb(&scene, &plan, &Pose::HOME, &readings).cells {
+                let Reading::Light(pair) = reading else { panic!("{reading:?}") };
+                let (a, b) = (pair.i_x1_a - clean.i_x1_a, pair.i_x2_a - clean.i_x2_a);
+                for (sum, product) in sums.iter_mut().zip([a * a, b * b, a * b]) {
+                    *sum += product;
+                }
+                count += 1.0;
+            }
+        }
+        let shot = 2.0 * ELEMENTARY_CHARGE_C * 1e6 * 7e-6;
+        let johnson = 4.0 * BOLTZMANN_J_PER_K * 300.0 * 1e5 / 50e3;
+        let (first, second) = (2.0 / 7.0, 5.0 / 7.0);
+        let expected = [
+            shot * first * first + johnson + 1e-18,
+            shot * second * second + johnson + 1e-18,
+            shot * first * second - johnson,
+        ];
+        for (sum, expected) in sums.into_iter().zip(expected) {
+            // A variance of 60 000 draws scatters by 0.6 %, a covariance by a little more.
+            assert!((sum / count / expected - 1.0).abs() < 0.03, "{} {expected}", sum / count);
+        }
+    }
+
+    #[test]
+    fn poses_of_displaced_parts_err_as_their_covariance_says() {
+        const SEED: u64 = 11;
+        const POSES: u32 = 2000;
+        let mut scene = WIDE.read().unwrap().scene;
+        scene.uncertainty.position_m = 20e-6;
+        let plan = CompiledScene::compile(&scene, Tier::Paper).unwrap();
+        let solver = Solver::<f64>::new(&scene, Tier::Paper).unwrap();
+        let mut source = NoiseSource::seeded(SEED);
+        let mut sum = 0.0;
+        for _ in 0..POSES {
+            let pose = source.near(&Pose::HOME, [1e-3, 0.05]);
+            let readings = source.disturb(&scene, &plan, &pose, &currents(&plan, &pose));
+            let estimate = solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST).estimate.unwrap();
+            sum += estimate.nees(&pose).unwrap();
+        }
+        let mean = sum / f64::from(POSES);
+        println!("seed {SEED}: mean normalised squared error {mean:.2}");
+        // χ² of six degrees has the variance 12: four standard deviations of the mean.
+        assert!((mean - 6.0).abs() < 4.0 * (12.0 / f64::from(POSES)).sqrt(), "seed {SEED}: {mean}");
     }
 }

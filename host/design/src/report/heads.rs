@@ -3,8 +3,8 @@
 use slitpose_head::scene_file::SceneFile;
 
 use super::map::{KINDS, Kind, distribution};
+use super::section::Sheet;
 use super::section::{Report, Section, Table, Value, column, program, scene};
-use super::sheet::Sheet;
 use crate::map::{Map, NoiseOf, View};
 use crate::optimise::{Demand, Found, Search};
 use crate::plot::curve;
@@ -108,17 +108,12 @@ pub fn pareto(search: &Search, found: &[(f64, Found)]) -> Report {
         let wanted = found.iter().filter(|(_, found)| of(found));
         wanted.map(|(radius_m, found)| [radius_m * 1e3, found.after.sigma_m * 1e6]).collect()
     };
-    let all = || points(&|_| true).into_iter();
     let mut curves = vec![curve("all limits kept", 0, CurveStyle::Joined, points(&kept))];
     if found.iter().any(|(_, found)| !kept(found)) {
         curves.push(curve("not all limits kept", 1, CurveStyle::Rings, points(&|found| !kept(found))));
     }
-    let chart = Chart {
-        x: Axis::around("largest radius of the head / mm", all().map(|point| point[0])),
-        y: Axis::around("σ / µm", all().map(|point| point[1])).starting_at_zero(),
-        curves,
-        notes: Vec::new(),
-    };
+    let x = |x| Axis::around("largest radius of the head / mm", x);
+    let chart = Chart::over(curves, x, |y| Axis::around("σ / µm", y).starting_at_zero());
     let mut columns = vec![column("radius_mm", "radius / mm"), column("sigma_um", "σ / µm"), column("kept", "limits")];
     let names: Vec<_> = found.first().map(|(_, found)| found.values.clone()).unwrap_or_default();
     columns.extend(names.iter().map(|(quantity, _)| column(quantity.name(), quantity.name())));

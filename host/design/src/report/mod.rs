@@ -4,7 +4,7 @@
 //! section has its own file; a [`Folder`] stores the report. Errors are reproducible
 //! to the last digit for a seed, times are what the machine gave.
 //!
-//! * `head` and `noise` supply poses, currents and their noise; `method` the ways to solve;
+//! * `head` supplies poses, currents and their noise; `solver` the ways to solve;
 //! * `forward`, `solver`, `economy` and `stiff` are the sections;
 //! * `calibration` is the report on a calibration, `map` that on accuracy over the workspace,
 //!   `heads` those on several heads;
@@ -16,10 +16,7 @@ mod forward;
 mod head;
 mod heads;
 mod map;
-mod method;
-mod noise;
 mod section;
-mod sheet;
 mod solver;
 mod stiff;
 mod write;
@@ -92,9 +89,6 @@ pub const SECTIONS: u64 = 4;
 type Measure = fn(&Head<'_>, &Settings) -> Result<Section, ReportError>;
 
 /// Studies `file`. `progress` gets the title of each section before it begins.
-///
-/// # Errors
-/// If the scene gives no poses to study.
 pub fn study(file: &SceneFile, settings: &Settings, mut progress: impl FnMut(&str)) -> Result<Report, ReportError> {
     let head = Head::of(file, settings)?;
     let mut sections = Vec::new();
@@ -119,7 +113,6 @@ pub fn study(file: &SceneFile, settings: &Settings, mut progress: impl FnMut(&st
     })
 }
 
-/// Name and value of each condition.
 fn conditions(file: &SceneFile, settings: &Settings) -> Vec<(&'static str, String)> {
     let checks = if cfg!(debug_assertions) { "debug" } else { "release" };
     let counts = format!(

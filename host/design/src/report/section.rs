@@ -1,10 +1,10 @@
-//! The parts of a report, independent of its format.
+//! The parts of a report, independent of its format, and charts side by side on one sheet.
 
+use glam::dvec2;
 use slitpose_head::scene_file::SceneFile;
 
-use crate::plot::three_digits;
+use crate::plot::{Anchor, Canvas, Chart, TextStyle, three_digits};
 
-/// The program and its version.
 pub(crate) fn program() -> (&'static str, String) {
     ("program", format!("slitpose {}", env!("CARGO_PKG_VERSION")))
 }
@@ -116,6 +116,11 @@ impl Table {
         }
     }
 
+    /// Whether a column has numbers, by its first row.
+    pub(crate) fn is_number(&self, column: usize) -> bool {
+        self.rows.first().is_some_and(|row| row.get(column).is_some_and(Value::is_number))
+    }
+
     /// In columns, for people.
     pub fn as_text(&self) -> String {
         let heading: Vec<String> = self.columns.iter().map(|column| column.heading.to_owned()).collect();
@@ -124,11 +129,10 @@ impl Table {
         let widths: Vec<usize> = (0..self.columns.len())
             .map(|k| lines.iter().map(|line| line[k].chars().count()).max().unwrap_or(0))
             .collect();
-        let is_number = |k: usize| self.rows.first().is_some_and(|row| row[k].is_number());
         let mut text = String::new();
         for line in lines {
             let fields = line.iter().zip(&widths).enumerate().map(|(k, (field, width))| {
-                if is_number(k) { format!("{field:>width$}") } else { format!("{field:<width$}") }
+                if self.is_number(k) { format!("{field:>width$}") } else { format!("{field:<width$}") }
             });
             text += format!("  {}", fields.collect::<Vec<_>>().join("  ")).trim_end();
             text.push('\n');
@@ -139,11 +143,8 @@ impl Table {
 
 #[derive(Clone, Debug)]
 pub(crate) struct Picture {
-    /// The stem of its SVG file.
     pub name: &'static str,
-    /// What it shows.
     pub caption: String,
-    /// The picture itself.
     pub svg: String,
 }
 
@@ -198,9 +199,53 @@ impl Report {
     }
 }
 
+const LEFT: f64 = 84.0;
+const GAP: f64 = 84.0;
+const RIGHT: f64 = 24.0;
+const HEIGHT: f64 = 380.0;
+
+/// Between legend and plotting area: the headings of the panels.
+const HEADING: f64 = 22.0;
+
+/// Width of a plotting area that has the sheet for itself, and of one of two.
+const ALONE: f64 = 660.0;
+const OF_TWO: f64 = 400.0;
+
+/// Charts with a common legend: that of the first.
+pub(super) struct Sheet {
+    pub(super) title: String,
+    /// Conditions, in one line.
+    pub(super) note: String,
+    pub(super) panels: Vec<(String, Chart)>,
+}
+
+impl Sheet {
+    pub(super) fn draw(mut self, name: &'static str, caption: &str) -> Picture {
+        for (_, chart) in self.panels.iter_mut().skip(1) {
+            for curve in &mut chart.curves {
+                curve.label.clear();
+            }
+        }
+        let width = if self.panels.len() == 1 { ALONE } else { OF_TWO };
+        let legend = self.panels.first().map_or(0.0, |(_, chart)| chart.legend_height());
+        let top = 66.0 + legend + HEADING;
+        let full = LEFT + self.panels.len() as f64 * (width + GAP) - GAP + RIGHT;
+        let mut canvas = Canvas::titled(full, top + HEIGHT + 56.0, &self.title, &self.note);
+        for (index, (heading, chart)) in self.panels.iter().enumerate() {
+            let left = LEFT + index as f64 * (width + GAP);
+            let (top_left, bottom_right) = (dvec2(left, top), dvec2(left + width, top + HEIGHT));
+            chart.draw_with_legend(&mut canvas, top_left, bottom_right, top_left - dvec2(0.0, HEADING));
+            let at = dvec2(bottom_right.x, top - 10.0);
+            canvas.text(at, heading, TextStyle::new(13.0).bold().anchored(Anchor::End));
+        }
+        Picture { name, caption: caption.to_owned(), svg: canvas.into_svg() }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::plot::{Axis, CurveStyle, curve};
 
     #[test]
     fn numbers_are_shown_with_three_digits() {
@@ -219,5 +264,25 @@ mod tests {
         }
         assert_eq!(Value::from(f64::NAN), Value::Missing);
         assert_eq!(Value::optional(None).shown(), "—");
+    }
+
+    #[test]
+    fn the_legend_stands_above_the_headings_however_long_it_is() {
+        let label = "a curve with a name as long as the panel is wide, or longer";
+        let chart = |label: &str| {
+            let curves = vec![curve(label, 0, CurveStyle::Line, vec![[0.0, 0.0], [1.0, 1.0]])];
+            Chart::over(curves, |x| Axis::around("x", x), |y| Axis::around("y", y))
+        };
+        let panels = vec![("first heading".to_owned(), chart(label)), ("second heading".to_owned(), chart(label))];
+        let svg = Sheet { title: "t".to_owned(), note: "n".to_owned(), panels }.draw("name", "").svg;
+        let height_of = |text: &str| -> f64 {
+            let element = svg[..svg.find(text).unwrap()].rfind("translate(").unwrap();
+            let place = svg[element..].split([' ', ')']).nth(1).unwrap();
+            place.parse().unwrap()
+        };
+        // Letters of 13 pixels reach some 10 above their base line.
+        for heading in ["first heading", "second heading"] {
+            assert!(height_of(heading) - height_of(label) >= 14.0, "{svg}");
+        }
     }
 }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use quick_xml::escape::escape;
 use slitpose_head::table::{Output, OutputError, TableWriter};
 
-use super::section::{Report, Section, Table, Value};
+use super::section::{Picture, Report, Section, Table, Value};
 
 const STYLE: &str = include_str!("page.css");
 
@@ -21,62 +21,45 @@ fn page(report: &Report) -> String {
         page += &format!("<p class=\"alert\">{}</p>\n", words(warning));
     }
     page += "<h2 id=\"summary\">In short</h2>\n<ul>\n";
-    for sentence in report.summary() {
-        page += &format!("<li>{}</li>\n", words(sentence));
-    }
+    page.extend(report.summary().map(|sentence| format!("<li>{}</li>\n", words(sentence))));
     page += "</ul>\n<h2 id=\"conditions\">Conditions</h2>\n<dl>\n";
     for (name, value) in &report.conditions {
         page += &format!("<dt>{name}</dt><dd>{}</dd>\n", words(value));
     }
     page += "</dl>\n<nav>";
-    for section in &report.sections {
-        page += &format!("<a href=\"#{}\">{}</a> ", section.name, escape(section.title));
+    for Section { name, title, .. } in &report.sections {
+        page += &format!("<a href=\"#{name}\">{}</a> ", escape(*title));
     }
     page += "</nav>\n";
-    for section in &report.sections {
-        page += &of_section(section);
+    for Section { name, title, paragraphs, pictures, tables, .. } in &report.sections {
+        page += &format!("<h2 id=\"{name}\">{}</h2>\n", escape(*title));
+        page.extend(paragraphs.iter().map(|paragraph| format!("<p>{}</p>\n", words(paragraph))));
+        for Picture { svg, caption, .. } in pictures {
+            page += &format!("<figure>\n{svg}<figcaption>{}</figcaption>\n</figure>\n", words(caption));
+        }
+        page.extend(tables.iter().map(of_table));
     }
-    for table in &report.data {
-        let file = format!("{}.csv", table.name);
-        page += &format!("<p>{} (<a href=\"{file}\">{file}</a>)</p>\n", words(&table.caption));
+    for Table { name, caption, .. } in &report.data {
+        page += &format!("<p>{} (<a href=\"{name}.csv\">{name}.csv</a>)</p>\n", words(caption));
     }
     page + "</body>\n</html>\n"
 }
 
-fn of_section(section: &Section) -> String {
-    let mut text = format!("<h2 id=\"{}\">{}</h2>\n", section.name, escape(section.title));
-    for paragraph in &section.paragraphs {
-        text += &format!("<p>{}</p>\n", words(paragraph));
-    }
-    for picture in &section.pictures {
-        text += &format!("<figure>\n{}<figcaption>{}</figcaption>\n</figure>\n", picture.svg, words(&picture.caption));
-    }
-    for table in &section.tables {
-        text += &of_table(table);
-    }
-    text
-}
-
 fn of_table(table: &Table) -> String {
-    let file = format!("{}.csv", table.name);
-    let caption = words(&table.caption);
+    let Table { name, caption, columns, rows } = table;
+    let class = |is_number: bool| if is_number { " class=\"number\"" } else { "" };
     let mut text = format!(
-        "<div class=\"wide\"><table>\n<caption>{caption} (<a href=\"{file}\">{file}</a>)</caption>\n<thead><tr>"
+        "<div class=\"wide\"><table>\n<caption>{} (<a href=\"{name}.csv\">{name}.csv</a>)</caption>\n<thead><tr>",
+        words(caption)
     );
-    let is_number = |index: usize| table.rows.first().is_some_and(|row| row.get(index).is_some_and(Value::is_number));
-    for (index, column) in table.columns.iter().enumerate() {
-        let class = if is_number(index) { " class=\"number\"" } else { "" };
-        text += &format!("<th{class}>{}</th>", escape(column.heading));
+    for (index, column) in columns.iter().enumerate() {
+        text += &format!("<th{}>{}</th>", class(table.is_number(index)), escape(column.heading));
     }
     text += "</tr></thead>\n<tbody>\n";
-    for row in &table.rows {
+    for row in rows {
         text += "<tr>";
         for value in row {
-            let class = match value {
-                Value::Alert(_) => " class=\"alert\"",
-                Value::Text(_) => "",
-                _ => " class=\"number\"",
-            };
+            let class = if matches!(value, Value::Alert(_)) { " class=\"alert\"" } else { class(value.is_number()) };
             text += &format!("<td{class}>{}</td>", escape(value.shown()));
         }
         text += "</tr>\n";
@@ -95,48 +78,28 @@ fn words(text: &str) -> String {
 
 fn markdown(report: &Report) -> String {
     let mut text = format!("# {}: {}\n\n", report.title, report.scene);
-    for warning in &report.warnings {
-        text += &format!("**{warning}**\n\n");
-    }
+    text.extend(report.warnings.iter().map(|warning| format!("**{warning}**\n\n")));
     text += "## In short\n\n";
-    for sentence in report.summary() {
-        text += &format!("* {sentence}\n");
-    }
+    text.extend(report.summary().map(|sentence| format!("* {sentence}\n")));
     text += "\n## Conditions\n\n";
-    for (name, value) in &report.conditions {
-        text += &format!("* {name}: {value}\n");
+    text.extend(report.conditions.iter().map(|(name, value)| format!("* {name}: {value}\n")));
+    for Section { title, paragraphs, pictures, tables, .. } in &report.sections {
+        text += &format!("\n## {title}\n");
+        text.extend(paragraphs.iter().map(|paragraph| format!("\n{paragraph}\n")));
+        text.extend(pictures.iter().map(|picture| format!("\n![{}]({}.svg)\n", picture.caption, picture.name)));
+        text.extend(tables.iter().map(markdown_table));
     }
-    for section in &report.sections {
-        text += &markdown_section(section);
-    }
-    for table in &report.data {
-        text += &format!("\n{} (`{}.csv`)\n", table.caption, table.name);
-    }
+    text.extend(report.data.iter().map(|table| format!("\n{} (`{}.csv`)\n", table.caption, table.name)));
     // Names of scenes come from strangers, and Markdown passes elements of HTML on.
     text.replace('<', "&lt;")
 }
 
-fn markdown_section(section: &Section) -> String {
-    let mut text = format!("\n## {}\n", section.title);
-    for paragraph in &section.paragraphs {
-        text += &format!("\n{paragraph}\n");
-    }
-    for picture in &section.pictures {
-        text += &format!("\n![{}]({}.svg)\n", picture.caption, picture.name);
-    }
-    for table in &section.tables {
-        text += &markdown_table(table);
-    }
-    text
-}
-
 fn markdown_table(table: &Table) -> String {
     let line = |fields: Vec<String>| format!("| {} |\n", fields.join(" | "));
+    let rule = |index| if table.is_number(index) { "--:" } else { "---" }.to_owned();
     let mut text = format!("\n{} (`{}.csv`)\n\n", table.caption, table.name);
     text += &line(table.columns.iter().map(|column| column.heading.to_owned()).collect());
-    let first = table.rows.first();
-    let is_number = |index: usize| first.is_some_and(|row| row.get(index).is_some_and(Value::is_number));
-    text += &line((0..table.columns.len()).map(|i| if is_number(i) { "--:" } else { "---" }.to_owned()).collect());
+    text += &line((0..table.columns.len()).map(rule).collect());
     for row in &table.rows {
         text += &line(row.iter().map(|value| value.shown().replace('|', "\\|")).collect());
     }
@@ -154,13 +117,10 @@ pub struct Folder {
 
 impl Folder {
     /// Makes the folder if it is not there.
-    ///
-    /// # Errors
-    /// If it cannot be made, or is named as a file.
     pub fn create(path: &Path) -> Result<Self, OutputError> {
         let path = path.to_owned();
         if !path.is_dir() && path.extension().is_some_and(|ending| FILES.iter().any(|file| ending == *file)) {
-            return Err(OutputError::Folder { path });
+            return Err(OutputError::Folder(path));
         }
         match fs::create_dir_all(&path) {
             Ok(()) => Ok(Self { path }),
@@ -169,9 +129,6 @@ impl Folder {
     }
 
     /// Writes everything; gives the files, the page first.
-    ///
-    /// # Errors
-    /// If something cannot be written.
     pub fn write(&self, report: &Report) -> Result<Vec<PathBuf>, OutputError> {
         let mut written = Vec::new();
         let mut text = |name: String, text: &str| {

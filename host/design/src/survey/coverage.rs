@@ -1,60 +1,34 @@
-//! Every cell over a sample of the workspace: statistics of its light, and what its integrals take for a solver.
+//! The head over a sample of the workspace: statistics of each cell's light, what its integrals take for a solver, and light
+//! from other emitters: those that are lit with its own, and those of the slot before, whose light the front end has not
+//! forgotten; and how the slots fill the frame.
 
-use std::convert::Infallible;
-
-use glam::DVec3;
 use serde::Serialize;
+use slitpose_calibration::pose_of;
 use slitpose_head::scene_file::{SceneFile, Workspace};
-use slitpose_head::threads::{cores, in_order};
+use slitpose_head::threads::on_all_cores;
 use slitpose_model::{CompiledScene, Pose, Response, SceneError, Status, Tier};
 
 use super::serialize_pose;
 
-/// Poses that a core takes at a time.
-const POSES: usize = 256;
+/// Poses of a piece: bounds memory.
+const POSES: usize = 1024;
 
-/// What is known of the poses that were looked at.
-pub(super) trait Tally: Clone + Send + Sync {
-    /// Adds a pose, looked at with the optics of `plan`.
-    fn add(&mut self, plan: &CompiledScene<f64>, pose: &Pose);
-
-    /// Adds the poses of `later`, which come after those of `self`.
-    fn merge(&mut self, later: Self);
-}
-
-impl<T: Tally> Tally for Vec<T> {
-    fn add(&mut self, plan: &CompiledScene<f64>, pose: &Pose) {
-        self.iter_mut().for_each(|tally| tally.add(plan, pose));
-    }
-
-    fn merge(&mut self, later: Self) {
-        self.iter_mut().zip(later).for_each(|(tally, later)| tally.merge(later));
-    }
-}
-
-/// What `none` becomes with all of `poses`, on all cores, the same however many they are. `progress` gets the number of
-/// poses of each piece that is done.
-pub(super) fn over<T: Tally>(
-    plan: &CompiledScene<f64>,
-    none: &T,
+/// Does `work` on all of `poses`, on all cores, and hands what comes of it to `take` in their order. `progress` gets the number
+/// of poses of each piece that is done.
+pub(super) fn over<R: Send>(
     mut poses: impl Iterator<Item = Pose>,
     mut progress: impl FnMut(usize),
-) -> T {
-    let mut all = none.clone();
-    let next = || {
-        Ok::<_, Infallible>(Some(poses.by_ref().take(POSES).collect()).filter(|piece: &Vec<Pose>| !piece.is_empty()))
-    };
-    let work = |piece: Vec<Pose>| {
-        let mut tally = none.clone();
-        piece.iter().for_each(|pose| tally.add(plan, pose));
-        (tally, piece.len())
-    };
-    let Ok(()) = in_order(cores(), next, work, |(tally, count)| {
-        all.merge(tally);
-        progress(count);
-        Ok(())
-    });
-    all
+    work: impl Fn(&Pose) -> R + Sync,
+    mut take: impl FnMut(&Pose, R),
+) {
+    loop {
+        let piece: Vec<Pose> = poses.by_ref().take(POSES).collect();
+        if piece.is_empty() {
+            return;
+        }
+        piece.iter().zip(on_all_cores(&piece, &work)).for_each(|(pose, found)| take(pose, found));
+        progress(piece.len());
+    }
 }
 
 /// The six axes of motion from home, in the order (t, θ).
@@ -67,25 +41,20 @@ pub(crate) const AXES: [&str; 6] = ["tx", "ty", "tz", "rx", "ry", "rz"];
 pub(crate) fn axis_motion(axis: usize, amount: f64) -> Pose {
     let mut motion = [0.0; 6];
     motion[axis] = amount;
-    let [tx, ty, tz, rx, ry, rz] = motion;
-    Pose::from_vectors(DVec3::new(tx, ty, tz), DVec3::new(rx, ry, rz))
+    pose_of(&motion)
 }
 
 /// The workspace as the cells see it. Shares are of the sampled poses, 0 to 1.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct Coverage {
-    /// How many poses were sampled.
     pub samples: usize,
     /// Share of poses with at least k cells lit, at index k.
     pub at_least_lit: Vec<f64>,
-    /// Each cell.
     pub cells: Vec<CellCoverage>,
 }
 
-/// One cell over the workspace.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct CellCoverage {
-    /// Number of the cell.
     pub cell: usize,
     /// Share of poses with the whole spot on the active area.
     pub lit: f64,
@@ -103,9 +72,7 @@ pub(crate) struct CellCoverage {
     pub over_scale: f64,
     /// Least and most I_O over the poses with a spot; `None` if there is none.
     pub i_o_range_a: Option<[f64; 2]>,
-    /// The largest current of one electrode.
     pub most_electrode_a: f64,
-    /// Where that is.
     #[serde(serialize_with = "serialize_pose")]
     pub most_electrode_at: Pose,
 }
@@ -154,22 +121,8 @@ impl CellCoverage {
         self.i_o_range_a = Some([least.min(response.i_o_a), most.max(response.i_o_a)]);
     }
 
-    /// Adds the counts of other poses.
-    fn merge(&mut self, mut later: Self) {
-        for (count, further) in self.counts().into_iter().zip(later.counts()) {
-            *count += *further;
-        }
-        if later.most_electrode_a > self.most_electrode_a {
-            (self.most_electrode_a, self.most_electrode_at) = (later.most_electrode_a, later.most_electrode_at);
-        }
-        self.i_o_range_a = match (self.i_o_range_a, later.i_o_range_a) {
-            (Some([least, most]), Some([lower, upper])) => Some([least.min(lower), most.max(upper)]),
-            (range, None) | (None, range) => range,
-        };
-    }
-
-    fn counts(&mut self) -> [&mut f64; 7] {
-        [
+    fn divide_by(&mut self, samples: f64) {
+        for count in [
             &mut self.lit,
             &mut self.clipped,
             &mut self.dark,
@@ -177,36 +130,9 @@ impl CellCoverage {
             &mut self.saturated,
             &mut self.faint,
             &mut self.over_scale,
-        ]
-    }
-
-    fn divide_by(&mut self, samples: f64) {
-        self.counts().into_iter().for_each(|count| *count /= samples);
-    }
-}
-
-#[derive(Clone)]
-struct Counts {
-    full_scale_a: Option<f64>,
-    cells: Vec<CellCoverage>,
-    /// Of the poses with so many cells lit.
-    lit: Vec<usize>,
-}
-
-impl Tally for Counts {
-    fn add(&mut self, plan: &CompiledScene<f64>, pose: &Pose) {
-        let mut lit = 0;
-        for (number, cell) in self.cells.iter_mut().enumerate() {
-            let response = plan.respond(number, pose);
-            lit += usize::from(response.status == Status::Lit);
-            cell.add(pose, &response, self.full_scale_a);
+        ] {
+            *count /= samples;
         }
-        self.lit[lit] += 1;
-    }
-
-    fn merge(&mut self, later: Self) {
-        self.cells.iter_mut().zip(later.cells).for_each(|(cell, later)| cell.merge(later));
-        self.lit.iter_mut().zip(later.lit).for_each(|(count, later)| *count += later);
     }
 }
 
@@ -218,12 +144,14 @@ impl Coverage {
         full_scale_a: Option<f64>,
         progress: impl FnMut(usize),
     ) -> Self {
-        let none = Counts {
-            full_scale_a,
-            cells: (0..plan.cell_count()).map(CellCoverage::new).collect(),
-            lit: vec![0; plan.cell_count() + 1],
-        };
-        let Counts { mut cells, lit, .. } = over(plan, &none, workspace.poses(samples), progress);
+        let mut cells: Vec<CellCoverage> = (0..plan.cell_count()).map(CellCoverage::new).collect();
+        // Poses with so many cells lit.
+        let mut lit = vec![0; plan.cell_count() + 1];
+        let respond = |pose: &Pose| (0..plan.cell_count()).map(|cell| plan.respond(cell, pose)).collect::<Vec<_>>();
+        over(workspace.poses(samples), progress, respond, |pose, responses| {
+            lit[responses.iter().filter(|response| response.status == Status::Lit).count()] += 1;
+            cells.iter_mut().zip(&responses).for_each(|(cell, response)| cell.add(pose, response, full_scale_a));
+        });
         cells.iter_mut().for_each(|cell| cell.divide_by(samples as f64));
         let at_least = |least| lit[least..].iter().sum::<usize>() as f64 / samples as f64;
         Self { samples, at_least_lit: (0..lit.len()).map(at_least).collect(), cells }
@@ -239,9 +167,7 @@ const MAX_SAMPLES: usize = 200;
 /// One cell's integrals at the tolerance of solving.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub(crate) struct CellCost {
-    /// Number of the cell.
     pub cell: usize,
-    /// The tolerance.
     pub tolerance: f64,
     /// Most values of the emission profile for one pair of currents.
     pub most_evaluations: usize,
@@ -255,25 +181,6 @@ pub(super) fn poses_of(samples: usize) -> usize {
     samples.min(MAX_SAMPLES)
 }
 
-impl Tally for CellCost {
-    fn add(&mut self, plan: &CompiledScene<f64>, pose: &Pose) {
-        if let Some(integration) = plan.respond(self.cell, pose).integration {
-            self.raise(integration.evaluations, integration.relative_error);
-        }
-    }
-
-    fn merge(&mut self, later: Self) {
-        self.raise(later.most_evaluations, later.relative_error);
-    }
-}
-
-impl CellCost {
-    fn raise(&mut self, evaluations: usize, relative_error: f64) {
-        self.most_evaluations = self.most_evaluations.max(evaluations);
-        self.relative_error = self.relative_error.max(relative_error);
-    }
-}
-
 /// The costs of all cells over some of `samples` poses of the workspace.
 pub(super) fn of_cells(
     file: &SceneFile,
@@ -282,8 +189,120 @@ pub(super) fn of_cells(
 ) -> Result<Vec<CellCost>, SceneError> {
     let tolerance = TOLERANCE;
     let plan = CompiledScene::<f64>::compile(&file.scene, Tier::Exact { tolerance })?;
-    let costs: Vec<_> = (0..plan.cell_count())
-        .map(|cell| CellCost { cell, tolerance, most_evaluations: 0, relative_error: tolerance })
-        .collect();
-    Ok(over(&plan, &costs, file.workspace.poses(poses_of(samples)), progress))
+    let cost = |cell| CellCost { cell, tolerance, most_evaluations: 0, relative_error: tolerance };
+    let mut costs: Vec<_> = (0..plan.cell_count()).map(cost).collect();
+    let integrate =
+        |pose: &Pose| (0..plan.cell_count()).map(|cell| plan.respond(cell, pose).integration).collect::<Vec<_>>();
+    over(file.workspace.poses(poses_of(samples)), progress, integrate, |_, integrations| {
+        for (cost, integration) in costs.iter_mut().zip(integrations) {
+            let Some(integration) = integration else { continue };
+            cost.most_evaluations = cost.most_evaluations.max(integration.evaluations);
+            cost.relative_error = cost.relative_error.max(integration.relative_error);
+        }
+    });
+    Ok(costs)
+}
+
+/// Cross-talk below this share stays under what gains are known to (1e-3).
+pub(super) const CROSSTALK_LIMIT: f64 = 1e-3;
+
+/// The worst cross-talk of one lighting slot over the workspace.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct SlotCrosstalk {
+    pub slot: usize,
+    pub emitters: Vec<usize>,
+    /// Largest current from the others, as a share of the cell's own photocurrent.
+    pub share: f64,
+    /// The cell that receives it.
+    pub cell: usize,
+    #[serde(serialize_with = "serialize_pose")]
+    pub at: Pose,
+}
+
+/// Cross-talk within each slot of several emitters, and from the slot before each slot where a front end is slow enough
+/// for it to count.
+pub(super) fn of_slots(
+    file: &SceneFile,
+    plan: &CompiledScene<f64>,
+    samples: usize,
+    progress: impl FnMut(usize),
+) -> (Vec<SlotCrosstalk>, Vec<SlotCrosstalk>) {
+    let slots = &file.lighting.slots;
+    // Slot, the emitters whose light counts in it, and as which share of it.
+    let together = (0..slots.len()).filter(|&slot| slots[slot].len() > 1).map(|slot| (slot, &slots[slot], 1.0));
+    let mut sources: Vec<(usize, &Vec<usize>, f64)> = together.collect();
+    let count = sources.len();
+    let before = |slot: usize| &slots[(slot + slots.len() - 1) % slots.len()];
+    let carried = (0..slots.len()).map(|slot| (slot, before(slot), share_carried_into(file, slot)));
+    // Less than this is too little even of neighbours that are as bright as a cell's own light.
+    let counts = |(slot, others, weight): &(usize, &Vec<usize>, f64)| {
+        *weight > CROSSTALK_LIMIT && !slots[*slot].is_empty() && !others.is_empty()
+    };
+    sources.extend(carried.filter(counts));
+    let none = |&(slot, ..): &(usize, &Vec<usize>, f64)| {
+        let emitters = slots[slot].clone();
+        SlotCrosstalk {
+            slot,
+            share: 0.0,
+            cell: emitters.first().copied().unwrap_or_default(),
+            at: Pose::HOME,
+            emitters,
+        }
+    };
+    let mut found: Vec<SlotCrosstalk> = sources.iter().map(none).collect();
+    let worst = |pose: &Pose| {
+        let of = |&(slot, others, weight): &(usize, &Vec<usize>, f64)| {
+            let shares = slots[slot].iter().map(|&cell| (weight * share_of_others(plan, cell, others, pose), cell));
+            shares.fold((0.0, 0), |most, it| if it.0 > most.0 { it } else { most })
+        };
+        sources.iter().map(of).collect::<Vec<_>>()
+    };
+    over(file.workspace.poses(samples), progress, worst, |pose, worst| {
+        for (slot, (share, cell)) in found.iter_mut().zip(worst).filter(|(slot, (share, _))| *share > slot.share) {
+            (slot.share, slot.cell, slot.at) = (share, cell, *pose);
+        }
+    });
+    let carried = found.split_off(count);
+    (found, carried)
+}
+
+/// Share of a current of the slot before that is in the words of `slot`: exp(−t/τ), in the mean of its conversions.
+/// The first slot follows the last one of the frame before, and the rest of that frame.
+fn share_carried_into(file: &SceneFile, slot: usize) -> f64 {
+    let Some(front_end) = file.front_end else { return 0.0 };
+    let slot_s = front_end.slot_duration_s(file.scene.cells.len());
+    let idle_s = front_end.frame_period_s() - file.lighting.slots.len() as f64 * slot_s;
+    let off_s = front_end.settling_s + if slot == 0 { idle_s.max(0.0) } else { 0.0 };
+    let count = front_end.oversampling;
+    let at_s = (0..count).map(|conversion| off_s + f64::from(conversion) * front_end.conversion_s);
+    at_s.map(|at_s| (-at_s / front_end.time_constant_s).exp()).sum::<f64>() / f64::from(count)
+}
+
+/// Zero where the cell's own signal is no measurement anyway: not lit, or faint.
+pub(crate) fn share_of_others(plan: &CompiledScene<f64>, cell: usize, emitters: &[usize], pose: &Pose) -> f64 {
+    let own = plan.respond(cell, pose);
+    if own.status != Status::Lit || own.flags.faint {
+        return 0.0;
+    }
+    let others = emitters.iter().filter(|emitter| **emitter != cell);
+    let from_others: f64 = others.map(|emitter| plan.crosstalk(cell, *emitter, pose).total_a()).sum();
+    from_others / plan.crosstalk(cell, cell, pose).total_a()
+}
+
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(crate) struct Timing {
+    /// Lighting slots in a frame, the dark one included.
+    pub slots: usize,
+    pub slot_s: f64,
+    pub busy_s: f64,
+    pub frame_s: f64,
+}
+
+impl Timing {
+    pub(super) fn of(file: &SceneFile) -> Option<Self> {
+        let front_end = file.front_end?;
+        let slot_s = front_end.slot_duration_s(file.scene.cells.len());
+        let slots = file.lighting.slots.len();
+        Some(Self { slots, slot_s, busy_s: slots as f64 * slot_s, frame_s: front_end.frame_period_s() })
+    }
 }

@@ -13,11 +13,9 @@ use super::coverage::{AXES, axis_motion};
 /// Geometry and light of a cell at home.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct CellAtHome {
-    /// Number of the cell.
     pub cell: usize,
     /// Geometry of the spot.
     pub status: &'static str,
-    /// Flags, joined by `;`.
     pub flags: String,
     /// d_A: height of the emitter above the detector.
     pub emitter_distance_m: f64,
@@ -27,9 +25,7 @@ pub(crate) struct CellAtHome {
     pub x_a_m: Option<f64>,
     /// Angle between the emitter's axis and the beam; `None` without spot.
     pub gamma_rad: Option<f64>,
-    /// Solid angle of the spot.
     pub solid_angle_sr: f64,
-    /// Total current.
     pub i_o_a: f64,
 }
 
@@ -68,9 +64,7 @@ const BISECTIONS: usize = 20;
 pub(crate) struct Travel {
     /// `tx` … `rz`.
     pub axis: &'static str,
-    /// Towards the negative end.
     pub negative: End,
-    /// Towards the positive end.
     pub positive: End,
 }
 

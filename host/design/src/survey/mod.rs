@@ -5,7 +5,6 @@
 
 mod coverage;
 mod home;
-mod lighting;
 mod report;
 mod warning;
 
@@ -21,10 +20,9 @@ use crate::map::{NoiseOf, Outlook};
 pub(crate) use coverage::AXES;
 pub(crate) use coverage::CellCost;
 pub(crate) use coverage::Coverage;
+pub(crate) use coverage::{SlotCrosstalk, Timing, share_of_others};
 pub(crate) use home::CellAtHome;
 pub(crate) use home::{End, Travel};
-pub(crate) use lighting::Timing;
-pub(crate) use lighting::{SlotCrosstalk, share_of_others};
 
 /// Relative error of the integrals. A designer's decision turns on percents.
 const TOLERANCE: f64 = 1e-4;
@@ -41,7 +39,6 @@ pub struct Survey {
     pub origin: String,
     /// Hash of the scene file, 16 hexadecimal digits.
     pub hash: String,
-    /// The box that was sampled.
     pub(crate) workspace: WorkspaceFacts,
     pub(crate) home: Vec<CellAtHome>,
     /// Which noise that is by which a pose is told.
@@ -74,9 +71,7 @@ pub struct Survey {
 /// A workspace with its units in the names.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub(crate) struct WorkspaceFacts {
-    /// Half extents of the translation.
     pub half_extent_m: [f64; 3],
-    /// Half extents of the rotation vector.
     pub half_extent_rad: [f64; 3],
 }
 
@@ -87,7 +82,7 @@ impl Survey {
         let tier = Tier::Exact { tolerance: TOLERANCE };
         let plan = CompiledScene::<f64>::compile(&file.scene, tier)?;
         let solver = Solver::<f64>::new(&file.scene, Tier::Exact { tolerance: SOLVING_TOLERANCE })?;
-        let (crosstalk, carried) = lighting::of_slots(file, &plan, samples, &mut progress);
+        let (crosstalk, carried) = coverage::of_slots(file, &plan, samples, &mut progress);
         let full_scale_a = file.front_end.map(|front_end| front_end.full_scale_a);
         let outlook = Outlook::of(file.clone().into())?;
         let mut survey = Self {

@@ -8,7 +8,7 @@ use slitpose_model::{MIN_CELLS, Pose, Status};
 
 use super::coverage::CellCost;
 use super::coverage::CellCoverage;
-use super::lighting::{CROSSTALK_LIMIT, SlotCrosstalk};
+use super::coverage::{CROSSTALK_LIMIT, SlotCrosstalk};
 use super::{AXES, End, Survey, WorkspaceFacts};
 
 /// σ of a single frame at home over the workspace's half extent: beyond this a pose is hardly told.
@@ -88,7 +88,6 @@ pub(super) fn find(file: &SceneFile, survey: &Survey) -> Vec<Finding> {
     warnings
 }
 
-/// What no board can run.
 fn of_front_end(file: &SceneFile) -> Option<Finding> {
     file.front_end?;
     let text = match board_configuration(file).err()? {

@@ -2,16 +2,16 @@
 
 use std::fmt::Write as _;
 
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
 use slitpose_protocol::{
     Batch, DELIMITER, Decoder, Event, Hello, MAX_MESSAGE_BYTES, Message, Poses, Schedule, Severity, Status, encode,
 };
 
 use super::Faults;
-use super::kinds::{Effect, Layer};
-use super::schedule::FaultClock;
-use super::text::Fault;
-use super::wire::{Passage, WireFault};
-use super::words::{WordFaults, WordScale};
+use super::board::{WordFaults, WordScale};
+use super::kinds::Layer;
+use super::text::{Fault, FaultClock};
 
 /// How the text of an event begins that announces a fault.
 pub const ANNOUNCED: &str = "injected fault: ";
@@ -140,7 +140,7 @@ impl Injector {
         let mut passage = Passage { bytes: packet, ..Passage::default() };
         for fault in &mut self.wire {
             let begun = fault.fault.window.begun(time_s);
-            if fault.fault.kind.effect == Effect::HangUp && begun > fault.begun {
+            if fault.fault.kind.name == "hangup" && begun > fault.begun {
                 fault.begun = begun;
                 for lost in [&mut self.late, &mut self.held, &mut self.packet] {
                     lost.clear();
@@ -217,11 +217,11 @@ impl Injector {
         for fault in &mut self.wire {
             let begun = fault.fault.window.begun(time_s);
             let [amount, _] = fault.fault.values;
-            match fault.fault.kind.effect {
-                Effect::Drift if fault.fault.window.is_open(time_s) => {
+            match fault.fault.kind.name {
+                "drift" if fault.fault.window.is_open(time_s) => {
                     self.ahead_ticks += (time_s - before_s) * f64::from(tick_hz) * amount * 1e-6;
                 }
-                Effect::Step if begun > fault.begun => {
+                "step" if begun > fault.begun => {
                     // A clock that steps back beyond its beginning goes on from there.
                     let ahead_ticks = amount * f64::from(tick_hz) * (begun - fault.begun) as f64 + self.ahead_ticks;
                     self.ahead_ticks = ahead_ticks.max(-(tick as f64));
@@ -288,6 +288,85 @@ fn announce(fault: &Fault, begun: u64, tick: u64, out: &mut Vec<u8>) {
     }
     let event = Event { tick, severity: Severity::Warning, text: &text };
     out.extend(packet_of(&Message::Event(event)).into_iter().flatten());
+}
+
+#[derive(Clone, Debug)]
+struct WireFault {
+    fault: Fault,
+    random: ChaCha8Rng,
+    /// Bits to the next that is inverted.
+    bits: Option<u64>,
+    /// Bytes of a burst to come.
+    burst: usize,
+    /// Spans whose begin has been acted on.
+    begun: u64,
+}
+
+#[derive(Clone, Debug, Default)]
+struct Passage {
+    /// Its bytes, delimiter included; empty if it is lost.
+    bytes: Vec<u8>,
+    is_double: bool,
+    /// It is delivered behind the next.
+    is_late: bool,
+    is_held: bool,
+}
+
+impl WireFault {
+    fn new(fault: Fault, random: ChaCha8Rng) -> Self {
+        Self { fault, random, bits: None, burst: 0, begun: 0 }
+    }
+
+    /// Does to the packet what the fault does at `time_s`.
+    fn act(&mut self, time_s: f64, packet: &mut Passage) {
+        // A burst that has begun goes on.
+        if !self.fault.window.is_open(time_s) && self.burst == 0 {
+            return;
+        }
+        let ([rate, bytes], name) = (self.fault.values, self.fault.kind.name);
+        match name {
+            "flip" => self.flip(rate, &mut packet.bytes),
+            "drop" if self.happens(rate) => packet.bytes.clear(),
+            "duplicate" => packet.is_double |= self.happens(rate),
+            "reorder" => packet.is_late |= self.happens(rate),
+            "truncate" if self.happens(rate) => {
+                let kept = self.random.random_range(0..packet.bytes.len().max(1));
+                packet.bytes.truncate(kept);
+            }
+            "burst" => {
+                if self.burst == 0 && self.happens(rate) {
+                    self.burst = bytes as usize;
+                }
+                let hit = self.burst.min(packet.bytes.len());
+                packet.bytes[..hit].iter_mut().for_each(|byte| *byte = self.random.random());
+                self.burst -= hit;
+            }
+            "stall" => packet.is_held = true,
+            // Of the clock, of the link as a whole, or of other layers.
+            _ => {}
+        }
+    }
+
+    fn happens(&mut self, rate: f64) -> bool {
+        self.random.random::<f64>() < rate
+    }
+
+    /// Inverts bits; the distance between two has the geometric distribution.
+    fn flip(&mut self, rate: f64, bytes: &mut [u8]) {
+        let length = 8 * bytes.len() as u64;
+        let mut next = self.bits.take().unwrap_or_else(|| self.gap(rate));
+        while next < length {
+            bytes[(next / 8) as usize] ^= 1 << (next % 8);
+            next += 1 + self.gap(rate);
+        }
+        self.bits = Some(next - length);
+    }
+
+    fn gap(&mut self, rate: f64) -> u64 {
+        let uniform: f64 = self.random.random();
+        // Of `rate` 1 the logarithm is infinite, and the gap zero.
+        ((1.0 - uniform).ln() / (-rate).ln_1p()).min(1e15) as u64
+    }
 }
 
 #[cfg(test)]

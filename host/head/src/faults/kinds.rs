@@ -54,7 +54,6 @@ pub enum Lasts {
 pub struct Kind {
     /// Its name.
     pub name: &'static str,
-    pub(super) effect: Effect,
     /// Where it acts.
     pub layer: Layer,
     /// Its keys.
@@ -69,38 +68,6 @@ pub struct Kind {
     pub exit: u8,
     /// A fault of this kind.
     pub example: &'static str,
-}
-
-/// What happens while a fault acts; [`Kind::what`] says it in words.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Effect {
-    Flip,
-    Drop,
-    Duplicate,
-    Reorder,
-    Truncate,
-    Burst,
-    Stall,
-    HangUp,
-    Drift,
-    Step,
-    Occlude,
-    Dim,
-    Saturate,
-    Glint,
-    Stray,
-    Noisy,
-    Stuck,
-    SwapElectrodes,
-    SwapCells,
-    Dead,
-    Move,
-    Warm,
-    Overrun,
-    Reset,
-    Restart,
-    Slow,
-    Stop,
 }
 
 const fn key(name: &'static str, unit: Unit, default: &'static str) -> Key {
@@ -121,7 +88,6 @@ const EXCLUDED: &str = "degraded (cell_excluded, doubted); health: excluded";
 /// What kinds of a layer have in common, unless the table says otherwise.
 const WIRE: Kind = Kind {
     name: "",
-    effect: Effect::Flip,
     layer: Layer::Wire,
     keys: &[RATE],
     lasts: Lasts::ToTheEnd,
@@ -138,7 +104,6 @@ const BOARD: Kind = Kind { layer: Layer::Board, keys: &[], lasts: Lasts::Instant
 pub const KINDS: [Kind; 27] = [
     Kind {
         name: "flip",
-        effect: Effect::Flip,
         keys: &[key("rate", Unit::Rate, "1e-5")],
         what: "inverts each bit with probability RATE",
         example: "flip:rate=1e-5",
@@ -146,7 +111,6 @@ pub const KINDS: [Kind; 27] = [
     },
     Kind {
         name: "drop",
-        effect: Effect::Drop,
         what: "loses each packet with probability RATE",
         sees: GAP,
         example: "drop:rate=0.01",
@@ -154,7 +118,6 @@ pub const KINDS: [Kind; 27] = [
     },
     Kind {
         name: "duplicate",
-        effect: Effect::Duplicate,
         what: "delivers each packet twice with probability RATE",
         sees: "repeats are left out and counted",
         example: "duplicate:rate=0.01",
@@ -162,7 +125,6 @@ pub const KINDS: [Kind; 27] = [
     },
     Kind {
         name: "reorder",
-        effect: Effect::Reorder,
         what: "delivers each packet behind the next with probability RATE",
         sees: "gap in seq, counted as missing; late scans are left out and counted",
         example: "reorder:rate=0.01",
@@ -170,14 +132,12 @@ pub const KINDS: [Kind; 27] = [
     },
     Kind {
         name: "truncate",
-        effect: Effect::Truncate,
         what: "cuts the end off each packet with probability RATE",
         example: "truncate:rate=0.01",
         ..WIRE
     },
     Kind {
         name: "burst",
-        effect: Effect::Burst,
         keys: &[RATE, key("bytes", Unit::Count, "64")],
         what: "replaces BYTES by noise, from each packet on with probability RATE",
         example: "burst:rate=0.01,bytes=300",
@@ -185,7 +145,6 @@ pub const KINDS: [Kind; 27] = [
     },
     Kind {
         name: "stall",
-        effect: Effect::Stall,
         keys: &[],
         lasts: Lasts::For("200ms"),
         what: "holds all bytes back, and then delivers them at once",
@@ -196,7 +155,6 @@ pub const KINDS: [Kind; 27] = [
     },
     Kind {
         name: "hangup",
-        effect: Effect::HangUp,
         keys: &[],
         lasts: Lasts::For("200ms"),
         what: "breaks the link; the port is back later",
@@ -206,7 +164,6 @@ pub const KINDS: [Kind; 27] = [
     },
     Kind {
         name: "drift",
-        effect: Effect::Drift,
         keys: &[key("ppm", Unit::Ppm, "100ppm")],
         what: "lets the board's clock gain PPM",
         sees: "device times drift; drift_ppm in /status in real time",
@@ -216,7 +173,6 @@ pub const KINDS: [Kind; 27] = [
     },
     Kind {
         name: "step",
-        effect: Effect::Step,
         keys: &[key("by", Unit::TimeStep, "10ms")],
         lasts: Lasts::Instant,
         what: "sets the board's clock forward BY a time, or back",
@@ -227,7 +183,6 @@ pub const KINDS: [Kind; 27] = [
     },
     Kind {
         name: "occlude",
-        effect: Effect::Occlude,
         what: "takes all light from a cell",
         sees: "degraded (fewer_cells); health: dark",
         example: "occlude:cell=2,from=1s,for=500ms",
@@ -235,7 +190,6 @@ pub const KINDS: [Kind; 27] = [
     },
     Kind {
         name: "dim",
-        effect: Effect::Dim,
         keys: &[CELL, key("to", Unit::Ratio, "0.5")],
         what: "dims the light of a cell TO a share",
         example: "dim:cell=0,to=0.7",
@@ -243,7 +197,6 @@ pub const KINDS: [Kind; 27] = [
     },
     Kind {
         name: "saturate",
-        effect: Effect::Saturate,
         what: "drives a cell's converter to the end of its range",
         sees: "degraded (fewer_cells); health: saturated",
         example: "saturate:cell=1,every=10ms,for=1ms",
@@ -251,7 +204,6 @@ pub const KINDS: [Kind; 27] = [
     },
     Kind {
         name: "glint",
-        effect: Effect::Glint,
         keys: &[CELL, key("current", Unit::Current, "1uA")],
         what: "adds a reflection of its own emitter to electrode 1 of a cell",
         example: "glint:cell=3,current=500nA",
@@ -259,7 +211,6 @@ pub const KINDS: [Kind; 27] = [
     },
     Kind {
         name: "stray",
-        effect: Effect::Stray,
         keys: &[CELL, key("current", Unit::Current, "400nA")],
         what: "adds CURRENT of other light to each electrode of a cell in all slots",
         sees: "poses hold; health: stray_rising",
@@ -268,7 +219,6 @@ pub const KINDS: [Kind; 27] = [
     },
     Kind {
         name: "noisy",
-        effect: Effect::Noisy,
         keys: &[CELL, key("rms", Unit::Current, "20nA")],
         what: "adds noise to each word of a cell",
         sees: "degraded (misfit, cell_excluded, doubted); health: excluded or noisy",
@@ -277,7 +227,6 @@ pub const KINDS: [Kind; 27] = [
     },
     Kind {
         name: "stuck",
-        effect: Effect::Stuck,
         what: "lets the words of a cell stay as they are",
         sees: "degraded (cell_excluded, doubted); health: stuck",
         example: "stuck:cell=5,from=1s",
@@ -285,7 +234,6 @@ pub const KINDS: [Kind; 27] = [
     },
     Kind {
         name: "swap-electrodes",
-        effect: Effect::SwapElectrodes,
         what: "exchanges the electrodes of a cell",
         sees: "degraded (cell_excluded, doubted); health: swapped",
         example: "swap-electrodes:cell=0",
@@ -293,7 +241,6 @@ pub const KINDS: [Kind; 27] = [
     },
     Kind {
         name: "swap-cells",
-        effect: Effect::SwapCells,
         keys: &[CELL, Key { name: "with", unit: Unit::Number, default: None }],
         what: "exchanges two cells",
         sees: "degraded (misfit, doubted) or no pose; health: swapped",
@@ -302,7 +249,6 @@ pub const KINDS: [Kind; 27] = [
     },
     Kind {
         name: "dead",
-        effect: Effect::Dead,
         keys: &[Key { name: "emitter", unit: Unit::Number, default: None }],
         what: "lets an emitter fail",
         sees: "degraded (fewer_cells); health: dark",
@@ -311,7 +257,6 @@ pub const KINDS: [Kind; 27] = [
     },
     Kind {
         name: "move",
-        effect: Effect::Move,
         keys: &[CELL, key("by", Unit::Length, "50um")],
         what: "moves the slit of a cell along its detector",
         example: "move:cell=2,by=30um,from=1s",
@@ -319,7 +264,6 @@ pub const KINDS: [Kind; 27] = [
     },
     Kind {
         name: "warm",
-        effect: Effect::Warm,
         keys: &[key("by", Unit::Kelvin, "20K"), key("over", Unit::Time, "1s")],
         what: "warms head and board within OVER: emitters weaken, dark currents rise",
         sees: "temperature in status; poses stay right: the light level is an unknown of each scan",
@@ -328,7 +272,6 @@ pub const KINDS: [Kind; 27] = [
     },
     Kind {
         name: "overrun",
-        effect: Effect::Overrun,
         keys: &[key("scans", Unit::Count, "8")],
         what: "has the converters overwrite SCANS before they are collected",
         sees: "gap in seq, counted as missing; lost scans and overruns in status",
@@ -337,7 +280,6 @@ pub const KINDS: [Kind; 27] = [
     },
     Kind {
         name: "reset",
-        effect: Effect::Reset,
         keys: &[key("boot", Unit::Time, "20ms")],
         what: "resets the board by its watchdog; the link stays open",
         sees: "restart counted; the board is started again; needs --patience, else the run fails",
@@ -346,7 +288,6 @@ pub const KINDS: [Kind; 27] = [
     },
     Kind {
         name: "restart",
-        effect: Effect::Restart,
         lasts: Lasts::For("300ms"),
         what: "takes the board's supply away; the port is gone, too",
         sees: "link lost, reconnects counted; restart counted; needs --patience, else the run fails",
@@ -355,7 +296,6 @@ pub const KINDS: [Kind; 27] = [
     },
     Kind {
         name: "slow",
-        effect: Effect::Slow,
         keys: &[key("poll", Unit::Time, "30ms")],
         lasts: Lasts::ToTheEnd,
         what: "lets the board look after its scans only every POLL",
@@ -365,7 +305,6 @@ pub const KINDS: [Kind; 27] = [
     },
     Kind {
         name: "stop",
-        effect: Effect::Stop,
         what: "has the converters fail: the board stops and goes dark",
         sees: "event of the board; it is started again; needs --patience, else the run fails",
         example: "stop:from=1s",

@@ -17,18 +17,13 @@
 mod board;
 mod injector;
 mod kinds;
-mod schedule;
 mod text;
-mod wire;
-mod words;
 
-pub use board::{BoardFaults, LightFaults, Trouble};
+pub(crate) use board::WordScale;
+pub use board::{BoardFaults, LightFaults, Trouble, WordFaults};
 pub use injector::{ANNOUNCED, Injector, Link};
 pub use kinds::{KINDS, Key, Kind, Lasts, Layer};
-pub use schedule::{FaultClock, Window};
-pub use text::{Fault, FaultError, Unit};
-pub use words::WordFaults;
-pub(crate) use words::WordScale;
+pub use text::{Fault, FaultClock, FaultError, Unit, Window};
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -41,9 +36,6 @@ pub struct Faults(Vec<Fault>);
 
 impl Faults {
     /// These faults, for a head with so many cells.
-    ///
-    /// # Errors
-    /// A cell that the head does not have.
     pub fn new(faults: Vec<Fault>, cells: usize) -> Result<Self, FaultError> {
         for fault in &faults {
             if let Some(cell) = fault.cells().find(|&cell| cell >= cells) {
@@ -73,17 +65,11 @@ impl Faults {
     }
 
     /// Checks that each can be injected into a recording.
-    ///
-    /// # Errors
-    /// The first that cannot, and why.
     pub fn check_recording(faults: &[Fault]) -> Result<(), FaultError> {
         check(faults, "a recording", Kind::not_in_recordings)
     }
 
     /// Checks that each can be injected into a board that `simulate` records.
-    ///
-    /// # Errors
-    /// The first that cannot, and why.
     pub fn check_simulate(faults: &[Fault]) -> Result<(), FaultError> {
         check(faults, "the board of `simulate`", Kind::not_in_simulate)
     }

@@ -1,12 +1,13 @@
-//! The text of a fault: `KIND:KEY=VALUE,KEY=VALUE`, and the numbers with units in it.
+//! The text of a fault: `KIND:KEY=VALUE,KEY=VALUE`, the numbers with units in it, and when it acts: device time, counted from
+//! the first scan.
 
 use std::fmt;
+use std::ops::RangeInclusive;
 use std::str::FromStr;
 
 use thiserror::Error;
 
-use super::kinds::{Effect, KINDS, Kind, Lasts};
-use super::schedule::Window;
+use super::kinds::{KINDS, Kind, Lasts};
 use crate::scene_file::nearest;
 
 /// Why a fault cannot be injected, and what to do instead.
@@ -43,7 +44,6 @@ pub struct Fault {
     pub kind: &'static Kind,
     /// Of the keys of its kind, in SI units.
     pub(super) values: [f64; 2],
-    /// Seed of its random numbers.
     pub(super) seed: u64,
     text: String,
 }
@@ -140,7 +140,7 @@ impl FromStr for Fault {
             None => 1,
             Some(text) => text.parse().map_err(|_| parts.refuse(SEED, text, "a whole number from 0"))?,
         };
-        if kind.effect == Effect::SwapCells && values[0] == values[1] {
+        if kind.name == "swap-cells" && values[0] == values[1] {
             return Err(parts.refuse("with", &values[1].to_string(), "another cell than `cell`"));
         }
         Ok(Self { kind, values, window: parts.window()?, seed, text: text.to_owned() })
@@ -189,58 +189,114 @@ pub enum Unit {
 /// Longest time that the text of a fault may give: a day.
 const MAX_S: f64 = 86_400.0;
 
-impl Unit {
-    /// Endings of a text, with the factor to SI; the longest first.
-    fn endings(self) -> &'static [(&'static str, f64)] {
-        match self {
-            Self::Time | Self::TimeStep => &[("min", 60.0), ("ms", 1e-3), ("us", 1e-6), ("s", 1.0)],
-            Self::Ppm => &[("ppm", 1.0)],
-            Self::Current => &[("nA", 1e-9), ("uA", 1e-6), ("mA", 1e-3)],
-            Self::Length => &[("nm", 1e-9), ("um", 1e-6), ("mm", 1e-3)],
-            Self::Kelvin => &[("K", 1.0)],
-            Self::Number | Self::Count | Self::Rate | Self::Ratio => &[("", 1.0)],
-        }
-    }
+/// Endings of a text with the factor to SI, the longest first.
+type Endings = &'static [(&'static str, f64)];
 
-    fn is_fit(self, value: f64) -> bool {
+const PLAIN: Endings = &[("", 1.0)];
+const TIMES: Endings = &[("min", 60.0), ("ms", 1e-3), ("us", 1e-6), ("s", 1.0)];
+const CURRENTS: Endings = &[("nA", 1e-9), ("uA", 1e-6), ("mA", 1e-3)];
+const LENGTHS: Endings = &[("nm", 1e-9), ("um", 1e-6), ("mm", 1e-3)];
+
+impl Unit {
+    /// Endings, the least and the greatest value, and what such a value looks like.
+    fn entry(self) -> (Endings, RangeInclusive<f64>, &'static str) {
         match self {
-            Self::Number => value.fract() == 0.0 && (0.0..256.0).contains(&value),
-            Self::Count => value.fract() == 0.0 && (1.0..=1e6).contains(&value),
-            Self::Rate => value > 0.0 && value <= 1.0,
-            Self::Ratio => (0.0..=10.0).contains(&value),
-            Self::Time => (0.0..=MAX_S).contains(&value),
-            Self::TimeStep => value.abs() <= MAX_S,
-            Self::Ppm => value.abs() <= 1e5,
-            Self::Current => (0.0..=1e-3).contains(&value),
-            Self::Length => value.abs() <= 0.1,
-            Self::Kelvin => value.abs() <= 200.0,
+            Self::Number => (PLAIN, 0.0..=255.0, "a number from 0, such as 2"),
+            Self::Count => (PLAIN, 1.0..=1e6, "a whole number from 1, such as 8"),
+            Self::Rate => (PLAIN, f64::MIN_POSITIVE..=1.0, "a probability above 0 and up to 1, such as 1e-5"),
+            Self::Ratio => (PLAIN, 0.0..=10.0, "a ratio from 0 to 10, such as 0.5"),
+            Self::Time => (TIMES, 0.0..=MAX_S, "a time from 0 to 1440min, such as 0.5s, 20ms or 250us"),
+            Self::TimeStep => (TIMES, -MAX_S..=MAX_S, "a time of either sign, such as 10ms or -2s"),
+            Self::Ppm => (&[("ppm", 1.0)], -1e5..=1e5, "parts per million up to 1e5, such as 50ppm"),
+            Self::Current => (CURRENTS, 0.0..=1e-3, "a current up to 1mA, such as 200nA or 1.5uA"),
+            Self::Length => (LENGTHS, -0.1..=0.1, "a length up to 100mm, such as 50um or -0.1mm"),
+            Self::Kelvin => (&[("K", 1.0)], -200.0..=200.0, "a difference up to 200K, such as 20K"),
         }
     }
 
     /// What such a value looks like, for messages.
     pub fn example(self) -> &'static str {
-        match self {
-            Self::Number => "a number from 0, such as 2",
-            Self::Count => "a whole number from 1, such as 8",
-            Self::Rate => "a probability above 0 and up to 1, such as 1e-5",
-            Self::Ratio => "a ratio from 0 to 10, such as 0.5",
-            Self::Time => "a time from 0 to 1440min, such as 0.5s, 20ms or 250us",
-            Self::TimeStep => "a time of either sign, such as 10ms or -2s",
-            Self::Ppm => "parts per million up to 1e5, such as 50ppm",
-            Self::Current => "a current up to 1mA, such as 200nA or 1.5uA",
-            Self::Length => "a length up to 100mm, such as 50um or -0.1mm",
-            Self::Kelvin => "a difference up to 200K, such as 20K",
-        }
+        self.entry().2
     }
 
     /// The value of `text` in SI units; `None` if it is none, or out of range.
     pub fn parse(self, text: &str) -> Option<f64> {
+        let (endings, range, _) = self.entry();
         let (number, factor) =
-            self.endings().iter().find_map(|&(ending, factor)| Some((text.strip_suffix(ending)?, factor)))?;
+            endings.iter().find_map(|&(ending, factor)| Some((text.strip_suffix(ending)?, factor)))?;
         // Neither `inf` nor `nan` begins or ends with a digit.
         let is_plain = number.ends_with(|last: char| last.is_ascii_digit() || last == '.');
         let value = number.parse::<f64>().ok().filter(|_| is_plain)? * factor;
-        self.is_fit(value).then_some(value)
+        let is_whole = !matches!(self, Self::Number | Self::Count) || value.fract() == 0.0;
+        (is_whole && range.contains(&value)).then_some(value)
+    }
+}
+
+/// The spans in which a fault acts, seconds of device time since the first scan.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Window {
+    /// Begin of the first span.
+    pub from_s: f64,
+    /// Duration of a span; infinite: to the end, or to the next span.
+    pub for_s: f64,
+    /// Time from the begin of a span to that of the next; `None`: there is one span.
+    pub every_s: Option<f64>,
+}
+
+/// Rounding of times does not move a begin or an end: less than a tick of any board.
+const ROUNDING_S: f64 = 1e-9;
+
+impl Window {
+    /// How many spans have begun by `time_s`.
+    pub fn begun(&self, time_s: f64) -> u64 {
+        let since_s = time_s - self.from_s + ROUNDING_S;
+        match self.every_s {
+            _ if since_s < 0.0 => 0,
+            Some(every_s) => 1 + (since_s / every_s) as u64,
+            None => 1,
+        }
+    }
+
+    /// Time since the span under way began; `None` outside of all spans.
+    pub fn since_s(&self, time_s: f64) -> Option<f64> {
+        let begun = self.begun(time_s).checked_sub(1)?;
+        let since_s = (time_s - self.from_s - begun as f64 * self.every_s.unwrap_or(0.0)).max(0.0);
+        (since_s + ROUNDING_S < self.for_s).then_some(since_s)
+    }
+
+    /// Whether `time_s` lies in a span.
+    pub fn is_open(&self, time_s: f64) -> bool {
+        self.since_s(time_s).is_some()
+    }
+}
+
+/// Device time since the first scan, from the ticks of scans. It goes on where a board restarts its counters.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct FaultClock {
+    /// Tick of zero, and the latest tick; `None` before the first scan.
+    ticks: Option<(u64, u64)>,
+    /// Ticks before the board last began anew.
+    earlier_ticks: u64,
+}
+
+impl FaultClock {
+    /// The device time of a scan that began at `tick`, seconds.
+    pub fn take(&mut self, tick: u64, tick_hz: u32) -> f64 {
+        let (first, last) = self.ticks.unwrap_or((tick, tick));
+        let first = if tick < last {
+            self.earlier_ticks += last - first;
+            tick
+        } else {
+            first
+        };
+        self.ticks = Some((first, tick));
+        (self.earlier_ticks + (tick - first)) as f64 / f64::from(tick_hz)
+    }
+
+    /// The device time at `tick`, at least that of the latest scan; `None` before the first scan.
+    pub fn at(&self, tick: u64, tick_hz: u32) -> Option<f64> {
+        let (first, last) = self.ticks?;
+        Some((self.earlier_ticks + (tick.max(last) - first)) as f64 / f64::from(tick_hz))
     }
 }
 
@@ -253,13 +309,11 @@ mod tests {
     }
 
     #[test]
-    fn each_kind_has_an_effect_of_its_own_and_an_example_that_is_one() {
-        let mut effects = Vec::new();
+    fn each_kind_has_a_name_of_its_own_and_an_example_that_is_one() {
         for kind in &KINDS {
             let fault: Fault = kind.example.parse().unwrap_or_else(|error| panic!("{}: {error}", kind.example));
             assert_eq!((fault.kind.name, fault.to_string().as_str()), (kind.name, kind.example));
-            assert!(!effects.contains(&kind.effect), "{}", kind.name);
-            effects.push(kind.effect);
+            assert_eq!(KINDS.iter().filter(|other| other.name == kind.name).count(), 1, "{}", kind.name);
             assert!([0, 3].contains(&kind.exit), "{}", kind.name);
         }
     }
@@ -335,5 +389,25 @@ mod tests {
         ] {
             assert_eq!(unit.parse(text), None, "{text} as {unit:?}");
         }
+    }
+
+    #[test]
+    fn spans_repeat_and_end() {
+        let once = Window { from_s: 1.0, for_s: 0.5, every_s: None };
+        assert_eq!([0.0, 0.999, 1.0, 1.4, 1.5, 9.0].map(|t| once.is_open(t)), [false, false, true, true, false, false]);
+        let often = Window { from_s: 1.0, for_s: 0.1, every_s: Some(0.3) };
+        let opened: Vec<u32> = (0..20).filter(|tenth| often.is_open(f64::from(*tenth) / 10.0)).collect();
+        assert_eq!(opened, [10, 13, 16, 19]);
+        assert_eq!([0.0, 1.0, 1.29, 1.3, 2.2].map(|t| often.begun(t)), [0, 1, 1, 2, 5]);
+        assert!(Window { for_s: f64::INFINITY, ..once }.is_open(1e9));
+    }
+
+    #[test]
+    fn the_clock_goes_on_where_ticks_begin_anew() {
+        let mut clock = FaultClock::default();
+        assert_eq!(clock.at(1000, 100), None);
+        let times = [1000, 1100, 1250, 40, 90].map(|tick| clock.take(tick, 100));
+        assert_eq!(times, [0.0, 1.0, 2.5, 2.5, 3.0]);
+        assert_eq!([140, 3].map(|tick| clock.at(tick, 100)), [Some(3.5), Some(3.0)]);
     }
 }

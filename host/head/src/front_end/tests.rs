@@ -3,10 +3,11 @@
 
 use slitpose_model::{Noise, Reading, Tier};
 use slitpose_protocol::{
-    AdcScaling, Command, Decoder, Level, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, RawScan, Request, encode,
+    AdcScaling, Command, Configuration, Decoder, Level, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, RawScan,
+    Request, encode,
 };
 
-use super::{Stage, configuration, dark_word_noise_a};
+use super::{Stage, board_configuration, configuration, dark_word_noise_a};
 use crate::scene_file::{FrontEnd, SceneFile, WIDE};
 use crate::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
 
@@ -83,7 +84,6 @@ fn simulated(file: &SceneFile, scans: usize, seed: u64) -> (Vec<Samples>, Noise,
     (samples, noise, promised)
 }
 
-/// Mean and covariance of pairs.
 fn moments(pairs: &[[f64; 2]]) -> ([f64; 2], [[f64; 2]; 2]) {
     let mean_of = |value: &dyn Fn(&[f64; 2]) -> f64| pairs.iter().map(value).sum::<f64>() / pairs.len() as f64;
     let mean = [0, 1].map(|k| mean_of(&|pair| pair[k]));
@@ -281,4 +281,40 @@ fn a_word_that_tells_no_current_gives_none() {
     let Reading::Light(pair) = Stage::new(&file, &schedule, &scaling).photocurrents(&scan).cells[0] else { panic!() };
     let expected_a = (2_031.0 * 2.5e-9 - 100e-9) / 0.5;
     assert!((pair.i_x1_a / expected_a - 1.0).abs() < 1e-9, "{pair:?}");
+}
+
+#[test]
+fn the_default_scene_runs_at_4_khz_with_a_third_of_the_frame_idle() {
+    let Configuration { schedule, levels, .. } = configuration(&WIDE.read().unwrap()).unwrap();
+    assert_eq!(schedule.frame_rate_hz(), 4000.0);
+    assert_eq!((schedule.slots.len(), levels.len(), schedule.words_per_scan()), (4, 6, 24));
+    let busy = 4.0 * f64::from(schedule.slot_ticks) / f64::from(schedule.frame_ticks);
+    assert!((0.5..0.67).contains(&busy), "{busy}");
+}
+
+#[test]
+fn a_board_whose_words_are_too_narrow_is_refused_but_not_its_noise() {
+    let mut file = WIDE.read().unwrap();
+    // 4 · 16 383 = 65 532 fits 16 bits, 4 · 32 767 does not; one conversion of 16 bits does.
+    for (bits, oversampling, fits) in [(12, 16, true), (14, 4, true), (15, 4, false), (16, 1, true), (16, 2, false)] {
+        let front_end = file.front_end.as_mut().unwrap();
+        (front_end.adc_bits, front_end.oversampling, front_end.frame_rate_hz) = (bits, oversampling, 1000.0);
+        assert!(configuration(&file).is_ok());
+        match board_configuration(&file) {
+            Ok(_) => assert!(fits, "{bits}, {oversampling}"),
+            Err(error) => assert!(!fits && error.to_string().contains(&format!("{bits} bits")), "{error}"),
+        }
+    }
+}
+
+#[test]
+fn a_schedule_that_does_not_fit_is_refused() {
+    let mut file = WIDE.read().unwrap();
+    file.front_end.as_mut().unwrap().frame_rate_hz = 8000.0;
+    let refused = configuration(&file).unwrap_err().to_string();
+    assert!(refused.contains("4 slots of ") && refused.contains("the frame period is 125.0 µs"), "{refused}");
+    file.front_end.as_mut().unwrap().oversampling = 32;
+    assert!(configuration(&file).unwrap_err().to_string().contains("32"));
+    file.front_end = None;
+    assert!(configuration(&file).unwrap_err().to_string().contains("[front_end]"));
 }

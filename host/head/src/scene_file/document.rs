@@ -17,7 +17,6 @@ type Entry<'a> = Spanned<DeValue<'a>>;
 /// A value longer than this, in characters, is cut in messages.
 const MAX_QUOTE: usize = 60;
 
-/// A scene file's text and tree.
 pub(super) struct Document<'a> {
     origin: &'a str,
     text: &'a str,
@@ -39,18 +38,18 @@ impl<'a> Document<'a> {
     }
 
     fn check_keys(&self) -> Result<(), SceneFileError> {
-        self.check_table(&self.root, "the scene file", keys::TOP)?;
-        for (section, known) in keys::sections() {
-            if let Some(entry) = self.root.get(section) {
+        self.check_table(&self.root, "the scene file", &keys::top())?;
+        for (section, known) in keys::SECTIONS {
+            if let Some(entry) = self.root.get(*section) {
                 let table = self.as_table(KeyPath::top(section), entry)?;
                 self.check_table(table, &format!("[{section}]"), known)?;
             }
         }
         for (number, entry) in self.cell_entries()?.iter().enumerate() {
             let cell = self.as_table(KeyPath::top("cell"), entry)?;
-            self.check_table(cell, &format!("[[cell]] number {number}"), keys::CELL)?;
-            for (section, known) in keys::sections().filter(|(name, _)| keys::PER_CELL.contains(name)) {
-                if let Some(entry) = cell.get(section) {
+            self.check_table(cell, &format!("[[cell]] number {number}"), &keys::of_cell())?;
+            for (section, known) in keys::per_cell() {
+                if let Some(entry) = cell.get(*section) {
                     let table = self.as_table(KeyPath::of_cell(number, "cell", section), entry)?;
                     self.check_table(table, &format!("`{section}` of cell {number}"), known)?;
                 }
@@ -59,12 +58,7 @@ impl<'a> Document<'a> {
         Ok(())
     }
 
-    fn check_table(
-        &self,
-        table: &DeTable<'_>,
-        section: &str,
-        known: &'static [&'static str],
-    ) -> Result<(), SceneFileError> {
+    fn check_table(&self, table: &DeTable<'_>, section: &str, known: &[&'static str]) -> Result<(), SceneFileError> {
         let unknown =
             table.keys().filter(|key| !known.contains(&key.get_ref().as_ref())).min_by_key(|key| key.span().start);
         let Some(key) = unknown else {
@@ -78,7 +72,6 @@ impl<'a> Document<'a> {
         Err(self.error_at(key.span(), text))
     }
 
-    /// How many cells there are.
     pub(super) fn cell_count(&self) -> Result<usize, SceneFileError> {
         Ok(self.cell_entries()?.len())
     }
@@ -221,7 +214,6 @@ impl<'a> Document<'a> {
         Ok(list)
     }
 
-    /// Reads an entry as an array.
     pub(super) fn as_array<'s>(
         &'s self,
         path: KeyPath,

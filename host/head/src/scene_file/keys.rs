@@ -5,7 +5,7 @@ use std::fmt;
 use slitpose_model::Place;
 use thiserror::Error;
 
-use super::shipped::SHIPPED;
+use super::SHIPPED;
 use crate::foreign::printable;
 use crate::text_file::TextFileError;
 
@@ -136,49 +136,19 @@ impl fmt::Display for KeyPath {
     }
 }
 
-/// Keys at the top level, sections included.
-pub(super) const TOP: &[&str] = &[
-    "name",
-    "detector",
-    "slit",
-    "emitter",
-    "window",
-    "stray",
-    "converter",
-    "noise",
-    "front_end",
-    "uncertainty",
-    "tolerance",
-    "lighting",
-    "workspace",
-    "cell",
-];
+/// Keys of a `[[cell]]` itself: five, or the cell whose detector it reads the second axis of.
+const OWN: [&str; 6] = ["detector_mm", "x_axis", "normal", "emitter_mm", "emitter_axis", "second_axis_of"];
 
-/// Keys of a `[[cell]]`: its own five, or the cell whose detector it reads the second axis of; and the sections it may
-/// override key by key.
-pub(super) const CELL: &[&str] = &[
-    "detector_mm",
-    "x_axis",
-    "normal",
-    "emitter_mm",
-    "emitter_axis",
-    "second_axis_of",
-    "detector",
-    "slit",
-    "emitter",
-    "window",
-    "stray",
-    "converter",
-];
-
-/// Sections whose keys a cell may override.
-pub(super) const PER_CELL: &[&str] = &["detector", "slit", "emitter", "window", "stray", "converter"];
+/// How many of the sections, from the first on, a cell may override key by key.
+const PER_CELL: usize = 6;
 
 /// The three ways to give an emitter's profile, exactly one of which is needed.
 pub(super) const PROFILES: [&str; 3] = ["half_angle_deg", "profile_exponent", "profile"];
 
-/// Every section with its keys.
-const SECTIONS: &[(&str, &[&str])] = &[
+/// A section and its keys.
+pub(super) type Section = (&'static str, &'static [&'static str]);
+
+pub(super) const SECTIONS: &[Section] = &[
     (
         "detector",
         &[
@@ -259,7 +229,17 @@ const SECTIONS: &[(&str, &[&str])] = &[
     ("workspace", &["half_extent_mm", "half_extent_deg"]),
 ];
 
-/// All sections, with the keys each may have.
-pub(super) fn sections() -> impl Iterator<Item = (&'static str, &'static [&'static str])> {
-    SECTIONS.iter().copied()
+/// Keys at the top level, sections included.
+pub(super) fn top() -> Vec<&'static str> {
+    ["name"].into_iter().chain(SECTIONS.iter().map(|(section, _)| *section)).chain(["cell"]).collect()
+}
+
+/// Keys of a `[[cell]]`, sections included.
+pub(super) fn of_cell() -> Vec<&'static str> {
+    OWN.into_iter().chain(per_cell().iter().map(|(section, _)| *section)).collect()
+}
+
+/// Sections whose keys a cell may override.
+pub(super) fn per_cell() -> &'static [Section] {
+    &SECTIONS[..PER_CELL]
 }

@@ -1,29 +1,25 @@
 //! The scene file: one TOML text that describes a sensor head.
 //!
-//! Read in this order: `keys` has every key, `document` parses the text and knows the place of each, `optics` and
-//! `effects` build the model's [`Scene`], `settings` has the rest, `shipped` the scenes compiled into the program.
+//! Read in this order: `keys` has every key, `document` parses the text and knows the place of each, `optics` builds the
+//! model's [`Scene`], `settings` has the rest. [`SHIPPED`] are the scenes compiled into the program.
 //! The file speaks millimetres and degrees; everything that leaves this module is SI.
 
 mod document;
-mod effects;
 mod keys;
 mod optics;
 mod settings;
-mod shipped;
 
 use std::ops::RangeInclusive;
 use std::path::Path;
 
-use slitpose_model::{CompiledScene, Profile, Scene, Tier};
-
+use document::Document;
 pub use keys::{FilePlace, KeyPath, SceneFileError, nearest};
 pub use settings::{FrontEnd, Lighting, Tolerance, Workspace};
-pub use shipped::{BASE, BENCH, FINE, MAGLEV, REDUNDANT, SHIPPED, SPACEMOUSE, Shipped, WIDE};
+use slitpose_model::{CompiledScene, Profile, Scene, Tier};
 
 use crate::finding::Finding;
 use crate::foreign::printable;
 use crate::text_file;
-use document::Document;
 
 /// What a relative profile may begin with: measured ones, and ones with their greatest intensity beside the axis.
 const ON_AXIS: RangeInclusive<f64> = 0.2..=2.0;
@@ -91,7 +87,7 @@ impl SceneFile {
         let mut scene = optics::read(&document)?;
         let lighting = settings::read_lighting(&document, &scene)?;
         let workspace = settings::read_workspace(&document)?;
-        effects::light_together(&mut scene, &lighting, &workspace);
+        optics::light_together(&mut scene, &lighting, &workspace);
         // Every rule about optical values stands in the model; compiling applies them all.
         CompiledScene::<f64>::compile(&scene, Tier::Paper).map_err(|error| document.optics_error(error))?;
         let stem = Path::new(origin).file_stem().map(|stem| stem.to_string_lossy());
@@ -142,7 +138,7 @@ impl SceneFile {
     #[must_use]
     pub fn with_lighting(&self, lighting: Lighting) -> Self {
         let mut file = Self { lighting, ..self.clone() };
-        effects::light_together(&mut file.scene, &file.lighting, &file.workspace);
+        optics::light_together(&mut file.scene, &file.lighting, &file.workspace);
         file
     }
 
@@ -174,6 +170,86 @@ impl SceneFile {
 /// FNV-1a with 64 bits (Fowler, Noll, Vo; offset basis and prime of the reference text).
 pub fn fnv1a_64(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3))
+}
+
+/// A scene that comes with the program.
+#[derive(Clone, Copy, Debug)]
+pub struct Shipped {
+    /// The name that stands for it wherever a scene file is asked for.
+    pub name: &'static str,
+    /// What it is, in one line.
+    pub about: &'static str,
+    /// Its scene file.
+    pub text: &'static str,
+}
+
+/// The default scene.
+pub const WIDE: Shipped = Shipped {
+    name: "wide",
+    about: "six cells rolled ±45°, wide slits: the default, lit nearly all over ±4 mm / ±15°",
+    text: include_str!("../../scenes/wide.toml"),
+};
+
+/// The optimum within 32 mm.
+pub const FINE: Shipped = Shipped {
+    name: "fine",
+    about: "six cells within 32 mm, the optimum that a search found: 1.8 times as accurate as wide",
+    text: include_str!("../../scenes/fine.toml"),
+};
+
+/// Nine cells, any one of which may be dark.
+pub const REDUNDANT: Shipped = Shipped {
+    name: "redundant",
+    about: "nine cells with the dimensions of fine: any one of them may go dark",
+    text: include_str!("../../scenes/redundant.toml"),
+};
+
+/// Slits on the tool.
+pub const SPACEMOUSE: Shipped = Shipped {
+    name: "spacemouse",
+    about: "six emitters that carry their slits, detectors around: the principle of the Space Mouse",
+    text: include_str!("../../scenes/spacemouse.toml"),
+};
+
+/// Detectors with two axes behind lenses.
+pub const MAGLEV: Shipped = Shipped {
+    name: "maglev",
+    about: "three emitters, three lenses, detectors with two axes: the principle of levitated haptic devices",
+    text: include_str!("../../scenes/maglev.toml"),
+};
+
+/// Six cells with the dimensions of the bench.
+pub const BASE: Shipped = Shipped {
+    name: "base",
+    about: "six cells rolled 0° and 90° in turn, each with the dimensions of the bench",
+    text: include_str!("../../scenes/base.toml"),
+};
+
+/// The source paper's test bench.
+pub const BENCH: Shipped = Shipped {
+    name: "bench",
+    about: "the single cell that De La Cruz et al. 2018 measured",
+    text: include_str!("../../scenes/bench.toml"),
+};
+
+/// Every shipped scene.
+pub const SHIPPED: [Shipped; 7] = [WIDE, FINE, REDUNDANT, SPACEMOUSE, MAGLEV, BASE, BENCH];
+
+impl Shipped {
+    /// The shipped scene of this name.
+    pub fn named(name: &str) -> Option<&'static Self> {
+        SHIPPED.iter().find(|shipped| shipped.name == name)
+    }
+
+    /// The shipped scene with this hash, read.
+    pub fn with_hash(hash: u64) -> Option<SceneFile> {
+        SHIPPED.iter().filter_map(|shipped| shipped.read().ok()).find(|file| file.hash == hash)
+    }
+
+    /// Reads it.
+    pub fn read(&self) -> Result<SceneFile, SceneFileError> {
+        SceneFile::parse(self.name, self.text)
+    }
 }
 
 #[cfg(test)]

@@ -4,8 +4,7 @@ use slitpose_model::{Pose, Profile, Status};
 
 use super::*;
 
-mod effects;
-mod openings;
+mod optics;
 
 /// The least a scene needs; line numbers below count from its first line.
 const LEAST: &str = "\
@@ -46,6 +45,11 @@ fn assert_refused(text: &str, parts: &[&str]) {
     for part in parts {
         assert!(message.contains(part), "`{part}` is not in: {message}");
     }
+}
+
+/// Refused at this line and column of the file.
+fn assert_refused_at(text: &str, place: &str, fault: &str) {
+    assert_refused(text, &[&format!("scene.toml:{place}: "), fault]);
 }
 
 #[test]
@@ -108,85 +112,61 @@ fn what_every_cell_gives_itself_needs_no_default() {
 }
 
 #[test]
-fn unknown_keys_are_refused_with_a_suggestion() {
-    let cases = [
-        (
-            changed("width_mm = 0.6", "widht_mm = 0.6", ""),
-            "scene.toml:7:1",
-            "`widht_mm` in [slit]",
-            "did you mean `width_mm`?",
-        ),
-        (
-            format!("{LEAST}slit = {{ colour = 1 }}\n"),
-            "scene.toml:18:10",
-            "`colour` in `slit` of cell 0",
-            "known keys: distance_mm",
-        ),
-        (format!("{LEAST}axis = 1\n"), "scene.toml:18:1", "`axis` in [[cell]] number 0", "did you mean `x_axis`?"),
-        (
-            format!("{LEAST}[front-end]\n"),
-            "scene.toml:18:2",
-            "`front-end` in the scene file",
-            "did you mean `front_end`?",
-        ),
-    ];
-    for (text, place, key, remedy) in cases {
-        assert_refused(&text, &[place, key, remedy]);
-    }
-}
-
-#[test]
-fn values_of_the_wrong_kind_are_refused() {
-    let cases = [
-        (changed("0.6", "\"0.6 mm\"", ""), "scene.toml:7:12", "slit.width_mm = \"0.6 mm\" is a text; give a number"),
-        (changed("0.6", "nan", ""), "scene.toml:7:12", "slit.width_mm = nan is out of range; give a finite number"),
-        (changed("0.6", "-inf", ""), "scene.toml:7:12", "slit.width_mm = -inf"),
-        (changed("0.6", "1e999", ""), "scene.toml:7:12", "slit.width_mm = 1e999"),
+fn what_is_refused_is_told_with_its_place_its_value_in_the_files_own_unit_and_the_next_step() {
+    for (text, place, fault) in [
+        // Keys that there are not.
+        (changed("width_mm = 0.6", "widht_mm = 0.6", ""), "7:1", "`widht_mm` in [slit]; did you mean `width_mm`?"),
+        (format!("{LEAST}slit = {{ colour = 1 }}\n"), "18:10", "`colour` in `slit` of cell 0; known keys: distance_mm"),
+        (format!("{LEAST}axis = 1\n"), "18:1", "`axis` in [[cell]] number 0; did you mean `x_axis`?"),
+        (format!("{LEAST}[front-end]\n"), "18:2", "`front-end` in the scene file; did you mean `front_end`?"),
+        // Values that cannot be.
+        (changed("0.6", "\"0.6 mm\"", ""), "7:12", "slit.width_mm = \"0.6 mm\" is a text; give a number"),
+        (changed("0.6", "nan", ""), "7:12", "slit.width_mm = nan is out of range; give a finite number"),
+        (changed("0.6", "-inf", ""), "7:12", "slit.width_mm = -inf"),
+        (changed("0.6", "1e999", ""), "7:12", "slit.width_mm = 1e999"),
         (
             changed("[25.0, 0.0, 0.0]", "[25.0, 0.0]", ""),
-            "scene.toml:13:15",
+            "13:15",
             "cell 0, detector_mm = [25.0, 0.0] is an array; give three numbers",
         ),
+        (changed("[25.0, 0.0, 0.0]", "[25.0, 0.0, true]", ""), "13:27", "true is true or false; give a number"),
+        (format!("{LEAST}slit = 3\n"), "18:8", "slit = 3 is a number; give a table"),
+        (format!("name = 3\n{LEAST}"), "1:8", "name = 3 is a number; give a text"),
+        (format!("{LEAST}[lighting]\nslots = [[0.5]]\n"), "19:11", "0.5 is a number; give a whole number"),
+        ("cell = 3\n".to_owned(), "1:8", "[[cell]]"),
+        (changed("[slit]\n", "[slit\n", ""), "5:6", "not valid TOML"),
+        (changed("width_mm = 0.6", "width_mm = 0.6\nwidth_mm = 0.6", ""), "8:1", "duplicate key"),
+        (changed("0.6", "-0.6", ""), "7:12", "slit.width_mm = -0.6: -0.6 is negative; give zero or more"),
+        (changed("12.0", "0", ""), "2:13", "detector.length_mm = 0: 0 is not positive"),
+        (changed("[0.0, 1.0, 0.0]", "[0.0, 1.1, 0.0]", ""), "14:10", "length 1.1, not 1"),
+        (changed("[0.0, 1.0, 0.0]", "[1.0, 0.0, 0.0]", ""), "14:10", "not perpendicular"),
+        (changed("55.0", "90", ""), "11:18", "half angle 90 degrees"),
+        (changed("half_angle_deg = 55.0", "profile = [[1, 1.0], [60, 0.5]]", ""), "11:11", "starts at 0 degrees"),
+        (format!("{LEAST}slit = {{ thickness_mm = 20 }}\n"), "6:15", "distance_mm = 5.0: the mask reaches"),
+        (format!("{LEAST}[noise]\nbandwidth_hz = -1\ntemperature_k = 0\nadc_a = 0\n"), "19:16", "-1 is negative"),
+        (LEAST.split("[[cell]]").next().unwrap().to_owned(), "1:1", "no cell; add at least one [[cell]]"),
+        (changed("width_mm = 0.6\n", "", ""), "5:1", "slit.width_mm is missing; add `width_mm = …` to [slit]"),
         (
-            changed("[25.0, 0.0, 0.0]", "[25.0, 0.0, true]", ""),
-            "scene.toml:13:27",
-            "true is true or false; give a number",
+            changed("normal = [-1.0, 0.0, 0.0]\n", "", ""),
+            "12:1",
+            "normal is missing; add `normal = …` to [[cell]] number 0",
         ),
-        (format!("{LEAST}slit = 3\n"), "scene.toml:18:8", "slit = 3 is a number; give a table"),
-        (format!("name = 3\n{LEAST}"), "scene.toml:1:8", "name = 3 is a number; give a text"),
-        (format!("{LEAST}[lighting]\nslots = [[0.5]]\n"), "scene.toml:19:11", "0.5 is a number; give a whole number"),
-        ("cell = 3\n".to_owned(), "scene.toml:1:8", "[[cell]]"),
-        (changed("[slit]\n", "[slit\n", ""), "scene.toml:5:6", "not valid TOML"),
-        (changed("width_mm = 0.6", "width_mm = 0.6\nwidth_mm = 0.6", ""), "scene.toml:8:1", "duplicate key"),
-    ];
-    for (text, place, fault) in cases {
-        assert_refused(&text, &[place, fault]);
-    }
-}
-
-#[test]
-fn impossible_optics_are_refused_at_their_place_in_the_files_own_unit() {
-    let cases = [
-        (changed("0.6", "-0.6", ""), "scene.toml:7:12", "slit.width_mm = -0.6: -0.6 is negative; give zero or more"),
-        (changed("12.0", "0", ""), "scene.toml:2:13", "detector.length_mm = 0: 0 is not positive"),
-        (changed("[0.0, 1.0, 0.0]", "[0.0, 1.1, 0.0]", ""), "scene.toml:14:10", "length 1.1, not 1"),
-        (changed("[0.0, 1.0, 0.0]", "[1.0, 0.0, 0.0]", ""), "scene.toml:14:10", "not perpendicular"),
-        (changed("55.0", "90", ""), "scene.toml:11:18", "half angle 90 degrees"),
+        (changed("half_angle_deg = 55.0\n", "", ""), "9:1", "0 emission profiles; give exactly one"),
         (
-            changed("half_angle_deg = 55.0", "profile = [[1, 1.0], [60, 0.5]]", ""),
-            "scene.toml:11:11",
-            "starts at 0 degrees",
+            changed("half_angle_deg", "profile_exponent = 1\nhalf_angle_deg", ""),
+            "12:18",
+            "2 emission profiles; give exactly one",
         ),
-        (format!("{LEAST}slit = {{ thickness_mm = 20 }}\n"), "scene.toml:6:15", "distance_mm = 5.0: the mask reaches"),
+        (format!("{LEAST}[noise]\nadc_a = 1e-9\n"), "18:1", "noise.bandwidth_hz is missing"),
+        // The key that counts for the cell, not that of the other cells.
         (
-            format!("{LEAST}[noise]\nbandwidth_hz = -1\ntemperature_k = 0\nadc_a = 0\n"),
-            "scene.toml:19:16",
-            "-1 is negative",
+            changed("half_angle_deg = 55.0", "profile_exponent = 2.0", "emitter = { half_angle_deg = 0.011 }\n"),
+            "18:30",
+            "cell 0, emitter.half_angle_deg = 0.011 degrees is too narrow",
         ),
-        (LEAST.split("[[cell]]").next().unwrap().to_owned(), "scene.toml:1:1", "no cell; add at least one [[cell]]"),
-    ];
-    for (text, place, fault) in cases {
-        assert_refused(&text, &[place, fault]);
+        (format!("{LEAST}[front_end]\nfull_scale_a = 1e-5\n"), "18:1", "front_end.adc_bits is missing"),
+    ] {
+        assert_refused_at(&text, place, fault);
     }
 }
 
@@ -196,52 +176,19 @@ fn axes_that_are_nearly_right_are_accepted() {
 }
 
 #[test]
-fn missing_keys_are_named_with_the_place_to_add_them() {
-    let cases = [
-        (
-            changed("width_mm = 0.6\n", "", ""),
-            "scene.toml:5:1",
-            "slit.width_mm is missing; add `width_mm = …` to [slit]",
-        ),
-        (
-            changed("normal = [-1.0, 0.0, 0.0]\n", "", ""),
-            "scene.toml:12:1",
-            "normal is missing; add `normal = …` to [[cell]] number 0",
-        ),
-        (changed("half_angle_deg = 55.0\n", "", ""), "scene.toml:9:1", "0 emission profiles; give exactly one"),
-        (
-            changed("half_angle_deg", "profile_exponent = 1\nhalf_angle_deg", ""),
-            "scene.toml:12:18",
-            "2 emission profiles; give exactly one",
-        ),
-        (format!("{LEAST}[noise]\nadc_a = 1e-9\n"), "scene.toml:18:1", "noise.bandwidth_hz is missing"),
-        // The key that counts for the cell, not that of the other cells.
-        (
-            changed("half_angle_deg = 55.0", "profile_exponent = 2.0", "emitter = { half_angle_deg = 0.011 }\n"),
-            "scene.toml:18:30",
-            "cell 0, emitter.half_angle_deg = 0.011 degrees is too narrow",
-        ),
-        (format!("{LEAST}[front_end]\nfull_scale_a = 1e-5\n"), "scene.toml:18:1", "front_end.adc_bits is missing"),
-    ];
-    for (text, place, fault) in cases {
-        assert_refused(&text, &[place, fault]);
-    }
-}
-
-#[test]
 fn a_lighting_that_cannot_be_is_refused() {
     let two =
         LEAST.replace("[[cell]]", "[lighting]\nslots = SLOTS\n[[cell]]") + &LEAST[LEAST.find("[[cell]]").unwrap()..];
     let cases = [
-        ("[[0, 1], [1], []]", "scene.toml:13:19", "emitter 1 is lit in slot 0 and again in slot 1; light each"),
-        ("[[0], []]", "scene.toml:13:9", "emitter 1 is in no slot; add it"),
-        ("[[0, 2], [1], []]", "scene.toml:13:14", "emitter 2 does not exist; the scene has the cells 0 to 1"),
-        ("[[0, -1], [1], []]", "scene.toml:13:14", "emitter -1 does not exist"),
-        ("[[], [0], [1], []]", "scene.toml:13:24", "slots 0 and 3 are both dark; keep one"),
-        ("[0, 1]", "scene.toml:13:10", "0 is a number; give slots"),
+        ("[[0, 1], [1], []]", "13:19", "emitter 1 is lit in slot 0 and again in slot 1; light each"),
+        ("[[0], []]", "13:9", "emitter 1 is in no slot; add it"),
+        ("[[0, 2], [1], []]", "13:14", "emitter 2 does not exist; the scene has the cells 0 to 1"),
+        ("[[0, -1], [1], []]", "13:14", "emitter -1 does not exist"),
+        ("[[], [0], [1], []]", "13:24", "slots 0 and 3 are both dark; keep one"),
+        ("[0, 1]", "13:10", "0 is a number; give slots"),
     ];
     for (slots, place, fault) in cases {
-        assert_refused(&two.replace("SLOTS", slots), &[place, fault]);
+        assert_refused_at(&two.replace("SLOTS", slots), place, fault);
     }
     let lighting = parse(&two.replace("SLOTS", "[[1], [], [0]]")).unwrap().lighting;
     assert_eq!((lighting.slot_of(0), lighting.dark_slot()), (Some(2), Some(1)));
@@ -254,20 +201,15 @@ fn the_front_end_is_read_and_its_limits_kept() {
     assert_eq!((front_end.raw_noise_lsb, front_end.time_constant_s), (0.0, 0.0));
     assert!((front_end.slot_duration_s(6) - 33.88e-6).abs() < 1e-12);
     let cases = [
-        (
-            "adc_bits = 12",
-            "adc_bits = 40",
-            "scene.toml:20:12",
-            "adc_bits = 40 is out of range; give a whole number from 1 to 16",
-        ),
-        ("adc_bits = 12", "adc_bits = 12.5", "scene.toml:20:12", "12.5 is a number; give a whole number"),
-        ("oversampling = 4", "oversampling = 0", "scene.toml:21:16", "from 1 to 256"),
-        ("10e-6", "0.0", "scene.toml:19:16", "full_scale_a = 0.0 is out of range; give amperes from 1e-12 to 1"),
-        ("10e-6", "1e300", "scene.toml:19:16", "out of range; give amperes from 1e-12 to 1"),
-        ("13e-6", "-1e-6", "scene.toml:22:14", "settling_s = -1e-6 is out of range; give zero or more"),
+        ("adc_bits = 12", "adc_bits = 40", "20:12", "adc_bits = 40 is out of range; give a whole number from 1 to 16"),
+        ("adc_bits = 12", "adc_bits = 12.5", "20:12", "12.5 is a number; give a whole number"),
+        ("oversampling = 4", "oversampling = 0", "21:16", "from 1 to 256"),
+        ("10e-6", "0.0", "19:16", "full_scale_a = 0.0 is out of range; give amperes from 1e-12 to 1"),
+        ("10e-6", "1e300", "19:16", "out of range; give amperes from 1e-12 to 1"),
+        ("13e-6", "-1e-6", "22:14", "settling_s = -1e-6 is out of range; give zero or more"),
     ];
     for (old, new, place, fault) in cases {
-        assert_refused(&format!("{LEAST}{}", section.replacen(old, new, 1)), &[place, fault]);
+        assert_refused_at(&format!("{LEAST}{}", section.replacen(old, new, 1)), place, fault);
     }
 }
 

@@ -76,20 +76,13 @@ impl SimulatedHardware {
 
     /// As after a reset: dark, with counters from zero. The tool moves on, and so do faults of the head.
     pub(crate) fn reset(&mut self) -> Self {
+        let (trajectory, electronics) = (self.trajectory.clone(), self.electronics.clone());
         Self {
-            optics: Arc::clone(&self.optics),
-            trajectory: self.trajectory.clone(),
-            electronics: self.electronics.clone(),
             rng: self.rng.clone(),
-            now_ticks: 0,
-            tick_hz: self.tick_hz,
-            run: None,
-            next_sequence: 0,
-            truths: VecDeque::new(),
             earlier_ticks: self.earlier_ticks + self.now_ticks,
-            trouble: None,
             light_faults: self.light_faults.take(),
             word_faults: self.word_faults.take(),
+            ..Self::new(Arc::clone(&self.optics), trajectory, electronics, self.tick_hz, 0)
         }
     }
 

@@ -1,6 +1,9 @@
 //! Motions of the tool.
 
+use std::cell::RefCell;
+use std::collections::VecDeque;
 use std::f64::consts::PI;
+use std::ops::Range;
 
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
@@ -8,11 +11,9 @@ use rand_chacha::ChaCha8Rng;
 use slitpose_model::{Pose, Twist};
 use thiserror::Error;
 
-use super::reversals::Reversals;
 use crate::scene_file::Workspace;
 use crate::table::{PoseColumns, PoseSizes, TableError, TableReader};
 
-/// Greatest speeds of a smooth motion.
 const SMOOTH_M_PER_S: f64 = 0.5;
 const SMOOTH_RAD_PER_S: f64 = 5.0;
 
@@ -73,16 +74,9 @@ pub enum PathError {
     /// The table itself.
     #[error(transparent)]
     Table(#[from] TableError),
-    /// Time that does not advance.
-    #[error("{file}: time {time_s} s follows {before_s} s; sort the rows by time_s, each time once")]
-    Order {
-        /// The file.
-        file: String,
-        /// The earlier row's time.
-        before_s: f64,
-        /// The offending time.
-        time_s: f64,
-    },
+    /// Time that does not advance: the file, the earlier row's time, and the offending one.
+    #[error("{0}: time {2} s follows {1} s; sort the rows by time_s, each time once")]
+    Order(String, f64, f64),
 }
 
 impl Trajectory {
@@ -119,17 +113,11 @@ impl Trajectory {
 
     /// A path through the poses of a CSV table: `time_s` and the columns of a pose. Between rows
     /// the twist is constant, so rows may turn corners.
-    ///
-    /// # Errors
-    /// If the table cannot be read, or time does not advance.
     pub fn from_table(file: &str) -> Result<Self, PathError> {
         Self::through_rows(TableReader::open(file)?)
     }
 
     /// As [`Self::from_table`], of a table that is open.
-    ///
-    /// # Errors
-    /// If the table cannot be read, or time does not advance.
     pub fn through_rows(table: TableReader) -> Result<Self, PathError> {
         let mut table = table.of_at_most(MAX_KNOTS);
         let time = table.column("time_s")?;
@@ -140,7 +128,7 @@ impl Trajectory {
             if let Some(&(before_s, _)) = knots.last()
                 && time_s <= before_s
             {
-                return Err(PathError::Order { file: table.file().to_owned(), before_s, time_s });
+                return Err(PathError::Order(table.file().to_owned(), before_s, time_s));
             }
             knots.push((time_s, sizes.pose(&columns, &row)?));
         }
@@ -205,7 +193,7 @@ fn sines(rng: &mut ChaCha8Rng, speed: f64) -> [(f64, f64, f64); 6] {
 
 /// The pose at `time_s` of `knots`, seconds and poses in the order of time; before the first and after the last the
 /// tool is at rest.
-pub(super) fn on_path(knots: &[(f64, Pose)], time_s: f64) -> Pose {
+fn on_path(knots: &[(f64, Pose)], time_s: f64) -> Pose {
     let after = knots.partition_point(|&(knot_s, _)| knot_s <= time_s);
     match (after.checked_sub(1).map(|before| knots[before]), knots.get(after)) {
         (Some((start_s, start)), Some(&(end_s, end))) => {
@@ -219,8 +207,82 @@ pub(super) fn on_path(knots: &[(f64, Pose)], time_s: f64) -> Pose {
     }
 }
 
+/// Duration of a straight leg, seconds.
+const LEG_S: Range<f64> = 5e-3..25e-3;
+
+/// Half sides of the box.
+const BOX_M: f64 = 2.5e-3;
+const BOX_RAD: f64 = 0.12;
+
+/// Legs kept: for poses more than a second back, all legs are planned again.
+const KEPT: usize = 256;
+
+/// A motion from home on.
+#[derive(Clone, Debug)]
+struct Reversals {
+    /// The generator at the beginning of the motion.
+    random: ChaCha8Rng,
+    end_s: f64,
+    /// Factors of the box's sides.
+    shrunk: [DVec3; 2],
+    plan: RefCell<Plan>,
+}
+
+#[derive(Clone, Debug)]
+struct Plan {
+    random: ChaCha8Rng,
+    /// The last ends of legs, in time.
+    knots: VecDeque<(f64, Pose)>,
+}
+
+impl Reversals {
+    /// A motion that rests from the end of the leg flown at `end_s`.
+    fn new(random: ChaCha8Rng, end_s: f64) -> Self {
+        let plan = RefCell::new(Plan::new(random.clone()));
+        Self { random, end_s, shrunk: [DVec3::ONE; 2], plan }
+    }
+
+    /// Flies in a smaller box.
+    fn shrink(&mut self, by_m: DVec3, by_rad: DVec3) {
+        self.shrunk = [by_m, by_rad];
+    }
+
+    /// The pose of the tool at `time_s`.
+    fn pose(&self, time_s: f64) -> Pose {
+        let mut plan = self.plan.borrow_mut();
+        if plan.knots.front().is_some_and(|(first_s, _)| time_s < *first_s) {
+            *plan = Plan::new(self.random.clone());
+        }
+        while let Some((last_s, _)) = plan.knots.back()
+            && *last_s <= time_s
+            && *last_s < self.end_s
+        {
+            plan.fly(self.shrunk);
+        }
+        on_path(plan.knots.make_contiguous(), time_s)
+    }
+}
+
+impl Plan {
+    fn new(random: ChaCha8Rng) -> Self {
+        Self { random, knots: VecDeque::from([(0.0, Pose::HOME)]) }
+    }
+
+    fn fly(&mut self, [by_m, by_rad]: [DVec3; 2]) {
+        let Self { random, knots } = self;
+        if knots.len() == KEPT {
+            knots.pop_front();
+        }
+        let time_s = knots.back().map_or(0.0, |(time_s, _)| *time_s) + random.random_range(LEG_S);
+        let mut vector = |half: f64| DVec3::from([0; 3].map(|_| random.random_range(-half..half)));
+        knots.push_back((time_s, Pose::from_vectors(vector(BOX_M) * by_m, vector(BOX_RAD) * by_rad)));
+    }
+}
+
 #[cfg(test)]
 mod tests {
+    use rand::SeedableRng;
+
     use super::*;
     use crate::scene_file::{SPACEMOUSE, WIDE};
 
@@ -259,5 +321,33 @@ mod tests {
             assert!((0.45..=0.5001).contains(&linear), "seed {seed}: {linear} m/s");
             assert!((4.0..=5.001).contains(&angular), "seed {seed}: {angular} rad/s");
         }
+    }
+
+    fn reversals(end_s: f64) -> Reversals {
+        Reversals::new(ChaCha8Rng::seed_from_u64(1), end_s)
+    }
+
+    #[test]
+    fn the_tool_stays_in_its_box_and_comes_to_rest() {
+        let motion = reversals(2.0);
+        for i in 0..2000 {
+            let pose = motion.pose(f64::from(i) * 1e-3);
+            assert!(pose.translation_m.abs().max_element() <= BOX_M);
+        }
+        assert_eq!(motion.pose(0.0), Pose::HOME);
+        assert_eq!(motion.pose(10.0), motion.pose(11.0));
+    }
+
+    /// No motion of 100,000 years is planned ahead, and none depends on what was asked before.
+    #[test]
+    fn the_path_does_not_depend_on_the_order_of_queries() {
+        let (endless, once) = (reversals(f64::INFINITY), reversals(3.2e12));
+        let times_s = [0.0, 0.3, 0.004, 40.0, 39.999, 12.0, 40.0, -1.0];
+        for time_s in times_s {
+            assert_eq!(endless.pose(time_s), reversals(3.2e12).pose(time_s), "{time_s} s");
+            assert_eq!(endless.pose(time_s), once.pose(time_s), "{time_s} s");
+        }
+        assert!(once.plan.borrow().knots.len() <= KEPT);
+        assert!(endless.pose(12.0) != endless.pose(12.01), "at rest");
     }
 }

@@ -4,12 +4,278 @@
 //! the text that stands there and what to do. Numbers are written so that they read back to the
 //! same bits. [`Output`] writes the result of every command.
 
-mod columns;
 mod output;
 mod reader;
 mod writer;
 
-pub use columns::{CurrentColumns, POSE_COLUMNS, PoseColumns, PoseSizes, SOLUTION_COLUMNS, SolutionRow};
+use std::f64::consts::{PI, TAU};
+
+use glam::DVec3;
 pub use output::{CAPTURE_MAGIC, Output, OutputError, Replace, is_capture, refuse_twice};
 pub use reader::{Column, Row, Rows, TableError, TableReader};
-pub use writer::{ChunkedTable, TableRows, TableWriter};
+use slitpose_model::{Outcome, Pair, Pose, Solution};
+pub use writer::{TableRows, TableWriter};
+
+use crate::finding::Finding;
+use crate::scene_file::Workspace;
+
+/// Where a table keeps the two currents of each cell.
+#[derive(Clone, Debug)]
+pub struct CurrentColumns {
+    cells: Vec<[Column; 2]>,
+}
+
+impl CurrentColumns {
+    /// Finds the columns of all cells by name.
+    pub fn find(table: &TableReader, cells: usize) -> Result<Self, TableError> {
+        let pair =
+            |cell: usize| Ok([table.column(&format!("i_x1_{cell}_a"))?, table.column(&format!("i_x2_{cell}_a"))?]);
+        Ok(Self { cells: (0..cells).map(pair).collect::<Result<_, _>>()? })
+    }
+
+    /// The currents of one cell in a row.
+    ///
+    /// # Panics
+    /// If there is no such cell.
+    pub fn pair(&self, row: &Row<'_>, cell: usize) -> Result<Pair<f64>, TableError> {
+        let [i_x1, i_x2] = self.cells[cell];
+        Ok(Pair { i_x1_a: row.number(i_x1)?, i_x2_a: row.number(i_x2)? })
+    }
+}
+
+/// Names of the six columns of a pose.
+pub const POSE_COLUMNS: [&str; 6] = ["tx_mm", "ty_mm", "tz_mm", "rx_rad", "ry_rad", "rz_rad"];
+
+/// A translation beyond this is a slip of units, not a pose: 1000 km.
+const MAX_MM: f64 = 1e9;
+
+/// Half a turn as tables round it, relative.
+const ROUNDING: f64 = 1e-3;
+
+/// Share of the workspace that translations leave unused only if they are metres, or the tool only turns.
+const TINY: f64 = 2e-3;
+
+/// Where a table keeps its poses.
+#[derive(Clone, Copy, Debug)]
+pub struct PoseColumns {
+    id: Column,
+    components: [Column; 6],
+}
+
+impl PoseColumns {
+    /// Finds the columns by name.
+    pub fn find(table: &TableReader) -> Result<Self, TableError> {
+        Self::keyed(table, "id")
+    }
+
+    /// Finds the columns by name, in a table whose rows are told apart by the column `key`.
+    pub fn keyed(table: &TableReader, key: &str) -> Result<Self, TableError> {
+        let id = table.column(key)?;
+        let mut components = [id; 6];
+        for (column, name) in components.iter_mut().zip(POSE_COLUMNS) {
+            *column = table.column(name)?;
+        }
+        Ok(Self { id, components })
+    }
+
+    /// The first column of the pose.
+    pub fn first(&self) -> Column {
+        self.components[0]
+    }
+
+    /// The row's identifier, of any kind.
+    pub fn id<'a>(&self, row: &Row<'a>) -> &'a str {
+        row.text(self.id)
+    }
+
+    /// The row's pose.
+    pub fn pose(&self, row: &Row<'_>) -> Result<Pose, TableError> {
+        PoseSizes::default().pose(self, row)
+    }
+}
+
+/// The least and the greatest number of each column of poses: whether they can be millimetres and radians.
+#[derive(Clone, Copy, Debug)]
+pub struct PoseSizes {
+    /// Each with its row, from 1.
+    extremes: [[(f64, u64); 2]; 6],
+}
+
+impl Default for PoseSizes {
+    fn default() -> Self {
+        Self { extremes: [[(f64::INFINITY, 0), (f64::NEG_INFINITY, 0)]; 6] }
+    }
+}
+
+impl PoseSizes {
+    /// The pose of a row, whose numbers are counted in.
+    ///
+    /// # Errors
+    /// Fields that are no numbers, and numbers that cannot be millimetres or radians of a rotation vector.
+    pub fn pose(&mut self, columns: &PoseColumns, row: &Row<'_>) -> Result<Pose, TableError> {
+        let mut numbers = [0.0; 6];
+        for (index, (number, column)) in numbers.iter_mut().zip(columns.components).enumerate() {
+            *number = row.number(column)?;
+            if index < 3 && number.abs() > MAX_MM {
+                return Err(row.out_of_range(column, *number, "millimetres, at most 1e9"));
+            }
+            if index >= 3 && number.abs() > TAU {
+                return Err(row.out_of_range(
+                    column,
+                    *number,
+                    "the rotation vector in radians, at most a turn of 6.28; are these degrees?",
+                ));
+            }
+            self.include(index, [(*number, row.number_of_row()); 2]);
+        }
+        let [tx, ty, tz, rx, ry, rz] = numbers;
+        Ok(Pose::from_vectors(DVec3::new(tx, ty, tz) * 1e-3, DVec3::new(rx, ry, rz)))
+    }
+
+    /// Counts the rows of `other` in.
+    pub fn merge(&mut self, other: &Self) {
+        other.extremes.into_iter().enumerate().for_each(|(index, extremes)| self.include(index, extremes));
+    }
+
+    fn include(&mut self, index: usize, [least, greatest]: [(f64, u64); 2]) {
+        let [low, high] = &mut self.extremes[index];
+        if least.0 < low.0 {
+            *low = least;
+        }
+        if greatest.0 > high.0 {
+            *high = greatest;
+        }
+    }
+
+    /// The number of column `index` that is farthest from zero, and its row.
+    fn largest(&self, index: usize) -> (f64, u64) {
+        let [low, high] = self.extremes[index];
+        if low.0.abs() > high.0.abs() { low } else { high }
+    }
+
+    /// What makes other units likely in the table `file` of poses for a head with this workspace, if anything does: `far` is how
+    /// many times as far out as that poses may lead.
+    pub fn finding(&self, file: &str, workspace: &Workspace, far: f64) -> Option<Finding> {
+        let (half_m, half_rad) = (workspace.half_extent_m, workspace.half_extent_rad);
+        let half = [half_m.x * 1e3, half_m.y * 1e3, half_m.z * 1e3, half_rad.x, half_rad.y, half_rad.z];
+        let times = |index: usize| self.largest(index).0.abs() / half[index];
+        let finite = (0..6).map(|index| (index, times(index))).filter(|(_, times)| times.is_finite());
+        let (farthest, times) = finite.max_by(|a, b| a.1.total_cmp(&b.1))?;
+        let turned = (3..6).find(|&index| self.largest(index).0.abs() > PI * (1.0 + ROUNDING));
+        let extent = |index: usize| {
+            let [low, high] = self.extremes[index];
+            0.5 * (high.0 - low.0) / half[index]
+        };
+        // Of no extent in a workspace of none is NaN, which `max` leaves out.
+        let [translations, rotations] = [0..3, 3..6].map(|axes| axes.map(extent).fold(0.0, f64::max));
+        let is_tiny = translations > 0.0 && translations < TINY && (rotations == 0.0 || rotations > TINY);
+        let degrees = "are these degrees? rotations are radians";
+        let (index, what, next_step) = if times > far {
+            let what = format!(
+                "leads {times:.0} times as far out as the scene's workspace, where there may be no light and no pose"
+            );
+            let units = if farthest < 3 { "are these micrometres? translations are millimetres" } else { degrees };
+            (farthest, what, units)
+        } else if let Some(index) = turned {
+            (index, "is more than half a turn, which no rotation vector takes".to_owned(), degrees)
+        } else if is_tiny {
+            let index = (0..3).max_by(|a, b| self.largest(*a).0.abs().total_cmp(&self.largest(*b).0.abs()))?;
+            let what = format!(
+                "is the largest translation, and all of them move by {translations:.0e} of the scene's workspace only"
+            );
+            (index, what, "are these metres? translations are millimetres")
+        } else {
+            return None;
+        };
+        let (value, row) = self.largest(index);
+        let place = format!("{file}, row {row}, column `{}`", POSE_COLUMNS[index]);
+        Some(Finding::warning(place, format!("{value} {what}"), next_step))
+    }
+}
+
+/// Names of a solution's columns; see [`SolutionRow`].
+pub const SOLUTION_COLUMNS: [&str; 21] = [
+    "status",
+    "tx_mm",
+    "ty_mm",
+    "tz_mm",
+    "rx_rad",
+    "ry_rad",
+    "rz_rad",
+    "sigma_tx_mm",
+    "sigma_ty_mm",
+    "sigma_tz_mm",
+    "sigma_rx_rad",
+    "sigma_ry_rad",
+    "sigma_rz_rad",
+    "condition",
+    "chi2",
+    "iterations",
+    "cells_used",
+    "free_directions",
+    "excluded_cells",
+    "verified",
+    "reason",
+];
+
+/// A solution in the units of tables.
+#[derive(Clone, Debug)]
+pub struct SolutionRow {
+    /// The word for its outcome.
+    pub status: &'static str,
+    /// Pose, standard deviations, condition and χ²; without pose empty.
+    pub numbers: [Option<f64>; 14],
+    /// Refinement steps.
+    pub iterations: usize,
+    /// How many cells entered.
+    pub cells_used: usize,
+    /// Coordinates an unobservable pose leaves open, joined by `;`.
+    pub free_directions: String,
+    /// Cells that contradict all others, joined by `;`.
+    pub excluded_cells: String,
+    /// How well redundancy checked the pose: `well`, `weakly` or `not`.
+    pub verified: &'static str,
+    /// Why a pose is degraded; of others empty.
+    pub reason: &'static str,
+}
+
+impl SolutionRow {
+    /// The row of a solution.
+    pub fn of(solution: &Solution) -> Self {
+        Self::with_condition(solution, solution.condition())
+    }
+
+    /// The row of a solution whose condition number is known.
+    pub fn with_condition(solution: &Solution, condition: Option<f64>) -> Self {
+        let mut numbers = [None; 14];
+        if let Some(estimate) = &solution.estimate {
+            let (t, r) = (estimate.pose.translation_m * 1e3, estimate.pose.rotation_rad());
+            let sigma = estimate.sigma();
+            let scale = |axis: usize| if axis < 3 { 1e3 } else { 1.0 };
+            for (axis, value) in [t.x, t.y, t.z, r.x, r.y, r.z].into_iter().enumerate() {
+                numbers[axis] = Some(value);
+                numbers[6 + axis] = Some(sigma[axis] * scale(axis));
+            }
+        }
+        let finite = |value: &f64| value.is_finite();
+        numbers[12] = condition.filter(finite);
+        numbers[13] = Some(solution.chi2).filter(finite);
+        let free_directions = match solution.outcome {
+            Outcome::Unobservable(directions) => directions.to_string(),
+            _ => String::new(),
+        };
+        Self {
+            status: solution.outcome.as_str(),
+            numbers,
+            iterations: solution.iterations,
+            cells_used: solution.cells_used.count(),
+            free_directions,
+            excluded_cells: solution.excluded.to_string(),
+            verified: solution.verified().as_str(),
+            reason: match solution.outcome {
+                Outcome::Degraded(reason) => reason.as_str(),
+                _ => "",
+            },
+        }
+    }
+}

@@ -31,23 +31,14 @@ pub enum Replace {
 #[derive(Debug, Error)]
 pub enum OutputError {
     /// A file that is to be kept.
-    #[error("{} is there already; give another name, or --overwrite to replace it", path.display())]
-    Exists {
-        /// The file.
-        path: PathBuf,
-    },
+    #[error("{} is there already; give another name, or --overwrite to replace it", .0.display())]
+    Exists(PathBuf),
     /// Something measured that would be lost.
-    #[error("{} is a capture, which a result would replace; give another name, or delete it first", path.display())]
-    Capture {
-        /// The file.
-        path: PathBuf,
-    },
+    #[error("{} is a capture, which a result would replace; give another name, or delete it first", .0.display())]
+    Capture(PathBuf),
     /// The result would replace what it is made from, or another result.
-    #[error("{} is named twice, and would be replaced; give another name", path.display())]
-    Twice {
-        /// The file.
-        path: PathBuf,
-    },
+    #[error("{} is named twice, and would be replaced; give another name", .0.display())]
+    Twice(PathBuf),
     /// The user did not wait.
     #[error("interrupted: {target} is not written")]
     Interrupted {
@@ -63,11 +54,8 @@ pub enum OutputError {
         source: io::Error,
     },
     /// A folder that is named as a file.
-    #[error("{} is to be a folder, of a page with its tables and pictures; give a name that is not a file's", path.display())]
-    Folder {
-        /// The folder asked for.
-        path: PathBuf,
-    },
+    #[error("{} is to be a folder, of a page with its tables and pictures; give a name that is not a file's", .0.display())]
+    Folder(PathBuf),
     /// Writing failed on the way.
     #[error("writing to {target} failed; make room there, or choose another --output")]
     Write {
@@ -104,6 +92,16 @@ enum Sink {
     Device(BufWriter<File>),
 }
 
+impl Sink {
+    fn buffer(&mut self) -> &mut dyn Write {
+        match self {
+            Self::Stdout(stdout) => stdout,
+            Self::Pending(file, ..) => file,
+            Self::Device(file) => file,
+        }
+    }
+}
+
 impl Output {
     /// Standard output for `None` and `-`, else the file of that name.
     pub fn open(path: Option<&Path>) -> Result<Self, OutputError> {
@@ -125,10 +123,8 @@ impl Output {
 
     fn at(path: &Path, replace: Replace) -> Result<Self, OutputError> {
         let sink = Self::file_sink(path, replace).map_err(|source| match source.kind() {
-            io::ErrorKind::AlreadyExists if replace == Replace::Nothing => {
-                OutputError::Exists { path: path.to_owned() }
-            }
-            io::ErrorKind::AlreadyExists => OutputError::Capture { path: path.to_owned() },
+            io::ErrorKind::AlreadyExists if replace == Replace::Nothing => OutputError::Exists(path.to_owned()),
+            io::ErrorKind::AlreadyExists => OutputError::Capture(path.to_owned()),
             io::ErrorKind::Interrupted => OutputError::Interrupted { target: path.display().to_string() },
             _ => OutputError::Create { path: path.to_owned(), source },
         })?;
@@ -173,8 +169,6 @@ impl Output {
     pub fn finish(self) -> Result<(), OutputError> {
         let Self { sink, target } = self;
         let done = match sink {
-            Sink::Stdout(mut stdout) => stdout.flush(),
-            Sink::Device(mut file) => file.flush(),
             Sink::Pending(file, path, replace) => file
                 .into_inner()
                 .map_err(io::IntoInnerError::into_error)
@@ -183,6 +177,7 @@ impl Output {
                     Replace::Anything | Replace::NoCapture => file.persist(path).map_err(io::Error::from),
                 })
                 .map(drop),
+            mut other => other.buffer().flush(),
         };
         done.map_err(|source| OutputError::Write { target, source })
     }
@@ -214,19 +209,11 @@ impl Output {
 
 impl Write for Output {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        match &mut self.sink {
-            Sink::Stdout(stdout) => stdout.write(bytes),
-            Sink::Pending(file, ..) => file.write(bytes),
-            Sink::Device(file) => file.write(bytes),
-        }
+        self.sink.buffer().write(bytes)
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        match &mut self.sink {
-            Sink::Stdout(stdout) => stdout.flush(),
-            Sink::Pending(file, ..) => file.flush(),
-            Sink::Device(file) => file.flush(),
-        }
+        self.sink.buffer().flush()
     }
 }
 
@@ -249,7 +236,7 @@ pub fn refuse_twice<'a>(output: &Path, others: impl IntoIterator<Item = &'a Path
         (Err(_), Err(_)) => is_one_name(output, other),
         _ => false,
     };
-    if others.into_iter().any(is_same) { Err(OutputError::Twice { path: output.to_owned() }) } else { Ok(()) }
+    if others.into_iter().any(is_same) { Err(OutputError::Twice(output.to_owned())) } else { Ok(()) }
 }
 
 /// Whether two files that are not there yet have one name in one folder.
@@ -304,10 +291,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("night.csv");
         fs::write(&path, [CAPTURE_MAGIC, b"measured"].concat()).unwrap();
-        assert!(matches!(Output::file(&path), Err(OutputError::Capture { path: of }) if of == path));
-        assert!(
-            matches!(Output::replacing(&path, Replace::Nothing), Err(OutputError::Exists { path: of }) if of == path)
-        );
+        assert!(matches!(Output::file(&path), Err(OutputError::Capture(of)) if of == path));
+        assert!(matches!(Output::replacing(&path, Replace::Nothing), Err(OutputError::Exists(of)) if of == path));
         Output::replacing(&path, Replace::Anything).unwrap().write_text("new").unwrap();
         assert_eq!(fs::read_to_string(&path).unwrap(), "new");
     }

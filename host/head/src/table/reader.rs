@@ -290,7 +290,6 @@ fn next_step(wanted: &str, header: &[String]) -> String {
 pub struct Rows {
     names: Arc<Names>,
     records: Vec<StringRecord>,
-    /// Number of the first.
     first: u64,
 }
 

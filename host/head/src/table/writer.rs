@@ -6,19 +6,13 @@ use std::io::Write;
 use super::output::{Output, OutputError};
 use crate::foreign::printable_lines;
 
-/// A CSV table that is written row by row.
+/// A CSV table that is written row by row, or many rows at a time.
 pub struct TableWriter {
     output: Output,
     row: TableRows,
 }
 
-/// A CSV table of which many rows come at a time.
-pub struct ChunkedTable {
-    output: Output,
-    is_terminal: bool,
-}
-
-/// Rows of a table, written by any thread into memory for [`ChunkedTable::append`].
+/// Rows of a table, written by any thread into memory for [`TableWriter::append`].
 pub struct TableRows {
     text: Vec<u8>,
     /// Where the row at hand begins.
@@ -111,26 +105,14 @@ impl TableWriter {
         Ok(())
     }
 
-    /// The same table, of which only whole rows are to follow.
-    pub fn into_chunks(self) -> ChunkedTable {
-        ChunkedTable { output: self.output, is_terminal: self.row.is_terminal }
-    }
-
-    /// Ends the table; a file appears under its name now.
-    pub fn finish(self) -> Result<(), OutputError> {
-        self.output.finish()
-    }
-}
-
-impl ChunkedTable {
     /// Whether it goes to a terminal.
     pub fn is_terminal(&self) -> bool {
-        self.is_terminal
+        self.row.is_terminal
     }
 
     /// What begins rows for [`Self::append`].
     pub fn starting(&self) -> impl Fn() -> TableRows + Sync + use<> {
-        let is_terminal = self.is_terminal;
+        let is_terminal = self.row.is_terminal;
         move || TableRows::starting(is_terminal)
     }
 
@@ -183,7 +165,7 @@ mod tests {
             rows.end_row().unwrap();
         }
         rows.finish().unwrap();
-        let mut chunks = start(&paths[1]).into_chunks();
+        let mut chunks = start(&paths[1]);
         let starting = chunks.starting();
         for numbers in numbers.chunks(3) {
             let mut rows = starting();

@@ -7,13 +7,12 @@ use slitpose_head::front_end::configuration;
 use crate::map::{Map, NoiseOf, Plane, PlanePoint, Schedules, Tolerances, View};
 use crate::plot::curve;
 use crate::plot::{Axis, Chart, CurveStyle, Heat, heat_picture};
+use crate::report::section::Sheet;
 use crate::report::section::{Getter, Picture, Report, Section, Table, Value, column, program, scene};
-use crate::report::sheet::Sheet;
 use crate::survey::{AXES, WorkspaceFacts};
 
 mod checks;
 
-/// A value of a view.
 type Of = fn(&View) -> Option<f64>;
 
 /// What of a pose is shown, its three axes together.
@@ -174,14 +173,14 @@ pub(super) fn distribution(maps: &[(&str, &Map)]) -> Picture {
             let points = values.map(|(value, share)| [value * kind.scale, 100.0 * share]);
             curve(name, index, CurveStyle::Line, points.filter(|[value, _]| value.is_finite()).collect())
         };
-        let curves: Vec<_> = maps.iter().enumerate().map(of_map).collect();
-        let values = || curves.iter().flat_map(|curve| curve.points.iter().map(|point| point[0]));
-        let [least, most] =
-            values().fold([f64::INFINITY, 0.0], |[least, most]: [f64; 2], value| [least.min(value), most.max(value)]);
         let label = format!("σ / {}", kind.unit);
-        let x = if most > WIDE * least { Axis::logarithmic(&label, values()) } else { Axis::around(&label, values()) };
-        let y = Axis::around("share of the workspace / %", [0.0, 100.0]);
-        (kind.name.to_owned(), Chart { x, y, curves, notes: Vec::new() })
+        let x = |values: Vec<f64>| {
+            let [least, most] = [values.iter().copied().reduce(f64::min), values.iter().copied().reduce(f64::max)];
+            let is_wide = least.zip(most).is_some_and(|(least, most)| most > WIDE * least);
+            if is_wide { Axis::logarithmic(&label, values) } else { Axis::around(&label, values) }
+        };
+        let y = |_| Axis::around("share of the workspace / %", [0.0, 100.0]);
+        (kind.name.to_owned(), Chart::over(maps.iter().enumerate().map(of_map).collect(), x, y))
     };
     Sheet {
         title: "Share of the workspace by accuracy".to_owned(),
@@ -203,10 +202,9 @@ fn planes(map: &Map) -> Option<Section> {
     (!map.planes.is_empty()).then(|| Section {
         name: "planes",
         title: "Accuracy over planes through home",
-        summary: Vec::new(),
         paragraphs: vec!["Where a point is crossed out, there is a pose at which a frame gives none.".to_owned()],
         pictures: pictures.map(|(name, kind, over)| picture(map, name, kind, over)).into(),
-        tables: Vec::new(),
+        ..Section::default()
     })
 }
 

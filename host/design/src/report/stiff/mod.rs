@@ -1,36 +1,130 @@
 //! Stiff and extreme cases, which are numerically difficult, and their results.
 //!
-//! `cell` drives one cell's optics to extremes and compares with `reference`, an integration of its
-//! own; `pose` drives solves there and compares with what rounding allows; `time` has
-//! front ends and jumps. A `case` is judged by the ratio of its error to what is attainable.
+//! `cell` drives one cell's optics to extremes and compares with an integration of its own; `pose` drives solves, front
+//! ends and jumps there and compares with what is attainable. A [`Case`] is judged by the ratio of its error to that.
 
-mod case;
 mod cell;
 mod pose;
-mod reference;
-mod time;
 
 use std::collections::BTreeMap;
 
 use super::head::Head;
-use super::method::Precision;
-use super::section::{Picture, Section, Value};
-use super::sheet::Sheet;
+use super::section::{Section, Table, Value};
+use super::solver::Precision;
 use super::{ReportError, Settings};
-use crate::plot::curve;
-use crate::plot::{Axis, Chart, CurveStyle};
-use case::Case;
 
 pub(super) const TITLE: &str = "Stiff and extreme cases";
 
+/// Errors this many times what is attainable are as good as attained: algorithms round more than
+/// once, and a solver that takes its currents for rounded sixteen times stops where that leaves it.
+const ENOUGH: f64 = 100.0;
+
+/// A solve that takes longer is not good, however exact: twenty scans at 4 kHz.
+const SLOW_S: f64 = 5e-3;
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Expected {
+    /// One of these words, whatever the number.
+    Words(&'static [&'static str]),
+    /// A number, as exact as the number type allows.
+    Value,
+    /// Such a number where less than this error is attainable; elsewhere a word will do that says
+    /// why there is none.
+    ValueBelow(f64),
+    /// Such a number, or a word that says why there is none.
+    Honest,
+}
+
+/// The result of a case in one number type.
+#[derive(Clone, Debug, Default)]
+struct Reached {
+    /// How many came back without a value.
+    without_value: usize,
+    outcomes: BTreeMap<String, usize>,
+    /// Error, in the unit of the case; `None` without a value.
+    error: Option<f64>,
+    /// The attainable error in this number type, in the same unit.
+    attainable: Option<f64>,
+    /// The slowest of the solves, seconds.
+    slowest_s: Option<f64>,
+}
+
+impl Reached {
+    fn once(outcome: &str, error: Option<f64>, attainable: Option<f64>) -> Self {
+        let outcomes = BTreeMap::from([(outcome.to_owned(), 1)]);
+        Self { outcomes, without_value: usize::from(error.is_none()), error, attainable, slowest_s: None }
+    }
+
+    fn outcome(&self) -> String {
+        if let (1, Some((word, _))) = (self.outcomes.len(), self.outcomes.first_key_value()) {
+            return word.clone();
+        }
+        let counted: Vec<String> = self.outcomes.iter().map(|(word, count)| format!("{word} {count}")).collect();
+        counted.join(", ")
+    }
+
+    fn ratio(&self) -> Option<f64> {
+        match (self.error?, self.attainable?) {
+            (0.0, _) => Some(0.0),
+            (error, attainable) => Some(error / attainable),
+        }
+    }
+
+    fn is_good(&self, expected: Expected) -> bool {
+        let exact = self.ratio().map(|ratio| ratio <= ENOUGH);
+        // That a search has found nothing is no reason why there is nothing.
+        let is_explained = !self.outcomes.keys().any(|word| word.starts_with("diverged"));
+        match expected {
+            Expected::Words(words) => self.outcomes.keys().all(|word| words.contains(&word.as_str())),
+            Expected::ValueBelow(limit) if self.attainable.is_none_or(|attainable| attainable >= limit) => {
+                self.is_good(Expected::Honest)
+            }
+            Expected::Value | Expected::ValueBelow(_) => exact == Some(true) && self.without_value == 0,
+            Expected::Honest => exact != Some(false) && is_explained,
+        }
+    }
+}
+
+#[derive(Clone, Debug)]
+struct Case {
+    study: &'static str,
+    /// How far it was driven.
+    case: String,
+    /// Condition number of the problem, where it has one.
+    condition: Option<f64>,
+    /// What the error is of, with its unit.
+    quantity: &'static str,
+    expected: Expected,
+    /// In `f64` and, if that number type takes part, in `f32`.
+    reached: Vec<Reached>,
+}
+
+impl Case {
+    /// The number types in which the case falls short.
+    fn short(&self) -> Vec<&'static str> {
+        let short = Precision::BOTH.into_iter().zip(&self.reached).filter(|(_, it)| !it.is_good(self.expected));
+        short.map(|(precision, _)| precision.name()).collect()
+    }
+
+    /// The slowest solve of all, where it is too slow, seconds.
+    fn slow_s(&self) -> Option<f64> {
+        self.reached.iter().filter_map(|reached| reached.slowest_s).reduce(f64::max).filter(|it| *it > SLOW_S)
+    }
+
+    fn verdict(&self) -> Value {
+        match (&self.short()[..], self.slow_s()) {
+            ([], None) => "good".into(),
+            ([], Some(slow_s)) => Value::Alert(format!("slow: {:.0} ms", slow_s * 1e3)),
+            (short, _) => Value::Alert(format!("short: {}", short.join(", "))),
+        }
+    }
+}
+
 pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, ReportError> {
     let mut cases = cell::cases(&head.scene)?;
-    cases.extend(pose::layouts(head, settings)?);
-    cases.extend(pose::masks(head, settings)?);
-    cases.extend(pose::rotations(head, settings)?);
-    cases.extend(pose::scales(head, settings)?);
-    cases.extend(time::front_ends(head));
-    cases.extend(time::jumps(head, settings)?);
+    cases.extend(pose::cases(head, settings)?);
+    cases.extend(pose::front_ends(head));
+    cases.extend(pose::jumps(head, settings)?);
     let summary = summary(&cases);
     let of_slits = if head.is_of_slits() {
         ""
@@ -52,8 +146,8 @@ pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, R
             ),
             summary,
         ],
-        pictures: vec![layouts_picture(&cases), cells_picture(&cases)],
-        tables: vec![case::table(&cases)],
+        tables: vec![table(&cases)],
+        ..Section::default()
     })
 }
 
@@ -65,11 +159,11 @@ fn summary(cases: &[Case]) -> String {
             *short.entry((case.study, precision)).or_default() += 1;
         }
     }
-    let slow = match cases.iter().filter_map(Case::slow_s).reduce(f64::max) {
+    let slow: Vec<f64> = cases.iter().filter_map(Case::slow_s).collect();
+    let slow = match slow.iter().copied().reduce(f64::max) {
         Some(slow_s) => {
-            let count = cases.iter().filter(|case| case.slow_s().is_some()).count();
-            let cases = if count == 1 { "case is" } else { "cases are" };
-            format!(" {count} {cases} slow: up to {} ms a solve.", Value::from(slow_s * 1e3).shown())
+            let cases = if slow.len() == 1 { "case is" } else { "cases are" };
+            format!(" {} {cases} slow: up to {} ms a solve.", slow.len(), Value::from(slow_s * 1e3).shown())
         }
         None => String::new(),
     };
@@ -84,54 +178,79 @@ fn summary(cases: &[Case]) -> String {
     format!("Of {} cases these fall short, and are marked in the table: {}.{slow}", cases.len(), names.join(", "))
 }
 
-/// Error and what is attainable against the condition number, of the chosen cases.
-fn against_condition(cases: &[&Case], x: &str, y: &str) -> Chart {
-    let points = |precision: Precision, value: fn(&case::Reached) -> Option<f64>| -> Vec<[f64; 2]> {
-        let point = |case: &Case| Some([case.condition?, value(case.reached_in(precision)?)?]);
-        let mut points: Vec<_> = cases.iter().copied().filter_map(point).collect();
-        points.sort_by(|a, b| a[0].total_cmp(&b[0]));
-        points
+fn table(cases: &[Case]) -> Table {
+    let expected = |case: &Case| match case.expected {
+        Expected::Words(words) => words.join(" or "),
+        Expected::Value => "value".to_owned(),
+        Expected::ValueBelow(_) | Expected::Honest => "value, or why not".to_owned(),
     };
-    let curves = vec![
-        curve("attainable in f64", 0, CurveStyle::Dashed, points(Precision::Double, |reached| reached.attainable)),
-        curve("f64", 0, CurveStyle::Markers, points(Precision::Double, |reached| reached.error)),
-        curve("attainable in f32", 1, CurveStyle::Dashed, points(Precision::Single, |reached| reached.attainable)),
-        curve("f32", 1, CurveStyle::Rings, points(Precision::Single, |reached| reached.error)),
-    ];
-    let all: Vec<[f64; 2]> = curves.iter().flat_map(|curve| curve.points.clone()).collect();
-    let axis = |label: &str, index: usize| Axis::logarithmic(label, all.iter().map(|point| point[index]));
-    Chart { x: axis(x, 0), y: axis(y, 1), curves, notes: Vec::new() }
+    let outcome = |case: &Case, of: usize| Value::from(case.reached.get(of).map(Reached::outcome).unwrap_or_default());
+    let number = |case: &Case, of: usize, value: fn(&Reached) -> Option<f64>| {
+        Value::optional(case.reached.get(of).and_then(value))
+    };
+    let slowest_us = |reached: &Reached| Some(1e6 * reached.slowest_s?);
+    let caption = format!(
+        "Extreme cases: what came back, its error, what is attainable in that number type, and their ratio. Good: \
+         the ratio is at most {ENOUGH}, each pose came back or a reason why it cannot, and no solve took longer \
+         than {:.0} ms",
+        SLOW_S * 1e3
+    );
+    Table::of(
+        "stiff",
+        caption,
+        cases,
+        &[
+            ("study", "study", &|case| case.study.into()),
+            ("case", "case", &|case| case.case.as_str().into()),
+            ("condition", "condition number", &|case| Value::optional(case.condition)),
+            ("quantity", "error of", &|case| case.quantity.into()),
+            ("expected", "expected", &|case| expected(case).into()),
+            ("f64_outcome", "f64", &|case| outcome(case, 0)),
+            ("f64_error", "error", &|case| number(case, 0, |reached| reached.error)),
+            ("f64_attainable", "attainable", &|case| number(case, 0, |reached| reached.attainable)),
+            ("f64_ratio", "ratio", &|case| number(case, 0, Reached::ratio)),
+            ("f64_slowest_us", "slowest / µs", &|case| number(case, 0, slowest_us)),
+            ("f32_outcome", "f32", &|case| outcome(case, 1)),
+            ("f32_error", "error", &|case| number(case, 1, |reached| reached.error)),
+            ("f32_attainable", "attainable", &|case| number(case, 1, |reached| reached.attainable)),
+            ("f32_ratio", "ratio", &|case| number(case, 1, Reached::ratio)),
+            ("f32_slowest_us", "slowest / µs", &|case| number(case, 1, slowest_us)),
+            ("verdict", "verdict", &Case::verdict),
+        ],
+    )
 }
 
-fn layouts_picture(cases: &[Case]) -> Picture {
-    let panel = |start: &'static str| {
-        let chosen = cases.iter().filter(|case| case.study == pose::LAYOUTS && case.case.ends_with(start));
-        let chart = against_condition(
-            &chosen.collect::<Vec<_>>(),
-            "condition number",
-            "error of the pose at the emitters / µm",
-        );
-        (format!("{start} start"), chart)
-    };
-    Sheet {
-        title: "Poses from layouts that hardly tell them".to_owned(),
-        note: "Rolls of the detectors from ±45° down to ±1e−8°, no noise. No point: no pose was given.".to_owned(),
-        panels: vec![panel("cold"), panel("warm")],
-    }
-    .draw("stiff-layouts", "Error of the pose against the condition number, with what each number type can attain.")
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-fn cells_picture(cases: &[Case]) -> Picture {
-    let panel = |study: &'static str| {
-        let chosen: Vec<_> = cases.iter().filter(|case| case.study == study).collect();
-        let chart = against_condition(&chosen, "condition number of the current", "relative error of a current");
-        (study.to_owned(), chart)
-    };
-    Sheet {
-        title: "Currents of one cell in extreme places".to_owned(),
-        note: "Near field: emitter a millimetre to a nanometre above the slit's plane. Horizon: γ = 90° crosses the spot, ever \
-               nearer to its end.".to_owned(),
-        panels: vec![panel("near field"), panel("horizon")],
+    #[test]
+    fn verdicts_follow_from_what_is_expected_and_from_the_time() {
+        let case = |expected, reached| {
+            let reached = vec![reached];
+            Case { study: "", case: String::new(), condition: None, quantity: "", expected, reached }
+        };
+        let value = |error| Reached::once("converged", Some(error), Some(1e-17));
+        let none = || Reached::once("unobservable", None, Some(1.0));
+        for (expected, reached, good) in [
+            (Expected::Value, value(1e-15), true),
+            (Expected::Value, value(1e-14), false),
+            (Expected::Value, none(), false),
+            (Expected::ValueBelow(0.1), none(), true),
+            (Expected::ValueBelow(2.0), none(), false),
+            (Expected::ValueBelow(0.1), value(1e-14), false),
+            (Expected::Honest, none(), true),
+            (Expected::Honest, value(1e-14), false),
+            (Expected::Words(&["unobservable"]), none(), true),
+            (Expected::Words(&["unobservable"]), value(0.0), false),
+            (Expected::Value, Reached { without_value: 1, ..value(1e-15) }, false),
+            (Expected::Honest, Reached { without_value: 1, ..value(1e-15) }, true),
+            (Expected::Honest, Reached::once("diverged", None, Some(1.0)), false),
+        ] {
+            assert_eq!(case(expected, reached.clone()).short().is_empty(), good, "{expected:?} {reached:?}");
+        }
+        let slow = |slowest_s| case(Expected::Value, Reached { slowest_s: Some(slowest_s), ..value(1e-17) }).verdict();
+        assert_eq!(slow(0.1), Value::Alert("slow: 100 ms".to_owned()));
+        assert_eq!(slow(1e-4), Value::from("good"));
     }
-    .draw("stiff-cells", "Error of a cell's current against the condition of the problem.")
 }

@@ -9,57 +9,102 @@ use std::time::Instant;
 
 use glam::DVec3;
 use nalgebra::DMatrix;
-use slitpose_model::{CompiledScene, Opening, Pair, Photocurrents, Pose, Reading, Scene, SceneError, rotation_exp};
+use slitpose_head::front_end::{Settling, configuration};
+use slitpose_model::{
+    CompiledScene, Opening, Pair, Photocurrents, Pose, Reading, Scalar, Scene, SceneError, Solver, Tracker,
+    rotation_exp,
+};
+use slitpose_protocol::Schedule;
 
-use super::case::{Case, Expected, Reached};
+use super::{Case, Expected, Reached};
 use crate::report::Settings;
-use crate::report::head::{Head, currents};
-use crate::report::method::{Effort, Method, Precision, Start};
-use crate::report::noise::NoiseSource;
+use crate::report::head::{Head, NoiseSource, STREAM, currents, rms_of_covariances};
 use crate::report::section::Value;
+use crate::report::solver::{Effort, Method, Precision, Start};
 
 /// A pose whose rounding moves the emitters by less than this share of their distance can be had.
 const TELLS_A_POSE: f64 = 1e-2;
 
-pub(super) const LAYOUTS: &str = "near-parallel layout";
+pub(super) const POSES: usize = 20;
 
-/// Where error and condition grow together: rolls of the detectors that come ever nearer to equal,
-/// at poses ever nearer to home, where equal rolls leave directions free.
-pub(super) fn layouts(head: &Head<'_>, settings: &Settings) -> Result<Vec<Case>, SceneError> {
-    let degrees = [45.0, 10.0, 1.0, 0.1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 0.0];
+/// How far from home they are, per axis, metres and radians: so near that cases differ and not poses.
+const NEAR_HOME: [f64; 2] = [0.3e-3, 0.02];
+
+/// Repetitions of a timed solve; the least time counts, the others were disturbed.
+const TIMES: usize = 3;
+
+/// How far a warm start is off, per axis.
+const PRIOR: [f64; 2] = [3e-6, 3e-4];
+
+const ROLLS: [f64; 12] = [45.0, 10.0, 1.0, 0.1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 0.0];
+
+pub(super) fn cases(head: &Head<'_>, settings: &Settings) -> Result<Vec<Case>, SceneError> {
     let mut cases = Vec::new();
-    for start in Start::BOTH {
-        for roll_deg in degrees {
-            let scene = rolled(&head.arithmetic(), roll_deg);
-            let trial = Trial::within(scene, &Pose::HOME, roll_deg / degrees[0], settings.seed)?;
-            let attainable = trial.attainable(|_| true);
-            let mut reached = trial.solve(start, &attainable)?;
-            let is_equal = roll_deg == 0.0;
-            if is_equal {
-                reached.iter_mut().for_each(|(_, reached)| reached.attainable = None);
+    let trial = |scene: Scene, centre: &Pose, spread: f64| Trial::within(scene, centre, spread, settings.seed);
+    // Where error and condition grow together: rolls of the detectors that come ever nearer to equal, at poses ever nearer
+    // to home, where equal rolls leave directions free. A pose must come back where rounding leaves one.
+    let telling = Expected::ValueBelow(TELLS_A_POSE * head.scene.length_scale_m() * 1e6);
+    for (start, roll_deg) in Start::BOTH.into_iter().flat_map(|start| ROLLS.map(|roll_deg| (start, roll_deg))) {
+        let trial = trial(rolled(head.arithmetic(), roll_deg), &Pose::HOME, roll_deg / ROLLS[0])?;
+        let case = format!("rolls ±{}°, {}", Value::from(roll_deg).shown(), start.name());
+        let expected = if roll_deg == 0.0 { Expected::Words(&["unobservable"]) } else { telling };
+        cases.push(trial.case("near-parallel layout", case, start, expected, |_| true)?);
+    }
+    // Cells that cannot be used: the pose rests on the others, or is none.
+    let cells = head.scene.cells.len();
+    let faint = Reading::Light(Pair { i_x1_a: 1e-12, i_x2_a: 1e-12 });
+    for (name, mask) in [("saturated", Reading::Saturated), ("without light", faint), ("missing", Reading::Missing)] {
+        for masked in usize::from(mask != Reading::Saturated)..=cells {
+            let mut trial = trial(head.arithmetic(), &Pose::HOME, 1.0)?;
+            for readings in &mut trial.readings {
+                readings.cells.iter_mut().take(masked).for_each(|reading| *reading = mask);
             }
-            cases.push(Case {
-                study: LAYOUTS,
-                case: format!("rolls ±{}°, {}", Value::from(roll_deg).shown(), start.name()),
-                condition: (!is_equal).then(|| condition(&attainable)),
-                quantity: AT_EMITTERS,
-                expected: if is_equal { Expected::Words(&["unobservable"]) } else { telling(head) },
-                reached,
-            });
+            let expected = match cells - masked {
+                0..3 => Expected::Words(&["unobservable", "too_dark"]),
+                // Three cells have mirror images.
+                3 => Expected::Honest,
+                // Of other openings four may have them, too.
+                4 if !head.is_of_slits() => Expected::Honest,
+                _ => Expected::Value,
+            };
+            let case = format!("{masked} of {cells} {name}");
+            cases.push(trial.case("masked cells", case, Start::Cold, expected, |cell| cell >= masked)?);
         }
+    }
+    // The same head, its emitters written in a tool frame that is turned by nearly half a turn. A slit on the tool is where
+    // it is at home, in a frame that is not turned.
+    let rides = head.scene.cells.iter().any(|cell| cell.opening() == Opening::RidingSlit);
+    for short in [1.0, 1e-3, 1e-6, 0.0].into_iter().filter(|_| !rides) {
+        let turn = rotation_exp(DVec3::new(0.36, -0.48, 0.8) * (PI - short));
+        let mut scene = head.arithmetic();
+        for cell in &mut scene.cells {
+            cell.emitter.position_tool_m = turn.conjugate() * cell.emitter.position_tool_m;
+            cell.emitter.axis_tool = turn.conjugate() * cell.emitter.axis_tool;
+        }
+        let trial = trial(scene, &Pose { rotation: turn, translation_m: DVec3::ZERO }, 1.0)?;
+        let case = format!("warm solve, tool frame turned by π − {short}");
+        cases.push(trial.case("rotation near π", case, Start::Warm, Expected::Value, |_| true)?);
+    }
+    // Currents from picoamperes to amperes: the pose does not depend on their unit.
+    for exponent in (-9..=9).step_by(3) {
+        let factor = 10f64.powi(exponent);
+        let mut scene = head.arithmetic();
+        for cell in &mut scene.cells {
+            cell.emitter.radiant_intensity_w_per_sr *= factor;
+            cell.detector.faint_a *= factor;
+            cell.detector.dark_current_a *= factor;
+            cell.detector.saturation_a = cell.detector.saturation_a.map(|limit| limit * factor);
+        }
+        let trial = trial(scene, &Pose::HOME, 1.0)?;
+        let case = format!("{:.1e} A a cell", trial.plan.photocurrents(0, &Pose::HOME).total_a());
+        cases.push(trial.case("scale of the currents", case, Start::Cold, Expected::Value, |_| true)?);
     }
     Ok(cases)
 }
 
-/// A pose must come back where rounding leaves one.
-fn telling(head: &Head<'_>) -> Expected {
-    Expected::ValueBelow(TELLS_A_POSE * head.scene.length_scale_m() * 1e6)
-}
-
 /// The scene with its detectors turned about their normals: each long axis `roll_deg` out of the
 /// plane of the ring, up and down in turn.
-fn rolled(scene: &Scene, roll_deg: f64) -> Scene {
-    let mut scene = scene.clone();
+fn rolled(mut scene: Scene, roll_deg: f64) -> Scene {
     for (number, cell) in scene.cells.iter_mut().enumerate() {
         let detector = &mut cell.detector;
         let tangent = detector.normal_base.cross(DVec3::Z).normalize_or(DVec3::X);
@@ -70,113 +115,6 @@ fn rolled(scene: &Scene, roll_deg: f64) -> Scene {
     scene
 }
 
-/// Cells that cannot be used: the pose rests on the others, or is none.
-pub(super) fn masks(head: &Head<'_>, settings: &Settings) -> Result<Vec<Case>, SceneError> {
-    let cells = head.scene.cells.len();
-    let faint = Reading::Light(Pair { i_x1_a: 1e-12, i_x2_a: 1e-12 });
-    let mut cases = Vec::new();
-    for (name, mask) in [("saturated", Reading::Saturated), ("without light", faint), ("missing", Reading::Missing)] {
-        for masked in 0..=cells {
-            if masked == 0 && mask != Reading::Saturated {
-                continue;
-            }
-            let mut trial = Trial::around(head.arithmetic(), &Pose::HOME, settings.seed)?;
-            for readings in &mut trial.readings {
-                readings.cells.iter_mut().take(masked).for_each(|reading| *reading = mask);
-            }
-            let attainable = trial.attainable(|cell| cell >= masked);
-            let left = cells - masked;
-            cases.push(Case {
-                study: "masked cells",
-                case: format!("{masked} of {cells} {name}"),
-                condition: (left >= 3).then(|| condition(&attainable)),
-                quantity: AT_EMITTERS,
-                expected: match left {
-                    0..3 => Expected::Words(&["unobservable", "too_dark"]),
-                    // Three cells have mirror images.
-                    3 => Expected::Honest,
-                    // Of other openings four may have them, too.
-                    4 if !head.is_of_slits() => Expected::Honest,
-                    _ => Expected::Value,
-                },
-                reached: trial.solve(Start::Cold, &attainable)?,
-            });
-        }
-    }
-    Ok(cases)
-}
-
-/// Solves in a tool frame that is turned by nearly half a turn.
-pub(super) fn rotations(head: &Head<'_>, settings: &Settings) -> Result<Vec<Case>, SceneError> {
-    let axis = DVec3::new(0.36, -0.48, 0.8);
-    let mut cases = Vec::new();
-    // A slit on the tool is where it is at home, in a frame that is not turned.
-    let rides = head.scene.cells.iter().any(|cell| cell.opening() == Opening::RidingSlit);
-    for short in [1.0, 1e-3, 1e-6, 0.0].into_iter().filter(|_| !rides) {
-        // The same head, its emitters written in a turned frame.
-        let turn = rotation_exp(axis * (PI - short));
-        let mut scene = head.arithmetic();
-        for cell in &mut scene.cells {
-            cell.emitter.position_tool_m = turn.conjugate() * cell.emitter.position_tool_m;
-            cell.emitter.axis_tool = turn.conjugate() * cell.emitter.axis_tool;
-        }
-        let centre = Pose { rotation: turn, translation_m: DVec3::ZERO };
-        let trial = Trial::around(scene, &centre, settings.seed)?;
-        let attainable = trial.attainable(|_| true);
-        cases.push(Case {
-            study: "rotation near π",
-            case: format!("warm solve, tool frame turned by π − {short}"),
-            condition: Some(condition(&attainable)),
-            quantity: AT_EMITTERS,
-            expected: Expected::Value,
-            reached: trial.solve(Start::Warm, &attainable)?,
-        });
-    }
-    Ok(cases)
-}
-
-/// Currents from picoamperes to amperes: the pose does not depend on their unit.
-pub(super) fn scales(head: &Head<'_>, settings: &Settings) -> Result<Vec<Case>, SceneError> {
-    let case = |exponent: i32| {
-        let factor = 10f64.powi(exponent);
-        let mut scene = head.arithmetic();
-        for cell in &mut scene.cells {
-            cell.emitter.radiant_intensity_w_per_sr *= factor;
-            cell.detector.faint_a *= factor;
-            cell.detector.dark_current_a *= factor;
-            cell.detector.saturation_a = cell.detector.saturation_a.map(|limit| limit * factor);
-        }
-        let trial = Trial::around(scene, &Pose::HOME, settings.seed)?;
-        let attainable = trial.attainable(|_| true);
-        let total_a = trial.plan.photocurrents(0, &Pose::HOME).total_a();
-        Ok(Case {
-            study: "scale of the currents",
-            case: format!("{total_a:.1e} A a cell"),
-            condition: Some(condition(&attainable)),
-            quantity: AT_EMITTERS,
-            expected: Expected::Value,
-            reached: trial.solve(Start::Cold, &attainable)?,
-        })
-    };
-    (-9..=9).step_by(3).map(case).collect()
-}
-
-pub(super) const POSES: usize = 20;
-
-/// How far from home they are, per axis: so near that cases differ and not poses.
-const NEAR_HOME_M: f64 = 0.3e-3;
-const NEAR_HOME_RAD: f64 = 0.02;
-
-/// Repetitions of a timed solve; the least time counts, the others were disturbed.
-const TIMES: usize = 3;
-
-/// How far a warm start is off, per axis.
-const PRIOR_M: f64 = 3e-6;
-const PRIOR_RAD: f64 = 3e-4;
-
-/// The measure of a pose error.
-const AT_EMITTERS: &str = "pose at the emitters / µm";
-
 struct Trial {
     scene: Scene,
     plan: CompiledScene<f64>,
@@ -186,67 +124,71 @@ struct Trial {
 }
 
 impl Trial {
-    /// Noise-free currents of `scene` at poses around `centre`.
-    fn around(scene: Scene, centre: &Pose, seed: u64) -> Result<Self, SceneError> {
-        Self::within(scene, centre, 1.0, seed)
-    }
-
-    /// The same with poses `spread` times as far from `centre`.
+    /// Noise-free currents of `scene` at poses around `centre`, `spread` times the usual distance away.
     fn within(scene: Scene, centre: &Pose, spread: f64, seed: u64) -> Result<Self, SceneError> {
         let plan = CompiledScene::compile(&scene, Precision::Double.tightest_tier())?;
         let mut noise = NoiseSource::seeded(seed);
-        let poses: Vec<Pose> =
-            (0..POSES).map(|_| noise.near(centre, spread * NEAR_HOME_M, spread * NEAR_HOME_RAD)).collect();
+        let poses: Vec<Pose> = (0..POSES).map(|_| noise.near(centre, NEAR_HOME.map(|sigma| spread * sigma))).collect();
         let readings = poses.iter().map(|pose| currents(&plan, pose)).collect();
-        let priors = poses.iter().map(|pose| noise.near(pose, PRIOR_M, PRIOR_RAD)).collect();
+        let priors = poses.iter().map(|pose| noise.near(pose, PRIOR)).collect();
         Ok(Self { scene, plan, poses, readings, priors })
     }
 
-    /// Solves all of it with a full effort, against what rounding allows.
-    fn solve(&self, start: Start, attainable: &[Attainable]) -> Result<Vec<(Precision, Reached)>, SceneError> {
+    /// Solves all of it with a full effort, against what rounding allows to the cells that are `used`.
+    fn case(
+        &self,
+        study: &'static str,
+        case: String,
+        start: Start,
+        expected: Expected,
+        used: impl Fn(usize) -> bool,
+    ) -> Result<Case, SceneError> {
+        let attainable = |pose| Attainable::at(&self.scene, &self.plan, pose, &used);
+        let attainable: Vec<Attainable> = self.poses.iter().map(attainable).collect();
+        let mut reached = Vec::new();
+        for precision in Precision::BOTH {
+            reached.push(self.reached(start, precision, &attainable)?);
+        }
+        // Where there is no pose, nothing is attainable.
+        let has_pose = !matches!(expected, Expected::Words(_));
+        reached.iter_mut().filter(|_| !has_pose).for_each(|reached| reached.attainable = None);
+        let condition = slitpose_calibration::median(attainable.iter().map(|it| it.condition).collect());
+        let quantity = "pose at the emitters / µm";
+        Ok(Case { study, case, condition: has_pose.then_some(condition), quantity, expected, reached })
+    }
+
+    fn reached(&self, start: Start, precision: Precision, attainable: &[Attainable]) -> Result<Reached, SceneError> {
         let arm_m = self.scene.length_scale_m();
-        let of = |precision: Precision| {
-            let tier = precision.tightest_tier();
-            let solve = Method { tier, precision, start, effort: Effort::Full }.compile(&self.scene)?;
-            let mut reached = Reached::default();
-            let (mut squares, mut best, mut found, mut slowest_s) = (0.0, 0.0, 0.0, 0.0_f64);
-            for (index, pose) in self.poses.iter().enumerate() {
-                let timed = || {
-                    let clock = Instant::now();
-                    let solved = solve(&self.readings[index], &self.priors[index]);
-                    (clock.elapsed().as_secs_f64(), solved)
-                };
-                let (mut least_s, solved) = timed();
-                for _ in 1..TIMES {
-                    least_s = least_s.min(timed().0);
-                }
-                slowest_s = slowest_s.max(least_s);
-                *reached.outcomes.entry(solved.outcome.as_str().to_owned()).or_default() += 1;
-                reached.without_value += usize::from(solved.pose.is_none());
-                best += attainable[index].at_emitters_m(precision, arm_m).powi(2);
-                if let Some(found_pose) = solved.pose {
-                    let (dt, dr) = found_pose.displacement_from(pose);
-                    squares += dt.length_squared() + arm_m * arm_m * dr.length_squared();
-                    found += 1.0;
-                }
+        let tier = precision.tightest_tier();
+        let solve = Method { tier, precision, start, effort: Effort::Full }.compile(&self.scene)?;
+        let mut reached = Reached::default();
+        let (mut squares, mut best, mut found, mut slowest_s) = (0.0, 0.0, 0.0, 0.0_f64);
+        for (index, pose) in self.poses.iter().enumerate() {
+            let timed = || {
+                let clock = Instant::now();
+                let solved = solve(&self.readings[index], &self.priors[index]);
+                (clock.elapsed().as_secs_f64(), solved)
+            };
+            let (mut least_s, solved) = timed();
+            for _ in 1..TIMES {
+                least_s = least_s.min(timed().0);
             }
-            let rms_um = |sum: f64, count: f64| (sum / count).sqrt() * 1e6;
-            reached.error = Some(rms_um(squares, found)).filter(|error| error.is_finite());
-            reached.slowest_s = Some(slowest_s);
-            reached.attainable = Some(rms_um(best, self.poses.len() as f64));
-            Ok((precision, reached))
-        };
-        Precision::BOTH.into_iter().map(of).collect()
+            slowest_s = slowest_s.max(least_s);
+            *reached.outcomes.entry(solved.outcome.as_str().to_owned()).or_default() += 1;
+            reached.without_value += usize::from(solved.pose.is_none());
+            best += attainable[index].at_emitters_m(precision, arm_m).powi(2);
+            if let Some(found_pose) = solved.pose {
+                let (dt, dr) = found_pose.displacement_from(pose);
+                squares += dt.length_squared() + arm_m * arm_m * dr.length_squared();
+                found += 1.0;
+            }
+        }
+        let rms_um = |sum: f64, count: f64| (sum / count).sqrt() * 1e6;
+        reached.error = Some(rms_um(squares, found)).filter(|error| error.is_finite());
+        reached.slowest_s = Some(slowest_s);
+        reached.attainable = Some(rms_um(best, self.poses.len() as f64));
+        Ok(reached)
     }
-
-    /// What rounding allows at each pose, from the cells that `used` lets pass.
-    fn attainable(&self, used: impl Fn(usize) -> bool) -> Vec<Attainable> {
-        self.poses.iter().map(|pose| Attainable::at(&self.scene, &self.plan, pose, &used)).collect()
-    }
-}
-
-fn condition(attainable: &[Attainable]) -> f64 {
-    slitpose_calibration::median(attainable.iter().map(|attainable| attainable.condition).collect())
 }
 
 /// The amplification of relative errors into errors of a pose.
@@ -304,11 +246,141 @@ impl Attainable {
     }
 }
 
+const BEFORE: u64 = 20;
+const AFTER: u64 = 20;
+
+/// A frame has recovered when its pose is within this many σ.
+const RECOVERED_SIGMAS: f64 = 5.0;
+
+/// Lit minus dark of front ends with time constants from a nanosecond to a second.
+pub(super) fn front_ends(head: &Head<'_>) -> Vec<Case> {
+    let Ok(configuration) = configuration(head.file) else {
+        return Vec::new();
+    };
+    let schedule = &configuration.schedule;
+    let case = |exponent: i32| {
+        let tau_s = 10f64.powi(exponent);
+        let found = Settling::of_cell(schedule, 0, tau_s).map(|settling| settling.gain);
+        let expected = lit_minus_dark(schedule, 0, tau_s);
+        let error = found.zip(expected).map(|(found, expected)| ((found - expected) / expected).abs());
+        // Of an exponential of x a rounding of x is x roundings; beyond some forty nothing is left.
+        let reached = Reached::once("value", error, Some(Precision::Double.unit_roundoff()));
+        Case {
+            study: "front end",
+            case: format!("τ = {tau_s:e} s, gain {:.3e}", expected.unwrap_or(f64::NAN)),
+            condition: None,
+            quantity: "gain / relative",
+            expected: Expected::Value,
+            reached: vec![reached],
+        }
+    };
+    (-9..=0).map(case).collect()
+}
+
+/// What a periodic first-order front end gives, lit minus dark, without a difference of numbers
+/// that are nearly one: with u = exp(−x/τ) for the time x since the light came on, likewise v since
+/// it went off, a = exp(−T_on/τ), b = exp(−T_off/τ), the mean of
+/// [(1 − a)·(1 − v) − (1 − b)·(u − a)]/(1 − ab) over pairs of samples.
+fn lit_minus_dark(schedule: &Schedule, cell: usize, tau_s: f64) -> Option<f64> {
+    let in_tau = |ticks: f64| ticks / f64::from(schedule.tick_hz) / tau_s;
+    // 1 − exp(−x), exact for small x.
+    let rise = |x: f64| -(-x).exp_m1();
+    let (slot, dark) = (schedule.lit_slot(cell)?, schedule.dark_slot()?);
+    let (slot_ticks, frame_ticks) = (f64::from(schedule.slot_ticks), f64::from(schedule.frame_ticks));
+    let on_ticks = slot as f64 * slot_ticks;
+    let first_lit = schedule.first_sample_ticks(slot, cell)? as f64 - on_ticks;
+    let first_dark = (schedule.first_sample_ticks(dark, cell)? as f64 - on_ticks - slot_ticks).rem_euclid(frame_ticks);
+    let (on, off, frame) = (in_tau(slot_ticks), in_tau(frame_ticks - slot_ticks), in_tau(frame_ticks));
+    let sample = |conversion: u16| {
+        let later = f64::from(conversion) * f64::from(schedule.conversion_ticks);
+        let (lit, dark) = (in_tau(first_lit + later), in_tau(first_dark + later));
+        let left = (-lit).exp() * rise(on - lit);
+        (rise(on) * rise(dark) - rise(off) * left) / rise(frame)
+    };
+    Some((0..schedule.oversampling).map(sample).sum::<f64>() / f64::from(schedule.oversampling))
+}
+
+/// A tool at rest that is elsewhere from one frame to the next.
+pub(super) fn jumps(head: &Head<'_>, settings: &Settings) -> Result<Vec<Case>, SceneError> {
+    let jumps = [
+        ("0.1 mm", DVec3::new(0.6, -0.64, 0.48) * 1e-4, DVec3::ZERO),
+        ("1 mm", DVec3::new(0.6, -0.64, 0.48) * 1e-3, DVec3::ZERO),
+        ("10°", DVec3::ZERO, DVec3::new(-0.48, 0.6, 0.64) * 10f64.to_radians()),
+        ("1 mm and 10°", DVec3::new(0.6, -0.64, 0.48) * 1e-3, DVec3::new(-0.48, 0.6, 0.64) * 10f64.to_radians()),
+        ("5 mm and 15°", DVec3::new(0.6, -0.64, 0.48) * 5e-3, DVec3::new(-0.48, 0.6, 0.64) * 15f64.to_radians()),
+    ];
+    let mut cases = Vec::new();
+    for (name, shift_m, turn_rad) in jumps {
+        let landed = Pose::HOME.perturbed(shift_m, turn_rad);
+        let double = jump::<f64>(head, settings, &landed)?;
+        let single = jump::<f32>(head, settings, &landed)?;
+        cases.push(Case {
+            study: "jump of the tool",
+            case: name.to_owned(),
+            condition: None,
+            quantity: "pose at the emitters in the frame of the jump / µm",
+            expected: Expected::Honest,
+            reached: vec![double, single],
+        });
+    }
+    Ok(cases)
+}
+
+/// What the tracker says in the frame of the jump, and how many frames pass until its poses are
+/// right again.
+fn jump<S: Scalar>(head: &Head<'_>, settings: &Settings, landed: &Pose) -> Result<Reached, SceneError> {
+    let mut solver = Solver::<S>::new(&head.scene, STREAM)?;
+    let period_s = head.frame.as_ref().map_or(1e-3, |frame| frame.period_s);
+    if let Some(frame) = &head.frame {
+        solver = solver.with_exposures(&frame.exposures_s);
+    }
+    let arm_m = head.scene.length_scale_m();
+    let resting = Solver::<f64>::new(&head.scene, STREAM)?;
+    let [bound_m, bound_rad] = rms_of_covariances(resting.bound(landed));
+    let bound = bound_m.hypot(arm_m * bound_rad);
+    let mut tracker = Tracker::new(solver, period_s);
+    let mut noise = NoiseSource::seeded(settings.seed);
+    let mut readings = |pose: &Pose| noise.disturb(&head.scene, &head.truth, pose, &currents(&head.truth, pose));
+    for frame in 0..BEFORE {
+        tracker.track(frame, &readings(&Pose::HOME).rounded());
+    }
+    let mut reached = Reached::default();
+    let mut recovered = None;
+    for frame in BEFORE..BEFORE + AFTER {
+        let solution = tracker.track(frame, &readings(landed).rounded()).solution;
+        let error = solution.estimate.map(|estimate| {
+            let (dt, dr) = estimate.pose.displacement_from(landed);
+            dt.length().hypot(arm_m * dr.length())
+        });
+        let after = frame - BEFORE;
+        if after == 0 {
+            let cells = if solution.estimate.is_some() { "" } else { ", no pose" };
+            reached = Reached::once(
+                &format!("{}{cells}", solution.outcome.as_str()),
+                error.map(|error| error * 1e6),
+                Some(bound * 1e6),
+            );
+        }
+        match error {
+            Some(error) if error <= RECOVERED_SIGMAS * bound => recovered = recovered.or(Some(after)),
+            _ => recovered = None,
+        }
+    }
+    let recovery = match recovered {
+        Some(0) => "right at once".to_owned(),
+        Some(frames) => format!("right after {frames} frames"),
+        None => format!("still wrong after {AFTER} frames"),
+    };
+    reached.outcomes = reached.outcomes.into_keys().map(|word| (format!("{word}; {recovery}"), 1)).collect();
+    Ok(reached)
+}
+
 #[cfg(test)]
 mod tests {
-    use super::*;
     use slitpose_head::scene_file::WIDE;
     use slitpose_model::Tier;
+
+    use super::*;
 
     #[test]
     fn rounding_moves_a_pose_by_a_few_roundings_of_the_heads_size() {
@@ -323,5 +395,18 @@ mod tests {
         }
         let half = Attainable::at(&scene, &plan, &Pose::HOME, |cell| cell > 1);
         assert!(half.condition > all.condition, "fewer cells tell no more");
+    }
+
+    #[test]
+    fn lit_minus_dark_is_what_the_stage_takes_it_for() {
+        let file = WIDE.read().unwrap();
+        let schedule = configuration(&file).unwrap().schedule;
+        for tau_s in [1e-7, 1.36e-6, 2e-5, 2e-4] {
+            for cell in 0..6 {
+                let gain = Settling::of_cell(&schedule, cell, tau_s).unwrap().gain;
+                let found = lit_minus_dark(&schedule, cell, tau_s).unwrap();
+                assert!((gain - found).abs() < 1e-13, "{tau_s} {cell}: {gain} {found}");
+            }
+        }
     }
 }

@@ -1,5 +1,6 @@
 //! Bytes of a simulated board with faults.
 
+use rand::SeedableRng;
 use slitpose_model::Tier;
 use slitpose_protocol::{Command, MAX_REQUEST_BYTES, Request};
 
@@ -129,4 +130,48 @@ fn a_link_that_hangs_up_loses_what_was_under_way() {
     assert_eq!(read(&out).0.last(), Some(&79));
     // It is open again.
     assert_eq!(injector.push(&bytes, &mut out), Link::Open);
+}
+
+fn act(text: &str, packets: usize, length: usize) -> Vec<Passage> {
+    let mut fault = WireFault::new(text.parse().unwrap(), ChaCha8Rng::seed_from_u64(5));
+    let pass = |_| {
+        let mut packet = Passage { bytes: vec![0; length], ..Passage::default() };
+        fault.act(0.0, &mut packet);
+        packet
+    };
+    (0..packets).map(pass).collect()
+}
+
+#[test]
+fn bits_are_inverted_as_often_as_asked_for() {
+    for (rate, packets) in [(1e-4, 10_000), (0.01, 1_000), (1.0, 3)] {
+        let flipped = act(&format!("flip:rate={rate}"), packets, 25);
+        let ones: u32 = flipped.iter().flat_map(|packet| &packet.bytes).map(|byte| byte.count_ones()).sum();
+        let expected = rate * (packets * 200) as f64;
+        // Six standard deviations of a binomial number.
+        let most = 6.0 * (expected * (1.0 - rate)).sqrt() + 1e-9;
+        assert!((f64::from(ones) - expected).abs() <= most, "seed 5, rate {rate}: {ones} of {expected}");
+    }
+}
+
+#[test]
+fn packets_are_hit_as_often_as_asked_for() {
+    let share = |text: &str, is_hit: fn(&Passage) -> bool| {
+        let hits = act(text, 10_000, 25).iter().filter(|packet| is_hit(packet)).count();
+        // Six standard deviations of a binomial number.
+        assert!((hits as f64 - 1000.0).abs() < 6.0 * 900.0_f64.sqrt(), "seed 5, {text}: {hits}");
+    };
+    share("drop:rate=0.1", |packet| packet.bytes.is_empty());
+    share("duplicate:rate=0.1", |packet| packet.is_double);
+    share("reorder:rate=0.1", |packet| packet.is_late);
+    share("truncate:rate=0.1", |packet| packet.bytes.len() < 25);
+    assert!(act("stall", 3, 25).iter().all(|packet| packet.is_held));
+}
+
+#[test]
+fn a_burst_goes_on_into_later_packets() {
+    let packets = act("burst:rate=1,bytes=60,for=1ms", 3, 25);
+    // Of 60 random bytes few are as they were.
+    let hit: Vec<usize> = packets.iter().map(|packet| packet.bytes.iter().filter(|byte| **byte != 0).count()).collect();
+    assert!(hit[0] > 20 && hit[1] > 20 && hit[2] > 5, "seed 5: {hit:?}");
 }

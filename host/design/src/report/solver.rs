@@ -1,0 +1,426 @@
+//! The solver: the cost of each method, and its error against the bound.
+
+use std::hint::black_box;
+
+use glam::dvec2;
+use slitpose_model::{
+    self as model, CompiledScene, MotionPrior, Outcome, Photocurrents, Pose, Scalar, Scene, SceneError, Solution,
+    Solver, Tier,
+};
+
+use super::head::{Candidate, Errors, Head, NoiseSource, RunTime, STREAM, currents, race, rms_of_covariances};
+use super::section::Sheet;
+use super::section::{Getter, Picture, Section, Table, Value};
+use super::{ReportError, Settings};
+use crate::plot::{Anchor, Axis, Chart, Curve, CurveStyle, Note, SOFT_INK, cell_colour, curve};
+
+pub(super) const TITLE: &str = "Solver: error against time";
+
+/// Steps after which a solve is cut short.
+const STEPS: [usize; 4] = [1, 2, 3, 4];
+
+/// How far a warm start is off, per axis, metres and radians: what a frame before leaves at some 10 mm/s.
+pub(super) const PRIOR: [f64; 2] = [3e-6, 3e-4];
+
+struct Entry {
+    method: Method,
+    errors: Errors,
+    run_time: RunTime,
+}
+
+pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, ReportError> {
+    let solver = Solver::<f64>::new(&head.scene, STREAM)?;
+    let bound = rms_of_covariances(head.poses.iter().filter_map(|pose| solver.bound(pose)));
+    let entries = measure(head, settings)?;
+    let mut section = Section {
+        name: "solver",
+        title: TITLE,
+        summary: summary(&entries, bound),
+        paragraphs: vec![
+            format!(
+                "{} poses of the workspace, one frame of photocurrents each, the tool at rest. The noise is that of the \
+                 scene's front end, drawn from the covariance of each pair of currents. A cold start has no prior pose; \
+                 a warm start is {} µm and {} mrad off per axis, as if from the frame before. `planes` is the initial \
+                 pose from the spot positions alone; the numbers count Gauss–Newton steps on the currents after it; \
+                 `full` iterates to the minimum and judges the fit. Each counted step includes a last evaluation of the \
+                 model, to check that the fit has improved. A full solve from a warm start stops before that evaluation \
+                 when the predicted gain is negligible, so that it takes less time than one counted step.",
+                head.poses.len(),
+                PRIOR[0] * 1e6,
+                PRIOR[1] * 1e3
+            ),
+            format!(
+                "Errors are root mean squares of the length of the error vector. The Cramér–Rao bound, below which no \
+                 unbiased estimate from one frame comes on average, is {} µm and {} µrad. With this number of poses a \
+                 root mean square scatters about its expectation by up to {} % (1 σ). The light follows the exact \
+                 tier, as real light would.",
+                Value::from(bound[0] * 1e6).shown(),
+                Value::from(bound[1] * 1e6).shown(),
+                // Of errors along one axis of each pose; more axes stray less.
+                Value::from(100.0 / (2.0 * head.poses.len() as f64).sqrt()).shown()
+            ),
+        ],
+        pictures: vec![
+            picture(
+                &entries,
+                head,
+                bound,
+                0,
+                "work-precision",
+                "Error of the translation against time per solve. Each curve goes from the first guess step by step, a lone \
+                 point is the full solve; lower and further left is better; below the bound nothing comes but by chance.",
+            ),
+            picture(&entries, head, bound, 1, "work-precision-rotation", "The same for the rotation."),
+        ],
+        tables: vec![noisy_table(&entries, bound), floor(head, settings)?],
+    };
+    let slowest_s = entries.iter().filter(|entry| searched(entry)).map(|entry| entry.run_time.least_s);
+    if let Some(slowest_s) = slowest_s.reduce(f64::max) {
+        section.paragraphs.push(format!(
+            "Where the light obeys another model than the solver's, χ² says so, and a full solve searches everywhere \
+             for a pose that fits before it gives the best one, marked as a misfit: up to {} µm. Solves that stop \
+             after some steps do not ask.",
+            Value::from(slowest_s * 1e6).shown()
+        ));
+    }
+    Ok(section)
+}
+
+fn summary(entries: &[Entry], bound: [f64; 2]) -> Vec<String> {
+    let full = |wanted: Start| {
+        entries.iter().find(|Entry { method: Method { tier, precision, start, effort }, .. }| {
+            (*tier, *precision, *start, *effort) == (STREAM, Precision::Double, wanted, Effort::Full)
+        })
+    };
+    let (Some(cold), Some(warm)) = (full(Start::Cold), full(Start::Warm)) else { return Vec::new() };
+    let micro = |value: f64| Value::from(value * 1e6).shown();
+    vec![
+        format!(
+            "One scan gives the position to {} µm and the orientation to {} µrad (root mean square of the error's \
+             length, from nothing but that scan); the least that its noise allows (the Cramér–Rao bound) is {} µm and \
+             {} µrad. {} % of the scans gave a pose.",
+            micro(cold.errors.rms[0]),
+            micro(cold.errors.rms[1]),
+            micro(bound[0]),
+            micro(bound[1]),
+            Value::from(100.0 * cold.errors.solved).shown(),
+        ),
+        format!(
+            "A solve takes {} µs when the pose of the scan before is known, {} µs when nothing is.",
+            micro(warm.run_time.least_s),
+            micro(cold.run_time.least_s)
+        ),
+    ]
+}
+
+/// Mean steps of a full solve that found no fit and searched everywhere for one. Such a point
+/// lies far to the right of all others; a word tells of it.
+const SEARCHED: f64 = 40.0;
+
+fn searched(entry: &Entry) -> bool {
+    entry.errors.steps > SEARCHED
+}
+
+fn methods(head: &Head<'_>) -> Vec<Method> {
+    let mut methods = Vec::new();
+    // What the tolerance costs and gives: once more at a tight one.
+    for (tier, precisions) in
+        [(STREAM, &Precision::BOTH[..]), (Tier::Paper, &Precision::BOTH), (head.truth_tier, &[Precision::Double])]
+    {
+        for &precision in precisions {
+            for start in Start::BOTH {
+                // From a pose nearby the planes are skipped.
+                let planes = (start == Start::Cold && tier != head.truth_tier).then_some(Effort::Planes);
+                let efforts = planes.into_iter().chain(STEPS.map(Effort::Steps)).chain([Effort::Full]);
+                methods.extend(efforts.map(|effort| Method { tier, precision, start, effort }));
+            }
+        }
+    }
+    methods
+}
+
+fn measure(head: &Head<'_>, settings: &Settings) -> Result<Vec<Entry>, ReportError> {
+    let mut noise = NoiseSource::seeded(settings.seed);
+    let mut noisy = |pose: &Pose| noise.disturb(&head.scene, &head.truth, pose, &currents(&head.truth, pose));
+    let readings: Vec<Photocurrents> = head.poses.iter().map(&mut noisy).collect();
+    let priors: Vec<Pose> = head.poses.iter().map(|pose| noise.near(pose, PRIOR)).collect();
+    let methods = methods(head);
+    let solves = methods.iter().map(|method| method.compile(&head.scene)).collect::<Result<Vec<_>, _>>()?;
+    let timed = settings.timed_poses();
+    let mut candidates: Vec<Candidate<'_>> = Vec::new();
+    let mut errors = Vec::new();
+    for solve in &solves {
+        let solved = readings.iter().zip(&priors).map(|(readings, prior)| solve(readings, prior));
+        errors.push(Errors::of(solved.zip(&head.poses)));
+        candidates.push(Box::new(|| {
+            for (readings, prior) in readings[..timed].iter().zip(&priors) {
+                black_box(solve(black_box(readings), prior));
+            }
+        }));
+    }
+    let run_times = race(&mut candidates, settings.rounds(), timed);
+    let entries = methods.into_iter().zip(errors).zip(run_times);
+    Ok(entries.map(|((method, errors), run_time)| Entry { method, errors, run_time }).collect())
+}
+
+fn micro(value: f64) -> Value {
+    Value::from(value * 1e6)
+}
+
+fn noisy_table(entries: &[Entry], bound: [f64; 2]) -> Table {
+    let columns: [Getter<'_, Entry>; 12] = [
+        ("tier", "tier", &|entry| tier_name(entry.method.tier).into()),
+        ("number", "numbers", &|entry| entry.method.precision.name().into()),
+        ("start", "start", &|entry| entry.method.start.name().into()),
+        ("effort", "effort", &|entry| entry.method.effort.name().into()),
+        ("solved_percent", "solved / %", &|entry| (100.0 * entry.errors.solved).into()),
+        ("rms_um", "rms / µm", &|entry| micro(entry.errors.rms[0])),
+        ("rms_urad", "rms / µrad", &|entry| micro(entry.errors.rms[1])),
+        ("ratio_to_bound_translation", "translation to bound", &|entry| (entry.errors.rms[0] / bound[0]).into()),
+        ("ratio_to_bound_rotation", "rotation to bound", &|entry| (entry.errors.rms[1] / bound[1]).into()),
+        ("steps", "steps, mean", &|entry| entry.errors.steps.into()),
+        ("least_us", "least / µs", &|entry| micro(entry.run_time.least_s)),
+        ("median_us", "median / µs", &|entry| micro(entry.run_time.median_s)),
+    ];
+    let caption = "Noisy currents: error, its ratio to the Cramér–Rao bound, and time per solve";
+    Table::of("solver_noisy", caption, entries, &columns)
+}
+
+/// The numerical floor: no noise in the currents and none in the weights, so that a solve goes on
+/// until arithmetic ends it.
+fn floor(head: &Head<'_>, settings: &Settings) -> Result<Table, ReportError> {
+    let silent = Scene { noise: None, ..head.scene.clone() };
+    let mut noise = NoiseSource::seeded(settings.seed);
+    let priors: Vec<Pose> = head.poses.iter().map(|pose| noise.near(pose, PRIOR)).collect();
+    let mut rows = Vec::new();
+    for tier in [Tier::Paper, STREAM, head.truth_tier] {
+        // Each tier on its own light: the model is no part of this error.
+        let own = if tier == Tier::Paper { tier } else { head.truth_tier };
+        let plan = CompiledScene::<f64>::compile(&silent, own)?;
+        let readings: Vec<Photocurrents> = head.poses.iter().map(|pose| currents(&plan, pose)).collect();
+        // What `f32` cannot keep it is not asked for.
+        let kept = Precision::BOTH.into_iter().filter(|p| *p == Precision::Double || tier != head.truth_tier);
+        for (precision, start) in kept.flat_map(|precision| Start::BOTH.map(|start| (precision, start))) {
+            let method = Method { tier, precision, start, effort: Effort::Full };
+            let solve = method.compile(&silent)?;
+            let solved = readings.iter().zip(&priors).map(|(readings, prior)| solve(readings, prior));
+            rows.push((method, Errors::of(solved.zip(&head.poses))));
+        }
+    }
+    Ok(Table::of(
+        "solver_floor",
+        "Numerical floor: no noise in currents and weights, each tier in its own light",
+        &rows,
+        &[
+            ("tier", "tier", &|(method, _)| tier_name(method.tier).into()),
+            ("number", "numbers", &|(method, _)| method.precision.name().into()),
+            ("start", "start", &|(method, _)| method.start.name().into()),
+            ("solved_percent", "solved / %", &|(_, errors)| (100.0 * errors.solved).into()),
+            ("rms_um", "rms / µm", &|(_, errors)| micro(errors.rms[0])),
+            ("rms_urad", "rms / µrad", &|(_, errors)| micro(errors.rms[1])),
+            ("median_um", "median / µm", &|(_, errors)| micro(errors.median[0])),
+            ("median_urad", "median / µrad", &|(_, errors)| micro(errors.median[1])),
+            ("steps", "steps, mean", &|(_, errors)| errors.steps.into()),
+        ],
+    ))
+}
+
+/// Error of translations (`half` 0) or rotations (1) against time.
+fn picture(
+    entries: &[Entry],
+    head: &Head<'_>,
+    bound: [f64; 2],
+    half: usize,
+    name: &'static str,
+    caption: &str,
+) -> Picture {
+    let (what, unit) = [("translation", "µm"), ("rotation", "µrad")][half];
+    let point = |entry: &Entry| [entry.run_time.least_s * 1e6, entry.errors.rms[half] * 1e6];
+    let chosen = |tier: Tier, start, precision| {
+        let is_of = move |method: &Method| (method.tier, method.precision, method.start) == (tier, precision, start);
+        entries.iter().filter(move |entry| is_of(&entry.method))
+    };
+    let tight = format!("{}, cold start", tier_name(head.truth_tier).replace("exact", "exact tier at"));
+    let mut curves = Vec::new();
+    for (colour, (name, tier, start)) in [
+        ("exact tier, cold start", STREAM, Start::Cold),
+        ("exact tier, warm start", STREAM, Start::Warm),
+        ("paper tier, cold start", Tier::Paper, Start::Cold),
+        ("paper tier, warm start", Tier::Paper, Start::Warm),
+        (tight.as_str(), head.truth_tier, Start::Cold),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        // A full solve goes its own way: it is no further step.
+        for (label, style, precision, is_full) in [
+            (name, CurveStyle::Joined, Precision::Double, false),
+            ("", CurveStyle::DashedRings, Precision::Single, false),
+            ("", CurveStyle::Markers, Precision::Double, true),
+            ("", CurveStyle::Rings, Precision::Single, true),
+        ] {
+            let shown = chosen(tier, start, precision).filter(|entry| !searched(entry));
+            let points = shown.filter(|entry| (entry.method.effort == Effort::Full) == is_full).map(point);
+            curves.push(curve(label, colour, style, points.collect()));
+        }
+    }
+    let floor = bound[half] * 1e6;
+    let y = |y: Vec<f64>| Axis::logarithmic(&format!("rms error of the {what} / {unit}"), y.into_iter().chain([floor]));
+    let mut chart = Chart::over(curves, |x| Axis::logarithmic("time per solve / µs", x), y);
+    let times = chart.x.range;
+    let mut note = |at, offset, anchor, text: &str, colour| {
+        chart.notes.push(Note { at, offset, anchor, text: text.to_owned(), colour });
+    };
+    // The clearest curve says what its points are, as far as they do not lie on the bound.
+    let named = chosen(STREAM, Start::Cold, Precision::Double).take(2);
+    for entry in named.filter(|entry| entry.errors.rms[half] > 2.0 * bound[half]) {
+        note(point(entry), dvec2(9.0, -5.0), Anchor::Start, &entry.method.effort.name(), cell_colour(0));
+    }
+    if let Some(entry) = chosen(Tier::Paper, Start::Cold, Precision::Double).find(|entry| searched(entry)) {
+        let [time, error] = point(entry);
+        let text = format!("paper tier in full: {} µs →", Value::from(time).shown());
+        note([times[1], error], dvec2(-8.0, 16.0), Anchor::End, &text, cell_colour(2));
+    }
+    note([times[0], floor], dvec2(8.0, 16.0), Anchor::Start, "Cramér–Rao bound of one frame", SOFT_INK);
+    let points = times.map(|x| [x, floor]).to_vec();
+    chart.curves.push(Curve { label: String::new(), colour: SOFT_INK, style: CurveStyle::Dashed, points });
+    Sheet {
+        title: format!("Pose from {} cells: error of the {what} against time", head.scene.cells.len()),
+        note: format!(
+            "{} poses, one frame each. Discs f64, rings f32; curves: planes (cold start), 1, 2, 3, 4 steps; lone points: full.",
+            head.poses.len()
+        ),
+        panels: vec![("noisy currents".to_owned(), chart)],
+    }
+    .draw(name, caption)
+}
+
+/// The number type that is computed with: `f64`, or `f32` as on the board.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Precision {
+    Double,
+    Single,
+}
+
+impl Precision {
+    pub(super) const BOTH: [Self; 2] = [Self::Double, Self::Single];
+
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Self::Double => "f64",
+            Self::Single => "f32",
+        }
+    }
+
+    /// The exact tier at the tightest tolerance that is of use: a solver weighs by it, and stops when
+    /// it has come so near. Asked for more, `f32` divides spots for ever without coming nearer.
+    pub(super) fn tightest_tier(self) -> Tier {
+        match self {
+            Self::Double => Tier::Exact { tolerance: 1e-15 },
+            Self::Single => Tier::Exact { tolerance: 1e-6 },
+        }
+    }
+
+    pub(super) fn unit_roundoff(self) -> f64 {
+        match self {
+            Self::Double => 0.5 * f64::EPSILON,
+            Self::Single => 0.5 * f64::from(f32::EPSILON),
+        }
+    }
+}
+
+/// What a solve starts from: nothing, or a pose near the truth, as from the frame before.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Start {
+    Cold,
+    Warm,
+}
+
+impl Start {
+    pub(super) const BOTH: [Self; 2] = [Self::Cold, Self::Warm];
+
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Self::Cold => "cold",
+            Self::Warm => "warm",
+        }
+    }
+}
+
+/// How far a solve goes: to the pose on the planes, at most so many steps, or to the end.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Effort {
+    Planes,
+    Steps(usize),
+    Full,
+}
+
+impl Effort {
+    pub(super) fn name(self) -> String {
+        match self {
+            Self::Planes => "planes".to_owned(),
+            Self::Steps(1) => "1 step".to_owned(),
+            Self::Steps(steps) => format!("{steps} steps"),
+            Self::Full => "full".to_owned(),
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Method {
+    pub(super) tier: Tier,
+    pub(super) precision: Precision,
+    pub(super) start: Start,
+    pub(super) effort: Effort,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Solved {
+    pub(super) outcome: Outcome,
+    pub(super) pose: Option<Pose>,
+    pub(super) iterations: usize,
+}
+
+impl<S: Scalar> From<Solution<S>> for Solved {
+    fn from(solution: Solution<S>) -> Self {
+        let Solution { outcome, estimate, iterations, .. } = solution;
+        Self { outcome, pose: estimate.map(|estimate| estimate.pose), iterations }
+    }
+}
+
+/// A method compiled for a scene: photocurrents and a pose to start from in, a pose out.
+pub(super) type Compiled = Box<dyn Fn(&Photocurrents, &Pose) -> Solved>;
+
+impl Method {
+    /// For the cells of `scene`, all exposed at one instant.
+    pub(super) fn compile(&self, scene: &Scene) -> Result<Compiled, SceneError> {
+        match self.precision {
+            Precision::Double => self.compile_for::<f64>(scene),
+            Precision::Single => self.compile_for::<f32>(scene),
+        }
+    }
+
+    fn compile_for<S: Scalar>(&self, scene: &Scene) -> Result<Compiled, SceneError> {
+        let mut solver = Solver::<S>::new(scene, self.tier)?;
+        if let Effort::Steps(steps) = self.effort {
+            solver = solver.with_max_steps(steps);
+        }
+        let Self { start, effort, .. } = *self;
+        Ok(Box::new(move |readings, prior| {
+            let start = match (start, effort) {
+                (_, Effort::Planes) => model::Start::PlanesOnly,
+                (Start::Cold, _) => model::Start::Cold,
+                (Start::Warm, _) => model::Start::Near(prior),
+            };
+            solver.solve(&readings.rounded(), start, &MotionPrior::AT_REST).into()
+        }))
+    }
+}
+
+/// The word for a tier in tables.
+pub(super) fn tier_name(tier: Tier) -> String {
+    match tier {
+        Tier::Paper => "paper".to_owned(),
+        Tier::Exact { tolerance } => format!("exact {tolerance:e}"),
+    }
+}
