@@ -1,5 +1,6 @@
 //! What servers share: limits of connections, whose requests are answered, threads, and sockets in the file system.
 
+use std::fmt;
 use std::fs::{self, Permissions};
 use std::io::{self, ErrorKind};
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
@@ -12,14 +13,18 @@ use std::task::{Context, Poll};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use axum::Router;
+use axum::extract::Request;
 use axum::extract::connect_info::Connected;
-use axum::http::HeaderMap;
-use axum::http::header::{HOST, ORIGIN};
+use axum::http::header::{CONNECTION, HOST, ORIGIN};
+use axum::http::{HeaderMap, StatusCode};
+use axum::middleware::{Next, from_fn};
+use axum::response::{IntoResponse, Response};
 use axum::serve::{IncomingStream, Listener};
 use thiserror::Error;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::net::{TcpListener, TcpStream, UnixListener, UnixStream};
-use tokio::runtime::Runtime;
+use tokio::net::{TcpListener, UnixListener};
+use tokio::runtime::Builder;
 use tokio::sync::oneshot;
 use tokio::time::{Sleep, sleep};
 
@@ -31,6 +36,41 @@ pub(crate) enum BindScope {
     Anywhere,
 }
 
+/// Where a server listens, and its clients connect.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Address {
+    /// A Unix socket at a path, for users with write permission on it.
+    Unix(PathBuf),
+    /// A TCP port.
+    Tcp(SocketAddr),
+    /// A UDP port.
+    Udp(SocketAddr),
+}
+
+/// Prefix that distinguishes a path from a host.
+const UNIX: &str = "unix:";
+
+impl Address {
+    /// The address that `text` names, if any: a host and a port for TCP, or `unix:` and a path.
+    pub(crate) fn of_stream(text: &str) -> Option<Self> {
+        match text.strip_prefix(UNIX) {
+            Some("") => None,
+            Some(path) => Some(Self::Unix(path.into())),
+            None => tcp_address(text).map(Self::Tcp),
+        }
+    }
+}
+
+impl fmt::Display for Address {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Unix(path) => write!(f, "{UNIX}{}", path.display()),
+            Self::Tcp(address) => address.fmt(f),
+            Self::Udp(address) => write!(f, "udp:{address}"),
+        }
+    }
+}
+
 /// The address and port that `text` names, if any.
 pub(crate) fn tcp_address(text: &str) -> Option<SocketAddr> {
     // The only name that has the same meaning on every host.
@@ -40,32 +80,98 @@ pub(crate) fn tcp_address(text: &str) -> Option<SocketAddr> {
     }
 }
 
-/// Listens on `address`; returns the address with the port that the system chose for port 0. To be called within the
-/// runtime that serves the socket.
-pub(crate) fn listen(address: SocketAddr) -> io::Result<(Socket, SocketAddr)> {
-    let listener = std::net::TcpListener::bind(address)?;
-    let bound = listener.local_addr()?;
-    listener.set_nonblocking(true)?;
-    Ok((Socket::Tcp(TcpListener::from_std(listener)?), bound))
+/// Why a server does not start.
+#[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
+pub enum ServeError {
+    #[error("another program serves {address}; give another address, or end that program")]
+    InUse { address: Address },
+    #[error("{} is no socket and is left alone; give another path", path.display())]
+    NotASocket { path: PathBuf },
+    #[error("{address} can be reached from other hosts, and {reason}")]
+    NotLoopback { address: Address, reason: &'static str },
+    #[error("cannot listen on {address}; check that its folder exists and may be written to, or that the port is free")]
+    Listen { address: Address, source: io::Error },
+    #[error("cannot start a thread; close other programs, or raise the limit of threads")]
+    Thread { source: io::Error },
 }
 
-/// A thread that runs a runtime with all its tasks until this is dropped.
+impl ServeError {
+    pub(crate) fn of(address: &Address, source: io::Error) -> Self {
+        let address = address.clone();
+        if source.kind() == ErrorKind::AddrInUse { Self::InUse { address } } else { Self::Listen { address, source } }
+    }
+}
+
+/// A server on a thread of its own, with all its tasks, until this is dropped.
 #[derive(Debug)]
 pub(crate) struct Serving {
     end: Option<oneshot::Sender<()>>,
     thread: Option<JoinHandle<()>>,
+    _file: Option<SocketFile>,
 }
 
 impl Serving {
-    pub(crate) fn start(name: &str, runtime: Runtime) -> io::Result<Self> {
+    /// Serves `routes` at `address` to programs in `scope`, pages of others get `refusal`; returns the address with the port
+    /// that the system chose for port 0. `begin` starts further tasks.
+    pub(crate) fn http(
+        name: &str,
+        address: &Address,
+        scope: BindScope,
+        refusal: &'static str,
+        routes: Router,
+        begin: impl FnOnce(),
+    ) -> Result<(Self, Address), ServeError> {
+        let failed = |source| ServeError::of(address, source);
+        let listen = || match address {
+            Address::Unix(path) => {
+                let (listener, file) = SocketFile::bind(path, connects_stream, |path| UnixListener::bind(path))?;
+                Ok((Socket::Unix(listener), address.clone(), Some(file)))
+            }
+            Address::Tcp(tcp) | Address::Udp(tcp) => {
+                let listener = std::net::TcpListener::bind(tcp).map_err(failed)?;
+                listener.set_nonblocking(true).map_err(failed)?;
+                let bound = Address::Tcp(listener.local_addr().map_err(failed)?);
+                Ok((Socket::Tcp(TcpListener::from_std(listener).map_err(failed)?), bound, None))
+            }
+        };
+        // Browsers cannot reach a Unix socket: any host name is allowed there.
+        let named = if matches!(address, Address::Unix(_)) { BindScope::Anywhere } else { scope };
+        let guard = move |request: Request, next: Next| async move {
+            match is_own(request.headers(), named) {
+                true => next.run(request).await,
+                false => reply(StatusCode::FORBIDDEN, refusal),
+            }
+        };
+        let routes = routes.layer(from_fn(guard)).into_make_service_with_connect_info::<ConnectionDeadline>();
+        let (mut bound, mut file) = (address.clone(), None);
+        let serving = Self::start(name, address, async || {
+            let socket;
+            (socket, bound, file) = listen()?;
+            tokio::spawn(async move { axum::serve(LimitedListener::new(socket), routes).await });
+            begin();
+            Ok(())
+        })?;
+        Ok((Self { _file: file, ..serving }, bound))
+    }
+
+    /// Runs the tasks that `begin` starts, for a server at `address`.
+    pub(crate) fn start(
+        name: &str,
+        address: &Address,
+        begin: impl AsyncFnOnce() -> Result<(), ServeError>,
+    ) -> Result<Self, ServeError> {
+        let failed = |source| ServeError::of(address, source);
+        let runtime = Builder::new_current_thread().enable_all().build().map_err(failed)?;
+        runtime.block_on(begin())?;
         let (end, ended) = oneshot::channel();
         let run = move || {
             // Either way this has been dropped. The tasks end with the runtime: a graceful shutdown would wait for
             // connections that hang.
             let _ = runtime.block_on(ended);
         };
-        let thread = std::thread::Builder::new().name(name.to_owned()).spawn(run)?;
-        Ok(Self { end: Some(end), thread: Some(thread) })
+        let thread = std::thread::Builder::new().name(name.to_owned()).spawn(run).map_err(failed)?;
+        Ok(Self { end: Some(end), thread: Some(thread), _file: None })
     }
 }
 
@@ -77,6 +183,11 @@ impl Drop for Serving {
             let _ = thread.join();
         }
     }
+}
+
+/// An answer, after which the connection is closed.
+pub(crate) fn reply(status: StatusCode, text: impl IntoResponse) -> Response {
+    (status, [(CONNECTION, "close")], text).into_response()
 }
 
 // Any page can make a browser send requests to a port of the browser's host. A page whose domain resolves to this host
@@ -156,11 +267,11 @@ impl Listener for LimitedListener {
 
     async fn accept(&mut self) -> (Self::Io, Self::Addr) {
         loop {
-            let accepted = match &self.socket {
+            let accepted: io::Result<(Stream, _)> = match &self.socket {
                 Socket::Tcp(listener) => {
-                    listener.accept().await.map(|(stream, address)| (Stream::Tcp(stream), Some(address.ip())))
+                    listener.accept().await.map(|(stream, address)| (Box::pin(stream) as Stream, Some(address.ip())))
                 }
-                Socket::Unix(listener) => listener.accept().await.map(|(stream, _)| (Stream::Unix(stream), None)),
+                Socket::Unix(listener) => listener.accept().await.map(|(stream, _)| (Box::pin(stream) as Stream, None)),
             };
             match accepted {
                 Ok((stream, address)) if self.make_room() => {
@@ -181,10 +292,11 @@ impl Listener for LimitedListener {
     }
 }
 
-enum Stream {
-    Tcp(TcpStream),
-    Unix(UnixStream),
-}
+trait Io: AsyncRead + AsyncWrite + Send {}
+
+impl<T: AsyncRead + AsyncWrite + Send> Io for T {}
+
+type Stream = Pin<Box<dyn Io>>;
 
 /// Ends the lifetime's limit of one connection.
 #[derive(Clone, Debug, Default)]
@@ -241,44 +353,22 @@ impl Connection {
 
 impl AsyncRead for Connection {
     fn poll_read(self: Pin<&mut Self>, context: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
-        self.in_time(context, |stream, context| match stream {
-            Stream::Tcp(stream) => Pin::new(stream).poll_read(context, buffer),
-            Stream::Unix(stream) => Pin::new(stream).poll_read(context, buffer),
-        })
+        self.in_time(context, |stream, context| stream.as_mut().poll_read(context, buffer))
     }
 }
 
 impl AsyncWrite for Connection {
     fn poll_write(self: Pin<&mut Self>, context: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
-        self.in_time(context, |stream, context| match stream {
-            Stream::Tcp(stream) => Pin::new(stream).poll_write(context, bytes),
-            Stream::Unix(stream) => Pin::new(stream).poll_write(context, bytes),
-        })
+        self.in_time(context, |stream, context| stream.as_mut().poll_write(context, bytes))
     }
 
     fn poll_flush(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        self.in_time(context, |stream, context| match stream {
-            Stream::Tcp(stream) => Pin::new(stream).poll_flush(context),
-            Stream::Unix(stream) => Pin::new(stream).poll_flush(context),
-        })
+        self.in_time(context, |stream, context| stream.as_mut().poll_flush(context))
     }
 
     fn poll_shutdown(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        self.in_time(context, |stream, context| match stream {
-            Stream::Tcp(stream) => Pin::new(stream).poll_shutdown(context),
-            Stream::Unix(stream) => Pin::new(stream).poll_shutdown(context),
-        })
+        self.in_time(context, |stream, context| stream.as_mut().poll_shutdown(context))
     }
-}
-
-#[derive(Debug, Error)]
-pub(crate) enum SocketFileError {
-    #[error("another program serves unix:{}; give another path, or end that program", path.display())]
-    InUse { path: PathBuf },
-    #[error("{} is no socket and is left alone; give another path", path.display())]
-    NotASocket { path: PathBuf },
-    #[error("cannot listen on unix:{}", path.display())]
-    Bind { path: PathBuf, source: io::Error },
 }
 
 /// A bound socket; its file is removed when this is dropped, unless it has been replaced.
@@ -289,27 +379,29 @@ pub(crate) struct SocketFile {
 }
 
 impl SocketFile {
-    /// Binds a socket at `path` by `bind`, with the permissions `mode`.
+    /// Binds a socket at `path` by `bind`, for the user and the group of this program; one that a killed program has left
+    /// behind is replaced. `connect` finds out whether anybody serves it.
     pub(crate) fn bind<T>(
         path: &Path,
-        mode: u32,
+        connect: impl FnOnce(&Path) -> io::Result<()>,
         bind: impl FnOnce(&Path) -> io::Result<T>,
-    ) -> Result<(T, Self), SocketFileError> {
-        let failed = |source| SocketFileError::Bind { path: path.to_owned(), source };
+    ) -> Result<(T, Self), ServeError> {
+        let address = || Address::Unix(path.to_owned());
+        let failed = |source| ServeError::of(&address(), source);
         match fs::symlink_metadata(path) {
             Err(error) if error.kind() == ErrorKind::NotFound => {}
             Err(source) => return Err(failed(source)),
             Ok(found) if !found.file_type().is_socket() => {
-                return Err(SocketFileError::NotASocket { path: path.to_owned() });
+                return Err(ServeError::NotASocket { path: path.to_owned() });
             }
-            Ok(_) => match std::os::unix::net::UnixStream::connect(path) {
+            Ok(_) => match connect(path) {
                 Err(error) if error.kind() == ErrorKind::ConnectionRefused => fs::remove_file(path).map_err(failed)?,
-                Err(source) => return Err(failed(source)),
-                Ok(_) => return Err(SocketFileError::InUse { path: path.to_owned() }),
+                // A socket of another kind is in use, too.
+                _ => return Err(ServeError::InUse { address: address() }),
             },
         }
         let socket = bind(path).map_err(failed)?;
-        fs::set_permissions(path, Permissions::from_mode(mode)).map_err(failed)?;
+        fs::set_permissions(path, Permissions::from_mode(SOCKET_MODE)).map_err(failed)?;
         let file = identity(path).map_err(failed)?;
         Ok((socket, Self { path: path.to_owned(), file }))
     }
@@ -321,6 +413,14 @@ impl Drop for SocketFile {
             let _ = fs::remove_file(&self.path);
         }
     }
+}
+
+/// Mode of Unix sockets: owner and group may connect, other users may not.
+const SOCKET_MODE: u32 = 0o660;
+
+/// Connects to a stream socket.
+pub(crate) fn connects_stream(path: &Path) -> io::Result<()> {
+    std::os::unix::net::UnixStream::connect(path).map(drop)
 }
 
 fn identity(path: &Path) -> io::Result<[u64; 2]> {

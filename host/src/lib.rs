@@ -10,12 +10,12 @@
 //! * [`inputs`] reads what strangers can send, for fuzzing.
 //!
 //! Behind the commands: `terminal` draws for the user, `comparison` compares poses with a reference, `sink` writes poses,
-//! `daemon` follows boards live, `live` shows them on a page and to Foxglove, `spacenav` makes a mouse of the tool, `http`
-//! guards the servers, `zenoh` takes boards to ROS 2 and to other machines, `service` notifies the service manager,
-//! `doctor` examines boards, heads and hosts.
+//! `daemon` follows boards live, `live` shows them on a page, `bridges` to Foxglove, to ROS 2 and as a mouse, `http` guards
+//! the servers, `service` notifies the service manager, `doctor` examines boards, heads and hosts.
 
 #![forbid(unsafe_code)]
 
+mod bridges;
 pub mod commands;
 mod comparison;
 mod daemon;
@@ -27,10 +27,8 @@ pub mod inputs;
 mod live;
 mod service;
 mod sink;
-mod spacenav;
 pub mod telemetry;
 mod terminal;
-mod zenoh;
 
 #[cfg(test)]
 mod tests {

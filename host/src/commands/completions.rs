@@ -191,15 +191,16 @@ pub(super) fn in_help(command: Command) -> Command {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::commands::{command, model, options, solve};
+    use crate::commands::{command, options};
+    use slitpose_tracking::solving::MODEL_TOLERANCE;
 
     #[test]
     fn tolerances_are_those_in_use() {
         for (verb, tolerance) in [
             ("run", options::DEFAULT_TOLERANCE),
             ("simulate", options::DEFAULT_TOLERANCE),
-            ("solve", solve::DEFAULT_TOLERANCE),
-            ("model", model::DEFAULT_TOLERANCE),
+            ("solve", options::DEFAULT_TOLERANCE),
+            ("model", MODEL_TOLERANCE),
         ] {
             assert_eq!(default_of(verb, "tolerance").unwrap().parse(), Ok(tolerance), "{verb}");
         }

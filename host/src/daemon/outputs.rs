@@ -12,7 +12,7 @@ use slitpose_model::Photocurrents;
 use slitpose_protocol::{Rejection, Reply, Severity};
 
 use super::board::BoardError;
-use super::buffer_pool::{Consumer, Empty, Producer};
+use super::handoff::{Consumer, Empty, Producer};
 use super::spawn;
 use super::tap::Tap;
 use crate::datagram::{DatagramServer, Publisher};

@@ -22,100 +22,43 @@
 //! are counted and reported to it; one that misses some for over a second is a finding.
 
 mod layout;
-mod publisher;
 mod server;
 mod slot;
 mod socket;
 mod subscription;
 
-use std::net::{AddrParseError, SocketAddr};
-use std::path::PathBuf;
-use std::str::FromStr;
+use std::net::SocketAddr;
 use std::sync::atomic;
-use std::{fmt, io};
 
-use thiserror::Error;
+use crate::http::ServeError;
 
+pub use crate::http::Address;
 pub use layout::{Answer, Mode, PoseDatagram, Request};
-pub use publisher::Publisher;
-pub use server::{DatagramCounts, DatagramServer};
+pub use server::{DatagramCounts, DatagramServer, Publisher};
 pub use subscription::SlowClient;
 
 /// Attempts to copy the newest datagram undisturbed. A copy takes a ten-thousandth of the time between two scans.
 const ATTEMPTS: usize = 100;
 
-/// An address at which clients request datagrams.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Address {
-    /// A Unix socket at a path, for users with write permission on it.
-    Unix(PathBuf),
-    /// A UDP port of this host, for all users of the host.
-    Udp(SocketAddr),
-}
-
-/// A text that is not a permitted [`Address`].
-#[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[allow(missing_docs, reason = "the texts say what each is")]
-pub enum AddressError {
-    #[error("`{text}` is no address for poses; give unix:PATH or udp:127.0.0.1:PORT")]
-    Kind { text: String },
-    #[error("`unix:` lacks the path of the socket; give unix:PATH")]
-    NoPath,
-    #[error("`{text}` is no address and port; give udp:127.0.0.1:PORT")]
-    Udp { text: String, source: AddrParseError },
-    #[error(
-        "{address} can be reached from other hosts, and poses carry no proof of their origin; give udp:127.0.0.1:PORT"
-    )]
-    NotLoopback { address: SocketAddr },
-}
-
-impl AddressError {
-    /// Refuses addresses that other hosts can reach.
-    fn check(address: SocketAddr) -> Result<(), Self> {
-        if address.ip().is_loopback() { Ok(()) } else { Err(Self::NotLoopback { address }) }
-    }
-}
-
-impl FromStr for Address {
-    type Err = AddressError;
-
-    fn from_str(text: &str) -> Result<Self, Self::Err> {
-        match text.split_once(':') {
-            Some(("unix", "")) => Err(AddressError::NoPath),
-            Some(("unix", path)) => Ok(Self::Unix(path.into())),
-            Some(("udp", address)) => {
-                let error = |source| AddressError::Udp { text: address.to_owned(), source };
-                let address: SocketAddr = address.parse().map_err(error)?;
-                AddressError::check(address)?;
-                Ok(Self::Udp(address))
-            }
-            _ => Err(AddressError::Kind { text: text.to_owned() }),
+/// The address at which clients request datagrams that `text` names.
+pub(crate) fn address(text: &str) -> Result<Address, String> {
+    match text.split_once(':') {
+        Some(("unix", "")) => Err("`unix:` lacks the path of the socket; give unix:PATH".to_owned()),
+        Some(("unix", path)) => Ok(Address::Unix(path.into())),
+        Some(("udp", udp)) => {
+            let error = |error| format!("`{udp}` is no address and port ({error}); give udp:127.0.0.1:PORT");
+            let udp = udp.parse().map_err(error)?;
+            require_loopback(udp).map(|()| Address::Udp(udp)).map_err(|error| error.to_string())
         }
+        _ => Err(format!("`{text}` is no address for poses; give unix:PATH or udp:127.0.0.1:PORT")),
     }
 }
 
-impl fmt::Display for Address {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Unix(path) => write!(f, "unix:{}", path.display()),
-            Self::Udp(address) => write!(f, "udp:{address}"),
-        }
-    }
-}
-
-#[derive(Debug, Error)]
-#[allow(missing_docs, reason = "the texts say what each is")]
-pub enum DatagramError {
-    #[error("{} is in use by another program that runs; give another path, or stop that program", path.display())]
-    InUse { path: PathBuf },
-    #[error("{} exists and is no socket; give another path", path.display())]
-    NotASocket { path: PathBuf },
-    #[error("cannot listen on {address}; check that its folder exists and may be written to, or that the port is free")]
-    Bind { address: Address, source: io::Error },
-    #[error(transparent)]
-    Address(#[from] AddressError),
-    #[error("cannot start a thread for requests")]
-    Thread(#[source] io::Error),
+/// Refuses addresses that other hosts can reach.
+fn require_loopback(address: SocketAddr) -> Result<(), ServeError> {
+    let reason = "poses carry no proof of their origin; give udp:127.0.0.1:PORT";
+    let refused = || ServeError::NotLoopback { address: Address::Udp(address), reason };
+    address.ip().is_loopback().then_some(()).ok_or_else(refused)
 }
 
 #[cfg(test)]

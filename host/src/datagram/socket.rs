@@ -1,6 +1,6 @@
 //! Non-blocking sockets of both kinds.
 
-use std::fs::{self, File, Permissions};
+use std::fs::File;
 use std::io::{self, ErrorKind};
 use std::net::{SocketAddr, UdpSocket};
 #[cfg(target_os = "linux")]
@@ -8,9 +8,9 @@ use std::os::fd::OwnedFd;
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd};
 #[cfg(target_os = "linux")]
 use std::os::unix::fs::OpenOptionsExt;
-use std::os::unix::fs::{FileTypeExt, MetadataExt, PermissionsExt};
+use std::os::unix::fs::{FileTypeExt, MetadataExt};
 use std::os::unix::net::{self, UnixDatagram};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
 #[cfg(target_os = "linux")]
@@ -19,7 +19,8 @@ use nix::sys::socket::{MsgFlags, send};
 #[cfg(target_os = "linux")]
 use nix::sys::socket::{setsockopt, sockopt::PassCred};
 
-use super::{Address, AddressError, DatagramError};
+use super::{Address, require_loopback};
+use crate::http::{ServeError, SocketFile};
 
 #[derive(Debug)]
 pub(super) enum Socket {
@@ -240,20 +241,20 @@ fn receive_unix(socket: &UnixDatagram, buffer: &mut [u8]) -> io::Result<(usize, 
 
 impl Socket {
     /// Binds `address`; also returns the guard that removes the socket's file, if it has one.
-    pub(super) fn bind(address: &Address) -> Result<(Self, Option<SocketFile>), DatagramError> {
-        let error = |source| DatagramError::Bind { address: address.clone(), source };
+    pub(super) fn bind(address: &Address) -> Result<(Self, Option<SocketFile>), ServeError> {
+        let error = |source| ServeError::of(address, source);
         match address {
             Address::Unix(path) => {
-                let socket = bind_path(path)?;
+                let connect = |path: &Path| UnixDatagram::unbound()?.connect(path);
+                let (socket, file) = SocketFile::bind(path, connect, |path| UnixDatagram::bind(path))?;
                 socket.set_nonblocking(true).map_err(error)?;
                 #[cfg(target_os = "linux")]
                 setsockopt(&socket, PassCred, &true).map_err(|errno| error(errno.into()))?;
-                let file = SocketFile::of(path).map_err(error)?;
                 Ok((Self::Unix(socket), Some(file)))
             }
-            Address::Udp(address) => {
-                AddressError::check(*address)?;
-                let socket = UdpSocket::bind(address).map_err(error)?;
+            Address::Udp(udp) | Address::Tcp(udp) => {
+                require_loopback(*udp)?;
+                let socket = UdpSocket::bind(udp).map_err(error)?;
                 socket.set_nonblocking(true).map_err(error)?;
                 Ok((Self::Udp(socket), None))
             }
@@ -309,62 +310,6 @@ impl AsFd for Socket {
         match self {
             Self::Unix(socket) => socket.as_fd(),
             Self::Udp(socket) => socket.as_fd(),
-        }
-    }
-}
-
-/// Users of the daemon's group may connect, which requires write permission.
-const SOCKET_MODE: u32 = 0o660;
-
-/// Binds a path, for the daemon's user and group.
-fn bind_path(path: &Path) -> Result<UnixDatagram, DatagramError> {
-    let socket = claim_path(path)?;
-    fs::set_permissions(path, Permissions::from_mode(SOCKET_MODE))
-        .map_err(|source| DatagramError::Bind { address: Address::Unix(path.to_owned()), source })?;
-    Ok(socket)
-}
-
-/// Binds a path, replacing a socket left behind by a killed daemon.
-fn claim_path(path: &Path) -> Result<UnixDatagram, DatagramError> {
-    let error = |source| DatagramError::Bind { address: Address::Unix(path.to_owned()), source };
-    match UnixDatagram::bind(path) {
-        Err(source) if source.kind() == ErrorKind::AddrInUse => {}
-        bound => return bound.map_err(error),
-    }
-    if !fs::symlink_metadata(path).map_err(error)?.file_type().is_socket() {
-        return Err(DatagramError::NotASocket { path: path.to_owned() });
-    }
-    match UnixDatagram::unbound().and_then(|probe| probe.connect(path)) {
-        Err(source) if source.kind() == ErrorKind::ConnectionRefused => {}
-        _ => return Err(DatagramError::InUse { path: path.to_owned() }),
-    }
-    fs::remove_file(path).map_err(error)?;
-    UnixDatagram::bind(path).map_err(error)
-}
-
-/// The file of a bound Unix socket; removed when dropped, unless another one has taken its place.
-#[derive(Debug)]
-pub(super) struct SocketFile {
-    path: PathBuf,
-    identity: (u64, u64),
-}
-
-impl SocketFile {
-    fn of(path: &Path) -> io::Result<Self> {
-        Ok(Self { path: path.to_owned(), identity: identity(path)? })
-    }
-}
-
-/// Identity of the file at a path.
-fn identity(path: &Path) -> io::Result<(u64, u64)> {
-    fs::symlink_metadata(path).map(|metadata| (metadata.dev(), metadata.ino()))
-}
-
-impl Drop for SocketFile {
-    fn drop(&mut self) {
-        if identity(&self.path).is_ok_and(|found| found == self.identity) {
-            // If the file cannot be removed, the next daemon finds it stale.
-            let _ = fs::remove_file(&self.path);
         }
     }
 }

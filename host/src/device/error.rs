@@ -5,7 +5,7 @@ use std::io;
 use slitpose_protocol::Rejection;
 use thiserror::Error;
 
-use super::probe::Listed;
+use super::ports::Listed;
 use slitpose_tracking::link::{DeviceId, Versions};
 
 /// Why a board cannot be used, or no longer.

@@ -15,7 +15,6 @@ mod discovery;
 mod error;
 mod orders;
 mod ports;
-mod probe;
 mod serial;
 mod simulated;
 
@@ -26,8 +25,7 @@ pub(crate) use discovery::{Found, Selector, find, list, locate};
 pub use error::DeviceError;
 pub(crate) use error::Scanless;
 pub use orders::KeepAlive;
-pub(crate) use ports::{Port, Search, UsbId, ports};
-pub(crate) use probe::{BoardInfo, Listed, PortState};
+pub(crate) use ports::{BoardInfo, Listed, Port, PortState, Search, UsbId, ports};
 pub use serial::SerialDevice;
 pub(crate) use serial::holders;
 pub(crate) use simulated::{SimulatedDevice, SimulatedPort};

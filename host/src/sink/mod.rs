@@ -1,10 +1,9 @@
 //! Outputs for poses: NDJSON, CSV, Parquet, or a summary for people.
 
-mod csv;
-mod ndjson;
 #[cfg(feature = "parquet")]
 mod parquet;
 mod summary;
+mod text;
 
 use std::io::{self, Write};
 
@@ -85,8 +84,8 @@ pub(crate) fn open<'a>(
 ) -> Option<Box<dyn Sink + Send + 'a>> {
     match format {
         Format::Summary => Some(Box::new(summary::Summary::new(output, live))),
-        Format::Ndjson => Some(Box::new(ndjson::Ndjson::new(output))),
-        Format::Csv => Some(Box::new(csv::Csv::new(output))),
+        Format::Ndjson => Some(Box::new(text::Ndjson::new(output))),
+        Format::Csv => Some(Box::new(text::Csv::new(output))),
         #[cfg(feature = "parquet")]
         Format::Parquet => Some(Box::new(parquet::Parquet::new(output))),
         Format::None => None,

@@ -8,7 +8,8 @@ use tempfile::TempDir;
 
 use super::{Bench, DEVICE, OTHER, record};
 use crate::datagram::server::LEASE;
-use crate::datagram::{Address, AddressError, Answer, DatagramError, DatagramServer, Mode, PoseDatagram, Request};
+use crate::datagram::{Address, Answer, DatagramServer, Mode, PoseDatagram, Request};
+use crate::http::ServeError;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::pipeline::Record;
 
@@ -348,7 +349,7 @@ fn addresses_are_had_alone_and_given_back() {
     let address = [Address::Unix(path.clone())];
     let living = DatagramServer::bind(&address).unwrap();
     let error = DatagramServer::bind(&address).unwrap_err();
-    assert!(matches!(&error, DatagramError::InUse { path: in_use } if *in_use == path), "{error}");
+    assert!(matches!(&error, ServeError::InUse { address: Address::Unix(in_use) } if *in_use == path), "{error}");
     drop(living);
     assert!(!path.exists());
     // A daemon that was killed leaves its file.
@@ -363,11 +364,11 @@ fn addresses_are_had_alone_and_given_back() {
     drop(second);
     std::fs::write(&path, "poses").unwrap();
     let error = DatagramServer::bind(&address).unwrap_err();
-    assert!(matches!(error, DatagramError::NotASocket { .. }), "{error}");
+    assert!(matches!(error, ServeError::NotASocket { .. }), "{error}");
 
     let anywhere: SocketAddr = (Ipv4Addr::UNSPECIFIED, 0).into();
     let error = DatagramServer::bind(&[Address::Udp(anywhere)]).unwrap_err();
-    assert!(matches!(error, DatagramError::Address(AddressError::NotLoopback { .. })), "{error}");
+    assert!(matches!(error, ServeError::NotLoopback { .. }), "{error}");
 }
 
 #[test]

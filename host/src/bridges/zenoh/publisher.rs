@@ -8,8 +8,7 @@ use ::zenoh::qos::CongestionControl;
 use ::zenoh::{Session, Wait, pubsub};
 use slitpose_head::finding::{Finding, Grade};
 
-use super::ZenohSession;
-use super::session::{Attachment, Node, Type, gid, topic_key};
+use super::{Attachment, Node, Type, ZenohSession, gid, topic_key};
 use crate::daemon::{ChunkSink, Talk, TapChunk};
 use crate::live::LiveBoard;
 use crate::telemetry::DaemonReport;
