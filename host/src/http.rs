@@ -145,14 +145,15 @@ impl Serving {
         };
         let routes = routes.layer(from_fn(guard)).into_make_service_with_connect_info::<ConnectionDeadline>();
         let (mut bound, mut file) = (address.clone(), None);
-        let serving = Self::start(name, address, async || {
+        let mut serving = Self::start(name, address, async || {
             let socket;
             (socket, bound, file) = listen()?;
             tokio::spawn(async move { axum::serve(LimitedListener::new(socket), routes).await });
             begin();
             Ok(())
         })?;
-        Ok((Self { _file: file, ..serving }, bound))
+        serving._file = file;
+        Ok((serving, bound))
     }
 
     /// Runs the tasks that `begin` starts, for a server at `address`.

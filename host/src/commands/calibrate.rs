@@ -14,7 +14,7 @@ use slitpose_design::identification::{Identified, ProfileError, identify as prof
 use slitpose_design::report::{Folder, calibration_report};
 use slitpose_model::{CompiledScene, Tier};
 
-use super::options::{Jobs, open_scene, parse_number};
+use super::options::{Jobs, number, open_scene};
 use super::{CommandError, Outcome, interrupt, options, talk};
 use crate::terminal::{Amount, Progress};
 use slitpose_head::foreign::printable;
@@ -66,10 +66,10 @@ pub(super) struct Args {
     #[arg(long, value_enum, default_value_t = FramesOf::Scene)]
     frames: FramesOf,
     /// Standard deviation of the instrument's positions, each axis
-    #[arg(long, value_name = "UM", default_value_t = 2.0, value_parser = parse_sigma)]
+    #[arg(long, value_name = "UM", default_value_t = 2.0, value_parser = number(|sigma| sigma > 0.0 && sigma < 1e6, "give a number above zero, such as 2"))]
     known_sigma_um: f64,
     /// Standard deviation of the instrument's rotations, each axis
-    #[arg(long, value_name = "URAD", default_value_t = 20.0, value_parser = parse_sigma)]
+    #[arg(long, value_name = "URAD", default_value_t = 20.0, value_parser = number(|sigma| sigma > 0.0 && sigma < 1e6, "give a number above zero, such as 2"))]
     known_sigma_urad: f64,
     /// Write the calibration to this file
     #[arg(long, value_name = "FILE", required_unless_present = "check")]
@@ -91,10 +91,6 @@ pub(super) struct Args {
 enum FramesOf {
     Scene,
     Own,
-}
-
-fn parse_sigma(text: &str) -> Result<f64, &'static str> {
-    parse_number(text, |sigma| sigma > 0.0 && sigma < 1e6, "give a number above zero, such as 2")
 }
 
 impl Args {
@@ -157,7 +153,7 @@ fn still_holds(readings: &str, path: &Path) -> Result<Outcome, CommandError> {
     let Validity { rows, chi2, .. } = found;
     text +=
         &format!("calibration {}: chi2 of {rows} rows is {chi2:.2} of its expectation; {verdict}\n", calibration.id());
-    Output::open(None)?.write_text(&text)?;
+    options::print(&text)?;
     Ok(outcome)
 }
 
@@ -258,8 +254,9 @@ pub(super) struct IdentifyArgs {
     /// One row a point, or lines for a scene file
     #[arg(long, value_enum, default_value_t = Format::Csv)]
     format: Format,
+    // A profile has at most 64 knots from 0 to 90 degrees.
     /// Distance of the knots of --format profile
-    #[arg(long, value_name = "DEG", default_value_t = 5.0, value_parser = parse_step)]
+    #[arg(long, value_name = "DEG", default_value_t = 5.0, value_parser = number(|step| (1.5..=45.0).contains(&step), "give degrees from 1.5 to 45"))]
     step: f64,
     /// Write to this file instead of standard output
     #[arg(long, value_name = "FILE")]
@@ -375,9 +372,4 @@ fn profile_lines(found: &[Found], cells: usize, step_deg: f64) -> Result<String,
 pub(crate) struct CellProfileError {
     cell: usize,
     source: ProfileError,
-}
-
-fn parse_step(text: &str) -> Result<f64, &'static str> {
-    // A profile has at most 64 knots from 0 to 90 degrees.
-    parse_number(text, |step| (1.5..=45.0).contains(&step), "give degrees from 1.5 to 45")
 }

@@ -58,13 +58,9 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let folder = args.output.as_deref().map(Folder::create).transpose()?;
     let fineness = Fineness { samples: args.samples as usize, side: 0, behind: 0 };
     let mut progress = Progress::new("compare", (files.len() * fineness.poses()) as u64, Amount::Of("poses"));
-    let mut done = 0;
     let mut maps = Vec::new();
     for file in files {
-        let map = Map::of(file.clone().into(), fineness, || {
-            done += 1;
-            progress.at(done);
-        })?;
+        let map = Map::of(file.clone().into(), fineness, || progress.add(1))?;
         maps.push((file, map));
     }
     drop(progress);

@@ -37,8 +37,7 @@ pub(super) fn completions(args: &CompletionsArgs) -> Result<Outcome, CommandErro
     clap_complete::generate(args.shell, &mut command(), "slitpose", &mut script);
     // The generators write text only.
     let script = with_files(args.shell, String::from_utf8_lossy(&script).into_owned());
-    Output::open(None)?.write_text(&script)?;
-    Ok(Outcome::Done)
+    options::print(&script)
 }
 
 /// The generators take a list of names for all there is. Here it stands beside files.

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, SystemTime};
 
-use super::options::{parse_duration, parse_number};
+use super::options::{number, parse_duration};
 use super::{CommandError, talk};
 use crate::bridges::{
     Axes, Bridge, BridgeError, DEFAULT_FOXGLOVE_ADDRESS, DEFAULT_ROUTER, Feel, SpacenavInput, SpacenavServer,
@@ -153,10 +153,10 @@ pub(super) struct MouseOptions {
     #[arg(long, value_name = "PATH")]
     spacenav: Option<PathBuf>,
     /// Full deflections at the edge of the workspace
-    #[arg(long, value_name = "GAIN", default_value_t = 1.0, value_parser = parse_gain)]
+    #[arg(long, value_name = "GAIN", default_value_t = 1.0, value_parser = number(|gain| gain > 0.0 && gain <= 1e3, "give a number above 0, such as 1 or 2.5"))]
     spacenav_gain: f64,
     /// Share of the workspace around zero in which an axis gives nothing
-    #[arg(long, value_name = "SHARE", default_value_t = 0.05, value_parser = parse_share)]
+    #[arg(long, value_name = "SHARE", default_value_t = 0.05, value_parser = number(|share| (0.0..=0.9).contains(&share), "give a number from 0 to 0.9, such as 0.05"))]
     spacenav_dead_zone: f64,
     /// Axes of the base that point to the right, up, and into the screen
     #[arg(long, value_name = "AXES", default_value = "x,z,y", allow_hyphen_values = true)]
@@ -174,16 +174,14 @@ impl MouseOptions {
     }
 }
 
-fn parse_gain(text: &str) -> Result<f64, &'static str> {
-    parse_number(text, |gain| gain > 0.0 && gain <= 1e3, "give a number above 0, such as 1 or 2.5")
-}
-
-fn parse_share(text: &str) -> Result<f64, &'static str> {
-    parse_number(text, |share| (0.0..=0.9).contains(&share), "give a number from 0 to 0.9, such as 0.05")
-}
-
 /// Poses a second: what other programs of a robot take without effort.
 const POSES_HZ: f64 = 100.0;
+
+/// A rate of poses, per second; zero for every scan.
+fn poses_hz() -> impl Fn(&str) -> Result<f64, &'static str> + Clone + Send + Sync {
+    let hint = "give a number of poses a second, such as 25, or 0 for every scan";
+    number(|rate| rate >= 0.0 && rate.is_finite(), hint)
+}
 
 /// What is published, and where.
 #[derive(clap::Args, Debug)]
@@ -195,7 +193,7 @@ pub(super) struct ZenohOptions {
     #[arg(long, value_name = "ENDPOINT", default_value = DEFAULT_ROUTER, hide = !cfg!(feature = "zenoh"))]
     zenoh_router: String,
     /// Poses a second by Zenoh; 0 for every scan
-    #[arg(long, value_name = "HZ", value_parser = parse_rate, default_value_t = POSES_HZ, hide = !cfg!(feature = "zenoh"))]
+    #[arg(long, value_name = "HZ", value_parser = poses_hz(), default_value_t = POSES_HZ, hide = !cfg!(feature = "zenoh"))]
     zenoh_poses: f64,
 }
 
@@ -227,18 +225,10 @@ impl ZenohOptions {
     }
 }
 
-fn parse_rate(text: &str) -> Result<f64, &'static str> {
-    parse_number(
-        text,
-        |rate| rate >= 0.0 && rate.is_finite(),
-        "give a number of poses a second, such as 100, or 0 for every scan",
-    )
-}
-
 // Recording.
 
 /// Poses a device second in a capture: enough to look at it; all others follow from its bytes.
-const POSES_HZ: f64 = 25.0;
+const RECORDED_HZ: f64 = 25.0;
 
 /// The recording asked for.
 #[derive(clap::Args, Clone, Debug)]
@@ -257,7 +247,7 @@ pub(super) struct RecordOptions {
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     record_time: Option<f64>,
     /// Poses a second in the capture, for those who look at it without replaying; 0 for every scan
-    #[arg(long, value_name = "HZ", value_parser = parse_rate, default_value_t = POSES_HZ)]
+    #[arg(long, value_name = "HZ", value_parser = poses_hz(), default_value_t = RECORDED_HZ)]
     record_poses: f64,
 }
 
@@ -307,14 +297,6 @@ fn parse_size(text: &str) -> Result<u64, &'static str> {
     }
 }
 
-fn parse_rate(text: &str) -> Result<f64, &'static str> {
-    parse_number(
-        text,
-        |rate| rate >= 0.0 && rate.is_finite(),
-        "give a number of poses a second, such as 25, or 0 for every scan",
-    )
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -333,9 +315,9 @@ mod tests {
         for text in ["", "1", "-5MB", "many", "nanGB", "99kB", "5 MBit"] {
             assert!(parse_size(text).is_err(), "{text}");
         }
-        assert_eq!((parse_rate("0"), parse_rate("12.5")), (Ok(0.0), Ok(12.5)));
+        assert_eq!((poses_hz()("0"), poses_hz()("12.5")), (Ok(0.0), Ok(12.5)));
         for text in ["", "-1", "inf", "often"] {
-            assert!(parse_rate(text).is_err(), "{text}");
+            assert!(poses_hz()(text).is_err(), "{text}");
         }
     }
 }

@@ -34,7 +34,7 @@ use options::{interrupt, talk};
 use slitpose_head::causes::with_causes;
 use slitpose_head::faults::FaultError;
 use slitpose_head::foreign::printable;
-use slitpose_head::table::{Output, OutputError, TableError};
+use slitpose_head::table::{OutputError, TableError};
 use slitpose_tracking::playback::PlaybackError;
 
 /// Six slits, six light spots, one pose: tools for a contactless 6-DoF tracker.
@@ -208,9 +208,7 @@ fn run(arguments: &[OsString]) -> Result<Outcome, CommandError> {
         complain(format_args!("{error}"));
     });
     match cli.verb {
-        Verb::Run(args) if args.print_config => {
-            Ok(Output::open(None)?.write_text(&config::print(&configured, &matches)).map(|()| Outcome::Done)?)
-        }
+        Verb::Run(args) if args.print_config => options::print(&config::print(&configured, &matches)),
         Verb::Run(args) => run::run(&args),
         Verb::Replay(args) => replay::replay(&args),
         Verb::Export(args) => replay::export(&args),

@@ -10,7 +10,7 @@ use slitpose_design::paper::{Experiment, Point, Study, account, figures};
 use slitpose_design::report::{Folder, POSES, QUICK_POSES, SECTIONS, Settings, study};
 use slitpose_model::Tier;
 
-use super::options::{DEFAULT_TOLERANCE, Jobs, open_scene, parse_duration, parse_number, store};
+use super::options::{DEFAULT_TOLERANCE, Jobs, number, open_scene, parse_duration, store};
 use super::simulate::{Target, record};
 use super::{CommandError, Outcome, interrupt, options, talk};
 use crate::device::SimulatedDevice;
@@ -217,10 +217,10 @@ pub(super) struct BenchArgs {
     #[arg(long, value_name = "TIME", default_value = "20s", value_parser = parse_free)]
     duration: f64,
     /// Standard deviation of the instrument's positions, each axis
-    #[arg(long, value_name = "UM", default_value_t = 2.0, value_parser = parse_sigma)]
+    #[arg(long, value_name = "UM", default_value_t = 2.0, value_parser = number(|sigma| (0.0..1e6).contains(&sigma), "give a number of zero or more, such as 2"))]
     instrument_um: f64,
     /// Standard deviation of the instrument's rotations, each axis
-    #[arg(long, value_name = "URAD", default_value_t = 20.0, value_parser = parse_sigma)]
+    #[arg(long, value_name = "URAD", default_value_t = 20.0, value_parser = number(|sigma| (0.0..1e6).contains(&sigma), "give a number of zero or more, such as 2"))]
     instrument_urad: f64,
 }
 
@@ -229,10 +229,6 @@ fn parse_free(text: &str) -> Result<f64, String> {
         duration_s if duration_s <= MAX_S => Ok(duration_s),
         _ => Err("give an hour at most, such as 20s".to_owned()),
     }
-}
-
-fn parse_sigma(text: &str) -> Result<f64, &'static str> {
-    parse_number(text, |sigma| (0.0..1e6).contains(&sigma), "give a number of zero or more, such as 2")
 }
 
 pub(super) fn bench(args: &BenchArgs) -> Result<Outcome, CommandError> {

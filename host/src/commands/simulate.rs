@@ -390,8 +390,7 @@ pub(super) fn faults(args: &FaultsArgs) -> Result<Outcome, CommandError> {
             }
         }
     }
-    Output::open(None)?.write_text(&text)?;
-    Ok(Outcome::Done)
+    options::print(&text)
 }
 
 fn heading(text: &mut String, layer: Layer) {

@@ -12,7 +12,7 @@ use slitpose_head::table::{
     TableReader, TableRows, TableWriter,
 };
 use slitpose_head::threads::lock;
-use slitpose_tracking::solving::RowSolver;
+use slitpose_tracking::solving::{MODEL_TOLERANCE, RowSolver, STREAM_TOLERANCE};
 
 /// Solutions that are kept until their condition numbers are known.
 const AT_ONCE: usize = 64;

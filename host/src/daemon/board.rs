@@ -204,10 +204,7 @@ pub(crate) enum BoardError {
 impl BoardError {
     /// Whether the error may pass once the user plugs the board in and switches it on.
     pub(super) fn is_passing(&self) -> bool {
-        match self {
-            Self::Device(error) => error.is_passing(),
-            Self::Pipeline(_) | Self::Head(_) | Self::Refused(_) | Self::Twice { .. } | Self::Thread(_) => false,
-        }
+        matches!(self, Self::Device(error) if error.is_passing())
     }
 
     /// Time since the last usable scan when the error was noticed, seconds.

@@ -38,7 +38,7 @@
 //! 2 follow) · u16 zero · \[u8; 12\] id of a board, all zero for every board · u64 cookie, zero without one.
 //! A request of 24 bytes, without the last field, has the cookie zero. On a Unix socket it carries one end of a socket pair
 //! (`socketpair(AF_UNIX, SOCK_DGRAM, 0, …)`, `SCM_RIGHTS`), to which all answers go; the same with each request. Without
-//! one, they go to the name of the sender's socket.
+//! one it is refused.
 //!
 //! An answer that is not a pose, 24 bytes and so never longer than its request: u32 magic "SLPA" · u16 version, 1 ·
 //! u16 total bytes · u16 kind · u16 zero · u32 zero · u64 cookie, or zero. By kind:

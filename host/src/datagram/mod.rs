@@ -13,9 +13,7 @@
 //! Each client has a queue of its own. On a Unix socket a datagram waits in the send buffer of the socket that sent it:
 //! from one socket for all, a client that does not read would fill that buffer for the others (unix(7); in Linux,
 //! `unix_dgram_sendmsg` charges the sender until the receiver has read). So a client makes a socket pair and passes one
-//! end with each request, and the daemon sends from that end. Clients that pass none are answered by their names, from
-//! the daemon's socket: they share its buffer among themselves, and with nobody else. On UDP a datagram waits in the
-//! receiver's buffer.
+//! end with each request, and the daemon sends from that end. On UDP a datagram waits in the receiver's buffer.
 //!
 //! The sending thread never waits: sockets do not block, requests come through a bounded queue, and the
 //! newest datagram is stored for answers in a slot whose writer waits for no reader. The datagrams that a client misses
@@ -35,6 +33,7 @@ use crate::http::ServeError;
 pub use crate::http::Address;
 pub use layout::{Answer, Mode, PoseDatagram, Request};
 pub use server::{DatagramCounts, DatagramServer, Publisher};
+pub use socket::UnixClient;
 pub use subscription::SlowClient;
 
 /// Attempts to copy the newest datagram undisturbed. A copy takes a ten-thousandth of the time between two scans.

@@ -118,31 +118,21 @@ fn others(listed: &[Listed]) -> String {
 impl DeviceError {
     /// Whether the error may pass once the user plugs the board in and switches it on.
     pub(crate) fn is_passing(&self) -> bool {
-        match self {
+        matches!(
+            self,
             Self::NoBoard { .. }
-            | Self::NoSuchBoard { .. }
-            | Self::Missing { .. }
-            | Self::Silent { .. }
-            | Self::NotPublished { .. }
-            | Self::NoHello { .. }
-            | Self::NoStatus { .. }
-            | Self::NotBack { .. }
-            | Self::NoReply { .. }
-            | Self::Gone { .. }
-            | Self::Quiet { .. }
-            | Self::NoScans { .. }
-            | Self::Stopped { .. } => true,
-            Self::Ports { .. }
-            | Self::Pattern { .. }
-            | Self::SeveralBoards { .. }
-            | Self::NotStored { .. }
-            | Self::NotAPath { .. }
-            | Self::NotAPort { .. }
-            | Self::Forbidden { .. }
-            | Self::Busy { .. }
-            | Self::Open { .. }
-            | Self::Version { .. }
-            | Self::Refused { .. } => false,
-        }
+                | Self::NoSuchBoard { .. }
+                | Self::Missing { .. }
+                | Self::Silent { .. }
+                | Self::NotPublished { .. }
+                | Self::NoHello { .. }
+                | Self::NoStatus { .. }
+                | Self::NotBack { .. }
+                | Self::NoReply { .. }
+                | Self::Gone { .. }
+                | Self::Quiet { .. }
+                | Self::NoScans { .. }
+                | Self::Stopped { .. }
+        )
     }
 }

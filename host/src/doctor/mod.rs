@@ -19,6 +19,7 @@ use serde::Serialize;
 use crate::device::{BoardInfo, Search, Selector};
 use slitpose_head::causes::with_causes;
 use slitpose_head::finding::Finding;
+use slitpose_head::finding::Grade::{self, Failed, Warning};
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_tracking::clock::HostInstant;
 
@@ -180,14 +181,21 @@ fn host_checks() -> [Finding; 3] {
     [of_date(HostInstant::now().utc_ns), of_synchronisation(synchronised().as_deref()), of_priority(limits.as_deref())]
 }
 
+/// A finding with the grade and the next step of the first of `faults` that is there; without one it is as it should be.
+fn judged<const N: usize>(place: &'static str, text: String, faults: [(bool, Grade, &'static str); N]) -> Finding {
+    match faults.into_iter().find(|(is_there, ..)| *is_there) {
+        Some((_, grade, next_step)) => {
+            Finding { next_step: Some(next_step.into()), ..Finding::new(grade, place, text) }
+        }
+        None => Finding::ok(place, text),
+    }
+}
+
 fn of_date(utc_ns: u64) -> Finding {
     let date = humantime::format_rfc3339_seconds(UNIX_EPOCH + Duration::from_nanos(utc_ns));
-    if utc_ns >= EARLIEST_UTC_NS {
-        Finding::ok("date", format!("{date} (UTC)"))
-    } else {
-        let finding = format!("the clock of this host is wrong: it says {date} (UTC)");
-        Finding::warning("date", finding, "set the clock: timedatectl set-ntp true")
-    }
+    let is_wrong = utc_ns < EARLIEST_UTC_NS;
+    let wrong = if is_wrong { "the clock of this host is wrong: it says " } else { "" };
+    judged("date", format!("{wrong}{date} (UTC)"), [(is_wrong, Warning, "set the clock: timedatectl set-ntp true")])
 }
 
 /// The answer of systemd, if it runs.
@@ -220,15 +228,10 @@ fn of_priority(limits: Option<&str>) -> Finding {
     let Some(limit) = limits.and_then(real_time_limit) else {
         return Finding::skipped("priority", "/proc/self/limits does not say what is allowed");
     };
-    if limit >= PRIORITY {
-        Finding::ok("priority", format!("real-time priorities up to {limit} are allowed"))
-    } else {
-        Finding::warning(
-            "priority",
-            format!("real-time priorities up to {limit} are allowed, {PRIORITY} is needed: a busy host reads late"),
-            "allow them as host/INSTALL.md describes, or run the service",
-        )
-    }
+    let is_low = limit < PRIORITY;
+    let needed = if is_low { format!(", {PRIORITY} is needed: a busy host reads late") } else { String::new() };
+    let text = format!("real-time priorities up to {limit} are allowed{needed}");
+    judged("priority", text, [(is_low, Warning, "allow them as host/INSTALL.md describes, or run the service")])
 }
 
 /// The soft limit in `/proc/self/limits`; the maximum if unlimited.
@@ -272,25 +275,15 @@ fn disk_checks(folder: &Path, bytes_per_s: f64) -> [Finding; 2] {
 
 fn of_room(free: f64, needed: f64) -> Finding {
     let seconds = free / needed;
-    let finding = format!("{:.1} GB free for recordings: {:.1} hours of four boards", free / 1e9, seconds / 3600.0);
-    if seconds >= LITTLE_S {
-        Finding::ok("disk space", finding)
-    } else if seconds >= NOTHING_S {
-        Finding::warning("disk space", finding, "make room, or record elsewhere")
-    } else {
-        Finding::failed("disk space", finding, "make room, or record elsewhere")
-    }
+    let text = format!("{:.1} GB free for recordings: {:.1} hours of four boards", free / 1e9, seconds / 3600.0);
+    let next_step = "make room, or record elsewhere";
+    judged("disk space", text, [(seconds < NOTHING_S, Failed, next_step), (seconds < LITTLE_S, Warning, next_step)])
 }
 
 fn of_rate(rate: f64, needed: f64) -> Finding {
-    let finding = format!("{:.1} MB/s written, four boards need {:.2} MB/s", rate / 1e6, needed / 1e6);
-    if rate >= MARGIN * needed {
-        Finding::ok("disk rate", finding)
-    } else if rate >= needed {
-        Finding::warning("disk rate", finding, "record to a faster disk, or fewer boards")
-    } else {
-        Finding::failed("disk rate", finding, "record to a faster disk, or fewer boards")
-    }
+    let text = format!("{:.1} MB/s written, four boards need {:.2} MB/s", rate / 1e6, needed / 1e6);
+    let next_step = "record to a faster disk, or fewer boards";
+    judged("disk rate", text, [(rate < needed, Failed, next_step), (rate < MARGIN * needed, Warning, next_step)])
 }
 
 /// Write rate of the disk, bytes per second.

@@ -7,7 +7,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::{Map, Value};
 use thiserror::Error;
 
-use crate::http::{self, BindScope};
+use crate::http::{self, Address, BindScope};
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Order {
@@ -211,7 +211,8 @@ impl Access {
     }
 
     /// The URL of the page at the address that was bound.
-    pub(super) fn url(&self, bound: SocketAddr) -> String {
+    pub(super) fn url(&self, bound: &Address) -> String {
+        let (Address::Tcp(bound) | Address::Udp(bound)) = bound else { return bound.to_string() };
         let token = self.token.as_ref().map_or(String::new(), |token| format!("#token={token}"));
         // A browser cannot ask for "every address".
         let host = match bound.ip() {
@@ -300,7 +301,13 @@ mod tests {
             assert!(live_address(text).is_err(), "{text}");
         }
         let guarded = access("0.0.0.0:0", Some(TOKEN), false).unwrap();
-        assert_eq!(guarded.url("0.0.0.0:80".parse().unwrap()), format!("http://127.0.0.1:80/#token={TOKEN}"));
-        assert_eq!(access("[::1]:0", None, false).unwrap().url("[::1]:5".parse().unwrap()), "http://[::1]:5/");
+        assert_eq!(
+            guarded.url(&Address::Tcp("0.0.0.0:80".parse().unwrap())),
+            format!("http://127.0.0.1:80/#token={TOKEN}")
+        );
+        assert_eq!(
+            access("[::1]:0", None, false).unwrap().url(&Address::Tcp("[::1]:5".parse().unwrap())),
+            "http://[::1]:5/"
+        );
     }
 }

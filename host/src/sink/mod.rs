@@ -8,11 +8,11 @@ mod text;
 use std::io::{self, Write};
 
 use clap::ValueEnum;
-use slitpose_protocol::{BoardKind, Hello, Severity};
+use slitpose_protocol::{BoardKind, Severity};
 
 use crate::telemetry::{BoardReport, RecorderReport};
 use slitpose_tracking::link::DeviceId;
-use slitpose_tracking::pipeline::Record;
+use slitpose_tracking::pipeline::{Item, Record};
 
 /// How poses are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -68,10 +68,14 @@ pub(crate) trait Sink {
         true
     }
 
-    fn note(&mut self, note: &Note) -> io::Result<()>;
+    fn note(&mut self, _: &Note) -> io::Result<()> {
+        Ok(())
+    }
 
     /// Flushes or redraws; called regularly, even without poses.
-    fn tick(&mut self, accounts: &Accounts<'_>) -> io::Result<()>;
+    fn tick(&mut self, _: &Accounts<'_>) -> io::Result<()> {
+        Ok(())
+    }
 
     fn finish(&mut self, accounts: &Accounts<'_>) -> io::Result<()>;
 }
@@ -115,13 +119,23 @@ pub(crate) enum Note {
 }
 
 impl Note {
-    pub(crate) fn hello(hello: &Hello<'_>) -> Self {
-        Self::Hello {
-            device: DeviceId(hello.device_id),
-            board: hello.board.to_owned(),
-            kind: hello.kind,
-            firmware: hello.firmware.to_owned(),
-            frame_rate_hz: hello.schedule.frame_rate_hz(),
+    /// What `item` of a board's pipeline says besides poses, if anything.
+    pub(crate) fn of(device: Option<DeviceId>, item: &Item<'_>) -> Option<Self> {
+        let event = |severity, device_time_s, text| Self::Event { device, severity, device_time_s, text };
+        match item {
+            Item::Hello(hello) => Some(Self::Hello {
+                device: DeviceId(hello.device_id),
+                board: hello.board.to_owned(),
+                kind: hello.kind,
+                firmware: hello.firmware.to_owned(),
+                frame_rate_hz: hello.schedule.frame_rate_hz(),
+            }),
+            Item::Event { severity, device_time_s, text } => Some(event(*severity, *device_time_s, (*text).to_owned())),
+            Item::Oddity { device_time_s, oddity } => {
+                Some(event(Severity::Warning, *device_time_s, oddity.to_string()))
+            }
+            // What a board was asked is history.
+            Item::Pose(_) | Item::Scan(_) | Item::Status(_) | Item::Reply(_) => None,
         }
     }
 }

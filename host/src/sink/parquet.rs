@@ -12,7 +12,7 @@ use parquet::schema::types::{ColumnPath, Type};
 use slitpose_head::table::{SOLUTION_COLUMNS, SolutionRow};
 use slitpose_model::{AXES, Pose, TwistEstimate};
 
-use super::{Accounts, Note, Sink};
+use super::{Accounts, Sink};
 use slitpose_tracking::pipeline::Record;
 
 /// Rows that are held until they are written: some 30 MB.
@@ -173,14 +173,6 @@ impl<W: Write + Send> Sink for Parquet<W> {
     fn pose(&mut self, record: &Record) -> io::Result<()> {
         self.push(record);
         if self.rows >= GROUP { self.write().map_err(system) } else { Ok(()) }
-    }
-
-    fn note(&mut self, _: &Note) -> io::Result<()> {
-        Ok(())
-    }
-
-    fn tick(&mut self, _: &Accounts<'_>) -> io::Result<()> {
-        Ok(())
     }
 
     fn finish(&mut self, _: &Accounts<'_>) -> io::Result<()> {

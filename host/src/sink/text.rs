@@ -272,10 +272,6 @@ impl<W: Write> Sink for Csv<W> {
         self.write(record)
     }
 
-    fn note(&mut self, _: &Note) -> io::Result<()> {
-        Ok(())
-    }
-
     fn tick(&mut self, _: &Accounts<'_>) -> io::Result<()> {
         self.writer.flush()
     }

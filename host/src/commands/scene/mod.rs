@@ -1,5 +1,7 @@
 //! `slitpose scene`: everything about scenes that needs no device.
 
+mod optimise;
+
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
@@ -14,16 +16,12 @@ use slitpose_design::survey::Survey;
 use slitpose_model::{CompiledScene, Pose, Tier};
 
 use super::live::AccessOptions;
-use super::options::{CalibrationOption, Jobs, open_scene, parse_pose};
+use super::options::{CalibrationOption, Jobs, number, open_scene, parse_pose, publish};
 use super::{ArgumentError, CommandError, Outcome, interrupt, options};
-use crate::commands::options;
-use crate::commands::options::{CalibrationOption, Jobs, open_scene, parse_number, publish};
 use crate::live::{Control, DEFAULT_LIVE_ADDRESS, LiveBoard, LivePlan, Order, Refusal, SceneView, live_address};
 use crate::terminal::{Amount, Progress};
 use slitpose_head::scene_file::{SHIPPED, SceneFile, Shipped};
 use slitpose_head::table::Output;
-
-mod optimise;
 
 /// Checks, maps, draws, lists and shows scenes.
 #[derive(Debug, clap::Args)]
@@ -59,8 +57,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
 
 fn list() -> Result<Outcome, CommandError> {
     let lines: String = SHIPPED.iter().map(|shipped| format!("{:<9} {}\n", shipped.name, shipped.about)).collect();
-    Output::open(None)?.write_text(&lines)?;
-    Ok(Outcome::Done)
+    options::print(&lines)
 }
 
 /// Prints the scene file of a shipped scene: the place to start one's own from.
@@ -75,8 +72,7 @@ struct ShowArgs {
 fn show(args: &ShowArgs) -> Result<Outcome, CommandError> {
     // The argument parser lets no other names through.
     let text = Shipped::named(&args.name).map_or("", |shipped| shipped.text);
-    Output::open(None)?.write_text(text)?;
-    Ok(Outcome::Done)
+    options::print(text)
 }
 
 /// Shows what a scene can do, and warns of what it cannot.
@@ -116,11 +112,7 @@ fn check(args: &CheckArgs) -> Result<Outcome, CommandError> {
     let samples = args.samples as usize;
     args.jobs.apply();
     let mut progress = Progress::new("check", Survey::poses_of(samples) as u64, Amount::Of("poses"));
-    let mut done = 0;
-    let survey = Survey::of(&file, samples, |poses| {
-        done += poses as u64;
-        progress.at(done);
-    })?;
+    let survey = Survey::of(&file, samples, |poses| progress.add(poses as u64))?;
     drop(progress);
     let text = match args.format {
         Format::Text => survey.report(),
@@ -255,7 +247,7 @@ struct MapArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
     tolerance_study: Option<u32>,
     /// Propose the schedule with the least σ at this frame rate, hertz
-    #[arg(long, value_name = "HZ", value_parser = parse_rate)]
+    #[arg(long, value_name = "HZ", value_parser = number(|rate_hz| rate_hz > 0.0 && rate_hz.is_finite(), "give frames a second, such as 4000"))]
     schedule: Option<f64>,
     /// Seed of the draws
     #[arg(long, value_name = "S", default_value_t = 1, requires = "tolerance_study")]
@@ -273,11 +265,7 @@ fn map(args: &MapArgs) -> Result<Outcome, CommandError> {
     let side = if folder.is_some() { args.side as usize } else { 0 };
     let fineness = Fineness { samples: args.samples as usize, side, ..Fineness::default() };
     let mut progress = Progress::new("map", fineness.poses() as u64, Amount::Of("poses"));
-    let mut done = 0;
-    let map = Map::of(head.clone(), fineness, || {
-        done += 1;
-        progress.at(done);
-    })?;
+    let map = Map::of(head.clone(), fineness, || progress.add(1))?;
     drop(progress);
     if args.tolerance_study.is_some() && map.share(|view| view.sigma.is_some()) == 0.0 {
         return Err(ArgumentError::Poseless { scene: head.file.origin.clone() }.into());
@@ -289,13 +277,6 @@ fn map(args: &MapArgs) -> Result<Outcome, CommandError> {
 
 fn tolerances(file: &SceneFile, heads: u32, seed: u64) -> Result<Tolerances, CommandError> {
     let mut progress = Progress::new("tolerances", u64::from(heads), Amount::Of("heads"));
-    let mut done = 0;
-    Ok(Tolerances::of(file, heads as usize, seed, || {
-        progress.at(done);
-        done += 1;
-    })?)
-}
-
-fn parse_rate(text: &str) -> Result<f64, &'static str> {
-    parse_number(text, |rate_hz| rate_hz > 0.0 && rate_hz.is_finite(), "give frames a second, such as 4000")
+    progress.add(0);
+    Ok(Tolerances::of(file, heads as usize, seed, || progress.add(1))?)
 }

@@ -4,13 +4,11 @@ mod c;
 mod server;
 mod wall;
 
-use std::io::{self, IoSlice};
+use std::io;
 use std::net::{Ipv4Addr, UdpSocket};
-use std::os::fd::{AsFd, AsRawFd};
-use std::os::unix::net::UnixDatagram;
+use std::path::Path;
 use std::time::{Duration, Instant};
 
-use nix::sys::socket::{ControlMessage, MsgFlags, sendmsg};
 use slitpose_model::Tier;
 use tempfile::TempDir;
 
@@ -68,7 +66,6 @@ fn record() -> Record {
 struct Bench {
     folder: TempDir,
     server: DatagramServer,
-    clients: u32,
 }
 
 impl Bench {
@@ -77,35 +74,19 @@ impl Bench {
         let unix = Address::Unix(folder.path().join("pose"));
         let udp = Address::Udp((Ipv4Addr::LOCALHOST, 0).into());
         let server = DatagramServer::bind(&[unix, udp]).unwrap();
-        Self { folder, server, clients: 0 }
+        Self { folder, server }
     }
 
-    fn unix_client(&mut self) -> UnixDatagram {
-        self.clients += 1;
-        let client = UnixDatagram::bind(self.folder.path().join(format!("client {}", self.clients))).unwrap();
+    /// The path of the server's Unix socket.
+    fn path(&self) -> &Path {
         let Address::Unix(path) = &self.server.addresses()[0] else { panic!("unix first") };
-        client.connect(path).unwrap();
-        client.set_read_timeout(Some(PATIENCE)).unwrap();
+        path
+    }
+
+    fn unix_client(&self) -> UnixClient {
+        let client = UnixClient::new().unwrap();
+        client.socket.set_read_timeout(Some(PATIENCE)).unwrap();
         client
-    }
-
-    /// A client with a queue of its own; of its socket pair, the end that it reads. `renew` requests datagrams again.
-    fn passing_client(&self) -> (UnixDatagram, impl Fn(Request) -> io::Result<usize> + use<>) {
-        let (near, far) = UnixDatagram::pair().unwrap();
-        near.set_read_timeout(Some(PATIENCE)).unwrap();
-        (near, self.passes(far))
-    }
-
-    /// Sends requests with `passed`.
-    fn passes<F: AsFd>(&self, passed: F) -> impl Fn(Request) -> io::Result<usize> + use<F> {
-        let Address::Unix(path) = &self.server.addresses()[0] else { panic!("unix first") };
-        let ask = UnixDatagram::unbound().unwrap();
-        ask.connect(path).unwrap();
-        move |request| {
-            let (bytes, passed) = (request.to_bytes(), [passed.as_fd().as_raw_fd()]);
-            let rights = [ControlMessage::ScmRights(&passed)];
-            Ok(sendmsg::<()>(ask.as_raw_fd(), &[IoSlice::new(&bytes)], &rights, MsgFlags::empty(), None)?)
-        }
     }
 
     fn udp_client(&self) -> UdpSocket {
@@ -139,8 +120,8 @@ impl Bench {
         }
     }
 
-    fn ask(&self, client: &UnixDatagram, mode: Mode, device: Option<DeviceId>) {
-        self.tell(|| client.send(&Request::new(mode, device).to_bytes()));
+    fn ask(&self, client: &UnixClient, mode: Mode, device: Option<DeviceId>) {
+        self.tell(|| client.ask(self.path(), Request::new(mode, device)));
     }
 }
 

@@ -345,9 +345,9 @@ mod tests {
 
     #[test]
     fn an_unknown_board_is_named() {
-        let device = crate::device::SimulatedDevice::at_rest(&slitpose_head::scene_file::WIDE.read().unwrap()).unwrap();
-        let mut board = crate::device::Conversation::open(Box::new(device)).unwrap();
-        let simulated = board.introduce(std::time::Duration::from_secs(1)).unwrap();
+        let device = SimulatedDevice::at_rest(&slitpose_head::scene_file::WIDE.read().unwrap()).unwrap();
+        let mut board = Conversation::open(Box::new(device)).unwrap();
+        let simulated = board.introduce(Duration::from_secs(1)).unwrap();
         let of = |kind, board: &str| unknown_board(&BoardInfo { kind, board: board.to_owned(), ..simulated.clone() });
         assert_eq!(of(BoardKind::Simulated, "simulated"), None);
         assert_eq!(of(BoardKind::Physical, "NUCLEO-G474RE"), None);

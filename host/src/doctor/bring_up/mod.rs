@@ -35,7 +35,7 @@ use slitpose_head::finding::Finding;
 use slitpose_head::scene_file::SceneFile;
 
 /// A step, as one of [`Step::ALL`].
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct Step {
     pub(crate) name: &'static str,
     pub(crate) preparation: &'static str,
@@ -124,12 +124,6 @@ impl Step {
     }
 }
 
-impl fmt::Debug for Step {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name)
-    }
-}
-
 impl fmt::Display for Step {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "step {} of {}, {}", self.number(), Self::ALL.len(), self.name)
@@ -156,12 +150,6 @@ pub(crate) struct BringUp<'a> {
     bench: Bench<'a>,
     /// The schedule that the board had at first.
     schedule: Schedule,
-}
-
-impl fmt::Debug for BringUp<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("BringUp").field("schedule", &self.schedule).finish_non_exhaustive()
-    }
 }
 
 /// The scene of a bring-up: `given`, else the one the board belongs to, else the default one; and what there is to say

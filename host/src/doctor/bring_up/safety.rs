@@ -8,9 +8,10 @@ use slitpose_protocol::{BootTarget, Hashes, Level, Schedule, SettingsSource, Sta
 use super::bench::{Bench, BenchError, sample};
 use super::sampling;
 use crate::device::{BoardInfo, Conversation, DeviceError};
-use crate::doctor::{link, measurement};
+use crate::doctor::{judged, link, measurement};
 use slitpose_head::causes::with_causes;
 use slitpose_head::finding::Finding;
+use slitpose_head::finding::Grade::{Failed, Warning};
 use slitpose_tracking::link::start_findings;
 
 /// Duration of the measurement, seconds.
@@ -52,27 +53,18 @@ fn judge_link(counted: &Counted) -> [Finding; 2] {
     let &Counted { scans, missing, elapsed_s, scheduled_hz, lost_on_board, overruns } = counted;
     let rate_hz = scans as f64 / elapsed_s;
     let text = format!("{rate_hz:.0} frames/s by the host's clock, {scheduled_hz:.0} by the schedule; 5 % allowed");
-    let rate = if (rate_hz / scheduled_hz - 1.0).abs() <= measurement::RATE_SLACK {
-        Finding::ok("frame rate", text)
-    } else {
-        // An emulated board, or a busy host, and no fault of the board's clock that keeps poses from coming.
-        let next_step = "lower the load of this host; if it stays so, look at the board's clock (crystal, its load)";
-        Finding::warning("frame rate", text, next_step)
-    };
+    let is_off = (rate_hz / scheduled_hz - 1.0).abs() > measurement::RATE_SLACK;
+    // An emulated board, or a busy host, and no fault of the board's clock that keeps poses from coming.
+    let next_step = "lower the load of this host; if it stays so, look at the board's clock (crystal, its load)";
+    let rate = judged("frame rate", text, [(is_off, Warning, next_step)]);
     let text =
         format!("{scans} frames, {missing} missing; the board counts {lost_on_board} lost and {overruns} overruns");
-    let losses = if missing == 0 && overruns == 0 {
-        Finding::ok("frames", text)
-    } else if lost_on_board + u64::from(overruns) > 0 {
-        Finding::failed(
-            "frames",
-            text,
-            "the host did not read in time, its USB port suspends, or the MCU is overloaded: lower the load of both",
-        )
-    } else {
-        Finding::failed("frames", text, "change cable or hub; data lines of USB as short as possible, side by side")
-    };
-    [rate, losses]
+    let is_lossy = missing > 0 || overruns > 0;
+    let by_board =
+        "the host did not read in time, its USB port suspends, or the MCU is overloaded: lower the load of both";
+    let by_cable = "change cable or hub; data lines of USB as short as possible, side by side";
+    let is_by_board = is_lossy && lost_on_board + u64::from(overruns) > 0;
+    [rate, judged("frames", text, [(is_by_board, Failed, by_board), (is_lossy, Failed, by_cable)])]
 }
 
 pub(super) fn supply(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
@@ -85,25 +77,13 @@ fn judge_supply(status: &Status) -> [Finding; 2] {
     let range = measurement::SUPPLY_V;
     let text = format!("V_DDA {volts:.3} V, expected {:.3} to {:.3} V", range.start(), range.end());
     // NaN is in no range.
-    let supply = if range.contains(&volts) {
-        Finding::ok("supply", text)
-    } else {
-        let next_step = "measure 3.3 V and V_DDA: regulator, cable, a short or a load that does not \
-                         belong there; currents scale with V_DDA";
-        Finding::failed("supply", text, next_step)
-    };
-    let celsius = status.temperature_k - 273.15;
-    let text = format!("MCU at {celsius:.1} C, expected -40 to 85 C");
-    let temperature = if measurement::TEMPERATURE_K.contains(&status.temperature_k) {
-        Finding::ok("temperature", text)
-    } else {
-        Finding::failed(
-            "temperature",
-            text,
-            "if the MCU is hot, switch the supply off at once: one of its pins drives against another output",
-        )
-    };
-    [supply, temperature]
+    let next_step = "measure 3.3 V and V_DDA: regulator, cable, a short or a load that does not \
+                     belong there; currents scale with V_DDA";
+    let supply = judged("supply", text, [(!range.contains(&volts), Failed, next_step)]);
+    let text = format!("MCU at {:.1} C, expected -40 to 85 C", status.temperature_k - 273.15);
+    let is_hot = !measurement::TEMPERATURE_K.contains(&status.temperature_k);
+    let next_step = "if the MCU is hot, switch the supply off at once: one of its pins drives against another output";
+    [supply, judged("temperature", text, [(is_hot, Failed, next_step)])]
 }
 
 // Dark, and settings.
@@ -297,9 +277,9 @@ mod tests {
         let idle = status();
         let status = |acquiring, scans_taken| Status { acquiring, scans_taken, ..idle };
         let grade = |first, second| judge(After::Stop, &[first, second], 40).grade;
-        assert_eq!(grade(status(false, 44), status(false, 44)), Grade::Ok);
-        assert_eq!(grade(status(true, 44), status(false, 44)), Grade::Failed);
-        assert_eq!(grade(status(false, 44), status(false, 45)), Grade::Failed);
+        assert_eq!(grade(status(false, 44), status(false, 44)), Ok);
+        assert_eq!(grade(status(true, 44), status(false, 44)), Failed);
+        assert_eq!(grade(status(false, 44), status(false, 45)), Failed);
         let closed = judge(After::Closed(CLOSED_OWN_PORT), &[status(true, 0), status(true, 2_000)], 40);
         assert!(closed.text.contains("closed for 1 s") && closed.text.contains("2000 frames"), "{closed}");
     }
@@ -308,13 +288,13 @@ mod tests {
     fn lost_hashes_and_lost_schedules_are_found() {
         let schedule = front_end::configuration(&WIDE.read().unwrap()).unwrap().schedule;
         let stored = Stored { hashes: Hashes { scene: Some(7), calibration: None }, schedule };
-        assert_eq!(judge_storage(&stored, &stored, true).grade, Grade::Ok);
+        assert_eq!(judge_storage(&stored, &stored, true).grade, Ok);
         let hashes = Stored { hashes: Hashes::default(), ..stored.clone() };
         let lost = judge_storage(&stored, &hashes, false);
-        assert!(lost.grade == Grade::Failed && lost.text.contains("after a reboot none"), "{lost}");
+        assert!(lost.grade == Failed && lost.text.contains("after a reboot none"), "{lost}");
         let mut slower = stored.clone();
         slower.schedule.frame_ticks *= 2;
-        assert_eq!(judge_storage(&stored, &slower, true).grade, Grade::Failed);
+        assert_eq!(judge_storage(&stored, &slower, true).grade, Failed);
     }
 
     #[test]
