@@ -1,5 +1,6 @@
 //! Outputs for poses: NDJSON, CSV, Parquet, or a summary for people.
 
+mod columns;
 #[cfg(feature = "parquet")]
 mod parquet;
 mod summary;
