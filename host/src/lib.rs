@@ -30,6 +30,86 @@ mod sink;
 pub mod telemetry;
 mod terminal;
 
+/// Poses and messages for the tests of several modules.
+#[cfg(test)]
+mod samples {
+    use slitpose_head::scene_file::WIDE;
+    use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
+    use slitpose_model::{MotionPrior, Photocurrents, Solver, Start, Tier};
+    use slitpose_protocol::{ClockSource, Command, MAX_REQUEST_BYTES, Request, SettingsSource, Status, encode};
+    use slitpose_tracking::link::DeviceId;
+    use slitpose_tracking::pipeline::{Item, Pipeline, PipelineError, Record, SceneMatch};
+
+    const TIER: Tier = Tier::Exact { tolerance: 1e-6 };
+
+    /// A scan without light.
+    pub(crate) fn record() -> Record {
+        Record {
+            device: DeviceId(*b"simulated\0\0\0"),
+            sequence: 0,
+            device_time_s: 0.0,
+            host_time: None,
+            arrival: None,
+            solution: Solver::<f64>::empty().solve(&Photocurrents::default(), Start::Cold, &MotionPrior::AT_REST),
+            twist: None,
+            filtered: None,
+            simulated: true,
+            truth: None,
+        }
+    }
+
+    /// The status of a board that has lost nothing.
+    pub(crate) fn status() -> Status {
+        Status {
+            tick: 1,
+            acquiring: true,
+            scans_taken: 0,
+            scans_dropped: 0,
+            batches_dropped: 0,
+            scans_lost: 0,
+            adc_overruns: 0,
+            replies_dropped: 0,
+            commands_damaged: 0,
+            commands_rejected: 0,
+            supply_v: 3.3,
+            temperature_k: 300.0,
+            cpu_load_permille: 0,
+            clock: ClockSource::Crystal,
+            settings: SettingsSource::Stored,
+        }
+    }
+
+    /// `count` poses of a simulated tool, each with its photocurrents: of the newest scans in packets.
+    pub(crate) fn poses(count: usize) -> Vec<(Record, Photocurrents)> {
+        let head = WIDE.read().unwrap();
+        let smooth = Trajectory::of_kind(TrajectoryKind::Smooth, 1, f64::INFINITY);
+        let mut board = SimulatedBoard::new(&head, smooth, TIER, 1).unwrap();
+        let ask = |board: &mut SimulatedBoard, command| {
+            board.write(encode(&Request { number: 1, command }, &mut [0; MAX_REQUEST_BYTES]).unwrap());
+        };
+        ask(&mut board, Command::Start);
+        let mut pipeline = Pipeline::new(head, TIER, SceneMatch::Required);
+        let mut poses: Vec<(Record, Photocurrents)> = Vec::new();
+        let mut bytes = Vec::new();
+        while poses.len() < count {
+            bytes.clear();
+            // A board whose host is silent stops.
+            ask(&mut board, Command::Ping { token: 0 });
+            board.step(&mut bytes);
+            let mut newest = None;
+            let found = pipeline.push(&bytes, |item| {
+                if let Item::Pose(record) = item {
+                    newest = Some(*record);
+                }
+                Ok::<_, PipelineError>(())
+            });
+            found.unwrap();
+            poses.extend(newest.map(|record| (record, pipeline.last_photocurrents().unwrap().clone())));
+        }
+        poses
+    }
+}
+
 #[cfg(test)]
 mod tests {
     #[test]

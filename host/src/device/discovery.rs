@@ -11,7 +11,7 @@ use std::fmt;
 use std::path::{MAIN_SEPARATOR, Path};
 use std::str::FromStr;
 
-use super::error::DeviceError;
+use super::DeviceError;
 use super::ports::{Listed, PortState};
 use super::ports::{Port, Search, UsbId, ports};
 use slitpose_tracking::link::DeviceId;

@@ -7,6 +7,7 @@ use std::str::FromStr;
 use std::time::Duration;
 
 use serde::{Serialize, Serializer};
+use serde_json::json;
 use serialport::{SerialPortInfo, SerialPortType};
 use slitpose_protocol::schema::SchemaMismatch;
 use slitpose_protocol::{AdcScaling, BoardKind, Hashes, Hello, PROTOCOL, ProtocolVersion, ResetCause, Schedule};
@@ -311,47 +312,27 @@ impl BoardInfo {
     }
 }
 
-#[derive(Serialize)]
-struct Fields<'a> {
-    serial: DeviceId,
-    board: &'a str,
-    kind: &'a str,
-    firmware: &'a str,
-    protocol: String,
-    program_protocol: String,
-    /// The kind of message with another layout than in this program.
-    mismatch: Option<&'a str>,
-    reset_cause: &'a str,
-    /// 16 hexadecimal digits, as in messages: JSON numbers do not hold 64 bits everywhere.
-    scene_hash: Option<String>,
-    calibration_hash: Option<String>,
-    full_scale_a: f64,
-    scaling: AdcScaling,
-    frame_rate_hz: f64,
-    configuration: u16,
-    schedule: &'a Schedule,
-}
-
 impl Serialize for BoardInfo {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        // 16 digits, as in messages: JSON numbers do not hold 64 bits everywhere.
         let hex = |hash: Option<u64>| hash.map(|hash| format!("{hash:016x}"));
-        let fields = Fields {
-            serial: self.device,
-            board: &self.board,
-            kind: self.kind_name(),
-            firmware: &self.firmware,
-            protocol: self.protocol.to_string(),
-            program_protocol: PROTOCOL.to_string(),
-            mismatch: self.mismatch.map(|mismatch| mismatch.name),
-            reset_cause: self.reset_cause_name(),
-            scene_hash: hex(self.hashes.scene),
-            calibration_hash: hex(self.hashes.calibration),
-            full_scale_a: self.scaling.full_scale_a(),
-            scaling: self.scaling,
-            frame_rate_hz: self.schedule.frame_rate_hz(),
-            configuration: self.configuration,
-            schedule: &self.schedule,
-        };
+        let fields = json!({
+            "serial": self.device,
+            "board": self.board,
+            "kind": self.kind_name(),
+            "firmware": self.firmware,
+            "protocol": self.protocol.to_string(),
+            "program_protocol": PROTOCOL.to_string(),
+            "mismatch": self.mismatch.map(|mismatch| mismatch.name),
+            "reset_cause": self.reset_cause_name(),
+            "scene_hash": hex(self.hashes.scene),
+            "calibration_hash": hex(self.hashes.calibration),
+            "full_scale_a": self.scaling.full_scale_a(),
+            "scaling": self.scaling,
+            "frame_rate_hz": self.schedule.frame_rate_hz(),
+            "configuration": self.configuration,
+            "schedule": self.schedule,
+        });
         fields.serialize(serializer)
     }
 }

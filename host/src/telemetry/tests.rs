@@ -14,6 +14,7 @@ use super::server::FetchError;
 use super::*;
 use crate::datagram::DatagramCounts;
 use crate::http::{self, Address, BindScope, ServeError};
+use crate::samples;
 use slitpose_head::finding::Finding;
 use slitpose_tracking::clock::{HostInstant, HostTime};
 use slitpose_tracking::health::{CellHealth, CellTotals, Diagnosis, Fault, HeadHealth, Shares, Verdict};
@@ -51,23 +52,9 @@ fn head() -> HeadHealth {
 }
 
 fn record(sequence: u64, sampled_ns: u64) -> Record {
-    let solver = slitpose_model::Solver::<f64>::empty();
-    Record {
-        device: DeviceId(*b"simulated\0\0\0"),
-        sequence,
-        device_time_s: sequence as f64 / 4000.0,
-        host_time: Some(HostTime { monotonic_ns: sampled_ns, utc_ns: sampled_ns, uncertainty_ns: 35_000 }),
-        arrival: None,
-        solution: solver.solve(
-            &slitpose_model::Photocurrents::default(),
-            slitpose_model::Start::Cold,
-            &slitpose_model::MotionPrior::AT_REST,
-        ),
-        twist: None,
-        filtered: None,
-        simulated: true,
-        truth: None,
-    }
+    let host_time = HostTime { monotonic_ns: sampled_ns, utc_ns: sampled_ns, uncertainty_ns: 35_000 };
+    let device_time_s = sequence as f64 / 4000.0;
+    Record { sequence, device_time_s, host_time: Some(host_time), ..samples::record() }
 }
 
 /// A board that has run for 4000 scans, all of which took 1 ms to the host and 20 us through it.
@@ -80,23 +67,8 @@ fn board(name: &str, head: Option<HeadHealth>) -> BoardReport {
         let later = |ns| Some(HostInstant { monotonic_ns: sampled_ns + ns, utc_ns: 0 });
         statistics.update(&Item::Pose(&record(sequence, sampled_ns)), later(1_000_000), later(1_020_000));
     }
-    let status = Status {
-        tick: 1,
-        acquiring: true,
-        scans_taken: 4000,
-        scans_dropped: 0,
-        batches_dropped: 0,
-        scans_lost: 0,
-        adc_overruns: 0,
-        replies_dropped: 0,
-        commands_damaged: 0,
-        commands_rejected: 0,
-        supply_v: 3.3,
-        temperature_k: 300.0,
-        cpu_load_permille: 130,
-        clock: ClockSource::CrystalFailed,
-        settings: SettingsSource::PassedOver,
-    };
+    let (clock, settings) = (ClockSource::CrystalFailed, SettingsSource::PassedOver);
+    let status = Status { scans_taken: 4000, cpu_load_permille: 130, clock, settings, ..samples::status() };
     statistics.update(&Item::Status(&status), None, None);
     let event = Item::Event { severity: Severity::Warning, device_time_s: f64::NAN, text: "supply sagged" };
     statistics.update(&event, None, None);

@@ -9,16 +9,13 @@ use std::net::{Ipv4Addr, UdpSocket};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use slitpose_model::Tier;
 use tempfile::TempDir;
 
 use super::*;
-use slitpose_head::front_end;
-use slitpose_head::scene_file::WIDE;
-use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
+use crate::samples;
 use slitpose_tracking::clock::{HostInstant, HostTime};
 use slitpose_tracking::link::DeviceId;
-use slitpose_tracking::pipeline::{Item, Pipeline, PipelineError, Record, SceneMatch};
+use slitpose_tracking::pipeline::Record;
 
 const DEVICE: DeviceId = DeviceId(*b"simulated\0\0\0");
 const OTHER: DeviceId = DeviceId(*b"another one\0");
@@ -26,36 +23,8 @@ const OTHER: DeviceId = DeviceId(*b"another one\0");
 /// A busy machine may take long for what takes a moment.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Scans of a simulated board, the last with a pose and a twist.
-fn records() -> Vec<Record> {
-    use slitpose_protocol::{Command, MAX_REQUEST_BYTES, Request, encode};
-    let tier = Tier::Exact { tolerance: 1e-4 };
-    let file = WIDE.read().unwrap();
-    let trajectory = Trajectory::of_kind(TrajectoryKind::Smooth, 1, 1.0);
-    let mut board = SimulatedBoard::new(&file, trajectory, tier, 1).unwrap();
-    let mut buffer = [0; MAX_REQUEST_BYTES];
-    let configuration = front_end::configuration(&file).unwrap();
-    for (number, command) in [(1, Command::Configure(configuration)), (2, Command::Start)] {
-        board.write(encode(&Request { number, command }, &mut buffer).unwrap());
-    }
-    let mut bytes = Vec::new();
-    for _ in 0..40 {
-        board.step(&mut bytes);
-    }
-    let mut records = Vec::new();
-    let mut pipeline = Pipeline::new(file, tier, SceneMatch::Required);
-    let taken = pipeline.push(&bytes, |item| {
-        if let Item::Pose(record) = item {
-            records.push(*record);
-        }
-        Ok::<_, PipelineError>(())
-    });
-    taken.unwrap();
-    records
-}
-
 fn record() -> Record {
-    let record = *records().last().unwrap();
+    let (record, _) = samples::poses(40).pop().unwrap();
     assert!(record.solution.estimate.is_some() && record.twist.is_some());
     let host_time = HostTime { monotonic_ns: 123_456_789_000, utc_ns: 1_700_000_000_987_654_321, uncertainty_ns: 345 };
     let arrival = HostInstant { monotonic_ns: 123_456_999_000, utc_ns: 0 };
