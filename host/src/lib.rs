@@ -15,6 +15,7 @@
 
 #![forbid(unsafe_code)]
 
+mod address;
 mod bridges;
 pub mod commands;
 mod comparison;

@@ -10,7 +10,8 @@ use tokio::sync::mpsc::Receiver;
 use tokio::time::{MissedTickBehavior, interval};
 
 use super::BridgeError;
-use crate::http::{Address, ServeError, Serving};
+use crate::address::{Address, ServeError};
+use crate::http::Serving;
 use crate::live::{Input, LiveBoard, LiveInput, Optics, Sample};
 use crate::telemetry::DaemonReport;
 use slitpose_tracking::link::DeviceId;

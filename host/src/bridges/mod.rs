@@ -18,8 +18,8 @@ pub(crate) use spacenav::{Axes, Feel, SpacenavInput, SpacenavServer};
 #[cfg(feature = "zenoh")]
 pub(crate) use zenoh::open_zenoh;
 
+use crate::address::{Address, ServeError, tcp_address};
 use crate::daemon::{Opener, StreamPlan, Talk};
-use crate::http::{Address, ServeError, tcp_address};
 use crate::live::LiveBoard;
 use crate::telemetry::DaemonReport;
 

@@ -16,11 +16,12 @@ use super::live::{Changes, FoxgloveOptions, LiveOptions, MouseOptions, ZenohOpti
 use super::options::{PoseOptions, open_scene, parse_duration};
 use super::simulate::ToolOptions;
 use super::{CommandError, Outcome, UsageError, interrupt, options, talk};
+use crate::address::Address;
 use crate::bridges::{Bridge, SpacenavServer};
 use crate::daemon::{Admit, BoardPlan, Daemon, Ended, Opener, Plan, PortOpener, SimulatedOpener};
 use crate::datagram::{self, DatagramServer};
 use crate::device::{Search, Selector};
-use crate::http::{Address, BindScope};
+use crate::http::BindScope;
 use crate::live::{Access, LiveBoard, LivePlan, SampleSink};
 use crate::service::{self, Service};
 use crate::telemetry::{DaemonReport, RecorderReport, RecorderState, StatusServer, status_address};

@@ -78,8 +78,8 @@ pub use server::{DatagramCounts, DatagramServer, Publisher};
 pub use socket::UnixClient;
 pub use subscription::SlowClient;
 
-pub use crate::http::Address;
-use crate::http::ServeError;
+pub use crate::address::Address;
+use crate::address::ServeError;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::DeviceId;
 use slitpose_tracking::pipeline::{Outcomes, Record};

@@ -19,7 +19,7 @@ use super::subscription::{
     Admission, Cookies, Lease, Leases, MAX_FOLLOWERS, MAX_NEWS, SlowClient, Subscription, Worth,
 };
 use super::{Address, Answer, Mode, PoseDatagram, Request};
-use crate::http::{ServeError, SocketFile};
+use crate::address::{ServeError, SocketFile};
 use slitpose_head::threads::lock;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::DeviceId;

@@ -12,7 +12,7 @@ use nix::sys::socket::{ControlMessage, MsgFlags, SockType, UnixAddr, getsockopt,
 use rustix::net::{RecvAncillaryBuffer, RecvAncillaryMessage, RecvFlags, recvmsg};
 
 use super::{Address, Request, require_loopback};
-use crate::http::{ServeError, SocketFile};
+use crate::address::{ServeError, SocketFile};
 
 #[derive(Debug)]
 pub(super) enum Socket {

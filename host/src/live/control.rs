@@ -7,7 +7,8 @@ use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::{Map, Value};
 use thiserror::Error;
 
-use crate::http::{self, Address, BindScope};
+use crate::address::{Address, tcp_address};
+use crate::http::BindScope;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Order {
@@ -154,7 +155,7 @@ pub(crate) enum AccessError {
 
 /// The host and port that `text` names.
 pub(crate) fn live_address(text: &str) -> Result<SocketAddr, AccessError> {
-    http::tcp_address(text).ok_or_else(|| AccessError::Address { text: text.to_owned() })
+    tcp_address(text).ok_or_else(|| AccessError::Address { text: text.to_owned() })
 }
 
 #[derive(Clone, PartialEq, Eq)]

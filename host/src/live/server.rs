@@ -20,7 +20,8 @@ use super::control::{Access, Control, Refusal};
 use super::frame::SceneView;
 use super::hub::{Hub, Input, LiveBoard, LiveInput};
 use super::session;
-use crate::http::{Address, ConnectionDeadline, ServeError, Serving, reply};
+use crate::address::{Address, ServeError};
+use crate::http::{ConnectionDeadline, Serving, reply};
 use crate::telemetry::DaemonReport;
 
 /// Most clients at a time, of those that have said hello.

@@ -176,7 +176,7 @@ impl Exposition {
                 .for_each(|(word, value)| number(name, value).into_iter().for_each(|value| with(label, word, value))),
             Value::String(word) if words.is_empty() => with(label, word, 1.0),
             value if !words.is_empty() => {
-                words.iter().for_each(|word| with(label, word, f64::from(u8::from(value.as_str() == Some(word)))))
+                words.iter().for_each(|word| with(label, word, f64::from(u8::from(value.as_str() == Some(word)))));
             }
             value => {
                 let Some(value) = number(name, value) else { return };

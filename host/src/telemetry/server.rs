@@ -19,8 +19,9 @@ use axum::routing::get;
 use thiserror::Error;
 
 use super::{DaemonReport, metrics, view};
+use crate::address::{Address, ServeError};
 use crate::http;
-use crate::http::{Address, BindScope, ServeError, Serving};
+use crate::http::{BindScope, Serving};
 use slitpose_head::foreign::printable;
 use slitpose_tracking::clock::HostInstant;
 

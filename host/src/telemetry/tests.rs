@@ -12,8 +12,9 @@ use slitpose_protocol::{ClockSource, SettingsSource, Severity, Status};
 
 use super::server::FetchError;
 use super::*;
+use crate::address::{Address, ServeError};
 use crate::datagram::DatagramCounts;
-use crate::http::{self, Address, BindScope, ServeError};
+use crate::http::{self, BindScope};
 use crate::samples;
 use slitpose_head::finding::Finding;
 use slitpose_tracking::clock::{HostInstant, HostTime};

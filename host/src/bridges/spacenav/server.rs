@@ -13,7 +13,7 @@ use slitpose_head::scene_file::Workspace;
 use slitpose_model::Pose;
 
 use super::Feel;
-use crate::http::{ServeError, SocketFile, connects_stream};
+use crate::address::{ServeError, SocketFile, connects_stream};
 use crate::live::{Sample, SampleSink};
 
 /// Most clients; more are not let in.

@@ -7,10 +7,10 @@ use std::os::unix::net::UnixDatagram;
 use tempfile::TempDir;
 
 use super::{Bench, DEVICE, OTHER, record};
+use crate::address::ServeError;
 use crate::datagram::server::LEASE;
 use crate::datagram::socket::pass;
 use crate::datagram::{Address, Answer, DatagramServer, Mode, PoseDatagram, Request, UnixClient};
-use crate::http::ServeError;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::pipeline::Record;
 
