@@ -68,17 +68,17 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     Ok(Outcome::Done)
 }
 
-const COLUMNS: [&str; 10] = [
-    "capture",
-    "ended",
-    "boards",
-    "scans",
-    "converged",
-    "degraded",
-    "ambiguous",
-    "unobservable",
-    "too_dark",
-    "diverged",
+/// A column of the table of captures, and what of each board is summed in it.
+type Count = (&'static str, fn(&BoardReport) -> u64);
+
+const COUNTS: [Count; 7] = [
+    ("scans", |board| board.scans),
+    ("converged", |board| board.outcomes.converged),
+    ("degraded", |board| board.outcomes.degraded),
+    ("ambiguous", |board| board.outcomes.ambiguous),
+    ("unobservable", |board| board.outcomes.unobservable),
+    ("too_dark", |board| board.outcomes.too_dark),
+    ("diverged", |board| board.outcomes.diverged),
 ];
 
 /// Several captures, each replayed on its own.
@@ -117,7 +117,8 @@ impl SideBySide {
         };
         faults.tell();
         let faults: &[Fault] = &faults.fault;
-        let mut table = TableWriter::new(Output::open(None)?, COLUMNS)?;
+        let columns = ["capture", "ended", "boards"].into_iter().chain(COUNTS.map(|(name, _)| name));
+        let mut table = TableWriter::new(Output::open(None)?, columns)?;
         let mut progress = Progress::new("replay", files.len() as u64, Amount::Of("captures"));
         let (mut waiting, mut ended, mut done) = (work.iter(), Outcome::Done, 0);
         in_order(
@@ -190,18 +191,9 @@ fn write(table: &mut TableWriter, name: &str, outcome: Outcome, account: &Accoun
         Outcome::DataLost => "data_lost",
         Outcome::Failed => "failed",
     });
-    let sum = |of: fn(&BoardReport) -> u64| account.boards.iter().map(of).sum::<u64>().to_string();
     table.text(&account.boards.len().to_string());
-    for count in [
-        sum(|board| board.scans),
-        sum(|board| board.outcomes.converged),
-        sum(|board| board.outcomes.degraded),
-        sum(|board| board.outcomes.ambiguous),
-        sum(|board| board.outcomes.unobservable),
-        sum(|board| board.outcomes.too_dark),
-        sum(|board| board.outcomes.diverged),
-    ] {
-        table.text(&count);
+    for (_, count) in COUNTS {
+        table.text(&account.boards.iter().map(count).sum::<u64>().to_string());
     }
     table.end_row()
 }
