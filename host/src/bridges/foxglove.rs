@@ -1,10 +1,11 @@
 //! Foxglove shows boards live, by its own library.
 
-use std::net::SocketAddr;
+use std::io::ErrorKind;
+use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
 use std::time::Duration;
 
-use ::foxglove::{Context, FoxgloveError as SdkError, RawChannel, Schema};
+use ::foxglove::{Context, FoxgloveError as SdkError, RawChannel, Schema, WebSocketServerHandle};
 use slitpose_calibration::Head;
 use tokio::sync::mpsc::Receiver;
 use tokio::time::{MissedTickBehavior, interval};
@@ -45,25 +46,40 @@ pub(crate) fn serve_foxglove(
     let mut url = String::new();
     let serving = Serving::start("foxglove", &place, async || {
         let context = Context::new();
-        let server = context.websocket_server().name("slitpose").message_backlog_size(BACKLOG);
-        let server = server.bind(address.ip().to_string(), address.port());
-        let server = server.tokio_runtime(&tokio::runtime::Handle::current()).start().await.map_err(failed)?;
-        url = format!("ws://{}", SocketAddr::new(address.ip(), server.port()));
+        let server = serve(&context, address).await.map_err(failed)?;
+        let address = SocketAddr::new(address.ip(), server.port());
+        url = format!("ws://{address}");
         let channel = context.channel_builder("/slitpose/report").message_encoding("json");
         let mut shown = Shown { report: channel.build_raw().map_err(failed)?, context, boards: Vec::new() };
         shown.accept(Input::Boards(boards));
-        tokio::spawn(async move {
-            shown.follow(inputs, report).await;
-            drop(server.stop());
-        });
+        tokio::spawn(shown.follow(inputs, report, server, address));
         Ok(())
     })?;
     Ok((url, input, serving))
 }
 
+async fn serve(context: &Arc<Context>, address: SocketAddr) -> Result<WebSocketServerHandle, SdkError> {
+    let server = context.websocket_server().name("slitpose").message_backlog_size(BACKLOG);
+    let server = server.bind(address.ip().to_string(), address.port());
+    server.tokio_runtime(&tokio::runtime::Handle::current()).start().await
+}
+
+/// Whether nobody listens at `address`: the library's server ends for good when it cannot accept a connection, as when
+/// others have taken all file descriptors.
+fn is_deaf(address: SocketAddr) -> bool {
+    TcpListener::bind(address).map_or_else(|error| error.kind() != ErrorKind::AddrInUse, |_| true)
+}
+
 impl Shown {
     /// Until nobody gives samples any more.
-    async fn follow(mut self, mut inputs: Receiver<Input>, report: impl Fn() -> DaemonReport) {
+    async fn follow(
+        mut self,
+        mut inputs: Receiver<Input>,
+        report: impl Fn() -> DaemonReport,
+        server: WebSocketServerHandle,
+        address: SocketAddr,
+    ) {
+        let mut server = Some(server);
         let mut ticks = interval(REPORT_EVERY);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
@@ -71,13 +87,19 @@ impl Shown {
                 _ = ticks.tick() => {
                     self.boards.iter().flatten().for_each(Board::show_head);
                     self.report(&report());
+                    if is_deaf(address) {
+                        // Also closes what was connected, and may be in the way.
+                        drop(server.take().map(WebSocketServerHandle::stop));
+                        server = serve(&self.context, address).await.ok();
+                    }
                 }
                 input = inputs.recv() => match input {
                     Some(input) => self.accept(input),
-                    None => return,
+                    None => break,
                 },
             }
         }
+        drop(server.map(WebSocketServerHandle::stop));
     }
 
     fn accept(&mut self, input: Input) {
@@ -192,5 +214,19 @@ impl Channels {
             frame: context.channel_builder(topic("frame")).message_encoding("json").build_raw()?,
             shapes,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_server_that_has_ended_is_noticed() {
+        let listener = TcpListener::bind(("127.0.0.1", 0)).unwrap();
+        let address = listener.local_addr().unwrap();
+        assert!(!is_deaf(address));
+        drop(listener);
+        assert!(is_deaf(address));
     }
 }
