@@ -1,10 +1,7 @@
-//! What servers share: limits of connections, whose requests are answered, threads, and sockets in the file system.
+//! What servers of HTTP share: limits of connections, whose requests are answered, and threads.
 
-use std::fs::{self, Permissions};
 use std::io::{self, ErrorKind};
-use std::net::{IpAddr, Ipv4Addr, SocketAddr};
-use std::os::unix::fs::{FileTypeExt, MetadataExt, PermissionsExt};
-use std::path::{Path, PathBuf};
+use std::net::IpAddr;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,16 +9,21 @@ use std::task::{Context, Poll};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use axum::Router;
+use axum::extract::Request;
 use axum::extract::connect_info::Connected;
-use axum::http::HeaderMap;
-use axum::http::header::{HOST, ORIGIN};
+use axum::http::header::{CONNECTION, HOST, ORIGIN};
+use axum::http::{HeaderMap, StatusCode};
+use axum::middleware::{Next, from_fn};
+use axum::response::{IntoResponse, Response};
 use axum::serve::{IncomingStream, Listener};
-use thiserror::Error;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::net::{TcpListener, TcpStream, UnixListener, UnixStream};
-use tokio::runtime::Runtime;
+use tokio::net::{TcpListener, UnixListener};
+use tokio::runtime::Builder;
 use tokio::sync::oneshot;
 use tokio::time::{Sleep, sleep};
+
+use crate::address::{Address, ServeError, SocketFile, connects_stream};
 
 /// The hosts that may connect over TCP.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,41 +33,76 @@ pub(crate) enum BindScope {
     Anywhere,
 }
 
-/// The address and port that `text` names, if any.
-pub(crate) fn tcp_address(text: &str) -> Option<SocketAddr> {
-    // The only name that has the same meaning on every host.
-    match text.strip_prefix("localhost:") {
-        Some(port) => Some((Ipv4Addr::LOCALHOST, port.parse().ok()?).into()),
-        None => text.parse().ok(),
-    }
-}
-
-/// Listens on `address`; returns the address with the port that the system chose for port 0. To be called within the
-/// runtime that serves the socket.
-pub(crate) fn listen(address: SocketAddr) -> io::Result<(Socket, SocketAddr)> {
-    let listener = std::net::TcpListener::bind(address)?;
-    let bound = listener.local_addr()?;
-    listener.set_nonblocking(true)?;
-    Ok((Socket::Tcp(TcpListener::from_std(listener)?), bound))
-}
-
-/// A thread that runs a runtime with all its tasks until this is dropped.
+/// A server on a thread of its own, with all its tasks, until this is dropped.
 #[derive(Debug)]
 pub(crate) struct Serving {
     end: Option<oneshot::Sender<()>>,
     thread: Option<JoinHandle<()>>,
+    _file: Option<SocketFile>,
 }
 
 impl Serving {
-    pub(crate) fn start(name: &str, runtime: Runtime) -> io::Result<Self> {
+    /// Serves `routes` at `address` to programs in `scope`, pages of others get `refusal`; returns the address with the port
+    /// that the system chose for port 0. `begin` starts further tasks.
+    pub(crate) fn http(
+        name: &str,
+        address: &Address,
+        scope: BindScope,
+        refusal: &'static str,
+        routes: Router,
+        begin: impl FnOnce(),
+    ) -> Result<(Self, Address), ServeError> {
+        let failed = |source| ServeError::of(address, source);
+        let listen = || match address {
+            Address::Unix(path) => {
+                let (listener, file) = SocketFile::bind(path, connects_stream, |path| UnixListener::bind(path))?;
+                Ok((Socket::Unix(listener), address.clone(), Some(file)))
+            }
+            Address::Tcp(tcp) | Address::Udp(tcp) => {
+                let listener = std::net::TcpListener::bind(tcp).map_err(failed)?;
+                listener.set_nonblocking(true).map_err(failed)?;
+                let bound = Address::Tcp(listener.local_addr().map_err(failed)?);
+                Ok((Socket::Tcp(TcpListener::from_std(listener).map_err(failed)?), bound, None))
+            }
+        };
+        // Browsers cannot reach a Unix socket: any host name is allowed there.
+        let named = if matches!(address, Address::Unix(_)) { BindScope::Anywhere } else { scope };
+        let guard = move |request: Request, next: Next| async move {
+            match is_own(request.headers(), named) {
+                true => next.run(request).await,
+                false => reply(StatusCode::FORBIDDEN, refusal),
+            }
+        };
+        let routes = routes.layer(from_fn(guard)).into_make_service_with_connect_info::<ConnectionDeadline>();
+        let (mut bound, mut file) = (address.clone(), None);
+        let mut serving = Self::start(name, address, async || {
+            let socket;
+            (socket, bound, file) = listen()?;
+            tokio::spawn(async move { axum::serve(LimitedListener::new(socket), routes).await });
+            begin();
+            Ok(())
+        })?;
+        serving._file = file;
+        Ok((serving, bound))
+    }
+
+    /// Runs the tasks that `begin` starts, for a server at `address`.
+    pub(crate) fn start(
+        name: &str,
+        address: &Address,
+        begin: impl AsyncFnOnce() -> Result<(), ServeError>,
+    ) -> Result<Self, ServeError> {
+        let failed = |source| ServeError::of(address, source);
+        let runtime = Builder::new_current_thread().enable_all().build().map_err(failed)?;
+        runtime.block_on(begin())?;
         let (end, ended) = oneshot::channel();
         let run = move || {
             // Either way this has been dropped. The tasks end with the runtime: a graceful shutdown would wait for
             // connections that hang.
             let _ = runtime.block_on(ended);
         };
-        let thread = std::thread::Builder::new().name(name.to_owned()).spawn(run)?;
-        Ok(Self { end: Some(end), thread: Some(thread) })
+        let thread = std::thread::Builder::new().name(name.to_owned()).spawn(run).map_err(failed)?;
+        Ok(Self { end: Some(end), thread: Some(thread), _file: None })
     }
 }
 
@@ -77,6 +114,11 @@ impl Drop for Serving {
             let _ = thread.join();
         }
     }
+}
+
+/// An answer, after which the connection is closed.
+pub(crate) fn reply(status: StatusCode, text: impl IntoResponse) -> Response {
+    (status, [(CONNECTION, "close")], text).into_response()
 }
 
 // Any page can make a browser send requests to a port of the browser's host. A page whose domain resolves to this host
@@ -156,11 +198,11 @@ impl Listener for LimitedListener {
 
     async fn accept(&mut self) -> (Self::Io, Self::Addr) {
         loop {
-            let accepted = match &self.socket {
+            let accepted: io::Result<(Stream, _)> = match &self.socket {
                 Socket::Tcp(listener) => {
-                    listener.accept().await.map(|(stream, address)| (Stream::Tcp(stream), Some(address.ip())))
+                    listener.accept().await.map(|(stream, address)| (Box::pin(stream) as Stream, Some(address.ip())))
                 }
-                Socket::Unix(listener) => listener.accept().await.map(|(stream, _)| (Stream::Unix(stream), None)),
+                Socket::Unix(listener) => listener.accept().await.map(|(stream, _)| (Box::pin(stream) as Stream, None)),
             };
             match accepted {
                 Ok((stream, address)) if self.make_room() => {
@@ -181,10 +223,11 @@ impl Listener for LimitedListener {
     }
 }
 
-enum Stream {
-    Tcp(TcpStream),
-    Unix(UnixStream),
-}
+trait Io: AsyncRead + AsyncWrite + Send {}
+
+impl<T: AsyncRead + AsyncWrite + Send> Io for T {}
+
+type Stream = Pin<Box<dyn Io>>;
 
 /// Ends the lifetime's limit of one connection.
 #[derive(Clone, Debug, Default)]
@@ -241,90 +284,22 @@ impl Connection {
 
 impl AsyncRead for Connection {
     fn poll_read(self: Pin<&mut Self>, context: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
-        self.in_time(context, |stream, context| match stream {
-            Stream::Tcp(stream) => Pin::new(stream).poll_read(context, buffer),
-            Stream::Unix(stream) => Pin::new(stream).poll_read(context, buffer),
-        })
+        self.in_time(context, |stream, context| stream.as_mut().poll_read(context, buffer))
     }
 }
 
 impl AsyncWrite for Connection {
     fn poll_write(self: Pin<&mut Self>, context: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
-        self.in_time(context, |stream, context| match stream {
-            Stream::Tcp(stream) => Pin::new(stream).poll_write(context, bytes),
-            Stream::Unix(stream) => Pin::new(stream).poll_write(context, bytes),
-        })
+        self.in_time(context, |stream, context| stream.as_mut().poll_write(context, bytes))
     }
 
     fn poll_flush(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        self.in_time(context, |stream, context| match stream {
-            Stream::Tcp(stream) => Pin::new(stream).poll_flush(context),
-            Stream::Unix(stream) => Pin::new(stream).poll_flush(context),
-        })
+        self.in_time(context, |stream, context| stream.as_mut().poll_flush(context))
     }
 
     fn poll_shutdown(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        self.in_time(context, |stream, context| match stream {
-            Stream::Tcp(stream) => Pin::new(stream).poll_shutdown(context),
-            Stream::Unix(stream) => Pin::new(stream).poll_shutdown(context),
-        })
+        self.in_time(context, |stream, context| stream.as_mut().poll_shutdown(context))
     }
-}
-
-#[derive(Debug, Error)]
-pub(crate) enum SocketFileError {
-    #[error("another program serves unix:{}; give another path, or end that program", path.display())]
-    InUse { path: PathBuf },
-    #[error("{} is no socket and is left alone; give another path", path.display())]
-    NotASocket { path: PathBuf },
-    #[error("cannot listen on unix:{}", path.display())]
-    Bind { path: PathBuf, source: io::Error },
-}
-
-/// A bound socket; its file is removed when this is dropped, unless it has been replaced.
-#[derive(Debug)]
-pub(crate) struct SocketFile {
-    path: PathBuf,
-    file: [u64; 2],
-}
-
-impl SocketFile {
-    /// Binds a socket at `path` by `bind`, with the permissions `mode`.
-    pub(crate) fn bind<T>(
-        path: &Path,
-        mode: u32,
-        bind: impl FnOnce(&Path) -> io::Result<T>,
-    ) -> Result<(T, Self), SocketFileError> {
-        let failed = |source| SocketFileError::Bind { path: path.to_owned(), source };
-        match fs::symlink_metadata(path) {
-            Err(error) if error.kind() == ErrorKind::NotFound => {}
-            Err(source) => return Err(failed(source)),
-            Ok(found) if !found.file_type().is_socket() => {
-                return Err(SocketFileError::NotASocket { path: path.to_owned() });
-            }
-            Ok(_) => match std::os::unix::net::UnixStream::connect(path) {
-                Err(error) if error.kind() == ErrorKind::ConnectionRefused => fs::remove_file(path).map_err(failed)?,
-                Err(source) => return Err(failed(source)),
-                Ok(_) => return Err(SocketFileError::InUse { path: path.to_owned() }),
-            },
-        }
-        let socket = bind(path).map_err(failed)?;
-        fs::set_permissions(path, Permissions::from_mode(mode)).map_err(failed)?;
-        let file = identity(path).map_err(failed)?;
-        Ok((socket, Self { path: path.to_owned(), file }))
-    }
-}
-
-impl Drop for SocketFile {
-    fn drop(&mut self) {
-        if identity(&self.path).is_ok_and(|found| found == self.file) {
-            let _ = fs::remove_file(&self.path);
-        }
-    }
-}
-
-fn identity(path: &Path) -> io::Result<[u64; 2]> {
-    fs::symlink_metadata(path).map(|found| [found.dev(), found.ino()])
 }
 
 #[cfg(test)]

@@ -10,12 +10,13 @@
 //! * [`inputs`] reads what strangers can send, for fuzzing.
 //!
 //! Behind the commands: `terminal` draws for the user, `comparison` compares poses with a reference, `sink` writes poses,
-//! `daemon` follows boards live, `live` shows them on a page and to Foxglove, `spacenav` makes a mouse of the tool, `http`
-//! guards the servers, `zenoh` takes boards to ROS 2 and to other machines, `service` notifies the service manager,
-//! `doctor` examines boards, heads and hosts.
+//! `daemon` follows boards live, `live` shows them on a page, `bridges` to Foxglove, to ROS 2 and as a mouse, `http` guards
+//! the servers, `service` notifies the service manager, `doctor` examines boards, heads and hosts.
 
 #![forbid(unsafe_code)]
 
+mod address;
+mod bridges;
 pub mod commands;
 mod comparison;
 mod daemon;
@@ -27,10 +28,88 @@ pub mod inputs;
 mod live;
 mod service;
 mod sink;
-mod spacenav;
 pub mod telemetry;
 mod terminal;
-mod zenoh;
+
+/// Poses and messages for the tests of several modules.
+#[cfg(test)]
+mod samples {
+    use slitpose_head::scene_file::WIDE;
+    use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
+    use slitpose_model::{MotionPrior, Photocurrents, Solver, Start, Tier};
+    use slitpose_protocol::{ClockSource, Command, MAX_REQUEST_BYTES, Request, SettingsSource, Status, encode};
+    use slitpose_tracking::link::DeviceId;
+    use slitpose_tracking::pipeline::{Item, Pipeline, PipelineError, Record, SceneMatch};
+
+    const TIER: Tier = Tier::Exact { tolerance: 1e-6 };
+
+    /// A scan without light.
+    pub(crate) fn record() -> Record {
+        Record {
+            device: DeviceId(*b"simulated\0\0\0"),
+            sequence: 0,
+            device_time_s: 0.0,
+            host_time: None,
+            arrival: None,
+            solution: Solver::<f64>::empty().solve(&Photocurrents::default(), Start::Cold, &MotionPrior::AT_REST),
+            twist: None,
+            filtered: None,
+            simulated: true,
+            truth: None,
+        }
+    }
+
+    /// The status of a board that has lost nothing.
+    pub(crate) fn status() -> Status {
+        Status {
+            tick: 1,
+            acquiring: true,
+            scans_taken: 0,
+            scans_dropped: 0,
+            batches_dropped: 0,
+            scans_lost: 0,
+            adc_overruns: 0,
+            replies_dropped: 0,
+            commands_damaged: 0,
+            commands_rejected: 0,
+            supply_v: 3.3,
+            temperature_k: 300.0,
+            cpu_load_permille: 0,
+            clock: ClockSource::Crystal,
+            settings: SettingsSource::Stored,
+        }
+    }
+
+    /// `count` poses of a simulated tool, each with its photocurrents: of the newest scans in packets.
+    pub(crate) fn poses(count: usize) -> Vec<(Record, Photocurrents)> {
+        let head = WIDE.read().unwrap();
+        let smooth = Trajectory::of_kind(TrajectoryKind::Smooth, 1, f64::INFINITY);
+        let mut board = SimulatedBoard::new(&head, smooth, TIER, 1).unwrap();
+        let ask = |board: &mut SimulatedBoard, command| {
+            board.write(encode(&Request { number: 1, command }, &mut [0; MAX_REQUEST_BYTES]).unwrap());
+        };
+        ask(&mut board, Command::Start);
+        let mut pipeline = Pipeline::new(head, TIER, SceneMatch::Required);
+        let mut poses: Vec<(Record, Photocurrents)> = Vec::new();
+        let mut bytes = Vec::new();
+        while poses.len() < count {
+            bytes.clear();
+            // A board whose host is silent stops.
+            ask(&mut board, Command::Ping { token: 0 });
+            board.step(&mut bytes);
+            let mut newest = None;
+            let found = pipeline.push(&bytes, |item| {
+                if let Item::Pose(record) = item {
+                    newest = Some(*record);
+                }
+                Ok::<_, PipelineError>(())
+            });
+            found.unwrap();
+            poses.extend(newest.map(|record| (record, pipeline.last_photocurrents().unwrap().clone())));
+        }
+        poses
+    }
+}
 
 #[cfg(test)]
 mod tests {

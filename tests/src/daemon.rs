@@ -5,7 +5,7 @@ use std::fs;
 use std::io::Read;
 use std::net::{SocketAddr, TcpListener};
 use std::os::unix::fs::FileExt;
-use std::os::unix::net::{UnixDatagram, UnixStream};
+use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, ExitStatus, Stdio};
 use std::sync::Arc;
@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 
 use nix::sys::signal::Signal;
 use serde_json::Value;
-use slitpose::datagram::{Mode, Request};
+use slitpose::datagram::{Mode, Request, UnixClient};
 use tempfile::TempDir;
 use tungstenite::Message;
 
@@ -205,7 +205,7 @@ pub struct Subscriber {
 }
 
 impl Subscriber {
-    /// Follows the daemon whose socket is `server`, which may not be there yet, from a socket beside that.
+    /// Follows the daemon whose socket is `server`, which may not be there yet.
     pub fn start(server: PathBuf) -> Self {
         let over = Arc::new(AtomicBool::new(false));
         let ends = Arc::clone(&over);
@@ -229,17 +229,17 @@ impl Subscriber {
 
 /// A client that follows a daemon.
 pub struct Follower {
-    socket: UnixDatagram,
+    client: UnixClient,
     server: PathBuf,
     asked: Option<Instant>,
 }
 
 impl Follower {
-    /// The daemon whose socket is `server`, which may not be there yet, from a socket beside that.
+    /// The daemon whose socket is `server`, which may not be there yet.
     pub fn of(server: PathBuf) -> Self {
-        let socket = UnixDatagram::bind(server.with_file_name("client")).expect("socket");
-        socket.set_read_timeout(Some(Duration::from_millis(100))).expect("settable");
-        Self { socket, server, asked: None }
+        let client = UnixClient::new().expect("socket");
+        client.socket.set_read_timeout(Some(Duration::from_millis(100))).expect("settable");
+        Self { client, server, asked: None }
     }
 
     /// Whether a datagram has come within a tenth of a second.
@@ -247,9 +247,9 @@ impl Follower {
         if self.asked.is_none_or(|asked| asked.elapsed() > Duration::from_millis(500)) {
             // There is no socket before the daemon has made it, and none when it has gone.
             let request = Request::new(Mode::Follow, None);
-            self.asked = self.socket.send_to(&request.to_bytes(), &self.server).is_ok().then(Instant::now);
+            self.asked = self.client.ask(&self.server, request).is_ok().then(Instant::now);
         }
-        self.socket.recv(datagram).is_ok()
+        self.client.socket.recv(datagram).is_ok()
     }
 }
 

@@ -1,9 +1,7 @@
 //! On its way from bytes to pose a scan touches no heap: what could grow, or stall, does not exist.
 
-use std::os::unix::net::UnixDatagram;
-
 use allocation_counter::AllocationInfo;
-use slitpose::datagram::{self, Address, DatagramServer, Mode, PoseDatagram};
+use slitpose::datagram::{Address, DatagramServer, Mode, PoseDatagram, Request, UnixClient};
 use slitpose::telemetry::BoardStatistics;
 use slitpose_head::front_end::{self, Stage};
 use slitpose_head::scene_file::WIDE;
@@ -150,9 +148,9 @@ fn following_a_board_live_allocates_nothing() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let path = folder.path().join("pose");
     let server = DatagramServer::bind(&[Address::Unix(path.clone())]).expect("can be had");
-    let client = UnixDatagram::bind(folder.path().join("client")).expect("socket");
-    client.set_nonblocking(true).expect("does not block");
-    client.send_to(&datagram::Request::new(Mode::Follow, None).to_bytes(), &path).expect("asks");
+    let client = UnixClient::new().expect("socket");
+    client.socket.set_nonblocking(true).expect("does not block");
+    client.ask(&path, Request::new(Mode::Follow, None)).expect("asks");
     while server.counts().requests == 0 {
         std::thread::yield_now();
     }
@@ -176,7 +174,7 @@ fn following_a_board_live_allocates_nothing() {
             statistics.update(&item, record.arrival, Some(now));
             poses += 1;
             timed += u64::from(record.host_time.is_some());
-            while client.recv(&mut datagram).is_ok() {
+            while client.socket.recv(&mut datagram).is_ok() {
                 received += 1;
             }
             Ok(())

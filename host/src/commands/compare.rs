@@ -14,10 +14,10 @@ use slitpose_head::scene_file::SceneFile;
 use slitpose_head::table::{Output, OutputError, TableWriter, refuse_twice};
 use slitpose_head::threads::in_order;
 
-use super::faults::FaultOptions;
 use super::options::publish;
 use super::options::{self, Jobs, PoseOptions, open_scene};
 use super::playback::{PlayOptions, Playback, Printing};
+use super::simulate::FaultOptions;
 use super::{CommandError, Outcome, UsageError, complain, replay, talk};
 use crate::sink::{Account, Format};
 use crate::telemetry::BoardReport;
@@ -58,13 +58,9 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let folder = args.output.as_deref().map(Folder::create).transpose()?;
     let fineness = Fineness { samples: args.samples as usize, side: 0, behind: 0 };
     let mut progress = Progress::new("compare", (files.len() * fineness.poses()) as u64, Amount::Of("poses"));
-    let mut done = 0;
     let mut maps = Vec::new();
     for file in files {
-        let map = Map::of(file.clone().into(), fineness, || {
-            done += 1;
-            progress.at(done);
-        })?;
+        let map = Map::of(file.clone().into(), fineness, || progress.add(1))?;
         maps.push((file, map));
     }
     drop(progress);
@@ -72,17 +68,17 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     Ok(Outcome::Done)
 }
 
-const COLUMNS: [&str; 10] = [
-    "capture",
-    "ended",
-    "boards",
-    "scans",
-    "converged",
-    "degraded",
-    "ambiguous",
-    "unobservable",
-    "too_dark",
-    "diverged",
+/// A column of the table of captures, and what of each board is summed in it.
+type Count = (&'static str, fn(&BoardReport) -> u64);
+
+const COUNTS: [Count; 7] = [
+    ("scans", |board| board.scans),
+    ("converged", |board| board.outcomes.converged),
+    ("degraded", |board| board.outcomes.degraded),
+    ("ambiguous", |board| board.outcomes.ambiguous),
+    ("unobservable", |board| board.outcomes.unobservable),
+    ("too_dark", |board| board.outcomes.too_dark),
+    ("diverged", |board| board.outcomes.diverged),
 ];
 
 /// Several captures, each replayed on its own.
@@ -121,7 +117,8 @@ impl SideBySide {
         };
         faults.tell();
         let faults: &[Fault] = &faults.fault;
-        let mut table = TableWriter::new(Output::open(None)?, COLUMNS)?;
+        let columns = ["capture", "ended", "boards"].into_iter().chain(COUNTS.map(|(name, _)| name));
+        let mut table = TableWriter::new(Output::open(None)?, columns)?;
         let mut progress = Progress::new("replay", files.len() as u64, Amount::Of("captures"));
         let (mut waiting, mut ended, mut done) = (work.iter(), Outcome::Done, 0);
         in_order(
@@ -194,18 +191,9 @@ fn write(table: &mut TableWriter, name: &str, outcome: Outcome, account: &Accoun
         Outcome::DataLost => "data_lost",
         Outcome::Failed => "failed",
     });
-    let sum = |of: fn(&BoardReport) -> u64| account.boards.iter().map(of).sum::<u64>().to_string();
     table.text(&account.boards.len().to_string());
-    for count in [
-        sum(|board| board.scans),
-        sum(|board| board.outcomes.converged),
-        sum(|board| board.outcomes.degraded),
-        sum(|board| board.outcomes.ambiguous),
-        sum(|board| board.outcomes.unobservable),
-        sum(|board| board.outcomes.too_dark),
-        sum(|board| board.outcomes.diverged),
-    ] {
-        table.text(&count);
+    for (_, count) in COUNTS {
+        table.text(&account.boards.iter().map(count).sum::<u64>().to_string());
     }
     table.end_row()
 }

@@ -37,8 +37,7 @@ pub(super) fn completions(args: &CompletionsArgs) -> Result<Outcome, CommandErro
     clap_complete::generate(args.shell, &mut command(), "slitpose", &mut script);
     // The generators write text only.
     let script = with_files(args.shell, String::from_utf8_lossy(&script).into_owned());
-    Output::open(None)?.write_text(&script)?;
-    Ok(Outcome::Done)
+    options::print(&script)
 }
 
 /// The generators take a list of names for all there is. Here it stands beside files.
@@ -191,15 +190,16 @@ pub(super) fn in_help(command: Command) -> Command {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::commands::{command, model, options, solve};
+    use crate::commands::{command, options};
+    use slitpose_tracking::solving::MODEL_TOLERANCE;
 
     #[test]
     fn tolerances_are_those_in_use() {
         for (verb, tolerance) in [
             ("run", options::DEFAULT_TOLERANCE),
             ("simulate", options::DEFAULT_TOLERANCE),
-            ("solve", solve::DEFAULT_TOLERANCE),
-            ("model", model::DEFAULT_TOLERANCE),
+            ("solve", options::DEFAULT_TOLERANCE),
+            ("model", MODEL_TOLERANCE),
         ] {
             assert_eq!(default_of(verb, "tolerance").unwrap().parse(), Ok(tolerance), "{verb}");
         }

@@ -1,28 +1,31 @@
-//! What `run` and `replay` serve besides poses: the live page, the 6-DoF mouse, Zenoh.
+//! What `run` and `replay` do besides giving poses: the live page, the 6-DoF mouse, Zenoh; and recording.
 
-use std::path::PathBuf;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
+use std::time::{Duration, SystemTime};
 
-use slitpose_head::scene_file::Workspace;
-
-use super::options::parse_number;
-use super::record::RecordOptions;
+use super::options::{number, parse_duration};
 use super::{CommandError, talk};
-use crate::daemon::{Daemon, StreamPlan};
-use crate::live::{
-    Access, Control, DEFAULT_FOXGLOVE_ADDRESS, DEFAULT_LIVE_ADDRESS, FoxgloveAddress, FoxgloveServer, LiveAddress,
-    LiveBoard, LivePlan, LiveServer, Order, Refusal,
+use crate::bridges::{
+    Axes, Bridge, BridgeError, DEFAULT_FOXGLOVE_ADDRESS, DEFAULT_ROUTER, Feel, SpacenavInput, SpacenavServer,
+    foxglove_address, open_zenoh, serve_foxglove,
 };
-use crate::spacenav::{Axes, Feel, SpacenavInput, SpacenavServer};
-use crate::telemetry::{DaemonReport, RecorderState};
-use crate::zenoh::{DEFAULT_ROUTER, ZenohError, ZenohSession};
+use crate::daemon::{CapturePlan, Daemon, StreamPlan};
+use crate::http::Serving;
+use crate::live::{
+    Access, Control, DEFAULT_LIVE_ADDRESS, LiveBoard, LiveInput, LivePlan, LiveServer, Order, Refusal, live_address,
+};
+use crate::telemetry::{DaemonReport, RecorderState, report_schema};
+use slitpose_head::scene_file::Workspace;
+use slitpose_tracking::capture::{About, CaptureError, CaptureSeries, Existing, Limits};
 
 /// The page asked for.
 #[derive(clap::Args, Debug)]
 pub(super) struct LiveOptions {
     /// Show a live page: tool, cells, poses and health in a browser
-    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = DEFAULT_LIVE_ADDRESS)]
-    live: Option<LiveAddress>,
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = DEFAULT_LIVE_ADDRESS, value_parser = live_address)]
+    live: Option<SocketAddr>,
     #[command(flatten)]
     access: AccessOptions,
 }
@@ -50,22 +53,23 @@ pub(super) struct FoxgloveOptions {
         value_name = "ADDRESS",
         num_args = 0..=1,
         default_missing_value = DEFAULT_FOXGLOVE_ADDRESS,
+        value_parser = foxglove_address,
         hide = !cfg!(feature = "foxglove")
     )]
-    foxglove: Option<FoxgloveAddress>,
+    foxglove: Option<SocketAddr>,
 }
 
 impl FoxgloveOptions {
-    /// Serves Foxglove, if asked.
+    /// Serves Foxglove, if asked; returns where samples go, and the server.
     pub(super) fn start(
         &self,
         boards: Vec<LiveBoard>,
         report: impl Fn() -> DaemonReport + Send + 'static,
-    ) -> Result<Option<FoxgloveServer>, CommandError> {
+    ) -> Result<Option<(LiveInput, Serving)>, CommandError> {
         let Some(address) = self.foxglove else { return Ok(None) };
-        let server = FoxgloveServer::start(address, boards, report)?;
-        talk(format_args!("Foxglove connects to {}", server.url()));
-        Ok(Some(server))
+        let (url, input, serving) = serve_foxglove(address, boards, report)?;
+        talk(format_args!("Foxglove connects to {url}"));
+        Ok(Some((input, serving)))
     }
 }
 
@@ -74,7 +78,7 @@ impl LiveOptions {
     pub(super) fn access(&self) -> Result<Option<Access>, CommandError> {
         let address = match (self.live, self.access.open) {
             (Some(address), _) => address,
-            (None, true) => DEFAULT_LIVE_ADDRESS.parse()?,
+            (None, true) => live_address(DEFAULT_LIVE_ADDRESS)?,
             (None, false) => return Ok(None),
         };
         self.access.at(address).map(Some)
@@ -88,7 +92,7 @@ impl LiveOptions {
 
 impl AccessOptions {
     /// The rules of a page at `address`.
-    pub(super) fn at(&self, address: LiveAddress) -> Result<Access, CommandError> {
+    pub(super) fn at(&self, address: SocketAddr) -> Result<Access, CommandError> {
         Ok(Access::new(address, self.live_token.clone(), self.live_writes)?)
     }
 
@@ -149,10 +153,10 @@ pub(super) struct MouseOptions {
     #[arg(long, value_name = "PATH")]
     spacenav: Option<PathBuf>,
     /// Full deflections at the edge of the workspace
-    #[arg(long, value_name = "GAIN", default_value_t = 1.0, value_parser = parse_gain)]
+    #[arg(long, value_name = "GAIN", default_value_t = 1.0, value_parser = number(|gain| gain > 0.0 && gain <= 1e3, "give a number above 0, such as 1 or 2.5"))]
     spacenav_gain: f64,
     /// Share of the workspace around zero in which an axis gives nothing
-    #[arg(long, value_name = "SHARE", default_value_t = 0.05, value_parser = parse_share)]
+    #[arg(long, value_name = "SHARE", default_value_t = 0.05, value_parser = number(|share| (0.0..=0.9).contains(&share), "give a number from 0 to 0.9, such as 0.05"))]
     spacenav_dead_zone: f64,
     /// Axes of the base that point to the right, up, and into the screen
     #[arg(long, value_name = "AXES", default_value = "x,z,y", allow_hyphen_values = true)]
@@ -170,16 +174,14 @@ impl MouseOptions {
     }
 }
 
-fn parse_gain(text: &str) -> Result<f64, &'static str> {
-    parse_number(text, |gain| gain > 0.0 && gain <= 1e3, "give a number above 0, such as 1 or 2.5")
-}
-
-fn parse_share(text: &str) -> Result<f64, &'static str> {
-    parse_number(text, |share| (0.0..=0.9).contains(&share), "give a number from 0 to 0.9, such as 0.05")
-}
-
 /// Poses a second: what other programs of a robot take without effort.
 const POSES_HZ: f64 = 100.0;
+
+/// A rate of poses, per second; zero for every scan.
+fn poses_hz() -> impl Fn(&str) -> Result<f64, &'static str> + Clone + Send + Sync {
+    let hint = "give a number of poses a second, such as 25, or 0 for every scan";
+    number(|rate| rate >= 0.0 && rate.is_finite(), hint)
+}
 
 /// What is published, and where.
 #[derive(clap::Args, Debug)]
@@ -191,7 +193,7 @@ pub(super) struct ZenohOptions {
     #[arg(long, value_name = "ENDPOINT", default_value = DEFAULT_ROUTER, hide = !cfg!(feature = "zenoh"))]
     zenoh_router: String,
     /// Poses a second by Zenoh; 0 for every scan
-    #[arg(long, value_name = "HZ", value_parser = parse_rate, default_value_t = POSES_HZ, hide = !cfg!(feature = "zenoh"))]
+    #[arg(long, value_name = "HZ", value_parser = poses_hz(), default_value_t = POSES_HZ, hide = !cfg!(feature = "zenoh"))]
     zenoh_poses: f64,
 }
 
@@ -205,28 +207,117 @@ pub(super) fn key_of(device: &str) -> Option<&str> {
 
 impl ZenohOptions {
     /// The session, if one of the `devices` or the user needs it.
-    pub(super) fn open(&self, devices: &[String]) -> Result<Option<ZenohSession>, ZenohError> {
+    pub(super) fn open(&self, devices: &[String]) -> Result<Option<Box<dyn Bridge>>, BridgeError> {
         let is_needed = self.zenoh || devices.iter().any(|device| key_of(device).is_some());
-        is_needed.then(|| ZenohSession::open(&self.zenoh_router)).transpose()
+        is_needed.then(|| open_zenoh(&self.zenoh_router)).transpose()
     }
 
     /// What publishes the boards, if asked.
     pub(super) fn publisher(
         &self,
-        session: Option<&ZenohSession>,
+        session: Option<&dyn Bridge>,
         boards: impl FnOnce() -> Vec<LiveBoard>,
         report: impl Fn() -> DaemonReport + Send + 'static,
     ) -> Option<StreamPlan> {
         let session = session.filter(|_| self.zenoh)?;
         let pose_every_s = if self.zenoh_poses > 0.0 { self.zenoh_poses.recip() } else { 0.0 };
-        Some(session.publisher(boards(), pose_every_s, report, Arc::new(talk)))
+        Some(session.publisher(boards(), pose_every_s, Box::new(report), Arc::new(talk)))
     }
 }
 
-fn parse_rate(text: &str) -> Result<f64, &'static str> {
-    parse_number(
-        text,
-        |rate| rate >= 0.0 && rate.is_finite(),
-        "give a number of poses a second, such as 100, or 0 for every scan",
-    )
+// Recording.
+
+/// Poses a device second in a capture: enough to look at it; all others follow from its bytes.
+const RECORDED_HZ: f64 = 25.0;
+
+/// The recording asked for.
+#[derive(clap::Args, Clone, Debug)]
+pub(super) struct RecordOptions {
+    /// Record all that comes, as it comes, in this capture (MCAP), from which `replay` finds the
+    /// same poses again
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
+    /// Replace a capture that is there already, as soon as something has come to be recorded
+    #[arg(long)]
+    overwrite: bool,
+    /// Begin another file (FILE-0001, FILE-0002, …) when one is this long, such as 500MB or 2GiB
+    #[arg(long, value_name = "SIZE", value_parser = parse_size)]
+    record_size: Option<u64>,
+    /// Begin another file after this time, such as 1h
+    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
+    record_time: Option<f64>,
+    /// Poses a second in the capture, for those who look at it without replaying; 0 for every scan
+    #[arg(long, value_name = "HZ", value_parser = poses_hz(), default_value_t = RECORDED_HZ)]
+    record_poses: f64,
+}
+
+impl RecordOptions {
+    /// Begins the capture asked for. `later`: others may begin while the daemon runs.
+    pub(super) fn open(&self, later: bool) -> Result<Option<CapturePlan>, CaptureError> {
+        let existing = if self.overwrite { Existing::Replaced } else { Existing::Kept };
+        let series = self.record.as_ref().map(|path| self.create(path, existing)).transpose()?;
+        if series.is_none() && !later {
+            return Ok(None);
+        }
+        let poses_hz = if self.record_poses > 0.0 { self.record_poses } else { f64::INFINITY };
+        Ok(Some(CapturePlan { series, poses_hz, talk: Arc::new(talk) }))
+    }
+
+    /// Begins another capture, named by the time, beside the one asked for, else in the working directory.
+    pub(super) fn another(&self) -> Result<CaptureSeries, CaptureError> {
+        let now = humantime::format_rfc3339_seconds(SystemTime::now()).to_string().replace(':', "");
+        let path = self.record.clone().unwrap_or_default().with_file_name(format!("slitpose-{now}.mcap"));
+        self.create(&path, Existing::Kept)
+    }
+
+    fn create(&self, path: &Path, existing: Existing) -> Result<CaptureSeries, CaptureError> {
+        let limits = Limits {
+            max_bytes: self.record_size,
+            max_age: self.record_time.map(|time_s| Duration::try_from_secs_f64(time_s).unwrap_or(Duration::MAX)),
+        };
+        CaptureSeries::create(path, limits, existing, About { report_schema: report_schema() })
+    }
+}
+
+/// Units of a size, the longest first.
+const UNITS: [(&str, f64); 7] =
+    [("KiB", 1024.0), ("MiB", 1048576.0), ("GiB", 1073741824.0), ("kB", 1e3), ("MB", 1e6), ("GB", 1e9), ("B", 1.0)];
+
+/// No capture is shorter than its beginning.
+const MIN_BYTES: f64 = 1e5;
+
+fn parse_size(text: &str) -> Result<u64, &'static str> {
+    let text = text.trim();
+    let (number, unit) =
+        UNITS.iter().find_map(|(name, bytes)| Some((text.strip_suffix(name)?, *bytes))).unwrap_or((text, 1.0));
+    match number.trim().parse::<f64>() {
+        // Beyond what a disk holds it saturates.
+        Ok(number) if number.is_finite() && number * unit >= MIN_BYTES => Ok((number * unit) as u64),
+        _ => Err("give a size of 100kB at least, such as 500MB or 2GiB"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_and_rates_are_read_or_refused() {
+        for (text, bytes) in [
+            ("500MB", 500_000_000),
+            ("2GiB", 2 << 30),
+            ("123456", 123_456),
+            ("0.5 GB", 500_000_000),
+            ("200kB", 200_000),
+        ] {
+            assert_eq!(parse_size(text), Ok(bytes), "{text}");
+        }
+        for text in ["", "1", "-5MB", "many", "nanGB", "99kB", "5 MBit"] {
+            assert!(parse_size(text).is_err(), "{text}");
+        }
+        assert_eq!((poses_hz()("0"), poses_hz()("12.5")), (Ok(0.0), Ok(12.5)));
+        for text in ["", "-1", "inf", "often"] {
+            assert!(poses_hz()(text).is_err(), "{text}");
+        }
+    }
 }

@@ -3,28 +3,21 @@
 //! A verb has its arguments (`Args`) and a function (`run`), which returns how it ended. To add one, add both, its line
 //! in `Verb` and its line in `run`.
 
-mod bench;
 mod calibrate;
 mod compare;
 mod completions;
 mod config;
 mod device;
 mod doctor;
-mod faults;
-mod identify;
 mod live;
-mod model;
 mod options;
 mod playback;
-mod player;
-mod record;
 mod replay;
 mod report;
 mod run;
 mod scene;
 mod simulate;
 mod solve;
-mod status;
 
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -41,7 +34,7 @@ use options::{interrupt, talk};
 use slitpose_head::causes::with_causes;
 use slitpose_head::faults::FaultError;
 use slitpose_head::foreign::printable;
-use slitpose_head::table::{Output, OutputError, TableError};
+use slitpose_head::table::{OutputError, TableError};
 use slitpose_tracking::playback::PlaybackError;
 
 /// Six slits, six light spots, one pose: tools for a contactless 6-DoF tracker.
@@ -62,15 +55,15 @@ enum Verb {
     Replay(replay::ReplayArgs),
     Export(replay::ExportArgs),
     Device(device::Args),
-    Status(status::Args),
+    Status(doctor::StatusArgs),
     Doctor(doctor::Args),
     Simulate(simulate::Args),
-    Faults(faults::Args),
-    Model(model::Args),
+    Faults(simulate::FaultsArgs),
+    Model(solve::ModelArgs),
     Solve(solve::Args),
-    Identify(identify::Args),
+    Identify(calibrate::IdentifyArgs),
     Calibrate(calibrate::Args),
-    Bench(bench::Args),
+    Bench(report::BenchArgs),
     Paper(report::PaperArgs),
     Report(report::ReportArgs),
     Scene(scene::Args),
@@ -215,22 +208,20 @@ fn run(arguments: &[OsString]) -> Result<Outcome, CommandError> {
         complain(format_args!("{error}"));
     });
     match cli.verb {
-        Verb::Run(args) if args.print_config => {
-            Ok(Output::open(None)?.write_text(&config::print(&configured, &matches)).map(|()| Outcome::Done)?)
-        }
+        Verb::Run(args) if args.print_config => options::print(&config::print(&configured, &matches)),
         Verb::Run(args) => run::run(&args),
         Verb::Replay(args) => replay::replay(&args),
         Verb::Export(args) => replay::export(&args),
         Verb::Device(args) => device::run(&args),
-        Verb::Status(args) => status::run(&args),
+        Verb::Status(args) => doctor::status(&args),
         Verb::Doctor(args) => doctor::run(&args),
         Verb::Simulate(args) => simulate::run(&args),
-        Verb::Faults(args) => faults::run(&args),
-        Verb::Model(args) => model::run(&args),
+        Verb::Faults(args) => simulate::faults(&args),
+        Verb::Model(args) => solve::model(&args),
         Verb::Solve(args) => solve::run(&args),
-        Verb::Identify(args) => identify::run(&args),
+        Verb::Identify(args) => calibrate::identify(&args),
         Verb::Calibrate(args) => calibrate::run(&args),
-        Verb::Bench(args) => bench::run(&args),
+        Verb::Bench(args) => report::bench(&args),
         Verb::Paper(args) => report::paper(&args),
         Verb::Report(args) => report::report(&args),
         Verb::Compare(args) => compare::run(&args),

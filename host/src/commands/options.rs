@@ -135,13 +135,12 @@ pub(super) fn open_scene(argument: &str) -> Result<SceneFile, CommandError> {
     Ok(file)
 }
 
-/// A number that `is_possible`, else `hint`.
-pub(super) fn parse_number(
-    text: &str,
-    is_possible: impl Fn(f64) -> bool,
+/// Reads a number that `is_possible`, else gives `hint`.
+pub(super) fn number(
+    is_possible: fn(f64) -> bool,
     hint: &'static str,
-) -> Result<f64, &'static str> {
-    text.parse().ok().filter(|&number| is_possible(number)).ok_or(hint)
+) -> impl Fn(&str) -> Result<f64, &'static str> + Clone + Send + Sync {
+    move |text| text.parse().ok().filter(|&number| is_possible(number)).ok_or(hint)
 }
 
 /// A pose as the command line gives it: millimetres, then a rotation vector in degrees.
@@ -201,7 +200,7 @@ pub(super) struct TierOptions {
     #[arg(long, value_enum)]
     tier: Option<TierName>,
     /// Relative error of the exact tier's integrals; given alone it means the exact tier
-    #[arg(long, value_name = "T", value_parser = parse_tolerance)]
+    #[arg(long, value_name = "T", value_parser = tolerance())]
     tolerance: Option<f64>,
 }
 
@@ -228,9 +227,8 @@ impl TierOptions {
     }
 }
 
-fn parse_tolerance(text: &str) -> Result<f64, &'static str> {
-    let tolerance = text.parse().ok().filter(|&tolerance| is_tolerance(tolerance));
-    tolerance.ok_or("give a number between 0 and 1, such as 1e-10")
+fn tolerance() -> impl Fn(&str) -> Result<f64, &'static str> + Clone + Send + Sync {
+    number(is_tolerance, "give a number between 0 and 1, such as 1e-10")
 }
 
 /// A duration such as `10s`, `500ms` or `2m`.
@@ -356,6 +354,12 @@ pub(super) fn tell(name: &str, counts: &Counts, wanted: bool) -> Outcome {
     }
 }
 
+/// Prints the result of a verb.
+pub(super) fn print(text: &str) -> Result<Outcome, CommandError> {
+    Output::open(None)?.write_text(text)?;
+    Ok(Outcome::Done)
+}
+
 /// Writes `report` to `folder`; without one, prints it in short.
 pub(super) fn publish(report: &Report, folder: Option<&Folder>) -> Result<(), CommandError> {
     match folder {
@@ -409,9 +413,9 @@ mod tests {
 
     #[test]
     fn a_tolerance_lies_between_zero_and_one() {
-        assert_eq!(parse_tolerance("1e-6"), Ok(1e-6));
+        assert_eq!(tolerance()("1e-6"), Ok(1e-6));
         for text in ["0", "1", "-1e-3", "nan", "tight"] {
-            assert!(parse_tolerance(text).is_err(), "`{text}` was taken for a tolerance");
+            assert!(tolerance()(text).is_err(), "`{text}` was taken for a tolerance");
         }
     }
 }

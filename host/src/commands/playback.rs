@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use super::options::{CalibrationOption, PoseOptions, parse_duration};
-use super::player::Player;
+use super::replay::Player;
 use super::{CommandError, Outcome, interrupt, options, talk};
 use crate::comparison::Comparison;
 use crate::live::Sampler;
@@ -157,7 +157,7 @@ impl<'a> Playback<'a> {
                 captures.step(|event| output.hear(event))?
             };
             if next {
-                self.output.flush(&self.captures)?;
+                self.output.print(|sink, statistics| sink.tick(&|| account(&self.captures, statistics)))?;
                 self.show();
             } else if self.player.is_none() || self.is_stopped() {
                 break;
@@ -171,7 +171,7 @@ impl<'a> Playback<'a> {
         }
         let Self { mut captures, progress, mut output, player, .. } = self;
         drop(progress);
-        output.finish(&captures)?;
+        output.print(|sink, statistics| sink.finish(&|| account(&captures, statistics)))?;
         let ended = captures.end(|event| output.hear(event));
         let matched = output.comparison.as_mut().map_or(Ok(()), |comparison| {
             comparison.lines().iter().chain(&comparison.suspicion()).for_each(|line| talk(format_args!("{line}")));
@@ -307,45 +307,28 @@ impl Outputs<'_> {
     }
 
     fn write(&mut self, device: Option<DeviceId>, item: &Item<'_>) -> Result<(), CommandError> {
-        let note = match item {
-            Item::Pose(record) => {
-                if let Some(comparison) = &mut self.comparison {
-                    comparison.add(record)?;
-                }
-                let Some(sink) = &mut self.sink else { return Ok(()) };
-                return sink.pose(record).map_err(|source| printing(self.target, source));
+        if let Item::Oddity { oddity, .. } = item {
+            self.say(&oddity);
+        }
+        if let Item::Pose(record) = item {
+            if let Some(comparison) = &mut self.comparison {
+                comparison.add(record)?;
             }
-            Item::Hello(hello) => Note::hello(hello),
-            Item::Event { severity, device_time_s, text } => {
-                Note::Event { device, severity: *severity, device_time_s: *device_time_s, text: (*text).to_owned() }
-            }
-            Item::Oddity { device_time_s, oddity } => {
-                self.say(&oddity);
-                let (severity, text) = (slitpose_protocol::Severity::Warning, oddity.to_string());
-                Note::Event { device, severity, device_time_s: *device_time_s, text }
-            }
-            // What a board was asked is history.
-            Item::Scan(_) | Item::Status(_) | Item::Reply(_) => return Ok(()),
-        };
-        let Some(sink) = &mut self.sink else { return Ok(()) };
-        sink.note(&note).map_err(|source| printing(self.target, source))
+            return self.print(|sink, _| sink.pose(record));
+        }
+        let note = Note::of(device, item);
+        note.map_or(Ok(()), |note| self.print(|sink, _| sink.note(&note)))
     }
 
-    fn flush(&mut self, captures: &playback::Playback) -> Result<(), CommandError> {
-        let account = || account(captures, &self.statistics);
+    /// Prints to the sink, if there is one.
+    fn print(
+        &mut self,
+        print: impl FnOnce(&mut (dyn Sink + Send), &[RefCell<BoardStatistics>]) -> std::io::Result<()>,
+    ) -> Result<(), CommandError> {
         let Some(sink) = &mut self.sink else { return Ok(()) };
-        sink.tick(&account).map_err(|source| printing(self.target, source))
+        let target = || self.target.to_owned();
+        Ok(print(&mut **sink, &self.statistics).map_err(|source| OutputError::Write { target: target(), source })?)
     }
-
-    fn finish(&mut self, captures: &playback::Playback) -> Result<(), CommandError> {
-        let account = || account(captures, &self.statistics);
-        let Some(sink) = &mut self.sink else { return Ok(()) };
-        sink.finish(&account).map_err(|source| printing(self.target, source))
-    }
-}
-
-fn printing(target: &str, source: std::io::Error) -> CommandError {
-    OutputError::Write { target: target.to_owned(), source }.into()
 }
 
 /// How all of them did; nothing is recorded.

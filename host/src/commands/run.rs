@@ -11,20 +11,20 @@ use clap::ValueEnum;
 use slitpose_calibration::{Basis, Head};
 use slitpose_protocol::{Hello, Stream};
 
+use super::live::RecordOptions;
 use super::live::{Changes, FoxgloveOptions, LiveOptions, MouseOptions, ZenohOptions, key_of};
 use super::options::{PoseOptions, open_scene, parse_duration};
-use super::record::RecordOptions;
 use super::simulate::ToolOptions;
 use super::{CommandError, Outcome, UsageError, interrupt, options, talk};
+use crate::address::Address;
+use crate::bridges::{Bridge, SpacenavServer};
 use crate::daemon::{Admit, BoardPlan, Daemon, Ended, Opener, Plan, PortOpener, SimulatedOpener};
-use crate::datagram::{Address, DatagramServer};
+use crate::datagram::{self, DatagramServer};
 use crate::device::{Search, Selector};
 use crate::http::BindScope;
 use crate::live::{Access, LiveBoard, LivePlan, SampleSink};
 use crate::service::{self, Service};
-use crate::spacenav::SpacenavServer;
-use crate::telemetry::{DaemonReport, RecorderReport, RecorderState, StatusAddress, StatusServer};
-use crate::zenoh::ZenohSession;
+use crate::telemetry::{DaemonReport, RecorderReport, RecorderState, StatusServer, status_address};
 use slitpose_head::front_end;
 use slitpose_head::pace::Speed;
 use slitpose_head::scene_file::SceneFile;
@@ -79,11 +79,11 @@ pub(super) struct Args {
     #[command(flatten)]
     record: RecordOptions,
     /// Send poses as datagrams: unix:PATH, or udp:127.0.0.1:PORT
-    #[arg(long, value_name = "ADDRESS", value_delimiter = ',')]
+    #[arg(long, value_name = "ADDRESS", value_delimiter = ',', value_parser = datagram::address)]
     publish: Vec<Address>,
     /// Serve the state as text, as JSON and for Prometheus at 127.0.0.1:PORT, or unix:PATH
-    #[arg(long, value_name = "ADDRESS")]
-    status: Option<StatusAddress>,
+    #[arg(long, value_name = "ADDRESS", value_parser = status_address)]
+    status: Option<Address>,
     #[command(flatten)]
     live: LiveOptions,
     #[command(flatten)]
@@ -153,7 +153,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         return Err(UsageError::OnlyHere { option }.into());
     }
     let zenoh = args.zenoh.open(&args.device)?;
-    let boards = args.boards(zenoh.as_ref())?;
+    let boards = args.boards(zenoh.as_deref())?;
     args.tool.faults.tell();
     let stop = interrupt()?;
     let datagrams = if args.publish.is_empty() { None } else { Some(DatagramServer::bind(&args.publish)?) };
@@ -211,9 +211,9 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let capture = args.record.open(is_recorded_later)?;
     let mut takers: Vec<Arc<dyn SampleSink>> = Vec::new();
     takers.extend(live.iter().map(|live| Arc::new(live.input()) as Arc<dyn SampleSink>));
-    takers.extend(foxglove.iter().map(|foxglove| Arc::new(foxglove.input()) as Arc<dyn SampleSink>));
+    takers.extend(foxglove.iter().map(|(input, _)| Arc::new(input.clone()) as Arc<dyn SampleSink>));
     takers.extend(mouse.iter().map(|mouse| Arc::new(mouse.input()) as Arc<dyn SampleSink>));
-    let streams = args.zenoh.publisher(zenoh.as_ref(), shown, reports()).into_iter().collect();
+    let streams = args.zenoh.publisher(zenoh.as_deref(), shown, reports()).into_iter().collect();
     let plan = Plan { boards, sink, capture, datagrams, streams, takers, real_time: args.real_time };
     let daemon = Arc::new(Daemon::start(plan, Arc::clone(&stop))?);
     let daemon = followed.get_or_init(|| daemon);
@@ -307,7 +307,7 @@ fn outcome_of(ended: Ended, reconnects: &[u64], interrupted: bool, bounded: bool
 }
 
 impl Args {
-    fn boards(&self, zenoh: Option<&ZenohSession>) -> Result<Vec<BoardPlan>, CommandError> {
+    fn boards(&self, zenoh: Option<&dyn Bridge>) -> Result<Vec<BoardPlan>, CommandError> {
         let scenes = self.scene.iter().map(|scene| open_scene(scene)).collect::<Result<Vec<_>, _>>()?;
         if scenes.len() != 1 && scenes.len() != self.device.len() {
             return Err(UsageError::Scenes { scenes: scenes.len(), devices: self.device.len() }.into());
@@ -327,7 +327,7 @@ impl Args {
         device: &str,
         file: &SceneFile,
         search: &[Search],
-        zenoh: Option<&ZenohSession>,
+        zenoh: Option<&dyn Bridge>,
     ) -> Result<BoardPlan, CommandError> {
         let tier = self.poses.tier();
         let configuration = front_end::configuration(file)?;

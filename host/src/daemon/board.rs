@@ -14,16 +14,16 @@ use slitpose_protocol::{Configuration, Rejection, Stream};
 use thiserror::Error;
 
 use super::backlog::Backlog;
-use super::buffer_pool::{Producer, buffer_pool};
 use super::handoff::handoff;
+use super::handoff::{Producer, buffer_pool};
 use super::link::Link;
-use super::opener::{Admit, Opener};
+use super::link::ScanWatch;
 use super::outputs::{Outbox, Outputs};
 use super::reader::Reader;
-use super::scan_watch::ScanWatch;
+use super::reader::{Admit, Opener};
 use super::solver::{Solver, State};
 use super::tap::{Overflow, Tap, TapEnds};
-use super::{Talk, spawn, streamer};
+use super::{Talk, spawn, tap};
 use crate::datagram::DatagramServer;
 use crate::device::DeviceError;
 use crate::live::{SampleSink, Sampler};
@@ -144,14 +144,14 @@ impl BoardThreads {
         };
         let (talk_slot, priority) = (Arc::clone(slot), shared.real_time);
         let solve = move || {
-            if let Some(remedy) = priority.and_then(|priority| streamer::claim(priority).err()) {
+            if let Some(remedy) = priority.and_then(|priority| tap::claim(priority).err()) {
                 talk_slot.link.say(format_args!("{remedy}"));
             }
             Solver::run(&solver_end)
         };
         let read = move || {
             // The solving thread reports a refusal.
-            let _ = priority.map(streamer::claim);
+            let _ = priority.map(tap::claim);
             reader.run()
         };
         let solver = spawn(format!("solve {number}"), solve)?;
@@ -204,10 +204,7 @@ pub(crate) enum BoardError {
 impl BoardError {
     /// Whether the error may pass once the user plugs the board in and switches it on.
     pub(super) fn is_passing(&self) -> bool {
-        match self {
-            Self::Device(error) => error.is_passing(),
-            Self::Pipeline(_) | Self::Head(_) | Self::Refused(_) | Self::Twice { .. } | Self::Thread(_) => false,
-        }
+        matches!(self, Self::Device(error) if error.is_passing())
     }
 
     /// Time since the last usable scan when the error was noticed, seconds.

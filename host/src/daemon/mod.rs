@@ -10,7 +10,7 @@
 //! ```
 //!
 //! Each board has two threads; all boards share recorder, printer and streamers, with one thread each. Threads pass
-//! buffers of fixed pools to each other (see `buffer_pool`), so that nothing is allocated per scan and no queue
+//! buffers of fixed pools to each other (see `handoff`), so that nothing is allocated per scan and no queue
 //! grows. Segments are decoded at once: on the reading thread while that is quick, else on the solving thread (see
 //! `handoff`). If the solver is too slow, or the printer does not accept poses, scans wait, or are skipped where no
 //! output needs each of them; control loops get the newest in any case (see `backlog`). If a minute of scans waits,
@@ -19,17 +19,13 @@
 
 mod backlog;
 mod board;
-mod buffer_pool;
 mod handoff;
 mod link;
-mod opener;
 mod outputs;
 mod reader;
 mod recorder;
-mod scan_watch;
 mod sleeper;
 mod solver;
-mod streamer;
 mod tap;
 
 use std::io;
@@ -40,12 +36,12 @@ use std::thread::{self, JoinHandle};
 pub(crate) use board::{BoardError, BoardPlan};
 pub(crate) use link::Talk;
 #[cfg(feature = "zenoh")]
-pub(crate) use opener::Feed;
-pub(crate) use opener::{Admit, Opener, PortOpener, SimulatedOpener};
+pub(crate) use reader::Feed;
+pub(crate) use reader::{Admit, Opener, PortOpener, SimulatedOpener};
 pub(crate) use recorder::CapturePlan;
 #[cfg(feature = "zenoh")]
-pub(crate) use streamer::ChunkSink;
-pub(crate) use streamer::StreamPlan;
+pub(crate) use tap::ChunkSink;
+pub(crate) use tap::StreamPlan;
 #[cfg(feature = "zenoh")]
 pub(crate) use tap::TapChunk;
 
@@ -54,14 +50,14 @@ use crate::live::SampleSink;
 use crate::sink::{Account, Sink};
 use crate::telemetry::{BoardReport, DaemonReport, LinkState, RecorderReport};
 use board::{BoardSlot, BoardThreads, Claims};
-use buffer_pool::buffer_pool;
+use handoff::buffer_pool;
 use outputs::{OUTBOX_POSES, Outbox, PrinterThread};
 use recorder::RecorderThread;
 use slitpose_head::threads::lock;
 use slitpose_tracking::capture::CaptureSeries;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::pipeline::Counts;
-use streamer::StreamerThread;
+use tap::StreamerThread;
 
 /// Most outboxes on their way to the printer: half a second of one board at 4 kHz.
 const OUTBOXES: usize = 128;

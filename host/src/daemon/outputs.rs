@@ -12,7 +12,7 @@ use slitpose_model::Photocurrents;
 use slitpose_protocol::{Rejection, Reply, Severity};
 
 use super::board::BoardError;
-use super::buffer_pool::{Consumer, Empty, Producer};
+use super::handoff::{Consumer, Empty, Producer};
 use super::spawn;
 use super::tap::Tap;
 use crate::datagram::{DatagramServer, Publisher};
@@ -125,22 +125,18 @@ impl Outputs {
                 for tap in self.taps() {
                     tap.hello(hello);
                 }
-                self.note(|| Note::hello(hello));
             }
-            Item::Event { severity, device_time_s, text } => {
-                if *severity != Severity::Info {
-                    self.complaint = Some((*text).to_owned());
-                }
-                let (device, severity, device_time_s) = (self.device, *severity, *device_time_s);
-                self.note(|| Note::Event { device, severity, device_time_s, text: (*text).to_owned() });
-            }
-            Item::Oddity { device_time_s, oddity } => {
-                let (device, device_time_s, severity) = (self.device, *device_time_s, Severity::Warning);
-                self.note(|| Note::Event { device, severity, device_time_s, text: oddity.to_string() });
+            Item::Event { severity, text, .. } if *severity != Severity::Info => {
+                self.complaint = Some((*text).to_owned());
             }
             // Reported after the whole segment is processed, so that its scans are not lost.
             Item::Reply(Reply { outcome: Err(rejection), .. }) => self.refused = Some(*rejection),
-            Item::Reply(_) | Item::Status(_) | Item::Pose(_) => {}
+            _ => {}
+        }
+        if self.printer.is_some()
+            && let Some(note) = Note::of(self.device, item)
+        {
+            self.notes.push_back((self.arrived, note));
         }
         self.statistics.update(item, read_at, None);
     }
@@ -228,12 +224,6 @@ impl Outputs {
     /// Skips `count` scans that are not solved.
     pub(super) fn skip(&mut self, count: usize) {
         self.taken += count as u64;
-    }
-
-    fn note(&mut self, note: impl FnOnce() -> Note) {
-        if self.printer.is_some() {
-            self.notes.push_back((self.arrived, note()));
-        }
     }
 
     fn print_notes(&mut self) {

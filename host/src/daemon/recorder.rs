@@ -9,7 +9,7 @@ use crossbeam_channel::{Receiver, Sender, bounded, unbounded};
 use slitpose_calibration::Head;
 
 use super::board::{BoardError, BoardPlan};
-use super::buffer_pool::{Consumer, Empty, buffer_pool};
+use super::handoff::{Consumer, Empty, buffer_pool};
 use super::tap::{TapChunk, TapEnds};
 use super::{Talk, spawn};
 use crate::telemetry::{DaemonReport, RecorderReport, RecorderState};

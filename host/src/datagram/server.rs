@@ -1,27 +1,29 @@
-//! The server: it receives requests, sends answers, and passes followers to the publishers.
+//! The server receives requests, sends answers, and passes followers to the publishers, which send poses on the thread that
+//! solves.
 
 use std::os::fd::AsFd;
 use std::os::unix::net::UnixStream;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, Weak};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use crossbeam_channel::Sender;
+use crossbeam_channel::{Receiver, Sender};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::publisher::{Counters, Publisher, Shared};
 use super::slot::Slot;
-use super::socket::{Delivery, Peer, Socket, SocketFile};
+use super::socket::{Delivery, Peer, Socket};
 use super::subscription::{
     Admission, Cookies, Lease, Leases, MAX_FOLLOWERS, MAX_NEWS, SlowClient, Subscription, Worth,
 };
-use super::{Address, Answer, DatagramError, Mode, Request};
+use super::{Address, Answer, Mode, PoseDatagram, Request};
+use crate::address::{ServeError, SocketFile};
 use slitpose_head::threads::lock;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::DeviceId;
+use slitpose_tracking::pipeline::Record;
 
 /// Duration of a lease after each request. Clients send one each second.
 pub(super) const LEASE: Duration = Duration::from_secs(3);
@@ -80,7 +82,7 @@ impl DatagramServer {
     ///
     /// # Errors
     /// If one of them cannot be bound, or the thread cannot be started.
-    pub fn bind(addresses: &[Address]) -> Result<Self, DatagramError> {
+    pub fn bind(addresses: &[Address]) -> Result<Self, ServeError> {
         let (mut sockets, mut bound, mut files) = (Vec::new(), Vec::new(), Vec::new());
         for address in addresses {
             let (socket, file) = Socket::bind(address)?;
@@ -90,14 +92,15 @@ impl DatagramServer {
         }
         let shared = Arc::new(Shared { sockets, counters: Counters::default() });
         let directory = Arc::new(Mutex::new(Directory::default()));
-        let (end, ended) = UnixStream::pair().map_err(DatagramError::Thread)?;
+        let failed = |source| ServeError::Thread { source };
+        let (end, ended) = UnixStream::pair().map_err(failed)?;
         let thread = std::thread::Builder::new()
             .name("datagrams".to_owned())
             .spawn({
                 let (shared, directory) = (Arc::clone(&shared), Arc::clone(&directory));
                 move || serve(&shared, &directory, &ended)
             })
-            .map_err(DatagramError::Thread)?;
+            .map_err(failed)?;
         Ok(Self { shared, directory, addresses: bound, end: Some(end), thread: Some(thread), _files: files })
     }
 
@@ -240,4 +243,106 @@ impl Directory {
             }
         }
     }
+}
+
+// The sending side, on the thread that solves.
+
+/// Sends the poses of one board. Never waits, takes no lock, allocates nothing.
+#[derive(Debug)]
+pub struct Publisher {
+    shared: Arc<Shared>,
+    slot: Arc<Slot>,
+    subscriptions: Receiver<Subscription>,
+    followers: Vec<Subscription>,
+    number: u64,
+    missed: u64,
+    is_behind: bool,
+}
+
+impl Publisher {
+    pub(super) fn new(shared: Arc<Shared>, slot: Arc<Slot>, subscriptions: Receiver<Subscription>) -> Self {
+        Self {
+            shared,
+            slot,
+            subscriptions,
+            followers: Vec::with_capacity(MAX_FOLLOWERS),
+            number: 0,
+            missed: 0,
+            is_behind: false,
+        }
+    }
+
+    /// Number of datagrams that followers have missed because they did not read in time.
+    pub fn missed(&self) -> u64 {
+        self.missed
+    }
+
+    /// Sets whether the next poses are marked as those of a solver that is behind.
+    pub(crate) fn set_behind(&mut self, is_behind: bool) {
+        self.is_behind = is_behind;
+    }
+
+    /// Sends a pose to all followers, and stores it for clients that request the newest.
+    pub fn publish(&mut self, record: &Record, now: HostInstant) {
+        self.number += 1;
+        let mut datagram = PoseDatagram::new(record, self.number, now);
+        if self.is_behind {
+            datagram.mark_behind();
+        }
+        self.slot.store(&datagram);
+        for subscription in self.subscriptions.try_iter().take(MAX_NEWS) {
+            admit(&mut self.followers, subscription, &self.shared.counters);
+        }
+        self.followers.retain(|follower| now.monotonic_ns <= follower.until_ns);
+        let Shared { sockets, counters } = &*self.shared;
+        let missed_by_all = &mut self.missed;
+        self.followers.retain(|Subscription { socket, peer, misses, .. }| {
+            datagram.set_missed(misses.count());
+            match sockets[*socket].send(datagram.as_bytes(), peer) {
+                Delivery::Sent => Counters::count(&counters.sent),
+                Delivery::Full => {
+                    misses.add(now.monotonic_ns);
+                    *missed_by_all += 1;
+                    Counters::count(&counters.missed);
+                }
+                Delivery::Gone => return false,
+            }
+            true
+        });
+    }
+}
+
+/// Adds a client, or renews the lease of a known one.
+fn admit(followers: &mut Vec<Subscription>, new: Subscription, counters: &Counters) {
+    if new.until_ns == 0 {
+        followers.retain(|known| !known.is_of(&new));
+    } else if let Some(known) = followers.iter_mut().find(|known| known.is_of(&new)) {
+        known.until_ns = new.until_ns;
+    } else if followers.len() < MAX_FOLLOWERS {
+        followers.push(new);
+    } else {
+        Counters::count(&counters.refused);
+    }
+}
+
+#[derive(Debug, Default)]
+pub(super) struct Counters {
+    pub(super) requests: AtomicU64,
+    pub(super) places_refused: AtomicU64,
+    pub(super) unproven: AtomicU64,
+    pub(super) refused: AtomicU64,
+    pub(super) sent: AtomicU64,
+    pub(super) missed: AtomicU64,
+}
+
+impl Counters {
+    pub(super) fn count(counter: &AtomicU64) {
+        counter.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+#[derive(Debug)]
+pub(super) struct Shared {
+    pub(super) sockets: Vec<Socket>,
+    pub(super) counters: Counters,
 }

@@ -1,25 +1,18 @@
 //! Non-blocking sockets of both kinds.
 
-use std::fs::{self, File, Permissions};
-use std::io::{self, ErrorKind};
+use std::io::{self, ErrorKind, IoSlice, IoSliceMut};
+use std::mem::MaybeUninit;
 use std::net::{SocketAddr, UdpSocket};
-#[cfg(target_os = "linux")]
-use std::os::fd::OwnedFd;
-use std::os::fd::{AsFd, AsRawFd, BorrowedFd};
-#[cfg(target_os = "linux")]
-use std::os::unix::fs::OpenOptionsExt;
-use std::os::unix::fs::{FileTypeExt, MetadataExt, PermissionsExt};
-use std::os::unix::net::{self, UnixDatagram};
-use std::path::{Path, PathBuf};
+use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd};
+use std::os::unix::net::UnixDatagram;
+use std::path::Path;
 use std::sync::Arc;
 
-#[cfg(target_os = "linux")]
-use nix::fcntl::OFlag;
-use nix::sys::socket::{MsgFlags, send};
-#[cfg(target_os = "linux")]
-use nix::sys::socket::{setsockopt, sockopt::PassCred};
+use nix::sys::socket::{ControlMessage, MsgFlags, SockType, UnixAddr, getsockopt, send, sendmsg, sockopt};
+use rustix::net::{RecvAncillaryBuffer, RecvAncillaryMessage, RecvFlags, recvmsg};
 
-use super::{Address, AddressError, DatagramError};
+use super::{Address, Request, require_loopback};
+use crate::address::{ServeError, SocketFile};
 
 #[derive(Debug)]
 pub(super) enum Socket {
@@ -31,7 +24,6 @@ pub(super) enum Socket {
 #[derive(Clone, Debug)]
 pub(super) enum Peer {
     Passed(Arc<PassedSocket>),
-    Unix(Arc<UnixPeer>),
     Udp(SocketAddr),
 }
 
@@ -46,36 +38,23 @@ pub(super) struct PassedSocket {
     user: Option<u32>,
 }
 
-#[cfg(target_os = "linux")]
 impl PassedSocket {
     /// `None` if `passed` is no end of a pair: datagrams could reach a socket that is not the client's.
     fn new(passed: OwnedFd) -> Option<Self> {
-        use nix::sys::socket::{SockType, getsockopt, sockopt};
-
+        #[cfg(target_os = "linux")]
         let credentials = getsockopt(&passed, sockopt::PeerCredentials).ok()?;
+        #[cfg(target_os = "linux")]
+        let (process, user) = (Some(credentials.pid()), Some(credentials.uid()));
+        #[cfg(not(target_os = "linux"))]
+        let (process, user) = (None, None);
         let kind = getsockopt(&passed, sockopt::SockType).ok()?;
         let found = nix::sys::stat::fstat(&passed).ok()?;
         let socket = UnixDatagram::from(passed);
         let is_pair = kind == SockType::Datagram && socket.peer_addr().is_ok_and(|peer| peer.is_unnamed());
-        is_pair.then(|| Self {
-            socket,
-            identity: (found.st_dev, found.st_ino),
-            // Zero for a process that this one cannot see.
-            process: Some(credentials.pid()).filter(|&process| process > 0),
-            user: Some(credentials.uid()),
-        })
+        // Zero for a process that this one cannot see.
+        let process = process.filter(|&process: &i32| process > 0);
+        is_pair.then(|| Self { socket, identity: (found.st_dev, found.st_ino), process, user })
     }
-}
-
-/// A client on a Unix socket that passed none of its own. All of these share the send buffer of the daemon's socket:
-/// one that does not read can fill it for the others.
-#[derive(Debug)]
-pub(super) struct UnixPeer {
-    name: net::SocketAddr,
-    address: net::SocketAddr,
-    /// The file of its socket, if its name is one.
-    file: Option<PinnedSocket>,
-    user: Option<u32>,
 }
 
 /// A party in the sharing of places.
@@ -92,14 +71,13 @@ impl Peer {
     pub(super) fn process(&self) -> Option<i32> {
         match self {
             Self::Passed(peer) => peer.process,
-            Self::Unix(_) | Self::Udp(_) => None,
+            Self::Udp(_) => None,
         }
     }
 
     pub(super) fn party(&self) -> Party {
         match self {
             Self::Passed(peer) => Party::User(peer.user),
-            Self::Unix(peer) => Party::User(peer.user),
             Self::Udp(_) => Party::Udp,
         }
     }
@@ -109,151 +87,74 @@ impl PartialEq for Peer {
     fn eq(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Passed(a), Self::Passed(b)) => a.identity == b.identity,
-            (Self::Unix(a), Self::Unix(b)) => {
-                a.name.as_pathname() == b.name.as_pathname()
-                    && abstract_name(&a.name) == abstract_name(&b.name)
-                    && a.file.as_ref().map(|file| file.identity) == b.file.as_ref().map(|file| file.identity)
-            }
             (Self::Udp(a), Self::Udp(b)) => a == b,
             _ => false,
         }
     }
 }
 
-impl UnixPeer {
-    /// The client called `name` of `user`; `None` if it cannot be answered: it has no name, or the name does not lead
-    /// to its own socket.
-    fn new(name: net::SocketAddr, user: Option<u32>) -> Option<Self> {
-        let (address, file) = match name.as_pathname() {
-            Some(path) => pinned(path, user).ok()?,
-            None => abstract_name(&name).map(|_| (name.clone(), None))?,
-        };
-        Some(Self { name, address, file, user })
-    }
-}
-
-/// The file of a client's socket, held open: datagrams go to this file even if its owner replaces it by a link to
-/// another user's socket.
-#[derive(Debug)]
-struct PinnedSocket {
-    _file: File,
-    identity: (u64, u64),
-}
-
-/// The socket at `path`, if it is one and belongs to `user` (root may use any socket), and a name that leads to this
-/// socket only.
-#[cfg(target_os = "linux")]
-fn pinned(path: &Path, user: Option<u32>) -> io::Result<(net::SocketAddr, Option<PinnedSocket>)> {
-    let flags = OFlag::O_PATH | OFlag::O_NOFOLLOW;
-    let file = File::options().read(true).custom_flags(flags.bits()).open(path)?;
-    let found = file.metadata()?;
-    let is_own = user.is_none_or(|user| user == 0 || user == found.uid());
-    if !found.file_type().is_socket() || !is_own {
-        return Err(ErrorKind::PermissionDenied.into());
-    }
-    let address = net::SocketAddr::from_pathname(format!("/proc/self/fd/{}", file.as_raw_fd()))?;
-    Ok((address, Some(PinnedSocket { _file: file, identity: (found.dev(), found.ino()) })))
-}
-
-/// On other systems a socket cannot be held open: its name is trusted.
-#[cfg(not(target_os = "linux"))]
-fn pinned(path: &Path, _: Option<u32>) -> io::Result<(net::SocketAddr, Option<PinnedSocket>)> {
-    Ok((net::SocketAddr::from_pathname(path)?, None))
-}
-
-#[cfg(any(target_os = "linux", target_os = "android"))]
-fn abstract_name(address: &net::SocketAddr) -> Option<&[u8]> {
-    #[cfg(target_os = "android")]
-    use std::os::android::net::SocketAddrExt;
-    #[cfg(target_os = "linux")]
-    use std::os::linux::net::SocketAddrExt;
-    address.as_abstract_name()
-}
-
-/// Other systems have no names outside the file system.
-#[cfg(not(any(target_os = "linux", target_os = "android")))]
-fn abstract_name(_: &net::SocketAddr) -> Option<&[u8]> {
-    None
-}
-
-/// The next datagram of a Unix socket, and its sender.
-#[cfg(target_os = "linux")]
+/// The next datagram of a Unix socket, with the socket that its sender has passed.
 fn receive_unix(socket: &UnixDatagram, buffer: &mut [u8]) -> io::Result<(usize, Option<Peer>)> {
-    use std::io::IoSliceMut;
-    use std::os::linux::net::SocketAddrExt;
-
-    use nix::sys::socket::{ControlMessageOwned, SockaddrLike, UnixAddr, UnixCredentials, recvmsg};
-
-    let mut control = nix::cmsg_space!(UnixCredentials);
-    let mut parts = [IoSliceMut::new(buffer)];
-    let flags = MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_PEEK;
-    let message = recvmsg::<UnixAddr>(socket.as_raw_fd(), &mut parts, Some(&mut control), flags)?;
-    // There is room for credentials only: what is cut off is a passed socket.
-    if message.flags.contains(MsgFlags::MSG_CTRUNC) {
-        let (count, passed) = receive_passed(socket, buffer)?;
-        return Ok((count, passed.and_then(PassedSocket::new).map(|peer| Peer::Passed(Arc::new(peer)))));
-    }
-    let user = message.cmsgs()?.find_map(|control| match control {
-        ControlMessageOwned::ScmCredentials(credentials) => Some(credentials.uid()),
-        _ => None,
-    });
-    // A sender without a name has no address at all, not even an empty one.
-    let address = message.address.filter(|address| address.len() as usize > size_of::<nix::libc::sa_family_t>());
-    let name = address.and_then(|address| match (address.path(), address.as_abstract()) {
-        (Some(path), _) => net::SocketAddr::from_pathname(path).ok(),
-        (_, Some(name)) => net::SocketAddr::from_abstract_name(name).ok(),
-        _ => None,
-    });
-    // A datagram that was longer than the buffer fills it.
-    let count = socket.recv(buffer)?;
-    Ok((count, name.and_then(|name| UnixPeer::new(name, user)).map(|peer| Peer::Unix(Arc::new(peer)))))
-}
-
-/// The next datagram, with the socket that its sender has passed.
-#[cfg(target_os = "linux")]
-fn receive_passed(socket: &UnixDatagram, buffer: &mut [u8]) -> io::Result<(usize, Option<OwnedFd>)> {
-    use std::io::IoSliceMut;
-    use std::mem::MaybeUninit;
-
-    use rustix::net::{RecvAncillaryBuffer, RecvAncillaryMessage, RecvFlags, recvmsg};
-
     let mut space = [MaybeUninit::uninit(); rustix::cmsg_space!(ScmRights(1))];
     let mut control = RecvAncillaryBuffer::new(&mut space);
     let flags = RecvFlags::DONTWAIT | RecvFlags::CMSG_CLOEXEC;
-    // Credentials would take the room. A request that another client sends meanwhile lacks them, and is refused if its
-    // name is a file: the client asks again.
-    setsockopt(socket, PassCred, &false)?;
     let received = recvmsg(socket, &mut [IoSliceMut::new(buffer)], &mut control, flags);
-    setsockopt(socket, PassCred, &true)?;
     let passed = control.drain().find_map(|message| match message {
         RecvAncillaryMessage::ScmRights(mut passed) => passed.next(),
         _ => None,
     });
-    Ok((received?.bytes, passed))
+    Ok((received?.bytes, passed.and_then(PassedSocket::new).map(|peer| Peer::Passed(Arc::new(peer)))))
 }
 
-#[cfg(not(target_os = "linux"))]
-fn receive_unix(socket: &UnixDatagram, buffer: &mut [u8]) -> io::Result<(usize, Option<Peer>)> {
-    let (count, name) = socket.recv_from(buffer)?;
-    Ok((count, UnixPeer::new(name, None).map(|peer| Peer::Unix(Arc::new(peer)))))
+/// A client on a Unix socket.
+#[derive(Debug)]
+pub struct UnixClient {
+    /// Where datagrams come.
+    pub socket: UnixDatagram,
+    passed: UnixDatagram,
+    asks: UnixDatagram,
+}
+
+impl UnixClient {
+    /// A client that has not asked yet.
+    ///
+    /// # Errors
+    /// Errors of the operating system.
+    pub fn new() -> io::Result<Self> {
+        let (socket, passed) = UnixDatagram::pair()?;
+        Ok(Self { socket, passed, asks: UnixDatagram::unbound()? })
+    }
+
+    /// Sends `request` to the server whose socket is at `path`.
+    ///
+    /// # Errors
+    /// If there is no server.
+    pub fn ask(&self, path: &Path, request: Request) -> io::Result<usize> {
+        pass(&self.asks, path, request, &self.passed)
+    }
+}
+
+/// Sends `request` to the server at `path`, with `passed` as the socket for answers.
+pub(super) fn pass(asks: &UnixDatagram, path: &Path, request: Request, passed: &impl AsFd) -> io::Result<usize> {
+    let (bytes, passed, path) = (request.to_bytes(), [passed.as_fd().as_raw_fd()], UnixAddr::new(path)?);
+    let rights = [ControlMessage::ScmRights(&passed)];
+    Ok(sendmsg(asks.as_raw_fd(), &[IoSlice::new(&bytes)], &rights, MsgFlags::empty(), Some(&path))?)
 }
 
 impl Socket {
     /// Binds `address`; also returns the guard that removes the socket's file, if it has one.
-    pub(super) fn bind(address: &Address) -> Result<(Self, Option<SocketFile>), DatagramError> {
-        let error = |source| DatagramError::Bind { address: address.clone(), source };
+    pub(super) fn bind(address: &Address) -> Result<(Self, Option<SocketFile>), ServeError> {
+        let error = |source| ServeError::of(address, source);
         match address {
             Address::Unix(path) => {
-                let socket = bind_path(path)?;
+                let connect = |path: &Path| UnixDatagram::unbound()?.connect(path);
+                let (socket, file) = SocketFile::bind(path, connect, |path| UnixDatagram::bind(path))?;
                 socket.set_nonblocking(true).map_err(error)?;
-                #[cfg(target_os = "linux")]
-                setsockopt(&socket, PassCred, &true).map_err(|errno| error(errno.into()))?;
-                let file = SocketFile::of(path).map_err(error)?;
                 Ok((Self::Unix(socket), Some(file)))
             }
-            Address::Udp(address) => {
-                AddressError::check(*address)?;
-                let socket = UdpSocket::bind(address).map_err(error)?;
+            Address::Udp(udp) | Address::Tcp(udp) => {
+                require_loopback(*udp)?;
+                let socket = UdpSocket::bind(udp).map_err(error)?;
                 socket.set_nonblocking(true).map_err(error)?;
                 Ok((Self::Udp(socket), None))
             }
@@ -283,7 +184,6 @@ impl Socket {
                 let flags = MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_NOSIGNAL;
                 send(peer.socket.as_raw_fd(), bytes, flags).map_err(io::Error::from)
             }
-            (Self::Unix(socket), Peer::Unix(peer)) => socket.send_to_addr(bytes, &peer.address),
             (Self::Udp(socket), Peer::Udp(peer)) => socket.send_to(bytes, peer),
             _ => return Delivery::Gone,
         };
@@ -309,62 +209,6 @@ impl AsFd for Socket {
         match self {
             Self::Unix(socket) => socket.as_fd(),
             Self::Udp(socket) => socket.as_fd(),
-        }
-    }
-}
-
-/// Users of the daemon's group may connect, which requires write permission.
-const SOCKET_MODE: u32 = 0o660;
-
-/// Binds a path, for the daemon's user and group.
-fn bind_path(path: &Path) -> Result<UnixDatagram, DatagramError> {
-    let socket = claim_path(path)?;
-    fs::set_permissions(path, Permissions::from_mode(SOCKET_MODE))
-        .map_err(|source| DatagramError::Bind { address: Address::Unix(path.to_owned()), source })?;
-    Ok(socket)
-}
-
-/// Binds a path, replacing a socket left behind by a killed daemon.
-fn claim_path(path: &Path) -> Result<UnixDatagram, DatagramError> {
-    let error = |source| DatagramError::Bind { address: Address::Unix(path.to_owned()), source };
-    match UnixDatagram::bind(path) {
-        Err(source) if source.kind() == ErrorKind::AddrInUse => {}
-        bound => return bound.map_err(error),
-    }
-    if !fs::symlink_metadata(path).map_err(error)?.file_type().is_socket() {
-        return Err(DatagramError::NotASocket { path: path.to_owned() });
-    }
-    match UnixDatagram::unbound().and_then(|probe| probe.connect(path)) {
-        Err(source) if source.kind() == ErrorKind::ConnectionRefused => {}
-        _ => return Err(DatagramError::InUse { path: path.to_owned() }),
-    }
-    fs::remove_file(path).map_err(error)?;
-    UnixDatagram::bind(path).map_err(error)
-}
-
-/// The file of a bound Unix socket; removed when dropped, unless another one has taken its place.
-#[derive(Debug)]
-pub(super) struct SocketFile {
-    path: PathBuf,
-    identity: (u64, u64),
-}
-
-impl SocketFile {
-    fn of(path: &Path) -> io::Result<Self> {
-        Ok(Self { path: path.to_owned(), identity: identity(path)? })
-    }
-}
-
-/// Identity of the file at a path.
-fn identity(path: &Path) -> io::Result<(u64, u64)> {
-    fs::symlink_metadata(path).map(|metadata| (metadata.dev(), metadata.ino()))
-}
-
-impl Drop for SocketFile {
-    fn drop(&mut self) {
-        if identity(&self.path).is_ok_and(|found| found == self.identity) {
-            // If the file cannot be removed, the next daemon finds it stale.
-            let _ = fs::remove_file(&self.path);
         }
     }
 }

@@ -45,8 +45,6 @@ pub struct SlowClient {
     pub process: Option<i32>,
     /// Its user; `None` if unknown.
     pub user: Option<u32>,
-    /// Whether other clients share its queue: those that pass no socket with their requests.
-    pub shares_queue: bool,
     /// Poses that it has missed.
     pub missed: u64,
     /// For how long it has missed poses, seconds.
@@ -68,7 +66,6 @@ impl Subscription {
         is_slow.then(|| SlowClient {
             process: self.peer.process(),
             user,
-            shares_queue: matches!(self.peer, Peer::Unix(_)),
             missed,
             missing_s: now_ns.saturating_sub(since_ns) as f64 * 1e-9,
         })

@@ -11,9 +11,9 @@ use std::fmt;
 use std::path::{MAIN_SEPARATOR, Path};
 use std::str::FromStr;
 
-use super::error::DeviceError;
+use super::DeviceError;
+use super::ports::{Listed, PortState};
 use super::ports::{Port, Search, UsbId, ports};
-use super::probe::{Listed, PortState};
 use slitpose_tracking::link::DeviceId;
 
 const SIM: &str = "sim";

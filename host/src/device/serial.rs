@@ -1,15 +1,23 @@
-//! A board on a serial port: USB CDC-ACM, a UART, or a pseudo-terminal.
+//! Boards as devices: on a serial port (USB CDC-ACM, a UART, or a pseudo-terminal), and simulated.
 
-use std::fs;
-use std::io::{self, ErrorKind, Read, Write};
+use std::io::{ErrorKind, Read, Write};
 use std::path::Path;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
+use std::{fs, io};
 
 use serialport::{DataBits, FlowControl, Parity, SerialPort, StopBits};
+use slitpose_model::Tier;
 
 use super::discovery::is_path;
 use super::ports::real_path;
 use super::{Device, DeviceError, KeepAlive};
+use slitpose_head::faults::{Injector, Link};
+use slitpose_head::front_end;
+use slitpose_head::pace::{Pace, Speed};
+use slitpose_head::scene_file::SceneFile;
+use slitpose_head::simulator::{SimulatedBoard, SimulatorError, Trajectory, TrajectoryKind};
+use slitpose_head::threads::lock;
 
 /// Baud rate, enough for a board at 7 kHz behind a UART; USB and pseudo-terminals ignore it.
 const BAUD: u32 = 3_000_000;
@@ -161,6 +169,209 @@ fn has_open(process: u32, port: &Path) -> bool {
 fn program(process: u32) -> String {
     let name = fs::read_to_string(format!("/proc/{process}/comm")).unwrap_or_default();
     name.trim_end().to_owned()
+}
+
+// The simulated board: device time passes while its host waits for bytes.
+
+const NAME: &str = "sim";
+
+/// Device time that passes between two waits.
+const WAIT_EVERY_S: f64 = 2e-3;
+
+/// Most device time caught up at once. On a host that is too slow the device lags permanently, and does not keep time.
+const CATCH_UP_S: f64 = 0.5;
+
+/// Duration of the tool's motion in front of a board for trials, seconds.
+const MOTION_S: f64 = 60.0;
+
+/// A simulated board for a number of frames.
+#[derive(Debug)]
+pub(crate) struct SimulatedDevice {
+    board: SimulatedBoard,
+    frame_s: f64,
+    pace: Pace,
+    frames_at_once: u64,
+    frames_passed: u64,
+    frames: u64,
+    /// Bytes sent while catching up, not fetched yet.
+    said: Vec<u8>,
+    wire: Option<Box<FaultyWire>>,
+}
+
+/// A link on which faults are injected.
+#[derive(Debug)]
+struct FaultyWire {
+    injector: Injector,
+    /// Bytes of the board, ahead of the injector.
+    sent: Vec<u8>,
+    /// The link is broken, and the port is back after so many seconds of device time.
+    hung_up_s: Option<f64>,
+}
+
+impl SimulatedDevice {
+    /// A board for trials, without end and in real time: the head of `file`, a smoothly moved tool.
+    pub(crate) fn live(file: &SceneFile) -> Result<Self, SimulatorError> {
+        Self::endless(file, Trajectory::of_kind(TrajectoryKind::Smooth, 1, MOTION_S).within(&file.workspace))
+    }
+
+    /// As [`live`](Self::live), with the tool at rest at home.
+    pub(crate) fn at_rest(file: &SceneFile) -> Result<Self, SimulatorError> {
+        Self::endless(file, Trajectory::of_kind(TrajectoryKind::Still, 1, MOTION_S))
+    }
+
+    fn endless(file: &SceneFile, trajectory: Trajectory) -> Result<Self, SimulatorError> {
+        let frame_s = front_end::configuration(file)?.schedule.frame_rate_hz().recip();
+        let board = SimulatedBoard::new(file, trajectory, Tier::Exact { tolerance: 1e-6 }, 1)?;
+        Ok(Self::new(board, frame_s, f64::INFINITY, Speed::Times(1.0)))
+    }
+
+    /// `board` for all frames of `frame_s` that begin within `duration_s`, which may be infinite.
+    pub(crate) fn new(board: SimulatedBoard, frame_s: f64, duration_s: f64, speed: Speed) -> Self {
+        // The number of frames must not depend on rounding of either argument. Saturates.
+        let frames = (duration_s / frame_s - 1e-6).ceil() as u64;
+        let frames_at_once = (WAIT_EVERY_S / frame_s).ceil() as u64;
+        Self {
+            board,
+            frame_s,
+            pace: Pace::new(speed),
+            frames_at_once,
+            frames_passed: 0,
+            frames,
+            said: Vec::new(),
+            wire: None,
+        }
+    }
+
+    #[must_use]
+    pub(crate) fn with_faults(mut self, injector: Option<Injector>) -> Self {
+        self.wire = injector.map(|injector| Box::new(FaultyWire { injector, sent: Vec::new(), hung_up_s: None }));
+        self
+    }
+}
+
+impl SimulatedDevice {
+    /// Device time so far, seconds.
+    fn passed_s(&self) -> f64 {
+        self.frames_passed as f64 * self.frame_s
+    }
+
+    fn is_hung_up(&self) -> bool {
+        self.wire.as_ref().is_some_and(|wire| wire.hung_up_s.is_some())
+    }
+
+    /// Opens the port again after the link was lost, once it is back; `false` if faults have not broken it.
+    pub(crate) fn reopen(&mut self) -> bool {
+        let Some(wire) = &mut self.wire else { return false };
+        // A port that is closed for a moment only is still seen to be closed.
+        let away = ((wire.hung_up_s.take().unwrap_or(0.0) / self.frame_s).ceil() as u64).max(1);
+        for _ in 0..away {
+            self.board.step_closed();
+            self.pass_frame();
+        }
+        self.said.clear();
+        true
+    }
+
+    /// A frame has passed. A board that a fault has stopped is to be started again, however late its host notices.
+    fn pass_frame(&mut self) {
+        self.frames_passed += 1;
+        if let Some(wire) = self.wire.as_mut().filter(|_| !self.board.is_acquiring()) {
+            self.frames = self.frames.saturating_add(1);
+            wire.injector.idle(self.frame_s);
+        }
+    }
+
+    /// Passes on bytes of the board from `start` of `bytes` on as a faulty link does.
+    fn inject(&mut self, bytes: &mut Vec<u8>, start: usize) {
+        let Some(wire) = &mut self.wire else { return };
+        wire.sent.clear();
+        wire.sent.extend(bytes.drain(start..));
+        let link = wire.injector.push(&wire.sent, bytes);
+        let off_s = self.board.take_off_s();
+        wire.hung_up_s = match (link, off_s) {
+            (Link::HungUp { for_s }, _) => Some(for_s),
+            (Link::Open, off_s) => off_s,
+        };
+        if self.frames_passed >= self.frames && wire.hung_up_s.is_none() {
+            wire.injector.finish(bytes);
+        }
+    }
+}
+
+impl Device for SimulatedDevice {
+    fn name(&self) -> &str {
+        NAME
+    }
+
+    /// A board in real time first catches up with its host.
+    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        if self.is_hung_up() {
+            return Err(ErrorKind::ConnectionReset.into());
+        }
+        if self.pace.is_real_time() && self.frames_passed > 0 {
+            let due = (self.pace.elapsed_s() / self.frame_s).ceil() as u64;
+            let within = self.frames_passed + (CATCH_UP_S / self.frame_s).ceil() as u64;
+            while self.frames_passed < due.min(within).min(self.frames) {
+                self.board.step(&mut self.said);
+                self.frames_passed += 1;
+            }
+        }
+        self.board.write(bytes);
+        Ok(())
+    }
+
+    fn keeps_time(&self) -> bool {
+        self.pace.is_real_time()
+    }
+
+    /// Commands are answered at once: replies come before time passes.
+    fn receive(&mut self, bytes: &mut Vec<u8>) -> io::Result<bool> {
+        // The bytes before the break have been fetched.
+        if self.is_hung_up() {
+            return Err(ErrorKind::ConnectionReset.into());
+        }
+        let before = bytes.len();
+        bytes.append(&mut self.said);
+        self.board.transmit(bytes);
+        if bytes.len() > before {
+            self.inject(bytes, before);
+            self.pace.wait(self.passed_s());
+            return Ok(true);
+        }
+        let until = self.frames.min(self.frames_passed.saturating_add(self.frames_at_once));
+        while self.frames_passed < until {
+            self.board.step(bytes);
+            self.pass_frame();
+        }
+        self.inject(bytes, before);
+        self.pace.wait(self.passed_s());
+        Ok(bytes.len() > before || self.frames_passed < self.frames)
+    }
+}
+
+/// A port that may be opened again, and its name: one of several boards has a number.
+#[derive(Clone, Debug)]
+pub(crate) struct SimulatedPort {
+    pub(crate) name: String,
+    pub(crate) device: Arc<Mutex<SimulatedDevice>>,
+}
+
+impl Device for SimulatedPort {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        lock(&self.device).send(bytes)
+    }
+
+    fn keeps_time(&self) -> bool {
+        lock(&self.device).keeps_time()
+    }
+
+    fn receive(&mut self, bytes: &mut Vec<u8>) -> io::Result<bool> {
+        lock(&self.device).receive(bytes)
+    }
 }
 
 #[cfg(all(test, target_os = "linux"))]

@@ -5,11 +5,11 @@ use std::time::Duration;
 
 use nix::unistd::{AccessFlags, Gid, Group, access};
 use slitpose_head::causes::with_causes;
-use slitpose_head::finding::Finding;
+use slitpose_head::finding::{Finding, Grade};
 use slitpose_head::front_end::is_full_scale_of;
 use slitpose_head::scene_file::{SceneFile, Shipped};
 
-use super::{Subject, default_scene};
+use super::{Subject, default_scene, judged};
 use crate::device::{
     BoardInfo, Conversation, Device, DeviceError, Found, Port, Selector, SerialDevice, SimulatedDevice, find, holders,
     ports,
@@ -178,18 +178,13 @@ pub(super) fn full_scale(scene: &SceneFile, info: &BoardInfo) -> Finding {
     };
     let scene_a = front_end.full_scale_a;
     let finding = format!("the board measures up to {:.3} uA, the scene says {:.3} uA", board_a * 1e6, scene_a * 1e6);
-    if is_full_scale_of(board_a, scene_a) {
-        Finding::ok("full scale", finding)
-    } else {
-        let next_step = "correct front_end.full_scale_a, or tell the board what its feedback resistors make: \
-                         slitpose device set --scene FILE --full-scale UA";
-        Finding::warning("full scale", finding, next_step)
-    }
+    let next_step = "correct front_end.full_scale_a, or tell the board what its feedback resistors make: \
+                     slitpose device set --scene FILE --full-scale UA";
+    judged("full scale", finding, [(!is_full_scale_of(board_a, scene_a), Grade::Warning, next_step)])
 }
 
 #[cfg(test)]
 mod tests {
-    use slitpose_head::finding::Grade;
     use slitpose_head::scene_file::WIDE;
     use slitpose_protocol::{Hashes, ResetCause};
 

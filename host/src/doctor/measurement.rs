@@ -6,8 +6,10 @@ use slitpose_calibration::Head;
 use slitpose_model::Tier;
 use slitpose_protocol::{Severity, Status};
 
+use super::judged;
 use crate::device::{Conversation, Keep};
 use slitpose_head::finding::Finding;
+use slitpose_head::finding::Grade::{Failed, Warning};
 use slitpose_head::front_end;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_tracking::link::{Segment, contradicted_crystal, start_findings};
@@ -157,15 +159,9 @@ impl Measurement {
         }
         let rate_hz = scans as f64 / seconds;
         let finding = format!("{rate_hz:.0} scans/s by the host's clock, {:.0} by the schedule", self.frame_rate_hz);
-        if (rate_hz / self.frame_rate_hz - 1.0).abs() <= RATE_SLACK {
-            Finding::ok("rate", finding)
-        } else {
-            Finding::warning(
-                "rate",
-                finding,
-                "lower the load of this host, then measure again with a longer --duration",
-            )
-        }
+        let is_off = (rate_hz / self.frame_rate_hz - 1.0).abs() > RATE_SLACK;
+        let next_step = "lower the load of this host, then measure again with a longer --duration";
+        judged("rate", finding, [(is_off, Warning, next_step)])
     }
 
     fn clock(&self) -> Finding {
@@ -195,16 +191,10 @@ impl Measurement {
         let overruns = self.after.adc_overruns.saturating_sub(self.before.adc_overruns);
         let finding =
             format!("{dropped} scans dropped by the queue, {lost} lost at the converters, {overruns} overruns");
-        match (dropped, lost + u64::from(overruns)) {
-            (0, 0) => Finding::ok("board", finding),
-            (_, 0) => {
-                let next_step = "the host did not read in time: check its load, hubs and cable";
-                Finding::failed("board", finding, next_step)
-            }
-            _ => {
-                Finding::failed("board", finding, "the MCU is overloaded: lower front_end.frame_rate_hz, and report it")
-            }
-        }
+        let overloaded = "the MCU is overloaded: lower front_end.frame_rate_hz, and report it";
+        let unread = "the host did not read in time: check its load, hubs and cable";
+        let is_overloaded = lost + u64::from(overruns) > 0;
+        judged("board", finding, [(is_overloaded, Failed, overloaded), (dropped > 0, Failed, unread)])
     }
 
     fn losses_on_the_way(&self) -> Finding {
@@ -216,22 +206,16 @@ impl Measurement {
         let finding = format!(
             "{scans} scans received, {missing} lost on the way; {damaged} packets damaged, {unreadable} unreadable"
         );
-        if missing + damaged + unreadable == 0 {
-            Finding::ok("link", finding)
-        } else {
-            Finding::failed("link", finding, "change cable or hub; a UART needs a short one")
-        }
+        let is_lossy = missing + damaged + unreadable > 0;
+        judged("link", finding, [(is_lossy, Failed, "change cable or hub; a UART needs a short one")])
     }
 
     fn poses(&self) -> Finding {
         let counts = &self.counts;
         let finding = counts.outcomes.words();
-        if counts.scans > 0 && counts.poses() as f64 >= POSES * counts.scans as f64 {
-            Finding::ok("poses", finding)
-        } else {
-            let next_step = "is the tool in its workspace, and the scene that of this head? see `slitpose scene check`";
-            Finding::warning("poses", if finding.is_empty() { "none".to_owned() } else { finding }, next_step)
-        }
+        let is_good = counts.scans > 0 && counts.poses() as f64 >= POSES * counts.scans as f64;
+        let next_step = "is the tool in its workspace, and the scene that of this head? see `slitpose scene check`";
+        judged("poses", if finding.is_empty() { "none".to_owned() } else { finding }, [(!is_good, Warning, next_step)])
     }
 
     fn health(&self) -> Finding {
@@ -244,15 +228,12 @@ impl Measurement {
             f64::from(cpu_load_permille) / 10.0
         );
         // NaN is in no range.
-        if !SUPPLY_V.contains(&supply_v) {
-            Finding::warning("health", finding, "check cable and supply: 3.3 V within 5 % is required")
-        } else if !TEMPERATURE_K.contains(&temperature_k) {
-            Finding::warning("health", finding, "keep the board between -40 and 85 C")
-        } else if cpu_load_permille > BUSIEST_PERMILLE {
-            Finding::warning("health", finding, "lower front_end.frame_rate_hz: the MCU has no reserve")
-        } else {
-            Finding::ok("health", finding)
-        }
+        let faults = [
+            (!SUPPLY_V.contains(&supply_v), Warning, "check cable and supply: 3.3 V within 5 % is required"),
+            (!TEMPERATURE_K.contains(&temperature_k), Warning, "keep the board between -40 and 85 C"),
+            (cpu_load_permille > BUSIEST_PERMILLE, Warning, "lower front_end.frame_rate_hz: the MCU has no reserve"),
+        ];
+        judged("health", finding, faults)
     }
 }
 
@@ -264,7 +245,7 @@ mod tests {
 
     use super::*;
     use crate::device::SimulatedDevice;
-    use slitpose_head::finding::Grade::{self, Failed, Ok, Warning};
+    use slitpose_head::finding::Grade::{self, Ok};
     use slitpose_head::scene_file::WIDE;
     use slitpose_tracking::pipeline::Outcomes;
 

@@ -2,13 +2,13 @@
 
 use std::fmt;
 use std::net::SocketAddr;
-use std::str::FromStr;
 
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::{Map, Value};
 use thiserror::Error;
 
-use crate::http::{self, BindScope};
+use crate::address::{Address, tcp_address};
+use crate::http::BindScope;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Order {
@@ -134,10 +134,6 @@ pub(crate) const DEFAULT_LIVE_ADDRESS: &str = "127.0.0.1:7451";
 /// Shortest token: 16 characters are beyond guessing over a network.
 const MIN_TOKEN: usize = 16;
 
-/// A host and a port to listen on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct LiveAddress(pub(super) SocketAddr);
-
 /// Why a page cannot be served so.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub(crate) enum AccessError {
@@ -157,18 +153,9 @@ pub(crate) enum AccessError {
     },
 }
 
-impl FromStr for LiveAddress {
-    type Err = AccessError;
-
-    fn from_str(text: &str) -> Result<Self, Self::Err> {
-        http::tcp_address(text).map(Self).ok_or_else(|| AccessError::Address { text: text.to_owned() })
-    }
-}
-
-impl fmt::Display for LiveAddress {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.0.fmt(f)
-    }
+/// The host and port that `text` names.
+pub(crate) fn live_address(text: &str) -> Result<SocketAddr, AccessError> {
+    tcp_address(text).ok_or_else(|| AccessError::Address { text: text.to_owned() })
 }
 
 #[derive(Clone, PartialEq, Eq)]
@@ -189,8 +176,7 @@ impl fmt::Debug for Access {
 
 impl Access {
     /// Pages at `address`. Those of other hosts need `token`, and change something only if `writes` allows it.
-    pub(crate) fn new(address: LiveAddress, token: Option<String>, writes: bool) -> Result<Self, AccessError> {
-        let LiveAddress(address) = address;
+    pub(crate) fn new(address: SocketAddr, token: Option<String>, writes: bool) -> Result<Self, AccessError> {
         if let Some(token) = &token {
             let is_plain = |letter: &char| letter.is_ascii_alphanumeric() || "-_.~".contains(*letter);
             if let Some(letter) = token.chars().find(|letter| !is_plain(letter)) {
@@ -226,7 +212,8 @@ impl Access {
     }
 
     /// The URL of the page at the address that was bound.
-    pub(super) fn url(&self, bound: SocketAddr) -> String {
+    pub(super) fn url(&self, bound: &Address) -> String {
+        let (Address::Tcp(bound) | Address::Udp(bound)) = bound else { return bound.to_string() };
         let token = self.token.as_ref().map_or(String::new(), |token| format!("#token={token}"));
         // A browser cannot ask for "every address".
         let host = match bound.ip() {
@@ -272,7 +259,7 @@ mod tests {
     const TOKEN: &str = "correct-horse-battery";
 
     fn access(address: &str, token: Option<&str>, writes: bool) -> Result<Access, AccessError> {
-        Access::new(address.parse().unwrap(), token.map(str::to_owned), writes)
+        Access::new(live_address(address).unwrap(), token.map(str::to_owned), writes)
     }
 
     #[test]
@@ -309,13 +296,19 @@ mod tests {
     #[test]
     fn addresses_are_read_as_they_are_written() {
         for text in [DEFAULT_LIVE_ADDRESS, "[::1]:7451", "0.0.0.0:1"] {
-            assert_eq!(text.parse::<LiveAddress>().unwrap().to_string(), text);
+            assert_eq!(live_address(text).unwrap().to_string(), text);
         }
         for text in ["", "7451", "localhost:", "example.org:80", "unix:/run/live", "127.0.0.1:99999"] {
-            assert!(text.parse::<LiveAddress>().is_err(), "{text}");
+            assert!(live_address(text).is_err(), "{text}");
         }
         let guarded = access("0.0.0.0:0", Some(TOKEN), false).unwrap();
-        assert_eq!(guarded.url("0.0.0.0:80".parse().unwrap()), format!("http://127.0.0.1:80/#token={TOKEN}"));
-        assert_eq!(access("[::1]:0", None, false).unwrap().url("[::1]:5".parse().unwrap()), "http://[::1]:5/");
+        assert_eq!(
+            guarded.url(&Address::Tcp("0.0.0.0:80".parse().unwrap())),
+            format!("http://127.0.0.1:80/#token={TOKEN}")
+        );
+        assert_eq!(
+            access("[::1]:0", None, false).unwrap().url(&Address::Tcp("[::1]:5".parse().unwrap())),
+            "http://[::1]:5/"
+        );
     }
 }

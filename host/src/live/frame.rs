@@ -1,14 +1,20 @@
-//! One moment of a board, as the page shows it.
+//! What the page shows of a board: the geometry of its head, and one moment of it.
 
 use std::fmt::Debug;
 use std::sync::Arc;
 
+use axum::extract::ws::Utf8Bytes;
 use serde::Serialize;
-use slitpose_calibration::Head;
+use serde_json::{Value, json};
+use slitpose_calibration::{Basis, Head};
+use slitpose_design::map::{NoiseOf, Outlook};
+use slitpose_design::{MaskFrame, mask_half_extents_m};
 use slitpose_model::{
-    CompiledScene, Estimate, Pair, Photocurrents, Pose, Reading, SceneError, Solution, Status, Tier, TwistEstimate,
+    Cell, CompiledScene, Estimate, Opening, Pair, Photocurrents, Pose, Reading, SceneError, Solution, Status, Tier,
+    TwistEstimate,
 };
 
+use super::hub::text_of;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::pipeline::{Record, reason};
 
@@ -22,7 +28,7 @@ const MISSED_FROM: f64 = 2.0;
 /// rounded: texts are half as long.
 #[derive(Serialize)]
 #[serde(tag = "kind", rename = "frame")]
-pub(super) struct FrameMessage<'a> {
+pub(crate) struct FrameMessage<'a> {
     board: usize,
     /// Number of the frame since the start of the server.
     n: u64,
@@ -88,7 +94,7 @@ impl From<&Pose> for Place {
 }
 
 /// What frames need to know of a head.
-pub(super) struct Optics {
+pub(crate) struct Optics {
     plan: CompiledScene<f64>,
     cells: Vec<Known>,
 }
@@ -101,7 +107,7 @@ struct Known {
 
 impl Optics {
     /// Those of `head`.
-    pub(super) fn of(head: &Head) -> Result<Self, SceneError> {
+    pub(crate) fn of(head: &Head) -> Result<Self, SceneError> {
         let scene = &head.file.scene;
         let cells = scene.cells.iter().map(|cell| Known {
             half_length_m: 0.5 * cell.detector.length_m,
@@ -111,7 +117,7 @@ impl Optics {
         Ok(Self { plan: CompiledScene::compile(scene, TIER)?, cells: cells.collect() })
     }
 
-    pub(super) fn frame(&self, board: usize, n: u64, sample: &Sample) -> FrameMessage<'static> {
+    pub(crate) fn frame(&self, board: usize, n: u64, sample: &Sample) -> FrameMessage<'static> {
         let Sample { record, photocurrents, scans, poses, range } = sample;
         let numbers = range.map(|range| range.map(single));
         FrameMessage {
@@ -238,7 +244,7 @@ pub(super) const FRAMES_HZ: u64 = 60;
 /// The newest pose of a board, and the range of all since the sample before.
 #[derive(Clone, Debug)]
 pub(crate) struct Sample {
-    pub(super) record: Record,
+    pub(crate) record: Record,
     pub(super) photocurrents: Photocurrents,
     /// Scans since the sample before.
     pub(super) scans: u32,
@@ -313,6 +319,82 @@ impl Sampler {
 pub(super) fn coordinates(pose: &Pose) -> [f64; 6] {
     let ([tx, ty, tz], [rx, ry, rz]) = (pose.translation_m.to_array(), pose.rotation_rad().to_array());
     [tx, ty, tz, rx, ry, rz]
+}
+
+// The head.
+
+/// A head, as board `number`. Detectors and masks are in frame base, metres; emitters, and masks that ride, in frame tool.
+pub(super) fn head_message(number: usize, head: &Head) -> Option<Utf8Bytes> {
+    let file = &head.file;
+    let full_scale_a = file.front_end.map(|front_end| front_end.full_scale_a);
+    let cells = file.scene.cells.iter().enumerate().map(|(cell, parts)| cell_parts(cell, parts, full_scale_a));
+    text_of(&json!({
+        "kind": "head",
+        "board": number,
+        "scene": file.name,
+        "calibrated": matches!(head.basis(), Basis::Calibration(_)),
+        "workspace": {
+            "half_extent_m": file.workspace.half_extent_m.to_array(),
+            "half_extent_rad": file.workspace.half_extent_rad.to_array(),
+        },
+        "cells": cells.collect::<Vec<_>>(),
+    }))
+}
+
+fn cell_parts(number: usize, cell: &Cell, full_scale_a: Option<f64>) -> Value {
+    let (detector, emitter, slit) = (&cell.detector, &cell.emitter, &cell.slit);
+    let (x, z) = (detector.x_axis_base, detector.normal_base);
+    let mask = MaskFrame::at_home(cell);
+    let kind = match cell.opening() {
+        Opening::Slit | Opening::RidingSlit => "slit",
+        Opening::Pinhole => "pinhole",
+        Opening::Lens { .. } => "lens",
+    };
+    json!({
+        "detector": {
+            "centre_m": detector.centre_base_m.to_array(),
+            "x": x.to_array(),
+            "y": z.cross(x).to_array(),
+            "z": z.to_array(),
+            "length_m": detector.length_m,
+            "width_m": detector.width_m,
+            "full_scale_a": full_scale_a,
+            "faint_a": detector.faint_a,
+        },
+        "mask": {
+            "centre_m": mask.centre.to_array(),
+            "x": mask.axes[0].to_array(),
+            "y": mask.axes[1].to_array(),
+            "half_m": mask_half_extents_m(cell).to_array(),
+            "rides": cell.opening() == Opening::RidingSlit,
+        },
+        "opening": { "kind": kind, "half_m": [0.5 * slit.width_m, 0.5 * slit.length_m] },
+        "emitter": { "position_m": emitter.position_tool_m.to_array(), "axis": emitter.axis_tool.to_array() },
+        "second_axis_of": cell.other_axis().filter(|_| cell.is_second_axis(number)),
+    })
+}
+
+pub(crate) struct SceneView {
+    outlook: Outlook,
+    optics: Optics,
+}
+
+impl SceneView {
+    /// Of `head`.
+    pub(crate) fn of(head: &Head) -> Result<Self, SceneError> {
+        Ok(Self { outlook: Outlook::of(head.clone())?, optics: Optics::of(head)? })
+    }
+
+    /// The frame, number `n`, with the tool at rest at `pose`; accuracy is the Cramér–Rao bound, and absent where the scene
+    /// states no noise.
+    pub(super) fn frame(&self, n: u64, pose: &Pose) -> Option<Utf8Bytes> {
+        let (readings, solution) = self.outlook.frame_at(pose);
+        let mut frame = self.optics.solved(0, n, &solution, &readings);
+        if self.outlook.noise == NoiseOf::Nothing {
+            frame.forget_accuracy();
+        }
+        text_of(&frame)
+    }
 }
 
 #[cfg(test)]

@@ -12,8 +12,8 @@ use tokio::sync::broadcast;
 use tokio::sync::mpsc::{Receiver, Sender, channel};
 
 use super::control::PlayerState;
+use super::frame::head_message;
 use super::frame::{FRAMES_HZ, Optics, Sample, SampleSink};
-use super::head::HeadMessage;
 use crate::telemetry::DaemonReport;
 use slitpose_head::finding::Finding;
 use slitpose_tracking::clock::HostInstant;
@@ -37,7 +37,7 @@ pub(crate) struct LiveBoard {
 
 #[derive(Debug)]
 #[expect(clippy::large_enum_variant, reason = "a box would be allocated for each sample")]
-pub(super) enum Input {
+pub(crate) enum Input {
     Sample(usize, Sample),
     /// The heads of all boards, anew; their histories end.
     Boards(Vec<LiveBoard>),
@@ -50,7 +50,7 @@ pub(super) enum Input {
 pub(crate) struct LiveInput(Sender<Input>);
 
 impl LiveInput {
-    pub(super) fn new() -> (Self, Receiver<Input>) {
+    pub(crate) fn new() -> (Self, Receiver<Input>) {
         let (sender, receiver) = channel(INPUTS);
         (Self(sender), receiver)
     }
@@ -252,7 +252,7 @@ impl Board {
         Self {
             // A scene that cannot be computed has been refused before.
             optics: head.as_ref().and_then(|head| Optics::of(head).ok()),
-            head: head.and_then(|head| text_of(&HeadMessage::new(number, &head))),
+            head: head.and_then(|head| head_message(number, &head)),
             frames: VecDeque::with_capacity(HISTORY),
             next: 0,
             time_s: f64::NEG_INFINITY,

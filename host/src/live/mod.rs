@@ -9,12 +9,10 @@
 //! [`LiveServer`] has a thread of its own, which turns samples into JSON once for all clients and keeps those of the last
 //! minute. No client can delay a pose: a sample that finds the thread busy goes into the next one, and a client that does
 //! not acknowledge what it got is sent the newest frames only, and how many it has missed. `LIVE.md` describes the
-//! messages. With the feature `foxglove` a second server takes the same samples and speaks Foxglove's protocol.
+//! messages.
 
 mod control;
-mod foxglove;
 mod frame;
-mod head;
 mod hub;
 mod server;
 mod session;
@@ -22,10 +20,13 @@ mod session;
 mod tests;
 
 pub(crate) use control::{
-    Access, Control, DEFAULT_LIVE_ADDRESS, LiveAddress, Order, PlayerOrder, PlayerState, Refusal, is_request,
+    Access, Control, DEFAULT_LIVE_ADDRESS, Order, PlayerOrder, PlayerState, Refusal, is_request, live_address,
 };
-pub(crate) use foxglove::{DEFAULT_FOXGLOVE_ADDRESS, FoxgloveAddress, FoxgloveServer};
+#[cfg(feature = "foxglove")]
+pub(crate) use frame::Optics;
+pub(crate) use frame::SceneView;
 pub(crate) use frame::{Sample, SampleSink, Sampler};
-pub(crate) use head::SceneView;
+#[cfg(feature = "foxglove")]
+pub(crate) use hub::Input;
 pub(crate) use hub::{LiveBoard, LiveInput};
 pub(crate) use server::{LivePlan, LiveServer};

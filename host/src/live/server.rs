@@ -1,30 +1,27 @@
 //! The server of the page: its files over HTTP, everything else over one WebSocket.
 
-use std::io;
-use std::net::{IpAddr, SocketAddr};
+use std::net::IpAddr;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use axum::Router;
 use axum::extract::ws::WebSocketUpgrade;
-use axum::extract::{ConnectInfo, Request, State};
+use axum::extract::{ConnectInfo, State};
 use axum::http::StatusCode;
 use axum::http::header::{
     CACHE_CONTROL, CONNECTION, CONTENT_SECURITY_POLICY, CONTENT_TYPE, REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS,
 };
-use axum::middleware::{Next, from_fn};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use slitpose_head::threads::lock;
-use thiserror::Error;
-use tokio::runtime::Builder;
 use tokio::time::{MissedTickBehavior, interval};
 
 use super::control::{Access, Control, Refusal};
-use super::head::SceneView;
+use super::frame::SceneView;
 use super::hub::{Hub, Input, LiveBoard, LiveInput};
 use super::session;
-use crate::http::{self, BindScope, ConnectionDeadline, LimitedListener, Serving};
+use crate::address::{Address, ServeError};
+use crate::http::{ConnectionDeadline, Serving, reply};
 use crate::telemetry::DaemonReport;
 
 /// Most clients at a time, of those that have said hello.
@@ -51,14 +48,6 @@ pub(crate) struct LivePlan {
     pub control: Box<dyn Control>,
     /// The state of the daemon, if there is one.
     pub report: Option<Box<dyn Fn() -> DaemonReport + Send + Sync>>,
-}
-
-#[derive(Debug, Error)]
-pub(crate) enum LiveError {
-    #[error("another program serves {address}; give another address with --live, or end that program")]
-    InUse { address: SocketAddr },
-    #[error("cannot serve the live page at {address}")]
-    Listen { address: SocketAddr, source: io::Error },
 }
 
 pub(super) struct Shared {
@@ -110,46 +99,35 @@ pub(crate) struct LiveServer {
 }
 
 impl LiveServer {
-    pub(crate) fn start(plan: LivePlan) -> Result<Self, LiveError> {
+    pub(crate) fn start(plan: LivePlan) -> Result<Self, ServeError> {
         let LivePlan { access, source, has_zero, boards, scene, control, report } = plan;
-        let address = access.address;
-        let listen = |source: io::Error| match source.kind() {
-            io::ErrorKind::AddrInUse => LiveError::InUse { address },
-            _ => LiveError::Listen { address, source },
-        };
-        let runtime = Builder::new_current_thread().enable_all().build().map_err(listen)?;
-        let (socket, bound) = {
-            // Sockets belong to the runtime in which they are created.
-            let _entered = runtime.enter();
-            http::listen(address).map_err(listen)?
-        };
-        let (url, scope) = (access.url(bound), access.scope());
+        let (address, scope) = (Address::Tcp(access.address), access.scope());
         let clients = Clients::default();
         let shared = Arc::new(Shared { access, source, has_zero, hub: Hub::new(), scene, control, clients });
         shared.hub.accept(Input::Boards(boards));
-        let routes = routes(&shared, scope);
-        let routes = routes.into_make_service_with_connect_info::<ConnectionDeadline>();
-        runtime.spawn(async move { axum::serve(LimitedListener::new(socket), routes).await });
         let (input, mut inputs) = LiveInput::new();
-        let of_inputs = Arc::clone(&shared);
-        runtime.spawn(async move {
-            while let Some(input) = inputs.recv().await {
-                of_inputs.hub.accept(input);
-            }
-        });
-        if let Some(report) = report {
-            runtime.spawn(async move {
-                let mut ticks = interval(REPORT_EVERY);
-                ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-                loop {
-                    ticks.tick().await;
-                    shared.hub.report(&report());
+        let (routes, of_inputs, of_reports) = (routes(&shared), Arc::clone(&shared), Arc::clone(&shared));
+        let begin = || {
+            tokio::spawn(async move {
+                while let Some(input) = inputs.recv().await {
+                    of_inputs.hub.accept(input);
                 }
             });
-        }
+            if let Some(report) = report {
+                tokio::spawn(async move {
+                    let mut ticks = interval(REPORT_EVERY);
+                    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+                    loop {
+                        ticks.tick().await;
+                        of_reports.hub.report(&report());
+                    }
+                });
+            }
+        };
+        let refusal = "pages of other sites get no answer; open this page by 127.0.0.1, [::1] or localhost\n";
         // When it is dropped, clients see their connections end.
-        let serving = Serving::start("live", runtime).map_err(listen)?;
-        Ok(Self { url, input, _serving: serving })
+        let (serving, bound) = Serving::http("live", &address, scope, refusal, routes, begin)?;
+        Ok(Self { url: shared.access.url(&bound), input, _serving: serving })
     }
 
     /// The address of the page, for a browser.
@@ -162,21 +140,13 @@ impl LiveServer {
     }
 }
 
-fn routes(shared: &Arc<Shared>, scope: BindScope) -> Router {
+fn routes(shared: &Arc<Shared>) -> Router {
     let mut router = Router::new().route("/live", get(upgrade)).with_state(Arc::clone(shared));
     for (number, file) in FILES.iter().enumerate() {
         let path = if number == 0 { "/".to_owned() } else { format!("/{}", file.0) };
         router = router.route(&path, get(move || async move { page_file(file) }));
     }
-    let guard = move |request: Request, next: Next| async move {
-        if http::is_own(request.headers(), scope) {
-            next.run(request).await
-        } else {
-            let text = "pages of other sites get no answer; open this page by 127.0.0.1, [::1] or localhost\n";
-            refusal(StatusCode::FORBIDDEN, text)
-        }
-    };
-    router.fallback(|| async { refusal(StatusCode::NOT_FOUND, "there is / and /live\n") }).layer(from_fn(guard))
+    router.fallback(|| async { reply(StatusCode::NOT_FOUND, "there is / and /live\n") })
 }
 
 fn page_file((_, media, text): &PageFile) -> Response {
@@ -191,17 +161,13 @@ fn page_file((_, media, text): &PageFile) -> Response {
     (headers, text.replace(VERSION_MARK, env!("CARGO_PKG_VERSION"))).into_response()
 }
 
-fn refusal(status: StatusCode, text: impl IntoResponse) -> Response {
-    (status, [(CONNECTION, "close")], text).into_response()
-}
-
 async fn upgrade(
     State(shared): State<Arc<Shared>>,
     ConnectInfo(deadline): ConnectInfo<ConnectionDeadline>,
     upgrade: WebSocketUpgrade,
 ) -> Response {
     if shared.clients.place(deadline.address).is_none() {
-        return refusal(StatusCode::SERVICE_UNAVAILABLE, format!("{}\n", Refusal::Full));
+        return reply(StatusCode::SERVICE_UNAVAILABLE, format!("{}\n", Refusal::Full));
     }
     let upgrade = upgrade.max_message_size(MAX_REQUEST).max_frame_size(MAX_REQUEST);
     upgrade.on_upgrade(async move |socket| session::serve(socket, shared, deadline).await)

@@ -7,9 +7,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 use slitpose_head::scene_file::WIDE;
-use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
-use slitpose_model::{Photocurrents, Tier};
-use slitpose_protocol::{Command, MAX_REQUEST_BYTES, Request, encode};
+use slitpose_model::Photocurrents;
 use tungstenite::client::IntoClientRequest;
 use tungstenite::stream::MaybeTlsStream;
 use tungstenite::{Message, WebSocket};
@@ -19,12 +17,11 @@ use super::server::{Clients, MAX_CLIENTS, MAX_REQUEST};
 use super::session::WINDOW;
 use super::*;
 use crate::http::{LIFETIME, MOST};
+use crate::samples::poses;
 use slitpose_tracking::clock::HostInstant;
-use slitpose_tracking::pipeline::{Item, Pipeline, PipelineError, Record, SceneMatch};
+use slitpose_tracking::pipeline::Record;
 
 const TOKEN: &str = "correct-horse-battery";
-
-const TIER: Tier = Tier::Exact { tolerance: 1e-6 };
 
 /// Longer than any answer takes on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -115,36 +112,6 @@ impl Client {
             }
         }
     }
-}
-
-/// `count` poses of a simulated tool, each with its photocurrents: of the newest scans in packets.
-fn poses(count: usize) -> Vec<(Record, Photocurrents)> {
-    let head = WIDE.read().unwrap();
-    let smooth = Trajectory::of_kind(TrajectoryKind::Smooth, 1, f64::INFINITY);
-    let mut board = SimulatedBoard::new(&head, smooth, TIER, 1).unwrap();
-    let ask = |board: &mut SimulatedBoard, command| {
-        board.write(encode(&Request { number: 1, command }, &mut [0; MAX_REQUEST_BYTES]).unwrap());
-    };
-    ask(&mut board, Command::Start);
-    let mut pipeline = Pipeline::new(head, TIER, SceneMatch::Required);
-    let mut poses: Vec<(Record, Photocurrents)> = Vec::new();
-    let mut bytes = Vec::new();
-    while poses.len() < count {
-        bytes.clear();
-        // A board whose host is silent stops.
-        ask(&mut board, Command::Ping { token: 0 });
-        board.step(&mut bytes);
-        let mut newest = None;
-        let found = pipeline.push(&bytes, |item| {
-            if let Item::Pose(record) = item {
-                newest = Some(*record);
-            }
-            Ok::<_, PipelineError>(())
-        });
-        found.unwrap();
-        poses.extend(newest.map(|record| (record, pipeline.last_photocurrents().unwrap().clone())));
-    }
-    poses
 }
 
 /// Sends each of `poses` as a sample, as soon as the server takes it.

@@ -1,19 +1,24 @@
 //! Outputs for poses: NDJSON, CSV, Parquet, or a summary for people.
 
-mod csv;
-mod ndjson;
-#[cfg(feature = "parquet")]
-mod parquet;
-mod summary;
-
-use std::io::{self, Write};
+use std::io;
+use std::io::Write;
+use std::time::{Duration, Instant};
 
 use clap::ValueEnum;
-use slitpose_protocol::{BoardKind, Hello, Severity};
+use slitpose_protocol::{BoardKind, Severity};
 
-use crate::telemetry::{BoardReport, RecorderReport};
+use crate::comparison::Accuracy;
+use crate::telemetry::{BoardReport, RecorderReport, view};
+use crate::terminal;
+use crate::terminal::{Line, Tone, WIDTH, layout};
+use slitpose_head::foreign::printable;
 use slitpose_tracking::link::DeviceId;
-use slitpose_tracking::pipeline::Record;
+use slitpose_tracking::pipeline::{Item, Record};
+
+mod columns;
+#[cfg(feature = "parquet")]
+mod parquet;
+mod text;
 
 /// How poses are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -69,10 +74,14 @@ pub(crate) trait Sink {
         true
     }
 
-    fn note(&mut self, note: &Note) -> io::Result<()>;
+    fn note(&mut self, _: &Note) -> io::Result<()> {
+        Ok(())
+    }
 
     /// Flushes or redraws; called regularly, even without poses.
-    fn tick(&mut self, accounts: &Accounts<'_>) -> io::Result<()>;
+    fn tick(&mut self, _: &Accounts<'_>) -> io::Result<()> {
+        Ok(())
+    }
 
     fn finish(&mut self, accounts: &Accounts<'_>) -> io::Result<()>;
 }
@@ -84,9 +93,9 @@ pub(crate) fn open<'a>(
     live: bool,
 ) -> Option<Box<dyn Sink + Send + 'a>> {
     match format {
-        Format::Summary => Some(Box::new(summary::Summary::new(output, live))),
-        Format::Ndjson => Some(Box::new(ndjson::Ndjson::new(output))),
-        Format::Csv => Some(Box::new(csv::Csv::new(output))),
+        Format::Summary => Some(Box::new(Summary::new(output, live))),
+        Format::Ndjson => Some(Box::new(text::Ndjson::new(output))),
+        Format::Csv => Some(Box::new(text::Csv::new(output))),
         #[cfg(feature = "parquet")]
         Format::Parquet => Some(Box::new(parquet::Parquet::new(output))),
         Format::None => None,
@@ -116,46 +125,181 @@ pub(crate) enum Note {
 }
 
 impl Note {
-    pub(crate) fn hello(hello: &Hello<'_>) -> Self {
-        Self::Hello {
-            device: DeviceId(hello.device_id),
-            board: hello.board.to_owned(),
-            kind: hello.kind,
-            firmware: hello.firmware.to_owned(),
-            frame_rate_hz: hello.schedule.frame_rate_hz(),
+    /// What `item` of a board's pipeline says besides poses, if anything.
+    pub(crate) fn of(device: Option<DeviceId>, item: &Item<'_>) -> Option<Self> {
+        let event = |severity, device_time_s, text| Self::Event { device, severity, device_time_s, text };
+        match item {
+            Item::Hello(hello) => Some(Self::Hello {
+                device: DeviceId(hello.device_id),
+                board: hello.board.to_owned(),
+                kind: hello.kind,
+                firmware: hello.firmware.to_owned(),
+                frame_rate_hz: hello.schedule.frame_rate_hz(),
+            }),
+            Item::Event { severity, device_time_s, text } => Some(event(*severity, *device_time_s, (*text).to_owned())),
+            Item::Oddity { device_time_s, oddity } => {
+                Some(event(Severity::Warning, *device_time_s, oddity.to_string()))
+            }
+            // What a board was asked is history.
+            Item::Pose(_) | Item::Scan(_) | Item::Status(_) | Item::Reply(_) => None,
         }
+    }
+}
+
+// A summary for people: drawn in place on a terminal, and printed once at the end.
+
+/// Period of redrawing: a person reads no faster.
+const RENEWAL: Duration = Duration::from_millis(200);
+
+/// The rate of a recording is measured over this time, or up to twice this time.
+const RATE_OVER: Duration = Duration::from_secs(2);
+
+/// The lines of a pose, with their ranks in a low window.
+const POSE_LINES: [(&str, u8); 4] = [("position", 0), ("  sigma", 1), ("rotation", 0), ("  sigma", 1)];
+
+/// The last pose of a board, and the accuracy of all its poses.
+struct Seen {
+    device: DeviceId,
+    last: Record,
+    accuracy: Accuracy,
+}
+
+impl Seen {
+    fn lines(&self) -> Vec<Line> {
+        let mut lines = Vec::new();
+        match &self.last.solution.estimate {
+            Some(estimate) => {
+                let (t, r) = (estimate.pose.translation_m * 1e3, estimate.pose.rotation_rad());
+                let s = estimate.sigma();
+                let degrees = r * (180.0 / std::f64::consts::PI);
+                let texts = [
+                    format!("{:>+8.4} {:>+8.4} {:>+8.4} mm", t.x, t.y, t.z),
+                    format!("{:>8.2} {:>8.2} {:>8.2} um", s[0] * 1e6, s[1] * 1e6, s[2] * 1e6),
+                    format!("{:>+8.4} {:>+8.4} {:>+8.4} deg", degrees.x, degrees.y, degrees.z),
+                    format!("{:>8.1} {:>8.1} {:>8.1} urad", s[3] * 1e6, s[4] * 1e6, s[5] * 1e6),
+                ];
+                for ((name, rank), text) in POSE_LINES.into_iter().zip(texts) {
+                    let mut line = Line::new(name, &text);
+                    line.rank(rank);
+                    lines.push(line);
+                }
+            }
+            None => {
+                let mut line = Line::new("position", &format!("none: {}", self.last.solution.outcome.as_str()));
+                line.tone(Tone::Wrong);
+                lines.push(line);
+            }
+        }
+        lines.extend(self.accuracy.lines("the simulated truth"));
+        lines
+    }
+}
+
+struct Summary<W> {
+    output: W,
+    live: bool,
+    shown: Option<Instant>,
+    /// The capture's length at two instants, some seconds apart.
+    recorded: [Option<(Instant, u64)>; 2],
+    boards: Vec<Seen>,
+}
+
+impl<W: Write> Summary<W> {
+    pub(super) fn new(output: W, live: bool) -> Self {
+        Self { output, live, shown: None, recorded: [None; 2], boards: Vec::new() }
+    }
+
+    fn lines(&mut self, account: &Account) -> Vec<Line> {
+        let mut lines = Vec::new();
+        for board in &account.boards {
+            if !lines.is_empty() {
+                lines.push(Line::blank());
+            }
+            lines.extend(view::lines(board));
+            let seen = self.boards.iter().find(|seen| Some(seen.device) == board.device);
+            lines.extend(seen.map(Seen::lines).into_iter().flatten());
+        }
+        let bytes_per_s = self.bytes_per_s(account.recorder.bytes);
+        lines.extend(view::recorder(&account.recorder, bytes_per_s));
+        lines
+    }
+
+    /// The rate of growth of the capture.
+    fn bytes_per_s(&mut self, bytes: u64) -> Option<f64> {
+        let now = Instant::now();
+        let [before, newest] = &mut self.recorded;
+        if newest.is_none_or(|(at, _)| now.duration_since(at) >= RATE_OVER) {
+            (*before, *newest) = (*newest, Some((now, bytes)));
+        }
+        let (at, before) = before.as_ref()?;
+        Some(bytes.saturating_sub(*before) as f64 / now.duration_since(*at).as_secs_f64())
+    }
+}
+
+impl<W: Write> Sink for Summary<W> {
+    fn pose(&mut self, record: &Record) -> io::Result<()> {
+        let known = self.boards.iter().position(|seen| seen.device == record.device);
+        let at = known.unwrap_or_else(|| {
+            self.boards.push(Seen { device: record.device, last: *record, accuracy: Accuracy::default() });
+            self.boards.len() - 1
+        });
+        let seen = &mut self.boards[at];
+        seen.last = *record;
+        if let (Some(estimate), Some(truth)) = (&record.solution.estimate, &record.truth) {
+            seen.accuracy.add(estimate, truth);
+        }
+        Ok(())
+    }
+
+    fn needs_each(&self) -> bool {
+        false
+    }
+
+    fn note(&mut self, note: &Note) -> io::Result<()> {
+        match note {
+            Note::Event { severity, device_time_s, text, .. } if *severity != Severity::Info => {
+                let text = printable(text);
+                terminal::print(&mut self.output, format_args!("{severity:?} at {device_time_s:.3} s: {text}"))
+            }
+            Note::Event { .. } | Note::Hello { .. } => Ok(()),
+        }
+    }
+
+    fn tick(&mut self, accounts: &Accounts<'_>) -> io::Result<()> {
+        if self.live && self.shown.is_none_or(|shown| shown.elapsed() >= RENEWAL) {
+            let lines = self.lines(&accounts());
+            terminal::show(lines)?;
+            self.shown = Some(Instant::now());
+        }
+        Ok(())
+    }
+
+    fn finish(&mut self, accounts: &Accounts<'_>) -> io::Result<()> {
+        let lines = self.lines(&accounts());
+        if self.live {
+            terminal::clear();
+        }
+        let width = if self.live { terminal::columns() } else { WIDTH };
+        for line in layout(&lines, width) {
+            writeln!(self.output, "{line}")?;
+        }
+        self.output.flush()
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use slitpose_model::{MotionPrior, Photocurrents, Solver, Start};
+    use crate::samples;
 
     use super::{Account, Format, open};
     use slitpose_tracking::clock::HostTime;
-    use slitpose_tracking::link::DeviceId;
     use slitpose_tracking::pipeline::Record;
-
-    fn record(host_time: Option<HostTime>) -> Record {
-        Record {
-            device: DeviceId(*b"simulated\0\0\0"),
-            sequence: 0,
-            device_time_s: 0.0,
-            host_time,
-            arrival: None,
-            solution: Solver::<f64>::empty().solve(&Photocurrents::default(), Start::Cold, &MotionPrior::AT_REST),
-            twist: None,
-            filtered: None,
-            simulated: true,
-            truth: None,
-        }
-    }
 
     #[test]
     fn host_times_are_written_only_where_they_are_known() {
         let time =
             HostTime { monotonic_ns: 90_000_250_000, utc_ns: 1_700_000_090_000_250_000, uncertainty_ns: 140_000 };
-        let records = [record(None), record(Some(time))];
+        let records = [None, Some(time)].map(|host_time| Record { host_time, ..samples::record() });
         let written = |format| {
             let mut output = Vec::new();
             let mut sink = open(format, &mut output, false).unwrap();

@@ -1,4 +1,4 @@
-//! Parquet: a typed column for each of CSV, and for what CSV lacks: velocities, filtered poses and true poses.
+//! Parquet: a typed column for each of CSV, and for what CSV lacks.
 
 use std::io::{self, Write};
 use std::sync::Arc;
@@ -9,45 +9,49 @@ use parquet::errors::ParquetError;
 use parquet::file::properties::WriterProperties;
 use parquet::file::writer::{SerializedFileWriter, SerializedRowGroupWriter};
 use parquet::schema::types::{ColumnPath, Type};
-use slitpose_head::table::{SOLUTION_COLUMNS, SolutionRow};
-use slitpose_model::{AXES, Pose, TwistEstimate};
 
-use super::{Accounts, Note, Sink};
+use super::columns::{Column, Device, Get, Getter, Row, columns, more_columns};
+use super::{Accounts, Sink};
 use slitpose_tracking::pipeline::Record;
 
 /// Rows that are held until they are written: some 30 MB.
 const GROUP: usize = 1 << 16;
 
-const INTEGERS: [&str; 6] =
-    ["seq", "iterations", "cells_used", "host_monotonic_ns", "host_utc_ns", "host_uncertainty_ns"];
-const WORDS: [&str; 6] = ["status", "reason", "verified", "free_directions", "excluded_cells", "device"];
-/// Those of `SolutionRow::numbers`.
-const SOLUTION_NUMBERS: usize = 14;
-
-/// Values of a column that are not written yet; cells may be empty.
-struct Column<T: DataType> {
+/// A column, and its values that are not written yet; rows may have none.
+struct Typed<T: DataType> {
     name: String,
+    encoding: Option<Encoding>,
+    meaning: Option<LogicalType>,
+    get: Getter<Option<T::T>>,
     values: Vec<T::T>,
     /// Of each row, 1 with a value and 0 without.
     levels: Vec<i16>,
 }
 
-impl<T: DataType> Column<T> {
-    fn new(name: impl Into<String>) -> Self {
-        Self { name: name.into(), values: Vec::new(), levels: Vec::new() }
-    }
+trait Stored<W: Write + Send> {
+    fn push(&mut self, row: &Row<'_>);
+    fn field(&self) -> Result<Type, ParquetError>;
+    fn encoding(&self) -> Option<(ColumnPath, Encoding)>;
+    fn write(&mut self, group: &mut SerializedRowGroupWriter<'_, W>) -> Result<(), ParquetError>;
+}
 
-    fn push(&mut self, value: Option<T::T>) {
+impl<T: DataType, W: Write + Send> Stored<W> for Typed<T> {
+    fn push(&mut self, row: &Row<'_>) {
+        let value = (self.get)(row);
         self.levels.push(value.is_some().into());
         self.values.extend(value);
     }
 
-    fn schema(&self, meaning: Option<LogicalType>) -> Result<Arc<Type>, ParquetError> {
-        let column = Type::primitive_type_builder(&self.name, T::get_physical_type());
-        Ok(Arc::new(column.with_repetition(Repetition::OPTIONAL).with_logical_type(meaning).build()?))
+    fn field(&self) -> Result<Type, ParquetError> {
+        let field = Type::primitive_type_builder(&self.name, T::get_physical_type());
+        field.with_repetition(Repetition::OPTIONAL).with_logical_type(self.meaning.clone()).build()
     }
 
-    fn write(&mut self, group: &mut SerializedRowGroupWriter<'_, impl Write + Send>) -> Result<(), ParquetError> {
+    fn encoding(&self) -> Option<(ColumnPath, Encoding)> {
+        Some((ColumnPath::from(self.name.as_str()), self.encoding?))
+    }
+
+    fn write(&mut self, group: &mut SerializedRowGroupWriter<'_, W>) -> Result<(), ParquetError> {
         if let Some(mut writer) = group.next_column()? {
             writer.typed::<T>().write_batch(&self.values, Some(&self.levels), None)?;
             writer.close()?;
@@ -58,13 +62,35 @@ impl<T: DataType> Column<T> {
     }
 }
 
+fn typed<T: DataType, W: Write + Send>(
+    name: String,
+    encoding: Option<Encoding>,
+    meaning: Option<LogicalType>,
+    get: impl Fn(&Row<'_>) -> Option<T::T> + Send + 'static,
+) -> Box<dyn Stored<W> + Send> {
+    Box::new(Typed::<T> { name, encoding, meaning, get: Box::new(get), values: Vec::new(), levels: Vec::new() })
+}
+
+/// Numbers that hardly repeat are stored byte by byte: half the size of dictionaries.
+fn stored<W: Write + Send>((name, get): Column) -> Box<dyn Stored<W> + Send> {
+    match get {
+        // Times and counts stay far below 2⁶³.
+        Get::Integer(get) => typed::<Int64Type, W>(name, Some(Encoding::DELTA_BINARY_PACKED), None, move |row| {
+            get(row).map(|value| value as i64)
+        }),
+        Get::Number(get) => typed::<DoubleType, W>(name, Some(Encoding::BYTE_STREAM_SPLIT), None, get),
+        Get::Word(get) => typed::<ByteArrayType, W>(name, None, Some(LogicalType::String), move |row| {
+            Some(get(row)).filter(|word| !word.is_empty()).map(ByteArray::from)
+        }),
+        Get::Flag(get) => typed::<BoolType, W>(name, None, None, move |row| Some(get(row))),
+    }
+}
+
 pub(super) struct Parquet<W: Write + Send> {
     output: Output<W>,
     rows: usize,
-    integers: [Column<Int64Type>; INTEGERS.len()],
-    numbers: Vec<Column<DoubleType>>,
-    words: [Column<ByteArrayType>; WORDS.len()],
-    simulated: Column<BoolType>,
+    columns: Vec<Box<dyn Stored<W> + Send>>,
+    device: Device,
 }
 
 /// The file begins with the first rows, or at its end.
@@ -75,76 +101,20 @@ enum Output<W: Write + Send> {
 
 impl<W: Write + Send> Parquet<W> {
     pub(super) fn new(output: W) -> Self {
-        Self {
-            output: Output::Waiting(Some(output)),
-            rows: 0,
-            integers: INTEGERS.map(Column::new),
-            numbers: number_names().map(Column::new).collect(),
-            words: WORDS.map(Column::new),
-            simulated: Column::new("simulated"),
-        }
-    }
-
-    fn push(&mut self, record: &Record) {
-        let row = SolutionRow::of(&record.solution);
-        let time = record.host_time;
-        // Times and counts stay far below 2⁶³.
-        let integers = [
-            Some(record.sequence),
-            Some(row.iterations as u64),
-            Some(row.cells_used as u64),
-            time.map(|time| time.monotonic_ns),
-            time.map(|time| time.utc_ns),
-            time.map(|time| time.uncertainty_ns),
-        ];
-        for (column, value) in self.integers.iter_mut().zip(integers) {
-            column.push(value.map(|value| value as i64));
-        }
-        let filtered = record.filtered;
-        let estimate = filtered.map(|filtered| filtered.estimate);
-        let numbers = std::iter::once(Some(record.device_time_s))
-            .chain(row.numbers)
-            .chain(motion(record.twist))
-            .chain(pose(estimate.map(|estimate| estimate.pose)))
-            .chain(scaled(estimate.map(|estimate| estimate.sigma())))
-            .chain(pose(record.truth));
-        for (column, value) in self.numbers.iter_mut().zip(numbers) {
-            column.push(value);
-        }
-        let device = record.device.to_string();
-        let words = [row.status, row.reason, row.verified, &row.free_directions, &row.excluded_cells, &device];
-        for (column, word) in self.words.iter_mut().zip(words) {
-            column.push((!word.is_empty()).then(|| ByteArray::from(word)));
-        }
-        self.simulated.push(Some(record.simulated));
-        self.rows += 1;
+        let columns = columns().into_iter().chain(more_columns()).map(stored).collect();
+        Self { output: Output::Waiting(Some(output)), rows: 0, columns, device: Device::default() }
     }
 
     fn begin(&self, output: W) -> Result<SerializedFileWriter<W>, ParquetError> {
-        let mut columns = Vec::new();
-        // Numbers that hardly repeat, byte by byte: half the size of dictionaries.
+        let fields = self.columns.iter().map(|column| column.field().map(Arc::new)).collect::<Result<_, _>>()?;
         let mut properties = WriterProperties::builder()
             .set_created_by(concat!("slitpose ", env!("CARGO_PKG_VERSION")).to_owned())
             .set_compression(Compression::ZSTD(ZstdLevel::default()));
-        let mut encoded = |name: &str, encoding| {
-            let column = ColumnPath::from(name);
-            properties = std::mem::take(&mut properties)
-                .set_column_dictionary_enabled(column.clone(), false)
-                .set_column_encoding(column, encoding);
-        };
-        for column in &self.integers {
-            columns.push(column.schema(None)?);
-            encoded(&column.name, Encoding::DELTA_BINARY_PACKED);
+        for (path, encoding) in self.columns.iter().filter_map(|column| column.encoding()) {
+            properties =
+                properties.set_column_dictionary_enabled(path.clone(), false).set_column_encoding(path, encoding);
         }
-        for column in &self.numbers {
-            columns.push(column.schema(None)?);
-            encoded(&column.name, Encoding::BYTE_STREAM_SPLIT);
-        }
-        for column in &self.words {
-            columns.push(column.schema(Some(LogicalType::String))?);
-        }
-        columns.push(self.simulated.schema(None)?);
-        let schema = Type::group_type_builder("poses").with_fields(columns).build()?;
+        let schema = Type::group_type_builder("poses").with_fields(fields).build()?;
         SerializedFileWriter::new(output, Arc::new(schema), Arc::new(properties.build()))
     }
 
@@ -155,32 +125,21 @@ impl<W: Write + Send> Parquet<W> {
             self.output = Output::Begun(self.begin(output)?);
         }
         let Output::Begun(writer) = &mut self.output else { return Ok(()) };
-        if self.rows == 0 {
+        if std::mem::take(&mut self.rows) == 0 {
             return Ok(());
         }
         let mut group = writer.next_row_group()?;
-        self.integers.iter_mut().try_for_each(|column| column.write(&mut group))?;
-        self.numbers.iter_mut().try_for_each(|column| column.write(&mut group))?;
-        self.words.iter_mut().try_for_each(|column| column.write(&mut group))?;
-        self.simulated.write(&mut group)?;
-        group.close()?;
-        self.rows = 0;
-        Ok(())
+        self.columns.iter_mut().try_for_each(|column| column.write(&mut group))?;
+        group.close().map(drop)
     }
 }
 
 impl<W: Write + Send> Sink for Parquet<W> {
     fn pose(&mut self, record: &Record) -> io::Result<()> {
-        self.push(record);
+        let row = self.device.row(record);
+        self.columns.iter_mut().for_each(|column| column.push(&row));
+        self.rows += 1;
         if self.rows >= GROUP { self.write().map_err(system) } else { Ok(()) }
-    }
-
-    fn note(&mut self, _: &Note) -> io::Result<()> {
-        Ok(())
-    }
-
-    fn tick(&mut self, _: &Accounts<'_>) -> io::Result<()> {
-        Ok(())
     }
 
     fn finish(&mut self, _: &Accounts<'_>) -> io::Result<()> {
@@ -202,44 +161,4 @@ fn system(error: ParquetError) -> io::Error {
         },
         error => io::Error::other(error),
     }
-}
-
-fn number_names() -> impl Iterator<Item = String> {
-    let pose = |prefix: &'static str| {
-        AXES.into_iter().map(move |axis| format!("{prefix}{axis}_{}", if axis.starts_with('t') { "mm" } else { "rad" }))
-    };
-    let motion = |prefix: &'static str| {
-        let axes = ["vx", "vy", "vz", "wx", "wy", "wz"].into_iter();
-        axes.map(move |axis| format!("{prefix}{axis}_{}", if axis.starts_with('v') { "m_per_s" } else { "rad_per_s" }))
-    };
-    std::iter::once("device_time_s".to_owned())
-        .chain(SOLUTION_COLUMNS[1..=SOLUTION_NUMBERS].iter().map(|&name| name.to_owned()))
-        .chain(motion(""))
-        .chain(motion("sigma_"))
-        .chain(pose("filtered_"))
-        .chain(pose("filtered_sigma_"))
-        .chain(pose("truth_"))
-}
-
-/// Translations in millimetres, rotation vectors in radians.
-fn pose(pose: Option<Pose>) -> [Option<f64>; 6] {
-    scaled(pose.map(|pose| {
-        let (t, r) = (pose.translation_m, pose.rotation_rad());
-        [t.x, t.y, t.z, r.x, r.y, r.z]
-    }))
-}
-
-fn scaled(values: Option<[f64; 6]>) -> [Option<f64>; 6] {
-    std::array::from_fn(|axis| values.map(|values| if axis < 3 { values[axis] * 1e3 } else { values[axis] }))
-}
-
-fn motion(estimate: Option<TwistEstimate>) -> [Option<f64>; 12] {
-    std::array::from_fn(|k| {
-        let TwistEstimate { twist, covariance } = estimate?;
-        Some(match k {
-            0..3 => twist.linear_m_per_s[k],
-            3..6 => twist.angular_rad_per_s[k - 3],
-            _ => covariance[k - 6][k - 6].sqrt(),
-        })
-    })
 }

@@ -10,14 +10,17 @@ use slitpose_protocol::Status;
 
 use super::report::BoardLosses;
 
+/// Scans dropped and lost, and overruns.
+type Counters = [u64; 3];
+
 /// Follows the board's counters across its resets.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct LossBook {
     /// Losses while followed, before the last reset.
-    carried: BoardLosses,
+    carried: Counters,
     /// The counters when following began, or zero after a reset.
-    base: BoardLosses,
-    last: Option<(u64, BoardLosses)>,
+    base: Counters,
+    last: Option<(u64, Counters)>,
     next_sequence: Option<u64>,
     /// Scans missing in the numbering so far.
     missed: u64,
@@ -39,42 +42,31 @@ impl LossBook {
 
     /// Adds a status that came after the scans so far.
     pub(super) fn status(&mut self, status: &Status) {
-        let now = BoardLosses {
-            scans_dropped: status.scans_dropped,
-            scans_lost: status.scans_lost,
-            adc_overruns: status.adc_overruns.into(),
-        };
+        let now = [status.scans_dropped, status.scans_lost, status.adc_overruns.into()];
         match self.last {
-            Some((tick, _)) if status.tick < tick => {
-                self.carried = self.board();
-                self.base = BoardLosses::default();
-            }
+            Some((tick, _)) if status.tick < tick => (self.carried, self.base) = (self.counters(), Counters::default()),
             Some(_) => {}
             // Losses before the first scan do not count; scans missing in the numbering since then do.
             None => {
-                let dropped = now.scans_dropped.min(self.missed);
-                let lost = now.scans_lost.min(self.missed - dropped);
-                self.base = BoardLosses {
-                    scans_dropped: now.scans_dropped - dropped,
-                    scans_lost: now.scans_lost - lost,
-                    ..now
-                };
+                let dropped = now[0].min(self.missed);
+                let lost = now[1].min(self.missed - dropped);
+                self.base = [now[0] - dropped, now[1] - lost, now[2]];
             }
         }
         self.last = Some((status.tick, now));
         // The board reports a loss before the numbering shows it: only the largest difference counts.
-        let board = self.board();
-        self.link_scans = self.link_scans.max(self.missed.saturating_sub(board.scans_dropped + board.scans_lost));
+        let [dropped, lost, _] = self.counters();
+        self.link_scans = self.link_scans.max(self.missed.saturating_sub(dropped + lost));
+    }
+
+    fn counters(&self) -> Counters {
+        let last = self.last.map_or(self.base, |(_, last)| last);
+        std::array::from_fn(|k| self.carried[k] + last[k].saturating_sub(self.base[k]))
     }
 
     pub(super) fn board(&self) -> BoardLosses {
-        let last = self.last.map_or(self.base, |(_, last)| last);
-        let since = |last: u64, base: u64, carried: u64| carried + last.saturating_sub(base);
-        BoardLosses {
-            scans_dropped: since(last.scans_dropped, self.base.scans_dropped, self.carried.scans_dropped),
-            scans_lost: since(last.scans_lost, self.base.scans_lost, self.carried.scans_lost),
-            adc_overruns: since(last.adc_overruns, self.base.adc_overruns, self.carried.adc_overruns),
-        }
+        let [scans_dropped, scans_lost, adc_overruns] = self.counters();
+        BoardLosses { scans_dropped, scans_lost, adc_overruns }
     }
 
     pub(super) fn link_scans(&self) -> u64 {
@@ -191,28 +183,12 @@ impl LatencyHistogram {
 mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
-    use slitpose_protocol::{ClockSource, SettingsSource};
 
     use super::*;
+    use crate::samples;
 
     fn status(tick: u64, scans_dropped: u64, scans_lost: u64) -> Status {
-        Status {
-            tick,
-            acquiring: true,
-            scans_taken: 0,
-            scans_dropped,
-            batches_dropped: 0,
-            scans_lost,
-            adc_overruns: 0,
-            replies_dropped: 0,
-            commands_damaged: 0,
-            commands_rejected: 0,
-            supply_v: 3.3,
-            temperature_k: 300.0,
-            cpu_load_permille: 0,
-            clock: ClockSource::Crystal,
-            settings: SettingsSource::Stored,
-        }
+        Status { tick, scans_dropped, scans_lost, ..samples::status() }
     }
 
     fn shares(book: &LossBook) -> (u64, u64, u64) {

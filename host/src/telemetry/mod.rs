@@ -4,7 +4,6 @@
 //! times per second. A `DaemonReport` holds those of all boards. `view` formats it for people, `metrics` for
 //! Prometheus, and JSON serves other programs; `StatusServer` offers all three, and `fetch` requests them.
 
-mod client;
 mod findings;
 mod losses;
 pub(crate) mod metrics;
@@ -15,10 +14,9 @@ mod statistics;
 mod tests;
 pub(crate) mod view;
 
-pub(crate) use client::{DEFAULT_STATUS_ADDRESS, StatusAddress, fetch};
 pub(crate) use report::{
     BoardReport, DaemonReport, HostLosses, LagReport, LinkReport, LinkState, RecorderReport, RecorderState,
     report_schema,
 };
-pub(crate) use server::StatusServer;
+pub(crate) use server::{DEFAULT_STATUS_ADDRESS, StatusServer, fetch, status_address};
 pub use statistics::BoardStatistics;

@@ -1,53 +1,38 @@
-//! The status over HTTP: `/` for people, `/status` as JSON, `/metrics` for Prometheus, `/health` for probes.
+//! The status over HTTP: `/` for people, `/status` as JSON, `/metrics` for Prometheus, `/health` for probes; served, and
+//! requested.
 //!
 //! The server has its own thread and makes a report for each request. It has no authentication: by default it listens
 //! for programs on its own host only, and never answers pages in browsers.
 
 use std::io;
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::os::unix::net::UnixStream;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use axum::Router;
-use axum::extract::Request;
 use axum::http::StatusCode;
-use axum::http::header::{CONNECTION, CONTENT_TYPE};
-use axum::middleware::{Next, from_fn};
-use axum::response::{IntoResponse, Response};
+use axum::http::header::CONTENT_TYPE;
+use axum::response::Response;
 use axum::routing::get;
 use thiserror::Error;
-use tokio::runtime::Builder;
 
-use super::{DaemonReport, StatusAddress, metrics, view};
-use crate::http::{self, BindScope, LimitedListener, Serving, Socket, SocketFile, SocketFileError};
+use super::{DaemonReport, metrics, view};
+use crate::address::{Address, ServeError};
+use crate::http;
+use crate::http::{BindScope, Serving};
+use slitpose_head::foreign::printable;
 use slitpose_tracking::clock::HostInstant;
-
-/// Mode of the Unix socket: owner and group may connect, other users may not.
-const SOCKET_MODE: u32 = 0o660;
 
 const TEXT: &str = "text/plain; charset=utf-8";
 const JSON: &str = "application/json";
 
-#[derive(Debug, Error)]
-pub(crate) enum StatusError {
-    #[error(
-        "{address} can be reached from other hosts, and the status server asks for no password; \
-         give 127.0.0.1 or [::1], or a unix: path"
-    )]
-    NotLoopback { address: StatusAddress },
-    #[error(transparent)]
-    Socket(#[from] SocketFileError),
-    #[error("another program serves {address}; give another address, or end that program")]
-    InUse { address: StatusAddress },
-    #[error("cannot listen on {address}")]
-    Listen { address: StatusAddress, source: io::Error },
-}
-
 /// Serves the status until dropped.
 #[derive(Debug)]
 pub(crate) struct StatusServer {
-    address: StatusAddress,
-    // Ends before the file is removed.
+    address: Address,
     _serving: Serving,
-    _file: Option<SocketFile>,
 }
 
 type Source = Arc<dyn Fn() -> DaemonReport + Send + Sync>;
@@ -55,53 +40,24 @@ type Source = Arc<dyn Fn() -> DaemonReport + Send + Sync>;
 impl StatusServer {
     /// Serves the reports of `source` at `address`. A socket left behind by a killed daemon is replaced.
     pub(crate) fn start(
-        address: &StatusAddress,
+        address: &Address,
         scope: BindScope,
         source: impl Fn() -> DaemonReport + Send + Sync + 'static,
-    ) -> Result<Self, StatusError> {
-        let listen = |source| StatusError::Listen { address: address.clone(), source };
-        let runtime = Builder::new_current_thread().enable_all().build().map_err(listen)?;
-        let (socket, address, file) = {
-            // Sockets belong to the runtime in which they are created.
-            let _entered = runtime.enter();
-            match address {
-                StatusAddress::Tcp(tcp) => {
-                    if scope == BindScope::Loopback && !tcp.ip().is_loopback() {
-                        return Err(StatusError::NotLoopback { address: address.clone() });
-                    }
-                    let (socket, bound) = http::listen(*tcp).map_err(|source| match source.kind() {
-                        io::ErrorKind::AddrInUse => StatusError::InUse { address: address.clone() },
-                        _ => listen(source),
-                    })?;
-                    (socket, StatusAddress::Tcp(bound), None)
-                }
-                StatusAddress::Unix(path) => {
-                    let (listener, file) =
-                        SocketFile::bind(path, SOCKET_MODE, |path| tokio::net::UnixListener::bind(path))?;
-                    (Socket::Unix(listener), address.clone(), Some(file))
-                }
-            }
-        };
+    ) -> Result<Self, ServeError> {
+        if let (Address::Tcp(tcp), BindScope::Loopback) = (address, scope)
+            && !tcp.ip().is_loopback()
+        {
+            let reason = "the status server asks for no password; give 127.0.0.1 or [::1], or a unix: path";
+            return Err(ServeError::NotLoopback { address: address.clone(), reason });
+        }
         let source: Source = Arc::new(source);
-        // Browsers cannot reach a Unix socket: any host name is allowed there.
-        let named = if matches!(address, StatusAddress::Unix(_)) { BindScope::Anywhere } else { scope };
-        let routes = routes(&source).layer(from_fn(move |request: Request, next: Next| async move {
-            if http::is_own(request.headers(), named) {
-                next.run(request).await
-            } else {
-                let text =
-                    "pages in a browser get no answer; ask by 127.0.0.1, [::1] or localhost, without an Origin\n";
-                reply(StatusCode::FORBIDDEN, TEXT, text.to_owned())
-            }
-        }));
-        runtime.spawn(async move { axum::serve(LimitedListener::new(socket), routes).await });
-        let serving = Serving::start("status", runtime)
-            .map_err(|source| StatusError::Listen { address: address.clone(), source })?;
-        Ok(Self { address, _serving: serving, _file: file })
+        let refusal = "pages in a browser get no answer; ask by 127.0.0.1, [::1] or localhost, without an Origin\n";
+        let (serving, address) = Serving::http("status", address, scope, refusal, routes(&source), || ())?;
+        Ok(Self { address, _serving: serving })
     }
 
     /// The address it listens on, with the port that the system chose for port 0.
-    pub(crate) fn address(&self) -> &StatusAddress {
+    pub(crate) fn address(&self) -> &Address {
         &self.address
     }
 }
@@ -147,7 +103,134 @@ fn health(report: &DaemonReport) -> Response {
     }
 }
 
-/// An answer, after which the connection is closed.
 fn reply(status: StatusCode, content_type: &'static str, text: String) -> Response {
-    (status, [(CONTENT_TYPE, content_type), (CONNECTION, "close")], text).into_response()
+    http::reply(status, ([(CONTENT_TYPE, content_type)], text))
+}
+
+// Requests.
+
+/// Timeout of a request: a daemon answers within milliseconds.
+const WITHIN: Duration = Duration::from_secs(2);
+
+/// Longest answer: reports take some kilobytes per board.
+const MAX_BYTES: usize = 1 << 24;
+
+#[derive(Debug, Error)]
+pub(crate) enum FetchError {
+    #[error("nothing answers at {address}; start a daemon with `slitpose run --status {address}`, or give its address")]
+    Connect { address: String, source: io::Error },
+    #[error("the answer from {address} did not come within {} s; see whether the daemon still runs", WITHIN.as_secs())]
+    Broken { address: String, source: io::Error },
+    #[error("what listens at {address} is no slitpose daemon; give the address of one")]
+    NotHttp { address: String },
+    #[error("{address} answers {status} to {path}: {}", printable(text))]
+    Status { address: String, path: String, status: u16, text: String },
+}
+
+/// The text at `path` of the daemon at `address`, such as `/status`.
+pub(crate) fn fetch(address: &Address, path: &str) -> Result<String, FetchError> {
+    let connect = |source| FetchError::Connect { address: address.to_string(), source };
+    let answer = match address {
+        Address::Tcp(to) | Address::Udp(to) => {
+            ask(TcpStream::connect_timeout(to, WITHIN).map_err(connect)?, TcpStream::set_read_timeout, path)
+        }
+        Address::Unix(to) => ask(UnixStream::connect(to).map_err(connect)?, UnixStream::set_read_timeout, path),
+    };
+    let answer = answer.map_err(|source| FetchError::Broken { address: address.to_string(), source })?;
+    match parse(&answer) {
+        Some((200, text)) => Ok(text.to_owned()),
+        Some((status, text)) => Err(FetchError::Status {
+            address: address.to_string(),
+            path: path.to_owned(),
+            status,
+            text: text.trim_end().to_owned(),
+        }),
+        None => Err(FetchError::NotHttp { address: address.to_string() }),
+    }
+}
+
+/// A request by HTTP/1.0 (RFC 1945), where the answer ends with the connection.
+fn ask<S: Read + Write>(
+    mut stream: S,
+    set_timeout: impl Fn(&S, Option<Duration>) -> io::Result<()>,
+    path: &str,
+) -> io::Result<Vec<u8>> {
+    let until = Instant::now() + WITHIN;
+    write!(stream, "GET {path} HTTP/1.0\r\nHost: localhost\r\n\r\n")?;
+    let (mut answer, mut chunk) = (Vec::new(), [0; 4096]);
+    loop {
+        let left = until.saturating_duration_since(Instant::now());
+        if left.is_zero() || answer.len() > MAX_BYTES {
+            return Err(io::ErrorKind::TimedOut.into());
+        }
+        set_timeout(&stream, Some(left))?;
+        match stream.read(&mut chunk) {
+            Ok(0) => return Ok(answer),
+            Ok(count) => answer.extend_from_slice(&chunk[..count]),
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(error),
+        }
+    }
+}
+
+fn parse(answer: &[u8]) -> Option<(u16, &str)> {
+    let answer = std::str::from_utf8(answer).ok()?;
+    let (head, body) = answer.split_once("\r\n\r\n")?;
+    let mut words = head.lines().next()?.split(' ');
+    words.next().filter(|version| version.starts_with("HTTP/1."))?;
+    Some((words.next()?.parse().ok()?, body))
+}
+
+/// The default address of `slitpose status`.
+pub(crate) const DEFAULT_STATUS_ADDRESS: &str = "127.0.0.1:7450";
+
+/// The address that `text` names.
+pub(crate) fn status_address(text: &str) -> Result<Address, String> {
+    let hint = || {
+        format!(
+            "`{text}` is no address; give one such as {DEFAULT_STATUS_ADDRESS}, [::1]:7450, or unix:/run/slitpose/status"
+        )
+    };
+    Address::of_stream(text).ok_or_else(hint)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn answers_are_read_and_other_things_are_not() {
+        assert_eq!(
+            parse(b"HTTP/1.0 200 OK\r\nContent-Type: text/plain\r\n\r\nok\r\n\r\nx"),
+            Some((200, "ok\r\n\r\nx"))
+        );
+        assert_eq!(parse(b"HTTP/1.1 503 Service Unavailable\r\n\r\n"), Some((503, "")));
+        for other in
+            [&b""[..], b"SSH-2.0-OpenSSH\r\n\r\n", b"HTTP/1.1 200 OK\r\n", b"HTTP/1.1\r\n\r\n", b"\xff\r\n\r\n"]
+        {
+            assert_eq!(parse(other), None, "{other:?}");
+        }
+    }
+
+    #[test]
+    fn a_missing_daemon_and_another_program_give_different_errors() {
+        let silent = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = Address::Tcp(silent.local_addr().unwrap());
+        let answers =
+            std::thread::spawn(move || silent.accept().map(|(mut client, _)| client.write_all(b"SSH-2.0\r\n")));
+        assert!(matches!(fetch(&address, "/status"), Err(FetchError::NotHttp { .. } | FetchError::Broken { .. })));
+        answers.join().unwrap().unwrap().unwrap();
+        assert!(matches!(fetch(&address, "/status"), Err(FetchError::Connect { .. })));
+    }
+
+    #[test]
+    fn addresses_are_read_as_they_are_written() {
+        for text in [DEFAULT_STATUS_ADDRESS, "[::1]:7450", "0.0.0.0:1", "unix:/run/slitpose/status"] {
+            assert_eq!(status_address(text).unwrap().to_string(), text);
+        }
+        assert_eq!(status_address("localhost:7450"), status_address(DEFAULT_STATUS_ADDRESS));
+        for text in ["", "7450", ":7450", "127.0.0.1", "127.0.0.1:99999", "unix:", "example.org:80", "localhost:x"] {
+            assert!(status_address(text).is_err(), "{text}");
+        }
+    }
 }

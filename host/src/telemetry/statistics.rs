@@ -6,8 +6,8 @@ use slitpose_protocol::{BoardKind, Hello, Severity, Status};
 
 use super::losses::{LatencyHistogram, LossBook};
 use super::report::{
-    BoardEvent, BoardReport, ClockReport, DaemonReport, HostLosses, LagReport, Latencies, LinkLosses, LinkReport,
-    Losses, ProcessReport, Rates, RecorderReport, Vitals,
+    BoardEvent, BoardReport, DaemonReport, HostLosses, LagReport, Latencies, LinkLosses, Losses, ProcessReport, Rates,
+    RecorderReport, Vitals,
 };
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::health::HeadHealth;
@@ -20,18 +20,11 @@ const INTERVAL_NS: u64 = 1_000_000_000;
 /// Statistics of one board, from one pipeline, across all reconnections.
 #[derive(Clone, Debug)]
 pub struct BoardStatistics {
-    name: String,
-    device: Option<DeviceId>,
-    board: String,
-    firmware: String,
+    /// What does not follow from the counts when it is asked for.
+    report: BoardReport,
     reset_cause: String,
-    simulated: bool,
     book: LossBook,
-    host_losses: HostLosses,
-    lag: LagReport,
     status: Option<Status>,
-    complaint: Option<BoardEvent>,
-    clock: ClockReport,
     link_latency: LatencyHistogram,
     host_latency: LatencyHistogram,
     total_latency: LatencyHistogram,
@@ -39,12 +32,9 @@ pub struct BoardStatistics {
     last_device_s: Option<f64>,
     last_read: Option<HostInstant>,
     begun: Mark,
-    rates: Rates,
-    recent_outcomes: Outcomes,
-    recent_link_losses: LinkLosses,
 }
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 struct Mark {
     at: HostInstant,
     scans: u64,
@@ -57,50 +47,33 @@ impl BoardStatistics {
     /// Statistics from `now` on, for the board that the user calls `name`.
     pub fn new(name: impl Into<String>, now: HostInstant) -> Self {
         Self {
-            name: name.into(),
-            device: None,
-            board: String::new(),
-            firmware: String::new(),
+            report: BoardReport { name: name.into(), ..BoardReport::default() },
             reset_cause: String::new(),
-            simulated: false,
             book: LossBook::default(),
-            host_losses: HostLosses::default(),
-            lag: LagReport::default(),
             status: None,
-            complaint: None,
-            clock: ClockReport::default(),
             link_latency: LatencyHistogram::default(),
             host_latency: LatencyHistogram::default(),
             total_latency: LatencyHistogram::default(),
             last_device_s: None,
             last_read: None,
-            begun: Mark {
-                at: now,
-                scans: 0,
-                outcomes: Outcomes::default(),
-                link: LinkLosses::default(),
-                device_s: None,
-            },
-            rates: Rates::default(),
-            recent_outcomes: Outcomes::default(),
-            recent_link_losses: LinkLosses::default(),
+            begun: Mark { at: now, ..Mark::default() },
         }
     }
 
     /// Sets the rate error of the board's clock, ppm, positive if fast, and whether it contradicts a reported crystal.
     pub(crate) fn set_clock(&mut self, drift_ppm: Option<f64>, contradicts_crystal: bool) {
-        self.clock.drift_ppm = drift_ppm;
-        self.clock.contradicts_crystal = contradicts_crystal;
+        self.report.clock.drift_ppm = drift_ppm;
+        self.report.clock.contradicts_crystal = contradicts_crystal;
     }
 
     /// Sets the losses on the host so far.
     pub(crate) fn set_host_losses(&mut self, host_losses: HostLosses) {
-        self.host_losses = host_losses;
+        self.report.losses.host = host_losses;
     }
 
     /// Sets how far the solver is behind.
     pub(crate) fn set_lag(&mut self, lag: LagReport) {
-        self.lag = lag;
+        self.report.lag = lag;
     }
 
     /// Counts an item of the pipeline. `read_at`: time of the read that completed it; `published_at`: time at which a
@@ -119,21 +92,16 @@ impl BoardStatistics {
                 self.status = Some(**status);
             }
             Item::Event { severity, device_time_s, text } if *severity != Severity::Info => {
-                self.complaint = Some(BoardEvent {
-                    is_error: *severity == Severity::Error,
-                    device_time_s: Some(*device_time_s).filter(|time_s| time_s.is_finite()),
-                    text: (*text).to_owned(),
-                });
+                self.complain(*severity == Severity::Error, *device_time_s, (*text).to_owned());
             }
-            Item::Oddity { device_time_s, oddity } => {
-                self.complaint = Some(BoardEvent {
-                    is_error: false,
-                    device_time_s: Some(*device_time_s).filter(|time_s| time_s.is_finite()),
-                    text: oddity.to_string(),
-                });
-            }
+            Item::Oddity { device_time_s, oddity } => self.complain(false, *device_time_s, oddity.to_string()),
             Item::Event { .. } | Item::Reply(_) => {}
         }
+    }
+
+    fn complain(&mut self, is_error: bool, time_s: f64, text: String) {
+        let device_time_s = Some(time_s).filter(|time_s| time_s.is_finite());
+        self.report.complaint = Some(BoardEvent { is_error, device_time_s, text });
     }
 
     /// The report at `now`, without the link's state; `counts` and `head` are those of the pipeline. To be called a
@@ -144,32 +112,20 @@ impl BoardStatistics {
         }
         let age_s = |then: HostInstant| now.monotonic_ns.saturating_sub(then.monotonic_ns) as f64 * 1e-9;
         BoardReport {
-            name: self.name.clone(),
-            device: self.device,
-            board: self.board.clone(),
-            firmware: self.firmware.clone(),
-            simulated: self.simulated,
             made_monotonic_ns: now.monotonic_ns,
             made_utc_ns: now.utc_ns,
-            link: LinkReport::default(),
             scans: counts.scans,
             last_scan_age_s: self.last_read.map(age_s),
-            rates: self.rates,
-            losses: Losses { board: self.book.board(), link: self.link_losses(counts), host: self.host_losses },
+            losses: Losses { board: self.book.board(), link: self.link_losses(counts), host: self.report.losses.host },
             outcomes: counts.outcomes,
-            recent_outcomes: self.recent_outcomes,
-            recent_link_losses: self.recent_link_losses,
             latencies: Latencies {
                 link: self.link_latency.latency(),
                 host: self.host_latency.latency(),
                 total: self.total_latency.latency(),
             },
-            lag: self.lag,
-            clock: self.clock,
             vitals: self.status.as_ref().map(|status| self.vitals(status)),
-            complaint: self.complaint.clone(),
             head,
-            board_poses: None,
+            ..self.report.clone()
         }
     }
 
@@ -191,17 +147,18 @@ impl BoardStatistics {
 
     fn take_hello(&mut self, hello: &Hello<'_>) {
         let device = DeviceId(hello.device_id);
-        if self.device.replace(device).is_some_and(|before| before != device) {
+        let report = &mut self.report;
+        if report.device.replace(device).is_some_and(|before| before != device) {
             self.book.begin_numbering();
         }
-        hello.board.clone_into(&mut self.board);
-        hello.firmware.clone_into(&mut self.firmware);
+        hello.board.clone_into(&mut report.board);
+        hello.firmware.clone_into(&mut report.firmware);
         self.reset_cause = format!("{:?}", hello.reset_cause);
-        self.simulated = hello.kind == BoardKind::Simulated;
+        report.simulated = hello.kind == BoardKind::Simulated;
     }
 
     fn take_record(&mut self, record: &Record, read_at: Option<HostInstant>, published_at: Option<HostInstant>) {
-        self.clock.uncertainty_s = record.host_time.map(|time| time.uncertainty_ns as f64 * 1e-9);
+        self.report.clock.uncertainty_s = record.host_time.map(|time| time.uncertainty_ns as f64 * 1e-9);
         let sampled_ns = record.host_time.map(|time| time.monotonic_ns);
         let [read_ns, published_ns] = [read_at, published_at].map(|at| at.map(|at| at.monotonic_ns));
         let record_ns = |histogram: &mut LatencyHistogram, from_ns: Option<u64>, to_ns: Option<u64>| {
@@ -223,15 +180,15 @@ impl BoardStatistics {
             (Some(from_s), Some(to_s)) => Some(to_s - from_s),
             _ => None,
         };
-        self.rates = Rates {
+        self.report.rates = Rates {
             // After a reset of the board the span is negative.
             device_hz: span_s.filter(|&span_s| span_s > 0.0).map(|span_s| scans as f64 / span_s),
             host_hz: scans as f64 / interval_s,
             interval_s,
         };
-        self.recent_outcomes = counts.outcomes.since(&before.outcomes);
+        self.report.recent_outcomes = counts.outcomes.since(&before.outcomes);
         let link = self.link_losses(counts);
-        self.recent_link_losses = link.since(&before.link);
+        self.report.recent_link_losses = link.since(&before.link);
         for histogram in [&mut self.link_latency, &mut self.host_latency, &mut self.total_latency] {
             histogram.end_interval();
         }

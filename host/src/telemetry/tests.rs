@@ -10,12 +10,12 @@ use std::time::{Duration, Instant};
 
 use slitpose_protocol::{ClockSource, SettingsSource, Severity, Status};
 
-use super::client::FetchError;
-use super::server::StatusError;
+use super::server::FetchError;
 use super::*;
+use crate::address::{Address, ServeError};
 use crate::datagram::DatagramCounts;
-use crate::http::SocketFileError;
 use crate::http::{self, BindScope};
+use crate::samples;
 use slitpose_head::finding::Finding;
 use slitpose_tracking::clock::{HostInstant, HostTime};
 use slitpose_tracking::health::{CellHealth, CellTotals, Diagnosis, Fault, HeadHealth, Shares, Verdict};
@@ -53,23 +53,9 @@ fn head() -> HeadHealth {
 }
 
 fn record(sequence: u64, sampled_ns: u64) -> Record {
-    let solver = slitpose_model::Solver::<f64>::empty();
-    Record {
-        device: DeviceId(*b"simulated\0\0\0"),
-        sequence,
-        device_time_s: sequence as f64 / 4000.0,
-        host_time: Some(HostTime { monotonic_ns: sampled_ns, utc_ns: sampled_ns, uncertainty_ns: 35_000 }),
-        arrival: None,
-        solution: solver.solve(
-            &slitpose_model::Photocurrents::default(),
-            slitpose_model::Start::Cold,
-            &slitpose_model::MotionPrior::AT_REST,
-        ),
-        twist: None,
-        filtered: None,
-        simulated: true,
-        truth: None,
-    }
+    let host_time = HostTime { monotonic_ns: sampled_ns, utc_ns: sampled_ns, uncertainty_ns: 35_000 };
+    let device_time_s = sequence as f64 / 4000.0;
+    Record { sequence, device_time_s, host_time: Some(host_time), ..samples::record() }
 }
 
 /// A board that has run for 4000 scans, all of which took 1 ms to the host and 20 us through it.
@@ -82,23 +68,8 @@ fn board(name: &str, head: Option<HeadHealth>) -> BoardReport {
         let later = |ns| Some(HostInstant { monotonic_ns: sampled_ns + ns, utc_ns: 0 });
         statistics.update(&Item::Pose(&record(sequence, sampled_ns)), later(1_000_000), later(1_020_000));
     }
-    let status = Status {
-        tick: 1,
-        acquiring: true,
-        scans_taken: 4000,
-        scans_dropped: 0,
-        batches_dropped: 0,
-        scans_lost: 0,
-        adc_overruns: 0,
-        replies_dropped: 0,
-        commands_damaged: 0,
-        commands_rejected: 0,
-        supply_v: 3.3,
-        temperature_k: 300.0,
-        cpu_load_permille: 130,
-        clock: ClockSource::CrystalFailed,
-        settings: SettingsSource::PassedOver,
-    };
+    let (clock, settings) = (ClockSource::CrystalFailed, SettingsSource::PassedOver);
+    let status = Status { scans_taken: 4000, cpu_load_permille: 130, clock, settings, ..samples::status() };
     statistics.update(&Item::Status(&status), None, None);
     let event = Item::Event { severity: Severity::Warning, device_time_s: f64::NAN, text: "supply sagged" };
     statistics.update(&event, None, None);
@@ -117,9 +88,11 @@ fn daemon(boards: Vec<BoardReport>) -> DaemonReport {
     DaemonReport { datagrams, ..DaemonReport::of_now(HostInstant::now(), boards, RecorderReport::default()) }
 }
 
-fn serve(address: &str) -> Result<StatusServer, StatusError> {
+fn serve(address: &str) -> Result<StatusServer, ServeError> {
     let (well, ill) = (board(AWKWARD, None), board("other", Some(head())));
-    StatusServer::start(&address.parse().unwrap(), BindScope::Loopback, move || daemon(vec![well.clone(), ill.clone()]))
+    StatusServer::start(&status_address(address).unwrap(), BindScope::Loopback, move || {
+        daemon(vec![well.clone(), ill.clone()])
+    })
 }
 
 #[test]
@@ -268,7 +241,7 @@ fn the_status_is_served_over_tcp() {
     let server = serve("127.0.0.1:0").unwrap();
     is_served(&server);
     let address = server.address().clone();
-    assert!(matches!(serve(&address.to_string()), Err(StatusError::InUse { .. })));
+    assert!(matches!(serve(&address.to_string()), Err(ServeError::InUse { .. })));
     drop(server);
     assert!(matches!(fetch(&address, "/status"), Err(FetchError::Connect { .. })));
 }
@@ -281,10 +254,7 @@ fn the_status_is_served_over_a_unix_socket() {
     let server = serve(&address).unwrap();
     is_served(&server);
     assert_eq!(fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o660);
-    assert!(
-        matches!(serve(&address), Err(StatusError::Socket(SocketFileError::InUse { .. }))),
-        "a daemon that lives keeps its socket"
-    );
+    assert!(matches!(serve(&address), Err(ServeError::InUse { .. })), "a daemon that lives keeps its socket");
     drop(server);
     assert!(!path.exists(), "the socket is removed");
 
@@ -298,7 +268,7 @@ fn the_status_is_served_over_a_unix_socket() {
     fs::write(&path, "precious").unwrap();
     drop(server);
     assert_eq!(fs::read_to_string(&path).unwrap(), "precious");
-    assert!(matches!(serve(&address), Err(StatusError::Socket(SocketFileError::NotASocket { .. }))));
+    assert!(matches!(serve(&address), Err(ServeError::NotASocket { .. })));
 }
 
 #[test]
@@ -321,11 +291,11 @@ fn a_page_in_a_browser_is_not_answered() {
 #[test]
 fn other_hosts_are_let_in_only_if_the_user_says_so() {
     for address in ["0.0.0.0:0", "[::]:0"] {
-        assert!(matches!(serve(address), Err(StatusError::NotLoopback { .. })), "{address}");
+        assert!(matches!(serve(address), Err(ServeError::NotLoopback { .. })), "{address}");
     }
     let anywhere =
-        StatusServer::start(&"0.0.0.0:0".parse().unwrap(), BindScope::Anywhere, || daemon(Vec::new())).unwrap();
-    assert!(matches!(anywhere.address(), StatusAddress::Tcp(address) if address.port() != 0));
+        StatusServer::start(&status_address("0.0.0.0:0").unwrap(), BindScope::Anywhere, || daemon(Vec::new())).unwrap();
+    assert!(matches!(anywhere.address(), Address::Tcp(address) if address.port() != 0));
 }
 
 #[test]
@@ -333,14 +303,14 @@ fn health_is_ok_of_a_healthy_board() {
     let started = HostInstant::now();
     let healthy = board("sim", Some(HeadHealth::default()));
     let source = move || DaemonReport::of_now(started, vec![healthy.clone()], RecorderReport::default());
-    let server = StatusServer::start(&"127.0.0.1:0".parse().unwrap(), BindScope::Loopback, source).unwrap();
+    let server = StatusServer::start(&status_address("127.0.0.1:0").unwrap(), BindScope::Loopback, source).unwrap();
     assert_eq!(fetch(server.address(), "/health").unwrap(), "ok\n");
 }
 
 fn tcp(server: &StatusServer) -> SocketAddr {
     match server.address() {
-        StatusAddress::Tcp(address) => *address,
-        StatusAddress::Unix(path) => panic!("{}", path.display()),
+        Address::Tcp(address) => *address,
+        other => panic!("{other}"),
     }
 }
 

@@ -27,6 +27,7 @@ pub(crate) struct Progress {
     name: &'static str,
     amount: Amount,
     total: u64,
+    done: u64,
     began: Instant,
     shown: Option<Instant>,
 }
@@ -34,7 +35,7 @@ pub(crate) struct Progress {
 impl Progress {
     /// A progress line of `total`, under `name`.
     pub(crate) fn new(name: &'static str, total: u64, amount: Amount) -> Self {
-        Self { name, amount, total, began: Instant::now(), shown: None }
+        Self { name, amount, total, done: 0, began: Instant::now(), shown: None }
     }
 
     /// Sets the amount done; redrawn a few times per second.
@@ -42,6 +43,12 @@ impl Progress {
         if self.shown.is_none_or(|shown| shown.elapsed() >= RENEWAL) {
             self.show(done, "");
         }
+    }
+
+    /// Adds to the amount done; redrawn a few times per second.
+    pub(crate) fn add(&mut self, more: u64) {
+        self.done += more;
+        self.at(self.done);
     }
 
     /// Sets the amount done and the present step; redrawn at once.

@@ -2,15 +2,17 @@
 
 use clap::ValueEnum;
 use serde::Serialize;
+use serde_json::json;
 use slitpose_head::foreign::printable;
 use slitpose_head::scene_file::{Shipped, WIDE};
 use slitpose_head::table::Output;
 use slitpose_protocol::{PROTOCOL, Schedule, Status};
 
 use super::{BoardOptions, Connection};
+use crate::commands::options::print;
 use crate::commands::{CommandError, Outcome, talk};
 use crate::device::{BoardInfo, Listed, PortState, Search, UsbId};
-use slitpose_tracking::link::{DeviceId, Versions};
+use slitpose_tracking::link::Versions;
 
 /// Lists the boards there are, and the ports that might have one.
 ///
@@ -40,12 +42,11 @@ enum ListFormat {
 
 pub(super) fn list(args: &ListArgs) -> Result<Outcome, CommandError> {
     let listed = crate::device::list(&args.search, !args.no_probe)?;
-    let output = Output::open(None)?;
     let text = match args.format {
         ListFormat::Table => table(&listed),
-        ListFormat::Ndjson => ndjson(&listed).map_err(|error| output.error(error.into()))?,
+        ListFormat::Ndjson => ndjson(&listed),
     };
-    output.write_text(&text)?;
+    print(&text)?;
     for hint in hints(&listed) {
         talk(format_args!("{hint}"));
     }
@@ -110,19 +111,7 @@ fn row(listed: &Listed) -> [String; HEADINGS.len()] {
     ]
 }
 
-#[derive(Serialize)]
-struct Line<'a> {
-    serial: Option<DeviceId>,
-    usb: Option<&'a UsbId>,
-    port: &'a str,
-    board: Option<&'a str>,
-    firmware: Option<&'a str>,
-    kind: Option<&'a str>,
-    protocol: Option<String>,
-    state: String,
-}
-
-fn ndjson(listed: &[Listed]) -> serde_json::Result<String> {
+fn ndjson(listed: &[Listed]) -> String {
     let mut text = String::new();
     for it in listed {
         let board = it.board.as_ref();
@@ -130,19 +119,20 @@ fn ndjson(listed: &[Listed]) -> serde_json::Result<String> {
             PortState::OtherVersion(version) => Some(version),
             _ => board.map(|board| board.protocol),
         };
-        text += &serde_json::to_string(&Line {
-            serial: it.device(),
-            usb: it.port.usb.as_ref(),
-            port: &it.port.name,
-            board: board.map(|board| board.board.as_str()),
-            firmware: board.map(|board| board.firmware.as_str()),
-            kind: board.map(|board| board.kind_name()),
-            protocol: protocol.map(|version| version.to_string()),
-            state: it.state.as_str().replace(' ', "_"),
-        })?;
+        let line = json!({
+            "serial": it.device(),
+            "usb": it.port.usb,
+            "port": it.port.name,
+            "board": board.map(|board| &board.board),
+            "firmware": board.map(|board| &board.firmware),
+            "kind": board.map(|board| board.kind_name()),
+            "protocol": protocol.map(|version| version.to_string()),
+            "state": it.state.as_str().replace(' ', "_"),
+        });
+        text += &line.to_string();
         text.push('\n');
     }
-    Ok(text)
+    text
 }
 
 /// Shows all that a board reports: versions, schedule, scaling, what it stores, its counters.

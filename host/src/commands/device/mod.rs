@@ -12,7 +12,6 @@ use clap::builder::TypedValueParser;
 use slitpose_calibration::{Calibration, Head};
 use slitpose_head::front_end;
 use slitpose_head::scene_file::{SceneFile, WIDE};
-use slitpose_head::table::Output;
 use slitpose_protocol::{BootTarget, Hashes, ResetCause, Schedule};
 
 use super::{CommandError, Outcome, options, talk};
@@ -192,8 +191,7 @@ fn set(args: &SetArgs) -> Result<Outcome, CommandError> {
             )
         }
     };
-    Output::open(None)?.write_text(&said)?;
-    Ok(Outcome::Done)
+    options::print(&said)
 }
 
 fn parse_full_scale(text: &str) -> Result<NonZeroU32, String> {

@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 use clap::ValueEnum;
 
 use super::{CommandError, Outcome};
-use crate::commands::options::{Jobs, open_scene, parse_number, store};
+use crate::commands::options::{Jobs, number, open_scene, store};
 use crate::commands::{interrupt, options, talk};
 use crate::terminal::{Amount, Progress};
 use slitpose_design::optimise::{Demand, Excess, Free, Goal, Limit, Limits, Score, Search};
@@ -42,25 +42,25 @@ pub(super) struct Args {
     #[arg(long, value_enum, default_value_t = DemandName::Median)]
     demand: DemandName,
     /// The point whose position counts: so far from the tool's centre, mm
-    #[arg(long, value_name = "MM", default_value_t = 10.0, value_parser = parse_length)]
+    #[arg(long, value_name = "MM", default_value_t = 10.0, value_parser = length())]
     lever: f64,
     /// Share of the workspace in which all spots are on their detectors, percent
-    #[arg(long, value_name = "PERCENT", default_value_t = 99.9, value_parser = parse_percent)]
+    #[arg(long, value_name = "PERCENT", default_value_t = 99.9, value_parser = number(|percent| (0.0..=100.0).contains(&percent), "give percent from 0 to 100, such as 99.9"))]
     lit: f64,
     /// Least distance of emitters from slits, mm
-    #[arg(long, value_name = "MM", default_value_t = 1.0, value_parser = parse_length)]
+    #[arg(long, value_name = "MM", default_value_t = 1.0, value_parser = length())]
     clearance: f64,
     /// Largest radius of the head at the detectors' ends, mm
-    #[arg(long, value_name = "MM", value_parser = parse_length)]
+    #[arg(long, value_name = "MM", value_parser = length())]
     radius: Option<f64>,
     /// Share of the workspace in which all electrodes are below full scale, percent
-    #[arg(long, value_name = "PERCENT", default_value_t = 99.5, value_parser = parse_percent)]
+    #[arg(long, value_name = "PERCENT", default_value_t = 99.5, value_parser = number(|percent| (0.0..=100.0).contains(&percent), "give percent from 0 to 100, such as 99.9"))]
     in_scale: f64,
     /// Make this folder with the best heads within several radii, and a page on them, instead of one head
     #[arg(long, value_name = "DIR", conflicts_with_all = ["radius", "output"])]
     pareto: Option<PathBuf>,
     /// Those radii, mm [default: 1, 1.15, 1.3, 1.5 and 1.75 times that of the scene]
-    #[arg(long, value_name = "MM,MM,...", value_delimiter = ',', requires = "pareto", value_parser = parse_length)]
+    #[arg(long, value_name = "MM,MM,...", value_delimiter = ',', requires = "pareto", value_parser = length())]
     radii: Vec<f64>,
     /// Seed of the candidates that are spread over the bounds
     #[arg(long, value_name = "S", default_value_t = 1)]
@@ -194,14 +194,6 @@ fn in_words(excess: &Excess, file: &SceneFile) -> String {
     format!("{excess} ({option})")
 }
 
-fn parse_percent(text: &str) -> Result<f64, &'static str> {
-    parse_number(text, |percent| (0.0..=100.0).contains(&percent), "give percent from 0 to 100, such as 99.9")
-}
-
-fn parse_length(text: &str) -> Result<f64, &'static str> {
-    parse_number(
-        text,
-        |length_mm| length_mm >= 0.0 && length_mm.is_finite(),
-        "give a length of zero or more in mm, such as 30",
-    )
+fn length() -> impl Fn(&str) -> Result<f64, &'static str> + Clone + Send + Sync {
+    number(|length_mm| length_mm >= 0.0 && length_mm.is_finite(), "give a length of zero or more in mm, such as 30")
 }

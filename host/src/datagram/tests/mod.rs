@@ -4,23 +4,18 @@ mod c;
 mod server;
 mod wall;
 
-use std::io::{self, IoSlice};
+use std::io;
 use std::net::{Ipv4Addr, UdpSocket};
-use std::os::fd::{AsFd, AsRawFd};
-use std::os::unix::net::UnixDatagram;
+use std::path::Path;
 use std::time::{Duration, Instant};
 
-use nix::sys::socket::{ControlMessage, MsgFlags, sendmsg};
-use slitpose_model::Tier;
 use tempfile::TempDir;
 
 use super::*;
-use slitpose_head::front_end;
-use slitpose_head::scene_file::WIDE;
-use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
+use crate::samples;
 use slitpose_tracking::clock::{HostInstant, HostTime};
 use slitpose_tracking::link::DeviceId;
-use slitpose_tracking::pipeline::{Item, Pipeline, PipelineError, Record, SceneMatch};
+use slitpose_tracking::pipeline::Record;
 
 const DEVICE: DeviceId = DeviceId(*b"simulated\0\0\0");
 const OTHER: DeviceId = DeviceId(*b"another one\0");
@@ -28,36 +23,8 @@ const OTHER: DeviceId = DeviceId(*b"another one\0");
 /// A busy machine may take long for what takes a moment.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Scans of a simulated board, the last with a pose and a twist.
-fn records() -> Vec<Record> {
-    use slitpose_protocol::{Command, MAX_REQUEST_BYTES, Request, encode};
-    let tier = Tier::Exact { tolerance: 1e-4 };
-    let file = WIDE.read().unwrap();
-    let trajectory = Trajectory::of_kind(TrajectoryKind::Smooth, 1, 1.0);
-    let mut board = SimulatedBoard::new(&file, trajectory, tier, 1).unwrap();
-    let mut buffer = [0; MAX_REQUEST_BYTES];
-    let configuration = front_end::configuration(&file).unwrap();
-    for (number, command) in [(1, Command::Configure(configuration)), (2, Command::Start)] {
-        board.write(encode(&Request { number, command }, &mut buffer).unwrap());
-    }
-    let mut bytes = Vec::new();
-    for _ in 0..40 {
-        board.step(&mut bytes);
-    }
-    let mut records = Vec::new();
-    let mut pipeline = Pipeline::new(file, tier, SceneMatch::Required);
-    let taken = pipeline.push(&bytes, |item| {
-        if let Item::Pose(record) = item {
-            records.push(*record);
-        }
-        Ok::<_, PipelineError>(())
-    });
-    taken.unwrap();
-    records
-}
-
 fn record() -> Record {
-    let record = *records().last().unwrap();
+    let (record, _) = samples::poses(40).pop().unwrap();
     assert!(record.solution.estimate.is_some() && record.twist.is_some());
     let host_time = HostTime { monotonic_ns: 123_456_789_000, utc_ns: 1_700_000_000_987_654_321, uncertainty_ns: 345 };
     let arrival = HostInstant { monotonic_ns: 123_456_999_000, utc_ns: 0 };
@@ -68,7 +35,6 @@ fn record() -> Record {
 struct Bench {
     folder: TempDir,
     server: DatagramServer,
-    clients: u32,
 }
 
 impl Bench {
@@ -77,35 +43,19 @@ impl Bench {
         let unix = Address::Unix(folder.path().join("pose"));
         let udp = Address::Udp((Ipv4Addr::LOCALHOST, 0).into());
         let server = DatagramServer::bind(&[unix, udp]).unwrap();
-        Self { folder, server, clients: 0 }
+        Self { folder, server }
     }
 
-    fn unix_client(&mut self) -> UnixDatagram {
-        self.clients += 1;
-        let client = UnixDatagram::bind(self.folder.path().join(format!("client {}", self.clients))).unwrap();
+    /// The path of the server's Unix socket.
+    fn path(&self) -> &Path {
         let Address::Unix(path) = &self.server.addresses()[0] else { panic!("unix first") };
-        client.connect(path).unwrap();
-        client.set_read_timeout(Some(PATIENCE)).unwrap();
+        path
+    }
+
+    fn unix_client(&self) -> UnixClient {
+        let client = UnixClient::new().unwrap();
+        client.socket.set_read_timeout(Some(PATIENCE)).unwrap();
         client
-    }
-
-    /// A client with a queue of its own; of its socket pair, the end that it reads. `renew` requests datagrams again.
-    fn passing_client(&self) -> (UnixDatagram, impl Fn(Request) -> io::Result<usize> + use<>) {
-        let (near, far) = UnixDatagram::pair().unwrap();
-        near.set_read_timeout(Some(PATIENCE)).unwrap();
-        (near, self.passes(far))
-    }
-
-    /// Sends requests with `passed`.
-    fn passes<F: AsFd>(&self, passed: F) -> impl Fn(Request) -> io::Result<usize> + use<F> {
-        let Address::Unix(path) = &self.server.addresses()[0] else { panic!("unix first") };
-        let ask = UnixDatagram::unbound().unwrap();
-        ask.connect(path).unwrap();
-        move |request| {
-            let (bytes, passed) = (request.to_bytes(), [passed.as_fd().as_raw_fd()]);
-            let rights = [ControlMessage::ScmRights(&passed)];
-            Ok(sendmsg::<()>(ask.as_raw_fd(), &[IoSlice::new(&bytes)], &rights, MsgFlags::empty(), None)?)
-        }
     }
 
     fn udp_client(&self) -> UdpSocket {
@@ -139,25 +89,25 @@ impl Bench {
         }
     }
 
-    fn ask(&self, client: &UnixDatagram, mode: Mode, device: Option<DeviceId>) {
-        self.tell(|| client.send(&Request::new(mode, device).to_bytes()));
+    fn ask(&self, client: &UnixClient, mode: Mode, device: Option<DeviceId>) {
+        self.tell(|| client.ask(self.path(), Request::new(mode, device)));
     }
 }
 
 #[test]
 fn addresses_are_read_as_they_are_written() {
     for text in ["unix:/run/slitpose/pose", "unix:pose", "udp:127.0.0.1:7440", "udp:[::1]:7440", "udp:127.9.9.9:0"] {
-        assert_eq!(text.parse::<Address>().unwrap().to_string(), text);
+        assert_eq!(address(text).unwrap().to_string(), text);
     }
     for text in ["", "pose", "unix", "unix:", "tcp:127.0.0.1:1", "udp:", "udp:localhost:1", "udp:127.0.0.1"] {
-        assert!(text.parse::<Address>().is_err(), "{text}");
+        assert!(address(text).is_err(), "{text}");
     }
 }
 
 #[test]
 fn other_hosts_are_not_served() {
     for text in ["udp:0.0.0.0:7440", "udp:192.168.1.2:7440", "udp:[::]:7440"] {
-        let error = text.parse::<Address>().unwrap_err();
-        assert!(matches!(error, AddressError::NotLoopback { .. }), "{text}: {error}");
+        let error = address(text).unwrap_err();
+        assert!(error.contains("can be reached from other hosts"), "{text}: {error}");
     }
 }

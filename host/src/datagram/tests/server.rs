@@ -7,8 +7,10 @@ use std::os::unix::net::UnixDatagram;
 use tempfile::TempDir;
 
 use super::{Bench, DEVICE, OTHER, record};
+use crate::address::ServeError;
 use crate::datagram::server::LEASE;
-use crate::datagram::{Address, AddressError, Answer, DatagramError, DatagramServer, Mode, PoseDatagram, Request};
+use crate::datagram::socket::pass;
+use crate::datagram::{Address, Answer, DatagramServer, Mode, PoseDatagram, Request, UnixClient};
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::pipeline::Record;
 
@@ -91,27 +93,27 @@ fn u64_at(bytes: &[u8], at: usize) -> u64 {
     u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap())
 }
 
-fn receive(client: &UnixDatagram) -> [u8; PoseDatagram::BYTES] {
+fn receive(client: &UnixClient) -> [u8; PoseDatagram::BYTES] {
     let mut bytes = [0; PoseDatagram::BYTES];
-    assert_eq!(client.recv(&mut bytes).unwrap(), PoseDatagram::BYTES);
+    assert_eq!(client.socket.recv(&mut bytes).unwrap(), PoseDatagram::BYTES);
     bytes
 }
 
 /// Numbers of all datagrams that wait, and what the last says was missed.
-fn drain(client: &UnixDatagram) -> (Vec<u64>, u64) {
-    client.set_nonblocking(true).unwrap();
+fn drain(client: &UnixClient) -> (Vec<u64>, u64) {
+    client.socket.set_nonblocking(true).unwrap();
     let (mut numbers, mut missed, mut bytes) = (Vec::new(), 0, [0; PoseDatagram::BYTES]);
-    while client.recv(&mut bytes).is_ok() {
+    while client.socket.recv(&mut bytes).is_ok() {
         numbers.push(u64_at(&bytes, 32));
         missed = u64_at(&bytes, 40);
     }
-    client.set_nonblocking(false).unwrap();
+    client.socket.set_nonblocking(false).unwrap();
     (numbers, missed)
 }
 
 #[test]
 fn the_newest_is_given_to_who_asks() {
-    let mut bench = Bench::new();
+    let bench = Bench::new();
     let (client, udp) = (bench.unix_client(), bench.udp_client());
     let (mut first, mut second) = (bench.server.publisher(DEVICE), bench.server.publisher(OTHER));
     // Nothing to give yet.
@@ -144,7 +146,7 @@ fn the_newest_is_given_to_who_asks() {
 
 #[test]
 fn who_follows_gets_the_board_it_asked_for_until_its_lease_ends() {
-    let mut bench = Bench::new();
+    let bench = Bench::new();
     let (one, all) = (bench.unix_client(), bench.unix_client());
     let (mut first, mut second) = (bench.server.publisher(DEVICE), bench.server.publisher(OTHER));
     let record = record();
@@ -176,7 +178,7 @@ fn who_follows_gets_the_board_it_asked_for_until_its_lease_ends() {
 #[test]
 fn who_does_not_read_misses_datagrams_and_delays_nobody() {
     const PUBLISHED: u64 = 100_000;
-    let mut bench = Bench::new();
+    let bench = Bench::new();
     let (slow, gone) = (bench.unix_client(), bench.unix_client());
     let mut publisher = bench.server.publisher(DEVICE);
     let (record, now) = (record(), HostInstant::now());
@@ -208,14 +210,10 @@ fn follower(bench: &Bench, is_udp: bool) -> Receive {
         client.set_nonblocking(true).unwrap();
         Box::new(move |bytes| client.recv(bytes))
     } else {
-        let (near, ask) = bench.passing_client();
-        bench.tell(|| ask(Request::new(Mode::Follow, None)));
-        near.set_nonblocking(true).unwrap();
-        Box::new(move |bytes| {
-            // It keeps the other end, too, as clients do.
-            let _ = &ask;
-            near.recv(bytes)
-        })
+        let client = bench.unix_client();
+        bench.ask(&client, Mode::Follow, None);
+        client.socket.set_nonblocking(true).unwrap();
+        Box::new(move |bytes| client.socket.recv(bytes))
     }
 }
 
@@ -257,11 +255,9 @@ fn no_client_misses_a_datagram_because_of_another() {
 
 #[test]
 fn a_client_that_misses_poses_for_a_second_is_slow_until_it_reads() {
-    let mut bench = Bench::new();
-    let (stopped, ask) = bench.passing_client();
-    let named = bench.unix_client();
-    bench.tell(|| ask(Request::new(Mode::Follow, None)));
-    bench.ask(&named, Mode::Follow, None);
+    let bench = Bench::new();
+    let stopped = bench.unix_client();
+    bench.ask(&stopped, Mode::Follow, None);
     let mut publisher = bench.server.publisher(DEVICE);
     let (record, mut now) = (record(), HostInstant::now());
     let mut publish = |millis: u64| {
@@ -271,18 +267,13 @@ fn a_client_that_misses_poses_for_a_second_is_slow_until_it_reads() {
     };
     assert_eq!((publish(0), publish(900)), (vec![], vec![]), "a pause of the client is no fault");
     let slow = publish(200);
-    let told: Vec<_> = slow.iter().map(|client| (client.process, client.shares_queue)).collect();
-    assert_eq!(told, [(Some(std::process::id() as i32), false), (None, true)]);
-    assert!(slow.iter().all(|client| client.missed > 1000 && client.user.is_some()), "{slow:?}");
-    // Both read again, and have missed nothing for a second.
-    stopped.set_nonblocking(true).unwrap();
-    while stopped.recv(&mut [0; 1]).is_ok() {}
-    drain(&named);
+    assert!(slow.len() == 1 && slow[0].process == Some(std::process::id() as i32), "{slow:?}");
+    assert!(slow[0].missed > 1000 && slow[0].user.is_some(), "{slow:?}");
+    // It reads again, and has missed nothing for a second.
+    drain(&stopped);
     now.monotonic_ns += 1_100_000_000;
     publisher.publish(&record, now);
-    let mut bytes = [0; PoseDatagram::BYTES];
-    assert_eq!(stopped.recv(&mut bytes).unwrap(), bytes.len());
-    assert_eq!(u64_at(&bytes, 40), slow[0].missed, "it is told what it missed");
+    assert_eq!(u64_at(&receive(&stopped), 40), slow[0].missed, "it is told what it missed");
 }
 
 #[test]
@@ -302,39 +293,37 @@ fn what_is_no_end_of_a_pair_gets_no_datagrams() {
         bench.udp_client().into(),
         std::fs::File::open("/dev/null").unwrap().into(),
     ];
+    let asks = UnixDatagram::unbound().unwrap();
     for (number, passed) in (1..).zip(passed) {
-        let ask = bench.passes(passed);
-        bench.tell(|| ask(Request::new(Mode::Newest, None)));
+        bench.tell(|| pass(&asks, bench.path(), Request::new(Mode::Newest, None), &passed));
         let counts = bench.server.counts();
         assert_eq!((counts.refused, counts.sent, counts.requests), (number, 0, 0));
     }
     assert!(victim.recv(&mut [0; 1]).is_err());
     // An end that blocks delays nobody, and with its other end the client is gone.
     let (near, far) = UnixDatagram::pair().unwrap();
-    let ask = bench.passes(far.try_clone().unwrap());
-    bench.tell(|| ask(Request::new(Mode::Follow, None)));
+    bench.tell(|| pass(&asks, bench.path(), Request::new(Mode::Follow, None), &far));
     far.set_nonblocking(false).unwrap();
     (0..1000).for_each(|_| publisher.publish(&record, HostInstant::now()));
     let counts = bench.server.counts();
     assert_eq!(counts.sent + counts.missed, 1000);
-    drop(near);
+    drop((near, far));
     publisher.publish(&record, HostInstant::now());
     assert_eq!((bench.server.counts().sent, bench.server.counts().missed), (counts.sent, counts.missed));
 }
 
 #[test]
 fn what_is_no_request_is_counted_and_nothing_else() {
-    let mut bench = Bench::new();
+    let bench = Bench::new();
     let (client, udp) = (bench.unix_client(), bench.udp_client());
     let mut publisher = bench.server.publisher(DEVICE);
     publisher.publish(&record(), HostInstant::now());
-    bench.tell(|| client.send(b"pose, please"));
+    let nameless = UnixDatagram::unbound().unwrap();
+    bench.tell(|| nameless.send_to(b"pose, please", bench.path()));
     bench.tell(|| udp.send(&[]));
     bench.tell(|| udp.send(&[0; 2000]));
-    // Who has no name cannot be answered.
-    let Address::Unix(path) = &bench.server.addresses()[0] else { panic!("unix first") };
-    let nameless = UnixDatagram::unbound().unwrap();
-    bench.tell(|| nameless.send_to(&Request::new(Mode::Newest, None).to_bytes(), path));
+    // Who passes no socket cannot be answered.
+    bench.tell(|| nameless.send_to(&Request::new(Mode::Newest, None).to_bytes(), bench.path()));
     let counts = bench.server.counts();
     assert_eq!((counts.requests, counts.refused, counts.sent), (0, 4, 0));
     bench.ask(&client, Mode::Newest, None);
@@ -348,7 +337,7 @@ fn addresses_are_had_alone_and_given_back() {
     let address = [Address::Unix(path.clone())];
     let living = DatagramServer::bind(&address).unwrap();
     let error = DatagramServer::bind(&address).unwrap_err();
-    assert!(matches!(&error, DatagramError::InUse { path: in_use } if *in_use == path), "{error}");
+    assert!(matches!(&error, ServeError::InUse { address: Address::Unix(in_use) } if *in_use == path), "{error}");
     drop(living);
     assert!(!path.exists());
     // A daemon that was killed leaves its file.
@@ -363,16 +352,16 @@ fn addresses_are_had_alone_and_given_back() {
     drop(second);
     std::fs::write(&path, "poses").unwrap();
     let error = DatagramServer::bind(&address).unwrap_err();
-    assert!(matches!(error, DatagramError::NotASocket { .. }), "{error}");
+    assert!(matches!(error, ServeError::NotASocket { .. }), "{error}");
 
     let anywhere: SocketAddr = (Ipv4Addr::UNSPECIFIED, 0).into();
     let error = DatagramServer::bind(&[Address::Udp(anywhere)]).unwrap_err();
-    assert!(matches!(error, DatagramError::Address(AddressError::NotLoopback { .. })), "{error}");
+    assert!(matches!(error, ServeError::NotLoopback { .. }), "{error}");
 }
 
 #[test]
 fn who_asks_before_the_board_is_there_follows_it() {
-    let mut bench = Bench::new();
+    let bench = Bench::new();
     let [every, first, second] = [None, Some(DEVICE), Some(OTHER)].map(|device| {
         let client = bench.unix_client();
         // Twice, as clients do: each is followed once.
@@ -392,30 +381,8 @@ fn who_asks_before_the_board_is_there_follows_it() {
 }
 
 #[test]
-fn a_link_in_the_place_of_a_clients_socket_leads_nowhere() {
-    let mut bench = Bench::new();
-    let victim = UnixDatagram::bind(bench.folder.path().join("victim")).unwrap();
-    victim.set_nonblocking(true).unwrap();
-    let client = bench.unix_client();
-    let name = bench.folder.path().join("client 1");
-    let mut publisher = bench.server.publisher(DEVICE);
-    let record = record();
-    bench.ask(&client, Mode::Follow, None);
-    std::fs::remove_file(&name).unwrap();
-    std::os::unix::fs::symlink(bench.folder.path().join("victim"), &name).unwrap();
-    publisher.publish(&record, HostInstant::now());
-    assert!(victim.recv(&mut [0; 1]).is_err(), "the link was followed");
-    assert_eq!(drain(&client).0, [1], "the socket itself still has its poses");
-    // Nor can it be asked for under the name of the link.
-    let before = bench.server.counts().refused;
-    bench.ask(&client, Mode::Newest, None);
-    assert_eq!(bench.server.counts().refused, before + 1);
-    assert!(victim.recv(&mut [0; 1]).is_err() && drain(&client).0.is_empty());
-}
-
-#[test]
 fn one_kind_of_client_does_not_take_the_places_of_another() {
-    let mut bench = Bench::new();
+    let bench = Bench::new();
     let mut publisher = bench.server.publisher(DEVICE);
     let record = record();
     let mut publish = || publisher.publish(&record, HostInstant::now());
@@ -443,7 +410,7 @@ fn one_kind_of_client_does_not_take_the_places_of_another() {
     publish();
     for (number, client) in unix.iter().enumerate() {
         let mut bytes = [0; PoseDatagram::BYTES];
-        let count = client.recv(&mut bytes).unwrap();
+        let count = client.socket.recv(&mut bytes).unwrap();
         assert_eq!(Answer::from_bytes(&bytes[..count]), (number == 8).then_some(Answer::Refused), "{number}");
     }
     for (number, client) in udp.iter().enumerate() {

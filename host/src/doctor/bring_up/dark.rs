@@ -3,7 +3,7 @@
 use slitpose_protocol::{AdcScaling, Level};
 
 use super::bench::{Bench, BenchError, sample};
-use super::pins::{ELECTRODES, Wiring};
+use super::bench::{ELECTRODES, Wiring};
 use super::sampling;
 use super::sampling::{Codes, Sampling};
 use slitpose_head::finding::Finding;

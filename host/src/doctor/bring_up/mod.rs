@@ -2,27 +2,21 @@
 //!
 //! | file | steps |
 //! |---|---|
-//! | `link` | link and start; supply and temperature |
+//! | `safety` | link and start; supply and temperature; dark after Stop and without a host; settings over a power cut |
 //! | `dark` | codes without light, emitters with their gates off; noise |
-//! | `emitters` | each emitter alone |
-//! | `levels`, `codes` | current against level; codes on the way |
+//! | `emitters` | each emitter alone; light of other emitters |
+//! | `levels` | current against level; codes on the way |
 //! | `settling` | the time that light takes to settle |
-//! | `crosstalk` | light of other emitters |
-//! | `safety` | dark after Stop and without a host; settings over a power cut |
 //!
 //! Each of these files measures first and judges then: what judges is a pure function from measured numbers to
-//! findings. `bench` connects the board and takes scans, `sampling` has their configurations, their statistics, and what
-//! the scene predicts; `pins` names signals. A step opens the port and closes it, so that
+//! findings. `bench` connects the board, takes scans and names signals, `sampling` has their configurations, their statistics, and what
+//! the scene predicts. A step opens the port and closes it, so that
 //! between steps the board is idle without a host.
 
 mod bench;
-mod codes;
-mod crosstalk;
 mod dark;
 mod emitters;
 mod levels;
-mod link;
-mod pins;
 mod safety;
 mod sampling;
 mod settling;
@@ -41,7 +35,7 @@ use slitpose_head::finding::Finding;
 use slitpose_head::scene_file::SceneFile;
 
 /// A step, as one of [`Step::ALL`].
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct Step {
     pub(crate) name: &'static str,
     pub(crate) preparation: &'static str,
@@ -61,13 +55,13 @@ impl Step {
             preparation: "power and data cable; detectors covered; emitters need not be connected",
             expectation: "hello in this program's protocol, frames at the scheduled rate within 5 % of the host's clock, \
                           none lost in 2 s",
-            take: |bench, _| link::link(bench),
+            take: |bench, _| safety::link(bench),
         },
         Self {
             name: "supply",
             preparation: "as before; the multimeter on 3.3 V",
             expectation: "3.3 V within 5 % (regulator of the Nucleo), -40 to 85 C (data sheet, suffix 6)",
-            take: |bench, _| link::supply(bench),
+            take: |bench, _| safety::supply(bench),
         },
         Self {
             name: "dark",
@@ -108,7 +102,7 @@ impl Step {
             preparation: "as before; baffles fitted",
             expectation: "light of another emitter below the scene's prediction plus 1 % of the cell's own: 1 % at the end \
                           of a 12 mm detector moves the spot by 60 um, the detector's own error",
-            take: |bench, _| crosstalk::take(bench),
+            take: |bench, _| emitters::take_crosstalk(bench),
         },
         Self {
             name: "safety",
@@ -127,12 +121,6 @@ impl Step {
     /// Its number, from 1.
     pub(crate) fn number(&self) -> usize {
         1 + Self::ALL.iter().take_while(|step| step.name != self.name).count()
-    }
-}
-
-impl fmt::Debug for Step {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name)
     }
 }
 
@@ -164,12 +152,6 @@ pub(crate) struct BringUp<'a> {
     schedule: Schedule,
 }
 
-impl fmt::Debug for BringUp<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("BringUp").field("schedule", &self.schedule).finish_non_exhaustive()
-    }
-}
-
 /// The scene of a bring-up: `given`, else the one the board belongs to, else the default one; and what there is to say
 /// about it. `None` if the board cannot be reached, or belongs to another scene.
 pub(crate) fn scene(
@@ -181,7 +163,7 @@ pub(crate) fn scene(
     let trial = given.cloned().or_else(default_scene)?;
     match Bench::new(device, search, &trial).connect() {
         Ok((_, info)) => {
-            findings.extend(pins::unknown_board(&info));
+            findings.extend(bench::unknown_board(&info));
             let scene = super::link::scene(given, &info, findings)?;
             findings.push(super::link::full_scale(&scene, &info));
             Some(scene)

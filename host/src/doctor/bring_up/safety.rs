@@ -1,14 +1,92 @@
-//! Whether the board is dark after Stop, and without a host.
+//! The board itself: link and start, supply and temperature; whether it is dark after Stop and without a host, and keeps
+//! its settings over a power cut.
 
 use std::time::{Duration, Instant};
 
-use slitpose_head::causes::with_causes;
-use slitpose_head::finding::Finding;
 use slitpose_protocol::{BootTarget, Hashes, Level, Schedule, SettingsSource, Status};
 
 use super::bench::{Bench, BenchError, sample};
 use super::sampling;
 use crate::device::{BoardInfo, Conversation, DeviceError};
+use crate::doctor::{judged, link, measurement};
+use slitpose_head::causes::with_causes;
+use slitpose_head::finding::Finding;
+use slitpose_head::finding::Grade::{Failed, Warning};
+use slitpose_tracking::link::start_findings;
+
+/// Duration of the measurement, seconds.
+const DURATION_S: f64 = 2.0;
+
+/// What was counted in `DURATION_S`.
+#[derive(Clone, Copy, Debug)]
+struct Counted {
+    scans: usize,
+    missing: u64,
+    elapsed_s: f64,
+    scheduled_hz: f64,
+    lost_on_board: u64,
+    overruns: u32,
+}
+
+pub(super) fn link(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
+    let (mut board, info) = bench.connect()?;
+    let (mut findings, _) = link::judge(&info);
+    let configuration = sampling::at(bench.schedule()?, Level(0));
+    let scheduled_hz = configuration.schedule.frame_rate_hz();
+    let before = board.status()?;
+    let sampling = sample(&mut board, configuration, (DURATION_S * scheduled_hz) as usize)?;
+    let after = board.status()?;
+    findings.extend(start_findings(after.clock, after.settings));
+    let lost = |status: &Status| status.scans_dropped + status.scans_lost;
+    findings.extend(judge_link(&Counted {
+        scans: sampling.scans.len(),
+        missing: sampling.missing,
+        elapsed_s: sampling.elapsed_s,
+        scheduled_hz,
+        lost_on_board: lost(&after).saturating_sub(lost(&before)),
+        overruns: after.adc_overruns.saturating_sub(before.adc_overruns),
+    }));
+    Ok(findings)
+}
+
+fn judge_link(counted: &Counted) -> [Finding; 2] {
+    let &Counted { scans, missing, elapsed_s, scheduled_hz, lost_on_board, overruns } = counted;
+    let rate_hz = scans as f64 / elapsed_s;
+    let text = format!("{rate_hz:.0} frames/s by the host's clock, {scheduled_hz:.0} by the schedule; 5 % allowed");
+    let is_off = (rate_hz / scheduled_hz - 1.0).abs() > measurement::RATE_SLACK;
+    // An emulated board, or a busy host, and no fault of the board's clock that keeps poses from coming.
+    let next_step = "lower the load of this host; if it stays so, look at the board's clock (crystal, its load)";
+    let rate = judged("frame rate", text, [(is_off, Warning, next_step)]);
+    let text =
+        format!("{scans} frames, {missing} missing; the board counts {lost_on_board} lost and {overruns} overruns");
+    let is_lossy = missing > 0 || overruns > 0;
+    let by_board =
+        "the host did not read in time, its USB port suspends, or the MCU is overloaded: lower the load of both";
+    let by_cable = "change cable or hub; data lines of USB as short as possible, side by side";
+    let is_by_board = is_lossy && lost_on_board + u64::from(overruns) > 0;
+    [rate, judged("frames", text, [(is_by_board, Failed, by_board), (is_lossy, Failed, by_cable)])]
+}
+
+pub(super) fn supply(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
+    let status = bench.connect()?.0.status()?;
+    Ok(judge_supply(&status).into())
+}
+
+fn judge_supply(status: &Status) -> [Finding; 2] {
+    let volts = status.supply_v;
+    let range = measurement::SUPPLY_V;
+    let text = format!("V_DDA {volts:.3} V, expected {:.3} to {:.3} V", range.start(), range.end());
+    // NaN is in no range.
+    let next_step = "measure 3.3 V and V_DDA: regulator, cable, a short or a load that does not \
+                     belong there; currents scale with V_DDA";
+    let supply = judged("supply", text, [(!range.contains(&volts), Failed, next_step)]);
+    let text = format!("MCU at {:.1} C, expected -40 to 85 C", status.temperature_k - 273.15);
+    let is_hot = !measurement::TEMPERATURE_K.contains(&status.temperature_k);
+    let next_step = "if the MCU is hot, switch the supply off at once: one of its pins drives against another output";
+    [supply, judged("temperature", text, [(is_hot, Failed, next_step)])]
+}
+
+// Dark, and settings.
 
 const SCANS: usize = 40;
 
@@ -181,14 +259,15 @@ fn judge_storage(before: &Stored, after: &Stored, is_cut: bool) -> Finding {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
     use super::*;
     use crate::device::SimulatedDevice;
     use slitpose_head::finding::Grade;
+    use slitpose_head::finding::Grade::{Failed, Ok, Warning};
     use slitpose_head::front_end;
     use slitpose_head::scene_file::WIDE;
 
-    pub(in super::super) fn status() -> Status {
+    fn status() -> Status {
         let device = SimulatedDevice::at_rest(&WIDE.read().unwrap()).unwrap();
         Conversation::open(Box::new(device)).unwrap().status().unwrap()
     }
@@ -198,9 +277,9 @@ pub(super) mod tests {
         let idle = status();
         let status = |acquiring, scans_taken| Status { acquiring, scans_taken, ..idle };
         let grade = |first, second| judge(After::Stop, &[first, second], 40).grade;
-        assert_eq!(grade(status(false, 44), status(false, 44)), Grade::Ok);
-        assert_eq!(grade(status(true, 44), status(false, 44)), Grade::Failed);
-        assert_eq!(grade(status(false, 44), status(false, 45)), Grade::Failed);
+        assert_eq!(grade(status(false, 44), status(false, 44)), Ok);
+        assert_eq!(grade(status(true, 44), status(false, 44)), Failed);
+        assert_eq!(grade(status(false, 44), status(false, 45)), Failed);
         let closed = judge(After::Closed(CLOSED_OWN_PORT), &[status(true, 0), status(true, 2_000)], 40);
         assert!(closed.text.contains("closed for 1 s") && closed.text.contains("2000 frames"), "{closed}");
     }
@@ -209,12 +288,38 @@ pub(super) mod tests {
     fn lost_hashes_and_lost_schedules_are_found() {
         let schedule = front_end::configuration(&WIDE.read().unwrap()).unwrap().schedule;
         let stored = Stored { hashes: Hashes { scene: Some(7), calibration: None }, schedule };
-        assert_eq!(judge_storage(&stored, &stored, true).grade, Grade::Ok);
+        assert_eq!(judge_storage(&stored, &stored, true).grade, Ok);
         let hashes = Stored { hashes: Hashes::default(), ..stored.clone() };
         let lost = judge_storage(&stored, &hashes, false);
-        assert!(lost.grade == Grade::Failed && lost.text.contains("after a reboot none"), "{lost}");
+        assert!(lost.grade == Failed && lost.text.contains("after a reboot none"), "{lost}");
         let mut slower = stored.clone();
         slower.schedule.frame_ticks *= 2;
-        assert_eq!(judge_storage(&stored, &slower, true).grade, Grade::Failed);
+        assert_eq!(judge_storage(&stored, &slower, true).grade, Failed);
+    }
+
+    #[test]
+    fn rates_and_losses_are_judged_apart() {
+        let good =
+            Counted { scans: 8_000, missing: 0, elapsed_s: 2.0, scheduled_hz: 4_000.0, lost_on_board: 0, overruns: 0 };
+        let grades = |counted| judge_link(&counted).map(|finding| finding.grade);
+        assert_eq!(grades(good), [Ok, Ok]);
+        assert_eq!(grades(Counted { elapsed_s: 2.2, ..good }), [Warning, Ok]);
+        assert_eq!(grades(Counted { missing: 1, ..good }), [Ok, Failed]);
+        assert_eq!(grades(Counted { overruns: 1, ..good }), [Ok, Failed]);
+        let lossy = judge_link(&Counted { missing: 4, lost_on_board: 4, ..good });
+        assert!(lossy[1].next_step.as_ref().is_some_and(|step| step.contains("host")), "{lossy:?}");
+    }
+
+    #[test]
+    fn a_supply_of_three_volts_is_too_low() {
+        let good = status();
+        let status = |supply_v, temperature_k| Status { supply_v, temperature_k, ..good };
+        let grades = |supply_v, temperature_k| -> [Grade; 2] {
+            judge_supply(&status(supply_v, temperature_k)).map(|finding| finding.grade)
+        };
+        assert_eq!(grades(3.3, 300.0), [Ok, Ok]);
+        assert_eq!(grades(3.0, 300.0), [Failed, Ok]);
+        assert_eq!(grades(f32::NAN, f32::NAN), [Failed, Failed]);
+        assert_eq!(grades(3.3, 400.0), [Ok, Failed]);
     }
 }

@@ -8,8 +8,7 @@ use ::zenoh::qos::CongestionControl;
 use ::zenoh::{Session, Wait, pubsub};
 use slitpose_head::finding::{Finding, Grade};
 
-use super::ZenohSession;
-use super::session::{Attachment, Node, Type, gid, topic_key};
+use super::{Attachment, Node, Type, ZenohSession, gid, topic_key};
 use crate::daemon::{ChunkSink, Talk, TapChunk};
 use crate::live::LiveBoard;
 use crate::telemetry::DaemonReport;
@@ -176,14 +175,14 @@ impl ChunkSink for Publisher {
     }
 
     fn tick(&mut self) {
-        let now = Instant::now();
-        if now < self.repeat_at {
+        if Instant::now() < self.repeat_at {
             return;
         }
         if self.daemon.is_none() {
             self.connect();
         }
-        self.repeat_at = now + REPEAT_EVERY;
+        // Without a router that took long, and chunks wait: they are all taken before it is sought again.
+        self.repeat_at = Instant::now() + REPEAT_EVERY;
         for Shown { hello, topics, .. } in &mut self.boards {
             if let Some(topics) = topics {
                 topics.head.put(&topics.shapes);
@@ -259,5 +258,22 @@ fn encode_health(findings: &[Finding], devices: &str, bytes: &mut Vec<u8>) {
             Some(next_step) => encoder.text(&format!("{}; {next_step}", finding.text)),
             None => encoder.text(&finding.text),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn chunks_do_not_wait_for_a_router_that_is_not_there() {
+        let session = ZenohSession::open("tcp/127.0.0.1:9").unwrap();
+        let report = || -> DaemonReport { unreachable!("without a router nothing is published") };
+        let talk = |_: std::fmt::Arguments<'_>| {};
+        let mut publisher = Publisher::new(session, Vec::new(), Box::new(report), Arc::new(talk));
+        publisher.tick();
+        let begun = Instant::now();
+        publisher.tick();
+        assert!(begun.elapsed() < REPEAT_EVERY / 2);
     }
 }

@@ -1,8 +1,8 @@
 //! The socket that spacenavd's clients connect to.
 
-use std::io::{self, ErrorKind, Read, Write};
+use std::io::{ErrorKind, Read, Write};
 use std::os::unix::net::{UnixListener, UnixStream};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
@@ -11,10 +11,9 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use slitpose_head::scene_file::Workspace;
 use slitpose_model::Pose;
-use thiserror::Error;
 
 use super::Feel;
-use crate::http::{SocketFile, SocketFileError};
+use crate::address::{ServeError, SocketFile, connects_stream};
 use crate::live::{Sample, SampleSink};
 
 /// Most clients; more are not let in.
@@ -29,17 +28,6 @@ const MAX_READS: usize = 16;
 /// The request for another version of the protocol, and the mask of its version.
 const CHANGE_VERSION: u32 = 0x7faa_5500;
 const VERSION: u32 = 0xff;
-
-#[derive(Debug, Error)]
-pub(crate) enum SpacenavError {
-    #[error(transparent)]
-    Socket(#[from] SocketFileError),
-    #[error("cannot serve {}", path.display())]
-    Thread { path: PathBuf, source: io::Error },
-}
-
-/// Owner and group may connect, other users may not.
-const SOCKET_MODE: u32 = 0o660;
 
 /// Poses on their way to the clients.
 const SIGHTINGS: usize = 4;
@@ -80,9 +68,9 @@ impl SampleSink for SpacenavInput {
 
 impl SpacenavServer {
     /// Serves `path`, for a tool in `workspace`.
-    pub(crate) fn start(path: &Path, feel: Feel, workspace: Workspace) -> Result<Self, SpacenavError> {
-        let (listener, file) = SocketFile::bind(path, SOCKET_MODE, |path| UnixListener::bind(path))?;
-        let failed = |source| SpacenavError::Thread { path: path.to_owned(), source };
+    pub(crate) fn start(path: &Path, feel: Feel, workspace: Workspace) -> Result<Self, ServeError> {
+        let (listener, file) = SocketFile::bind(path, connects_stream, |path| UnixListener::bind(path))?;
+        let failed = |source| ServeError::Thread { source };
         listener.set_nonblocking(true).map_err(failed)?;
         let (sender, sightings) = bounded(SIGHTINGS);
         let (end, is_zeroed) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));

@@ -1,20 +1,19 @@
-//! The server, by Foxglove's own library.
+//! Foxglove shows boards live, by its own library.
 
-use std::net::SocketAddr;
+use std::io::ErrorKind;
+use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
-use std::thread::JoinHandle;
 use std::time::Duration;
 
-use ::foxglove::{Context, FoxgloveError as SdkError, RawChannel, Schema};
+use ::foxglove::{Context, FoxgloveError as SdkError, RawChannel, Schema, WebSocketServerHandle};
 use slitpose_calibration::Head;
-use tokio::runtime::Builder;
 use tokio::sync::mpsc::Receiver;
-use tokio::sync::oneshot;
 use tokio::time::{MissedTickBehavior, interval};
 
-use super::{FoxgloveAddress, FoxgloveError};
-use crate::live::frame::{Optics, Sample};
-use crate::live::hub::{Input, LiveBoard, LiveInput};
+use super::BridgeError;
+use crate::address::{Address, ServeError};
+use crate::http::Serving;
+use crate::live::{Input, LiveBoard, LiveInput, Optics, Sample};
 use crate::telemetry::DaemonReport;
 use slitpose_tracking::link::DeviceId;
 use slitpose_tracking::ros::{self, MARKERS, POSE, RosType, TRANSFORMS, TWIST};
@@ -25,95 +24,82 @@ const REPORT_EVERY: Duration = Duration::from_millis(500);
 /// Messages kept for a client, half a second of a board; one that is further behind misses the oldest.
 const BACKLOG: usize = 128;
 
-/// Serves Foxglove until dropped.
-pub(crate) struct FoxgloveServer {
-    url: String,
-    input: LiveInput,
-    end: Option<oneshot::Sender<()>>,
-    thread: Option<JoinHandle<()>>,
-}
-
 struct Shown {
     context: Arc<Context>,
     boards: Vec<Option<Board>>,
     report: Arc<RawChannel>,
 }
 
-impl FoxgloveServer {
-    /// Serves Foxglove. `report`: the state of the daemon.
-    pub(crate) fn start(
-        FoxgloveAddress(address): FoxgloveAddress,
-        boards: Vec<LiveBoard>,
-        report: impl Fn() -> DaemonReport + Send + 'static,
-    ) -> Result<Self, FoxgloveError> {
-        let listen = |source| FoxgloveError::Listen { address, source };
-        let start = |error| match error {
-            SdkError::Bind(source) => listen(source),
-            error => FoxgloveError::Start { address, source: Box::new(error) },
-        };
-        let runtime = Builder::new_current_thread().enable_all().build().map_err(listen)?;
+/// Serves `boards` at `address` until the last of what is returned is dropped: its URL, where samples go, and the server.
+/// `report`: the state of the daemon.
+pub(crate) fn serve_foxglove(
+    address: SocketAddr,
+    boards: Vec<LiveBoard>,
+    report: impl Fn() -> DaemonReport + Send + 'static,
+) -> Result<(String, LiveInput, Serving), BridgeError> {
+    let place = Address::Tcp(address);
+    let failed = |error| match error {
+        SdkError::Bind(source) => ServeError::of(&place, source),
+        error => ServeError::of(&place, std::io::Error::other(error)),
+    };
+    let (input, inputs) = LiveInput::new();
+    let mut url = String::new();
+    let serving = Serving::start("foxglove", &place, async || {
         let context = Context::new();
-        let server = context
-            .websocket_server()
-            .name("slitpose")
-            .bind(address.ip().to_string(), address.port())
-            .message_backlog_size(BACKLOG)
-            .tokio_runtime(runtime.handle());
-        let server = runtime.block_on(server.start()).map_err(start)?;
-        let url = format!("ws://{}", SocketAddr::new(address.ip(), server.port()));
+        let server = serve(&context, address).await.map_err(failed)?;
+        let address = SocketAddr::new(address.ip(), server.port());
+        url = format!("ws://{address}");
         let channel = context.channel_builder("/slitpose/report").message_encoding("json");
-        let mut shown = Shown { report: channel.build_raw().map_err(start)?, context, boards: Vec::new() };
+        let mut shown = Shown { report: channel.build_raw().map_err(failed)?, context, boards: Vec::new() };
         shown.accept(Input::Boards(boards));
-        let (input, inputs) = LiveInput::new();
-        let (end, ended) = oneshot::channel();
-        let thread = std::thread::Builder::new()
-            .name("foxglove".to_owned())
-            .spawn(move || {
-                runtime.block_on(shown.follow(inputs, report, ended));
-                drop(server.stop());
-            })
-            .map_err(listen)?;
-        Ok(Self { url, input, end: Some(end), thread: Some(thread) })
-    }
-
-    pub(crate) fn url(&self) -> &str {
-        &self.url
-    }
-
-    pub(crate) fn input(&self) -> LiveInput {
-        self.input.clone()
-    }
+        tokio::spawn(shown.follow(inputs, report, server, address));
+        Ok(())
+    })?;
+    Ok((url, input, serving))
 }
 
-impl Drop for FoxgloveServer {
-    fn drop(&mut self) {
-        drop(self.end.take());
-        if let Some(thread) = self.thread.take() {
-            // A panic of the thread has already been reported on standard error.
-            let _ = thread.join();
-        }
-    }
+async fn serve(context: &Arc<Context>, address: SocketAddr) -> Result<WebSocketServerHandle, SdkError> {
+    let server = context.websocket_server().name("slitpose").message_backlog_size(BACKLOG);
+    let server = server.bind(address.ip().to_string(), address.port());
+    server.tokio_runtime(&tokio::runtime::Handle::current()).start().await
+}
+
+/// Whether nobody listens at `address`: the library's server ends for good when it cannot accept a connection, as when
+/// others have taken all file descriptors.
+fn is_deaf(address: SocketAddr) -> bool {
+    TcpListener::bind(address).map_or_else(|error| error.kind() != ErrorKind::AddrInUse, |_| true)
 }
 
 impl Shown {
+    /// Until nobody gives samples any more.
     async fn follow(
         mut self,
         mut inputs: Receiver<Input>,
         report: impl Fn() -> DaemonReport,
-        mut ended: oneshot::Receiver<()>,
+        server: WebSocketServerHandle,
+        address: SocketAddr,
     ) {
+        let mut server = Some(server);
         let mut ticks = interval(REPORT_EVERY);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             tokio::select! {
-                _ = &mut ended => return,
                 _ = ticks.tick() => {
                     self.boards.iter().flatten().for_each(Board::show_head);
                     self.report(&report());
+                    if is_deaf(address) {
+                        // Also closes what was connected, and may be in the way.
+                        drop(server.take().map(WebSocketServerHandle::stop));
+                        server = serve(&self.context, address).await.ok();
+                    }
                 }
-                Some(input) = inputs.recv() => self.accept(input),
+                input = inputs.recv() => match input {
+                    Some(input) => self.accept(input),
+                    None => break,
+                },
             }
         }
+        drop(server.map(WebSocketServerHandle::stop));
     }
 
     fn accept(&mut self, input: Input) {
@@ -142,7 +128,7 @@ impl Shown {
     }
 }
 
-pub(super) struct Board {
+struct Board {
     number: usize,
     head: Head,
     optics: Option<Optics>,
@@ -164,13 +150,13 @@ struct Channels {
 }
 
 impl Board {
-    pub(super) fn new(number: usize, head: Head) -> Self {
+    fn new(number: usize, head: Head) -> Self {
         // Without optics there are no frames; poses are shown all the same.
         let optics = Optics::of(&head).ok();
         Self { number, head, optics, channels: None, frames: 0, message: Vec::new() }
     }
 
-    pub(super) fn show(&mut self, sample: &Sample, context: &Arc<Context>) -> Result<(), SdkError> {
+    fn show(&mut self, sample: &Sample, context: &Arc<Context>) -> Result<(), SdkError> {
         let record = &sample.record;
         // Another board may take the place of one that was unplugged.
         if self.channels.as_ref().is_none_or(|channels| channels.device != record.device) {
@@ -200,7 +186,7 @@ impl Board {
         Ok(())
     }
 
-    pub(super) fn show_head(&self) {
+    fn show_head(&self) {
         if let Some(channels) = &self.channels {
             channels.head.log(&channels.shapes);
         }
@@ -228,5 +214,19 @@ impl Channels {
             frame: context.channel_builder(topic("frame")).message_encoding("json").build_raw()?,
             shapes,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_server_that_has_ended_is_noticed() {
+        let listener = TcpListener::bind(("127.0.0.1", 0)).unwrap();
+        let address = listener.local_addr().unwrap();
+        assert!(!is_deaf(address));
+        drop(listener);
+        assert!(is_deaf(address));
     }
 }

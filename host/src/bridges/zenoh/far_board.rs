@@ -11,8 +11,7 @@ use slitpose_protocol::{
     Configuration, DELIMITER, Decoder, FrameError, Hello, MAX_MESSAGE_BYTES, Message, PayloadError, Stream,
 };
 
-use super::ZenohSession;
-use super::session::{Attachment, Type, topic_key};
+use super::{Attachment, Type, ZenohSession, topic_key};
 use crate::daemon::{BoardError, Feed, Opener};
 use crate::device::{DeviceError, Keep};
 use slitpose_tracking::capture::decode_link_bytes;
@@ -36,15 +35,9 @@ const WAITING: usize = 256;
 
 /// Opens a board that another daemon publishes.
 pub(super) struct FarBoardOpener {
-    session: ZenohSession,
-    topic: String,
-}
-
-impl FarBoardOpener {
-    /// The topics of the board begin with `topic`.
-    pub(super) fn new(session: ZenohSession, topic: String) -> Self {
-        Self { session, topic }
-    }
+    pub(super) session: ZenohSession,
+    /// What the topics of the board begin with.
+    pub(super) topic: String,
 }
 
 impl Opener for FarBoardOpener {

@@ -1,20 +1,23 @@
-//! The session.
+//! Boards over Zenoh: poses and more for ROS 2, as rmw_zenoh sees it, and all bytes for daemons on other machines.
+
+mod far_board;
+mod publisher;
 
 use std::env;
 use std::ffi::OsString;
 use std::sync::{Arc, Mutex};
 
 use ::zenoh::key_expr::KeyExpr;
-use slitpose_head::threads::lock;
+use ::zenoh::{Config, Session, Wait};
 use twox_hash::XxHash3_128;
-use zenoh::{Config, Session, Wait};
 
-use super::ZenohError;
-use super::far_board::FarBoardOpener;
-use super::publisher::Publisher;
+use self::far_board::FarBoardOpener;
+use self::publisher::Publisher;
+use crate::bridges::{Bridge, BridgeError};
 use crate::daemon::{Opener, StreamPlan, Talk};
 use crate::live::LiveBoard;
 use crate::telemetry::DaemonReport;
+use slitpose_head::threads::lock;
 use slitpose_tracking::capture::LINK_BYTES;
 use slitpose_tracking::ros::{MARKERS, POSE, RosType, TRANSFORMS, TWIST};
 
@@ -29,7 +32,7 @@ pub(crate) struct ZenohSession {
 
 impl ZenohSession {
     /// A session by the router at `endpoint`, or by the file that ZENOH_SESSION_CONFIG_URI names, as ROS 2 does.
-    pub(crate) fn open(endpoint: &str) -> Result<Self, ZenohError> {
+    pub(crate) fn open(endpoint: &str) -> Result<Self, BridgeError> {
         let domain = domain(env::var_os("ROS_DOMAIN_ID"))?;
         let (what, config) = match env::var_os("ZENOH_SESSION_CONFIG_URI") {
             Some(path) => (path.display().to_string(), Config::from_file(&path)),
@@ -37,59 +40,57 @@ impl ZenohSession {
         };
         match config {
             Ok(config) => Ok(Self { what, config, domain, session: Arc::default() }),
-            Err(error) => Err(ZenohError::Settings { what, reason: reason_of(&*error) }),
+            Err(error) => Err(BridgeError::Settings { what, reason: reason_of(&*error) }),
         }
     }
 
     /// The session, once its router is there. Takes a second at most.
-    pub(super) fn get(&self) -> Result<Session, ZenohError> {
+    pub(super) fn get(&self) -> Result<Session, BridgeError> {
         let mut session = lock(&self.session);
         if let Some(session) = &*session {
             return Ok(session.clone());
         }
         let opened = ::zenoh::open(self.config.clone()).wait();
         let opened =
-            opened.map_err(|error| ZenohError::Open { what: self.what.clone(), reason: reason_of(&*error) })?;
+            opened.map_err(|error| BridgeError::Open { what: self.what.clone(), reason: reason_of(&*error) })?;
         Ok(session.insert(opened).clone())
     }
+}
 
-    /// Publishes boards, with a pose each `pose_every_s` of device time. `report`: the state of the daemon; `talk`
-    /// tells the user.
-    pub(crate) fn publisher(
+impl Bridge for ZenohSession {
+    fn publisher(
         &self,
         boards: Vec<LiveBoard>,
         pose_every_s: f64,
-        report: impl Fn() -> DaemonReport + Send + 'static,
+        report: Box<dyn Fn() -> DaemonReport + Send>,
         talk: Arc<Talk>,
     ) -> StreamPlan {
         talk(format_args!("boards by Zenoh at {}", self.what));
-        let publisher = Publisher::new(self.clone(), boards, Box::new(report), talk);
-        StreamPlan { taker: Box::new(publisher), pose_every_s }
+        StreamPlan { taker: Box::new(Publisher::new(self.clone(), boards, report, talk)), pose_every_s }
     }
 
-    /// Opens the board that another daemon publishes; `key` is what its topics begin with.
-    pub(crate) fn opener(&self, key: &str) -> Result<Box<dyn Opener>, ZenohError> {
-        Ok(Box::new(FarBoardOpener::new(self.clone(), topic_of(key)?)))
+    fn opener(&self, key: &str) -> Result<Box<dyn Opener>, BridgeError> {
+        Ok(Box::new(FarBoardOpener { session: self.clone(), topic: topic_of(key)? }))
     }
 }
 
 /// What the topics of one board begin with.
-fn topic_of(key: &str) -> Result<String, ZenohError> {
+fn topic_of(key: &str) -> Result<String, BridgeError> {
     let topic = key.trim_start_matches('/');
     // Of several boards at once nothing could be solved.
     if KeyExpr::new(topic).is_err() || topic.contains(['*', '$']) {
-        return Err(ZenohError::Key { key: key.to_owned() });
+        return Err(BridgeError::Key { key: key.to_owned() });
     }
     Ok(topic.to_owned())
 }
 
 /// The number of the ROS 2 graph, from its environment variable.
-fn domain(variable: Option<OsString>) -> Result<u8, ZenohError> {
+fn domain(variable: Option<OsString>) -> Result<u8, BridgeError> {
     let text = variable.unwrap_or_default().to_string_lossy().into_owned();
     match text.parse() {
         Ok(domain @ 0..=232) => Ok(domain),
         _ if text.is_empty() => Ok(0),
-        _ => Err(ZenohError::Domain { text }),
+        _ => Err(BridgeError::Domain { text }),
     }
 }
 
@@ -229,6 +230,11 @@ impl Attachment {
 /// The number of a publisher: a hash of its token, the lower half first.
 pub(super) fn gid(token: &str) -> [u8; 16] {
     XxHash3_128::oneshot(token.as_bytes()).to_le_bytes()
+}
+
+/// The session by the router at `endpoint`.
+pub(crate) fn open_zenoh(endpoint: &str) -> Result<Box<dyn Bridge>, BridgeError> {
+    Ok(Box::new(ZenohSession::open(endpoint)?))
 }
 
 #[cfg(test)]

@@ -1,0 +1,121 @@
+//! Poses for other programs by their own protocols: Foxglove, ROS 2 by Zenoh, and 6-DoF mice. The first two are in builds
+//! with the features `foxglove` and `zenoh` only; without, the options that ask for them say which build has them.
+
+#[cfg(feature = "foxglove")]
+mod foxglove;
+mod spacenav;
+#[cfg(feature = "zenoh")]
+mod zenoh;
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+
+use thiserror::Error;
+
+#[cfg(feature = "foxglove")]
+pub(crate) use foxglove::serve_foxglove;
+pub(crate) use spacenav::{Axes, Feel, SpacenavInput, SpacenavServer};
+#[cfg(feature = "zenoh")]
+pub(crate) use zenoh::open_zenoh;
+
+use crate::address::{Address, ServeError, tcp_address};
+use crate::daemon::{Opener, StreamPlan, Talk};
+use crate::live::LiveBoard;
+use crate::telemetry::DaemonReport;
+
+/// Why there is no bridge.
+#[derive(Debug, Error)]
+pub(crate) enum BridgeError {
+    #[cfg(not(feature = "foxglove"))]
+    #[error(
+        "this build has no server for Foxglove; build with `cargo build --release -p slitpose --features foxglove`, \
+         or record a capture, which Foxglove opens"
+    )]
+    NoFoxglove,
+    #[cfg(feature = "foxglove")]
+    #[error(transparent)]
+    Serve(#[from] ServeError),
+    #[cfg(not(feature = "zenoh"))]
+    #[error("this build has no Zenoh; build with `cargo build --release -p slitpose --features zenoh`")]
+    NoZenoh,
+    #[cfg(feature = "zenoh")]
+    #[error("ROS_DOMAIN_ID is `{text}`; give a number from 0 to 232")]
+    Domain { text: String },
+    #[cfg(feature = "zenoh")]
+    #[error("`zenoh:{key}` names no board; give zenoh:slitpose/board_SERIAL, with the serial number of the board")]
+    Key { key: String },
+    #[cfg(feature = "zenoh")]
+    #[error(
+        "Zenoh refuses {what} ({reason}); give an endpoint such as {DEFAULT_ROUTER}, or a file of Zenoh's own settings"
+    )]
+    Settings { what: String, reason: String },
+    #[cfg(feature = "zenoh")]
+    #[error("no router of Zenoh by {what} ({reason}); start one, or give its endpoint with --zenoh-router")]
+    Open { what: String, reason: String },
+}
+
+pub(crate) const DEFAULT_FOXGLOVE_ADDRESS: &str = "127.0.0.1:8765";
+
+/// The port of this host that `text` names: the protocol has no secret by which others could be refused.
+pub(crate) fn foxglove_address(text: &str) -> Result<SocketAddr, String> {
+    let hint = || format!("`{text}` is no address; give one such as {DEFAULT_FOXGLOVE_ADDRESS} or [::1]:8765");
+    let address = tcp_address(text).ok_or_else(hint)?;
+    let reason = "Foxglove's protocol knows no secret: give an address such as 127.0.0.1:8765, and reach it by \
+                  `ssh -L 8765:127.0.0.1:8765 HOST`";
+    let refused = || ServeError::NotLoopback { address: Address::Tcp(address), reason }.to_string();
+    address.ip().is_loopback().then_some(address).ok_or_else(refused)
+}
+
+/// A build without the server starts none.
+#[cfg(not(feature = "foxglove"))]
+pub(crate) fn serve_foxglove(
+    _: SocketAddr,
+    _: Vec<LiveBoard>,
+    _: impl Fn() -> DaemonReport + Send + 'static,
+) -> Result<(String, crate::live::LiveInput, crate::http::Serving), BridgeError> {
+    Err(BridgeError::NoFoxglove)
+}
+
+/// Where the router of ROS 2 listens.
+pub(crate) const DEFAULT_ROUTER: &str = "tcp/localhost:7447";
+
+/// A network over which boards come and go.
+pub(crate) trait Bridge {
+    /// Publishes boards, with a pose each `pose_every_s` of device time. `report`: the state of the daemon; `talk` tells
+    /// the user.
+    fn publisher(
+        &self,
+        boards: Vec<LiveBoard>,
+        pose_every_s: f64,
+        report: Box<dyn Fn() -> DaemonReport + Send>,
+        talk: Arc<Talk>,
+    ) -> StreamPlan;
+
+    /// Opens the board that another daemon publishes; `key` is what its topics begin with.
+    fn opener(&self, key: &str) -> Result<Box<dyn Opener>, BridgeError>;
+}
+
+/// A build without Zenoh opens no session.
+#[cfg(not(feature = "zenoh"))]
+pub(crate) fn open_zenoh(_: &str) -> Result<Box<dyn Bridge>, BridgeError> {
+    Err(BridgeError::NoZenoh)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn foxglove_is_served_to_this_host_only() {
+        for text in [DEFAULT_FOXGLOVE_ADDRESS, "[::1]:8765", "localhost:0", "127.8.9.1:80"] {
+            assert!(foxglove_address(text).is_ok(), "{text}");
+        }
+        for text in ["0.0.0.0:8765", "[::]:8765", "192.0.2.1:80"] {
+            let refused = foxglove_address(text).unwrap_err();
+            assert!(refused.contains("from other hosts") && refused.contains("ssh -L"), "{text}: {refused}");
+        }
+        for text in ["", "8765", "example.org:80"] {
+            assert!(foxglove_address(text).unwrap_err().contains("is no address"), "{text}");
+        }
+    }
+}
