@@ -134,7 +134,7 @@ const BLAMED: f64 = 0.5;
 pub struct CellValidity {
     /// Readings looked at.
     pub readings: usize,
-    /// Mean deviation of its photocurrent, relative.
+    /// Mean deviation of its photocurrent, relative, from that of all cells.
     pub relative: f64,
     /// Mean deviation of the position of its light, metres.
     pub position_m: f64,
@@ -151,6 +151,8 @@ pub struct Validity {
     pub rows: usize,
     /// χ² of all rows by its expectation.
     pub chi2: f64,
+    /// Deviation of all light together, relative: the median of the cells'. Poses allow for it.
+    pub light_level: f64,
     /// Of each cell.
     pub cells: Vec<CellValidity>,
     /// Whether the head has changed; `None`: too few rows to tell.
@@ -220,6 +222,13 @@ pub fn validity(scene: &Scene, noise: Option<Noise>, rows: &[Row]) -> Result<Val
         cell.rms_position_m = (cell.rms_position_m / readings).sqrt();
         cell.without = chi2 / f64::max(redundancy, 1.0);
     }
+    let mut light_level = 0.0;
+    if scene.uncertainty.light_level_relative > 0.0 {
+        let mut sorted: Vec<f64> = cells.iter().map(|cell| cell.relative).collect();
+        sorted.sort_unstable_by(f64::total_cmp);
+        light_level = 0.5 * (sorted[(count - 1) / 2] + sorted[count / 2]);
+        cells.iter_mut().for_each(|cell| cell.relative -= light_level);
+    }
     let chi2 = sums[0] / sums[1].max(1.0);
     let is_valid = (used >= MIN_ROWS).then_some(chi2 < STALE);
     // Where one cell contradicts the others, rows without another one often have no pose that tells anything.
@@ -228,7 +237,7 @@ pub fn validity(scene: &Scene, noise: Option<Noise>, rows: &[Row]) -> Result<Val
     let changed = best.filter(|&cell| {
         is_valid == Some(false) && chi2 - cells[cell].without > BLAMED * (chi2 - 1.0) && cells[cell].without < STALE
     });
-    Ok(Validity { rows: used, chi2, cells, is_valid, changed })
+    Ok(Validity { rows: used, chi2, light_level, cells, is_valid, changed })
 }
 
 /// What a cell that a solver excluded adds to χ² at least: its threshold is about that.

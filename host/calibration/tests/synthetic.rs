@@ -362,6 +362,12 @@ fn parts_with_more_texture_than_tolerances_say_are_learned() {
     bench.assert_predicted(&found, &head);
 }
 
+/// `row` with all light multiplied by `level`.
+fn dim(row: &Row, level: f64) -> Row {
+    let readings = row.readings.iter().map(|pair| pair.map(|pair| pair.map(|current| level * current))).collect();
+    Row { readings, ..row.clone() }
+}
+
 #[test]
 fn a_head_is_valid_until_a_slit_moves() {
     let mut bench = Bench::new();
@@ -373,6 +379,12 @@ fn a_head_is_valid_until_a_slit_moves() {
     // Redundancy of 600 in all: 6 % by chance.
     assert!((sound.chi2 - 1.0).abs() < 0.25, "{}", sound.chi2);
     assert_eq!((sound.rows, sound.is_valid, sound.changed), (100, Some(true), None));
+    // All light together is no change of the head: it is told beside the cells, and is no cell's.
+    let dimmed: Vec<Row> = rows.iter().map(|row| dim(row, 0.92)).collect();
+    let found = validity(&head, noise, &dimmed).expect("a verdict");
+    assert_eq!((found.is_valid, found.changed), (Some(true), None));
+    assert!((found.light_level + 0.08).abs() < 1e-3, "{}", found.light_level);
+    assert!(found.cells.iter().all(|cell| cell.relative.abs() < 3e-3), "{:?}", found.cells);
     for moved in [0, 4] {
         let mut other = head.clone();
         other.cells[moved].slit.offset_m.x += 20e-6;

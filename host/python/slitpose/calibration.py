@@ -25,7 +25,7 @@ class CellCheck:
 
     #: Readings looked at.
     readings: int
-    #: Mean deviation of its photocurrent, relative.
+    #: Mean deviation of its photocurrent, relative, from that of all cells.
     relative: float
     #: Mean deviation of the position of its light, m.
     position_m: float
@@ -43,6 +43,8 @@ class Check:
     rows: int
     #: χ² of all rows by its expectation.
     chi2: float
+    #: Deviation of all light together, relative: poses allow for it.
+    light_level: float
     #: ``None``: too few rows to tell.
     is_valid: Optional[bool]
     #: The cell that has changed, if it is one alone.

@@ -121,6 +121,7 @@ impl Calibration {
         let dict = PyDict::new(py);
         dict.set_item("rows", found.rows)?;
         dict.set_item("chi2", found.chi2)?;
+        dict.set_item("light_level", found.light_level)?;
         dict.set_item("is_valid", found.is_valid)?;
         dict.set_item("changed", found.changed)?;
         let cells = found

@@ -138,6 +138,7 @@ fn still_holds(readings: &str, path: &Path) -> Result<Outcome, CommandError> {
         let (light, position, rms) = (cell.relative * 100.0, cell.position_m * 1e6, cell.rms_position_m * 1e6);
         text += &format!("{number:>4} {light:>+8.3} % {position:>+9.2} µm {rms:>9.2} µm {:>14.2}\n", cell.without);
     }
+    text += &format!("{:>4} {:>+8.3} %\n", "all", found.light_level * 100.0);
     let (verdict, outcome) = match (found.is_valid, found.changed) {
         (None, _) => ("too few rows have a pose to tell; give 20 or more".to_owned(), Outcome::Failed),
         (Some(true), _) => ("it still holds".to_owned(), Outcome::Done),
