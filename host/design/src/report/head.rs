@@ -179,7 +179,7 @@ impl NoiseSource {
         pose: &Pose,
         mut pair: Pair<f64>,
     ) -> Pair<f64> {
-        let Uncertainty { emitter_gain_relative, electrode_gain_relative, position_m } = scene.uncertainty;
+        let Uncertainty { emitter_gain_relative, electrode_gain_relative, position_m, .. } = scene.uncertainty;
         let off_m = DVec3::from_array([0; 3].map(|_| position_m * self.normal()));
         if position_m != 0.0 {
             // Detector and slit that are off see the emitter off the other way.
