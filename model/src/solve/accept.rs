@@ -30,9 +30,8 @@ pub const ALIKE: f64 = 20.0;
 /// covariance says.
 const SOFT: usize = 3;
 
-/// χ² at a distance of [`DISTINCT_SIGMAS`], 36 by the covariance, from which on half of the distance is looked at, too: a
-/// pose near one where a head is singular has σ as large as you like, the currents bend long before, and an image may be
-/// so near that it is passed over.
+/// χ² at a distance of [`DISTINCT_SIGMAS`], 36 by the covariance, from which on that says nothing: a pose
+/// where a head is singular has σ as large as you like, and the currents bend long before.
 const TOO_UNLIKE: f64 = 4.0 * DISTINCT_SIGMAS * DISTINCT_SIGMAS;
 
 /// A residual this large a share of a cell's current is no small misfit: gains that calibration has not settled stay
@@ -149,14 +148,10 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
         };
         let mut soft = ArrayVec::<[f64; 6], SOFT>::new();
         for (value, direction) in &factor.singular()[..SOFT] {
-            let growth = |share: f64, workspace: &mut Workspace<S>| {
-                let far = direction.map(|element| element * (S::of(share * DISTINCT_SIGMAS) / *value));
-                self.linearise(&self.moved(&minimum.pose, &far), workspace).chi2 - minimum.chi2
-            };
             let grows = |sign: f64, workspace: &mut Workspace<S>| {
-                let far = growth(sign, workspace);
-                let is_as_told = (S::of(ALIKE)..S::of(TOO_UNLIKE)).contains(&far);
-                is_as_told || far >= S::of(ALIKE) && growth(0.5 * sign, workspace) >= S::of(0.25 * ALIKE)
+                let far = direction.map(|element| element * (S::of(sign * DISTINCT_SIGMAS) / *value));
+                let there = self.linearise(&self.moved(&minimum.pose, &far), workspace);
+                (S::of(ALIKE)..S::of(TOO_UNLIKE)).contains(&(there.chi2 - minimum.chi2))
             };
             if is_free(*value) || !(grows(-1.0, workspace) && grows(1.0, workspace)) {
                 soft.push(direction.map(S::as_f64));

@@ -19,6 +19,9 @@ use super::weights::CellNoise;
 /// Cells whose currents, two each, tell the six coordinates of a pose.
 pub const MIN_CELLS: usize = 3;
 
+/// Cells that tell the light level beside the pose.
+pub const LEVEL_CELLS: usize = 5;
+
 /// What is known beforehand of the tool's motion within a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionPrior {
@@ -87,7 +90,8 @@ pub struct Compiled<S: Number, P = CompiledScene<S>> {
     pub jacobian_change_rate: S,
     /// Whether poses of this head may have mirror images although all cells see light.
     pub has_images: bool,
-    /// What is known beforehand of the common light level: the inverse of its relative variance; `None`: all.
+    /// What is known beforehand of the common light level: the inverse of its relative variance; `None`: all. See
+    /// [`Self::level_information`].
     pub level_information: Option<S>,
 }
 
@@ -166,9 +170,16 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
         }
     }
 
+    /// What is known beforehand of the common light level of a frame in which `cells` cells count: of fewer than
+    /// [`LEVEL_CELLS`] it is taken for what it was, for it would take most of what they tell.
+    #[inline(always)]
+    pub fn level_information(&self, cells: usize) -> Option<S> {
+        self.level_information.filter(|_| cells >= LEVEL_CELLS)
+    }
+
     /// Data of so many cells, less the unknowns.
     pub fn redundancy(&self, cells: usize) -> usize {
-        redundancy(cells, self.level_information.is_some())
+        redundancy(cells, self.level_information(cells).is_some())
     }
 
     pub fn with_plan<Q>(self, plan: Q) -> Compiled<S, Q> {

@@ -217,7 +217,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
             },
         );
         let mut information = [[S::zero(); 6]; 6];
-        workspace.level = self.head.level_information.map(Level::of_prior);
+        workspace.level = self.level_information().map(Level::of_prior);
         for (rows @ [first, second], reading) in workspace.rows.iter().zip(&self.sorted.usable) {
             let own = [&first.by_pose, &second.by_pose];
             add_outer(&mut information, own, own);

@@ -66,10 +66,14 @@ impl<R: Real> Level<R> {
         self.factor
     }
 
-    /// Marginalises the level of AᵀA.
+    /// Marginalises the level of AᵀA; what its diagonal lost.
     #[inline(always)]
-    pub fn take_from(&self, information: &mut Matrix6<R>) {
+    pub fn take_from(&self, information: &mut Matrix6<R>) -> Vector6<R> {
         self.take(information, &self.by_pose, &self.by_pose);
+        self.by_pose.map(|moment| {
+            let by_level = moment * self.factor;
+            by_level * by_level * self.per_information
+        })
     }
 
     #[inline(always)]

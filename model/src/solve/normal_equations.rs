@@ -113,13 +113,15 @@ pub struct NormalEquations<S> {
     pub gradient: Vector6<S>,
     /// Whether marginalising the light level left enough digits to solve with.
     pub is_safe: bool,
+    /// The diagonal of the information that went with the light level.
+    level_part: Vector6<S>,
 }
 
 impl<S: Number> NormalEquations<S> {
     /// An estimate, low by √6 at most, of the norm of J: the most that a step of unit length changes the
-    /// whitened currents.
+    /// whitened currents, with what the light level could explain.
     pub fn steepness(&self) -> S {
-        (0..6).fold(S::zero(), |most, i| most.max(self.information[i][i])).root()
+        (0..6).fold(S::zero(), |most, i| most.max(self.information[i][i] + self.level_part[i])).root()
     }
 
     pub fn times(&self, step: &Vector6<S>) -> Vector6<S> {
@@ -145,6 +147,12 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
 
     pub fn instant<'b>(&'b self, pose: &'b Transform<S>) -> Instant<'b, S> {
         Instant { pose, twist: self.motion.twist, bend: self.motion.bend, offsets_s: &self.head.offsets_s }
+    }
+
+    /// What is known beforehand of the light level; `None`: all.
+    #[inline(always)]
+    pub fn level_information(&self) -> Option<S> {
+        self.head.level_information(self.sorted.usable.len())
     }
 
     fn wants(&self, cell: usize) -> bool {
@@ -204,7 +212,7 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
         let mut information = [[S::zero(); 6]; 6];
         let is_twist_known = self.motion.prior.is_none();
         elimination.begin(&self.motion);
-        *level = self.head.level_information.map(Level::of_prior);
+        *level = self.level_information().map(Level::of_prior);
         self.head.plan.linearise_all(
             &self.instant(pose),
             |cell| self.wants(cell),
@@ -263,10 +271,12 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
         level: Option<&mut Level<S>>,
         elimination: &mut Elimination<S>,
     ) -> NormalEquations<S> {
-        let mut normal = NormalEquations { chi2: sums.chi2, information, gradient: sums.by_pose, is_safe: true };
+        let level_part = [S::zero(); 6];
+        let mut normal =
+            NormalEquations { chi2: sums.chi2, information, gradient: sums.by_pose, is_safe: true, level_part };
         let level = level.map(|level| {
             level.settle(&sums);
-            level.take_from(&mut normal.information);
+            normal.level_part = level.take_from(&mut normal.information);
             self.take_level(level, &mut sums);
             let threshold = S::of(SAFE_ROUNDINGS) * S::epsilon();
             normal.is_safe = keeps_digits(&information, &normal.information, threshold) > S::zero();
@@ -305,7 +315,7 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
         let scaled_whitener = whitener.scaled(self.head.length_scale_m);
         let residual = whitener.apply([reading.pair[0] - terms.pair[0], reading.pair[1] - terms.pair[1]]);
         let mut rows = residual.map(|residual| Row { by_pose: [S::zero(); 6], by_level: S::zero(), residual });
-        if self.head.level_information.is_some() {
+        if self.level_information().is_some() {
             [rows[0].by_level, rows[1].by_level] = whitener.apply(terms.pair);
         }
         for axis in 0..6 {
@@ -370,7 +380,7 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
         };
         let mut residuals: ArrayVec<[S; 2], MAX_CELLS> =
             self.sorted.usable.iter().zip(&self.whiteners).map(of).collect();
-        if let Some(prior) = self.head.level_information {
+        if let Some(prior) = self.level_information() {
             let (information, along) = self.level_sums(&currents, prior);
             // (I + s²·c·cᵀ)^(−½) = I − c·cᵀ/(√D·(√D + s⁻¹)).
             let root = information.root();
@@ -386,7 +396,7 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
 
     /// By what factor all light is brighter than the head's scene says, if the tool is where the cells deliver `currents`.
     pub fn light_level(&self, currents: &[[S; 2]]) -> S {
-        self.head.level_information.map_or(S::one(), |prior| {
+        self.level_information().map_or(S::one(), |prior| {
             let (information, along) = self.level_sums(currents, prior);
             S::one() + along / information
         })

@@ -99,6 +99,13 @@ impl<S: Number> Sorted<S> {
         sorted
     }
 
+    /// In light that is `level` times as bright as the head's scene says.
+    pub fn divide_by(&mut self, level: S) {
+        if level != S::one() {
+            self.usable.iter_mut().for_each(|reading| reading.pair = reading.pair.map(|current| current / level));
+        }
+    }
+
     /// The same without the usable reading `index`; its cell counts as not measured.
     pub fn without(&self, index: usize) -> Self {
         let mut sorted = self.clone();

@@ -60,7 +60,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
             row[unknown] = sigma_inverse;
             triangle.add(row, S::zero());
         };
-        if let Some(prior) = self.head.level_information {
+        if let Some(prior) = self.level_information() {
             prior_of(0, prior.root());
         }
         let priors = [self.motion.bend_prior, self.motion.prior];
@@ -155,7 +155,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     pub fn least_chi2_without(&self, index: usize, workspace: &Workspace<S>) -> Option<S> {
         let (mut information, mut elimination) = ([[S::zero(); 6]; 6], Elimination::new());
         elimination.begin(&self.motion);
-        let mut level = self.head.level_information.map(Level::of_prior);
+        let mut level = self.level_information().map(Level::of_prior);
         let mut sums = ResidualSums::zero(S::zero());
         let of_readings = workspace.rows.iter().enumerate().filter(|(reading, _)| *reading != index);
         if let Some(level) = &mut level {

@@ -69,6 +69,9 @@ const REACH_SIGMAS: f64 = 6.0;
 /// A misfit elsewhere must have less than this share of the χ² of the one that is followed.
 const BETTER: f64 = 0.5;
 
+/// Frames over which the light level is averaged for frames that do not tell it.
+const LEVEL_MEMORY: f64 = 64.0;
+
 /// The result of one frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Tracked<S: Number = f64> {
@@ -105,6 +108,8 @@ pub struct Tracker<S: Number, P = CompiledScene<S>> {
     /// The frame in which it was looked at again.
     last_look: u64,
     is_misfit: bool,
+    /// How bright all light was in the last frames that told it.
+    light_level: S,
     lost: Lost<S>,
 }
 
@@ -128,6 +133,7 @@ impl<S: Number, P: Optics<S>> Tracker<S, P> {
             left_out: None,
             last_look: 0,
             is_misfit: false,
+            light_level: S::one(),
             lost: Lost::new(Budget::HOST.first),
         }
     }
@@ -156,6 +162,7 @@ impl<S: Number, P: Optics<S>> Tracker<S, P> {
         self.left_out = None;
         self.last_look = 0;
         self.is_misfit = false;
+        self.light_level = S::one();
         self.lost = Lost::new(self.budget.first);
     }
 
@@ -276,9 +283,13 @@ impl<S: Number, P: Optics<S>> Tracker<S, P> {
     }
 
     fn solve(&mut self, readings: &Photocurrents<S>) -> Solution<S> {
-        let sorted = Sorted::of(readings, &self.solver.compiled.limits);
+        let mut sorted = Sorted::of(readings, &self.solver.compiled.limits);
         if let Some(solution) = self.solver.compiled.too_few(&sorted) {
             return solution;
+        }
+        let tells_level = self.solver.compiled.level_information(sorted.usable.len()).is_some();
+        if !tells_level {
+            sorted.divide_by(self.light_level);
         }
         let workspace = &mut Workspace::with_work(self.budget.frame);
         workspace.is_unhurried = self.period_s >= P::UNHURRIED_S;
@@ -288,6 +299,9 @@ impl<S: Number, P: Optics<S>> Tracker<S, P> {
         };
         if self.lost.saved_work < self.budget.most_saved {
             self.lost.saved_work += self.budget.saved_a_frame;
+        }
+        if let (true, Outcome::Converged, Some(level)) = (tells_level, solution.outcome, &workspace.level) {
+            self.light_level += (level.factor() - self.light_level) * S::of(LEVEL_MEMORY.recip());
         }
         solution.evaluations = workspace.evaluations;
         solution

@@ -59,6 +59,8 @@ struct Linearised<R> {
     sums: ResidualSums<R>,
     /// `None`: the light level is known.
     level: Option<Level<R>>,
+    /// The diagonal of the information that went with the light level.
+    level_part: Vector6<R>,
     /// One where all cells have a spot and the information has digits enough, else zero.
     is_sound: R,
 }
@@ -67,7 +69,15 @@ impl<R: Real> Linearised<R> {
     #[inline(always)]
     fn nowhere(zero: R) -> Self {
         let (information, sums) = ([[zero; 6]; 6], ResidualSums::zero(zero));
-        Self { rows: ArrayVec::new(), slacks_m: ArrayVec::new(), information, sums, level: None, is_sound: zero }
+        Self {
+            rows: ArrayVec::new(),
+            slacks_m: ArrayVec::new(),
+            information,
+            sums,
+            level: None,
+            level_part: [zero; 6],
+            is_sound: zero,
+        }
     }
 }
 
@@ -157,7 +167,7 @@ pub fn minimise<R: Real<Element = f64>, const EXACT: bool>(
         let jacobian_change = change_rate * length;
         let mut steepness = zero;
         for (i, row) in information.iter().enumerate() {
-            steepness = steepness.at_least(row[i]);
+            steepness = steepness.at_least(row[i] + linearised.level_part[i]);
         }
         let steepness = steepness.root();
         let is_smooth = smooth(head, &linearised, &step, length, &pose);
@@ -335,7 +345,7 @@ fn linearise<R: Real<Element = f64>, const EXACT: bool>(
     if let Some(level) = &mut linearised.level {
         level.settle(&linearised.sums);
         let before = linearised.information;
-        level.take_from(&mut linearised.information);
+        linearised.level_part = level.take_from(&mut linearised.information);
         level.take_from_sums(&mut linearised.sums);
         let threshold = like.constant(SAFE_ROUNDINGS * f64::EPSILON);
         linearised.is_sound = both(linearised.is_sound, keeps_digits(&before, &linearised.information, threshold));
