@@ -146,7 +146,8 @@ fn known_poses_calibrate_a_head_to_micrometres_with_honest_uncertainties() {
             let ratios = frames.normalised();
             assert!(ratios.iter().all(|ratio| (0.75..1.3).contains(ratio)), "{ratios:?}");
             let [mean, ..] = frames.distances();
-            assert!((2.5..5.5).contains(&mean), "{mean} µm");
+            // 4.3 µm is the bound of a known light level, 4.9 that of an unknown one.
+            assert!((2.5..6.0).contains(&mean), "{mean} µm");
             for level in [0.998, 0.995, 0.92, 1.02] {
                 // The head as it is after its lamps have warmed or cooled: as good, but for less light in the same noise.
                 let dimmed = Solved::by(&output, &dimmed(&folder, "head_1_test.csv", level));

@@ -74,9 +74,10 @@ fn worst_axis_with_exposures(file: &SceneFile, decoded: &Decoded, factor: f64) -
 #[test]
 fn the_order_of_exposure_is_accounted_for() {
     // At 0.5 m/s ignoring the order is known to cost 12 σ with opposite pairs and 25 σ one by one,
-    // σ being 0.71 µm. A single frame's σ is three times that, and most of a smooth motion is slower.
+    // σ being 0.71 µm. A single frame's σ is three times that, most of a smooth motion is slower, and the light level, which
+    // is unknown, too, explains a part of the displacement.
     let one_by_one = wide_with(&[(PAIRS, "slots = [[0], [1], [2], [3], [4], [5], []]")]);
-    for (what, text, least) in [("pairs", WIDE.text, 2.5), ("one by one", one_by_one.as_str(), 5.0)] {
+    for (what, text, least) in [("pairs", WIDE.text, 2.5), ("one by one", one_by_one.as_str(), 4.0)] {
         let file = parse(text);
         let decoded = decode(&capture(&file, smooth(62), STREAM, 62, 2000));
         let [kept, ignored] = [1.0, 0.0].map(|factor| worst_axis_with_exposures(&file, &decoded, factor));

@@ -60,9 +60,9 @@ fn ten_seconds_of_the_default() {
     honesty.assert(USUAL_NEES, 3);
 }
 
-/// Motions and warmth, and how poses are: arguments, the fewest of 8 000 scans with a pose, the range of the median NEES, and the
+/// Motions, and how their poses are: arguments, the fewest of 8 000 scans with a pose, the range of the median NEES, and the
 /// most poses beyond 5 σ.
-const MOTIONS: [(&[&str], usize, Range<f64>, usize); 6] = [
+const MOTIONS: [(&[&str], usize, Range<f64>, usize); 4] = [
     (&["--tier", "paper", "--seed", "2"], 7_992, USUAL_NEES, 3),
     // Nothing but noise is left.
     (&["--trajectory", "still", "--seed", "3"], 8_000, USUAL_NEES, 3),
@@ -72,13 +72,10 @@ const MOTIONS: [(&[&str], usize, Range<f64>, usize); 6] = [
     // legs of 15 ms on average make in 2 s. Of those 2 do not show in the currents; of 2 on average more than
     // 10 come in one draw of 100 000.
     (&["--trajectory", "contact", "--seed", "5"], 7_992, USUAL_NEES, 10),
-    // The light of all cells falls, by 0.3 and by 12 %.
-    (&["--fault", "warm:by=0.5K,over=500ms", "--seed", "6"], 7_992, USUAL_NEES, 3),
-    (&["--fault", "warm:by=20K,over=500ms", "--seed", "7"], 7_992, USUAL_NEES, 3),
 ];
 
 #[test]
-fn whatever_the_motion_and_the_warmth_poses_are_as_honest() {
+fn whatever_the_motion_poses_are_as_honest() {
     for (arguments, least_poses, nees, most_beyond) in MOTIONS {
         let lines = lines(&[arguments, &["--duration", "2s"]].concat());
         assert_complete(&lines, 8_000);
@@ -88,6 +85,22 @@ fn whatever_the_motion_and_the_warmth_poses_are_as_honest() {
         // Of abrupt reversals: the longest leg, 5 mm along each axis, in the shortest time, 5 ms, is 59 µm a slot of 34 µs.
         assert!(honesty.largest_m < 59e-6, "{honesty:?}");
         assert!(!arguments.contains(&"still") || lines.iter().all(|line| line.truth == Some(Pose::HOME)));
+    }
+}
+
+/// The light of all cells falls within half a second, by 0.3 and by 12 %.
+#[test]
+fn poses_of_a_head_that_warms_are_as_honest() {
+    for (by, seed) in [("0.5K", "6"), ("20K", "7")] {
+        let warm = format!("warm:by={by},over=500ms");
+        let arguments =
+            ["run", "--device", "sim", "--speed", "max", "--duration", "2s", "--seed", seed, "--fault", &warm];
+        let lines = ndjson::parse(&slitpose!().run(arguments).done());
+        assert_complete(&lines, 8_000);
+        assert!(lines.iter().all(|line| line.status == "converged"), "{by}");
+        let honesty = honesty(&lines);
+        println!("{by}, seed {seed}: {honesty:?}");
+        honesty.assert(USUAL_NEES, 3);
     }
 }
 
@@ -198,8 +211,8 @@ fn twist_and_filtered_pose_come_with_their_worth() {
         let variance = |object: &Value| numbers(&object["covariance"])[0];
         assert!(variance(filtered) < variance(now), "scan {index}");
     }
-    // Two of three poses of this head, as its geometry has it.
-    assert!((1000..1700).contains(&well), "{well} of 1978 well verified");
+    // Nearly half of the poses of this head, as its geometry has it.
+    assert!((700..1200).contains(&well), "{well} of 1978 well verified");
     let mean = squares / counted;
     println!("squared error of the velocity in units of its variance: {mean:.2}");
     // 1 if honest; bends that chance hides add their part.

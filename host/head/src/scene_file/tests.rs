@@ -1,6 +1,6 @@
 //! What the reader accepts, and that each refusal names place, value and remedy.
 
-use slitpose_model::{Pose, Profile, Status};
+use slitpose_model::{Pose, Profile, Status, Uncertainty};
 
 use super::*;
 
@@ -70,7 +70,12 @@ fn what_is_absent_is_off() {
     let cell = &file.scene.cells[0];
     assert_eq!(file.name, "scene");
     assert_eq!((&file.scene.noise, &file.front_end), (&None, &None));
-    assert_eq!(file.scene.uncertainty, slitpose_model::Uncertainty::default());
+    assert_eq!(file.scene.uncertainty, Uncertainty { light_level_relative: 0.1, ..Uncertainty::default() });
+    for (given, light_level_relative) in [("0", 0.0), ("0.02", 0.02)] {
+        let text = format!("{LEAST}\n[tolerance]\nlight_level_relative = {given}\n");
+        let file = parse(&text).unwrap();
+        assert_eq!(file.scene.uncertainty, Uncertainty { light_level_relative, ..Uncertainty::default() });
+    }
     assert_eq!((cell.detector.saturation_a, cell.detector.interelectrode_ohm), (None, None));
     assert_eq!((cell.detector.dark_current_a, cell.slit.thickness_m), (0.0, 0.0));
     assert_eq!(file.workspace, Workspace::default());

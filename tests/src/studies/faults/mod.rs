@@ -164,9 +164,14 @@ pub fn study(slitpose: Slitpose, options: &Options) -> Verdicts {
     // Of many jumps of a clock the first, second, fourth, eighth … are reported.
     let noticed = |report: &Report| match report.fault.as_str() {
         "step" => report.detected > report.injected.ilog2() as usize,
+        // Poses allow for it, and the board tells its temperature.
+        "warm" => report.unflagged + report.flagged == 0,
         _ => report.detected == report.injected,
     };
-    verdicts.check(faulty.iter().all(noticed), "each fault is noticed, of jumps of the clock those that are reported");
+    verdicts.check(
+        faulty.iter().all(noticed),
+        "each fault that does harm is noticed, of jumps of the clock those that are reported",
+    );
     verdicts.check(reports.iter().all(|report| report.silently_lost == 0), "no scan is lost silently");
     verdicts.check(reports.iter().all(|report| report.out_of_order == 0), "poses come in the order of their scans");
     for report in faulty {
