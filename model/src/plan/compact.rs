@@ -138,6 +138,8 @@ impl<S: Number> Ideal<S> {
 impl<S: Number> Optics<S> for CompactPlan<S> {
     // It costs as much as the covariance.
     const TELLS_RELIABILITY: bool = false;
+    // There is room for neither the code nor the time.
+    const FINDS_LIGHT_LEVEL: bool = false;
     // The search would take a board a tenth of a second. Of a head of six cells, five leave four currents to check with.
     const UNIQUE_FROM: usize = 5;
     // A second evaluation takes half a frame. What is left of a frame's work is for another motion, and for the cell that

@@ -178,6 +178,9 @@ pub trait Optics<S: Number>: Sized {
     /// Whether solutions tell what checked them: see [`crate::Solution::unnoticed_sigmas`].
     const TELLS_RELIABILITY: bool;
 
+    /// Whether the common light level is an unknown of each frame: see [`crate::Uncertainty::light_level_relative`].
+    const FINDS_LIGHT_LEVEL: bool;
+
     /// Cells below which mirror images of a pose are searched for on any head, unless the tool was followed to where it is.
     const UNIQUE_FROM: usize;
 
@@ -370,6 +373,7 @@ impl<S: Scalar> CompiledScene<S> {
 
 impl<S: Scalar> Optics<S> for CompiledScene<S> {
     const TELLS_RELIABILITY: bool = true;
+    const FINDS_LIGHT_LEVEL: bool = true;
     // With six lit cells no pose but the truth keeps all of them lit, if their planes fix a pose.
     const UNIQUE_FROM: usize = 6;
     const NEAR: Near = Near { sigmas: 0.8, work: 6 };

@@ -73,7 +73,6 @@ pub struct CompactFrame<S: Number> {
     length_scale_m: S,
     jacobian_change_rate: S,
     has_images: bool,
-    level_information: Option<S>,
 }
 
 /// One cell of a compact solver.
@@ -105,6 +104,10 @@ impl<S: Scalar> Solver<S, CompactPlan<S>> {
             return Err(CompactError::Spots { error });
         }
         let tier = Tier::Exact { tolerance: error.max(TOLERANCE) };
+        // With the gates of a known light level.
+        let mut scene = scene.clone();
+        scene.uncertainty.light_level_relative = 0.0;
+        let scene = &scene;
         let Solver { compiled, max_steps } = Solver::<S>::new(scene, tier)?;
         let plan = CompactPlan::of(scene, &compiled.plan, &truth).map_err(other_kind)?;
         Ok(Self { compiled: compiled.with_plan(plan), max_steps })
@@ -120,15 +123,13 @@ impl<S: Scalar> Solver<S, CompactPlan<S>> {
 
     /// What the solver holds besides its cells.
     pub fn frame(&self) -> CompactFrame<S> {
-        let Compiled { gates, offsets_s, length_scale_m, jacobian_change_rate, has_images, level_information, .. } =
-            &self.compiled;
+        let Compiled { gates, offsets_s, length_scale_m, jacobian_change_rate, has_images, .. } = &self.compiled;
         CompactFrame {
             gates: *gates,
             has_offsets: !offsets_s.is_empty(),
             length_scale_m: *length_scale_m,
             jacobian_change_rate: *jacobian_change_rate,
             has_images: *has_images,
-            level_information: *level_information,
         }
     }
 
@@ -156,7 +157,6 @@ impl<S: Scalar> Solver<S, CompactPlan<S>> {
         compiled.length_scale_m = frame.length_scale_m;
         compiled.jacobian_change_rate = frame.jacobian_change_rate;
         compiled.has_images = frame.has_images;
-        compiled.level_information = frame.level_information;
     }
 
     /// Appends a cell of another solver with the same `frame`; `false`, and nothing changed, if there is no room.

@@ -130,7 +130,7 @@ impl<S: Scalar> Compiled<S> {
         }));
         let level_sigma = scene.uncertainty.light_level_relative;
         self.level_information = (level_sigma > 0.0).then(|| S::of((level_sigma * level_sigma).recip()));
-        self.gates = core::array::from_fn(|cells| S::of(chi2_gate(self.redundancy(cells))));
+        self.set_gates();
         self.jacobian_change_rate = jacobian_change_rate(&self.planes, self.length_scale_m);
         self.has_images = false;
         Ok(())
@@ -174,7 +174,16 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
     /// [`LEVEL_CELLS`] it is taken for what it was, for it would take most of what they tell.
     #[inline(always)]
     pub fn level_information(&self, cells: usize) -> Option<S> {
-        self.level_information.filter(|_| cells >= LEVEL_CELLS)
+        if P::FINDS_LIGHT_LEVEL { self.level_information.filter(|_| cells >= LEVEL_CELLS) } else { None }
+    }
+
+    pub fn take_light_level_for_known(&mut self) {
+        self.level_information = None;
+        self.set_gates();
+    }
+
+    fn set_gates(&mut self) {
+        self.gates = core::array::from_fn(|cells| S::of(chi2_gate(self.redundancy(cells))));
     }
 
     /// Data of so many cells, less the unknowns.

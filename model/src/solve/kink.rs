@@ -195,11 +195,11 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
         if crossing.is_empty() || workspace.elimination.is_under_way() || !workspace.plane_rows.is_empty() {
             return minimum;
         }
-        let factor = workspace.level.as_ref().map_or(S::one(), Level::factor);
+        let factor = self.level(workspace).map_or(S::one(), Level::factor);
         for row in workspace.rows.iter_mut().flatten() {
             let change = dot(&row.by_pose, &step.step);
             row.residual -= factor * change;
-            if workspace.level.is_some() {
+            if P::FINDS_LIGHT_LEVEL {
                 row.by_level += change;
             }
         }
@@ -221,7 +221,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
         for (rows @ [first, second], reading) in workspace.rows.iter().zip(&self.sorted.usable) {
             let own = [&first.by_pose, &second.by_pose];
             add_outer(&mut information, own, own);
-            if let Some(level) = &mut workspace.level {
+            if let Some(level) = workspace.level.as_mut().filter(|_| P::FINDS_LIGHT_LEVEL) {
                 self.add_level(level, rows, reading);
             }
         }

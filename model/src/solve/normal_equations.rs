@@ -149,6 +149,12 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
         Instant { pose, twist: self.motion.twist, bend: self.motion.bend, offsets_s: &self.head.offsets_s }
     }
 
+    /// The light level of the last linearisation; `None`: it is known.
+    #[inline(always)]
+    pub fn level<'w>(&self, workspace: &'w Workspace<S>) -> Option<&'w Level<S>> {
+        if P::FINDS_LIGHT_LEVEL { workspace.level.as_ref() } else { None }
+    }
+
     /// What is known beforehand of the light level; `None`: all.
     #[inline(always)]
     pub fn level_information(&self) -> Option<S> {
@@ -238,7 +244,7 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
                 let rows = self.rows(reading, terms, whitener);
                 let own = [&rows[0].by_pose, &rows[1].by_pose];
                 add_outer(&mut information, own, own);
-                if let Some(level) = level {
+                if let Some(level) = level.as_mut().filter(|_| P::FINDS_LIGHT_LEVEL) {
                     self.add_level(level, &rows, reading);
                 }
                 if !is_twist_known {
@@ -274,7 +280,7 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
         let level_part = [S::zero(); 6];
         let mut normal =
             NormalEquations { chi2: sums.chi2, information, gradient: sums.by_pose, is_safe: true, level_part };
-        let level = level.map(|level| {
+        let level = level.filter(|_| P::FINDS_LIGHT_LEVEL).map(|level| {
             level.settle(&sums);
             normal.level_part = level.take_from(&mut normal.information);
             self.take_level(level, &mut sums);
@@ -439,7 +445,7 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
             row.residual = self.guide(&self.sorted.usable[*index], pose).residual;
         }
         let mut sums = self.residual_sums(workspace);
-        if let Some(level) = &workspace.level {
+        if let Some(level) = self.level(workspace) {
             self.take_level(level, &mut sums);
         }
         workspace.elimination.apply(&sums)

@@ -6,6 +6,7 @@ use crate::pose::{Pose, Rigid};
 use crate::scalar::Number;
 use crate::scene::MAX_CELLS;
 
+use super::accept::redundancy;
 use super::algebra::{Factor, Matrix6};
 
 /// The coordinates of a pose, in the order of the covariance.
@@ -251,7 +252,6 @@ impl<S: Number> Solution<S> {
         outcome: Outcome,
         estimate: Option<Estimate<S>>,
         chi2: S,
-        redundancy: usize,
         cells_used: Cells,
         excluded: Cells,
     ) -> Self {
@@ -259,7 +259,7 @@ impl<S: Number> Solution<S> {
             rigid: estimate.as_ref().map_or_else(Rigid::home, |estimate| Rigid::of(&estimate.pose)),
             estimate,
             chi2,
-            redundancy,
+            redundancy: redundancy(cells_used.count(), false),
             excluded,
             ..Self::without_pose(outcome, cells_used)
         }

@@ -134,11 +134,6 @@ impl<S: Number, P: Optics<S>> Solver<S, P> {
         self
     }
 
-    /// Currents of so many cells, less the unknowns: what χ² is distributed over.
-    pub fn redundancy(&self, cells: usize) -> usize {
-        self.compiled.redundancy(cells)
-    }
-
     /// The compiled scene.
     pub fn plan(&self) -> &P {
         &self.compiled.plan

@@ -68,7 +68,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
             let Some(prior) = prior else { continue };
             (0..6).for_each(|i| prior_of(first + i, prior[i / 3].root()));
         }
-        let factor = workspace.level.as_ref().map_or(S::one(), Level::factor);
+        let factor = self.level(workspace).map_or(S::one(), Level::factor);
         let mut add = |row: &Row<S>, share: S| {
             let share = if self.motion.prior.is_some() { share } else { S::zero() };
             let powers = [share * share, share, S::one()].map(|power| power * factor);
@@ -134,7 +134,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// and C = (L·Lᵀ)⁻¹. The rest of the error goes into the pose.
     pub fn least_visible(&self, factor: &Factor<S>, workspace: &Workspace<S>) -> S {
         workspace.rows.iter().fold(S::one(), |least, rows| {
-            let reduced = |row: &Row<S>| match &workspace.level {
+            let reduced = |row: &Row<S>| match self.level(workspace) {
                 Some(level) => level.reduced(row),
                 None => (row.by_pose, S::zero()),
             };

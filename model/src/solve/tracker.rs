@@ -138,11 +138,6 @@ impl<S: Number, P: Optics<S>> Tracker<S, P> {
         }
     }
 
-    /// The solver of its frames.
-    pub fn solver(&self) -> &Solver<S, P> {
-        &self.solver
-    }
-
     /// The solver, to be changed: [`Self::restart`] then.
     pub fn solver_mut(&mut self) -> &mut Solver<S, P> {
         &mut self.solver
@@ -171,6 +166,13 @@ impl<S: Number, P: Optics<S>> Tracker<S, P> {
     #[must_use]
     pub fn neglecting_motion(mut self, share: f64) -> Self {
         self.negligible = S::of(share);
+        self
+    }
+
+    /// Takes the light level for that of the head's scene: see [`crate::Uncertainty::light_level_relative`].
+    #[must_use]
+    pub fn with_known_light_level(mut self) -> Self {
+        self.solver.compiled.take_light_level_for_known();
         self
     }
 
@@ -288,7 +290,7 @@ impl<S: Number, P: Optics<S>> Tracker<S, P> {
             return solution;
         }
         let tells_level = self.solver.compiled.level_information(sorted.usable.len()).is_some();
-        if !tells_level {
+        if P::FINDS_LIGHT_LEVEL && !tells_level {
             sorted.divide_by(self.light_level);
         }
         let workspace = &mut Workspace::with_work(self.budget.frame);
@@ -300,7 +302,11 @@ impl<S: Number, P: Optics<S>> Tracker<S, P> {
         if self.lost.saved_work < self.budget.most_saved {
             self.lost.saved_work += self.budget.saved_a_frame;
         }
-        if let (true, Outcome::Converged, Some(level)) = (tells_level, solution.outcome, &workspace.level) {
+        if P::FINDS_LIGHT_LEVEL
+            && tells_level
+            && solution.outcome == Outcome::Converged
+            && let Some(level) = &workspace.level
+        {
             self.light_level += (level.factor() - self.light_level) * S::of(LEVEL_MEMORY.recip());
         }
         solution.evaluations = workspace.evaluations;

@@ -43,7 +43,9 @@ impl Difference {
         board.load(head.encode(&mut [0; HEAD_BYTES]).expect("room")).expect("whole");
         board.begin(&schedule);
         let stage = Stage::new(&file, &schedule, &scaling);
-        let weighted = Stage::weighted_scene(&file, &schedule, &scaling);
+        let mut weighted = Stage::weighted_scene(&file, &schedule, &scaling);
+        // As on the board.
+        weighted.uncertainty.light_level_relative = 0.0;
         let solver = Solver::<f64>::new(&weighted, STREAM).expect("shipped").with_exposures(&stage.exposures_s());
         let mut host = Tracker::new(solver, frame_rate_hz.recip()).neglecting_motion(neglected);
         let mut difference = Self { sigmas: Vec::new(), apart: 0, lacking: 0 };

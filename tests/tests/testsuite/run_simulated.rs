@@ -95,7 +95,10 @@ fn poses_of_a_head_that_warms_are_as_honest() {
         let warm = format!("warm:by={by},over=500ms");
         let arguments =
             ["run", "--device", "sim", "--speed", "max", "--duration", "2s", "--seed", seed, "--fault", &warm];
-        let lines = ndjson::parse(&slitpose!().run(arguments).done());
+        let text = slitpose!().run(arguments).done();
+        let (faults, scans): (Vec<&str>, Vec<&str>) = text.lines().partition(|line| line.contains("injected_fault"));
+        assert_eq!(faults.len(), 1, "{faults:?}");
+        let lines = ndjson::parse(&scans.join("\n"));
         assert_complete(&lines, 8_000);
         assert!(lines.iter().all(|line| line.status == "converged"), "{by}");
         let honesty = honesty(&lines);

@@ -100,8 +100,7 @@ impl BoardPose {
         }
     }
 
-    /// `redundancy`: of so many cells.
-    pub(super) fn solution(&self, redundancy: impl Fn(usize) -> usize) -> Solution {
+    pub(super) fn solution(&self) -> Solution {
         let Self { record, covariance } = self;
         let outcome = match record.status {
             PoseStatus::Converged => Outcome::Converged,
@@ -117,7 +116,7 @@ impl BoardPose {
         let pose = pose_of(record).filter(|_| record.status.has_pose());
         let estimate = pose.map(|pose| Estimate { pose, covariance: full(covariance) });
         let [used, excluded] = [record.cells_used, record.excluded].map(Cells::from_bits);
-        Solution::reported(outcome, estimate, record.chi2.into(), redundancy(used.count()), used, excluded)
+        Solution::reported(outcome, estimate, record.chi2.into(), used, excluded)
     }
 }
 
@@ -326,14 +325,14 @@ mod tests {
         let mut covariance = [0.0; TRIANGLE];
         (covariance[0], covariance[1], covariance[20]) = (4.0, 1.0, 9.0);
         let pose = BoardPose { record: record(PoseStatus::CellExcluded, 2.0), covariance };
-        let solution = pose.solution(|cells| 2 * cells - 7);
+        let solution = pose.solution();
         assert_eq!(solution.outcome, Outcome::Degraded(DegradedReason::CellExcluded));
         let found = solution.estimate.expect("a pose");
         assert_eq!(found.pose.translation_m, DVec3::new(2.0, 0.0, 0.0));
         let told = &found.covariance;
         assert_eq!((told[0][0], told[0][1], told[1][0], told[5][5]), (4.0, 1.0, 1.0, 9.0));
-        assert_eq!((solution.chi2, solution.redundancy, solution.cells_used.bits()), (6.0, 5, 0x3f));
-        let status = |status, x| BoardPose { record: record(status, x), covariance }.solution(|cells| 2 * cells - 7);
+        assert_eq!((solution.chi2, solution.redundancy, solution.cells_used.bits()), (6.0, 6, 0x3f));
+        let status = |status, x| BoardPose { record: record(status, x), covariance }.solution();
         assert!(status(PoseStatus::TooDark, 0.0).estimate.is_none());
     }
 }

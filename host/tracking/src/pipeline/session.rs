@@ -41,6 +41,8 @@ pub(super) struct Session {
     head_number: u32,
     /// Poses of the board and of this program, once the board has sent any.
     comparison: Option<Box<Comparison>>,
+    /// Finds what the board's poses are compared with: of a known light level, as the board's.
+    as_board: Option<Box<Tracker<f64>>>,
     /// The latest that the board has told.
     covariance: Option<[f32; TRIANGLE]>,
     /// Scans that the board has not solved, and those among them whose place is known.
@@ -143,6 +145,7 @@ impl Session {
             doubt: Doubt::new(hello.schedule.frame_rate_hz().recip()),
             head_number,
             comparison: None,
+            as_board: None,
             covariance: None,
             missed: 0,
             placed: 0,
@@ -195,11 +198,7 @@ impl Session {
 
     /// A pose that the board has found.
     fn completed(&self, pose: &BoardPose) -> Tracked {
-        let mut tracked = Tracked {
-            solution: pose.solution(|cells| self.tracker.solver().redundancy(cells)),
-            twist: None,
-            filtered: None,
-        };
+        let mut tracked = Tracked { solution: pose.solution(), twist: None, filtered: None };
         self.head.complete_tracked(&mut tracked);
         tracked
     }
@@ -214,6 +213,7 @@ impl Session {
         }
         self.covariance = poses.covariance.or(self.covariance);
         let comparison = self.comparison.get_or_insert_default();
+        self.as_board.get_or_insert_with(|| Box::new(self.tracker.clone().with_known_light_level()));
         self.missed = self.missed.max(poses.missed.into());
         comparison.take_missed(self.missed);
         let all = poses.iter(self.schedule.frame_ticks);
@@ -249,8 +249,9 @@ impl Session {
     pub(super) fn solve_words(&mut self, scan: &RawScan, watched: bool) -> Tracked {
         self.photocurrents = self.stage.photocurrents(scan);
         let mut tracked = self.tracker.track(scan.sequence, &self.photocurrents);
-        if let Some(comparison) = &mut self.comparison {
-            comparison.take_host(scan.sequence, tracked.solution.estimate.as_ref());
+        if let (Some(comparison), Some(as_board)) = (&mut self.comparison, &mut self.as_board) {
+            let found = as_board.track(scan.sequence, &self.photocurrents).solution;
+            comparison.take_host(scan.sequence, found.estimate.as_ref());
         }
         self.head.complete_tracked(&mut tracked);
         if let Some(health) = self.health.as_mut().filter(|_| watched) {

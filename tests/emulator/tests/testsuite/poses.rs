@@ -109,7 +109,9 @@ fn agree(file: &SceneFile, configuration: &Configuration, max_sigmas: [f64; 2]) 
 
     let scaling = chain.scaling.expect("a hello");
     let stage = Stage::new(file, &schedule, &scaling);
-    let weighted = Stage::weighted_scene(file, &schedule, &scaling);
+    let mut weighted = Stage::weighted_scene(file, &schedule, &scaling);
+    // As on the board.
+    weighted.uncertainty.light_level_relative = 0.0;
     let solver = Solver::<f64>::new(&weighted, Tier::Exact { tolerance: 1e-6 }).expect("shipped");
     let period_s = f64::from(schedule.frame_ticks) / f64::from(schedule.tick_hz);
     // Both take what is known to this share of σ of the motion within a frame as exact.
