@@ -98,7 +98,7 @@ fn poses_of_a_head_that_warms_are_as_honest() {
         let text = slitpose!().run(arguments).done();
         let (faults, scans): (Vec<&str>, Vec<&str>) = text.lines().partition(|line| line.contains("injected_fault"));
         assert_eq!(faults.len(), 1, "{faults:?}");
-        let lines = ndjson::parse(&scans.join("\n"));
+        let lines = ndjson::parse(&(scans.join("\n") + "\n"));
         assert_complete(&lines, 8_000);
         assert!(lines.iter().all(|line| line.status == "converged"), "{by}");
         let honesty = honesty(&lines);
