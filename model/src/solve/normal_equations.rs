@@ -269,7 +269,7 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
     }
 
     /// The normal equations of rows with this `information` and these `sums`, without the `level` and the motion.
-    #[inline(never)]
+    #[inline(always)]
     pub fn marginalised(
         &self,
         information: Matrix6<S>,
@@ -281,18 +281,24 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
         let mut normal =
             NormalEquations { chi2: sums.chi2, information, gradient: sums.by_pose, is_safe: true, level_part };
         let level = level.filter(|_| P::FINDS_LIGHT_LEVEL).map(|level| {
-            level.settle(&sums);
-            normal.level_part = level.take_from(&mut normal.information);
-            self.take_level(level, &mut sums);
-            let threshold = S::of(SAFE_ROUNDINGS) * S::epsilon();
-            normal.is_safe = keeps_digits(&information, &normal.information, threshold) > S::zero();
-            (normal.chi2, normal.gradient) = (sums.chi2, sums.by_pose);
+            self.marginalise(level, &mut normal, &mut sums);
             &*level
         });
         if self.motion.prior.is_some() {
             (normal.chi2, normal.gradient) = elimination.eliminate(&self.motion, level, &mut normal.information, &sums);
         }
         normal
+    }
+
+    #[inline(never)]
+    fn marginalise(&self, level: &mut Level<S>, normal: &mut NormalEquations<S>, sums: &mut ResidualSums<S>) {
+        let before = normal.information;
+        level.settle(sums);
+        normal.level_part = level.take_from(&mut normal.information);
+        self.take_level(level, sums);
+        let threshold = S::of(SAFE_ROUNDINGS) * S::epsilon();
+        normal.is_safe = keeps_digits(&before, &normal.information, threshold) > S::zero();
+        (normal.chi2, normal.gradient) = (sums.chi2, sums.by_pose);
     }
 
     /// Adds the `rows` of a reading to the sums of a light level that is not known.
