@@ -14,10 +14,10 @@ use slitpose_head::scene_file::SceneFile;
 use slitpose_head::table::{Output, OutputError, TableWriter, refuse_twice};
 use slitpose_head::threads::in_order;
 
+use super::faults::FaultOptions;
 use super::options::publish;
 use super::options::{self, Jobs, PoseOptions, open_scene};
 use super::playback::{PlayOptions, Playback, Printing};
-use super::simulate::FaultOptions;
 use super::{CommandError, Outcome, UsageError, complain, replay, talk};
 use crate::sink::{Account, Format};
 use crate::telemetry::BoardReport;

@@ -1,24 +1,23 @@
-//! What `run` and `replay` do besides giving poses: the live page, the 6-DoF mouse, Zenoh; and recording.
+//! What `run` and `replay` do besides giving poses: the live page, the 6-DoF mouse, Foxglove and Zenoh.
 
 use std::net::SocketAddr;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
-use std::time::{Duration, SystemTime};
 
-use super::options::{number, parse_duration};
+use super::options::{number, poses_hz};
+use super::record::RecordOptions;
 use super::{CommandError, talk};
 use crate::bridges::{
     Axes, Bridge, BridgeError, DEFAULT_FOXGLOVE_ADDRESS, DEFAULT_ROUTER, Feel, SpacenavInput, SpacenavServer,
     foxglove_address, open_zenoh, serve_foxglove,
 };
-use crate::daemon::{CapturePlan, Daemon, StreamPlan};
+use crate::daemon::{Daemon, StreamPlan};
 use crate::http::Serving;
 use crate::live::{
     Access, Control, DEFAULT_LIVE_ADDRESS, LiveBoard, LiveInput, LivePlan, LiveServer, Order, Refusal, live_address,
 };
-use crate::telemetry::{DaemonReport, RecorderState, report_schema};
+use crate::telemetry::{DaemonReport, RecorderState};
 use slitpose_head::scene_file::Workspace;
-use slitpose_tracking::capture::{About, CaptureError, CaptureSeries, Existing, Limits};
 
 /// The page asked for.
 #[derive(clap::Args, Debug)]
@@ -177,12 +176,6 @@ impl MouseOptions {
 /// Poses a second: what other programs of a robot take without effort.
 const POSES_HZ: f64 = 100.0;
 
-/// A rate of poses, per second; zero for every scan.
-fn poses_hz() -> impl Fn(&str) -> Result<f64, &'static str> + Clone + Send + Sync {
-    let hint = "give a number of poses a second, such as 25, or 0 for every scan";
-    number(|rate| rate >= 0.0 && rate.is_finite(), hint)
-}
-
 /// What is published, and where.
 #[derive(clap::Args, Debug)]
 pub(super) struct ZenohOptions {
@@ -222,102 +215,5 @@ impl ZenohOptions {
         let session = session.filter(|_| self.zenoh)?;
         let pose_every_s = if self.zenoh_poses > 0.0 { self.zenoh_poses.recip() } else { 0.0 };
         Some(session.publisher(boards(), pose_every_s, Box::new(report), Arc::new(talk)))
-    }
-}
-
-// Recording.
-
-/// Poses a device second in a capture: enough to look at it; all others follow from its bytes.
-const RECORDED_HZ: f64 = 25.0;
-
-/// The recording asked for.
-#[derive(clap::Args, Clone, Debug)]
-pub(super) struct RecordOptions {
-    /// Record all that comes, as it comes, in this capture (MCAP), from which `replay` finds the
-    /// same poses again
-    #[arg(long, value_name = "FILE")]
-    record: Option<PathBuf>,
-    /// Replace a capture that is there already, as soon as something has come to be recorded
-    #[arg(long)]
-    overwrite: bool,
-    /// Begin another file (FILE-0001, FILE-0002, …) when one is this long, such as 500MB or 2GiB
-    #[arg(long, value_name = "SIZE", value_parser = parse_size)]
-    record_size: Option<u64>,
-    /// Begin another file after this time, such as 1h
-    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
-    record_time: Option<f64>,
-    /// Poses a second in the capture, for those who look at it without replaying; 0 for every scan
-    #[arg(long, value_name = "HZ", value_parser = poses_hz(), default_value_t = RECORDED_HZ)]
-    record_poses: f64,
-}
-
-impl RecordOptions {
-    /// Begins the capture asked for. `later`: others may begin while the daemon runs.
-    pub(super) fn open(&self, later: bool) -> Result<Option<CapturePlan>, CaptureError> {
-        let existing = if self.overwrite { Existing::Replaced } else { Existing::Kept };
-        let series = self.record.as_ref().map(|path| self.create(path, existing)).transpose()?;
-        if series.is_none() && !later {
-            return Ok(None);
-        }
-        let poses_hz = if self.record_poses > 0.0 { self.record_poses } else { f64::INFINITY };
-        Ok(Some(CapturePlan { series, poses_hz, talk: Arc::new(talk) }))
-    }
-
-    /// Begins another capture, named by the time, beside the one asked for, else in the working directory.
-    pub(super) fn another(&self) -> Result<CaptureSeries, CaptureError> {
-        let now = humantime::format_rfc3339_seconds(SystemTime::now()).to_string().replace(':', "");
-        let path = self.record.clone().unwrap_or_default().with_file_name(format!("slitpose-{now}.mcap"));
-        self.create(&path, Existing::Kept)
-    }
-
-    fn create(&self, path: &Path, existing: Existing) -> Result<CaptureSeries, CaptureError> {
-        let limits = Limits {
-            max_bytes: self.record_size,
-            max_age: self.record_time.map(|time_s| Duration::try_from_secs_f64(time_s).unwrap_or(Duration::MAX)),
-        };
-        CaptureSeries::create(path, limits, existing, About { report_schema: report_schema() })
-    }
-}
-
-/// Units of a size, the longest first.
-const UNITS: [(&str, f64); 7] =
-    [("KiB", 1024.0), ("MiB", 1048576.0), ("GiB", 1073741824.0), ("kB", 1e3), ("MB", 1e6), ("GB", 1e9), ("B", 1.0)];
-
-/// No capture is shorter than its beginning.
-const MIN_BYTES: f64 = 1e5;
-
-fn parse_size(text: &str) -> Result<u64, &'static str> {
-    let text = text.trim();
-    let (number, unit) =
-        UNITS.iter().find_map(|(name, bytes)| Some((text.strip_suffix(name)?, *bytes))).unwrap_or((text, 1.0));
-    match number.trim().parse::<f64>() {
-        // Beyond what a disk holds it saturates.
-        Ok(number) if number.is_finite() && number * unit >= MIN_BYTES => Ok((number * unit) as u64),
-        _ => Err("give a size of 100kB at least, such as 500MB or 2GiB"),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn sizes_and_rates_are_read_or_refused() {
-        for (text, bytes) in [
-            ("500MB", 500_000_000),
-            ("2GiB", 2 << 30),
-            ("123456", 123_456),
-            ("0.5 GB", 500_000_000),
-            ("200kB", 200_000),
-        ] {
-            assert_eq!(parse_size(text), Ok(bytes), "{text}");
-        }
-        for text in ["", "1", "-5MB", "many", "nanGB", "99kB", "5 MBit"] {
-            assert!(parse_size(text).is_err(), "{text}");
-        }
-        assert_eq!((poses_hz()("0"), poses_hz()("12.5")), (Ok(0.0), Ok(12.5)));
-        for text in ["", "-1", "inf", "often"] {
-            assert!(poses_hz()(text).is_err(), "{text}");
-        }
     }
 }

@@ -1,23 +1,30 @@
-//! The command line: a file for each verb; small ones of a kind share one.
+//! The command line: a file for each verb, and for what several share.
 //!
 //! A verb has its arguments (`Args`) and a function (`run`), which returns how it ended. To add one, add both, its line
 //! in `Verb` and its line in `run`.
 
+mod bench;
 mod calibrate;
 mod compare;
 mod completions;
 mod config;
 mod device;
 mod doctor;
+mod faults;
+mod identify;
 mod live;
+mod model;
 mod options;
 mod playback;
+mod player;
+mod record;
 mod replay;
 mod report;
 mod run;
 mod scene;
 mod simulate;
 mod solve;
+mod status;
 
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -55,15 +62,15 @@ enum Verb {
     Replay(replay::ReplayArgs),
     Export(replay::ExportArgs),
     Device(device::Args),
-    Status(doctor::StatusArgs),
+    Status(status::Args),
     Doctor(doctor::Args),
     Simulate(simulate::Args),
-    Faults(simulate::FaultsArgs),
-    Model(solve::ModelArgs),
+    Faults(faults::Args),
+    Model(model::Args),
     Solve(solve::Args),
-    Identify(calibrate::IdentifyArgs),
+    Identify(identify::Args),
     Calibrate(calibrate::Args),
-    Bench(report::BenchArgs),
+    Bench(bench::Args),
     Paper(report::PaperArgs),
     Report(report::ReportArgs),
     Scene(scene::Args),
@@ -213,15 +220,15 @@ fn run(arguments: &[OsString]) -> Result<Outcome, CommandError> {
         Verb::Replay(args) => replay::replay(&args),
         Verb::Export(args) => replay::export(&args),
         Verb::Device(args) => device::run(&args),
-        Verb::Status(args) => doctor::status(&args),
+        Verb::Status(args) => status::run(&args),
         Verb::Doctor(args) => doctor::run(&args),
         Verb::Simulate(args) => simulate::run(&args),
-        Verb::Faults(args) => simulate::faults(&args),
-        Verb::Model(args) => solve::model(&args),
+        Verb::Faults(args) => faults::run(&args),
+        Verb::Model(args) => model::run(&args),
         Verb::Solve(args) => solve::run(&args),
-        Verb::Identify(args) => calibrate::identify(&args),
+        Verb::Identify(args) => identify::run(&args),
         Verb::Calibrate(args) => calibrate::run(&args),
-        Verb::Bench(args) => report::bench(&args),
+        Verb::Bench(args) => bench::run(&args),
         Verb::Paper(args) => report::paper(&args),
         Verb::Report(args) => report::report(&args),
         Verb::Compare(args) => compare::run(&args),

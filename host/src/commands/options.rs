@@ -386,6 +386,12 @@ fn warn(report: &Report) {
     }
 }
 
+/// A rate of poses, per second; zero for every scan.
+pub(super) fn poses_hz() -> impl Fn(&str) -> Result<f64, &'static str> + Clone + Send + Sync {
+    let hint = "give a number of poses a second, such as 25, or 0 for every scan";
+    number(|rate| rate >= 0.0 && rate.is_finite(), hint)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

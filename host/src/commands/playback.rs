@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use super::options::{CalibrationOption, PoseOptions, parse_duration};
-use super::replay::Player;
+use super::player::Player;
 use super::{CommandError, Outcome, interrupt, options, talk};
 use crate::comparison::Comparison;
 use crate::live::Sampler;

@@ -1,28 +1,24 @@
-//! `slitpose replay` and `slitpose export`: captures through the live path; and a capture played as the page asks.
+//! `slitpose replay` and `slitpose export`: captures through the live path.
 
 use std::io;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
 
 use super::compare::SideBySide;
+use super::faults::FaultOptions;
 use super::live::LiveOptions;
 use super::options::PoseOptions;
 use super::playback::{PlayOptions, Playback, Printing};
-use super::simulate::FaultOptions;
+use super::player::{Orders, Player};
 use super::{CommandError, Outcome, UsageError, interrupt};
-use crate::live::{Control, LiveBoard, LiveInput, LivePlan, Order, PlayerOrder, PlayerState, Refusal, Sampler};
+use crate::live::LivePlan;
 use crate::sink::{Account, Format};
-use crate::telemetry::DaemonReport;
 use slitpose_head::faults::Fault;
 use slitpose_head::pace::Speed;
 use slitpose_head::special_file;
 use slitpose_head::table::{Output, OutputError, refuse_twice};
-use slitpose_head::threads::lock;
 use slitpose_tracking::playback;
-use slitpose_tracking::playback::Board;
 
 /// Solves captures again, through the same pipeline as live boards.
 ///
@@ -155,133 +151,5 @@ fn format_of(output: &Path) -> Result<Format, CommandError> {
         // Standard output, devices and pipes have no name that could say it.
         _ if output == Path::new("-") || special_file::is_special(output) => Ok(Format::Csv),
         _ => Err(UsageError::Extension { path: output.to_owned() }.into()),
-    }
-}
-
-// Played by the page.
-
-/// Time between messages on the state of the player.
-const TELL_EVERY: Duration = Duration::from_millis(250);
-
-/// Orders that are not carried out yet; a later one overrides an earlier one.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Orders(Arc<Mutex<PlayerOrder>>);
-
-/// What is left to play at least, seconds.
-const MIN_S: f64 = 0.05;
-
-const SPEEDS: [f64; 2] = [1e-3, 1e3];
-
-impl Control for Orders {
-    fn order(&self, order: Order) -> Result<(), Refusal> {
-        let order = match order {
-            Order::Player(order) => order,
-            Order::Record(_) => return Err(Refusal::NO_RECORDER),
-            Order::Zero => return Err(Refusal::NO_MOUSE),
-        };
-        if let Some(Some(value)) = order.speed
-            && !(SPEEDS[0]..=SPEEDS[1]).contains(&value)
-        {
-            return Err(Refusal::Value { key: "speed", value, hint: "0.001 to 1000, or null" });
-        }
-        if let Some(value) = order.seek_s
-            && !(0.0..1e9).contains(&value)
-        {
-            return Err(Refusal::Value { key: "seek_s", value, hint: "seconds after the beginning" });
-        }
-        let mut waiting = lock(&self.0);
-        *waiting = PlayerOrder {
-            playing: order.playing.or(waiting.playing),
-            speed: order.speed.or(waiting.speed),
-            seek_s: order.seek_s.or(waiting.seek_s),
-        };
-        Ok(())
-    }
-}
-
-pub(super) struct Player {
-    orders: Orders,
-    live: LiveInput,
-    state: PlayerState,
-    told: Option<Instant>,
-}
-
-impl Player {
-    /// Plays a capture of `duration_s`.
-    pub(super) fn new(orders: Orders, live: LiveInput, file: String, duration_s: f64) -> Self {
-        let state = PlayerState { playing: true, duration_s, file, ..PlayerState::default() };
-        Self { orders, live, state, told: None }
-    }
-
-    /// Shows these boards from now on, by the samplers that are returned.
-    pub(super) fn show(&self, boards: &[Board]) -> Vec<Sampler> {
-        let shown = |board: &Board| LiveBoard { name: board.name(), head: Some(board.head.clone()) };
-        self.live.boards(boards.iter().map(shown).collect());
-        (0..boards.len()).map(|number| Sampler::new(number, Arc::new(self.live.clone()))).collect()
-    }
-
-    pub(super) fn is_playing(&self) -> bool {
-        self.state.playing && !self.state.ended
-    }
-
-    /// Carries out waiting orders: changes `speed`, and returns the place of a leap, seconds after the beginning.
-    pub(super) fn obey(&mut self, speed: &mut Speed) -> Option<f64> {
-        let PlayerOrder { playing, speed: new_speed, seek_s } = std::mem::take(&mut *lock(&self.orders.0));
-        if let Some(new) = new_speed {
-            *speed = new.map_or(Speed::Max, Speed::Times);
-        }
-        // Played again from the beginning.
-        let again = (self.state.ended && playing == Some(true)).then_some(0.0);
-        self.state.playing = playing.unwrap_or(self.state.playing);
-        // Not so near the end that nothing is left to play.
-        let seek_s = seek_s.map(|seek_s| seek_s.min(self.state.duration_s - MIN_S).max(0.0)).or(again);
-        if let Some(seek_s) = seek_s {
-            (self.state.position_s, self.state.ended) = (seek_s, false);
-        }
-        if playing.is_some() || new_speed.is_some() || seek_s.is_some() {
-            self.told = None;
-        }
-        seek_s
-    }
-
-    /// Sends the state of the player and a report on the boards to the page, four times a second and after each change.
-    pub(super) fn tell(&mut self, position_s: f64, speed: Speed, ended: bool, report: impl FnOnce() -> DaemonReport) {
-        if ended != self.state.ended {
-            self.told = None;
-        }
-        (self.state.position_s, self.state.ended) = (position_s, ended);
-        self.state.speed = match speed {
-            Speed::Max => None,
-            Speed::Times(times) => Some(times),
-        };
-        if self.told.is_none_or(|told| told.elapsed() >= TELL_EVERY) {
-            self.told = Some(Instant::now());
-            self.live.player(PlayerState { playing: self.is_playing(), ..self.state.clone() });
-            self.live.report(report());
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn orders_that_wait_are_joined_and_bad_ones_refused() {
-        let orders = Orders::default();
-        let give = |order| orders.order(Order::Player(order));
-        let none = PlayerOrder::default();
-        give(PlayerOrder { playing: Some(false), seek_s: Some(3.0), ..none }).unwrap();
-        give(PlayerOrder { playing: Some(true), speed: Some(None), ..none }).unwrap();
-        let joined = PlayerOrder { playing: Some(true), speed: Some(None), seek_s: Some(3.0) };
-        assert_eq!(*lock(&orders.0), joined);
-        for seek_s in [-1.0, f64::NAN, f64::INFINITY] {
-            assert!(give(PlayerOrder { seek_s: Some(seek_s), ..none }).is_err(), "{seek_s}");
-        }
-        for speed in [0.0, -1.0, 1e9, f64::NAN] {
-            assert!(give(PlayerOrder { speed: Some(Some(speed)), ..none }).is_err(), "{speed}");
-        }
-        assert!(orders.order(Order::Record(true)).is_err());
-        assert_eq!(*lock(&orders.0), joined, "refused orders change nothing");
     }
 }

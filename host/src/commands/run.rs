@@ -11,9 +11,9 @@ use clap::ValueEnum;
 use slitpose_calibration::{Basis, Head};
 use slitpose_protocol::{Hello, Stream};
 
-use super::live::RecordOptions;
 use super::live::{Changes, FoxgloveOptions, LiveOptions, MouseOptions, ZenohOptions, key_of};
 use super::options::{PoseOptions, open_scene, parse_duration};
+use super::record::RecordOptions;
 use super::simulate::ToolOptions;
 use super::{CommandError, Outcome, UsageError, interrupt, options, talk};
 use crate::address::Address;

@@ -21,6 +21,7 @@ mod backlog;
 mod board;
 mod handoff;
 mod link;
+mod opener;
 mod outputs;
 mod reader;
 mod recorder;
@@ -36,8 +37,8 @@ use std::thread::{self, JoinHandle};
 pub(crate) use board::{BoardError, BoardPlan};
 pub(crate) use link::Talk;
 #[cfg(feature = "zenoh")]
-pub(crate) use reader::Feed;
-pub(crate) use reader::{Admit, Opener, PortOpener, SimulatedOpener};
+pub(crate) use opener::Feed;
+pub(crate) use opener::{Admit, Opener, PortOpener, SimulatedOpener};
 pub(crate) use recorder::CapturePlan;
 #[cfg(feature = "zenoh")]
 pub(crate) use tap::ChunkSink;

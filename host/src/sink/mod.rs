@@ -16,9 +16,10 @@ use slitpose_tracking::link::DeviceId;
 use slitpose_tracking::pipeline::{Item, Record};
 
 mod columns;
+mod csv;
+mod ndjson;
 #[cfg(feature = "parquet")]
 mod parquet;
-mod text;
 
 /// How poses are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -94,8 +95,8 @@ pub(crate) fn open<'a>(
 ) -> Option<Box<dyn Sink + Send + 'a>> {
     match format {
         Format::Summary => Some(Box::new(Summary::new(output, live))),
-        Format::Ndjson => Some(Box::new(text::Ndjson::new(output))),
-        Format::Csv => Some(Box::new(text::Csv::new(output))),
+        Format::Ndjson => Some(Box::new(ndjson::Ndjson::new(output))),
+        Format::Csv => Some(Box::new(csv::Csv::new(output))),
         #[cfg(feature = "parquet")]
         Format::Parquet => Some(Box::new(parquet::Parquet::new(output))),
         Format::None => None,

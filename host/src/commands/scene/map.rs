@@ -1,0 +1,75 @@
+//! `slitpose scene map`: how accurate a head is, and where.
+
+use std::path::PathBuf;
+
+use slitpose_design::map::{Fineness, Map, Schedules, Tolerances};
+use slitpose_design::report::{Folder, map_report};
+
+use super::super::options::{CalibrationOption, Jobs, number, open_scene, publish};
+use super::super::{ArgumentError, CommandError, Outcome, options};
+use crate::terminal::{Amount, Progress};
+use slitpose_head::scene_file::SceneFile;
+
+/// Shows how accurate a head is, and where.
+///
+/// Of single frames of the scene's front end: the Cramér–Rao bound of the pose over the workspace, which solving reaches;
+/// its condition; what a fault of one cell can do unnoticed; how far currents are from the limits. The folder gets a page
+/// (index.html, needs nothing else), the pictures as SVG, and all poses as CSV. Without a folder, the summary is printed.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  slitpose scene map wide\n  slitpose scene map mine.toml --calibration mine-calibrated.toml --output map\n  \
+                  slitpose scene map wide --tolerance-study 10 --output map\n  \
+                  slitpose scene map wide --schedule 2000"
+)]
+pub(super) struct Args {
+    /// Scene file, or the name of a shipped scene
+    #[arg(value_parser = options::scenes(), hide_possible_values = true)]
+    scene: String,
+    #[command(flatten)]
+    calibration: CalibrationOption,
+    /// Make this folder with the page, its tables and pictures
+    #[arg(long, value_name = "DIR")]
+    output: Option<PathBuf>,
+    /// How many poses to spread over the workspace
+    #[arg(long, value_name = "N", default_value_t = 20_000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
+    samples: u32,
+    /// Points along each side of the pictures
+    #[arg(long, value_name = "N", default_value_t = 33, value_parser = clap::value_parser!(u32).range(3..=201))]
+    side: u32,
+    /// Draw so many heads from the tolerances, calibrate them, and say what each kind of part costs: seconds a head
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    tolerance_study: Option<u32>,
+    /// Propose the schedule with the least σ at this frame rate, hertz
+    #[arg(long, value_name = "HZ", value_parser = number(|rate_hz| rate_hz > 0.0 && rate_hz.is_finite(), "give frames a second, such as 4000"))]
+    schedule: Option<f64>,
+    /// Seed of the draws
+    #[arg(long, value_name = "S", default_value_t = 1, requires = "tolerance_study")]
+    seed: u64,
+    #[command(flatten)]
+    jobs: Jobs,
+}
+
+pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
+    args.jobs.apply();
+    let head = args.calibration.head_as_drawn(open_scene(&args.scene)?)?;
+    let folder = args.output.as_deref().map(Folder::create).transpose()?;
+    let schedules = args.schedule.map(|rate_hz| Schedules::of(&head.file, rate_hz)).transpose()?;
+    // Planes are for pictures.
+    let side = if folder.is_some() { args.side as usize } else { 0 };
+    let fineness = Fineness { samples: args.samples as usize, side, ..Fineness::default() };
+    let mut progress = Progress::new("map", fineness.poses() as u64, Amount::Of("poses"));
+    let map = Map::of(head.clone(), fineness, || progress.add(1))?;
+    drop(progress);
+    if args.tolerance_study.is_some() && map.share(|view| view.sigma.is_some()) == 0.0 {
+        return Err(ArgumentError::Poseless { scene: head.file.origin.clone() }.into());
+    }
+    let studied = args.tolerance_study.map(|heads| tolerances(head.simulated(), heads, args.seed)).transpose()?;
+    publish(&map_report(&head, &map, studied.as_ref(), schedules.as_ref()), folder.as_ref())?;
+    Ok(Outcome::Done)
+}
+
+fn tolerances(file: &SceneFile, heads: u32, seed: u64) -> Result<Tolerances, CommandError> {
+    let mut progress = Progress::new("tolerances", u64::from(heads), Amount::Of("heads"));
+    progress.add(0);
+    Ok(Tolerances::of(file, heads as usize, seed, || progress.add(1))?)
+}

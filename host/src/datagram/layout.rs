@@ -1,0 +1,226 @@
+//! The bytes of datagrams, requests and answers, as [`super`] describes them.
+
+use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::link::DeviceId;
+use slitpose_tracking::pipeline::{Outcomes, Record};
+
+const POSE_MAGIC: [u8; 4] = *b"SLPP";
+const REQUEST_MAGIC: [u8; 4] = *b"SLPQ";
+const ANSWER_MAGIC: [u8; 4] = *b"SLPA";
+const VERSION: u16 = 1;
+
+const HAS_POSE: u32 = 1;
+const HAS_TWIST: u32 = 2;
+const HAS_HOST_TIME: u32 = 4;
+const HAS_ARRIVAL: u32 = 8;
+const IS_SIMULATED: u32 = 16;
+const IS_BEHIND: u32 = 32;
+
+const AT_FLAGS: usize = 8;
+const AT_MISSED: usize = 40;
+
+/// The bytes of a pose datagram.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PoseDatagram([u8; Self::BYTES]);
+
+impl PoseDatagram {
+    /// Its length.
+    pub const BYTES: usize = 544;
+
+    /// The datagram of `record` with the number `number`, made at `now`.
+    pub fn new(record: &Record, number: u64, now: HostInstant) -> Self {
+        let solution = &record.solution;
+        let flags = [
+            (HAS_POSE, solution.estimate.is_some()),
+            (HAS_TWIST, record.twist.is_some()),
+            (HAS_HOST_TIME, record.host_time.is_some()),
+            (HAS_ARRIVAL, record.arrival.is_some()),
+            (IS_SIMULATED, record.simulated),
+        ];
+        let flags = flags.iter().filter(|(_, is_set)| *is_set).fold(0, |flags, (flag, _)| flags | flag);
+        let excluded = solution.excluded.iter().fold(0, |cells, cell| cells | 1_u16 << cell);
+
+        let mut writer = Writer { bytes: [0; Self::BYTES], at: 0 };
+        writer.put(POSE_MAGIC);
+        writer.put(VERSION.to_le_bytes());
+        writer.put((Self::BYTES as u16).to_le_bytes());
+        writer.put(flags.to_le_bytes());
+        writer.put(Outcomes::number_of(&solution.outcome).to_le_bytes());
+        writer.put((solution.cells_used.count() as u16).to_le_bytes());
+        writer.put(record.device.0);
+        writer.put(excluded.to_le_bytes());
+        writer.put((solution.redundancy as u16).to_le_bytes());
+
+        let (time, arrival) = (record.host_time, record.arrival);
+        for number in [
+            number,
+            0,
+            record.sequence,
+            (record.device_time_s * 1e9).round() as u64,
+            time.map_or(0, |time| time.monotonic_ns),
+            time.map_or(0, |time| time.utc_ns),
+            time.map_or(0, |time| time.uncertainty_ns),
+            arrival.map_or(0, |arrival| arrival.monotonic_ns),
+            now.monotonic_ns,
+        ] {
+            writer.put(number.to_le_bytes());
+        }
+
+        let estimate = solution.estimate;
+        writer.numbers(estimate.map(|estimate| estimate.pose.translation_m.to_array()));
+        writer.numbers(estimate.map(|estimate| estimate.pose.rotation.to_array()));
+        for row in 0..6 {
+            writer.numbers(estimate.map(|estimate| estimate.covariance[row]));
+        }
+        let twist = record.twist;
+        writer.numbers(twist.map(|estimate| estimate.twist.linear_m_per_s.to_array()));
+        writer.numbers(twist.map(|estimate| estimate.twist.angular_rad_per_s.to_array()));
+        writer.numbers::<6>(twist.map(|estimate| std::array::from_fn(|i| estimate.covariance[i][i].sqrt())));
+        Self(writer.bytes)
+    }
+
+    /// Marks that scans before this one were skipped, and the next may be, too.
+    pub(crate) fn mark_behind(&mut self) {
+        self.0[AT_FLAGS] |= IS_BEHIND as u8;
+    }
+
+    /// Sets the number of datagrams that the receiver has missed.
+    pub(super) fn set_missed(&mut self, missed: u64) {
+        self.0[AT_MISSED..AT_MISSED + 8].copy_from_slice(&missed.to_le_bytes());
+    }
+
+    /// As it is sent.
+    pub fn as_bytes(&self) -> &[u8; Self::BYTES] {
+        &self.0
+    }
+
+    pub(super) fn from_bytes(bytes: [u8; Self::BYTES]) -> Self {
+        Self(bytes)
+    }
+}
+
+/// Fills the bytes of a datagram from front to back.
+struct Writer {
+    bytes: [u8; PoseDatagram::BYTES],
+    at: usize,
+}
+
+impl Writer {
+    fn put<const N: usize>(&mut self, value: [u8; N]) {
+        self.bytes[self.at..self.at + N].copy_from_slice(&value);
+        self.at += N;
+    }
+
+    fn numbers<const N: usize>(&mut self, values: Option<[f64; N]>) {
+        for value in values.unwrap_or([f64::NAN; N]) {
+            self.put(value.to_le_bytes());
+        }
+    }
+}
+
+/// A request of a client.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Request {
+    /// The number of datagrams.
+    pub mode: Mode,
+    /// The board; `None`: every board.
+    pub device: Option<DeviceId>,
+    /// The cookie last received, 0 before that. Unix sockets need none.
+    pub cookie: u64,
+}
+
+/// The number of datagrams that a client requests.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mode {
+    /// The newest datagram of each board.
+    Newest,
+    /// All datagrams of the next seconds.
+    Follow,
+}
+
+impl Request {
+    /// Its length.
+    pub const BYTES: usize = 32;
+
+    const SHORT_BYTES: usize = 24;
+
+    /// A request without a cookie.
+    pub fn new(mode: Mode, device: Option<DeviceId>) -> Self {
+        Self { mode, device, cookie: 0 }
+    }
+
+    /// As it is sent.
+    pub fn to_bytes(self) -> [u8; Self::BYTES] {
+        let mode: u16 = match self.mode {
+            Mode::Newest => 1,
+            Mode::Follow => 2,
+        };
+        let mut bytes = [0; Self::BYTES];
+        begin(&mut bytes, REQUEST_MAGIC, mode);
+        bytes[12..Self::SHORT_BYTES].copy_from_slice(&self.device.unwrap_or_default().0);
+        bytes[Self::SHORT_BYTES..].copy_from_slice(&self.cookie.to_le_bytes());
+        bytes
+    }
+
+    /// The request in `bytes`; `None` if they are not a request of this version.
+    pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
+        let mut whole = [0; Self::BYTES];
+        whole.get_mut(..bytes.len())?.copy_from_slice(bytes);
+        if bytes.len() == Self::SHORT_BYTES && whole[6..8] == (Self::SHORT_BYTES as u16).to_le_bytes() {
+            whole[6..8].copy_from_slice(&(Self::BYTES as u16).to_le_bytes());
+        } else if bytes.len() != Self::BYTES {
+            return None;
+        }
+        let (head, cookie) = whole.split_last_chunk()?;
+        let cookie = u64::from_le_bytes(*cookie);
+        let device = DeviceId(head.get(12..)?.try_into().ok()?);
+        let device = Some(device).filter(|device| *device != DeviceId::default());
+        [Mode::Newest, Mode::Follow]
+            .map(|mode| Self { mode, device, cookie })
+            .into_iter()
+            .find(|request| request.to_bytes() == whole)
+    }
+}
+
+/// An answer to a client other than a pose.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Answer {
+    /// Ask again with this cookie.
+    Prove(u64),
+    /// All places are taken.
+    Refused,
+    /// Served; here is a newer cookie.
+    Renew(u64),
+}
+
+impl Answer {
+    /// Its length: no more than that of any request.
+    pub const BYTES: usize = Request::SHORT_BYTES;
+
+    /// As it is sent.
+    pub fn to_bytes(self) -> [u8; Self::BYTES] {
+        let (kind, cookie) = match self {
+            Self::Prove(cookie) => (1, cookie),
+            Self::Refused => (2, 0),
+            Self::Renew(cookie) => (3, cookie),
+        };
+        let mut bytes = [0; Self::BYTES];
+        begin(&mut bytes, ANSWER_MAGIC, kind);
+        bytes[16..].copy_from_slice(&cookie.to_le_bytes());
+        bytes
+    }
+
+    /// The answer in `bytes`; `None` if they are not an answer of this version.
+    pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
+        let cookie = u64::from_le_bytes(*bytes.last_chunk()?);
+        [Self::Prove(cookie), Self::Refused, Self::Renew(cookie)].into_iter().find(|answer| answer.to_bytes() == bytes)
+    }
+}
+
+/// Writes the beginning of requests and answers.
+fn begin<const N: usize>(bytes: &mut [u8; N], magic: [u8; 4], kind: u16) {
+    bytes[..4].copy_from_slice(&magic);
+    bytes[4..6].copy_from_slice(&VERSION.to_le_bytes());
+    bytes[6..8].copy_from_slice(&(N as u16).to_le_bytes());
+    bytes[8..10].copy_from_slice(&kind.to_le_bytes());
+}
