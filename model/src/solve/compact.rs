@@ -104,11 +104,8 @@ impl<S: Scalar> Solver<S, CompactPlan<S>> {
             return Err(CompactError::Spots { error });
         }
         let tier = Tier::Exact { tolerance: error.max(TOLERANCE) };
-        // With the gates of a known light level.
-        let mut scene = scene.clone();
-        scene.uncertainty.light_level_relative = 0.0;
-        let scene = &scene;
-        let Solver { compiled, max_steps } = Solver::<S>::new(scene, tier)?;
+        let Solver { mut compiled, max_steps } = Solver::<S>::new(scene, tier)?;
+        compiled.take_light_level_for_known();
         let plan = CompactPlan::of(scene, &compiled.plan, &truth).map_err(other_kind)?;
         Ok(Self { compiled: compiled.with_plan(plan), max_steps })
     }

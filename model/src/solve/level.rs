@@ -51,29 +51,37 @@ impl<R: Real> Level<R> {
         }
     }
 
-    /// Settles D and 1 + g, by the `sums` of the residuals of all rows.
+    /// Settles D and 1 + g of the rows that were added, with these `sums`, and marginalises the level of their information
+    /// AᵀA: what the diagonal lost, and whether more than `threshold` of each of its elements is left, one for yes and zero
+    /// for no.
     #[inline(always)]
-    pub fn settle(&mut self, sums: &ResidualSums<R>) {
-        let one = self.information.constant(1.0);
+    pub fn marginalise(
+        &mut self,
+        information: &mut Matrix6<R>,
+        sums: &ResidualSums<R>,
+        threshold: R,
+    ) -> (Vector6<R>, R) {
+        let (zero, one) = (threshold.constant(0.0), threshold.constant(1.0));
         self.per_information = self.information.inverse();
         let factor = one + sums.by_level * self.per_information;
         self.factor = factor.at_least(one.constant(FACTORS[0])).at_most(one.constant(FACTORS[1]));
+        let before = *information;
+        self.take(information, &self.by_pose, &self.by_pose);
+        let mut is_safe = one;
+        for (after, before) in (0..6).map(|i| (information[i][i], before[i][i])) {
+            is_safe = R::select_gt(after, threshold * before, is_safe, zero);
+        }
+        let part = self.by_pose.map(|moment| {
+            let by_level = moment * self.factor;
+            by_level * by_level * self.per_information
+        });
+        (part, is_safe)
     }
 
     /// Derivatives by the pose at the level of the last linearisation, of one at the nominal level.
     #[inline(always)]
     pub fn factor(&self) -> R {
         self.factor
-    }
-
-    /// Marginalises the level of AᵀA; what its diagonal lost.
-    #[inline(always)]
-    pub fn take_from(&self, information: &mut Matrix6<R>) -> Vector6<R> {
-        self.take(information, &self.by_pose, &self.by_pose);
-        self.by_pose.map(|moment| {
-            let by_level = moment * self.factor;
-            by_level * by_level * self.per_information
-        })
     }
 
     #[inline(always)]
@@ -147,23 +155,11 @@ impl<S: Number> Level<S> {
         self.take(matrix, by_row, by_column);
     }
 
-    /// Marginalises the level of the gradients by a motion that is not known, before [`Self::take_from_sums`].
+    /// Marginalises the level of the gradients by a motion that is not known.
     #[inline(never)]
     pub fn take_from_motion_sums(&self, sums: &mut ResidualSums<S>) {
         let share = sums.by_level * self.per_information;
         self.take_share(&mut sums.by_twist, &self.by_twist, share);
         self.take_share(&mut sums.by_bend, &self.by_bend, share);
     }
-}
-
-/// Whether the level's part of the diagonal of the information leaves so much that it has more than `threshold` of its
-/// digits.
-#[inline(always)]
-pub fn keeps_digits<R: Real>(before: &Matrix6<R>, after: &Matrix6<R>, threshold: R) -> R {
-    let (zero, one) = (threshold.constant(0.0), threshold.constant(1.0));
-    let mut keeps = one;
-    for i in 0..6 {
-        keeps = R::select_gt(after[i][i], threshold * before[i][i], keeps, zero);
-    }
-    keeps
 }

@@ -18,7 +18,7 @@ use crate::scene::MAX_CELLS;
 
 use super::algebra::{Matrix6, Vector6, add_outer, dot, mirror};
 use super::compiled::{Compiled, Prior};
-use super::level::{Level, keeps_digits};
+use super::level::Level;
 use super::readings::{Sorted, Usable};
 use super::step::SAFE_ROUNDINGS;
 use super::twist::{Elimination, Motion};
@@ -292,12 +292,10 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
 
     #[inline(never)]
     fn marginalise(&self, level: &mut Level<S>, normal: &mut NormalEquations<S>, sums: &mut ResidualSums<S>) {
-        let before = normal.information;
-        level.settle(sums);
-        normal.level_part = level.take_from(&mut normal.information);
-        self.take_level(level, sums);
         let threshold = S::of(SAFE_ROUNDINGS) * S::epsilon();
-        normal.is_safe = keeps_digits(&before, &normal.information, threshold) > S::zero();
+        let (level_part, is_safe) = level.marginalise(&mut normal.information, sums, threshold);
+        self.take_level(level, sums);
+        (normal.level_part, normal.is_safe) = (level_part, is_safe > S::zero());
         (normal.chi2, normal.gradient) = (sums.chi2, sums.by_pose);
     }
 

@@ -99,7 +99,7 @@ impl<S: Number> Sorted<S> {
         sorted
     }
 
-    /// In light that is `level` times as bright as the head's scene says.
+    /// Refers the readings to the light level of the head's scene, from one `level` times as bright.
     pub fn divide_by(&mut self, level: S) {
         if level != S::one() {
             self.usable.iter_mut().for_each(|reading| reading.pair = reading.pair.map(|current| current / level));

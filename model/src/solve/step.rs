@@ -196,8 +196,9 @@ mod tests {
     const HALF_ACCELERATION: [DVec3; 2] = [DVec3::new(40.0, 90.0, -70.0), DVec3::new(-300.0, 500.0, 200.0)];
 
     /// Unknown motion and light level are noise that the cells share: with whitened rows A, exposed at shares τ of the
-    /// motion's duration, the residuals have the covariance Σ = 1 + P·ττᵀ∘AAᵀ + Q·τ²τ²ᵀ∘AAᵀ + s²·ccᵀ, c the whitened currents, and generalised
-    /// least squares (Aitken 1935) the information Aᵀ·Σ⁻¹·A. Both the elimination and the factorisation by QR agree with it.
+    /// motion's duration, the residuals have the covariance Σ = 1 + P·ττᵀ∘AAᵀ + Q·τ²τ²ᵀ∘AAᵀ + s²·ccᵀ, c the whitened
+    /// currents, and generalised least squares (Aitken 1935) the information Aᵀ·Σ⁻¹·A. Both the elimination and the
+    /// factorisation by QR agree with it.
     #[test]
     fn unknown_motion_and_light_level_are_noise_that_the_cells_share() {
         let (mut head, truth) = (compiled(), pose());

@@ -30,7 +30,7 @@ pub struct Conditions {
     /// Number of daemons that are killed
     #[arg(long, default_value_t = 200)]
     times: usize,
-    /// Seed of the moments at which they are killed
+    /// Seed of the times at which the daemons are killed
     #[arg(long, default_value_t = 20_180_718)]
     seed: u64,
     /// Simulated boards of each daemon

@@ -24,7 +24,9 @@ pub(super) const PRIOR: [f64; 2] = [3e-6, 3e-4];
 
 struct Entry {
     method: Method,
-    errors: Errors,
+    /// Of currents with noise, and of currents without.
+    noisy: Errors,
+    clean: Errors,
     run_time: RunTime,
 }
 
@@ -72,9 +74,9 @@ pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, R
             ),
             picture(&entries, head, bound, 1, "work-precision-rotation", "The same for the rotation."),
         ],
-        tables: vec![noisy_table(&entries, bound), floor(head, settings)?],
+        tables: tables(&entries, bound).into_iter().chain([floor(head, settings)?]).collect(),
     };
-    let slowest_s = entries.iter().filter(|entry| searched(entry)).map(|entry| entry.run_time.least_s);
+    let slowest_s = entries.iter().filter(|entry| searched(&entry.noisy)).map(|entry| entry.run_time.least_s);
     if let Some(slowest_s) = slowest_s.reduce(f64::max) {
         section.paragraphs.push(format!(
             "Where the light obeys another model than the solver's, χ² says so, and a full solve searches everywhere \
@@ -99,11 +101,11 @@ fn summary(entries: &[Entry], bound: [f64; 2]) -> Vec<String> {
             "One scan gives the position to {} µm and the orientation to {} µrad (root mean square of the error's \
              length, from nothing but that scan); the least that its noise allows (the Cramér–Rao bound) is {} µm and \
              {} µrad. {} % of the scans gave a pose.",
-            micro(cold.errors.rms[0]),
-            micro(cold.errors.rms[1]),
+            micro(cold.noisy.rms[0]),
+            micro(cold.noisy.rms[1]),
             micro(bound[0]),
             micro(bound[1]),
-            Value::from(100.0 * cold.errors.solved).shown(),
+            Value::from(100.0 * cold.noisy.solved).shown(),
         ),
         format!(
             "A solve takes {} µs when the pose of the scan before is known, {} µs when nothing is.",
@@ -114,11 +116,11 @@ fn summary(entries: &[Entry], bound: [f64; 2]) -> Vec<String> {
 }
 
 /// Mean steps of a full solve that found no fit and searched everywhere for one. Such a point
-/// lies far to the right of all others; a word tells of it.
+/// lies far to the right of all others, and the picture leaves it out with a note.
 const SEARCHED: f64 = 40.0;
 
-fn searched(entry: &Entry) -> bool {
-    entry.errors.steps > SEARCHED
+fn searched(errors: &Errors) -> bool {
+    errors.steps > SEARCHED
 }
 
 fn methods(head: &Head<'_>) -> Vec<Method> {
@@ -149,9 +151,12 @@ fn measure(head: &Head<'_>, settings: &Settings) -> Result<Vec<Entry>, ReportErr
     let timed = settings.timed_poses();
     let mut candidates: Vec<Candidate<'_>> = Vec::new();
     let mut errors = Vec::new();
+    let silent: Vec<Photocurrents> = head.poses.iter().map(|pose| currents(&head.truth, pose)).collect();
     for solve in &solves {
-        let solved = readings.iter().zip(&priors).map(|(readings, prior)| solve(readings, prior));
-        errors.push(Errors::of(solved.zip(&head.poses)));
+        errors.push([&readings, &silent].map(|readings| {
+            let solved = readings.iter().zip(&priors).map(|(readings, prior)| solve(readings, prior));
+            Errors::of(solved.zip(&head.poses))
+        }));
         candidates.push(Box::new(|| {
             for (readings, prior) in readings[..timed].iter().zip(&priors) {
                 black_box(solve(black_box(readings), prior));
@@ -160,30 +165,43 @@ fn measure(head: &Head<'_>, settings: &Settings) -> Result<Vec<Entry>, ReportErr
     }
     let run_times = race(&mut candidates, settings.rounds(), timed);
     let entries = methods.into_iter().zip(errors).zip(run_times);
-    Ok(entries.map(|((method, errors), run_time)| Entry { method, errors, run_time }).collect())
+    Ok(entries.map(|((method, [noisy, clean]), run_time)| Entry { method, noisy, clean, run_time }).collect())
 }
 
 fn micro(value: f64) -> Value {
     Value::from(value * 1e6)
 }
 
-fn noisy_table(entries: &[Entry], bound: [f64; 2]) -> Table {
-    let columns: [Getter<'_, Entry>; 12] = [
+/// Errors of currents with and without noise.
+fn tables(entries: &[Entry], bound: [f64; 2]) -> [Table; 2] {
+    let method: [Getter<'_, Entry>; 4] = [
         ("tier", "tier", &|entry| tier_name(entry.method.tier).into()),
         ("number", "numbers", &|entry| entry.method.precision.name().into()),
         ("start", "start", &|entry| entry.method.start.name().into()),
         ("effort", "effort", &|entry| entry.method.effort.name().into()),
-        ("solved_percent", "solved / %", &|entry| (100.0 * entry.errors.solved).into()),
-        ("rms_um", "rms / µm", &|entry| micro(entry.errors.rms[0])),
-        ("rms_urad", "rms / µrad", &|entry| micro(entry.errors.rms[1])),
-        ("ratio_to_bound_translation", "translation to bound", &|entry| (entry.errors.rms[0] / bound[0]).into()),
-        ("ratio_to_bound_rotation", "rotation to bound", &|entry| (entry.errors.rms[1] / bound[1]).into()),
-        ("steps", "steps, mean", &|entry| entry.errors.steps.into()),
+    ];
+    let noisy: [Getter<'_, Entry>; 8] = [
+        ("solved_percent", "solved / %", &|entry| (100.0 * entry.noisy.solved).into()),
+        ("rms_um", "rms / µm", &|entry| micro(entry.noisy.rms[0])),
+        ("rms_urad", "rms / µrad", &|entry| micro(entry.noisy.rms[1])),
+        ("ratio_to_bound_translation", "translation to bound", &|entry| (entry.noisy.rms[0] / bound[0]).into()),
+        ("ratio_to_bound_rotation", "rotation to bound", &|entry| (entry.noisy.rms[1] / bound[1]).into()),
+        ("steps", "steps, mean", &|entry| entry.noisy.steps.into()),
         ("least_us", "least / µs", &|entry| micro(entry.run_time.least_s)),
         ("median_us", "median / µs", &|entry| micro(entry.run_time.median_s)),
     ];
-    let caption = "Noisy currents: error, its ratio to the Cramér–Rao bound, and time per solve";
-    Table::of("solver_noisy", caption, entries, &columns)
+    let clean: [Getter<'_, Entry>; 4] = [
+        ("solved_percent", "solved / %", &|entry| (100.0 * entry.clean.solved).into()),
+        ("rms_um", "rms / µm", &|entry| micro(entry.clean.rms[0])),
+        ("rms_urad", "rms / µrad", &|entry| micro(entry.clean.rms[1])),
+        ("steps", "steps, mean", &|entry| entry.clean.steps.into()),
+    ];
+    let table =
+        |name, caption, columns: &[Getter<'_, Entry>]| Table::of(name, caption, entries, &[&method, columns].concat());
+    [
+        table("solver_noisy", "Noisy currents: error, its ratio to the Cramér–Rao bound, and time per solve", &noisy),
+        table("solver_clean", "Currents free of noise: the error of the method itself", &clean),
+    ]
 }
 
 /// The numerical floor: no noise in the currents and none in the weights, so that a solve goes on
@@ -235,62 +253,71 @@ fn picture(
     caption: &str,
 ) -> Picture {
     let (what, unit) = [("translation", "µm"), ("rotation", "µrad")][half];
-    let point = |entry: &Entry| [entry.run_time.least_s * 1e6, entry.errors.rms[half] * 1e6];
-    let chosen = |tier: Tier, start, precision| {
-        let is_of = move |method: &Method| (method.tier, method.precision, method.start) == (tier, precision, start);
-        entries.iter().filter(move |entry| is_of(&entry.method))
-    };
     let tight = format!("{}, cold start", tier_name(head.truth_tier).replace("exact", "exact tier at"));
-    let mut curves = Vec::new();
-    for (colour, (name, tier, start)) in [
-        ("exact tier, cold start", STREAM, Start::Cold),
-        ("exact tier, warm start", STREAM, Start::Warm),
-        ("paper tier, cold start", Tier::Paper, Start::Cold),
-        ("paper tier, warm start", Tier::Paper, Start::Warm),
-        (tight.as_str(), head.truth_tier, Start::Cold),
-    ]
-    .into_iter()
-    .enumerate()
-    {
-        // A full solve goes its own way: it is no further step.
-        for (label, style, precision, is_full) in [
-            (name, CurveStyle::Joined, Precision::Double, false),
-            ("", CurveStyle::DashedRings, Precision::Single, false),
-            ("", CurveStyle::Markers, Precision::Double, true),
-            ("", CurveStyle::Rings, Precision::Single, true),
-        ] {
-            let shown = chosen(tier, start, precision).filter(|entry| !searched(entry));
-            let points = shown.filter(|entry| (entry.method.effort == Effort::Full) == is_full).map(point);
-            curves.push(curve(label, colour, style, points.collect()));
+    let panel = |heading: &str, errors: fn(&Entry) -> &Errors, floor: Option<f64>| {
+        let point = |entry: &Entry| [entry.run_time.least_s * 1e6, errors(entry).rms[half] * 1e6];
+        let chosen = |tier: Tier, start, precision| {
+            let is_of =
+                move |method: &Method| (method.tier, method.precision, method.start) == (tier, precision, start);
+            entries.iter().filter(move |entry| is_of(&entry.method))
+        };
+        let mut curves = Vec::new();
+        for (colour, (name, tier, start)) in [
+            ("exact tier, cold start", STREAM, Start::Cold),
+            ("exact tier, warm start", STREAM, Start::Warm),
+            ("paper tier, cold start", Tier::Paper, Start::Cold),
+            ("paper tier, warm start", Tier::Paper, Start::Warm),
+            (tight.as_str(), head.truth_tier, Start::Cold),
+        ]
+        .into_iter()
+        .enumerate()
+        {
+            // A full solve goes its own way: it is no further step.
+            for (label, style, precision, is_full) in [
+                (name, CurveStyle::Joined, Precision::Double, false),
+                ("", CurveStyle::DashedRings, Precision::Single, false),
+                ("", CurveStyle::Markers, Precision::Double, true),
+                ("", CurveStyle::Rings, Precision::Single, true),
+            ] {
+                let shown = chosen(tier, start, precision).filter(|entry| !searched(errors(entry)));
+                let points = shown.filter(|entry| (entry.method.effort == Effort::Full) == is_full).map(point);
+                curves.push(curve(label, colour, style, points.collect()));
+            }
         }
-    }
-    let floor = bound[half] * 1e6;
-    let y = |y: Vec<f64>| Axis::logarithmic(&format!("rms error of the {what} / {unit}"), y.into_iter().chain([floor]));
-    let mut chart = Chart::over(curves, |x| Axis::logarithmic("time per solve / µs", x), y);
-    let times = chart.x.range;
-    let mut note = |at, offset, anchor, text: &str, colour| {
-        chart.notes.push(Note { at, offset, anchor, text: text.to_owned(), colour });
+        let y =
+            |y: Vec<f64>| Axis::logarithmic(&format!("rms error of the {what} / {unit}"), y.into_iter().chain(floor));
+        let mut chart = Chart::over(curves, |x| Axis::logarithmic("time per solve / µs", x), y);
+        let times = chart.x.range;
+        let mut note = |at, offset, anchor, text: &str, colour| {
+            chart.notes.push(Note { at, offset, anchor, text: text.to_owned(), colour });
+        };
+        // The clearest curve says what its points are, as far as they do not lie on the bound.
+        let named = chosen(STREAM, Start::Cold, Precision::Double).take(2);
+        for entry in named.filter(|entry| floor.is_none_or(|floor| point(entry)[1] > 2.0 * floor)) {
+            note(point(entry), dvec2(9.0, -5.0), Anchor::Start, &entry.method.effort.name(), cell_colour(0));
+        }
+        if let Some(entry) = chosen(Tier::Paper, Start::Cold, Precision::Double).find(|entry| searched(errors(entry))) {
+            let [time, error] = point(entry);
+            let text = format!("paper tier in full: {} µs →", Value::from(time).shown());
+            note([times[1], error], dvec2(-8.0, 16.0), Anchor::End, &text, cell_colour(2));
+        }
+        if let Some(floor) = floor {
+            note([times[0], floor], dvec2(8.0, 16.0), Anchor::Start, "Cramér–Rao bound of one frame", SOFT_INK);
+            let points = times.map(|x| [x, floor]).to_vec();
+            chart.curves.push(Curve { label: String::new(), colour: SOFT_INK, style: CurveStyle::Dashed, points });
+        }
+        (heading.to_owned(), chart)
     };
-    // The clearest curve says what its points are, as far as they do not lie on the bound.
-    let named = chosen(STREAM, Start::Cold, Precision::Double).take(2);
-    for entry in named.filter(|entry| entry.errors.rms[half] > 2.0 * bound[half]) {
-        note(point(entry), dvec2(9.0, -5.0), Anchor::Start, &entry.method.effort.name(), cell_colour(0));
-    }
-    if let Some(entry) = chosen(Tier::Paper, Start::Cold, Precision::Double).find(|entry| searched(entry)) {
-        let [time, error] = point(entry);
-        let text = format!("paper tier in full: {} µs →", Value::from(time).shown());
-        note([times[1], error], dvec2(-8.0, 16.0), Anchor::End, &text, cell_colour(2));
-    }
-    note([times[0], floor], dvec2(8.0, 16.0), Anchor::Start, "Cramér–Rao bound of one frame", SOFT_INK);
-    let points = times.map(|x| [x, floor]).to_vec();
-    chart.curves.push(Curve { label: String::new(), colour: SOFT_INK, style: CurveStyle::Dashed, points });
     Sheet {
         title: format!("Pose from {} cells: error of the {what} against time", head.scene.cells.len()),
         note: format!(
             "{} poses, one frame each. Discs f64, rings f32; curves: planes (cold start), 1, 2, 3, 4 steps; lone points: full.",
             head.poses.len()
         ),
-        panels: vec![("noisy currents".to_owned(), chart)],
+        panels: vec![
+            panel("noisy currents", |entry| &entry.noisy, Some(bound[half] * 1e6)),
+            panel("currents free of noise", |entry| &entry.clean, None),
+        ],
     }
     .draw(name, caption)
 }

@@ -16,7 +16,7 @@ use super::super::accept::DISTINCT_SIGMAS;
 use super::super::accept::{EVEN, MAX_SIGMA};
 use super::super::algebra::{Factor, Matrix6, Vector6, add_outer, dot, square};
 use super::super::compiled::Compiled;
-use super::super::level::{Level, keeps_digits};
+use super::super::level::Level;
 use super::super::levenberg_marquardt::{MAX_SECOND_STEP, PATIENCE, REUSABLE_CHANGE, Stopping};
 use super::super::planes::{self, PULL, STEP_M};
 use super::super::step::SAFE_ROUNDINGS;
@@ -343,12 +343,11 @@ fn linearise<R: Real<Element = f64>, const EXACT: bool>(
         linearised.rows.push(rows);
     }
     if let Some(level) = &mut linearised.level {
-        level.settle(&linearised.sums);
-        let before = linearised.information;
-        linearised.level_part = level.take_from(&mut linearised.information);
-        level.take_from_sums(&mut linearised.sums);
         let threshold = like.constant(SAFE_ROUNDINGS * f64::EPSILON);
-        linearised.is_sound = both(linearised.is_sound, keeps_digits(&before, &linearised.information, threshold));
+        let (level_part, is_safe) = level.marginalise(&mut linearised.information, &linearised.sums, threshold);
+        level.take_from_sums(&mut linearised.sums);
+        linearised.level_part = level_part;
+        linearised.is_sound = both(linearised.is_sound, is_safe);
     }
 }
 

@@ -107,6 +107,40 @@ fn blocked(pair: &mut Reading) {
     *pair = Reading::Light(Pair { i_x1_a: 1e-9, i_x2_a: -2e-9 });
 }
 
+/// Frames of six cells tell the light level, those of four have it from them: without, they err by hundreds of σ.
+#[test]
+fn few_cells_have_the_light_level_of_the_frames_before() {
+    const LEVEL: f64 = 0.95;
+    let mut scene = scene();
+    scene.uncertainty.light_level_relative = 0.1;
+    let mut rig = Rig::new();
+    rig.solver = Solver::new(&scene, Tier::Paper).expect("scene").with_exposures(&OFFSETS_S);
+    rig.tracker = Tracker::new(rig.solver.clone(), PERIOD_S);
+    let (mut squares, mut count) = (0.0, 0);
+    for frame in 0..900 {
+        let is_covered = frame >= 600;
+        let dim = &mut |readings: &mut Photocurrents| {
+            for (cell, reading) in readings.cells.iter_mut().enumerate() {
+                if let Reading::Light(pair) = reading {
+                    *pair = Pair { i_x1_a: LEVEL * pair.i_x1_a, i_x2_a: LEVEL * pair.i_x2_a };
+                }
+                if is_covered && cell % 3 == 0 {
+                    *reading = Reading::Missing;
+                }
+            }
+        };
+        let (tracked, truth) = faulty(&mut rig, swing, dim);
+        if is_covered {
+            assert_eq!(tracked.solution.cells_used.count(), 4);
+            squares += nees(&tracked, &truth);
+            count += 1;
+        }
+    }
+    // Six, and what is left of the noise of the mean level.
+    let mean = squares / f64::from(count);
+    assert!((4.5..9.0).contains(&mean), "{mean}");
+}
+
 #[test]
 fn a_swinging_tool_is_followed_honestly_and_its_twist_told() {
     for speed in [0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0] {

@@ -164,7 +164,7 @@ pub fn study(slitpose: Slitpose, options: &Options) -> Verdicts {
     // Of many jumps of a clock the first, second, fourth, eighth … are reported.
     let noticed = |report: &Report| match report.fault.as_str() {
         "step" => report.detected > report.injected.ilog2() as usize,
-        // Poses allow for it, and the board tells its temperature.
+        // Poses stay right, and the board reports its temperature.
         "warm" => report.unflagged + report.flagged == 0,
         _ => report.detected == report.injected,
     };
