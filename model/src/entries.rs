@@ -1,7 +1,7 @@
 //! Where other crates enter the generic code.
 //!
 //! A generic function is compiled anew in each crate that calls it, with all that it calls: optics and solver are
-//! most of a megabyte. With the feature `batch`, entries are functions of their own for each number type, which this
+//! most of a megabyte. With the feature `lanes`, entries are functions of their own for each number type, which this
 //! crate compiles once for all others. Without it, as for the board, they leave no trace.
 
 use heapless::Vec;
@@ -17,7 +17,7 @@ use crate::solve::{Directions, MotionPrior, Photocurrents, Solution, Solver, Sta
 #[allow(missing_docs, reason = "each function is the method of the same name")]
 pub trait Scalar: Number {
     /// Cells in as many lanes as the processor has at run time.
-    type WideCells: CellsAtOnce<Self>;
+    type CellsInLanes: CellsAtOnce<Self>;
 
     fn set_scene(solver: &mut Solver<Self>, scene: &Scene, tier: Tier) -> Result<(), SceneError>;
     fn compile(scene: &Scene, tier: Tier) -> Result<CompiledScene<Self>, SceneError>;
@@ -45,11 +45,11 @@ pub trait Scalar: Number {
 macro_rules! entries {
     ($scalar:ty, $wide:ty: $($name:ident($($argument:ident: $of:ty),*) -> $result:ty { $body:expr })*) => {
         impl Scalar for $scalar {
-            type WideCells = $wide;
+            type CellsInLanes = $wide;
 
             $(
-                #[cfg_attr(feature = "batch", inline(never))]
-                #[cfg_attr(not(feature = "batch"), inline(always))]
+                #[cfg_attr(feature = "lanes", inline(never))]
+                #[cfg_attr(not(feature = "lanes"), inline(always))]
                 fn $name($($argument: $of),*) -> $result {
                     $body
                 }
@@ -103,7 +103,7 @@ macro_rules! entries_of {
     };
 }
 
-#[cfg(feature = "batch")]
-entries_of!(f32, NoLanes; f64, crate::plan::WideCells;);
-#[cfg(not(feature = "batch"))]
+#[cfg(feature = "lanes")]
+entries_of!(f32, NoLanes; f64, crate::plan::CellsInLanes;);
+#[cfg(not(feature = "lanes"))]
 entries_of!(f32, NoLanes; f64, NoLanes;);

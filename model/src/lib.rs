@@ -66,6 +66,7 @@ mod aperture;
 mod effects;
 mod entries;
 mod exact;
+#[cfg(feature = "lanes")]
 mod lanes;
 mod list;
 mod paper;
@@ -79,8 +80,6 @@ mod response;
 mod scalar;
 mod scene;
 mod solve;
-#[cfg(feature = "batch")]
-mod width;
 
 pub use effects::{
     AZIMUTHAL_TERMS, Converters, Effects, MAX_CONVERTER, MAX_NONLINEARITY, ModelError, Opening, ProfileShape,
@@ -101,7 +100,3 @@ pub use solve::{
     MIN_CELLS, MotionPrior, Outcome, Photocurrents, Reading, Solution, Solver, Start, Tracked, Tracker, TwistEstimate,
     Verified,
 };
-#[cfg(feature = "batch")]
-pub use solve::{Batch, Starts};
-#[cfg(feature = "batch")]
-pub use width::Width;

@@ -1,13 +1,13 @@
-//! Lists of up to `N` items: in place on the board, which has no heap. With the feature `batch` they are on the heap and
+//! Lists of up to `N` items: in place on the board, which has no heap. With the feature `lanes` they are on the heap and
 //! copies share them: a compiled scene of 120 kB would otherwise be moved over the stacks of a host's threads, and copied
 //! with each tracker.
 
-#[cfg(not(feature = "batch"))]
+#[cfg(not(feature = "lanes"))]
 pub type List<T, const N: usize> = heapless::Vec<T, N>;
-#[cfg(feature = "batch")]
+#[cfg(feature = "lanes")]
 pub use shared::List;
 
-#[cfg(feature = "batch")]
+#[cfg(feature = "lanes")]
 mod shared {
     extern crate alloc;
 

@@ -6,11 +6,10 @@
 //! equation (3), Ω = 4·arccos √((1+α²+β²)/((1+α²)(1+β²))), equals
 //! Ω = 4·atan(αβ/√(1+α²+β²)), which keeps all digits for small plates.
 
-use crate::lanes::{array, zero_half_one};
 use crate::polygon::{EmitterGradient, Polygon};
 use crate::profile::Falloff;
 use crate::rectangle::{Extent, Rectangle, RectangleLight, SideGradient};
-use crate::scalar::{Linear3, Number, Real};
+use crate::scalar::{Linear3, Number, array, zero_half_one};
 
 /// Half the angle θ that a straight segment subtends at the emitter.
 ///
@@ -18,37 +17,37 @@ use crate::scalar::{Linear3, Number, Real};
 /// squared distance d² from the emitter. With r₀, r₁ the distances of its ends from the emitter:
 /// tan(θ/2) = |a×b|/(|a||b| + a·b) = (high − low)·d/D, D = r₀r₁ + low·high + d².
 #[derive(Clone, Copy)]
-struct HalfAngle<R> {
-    low: R,
-    high: R,
-    length: R,
-    distance2: R,
+struct HalfAngle<S> {
+    low: S,
+    high: S,
+    length: S,
+    distance2: S,
     /// r₁/r₀ and r₀/r₁.
-    ratios: [R; 2],
+    ratios: [S; 2],
     /// 1/D.
-    inverse: R,
+    inverse: S,
     /// tan²(θ/2).
-    tangent2: R,
+    tangent2: S,
 }
 
-impl<R: Real> HalfAngle<R> {
+impl<S: Number> HalfAngle<S> {
     /// `rays`: r₀ and r₁, `inverses`: 1/r₀ and 1/r₁.
     #[inline(always)]
-    fn new([low, high]: [R; 2], length: R, distance2: R, rays: [R; 2], inverses: [R; 2]) -> Self {
+    fn new([low, high]: [S; 2], length: S, distance2: S, rays: [S; 2], inverses: [S; 2]) -> Self {
         let inverse = (rays[0] * rays[1] + low * high + distance2).inverse();
         let sine = length * inverse;
         let ratios = [rays[1] * inverses[0], rays[0] * inverses[1]];
         Self { low, high, length, distance2, ratios, inverse, tangent2: sine * sine * distance2 }
     }
 
-    fn of_segment(low: R, high: R, length: R, distance2: R) -> Self {
+    fn of_segment(low: S, high: S, length: S, distance2: S) -> Self {
         let rays = [low, high].map(|end| (end * end + distance2).root());
-        Self::new([low, high], length, distance2, rays, rays.map(R::inverse))
+        Self::new([low, high], length, distance2, rays, rays.map(S::inverse))
     }
 
     /// Derivatives of ln tan(θ/2) with respect to `low`, `high` and d².
     #[inline(always)]
-    fn slopes(&self) -> [R; 3] {
+    fn slopes(&self) -> [S; 3] {
         let (one, half) = (self.length.constant(1.0), self.length.constant(0.5));
         // 1/length and 1/d² from one division.
         let both = (self.length * self.distance2).inverse();
@@ -63,7 +62,7 @@ impl<R: Real> HalfAngle<R> {
 
 /// Equation (3) and its derivatives with respect to ln α and ln β.
 #[inline(always)]
-fn plate_solid_angle<R: Real>(alpha2: R, beta2: R) -> (R, R, R) {
+fn plate_solid_angle<S: Number>(alpha2: S, beta2: S) -> (S, S, S) {
     let (one, four) = (alpha2.constant(1.0), alpha2.constant(4.0));
     let (alpha, beta) = (one + alpha2, one + beta2);
     // tan(Ω/4) = αβ/√(1 + α² + β²).
@@ -77,18 +76,15 @@ const SMALL_TANGENT: f64 = 0.03;
 
 /// arctan of a tangent ≥ 0.
 #[inline(always)]
-fn quarter_angle<R: Real>(tangent: R) -> R {
-    if !R::ARE_POSES && (0..R::LANES).any(|i| tangent.lane(i) > R::Element::of(SMALL_TANGENT)) {
-        return tangent.fill_with(|i| tangent.lane(i).arc_tangent());
+fn quarter_angle<S: Number>(tangent: S) -> S {
+    if tangent > S::of(SMALL_TANGENT) {
+        return tangent.arc_tangent();
     }
     let square = tangent * tangent;
     // t⁰/1 − t²/3 + t⁴/5 − …: the first term left out is t¹²/13, 4e-20 of the first.
     let mut sum = tangent.constant(1.0 / 11.0);
     for odd in [9.0, 7.0, 5.0, 3.0, 1.0_f64] {
         sum = tangent.constant(odd.recip()) - square * sum;
-    }
-    if R::ARE_POSES {
-        return R::select_ge(tangent.constant(SMALL_TANGENT), tangent, tangent * sum, tangent.constant(f64::NAN));
     }
     tangent * sum
 }
@@ -112,34 +108,34 @@ pub fn rectangle_beam<S: Number>(spot: &Rectangle<S>, axis: S::Vec3) -> Beam<S> 
 
 /// Lengths of the rays to the mid-points of a rectangle's sides (x low, x high, y low, y high), and
 /// their inverses. The plate's mid-lines end at the same points.
-struct Rays<R> {
-    lengths: [R; 4],
-    inverses: [R; 4],
+struct Rays<S> {
+    lengths: [S; 4],
+    inverses: [S; 4],
 }
 
-impl<R: Real> Rays<R> {
+impl<S: Number> Rays<S> {
     #[inline(always)]
-    fn of(spot: &Rectangle<R>) -> Self {
+    fn of(spot: &Rectangle<S>) -> Self {
         let h2 = spot.height * spot.height;
         let (x2, y2) = (spot.x.middle * spot.x.middle, spot.y.middle * spot.y.middle);
         let [x0, x1] = [spot.x.low.position, spot.x.high.position];
         let [y0, y1] = [spot.y.low.position, spot.y.high.position];
         let squares = [x0 * x0 + y2, x1 * x1 + y2, y0 * y0 + x2, y1 * y1 + x2];
-        let squares: [R; 4] = array(h2, |i| squares[i] + h2);
+        let squares: [S; 4] = array(h2, |i| squares[i] + h2);
         let inverses = array(h2, |i| squares[i].inverse_root());
         Self { lengths: array(h2, |i| squares[i] * inverses[i]), inverses }
     }
 
     /// The two half angles of the plate: along x and along y.
     #[inline(always)]
-    fn plate(&self, spot: &Rectangle<R>) -> (HalfAngle<R>, HalfAngle<R>) {
+    fn plate(&self, spot: &Rectangle<S>) -> (HalfAngle<S>, HalfAngle<S>) {
         let h2 = spot.height * spot.height;
         (self.half_angle(&spot.x, h2, spot.y.middle, 0), self.half_angle(&spot.y, h2, spot.x.middle, 2))
     }
 
     /// Of the mid-line along `extent`, which ends with the rays `i` and i + 1.
     #[inline(always)]
-    fn half_angle(&self, extent: &Extent<R>, h2: R, across: R, i: usize) -> HalfAngle<R> {
+    fn half_angle(&self, extent: &Extent<S>, h2: S, across: S, i: usize) -> HalfAngle<S> {
         HalfAngle::new(
             [extent.low.position, extent.high.position],
             extent.half.constant(2.0) * extent.half,
@@ -151,10 +147,10 @@ impl<R: Real> Rays<R> {
 
     /// Sum of the unit vectors along the rays.
     #[inline(always)]
-    fn sum(&self, spot: &Rectangle<R>) -> R::Vec3 {
+    fn sum(&self, spot: &Rectangle<S>) -> S::Vec3 {
         let [i0, i1, i2, i3] = self.inverses;
         let (along_x, along_y) = (i0 + i1, i2 + i3);
-        R::Vec3::new(
+        S::Vec3::new(
             spot.x.low.position * i0 + spot.x.high.position * i1 + spot.x.middle * along_y,
             spot.y.low.position * i2 + spot.y.high.position * i3 + spot.y.middle * along_x,
             -(spot.height * (along_x + along_y)),
@@ -164,11 +160,11 @@ impl<R: Real> Rays<R> {
 
 /// Power Ω·I_rel(γ) and geometric centre of a rectangular spot.
 #[inline(always)]
-pub fn rectangle_light<R: Real, E: Falloff<R>, const GRADIENT: bool>(
-    spot: &Rectangle<R>,
-    axis: R::Vec3,
+pub fn rectangle_light<S: Number, E: Falloff<S>, const GRADIENT: bool>(
+    spot: &Rectangle<S>,
+    axis: S::Vec3,
     emission: &E,
-) -> RectangleLight<R> {
+) -> RectangleLight<S> {
     let [zero, half, one] = zero_half_one(spot.height);
     let centroid = SideGradient { by_side: [half, half, zero, zero], ..SideGradient::of_value(zero) };
     let rays = Rays::of(spot);
@@ -177,8 +173,8 @@ pub fn rectangle_light<R: Real, E: Falloff<R>, const GRADIENT: bool>(
     let direction = sum * inverse;
     let cosine = axis.dot(direction);
     // Behind the horizon there is no light, and the profile is not defined.
-    let in_front = |value| R::select_ge(zero, cosine, zero, value);
-    let front = R::select_ge(zero, cosine, one, cosine);
+    let in_front = |value| S::select_ge(zero, cosine, zero, value);
+    let front = S::select_ge(zero, cosine, one, cosine);
     let (alpha, beta) = rays.plate(spot);
     let (omega, by_alpha, by_beta) = plate_solid_angle(alpha.tangent2, beta.tangent2);
     if !GRADIENT {
@@ -199,7 +195,7 @@ pub fn rectangle_light<R: Real, E: Falloff<R>, const GRADIENT: bool>(
     let mut v = [w; 4];
     for (i, across) in v.iter_mut().enumerate() {
         let inverse = rays.inverses[i];
-        let unit = R::Vec3::new(ends[i][0] * inverse, ends[i][1] * inverse, z * inverse);
+        let unit = S::Vec3::new(ends[i][0] * inverse, ends[i][1] * inverse, z * inverse);
         *across = (w - unit * w.dot(unit)) * inverse;
     }
     let x_middle = half * (v[2].x() + v[3].x());

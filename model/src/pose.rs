@@ -6,8 +6,7 @@
 
 use glam::{DQuat, DVec3};
 
-use crate::lanes::{array, zero_half_one};
-use crate::scalar::{Linear3, Number, Real, Vector3};
+use crate::scalar::{Linear3, Number, Real, Vector3, array, zero_half_one};
 
 /// A rigid transform, `f64`: rotation as a unit quaternion and translation in metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -138,12 +137,6 @@ pub struct Rigid<S: Number> {
 }
 
 impl<S: Number> Rigid<S> {
-    /// From a unit quaternion, x, y, z, w, and a translation.
-    #[cfg(feature = "batch")]
-    pub fn of_parts(rotation: [S; 4], translation: S::Vec3) -> Self {
-        Self { rotation, translation }
-    }
-
     pub fn home() -> Self {
         Self { rotation: [S::zero(), S::zero(), S::zero(), S::one()], translation: S::Vec3::default() }
     }
@@ -199,25 +192,7 @@ pub struct Transform<R: Real> {
     translation: R::Vec3,
 }
 
-/// [`Real::select_gt`] of vectors.
-#[cfg(feature = "batch")]
-#[inline(always)]
-fn where_above3<R: Real>(a: R, b: R, yes: R::Vec3, no: R::Vec3) -> R::Vec3 {
-    R::Vec3::new(
-        R::select_gt(a, b, yes.x(), no.x()),
-        R::select_gt(a, b, yes.y(), no.y()),
-        R::select_gt(a, b, yes.z(), no.z()),
-    )
-}
-
 impl<R: Real> Transform<R> {
-    /// The rotation as a unit quaternion, x, y, z, w.
-    #[cfg(feature = "batch")]
-    #[inline(always)]
-    pub fn rotation(&self) -> [R; 4] {
-        self.rotation
-    }
-
     #[inline(always)]
     pub fn rotate(&self, v: R::Vec3) -> R::Vec3 {
         self.columns[0] * v.x() + self.columns[1] * v.y() + self.columns[2] * v.z()
@@ -226,21 +201,6 @@ impl<R: Real> Transform<R> {
     #[inline(always)]
     pub fn translation(&self) -> R::Vec3 {
         self.translation
-    }
-
-    /// Lane by lane: `yes` where a > b, else `no`.
-    #[cfg(feature = "batch")]
-    #[inline(always)]
-    pub fn select_gt(a: R, b: R, yes: &Self, no: &Self) -> Self {
-        let mut chosen = *no;
-        chosen.translation = where_above3(a, b, yes.translation, no.translation);
-        for i in 0..3 {
-            chosen.columns[i] = where_above3(a, b, yes.columns[i], no.columns[i]);
-        }
-        for i in 0..4 {
-            chosen.rotation[i] = R::select_gt(a, b, yes.rotation[i], no.rotation[i]);
-        }
-        chosen
     }
 
     /// From a quaternion of nearly unit length.

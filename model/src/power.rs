@@ -6,9 +6,7 @@
 
 use serde::{Deserialize, Serialize};
 
-#[cfg(feature = "batch")]
-use crate::lanes::{MAX_LANES, array};
-use crate::scalar::{Number, Real};
+use crate::scalar::Number;
 
 /// Intervals of m.
 const SEGMENTS: usize = 32;
@@ -31,7 +29,6 @@ pub struct Power<S> {
 }
 
 /// The table's entry for one c, input of the series.
-#[derive(Clone, Copy, Default)]
 struct Anchor<S> {
     delta: S,
     factor: S,
@@ -57,12 +54,6 @@ impl<S: Number> Power<S> {
 
     pub fn exponent(&self) -> S {
         self.exponent
-    }
-
-    /// Whether [`Self::of`] is a series, which several lanes have at once, and not the library's power.
-    #[cfg(feature = "batch")]
-    pub fn has_series(&self) -> bool {
-        self.has_series
     }
 
     /// cⁿ, c > 0.
@@ -107,76 +98,12 @@ fn power_of_two(n: f64, e: f64) -> f64 {
 
 /// factor·(1 + δ)ⁿ.
 #[inline(always)]
-fn series<R: Real>(delta: R, factor: R, binomials: &[R; MAX_TERMS]) -> R {
-    let mut sum = binomials[R::Element::POWER_TERMS - 1];
-    for k in (0..R::Element::POWER_TERMS - 1).rev() {
+fn series<S: Number>(delta: S, factor: S, binomials: &[S; MAX_TERMS]) -> S {
+    let mut sum = binomials[S::POWER_TERMS - 1];
+    for k in (0..S::POWER_TERMS - 1).rev() {
         sum = sum * delta + binomials[k];
     }
     sum * factor
-}
-
-/// The powers of several cells at once.
-#[derive(Clone, Debug)]
-pub struct PowerLanes<R: Real> {
-    tables: heapless::Vec<Power<R::Element>, 2>,
-    binomials: [R; MAX_TERMS],
-    pub exponent: R,
-}
-
-impl<R: Real> PowerLanes<R> {
-    /// One table per lane of `like`.
-    pub fn of(like: R, table: impl Fn(usize) -> Power<R::Element>) -> Self {
-        let tables: heapless::Vec<_, 2> = (0..R::LANES).map(table).collect();
-        Self {
-            binomials: core::array::from_fn(|k| like.fill_with(|i| tables[i].binomials[k])),
-            exponent: like.fill_with(|i| tables[i].exponent),
-            tables,
-        }
-    }
-
-    /// cⁿ lane by lane, c > 0.
-    #[inline(always)]
-    pub fn of_lanes(&self, c: R) -> R {
-        let mut anchors = [Anchor::default(); 2];
-        for (i, table) in self.tables.iter().enumerate() {
-            match table.anchor(c.lane(i)) {
-                Some(anchor) => anchors[i] = anchor,
-                None => return c.fill_with(|i| self.tables[i].of(c.lane(i))),
-            }
-        }
-        series(c.fill_with(|i| anchors[i].delta), c.fill_with(|i| anchors[i].factor), &self.binomials)
-    }
-}
-
-/// One power for all lanes, of numbers that do not depend on each other: NaN where the library's power serves.
-#[cfg(feature = "batch")]
-pub struct SharedPower<'a, R: Real> {
-    table: &'a Power<R::Element>,
-    binomials: [R; MAX_TERMS],
-    pub exponent: R,
-}
-
-#[cfg(feature = "batch")]
-impl<'a, R: Real> SharedPower<'a, R> {
-    #[inline(always)]
-    pub fn of(like: R, table: &'a Power<R::Element>) -> Self {
-        Self { table, binomials: array(like, |k| like.splat(table.binomials[k])), exponent: like.splat(table.exponent) }
-    }
-
-    /// cⁿ lane by lane, c > 0.
-    #[inline(always)]
-    pub fn of_lanes(&self, c: R) -> R {
-        let nan = R::Element::of(f64::NAN);
-        let mut factors = [nan; MAX_LANES];
-        let delta = c.fill_with(|lane| match self.table.anchor(c.lane(lane)) {
-            Some(anchor) => {
-                factors[lane] = anchor.factor;
-                anchor.delta
-            }
-            None => nan,
-        });
-        series(delta, c.fill_with(|lane| factors[lane]), &self.binomials)
-    }
 }
 
 #[cfg(test)]

@@ -1,9 +1,8 @@
 //! The rectangular spot of a slit parallel to its detector.
 
 use crate::aperture::{Face, Span};
-use crate::lanes::zero_half_one;
 use crate::response::Status;
-use crate::scalar::{Linear3, Real};
+use crate::scalar::{Linear3, Number, Real, zero_half_one};
 
 /// One side of the spot along one axis, with its motion.
 ///
@@ -45,12 +44,7 @@ pub const WALL_SLACK: f64 = MAX_MAGNIFICATION / 4.124;
 pub const MAX_MAGNIFICATION: f64 = 10.0;
 
 /// Origin of a side that is an edge of the detector; else the index of its face.
-const DETECTOR: f64 = -1.0;
-
-#[inline(always)]
-fn magnitude<R: Real>(value: R) -> R {
-    R::select_ge(value, -value, value, -value)
-}
+pub const DETECTOR: f64 = -1.0;
 
 impl<R: Real> Extent<R> {
     /// Intersection of the beam through `spans` (with their magnifications) and the detector, empty if
@@ -72,9 +66,9 @@ impl<R: Real> Extent<R> {
             for (apart, wall, from) in
                 [(a - low.position, span.low, from_low), (high.position - b, span.high, from_high)]
             {
-                let mut apart = magnitude(apart);
+                let mut apart = apart.magnitude();
                 if N > 1 {
-                    let from_wall = e.constant(WALL_SLACK) * magnitude(e - wall);
+                    let from_wall = e.constant(WALL_SLACK) * (e - wall).magnitude();
                     apart = R::select_ge(from, zero, from_wall, apart);
                 }
                 slack = R::select_ge(slack, apart, apart, slack);
@@ -123,10 +117,9 @@ impl<R: Real> Rectangle<R> {
         }
         let (x, cut, slack_x) = Extent::of_beam(along_x, ex, detector_half[0]);
         let (y, _, slack_y) = Extent::of_beam(along_y, ey, detector_half[1]);
-        // With a pose that is NaN both half extents are NaN, and the spot is dark.
-        let narrower = R::select_ge(x.half, y.half, y.half, x.half);
         let slack = R::select_ge(slack_x, slack_y, slack_y, slack_x);
-        (Self { x, y, height: ez }, Visibility { behind, cut, narrower, slack })
+        let visibility = Visibility::of(behind, cut, [x.half, y.half], slack);
+        (Self { x, y, height: ez }, visibility)
     }
 
     /// This spot with one side (x low, x high, y low, y high) moved outward or inward.
@@ -165,20 +158,20 @@ pub struct Visibility<R> {
 }
 
 impl<R: Real> Visibility<R> {
+    /// See the fields; the half extents along x and y decide which is the smaller.
+    #[inline(always)]
+    pub fn of(behind: R, cut: R, [x, y]: [R; 2], slack: R) -> Self {
+        // With a pose that is NaN both half extents are NaN, and the spot is dark.
+        Self { behind, cut, narrower: R::select_ge(x, y, y, x), slack }
+    }
+
     #[inline(always)]
     pub fn slack_m(&self, lane: usize) -> R::Element {
         self.slack.lane(lane)
     }
 
-    /// The same for each lane.
-    #[cfg(feature = "batch")]
-    #[inline(always)]
-    pub fn slacks_m(&self) -> R {
-        self.slack
-    }
-
     /// `yes` in lanes with a spot, else `no`.
-    #[cfg(feature = "batch")]
+    #[cfg(feature = "lanes")]
     #[inline(always)]
     pub fn where_spot(&self, yes: R, no: R) -> R {
         let zero = self.behind.constant(0.0);
@@ -195,6 +188,18 @@ impl<R: Real> Visibility<R> {
         } else {
             Status::Dark
         }
+    }
+}
+
+impl<S: Number> Visibility<S> {
+    /// The status of the one lane.
+    ///
+    /// # Errors
+    /// The status without a spot.
+    #[inline(always)]
+    pub fn spot(&self) -> Result<Status, Status> {
+        let status = self.status(0);
+        if status.has_spot() { Ok(status) } else { Err(status) }
     }
 }
 

@@ -32,9 +32,6 @@ pub trait Real:
     type Vec3: Linear3<Self>;
     /// Number of lanes.
     const LANES: usize;
-    /// Whether the lanes are those of several poses, each of which has the bits that it has alone: where one formula
-    /// does not serve all numbers, the others are NaN.
-    const ARE_POSES: bool = false;
 
     /// From the number of each lane: as many as `self` has, whose own do not count.
     fn fill_with(self, lane: impl FnMut(usize) -> Self::Element) -> Self;
@@ -48,17 +45,26 @@ pub trait Real:
     fn select_ge(a: Self, b: Self, yes: Self, no: Self) -> Self;
 
     /// Lane by lane: `yes` where a > b, else `no`.
+    fn select_gt(a: Self, b: Self, yes: Self, no: Self) -> Self;
+
+    /// [`Self::select_ge`] of vectors.
     #[inline(always)]
-    fn select_gt(a: Self, b: Self, yes: Self, no: Self) -> Self {
-        // Written so that NaN is not above.
-        Self::select_ge(a, b, Self::select_ge(b, a, no, yes), no)
+    fn select3_ge(a: Self, b: Self, yes: Self::Vec3, no: Self::Vec3) -> Self::Vec3 {
+        Self::Vec3::new(
+            Self::select_ge(a, b, yes.x(), no.x()),
+            Self::select_ge(a, b, yes.y(), no.y()),
+            Self::select_ge(a, b, yes.z(), no.z()),
+        )
+    }
+
+    /// The vector with this number for each component.
+    #[inline(always)]
+    fn vector(self) -> Self::Vec3 {
+        Self::Vec3::new(self, self, self)
     }
 
     /// Whether a > b in any lane.
-    #[inline(always)]
-    fn any_above(a: Self, b: Self) -> bool {
-        (0..Self::LANES).any(|i| a.lane(i) > b.lane(i))
-    }
+    fn any_above(a: Self, b: Self) -> bool;
 
     /// |x|, lane by lane.
     #[inline(always)]
@@ -105,13 +111,27 @@ pub trait Real:
     }
 }
 
+/// `[of(0), of(1), …]`, of which `fill` is no part. Unlike `core::array::from_fn` and `map` it leaves no function of its
+/// own behind, which would lack the instructions of wide lanes.
+#[inline(always)]
+pub fn array<T: Copy, const N: usize>(fill: T, mut of: impl FnMut(usize) -> T) -> [T; N] {
+    let mut all = [fill; N];
+    for (i, one) in all.iter_mut().enumerate() {
+        *one = of(i);
+    }
+    all
+}
+
+/// The first three numbers of the optics, 0, ½ and 1, in the lanes of `like`.
+#[inline(always)]
+pub fn zero_half_one<R: Real>(like: R) -> [R; 3] {
+    [like.constant(0.0), like.constant(0.5), like.constant(1.0)]
+}
+
 /// A real number the optics compute with, and the glam vector that goes with it.
 pub trait Number:
     Real<Element = Self, Vec3: Vector3<Self>> + Default + Float + FloatConst + NumAssignOps + Serialize + DeserializeOwned
 {
-    /// The lanes that a processor evaluates at once: two for `f64`, one for `f32`.
-    type Lanes: Real<Element = Self> + Default;
-
     /// Number of terms with which a binomial series in δ ≤ 1/64 reaches this type's precision, for
     /// exponents up to about 3.
     const POWER_TERMS: usize;
@@ -219,9 +239,8 @@ fn single_root(x: f32) -> f32 {
 }
 
 macro_rules! implement_scalar {
-    ($scalar:ty, $vec3:ty, $lanes:ty, $terms:expr, [$root:expr, $inverse_root:expr], $as_dvec3:expr, $of_dvec3:expr, [$pow:ident, $atan:ident, $acos:ident, $cos:ident, $sin:ident, $atan2:ident]) => {
+    ($scalar:ty, $vec3:ty, $terms:expr, [$root:expr, $inverse_root:expr], $as_dvec3:expr, $of_dvec3:expr, [$pow:ident, $atan:ident, $acos:ident, $cos:ident, $sin:ident, $atan2:ident]) => {
         impl Number for $scalar {
-            type Lanes = $lanes;
             const POWER_TERMS: usize = $terms;
             #[inline(always)]
             fn of(value: f64) -> Self {
@@ -291,6 +310,18 @@ macro_rules! implement_scalar {
                 if a >= b { yes } else { no }
             }
             #[inline(always)]
+            fn select_gt(a: Self, b: Self, yes: Self, no: Self) -> Self {
+                if a > b { yes } else { no }
+            }
+            #[inline(always)]
+            fn any_above(a: Self, b: Self) -> bool {
+                a > b
+            }
+            #[inline(always)]
+            fn select3_ge(a: Self, b: Self, yes: $vec3, no: $vec3) -> $vec3 {
+                if a >= b { yes } else { no }
+            }
+            #[inline(always)]
             fn magnitude(self) -> Self {
                 self.abs()
             }
@@ -343,7 +374,6 @@ macro_rules! implement_scalar {
 implement_scalar!(
     f32,
     Vec3,
-    f32,
     4,
     [single_root, single_inverse_root],
     |v: Vec3| v.as_dvec3(),
@@ -353,7 +383,6 @@ implement_scalar!(
 implement_scalar!(
     f64,
     DVec3,
-    wide::f64x2,
     8,
     [Float::sqrt, |x: f64| Float::sqrt(x).recip()],
     |v| v,

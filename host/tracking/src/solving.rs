@@ -8,9 +8,7 @@ use slitpose_calibration::{Calibration, CalibrationFileError, Head};
 use slitpose_head::board_head::{self, BoardHeadError};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::threads::lock;
-use slitpose_model::{
-    Batch, MotionPrior, Pair, Photocurrents, Reading, Scene, SceneError, Solution, Solver, Starts, Tier,
-};
+use slitpose_model::{MotionPrior, Pair, Photocurrents, Reading, Scene, SceneError, Solution, Solver, Start, Tier};
 use slitpose_protocol::{AdcScaling, Hashes, Schedule};
 
 use crate::pipeline::PipelineOptions;
@@ -205,14 +203,15 @@ impl RowsOf<'_> {
 
     /// Passes the solution of each of `rows` to `take`, in their order: the pose behind it, found from a cold start.
     pub fn solve(&self, rows: &[Photocurrents], mut take: impl FnMut(Solution)) {
-        Batch::new(&self.solver).solve(rows, Starts::Cold, &MotionPrior::AT_REST, |_, mut solution| {
+        for readings in rows {
+            let mut solution = self.solver.solve(readings, Start::Cold, &MotionPrior::AT_REST);
             self.head.complete(&mut solution);
             take(solution);
-        });
+        }
     }
 
     /// Passes the condition number of each of `solutions` to `take`, in their order.
     pub fn conditions(&self, solutions: &[Solution], mut take: impl FnMut(Option<f64>)) {
-        Batch::new(&self.solver).conditions(solutions, |_, condition| take(condition));
+        solutions.iter().for_each(|solution| take(solution.condition()));
     }
 }

@@ -266,7 +266,7 @@ impl<'a, S: Number, E: Emission<S>> Integrand<'a, S, E> {
         for (count, &[reach, difference]) in nodes.iter_mut().zip(&lines) {
             // The line subtends 2/reach radians.
             let slope = S::half() * difference * reach / cosines.middle;
-            let lobe = self.orders.lobe_nodes(cosines.tangent2(), slope, reach)? + self.more;
+            let lobe = self.orders.lobe_nodes(cosines.tangent2(), || slope, reach)? + self.more;
             *count = (*count).max(lobe);
             *count = series.map_or(*count, |series| series.nodes_with(*count));
             if *count > MAX_NODES {

@@ -16,16 +16,17 @@ pub use order::{Orders, Rules, SERIES_EXPONENT};
 pub use panels::MAX_EVALUATIONS;
 pub use rectangle::narrow_light;
 
-#[cfg(feature = "batch")]
-use order::LaneRule;
 use order::MAX_NODES;
+use rectangle::Reaches;
 
-#[cfg(feature = "batch")]
-use crate::profile::Cosine;
-use crate::profile::Emission;
+#[cfg(feature = "lanes")]
+use crate::lanes::MAX_LANES;
+#[cfg(feature = "lanes")]
+use crate::profile::{CompiledProfile, MAX_TERMS};
+use crate::profile::{Emission, Series};
 use crate::rectangle::{Rectangle, RectangleLight};
 use crate::response::Integration;
-#[cfg(feature = "batch")]
+#[cfg(feature = "lanes")]
 use crate::scalar::Real;
 use crate::scalar::{Linear3, Number};
 
@@ -60,21 +61,42 @@ pub fn rectangle_light<S: Number, E: Emission<S>, const GRADIENT: bool>(
     orders: &Orders<S>,
     rules: &Rules<S>,
 ) -> Option<(RectangleLight<S>, usize)> {
-    let needs = rectangle::needs(spot, axis, orders)?;
-    let (mut along_x, mut along_y) = needs.nodes;
-    let light = match emission.near(needs.cosine, needs.spread) {
-        Some(series) => {
-            (along_x, along_y) = (series.nodes_with(along_x), series.nodes_with(along_y));
-            if along_x.max(along_y) > MAX_NODES {
-                return None;
-            }
-            rectangle::light::<S, _, GRADIENT>(spot, axis, &series, &rules.get(along_x), rules.get(along_y))
-        }
-        None if E::NEEDS_SERIES => return None,
-        None => rectangle::light::<S, _, GRADIENT>(spot, axis, emission, &rules.get(along_x), rules.get(along_y)),
+    let reaches = Reaches::of(spot, axis);
+    let rule = rule::<S, E>(emission, orders, &reaches, |along| reaches.slope(spot, axis, along))?;
+    let [nodes_x, nodes_y] = rule.nodes;
+    let (along_x, along_y) = (rules.get(nodes_x), rules.get(nodes_y));
+    let light = match rule.series {
+        Some(series) => rectangle::light::<S, _, GRADIENT>(spot, axis, &series, &along_x, along_y),
+        None => rectangle::light::<S, _, GRADIENT>(spot, axis, emission, &along_x, along_y),
     };
     // NaN fails, too.
-    (light.power.value >= least_power()).then_some((light, along_x * along_y))
+    (light.power.value >= least_power()).then_some((light, nodes_x * nodes_y))
+}
+
+/// The tensor rule for a spot that lies as `reaches` tells; `None` if the spot must be divided. `slope`: see
+/// [`Reaches::slope`].
+#[inline(always)]
+fn rule<S: Number, E: Emission<S>>(
+    emission: &E,
+    orders: &Orders<S>,
+    reaches: &Reaches<S>,
+    slope: impl Fn(usize) -> S,
+) -> Option<Rule<S>> {
+    let nodes = reaches.nodes(orders, slope)?;
+    match emission.near(reaches.cosine, reaches.spread) {
+        Some(series) => {
+            let nodes = nodes.map(|count| series.nodes_with(count));
+            (nodes[0].max(nodes[1]) <= MAX_NODES).then_some(Rule { nodes, series: Some(series) })
+        }
+        None if E::NEEDS_SERIES => None,
+        None => Some(Rule { nodes, series: None }),
+    }
+}
+
+/// Nodes along x and along y, and what stands for the profile; `None`: itself.
+pub struct Rule<S> {
+    nodes: [usize; 2],
+    series: Option<Series<S>>,
 }
 
 /// Below this power, near the end of the number range, ratios lose all digits.
@@ -83,34 +105,65 @@ fn least_power<S: Number>() -> S {
     S::min_positive_value() / (S::epsilon() * S::epsilon())
 }
 
-/// [`rectangle_light`] of the spot of each lane, from an emitter whose lobe is not narrow; the power is NaN where the spot
-/// must be divided.
-#[cfg(feature = "batch")]
+/// [`rule`] of `profile`.
+#[cfg(feature = "lanes")]
+#[inline]
+fn rule_of(
+    profile: &CompiledProfile<f64>,
+    orders: &Orders<f64>,
+    reaches: &Reaches<f64>,
+    slope: [f64; 2],
+) -> Option<Rule<f64>> {
+    let slope = |along: usize| slope[along];
+    match profile {
+        CompiledProfile::Cosine(cosine) => rule(cosine, orders, reaches, slope),
+        CompiledProfile::Table(table) => rule(table, orders, reaches, slope),
+        CompiledProfile::ShapedCosine(shaped) => rule(shaped, orders, reaches, slope),
+        CompiledProfile::ShapedTable(shaped) => rule(shaped, orders, reaches, slope),
+    }
+}
+
+/// [`rectangle_light`] of the spot of each lane by the rule of that lane's `profile`; the power is NaN where there is none,
+/// or none with a series.
+#[cfg(feature = "lanes")]
 #[inline(always)]
-pub fn rectangle_light_lanes<R: Real, const GRADIENT: bool>(
+pub fn rectangle_light_lanes<'a, R: Real<Element = f64>, const GRADIENT: bool>(
     spot: &Rectangle<R>,
     axis: R::Vec3,
-    emission: &Cosine<R::Element>,
-    orders: &Orders<R::Element>,
-    rules: &Rules<R::Element>,
+    rules: &Rules<f64>,
+    profile: impl Fn(usize) -> Option<(&'a CompiledProfile<f64>, &'a Orders<f64>)>,
 ) -> RectangleLight<R> {
-    let reaches = rectangle::Reaches::of(spot, axis);
-    let zero = spot.height.constant(0.0);
-    let count_x = orders.nodes_lanes(reaches.emitter[0], reaches.horizon[0]);
-    let count_y = orders.nodes_lanes(reaches.emitter[1], reaches.horizon[1]);
-    let (mut along_x, mut along_y) = (LaneRule::new(), LaneRule::new());
-    let one = zero.constant(1.0);
-    rules.in_lanes(count_x + R::select_gt(reaches.distance, zero.splat(orders.far()), one, zero), &mut along_x);
-    rules.in_lanes(count_y, &mut along_y);
-    let series = emission.near_lanes(reaches.cosine, reaches.spread);
-    let nodes = (along_x.iter().copied(), along_y.iter().copied());
-    let mut light = rectangle::light::<R, _, GRADIENT>(spot, axis, &series, &nodes.0, nodes.1);
-    let power = light.power.value;
-    let nan = zero.constant(f64::NAN);
-    for above in [reaches.least, count_x, count_y] {
-        light.power.value = R::select_gt(above, zero, light.power.value, nan);
+    let reaches = Reaches::of(spot, axis);
+    let slopes = [reaches.slope(spot, axis, 0), reaches.slope(spot, axis, 1)];
+    let (mut nodes, mut most, mut terms) = ([[1; MAX_LANES]; 2], [1; 2], 0);
+    let mut inverses = [f64::NAN; MAX_LANES];
+    let mut coefficients = [[0.0; MAX_LANES]; MAX_TERMS + 1];
+    for lane in 0..R::LANES {
+        let slope = [slopes[0].lane(lane), slopes[1].lane(lane)];
+        let rule = profile(lane).and_then(|(profile, orders)| rule_of(profile, orders, &reaches.lane(lane), slope));
+        let Some(Rule { nodes: counts, series: Some(series) }) = rule else { continue };
+        for (along, count) in counts.into_iter().enumerate() {
+            nodes[along][lane] = count;
+            most[along] = most[along].max(count);
+        }
+        terms = terms.max(series.terms);
+        inverses[lane] = series.inverse;
+        for k in 0..=series.terms {
+            coefficients[k][lane] = series.coefficients[k];
+        }
     }
-    light.power.value = R::select_ge(power, zero.splat(least_power()), light.power.value, nan);
+    let zero = spot.height.constant(0.0);
+    let inverse = zero.fill_with(|lane| inverses[lane]);
+    let mut series = Series { inverse, coefficients: [zero; MAX_TERMS + 1], terms, nodes: 1, more: 0 };
+    for k in 0..=terms {
+        series.coefficients[k] = zero.fill_with(|lane| coefficients[k][lane]);
+    }
+    let along_x = rules.in_lanes(zero, &nodes[0], most[0]);
+    let along_y = rules.in_lanes(zero, &nodes[1], most[1]);
+    let along_x = along_x.iter().copied();
+    let mut light = rectangle::light::<R, _, GRADIENT>(spot, axis, &series, &along_x, along_y.iter().copied());
+    let power = light.power.value;
+    light.power.value = R::select_ge(power, zero.splat(least_power()), power, zero.constant(f64::NAN));
     light
 }
 

@@ -27,11 +27,11 @@
 use core::iter::{Copied, Zip};
 use core::slice::Iter;
 
-#[cfg(feature = "batch")]
+#[cfg(feature = "lanes")]
 use arrayvec::ArrayVec;
 
 use crate::scalar::Number;
-#[cfg(feature = "batch")]
+#[cfg(feature = "lanes")]
 use crate::scalar::Real;
 
 /// Nodes and weights of a rule, on −1…1.
@@ -151,10 +151,11 @@ impl<S: Number> Orders<S> {
     /// Along the interval ln cosⁿγ has the first derivative n·`slope` (n·tan γ towards the axis) and the second
     /// −n/cos²γ; the distance to the emitter adds three powers.
     #[inline(always)]
-    pub fn lobe_nodes(&self, tangent2: S, slope: S, reach: S) -> Option<usize> {
+    pub fn lobe_nodes(&self, tangent2: S, slope: impl FnOnce() -> S, reach: S) -> Option<usize> {
         let Shape::Narrow(limits) = &self.falloff else {
             return Some(1);
         };
+        let slope = slope();
         let delta2 = (reach * reach).recip();
         let n = self.exponent + S::of(3.0);
         let lambda2 = n * n * slope * slope * delta2;
@@ -177,27 +178,6 @@ impl<S: Number> Orders<S> {
             }
         };
         (0..MAX_NODES).find(enough).map(|i| i + 1)
-    }
-
-    /// [`Self::nodes`] for the interval of each lane; zero where even the longest rule errs too much.
-    #[cfg(feature = "batch")]
-    #[inline(always)]
-    pub fn nodes_lanes<R: Real<Element = S>>(&self, emitter: R, horizon: R) -> R {
-        let (zero, infinity) = (emitter.constant(0.0), emitter.constant(f64::INFINITY));
-        let far = emitter.constant(2.0) * emitter;
-        let reach = R::select_ge(horizon, far, emitter, emitter.at_most(horizon));
-        let beyond = R::select_ge(horizon, far, horizon, infinity);
-        let mut count = zero;
-        for i in 0..MAX_NODES {
-            let least = R::select_ge(horizon, far, emitter.splat(self.emitter[i]), emitter.splat(self.both[i]));
-            let nodes = emitter.constant((i + 1) as f64);
-            let nodes = R::select_ge(beyond, emitter.splat(self.horizon[i]), nodes, zero);
-            count = R::select_gt(count, zero, count, R::select_ge(reach, least, nodes, zero));
-            if !R::any_above(emitter.constant(1.0), count) {
-                break;
-            }
-        }
-        count
     }
 
     /// cos γ at which a narrow lobe has faded whose brightest ray is at `cosine`.
@@ -247,7 +227,7 @@ fn binomial(power: f64, k: usize) -> f64 {
 pub const ESTIMATED: usize = 10;
 
 /// Nodes and weights of a rule per lane.
-#[cfg(feature = "batch")]
+#[cfg(feature = "lanes")]
 pub type LaneRule<R> = ArrayVec<(R, R), MAX_NODES>;
 
 /// Gauss–Legendre rules with 1 to [`MAX_NODES`] nodes on −1…1.
@@ -309,26 +289,17 @@ impl<S: Number> Rules<S> {
         S::of(4.0) * last * fall * fall
     }
 
-    /// Puts nodes and weights of as many rules as there are lanes, with `counts` nodes each, 1 to [`MAX_NODES`], into
-    /// `rule`: those that the longest has more are at 0, with weight 0.
-    #[cfg(feature = "batch")]
+    /// Nodes and weights of the rule of each lane of `like`, with `counts` nodes each, 1 to [`MAX_NODES`], the longest of
+    /// which has `most`: those that it has more than others are at 0, with weight 0.
+    #[cfg(feature = "lanes")]
     #[inline(always)]
-    pub fn in_lanes<R: Real<Element = S>>(&self, counts: R, rule: &mut LaneRule<R>) {
-        let (mut least, mut most) = (MAX_NODES, 1);
-        for lane in 0..R::LANES {
-            let count = counts.lane(lane).to_usize().unwrap_or(1).clamp(1, MAX_NODES);
-            (least, most) = (least.min(count), most.max(count));
-        }
+    pub fn in_lanes<R: Real<Element = S>>(&self, like: R, counts: &[usize], most: usize) -> LaneRule<R> {
+        let mut rule = LaneRule::new();
         for i in 0..most {
-            let mut node = counts.splat(self.nodes[least - 1][i]);
-            let mut weight = counts.splat(self.weights[least - 1][i]);
-            for count in least + 1..=most {
-                let limit = counts.constant(count as f64);
-                node = R::select_ge(counts, limit, counts.splat(self.nodes[count - 1][i]), node);
-                weight = R::select_ge(counts, limit, counts.splat(self.weights[count - 1][i]), weight);
-            }
-            rule.push((node, weight));
+            let node = like.fill_with(|lane| self.nodes[counts[lane] - 1][i]);
+            rule.push((node, like.fill_with(|lane| self.weights[counts[lane] - 1][i])));
         }
+        rule
     }
 
     /// (node, weight) pairs of the rule with `count` nodes, 1 ≤ `count` ≤ [`MAX_NODES`].

@@ -6,32 +6,23 @@
 //! Writing ∇g = k₁·u − k₂·d with k₁ = h·r⁻⁴·I'(c) and k₂ = h·r⁻⁵·(c·I' + 3·I), all derivatives
 //! reduce to moments of g, k₁ and k₂ over the nodes.
 
-use crate::lanes::zero_half_one;
 use crate::profile::Falloff;
 use crate::rectangle::{Extent, Rectangle, RectangleLight, SideGradient};
-use crate::scalar::{Linear3, Number, Real};
+use crate::scalar::{Linear3, Number, Real, zero_half_one};
 
 use super::order::{MAX_NODES, Orders};
-
-#[derive(Clone, Copy, Debug)]
-pub struct Needs<S> {
-    pub nodes: (usize, usize),
-    /// cos γ of the ray to the spot's middle, and the greatest relative change of cos γ over the spot.
-    pub cosine: S,
-    pub spread: S,
-}
 
 /// How a spot lies to its emitter, and to the horizon of that.
 #[derive(Clone, Copy, Debug)]
 pub struct Reaches<R> {
     /// u·d at the middle of the spot, and its least value.
     middle: R,
-    pub least: R,
+    least: R,
     /// To the emitter and to the horizon, along x and along y: see [`Orders::nodes`].
-    pub emitter: [R; 2],
-    pub horizon: [R; 2],
+    emitter: [R; 2],
+    horizon: [R; 2],
     /// From the emitter to the middle of the spot.
-    pub distance: R,
+    distance: R,
     /// cos γ of that ray, and the greatest relative change of cos γ over the spot.
     pub cosine: R,
     tangent2: R,
@@ -71,22 +62,44 @@ fn reach<R: Real>(along: &Extent<R>, across: &Extent<R>, height: R) -> R {
     ((low * low + d2).root() + (high * high + d2).root()) / (height.constant(2.0) * along.half)
 }
 
-/// Requirements of `spot`; `None` if it must be divided because it touches the horizon or is very wide.
-#[inline(always)]
-pub fn needs<S: Number>(spot: &Rectangle<S>, axis: S::Vec3, orders: &Orders<S>) -> Option<Needs<S>> {
-    let Reaches { middle, least, emitter, horizon, distance, cosine, tangent2, spread } = Reaches::of(spot, axis);
-    if least <= S::zero() {
-        return None;
+impl<R: Real> Reaches<R> {
+    /// ∂ln c = u/(u·d) − d/r² per angle, along x (0) or along y (1).
+    #[inline(always)]
+    pub fn slope(&self, spot: &Rectangle<R>, axis: R::Vec3, along: usize) -> R {
+        let (axis, at) = if along == 0 { (axis.x(), spot.x.middle) } else { (axis.y(), spot.y.middle) };
+        axis * self.distance / self.middle - at / self.distance
     }
-    let nodes = (orders.nodes(emitter[0], horizon[0])?, orders.nodes(emitter[1], horizon[1])?);
-    // ∂ln c = u/(u·d) − d/r², along either side, per angle.
-    let slope = |along: S, at: S| along * distance / middle - at / distance;
-    let lobe = |slope: S, reach: S| orders.lobe_nodes(tangent2, slope, reach);
-    let along_x = lobe(slope(axis.x(), spot.x.middle), emitter[0])?;
-    let along_y = lobe(slope(axis.y(), spot.y.middle), emitter[1])?;
-    let more = usize::from(distance > orders.far());
-    let nodes = ((nodes.0.max(along_x) + more).min(MAX_NODES), nodes.1.max(along_y));
-    Some(Needs { nodes, cosine, spread })
+
+    #[cfg(feature = "lanes")]
+    #[inline(always)]
+    pub fn lane(&self, lane: usize) -> Reaches<R::Element> {
+        Reaches {
+            middle: self.middle.lane(lane),
+            least: self.least.lane(lane),
+            emitter: [self.emitter[0].lane(lane), self.emitter[1].lane(lane)],
+            horizon: [self.horizon[0].lane(lane), self.horizon[1].lane(lane)],
+            distance: self.distance.lane(lane),
+            cosine: self.cosine.lane(lane),
+            tangent2: self.tangent2.lane(lane),
+            spread: self.spread.lane(lane),
+        }
+    }
+}
+
+impl<S: Number> Reaches<S> {
+    /// Nodes along x and along y; `None` if the spot must be divided because it touches the horizon or is very wide.
+    /// `slope`: see [`Self::slope`].
+    #[inline(always)]
+    pub fn nodes(&self, orders: &Orders<S>, slope: impl Fn(usize) -> S) -> Option<[usize; 2]> {
+        let Self { least, emitter, horizon, distance, tangent2, .. } = *self;
+        if least <= S::zero() {
+            return None;
+        }
+        let nodes = [orders.nodes(emitter[0], horizon[0])?, orders.nodes(emitter[1], horizon[1])?];
+        let lobe = |along: usize| orders.lobe_nodes(tangent2, || slope(along), emitter[along]);
+        let more = usize::from(distance > orders.far());
+        Some([(nodes[0].max(lobe(0)?) + more).min(MAX_NODES), nodes[1].max(lobe(1)?)])
+    }
 }
 
 /// Least share of its middle's light that a spot is taken to have: below, it is so wide that the expansion fails.

@@ -272,18 +272,16 @@ impl<S: Number> CompactImperfect<S> {
         instant: &Instant<'_, S>,
         index: usize,
     ) -> CellTerms<S> {
-        let spot = self.beam.spot::<true, false>(seen.position, receiver.half);
-        let status = spot.as_ref().map_or_else(|&status| status, |&(_, status)| status);
-        let (mut sums, mut slack_m, mut wall_m) = (Sums::none(), S::zero(), S::infinity());
-        if let Ok((spot, _)) = &spot
-            && exact::is_wholly_in_front(&spot.rectangle, seen.axis)
-        {
-            (slack_m, wall_m) = (spot.slack_m, spot.wall_m);
+        let (spot, visibility) = self.beam.spot::<true, false>(seen.position, receiver.half);
+        let status = visibility.status(0);
+        let (mut sums, mut slack_m, mut wall_m) = (Sums::none(S::zero()), S::zero(), S::infinity());
+        if status.has_spot() && exact::is_wholly_in_front(&spot.rectangle, seen.axis) {
+            (slack_m, wall_m) = (spot.slack, spot.wall);
             let (light, drift) = exact::narrow_light::<S, true>(&spot.rectangle, seen.axis, |c| self.curve.bends(c));
             let (mut power, x_a, x_by) = spot.of_narrow(&light, drift);
             if let Some(azimuth) = &self.azimuth {
                 let to_spot =
-                    S::Vec3::new(x_a - seen.position.x(), -seen.position.y(), spot.raise().0 - seen.position.z());
+                    S::Vec3::new(x_a - seen.position.x(), -seen.position.y(), spot.raise.height - seen.position.z());
                 power = azimuth.of_light(&power, to_spot, x_by, receiver, seen, instant);
             }
             let (x_m, slope) = self.electrical.measured(x_a);
@@ -298,10 +296,11 @@ impl<S: Number> CompactImperfect<S> {
         }
         let translation = instant.translation_of(index);
         let (pair, jacobian) = self.electrical.currents::<true>(receiver, false, &sums, S::one(), translation);
-        match spot {
-            Ok(_) => CellTerms { status, pair, jacobian, slack_m, wall_m },
+        if status.has_spot() {
+            CellTerms { status, pair, jacobian, slack_m, wall_m }
+        } else {
             // Without direct light, what is left says next to nothing of the pose.
-            Err(_) => CellTerms { pair, ..CellTerms::dark(status) },
+            CellTerms { pair, ..CellTerms::dark(status) }
         }
     }
 }

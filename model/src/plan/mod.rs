@@ -1,15 +1,12 @@
 //! A scene compiled for evaluation: each cell's response to a pose, and its derivatives.
 
-#[cfg(feature = "batch")]
+#[cfg(feature = "lanes")]
 mod cells;
 mod compact;
 mod compile;
 pub mod evaluate;
 mod imperfect;
 mod optics;
-mod pack;
-#[cfg(feature = "batch")]
-mod poses;
 
 use core::fmt::Debug;
 
@@ -27,14 +24,13 @@ use crate::scalar::Number;
 use crate::scene::{MAX_CELLS, Scene, SceneError};
 use crate::solve::{MotionPrior, Photocurrents, Solution, Solver, Start, Tracked, Tracker};
 
-#[cfg(feature = "batch")]
-pub use cells::WideCells;
+#[cfg(feature = "lanes")]
+pub use cells::CellsInLanes;
 pub use compact::CompactCell;
 pub use compact::{BOARD_CELLS, CompactPlan};
 use imperfect::Imperfect;
 pub use optics::Instant;
 use optics::{Receiver, Source};
-use pack::Pack;
 
 /// How the optics of a cell are evaluated.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -50,7 +46,7 @@ pub enum Tier {
     },
 }
 
-/// A scene compiled for one tier and one number type. Fixed size and no heap, except with the feature `batch`.
+/// A scene compiled for one tier and one number type. Fixed size and no heap, except with the feature `lanes`.
 #[derive(Clone, Debug)]
 pub struct CompiledScene<S: Scalar> {
     cells: List<CompiledCell<S>, MAX_CELLS>,
@@ -59,10 +55,8 @@ pub struct CompiledScene<S: Scalar> {
     is_paper: bool,
     /// `None` in the paper tier, unless an opening asks for integrals.
     rules: Option<Rules<S>>,
-    /// The same cells in SIMD lanes if all are of the kind in [`pack`]; else empty.
-    packs: List<Pack<S::Lanes>, MAX_CELLS>,
     /// The cells of the exact tier in as many lanes as the processor has, if all are of one kind.
-    wide: Option<S::WideCells>,
+    lanes: Option<S::CellsInLanes>,
 }
 
 /// Cells of a plan in as many lanes as the processor has: what each gives alone, bit for bit.
@@ -89,7 +83,7 @@ pub trait CellsAtOnce<S: Scalar>: Clone + Debug + Send + Sync + 'static {
     );
 }
 
-/// No cells in lanes: of `f32`, and of `f64` without the feature `batch`.
+/// No cells in lanes: of `f32`, and of `f64` without the feature `lanes`.
 #[derive(Clone, Debug)]
 pub enum NoLanes {}
 
@@ -263,15 +257,14 @@ impl<S: Scalar> CompiledScene<S> {
 
     #[inline]
     pub(crate) fn empty() -> Self {
-        Self { cells: List::new(), imperfect: List::new(), is_paper: true, rules: None, packs: List::new(), wide: None }
+        Self { cells: List::new(), imperfect: List::new(), is_paper: true, rules: None, lanes: None }
     }
 
     /// [`Self::compile`] in place. After an error the plan has no cells.
     pub(crate) fn set_scene(&mut self, scene: &Scene, tier: Tier) -> Result<(), SceneError> {
         self.cells.clear();
         self.imperfect.clear();
-        self.packs.clear();
-        self.wide = None;
+        self.lanes = None;
         if let Err(error) = compile::fill(&mut self.cells, &mut self.imperfect, scene, tier) {
             self.cells.clear();
             return Err(error);
@@ -279,10 +272,7 @@ impl<S: Scalar> CompiledScene<S> {
         self.is_paper = tier == Tier::Paper;
         let integrates = self.cells.iter().any(|cell| cell.emitter.orders.is_some());
         self.rules = integrates.then(Rules::new);
-        if !integrates {
-            pack::fill(&mut self.packs, &self.cells);
-        }
-        self.wide = S::WideCells::of(self);
+        self.lanes = S::CellsInLanes::of(self);
         Ok(())
     }
 
@@ -410,11 +400,8 @@ impl<S: Scalar> Optics<S> for CompiledScene<S> {
         wanted: impl Fn(usize) -> bool,
         mut sink: impl FnMut(usize, &CellTerms<S>),
     ) {
-        if let Some(wide) = &self.wide {
-            return wide.linearise(self, instant, wanted, sink);
-        }
-        if !self.packs.is_empty() {
-            return pack::linearise(&self.packs, self.cells.len(), instant, sink);
+        if let Some(lanes) = &self.lanes {
+            return lanes.linearise(self, instant, wanted, sink);
         }
         for cell in (0..self.cells.len()).filter(|&cell| wanted(cell)) {
             sink(cell, &evaluate::linearise(self, cell, &instant.pose_of(cell)));
@@ -428,11 +415,8 @@ impl<S: Scalar> Optics<S> for CompiledScene<S> {
         wanted: impl Fn(usize) -> bool,
         mut sink: impl FnMut(usize, [S; 2]),
     ) {
-        if let Some(wide) = &self.wide {
-            return wide.currents(self, instant, wanted, sink);
-        }
-        if !self.packs.is_empty() {
-            return pack::currents(&self.packs, self.cells.len(), instant, sink);
+        if let Some(lanes) = &self.lanes {
+            return lanes.currents(self, instant, wanted, sink);
         }
         for cell in (0..self.cells.len()).filter(|&cell| wanted(cell)) {
             let pair = evaluate::photocurrents(self, cell, &instant.pose_of(cell));

@@ -3,11 +3,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::lanes::{array, zero_half_one};
 use crate::polygon::EmitterGradient;
 use crate::pose::Transform;
 use crate::rectangle::{Edge, Rectangle, RectangleLight, SideGradient};
-use crate::scalar::{Linear3, Number, Real};
+use crate::scalar::{Linear3, Number, Real, array, zero_half_one};
 
 /// The detector on the base, without its aperture.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -67,6 +66,7 @@ impl<S: Number> Instant<'_, S> {
         self.pose.translation() + self.twist[0] * offset_s
     }
 
+    #[cfg(feature = "lanes")]
     /// The exposures of as many cells as `like` has lanes, from number `first` on; `None`: all zero.
     #[inline(always)]
     pub(crate) fn offsets_in_lanes<R: Real<Element = S>>(&self, like: R, first: usize) -> Option<R> {

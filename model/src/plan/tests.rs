@@ -131,30 +131,86 @@ fn cells_side_by_side_answer_as_cells_alone() {
     }
 }
 
-#[cfg(feature = "batch")]
+#[cfg(feature = "lanes")]
 fn bits(terms: &CellTerms<f64>) -> Vec<u64, 16> {
     let numbers = terms.pair.into_iter().chain(terms.jacobian.into_iter().flatten());
     numbers.chain([terms.slack_m, terms.wall_m]).map(f64::to_bits).collect()
 }
 
-/// Some numbers of cells of one kind, thin and thick, at rest and moving, all or some of them.
-#[cfg(feature = "batch")]
+/// Whatever a calibration finds of cell number `index`, a bit for each kind of effect.
+#[cfg(feature = "lanes")]
+fn imperfect(cell: &mut Cell, index: usize, which: u32) {
+    let (small, has) = (1.0 + 0.1 * index as f64, |bit: u32| which >> bit & 1 == 1);
+    let effects = &mut cell.effects;
+    effects.electrode_gain = [1.0 + 0.01 * small, 0.98];
+    effects.profile.radial = [0.1 * small, -0.2, 0.1, 0.05];
+    cell.slit.tilt_rad = DVec3::new(0.01, -0.005 * small, 0.02);
+    if has(0) {
+        cell.slit.thickness_m = 0.1e-3 * small;
+    }
+    if has(1) {
+        effects.window = Some(crate::Window { thickness_m: 0.7e-3 * small, refractive_index: 1.52 });
+    }
+    if has(2) {
+        effects.profile.azimuthal = [0.02, -0.01 * small, 0.03, 0.02];
+    }
+    if has(3) {
+        effects.nonlinearity_m = (0..12).map(|k| 5e-6 * small * libm::sin(f64::from(k))).collect();
+    }
+    if has(4) {
+        effects.stray = Some(crate::Stray {
+            linear_a_per_m: [[3e-6, -5e-6, 2e-6], [1e-6, 4e-6 * small, -6e-6]],
+            quadratic_a_per_m2: [[1e-3; 6]; 2],
+            ..crate::Stray::at(100e-9 * small, 1e-3, cell.detector.length_m)
+        });
+    }
+    if has(5) {
+        let curve = |sign: f64| (0..10).map(|k| sign * small * 1e-10 * f64::from(k)).collect();
+        // Some readings are beyond the range.
+        effects.converters = Some(crate::Converters { full_scale_a: 6e-6, curves_a: [curve(1.0), curve(-1.0)] });
+    }
+}
+
+/// A profile like that of a data sheet: every 5°, three decimals.
+#[cfg(feature = "lanes")]
+fn tabulated() -> Profile {
+    let relative = |gamma: f64| libm::round(libm::pow(libm::cos(gamma), 1.3) * 1e3) * 1e-3;
+    let knots = (0..18).map(|i| f64::from(5 * i).to_radians());
+    Profile::Table(knots.map(|gamma| (gamma, relative(gamma))).collect())
+}
+
+/// Some numbers of cells of one kind, with and without each effect, at rest and moving, all or some of them.
+#[cfg(feature = "lanes")]
 #[test]
-fn cells_in_wide_lanes_have_the_bits_of_cells_alone() {
-    use crate::width::Width;
+fn cells_in_lanes_have_the_bits_of_cells_alone() {
+    use crate::lanes::Width;
 
     // Spots that no single rule integrates, for the horizon of an emitter that lies on its side crosses them.
     let mut turned = Pose::from_vectors(DVec3::ZERO, DVec3::new(1.56, 0.0, 0.0));
     let emitter = cell(0).emitter.position_tool_m;
     turned.translation_m = emitter - turned.rotation * emitter;
     let (mut lit, mut clipped, mut dark, mut divided) = (0, 0, 0, 0);
-    for (count, thickness_m) in
-        [(1, 0.0), (2, 0.3e-3), (3, 0.0), (4, 0.0), (5, 0.3e-3), (6, 0.0), (8, 0.0), (13, 0.3e-3)]
-    {
-        let scene = scene(count, |cell| {
-            cell.slit.thickness_m = thickness_m;
-            cell.emitter.profile = Profile::Cosine { exponent: 1.3 };
-        });
+    let ideal = [(1, 0.0), (2, 0.3e-3), (3, 0.0), (4, 0.0), (5, 0.3e-3), (6, 0.0), (8, 0.0), (13, 0.3e-3)];
+    let ideal = ideal.map(|(count, thickness_m)| scene(count, |cell| cell.slit.thickness_m = thickness_m));
+    let effects = (0..6).map(|bit| 1 << bit).chain([0, 0b11_1111]).map(|which| {
+        let mut scene = scene(6, |_| ());
+        scene.cells.iter_mut().enumerate().for_each(|(index, cell)| imperfect(cell, index, which));
+        scene
+    });
+    // Narrow lobes, tables with and without a smooth factor, and one emitter of each.
+    let profiles = [(30.0, 0), (1.3, 2), (1.3, 1), (5.0, 0b111)].map(|(exponent, tables)| {
+        let mut scene = scene(3, |cell| cell.emitter.profile = Profile::Cosine { exponent });
+        for (index, cell) in scene.cells.iter_mut().enumerate().filter(|(index, _)| tables >> index & 1 == 1) {
+            cell.emitter.profile = tabulated();
+            imperfect(cell, index, 0);
+        }
+        if tables != 0 {
+            scene.cells.iter_mut().enumerate().for_each(|(index, cell)| imperfect(cell, index, 0));
+        }
+        scene
+    });
+    for scene in ideal.into_iter().chain(effects).chain(profiles) {
+        let count = scene.cells.len();
         let mut plan = CompiledScene::<f64>::compile(&scene, EXACT).expect("scene");
         let offsets: Vec<f64, MAX_CELLS> = (0..count).map(|i| 34e-6 * i as f64).collect();
         for pose in poses().into_iter().chain([turned]) {
@@ -162,7 +218,7 @@ fn cells_in_wide_lanes_have_the_bits_of_cells_alone() {
             for offsets_s in [&offsets[..0], &offsets[..]] {
                 let instant = Instant { pose: &pose, twist: TWIST, bend: Some(BEND), offsets_s };
                 for width in Width::all() {
-                    plan.wide = Some(WideCells::with_width(&plan, width).expect("cells of one kind"));
+                    plan.lanes = Some(CellsInLanes::with_width(&plan, width).expect("cells of one kind"));
                     for wanted in [u16::MAX, 0b0101_0110_1101_1011, 0b1000] {
                         let wanted = |cell: usize| wanted >> cell & 1 != 0;
                         let mut expected = (0..count).filter(|&cell| wanted(cell));
@@ -195,35 +251,24 @@ fn cells_in_wide_lanes_have_the_bits_of_cells_alone() {
     assert!(lit > 100 && clipped > 100 && dark > 100 && divided > 0, "{lit} {clipped} {dark} {divided}");
 }
 
-/// Where the series of a power is too long, lanes would have nothing, and each frame be evaluated twice.
-#[cfg(feature = "batch")]
+#[cfg(feature = "lanes")]
 #[test]
-fn poses_of_narrow_emitters_have_no_lanes() {
-    for (exponent, in_paper_tier, in_exact_tier) in [(1.3, true, true), (5.0, true, false), (30.0, false, false)] {
-        for (tier, expected) in [(Tier::Paper, in_paper_tier), (EXACT, in_exact_tier)] {
-            let scene = scene(6, |cell| cell.emitter.profile = Profile::Cosine { exponent });
-            let plan = CompiledScene::<f64>::compile(&scene, tier).expect("scene");
-            assert_eq!(plan.has_lanes(), expected, "exponent {exponent}, {tier:?}");
-        }
-    }
-}
-
-#[cfg(feature = "batch")]
-#[test]
-fn cells_of_several_kinds_have_no_wide_lanes() {
+fn cells_of_several_kinds_have_no_lanes() {
     // What the third cell may differ by.
-    let kinds: [&dyn Fn(&mut Cell); 4] = [
-        &|cell| cell.emitter.profile = Profile::Cosine { exponent: 1.4 },
-        &|cell| cell.emitter.profile = Profile::Cosine { exponent: 30.0 },
+    let kinds: [&dyn Fn(&mut Cell); 6] = [
         &|cell| cell.slit.thickness_m = 0.2e-3,
         &|cell| cell.slit.tilt_rad.x = 0.1,
+        &|cell| cell.effects.electrode_gain = [1.01, 1.0],
+        &|cell| cell.effects.source_diameter_m = 0.2e-3,
+        &|cell| cell.effects.lit_together = 1,
+        &|cell| cell.effects.opening = crate::Opening::Pinhole,
     ];
     for (kind, change) in kinds.into_iter().enumerate() {
         let mut scene = scene(4, |cell| cell.emitter.profile = Profile::Cosine { exponent: 1.3 });
-        assert!(CompiledScene::<f64>::compile(&scene, EXACT).expect("scene").wide.is_some());
+        assert!(CompiledScene::<f64>::compile(&scene, EXACT).expect("scene").lanes.is_some());
         change(&mut scene.cells[2]);
-        assert!(CompiledScene::<f64>::compile(&scene, EXACT).expect("scene").wide.is_none(), "{kind}");
-        assert!(CompiledScene::<f64>::compile(&scene, Tier::Paper).expect("scene").wide.is_none());
+        assert!(CompiledScene::<f64>::compile(&scene, EXACT).expect("scene").lanes.is_none(), "{kind}");
+        assert!(CompiledScene::<f64>::compile(&scene, Tier::Paper).expect("scene").lanes.is_none());
     }
 }
 
@@ -410,11 +455,7 @@ fn a_plan_leaves_room_on_the_board() {
     const fn sizes<T, const N: usize>() -> (usize, usize) {
         (size_of::<List<T, N>>(), size_of::<Vec<T, N>>())
     }
-    let lists = [
-        sizes::<CompiledCell<f32>, MAX_CELLS>(),
-        sizes::<Imperfect<f32>, MAX_CELLS>(),
-        sizes::<Pack<f32>, MAX_CELLS>(),
-    ];
+    let lists = [sizes::<CompiledCell<f32>, MAX_CELLS>(), sizes::<Imperfect<f32>, MAX_CELLS>()];
     let size = lists.iter().fold(size_of::<CompiledScene<f32>>(), |size, (here, in_place)| size - here + in_place);
     assert!(size <= 60 * 1024, "{size} bytes");
 }

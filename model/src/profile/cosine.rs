@@ -1,9 +1,7 @@
 //! The profile cosⁿγ.
 
-#[cfg(feature = "batch")]
-use crate::power::SharedPower;
-use crate::power::{Power, PowerLanes};
-use crate::scalar::{Number, Real};
+use crate::power::Power;
+use crate::scalar::Number;
 
 use super::{Emission, Falloff, MAX_TERMS, Series};
 
@@ -44,30 +42,6 @@ impl<S: Number> Cosine<S> {
     }
 }
 
-#[cfg(feature = "batch")]
-impl<S: Number> Cosine<S> {
-    /// [`Emission::near`] for the spot of each lane; NaN where there is no series.
-    #[inline(always)]
-    pub fn near_lanes<R: Real<Element = S>>(&self, centre: R, spread: R) -> Series<R> {
-        let (zero, one) = (centre.constant(0.0), centre.constant(1.0));
-        let value = SharedPower::of(centre, &self.power).of_lanes(centre);
-        let mut series =
-            Series { inverse: centre.inverse(), coefficients: [zero; MAX_TERMS + 1], terms: 0, nodes: 1, more: 0 };
-        // One where the series goes on.
-        let mut goes_on = one;
-        for (k, (&binomial, &most)) in self.binomials.iter().zip(&self.spreads).enumerate() {
-            series.coefficients[k] = R::select_gt(goes_on, zero, value * centre.splat(binomial), zero);
-            series.terms = k;
-            goes_on = R::select_ge(centre.splat(most), spread, zero, goes_on);
-            if !R::any_above(goes_on, zero) {
-                return series;
-            }
-        }
-        series.inverse = R::select_gt(goes_on, zero, centre.constant(f64::NAN), series.inverse);
-        series
-    }
-}
-
 impl<S: Number> Falloff<S> for Power<S> {
     #[inline(always)]
     fn relative(&self, c: S) -> S {
@@ -90,33 +64,6 @@ impl<S: Number> Falloff<S> for Cosine<S> {
     #[inline(always)]
     fn with_slope(&self, c: S) -> (S, S) {
         self.power.with_slope(c)
-    }
-}
-
-impl<R: Real> Falloff<R> for PowerLanes<R> {
-    #[inline(always)]
-    fn relative(&self, c: R) -> R {
-        self.of_lanes(c)
-    }
-
-    #[inline(always)]
-    fn with_slope(&self, c: R) -> (R, R) {
-        let value = self.of_lanes(c);
-        (value, self.exponent * value / c)
-    }
-}
-
-#[cfg(feature = "batch")]
-impl<R: Real> Falloff<R> for SharedPower<'_, R> {
-    #[inline(always)]
-    fn relative(&self, c: R) -> R {
-        self.of_lanes(c)
-    }
-
-    #[inline(always)]
-    fn with_slope(&self, c: R) -> (R, R) {
-        let value = self.of_lanes(c);
-        (value, self.exponent * value / c)
     }
 }
 

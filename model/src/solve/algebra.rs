@@ -4,10 +4,7 @@
 //! root of rounding; a triangle made of the rows themselves ([`Triangle`]) is good up to the inverse
 //! of rounding.
 
-use num_traits::Float;
-
-use crate::lanes::zero_half_one;
-use crate::scalar::{Number, Real};
+use crate::scalar::Number;
 
 /// A vector of the six pose coordinates (translation, rotation).
 pub type Vector6<S> = [S; 6];
@@ -16,8 +13,8 @@ pub type Matrix6<S> = [[S; 6]; 6];
 
 /// Scalar product.
 #[inline(always)]
-pub fn dot<R: Real>(a: &Vector6<R>, b: &Vector6<R>) -> R {
-    let mut sum = a[0].constant(0.0);
+pub fn dot<S: Number>(a: &Vector6<S>, b: &Vector6<S>) -> S {
+    let mut sum = S::zero();
     for (&x, &y) in a.iter().zip(b) {
         sum += x * y;
     }
@@ -26,7 +23,7 @@ pub fn dot<R: Real>(a: &Vector6<R>, b: &Vector6<R>) -> R {
 
 /// |v|².
 #[inline(always)]
-pub fn square<R: Real>(v: &Vector6<R>) -> R {
+pub fn square<S: Number>(v: &Vector6<S>) -> S {
     dot(v, v)
 }
 
@@ -38,90 +35,43 @@ pub struct Factor<S> {
     inverses: Vector6<S>,
 }
 
-impl<R: Real> Factor<R> {
-    /// From L and 1/L_ii.
-    #[cfg(feature = "batch")]
-    #[inline(always)]
-    pub fn of_parts(lower: Matrix6<R>, inverses: Vector6<R>) -> Self {
-        Self { lower, inverses }
-    }
-
-    /// L.
-    #[cfg(feature = "batch")]
-    #[inline(always)]
-    pub fn lower(&self) -> &Matrix6<R> {
-        &self.lower
-    }
-
-    /// 1/L_ii.
-    #[cfg(feature = "batch")]
-    #[inline(always)]
-    pub fn inverses(&self) -> Vector6<R> {
-        self.inverses
-    }
-
-    /// Row `i` of L left of its diagonal, the rows above being complete, and what is left of the `diagonal` element:
-    /// the pivot L_ii².
-    #[inline(always)]
-    pub fn pivot(&mut self, matrix: &Matrix6<R>, i: usize, diagonal: R) -> R {
-        let Self { lower, inverses } = self;
-        for j in 0..i {
-            let mut sum = matrix[i][j];
-            for k in 0..j {
-                sum = sum - lower[i][k] * lower[j][k];
-            }
-            lower[i][j] = sum * inverses[j];
-        }
-        let mut pivot = diagonal;
-        for k in 0..i {
-            pivot = pivot - lower[i][k] * lower[i][k];
-        }
-        pivot
-    }
-
-    /// Completes row `i`.
-    #[inline(always)]
-    pub fn set_pivot(&mut self, i: usize, pivot: R) {
-        self.inverses[i] = pivot.inverse_root();
-        self.lower[i][i] = pivot * self.inverses[i];
-    }
-
+impl<S: Number> Factor<S> {
     /// L⁻¹·v.
     #[inline(always)]
-    pub fn forward(&self, v: &Vector6<R>) -> Vector6<R> {
+    pub fn forward(&self, v: &Vector6<S>) -> Vector6<S> {
         let mut x = *v;
         for i in 0..6 {
             for k in 0..i {
-                x[i] = x[i] - self.lower[i][k] * x[k];
+                x[i] -= self.lower[i][k] * x[k];
             }
-            x[i] = x[i] * self.inverses[i];
+            x[i] *= self.inverses[i];
         }
         x
     }
 
     /// L⁻ᵀ·v.
     #[inline(always)]
-    pub fn backward(&self, v: &Vector6<R>) -> Vector6<R> {
+    pub fn backward(&self, v: &Vector6<S>) -> Vector6<S> {
         let mut x = *v;
         for i in (0..6).rev() {
             for k in i + 1..6 {
-                x[i] = x[i] - self.lower[k][i] * x[k];
+                x[i] -= self.lower[k][i] * x[k];
             }
-            x[i] = x[i] * self.inverses[i];
+            x[i] *= self.inverses[i];
         }
         x
     }
 
     /// (L·Lᵀ)⁻¹·v.
     #[inline(always)]
-    pub fn solve(&self, v: &Vector6<R>) -> Vector6<R> {
+    pub fn solve(&self, v: &Vector6<S>) -> Vector6<S> {
         self.backward(&self.forward(v))
     }
 
     /// (L·Lᵀ)⁻¹ = L⁻ᵀ·L⁻¹.
     #[inline(always)]
-    pub fn inverse(&self) -> Matrix6<R> {
-        let zero = self.inverses[0].constant(0.0);
+    pub fn inverse(&self) -> Matrix6<S> {
+        let zero = S::zero();
         // Columns of L⁻¹, each from its diagonal down.
         let mut columns = [[zero; 6]; 6];
         for j in 0..6 {
@@ -147,9 +97,7 @@ impl<R: Real> Factor<R> {
         }
         inverse
     }
-}
 
-impl<S: Number> Factor<S> {
     /// The Cholesky factor of `matrix` with its diagonal multiplied by 1 + `damping` (elements that
     /// are next to nothing are damped as if they were a millionth of the largest). `None` if a pivot
     /// falls to `threshold` of its diagonal element or below: then the matrix is too near to a
@@ -164,13 +112,24 @@ impl<S: Number> Factor<S> {
         let mut factor = Self { lower: [[S::zero(); 6]; 6], inverses: [S::zero(); 6] };
         for i in 0..6 {
             let diagonal = matrix[i][i] + damping * matrix[i][i].max(least);
-            let pivot = factor.pivot(matrix, i, diagonal);
+            let mut pivot = diagonal;
+            for j in 0..i {
+                let mut sum = matrix[i][j];
+                for k in 0..j {
+                    sum -= factor.lower[i][k] * factor.lower[j][k];
+                }
+                factor.lower[i][j] = sum * factor.inverses[j];
+            }
+            for k in 0..i {
+                pivot -= factor.lower[i][k] * factor.lower[i][k];
+            }
             // Written so that NaN fails, too.
             let safe = pivot > threshold * diagonal;
             if !safe {
                 return None;
             }
-            factor.set_pivot(i, pivot);
+            factor.inverses[i] = pivot.inverse_root();
+            factor.lower[i][i] = pivot * factor.inverses[i];
         }
         Some(factor)
     }
@@ -202,11 +161,9 @@ impl<S: Number> Factor<S> {
         pairs.sort_unstable_by(|x, y| x.0.partial_cmp(&y.0).unwrap_or(core::cmp::Ordering::Equal));
         pairs
     }
-}
 
-impl<R: Real> Factor<R> {
     #[inline(always)]
-    pub fn extreme_singular_values(&self) -> [R; 2] {
+    pub fn extreme_singular_values(&self) -> [S; 2] {
         let columns = self.orthogonal_columns(|_, _, _, _| ());
         let mut values = [square(&columns[0]).root(); 2];
         for column in &columns[1..] {
@@ -219,30 +176,26 @@ impl<R: Real> Factor<R> {
     /// The columns of Lᵀ after rotations of each two that leave all at right angles; `rotated` is told columns, cosine
     /// and sine of each.
     #[inline(always)]
-    fn orthogonal_columns(&self, mut rotated: impl FnMut(usize, usize, R, R)) -> Matrix6<R> {
+    fn orthogonal_columns(&self, mut rotated: impl FnMut(usize, usize, S, S)) -> Matrix6<S> {
         /// Cyclic sweeps: convergence is quadratic, six unknowns need about six.
         const SWEEPS: usize = 14;
         // Columns of Lᵀ are rows of L.
         let mut columns = self.lower;
-        let [zero, _, one] = zero_half_one(columns[0][0]);
-        let quarter = zero.splat(R::Element::of(0.25) * R::Element::epsilon());
+        let (one, quarter) = (S::one(), S::of(0.25) * S::epsilon());
         for _ in 0..SWEEPS {
             let mut is_done = true;
             for p in 0..5 {
                 for q in p + 1..6 {
                     let (a, b, c) = (square(&columns[p]), square(&columns[q]), dot(&columns[p], &columns[q]));
-                    // Written so that NaN is not.
-                    let is_right = R::select_ge(quarter * (a * b).root(), c.magnitude(), one, zero);
-                    if !R::any_above(one, is_right) {
+                    if c.abs() <= quarter * (a * b).root() {
                         continue;
                     }
                     is_done = false;
-                    let theta = (b - a) / (zero.constant(2.0) * c);
-                    let size = theta.magnitude() + (theta * theta + one).root();
-                    let t = R::select_ge(theta, zero, one, -one) / size;
-                    let cosine = (t * t + one).root().inverse();
-                    let sine = R::select_gt(is_right, zero, zero, t * cosine);
-                    let cosine = R::select_gt(is_right, zero, one, cosine);
+                    let theta = (b - a) / (S::two() * c);
+                    let size = theta.abs() + (theta * theta + one).root();
+                    let t = if theta >= S::zero() { one } else { -one } / size;
+                    let cosine = (t * t + one).root().recip();
+                    let sine = t * cosine;
                     rotate(&mut columns, p, q, cosine, sine);
                     rotated(p, q, cosine, sine);
                 }
@@ -258,7 +211,7 @@ impl<R: Real> Factor<R> {
 
 /// Rotates the rows `p` and `q` of `rows` by an angle.
 #[inline(always)]
-fn rotate<R: Real>(rows: &mut Matrix6<R>, p: usize, q: usize, cosine: R, sine: R) {
+fn rotate<S: Number>(rows: &mut Matrix6<S>, p: usize, q: usize, cosine: S, sine: S) {
     for k in 0..6 {
         let (x, y) = (rows[p][k], rows[q][k]);
         rows[p][k] = cosine * x - sine * y;
@@ -312,16 +265,16 @@ impl<S: Number, const N: usize> Triangle<S, N> {
     }
 }
 
-/// Whether a processor does a whole square sooner than its lower half: with more lanes than the number type.
-const fn adds_squares<R: Real>() -> bool {
-    <<R::Element as Number>::Lanes as Real>::LANES > 1 && R::LANES == 1
+/// Whether a processor does a whole square sooner than its lower half: one that has lanes for numbers of 64 bits.
+const fn adds_squares<S>() -> bool {
+    size_of::<S>() == size_of::<f64>()
 }
 
 /// Adds Σ left·rightᵀ, which is symmetric: at least its lower half.
 #[inline(always)]
-pub fn add_outer<R: Real, const N: usize>(matrix: &mut Matrix6<R>, left: [&Vector6<R>; N], right: [&Vector6<R>; N]) {
+pub fn add_outer<S: Number, const N: usize>(matrix: &mut Matrix6<S>, left: [&Vector6<S>; N], right: [&Vector6<S>; N]) {
     for i in 0..6 {
-        let end = if adds_squares::<R>() { 6 } else { i + 1 };
+        let end = if adds_squares::<S>() { 6 } else { i + 1 };
         for j in 0..end {
             let mut sum = matrix[i][j];
             for k in 0..N {

@@ -10,7 +10,7 @@
 //! the rows (Kaufman, A variable projection method for solving separable nonlinear least squares problems, 1975). Rows
 //! weighted by the time of their exposure, of a motion that is not known ([`super::twist`]), lose the same part.
 
-use crate::scalar::{Number, Real};
+use crate::scalar::Number;
 
 use super::algebra::{Matrix6, Vector6};
 use super::weights::{ResidualSums, Row};
@@ -20,31 +20,30 @@ const FACTORS: [f64; 2] = [0.5, 2.0];
 
 /// Sums over rows of the last linearisation.
 #[derive(Clone, Copy, Debug)]
-pub struct Level<R> {
+pub struct Level<S> {
     /// Aᵀc by the pose; and of rows weighted by their share, and by its square, by the twist and by the bend.
-    by_pose: Vector6<R>,
-    by_twist: Vector6<R>,
-    by_bend: Vector6<R>,
+    by_pose: Vector6<S>,
+    by_twist: Vector6<S>,
+    by_bend: Vector6<S>,
     /// D.
-    information: R,
-    per_information: R,
+    information: S,
+    per_information: S,
     /// 1 + g where the rows were linearised.
-    factor: R,
+    factor: S,
 }
 
-impl<R: Real> Level<R> {
+impl<S: Number> Level<S> {
     /// Without rows yet; `prior`: s⁻².
     #[inline(always)]
-    pub fn of_prior(prior: R) -> Self {
-        let (zero, one) = (prior.constant(0.0), prior.constant(1.0));
-        let none = [zero; 6];
-        let (per_information, factor) = (zero, one);
+    pub fn of_prior(prior: S) -> Self {
+        let none = [S::zero(); 6];
+        let (per_information, factor) = (S::zero(), S::one());
         Self { by_pose: none, by_twist: none, by_bend: none, information: prior, per_information, factor }
     }
 
     /// Adds the rows of one reading.
     #[inline(always)]
-    pub fn add(&mut self, [first, second]: &[Row<R>; 2]) {
+    pub fn add(&mut self, [first, second]: &[Row<S>; 2]) {
         self.information += first.by_level * first.by_level + second.by_level * second.by_level;
         for i in 0..6 {
             self.by_pose[i] += first.by_level * first.by_pose[i] + second.by_level * second.by_pose[i];
@@ -52,25 +51,20 @@ impl<R: Real> Level<R> {
     }
 
     /// Settles D and 1 + g of the rows that were added, with these `sums`, and marginalises the level of their information
-    /// AᵀA: what the diagonal lost, and whether more than `threshold` of each of its elements is left, one for yes and zero
-    /// for no.
+    /// AᵀA: what the diagonal lost, and whether more than `threshold` of each of its elements is left.
     #[inline(always)]
     pub fn marginalise(
         &mut self,
-        information: &mut Matrix6<R>,
-        sums: &ResidualSums<R>,
-        threshold: R,
-    ) -> (Vector6<R>, R) {
-        let (zero, one) = (threshold.constant(0.0), threshold.constant(1.0));
-        self.per_information = self.information.inverse();
-        let factor = one + sums.by_level * self.per_information;
-        self.factor = factor.at_least(one.constant(FACTORS[0])).at_most(one.constant(FACTORS[1]));
+        information: &mut Matrix6<S>,
+        sums: &ResidualSums<S>,
+        threshold: S,
+    ) -> (Vector6<S>, bool) {
+        self.per_information = self.information.recip();
+        let factor = S::one() + sums.by_level * self.per_information;
+        self.factor = factor.at_least(S::of(FACTORS[0])).at_most(S::of(FACTORS[1]));
         let before = *information;
         self.take(information, &self.by_pose, &self.by_pose);
-        let mut is_safe = one;
-        for (after, before) in (0..6).map(|i| (information[i][i], before[i][i])) {
-            is_safe = R::select_gt(after, threshold * before, is_safe, zero);
-        }
+        let is_safe = (0..6).all(|i| information[i][i] > threshold * before[i][i]);
         let part = self.by_pose.map(|moment| {
             let by_level = moment * self.factor;
             by_level * by_level * self.per_information
@@ -80,12 +74,12 @@ impl<R: Real> Level<R> {
 
     /// Derivatives by the pose at the level of the last linearisation, of one at the nominal level.
     #[inline(always)]
-    pub fn factor(&self) -> R {
+    pub fn factor(&self) -> S {
         self.factor
     }
 
     #[inline(always)]
-    fn take(&self, matrix: &mut Matrix6<R>, by_row: &Vector6<R>, by_column: &Vector6<R>) {
+    fn take(&self, matrix: &mut Matrix6<S>, by_row: &Vector6<S>, by_column: &Vector6<S>) {
         let square = self.factor * self.factor;
         for (row, &by) in matrix.iter_mut().zip(by_row) {
             let share = by * self.per_information;
@@ -97,14 +91,14 @@ impl<R: Real> Level<R> {
 
     /// Marginalises the level of χ² and of the gradient by the pose.
     #[inline(always)]
-    pub fn take_from_sums(&self, sums: &mut ResidualSums<R>) {
+    pub fn take_from_sums(&self, sums: &mut ResidualSums<S>) {
         let share = sums.by_level * self.per_information;
-        sums.chi2 = (sums.chi2 - share * sums.by_level).at_least(share.constant(0.0));
+        sums.chi2 = (sums.chi2 - share * sums.by_level).at_least(S::zero());
         self.take_share(&mut sums.by_pose, &self.by_pose, share);
     }
 
     #[inline(always)]
-    fn take_share(&self, sums: &mut Vector6<R>, moments: &Vector6<R>, share: R) {
+    fn take_share(&self, sums: &mut Vector6<S>, moments: &Vector6<S>, share: S) {
         for (sum, &moment) in sums.iter_mut().zip(moments) {
             *sum = (*sum - moment * share) * self.factor;
         }
@@ -112,7 +106,7 @@ impl<R: Real> Level<R> {
 
     /// A row with the level eliminated, and the share c/√D that its residual has in the level.
     #[inline(always)]
-    pub fn reduced(&self, row: &Row<R>) -> (Vector6<R>, R) {
+    pub fn reduced(&self, row: &Row<S>) -> (Vector6<S>, S) {
         let mut by_pose = row.by_pose;
         self.take_share(&mut by_pose, &self.by_pose, row.by_level * self.per_information);
         (by_pose, row.by_level * self.per_information.root())

@@ -13,7 +13,6 @@
 //! | on a microcontroller | [`compact`] | one short rule for all spots |
 //! | nothing known | [`cold_start`] | all of the above, from many starts |
 //! | pose expected | [`warm_start`] | the same from one start |
-//! | many frames of one head at once | [`batch`] | the commonest course of a solve, a pose per SIMD lane |
 //! | frame after frame | [`tracker`], [`filter`] | prediction by a fading-memory polynomial |
 //!
 //! [`solver`] is the interface, [`compiled`] a scene made ready, [`outcome`] the answer, [`algebra`] the 6 × 6 linear
@@ -21,8 +20,6 @@
 
 mod accept;
 mod algebra;
-#[cfg(feature = "batch")]
-mod batch;
 mod cold_start;
 mod compact;
 mod compiled;
@@ -45,8 +42,6 @@ mod twist;
 mod warm_start;
 mod weights;
 
-#[cfg(feature = "batch")]
-pub use batch::{Batch, Starts};
 pub use compact::{BoardTracker, CompactError, CompactFrame, CompactPart};
 pub use compiled::{MIN_CELLS, MotionPrior};
 pub use filter::{Filtered, TwistEstimate};

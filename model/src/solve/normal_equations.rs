@@ -293,9 +293,8 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
     #[inline(never)]
     fn marginalise(&self, level: &mut Level<S>, normal: &mut NormalEquations<S>, sums: &mut ResidualSums<S>) {
         let threshold = S::of(SAFE_ROUNDINGS) * S::epsilon();
-        let (level_part, is_safe) = level.marginalise(&mut normal.information, sums, threshold);
+        (normal.level_part, normal.is_safe) = level.marginalise(&mut normal.information, sums, threshold);
         self.take_level(level, sums);
-        (normal.level_part, normal.is_safe) = (level_part, is_safe > S::zero());
         (normal.chi2, normal.gradient) = (sums.chi2, sums.by_pose);
     }
 
@@ -361,7 +360,7 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
     /// χ² and gradients of the residuals in `workspace`.
     #[inline]
     pub fn residual_sums(&self, workspace: &Workspace<S>) -> ResidualSums<S> {
-        let mut sums = ResidualSums::zero(S::zero());
+        let mut sums = ResidualSums::none();
         for (reading, rows) in self.sorted.usable.iter().zip(&workspace.rows) {
             sums.add(rows, self.share(reading), self.has_bend());
         }

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::effects::Opening;
 use crate::pose::Transform;
-use crate::scalar::{Linear3, Number, Real, Vector3};
+use crate::scalar::{Linear3, Number, Vector3};
 use crate::scene::Cell;
 
 use super::algebra::{Factor, Matrix6, Vector6};
@@ -108,38 +108,30 @@ impl<S: Number> PlaneCell<S> {
         if self.rides {
             return (Plane::Landing(landing), weight);
         }
-        (Plane::Emitter(self.normal::<S>(landing)), weight)
+        (Plane::Emitter(self.normal(landing)), weight)
     }
 
     /// Where the light of a pair of currents lands, and the weight of the distance from its plane.
     #[inline(always)]
-    pub fn landing<R: Real<Element = S>>(&self, [first, second]: [R; 2]) -> (R::Vec3, R) {
-        let half = first.splat(self.half_length);
-        let x_a = half * (second - first) / (first + second + first.splat(self.dark));
+    pub fn landing(&self, [first, second]: [S; 2]) -> (S::Vec3, S) {
+        let half = self.half_length;
+        let x_a = half * (second - first) / (first + second + self.dark);
         let x_a = x_a.at_least(-half).at_most(half);
-        let distance = R::select_ge(x_a, first.constant(0.0), x_a, -x_a);
-        let (clipped, whole) = (first.constant(CLIPPED_WEIGHT), first.constant(1.0));
-        let weight = R::select_gt(distance, first.splat(self.unclipped), clipped, whole);
-        (first.splat3(self.detector) + first.splat3(self.x_axis) * x_a, weight)
+        let weight = if x_a.abs() > self.unclipped { S::of(CLIPPED_WEIGHT) } else { S::one() };
+        (self.detector + self.x_axis * x_a, weight)
     }
 
     /// Unit normal of the plane through the slit and where the light lands.
     #[inline(always)]
-    pub fn normal<R: Real<Element = S>>(&self, landing: R::Vec3) -> R::Vec3 {
-        let like = landing.x();
-        let normal = (like.splat3(self.slit) - landing).cross(like.splat3(self.along));
-        normal * normal.length().inverse()
+    pub fn normal(&self, landing: S::Vec3) -> S::Vec3 {
+        let normal = (self.slit - landing).cross(self.along);
+        normal * normal.length().recip()
     }
 
     /// [`Self::row_from`] the slit.
     #[inline(always)]
-    pub fn row_from_slit<R: Real<Element = S>>(
-        &self,
-        normal: R::Vec3,
-        pose: &Transform<R>,
-        length_scale_m: S,
-    ) -> (Vector6<R>, R) {
-        self.row_from(normal.x().splat3(self.slit), normal, pose, length_scale_m)
+    pub fn row_from_slit(&self, normal: S::Vec3, pose: &Transform<S>, length_scale_m: S) -> (Vector6<S>, S) {
+        self.row_from(self.slit, normal, pose, length_scale_m)
     }
 
     /// Distance of the emitter from its plane with the tool at `pose`, metres, and its derivatives
@@ -170,16 +162,15 @@ impl<S: Number> PlaneCell<S> {
     /// Distance of the emitter from `origin` along `normal` with the tool at `pose`, metres, and its
     /// derivatives by (δt, arm·δθ).
     #[inline(always)]
-    pub fn row_from<R: Real<Element = S>>(
+    pub fn row_from(
         &self,
-        origin: R::Vec3,
-        normal: R::Vec3,
-        pose: &Transform<R>,
+        origin: S::Vec3,
+        normal: S::Vec3,
+        pose: &Transform<S>,
         length_scale_m: S,
-    ) -> (Vector6<R>, R) {
-        let like = normal.x();
-        let arm = pose.rotate(like.splat3(self.emitter_tool));
-        let turn = arm.cross(normal) * like.splat(length_scale_m.recip());
+    ) -> (Vector6<S>, S) {
+        let arm = pose.rotate(self.emitter_tool);
+        let turn = arm.cross(normal) * length_scale_m.recip();
         let row = [normal.x(), normal.y(), normal.z(), turn.x(), turn.y(), turn.z()];
         (row, normal.dot(arm + pose.translation() - origin))
     }

@@ -156,7 +156,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
         let (mut information, mut elimination) = ([[S::zero(); 6]; 6], Elimination::new());
         elimination.begin(&self.motion);
         let mut level = self.level_information().map(Level::of_prior);
-        let mut sums = ResidualSums::zero(S::zero());
+        let mut sums = ResidualSums::none();
         let of_readings = workspace.rows.iter().enumerate().filter(|(reading, _)| *reading != index);
         if let Some(level) = &mut level {
             for (reading, rows) in of_readings.clone() {

@@ -2,8 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::lanes::{array, zero_half_one};
-use crate::scalar::{Number, Real};
+use crate::scalar::Number;
 use crate::scene::{Scene, Uncertainty};
 
 use super::algebra::Vector6;
@@ -14,13 +13,12 @@ pub struct Whitener<S> {
     rows: [[S; 2]; 2],
 }
 
-impl<R: Real> Whitener<R> {
+impl<S: Number> Whitener<S> {
     /// For two uncorrelated variances, A².
     #[inline(always)]
-    fn of_variances(variances: [R; 2]) -> Self {
+    fn of_variances(variances: [S; 2]) -> Self {
         let [first, second] = [variances[0].inverse_root(), variances[1].inverse_root()];
-        let zero = first.constant(0.0);
-        Self { rows: [[first, zero], [zero, second]] }
+        Self { rows: [[first, S::zero()], [S::zero(), second]] }
     }
 
     /// For a covariance larger by `variance`·p·pᵀ.
@@ -29,51 +27,39 @@ impl<R: Real> Whitener<R> {
     /// (I + v·vᵀ)^(−½) = I − v·vᵀ/(s(1 + s)), s² = 1 + v². Nothing cancels however large σ is: a
     /// direction that is known to nothing loses its weight, the other keeps its digits.
     #[inline(always)]
-    fn loosened(&self, pair: [R; 2], variance: R) -> Self {
+    fn loosened(&self, pair: [S; 2], variance: S) -> Self {
         let [a, b] = self.apply(pair);
-        let one = variance.constant(1.0);
+        let one = S::one();
         let root = (one + variance * (a * a + b * b)).root();
         let factor = variance / (root * (one + root));
         let [w0, w1] = self.rows;
-        let along: [R; 2] = array(factor, |k| factor * (a * w0[k] + b * w1[k]));
+        let along = [0, 1].map(|k| factor * (a * w0[k] + b * w1[k]));
         Self { rows: [[w0[0] - a * along[0], w0[1] - a * along[1]], [w1[0] - b * along[0], w1[1] - b * along[1]]] }
     }
 
     /// [`Self::loosened`] where `variance` is positive.
     #[inline(always)]
-    fn loosened_if_positive(self, pair: [R; 2], variance: R) -> Self {
-        if !(0..R::LANES).any(|lane| variance.lane(lane) > R::Element::of(0.0)) {
-            return self;
-        }
-        let looser = self.loosened(pair, variance);
-        if R::LANES == 1 {
-            return looser;
-        }
-        let zero = variance.constant(0.0);
-        let mut rows = self.rows;
-        for (i, row) in rows.iter_mut().enumerate() {
-            *row = array(zero, |j| R::select_gt(variance, zero, looser.rows[i][j], row[j]));
-        }
-        Self { rows }
+    fn loosened_if_positive(self, pair: [S; 2], variance: S) -> Self {
+        if variance > S::zero() { self.loosened(pair, variance) } else { self }
     }
 
     /// For the pair of a cell whose parts may be displaced along each axis by a standard deviation of which
     /// `variance` is the square, m²: that does to the currents what moving the tool the other way does,
     /// by `jacobian`, of which the first three columns are the tool's translation.
     #[cold]
-    pub fn displaced(&self, jacobian: &[[R; 6]; 2], variance: R) -> Self {
+    pub fn displaced(&self, jacobian: &[[S; 6]; 2], variance: S) -> Self {
         (0..3).fold(*self, |whitener, axis| whitener.loosened(jacobian.map(|row| row[axis]), variance))
     }
 
     /// For derivatives that are to be counted in units of `unit`.
     #[inline(always)]
-    pub fn scaled(&self, unit: R) -> Self {
+    pub fn scaled(&self, unit: S) -> Self {
         let [first, second] = self.rows;
         Self { rows: [[first[0] * unit, first[1] * unit], [second[0] * unit, second[1] * unit]] }
     }
 
     #[inline(always)]
-    pub fn apply(&self, pair: [R; 2]) -> [R; 2] {
+    pub fn apply(&self, pair: [S; 2]) -> [S; 2] {
         let [first, second] = self.rows;
         [first[0] * pair[0] + first[1] * pair[1], second[0] * pair[0] + second[1] * pair[1]]
     }
@@ -148,21 +134,19 @@ impl<S: Number> CellNoise<S> {
     /// effect is a covariance of this pair. So is that of displaced parts, which depends on the pose:
     /// [`Whitener::displaced`]. An emitter gain known to nothing leaves the ratio of the currents.
     #[inline(always)]
-    pub fn whitener<R: Real<Element = S>>(&self, currents: [R; 2]) -> Whitener<R> {
-        let like = currents[0];
-        let [zero, half, one] = zero_half_one(like);
-        let total = currents[0] + currents[1];
-        let total = R::select_ge(total, zero, total, -total);
+    pub fn whitener(&self, currents: [S; 2]) -> Whitener<S> {
+        let (half, one) = (S::half(), S::one());
+        let total = (currents[0] + currents[1]).abs();
         let square = total * total;
-        let own = like.splat(self.converter) + like.splat(self.arithmetic) * square;
-        let gain = like.splat(self.electrode_gain);
-        let mut whitener = Whitener::of_variances(array(own, |k| own + gain * currents[k] * currents[k]));
-        let across = like.splat(self.johnson) + like.splat(self.position) * square;
+        let own = self.converter + self.arithmetic * square;
+        let mut whitener =
+            Whitener::of_variances(currents.map(|current| own + self.electrode_gain * current * current));
+        let across = self.johnson + self.position * square;
         whitener = whitener.loosened_if_positive([-one, one], across);
         if self.dark > S::zero() {
-            whitener = whitener.loosened([half, half], like.splat(self.dark));
+            whitener = whitener.loosened([half, half], self.dark);
         }
-        let along = like.splat(self.shot) * total / square + like.splat(self.emitter_gain);
+        let along = self.shot * total / square + self.emitter_gain;
         whitener.loosened_if_positive(currents, along)
     }
 }
@@ -186,17 +170,17 @@ pub struct ResidualSums<S> {
     pub by_level: S,
 }
 
-impl<R: Real> ResidualSums<R> {
+impl<S: Number> ResidualSums<S> {
     #[inline(always)]
-    pub fn zero(like: R) -> Self {
-        let zero = like.constant(0.0);
+    pub fn none() -> Self {
+        let zero = S::zero();
         Self { chi2: zero, by_pose: [zero; 6], by_twist: [zero; 6], by_bend: [zero; 6], by_level: zero }
     }
 
     /// Adds the `rows` of one reading, exposed at `share` of the motion's duration; to `by_bend` only if that is asked for.
     #[inline(always)]
-    pub fn add(&mut self, rows: &[Row<R>], share: R, has_bend: bool) {
-        let mut own = [share.constant(0.0); 6];
+    pub fn add(&mut self, rows: &[Row<S>], share: S, has_bend: bool) {
+        let mut own = [S::zero(); 6];
         for row in rows {
             self.chi2 += row.residual * row.residual;
             self.by_level += row.by_level * row.residual;

@@ -1,8 +1,6 @@
 //! The tests of the model, in one program: its generic code is compiled once.
 
 mod acceptance;
-#[cfg(feature = "batch")]
-mod batch;
 mod common;
 mod derivatives;
 mod effects;

@@ -5,7 +5,7 @@ use std::hint::black_box;
 use slitpose_model::{Photocurrents, Pose, Scene, SceneError};
 
 use crate::levenberg_marquardt;
-use crate::ours::{AtOnce, Ours, Planes};
+use crate::ours::{Ours, Planes};
 use crate::problems::{Kind, Problem};
 use crate::tiny_solver::{Build, TinySolver};
 
@@ -57,8 +57,7 @@ pub trait Contender {
 /// # Errors
 /// Those of [`slitpose_model::CompiledScene::compile`].
 pub fn all(scene: &Scene, kind: Kind) -> Result<Vec<Box<dyn Contender>>, SceneError> {
-    let mut contenders: Vec<Box<dyn Contender>> =
-        vec![Box::new(Ours::new(scene, kind)?), Box::new(AtOnce::new(scene, kind)?)];
+    let mut contenders: Vec<Box<dyn Contender>> = vec![Box::new(Ours::new(scene, kind)?)];
     if kind.starts_on_planes() {
         contenders.push(Box::new(Planes::new(scene)?));
     }

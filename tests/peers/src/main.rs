@@ -18,7 +18,6 @@ use anyhow::{Context, Result};
 use clap::Parser;
 
 use contender::Stretch;
-use ours::AtOnce;
 use problems::{BOX_DEG, BOX_MM, Kind};
 
 /// Poses of each kind of problem.
@@ -74,9 +73,6 @@ fn main() -> Result<()> {
         println!("\n{}", kind.heading());
         let problems = kind.problems(&scene, common::SEED, COUNT)?;
         measure::compare(&contender::all(&scene, kind)?, &problems, arguments.rounds);
-        let at_once = AtOnce::new(&scene, kind)?;
-        let [one, two] = [1, 2].map(|threads| at_once.time_us(&problems, threads, arguments.rounds));
-        println!("  slitpose-batch in two threads: {two:.3} us per solve, {:.2} times as many as in one", one / two);
     }
     Ok(())
 }

@@ -1,12 +1,8 @@
 //! slitpose itself.
 
-use std::hint::black_box;
-use std::slice::from_ref;
-use std::time::Instant;
+use slitpose_model::{MotionPrior, Scene, SceneError, Solution, Solver, Start, Tier};
 
-use slitpose_model::{Batch, MotionPrior, Scene, SceneError, Solution, Solver, Start, Starts, Tier};
-
-use crate::contender::{Answer, Contender, Stretch};
+use crate::contender::{Answer, Contender};
 use crate::problems::{Kind, Problem};
 
 /// slitpose's solver, everything included: χ² gates, rank, covariance.
@@ -37,59 +33,6 @@ impl Contender for Ours {
             self.solver.solve(&problem.readings, Start::Near(&problem.start), &MotionPrior::AT_REST)
         };
         answer(&solution, problem)
-    }
-}
-
-/// slitpose's solver for many problems at once, in the widest lanes of the processor.
-pub struct AtOnce {
-    solver: Solver<f64>,
-    cold: bool,
-}
-
-impl AtOnce {
-    /// For problems of `kind`.
-    ///
-    /// # Errors
-    /// Those of [`Solver::new`].
-    pub fn new(scene: &Scene, kind: Kind) -> Result<Self, SceneError> {
-        Ok(Self { solver: Solver::new(scene, Tier::Paper)?, cold: kind.is_cold() })
-    }
-
-    /// Microseconds per solve, over all threads, with `threads` of them that solve all of `problems` each: the least of
-    /// `rounds`.
-    pub fn time_us(&self, problems: &[Problem], threads: usize, rounds: usize) -> f64 {
-        let stretch = Stretch::of(problems);
-        let round = || {
-            let since = Instant::now();
-            std::thread::scope(|scope| {
-                for _ in 0..threads {
-                    scope.spawn(|| self.solve_all(&stretch));
-                }
-            });
-            since.elapsed().as_secs_f64() * 1e6 / (threads * problems.len()) as f64
-        };
-        (0..rounds).map(|_| round()).fold(f64::INFINITY, f64::min)
-    }
-}
-
-impl Contender for AtOnce {
-    fn name(&self) -> &'static str {
-        "slitpose-batch"
-    }
-
-    fn solve(&self, problem: &Problem) -> Answer {
-        let start = if self.cold { Starts::Cold } else { Starts::Near(from_ref(&problem.start)) };
-        let mut found = None;
-        let readings = from_ref(&problem.readings);
-        Batch::new(&self.solver).solve(readings, start, &MotionPrior::AT_REST, |_, solution| found = Some(solution));
-        answer(&found.expect("a solution of one frame"), problem)
-    }
-
-    fn solve_all(&self, stretch: &Stretch<'_>) {
-        let starts = if self.cold { Starts::Cold } else { Starts::Near(&stretch.starts) };
-        Batch::new(&self.solver).solve(black_box(&stretch.readings), starts, &MotionPrior::AT_REST, |_, solution| {
-            black_box(solution);
-        });
     }
 }
 

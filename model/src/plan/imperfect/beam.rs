@@ -14,114 +14,119 @@ use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
 use crate::effects::Window;
+use crate::polygon::EmitterGradient;
 use crate::pose::rotation_exp;
-use crate::rectangle::{Edge, Extent, Rectangle, RectangleLight, SideGradient};
-use crate::response::Status;
-use crate::scalar::{Linear3, Number, Vector3};
+use crate::rectangle::{DETECTOR, Edge, Extent, Rectangle, RectangleLight, SideGradient, Visibility, WALL_SLACK};
+use crate::scalar::{Linear3, Number, Real, Vector3, zero_half_one};
 use crate::scene::Slit;
 
 use super::super::optics::{Light, Place};
-use crate::polygon::EmitterGradient;
 
 /// Sine of the greatest turn of a slit for which this geometry stands.
 const MAX_TURN: f64 = 0.18;
 
+/// A slit before a detector; one per lane.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-#[serde(bound = "", from = "Parts<S>", into = "Parts<S>")]
-pub struct Beam<S: Number> {
-    faces: [Face<S>; 2],
-    face_count: usize,
+#[serde(
+    bound(
+        serialize = "R: Serialize, R::Vec3: Serialize",
+        deserialize = "R: Deserialize<'de>, R::Vec3: Deserialize<'de>"
+    ),
+    from = "Slot<R>",
+    into = "Slot<R>"
+)]
+pub struct Beam<R: Real> {
+    pub faces: [Face<R>; 2],
+    /// Whether the mask has two faces: in all lanes, or in none.
+    pub is_thick: bool,
     /// Normal of the mask, away from the detector.
-    normal: S::Vec3,
-    parts: Parts<S>,
+    pub normal: R::Vec3,
+    pub slot: Slot<R>,
 }
 
+/// What a beam is made of.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-#[serde(bound = "")]
-struct Parts<S: Number> {
+#[serde(bound(
+    serialize = "R: Serialize, R::Vec3: Serialize",
+    deserialize = "R: Deserialize<'de>, R::Vec3: Deserialize<'de>"
+))]
+pub struct Slot<R: Real> {
     /// Directions along the width and the length of the slit, and half of both.
-    across: S::Vec3,
-    along: S::Vec3,
-    half_sizes: [S; 2],
-    centre: S::Vec3,
-    half_thickness: S,
-    window: Option<Glass<S>>,
+    pub across: R::Vec3,
+    pub along: R::Vec3,
+    pub half_sizes: [R; 2],
+    pub centre: R::Vec3,
+    pub half_thickness: R,
+    pub window: Option<Glass<R>>,
 }
 
 /// One face of the slit: q × a of its two long edges, and the middles of its short ones.
 #[derive(Clone, Copy, Debug)]
-struct Face<S: Number> {
-    moments: [S::Vec3; 2],
-    ends: [S::Vec3; 2],
+pub struct Face<R: Real> {
+    pub moments: [R::Vec3; 2],
+    pub ends: [R::Vec3; 2],
 }
 
 /// A window: t, n², n² − 1.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-struct Glass<S> {
-    thickness: S,
-    index2: S,
-    excess: S,
+pub struct Glass<R> {
+    pub thickness: R,
+    pub index2: R,
+    pub excess: R,
 }
 
-impl<S: Number> Glass<S> {
+impl<R: Real> Glass<R> {
     /// δ, and its first three derivatives, at tan²θ.
     #[inline(always)]
-    fn raise(&self, tangent2: S) -> (S, [S; 3]) {
+    fn raise(&self, tangent2: R) -> (R, [R; 3]) {
         let root = (self.index2 + self.excess * tangent2).inverse_root();
         let ratio = self.excess * root * root;
-        let first = S::half() * self.thickness * ratio * root;
-        let second = -S::of(1.5) * first * ratio;
-        (self.thickness * (S::one() - root), [first, second, -S::of(2.5) * second * ratio])
+        let first = tangent2.constant(0.5) * self.thickness * ratio * root;
+        let second = -tangent2.constant(1.5) * first * ratio;
+        let third = -tangent2.constant(2.5) * second * ratio;
+        (self.thickness * (tangent2.constant(1.0) - root), [first, second, third])
     }
 }
 
-impl<S: Number> From<Parts<S>> for Beam<S> {
-    fn from(parts: Parts<S>) -> Self {
-        let Parts { across, along, half_sizes: [half_width, half_length], centre, half_thickness, .. } = parts;
+impl<R: Real> From<Slot<R>> for Beam<R> {
+    #[inline(always)]
+    fn from(slot: Slot<R>) -> Self {
+        let Slot { across, along, half_sizes: [half_width, half_length], centre, half_thickness, .. } = slot;
         let normal = across.cross(along);
-        let face = |offset: S| {
+        let face = |offset: R| {
             let middle = centre + normal * offset;
-            let moment = |half: S| (middle + across * half).cross(along);
-            let end = |half: S| middle + along * half;
-            Face { moments: [-half_width, half_width].map(moment), ends: [-half_length, half_length].map(end) }
+            let moment = |half: R| (middle + across * half).cross(along);
+            let end = |half: R| middle + along * half;
+            Face { moments: [moment(-half_width), moment(half_width)], ends: [end(-half_length), end(half_length)] }
         };
-        Self {
-            faces: [-half_thickness, half_thickness].map(face),
-            face_count: if half_thickness > S::zero() { 2 } else { 1 },
-            normal,
-            parts,
-        }
+        let is_thick = R::any_above(half_thickness, half_thickness.constant(0.0));
+        Self { faces: [face(-half_thickness), face(half_thickness)], is_thick, normal, slot }
     }
 }
 
-impl<S: Number> From<Beam<S>> for Parts<S> {
-    fn from(beam: Beam<S>) -> Self {
-        beam.parts
+impl<R: Real> From<Beam<R>> for Slot<R> {
+    fn from(beam: Beam<R>) -> Self {
+        beam.slot
     }
 }
 
 /// How far the detector appears raised, at the middle ray of the beam.
 #[derive(Clone, Copy, Debug)]
-pub struct Raise<S: Number> {
-    height: S,
-    by_position: S::Vec3,
+pub struct Raise<R: Real> {
+    pub height: R,
+    pub by_position: R::Vec3,
     /// tan θ along x and along y, and their derivatives by the emitter's position.
-    tangents: [S; 2],
-    tangent_by: [S::Vec3; 2],
+    tangents: [R; 2],
+    tangent_by: [R::Vec3; 2],
     /// First, second and third derivative of δ by tan²θ.
-    slopes: [S; 3],
+    slopes: [R; 3],
 }
 
-impl<S: Number> Raise<S> {
-    fn none() -> Self {
-        let zero = S::zero();
-        Self {
-            height: zero,
-            by_position: S::Vec3::default(),
-            tangents: [zero; 2],
-            tangent_by: [S::Vec3::default(); 2],
-            slopes: [zero; 3],
-        }
+impl<R: Real> Raise<R> {
+    #[inline(always)]
+    fn none(zero: R) -> Self {
+        let nowhere = zero.vector();
+        Self { height: zero, by_position: nowhere, tangents: [zero; 2], tangent_by: [nowhere; 2], slopes: [zero; 3] }
     }
 
     /// What the variation of δ over a spot adds to its centroid, and its derivatives by the emitter's position.
@@ -130,56 +135,95 @@ impl<S: Number> Raise<S> {
     /// −⟨ε²⟩·τ·(3f + 2τ²g), those spread along y −⟨ε²⟩·τ·(f + 2υ²g); ⟨ε²⟩ is a third of the square of half extent over
     /// height.
     #[inline(always)]
-    fn bend(&self, spot: &Rectangle<S>, sides: &[S::Vec3; 4]) -> (S, S::Vec3) {
+    fn bend(&self, spot: &Rectangle<R>, sides: &[R::Vec3; 4]) -> (R, R::Vec3) {
         let ([f, g, g_slope], [along, across]) = (self.slopes, self.tangents);
-        let (two, three) = (S::two(), S::of(3.0));
+        let like = spot.height;
+        let ([zero, _, one], two, three) = (zero_half_one(like), like.constant(2.0), like.constant(3.0));
         let (along2, across2) = (along * along, across * across);
-        let per_height = spot.height.recip();
-        let [spread_x, spread_y] = [spot.x.half, spot.y.half].map(|half| {
-            let ratio = half * per_height;
-            ratio * ratio / three
-        });
+        let per_height = spot.height.inverse();
+        let (ratio_x, ratio_y) = (spot.x.half * per_height, spot.y.half * per_height);
+        let (spread_x, spread_y) = (ratio_x * ratio_x / three, ratio_y * ratio_y / three);
         let (of_x, of_y) = (three * f + two * along2 * g, f + two * across2 * g);
         let sum = spread_x * of_x + spread_y * of_y;
         // By tan²θ, τ and υ, and by the spreads.
         let by_square = spread_x * (three * g + two * along2 * g_slope) + spread_y * (g + two * across2 * g_slope);
-        let by_along = sum + along * (two * along * by_square + S::of(4.0) * spread_x * along * g);
-        let by_across = along * (two * across * by_square + S::of(4.0) * spread_y * across * g);
-        let by_height = S::Vec3::new(S::zero(), S::zero(), S::one()) - self.by_position;
-        let widened =
-            |low: usize, half: S| (sides[low + 1] - sides[low]) * half.recip() - by_height * (two * per_height);
+        let by_along = sum + along * (two * along * by_square + like.constant(4.0) * spread_x * along * g);
+        let by_across = along * (two * across * by_square + like.constant(4.0) * spread_y * across * g);
+        let by_height = R::Vec3::new(zero, zero, one) - self.by_position;
+        let rise = by_height * (two * per_height);
+        let widened_x = (sides[1] - sides[0]) * spot.x.half.inverse() - rise;
+        let widened_y = (sides[3] - sides[2]) * spot.y.half.inverse() - rise;
         let by_position = self.tangent_by[0] * by_along
             + self.tangent_by[1] * by_across
-            + (widened(0, spot.x.half) * (spread_x * of_x) + widened(2, spot.y.half) * (spread_y * of_y)) * along;
+            + (widened_x * (spread_x * of_x) + widened_y * (spread_y * of_y)) * along;
         (-(along * sum), -by_position)
     }
 }
 
 /// The spot as a rectangle in the plane of the raised detector, and how its sides move with the emitter.
-pub struct Spot<S: Number> {
-    pub rectangle: Rectangle<S>,
-    sides: [S::Vec3; 4],
-    raise: Raise<S>,
-    /// How far the spot may change before an edge of the detector bounds it, or bounds it no more.
-    pub slack_m: S,
-    /// How far the emitter may move before the other face of a thick mask bounds the spot.
-    pub wall_m: S,
+pub struct Spot<R: Real> {
+    pub rectangle: Rectangle<R>,
+    sides: [R::Vec3; 4],
+    pub raise: Raise<R>,
+    /// How far the spot may change before an edge of the detector bounds it, or bounds it no more, metres.
+    pub slack: R,
+    /// How far the emitter may move before the other face of a thick mask bounds the spot, metres.
+    pub wall: R,
 }
 
 /// A long edge, projected: the side X = m·e/(m_x − e_y·a_z + e_z·a_y) of the spot, m about the middle of the raised
 /// detector, and one over the denominator.
 #[derive(Clone, Copy)]
-struct Projected<S: Number> {
-    at: S,
-    moment: S::Vec3,
-    per: S,
+struct Projected<R: Real> {
+    at: R,
+    moment: R::Vec3,
+    per: R,
 }
 
-/// A side of the spot: its place on the detector, and the face that bounds it; `None`: the detector does.
+/// The sides of the spot that one face bounds.
 #[derive(Clone, Copy)]
-struct Side<S: Number> {
-    at: S,
-    face: Option<usize>,
+struct FaceSides<R: Real> {
+    edges: [Projected<R>; 2],
+    ends: [R; 2],
+}
+
+impl<R: Real> FaceSides<R> {
+    /// Of side `k`: x low and high, y low and high.
+    #[inline(always)]
+    fn at(&self, k: usize) -> R {
+        if k < 2 { self.edges[k].at } else { self.ends[k - 2] }
+    }
+}
+
+/// A side of the spot: its place on the detector, and the number of the face that bounds it, or [`DETECTOR`].
+#[derive(Clone, Copy)]
+struct Side<R> {
+    at: R,
+    face: R,
+}
+
+impl<R: Real> Side<R> {
+    /// This side `k` (x low and high, y low and high), or that at `other` of the face `number` if it is nearer to the
+    /// spot's middle.
+    #[inline(always)]
+    fn bounded(self, k: usize, other: R, number: R) -> Self {
+        let (above, below) = if k.is_multiple_of(2) { (other, self.at) } else { (self.at, other) };
+        Self { at: R::select_gt(above, below, other, self.at), face: R::select_gt(above, below, number, self.face) }
+    }
+
+    /// Of the spot between two sides, with the emitter at `e`.
+    #[inline(always)]
+    fn extent(low: Self, high: Self, e: R) -> Extent<R> {
+        let [_, half, one] = zero_half_one(e);
+        let landing = half * (low.at + high.at);
+        Extent {
+            low: Edge { position: low.at - e, magnification: one },
+            high: Edge { position: high.at - e, magnification: one },
+            middle: landing - e,
+            landing,
+            half: half * (high.at - low.at),
+        }
+    }
 }
 
 impl<S: Number> Beam<S> {
@@ -189,7 +233,7 @@ impl<S: Number> Beam<S> {
         if axes.y_axis.y < libm::sqrt(1.0 - MAX_TURN * MAX_TURN) || axes.x_axis.x < 0.0 || axes.z_axis.z < 0.0 {
             return None;
         }
-        let parts = Parts {
+        let slot = Slot {
             across: S::Vec3::of(axes.x_axis),
             along: S::Vec3::of(axes.y_axis),
             half_sizes: [S::of(0.5 * slit.width_m), S::of(0.5 * slit.length_m)],
@@ -200,26 +244,29 @@ impl<S: Number> Beam<S> {
                 Glass { thickness: S::of(window.thickness_m), index2: S::of(index2), excess: S::of(index2 - 1.0) }
             }),
         };
-        Some(parts.into())
+        Some(slot.into())
     }
+}
 
+impl<R: Real> Beam<R> {
     /// δ for an emitter at `e`.
-    fn raise(&self, e: S::Vec3) -> Raise<S> {
-        let Some(glass) = &self.parts.window else {
-            return Raise::none();
+    #[inline(always)]
+    fn raise(&self, e: R::Vec3) -> Raise<R> {
+        let zero = e.x().constant(0.0);
+        let Some(glass) = &self.slot.window else {
+            return Raise::none(zero);
         };
-        let centre = self.parts.centre;
-        let per_height = (e.z() - centre.z()).recip();
+        let centre = self.slot.centre;
+        let per_height = (e.z() - centre.z()).inverse();
         let along = (e.x() - centre.x()) * per_height;
-        let per_distance = e.z().recip();
+        let per_distance = e.z().inverse();
         let across = e.y() * per_distance;
-        let zero = S::zero();
-        let by_along = S::Vec3::new(per_height, zero, -along * per_height);
-        let by_across = S::Vec3::new(zero, per_distance, -across * per_distance);
+        let by_along = R::Vec3::new(per_height, zero, -along * per_height);
+        let by_across = R::Vec3::new(zero, per_distance, -across * per_distance);
         let (height, slopes) = glass.raise(along * along + across * across);
         Raise {
             height,
-            by_position: (by_along * along + by_across * across) * (S::two() * slopes[0]),
+            by_position: (by_along * along + by_across * across) * (zero.constant(2.0) * slopes[0]),
             tangents: [along, across],
             tangent_by: [by_along, by_across],
             slopes,
@@ -228,141 +275,139 @@ impl<S: Number> Beam<S> {
 
     /// The side that the detector's edge at y = `edge` cuts off, and its derivatives by the emitter's position. Light
     /// lands there at an angle of its own, where the detector appears raised by another height.
-    fn detector_side<const GRADIENT: bool>(&self, edge: S, e: S::Vec3, raise: &Raise<S>) -> (S, S::Vec3) {
-        let Some(glass) = &self.parts.window else {
-            return (edge, S::Vec3::default());
+    #[inline(always)]
+    fn detector_side<const GRADIENT: bool>(&self, edge: R, e: R::Vec3, raise: &Raise<R>) -> (R, R::Vec3) {
+        let [zero, _, one] = zero_half_one(edge);
+        let nowhere = zero.vector();
+        let Some(glass) = &self.slot.window else {
+            return (edge, nowhere);
         };
         let height = e.z() - raise.height;
-        let per_height = height.recip();
+        let per_height = height.inverse();
         let away = edge - e.y();
         let tangent = away * per_height;
         let [along, _] = raise.tangents;
         let (own_raise, [slope, ..]) = glass.raise(along * along + tangent * tangent);
-        let per_own = (e.z() - own_raise).recip();
+        let per_own = (e.z() - own_raise).inverse();
         let ratio = height * per_own;
-        let mut by_position = S::Vec3::default();
+        let mut by_position = nowhere;
         if GRADIENT {
-            let (zero, one, two) = (S::zero(), S::one(), S::two());
-            let by_height = S::Vec3::new(zero, zero, one) - raise.by_position;
-            let by_tangent = (S::Vec3::new(zero, one, zero) + by_height * tangent) * -per_height;
-            let by_own = (raise.tangent_by[0] * along + by_tangent * tangent) * (two * slope);
-            let by_own_height = S::Vec3::new(zero, zero, one) - by_own;
+            let by_height = R::Vec3::new(zero, zero, one) - raise.by_position;
+            let by_tangent = (R::Vec3::new(zero, one, zero) + by_height * tangent) * -per_height;
+            let by_own = (raise.tangent_by[0] * along + by_tangent * tangent) * (zero.constant(2.0) * slope);
+            let by_own_height = R::Vec3::new(zero, zero, one) - by_own;
             by_position =
-                S::Vec3::new(zero, one - ratio, zero) + (by_height - by_own_height * ratio) * (away * per_own);
+                R::Vec3::new(zero, one - ratio, zero) + (by_height - by_own_height * ratio) * (away * per_own);
         }
         (e.y() + away * ratio, by_position)
     }
 
     /// The side of the spot that the long edge with this moment bounds, for the `raised` detector's emitter.
     #[inline(always)]
-    fn projected(&self, moment: S::Vec3, raised: S::Vec3, delta: S) -> Projected<S> {
-        let a = self.parts.along;
-        let moment = S::Vec3::new(moment.x() + delta * a.y(), moment.y() - delta * a.x(), moment.z());
-        let per = (moment.x() - raised.y() * a.z() + raised.z() * a.y()).recip();
+    fn projected(&self, moment: R::Vec3, raised: R::Vec3, delta: R) -> Projected<R> {
+        let a = self.slot.along;
+        let moment = R::Vec3::new(moment.x() + delta * a.y(), moment.y() - delta * a.x(), moment.z());
+        let per = (moment.x() - raised.y() * a.z() + raised.z() * a.y()).inverse();
         Projected { at: moment.dot(raised) * per, moment, per }
     }
 
     #[inline(always)]
-    fn edge_slope(&self, Projected { at, moment: m, per }: Projected<S>, e: S::Vec3, raise: &Raise<S>) -> S::Vec3 {
-        let a = self.parts.along;
+    fn sides_of(&self, face: &Face<R>, e: R::Vec3, raised: R::Vec3, delta: R) -> FaceSides<R> {
+        let [low, high] = face.moments;
+        let ends = [Self::end(face.ends[0], e, delta), Self::end(face.ends[1], e, delta)];
+        FaceSides { edges: [self.projected(low, raised, delta), self.projected(high, raised, delta)], ends }
+    }
+
+    #[inline(always)]
+    fn edge_slope(&self, Projected { at, moment: m, per }: Projected<R>, e: R::Vec3, raise: &Raise<R>) -> R::Vec3 {
+        let a = self.slot.along;
         let by_raise = (a.y() * e.x() - a.x() * e.y() - m.z()) * per;
-        S::Vec3::new(m.x(), m.y() + at * a.z(), m.z() - at * a.y()) * per + raise.by_position * by_raise
+        R::Vec3::new(m.x(), m.y() + at * a.z(), m.z() - at * a.y()) * per + raise.by_position * by_raise
+    }
+
+    /// The side of the spot that the end q of the slit bounds.
+    #[inline(always)]
+    fn end(q: R::Vec3, e: R::Vec3, delta: R) -> R {
+        q.y() + (q.y() - e.y()) * (q.z() - delta) * (e.z() - q.z()).inverse()
     }
 
     /// How the side that the end q of the slit bounds moves with the emitter.
-    fn end_slope(q: S::Vec3, e: S::Vec3, raise: &Raise<S>) -> S::Vec3 {
-        let per = (e.z() - q.z()).recip();
+    #[inline(always)]
+    fn end_slope(q: R::Vec3, e: R::Vec3, raise: &Raise<R>) -> R::Vec3 {
+        let per = (e.z() - q.z()).inverse();
         let (height, to_emitter) = (q.z() - raise.height, q.y() - e.y());
-        S::Vec3::new(S::zero(), -height * per, -to_emitter * height * per * per)
+        R::Vec3::new(e.x().constant(0.0), -height * per, -to_emitter * height * per * per)
             - raise.by_position * (to_emitter * per)
     }
 
-    /// The spot of an emitter at `e`, on a detector of half extents `half`. `CUTS`: with how a window moves the sides that
-    /// the detector's edges cut off, 10⁻³ of the emitter's way.
-    pub fn spot<const GRADIENT: bool, const CUTS: bool>(
-        &self,
-        e: S::Vec3,
-        half: [S; 2],
-    ) -> Result<(Spot<S>, Status), Status> {
-        let Parts { across, along, half_sizes, centre, half_thickness, .. } = self.parts;
+    /// The spot of an emitter at `e`, on a detector of half extents `half`, and its visibility. Without a spot the
+    /// rectangle is meaningless. `CUTS`: with how a window moves the sides that the detector's edges cut off, 10⁻³ of the
+    /// emitter's way.
+    #[inline(always)]
+    pub fn spot<const GRADIENT: bool, const CUTS: bool>(&self, e: R::Vec3, half: [R; 2]) -> (Spot<R>, Visibility<R>) {
+        let Slot { across, along, half_sizes, centre, half_thickness, .. } = self.slot;
         let from_centre = e - centre;
-        if from_centre.dot(self.normal) <= half_thickness {
-            return Err(Status::Behind);
-        }
+        let ([zero, _, one], detector) = (zero_half_one(e.x()), e.x().constant(DETECTOR));
+        let behind = R::select_ge(half_thickness, from_centre.dot(self.normal), one, zero);
         let raise = self.raise(e);
         let delta = raise.height;
-        let raised = S::Vec3::new(e.x(), e.y(), e.z() - delta);
-        let cut = [-half[1], half[1]].map(|edge| self.detector_side::<CUTS>(edge, e, &raise));
-        let detector = |at: S| Side { at, face: None };
-        let [mut x_low, mut x_high] = [-half[0], half[0]].map(detector);
-        let [mut y_low, mut y_high] = cut.map(|(at, _)| detector(at));
-        let (mut slack_m, mut wall_m) = (S::infinity(), S::infinity());
-        let walls = [(across, half_sizes[0]), (along, half_sizes[1])].map(|(direction, half)| {
-            let place = from_centre.dot(direction);
-            [place + half, half - place].map(|distance| distance.abs())
-        });
-        let nowhere = Projected { at: S::zero(), moment: raised, per: S::zero() };
-        let mut edges = [[nowhere; 2]; 2];
-        for (number, face) in self.faces[..self.face_count].iter().enumerate() {
-            edges[number] = face.moments.map(|moment| self.projected(moment, raised, delta));
-            let sides = edges[number].map(|edge| edge.at);
-            let ends = face.ends.map(|q| q.y() + (q.y() - e.y()) * (q.z() - delta) * (e.z() - q.z()).recip());
-            let axes = [(&mut x_low, &mut x_high, sides, walls[0]), (&mut y_low, &mut y_high, ends, walls[1])];
-            for (low, high, [first, second], walls) in axes {
-                for (side, other, wall) in [(&*low, first, walls[0]), (&*high, second, walls[1])] {
-                    if side.face.is_none() {
-                        slack_m = slack_m.min((side.at - other).abs());
-                    } else {
-                        wall_m = wall_m.min(wall);
-                    }
-                }
-                if first > low.at {
-                    *low = Side { at: first, face: Some(number) };
-                }
-                if second < high.at {
-                    *high = Side { at: second, face: Some(number) };
-                }
+        let raised = R::Vec3::new(e.x(), e.y(), e.z() - delta);
+        let cuts = [self.detector_side::<CUTS>(-half[1], e, &raise), self.detector_side::<CUTS>(half[1], e, &raise)];
+        let of_detector = |at: R| Side { at, face: detector };
+        // x low and high, y low and high.
+        let mut sides = [of_detector(-half[0]), of_detector(half[0]), of_detector(cuts[0].0), of_detector(cuts[1].0)];
+        let infinity = zero.constant(f64::INFINITY);
+        let (mut slack, mut wall) = (infinity, infinity);
+        let (place_x, place_y) = (from_centre.dot(across), from_centre.dot(along));
+        let walls =
+            [place_x + half_sizes[0], half_sizes[0] - place_x, place_y + half_sizes[1], half_sizes[1] - place_y];
+        let first = self.sides_of(&self.faces[0], e, raised, delta);
+        for (k, side) in sides.iter_mut().enumerate() {
+            slack = slack.at_most((side.at - first.at(k)).magnitude());
+            *side = side.bounded(k, first.at(k), zero);
+        }
+        let mut second = first;
+        if self.is_thick {
+            second = self.sides_of(&self.faces[1], e, raised, delta);
+            for (k, side) in sides.iter_mut().enumerate() {
+                let apart = (side.at - second.at(k)).magnitude();
+                slack = slack.at_most(R::select_ge(side.face, zero, infinity, apart));
+                wall = wall.at_most(R::select_ge(side.face, zero, walls[k].magnitude(), infinity));
+                *side = side.bounded(k, second.at(k), one);
             }
         }
-        let extent = |low: Side<S>, high: Side<S>, e: S| {
-            let landing = S::half() * (low.at + high.at);
-            let edge = |side: Side<S>| Edge { position: side.at - e, magnification: S::one() };
-            Extent {
-                low: edge(low),
-                high: edge(high),
-                middle: landing - e,
-                landing,
-                half: S::half() * (high.at - low.at),
-            }
-        };
-        let (x, y) = (extent(x_low, x_high, e.x()), extent(y_low, y_high, e.y()));
-        // With a pose that is NaN both half extents are NaN, and the spot is dark.
-        if !(x.half > S::zero() && y.half > S::zero()) {
-            return Err(Status::Dark);
-        }
-        let status = if x_low.face.is_none() || x_high.face.is_none() { Status::Clipped } else { Status::Lit };
+        let [x_low, x_high, y_low, y_high] = sides;
+        let (x, y) = (Side::extent(x_low, x_high, e.x()), Side::extent(y_low, y_high, e.y()));
+        let cut = R::select_ge(x_low.face, zero, R::select_ge(x_high.face, zero, zero, one), one);
+        let visibility = Visibility::of(behind, cut, [x.half, y.half], slack.at_most(zero.constant(WALL_SLACK) * wall));
         let rectangle = Rectangle { x, y, height: raised.z() };
-        let mut sides = [S::Vec3::default(); 4];
+        let motionless = zero.vector();
+        let mut slopes = [motionless; 4];
         if GRADIENT {
-            for (end, side) in [x_low, x_high].into_iter().enumerate() {
-                if let Some(face) = side.face {
-                    sides[end] = self.edge_slope(edges[face][end], e, &raise);
-                }
-            }
-            for (end, side) in [y_low, y_high].into_iter().enumerate() {
-                sides[2 + end] = match side.face {
-                    Some(face) => Self::end_slope(self.faces[face].ends[end], e, &raise),
-                    None => cut[end].1,
+            for (k, side) in sides.into_iter().enumerate() {
+                let end = k % 2;
+                slopes[k] = if k < 2 {
+                    let (first, second) = (first.edges[end], second.edges[end]);
+                    let bounding = Projected {
+                        at: side.at,
+                        moment: R::select3_ge(side.face, one, second.moment, first.moment),
+                        per: R::select_ge(side.face, one, second.per, first.per),
+                    };
+                    R::select3_ge(side.face, zero, self.edge_slope(bounding, e, &raise), motionless)
+                } else {
+                    let q = R::select3_ge(side.face, one, self.faces[1].ends[end], self.faces[0].ends[end]);
+                    R::select3_ge(side.face, zero, Self::end_slope(q, e, &raise), cuts[end].1)
                 };
             }
         }
-        Ok((Spot { rectangle, sides, raise, slack_m, wall_m }, status))
+        (Spot { rectangle, sides: slopes, raise, slack, wall }, visibility)
     }
 }
 
-impl<S: Number> Spot<S> {
+impl<R: Real> Spot<R> {
     /// Power and position of the light in terms of the emitter, from those in terms of the sides.
-    pub fn of_sides<const GRADIENT: bool>(&self, light: &RectangleLight<S>) -> Light<S> {
+    #[inline(always)]
+    pub fn of_sides<const GRADIENT: bool>(&self, light: &RectangleLight<R>) -> Light<R> {
         let (bend, bend_by) = self.raise.bend(&self.rectangle, &self.sides);
         let x_a = self.rectangle.x.landing + light.centroid.value + bend;
         if !GRADIENT {
@@ -371,12 +416,12 @@ impl<S: Number> Spot<S> {
                 x_a: Place::Weighted(EmitterGradient::of_value(x_a)),
             };
         }
-        let along = S::Vec3::new(S::one(), S::zero(), S::zero());
+        let [zero, _, one] = zero_half_one(x_a);
         Light {
             power: self.of_emitter(&light.power),
             x_a: Place::Weighted(EmitterGradient {
                 value: x_a,
-                by_position: self.of_emitter(&light.centroid).by_position + along + bend_by,
+                by_position: self.of_emitter(&light.centroid).by_position + R::Vec3::new(one, zero, zero) + bend_by,
                 by_axis: light.centroid.by_axis,
             }),
         }
@@ -384,10 +429,10 @@ impl<S: Number> Spot<S> {
 
     /// A quantity in terms of the emitter, from that in terms of the sides.
     #[inline(always)]
-    fn of_emitter(&self, quantity: &SideGradient<S>) -> EmitterGradient<S> {
-        let (zero, one) = (S::zero(), S::one());
-        let (along, across) = (S::Vec3::new(one, zero, zero), S::Vec3::new(zero, one, zero));
-        let height = S::Vec3::new(zero, zero, one) - self.raise.by_position;
+    fn of_emitter(&self, quantity: &SideGradient<R>) -> EmitterGradient<R> {
+        let [zero, _, one] = zero_half_one(quantity.value);
+        let (along, across) = (R::Vec3::new(one, zero, zero), R::Vec3::new(zero, one, zero));
+        let height = R::Vec3::new(zero, zero, one) - self.raise.by_position;
         let by = quantity.by_side;
         let by_position = (self.sides[0] - along) * by[0]
             + (self.sides[1] - along) * by[1]
@@ -396,7 +441,9 @@ impl<S: Number> Spot<S> {
             + height * quantity.by_height;
         EmitterGradient { value: quantity.value, by_position, by_axis: quantity.by_axis }
     }
+}
 
+impl<S: Number> Spot<S> {
     /// Power, and place with its derivatives by the emitter's position, of the light of a narrow spot: see
     /// [`crate::exact::narrow_light`], of which `drift` is what comes second. What bends the light in a window counts, and
     /// how that changes, by 10⁻⁴ of the emitter's way, does not.
@@ -409,10 +456,5 @@ impl<S: Number> Spot<S> {
         let middle = (self.sides[0] + self.sides[1]) * S::half();
         let from_emitter = middle - S::Vec3::new(S::one(), S::zero(), S::zero());
         (self.of_emitter(&light.power), x_a, middle + from_emitter * drift)
-    }
-
-    /// The raised plane's height above the detector, and its derivatives by the emitter's position.
-    pub fn raise(&self) -> (S, S::Vec3) {
-        (self.raise.height, self.raise.by_position)
     }
 }

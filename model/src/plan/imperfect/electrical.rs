@@ -4,49 +4,47 @@ use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
 use crate::effects::{Effects, MAX_CONVERTER, MAX_NONLINEARITY, Stray};
-use crate::scalar::{Linear3, Number};
+use crate::scalar::{Linear3, Number, Real, array, zero_half_one};
 
-use super::super::CurrentsJacobian;
 use super::super::optics::Receiver;
 use super::Sums;
 
+/// From a detector's light to the readings of its two currents; one detector per lane.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-#[serde(bound = "")]
-pub struct Electrical<S: Number> {
-    per_half_length: S,
-    nonlinearity: Option<[S; MAX_NONLINEARITY]>,
-    stray: Option<CompiledStray<S>>,
-    gain: [S; 2],
-    converters: Option<CompiledConverters<S>>,
+pub struct Electrical<R> {
+    pub per_half_length: R,
+    pub nonlinearity: Option<[R; MAX_NONLINEARITY]>,
+    pub stray: Option<CompiledStray<R>>,
+    pub gain: [R; 2],
+    pub converters: Option<CompiledConverters<R>>,
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
-struct CompiledStray<S> {
-    constant: [S; 2],
-    linear: [[S; 3]; 2],
-    quadratic: [[S; 6]; 2],
+pub struct CompiledStray<R> {
+    pub constant: [R; 2],
+    pub linear: [[R; 3]; 2],
+    pub quadratic: [[R; 6]; 2],
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
-struct CompiledConverters<S> {
-    per_half_scale: S,
-    curves: [[S; MAX_CONVERTER]; 2],
+pub struct CompiledConverters<R> {
+    pub per_half_scale: R,
+    pub curves: [[R; MAX_CONVERTER]; 2],
 }
 
 /// Σ coefficient·xᵏ and its derivative, N even: even and odd powers apart, for each multiplication waits for the one
 /// before.
 #[inline(always)]
-fn polynomial<S: Number, const N: usize>(coefficients: &[S; N], x: S) -> (S, S) {
-    let (square, twice) = (x * x, S::two() * x);
-    let [even, odd] = [0, 1].map(|first| {
-        let (mut value, mut slope) = (S::zero(), S::zero());
-        for pair in (0..N / 2).rev() {
-            slope = slope * square + value;
-            value = value * square + coefficients[2 * pair + first];
+fn polynomial<R: Real, const N: usize>(coefficients: &[R; N], x: R) -> (R, R) {
+    let (zero, square) = (x.constant(0.0), x * x);
+    let (mut values, mut slopes) = ([zero; 2], [zero; 2]);
+    for pair in (0..N / 2).rev() {
+        for odd in 0..2 {
+            slopes[odd] = slopes[odd] * square + values[odd];
+            values[odd] = values[odd] * square + coefficients[2 * pair + odd];
         }
-        (value, slope)
-    });
-    (even.0 + x * odd.0, twice * (even.1 + x * odd.1) + odd.0)
+    }
+    (values[0] + x * values[1], x.constant(2.0) * x * (slopes[0] + x * slopes[1]) + values[1])
 }
 
 /// Coefficients, and zeros up to the most that there may be.
@@ -71,15 +69,18 @@ impl<S: Number> Electrical<S> {
             }),
         }
     }
+}
 
+impl<R: Real> Electrical<R> {
     /// The position that the detector shows for light at `x_a`, and its derivative.
     #[inline(always)]
-    pub fn measured(&self, x_a: S) -> (S, S) {
+    pub fn measured(&self, x_a: R) -> (R, R) {
+        let one = x_a.constant(1.0);
         let Some(nonlinearity) = &self.nonlinearity else {
-            return (x_a, S::one());
+            return (x_a, one);
         };
         let (shift, slope) = polynomial(nonlinearity, x_a * self.per_half_length);
-        (x_a + shift, S::one() + slope * self.per_half_length)
+        (x_a + shift, one + slope * self.per_half_length)
     }
 
     /// The currents above dark with the cell's own emitter at `own_level`, relative to nominal, and the tool's origin at
@@ -87,27 +88,31 @@ impl<S: Number> Electrical<S> {
     #[inline(always)]
     pub fn currents<const GRADIENT: bool>(
         &self,
-        receiver: &Receiver<S>,
+        receiver: &Receiver<R>,
         divides_dark: bool,
-        sums: &Sums<S>,
-        own_level: S,
-        translation: S::Vec3,
-    ) -> ([S; 2], CurrentsJacobian<S>) {
-        let (half, per_length) = (S::half(), receiver.per_length);
+        sums: &Sums<R>,
+        own_level: R,
+        translation: R::Vec3,
+    ) -> ([R; 2], [[R; 6]; 2]) {
+        let ([zero, half, one], per_length) = (zero_half_one(sums.total), receiver.per_length);
         let mut imbalance = sums.moment * per_length;
-        let mut jacobian = [[S::zero(); 6]; 2];
-        // Divided like the light: I_D·X̄, X̄ = moment/total.
-        let divides_dark = divides_dark && receiver.dark > S::zero() && sums.total > S::zero();
-        let dark_share = if divides_dark { receiver.dark / sums.total } else { S::zero() };
-        if GRADIENT {
-            let centroid = if divides_dark { sums.moment / sums.total } else { S::zero() };
+        let mut jacobian = [[zero; 6]; 2];
+        let mut moment_by = sums.moment_by;
+        if divides_dark {
+            // Divided like the light: I_D·X̄, X̄ = moment/total.
+            let share = R::select_gt(sums.total, zero, receiver.dark / sums.total, zero);
+            let centroid = R::select_gt(sums.total, zero, sums.moment / sums.total, zero);
+            imbalance += imbalance * share;
             for i in 0..6 {
-                let moved = sums.moment_by[i] + dark_share * (sums.moment_by[i] - centroid * sums.total_by[i]);
-                let (half, across) = (half * sums.total_by[i], moved * per_length);
+                moment_by[i] += share * (moment_by[i] - centroid * sums.total_by[i]);
+            }
+        }
+        if GRADIENT {
+            for i in 0..6 {
+                let (half, across) = (half * sums.total_by[i], moment_by[i] * per_length);
                 (jacobian[0][i], jacobian[1][i]) = (half - across, half + across);
             }
         }
-        imbalance += imbalance * dark_share;
         let mut pair = [half * sums.total - imbalance, half * sums.total + imbalance];
         if let Some(stray) = &self.stray {
             let t = [translation.x(), translation.y(), translation.z()];
@@ -119,30 +124,31 @@ impl<S: Number> Electrical<S> {
                     yy * t[1] + half * (xy * t[0] + yz * t[2]),
                     zz * t[2] + half * (yz * t[1] + zx * t[0]),
                 ];
-                let moving = (0..3).fold(S::zero(), |sum, i| sum + (linear[i] + bend[i]) * t[i]);
-                pair[k] += own_level * (stray.constant[k] + moving);
-                if GRADIENT {
-                    for i in 0..3 {
-                        jacobian[k][i] += own_level * (linear[i] + S::two() * bend[i]);
+                let mut moving = zero;
+                for i in 0..3 {
+                    moving += (linear[i] + bend[i]) * t[i];
+                    if GRADIENT {
+                        jacobian[k][i] += own_level * (linear[i] + (one + one) * bend[i]);
                     }
                 }
+                pair[k] += own_level * (stray.constant[k] + moving);
             }
         }
         for k in 0..2 {
             let mut gain = self.gain[k];
-            pair[k] *= gain;
-            if let Some(converters) = self.converters.as_ref().filter(|_| own_level > S::zero()) {
-                let reading = pair[k] * converters.per_half_scale - S::one();
+            pair[k] = pair[k] * gain;
+            if let Some(converters) = &self.converters {
+                let reading = pair[k] * converters.per_half_scale - one;
                 // Beyond its range a converter shows the end of it, and a polynomial of high order anything.
-                let within = reading.max(-S::one()).min(S::one());
+                let within = one.at_most((-one).at_least(reading));
                 let (error, slope) = polynomial(&converters.curves[k], within);
-                pair[k] += error;
-                if within == reading {
-                    gain *= S::one() + slope * converters.per_half_scale;
-                }
+                pair[k] += R::select_gt(own_level, zero, error, zero);
+                let slope = R::select_gt(own_level, zero, slope, zero);
+                let beyond = (reading - within).magnitude();
+                gain = R::select_gt(beyond, zero, gain, gain * (one + slope * converters.per_half_scale));
             }
             if GRADIENT {
-                jacobian[k] = jacobian[k].map(|value| value * gain);
+                jacobian[k] = array(zero, |i| jacobian[k][i] * gain);
             }
         }
         (pair, jacobian)

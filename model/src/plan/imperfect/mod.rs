@@ -17,14 +17,14 @@ use crate::polygon::MAX_CORNERS;
 use crate::pose::Transform;
 use crate::profile::CompiledProfile;
 use crate::response::{Flags, Integration, Pair, Response, Status};
-use crate::scalar::{Linear3, Number, Vector3};
+use crate::scalar::{Linear3, Number, Real, Vector3, array};
 use crate::scene::Cell;
 
 use self::beam::Beam;
 use self::electrical::Electrical;
 use self::opening::Opening;
-use self::passage::{Passage, Passed, pass};
-use super::optics::{Place, Seen, Source};
+use self::passage::{Passage, Passed, Way, pass};
+use super::optics::{Light, Place, Receiver, Seen, Source};
 use super::{CellTerms, CompiledCell, CompiledEmitter, CompiledScene};
 
 #[derive(Clone, Debug)]
@@ -36,15 +36,15 @@ pub struct Imperfect<S: Number> {
     pub other_axis: Option<usize>,
 }
 
-/// What an emitter has beyond its place, axis and profile.
+/// What an emitter has beyond its place, axis and profile; one per lane.
 #[derive(Clone, Debug)]
-pub struct ExtendedSource<S: Number> {
+pub struct ExtendedSource<R: Real> {
     /// Directions v and w across the axis, tool frame.
-    pub across: [S::Vec3; 2],
+    pub across: [R::Vec3; 2],
     /// Coefficients of v² − w², 2vw, zv, zw; `None`: the profile has no azimuth.
-    pub azimuthal: Option<[S; AZIMUTHAL_TERMS]>,
+    pub azimuthal: Option<[R; AZIMUTHAL_TERMS]>,
     /// Radius of the points of the source around its centre, metres; zero: a point.
-    radius: S,
+    pub radius: R,
 }
 
 /// Points around the centre of a disc, in units of √⅔ of its radius: with the weights ⅛ and ¼ for the centre the rule
@@ -95,35 +95,114 @@ impl<S: Number> ExtendedSource<S> {
 /// The factor 1 + Σ azimuthal of the ray along the unit vector `ray`, with the axes v, w and u of the emitter, and its
 /// derivatives by the components of the ray along them, as one vector.
 #[inline(always)]
-pub fn azimuthal_factor<S: Number>(
-    coefficients: &[S; AZIMUTHAL_TERMS],
-    [v_axis, w_axis, axis]: [S::Vec3; 3],
-    ray: S::Vec3,
-) -> (S, S::Vec3) {
+pub fn azimuthal_factor<R: Real>(
+    coefficients: &[R; AZIMUTHAL_TERMS],
+    [v_axis, w_axis, axis]: [R::Vec3; 3],
+    ray: R::Vec3,
+) -> (R, R::Vec3) {
     let (v, w) = (v_axis.dot(ray), w_axis.dot(ray));
-    let z = S::one() - axis.dot(ray);
+    let one = v.constant(1.0);
+    let two = one + one;
+    let z = one - axis.dot(ray);
     let [squares, product, along_v, along_w] = *coefficients;
-    let two = S::two();
-    let value = S::one() + squares * (v * v - w * w) + product * two * v * w + z * (along_v * v + along_w * w);
+    let value = one + squares * (v * v - w * w) + product * two * v * w + z * (along_v * v + along_w * w);
     let by_v = two * (squares * v + product * w) + z * along_v;
     let by_w = two * (product * v - squares * w) + z * along_w;
     let by_u = -(along_v * v + along_w * w);
     (value, v_axis * by_v + w_axis * by_w + axis * by_u)
 }
 
-/// Light on a detector: power and moment in amperes and ampere metres, with derivatives by the pose.
+/// Light on a detector: power and moment in amperes and ampere metres, with derivatives by the pose; one detector per
+/// lane.
 #[derive(Clone, Copy)]
-pub struct Sums<S> {
-    pub total: S,
-    pub moment: S,
-    pub total_by: [S; 6],
-    pub moment_by: [S; 6],
+pub struct Sums<R> {
+    pub total: R,
+    pub moment: R,
+    pub total_by: [R; 6],
+    pub moment_by: [R; 6],
 }
 
-impl<S: Number> Sums<S> {
-    pub fn none() -> Self {
-        let zero = S::zero();
+impl<R: Real> Sums<R> {
+    #[inline(always)]
+    pub fn none(zero: R) -> Self {
         Self { total: zero, moment: zero, total_by: [zero; 6], moment_by: [zero; 6] }
+    }
+
+    /// Adds the `light` of the point that is `seen`, which came by `way`, with a `weight`; its photocurrent.
+    #[inline(always)]
+    #[allow(clippy::too_many_arguments, reason = "one point of one emitter through one cell")]
+    pub fn add<const GRADIENT: bool>(
+        &mut self,
+        receiver: &Receiver<R>,
+        source: &Source<R>,
+        seen: &Seen<R>,
+        pose: &Transform<R>,
+        extended: Option<&ExtendedSource<R>>,
+        electrical: &Electrical<R>,
+        light: &Light<R>,
+        way: &Way<R>,
+        weight: R,
+    ) -> R {
+        let zero = weight.constant(0.0);
+        let x_a = light.x_a.value();
+        let gain = receiver.responsivity * source.intensity;
+        let (mut power, mut of_power) = (gain * light.power.value, light.power);
+        let (mut turned_by, mut x_by) = (zero.vector(), [zero; 6]);
+        let (mut power_turn, mut x_turn) = (zero.vector(), zero.vector());
+        if let Some([by_power, by_x]) = way.turn {
+            (power_turn, x_turn) = (receiver.to_base(by_power), receiver.to_base(by_x));
+        }
+        let mut turned_with = power_turn * gain;
+        if let Some((extended, coefficients)) = extended.and_then(|it| Some((it, it.azimuthal.as_ref()?))) {
+            // The ray to the spot's centre, base frame.
+            let e = seen.position;
+            let to_spot = match way.to_hole {
+                Some(to_hole) => to_hole,
+                None => R::Vec3::new(x_a - e.x(), -e.y(), way.raise.0 - e.z()),
+            };
+            let per_distance = to_spot.length().inverse();
+            let ray = receiver.to_base(to_spot) * per_distance;
+            let [v_axis, w_axis] = extended.across;
+            let (v_axis, w_axis) = (pose.rotate(v_axis), pose.rotate(w_axis));
+            let (factor, by_ray) = azimuthal_factor::<R>(coefficients, [v_axis, w_axis, seen.axis_base], ray);
+            if GRADIENT {
+                // The ray turns as its ends move, and the tool turns under it.
+                let by_end = receiver.to_cell(by_ray - ray * ray.dot(by_ray)) * per_distance;
+                let (mut by_position, mut by_axis) = (way.raise.1 * by_end.z() - by_end, zero.vector());
+                if let (Place::Weighted(x_a), None) = (&light.x_a, way.to_hole) {
+                    by_position += x_a.by_position * by_end.x();
+                    by_axis = x_a.by_axis * by_end.x();
+                }
+                of_power.by_position = of_power.by_position * factor + by_position * light.power.value;
+                of_power.by_axis = of_power.by_axis * factor + by_axis * light.power.value;
+                turned_by = by_ray.cross(ray) * power;
+                turned_with = turned_with * factor + x_turn * (by_end.x() * power);
+            }
+            power = power * factor;
+        }
+        let mut power_by = x_by;
+        if GRADIENT {
+            let by_pose = receiver.of_pose(&of_power, seen);
+            power_by = array(zero, |i| gain * by_pose[i]);
+            if let Place::Weighted(x_a) = &light.x_a {
+                x_by = receiver.of_pose(x_a, seen);
+            }
+            for (by, turned) in [(&mut power_by, turned_by + turned_with), (&mut x_by, x_turn)] {
+                by[3] += turned.x();
+                by[4] += turned.y();
+                by[5] += turned.z();
+            }
+        }
+        let (x_m, slope) = electrical.measured(x_a);
+        self.total += weight * power;
+        self.moment += weight * power * x_m;
+        if GRADIENT {
+            for i in 0..6 {
+                self.total_by[i] += weight * power_by[i];
+                self.moment_by[i] += weight * (power_by[i] * x_m + power * slope * x_by[i]);
+            }
+        }
+        power
     }
 }
 
@@ -163,61 +242,13 @@ fn add_point<S: Scalar, const GRADIENT: bool>(
         CompiledProfile::ShapedCosine(profile) => pass!(profile),
         CompiledProfile::ShapedTable(profile) => pass!(profile),
     };
-    let Passed { light, turn, integration, status, slack_m, raise, to_hole } = passed?;
+    let Passed { light, way, integration, status, slack_m } = passed?;
     let Some(light) = light else {
         return Ok(Own { status, slack_m, photocurrent: S::zero(), x_a: None, integration });
     };
-    let x_a = light.x_a.value();
-    let gain = receiver.responsivity * source.intensity;
-    let (mut power, mut of_power) = (gain * light.power.value, light.power);
-    let (mut turned_by, mut x_by) = (S::Vec3::default(), [S::zero(); 6]);
-    let [power_turn, x_turn] = turn.map_or_else(Default::default, |turn| turn.map(|by| receiver.to_base(by)));
-    let mut turned_with = power_turn * gain;
-    if let Some((extended, coefficients)) = extended.and_then(|it| Some((it, it.azimuthal.as_ref()?))) {
-        // The ray to the spot's centre, base frame.
-        let e = seen.position;
-        let to_spot = to_hole.unwrap_or_else(|| S::Vec3::new(x_a - e.x(), -e.y(), raise.0 - e.z()));
-        let per_distance = to_spot.length().recip();
-        let ray = receiver.to_base(to_spot) * per_distance;
-        let [v_axis, w_axis] = extended.across.map(|direction| pose.rotate(direction));
-        let (factor, by_ray) = azimuthal_factor::<S>(coefficients, [v_axis, w_axis, seen.axis_base], ray);
-        if GRADIENT {
-            // The ray turns as its ends move, and the tool turns under it.
-            let by_end = receiver.to_cell(by_ray - ray * ray.dot(by_ray)) * per_distance;
-            let (mut by_position, mut by_axis) = (raise.1 * by_end.z() - by_end, S::Vec3::default());
-            if let (Place::Weighted(x_a), None) = (&light.x_a, to_hole) {
-                by_position += x_a.by_position * by_end.x();
-                by_axis = x_a.by_axis * by_end.x();
-            }
-            of_power.by_position = of_power.by_position * factor + by_position * light.power.value;
-            of_power.by_axis = of_power.by_axis * factor + by_axis * light.power.value;
-            turned_by = by_ray.cross(ray) * power;
-            turned_with = turned_with * factor + x_turn * (by_end.x() * power);
-        }
-        power *= factor;
-    }
-    let mut power_by = x_by;
-    if GRADIENT {
-        power_by = receiver.of_pose(&of_power, &seen).map(|value| gain * value);
-        if let Place::Weighted(x_a) = &light.x_a {
-            x_by = receiver.of_pose(x_a, &seen);
-        }
-        for (by, turned) in [(&mut power_by, turned_by + turned_with), (&mut x_by, x_turn)] {
-            by[3] += turned.x();
-            by[4] += turned.y();
-            by[5] += turned.z();
-        }
-    }
-    let (x_m, slope) = imperfect.electrical.measured(x_a);
-    sums.total += weight * power;
-    sums.moment += weight * power * x_m;
-    if GRADIENT {
-        for i in 0..6 {
-            sums.total_by[i] += weight * power_by[i];
-            sums.moment_by[i] += weight * (power_by[i] * x_m + power * slope * x_by[i]);
-        }
-    }
-    Ok(Own { status, slack_m, photocurrent: power, x_a: Some(x_a), integration })
+    let electrical = &imperfect.electrical;
+    let power = sums.add::<GRADIENT>(receiver, source, &seen, pose, extended, electrical, &light, &way, weight);
+    Ok(Own { status, slack_m, photocurrent: power, x_a: Some(light.x_a.value()), integration })
 }
 
 /// Adds the light of the emitter of cell `of`; what is known of the spot of its centre.
@@ -257,7 +288,7 @@ fn gather<S: Scalar, const GRADIENT: bool>(
     imperfect: &Imperfect<S>,
     pose: &Transform<S>,
 ) -> (Sums<S>, Result<Own<S>, Status>) {
-    let mut sums = Sums::none();
+    let mut sums = Sums::none(S::zero());
     let own = add_emitter::<S, GRADIENT>(plan, cell, imperfect, cell, pose, &mut sums);
     if imperfect.lit_together != 0 {
         for (number, other) in plan.cells.iter().enumerate() {
@@ -356,7 +387,8 @@ impl<S: Number> Imperfect<S> {
     ) -> Result<paper::Beam<S>, Status> {
         match &self.passage {
             Passage::Beam(beam) => {
-                let (spot, _) = beam.spot::<false, false>(seen.position, cell.receiver.half)?;
+                let (spot, visibility) = beam.spot::<false, false>(seen.position, cell.receiver.half);
+                visibility.spot()?;
                 let beam = paper::rectangle_beam(&spot.rectangle, seen.axis);
                 if is_paper {
                     return Ok(beam);
@@ -385,13 +417,12 @@ pub fn outline<S: Number>(
             return spot.map_or_else(|_| Vec::new(), |spot| spot.outline(&seen));
         }
     };
-    match beam.spot::<false, false>(seen.position, cell.receiver.half) {
-        Ok((spot, _)) => {
-            let corners = spot.rectangle.corners().into_iter();
-            corners.map(|[x, y]| [x + seen.position.x(), y + seen.position.y()]).collect()
-        }
-        Err(_) => Vec::new(),
+    let (spot, visibility) = beam.spot::<false, false>(seen.position, cell.receiver.half);
+    if visibility.spot().is_err() {
+        return Vec::new();
     }
+    let corners = spot.rectangle.corners().into_iter();
+    corners.map(|[x, y]| [x + seen.position.x(), y + seen.position.y()]).collect()
 }
 
 /// See [`CompiledScene::photocurrents_of`]; of the emitter of each cell in `lit`, at its level.
@@ -402,9 +433,9 @@ pub fn photocurrents_of_emitters<'a, S: Scalar>(
     lit: impl Iterator<Item = (&'a CompiledCell<S>, S)>,
     pose: &Transform<S>,
 ) -> Pair<S> {
-    let (mut sums, mut own_level) = (Sums::none(), S::zero());
+    let (mut sums, mut own_level) = (Sums::none(S::zero()), S::zero());
     for (of, level) in lit {
-        let mut light = Sums::none();
+        let mut light = Sums::none(S::zero());
         // Light that does not reach the slit adds nothing.
         let _ = add_emitter::<S, false>(plan, cell, imperfect, of, pose, &mut light);
         sums.total += level * light.total;

@@ -7,9 +7,9 @@ use crate::paper;
 use crate::polygon::{EmitterGradient, Polygon};
 use crate::pose::Transform;
 use crate::profile::Emission;
-use crate::rectangle::{Rectangle, RectangleLight, SideGradient, WALL_SLACK};
+use crate::rectangle::{Rectangle, RectangleLight, SideGradient};
 use crate::response::{Integration, Status};
-use crate::scalar::{Linear3, Number};
+use crate::scalar::{Linear3, Number, Real};
 
 use super::super::optics::{Light, Seen, Source};
 use super::super::{CompiledCell, CompiledEmitter, CompiledScene};
@@ -29,15 +29,20 @@ const STEP: f64 = 1e-4;
 /// The light of one point of an emitter through one cell.
 pub struct Passed<S: Number> {
     pub light: Option<Light<S>>,
-    /// What a turn of a slit on the tool adds to the derivatives.
-    pub turn: Option<Turn<S>>,
+    pub way: Way<S>,
     pub integration: Option<Integration<S>>,
     pub status: Status,
     pub slack_m: S,
+}
+
+/// How light came to a detector; one per lane.
+pub struct Way<R: Real> {
+    /// What a turn of a slit on the tool adds to the derivatives.
+    pub turn: Option<Turn<R>>,
     /// How far a window raises the detector, and its derivatives by the emitter's position.
-    pub raise: (S, S::Vec3),
+    pub raise: (R, R::Vec3),
     /// From the emitter to the middle of a hole, which all light passes; `None`: light lands near the middle line.
-    pub to_hole: Option<S::Vec3>,
+    pub to_hole: Option<R::Vec3>,
 }
 
 /// Light of `emission` through what cell `cell` has in its way.
@@ -54,17 +59,11 @@ pub fn pass<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
 ) -> Result<Passed<S>, Status> {
     match passage {
         Passage::Beam(beam) => {
-            let (spot, status) = beam.spot::<GRADIENT, GRADIENT>(seen.position, cell.receiver.half)?;
+            let (spot, visibility) = beam.spot::<GRADIENT, GRADIENT>(seen.position, cell.receiver.half);
+            let status = visibility.spot()?;
             let (light, integration) = light::<S, E, GRADIENT>(plan, emitter, emission, seen, &spot);
-            Ok(Passed {
-                light,
-                turn: None,
-                integration,
-                status,
-                slack_m: spot.slack_m.min(S::of(WALL_SLACK) * spot.wall_m),
-                raise: spot.raise(),
-                to_hole: None,
-            })
+            let way = Way { turn: None, raise: (spot.raise.height, spot.raise.by_position), to_hole: None };
+            Ok(Passed { light, way, integration, status, slack_m: visibility.slack_m(0) })
         }
         Passage::Opening(opening) => {
             let spot = opening.spot(&cell.receiver, source, seen, pose)?;
@@ -76,7 +75,8 @@ pub fn pass<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
             let raise = (S::zero(), S::Vec3::default());
             let integration = Some(integration);
             let to_hole = opening.hole_centre().map(|centre| centre - seen.position);
-            Ok(Passed { light, turn, integration, status: spot.status, slack_m: S::zero(), raise, to_hole })
+            let way = Way { turn, raise, to_hole };
+            Ok(Passed { light, way, integration, status: spot.status, slack_m: S::zero() })
         }
     }
 }

@@ -353,3 +353,25 @@ fn a_filter_trades_noise_for_the_lag_it_tells() {
     // A parabola's noise falls with the root of its memory: √0.2325 and √0.0256 for 8 and 80 frames.
     assert!((0.45..0.52).contains(&sigmas[0]) && (0.14..0.18).contains(&sigmas[1]), "{sigmas:?}");
 }
+
+/// Callers move solvers by value, which a build without optimisation copies. With the cells of its plan in place a solver
+/// has 128 kB, and the daemon's judge of a head took more than the 2 MiB that a thread has by default.
+#[cfg(feature = "lanes")]
+#[test]
+fn solvers_and_trackers_pass_through_small_stacks() {
+    use crate::common::seen;
+
+    let whole_chain = || {
+        for tier in [Tier::Paper, Tier::Exact { tolerance: 1e-6 }] {
+            let solver = Solver::<f64>::new(&wide(), tier).expect("scene").with_exposures(&[0.0; 6]).with_max_steps(9);
+            let pose = Pose::from_vectors(DVec3::ZERO, DVec3::ZERO);
+            let seen = seen(solver.plan(), &pose);
+            let mut tracker = Tracker::new(solver.clone(), 250e-6).with_filter(1e-3);
+            for frame in 0..3 {
+                assert!(matches!(tracker.track(frame, &seen).solution.outcome, Outcome::Converged));
+            }
+        }
+    };
+    let thread = std::thread::Builder::new().stack_size(384 << 10).spawn(whole_chain);
+    thread.expect("a thread").join().expect("it has stack enough");
+}
