@@ -17,7 +17,6 @@ use slitpose_protocol::Hashes;
 pub mod chain;
 pub mod pins;
 pub mod talk;
-pub mod trial;
 
 /// The variable that gives the silicon its faults: names, or `all`. Without it there are none.
 const SILICON: &str = "SLITPOSE_SILICON";

@@ -3,13 +3,11 @@
 //! [`Listener`] decodes what comes into messages of its own and checks what must hold of any of
 //! them: scans in order, counters that add up. [`Talk`] is a listener at a [`Rig`], with time.
 
-pub use super::trial::FRAME_TICKS;
-pub use super::trial::MS;
 use super::{is_of_silicon, silicon};
 use slitpose_emulator::faults::Faults;
 use slitpose_emulator::image::Image;
 use slitpose_emulator::machine::Stop;
-use slitpose_emulator::peripherals::Ticks;
+use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::rig::{Link, Rig, open_image, open_pose_image};
 use slitpose_emulator::world::{NoiseSource, OpticsWorld, World};
 use slitpose_head::scene_file::Shipped;
@@ -18,6 +16,11 @@ use slitpose_protocol::{
     Batch, Command, Decoder, Hashes, MAX_MESSAGE_BYTES, Message, Pong, RawScan, Rejection, Reply, ResetCause, Schedule,
     Severity, Status,
 };
+
+pub const MS: Ticks = TICKS_PER_SECOND / 1_000;
+
+/// Ticks from one frame to the next in the default configuration.
+pub const FRAME_TICKS: u64 = 42_500;
 
 /// From power-on or the plugging in of the cable to a working port: debouncing 100 ms, reset 50 ms,
 /// recovery 10 ms, and some twenty requests of a few milliseconds at most.
