@@ -230,17 +230,6 @@ mod tests {
     }
 
     #[test]
-    fn a_line_is_fetched_once() {
-        let mut accelerator = Accelerator::new();
-        assert!(accelerator.misses_instruction(0x0800_0000));
-        assert!(!accelerator.misses_instruction(0x0800_001e));
-        assert!(accelerator.misses_instruction(0x0800_0020));
-        assert!(!accelerator.misses_instruction(0x0800_0000));
-        assert!(accelerator.misses_data(0x0800_0000));
-        assert!(!accelerator.misses_data(0x0800_0004));
-    }
-
-    #[test]
     fn code_in_ccm_sram_is_not_waited_for_and_leaves_the_caches_alone() {
         let mut accelerator = Accelerator::new();
         assert!(accelerator.misses_instruction(0x0800_0000) && accelerator.misses_data(0x0800_0000));

@@ -2,8 +2,8 @@
 //! 10 and 11, A6; others do not exist), and what all share.
 
 use super::instruction::{
-    Address, AluOp, Extension, Fixed, FloatAddress, FloatInstruction, FloatOp, FloatUnaryOp, ImmediateCarry,
-    Instruction, LoadKind, Reg, SReg, SetFlags, Shift, ShiftKind, UnaryOp,
+    Address, AluOp, Extension, FloatAddress, FloatInstruction, FloatOp, FloatUnaryOp, ImmediateCarry, Instruction,
+    LoadKind, Reg, SReg, SetFlags, Shift, ShiftKind, UnaryOp,
 };
 use super::{Size, decode_wide};
 
@@ -349,7 +349,6 @@ fn expand(w: u32) -> u32 {
 fn other_float_processing(w: u32) -> Option<FloatInstruction> {
     let (sd, sm, high) = (sd(w), sm(w), bit(w, 7));
     let unary = |op| FloatInstruction::Unary { op, sd, sm };
-    let integer = |signed| Fixed { signed, bits: 32, fraction: 0 };
     Some(match (w >> 16 & 15, high) {
         (0, false) => unary(FloatUnaryOp::Mov),
         (0, true) => unary(FloatUnaryOp::Abs),
@@ -357,24 +356,10 @@ fn other_float_processing(w: u32) -> Option<FloatInstruction> {
         (1, true) => unary(FloatUnaryOp::Sqrt),
         (4, _) => FloatInstruction::Compare { sd, sm: Some(sm) },
         (5, _) => FloatInstruction::Compare { sd, sm: None },
-        (8, signed) => FloatInstruction::FromFixed { sd, sm, fixed: integer(signed) },
-        (12, truncate) => FloatInstruction::ToFixed { sd, sm, fixed: integer(false), truncate },
-        (13, truncate) => FloatInstruction::ToFixed { sd, sm, fixed: integer(true), truncate },
-        (10 | 11 | 14 | 15, _) => return fixed_point(w),
+        (8, signed) => FloatInstruction::FromInteger { sd, sm, signed },
+        (12, truncate) => FloatInstruction::ToInteger { sd, sm, signed: false, truncate },
+        (13, truncate) => FloatInstruction::ToInteger { sd, sm, signed: true, truncate },
         _ => return None,
-    })
-}
-
-/// VCVT between floating and fixed point, in place.
-fn fixed_point(w: u32) -> Option<FloatInstruction> {
-    let bits: u8 = if bit(w, 7) { 32 } else { 16 };
-    let fraction = bits.checked_sub((w << 1 & 0x1e | w >> 5 & 1) as u8)?;
-    let fixed = Fixed { signed: !bit(w, 16), bits, fraction };
-    let (sd, sm) = (sd(w), sd(w));
-    Some(if bit(w, 18) {
-        FloatInstruction::ToFixed { sd, sm, fixed, truncate: true }
-    } else {
-        FloatInstruction::FromFixed { sd, sm, fixed }
     })
 }
 

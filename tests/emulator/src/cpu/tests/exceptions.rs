@@ -267,17 +267,6 @@ fn pendsv_comes_when_nothing_is_more_urgent() {
 }
 
 #[test]
-fn reset_needs_its_key() {
-    let mut board = Board::new(&[0xe7fe]);
-    board.poke(0xe000_ed0c, 4);
-    board.run(1);
-    board.poke(0xe000_ed0c, 0x05fa_0004);
-    assert_eq!([board.step(), board.step()], [Step::ResetRequested; 2]);
-    board.cpu.reset(&mut board.memory);
-    board.run(1);
-}
-
-#[test]
 fn the_cycle_counter_counts_executed_cycles() {
     let mut board = Board::new(&[0xbf00, 0xe7fd]); // nop; b back: four cycles
     board.poke(0xe000_edfc, 1 << 24);
@@ -328,13 +317,4 @@ fn unprivileged_code_and_the_process_stack_are_not_modelled() {
         let board = after(&[0xf380, 0x8814], [control, 0, 0, 0, 0], 1); // msr control, r0
         assert_eq!(board.fault(), Some(Fault::Undefined { first: 0xf380, second: 0x8814 }));
     }
-}
-
-#[test]
-fn identification_and_unmodelled_registers() {
-    let mut board = Board::new(&[0xe7fe]);
-    assert_eq!(board.peek(0xe000_ed00), 0x410f_c241);
-    assert_eq!(board.peek(0xe00f_f000), 0);
-    board.poke(0xe000_0e80, 1);
-    assert_eq!(board.cpu.read_private(0xe000_ed02, Size::Half), 0x410f);
 }
