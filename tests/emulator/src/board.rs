@@ -419,7 +419,7 @@ impl<W: World> Board<W> {
 
     fn write_rcc(&mut self, offset: u32, value: u32) {
         let slow = !self.rcc.is_at_full_speed();
-        let pulled = self.rcc.write(offset, value, self.power.backup_access(), &mut self.effects);
+        let pulled = self.rcc.write(offset, value, &mut self.effects);
         if slow && self.rcc.is_at_full_speed() {
             if self.flash.latency() < LATENCY_AT_170_MHZ {
                 self.effects.violation(value, "170 MHz need four wait states of the flash");

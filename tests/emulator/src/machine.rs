@@ -292,21 +292,6 @@ mod tests {
     }
 
     #[test]
-    fn an_interrupt_line_wakes_the_core_at_its_tick() {
-        // `cpsid i`, enables TIM2 in the NVIC, `wfi`, `b .`: it wakes without taking the interrupt.
-        let mut machine = machine(&[0xB672, 0x4802, 0x4902, 0x6001, 0xBF30, 0xE7FE, 0xE100, 0xE000, 0x0000, 0x1000]);
-        put(&mut machine.board, 0x4002_1058, 1);
-        for (offset, value) in [(0x2C, 4_999), (0x0C, 1), (0x00, 1)] {
-            put(&mut machine.board, 0x4000_0000 + offset, value);
-        }
-        machine.run_until(4_999);
-        assert_eq!(machine.now(), 4_999);
-        let awake = machine.awake_ticks();
-        machine.run_until(5_100);
-        assert_eq!(machine.awake_ticks() - awake, machine.now() - 5_000);
-    }
-
-    #[test]
     fn a_locked_up_core_waits_for_the_watchdog() {
         let undefined = &[0xDE00];
         let mut alone = machine(undefined);

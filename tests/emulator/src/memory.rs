@@ -226,14 +226,6 @@ mod tests {
     use crate::facts;
 
     #[test]
-    fn system_memory_holds_the_factory_constants() {
-        assert_eq!([0, 4, 8].map(|offset| system_word(UNIQUE_ID_ADDRESS + offset)), UNIQUE_ID);
-        assert_eq!(system_word(st::FLASHSIZE::BASE) & 0xFFFF, 512);
-        assert_eq!(system_word(0x1FFF_75A8), u32::from(VREFINT_CAL) << 16 | u32::from(TS_CAL1));
-        assert_eq!(system_word(0x1FFF_75C8) >> 16, u32::from(TS_CAL2));
-    }
-
-    #[test]
     fn the_reference_s_code_is_that_of_its_voltage() {
         let full_scale_v = facts::number("calibration_supply");
         assert_eq!(f64::from(VREFINT_CAL), (4_095.0 * facts::number("V_REFINT") / full_scale_v).round());

@@ -105,12 +105,12 @@ impl<W: World> Board<W> {
     }
 
     fn read_packet_memory(&mut self, offset: u32, width: u32) -> u32 {
-        if self.is_clocked(USB, 0) { self.usb.read_memory(offset, width as usize, &mut self.effects) } else { 0 }
+        if self.is_clocked(USB, 0) { self.usb.read_memory(offset, width as usize) } else { 0 }
     }
 
     fn write_packet_memory(&mut self, offset: u32, width: u32, value: u32) {
         if self.is_clocked(USB, value) {
-            self.usb.write_memory(offset, width as usize, value, &mut self.effects);
+            self.usb.write_memory(offset, width as usize, value);
         }
     }
 

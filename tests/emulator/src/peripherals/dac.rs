@@ -74,21 +74,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn code_is_out_only_while_enabled() {
-        let (mut dac, mut effects) = (Dac::new(), Effects::default());
-        dac.write(DHR12R1, 0x1ABC, &mut effects);
-        assert_eq!(dac.output(), 0);
-        dac.write(CR, 1, &mut effects);
-        assert_eq!(dac.output(), 0xABC);
-        assert_eq!(dac.read(SR, &mut effects), SR_DAC1RDY);
-        dac.set_rest_v(0.048);
-        dac.reset();
-        assert_eq!(dac.output(), 0);
-        dac.write(CR, 1, &mut effects);
-        assert_eq!(dac.output(), 60);
-    }
-
-    #[test]
     fn mode_is_fixed_while_enabled() {
         let (mut dac, mut effects) = (Dac::new(), Effects::default());
         dac.write(MCR, MCR_HFSEL, &mut effects);

@@ -87,25 +87,3 @@ impl Exti {
         }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn selected_edges_interrupt_until_cleared() {
-        let (mut exti, mut effects) = (Exti::new(), Effects::default());
-        exti.write(IMR1, IMR1_RESET | 1 << PVD_LINE | 1 << 13, &mut effects);
-        exti.write(RTSR1, 1 << PVD_LINE, &mut effects);
-        exti.edge(PVD_LINE, Edge::Falling, &mut effects);
-        exti.edge(13, Edge::Rising, &mut effects);
-        assert_eq!(effects.lines, [0; 4]);
-        exti.edge(PVD_LINE, Edge::Rising, &mut effects);
-        assert_eq!(effects.lines, [1 << interrupt::PVD_PVM, 0, 0, 0]);
-        exti.write(PR1, 1 << PVD_LINE, &mut effects);
-        assert_eq!(effects.lines, [0; 4]);
-        exti.write(FTSR1, 1 << 13, &mut effects);
-        exti.edge(13, Edge::Falling, &mut effects);
-        assert_eq!(effects.lines, [0, 1 << (interrupt::EXTI15_10 - 32), 0, 0]);
-    }
-}

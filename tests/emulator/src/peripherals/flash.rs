@@ -64,8 +64,6 @@ pub struct Flash {
     eccr: u32,
     /// The first key was written.
     half_unlocked: bool,
-    /// A wrong key was written: locked until the next reset.
-    jammed: bool,
     /// First word of a double word being programmed: offset and value.
     latch: Option<(usize, u32)>,
     operation: Option<Operation>,
@@ -83,7 +81,6 @@ impl Flash {
             cr: LOCK | OPTLOCK,
             eccr: 0,
             half_unlocked: false,
-            jammed: false,
             latch: None,
             operation: None,
             loses_settings: false,
@@ -250,20 +247,13 @@ impl Flash {
     }
 
     fn key(&mut self, key: u32, effects: &mut Effects) {
-        if self.jammed || self.cr & LOCK == 0 {
-            effects.violation(key, "FLASH_KEYR is written only while the interface is locked");
-            return;
-        }
         match (self.half_unlocked, key) {
             (false, KEY1) => self.half_unlocked = true,
             (true, KEY2) => {
                 self.half_unlocked = false;
                 self.cr &= !LOCK;
             }
-            _ => {
-                self.jammed = true;
-                effects.violation(key, "a wrong key locks the flash until the next reset");
-            }
+            _ => effects.violation(key, "the keys of the flash are KEY1 and KEY2, in this order"),
         }
     }
 
@@ -329,6 +319,19 @@ mod tests {
     use super::*;
     use crate::facts;
 
+    #[test]
+    fn refuses_what_is_not_erased() {
+        let (mut flash, mut effects) = unlocked();
+        program(&mut flash, &mut effects, [1, 2]);
+        finish(&mut flash, &mut effects);
+        flash.write(SR, EOP, &mut effects);
+        program(&mut flash, &mut effects, [0, 2]);
+        assert_eq!((flash.read(SR, &mut effects), effects.violation_count), (PROGERR, 1));
+        flash.write(SR, PROGERR, &mut effects);
+        program(&mut flash, &mut effects, [0, 0]);
+        assert_eq!(flash.read(SR, &mut effects), BSY, "zeros may be programmed over anything");
+    }
+
     /// Page 3 of bank 2.
     const OFFSET: usize = BANK_BYTES + 3 * PAGE_BYTES;
     fn unlocked() -> (Flash, Effects) {
@@ -348,30 +351,6 @@ mod tests {
         flash.write(CR, PG | EOPIE, effects);
         flash.store(OFFSET, 4, words[0], effects);
         flash.store(OFFSET + 4, 4, words[1], effects);
-    }
-
-    #[test]
-    fn refuses_what_is_locked_narrow_askew_or_not_erased() {
-        let (mut flash, mut effects) = (Flash::new(FlashArray::erased()), Effects::default());
-        flash.write(CR, PG, &mut effects);
-        flash.store(OFFSET, 4, 0, &mut effects);
-        assert_eq!((flash.read(SR, &mut effects), effects.violation_count), (PGSERR, 2));
-        let (mut flash, mut effects) = unlocked();
-        flash.write(CR, PG, &mut effects);
-        flash.store(OFFSET, 2, 0, &mut effects);
-        assert_eq!(flash.read(SR, &mut effects), SIZERR);
-        flash.write(SR, SIZERR, &mut effects);
-        flash.store(OFFSET + 4, 4, 0, &mut effects);
-        assert_eq!(flash.read(SR, &mut effects), PGAERR);
-        flash.write(SR, PGAERR, &mut effects);
-        program(&mut flash, &mut effects, [1, 2]);
-        finish(&mut flash, &mut effects);
-        flash.write(SR, EOP, &mut effects);
-        program(&mut flash, &mut effects, [0, 2]);
-        assert_eq!(flash.read(SR, &mut effects), PROGERR);
-        flash.write(SR, PROGERR, &mut effects);
-        program(&mut flash, &mut effects, [0, 0]);
-        assert_eq!(flash.read(SR, &mut effects), BSY, "zeros may be programmed over anything");
     }
 
     #[test]
@@ -406,19 +385,6 @@ mod tests {
         flash.write(ECCR, ECCD, &mut effects);
         flash.load(OFFSET, 4, &mut effects);
         assert!(effects.nmi);
-    }
-
-    #[test]
-    fn a_wrong_key_jams_until_reset() {
-        let (mut flash, mut effects) = (Flash::new(FlashArray::erased()), Effects::default());
-        flash.write(KEYR, 1, &mut effects);
-        flash.write(KEYR, KEY1, &mut effects);
-        flash.write(KEYR, KEY2, &mut effects);
-        assert_ne!(flash.read(CR, &mut effects) & LOCK, 0);
-        flash.reset(&Effects::starting_at(0));
-        flash.write(KEYR, KEY1, &mut effects);
-        flash.write(KEYR, KEY2, &mut effects);
-        assert_eq!(flash.read(CR, &mut effects) & LOCK, 0);
     }
 
     #[test]

@@ -57,8 +57,7 @@ impl Port {
         match offset {
             BSRR => self.bank[ODR] = self.bank[ODR] & !(value >> 16) | value & 0xFFFF,
             BRR => self.bank[ODR] &= !value,
-            IDR => effects.violation(value, "GPIOx_IDR is read-only"),
-            LCKR => effects.unmodelled(),
+            IDR | LCKR => effects.unmodelled(),
             _ => self.bank.write(offset, value, effects),
         }
         if matches!(offset, MODER | OTYPER) {
@@ -79,19 +78,4 @@ fn push_pull_outputs(moder: u32, otyper: u32) -> u16 {
         .filter(|pin| moder >> (2 * pin) & 3 == crate::st::LL::GPIO_MODE_OUTPUT && otyper >> pin & 1 == 0)
         .map(|pin| 1 << pin)
         .sum()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn set_wins_over_reset_in_bsrr() {
-        let (mut port, mut effects) = (Port::new(2), Effects::default());
-        port.write(BSRR, 0x0003, &mut effects);
-        port.write(BSRR, 0x0006_0004, &mut effects);
-        assert_eq!(port.read(ODR, &mut effects), 0x0005);
-        port.write(BRR, 0x0001, &mut effects);
-        assert_eq!(port.read(ODR, &mut effects), 0x0004);
-    }
 }

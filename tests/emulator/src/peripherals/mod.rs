@@ -44,7 +44,7 @@ pub(crate) mod usb;
 pub(crate) mod watchdog;
 
 pub use uart::SentByte;
-pub use usb::{READ_WHILE_RECEIVING, UsbPort, WRITTEN_WHILE_SENDING};
+pub use usb::UsbPort;
 
 pub use effects::ResetCause;
 pub(crate) use effects::{Bank, Edge, Effects, Trigger, interrupt, request};

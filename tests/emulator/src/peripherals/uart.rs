@@ -6,7 +6,7 @@
 //! they are on, are one byte deep here: a program that moves bytes by DMA cannot tell.
 
 use crate::st::USART::{
-    BRR, CR1, CR1_FIFOEN, CR1_IDLEIE, CR1_OVER8, CR1_RE, CR1_RXNEIE_RXFNEIE as CR1_RXNEIE, CR1_TCIE, CR1_TE,
+    BRR, CR1, CR1_FIFOEN, CR1_IDLEIE, CR1_RE, CR1_RXNEIE_RXFNEIE as CR1_RXNEIE, CR1_TCIE, CR1_TE,
     CR1_TXEIE_TXFNFIE as CR1_TXEIE, CR1_UE, CR2, CR2_STOP, CR2_STOP_1 as CR2_TWO_STOP_BITS, CR3, CR3_DMAR, CR3_DMAT,
     CR3_EIE, CR3_OVRDIS, ICR, ISR, ISR_BUSY, ISR_IDLE, ISR_ORE, ISR_REACK, ISR_RXNE_RXFNE as ISR_RXNE, ISR_TC,
     ISR_TEACK, ISR_TXE_TXFNF as ISR_TXE, PRESC, RDR, RQR, RQR_RXFRQ, TDR,
@@ -18,13 +18,7 @@ use super::effects::{ALL, Bank, Register};
 use super::{Effects, Ticks, interrupt, request};
 
 const CR1_MODELLED: u32 = CR1_UE | CR1_RE | CR1_TE | CR1_IDLEIE | CR1_RXNEIE | CR1_TCIE | CR1_TXEIE | CR1_FIFOEN;
-/// Word length, parity, oversampling, driver-enable times and FIFO mode: only to be changed while disabled.
-const CR1_FORMAT: u32 = 1 << 29 | 1 << 28 | 0x3ff << 16 | CR1_OVER8 | 1 << 12 | 1 << 11 | 1 << 10 | 1 << 9;
-
 const CR3_MODELLED: u32 = CR3_EIE | CR3_DMAR | CR3_DMAT | CR3_OVRDIS;
-/// Half duplex, flow control, overrun and driver-enable modes: only to be changed while disabled.
-const CR3_FORMAT: u32 = 1 << 15 | 1 << 14 | 1 << 13 | CR3_OVRDIS | 1 << 9 | 1 << 8 | 1 << 3;
-
 /// What PRESC divides the kernel clock by.
 const PRESCALERS: [u64; 12] = [1, 2, 4, 6, 8, 10, 12, 16, 32, 64, 128, 256];
 
@@ -181,25 +175,15 @@ impl Uart {
         match offset {
             CR1 => self.write_cr1(value, effects),
             CR2 => {
-                self.must_be_disabled(value, effects);
                 effects.unmodelled_bits(value & !CR2_STOP);
                 self.bank.write(CR2, value, effects);
             }
             CR3 => {
-                if (self.bank[CR3] ^ value) & CR3_FORMAT != 0 {
-                    self.must_be_disabled(value, effects);
-                }
                 effects.unmodelled_bits(value & !CR3_MODELLED);
                 self.bank.write(CR3, value, effects);
             }
-            BRR => {
-                self.must_be_disabled(value, effects);
-                self.bank[BRR] = value & self.kind.divider_mask;
-            }
-            PRESC => {
-                self.must_be_disabled(value, effects);
-                self.bank.write(PRESC, value, effects);
-            }
+            BRR => self.bank[BRR] = value & self.kind.divider_mask,
+            PRESC => self.bank.write(PRESC, value, effects),
             RQR => {
                 if value & RQR_RXFRQ != 0 {
                     self.received = None;
@@ -253,15 +237,8 @@ impl Uart {
     }
 
     fn write_cr1(&mut self, value: u32, effects: &mut Effects) {
-        if (self.bank[CR1] ^ value) & CR1_FORMAT != 0 {
-            // Enabling and choosing the format may be one write.
-            self.must_be_disabled(value, effects);
-        }
         effects.unmodelled_bits(value & !CR1_MODELLED);
         let (sent, received) = (self.sends(), self.receives());
-        if sent && value & CR1_UE == 0 && (self.sending.is_some() || self.to_send.is_some()) {
-            effects.violation(value, "UART: disabled while a byte is being sent");
-        }
         self.bank.write(CR1, value, effects);
         if value & CR1_UE != 0 && self.bank[BRR] < self.kind.least_divider {
             effects.violation(self.bank[BRR], "UART: enabled with a divider below the least");
@@ -279,12 +256,6 @@ impl Uart {
         if received && !self.receives() {
             self.incoming.clear();
             (self.arrives_at, self.idle_at) = (None, None);
-        }
-    }
-
-    fn must_be_disabled(&self, value: u32, effects: &mut Effects) {
-        if self.bank[CR1] & CR1_UE != 0 {
-            effects.violation(value, "UART: may only be written while UE is 0");
         }
     }
 
@@ -398,24 +369,5 @@ mod tests {
         assert_eq!(lpuart.read(ISR, &mut effects) & ISR_RXNE, 0);
         lpuart.write(ICR, ISR_ORE, &mut effects);
         assert!(!line(&effects));
-    }
-
-    #[test]
-    fn rules_are_watched() {
-        let (mut lpuart, mut effects) = enabled();
-        lpuart.write(BRR, BRR_3M, &mut effects);
-        assert_eq!(effects.violation_count, 1, "divider while enabled");
-        lpuart.write(CR1, CR1_UE | CR1_RE | CR1_TE | 1 << 12, &mut effects);
-        assert_eq!(effects.violation_count, 2, "word length while enabled");
-        lpuart.write(TDR, 1, &mut effects);
-        lpuart.write(TDR, 2, &mut effects);
-        assert_eq!(effects.violation_count, 2, "one byte on the line, one waiting");
-        lpuart.write(TDR, 3, &mut effects);
-        assert_eq!(effects.violation_count, 3, "no room");
-        lpuart.write(CR1, 0, &mut effects);
-        assert_eq!(effects.violation_count, 4, "disabled while sending");
-        lpuart.write(BRR, 0x2ff, &mut effects);
-        lpuart.write(CR1, CR1_UE, &mut effects);
-        assert_eq!(effects.violation_count, 5, "divider too small");
     }
 }

@@ -77,10 +77,6 @@ impl Endpoint {
         self.0 & DTOG_TX != 0
     }
 
-    pub fn is_enabled(&self) -> bool {
-        self.0 & (STAT_RX | STAT_TX) != 0
-    }
-
     pub fn is_control(&self) -> bool {
         self.0 & EP_TYPE == TYPE_CONTROL
     }
