@@ -27,21 +27,15 @@ pub enum Stop {
     Lockup(FaultReport),
 }
 
-/// A reset that has happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reset {
-    /// When.
     pub at: Ticks,
-    /// Why.
     pub cause: ResetCause,
 }
 
-/// Core and board.
 #[derive(Debug)]
 pub struct Machine<W> {
-    /// The core.
     pub cpu: Cpu,
-    /// Everything else.
     pub board: Board<W>,
     resets: Vec<Reset>,
     /// Ticks in which the core did not sleep.
@@ -124,7 +118,6 @@ impl<W: World> Machine<W> {
         self.board.halt_timers(0);
     }
 
-    /// Pulls the reset pin for an instant.
     pub fn pull_reset_pin(&mut self) {
         if self.powered && !self.browned_out {
             self.reset(ResetCause::Pin);
@@ -246,7 +239,6 @@ mod tests {
     use crate::memory::{BANK_BYTES, PAGE_BYTES};
     use crate::peripherals::TICKS_PER_SECOND;
 
-    /// `b .`
     const SPIN: &[u16] = &[0xE7FE];
     struct Nothing;
 

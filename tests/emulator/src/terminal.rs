@@ -29,9 +29,6 @@ pub struct Terminal {
 
 impl Terminal {
     /// Makes one, which nobody has open yet.
-    ///
-    /// # Errors
-    /// If there are no more pseudo-terminals.
     pub fn open() -> Result<Self, TerminalError> {
         let at = |action| move |source| TerminalError { action, source };
         let OpenptyResult { master, slave } = openpty(None, None).map_err(at("openpty"))?;
@@ -52,9 +49,6 @@ impl Terminal {
     }
 
     /// Whether some program has it open.
-    ///
-    /// # Errors
-    /// If the operating system cannot tell.
     pub fn is_open(&self) -> Result<bool, TerminalError> {
         let mut polled = [PollFd::new(self.master.as_fd(), PollFlags::empty())];
         poll(&mut polled, PollTimeout::ZERO).map_err(|source| TerminalError { action: "poll", source })?;
@@ -62,9 +56,6 @@ impl Terminal {
     }
 
     /// Reads what has been written by the other side, as much as `buffer` takes; nothing is nothing.
-    ///
-    /// # Errors
-    /// If reading fails.
     pub fn read<'a>(&self, buffer: &'a mut [u8]) -> Result<&'a [u8], TerminalError> {
         match unistd::read(&self.master, buffer) {
             Ok(len) => Ok(&buffer[..len]),
@@ -76,9 +67,6 @@ impl Terminal {
 
     /// Writes for the other side; returns how many bytes it took, which may be none while nobody
     /// reads there.
-    ///
-    /// # Errors
-    /// If writing fails.
     pub fn write(&self, bytes: &[u8]) -> Result<usize, TerminalError> {
         match unistd::write(&self.master, bytes) {
             Ok(len) => Ok(len),

@@ -66,7 +66,6 @@ impl<W: World> Board<W> {
         Ok(lane & (u32::MAX >> (32 - 8 * width)))
     }
 
-    /// Writes `width` bytes.
     #[inline]
     pub fn access_write(&mut self, address: u32, width: u32, value: u32) -> Result<(), BusFault> {
         let in_ram = address.wrapping_sub(RAM_BASE);

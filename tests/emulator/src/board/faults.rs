@@ -29,7 +29,6 @@ enum Block {
     Sound,
 }
 
-/// What faults have under way.
 #[derive(Debug)]
 pub(super) struct UnderWay {
     /// Fault dma-latency: transfers of DMA1 and DMA2.

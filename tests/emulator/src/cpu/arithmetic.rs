@@ -79,7 +79,6 @@ pub(super) fn half(x: u32, top: bool) -> i64 {
     i64::from(if top { (x >> 16) as i16 } else { x as i16 })
 }
 
-/// Adds or subtracts lanes of `bits` bits with saturation.
 pub(super) fn saturating_lanes(signed: bool, subtract: bool, bits: u8, x: u32, y: u32) -> u32 {
     let unused = 32 - u32::from(bits);
     (0..32 / u32::from(bits)).fold(0, |result, lane| {

@@ -186,7 +186,6 @@ impl Accelerator {
         std::mem::replace(slot, line) != line
     }
 
-    /// Whether data at `address` has to be waited for.
     pub fn misses_data(&mut self, address: u32) -> bool {
         let line = address >> 5;
         if !is_flash(line) {

@@ -215,7 +215,6 @@ fn conditional_branch(h: u32) -> Instruction {
 
 // Fields that instructions of several groups have.
 
-/// Bit `n` of `word`.
 pub(super) fn bit(word: u32, n: u32) -> bool {
     word >> n & 1 != 0
 }
@@ -273,7 +272,6 @@ pub(super) fn set_flags(w: u32) -> SetFlags {
     if bit(w, 20) { SetFlags::Yes } else { SetFlags::No }
 }
 
-/// Decodes an instruction of the coprocessor space.
 pub(super) fn decode_coprocessor(w: u32) -> Instruction {
     if !matches!(w >> 8 & 15, 10 | 11) {
         return Instruction::NoCoprocessor;

@@ -12,11 +12,6 @@ const BASIC_FRAME: u32 = 0x20;
 /// The basic frame, S0–S15, FPSCR and a reserved word.
 const FLOAT_FRAME_BYTES: u32 = 0x68;
 
-/// HFSR bits.
-const VECTTBL: u32 = 1 << 1;
-const FORCED: u32 = 1 << 30;
-const DEBUGEVT: u32 = 1 << 31;
-
 impl Cpu {
     /// What may have to happen before the next instruction: reset, lockup, an exception, sleep. `None`: execute.
     #[cold]
@@ -59,7 +54,6 @@ impl Cpu {
         }
     }
 
-    /// Urgency of what is being executed.
     pub(super) fn execution_priority(&self) -> i16 {
         self.nvic.execution_priority(&self.registers)
     }
@@ -74,7 +68,6 @@ impl Cpu {
             // (DDI0403, B1.5.11, DerivedLateArrival).
             Err(fault) => {
                 self.report(fault, return_address);
-                self.system.hfsr |= FORCED;
                 self.take_exception(bus, HARD_FAULT)
             }
         }
@@ -134,7 +127,6 @@ impl Cpu {
             Err(_) if exception <= HARD_FAULT => self.lock_up(Fault::VectorTable { address }, self.pc),
             Err(_) => {
                 self.report(Fault::VectorTable { address }, self.pc);
-                self.system.hfsr |= VECTTBL;
                 self.take_exception(bus, HARD_FAULT)
             }
         }
@@ -181,12 +173,11 @@ impl Cpu {
             self.nvic.deactivate(returning);
         }
         self.report(fault, self.pc);
-        match self.fault_handler(fault) {
-            Some(handler) => {
-                self.registers.r[14] = value;
-                self.take_exception(bus, handler)
-            }
-            None => self.lock_up(fault, self.pc),
+        if self.can_escalate() {
+            self.registers.r[14] = value;
+            self.take_exception(bus, HARD_FAULT)
+        } else {
+            self.lock_up(fault, self.pc)
         }
     }
 
@@ -236,34 +227,20 @@ impl Cpu {
         }
     }
 
-    /// Takes a fault of the instruction at `address`.
     #[cold]
     pub(super) fn take_fault<B: Bus>(&mut self, bus: &mut B, fault: Fault, address: u32) -> Step {
         self.report(fault, address);
-        match self.fault_handler(fault) {
-            Some(handler) => self.enter_exception(bus, handler, address),
-            None => self.lock_up(fault, address),
-        }
+        if self.can_escalate() { self.enter_exception(bus, HARD_FAULT, address) } else { self.lock_up(fault, address) }
     }
 
-    /// The exception that handles `fault`: its own, or HardFault by escalation; `None` leaves lockup.
-    fn fault_handler(&mut self, fault: Fault) -> Option<u8> {
-        let (exception, _) = fault.class();
-        let priority = self.execution_priority();
-        if exception != HARD_FAULT && self.nvic.is_enabled(exception) && self.nvic.urgency(exception) < priority {
-            return Some(exception);
-        }
-        self.system.hfsr |= match fault {
-            Fault::Breakpoint => DEBUGEVT,
-            Fault::VectorTable { .. } => VECTTBL,
-            _ => FORCED,
-        };
-        (priority > -1).then_some(HARD_FAULT)
+    /// Whether a fault becomes HardFault: no fault has a handler of its own. Otherwise the core locks up.
+    fn can_escalate(&self) -> bool {
+        self.execution_priority() > -1
     }
 
-    /// Writes the fault status registers and keeps a report.
+    /// Writes the fault status register and keeps a report.
     fn report(&mut self, fault: Fault, pc: u32) -> FaultReport {
-        self.system.record_fault(fault);
+        self.system.cfsr |= fault.status();
         let report = FaultReport {
             fault,
             pc,
@@ -271,7 +248,6 @@ impl Cpu {
             sp: self.registers.sp(),
             xpsr: self.registers.xpsr(),
             cfsr: self.system.cfsr,
-            hfsr: self.system.hfsr,
         };
         self.last_fault = Some(report);
         report

@@ -12,7 +12,6 @@ use super::{Bus, Cpu, Fault, Trap};
 
 /// FPSCR: alternative half precision, default NaN, flush to zero, rounding mode.
 const MODES: u32 = 1 << 26 | 1 << 25 | 1 << 24 | 3 << 22;
-/// Bits that exist.
 const FPSCR_BITS: u32 = 0xf7c0_009f;
 const SIGN: u32 = 0x8000_0000;
 const QUIET: u32 = 0x0040_0000;
@@ -39,9 +38,6 @@ impl FloatUnit {
     }
 
     /// Takes a new FPSCR.
-    ///
-    /// # Errors
-    /// If it switches on a mode that is not modelled.
     pub fn set_fpscr(&mut self, fpscr: u32) -> Result<(), Fault> {
         if fpscr & MODES != 0 {
             return Err(Fault::FloatMode { fpscr });

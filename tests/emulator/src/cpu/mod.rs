@@ -34,7 +34,6 @@ pub use nvic::{Fault, FaultReport};
 use registers::Registers;
 use system::System;
 
-/// Width of an access.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Size {
     /// 8 bits.
@@ -46,7 +45,6 @@ pub enum Size {
 }
 
 impl Size {
-    /// Width in bytes.
     pub fn bytes(self) -> u32 {
         match self {
             Self::Byte => 1,
@@ -64,9 +62,7 @@ pub struct BusFault;
 pub trait Bus {
     /// The halfword of code at `address`.
     fn fetch(&mut self, address: u32) -> Result<u16, BusFault>;
-    /// A data read.
     fn read(&mut self, address: u32, size: Size) -> Result<u32, BusFault>;
-    /// A data write.
     fn write(&mut self, address: u32, size: Size, value: u32) -> Result<(), BusFault>;
     /// Extra cycles of one access to `address`: of flash when its line is in no cache, of peripherals always.
     fn wait_states(&self, address: u32) -> u32 {
@@ -75,14 +71,10 @@ pub trait Bus {
     }
 }
 
-/// Outcome of [`Cpu::step`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
     /// One instruction was executed or one exception entered.
-    Ran {
-        /// Core cycles it took.
-        cycles: u32,
-    },
+    Ran { cycles: u32 },
     /// WFE or WFI waits and nothing wakes the core.
     Asleep,
     /// AIRCR.SYSRESETREQ was written; the core stands still until [`Cpu::reset`].
@@ -118,7 +110,6 @@ impl From<Fault> for Trap {
     }
 }
 
-/// What the core waits for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Waiting {
     No,
@@ -365,7 +356,6 @@ impl Cpu {
         }
     }
 
-    /// Ends a step.
     #[inline(always)]
     fn ran(&mut self) -> Step {
         self.executed += u64::from(self.cycles);

@@ -61,10 +61,6 @@ impl Nvic {
         self.active >> exception & 1 != 0
     }
 
-    pub fn is_enabled(&self, exception: u8) -> bool {
-        self.enabled >> exception & 1 != 0
-    }
-
     pub fn activate(&mut self, exception: u8) {
         self.pending &= !(1 << exception);
         self.active |= 1 << exception;
@@ -124,7 +120,6 @@ fn numbers(mut bits: u128) -> impl Iterator<Item = u8> {
 
 /// Reason of a fault (DDI0403, B1.5.6).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs)] // The messages say it.
 pub enum Fault {
     #[error("bus fault: data access to {address:#010x}")]
     DataBus { address: u32 },
@@ -162,10 +157,7 @@ pub enum Fault {
 
 /// The state of the core when a fault was taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "{fault} at pc {pc:#010x} (lr {lr:#010x}, sp {sp:#010x}, xpsr {xpsr:#010x}, CFSR {cfsr:#010x}, HFSR {hfsr:#010x})"
-)]
-#[allow(missing_docs)] // The registers of these names.
+#[error("{fault} at pc {pc:#010x} (lr {lr:#010x}, sp {sp:#010x}, xpsr {xpsr:#010x}, CFSR {cfsr:#010x})")]
 pub struct FaultReport {
     pub fault: Fault,
     pub pc: u32,
@@ -173,26 +165,25 @@ pub struct FaultReport {
     pub sp: u32,
     pub xpsr: u32,
     pub cfsr: u32,
-    pub hfsr: u32,
 }
 
 impl Fault {
-    /// Number of the exception that handles it when enabled, and its bit in CFSR.
-    pub(super) fn class(self) -> (u8, u32) {
+    /// Its bit in CFSR.
+    pub(super) fn status(self) -> u32 {
         match self {
-            Self::FetchNeverExecute { .. } => (4, 1 << 0),
-            Self::Guarded { .. } => (4, 1 << 1),
-            Self::StackingGuarded { .. } => (4, 1 << 4),
-            Self::FetchBus { .. } => (5, 1 << 8),
-            Self::DataBus { .. } => (5, 1 << 9),
-            Self::Unstacking { .. } => (5, 1 << 11),
-            Self::Stacking { .. } => (5, 1 << 12),
-            Self::Undefined { .. } | Self::FloatMode { .. } => (6, 1 << 16),
-            Self::InvalidState => (6, 1 << 17),
-            Self::InvalidReturn { .. } => (6, 1 << 18),
-            Self::NoCoprocessor => (6, 1 << 19),
-            Self::Unaligned { .. } => (6, 1 << 24),
-            Self::VectorTable { .. } | Self::Breakpoint | Self::SupervisorCall => (3, 0),
+            Self::FetchNeverExecute { .. } => 1 << 0,
+            Self::Guarded { .. } => 1 << 1,
+            Self::StackingGuarded { .. } => 1 << 4,
+            Self::FetchBus { .. } => 1 << 8,
+            Self::DataBus { .. } => 1 << 9,
+            Self::Unstacking { .. } => 1 << 11,
+            Self::Stacking { .. } => 1 << 12,
+            Self::Undefined { .. } | Self::FloatMode { .. } => 1 << 16,
+            Self::InvalidState => 1 << 17,
+            Self::InvalidReturn { .. } => 1 << 18,
+            Self::NoCoprocessor => 1 << 19,
+            Self::Unaligned { .. } => 1 << 24,
+            Self::VectorTable { .. } | Self::Breakpoint | Self::SupervisorCall => 0,
         }
     }
 }

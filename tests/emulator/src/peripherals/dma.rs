@@ -33,10 +33,8 @@ pub type Width = u32;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Transfer {
-    /// Where it is read.
     pub source: u32,
     pub source_width: Width,
-    /// Where it is written.
     pub destination: u32,
     /// How wide it is written: the value is cut or extended with zeros.
     pub destination_width: Width,
@@ -205,7 +203,6 @@ impl Dma {
         best.map(|(index, channel)| (index, channel.listens_to()))
     }
 
-    /// Whether `channel` is still enabled.
     pub fn is_enabled(&self, channel: usize) -> bool {
         self.channels[channel].enabled()
     }
@@ -333,7 +330,6 @@ fn channel_register(offset: u32) -> Option<(usize, u32)> {
 mod tests {
     use super::*;
     use crate::facts;
-    use crate::peripherals::request;
 
     const CH3: u32 = FIRST_CHANNEL + 2 * CHANNEL_SPAN;
 
@@ -346,18 +342,6 @@ mod tests {
         dma.write(0, CH3 + CMAR, 0x2000_0000, &mut effects);
         dma.write(0, CH3 + CCR, 1 << 8 | 1 << 10 | MINC | EN | flags, &mut effects);
         (dma, effects)
-    }
-
-    #[test]
-    fn priority_then_number_decides() {
-        let (mut dma, mut effects) = ring(CIRC);
-        dma.write_multiplexer(0, 36, &mut effects);
-        dma.write(0, FIRST_CHANNEL + CNDTR, 1, &mut effects);
-        dma.write(0, FIRST_CHANNEL + CCR, EN, &mut effects);
-        assert_eq!(dma.select(1 << 5 | 1 << 36, 0..CHANNELS), Some((0, request::ADC2)));
-        dma.write(0, CH3 + CCR, 0, &mut effects);
-        dma.write(0, CH3 + CCR, EN | 2 << 12, &mut effects);
-        assert_eq!(dma.select(1 << 5 | 1 << 36, 0..CHANNELS), Some((2, request::ADC1)));
     }
 
     #[test]

@@ -354,16 +354,6 @@ mod tests {
     }
 
     #[test]
-    fn a_busy_bank_stalls_and_then_gives_the_new_content() {
-        let (mut flash, mut effects) = unlocked();
-        program(&mut flash, &mut effects, [5, 6]);
-        assert_eq!(flash.load(0, 4, &mut effects), Some(u32::MAX));
-        assert_eq!(effects.stalled_until, 0);
-        assert_eq!(flash.load(OFFSET, 4, &mut effects), Some(5));
-        assert_eq!(effects.stalled_until, PROGRAM_TICKS);
-    }
-
-    #[test]
     fn erasing_the_running_bank_stalls_the_core() {
         let (mut flash, mut effects) = unlocked();
         effects.pc = FLASH_BASE + 0x100;

@@ -41,7 +41,6 @@ pub struct Gate {
 }
 
 impl Gate {
-    /// Whether it has a bit of `other`.
     pub fn meets(self, other: Self) -> bool {
         self.register == other.register && self.bit & other.bit != 0
     }
@@ -51,7 +50,6 @@ impl Gate {
 pub struct Rcc {
     /// Registers without their ready bits.
     words: [u32; WORDS],
-    /// When the crystal was switched on.
     crystal_since: Ticks,
     /// When the PLL became the system clock.
     switched_at: Ticks,
@@ -141,7 +139,6 @@ impl Rcc {
         None
     }
 
-    /// Whether the clock behind `gate` is on.
     #[inline]
     pub fn is_on(&self, gate: Gate) -> bool {
         self.words[(gate.register / 4) as usize] & gate.bit != 0
@@ -161,7 +158,6 @@ impl Rcc {
         self.runs_from_pll() && self.get(CFGR) & HPRE == 0
     }
 
-    /// Whether the crystal oscillates.
     fn has_crystal(&self, effects: &Effects) -> bool {
         let is_dead = effects.faults.has(Fault::HseDead);
         self.get(CR) & HSEON != 0 && !is_dead && effects.now >= self.crystal_since + CRYSTAL_TICKS
@@ -172,7 +168,6 @@ impl Rcc {
         self.get(CFGR) & SW == SW_PLL
     }
 
-    /// Whether the backup domain is held in reset.
     pub fn holds_backup_domain(&self) -> bool {
         self.get(BDCR) & BDRST != 0
     }

@@ -1,15 +1,15 @@
 //! The serial ports LPUART1 and USART1, and the lines to their other ends (RM0440, "Low-power universal
 //! asynchronous receiver transmitter", "Universal synchronous/asynchronous receiver transmitter").
 //!
-//! Eight data bits without parity, no flow control, oversampling by 16; the kernel clock runs at the
+//! Eight data bits without parity, one stop bit, no flow control, oversampling by 16, no prescaler; the kernel clock runs at the
 //! core's 170 MHz, as PCLK and SYSCLK do. The other end talks at the rate that BRR sets. FIFOs, when
 //! they are on, are one byte deep here: a program that moves bytes by DMA cannot tell.
 
 use crate::st::USART::{
     BRR, CR1, CR1_FIFOEN, CR1_IDLEIE, CR1_RE, CR1_RXNEIE_RXFNEIE as CR1_RXNEIE, CR1_TCIE, CR1_TE,
-    CR1_TXEIE_TXFNFIE as CR1_TXEIE, CR1_UE, CR2, CR2_STOP, CR2_STOP_1 as CR2_TWO_STOP_BITS, CR3, CR3_DMAR, CR3_DMAT,
-    CR3_EIE, CR3_OVRDIS, ICR, ISR, ISR_BUSY, ISR_IDLE, ISR_ORE, ISR_REACK, ISR_RXNE_RXFNE as ISR_RXNE, ISR_TC,
-    ISR_TEACK, ISR_TXE_TXFNF as ISR_TXE, PRESC, RDR, RQR, RQR_RXFRQ, TDR,
+    CR1_TXEIE_TXFNFIE as CR1_TXEIE, CR1_UE, CR2, CR3, CR3_DMAR, CR3_DMAT, CR3_EIE, CR3_OVRDIS, ICR, ISR, ISR_BUSY,
+    ISR_IDLE, ISR_ORE, ISR_REACK, ISR_RXNE_RXFNE as ISR_RXNE, ISR_TC, ISR_TEACK, ISR_TXE_TXFNF as ISR_TXE, PRESC, RDR,
+    RQR, RQR_RXFRQ, TDR,
 };
 use crate::st::{LPUART, USART};
 use std::collections::VecDeque;
@@ -19,18 +19,14 @@ use super::{Effects, Ticks, interrupt, request};
 
 const CR1_MODELLED: u32 = CR1_UE | CR1_RE | CR1_TE | CR1_IDLEIE | CR1_RXNEIE | CR1_TCIE | CR1_TXEIE | CR1_FIFOEN;
 const CR3_MODELLED: u32 = CR3_EIE | CR3_DMAR | CR3_DMAT | CR3_OVRDIS;
-/// What PRESC divides the kernel clock by.
-const PRESCALERS: [u64; 12] = [1, 2, 4, 6, 8, 10, 12, 16, 32, 64, 128, 256];
 
-/// A start bit and eight data bits.
-const START_AND_DATA_BITS: u64 = 9;
+/// A start bit, eight data bits and a stop bit.
+const FRAME_BITS: u64 = 10;
 
-/// A byte that has left the port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SentByte {
     /// The end of its last stop bit.
     pub at: Ticks,
-    /// The byte.
     pub byte: u8,
 }
 
@@ -39,7 +35,6 @@ pub struct SentByte {
 struct Kind {
     /// Parts of a period of the divided clock in a unit of BRR.
     divider_parts: u64,
-    least_divider: u32,
     divider_mask: u32,
     interrupt: u8,
     receive: u8,
@@ -49,7 +44,6 @@ struct Kind {
 /// A bit is BRR/256 periods (RM0440, "LPUART baud rate generation").
 const LPUART1: Kind = Kind {
     divider_parts: LPUART::BRR_factor as u64,
-    least_divider: LPUART::BRR_least,
     divider_mask: USART::BRR_LPUART,
     interrupt: interrupt::LPUART1,
     receive: request::LPUART1_RX,
@@ -59,7 +53,6 @@ const LPUART1: Kind = Kind {
 /// A bit is BRR periods (RM0440, "USART baud rate generation").
 const USART1: Kind = Kind {
     divider_parts: USART::BRR_factor as u64,
-    least_divider: USART::BRR_least,
     divider_mask: USART::BRR_BRR,
     interrupt: interrupt::USART1,
     receive: request::USART1_RX,
@@ -68,12 +61,12 @@ const USART1: Kind = Kind {
 
 const REGISTERS: &[Register] = &[
     (CR1, 0, CR1_MODELLED),
-    (CR2, 0, CR2_STOP),
+    (CR2, 0, 0),
     (CR3, 0, CR3_MODELLED),
     (BRR, 0, ALL),
     (RQR, 0, 0),
     (ICR, 0, 0),
-    (PRESC, 0, 0xf),
+    (PRESC, 0, 0),
 ];
 
 #[derive(Debug)]
@@ -174,16 +167,12 @@ impl Uart {
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
         match offset {
             CR1 => self.write_cr1(value, effects),
-            CR2 => {
-                effects.unmodelled_bits(value & !CR2_STOP);
-                self.bank.write(CR2, value, effects);
-            }
             CR3 => {
                 effects.unmodelled_bits(value & !CR3_MODELLED);
                 self.bank.write(CR3, value, effects);
             }
             BRR => self.bank[BRR] = value & self.kind.divider_mask,
-            PRESC => self.bank.write(PRESC, value, effects),
+            CR2 | PRESC => effects.unmodelled_bits(value),
             RQR => {
                 if value & RQR_RXFRQ != 0 {
                     self.received = None;
@@ -240,9 +229,6 @@ impl Uart {
         effects.unmodelled_bits(value & !CR1_MODELLED);
         let (sent, received) = (self.sends(), self.receives());
         self.bank.write(CR1, value, effects);
-        if value & CR1_UE != 0 && self.bank[BRR] < self.kind.least_divider {
-            effects.violation(self.bank[BRR], "UART: enabled with a divider below the least");
-        }
         if value & CR1_UE == 0 {
             self.flags = ISR_TC;
             self.to_send = None;
@@ -269,10 +255,7 @@ impl Uart {
 
     /// Time of a byte with its start and stop bits.
     fn frame_ticks(&self) -> Ticks {
-        let stop_bits = if self.bank[CR2] == CR2_TWO_STOP_BITS { 2 } else { 1 };
-        let prescaler = PRESCALERS.get(self.bank[PRESC] as usize).copied().unwrap_or(256);
-        let bits = START_AND_DATA_BITS + stop_bits;
-        (bits * u64::from(self.bank[BRR]) * prescaler).div_ceil(self.kind.divider_parts)
+        (FRAME_BITS * u64::from(self.bank[BRR])).div_ceil(self.kind.divider_parts)
     }
 
     fn start_sending(&mut self, now: Ticks) {

@@ -38,7 +38,6 @@ impl Watchdog {
         }
     }
 
-    /// Tick at which the watchdog bites.
     pub fn next_event(&self) -> Ticks {
         self.refreshed.map_or(Ticks::MAX, |at| at + (u64::from(self.bank[RLR]) + 1) * self.count_ticks())
     }

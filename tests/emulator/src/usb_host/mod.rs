@@ -74,18 +74,11 @@ pub struct UsbHost {
 enum Port {
     Open,
     Watching,
-    Debouncing {
-        until: Ticks,
-    },
-    Resetting {
-        until: Ticks,
-    },
-    /// Frames are sent.
+    Debouncing { until: Ticks },
+    Resetting { until: Ticks },
     Active,
     Suspended,
-    Resuming {
-        until: Ticks,
-    },
+    Resuming { until: Ticks },
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -222,12 +215,10 @@ impl UsbHost {
         &self.complaints
     }
 
-    /// When [`Self::advance`] is to be called.
     pub fn next_event(&self) -> Ticks {
         self.due
     }
 
-    /// Does what is due at `now`.
     pub fn advance(&mut self, now: Ticks, device: &mut UsbPort<'_>) {
         if now < self.due {
             return;

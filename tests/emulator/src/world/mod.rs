@@ -58,7 +58,6 @@ pub enum NoiseSource {
 
 /// Why a scene cannot be put around the board.
 #[derive(Debug, Error)]
-#[allow(missing_docs)] // The messages say it.
 pub enum WorldError {
     #[error("scene `{scene}` has no [front_end]; add one, or use the shipped scene `wide`")]
     NoFrontEnd { scene: String },
@@ -94,9 +93,6 @@ struct Noise {
 
 impl OpticsWorld {
     /// The head of `file` with `faults` in the dark at tick 0, its tool on `trajectory`, optics of `tier`.
-    ///
-    /// # Errors
-    /// If the board cannot be connected to such a head.
     pub fn new(
         file: &SceneFile,
         trajectory: Trajectory,
@@ -157,7 +153,6 @@ impl OpticsWorld {
         }
     }
 
-    /// Gates and level codes as they reach the drivers.
     fn driven(&self, mut gates: u8, mut level_codes: [u16; 2]) -> (u8, [u16; 2]) {
         if self.faults.has(Fault::StuckLevel) {
             level_codes[faults::LEVEL_LINE] = NOMINAL_LEVEL_CODE;
@@ -252,7 +247,6 @@ impl Noise {
     }
 }
 
-/// `index`, with the two of `pair` exchanged.
 fn exchanged(pair: [usize; 2], index: usize) -> usize {
     match pair {
         [first, second] if index == first => second,

@@ -34,7 +34,7 @@ impl Disturbance {
         let board = &mut talk.rig.machine().board;
         match self {
             Self::SwallowedRequest(converter) => board.adc12.adc_mut(converter).swallow_request(),
-            Self::Overrun(converter) => board.force_adc_overrun(converter),
+            Self::Overrun(converter) => board.adc12.adc_mut(converter).force_overrun(),
             Self::Transfer(request) => {
                 let channel = channel_of(board, request);
                 board.dma.fail_next(channel);

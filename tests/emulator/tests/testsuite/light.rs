@@ -290,7 +290,6 @@ fn hang<W: World>(rig: &mut Rig<W>) {
     jump(rig, address);
 }
 
-/// Sends the core to `address`.
 fn jump<W: World>(rig: &mut Rig<W>, address: u32) {
     let cpu = &mut rig.machine().cpu;
     let mut state = cpu.state();

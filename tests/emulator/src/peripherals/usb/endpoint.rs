@@ -215,7 +215,6 @@ impl UsbPort<'_> {
         self.usb.update_interrupt(self.effects);
     }
 
-    /// An IN token.
     pub fn token_in(&mut self, address: u8, endpoint: u8) -> Answer {
         self.usb.token_in(address, endpoint)
     }

@@ -68,7 +68,6 @@ pub enum Said {
 pub struct Gap {
     /// The last scan before it.
     pub after: u64,
-    /// Scans that are missing.
     pub missing: u64,
     /// From the start of the frame before it to that of the one behind it.
     pub ticks: u64,
@@ -237,7 +236,6 @@ impl Listener {
         assert!(unaccounted <= most, "{unaccounted} scans unaccounted for, {} received: {status:?}", self.received);
     }
 
-    /// The replies to command `number`.
     pub fn replies(&self, number: u16) -> Vec<Result<(), Rejection>> {
         let reply = |said: &(Ticks, Said)| match said.1 {
             Said::Reply(reply) if reply.number == number => Some(reply.outcome),
@@ -254,7 +252,6 @@ impl Listener {
         self.said.iter().filter(|(_, said)| matches!(said, Said::Hello(_))).count()
     }
 
-    /// Texts of the events of this session.
     pub fn events(&self) -> Vec<&str> {
         self.all_events().into_iter().filter(|text| !is_of_silicon(text)).collect()
     }
@@ -272,7 +269,6 @@ impl Listener {
     }
 }
 
-/// A board and who talks to it.
 #[derive(Debug)]
 pub struct Talk<W = OpticsWorld> {
     pub rig: Rig<W>,
@@ -444,7 +440,7 @@ impl<W: World> Talk<W> {
 }
 
 /// A tool at rest where every electrode has another current.
-fn at_rest() -> Trajectory {
+pub fn at_rest() -> Trajectory {
     let path = std::env::temp_dir().join(format!("at-rest-{}.csv", std::process::id()));
     std::fs::write(&path, AT_REST).expect("there is room for a line");
     let trajectory = Trajectory::from_table(path.to_str().expect("a path of letters"));
