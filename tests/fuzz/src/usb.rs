@@ -47,9 +47,6 @@ impl World for Dark {
 /// silence. The core never stops, no emitter is lit by it, and a host of good will finds the board afterwards and hears its
 /// hello. The board may restart: embassy-stm32's driver loops without end on a SETUP that has not eight bytes, which the
 /// watchdog ends, and panics at a request for an endpoint beyond the seventh.
-///
-/// # Panics
-/// Also without an image.
 pub(crate) fn hostile_host(script: &[u8]) {
     static IMAGE: LazyLock<Image> = LazyLock::new(|| open_image(None).unwrap_or_else(|error| panic!("{error}")));
     static STEPS: AtomicU64 = AtomicU64::new(0);
@@ -64,7 +61,6 @@ pub(crate) fn hostile_host(script: &[u8]) {
     host.leave();
 }
 
-/// The hostile host and its victim.
 struct Hostile {
     rig: Rig<Dark>,
     /// What the device was told and has acknowledged.
