@@ -58,9 +58,7 @@ enum Sight {
     Lit(usize),
     /// Both electrodes of one cell scatter by 5 % of their current.
     NoisyCell,
-    /// The electrodes of one cell are exchanged.
     SwappedElectrodes,
-    /// Two cells are exchanged.
     SwappedCells,
     /// One electrode measures the same whatever the light.
     StuckElectrode,
@@ -101,7 +99,6 @@ struct Case {
     sight: Sight,
     /// What the solver assumes.
     tier: Tier,
-    /// What the light does.
     light: Tier,
     /// Along a smooth path, or at rest at a random pose at which all cells are lit.
     moves: bool,
@@ -109,10 +106,8 @@ struct Case {
     healthy: usize,
 }
 
-/// What one scan came to.
 #[derive(Clone, Copy, Debug)]
 struct Scan {
-    /// Evaluations of all cells.
     evaluations: usize,
     outcome: Outcome,
     verified: Verified,
@@ -234,7 +229,6 @@ impl<'a> Rig<'a> {
     }
 }
 
-/// What a case came to.
 struct Report {
     case: Case,
     runs: Vec<Vec<Scan>>,

@@ -142,7 +142,6 @@ impl fmt::Display for Table {
     }
 }
 
-/// Mebibytes.
 fn mib(bytes: u64) -> f64 {
     bytes as f64 / f64::from(1 << 20)
 }

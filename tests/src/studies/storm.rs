@@ -35,10 +35,8 @@ const FAULTS: [&str; 12] = [
     "reset:every=83s,from=40s",
 ];
 
-/// Looks at the daemon.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 
-/// A daemon that has not recovered by then does not.
 const RECOVERS_WITHIN: Duration = Duration::from_secs(60);
 
 /// No daemon is killed before so many flushes of its capture, which then must hold data on a slow machine, too.
@@ -54,7 +52,6 @@ const BLOWS: [Blow; 5] = [Blow::Suspended, Blow::Killed, Blow::DiskFull, Blow::C
 enum Blow {
     /// It is stopped for some time, as when a machine sleeps.
     Suspended,
-    /// It is killed, and started again.
     Killed,
     /// The capture may not grow any more.
     DiskFull,
@@ -92,21 +89,18 @@ pub struct Conditions {
     most_mib: u32,
 }
 
-/// A look at the daemon.
 struct Sample {
     /// The how manieth daemon.
     life: usize,
     usage: Usage,
 }
 
-/// A blow, and what came of it.
 struct Struck {
     blow: Blow,
     /// From its end until all boards sent poses again, seconds; `None` if they did not.
     recovered_s: Option<f64>,
 }
 
-/// A capture of one daemon.
 struct Captured {
     scans: Vec<Scans>,
     code: i32,

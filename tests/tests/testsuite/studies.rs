@@ -28,7 +28,6 @@ kept! {
         "monte_carlo --seed 20180719 --only cold --count 600";
     errors_are_those_of_the_bound: "monte_carlo --seed 20180719 --only efficiency --count 1200";
     other_openings_give_poses_as_slits_do: "monte_carlo --seed 20180719 --only openings";
-    a_moving_tool_is_no_worse_than_its_covariance: "monte_carlo --seed 20180719 --only moving --runs 6 --count 250";
     outliers_do_not_pass_for_poses: "monte_carlo --seed 20180719 --only outliers --count 1000";
     too_few_cells_are_not_made_up_for: "monte_carlo --seed 20180719 --only subsets --count 300";
     no_scan_costs_more_than_its_budget: "lit_cells --runs 2 --scans 250 --seed 20180720";
