@@ -184,7 +184,6 @@ fn miscellaneous(h: u32) -> Instruction {
             decrement: false,
             writeback: true,
         },
-        op if op & 0b111100 == 0b111000 => Instruction::Breakpoint,
         op if op & 0b111100 == 0b111100 => if_then_or_hint(h),
         _ => Instruction::Undefined,
     }
@@ -207,8 +206,8 @@ fn multiple(h: u32, is_load: bool) -> Instruction {
 
 fn conditional_branch(h: u32) -> Instruction {
     match h >> 8 & 15 {
-        14 => Instruction::Undefined,
-        15 => Instruction::SupervisorCall,
+        // UDF, and SVC, which no image has.
+        14 | 15 => Instruction::Undefined,
         condition => Instruction::BranchIf { condition: condition as u8, offset: sign_extend(h << 1, 9) },
     }
 }
@@ -236,11 +235,11 @@ pub(super) fn immediate_shift(kind: u32, amount: u32) -> Shift {
     }
 }
 
-/// The hints of both widths by number.
+/// The hints of both widths by number. WFI is not modelled: no image sleeps by it.
 pub(super) fn hint(number: u32) -> Instruction {
     match number {
         2 => Instruction::Wfe,
-        3 => Instruction::Wfi,
+        3 => Instruction::Undefined,
         4 => Instruction::Sev,
         _ => Instruction::Nop,
     }

@@ -4,8 +4,8 @@
 //! as a derived exception, and late arrival is not modelled.
 
 use super::code::{ENTRY, FLOAT_FRAME, NOTHING_IN_FLIGHT, RETURN, TAIL_CHAIN};
-use super::nvic::{HARD_FAULT, SV_CALL};
-use super::{Bus, Cpu, Fault, FaultReport, Size, Step, Waiting};
+use super::nvic::HARD_FAULT;
+use super::{Bus, Cpu, Fault, FaultReport, Size, Step};
 
 /// R0–R3, R12, LR, return address, xPSR.
 const BASIC_FRAME: u32 = 0x20;
@@ -24,34 +24,20 @@ impl Cpu {
             return Some(Step::Lockup(report));
         }
         if let Some(exception) = self.nvic.preempting(self.execution_priority()) {
-            self.waiting = Waiting::No;
+            self.is_waiting = false;
             self.cycles = 0;
             return Some(self.enter_exception(bus, exception, self.pc));
         }
-        if self.still_waiting() {
+        if self.is_waiting && !std::mem::take(&mut self.event) {
             return Some(Step::Asleep);
         }
-        self.waiting = Waiting::No;
+        self.is_waiting = false;
         self.attention = false;
         if !self.registers.thumb {
             self.cycles = 0;
             return Some(self.take_fault(bus, Fault::InvalidState, self.pc));
         }
         None
-    }
-
-    /// Whether WFE or WFI goes on waiting. WFI also ends for an interrupt that only PRIMASK holds back.
-    fn still_waiting(&mut self) -> bool {
-        match self.waiting {
-            Waiting::No => false,
-            Waiting::Event => !std::mem::take(&mut self.event),
-            Waiting::Interrupt => {
-                let primask = std::mem::take(&mut self.registers.primask);
-                let wakes = self.nvic.preempting(self.execution_priority()).is_some();
-                self.registers.primask = primask;
-                !wakes
-            }
-        }
     }
 
     pub(super) fn execution_priority(&self) -> i16 {
@@ -216,15 +202,6 @@ impl Cpu {
             self.cycles += FLOAT_FRAME;
         }
         Ok(())
-    }
-
-    /// SVC: its handler, or HardFault where it cannot preempt.
-    pub(super) fn supervisor_call<B: Bus>(&mut self, bus: &mut B, address: u32) -> Step {
-        if self.nvic.urgency(SV_CALL) < self.execution_priority() {
-            self.enter_exception(bus, SV_CALL, self.pc)
-        } else {
-            self.take_fault(bus, Fault::SupervisorCall, address)
-        }
     }
 
     #[cold]

@@ -7,7 +7,7 @@ use super::arithmetic::{
 };
 use super::code::REFILL;
 use super::instruction::{AluOp, ImmediateCarry, Instruction, Reg, SetFlags, ShiftKind, Special};
-use super::{Bus, Cpu, Fault, Size, Trap, Waiting};
+use super::{Bus, Cpu, Fault, Size, Trap};
 
 /// The halfwords of ISB.
 const ISB: [u16; 2] = [0xf3bf, 0x8f6f];
@@ -118,13 +118,10 @@ impl Cpu {
                 if self.event {
                     self.event = false;
                 } else {
-                    self.wait_for(bus, Waiting::Event)?;
+                    self.wait_for_event(bus)?;
                 }
             }
-            Instruction::Wfi => self.wait_for(bus, Waiting::Interrupt)?,
             Instruction::Sev => self.event = true,
-            Instruction::Breakpoint => return Err(Fault::Breakpoint.into()),
-            Instruction::SupervisorCall => return Err(Trap::SupervisorCall),
             Instruction::ChangeMask { disable } => {
                 self.registers.primask = disable;
                 self.attention = true;
@@ -299,14 +296,14 @@ impl Cpu {
         Ok(())
     }
 
-    fn wait_for<B: Bus>(&mut self, bus: &mut B, waiting: Waiting) -> Result<(), Trap> {
+    fn wait_for_event<B: Bus>(&mut self, bus: &mut B) -> Result<(), Trap> {
         if self.fetches_wrong_behind_sleep {
             let [first, second] = [0, 2].map(|offset| bus.fetch(self.pc.wrapping_add(offset)).unwrap_or(0));
             if [first, second] != ISB {
                 return Err(Fault::Undefined { first, second }.into());
             }
         }
-        self.waiting = waiting;
+        self.is_waiting = true;
         self.attention = true;
         Ok(())
     }

@@ -80,10 +80,7 @@ pub enum Instruction {
     /// DSB, DMB, ISB: everything is in order here.
     Barrier,
     Wfe,
-    Wfi,
     Sev,
-    Breakpoint,
-    SupervisorCall,
     /// CPSID i, CPSIE i.
     ChangeMask { disable: bool },
     /// MRS.

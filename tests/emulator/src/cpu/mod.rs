@@ -5,7 +5,7 @@
 //! siblings carry them out; `exceptions` takes interrupts and faults; `system` is the private peripheral bus
 //! 0xE000_0000–0xE00F_FFFF, which the [`Bus`] never sees.
 //!
-//! Not modelled: what the image leaves alone: SysTick, unprivileged code, the process stack, BASEPRI and FAULTMASK, groups of
+//! Not modelled: what the image leaves alone: WFI, SVC, BKPT, PendSV, SysTick, priorities of system handlers, unprivileged code, the process stack, BASEPRI and FAULTMASK, groups of
 //! priorities; instructions that no compiler makes (see `instruction`); the MPU but for data accesses to a region 0 that allows none, debug halting, and the imprecision of bus faults on buffered
 //! writes (they are all precise here). Floating-point registers are stacked at once; their cycles are charged
 //! when the handler first uses the floating-point unit, as lazy stacking would.
@@ -28,7 +28,7 @@ mod tests;
 use code::{Accelerator, Code, Decoded, NOTHING_IN_FLIGHT};
 pub use decode::direct_branch;
 use float::FloatUnit;
-use instruction::{Instruction, Reg};
+use instruction::Reg;
 use nvic::Nvic;
 pub use nvic::{Fault, FaultReport};
 use registers::Registers;
@@ -75,7 +75,7 @@ pub trait Bus {
 pub enum Step {
     /// One instruction was executed or one exception entered.
     Ran { cycles: u32 },
-    /// WFE or WFI waits and nothing wakes the core.
+    /// WFE waits and nothing wakes the core.
     Asleep,
     /// AIRCR.SYSRESETREQ was written; the core stands still until [`Cpu::reset`].
     ResetRequested,
@@ -100,7 +100,6 @@ pub struct State {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Trap {
     Fault(Fault),
-    SupervisorCall,
     ExceptionReturn(u32),
 }
 
@@ -108,13 +107,6 @@ impl From<Fault> for Trap {
     fn from(fault: Fault) -> Self {
         Self::Fault(fault)
     }
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Waiting {
-    No,
-    Event,
-    Interrupt,
 }
 
 /// The core. It starts unreset: call [`Cpu::reset`] first.
@@ -132,7 +124,8 @@ pub struct Cpu {
     lines: [u32; 4],
     /// Something may have to happen before the next instruction: see `attend`.
     attention: bool,
-    waiting: Waiting,
+    /// WFE waits.
+    is_waiting: bool,
     /// See [`Cpu::fetch_wrong_behind_sleep`].
     fetches_wrong_behind_sleep: bool,
     /// The event register of WFE.
@@ -174,7 +167,7 @@ impl Cpu {
             accelerator: Accelerator::new(),
             lines: [0; 4],
             attention: false,
-            waiting: Waiting::No,
+            is_waiting: false,
             fetches_wrong_behind_sleep: false,
             event: false,
             exclusive: false,
@@ -204,7 +197,7 @@ impl Cpu {
         self.system = System::new();
         self.accelerator = Accelerator::new();
         self.attention = true;
-        self.waiting = Waiting::No;
+        self.is_waiting = false;
         self.event = false;
         self.exclusive = false;
         self.in_flight = NOTHING_IN_FLIGHT;
@@ -231,7 +224,7 @@ impl Cpu {
         self.code = Code::new();
     }
 
-    /// Whether a WFE or WFI that sleeps has an undefined instruction behind it, whatever is there but ISB; see
+    /// Whether a WFE that sleeps has an undefined instruction behind it, whatever is there but ISB; see
     /// [`crate::faults::Fault::SleepFetch`].
     pub fn fetch_wrong_behind_sleep(&mut self, wrong: bool) {
         self.fetches_wrong_behind_sleep = wrong;
@@ -338,7 +331,7 @@ impl Cpu {
         let state = self.registers.it;
         // ITAdvance.
         self.registers.it = if state & 7 == 0 { 0 } else { state & 0xe0 | state << 1 & 0x1f };
-        if !self.registers.flags.pass(state >> 4) && instruction != Instruction::Breakpoint {
+        if !self.registers.flags.pass(state >> 4) {
             // One cycle, and the waiting for flash.
             self.cycles = (self.cycles + 1 - u32::from(decoded.timing.cycles)).max(1);
             self.in_flight = NOTHING_IN_FLIGHT;
@@ -367,7 +360,6 @@ impl Cpu {
     fn take_trap<B: Bus>(&mut self, bus: &mut B, trap: Trap, address: u32) -> Step {
         match trap {
             Trap::Fault(fault) => self.take_fault(bus, fault, address),
-            Trap::SupervisorCall => self.supervisor_call(bus, address),
             Trap::ExceptionReturn(value) => self.exception_return(bus, value),
         }
     }

@@ -7,9 +7,6 @@ use super::registers::Registers;
 /// Exception numbers (DDI0403, B1.5.2).
 pub(super) const NMI: u8 = 2;
 pub(super) const HARD_FAULT: u8 = 3;
-pub(super) const SV_CALL: u8 = 11;
-pub(super) const PEND_SV: u8 = 14;
-pub(super) const SYS_TICK: u8 = 15;
 /// Number of interrupt 0.
 pub(super) const FIRST_INTERRUPT: u8 = 16;
 
@@ -28,7 +25,7 @@ pub(super) struct Nvic {
 }
 
 /// Exceptions that cannot be disabled.
-const ALWAYS_ENABLED: u128 = 1 << NMI | 1 << HARD_FAULT | 1 << SV_CALL | 1 << PEND_SV | 1 << SYS_TICK;
+const ALWAYS_ENABLED: u128 = 1 << NMI | 1 << HARD_FAULT;
 
 impl Nvic {
     pub fn new() -> Self {
@@ -98,14 +95,11 @@ impl Nvic {
         priority
     }
 
-    /// The most urgent exception that is pending and enabled; the lowest number among equals.
-    pub fn most_urgent(&self) -> Option<u8> {
-        numbers(self.pending & self.enabled).min_by_key(|&n| self.urgency(n))
-    }
-
-    /// The pending exception that preempts execution at `priority`.
+    /// The most urgent exception that is pending, enabled, and preempts execution at `priority`; the lowest number among
+    /// equals.
     pub fn preempting(&self, priority: i16) -> Option<u8> {
-        self.most_urgent().filter(|&n| self.urgency(n) < priority)
+        let most_urgent = numbers(self.pending & self.enabled).min_by_key(|&n| self.urgency(n));
+        most_urgent.filter(|&n| self.urgency(n) < priority)
     }
 }
 
@@ -149,10 +143,6 @@ pub enum Fault {
     NoCoprocessor,
     #[error("usage fault: unaligned access to {address:#010x}")]
     Unaligned { address: u32 },
-    #[error("breakpoint without a debugger")]
-    Breakpoint,
-    #[error("supervisor call at a priority that forbids it")]
-    SupervisorCall,
 }
 
 /// The state of the core when a fault was taken.
@@ -183,7 +173,7 @@ impl Fault {
             Self::InvalidReturn { .. } => 1 << 18,
             Self::NoCoprocessor => 1 << 19,
             Self::Unaligned { .. } => 1 << 24,
-            Self::VectorTable { .. } | Self::Breakpoint | Self::SupervisorCall => 0,
+            Self::VectorTable { .. } => 0,
         }
     }
 }

@@ -3,7 +3,7 @@
 //! faults, and what changes how exceptions are entered and left or which faults have handlers of their own: SCR, CCR, SHCSR, FPCCR. All is as after reset: unaligned
 //! accesses and divisions by zero are no faults, stacks are aligned to eight bytes, floating-point state is stacked lazily.
 
-use super::nvic::{FIRST_INTERRUPT, NMI, PEND_SV, SYS_TICK};
+use super::nvic::FIRST_INTERRUPT;
 use super::{Cpu, Size};
 use crate::st::DBGMCU;
 
@@ -122,10 +122,10 @@ impl Cpu {
             0xe000_e280..=0xe000_e2fc => self.interrupt_word(self.nvic.pending, address),
             0xe000_e300..=0xe000_e37c => self.interrupt_word(self.nvic.active, address),
             0xe000_e400..=0xe000_e46c => self.priority_word((address - 0xe000_e400) as u8 + FIRST_INTERRUPT),
-            0xe000_ed04 => self.interrupt_control(),
+            // ICSR: VECTACTIVE.
+            0xe000_ed04 => self.registers.ipsr.into(),
             0xe000_ed08 => self.system.vtor,
             0xe000_ed0c => VECTKEYSTAT << 16,
-            0xe000_ed18..=0xe000_ed20 => self.priority_word((address - 0xe000_ed18) as u8 + 4),
             0xe000_ed28 => self.system.cfsr,
             0xe000_ed88 => self.system.cpacr,
             0xe000_ed94 => self.system.mpu.control,
@@ -148,14 +148,11 @@ impl Cpu {
             0xe000_e400..=0xe000_e46c => {
                 self.set_priority_word((address - 0xe000_e400) as u8 + FIRST_INTERRUPT, written);
             }
-            0xe000_ed04 => self.write_interrupt_control(value),
             0xe000_ed08 => self.system.vtor = written.over(self.system.vtor) & 0x3fff_ff80,
             0xe000_ed0c => self.write_reset_control(value),
-            0xe000_ed18..=0xe000_ed20 => self.set_priority_word((address - 0xe000_ed18) as u8 + 4, written),
             0xe000_ed28 => self.system.cfsr &= !value,
             0xe000_ed88 => self.system.cpacr = written.over(self.system.cpacr) & 0x00f0_0000,
             0xe000_ed94 | 0xe000_ed9c | 0xe000_eda0 => self.system.mpu.write(address, value),
-            0xe000_ef00 => self.nvic.pend_all(interrupt_bits(value >> 3 & 0x3c, 1 << (value & 31))),
             DBGMCU_APB1FZR1 => self.system.frozen_in_halt = written.over(self.system.frozen_in_halt),
             _ => {}
         }
@@ -174,30 +171,6 @@ impl Cpu {
         let word = written.over(self.priority_word(first));
         for (exception, priority) in (first..).zip(word.to_le_bytes()) {
             self.nvic.set_priority(exception, priority);
-        }
-    }
-
-    /// ICSR.
-    fn interrupt_control(&self) -> u32 {
-        let pending = |exception: u8, bit: u32| ((self.nvic.pending >> exception) as u32 & 1) << bit;
-        let others_active = self.nvic.active & !(1 << (self.registers.ipsr & 127)) != 0;
-        pending(NMI, 31)
-            | pending(PEND_SV, 28)
-            | pending(SYS_TICK, 26)
-            | u32::from(self.nvic.pending >> FIRST_INTERRUPT != 0) << 22
-            | u32::from(self.nvic.most_urgent().unwrap_or(0)) << 12
-            | u32::from(!others_active) << 11
-            | u32::from(self.registers.ipsr)
-    }
-
-    fn write_interrupt_control(&mut self, value: u32) {
-        for (exception, set, clear) in [(NMI, 31, None), (PEND_SV, 28, Some(27)), (SYS_TICK, 26, Some(25))] {
-            if value >> set & 1 != 0 {
-                self.nvic.pend(exception);
-            }
-            if clear.is_some_and(|bit: u32| value >> bit & 1 != 0) {
-                self.nvic.unpend_all(1 << exception);
-            }
         }
     }
 

@@ -114,11 +114,6 @@ pub struct Effects {
 }
 
 impl Effects {
-    #[cfg(test)]
-    pub fn starting_at(now: Ticks) -> Self {
-        Self { now, ..Self::default() }
-    }
-
     /// Sets the level of interrupt line `number` (see [`interrupt`]).
     #[inline]
     pub fn set_line(&mut self, number: u8, level: bool) {

@@ -365,7 +365,7 @@ mod tests {
     fn a_torn_double_word_raises_the_nmi_once_per_flag() {
         let (mut flash, mut effects) = unlocked();
         program(&mut flash, &mut effects, [0, 1]);
-        flash.reset(&Effects::starting_at(PROGRAM_TICKS / 2));
+        flash.reset(&Effects { now: PROGRAM_TICKS / 2, ..Effects::default() });
         assert!(!effects.nmi);
         flash.load(OFFSET + 4, 4, &mut effects);
         assert!(std::mem::take(&mut effects.nmi));

@@ -12,20 +12,14 @@ use slitpose_head::scene_file::WIDE;
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_protocol::{Command, Configuration, Level, RawScan};
 
-// Requests of the transfers (firmware/README.md, "A frame"). The channels that serve them are looked up on the board.
-const WORDS: [&str; 2] = ["ADC1", "ADC2"];
-const DARKNESS: &str = "TIM2_CH4";
-const GATES: &str = "TIM2_UP";
-const PERIODS: &str = "TIM2_CH2";
-const LEVELS: [&str; 2] = ["TIM2_CH1", "TIM2_CH3"];
-
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Disturbance {
     /// The DMA request of a word of converter 1 or 2 (index 0 or 1) is not seen.
     SwallowedRequest(usize),
     /// A converter says that it has lost a word.
     Overrun(usize),
-    /// A transfer for this request meets a bus error.
+    /// A transfer for this request (firmware/README.md, "A frame") meets a bus error. The channel that serves it is looked up
+    /// on the board.
     Transfer(&'static str),
 }
 
@@ -120,50 +114,26 @@ fn disturb(configuration: &Configuration, disturbance: Disturbance) {
 }
 
 #[test]
-fn a_word_that_is_not_fetched_costs_a_few_scans() {
-    for converter in [0, 1] {
-        disturb(&default_configuration(), Disturbance::SwallowedRequest(converter));
+fn a_lost_word_or_a_failed_transfer_costs_a_few_scans() {
+    let default = default_configuration();
+    for lost in [0, 1].map(|of| [Disturbance::SwallowedRequest(of), Disturbance::Overrun(of)]).into_iter().flatten() {
+        disturb(&default, lost);
     }
-}
-
-#[test]
-fn an_overrun_costs_a_few_scans() {
-    for converter in [0, 1] {
-        disturb(&default_configuration(), Disturbance::Overrun(converter));
-    }
-}
-
-#[test]
-fn a_failed_transfer_of_words_costs_a_few_scans() {
-    for request in WORDS {
-        disturb(&default_configuration(), Disturbance::Transfer(request));
-    }
-}
-
-#[test]
-fn a_failed_transfer_of_gates_costs_a_few_scans() {
-    disturb(&default_configuration(), Disturbance::Transfer(GATES));
-}
-
-#[test]
-fn a_failed_transfer_of_darkness_costs_a_few_scans() {
-    let mut configuration = default_configuration();
-    configuration.schedule.slots.pop();
-    disturb(&configuration, Disturbance::Transfer(DARKNESS));
-}
-
-#[test]
-fn a_failed_transfer_of_periods_costs_a_few_scans() {
-    disturb(&default_configuration(), Disturbance::Transfer(PERIODS));
-}
-
-#[test]
-fn a_failed_transfer_of_levels_costs_a_few_scans() {
-    let mut configuration = default_configuration();
-    let levels = [0x8000, 0x7000, 0x6000, 0x8000, 0x7800, 0x7000].map(Level);
-    configuration.levels = levels.into_iter().collect();
-    for request in LEVELS {
-        disturb(&configuration, Disturbance::Transfer(request));
+    let mut without_dark = default.clone();
+    without_dark.schedule.slots.pop();
+    let mut of_levels = default.clone();
+    of_levels.levels = [0x8000, 0x7000, 0x6000, 0x8000, 0x7800, 0x7000].map(Level).into_iter().collect();
+    for (configuration, request) in [
+        (&default, "ADC1"),
+        (&default, "ADC2"),
+        // Gates, darkness behind the last slot, periods, and both lines of levels.
+        (&default, "TIM2_UP"),
+        (&without_dark, "TIM2_CH4"),
+        (&default, "TIM2_CH2"),
+        (&of_levels, "TIM2_CH1"),
+        (&of_levels, "TIM2_CH3"),
+    ] {
+        disturb(configuration, Disturbance::Transfer(request));
     }
 }
 
