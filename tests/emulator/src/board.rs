@@ -346,7 +346,7 @@ impl<W: World> Board<W> {
         self.find_next_event();
     }
 
-    fn carry_out(&mut self, channel: usize, request: u8) {
+    fn carry_out(&mut self, channel: usize, request: u32) {
         // Acknowledged first: the access itself may raise the next request.
         self.effects.withdraw(request);
         let moved = self.dma.transfer(channel).is_some_and(|transfer| {

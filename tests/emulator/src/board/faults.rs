@@ -44,7 +44,7 @@ pub(super) struct UnderWay {
 #[derive(Clone, Copy, Debug)]
 struct Transfer {
     channel: usize,
-    request: u8,
+    request: u32,
     done: Ticks,
 }
 

@@ -162,7 +162,7 @@ impl Cpu {
             pc: 0,
             float: FloatUnit::new(),
             nvic: Nvic::new(),
-            system: System::new(),
+            system: System::default(),
             code: Code::new(),
             accelerator: Accelerator::new(),
             lines: [0; 4],
@@ -194,7 +194,7 @@ impl Cpu {
         self.float = FloatUnit::new();
         self.nvic = Nvic::new();
         self.lines = [0; 4];
-        self.system = System::new();
+        self.system = System::default();
         self.accelerator = Accelerator::new();
         self.attention = true;
         self.is_waiting = false;
@@ -242,7 +242,7 @@ impl Cpu {
 
     /// Peripherals that stand still while a debugger halts the core, as DBGMCU_APB1FZR1 has them.
     pub fn frozen_in_halt(&self) -> u32 {
-        self.system.frozen_in_halt()
+        self.system.frozen_in_halt
     }
 
     /// Lowest value of the main stack pointer since reset.

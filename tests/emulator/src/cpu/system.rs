@@ -1,5 +1,5 @@
 //! The private peripheral bus: system control block, NVIC registers, cycle counter (DDI0403, B3 and C1.8). Registers
-//! without a model read 0 and ignore writes, among them identification, the debug components, SysTick, HFSR, the addresses of
+//! without a model read 0 and ignore writes, among them VTOR, identification, the debug components, SysTick, HFSR, the addresses of
 //! faults, and what changes how exceptions are entered and left or which faults have handlers of their own: SCR, CCR, SHCSR, FPCCR. All is as after reset: unaligned
 //! accesses and divisions by zero are no faults, stacks are aligned to eight bytes, floating-point state is stacked lazily.
 
@@ -41,36 +41,18 @@ impl Mpu {
     }
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct System {
     pub mpu: Mpu,
-    pub vtor: u32,
     pub cpacr: u32,
     pub cfsr: u32,
-    frozen_in_halt: u32,
+    pub frozen_in_halt: u32,
     demcr: u32,
     cycle_counter: CycleCounter,
     pub reset_requested: bool,
 }
 
 impl System {
-    pub(super) fn frozen_in_halt(&self) -> u32 {
-        self.frozen_in_halt
-    }
-
-    pub fn new() -> Self {
-        Self {
-            mpu: Mpu::default(),
-            frozen_in_halt: 0,
-            vtor: 0,
-            cpacr: 0,
-            cfsr: 0,
-            demcr: 0,
-            cycle_counter: CycleCounter::default(),
-            reset_requested: false,
-        }
-    }
-
     /// Whether CPACR grants coprocessors 10 and 11.
     #[inline(always)]
     pub fn float_enabled(&self) -> bool {
@@ -124,7 +106,6 @@ impl Cpu {
             0xe000_e400..=0xe000_e46c => self.priority_word((address - 0xe000_e400) as u8 + FIRST_INTERRUPT),
             // ICSR: VECTACTIVE.
             0xe000_ed04 => self.registers.ipsr.into(),
-            0xe000_ed08 => self.system.vtor,
             0xe000_ed0c => VECTKEYSTAT << 16,
             0xe000_ed28 => self.system.cfsr,
             0xe000_ed88 => self.system.cpacr,
@@ -148,7 +129,6 @@ impl Cpu {
             0xe000_e400..=0xe000_e46c => {
                 self.set_priority_word((address - 0xe000_e400) as u8 + FIRST_INTERRUPT, written);
             }
-            0xe000_ed08 => self.system.vtor = written.over(self.system.vtor) & 0x3fff_ff80,
             0xe000_ed0c => self.write_reset_control(value),
             0xe000_ed28 => self.system.cfsr &= !value,
             0xe000_ed88 => self.system.cpacr = written.over(self.system.cpacr) & 0x00f0_0000,

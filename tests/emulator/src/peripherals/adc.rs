@@ -22,7 +22,7 @@ use super::effects::{ALL, Bank, Register};
 use super::{Effects, TICKS_PER_SECOND, Ticks};
 use crate::faults::Fault;
 use crate::st::ADC::{
-    CALFACT, CFGR, CFGR_DMAEN as DMAEN, CFGR_OVRMOD as OVRMOD, CFGR2, CFGR2_ROVSE as ROVSE, CR, CR_ADCAL as ADCAL,
+    CFGR, CFGR_DMAEN as DMAEN, CFGR_OVRMOD as OVRMOD, CFGR2, CFGR2_ROVSE as ROVSE, CR, CR_ADCAL as ADCAL,
     CR_ADCALDIF as ADCALDIF, CR_ADDIS as ADDIS, CR_ADEN as ADEN, CR_ADSTART as ADSTART, CR_ADSTP as ADSTP,
     CR_ADVREGEN as ADVREGEN, CR_DEEPPWD as DEEPPWD, CR_JADSTART as JADSTART, CR_JADSTP as JADSTP, DIFSEL, DR, IER, ISR,
     ISR_ADRDY as ADRDY, ISR_EOC as EOC, ISR_EOS as EOS, ISR_EOSMP as EOSMP, ISR_OVR as OVR, SMPR1, SMPR2, SQR1, SQR4,
@@ -82,8 +82,7 @@ const REGISTERS: &[Register] = &[
     (SQR1 + 8, 0, ALL),
     (SQR4, 0, ALL),
     (DR, 0, 0),
-    (DIFSEL, 0, ALL),
-    (CALFACT, 0, ALL),
+    (DIFSEL, 0, 0),
 ];
 
 /// What the converter does by itself next.
@@ -117,7 +116,7 @@ struct Plan {
 #[derive(Debug)]
 pub struct Adc {
     number: u8,
-    request: u8,
+    request: u32,
     bank: Bank,
     regulator_since: Ticks,
     calibrated_at: Option<Ticks>,
@@ -140,7 +139,7 @@ pub struct Adc {
 }
 
 impl Adc {
-    fn new(number: u8, request: u8) -> Self {
+    fn new(number: u8, request: u32) -> Self {
         Self {
             number,
             request,
@@ -204,12 +203,6 @@ impl Adc {
             }
             CFGR2 => effects.unmodelled_bits(value & !CFGR2_MODELLED),
             SMPR1 | SMPR2 => effects.unmodelled_bits(value >> 30),
-            DIFSEL if value != self.bank[DIFSEL] && self.bank[CR] & CR_COMMANDS != 0 => {
-                effects.violation(value, "ADC_DIFSEL is written only while the ADC is disabled");
-            }
-            CALFACT if self.bank[CR] & ADEN == 0 || self.bank[CR] & ADSTART != 0 => {
-                effects.violation(value, "ADC_CALFACT is written only while ADEN = 1 and ADSTART = 0");
-            }
             TR1..=TR3 => return,
             _ => {}
         }

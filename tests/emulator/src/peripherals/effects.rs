@@ -7,43 +7,6 @@ use crate::memory::Bits;
 use std::collections::BTreeMap;
 use std::ops::{Index, IndexMut};
 
-/// Position of an interrupt in the vector table (RM0440, "Interrupt and exception vectors").
-pub mod interrupt {
-    use crate::st;
-
-    pub const PVD_PVM: u8 = st::PVD::PVM_IRQn as u8;
-    pub const FLASH: u8 = st::FLASH::IRQn as u8;
-    pub const DMA1_CHANNEL1: u8 = st::DMA1::Channel1_IRQn as u8;
-    pub const USB_LP: u8 = st::USB::LP_IRQn as u8;
-    pub const TIM2: u8 = st::TIM2::IRQn as u8;
-    pub const TIM3: u8 = st::TIM3::IRQn as u8;
-    pub const TIM4: u8 = st::TIM4::IRQn as u8;
-    pub const USART1: u8 = st::USART1::IRQn as u8;
-    pub const TIM5: u8 = st::TIM5::IRQn as u8;
-    pub const DMA2_CHANNEL1: u8 = st::DMA2::Channel1_IRQn as u8;
-    pub const LPUART1: u8 = st::LPUART1::IRQn as u8;
-    pub const DMA1_CHANNEL8: u8 = st::DMA1::Channel8_IRQn as u8;
-    pub const DMA2_CHANNEL6: u8 = st::DMA2::Channel6_IRQn as u8;
-}
-
-/// Numbers of DMA request lines; ADC4 and ADC5 follow ADC3, channels 2 to 4 and the update follow channel 1 of a timer
-/// (RM0440, "DMAMUX: assignment of multiplexer inputs to resources").
-pub mod request {
-    use crate::st::LL;
-
-    pub const ADC1: u8 = LL::DMAMUX_REQ_ADC1 as u8;
-    pub const USART1_RX: u8 = LL::DMAMUX_REQ_USART1_RX as u8;
-    pub const USART1_TX: u8 = LL::DMAMUX_REQ_USART1_TX as u8;
-    pub const LPUART1_RX: u8 = LL::DMAMUX_REQ_LPUART1_RX as u8;
-    pub const LPUART1_TX: u8 = LL::DMAMUX_REQ_LPUART1_TX as u8;
-    pub const ADC2: u8 = LL::DMAMUX_REQ_ADC2 as u8;
-    pub const ADC3: u8 = LL::DMAMUX_REQ_ADC3 as u8;
-    pub const TIM2_CH1: u8 = LL::DMAMUX_REQ_TIM2_CH1 as u8;
-    pub const TIM3_CH1: u8 = LL::DMAMUX_REQ_TIM3_CH1 as u8;
-    pub const TIM4_CH1: u8 = LL::DMAMUX_REQ_TIM4_CH1 as u8;
-    pub const TIM5_CH1: u8 = LL::DMAMUX_REQ_TIM5_CH1 as u8;
-}
-
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Edge {
     Rising,
@@ -114,24 +77,24 @@ pub struct Effects {
 }
 
 impl Effects {
-    /// Sets the level of interrupt line `number` (see [`interrupt`]).
+    /// Sets the level of the interrupt line with this position in the vector table (ST's `…_IRQn`).
     #[inline]
-    pub fn set_line(&mut self, number: u8, level: bool) {
-        let (word, bit) = (usize::from(number / 32), 1 << (number % 32));
+    pub fn set_line(&mut self, number: u32, level: bool) {
+        let (word, bit) = ((number / 32) as usize, 1 << (number % 32));
         let before = self.lines[word];
         self.lines[word] = if level { before | bit } else { before & !bit };
         self.attention |= self.lines[word] != before;
     }
 
-    /// Raises a DMA request. It stays until a channel serves it or it is withdrawn.
+    /// Raises the DMA request of this number (ST's `LL_DMAMUX_REQ_…`). It stays until a channel serves it or it is withdrawn.
     #[inline]
-    pub fn request(&mut self, request: u8) {
+    pub fn request(&mut self, request: u32) {
         self.requests |= 1 << request;
     }
 
     /// Takes a DMA request back: its cause is gone (data read, DMA enable bit cleared).
     #[inline]
-    pub fn withdraw(&mut self, request: u8) {
+    pub fn withdraw(&mut self, request: u32) {
         self.requests &= !(1 << request);
     }
 

@@ -2,7 +2,7 @@
 //! "Extended interrupts and events controller").
 
 use super::effects::{ALL, Bank, Register};
-use super::{Edge, Effects, interrupt};
+use super::{Edge, Effects};
 
 use crate::st::EXTI::{EMR1, EMR2, FTSR1, IMR1, IMR2, PR1, PR2, RTSR1, RTSR2, SWIER1};
 
@@ -69,6 +69,6 @@ impl Exti {
     }
 
     fn update_line(&self, effects: &mut Effects) {
-        effects.set_line(interrupt::PVD_PVM, self.0[PR1] & self.0[IMR1] & PVD != 0);
+        effects.set_line(crate::st::PVD::PVM_IRQn, self.0[PR1] & self.0[IMR1] & PVD != 0);
     }
 }

@@ -5,13 +5,13 @@
 //! words whose programming was cut short. Not modelled: fast programming, erasure of banks, option bytes,
 //! write and read protection.
 
-use super::{Effects, TICKS_PER_SECOND, Ticks, interrupt};
+use super::{Effects, TICKS_PER_SECOND, Ticks};
 use crate::faults::Fault;
 use crate::memory::{BANK_BYTES, DOUBLE_WORD_BYTES, FLASH_BASE, FLASH_BYTES, FlashArray, PAGE_BYTES, load};
 use crate::st::FLASH::{
     ACR, ACR_LATENCY as LATENCY, CR, CR_BKER as BKER, CR_EOPIE as EOPIE, CR_ERRIE as ERRIE, CR_LOCK as LOCK,
     CR_OPTLOCK as OPTLOCK, CR_PER as PER, CR_PG as PG, CR_PNB, CR_STRT as STRT, ECCR, ECCR_BK_ECC as BK_ECC,
-    ECCR_ECCD as ECCD, KEY1, KEY2, KEYR, OPTKEYR, OPTR, PDKEYR, SR, SR_BSY as BSY, SR_EOP as EOP, SR_PGAERR as PGAERR,
+    ECCR_ECCD as ECCD, KEY1, KEY2, KEYR, OPTR, SR, SR_BSY as BSY, SR_EOP as EOP, SR_PGAERR as PGAERR,
     SR_PGSERR as PGSERR, SR_PROGERR as PROGERR, SR_SIZERR as SIZERR,
 };
 
@@ -123,7 +123,6 @@ impl Flash {
     pub fn read(&mut self, offset: u32, effects: &mut Effects) -> u32 {
         match offset {
             ACR => self.acr,
-            KEYR | OPTKEYR | PDKEYR => 0,
             SR => self.sr | if self.operation.is_some() { BSY } else { 0 },
             CR => self.cr,
             ECCR => self.eccr,
@@ -310,7 +309,7 @@ impl Flash {
     fn update_line(&self, effects: &mut Effects) {
         let end = self.sr & EOP != 0 && self.cr & EOPIE != 0;
         let error = self.sr & ERRORS != 0 && self.cr & ERRIE != 0;
-        effects.set_line(interrupt::FLASH, end || error);
+        effects.set_line(crate::st::FLASH::IRQn, end || error);
     }
 }
 

@@ -8,7 +8,7 @@ use super::effects::{ALL, Bank, Register};
 
 pub const PORTS: usize = 7;
 
-use crate::st::GPIO::{AFR, BRR, BSRR, IDR, LCKR, MODER, ODR, OSPEEDR, OTYPER, PUPDR};
+use crate::st::GPIO::{AFR, BSRR, IDR, MODER, ODR, OSPEEDR, OTYPER, PUPDR};
 
 const REGISTERS: &[Register] = &[
     (MODER, 0, ALL),
@@ -18,10 +18,8 @@ const REGISTERS: &[Register] = &[
     (IDR, 0, 0),
     (ODR, 0, 0xFFFF),
     (BSRR, 0, 0),
-    (LCKR, 0, ALL),
     (AFR, 0, ALL),
     (AFR + 4, 0, ALL),
-    (BRR, 0, 0),
 ];
 
 #[derive(Debug)]
@@ -56,8 +54,6 @@ impl Port {
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
         match offset {
             BSRR => self.bank[ODR] = self.bank[ODR] & !(value >> 16) | value & 0xFFFF,
-            BRR => self.bank[ODR] &= !value,
-            IDR | LCKR => effects.unmodelled(),
             _ => self.bank.write(offset, value, effects),
         }
         if matches!(offset, MODER | OTYPER) {

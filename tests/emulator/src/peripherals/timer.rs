@@ -10,11 +10,12 @@
 //! or overflow, so flags, requests and triggers come at their exact ticks.
 
 use super::effects::{ALL, Bank, Register};
-use super::{Effects, Ticks, interrupt, request};
+use super::{Effects, Ticks};
 use crate::st::TIM::{
     self, ARR, CCER, CCMR1, CCMR2, CCR1, CCR4, CNT, CR1, CR1_ARPE, CR1_CEN, CR1_URS, CR2, DIER, DIER_UDE as UDE, EGR,
     PSC, SMCR, SR, SR_UIF as UIF,
 };
+use crate::st::{LL, TIM2, TIM3, TIM4, TIM5};
 
 const CR1_MODELLED: u32 = CR1_CEN | CR1_URS | CR1_ARPE;
 /// Without MMS[3], which is for encoders.
@@ -48,9 +49,9 @@ const REGISTERS: &[Register] = &[
 
 #[derive(Clone, Copy, Debug)]
 struct Wiring {
-    interrupt: u8,
+    interrupt: u32,
     /// DMA request of compare channel 1; channels 2 to 4 and the update follow.
-    first_request: u8,
+    first_request: u32,
     /// Largest count: 16 or 32 bits.
     maximum: u32,
 }
@@ -83,10 +84,10 @@ impl Timer {
     pub fn new(index: usize) -> Self {
         let wiring = |interrupt, first_request, maximum| Wiring { interrupt, first_request, maximum };
         Self::at_reset(match index {
-            0 => wiring(interrupt::TIM2, request::TIM2_CH1, u32::MAX),
-            1 => wiring(interrupt::TIM3, request::TIM3_CH1, 0xFFFF),
-            2 => wiring(interrupt::TIM4, request::TIM4_CH1, 0xFFFF),
-            _ => wiring(interrupt::TIM5, request::TIM5_CH1, u32::MAX),
+            0 => wiring(TIM2::IRQn, LL::DMAMUX_REQ_TIM2_CH1, u32::MAX),
+            1 => wiring(TIM3::IRQn, LL::DMAMUX_REQ_TIM3_CH1, 0xFFFF),
+            2 => wiring(TIM4::IRQn, LL::DMAMUX_REQ_TIM4_CH1, 0xFFFF),
+            _ => wiring(TIM5::IRQn, LL::DMAMUX_REQ_TIM5_CH1, u32::MAX),
         })
     }
 
@@ -133,7 +134,7 @@ impl Timer {
                 self.bank.write(CR2, value, effects);
             }
             SMCR => {
-                effects.unmodelled_bits(if self.wiring.interrupt == interrupt::TIM3 && value == RESET_BY_ITR1 {
+                effects.unmodelled_bits(if self.wiring.interrupt == TIM3::IRQn && value == RESET_BY_ITR1 {
                     0
                 } else {
                     value
@@ -312,7 +313,7 @@ impl Timer {
     }
 
     fn is_tim2(&self) -> bool {
-        self.wiring.interrupt == interrupt::TIM2
+        self.wiring.interrupt == TIM2::IRQn
     }
 
     fn master_mode(&self) -> u32 {
@@ -384,8 +385,8 @@ impl Timer {
         }
     }
 
-    fn request_of(&self, event: usize) -> u8 {
-        self.wiring.first_request + if event == 0 { 4 } else { event as u8 - 1 }
+    fn request_of(&self, event: usize) -> u32 {
+        self.wiring.first_request + if event == 0 { 4 } else { event as u32 - 1 }
     }
 
     fn settle_references(&mut self, effects: &mut Effects) {

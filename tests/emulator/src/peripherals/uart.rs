@@ -9,13 +9,13 @@ use crate::st::USART::{
     BRR, CR1, CR1_FIFOEN, CR1_IDLEIE, CR1_RE, CR1_RXNEIE_RXFNEIE as CR1_RXNEIE, CR1_TCIE, CR1_TE,
     CR1_TXEIE_TXFNFIE as CR1_TXEIE, CR1_UE, CR2, CR3, CR3_DMAR, CR3_DMAT, CR3_EIE, CR3_OVRDIS, ICR, ISR, ISR_BUSY,
     ISR_IDLE, ISR_ORE, ISR_REACK, ISR_RXNE_RXFNE as ISR_RXNE, ISR_TC, ISR_TEACK, ISR_TXE_TXFNF as ISR_TXE, PRESC, RDR,
-    RQR, RQR_RXFRQ, TDR,
+    TDR,
 };
-use crate::st::{LPUART, USART};
+use crate::st::{self, LL, LPUART, USART};
 use std::collections::VecDeque;
 
 use super::effects::{ALL, Bank, Register};
-use super::{Effects, Ticks, interrupt, request};
+use super::{Effects, Ticks};
 
 const CR1_MODELLED: u32 = CR1_UE | CR1_RE | CR1_TE | CR1_IDLEIE | CR1_RXNEIE | CR1_TCIE | CR1_TXEIE | CR1_FIFOEN;
 const CR3_MODELLED: u32 = CR3_EIE | CR3_DMAR | CR3_DMAT | CR3_OVRDIS;
@@ -36,38 +36,31 @@ struct Kind {
     /// Parts of a period of the divided clock in a unit of BRR.
     divider_parts: u64,
     divider_mask: u32,
-    interrupt: u8,
-    receive: u8,
-    transmit: u8,
+    interrupt: u32,
+    receive: u32,
+    transmit: u32,
 }
 
 /// A bit is BRR/256 periods (RM0440, "LPUART baud rate generation").
 const LPUART1: Kind = Kind {
     divider_parts: LPUART::BRR_factor as u64,
     divider_mask: USART::BRR_LPUART,
-    interrupt: interrupt::LPUART1,
-    receive: request::LPUART1_RX,
-    transmit: request::LPUART1_TX,
+    interrupt: st::LPUART1::IRQn,
+    receive: LL::DMAMUX_REQ_LPUART1_RX,
+    transmit: LL::DMAMUX_REQ_LPUART1_TX,
 };
 
 /// A bit is BRR periods (RM0440, "USART baud rate generation").
 const USART1: Kind = Kind {
     divider_parts: USART::BRR_factor as u64,
     divider_mask: USART::BRR_BRR,
-    interrupt: interrupt::USART1,
-    receive: request::USART1_RX,
-    transmit: request::USART1_TX,
+    interrupt: st::USART1::IRQn,
+    receive: LL::DMAMUX_REQ_USART1_RX,
+    transmit: LL::DMAMUX_REQ_USART1_TX,
 };
 
-const REGISTERS: &[Register] = &[
-    (CR1, 0, CR1_MODELLED),
-    (CR2, 0, 0),
-    (CR3, 0, CR3_MODELLED),
-    (BRR, 0, ALL),
-    (RQR, 0, 0),
-    (ICR, 0, 0),
-    (PRESC, 0, 0),
-];
+const REGISTERS: &[Register] =
+    &[(CR1, 0, CR1_MODELLED), (CR2, 0, 0), (CR3, 0, CR3_MODELLED), (BRR, 0, ALL), (ICR, 0, 0), (PRESC, 0, 0)];
 
 #[derive(Debug)]
 pub struct Uart {
@@ -159,7 +152,6 @@ impl Uart {
                 }
                 u32::from(self.last_received)
             }
-            TDR => u32::from(self.to_send.unwrap_or(0)),
             _ => self.bank.read(offset, effects),
         }
     }
@@ -173,12 +165,6 @@ impl Uart {
             }
             BRR => self.bank[BRR] = value & self.kind.divider_mask,
             CR2 | PRESC => effects.unmodelled_bits(value),
-            RQR => {
-                if value & RQR_RXFRQ != 0 {
-                    self.received = None;
-                }
-                effects.unmodelled_bits(value & !RQR_RXFRQ);
-            }
             ICR => self.flags &= !value,
             TDR => {
                 if self.to_send.is_some() {
@@ -334,7 +320,7 @@ mod tests {
     }
 
     fn line(effects: &Effects) -> bool {
-        effects.lines[2] & 1 << (interrupt::LPUART1 - 64) != 0
+        effects.lines[2] & 1 << (st::LPUART1::IRQn - 64) != 0
     }
 
     #[test]

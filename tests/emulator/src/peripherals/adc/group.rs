@@ -1,7 +1,7 @@
 //! Converters that share a clock and the common registers.
 
 use super::*;
-use crate::peripherals::request;
+use crate::st::LL;
 
 /// Converters that share a clock and the common registers: ADC1 and ADC2, or ADC3 to ADC5.
 #[derive(Debug)]
@@ -14,14 +14,14 @@ pub struct AdcGroup<const N: usize> {
 impl AdcGroup<2> {
     /// ADC1 and ADC2.
     pub fn adc12() -> Self {
-        Self::new([Adc::new(1, request::ADC1), Adc::new(2, request::ADC2)])
+        Self::new([Adc::new(1, LL::DMAMUX_REQ_ADC1), Adc::new(2, LL::DMAMUX_REQ_ADC2)])
     }
 }
 
 impl AdcGroup<3> {
     /// ADC3, ADC4 and ADC5.
     pub fn adc345() -> Self {
-        Self::new([0, 1, 2].map(|index| Adc::new(3 + index, request::ADC3 + index)))
+        Self::new([0, 1, 2].map(|index| Adc::new(3 + index, LL::DMAMUX_REQ_ADC3 + u32::from(index))))
     }
 }
 
@@ -218,7 +218,7 @@ mod tests {
     fn write_rules_are_watched() {
         let (mut group, mut effects) = armed();
         for (count, (offset, value)) in
-            [(CFGR, 0), (CFGR2, 0), (SMPR1, 0), (SQR1, 0), (DIFSEL, 2), (CCR, 2 << 16)].into_iter().enumerate()
+            [(CFGR, 0), (CFGR2, 0), (SMPR1, 0), (SQR1, 0), (CCR, 2 << 16)].into_iter().enumerate()
         {
             group.write(offset, value, &mut effects);
             assert_eq!(effects.violation_count, count as u64 + 1, "register {offset:#x}");

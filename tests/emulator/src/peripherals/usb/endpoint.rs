@@ -139,15 +139,11 @@ pub struct PacketMemory([u8; BYTES]);
 
 impl Default for PacketMemory {
     fn default() -> Self {
-        Self::new()
+        Self([0; BYTES])
     }
 }
 
 impl PacketMemory {
-    pub fn new() -> Self {
-        Self([0; BYTES])
-    }
-
     /// A little-endian number of up to four bytes. Beyond the memory there is nothing.
     pub fn read(&self, range: Range<usize>) -> u32 {
         self.bytes(range).iter().rev().fold(0, |value, &byte| value << 8 | u32::from(byte))

@@ -6,11 +6,11 @@
 
 mod endpoint;
 
-use super::{Effects, Ticks, interrupt};
+use super::{Effects, Ticks};
 use crate::st::USB::{
     BCDR, BCDR_DPPU, BTABLE, CNTR, CNTR_FRES, CNTR_FSUSP, CNTR_LPMODE, CNTR_PDWN, DADDR, DADDR_EF, FNR,
     FNR_FN as FNR_FRAME, FNR_LCK, FNR_LSOF, FNR_RXDP, ISTR, ISTR_CTR, ISTR_DIR, ISTR_ESOF, ISTR_RESET, ISTR_SOF,
-    ISTR_SUSP, ISTR_WKUP, LPMCSR,
+    ISTR_SUSP, ISTR_WKUP,
 };
 use crate::usb_wire::FRAME_TICKS;
 use endpoint::{Endpoint, PacketMemory};
@@ -34,7 +34,7 @@ const MISSED_FRAME_TICKS: Ticks = FRAME_TICKS + FRAME_TICKS / 100;
 /// Missed frames that mean suspension: 3 ms.
 const SUSPEND_FRAMES: u32 = 3;
 
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Usb {
     endpoints: [Endpoint; ENDPOINTS],
     memory: PacketMemory,
@@ -58,21 +58,7 @@ pub struct Usb {
 
 impl Usb {
     pub fn new() -> Self {
-        Self {
-            endpoints: [Endpoint::default(); ENDPOINTS],
-            memory: PacketMemory::new(),
-            control: CNTR_FRES | CNTR_PDWN,
-            status: 0,
-            frame: 0,
-            frames_seen: 0,
-            address: 0,
-            buffer_table: 0,
-            battery: 0,
-            clock: false,
-            line_held: false,
-            silence_at: Ticks::MAX,
-            missed_frames: 0,
-        }
+        Self { control: CNTR_FRES | CNTR_PDWN, silence_at: Ticks::MAX, ..Self::default() }
     }
 
     /// RCC reset bit or system reset. Packet memory and what the host does are not touched.
@@ -98,9 +84,6 @@ impl Usb {
             ISTR => self.interrupt_status(),
             FNR => self.frame | if self.battery & BCDR_DPPU != 0 && !self.line_held { FNR_RXDP } else { 0 },
             DADDR => self.address,
-            BTABLE => self.buffer_table,
-            LPMCSR => 0,
-            BCDR => self.battery,
             _ => {
                 effects.unmodelled();
                 0
@@ -117,7 +100,6 @@ impl Usb {
             DADDR => self.address = value & 0xff,
             BTABLE => self.buffer_table = value & 0xfff8,
             BCDR if value & !BCDR_DPPU == 0 => self.battery = value,
-            LPMCSR if value == 0 => {}
             _ => effects.unmodelled(),
         }
         self.update_interrupt(effects);
@@ -183,7 +165,7 @@ impl Usb {
     }
 
     fn update_interrupt(&self, effects: &mut Effects) {
-        effects.set_line(interrupt::USB_LP, self.interrupt_status() & self.control & INTERRUPTS != 0);
+        effects.set_line(crate::st::USB::LP_IRQn, self.interrupt_status() & self.control & INTERRUPTS != 0);
     }
 
     fn write_control(&mut self, value: u32, effects: &mut Effects) {

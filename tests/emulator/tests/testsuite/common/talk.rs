@@ -73,7 +73,7 @@ pub struct Gap {
     pub ticks: u64,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Listener {
     decoder: Decoder<MAX_MESSAGE_BYTES>,
     schedule: Option<(u16, Schedule)>,
@@ -93,26 +93,6 @@ pub struct Listener {
     full_since: Option<Ticks>,
     /// The longest that the end of a transfer was waited for behind a full packet.
     pub longest_full: Ticks,
-}
-
-impl Default for Listener {
-    fn default() -> Self {
-        Self {
-            decoder: Decoder::new(),
-            schedule: None,
-            said: Vec::new(),
-            scans: Vec::new(),
-            gaps: Vec::new(),
-            received: 0,
-            last: None,
-            breaks: 0,
-            status: None,
-            heads: Vec::new(),
-            empty_packets: 0,
-            full_since: None,
-            longest_full: 0,
-        }
-    }
 }
 
 impl Listener {
@@ -284,18 +264,12 @@ impl Talk {
 
     /// A board on `silicon`, its port open at USB.
     pub fn on(silicon: Faults) -> Self {
-        let mut talk = Self::boot_with(NoiseSource::Off, silicon);
-        talk.await_port();
-        talk.open();
-        talk
+        Self::boot_with(NoiseSource::Off, silicon).opened()
     }
 
     /// A board with noise from `seed`, its port open at USB.
     pub fn noisy(seed: u64) -> Self {
-        let mut talk = Self::boot_with(NoiseSource::Seeded(seed), silicon());
-        talk.await_port();
-        talk.open();
-        talk
+        Self::boot_with(NoiseSource::Seeded(seed), silicon()).opened()
     }
 
     fn boot_with(noise: NoiseSource, silicon: Faults) -> Self {
@@ -310,10 +284,13 @@ impl Talk {
 
     /// The same with USB at work and its port open, and the hello heard.
     pub fn at_usb() -> Self {
-        let mut talk = Self::boot();
-        talk.await_port();
-        talk.open();
-        talk
+        Self::boot().opened()
+    }
+
+    fn opened(mut self) -> Self {
+        self.await_port();
+        self.open();
+        self
     }
 
     pub fn at_uart() -> Self {
