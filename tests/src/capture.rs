@@ -47,7 +47,6 @@ pub fn with_faults(bytes: Vec<u8>, cells: usize, faults: &[String]) -> Vec<u8> {
     faulty
 }
 
-/// A pipeline for `file`.
 pub fn pipeline(file: &SceneFile, tier: Tier) -> Pipeline {
     Pipeline::new(file.clone(), tier, SceneMatch::Required)
 }
@@ -66,7 +65,6 @@ pub fn solve(file: &SceneFile, tier: Tier, bytes: &[u8]) -> (Vec<Record>, Counts
     (records, pipeline.counts())
 }
 
-/// A packet in a capture.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Packet {
     /// Its bytes, delimiter included.
@@ -113,9 +111,7 @@ pub struct Decoded {
     pub schedule: Schedule,
     /// What a word is worth.
     pub scaling: AdcScaling,
-    /// The scans.
     pub scans: Vec<RawScan>,
-    /// The true pose of each.
     pub truths: Vec<Pose>,
 }
 

@@ -16,7 +16,6 @@ pub fn error(estimate: &Pose, truth: &Pose) -> [f64; 6] {
     [dt.x, dt.y, dt.z, dr.x, dr.y, dr.z]
 }
 
-/// Rotation vector of a quaternion.
 fn log(rotation: DQuat) -> DVec3 {
     let [x, y, z, w] = rotation.to_array();
     let sine = DVec3::new(x, y, z) * w.signum();
@@ -24,7 +23,6 @@ fn log(rotation: DQuat) -> DVec3 {
     if length == 0.0 { DVec3::ZERO } else { sine / length * 2.0 * length.atan2(w.abs()) }
 }
 
-/// Standard deviations of a covariance.
 pub fn sigma(covariance: &Matrix6) -> [f64; 6] {
     std::array::from_fn(|i| covariance[i][i].sqrt())
 }
@@ -119,7 +117,6 @@ impl Sorted {
     }
 }
 
-/// The middle of `values`.
 pub fn median(values: impl IntoIterator<Item = f64>) -> f64 {
     Sorted::of(values).median()
 }

@@ -32,7 +32,6 @@ pub struct Daemon {
     stderr: Option<JoinHandle<String>>,
 }
 
-/// A daemon that has ended.
 #[derive(Debug)]
 pub struct Ended {
     pub status: ExitStatus,
@@ -85,7 +84,6 @@ impl Daemon {
         serde_json::from_str(&get(stream, "/status")?.1).ok()
     }
 
-    /// Waits until its status `suits`, and gives that.
     pub fn status_when(&self, suits: impl Fn(&Value) -> bool) -> Value {
         let since = Instant::now();
         loop {
@@ -102,7 +100,6 @@ impl Daemon {
         self.status_when(|status| scans(status).len() == boards && scans(status).iter().all(|scans| *scans > 0));
     }
 
-    /// Sends it a signal and waits for its end.
     pub fn end_by(mut self, by: Signal) -> Ended {
         signal(&self.child, by);
         let status = self.child.wait().expect("ends");
@@ -125,7 +122,6 @@ pub fn scans(status: &Value) -> Vec<u64> {
     boards(status).map(|board| board["scans"].as_u64().unwrap_or(0)).collect()
 }
 
-/// The boards of a status.
 pub fn boards(status: &Value) -> impl Iterator<Item = &Value> {
     status["boards"].as_array().into_iter().flatten()
 }
@@ -227,7 +223,6 @@ impl Subscriber {
     }
 }
 
-/// A client that follows a daemon.
 pub struct Follower {
     client: UnixClient,
     server: PathBuf,

@@ -7,10 +7,8 @@ use slitpose_model::Pose;
 use crate::consistency;
 use crate::consistency::Matrix6;
 
-/// Statuses of a scan with a pose.
 const WITH_POSE: [&str; 2] = ["converged", "degraded"];
 
-/// Statuses of a scan without one.
 const WITHOUT_POSE: [&str; 4] = ["ambiguous", "unobservable", "too_dark", "diverged"];
 
 /// A unit quaternion is one to the rounding of its four components and of their squares.
@@ -46,7 +44,6 @@ pub fn parse(text: &str) -> Vec<Line> {
     parse_lines(text, true)
 }
 
-/// Reads all lines of a run that measured.
 pub fn parse_measured(text: &str) -> Vec<Line> {
     let lines = parse_lines(text, false);
     assert!(lines.iter().all(|line| line.truth.is_none()), "a measured pose with a truth");

@@ -23,7 +23,6 @@ pub fn in_box(rng: &mut ChaCha8Rng, half_mm: f64, half_deg: f64, count: usize) -
     (0..count).map(|_| one_in_box(rng, half_mm, half_deg)).collect()
 }
 
-/// One of them.
 pub fn one_in_box(rng: &mut ChaCha8Rng, half_mm: f64, half_deg: f64) -> PoseRow {
     let half_rad = half_deg.to_radians();
     std::array::from_fn(|axis| {
@@ -32,7 +31,6 @@ pub fn one_in_box(rng: &mut ChaCha8Rng, half_mm: f64, half_deg: f64) -> PoseRow 
     })
 }
 
-/// The pose of a row.
 pub fn pose([tx, ty, tz, rx, ry, rz]: PoseRow) -> Pose {
     Pose { rotation: DQuat::from_scaled_axis(DVec3::new(rx, ry, rz)), translation_m: DVec3::new(tx, ty, tz) * 1e-3 }
 }

@@ -22,7 +22,6 @@ macro_rules! slitpose {
     };
 }
 
-/// A command that has ended.
 #[derive(Clone, Debug)]
 pub struct Finished {
     pub code: i32,
@@ -44,7 +43,6 @@ impl Slitpose {
         self.run_with_input(arguments, "")
     }
 
-    /// Runs it with `input` on standard input.
     pub fn run_with_input<A: AsRef<OsStr>>(self, arguments: impl IntoIterator<Item = A>, input: &str) -> Finished {
         let mut child = self.command(arguments).stdin(Stdio::piped()).spawn().expect("slitpose starts");
         let mut stdin = child.stdin.take().expect("piped");
@@ -82,12 +80,10 @@ impl From<Output> for Finished {
 }
 
 impl Finished {
-    /// Waits for the end of `child`.
     pub fn of(child: Child) -> Self {
         child.wait_with_output().expect("ends").into()
     }
 
-    /// Interrupts `child`, and waits for its end.
     pub fn interrupted(child: Child) -> Self {
         signal(&child, Signal::SIGINT);
         Self::of(child)
@@ -118,7 +114,6 @@ impl Finished {
         self.assert_said(code, parts);
     }
 
-    /// Asserts that the command ended with `code` and said all of `parts`.
     #[track_caller]
     pub fn assert_said(&self, code: i32, parts: &[&str]) {
         assert_eq!(self.code, code, "stderr: {}", self.stderr);
@@ -132,12 +127,10 @@ pub fn signal(child: &Child, signal: Signal) {
     kill(Pid::from_raw(i32::try_from(child.id()).expect("an id")), signal).expect("running");
 }
 
-/// The text of a path.
 pub fn text(path: &Path) -> &str {
     path.to_str().expect("UTF-8 path")
 }
 
-/// The text of a name in `folder`.
 pub fn name_in(folder: &Path, name: &str) -> String {
     text(&folder.join(name)).to_owned()
 }

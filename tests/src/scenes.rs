@@ -15,7 +15,6 @@ pub fn changed(text: &str, changes: &[(&str, &str)]) -> String {
     })
 }
 
-/// Reads a scene file from its text.
 pub fn parse(text: &str) -> SceneFile {
     SceneFile::parse("test.toml", text).unwrap_or_else(|error| panic!("{error}"))
 }

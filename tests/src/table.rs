@@ -3,7 +3,6 @@
 
 use std::path::{Path, PathBuf};
 
-/// Columns of a pose.
 pub const POSE: [&str; 6] = ["tx_mm", "ty_mm", "tz_mm", "rx_rad", "ry_rad", "rz_rad"];
 
 /// Columns of its standard deviations.
@@ -17,7 +16,6 @@ pub struct Table {
     rows: Vec<csv::StringRecord>,
 }
 
-/// One row of a [`Table`].
 #[derive(Clone, Copy, Debug)]
 pub struct Row<'a> {
     header: &'a [String],
@@ -25,7 +23,6 @@ pub struct Row<'a> {
 }
 
 impl Table {
-    /// Reads a text.
     pub fn parse(text: &str) -> Self {
         let mut reader = csv::Reader::from_reader(text.as_bytes());
         let header = reader.headers().expect("header").iter().map(str::to_owned).collect();
@@ -33,36 +30,30 @@ impl Table {
         Self { header, rows }
     }
 
-    /// Its rows, in order.
     pub fn rows(&self) -> impl ExactSizeIterator<Item = Row<'_>> {
         self.rows.iter().map(|record| Row { header: &self.header, record })
     }
 }
 
 impl<'a> Row<'a> {
-    /// The text in `column`.
     pub fn text(&self, column: &str) -> &'a str {
         let index = self.header.iter().position(|name| name == column).unwrap_or_else(|| panic!("no column {column}"));
         &self.record[index]
     }
 
-    /// The number in `column`; `nan` is a number here.
     pub fn number(&self, column: &str) -> f64 {
         self.text(column).parse().unwrap_or_else(|_| panic!("{column} holds {:?}", self.text(column)))
     }
 
-    /// The numbers in `columns`.
     pub fn numbers<const N: usize>(&self, columns: [&str; N]) -> [f64; N] {
         columns.map(|column| self.number(column))
     }
 }
 
-/// Path of a file in `data`.
 pub fn data(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("data").join(name)
 }
 
-/// The table in `data/<name>`.
 pub fn reference(name: &str) -> Table {
     Table::parse(&std::fs::read_to_string(data(name)).expect("reference table"))
 }

@@ -56,14 +56,12 @@ pub fn occupy(count: usize) -> Vec<PtyMaster> {
 /// What went over a terminal.
 #[derive(Clone, Debug, Default)]
 pub struct Log {
-    /// From the host.
     pub received: Vec<u8>,
     /// To the host, as far as it took it.
     pub sent: Vec<u8>,
 }
 
 impl Log {
-    /// The commands of the host, in order.
     pub fn commands(&self) -> Vec<Command> {
         let mut decoder = Decoder::<MAX_REQUEST_BYTES>::new();
         let mut bytes = &self.received[..];
@@ -194,7 +192,6 @@ impl Board {
         Self::of(&WIDE.read().expect("shipped"), seed)
     }
 
-    /// One with the head of `file`.
     pub fn of(file: &SceneFile, seed: u64) -> Self {
         Self::numbered(0, file, STREAM, seed)
     }
@@ -260,7 +257,6 @@ pub fn edited(
     }
 }
 
-/// `board` with each hello changed by `edit`.
 pub fn greeting(board: impl Device, mut edit: impl FnMut(&mut Hello<'_>) + Send + 'static) -> impl Device {
     edited(board, move |mut message| {
         if let Message::Hello(hello) = &mut message {
@@ -280,7 +276,6 @@ pub fn request(number: u16, command: Command) -> Vec<u8> {
     encode(&Request { number, command }, &mut [0; MAX_REQUEST_BYTES]).expect("room").to_vec()
 }
 
-/// The reply to a command.
 pub fn reply(number: u16, outcome: Result<(), slitpose_protocol::Rejection>) -> Message<'static> {
     Message::Reply(Reply { number, outcome })
 }

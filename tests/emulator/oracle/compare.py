@@ -132,16 +132,10 @@ form("mla", "111110110000nnnnaaaadddd0000mmmm")
 form("mls", "111110110000nnnnaaaadddd0001mmmm")
 form("smlaxy", "111110110001nnnnaaaadddd00xymmmm")
 form("smulxy", "111110110001nnnn1111dddd00xymmmm")
-form("smlad", "111110110010nnnnaaaadddd000xmmmm")
-form("smuad", "111110110010nnnn1111dddd000xmmmm")
-form("smlaw", "111110110011nnnnaaaadddd000xmmmm")
-form("smulw", "111110110011nnnn1111dddd000xmmmm")
-form("smlsd", "111110110100nnnnaaaadddd000xmmmm")
-form("smusd", "111110110100nnnn1111dddd000xmmmm")
 form("smmla", "111110110101nnnnaaaadddd000xmmmm")
 form("smmul", "111110110101nnnn1111dddd000xmmmm")
 form("smmls", "111110110110nnnnaaaadddd000xmmmm")
-LONG = [("smull", "000", "0000"), ("umull", "010", "0000"), ("smlal", "100", "0000"), ("smlalxy", "100", "10xy"),
+LONG = [("smull", "000", "0000"), ("umull", "010", "0000"), ("smlal", "100", "0000"),
         ("umlal", "110", "0000"), ("umaal", "110", "0110")]
 for name, op, low in LONG:
     form(name, f"111110111{op}nnnnaaaadddd{low}mmmm", differ("a", "d"))
@@ -266,9 +260,6 @@ for name, opc2, high in [("vmov", 0, 0), ("vabs", 0, 1), ("vneg", 1, 0), ("vsqrt
                          ("vcvt_u32", 12, 1), ("vcvtr_s32", 13, 0), ("vcvt_s32", 13, 1)]:
     form(name, f"111011101D11{opc2:04b}qqqq1010{high}1M0oooo")
 form("vcmp_zero", "111011101D110101qqqq1010e1000000")
-fits = lambda r, f, s: 2 * f["i"] + f["I"] <= (32 if f["x"] else 16)
-form("vcvt_to_fixed", "111011101D11111uqqqq1010x1I0iiii", fits)
-form("vcvt_from_fixed", "111011101D11101uqqqq1010x1I0iiii", fits)
 form("vmov_to_core", "111011100001pppptttt1010N0010000")
 form("vmov_from_core", "111011100000pppptttt1010N0010000")
 form("vmov_scalar_to_core", "1110111000x1pppptttt101100010000")

@@ -11,7 +11,7 @@ use crate::peripherals::Bank;
 use crate::peripherals::adc::AdcGroup;
 use crate::peripherals::dac::Dac;
 use crate::peripherals::dma::{CHANNELS as DMA_CHANNELS, Dma};
-use crate::peripherals::exti::{Exti, PVD_LINE};
+use crate::peripherals::exti::Exti;
 use crate::peripherals::flash::Flash;
 use crate::peripherals::gpio::{PORTS, Port};
 use crate::peripherals::plain::crc::Crc;
@@ -51,16 +51,13 @@ const CALIBRATION_V: f64 = 3.0;
 /// Temperatures of the calibration of the sensor, in degrees Celsius (data sheet, TS_CAL1 and TS_CAL2).
 const CALIBRATION_C: [f64; 2] = [30.0, 130.0];
 
-/// A change of the emitter gates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GateEdge {
-    /// When.
     pub at: Ticks,
     /// Gates from then on: bit k for PC(6 + k).
     pub gates: u8,
 }
 
-/// Memories and peripherals.
 #[derive(Debug)]
 pub struct Board<W> {
     /// Light and electronics around the board.
@@ -226,12 +223,10 @@ impl<W: World> Board<W> {
         self.temperature_c = temperature_c;
     }
 
-    /// Whether the watchdog was started.
     pub fn watchdog_runs(&self) -> bool {
         self.watchdog.next_event() != Ticks::MAX
     }
 
-    /// The cells of the flash.
     pub fn flash_array(&self) -> &FlashArray {
         self.flash.array()
     }
@@ -268,11 +263,6 @@ impl<W: World> Board<W> {
             timer.halt(frozen >> bit & 1 != 0, &self.effects);
         }
         self.find_next_event();
-    }
-
-    /// Fault injection: sets OVR of ADC1 (`index` 0) or ADC2 (1).
-    pub fn force_adc_overrun(&mut self, index: usize) {
-        self.adc12.force_overrun(index, &mut self.effects);
     }
 
     /// Tells that something outside (a USB cable, a serial line) was moved past the bus. A run
@@ -334,12 +324,11 @@ impl<W: World> Board<W> {
     /// Lets all consequences of an access or event run out, then looks for the next event.
     fn settle(&mut self) {
         loop {
-            let edges = self.effects.take_triggers();
-            if edges != 0 {
-                self.adc12.trigger(edges, &self.effects);
-                self.adc345.trigger(edges, &self.effects);
+            if std::mem::take(&mut self.effects.triggered) {
+                self.adc12.trigger(&self.effects);
+                self.adc345.trigger(&self.effects);
                 for timer in &mut self.timers {
-                    timer.trigger(edges, &mut self.effects);
+                    timer.trigger(&mut self.effects);
                 }
             }
             let ready = self.effects.requests & self.dma.wanted();
@@ -357,7 +346,7 @@ impl<W: World> Board<W> {
         self.find_next_event();
     }
 
-    fn carry_out(&mut self, channel: usize, request: u8) {
+    fn carry_out(&mut self, channel: usize, request: u32) {
         // Acknowledged first: the access itself may raise the next request.
         self.effects.withdraw(request);
         let moved = self.dma.transfer(channel).is_some_and(|transfer| {
@@ -408,7 +397,7 @@ impl<W: World> Board<W> {
         let low = self.power.is_low;
         if low != self.pvd {
             self.pvd = low;
-            self.exti.edge(PVD_LINE, if low { Edge::Rising } else { Edge::Falling }, &mut self.effects);
+            self.exti.edge(if low { Edge::Rising } else { Edge::Falling }, &mut self.effects);
         }
     }
 
@@ -419,7 +408,7 @@ impl<W: World> Board<W> {
 
     fn write_rcc(&mut self, offset: u32, value: u32) {
         let slow = !self.rcc.is_at_full_speed();
-        let pulled = self.rcc.write(offset, value, self.power.backup_access(), &mut self.effects);
+        let pulled = self.rcc.write(offset, value, &mut self.effects);
         if slow && self.rcc.is_at_full_speed() {
             if self.flash.latency() < LATENCY_AT_170_MHZ {
                 self.effects.violation(value, "170 MHz need four wait states of the flash");

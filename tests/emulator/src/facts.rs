@@ -6,7 +6,6 @@
 
 const TABLE: &str = include_str!("../../data/stm32g474/facts.csv");
 
-/// One row of the table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Fact {
     /// ST's symbol where there is one.
@@ -20,9 +19,6 @@ pub struct Fact {
 }
 
 /// All rows, in their order.
-///
-/// # Panics
-/// If a row has not four fields.
 pub fn all() -> impl Iterator<Item = Fact> {
     TABLE.lines().skip(1).map(|row| {
         let fields: Vec<&'static str> = row.split(',').collect();
@@ -32,17 +28,11 @@ pub fn all() -> impl Iterator<Item = Fact> {
 }
 
 /// The row called `name`.
-///
-/// # Panics
-/// If there is none.
 pub fn fact(name: &str) -> Fact {
     all().find(|fact| fact.name == name).unwrap_or_else(|| panic!("no fact is called `{name}`"))
 }
 
 /// Value of `name`: bits, an address, an offset or a whole number.
-///
-/// # Panics
-/// If there is no such row, or its value is something else.
 pub fn bits(name: &str) -> u32 {
     let value = fact(name).value;
     let number = value.strip_prefix("0x").map_or_else(|| value.parse(), |digits| u32::from_str_radix(digits, 16));
@@ -50,9 +40,6 @@ pub fn bits(name: &str) -> u32 {
 }
 
 /// Value of `name` in its unit.
-///
-/// # Panics
-/// If there is no such row, or its value is no decimal number.
 pub fn number(name: &str) -> f64 {
     let value = fact(name).value;
     value.parse().unwrap_or_else(|_| panic!("`{name}` is {value}"))

@@ -91,11 +91,9 @@ pub enum Fault {
     LostSettings,
 }
 
-/// The first fault of the board.
 const FIRST_OF_BOARD: Fault = Fault::OpenElectrode;
 
 impl Fault {
-    /// All of a kind.
     pub fn of(kind: Kind) -> &'static [Self] {
         let (silicon, board) = Self::value_variants().split_at(FIRST_OF_BOARD as usize);
         match kind {
@@ -137,41 +135,31 @@ pub struct UnknownName {
 }
 
 impl Faults {
-    /// All that the silicon has.
     pub fn all_of_silicon() -> Self {
         Fault::of(Kind::Silicon).iter().copied().collect()
     }
 
-    /// These and `fault`.
     #[must_use]
     pub fn with(self, fault: Fault) -> Self {
         Self(self.0 | 1 << fault as u32)
     }
 
-    /// These and `others`.
     #[must_use]
     pub fn and(self, others: Self) -> Self {
         Self(self.0 | others.0)
     }
 
-    /// Whether `fault` is among them.
     #[inline]
     pub fn has(self, fault: Fault) -> bool {
         self.0 >> fault as u32 & 1 != 0
     }
 
     /// Names of the silicon's faults separated by commas, or `all`.
-    ///
-    /// # Errors
-    /// The name that none has.
     pub fn of_silicon(text: &str) -> Result<Self, UnknownName> {
         if text == "all" { Ok(Self::all_of_silicon()) } else { Self::parse(text, Kind::Silicon) }
     }
 
     /// Names of the board's faults separated by commas.
-    ///
-    /// # Errors
-    /// The name that none has.
     pub fn of_board(text: &str) -> Result<Self, UnknownName> {
         Self::parse(text, Kind::Board)
     }

@@ -16,7 +16,6 @@ use crate::memory::{CCM_BASE, CCM_BYTES, FLASH_BASE, FLASH_BYTES, FlashArray, RA
 
 /// Why a file is no image for this device.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)] // The messages say it.
 pub enum ImageError {
     #[error("not a 32-bit ELF file; give the file that firmware/build makes")]
     Elf(#[from] object::Error),
@@ -26,16 +25,13 @@ pub enum ImageError {
     Empty,
 }
 
-/// A named place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Symbol {
-    /// Its address.
     pub address: u32,
     /// Its size in bytes, as far as the file says.
     pub bytes: u32,
 }
 
-/// A program for the device.
 #[derive(Clone, Debug)]
 pub struct Image {
     segments: Vec<(u32, Vec<u8>)>,
@@ -156,9 +152,6 @@ enum Change {
 }
 
 /// Checks that `image`, which `firmware/build` has made, is not older than any of its sources.
-///
-/// # Errors
-/// The first source that is not as it was.
 pub(crate) fn check_sources(image: &Path) -> Result<(), StaleError> {
     changed_since(image, &project()).map_err(|change| StaleError { image: image.to_owned(), change })
 }
@@ -216,15 +209,6 @@ mod tests {
         }
         file.extend([1, 2, 3, 4]);
         file
-    }
-
-    #[test]
-    fn segments_go_to_their_physical_address() {
-        let image = Image::from_elf(&elf(FLASH_BASE + 0x100)).unwrap();
-        let mut flash = FlashArray::erased();
-        image.load_into(&mut flash);
-        assert_eq!(flash.bytes()[0xFF..0x105], [0xFF, 1, 2, 3, 4, 0xFF]);
-        assert_eq!((image.flash_bytes(), image.static_ram_bytes()), (4, 0));
     }
 
     #[test]

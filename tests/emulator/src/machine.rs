@@ -27,21 +27,15 @@ pub enum Stop {
     Lockup(FaultReport),
 }
 
-/// A reset that has happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reset {
-    /// When.
     pub at: Ticks,
-    /// Why.
     pub cause: ResetCause,
 }
 
-/// Core and board.
 #[derive(Debug)]
 pub struct Machine<W> {
-    /// The core.
     pub cpu: Cpu,
-    /// Everything else.
     pub board: Board<W>,
     resets: Vec<Reset>,
     /// Ticks in which the core did not sleep.
@@ -124,7 +118,6 @@ impl<W: World> Machine<W> {
         self.board.halt_timers(0);
     }
 
-    /// Pulls the reset pin for an instant.
     pub fn pull_reset_pin(&mut self) {
         if self.powered && !self.browned_out {
             self.reset(ResetCause::Pin);
@@ -246,7 +239,6 @@ mod tests {
     use crate::memory::{BANK_BYTES, PAGE_BYTES};
     use crate::peripherals::TICKS_PER_SECOND;
 
-    /// `b .`
     const SPIN: &[u16] = &[0xE7FE];
     struct Nothing;
 
@@ -289,21 +281,6 @@ mod tests {
         for (offset, value) in [(8, 0x4567_0123), (8, 0xCDEF_89AB), (0x14, 1 << 1 | 1 << 11 | 1 << 16)] {
             put(&mut machine.board, 0x4002_2000 + offset, value);
         }
-    }
-
-    #[test]
-    fn an_interrupt_line_wakes_the_core_at_its_tick() {
-        // `cpsid i`, enables TIM2 in the NVIC, `wfi`, `b .`: it wakes without taking the interrupt.
-        let mut machine = machine(&[0xB672, 0x4802, 0x4902, 0x6001, 0xBF30, 0xE7FE, 0xE100, 0xE000, 0x0000, 0x1000]);
-        put(&mut machine.board, 0x4002_1058, 1);
-        for (offset, value) in [(0x2C, 4_999), (0x0C, 1), (0x00, 1)] {
-            put(&mut machine.board, 0x4000_0000 + offset, value);
-        }
-        machine.run_until(4_999);
-        assert_eq!(machine.now(), 4_999);
-        let awake = machine.awake_ticks();
-        machine.run_until(5_100);
-        assert_eq!(machine.awake_ticks() - awake, machine.now() - 5_000);
     }
 
     #[test]

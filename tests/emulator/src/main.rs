@@ -131,7 +131,6 @@ fn stdin_closed() -> Arc<AtomicBool> {
     closed
 }
 
-/// A board at a terminal.
 struct Session {
     rig: Rig,
     terminal: Terminal,

@@ -10,7 +10,6 @@ pub const FLASH_BASE: u32 = st::FLASH::BASE;
 pub const FLASH_BYTES: usize = st::flash::size as usize;
 /// One bank in bytes (option bit DBANK set, as delivered).
 pub const BANK_BYTES: usize = FLASH_BYTES / 2;
-/// One page in bytes.
 pub const PAGE_BYTES: usize = st::FLASH::PAGE_SIZE as usize;
 /// Flash is programmed and protected (ECC) in double words of this many bytes.
 pub const DOUBLE_WORD_BYTES: usize = st::flash::double_word as usize;
@@ -26,7 +25,6 @@ pub const CCM_BYTES: usize = st::ccm::size as usize;
 
 /// System memory with the factory's boot loader.
 pub const BOOT_LOADER_BASE: u32 = 0x1FFF_0000;
-/// End of the boot loader.
 pub const BOOT_LOADER_END: u32 = 0x1FFF_7000;
 
 /// The 96-bit device identifier, as three words.
@@ -97,26 +95,20 @@ pub struct FlashArray {
 }
 
 impl FlashArray {
-    /// Erased flash.
     pub fn erased() -> Self {
         Self { bytes: vec![0xFF; FLASH_BYTES].into_boxed_slice(), torn: BTreeSet::new(), refusing: BTreeSet::new() }
     }
 
-    /// All bytes.
     pub fn bytes(&self) -> &[u8] {
         &self.bytes
     }
 
     /// Puts `data` at `offset`, as a programmer's tool does.
-    ///
-    /// # Panics
-    /// If `data` goes beyond the flash.
     pub fn load(&mut self, offset: usize, data: &[u8]) {
         self.bytes[offset..offset + data.len()].copy_from_slice(data);
         self.torn.retain(|torn| !(offset..offset + data.len()).contains(torn));
     }
 
-    /// Whether any double word is torn.
     #[inline]
     pub fn has_torn(&self) -> bool {
         !self.torn.is_empty()
@@ -197,7 +189,6 @@ impl Default for Bits {
 }
 
 impl Bits {
-    /// A number of `range`.
     pub(crate) fn within(&mut self, range: std::ops::RangeInclusive<u64>) -> u64 {
         range.start() + (self.next() >> 16) % (range.end() - range.start() + 1)
     }
@@ -224,14 +215,6 @@ impl Bits {
 mod tests {
     use super::*;
     use crate::facts;
-
-    #[test]
-    fn system_memory_holds_the_factory_constants() {
-        assert_eq!([0, 4, 8].map(|offset| system_word(UNIQUE_ID_ADDRESS + offset)), UNIQUE_ID);
-        assert_eq!(system_word(st::FLASHSIZE::BASE) & 0xFFFF, 512);
-        assert_eq!(system_word(0x1FFF_75A8), u32::from(VREFINT_CAL) << 16 | u32::from(TS_CAL1));
-        assert_eq!(system_word(0x1FFF_75C8) >> 16, u32::from(TS_CAL2));
-    }
 
     #[test]
     fn the_reference_s_code_is_that_of_its_voltage() {

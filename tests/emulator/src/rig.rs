@@ -23,7 +23,6 @@ use crate::world::{NoiseSource, OpticsWorld, World, WorldError};
 /// Optics are evaluated to this relative error, which is far below a code of the converters.
 const TOLERANCE: f64 = 1e-6;
 
-/// The tier the world is made of.
 pub const WORLD_TIER: Tier = Tier::Exact { tolerance: TOLERANCE };
 
 /// Seed of what the silicon's faults do by chance.
@@ -34,7 +33,6 @@ const BOOT_TICKS: Ticks = TICKS_PER_SECOND / 10;
 
 /// Why there is no image to run.
 #[derive(Debug, Error)]
-#[allow(missing_docs)] // The messages say it.
 pub enum OpenError {
     #[error("cannot read the image {}; make it with firmware/build, or give another with --elf", path.display())]
     Read { path: PathBuf, source: std::io::Error },
@@ -45,25 +43,16 @@ pub enum OpenError {
 }
 
 /// Reads the image in `path`, or what `firmware/build` made last.
-///
-/// # Errors
-/// If there is none, or the one made last is older than its sources.
 pub fn open_image(path: Option<&Path>) -> Result<Image, OpenError> {
     path.map_or_else(|| open_built(&image_path("slitpose-board")), read_image)
 }
 
 /// Reads the image that solves poses, which `firmware/build` makes beside the default one.
-///
-/// # Errors
-/// If there is none, or it is older than its sources.
 pub fn open_pose_image() -> Result<Image, OpenError> {
     open_built(&image_path("slitpose-board-pose"))
 }
 
 /// The ELF files of both images as `firmware/build` made them last: the default one, and the one that solves poses.
-///
-/// # Errors
-/// If one is missing, or older than its sources.
 pub fn built_files() -> Result<[Vec<u8>; 2], OpenError> {
     let read = |path: PathBuf| {
         let file = std::fs::read(&path).map_err(|source| OpenError::Read { path: path.clone(), source })?;
@@ -87,7 +76,6 @@ fn read_image(path: &Path) -> Result<Image, OpenError> {
     }
 }
 
-/// The board's link in use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Link {
     /// The controller's own USB
@@ -110,9 +98,6 @@ impl Rig {
     /// Powers a board with `image` and `faults` in front of the head of `scene`, its host at its USB, and
     /// lets it start its clock: the tool's time is that clock's, and goes on if the board is
     /// reset.
-    ///
-    /// # Errors
-    /// If the board cannot be connected to such a head.
     pub fn boot(
         image: &Image,
         scene: &SceneFile,
@@ -164,12 +149,10 @@ impl<W: World> Rig<W> {
         self
     }
 
-    /// The board.
     pub fn machine(&mut self) -> &mut Machine<W> {
         &mut self.machine
     }
 
-    /// The present, in ticks since power-on.
     pub fn now(&self) -> Ticks {
         self.machine.now()
     }
@@ -209,7 +192,6 @@ impl<W: World> Rig<W> {
         self.host(|host, now| if plugged { host.attach(now) } else { host.detach(now) });
     }
 
-    /// Sends bytes to the board.
     pub fn send_bytes(&mut self, bytes: &[u8]) {
         if bytes.is_empty() {
             return;

@@ -29,9 +29,6 @@ pub struct Terminal {
 
 impl Terminal {
     /// Makes one, which nobody has open yet.
-    ///
-    /// # Errors
-    /// If there are no more pseudo-terminals.
     pub fn open() -> Result<Self, TerminalError> {
         let at = |action| move |source| TerminalError { action, source };
         let OpenptyResult { master, slave } = openpty(None, None).map_err(at("openpty"))?;
@@ -52,9 +49,6 @@ impl Terminal {
     }
 
     /// Whether some program has it open.
-    ///
-    /// # Errors
-    /// If the operating system cannot tell.
     pub fn is_open(&self) -> Result<bool, TerminalError> {
         let mut polled = [PollFd::new(self.master.as_fd(), PollFlags::empty())];
         poll(&mut polled, PollTimeout::ZERO).map_err(|source| TerminalError { action: "poll", source })?;
@@ -62,9 +56,6 @@ impl Terminal {
     }
 
     /// Reads what has been written by the other side, as much as `buffer` takes; nothing is nothing.
-    ///
-    /// # Errors
-    /// If reading fails.
     pub fn read<'a>(&self, buffer: &'a mut [u8]) -> Result<&'a [u8], TerminalError> {
         match unistd::read(&self.master, buffer) {
             Ok(len) => Ok(&buffer[..len]),
@@ -76,54 +67,11 @@ impl Terminal {
 
     /// Writes for the other side; returns how many bytes it took, which may be none while nobody
     /// reads there.
-    ///
-    /// # Errors
-    /// If writing fails.
     pub fn write(&self, bytes: &[u8]) -> Result<usize, TerminalError> {
         match unistd::write(&self.master, bytes) {
             Ok(len) => Ok(len),
             Err(Errno::EAGAIN | Errno::EINTR | Errno::EIO) => Ok(0),
             Err(source) => Err(TerminalError { action: "write", source }),
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use std::fs::{File, OpenOptions};
-
-    fn other_side(terminal: &Terminal) -> File {
-        OpenOptions::new().read(true).write(true).open(terminal.path()).unwrap()
-    }
-
-    #[test]
-    fn opening_and_closing_is_seen() {
-        let terminal = Terminal::open().unwrap();
-        assert!(!terminal.is_open().unwrap());
-        for _ in 0..3 {
-            let other = other_side(&terminal);
-            assert!(terminal.is_open().unwrap());
-            drop(other);
-            assert!(!terminal.is_open().unwrap());
-        }
-    }
-
-    #[test]
-    fn nothing_waits_and_what_is_not_taken_is_told() {
-        let terminal = Terminal::open().unwrap();
-        assert_eq!(terminal.read(&mut [0; 16]).unwrap(), b"");
-        let _other = other_side(&terminal);
-        assert_eq!(terminal.read(&mut [0; 16]).unwrap(), b"");
-        let mut taken = 0;
-        loop {
-            let len = terminal.write(&[7; 1024]).unwrap();
-            if len == 0 {
-                break;
-            }
-            taken += len;
-            assert!(taken < 1 << 20, "no back-pressure");
-        }
-        assert!(taken > 0);
     }
 }

@@ -42,35 +42,28 @@ pub enum BusSignal {
 /// What a device answers to an IN token, or to a data packet.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Answer {
-    /// A data packet.
     Data {
         /// DATA1 rather than DATA0.
         toggle: bool,
-        /// Its content.
         bytes: Vec<u8>,
     },
     /// The data packet is taken.
     Ack,
     /// Nothing to send yet, or no room.
     Nak,
-    /// The endpoint is halted.
     Stall,
-    /// Nothing at all.
     Silence,
 }
 
 /// A packet from the host, with the token ahead of it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OutPacket<'a> {
-    /// Device address.
     pub address: u8,
-    /// Endpoint number.
     pub endpoint: u8,
     /// A SETUP token rather than OUT.
     pub setup: bool,
     /// DATA1 rather than DATA0.
     pub toggle: bool,
-    /// Content.
     pub bytes: &'a [u8],
 }
 

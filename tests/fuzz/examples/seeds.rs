@@ -85,15 +85,7 @@ fn wire() -> Result<(), Failure> {
         write("pipeline", name, [&[77], &stream[..]].concat())?;
         write("capture", &format!("{name}_bytes"), [&[77], &stream[..]].concat())?;
     }
-    for (number, axis) in (0_i16..).zip(0..6_usize) {
-        let mut pose = [0_i16; 6];
-        pose[axis] = 32_767 - 5_000 * number;
-        let bytes: Vec<u8> = pose.iter().flat_map(|number| number.to_le_bytes()).collect();
-        write("optics", &format!("axis_{axis}"), &bytes)?;
-        write("board_pose", &format!("axis_{axis}"), [&bytes[..], &[(40 * axis) as u8; 12]].concat())?;
-    }
-    write("optics", "home", [0; 12])?;
-    write("board_pose", "home", [0; 24])
+    Ok(())
 }
 
 /// What a simulated board says from its start on.

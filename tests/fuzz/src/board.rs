@@ -64,7 +64,6 @@ fn sample(hardware: &mut Fake, words: &[u8]) {
     }
 }
 
-/// The next attempt of a kind fails.
 fn fail(hardware: &mut Fake, kind: u8) {
     match kind % 6 {
         0 => hardware.refuse_light = Some(HardwareFault::Converters),

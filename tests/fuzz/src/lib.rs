@@ -6,9 +6,9 @@
 
 mod board;
 mod files;
+mod head;
 #[cfg(feature = "host")]
 mod host;
-mod solver;
 #[cfg(feature = "host")]
 mod usb;
 pub mod wire;
@@ -27,7 +27,6 @@ pub struct Target {
 /// All targets.
 pub const TARGETS: &[Target] = &[
     Target { name: "board", smoke: 1000, run: board::any_link_and_any_fault },
-    Target { name: "board_pose", smoke: 200, run: solver::board_and_host_agree },
     #[cfg(feature = "host")]
     Target { name: "calibration", smoke: 200, run: host::calibration },
     #[cfg(feature = "host")]
@@ -37,10 +36,9 @@ pub const TARGETS: &[Target] = &[
     #[cfg(feature = "host")]
     Target { name: "datagram", smoke: 4000, run: host::datagram },
     Target { name: "decoder", smoke: 2000, run: wire::decoder },
-    Target { name: "head", smoke: 1000, run: solver::head },
+    Target { name: "head", smoke: 1000, run: head::head },
     #[cfg(feature = "host")]
     Target { name: "http", smoke: 4000, run: host::http },
-    Target { name: "optics", smoke: 1000, run: solver::single_and_double_agree },
     #[cfg(feature = "host")]
     Target { name: "page", smoke: 4000, run: host::page },
     #[cfg(feature = "host")]
@@ -52,9 +50,6 @@ pub const TARGETS: &[Target] = &[
 ];
 
 /// Runs the target of this name.
-///
-/// # Panics
-/// If there is none, or if an invariant does not hold.
 pub fn run(name: &str, bytes: &[u8]) {
     let target = TARGETS.iter().find(|target| target.name == name).expect("a target of TARGETS");
     (target.run)(bytes);

@@ -23,7 +23,6 @@ fn corpus(target: &Target) -> Vec<(PathBuf, Vec<u8>)> {
     files.into_iter().map(|path| (path.clone(), fs::read(path).expect("a file"))).collect()
 }
 
-/// What of `name` the environment asks for.
 fn asked(name: &str, default: u64) -> u64 {
     std::env::var(name).map_or(default, |text| text.parse().unwrap_or_else(|_| panic!("{name} is no number: {text}")))
 }
@@ -92,5 +91,5 @@ macro_rules! targets {
 }
 
 targets! {
-    board board_pose calibration capture configuration datagram decoder head http optics page pipeline scene table usb
+    board calibration capture configuration datagram decoder head http page pipeline scene table usb
 }

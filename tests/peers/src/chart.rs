@@ -10,7 +10,6 @@ use slitpose_model::Pose;
 /// Unit of translation: the emitters' distance from the tool's origin.
 pub const ARM_M: f64 = 0.01;
 
-/// The pose at `x`.
 pub fn pose(x: &[f64; 6]) -> Pose {
     let a = half_turn(x);
     Pose {
@@ -19,7 +18,6 @@ pub fn pose(x: &[f64; 6]) -> Pose {
     }
 }
 
-/// Where `pose` is.
 pub fn coordinates(pose: &Pose) -> [f64; 6] {
     let [tx, ty, tz] = (pose.translation_m / ARM_M).to_array();
     let [rx, ry, rz] = (pose.rotation.xyz() * (2.0 / pose.rotation.w)).to_array();

@@ -9,29 +9,23 @@ use crate::ours::{Ours, Planes};
 use crate::problems::{Kind, Problem};
 use crate::tiny_solver::{Build, TinySolver};
 
-/// What every contender has to tell.
 #[derive(Clone, Copy, Debug)]
 pub struct Answer {
-    /// The pose found.
     pub pose: Pose,
     /// Covariance of its perturbation (δt, δθ): m², m·rad, rad².
     pub covariance: [[f64; 6]; 6],
-    /// Steps tried.
     pub steps: usize,
 }
 
 /// Problems that one contender solves before it is the next one's turn.
 pub struct Stretch<'a> {
-    /// One by one.
     pub problems: &'a [Problem],
     /// Their currents alone.
     pub readings: Vec<Photocurrents>,
-    /// Where each starts.
     pub starts: Vec<Pose>,
 }
 
 impl<'a> Stretch<'a> {
-    /// Of `problems`.
     pub fn of(problems: &'a [Problem]) -> Self {
         let readings = problems.iter().map(|problem| problem.readings.clone()).collect();
         Self { problems, readings, starts: problems.iter().map(|problem| problem.start).collect() }
@@ -42,9 +36,7 @@ impl<'a> Stretch<'a> {
 pub trait Contender {
     /// What it is called in tables and on the command line.
     fn name(&self) -> &'static str;
-    /// Solves one problem.
     fn solve(&self, problem: &Problem) -> Answer;
-    /// Solves all problems of a stretch.
     fn solve_all(&self, stretch: &Stretch<'_>) {
         for problem in stretch.problems {
             black_box(self.solve(black_box(problem)));
@@ -53,9 +45,6 @@ pub trait Contender {
 }
 
 /// All that take part in problems of `kind`; the first is the measure of the others.
-///
-/// # Errors
-/// Those of [`slitpose_model::CompiledScene::compile`].
 pub fn all(scene: &Scene, kind: Kind) -> Result<Vec<Box<dyn Contender>>, SceneError> {
     let mut contenders: Vec<Box<dyn Contender>> = vec![Box::new(Ours::new(scene, kind)?)];
     if kind.starts_on_planes() {

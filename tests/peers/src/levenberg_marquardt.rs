@@ -79,7 +79,6 @@ pub fn strict(plan: &CompiledScene<f64>, noise: &[CellNoise; CELLS], pairs: &[Pa
     chart::pose(&found.x.into())
 }
 
-/// The contender.
 pub struct Crate {
     plan: CompiledScene<f64>,
     noise: [CellNoise; CELLS],
@@ -88,9 +87,6 @@ pub struct Crate {
 
 impl Crate {
     /// For the cells of `scene`.
-    ///
-    /// # Errors
-    /// Those of [`CompiledScene::compile`].
     pub fn new(scene: &Scene) -> Result<Self, SceneError> {
         Ok(Self {
             plan: CompiledScene::compile(scene, Tier::Paper)?,

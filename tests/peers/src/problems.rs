@@ -38,14 +38,11 @@ pub enum Kind {
     WarmNoisy,
 }
 
-/// One pose to be found.
 #[derive(Clone, Debug)]
 pub struct Problem {
     /// The currents, amperes.
     pub pairs: [Pair<f64>; CELLS],
-    /// The same for slitpose.
     pub readings: Photocurrents,
-    /// Where to start.
     pub start: Pose,
     /// The pose of the least χ²: without noise the true one.
     pub minimum: Pose,
@@ -85,9 +82,6 @@ impl Kind {
     }
 
     /// The first `count` problems of this kind; the same for the same `seed`.
-    ///
-    /// # Errors
-    /// Those of [`CompiledScene::compile`].
     pub fn problems(self, scene: &Scene, seed: u64, count: usize) -> Result<Vec<Problem>, SceneError> {
         let plan = CompiledScene::<f64>::compile(scene, Tier::Paper)?;
         let solver = Solver::<f64>::new(scene, Tier::Paper)?;

@@ -106,11 +106,9 @@ unsafe extern "C" {
 pub enum Build {
     /// Any x86-64.
     Portable,
-    /// The machine at hand.
     Native,
 }
 
-/// The contender.
 pub struct TinySolver {
     name: &'static str,
     solve: Solve,
@@ -120,7 +118,6 @@ pub struct TinySolver {
 }
 
 impl TinySolver {
-    /// As compiled for `build`.
     pub fn new(scene: &Scene, build: Build) -> Self {
         let (name, solve): (_, Solve) = match build {
             Build::Portable => ("TinySolver", tiny_solver_portable),

@@ -6,7 +6,6 @@ use slitpose_model::{BOLTZMANN_J_PER_K, ELEMENTARY_CHARGE_C, Noise, Pair, Scene}
 /// Cells of a head: the peers' problems have fixed sizes.
 pub const CELLS: usize = 6;
 
-/// Noise of the currents of one cell.
 #[derive(Clone, Copy, Debug)]
 pub struct CellNoise {
     /// Variance of the total current per ampere: 2qB.
@@ -56,7 +55,6 @@ impl CellNoise {
         [a, b, (own + shot * second * second - b * b).sqrt()]
     }
 
-    /// `currents` with their weight.
     #[inline]
     pub fn weigh(&self, currents: &Pair<f64>) -> Weighted {
         let [a, b, c] = self.factor(currents);

@@ -27,7 +27,6 @@ use crate::terminal::{Board, Device, FRAME_RATE_HZ, Terminal};
 /// Bytes in to pose out, of half and of 99 % of all poses, µs.
 const MAX_US: [(f64, f64); 2] = [(0.5, 150.0), (0.99, 1000.0)];
 
-/// The daemon is ready within this, or never.
 const READY_WITHIN: Duration = Duration::from_secs(20);
 
 #[derive(Clone, Debug, Args)]
@@ -260,7 +259,6 @@ struct Timed {
     written: Arc<Mutex<Written>>,
 }
 
-/// What a board has written.
 #[derive(Default)]
 struct Written {
     writes_ns: Vec<u64>,

@@ -1,13 +1,12 @@
 //! What a tracker costs, and whether it keeps up, whatever its head sees: few lit cells, faulty
 //! cells, light of another tier than the solver's.
 //!
-//! Work is counted in evaluations of the whole head, which any machine counts alike; times are those of a thread's own on
-//! the machine that ran, so that other programs are not in them.
+//! Work is counted in evaluations of the whole head, which any machine counts alike; the benches of the model say how long one
+//! takes.
 
 use std::collections::BTreeMap;
 
 use clap::Args;
-use nix::time::{ClockId, clock_gettime};
 use rand::RngExt;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -16,19 +15,12 @@ use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_model::{CompiledScene, DegradedReason, Outcome, Pair, Pose, Solver, Tier, Tracker, Verified};
-use slitpose_tracking::pipeline::{Pipeline, PipelineError, SceneMatch};
 
 use super::trials::{Disturbance, HALF, Trials, lit_pose};
 use super::{Table, Verdicts};
-use crate::capture::{Decoded, STREAM, capture, decode, packets};
+use crate::capture::{Decoded, STREAM, capture, decode};
 use crate::consistency::{Sorted, error, worst_axis};
 use crate::poses::pose;
-
-/// What a scan may take, 99 % of all scans, µs.
-const MAX_P99_US: f64 = 100.0;
-
-/// A scan that waits for longer is late, µs, as `slitpose run` has it. The system may stop a thread for less.
-const LATE_US: f64 = 5000.0;
 
 /// Evaluations of one scan: its own 20, 56 that scans before have saved, and a dozen to end what has begun.
 /// At some 2.5 µs each they leave some of the 250 µs of a scan at 4 kHz.
@@ -51,19 +43,12 @@ pub struct Options {
     /// Scans of each run
     #[arg(long, default_value_t = 1000)]
     scans: usize,
-    /// Times that each run is made; a scan counts with the least: what other users of the processor's caches and units add
-    /// differs from pass to pass
-    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(1..))]
-    passes: u8,
     /// Scans with all cells well before each run of a second set of cases
     #[arg(long, default_value_t = 20)]
     healthy: usize,
     /// Seed of everything that is drawn
     #[arg(long, default_value_t = 20_180_718)]
     seed: u64,
-    /// Without a verdict on times
-    #[arg(long)]
-    untimed: bool,
 }
 
 /// What the head sees.
@@ -73,9 +58,7 @@ enum Sight {
     Lit(usize),
     /// Both electrodes of one cell scatter by 5 % of their current.
     NoisyCell,
-    /// The electrodes of one cell are exchanged.
     SwappedElectrodes,
-    /// Two cells are exchanged.
     SwappedCells,
     /// One electrode measures the same whatever the light.
     StuckElectrode,
@@ -116,7 +99,6 @@ struct Case {
     sight: Sight,
     /// What the solver assumes.
     tier: Tier,
-    /// What the light does.
     light: Tier,
     /// Along a smooth path, or at rest at a random pose at which all cells are lit.
     moves: bool,
@@ -124,13 +106,9 @@ struct Case {
     healthy: usize,
 }
 
-/// What one scan came to.
 #[derive(Clone, Copy, Debug)]
 struct Scan {
-    /// Evaluations of all cells.
     evaluations: usize,
-    /// Time that the tracker took of a processor.
-    cost_ns: u64,
     outcome: Outcome,
     verified: Verified,
     /// The largest error of an axis in σ; `None` without pose.
@@ -157,30 +135,20 @@ pub fn study(options: &Options) -> Verdicts {
         "evaluations",
         "99 %",
         "most",
-        "us",
-        "99 %",
-        "most",
-        "lag us",
         "verified/wrong",
         "outcomes",
     ]);
     let mut verdicts = Verdicts::default();
     for scene in &options.scenes {
         let file = SceneFile::open(scene).unwrap_or_else(|error| panic!("{error}"));
-        let besides_us = intake_us(&file, options.seed);
-        println!(
-            "{scene}: besides its tracker 99 % of scans cost at most {besides_us:.1} us, which is in all that follows"
-        );
         let sights = (0..=file.scene.cells.len()).rev().map(Sight::Lit).chain(Sight::FAULTS);
         for sight in sights {
             for (tier, light) in [(STREAM, STREAM), (Tier::Paper, Tier::Paper), (Tier::Paper, STREAM)] {
                 for (moves, healthy) in [(false, 0), (false, options.healthy), (true, 0), (true, options.healthy)] {
                     let case = Case { sight, tier, light, moves, healthy };
-                    let runs = (0..trials.count).map(|run| {
-                        let pass = || Rig::new(&file, case).run(options.scans, &mut trials.generator(run));
-                        (1..options.passes).fold(pass(), |least, _| with_least_times(least, &pass()))
-                    });
-                    let report = Report { case, runs: runs.collect(), besides_us, period_s: period_s(&file) };
+                    let runs = (0..trials.count)
+                        .map(|run| Rig::new(&file, case).run(options.scans, &mut trials.generator(run)));
+                    let report = Report { case, runs: runs.collect() };
                     table.row(report.row(&file.name));
                     report.check(options, &mut verdicts);
                 }
@@ -249,75 +217,21 @@ impl<'a> Rig<'a> {
                     sight.apply(&order, &mut light, rng);
                 }
                 let readings = self.disturbance.measured(&light, rng);
-                let start_ns = processor_ns();
                 let solution = self.tracker.track(frame as u64, &readings).solution;
-                let cost_ns = processor_ns() - start_ns;
                 let worst_sigmas = solution
                     .estimate
                     .map(|estimate| worst_axis(&error(&estimate.pose, &motion(time_s)), &estimate.covariance));
                 let (evaluations, outcome, verified) = (solution.evaluations, solution.outcome, solution.verified());
-                Scan { evaluations, cost_ns, outcome, verified, worst_sigmas }
+                Scan { evaluations, outcome, verified, worst_sigmas }
             })
             .skip(healthy)
             .collect()
     }
 }
 
-fn with_least_times(mut scans: Vec<Scan>, again: &[Scan]) -> Vec<Scan> {
-    assert_eq!(scans.len(), again.len());
-    for (scan, again) in scans.iter_mut().zip(again) {
-        assert_eq!(scan.evaluations, again.evaluations, "the same draws");
-        scan.cost_ns = scan.cost_ns.min(again.cost_ns);
-    }
-    scans
-}
-
-/// What a scan costs besides its tracker, µs: decoding, scaling, the health of the cells, and a record; what 99 % do not
-/// exceed, by packets of some scans each.
-fn intake_us(file: &SceneFile, seed: u64) -> f64 {
-    const SCANS: usize = 4000;
-    let bytes = capture(file, Trajectory::of_kind(TrajectoryKind::Smooth, seed, 1.0), Tier::Paper, seed, SCANS);
-    // A tracker for which all of this light is too faint returns at once.
-    let mut blind = file.clone();
-    blind.scene.cells.iter_mut().for_each(|cell| cell.detector.faint_a = f64::MAX);
-    let mut pipeline = Pipeline::new(blind, STREAM, SceneMatch::Waived).watched();
-    let mut costs_us = Vec::new();
-    for packet in packets(&bytes) {
-        let start_ns = processor_ns();
-        pipeline.push(&bytes[packet.bytes], |_| Ok::<_, PipelineError>(())).unwrap_or_else(|error| panic!("{error}"));
-        let cost_ns = processor_ns() - start_ns;
-        if !packet.scans.is_empty() {
-            costs_us.push(cost_ns as f64 * 1e-3 / packet.scans.count() as f64);
-        }
-    }
-    assert_eq!(pipeline.counts().scans, SCANS as u64);
-    Sorted::of(costs_us).at(0.99)
-}
-
-/// Time that this thread has had of a processor.
-fn processor_ns() -> u64 {
-    let time = clock_gettime(ClockId::CLOCK_THREAD_CPUTIME_ID).expect("a clock of threads");
-    (time.tv_sec() * 1_000_000_000 + time.tv_nsec()) as u64
-}
-
-/// The longest time from a scan's arrival to its pose, seconds, if scans arrive every `period_s` and
-/// cost `costs_s` each: one server, first come, first served.
-fn most_lag_s(period_s: f64, costs_s: impl IntoIterator<Item = f64>) -> f64 {
-    let (mut free_s, mut most_s) = (0.0_f64, 0.0_f64);
-    for (scan, cost_s) in costs_s.into_iter().enumerate() {
-        let arrival_s = scan as f64 * period_s;
-        free_s = free_s.max(arrival_s) + cost_s;
-        most_s = most_s.max(free_s - arrival_s);
-    }
-    most_s
-}
-
-/// What a case came to.
 struct Report {
     case: Case,
     runs: Vec<Vec<Scan>>,
-    period_s: f64,
-    besides_us: f64,
 }
 
 impl Report {
@@ -334,21 +248,6 @@ impl Report {
         Sorted::of(self.later().map(|scan| scan.evaluations as f64))
     }
 
-    fn cost_us(&self, scan: &Scan) -> f64 {
-        scan.cost_ns as f64 * 1e-3 + self.besides_us
-    }
-
-    fn costs_us(&self) -> Sorted {
-        Sorted::of(self.later().map(|scan| self.cost_us(scan)))
-    }
-
-    /// The longest time from a scan's arrival to its pose after the first, were this computer's solver fed
-    /// at the head's rate, µs.
-    fn most_lag_us(&self) -> f64 {
-        let of_run = |run: &Vec<Scan>| most_lag_s(self.period_s, run[1..].iter().map(|scan| self.cost_us(scan) * 1e-6));
-        self.runs.iter().map(of_run).fold(0.0, f64::max) * 1e6
-    }
-
     fn wrong(&self) -> usize {
         self.scans().filter(|scan| scan.is_wrong()).count()
     }
@@ -362,13 +261,6 @@ impl Report {
             most <= MAX_EVALUATIONS && of_99 <= MAX_OF_99,
             format!("{what}: at most {most} evaluations, of 99 % {of_99}"),
         );
-        if !options.untimed {
-            let (of_99_us, lag_us) = (self.costs_us().at(0.99), self.most_lag_us());
-            verdicts.check(
-                of_99_us <= MAX_P99_US && lag_us <= LATE_US,
-                format!("{what}: 99 % within {MAX_P99_US} us, none later than {LATE_US} us"),
-            );
-        }
         let Sight::Lit(lit) = sight else { return };
         if tier != light {
             return;
@@ -408,10 +300,10 @@ impl Report {
         counts.iter().take(2).map(part).collect::<Vec<_>>().join(", ")
     }
 
-    fn row(&self, head: &str) -> [String; 14] {
+    fn row(&self, head: &str) -> [String; 10] {
         let Case { sight, tier, light, moves, healthy } = self.case;
         let name = |tier| if tier == Tier::Paper { "paper" } else { "exact" };
-        let (evaluations, costs_us) = (self.evaluations(), self.costs_us());
+        let evaluations = self.evaluations();
         let verified = self.scans().filter(|scan| scan.is_wrong() && scan.verified != Verified::Not).count();
         [
             head.to_owned(),
@@ -425,26 +317,8 @@ impl Report {
             evaluations.at(0.5).to_string(),
             evaluations.at(0.99).to_string(),
             evaluations.most().to_string(),
-            format!("{:.1}", costs_us.at(0.5)),
-            format!("{:.1}", costs_us.at(0.99)),
-            format!("{:.1}", costs_us.most()),
-            format!("{:.0}", self.most_lag_us()),
             format!("{verified}/{}", self.wrong()),
             self.outcomes(),
         ]
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn lag_grows_while_scans_cost_more_than_they_leave_time() {
-        let most = |costs: &[f64]| most_lag_s(1.0, costs.iter().copied());
-        assert_eq!(most(&[0.5, 0.25, 0.5]), 0.5);
-        // Each of four scans adds half a period; then there is time to catch up.
-        assert_eq!(most(&[1.5, 1.5, 1.5, 1.5, 0.25]), 3.0);
-        assert_eq!(most(&[3.0, 0.25, 0.25, 0.25, 0.5]), 3.0);
     }
 }

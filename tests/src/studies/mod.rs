@@ -10,12 +10,10 @@
 //! | [`soak`] | is nothing lost, and does nothing grow, with several boards for a long time? |
 //! | [`storm`] | is nothing lost silently in bad weather? |
 //! | [`replug`] | does a board that goes in all manners come back? |
-//! | [`kill`] | what does a capture hold of a daemon that was killed? |
 //! | [`hour`] | how fast are long captures solved, and in how much memory? |
 
 pub mod faults;
 pub mod hour;
-pub mod kill;
 pub mod latency;
 pub mod lit_cells;
 pub mod monte_carlo;
@@ -51,8 +49,6 @@ pub enum Study {
     Storm(storm::Conditions),
     /// A board that goes in all manners and comes back at another port
     Replug(replug::Conditions),
-    /// What captures hold of daemons that were killed
-    Kill(kill::Conditions),
     /// Long captures, fast and in little memory
     Hour(hour::Conditions),
 }
@@ -68,7 +64,6 @@ impl Study {
             Self::Soak(conditions) => soak::study(slitpose, conditions),
             Self::Storm(conditions) => storm::study(slitpose, conditions),
             Self::Replug(conditions) => replug::study(slitpose, conditions),
-            Self::Kill(conditions) => kill::study(slitpose, conditions),
             Self::Hour(conditions) => hour::study(slitpose, conditions),
         }
     }
@@ -147,7 +142,6 @@ impl fmt::Display for Table {
     }
 }
 
-/// Mebibytes.
 fn mib(bytes: u64) -> f64 {
     bytes as f64 / f64::from(1 << 20)
 }

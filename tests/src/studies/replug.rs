@@ -51,7 +51,6 @@ pub struct Conditions {
     most_growth_kib: f64,
 }
 
-/// One return of the board.
 #[derive(Clone, Copy, Debug)]
 struct Return {
     manner: Manner,
@@ -157,7 +156,6 @@ fn table(returns: &[Return]) -> Table {
     table
 }
 
-/// Where the board is plugged in.
 struct Port {
     number: u64,
     terminal: Terminal,
@@ -329,7 +327,6 @@ impl Supplied {
         }
     }
 
-    /// Begins to go.
     fn leave(&mut self, manner: Manner) {
         self.leaving = Some((manner, Instant::now()));
         self.course = Course::default();

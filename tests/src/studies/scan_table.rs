@@ -4,13 +4,10 @@ use std::collections::BTreeMap;
 
 use crate::process::{Finished, Slitpose};
 
-/// The scans of one board.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Scans {
-    /// Number of the first.
     pub first: u64,
     pub count: u64,
-    /// How many have a pose.
     pub poses: u64,
     /// How many do not follow the one before.
     pub jumps: u64,

@@ -44,7 +44,6 @@ pub struct Conditions {
 /// What the study and a board tell each other.
 #[derive(Debug, Default)]
 struct Meter {
-    /// Scans that it has sent.
     scans: AtomicU64,
     /// Whether it is to take no scans at the moment.
     holds_breath: AtomicBool,
@@ -224,7 +223,6 @@ fn hold_breath(daemon: &Daemon, meters: &[Arc<Meter>]) -> Vec<(u64, u64)> {
     both
 }
 
-/// Whether all counters in `value` are zero.
 fn is_zero(value: &Value) -> bool {
     match value {
         Value::Object(object) => object.values().all(is_zero),

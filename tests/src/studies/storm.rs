@@ -1,6 +1,6 @@
 //! A soak in bad weather: boards whose link and light fail by schedule, and a daemon that is suspended, killed, left
-//! without a disk or with one that stands still, and whose wall clock is set, at random. Nothing may be lost silently, and
-//! nothing may grow.
+//! without a disk or with one that stands still, and whose wall clock is set, in turn. Nothing may be lost silently, nothing
+//! may grow, and the capture of a daemon that was killed holds all but its last second, which ends with a flush.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -11,6 +11,7 @@ use clap::Args;
 use nix::sys::signal::Signal;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use serde_json::Value;
 
 use super::scan_table::{self, Scans};
 use super::{Table, Verdicts, mib};
@@ -34,11 +35,12 @@ const FAULTS: [&str; 12] = [
     "reset:every=83s,from=40s",
 ];
 
-/// Looks at the daemon.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 
-/// A daemon that has not recovered by then does not.
 const RECOVERS_WITHIN: Duration = Duration::from_secs(60);
+
+/// No daemon is killed before so many flushes of its capture, which then must hold data on a slow machine, too.
+const MIN_FLUSHES: u64 = 3;
 
 /// Most by which the wall clock is off: an hour.
 const MAX_AHEAD_NS: i64 = 3_600_000_000_000;
@@ -50,7 +52,6 @@ const BLOWS: [Blow; 5] = [Blow::Suspended, Blow::Killed, Blow::DiskFull, Blow::C
 enum Blow {
     /// It is stopped for some time, as when a machine sleeps.
     Suspended,
-    /// It is killed, and started again.
     Killed,
     /// The capture may not grow any more.
     DiskFull,
@@ -88,26 +89,31 @@ pub struct Conditions {
     most_mib: u32,
 }
 
-/// A look at the daemon.
 struct Sample {
     /// The how manieth daemon.
     life: usize,
     usage: Usage,
 }
 
-/// A blow, and what came of it.
 struct Struck {
     blow: Blow,
     /// From its end until all boards sent poses again, seconds; `None` if they did not.
     recovered_s: Option<f64>,
 }
 
-/// A capture of one daemon.
 struct Captured {
     scans: Vec<Scans>,
     code: i32,
     stderr: String,
-    was_killed: bool,
+    /// Scans that the daemon had reported two flushes before it was killed, if it was.
+    owed: Option<u64>,
+}
+
+/// Flushes of its capture and scans of all boards, by a status.
+type Look = (u64, u64);
+
+fn look(status: &Value) -> Look {
+    (status["recorder"]["flushes"].as_u64().unwrap_or(0), scans(status).iter().sum())
 }
 
 /// Each daemon's capture is counted and removed when it ends, so that a day needs as much disk as the longest life of one.
@@ -125,14 +131,18 @@ pub fn study(slitpose: Slitpose, conditions: &Conditions) -> Verdicts {
         (daemon, client)
     };
     let (mut daemon, mut client) = begin(life);
+    let mut looks = Vec::<Look>::new();
     let blows = BLOWS.len() - usize::from(conditions.disk.is_none());
     let pause = |rng: &mut ChaCha8Rng| Duration::from_secs_f64(conditions.pause_s * rng.random_range(1.0..3.0));
     let mut next = pause(&mut rng);
     while begun.elapsed() < conditions.duration || struck.len() < conditions.least_blows {
         samples.push(Sample { life, usage: daemon.usage().expect("the daemon runs") });
-        unanswered += usize::from(daemon.status().is_none());
+        match daemon.status() {
+            Some(status) => looks.push(look(&status)),
+            None => unanswered += 1,
+        }
         if begun.elapsed() >= next {
-            let blow = BLOWS[rng.random_range(0..blows)];
+            let blow = BLOWS[struck.len() % blows];
             let lasts = Duration::from_secs_f64(rng.random_range(0.2..3.0));
             match blow {
                 Blow::Suspended => {
@@ -141,8 +151,14 @@ pub fn study(slitpose: Slitpose, conditions: &Conditions) -> Verdicts {
                     signal(&daemon.child, Signal::SIGCONT);
                 }
                 Blow::Killed => {
+                    let (flushes, _) = look(&daemon.status_when(|status| {
+                        status["recorder"]["state"] != "recording" || look(status).0 >= MIN_FLUSHES
+                    }));
+                    // The first flush after a report may have begun before it, the next has not.
+                    let owed = looks.iter().rfind(|(before, _)| before + 2 <= flushes).map_or(0, |(_, scans)| *scans);
+                    looks.clear();
                     datagrams += client.end();
-                    counting.push(count(slitpose, daemon.end_by(Signal::SIGKILL), true));
+                    counting.push(count(slitpose, daemon.end_by(Signal::SIGKILL), Some(owed)));
                     life += 1;
                     (daemon, client) = begin(life);
                 }
@@ -165,7 +181,7 @@ pub fn study(slitpose: Slitpose, conditions: &Conditions) -> Verdicts {
     datagrams += client.end();
     let ended = daemon.end_by(Signal::SIGINT);
     let last = (ended.status.code(), ended.stderr.clone());
-    counting.push(count(slitpose, ended, false));
+    counting.push(count(slitpose, ended, None));
     let captured: Vec<Captured> = counting.into_iter().map(|thread| thread.join().expect("counted")).collect();
 
     let Conditions { boards, duration, seed, .. } = conditions;
@@ -235,18 +251,20 @@ fn stand_still(disk: &Path, lasts: Duration) {
 }
 
 /// Counts what a daemon has recorded, beside the soak, and removes it.
-fn count(slitpose: Slitpose, ended: Ended, was_killed: bool) -> JoinHandle<Captured> {
+fn count(slitpose: Slitpose, ended: Ended, owed: Option<u64>) -> JoinHandle<Captured> {
     std::thread::spawn(move || {
         let capture = name_in(ended.folder.path(), "storm.mcap");
         let (scans, replayed) = scan_table::count(slitpose, &capture, &["--tier", "paper"]);
-        Captured { scans: scans.into_values().collect(), code: replayed.code, stderr: replayed.stderr, was_killed }
+        let scans = scans.into_values().collect();
+        Captured { scans, code: replayed.code, stderr: replayed.stderr, owed }
     })
 }
 
 impl Captured {
     fn check(&self, boards: usize, verdicts: &mut Verdicts) {
-        let Self { scans, code, stderr, was_killed } = self;
-        if *was_killed && scans.is_empty() && scan_table::is_empty(stderr) {
+        let Self { scans, code, stderr, owed } = self;
+        let was_killed = owed.is_some();
+        if was_killed && scans.is_empty() && scan_table::is_empty(stderr) {
             return;
         }
         let count: u64 = scans.iter().map(|scans| scans.count).sum();
@@ -255,7 +273,9 @@ impl Captured {
         let told: u64 = stderr.lines().filter_map(number_before).sum();
         let text = format!("of a capture with {count} scans {missing} are missing, and {told} are told");
         verdicts.check(told == missing && scans.len() == boards, text);
-        let is_lossy = missing > 0 || *was_killed;
+        let owed = owed.unwrap_or(0);
+        verdicts.check(count >= owed, format!("{count} scans, at least {owed} of them reported two flushes before"));
+        let is_lossy = missing > 0 || was_killed;
         verdicts.check(*code == 3 || (*code == 0 && !is_lossy), format!("its exit code is {code}"));
         let is_told = stderr.contains("was not ended by its recorder");
         verdicts.check(is_told || !was_killed, "that of a killed daemon says so");

@@ -20,7 +20,6 @@ use crate::poses::{PoseRow, one_in_box, pose};
 /// Half sides of the box of poses that a head is meant for, mm and degrees.
 pub const HALF: [f64; 2] = [4.0, 15.0];
 
-/// How many trials, and from which seed.
 #[derive(Clone, Copy, Debug)]
 pub struct Trials {
     pub count: usize,
@@ -53,7 +52,6 @@ impl Trials {
     }
 }
 
-/// What disturbs the currents of a scene.
 #[derive(Clone, Debug)]
 pub struct Disturbance {
     cells: Vec<CellDisturbance>,

@@ -167,22 +167,6 @@ fn a_place_that_cannot_be_written_is_refused_before_any_work() {
     assert_eq!(names(folder.path()), ["poses.csv"]);
 }
 
-#[test]
-fn a_failure_on_the_way_leaves_the_old_result() {
-    let folder = tempfile::tempdir().expect("temporary folder");
-    let (poses, output) = (folder.path().join("poses.csv"), folder.path().join("output.csv"));
-    let mut table = "id,tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad\n".to_owned() + &"a,0,0,0,0,0,0\n".repeat(2000);
-    table += "last,0,0,0,0\n";
-    std::fs::write(&poses, table).expect("poses");
-    let command = ["model", "wide", "--poses", text(&poses), "--output", text(&output)];
-    slitpose!().run(command).assert_refused(1, &[text(&poses), "row 2001", "5 fields"]);
-    assert_eq!(names(folder.path()), ["poses.csv"]);
-    std::fs::write(&output, "old").expect("old result");
-    slitpose!().run(command).assert_refused(1, &["5 fields"]);
-    assert_eq!(std::fs::read_to_string(&output).expect("old result"), "old");
-    assert_eq!(names(folder.path()), ["output.csv", "poses.csv"]);
-}
-
 /// Scans of a short capture, in memory.
 const SHORT: usize = 48;
 

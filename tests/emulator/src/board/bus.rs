@@ -66,7 +66,6 @@ impl<W: World> Board<W> {
         Ok(lane & (u32::MAX >> (32 - 8 * width)))
     }
 
-    /// Writes `width` bytes.
     #[inline]
     pub fn access_write(&mut self, address: u32, width: u32, value: u32) -> Result<(), BusFault> {
         let in_ram = address.wrapping_sub(RAM_BASE);
@@ -105,12 +104,12 @@ impl<W: World> Board<W> {
     }
 
     fn read_packet_memory(&mut self, offset: u32, width: u32) -> u32 {
-        if self.is_clocked(USB, 0) { self.usb.read_memory(offset, width as usize, &mut self.effects) } else { 0 }
+        if self.is_clocked(USB, 0) { self.usb.read_memory(offset, width as usize) } else { 0 }
     }
 
     fn write_packet_memory(&mut self, offset: u32, width: u32, value: u32) {
         if self.is_clocked(USB, value) {
-            self.usb.write_memory(offset, width as usize, value, &mut self.effects);
+            self.usb.write_memory(offset, width as usize, value);
         }
     }
 

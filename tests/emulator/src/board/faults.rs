@@ -29,7 +29,6 @@ enum Block {
     Sound,
 }
 
-/// What faults have under way.
 #[derive(Debug)]
 pub(super) struct UnderWay {
     /// Fault dma-latency: transfers of DMA1 and DMA2.
@@ -45,7 +44,7 @@ pub(super) struct UnderWay {
 #[derive(Clone, Copy, Debug)]
 struct Transfer {
     channel: usize,
-    request: u8,
+    request: u32,
     done: Ticks,
 }
 

@@ -4,14 +4,12 @@ use super::*;
 use crate::cpu::{Bus, BusFault, Size};
 use crate::facts;
 use crate::memory::{CCM_BASE, RAM_BASE};
-use crate::peripherals::{TICKS_PER_SECOND, interrupt};
+use crate::peripherals::TICKS_PER_SECOND;
 
 const RCC: u32 = 0x4002_1000;
 const FLASH_ACR: u32 = 0x4002_2000;
 const TIM2: u32 = 0x4000_0000;
 const PWR: u32 = 0x4000_7000;
-const DMA1: u32 = 0x4002_0000;
-const DMAMUX: u32 = 0x4002_0800;
 const GPIOC: u32 = 0x4800_0800;
 const DAC1_DHR12R1: u32 = 0x5000_0808;
 /// Remembers what it is asked and told.
@@ -58,16 +56,6 @@ fn wait(board: &mut Board<Recorder>, ticks: Ticks) {
     board.advance_to(end);
 }
 
-/// Routes `request` to channel `index` of DMA1 as a circular ring. `ccr`: width, direction and increments.
-fn ring(board: &mut Board<Recorder>, index: u32, request: u32, places: (u32, u32), count: u32, ccr: u32) {
-    let channel = DMA1 + 8 + 20 * index;
-    put(board, DMAMUX + 4 * index, request);
-    put(board, channel + 4, count);
-    put(board, channel + 8, places.0);
-    put(board, channel + 12, places.1);
-    put(board, channel, ccr | 1 << 5 | 1);
-}
-
 #[test]
 fn a_narrow_write_fills_all_lanes_and_a_narrow_read_takes_one() {
     let mut board = board();
@@ -112,16 +100,6 @@ fn a_reset_bit_resets_its_peripheral_once() {
     put(&mut board, RCC + 0x38, 0);
     assert_eq!(get(&mut board, TIM2 + 0x2C), u32::MAX);
     assert_eq!(get(&mut board, TIM2 + 0x400 + 0x2C), 99);
-}
-
-#[test]
-fn dma_to_nowhere_is_a_transfer_error() {
-    let mut board = board();
-    ring(&mut board, 3, 60, (GPIOC + 0x18, 0x3000_0000), 4, 2 << 10 | 2 << 8 | 1 << 4 | 1 << 3);
-    put(&mut board, TIM2 + 0x0C, 1 << 8);
-    put(&mut board, TIM2 + 0x14, 1);
-    assert_eq!(get(&mut board, DMA1) >> 12, 0b1001);
-    assert_eq!(board.effects.lines[0], 1 << (interrupt::DMA1_CHANNEL1 + 3));
 }
 
 #[test]

@@ -79,12 +79,6 @@ pub(super) fn half(x: u32, top: bool) -> i64 {
     i64::from(if top { (x >> 16) as i16 } else { x as i16 })
 }
 
-/// Both products of halfwords; with `exchange` the halves of `y` change places first.
-pub(super) fn dual_products(x: u32, y: u32, exchange: bool) -> (i64, i64) {
-    (half(x, false) * half(y, exchange), half(x, true) * half(y, !exchange))
-}
-
-/// Adds or subtracts lanes of `bits` bits with saturation.
 pub(super) fn saturating_lanes(signed: bool, subtract: bool, bits: u8, x: u32, y: u32) -> u32 {
     let unused = 32 - u32::from(bits);
     (0..32 / u32::from(bits)).fold(0, |result, lane| {
@@ -127,75 +121,5 @@ pub(super) fn extend(extension: Extension, rotated: u32, base: u32) -> u32 {
         Extension::Half => base.wrapping_add(rotated & 0xffff),
         Extension::SignedBytes => halves(rotated as i8 as u32, (rotated >> 16) as i8 as u32),
         Extension::Bytes => halves(rotated & 0xff, rotated >> 16 & 0xff),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn shifts_by_0_32_and_more() {
-        let x = 0x8000_0001;
-        assert_eq!(shift_by(x, ShiftKind::Lsl, 0, true), (x, true));
-        assert_eq!(shift_by(x, ShiftKind::Lsl, 1, false), (2, true));
-        assert_eq!(shift_by(x, ShiftKind::Lsl, 32, false), (0, true));
-        assert_eq!(shift_by(x, ShiftKind::Lsl, 33, true), (0, false));
-        assert_eq!(shift_by(x, ShiftKind::Lsr, 32, false), (0, true));
-        assert_eq!(shift_by(x, ShiftKind::Lsr, 255, true), (0, false));
-        assert_eq!(shift_by(x, ShiftKind::Asr, 32, false), (0xffff_ffff, true));
-        assert_eq!(shift_by(x, ShiftKind::Asr, 200, false), (0xffff_ffff, true));
-        assert_eq!(shift_by(x, ShiftKind::Ror, 32, false), (x, true));
-        assert_eq!(shift_by(x, ShiftKind::Ror, 1, false), (0xc000_0000, true));
-        assert_eq!(shift_by(x, ShiftKind::Rrx, 1, false), (0x4000_0000, true));
-    }
-
-    #[test]
-    fn saturation_reports_itself() {
-        assert_eq!(saturate_signed(200, 8), (127, true));
-        assert_eq!(saturate_signed(-128, 8), (-128i32 as u32, false));
-        assert_eq!(saturate_unsigned(-1, 8), (0, true));
-        assert_eq!(saturate_unsigned(255, 8), (255, false));
-        assert_eq!(saturate_signed(i64::from(i32::MAX) + 1, 32), (i32::MAX as u32, true));
-        assert_eq!(saturate_unsigned(5, 0), (0, true));
-    }
-
-    #[test]
-    fn bit_fields() {
-        assert_eq!(field_mask(4, 8), 0xff0);
-        assert_eq!(field_mask(0, 32), 0xffff_ffff);
-        assert_eq!(extract(0xabcd_1234, 8, 8, false), 0x12);
-        assert_eq!(extract(0xabcd_1234, 28, 4, true), 0xffff_fffa);
-        assert_eq!(extract(0xabcd_1234, 0, 32, true), 0xabcd_1234);
-    }
-
-    #[test]
-    fn reversals() {
-        assert_eq!(unary(UnaryOp::Rev, 0x1122_3344), 0x4433_2211);
-        assert_eq!(unary(UnaryOp::Rev16, 0x1122_3344), 0x2211_4433);
-        assert_eq!(unary(UnaryOp::Revsh, 0x1122_3384), 0xffff_8433);
-        assert_eq!(unary(UnaryOp::Clz, 0), 32);
-    }
-
-    #[test]
-    fn lanes_saturate_on_their_own() {
-        // 0xff+1, 0x7f+1, 0x80+0x80, 1+2, from the top.
-        let (x, y) = (0xff7f_8001, 0x0101_8002);
-        assert_eq!(saturating_lanes(true, false, 8, x, y), 0x007f_8003);
-        assert_eq!(saturating_lanes(false, false, 8, x, y), 0xff80_ff03);
-        assert_eq!(saturating_lanes(false, true, 16, x, y), 0xfe7e_0000);
-        assert_eq!(saturating_lanes(true, true, 16, 0x7fff_8000, 0xffff_0001), 0x7fff_8000);
-    }
-
-    #[test]
-    fn doubling_saturates_on_its_own() {
-        assert_eq!(saturating_add(SaturatingOp::Qdsub, 0, 0x4000_0000), (0x8000_0001, true));
-        assert_eq!(saturating_add(SaturatingOp::Qadd, 0x7fff_ffff, 1), (0x7fff_ffff, true));
-        assert_eq!(saturating_add(SaturatingOp::Qsub, 1, 2), (0xffff_ffff, false));
-    }
-
-    #[test]
-    fn bytes_are_widened_and_added() {
-        assert_eq!(extend(Extension::SignedBytes, 0x0080_007f, 0x0001_0001), 0xff81_0080);
     }
 }

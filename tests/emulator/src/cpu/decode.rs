@@ -2,8 +2,8 @@
 //! 10 and 11, A6; others do not exist), and what all share.
 
 use super::instruction::{
-    Address, AluOp, Extension, Fixed, FloatAddress, FloatInstruction, FloatOp, FloatUnaryOp, ImmediateCarry,
-    Instruction, LoadKind, Reg, SReg, SetFlags, Shift, ShiftKind, UnaryOp,
+    Address, AluOp, Extension, FloatAddress, FloatInstruction, FloatOp, FloatUnaryOp, ImmediateCarry, Instruction,
+    LoadKind, Reg, SReg, SetFlags, Shift, ShiftKind, UnaryOp,
 };
 use super::{Size, decode_wide};
 
@@ -184,7 +184,6 @@ fn miscellaneous(h: u32) -> Instruction {
             decrement: false,
             writeback: true,
         },
-        op if op & 0b111100 == 0b111000 => Instruction::Breakpoint,
         op if op & 0b111100 == 0b111100 => if_then_or_hint(h),
         _ => Instruction::Undefined,
     }
@@ -207,15 +206,14 @@ fn multiple(h: u32, is_load: bool) -> Instruction {
 
 fn conditional_branch(h: u32) -> Instruction {
     match h >> 8 & 15 {
-        14 => Instruction::Undefined,
-        15 => Instruction::SupervisorCall,
+        // UDF, and SVC, which no image has.
+        14 | 15 => Instruction::Undefined,
         condition => Instruction::BranchIf { condition: condition as u8, offset: sign_extend(h << 1, 9) },
     }
 }
 
 // Fields that instructions of several groups have.
 
-/// Bit `n` of `word`.
 pub(super) fn bit(word: u32, n: u32) -> bool {
     word >> n & 1 != 0
 }
@@ -237,11 +235,11 @@ pub(super) fn immediate_shift(kind: u32, amount: u32) -> Shift {
     }
 }
 
-/// The hints of both widths by number.
+/// The hints of both widths by number. WFI is not modelled: no image sleeps by it.
 pub(super) fn hint(number: u32) -> Instruction {
     match number {
         2 => Instruction::Wfe,
-        3 => Instruction::Wfi,
+        3 => Instruction::Undefined,
         4 => Instruction::Sev,
         _ => Instruction::Nop,
     }
@@ -273,7 +271,6 @@ pub(super) fn set_flags(w: u32) -> SetFlags {
     if bit(w, 20) { SetFlags::Yes } else { SetFlags::No }
 }
 
-/// Decodes an instruction of the coprocessor space.
 pub(super) fn decode_coprocessor(w: u32) -> Instruction {
     if !matches!(w >> 8 & 15, 10 | 11) {
         return Instruction::NoCoprocessor;
@@ -349,7 +346,6 @@ fn expand(w: u32) -> u32 {
 fn other_float_processing(w: u32) -> Option<FloatInstruction> {
     let (sd, sm, high) = (sd(w), sm(w), bit(w, 7));
     let unary = |op| FloatInstruction::Unary { op, sd, sm };
-    let integer = |signed| Fixed { signed, bits: 32, fraction: 0 };
     Some(match (w >> 16 & 15, high) {
         (0, false) => unary(FloatUnaryOp::Mov),
         (0, true) => unary(FloatUnaryOp::Abs),
@@ -357,24 +353,10 @@ fn other_float_processing(w: u32) -> Option<FloatInstruction> {
         (1, true) => unary(FloatUnaryOp::Sqrt),
         (4, _) => FloatInstruction::Compare { sd, sm: Some(sm) },
         (5, _) => FloatInstruction::Compare { sd, sm: None },
-        (8, signed) => FloatInstruction::FromFixed { sd, sm, fixed: integer(signed) },
-        (12, truncate) => FloatInstruction::ToFixed { sd, sm, fixed: integer(false), truncate },
-        (13, truncate) => FloatInstruction::ToFixed { sd, sm, fixed: integer(true), truncate },
-        (10 | 11 | 14 | 15, _) => return fixed_point(w),
+        (8, signed) => FloatInstruction::FromInteger { sd, sm, signed },
+        (12, truncate) => FloatInstruction::ToInteger { sd, sm, signed: false, truncate },
+        (13, truncate) => FloatInstruction::ToInteger { sd, sm, signed: true, truncate },
         _ => return None,
-    })
-}
-
-/// VCVT between floating and fixed point, in place.
-fn fixed_point(w: u32) -> Option<FloatInstruction> {
-    let bits: u8 = if bit(w, 7) { 32 } else { 16 };
-    let fraction = bits.checked_sub((w << 1 & 0x1e | w >> 5 & 1) as u8)?;
-    let fixed = Fixed { signed: !bit(w, 16), bits, fraction };
-    let (sd, sm) = (sd(w), sd(w));
-    Some(if bit(w, 18) {
-        FloatInstruction::ToFixed { sd, sm, fixed, truncate: true }
-    } else {
-        FloatInstruction::FromFixed { sd, sm, fixed }
     })
 }
 

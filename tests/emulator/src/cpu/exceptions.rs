@@ -4,18 +4,13 @@
 //! as a derived exception, and late arrival is not modelled.
 
 use super::code::{ENTRY, FLOAT_FRAME, NOTHING_IN_FLIGHT, RETURN, TAIL_CHAIN};
-use super::nvic::{HARD_FAULT, SV_CALL};
-use super::{Bus, Cpu, Fault, FaultReport, Size, Step, Waiting};
+use super::nvic::HARD_FAULT;
+use super::{Bus, Cpu, Fault, FaultReport, Size, Step};
 
 /// R0–R3, R12, LR, return address, xPSR.
 const BASIC_FRAME: u32 = 0x20;
 /// The basic frame, S0–S15, FPSCR and a reserved word.
 const FLOAT_FRAME_BYTES: u32 = 0x68;
-
-/// HFSR bits.
-const VECTTBL: u32 = 1 << 1;
-const FORCED: u32 = 1 << 30;
-const DEBUGEVT: u32 = 1 << 31;
 
 impl Cpu {
     /// What may have to happen before the next instruction: reset, lockup, an exception, sleep. `None`: execute.
@@ -29,14 +24,14 @@ impl Cpu {
             return Some(Step::Lockup(report));
         }
         if let Some(exception) = self.nvic.preempting(self.execution_priority()) {
-            self.waiting = Waiting::No;
+            self.is_waiting = false;
             self.cycles = 0;
             return Some(self.enter_exception(bus, exception, self.pc));
         }
-        if self.still_waiting() {
+        if self.is_waiting && !std::mem::take(&mut self.event) {
             return Some(Step::Asleep);
         }
-        self.waiting = Waiting::No;
+        self.is_waiting = false;
         self.attention = false;
         if !self.registers.thumb {
             self.cycles = 0;
@@ -45,21 +40,6 @@ impl Cpu {
         None
     }
 
-    /// Whether WFE or WFI goes on waiting. WFI also ends for an interrupt that only PRIMASK holds back.
-    fn still_waiting(&mut self) -> bool {
-        match self.waiting {
-            Waiting::No => false,
-            Waiting::Event => !std::mem::take(&mut self.event),
-            Waiting::Interrupt => {
-                let primask = std::mem::take(&mut self.registers.primask);
-                let wakes = self.nvic.preempting(self.execution_priority()).is_some();
-                self.registers.primask = primask;
-                !wakes
-            }
-        }
-    }
-
-    /// Urgency of what is being executed.
     pub(super) fn execution_priority(&self) -> i16 {
         self.nvic.execution_priority(&self.registers)
     }
@@ -74,7 +54,6 @@ impl Cpu {
             // (DDI0403, B1.5.11, DerivedLateArrival).
             Err(fault) => {
                 self.report(fault, return_address);
-                self.system.hfsr |= FORCED;
                 self.take_exception(bus, HARD_FAULT)
             }
         }
@@ -124,7 +103,7 @@ impl Cpu {
         self.event = true;
         self.attention = true;
         self.in_flight = NOTHING_IN_FLIGHT;
-        let address = self.system.vtor.wrapping_add(4 * u32::from(exception));
+        let address = 4 * u32::from(exception);
         match bus.read(address, Size::Word) {
             Ok(vector) => {
                 self.registers.thumb = vector & 1 != 0;
@@ -134,7 +113,6 @@ impl Cpu {
             Err(_) if exception <= HARD_FAULT => self.lock_up(Fault::VectorTable { address }, self.pc),
             Err(_) => {
                 self.report(Fault::VectorTable { address }, self.pc);
-                self.system.hfsr |= VECTTBL;
                 self.take_exception(bus, HARD_FAULT)
             }
         }
@@ -181,12 +159,11 @@ impl Cpu {
             self.nvic.deactivate(returning);
         }
         self.report(fault, self.pc);
-        match self.fault_handler(fault) {
-            Some(handler) => {
-                self.registers.r[14] = value;
-                self.take_exception(bus, handler)
-            }
-            None => self.lock_up(fault, self.pc),
+        if self.can_escalate() {
+            self.registers.r[14] = value;
+            self.take_exception(bus, HARD_FAULT)
+        } else {
+            self.lock_up(fault, self.pc)
         }
     }
 
@@ -227,43 +204,20 @@ impl Cpu {
         Ok(())
     }
 
-    /// SVC: its handler, or HardFault where it cannot preempt.
-    pub(super) fn supervisor_call<B: Bus>(&mut self, bus: &mut B, address: u32) -> Step {
-        if self.nvic.urgency(SV_CALL) < self.execution_priority() {
-            self.enter_exception(bus, SV_CALL, self.pc)
-        } else {
-            self.take_fault(bus, Fault::SupervisorCall, address)
-        }
-    }
-
-    /// Takes a fault of the instruction at `address`.
     #[cold]
     pub(super) fn take_fault<B: Bus>(&mut self, bus: &mut B, fault: Fault, address: u32) -> Step {
         self.report(fault, address);
-        match self.fault_handler(fault) {
-            Some(handler) => self.enter_exception(bus, handler, address),
-            None => self.lock_up(fault, address),
-        }
+        if self.can_escalate() { self.enter_exception(bus, HARD_FAULT, address) } else { self.lock_up(fault, address) }
     }
 
-    /// The exception that handles `fault`: its own, or HardFault by escalation; `None` leaves lockup.
-    fn fault_handler(&mut self, fault: Fault) -> Option<u8> {
-        let (exception, _) = fault.class();
-        let priority = self.execution_priority();
-        if exception != HARD_FAULT && self.nvic.is_enabled(exception) && self.nvic.urgency(exception) < priority {
-            return Some(exception);
-        }
-        self.system.hfsr |= match fault {
-            Fault::Breakpoint => DEBUGEVT,
-            Fault::VectorTable { .. } => VECTTBL,
-            _ => FORCED,
-        };
-        (priority > -1).then_some(HARD_FAULT)
+    /// Whether a fault becomes HardFault: no fault has a handler of its own. Otherwise the core locks up.
+    fn can_escalate(&self) -> bool {
+        self.execution_priority() > -1
     }
 
-    /// Writes the fault status registers and keeps a report.
+    /// Writes the fault status register and keeps a report.
     fn report(&mut self, fault: Fault, pc: u32) -> FaultReport {
-        self.system.record_fault(fault);
+        self.system.cfsr |= fault.status();
         let report = FaultReport {
             fault,
             pc,
@@ -271,7 +225,6 @@ impl Cpu {
             sp: self.registers.sp(),
             xpsr: self.registers.xpsr(),
             cfsr: self.system.cfsr,
-            hfsr: self.system.hfsr,
         };
         self.last_fault = Some(report);
         report

@@ -7,7 +7,7 @@ use super::arithmetic::{
 };
 use super::code::REFILL;
 use super::instruction::{AluOp, ImmediateCarry, Instruction, Reg, SetFlags, ShiftKind, Special};
-use super::{Bus, Cpu, Fault, Size, Trap, Waiting};
+use super::{Bus, Cpu, Fault, Size, Trap};
 
 /// The halfwords of ISB.
 const ISB: [u16; 2] = [0xf3bf, 0x8f6f];
@@ -118,13 +118,10 @@ impl Cpu {
                 if self.event {
                     self.event = false;
                 } else {
-                    self.wait_for(bus, Waiting::Event)?;
+                    self.wait_for_event(bus)?;
                 }
             }
-            Instruction::Wfi => self.wait_for(bus, Waiting::Interrupt)?,
             Instruction::Sev => self.event = true,
-            Instruction::Breakpoint => return Err(Fault::Breakpoint.into()),
-            Instruction::SupervisorCall => return Err(Trap::SupervisorCall),
             Instruction::ChangeMask { disable } => {
                 self.registers.primask = disable;
                 self.attention = true;
@@ -140,7 +137,52 @@ impl Cpu {
             }
             Instruction::Undefined => return Err(self.undefined(bus).into()),
             Instruction::NoCoprocessor => return Err(Fault::NoCoprocessor.into()),
-            dsp => self.execute_dsp(dsp),
+            Instruction::Pack { tb, rd, rn, rm, shift: by } => {
+                let (x, y) = (self.get(rn), shift(self.get(rm), by, false).0);
+                let (top, bottom) = if tb { (x, y) } else { (y, x) };
+                self.set(rd, top & 0xffff_0000 | bottom & 0xffff);
+            }
+            Instruction::SaturatingLanes { signed, subtract, bits, rd, rn, rm } => {
+                self.set(rd, dsp::saturating_lanes(signed, subtract, bits, self.get(rn), self.get(rm)));
+            }
+            Instruction::SaturatingAdd { op, rd, rn, rm } => {
+                let (result, saturated) = dsp::saturating_add(op, self.get(rm), self.get(rn));
+                self.set(rd, result);
+                self.registers.flags.q |= saturated;
+            }
+            Instruction::MultiplyAdd { subtract, rd, rn, rm, ra } => {
+                let product = self.get(rn).wrapping_mul(self.get(rm));
+                let base = self.get(ra);
+                self.set(rd, if subtract { base.wrapping_sub(product) } else { base.wrapping_add(product) });
+            }
+            Instruction::MultiplyHalves { rd, rn, rm, ra, n_top, m_top } => {
+                let product = dsp::half(self.get(rn), n_top) * dsp::half(self.get(rm), m_top);
+                // Q when the sum does not fit.
+                let sum = product + ra.map_or(0, |ra| self.signed(ra));
+                self.set(rd, sum as u32);
+                self.registers.flags.q |= i64::from(sum as i32) != sum;
+            }
+            Instruction::MultiplyHigh { subtract, round, rd, rn, rm, ra } => {
+                let base = ra.map_or(0, |ra| self.signed(ra) << 32);
+                let product = self.signed(rn) * self.signed(rm);
+                let sum = if subtract { base.wrapping_sub(product) } else { base.wrapping_add(product) };
+                let sum = if round { sum.wrapping_add(0x8000_0000) } else { sum };
+                self.set(rd, (sum >> 32) as u32);
+            }
+            Instruction::MultiplyLong { signed, accumulate, lo, hi, rn, rm } => {
+                let product = if signed {
+                    (self.signed(rn) * self.signed(rm)) as u64
+                } else {
+                    u64::from(self.get(rn)) * u64::from(self.get(rm))
+                };
+                let base = if accumulate { self.pair(lo, hi) } else { 0 };
+                self.set_pair(lo, hi, base.wrapping_add(product));
+            }
+            Instruction::MultiplyAddAddLong { lo, hi, rn, rm } => {
+                let product = u64::from(self.get(rn)) * u64::from(self.get(rm));
+                self.set_pair(lo, hi, product + u64::from(self.get(lo)) + u64::from(self.get(hi)));
+            }
+            other => unreachable!("{other:?} is executed elsewhere"),
         }
         Ok(())
     }
@@ -254,14 +296,14 @@ impl Cpu {
         Ok(())
     }
 
-    fn wait_for<B: Bus>(&mut self, bus: &mut B, waiting: Waiting) -> Result<(), Trap> {
+    fn wait_for_event<B: Bus>(&mut self, bus: &mut B) -> Result<(), Trap> {
         if self.fetches_wrong_behind_sleep {
             let [first, second] = [0, 2].map(|offset| bus.fetch(self.pc.wrapping_add(offset)).unwrap_or(0));
             if [first, second] != ISB {
                 return Err(Fault::Undefined { first, second }.into());
             }
         }
-        self.waiting = waiting;
+        self.is_waiting = true;
         self.attention = true;
         Ok(())
     }
@@ -272,91 +314,6 @@ impl Cpu {
         let wide = self.pc.wrapping_sub(address) == 4;
         let mut fetch = |address| bus.fetch(address).unwrap_or(0);
         Fault::Undefined { first: fetch(address), second: if wide { fetch(address.wrapping_add(2)) } else { 0 } }
-    }
-}
-
-impl Cpu {
-    /// Executes an instruction of the multiply and DSP groups.
-    ///
-    /// # Panics
-    /// If it belongs elsewhere.
-    pub(super) fn execute_dsp(&mut self, instruction: Instruction) {
-        match instruction {
-            Instruction::Pack { tb, rd, rn, rm, shift: by } => {
-                let (x, y) = (self.get(rn), shift(self.get(rm), by, false).0);
-                let (top, bottom) = if tb { (x, y) } else { (y, x) };
-                self.set(rd, top & 0xffff_0000 | bottom & 0xffff);
-            }
-            Instruction::SaturatingLanes { signed, subtract, bits, rd, rn, rm } => {
-                self.set(rd, dsp::saturating_lanes(signed, subtract, bits, self.get(rn), self.get(rm)));
-            }
-            Instruction::SaturatingAdd { op, rd, rn, rm } => {
-                let (result, saturated) = dsp::saturating_add(op, self.get(rm), self.get(rn));
-                self.set(rd, result);
-                self.registers.flags.q |= saturated;
-            }
-            _ => self.execute_multiply(instruction),
-        }
-    }
-
-    fn execute_multiply(&mut self, instruction: Instruction) {
-        match instruction {
-            Instruction::MultiplyAdd { subtract, rd, rn, rm, ra } => {
-                let product = self.get(rn).wrapping_mul(self.get(rm));
-                let base = self.get(ra);
-                self.set(rd, if subtract { base.wrapping_sub(product) } else { base.wrapping_add(product) });
-            }
-            Instruction::MultiplyHalves { rd, rn, rm, ra, n_top, m_top } => {
-                let product = dsp::half(self.get(rn), n_top) * dsp::half(self.get(rm), m_top);
-                self.accumulate(rd, product, ra);
-            }
-            Instruction::MultiplyWordHalf { rd, rn, rm, ra, m_top } => {
-                let product = self.signed(rn) * dsp::half(self.get(rm), m_top);
-                self.accumulate(rd, product >> 16, ra);
-            }
-            Instruction::DualMultiply { subtract, exchange, rd, rn, rm, ra } => {
-                let (low, high) = dsp::dual_products(self.get(rn), self.get(rm), exchange);
-                self.accumulate(rd, if subtract { low - high } else { low + high }, ra);
-            }
-            Instruction::MultiplyHigh { subtract, round, rd, rn, rm, ra } => {
-                let base = ra.map_or(0, |ra| self.signed(ra) << 32);
-                let product = self.signed(rn) * self.signed(rm);
-                let sum = if subtract { base.wrapping_sub(product) } else { base.wrapping_add(product) };
-                let sum = if round { sum.wrapping_add(0x8000_0000) } else { sum };
-                self.set(rd, (sum >> 32) as u32);
-            }
-            _ => self.execute_long_multiply(instruction),
-        }
-    }
-
-    fn execute_long_multiply(&mut self, instruction: Instruction) {
-        match instruction {
-            Instruction::MultiplyLong { signed, accumulate, lo, hi, rn, rm } => {
-                let product = if signed {
-                    (self.signed(rn) * self.signed(rm)) as u64
-                } else {
-                    u64::from(self.get(rn)) * u64::from(self.get(rm))
-                };
-                let base = if accumulate { self.pair(lo, hi) } else { 0 };
-                self.set_pair(lo, hi, base.wrapping_add(product));
-            }
-            Instruction::MultiplyAddAddLong { lo, hi, rn, rm } => {
-                let product = u64::from(self.get(rn)) * u64::from(self.get(rm));
-                self.set_pair(lo, hi, product + u64::from(self.get(lo)) + u64::from(self.get(hi)));
-            }
-            Instruction::MultiplyHalvesLong { lo, hi, rn, rm, n_top, m_top } => {
-                let product = dsp::half(self.get(rn), n_top) * dsp::half(self.get(rm), m_top);
-                self.set_pair(lo, hi, self.pair(lo, hi).wrapping_add_signed(product));
-            }
-            other => unreachable!("{other:?} is executed elsewhere"),
-        }
-    }
-
-    /// `rd = value + ra`; Q when the sum does not fit.
-    fn accumulate(&mut self, rd: Reg, value: i64, ra: Option<Reg>) {
-        let sum = value + ra.map_or(0, |ra| self.signed(ra));
-        self.set(rd, sum as u32);
-        self.registers.flags.q |= i64::from(sum as i32) != sum;
     }
 
     fn signed(&self, register: Reg) -> i64 {

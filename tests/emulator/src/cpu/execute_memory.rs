@@ -16,7 +16,6 @@ impl Cpu {
         self.read_aligned(bus, address, size)
     }
 
-    /// A data read at an address aligned to `size`.
     #[inline(always)]
     fn read_aligned<B: Bus>(&mut self, bus: &mut B, address: u32, size: Size) -> Result<u32, Fault> {
         if is_private(address) {

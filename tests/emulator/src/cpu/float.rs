@@ -6,13 +6,12 @@
 //! they are written.
 
 use super::code::FLOAT_FRAME;
-use super::instruction::{Fixed, FloatAddress, FloatInstruction, FloatOp, FloatUnaryOp, Reg, SReg};
+use super::instruction::{FloatAddress, FloatInstruction, FloatOp, FloatUnaryOp, Reg, SReg};
 use super::registers::Flags;
 use super::{Bus, Cpu, Fault, Trap};
 
 /// FPSCR: alternative half precision, default NaN, flush to zero, rounding mode.
 const MODES: u32 = 1 << 26 | 1 << 25 | 1 << 24 | 3 << 22;
-/// Bits that exist.
 const FPSCR_BITS: u32 = 0xf7c0_009f;
 const SIGN: u32 = 0x8000_0000;
 const QUIET: u32 = 0x0040_0000;
@@ -39,9 +38,6 @@ impl FloatUnit {
     }
 
     /// Takes a new FPSCR.
-    ///
-    /// # Errors
-    /// If it switches on a mode that is not modelled.
     pub fn set_fpscr(&mut self, fpscr: u32) -> Result<(), Fault> {
         if fpscr & MODES != 0 {
             return Err(Fault::FloatMode { fpscr });
@@ -162,19 +158,11 @@ fn mul_add(addend: u32, x: u32, y: u32) -> u32 {
     if is_undefined && !is_signaling(addend) { DEFAULT_NAN } else { result(a.mul_add(b, c), &[addend, x, y]) }
 }
 
-/// To an integer of `bits` bits, `fraction` of them behind the point: saturates, and gives 0 for NaN. Both scaling and
-/// rounding are exact in `f64`.
-pub(super) fn fixed_from_float(x: u32, bits: u8, signed: bool, fraction: u8, truncate: bool) -> u32 {
-    let scaled = f64::from(f32::from_bits(x)) * f64::from(fraction).exp2();
-    let whole = if truncate { scaled.trunc() } else { scaled.round_ties_even() };
-    let range = f64::from(bits - u8::from(signed)).exp2();
-    let least = if signed { -range } else { 0.0 };
-    whole.clamp(least, range - 1.0) as i64 as u32
-}
-
-/// A fixed-point number with `fraction` bits behind the point, rounded to nearest.
-pub(super) fn float_from_fixed(value: i64, fraction: u8) -> u32 {
-    ((value as f64 * (-f64::from(fraction)).exp2()) as f32).to_bits()
+/// To an integer: saturates, and gives 0 for NaN.
+fn to_integer(x: u32, signed: bool, truncate: bool) -> u32 {
+    let x = f32::from_bits(x);
+    let whole = if truncate { x.trunc() } else { x.round_ties_even() };
+    if signed { whole as i32 as u32 } else { whole as u32 }
 }
 
 impl Cpu {
@@ -224,7 +212,12 @@ impl Cpu {
             }
             FloatInstruction::ReadStatus { rt } => self.set(rt, self.float.fpscr()),
             FloatInstruction::WriteStatus { rt } => self.float.set_fpscr(self.get(rt))?,
-            conversion => self.convert(conversion),
+            FloatInstruction::ToInteger { sd, sm, signed, truncate } => {
+                self.convert(sd, sm, |bits| to_integer(bits, signed, truncate));
+            }
+            FloatInstruction::FromInteger { sd, sm, signed } => {
+                self.convert(sd, sm, |bits| if signed { bits as i32 as f32 } else { bits as f32 }.to_bits());
+            }
         }
         Ok(())
     }
@@ -248,22 +241,10 @@ impl Cpu {
         self.cycles += self.float.stall(sources, self.instructions);
     }
 
-    /// The conversions, which all have one operand and one result.
-    fn convert(&mut self, instruction: FloatInstruction) {
-        let (sd, sm) = match instruction {
-            FloatInstruction::ToFixed { sd, sm, .. } | FloatInstruction::FromFixed { sd, sm, .. } => (sd, sm),
-            other => unreachable!("{other:?} is executed elsewhere"),
-        };
+    /// Waits for `sm`, and lets `operation` make `sd` of it.
+    fn convert(&mut self, sd: SReg, sm: SReg, operation: impl Fn(u32) -> u32) {
         self.await_float(&[sm]);
-        let operand = self.float.get(sm);
-        let result = match instruction {
-            FloatInstruction::ToFixed { fixed: Fixed { signed, bits, fraction }, truncate, .. } => {
-                fixed_from_float(operand, bits, signed, fraction, truncate)
-            }
-            FloatInstruction::FromFixed { fixed, .. } => float_from_fixed(widen(operand, fixed), fixed.fraction),
-            _ => operand,
-        };
-        self.float.set(sd, result);
+        self.float.set(sd, operation(self.float.get(sm)));
         self.float.made(sd, self.instructions);
     }
 
@@ -310,61 +291,5 @@ impl Cpu {
             self.set(rn, value);
         }
         Ok(())
-    }
-}
-
-/// The fixed-point number in the low bits of `word`.
-fn widen(word: u32, fixed: Fixed) -> i64 {
-    match (fixed.bits, fixed.signed) {
-        (16, true) => (word as i16).into(),
-        (16, false) => (word as u16).into(),
-        (_, true) => (word as i32).into(),
-        (_, false) => word.into(),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn nans_follow_the_manual() {
-        let (signaling, quiet, other) = (0x7f80_0001, 0x7fc0_0002, 0xffc0_0003);
-        let [inf, one] = [f32::INFINITY, 1.0].map(f32::to_bits);
-        for (found, expected) in [
-            (add(quiet, signaling), signaling | QUIET),
-            (add(other, quiet), other),
-            (sub(one, other), other),
-            (mul(inf, 0), DEFAULT_NAN),
-            (sub(inf, inf), DEFAULT_NAN),
-            (mul_add(quiet, inf, SIGN), DEFAULT_NAN),
-            (mul_add(signaling, inf, 0), signaling | QUIET),
-            (mul_add(one, quiet, other), quiet),
-            (FloatUnit::unary(FloatUnaryOp::Sqrt, one | SIGN), DEFAULT_NAN),
-            (FloatUnit::arithmetic(FloatOp::Div, 0, 0, 0), DEFAULT_NAN),
-        ] {
-            assert_eq!(found, expected, "{found:08x}, not {expected:08x}");
-        }
-    }
-
-    #[test]
-    fn conversions_round_and_saturate() {
-        let to =
-            |x: f32, bits, signed, fraction, truncate| fixed_from_float(x.to_bits(), bits, signed, fraction, truncate);
-        assert_eq!(
-            [to(2.5, 32, true, 0, false), to(3.5, 32, true, 0, false), to(-2.9, 32, true, 0, true)],
-            [2, 4, -2i32 as u32]
-        );
-        assert_eq!([to(3e9, 32, true, 0, true), to(-3e9, 32, true, 0, true)], [i32::MAX as u32, i32::MIN as u32]);
-        assert_eq!(
-            [to(5e9, 32, false, 0, true), to(-1.0, 32, false, 0, true), to(f32::NAN, 32, true, 0, true)],
-            [u32::MAX, 0, 0]
-        );
-        assert_eq!([to(0.75, 16, true, 15, true), to(1.0, 16, true, 15, true)], [0x6000, 0x7fff]);
-        assert_eq!(to(-1.0, 16, true, 15, true), -0x8000i32 as u32);
-        assert_eq!(
-            [float_from_fixed(0x6000, 15), float_from_fixed(i64::from(u32::MAX), 0)],
-            [0.75f32.to_bits(), 4_294_967_296f32.to_bits()]
-        );
     }
 }

@@ -2,8 +2,8 @@
 //!
 //! One variant stands for one *operation*; the several encodings of it (16-bit, 32-bit, with or without
 //! flags) differ only in fields. Names follow the ARMv7-M ARM (DDI0403), chapter A7. Undefined here are parallel operations
-//! that set or read the GE bits, halve or exchange, SSAT16, USAT16, USAD8, SMLALD and their kin, which no compiler makes, and
-//! access to BASEPRI, FAULTMASK and the process stack.
+//! that set or read the GE bits, halve or exchange, SSAT16, USAT16, USAD8, SMLAD, SMLAW, SMLALxy, SMLALD and their kin, and VCVT of fixed-point numbers, none of
+//! which is in an image, and access to BASEPRI, FAULTMASK and the process stack.
 
 use super::Size;
 
@@ -37,18 +37,12 @@ pub enum Instruction {
     MultiplyAdd { subtract: bool, rd: Reg, rn: Reg, rm: Reg, ra: Reg },
     /// SMULxy, SMLAxy.
     MultiplyHalves { rd: Reg, rn: Reg, rm: Reg, ra: Option<Reg>, n_top: bool, m_top: bool },
-    /// SMULWy, SMLAWy.
-    MultiplyWordHalf { rd: Reg, rn: Reg, rm: Reg, ra: Option<Reg>, m_top: bool },
-    /// SMUAD, SMUSD, SMLAD, SMLSD.
-    DualMultiply { subtract: bool, exchange: bool, rd: Reg, rn: Reg, rm: Reg, ra: Option<Reg> },
     /// SMMUL, SMMLA, SMMLS.
     MultiplyHigh { subtract: bool, round: bool, rd: Reg, rn: Reg, rm: Reg, ra: Option<Reg> },
     /// SMULL, UMULL, SMLAL, UMLAL.
     MultiplyLong { signed: bool, accumulate: bool, lo: Reg, hi: Reg, rn: Reg, rm: Reg },
     /// UMAAL.
     MultiplyAddAddLong { lo: Reg, hi: Reg, rn: Reg, rm: Reg },
-    /// SMLALxy.
-    MultiplyHalvesLong { lo: Reg, hi: Reg, rn: Reg, rm: Reg, n_top: bool, m_top: bool },
     Divide { signed: bool, rd: Reg, rn: Reg, rm: Reg },
 
     Load { kind: LoadKind, rt: Reg, address: Address },
@@ -86,10 +80,7 @@ pub enum Instruction {
     /// DSB, DMB, ISB: everything is in order here.
     Barrier,
     Wfe,
-    Wfi,
     Sev,
-    Breakpoint,
-    SupervisorCall,
     /// CPSID i, CPSIE i.
     ChangeMask { disable: bool },
     /// MRS.
@@ -113,10 +104,10 @@ pub enum FloatInstruction {
     Constant { sd: SReg, value: u32 },
     /// VCMP, VCMPE; with zero when there is no `sm`.
     Compare { sd: SReg, sm: Option<SReg> },
-    /// VCVT and VCVTR to an integer or a fixed-point number; `truncate`: towards zero, else to nearest.
-    ToFixed { sd: SReg, sm: SReg, fixed: Fixed, truncate: bool },
-    /// VCVT from an integer or a fixed-point number.
-    FromFixed { sd: SReg, sm: SReg, fixed: Fixed },
+    /// VCVT and VCVTR to an integer; `truncate`: towards zero, else to nearest.
+    ToInteger { sd: SReg, sm: SReg, signed: bool, truncate: bool },
+    /// VCVT from an integer.
+    FromInteger { sd: SReg, sm: SReg, signed: bool },
     ToCore { rt: Reg, sn: SReg },
     FromCore { sn: SReg, rt: Reg },
     /// Two consecutive registers from `sm` on.
@@ -325,14 +316,6 @@ pub enum FloatUnaryOp {
     Abs,
     Neg,
     Sqrt,
-}
-
-/// Number format of the integer or fixed-point side of a conversion.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Fixed {
-    pub signed: bool,
-    pub bits: u8,
-    pub fraction: u8,
 }
 
 /// Address of a floating-point load or store.

@@ -5,7 +5,7 @@
 //! siblings carry them out; `exceptions` takes interrupts and faults; `system` is the private peripheral bus
 //! 0xE000_0000–0xE00F_FFFF, which the [`Bus`] never sees.
 //!
-//! Not modelled: what the image leaves alone: SysTick, unprivileged code, the process stack, BASEPRI and FAULTMASK, groups of
+//! Not modelled: what the image leaves alone: WFI, SVC, BKPT, PendSV, SysTick, priorities of system handlers, unprivileged code, the process stack, BASEPRI and FAULTMASK, groups of
 //! priorities; instructions that no compiler makes (see `instruction`); the MPU but for data accesses to a region 0 that allows none, debug halting, and the imprecision of bus faults on buffered
 //! writes (they are all precise here). Floating-point registers are stacked at once; their cycles are charged
 //! when the handler first uses the floating-point unit, as lazy stacking would.
@@ -28,13 +28,12 @@ mod tests;
 use code::{Accelerator, Code, Decoded, NOTHING_IN_FLIGHT};
 pub use decode::direct_branch;
 use float::FloatUnit;
-use instruction::{Instruction, Reg};
+use instruction::Reg;
 use nvic::Nvic;
 pub use nvic::{Fault, FaultReport};
 use registers::Registers;
 use system::System;
 
-/// Width of an access.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Size {
     /// 8 bits.
@@ -46,7 +45,6 @@ pub enum Size {
 }
 
 impl Size {
-    /// Width in bytes.
     pub fn bytes(self) -> u32 {
         match self {
             Self::Byte => 1,
@@ -64,9 +62,7 @@ pub struct BusFault;
 pub trait Bus {
     /// The halfword of code at `address`.
     fn fetch(&mut self, address: u32) -> Result<u16, BusFault>;
-    /// A data read.
     fn read(&mut self, address: u32, size: Size) -> Result<u32, BusFault>;
-    /// A data write.
     fn write(&mut self, address: u32, size: Size, value: u32) -> Result<(), BusFault>;
     /// Extra cycles of one access to `address`: of flash when its line is in no cache, of peripherals always.
     fn wait_states(&self, address: u32) -> u32 {
@@ -75,15 +71,11 @@ pub trait Bus {
     }
 }
 
-/// Outcome of [`Cpu::step`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
     /// One instruction was executed or one exception entered.
-    Ran {
-        /// Core cycles it took.
-        cycles: u32,
-    },
-    /// WFE or WFI waits and nothing wakes the core.
+    Ran { cycles: u32 },
+    /// WFE waits and nothing wakes the core.
     Asleep,
     /// AIRCR.SYSRESETREQ was written; the core stands still until [`Cpu::reset`].
     ResetRequested,
@@ -108,7 +100,6 @@ pub struct State {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Trap {
     Fault(Fault),
-    SupervisorCall,
     ExceptionReturn(u32),
 }
 
@@ -116,14 +107,6 @@ impl From<Fault> for Trap {
     fn from(fault: Fault) -> Self {
         Self::Fault(fault)
     }
-}
-
-/// What the core waits for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Waiting {
-    No,
-    Event,
-    Interrupt,
 }
 
 /// The core. It starts unreset: call [`Cpu::reset`] first.
@@ -141,7 +124,8 @@ pub struct Cpu {
     lines: [u32; 4],
     /// Something may have to happen before the next instruction: see `attend`.
     attention: bool,
-    waiting: Waiting,
+    /// WFE waits.
+    is_waiting: bool,
     /// See [`Cpu::fetch_wrong_behind_sleep`].
     fetches_wrong_behind_sleep: bool,
     /// The event register of WFE.
@@ -178,12 +162,12 @@ impl Cpu {
             pc: 0,
             float: FloatUnit::new(),
             nvic: Nvic::new(),
-            system: System::new(),
+            system: System::default(),
             code: Code::new(),
             accelerator: Accelerator::new(),
             lines: [0; 4],
             attention: false,
-            waiting: Waiting::No,
+            is_waiting: false,
             fetches_wrong_behind_sleep: false,
             event: false,
             exclusive: false,
@@ -210,10 +194,10 @@ impl Cpu {
         self.float = FloatUnit::new();
         self.nvic = Nvic::new();
         self.lines = [0; 4];
-        self.system = System::new();
+        self.system = System::default();
         self.accelerator = Accelerator::new();
         self.attention = true;
-        self.waiting = Waiting::No;
+        self.is_waiting = false;
         self.event = false;
         self.exclusive = false;
         self.in_flight = NOTHING_IN_FLIGHT;
@@ -240,7 +224,7 @@ impl Cpu {
         self.code = Code::new();
     }
 
-    /// Whether a WFE or WFI that sleeps has an undefined instruction behind it, whatever is there but ISB; see
+    /// Whether a WFE that sleeps has an undefined instruction behind it, whatever is there but ISB; see
     /// [`crate::faults::Fault::SleepFetch`].
     pub fn fetch_wrong_behind_sleep(&mut self, wrong: bool) {
         self.fetches_wrong_behind_sleep = wrong;
@@ -258,7 +242,7 @@ impl Cpu {
 
     /// Peripherals that stand still while a debugger halts the core, as DBGMCU_APB1FZR1 has them.
     pub fn frozen_in_halt(&self) -> u32 {
-        self.system.frozen_in_halt()
+        self.system.frozen_in_halt
     }
 
     /// Lowest value of the main stack pointer since reset.
@@ -347,7 +331,7 @@ impl Cpu {
         let state = self.registers.it;
         // ITAdvance.
         self.registers.it = if state & 7 == 0 { 0 } else { state & 0xe0 | state << 1 & 0x1f };
-        if !self.registers.flags.pass(state >> 4) && instruction != Instruction::Breakpoint {
+        if !self.registers.flags.pass(state >> 4) {
             // One cycle, and the waiting for flash.
             self.cycles = (self.cycles + 1 - u32::from(decoded.timing.cycles)).max(1);
             self.in_flight = NOTHING_IN_FLIGHT;
@@ -365,7 +349,6 @@ impl Cpu {
         }
     }
 
-    /// Ends a step.
     #[inline(always)]
     fn ran(&mut self) -> Step {
         self.executed += u64::from(self.cycles);
@@ -377,7 +360,6 @@ impl Cpu {
     fn take_trap<B: Bus>(&mut self, bus: &mut B, trap: Trap, address: u32) -> Step {
         match trap {
             Trap::Fault(fault) => self.take_fault(bus, fault, address),
-            Trap::SupervisorCall => self.supervisor_call(bus, address),
             Trap::ExceptionReturn(value) => self.exception_return(bus, value),
         }
     }

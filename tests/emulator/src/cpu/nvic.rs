@@ -7,9 +7,6 @@ use super::registers::Registers;
 /// Exception numbers (DDI0403, B1.5.2).
 pub(super) const NMI: u8 = 2;
 pub(super) const HARD_FAULT: u8 = 3;
-pub(super) const SV_CALL: u8 = 11;
-pub(super) const PEND_SV: u8 = 14;
-pub(super) const SYS_TICK: u8 = 15;
 /// Number of interrupt 0.
 pub(super) const FIRST_INTERRUPT: u8 = 16;
 
@@ -28,7 +25,7 @@ pub(super) struct Nvic {
 }
 
 /// Exceptions that cannot be disabled.
-const ALWAYS_ENABLED: u128 = 1 << NMI | 1 << HARD_FAULT | 1 << SV_CALL | 1 << PEND_SV | 1 << SYS_TICK;
+const ALWAYS_ENABLED: u128 = 1 << NMI | 1 << HARD_FAULT;
 
 impl Nvic {
     pub fn new() -> Self {
@@ -59,10 +56,6 @@ impl Nvic {
 
     pub fn is_active(&self, exception: u8) -> bool {
         self.active >> exception & 1 != 0
-    }
-
-    pub fn is_enabled(&self, exception: u8) -> bool {
-        self.enabled >> exception & 1 != 0
     }
 
     pub fn activate(&mut self, exception: u8) {
@@ -102,14 +95,11 @@ impl Nvic {
         priority
     }
 
-    /// The most urgent exception that is pending and enabled; the lowest number among equals.
-    pub fn most_urgent(&self) -> Option<u8> {
-        numbers(self.pending & self.enabled).min_by_key(|&n| self.urgency(n))
-    }
-
-    /// The pending exception that preempts execution at `priority`.
+    /// The most urgent exception that is pending, enabled, and preempts execution at `priority`; the lowest number among
+    /// equals.
     pub fn preempting(&self, priority: i16) -> Option<u8> {
-        self.most_urgent().filter(|&n| self.urgency(n) < priority)
+        let most_urgent = numbers(self.pending & self.enabled).min_by_key(|&n| self.urgency(n));
+        most_urgent.filter(|&n| self.urgency(n) < priority)
     }
 }
 
@@ -124,7 +114,6 @@ fn numbers(mut bits: u128) -> impl Iterator<Item = u8> {
 
 /// Reason of a fault (DDI0403, B1.5.6).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs)] // The messages say it.
 pub enum Fault {
     #[error("bus fault: data access to {address:#010x}")]
     DataBus { address: u32 },
@@ -154,18 +143,11 @@ pub enum Fault {
     NoCoprocessor,
     #[error("usage fault: unaligned access to {address:#010x}")]
     Unaligned { address: u32 },
-    #[error("breakpoint without a debugger")]
-    Breakpoint,
-    #[error("supervisor call at a priority that forbids it")]
-    SupervisorCall,
 }
 
 /// The state of the core when a fault was taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "{fault} at pc {pc:#010x} (lr {lr:#010x}, sp {sp:#010x}, xpsr {xpsr:#010x}, CFSR {cfsr:#010x}, HFSR {hfsr:#010x})"
-)]
-#[allow(missing_docs)] // The registers of these names.
+#[error("{fault} at pc {pc:#010x} (lr {lr:#010x}, sp {sp:#010x}, xpsr {xpsr:#010x}, CFSR {cfsr:#010x})")]
 pub struct FaultReport {
     pub fault: Fault,
     pub pc: u32,
@@ -173,74 +155,25 @@ pub struct FaultReport {
     pub sp: u32,
     pub xpsr: u32,
     pub cfsr: u32,
-    pub hfsr: u32,
 }
 
 impl Fault {
-    /// Number of the exception that handles it when enabled, and its bit in CFSR.
-    pub(super) fn class(self) -> (u8, u32) {
+    /// Its bit in CFSR.
+    pub(super) fn status(self) -> u32 {
         match self {
-            Self::FetchNeverExecute { .. } => (4, 1 << 0),
-            Self::Guarded { .. } => (4, 1 << 1),
-            Self::StackingGuarded { .. } => (4, 1 << 4),
-            Self::FetchBus { .. } => (5, 1 << 8),
-            Self::DataBus { .. } => (5, 1 << 9),
-            Self::Unstacking { .. } => (5, 1 << 11),
-            Self::Stacking { .. } => (5, 1 << 12),
-            Self::Undefined { .. } | Self::FloatMode { .. } => (6, 1 << 16),
-            Self::InvalidState => (6, 1 << 17),
-            Self::InvalidReturn { .. } => (6, 1 << 18),
-            Self::NoCoprocessor => (6, 1 << 19),
-            Self::Unaligned { .. } => (6, 1 << 24),
-            Self::VectorTable { .. } | Self::Breakpoint | Self::SupervisorCall => (3, 0),
+            Self::FetchNeverExecute { .. } => 1 << 0,
+            Self::Guarded { .. } => 1 << 1,
+            Self::StackingGuarded { .. } => 1 << 4,
+            Self::FetchBus { .. } => 1 << 8,
+            Self::DataBus { .. } => 1 << 9,
+            Self::Unstacking { .. } => 1 << 11,
+            Self::Stacking { .. } => 1 << 12,
+            Self::Undefined { .. } | Self::FloatMode { .. } => 1 << 16,
+            Self::InvalidState => 1 << 17,
+            Self::InvalidReturn { .. } => 1 << 18,
+            Self::NoCoprocessor => 1 << 19,
+            Self::Unaligned { .. } => 1 << 24,
+            Self::VectorTable { .. } => 0,
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn with_pending(exceptions: &[(u8, u8)]) -> Nvic {
-        let mut nvic = Nvic::new();
-        for &(exception, priority) in exceptions {
-            nvic.enabled |= 1 << exception;
-            nvic.set_priority(exception, priority);
-            nvic.pend(exception);
-        }
-        nvic
-    }
-
-    #[test]
-    fn the_most_urgent_comes_first_then_the_lowest_number() {
-        assert_eq!(with_pending(&[(20, 0x40), (30, 0x30), (40, 0x30)]).most_urgent(), Some(30));
-        assert_eq!(with_pending(&[(20, 0), (NMI, 0)]).most_urgent(), Some(NMI));
-    }
-
-    #[test]
-    fn preemption_needs_more_urgency() {
-        let mut nvic = with_pending(&[(20, 0x40), (30, 0x50)]);
-        nvic.activate(30);
-        let registers = Registers::at_reset(0);
-        assert_eq!(nvic.preempting(nvic.execution_priority(&registers)), Some(20));
-        nvic.set_priority(20, 0x50);
-        assert_eq!(nvic.preempting(nvic.execution_priority(&registers)), None);
-    }
-
-    #[test]
-    fn a_level_stays_pending_until_it_falls() {
-        let mut nvic = Nvic::new();
-        assert!(nvic.set_lines(&[1 << 4, 0, 0, 0]));
-        nvic.activate(20);
-        nvic.deactivate(20);
-        assert_eq!(nvic.pending, 1 << 20);
-        nvic.unpend_all(1 << 20);
-        assert_eq!(nvic.pending, 1 << 20);
-        nvic.set_lines(&[0; 4]);
-        nvic.unpend_all(1 << 20);
-        assert_eq!(nvic.pending, 0);
-        // Interrupt 101 is the last of the STM32G474.
-        assert!(nvic.set_lines(&[0, 0, 0, 1 << 5]));
-        assert_eq!(nvic.pending, 1 << 117);
     }
 }

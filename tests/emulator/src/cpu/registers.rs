@@ -26,7 +26,6 @@ impl Flags {
         Self { n: bit(31), z: bit(30), c: bit(29), v: bit(28), q: bit(27) }
     }
 
-    /// N and Z of `result`.
     pub fn set_nz(&mut self, result: u32) {
         self.n = (result as i32) < 0;
         self.z = result == 0;

@@ -1,10 +1,10 @@
 //! The private peripheral bus: system control block, NVIC registers, cycle counter (DDI0403, B3 and C1.8). Registers
-//! without a model read 0 and ignore writes, among them the debug components, SysTick, and what changes how exceptions are
-//! entered and left or which faults have handlers of their own: SCR, CCR, SHCSR, FPCCR. All is as after reset: unaligned
+//! without a model read 0 and ignore writes, among them VTOR, identification, the debug components, SysTick, HFSR, the addresses of
+//! faults, and what changes how exceptions are entered and left or which faults have handlers of their own: SCR, CCR, SHCSR, FPCCR. All is as after reset: unaligned
 //! accesses and divisions by zero are no faults, stacks are aligned to eight bytes, floating-point state is stacked lazily.
 
-use super::nvic::{FIRST_INTERRUPT, NMI, PEND_SV, SYS_TICK};
-use super::{Cpu, Fault, Size};
+use super::nvic::FIRST_INTERRUPT;
+use super::{Cpu, Size};
 use crate::st::DBGMCU;
 
 /// Peripherals that stand still while a debugger halts the core (RM0440, "Debug support").
@@ -12,19 +12,6 @@ const DBGMCU_APB1FZR1: u32 = DBGMCU::BASE + DBGMCU::APB1FZR1;
 /// AIRCR key of a write, and what it reads as.
 const VECTKEY: u32 = 0x05fa;
 const VECTKEYSTAT: u32 = 0xfa05;
-/// CFSR bits telling that MMFAR or BFAR holds an address.
-const MMARVALID: u32 = 1 << 7;
-const BFARVALID: u32 = 1 << 15;
-
-/// Registers read as constants: identification of a Cortex-M4 r0p1 with FPU (DDI0439, 4.1).
-const IDENTIFICATION: [(u32, u32); 5] = [
-    (0xe000_e004, 3), // ICTR: 128 lines
-    (0xe000_ed00, 0x410f_c241),
-    (0xe000_ed90, 8 << 8),      // MPU_TYPE: eight regions
-    (0xe000_ef40, 0x1011_0021), // MVFR0
-    (0xe000_ef44, 0x1100_0011), // MVFR1
-];
-
 /// The MPU (DDI0403, B3.5) as far as it is modelled: region 0, if it forbids all accesses.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Mpu {
@@ -54,56 +41,22 @@ impl Mpu {
     }
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct System {
     pub mpu: Mpu,
-    pub vtor: u32,
     pub cpacr: u32,
     pub cfsr: u32,
-    pub hfsr: u32,
-    fault_address: u32,
-    frozen_in_halt: u32,
+    pub frozen_in_halt: u32,
     demcr: u32,
     cycle_counter: CycleCounter,
     pub reset_requested: bool,
 }
 
 impl System {
-    pub(super) fn frozen_in_halt(&self) -> u32 {
-        self.frozen_in_halt
-    }
-
-    pub fn new() -> Self {
-        Self {
-            mpu: Mpu::default(),
-            frozen_in_halt: 0,
-            vtor: 0,
-            cpacr: 0,
-            cfsr: 0,
-            hfsr: 0,
-            fault_address: 0,
-            demcr: 0,
-            cycle_counter: CycleCounter::default(),
-            reset_requested: false,
-        }
-    }
-
     /// Whether CPACR grants coprocessors 10 and 11.
     #[inline(always)]
     pub fn float_enabled(&self) -> bool {
         self.cpacr >> 20 & 15 == 0b1111
-    }
-
-    /// Sets the bits of CFSR and the fault address.
-    pub fn record_fault(&mut self, fault: Fault) {
-        self.cfsr |= fault.class().1;
-        let (valid, address) = match fault {
-            Fault::DataBus { address } => (BFARVALID, address),
-            Fault::Guarded { address } => (MMARVALID, address),
-            _ => return,
-        };
-        self.cfsr |= valid;
-        self.fault_address = address;
     }
 }
 
@@ -151,20 +104,17 @@ impl Cpu {
             0xe000_e280..=0xe000_e2fc => self.interrupt_word(self.nvic.pending, address),
             0xe000_e300..=0xe000_e37c => self.interrupt_word(self.nvic.active, address),
             0xe000_e400..=0xe000_e46c => self.priority_word((address - 0xe000_e400) as u8 + FIRST_INTERRUPT),
-            0xe000_ed04 => self.interrupt_control(),
-            0xe000_ed08 => self.system.vtor,
+            // ICSR: VECTACTIVE.
+            0xe000_ed04 => self.registers.ipsr.into(),
             0xe000_ed0c => VECTKEYSTAT << 16,
-            0xe000_ed18..=0xe000_ed20 => self.priority_word((address - 0xe000_ed18) as u8 + 4),
             0xe000_ed28 => self.system.cfsr,
-            0xe000_ed2c => self.system.hfsr,
-            0xe000_ed34 | 0xe000_ed38 => self.system.fault_address,
             0xe000_ed88 => self.system.cpacr,
             0xe000_ed94 => self.system.mpu.control,
             0xe000_ed9c => self.system.mpu.base,
             0xe000_eda0 => self.system.mpu.attributes,
             0xe000_edfc => self.system.demcr,
             DBGMCU_APB1FZR1 => self.system.frozen_in_halt,
-            _ => IDENTIFICATION.iter().find(|&&(register, _)| register == address).map_or(0, |&(_, value)| value),
+            _ => 0,
         }
     }
 
@@ -179,16 +129,10 @@ impl Cpu {
             0xe000_e400..=0xe000_e46c => {
                 self.set_priority_word((address - 0xe000_e400) as u8 + FIRST_INTERRUPT, written);
             }
-            0xe000_ed04 => self.write_interrupt_control(value),
-            0xe000_ed08 => self.system.vtor = written.over(self.system.vtor) & 0x3fff_ff80,
             0xe000_ed0c => self.write_reset_control(value),
-            0xe000_ed18..=0xe000_ed20 => self.set_priority_word((address - 0xe000_ed18) as u8 + 4, written),
             0xe000_ed28 => self.system.cfsr &= !value,
-            0xe000_ed2c => self.system.hfsr &= !value,
-            0xe000_ed34 | 0xe000_ed38 => self.system.fault_address = written.over(self.system.fault_address),
             0xe000_ed88 => self.system.cpacr = written.over(self.system.cpacr) & 0x00f0_0000,
             0xe000_ed94 | 0xe000_ed9c | 0xe000_eda0 => self.system.mpu.write(address, value),
-            0xe000_ef00 => self.nvic.pend_all(interrupt_bits(value >> 3 & 0x3c, 1 << (value & 31))),
             DBGMCU_APB1FZR1 => self.system.frozen_in_halt = written.over(self.system.frozen_in_halt),
             _ => {}
         }
@@ -207,30 +151,6 @@ impl Cpu {
         let word = written.over(self.priority_word(first));
         for (exception, priority) in (first..).zip(word.to_le_bytes()) {
             self.nvic.set_priority(exception, priority);
-        }
-    }
-
-    /// ICSR.
-    fn interrupt_control(&self) -> u32 {
-        let pending = |exception: u8, bit: u32| ((self.nvic.pending >> exception) as u32 & 1) << bit;
-        let others_active = self.nvic.active & !(1 << (self.registers.ipsr & 127)) != 0;
-        pending(NMI, 31)
-            | pending(PEND_SV, 28)
-            | pending(SYS_TICK, 26)
-            | u32::from(self.nvic.pending >> FIRST_INTERRUPT != 0) << 22
-            | u32::from(self.nvic.most_urgent().unwrap_or(0)) << 12
-            | u32::from(!others_active) << 11
-            | u32::from(self.registers.ipsr)
-    }
-
-    fn write_interrupt_control(&mut self, value: u32) {
-        for (exception, set, clear) in [(NMI, 31, None), (PEND_SV, 28, Some(27)), (SYS_TICK, 26, Some(25))] {
-            if value >> set & 1 != 0 {
-                self.nvic.pend(exception);
-            }
-            if clear.is_some_and(|bit: u32| value >> bit & 1 != 0) {
-                self.nvic.unpend_all(1 << exception);
-            }
         }
     }
 

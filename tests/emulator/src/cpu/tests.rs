@@ -1,4 +1,5 @@
-//! Programs of a few halfwords on the whole core, with results worked out by hand from the ARMv7-M ARM.
+//! Programs of a few halfwords on the whole core: what it takes of time, and what its exceptions do, by the ARMv7-M ARM. What
+//! instructions compute is judged by `oracle/run`, and by poses that are a host's bit for bit.
 
 mod exceptions;
 
@@ -104,11 +105,6 @@ impl Board {
         self.cpu.state().r[number]
     }
 
-    /// N, Z, C, V as the bits of a number.
-    fn nzcv(&self) -> u32 {
-        self.cpu.state().xpsr >> 28
-    }
-
     fn step(&mut self) -> Step {
         self.cpu.step(&mut self.memory)
     }
@@ -136,117 +132,6 @@ fn after(program: &[u16], registers: [u32; 5], steps: usize) -> Board {
     }
     board.run(steps);
     board
-}
-
-#[test]
-fn additions_and_their_flags() {
-    let run = |code: u16, r1, r2| {
-        let board = after(&[code], [0, r1, r2, 0, 0], 1);
-        (board.r(0), board.nzcv())
-    };
-    assert_eq!(run(0x1888, 1, 2), (3, 0b0000)); // adds r0, r1, r2
-    assert_eq!(run(0x1888, 0xffff_ffff, 1), (0, 0b0110));
-    assert_eq!(run(0x1888, 0x7fff_ffff, 1), (0x8000_0000, 0b1001));
-    assert_eq!(run(0x1a88, 5, 5), (0, 0b0110)); // subs r0, r1, r2
-    assert_eq!(run(0x1a88, 5, 6), (0xffff_ffff, 0b1000));
-    assert_eq!(run(0x1a88, 0x8000_0000, 1), (0x7fff_ffff, 0b0011));
-    assert_eq!(run(0x4248, 0x8000_0000, 0), (0x8000_0000, 0b1001)); // rsbs r0, r1, #0
-}
-
-#[test]
-fn carry_chains() {
-    // adds r0, r1, r2; adcs r3, r4: 0x1_0000_0000 in two words.
-    let board = after(&[0x1888, 0x4163], [0, 0xffff_ffff, 1, 7, 8], 2);
-    assert_eq!((board.r(0), board.r(3), board.nzcv()), (0, 16, 0b0000));
-    // subs r0, r1, r2; sbcs r3, r4: a borrow.
-    let board = after(&[0x1a88, 0x41a3], [0, 0, 1, 8, 7], 2);
-    assert_eq!((board.r(0), board.r(3), board.nzcv()), (0xffff_ffff, 0, 0b0110));
-}
-
-#[test]
-fn shifts_in_the_instruction_and_by_register() {
-    let board = after(&[0x0808], [0, 0x8000_0000, 0, 0, 0], 1); // lsrs r0, r1, #32
-    assert_eq!((board.r(0), board.nzcv()), (0, 0b0110));
-    let board = after(&[0x4088], [1, 0x0000_0120, 0, 0, 0], 1); // lsls r0, r1: only the low byte counts
-    assert_eq!((board.r(0), board.nzcv()), (0, 0b0110));
-}
-
-#[test]
-fn rotated_immediates_set_carry() {
-    let board = after(&[0xf05f, 0x4000], [0; 5], 1); // movs.w r0, #0x80000000
-    assert_eq!((board.r(0), board.nzcv()), (0x8000_0000, 0b1010));
-}
-
-#[test]
-fn sixteen_bit_instructions_leave_flags_alone_in_an_it_block() {
-    // cmp r0, r0; ite eq; moveq r1, #0; movne r2, #2: Z stays, so the second half is skipped.
-    let mut board = after(&[0x4280, 0xbf0c, 0x2100, 0x2202], [0, 9, 9, 0, 0], 4);
-    assert_eq!((board.r(1), board.r(2), board.nzcv()), (0, 9, 0b0110));
-    assert_eq!(board.cpu.state().xpsr & 0x0600_fc00, 0, "the block is over");
-    assert_eq!(board.r(15), PROGRAM + 8);
-    board.place(PROGRAM + 8, &[0x2101]);
-    board.run(1); // movs r1, #1 outside the block does set them
-    assert_eq!(board.nzcv(), 0b0010);
-}
-
-#[test]
-fn branches_link_and_return() {
-    // bl +16 … bx lr
-    let mut board = Board::new(&[0xf000, 0xf808]);
-    board.place(PROGRAM + 20, &[0x4770]);
-    assert_eq!(board.run(1), 3);
-    assert_eq!((board.r(15), board.r(14)), (PROGRAM + 20, (PROGRAM + 4) | 1));
-    board.run(1);
-    assert_eq!(board.r(15), PROGRAM + 4);
-    // tbb [pc, r0], table {1, 3}
-    let board = after(&[0xe8df, 0xf000, 0x0301], [1, 0, 0, 0, 0], 1);
-    assert_eq!(board.r(15), PROGRAM + 4 + 6);
-}
-
-#[test]
-fn division_and_multiplication() {
-    let sdiv = |x: u32, y: u32| after(&[0xfb91, 0xf0f2], [9, x, y, 0, 0], 1).r(0);
-    assert_eq!(sdiv(-7i32 as u32, 2), -3i32 as u32);
-    assert_eq!(sdiv(0x8000_0000, 0xffff_ffff), 0x8000_0000);
-    assert_eq!(sdiv(5, 0), 0);
-    // smlad r0, r1, r2, r3: 2·4 + 3·5 + 7fff_fff0 overflows, Q.
-    let board = after(&[0xfb21, 0x3002], [0, 0x0003_0002, 0x0005_0004, 0x7fff_fff0, 0], 1);
-    assert_eq!((board.r(0), board.cpu.state().xpsr >> 27 & 1), (0x8000_0007, 1));
-}
-
-#[test]
-fn saturation_lanes_and_bit_fields() {
-    let board = after(&[0xf301, 0x0007], [0, 1000, 0, 0, 0], 1); // ssat r0, #8, r1
-    assert_eq!((board.r(0), board.cpu.state().xpsr >> 27 & 1), (127, 1));
-    let board = after(&[0xfac1, 0xf052], [0, 0x0180_0102, 0x0101_0203, 0, 0], 1); // uqsub8 r0, r1, r2
-    assert_eq!(board.r(0), 0x007f_0000);
-    let board = after(&[0xf361, 0x200b], [0xffff_ffff, 0x5, 0, 0, 0], 1); // bfi r0, r1, #8, #4
-    assert_eq!(board.r(0), 0xffff_f5ff);
-}
-
-#[test]
-fn loads_and_stores() {
-    let mut board = after(&[0xf8d1, 0x0001], [0, RAM, 0, 0, 0], 0);
-    board.store(RAM, 0x4433_2211);
-    board.store(RAM + 4, 0x8877_6655);
-    board.run(1); // ldr.w r0, [r1, #1]
-    assert_eq!(board.r(0), 0x5544_3322);
-    // push {r4, lr}; pop {r4, pc}
-    let mut board = after(&[0xb510, 0xbd10], [0, 0, 0, 0, 0x1234], 0);
-    board.set(14, PROGRAM + 0x101);
-    assert_eq!(board.run(1), 3);
-    assert_eq!((board.r(13), board.word(STACK - 8), board.word(STACK - 4)), (STACK - 8, 0x1234, PROGRAM + 0x101));
-    assert_eq!(board.run(1), 5);
-    assert_eq!((board.r(13), board.r(15), board.cpu.min_sp()), (STACK, PROGRAM + 0x100, STACK - 8));
-}
-
-#[test]
-fn exclusive_stores_need_an_open_monitor() {
-    // ldrex r0, [r1]; strex r2, r0, [r1]; strex r2, r0, [r1]
-    let mut board = after(&[0xe851, 0x0f00, 0xe841, 0x0200, 0xe841, 0x0200], [0, RAM, 9, 0, 0], 2);
-    assert_eq!(board.r(2), 0);
-    board.run(1);
-    assert_eq!(board.r(2), 1);
 }
 
 #[test]
@@ -279,8 +164,6 @@ fn code_in_flash_is_decoded_once_until_told() {
 const ONE: u32 = 0x3f80_0000;
 /// vadd.f32 s2, s0, s1
 const VADD: [u16; 2] = [0xee30, 0x1a20];
-/// vcmp.f32 s0, s1; vmrs APSR_nzcv, fpscr
-const COMPARE: [u16; 4] = [0xeeb4, 0x0a60, 0xeef1, 0xfa10];
 
 fn with_operands(program: &[u16], s0: u32, s1: u32) -> Board {
     let mut board = Board::new(program).with_float();
@@ -293,30 +176,7 @@ fn disabled_unit_is_a_usage_fault() {
     let mut board = Board::new(&VADD);
     board.run(1);
     assert_eq!(board.fault(), Some(Fault::NoCoprocessor));
-    assert_eq!(board.cpu.exception(), 3, "escalated: UsageFault is not enabled");
-}
-
-#[test]
-fn use_makes_the_registers_part_of_the_context() {
-    let mut board = with_operands(&VADD, ONE, ONE);
-    assert!(!board.cpu.registers.float_active);
-    board.run(1);
-    assert!(board.cpu.registers.float_active);
-    assert_eq!(board.cpu.state().s[2], 0x4000_0000);
-}
-
-#[test]
-fn comparison_reaches_the_flags() {
-    let compare = |s0, s1| {
-        let mut board = with_operands(&COMPARE, s0, s1);
-        board.run(2);
-        board.nzcv()
-    };
-    assert_eq!(compare(ONE, ONE), 0b0110);
-    assert_eq!(compare(0, 0x8000_0000), 0b0110);
-    assert_eq!(compare(ONE, 0x4000_0000), 0b1000);
-    assert_eq!(compare(0x4000_0000, 0xbf80_0000), 0b0010);
-    assert_eq!(compare(ONE, 0x7fc0_0000), 0b0011);
+    assert_eq!(board.cpu.exception(), 3, "escalated");
 }
 
 #[test]

@@ -1,8 +1,8 @@
 //! Analog-to-digital converters: regular sequences (RM0440, "Analog-to-digital converters").
 //!
 //! Modelled: power-up (deep power down, regulator, calibration, ADRDY), regular sequences
-//! started by software or by a timer's TRGO, sampling times, oversampling, DMA requests and overrun,
-//! and the rules of when a register may be written. Not modelled: continuous and injected conversions,
+//! started by software or by a rising edge of TIM2's TRGO, sampling times, oversampling, DMA requests and overrun,
+//! and the rules of when a register may be written. Not modelled: interrupts, continuous and injected conversions,
 //! other resolutions than 12 bits, shifts, watchdogs, offsets, dual modes, discontinuous mode, triggered
 //! oversampling. Results are right-aligned.
 //!
@@ -22,7 +22,7 @@ use super::effects::{ALL, Bank, Register};
 use super::{Effects, TICKS_PER_SECOND, Ticks};
 use crate::faults::Fault;
 use crate::st::ADC::{
-    CALFACT, CFGR, CFGR_DMAEN as DMAEN, CFGR_OVRMOD as OVRMOD, CFGR2, CFGR2_ROVSE as ROVSE, CR, CR_ADCAL as ADCAL,
+    CFGR, CFGR_DMAEN as DMAEN, CFGR_OVRMOD as OVRMOD, CFGR2, CFGR2_ROVSE as ROVSE, CR, CR_ADCAL as ADCAL,
     CR_ADCALDIF as ADCALDIF, CR_ADDIS as ADDIS, CR_ADEN as ADEN, CR_ADSTART as ADSTART, CR_ADSTP as ADSTP,
     CR_ADVREGEN as ADVREGEN, CR_DEEPPWD as DEEPPWD, CR_JADSTART as JADSTART, CR_JADSTP as JADSTP, DIFSEL, DR, IER, ISR,
     ISR_ADRDY as ADRDY, ISR_EOC as EOC, ISR_EOS as EOS, ISR_EOSMP as EOSMP, ISR_OVR as OVR, SMPR1, SMPR2, SQR1, SQR4,
@@ -30,14 +30,15 @@ use crate::st::ADC::{
 };
 use crate::st::{self, ADC, ADC1, ADC12};
 
-/// Registers common to a group of converters, from the group's base.
-const CSR: u32 = ADC12::COMMON_BASE - ADC1::BASE + ADC::Common_CSR;
+/// The register common to a group of converters, from the group's base.
 const CCR: u32 = ADC12::COMMON_BASE - ADC1::BASE + ADC::Common_CCR;
 
 /// Bits of ADC_CR that software only sets and hardware clears.
 const CR_COMMANDS: u32 = ADEN | ADDIS | ADSTART | JADSTART | ADSTP | JADSTP | ADCAL;
 
 const CFGR_MODELLED: u32 = DMAEN | ADC::CFGR_DMACFG | ADC::CFGR_EXTSEL | ADC::CFGR_EXTEN | OVRMOD | ADC::CFGR_JQDIS;
+/// EXTEN and EXTSEL: each rising edge of TIM2's TRGO (RM0440, "ADC1/2: external triggers for regular channels").
+const RISING_TIM2: u32 = 1 << 10 | 11 << 5;
 /// Without injected conversions both modes of ROVSM are the same.
 const CFGR2_MODELLED: u32 = ROVSE | ADC::CFGR2_OVSR | ADC::CFGR2_ROVSM;
 /// The clock, and the switches of the internal channels.
@@ -70,7 +71,7 @@ const MIN_CLOCK_TICKS: u64 = TICKS_PER_SECOND.div_ceil(1_000_000 * st::f::ADC_si
 
 const REGISTERS: &[Register] = &[
     (ISR, 0, 0),
-    (IER, 0, ALL),
+    (IER, 0, 0),
     (CR, DEEPPWD, 0),
     (CFGR, ADC::CFGR_JQDIS, ALL),
     (CFGR2, 0, ALL),
@@ -81,8 +82,7 @@ const REGISTERS: &[Register] = &[
     (SQR1 + 8, 0, ALL),
     (SQR4, 0, ALL),
     (DR, 0, 0),
-    (DIFSEL, 0, ALL),
-    (CALFACT, 0, ALL),
+    (DIFSEL, 0, 0),
 ];
 
 /// What the converter does by itself next.
@@ -109,14 +109,14 @@ struct Plan {
     approximation: Ticks,
     oversampling: u32,
     trigger_delay: Ticks,
-    /// Edges of the trigger line that start a sequence, as in `Effects::take_triggers`.
-    trigger_mask: u16,
+    /// TIM2 starts a sequence, not software.
+    is_triggered: bool,
 }
 
 #[derive(Debug)]
 pub struct Adc {
     number: u8,
-    request: u8,
+    request: u32,
     bank: Bank,
     regulator_since: Ticks,
     calibrated_at: Option<Ticks>,
@@ -139,7 +139,7 @@ pub struct Adc {
 }
 
 impl Adc {
-    fn new(number: u8, request: u8) -> Self {
+    fn new(number: u8, request: u32) -> Self {
         Self {
             number,
             request,
@@ -167,7 +167,7 @@ impl Adc {
     }
 
     /// Fault injection: the overrun flag as if a result had been lost.
-    fn force_overrun(&mut self) {
+    pub fn force_overrun(&mut self) {
         self.bank[ISR] |= OVR;
     }
 
@@ -195,18 +195,14 @@ impl Adc {
             CR => return self.command(value, effects),
             CFGR => {
                 effects.unmodelled_bits(value & !CFGR_MODELLED);
+                let trigger = value & (ADC::CFGR_EXTEN | ADC::CFGR_EXTSEL);
+                effects.unmodelled_bits(if trigger == RISING_TIM2 { 0 } else { trigger & ADC::CFGR_EXTEN });
                 if value & DMAEN == 0 {
                     effects.withdraw(self.request);
                 }
             }
             CFGR2 => effects.unmodelled_bits(value & !CFGR2_MODELLED),
             SMPR1 | SMPR2 => effects.unmodelled_bits(value >> 30),
-            DIFSEL if value != self.bank[DIFSEL] && self.bank[CR] & CR_COMMANDS != 0 => {
-                effects.violation(value, "ADC_DIFSEL is written only while the ADC is disabled");
-            }
-            CALFACT if self.bank[CR] & ADEN == 0 || self.bank[CR] & ADSTART != 0 => {
-                effects.violation(value, "ADC_CALFACT is written only while ADEN = 1 and ADSTART = 0");
-            }
             TR1..=TR3 => return,
             _ => {}
         }
@@ -230,20 +226,8 @@ impl Adc {
             approximation: half_clock(APPROXIMATION_HALF_CLOCKS),
             oversampling: if oversampled { 2 << (self.bank[CFGR2] >> 2 & 7) } else { 1 },
             trigger_delay: TRIGGER_CLOCKS * self.clock,
-            trigger_mask: self.trigger_mask(),
+            is_triggered: self.bank[CFGR] & ADC::CFGR_EXTEN != 0,
         }
-    }
-
-    /// Which trigger edges start a sequence (RM0440, "ADC1/2: external triggers for regular channels").
-    fn trigger_mask(&self) -> u16 {
-        let trigger = match self.bank[CFGR] >> 5 & 0x1F {
-            11 => 0,
-            4 => 1,
-            12 => 2,
-            // A source that is not modelled never comes.
-            _ => 7,
-        };
-        ((self.bank[CFGR] >> 10 & 3) as u16) << (2 * trigger)
     }
 
     /// A trigger edge, which the converter's clock sees `late` ticks later, or the software start.
@@ -256,7 +240,6 @@ impl Adc {
         self.sample_rank(now + late + self.plan.trigger_delay);
     }
 
-    /// Sampling of the present rank starts at `at`.
     fn sample_rank(&mut self, at: Ticks) {
         self.sum = 0;
         self.conversions = 0;
@@ -309,7 +292,7 @@ impl Adc {
         self.rank = 0;
         self.phase = Phase::Idle;
         self.phase_at = Ticks::MAX;
-        if self.plan.trigger_mask == 0 {
+        if !self.plan.is_triggered {
             self.bank[CR] &= !ADSTART;
         }
     }
@@ -328,10 +311,6 @@ impl Adc {
         if self.bank[CFGR] & DMAEN != 0 && self.bank[ISR] & OVR == 0 && !std::mem::take(&mut self.swallow) {
             effects.request(self.request);
         }
-    }
-
-    fn interrupt(&self) -> bool {
-        self.bank[ISR] & self.bank[IER] != 0
     }
 
     /// Writes ADC_CR.
@@ -427,7 +406,7 @@ impl Adc {
         }
         self.bank[CR] |= ADSTART;
         self.plan = self.plan_sequence();
-        if self.plan.trigger_mask == 0 {
+        if !self.plan.is_triggered {
             self.begin(effects.now, 0);
         }
     }

@@ -8,10 +8,9 @@
 use super::Effects;
 use super::effects::{ALL, Bank, Register};
 
-use crate::st::DAC::{CCR, CR, CR_EN1, DHR12R1, DOR1, MCR, MCR_HFSEL, SR, SR_DAC1RDY};
+use crate::st::DAC::{CCR, CR, CR_EN1, DHR12R1, MCR, MCR_HFSEL};
 
-const REGISTERS: &[Register] =
-    &[(CR, 0, CR_EN1), (DHR12R1, 0, 0xFFF), (DOR1, 0, 0), (SR, 0, 0), (CCR, 0, ALL), (MCR, 0, ALL)];
+const REGISTERS: &[Register] = &[(CR, 0, CR_EN1), (DHR12R1, 0, 0xFFF), (CCR, 0, ALL), (MCR, 0, ALL)];
 
 #[derive(Debug)]
 pub struct Dac {
@@ -35,16 +34,11 @@ impl Dac {
     }
 
     pub fn read(&self, offset: u32, effects: &mut Effects) -> u32 {
-        match offset {
-            DOR1 => self.bank[DHR12R1],
-            SR if self.is_enabled() => SR_DAC1RDY,
-            _ => self.bank.read(offset, effects),
-        }
+        self.bank.read(offset, effects)
     }
 
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
         match offset {
-            SR => return,
             CR => effects.unmodelled_bits(value & !CR_EN1),
             MCR => {
                 if self.is_enabled() && (value ^ self.bank[MCR]) & 7 != 0 {
@@ -72,21 +66,6 @@ impl Dac {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn code_is_out_only_while_enabled() {
-        let (mut dac, mut effects) = (Dac::new(), Effects::default());
-        dac.write(DHR12R1, 0x1ABC, &mut effects);
-        assert_eq!(dac.output(), 0);
-        dac.write(CR, 1, &mut effects);
-        assert_eq!(dac.output(), 0xABC);
-        assert_eq!(dac.read(SR, &mut effects), SR_DAC1RDY);
-        dac.set_rest_v(0.048);
-        dac.reset();
-        assert_eq!(dac.output(), 0);
-        dac.write(CR, 1, &mut effects);
-        assert_eq!(dac.output(), 60);
-    }
 
     #[test]
     fn mode_is_fixed_while_enabled() {

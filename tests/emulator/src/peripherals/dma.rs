@@ -6,18 +6,15 @@
 //! each transfer, and more on a busy bus: [`crate::faults::Fault::DmaLatency`]. Memory-to-memory transfers, synchronisation and request generators are not
 //! modelled. The data move through the board, which owns the bus.
 
-use super::{Effects, interrupt};
+use super::Effects;
 use crate::st::DMA::{
     CCR_CIRC as CIRC, CCR_DIR as DIR, CCR_EN as EN, CCR_HTIE as HTIE, CCR_MEM2MEM as MEM2MEM, CCR_MINC as MINC,
     CCR_PINC as PINC, CCR_TCIE as TCIE, CCR_TEIE as TEIE, Channel_CCR as CCR, Channel_CMAR as CMAR,
     Channel_CNDTR as CNDTR, Channel_CPAR as CPAR, IFCR, ISR, ISR_GIF1 as GIF, ISR_HTIF1 as HTIF, ISR_TCIF1 as TCIF,
     ISR_TEIF1 as TEIF,
 };
-use crate::st::DMA1;
-use crate::st::DMAMUX::{
-    ChannelStatus_CFR as MUX_CFR, ChannelStatus_CSR as MUX_CSR, CxCR_EGE as MUX_EVENTS,
-    RequestGenStatus_RGCFR as MUX_RGCFR, RequestGenStatus_RGSR as MUX_RGSR,
-};
+use crate::st::DMAMUX::CxCR_EGE as MUX_EVENTS;
+use crate::st::{DMA1, DMA2};
 
 /// Channels of both controllers: DMA1 has 0 to 7, DMA2 has 8 to 15. DMAMUX counts the same way.
 pub const CHANNELS: usize = 16;
@@ -33,10 +30,8 @@ pub type Width = u32;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Transfer {
-    /// Where it is read.
     pub source: u32,
     pub source_width: Width,
-    /// Where it is written.
     pub destination: u32,
     /// How wide it is written: the value is cut or extended with zeros.
     pub destination_width: Width,
@@ -65,8 +60,8 @@ impl Channel {
     }
 
     /// The request that this channel would serve now; 0: none.
-    fn listens_to(&self) -> u8 {
-        if self.enabled() && self.cndtr != 0 { (self.mux & MUX_REQUEST) as u8 } else { 0 }
+    fn listens_to(&self) -> u32 {
+        if self.enabled() && self.cndtr != 0 { self.mux & MUX_REQUEST } else { 0 }
     }
 
     fn priority(&self) -> u32 {
@@ -121,7 +116,6 @@ impl Dma {
         let first = 8 * controller;
         match offset {
             ISR => (0..8).map(|index| self.channels[first + index].flags << (4 * index)).sum(),
-            IFCR => 0,
             _ => match channel_register(offset) {
                 Some((index, register)) => {
                     let channel = &self.channels[first + index];
@@ -149,7 +143,6 @@ impl Dma {
                     self.clear_flags(first + index, value >> (4 * index) & 0xF, effects);
                 }
             }
-            ISR => effects.violation(value, "DMA_ISR is read-only"),
             _ => match channel_register(offset) {
                 Some((index, register)) => self.write_channel(first + index, register, value, effects),
                 None => effects.unmodelled(),
@@ -160,7 +153,6 @@ impl Dma {
     pub fn read_multiplexer(&mut self, offset: u32, effects: &mut Effects) -> u32 {
         match offset {
             0..=MUX_LAST_CHANNEL => self.channels[(offset / 4) as usize].mux,
-            MUX_CSR | MUX_CFR | MUX_RGSR | MUX_RGCFR => 0,
             _ => {
                 effects.unmodelled();
                 0
@@ -182,7 +174,6 @@ impl Dma {
                 self.find_wanted();
                 self.watch_sharing(value, effects);
             }
-            MUX_CFR | MUX_RGCFR => {}
             _ => effects.unmodelled(),
         }
     }
@@ -194,7 +185,7 @@ impl Dma {
     }
 
     /// The channel of `channels` to serve next among the waiting requests `ready` (all of them wanted).
-    pub fn select(&self, ready: u128, channels: std::ops::Range<usize>) -> Option<(usize, u8)> {
+    pub fn select(&self, ready: u128, channels: std::ops::Range<usize>) -> Option<(usize, u32)> {
         let serves = |channel: &Channel| {
             let request = channel.listens_to();
             request != 0 && ready >> request & 1 != 0
@@ -205,7 +196,6 @@ impl Dma {
         best.map(|(index, channel)| (index, channel.listens_to()))
     }
 
-    /// Whether `channel` is still enabled.
     pub fn is_enabled(&self, channel: usize) -> bool {
         self.channels[channel].enabled()
     }
@@ -313,10 +303,10 @@ impl Dma {
 
     fn update_line(&self, index: usize, effects: &mut Effects) {
         let line = match index {
-            0..=6 => interrupt::DMA1_CHANNEL1 + index as u8,
-            7 => interrupt::DMA1_CHANNEL8,
-            8..=12 => interrupt::DMA2_CHANNEL1 + (index - 8) as u8,
-            _ => interrupt::DMA2_CHANNEL6 + (index - 13) as u8,
+            0..=6 => DMA1::Channel1_IRQn + index as u32,
+            7 => DMA1::Channel8_IRQn,
+            8..=12 => DMA2::Channel1_IRQn + (index - 8) as u32,
+            _ => DMA2::Channel6_IRQn + (index - 13) as u32,
         };
         effects.set_line(line, self.channels[index].interrupt());
     }
@@ -333,7 +323,6 @@ fn channel_register(offset: u32) -> Option<(usize, u32)> {
 mod tests {
     use super::*;
     use crate::facts;
-    use crate::peripherals::request;
 
     const CH3: u32 = FIRST_CHANNEL + 2 * CHANNEL_SPAN;
 
@@ -346,18 +335,6 @@ mod tests {
         dma.write(0, CH3 + CMAR, 0x2000_0000, &mut effects);
         dma.write(0, CH3 + CCR, 1 << 8 | 1 << 10 | MINC | EN | flags, &mut effects);
         (dma, effects)
-    }
-
-    #[test]
-    fn priority_then_number_decides() {
-        let (mut dma, mut effects) = ring(CIRC);
-        dma.write_multiplexer(0, 36, &mut effects);
-        dma.write(0, FIRST_CHANNEL + CNDTR, 1, &mut effects);
-        dma.write(0, FIRST_CHANNEL + CCR, EN, &mut effects);
-        assert_eq!(dma.select(1 << 5 | 1 << 36, 0..CHANNELS), Some((0, request::ADC2)));
-        dma.write(0, CH3 + CCR, 0, &mut effects);
-        dma.write(0, CH3 + CCR, EN | 2 << 12, &mut effects);
-        assert_eq!(dma.select(1 << 5 | 1 << 36, 0..CHANNELS), Some((2, request::ADC1)));
     }
 
     #[test]

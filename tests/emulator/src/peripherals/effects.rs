@@ -7,60 +7,6 @@ use crate::memory::Bits;
 use std::collections::BTreeMap;
 use std::ops::{Index, IndexMut};
 
-/// Position of an interrupt in the vector table (RM0440, "Interrupt and exception vectors").
-pub mod interrupt {
-    use crate::st;
-
-    pub const PVD_PVM: u8 = st::PVD::PVM_IRQn as u8;
-    pub const FLASH: u8 = st::FLASH::IRQn as u8;
-    pub const EXTI0: u8 = st::EXTI0::IRQn as u8;
-    pub const DMA1_CHANNEL1: u8 = st::DMA1::Channel1_IRQn as u8;
-    pub const ADC1_2: u8 = st::ADC1::_2_IRQn as u8;
-    pub const USB_LP: u8 = st::USB::LP_IRQn as u8;
-    pub const EXTI9_5: u8 = st::EXTI9::_5_IRQn as u8;
-    pub const TIM2: u8 = st::TIM2::IRQn as u8;
-    pub const TIM3: u8 = st::TIM3::IRQn as u8;
-    pub const TIM4: u8 = st::TIM4::IRQn as u8;
-    pub const USART1: u8 = st::USART1::IRQn as u8;
-    pub const EXTI15_10: u8 = st::EXTI15::_10_IRQn as u8;
-    pub const ADC3: u8 = st::ADC3::IRQn as u8;
-    pub const TIM5: u8 = st::TIM5::IRQn as u8;
-    pub const DMA2_CHANNEL1: u8 = st::DMA2::Channel1_IRQn as u8;
-    pub const ADC4: u8 = st::ADC4::IRQn as u8;
-    pub const ADC5: u8 = st::ADC5::IRQn as u8;
-    pub const LPUART1: u8 = st::LPUART1::IRQn as u8;
-    pub const DMA1_CHANNEL8: u8 = st::DMA1::Channel8_IRQn as u8;
-    pub const DMA2_CHANNEL6: u8 = st::DMA2::Channel6_IRQn as u8;
-}
-
-/// Numbers of DMA request lines; ADC4 and ADC5 follow ADC3, channels 2 to 4 and the update follow channel 1 of a timer
-/// (RM0440, "DMAMUX: assignment of multiplexer inputs to resources").
-pub mod request {
-    use crate::st::LL;
-
-    pub const ADC1: u8 = LL::DMAMUX_REQ_ADC1 as u8;
-    pub const USART1_RX: u8 = LL::DMAMUX_REQ_USART1_RX as u8;
-    pub const USART1_TX: u8 = LL::DMAMUX_REQ_USART1_TX as u8;
-    pub const LPUART1_RX: u8 = LL::DMAMUX_REQ_LPUART1_RX as u8;
-    pub const LPUART1_TX: u8 = LL::DMAMUX_REQ_LPUART1_TX as u8;
-    pub const ADC2: u8 = LL::DMAMUX_REQ_ADC2 as u8;
-    pub const ADC3: u8 = LL::DMAMUX_REQ_ADC3 as u8;
-    pub const TIM2_CH1: u8 = LL::DMAMUX_REQ_TIM2_CH1 as u8;
-    pub const TIM3_CH1: u8 = LL::DMAMUX_REQ_TIM3_CH1 as u8;
-    pub const TIM4_CH1: u8 = LL::DMAMUX_REQ_TIM4_CH1 as u8;
-    pub const TIM5_CH1: u8 = LL::DMAMUX_REQ_TIM5_CH1 as u8;
-}
-
-/// Trigger outputs (TRGO) of the general-purpose timers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Trigger {
-    Tim2,
-    Tim3,
-    Tim4,
-    /// TIM5_TRGO (no converter listens to it).
-    Tim5,
-}
-
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Edge {
     Rising,
@@ -103,13 +49,13 @@ pub struct Effects {
     pub now: Ticks,
     pub pc: u32,
     pub address: u32,
-    /// Levels of the interrupt lines.
     pub lines: [u32; 4],
     /// The core or the machine has to look: lines, reset, NMI, stall, changed code or boot loader.
     pub attention: bool,
     /// DMA requests that wait, bit n for request n.
     pub requests: u128,
-    triggers: u16,
+    /// TIM2's trigger output (TRGO) has risen.
+    pub triggered: bool,
     pub reset: Option<ResetCause>,
     pub nmi: bool,
     /// Flash has new content.
@@ -120,7 +66,6 @@ pub struct Effects {
     pub stalled_until: Ticks,
     /// What the silicon does against its manual.
     pub faults: Faults,
-    /// What it does by chance.
     pub chance: Bits,
     /// Phase of the converters' clock, in ticks of any period.
     pub clock_phase: Ticks,
@@ -132,42 +77,25 @@ pub struct Effects {
 }
 
 impl Effects {
-    #[cfg(test)]
-    pub fn starting_at(now: Ticks) -> Self {
-        Self { now, ..Self::default() }
-    }
-
-    /// Sets the level of interrupt line `number` (see [`interrupt`]).
+    /// Sets the level of the interrupt line with this position in the vector table (ST's `…_IRQn`).
     #[inline]
-    pub fn set_line(&mut self, number: u8, level: bool) {
-        let (word, bit) = (usize::from(number / 32), 1 << (number % 32));
+    pub fn set_line(&mut self, number: u32, level: bool) {
+        let (word, bit) = ((number / 32) as usize, 1 << (number % 32));
         let before = self.lines[word];
         self.lines[word] = if level { before | bit } else { before & !bit };
         self.attention |= self.lines[word] != before;
     }
 
-    /// Raises a DMA request. It stays until a channel serves it or it is withdrawn.
+    /// Raises the DMA request of this number (ST's `LL_DMAMUX_REQ_…`). It stays until a channel serves it or it is withdrawn.
     #[inline]
-    pub fn request(&mut self, request: u8) {
+    pub fn request(&mut self, request: u32) {
         self.requests |= 1 << request;
     }
 
     /// Takes a DMA request back: its cause is gone (data read, DMA enable bit cleared).
     #[inline]
-    pub fn withdraw(&mut self, request: u8) {
+    pub fn withdraw(&mut self, request: u32) {
         self.requests &= !(1 << request);
-    }
-
-    /// Sends an edge of a timer's trigger output.
-    #[inline]
-    pub fn trigger(&mut self, trigger: Trigger, edge: Edge) {
-        self.triggers |= 1 << (2 * trigger as u16 + u16::from(edge == Edge::Falling));
-    }
-
-    /// Edges sent since the last call, as bits 2·trigger (rising) and 2·trigger + 1 (falling).
-    #[inline]
-    pub fn take_triggers(&mut self) -> u16 {
-        std::mem::take(&mut self.triggers)
     }
 
     /// Asks for a reset of the whole device.
@@ -203,7 +131,7 @@ impl Effects {
     pub fn clear_signals(&mut self) {
         self.lines = [0; 4];
         self.requests = 0;
-        self.triggers = 0;
+        self.triggered = false;
         self.reset = None;
         self.nmi = false;
         self.stalled_until = 0;

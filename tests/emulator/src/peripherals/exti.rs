@@ -1,8 +1,8 @@
-//! Extended interrupts and events: lines 0 to 15 (pins) and 16 (voltage detector) (RM0440,
+//! Extended interrupts and events: line 16, the voltage detector; nothing drives the pins' (RM0440,
 //! "Extended interrupts and events controller").
 
 use super::effects::{ALL, Bank, Register};
-use super::{Edge, Effects, interrupt};
+use super::{Edge, Effects};
 
 use crate::st::EXTI::{EMR1, EMR2, FTSR1, IMR1, IMR2, PR1, PR2, RTSR1, RTSR2, SWIER1};
 
@@ -19,25 +19,13 @@ const REGISTERS: &[Register] = &[
     (PR2, 0, 0),
 ];
 
-/// EXTI line of the voltage detector's output.
-pub const PVD_LINE: u8 = crate::st::LL::EXTI_LINE_16.trailing_zeros() as u8;
-/// Lines that some model drives.
+/// The voltage detector's output.
+const PVD: u32 = crate::st::LL::EXTI_LINE_16;
+/// The lines of pins, too, may be set up.
 const MODELLED: u32 = 0x1_FFFF;
 /// Direct lines are unmasked after reset.
 const IMR1_RESET: u32 = 0x1F84_0000;
 const IMR2_RESET: u32 = 0x0000_003C;
-
-/// Interrupt of each group of lines.
-const GROUPS: [(u32, u8); 8] = [
-    (1, interrupt::EXTI0),
-    (1 << 1, interrupt::EXTI0 + 1),
-    (1 << 2, interrupt::EXTI0 + 2),
-    (1 << 3, interrupt::EXTI0 + 3),
-    (1 << 4, interrupt::EXTI0 + 4),
-    (0x3E0, interrupt::EXTI9_5),
-    (0xFC00, interrupt::EXTI15_10),
-    (1 << PVD_LINE, interrupt::PVD_PVM),
-];
 
 #[derive(Debug)]
 pub struct Exti(Bank);
@@ -49,7 +37,7 @@ impl Exti {
 
     pub fn reset(&mut self, effects: &mut Effects) {
         self.0.reset();
-        self.update_lines(effects);
+        self.update_line(effects);
     }
 
     pub fn read(&self, offset: u32, effects: &mut Effects) -> u32 {
@@ -63,49 +51,24 @@ impl Exti {
             _ => {}
         }
         match offset {
-            SWIER1 => self.0[PR1] |= value & self.0[IMR1] & MODELLED,
             PR1 => self.0[PR1] &= !value,
             EMR1 | EMR2 | RTSR2..=PR2 => effects.unmodelled_bits(value),
             _ => self.0.write(offset, value, effects),
         }
-        self.update_lines(effects);
+        self.update_line(effects);
     }
 
-    /// An edge on `line`.
-    pub fn edge(&mut self, line: u8, edge: Edge, effects: &mut Effects) {
+    /// An edge of the voltage detector's output.
+    pub fn edge(&mut self, edge: Edge, effects: &mut Effects) {
         let selected = match edge {
             Edge::Rising => self.0[RTSR1],
             Edge::Falling => self.0[FTSR1],
         };
-        self.0[PR1] |= selected & 1 << line;
-        self.update_lines(effects);
+        self.0[PR1] |= selected & PVD;
+        self.update_line(effects);
     }
 
-    fn update_lines(&self, effects: &mut Effects) {
-        for (lines, number) in GROUPS {
-            effects.set_line(number, self.0[PR1] & self.0[IMR1] & lines != 0);
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn selected_edges_interrupt_until_cleared() {
-        let (mut exti, mut effects) = (Exti::new(), Effects::default());
-        exti.write(IMR1, IMR1_RESET | 1 << PVD_LINE | 1 << 13, &mut effects);
-        exti.write(RTSR1, 1 << PVD_LINE, &mut effects);
-        exti.edge(PVD_LINE, Edge::Falling, &mut effects);
-        exti.edge(13, Edge::Rising, &mut effects);
-        assert_eq!(effects.lines, [0; 4]);
-        exti.edge(PVD_LINE, Edge::Rising, &mut effects);
-        assert_eq!(effects.lines, [1 << interrupt::PVD_PVM, 0, 0, 0]);
-        exti.write(PR1, 1 << PVD_LINE, &mut effects);
-        assert_eq!(effects.lines, [0; 4]);
-        exti.write(FTSR1, 1 << 13, &mut effects);
-        exti.edge(13, Edge::Falling, &mut effects);
-        assert_eq!(effects.lines, [0, 1 << (interrupt::EXTI15_10 - 32), 0, 0]);
+    fn update_line(&self, effects: &mut Effects) {
+        effects.set_line(crate::st::PVD::PVM_IRQn, self.0[PR1] & self.0[IMR1] & PVD != 0);
     }
 }

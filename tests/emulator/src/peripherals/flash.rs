@@ -5,13 +5,13 @@
 //! words whose programming was cut short. Not modelled: fast programming, erasure of banks, option bytes,
 //! write and read protection.
 
-use super::{Effects, TICKS_PER_SECOND, Ticks, interrupt};
+use super::{Effects, TICKS_PER_SECOND, Ticks};
 use crate::faults::Fault;
 use crate::memory::{BANK_BYTES, DOUBLE_WORD_BYTES, FLASH_BASE, FLASH_BYTES, FlashArray, PAGE_BYTES, load};
 use crate::st::FLASH::{
     ACR, ACR_LATENCY as LATENCY, CR, CR_BKER as BKER, CR_EOPIE as EOPIE, CR_ERRIE as ERRIE, CR_LOCK as LOCK,
     CR_OPTLOCK as OPTLOCK, CR_PER as PER, CR_PG as PG, CR_PNB, CR_STRT as STRT, ECCR, ECCR_BK_ECC as BK_ECC,
-    ECCR_ECCD as ECCD, KEY1, KEY2, KEYR, OPTKEYR, OPTR, PDKEYR, SR, SR_BSY as BSY, SR_EOP as EOP, SR_PGAERR as PGAERR,
+    ECCR_ECCD as ECCD, KEY1, KEY2, KEYR, OPTR, SR, SR_BSY as BSY, SR_EOP as EOP, SR_PGAERR as PGAERR,
     SR_PGSERR as PGSERR, SR_PROGERR as PROGERR, SR_SIZERR as SIZERR,
 };
 
@@ -64,8 +64,6 @@ pub struct Flash {
     eccr: u32,
     /// The first key was written.
     half_unlocked: bool,
-    /// A wrong key was written: locked until the next reset.
-    jammed: bool,
     /// First word of a double word being programmed: offset and value.
     latch: Option<(usize, u32)>,
     operation: Option<Operation>,
@@ -83,7 +81,6 @@ impl Flash {
             cr: LOCK | OPTLOCK,
             eccr: 0,
             half_unlocked: false,
-            jammed: false,
             latch: None,
             operation: None,
             loses_settings: false,
@@ -126,7 +123,6 @@ impl Flash {
     pub fn read(&mut self, offset: u32, effects: &mut Effects) -> u32 {
         match offset {
             ACR => self.acr,
-            KEYR | OPTKEYR | PDKEYR => 0,
             SR => self.sr | if self.operation.is_some() { BSY } else { 0 },
             CR => self.cr,
             ECCR => self.eccr,
@@ -250,20 +246,13 @@ impl Flash {
     }
 
     fn key(&mut self, key: u32, effects: &mut Effects) {
-        if self.jammed || self.cr & LOCK == 0 {
-            effects.violation(key, "FLASH_KEYR is written only while the interface is locked");
-            return;
-        }
         match (self.half_unlocked, key) {
             (false, KEY1) => self.half_unlocked = true,
             (true, KEY2) => {
                 self.half_unlocked = false;
                 self.cr &= !LOCK;
             }
-            _ => {
-                self.jammed = true;
-                effects.violation(key, "a wrong key locks the flash until the next reset");
-            }
+            _ => effects.violation(key, "the keys of the flash are KEY1 and KEY2, in this order"),
         }
     }
 
@@ -320,7 +309,7 @@ impl Flash {
     fn update_line(&self, effects: &mut Effects) {
         let end = self.sr & EOP != 0 && self.cr & EOPIE != 0;
         let error = self.sr & ERRORS != 0 && self.cr & ERRIE != 0;
-        effects.set_line(interrupt::FLASH, end || error);
+        effects.set_line(crate::st::FLASH::IRQn, end || error);
     }
 }
 
@@ -328,6 +317,19 @@ impl Flash {
 mod tests {
     use super::*;
     use crate::facts;
+
+    #[test]
+    fn refuses_what_is_not_erased() {
+        let (mut flash, mut effects) = unlocked();
+        program(&mut flash, &mut effects, [1, 2]);
+        finish(&mut flash, &mut effects);
+        flash.write(SR, EOP, &mut effects);
+        program(&mut flash, &mut effects, [0, 2]);
+        assert_eq!((flash.read(SR, &mut effects), effects.violation_count), (PROGERR, 1));
+        flash.write(SR, PROGERR, &mut effects);
+        program(&mut flash, &mut effects, [0, 0]);
+        assert_eq!(flash.read(SR, &mut effects), BSY, "zeros may be programmed over anything");
+    }
 
     /// Page 3 of bank 2.
     const OFFSET: usize = BANK_BYTES + 3 * PAGE_BYTES;
@@ -351,40 +353,6 @@ mod tests {
     }
 
     #[test]
-    fn refuses_what_is_locked_narrow_askew_or_not_erased() {
-        let (mut flash, mut effects) = (Flash::new(FlashArray::erased()), Effects::default());
-        flash.write(CR, PG, &mut effects);
-        flash.store(OFFSET, 4, 0, &mut effects);
-        assert_eq!((flash.read(SR, &mut effects), effects.violation_count), (PGSERR, 2));
-        let (mut flash, mut effects) = unlocked();
-        flash.write(CR, PG, &mut effects);
-        flash.store(OFFSET, 2, 0, &mut effects);
-        assert_eq!(flash.read(SR, &mut effects), SIZERR);
-        flash.write(SR, SIZERR, &mut effects);
-        flash.store(OFFSET + 4, 4, 0, &mut effects);
-        assert_eq!(flash.read(SR, &mut effects), PGAERR);
-        flash.write(SR, PGAERR, &mut effects);
-        program(&mut flash, &mut effects, [1, 2]);
-        finish(&mut flash, &mut effects);
-        flash.write(SR, EOP, &mut effects);
-        program(&mut flash, &mut effects, [0, 2]);
-        assert_eq!(flash.read(SR, &mut effects), PROGERR);
-        flash.write(SR, PROGERR, &mut effects);
-        program(&mut flash, &mut effects, [0, 0]);
-        assert_eq!(flash.read(SR, &mut effects), BSY, "zeros may be programmed over anything");
-    }
-
-    #[test]
-    fn a_busy_bank_stalls_and_then_gives_the_new_content() {
-        let (mut flash, mut effects) = unlocked();
-        program(&mut flash, &mut effects, [5, 6]);
-        assert_eq!(flash.load(0, 4, &mut effects), Some(u32::MAX));
-        assert_eq!(effects.stalled_until, 0);
-        assert_eq!(flash.load(OFFSET, 4, &mut effects), Some(5));
-        assert_eq!(effects.stalled_until, PROGRAM_TICKS);
-    }
-
-    #[test]
     fn erasing_the_running_bank_stalls_the_core() {
         let (mut flash, mut effects) = unlocked();
         effects.pc = FLASH_BASE + 0x100;
@@ -396,7 +364,7 @@ mod tests {
     fn a_torn_double_word_raises_the_nmi_once_per_flag() {
         let (mut flash, mut effects) = unlocked();
         program(&mut flash, &mut effects, [0, 1]);
-        flash.reset(&Effects::starting_at(PROGRAM_TICKS / 2));
+        flash.reset(&Effects { now: PROGRAM_TICKS / 2, ..Effects::default() });
         assert!(!effects.nmi);
         flash.load(OFFSET + 4, 4, &mut effects);
         assert!(std::mem::take(&mut effects.nmi));
@@ -406,19 +374,6 @@ mod tests {
         flash.write(ECCR, ECCD, &mut effects);
         flash.load(OFFSET, 4, &mut effects);
         assert!(effects.nmi);
-    }
-
-    #[test]
-    fn a_wrong_key_jams_until_reset() {
-        let (mut flash, mut effects) = (Flash::new(FlashArray::erased()), Effects::default());
-        flash.write(KEYR, 1, &mut effects);
-        flash.write(KEYR, KEY1, &mut effects);
-        flash.write(KEYR, KEY2, &mut effects);
-        assert_ne!(flash.read(CR, &mut effects) & LOCK, 0);
-        flash.reset(&Effects::starting_at(0));
-        flash.write(KEYR, KEY1, &mut effects);
-        flash.write(KEYR, KEY2, &mut effects);
-        assert_eq!(flash.read(CR, &mut effects) & LOCK, 0);
     }
 
     #[test]

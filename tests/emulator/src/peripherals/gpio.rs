@@ -8,7 +8,7 @@ use super::effects::{ALL, Bank, Register};
 
 pub const PORTS: usize = 7;
 
-use crate::st::GPIO::{AFR, BRR, BSRR, IDR, LCKR, MODER, ODR, OSPEEDR, OTYPER, PUPDR};
+use crate::st::GPIO::{AFR, BSRR, IDR, MODER, ODR, OSPEEDR, OTYPER, PUPDR};
 
 const REGISTERS: &[Register] = &[
     (MODER, 0, ALL),
@@ -18,10 +18,8 @@ const REGISTERS: &[Register] = &[
     (IDR, 0, 0),
     (ODR, 0, 0xFFFF),
     (BSRR, 0, 0),
-    (LCKR, 0, ALL),
     (AFR, 0, ALL),
     (AFR + 4, 0, ALL),
-    (BRR, 0, 0),
 ];
 
 #[derive(Debug)]
@@ -56,9 +54,6 @@ impl Port {
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
         match offset {
             BSRR => self.bank[ODR] = self.bank[ODR] & !(value >> 16) | value & 0xFFFF,
-            BRR => self.bank[ODR] &= !value,
-            IDR => effects.violation(value, "GPIOx_IDR is read-only"),
-            LCKR => effects.unmodelled(),
             _ => self.bank.write(offset, value, effects),
         }
         if matches!(offset, MODER | OTYPER) {
@@ -79,19 +74,4 @@ fn push_pull_outputs(moder: u32, otyper: u32) -> u16 {
         .filter(|pin| moder >> (2 * pin) & 3 == crate::st::LL::GPIO_MODE_OUTPUT && otyper >> pin & 1 == 0)
         .map(|pin| 1 << pin)
         .sum()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn set_wins_over_reset_in_bsrr() {
-        let (mut port, mut effects) = (Port::new(2), Effects::default());
-        port.write(BSRR, 0x0003, &mut effects);
-        port.write(BSRR, 0x0006_0004, &mut effects);
-        assert_eq!(port.read(ODR, &mut effects), 0x0005);
-        port.write(BRR, 0x0001, &mut effects);
-        assert_eq!(port.read(ODR, &mut effects), 0x0004);
-    }
 }

@@ -44,10 +44,10 @@ pub(crate) mod usb;
 pub(crate) mod watchdog;
 
 pub use uart::SentByte;
-pub use usb::{READ_WHILE_RECEIVING, UsbPort, WRITTEN_WHILE_SENDING};
+pub use usb::UsbPort;
 
 pub use effects::ResetCause;
-pub(crate) use effects::{Bank, Edge, Effects, Trigger, interrupt, request};
+pub(crate) use effects::{Bank, Edge, Effects};
 
 /// Periods of the 170 MHz core clock since power-on. The core starts on the 16 MHz
 /// oscillator until it selects the PLL; every core cycle counts as one tick all the same.

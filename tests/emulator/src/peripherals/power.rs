@@ -102,23 +102,6 @@ mod tests {
     use crate::facts;
 
     #[test]
-    fn detector_has_its_threshold_and_hysteresis() {
-        let (mut power, mut effects) = (Power::new(3.3), Effects::default());
-        power.supply_v = 2.5;
-        power.compare();
-        assert!(!power.is_low, "the detector is off");
-        power.supply_v = 3.3;
-        power.compare();
-        power.write(CR2, PVDE | 5 << 1, &mut effects);
-        let seen = [2.85, 2.80, 2.88, 2.92].map(|volts| {
-            power.supply_v = volts;
-            power.compare();
-            (power.is_low, power.read(SR2, &mut effects) & PVDO != 0)
-        });
-        assert_eq!(seen, [(false, false), (true, true), (true, true), (false, false)]);
-    }
-
-    #[test]
     fn thresholds_are_those_of_the_data_sheet() {
         assert_eq!(PVD_FALLING_V, [0, 1, 2, 3, 4, 5, 6].map(|level| facts::number(&format!("V_PVD{level}_falling"))));
         assert_eq!(PVD_HYSTERESIS_V, facts::number("V_hyst_BOR_PVD"));

@@ -41,7 +41,6 @@ pub struct Gate {
 }
 
 impl Gate {
-    /// Whether it has a bit of `other`.
     pub fn meets(self, other: Self) -> bool {
         self.register == other.register && self.bit & other.bit != 0
     }
@@ -51,7 +50,6 @@ impl Gate {
 pub struct Rcc {
     /// Registers without their ready bits.
     words: [u32; WORDS],
-    /// When the crystal was switched on.
     crystal_since: Ticks,
     /// When the PLL became the system clock.
     switched_at: Ticks,
@@ -111,8 +109,8 @@ impl Rcc {
         }
     }
 
-    /// Writes a register. `backup_access`: PWR_CR1.DBP. Returns the resets that it pulls, as gates of the same layout.
-    pub fn write(&mut self, offset: u32, value: u32, backup_access: bool, effects: &mut Effects) -> Option<Gate> {
+    /// Writes a register. Returns the resets that it pulls, as gates of the same layout.
+    pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) -> Option<Gate> {
         let before = if is_register(offset) { self.get(offset) } else { 0 };
         match offset {
             CR => self.write_cr(value, effects),
@@ -120,7 +118,6 @@ impl Rcc {
             PLLCFGR => self.write_pllcfgr(value, effects),
             CICR => self.clock_lost &= !value,
             CIER => effects.unmodelled_bits(value),
-            BDCR if !backup_access => effects.violation(value, "RCC_BDCR is written only while PWR_CR1.DBP = 1"),
             BDCR => self.set(BDCR, if value & BDRST != 0 { BDRST } else { value & !0b10 }),
             CSR => {
                 let flags = if value & RMVF != 0 { 0 } else { before & RESET_FLAGS };
@@ -142,7 +139,6 @@ impl Rcc {
         None
     }
 
-    /// Whether the clock behind `gate` is on.
     #[inline]
     pub fn is_on(&self, gate: Gate) -> bool {
         self.words[(gate.register / 4) as usize] & gate.bit != 0
@@ -162,7 +158,6 @@ impl Rcc {
         self.runs_from_pll() && self.get(CFGR) & HPRE == 0
     }
 
-    /// Whether the crystal oscillates.
     fn has_crystal(&self, effects: &Effects) -> bool {
         let is_dead = effects.faults.has(Fault::HseDead);
         self.get(CR) & HSEON != 0 && !is_dead && effects.now >= self.crystal_since + CRYSTAL_TICKS
@@ -173,7 +168,6 @@ impl Rcc {
         self.get(CFGR) & SW == SW_PLL
     }
 
-    /// Whether the backup domain is held in reset.
     pub fn holds_backup_domain(&self) -> bool {
         self.get(BDCR) & BDRST != 0
     }
@@ -262,7 +256,6 @@ fn is_register(offset: u32) -> bool {
 mod tests {
     use super::*;
     use crate::facts;
-    use crate::faults::Faults;
 
     /// HSI / 4 × 85 / 2.
     const PLL_170_MHZ: u32 = 2 | 3 << 4 | 85 << 8 | 1 << 24;
@@ -270,21 +263,21 @@ mod tests {
     #[test]
     fn oscillators_become_ready_and_the_switch_follows() {
         let (mut rcc, mut effects) = (Rcc::new(), Effects::default());
-        rcc.write(PLLCFGR, PLL_170_MHZ, false, &mut effects);
-        rcc.write(CR, 1 << 8 | PLLON, false, &mut effects);
+        rcc.write(PLLCFGR, PLL_170_MHZ, &mut effects);
+        rcc.write(CR, 1 << 8 | PLLON, &mut effects);
         assert_eq!(rcc.read(CR, &mut effects), 1 << 8 | 1 << 10 | PLLON | 1 << 25);
-        rcc.write(CFGR, HPRE_HALF | 3, false, &mut effects);
+        rcc.write(CFGR, HPRE_HALF | 3, &mut effects);
         effects.now += HALF_SPEED_TICKS;
-        rcc.write(CFGR, 3, false, &mut effects);
+        rcc.write(CFGR, 3, &mut effects);
         assert_eq!(rcc.read(CFGR, &mut effects), 0b1111);
         assert_eq!((effects.violation_count, effects.unmodelled.len()), (0, 0));
-        rcc.write(PLLCFGR, PLL_170_MHZ + (1 << 8), false, &mut effects);
-        rcc.write(CR, 1 << 8, false, &mut effects);
+        rcc.write(PLLCFGR, PLL_170_MHZ + (1 << 8), &mut effects);
+        rcc.write(CR, 1 << 8, &mut effects);
         assert_eq!(effects.violation_count, 2);
         let (mut rcc, mut effects) = (Rcc::new(), Effects::default());
-        rcc.write(PLLCFGR, PLL_170_MHZ - (1 << 8), false, &mut effects);
-        rcc.write(CR, 1 << 8 | PLLON, false, &mut effects);
-        rcc.write(CFGR, 3, false, &mut effects);
+        rcc.write(PLLCFGR, PLL_170_MHZ - (1 << 8), &mut effects);
+        rcc.write(CR, 1 << 8 | PLLON, &mut effects);
+        rcc.write(CFGR, 3, &mut effects);
         assert_eq!(effects.unmodelled.len(), 1, "another core clock");
     }
 
@@ -297,48 +290,15 @@ mod tests {
             (&[(3, 0)], 1),
         ] {
             let (mut rcc, mut effects) = (Rcc::new(), Effects::default());
-            rcc.write(PLLCFGR, PLL_170_MHZ, false, &mut effects);
-            rcc.write(CR, 1 << 8 | PLLON, false, &mut effects);
+            rcc.write(PLLCFGR, PLL_170_MHZ, &mut effects);
+            rcc.write(CR, 1 << 8 | PLLON, &mut effects);
             for &(value, ticks) in steps {
                 effects.now += ticks;
-                rcc.write(CFGR, value, false, &mut effects);
+                rcc.write(CFGR, value, &mut effects);
             }
             assert_eq!(effects.violation_count, broken, "{steps:?}");
             assert!(rcc.is_at_full_speed());
         }
-    }
-
-    #[test]
-    fn the_crystal_takes_its_time_or_does_not_start() {
-        for (silicon, is_ready) in [(Faults::default(), true), ([Fault::HseDead].into_iter().collect(), false)] {
-            let (mut rcc, mut effects) = (Rcc::new(), Effects::default());
-            effects.faults = silicon;
-            rcc.write(CR, 1 << 8 | HSEON, false, &mut effects);
-            assert_eq!(rcc.read(CR, &mut effects) & HSERDY, 0);
-            effects.now += CRYSTAL_TICKS;
-            assert_eq!(rcc.read(CR, &mut effects) & HSERDY != 0, is_ready);
-        }
-    }
-
-    #[test]
-    fn backup_domain_is_guarded_and_survives() {
-        let (mut rcc, mut effects) = (Rcc::new(), Effects::default());
-        rcc.write(BDCR, 0x8200, false, &mut effects);
-        assert_eq!((rcc.read(BDCR, &mut effects), effects.violation_count), (0, 1));
-        rcc.write(BDCR, 0x8200, true, &mut effects);
-        rcc.reset(ResetCause::Pin);
-        assert_eq!(rcc.read(BDCR, &mut effects), 0x8200);
-    }
-
-    #[test]
-    fn gates_and_reset_lines_match() {
-        let (mut rcc, mut effects) = (Rcc::new(), Effects::default());
-        let timer = |bit: u32| Gate { register: APB1ENR1, bit: 1 << bit };
-        rcc.write(APB1ENR1, 0b1001, false, &mut effects);
-        assert!(rcc.is_on(timer(3)) && !rcc.is_on(timer(1)));
-        let pulled = rcc.write(0x38, 0b1000, false, &mut effects);
-        assert!(pulled.is_some_and(|pulled| pulled.meets(timer(3)) && !pulled.meets(timer(0))));
-        assert!(rcc.write(0x38, 0b1000, false, &mut effects).is_some_and(|pulled| pulled.bit == 0));
     }
 
     #[test]

@@ -2,7 +2,7 @@
 //!
 //! Modelled: up-counting with prescaler, auto-reload and compare registers with or without
 //! preload, update and compare flags, interrupts and DMA requests, the reference signals
-//! OC1REF–OC4REF of PWM, which may be the trigger output TRGO, and TIM3's reset by TIM2's. Not modelled: capture, other
+//! OC1REF–OC4REF of PWM mode 2, which may be TIM2's trigger output TRGO, and TIM3's reset by it. Not modelled: capture, other
 //! counting modes, other compare, master and slave modes, one-pulse mode, dithering, and the output pins. A debugger may halt a timer.
 //!
 //! The counter is not stepped. It follows from the tick at which it was zero:
@@ -10,13 +10,14 @@
 //! or overflow, so flags, requests and triggers come at their exact ticks.
 
 use super::effects::{ALL, Bank, Register};
-use super::{Edge, Effects, Ticks, Trigger, interrupt, request};
+use super::{Effects, Ticks};
 use crate::st::TIM::{
-    self, ARR, CCER, CCMR1, CCMR2, CCR1, CCR4, CNT, CR1, CR1_ARPE, CR1_CEN, CR1_UDIS, CR1_URS, CR2, DIER,
-    DIER_UDE as UDE, EGR, PSC, SMCR, SR, SR_UIF as UIF,
+    self, ARR, CCER, CCMR1, CCMR2, CCR1, CCR4, CNT, CR1, CR1_ARPE, CR1_CEN, CR1_URS, CR2, DIER, DIER_UDE as UDE, EGR,
+    PSC, SMCR, SR, SR_UIF as UIF,
 };
+use crate::st::{LL, TIM2, TIM3, TIM4, TIM5};
 
-const CR1_MODELLED: u32 = CR1_CEN | CR1_UDIS | CR1_URS | CR1_ARPE;
+const CR1_MODELLED: u32 = CR1_CEN | CR1_URS | CR1_ARPE;
 /// Without MMS[3], which is for encoders.
 const CR2_MMS: u32 = TIM::CR2_MMS & 0xFFFF;
 /// SMCR: reset mode (SMS = 4) by ITR1 (TS = 1), the trigger of TIM2 for TIM3 (RM0440, "TIM3 internal trigger connection").
@@ -48,10 +49,9 @@ const REGISTERS: &[Register] = &[
 
 #[derive(Clone, Copy, Debug)]
 struct Wiring {
-    interrupt: u8,
+    interrupt: u32,
     /// DMA request of compare channel 1; channels 2 to 4 and the update follow.
-    first_request: u8,
-    trigger: Trigger,
+    first_request: u32,
     /// Largest count: 16 or 32 bits.
     maximum: u32,
 }
@@ -82,12 +82,12 @@ pub struct Timer {
 impl Timer {
     /// TIM2 to TIM5 for `index` 0 to 3; the outer two count 32 bits.
     pub fn new(index: usize) -> Self {
-        let wiring = |interrupt, first_request, trigger, maximum| Wiring { interrupt, first_request, trigger, maximum };
+        let wiring = |interrupt, first_request, maximum| Wiring { interrupt, first_request, maximum };
         Self::at_reset(match index {
-            0 => wiring(interrupt::TIM2, request::TIM2_CH1, Trigger::Tim2, u32::MAX),
-            1 => wiring(interrupt::TIM3, request::TIM3_CH1, Trigger::Tim3, 0xFFFF),
-            2 => wiring(interrupt::TIM4, request::TIM4_CH1, Trigger::Tim4, 0xFFFF),
-            _ => wiring(interrupt::TIM5, request::TIM5_CH1, Trigger::Tim5, u32::MAX),
+            0 => wiring(TIM2::IRQn, LL::DMAMUX_REQ_TIM2_CH1, u32::MAX),
+            1 => wiring(TIM3::IRQn, LL::DMAMUX_REQ_TIM3_CH1, 0xFFFF),
+            2 => wiring(TIM4::IRQn, LL::DMAMUX_REQ_TIM4_CH1, 0xFFFF),
+            _ => wiring(TIM5::IRQn, LL::DMAMUX_REQ_TIM5_CH1, u32::MAX),
         })
     }
 
@@ -130,12 +130,15 @@ impl Timer {
             CR1 => self.write_cr1(value, effects),
             CR2 => {
                 effects.unmodelled_bits(value & !CR2_MMS);
-                effects.unmodelled_bits(u32::from(matches!(value & CR2_MMS, 0x10..=0x30)));
+                effects.unmodelled_bits(if self.is_tim2() && value & 0x40 != 0 { 0 } else { value });
                 self.bank.write(CR2, value, effects);
             }
             SMCR => {
-                let is_tim3 = self.wiring.interrupt == interrupt::TIM3;
-                effects.unmodelled_bits(if is_tim3 && value == RESET_BY_ITR1 { 0 } else { value });
+                effects.unmodelled_bits(if self.wiring.interrupt == TIM3::IRQn && value == RESET_BY_ITR1 {
+                    0
+                } else {
+                    value
+                });
                 self.bank[SMCR] = value;
             }
             DIER => self.write_dier(value, effects),
@@ -152,15 +155,10 @@ impl Timer {
         self.schedule();
     }
 
-    /// Trigger edges, as `Effects::take_triggers` returns them: a slave begins anew.
-    pub fn trigger(&mut self, edges: u16, effects: &mut Effects) {
-        let rising = 1 << (2 * Trigger::Tim2 as u16);
-        if self.bank[SMCR] == RESET_BY_ITR1 && edges & rising != 0 && self.running() {
-            self.load_preloads();
-            self.restart(0, effects.now);
-            if self.bank[CR1] & (CR1_URS | CR1_UDIS) == 0 {
-                self.raise(0, effects);
-            }
+    /// A rising edge of TIM2's trigger output: a slave begins anew.
+    pub fn trigger(&mut self, effects: &mut Effects) {
+        if self.bank[SMCR] == RESET_BY_ITR1 && self.running() {
+            self.begin_anew(effects);
             self.schedule();
         }
     }
@@ -182,7 +180,6 @@ impl Timer {
         self.schedule();
     }
 
-    /// Tick of the next match or overflow.
     #[inline]
     pub fn next_event(&self) -> Ticks {
         self.next
@@ -205,7 +202,6 @@ impl Timer {
         self.schedule();
     }
 
-    /// The counter at tick `now`.
     pub fn count(&self, now: Ticks) -> u32 {
         if self.running() { (now.wrapping_sub(self.zero_at) / self.period()) as u32 } else { self.held }
     }
@@ -232,7 +228,6 @@ impl Timer {
         u64::from(self.psc_active) + 1
     }
 
-    /// Lets the counter go on from `count`.
     fn restart(&mut self, count: u32, now: Ticks) {
         self.held = count;
         self.zero_at = now.wrapping_sub(u64::from(count) * self.period());
@@ -272,7 +267,7 @@ impl Timer {
 
     fn write_ccmr(&mut self, offset: u32, value: u32, effects: &mut Effects) {
         effects.unmodelled_bits(value & !CCMR_MODELLED);
-        effects.unmodelled_bits(u32::from([value >> 4, value >> 12].iter().any(|mode| matches!(mode & 7, 1..=5))));
+        effects.unmodelled_bits(u32::from([value >> 4, value >> 12].iter().any(|mode| matches!(mode & 7, 1..=6))));
         self.bank.write(offset, value, effects);
         let first = if offset == CCMR1 { 0 } else { 2 };
         for channel in [first, first + 1] {
@@ -317,31 +312,30 @@ impl Timer {
         self.output(channel) >> 1 & 0b111
     }
 
+    fn is_tim2(&self) -> bool {
+        self.wiring.interrupt == TIM2::IRQn
+    }
+
     fn master_mode(&self) -> u32 {
         (self.bank[CR2] & CR2_MMS) >> 4
     }
 
     /// EGR: events by software.
     fn generate(&mut self, value: u32, effects: &mut Effects) {
-        effects.unmodelled_bits(value & !FLAGS);
+        effects.unmodelled_bits(value & !UIF);
         if value & UIF != 0 {
-            if self.bank[CR1] & CR1_UDIS == 0 {
-                self.load_preloads();
-            }
-            self.restart(0, effects.now);
+            self.begin_anew(effects);
             self.settle_references(effects);
-            if self.bank[CR1] & (CR1_URS | CR1_UDIS) == 0 {
-                self.raise(0, effects);
-            }
-            if self.master_mode() == 0 {
-                effects.trigger(self.wiring.trigger, Edge::Rising);
-                effects.trigger(self.wiring.trigger, Edge::Falling);
-            }
+            effects.triggered |= self.is_tim2() && self.master_mode() == 0;
         }
-        for channel in 0..4 {
-            if value & 2 << channel != 0 {
-                self.raise(channel + 1, effects);
-            }
+    }
+
+    /// An update that is not an overflow.
+    fn begin_anew(&mut self, effects: &mut Effects) {
+        self.load_preloads();
+        self.restart(0, effects.now);
+        if self.bank[CR1] & CR1_URS == 0 {
+            self.raise(0, effects);
         }
     }
 
@@ -360,7 +354,8 @@ impl Timer {
                     self.raise(channel + 1, effects);
                 }
             }
-            self.update_event(effects);
+            self.load_preloads();
+            self.raise(0, effects);
         }
         self.zero_at = effects.now;
         self.done = 0;
@@ -371,14 +366,6 @@ impl Timer {
             }
         }
         self.settle_references(effects);
-    }
-
-    fn update_event(&mut self, effects: &mut Effects) {
-        if self.bank[CR1] & CR1_UDIS != 0 {
-            return;
-        }
-        self.load_preloads();
-        self.raise(0, effects);
     }
 
     fn compare_match(&mut self, channel: usize, effects: &mut Effects) {
@@ -398,8 +385,8 @@ impl Timer {
         }
     }
 
-    fn request_of(&self, event: usize) -> u8 {
-        self.wiring.first_request + if event == 0 { 4 } else { event as u8 - 1 }
+    fn request_of(&self, event: usize) -> u32 {
+        self.wiring.first_request + if event == 0 { 4 } else { event as u32 - 1 }
     }
 
     fn settle_references(&mut self, effects: &mut Effects) {
@@ -408,20 +395,14 @@ impl Timer {
         }
     }
 
-    /// Reference signal of the modes in which it follows from the count.
+    /// Reference signal in PWM mode 2.
     fn settle_reference(&mut self, channel: usize, effects: &mut Effects) {
-        let below = self.done < self.ccr_active[channel];
-        match self.mode(channel) {
-            6 => self.set_reference(channel, below, effects),
-            7 => self.set_reference(channel, !below, effects),
-            _ => {}
+        if self.mode(channel) != 7 {
+            return;
         }
-    }
-
-    fn set_reference(&mut self, channel: usize, level: bool, effects: &mut Effects) {
-        if std::mem::replace(&mut self.reference[channel], level) != level && self.master_mode() == 4 + channel as u32 {
-            effects.trigger(self.wiring.trigger, if level { Edge::Rising } else { Edge::Falling });
-        }
+        let level = self.done >= self.ccr_active[channel];
+        let rises = !std::mem::replace(&mut self.reference[channel], level) && level;
+        effects.triggered |= rises && self.is_tim2() && self.master_mode() == 4 + channel as u32;
     }
 
     fn update_line(&self, effects: &mut Effects) {
@@ -445,65 +426,4 @@ impl Timer {
 
 fn channel_of(offset: u32) -> usize {
     ((offset - CCR1) / 4) as usize
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Runs `timer` to `end` and returns the ticks at which `seen` became true.
-    fn run(
-        timer: &mut Timer,
-        effects: &mut Effects,
-        end: Ticks,
-        mut seen: impl FnMut(&mut Effects) -> bool,
-    ) -> Vec<Ticks> {
-        let mut at = Vec::new();
-        while timer.next_event() <= end {
-            effects.now = timer.next_event();
-            timer.advance(effects);
-            if seen(effects) {
-                at.push(effects.now);
-            }
-        }
-        effects.now = end;
-        at
-    }
-
-    fn take(request: u8) -> impl FnMut(&mut Effects) -> bool {
-        move |effects| {
-            let pending = effects.requests >> request & 1 != 0;
-            effects.withdraw(request);
-            pending
-        }
-    }
-
-    fn start(timer: &mut Timer, effects: &mut Effects, registers: &[(u32, u32)]) {
-        for &(offset, value) in registers {
-            timer.write(offset, value, effects);
-        }
-    }
-
-    #[test]
-    fn preloaded_arr_lengthens_only_the_next_period() {
-        let (mut timer, mut effects) = (Timer::new(0), Effects::default());
-        start(&mut timer, &mut effects, &[(ARR, 9), (DIER, UDE), (CR1, CR1_CEN | CR1_ARPE)]);
-        start(&mut timer, &mut effects, &[(EGR, 1), (ARR, 19)]);
-        effects.withdraw(request::TIM2_CH1 + 4);
-        assert_eq!(run(&mut timer, &mut effects, 50, take(request::TIM2_CH1 + 4)), [10, 30, 50]);
-        let (mut timer, mut effects) = (Timer::new(0), Effects::default());
-        start(&mut timer, &mut effects, &[(ARR, 9), (DIER, UDE), (CR1, CR1_CEN), (ARR, 19)]);
-        assert_eq!(run(&mut timer, &mut effects, 50, take(request::TIM2_CH1 + 4)), [20, 40]);
-    }
-
-    #[test]
-    fn an_arr_below_the_count_is_met_after_the_wrap_only() {
-        let (mut timer, mut effects) = (Timer::new(1), Effects::default());
-        start(&mut timer, &mut effects, &[(DIER, UDE), (CR1, CR1_CEN)]);
-        effects.now = 100;
-        timer.write(ARR, 49, &mut effects);
-        assert!(run(&mut timer, &mut effects, 65_700, take(request::TIM3_CH1)).is_empty());
-        assert_eq!(timer.bank[SR] & UIF, UIF);
-        assert_eq!(run(&mut timer, &mut effects, 65_750, take(request::TIM3_CH1 + 4)), [65_736]);
-    }
 }

@@ -1,42 +1,32 @@
 //! The serial ports LPUART1 and USART1, and the lines to their other ends (RM0440, "Low-power universal
 //! asynchronous receiver transmitter", "Universal synchronous/asynchronous receiver transmitter").
 //!
-//! Eight data bits without parity, no flow control, oversampling by 16; the kernel clock runs at the
+//! Eight data bits without parity, one stop bit, no flow control, oversampling by 16, no prescaler; the kernel clock runs at the
 //! core's 170 MHz, as PCLK and SYSCLK do. The other end talks at the rate that BRR sets. FIFOs, when
 //! they are on, are one byte deep here: a program that moves bytes by DMA cannot tell.
 
 use crate::st::USART::{
-    BRR, CR1, CR1_FIFOEN, CR1_IDLEIE, CR1_OVER8, CR1_RE, CR1_RXNEIE_RXFNEIE as CR1_RXNEIE, CR1_TCIE, CR1_TE,
-    CR1_TXEIE_TXFNFIE as CR1_TXEIE, CR1_UE, CR2, CR2_STOP, CR2_STOP_1 as CR2_TWO_STOP_BITS, CR3, CR3_DMAR, CR3_DMAT,
-    CR3_EIE, CR3_OVRDIS, ICR, ISR, ISR_BUSY, ISR_IDLE, ISR_ORE, ISR_REACK, ISR_RXNE_RXFNE as ISR_RXNE, ISR_TC,
-    ISR_TEACK, ISR_TXE_TXFNF as ISR_TXE, PRESC, RDR, RQR, RQR_RXFRQ, TDR,
+    BRR, CR1, CR1_FIFOEN, CR1_IDLEIE, CR1_RE, CR1_RXNEIE_RXFNEIE as CR1_RXNEIE, CR1_TCIE, CR1_TE,
+    CR1_TXEIE_TXFNFIE as CR1_TXEIE, CR1_UE, CR2, CR3, CR3_DMAR, CR3_DMAT, CR3_EIE, CR3_OVRDIS, ICR, ISR, ISR_BUSY,
+    ISR_IDLE, ISR_ORE, ISR_REACK, ISR_RXNE_RXFNE as ISR_RXNE, ISR_TC, ISR_TEACK, ISR_TXE_TXFNF as ISR_TXE, PRESC, RDR,
+    TDR,
 };
-use crate::st::{LPUART, USART};
+use crate::st::{self, LL, LPUART, USART};
 use std::collections::VecDeque;
 
 use super::effects::{ALL, Bank, Register};
-use super::{Effects, Ticks, interrupt, request};
+use super::{Effects, Ticks};
 
 const CR1_MODELLED: u32 = CR1_UE | CR1_RE | CR1_TE | CR1_IDLEIE | CR1_RXNEIE | CR1_TCIE | CR1_TXEIE | CR1_FIFOEN;
-/// Word length, parity, oversampling, driver-enable times and FIFO mode: only to be changed while disabled.
-const CR1_FORMAT: u32 = 1 << 29 | 1 << 28 | 0x3ff << 16 | CR1_OVER8 | 1 << 12 | 1 << 11 | 1 << 10 | 1 << 9;
-
 const CR3_MODELLED: u32 = CR3_EIE | CR3_DMAR | CR3_DMAT | CR3_OVRDIS;
-/// Half duplex, flow control, overrun and driver-enable modes: only to be changed while disabled.
-const CR3_FORMAT: u32 = 1 << 15 | 1 << 14 | 1 << 13 | CR3_OVRDIS | 1 << 9 | 1 << 8 | 1 << 3;
 
-/// What PRESC divides the kernel clock by.
-const PRESCALERS: [u64; 12] = [1, 2, 4, 6, 8, 10, 12, 16, 32, 64, 128, 256];
+/// A start bit, eight data bits and a stop bit.
+const FRAME_BITS: u64 = 10;
 
-/// A start bit and eight data bits.
-const START_AND_DATA_BITS: u64 = 9;
-
-/// A byte that has left the port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SentByte {
     /// The end of its last stop bit.
     pub at: Ticks,
-    /// The byte.
     pub byte: u8,
 }
 
@@ -45,42 +35,32 @@ pub struct SentByte {
 struct Kind {
     /// Parts of a period of the divided clock in a unit of BRR.
     divider_parts: u64,
-    least_divider: u32,
     divider_mask: u32,
-    interrupt: u8,
-    receive: u8,
-    transmit: u8,
+    interrupt: u32,
+    receive: u32,
+    transmit: u32,
 }
 
 /// A bit is BRR/256 periods (RM0440, "LPUART baud rate generation").
 const LPUART1: Kind = Kind {
     divider_parts: LPUART::BRR_factor as u64,
-    least_divider: LPUART::BRR_least,
     divider_mask: USART::BRR_LPUART,
-    interrupt: interrupt::LPUART1,
-    receive: request::LPUART1_RX,
-    transmit: request::LPUART1_TX,
+    interrupt: st::LPUART1::IRQn,
+    receive: LL::DMAMUX_REQ_LPUART1_RX,
+    transmit: LL::DMAMUX_REQ_LPUART1_TX,
 };
 
 /// A bit is BRR periods (RM0440, "USART baud rate generation").
 const USART1: Kind = Kind {
     divider_parts: USART::BRR_factor as u64,
-    least_divider: USART::BRR_least,
     divider_mask: USART::BRR_BRR,
-    interrupt: interrupt::USART1,
-    receive: request::USART1_RX,
-    transmit: request::USART1_TX,
+    interrupt: st::USART1::IRQn,
+    receive: LL::DMAMUX_REQ_USART1_RX,
+    transmit: LL::DMAMUX_REQ_USART1_TX,
 };
 
-const REGISTERS: &[Register] = &[
-    (CR1, 0, CR1_MODELLED),
-    (CR2, 0, CR2_STOP),
-    (CR3, 0, CR3_MODELLED),
-    (BRR, 0, ALL),
-    (RQR, 0, 0),
-    (ICR, 0, 0),
-    (PRESC, 0, 0xf),
-];
+const REGISTERS: &[Register] =
+    &[(CR1, 0, CR1_MODELLED), (CR2, 0, 0), (CR3, 0, CR3_MODELLED), (BRR, 0, ALL), (ICR, 0, 0), (PRESC, 0, 0)];
 
 #[derive(Debug)]
 pub struct Uart {
@@ -172,7 +152,6 @@ impl Uart {
                 }
                 u32::from(self.last_received)
             }
-            TDR => u32::from(self.to_send.unwrap_or(0)),
             _ => self.bank.read(offset, effects),
         }
     }
@@ -180,32 +159,12 @@ impl Uart {
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
         match offset {
             CR1 => self.write_cr1(value, effects),
-            CR2 => {
-                self.must_be_disabled(value, effects);
-                effects.unmodelled_bits(value & !CR2_STOP);
-                self.bank.write(CR2, value, effects);
-            }
             CR3 => {
-                if (self.bank[CR3] ^ value) & CR3_FORMAT != 0 {
-                    self.must_be_disabled(value, effects);
-                }
                 effects.unmodelled_bits(value & !CR3_MODELLED);
                 self.bank.write(CR3, value, effects);
             }
-            BRR => {
-                self.must_be_disabled(value, effects);
-                self.bank[BRR] = value & self.kind.divider_mask;
-            }
-            PRESC => {
-                self.must_be_disabled(value, effects);
-                self.bank.write(PRESC, value, effects);
-            }
-            RQR => {
-                if value & RQR_RXFRQ != 0 {
-                    self.received = None;
-                }
-                effects.unmodelled_bits(value & !RQR_RXFRQ);
-            }
+            BRR => self.bank[BRR] = value & self.kind.divider_mask,
+            CR2 | PRESC => effects.unmodelled_bits(value),
             ICR => self.flags &= !value,
             TDR => {
                 if self.to_send.is_some() {
@@ -253,19 +212,9 @@ impl Uart {
     }
 
     fn write_cr1(&mut self, value: u32, effects: &mut Effects) {
-        if (self.bank[CR1] ^ value) & CR1_FORMAT != 0 {
-            // Enabling and choosing the format may be one write.
-            self.must_be_disabled(value, effects);
-        }
         effects.unmodelled_bits(value & !CR1_MODELLED);
         let (sent, received) = (self.sends(), self.receives());
-        if sent && value & CR1_UE == 0 && (self.sending.is_some() || self.to_send.is_some()) {
-            effects.violation(value, "UART: disabled while a byte is being sent");
-        }
         self.bank.write(CR1, value, effects);
-        if value & CR1_UE != 0 && self.bank[BRR] < self.kind.least_divider {
-            effects.violation(self.bank[BRR], "UART: enabled with a divider below the least");
-        }
         if value & CR1_UE == 0 {
             self.flags = ISR_TC;
             self.to_send = None;
@@ -282,12 +231,6 @@ impl Uart {
         }
     }
 
-    fn must_be_disabled(&self, value: u32, effects: &mut Effects) {
-        if self.bank[CR1] & CR1_UE != 0 {
-            effects.violation(value, "UART: may only be written while UE is 0");
-        }
-    }
-
     fn sends(&self) -> bool {
         self.bank[CR1] & (CR1_UE | CR1_TE) == CR1_UE | CR1_TE
     }
@@ -298,10 +241,7 @@ impl Uart {
 
     /// Time of a byte with its start and stop bits.
     fn frame_ticks(&self) -> Ticks {
-        let stop_bits = if self.bank[CR2] == CR2_TWO_STOP_BITS { 2 } else { 1 };
-        let prescaler = PRESCALERS.get(self.bank[PRESC] as usize).copied().unwrap_or(256);
-        let bits = START_AND_DATA_BITS + stop_bits;
-        (bits * u64::from(self.bank[BRR]) * prescaler).div_ceil(self.kind.divider_parts)
+        (FRAME_BITS * u64::from(self.bank[BRR])).div_ceil(self.kind.divider_parts)
     }
 
     fn start_sending(&mut self, now: Ticks) {
@@ -380,7 +320,7 @@ mod tests {
     }
 
     fn line(effects: &Effects) -> bool {
-        effects.lines[2] & 1 << (interrupt::LPUART1 - 64) != 0
+        effects.lines[2] & 1 << (st::LPUART1::IRQn - 64) != 0
     }
 
     #[test]
@@ -398,24 +338,5 @@ mod tests {
         assert_eq!(lpuart.read(ISR, &mut effects) & ISR_RXNE, 0);
         lpuart.write(ICR, ISR_ORE, &mut effects);
         assert!(!line(&effects));
-    }
-
-    #[test]
-    fn rules_are_watched() {
-        let (mut lpuart, mut effects) = enabled();
-        lpuart.write(BRR, BRR_3M, &mut effects);
-        assert_eq!(effects.violation_count, 1, "divider while enabled");
-        lpuart.write(CR1, CR1_UE | CR1_RE | CR1_TE | 1 << 12, &mut effects);
-        assert_eq!(effects.violation_count, 2, "word length while enabled");
-        lpuart.write(TDR, 1, &mut effects);
-        lpuart.write(TDR, 2, &mut effects);
-        assert_eq!(effects.violation_count, 2, "one byte on the line, one waiting");
-        lpuart.write(TDR, 3, &mut effects);
-        assert_eq!(effects.violation_count, 3, "no room");
-        lpuart.write(CR1, 0, &mut effects);
-        assert_eq!(effects.violation_count, 4, "disabled while sending");
-        lpuart.write(BRR, 0x2ff, &mut effects);
-        lpuart.write(CR1, CR1_UE, &mut effects);
-        assert_eq!(effects.violation_count, 5, "divider too small");
     }
 }

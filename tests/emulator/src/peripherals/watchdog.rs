@@ -1,13 +1,11 @@
 //! Independent watchdog (RM0440, "Independent watchdog").
 //!
-//! Counts the 32 kHz internal oscillator, taken as exact. Once started only a reset stops it; its window is not modelled.
+//! Counts the 32 kHz internal oscillator, taken as exact. Once started only a reset stops it; its window and the lock of its registers are not modelled.
 //! Updates of its registers are in force at once; the hardware takes five oscillator periods.
 
 use super::effects::{Bank, Register};
 use super::{Effects, ResetCause, TICKS_PER_SECOND, Ticks};
-use crate::st::LL::{
-    IWDG_KEY_ENABLE as KEY_START, IWDG_KEY_RELOAD as KEY_REFRESH, IWDG_KEY_WR_ACCESS_ENABLE as KEY_UNLOCK,
-};
+use crate::st::LL::{IWDG_KEY_ENABLE as KEY_START, IWDG_KEY_RELOAD as KEY_REFRESH};
 
 use crate::st::IWDG::{KR, PR, RLR, SR, WINR};
 
@@ -19,7 +17,6 @@ const LSI_HZ: u64 = 1_000 * crate::st::one_word::LSI as u64;
 #[derive(Debug)]
 pub struct Watchdog {
     bank: Bank,
-    unlocked: bool,
     /// When the counter was last reloaded; `None` before the start.
     refreshed: Option<Ticks>,
 }
@@ -27,7 +24,7 @@ pub struct Watchdog {
 impl Watchdog {
     /// State after any reset: stopped.
     pub fn new() -> Self {
-        Self { bank: Bank::new(REGISTERS), unlocked: false, refreshed: None }
+        Self { bank: Bank::new(REGISTERS), refreshed: None }
     }
 
     pub fn read(&self, offset: u32, effects: &mut Effects) -> u32 {
@@ -37,14 +34,10 @@ impl Watchdog {
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
         match offset {
             KR => self.key(value & 0xFFFF, effects),
-            PR | RLR if !self.unlocked => {
-                effects.violation(value, "IWDG_PR and RLR are written only after the key 0x5555");
-            }
             _ => self.bank.write(offset, value, effects),
         }
     }
 
-    /// Tick at which the watchdog bites.
     pub fn next_event(&self) -> Ticks {
         self.refreshed.map_or(Ticks::MAX, |at| at + (u64::from(self.bank[RLR]) + 1) * self.count_ticks())
     }
@@ -55,7 +48,6 @@ impl Watchdog {
     }
 
     fn key(&mut self, key: u32, effects: &mut Effects) {
-        self.unlocked = key == KEY_UNLOCK;
         match key {
             KEY_START => self.refreshed = self.refreshed.or(Some(effects.now)),
             KEY_REFRESH => self.refreshed = self.refreshed.map(|_| effects.now),
@@ -66,20 +58,5 @@ impl Watchdog {
     /// Ticks per count: 4 · 2^PR oscillator periods, at most 256.
     fn count_ticks(&self) -> u64 {
         (4 << self.bank[PR].min(6)) * TICKS_PER_SECOND / LSI_HZ
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn registers_are_locked_without_the_key() {
-        let (mut watchdog, mut effects) = (Watchdog::new(), Effects::default());
-        watchdog.write(RLR, 1, &mut effects);
-        assert_eq!(effects.violation_count, 1);
-        assert_eq!(watchdog.read(RLR, &mut effects), 0xFFF);
-        watchdog.write(KR, KEY_REFRESH, &mut effects);
-        assert_eq!(watchdog.next_event(), Ticks::MAX);
     }
 }

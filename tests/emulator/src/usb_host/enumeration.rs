@@ -60,7 +60,6 @@ pub type Endpoints = [Endpoint; 3];
 /// A serial port (CDC-ACM) in a configuration.
 #[derive(Clone, Copy, Debug)]
 struct SerialPort {
-    /// bConfigurationValue.
     configuration: u8,
     control_interface: u8,
     endpoints: Endpoints,
@@ -76,7 +75,6 @@ enum Step {
     ConfigurationHead,
     Configuration,
     Languages,
-    /// One of the texts.
     Text(usize),
     Configure,
     LineCoding,

@@ -43,7 +43,7 @@ const RECOVERY_TICKS: Ticks = 10 * MS;
 /// For how long resumption is signalled (TDRSMDN, section 7.1.7.7).
 const RESUME_TICKS: Ticks = 20 * MS;
 
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct UsbHost {
     port: Port,
     cable: bool,
@@ -70,9 +70,10 @@ pub struct UsbHost {
     complaints: Vec<String>,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum Port {
     Open,
+    #[default]
     Watching,
     Debouncing {
         until: Ticks,
@@ -80,7 +81,6 @@ enum Port {
     Resetting {
         until: Ticks,
     },
-    /// Frames are sent.
     Active,
     Suspended,
     Resuming {
@@ -123,26 +123,7 @@ enum Kind {
 impl UsbHost {
     /// A host that reads, with the cable in its port and DTR off.
     pub fn new() -> Self {
-        Self {
-            port: Port::Watching,
-            cable: true,
-            pulled: false,
-            order: None,
-            due: 0,
-            next_frame: Ticks::MAX,
-            frame_number: 0,
-            quiet_until: 0,
-            in_flight: None,
-            transfer: None,
-            enumeration: Enumeration::default(),
-            pipes: None,
-            last_was_out: false,
-            dtr: false,
-            reading: true,
-            outgoing: VecDeque::new(),
-            received: Vec::new(),
-            complaints: Vec::new(),
-        }
+        Self { cable: true, next_frame: Ticks::MAX, reading: true, ..Self::default() }
     }
 
     pub fn detach(&mut self, now: Ticks) {
@@ -222,12 +203,10 @@ impl UsbHost {
         &self.complaints
     }
 
-    /// When [`Self::advance`] is to be called.
     pub fn next_event(&self) -> Ticks {
         self.due
     }
 
-    /// Does what is due at `now`.
     pub fn advance(&mut self, now: Ticks, device: &mut UsbPort<'_>) {
         if now < self.due {
             return;

@@ -149,7 +149,6 @@ impl Illumination {
     }
 }
 
-/// Changes the `light` of `emitter` on all cells as faults do.
 fn plant(faults: Faults, emitter: usize, light: &mut [Pair<f64>; BOARD_CELLS]) {
     let add = |to: Pair<f64>, share: f64, of: Pair<f64>| Pair {
         i_x1_a: to.i_x1_a + share * of.i_x1_a,

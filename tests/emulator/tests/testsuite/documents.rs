@@ -234,7 +234,6 @@ fn functions(elf: &ElfFile32<'_, Endianness>) -> BTreeMap<u32, String> {
 /// A direct call or jump from one function to the beginning of another.
 struct Call {
     at: u32,
-    /// The functions' addresses.
     from: u32,
     to: u32,
 }

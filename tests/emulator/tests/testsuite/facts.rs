@@ -54,7 +54,6 @@ fn all(prefix: &str, names: &[&str]) -> u32 {
     names.iter().map(|name| bits(&format!("{prefix}{name}"))).fold(0, |all, bits| all | bits)
 }
 
-/// `value` in the field `name`.
 fn field(name: &str, value: u32) -> u32 {
     value << bits(name).trailing_zeros()
 }
@@ -133,6 +132,9 @@ fn converters_are_single_ended_and_within_their_clock() {
         assert_eq!(mode, bits("LL_ADC_CLOCK_SYNC_PCLK_DIV4"), "{common}");
     }
     assert!(number("f_HCLK") / f64::from(CLOCK_TICKS) <= number("f_ADC_all"));
+    // So that all samples are late by one and the same phase of that clock.
+    let schedule = default_configuration().schedule;
+    assert_eq!([schedule.frame_ticks, schedule.slot_ticks].map(|ticks| ticks % CLOCK_TICKS), [0, 0]);
     // The circuit at a pin is far below what the data sheet allows.
     assert!(220.0 < number("R_AIN_slow_24.5_clocks"));
 }

@@ -3,15 +3,15 @@
 
 use crate::common::is_of_silicon;
 use crate::common::talk::{FRAME_TICKS, MS, Said, TRANSFER_SCANS, Talk};
-use crate::common::trial::last_light;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use slitpose_emulator::faults::{Fault, Faults};
 use slitpose_emulator::machine::Stop;
 use slitpose_emulator::memory::UNIQUE_ID;
 use slitpose_emulator::peripherals::Ticks;
-use slitpose_emulator::rig::request;
+use slitpose_emulator::rig::{Rig, request};
 use slitpose_emulator::usb_wire::{Answer, OutPacket};
+use slitpose_emulator::world::World;
 use slitpose_protocol::{Command, Decoder, MAX_MESSAGE_BYTES, Message, ResetCause};
 
 /// The board goes dark this long after it has lost its host.
@@ -274,7 +274,22 @@ fn a_host_that_suspends_and_resets_the_bus_loses_what_is_counted() {
     assert!(talk.ear.hellos() > 5 && status.scans_dropped > 0, "{status:?}");
     assert_eq!((status.scans_lost, status.adc_overruns), (0, 0));
     assert!(status.acquiring && status.scans_dropped < status.scans_taken / 4, "{status:?}");
+    // The tool is at rest: a word that is not its own would show.
+    let words = talk.ear.scans[0];
+    assert!(talk.ear.scans.iter().all(|scan| (scan.lit(), scan.dark()) == (words.lit(), words.dark())));
+    assert!(talk.ear.gaps.iter().all(|gap| gap.ticks == (gap.missing + 1) * FRAME_TICKS), "{:?}", talk.ear.gaps);
+    talk.rig.machine().board.log_gates();
+    talk.rig.set_open(false);
+    talk.run_ms(700.0);
+    assert!(matches!(last_light(&mut talk.rig), (Some(_), false)), "lit after 700 ms");
     talk.expect_no_faults();
+}
+
+/// When the gates were last lit, by the log since it was last taken, and whether they are now.
+fn last_light<W: World>(rig: &mut Rig<W>) -> (Option<Ticks>, bool) {
+    let edges = rig.machine().board.take_gate_log();
+    let is_lit = rig.machine().board.gates() != 0;
+    (edges.iter().rev().find(|edge| edge.gates == 0).map(|edge| edge.at), is_lit)
 }
 
 /// Whether an emitter is lit in the next two frames.

@@ -1,7 +1,6 @@
 //! The tests of the whole emulated board, in one program.
 
 mod common;
-mod counts;
 mod disturbances;
 mod documents;
 mod facts;

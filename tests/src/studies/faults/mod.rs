@@ -80,7 +80,6 @@ struct Conditions {
 pub struct Spans {
     /// Begin of the first span.
     pub from_s: f64,
-    /// Duration of a span.
     pub for_s: f64,
     /// From the begin of a span to that of the next: health looks back a second.
     pub every_s: f64,

@@ -9,7 +9,6 @@ use crate::studies::Table;
 /// Sound poses in a row after which a head has recovered.
 const SOUND: usize = 20;
 
-/// A scan that was solved.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scan {
     pub sequence: u64,
@@ -23,7 +22,6 @@ pub struct Scan {
     pub is_flagged: bool,
 }
 
-/// All that was seen of a run.
 #[derive(Clone, Debug, Default)]
 pub struct Trace {
     /// Solved scans in the order in which their poses came.
@@ -42,7 +40,6 @@ pub struct Trace {
     pub silences_s: Vec<f64>,
 }
 
-/// What a fault came to.
 #[derive(Clone, Debug)]
 pub struct Report {
     pub fault: String,
@@ -65,7 +62,6 @@ pub struct Report {
 }
 
 impl Report {
-    /// What `trace` says of `fault` in `spans`.
     pub fn of(fault: &str, spans: &Spans, is_instant: bool, trace: &Trace) -> Self {
         let mut by = BTreeMap::new();
         let mut detected = 0;
@@ -124,7 +120,6 @@ fn recovery(scans: &[Scan], over_s: f64, until_s: f64) -> f64 {
     after.windows(SOUND).find(is_run).map_or(f64::INFINITY, |run| run[0].time_s - over_s)
 }
 
-/// The table.
 pub fn table(reports: &[Report]) -> Table {
     let header = [
         "fault",

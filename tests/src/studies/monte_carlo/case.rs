@@ -85,7 +85,6 @@ impl fmt::Display for Case {
 /// What a pose is worth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Where it should be.
     Right,
     /// Off, but by no more than the data leave open.
     Near,

@@ -27,12 +27,9 @@ const SIGMAS: f64 = 4.5;
 
 #[derive(Debug, Args)]
 pub struct Conditions {
-    /// Poses of each part of a study (frames of each run for `moving`), instead of its own number
+    /// Poses of each part of a study, instead of its own number
     #[arg(long)]
     count: Option<usize>,
-    /// Runs of `moving`
-    #[arg(long, default_value_t = 40)]
-    runs: usize,
     /// Seed of everything that is drawn
     #[arg(long, default_value_t = 20_180_718)]
     seed: u64,
@@ -49,8 +46,6 @@ enum Part {
     Efficiency,
     /// Both of heads whose light does not pass slits on the base
     Openings,
-    /// A tool that moves within the frame
-    Moving,
     /// One cell answers for another pose
     Outliers,
     /// Three, four or five cells
@@ -70,7 +65,6 @@ pub fn study(conditions: &Conditions) -> Verdicts {
             Part::Cold => cold(conditions, &mut verdicts),
             Part::Efficiency => efficiency(conditions, &mut verdicts),
             Part::Openings => openings(conditions, &mut verdicts),
-            Part::Moving => outliers::moving(conditions, &mut verdicts),
             Part::Outliers => outliers::study(conditions, &mut verdicts),
             Part::Subsets => outliers::subsets(conditions, &mut verdicts),
         }

@@ -1,13 +1,12 @@
-//! Converters that share a clock, the common registers and interrupts.
+//! Converters that share a clock and the common registers.
 
 use super::*;
-use crate::peripherals::{interrupt, request};
+use crate::st::LL;
 
 /// Converters that share a clock and the common registers: ADC1 and ADC2, or ADC3 to ADC5.
 #[derive(Debug)]
 pub struct AdcGroup<const N: usize> {
     adcs: [Adc; N],
-    lines: [u8; N],
     ccr: u32,
     next: Ticks,
 }
@@ -15,22 +14,20 @@ pub struct AdcGroup<const N: usize> {
 impl AdcGroup<2> {
     /// ADC1 and ADC2.
     pub fn adc12() -> Self {
-        let adcs = [Adc::new(1, request::ADC1), Adc::new(2, request::ADC2)];
-        Self::new(adcs, [interrupt::ADC1_2; 2])
+        Self::new([Adc::new(1, LL::DMAMUX_REQ_ADC1), Adc::new(2, LL::DMAMUX_REQ_ADC2)])
     }
 }
 
 impl AdcGroup<3> {
     /// ADC3, ADC4 and ADC5.
     pub fn adc345() -> Self {
-        let adcs = [0, 1, 2].map(|index| Adc::new(3 + index, request::ADC3 + index));
-        Self::new(adcs, [interrupt::ADC3, interrupt::ADC4, interrupt::ADC5])
+        Self::new([0, 1, 2].map(|index| Adc::new(3 + index, LL::DMAMUX_REQ_ADC3 + u32::from(index))))
     }
 }
 
 impl<const N: usize> AdcGroup<N> {
-    fn new(adcs: [Adc; N], lines: [u8; N]) -> Self {
-        Self { adcs, lines, ccr: 0, next: Ticks::MAX }
+    fn new(adcs: [Adc; N]) -> Self {
+        Self { adcs, ccr: 0, next: Ticks::MAX }
     }
 
     /// State after reset.
@@ -40,7 +37,7 @@ impl<const N: usize> AdcGroup<N> {
             *adc = Adc::new(adc.number, adc.request);
         }
         self.ccr = 0;
-        self.update(effects);
+        self.update();
     }
 
     /// Converter `index` of the group.
@@ -53,24 +50,11 @@ impl<const N: usize> AdcGroup<N> {
         &mut self.adcs[index]
     }
 
-    /// Fault injection: sets OVR of converter `index`.
-    pub fn force_overrun(&mut self, index: usize, effects: &mut Effects) {
-        self.adcs[index].force_overrun();
-        self.update(effects);
-    }
-
     pub fn read(&mut self, offset: u32, effects: &mut Effects) -> u32 {
         match offset {
-            CSR => self.status(),
             CCR => self.ccr,
             _ => match self.adcs.get_mut((offset / 0x100) as usize) {
-                Some(adc) => {
-                    let value = adc.read(offset % 0x100, effects);
-                    if offset % 0x100 == DR {
-                        self.update_lines(effects);
-                    }
-                    value
-                }
+                Some(adc) => adc.read(offset % 0x100, effects),
                 None => {
                     effects.unmodelled();
                     0
@@ -94,7 +78,7 @@ impl<const N: usize> AdcGroup<N> {
                 None => effects.unmodelled(),
             },
         }
-        self.update(effects);
+        self.update();
     }
 
     /// Tick of the next hold, result or end of a command.
@@ -106,21 +90,15 @@ impl<const N: usize> AdcGroup<N> {
     /// Does what is due now. `sample` gives the code of (converter number, channel) held now.
     pub fn advance(&mut self, effects: &mut Effects, sample: &mut impl FnMut(u8, u8) -> u16) {
         let now = effects.now;
-        let mut quiet = true;
         for adc in &mut self.adcs {
             if adc.next == now {
-                quiet &= adc.phase == Phase::Hold && adc.bank[IER] == 0;
                 adc.advance(effects, sample);
                 adc.next = adc.phase_at.min(adc.command_at);
             }
         }
         self.find_next();
-        if !quiet {
-            self.update_lines(effects);
-        }
     }
 
-    /// Whether one of the converters samples or converts.
     #[inline]
     pub fn is_converting(&self) -> bool {
         self.adcs.iter().any(|adc| adc.phase != Phase::Idle)
@@ -133,20 +111,15 @@ impl<const N: usize> AdcGroup<N> {
         }
     }
 
-    /// Timer trigger edges, as `Effects::take_triggers` returns them.
-    pub fn trigger(&mut self, edges: u16, effects: &Effects) {
+    /// A rising edge of TIM2's trigger output.
+    pub fn trigger(&mut self, effects: &Effects) {
         for adc in &mut self.adcs {
-            if adc.bank[CR] & (ADSTART | ADSTP) == ADSTART && adc.plan.trigger_mask & edges != 0 {
+            if adc.bank[CR] & (ADSTART | ADSTP) == ADSTART && adc.plan.is_triggered {
                 adc.begin(effects.now, late_ticks(effects, adc.clock));
                 adc.next = adc.phase_at.min(adc.command_at);
             }
         }
         self.find_next();
-    }
-
-    /// ADC_CSR: the flags of both converters of a pair.
-    fn status(&self) -> u32 {
-        self.adcs.iter().take(2).enumerate().map(|(index, adc)| adc.bank[ISR] << (16 * index)).sum()
     }
 
     fn write_ccr(&mut self, value: u32, effects: &mut Effects) {
@@ -158,24 +131,16 @@ impl<const N: usize> AdcGroup<N> {
         self.ccr = value;
     }
 
-    fn update(&mut self, effects: &mut Effects) {
+    fn update(&mut self) {
         for adc in &mut self.adcs {
             adc.next = adc.phase_at.min(adc.command_at);
         }
         self.find_next();
-        self.update_lines(effects);
     }
 
     #[inline]
     fn find_next(&mut self) {
         self.next = self.adcs.iter().map(|adc| adc.next).min().unwrap_or(Ticks::MAX);
-    }
-
-    fn update_lines(&self, effects: &mut Effects) {
-        for line in self.lines {
-            let level = self.adcs.iter().zip(self.lines).any(|(adc, other)| other == line && adc.interrupt());
-            effects.set_line(line, level);
-        }
     }
 }
 
@@ -199,7 +164,6 @@ mod tests {
     use crate::facts;
 
     const SMP_24_5: u32 = 3;
-    const EXTERNAL: u32 = 1 << 10 | 11 << 5;
 
     /// ADC1 and ADC2 enabled at HCLK/4 without a broken rule.
     fn enabled() -> (AdcGroup<2>, Effects) {
@@ -244,7 +208,7 @@ mod tests {
             group.write(base + SMPR1, SMP_24_5 << 3 | SMP_24_5 << 18, &mut effects);
             group.write(base + SQR1, 1 | 1 << 6 | 6 << 12, &mut effects);
             group.write(base + CFGR2, ROVSE, &mut effects);
-            group.write(base + CFGR, EXTERNAL | DMAEN | 2, &mut effects);
+            group.write(base + CFGR, RISING_TIM2 | DMAEN | 2, &mut effects);
             group.write(base + CR, ADVREGEN | ADEN | ADSTART, &mut effects);
         }
         (group, effects)
@@ -254,7 +218,7 @@ mod tests {
     fn write_rules_are_watched() {
         let (mut group, mut effects) = armed();
         for (count, (offset, value)) in
-            [(CFGR, 0), (CFGR2, 0), (SMPR1, 0), (SQR1, 0), (DIFSEL, 2), (CCR, 2 << 16)].into_iter().enumerate()
+            [(CFGR, 0), (CFGR2, 0), (SMPR1, 0), (SQR1, 0), (CCR, 2 << 16)].into_iter().enumerate()
         {
             group.write(offset, value, &mut effects);
             assert_eq!(effects.violation_count, count as u64 + 1, "register {offset:#x}");
@@ -284,8 +248,8 @@ mod tests {
         assert_eq!((TRIGGER_CLOCKS as f64, latency.fract()), (latency.trunc(), 0.125));
         let (group, _) = enabled();
         let clock = group.adc(0).clock;
-        let mut effects = Effects::default();
-        effects.faults = [Fault::TriggerPhase].into_iter().collect();
+        let faults = [Fault::TriggerPhase].into_iter().collect();
+        let mut effects = Effects { faults, ..Effects::default() };
         let mut late: Vec<_> = (0..clock)
             .map(|now| {
                 effects.now = now;
@@ -298,13 +262,9 @@ mod tests {
     }
 
     #[test]
-    fn triggers_are_selected_by_st_s_numbers() {
-        for (index, timer) in ["TIM2", "TIM3", "TIM4"].into_iter().enumerate() {
-            let (mut group, mut effects) = enabled();
-            let select = facts::bits(&format!("LL_ADC_REG_TRIG_EXT_{timer}_TRGO")) & facts::bits("ADC_CFGR_EXTSEL");
-            group.write(CFGR, select | facts::bits("LL_ADC_REG_TRIG_EXT_RISING"), &mut effects);
-            assert_eq!(group.adc(0).trigger_mask(), 1 << (2 * index), "{timer}");
-        }
+    fn trigger_and_clock_are_selected_by_st_s_numbers() {
+        let select = facts::bits("LL_ADC_REG_TRIG_EXT_TIM2_TRGO") & facts::bits("ADC_CFGR_EXTSEL");
+        assert_eq!(RISING_TIM2, select | facts::bits("LL_ADC_REG_TRIG_EXT_RISING"));
         for (divider, mode) in [(1, 1), (2, 2), (4, facts::bits("LL_ADC_CLOCK_SYNC_PCLK_DIV4") >> 16)] {
             assert_eq!(clock_ticks(mode << 16), divider);
         }

@@ -77,10 +77,6 @@ impl Endpoint {
         self.0 & DTOG_TX != 0
     }
 
-    pub fn is_enabled(&self) -> bool {
-        self.0 & (STAT_RX | STAT_TX) != 0
-    }
-
     pub fn is_control(&self) -> bool {
         self.0 & EP_TYPE == TYPE_CONTROL
     }
@@ -143,15 +139,11 @@ pub struct PacketMemory([u8; BYTES]);
 
 impl Default for PacketMemory {
     fn default() -> Self {
-        Self::new()
+        Self([0; BYTES])
     }
 }
 
 impl PacketMemory {
-    pub fn new() -> Self {
-        Self([0; BYTES])
-    }
-
     /// A little-endian number of up to four bytes. Beyond the memory there is nothing.
     pub fn read(&self, range: Range<usize>) -> u32 {
         self.bytes(range).iter().rev().fold(0, |value, &byte| value << 8 | u32::from(byte))
@@ -219,7 +211,6 @@ impl UsbPort<'_> {
         self.usb.update_interrupt(self.effects);
     }
 
-    /// An IN token.
     pub fn token_in(&mut self, address: u8, endpoint: u8) -> Answer {
         self.usb.token_in(address, endpoint)
     }

@@ -30,7 +30,6 @@ pub struct Chain {
     pub poses: Vec<(Ticks, (u64, u64, PoseRecord))>,
     /// Covariances, each with the index of its pose.
     pub covariances: Vec<(usize, [f32; TRIANGLE])>,
-    /// Texts of the events.
     pub events: Vec<String>,
     /// Scans that the board has not solved, by the last packet of poses.
     pub missed: u32,

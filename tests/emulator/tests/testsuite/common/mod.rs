@@ -17,7 +17,6 @@ use slitpose_protocol::Hashes;
 pub mod chain;
 pub mod pins;
 pub mod talk;
-pub mod trial;
 
 /// The variable that gives the silicon its faults: names, or `all`. Without it there are none.
 const SILICON: &str = "SLITPOSE_SILICON";
@@ -41,7 +40,6 @@ pub fn us(ticks: Ticks) -> f64 {
     ticks as f64 * 1e6 / TICKS_PER_SECOND as f64
 }
 
-/// The silicon that the tests run on.
 pub fn silicon() -> Faults {
     match std::env::var(SILICON) {
         Ok(faults) if !faults.is_empty() => {
@@ -86,7 +84,6 @@ pub fn wires() -> Vec<Wire> {
     .collect()
 }
 
-/// The pin of `signal`.
 pub fn pin(signal: &str) -> &'static str {
     wires().iter().find(|wire| wire.signal == signal).unwrap_or_else(|| panic!("no wire is called `{signal}`")).pin
 }
@@ -140,7 +137,6 @@ fn read<W: World>(board: &mut Board<W>, address: u32) -> u32 {
 /// Of noise and motion.
 pub const SEED: u64 = 17;
 
-/// Of the tool.
 pub fn smooth() -> Trajectory {
     Trajectory::of_kind(TrajectoryKind::Smooth, SEED, 20.0)
 }
@@ -168,7 +164,6 @@ pub fn chain(scene: &SceneFile, noise: NoiseSource) -> Chain {
     chain_of(scene, noise, silicon())
 }
 
-/// The same with `faults`.
 pub fn chain_of(scene: &SceneFile, noise: NoiseSource, faults: Faults) -> Chain {
     println!("seed {SEED}");
     let image = open_pose_image().expect("an image");

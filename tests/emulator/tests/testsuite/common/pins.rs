@@ -1,7 +1,7 @@
 //! A board on the bench: every change of its emitter pins and every instant at which a converter holds a sample; what they do
 //! against what a schedule asks for, tick by tick; and what the words are against the light of the model.
 
-use super::talk::{Listener, Talk};
+use super::talk::{Listener, Talk, at_rest};
 use super::{dma_ticks, silicon, trigger_ticks};
 use super::{inputs, level_line};
 use slitpose_emulator::facts;
@@ -11,7 +11,6 @@ use slitpose_emulator::world::{NoiseSource, OpticsWorld, World};
 use slitpose_firmware::pcb::default_scaling;
 use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::WIDE;
-use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_model::{CompiledScene, Pair, Pose, Reading};
 use slitpose_protocol::{Command, Configuration, Level, RawScan, ResetCause, Schedule};
 
@@ -62,12 +61,11 @@ impl World for Recorder {
 pub type Bench = Talk<Recorder>;
 
 impl Bench {
-    /// A board that has introduced itself, in front of a tool at rest at home, without noise.
+    /// A board that has introduced itself, in front of a tool [`at_rest`], without noise.
     pub fn quiet() -> Self {
         let scene = WIDE.read().expect("shipped");
-        let still = Trajectory::of_kind(TrajectoryKind::Still, 0, 0.0);
         let world =
-            OpticsWorld::new(&scene, still, WORLD_TIER, NoiseSource::Off, silicon()).expect("it is made for it");
+            OpticsWorld::new(&scene, at_rest(), WORLD_TIER, NoiseSource::Off, silicon()).expect("it is made for it");
         let now = Drive { at: 0, gates: 0, levels: [0; 2] };
         let recorder = Recorder { world, now, drives: Vec::new(), holds: Vec::new(), records_holds: false };
         let image = open_image(None).expect("firmware/build makes it");
@@ -330,15 +328,15 @@ fn light_on(plan: &CompiledScene<f64>, schedule: &Schedule, cell: usize, levels:
 }
 
 /// The largest difference between what the host's front end makes of `scans` and the light of the
-/// model on each cell, a tool at rest at home, in codes of one conversion.
+/// model on each cell, the tool at rest where each electrode has another, in codes of one conversion.
 pub fn worst_codes(scans: &[RawScan], configuration: &Configuration) -> f64 {
     let Configuration { schedule, .. } = configuration;
     let (scene, scaling) = (WIDE.read().expect("shipped"), default_scaling());
     let stage = Stage::new(&scene, schedule, &scaling);
     let plan = CompiledScene::<f64>::compile(&scene.scene, WORLD_TIER).expect("the scene is valid");
     let cells = usize::from(schedule.cells);
-    let expected: Vec<_> =
-        (0..cells).map(|cell| light_on(&plan, schedule, cell, scans[0].levels(), &Pose::HOME)).collect();
+    let pose = at_rest().pose(0.0);
+    let expected: Vec<_> = (0..cells).map(|cell| light_on(&plan, schedule, cell, scans[0].levels(), &pose)).collect();
     let mut worst: f64 = 0.0;
     for scan in scans {
         let currents = stage.photocurrents(scan);

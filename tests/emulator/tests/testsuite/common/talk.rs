@@ -3,13 +3,11 @@
 //! [`Listener`] decodes what comes into messages of its own and checks what must hold of any of
 //! them: scans in order, counters that add up. [`Talk`] is a listener at a [`Rig`], with time.
 
-pub use super::trial::FRAME_TICKS;
-pub use super::trial::MS;
 use super::{is_of_silicon, silicon};
 use slitpose_emulator::faults::Faults;
 use slitpose_emulator::image::Image;
 use slitpose_emulator::machine::Stop;
-use slitpose_emulator::peripherals::Ticks;
+use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::rig::{Link, Rig, open_image, open_pose_image};
 use slitpose_emulator::world::{NoiseSource, OpticsWorld, World};
 use slitpose_head::scene_file::Shipped;
@@ -18,6 +16,11 @@ use slitpose_protocol::{
     Batch, Command, Decoder, Hashes, MAX_MESSAGE_BYTES, Message, Pong, RawScan, Rejection, Reply, ResetCause, Schedule,
     Severity, Status,
 };
+
+pub const MS: Ticks = TICKS_PER_SECOND / 1_000;
+
+/// Ticks from one frame to the next in the default configuration.
+pub const FRAME_TICKS: u64 = 42_500;
 
 /// From power-on or the plugging in of the cable to a working port: debouncing 100 ms, reset 50 ms,
 /// recovery 10 ms, and some twenty requests of a few milliseconds at most.
@@ -65,13 +68,12 @@ pub enum Said {
 pub struct Gap {
     /// The last scan before it.
     pub after: u64,
-    /// Scans that are missing.
     pub missing: u64,
     /// From the start of the frame before it to that of the one behind it.
     pub ticks: u64,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Listener {
     decoder: Decoder<MAX_MESSAGE_BYTES>,
     schedule: Option<(u16, Schedule)>,
@@ -91,26 +93,6 @@ pub struct Listener {
     full_since: Option<Ticks>,
     /// The longest that the end of a transfer was waited for behind a full packet.
     pub longest_full: Ticks,
-}
-
-impl Default for Listener {
-    fn default() -> Self {
-        Self {
-            decoder: Decoder::new(),
-            schedule: None,
-            said: Vec::new(),
-            scans: Vec::new(),
-            gaps: Vec::new(),
-            received: 0,
-            last: None,
-            breaks: 0,
-            status: None,
-            heads: Vec::new(),
-            empty_packets: 0,
-            full_since: None,
-            longest_full: 0,
-        }
-    }
 }
 
 impl Listener {
@@ -234,7 +216,6 @@ impl Listener {
         assert!(unaccounted <= most, "{unaccounted} scans unaccounted for, {} received: {status:?}", self.received);
     }
 
-    /// The replies to command `number`.
     pub fn replies(&self, number: u16) -> Vec<Result<(), Rejection>> {
         let reply = |said: &(Ticks, Said)| match said.1 {
             Said::Reply(reply) if reply.number == number => Some(reply.outcome),
@@ -251,7 +232,6 @@ impl Listener {
         self.said.iter().filter(|(_, said)| matches!(said, Said::Hello(_))).count()
     }
 
-    /// Texts of the events of this session.
     pub fn events(&self) -> Vec<&str> {
         self.all_events().into_iter().filter(|text| !is_of_silicon(text)).collect()
     }
@@ -269,7 +249,6 @@ impl Listener {
     }
 }
 
-/// A board and who talks to it.
 #[derive(Debug)]
 pub struct Talk<W = OpticsWorld> {
     pub rig: Rig<W>,
@@ -285,18 +264,12 @@ impl Talk {
 
     /// A board on `silicon`, its port open at USB.
     pub fn on(silicon: Faults) -> Self {
-        let mut talk = Self::boot_with(NoiseSource::Off, silicon);
-        talk.await_port();
-        talk.open();
-        talk
+        Self::boot_with(NoiseSource::Off, silicon).opened()
     }
 
     /// A board with noise from `seed`, its port open at USB.
     pub fn noisy(seed: u64) -> Self {
-        let mut talk = Self::boot_with(NoiseSource::Seeded(seed), silicon());
-        talk.await_port();
-        talk.open();
-        talk
+        Self::boot_with(NoiseSource::Seeded(seed), silicon()).opened()
     }
 
     fn boot_with(noise: NoiseSource, silicon: Faults) -> Self {
@@ -311,10 +284,13 @@ impl Talk {
 
     /// The same with USB at work and its port open, and the hello heard.
     pub fn at_usb() -> Self {
-        let mut talk = Self::boot();
-        talk.await_port();
-        talk.open();
-        talk
+        Self::boot().opened()
+    }
+
+    fn opened(mut self) -> Self {
+        self.await_port();
+        self.open();
+        self
     }
 
     pub fn at_uart() -> Self {
@@ -441,7 +417,7 @@ impl<W: World> Talk<W> {
 }
 
 /// A tool at rest where every electrode has another current.
-fn at_rest() -> Trajectory {
+pub fn at_rest() -> Trajectory {
     let path = std::env::temp_dir().join(format!("at-rest-{}.csv", std::process::id()));
     std::fs::write(&path, AT_REST).expect("there is room for a line");
     let trajectory = Trajectory::from_table(path.to_str().expect("a path of letters"));
