@@ -11,7 +11,7 @@
 //!
 //! Behind the commands: `terminal` draws for the user, `comparison` compares poses with a reference, `sink` writes poses,
 //! `daemon` follows boards live, `live` shows them on a page, `bridges` to Foxglove, to ROS 2 and as a mouse, `http` guards
-//! the servers, `service` notifies the service manager, `doctor` examines boards, heads and hosts.
+//! the servers, `doctor` examines boards, heads and hosts.
 
 #![forbid(unsafe_code)]
 
@@ -26,7 +26,6 @@ mod doctor;
 mod http;
 pub mod inputs;
 mod live;
-mod service;
 mod sink;
 pub mod telemetry;
 mod terminal;

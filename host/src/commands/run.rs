@@ -6,8 +6,8 @@ use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
-use anyhow::Context;
 use clap::ValueEnum;
+use sd_notify::NotifyState;
 use slitpose_calibration::{Basis, Head};
 use slitpose_protocol::{Hello, Stream};
 
@@ -23,7 +23,6 @@ use crate::datagram::{self, DatagramServer};
 use crate::device::{Search, Selector};
 use crate::http::BindScope;
 use crate::live::{Access, LiveBoard, LivePlan, SampleSink};
-use crate::service::{self, Service};
 use crate::telemetry::{DaemonReport, RecorderReport, RecorderState, StatusServer, status_address};
 use slitpose_head::front_end;
 use slitpose_head::pace::Speed;
@@ -163,8 +162,6 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let output = io::BufWriter::with_capacity(1 << 16, io::stdout());
     let is_terminal = io::stdout().is_terminal();
     let sink = args.poses.open_sink(args.poses.format(is_terminal), output, is_terminal)?;
-    let service = Service::from_environment()
-        .context("the service manager that NOTIFY_SOCKET names cannot be reached; start the program without it")?;
     // All that can fail comes before the first thread: a board that is lit is stopped by its own.
     let (began, followed) = (HostInstant::now(), Arc::new(OnceLock::<Arc<Daemon>>::new()));
     let reports = || {
@@ -217,25 +214,31 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let plan = Plan { boards, sink, capture, datagrams, streams, takers, real_time: args.real_time };
     let daemon = Arc::new(Daemon::start(plan, Arc::clone(&stop))?);
     let daemon = followed.get_or_init(|| daemon);
+    // systemd's protocol; without a service manager nothing is sent.
+    if let Err(error) = sd_notify::notify(&[NotifyState::Ready]) {
+        talk(format_args!(
+            "the service manager that NOTIFY_SOCKET names cannot be reached ({error}); start the program without it"
+        ));
+    }
     // A manager that does not listen at this moment will at the next.
-    let notify = |state| drop(service.notify(state));
-    notify(service::READY);
+    let notify = |state| drop(sd_notify::notify(&[state]));
+    let alive_every = sd_notify::watchdog_enabled().map(|limit| limit / 2);
     let (mut accounted, mut alive, mut utc) = (Instant::now(), Instant::now(), UtcWatch::default());
     while !daemon.is_over() {
         std::thread::sleep(MOMENT);
         if let Some(step_s) = utc.step_s(HostInstant::now()) {
             tell_step(step_s);
         }
-        if service.watchdog_every().is_some_and(|every| alive.elapsed() >= every) && daemon.is_alive() {
+        if alive_every.is_some_and(|every| alive.elapsed() >= every) && daemon.is_alive() {
             alive = Instant::now();
-            notify(service::ALIVE);
+            notify(NotifyState::Watchdog);
         }
         if accounted.elapsed() >= ACCOUNT_EVERY {
             accounted = Instant::now();
             daemon.record_report();
         }
     }
-    notify(service::STOPPING);
+    notify(NotifyState::Stopping);
     let ended = daemon.end();
     drop((status, live, foxglove, mouse));
     let reconnects = daemon.report().boards.iter().map(|board| board.link.reconnects).collect::<Vec<_>>();

@@ -261,34 +261,6 @@ mod tests {
     }
 
     #[test]
-    fn a_board_that_comes_back_is_counted_and_reported_once() {
-        let said = Arc::new(Mutex::new(Vec::new()));
-        let ear = Arc::clone(&said);
-        let link = Link::new(Arc::new(move |text| ear.lock().unwrap().push(text.to_string())));
-        let missing = error(|name| DeviceError::Missing { name });
-        link.lost(&missing);
-        link.lost(&missing);
-        assert_eq!(link.report().state, LinkState::Searching);
-        link.connecting();
-        link.running("port");
-        assert_eq!((link.report().state, link.report().reconnects), (LinkState::Running, 0));
-        link.lost(&error(|name| DeviceError::Quiet { name, seconds: 0.5 }));
-        assert_eq!(link.report().state, LinkState::Quiet);
-        link.lost(&missing);
-        assert_eq!(link.report().state, LinkState::Gone);
-        link.lost(&error(|name| DeviceError::Busy { name }));
-        assert_eq!(link.report().state, LinkState::Refused);
-        link.connecting();
-        assert!(link.report().reason.is_some(), "why it was missed is known until it runs");
-        link.running("other port");
-        assert_eq!((link.report().reason, link.report().reconnects), (None, 1));
-        let said = said.lock().unwrap();
-        let kinds: Vec<bool> = said.iter().map(|text| text.contains("looking for it")).collect();
-        assert_eq!(kinds, [true, false, true, true, false], "{said:?}");
-        assert!(said[4].contains("other port runs"), "{said:?}");
-    }
-
-    #[test]
     fn a_repeated_reason_is_reported_ever_more_rarely() {
         let mut state = State::default();
         let began = Instant::now();

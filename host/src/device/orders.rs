@@ -152,34 +152,3 @@ impl Drop for KeepAlive {
         }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use slitpose_head::pace::Speed;
-    use slitpose_head::scene_file::WIDE;
-    use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
-    use slitpose_model::Tier;
-
-    use super::*;
-    use crate::device::SimulatedDevice;
-
-    #[test]
-    fn a_board_does_as_it_is_told() {
-        let still = Trajectory::of_kind(TrajectoryKind::Still, 1, 10.0);
-        let board = SimulatedBoard::new(&WIDE.read().unwrap(), still, Tier::Paper, 1).unwrap();
-        let device = SimulatedDevice::new(board, 250e-6, 10.0, Speed::Max);
-        let mut board = Conversation::open(Box::new(device)).unwrap();
-        let within = Duration::from_secs(1);
-        let info = board.introduce(within).unwrap();
-        assert_eq!((info.kind_name(), info.mismatch), ("simulated", None));
-        let status = board.status().unwrap();
-        assert!(!status.acquiring && status.supply_v > 3.0);
-        let hashes = Hashes { scene: Some(7), calibration: Some(8) };
-        board.store(hashes).unwrap();
-        assert_eq!(board.introduce(within).unwrap().hashes, hashes);
-        board.forget_stored().unwrap();
-        assert_eq!(board.introduce(within).unwrap().hashes, Hashes::default());
-        board.identify(1).unwrap();
-        board.reboot(BootTarget::Firmware).unwrap();
-    }
-}

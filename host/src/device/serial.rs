@@ -373,19 +373,3 @@ impl Device for SimulatedPort {
         lock(&self.device).receive(bytes)
     }
 }
-
-#[cfg(all(test, target_os = "linux"))]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn an_open_file_has_a_holder() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("port");
-        let name = path.to_str().unwrap();
-        let file = fs::File::create(&path).unwrap();
-        assert!(holders(name).iter().any(|holder| holder.process == std::process::id()));
-        drop(file);
-        assert_eq!(holders(name), []);
-    }
-}

@@ -4,15 +4,15 @@ use std::net::IpAddr;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use axum::Router;
+use axum::extract::State;
 use axum::extract::ws::WebSocketUpgrade;
-use axum::extract::{ConnectInfo, State};
 use axum::http::StatusCode;
 use axum::http::header::{
     CACHE_CONTROL, CONNECTION, CONTENT_SECURITY_POLICY, CONTENT_TYPE, REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS,
 };
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
+use axum::{Extension, Router};
 use slitpose_head::threads::lock;
 use tokio::time::{MissedTickBehavior, interval};
 
@@ -21,7 +21,7 @@ use super::frame::SceneView;
 use super::hub::{Hub, Input, LiveBoard, LiveInput};
 use super::session;
 use crate::address::{Address, ServeError};
-use crate::http::{ConnectionDeadline, Serving, reply};
+use crate::http::{Connection, Serving, reply};
 use crate::telemetry::DaemonReport;
 
 /// Most clients at a time, of those that have said hello.
@@ -163,14 +163,14 @@ fn page_file((_, media, text): &PageFile) -> Response {
 
 async fn upgrade(
     State(shared): State<Arc<Shared>>,
-    ConnectInfo(deadline): ConnectInfo<ConnectionDeadline>,
+    Extension(connection): Extension<Arc<Connection>>,
     upgrade: WebSocketUpgrade,
 ) -> Response {
-    if shared.clients.place(deadline.address).is_none() {
+    if shared.clients.place(connection.address).is_none() {
         return reply(StatusCode::SERVICE_UNAVAILABLE, format!("{}\n", Refusal::Full));
     }
     let upgrade = upgrade.max_message_size(MAX_REQUEST).max_frame_size(MAX_REQUEST);
-    upgrade.on_upgrade(async move |socket| session::serve(socket, shared, deadline).await)
+    upgrade.on_upgrade(async move |socket| session::serve(socket, shared, &connection).await)
 }
 
 /// A file: its path after `/`, its media type, its text.

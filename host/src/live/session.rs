@@ -22,7 +22,7 @@ use super::control::{Order, PlayerOrder, Refusal, Request};
 use super::frame::FRAMES_HZ;
 use super::hub::{Event, HISTORY_S, Snapshot, text_of};
 use super::server::Shared;
-use crate::http::ConnectionDeadline;
+use crate::http::Connection;
 
 /// Most messages that a client has not acknowledged.
 pub(super) const WINDOW: u64 = 64;
@@ -74,24 +74,21 @@ enum Answer<'a> {
 
 struct Gone;
 
-/// Serves a client until it goes. It has a place, and `deadline` is released, once it has shown that it may look.
-pub(super) async fn serve(mut socket: WebSocket, shared: Arc<Shared>, deadline: ConnectionDeadline) {
-    let hello = match socket.recv().await {
-        Some(Ok(Message::Text(text))) => Request::read(&text).ok(),
-        _ => None,
-    };
-    let Some(Request::Hello { token }) = hello else { return };
+/// Serves a client until it goes. It has a place, and `connection` is released, once it has shown that it may look.
+pub(super) async fn serve(mut socket: WebSocket, shared: Arc<Shared>, connection: &Connection) {
+    let Some(Some(Ok(Message::Text(text)))) = connection.while_open(socket.recv()).await else { return };
+    let Ok(Request::Hello { token }) = Request::read(&text) else { return };
     let mut session = Session::new(socket, Arc::clone(&shared));
     if !shared.access.admits(token.as_deref()) {
         sleep(PENALTY).await;
         let _ = session.refuse(&Refusal::Token).await;
         return;
     }
-    let Some(_place) = shared.clients.place(deadline.address) else {
+    let Some(_place) = shared.clients.place(connection.address) else {
         let _ = session.refuse(&Refusal::Full).await;
         return;
     };
-    deadline.release();
+    connection.release();
     let _ = session.run().await;
 }
 

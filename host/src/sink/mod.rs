@@ -95,7 +95,7 @@ pub(crate) fn open<'a>(
 ) -> Option<Box<dyn Sink + Send + 'a>> {
     match format {
         Format::Summary => Some(Box::new(Summary::new(output, live))),
-        Format::Ndjson => Some(Box::new(ndjson::Ndjson::new(output))),
+        Format::Ndjson => Some(Box::new(ndjson::Ndjson(output))),
         Format::Csv => Some(Box::new(csv::Csv::new(output))),
         #[cfg(feature = "parquet")]
         Format::Parquet => Some(Box::new(parquet::Parquet::new(output))),
