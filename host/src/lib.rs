@@ -20,13 +20,17 @@ mod bridges;
 pub mod commands;
 mod comparison;
 mod daemon;
+#[doc(hidden)]
 pub mod datagram;
+#[doc(hidden)]
 pub mod device;
 mod doctor;
 mod http;
+#[doc(hidden)]
 pub mod inputs;
 mod live;
 mod sink;
+#[doc(hidden)]
 pub mod telemetry;
 mod terminal;
 

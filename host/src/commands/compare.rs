@@ -18,7 +18,7 @@ use super::faults::FaultOptions;
 use super::options::publish;
 use super::options::{self, Jobs, PoseOptions, open_scene};
 use super::playback::{PlayOptions, Playback, Printing};
-use super::{CommandError, Outcome, UsageError, complain, replay, talk};
+use super::{CommandError, Outcome, complain, replay, talk, usage};
 use crate::sink::{Account, Format};
 use crate::telemetry::BoardReport;
 use crate::terminal::{Amount, Progress};
@@ -113,7 +113,13 @@ impl SideBySide {
         let work: Vec<Job> = match (&self.output, format.ending()) {
             (None, None) => files.iter().map(|capture| Job { capture, poses: None }).collect(),
             (Some(folder), Some(ending)) => self.targets(folder, ending, files, play)?,
-            _ => return Err(UsageError::FormatOfEach.into()),
+            _ => {
+                return Err(usage!(
+                    "with --jobs each capture has its own file of poses; give --output DIR with --format ndjson or csv, \
+                     or neither"
+                )
+                .into());
+            }
         };
         faults.tell();
         let faults: &[Fault] = &faults.fault;

@@ -205,7 +205,6 @@ impl ZenohOptions {
         is_needed.then(|| open_zenoh(&self.zenoh_router)).transpose()
     }
 
-    /// What publishes the boards, if asked.
     pub(super) fn publisher(
         &self,
         session: Option<&dyn Bridge>,

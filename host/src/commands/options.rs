@@ -23,7 +23,7 @@ use slitpose_model::{Pose, Tier};
 
 pub(super) use slitpose_tracking::solving::STREAM_TOLERANCE as DEFAULT_TOLERANCE;
 
-use super::{CommandError, Outcome, UsageError};
+use super::{CommandError, Outcome, usage};
 use crate::sink::{self, Format, Sink};
 use crate::terminal::{self, Amount, Progress};
 use slitpose_tracking::pipeline::{Counts, PipelineOptions};
@@ -107,7 +107,6 @@ pub(super) struct CalibrationOption {
 }
 
 impl CalibrationOption {
-    /// The file, if one was given.
     pub(super) fn file(&self) -> Option<&Path> {
         self.calibration.as_deref().filter(|path| *path != NOT_CALIBRATED)
     }
@@ -294,7 +293,8 @@ impl PoseOptions {
         is_terminal: bool,
     ) -> Result<Option<Box<dyn Sink + Send + 'a>>, CommandError> {
         if is_terminal && !format.is_text() {
-            return Err(UsageError::NoText.into());
+            let text = "Parquet is no text for a terminal; redirect standard output, or choose another --format";
+            return Err(usage!("{text}").into());
         }
         if format == Format::Csv && matches!(self.solving.filter, Some(Filter(Some(_)))) {
             talk(format_args!("--filter: CSV has no columns for the filtered pose; --format ndjson has it"));
@@ -354,7 +354,6 @@ pub(super) fn tell(name: &str, counts: &Counts, wanted: bool) -> Outcome {
     }
 }
 
-/// Prints the result of a verb.
 pub(super) fn print(text: &str) -> Result<Outcome, CommandError> {
     Output::open(None)?.write_text(text)?;
     Ok(Outcome::Done)

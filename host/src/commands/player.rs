@@ -56,7 +56,6 @@ pub(super) struct Player {
 }
 
 impl Player {
-    /// Plays a capture of `duration_s`.
     pub(super) fn new(orders: Orders, live: LiveInput, file: String, duration_s: f64) -> Self {
         let state = PlayerState { playing: true, duration_s, file, ..PlayerState::default() };
         Self { orders, live, state, told: None }

@@ -11,7 +11,7 @@ use super::live::LiveOptions;
 use super::options::PoseOptions;
 use super::playback::{PlayOptions, Playback, Printing};
 use super::player::{Orders, Player};
-use super::{CommandError, Outcome, UsageError, interrupt};
+use super::{CommandError, Outcome, interrupt, usage};
 use crate::live::LivePlan;
 use crate::sink::{Account, Format};
 use slitpose_head::faults::Fault;
@@ -139,6 +139,9 @@ pub(super) fn write(
     Ok(done)
 }
 
+/// Endings of names that say how poses are written.
+const ENDINGS: &str = if cfg!(feature = "parquet") { ".csv, .ndjson or .parquet" } else { ".csv or .ndjson" };
+
 /// How poses are written to a file of this name.
 fn format_of(output: &Path) -> Result<Format, CommandError> {
     match output.extension().and_then(|extension| extension.to_str()) {
@@ -147,9 +150,18 @@ fn format_of(output: &Path) -> Result<Format, CommandError> {
         #[cfg(feature = "parquet")]
         Some("parquet") => Ok(Format::Parquet),
         #[cfg(not(feature = "parquet"))]
-        Some("parquet") => Err(UsageError::NoParquet { path: output.to_owned() }.into()),
+        Some("parquet") => Err(usage!(
+            "this build cannot write {} as Parquet; build with `cargo build --release -p slitpose --features parquet`, or \
+             give a name that ends in .csv or .ndjson",
+            output.display()
+        )
+        .into()),
         // Standard output, devices and pipes have no name that could say it.
         _ if output == Path::new("-") || special_file::is_special(output) => Ok(Format::Csv),
-        _ => Err(UsageError::Extension { path: output.to_owned() }.into()),
+        _ => Err(usage!(
+            "the name {} does not say how poses are to be written; give one that ends in {ENDINGS}, or --format",
+            output.display()
+        )
+        .into()),
     }
 }

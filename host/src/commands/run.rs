@@ -15,12 +15,12 @@ use super::live::{Changes, FoxgloveOptions, LiveOptions, MouseOptions, ZenohOpti
 use super::options::{PoseOptions, open_scene, parse_duration};
 use super::record::RecordOptions;
 use super::simulate::ToolOptions;
-use super::{CommandError, Outcome, UsageError, interrupt, options, talk};
+use super::{CommandError, Outcome, interrupt, options, talk, usage};
 use crate::address::Address;
 use crate::bridges::{Bridge, SpacenavServer};
-use crate::daemon::{Admit, BoardPlan, Daemon, Ended, Opener, Plan, PortOpener, SimulatedOpener};
+use crate::daemon::{Admit, BoardPlan, Daemon, Ended, Opener, Plan, SimulatedOpener};
 use crate::datagram::{self, DatagramServer};
-use crate::device::{Search, Selector};
+use crate::device::{Contact, Search, Selector};
 use crate::http::BindScope;
 use crate::live::{Access, LiveBoard, LivePlan, SampleSink};
 use crate::telemetry::{DaemonReport, RecorderReport, RecorderState, StatusServer, status_address};
@@ -113,7 +113,6 @@ pub(super) struct Args {
     pub(super) print_config: bool,
 }
 
-/// What a board sends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum StreamName {
     Raw,
@@ -149,7 +148,10 @@ fn parse_patience(text: &str) -> Result<Patience, String> {
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     if let (StreamName::Pose, Some(option)) = (args.stream, args.poses.for_this_program()) {
-        return Err(UsageError::OnlyHere { option }.into());
+        return Err(usage!(
+            "{option} says how this program solves poses, and with --stream pose the board does; leave one of both out"
+        )
+        .into());
     }
     let zenoh = args.zenoh.open(&args.device)?;
     let boards = args.boards(zenoh.as_deref())?;
@@ -312,12 +314,14 @@ fn outcome_of(ended: Ended, reconnects: &[u64], interrupted: bool, bounded: bool
 impl Args {
     fn boards(&self, zenoh: Option<&dyn Bridge>) -> Result<Vec<BoardPlan>, CommandError> {
         let scenes = self.scene.iter().map(|scene| open_scene(scene)).collect::<Result<Vec<_>, _>>()?;
-        if scenes.len() != 1 && scenes.len() != self.device.len() {
-            return Err(UsageError::Scenes { scenes: scenes.len(), devices: self.device.len() }.into());
+        let (scenes_given, calibrations, devices) = (scenes.len(), self.calibration.len(), self.device.len());
+        if scenes_given != 1 && scenes_given != devices {
+            let next_step = "give one for all, or one for each, in the same order";
+            return Err(usage!("{scenes_given} scenes for {devices} boards; {next_step}").into());
         }
-        if ![0, self.device.len()].contains(&self.calibration.len()) {
-            let (calibrations, devices) = (self.calibration.len(), self.device.len());
-            return Err(UsageError::Calibrations { calibrations, devices }.into());
+        if ![0, devices].contains(&calibrations) {
+            let next_step = "give one for each, in the same order, or `none` for one";
+            return Err(usage!("{calibrations} calibrations for {devices} boards; {next_step}").into());
         }
         let search = self.search.iter().map(|pattern| pattern.parse()).collect::<Result<Vec<Search>, _>>()?;
         let boards = self.device.iter().zip(scenes.iter().cycle()).enumerate();
@@ -339,7 +343,7 @@ impl Args {
             Some((session, key)) => Some(session.opener(key)?),
             None => match device.parse()? {
                 Selector::Sim => None,
-                selector => Some(Box::new(PortOpener::new(selector, search.to_vec()))),
+                selector => Some(Box::new(Contact::new(selector, search.to_vec()))),
             },
         };
         // A head is within its tolerances, given or usual.
@@ -363,7 +367,10 @@ impl Args {
             }
             Some(opener) => {
                 if let Some(option) = self.tool.given().or(self.speed.map(|_| "--speed")) {
-                    return Err(UsageError::OnlySimulated { option, device: device.to_owned() }.into());
+                    return Err(usage!(
+                        "{option} is for simulated boards and means nothing to {device}; leave it out, or give --device sim"
+                    )
+                    .into());
                 }
                 (opener, true)
             }
@@ -393,7 +400,6 @@ impl Args {
 struct Admission {
     head: Head,
     name: String,
-    /// The board that was reported last.
     told: Mutex<Option<DeviceId>>,
 }
 

@@ -43,7 +43,6 @@ pub(super) struct Backlog {
     behind_since_ns: Option<u64>,
     /// How long scans are skipped, this time or the last.
     trial_after_ns: u64,
-    /// When the last trial began.
     tried_ns: Option<u64>,
     /// The last scan was solved ahead of its turn.
     was_newest: bool,

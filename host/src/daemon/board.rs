@@ -249,7 +249,6 @@ impl Claims {
         }
     }
 
-    /// Releases the claims of `name`.
     pub(super) fn release(&self, name: &str) {
         lock(&self.0).retain(|(_, owner)| owner != name);
     }

@@ -58,7 +58,6 @@ pub(super) struct Consumer<T> {
     sleeper: Arc<Sleeper>,
 }
 
-/// Why there is no full buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Empty {
     /// No buffer has been handed over yet.
@@ -136,7 +135,6 @@ impl<T> Consumer<T> {
         })
     }
 
-    /// Whether no full buffer waits.
     pub(super) fn is_empty(&self) -> bool {
         self.full.is_empty()
     }

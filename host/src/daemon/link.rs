@@ -115,7 +115,6 @@ impl Link {
         }
     }
 
-    /// Scans come from `port`.
     pub(super) fn running(&self, port: &str) {
         let mut state = self.lock();
         state.set(LinkState::Running, None);

@@ -38,7 +38,7 @@ pub(crate) use board::{BoardError, BoardPlan};
 pub(crate) use link::Talk;
 #[cfg(feature = "zenoh")]
 pub(crate) use opener::Feed;
-pub(crate) use opener::{Admit, Opener, PortOpener, SimulatedOpener};
+pub(crate) use opener::{Admit, Opener, SimulatedOpener};
 pub(crate) use recorder::CapturePlan;
 #[cfg(feature = "zenoh")]
 pub(crate) use tap::ChunkSink;

@@ -277,7 +277,6 @@ const MOMENT: Duration = Duration::from_millis(5);
 
 pub(super) struct PrinterThread {
     thread: JoinHandle<io::Result<()>>,
-    /// Outboxes printed so far.
     printed: Arc<AtomicU64>,
 }
 

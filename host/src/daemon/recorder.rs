@@ -65,7 +65,6 @@ struct Recorder {
     talk: Arc<Talk>,
     report: Arc<Mutex<RecorderReport>>,
     bytes_missing: u64,
-    /// Log time of the last record.
     log_ns: u64,
 }
 

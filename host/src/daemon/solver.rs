@@ -56,7 +56,6 @@ pub(super) struct Solver {
 
 #[derive(Default)]
 pub(super) struct State {
-    /// Number of the connection, from 1.
     connection: u64,
     is_unusable: bool,
     is_complete: bool,

@@ -37,7 +37,6 @@ pub(crate) struct TapChunk {
     pub(crate) hello: Vec<u8>,
     /// Time of the chunk's first scan by the board's clock, nanoseconds.
     pub(crate) device_ns: u64,
-    /// The bytes of the link.
     pub(crate) segment: Segment,
     /// Poses of the chunk, at the rate asked for.
     pub(crate) poses: Vec<Record>,
@@ -69,7 +68,6 @@ pub(super) enum Overflow {
 #[derive(Clone, Debug)]
 pub(super) struct TapEnds {
     pub(super) chunks: Producer<TapChunk>,
-    /// Whether bytes are wanted now.
     pub(super) is_wanted: Arc<AtomicBool>,
     /// Device time between poses, seconds.
     pub(super) pose_every_s: f64,
@@ -93,7 +91,6 @@ pub(super) struct Tap {
     begun: Instant,
     device: Option<DeviceId>,
     device_ns: u64,
-    /// The board's last hello packet.
     hello: Vec<u8>,
     /// Whether bytes were dropped since the last chunk.
     has_gap: bool,
@@ -189,7 +186,6 @@ impl Tap {
         }
     }
 
-    /// Keeps the bytes of a segment.
     pub(super) fn keep(&mut self, segment: &Segment) {
         let Some(chunk) = &mut self.under_way else {
             if self.is_on {
@@ -261,7 +257,6 @@ pub(crate) trait ChunkSink: Send {
     fn tick(&mut self);
 }
 
-/// A taker of all bytes.
 pub(crate) struct StreamPlan {
     pub(crate) taker: Box<dyn ChunkSink>,
     /// Device time between the poses that it takes, seconds.

@@ -79,9 +79,6 @@ pub struct DatagramServer {
 
 impl DatagramServer {
     /// Listens on all of `addresses`.
-    ///
-    /// # Errors
-    /// If one of them cannot be bound, or the thread cannot be started.
     pub fn bind(addresses: &[Address]) -> Result<Self, ServeError> {
         let (mut sockets, mut bound, mut files) = (Vec::new(), Vec::new(), Vec::new());
         for address in addresses {
@@ -125,7 +122,6 @@ impl DatagramServer {
         Publisher::new(Arc::clone(&self.shared), slot, receiver)
     }
 
-    /// The counts so far.
     pub fn counts(&self) -> DatagramCounts {
         let Counters { requests, places_refused, unproven, refused, sent, missed } = &self.shared.counters;
         let [requests, places_refused, unproven, refused, sent, missed] =

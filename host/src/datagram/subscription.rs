@@ -94,7 +94,6 @@ pub(super) struct Leases(Vec<Lease>);
 
 #[derive(Clone, Debug)]
 pub(super) struct Lease {
-    /// `None`: every board.
     pub(super) device: Option<DeviceId>,
     pub(super) subscription: Subscription,
 }
@@ -106,7 +105,6 @@ pub(super) enum Admission {
     Kept(Subscription),
     /// Granted as this subscription; other clients have lost their places for it.
     Instead(Subscription, Vec<Lease>),
-    /// The client gets no place.
     Refused,
 }
 

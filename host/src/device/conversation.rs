@@ -8,7 +8,7 @@ use slitpose_protocol::{
 };
 
 use super::orders::{self, KeepAlive, ping};
-use super::{Device, DeviceError};
+use super::{BoardInfo, Device, DeviceError};
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::{Asked, Segment, Versions};
 
@@ -32,11 +32,9 @@ const QUIET: Duration = Duration::from_millis(450);
 /// The bytes around a reply to keep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Keep {
-    /// All bytes.
     All,
     /// Bytes from the last hello on: earlier ones belong to an older configuration.
     FromHello,
-    /// Replies only.
     Replies,
 }
 
@@ -53,7 +51,6 @@ pub(crate) struct Conversation {
     pub(super) inbox: Vec<u8>,
     /// Length of the whole packets at its start.
     whole: usize,
-    /// Number of the last command.
     number: u16,
     keep_alive: Option<KeepAlive>,
     /// Time and token of the next ping, if the device does not ping by itself.
@@ -86,6 +83,13 @@ impl Conversation {
             Ok(()) => Ok(conversation),
             Err(source) => Err(conversation.gone(source)),
         }
+    }
+
+    /// Opens the conversation, and asks the board who it is.
+    pub(crate) fn introduced(device: Box<dyn Device>) -> Result<(Self, BoardInfo), DeviceError> {
+        let mut board = Self::open(device)?;
+        let info = board.introduce(HELLO_WITHIN)?;
+        Ok((board, info))
     }
 
     /// Requests the board's hello, which `admit` accepts or refuses. Also waits for the reply, because a hello alone
@@ -215,7 +219,6 @@ impl Conversation {
         }
     }
 
-    /// The bytes received last.
     pub(crate) fn received(&self) -> &[u8] {
         &self.inbox
     }

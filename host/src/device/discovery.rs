@@ -11,9 +11,9 @@ use std::fmt;
 use std::path::{MAIN_SEPARATOR, Path};
 use std::str::FromStr;
 
-use super::DeviceError;
 use super::ports::{Listed, PortState};
 use super::ports::{Port, Search, UsbId, ports};
+use super::{DeviceError, SerialDevice};
 use slitpose_tracking::link::DeviceId;
 
 const SIM: &str = "sim";
@@ -31,6 +31,47 @@ pub struct Found {
 impl From<Listed> for Found {
     fn from(listed: Listed) -> Self {
         Self { device: listed.device(), port: listed.port.name, usb: listed.port.usb }
+    }
+}
+
+/// A board that is opened again and again, at whatever port it is then.
+#[derive(Debug)]
+pub(crate) struct Contact {
+    pub(crate) selector: Selector,
+    search: Vec<Search>,
+    /// Where it was last, and its number if known.
+    known: Option<Found>,
+}
+
+impl Contact {
+    /// With the board that `selector` names, which is sought in the places of `search`, too.
+    pub(crate) fn new(selector: Selector, search: Vec<Search>) -> Self {
+        Self { selector, search, known: None }
+    }
+
+    /// Opens the board's port, even if its name has changed.
+    pub(crate) fn open(&mut self) -> Result<SerialDevice, DeviceError> {
+        let found = match locate(&self.selector, self.known.as_ref()) {
+            // Keeps the USB identity, by which the board is found again under another name.
+            Some(found) => {
+                let known = self.known.take().and_then(|known| known.device);
+                Found { device: found.device.or(known), ..found }
+            }
+            None => find(&self.selector, &self.search)?,
+        };
+        SerialDevice::open(&self.known.insert(found).port)
+    }
+
+    /// The board that was opened last has introduced itself.
+    pub(crate) fn greeted(&mut self, device: DeviceId) {
+        if let Some(found) = &mut self.known {
+            found.device = Some(device);
+        }
+    }
+
+    /// Whether the board was last at its own USB port.
+    pub(crate) fn has_own_port(&self) -> bool {
+        self.known.as_ref().and_then(|found| found.usb.as_ref()).is_some_and(UsbId::is_board)
     }
 }
 

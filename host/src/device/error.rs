@@ -74,11 +74,7 @@ pub enum DeviceError {
     #[error("the board on {name} has gone; if it was unplugged, plug it in again")]
     Gone { name: String, source: io::Error },
     #[error("no data for {seconds} s from the board on {name}; reset the board")]
-    Quiet {
-        name: String,
-        /// Time without bytes.
-        seconds: f64,
-    },
+    Quiet { name: String, seconds: f64 },
     #[error("no usable scan for {seconds:.0} s from the board on {name}: {cause}")]
     NoScans { name: String, seconds: f64, cause: Scanless },
     #[error("the board on {name} has stopped sampling: {reason}")]

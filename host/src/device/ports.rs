@@ -96,9 +96,6 @@ impl Port {
 }
 
 /// The serial ports of this host.
-///
-/// # Errors
-/// If the system does not list them.
 pub fn ports() -> Result<Vec<Port>, DeviceError> {
     // The library panics without this folder; a system without it has no ports.
     if cfg!(target_os = "linux") && !Path::new("/sys/class/tty").is_dir() {
@@ -171,7 +168,6 @@ const ANSWER_WITHIN: Duration = Duration::from_secs(1);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum PortState {
-    /// It was not asked.
     NotAsked,
     Free,
     InUse,
@@ -289,7 +285,6 @@ impl From<&Hello<'_>> for BoardInfo {
 }
 
 impl BoardInfo {
-    /// `physical` or `simulated`.
     pub(crate) fn kind_name(&self) -> &'static str {
         match self.kind {
             BoardKind::Physical => "physical",

@@ -31,7 +31,6 @@ const SEND_WITHIN: Duration = Duration::from_secs(1);
 /// Bytes fetched at once: 17 ms of a board at 4 kHz, as many as a pseudo-terminal holds.
 const CHUNK_BYTES: usize = 4096;
 
-/// An open serial port, held exclusively.
 #[derive(Debug)]
 pub struct SerialDevice {
     name: String,
@@ -41,9 +40,6 @@ pub struct SerialDevice {
 
 impl SerialDevice {
     /// Opens the port at `path`: raw, 8N1, DTR set if there is one.
-    ///
-    /// # Errors
-    /// If `path` is not a port, or cannot be opened.
     pub fn open(path: &str) -> Result<Self, DeviceError> {
         let name = path.to_owned();
         match fs::metadata(path) {
@@ -250,7 +246,6 @@ impl SimulatedDevice {
 }
 
 impl SimulatedDevice {
-    /// Device time so far, seconds.
     fn passed_s(&self) -> f64 {
         self.frames_passed as f64 * self.frame_s
     }

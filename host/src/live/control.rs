@@ -61,14 +61,11 @@ pub(crate) enum Refusal {
 }
 
 impl Refusal {
-    /// There is no recorder.
     pub(crate) const NO_RECORDER: Self = Self::NotHere { what: "recorder", instead: "`slitpose run --live` has one" };
 
-    /// There is no player.
     pub(crate) const NO_PLAYER: Self =
         Self::NotHere { what: "player", instead: "`slitpose replay FILE --live` has one" };
 
-    /// There is no 6-DoF mouse.
     pub(crate) const NO_MOUSE: Self =
         Self::NotHere { what: "6-DoF mouse", instead: "`slitpose run --spacenav PATH --live` has one" };
 }
@@ -118,7 +115,6 @@ impl Request {
     }
 }
 
-/// Whether `text` is a request.
 pub(crate) fn is_request(text: &str) -> bool {
     Request::read(text).is_ok()
 }
@@ -147,10 +143,7 @@ pub(crate) enum AccessError {
     #[error("a token of {found} characters can be guessed; give --live-token with {MIN_TOKEN} characters or more")]
     ShortToken { found: usize },
     #[error("a token has letters, digits, `-`, `_`, `.` and `~` only; `{letter}` is none of them")]
-    Letter {
-        /// The first other one.
-        letter: char,
-    },
+    Letter { letter: char },
 }
 
 /// The host and port that `text` names.
@@ -162,7 +155,6 @@ pub(crate) fn live_address(text: &str) -> Result<SocketAddr, AccessError> {
 pub(crate) struct Access {
     pub(super) address: SocketAddr,
     token: Option<String>,
-    /// Whether a page may start recordings and move a replay.
     may_write: bool,
 }
 
@@ -193,12 +185,10 @@ impl Access {
         Ok(Self { address, token, may_write: is_local || writes })
     }
 
-    /// Whether a page may start recordings and move a replay.
     pub(crate) fn may_write(&self) -> bool {
         self.may_write
     }
 
-    /// The hosts that may connect.
     pub(super) fn scope(&self) -> BindScope {
         if self.address.ip().is_loopback() { BindScope::Loopback } else { BindScope::Anywhere }
     }

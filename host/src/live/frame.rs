@@ -106,7 +106,6 @@ struct Known {
 }
 
 impl Optics {
-    /// Those of `head`.
     pub(crate) fn of(head: &Head) -> Result<Self, SceneError> {
         let scene = &head.file.scene;
         let cells = scene.cells.iter().map(|cell| Known {
@@ -380,7 +379,6 @@ pub(crate) struct SceneView {
 }
 
 impl SceneView {
-    /// Of `head`.
     pub(crate) fn of(head: &Head) -> Result<Self, SceneError> {
         Ok(Self { outlook: Outlook::of(head.clone())?, optics: Optics::of(head)? })
     }

@@ -92,7 +92,6 @@ pub(super) async fn serve(mut socket: WebSocket, shared: Arc<Shared>, connection
     let _ = session.run().await;
 }
 
-/// A client that may look.
 struct Session {
     socket: WebSocket,
     shared: Arc<Shared>,

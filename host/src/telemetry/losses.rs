@@ -161,7 +161,6 @@ impl Default for LatencyHistogram {
 }
 
 impl LatencyHistogram {
-    /// Adds a duration in nanoseconds.
     pub(crate) fn record_ns(&mut self, duration_ns: u64) {
         self.total.record(duration_ns);
         self.interval.record(duration_ns);
@@ -173,7 +172,6 @@ impl LatencyHistogram {
         (self.interval.sum_ns, self.interval.max_ns) = (0, 0);
     }
 
-    /// The percentiles so far.
     pub(crate) fn latency(&self) -> Latency {
         Latency { total: self.total.percentiles(), recent: self.recent }
     }

@@ -225,7 +225,6 @@ impl LinkLosses {
         self.bad_checksum + self.misframed + self.overlong
     }
 
-    /// What has been lost since `before`.
     pub(crate) fn since(&self, before: &Self) -> Self {
         Self {
             scans: self.scans.saturating_sub(before.scans),

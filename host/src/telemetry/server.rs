@@ -181,10 +181,8 @@ fn parse(answer: &[u8]) -> Option<(u16, &str)> {
     Some((words.next()?.parse().ok()?, body))
 }
 
-/// The default address of `slitpose status`.
 pub(crate) const DEFAULT_STATUS_ADDRESS: &str = "127.0.0.1:7450";
 
-/// The address that `text` names.
 pub(crate) fn status_address(text: &str) -> Result<Address, String> {
     let hint = || {
         format!(

@@ -28,7 +28,6 @@ pub struct BoardStatistics {
     link_latency: LatencyHistogram,
     host_latency: LatencyHistogram,
     total_latency: LatencyHistogram,
-    /// Device time of the last scan.
     last_device_s: Option<f64>,
     last_read: Option<HostInstant>,
     begun: Mark,
@@ -66,12 +65,10 @@ impl BoardStatistics {
         self.report.clock.contradicts_crystal = contradicts_crystal;
     }
 
-    /// Sets the losses on the host so far.
     pub(crate) fn set_host_losses(&mut self, host_losses: HostLosses) {
         self.report.losses.host = host_losses;
     }
 
-    /// Sets how far the solver is behind.
     pub(crate) fn set_lag(&mut self, lag: LagReport) {
         self.report.lag = lag;
     }

@@ -220,14 +220,12 @@ fn duration(seconds: f64) -> String {
     whole.map_or_else(|_| "-".to_owned(), |duration| humantime::format_duration(duration).to_string())
 }
 
-/// Appends `text` under `name`.
 fn put<'a>(lines: &'a mut Vec<Line>, name: &'static str, text: &str) -> &'a mut Line {
     let at = lines.len();
     lines.push(Line::new(name, text));
     &mut lines[at]
 }
 
-/// Appends `finding` under `name`.
 fn put_finding<'a>(lines: &'a mut Vec<Line>, name: &'static str, finding: &Finding) -> &'a mut Line {
     put(lines, name, &finding.to_string()).tone(finding.grade.into())
 }

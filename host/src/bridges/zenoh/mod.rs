@@ -116,7 +116,6 @@ fn by_router(endpoint: &str) -> Result<Config, ::zenoh::Error> {
     Ok(config)
 }
 
-/// `diagnostic_msgs/msg/DiagnosticArray`.
 const DIAGNOSTICS: &str = "diagnostic_msgs/msg/DiagnosticArray";
 
 /// Quality of service: reliable, volatile, the last 10; empty is the default of rmw_zenoh.

@@ -51,9 +51,6 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     }
 }
 
-/// Time that a board needs if its other port was asked just before.
-const HELLO_WITHIN: Duration = Duration::from_millis(2500);
-
 /// Which board.
 #[derive(Debug, clap::Args)]
 pub(super) struct BoardOptions {
@@ -82,8 +79,7 @@ impl BoardOptions {
             Selector::Sim => Box::new(SimulatedDevice::live(file)?),
             _ => Box::new(SerialDevice::open(&found.port).inspect_err(|error| name_holders(error, &found.port))?),
         };
-        let mut board = Conversation::open(device)?;
-        let info = board.introduce(HELLO_WITHIN)?;
+        let (board, info) = Conversation::introduced(device)?;
         Ok(Connection { board, info, found })
     }
 }

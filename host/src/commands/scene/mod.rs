@@ -8,6 +8,7 @@ use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
+use anyhow::anyhow;
 use clap::builder::PossibleValuesParser;
 use clap::{Subcommand, ValueEnum};
 use slitpose_design::plot::{cell_picture, scene_picture};
@@ -16,7 +17,7 @@ use slitpose_model::{CompiledScene, Pose, Tier};
 
 use super::live::AccessOptions;
 use super::options::{CalibrationOption, Jobs, open_scene, parse_pose};
-use super::{ArgumentError, CommandError, Outcome, interrupt, options};
+use super::{CommandError, Outcome, interrupt, options};
 use crate::live::{Control, DEFAULT_LIVE_ADDRESS, LiveBoard, LivePlan, Order, Refusal, SceneView, live_address};
 use crate::terminal::{Amount, Progress};
 use slitpose_head::scene_file::{SHIPPED, Shipped};
@@ -152,7 +153,8 @@ fn plot(args: &PlotArgs) -> Result<Outcome, CommandError> {
         None => scene_picture(&file.name, &file.scene, &plan, &pose)?,
         Some(number) => {
             let last = file.scene.cells.len() - 1;
-            let cell = file.scene.cells.get(number).ok_or(ArgumentError::Cell { number, last })?;
+            let missing = || anyhow!("there is no cell {number}; the scene has the cells 0 to {last}");
+            let cell = file.scene.cells.get(number).ok_or_else(missing)?;
             cell_picture(&file.name, number, cell, &plan, &pose)?
         }
     };

@@ -151,7 +151,6 @@ fn the_age_in_c_counts_from_the_earliest_instant_that_is_known() {
     assert_eq!(ages_ns[3], 0);
 }
 
-/// Publishes until a program ends.
 fn publish_for(mut program: Child, publisher: &mut Publisher, record: &Record) -> Output {
     let since = Instant::now();
     while program.try_wait().unwrap().is_none() {
@@ -221,7 +220,6 @@ fn c_asks_for_the_newest_of_a_board() {
     }
 }
 
-/// A file of this crate.
 pub(super) fn host(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
 }

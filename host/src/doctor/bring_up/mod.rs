@@ -24,10 +24,11 @@ mod settling;
 use std::fmt;
 use std::str::FromStr;
 
+use anyhow::Result;
 use slitpose_protocol::{Level, Schedule};
 use thiserror::Error;
 
-use self::bench::{Bench, BenchError};
+use self::bench::Bench;
 use super::default_scene;
 use crate::device::{Search, Selector};
 use slitpose_head::causes::with_causes;
@@ -46,7 +47,7 @@ pub(crate) struct Step {
 
 /// Does a step. The second argument asks the user to cut the board's power, and is false if there is no one to ask; then
 /// the board is rebooted instead.
-type Take = fn(&mut Bench<'_>, &mut dyn FnMut() -> bool) -> Result<Vec<Finding>, BenchError>;
+type Take = fn(&mut Bench<'_>, &mut dyn FnMut() -> bool) -> Result<Vec<Finding>>;
 
 impl Step {
     pub(crate) const ALL: [Self; 10] = [
@@ -118,7 +119,6 @@ impl Step {
         },
     ];
 
-    /// Its number, from 1.
     pub(crate) fn number(&self) -> usize {
         1 + Self::ALL.iter().take_while(|step| step.name != self.name).count()
     }
@@ -175,8 +175,12 @@ pub(crate) fn scene(
     }
 }
 
-fn unreachable_board(error: &BenchError) -> Finding {
-    Finding::failed("link", with_causes(error), "slitpose doctor checks ports and permissions; reset the board")
+fn unreachable_board(error: &anyhow::Error) -> Finding {
+    Finding::failed(
+        "link",
+        with_causes(error.as_ref()),
+        "slitpose doctor checks ports and permissions; reset the board",
+    )
 }
 
 impl<'a> BringUp<'a> {
@@ -189,10 +193,9 @@ impl<'a> BringUp<'a> {
         }
     }
 
-    /// Does `step`; see [`Take`].
     pub(crate) fn take(&mut self, step: Step, cut_power: &mut dyn FnMut() -> bool) -> Vec<Finding> {
         (step.take)(&mut self.bench, cut_power).unwrap_or_else(|error| {
-            vec![Finding::failed(step.name, with_causes(&error), "reset the board and take this step again")]
+            vec![Finding::failed(step.name, with_causes(error.as_ref()), "reset the board and take this step again")]
         })
     }
 
@@ -203,7 +206,7 @@ impl<'a> BringUp<'a> {
         restored.map_err(|error| {
             Finding::warning(
                 "configuration",
-                with_causes(&error),
+                with_causes(error.as_ref()),
                 "reset the board: it starts with its own configuration",
             )
         })

@@ -3,12 +3,13 @@
 
 use std::time::{Duration, Instant};
 
+use anyhow::Result;
 use slitpose_protocol::{BootTarget, Hashes, Level, Schedule, SettingsSource, Status};
 
-use super::bench::{Bench, BenchError, sample};
+use super::bench::{Bench, sample};
 use super::sampling;
 use crate::device::{BoardInfo, Conversation, DeviceError};
-use crate::doctor::{judged, link, measurement};
+use crate::doctor::{judged, link, measurement, named};
 use slitpose_head::causes::with_causes;
 use slitpose_head::finding::Finding;
 use slitpose_head::finding::Grade::{Failed, Warning};
@@ -28,7 +29,7 @@ struct Counted {
     overruns: u32,
 }
 
-pub(super) fn link(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
+pub(super) fn link(bench: &mut Bench<'_>) -> Result<Vec<Finding>> {
     let (mut board, info) = bench.connect()?;
     let (mut findings, _) = link::judge(&info);
     let configuration = sampling::at(bench.schedule()?, Level(0));
@@ -67,7 +68,7 @@ fn judge_link(counted: &Counted) -> [Finding; 2] {
     [rate, judged("frames", text, [(is_by_board, Failed, by_board), (is_lossy, Failed, by_cable)])]
 }
 
-pub(super) fn supply(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
+pub(super) fn supply(bench: &mut Bench<'_>) -> Result<Vec<Finding>> {
     let status = bench.connect()?.0.status()?;
     Ok(judge_supply(&status).into())
 }
@@ -95,11 +96,12 @@ const SCANS: usize = 40;
 const CLOSED_OWN_PORT: Duration = Duration::from_secs(1);
 const CLOSED_SERIAL: Duration = Duration::from_secs(3);
 
-pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
+pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>> {
     let (mut board, _) = bench.connect()?;
     let configuration = sampling::at(bench.schedule()?, Level::NOMINAL);
     let taken = sample(&mut board, configuration, SCANS)?.scans.len();
-    let mut findings = vec![judge(After::Stop, &[board.status()?, board.status()?], taken)];
+    let when = format!("after {taken} frames and Stop");
+    let mut findings = vec![judge("stop", &when, &[board.status()?, board.status()?])];
     if bench.is_simulated() {
         findings.push(Finding::skipped("port closed", "a simulated board has no port"));
         return Ok(findings);
@@ -113,37 +115,21 @@ pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
     let statuses = [board.status()?, board.status()?];
     // Whatever was found, it is dark now.
     board.stop(crate::device::Keep::Replies)?;
-    findings.push(judge(After::Closed(closed), &statuses, taken));
+    let when = format!("after the port was closed for {} s", closed.as_secs());
+    findings.push(judge("port closed", &when, &statuses));
     Ok(findings)
 }
 
-/// What the emitters should be off after.
-#[derive(Clone, Copy, Debug)]
-enum After {
-    Stop,
-    Closed(Duration),
-}
-
-/// Two successive statuses, and the scans that were taken before.
-fn judge(after: After, statuses: &[Status; 2], taken: usize) -> Finding {
-    let (place, when) = match after {
-        After::Stop => ("stop", format!("after {taken} frames and Stop")),
-        After::Closed(closed) => ("port closed", format!("after the port was closed for {} s", closed.as_secs())),
-    };
-    let [first, second] = statuses;
+/// Two successive statuses, after `when`, which is when the emitters should be off.
+fn judge(place: &'static str, when: &str, [first, second]: &[Status; 2]) -> Finding {
     if first.acquiring || second.acquiring || first.scans_taken != second.scans_taken {
         let frames = second.scans_taken.saturating_sub(first.scans_taken);
         let text = format!("{when} the board is still acquiring: {frames} frames between two statuses");
-        return Finding::failed(
-            place,
-            text,
-            "disconnect the emitters' supply: they may be lit; flash the firmware again, and report it",
-        );
+        let next_step = "disconnect the emitters' supply: they may be lit; flash the firmware again, and report it";
+        return Finding::failed(place, text, next_step);
     }
-    Finding::ok(
-        place,
-        format!("{when} the board is idle, emitters off; confirm 0 V over the 3.3 ohm with an oscilloscope"),
-    )
+    let text = format!("{when} the board is idle, emitters off; confirm 0 V over the 3.3 ohm with an oscilloscope");
+    Finding::ok(place, text)
 }
 
 // What a board has stored before is not overwritten: then its hashes and its schedule must be the same after the cut.
@@ -168,10 +154,7 @@ impl From<BoardInfo> for Stored {
     }
 }
 
-pub(super) fn take_storage(
-    bench: &mut Bench<'_>,
-    cut_power: &mut dyn FnMut() -> bool,
-) -> Result<Vec<Finding>, BenchError> {
+pub(super) fn take_storage(bench: &mut Bench<'_>, cut_power: &mut dyn FnMut() -> bool) -> Result<Vec<Finding>> {
     if bench.is_simulated() {
         return Ok(vec![Finding::skipped("storage", "a simulated board stores nothing")]);
     }
@@ -214,7 +197,7 @@ pub(super) fn take_storage(
     Ok(findings)
 }
 
-fn restart(bench: &mut Bench<'_>, mut board: Conversation) -> Result<(Conversation, BoardInfo), BenchError> {
+fn restart(bench: &mut Bench<'_>, mut board: Conversation) -> Result<(Conversation, BoardInfo)> {
     board.reboot(BootTarget::Firmware)?;
     drop(board);
     std::thread::sleep(DISCONNECTED);
@@ -222,11 +205,11 @@ fn restart(bench: &mut Bench<'_>, mut board: Conversation) -> Result<(Conversati
 }
 
 /// Connects to a board that may take a while to be there.
-fn reconnect(bench: &mut Bench<'_>) -> Result<(Conversation, BoardInfo), BenchError> {
+fn reconnect(bench: &mut Bench<'_>) -> Result<(Conversation, BoardInfo)> {
     let until = Instant::now() + BACK_WITHIN;
     loop {
         match bench.connect() {
-            Err(BenchError::Device(_)) if Instant::now() < until => std::thread::sleep(LOOK_EVERY),
+            Err(error) if error.is::<DeviceError>() && Instant::now() < until => std::thread::sleep(LOOK_EVERY),
             outcome => return outcome,
         }
     }
@@ -249,13 +232,9 @@ fn judge_storage(before: &Stored, after: &Stored, is_cut: bool) -> Finding {
         scene(after),
         rate(after)
     );
-    if before == after {
-        Finding::ok("storage", text)
-    } else {
-        let next_step = "store once more and take this step again; if settings are lost again, the flash or its supply at \
-                         the cut is at fault: run from the scene file with --scene, and change the MCU";
-        Finding::failed("storage", format!("{text}: settings are lost"), next_step)
-    }
+    let next_step = "store once more and take this step again; if settings are lost again, the flash or its supply at the \
+                     cut is at fault: run from the scene file with --scene, and change the MCU";
+    named("storage", text, &[(before != after, Failed, "settings are lost", next_step)])
 }
 
 #[cfg(test)]
@@ -276,12 +255,10 @@ mod tests {
     fn a_board_that_goes_on_is_found_by_its_state_or_by_its_count() {
         let idle = status();
         let status = |acquiring, scans_taken| Status { acquiring, scans_taken, ..idle };
-        let grade = |first, second| judge(After::Stop, &[first, second], 40).grade;
+        let grade = |first, second| judge("stop", "after Stop", &[first, second]).grade;
         assert_eq!(grade(status(false, 44), status(false, 44)), Ok);
         assert_eq!(grade(status(true, 44), status(false, 44)), Failed);
         assert_eq!(grade(status(false, 44), status(false, 45)), Failed);
-        let closed = judge(After::Closed(CLOSED_OWN_PORT), &[status(true, 0), status(true, 2_000)], 40);
-        assert!(closed.text.contains("closed for 1 s") && closed.text.contains("2000 frames"), "{closed}");
     }
 
     #[test]

@@ -26,7 +26,6 @@ pub(super) struct Codes {
 }
 
 impl Codes {
-    /// Of words of `oversampling` conversions.
     fn of(words: impl Iterator<Item = u16> + Clone, oversampling: u16) -> Self {
         let conversions = f64::from(oversampling);
         let codes = words.clone().map(|word| f64::from(word) / conversions);
@@ -94,7 +93,6 @@ pub(super) fn alone(base: &Schedule) -> Schedule {
     grouped(base, &singles)
 }
 
-/// `schedule` with all emitters at `level`.
 pub(super) fn at(schedule: Schedule, level: Level) -> Configuration {
     let cells = usize::from(schedule.cells);
     let levels = [level; MAX_CELLS].into_iter().take(cells).collect();
