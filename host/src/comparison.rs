@@ -13,12 +13,20 @@ use slitpose_tracking::pipeline::Record;
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Accuracy {
     count: u64,
+    axes: [Axis; 6],
     square_m2: f64,
     square_rad2: f64,
     largest_m: f64,
     largest_rad: f64,
     nees_sum: f64,
     beyond_five_sigma: u64,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Axis {
+    sum: f64,
+    square: f64,
+    largest: f64,
 }
 
 impl Accuracy {
@@ -32,6 +40,11 @@ impl Accuracy {
         self.largest_rad = self.largest_rad.max(dr.length());
         self.nees_sum += estimate.nees(truth).unwrap_or(f64::NAN);
         let error = [dt.x, dt.y, dt.z, dr.x, dr.y, dr.z];
+        for (axis, error) in self.axes.iter_mut().zip(error) {
+            axis.sum += error;
+            axis.square += error * error;
+            axis.largest = axis.largest.max(error.abs());
+        }
         let beyond = error.iter().zip(estimate.sigma()).any(|(error, sigma)| error.abs() > 5.0 * sigma);
         self.beyond_five_sigma += u64::from(beyond);
     }
@@ -74,7 +87,6 @@ pub(crate) struct Comparison {
     name: String,
     reference: Reference,
     accuracy: Accuracy,
-    axes: [Axis; 6],
     /// Scans without a pose, or without one in the reference.
     unmatched: u64,
     /// Some of the poses, whether the reference has them or not.
@@ -130,13 +142,6 @@ struct Scans {
     span: Option<[u64; 2]>,
 }
 
-#[derive(Clone, Copy, Default)]
-struct Axis {
-    sum: f64,
-    square: f64,
-    largest: f64,
-}
-
 impl Comparison {
     /// Opens the reference, the CSV table `file`: the columns of a pose, and either `seq`, as `simulate --truth` and
     /// `replay --format csv` write it, or `time_s`, device seconds.
@@ -156,7 +161,6 @@ impl Comparison {
             name: file.to_owned(),
             reference,
             accuracy: Accuracy::default(),
-            axes: [Axis::default(); 6],
             unmatched: 0,
             sample: Sample::default(),
             scans: None,
@@ -178,12 +182,6 @@ impl Comparison {
             return Ok(());
         };
         self.accuracy.add(&estimate, &reference);
-        let (dt, dr) = estimate.pose.displacement_from(&reference);
-        for (axis, error) in self.axes.iter_mut().zip([dt.x, dt.y, dt.z, dr.x, dr.y, dr.z]) {
-            axis.sum += error;
-            axis.square += error * error;
-            axis.largest = axis.largest.max(error.abs());
-        }
         Ok(())
     }
 
@@ -219,7 +217,7 @@ impl Comparison {
         }
         lines.extend(layout(&self.accuracy.lines("the reference"), WIDTH));
         lines.push("axis          mean        rms    largest".to_owned());
-        for ((name, unit), axis) in AXES.iter().zip(&self.axes) {
+        for ((name, unit), axis) in AXES.iter().zip(&self.accuracy.axes) {
             let (mean, rms) = (axis.sum / count as f64, (axis.square / count as f64).sqrt());
             lines.push(format!(
                 "{name:<4} {:>13.3} {:>10.3} {:>10.3} {unit}",

@@ -21,7 +21,13 @@ const MIN_S: f64 = 0.05;
 
 const SPEEDS: [f64; 2] = [1e-3, 1e3];
 
-impl Control for Orders {
+impl Orders {
+    /// Takes the orders of a page.
+    pub(super) fn control(&self) -> Control {
+        let orders = self.clone();
+        Box::new(move |order| orders.order(order))
+    }
+
     fn order(&self, order: Order) -> Result<(), Refusal> {
         let order = match order {
             Order::Player(order) => order,

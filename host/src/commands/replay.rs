@@ -78,7 +78,7 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Outcome, CommandError> {
         has_zero: false,
         boards: Vec::new(),
         scene: None,
-        control: Box::new(orders.clone()),
+        control: orders.control(),
         report: None,
     })?;
     let names: Vec<_> = args.files.iter().map(|file| file.display().to_string()).collect();

@@ -9,9 +9,9 @@ use std::time::{Duration, Instant};
 use clap::ValueEnum;
 use sd_notify::NotifyState;
 use slitpose_calibration::{Basis, Head};
-use slitpose_protocol::{Hello, Stream};
+use slitpose_protocol::Stream;
 
-use super::live::{Changes, FoxgloveOptions, LiveOptions, MouseOptions, ZenohOptions, key_of};
+use super::live::{FoxgloveOptions, LiveOptions, MouseOptions, ZenohOptions, changes, key_of};
 use super::options::{PoseOptions, open_scene, parse_duration};
 use super::record::RecordOptions;
 use super::simulate::ToolOptions;
@@ -31,7 +31,7 @@ use slitpose_head::table::OutputError;
 use slitpose_head::threads::lock;
 use slitpose_tracking::clock::{HostInstant, UtcWatch};
 use slitpose_tracking::link::DeviceId;
-use slitpose_tracking::pipeline::{self, PipelineError, PipelineOptions, PoseSource, SceneMatch};
+use slitpose_tracking::pipeline::{self, PipelineOptions, PoseSource, SceneMatch};
 use slitpose_tracking::solving::head_by;
 
 /// Period of checks for ended boards, and of housekeeping.
@@ -189,11 +189,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
             has_zero: mouse.is_some(),
             boards: shown(),
             scene: None,
-            control: Box::new(Changes {
-                daemon: Arc::clone(&followed),
-                options: args.record.clone(),
-                mouse: mouse.as_ref().map(SpacenavServer::input),
-            }),
+            control: changes(Arc::clone(&followed), args.record.clone(), mouse.as_ref().map(SpacenavServer::input)),
             report: Some(Box::new(reports())),
         })?),
         None => None,
@@ -382,7 +378,7 @@ impl Args {
         };
         Ok(BoardPlan {
             opener,
-            admit: Admission { head: head.clone(), name: device.to_owned(), told: Mutex::new(None) }.into_closure(),
+            admit: admission(head.clone(), device.to_owned()),
             head,
             configuration,
             tier,
@@ -396,28 +392,18 @@ impl Args {
     }
 }
 
-/// Whether a board may be followed, and what its user should know.
-struct Admission {
-    head: Head,
-    name: String,
-    told: Mutex<Option<DeviceId>>,
-}
-
-impl Admission {
-    fn into_closure(self) -> Admit {
-        Box::new(move |hello| self.admit(hello))
-    }
-
-    fn admit(&self, hello: &Hello<'_>) -> Result<(), PipelineError> {
-        let file = &self.head.file;
+/// Whether a board may be followed at `name`, and what its user should know, which is said once of each board.
+fn admission(head: Head, name: String) -> Admit {
+    let last = Mutex::new(None);
+    Box::new(move |hello| {
+        let file = &head.file;
         pipeline::check(file, SceneMatch::Required, hello)?;
-        pipeline::check_calibration(&self.head, SceneMatch::Required, hello)?;
+        pipeline::check_calibration(&head, SceneMatch::Required, hello)?;
         let device = DeviceId(hello.device_id);
-        let told = lock(&self.told).replace(device);
-        if told == Some(device) {
+        if lock(&last).replace(device) == Some(device) {
             return Ok(());
         }
-        let (name, scene) = (&self.name, &file.name);
+        let scene = &file.name;
         let board_a = hello.scaling.full_scale_a();
         if let Some(front_end) = &file.front_end
             && !front_end::is_full_scale_of(board_a, front_end.full_scale_a)
@@ -437,7 +423,7 @@ impl Admission {
                 file.origin
             ));
         }
-        let is_uncalibrated = matches!(pipeline::head_of(&self.head, hello).basis(), Basis::Tolerances);
+        let is_uncalibrated = matches!(pipeline::head_of(&head, hello).basis(), Basis::Tolerances);
         if let (true, Some(hash)) = (is_uncalibrated, hello.hashes.calibration) {
             talk(format_args!(
                 "the board on {name} belongs to the calibration with hash {hash:016x}, and none is given: poses are those \
@@ -452,5 +438,5 @@ impl Admission {
             ));
         }
         Ok(())
-    }
+    })
 }

@@ -67,6 +67,7 @@ impl BoardPlan {
 }
 
 /// State shared by the threads of all boards.
+#[derive(Clone)]
 pub(super) struct Shared {
     pub(super) outboxes: Option<Producer<Outbox>>,
     /// Whether each pose has to be printed.
@@ -266,7 +267,8 @@ impl BoardSlot {
 
     /// Updates the state; called a few times per second.
     pub(super) fn account(&self, pipeline: &Pipeline, statistics: &mut BoardStatistics) {
-        statistics.set_clock(pipeline.drift_ppm(), pipeline.contradicts_crystal());
+        statistics.report.clock.drift_ppm = pipeline.drift_ppm();
+        statistics.report.clock.contradicts_crystal = pipeline.contradicts_crystal();
         let report = statistics.report(&pipeline.counts(), pipeline.health(), HostInstant::now());
         *lock(&self.report) = BoardReport { board_poses: pipeline.agreement(), ..report };
     }

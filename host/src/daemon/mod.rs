@@ -135,21 +135,18 @@ impl Daemon {
             streamers.push(thread);
             streams_ends.push(ends);
         }
-        let mut threads = Vec::new();
-        let claims = Claims::default();
-        for (number, board) in boards.into_iter().enumerate() {
-            let shared = board::Shared {
-                outboxes: outboxes.clone(),
-                prints_each,
-                recorder: recorder_ends.clone(),
-                streams: streams_ends.clone(),
-                datagrams: datagrams.clone(),
-                takers: takers.clone(),
-                real_time,
-                claims: claims.clone(),
-            };
-            threads.push(BoardThreads::start(number, board, shared, &slots[number], &stop)?);
-        }
+        let shared = board::Shared {
+            outboxes,
+            prints_each,
+            recorder: recorder_ends,
+            streams: streams_ends,
+            datagrams: datagrams.clone(),
+            takers,
+            real_time,
+            claims: Claims::default(),
+        };
+        let start = |(number, board)| BoardThreads::start(number, board, shared.clone(), &slots[number], &stop);
+        let threads = boards.into_iter().enumerate().map(start).collect::<Result<_, _>>()?;
         Ok(Self {
             started: HostInstant::now(),
             slots,

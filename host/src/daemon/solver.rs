@@ -297,12 +297,12 @@ impl Solver {
         self.say_lag(&lag);
         let bytes_unpublished = self.outputs.streams.iter().map(Tap::bytes_dropped).sum();
         let Outputs { statistics, capture, publisher, .. } = &mut self.outputs;
-        statistics.set_lag(lag);
-        statistics.set_host_losses(HostLosses {
+        statistics.report.lag = lag;
+        statistics.report.losses.host = HostLosses {
             bytes_unrecorded: capture.as_ref().map_or(0, Tap::bytes_dropped),
             bytes_unpublished,
             poses_unsent: publisher.as_ref().map_or(0, Publisher::missed),
-        });
+        };
         self.slot.account(&self.pipeline, statistics);
     }
 

@@ -20,6 +20,7 @@ use crate::device::{BoardInfo, Search, Selector};
 use slitpose_head::causes::with_causes;
 use slitpose_head::finding::Finding;
 use slitpose_head::finding::Grade::{self, Failed, Warning};
+use slitpose_head::front_end;
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_tracking::clock::HostInstant;
 
@@ -81,7 +82,9 @@ fn board(subject: &Subject<'_>, examination: &mut Examination) -> Option<f64> {
         return None;
     };
     checks.push(link::full_scale(&scene, &info));
-    let measured = measurement::measure(&mut board, &scene, subject.duration_s, &mut examination.bytes);
+    let measured = front_end::configuration(&scene).map_err(anyhow::Error::from).and_then(|configuration| {
+        measurement::measure(&mut board, &scene, configuration, subject.duration_s, &mut examination.bytes)
+    });
     examination.scene = Some(scene);
     match measured {
         Ok(measurement) => {

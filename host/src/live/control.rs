@@ -3,6 +3,7 @@
 use std::fmt;
 use std::net::SocketAddr;
 
+use anyhow::{Result, bail, ensure};
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::{Map, Value};
 use thiserror::Error;
@@ -70,10 +71,8 @@ impl Refusal {
         Self::NotHere { what: "6-DoF mouse", instead: "`slitpose run --spacenav PATH --live` has one" };
 }
 
-pub(crate) trait Control: Send + Sync {
-    /// Carries out `order`, or begins to.
-    fn order(&self, order: Order) -> Result<(), Refusal>;
-}
+/// Carries out an order, or begins to.
+pub(crate) type Control = Box<dyn Fn(Order) -> Result<(), Refusal> + Send + Sync>;
 
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
@@ -130,25 +129,11 @@ pub(crate) const DEFAULT_LIVE_ADDRESS: &str = "127.0.0.1:7451";
 /// Shortest token: 16 characters are beyond guessing over a network.
 const MIN_TOKEN: usize = 16;
 
-/// Why a page cannot be served so.
-#[derive(Clone, Debug, PartialEq, Eq, Error)]
-pub(crate) enum AccessError {
-    #[error("`{text}` is no address; give one such as {DEFAULT_LIVE_ADDRESS}, [::1]:7451 or 0.0.0.0:7451")]
-    Address { text: String },
-    #[error(
-        "{address} can be reached from other hosts: give --live-token with a secret of {MIN_TOKEN} characters or more, \
-         or listen on 127.0.0.1"
-    )]
-    NoToken { address: SocketAddr },
-    #[error("a token of {found} characters can be guessed; give --live-token with {MIN_TOKEN} characters or more")]
-    ShortToken { found: usize },
-    #[error("a token has letters, digits, `-`, `_`, `.` and `~` only; `{letter}` is none of them")]
-    Letter { letter: char },
-}
-
 /// The host and port that `text` names.
-pub(crate) fn live_address(text: &str) -> Result<SocketAddr, AccessError> {
-    tcp_address(text).ok_or_else(|| AccessError::Address { text: text.to_owned() })
+pub(crate) fn live_address(text: &str) -> Result<SocketAddr, String> {
+    let hint =
+        || format!("`{text}` is no address; give one such as {DEFAULT_LIVE_ADDRESS}, [::1]:7451 or 0.0.0.0:7451");
+    tcp_address(text).ok_or_else(hint)
 }
 
 #[derive(Clone, PartialEq, Eq)]
@@ -168,20 +153,21 @@ impl fmt::Debug for Access {
 
 impl Access {
     /// Pages at `address`. Those of other hosts need `token`, and change something only if `writes` allows it.
-    pub(crate) fn new(address: SocketAddr, token: Option<String>, writes: bool) -> Result<Self, AccessError> {
+    pub(crate) fn new(address: SocketAddr, token: Option<String>, writes: bool) -> Result<Self> {
         if let Some(token) = &token {
             let is_plain = |letter: &char| letter.is_ascii_alphanumeric() || "-_.~".contains(*letter);
             if let Some(letter) = token.chars().find(|letter| !is_plain(letter)) {
-                return Err(AccessError::Letter { letter });
+                bail!("a token has letters, digits, `-`, `_`, `.` and `~` only; `{letter}` is none of them");
             }
-            if token.len() < MIN_TOKEN {
-                return Err(AccessError::ShortToken { found: token.len() });
-            }
+            let (found, hint) = (token.len(), format!("give --live-token with {MIN_TOKEN} characters or more"));
+            ensure!(found >= MIN_TOKEN, "a token of {found} characters can be guessed; {hint}");
         }
         let is_local = address.ip().is_loopback();
-        if !is_local && token.is_none() {
-            return Err(AccessError::NoToken { address });
-        }
+        ensure!(
+            is_local || token.is_some(),
+            "{address} can be reached from other hosts: give --live-token with a secret of {MIN_TOKEN} characters or more, or \
+             listen on 127.0.0.1"
+        );
         Ok(Self { address, token, may_write: is_local || writes })
     }
 
@@ -248,7 +234,7 @@ mod tests {
 
     const TOKEN: &str = "correct-horse-battery";
 
-    fn access(address: &str, token: Option<&str>, writes: bool) -> Result<Access, AccessError> {
+    fn access(address: &str, token: Option<&str>, writes: bool) -> Result<Access> {
         Access::new(live_address(address).unwrap(), token.map(str::to_owned), writes)
     }
 
@@ -259,7 +245,8 @@ mod tests {
             assert!(open.may_write && open.scope() == BindScope::Loopback && open.admits(None), "{local}");
         }
         for wide in ["0.0.0.0:7451", "[::]:7451", "192.0.2.1:80"] {
-            assert!(matches!(access(wide, None, true), Err(AccessError::NoToken { .. })), "{wide}");
+            let refused = access(wide, None, true).unwrap_err().to_string();
+            assert!(refused.contains("from other hosts: give --live-token"), "{refused}");
             let guarded = access(wide, Some(TOKEN), false).unwrap();
             assert!(!guarded.may_write && guarded.scope() == BindScope::Anywhere, "{wide}");
             assert!(access(wide, Some(TOKEN), true).unwrap().may_write, "{wide}");
@@ -278,9 +265,10 @@ mod tests {
             assert!(!guarded.admits(Some(&format!("{TOKEN}s"))));
             assert!(!format!("{guarded:?}").contains("horse"));
         }
-        assert_eq!(access("127.0.0.1:0", Some("short"), false), Err(AccessError::ShortToken { found: 5 }));
-        let letter = access("127.0.0.1:0", Some("a token with spaces"), false);
-        assert_eq!(letter, Err(AccessError::Letter { letter: ' ' }));
+        for (token, words) in [("short", "of 5 characters can be guessed"), ("a token with spaces", "` ` is none")] {
+            let refused = access("127.0.0.1:0", Some(token), false).unwrap_err().to_string();
+            assert!(refused.contains(words), "{refused}");
+        }
     }
 
     #[test]

@@ -45,7 +45,7 @@ pub(crate) struct LivePlan {
     /// Whether there is a 6-DoF mouse, whose zero can be set.
     pub has_zero: bool,
     pub scene: Option<SceneView>,
-    pub control: Box<dyn Control>,
+    pub control: Control,
     /// The state of the daemon, if there is one.
     pub report: Option<Box<dyn Fn() -> DaemonReport + Send + Sync>>,
 }
@@ -56,7 +56,7 @@ pub(super) struct Shared {
     pub(super) has_zero: bool,
     pub(super) hub: Hub,
     pub(super) scene: Option<SceneView>,
-    pub(super) control: Box<dyn Control>,
+    pub(super) control: Control,
     pub(super) clients: Clients,
 }
 

@@ -254,7 +254,7 @@ impl Session {
         if !self.shared.access.may_write() {
             return Err(Refusal::ReadOnly);
         }
-        self.shared.control.order(order)
+        (self.shared.control)(order)
     }
 
     fn drawn_at(&mut self, t_m: [f64; 3], r_rad: [f64; 3]) -> Result<Utf8Bytes, Refusal> {

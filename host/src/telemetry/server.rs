@@ -11,18 +11,17 @@ use std::os::unix::net::UnixStream;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use anyhow::{Context, Result, anyhow};
 use axum::Router;
 use axum::http::StatusCode;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::Response;
 use axum::routing::get;
-use thiserror::Error;
 
 use super::{DaemonReport, metrics, view};
 use crate::address::{Address, ServeError};
 use crate::http;
 use crate::http::{BindScope, Serving};
-use slitpose_head::foreign::printable;
 use slitpose_tracking::clock::HostInstant;
 
 const TEXT: &str = "text/plain; charset=utf-8";
@@ -115,38 +114,26 @@ const WITHIN: Duration = Duration::from_secs(2);
 /// Longest answer: reports take some kilobytes per board.
 const MAX_BYTES: usize = 1 << 24;
 
-#[derive(Debug, Error)]
-pub(crate) enum FetchError {
-    #[error("nothing answers at {address}; start a daemon with `slitpose run --status {address}`, or give its address")]
-    Connect { address: String, source: io::Error },
-    #[error("the answer from {address} did not come within {} s; see whether the daemon still runs", WITHIN.as_secs())]
-    Broken { address: String, source: io::Error },
-    #[error("what listens at {address} is no slitpose daemon; give the address of one")]
-    NotHttp { address: String },
-    #[error("{address} answers {status} to {path}: {}", printable(text))]
-    Status { address: String, path: String, status: u16, text: String },
-}
-
-/// The text at `path` of the daemon at `address`, such as `/status`.
-pub(crate) fn fetch(address: &Address, path: &str) -> Result<String, FetchError> {
-    let connect = |source| FetchError::Connect { address: address.to_string(), source };
+/// HTTP status and text at `path` of the daemon at `address`, such as `/status`.
+pub(crate) fn fetch(address: &Address, path: &str) -> Result<(u16, String)> {
+    let connect = || {
+        format!(
+            "nothing answers at {address}; start a daemon with `slitpose run --status {address}`, or give its address"
+        )
+    };
     let answer = match address {
         Address::Tcp(to) | Address::Udp(to) => {
-            ask(TcpStream::connect_timeout(to, WITHIN).map_err(connect)?, TcpStream::set_read_timeout, path)
+            let stream = TcpStream::connect_timeout(to, WITHIN).with_context(connect)?;
+            ask(stream, TcpStream::set_read_timeout, path)
         }
-        Address::Unix(to) => ask(UnixStream::connect(to).map_err(connect)?, UnixStream::set_read_timeout, path),
+        Address::Unix(to) => ask(UnixStream::connect(to).with_context(connect)?, UnixStream::set_read_timeout, path),
     };
-    let answer = answer.map_err(|source| FetchError::Broken { address: address.to_string(), source })?;
-    match parse(&answer) {
-        Some((200, text)) => Ok(text.to_owned()),
-        Some((status, text)) => Err(FetchError::Status {
-            address: address.to_string(),
-            path: path.to_owned(),
-            status,
-            text: text.trim_end().to_owned(),
-        }),
-        None => Err(FetchError::NotHttp { address: address.to_string() }),
-    }
+    let seconds = WITHIN.as_secs();
+    let answer = answer.with_context(|| {
+        format!("the answer from {address} did not come within {seconds} s; see whether the daemon still runs")
+    })?;
+    let other = || anyhow!("what listens at {address} is no slitpose daemon; give the address of one");
+    parse(&answer).map(|(status, text)| (status, text.to_owned())).ok_or_else(other)
 }
 
 /// A request by HTTP/1.0 (RFC 1945), where the answer ends with the connection.
@@ -216,9 +203,10 @@ mod tests {
         let address = Address::Tcp(silent.local_addr().unwrap());
         let answers =
             std::thread::spawn(move || silent.accept().map(|(mut client, _)| client.write_all(b"SSH-2.0\r\n")));
-        assert!(matches!(fetch(&address, "/status"), Err(FetchError::NotHttp { .. } | FetchError::Broken { .. })));
+        let other = fetch(&address, "/status").unwrap_err().to_string();
+        assert!(other.contains("is no slitpose daemon") || other.contains("did not come"), "{other}");
         answers.join().unwrap().unwrap().unwrap();
-        assert!(matches!(fetch(&address, "/status"), Err(FetchError::Connect { .. })));
+        assert!(fetch(&address, "/status").unwrap_err().to_string().contains("nothing answers"));
     }
 
     #[test]

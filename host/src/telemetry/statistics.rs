@@ -6,8 +6,7 @@ use slitpose_protocol::{BoardKind, Hello, Severity, Status};
 
 use super::losses::{LatencyHistogram, LossBook};
 use super::report::{
-    BoardEvent, BoardReport, DaemonReport, HostLosses, LagReport, Latencies, LinkLosses, Losses, ProcessReport, Rates,
-    RecorderReport, Vitals,
+    BoardEvent, BoardReport, DaemonReport, Latencies, LinkLosses, Losses, ProcessReport, Rates, RecorderReport, Vitals,
 };
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::health::HeadHealth;
@@ -21,7 +20,7 @@ const INTERVAL_NS: u64 = 1_000_000_000;
 #[derive(Clone, Debug)]
 pub struct BoardStatistics {
     /// What does not follow from the counts when it is asked for.
-    report: BoardReport,
+    pub(crate) report: BoardReport,
     reset_cause: String,
     book: LossBook,
     status: Option<Status>,
@@ -57,20 +56,6 @@ impl BoardStatistics {
             last_read: None,
             begun: Mark { at: now, ..Mark::default() },
         }
-    }
-
-    /// Sets the rate error of the board's clock, ppm, positive if fast, and whether it contradicts a reported crystal.
-    pub(crate) fn set_clock(&mut self, drift_ppm: Option<f64>, contradicts_crystal: bool) {
-        self.report.clock.drift_ppm = drift_ppm;
-        self.report.clock.contradicts_crystal = contradicts_crystal;
-    }
-
-    pub(crate) fn set_host_losses(&mut self, host_losses: HostLosses) {
-        self.report.losses.host = host_losses;
-    }
-
-    pub(crate) fn set_lag(&mut self, lag: LagReport) {
-        self.report.lag = lag;
     }
 
     /// Counts an item of the pipeline. `read_at`: time of the read that completed it; `published_at`: time at which a
@@ -277,13 +262,5 @@ mod tests {
         for nonsense in ["", "VmRSS:\nThreads:\n", "VmRSS: 99999999999999999999 kB\nThreads: 1\n", "VmRSS: 1 kB\n"] {
             assert_eq!(parse(nonsense), None, "{nonsense}");
         }
-    }
-
-    #[test]
-    #[cfg(target_os = "linux")]
-    fn this_process_has_memory_and_a_thread() {
-        let report = DaemonReport::of_now(HostInstant::now(), Vec::new(), RecorderReport::default());
-        let process = report.process.expect("Linux tells");
-        assert!(process.resident_bytes > 100_000 && process.threads >= 1, "{process:?}");
     }
 }

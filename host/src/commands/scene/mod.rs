@@ -18,7 +18,7 @@ use slitpose_model::{CompiledScene, Pose, Tier};
 use super::live::AccessOptions;
 use super::options::{CalibrationOption, Jobs, open_scene, parse_pose};
 use super::{CommandError, Outcome, interrupt, options};
-use crate::live::{Control, DEFAULT_LIVE_ADDRESS, LiveBoard, LivePlan, Order, Refusal, SceneView, live_address};
+use crate::live::{DEFAULT_LIVE_ADDRESS, LiveBoard, LivePlan, Order, Refusal, SceneView, live_address};
 use crate::terminal::{Amount, Progress};
 use slitpose_head::scene_file::{SHIPPED, Shipped};
 use slitpose_head::table::Output;
@@ -182,19 +182,6 @@ struct ViewArgs {
     access: AccessOptions,
 }
 
-/// Nothing of a scene can be changed.
-struct Still;
-
-impl Control for Still {
-    fn order(&self, order: Order) -> Result<(), Refusal> {
-        Err(match order {
-            Order::Record(_) => Refusal::NO_RECORDER,
-            Order::Zero => Refusal::NO_MOUSE,
-            Order::Player(_) => Refusal::NO_PLAYER,
-        })
-    }
-}
-
 /// Longest time until an interrupt is answered.
 const MOMENT: Duration = Duration::from_millis(50);
 
@@ -207,7 +194,14 @@ fn view(args: &ViewArgs) -> Result<Outcome, CommandError> {
         has_zero: false,
         scene: Some(SceneView::of(&head)?),
         boards: vec![LiveBoard { name: head.file.name.clone(), head: Some(head) }],
-        control: Box::new(Still),
+        // Nothing of a scene can be changed.
+        control: Box::new(|order| {
+            Err(match order {
+                Order::Record(_) => Refusal::NO_RECORDER,
+                Order::Zero => Refusal::NO_MOUSE,
+                Order::Player(_) => Refusal::NO_PLAYER,
+            })
+        }),
         report: None,
     })?;
     while !stop.load(Ordering::Relaxed) {

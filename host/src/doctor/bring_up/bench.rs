@@ -142,17 +142,13 @@ struct Reader {
     decoder: Decoder<MAX_MESSAGE_BYTES>,
     announced: Option<(u16, Schedule, AdcScaling)>,
     scans: Vec<slitpose_protocol::RawScan>,
-    missing: u64,
     /// The board was acquiring and says that it is idle.
     is_stopped: bool,
     events: Vec<String>,
-    /// Instants of the first bytes with scans, of the last ones, and the number of scans with the first.
-    times: Option<(Instant, Instant, usize)>,
 }
 
 impl Reader {
     fn read(&mut self, mut bytes: &[u8]) {
-        let before = self.scans.len();
         while let Some(message) = self.decoder.next::<Message<'_>>(&mut bytes) {
             match (message, &self.announced) {
                 (Ok(Message::Hello(hello)), known) => {
@@ -164,8 +160,6 @@ impl Reader {
                     }
                 }
                 (Ok(Message::Batch(batch)), Some((number, schedule, _))) if batch.configuration == *number => {
-                    let due = self.scans.last().map_or(batch.sequence, |scan| scan.sequence + 1);
-                    self.missing += batch.sequence.saturating_sub(due);
                     self.scans.extend(batch.scans(schedule).into_iter().flatten());
                 }
                 (Ok(Message::Status(status)), _) => self.is_stopped = !status.acquiring && !self.scans.is_empty(),
@@ -175,22 +169,13 @@ impl Reader {
                 _ => {}
             }
         }
-        if self.scans.len() > before {
-            let now = Instant::now();
-            let (first, _, count) = self.times.unwrap_or((now, now, self.scans.len()));
-            self.times = Some((first, now, count));
-        }
     }
 
     /// The scans without the first ones; `None` if there are fewer than `count`.
     fn finish(&self, count: usize) -> Option<Sampling> {
         let (_, schedule, scaling) = self.announced.clone()?;
-        let (first, last, early) = self.times?;
         let scans = self.scans.get(FIRST_SCANS..).filter(|scans| scans.len() >= count)?.to_vec();
-        // Scans that came with the first are not covered by the time.
-        let timed = (self.scans.len() - early).max(1) as f64;
-        let elapsed_s = (last - first).as_secs_f64() * scans.len() as f64 / timed;
-        Some(Sampling { schedule, scaling, scans, missing: self.missing, elapsed_s })
+        Some(Sampling { schedule, scaling, scans })
     }
 }
 

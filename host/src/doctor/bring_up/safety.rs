@@ -12,60 +12,18 @@ use crate::device::{BoardInfo, Conversation, DeviceError};
 use crate::doctor::{judged, link, measurement, named};
 use slitpose_head::causes::with_causes;
 use slitpose_head::finding::Finding;
-use slitpose_head::finding::Grade::{Failed, Warning};
-use slitpose_tracking::link::start_findings;
+use slitpose_head::finding::Grade::Failed;
 
 /// Duration of the measurement, seconds.
 const DURATION_S: f64 = 2.0;
 
-/// What was counted in `DURATION_S`.
-#[derive(Clone, Copy, Debug)]
-struct Counted {
-    scans: usize,
-    missing: u64,
-    elapsed_s: f64,
-    scheduled_hz: f64,
-    lost_on_board: u64,
-    overruns: u32,
-}
-
 pub(super) fn link(bench: &mut Bench<'_>) -> Result<Vec<Finding>> {
     let (mut board, info) = bench.connect()?;
     let (mut findings, _) = link::judge(&info);
-    let configuration = sampling::at(bench.schedule()?, Level(0));
-    let scheduled_hz = configuration.schedule.frame_rate_hz();
-    let before = board.status()?;
-    let sampling = sample(&mut board, configuration, (DURATION_S * scheduled_hz) as usize)?;
-    let after = board.status()?;
-    findings.extend(start_findings(after.clock, after.settings));
-    let lost = |status: &Status| status.scans_dropped + status.scans_lost;
-    findings.extend(judge_link(&Counted {
-        scans: sampling.scans.len(),
-        missing: sampling.missing,
-        elapsed_s: sampling.elapsed_s,
-        scheduled_hz,
-        lost_on_board: lost(&after).saturating_sub(lost(&before)),
-        overruns: after.adc_overruns.saturating_sub(before.adc_overruns),
-    }));
+    let dark = sampling::at(bench.schedule()?, Level(0));
+    let measured = measurement::measure(&mut board, bench.scene, dark, DURATION_S, &mut Vec::new())?;
+    findings.extend(measured.dark_checks());
     Ok(findings)
-}
-
-fn judge_link(counted: &Counted) -> [Finding; 2] {
-    let &Counted { scans, missing, elapsed_s, scheduled_hz, lost_on_board, overruns } = counted;
-    let rate_hz = scans as f64 / elapsed_s;
-    let text = format!("{rate_hz:.0} frames/s by the host's clock, {scheduled_hz:.0} by the schedule; 5 % allowed");
-    let is_off = (rate_hz / scheduled_hz - 1.0).abs() > measurement::RATE_SLACK;
-    // An emulated board, or a busy host, and no fault of the board's clock that keeps poses from coming.
-    let next_step = "lower the load of this host; if it stays so, look at the board's clock (crystal, its load)";
-    let rate = judged("frame rate", text, [(is_off, Warning, next_step)]);
-    let text =
-        format!("{scans} frames, {missing} missing; the board counts {lost_on_board} lost and {overruns} overruns");
-    let is_lossy = missing > 0 || overruns > 0;
-    let by_board =
-        "the host did not read in time, its USB port suspends, or the MCU is overloaded: lower the load of both";
-    let by_cable = "change cable or hub; data lines of USB as short as possible, side by side";
-    let is_by_board = is_lossy && lost_on_board + u64::from(overruns) > 0;
-    [rate, judged("frames", text, [(is_by_board, Failed, by_board), (is_lossy, Failed, by_cable)])]
 }
 
 pub(super) fn supply(bench: &mut Bench<'_>) -> Result<Vec<Finding>> {
@@ -242,7 +200,7 @@ mod tests {
     use super::*;
     use crate::device::SimulatedDevice;
     use slitpose_head::finding::Grade;
-    use slitpose_head::finding::Grade::{Failed, Ok, Warning};
+    use slitpose_head::finding::Grade::{Failed, Ok};
     use slitpose_head::front_end;
     use slitpose_head::scene_file::WIDE;
 
@@ -272,19 +230,6 @@ mod tests {
         let mut slower = stored.clone();
         slower.schedule.frame_ticks *= 2;
         assert_eq!(judge_storage(&stored, &slower, true).grade, Failed);
-    }
-
-    #[test]
-    fn rates_and_losses_are_judged_apart() {
-        let good =
-            Counted { scans: 8_000, missing: 0, elapsed_s: 2.0, scheduled_hz: 4_000.0, lost_on_board: 0, overruns: 0 };
-        let grades = |counted| judge_link(&counted).map(|finding| finding.grade);
-        assert_eq!(grades(good), [Ok, Ok]);
-        assert_eq!(grades(Counted { elapsed_s: 2.2, ..good }), [Warning, Ok]);
-        assert_eq!(grades(Counted { missing: 1, ..good }), [Ok, Failed]);
-        assert_eq!(grades(Counted { overruns: 1, ..good }), [Ok, Failed]);
-        let lossy = judge_link(&Counted { missing: 4, lost_on_board: 4, ..good });
-        assert!(lossy[1].next_step.as_ref().is_some_and(|step| step.contains("host")), "{lossy:?}");
     }
 
     #[test]

@@ -9,9 +9,6 @@ pub(super) struct Sampling {
     pub(super) scaling: AdcScaling,
     /// The scans, without the first ones.
     pub(super) scans: Vec<RawScan>,
-    pub(super) missing: u64,
-    /// Time between the first scan and the last by the host's clock, seconds.
-    pub(super) elapsed_s: f64,
 }
 
 /// Statistics of one word, in codes of one conversion.
