@@ -5,7 +5,6 @@ use std::net::IpAddr;
 use std::pin::Pin;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Weak};
-use std::thread::JoinHandle;
 use std::time::Duration;
 
 use axum::extract::Request;
@@ -24,6 +23,7 @@ use tokio::sync::{Notify, oneshot};
 use tokio::time::{Instant, sleep, sleep_until};
 
 use crate::address::{Address, ServeError, SocketFile, connects_stream};
+use crate::background::Background;
 
 /// The hosts that may connect over TCP.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,8 +36,7 @@ pub(crate) enum BindScope {
 /// A server on a thread of its own, with all its tasks, until this is dropped.
 #[derive(Debug)]
 pub(crate) struct Serving {
-    end: Option<oneshot::Sender<()>>,
-    thread: Option<JoinHandle<()>>,
+    _thread: Background<oneshot::Sender<()>>,
     _file: Option<SocketFile>,
 }
 
@@ -101,18 +100,7 @@ impl Serving {
             // connections that hang.
             let _ = runtime.block_on(ended);
         };
-        let thread = std::thread::Builder::new().name(name.to_owned()).spawn(run).map_err(failed)?;
-        Ok(Self { end: Some(end), thread: Some(thread), _file: None })
-    }
-}
-
-impl Drop for Serving {
-    fn drop(&mut self) {
-        drop(self.end.take());
-        if let Some(thread) = self.thread.take() {
-            // A panic of the thread has already been reported on standard error.
-            let _ = thread.join();
-        }
+        Ok(Self { _thread: Background::spawn(name, end, run).map_err(failed)?, _file: None })
     }
 }
 

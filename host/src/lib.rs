@@ -16,6 +16,7 @@
 #![forbid(unsafe_code)]
 
 mod address;
+mod background;
 mod bridges;
 pub mod commands;
 mod comparison;

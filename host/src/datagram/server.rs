@@ -5,7 +5,6 @@ use std::os::fd::AsFd;
 use std::os::unix::net::UnixStream;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, Weak};
-use std::thread::JoinHandle;
 use std::time::Duration;
 
 use crossbeam_channel::{Receiver, Sender};
@@ -20,6 +19,7 @@ use super::subscription::{
 };
 use super::{Address, Answer, Mode, PoseDatagram, Request};
 use crate::address::{ServeError, SocketFile};
+use crate::background::Background;
 use slitpose_head::threads::lock;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::DeviceId;
@@ -72,8 +72,7 @@ pub struct DatagramServer {
     shared: Arc<Shared>,
     directory: Arc<Mutex<Directory>>,
     addresses: Vec<Address>,
-    end: Option<UnixStream>,
-    thread: Option<JoinHandle<()>>,
+    _thread: Background<UnixStream>,
     _files: Vec<SocketFile>,
 }
 
@@ -91,14 +90,10 @@ impl DatagramServer {
         let directory = Arc::new(Mutex::new(Directory::default()));
         let failed = |source| ServeError::Thread { source };
         let (end, ended) = UnixStream::pair().map_err(failed)?;
-        let thread = std::thread::Builder::new()
-            .name("datagrams".to_owned())
-            .spawn({
-                let (shared, directory) = (Arc::clone(&shared), Arc::clone(&directory));
-                move || serve(&shared, &directory, &ended)
-            })
-            .map_err(failed)?;
-        Ok(Self { shared, directory, addresses: bound, end: Some(end), thread: Some(thread), _files: files })
+        let (of_thread, known) = (Arc::clone(&shared), Arc::clone(&directory));
+        let run = move || serve(&of_thread, &known, &ended);
+        let thread = Background::spawn("datagrams", end, run).map_err(failed)?;
+        Ok(Self { shared, directory, addresses: bound, _thread: thread, _files: files })
     }
 
     /// The addresses it listens on, with the ports that the system chose for port 0.
@@ -131,16 +126,6 @@ impl DatagramServer {
         let slow_clients = directory.leases.valid(now_ns).filter_map(|lease| lease.subscription.slow(now_ns)).collect();
         let places = MAX_FOLLOWERS as u64;
         DatagramCounts { places_taken, places, places_refused, requests, refused, unproven, sent, missed, slow_clients }
-    }
-}
-
-impl Drop for DatagramServer {
-    fn drop(&mut self) {
-        drop(self.end.take());
-        if let Some(thread) = self.thread.take() {
-            // It does not panic.
-            let _ = thread.join();
-        }
     }
 }
 

@@ -1,8 +1,7 @@
 //! Commands other than measurement: introduce, store, identify, reboot.
 
-use std::io::Write;
+use std::io::{self, Write};
 use std::num::NonZeroU32;
-use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
@@ -12,6 +11,7 @@ use slitpose_protocol::{
 
 use super::conversation::REPLY_WITHIN;
 use super::{BoardInfo, Conversation, DeviceError, Keep};
+use crate::background::Background;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::Asked;
 
@@ -105,17 +105,16 @@ pub(super) const PING: u16 = 0;
 /// board. No other thread may write to the port meanwhile.
 #[derive(Debug)]
 pub struct KeepAlive {
-    end: Option<Sender<()>>,
     asked: Receiver<Asked>,
-    thread: Option<JoinHandle<()>>,
+    _thread: Background<Sender<()>>,
 }
 
 impl KeepAlive {
     /// Starts pings through `port`, at once and every half second.
-    pub fn new(mut port: impl Write + Send + 'static) -> Self {
+    pub fn new(mut port: impl Write + Send + 'static) -> io::Result<Self> {
         let (end, ended) = bounded(0);
         let (tell, asked) = bounded(MAX_UNTOLD);
-        let thread = std::thread::spawn(move || {
+        let run = move || {
             for token in 0.. {
                 let mut buffer = [0; MAX_REQUEST_BYTES];
                 if let Some((ping, told)) = ping(token, &mut buffer) {
@@ -128,8 +127,8 @@ impl KeepAlive {
                     break;
                 }
             }
-        });
-        Self { end: Some(end), asked, thread: Some(thread) }
+        };
+        Ok(Self { asked, _thread: Background::spawn("pings", end, run)? })
     }
 
     /// The next sent ping that was not fetched yet.
@@ -141,14 +140,4 @@ impl KeepAlive {
 pub(super) fn ping(token: u32, buffer: &mut [u8]) -> Option<(&[u8], Asked)> {
     let packet = encode(&Request { number: PING, command: Command::Ping { token } }, buffer).ok()?;
     Some((packet, Asked { token, at: HostInstant::now() }))
-}
-
-impl Drop for KeepAlive {
-    fn drop(&mut self) {
-        drop(self.end.take());
-        if let Some(thread) = self.thread.take() {
-            // It does not panic.
-            let _ = thread.join();
-        }
-    }
 }

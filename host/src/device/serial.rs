@@ -106,7 +106,7 @@ impl Device for SerialDevice {
     }
 
     fn keep_alive(&self) -> io::Result<Option<KeepAlive>> {
-        Ok(Some(KeepAlive::new(self.port.try_clone()?)))
+        KeepAlive::new(self.port.try_clone()?).map(Some)
     }
 }
 
@@ -122,37 +122,15 @@ impl Drop for SerialDevice {
     }
 }
 
-/// A program that has a port open.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Holder {
-    /// Number of its process.
-    pub process: u32,
-    /// Its name, as the system shortens it.
-    pub program: String,
-}
-
-impl std::fmt::Display for Holder {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{} (process {})", self.program, self.process)
-    }
-}
-
 /// The programs that have the port `name` open, on Linux only, and without those of other users, whose open files
 /// are hidden. Reads every open file of the system.
-pub(crate) fn holders(name: &str) -> Vec<Holder> {
+pub(crate) fn holders(name: &str) -> Vec<String> {
     let port = real_path(name);
-    let Ok(processes) = fs::read_dir("/proc") else {
-        return Vec::new();
-    };
-    let number = |entry: fs::DirEntry| entry.file_name().to_str()?.parse().ok();
-    let mut holders: Vec<_> = processes
-        .flatten()
-        .filter_map(number)
-        .filter(|process| has_open(*process, &port))
-        .map(|process| Holder { process, program: program(process) })
-        .collect();
-    holders.sort_by_key(|holder| holder.process);
-    holders
+    let number = |entry: fs::DirEntry| entry.file_name().to_str()?.parse::<u32>().ok();
+    let processes = fs::read_dir("/proc").into_iter().flatten().flatten().filter_map(number);
+    let mut holders: Vec<u32> = processes.filter(|process| has_open(*process, &port)).collect();
+    holders.sort_unstable();
+    holders.into_iter().map(|process| format!("{} (process {process})", program(process))).collect()
 }
 
 fn has_open(process: u32, port: &Path) -> bool {

@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use axum::extract::ws::{Message, Utf8Bytes, WebSocket};
 use glam::DVec3;
-use serde::Serialize;
+use serde_json::{Value, json};
 use slitpose_model::Pose;
 use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::{RecvError, TryRecvError};
@@ -20,7 +20,7 @@ use tokio::time::{Instant, sleep, sleep_until, timeout};
 
 use super::control::{Order, PlayerOrder, Refusal, Request};
 use super::frame::FRAMES_HZ;
-use super::hub::{Event, HISTORY_S, Snapshot, text_of};
+use super::hub::{Event, HISTORY_S, Snapshot};
 use super::server::Shared;
 use crate::http::Connection;
 
@@ -47,30 +47,6 @@ const FARTHEST: f64 = 10.0;
 
 /// Before a wrong token is answered: against guessing.
 const PENALTY: Duration = Duration::from_secs(1);
-
-#[derive(Serialize)]
-#[serde(tag = "kind", rename_all = "snake_case")]
-enum Answer<'a> {
-    Hello {
-        program: &'a str,
-        version: &'a str,
-        source: &'a str,
-        has_zero: bool,
-        may_write: bool,
-        frames_hz: u64,
-        history_s: u64,
-        boards: &'a [String],
-    },
-    Cleared {
-        board: usize,
-    },
-    Missed {
-        frames: u64,
-    },
-    Refused {
-        reason: String,
-    },
-}
 
 struct Gone;
 
@@ -123,7 +99,7 @@ impl Session {
                 (news, snapshot) = self.shared.hub.subscribe();
                 if snapshot.names == self.boards {
                     for board in 0..self.boards.len() {
-                        self.answer(&Answer::Cleared { board }).await?;
+                        self.answer(json!({"kind": "cleared", "board": board})).await?;
                     }
                 } else {
                     self.greet(&snapshot).await?;
@@ -166,16 +142,17 @@ impl Session {
     }
 
     async fn greet(&mut self, snapshot: &Snapshot) -> Result<(), Gone> {
-        self.answer(&Answer::Hello {
-            program: env!("CARGO_PKG_NAME"),
-            version: env!("CARGO_PKG_VERSION"),
-            source: self.shared.source,
-            has_zero: self.shared.has_zero,
-            may_write: self.shared.access.may_write(),
-            frames_hz: FRAMES_HZ,
-            history_s: HISTORY_S,
-            boards: &snapshot.names,
-        })
+        self.answer(json!({
+            "kind": "hello",
+            "program": env!("CARGO_PKG_NAME"),
+            "version": env!("CARGO_PKG_VERSION"),
+            "source": self.shared.source,
+            "has_zero": self.shared.has_zero,
+            "may_write": self.shared.access.may_write(),
+            "frames_hz": FRAMES_HZ,
+            "history_s": HISTORY_S,
+            "boards": snapshot.names,
+        }))
         .await
     }
 
@@ -207,7 +184,7 @@ impl Session {
     async fn tell_missed(&mut self) -> Result<(), Gone> {
         match std::mem::take(&mut self.missed) {
             0 => Ok(()),
-            frames => self.answer(&Answer::Missed { frames }).await,
+            frames => self.answer(json!({"kind": "missed", "frames": frames})).await,
         }
     }
 
@@ -272,11 +249,11 @@ impl Session {
     }
 
     async fn refuse(&mut self, refusal: &Refusal) -> Result<(), Gone> {
-        self.answer(&Answer::Refused { reason: refusal.to_string() }).await
+        self.answer(json!({"kind": "refused", "reason": refusal.to_string()})).await
     }
 
-    async fn answer(&mut self, answer: &Answer<'_>) -> Result<(), Gone> {
-        self.send(text_of(answer).ok_or(Gone)?).await
+    async fn answer(&mut self, answer: Value) -> Result<(), Gone> {
+        self.send(answer.to_string().into()).await
     }
 
     async fn send(&mut self, text: Utf8Bytes) -> Result<(), Gone> {

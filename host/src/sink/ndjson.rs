@@ -119,7 +119,7 @@ impl<W: Write> Sink for Ndjson<W> {
 
     /// Poses that follow an injected fault are not what the board would have given: the stream says so.
     fn note(&mut self, note: &Note) -> io::Result<()> {
-        let Note::Event { device, device_time_s, text, .. } = note else { return Ok(()) };
+        let Note { device, device_time_s, text, .. } = note;
         let Some(fault) = text.strip_prefix(ANNOUNCED) else { return Ok(()) };
         let line = FaultLine { kind: "injected_fault", fault, device: *device, device_time_s: *device_time_s };
         serde_json::to_writer(&mut self.0, &line)?;

@@ -26,46 +26,10 @@ pub(super) fn compile(source: &Path, folder: &TempDir) -> PathBuf {
     program
 }
 
-pub(super) fn compile_text(name: &str, text: &str, folder: &TempDir) -> PathBuf {
-    let source = folder.path().join(name).with_extension("c");
-    std::fs::write(&source, text).unwrap();
-    compile(&source, folder)
+/// A program of this folder.
+pub(super) fn compile_own(name: &str, folder: &TempDir) -> PathBuf {
+    compile(&host("src/datagram/tests").join(name), folder)
 }
-
-const PRINT_FIELDS: &str = r#"
-#define _POSIX_C_SOURCE 200809L
-#include <stdio.h>
-#include "slitpose_pose.h"
-static void list(const char *name, const double *values, int count)
-{
-    printf("%s", name);
-    for (int i = 0; i < count; i++)
-        printf(" %.17e", values[i]);
-    printf("\n");
-}
-int main(void)
-{
-    struct slitpose_pose p;
-    if (fread(&p, sizeof p, 1, stdin) != 1 || p.magic != SLITPOSE_POSE_MAGIC || p.version != SLITPOSE_VERSION)
-        return 1;
-    unsigned long long age_ns = slitpose_age_ns(&p);
-    printf("%u %u %u %u %.12s %u %u\n", p.size, p.flags, p.status, p.cells_used, (const char *)p.device,
-           p.excluded_cells, p.redundancy);
-    unsigned long long n[] = {p.datagram, p.missed, p.sequence, p.device_time_ns, p.host_monotonic_ns, p.host_utc_ns,
-                              p.host_uncertainty_ns, p.arrival_monotonic_ns, p.published_monotonic_ns};
-    for (int i = 0; i < 9; i++)
-        printf("%llu ", n[i]);
-    printf("\n");
-    list("t", p.translation_m, 3);
-    list("q", p.rotation_xyzw, 4);
-    list("c", p.covariance, 36);
-    list("v", p.linear_m_per_s, 3);
-    list("w", p.angular_rad_per_s, 3);
-    list("s", p.twist_sigma, 6);
-    printf("%llu\n", age_ns);
-    return 0;
-}
-"#;
 
 fn numbers(line: &str) -> Vec<f64> {
     line.split(' ').skip(1).map(|number| number.parse().unwrap()).collect()
@@ -83,7 +47,7 @@ fn read(program: &Path, datagram: &PoseDatagram) -> String {
 #[test]
 fn c_reads_what_is_written() {
     let folder = TempDir::new().unwrap();
-    let program = compile_text("fields", PRINT_FIELDS, &folder);
+    let program = compile_own("fields.c", &folder);
     let read = |datagram: &PoseDatagram| read(&program, datagram);
     let record = record();
     let now = HostInstant { monotonic_ns: 123_457_000_001, utc_ns: 0 };
@@ -128,7 +92,7 @@ fn c_reads_what_is_written() {
 fn the_age_in_c_counts_from_the_earliest_instant_that_is_known() {
     const SECOND_NS: u64 = 1_000_000_000;
     let folder = TempDir::new().unwrap();
-    let program = compile_text("age", PRINT_FIELDS, &folder);
+    let program = compile_own("fields.c", &folder);
     let record = record();
     // The pose's instant 30 s ago, its arrival 20 s ago, sent 10 s ago: as far apart as no busy machine is.
     let now = HostInstant::now();
@@ -185,27 +149,10 @@ fn the_example_client_follows_on_both_kinds_of_socket() {
     assert_eq!(output.status.code(), Some(1));
 }
 
-const ASK_ONCE: &str = r#"
-#define _POSIX_C_SOURCE 200809L
-#include <stdio.h>
-#include "slitpose_pose.h"
-int main(int argc, char **argv)
-{
-    struct slitpose_link link;
-    struct slitpose_pose pose;
-    if (argc < 3 || slitpose_open(&link, argv[1], (const uint8_t *)argv[2]) < 0 ||
-        slitpose_newest(&link, &pose, 60000) != 1)
-        return 1;
-    printf("%.12s %llu", (const char *)pose.device, (unsigned long long)pose.datagram);
-    slitpose_close(&link);
-    return 0;
-}
-"#;
-
 #[test]
 fn c_asks_for_the_newest_of_a_board() {
     let bench = Bench::new();
-    let program = compile_text("newest", ASK_ONCE, &bench.folder);
+    let program = compile_own("newest.c", &bench.folder);
     let (mut first, mut second) = (bench.server.publisher(DEVICE), bench.server.publisher(OTHER));
     let record = record();
     for _ in 0..4 {
