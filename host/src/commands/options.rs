@@ -156,7 +156,7 @@ pub(super) fn parse_pose(text: &str) -> Result<Pose, &'static str> {
 
 /// Takes any text, and has shells complete some names.
 #[derive(Clone)]
-pub(super) struct Names(Vec<String>);
+pub(super) struct Names(pub(super) Vec<String>);
 
 impl TypedValueParser for Names {
     type Value = String;
@@ -167,13 +167,6 @@ impl TypedValueParser for Names {
 
     fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
         Some(Box::new(self.0.iter().map(PossibleValue::new)))
-    }
-}
-
-impl Names {
-    /// The names, as the scripts of shells list them.
-    pub(super) fn list(&self) -> &[String] {
-        &self.0
     }
 }
 
@@ -265,7 +258,7 @@ pub(super) struct PoseOptions {
     pub(super) duration: Option<f64>,
     /// How poses are written
     #[arg(long, value_enum)]
-    format: Option<Format>,
+    pub(super) format: Option<Format>,
     #[command(flatten)]
     solving: SolvingOptions,
 }
@@ -274,10 +267,6 @@ impl PoseOptions {
     /// The format to write in; `live` tells whether somebody looks.
     pub(super) fn format(&self, live: bool) -> Format {
         self.format_or(if live { Format::Summary } else { Format::Ndjson })
-    }
-
-    pub(super) fn asked_format(&self) -> Option<Format> {
-        self.format
     }
 
     /// The format to write in, `usual` unless one was asked for.

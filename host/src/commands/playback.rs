@@ -39,7 +39,7 @@ pub(super) struct PlayOptions {
     from: Option<f64>,
     /// End this long after the beginning
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
-    to: Option<f64>,
+    pub(super) to: Option<f64>,
     /// Report on standard error how far poses are from those of this CSV table, which has the columns of a
     /// pose and seq, or time_s; and by which other clock, units or axes they agree, if by the given they do not
     #[arg(long, value_name = "CSV")]
@@ -47,11 +47,6 @@ pub(super) struct PlayOptions {
 }
 
 impl PlayOptions {
-    /// Where to end, seconds after the beginning.
-    pub(super) fn to(&self) -> Option<f64> {
-        self.to
-    }
-
     pub(super) fn sources(&self) -> impl Iterator<Item = &Path> {
         self.scene.iter().chain(&self.compare).map(Path::new).chain(self.calibration.file())
     }

@@ -70,7 +70,7 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Outcome, CommandError> {
     let playback = Playback::new(&args.files, &args.play, &args.poses, faults, speed, printing)?;
     args.faults.tell();
     let Some(access) = access else { return playback.run() };
-    let length_s = args.play.to().unwrap_or(f64::INFINITY).min(playback::Playback::length_s(&args.files)?);
+    let length_s = args.play.to.unwrap_or(f64::INFINITY).min(playback::Playback::length_s(&args.files)?);
     let orders = Orders::default();
     let server = args.live.start(LivePlan {
         access,
@@ -108,7 +108,7 @@ pub(super) struct ExportArgs {
 }
 
 pub(super) fn export(args: &ExportArgs) -> Result<Outcome, CommandError> {
-    let format = match args.poses.asked_format() {
+    let format = match args.poses.format {
         Some(format) => format,
         None => format_of(&args.output)?,
     };

@@ -21,7 +21,6 @@ use crate::bridges::{Bridge, SpacenavServer};
 use crate::daemon::{Admit, BoardPlan, Daemon, Ended, Opener, Plan, SimulatedOpener};
 use crate::datagram::{self, DatagramServer};
 use crate::device::{Contact, Search, Selector};
-use crate::http::BindScope;
 use crate::live::{Access, LiveBoard, LivePlan, SampleSink};
 use crate::telemetry::{DaemonReport, RecorderReport, RecorderState, StatusServer, status_address};
 use slitpose_head::front_end;
@@ -197,7 +196,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let foxglove = args.foxglove.start(shown(), reports())?;
     let status = match &args.status {
         Some(address) => {
-            let server = StatusServer::start(address, BindScope::Loopback, reports())?;
+            let server = StatusServer::start(address, reports())?;
             talk(format_args!("status at {}", server.address()));
             Some(server)
         }

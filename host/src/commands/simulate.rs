@@ -305,7 +305,7 @@ impl ToolOptions {
             None => Trajectory::from_table(name).map_err(|error| match error {
                 PathError::Table(source @ TableError::Open { .. }) => {
                     let motions = options::motions();
-                    let known: Vec<&str> = motions.list().iter().map(String::as_str).collect();
+                    let known: Vec<&str> = motions.0.iter().map(String::as_str).collect();
                     let nearest = nearest(name, &known).map(|name| format!(" (did you mean `{name}`?)"));
                     anyhow::Error::new(source).context(format!(
                         "no motion is called {}{}; the motions are {}, or give a table of one",

@@ -19,7 +19,7 @@ use super::handoff::{Producer, buffer_pool};
 use super::link::Link;
 use super::link::ScanWatch;
 use super::opener::{Admit, Opener};
-use super::outputs::{Outbox, Outputs};
+use super::outputs::{Outbox, Outputs, Pending};
 use super::reader::Reader;
 use super::solver::{Solver, State};
 use super::tap::{Overflow, Tap, TapEnds};
@@ -109,15 +109,17 @@ impl BoardThreads {
             pipeline,
             events: tell,
             scan_watch: ScanWatch::new(Duration::from_secs_f64(plan.configuration.schedule.frame_rate_hz().recip())),
-            outputs: Outputs::new(
-                BoardStatistics::new(name.clone(), HostInstant::now()),
-                shared.datagrams,
-                shared.outboxes,
-                keeps_all,
-                shared.recorder.map(tap),
-                shared.streams.into_iter().map(tap).collect(),
-                shared.takers.into_iter().map(|taker| Sampler::new(number, taker)).collect(),
-            ),
+            outputs: Outputs {
+                statistics: BoardStatistics::new(name.clone(), HostInstant::now()),
+                datagrams: shared.datagrams,
+                publisher: None,
+                printer: shared.outboxes,
+                prints_all: keeps_all,
+                capture: shared.recorder.map(tap),
+                streams: shared.streams.into_iter().map(tap).collect(),
+                samplers: shared.takers.into_iter().map(|taker| Sampler::new(number, taker)).collect(),
+                pending: Pending::default(),
+            },
             backlog: Backlog::new(keeps_all),
             slot: Arc::clone(slot),
             stop: Arc::clone(stop),

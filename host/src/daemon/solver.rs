@@ -23,7 +23,7 @@ use crate::device::Scanless;
 use crate::telemetry::{HostLosses, LagReport};
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::Segment;
-use slitpose_tracking::pipeline::{Counts, Item, Pipeline, Queue};
+use slitpose_tracking::pipeline::{Counts, Item, Pipeline};
 
 const IDLE: Duration = Duration::from_millis(100);
 
@@ -157,11 +157,27 @@ impl Solver {
         let next = self.backlog.next(&queue, can_print, self.state.now.monotonic_ns);
         self.state.was_behind |= self.backlog.is_behind();
         self.state.was_blocked |= !can_print;
-        match next {
-            Next::Oldest => self.solve_oldest(&queue),
-            Next::Newest => self.solve_newest(),
-            Next::Skip(count) => self.skip(count),
+        let solved = match next {
+            Next::Oldest => self.pipeline.solve_next(),
+            Next::Newest => self.pipeline.solve_newest(),
+            Next::Skip(count) => {
+                self.pipeline.skip(count);
+                self.outputs.skip(count);
+                None
+            }
             Next::Wait => return false,
+        };
+        if let Some(record) = solved {
+            self.state.now = HostInstant::now();
+            let is_newest = next == Next::Newest;
+            // The most urgent first.
+            if is_newest || queue.passed == 0 {
+                let is_behind = is_newest || self.backlog.is_behind();
+                self.outputs.publish(&record, self.pipeline.last_photocurrents(), self.state.now, is_behind);
+            }
+            if !is_newest {
+                self.outputs.print(&record);
+            }
         }
         self.give_up_in_time();
         self.account_in_time();
@@ -209,7 +225,7 @@ impl Solver {
                 self.state.idle_tick = status.map(|status| status.tick);
             } else if status.is_some_and(|status| !status.acquiring && Some(status.tick) != self.state.idle_tick) {
                 self.state.idle_tick = status.map(|status| status.tick);
-                let complaint = self.outputs.complaint.take();
+                let complaint = self.outputs.pending.complaint.take();
                 self.tell(self.state.connection, StreamEvent::Stopped(complaint));
             }
             if self.pipeline.is_complete() {
@@ -231,35 +247,10 @@ impl Solver {
         });
         segment.truncate(*fed.as_ref().unwrap_or(&segment.bytes.len()));
         outputs.keep(segment);
-        match outputs.refused.take() {
+        match outputs.pending.refused.take() {
             Some(rejection) => fed.and(Err(BoardError::Refused(rejection))),
             None => fed.map(drop),
         }
-    }
-
-    fn solve_oldest(&mut self, queue: &Queue) {
-        let Some(record) = self.pipeline.solve_next() else {
-            return;
-        };
-        self.state.now = HostInstant::now();
-        // The most urgent first.
-        if queue.passed == 0 {
-            self.outputs.publish(&record, self.pipeline.last_photocurrents(), self.state.now, self.backlog.is_behind());
-        }
-        self.outputs.print(&record);
-    }
-
-    fn solve_newest(&mut self) {
-        let Some(record) = self.pipeline.solve_newest() else {
-            return;
-        };
-        self.state.now = HostInstant::now();
-        self.outputs.publish(&record, self.pipeline.last_photocurrents(), self.state.now, true);
-    }
-
-    fn skip(&mut self, count: usize) {
-        self.pipeline.skip(count);
-        self.outputs.skip(count);
     }
 
     /// After an interrupt the program does not wait for scans that are not solved yet.

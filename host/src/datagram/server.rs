@@ -14,9 +14,7 @@ use serde::Serialize;
 
 use super::slot::Slot;
 use super::socket::{Delivery, Peer, Socket};
-use super::subscription::{
-    Admission, Cookies, Lease, Leases, MAX_FOLLOWERS, MAX_NEWS, SlowClient, Subscription, Worth,
-};
+use super::subscription::{Cookies, Lease, Leases, MAX_FOLLOWERS, MAX_NEWS, SlowClient, Subscription, Worth};
 use super::{Address, Answer, Mode, PoseDatagram, Request};
 use crate::address::{ServeError, SocketFile};
 use crate::background::Background;
@@ -186,13 +184,9 @@ fn answer(shared: &Shared, directory: &mut Directory, request: Request, socket: 
         Mode::Follow => {
             let until_ns = now_ns.saturating_add(LEASE.as_nanos() as u64);
             let subscription = Subscription { socket, peer: peer.clone(), until_ns, misses: Arc::default() };
-            let (subscription, lost) = match directory.leases.renew(request.device, &subscription, now_ns) {
-                Admission::Kept(subscription) => (subscription, Vec::new()),
-                Admission::Instead(subscription, lost) => (subscription, lost),
-                Admission::Refused => {
-                    Counters::count(&shared.counters.places_refused);
-                    return tell(shared, Answer::Refused, socket, peer);
-                }
+            let Some((subscription, lost)) = directory.leases.renew(request.device, &subscription, now_ns) else {
+                Counters::count(&shared.counters.places_refused);
+                return tell(shared, Answer::Refused, socket, peer);
             };
             // Removed before the new one is added: a board never has more followers than places.
             for Lease { device, subscription } in lost {

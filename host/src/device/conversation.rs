@@ -38,12 +38,6 @@ pub enum Keep {
     Replies,
 }
 
-enum Verdict {
-    Keep,
-    KeepFromHere,
-    Drop,
-}
-
 /// A conversation with a board. When dropped it stops the board.
 pub(crate) struct Conversation {
     device: Box<dyn Device>,
@@ -265,29 +259,22 @@ impl Conversation {
             let Some(message) = self.decoder.next::<Message<'_>>(&mut rest) else {
                 return answer;
             };
-            let verdict = match &message {
-                Ok(Message::Hello(_)) if keep == Keep::FromHello => {
-                    *introduced = true;
-                    Verdict::KeepFromHere
-                }
-                Ok(Message::Reply(reply)) => {
-                    if reply.number == number {
-                        answer = Some(reply.outcome);
-                    }
-                    Verdict::Keep
-                }
-                _ if keep == Keep::Replies => Verdict::Drop,
-                _ => Verdict::Keep,
-            };
-            at = self.inbox.len() - rest.len();
-            match verdict {
-                Verdict::Keep => self.whole = at,
-                Verdict::KeepFromHere => {
-                    at -= self.inbox.drain(..self.whole).len();
-                    self.whole = at;
-                }
-                Verdict::Drop => at -= self.inbox.drain(self.whole..at).len(),
+            let is_hello = keep == Keep::FromHello && matches!(message, Ok(Message::Hello(_)));
+            let is_reply = matches!(message, Ok(Message::Reply(_)));
+            if let Ok(Message::Reply(reply)) = &message
+                && reply.number == number
+            {
+                answer = Some(reply.outcome);
             }
+            at = self.inbox.len() - rest.len();
+            if is_hello {
+                // Kept from here on.
+                *introduced = true;
+                at -= self.inbox.drain(..self.whole).len();
+            } else if keep == Keep::Replies && !is_reply {
+                at -= self.inbox.drain(self.whole..at).len();
+            }
+            self.whole = at;
         }
     }
 

@@ -1,13 +1,10 @@
 //! Commands other than measurement: introduce, store, identify, reboot.
 
 use std::io::{self, Write};
-use std::num::NonZeroU32;
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
-use slitpose_protocol::{
-    BootTarget, Command, Hashes, HeadPart, MAX_REQUEST_BYTES, Message, Rejection, Request, Status, encode,
-};
+use slitpose_protocol::{Command, HeadPart, MAX_REQUEST_BYTES, Message, Rejection, Request, Status, encode};
 
 use super::conversation::REPLY_WITHIN;
 use super::{BoardInfo, Conversation, DeviceError, Keep};
@@ -51,11 +48,6 @@ impl Conversation {
         Err(DeviceError::NoStatus { name: self.name(), seconds: STATUS_WITHIN.as_secs_f64() })
     }
 
-    /// Stores configuration and `hashes` in the board's flash memory.
-    pub(crate) fn store(&mut self, hashes: Hashes) -> Result<(), DeviceError> {
-        self.order(Command::Store(hashes))
-    }
-
     /// Takes the head from the board, which then solves no poses; `false` if it never does.
     pub(crate) fn forget_head(&mut self) -> Result<bool, DeviceError> {
         let none = HeadPart { offset: 0, total: 0, bytes: [].into_iter().collect() };
@@ -65,27 +57,8 @@ impl Conversation {
         }
     }
 
-    /// Tells the board the full scale of its front end, in picoamperes. The board has no head then.
-    pub(crate) fn set_full_scale(&mut self, full_scale_pa: NonZeroU32) -> Result<(), DeviceError> {
-        self.order(Command::FullScale { full_scale_pa })
-    }
-
-    /// Erases the board's stored configuration and hashes.
-    pub(crate) fn forget_stored(&mut self) -> Result<(), DeviceError> {
-        self.order(Command::Forget)
-    }
-
-    /// Lets the board's indicator blink for a number of seconds; 0 ends it.
-    pub(crate) fn identify(&mut self, seconds: u8) -> Result<(), DeviceError> {
-        self.order(Command::Identify { seconds })
-    }
-
-    /// Reboots the board. It replies first, and disconnects within 0.2 s.
-    pub(crate) fn reboot(&mut self, target: BootTarget) -> Result<(), DeviceError> {
-        self.order(Command::Reboot(target))
-    }
-
-    fn order(&mut self, command: Command) -> Result<(), DeviceError> {
+    /// Gives the board a command beside measuring, and waits until it has obeyed.
+    pub(crate) fn order(&mut self, command: Command) -> Result<(), DeviceError> {
         self.forget();
         self.decoder.reset();
         self.ask(command, Keep::Replies, REPLY_WITHIN).map(drop)

@@ -205,7 +205,8 @@ impl Listed {
     }
 
     pub fn ask(port: Port) -> Self {
-        match greet(&port.name) {
+        let board = SerialDevice::open(&port.name).and_then(|device| Conversation::open(Box::new(device)));
+        match board.and_then(|mut board| board.introduce(ANSWER_WITHIN)) {
             Ok(board) => {
                 let state = match board.mismatch {
                     None => PortState::Free,
@@ -243,10 +244,6 @@ impl Listed {
     pub fn device(&self) -> Option<DeviceId> {
         self.board.as_ref().map(|board| board.device).or(self.port.device())
     }
-}
-
-fn greet(port: &str) -> Result<BoardInfo, DeviceError> {
-    Conversation::open(Box::new(SerialDevice::open(port)?))?.introduce(ANSWER_WITHIN)
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -292,19 +289,19 @@ impl BoardInfo {
         }
     }
 
-    /// Cause of its last reset, in one word.
-    pub(crate) fn reset_cause_name(&self) -> &'static str {
-        match self.reset_cause {
-            ResetCause::Unknown => "unknown",
-            ResetCause::PowerOn => "power_on",
-            ResetCause::BrownOut => "brown_out",
-            ResetCause::Pin => "pin",
-            ResetCause::Software => "software",
-            ResetCause::Watchdog => "watchdog",
-            ResetCause::Panic => "panic",
-            ResetCause::StackOverflow => "stack_overflow",
-        }
+    /// Cause of its last reset, in one word, such as `power_on`.
+    pub(crate) fn reset_cause_name(&self) -> String {
+        in_words(&format!("{:?}", self.reset_cause)).replace(' ', "_")
     }
+}
+
+/// `PowerOn` as `power on`.
+pub(crate) fn in_words(name: &str) -> String {
+    let letters = name.char_indices().flat_map(|(i, letter)| {
+        let space = (i > 0 && letter.is_uppercase()).then_some(' ');
+        space.into_iter().chain(letter.to_lowercase())
+    });
+    letters.collect()
 }
 
 impl Serialize for BoardInfo {

@@ -1,6 +1,5 @@
 //! What a page may change, who may look at it and change it, and how that is refused.
 
-use std::fmt;
 use std::net::SocketAddr;
 
 use anyhow::{Result, bail, ensure};
@@ -20,10 +19,12 @@ pub(crate) enum Order {
 }
 
 /// How a capture is to be played; what is `None` stays as it is.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub(crate) struct PlayerOrder {
     pub playing: Option<bool>,
     /// Device seconds per second; `Some(None)`: as fast as it goes.
+    #[serde(default, deserialize_with = "given")]
     pub speed: Option<Option<f64>>,
     /// Go on from here, seconds after the beginning.
     pub seek_s: Option<f64>,
@@ -89,14 +90,7 @@ pub(super) enum Request {
     Record {
         on: bool,
     },
-    Player {
-        playing: Option<bool>,
-        /// Device seconds per second; `null`: as fast as it goes.
-        #[serde(default, deserialize_with = "given")]
-        speed: Option<Option<f64>>,
-        /// Go on from here, seconds after the beginning.
-        seek_s: Option<f64>,
-    },
+    Player(PlayerOrder),
     /// Make the present pose the zero of the 6-DoF mouse.
     Zero {},
     Pose {
@@ -141,14 +135,6 @@ pub(crate) struct Access {
     pub(super) address: SocketAddr,
     token: Option<String>,
     may_write: bool,
-}
-
-impl fmt::Debug for Access {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { address, token, may_write } = self;
-        let token = token.as_ref().map(|_| "…");
-        f.debug_struct("Access").field("address", address).field("token", &token).field("may_write", may_write).finish()
-    }
 }
 
 impl Access {
@@ -213,7 +199,7 @@ mod tests {
     fn requests_are_read_or_refused() {
         assert_eq!(read(r#"{"kind":"hello"}"#), Some(Request::Hello { token: None }));
         assert_eq!(read(r#"{"kind":"ack","messages":7}"#), Some(Request::Ack { messages: 7 }));
-        let player = |playing, speed, seek_s| Some(Request::Player { playing, speed, seek_s });
+        let player = |playing, speed, seek_s| Some(Request::Player(PlayerOrder { playing, speed, seek_s }));
         assert_eq!(read(r#"{"kind":"player","playing":true}"#), player(Some(true), None, None));
         assert_eq!(read(r#"{"kind":"player","speed":null}"#), player(None, Some(None), None));
         assert_eq!(read(r#"{"kind":"player","speed":0.5,"seek_s":3}"#), player(None, Some(Some(0.5)), Some(3.0)));
@@ -226,6 +212,7 @@ mod tests {
             r#"{"kind":"ack"}"#,
             r#"{"kind":"ack","messages":-1}"#,
             r#"{"kind":"record","on":true,"file":"/etc/passwd"}"#,
+            r#"{"kind":"player","playing":true,"file":"/etc/passwd"}"#,
             r#"{"kind":"pose","t_m":[1,2],"r_rad":[0,0,0]}"#,
         ] {
             assert_eq!(read(text), None, "{text}");
@@ -245,7 +232,7 @@ mod tests {
             assert!(open.may_write && open.scope() == BindScope::Loopback && open.admits(None), "{local}");
         }
         for wide in ["0.0.0.0:7451", "[::]:7451", "192.0.2.1:80"] {
-            let refused = access(wide, None, true).unwrap_err().to_string();
+            let refused = access(wide, None, true).err().unwrap().to_string();
             assert!(refused.contains("from other hosts: give --live-token"), "{refused}");
             let guarded = access(wide, Some(TOKEN), false).unwrap();
             assert!(!guarded.may_write && guarded.scope() == BindScope::Anywhere, "{wide}");
@@ -263,10 +250,9 @@ mod tests {
                 assert!(!guarded.admits(wrong), "{wrong:?}");
             }
             assert!(!guarded.admits(Some(&format!("{TOKEN}s"))));
-            assert!(!format!("{guarded:?}").contains("horse"));
         }
         for (token, words) in [("short", "of 5 characters can be guessed"), ("a token with spaces", "` ` is none")] {
-            let refused = access("127.0.0.1:0", Some(token), false).unwrap_err().to_string();
+            let refused = access("127.0.0.1:0", Some(token), false).err().unwrap().to_string();
             assert!(refused.contains(words), "{refused}");
         }
     }

@@ -51,12 +51,8 @@ pub(crate) struct LivePlan {
 }
 
 pub(super) struct Shared {
-    pub(super) access: Access,
-    pub(super) source: &'static str,
-    pub(super) has_zero: bool,
+    pub(super) plan: LivePlan,
     pub(super) hub: Hub,
-    pub(super) scene: Option<SceneView>,
-    pub(super) control: Control,
     pub(super) clients: Clients,
 }
 
@@ -99,11 +95,10 @@ pub(crate) struct LiveServer {
 }
 
 impl LiveServer {
-    pub(crate) fn start(plan: LivePlan) -> Result<Self, ServeError> {
-        let LivePlan { access, source, has_zero, boards, scene, control, report } = plan;
-        let (address, scope) = (Address::Tcp(access.address), access.scope());
-        let clients = Clients::default();
-        let shared = Arc::new(Shared { access, source, has_zero, hub: Hub::new(), scene, control, clients });
+    pub(crate) fn start(mut plan: LivePlan) -> Result<Self, ServeError> {
+        let (address, scope) = (Address::Tcp(plan.access.address), plan.access.scope());
+        let (boards, report) = (std::mem::take(&mut plan.boards), plan.report.take());
+        let shared = Arc::new(Shared { plan, hub: Hub::new(), clients: Clients::default() });
         shared.hub.accept(Input::Boards(boards));
         let (input, mut inputs) = LiveInput::new();
         let (routes, of_inputs, of_reports) = (routes(&shared), Arc::clone(&shared), Arc::clone(&shared));
@@ -127,7 +122,7 @@ impl LiveServer {
         let refusal = "pages of other sites get no answer; open this page by 127.0.0.1, [::1] or localhost\n";
         // When it is dropped, clients see their connections end.
         let (serving, bound) = Serving::http("live", &address, scope, refusal, routes, begin)?;
-        Ok(Self { url: shared.access.url(&bound), input, _serving: serving })
+        Ok(Self { url: shared.plan.access.url(&bound), input, _serving: serving })
     }
 
     /// The address of the page, for a browser.

@@ -18,7 +18,7 @@ use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::{RecvError, TryRecvError};
 use tokio::time::{Instant, sleep, sleep_until, timeout};
 
-use super::control::{Order, PlayerOrder, Refusal, Request};
+use super::control::{Order, Refusal, Request};
 use super::frame::FRAMES_HZ;
 use super::hub::{Event, HISTORY_S, Snapshot};
 use super::server::Shared;
@@ -55,7 +55,7 @@ pub(super) async fn serve(mut socket: WebSocket, shared: Arc<Shared>, connection
     let Some(Some(Ok(Message::Text(text)))) = connection.while_open(socket.recv()).await else { return };
     let Ok(Request::Hello { token }) = Request::read(&text) else { return };
     let mut session = Session::new(socket, Arc::clone(&shared));
-    if !shared.access.admits(token.as_deref()) {
+    if !shared.plan.access.admits(token.as_deref()) {
         sleep(PENALTY).await;
         let _ = session.refuse(&Refusal::Token).await;
         return;
@@ -146,9 +146,9 @@ impl Session {
             "kind": "hello",
             "program": env!("CARGO_PKG_NAME"),
             "version": env!("CARGO_PKG_VERSION"),
-            "source": self.shared.source,
-            "has_zero": self.shared.has_zero,
-            "may_write": self.shared.access.may_write(),
+            "source": self.shared.plan.source,
+            "has_zero": self.shared.plan.has_zero,
+            "may_write": self.shared.plan.access.may_write(),
             "frames_hz": FRAMES_HZ,
             "history_s": HISTORY_S,
             "boards": snapshot.names,
@@ -212,9 +212,7 @@ impl Session {
                 Ok(())
             }
             Request::Record { on } => self.order(Order::Record(on)),
-            Request::Player { playing, speed, seek_s } => {
-                self.order(Order::Player(PlayerOrder { playing, speed, seek_s }))
-            }
+            Request::Player(order) => self.order(Order::Player(order)),
             Request::Zero {} => self.order(Order::Zero),
             Request::Pose { t_m, r_rad } => match self.drawn_at(t_m, r_rad) {
                 Ok(text) => return self.send(text).await,
@@ -228,15 +226,15 @@ impl Session {
     }
 
     fn order(&self, order: Order) -> Result<(), Refusal> {
-        if !self.shared.access.may_write() {
+        if !self.shared.plan.access.may_write() {
             return Err(Refusal::ReadOnly);
         }
-        (self.shared.control)(order)
+        (self.shared.plan.control)(order)
     }
 
     fn drawn_at(&mut self, t_m: [f64; 3], r_rad: [f64; 3]) -> Result<Utf8Bytes, Refusal> {
         let instead = "`slitpose scene view SCENE` has one";
-        let view = self.shared.scene.as_ref().ok_or(Refusal::NotHere { what: "tool to drag", instead })?;
+        let view = self.shared.plan.scene.as_ref().ok_or(Refusal::NotHere { what: "tool to drag", instead })?;
         for (key, values) in [("t_m", t_m), ("r_rad", r_rad)] {
             if let Some(value) = values.into_iter().find(|value| value.abs() > FARTHEST) {
                 return Err(Refusal::Value { key, value, hint: "metres and radians within the workspace" });

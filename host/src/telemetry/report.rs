@@ -239,13 +239,6 @@ impl LinkLosses {
     }
 }
 
-impl Losses {
-    /// Packets that were damaged on their way.
-    pub(crate) fn damaged(&self) -> u64 {
-        self.link.damaged()
-    }
-}
-
 /// Age of the poses. The instant of a pose is known within the clock's uncertainty.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub(crate) struct Latencies {

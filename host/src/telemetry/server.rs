@@ -40,10 +40,9 @@ impl StatusServer {
     /// Serves the reports of `source` at `address`. A socket left behind by a killed daemon is replaced.
     pub(crate) fn start(
         address: &Address,
-        scope: BindScope,
         source: impl Fn() -> DaemonReport + Send + Sync + 'static,
     ) -> Result<Self, ServeError> {
-        if let (Address::Tcp(tcp), BindScope::Loopback) = (address, scope)
+        if let Address::Tcp(tcp) = address
             && !tcp.ip().is_loopback()
         {
             let reason = "the status server asks for no password; give 127.0.0.1 or [::1], or a unix: path";
@@ -51,7 +50,8 @@ impl StatusServer {
         }
         let source: Source = Arc::new(source);
         let refusal = "pages in a browser get no answer; ask by 127.0.0.1, [::1] or localhost, without an Origin\n";
-        let (serving, address) = Serving::http("status", address, scope, refusal, routes(&source), || ())?;
+        let (serving, address) =
+            Serving::http("status", address, BindScope::Loopback, refusal, routes(&source), || ())?;
         Ok(Self { address, _serving: serving })
     }
 

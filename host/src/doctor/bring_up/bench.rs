@@ -28,7 +28,7 @@ const FIRST_SCANS: usize = 4;
 const EVENTS: usize = 3;
 
 pub(super) struct Bench<'a> {
-    contact: Contact,
+    pub(super) contact: Contact,
     pub(super) scene: &'a SceneFile,
     /// The wiring of the board that was last connected.
     pub(super) wiring: Wiring,
@@ -41,11 +41,6 @@ impl<'a> Bench<'a> {
 
     pub(super) fn is_simulated(&self) -> bool {
         self.contact.selector == Selector::Sim
-    }
-
-    /// Whether the board was last connected by its own USB port.
-    pub(super) fn has_own_port(&self) -> bool {
-        self.contact.has_own_port()
     }
 
     /// Opens the board's port and reads its hello.

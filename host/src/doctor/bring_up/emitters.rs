@@ -152,38 +152,19 @@ fn of_cell(cell: usize, own: Pair<f64>, expected: Pair<f64>, is_saturated: bool,
     let dead = usize::from(lit[0]);
     let one_sided = format!("{} sees no light, the other electrode does", wiring.electrode(cell, ELECTRODES[dead]));
     let [weak, strong] = ["weak", "strong"].map(|what| format!("emitter {cell} is {what}, expected 0.6 to 1.6"));
+    let too_much = "move the tool to its home pose; if it is there, lower the emitter's level or its current";
+    let no_light = "measure its 3.3 ohm: 329 mV in its slot if the emitter is lit, then look at the detector's cathode, its \
+                    plug and the slit; 0 V if it is not: gate, switch, emitter";
+    let no_anode = "look for an open anode, a shorted input or a dead amplifier: the amplifier's output must fall in the \
+                    cell's slot";
+    let too_weak = "measure its 3.3 ohm (329 mV at nominal), clean emitter and slit; then change the emitter";
+    let too_strong = "measure its 3.3 ohm (329 mV at nominal): the current is too high, or the tool too close";
     let faults = [
-        (
-            is_saturated,
-            Failed,
-            "saturated",
-            "move the tool to its home pose; if it is there, lower the emitter's level or its current",
-        ),
-        (
-            lit == [false; 2],
-            Failed,
-            &*dark,
-            "measure its 3.3 ohm: 329 mV in its slot if the emitter is lit, then look at the detector's cathode, its \
-             plug and the slit; 0 V if it is not: gate, switch, emitter",
-        ),
-        (
-            lit != [true; 2],
-            Failed,
-            &*one_sided,
-            "look for an open anode, a shorted input or a dead amplifier: the amplifier's output must fall in the cell's slot",
-        ),
-        (
-            share < *STRENGTH.start(),
-            Failed,
-            &*weak,
-            "measure its 3.3 ohm (329 mV at nominal), clean emitter and slit; then change the emitter",
-        ),
-        (
-            !STRENGTH.contains(&share),
-            Failed,
-            &*strong,
-            "measure its 3.3 ohm (329 mV at nominal): the current is too high, or the tool too close",
-        ),
+        (is_saturated, Failed, "saturated", too_much),
+        (lit == [false; 2], Failed, &*dark, no_light),
+        (lit != [true; 2], Failed, &*one_sided, no_anode),
+        (share < *STRENGTH.start(), Failed, &*weak, too_weak),
+        (!STRENGTH.contains(&share), Failed, &*strong, too_strong),
     ];
     named("emitters", text, &faults)
 }

@@ -4,7 +4,7 @@
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
-use slitpose_protocol::{BootTarget, Hashes, Level, Schedule, SettingsSource, Status};
+use slitpose_protocol::{BootTarget, Command, Hashes, Level, Schedule, SettingsSource, Status};
 
 use super::bench::{Bench, sample};
 use super::sampling;
@@ -67,7 +67,7 @@ pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>> {
     board.start()?;
     while board.listen()? && board.received().is_empty() {}
     board.abandon();
-    let closed = if bench.has_own_port() { CLOSED_OWN_PORT } else { CLOSED_SERIAL };
+    let closed = if bench.contact.has_own_port() { CLOSED_OWN_PORT } else { CLOSED_SERIAL };
     std::thread::sleep(closed);
     let (mut board, _) = bench.connect()?;
     let statuses = [board.status()?, board.status()?];
@@ -128,7 +128,7 @@ pub(super) fn take_storage(bench: &mut Bench<'_>, cut_power: &mut dyn FnMut() ->
         board
             .configure(sampling::at(Schedule { frame_ticks: 2 * schedule.frame_ticks, ..schedule }, Level::NOMINAL))?;
         let hashes = Hashes { scene: Some(bench.scene.hash), ..Hashes::default() };
-        if let Err(error) = board.store(hashes) {
+        if let Err(error) = board.order(Command::Store(hashes)) {
             return Ok(vec![refused(&error)]);
         }
         Stored::from(board.introduce(HELLO_WITHIN)?)
@@ -145,7 +145,7 @@ pub(super) fn take_storage(bench: &mut Bench<'_>, cut_power: &mut dyn FnMut() ->
     let mut findings = vec![judge_storage(&before, &after, is_cut)];
     if !had_settings {
         let (mut board, _) = bench.connect()?;
-        findings.push(match board.forget_stored() {
+        findings.push(match board.order(Command::Forget) {
             Ok(()) => Finding::ok("forget", "the settings of this test are erased again"),
             Err(error) => {
                 Finding::failed("forget", with_causes(&error), "store the settings of the head: device set --scene")
@@ -156,7 +156,7 @@ pub(super) fn take_storage(bench: &mut Bench<'_>, cut_power: &mut dyn FnMut() ->
 }
 
 fn restart(bench: &mut Bench<'_>, mut board: Conversation) -> Result<(Conversation, BoardInfo)> {
-    board.reboot(BootTarget::Firmware)?;
+    board.order(Command::Reboot(BootTarget::Firmware))?;
     drop(board);
     std::thread::sleep(DISCONNECTED);
     reconnect(bench)
