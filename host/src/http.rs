@@ -1,8 +1,6 @@
 //! What servers of HTTP share: limits of connections, whose requests are answered, and threads.
 
-use std::io;
 use std::net::IpAddr;
-use std::pin::Pin;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Weak};
 use std::time::Duration;
@@ -188,27 +186,34 @@ async fn accept(socket: Socket, routes: Router) {
     // The oldest first.
     let mut open: Vec<Weak<Connection>> = Vec::new();
     loop {
-        let accepted: io::Result<(Stream, _)> = match &socket {
-            Socket::Tcp(listener) => {
-                listener.accept().await.map(|(stream, address)| (Box::pin(stream) as Stream, Some(address.ip())))
+        let accepted = match &socket {
+            Socket::Tcp(listener) => listener.accept().await.map(|(stream, address)| {
+                serve(stream, Some(address.ip()), &routes, &mut open);
+            }),
+            Socket::Unix(listener) => {
+                listener.accept().await.map(|(stream, _)| serve(stream, None, &routes, &mut open))
             }
-            Socket::Unix(listener) => listener.accept().await.map(|(stream, _)| (Box::pin(stream) as Stream, None)),
         };
-        let Ok((stream, address)) = accepted else {
+        if accepted.is_err() {
             sleep(PAUSE).await;
-            continue;
-        };
-        if make_room(&mut open) {
-            let until = Instant::now() + LIFETIME;
-            let connection = Arc::new(Connection { address, is_released: false.into(), until, end: Notify::new() });
-            open.push(Arc::downgrade(&connection));
-            let service = TowerToHyperService::new(routes.clone().layer(Extension(Arc::clone(&connection))));
-            tokio::spawn(async move {
-                let serving = http1::Builder::new().serve_connection(TokioIo::new(stream), service).with_upgrades();
-                connection.while_open(serving).await
-            });
         }
     }
+}
+
+/// Serves a connection if there is room for it among those that are `open`.
+fn serve<S>(stream: S, address: Option<IpAddr>, routes: &Router, open: &mut Vec<Weak<Connection>>)
+where
+    S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
+{
+    if !make_room(open) {
+        return;
+    }
+    let until = Instant::now() + LIFETIME;
+    let connection = Arc::new(Connection { address, is_released: false.into(), until, end: Notify::new() });
+    open.push(Arc::downgrade(&connection));
+    let service = TowerToHyperService::new(routes.clone().layer(Extension(Arc::clone(&connection))));
+    let serving = http1::Builder::new().serve_connection(TokioIo::new(stream), service).with_upgrades();
+    tokio::spawn(async move { connection.while_open(serving).await });
 }
 
 /// Makes room for one more connection; `false` if there is none.
@@ -228,12 +233,6 @@ fn make_room(open: &mut Vec<Weak<Connection>>) -> bool {
         })
         .is_some()
 }
-
-trait Io: AsyncRead + AsyncWrite + Send {}
-
-impl<T: AsyncRead + AsyncWrite + Send> Io for T {}
-
-type Stream = Pin<Box<dyn Io>>;
 
 #[cfg(test)]
 mod tests {

@@ -118,10 +118,10 @@ impl Daemon {
                 let (producer, consumer) =
                     buffer_pool(OUTBOXES * boards.len().max(1), || Outbox::with_capacity(OUTBOX_POSES));
                 let (slots, stop) = (slots.clone(), Arc::clone(&stop));
-                let recorder = recorder.as_ref().map(RecorderThread::reports);
+                let recorder = recorder.as_ref().map(|recorder| Arc::clone(&recorder.report));
                 let accounts = move || {
                     let boards: Vec<_> = slots.iter().map(|slot| slot.report()).collect();
-                    let recorder = recorder.as_ref().map(|report| report()).unwrap_or_default();
+                    let recorder = recorder.as_ref().map(|report| lock(report).clone()).unwrap_or_default();
                     Account { recorder: with_unrecorded(recorder, &boards), boards }
                 };
                 let printer = PrinterThread::start(consumer, sink, Box::new(accounts), stop)?;

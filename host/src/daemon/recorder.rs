@@ -45,7 +45,7 @@ pub(super) struct RecorderThread {
     accounts: Mutex<Option<Sender<DaemonReport>>>,
     /// The next captures; `None` ends the present one.
     captures: Sender<Option<CaptureSeries>>,
-    report: Arc<Mutex<RecorderReport>>,
+    pub(super) report: Arc<Mutex<RecorderReport>>,
 }
 
 struct Source {
@@ -106,17 +106,9 @@ impl RecorderThread {
         };
         Ok((this, ends))
     }
-}
 
-impl RecorderThread {
     pub(super) fn report(&self) -> RecorderReport {
         lock(&self.report).clone()
-    }
-
-    /// A function that returns the state of the recording.
-    pub(super) fn reports(&self) -> impl Fn() -> RecorderReport + Send + use<> {
-        let report = Arc::clone(&self.report);
-        move || lock(&report).clone()
     }
 
     /// Begins a recording, after the present one if there is one.

@@ -9,8 +9,8 @@ use slitpose_calibration::{Basis, Head};
 use slitpose_design::map::{NoiseOf, Outlook};
 use slitpose_design::{MaskFrame, mask_half_extents_m};
 use slitpose_model::{
-    Cell, CompiledScene, Estimate, Opening, Pair, Photocurrents, Pose, Reading, SceneError, Solution, Status, Tier,
-    TwistEstimate,
+    Cell, CompiledScene, Detector, Estimate, Opening, Pair, Photocurrents, Pose, Reading, SceneError, Solution, Status,
+    Tier, TwistEstimate,
 };
 
 use super::hub::text_of;
@@ -26,24 +26,13 @@ const MISSED_FROM: f64 = 2.0;
 /// What frames need to know of a head.
 pub(crate) struct Optics {
     plan: CompiledScene<f64>,
-    cells: Vec<Known>,
-}
-
-struct Known {
-    half_length_m: f64,
-    faint_a: f64,
-    dark_current_a: f64,
+    cells: Vec<Cell>,
 }
 
 impl Optics {
     pub(crate) fn of(head: &Head) -> Result<Self, SceneError> {
         let scene = &head.file.scene;
-        let cells = scene.cells.iter().map(|cell| Known {
-            half_length_m: 0.5 * cell.detector.length_m,
-            faint_a: cell.detector.faint_a,
-            dark_current_a: cell.detector.dark_current_a,
-        });
-        Ok(Self { plan: CompiledScene::compile(scene, TIER)?, cells: cells.collect() })
+        Ok(Self { plan: CompiledScene::compile(scene, TIER)?, cells: scene.cells.to_vec() })
     }
 
     /// Frame `n` of a board. Translations are exact to a nanometre, and numbers that are only looked at are rounded further:
@@ -105,7 +94,7 @@ impl Optics {
             "simulated": true,
             "filtered": null,
             "cells": cells
-                .map(|(cell, (known, reading))| self.cell(cell, known, reading, solution))
+                .map(|(number, (cell, reading))| self.cell(number, &cell.detector, reading, solution))
                 .collect::<Vec<_>>(),
             "scans": 1,
             "poses": u32::from(estimate.is_some()),
@@ -114,7 +103,7 @@ impl Optics {
         })
     }
 
-    fn cell(&self, cell: usize, known: &Known, reading: &Reading, solution: &Solution) -> Value {
+    fn cell(&self, cell: usize, detector: &Detector, reading: &Reading, solution: &Solution) -> Value {
         let mut state = Vec::new();
         let mut push = |holds: bool, word| state.extend(holds.then_some(word));
         push(solution.cells_used.contains(cell), "used");
@@ -125,7 +114,7 @@ impl Optics {
             Reading::Light(pair) => Some(pair),
             Reading::Saturated | Reading::Missing => None,
         };
-        let is_faint = pair.is_some_and(|pair| pair.total_a() < known.faint_a);
+        let is_faint = pair.is_some_and(|pair| pair.total_a() < detector.faint_a);
         push(is_faint, "faint");
         let mut expected_x_m = None;
         let mut spot_m = None;
@@ -134,8 +123,8 @@ impl Optics {
             push(response.status == Status::Clipped, "clipped");
             push(response.status == Status::Dark, "dark");
             push(response.status == Status::Behind, "behind");
-            let expected_a = response.i_o_a - known.dark_current_a;
-            push(is_faint && expected_a >= MISSED_FROM * known.faint_a, "missed");
+            let expected_a = response.i_o_a - detector.dark_current_a;
+            push(is_faint && expected_a >= MISSED_FROM * detector.faint_a, "missed");
             expected_x_m = response.x_a_m.map(rounded);
             let outline = self.plan.spot_outline_m(cell, pose);
             let ends = outline.iter().map(|[x_m, _]| rounded(*x_m));
@@ -146,7 +135,7 @@ impl Optics {
         json!({
             "i_a": pair.map(|pair| [pair.i_x1_a, pair.i_x2_a].map(rounded)),
             // The light's position by them, by the model, and the ends of the spot by the model.
-            "x_m": pair.filter(|_| !is_faint).map(|pair| rounded(known.half_length_m * imbalance(pair))),
+            "x_m": pair.filter(|_| !is_faint).map(|pair| rounded(0.5 * detector.length_m * imbalance(pair))),
             "expected_x_m": expected_x_m,
             "spot_m": spot_m,
             "state": state,
