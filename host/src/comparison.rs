@@ -49,10 +49,6 @@ impl Accuracy {
         self.beyond_five_sigma += u64::from(beyond);
     }
 
-    pub(crate) fn count(&self) -> u64 {
-        self.count
-    }
-
     /// The result in three lines for people; `against` names the source of the truth.
     pub(crate) fn lines(&self, against: &str) -> Vec<Line> {
         if self.count == 0 {
@@ -187,7 +183,7 @@ impl Comparison {
 
     /// Refuses a reference without any counterpart of the poses.
     pub(crate) fn require_match(&mut self) -> Result<(), NothingMatches> {
-        let Some([first, last]) = self.scans.filter(|_| self.accuracy.count() == 0) else { return Ok(()) };
+        let Some([first, last]) = self.scans.filter(|_| self.accuracy.count == 0) else { return Ok(()) };
         let (column, theirs, ours) = match &mut self.reference {
             Reference::Scans(scans) => {
                 // The rest counts only as far as it can be read.
@@ -202,14 +198,12 @@ impl Comparison {
 
     /// What the reference looks like, if poses agree much better with another reading of it, in words.
     pub(crate) fn suspicion(&self) -> Option<String> {
-        match &self.reference {
-            Reference::Path(path) => self.sample.suspicion(&self.name, Some(path)),
-            Reference::Scans(_) => self.sample.suspicion(&self.name, None),
-        }
+        let path = if let Reference::Path(path) = &self.reference { Some(&**path) } else { None };
+        self.sample.suspicion(&self.name, path)
     }
 
     pub(crate) fn lines(&self) -> Vec<String> {
-        let count = self.accuracy.count();
+        let count = self.accuracy.count;
         let mut lines =
             vec![format!("{count} poses compared with {}, {} scans without a counterpart", self.name, self.unmatched)];
         if count == 0 {

@@ -167,10 +167,6 @@ impl Connection {
         self.is_released.store(true, Ordering::Relaxed);
     }
 
-    fn is_released(&self) -> bool {
-        self.is_released.load(Ordering::Relaxed)
-    }
-
     /// Does `work`; `None` if the connection has to end before.
     pub(crate) async fn while_open<T>(&self, work: impl Future<Output = T>) -> Option<T> {
         tokio::select! {
@@ -222,7 +218,8 @@ fn make_room(open: &mut Vec<Weak<Connection>>) -> bool {
     if open.len() < MOST {
         return true;
     }
-    let strangers: Vec<_> = open.iter().filter_map(Weak::upgrade).filter(|other| !other.is_released()).collect();
+    let strangers: Vec<_> =
+        open.iter().filter_map(Weak::upgrade).filter(|other| !other.is_released.load(Ordering::Relaxed)).collect();
     let count = |address| strangers.iter().filter(|other| other.address == address).count();
     // The first of equals.
     let oldest = strangers.iter().rev().max_by_key(|connection| count(connection.address));

@@ -28,7 +28,7 @@ pub(super) struct LiveOptions {
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = DEFAULT_LIVE_ADDRESS, value_parser = live_address)]
     live: Option<SocketAddr>,
     #[command(flatten)]
-    access: AccessOptions,
+    pub(super) access: AccessOptions,
 }
 
 /// Who may look at a page.
@@ -84,11 +84,6 @@ impl LiveOptions {
         };
         self.access.at(address).map(Some)
     }
-
-    /// Serves the page, and opens it if asked.
-    pub(super) fn start(&self, plan: LivePlan) -> Result<LiveServer, CommandError> {
-        self.access.start(plan)
-    }
 }
 
 impl AccessOptions {
@@ -101,11 +96,11 @@ impl AccessOptions {
     pub(super) fn start(&self, plan: LivePlan) -> Result<LiveServer, CommandError> {
         let server = LiveServer::start(plan)?;
         // The token is a secret, and standard error may be a journal.
-        let (page, fragment) = server.url().split_once('#').unwrap_or((server.url(), ""));
+        let (page, fragment) = server.url.split_once('#').unwrap_or((&server.url, ""));
         let token = if fragment.is_empty() { "" } else { " (add #token= and the secret of --live-token)" };
         talk(format_args!("live page at {page}{token}"));
         if self.open
-            && let Err(error) = open::that_detached(server.url())
+            && let Err(error) = open::that_detached(&server.url)
         {
             talk(format_args!("no browser could be opened ({error}); open {page} yourself{token}"));
         }

@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use crate::live::{Control, LiveBoard, LiveInput, Order, PlayerOrder, PlayerState, Refusal, Sampler};
+use crate::live::{Control, Input, LiveBoard, LiveInput, Order, PlayerOrder, PlayerState, Refusal, Sampler};
 use crate::telemetry::DaemonReport;
 use slitpose_head::pace::Speed;
 use slitpose_head::threads::lock;
@@ -70,7 +70,7 @@ impl Player {
     /// Shows these boards from now on, by the samplers that are returned.
     pub(super) fn show(&self, boards: &[Board]) -> Vec<Sampler> {
         let shown = |board: &Board| LiveBoard { name: board.name(), head: Some(board.head.clone()) };
-        self.live.boards(boards.iter().map(shown).collect());
+        self.live.show(Input::Boards(boards.iter().map(shown).collect()));
         (0..boards.len()).map(|number| Sampler::new(number, Arc::new(self.live.clone()))).collect()
     }
 
@@ -110,8 +110,8 @@ impl Player {
         };
         if self.told.is_none_or(|told| told.elapsed() >= TELL_EVERY) {
             self.told = Some(Instant::now());
-            self.live.player(PlayerState { playing: self.is_playing(), ..self.state.clone() });
-            self.live.report(report());
+            self.live.show(Input::Player(PlayerState { playing: self.is_playing(), ..self.state.clone() }));
+            self.live.show(Input::Report(Box::new(report())));
         }
     }
 }

@@ -72,7 +72,7 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Outcome, CommandError> {
     let Some(access) = access else { return playback.run() };
     let length_s = args.play.to.unwrap_or(f64::INFINITY).min(playback::Playback::length_s(&args.files)?);
     let orders = Orders::default();
-    let server = args.live.start(LivePlan {
+    let server = args.live.access.start(LivePlan {
         access,
         source: "replay",
         has_zero: false,
@@ -82,7 +82,7 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Outcome, CommandError> {
         report: None,
     })?;
     let names: Vec<_> = args.files.iter().map(|file| file.display().to_string()).collect();
-    let player = Player::new(orders, server.input(), names.join(", "), length_s);
+    let player = Player::new(orders, server.input, names.join(", "), length_s);
     playback.played_by(player)?.run()
 }
 

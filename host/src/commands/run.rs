@@ -17,7 +17,7 @@ use super::record::RecordOptions;
 use super::simulate::ToolOptions;
 use super::{CommandError, Outcome, interrupt, options, talk, usage};
 use crate::address::Address;
-use crate::bridges::{Bridge, SpacenavServer};
+use crate::bridges::Bridge;
 use crate::daemon::{Admit, BoardPlan, Daemon, Ended, Opener, Plan, SimulatedOpener};
 use crate::datagram::{self, DatagramServer};
 use crate::device::{Contact, Search, Selector};
@@ -182,13 +182,17 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         boards.iter().map(shown).collect()
     };
     let live = match access {
-        Some(access) => Some(args.live.start(LivePlan {
+        Some(access) => Some(args.live.access.start(LivePlan {
             access,
             source: "run",
             has_zero: mouse.is_some(),
             boards: shown(),
             scene: None,
-            control: changes(Arc::clone(&followed), args.record.clone(), mouse.as_ref().map(SpacenavServer::input)),
+            control: changes(
+                Arc::clone(&followed),
+                args.record.clone(),
+                mouse.as_ref().map(|mouse| mouse.input.clone()),
+            ),
             report: Some(Box::new(reports())),
         })?),
         None => None,
@@ -197,16 +201,16 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let status = match &args.status {
         Some(address) => {
             let server = StatusServer::start(address, reports())?;
-            talk(format_args!("status at {}", server.address()));
+            talk(format_args!("status at {}", server.address));
             Some(server)
         }
         None => None,
     };
     let capture = args.record.open(is_recorded_later)?;
     let mut takers: Vec<Arc<dyn SampleSink>> = Vec::new();
-    takers.extend(live.iter().map(|live| Arc::new(live.input()) as Arc<dyn SampleSink>));
+    takers.extend(live.iter().map(|live| Arc::new(live.input.clone()) as Arc<dyn SampleSink>));
     takers.extend(foxglove.iter().map(|(input, _)| Arc::new(input.clone()) as Arc<dyn SampleSink>));
-    takers.extend(mouse.iter().map(|mouse| Arc::new(mouse.input()) as Arc<dyn SampleSink>));
+    takers.extend(mouse.iter().map(|mouse| Arc::new(mouse.input.clone()) as Arc<dyn SampleSink>));
     let streams = args.zenoh.publisher(zenoh.as_deref(), shown, reports()).into_iter().collect();
     let plan = Plan { boards, sink, capture, datagrams, streams, takers, real_time: args.real_time };
     let daemon = Arc::new(Daemon::start(plan, Arc::clone(&stop))?);

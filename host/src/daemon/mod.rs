@@ -54,11 +54,10 @@ use board::{BoardSlot, BoardThreads, Claims};
 use handoff::buffer_pool;
 use outputs::{OUTBOX_POSES, Outbox, PrinterThread};
 use recorder::RecorderThread;
-use slitpose_head::threads::lock;
+use slitpose_head::threads::{join, lock};
 use slitpose_tracking::capture::CaptureSeries;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::pipeline::Counts;
-use tap::StreamerThread;
 
 /// Most outboxes on their way to the printer: half a second of one board at 4 kHz.
 const OUTBOXES: usize = 128;
@@ -86,7 +85,7 @@ pub(crate) struct Daemon {
     boards: Mutex<Vec<BoardThreads>>,
     printer: Mutex<Option<PrinterThread>>,
     recorder: Option<RecorderThread>,
-    streamers: Mutex<Vec<StreamerThread>>,
+    streamers: Mutex<Vec<JoinHandle<()>>>,
     datagrams: Option<Arc<DatagramServer>>,
     stop: Arc<AtomicBool>,
 }
@@ -129,17 +128,13 @@ impl Daemon {
             }
             None => (None, None),
         };
-        let (mut streamers, mut streams_ends) = (Vec::new(), Vec::new());
-        for stream in streams {
-            let (thread, ends) = StreamerThread::start(stream, boards.len())?;
-            streamers.push(thread);
-            streams_ends.push(ends);
-        }
+        let streams = streams.into_iter().map(|plan| tap::stream(plan, boards.len()));
+        let (streamers, streams): (Vec<_>, _) = streams.collect::<Result<Vec<_>, _>>()?.into_iter().unzip();
         let shared = board::Shared {
             outboxes,
             prints_each,
             recorder: recorder_ends,
-            streams: streams_ends,
+            streams,
             datagrams: datagrams.clone(),
             takers,
             real_time,
@@ -214,7 +209,7 @@ impl Daemon {
     pub(crate) fn end(&self) -> Ended {
         let threads = std::mem::take(&mut *lock(&self.boards));
         let boards = threads.into_iter().map(BoardThreads::end).collect();
-        std::mem::take(&mut *lock(&self.streamers)).into_iter().for_each(StreamerThread::end);
+        std::mem::take(&mut *lock(&self.streamers)).into_iter().for_each(join);
         self.record_report();
         let printer = lock(&self.printer).take();
         let printed = printer.map_or(Ok(()), |printer| printer.end(&self.stop));

@@ -138,7 +138,7 @@ impl Outputs {
         }
         self.pending.fresh.push(*record);
         if let Some(publisher) = &mut self.publisher {
-            publisher.set_behind(is_behind);
+            publisher.is_behind = is_behind;
         }
         if self.pending.fresh.len() >= TOGETHER
             || now.monotonic_ns.saturating_sub(self.pending.fresh_since_ns) >= TOGETHER_NS

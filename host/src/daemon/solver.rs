@@ -17,8 +17,6 @@ use super::handoff::Empty;
 use super::handoff::{SolverEnd, Worker};
 use super::link::{News, ScanWatch};
 use super::outputs::Outputs;
-use super::tap::Tap;
-use crate::datagram::Publisher;
 use crate::device::Scanless;
 use crate::telemetry::{HostLosses, LagReport};
 use slitpose_tracking::clock::HostInstant;
@@ -286,13 +284,13 @@ impl Solver {
             skipped_scans: self.pipeline.counts().scans_skipped,
         };
         self.say_lag(&lag);
-        let bytes_unpublished = self.outputs.streams.iter().map(Tap::bytes_dropped).sum();
+        let bytes_unpublished = self.outputs.streams.iter().map(|tap| tap.bytes_dropped).sum();
         let Outputs { statistics, capture, publisher, .. } = &mut self.outputs;
         statistics.report.lag = lag;
         statistics.report.losses.host = HostLosses {
-            bytes_unrecorded: capture.as_ref().map_or(0, Tap::bytes_dropped),
+            bytes_unrecorded: capture.as_ref().map_or(0, |tap| tap.bytes_dropped),
             bytes_unpublished,
-            poses_unsent: publisher.as_ref().map_or(0, Publisher::missed),
+            poses_unsent: publisher.as_ref().map_or(0, |publisher| publisher.missed),
         };
         self.slot.account(&self.pipeline, statistics);
     }

@@ -15,7 +15,6 @@ use thread_priority::{
 use super::board::BoardError;
 use super::handoff::{Empty, Producer, buffer_pool};
 use super::spawn;
-use slitpose_head::threads::join;
 use slitpose_tracking::link::{DeviceId, Segment};
 use slitpose_tracking::pipeline::Record;
 
@@ -94,7 +93,8 @@ pub(super) struct Tap {
     hello: Vec<u8>,
     /// Whether bytes were dropped since the last chunk.
     has_gap: bool,
-    bytes_dropped: u64,
+    /// Because no chunk was free.
+    pub(super) bytes_dropped: u64,
 }
 
 impl Tap {
@@ -148,11 +148,6 @@ impl Tap {
             chunk
         });
         self.begun = Instant::now();
-    }
-
-    /// Bytes dropped because no chunk was free.
-    pub(super) fn bytes_dropped(&self) -> u64 {
-        self.bytes_dropped
     }
 
     pub(super) fn hello(&mut self, hello: &Hello<'_>) {
@@ -263,35 +258,26 @@ pub(crate) struct StreamPlan {
     pub(crate) pose_every_s: f64,
 }
 
-pub(super) struct StreamerThread(JoinHandle<()>);
-
-impl StreamerThread {
-    /// Starts the thread; returns what boards need of it.
-    pub(super) fn start(plan: StreamPlan, boards: usize) -> Result<(Self, TapEnds), BoardError> {
-        let (producer, consumer) = buffer_pool(CHUNKS_A_BOARD * boards.max(1), TapChunk::with_capacity);
-        let StreamPlan { mut taker, pose_every_s } = plan;
-        let stream = move || {
-            loop {
-                match consumer.next(IDLE) {
-                    Ok(chunk) => {
-                        taker.chunk(&chunk);
-                        consumer.give_back(chunk);
-                    }
-                    Err(Empty::ForNow) => {}
-                    Err(Empty::Closed) => return,
+/// Starts the thread of a taker, which ends behind all boards; returns what boards need of it.
+pub(super) fn stream(plan: StreamPlan, boards: usize) -> Result<(JoinHandle<()>, TapEnds), BoardError> {
+    let (chunks, consumer) = buffer_pool(CHUNKS_A_BOARD * boards.max(1), TapChunk::with_capacity);
+    let StreamPlan { mut taker, pose_every_s } = plan;
+    let stream = move || {
+        loop {
+            match consumer.next(IDLE) {
+                Ok(chunk) => {
+                    taker.chunk(&chunk);
+                    consumer.give_back(chunk);
                 }
-                taker.tick();
+                Err(Empty::ForNow) => {}
+                Err(Empty::Closed) => return,
             }
-        };
-        let thread = spawn("stream".to_owned(), stream)?;
-        let is_wanted = Arc::new(AtomicBool::new(true));
-        Ok((Self(thread), TapEnds { chunks: producer, is_wanted, pose_every_s, span: STREAM_SPAN, tells_hello: true }))
-    }
-
-    /// Waits for the end; all boards must have ended.
-    pub(super) fn end(self) {
-        join(self.0);
-    }
+            taker.tick();
+        }
+    };
+    let is_wanted = Arc::new(AtomicBool::new(true));
+    let ends = TapEnds { chunks, is_wanted, pose_every_s, span: STREAM_SPAN, tells_hello: true };
+    Ok((spawn("stream".to_owned(), stream)?, ends))
 }
 
 /// Gives the calling thread this priority (SCHED_FIFO, 1 to 99). The error is advice for the user.

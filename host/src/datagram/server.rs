@@ -230,8 +230,10 @@ pub struct Publisher {
     subscriptions: Receiver<Subscription>,
     followers: Vec<Subscription>,
     number: u64,
-    missed: u64,
-    is_behind: bool,
+    /// Datagrams that followers have missed because they did not read in time.
+    pub(crate) missed: u64,
+    /// Whether the next poses are marked as those of a solver that is behind.
+    pub(crate) is_behind: bool,
 }
 
 impl Publisher {
@@ -245,16 +247,6 @@ impl Publisher {
             missed: 0,
             is_behind: false,
         }
-    }
-
-    /// Number of datagrams that followers have missed because they did not read in time.
-    pub fn missed(&self) -> u64 {
-        self.missed
-    }
-
-    /// Sets whether the next poses are marked as those of a solver that is behind.
-    pub(crate) fn set_behind(&mut self, is_behind: bool) {
-        self.is_behind = is_behind;
     }
 
     /// Sends a pose to all followers, and stores it for clients that request the newest.

@@ -11,8 +11,7 @@ use std::fmt;
 use std::path::{MAIN_SEPARATOR, Path};
 use std::str::FromStr;
 
-use super::ports::{Listed, PortState};
-use super::ports::{Port, Search, UsbId, ports};
+use super::ports::{Listed, Port, PortState, Search, UsbId, ports, real_path};
 use super::{DeviceError, SerialDevice};
 use slitpose_tracking::link::DeviceId;
 
@@ -162,8 +161,8 @@ fn unsure(ports: &[Port], search: &[Search], debuggers: bool) -> Vec<Port> {
     let mut unsure: Vec<_> = ports.iter().filter(|port| debuggers && port.is_debugger()).cloned().collect();
     for name in search.iter().flat_map(Search::names) {
         let known = ports.iter().filter(|port| port.is_board()).chain(&unsure);
-        let real = super::ports::real_path(&name);
-        if !known.into_iter().any(|port| super::ports::real_path(&port.name) == real) {
+        let real = real_path(&name);
+        if !known.into_iter().any(|port| real_path(&port.name) == real) {
             unsure.push(Port::at(&name, ports));
         }
     }

@@ -53,11 +53,6 @@ impl UsbId {
             && self.product.as_deref() == Some(PRODUCT)
     }
 
-    /// Whether this is a debugger, with or without a board behind it.
-    pub(crate) fn is_debugger(&self) -> bool {
-        DEBUGGERS.contains(&(self.vid, self.pid))
-    }
-
     /// The board, if its USB descriptors name it.
     pub(crate) fn device(&self) -> Option<DeviceId> {
         self.serial.as_deref().filter(|_| self.is_board())?.parse().ok()
@@ -86,7 +81,7 @@ impl Port {
 
     /// Whether it is a debugger, which must be asked for a board.
     pub(crate) fn is_debugger(&self) -> bool {
-        self.usb.as_ref().is_some_and(UsbId::is_debugger)
+        self.usb.as_ref().is_some_and(|usb| DEBUGGERS.contains(&(usb.vid, usb.pid)))
     }
 
     /// The board on it, if its USB descriptors name it.

@@ -89,8 +89,9 @@ impl Drop for Place<'_> {
 
 /// Serves the page until dropped.
 pub(crate) struct LiveServer {
-    url: String,
-    input: LiveInput,
+    /// The address of the page, for a browser.
+    pub(crate) url: String,
+    pub(crate) input: LiveInput,
     _serving: Serving,
 }
 
@@ -123,15 +124,6 @@ impl LiveServer {
         // When it is dropped, clients see their connections end.
         let (serving, bound) = Serving::http("live", &address, scope, refusal, routes, begin)?;
         Ok(Self { url: shared.plan.access.url(&bound), input, _serving: serving })
-    }
-
-    /// The address of the page, for a browser.
-    pub(crate) fn url(&self) -> &str {
-        &self.url
-    }
-
-    pub(crate) fn input(&self) -> LiveInput {
-        self.input.clone()
     }
 }
 

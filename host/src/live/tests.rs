@@ -53,7 +53,7 @@ fn start(address: &str, token: Option<&str>) -> (LiveServer, Orders) {
 
 /// Host and port that its URL names.
 fn authority(server: &LiveServer) -> &str {
-    server.url().split('/').nth(2).unwrap()
+    server.url.split('/').nth(2).unwrap()
 }
 
 fn port(server: &LiveServer) -> &str {
@@ -119,7 +119,7 @@ fn play(server: &LiveServer, poses: &[(Record, Photocurrents)]) {
     for (record, photocurrents) in poses {
         let (record, photocurrents) = (*record, photocurrents.clone());
         let sample = Sample { record, photocurrents, scans: 1, poses: 1, range: None };
-        while !server.input().sample(0, &sample) {
+        while !server.input.sample(0, &sample) {
             std::thread::yield_now();
         }
     }
@@ -171,7 +171,7 @@ fn a_frame_covers_all_scans_since_the_one_before() {
     let (server, _) = start("127.0.0.1:0", None);
     let mut client = Client::greeted(&server);
     let poses = poses(90);
-    let mut sampler = Sampler::new(0, Arc::new(server.input()));
+    let mut sampler = Sampler::new(0, Arc::new(server.input.clone()));
     for (number, (record, photocurrents)) in poses.iter().enumerate() {
         sampler.add(record);
         // One in thirty is due.

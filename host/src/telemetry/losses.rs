@@ -24,7 +24,8 @@ pub(super) struct LossBook {
     next_sequence: Option<u64>,
     /// Scans missing in the numbering so far.
     missed: u64,
-    link_scans: u64,
+    /// Of these, lost between board and host.
+    pub(super) link_scans: u64,
 }
 
 impl LossBook {
@@ -67,10 +68,6 @@ impl LossBook {
     pub(super) fn board(&self) -> BoardLosses {
         let [scans_dropped, scans_lost, adc_overruns] = self.counters();
         BoardLosses { scans_dropped, scans_lost, adc_overruns }
-    }
-
-    pub(super) fn link_scans(&self) -> u64 {
-        self.link_scans
     }
 }
 
@@ -188,7 +185,7 @@ mod tests {
 
     fn shares(book: &LossBook) -> (u64, u64, u64) {
         let board = book.board();
-        (board.scans_dropped, board.scans_lost, book.link_scans())
+        (board.scans_dropped, board.scans_lost, book.link_scans)
     }
 
     #[test]

@@ -30,7 +30,7 @@ const JSON: &str = "application/json";
 /// Serves the status until dropped.
 #[derive(Debug)]
 pub(crate) struct StatusServer {
-    address: Address,
+    pub(crate) address: Address,
     _serving: Serving,
 }
 
@@ -53,11 +53,6 @@ impl StatusServer {
         let (serving, address) =
             Serving::http("status", address, BindScope::Loopback, refusal, routes(&source), || ())?;
         Ok(Self { address, _serving: serving })
-    }
-
-    /// The address it listens on, with the port that the system chose for port 0.
-    pub(crate) fn address(&self) -> &Address {
-        &self.address
     }
 }
 

@@ -113,7 +113,7 @@ impl BoardStatistics {
 
     fn link_losses(&self, counts: &Counts) -> LinkLosses {
         LinkLosses {
-            scans: self.book.link_scans(),
+            scans: self.book.link_scans,
             scans_repeated: counts.scans_repeated,
             bad_checksum: counts.decoder.bad_checksum,
             misframed: counts.decoder.misframed,

@@ -185,7 +185,7 @@ fn the_view_keeps_to_its_width() {
 }
 
 fn is_served(server: &StatusServer) {
-    let get = |path| fetch(server.address(), path).unwrap();
+    let get = |path| fetch(&server.address, path).unwrap();
     let status: serde_json::Value = serde_json::from_str(&get("/status").1).unwrap();
     assert_eq!(status["boards"][0]["name"], AWKWARD);
     assert_eq!(status["boards"][1]["head"]["cells"][1]["verdict"], "saturated");
@@ -250,7 +250,7 @@ fn other_hosts_are_not_let_in() {
 }
 
 fn tcp(server: &StatusServer) -> SocketAddr {
-    match server.address() {
+    match &server.address {
         Address::Tcp(address) => *address,
         other => panic!("{other}"),
     }
@@ -267,7 +267,7 @@ fn clients_that_hang_keep_nobody_waiting_and_are_closed() {
             .write_all(if i % 2 == 0 { b"GET /metrics HTTP/1.1\r\nHost: [::1]\r\n\r\n" } else { b"GET /st" })
             .unwrap();
     }
-    assert!(fetch(server.address(), "/status").is_ok());
+    assert!(fetch(&server.address, "/status").is_ok());
     // The server closes silent connections: reading ends long before the timeout here.
     silent[0].set_read_timeout(Some(Duration::from_secs(60))).unwrap();
     assert!(matches!(silent[0].read(&mut [0; 16]), Ok(0) | Err(_)));
@@ -286,7 +286,7 @@ fn a_connection_too_many_closes_the_oldest_silent_one() {
     let connect = || UnixStream::connect(&path).unwrap();
     let mut silent: Vec<UnixStream> = (0..http::MOST).map(|_| connect()).collect();
     silent.iter().for_each(|silent| silent.set_read_timeout(Some(Duration::from_secs(60))).unwrap());
-    let answer = fetch(server.address(), "/status");
+    let answer = fetch(&server.address, "/status");
     assert!(answer.is_ok(), "{answer:?}");
     assert!(matches!(silent[0].read(&mut [0; 16]), Ok(0) | Err(_)));
 }

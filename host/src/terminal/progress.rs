@@ -41,7 +41,7 @@ impl Progress {
     /// Sets the amount done; redrawn a few times per second.
     pub(crate) fn at(&mut self, done: u64) {
         if self.shown.is_none_or(|shown| shown.elapsed() >= RENEWAL) {
-            self.show(done, "");
+            self.step(done, "");
         }
     }
 
@@ -53,10 +53,6 @@ impl Progress {
 
     /// Sets the amount done and the present step; redrawn at once.
     pub(crate) fn step(&mut self, done: u64, what: &str) {
-        self.show(done, what);
-    }
-
-    fn show(&mut self, done: u64, what: &str) {
         self.shown = Some(Instant::now());
         screen().progress(Some(Line::new(self.name, &self.text(done, what, self.began.elapsed()))));
     }

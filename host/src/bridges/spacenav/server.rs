@@ -35,7 +35,7 @@ const SIGHTINGS: usize = 4;
 /// Serves the socket until dropped.
 #[derive(Debug)]
 pub(crate) struct SpacenavServer {
-    input: SpacenavInput,
+    pub(crate) input: SpacenavInput,
     _thread: Background<Sender<()>>,
     _file: SocketFile,
 }
@@ -85,10 +85,6 @@ impl SpacenavServer {
         let thread = Background::spawn("spacenav", end, move || mouse.serve(&listener, &sightings, &ended));
         let input = SpacenavInput { sightings: sender, is_zeroed };
         Ok(Self { input, _thread: thread.map_err(failed)?, _file: file })
-    }
-
-    pub(crate) fn input(&self) -> SpacenavInput {
-        self.input.clone()
     }
 }
 
