@@ -161,13 +161,7 @@ fn check(verb: &Command, option: &Arg, texts: &[OsString]) -> Result<(), String>
 
 fn texts_of(value: &DeValue<'_>) -> Result<Vec<OsString>, &'static str> {
     match value {
-        DeValue::Array(values) => {
-            let mut texts = Vec::new();
-            for value in values.iter() {
-                texts.push(text_of(value.get_ref())?);
-            }
-            Ok(texts)
-        }
+        DeValue::Array(values) => values.iter().map(|value| text_of(value.get_ref())).collect(),
         value => Ok(vec![text_of(value)?]),
     }
 }

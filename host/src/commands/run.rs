@@ -21,7 +21,7 @@ use crate::bridges::Bridge;
 use crate::daemon::{Admit, BoardPlan, Daemon, Ended, Opener, Plan, SimulatedOpener};
 use crate::datagram::{self, DatagramServer};
 use crate::device::{Contact, Search, Selector};
-use crate::live::{Access, LiveBoard, LivePlan, SampleSink};
+use crate::live::{LiveBoard, LivePlan, SampleSink};
 use crate::telemetry::{DaemonReport, RecorderReport, RecorderState, StatusServer, status_address};
 use slitpose_head::front_end;
 use slitpose_head::pace::Speed;
@@ -176,7 +176,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let workspace = boards.first().map(|board| board.head.file.workspace);
     let mouse = workspace.map(|workspace| args.mouse.start(workspace)).transpose()?.flatten();
     let access = args.live.access()?;
-    let is_recorded_later = access.as_ref().is_some_and(Access::may_write);
+    let is_recorded_later = access.as_ref().is_some_and(|access| access.may_write);
     let shown = || {
         let shown = |board: &BoardPlan| LiveBoard { name: board.opener.name(), head: Some(board.head.clone()) };
         boards.iter().map(shown).collect()

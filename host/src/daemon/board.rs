@@ -14,10 +14,8 @@ use slitpose_protocol::{Configuration, Rejection, Stream};
 use thiserror::Error;
 
 use super::backlog::Backlog;
-use super::handoff::handoff;
-use super::handoff::{Producer, buffer_pool};
-use super::link::Link;
-use super::link::ScanWatch;
+use super::handoff::{Producer, buffer_pool, handoff};
+use super::link::{Link, ScanWatch};
 use super::opener::{Admit, Opener};
 use super::outputs::{Outbox, Outputs, Pending};
 use super::reader::Reader;

@@ -73,15 +73,13 @@ pub(super) struct Pending {
 }
 
 impl Outputs {
-    fn taps(&mut self) -> impl Iterator<Item = &mut Tap> {
+    pub(super) fn taps(&mut self) -> impl Iterator<Item = &mut Tap> {
         self.capture.iter_mut().chain(&mut self.streams)
     }
 
     /// Prepares for the next segment; `opened`: the link was opened anew.
     pub(super) fn begin(&mut self, opened: bool) {
-        for tap in self.taps() {
-            tap.begin(opened);
-        }
+        self.taps().for_each(|tap| tap.begin(opened));
     }
 
     /// Passes on one item of a segment.
@@ -98,9 +96,7 @@ impl Outputs {
                     self.send();
                     self.publisher = self.datagrams.as_ref().map(|datagrams| datagrams.publisher(device));
                 }
-                for tap in self.taps() {
-                    tap.hello(hello);
-                }
+                self.taps().for_each(|tap| tap.hello(hello));
             }
             Item::Event { severity, text, .. } if *severity != Severity::Info => {
                 self.pending.complaint = Some((*text).to_owned());
@@ -119,9 +115,7 @@ impl Outputs {
 
     /// Passes on the bytes of a segment.
     pub(super) fn keep(&mut self, segment: &Segment) {
-        for tap in self.taps() {
-            tap.keep(segment);
-        }
+        self.taps().for_each(|tap| tap.keep(segment));
     }
 
     /// Publishes a pose that is newer than all before, at once or together with the next few; and shows it with its
@@ -221,20 +215,6 @@ impl Outputs {
         if let (Some(printer), Some(outbox)) = (&self.printer, self.pending.outbox.take_if(|outbox| !outbox.is_empty()))
         {
             printer.hand_over(outbox);
-        }
-    }
-
-    /// Hands over the current chunks of the taps.
-    pub(super) fn hand_over_taps(&mut self) {
-        for tap in self.taps() {
-            tap.hand_over();
-        }
-    }
-
-    /// Hands over the chunks of the taps whose time is over.
-    pub(super) fn hand_over_old_taps(&mut self) {
-        for tap in self.taps() {
-            tap.hand_over_old();
         }
     }
 }

@@ -197,21 +197,15 @@ impl Recorder {
     /// Completes the present capture, if there is one.
     fn finish(&mut self) {
         let Some(series) = self.series.take() else { return };
-        let finished = series.finish();
-        let mut report = lock(&self.report);
-        match finished {
+        match series.finish() {
             Ok(recorded) => {
+                let mut report = lock(&self.report);
                 report.bytes_dropped = recorded.dropped_bytes + self.bytes_missing;
                 if report.state == RecorderState::Recording {
                     report.state = RecorderState::Off;
                 }
             }
-            Err(error) => {
-                let reason = with_causes(&error);
-                (self.talk)(format_args!("{reason}"));
-                report.state = RecorderState::Failed;
-                report.reason = Some(reason);
-            }
+            Err(error) => self.report_failure(Err(error)),
         }
     }
 
@@ -259,7 +253,7 @@ impl Recorder {
     }
 
     /// Tells the user why the capture has ended.
-    fn report_failure(&mut self, done: Result<(), CaptureError>) {
+    fn report_failure(&self, done: Result<(), CaptureError>) {
         if let Err(error) = done {
             let reason = with_causes(&error);
             (self.talk)(format_args!("{reason}"));

@@ -13,10 +13,10 @@ use crossbeam_channel::Sender;
 use super::BoardSlot;
 use super::backlog::{Backlog, Next};
 use super::board::BoardError;
-use super::handoff::Empty;
-use super::handoff::{SolverEnd, Worker};
+use super::handoff::{Empty, SolverEnd, Worker};
 use super::link::{News, ScanWatch};
 use super::outputs::Outputs;
+use super::tap::Tap;
 use crate::device::Scanless;
 use crate::telemetry::{HostLosses, LagReport};
 use slitpose_tracking::clock::HostInstant;
@@ -103,7 +103,7 @@ impl Solver {
                 solver.receive_queued(handoff);
             }
             solver.pause();
-            solver.outputs.hand_over_old_taps();
+            solver.outputs.taps().for_each(Tap::hand_over_old);
             let queue = solver.pipeline.queue();
             if queue.waiting == 0 && solver.state.is_over {
                 return solver.end();
@@ -119,7 +119,7 @@ impl Solver {
     }
 
     fn end(&mut self) -> Counts {
-        self.outputs.hand_over_taps();
+        self.outputs.taps().for_each(Tap::hand_over);
         // What a board took while it was missed is told otherwise, and not counted.
         if !self.stop.load(Ordering::Relaxed) && self.state.connection <= 1 {
             self.pipeline.end();

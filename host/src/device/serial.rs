@@ -221,9 +221,7 @@ impl SimulatedDevice {
         self.wire = injector.map(|injector| Box::new(FaultyWire { injector, sent: Vec::new(), hung_up_s: None }));
         self
     }
-}
 
-impl SimulatedDevice {
     fn passed_s(&self) -> f64 {
         self.frames_passed as f64 * self.frame_s
     }

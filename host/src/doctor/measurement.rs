@@ -306,12 +306,9 @@ mod tests {
             with(|it| it.counts.outcomes = Outcomes { too_dark: 400, ..Outcomes::default() }),
             [("poses".into(), Warning)]
         );
-        let status = |it: &mut Measurement, change: fn(&mut Status)| change(it.counts.board_status.as_mut().unwrap());
-        let mut sick = good.clone();
-        sick.counts.board_status = Some(sick.after);
         let health = |change: fn(&mut Status)| {
-            let mut sick = sick.clone();
-            status(&mut sick, change);
+            let mut sick = good.clone();
+            change(sick.counts.board_status.insert(good.after));
             sick.health().grade
         };
         assert_eq!(health(|_| ()), Ok);

@@ -134,7 +134,7 @@ pub(crate) fn live_address(text: &str) -> Result<SocketAddr, String> {
 pub(crate) struct Access {
     pub(super) address: SocketAddr,
     token: Option<String>,
-    may_write: bool,
+    pub(crate) may_write: bool,
 }
 
 impl Access {
@@ -155,10 +155,6 @@ impl Access {
              listen on 127.0.0.1"
         );
         Ok(Self { address, token, may_write: is_local || writes })
-    }
-
-    pub(crate) fn may_write(&self) -> bool {
-        self.may_write
     }
 
     pub(super) fn scope(&self) -> BindScope {

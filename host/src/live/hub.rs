@@ -6,7 +6,6 @@ use std::sync::Mutex;
 
 use axum::extract::ws::Utf8Bytes;
 use serde::Serialize;
-use serde_json::json;
 use slitpose_calibration::Head;
 use slitpose_head::threads::lock;
 use tokio::sync::broadcast;
@@ -15,6 +14,7 @@ use tokio::sync::mpsc::{Receiver, Sender, channel};
 use super::control::PlayerState;
 use super::frame::{FRAMES_HZ, Optics, Sample, SampleSink, head_message};
 use crate::telemetry::DaemonReport;
+use slitpose_head::finding::Finding;
 use slitpose_tracking::clock::HostInstant;
 
 /// The frames of the last minute are kept.
@@ -112,6 +112,13 @@ struct Board {
     time_s: f64,
 }
 
+#[derive(Serialize)]
+#[serde(tag = "kind", rename = "report")]
+struct ReportMessage<'a> {
+    report: &'a DaemonReport,
+    findings: Vec<Finding>,
+}
+
 impl Hub {
     pub(super) fn new() -> Self {
         Self { events: broadcast::channel(EVENTS).0, state: Mutex::default() }
@@ -170,8 +177,7 @@ impl Hub {
 
     /// Passes a report on to the clients.
     pub(super) fn report(&self, report: &DaemonReport) {
-        let findings = report.findings(HostInstant::now());
-        let text = text_of(&json!({"kind": "report", "report": report, "findings": findings}));
+        let text = text_of(&ReportMessage { findings: report.findings(HostInstant::now()), report });
         lock(&self.state).report.clone_from(&text);
         self.pass_on(text);
     }

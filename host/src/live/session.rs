@@ -148,7 +148,7 @@ impl Session {
             "version": env!("CARGO_PKG_VERSION"),
             "source": self.shared.plan.source,
             "has_zero": self.shared.plan.has_zero,
-            "may_write": self.shared.plan.access.may_write(),
+            "may_write": self.shared.plan.access.may_write,
             "frames_hz": FRAMES_HZ,
             "history_s": HISTORY_S,
             "boards": snapshot.names,
@@ -226,7 +226,7 @@ impl Session {
     }
 
     fn order(&self, order: Order) -> Result<(), Refusal> {
-        if !self.shared.plan.access.may_write() {
+        if !self.shared.plan.access.may_write {
             return Err(Refusal::ReadOnly);
         }
         (self.shared.plan.control)(order)

@@ -17,7 +17,7 @@ use slitpose_tracking::pipeline::{Counts, Item, Outcomes, Record};
 const INTERVAL_NS: u64 = 1_000_000_000;
 
 /// Statistics of one board, from one pipeline, across all reconnections.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct BoardStatistics {
     /// What does not follow from the counts when it is asked for.
     pub(crate) report: BoardReport,
@@ -46,15 +46,8 @@ impl BoardStatistics {
     pub fn new(name: impl Into<String>, now: HostInstant) -> Self {
         Self {
             report: BoardReport { name: name.into(), ..BoardReport::default() },
-            reset_cause: String::new(),
-            book: LossBook::default(),
-            status: None,
-            link_latency: LatencyHistogram::default(),
-            host_latency: LatencyHistogram::default(),
-            total_latency: LatencyHistogram::default(),
-            last_device_s: None,
-            last_read: None,
             begun: Mark { at: now, ..Mark::default() },
+            ..Self::default()
         }
     }
 

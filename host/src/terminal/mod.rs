@@ -149,21 +149,13 @@ pub(crate) enum Tone {
 }
 
 impl Tone {
-    /// The control sequences that begin and end its colour (SGR of ECMA-48).
-    fn codes(self) -> (&'static str, &'static str) {
-        match self {
-            Self::Plain => ("", ""),
-            Self::Careful => ("\x1b[33m", "\x1b[0m"),
-            Self::Wrong => ("\x1b[1;31m", "\x1b[0m"),
-        }
-    }
-}
-
-impl Tone {
-    /// `text` in its colour, if it `has_colours`.
+    /// `text` in its colour (SGR of ECMA-48), if it `has_colours`.
     pub(crate) fn paint(self, text: &str, has_colours: bool) -> String {
-        let (begin, end) = if has_colours { self.codes() } else { ("", "") };
-        format!("{begin}{text}{end}")
+        match self {
+            Self::Careful if has_colours => format!("\x1b[33m{text}\x1b[0m"),
+            Self::Wrong if has_colours => format!("\x1b[1;31m{text}\x1b[0m"),
+            _ => text.to_owned(),
+        }
     }
 }
 

@@ -181,17 +181,6 @@ const PAGE: &str = include_str!("../../../../firmware/README.md");
 
 const LEVELS: [RangeInclusive<usize>; 2] = [0..=2, 3..=5];
 
-/// The pin of the microcontroller for `signal`, and its place on the Morpho connectors: `PC10, CN7-1`.
-fn pin(signal: &str) -> Option<String> {
-    PAGE.lines().find_map(|line| {
-        let fields: Vec<&str> = line.strip_prefix("| ")?.split(" | ").collect();
-        match fields[..] {
-            [name, pin, _, morpho, ..] if name == signal => Some(format!("{pin}, {morpho}")),
-            _ => None,
-        }
-    })
-}
-
 /// The two electrodes of a cell, in the order of its words.
 pub(super) const ELECTRODES: [Electrode; 2] = [Electrode::X1, Electrode::X2];
 
@@ -213,9 +202,16 @@ impl Wiring {
         if board == NUCLEO { Self::Nucleo } else { Self::Unknown }
     }
 
-    /// The pin of `signal` by the table, if the board is the one it describes.
+    /// The pin of the microcontroller for `signal`, and its place on the Morpho connectors, `PC10, CN7-1`, if the board is
+    /// the one that the table describes.
     fn pin(self, signal: &str) -> Option<String> {
-        (self == Self::Nucleo).then(|| pin(signal))?
+        PAGE.lines().filter(|_| self == Self::Nucleo).find_map(|line| {
+            let fields: Vec<&str> = line.strip_prefix("| ")?.split(" | ").collect();
+            match fields[..] {
+                [name, pin, _, morpho, ..] if name == signal => Some(format!("{pin}, {morpho}")),
+                _ => None,
+            }
+        })
     }
 
     /// `name`, with the pin of `signal` in the table: `gate of emitter 4 (PC10, CN7-1)`.

@@ -3,10 +3,8 @@
 use anyhow::Result;
 use slitpose_protocol::{AdcScaling, Level};
 
-use super::bench::{Bench, sample};
-use super::bench::{ELECTRODES, Wiring};
-use super::sampling;
-use super::sampling::{Codes, Sampling};
+use super::bench::{Bench, ELECTRODES, Wiring, sample};
+use super::sampling::{self, Codes, Sampling};
 use crate::doctor::{faulty_or, named};
 use slitpose_head::finding::Finding;
 use slitpose_head::finding::Grade::{Failed, Warning};

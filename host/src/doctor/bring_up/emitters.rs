@@ -11,10 +11,8 @@ use anyhow::Result;
 use slitpose_model::Pair;
 use slitpose_protocol::{Level, Schedule};
 
-use super::bench::{Bench, is_shared_level, sample};
-use super::bench::{ELECTRODES, Wiring};
-use super::sampling;
-use super::sampling::Expected;
+use super::bench::{Bench, ELECTRODES, Wiring, is_shared_level, sample};
+use super::sampling::{self, Expected};
 use crate::device::Conversation;
 use crate::doctor::named;
 use slitpose_head::finding::Finding;

@@ -11,8 +11,7 @@ use anyhow::Result;
 use slitpose_model::Pair;
 use slitpose_protocol::{Level, Schedule};
 
-use super::bench::{Bench, sample};
-use super::bench::{ELECTRODES, Wiring};
+use super::bench::{Bench, ELECTRODES, Wiring, sample};
 use super::sampling;
 use crate::device::Conversation;
 use crate::doctor::{faulty_or, judged};

@@ -100,17 +100,8 @@ const LOOK_EVERY: Duration = Duration::from_millis(200);
 /// Timeout of the hello that shows what was stored.
 const HELLO_WITHIN: Duration = Duration::from_secs(1);
 
-#[derive(Clone, Debug, PartialEq)]
-struct Stored {
-    hashes: Hashes,
-    schedule: Schedule,
-}
-
-impl From<BoardInfo> for Stored {
-    fn from(info: BoardInfo) -> Self {
-        Self { hashes: info.hashes, schedule: info.schedule }
-    }
-}
+/// What a board starts with.
+type Stored = (Hashes, Schedule);
 
 pub(super) fn take_storage(bench: &mut Bench<'_>, cut_power: &mut dyn FnMut() -> bool) -> Result<Vec<Finding>> {
     if bench.is_simulated() {
@@ -121,7 +112,7 @@ pub(super) fn take_storage(bench: &mut Bench<'_>, cut_power: &mut dyn FnMut() ->
     let (mut board, info) = restart(bench, board)?;
     let had_settings = board.status()?.settings != SettingsSource::Defaults || info.hashes != Hashes::default();
     let before = if had_settings {
-        Stored::from(info)
+        (info.hashes, info.schedule)
     } else {
         // One frame in two: a schedule that no board starts with.
         let schedule = bench.schedule()?;
@@ -131,7 +122,8 @@ pub(super) fn take_storage(bench: &mut Bench<'_>, cut_power: &mut dyn FnMut() ->
         if let Err(error) = board.order(Command::Store(hashes)) {
             return Ok(vec![refused(&error)]);
         }
-        Stored::from(board.introduce(HELLO_WITHIN)?)
+        let info = board.introduce(HELLO_WITHIN)?;
+        (info.hashes, info.schedule)
     };
     drop(board);
     let is_cut = cut_power();
@@ -141,8 +133,7 @@ pub(super) fn take_storage(bench: &mut Bench<'_>, cut_power: &mut dyn FnMut() ->
         let (board, _) = bench.connect()?;
         restart(bench, board)?.1
     };
-    let after = Stored::from(after);
-    let mut findings = vec![judge_storage(&before, &after, is_cut)];
+    let mut findings = vec![judge_storage(&before, &(after.hashes, after.schedule), is_cut)];
     if !had_settings {
         let (mut board, _) = bench.connect()?;
         findings.push(match board.order(Command::Forget) {
@@ -181,8 +172,8 @@ fn refused(error: &DeviceError) -> Finding {
 
 fn judge_storage(before: &Stored, after: &Stored, is_cut: bool) -> Finding {
     let how = if is_cut { "the power cut" } else { "a reboot" };
-    let scene = |stored: &Stored| stored.hashes.scene.map_or("none".to_owned(), |hash| format!("{hash:016x}"));
-    let rate = |stored: &Stored| stored.schedule.frame_rate_hz();
+    let scene = |stored: &Stored| stored.0.scene.map_or("none".to_owned(), |hash| format!("{hash:016x}"));
+    let rate = |stored: &Stored| stored.1.frame_rate_hz();
     let text = format!(
         "hash of the scene {}, {:.0} frames/s stored; after {how} {}, {:.0} frames/s",
         scene(before),
@@ -222,14 +213,12 @@ mod tests {
     #[test]
     fn lost_hashes_and_lost_schedules_are_found() {
         let schedule = front_end::configuration(&WIDE.read().unwrap()).unwrap().schedule;
-        let stored = Stored { hashes: Hashes { scene: Some(7), calibration: None }, schedule };
+        let stored = (Hashes { scene: Some(7), calibration: None }, schedule.clone());
         assert_eq!(judge_storage(&stored, &stored, true).grade, Ok);
-        let hashes = Stored { hashes: Hashes::default(), ..stored.clone() };
-        let lost = judge_storage(&stored, &hashes, false);
+        let lost = judge_storage(&stored, &(Hashes::default(), schedule.clone()), false);
         assert!(lost.grade == Failed && lost.text.contains("after a reboot none"), "{lost}");
-        let mut slower = stored.clone();
-        slower.schedule.frame_ticks *= 2;
-        assert_eq!(judge_storage(&stored, &slower, true).grade, Failed);
+        let slower = Schedule { frame_ticks: 2 * schedule.frame_ticks, ..schedule };
+        assert_eq!(judge_storage(&stored, &(stored.0, slower), true).grade, Failed);
     }
 
     #[test]
