@@ -133,8 +133,13 @@ fn synopsis(command: &Command) -> String {
     words.join(" ")
 }
 
-/// Verbs, an option of each, and its default. A value has no spaces; anything else is a rule.
+/// Verbs, an option of each, and its default, in the order in which synopses name them. A value has no spaces; anything
+/// else is a rule.
 const DEFAULTS: [(&str, &str, &str); 21] = [
+    ("replay export", "tier", "as recorded, else exact"),
+    ("replay export", "tolerance", "as recorded, else 1e-6"),
+    ("replay export", "filter", "as recorded, else off"),
+    ("replay export", "calibration", "as recorded, else the tolerances of the scene"),
     ("run simulate solve model", "tier", "exact"),
     ("run simulate solve", "tolerance", "1e-6"),
     ("model", "tolerance", "1e-10"),
@@ -146,10 +151,6 @@ const DEFAULTS: [(&str, &str, &str); 21] = [
     ("run", "calibration", "the tolerances of the scene, or usual ones; of a simulated board none"),
     ("run", "patience", "forever; with --duration not at all"),
     ("run", "config", "~/.config/slitpose/config.toml or /etc/slitpose/config.toml, if there is one"),
-    ("replay export", "tier", "as recorded, else exact"),
-    ("replay export", "tolerance", "as recorded, else 1e-6"),
-    ("replay export", "filter", "as recorded, else off"),
-    ("replay export", "calibration", "as recorded, else the tolerances of the scene"),
     ("replay", "speed", "max; with --live 1"),
     ("export", "format", "by the ending of --output"),
     ("simulate solve", "calibration", "the tolerances of the scene, if it has any"),
