@@ -66,7 +66,7 @@ impl RecordOptions {
 const MIN_BYTES: u64 = 100_000;
 
 fn parse_size(text: &str) -> Result<u64, &'static str> {
-    let size = parse_size::parse_size(text).ok().filter(|&bytes| bytes >= MIN_BYTES);
+    let size = parse_size::parse_size(text.trim()).ok().filter(|&bytes| bytes >= MIN_BYTES);
     size.ok_or("give a size of 100kB at least, such as 500MB or 2GiB")
 }
 
@@ -80,7 +80,7 @@ mod tests {
             ("500MB", 500_000_000),
             ("2GiB", 2 << 30),
             ("123456", 123_456),
-            ("0.5 GB", 500_000_000),
+            (" 0.5 GB ", 500_000_000),
             ("200kB", 200_000),
         ] {
             assert_eq!(parse_size(text), Ok(bytes), "{text}");
