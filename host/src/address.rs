@@ -123,7 +123,6 @@ impl Drop for SocketFile {
 /// Mode of Unix sockets: owner and group may connect, other users may not.
 const SOCKET_MODE: u32 = 0o660;
 
-/// Connects to a stream socket.
 pub(crate) fn connects_stream(path: &Path) -> io::Result<()> {
     std::os::unix::net::UnixStream::connect(path).map(drop)
 }

@@ -13,12 +13,20 @@ use slitpose_tracking::pipeline::Record;
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Accuracy {
     count: u64,
+    axes: [Axis; 6],
     square_m2: f64,
     square_rad2: f64,
     largest_m: f64,
     largest_rad: f64,
     nees_sum: f64,
     beyond_five_sigma: u64,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Axis {
+    sum: f64,
+    square: f64,
+    largest: f64,
 }
 
 impl Accuracy {
@@ -32,12 +40,13 @@ impl Accuracy {
         self.largest_rad = self.largest_rad.max(dr.length());
         self.nees_sum += estimate.nees(truth).unwrap_or(f64::NAN);
         let error = [dt.x, dt.y, dt.z, dr.x, dr.y, dr.z];
+        for (axis, error) in self.axes.iter_mut().zip(error) {
+            axis.sum += error;
+            axis.square += error * error;
+            axis.largest = axis.largest.max(error.abs());
+        }
         let beyond = error.iter().zip(estimate.sigma()).any(|(error, sigma)| error.abs() > 5.0 * sigma);
         self.beyond_five_sigma += u64::from(beyond);
-    }
-
-    pub(crate) fn count(&self) -> u64 {
-        self.count
     }
 
     /// The result in three lines for people; `against` names the source of the truth.
@@ -74,7 +83,6 @@ pub(crate) struct Comparison {
     name: String,
     reference: Reference,
     accuracy: Accuracy,
-    axes: [Axis; 6],
     /// Scans without a pose, or without one in the reference.
     unmatched: u64,
     /// Some of the poses, whether the reference has them or not.
@@ -130,13 +138,6 @@ struct Scans {
     span: Option<[u64; 2]>,
 }
 
-#[derive(Clone, Copy, Default)]
-struct Axis {
-    sum: f64,
-    square: f64,
-    largest: f64,
-}
-
 impl Comparison {
     /// Opens the reference, the CSV table `file`: the columns of a pose, and either `seq`, as `simulate --truth` and
     /// `replay --format csv` write it, or `time_s`, device seconds.
@@ -156,7 +157,6 @@ impl Comparison {
             name: file.to_owned(),
             reference,
             accuracy: Accuracy::default(),
-            axes: [Axis::default(); 6],
             unmatched: 0,
             sample: Sample::default(),
             scans: None,
@@ -178,18 +178,12 @@ impl Comparison {
             return Ok(());
         };
         self.accuracy.add(&estimate, &reference);
-        let (dt, dr) = estimate.pose.displacement_from(&reference);
-        for (axis, error) in self.axes.iter_mut().zip([dt.x, dt.y, dt.z, dr.x, dr.y, dr.z]) {
-            axis.sum += error;
-            axis.square += error * error;
-            axis.largest = axis.largest.max(error.abs());
-        }
         Ok(())
     }
 
     /// Refuses a reference without any counterpart of the poses.
     pub(crate) fn require_match(&mut self) -> Result<(), NothingMatches> {
-        let Some([first, last]) = self.scans.filter(|_| self.accuracy.count() == 0) else { return Ok(()) };
+        let Some([first, last]) = self.scans.filter(|_| self.accuracy.count == 0) else { return Ok(()) };
         let (column, theirs, ours) = match &mut self.reference {
             Reference::Scans(scans) => {
                 // The rest counts only as far as it can be read.
@@ -204,14 +198,12 @@ impl Comparison {
 
     /// What the reference looks like, if poses agree much better with another reading of it, in words.
     pub(crate) fn suspicion(&self) -> Option<String> {
-        match &self.reference {
-            Reference::Path(path) => self.sample.suspicion(&self.name, Some(path)),
-            Reference::Scans(_) => self.sample.suspicion(&self.name, None),
-        }
+        let path = if let Reference::Path(path) = &self.reference { Some(&**path) } else { None };
+        self.sample.suspicion(&self.name, path)
     }
 
     pub(crate) fn lines(&self) -> Vec<String> {
-        let count = self.accuracy.count();
+        let count = self.accuracy.count;
         let mut lines =
             vec![format!("{count} poses compared with {}, {} scans without a counterpart", self.name, self.unmatched)];
         if count == 0 {
@@ -219,7 +211,7 @@ impl Comparison {
         }
         lines.extend(layout(&self.accuracy.lines("the reference"), WIDTH));
         lines.push("axis          mean        rms    largest".to_owned());
-        for ((name, unit), axis) in AXES.iter().zip(&self.axes) {
+        for ((name, unit), axis) in AXES.iter().zip(&self.accuracy.axes) {
             let (mean, rms) = (axis.sum / count as f64, (axis.square / count as f64).sqrt());
             lines.push(format!(
                 "{name:<4} {:>13.3} {:>10.3} {:>10.3} {unit}",

@@ -1,29 +1,27 @@
 //! What servers of HTTP share: limits of connections, whose requests are answered, and threads.
 
-use std::io::{self, ErrorKind};
 use std::net::IpAddr;
-use std::pin::Pin;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::task::{Context, Poll};
-use std::thread::JoinHandle;
+use std::sync::{Arc, Weak};
 use std::time::Duration;
 
-use axum::Router;
 use axum::extract::Request;
-use axum::extract::connect_info::Connected;
 use axum::http::header::{CONNECTION, HOST, ORIGIN};
 use axum::http::{HeaderMap, StatusCode};
 use axum::middleware::{Next, from_fn};
 use axum::response::{IntoResponse, Response};
-use axum::serve::{IncomingStream, Listener};
-use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use axum::{Extension, Router};
+use hyper::server::conn::http1;
+use hyper_util::rt::TokioIo;
+use hyper_util::service::TowerToHyperService;
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::{TcpListener, UnixListener};
 use tokio::runtime::Builder;
-use tokio::sync::oneshot;
-use tokio::time::{Sleep, sleep};
+use tokio::sync::{Notify, oneshot};
+use tokio::time::{Instant, sleep, sleep_until};
 
 use crate::address::{Address, ServeError, SocketFile, connects_stream};
+use crate::background::Background;
 
 /// The hosts that may connect over TCP.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,8 +34,7 @@ pub(crate) enum BindScope {
 /// A server on a thread of its own, with all its tasks, until this is dropped.
 #[derive(Debug)]
 pub(crate) struct Serving {
-    end: Option<oneshot::Sender<()>>,
-    thread: Option<JoinHandle<()>>,
+    _thread: Background<oneshot::Sender<()>>,
     _file: Option<SocketFile>,
 }
 
@@ -73,12 +70,12 @@ impl Serving {
                 false => reply(StatusCode::FORBIDDEN, refusal),
             }
         };
-        let routes = routes.layer(from_fn(guard)).into_make_service_with_connect_info::<ConnectionDeadline>();
+        let routes = routes.layer(from_fn(guard));
         let (mut bound, mut file) = (address.clone(), None);
         let mut serving = Self::start(name, address, async || {
             let socket;
             (socket, bound, file) = listen()?;
-            tokio::spawn(async move { axum::serve(LimitedListener::new(socket), routes).await });
+            tokio::spawn(accept(socket, routes));
             begin();
             Ok(())
         })?;
@@ -101,18 +98,7 @@ impl Serving {
             // connections that hang.
             let _ = runtime.block_on(ended);
         };
-        let thread = std::thread::Builder::new().name(name.to_owned()).spawn(run).map_err(failed)?;
-        Ok(Self { end: Some(end), thread: Some(thread), _file: None })
-    }
-}
-
-impl Drop for Serving {
-    fn drop(&mut self) {
-        drop(self.end.take());
-        if let Some(thread) = self.thread.take() {
-            // A panic of the thread has already been reported on standard error.
-            let _ = thread.join();
-        }
+        Ok(Self { _thread: Background::spawn(name, end, run).map_err(failed)?, _file: None })
     }
 }
 
@@ -150,156 +136,99 @@ fn is_loopback(host: &str) -> bool {
     name.eq_ignore_ascii_case("localhost") || name.parse().is_ok_and(|address: IpAddr| address.is_loopback())
 }
 
-/// A connection is closed after this time unless its [`ConnectionDeadline`] was released: an answer takes milliseconds.
+/// A connection is closed after this time unless it was [released](Connection::release): an answer takes milliseconds.
 pub(crate) const LIFETIME: Duration = Duration::from_secs(3);
 
-/// Most simultaneous connections. For one more the oldest is closed of those whose [`ConnectionDeadline`] was not released, of the
-/// address that has most of these: silent connections keep nobody out.
+/// Most simultaneous connections. For one more the oldest is closed of those that were not released, of the address that
+/// has most of these: silent connections keep nobody out.
 pub(crate) const MOST: usize = 100;
 
 /// Pause before a failed accept is tried again: file descriptors may have run out.
 const PAUSE: Duration = Duration::from_millis(100);
 
-pub(crate) enum Socket {
+enum Socket {
     Tcp(TcpListener),
     Unix(UnixListener),
 }
 
-/// Accepts no more than [`MOST`] connections at a time.
-pub(crate) struct LimitedListener {
-    socket: Socket,
-    /// The oldest first; each is closed by dropping the sender.
-    open: Vec<(ConnectionDeadline, oneshot::Sender<()>)>,
-}
-
-impl LimitedListener {
-    pub(crate) fn new(socket: Socket) -> Self {
-        Self { socket, open: Vec::new() }
-    }
-
-    /// Makes room for one more connection; `false` if there is none.
-    fn make_room(&mut self) -> bool {
-        self.open.retain(|(_, end)| !end.is_closed());
-        if self.open.len() < MOST {
-            return true;
-        }
-        let strangers = || (0..self.open.len()).filter(|&number| !self.open[number].0.is_released());
-        let address_of = |number: usize| self.open[number].0.address;
-        let count = |number: usize| strangers().filter(|&other| address_of(other) == address_of(number)).count();
-        // The first of equals.
-        let oldest = strangers().rev().max_by_key(|&number| count(number));
-        oldest.map(|number| self.open.remove(number)).is_some()
-    }
-}
-
-impl Listener for LimitedListener {
-    type Io = Connection;
-    type Addr = ();
-
-    async fn accept(&mut self) -> (Self::Io, Self::Addr) {
-        loop {
-            let accepted: io::Result<(Stream, _)> = match &self.socket {
-                Socket::Tcp(listener) => {
-                    listener.accept().await.map(|(stream, address)| (Box::pin(stream) as Stream, Some(address.ip())))
-                }
-                Socket::Unix(listener) => listener.accept().await.map(|(stream, _)| (Box::pin(stream) as Stream, None)),
-            };
-            match accepted {
-                Ok((stream, address)) if self.make_room() => {
-                    let deadline = ConnectionDeadline { address, ..ConnectionDeadline::default() };
-                    let (end, ended) = oneshot::channel();
-                    self.open.push((deadline.clone(), end));
-                    let lifetime = Box::pin(sleep(LIFETIME));
-                    return (Connection { stream, lifetime, ended, is_over: false, deadline }, ());
-                }
-                Ok(_) => {}
-                Err(_) => sleep(PAUSE).await,
-            }
-        }
-    }
-
-    fn local_addr(&self) -> io::Result<Self::Addr> {
-        Ok(())
-    }
-}
-
-trait Io: AsyncRead + AsyncWrite + Send {}
-
-impl<T: AsyncRead + AsyncWrite + Send> Io for T {}
-
-type Stream = Pin<Box<dyn Io>>;
-
-/// Ends the lifetime's limit of one connection.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct ConnectionDeadline {
+/// A connection that lasts no longer than its lifetime, or until another one needs its place, unless it is released.
+#[derive(Debug)]
+pub(crate) struct Connection {
     /// The other end's; `None` on a Unix socket.
     pub(crate) address: Option<IpAddr>,
-    is_released: Arc<AtomicBool>,
+    is_released: AtomicBool,
+    until: Instant,
+    end: Notify,
 }
 
-impl ConnectionDeadline {
+impl Connection {
     /// From now on the connection may last.
     pub(crate) fn release(&self) {
         self.is_released.store(true, Ordering::Relaxed);
     }
 
-    fn is_released(&self) -> bool {
-        self.is_released.load(Ordering::Relaxed)
-    }
-}
-
-impl Connected<IncomingStream<'_, LimitedListener>> for ConnectionDeadline {
-    fn connect_info(stream: IncomingStream<'_, LimitedListener>) -> Self {
-        stream.io().deadline.clone()
-    }
-}
-
-/// A connection that fails at the end of its lifetime, or when another one needs its place.
-pub(crate) struct Connection {
-    stream: Stream,
-    lifetime: Pin<Box<Sleep>>,
-    ended: oneshot::Receiver<()>,
-    is_over: bool,
-    deadline: ConnectionDeadline,
-}
-
-impl Connection {
-    /// The result of `poll`, or an error after the connection's lifetime.
-    fn in_time<T>(
-        mut self: Pin<&mut Self>,
-        context: &mut Context<'_>,
-        poll: impl FnOnce(&mut Stream, &mut Context<'_>) -> Poll<io::Result<T>>,
-    ) -> Poll<io::Result<T>> {
-        let polled = poll(&mut self.stream, context);
-        if self.deadline.is_released() || polled.is_ready() {
-            return polled;
+    /// Does `work`; `None` if the connection has to end before.
+    pub(crate) async fn while_open<T>(&self, work: impl Future<Output = T>) -> Option<T> {
+        tokio::select! {
+            done = work => Some(done),
+            () = self.end.notified() => None,
+            () = sleep_until(self.until) => None,
         }
-        // A receiver that is ready is not polled again.
-        self.is_over = self.is_over
-            || self.lifetime.as_mut().poll(context).is_ready()
-            || Pin::new(&mut self.ended).poll(context).is_ready();
-        if self.is_over { Poll::Ready(Err(ErrorKind::TimedOut.into())) } else { polled }
     }
 }
 
-impl AsyncRead for Connection {
-    fn poll_read(self: Pin<&mut Self>, context: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
-        self.in_time(context, |stream, context| stream.as_mut().poll_read(context, buffer))
+/// Accepts connections, no more than [`MOST`] at a time.
+async fn accept(socket: Socket, routes: Router) {
+    // The oldest first.
+    let mut open: Vec<Weak<Connection>> = Vec::new();
+    loop {
+        let accepted = match &socket {
+            Socket::Tcp(listener) => listener.accept().await.map(|(stream, address)| {
+                serve(stream, Some(address.ip()), &routes, &mut open);
+            }),
+            Socket::Unix(listener) => {
+                listener.accept().await.map(|(stream, _)| serve(stream, None, &routes, &mut open))
+            }
+        };
+        if accepted.is_err() {
+            sleep(PAUSE).await;
+        }
     }
 }
 
-impl AsyncWrite for Connection {
-    fn poll_write(self: Pin<&mut Self>, context: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
-        self.in_time(context, |stream, context| stream.as_mut().poll_write(context, bytes))
+/// Serves a connection if there is room for it among those that are `open`.
+fn serve<S>(stream: S, address: Option<IpAddr>, routes: &Router, open: &mut Vec<Weak<Connection>>)
+where
+    S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
+{
+    if !make_room(open) {
+        return;
     }
+    let until = Instant::now() + LIFETIME;
+    let connection = Arc::new(Connection { address, is_released: false.into(), until, end: Notify::new() });
+    open.push(Arc::downgrade(&connection));
+    let service = TowerToHyperService::new(routes.clone().layer(Extension(Arc::clone(&connection))));
+    let serving = http1::Builder::new().serve_connection(TokioIo::new(stream), service).with_upgrades();
+    tokio::spawn(async move { connection.while_open(serving).await });
+}
 
-    fn poll_flush(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        self.in_time(context, |stream, context| stream.as_mut().poll_flush(context))
+/// Makes room for one more connection; `false` if there is none.
+fn make_room(open: &mut Vec<Weak<Connection>>) -> bool {
+    open.retain(|connection| connection.strong_count() > 0);
+    if open.len() < MOST {
+        return true;
     }
-
-    fn poll_shutdown(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        self.in_time(context, |stream, context| stream.as_mut().poll_shutdown(context))
-    }
+    let strangers: Vec<_> =
+        open.iter().filter_map(Weak::upgrade).filter(|other| !other.is_released.load(Ordering::Relaxed)).collect();
+    let count = |address| strangers.iter().filter(|other| other.address == address).count();
+    // The first of equals.
+    let oldest = strangers.iter().rev().max_by_key(|connection| count(connection.address));
+    oldest
+        .inspect(|oldest| {
+            oldest.end.notify_one();
+            open.retain(|connection| !std::ptr::eq(connection.as_ptr(), Arc::as_ptr(oldest)));
+        })
+        .is_some()
 }
 
 #[cfg(test)]

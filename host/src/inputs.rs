@@ -27,9 +27,6 @@ pub struct Captured {
 }
 
 /// Reads the bytes of a capture to their end, from `from_ns` on.
-///
-/// # Errors
-/// Another kind of file. Damage is counted.
 pub fn capture(bytes: &[u8], from_ns: u64) -> Result<Captured, CaptureError> {
     let path = Path::new("bytes");
     let mut reader = CaptureReader::new(path, Cursor::new(bytes))?.starting_at(from_ns);
@@ -46,9 +43,6 @@ pub fn capture(bytes: &[u8], from_ns: u64) -> Result<Captured, CaptureError> {
 }
 
 /// The options that a configuration file of `run` sets, or why it cannot be used.
-///
-/// # Errors
-/// The message to the user, which begins with the place in the file.
 pub fn configuration(text: &str) -> Result<Vec<String>, String> {
     commands::configured_options(Path::new("config.toml"), text)
 }

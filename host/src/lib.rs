@@ -11,23 +11,27 @@
 //!
 //! Behind the commands: `terminal` draws for the user, `comparison` compares poses with a reference, `sink` writes poses,
 //! `daemon` follows boards live, `live` shows them on a page, `bridges` to Foxglove, to ROS 2 and as a mouse, `http` guards
-//! the servers, `service` notifies the service manager, `doctor` examines boards, heads and hosts.
+//! the servers, `doctor` examines boards, heads and hosts.
 
 #![forbid(unsafe_code)]
 
 mod address;
+mod background;
 mod bridges;
 pub mod commands;
 mod comparison;
 mod daemon;
+#[doc(hidden)]
 pub mod datagram;
+#[doc(hidden)]
 pub mod device;
 mod doctor;
 mod http;
+#[doc(hidden)]
 pub mod inputs;
 mod live;
-mod service;
 mod sink;
+#[doc(hidden)]
 pub mod telemetry;
 mod terminal;
 

@@ -10,7 +10,6 @@ use slitpose_calibration::Head;
 use tokio::sync::mpsc::Receiver;
 use tokio::time::{MissedTickBehavior, interval};
 
-use super::BridgeError;
 use crate::address::{Address, ServeError};
 use crate::http::Serving;
 use crate::live::{Input, LiveBoard, LiveInput, Optics, Sample};
@@ -36,7 +35,7 @@ pub(crate) fn serve_foxglove(
     address: SocketAddr,
     boards: Vec<LiveBoard>,
     report: impl Fn() -> DaemonReport + Send + 'static,
-) -> Result<(String, LiveInput, Serving), BridgeError> {
+) -> anyhow::Result<(String, LiveInput, Serving)> {
     let place = Address::Tcp(address);
     let failed = |error| match error {
         SdkError::Bind(source) => ServeError::of(&place, source),

@@ -10,7 +10,7 @@ mod zenoh;
 use std::net::SocketAddr;
 use std::sync::Arc;
 
-use thiserror::Error;
+use anyhow::Result;
 
 #[cfg(feature = "foxglove")]
 pub(crate) use foxglove::serve_foxglove;
@@ -22,37 +22,6 @@ use crate::address::{Address, ServeError, tcp_address};
 use crate::daemon::{Opener, StreamPlan, Talk};
 use crate::live::LiveBoard;
 use crate::telemetry::DaemonReport;
-
-/// Why there is no bridge.
-#[derive(Debug, Error)]
-pub(crate) enum BridgeError {
-    #[cfg(not(feature = "foxglove"))]
-    #[error(
-        "this build has no server for Foxglove; build with `cargo build --release -p slitpose --features foxglove`, \
-         or record a capture, which Foxglove opens"
-    )]
-    NoFoxglove,
-    #[cfg(feature = "foxglove")]
-    #[error(transparent)]
-    Serve(#[from] ServeError),
-    #[cfg(not(feature = "zenoh"))]
-    #[error("this build has no Zenoh; build with `cargo build --release -p slitpose --features zenoh`")]
-    NoZenoh,
-    #[cfg(feature = "zenoh")]
-    #[error("ROS_DOMAIN_ID is `{text}`; give a number from 0 to 232")]
-    Domain { text: String },
-    #[cfg(feature = "zenoh")]
-    #[error("`zenoh:{key}` names no board; give zenoh:slitpose/board_SERIAL, with the serial number of the board")]
-    Key { key: String },
-    #[cfg(feature = "zenoh")]
-    #[error(
-        "Zenoh refuses {what} ({reason}); give an endpoint such as {DEFAULT_ROUTER}, or a file of Zenoh's own settings"
-    )]
-    Settings { what: String, reason: String },
-    #[cfg(feature = "zenoh")]
-    #[error("no router of Zenoh by {what} ({reason}); start one, or give its endpoint with --zenoh-router")]
-    Open { what: String, reason: String },
-}
 
 pub(crate) const DEFAULT_FOXGLOVE_ADDRESS: &str = "127.0.0.1:8765";
 
@@ -72,8 +41,11 @@ pub(crate) fn serve_foxglove(
     _: SocketAddr,
     _: Vec<LiveBoard>,
     _: impl Fn() -> DaemonReport + Send + 'static,
-) -> Result<(String, crate::live::LiveInput, crate::http::Serving), BridgeError> {
-    Err(BridgeError::NoFoxglove)
+) -> Result<(String, crate::live::LiveInput, crate::http::Serving)> {
+    anyhow::bail!(
+        "this build has no server for Foxglove; build with `cargo build --release -p slitpose --features foxglove`, or record \
+         a capture, which Foxglove opens"
+    )
 }
 
 /// Where the router of ROS 2 listens.
@@ -92,13 +64,13 @@ pub(crate) trait Bridge {
     ) -> StreamPlan;
 
     /// Opens the board that another daemon publishes; `key` is what its topics begin with.
-    fn opener(&self, key: &str) -> Result<Box<dyn Opener>, BridgeError>;
+    fn opener(&self, key: &str) -> Result<Box<dyn Opener>>;
 }
 
 /// A build without Zenoh opens no session.
 #[cfg(not(feature = "zenoh"))]
-pub(crate) fn open_zenoh(_: &str) -> Result<Box<dyn Bridge>, BridgeError> {
-    Err(BridgeError::NoZenoh)
+pub(crate) fn open_zenoh(_: &str) -> Result<Box<dyn Bridge>> {
+    anyhow::bail!("this build has no Zenoh; build with `cargo build --release -p slitpose --features zenoh`")
 }
 
 #[cfg(test)]

@@ -13,12 +13,13 @@ use slitpose_head::pace::Speed;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::table::{Output, OutputError, TableWriter, refuse_twice};
 use slitpose_head::threads::in_order;
+use slitpose_tracking::pipeline::Outcomes;
 
 use super::faults::FaultOptions;
 use super::options::publish;
 use super::options::{self, Jobs, PoseOptions, open_scene};
 use super::playback::{PlayOptions, Playback, Printing};
-use super::{CommandError, Outcome, UsageError, complain, replay, talk};
+use super::{CommandError, Outcome, complain, replay, talk, usage};
 use crate::sink::{Account, Format};
 use crate::telemetry::BoardReport;
 use crate::terminal::{Amount, Progress};
@@ -68,19 +69,6 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     Ok(Outcome::Done)
 }
 
-/// A column of the table of captures, and what of each board is summed in it.
-type Count = (&'static str, fn(&BoardReport) -> u64);
-
-const COUNTS: [Count; 7] = [
-    ("scans", |board| board.scans),
-    ("converged", |board| board.outcomes.converged),
-    ("degraded", |board| board.outcomes.degraded),
-    ("ambiguous", |board| board.outcomes.ambiguous),
-    ("unobservable", |board| board.outcomes.unobservable),
-    ("too_dark", |board| board.outcomes.too_dark),
-    ("diverged", |board| board.outcomes.diverged),
-];
-
 /// Several captures, each replayed on its own.
 #[derive(clap::Args, Debug)]
 pub(super) struct SideBySide {
@@ -113,11 +101,18 @@ impl SideBySide {
         let work: Vec<Job> = match (&self.output, format.ending()) {
             (None, None) => files.iter().map(|capture| Job { capture, poses: None }).collect(),
             (Some(folder), Some(ending)) => self.targets(folder, ending, files, play)?,
-            _ => return Err(UsageError::FormatOfEach.into()),
+            _ => {
+                return Err(usage!(
+                    "with --jobs each capture has its own file of poses; give --output DIR with --format ndjson or csv, \
+                     or neither"
+                )
+                .into());
+            }
         };
         faults.tell();
         let faults: &[Fault] = &faults.fault;
-        let columns = ["capture", "ended", "boards"].into_iter().chain(COUNTS.map(|(name, _)| name));
+        let outcomes = Outcomes::default().by_name().map(|(name, _)| name);
+        let columns = ["capture", "ended", "boards", "scans"].into_iter().chain(outcomes);
         let mut table = TableWriter::new(Output::open(None)?, columns)?;
         let mut progress = Progress::new("replay", files.len() as u64, Amount::Of("captures"));
         let (mut waiting, mut ended, mut done) = (work.iter(), Outcome::Done, 0);
@@ -192,8 +187,10 @@ fn write(table: &mut TableWriter, name: &str, outcome: Outcome, account: &Accoun
         Outcome::Failed => "failed",
     });
     table.text(&account.boards.len().to_string());
-    for (_, count) in COUNTS {
-        table.text(&account.boards.iter().map(count).sum::<u64>().to_string());
+    let total = |count: &dyn Fn(&BoardReport) -> u64| account.boards.iter().map(count).sum::<u64>().to_string();
+    table.text(&total(&|board| board.scans));
+    for outcome in 0..Outcomes::default().by_name().len() {
+        table.text(&total(&|board| board.outcomes.by_name()[outcome].1));
     }
     table.end_row()
 }

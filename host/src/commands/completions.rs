@@ -42,7 +42,7 @@ pub(super) fn completions(args: &CompletionsArgs) -> Result<Outcome, CommandErro
 
 /// The generators take a list of names for all there is. Here it stands beside files.
 fn with_files(shell: Shell, script: String) -> String {
-    let lists = [options::scenes(), options::devices(), options::motions()].map(|names| names.list().join(" "));
+    let lists = [options::scenes(), options::devices(), options::motions()].map(|names| names.0.join(" "));
     match shell {
         Shell::Bash => lists.iter().fold(script, |script, list| {
             script.replace(&format!("compgen -W \"{list}\" --"), &format!("compgen -f -W \"{list}\" --"))
@@ -133,51 +133,48 @@ fn synopsis(command: &Command) -> String {
     words.join(" ")
 }
 
-const STREAM: [(&str, &str); 3] = [("tier", "exact"), ("tolerance", "1e-6"), ("filter", "off")];
-
-const RECORDED: [(&str, &str); 4] = [
-    ("tier", "as recorded, else exact"),
-    ("tolerance", "as recorded, else 1e-6"),
-    ("filter", "as recorded, else off"),
-    ("calibration", "as recorded, else the tolerances of the scene"),
+/// Verbs, an option of each, and its default, in the order in which synopses name them. A value has no spaces; anything
+/// else is a rule.
+const DEFAULTS: [(&str, &str, &str); 21] = [
+    ("replay export", "tier", "as recorded, else exact"),
+    ("replay export", "tolerance", "as recorded, else 1e-6"),
+    ("replay export", "filter", "as recorded, else off"),
+    ("replay export", "calibration", "as recorded, else the tolerances of the scene"),
+    ("run simulate solve model", "tier", "exact"),
+    ("run simulate solve", "tolerance", "1e-6"),
+    ("model", "tolerance", "1e-10"),
+    ("run", "filter", "off"),
+    ("run simulate", "trajectory", "smooth"),
+    ("run simulate", "seed", "1"),
+    ("run replay", "format", "summary on a terminal, else ndjson"),
+    ("run", "speed", "1"),
+    ("run", "calibration", "the tolerances of the scene, or usual ones; of a simulated board none"),
+    ("run", "patience", "forever; with --duration not at all"),
+    ("run", "config", "~/.config/slitpose/config.toml or /etc/slitpose/config.toml, if there is one"),
+    ("replay", "speed", "max; with --live 1"),
+    ("export", "format", "by the ending of --output"),
+    ("simulate solve", "calibration", "the tolerances of the scene, if it has any"),
+    ("model", "calibration", "none"),
+    ("report", "poses", "1000, quick: 100"),
+    ("doctor", "scene", "the one the board belongs to"),
 ];
 
-const TOLERANCES: (&str, &str) = ("calibration", "the tolerances of the scene, if it has any");
-
-const LOOKED_AT: (&str, &str) = ("format", "summary on a terminal, else ndjson");
-
-const TOOL: [(&str, &str); 2] = [("trajectory", "smooth"), ("seed", "1")];
-
-/// Options of a verb, and their defaults. A value has no spaces; anything else is a rule.
-fn of_verb(verb: &str) -> Vec<(&'static str, &'static str)> {
-    match verb {
-        "run" => [&STREAM[..], &TOOL, &[LOOKED_AT, ("speed", "1")], &RUN].concat(),
-        "replay" => [&RECORDED[..], &[LOOKED_AT, ("speed", "max; with --live 1")]].concat(),
-        "export" => [&RECORDED[..], &[("format", "by the ending of --output")]].concat(),
-        "simulate" => [&STREAM[..2], &TOOL, &[TOLERANCES]].concat(),
-        "model" => vec![("tier", "exact"), ("tolerance", "1e-10"), ("calibration", "none")],
-        "solve" => [&STREAM[..2], &[TOLERANCES]].concat(),
-        "report" => vec![("poses", "1000, quick: 100")],
-        "doctor" => vec![("scene", "the one the board belongs to")],
-        _ => Vec::new(),
-    }
+/// Options of a verb, and their defaults.
+fn of_verb(verb: &str) -> impl Iterator<Item = (&'static str, &'static str)> {
+    let is_its = move |verbs: &str| verbs.split(' ').any(|other| other == verb);
+    DEFAULTS.into_iter().filter(move |(verbs, ..)| is_its(verbs)).map(|(_, option, default)| (option, default))
 }
-
-const RUN: [(&str, &str); 3] = [
-    ("calibration", "the tolerances of the scene, or usual ones; of a simulated board none"),
-    ("patience", "forever; with --duration not at all"),
-    ("config", "~/.config/slitpose/config.toml or /etc/slitpose/config.toml, if there is one"),
-];
 
 /// The default of `option` of `verb`, if it has one.
 pub(super) fn default_of(verb: &str, option: &str) -> Option<&'static str> {
-    of_verb(verb).into_iter().find(|(id, _)| *id == option).map(|(_, default)| default)
+    of_verb(verb).find(|(id, _)| *id == option).map(|(_, default)| default)
 }
 
 /// Adds the default to the help of each option.
 pub(super) fn in_help(command: Command) -> Command {
     command.mut_subcommands(|verb| {
-        of_verb(verb.get_name()).into_iter().fold(verb, |verb, (option, default)| {
+        let name = verb.get_name().to_owned();
+        of_verb(&name).fold(verb, |verb, (option, default)| {
             verb.mut_arg(option, |arg| {
                 let help = arg.get_help().map(ToString::to_string).unwrap_or_default();
                 let stop = if help.is_empty() { "" } else { " " };

@@ -8,13 +8,13 @@ use std::ffi::OsString;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
+use anyhow::Context;
 use clap::parser::ValueSource;
 use clap::{Arg, ArgAction, ArgMatches, Command};
-use thiserror::Error;
 use toml::Value;
 use toml::de::{DeTable, DeValue};
 
-use super::completions;
+use super::{CommandError, UsageError, completions, usage};
 use slitpose_head::foreign::printable;
 use slitpose_head::scene_file::{FilePlace, nearest};
 use slitpose_head::text_file::{self, TextFileError};
@@ -30,33 +30,6 @@ const FILE: &str = "slitpose/config.toml";
 /// Answers of the command line list the values an option takes.
 const MAX_ANSWER: usize = 400;
 
-#[derive(Debug, Error)]
-pub(crate) enum ConfigError {
-    #[error("cannot read the configuration {}; give a file with --config, or `--config none`", path.display())]
-    Read {
-        path: PathBuf,
-        /// Why not.
-        source: TextFileError,
-    },
-    #[error("{place}: not valid TOML here: {}; correct this line", printable(message))]
-    Syntax { place: FilePlace, message: String },
-    #[error("{place}: `{}` is no option of `slitpose {VERB}`{}; see `slitpose {VERB} --help`", printable(key), hint(nearest.as_deref()))]
-    UnknownKey {
-        place: FilePlace,
-        key: String,
-        /// An option that it may be meant for.
-        nearest: Option<String>,
-    },
-    #[error("{place}: `{key}` is given as {found}; give a text, a number, true or false, or a list of texts")]
-    Kind { place: FilePlace, key: String, found: &'static str },
-    #[error("{place}: {}; see `slitpose {VERB} --help`", printable(message).at_most(MAX_ANSWER))]
-    Value { place: FilePlace, message: String },
-}
-
-fn hint(nearest: Option<&str>) -> String {
-    nearest.map_or_else(String::new, |nearest| format!(", `{nearest}` is"))
-}
-
 /// The command line with a configuration behind it.
 pub(super) struct Configured {
     pub(super) command: Command,
@@ -65,7 +38,7 @@ pub(super) struct Configured {
 }
 
 /// `command`, with the defaults of the configuration file that `matches` and the environment ask for.
-pub(super) fn configured(command: Command, matches: &ArgMatches) -> Result<Configured, ConfigError> {
+pub(super) fn configured(command: Command, matches: &ArgMatches) -> Result<Configured, CommandError> {
     let path = match matches.subcommand() {
         Some((VERB, asked)) => path_asked_for(asked),
         _ => None,
@@ -75,7 +48,9 @@ pub(super) fn configured(command: Command, matches: &ArgMatches) -> Result<Confi
     };
     let bytes = text_file::read(&path);
     let text = bytes.and_then(|bytes| String::from_utf8(bytes).map_err(|_| TextFileError::NotText));
-    let text = text.map_err(|source| ConfigError::Read { path: path.clone(), source })?;
+    let text = text.with_context(|| {
+        usage!("cannot read the configuration {}; give a file with --config, or `--config none`", path.display())
+    })?;
     let values = read(&path, &text, verb)?;
     let keys = values.iter().map(|(key, _)| key.clone()).collect();
     let mut values: HashMap<_, _> = values.into_iter().collect();
@@ -127,12 +102,12 @@ pub(crate) fn configured_options(path: &Path, text: &str) -> Result<Vec<String>,
 }
 
 /// The values in a file by option of `verb`.
-fn read(path: &Path, text: &str, verb: &Command) -> Result<Vec<(String, Vec<OsString>)>, ConfigError> {
+fn read(path: &Path, text: &str, verb: &Command) -> Result<Vec<(String, Vec<OsString>)>, UsageError> {
     let origin = path.display().to_string();
     let place = |offset| FilePlace::of(&origin, text, offset);
-    let table = DeTable::parse(text).map_err(|error| ConfigError::Syntax {
-        place: place(error.span().map_or(0, |span| span.start)),
-        message: error.message().replace('\n', ", "),
+    let table = DeTable::parse(text).map_err(|error| {
+        let (place, message) = (place(error.span().map_or(0, |span| span.start)), error.message().replace('\n', ", "));
+        usage!("{place}: not valid TOML here: {}; correct this line", printable(&message))
     })?;
     let options = || verb.get_arguments().filter(|arg| is_option(arg.get_id().as_str()));
     let mut values = Vec::new();
@@ -140,16 +115,20 @@ fn read(path: &Path, text: &str, verb: &Command) -> Result<Vec<(String, Vec<OsSt
         let name = key.get_ref().to_string();
         let Some(option) = options().find(|arg| arg.get_id() == name.as_str()) else {
             let known: Vec<&str> = options().map(|arg| arg.get_id().as_str()).collect();
-            let nearest = nearest(&name, &known).map(str::to_owned);
-            return Err(ConfigError::UnknownKey { place: place(key.span().start), key: name, nearest });
+            let hint = nearest(&name, &known).map_or_else(String::new, |nearest| format!(", `{nearest}` is"));
+            let (place, name) = (place(key.span().start), printable(&name));
+            return Err(usage!(
+                "{place}: `{name}` is no option of `slitpose {VERB}`{hint}; see `slitpose {VERB} --help`"
+            ));
         };
-        let at = value.span().start;
-        let texts = texts_of(value.get_ref()).map_err(|found| ConfigError::Kind {
-            place: place(at),
-            key: name.clone(),
-            found,
+        let place = place(value.span().start);
+        let texts = texts_of(value.get_ref()).map_err(|found| {
+            let next_step = "give a text, a number, true or false, or a list of texts";
+            usage!("{place}: `{name}` is given as {found}; {next_step}")
         })?;
-        check(verb, option, &texts).map_err(|message| ConfigError::Value { place: place(at), message })?;
+        check(verb, option, &texts).map_err(|message| {
+            usage!("{place}: {}; see `slitpose {VERB} --help`", printable(&message).at_most(MAX_ANSWER))
+        })?;
         values.push((name, texts));
     }
     Ok(values)
@@ -182,13 +161,7 @@ fn check(verb: &Command, option: &Arg, texts: &[OsString]) -> Result<(), String>
 
 fn texts_of(value: &DeValue<'_>) -> Result<Vec<OsString>, &'static str> {
     match value {
-        DeValue::Array(values) => {
-            let mut texts = Vec::new();
-            for value in values.iter() {
-                texts.push(text_of(value.get_ref())?);
-            }
-            Ok(texts)
-        }
+        DeValue::Array(values) => values.iter().map(|value| text_of(value.get_ref())).collect(),
         value => Ok(vec![text_of(value)?]),
     }
 }

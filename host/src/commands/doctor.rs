@@ -129,38 +129,27 @@ fn bring_up(args: &Args, given: Option<&SceneFile>) -> Result<Outcome, CommandEr
     let mut report = Report::open()?;
     let asks = !args.yes && io::stdin().is_terminal();
     let mut findings = Vec::new();
-    let scene = scene_of_bring_up(device, search, given, &mut findings);
+    let found = scene_of_bring_up(device, search, given, &mut findings);
     findings.iter().try_for_each(|finding| report.finding(finding))?;
     let mut failed_steps = Vec::new();
-    if let Some(scene) = &scene {
-        match BringUp::begin(device, search, scene) {
-            Ok(mut bring_up) => {
-                let steps = args.step.map_or_else(|| Step::ALL.to_vec(), |step| vec![step]);
-                for step in steps {
-                    report.line(&format!("{step}: {}", step.preparation))?;
-                    report.line(&format!("{:8} {}", "expected", step.expectation))?;
-                    if asks {
-                        wait_for_enter("press Enter when it is so")?;
-                    }
-                    let before = report.failed;
-                    let mut cut_power = || {
-                        asks && wait_for_enter(
-                            "take all cables off the board for two seconds, plug them in again, and press Enter",
-                        )
-                        .is_ok()
-                    };
-                    for finding in bring_up.take(step, &mut cut_power) {
-                        report.finding(&finding)?;
-                    }
-                    if report.failed > before {
-                        failed_steps.push(step.name);
-                    }
-                }
-                if let Err(finding) = bring_up.restore() {
-                    report.finding(&finding)?;
-                }
+    if let Some((scene, schedule)) = found {
+        let mut bring_up = BringUp::new(device, search, &scene, schedule);
+        for step in args.step.map_or_else(|| Step::ALL.to_vec(), |step| vec![step]) {
+            report.line(&format!("{step}: {}", step.preparation))?;
+            report.line(&format!("{:8} {}", "expected", step.expectation))?;
+            if asks {
+                wait_for_enter("press Enter when it is so")?;
             }
-            Err(finding) => report.finding(&finding)?,
+            let before = report.failed;
+            let plugs = "take all cables off the board for two seconds, plug them in again, and press Enter";
+            let mut cut_power = || asks && wait_for_enter(plugs).is_ok();
+            bring_up.take(step, &mut cut_power).iter().try_for_each(|finding| report.finding(finding))?;
+            if report.failed > before {
+                failed_steps.push(step.name);
+            }
+        }
+        if let Err(finding) = bring_up.restore() {
+            report.finding(&finding)?;
         }
     }
     let (failed, warnings) = report.finish()?;

@@ -2,11 +2,12 @@
 
 use std::path::PathBuf;
 
+use anyhow::Context;
 use clap::ValueEnum;
 use slitpose_calibration::{
     CalibrateError, Constraint, Data, Implausible, Knowledge, Row, check_poses, tables, uncalibrated,
 };
-use slitpose_design::identification::{Identified, ProfileError, identify as profile_point, profile_table};
+use slitpose_design::identification::{Identified, identify as profile_point, profile_table};
 use slitpose_model::{CompiledScene, Tier};
 
 use super::options::{number, open_scene};
@@ -139,17 +140,9 @@ fn write_points(found: &[Found], output: Output) -> Result<(), CommandError> {
 fn profile_lines(found: &[Found], cells: usize, step_deg: f64) -> Result<String, CommandError> {
     let line = |cell: usize| {
         let points: Vec<_> = found.iter().filter(|found| found.cell == cell).map(|found| found.point).collect();
-        let knots = profile_table(&points, step_deg).map_err(|source| CellProfileError { cell, source })?;
+        let knots = profile_table(&points, step_deg).with_context(|| format!("cell {cell}"))?;
         let knots: Vec<_> = knots.iter().map(|[deg, relative]| format!("[{deg:.4}, {relative:.6}]")).collect();
         Ok(format!("# cell {cell}\nprofile = [{}]\n", knots.join(", ")))
     };
     (0..cells).map(line).collect()
-}
-
-/// Which cell's points are no profile.
-#[derive(Debug, thiserror::Error)]
-#[error("cell {cell}")]
-pub(crate) struct CellProfileError {
-    cell: usize,
-    source: ProfileError,
 }

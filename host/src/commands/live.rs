@@ -4,12 +4,14 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
 
+use anyhow::Error;
+
 use super::options::{number, poses_hz};
 use super::record::RecordOptions;
 use super::{CommandError, talk};
 use crate::bridges::{
-    Axes, Bridge, BridgeError, DEFAULT_FOXGLOVE_ADDRESS, DEFAULT_ROUTER, Feel, SpacenavInput, SpacenavServer,
-    foxglove_address, open_zenoh, serve_foxglove,
+    Axes, Bridge, DEFAULT_FOXGLOVE_ADDRESS, DEFAULT_ROUTER, Feel, SpacenavInput, SpacenavServer, foxglove_address,
+    open_zenoh, serve_foxglove,
 };
 use crate::daemon::{Daemon, StreamPlan};
 use crate::http::Serving;
@@ -26,7 +28,7 @@ pub(super) struct LiveOptions {
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = DEFAULT_LIVE_ADDRESS, value_parser = live_address)]
     live: Option<SocketAddr>,
     #[command(flatten)]
-    access: AccessOptions,
+    pub(super) access: AccessOptions,
 }
 
 /// Who may look at a page.
@@ -77,33 +79,28 @@ impl LiveOptions {
     pub(super) fn access(&self) -> Result<Option<Access>, CommandError> {
         let address = match (self.live, self.access.open) {
             (Some(address), _) => address,
-            (None, true) => live_address(DEFAULT_LIVE_ADDRESS)?,
+            (None, true) => live_address(DEFAULT_LIVE_ADDRESS).map_err(Error::msg)?,
             (None, false) => return Ok(None),
         };
         self.access.at(address).map(Some)
-    }
-
-    /// Serves the page, and opens it if asked.
-    pub(super) fn start(&self, plan: LivePlan) -> Result<LiveServer, CommandError> {
-        self.access.start(plan)
     }
 }
 
 impl AccessOptions {
     /// The rules of a page at `address`.
     pub(super) fn at(&self, address: SocketAddr) -> Result<Access, CommandError> {
-        Ok(Access::new(address, self.live_token.clone(), self.live_writes)?)
+        Access::new(address, self.live_token.clone(), self.live_writes)
     }
 
     /// Serves a page, and opens it if asked.
     pub(super) fn start(&self, plan: LivePlan) -> Result<LiveServer, CommandError> {
         let server = LiveServer::start(plan)?;
         // The token is a secret, and standard error may be a journal.
-        let (page, fragment) = server.url().split_once('#').unwrap_or((server.url(), ""));
+        let (page, fragment) = server.url.split_once('#').unwrap_or((&server.url, ""));
         let token = if fragment.is_empty() { "" } else { " (add #token= and the secret of --live-token)" };
         talk(format_args!("live page at {page}{token}"));
         if self.open
-            && let Err(error) = open::that_detached(server.url())
+            && let Err(error) = open::that_detached(&server.url)
         {
             talk(format_args!("no browser could be opened ({error}); open {page} yourself{token}"));
         }
@@ -111,37 +108,28 @@ impl AccessOptions {
     }
 }
 
-/// What the page may change in a daemon.
-pub(super) struct Changes {
-    pub(super) daemon: Arc<OnceLock<Arc<Daemon>>>,
-    pub(super) options: RecordOptions,
-    pub(super) mouse: Option<SpacenavInput>,
-}
-
-impl Control for Changes {
-    fn order(&self, order: Order) -> Result<(), Refusal> {
-        let refused = |reason: &str| Refusal::Recording { reason: reason.to_owned() };
-        let daemon = self.daemon.get().ok_or_else(|| refused("the daemon is still starting; try again"))?;
+/// What the page may change in a `daemon` that records by `options`, and its `mouse`.
+pub(super) fn changes(
+    daemon: Arc<OnceLock<Arc<Daemon>>>,
+    options: RecordOptions,
+    mouse: Option<SpacenavInput>,
+) -> Control {
+    let refused = |reason: &str| Refusal::Recording { reason: reason.to_owned() };
+    Box::new(move |order| {
+        let daemon = daemon.get().ok_or_else(|| refused("the daemon is still starting; try again"))?;
         let is_recording = daemon.recorder_report().state == RecorderState::Recording;
         match (order, is_recording) {
             (Order::Record(true), false) => {
-                let series = self.options.another().map_err(|error| refused(&error.to_string()))?;
-                daemon.begin_recording(series);
-                Ok(())
+                daemon.begin_recording(options.another().map_err(|error| refused(&error.to_string()))?);
             }
-            (Order::Record(true), true) => Err(refused("a recording is under way already; end it first")),
-            (Order::Record(false), true) => {
-                daemon.end_recording();
-                Ok(())
-            }
-            (Order::Record(false), false) => Err(refused("nothing is being recorded")),
-            (Order::Zero, _) => {
-                self.mouse.as_ref().ok_or(Refusal::NO_MOUSE)?.zero();
-                Ok(())
-            }
-            (Order::Player(_), _) => Err(Refusal::NO_PLAYER),
+            (Order::Record(true), true) => return Err(refused("a recording is under way already; end it first")),
+            (Order::Record(false), true) => daemon.end_recording(),
+            (Order::Record(false), false) => return Err(refused("nothing is being recorded")),
+            (Order::Zero, _) => mouse.as_ref().ok_or(Refusal::NO_MOUSE)?.zero(),
+            (Order::Player(_), _) => return Err(Refusal::NO_PLAYER),
         }
-    }
+        Ok(())
+    })
 }
 
 /// The mouse asked for.
@@ -200,12 +188,11 @@ pub(super) fn key_of(device: &str) -> Option<&str> {
 
 impl ZenohOptions {
     /// The session, if one of the `devices` or the user needs it.
-    pub(super) fn open(&self, devices: &[String]) -> Result<Option<Box<dyn Bridge>>, BridgeError> {
+    pub(super) fn open(&self, devices: &[String]) -> Result<Option<Box<dyn Bridge>>, CommandError> {
         let is_needed = self.zenoh || devices.iter().any(|device| key_of(device).is_some());
         is_needed.then(|| open_zenoh(&self.zenoh_router)).transpose()
     }
 
-    /// What publishes the boards, if asked.
     pub(super) fn publisher(
         &self,
         session: Option<&dyn Bridge>,

@@ -27,21 +27,19 @@ mod solve;
 mod status;
 
 use std::ffi::OsString;
-use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use thiserror::Error;
 
-pub(crate) use config::{ConfigError, configured_options};
+pub(crate) use config::configured_options;
 
 use crate::device::DeviceError;
 use crate::terminal::{complain, hide_progress};
 use options::{interrupt, talk};
 use slitpose_head::causes::with_causes;
 use slitpose_head::faults::FaultError;
-use slitpose_head::foreign::printable;
-use slitpose_head::table::{OutputError, TableError};
+use slitpose_head::table::OutputError;
 use slitpose_tracking::playback::PlaybackError;
 
 /// Six slits, six light spots, one pose: tools for a contactless 6-DoF tracker.
@@ -98,76 +96,21 @@ impl From<Outcome> for ExitCode {
     }
 }
 
-/// Endings of names that say how poses are written.
-const ENDINGS: &str = if cfg!(feature = "parquet") { ".csv, .ndjson or .parquet" } else { ".csv or .ndjson" };
-
 /// Why a command could not do its work: the error of whatever it called, or one of those below.
 pub(crate) type CommandError = anyhow::Error;
 
-/// Options that do not go together, or not with what they are about: wrong usage.
+/// Wrong usage: options that do not go together, or not with what they are about.
 #[derive(Debug, Error)]
-pub(crate) enum UsageError {
-    #[error("{option} is for simulated boards and means nothing to {device}; leave it out, or give --device sim")]
-    OnlySimulated { option: &'static str, device: String },
-    #[error(
-        "{option} says how this program solves poses, and with --stream pose the board does; leave one of both out"
-    )]
-    OnlyHere { option: &'static str },
-    #[error("{scenes} scenes for {devices} boards; give one for all, or one for each, in the same order")]
-    Scenes { scenes: usize, devices: usize },
-    #[error(
-        "{calibrations} calibrations for {devices} boards; give one for each, in the same order, or `none` for one"
-    )]
-    Calibrations { calibrations: usize, devices: usize },
-    #[error(
-        "the name {} does not say how poses are to be written; give one that ends in {ENDINGS}, or --format",
-        path.display()
-    )]
-    Extension { path: PathBuf },
-    /// Poses of several captures, and no folder for them, or a folder and no poses.
-    #[error(
-        "with --jobs each capture has its own file of poses; give --output DIR with --format ndjson or csv, or neither"
-    )]
-    FormatOfEach,
-    #[cfg(not(feature = "parquet"))]
-    #[error(
-        "this build cannot write {} as Parquet; build with `cargo build --release -p slitpose --features parquet`, or \
-         give a name that ends in .csv or .ndjson",
-        path.display()
-    )]
-    NoParquet { path: PathBuf },
-    #[error("Parquet is no text for a terminal; redirect standard output, or choose another --format")]
-    NoText,
-}
+#[error("{0}")]
+pub(crate) struct UsageError(String);
 
-/// Arguments that name what is not there.
-#[derive(Debug, Error)]
-pub(crate) enum ArgumentError {
-    #[error(
-        "scene `{scene}` gives no pose anywhere in its workspace, so there is none for tolerances to move; \
-         --tolerance-study is for heads that have poses, such as the shipped scene `wide`"
-    )]
-    Poseless { scene: String },
-    #[error("there is no cell {number}; the scene has the cells 0 to {last}")]
-    Cell {
-        number: usize,
-        /// The last cell's number.
-        last: usize,
-    },
-    #[error(
-        "no motion is called {}{}; the motions are {known}, or give a table of one",
-        printable(name),
-        nearest.as_ref().map_or_else(String::new, |name| format!(" (did you mean `{name}`?)"))
-    )]
-    Motion {
-        name: String,
-        /// The motion that is spelt almost like it.
-        nearest: Option<String>,
-        known: String,
-        /// Why it is no table.
-        source: Box<TableError>,
-    },
+/// [`UsageError`] with a text to be formatted.
+macro_rules! usage {
+    ($($text:tt)*) => {
+        crate::commands::UsageError(format!($($text)*))
+    };
 }
+pub(crate) use usage;
 
 /// Whether the reader of the result has gone: an ordinary end, not a failure.
 fn is_broken_pipe(error: &CommandError) -> bool {
@@ -177,7 +120,6 @@ fn is_broken_pipe(error: &CommandError) -> bool {
 fn exit_code(error: &CommandError) -> ExitCode {
     let is_usage = error.is::<UsageError>()
         || error.is::<FaultError>()
-        || error.is::<ConfigError>()
         || matches!(error.downcast_ref(), Some(OutputError::Twice { .. }))
         || matches!(error.downcast_ref(), Some(PlaybackError::Fault(_) | PlaybackError::Range { .. }))
         || matches!(error.downcast_ref(), Some(DeviceError::NotAPath { .. } | DeviceError::Pattern { .. }));

@@ -23,7 +23,7 @@ use slitpose_model::{Pose, Tier};
 
 pub(super) use slitpose_tracking::solving::STREAM_TOLERANCE as DEFAULT_TOLERANCE;
 
-use super::{CommandError, Outcome, UsageError};
+use super::{CommandError, Outcome, usage};
 use crate::sink::{self, Format, Sink};
 use crate::terminal::{self, Amount, Progress};
 use slitpose_tracking::pipeline::{Counts, PipelineOptions};
@@ -107,7 +107,6 @@ pub(super) struct CalibrationOption {
 }
 
 impl CalibrationOption {
-    /// The file, if one was given.
     pub(super) fn file(&self) -> Option<&Path> {
         self.calibration.as_deref().filter(|path| *path != NOT_CALIBRATED)
     }
@@ -157,7 +156,7 @@ pub(super) fn parse_pose(text: &str) -> Result<Pose, &'static str> {
 
 /// Takes any text, and has shells complete some names.
 #[derive(Clone)]
-pub(super) struct Names(Vec<String>);
+pub(super) struct Names(pub(super) Vec<String>);
 
 impl TypedValueParser for Names {
     type Value = String;
@@ -168,13 +167,6 @@ impl TypedValueParser for Names {
 
     fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
         Some(Box::new(self.0.iter().map(PossibleValue::new)))
-    }
-}
-
-impl Names {
-    /// The names, as the scripts of shells list them.
-    pub(super) fn list(&self) -> &[String] {
-        &self.0
     }
 }
 
@@ -266,7 +258,7 @@ pub(super) struct PoseOptions {
     pub(super) duration: Option<f64>,
     /// How poses are written
     #[arg(long, value_enum)]
-    format: Option<Format>,
+    pub(super) format: Option<Format>,
     #[command(flatten)]
     solving: SolvingOptions,
 }
@@ -275,10 +267,6 @@ impl PoseOptions {
     /// The format to write in; `live` tells whether somebody looks.
     pub(super) fn format(&self, live: bool) -> Format {
         self.format_or(if live { Format::Summary } else { Format::Ndjson })
-    }
-
-    pub(super) fn asked_format(&self) -> Option<Format> {
-        self.format
     }
 
     /// The format to write in, `usual` unless one was asked for.
@@ -294,7 +282,8 @@ impl PoseOptions {
         is_terminal: bool,
     ) -> Result<Option<Box<dyn Sink + Send + 'a>>, CommandError> {
         if is_terminal && !format.is_text() {
-            return Err(UsageError::NoText.into());
+            let text = "Parquet is no text for a terminal; redirect standard output, or choose another --format";
+            return Err(usage!("{text}").into());
         }
         if format == Format::Csv && matches!(self.solving.filter, Some(Filter(Some(_)))) {
             talk(format_args!("--filter: CSV has no columns for the filtered pose; --format ndjson has it"));
@@ -354,7 +343,6 @@ pub(super) fn tell(name: &str, counts: &Counts, wanted: bool) -> Outcome {
     }
 }
 
-/// Prints the result of a verb.
 pub(super) fn print(text: &str) -> Result<Outcome, CommandError> {
     Output::open(None)?.write_text(text)?;
     Ok(Outcome::Done)

@@ -8,6 +8,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use anyhow::bail;
+
 use super::options::{CalibrationOption, PoseOptions, parse_duration};
 use super::player::Player;
 use super::{CommandError, Outcome, interrupt, options, talk};
@@ -23,7 +25,6 @@ use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::DeviceId;
 use slitpose_tracking::pipeline::Item;
 use slitpose_tracking::playback::{self, Choice, Event, PlaybackError, Yields};
-use thiserror::Error;
 
 /// Which part of captures is solved, and how.
 #[derive(clap::Args, Debug)]
@@ -38,7 +39,7 @@ pub(super) struct PlayOptions {
     from: Option<f64>,
     /// End this long after the beginning
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
-    to: Option<f64>,
+    pub(super) to: Option<f64>,
     /// Report on standard error how far poses are from those of this CSV table, which has the columns of a
     /// pose and seq, or time_s; and by which other clock, units or axes they agree, if by the given they do not
     #[arg(long, value_name = "CSV")]
@@ -46,23 +47,12 @@ pub(super) struct PlayOptions {
 }
 
 impl PlayOptions {
-    /// Where to end, seconds after the beginning.
-    pub(super) fn to(&self) -> Option<f64> {
-        self.to
-    }
-
     pub(super) fn sources(&self) -> impl Iterator<Item = &Path> {
         self.scene.iter().chain(&self.compare).map(Path::new).chain(self.calibration.file())
     }
 }
 
-/// Several boards, and a reference for one.
-#[derive(Debug, Error)]
-#[error("--compare compares one board, and the capture holds several; record them apart")]
-pub(crate) struct SeveralBoards;
-
 pub(super) struct Printing<'a> {
-    /// `None`: nowhere.
     pub(super) sink: Option<Box<dyn Sink + Send + 'a>>,
     pub(super) target: &'a str,
     pub(super) format: Format,
@@ -87,7 +77,6 @@ pub(super) struct Playback<'a> {
     /// Drawn while nothing else shows how far it has come.
     progress: Option<Progress>,
     output: Outputs<'a>,
-    /// The page, if there is one.
     player: Option<Player>,
     began: HostInstant,
 }
@@ -274,7 +263,7 @@ impl Outputs<'_> {
                     None => self.statistics.push(statistics),
                 }
                 if self.comparison.is_some() && self.statistics.len() > 1 {
-                    return Err(SeveralBoards.into());
+                    bail!("--compare compares one board, and the capture holds several; record them apart");
                 }
                 Ok(())
             }

@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use crate::live::{Control, LiveBoard, LiveInput, Order, PlayerOrder, PlayerState, Refusal, Sampler};
+use crate::live::{Control, Input, LiveBoard, LiveInput, Order, PlayerOrder, PlayerState, Refusal, Sampler};
 use crate::telemetry::DaemonReport;
 use slitpose_head::pace::Speed;
 use slitpose_head::threads::lock;
@@ -21,7 +21,13 @@ const MIN_S: f64 = 0.05;
 
 const SPEEDS: [f64; 2] = [1e-3, 1e3];
 
-impl Control for Orders {
+impl Orders {
+    /// Takes the orders of a page.
+    pub(super) fn control(&self) -> Control {
+        let orders = self.clone();
+        Box::new(move |order| orders.order(order))
+    }
+
     fn order(&self, order: Order) -> Result<(), Refusal> {
         let order = match order {
             Order::Player(order) => order,
@@ -56,7 +62,6 @@ pub(super) struct Player {
 }
 
 impl Player {
-    /// Plays a capture of `duration_s`.
     pub(super) fn new(orders: Orders, live: LiveInput, file: String, duration_s: f64) -> Self {
         let state = PlayerState { playing: true, duration_s, file, ..PlayerState::default() };
         Self { orders, live, state, told: None }
@@ -65,7 +70,7 @@ impl Player {
     /// Shows these boards from now on, by the samplers that are returned.
     pub(super) fn show(&self, boards: &[Board]) -> Vec<Sampler> {
         let shown = |board: &Board| LiveBoard { name: board.name(), head: Some(board.head.clone()) };
-        self.live.boards(boards.iter().map(shown).collect());
+        self.live.show(Input::Boards(boards.iter().map(shown).collect()));
         (0..boards.len()).map(|number| Sampler::new(number, Arc::new(self.live.clone()))).collect()
     }
 
@@ -105,8 +110,8 @@ impl Player {
         };
         if self.told.is_none_or(|told| told.elapsed() >= TELL_EVERY) {
             self.told = Some(Instant::now());
-            self.live.player(PlayerState { playing: self.is_playing(), ..self.state.clone() });
-            self.live.report(report());
+            self.live.show(Input::Player(PlayerState { playing: self.is_playing(), ..self.state.clone() }));
+            self.live.show(Input::Report(Box::new(report())));
         }
     }
 }

@@ -62,22 +62,12 @@ impl RecordOptions {
     }
 }
 
-/// Units of a size, the longest first.
-const UNITS: [(&str, f64); 7] =
-    [("KiB", 1024.0), ("MiB", 1048576.0), ("GiB", 1073741824.0), ("kB", 1e3), ("MB", 1e6), ("GB", 1e9), ("B", 1.0)];
-
 /// No capture is shorter than its beginning.
-const MIN_BYTES: f64 = 1e5;
+const MIN_BYTES: u64 = 100_000;
 
 fn parse_size(text: &str) -> Result<u64, &'static str> {
-    let text = text.trim();
-    let (number, unit) =
-        UNITS.iter().find_map(|(name, bytes)| Some((text.strip_suffix(name)?, *bytes))).unwrap_or((text, 1.0));
-    match number.trim().parse::<f64>() {
-        // Beyond what a disk holds it saturates.
-        Ok(number) if number.is_finite() && number * unit >= MIN_BYTES => Ok((number * unit) as u64),
-        _ => Err("give a size of 100kB at least, such as 500MB or 2GiB"),
-    }
+    let size = parse_size::parse_size(text.trim()).ok().filter(|&bytes| bytes >= MIN_BYTES);
+    size.ok_or("give a size of 100kB at least, such as 500MB or 2GiB")
 }
 
 #[cfg(test)]
@@ -90,7 +80,7 @@ mod tests {
             ("500MB", 500_000_000),
             ("2GiB", 2 << 30),
             ("123456", 123_456),
-            ("0.5 GB", 500_000_000),
+            (" 0.5 GB ", 500_000_000),
             ("200kB", 200_000),
         ] {
             assert_eq!(parse_size(text), Ok(bytes), "{text}");

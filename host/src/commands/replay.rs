@@ -11,7 +11,7 @@ use super::live::LiveOptions;
 use super::options::PoseOptions;
 use super::playback::{PlayOptions, Playback, Printing};
 use super::player::{Orders, Player};
-use super::{CommandError, Outcome, UsageError, interrupt};
+use super::{CommandError, Outcome, interrupt, usage};
 use crate::live::LivePlan;
 use crate::sink::{Account, Format};
 use slitpose_head::faults::Fault;
@@ -70,19 +70,19 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Outcome, CommandError> {
     let playback = Playback::new(&args.files, &args.play, &args.poses, faults, speed, printing)?;
     args.faults.tell();
     let Some(access) = access else { return playback.run() };
-    let length_s = args.play.to().unwrap_or(f64::INFINITY).min(playback::Playback::length_s(&args.files)?);
+    let length_s = args.play.to.unwrap_or(f64::INFINITY).min(playback::Playback::length_s(&args.files)?);
     let orders = Orders::default();
-    let server = args.live.start(LivePlan {
+    let server = args.live.access.start(LivePlan {
         access,
         source: "replay",
         has_zero: false,
         boards: Vec::new(),
         scene: None,
-        control: Box::new(orders.clone()),
+        control: orders.control(),
         report: None,
     })?;
     let names: Vec<_> = args.files.iter().map(|file| file.display().to_string()).collect();
-    let player = Player::new(orders, server.input(), names.join(", "), length_s);
+    let player = Player::new(orders, server.input, names.join(", "), length_s);
     playback.played_by(player)?.run()
 }
 
@@ -108,7 +108,7 @@ pub(super) struct ExportArgs {
 }
 
 pub(super) fn export(args: &ExportArgs) -> Result<Outcome, CommandError> {
-    let format = match args.poses.asked_format() {
+    let format = match args.poses.format {
         Some(format) => format,
         None => format_of(&args.output)?,
     };
@@ -139,6 +139,9 @@ pub(super) fn write(
     Ok(done)
 }
 
+/// Endings of names that say how poses are written.
+const ENDINGS: &str = if cfg!(feature = "parquet") { ".csv, .ndjson or .parquet" } else { ".csv or .ndjson" };
+
 /// How poses are written to a file of this name.
 fn format_of(output: &Path) -> Result<Format, CommandError> {
     match output.extension().and_then(|extension| extension.to_str()) {
@@ -147,9 +150,18 @@ fn format_of(output: &Path) -> Result<Format, CommandError> {
         #[cfg(feature = "parquet")]
         Some("parquet") => Ok(Format::Parquet),
         #[cfg(not(feature = "parquet"))]
-        Some("parquet") => Err(UsageError::NoParquet { path: output.to_owned() }.into()),
+        Some("parquet") => Err(usage!(
+            "this build cannot write {} as Parquet; build with `cargo build --release -p slitpose --features parquet`, or \
+             give a name that ends in .csv or .ndjson",
+            output.display()
+        )
+        .into()),
         // Standard output, devices and pipes have no name that could say it.
         _ if output == Path::new("-") || special_file::is_special(output) => Ok(Format::Csv),
-        _ => Err(UsageError::Extension { path: output.to_owned() }.into()),
+        _ => Err(usage!(
+            "the name {} does not say how poses are to be written; give one that ends in {ENDINGS}, or --format",
+            output.display()
+        )
+        .into()),
     }
 }

@@ -6,24 +6,22 @@ use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
-use anyhow::Context;
 use clap::ValueEnum;
+use sd_notify::NotifyState;
 use slitpose_calibration::{Basis, Head};
-use slitpose_protocol::{Hello, Stream};
+use slitpose_protocol::Stream;
 
-use super::live::{Changes, FoxgloveOptions, LiveOptions, MouseOptions, ZenohOptions, key_of};
+use super::live::{FoxgloveOptions, LiveOptions, MouseOptions, ZenohOptions, changes, key_of};
 use super::options::{PoseOptions, open_scene, parse_duration};
 use super::record::RecordOptions;
 use super::simulate::ToolOptions;
-use super::{CommandError, Outcome, UsageError, interrupt, options, talk};
+use super::{CommandError, Outcome, interrupt, options, talk, usage};
 use crate::address::Address;
-use crate::bridges::{Bridge, SpacenavServer};
-use crate::daemon::{Admit, BoardPlan, Daemon, Ended, Opener, Plan, PortOpener, SimulatedOpener};
+use crate::bridges::Bridge;
+use crate::daemon::{Admit, BoardPlan, Daemon, Ended, Opener, Plan, SimulatedOpener};
 use crate::datagram::{self, DatagramServer};
-use crate::device::{Search, Selector};
-use crate::http::BindScope;
-use crate::live::{Access, LiveBoard, LivePlan, SampleSink};
-use crate::service::{self, Service};
+use crate::device::{Contact, Search, Selector};
+use crate::live::{LiveBoard, LivePlan, SampleSink};
 use crate::telemetry::{DaemonReport, RecorderReport, RecorderState, StatusServer, status_address};
 use slitpose_head::front_end;
 use slitpose_head::pace::Speed;
@@ -32,7 +30,7 @@ use slitpose_head::table::OutputError;
 use slitpose_head::threads::lock;
 use slitpose_tracking::clock::{HostInstant, UtcWatch};
 use slitpose_tracking::link::DeviceId;
-use slitpose_tracking::pipeline::{self, PipelineError, PipelineOptions, PoseSource, SceneMatch};
+use slitpose_tracking::pipeline::{self, PipelineOptions, PoseSource, SceneMatch};
 use slitpose_tracking::solving::head_by;
 
 /// Period of checks for ended boards, and of housekeeping.
@@ -114,7 +112,6 @@ pub(super) struct Args {
     pub(super) print_config: bool,
 }
 
-/// What a board sends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum StreamName {
     Raw,
@@ -150,7 +147,10 @@ fn parse_patience(text: &str) -> Result<Patience, String> {
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     if let (StreamName::Pose, Some(option)) = (args.stream, args.poses.for_this_program()) {
-        return Err(UsageError::OnlyHere { option }.into());
+        return Err(usage!(
+            "{option} says how this program solves poses, and with --stream pose the board does; leave one of both out"
+        )
+        .into());
     }
     let zenoh = args.zenoh.open(&args.device)?;
     let boards = args.boards(zenoh.as_deref())?;
@@ -163,8 +163,6 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let output = io::BufWriter::with_capacity(1 << 16, io::stdout());
     let is_terminal = io::stdout().is_terminal();
     let sink = args.poses.open_sink(args.poses.format(is_terminal), output, is_terminal)?;
-    let service = Service::from_environment()
-        .context("the service manager that NOTIFY_SOCKET names cannot be reached; start the program without it")?;
     // All that can fail comes before the first thread: a board that is lit is stopped by its own.
     let (began, followed) = (HostInstant::now(), Arc::new(OnceLock::<Arc<Daemon>>::new()));
     let reports = || {
@@ -178,23 +176,23 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let workspace = boards.first().map(|board| board.head.file.workspace);
     let mouse = workspace.map(|workspace| args.mouse.start(workspace)).transpose()?.flatten();
     let access = args.live.access()?;
-    let is_recorded_later = access.as_ref().is_some_and(Access::may_write);
+    let is_recorded_later = access.as_ref().is_some_and(|access| access.may_write);
     let shown = || {
         let shown = |board: &BoardPlan| LiveBoard { name: board.opener.name(), head: Some(board.head.clone()) };
         boards.iter().map(shown).collect()
     };
     let live = match access {
-        Some(access) => Some(args.live.start(LivePlan {
+        Some(access) => Some(args.live.access.start(LivePlan {
             access,
             source: "run",
             has_zero: mouse.is_some(),
             boards: shown(),
             scene: None,
-            control: Box::new(Changes {
-                daemon: Arc::clone(&followed),
-                options: args.record.clone(),
-                mouse: mouse.as_ref().map(SpacenavServer::input),
-            }),
+            control: changes(
+                Arc::clone(&followed),
+                args.record.clone(),
+                mouse.as_ref().map(|mouse| mouse.input.clone()),
+            ),
             report: Some(Box::new(reports())),
         })?),
         None => None,
@@ -202,40 +200,46 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let foxglove = args.foxglove.start(shown(), reports())?;
     let status = match &args.status {
         Some(address) => {
-            let server = StatusServer::start(address, BindScope::Loopback, reports())?;
-            talk(format_args!("status at {}", server.address()));
+            let server = StatusServer::start(address, reports())?;
+            talk(format_args!("status at {}", server.address));
             Some(server)
         }
         None => None,
     };
     let capture = args.record.open(is_recorded_later)?;
     let mut takers: Vec<Arc<dyn SampleSink>> = Vec::new();
-    takers.extend(live.iter().map(|live| Arc::new(live.input()) as Arc<dyn SampleSink>));
+    takers.extend(live.iter().map(|live| Arc::new(live.input.clone()) as Arc<dyn SampleSink>));
     takers.extend(foxglove.iter().map(|(input, _)| Arc::new(input.clone()) as Arc<dyn SampleSink>));
-    takers.extend(mouse.iter().map(|mouse| Arc::new(mouse.input()) as Arc<dyn SampleSink>));
+    takers.extend(mouse.iter().map(|mouse| Arc::new(mouse.input.clone()) as Arc<dyn SampleSink>));
     let streams = args.zenoh.publisher(zenoh.as_deref(), shown, reports()).into_iter().collect();
     let plan = Plan { boards, sink, capture, datagrams, streams, takers, real_time: args.real_time };
     let daemon = Arc::new(Daemon::start(plan, Arc::clone(&stop))?);
     let daemon = followed.get_or_init(|| daemon);
+    // systemd's protocol; without a service manager nothing is sent.
+    if let Err(error) = sd_notify::notify(&[NotifyState::Ready]) {
+        talk(format_args!(
+            "the service manager that NOTIFY_SOCKET names cannot be reached ({error}); start the program without it"
+        ));
+    }
     // A manager that does not listen at this moment will at the next.
-    let notify = |state| drop(service.notify(state));
-    notify(service::READY);
+    let notify = |state| drop(sd_notify::notify(&[state]));
+    let alive_every = sd_notify::watchdog_enabled().map(|limit| limit / 2);
     let (mut accounted, mut alive, mut utc) = (Instant::now(), Instant::now(), UtcWatch::default());
     while !daemon.is_over() {
         std::thread::sleep(MOMENT);
         if let Some(step_s) = utc.step_s(HostInstant::now()) {
             tell_step(step_s);
         }
-        if service.watchdog_every().is_some_and(|every| alive.elapsed() >= every) && daemon.is_alive() {
+        if alive_every.is_some_and(|every| alive.elapsed() >= every) && daemon.is_alive() {
             alive = Instant::now();
-            notify(service::ALIVE);
+            notify(NotifyState::Watchdog);
         }
         if accounted.elapsed() >= ACCOUNT_EVERY {
             accounted = Instant::now();
             daemon.record_report();
         }
     }
-    notify(service::STOPPING);
+    notify(NotifyState::Stopping);
     let ended = daemon.end();
     drop((status, live, foxglove, mouse));
     let reconnects = daemon.report().boards.iter().map(|board| board.link.reconnects).collect::<Vec<_>>();
@@ -309,12 +313,14 @@ fn outcome_of(ended: Ended, reconnects: &[u64], interrupted: bool, bounded: bool
 impl Args {
     fn boards(&self, zenoh: Option<&dyn Bridge>) -> Result<Vec<BoardPlan>, CommandError> {
         let scenes = self.scene.iter().map(|scene| open_scene(scene)).collect::<Result<Vec<_>, _>>()?;
-        if scenes.len() != 1 && scenes.len() != self.device.len() {
-            return Err(UsageError::Scenes { scenes: scenes.len(), devices: self.device.len() }.into());
+        let (scenes_given, calibrations, devices) = (scenes.len(), self.calibration.len(), self.device.len());
+        if scenes_given != 1 && scenes_given != devices {
+            let next_step = "give one for all, or one for each, in the same order";
+            return Err(usage!("{scenes_given} scenes for {devices} boards; {next_step}").into());
         }
-        if ![0, self.device.len()].contains(&self.calibration.len()) {
-            let (calibrations, devices) = (self.calibration.len(), self.device.len());
-            return Err(UsageError::Calibrations { calibrations, devices }.into());
+        if ![0, devices].contains(&calibrations) {
+            let next_step = "give one for each, in the same order, or `none` for one";
+            return Err(usage!("{calibrations} calibrations for {devices} boards; {next_step}").into());
         }
         let search = self.search.iter().map(|pattern| pattern.parse()).collect::<Result<Vec<Search>, _>>()?;
         let boards = self.device.iter().zip(scenes.iter().cycle()).enumerate();
@@ -336,7 +342,7 @@ impl Args {
             Some((session, key)) => Some(session.opener(key)?),
             None => match device.parse()? {
                 Selector::Sim => None,
-                selector => Some(Box::new(PortOpener::new(selector, search.to_vec()))),
+                selector => Some(Box::new(Contact::new(selector, search.to_vec()))),
             },
         };
         // A head is within its tolerances, given or usual.
@@ -360,7 +366,10 @@ impl Args {
             }
             Some(opener) => {
                 if let Some(option) = self.tool.given().or(self.speed.map(|_| "--speed")) {
-                    return Err(UsageError::OnlySimulated { option, device: device.to_owned() }.into());
+                    return Err(usage!(
+                        "{option} is for simulated boards and means nothing to {device}; leave it out, or give --device sim"
+                    )
+                    .into());
                 }
                 (opener, true)
             }
@@ -372,7 +381,7 @@ impl Args {
         };
         Ok(BoardPlan {
             opener,
-            admit: Admission { head: head.clone(), name: device.to_owned(), told: Mutex::new(None) }.into_closure(),
+            admit: admission(head.clone(), device.to_owned()),
             head,
             configuration,
             tier,
@@ -386,29 +395,18 @@ impl Args {
     }
 }
 
-/// Whether a board may be followed, and what its user should know.
-struct Admission {
-    head: Head,
-    name: String,
-    /// The board that was reported last.
-    told: Mutex<Option<DeviceId>>,
-}
-
-impl Admission {
-    fn into_closure(self) -> Admit {
-        Box::new(move |hello| self.admit(hello))
-    }
-
-    fn admit(&self, hello: &Hello<'_>) -> Result<(), PipelineError> {
-        let file = &self.head.file;
+/// Whether a board may be followed at `name`, and what its user should know, which is said once of each board.
+fn admission(head: Head, name: String) -> Admit {
+    let last = Mutex::new(None);
+    Box::new(move |hello| {
+        let file = &head.file;
         pipeline::check(file, SceneMatch::Required, hello)?;
-        pipeline::check_calibration(&self.head, SceneMatch::Required, hello)?;
+        pipeline::check_calibration(&head, SceneMatch::Required, hello)?;
         let device = DeviceId(hello.device_id);
-        let told = lock(&self.told).replace(device);
-        if told == Some(device) {
+        if lock(&last).replace(device) == Some(device) {
             return Ok(());
         }
-        let (name, scene) = (&self.name, &file.name);
+        let scene = &file.name;
         let board_a = hello.scaling.full_scale_a();
         if let Some(front_end) = &file.front_end
             && !front_end::is_full_scale_of(board_a, front_end.full_scale_a)
@@ -428,7 +426,7 @@ impl Admission {
                 file.origin
             ));
         }
-        let is_uncalibrated = matches!(pipeline::head_of(&self.head, hello).basis(), Basis::Tolerances);
+        let is_uncalibrated = matches!(pipeline::head_of(&head, hello).basis(), Basis::Tolerances);
         if let (true, Some(hash)) = (is_uncalibrated, hello.hashes.calibration) {
             talk(format_args!(
                 "the board on {name} belongs to the calibration with hash {hash:016x}, and none is given: poses are those \
@@ -443,5 +441,5 @@ impl Admission {
             ));
         }
         Ok(())
-    }
+    })
 }

@@ -10,11 +10,12 @@ use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message, Schedule};
 
 use super::faults::FaultOptions;
 use super::options::{CalibrationOption, DEFAULT_TOLERANCE, TierOptions, open_scene, parse_duration};
-use super::{ArgumentError, CommandError, Outcome, interrupt, options, talk};
+use super::{CommandError, Outcome, interrupt, options, talk};
 use crate::comparison::NothingMatches;
 use crate::device::{Conversation, DeviceError, Keep, SimulatedDevice};
 use crate::telemetry::report_schema;
 use slitpose_head::faults::{Faults, Injector};
+use slitpose_head::foreign::printable;
 use slitpose_head::front_end;
 use slitpose_head::pace::Speed;
 use slitpose_head::scene_file::{SceneFile, nearest};
@@ -91,7 +92,6 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
 
 pub(super) struct Target<'a> {
     pub(super) path: &'a Path,
-    /// Which file it may replace.
     pub(super) replace: Replace,
     /// Bytes alone, no capture.
     pub(super) raw: bool,
@@ -305,10 +305,14 @@ impl ToolOptions {
             None => Trajectory::from_table(name).map_err(|error| match error {
                 PathError::Table(source @ TableError::Open { .. }) => {
                     let motions = options::motions();
-                    let known: Vec<&str> = motions.list().iter().map(String::as_str).collect();
-                    let nearest = nearest(name, &known).map(str::to_owned);
-                    let (name, known) = (name.to_owned(), known.join(", "));
-                    ArgumentError::Motion { name, nearest, known, source: Box::new(source) }.into()
+                    let known: Vec<&str> = motions.0.iter().map(String::as_str).collect();
+                    let nearest = nearest(name, &known).map(|name| format!(" (did you mean `{name}`?)"));
+                    anyhow::Error::new(source).context(format!(
+                        "no motion is called {}{}; the motions are {}, or give a table of one",
+                        printable(name),
+                        nearest.unwrap_or_default(),
+                        known.join(", ")
+                    ))
                 }
                 error => error.into(),
             }),

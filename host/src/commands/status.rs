@@ -2,6 +2,7 @@
 
 use std::io::Write;
 
+use anyhow::bail;
 use clap::ValueEnum;
 
 use super::{CommandError, Outcome};
@@ -9,7 +10,7 @@ use crate::address::Address;
 use crate::telemetry::{DEFAULT_STATUS_ADDRESS, fetch, status_address};
 use crate::terminal;
 use crate::terminal::Tone;
-use slitpose_head::foreign::printable_lines;
+use slitpose_head::foreign::{printable, printable_lines};
 use slitpose_head::table::{Output, OutputError};
 
 /// Shows the state of a running daemon, its boards and their cells.
@@ -41,7 +42,10 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         Format::Json => "/status",
         Format::Prometheus => "/metrics",
     };
-    let text = fetch(&args.address, path)?;
+    let (status, text) = fetch(&args.address, path)?;
+    if status != 200 {
+        bail!("{} answers {status} to {path}: {}", args.address, printable(text.trim_end()));
+    }
     let output = Output::open(None)?;
     match args.format {
         // Whatever listens there may have written it.

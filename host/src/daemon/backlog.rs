@@ -36,14 +36,13 @@ pub(super) enum Next {
 }
 
 /// Tracks how far the solver is behind.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Backlog {
     keeps_all: bool,
     late_since_ns: Option<u64>,
     behind_since_ns: Option<u64>,
     /// How long scans are skipped, this time or the last.
     trial_after_ns: u64,
-    /// When the last trial began.
     tried_ns: Option<u64>,
     /// The last scan was solved ahead of its turn.
     was_newest: bool,
@@ -52,14 +51,7 @@ pub(super) struct Backlog {
 impl Backlog {
     /// `keeps_all`: each scan must be solved, however late.
     pub(super) fn new(keeps_all: bool) -> Self {
-        Self {
-            keeps_all,
-            late_since_ns: None,
-            behind_since_ns: None,
-            trial_after_ns: FIRST_TRIAL_AFTER_NS,
-            tried_ns: None,
-            was_newest: false,
-        }
+        Self { keeps_all, trial_after_ns: FIRST_TRIAL_AFTER_NS, ..Self::default() }
     }
 
     /// Whether scans are solved ahead of their turn.
@@ -134,6 +126,7 @@ mod tests {
     const AT_ONCE: u64 = 4;
 
     /// A solver with a given cost per scan, on a simulated clock.
+    #[derive(Default)]
     struct Trial {
         backlog: Backlog,
         /// Number and arrival of the waiting scans, and how many of them were passed.
@@ -150,17 +143,7 @@ mod tests {
 
     impl Trial {
         fn new(keeps_all: bool) -> Self {
-            Self {
-                backlog: Backlog::new(keeps_all),
-                waiting: VecDeque::new(),
-                passed: 0,
-                now_ns: 1,
-                arrived: 0,
-                printed: Vec::new(),
-                given: Vec::new(),
-                skipped: 0,
-                was_behind: false,
-            }
+            Self { backlog: Backlog::new(keeps_all), now_ns: 1, ..Self::default() }
         }
 
         /// Queues all scans that arrived until now and before `end_ns`.

@@ -14,12 +14,10 @@ use slitpose_protocol::{Configuration, Rejection, Stream};
 use thiserror::Error;
 
 use super::backlog::Backlog;
-use super::handoff::handoff;
-use super::handoff::{Producer, buffer_pool};
-use super::link::Link;
-use super::link::ScanWatch;
+use super::handoff::{Producer, buffer_pool, handoff};
+use super::link::{Link, ScanWatch};
 use super::opener::{Admit, Opener};
-use super::outputs::{Outbox, Outputs};
+use super::outputs::{Outbox, Outputs, Pending};
 use super::reader::Reader;
 use super::solver::{Solver, State};
 use super::tap::{Overflow, Tap, TapEnds};
@@ -67,6 +65,7 @@ impl BoardPlan {
 }
 
 /// State shared by the threads of all boards.
+#[derive(Clone)]
 pub(super) struct Shared {
     pub(super) outboxes: Option<Producer<Outbox>>,
     /// Whether each pose has to be printed.
@@ -108,15 +107,17 @@ impl BoardThreads {
             pipeline,
             events: tell,
             scan_watch: ScanWatch::new(Duration::from_secs_f64(plan.configuration.schedule.frame_rate_hz().recip())),
-            outputs: Outputs::new(
-                BoardStatistics::new(name.clone(), HostInstant::now()),
-                shared.datagrams,
-                shared.outboxes,
-                keeps_all,
-                shared.recorder.map(tap),
-                shared.streams.into_iter().map(tap).collect(),
-                shared.takers.into_iter().map(|taker| Sampler::new(number, taker)).collect(),
-            ),
+            outputs: Outputs {
+                statistics: BoardStatistics::new(name.clone(), HostInstant::now()),
+                datagrams: shared.datagrams,
+                publisher: None,
+                printer: shared.outboxes,
+                prints_all: keeps_all,
+                capture: shared.recorder.map(tap),
+                streams: shared.streams.into_iter().map(tap).collect(),
+                samplers: shared.takers.into_iter().map(|taker| Sampler::new(number, taker)).collect(),
+                pending: Pending::default(),
+            },
             backlog: Backlog::new(keeps_all),
             slot: Arc::clone(slot),
             stop: Arc::clone(stop),
@@ -249,7 +250,6 @@ impl Claims {
         }
     }
 
-    /// Releases the claims of `name`.
     pub(super) fn release(&self, name: &str) {
         lock(&self.0).retain(|(_, owner)| owner != name);
     }
@@ -267,7 +267,8 @@ impl BoardSlot {
 
     /// Updates the state; called a few times per second.
     pub(super) fn account(&self, pipeline: &Pipeline, statistics: &mut BoardStatistics) {
-        statistics.set_clock(pipeline.drift_ppm(), pipeline.contradicts_crystal());
+        statistics.report.clock.drift_ppm = pipeline.drift_ppm();
+        statistics.report.clock.contradicts_crystal = pipeline.contradicts_crystal();
         let report = statistics.report(&pipeline.counts(), pipeline.health(), HostInstant::now());
         *lock(&self.report) = BoardReport { board_poses: pipeline.agreement(), ..report };
     }

@@ -58,7 +58,6 @@ pub(super) struct Consumer<T> {
     sleeper: Arc<Sleeper>,
 }
 
-/// Why there is no full buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Empty {
     /// No buffer has been handed over yet.
@@ -136,7 +135,6 @@ impl<T> Consumer<T> {
         })
     }
 
-    /// Whether no full buffer waits.
     pub(super) fn is_empty(&self) -> bool {
         self.full.is_empty()
     }
@@ -350,41 +348,6 @@ mod tests {
         }
         drop(producer);
         assert_eq!(consumer.next(AT_ONCE), Err(Empty::Closed));
-    }
-
-    #[test]
-    fn a_sleeping_consumer_is_woken_by_each_buffer_and_by_the_end() {
-        const EACH: u64 = 20_000;
-        // A consumer that is not woken sleeps for longer than any test may take.
-        const LONG: Duration = Duration::from_secs(3600);
-        let (producer, consumer) = buffer_pool(2, || (0, 0));
-        let received = thread::scope(|scope| {
-            let consumes = scope.spawn(move || {
-                let mut last = [0; 2];
-                while let Ok((of, number)) = consumer.next(LONG) {
-                    assert_eq!(number, last[of] + 1);
-                    last[of] = number;
-                    consumer.give_back((of, number));
-                }
-                last
-            });
-            for of in 0..2 {
-                let producer = producer.clone();
-                scope.spawn(move || {
-                    for number in 1..=EACH {
-                        producer.spare().unwrap();
-                        producer.hand_over((of, number));
-                        // Now and then the consumer falls asleep.
-                        if number % 64 == 0 {
-                            thread::sleep(Duration::from_micros(50));
-                        }
-                    }
-                });
-            }
-            drop(producer);
-            consumes.join().unwrap()
-        });
-        assert_eq!(received, [EACH; 2]);
     }
 
     #[test]

@@ -115,7 +115,6 @@ impl Link {
         }
     }
 
-    /// Scans come from `port`.
     pub(super) fn running(&self, port: &str) {
         let mut state = self.lock();
         state.set(LinkState::Running, None);
@@ -268,7 +267,7 @@ mod tests {
         let missing = error(|name| DeviceError::Missing { name });
         link.lost(&missing);
         link.lost(&missing);
-        assert_eq!(link.report().state, LinkState::Searching);
+        assert_eq!((link.report().state, link.report().attempts), (LinkState::Searching, 2));
         link.connecting();
         link.running("port");
         assert_eq!((link.report().state, link.report().reconnects), (LinkState::Running, 0));
@@ -281,7 +280,11 @@ mod tests {
         link.connecting();
         assert!(link.report().reason.is_some(), "why it was missed is known until it runs");
         link.running("other port");
-        assert_eq!((link.report().reason, link.report().reconnects), (None, 1));
+        assert_eq!((link.report().reason, link.report().reconnects, link.report().attempts), (None, 1, 0));
+        link.ended(Some(&missing));
+        assert!(link.report().state == LinkState::Ended && link.report().reason.is_some() && link.is_given_up());
+        link.ended(None);
+        assert!(link.report().reason.is_none() && !link.is_given_up());
         let said = said.lock().unwrap();
         let kinds: Vec<bool> = said.iter().map(|text| text.contains("looking for it")).collect();
         assert_eq!(kinds, [true, false, true, true, false], "{said:?}");
@@ -301,67 +304,6 @@ mod tests {
         assert_eq!([36_000, 36_010, 36_020].map(&mut tell), [Some(299), None, Some(1)]);
         // Another reason does not wait.
         assert_eq!(state.is_told("another", began), Some(0));
-    }
-
-    #[derive(Clone, Copy, Debug)]
-    enum Step {
-        Connecting,
-        Running,
-        Missing,
-        Busy,
-        Quiet,
-    }
-
-    proptest::proptest! {
-        /// The link against what its history says: each word of the report from the steps alone.
-        #[test]
-        fn a_report_follows_from_what_has_happened(
-            steps in proptest::collection::vec(proptest::sample::select(vec![
-                Step::Connecting, Step::Running, Step::Missing, Step::Busy, Step::Quiet,
-            ]), 0..40),
-            fails: bool,
-        ) {
-            use proptest::prop_assert_eq;
-            let said = Arc::new(Mutex::new(0));
-            let ear = Arc::clone(&said);
-            let link = Link::new(Arc::new(move |text| {
-                *ear.lock().unwrap() += usize::from(text.to_string().contains(" runs; it was missed for"));
-            }));
-            for (number, step) in steps.iter().enumerate() {
-                match step {
-                    Step::Connecting => link.connecting(),
-                    Step::Running => link.running("port"),
-                    Step::Missing => link.lost(&error(|name| DeviceError::Missing { name })),
-                    Step::Busy => link.lost(&error(|name| DeviceError::Busy { name })),
-                    Step::Quiet => link.lost(&error(|name| DeviceError::Quiet { name, seconds: 0.5 })),
-                }
-                let past = &steps[..=number];
-                let runs = past.iter().filter(|step| matches!(step, Step::Running)).count();
-                let since_run = past.rsplit(|step| matches!(step, Step::Running)).next().unwrap();
-                let losses = since_run.iter().filter(|step| !matches!(step, Step::Connecting)).count();
-                let report = link.report();
-                prop_assert_eq!(report.reconnects, runs.saturating_sub(1) as u64);
-                prop_assert_eq!(report.attempts, losses as u64);
-                prop_assert_eq!(report.reason.is_some(), losses > 0, "a loss has its reason until the board runs");
-                let state = match step {
-                    Step::Connecting => LinkState::Connecting,
-                    Step::Running => LinkState::Running,
-                    Step::Missing if runs > 0 => LinkState::Gone,
-                    Step::Missing => LinkState::Searching,
-                    Step::Busy => LinkState::Refused,
-                    Step::Quiet => LinkState::Quiet,
-                };
-                prop_assert_eq!(report.state, state);
-            }
-            // A return is told if the loss was, and no other.
-            let returns = steps.split(|step| matches!(step, Step::Running)).rev().skip(1);
-            let lost = returns.filter(|part| part.iter().any(|step| !matches!(step, Step::Connecting))).count();
-            let told = *said.lock().unwrap();
-            proptest::prop_assert!(told <= lost && (told > 0) == (lost > 0), "{} of {}", told, lost);
-            let why = error(|name| DeviceError::Missing { name });
-            link.ended(fails.then_some(&why));
-            prop_assert_eq!((link.report().state, link.is_given_up()), (LinkState::Ended, fails));
-        }
     }
 
     fn at(seconds: f64) -> Option<HostInstant> {

@@ -38,7 +38,7 @@ pub(crate) use board::{BoardError, BoardPlan};
 pub(crate) use link::Talk;
 #[cfg(feature = "zenoh")]
 pub(crate) use opener::Feed;
-pub(crate) use opener::{Admit, Opener, PortOpener, SimulatedOpener};
+pub(crate) use opener::{Admit, Opener, SimulatedOpener};
 pub(crate) use recorder::CapturePlan;
 #[cfg(feature = "zenoh")]
 pub(crate) use tap::ChunkSink;
@@ -54,11 +54,10 @@ use board::{BoardSlot, BoardThreads, Claims};
 use handoff::buffer_pool;
 use outputs::{OUTBOX_POSES, Outbox, PrinterThread};
 use recorder::RecorderThread;
-use slitpose_head::threads::lock;
+use slitpose_head::threads::{join, lock};
 use slitpose_tracking::capture::CaptureSeries;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::pipeline::Counts;
-use tap::StreamerThread;
 
 /// Most outboxes on their way to the printer: half a second of one board at 4 kHz.
 const OUTBOXES: usize = 128;
@@ -86,7 +85,7 @@ pub(crate) struct Daemon {
     boards: Mutex<Vec<BoardThreads>>,
     printer: Mutex<Option<PrinterThread>>,
     recorder: Option<RecorderThread>,
-    streamers: Mutex<Vec<StreamerThread>>,
+    streamers: Mutex<Vec<JoinHandle<()>>>,
     datagrams: Option<Arc<DatagramServer>>,
     stop: Arc<AtomicBool>,
 }
@@ -118,10 +117,10 @@ impl Daemon {
                 let (producer, consumer) =
                     buffer_pool(OUTBOXES * boards.len().max(1), || Outbox::with_capacity(OUTBOX_POSES));
                 let (slots, stop) = (slots.clone(), Arc::clone(&stop));
-                let recorder = recorder.as_ref().map(RecorderThread::reports);
+                let recorder = recorder.as_ref().map(|recorder| Arc::clone(&recorder.report));
                 let accounts = move || {
                     let boards: Vec<_> = slots.iter().map(|slot| slot.report()).collect();
-                    let recorder = recorder.as_ref().map(|report| report()).unwrap_or_default();
+                    let recorder = recorder.as_ref().map(|report| lock(report).clone()).unwrap_or_default();
                     Account { recorder: with_unrecorded(recorder, &boards), boards }
                 };
                 let printer = PrinterThread::start(consumer, sink, Box::new(accounts), stop)?;
@@ -129,27 +128,20 @@ impl Daemon {
             }
             None => (None, None),
         };
-        let (mut streamers, mut streams_ends) = (Vec::new(), Vec::new());
-        for stream in streams {
-            let (thread, ends) = StreamerThread::start(stream, boards.len())?;
-            streamers.push(thread);
-            streams_ends.push(ends);
-        }
-        let mut threads = Vec::new();
-        let claims = Claims::default();
-        for (number, board) in boards.into_iter().enumerate() {
-            let shared = board::Shared {
-                outboxes: outboxes.clone(),
-                prints_each,
-                recorder: recorder_ends.clone(),
-                streams: streams_ends.clone(),
-                datagrams: datagrams.clone(),
-                takers: takers.clone(),
-                real_time,
-                claims: claims.clone(),
-            };
-            threads.push(BoardThreads::start(number, board, shared, &slots[number], &stop)?);
-        }
+        let streams = streams.into_iter().map(|plan| tap::stream(plan, boards.len()));
+        let (streamers, streams): (Vec<_>, _) = streams.collect::<Result<Vec<_>, _>>()?.into_iter().unzip();
+        let shared = board::Shared {
+            outboxes,
+            prints_each,
+            recorder: recorder_ends,
+            streams,
+            datagrams: datagrams.clone(),
+            takers,
+            real_time,
+            claims: Claims::default(),
+        };
+        let start = |(number, board)| BoardThreads::start(number, board, shared.clone(), &slots[number], &stop);
+        let threads = boards.into_iter().enumerate().map(start).collect::<Result<_, _>>()?;
         Ok(Self {
             started: HostInstant::now(),
             slots,
@@ -217,7 +209,7 @@ impl Daemon {
     pub(crate) fn end(&self) -> Ended {
         let threads = std::mem::take(&mut *lock(&self.boards));
         let boards = threads.into_iter().map(BoardThreads::end).collect();
-        std::mem::take(&mut *lock(&self.streamers)).into_iter().for_each(StreamerThread::end);
+        std::mem::take(&mut *lock(&self.streamers)).into_iter().for_each(join);
         self.record_report();
         let printer = lock(&self.printer).take();
         let printed = printer.map_or(Ok(()), |printer| printer.end(&self.stop));

@@ -5,10 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use slitpose_protocol::{Configuration, Hello, Stream};
 
 use super::board::BoardError;
-use crate::device::{
-    Conversation, DeviceError, Found, Keep, Search, Selector, SerialDevice, SimulatedDevice, SimulatedPort, find,
-    locate,
-};
+use crate::device::{Contact, Conversation, DeviceError, Keep, Selector, SimulatedDevice, SimulatedPort};
 use slitpose_head::threads::lock;
 use slitpose_tracking::link::{DeviceId, Segment};
 use slitpose_tracking::pipeline::PipelineError;
@@ -86,22 +83,7 @@ pub(crate) trait Opener: Send {
     fn greeted(&mut self, _: DeviceId) {}
 }
 
-/// Opens the port of a board, even if its name has changed.
-#[derive(Debug)]
-pub(crate) struct PortOpener {
-    selector: Selector,
-    search: Vec<Search>,
-    known: Option<Found>,
-}
-
-impl PortOpener {
-    /// For the board that `selector` names, with `search` as additional places.
-    pub(crate) fn new(selector: Selector, search: Vec<Search>) -> Self {
-        Self { selector, search, known: None }
-    }
-}
-
-impl Opener for PortOpener {
+impl Opener for Contact {
     fn name(&self) -> String {
         self.selector.to_string()
     }
@@ -112,23 +94,11 @@ impl Opener for PortOpener {
     }
 
     fn open(&mut self) -> Result<Box<dyn Feed>, DeviceError> {
-        let found = match locate(&self.selector, self.known.as_ref()) {
-            // Keeps the USB identity, by which the board is found again under another name.
-            Some(found) => {
-                let known = self.known.take().and_then(|known| known.device);
-                Found { device: found.device.or(known), ..found }
-            }
-            None => find(&self.selector, &self.search)?,
-        };
-        let port = self.known.insert(found).port.clone();
-        let device = SerialDevice::open(&port)?;
-        Ok(Box::new(Conversation::open(Box::new(device))?))
+        Ok(Box::new(Conversation::open(Box::new(self.open()?))?))
     }
 
     fn greeted(&mut self, device: DeviceId) {
-        if let Some(found) = &mut self.known {
-            found.device = Some(device);
-        }
+        self.greeted(device);
     }
 }
 

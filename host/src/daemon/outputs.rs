@@ -50,7 +50,13 @@ pub(super) struct Outputs {
     pub(super) capture: Option<Tap>,
     /// Takers of all bytes besides the recorder.
     pub(super) streams: Vec<Tap>,
-    samplers: Vec<Sampler>,
+    pub(super) samplers: Vec<Sampler>,
+    pub(super) pending: Pending,
+}
+
+/// What has come and is not passed on yet.
+#[derive(Default)]
+pub(super) struct Pending {
     outbox: Option<Outbox>,
     /// Poses about to be published, and the time when the first was solved.
     fresh: Vec<Record>,
@@ -67,45 +73,13 @@ pub(super) struct Outputs {
 }
 
 impl Outputs {
-    pub(super) fn new(
-        statistics: BoardStatistics,
-        datagrams: Option<Arc<DatagramServer>>,
-        printer: Option<Producer<Outbox>>,
-        prints_all: bool,
-        capture: Option<Tap>,
-        streams: Vec<Tap>,
-        samplers: Vec<Sampler>,
-    ) -> Self {
-        Self {
-            datagrams,
-            publisher: None,
-            statistics,
-            printer,
-            prints_all,
-            capture,
-            streams,
-            samplers,
-            outbox: None,
-            fresh: Vec::with_capacity(TOGETHER),
-            fresh_since_ns: 0,
-            notes: VecDeque::new(),
-            arrived: 0,
-            taken: 0,
-            device: None,
-            complaint: None,
-            refused: None,
-        }
-    }
-
-    fn taps(&mut self) -> impl Iterator<Item = &mut Tap> {
+    pub(super) fn taps(&mut self) -> impl Iterator<Item = &mut Tap> {
         self.capture.iter_mut().chain(&mut self.streams)
     }
 
     /// Prepares for the next segment; `opened`: the link was opened anew.
     pub(super) fn begin(&mut self, opened: bool) {
-        for tap in self.taps() {
-            tap.begin(opened);
-        }
+        self.taps().for_each(|tap| tap.begin(opened));
     }
 
     /// Passes on one item of a segment.
@@ -113,39 +87,35 @@ impl Outputs {
         let mut read_at = None;
         match item {
             Item::Scan(scan) => {
-                self.arrived += 1;
+                self.pending.arrived += 1;
                 read_at = scan.arrival;
             }
             Item::Hello(hello) => {
                 let device = DeviceId(hello.device_id);
-                if self.device.replace(device) != Some(device) {
+                if self.pending.device.replace(device) != Some(device) {
                     self.send();
                     self.publisher = self.datagrams.as_ref().map(|datagrams| datagrams.publisher(device));
                 }
-                for tap in self.taps() {
-                    tap.hello(hello);
-                }
+                self.taps().for_each(|tap| tap.hello(hello));
             }
             Item::Event { severity, text, .. } if *severity != Severity::Info => {
-                self.complaint = Some((*text).to_owned());
+                self.pending.complaint = Some((*text).to_owned());
             }
             // Reported after the whole segment is processed, so that its scans are not lost.
-            Item::Reply(Reply { outcome: Err(rejection), .. }) => self.refused = Some(*rejection),
+            Item::Reply(Reply { outcome: Err(rejection), .. }) => self.pending.refused = Some(*rejection),
             _ => {}
         }
         if self.printer.is_some()
-            && let Some(note) = Note::of(self.device, item)
+            && let Some(note) = Note::of(self.pending.device, item)
         {
-            self.notes.push_back((self.arrived, note));
+            self.pending.notes.push_back((self.pending.arrived, note));
         }
         self.statistics.update(item, read_at, None);
     }
 
     /// Passes on the bytes of a segment.
     pub(super) fn keep(&mut self, segment: &Segment) {
-        for tap in self.taps() {
-            tap.keep(segment);
-        }
+        self.taps().for_each(|tap| tap.keep(segment));
     }
 
     /// Publishes a pose that is newer than all before, at once or together with the next few; and shows it with its
@@ -157,14 +127,16 @@ impl Outputs {
         now: HostInstant,
         is_behind: bool,
     ) {
-        if self.fresh.is_empty() {
-            self.fresh_since_ns = now.monotonic_ns;
+        if self.pending.fresh.is_empty() {
+            self.pending.fresh_since_ns = now.monotonic_ns;
         }
-        self.fresh.push(*record);
+        self.pending.fresh.push(*record);
         if let Some(publisher) = &mut self.publisher {
-            publisher.set_behind(is_behind);
+            publisher.is_behind = is_behind;
         }
-        if self.fresh.len() >= TOGETHER || now.monotonic_ns.saturating_sub(self.fresh_since_ns) >= TOGETHER_NS {
+        if self.pending.fresh.len() >= TOGETHER
+            || now.monotonic_ns.saturating_sub(self.pending.fresh_since_ns) >= TOGETHER_NS
+        {
             self.send();
         }
         for sampler in &mut self.samplers {
@@ -175,29 +147,29 @@ impl Outputs {
 
     /// Sends the poses that [`publish`](Self::publish) has kept.
     pub(super) fn send(&mut self) {
-        if self.fresh.is_empty() {
+        if self.pending.fresh.is_empty() {
             return;
         }
         let now = HostInstant::now();
         if let Some(publisher) = &mut self.publisher {
-            self.fresh.iter().for_each(|record| publisher.publish(record, now));
+            self.pending.fresh.iter().for_each(|record| publisher.publish(record, now));
         }
-        for record in &self.fresh {
+        for record in &self.pending.fresh {
             self.statistics.update(&Item::Pose(record), record.arrival, record.arrival.map(|_| now));
             for tap in self.capture.iter_mut().chain(&mut self.streams) {
                 tap.pose(record);
             }
         }
-        self.fresh.clear();
+        self.pending.fresh.clear();
     }
 
     /// Whether a pose can be handed to the printer now.
     pub(super) fn can_print(&mut self) -> bool {
-        if self.outbox.is_none()
+        if self.pending.outbox.is_none()
             && let Some(printer) = &self.printer
         {
-            self.outbox = printer.spare_now();
-            return self.outbox.is_some() || !self.prints_all;
+            self.pending.outbox = printer.spare_now();
+            return self.pending.outbox.is_some() || !self.prints_all;
         }
         true
     }
@@ -205,15 +177,15 @@ impl Outputs {
     /// Waits until a pose can be handed to the printer, or for `timeout`.
     pub(super) fn await_room(&mut self, timeout: Duration) {
         if let Some(printer) = &self.printer {
-            self.outbox = self.outbox.take().or_else(|| printer.spare_within(timeout));
+            self.pending.outbox = self.pending.outbox.take().or_else(|| printer.spare_within(timeout));
         }
     }
 
     /// Prints the next pose in turn, after the notes that came before it.
     pub(super) fn print(&mut self, record: &Record) {
         self.print_notes();
-        self.taken += 1;
-        if let Some(outbox) = &mut self.outbox {
+        self.pending.taken += 1;
+        if let Some(outbox) = &mut self.pending.outbox {
             outbox.push(Outgoing::Pose(*record));
             if outbox.len() >= OUTBOX_POSES {
                 self.hand_over_outbox();
@@ -223,13 +195,13 @@ impl Outputs {
 
     /// Skips `count` scans that are not solved.
     pub(super) fn skip(&mut self, count: usize) {
-        self.taken += count as u64;
+        self.pending.taken += count as u64;
     }
 
     fn print_notes(&mut self) {
-        while let Some(outbox) = &mut self.outbox
-            && self.notes.front().is_some_and(|(arrived, _)| *arrived <= self.taken)
-            && let Some((_, note)) = self.notes.pop_front()
+        while let Some(outbox) = &mut self.pending.outbox
+            && self.pending.notes.front().is_some_and(|(arrived, _)| *arrived <= self.pending.taken)
+            && let Some((_, note)) = self.pending.notes.pop_front()
         {
             outbox.push(Outgoing::Note(note));
         }
@@ -237,25 +209,12 @@ impl Outputs {
 
     /// Hands poses and notes to the printer.
     pub(super) fn hand_over_outbox(&mut self) {
-        if !self.notes.is_empty() && self.can_print() {
+        if !self.pending.notes.is_empty() && self.can_print() {
             self.print_notes();
         }
-        if let (Some(printer), Some(outbox)) = (&self.printer, self.outbox.take_if(|outbox| !outbox.is_empty())) {
+        if let (Some(printer), Some(outbox)) = (&self.printer, self.pending.outbox.take_if(|outbox| !outbox.is_empty()))
+        {
             printer.hand_over(outbox);
-        }
-    }
-
-    /// Hands over the current chunks of the taps.
-    pub(super) fn hand_over_taps(&mut self) {
-        for tap in self.taps() {
-            tap.hand_over();
-        }
-    }
-
-    /// Hands over the chunks of the taps whose time is over.
-    pub(super) fn hand_over_old_taps(&mut self) {
-        for tap in self.taps() {
-            tap.hand_over_old();
         }
     }
 }
@@ -277,7 +236,6 @@ const MOMENT: Duration = Duration::from_millis(5);
 
 pub(super) struct PrinterThread {
     thread: JoinHandle<io::Result<()>>,
-    /// Outboxes printed so far.
     printed: Arc<AtomicU64>,
 }
 

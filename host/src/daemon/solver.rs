@@ -13,17 +13,15 @@ use crossbeam_channel::Sender;
 use super::BoardSlot;
 use super::backlog::{Backlog, Next};
 use super::board::BoardError;
-use super::handoff::Empty;
-use super::handoff::{SolverEnd, Worker};
+use super::handoff::{Empty, SolverEnd, Worker};
 use super::link::{News, ScanWatch};
 use super::outputs::Outputs;
 use super::tap::Tap;
-use crate::datagram::Publisher;
 use crate::device::Scanless;
 use crate::telemetry::{HostLosses, LagReport};
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::Segment;
-use slitpose_tracking::pipeline::{Counts, Item, Pipeline, Queue};
+use slitpose_tracking::pipeline::{Counts, Item, Pipeline};
 
 const IDLE: Duration = Duration::from_millis(100);
 
@@ -56,7 +54,6 @@ pub(super) struct Solver {
 
 #[derive(Default)]
 pub(super) struct State {
-    /// Number of the connection, from 1.
     connection: u64,
     is_unusable: bool,
     is_complete: bool,
@@ -106,7 +103,7 @@ impl Solver {
                 solver.receive_queued(handoff);
             }
             solver.pause();
-            solver.outputs.hand_over_old_taps();
+            solver.outputs.taps().for_each(Tap::hand_over_old);
             let queue = solver.pipeline.queue();
             if queue.waiting == 0 && solver.state.is_over {
                 return solver.end();
@@ -122,7 +119,7 @@ impl Solver {
     }
 
     fn end(&mut self) -> Counts {
-        self.outputs.hand_over_taps();
+        self.outputs.taps().for_each(Tap::hand_over);
         // What a board took while it was missed is told otherwise, and not counted.
         if !self.stop.load(Ordering::Relaxed) && self.state.connection <= 1 {
             self.pipeline.end();
@@ -158,11 +155,27 @@ impl Solver {
         let next = self.backlog.next(&queue, can_print, self.state.now.monotonic_ns);
         self.state.was_behind |= self.backlog.is_behind();
         self.state.was_blocked |= !can_print;
-        match next {
-            Next::Oldest => self.solve_oldest(&queue),
-            Next::Newest => self.solve_newest(),
-            Next::Skip(count) => self.skip(count),
+        let solved = match next {
+            Next::Oldest => self.pipeline.solve_next(),
+            Next::Newest => self.pipeline.solve_newest(),
+            Next::Skip(count) => {
+                self.pipeline.skip(count);
+                self.outputs.skip(count);
+                None
+            }
             Next::Wait => return false,
+        };
+        if let Some(record) = solved {
+            self.state.now = HostInstant::now();
+            let is_newest = next == Next::Newest;
+            // The most urgent first.
+            if is_newest || queue.passed == 0 {
+                let is_behind = is_newest || self.backlog.is_behind();
+                self.outputs.publish(&record, self.pipeline.last_photocurrents(), self.state.now, is_behind);
+            }
+            if !is_newest {
+                self.outputs.print(&record);
+            }
         }
         self.give_up_in_time();
         self.account_in_time();
@@ -210,7 +223,7 @@ impl Solver {
                 self.state.idle_tick = status.map(|status| status.tick);
             } else if status.is_some_and(|status| !status.acquiring && Some(status.tick) != self.state.idle_tick) {
                 self.state.idle_tick = status.map(|status| status.tick);
-                let complaint = self.outputs.complaint.take();
+                let complaint = self.outputs.pending.complaint.take();
                 self.tell(self.state.connection, StreamEvent::Stopped(complaint));
             }
             if self.pipeline.is_complete() {
@@ -232,35 +245,10 @@ impl Solver {
         });
         segment.truncate(*fed.as_ref().unwrap_or(&segment.bytes.len()));
         outputs.keep(segment);
-        match outputs.refused.take() {
+        match outputs.pending.refused.take() {
             Some(rejection) => fed.and(Err(BoardError::Refused(rejection))),
             None => fed.map(drop),
         }
-    }
-
-    fn solve_oldest(&mut self, queue: &Queue) {
-        let Some(record) = self.pipeline.solve_next() else {
-            return;
-        };
-        self.state.now = HostInstant::now();
-        // The most urgent first.
-        if queue.passed == 0 {
-            self.outputs.publish(&record, self.pipeline.last_photocurrents(), self.state.now, self.backlog.is_behind());
-        }
-        self.outputs.print(&record);
-    }
-
-    fn solve_newest(&mut self) {
-        let Some(record) = self.pipeline.solve_newest() else {
-            return;
-        };
-        self.state.now = HostInstant::now();
-        self.outputs.publish(&record, self.pipeline.last_photocurrents(), self.state.now, true);
-    }
-
-    fn skip(&mut self, count: usize) {
-        self.pipeline.skip(count);
-        self.outputs.skip(count);
     }
 
     /// After an interrupt the program does not wait for scans that are not solved yet.
@@ -296,14 +284,14 @@ impl Solver {
             skipped_scans: self.pipeline.counts().scans_skipped,
         };
         self.say_lag(&lag);
-        let bytes_unpublished = self.outputs.streams.iter().map(Tap::bytes_dropped).sum();
+        let bytes_unpublished = self.outputs.streams.iter().map(|tap| tap.bytes_dropped).sum();
         let Outputs { statistics, capture, publisher, .. } = &mut self.outputs;
-        statistics.set_lag(lag);
-        statistics.set_host_losses(HostLosses {
-            bytes_unrecorded: capture.as_ref().map_or(0, Tap::bytes_dropped),
+        statistics.report.lag = lag;
+        statistics.report.losses.host = HostLosses {
+            bytes_unrecorded: capture.as_ref().map_or(0, |tap| tap.bytes_dropped),
             bytes_unpublished,
-            poses_unsent: publisher.as_ref().map_or(0, Publisher::missed),
-        });
+            poses_unsent: publisher.as_ref().map_or(0, |publisher| publisher.missed),
+        };
         self.slot.account(&self.pipeline, statistics);
     }
 

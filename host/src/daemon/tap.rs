@@ -15,7 +15,6 @@ use thread_priority::{
 use super::board::BoardError;
 use super::handoff::{Empty, Producer, buffer_pool};
 use super::spawn;
-use slitpose_head::threads::join;
 use slitpose_tracking::link::{DeviceId, Segment};
 use slitpose_tracking::pipeline::Record;
 
@@ -37,7 +36,6 @@ pub(crate) struct TapChunk {
     pub(crate) hello: Vec<u8>,
     /// Time of the chunk's first scan by the board's clock, nanoseconds.
     pub(crate) device_ns: u64,
-    /// The bytes of the link.
     pub(crate) segment: Segment,
     /// Poses of the chunk, at the rate asked for.
     pub(crate) poses: Vec<Record>,
@@ -69,7 +67,6 @@ pub(super) enum Overflow {
 #[derive(Clone, Debug)]
 pub(super) struct TapEnds {
     pub(super) chunks: Producer<TapChunk>,
-    /// Whether bytes are wanted now.
     pub(super) is_wanted: Arc<AtomicBool>,
     /// Device time between poses, seconds.
     pub(super) pose_every_s: f64,
@@ -93,11 +90,11 @@ pub(super) struct Tap {
     begun: Instant,
     device: Option<DeviceId>,
     device_ns: u64,
-    /// The board's last hello packet.
     hello: Vec<u8>,
     /// Whether bytes were dropped since the last chunk.
     has_gap: bool,
-    bytes_dropped: u64,
+    /// Because no chunk was free.
+    pub(super) bytes_dropped: u64,
 }
 
 impl Tap {
@@ -153,11 +150,6 @@ impl Tap {
         self.begun = Instant::now();
     }
 
-    /// Bytes dropped because no chunk was free.
-    pub(super) fn bytes_dropped(&self) -> u64 {
-        self.bytes_dropped
-    }
-
     pub(super) fn hello(&mut self, hello: &Hello<'_>) {
         self.device = Some(DeviceId(hello.device_id));
         let mut buffer = [0; MAX_MESSAGE_BYTES];
@@ -189,7 +181,6 @@ impl Tap {
         }
     }
 
-    /// Keeps the bytes of a segment.
     pub(super) fn keep(&mut self, segment: &Segment) {
         let Some(chunk) = &mut self.under_way else {
             if self.is_on {
@@ -261,42 +252,32 @@ pub(crate) trait ChunkSink: Send {
     fn tick(&mut self);
 }
 
-/// A taker of all bytes.
 pub(crate) struct StreamPlan {
     pub(crate) taker: Box<dyn ChunkSink>,
     /// Device time between the poses that it takes, seconds.
     pub(crate) pose_every_s: f64,
 }
 
-pub(super) struct StreamerThread(JoinHandle<()>);
-
-impl StreamerThread {
-    /// Starts the thread; returns what boards need of it.
-    pub(super) fn start(plan: StreamPlan, boards: usize) -> Result<(Self, TapEnds), BoardError> {
-        let (producer, consumer) = buffer_pool(CHUNKS_A_BOARD * boards.max(1), TapChunk::with_capacity);
-        let StreamPlan { mut taker, pose_every_s } = plan;
-        let stream = move || {
-            loop {
-                match consumer.next(IDLE) {
-                    Ok(chunk) => {
-                        taker.chunk(&chunk);
-                        consumer.give_back(chunk);
-                    }
-                    Err(Empty::ForNow) => {}
-                    Err(Empty::Closed) => return,
+/// Starts the thread of a taker, which ends behind all boards; returns what boards need of it.
+pub(super) fn stream(plan: StreamPlan, boards: usize) -> Result<(JoinHandle<()>, TapEnds), BoardError> {
+    let (chunks, consumer) = buffer_pool(CHUNKS_A_BOARD * boards.max(1), TapChunk::with_capacity);
+    let StreamPlan { mut taker, pose_every_s } = plan;
+    let stream = move || {
+        loop {
+            match consumer.next(IDLE) {
+                Ok(chunk) => {
+                    taker.chunk(&chunk);
+                    consumer.give_back(chunk);
                 }
-                taker.tick();
+                Err(Empty::ForNow) => {}
+                Err(Empty::Closed) => return,
             }
-        };
-        let thread = spawn("stream".to_owned(), stream)?;
-        let is_wanted = Arc::new(AtomicBool::new(true));
-        Ok((Self(thread), TapEnds { chunks: producer, is_wanted, pose_every_s, span: STREAM_SPAN, tells_hello: true }))
-    }
-
-    /// Waits for the end; all boards must have ended.
-    pub(super) fn end(self) {
-        join(self.0);
-    }
+            taker.tick();
+        }
+    };
+    let is_wanted = Arc::new(AtomicBool::new(true));
+    let ends = TapEnds { chunks, is_wanted, pose_every_s, span: STREAM_SPAN, tells_hello: true };
+    Ok((spawn("stream".to_owned(), stream)?, ends))
 }
 
 /// Gives the calling thread this priority (SCHED_FIFO, 1 to 99). The error is advice for the user.

@@ -19,12 +19,10 @@ const IS_BEHIND: u32 = 32;
 const AT_FLAGS: usize = 8;
 const AT_MISSED: usize = 40;
 
-/// The bytes of a pose datagram.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PoseDatagram([u8; Self::BYTES]);
 
 impl PoseDatagram {
-    /// Its length.
     pub const BYTES: usize = 544;
 
     /// The datagram of `record` with the number `number`, made at `now`.
@@ -89,7 +87,6 @@ impl PoseDatagram {
         self.0[AT_MISSED..AT_MISSED + 8].copy_from_slice(&missed.to_le_bytes());
     }
 
-    /// As it is sent.
     pub fn as_bytes(&self) -> &[u8; Self::BYTES] {
         &self.0
     }
@@ -118,12 +115,10 @@ impl Writer {
     }
 }
 
-/// A request of a client.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Request {
     /// The number of datagrams.
     pub mode: Mode,
-    /// The board; `None`: every board.
     pub device: Option<DeviceId>,
     /// The cookie last received, 0 before that. Unix sockets need none.
     pub cookie: u64,
@@ -139,17 +134,14 @@ pub enum Mode {
 }
 
 impl Request {
-    /// Its length.
     pub const BYTES: usize = 32;
 
     const SHORT_BYTES: usize = 24;
 
-    /// A request without a cookie.
     pub fn new(mode: Mode, device: Option<DeviceId>) -> Self {
         Self { mode, device, cookie: 0 }
     }
 
-    /// As it is sent.
     pub fn to_bytes(self) -> [u8; Self::BYTES] {
         let mode: u16 = match self.mode {
             Mode::Newest => 1,
@@ -187,7 +179,6 @@ impl Request {
 pub enum Answer {
     /// Ask again with this cookie.
     Prove(u64),
-    /// All places are taken.
     Refused,
     /// Served; here is a newer cookie.
     Renew(u64),
@@ -197,7 +188,6 @@ impl Answer {
     /// Its length: no more than that of any request.
     pub const BYTES: usize = Request::SHORT_BYTES;
 
-    /// As it is sent.
     pub fn to_bytes(self) -> [u8; Self::BYTES] {
         let (kind, cookie) = match self {
             Self::Prove(cookie) => (1, cookie),

@@ -5,7 +5,6 @@ use std::os::fd::AsFd;
 use std::os::unix::net::UnixStream;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, Weak};
-use std::thread::JoinHandle;
 use std::time::Duration;
 
 use crossbeam_channel::{Receiver, Sender};
@@ -15,11 +14,10 @@ use serde::Serialize;
 
 use super::slot::Slot;
 use super::socket::{Delivery, Peer, Socket};
-use super::subscription::{
-    Admission, Cookies, Lease, Leases, MAX_FOLLOWERS, MAX_NEWS, SlowClient, Subscription, Worth,
-};
+use super::subscription::{Cookies, Lease, Leases, MAX_FOLLOWERS, MAX_NEWS, SlowClient, Subscription, Worth};
 use super::{Address, Answer, Mode, PoseDatagram, Request};
 use crate::address::{ServeError, SocketFile};
+use crate::background::Background;
 use slitpose_head::threads::lock;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::DeviceId;
@@ -72,16 +70,12 @@ pub struct DatagramServer {
     shared: Arc<Shared>,
     directory: Arc<Mutex<Directory>>,
     addresses: Vec<Address>,
-    end: Option<UnixStream>,
-    thread: Option<JoinHandle<()>>,
+    _thread: Background<UnixStream>,
     _files: Vec<SocketFile>,
 }
 
 impl DatagramServer {
     /// Listens on all of `addresses`.
-    ///
-    /// # Errors
-    /// If one of them cannot be bound, or the thread cannot be started.
     pub fn bind(addresses: &[Address]) -> Result<Self, ServeError> {
         let (mut sockets, mut bound, mut files) = (Vec::new(), Vec::new(), Vec::new());
         for address in addresses {
@@ -94,14 +88,10 @@ impl DatagramServer {
         let directory = Arc::new(Mutex::new(Directory::default()));
         let failed = |source| ServeError::Thread { source };
         let (end, ended) = UnixStream::pair().map_err(failed)?;
-        let thread = std::thread::Builder::new()
-            .name("datagrams".to_owned())
-            .spawn({
-                let (shared, directory) = (Arc::clone(&shared), Arc::clone(&directory));
-                move || serve(&shared, &directory, &ended)
-            })
-            .map_err(failed)?;
-        Ok(Self { shared, directory, addresses: bound, end: Some(end), thread: Some(thread), _files: files })
+        let (of_thread, known) = (Arc::clone(&shared), Arc::clone(&directory));
+        let run = move || serve(&of_thread, &known, &ended);
+        let thread = Background::spawn("datagrams", end, run).map_err(failed)?;
+        Ok(Self { shared, directory, addresses: bound, _thread: thread, _files: files })
     }
 
     /// The addresses it listens on, with the ports that the system chose for port 0.
@@ -125,7 +115,6 @@ impl DatagramServer {
         Publisher::new(Arc::clone(&self.shared), slot, receiver)
     }
 
-    /// The counts so far.
     pub fn counts(&self) -> DatagramCounts {
         let Counters { requests, places_refused, unproven, refused, sent, missed } = &self.shared.counters;
         let [requests, places_refused, unproven, refused, sent, missed] =
@@ -135,16 +124,6 @@ impl DatagramServer {
         let slow_clients = directory.leases.valid(now_ns).filter_map(|lease| lease.subscription.slow(now_ns)).collect();
         let places = MAX_FOLLOWERS as u64;
         DatagramCounts { places_taken, places, places_refused, requests, refused, unproven, sent, missed, slow_clients }
-    }
-}
-
-impl Drop for DatagramServer {
-    fn drop(&mut self) {
-        drop(self.end.take());
-        if let Some(thread) = self.thread.take() {
-            // It does not panic.
-            let _ = thread.join();
-        }
     }
 }
 
@@ -205,13 +184,9 @@ fn answer(shared: &Shared, directory: &mut Directory, request: Request, socket: 
         Mode::Follow => {
             let until_ns = now_ns.saturating_add(LEASE.as_nanos() as u64);
             let subscription = Subscription { socket, peer: peer.clone(), until_ns, misses: Arc::default() };
-            let (subscription, lost) = match directory.leases.renew(request.device, &subscription, now_ns) {
-                Admission::Kept(subscription) => (subscription, Vec::new()),
-                Admission::Instead(subscription, lost) => (subscription, lost),
-                Admission::Refused => {
-                    Counters::count(&shared.counters.places_refused);
-                    return tell(shared, Answer::Refused, socket, peer);
-                }
+            let Some((subscription, lost)) = directory.leases.renew(request.device, &subscription, now_ns) else {
+                Counters::count(&shared.counters.places_refused);
+                return tell(shared, Answer::Refused, socket, peer);
             };
             // Removed before the new one is added: a board never has more followers than places.
             for Lease { device, subscription } in lost {
@@ -255,8 +230,10 @@ pub struct Publisher {
     subscriptions: Receiver<Subscription>,
     followers: Vec<Subscription>,
     number: u64,
-    missed: u64,
-    is_behind: bool,
+    /// Datagrams that followers have missed because they did not read in time.
+    pub(crate) missed: u64,
+    /// Whether the next poses are marked as those of a solver that is behind.
+    pub(crate) is_behind: bool,
 }
 
 impl Publisher {
@@ -270,16 +247,6 @@ impl Publisher {
             missed: 0,
             is_behind: false,
         }
-    }
-
-    /// Number of datagrams that followers have missed because they did not read in time.
-    pub fn missed(&self) -> u64 {
-        self.missed
-    }
-
-    /// Sets whether the next poses are marked as those of a solver that is behind.
-    pub(crate) fn set_behind(&mut self, is_behind: bool) {
-        self.is_behind = is_behind;
     }
 
     /// Sends a pose to all followers, and stores it for clients that request the newest.

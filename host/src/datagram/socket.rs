@@ -67,7 +67,6 @@ pub(super) enum Party {
 }
 
 impl Peer {
-    /// The client's process, if known.
     pub(super) fn process(&self) -> Option<i32> {
         match self {
             Self::Passed(peer) => peer.process,
@@ -106,7 +105,6 @@ fn receive_unix(socket: &UnixDatagram, buffer: &mut [u8]) -> io::Result<(usize, 
     Ok((received?.bytes, passed.and_then(PassedSocket::new).map(|peer| Peer::Passed(Arc::new(peer)))))
 }
 
-/// A client on a Unix socket.
 #[derive(Debug)]
 pub struct UnixClient {
     /// Where datagrams come.
@@ -116,19 +114,12 @@ pub struct UnixClient {
 }
 
 impl UnixClient {
-    /// A client that has not asked yet.
-    ///
-    /// # Errors
-    /// Errors of the operating system.
     pub fn new() -> io::Result<Self> {
         let (socket, passed) = UnixDatagram::pair()?;
         Ok(Self { socket, passed, asks: UnixDatagram::unbound()? })
     }
 
     /// Sends `request` to the server whose socket is at `path`.
-    ///
-    /// # Errors
-    /// If there is no server.
     pub fn ask(&self, path: &Path, request: Request) -> io::Result<usize> {
         pass(&self.asks, path, request, &self.passed)
     }

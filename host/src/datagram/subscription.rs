@@ -94,20 +94,8 @@ pub(super) struct Leases(Vec<Lease>);
 
 #[derive(Clone, Debug)]
 pub(super) struct Lease {
-    /// `None`: every board.
     pub(super) device: Option<DeviceId>,
     pub(super) subscription: Subscription,
-}
-
-/// The answer to a request for a place.
-#[derive(Debug)]
-pub(super) enum Admission {
-    /// The client has a place, as this subscription.
-    Kept(Subscription),
-    /// Granted as this subscription; other clients have lost their places for it.
-    Instead(Subscription, Vec<Lease>),
-    /// The client gets no place.
-    Refused,
 }
 
 impl Lease {
@@ -124,25 +112,31 @@ impl Leases {
     /// Adds a new lease, or renews a known one.
     ///
     /// If all places are taken, the party with most of them loses its latest, as long as it has two more than the
-    /// party that asks: so no user can exclude another, however many clients it starts.
-    pub(super) fn renew(&mut self, device: Option<DeviceId>, new: &Subscription, now_ns: u64) -> Admission {
+    /// party that asks: so no user can exclude another, however many clients it starts. Returns the client's subscription
+    /// and the leases that have ended for it; `None` if it gets no place.
+    pub(super) fn renew(
+        &mut self,
+        device: Option<DeviceId>,
+        new: &Subscription,
+        now_ns: u64,
+    ) -> Option<(Subscription, Vec<Lease>)> {
         self.0.retain(|lease| lease.subscription.until_ns >= now_ns);
         let known = self.0.iter_mut().find(|lease| lease.device == device && lease.subscription.is_of(new));
         if let Some(lease) = known {
             lease.subscription.until_ns = new.until_ns;
-            return Admission::Kept(lease.subscription.clone());
+            return Some((lease.subscription.clone(), Vec::new()));
         }
         let mut lost = Vec::new();
         while let Some(contested) = self.contested(device) {
             let Some(loser) = self.loser(&contested, new.peer.party()) else {
                 // The places lost in vain are restored.
                 self.0.append(&mut lost);
-                return Admission::Refused;
+                return None;
             };
             lost.push(self.0.remove(loser));
         }
         self.0.push(Lease { device, subscription: new.clone() });
-        if lost.is_empty() { Admission::Kept(new.clone()) } else { Admission::Instead(new.clone(), lost) }
+        Some((new.clone(), lost))
     }
 
     /// Indices of the leases of which one must end before there is a place for `device`.

@@ -8,7 +8,7 @@ use slitpose_protocol::{
 };
 
 use super::orders::{self, KeepAlive, ping};
-use super::{Device, DeviceError};
+use super::{BoardInfo, Device, DeviceError};
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::{Asked, Segment, Versions};
 
@@ -32,18 +32,10 @@ const QUIET: Duration = Duration::from_millis(450);
 /// The bytes around a reply to keep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Keep {
-    /// All bytes.
     All,
     /// Bytes from the last hello on: earlier ones belong to an older configuration.
     FromHello,
-    /// Replies only.
     Replies,
-}
-
-enum Verdict {
-    Keep,
-    KeepFromHere,
-    Drop,
 }
 
 /// A conversation with a board. When dropped it stops the board.
@@ -53,7 +45,6 @@ pub(crate) struct Conversation {
     pub(super) inbox: Vec<u8>,
     /// Length of the whole packets at its start.
     whole: usize,
-    /// Number of the last command.
     number: u16,
     keep_alive: Option<KeepAlive>,
     /// Time and token of the next ping, if the device does not ping by itself.
@@ -86,6 +77,13 @@ impl Conversation {
             Ok(()) => Ok(conversation),
             Err(source) => Err(conversation.gone(source)),
         }
+    }
+
+    /// Opens the conversation, and asks the board who it is.
+    pub(crate) fn introduced(device: Box<dyn Device>) -> Result<(Self, BoardInfo), DeviceError> {
+        let mut board = Self::open(device)?;
+        let info = board.introduce(HELLO_WITHIN)?;
+        Ok((board, info))
     }
 
     /// Requests the board's hello, which `admit` accepts or refuses. Also waits for the reply, because a hello alone
@@ -215,7 +213,6 @@ impl Conversation {
         }
     }
 
-    /// The bytes received last.
     pub(crate) fn received(&self) -> &[u8] {
         &self.inbox
     }
@@ -242,7 +239,7 @@ impl Conversation {
                 return match outcome {
                     Ok(()) => Ok(introduced),
                     Err(source) => {
-                        let next_step = next_step_of(name, &source);
+                        let next_step = next_step_of(&name, &source);
                         Err(DeviceError::Refused { name: self.name(), command: name, next_step, source })
                     }
                 };
@@ -262,29 +259,22 @@ impl Conversation {
             let Some(message) = self.decoder.next::<Message<'_>>(&mut rest) else {
                 return answer;
             };
-            let verdict = match &message {
-                Ok(Message::Hello(_)) if keep == Keep::FromHello => {
-                    *introduced = true;
-                    Verdict::KeepFromHere
-                }
-                Ok(Message::Reply(reply)) => {
-                    if reply.number == number {
-                        answer = Some(reply.outcome);
-                    }
-                    Verdict::Keep
-                }
-                _ if keep == Keep::Replies => Verdict::Drop,
-                _ => Verdict::Keep,
-            };
-            at = self.inbox.len() - rest.len();
-            match verdict {
-                Verdict::Keep => self.whole = at,
-                Verdict::KeepFromHere => {
-                    at -= self.inbox.drain(..self.whole).len();
-                    self.whole = at;
-                }
-                Verdict::Drop => at -= self.inbox.drain(self.whole..at).len(),
+            let is_hello = keep == Keep::FromHello && matches!(message, Ok(Message::Hello(_)));
+            let is_reply = matches!(message, Ok(Message::Reply(_)));
+            if let Ok(Message::Reply(reply)) = &message
+                && reply.number == number
+            {
+                answer = Some(reply.outcome);
             }
+            at = self.inbox.len() - rest.len();
+            if is_hello {
+                // Kept from here on.
+                *introduced = true;
+                at -= self.inbox.drain(..self.whole).len();
+            } else if keep == Keep::Replies && !is_reply {
+                at -= self.inbox.drain(self.whole..at).len();
+            }
+            self.whole = at;
         }
     }
 
@@ -348,28 +338,15 @@ impl Drop for Conversation {
     }
 }
 
-const HEAD: &str = "Head";
-
-fn name_of(command: &Command) -> &'static str {
-    match command {
-        Command::Hello => "Hello",
-        Command::Start => "Start",
-        Command::Stop => "Stop",
-        Command::Configure(_) => "Configure",
-        Command::Ping { .. } => "Ping",
-        Command::Identify { .. } => "Identify",
-        Command::Store(_) => "Store",
-        Command::Forget => "Forget",
-        Command::Reboot(_) => "Reboot",
-        Command::Head(_) => HEAD,
-        Command::Stream(_) => "Stream",
-        Command::FullScale { .. } => "FullScale",
-    }
+/// The name of a command, as the protocol writes it.
+fn name_of(command: &Command) -> String {
+    let text = format!("{command:?}");
+    text.split(|letter: char| !letter.is_alphanumeric()).next().unwrap_or_default().to_owned()
 }
 
 fn next_step_of(command: &str, rejection: &Rejection) -> &'static str {
     match rejection {
-        Rejection::Unsupported { .. } if command == HEAD => {
+        Rejection::Unsupported { .. } if command == "Head" => {
             "flash the image that solves poses, slitpose-board-pose, or let this program solve them: --stream raw"
         }
         Rejection::Unsupported { .. } | Rejection::Malformed { .. } => {

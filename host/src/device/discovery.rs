@@ -11,9 +11,8 @@ use std::fmt;
 use std::path::{MAIN_SEPARATOR, Path};
 use std::str::FromStr;
 
-use super::DeviceError;
-use super::ports::{Listed, PortState};
-use super::ports::{Port, Search, UsbId, ports};
+use super::ports::{Listed, Port, PortState, Search, UsbId, ports, real_path};
+use super::{DeviceError, SerialDevice};
 use slitpose_tracking::link::DeviceId;
 
 const SIM: &str = "sim";
@@ -31,6 +30,47 @@ pub struct Found {
 impl From<Listed> for Found {
     fn from(listed: Listed) -> Self {
         Self { device: listed.device(), port: listed.port.name, usb: listed.port.usb }
+    }
+}
+
+/// A board that is opened again and again, at whatever port it is then.
+#[derive(Debug)]
+pub(crate) struct Contact {
+    pub(crate) selector: Selector,
+    search: Vec<Search>,
+    /// Where it was last, and its number if known.
+    known: Option<Found>,
+}
+
+impl Contact {
+    /// With the board that `selector` names, which is sought in the places of `search`, too.
+    pub(crate) fn new(selector: Selector, search: Vec<Search>) -> Self {
+        Self { selector, search, known: None }
+    }
+
+    /// Opens the board's port, even if its name has changed.
+    pub(crate) fn open(&mut self) -> Result<SerialDevice, DeviceError> {
+        let found = match locate(&self.selector, self.known.as_ref()) {
+            // Keeps the USB identity, by which the board is found again under another name.
+            Some(found) => {
+                let known = self.known.take().and_then(|known| known.device);
+                Found { device: found.device.or(known), ..found }
+            }
+            None => find(&self.selector, &self.search)?,
+        };
+        SerialDevice::open(&self.known.insert(found).port)
+    }
+
+    /// The board that was opened last has introduced itself.
+    pub(crate) fn greeted(&mut self, device: DeviceId) {
+        if let Some(found) = &mut self.known {
+            found.device = Some(device);
+        }
+    }
+
+    /// Whether the board was last at its own USB port.
+    pub(crate) fn has_own_port(&self) -> bool {
+        self.known.as_ref().and_then(|found| found.usb.as_ref()).is_some_and(UsbId::is_board)
     }
 }
 
@@ -121,8 +161,8 @@ fn unsure(ports: &[Port], search: &[Search], debuggers: bool) -> Vec<Port> {
     let mut unsure: Vec<_> = ports.iter().filter(|port| debuggers && port.is_debugger()).cloned().collect();
     for name in search.iter().flat_map(Search::names) {
         let known = ports.iter().filter(|port| port.is_board()).chain(&unsure);
-        let real = super::ports::real_path(&name);
-        if !known.into_iter().any(|port| super::ports::real_path(&port.name) == real) {
+        let real = real_path(&name);
+        if !known.into_iter().any(|port| real_path(&port.name) == real) {
             unsure.push(Port::at(&name, ports));
         }
     }
@@ -319,14 +359,5 @@ mod tests {
         for name in ["3600290054485002", "usb", "", "Auto"] {
             assert!(name.parse::<Selector>().is_err(), "{name}");
         }
-    }
-
-    #[test]
-    fn what_is_written_is_read() {
-        for text in ["auto", "sim", "0036002900544850025a0320", "/dev/slitpose/0036002900544850025a0320"] {
-            assert_eq!(text.parse::<Selector>().unwrap().to_string(), text);
-        }
-        let large = "0036002900544850025A0320".parse::<Selector>().unwrap();
-        assert_eq!(large, "0036002900544850025a0320".parse().unwrap());
     }
 }

@@ -13,10 +13,10 @@
 use std::io;
 
 pub(crate) use conversation::{Conversation, Keep};
-pub(crate) use discovery::{Found, Selector, find, list, locate};
+pub(crate) use discovery::{Contact, Found, Selector, find, list, locate};
 pub use error::{DeviceError, Scanless};
 pub use orders::KeepAlive;
-pub(crate) use ports::{BoardInfo, Listed, Port, PortState, Search, UsbId, ports};
+pub(crate) use ports::{BoardInfo, Listed, Port, PortState, Search, UsbId, in_words, ports};
 pub use serial::SerialDevice;
 pub(crate) use serial::holders;
 pub(crate) use serial::{SimulatedDevice, SimulatedPort};
@@ -34,16 +34,10 @@ pub trait Device: Send {
     fn name(&self) -> &str;
 
     /// Sends bytes to the board.
-    ///
-    /// # Errors
-    /// If the board is gone.
     fn send(&mut self, bytes: &[u8]) -> io::Result<()>;
 
     /// Waits for bytes from the board, a few hundredths of a second at most, and appends them to
     /// `bytes`. `false` if the stream has ended.
-    ///
-    /// # Errors
-    /// If the board is gone.
     fn receive(&mut self, bytes: &mut Vec<u8>) -> io::Result<bool>;
 
     /// Whether the board runs in real time.
@@ -52,9 +46,6 @@ pub trait Device: Send {
     }
 
     /// Starts pings that show the board that its host is alive; `None` if the board does not need them.
-    ///
-    /// # Errors
-    /// Errors of the operating system.
     fn keep_alive(&self) -> io::Result<Option<KeepAlive>> {
         Ok(None)
     }

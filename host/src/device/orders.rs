@@ -1,17 +1,14 @@
 //! Commands other than measurement: introduce, store, identify, reboot.
 
-use std::io::Write;
-use std::num::NonZeroU32;
-use std::thread::JoinHandle;
+use std::io::{self, Write};
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
-use slitpose_protocol::{
-    BootTarget, Command, Hashes, HeadPart, MAX_REQUEST_BYTES, Message, Rejection, Request, Status, encode,
-};
+use slitpose_protocol::{Command, HeadPart, MAX_REQUEST_BYTES, Message, Rejection, Request, Status, encode};
 
 use super::conversation::REPLY_WITHIN;
 use super::{BoardInfo, Conversation, DeviceError, Keep};
+use crate::background::Background;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::Asked;
 
@@ -51,11 +48,6 @@ impl Conversation {
         Err(DeviceError::NoStatus { name: self.name(), seconds: STATUS_WITHIN.as_secs_f64() })
     }
 
-    /// Stores configuration and `hashes` in the board's flash memory.
-    pub(crate) fn store(&mut self, hashes: Hashes) -> Result<(), DeviceError> {
-        self.order(Command::Store(hashes))
-    }
-
     /// Takes the head from the board, which then solves no poses; `false` if it never does.
     pub(crate) fn forget_head(&mut self) -> Result<bool, DeviceError> {
         let none = HeadPart { offset: 0, total: 0, bytes: [].into_iter().collect() };
@@ -65,27 +57,8 @@ impl Conversation {
         }
     }
 
-    /// Tells the board the full scale of its front end, in picoamperes. The board has no head then.
-    pub(crate) fn set_full_scale(&mut self, full_scale_pa: NonZeroU32) -> Result<(), DeviceError> {
-        self.order(Command::FullScale { full_scale_pa })
-    }
-
-    /// Erases the board's stored configuration and hashes.
-    pub(crate) fn forget_stored(&mut self) -> Result<(), DeviceError> {
-        self.order(Command::Forget)
-    }
-
-    /// Lets the board's indicator blink for a number of seconds; 0 ends it.
-    pub(crate) fn identify(&mut self, seconds: u8) -> Result<(), DeviceError> {
-        self.order(Command::Identify { seconds })
-    }
-
-    /// Reboots the board. It replies first, and disconnects within 0.2 s.
-    pub(crate) fn reboot(&mut self, target: BootTarget) -> Result<(), DeviceError> {
-        self.order(Command::Reboot(target))
-    }
-
-    fn order(&mut self, command: Command) -> Result<(), DeviceError> {
+    /// Gives the board a command beside measuring, and waits until it has obeyed.
+    pub(crate) fn order(&mut self, command: Command) -> Result<(), DeviceError> {
         self.forget();
         self.decoder.reset();
         self.ask(command, Keep::Replies, REPLY_WITHIN).map(drop)
@@ -105,17 +78,16 @@ pub(super) const PING: u16 = 0;
 /// board. No other thread may write to the port meanwhile.
 #[derive(Debug)]
 pub struct KeepAlive {
-    end: Option<Sender<()>>,
     asked: Receiver<Asked>,
-    thread: Option<JoinHandle<()>>,
+    _thread: Background<Sender<()>>,
 }
 
 impl KeepAlive {
     /// Starts pings through `port`, at once and every half second.
-    pub fn new(mut port: impl Write + Send + 'static) -> Self {
+    pub fn new(mut port: impl Write + Send + 'static) -> io::Result<Self> {
         let (end, ended) = bounded(0);
         let (tell, asked) = bounded(MAX_UNTOLD);
-        let thread = std::thread::spawn(move || {
+        let run = move || {
             for token in 0.. {
                 let mut buffer = [0; MAX_REQUEST_BYTES];
                 if let Some((ping, told)) = ping(token, &mut buffer) {
@@ -128,8 +100,8 @@ impl KeepAlive {
                     break;
                 }
             }
-        });
-        Self { end: Some(end), asked, thread: Some(thread) }
+        };
+        Ok(Self { asked, _thread: Background::spawn("pings", end, run)? })
     }
 
     /// The next sent ping that was not fetched yet.
@@ -141,45 +113,4 @@ impl KeepAlive {
 pub(super) fn ping(token: u32, buffer: &mut [u8]) -> Option<(&[u8], Asked)> {
     let packet = encode(&Request { number: PING, command: Command::Ping { token } }, buffer).ok()?;
     Some((packet, Asked { token, at: HostInstant::now() }))
-}
-
-impl Drop for KeepAlive {
-    fn drop(&mut self) {
-        drop(self.end.take());
-        if let Some(thread) = self.thread.take() {
-            // It does not panic.
-            let _ = thread.join();
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use slitpose_head::pace::Speed;
-    use slitpose_head::scene_file::WIDE;
-    use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
-    use slitpose_model::Tier;
-
-    use super::*;
-    use crate::device::SimulatedDevice;
-
-    #[test]
-    fn a_board_does_as_it_is_told() {
-        let still = Trajectory::of_kind(TrajectoryKind::Still, 1, 10.0);
-        let board = SimulatedBoard::new(&WIDE.read().unwrap(), still, Tier::Paper, 1).unwrap();
-        let device = SimulatedDevice::new(board, 250e-6, 10.0, Speed::Max);
-        let mut board = Conversation::open(Box::new(device)).unwrap();
-        let within = Duration::from_secs(1);
-        let info = board.introduce(within).unwrap();
-        assert_eq!((info.kind_name(), info.mismatch), ("simulated", None));
-        let status = board.status().unwrap();
-        assert!(!status.acquiring && status.supply_v > 3.0);
-        let hashes = Hashes { scene: Some(7), calibration: Some(8) };
-        board.store(hashes).unwrap();
-        assert_eq!(board.introduce(within).unwrap().hashes, hashes);
-        board.forget_stored().unwrap();
-        assert_eq!(board.introduce(within).unwrap().hashes, Hashes::default());
-        board.identify(1).unwrap();
-        board.reboot(BootTarget::Firmware).unwrap();
-    }
 }

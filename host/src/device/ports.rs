@@ -53,11 +53,6 @@ impl UsbId {
             && self.product.as_deref() == Some(PRODUCT)
     }
 
-    /// Whether this is a debugger, with or without a board behind it.
-    pub(crate) fn is_debugger(&self) -> bool {
-        DEBUGGERS.contains(&(self.vid, self.pid))
-    }
-
     /// The board, if its USB descriptors name it.
     pub(crate) fn device(&self) -> Option<DeviceId> {
         self.serial.as_deref().filter(|_| self.is_board())?.parse().ok()
@@ -86,7 +81,7 @@ impl Port {
 
     /// Whether it is a debugger, which must be asked for a board.
     pub(crate) fn is_debugger(&self) -> bool {
-        self.usb.as_ref().is_some_and(UsbId::is_debugger)
+        self.usb.as_ref().is_some_and(|usb| DEBUGGERS.contains(&(usb.vid, usb.pid)))
     }
 
     /// The board on it, if its USB descriptors name it.
@@ -96,9 +91,6 @@ impl Port {
 }
 
 /// The serial ports of this host.
-///
-/// # Errors
-/// If the system does not list them.
 pub fn ports() -> Result<Vec<Port>, DeviceError> {
     // The library panics without this folder; a system without it has no ports.
     if cfg!(target_os = "linux") && !Path::new("/sys/class/tty").is_dir() {
@@ -171,7 +163,6 @@ const ANSWER_WITHIN: Duration = Duration::from_secs(1);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum PortState {
-    /// It was not asked.
     NotAsked,
     Free,
     InUse,
@@ -209,7 +200,8 @@ impl Listed {
     }
 
     pub fn ask(port: Port) -> Self {
-        match greet(&port.name) {
+        let board = SerialDevice::open(&port.name).and_then(|device| Conversation::open(Box::new(device)));
+        match board.and_then(|mut board| board.introduce(ANSWER_WITHIN)) {
             Ok(board) => {
                 let state = match board.mismatch {
                     None => PortState::Free,
@@ -249,10 +241,6 @@ impl Listed {
     }
 }
 
-fn greet(port: &str) -> Result<BoardInfo, DeviceError> {
-    Conversation::open(Box::new(SerialDevice::open(port)?))?.introduce(ANSWER_WITHIN)
-}
-
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct BoardInfo {
     pub device: DeviceId,
@@ -289,7 +277,6 @@ impl From<&Hello<'_>> for BoardInfo {
 }
 
 impl BoardInfo {
-    /// `physical` or `simulated`.
     pub(crate) fn kind_name(&self) -> &'static str {
         match self.kind {
             BoardKind::Physical => "physical",
@@ -297,19 +284,19 @@ impl BoardInfo {
         }
     }
 
-    /// Cause of its last reset, in one word.
-    pub(crate) fn reset_cause_name(&self) -> &'static str {
-        match self.reset_cause {
-            ResetCause::Unknown => "unknown",
-            ResetCause::PowerOn => "power_on",
-            ResetCause::BrownOut => "brown_out",
-            ResetCause::Pin => "pin",
-            ResetCause::Software => "software",
-            ResetCause::Watchdog => "watchdog",
-            ResetCause::Panic => "panic",
-            ResetCause::StackOverflow => "stack_overflow",
-        }
+    /// Cause of its last reset, in one word, such as `power_on`.
+    pub(crate) fn reset_cause_name(&self) -> String {
+        in_words(&format!("{:?}", self.reset_cause)).replace(' ', "_")
     }
+}
+
+/// `PowerOn` as `power on`.
+pub(crate) fn in_words(name: &str) -> String {
+    let letters = name.char_indices().flat_map(|(i, letter)| {
+        let space = (i > 0 && letter.is_uppercase()).then_some(' ');
+        space.into_iter().chain(letter.to_lowercase())
+    });
+    letters.collect()
 }
 
 impl Serialize for BoardInfo {

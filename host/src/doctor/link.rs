@@ -1,7 +1,6 @@
 //! Ports, permissions, whether a board answers, and whether board, head and scene belong together.
 
 use std::os::unix::fs::MetadataExt;
-use std::time::Duration;
 
 use nix::unistd::{AccessFlags, Gid, Group, access};
 use slitpose_head::causes::with_causes;
@@ -16,20 +15,13 @@ use crate::device::{
 };
 use slitpose_tracking::link::Versions;
 
-/// Time that a board needs to answer if its other port was asked just before.
-const HELLO_WITHIN: Duration = Duration::from_millis(2500);
-
 /// Opens the board and reads its hello; `None` if that fails or cannot be understood.
 pub(super) fn reach(subject: &Subject<'_>, checks: &mut Vec<Finding>) -> Option<(Conversation, BoardInfo)> {
     let device = match subject.device {
         Selector::Sim => simulated(subject, checks)?,
         _ => open(subject, checks)?,
     };
-    let greeted = Conversation::open(device).and_then(|mut board| {
-        let info = board.introduce(HELLO_WITHIN)?;
-        Ok((board, info))
-    });
-    match greeted {
+    match Conversation::introduced(device) {
         Ok((board, info)) => {
             let (hello, understood) = judge(&info);
             checks.extend(hello);
@@ -126,11 +118,11 @@ pub(super) fn judge(info: &BoardInfo) -> (Vec<Finding>, bool) {
     });
     let cause = info.reset_cause_name();
     checks.push(match info.reset_cause {
-        BrownOut => Finding::warning("last start", cause, "check cable and supply: the supply voltage dropped"),
+        BrownOut => Finding::warning("last start", &*cause, "check cable and supply: the supply voltage dropped"),
         Watchdog | Panic | StackOverflow => {
-            Finding::warning("last start", cause, "update the firmware; if it happens again, report it")
+            Finding::warning("last start", &*cause, "update the firmware; if it happens again, report it")
         }
-        _ => Finding::ok("last start", cause),
+        _ => Finding::ok("last start", &*cause),
     });
     (checks, info.mismatch.is_none())
 }
@@ -192,7 +184,7 @@ mod tests {
 
     fn info() -> BoardInfo {
         let device = SimulatedDevice::live(&default_scene().unwrap()).unwrap();
-        Conversation::open(Box::new(device)).unwrap().introduce(HELLO_WITHIN).unwrap()
+        Conversation::introduced(Box::new(device)).unwrap().1
     }
 
     #[test]

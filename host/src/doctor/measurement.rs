@@ -4,13 +4,12 @@ use std::time::{Duration, Instant};
 
 use slitpose_calibration::Head;
 use slitpose_model::Tier;
-use slitpose_protocol::{Severity, Status};
+use slitpose_protocol::{Configuration, Severity, Status};
 
 use super::judged;
 use crate::device::{Conversation, Keep};
 use slitpose_head::finding::Finding;
 use slitpose_head::finding::Grade::{Failed, Warning};
-use slitpose_head::front_end;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_tracking::link::{Segment, contradicted_crystal, start_findings};
 use slitpose_tracking::pipeline::{Counts, Item, Pipeline, PipelineError, SceneMatch};
@@ -27,7 +26,7 @@ pub(super) fn patience(duration_s: f64) -> Duration {
 }
 
 /// Largest relative difference of rates explained by crystals, and by packets cut at both ends of a second.
-pub(super) const RATE_SLACK: f64 = 0.05;
+const RATE_SLACK: f64 = 0.05;
 
 /// Least share of scans with a pose for a tool in its workspace.
 const POSES: f64 = 0.99;
@@ -59,14 +58,14 @@ pub(super) struct Measurement {
     events: Vec<String>,
 }
 
-/// Lets `board` measure for `duration_s` of its time; its bytes are appended to `bytes`.
+/// Lets `board` measure by `configuration` for `duration_s` of its time; its bytes are appended to `bytes`.
 pub(super) fn measure(
     board: &mut Conversation,
     scene: &SceneFile,
+    configuration: Configuration,
     duration_s: f64,
     bytes: &mut Vec<u8>,
 ) -> anyhow::Result<Measurement> {
-    let configuration = front_end::configuration(scene)?;
     let frame_rate_hz = configuration.schedule.frame_rate_hz();
     let mut pipeline =
         Pipeline::new(Head::uncalibrated(scene.clone())?, TIER, SceneMatch::Waived).until(Some(duration_s));
@@ -141,11 +140,20 @@ impl Measurement {
             self.poses(),
             self.health(),
         ];
-        checks.extend(start_findings(self.after.clock, self.after.settings));
+        checks.extend(self.start());
         if !self.events.is_empty() {
             checks.push(Finding::warning("events", self.events.join("; "), "do what the warnings of the board say"));
         }
         checks
+    }
+
+    /// The findings that need no light.
+    pub(super) fn dark_checks(&self) -> Vec<Finding> {
+        [self.rate(), self.losses_on_board(), self.losses_on_the_way()].into_iter().chain(self.start()).collect()
+    }
+
+    fn start(&self) -> impl Iterator<Item = Finding> + use<> {
+        start_findings(self.after.clock, self.after.settings).into_iter()
     }
 
     fn rate(&self) -> Finding {
@@ -246,6 +254,7 @@ mod tests {
     use super::*;
     use crate::device::SimulatedDevice;
     use slitpose_head::finding::Grade::{self, Ok};
+    use slitpose_head::front_end;
     use slitpose_head::scene_file::WIDE;
     use slitpose_tracking::pipeline::Outcomes;
 
@@ -255,7 +264,8 @@ mod tests {
         let mut board = Conversation::open(Box::new(device)).unwrap();
         board.introduce(Duration::from_secs(1)).unwrap();
         let mut bytes = Vec::new();
-        (measure(&mut board, &scene, 0.1, &mut bytes).unwrap(), bytes)
+        let configuration = front_end::configuration(&scene).unwrap();
+        (measure(&mut board, &scene, configuration, 0.1, &mut bytes).unwrap(), bytes)
     }
 
     fn grades(measurement: &Measurement) -> Vec<(Cow<'static, str>, Grade)> {
@@ -296,12 +306,9 @@ mod tests {
             with(|it| it.counts.outcomes = Outcomes { too_dark: 400, ..Outcomes::default() }),
             [("poses".into(), Warning)]
         );
-        let status = |it: &mut Measurement, change: fn(&mut Status)| change(it.counts.board_status.as_mut().unwrap());
-        let mut sick = good.clone();
-        sick.counts.board_status = Some(sick.after);
         let health = |change: fn(&mut Status)| {
-            let mut sick = sick.clone();
-            status(&mut sick, change);
+            let mut sick = good.clone();
+            change(sick.counts.board_status.insert(good.after));
             sick.health().grade
         };
         assert_eq!(health(|_| ()), Ok);

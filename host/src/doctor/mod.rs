@@ -20,6 +20,7 @@ use crate::device::{BoardInfo, Search, Selector};
 use slitpose_head::causes::with_causes;
 use slitpose_head::finding::Finding;
 use slitpose_head::finding::Grade::{self, Failed, Warning};
+use slitpose_head::front_end;
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_tracking::clock::HostInstant;
 
@@ -81,7 +82,9 @@ fn board(subject: &Subject<'_>, examination: &mut Examination) -> Option<f64> {
         return None;
     };
     checks.push(link::full_scale(&scene, &info));
-    let measured = measurement::measure(&mut board, &scene, subject.duration_s, &mut examination.bytes);
+    let measured = front_end::configuration(&scene).map_err(anyhow::Error::from).and_then(|configuration| {
+        measurement::measure(&mut board, &scene, configuration, subject.duration_s, &mut examination.bytes)
+    });
     examination.scene = Some(scene);
     match measured {
         Ok(measurement) => {
@@ -183,12 +186,24 @@ fn host_checks() -> [Finding; 3] {
 
 /// A finding with the grade and the next step of the first of `faults` that is there; without one it is as it should be.
 fn judged<const N: usize>(place: &'static str, text: String, faults: [(bool, Grade, &'static str); N]) -> Finding {
-    match faults.into_iter().find(|(is_there, ..)| *is_there) {
-        Some((_, grade, next_step)) => {
-            Finding { next_step: Some(next_step.into()), ..Finding::new(grade, place, text) }
+    named(place, text, &faults.map(|(is_there, grade, next_step)| (is_there, grade, "", next_step)))
+}
+
+/// As [`judged`], of faults with a name, which the text ends with.
+fn named(place: &'static str, text: String, faults: &[(bool, Grade, &str, &'static str)]) -> Finding {
+    match faults.iter().find(|(is_there, ..)| *is_there) {
+        Some((_, grade, name, next_step)) => {
+            let text = if name.is_empty() { text } else { format!("{text}: {name}") };
+            Finding { next_step: Some((*next_step).into()), ..Finding::new(*grade, place, text) }
         }
         None => Finding::ok(place, text),
     }
+}
+
+/// The `findings` on parts that are not as they should be; if all are, one with `text`.
+fn faulty_or(mut findings: Vec<Finding>, place: &'static str, text: impl FnOnce() -> String) -> Vec<Finding> {
+    findings.retain(|finding| finding.grade != Grade::Ok);
+    if findings.is_empty() { vec![Finding::ok(place, text())] } else { findings }
 }
 
 fn of_date(utc_ns: u64) -> Finding {

@@ -1,8 +1,8 @@
 //! What a page may change, who may look at it and change it, and how that is refused.
 
-use std::fmt;
 use std::net::SocketAddr;
 
+use anyhow::{Result, bail, ensure};
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::{Map, Value};
 use thiserror::Error;
@@ -19,10 +19,12 @@ pub(crate) enum Order {
 }
 
 /// How a capture is to be played; what is `None` stays as it is.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub(crate) struct PlayerOrder {
     pub playing: Option<bool>,
     /// Device seconds per second; `Some(None)`: as fast as it goes.
+    #[serde(default, deserialize_with = "given")]
     pub speed: Option<Option<f64>>,
     /// Go on from here, seconds after the beginning.
     pub seek_s: Option<f64>,
@@ -61,22 +63,17 @@ pub(crate) enum Refusal {
 }
 
 impl Refusal {
-    /// There is no recorder.
     pub(crate) const NO_RECORDER: Self = Self::NotHere { what: "recorder", instead: "`slitpose run --live` has one" };
 
-    /// There is no player.
     pub(crate) const NO_PLAYER: Self =
         Self::NotHere { what: "player", instead: "`slitpose replay FILE --live` has one" };
 
-    /// There is no 6-DoF mouse.
     pub(crate) const NO_MOUSE: Self =
         Self::NotHere { what: "6-DoF mouse", instead: "`slitpose run --spacenav PATH --live` has one" };
 }
 
-pub(crate) trait Control: Send + Sync {
-    /// Carries out `order`, or begins to.
-    fn order(&self, order: Order) -> Result<(), Refusal>;
-}
+/// Carries out an order, or begins to.
+pub(crate) type Control = Box<dyn Fn(Order) -> Result<(), Refusal> + Send + Sync>;
 
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
@@ -93,14 +90,7 @@ pub(super) enum Request {
     Record {
         on: bool,
     },
-    Player {
-        playing: Option<bool>,
-        /// Device seconds per second; `null`: as fast as it goes.
-        #[serde(default, deserialize_with = "given")]
-        speed: Option<Option<f64>>,
-        /// Go on from here, seconds after the beginning.
-        seek_s: Option<f64>,
-    },
+    Player(PlayerOrder),
     /// Make the present pose the zero of the 6-DoF mouse.
     Zero {},
     Pose {
@@ -118,7 +108,6 @@ impl Request {
     }
 }
 
-/// Whether `text` is a request.
 pub(crate) fn is_request(text: &str) -> bool {
     Request::read(text).is_ok()
 }
@@ -134,71 +123,40 @@ pub(crate) const DEFAULT_LIVE_ADDRESS: &str = "127.0.0.1:7451";
 /// Shortest token: 16 characters are beyond guessing over a network.
 const MIN_TOKEN: usize = 16;
 
-/// Why a page cannot be served so.
-#[derive(Clone, Debug, PartialEq, Eq, Error)]
-pub(crate) enum AccessError {
-    #[error("`{text}` is no address; give one such as {DEFAULT_LIVE_ADDRESS}, [::1]:7451 or 0.0.0.0:7451")]
-    Address { text: String },
-    #[error(
-        "{address} can be reached from other hosts: give --live-token with a secret of {MIN_TOKEN} characters or more, \
-         or listen on 127.0.0.1"
-    )]
-    NoToken { address: SocketAddr },
-    #[error("a token of {found} characters can be guessed; give --live-token with {MIN_TOKEN} characters or more")]
-    ShortToken { found: usize },
-    #[error("a token has letters, digits, `-`, `_`, `.` and `~` only; `{letter}` is none of them")]
-    Letter {
-        /// The first other one.
-        letter: char,
-    },
-}
-
 /// The host and port that `text` names.
-pub(crate) fn live_address(text: &str) -> Result<SocketAddr, AccessError> {
-    tcp_address(text).ok_or_else(|| AccessError::Address { text: text.to_owned() })
+pub(crate) fn live_address(text: &str) -> Result<SocketAddr, String> {
+    let hint =
+        || format!("`{text}` is no address; give one such as {DEFAULT_LIVE_ADDRESS}, [::1]:7451 or 0.0.0.0:7451");
+    tcp_address(text).ok_or_else(hint)
 }
 
 #[derive(Clone, PartialEq, Eq)]
 pub(crate) struct Access {
     pub(super) address: SocketAddr,
     token: Option<String>,
-    /// Whether a page may start recordings and move a replay.
-    may_write: bool,
-}
-
-impl fmt::Debug for Access {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { address, token, may_write } = self;
-        let token = token.as_ref().map(|_| "…");
-        f.debug_struct("Access").field("address", address).field("token", &token).field("may_write", may_write).finish()
-    }
+    pub(crate) may_write: bool,
 }
 
 impl Access {
     /// Pages at `address`. Those of other hosts need `token`, and change something only if `writes` allows it.
-    pub(crate) fn new(address: SocketAddr, token: Option<String>, writes: bool) -> Result<Self, AccessError> {
+    pub(crate) fn new(address: SocketAddr, token: Option<String>, writes: bool) -> Result<Self> {
         if let Some(token) = &token {
             let is_plain = |letter: &char| letter.is_ascii_alphanumeric() || "-_.~".contains(*letter);
             if let Some(letter) = token.chars().find(|letter| !is_plain(letter)) {
-                return Err(AccessError::Letter { letter });
+                bail!("a token has letters, digits, `-`, `_`, `.` and `~` only; `{letter}` is none of them");
             }
-            if token.len() < MIN_TOKEN {
-                return Err(AccessError::ShortToken { found: token.len() });
-            }
+            let (found, hint) = (token.len(), format!("give --live-token with {MIN_TOKEN} characters or more"));
+            ensure!(found >= MIN_TOKEN, "a token of {found} characters can be guessed; {hint}");
         }
         let is_local = address.ip().is_loopback();
-        if !is_local && token.is_none() {
-            return Err(AccessError::NoToken { address });
-        }
+        ensure!(
+            is_local || token.is_some(),
+            "{address} can be reached from other hosts: give --live-token with a secret of {MIN_TOKEN} characters or more, or \
+             listen on 127.0.0.1"
+        );
         Ok(Self { address, token, may_write: is_local || writes })
     }
 
-    /// Whether a page may start recordings and move a replay.
-    pub(crate) fn may_write(&self) -> bool {
-        self.may_write
-    }
-
-    /// The hosts that may connect.
     pub(super) fn scope(&self) -> BindScope {
         if self.address.ip().is_loopback() { BindScope::Loopback } else { BindScope::Anywhere }
     }
@@ -237,7 +195,7 @@ mod tests {
     fn requests_are_read_or_refused() {
         assert_eq!(read(r#"{"kind":"hello"}"#), Some(Request::Hello { token: None }));
         assert_eq!(read(r#"{"kind":"ack","messages":7}"#), Some(Request::Ack { messages: 7 }));
-        let player = |playing, speed, seek_s| Some(Request::Player { playing, speed, seek_s });
+        let player = |playing, speed, seek_s| Some(Request::Player(PlayerOrder { playing, speed, seek_s }));
         assert_eq!(read(r#"{"kind":"player","playing":true}"#), player(Some(true), None, None));
         assert_eq!(read(r#"{"kind":"player","speed":null}"#), player(None, Some(None), None));
         assert_eq!(read(r#"{"kind":"player","speed":0.5,"seek_s":3}"#), player(None, Some(Some(0.5)), Some(3.0)));
@@ -250,6 +208,7 @@ mod tests {
             r#"{"kind":"ack"}"#,
             r#"{"kind":"ack","messages":-1}"#,
             r#"{"kind":"record","on":true,"file":"/etc/passwd"}"#,
+            r#"{"kind":"player","playing":true,"file":"/etc/passwd"}"#,
             r#"{"kind":"pose","t_m":[1,2],"r_rad":[0,0,0]}"#,
         ] {
             assert_eq!(read(text), None, "{text}");
@@ -258,7 +217,7 @@ mod tests {
 
     const TOKEN: &str = "correct-horse-battery";
 
-    fn access(address: &str, token: Option<&str>, writes: bool) -> Result<Access, AccessError> {
+    fn access(address: &str, token: Option<&str>, writes: bool) -> Result<Access> {
         Access::new(live_address(address).unwrap(), token.map(str::to_owned), writes)
     }
 
@@ -269,7 +228,8 @@ mod tests {
             assert!(open.may_write && open.scope() == BindScope::Loopback && open.admits(None), "{local}");
         }
         for wide in ["0.0.0.0:7451", "[::]:7451", "192.0.2.1:80"] {
-            assert!(matches!(access(wide, None, true), Err(AccessError::NoToken { .. })), "{wide}");
+            let refused = access(wide, None, true).err().unwrap().to_string();
+            assert!(refused.contains("from other hosts: give --live-token"), "{refused}");
             let guarded = access(wide, Some(TOKEN), false).unwrap();
             assert!(!guarded.may_write && guarded.scope() == BindScope::Anywhere, "{wide}");
             assert!(access(wide, Some(TOKEN), true).unwrap().may_write, "{wide}");
@@ -286,11 +246,11 @@ mod tests {
                 assert!(!guarded.admits(wrong), "{wrong:?}");
             }
             assert!(!guarded.admits(Some(&format!("{TOKEN}s"))));
-            assert!(!format!("{guarded:?}").contains("horse"));
         }
-        assert_eq!(access("127.0.0.1:0", Some("short"), false), Err(AccessError::ShortToken { found: 5 }));
-        let letter = access("127.0.0.1:0", Some("a token with spaces"), false);
-        assert_eq!(letter, Err(AccessError::Letter { letter: ' ' }));
+        for (token, words) in [("short", "of 5 characters can be guessed"), ("a token with spaces", "` ` is none")] {
+            let refused = access("127.0.0.1:0", Some(token), false).err().unwrap().to_string();
+            assert!(refused.contains(words), "{refused}");
+        }
     }
 
     #[test]

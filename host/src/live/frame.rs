@@ -4,14 +4,13 @@ use std::fmt::Debug;
 use std::sync::Arc;
 
 use axum::extract::ws::Utf8Bytes;
-use serde::Serialize;
 use serde_json::{Value, json};
 use slitpose_calibration::{Basis, Head};
 use slitpose_design::map::{NoiseOf, Outlook};
 use slitpose_design::{MaskFrame, mask_half_extents_m};
 use slitpose_model::{
-    Cell, CompiledScene, Estimate, Opening, Pair, Photocurrents, Pose, Reading, SceneError, Solution, Status, Tier,
-    TwistEstimate,
+    Cell, CompiledScene, Detector, Estimate, Opening, Pair, Photocurrents, Pose, Reading, SceneError, Solution, Status,
+    Tier, TwistEstimate,
 };
 
 use super::hub::text_of;
@@ -24,166 +23,87 @@ const TIER: Tier = Tier::Exact { tolerance: 1e-3 };
 /// Light counts as missed where the model expects this many times the faint limit, as in the health of cells.
 const MISSED_FROM: f64 = 2.0;
 
-/// A frame. Numbers are single, which leaves translations exact to a nanometre, and those that are only looked at are
-/// rounded: texts are half as long.
-#[derive(Serialize)]
-#[serde(tag = "kind", rename = "frame")]
-pub(crate) struct FrameMessage<'a> {
-    board: usize,
-    /// Number of the frame since the start of the server.
-    n: u64,
-    seq: u64,
-    time_s: f64,
-    status: &'a str,
-    reason: Option<String>,
-    #[serde(flatten)]
-    place: Place,
-    sigma: Option<[f32; 6]>,
-    /// Covariance of the position: xx, xy, xz, yy, yz, zz.
-    cov_t: Option<[f32; 6]>,
-    twist: Option<[f32; 6]>,
-    chi2: Option<f32>,
-    redundancy: usize,
-    verified: &'a str,
-    truth: Option<Place>,
-    simulated: bool,
-    filtered: Option<FilteredPlace>,
-    cells: Vec<CellFrame>,
-    scans: u32,
-    poses: u32,
-    low: Option<[f32; 6]>,
-    high: Option<[f32; 6]>,
-}
-
-#[derive(Clone, Copy, Default, Serialize)]
-struct Place {
-    t_m: Option<[f32; 3]>,
-    q_xyzw: Option<[f32; 4]>,
-}
-
-#[derive(Serialize)]
-struct FilteredPlace {
-    #[serde(flatten)]
-    place: Place,
-    lag_s: f64,
-}
-
-#[derive(Serialize)]
-struct CellFrame {
-    i_a: Option<[f32; 2]>,
-    /// The light's position by them, by the model, and the ends of the spot by the model.
-    x_m: Option<f32>,
-    expected_x_m: Option<f32>,
-    spot_m: Option<[f32; 2]>,
-    state: Vec<&'static str>,
-}
-
-impl FrameMessage<'_> {
-    pub(super) fn forget_accuracy(&mut self) {
-        (self.sigma, self.cov_t) = (None, None);
-    }
-}
-
-impl From<&Pose> for Place {
-    fn from(pose: &Pose) -> Self {
-        Self {
-            t_m: Some(pose.translation_m.to_array().map(|value| value as f32)),
-            q_xyzw: Some(pose.rotation.to_array().map(|value| value as f32)),
-        }
-    }
-}
-
 /// What frames need to know of a head.
 pub(crate) struct Optics {
     plan: CompiledScene<f64>,
-    cells: Vec<Known>,
-}
-
-struct Known {
-    half_length_m: f64,
-    faint_a: f64,
-    dark_current_a: f64,
+    cells: Vec<Cell>,
 }
 
 impl Optics {
-    /// Those of `head`.
     pub(crate) fn of(head: &Head) -> Result<Self, SceneError> {
         let scene = &head.file.scene;
-        let cells = scene.cells.iter().map(|cell| Known {
-            half_length_m: 0.5 * cell.detector.length_m,
-            faint_a: cell.detector.faint_a,
-            dark_current_a: cell.detector.dark_current_a,
-        });
-        Ok(Self { plan: CompiledScene::compile(scene, TIER)?, cells: cells.collect() })
+        Ok(Self { plan: CompiledScene::compile(scene, TIER)?, cells: scene.cells.to_vec() })
     }
 
-    pub(crate) fn frame(&self, board: usize, n: u64, sample: &Sample) -> FrameMessage<'static> {
+    /// Frame `n` of a board. Translations are exact to a nanometre, and numbers that are only looked at are rounded further:
+    /// texts are half as long.
+    pub(crate) fn frame(&self, board: usize, n: u64, sample: &Sample) -> Value {
         let Sample { record, photocurrents, scans, poses, range } = sample;
-        let numbers = range.map(|range| range.map(single));
-        FrameMessage {
-            seq: record.sequence,
-            time_s: record.device_time_s,
-            twist: record.twist.map(|TwistEstimate { twist, .. }| {
+        let mut frame = self.solved(board, n, &record.solution, photocurrents);
+        let own = json!({
+            "seq": record.sequence,
+            "time_s": record.device_time_s,
+            "twist": record.twist.map(|TwistEstimate { twist, .. }| {
                 let [v, w] = [twist.linear_m_per_s, twist.angular_rad_per_s];
                 [v.x, v.y, v.z, w.x, w.y, w.z].map(rounded)
             }),
-            truth: record.truth.as_ref().map(Place::from),
-            simulated: record.simulated,
-            filtered: record
-                .filtered
-                .map(|filtered| FilteredPlace { place: Place::from(&filtered.estimate.pose), lag_s: filtered.lag_s }),
-            scans: *scans,
-            poses: *poses,
-            low: numbers.map(|[low, _]| low),
-            high: numbers.map(|[_, high]| high),
-            ..self.solved(board, n, &record.solution, photocurrents)
+            "truth": record.truth.as_ref().map(place),
+            "simulated": record.simulated,
+            "filtered": record.filtered.map(|filtered| {
+                let mut place = place(&filtered.estimate.pose);
+                place["lag_s"] = filtered.lag_s.into();
+                place
+            }),
+            "scans": scans,
+            "poses": poses,
+            "low": range.map(|[low, _]| low.map(nanometres)),
+            "high": range.map(|[_, high]| high.map(nanometres)),
+        });
+        if let (Value::Object(frame), Value::Object(own)) = (&mut frame, own) {
+            frame.extend(own);
         }
+        frame
     }
 
-    pub(super) fn solved(
-        &self,
-        board: usize,
-        n: u64,
-        solution: &Solution,
-        photocurrents: &Photocurrents,
-    ) -> FrameMessage<'static> {
+    fn solved(&self, board: usize, n: u64, solution: &Solution, photocurrents: &Photocurrents) -> Value {
         let estimate = solution.estimate.as_ref();
-        let place = estimate.map(|estimate| Place::from(&estimate.pose)).unwrap_or_default();
-        let at = estimate.map(|estimate| single(coordinates(&estimate.pose)));
-        FrameMessage {
-            board,
-            n,
-            seq: n,
-            time_s: 0.0,
-            status: solution.outcome.as_str(),
-            reason: reason(&solution.outcome),
-            place,
-            sigma: estimate.map(|estimate| estimate.sigma().map(rounded)),
-            cov_t: estimate.map(|Estimate { covariance: c, .. }| {
+        let place = estimate.map(|estimate| place(&estimate.pose)).unwrap_or_default();
+        let at = estimate.map(|estimate| coordinates(&estimate.pose).map(nanometres));
+        let cells = self.cells.iter().zip(&photocurrents.cells).enumerate();
+        json!({
+            "kind": "frame",
+            "board": board,
+            // Since the start of the server.
+            "n": n,
+            "seq": n,
+            "time_s": 0.0,
+            "status": solution.outcome.as_str(),
+            "reason": reason(&solution.outcome),
+            "t_m": place["t_m"],
+            "q_xyzw": place["q_xyzw"],
+            "sigma": estimate.map(|estimate| estimate.sigma().map(rounded)),
+            // Of the position: xx, xy, xz, yy, yz, zz.
+            "cov_t": estimate.map(|Estimate { covariance: c, .. }| {
                 [c[0][0], c[0][1], c[0][2], c[1][1], c[1][2], c[2][2]].map(rounded)
             }),
-            twist: None,
-            chi2: Some(rounded(solution.chi2)).filter(|chi2| chi2.is_finite()),
-            redundancy: solution.redundancy,
-            verified: solution.verified().as_str(),
-            truth: None,
-            simulated: true,
-            filtered: None,
-            cells: self
-                .cells
-                .iter()
-                .zip(&photocurrents.cells)
-                .enumerate()
-                .map(|(cell, (known, reading))| self.cell(cell, known, reading, solution))
-                .collect(),
-            scans: 1,
-            poses: u32::from(estimate.is_some()),
-            low: at,
-            high: at,
-        }
+            "twist": null,
+            "chi2": rounded(solution.chi2),
+            "redundancy": solution.redundancy,
+            "verified": solution.verified().as_str(),
+            "truth": null,
+            "simulated": true,
+            "filtered": null,
+            "cells": cells
+                .map(|(number, (cell, reading))| self.cell(number, &cell.detector, reading, solution))
+                .collect::<Vec<_>>(),
+            "scans": 1,
+            "poses": u32::from(estimate.is_some()),
+            "low": at,
+            "high": at,
+        })
     }
 
-    fn cell(&self, cell: usize, known: &Known, reading: &Reading, solution: &Solution) -> CellFrame {
+    fn cell(&self, cell: usize, detector: &Detector, reading: &Reading, solution: &Solution) -> Value {
         let mut state = Vec::new();
         let mut push = |holds: bool, word| state.extend(holds.then_some(word));
         push(solution.cells_used.contains(cell), "used");
@@ -194,7 +114,7 @@ impl Optics {
             Reading::Light(pair) => Some(pair),
             Reading::Saturated | Reading::Missing => None,
         };
-        let is_faint = pair.is_some_and(|pair| pair.total_a() < known.faint_a);
+        let is_faint = pair.is_some_and(|pair| pair.total_a() < detector.faint_a);
         push(is_faint, "faint");
         let mut expected_x_m = None;
         let mut spot_m = None;
@@ -203,22 +123,23 @@ impl Optics {
             push(response.status == Status::Clipped, "clipped");
             push(response.status == Status::Dark, "dark");
             push(response.status == Status::Behind, "behind");
-            let expected_a = response.i_o_a - known.dark_current_a;
-            push(is_faint && expected_a >= MISSED_FROM * known.faint_a, "missed");
+            let expected_a = response.i_o_a - detector.dark_current_a;
+            push(is_faint && expected_a >= MISSED_FROM * detector.faint_a, "missed");
             expected_x_m = response.x_a_m.map(rounded);
             let outline = self.plan.spot_outline_m(cell, pose);
             let ends = outline.iter().map(|[x_m, _]| rounded(*x_m));
-            spot_m = ends.fold(None, |range: Option<[f32; 2]>, x_m| {
+            spot_m = ends.fold(None, |range: Option<[f64; 2]>, x_m| {
                 Some(range.map_or([x_m; 2], |[least, most]| [least.min(x_m), most.max(x_m)]))
             });
         }
-        CellFrame {
-            i_a: pair.map(|pair| [pair.i_x1_a, pair.i_x2_a].map(rounded)),
-            x_m: pair.filter(|_| !is_faint).map(|pair| rounded(known.half_length_m * imbalance(pair))),
-            expected_x_m,
-            spot_m,
-            state,
-        }
+        json!({
+            "i_a": pair.map(|pair| [pair.i_x1_a, pair.i_x2_a].map(rounded)),
+            // The light's position by them, by the model, and the ends of the spot by the model.
+            "x_m": pair.filter(|_| !is_faint).map(|pair| rounded(0.5 * detector.length_m * imbalance(pair))),
+            "expected_x_m": expected_x_m,
+            "spot_m": spot_m,
+            "state": state,
+        })
     }
 }
 
@@ -227,15 +148,22 @@ fn imbalance(pair: &Pair<f64>) -> f64 {
     (pair.i_x2_a - pair.i_x1_a) / pair.total_a()
 }
 
-fn single(values: [f64; 6]) -> [f32; 6] {
-    values.map(|value| value as f32)
+fn place(pose: &Pose) -> Value {
+    json!({
+        "t_m": pose.translation_m.to_array().map(nanometres),
+        "q_xyzw": pose.rotation.to_array().map(nanometres),
+    })
+}
+
+fn nanometres(value: f64) -> f64 {
+    (value * 1e9).round() / 1e9
 }
 
 /// `value` to four digits; zero and numbers that are none as they are.
-fn rounded(value: f64) -> f32 {
+fn rounded(value: f64) -> f64 {
     let scale = 10_f64.powi((3.0 - value.abs().log10().floor()) as i32);
     let rounded = (value * scale).round() / scale;
-    if rounded.is_finite() { rounded as f32 } else { value as f32 }
+    if rounded.is_finite() { rounded } else { value }
 }
 
 /// Samples per second of the host's clock.
@@ -380,7 +308,6 @@ pub(crate) struct SceneView {
 }
 
 impl SceneView {
-    /// Of `head`.
     pub(crate) fn of(head: &Head) -> Result<Self, SceneError> {
         Ok(Self { outlook: Outlook::of(head.clone())?, optics: Optics::of(head)? })
     }
@@ -391,7 +318,7 @@ impl SceneView {
         let (readings, solution) = self.outlook.frame_at(pose);
         let mut frame = self.optics.solved(0, n, &solution, &readings);
         if self.outlook.noise == NoiseOf::Nothing {
-            frame.forget_accuracy();
+            (frame["sigma"], frame["cov_t"]) = (Value::Null, Value::Null);
         }
         text_of(&frame)
     }
@@ -404,11 +331,11 @@ mod tests {
     #[test]
     fn numbers_are_rounded_to_four_digits() {
         for (value, expected) in
-            [(1.234_56e-6, 1.235e-6), (-98_765.4, -98_770.0), (0.0, 0.0), (5e-324, 0.0), (9.999_96, 10.0)]
+            [(1.234_56e-6, 1.235e-6), (-98_765.4, -98_770.0), (0.0, 0.0), (5e-324, 5e-324), (9.999_96, 10.0)]
         {
             assert_eq!(rounded(value), expected, "{value}");
         }
         assert!(rounded(f64::NAN).is_nan());
-        assert_eq!(rounded(f64::INFINITY), f32::INFINITY);
+        assert_eq!(rounded(f64::INFINITY), f64::INFINITY);
     }
 }

@@ -12,8 +12,7 @@ use tokio::sync::broadcast;
 use tokio::sync::mpsc::{Receiver, Sender, channel};
 
 use super::control::PlayerState;
-use super::frame::head_message;
-use super::frame::{FRAMES_HZ, Optics, Sample, SampleSink};
+use super::frame::{FRAMES_HZ, Optics, Sample, SampleSink, head_message};
 use crate::telemetry::DaemonReport;
 use slitpose_head::finding::Finding;
 use slitpose_tracking::clock::HostInstant;
@@ -55,20 +54,10 @@ impl LiveInput {
         (Self(sender), receiver)
     }
 
-    /// Shows these boards from now on. Waits for the server.
-    pub(crate) fn boards(&self, boards: Vec<LiveBoard>) {
+    /// Waits for the server.
+    pub(crate) fn show(&self, input: Input) {
         // The server ends after all who send.
-        let _ = self.0.blocking_send(Input::Boards(boards));
-    }
-
-    /// Shows a report. Waits for the server.
-    pub(crate) fn report(&self, report: DaemonReport) {
-        let _ = self.0.blocking_send(Input::Report(Box::new(report)));
-    }
-
-    /// Shows how a capture is played. Waits for the server.
-    pub(crate) fn player(&self, state: PlayerState) {
-        let _ = self.0.blocking_send(Input::Player(state));
+        let _ = self.0.blocking_send(input);
     }
 }
 

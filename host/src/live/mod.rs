@@ -26,7 +26,5 @@ pub(crate) use control::{
 pub(crate) use frame::Optics;
 pub(crate) use frame::SceneView;
 pub(crate) use frame::{Sample, SampleSink, Sampler};
-#[cfg(feature = "foxglove")]
-pub(crate) use hub::Input;
-pub(crate) use hub::{LiveBoard, LiveInput};
+pub(crate) use hub::{Input, LiveBoard, LiveInput};
 pub(crate) use server::{LivePlan, LiveServer};

@@ -4,15 +4,15 @@ use std::net::IpAddr;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use axum::Router;
+use axum::extract::State;
 use axum::extract::ws::WebSocketUpgrade;
-use axum::extract::{ConnectInfo, State};
 use axum::http::StatusCode;
 use axum::http::header::{
     CACHE_CONTROL, CONNECTION, CONTENT_SECURITY_POLICY, CONTENT_TYPE, REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS,
 };
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
+use axum::{Extension, Router};
 use slitpose_head::threads::lock;
 use tokio::time::{MissedTickBehavior, interval};
 
@@ -21,7 +21,7 @@ use super::frame::SceneView;
 use super::hub::{Hub, Input, LiveBoard, LiveInput};
 use super::session;
 use crate::address::{Address, ServeError};
-use crate::http::{ConnectionDeadline, Serving, reply};
+use crate::http::{Connection, Serving, reply};
 use crate::telemetry::DaemonReport;
 
 /// Most clients at a time, of those that have said hello.
@@ -45,18 +45,14 @@ pub(crate) struct LivePlan {
     /// Whether there is a 6-DoF mouse, whose zero can be set.
     pub has_zero: bool,
     pub scene: Option<SceneView>,
-    pub control: Box<dyn Control>,
+    pub control: Control,
     /// The state of the daemon, if there is one.
     pub report: Option<Box<dyn Fn() -> DaemonReport + Send + Sync>>,
 }
 
 pub(super) struct Shared {
-    pub(super) access: Access,
-    pub(super) source: &'static str,
-    pub(super) has_zero: bool,
+    pub(super) plan: LivePlan,
     pub(super) hub: Hub,
-    pub(super) scene: Option<SceneView>,
-    pub(super) control: Box<dyn Control>,
     pub(super) clients: Clients,
 }
 
@@ -93,17 +89,17 @@ impl Drop for Place<'_> {
 
 /// Serves the page until dropped.
 pub(crate) struct LiveServer {
-    url: String,
-    input: LiveInput,
+    /// The address of the page, for a browser.
+    pub(crate) url: String,
+    pub(crate) input: LiveInput,
     _serving: Serving,
 }
 
 impl LiveServer {
-    pub(crate) fn start(plan: LivePlan) -> Result<Self, ServeError> {
-        let LivePlan { access, source, has_zero, boards, scene, control, report } = plan;
-        let (address, scope) = (Address::Tcp(access.address), access.scope());
-        let clients = Clients::default();
-        let shared = Arc::new(Shared { access, source, has_zero, hub: Hub::new(), scene, control, clients });
+    pub(crate) fn start(mut plan: LivePlan) -> Result<Self, ServeError> {
+        let (address, scope) = (Address::Tcp(plan.access.address), plan.access.scope());
+        let (boards, report) = (std::mem::take(&mut plan.boards), plan.report.take());
+        let shared = Arc::new(Shared { plan, hub: Hub::new(), clients: Clients::default() });
         shared.hub.accept(Input::Boards(boards));
         let (input, mut inputs) = LiveInput::new();
         let (routes, of_inputs, of_reports) = (routes(&shared), Arc::clone(&shared), Arc::clone(&shared));
@@ -127,16 +123,7 @@ impl LiveServer {
         let refusal = "pages of other sites get no answer; open this page by 127.0.0.1, [::1] or localhost\n";
         // When it is dropped, clients see their connections end.
         let (serving, bound) = Serving::http("live", &address, scope, refusal, routes, begin)?;
-        Ok(Self { url: shared.access.url(&bound), input, _serving: serving })
-    }
-
-    /// The address of the page, for a browser.
-    pub(crate) fn url(&self) -> &str {
-        &self.url
-    }
-
-    pub(crate) fn input(&self) -> LiveInput {
-        self.input.clone()
+        Ok(Self { url: shared.plan.access.url(&bound), input, _serving: serving })
     }
 }
 
@@ -163,14 +150,14 @@ fn page_file((_, media, text): &PageFile) -> Response {
 
 async fn upgrade(
     State(shared): State<Arc<Shared>>,
-    ConnectInfo(deadline): ConnectInfo<ConnectionDeadline>,
+    Extension(connection): Extension<Arc<Connection>>,
     upgrade: WebSocketUpgrade,
 ) -> Response {
-    if shared.clients.place(deadline.address).is_none() {
+    if shared.clients.place(connection.address).is_none() {
         return reply(StatusCode::SERVICE_UNAVAILABLE, format!("{}\n", Refusal::Full));
     }
     let upgrade = upgrade.max_message_size(MAX_REQUEST).max_frame_size(MAX_REQUEST);
-    upgrade.on_upgrade(async move |socket| session::serve(socket, shared, deadline).await)
+    upgrade.on_upgrade(async move |socket| session::serve(socket, shared, &connection).await)
 }
 
 /// A file: its path after `/`, its media type, its text.

@@ -12,17 +12,17 @@ use std::time::Duration;
 
 use axum::extract::ws::{Message, Utf8Bytes, WebSocket};
 use glam::DVec3;
-use serde::Serialize;
+use serde_json::{Value, json};
 use slitpose_model::Pose;
 use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::{RecvError, TryRecvError};
 use tokio::time::{Instant, sleep, sleep_until, timeout};
 
-use super::control::{Order, PlayerOrder, Refusal, Request};
+use super::control::{Order, Refusal, Request};
 use super::frame::FRAMES_HZ;
-use super::hub::{Event, HISTORY_S, Snapshot, text_of};
+use super::hub::{Event, HISTORY_S, Snapshot};
 use super::server::Shared;
-use crate::http::ConnectionDeadline;
+use crate::http::Connection;
 
 /// Most messages that a client has not acknowledged.
 pub(super) const WINDOW: u64 = 64;
@@ -48,54 +48,26 @@ const FARTHEST: f64 = 10.0;
 /// Before a wrong token is answered: against guessing.
 const PENALTY: Duration = Duration::from_secs(1);
 
-#[derive(Serialize)]
-#[serde(tag = "kind", rename_all = "snake_case")]
-enum Answer<'a> {
-    Hello {
-        program: &'a str,
-        version: &'a str,
-        source: &'a str,
-        has_zero: bool,
-        may_write: bool,
-        frames_hz: u64,
-        history_s: u64,
-        boards: &'a [String],
-    },
-    Cleared {
-        board: usize,
-    },
-    Missed {
-        frames: u64,
-    },
-    Refused {
-        reason: String,
-    },
-}
-
 struct Gone;
 
-/// Serves a client until it goes. It has a place, and `deadline` is released, once it has shown that it may look.
-pub(super) async fn serve(mut socket: WebSocket, shared: Arc<Shared>, deadline: ConnectionDeadline) {
-    let hello = match socket.recv().await {
-        Some(Ok(Message::Text(text))) => Request::read(&text).ok(),
-        _ => None,
-    };
-    let Some(Request::Hello { token }) = hello else { return };
+/// Serves a client until it goes. It has a place, and `connection` is released, once it has shown that it may look.
+pub(super) async fn serve(mut socket: WebSocket, shared: Arc<Shared>, connection: &Connection) {
+    let Some(Some(Ok(Message::Text(text)))) = connection.while_open(socket.recv()).await else { return };
+    let Ok(Request::Hello { token }) = Request::read(&text) else { return };
     let mut session = Session::new(socket, Arc::clone(&shared));
-    if !shared.access.admits(token.as_deref()) {
+    if !shared.plan.access.admits(token.as_deref()) {
         sleep(PENALTY).await;
         let _ = session.refuse(&Refusal::Token).await;
         return;
     }
-    let Some(_place) = shared.clients.place(deadline.address) else {
+    let Some(_place) = shared.clients.place(connection.address) else {
         let _ = session.refuse(&Refusal::Full).await;
         return;
     };
-    deadline.release();
+    connection.release();
     let _ = session.run().await;
 }
 
-/// A client that may look.
 struct Session {
     socket: WebSocket,
     shared: Arc<Shared>,
@@ -127,7 +99,7 @@ impl Session {
                 (news, snapshot) = self.shared.hub.subscribe();
                 if snapshot.names == self.boards {
                     for board in 0..self.boards.len() {
-                        self.answer(&Answer::Cleared { board }).await?;
+                        self.answer(json!({"kind": "cleared", "board": board})).await?;
                     }
                 } else {
                     self.greet(&snapshot).await?;
@@ -170,16 +142,17 @@ impl Session {
     }
 
     async fn greet(&mut self, snapshot: &Snapshot) -> Result<(), Gone> {
-        self.answer(&Answer::Hello {
-            program: env!("CARGO_PKG_NAME"),
-            version: env!("CARGO_PKG_VERSION"),
-            source: self.shared.source,
-            has_zero: self.shared.has_zero,
-            may_write: self.shared.access.may_write(),
-            frames_hz: FRAMES_HZ,
-            history_s: HISTORY_S,
-            boards: &snapshot.names,
-        })
+        self.answer(json!({
+            "kind": "hello",
+            "program": env!("CARGO_PKG_NAME"),
+            "version": env!("CARGO_PKG_VERSION"),
+            "source": self.shared.plan.source,
+            "has_zero": self.shared.plan.has_zero,
+            "may_write": self.shared.plan.access.may_write,
+            "frames_hz": FRAMES_HZ,
+            "history_s": HISTORY_S,
+            "boards": snapshot.names,
+        }))
         .await
     }
 
@@ -211,7 +184,7 @@ impl Session {
     async fn tell_missed(&mut self) -> Result<(), Gone> {
         match std::mem::take(&mut self.missed) {
             0 => Ok(()),
-            frames => self.answer(&Answer::Missed { frames }).await,
+            frames => self.answer(json!({"kind": "missed", "frames": frames})).await,
         }
     }
 
@@ -239,9 +212,7 @@ impl Session {
                 Ok(())
             }
             Request::Record { on } => self.order(Order::Record(on)),
-            Request::Player { playing, speed, seek_s } => {
-                self.order(Order::Player(PlayerOrder { playing, speed, seek_s }))
-            }
+            Request::Player(order) => self.order(Order::Player(order)),
             Request::Zero {} => self.order(Order::Zero),
             Request::Pose { t_m, r_rad } => match self.drawn_at(t_m, r_rad) {
                 Ok(text) => return self.send(text).await,
@@ -255,15 +226,15 @@ impl Session {
     }
 
     fn order(&self, order: Order) -> Result<(), Refusal> {
-        if !self.shared.access.may_write() {
+        if !self.shared.plan.access.may_write {
             return Err(Refusal::ReadOnly);
         }
-        self.shared.control.order(order)
+        (self.shared.plan.control)(order)
     }
 
     fn drawn_at(&mut self, t_m: [f64; 3], r_rad: [f64; 3]) -> Result<Utf8Bytes, Refusal> {
         let instead = "`slitpose scene view SCENE` has one";
-        let view = self.shared.scene.as_ref().ok_or(Refusal::NotHere { what: "tool to drag", instead })?;
+        let view = self.shared.plan.scene.as_ref().ok_or(Refusal::NotHere { what: "tool to drag", instead })?;
         for (key, values) in [("t_m", t_m), ("r_rad", r_rad)] {
             if let Some(value) = values.into_iter().find(|value| value.abs() > FARTHEST) {
                 return Err(Refusal::Value { key, value, hint: "metres and radians within the workspace" });
@@ -276,11 +247,11 @@ impl Session {
     }
 
     async fn refuse(&mut self, refusal: &Refusal) -> Result<(), Gone> {
-        self.answer(&Answer::Refused { reason: refusal.to_string() }).await
+        self.answer(json!({"kind": "refused", "reason": refusal.to_string()})).await
     }
 
-    async fn answer(&mut self, answer: &Answer<'_>) -> Result<(), Gone> {
-        self.send(text_of(answer).ok_or(Gone)?).await
+    async fn answer(&mut self, answer: Value) -> Result<(), Gone> {
+        self.send(answer.to_string().into()).await
     }
 
     async fn send(&mut self, text: Utf8Bytes) -> Result<(), Gone> {

@@ -26,14 +26,14 @@ const TOKEN: &str = "correct-horse-battery";
 /// Longer than any answer takes on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-#[derive(Clone, Default)]
-struct Orders(Arc<Mutex<Vec<Order>>>);
+type Orders = Arc<Mutex<Vec<Order>>>;
 
-impl Control for Orders {
-    fn order(&self, order: Order) -> Result<(), Refusal> {
-        self.0.lock().unwrap().push(order);
+fn kept_in(orders: &Orders) -> Control {
+    let orders = Arc::clone(orders);
+    Box::new(move |order| {
+        orders.lock().unwrap().push(order);
         Ok(())
-    }
+    })
 }
 
 fn start(address: &str, token: Option<&str>) -> (LiveServer, Orders) {
@@ -45,7 +45,7 @@ fn start(address: &str, token: Option<&str>) -> (LiveServer, Orders) {
         has_zero: false,
         boards: vec![LiveBoard { name: "sim".to_owned(), head: Some(WIDE.read().unwrap().into()) }],
         scene: None,
-        control: Box::new(orders.clone()),
+        control: kept_in(&orders),
         report: None,
     });
     (server.unwrap(), orders)
@@ -53,7 +53,7 @@ fn start(address: &str, token: Option<&str>) -> (LiveServer, Orders) {
 
 /// Host and port that its URL names.
 fn authority(server: &LiveServer) -> &str {
-    server.url().split('/').nth(2).unwrap()
+    server.url.split('/').nth(2).unwrap()
 }
 
 fn port(server: &LiveServer) -> &str {
@@ -119,7 +119,7 @@ fn play(server: &LiveServer, poses: &[(Record, Photocurrents)]) {
     for (record, photocurrents) in poses {
         let (record, photocurrents) = (*record, photocurrents.clone());
         let sample = Sample { record, photocurrents, scans: 1, poses: 1, range: None };
-        while !server.input().sample(0, &sample) {
+        while !server.input.sample(0, &sample) {
             std::thread::yield_now();
         }
     }
@@ -171,7 +171,7 @@ fn a_frame_covers_all_scans_since_the_one_before() {
     let (server, _) = start("127.0.0.1:0", None);
     let mut client = Client::greeted(&server);
     let poses = poses(90);
-    let mut sampler = Sampler::new(0, Arc::new(server.input()));
+    let mut sampler = Sampler::new(0, Arc::new(server.input.clone()));
     for (number, (record, photocurrents)) in poses.iter().enumerate() {
         sampler.add(record);
         // One in thirty is due.
@@ -307,7 +307,7 @@ fn pages_of_others_and_wrong_tokens_see_nothing() {
     client.say(&json!({"kind": "record", "on": true}));
     let refused = client.hear_of("refused").pop().unwrap();
     assert!(refused["reason"].as_str().unwrap().contains("--live-writes"), "{refused}");
-    assert!(orders.0.lock().unwrap().is_empty());
+    assert!(orders.lock().unwrap().is_empty());
 }
 
 #[test]
@@ -326,7 +326,7 @@ fn orders_are_passed_on_and_nonsense_is_refused() {
         assert!(refused["reason"].as_str().unwrap().contains(reason), "{refused}");
     }
     let player = PlayerOrder { playing: Some(false), speed: None, seek_s: Some(2.5) };
-    assert_eq!(*orders.0.lock().unwrap(), [Order::Record(true), Order::Player(player)]);
+    assert_eq!(*orders.lock().unwrap(), [Order::Record(true), Order::Player(player)]);
     client.0.send(Message::text("x".repeat(MAX_REQUEST + 1))).unwrap();
     while client.hear().is_some() {}
 }
@@ -396,7 +396,7 @@ fn a_tool_is_dragged_where_a_frame_sees_it_or_says_why_not() {
         has_zero: false,
         scene: Some(SceneView::of(&head).unwrap()),
         boards: vec![LiveBoard { name: "wide".to_owned(), head: Some(head) }],
-        control: Box::new(Orders::default()),
+        control: kept_in(&Orders::default()),
         report: None,
     })
     .unwrap();

@@ -5,7 +5,7 @@ use std::io::Write;
 use std::time::{Duration, Instant};
 
 use clap::ValueEnum;
-use slitpose_protocol::{BoardKind, Severity};
+use slitpose_protocol::Severity;
 
 use crate::comparison::Accuracy;
 use crate::telemetry::{BoardReport, RecorderReport, view};
@@ -95,7 +95,7 @@ pub(crate) fn open<'a>(
 ) -> Option<Box<dyn Sink + Send + 'a>> {
     match format {
         Format::Summary => Some(Box::new(Summary::new(output, live))),
-        Format::Ndjson => Some(Box::new(ndjson::Ndjson::new(output))),
+        Format::Ndjson => Some(Box::new(ndjson::Ndjson(output))),
         Format::Csv => Some(Box::new(csv::Csv::new(output))),
         #[cfg(feature = "parquet")]
         Format::Parquet => Some(Box::new(parquet::Parquet::new(output))),
@@ -103,47 +103,26 @@ pub(crate) fn open<'a>(
     }
 }
 
-/// An event in the stream of poses.
+/// What a board, or the pipeline, says between two poses.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Note {
-    Hello {
-        device: DeviceId,
-        board: String,
-        /// Whether its photocurrents are measured or computed.
-        kind: BoardKind,
-        firmware: String,
-        /// Frames a second of its schedule.
-        frame_rate_hz: f64,
-    },
-    Event {
-        /// The board; `None` if it has not introduced itself.
-        device: Option<DeviceId>,
-        severity: Severity,
-        /// Its time by the board's clock, seconds.
-        device_time_s: f64,
-        text: String,
-    },
+pub(crate) struct Note {
+    /// The board; `None` if it has not introduced itself.
+    pub device: Option<DeviceId>,
+    pub severity: Severity,
+    /// Its time by the board's clock, seconds.
+    pub device_time_s: f64,
+    pub text: String,
 }
 
 impl Note {
     /// What `item` of a board's pipeline says besides poses, if anything.
     pub(crate) fn of(device: Option<DeviceId>, item: &Item<'_>) -> Option<Self> {
-        let event = |severity, device_time_s, text| Self::Event { device, severity, device_time_s, text };
-        match item {
-            Item::Hello(hello) => Some(Self::Hello {
-                device: DeviceId(hello.device_id),
-                board: hello.board.to_owned(),
-                kind: hello.kind,
-                firmware: hello.firmware.to_owned(),
-                frame_rate_hz: hello.schedule.frame_rate_hz(),
-            }),
-            Item::Event { severity, device_time_s, text } => Some(event(*severity, *device_time_s, (*text).to_owned())),
-            Item::Oddity { device_time_s, oddity } => {
-                Some(event(Severity::Warning, *device_time_s, oddity.to_string()))
-            }
-            // What a board was asked is history.
-            Item::Pose(_) | Item::Scan(_) | Item::Status(_) | Item::Reply(_) => None,
-        }
+        let (severity, device_time_s, text) = match item {
+            Item::Event { severity, device_time_s, text } => (*severity, *device_time_s, (*text).to_owned()),
+            Item::Oddity { device_time_s, oddity } => (Severity::Warning, *device_time_s, oddity.to_string()),
+            _ => return None,
+        };
+        Some(Self { device, severity, device_time_s, text })
     }
 }
 
@@ -257,13 +236,11 @@ impl<W: Write> Sink for Summary<W> {
     }
 
     fn note(&mut self, note: &Note) -> io::Result<()> {
-        match note {
-            Note::Event { severity, device_time_s, text, .. } if *severity != Severity::Info => {
-                let text = printable(text);
-                terminal::print(&mut self.output, format_args!("{severity:?} at {device_time_s:.3} s: {text}"))
-            }
-            Note::Event { .. } | Note::Hello { .. } => Ok(()),
+        let Note { severity, device_time_s, text, .. } = note;
+        if *severity == Severity::Info {
+            return Ok(());
         }
+        terminal::print(&mut self.output, format_args!("{severity:?} at {device_time_s:.3} s: {}", printable(text)))
     }
 
     fn tick(&mut self, accounts: &Accounts<'_>) -> io::Result<()> {

@@ -197,54 +197,63 @@ mod tests {
 
     #[test]
     fn a_stuck_stream_is_reported() {
-        assert_eq!(findings(running()), Vec::<String>::new());
-        let told = |board: BoardReport, word: &str| {
-            let findings = findings(board);
-            assert!(findings.len() == 1 && findings[0].contains(word), "{findings:?}");
-        };
-        // The program no longer makes reports; the board sends no scans; there is no board.
-        told(BoardReport { made_monotonic_ns: NOW.monotonic_ns - 4_000_000_000, ..running() }, "stuck");
-        told(BoardReport { last_scan_age_s: Some(2.9), ..running() }, "no scan");
-        told(BoardReport { link: LinkReport::default(), ..running() }, "searching");
-        // Scans come, but the solver does not keep up, or the printed poses are not read.
         let lag = LagReport { is_behind: true, behind_s: 1.2, waiting_scans: 77, ..LagReport::default() };
-        told(BoardReport { lag, ..running() }, "behind: scans come faster than they are solved");
-        assert_eq!(findings(BoardReport { lag: LagReport { behind_s: 0.8, ..lag }, ..running() }).len(), 0);
-        let lag = LagReport { is_output_blocked: true, waiting_s: 1.5, ..lag };
-        told(BoardReport { lag, ..running() }, "standard output: read too slowly: 77 scans wait");
-        let mut late = running();
-        late.latencies.total.recent.p50_s = 0.3;
-        told(late, "poses: 0.3 s old");
-        // Scans without poses.
-        let recent_outcomes = Outcomes { converged: 1, too_dark: 2, ..Outcomes::default() };
-        told(BoardReport { recent_outcomes, ..running() }, "only 1 of the last 3");
-        // Unreadable packets, and damaged ones, of which one may be chance.
-        let lossy = |recent_link_losses| BoardReport { recent_link_losses, ..running() };
-        told(
-            lossy(LinkLosses { unreadable: 1, ..LinkLosses::default() }),
-            "1 packets of the last second cannot be read",
-        );
-        told(
-            lossy(LinkLosses { bad_checksum: 2, misframed: 1, ..LinkLosses::default() }),
-            "3 packets of the last second came damaged",
-        );
-        assert_eq!(findings(lossy(LinkLosses { overlong: 2, ..LinkLosses::default() })), Vec::<String>::new());
-        told(
-            lossy(LinkLosses { poses_refused: 5, ..LinkLosses::default() }),
-            "5 of the board's own in the last second",
-        );
-        let unchecked = Agreement { is_unchecked: true, ..Agreement::default() };
-        told(
-            BoardReport { board_poses: Some(unchecked), ..running() },
-            "no scans by which its own poses can be checked",
-        );
-        // Of poses without a known instant, the time on the host is known.
-        let mut held = running();
-        held.latencies.host.recent.p50_s = 0.5;
-        told(held, "poses: 0.5 s old");
-        // A board that answers but sends no scan, after several attempts.
+        let lossy = LinkLosses::default();
         let link = LinkReport { state: LinkState::Connecting, attempts: 7, ..LinkReport::default() };
-        told(BoardReport { link, ..running() }, "connecting: no scan has come yet (tried 7 times); wait some seconds");
+        type Change<'a> = &'a dyn Fn(&mut BoardReport);
+        let cases: [(Change<'_>, Option<&str>); 17] = [
+            (&|_| (), None),
+            // The program no longer makes reports; the board sends no scans; there is no board.
+            (&|it| it.made_monotonic_ns = NOW.monotonic_ns - 4_000_000_000, Some("stuck")),
+            (&|it| it.last_scan_age_s = Some(2.9), Some("no scan")),
+            (&|it| it.link = LinkReport::default(), Some("searching")),
+            // Scans come, but the solver does not keep up, or the printed poses are not read.
+            (&|it| it.lag = lag, Some("behind: scans come faster than they are solved")),
+            (&|it| it.lag = LagReport { behind_s: 0.8, ..lag }, None),
+            (
+                &|it| it.lag = LagReport { is_output_blocked: true, waiting_s: 1.5, ..lag },
+                Some("standard output: read too slowly: 77 scans wait"),
+            ),
+            (&|it| it.latencies.total.recent.p50_s = 0.3, Some("poses: 0.3 s old")),
+            // Of poses without a known instant, the time on the host is known.
+            (&|it| it.latencies.host.recent.p50_s = 0.5, Some("poses: 0.5 s old")),
+            // Scans without poses.
+            (
+                &|it| it.recent_outcomes = Outcomes { converged: 1, too_dark: 2, ..Outcomes::default() },
+                Some("only 1 of the last 3"),
+            ),
+            // Unreadable packets, and damaged ones, of which one may be chance.
+            (
+                &|it| it.recent_link_losses = LinkLosses { unreadable: 1, ..lossy },
+                Some("1 packets of the last second cannot be read"),
+            ),
+            (
+                &|it| it.recent_link_losses = LinkLosses { bad_checksum: 2, misframed: 1, ..lossy },
+                Some("3 packets of the last second came damaged"),
+            ),
+            (&|it| it.recent_link_losses = LinkLosses { overlong: 2, ..lossy }, None),
+            (
+                &|it| it.recent_link_losses = LinkLosses { poses_refused: 5, ..lossy },
+                Some("5 of the board's own in the last second"),
+            ),
+            (
+                &|it| it.board_poses = Some(Agreement { is_unchecked: true, ..Agreement::default() }),
+                Some("no scans by which its own poses can be checked"),
+            ),
+            (
+                &|it| it.board_poses = Some(Agreement { recent_rms_sigmas: 0.4, ..Agreement::default() }),
+                Some("differ from those found here by 0.40"),
+            ),
+            // A board that answers but sends no scan, after several attempts.
+            (&|it| it.link = link.clone(), Some("connecting: no scan has come yet (tried 7 times); wait some seconds")),
+        ];
+        for (change, words) in cases {
+            let mut board = running();
+            change(&mut board);
+            let found = findings(board);
+            let is_it = words.map_or(found.is_empty(), |words| found.len() == 1 && found[0].contains(words));
+            assert!(is_it, "{words:?}: {found:?}");
+        }
     }
 
     #[test]

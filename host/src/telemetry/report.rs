@@ -225,7 +225,6 @@ impl LinkLosses {
         self.bad_checksum + self.misframed + self.overlong
     }
 
-    /// What has been lost since `before`.
     pub(crate) fn since(&self, before: &Self) -> Self {
         Self {
             scans: self.scans.saturating_sub(before.scans),
@@ -237,13 +236,6 @@ impl LinkLosses {
             poses_refused: self.poses_refused.saturating_sub(before.poses_refused),
             bytes_skipped: self.bytes_skipped.saturating_sub(before.bytes_skipped),
         }
-    }
-}
-
-impl Losses {
-    /// Packets that were damaged on their way.
-    pub(crate) fn damaged(&self) -> u64 {
-        self.link.damaged()
     }
 }
 

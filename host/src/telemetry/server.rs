@@ -11,18 +11,17 @@ use std::os::unix::net::UnixStream;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use anyhow::{Context, Result, anyhow};
 use axum::Router;
 use axum::http::StatusCode;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::Response;
 use axum::routing::get;
-use thiserror::Error;
 
 use super::{DaemonReport, metrics, view};
 use crate::address::{Address, ServeError};
 use crate::http;
 use crate::http::{BindScope, Serving};
-use slitpose_head::foreign::printable;
 use slitpose_tracking::clock::HostInstant;
 
 const TEXT: &str = "text/plain; charset=utf-8";
@@ -31,7 +30,7 @@ const JSON: &str = "application/json";
 /// Serves the status until dropped.
 #[derive(Debug)]
 pub(crate) struct StatusServer {
-    address: Address,
+    pub(crate) address: Address,
     _serving: Serving,
 }
 
@@ -41,10 +40,9 @@ impl StatusServer {
     /// Serves the reports of `source` at `address`. A socket left behind by a killed daemon is replaced.
     pub(crate) fn start(
         address: &Address,
-        scope: BindScope,
         source: impl Fn() -> DaemonReport + Send + Sync + 'static,
     ) -> Result<Self, ServeError> {
-        if let (Address::Tcp(tcp), BindScope::Loopback) = (address, scope)
+        if let Address::Tcp(tcp) = address
             && !tcp.ip().is_loopback()
         {
             let reason = "the status server asks for no password; give 127.0.0.1 or [::1], or a unix: path";
@@ -52,13 +50,9 @@ impl StatusServer {
         }
         let source: Source = Arc::new(source);
         let refusal = "pages in a browser get no answer; ask by 127.0.0.1, [::1] or localhost, without an Origin\n";
-        let (serving, address) = Serving::http("status", address, scope, refusal, routes(&source), || ())?;
+        let (serving, address) =
+            Serving::http("status", address, BindScope::Loopback, refusal, routes(&source), || ())?;
         Ok(Self { address, _serving: serving })
-    }
-
-    /// The address it listens on, with the port that the system chose for port 0.
-    pub(crate) fn address(&self) -> &Address {
-        &self.address
     }
 }
 
@@ -115,38 +109,26 @@ const WITHIN: Duration = Duration::from_secs(2);
 /// Longest answer: reports take some kilobytes per board.
 const MAX_BYTES: usize = 1 << 24;
 
-#[derive(Debug, Error)]
-pub(crate) enum FetchError {
-    #[error("nothing answers at {address}; start a daemon with `slitpose run --status {address}`, or give its address")]
-    Connect { address: String, source: io::Error },
-    #[error("the answer from {address} did not come within {} s; see whether the daemon still runs", WITHIN.as_secs())]
-    Broken { address: String, source: io::Error },
-    #[error("what listens at {address} is no slitpose daemon; give the address of one")]
-    NotHttp { address: String },
-    #[error("{address} answers {status} to {path}: {}", printable(text))]
-    Status { address: String, path: String, status: u16, text: String },
-}
-
-/// The text at `path` of the daemon at `address`, such as `/status`.
-pub(crate) fn fetch(address: &Address, path: &str) -> Result<String, FetchError> {
-    let connect = |source| FetchError::Connect { address: address.to_string(), source };
+/// HTTP status and text at `path` of the daemon at `address`, such as `/status`.
+pub(crate) fn fetch(address: &Address, path: &str) -> Result<(u16, String)> {
+    let connect = || {
+        format!(
+            "nothing answers at {address}; start a daemon with `slitpose run --status {address}`, or give its address"
+        )
+    };
     let answer = match address {
         Address::Tcp(to) | Address::Udp(to) => {
-            ask(TcpStream::connect_timeout(to, WITHIN).map_err(connect)?, TcpStream::set_read_timeout, path)
+            let stream = TcpStream::connect_timeout(to, WITHIN).with_context(connect)?;
+            ask(stream, TcpStream::set_read_timeout, path)
         }
-        Address::Unix(to) => ask(UnixStream::connect(to).map_err(connect)?, UnixStream::set_read_timeout, path),
+        Address::Unix(to) => ask(UnixStream::connect(to).with_context(connect)?, UnixStream::set_read_timeout, path),
     };
-    let answer = answer.map_err(|source| FetchError::Broken { address: address.to_string(), source })?;
-    match parse(&answer) {
-        Some((200, text)) => Ok(text.to_owned()),
-        Some((status, text)) => Err(FetchError::Status {
-            address: address.to_string(),
-            path: path.to_owned(),
-            status,
-            text: text.trim_end().to_owned(),
-        }),
-        None => Err(FetchError::NotHttp { address: address.to_string() }),
-    }
+    let seconds = WITHIN.as_secs();
+    let answer = answer.with_context(|| {
+        format!("the answer from {address} did not come within {seconds} s; see whether the daemon still runs")
+    })?;
+    let other = || anyhow!("what listens at {address} is no slitpose daemon; give the address of one");
+    parse(&answer).map(|(status, text)| (status, text.to_owned())).ok_or_else(other)
 }
 
 /// A request by HTTP/1.0 (RFC 1945), where the answer ends with the connection.
@@ -181,10 +163,8 @@ fn parse(answer: &[u8]) -> Option<(u16, &str)> {
     Some((words.next()?.parse().ok()?, body))
 }
 
-/// The default address of `slitpose status`.
 pub(crate) const DEFAULT_STATUS_ADDRESS: &str = "127.0.0.1:7450";
 
-/// The address that `text` names.
 pub(crate) fn status_address(text: &str) -> Result<Address, String> {
     let hint = || {
         format!(
@@ -218,9 +198,10 @@ mod tests {
         let address = Address::Tcp(silent.local_addr().unwrap());
         let answers =
             std::thread::spawn(move || silent.accept().map(|(mut client, _)| client.write_all(b"SSH-2.0\r\n")));
-        assert!(matches!(fetch(&address, "/status"), Err(FetchError::NotHttp { .. } | FetchError::Broken { .. })));
+        let other = fetch(&address, "/status").unwrap_err().to_string();
+        assert!(other.contains("is no slitpose daemon") || other.contains("did not come"), "{other}");
         answers.join().unwrap().unwrap().unwrap();
-        assert!(matches!(fetch(&address, "/status"), Err(FetchError::Connect { .. })));
+        assert!(fetch(&address, "/status").unwrap_err().to_string().contains("nothing answers"));
     }
 
     #[test]

@@ -6,8 +6,7 @@ use slitpose_protocol::{BoardKind, Hello, Severity, Status};
 
 use super::losses::{LatencyHistogram, LossBook};
 use super::report::{
-    BoardEvent, BoardReport, DaemonReport, HostLosses, LagReport, Latencies, LinkLosses, Losses, ProcessReport, Rates,
-    RecorderReport, Vitals,
+    BoardEvent, BoardReport, DaemonReport, Latencies, LinkLosses, Losses, ProcessReport, Rates, RecorderReport, Vitals,
 };
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::health::HeadHealth;
@@ -18,17 +17,16 @@ use slitpose_tracking::pipeline::{Counts, Item, Outcomes, Record};
 const INTERVAL_NS: u64 = 1_000_000_000;
 
 /// Statistics of one board, from one pipeline, across all reconnections.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct BoardStatistics {
     /// What does not follow from the counts when it is asked for.
-    report: BoardReport,
+    pub(crate) report: BoardReport,
     reset_cause: String,
     book: LossBook,
     status: Option<Status>,
     link_latency: LatencyHistogram,
     host_latency: LatencyHistogram,
     total_latency: LatencyHistogram,
-    /// Device time of the last scan.
     last_device_s: Option<f64>,
     last_read: Option<HostInstant>,
     begun: Mark,
@@ -48,32 +46,9 @@ impl BoardStatistics {
     pub fn new(name: impl Into<String>, now: HostInstant) -> Self {
         Self {
             report: BoardReport { name: name.into(), ..BoardReport::default() },
-            reset_cause: String::new(),
-            book: LossBook::default(),
-            status: None,
-            link_latency: LatencyHistogram::default(),
-            host_latency: LatencyHistogram::default(),
-            total_latency: LatencyHistogram::default(),
-            last_device_s: None,
-            last_read: None,
             begun: Mark { at: now, ..Mark::default() },
+            ..Self::default()
         }
-    }
-
-    /// Sets the rate error of the board's clock, ppm, positive if fast, and whether it contradicts a reported crystal.
-    pub(crate) fn set_clock(&mut self, drift_ppm: Option<f64>, contradicts_crystal: bool) {
-        self.report.clock.drift_ppm = drift_ppm;
-        self.report.clock.contradicts_crystal = contradicts_crystal;
-    }
-
-    /// Sets the losses on the host so far.
-    pub(crate) fn set_host_losses(&mut self, host_losses: HostLosses) {
-        self.report.losses.host = host_losses;
-    }
-
-    /// Sets how far the solver is behind.
-    pub(crate) fn set_lag(&mut self, lag: LagReport) {
-        self.report.lag = lag;
     }
 
     /// Counts an item of the pipeline. `read_at`: time of the read that completed it; `published_at`: time at which a
@@ -131,7 +106,7 @@ impl BoardStatistics {
 
     fn link_losses(&self, counts: &Counts) -> LinkLosses {
         LinkLosses {
-            scans: self.book.link_scans(),
+            scans: self.book.link_scans,
             scans_repeated: counts.scans_repeated,
             bad_checksum: counts.decoder.bad_checksum,
             misframed: counts.decoder.misframed,
@@ -280,13 +255,5 @@ mod tests {
         for nonsense in ["", "VmRSS:\nThreads:\n", "VmRSS: 99999999999999999999 kB\nThreads: 1\n", "VmRSS: 1 kB\n"] {
             assert_eq!(parse(nonsense), None, "{nonsense}");
         }
-    }
-
-    #[test]
-    #[cfg(target_os = "linux")]
-    fn this_process_has_memory_and_a_thread() {
-        let report = DaemonReport::of_now(HostInstant::now(), Vec::new(), RecorderReport::default());
-        let process = report.process.expect("Linux tells");
-        assert!(process.resident_bytes > 100_000 && process.threads >= 1, "{process:?}");
     }
 }

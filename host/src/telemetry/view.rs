@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use super::losses::Latency;
 use super::report::{BoardReport, DaemonReport, LinkState, Losses, RecorderReport, RecorderState};
+use crate::device::in_words;
 use crate::terminal::{Line, Tone, WIDTH, layout};
 use slitpose_head::finding::{Finding, Grade};
 use slitpose_head::foreign::printable;
@@ -111,7 +112,7 @@ pub(crate) fn lines(report: &BoardReport) -> Vec<Line> {
             "board {}, link {} scans; {} damaged, {} unreadable packets; host {} unrecorded, {} unpublished, {} unsent",
             losses.board.scans_dropped + losses.board.scans_lost,
             losses.link.scans,
-            losses.damaged(),
+            losses.link.damaged(),
             losses.link.unreadable,
             losses.host.bytes_unrecorded,
             losses.host.bytes_unpublished,
@@ -181,15 +182,6 @@ pub(crate) fn lines(report: &BoardReport) -> Vec<Line> {
     lines
 }
 
-/// `PowerOn` as `power on`.
-fn in_words(name: &str) -> String {
-    let letters = name.char_indices().flat_map(|(i, letter)| {
-        let space = (i > 0 && letter.is_uppercase()).then_some(' ');
-        space.into_iter().chain(letter.to_lowercase())
-    });
-    letters.collect()
-}
-
 fn word(health: &CellHealth) -> String {
     let shares = &health.shares;
     let share = match health.verdict {
@@ -220,14 +212,12 @@ fn duration(seconds: f64) -> String {
     whole.map_or_else(|_| "-".to_owned(), |duration| humantime::format_duration(duration).to_string())
 }
 
-/// Appends `text` under `name`.
 fn put<'a>(lines: &'a mut Vec<Line>, name: &'static str, text: &str) -> &'a mut Line {
     let at = lines.len();
     lines.push(Line::new(name, text));
     &mut lines[at]
 }
 
-/// Appends `finding` under `name`.
 fn put_finding<'a>(lines: &'a mut Vec<Line>, name: &'static str, finding: &Finding) -> &'a mut Line {
     put(lines, name, &finding.to_string()).tone(finding.grade.into())
 }

@@ -12,10 +12,11 @@ use std::fmt;
 use std::io::{self, IsTerminal, Write};
 use std::sync::{Mutex, PoisonError};
 
-use console::{Term, measure_text_width};
+use console::Term;
 use progress::{Block, Size};
 use slitpose_head::finding::Grade;
 use slitpose_head::foreign::printable;
+use textwrap::{Options, WordSeparator, WordSplitter, WrapAlgorithm};
 
 pub(crate) use progress::{Amount, Progress, hide as hide_progress};
 
@@ -148,21 +149,13 @@ pub(crate) enum Tone {
 }
 
 impl Tone {
-    /// The control sequences that begin and end its colour (SGR of ECMA-48).
-    fn codes(self) -> (&'static str, &'static str) {
-        match self {
-            Self::Plain => ("", ""),
-            Self::Careful => ("\x1b[33m", "\x1b[0m"),
-            Self::Wrong => ("\x1b[1;31m", "\x1b[0m"),
-        }
-    }
-}
-
-impl Tone {
-    /// `text` in its colour, if it `has_colours`.
+    /// `text` in its colour (SGR of ECMA-48), if it `has_colours`.
     pub(crate) fn paint(self, text: &str, has_colours: bool) -> String {
-        let (begin, end) = if has_colours { self.codes() } else { ("", "") };
-        format!("{begin}{text}{end}")
+        match self {
+            Self::Careful if has_colours => format!("\x1b[33m{text}\x1b[0m"),
+            Self::Wrong if has_colours => format!("\x1b[1;31m{text}\x1b[0m"),
+            _ => text.to_owned(),
+        }
     }
 }
 
@@ -214,46 +207,16 @@ impl Line {
     fn rows(&self, width: usize) -> Vec<Row> {
         let width = width.clamp(1, WIDTH);
         let indent = INDENT.min(width / 4);
-        let mut rows = Vec::new();
-        let mut row = format!("{:<indent$}", self.name.chars().take(width).collect::<String>());
+        let mut name = format!("{:<indent$}", self.name.chars().take(width).collect::<String>());
         if self.name.chars().count() >= indent && !self.text.is_empty() && indent > 0 {
-            row.push(' ');
+            name.push(' ');
         }
-        let mut columns = row.chars().count();
-        let mut is_empty = true;
-        for word in self.text.split(' ') {
-            let mut word = word;
-            loop {
-                let length = measure_text_width(word);
-                let gap = usize::from(!is_empty);
-                if columns + gap + length <= width {
-                    row.extend(std::iter::repeat_n(' ', gap));
-                    row.push_str(word);
-                    columns += gap + length;
-                    is_empty = false;
-                    break;
-                }
-                if is_empty && columns <= indent.max(1) {
-                    // The word is longer than a row: it continues in the next.
-                    let (head, tail) = split_at_width(word, width - columns.min(width - 1));
-                    row.push_str(head);
-                    word = tail;
-                }
-                rows.push(std::mem::replace(&mut row, " ".repeat(indent)));
-                (columns, is_empty) = (indent, true);
-            }
-        }
-        rows.push(row);
+        let rest = " ".repeat(indent);
+        let options = Options::new(width).initial_indent(&name).subsequent_indent(&rest);
+        let options = options.word_separator(WordSeparator::AsciiSpace).word_splitter(WordSplitter::NoHyphenation);
+        let rows = textwrap::wrap(&self.text, options.wrap_algorithm(WrapAlgorithm::FirstFit));
         rows.into_iter().map(|text| Row { text: text.trim_end().to_owned(), tone: self.tone }).collect()
     }
-}
-
-/// At least one character, then as many as `width` columns hold.
-fn split_at_width(word: &str, width: usize) -> (&str, &str) {
-    let fits = |end: &usize| measure_text_width(&word[..*end]) <= width;
-    let ends = || word.char_indices().skip(1).map(|(at, _)| at);
-    let end = ends().take_while(fits).last().or_else(|| ends().next()).unwrap_or(word.len());
-    word.split_at(end)
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -284,6 +247,8 @@ fn fit(lines: &[&Line], width: usize, height: usize) -> Vec<Row> {
 
 #[cfg(test)]
 mod tests {
+    use console::measure_text_width;
+
     use super::*;
 
     #[test]

@@ -186,7 +186,7 @@ fn an_emulated_board_passes_every_step_and_is_left_as_it_was() {
     let finished = bring_up(&emulator.path, &["--yes", "--scene", "wide"]);
     assert_well(&finished);
     let text = finished.text();
-    for place in ["frames", "zero", "gates off", "noise", "codes", "stop", "port closed", "storage", "forget"] {
+    for place in ["board", "link", "zero", "gates off", "noise", "codes", "stop", "port closed", "storage", "forget"] {
         assert!(text.lines().any(|line| line.starts_with(&format!("ok       {place:14} "))), "{place}");
     }
     for [place, count] in [["emitters", "6"], ["levels", "6"], ["settling", "6"], ["crosstalk", "6"]] {

@@ -116,7 +116,7 @@ mod tests {
 
     /// Shows a pose as soon as the server takes it.
     fn show(server: &SpacenavServer, pose: Option<Pose>) {
-        while !server.input().see(pose) {
+        while !server.input.see(pose) {
             std::thread::yield_now();
         }
     }
@@ -154,7 +154,7 @@ mod tests {
         show(&server, None);
         show(&server, at(-2e-3));
         assert_eq!(event(&mut client).1, [-100, 50, 0, 0, 50, 0], "half as sensitive");
-        server.input().zero();
+        server.input.zero();
         show(&server, at(1e-3));
         assert_eq!(event(&mut client).1, [0; 6]);
         show(&server, at(2e-3));
@@ -247,11 +247,7 @@ mod tests {
         assert_eq!((x(2.2e-3, 0.0), x(-2.2e-3, 0.0)), (175, -175));
         assert_eq!((x(4e-3, 0.0), x(0.1, 0.0)), (350, 350));
         assert_eq!((x(1e-3, 1e-3), x(3.2e-3, 1e-3)), (0, 175), "relative to zero");
-    }
-
-    #[test]
-    fn an_axis_without_workspace_does_not_move() {
         let flat = Workspace { half_extent_m: DVec3::new(4e-3, 4e-3, 0.0), ..WORKSPACE };
-        assert_eq!(feel("x,y,z").motion(&flat, &Pose::HOME, &Pose::HOME), [0; 6]);
+        assert_eq!(feel("x,y,z").motion(&flat, &Pose::HOME, &Pose::HOME), [0; 6], "an axis without extent");
     }
 }

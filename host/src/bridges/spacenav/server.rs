@@ -5,15 +5,15 @@ use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TryRecvError, bounded};
 use slitpose_head::scene_file::Workspace;
 use slitpose_model::Pose;
 
 use super::Feel;
 use crate::address::{ServeError, SocketFile, connects_stream};
+use crate::background::Background;
 use crate::live::{Sample, SampleSink};
 
 /// Most clients; more are not let in.
@@ -35,9 +35,8 @@ const SIGHTINGS: usize = 4;
 /// Serves the socket until dropped.
 #[derive(Debug)]
 pub(crate) struct SpacenavServer {
-    input: SpacenavInput,
-    end: Arc<AtomicBool>,
-    thread: Option<JoinHandle<()>>,
+    pub(crate) input: SpacenavInput,
+    _thread: Background<Sender<()>>,
     _file: SocketFile,
 }
 
@@ -73,7 +72,8 @@ impl SpacenavServer {
         let failed = |source| ServeError::Thread { source };
         listener.set_nonblocking(true).map_err(failed)?;
         let (sender, sightings) = bounded(SIGHTINGS);
-        let (end, is_zeroed) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
+        let (end, ended) = bounded(0);
+        let is_zeroed = Arc::<AtomicBool>::default();
         let mouse = Mouse {
             feel,
             workspace,
@@ -82,26 +82,9 @@ impl SpacenavServer {
             clients: Vec::new(),
             last_event: Instant::now(),
         };
-        let ended = Arc::clone(&end);
-        let thread = std::thread::Builder::new()
-            .name("spacenav".to_owned())
-            .spawn(move || mouse.serve(&listener, &sightings, &ended))
-            .map_err(failed)?;
-        Ok(Self { input: SpacenavInput { sightings: sender, is_zeroed }, end, thread: Some(thread), _file: file })
-    }
-
-    pub(crate) fn input(&self) -> SpacenavInput {
-        self.input.clone()
-    }
-}
-
-impl Drop for SpacenavServer {
-    fn drop(&mut self) {
-        self.end.store(true, Ordering::Relaxed);
-        if let Some(thread) = self.thread.take() {
-            // A panic of the thread has already been reported on standard error.
-            let _ = thread.join();
-        }
+        let thread = Background::spawn("spacenav", end, move || mouse.serve(&listener, &sightings, &ended));
+        let input = SpacenavInput { sightings: sender, is_zeroed };
+        Ok(Self { input, _thread: thread.map_err(failed)?, _file: file })
     }
 }
 
@@ -115,8 +98,8 @@ struct Mouse {
 }
 
 impl Mouse {
-    fn serve(mut self, listener: &UnixListener, sightings: &Receiver<Option<Pose>>, end: &AtomicBool) {
-        while !end.load(Ordering::Relaxed) {
+    fn serve(mut self, listener: &UnixListener, sightings: &Receiver<Option<Pose>>, ended: &Receiver<()>) {
+        while ended.try_recv() == Err(TryRecvError::Empty) {
             // Without scans the tool is where nobody knows.
             let pose = match sightings.recv_timeout(MOMENT) {
                 Ok(pose) => pose,

@@ -93,9 +93,7 @@ struct FarBoard {
     name: String,
     messages: Receiver<Arrived>,
     _subscribers: Vec<Subscriber<()>>,
-    /// The last hello packet.
     hello: Vec<u8>,
-    /// The number of the last message.
     sequence: Option<i64>,
     clock: DistantClock,
     /// What came since it was last fetched, and what does not continue it.

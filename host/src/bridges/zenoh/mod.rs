@@ -9,11 +9,12 @@ use std::sync::{Arc, Mutex};
 
 use ::zenoh::key_expr::KeyExpr;
 use ::zenoh::{Config, Session, Wait};
+use anyhow::{Result, anyhow, bail};
 use twox_hash::XxHash3_128;
 
 use self::far_board::FarBoardOpener;
 use self::publisher::Publisher;
-use crate::bridges::{Bridge, BridgeError};
+use crate::bridges::{Bridge, DEFAULT_ROUTER};
 use crate::daemon::{Opener, StreamPlan, Talk};
 use crate::live::LiveBoard;
 use crate::telemetry::DaemonReport;
@@ -32,7 +33,7 @@ pub(crate) struct ZenohSession {
 
 impl ZenohSession {
     /// A session by the router at `endpoint`, or by the file that ZENOH_SESSION_CONFIG_URI names, as ROS 2 does.
-    pub(crate) fn open(endpoint: &str) -> Result<Self, BridgeError> {
+    pub(crate) fn open(endpoint: &str) -> Result<Self> {
         let domain = domain(env::var_os("ROS_DOMAIN_ID"))?;
         let (what, config) = match env::var_os("ZENOH_SESSION_CONFIG_URI") {
             Some(path) => (path.display().to_string(), Config::from_file(&path)),
@@ -40,19 +41,27 @@ impl ZenohSession {
         };
         match config {
             Ok(config) => Ok(Self { what, config, domain, session: Arc::default() }),
-            Err(error) => Err(BridgeError::Settings { what, reason: reason_of(&*error) }),
+            Err(error) => {
+                let reason = reason_of(&*error);
+                bail!(
+                    "Zenoh refuses {what} ({reason}); give an endpoint such as {DEFAULT_ROUTER}, or a file of Zenoh's own \
+                     settings"
+                )
+            }
         }
     }
 
     /// The session, once its router is there. Takes a second at most.
-    pub(super) fn get(&self) -> Result<Session, BridgeError> {
+    pub(super) fn get(&self) -> Result<Session> {
         let mut session = lock(&self.session);
         if let Some(session) = &*session {
             return Ok(session.clone());
         }
         let opened = ::zenoh::open(self.config.clone()).wait();
-        let opened =
-            opened.map_err(|error| BridgeError::Open { what: self.what.clone(), reason: reason_of(&*error) })?;
+        let opened = opened.map_err(|error| {
+            let (what, reason) = (&self.what, reason_of(&*error));
+            anyhow!("no router of Zenoh by {what} ({reason}); start one, or give its endpoint with --zenoh-router")
+        })?;
         Ok(session.insert(opened).clone())
     }
 }
@@ -69,28 +78,28 @@ impl Bridge for ZenohSession {
         StreamPlan { taker: Box::new(Publisher::new(self.clone(), boards, report, talk)), pose_every_s }
     }
 
-    fn opener(&self, key: &str) -> Result<Box<dyn Opener>, BridgeError> {
+    fn opener(&self, key: &str) -> Result<Box<dyn Opener>> {
         Ok(Box::new(FarBoardOpener { session: self.clone(), topic: topic_of(key)? }))
     }
 }
 
 /// What the topics of one board begin with.
-fn topic_of(key: &str) -> Result<String, BridgeError> {
+fn topic_of(key: &str) -> Result<String> {
     let topic = key.trim_start_matches('/');
     // Of several boards at once nothing could be solved.
     if KeyExpr::new(topic).is_err() || topic.contains(['*', '$']) {
-        return Err(BridgeError::Key { key: key.to_owned() });
+        bail!("`zenoh:{key}` names no board; give zenoh:slitpose/board_SERIAL, with the serial number of the board");
     }
     Ok(topic.to_owned())
 }
 
 /// The number of the ROS 2 graph, from its environment variable.
-fn domain(variable: Option<OsString>) -> Result<u8, BridgeError> {
+fn domain(variable: Option<OsString>) -> Result<u8> {
     let text = variable.unwrap_or_default().to_string_lossy().into_owned();
     match text.parse() {
         Ok(domain @ 0..=232) => Ok(domain),
         _ if text.is_empty() => Ok(0),
-        _ => Err(BridgeError::Domain { text }),
+        _ => bail!("ROS_DOMAIN_ID is `{text}`; give a number from 0 to 232"),
     }
 }
 
@@ -116,7 +125,6 @@ fn by_router(endpoint: &str) -> Result<Config, ::zenoh::Error> {
     Ok(config)
 }
 
-/// `diagnostic_msgs/msg/DiagnosticArray`.
 const DIAGNOSTICS: &str = "diagnostic_msgs/msg/DiagnosticArray";
 
 /// Quality of service: reliable, volatile, the last 10; empty is the default of rmw_zenoh.
@@ -233,7 +241,7 @@ pub(super) fn gid(token: &str) -> [u8; 16] {
 }
 
 /// The session by the router at `endpoint`.
-pub(crate) fn open_zenoh(endpoint: &str) -> Result<Box<dyn Bridge>, BridgeError> {
+pub(crate) fn open_zenoh(endpoint: &str) -> Result<Box<dyn Bridge>> {
     Ok(Box::new(ZenohSession::open(endpoint)?))
 }
 

@@ -232,7 +232,6 @@ impl BoardTopics {
     }
 }
 
-/// Numbers of `diagnostic_msgs/msg/DiagnosticStatus`.
 const OK: u8 = 0;
 const WARN: u8 = 1;
 const ERROR: u8 = 2;

@@ -12,7 +12,7 @@ use clap::builder::TypedValueParser;
 use slitpose_calibration::{Calibration, Head};
 use slitpose_head::front_end;
 use slitpose_head::scene_file::{SceneFile, WIDE};
-use slitpose_protocol::{BootTarget, Hashes, ResetCause, Schedule};
+use slitpose_protocol::{BootTarget, Command, Hashes, ResetCause, Schedule};
 
 use super::{CommandError, Outcome, options, talk};
 use crate::device::{
@@ -51,9 +51,6 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     }
 }
 
-/// Time that a board needs if its other port was asked just before.
-const HELLO_WITHIN: Duration = Duration::from_millis(2500);
-
 /// Which board.
 #[derive(Debug, clap::Args)]
 pub(super) struct BoardOptions {
@@ -82,8 +79,7 @@ impl BoardOptions {
             Selector::Sim => Box::new(SimulatedDevice::live(file)?),
             _ => Box::new(SerialDevice::open(&found.port).inspect_err(|error| name_holders(error, &found.port))?),
         };
-        let mut board = Conversation::open(device)?;
-        let info = board.introduce(HELLO_WITHIN)?;
+        let (board, info) = Conversation::introduced(device)?;
         Ok(Connection { board, info, found })
     }
 }
@@ -161,7 +157,7 @@ fn set(args: &SetArgs) -> Result<Outcome, CommandError> {
             let schedule = configuration.schedule.clone();
             connection.board.configure(configuration)?;
             if let Some(full_scale_pa) = args.full_scale {
-                connection.board.set_full_scale(full_scale_pa)?;
+                connection.board.order(Command::FullScale { full_scale_pa })?;
                 connection.info = connection.board.introduce(AT_ONCE)?;
             }
             let solving = if given == hashes.calibration {
@@ -171,7 +167,7 @@ fn set(args: &SetArgs) -> Result<Outcome, CommandError> {
                 connection.board.forget_head()?;
                 "; it solves no poses itself: give the calibration, too".to_owned()
             };
-            connection.board.store(hashes)?;
+            connection.board.order(Command::Store(hashes))?;
             let after = connection.board.introduce(AT_ONCE)?;
             if after.hashes != hashes || after.schedule != schedule || after.scaling != connection.info.scaling {
                 return Err(DeviceError::NotStored { name: connection.board.name() }.into());
@@ -218,7 +214,7 @@ fn send_head(connection: &mut Connection, head: &Head, schedule: &Schedule) -> R
 }
 
 fn clear(mut connection: Connection) -> Result<String, CommandError> {
-    connection.board.forget_stored()?;
+    connection.board.order(Command::Forget)?;
     if connection.board.introduce(AT_ONCE)?.hashes != Hashes::default() {
         return Err(DeviceError::NotStored { name: connection.board.name() }.into());
     }
@@ -238,7 +234,7 @@ struct IdentifyArgs {
 
 fn identify(args: &IdentifyArgs) -> Result<Outcome, CommandError> {
     let mut connection = args.board.connect(&WIDE.read()?)?.understood()?;
-    connection.board.identify(args.seconds)?;
+    connection.board.order(Command::Identify { seconds: args.seconds })?;
     match args.seconds {
         0 => talk(format_args!("{} shows itself no more", connection.name())),
         seconds => talk(format_args!("{} shows itself by its indicator light for {seconds} s", connection.name())),
@@ -270,7 +266,7 @@ struct RebootArgs {
 fn reboot(args: &RebootArgs) -> Result<Outcome, CommandError> {
     let mut connection = args.board.connect(&WIDE.read()?)?.understood()?;
     if args.boot_loader {
-        connection.board.reboot(BootTarget::BootLoader)?;
+        connection.board.order(Command::Reboot(BootTarget::BootLoader))?;
         talk(format_args!(
             "{} is in its boot loader, on its own USB port. Next, with the image as a binary file:\n  \
              dfu-util -a 0 -s 0x08000000:leave -D slitpose-board.bin\nthen reset the board",
@@ -278,7 +274,7 @@ fn reboot(args: &RebootArgs) -> Result<Outcome, CommandError> {
         ));
         return Ok(Outcome::Done);
     }
-    connection.board.reboot(BootTarget::Firmware)?;
+    connection.board.order(Command::Reboot(BootTarget::Firmware))?;
     let device = connection.info.device;
     let (port, info) = wait(connection, args)?;
     if info.device != device {

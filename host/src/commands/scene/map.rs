@@ -2,11 +2,12 @@
 
 use std::path::PathBuf;
 
+use anyhow::bail;
 use slitpose_design::map::{Fineness, Map, Schedules, Tolerances};
 use slitpose_design::report::{Folder, map_report};
 
 use super::super::options::{CalibrationOption, Jobs, number, open_scene, publish};
-use super::super::{ArgumentError, CommandError, Outcome, options};
+use super::super::{CommandError, Outcome, options};
 use crate::terminal::{Amount, Progress};
 use slitpose_head::scene_file::SceneFile;
 
@@ -61,7 +62,11 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let map = Map::of(head.clone(), fineness, || progress.add(1))?;
     drop(progress);
     if args.tolerance_study.is_some() && map.share(|view| view.sigma.is_some()) == 0.0 {
-        return Err(ArgumentError::Poseless { scene: head.file.origin.clone() }.into());
+        bail!(
+            "scene `{}` gives no pose anywhere in its workspace, so there is none for tolerances to move; \
+             --tolerance-study is for heads that have poses, such as the shipped scene `wide`",
+            head.file.origin
+        );
     }
     let studied = args.tolerance_study.map(|heads| tolerances(head.simulated(), heads, args.seed)).transpose()?;
     publish(&map_report(&head, &map, studied.as_ref(), schedules.as_ref()), folder.as_ref())?;

@@ -8,6 +8,7 @@ use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
+use anyhow::anyhow;
 use clap::builder::PossibleValuesParser;
 use clap::{Subcommand, ValueEnum};
 use slitpose_design::plot::{cell_picture, scene_picture};
@@ -16,8 +17,8 @@ use slitpose_model::{CompiledScene, Pose, Tier};
 
 use super::live::AccessOptions;
 use super::options::{CalibrationOption, Jobs, open_scene, parse_pose};
-use super::{ArgumentError, CommandError, Outcome, interrupt, options};
-use crate::live::{Control, DEFAULT_LIVE_ADDRESS, LiveBoard, LivePlan, Order, Refusal, SceneView, live_address};
+use super::{CommandError, Outcome, interrupt, options};
+use crate::live::{DEFAULT_LIVE_ADDRESS, LiveBoard, LivePlan, Order, Refusal, SceneView, live_address};
 use crate::terminal::{Amount, Progress};
 use slitpose_head::scene_file::{SHIPPED, Shipped};
 use slitpose_head::table::Output;
@@ -152,7 +153,8 @@ fn plot(args: &PlotArgs) -> Result<Outcome, CommandError> {
         None => scene_picture(&file.name, &file.scene, &plan, &pose)?,
         Some(number) => {
             let last = file.scene.cells.len() - 1;
-            let cell = file.scene.cells.get(number).ok_or(ArgumentError::Cell { number, last })?;
+            let missing = || anyhow!("there is no cell {number}; the scene has the cells 0 to {last}");
+            let cell = file.scene.cells.get(number).ok_or_else(missing)?;
             cell_picture(&file.name, number, cell, &plan, &pose)?
         }
     };
@@ -180,19 +182,6 @@ struct ViewArgs {
     access: AccessOptions,
 }
 
-/// Nothing of a scene can be changed.
-struct Still;
-
-impl Control for Still {
-    fn order(&self, order: Order) -> Result<(), Refusal> {
-        Err(match order {
-            Order::Record(_) => Refusal::NO_RECORDER,
-            Order::Zero => Refusal::NO_MOUSE,
-            Order::Player(_) => Refusal::NO_PLAYER,
-        })
-    }
-}
-
 /// Longest time until an interrupt is answered.
 const MOMENT: Duration = Duration::from_millis(50);
 
@@ -205,7 +194,14 @@ fn view(args: &ViewArgs) -> Result<Outcome, CommandError> {
         has_zero: false,
         scene: Some(SceneView::of(&head)?),
         boards: vec![LiveBoard { name: head.file.name.clone(), head: Some(head) }],
-        control: Box::new(Still),
+        // Nothing of a scene can be changed.
+        control: Box::new(|order| {
+            Err(match order {
+                Order::Record(_) => Refusal::NO_RECORDER,
+                Order::Zero => Refusal::NO_MOUSE,
+                Order::Player(_) => Refusal::NO_PLAYER,
+            })
+        }),
         report: None,
     })?;
     while !stop.load(Ordering::Relaxed) {

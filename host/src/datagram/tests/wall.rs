@@ -10,7 +10,7 @@ use glam::DVec3;
 use slitpose_model::{DegradedReason, Outcome};
 use tempfile::TempDir;
 
-use super::c::{compile, compile_text, host};
+use super::c::{compile, compile_own, host};
 use super::{Bench, DEVICE, PATIENCE, record};
 use crate::datagram::PoseDatagram;
 use slitpose_tracking::clock::{HostInstant, HostTime};
@@ -23,32 +23,8 @@ const LIMIT_N: f64 = 10.0;
 const OLDEST_NS: u64 = 5_000_000;
 const RELEASE_NS: u64 = 4_000_000;
 
-/// Reads steps, each an instant, whether a pose has come, and the pose; prints what became of it.
-const STEPS: &str = r#"
-#define _POSIX_C_SOURCE 200809L
-#include <stdio.h>
-#include "virtual_wall.h"
-int main(int argc, char **argv)
-{
-    struct wall wall = {1e-3, 2000, 2, 10, 5e-3, 4e-3};
-    struct wall_state state = {0, 0, 0, 0};
-    struct slitpose_pose pose;
-    uint64_t head[2];
-    if (argc == 5) {
-        wall.stiffness_n_per_m = atof(argv[1]), wall.damping_ns_per_m = atof(argv[2]);
-        printf("%.17g\n", wall_passive_ns_per_m(&wall, atof(argv[3]), atof(argv[4])));
-    }
-    while (fread(head, sizeof head, 1, stdin) == 1 && fread(&pose, sizeof pose, 1, stdin) == 1) {
-        enum wall_input input = wall_step(&wall, &state, head[1] ? &pose : NULL, head[0]);
-        printf("%.17g %s\n", state.force_n, WALL_INPUT_NAMES[input]);
-    }
-    return 0;
-}
-"#;
-
 fn steps(folder: &TempDir) -> PathBuf {
-    std::fs::copy(host("examples/c/virtual_wall.h"), folder.path().join("virtual_wall.h")).unwrap();
-    compile_text("steps", STEPS, folder)
+    compile_own("steps.c", folder)
 }
 
 /// A pose at `x_m` with the velocity `v_m_per_s` along x, of the instant `at_ns`.
@@ -89,34 +65,6 @@ fn run(program: &Path, steps: &[Step]) -> Vec<(f64, String)> {
     let rows: Vec<_> = text.lines().map(|line| row(line).unwrap()).collect();
     assert_eq!(rows.len(), steps.len());
     rows
-}
-
-#[test]
-fn the_wall_pushes_as_spring_and_damper_once_the_tool_was_outside() {
-    let folder = TempDir::new().unwrap();
-    let program = steps(&folder);
-    let mut now_ns = 1_000_000_000;
-    let mut next = |x_m, v_m_per_s| {
-        now_ns += 250_000;
-        step(now_ns, &pose(x_m, v_m_per_s, now_ns - 700_000))
-    };
-    // It starts inside: no force before the tool has been outside.
-    let mut script = vec![next(1.5e-3, 0.0), next(2e-3, 0.3), next(0.9e-3, 0.0)];
-    let mut expected = vec![0.0; 3];
-    for depth in -3..=20 {
-        for speed in -4..=4 {
-            let (x_m, v_m_per_s) = (POSITION_M + f64::from(depth) * 0.4e-3, f64::from(speed) * 0.25);
-            script.push(next(x_m, v_m_per_s));
-            expected.push(force_n(x_m, v_m_per_s));
-        }
-    }
-    assert!(
-        [0.0, LIMIT_N].iter().all(|bound| expected.contains(bound)) && expected.iter().any(|&f| f > 0.0 && f < 9.0)
-    );
-    for (index, ((force, input), expected)) in run(&program, &script).iter().zip(expected).enumerate() {
-        assert_eq!(input, "used");
-        assert!((force - expected).abs() < 1e-12, "step {index}: {force} N, not {expected} N");
-    }
 }
 
 /// Every way for a pose to be of no use, as the example names it.
@@ -217,11 +165,9 @@ struct Running {
     csv: PathBuf,
 }
 
-/// A line of its table.
 struct Row {
     input: String,
     datagram: u64,
-    age_s: f64,
     x_m: f64,
     force_n: f64,
 }
@@ -262,7 +208,7 @@ impl Running {
             let words: Vec<&str> = line.split(',').collect();
             let number = |at: usize| words[at].parse::<f64>().unwrap();
             let datagram = words[2].parse().unwrap();
-            Row { input: words[1].to_owned(), datagram, age_s: number(3), x_m: number(4), force_n: number(6) }
+            Row { input: words[1].to_owned(), datagram, x_m: number(4), force_n: number(6) }
         });
         (output.status.code(), said, rows.collect())
     }
@@ -286,7 +232,7 @@ fn publish(bench: &Bench, running: &mut Running, count: u64, record: impl Fn(u64
 #[test]
 fn the_running_wall_sets_the_force_of_each_pose_and_lets_go_at_an_interrupt() {
     let x_m = |datagram: u64| [0.4e-3, 1.6e-3, 3.1e-3, 2.2e-3, 9e-3][datagram as usize % 5];
-    let v_m_per_s = |datagram: u64| datagram as f64 * 1e-4;
+    let v_m_per_s = |datagram: u64| (datagram % 7) as f64 * 0.3 - 0.9;
     let bench = Bench::new();
     // Poses of any age are used, so that nothing depends on how busy the machine is.
     let mut running = Running::start(&bench, &["--oldest", "1e6", "--duration", "1e6"]);
@@ -294,7 +240,7 @@ fn the_running_wall_sets_the_force_of_each_pose_and_lets_go_at_an_interrupt() {
     running.interrupt();
     let (code, said, rows) = running.end();
     assert_eq!(code, Some(0), "{said}");
-    let (mut is_engaged, mut pushes, mut releasing) = (false, 0, f64::INFINITY);
+    let (mut is_engaged, mut forces, mut releasing) = (false, Vec::new(), f64::INFINITY);
     for (index, row) in rows.iter().enumerate() {
         assert!(["used", "nothing came"].contains(&row.input.as_str()), "{}", row.input);
         if row.datagram > 0 {
@@ -311,25 +257,14 @@ fn the_running_wall_sets_the_force_of_each_pose_and_lets_go_at_an_interrupt() {
             );
             releasing = row.force_n;
         } else {
-            pushes += u32::from(expected > 0.0);
+            forces.extend(is_engaged.then_some(expected));
         }
     }
-    assert!(pushes > 0 && rows.last().unwrap().force_n == 0.0, "{said}");
+    assert!(rows.last().unwrap().force_n == 0.0, "{said}");
+    // None, all, and some of the force allowed.
+    let is_seen = |is_it: fn(f64) -> bool| forces.iter().copied().any(is_it);
+    assert!(is_seen(|f| f == 0.0) && is_seen(|f| f >= LIMIT_N) && is_seen(|f| f > 0.0 && f < LIMIT_N), "{said}");
     assert!(said.contains("passive if the mechanism's own damping exceeds"), "{said}");
-}
-
-#[test]
-fn a_stalled_publisher_leaves_no_force_and_does_not_hang_the_wall() {
-    let bench = Bench::new();
-    let mut running = Running::start(&bench, &["--oldest", "5", "--duration", "2"]);
-    publish(&bench, &mut running, 100, |number, now_ns| pose([0.5e-3, 3e-3][number as usize % 2], 0.0, now_ns));
-    let (code, said, rows) = running.end();
-    assert_eq!(code, Some(0), "{said}");
-    for pair in rows.windows(2).filter(|pair| pair[1].input != "used" && pair[1].age_s > 5e-3) {
-        let (before, after) = (pair[0].force_n, pair[1].force_n);
-        assert!(after < before || after == 0.0, "{before} N, then {after} N");
-    }
-    assert_eq!(rows.last().unwrap().force_n, 0.0);
 }
 
 #[test]

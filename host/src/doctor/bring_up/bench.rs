@@ -3,30 +3,23 @@
 //! `firmware/README.md`.
 
 use std::ops::RangeInclusive;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-use slitpose_model::{CompiledScene, SceneError, Tier};
+use anyhow::{Error, Result, anyhow, bail};
+use slitpose_model::{CompiledScene, Tier};
 use slitpose_protocol::{
     AdcScaling, BoardKind, Configuration, Decoder, HardwareFault, MAX_MESSAGE_BYTES, Message, Rejection, Schedule,
     Severity,
 };
-use thiserror::Error;
 
 use super::sampling::{Expected, Sampling};
-use crate::device::{
-    BoardInfo, Conversation, Device, DeviceError, Found, Keep, Search, Selector, SerialDevice, SimulatedDevice, find,
-    locate,
-};
+use crate::device::{BoardInfo, Contact, Conversation, Device, DeviceError, Keep, Search, Selector, SimulatedDevice};
 use crate::doctor::measurement::patience;
 use slitpose_head::finding::Finding;
 use slitpose_head::front_end;
-use slitpose_head::front_end::TimingError;
 use slitpose_head::scene_file::SceneFile;
-use slitpose_head::simulator::{Electrode, SimulatorError};
+use slitpose_head::simulator::Electrode;
 use slitpose_tracking::link::{Segment, Versions};
-
-/// Time that a board needs to answer if its other port was asked just before.
-const HELLO_WITHIN: Duration = Duration::from_millis(2500);
 
 /// Scans after a start that are left out: the first may hold light of what was lit before.
 const FIRST_SCANS: usize = 4;
@@ -34,81 +27,43 @@ const FIRST_SCANS: usize = 4;
 /// Most warnings and errors of the board that are kept.
 const EVENTS: usize = 3;
 
-/// Why a step could not be done.
-#[derive(Debug, Error)]
-pub(super) enum BenchError {
-    #[error(transparent)]
-    Device(#[from] DeviceError),
-    #[error(transparent)]
-    Timing(#[from] TimingError),
-    #[error(transparent)]
-    Simulator(#[from] SimulatorError),
-    #[error(transparent)]
-    Optics(#[from] SceneError),
-    #[error("{versions}: update whichever is older")]
-    Version { versions: Versions },
-    #[error("the board stopped by itself after {got} of {wanted} scans; it said: {}", if events.is_empty() { "nothing" } else { events })]
-    Stopped { got: usize, wanted: usize, events: String },
-    #[error("{got} of {wanted} scans came within {seconds:.0} s")]
-    Scans {
-        got: usize,
-        wanted: usize,
-        /// Time waited, seconds.
-        seconds: f64,
-    },
-}
-
 pub(super) struct Bench<'a> {
-    device: &'a Selector,
-    search: &'a [Search],
+    pub(super) contact: Contact,
     pub(super) scene: &'a SceneFile,
     /// The wiring of the board that was last connected.
     pub(super) wiring: Wiring,
-    /// Where the board was last.
-    found: Option<Found>,
 }
 
 impl<'a> Bench<'a> {
-    pub(super) fn new(device: &'a Selector, search: &'a [Search], scene: &'a SceneFile) -> Self {
-        Self { device, search, scene, wiring: Wiring::default(), found: None }
+    pub(super) fn new(device: &Selector, search: &[Search], scene: &'a SceneFile) -> Self {
+        Self { contact: Contact::new(device.clone(), search.to_vec()), scene, wiring: Wiring::default() }
     }
 
     pub(super) fn is_simulated(&self) -> bool {
-        *self.device == Selector::Sim
-    }
-
-    /// Whether the board was last connected by its own USB port.
-    pub(super) fn has_own_port(&self) -> bool {
-        self.found.as_ref().and_then(|found| found.usb.as_ref()).is_some_and(|usb| usb.is_board())
+        self.contact.selector == Selector::Sim
     }
 
     /// Opens the board's port and reads its hello.
-    pub(super) fn connect(&mut self) -> Result<(Conversation, BoardInfo), BenchError> {
-        let (device, found): (Box<dyn Device>, _) = if self.is_simulated() {
-            (Box::new(SimulatedDevice::at_rest(self.scene)?), None)
-        } else {
-            let found = match locate(self.device, self.found.as_ref()) {
-                Some(found) => found,
-                None => find(self.device, self.search)?,
-            };
-            (Box::new(SerialDevice::open(&found.port)?), Some(found))
+    pub(super) fn connect(&mut self) -> Result<(Conversation, BoardInfo)> {
+        let device: Box<dyn Device> = match self.is_simulated() {
+            true => Box::new(SimulatedDevice::at_rest(self.scene)?),
+            false => Box::new(self.contact.open()?),
         };
-        let mut board = Conversation::open(device)?;
-        let info = board.introduce(HELLO_WITHIN)?;
+        let (board, info) = Conversation::introduced(device)?;
+        self.contact.greeted(info.device);
         self.wiring = Wiring::of(&info.board);
-        self.found = found.map(|found| Found { device: Some(info.device), ..found });
         if info.mismatch.is_some() {
-            return Err(BenchError::Version { versions: Versions { board: info.protocol } });
+            bail!("{}: update whichever is older", Versions { board: info.protocol });
         }
         Ok((board, info))
     }
 
-    pub(super) fn schedule(&self) -> Result<Schedule, BenchError> {
+    pub(super) fn schedule(&self) -> Result<Schedule> {
         Ok(front_end::configuration(self.scene)?.schedule)
     }
 
     /// What the scene predicts with the tool at home.
-    pub(super) fn expected(&self) -> Result<Expected, BenchError> {
+    pub(super) fn expected(&self) -> Result<Expected> {
         let optics = |tolerance| CompiledScene::compile(&self.scene.scene, Tier::Exact { tolerance });
         let (own, stray) = (optics(OWN_TOLERANCE)?, optics(STRAY_TOLERANCE)?);
         Ok(Expected::of(&own, &stray))
@@ -120,11 +75,7 @@ const OWN_TOLERANCE: f64 = 1e-4;
 const STRAY_TOLERANCE: f64 = 1e-2;
 
 /// Takes `count` scans by `configuration`; the board is dark afterwards.
-pub(super) fn sample(
-    board: &mut Conversation,
-    configuration: Configuration,
-    count: usize,
-) -> Result<Sampling, BenchError> {
+pub(super) fn sample(board: &mut Conversation, configuration: Configuration, count: usize) -> Result<Sampling> {
     let wanted = count + FIRST_SCANS;
     let patience = patience(wanted as f64 / configuration.schedule.frame_rate_hz());
     board.configure(configuration)?;
@@ -146,18 +97,19 @@ pub(super) fn sample(
     let got = reader.scans.len().saturating_sub(FIRST_SCANS);
     reader.finish(count).ok_or_else(|| {
         if reader.is_stopped {
-            BenchError::Stopped { got, wanted: count, events: reader.events.join("; ") }
+            let events = if reader.events.is_empty() { "nothing".to_owned() } else { reader.events.join("; ") };
+            anyhow!("the board stopped by itself after {got} of {count} scans; it said: {events}")
         } else {
-            BenchError::Scans { got, wanted: count, seconds: begun.elapsed().as_secs_f64() }
+            anyhow!("{got} of {count} scans came within {:.0} s", begun.elapsed().as_secs_f64())
         }
     })
 }
 
 /// The least settling of `configuration` that the board accepts: it is asked for less, and says so.
-pub(super) fn least_settling_ticks(board: &mut Conversation, configuration: &Configuration) -> Result<u32, BenchError> {
+pub(super) fn least_settling_ticks(board: &mut Conversation, configuration: &Configuration) -> Result<u32> {
     let mut trial = configuration.clone();
     trial.schedule.settling_ticks = 1;
-    match board.configure(trial).map_err(BenchError::from) {
+    match board.configure(trial).map_err(Error::from) {
         Ok(()) => Ok(1),
         Err(error) => match hardware_limit(&error) {
             Some(&HardwareFault::Settling { least_ticks, .. }) => Ok(least_ticks),
@@ -167,14 +119,14 @@ pub(super) fn least_settling_ticks(board: &mut Conversation, configuration: &Con
 }
 
 /// Whether an error says that two emitters of one slot share a level line.
-pub(super) fn is_shared_level(error: &BenchError) -> bool {
+pub(super) fn is_shared_level(error: &Error) -> bool {
     matches!(hardware_limit(error), Some(HardwareFault::SharedLevel { .. }))
 }
 
 /// What the board cannot do, if it has refused a configuration for that.
-fn hardware_limit(error: &BenchError) -> Option<&HardwareFault> {
-    match error {
-        BenchError::Device(DeviceError::Refused { source: Rejection::Unsuited(limit), .. }) => Some(limit),
+fn hardware_limit(error: &Error) -> Option<&HardwareFault> {
+    match error.downcast_ref() {
+        Some(DeviceError::Refused { source: Rejection::Unsuited(limit), .. }) => Some(limit),
         _ => None,
     }
 }
@@ -185,17 +137,13 @@ struct Reader {
     decoder: Decoder<MAX_MESSAGE_BYTES>,
     announced: Option<(u16, Schedule, AdcScaling)>,
     scans: Vec<slitpose_protocol::RawScan>,
-    missing: u64,
     /// The board was acquiring and says that it is idle.
     is_stopped: bool,
     events: Vec<String>,
-    /// Instants of the first bytes with scans, of the last ones, and the number of scans with the first.
-    times: Option<(Instant, Instant, usize)>,
 }
 
 impl Reader {
     fn read(&mut self, mut bytes: &[u8]) {
-        let before = self.scans.len();
         while let Some(message) = self.decoder.next::<Message<'_>>(&mut bytes) {
             match (message, &self.announced) {
                 (Ok(Message::Hello(hello)), known) => {
@@ -207,8 +155,6 @@ impl Reader {
                     }
                 }
                 (Ok(Message::Batch(batch)), Some((number, schedule, _))) if batch.configuration == *number => {
-                    let due = self.scans.last().map_or(batch.sequence, |scan| scan.sequence + 1);
-                    self.missing += batch.sequence.saturating_sub(due);
                     self.scans.extend(batch.scans(schedule).into_iter().flatten());
                 }
                 (Ok(Message::Status(status)), _) => self.is_stopped = !status.acquiring && !self.scans.is_empty(),
@@ -218,22 +164,13 @@ impl Reader {
                 _ => {}
             }
         }
-        if self.scans.len() > before {
-            let now = Instant::now();
-            let (first, _, count) = self.times.unwrap_or((now, now, self.scans.len()));
-            self.times = Some((first, now, count));
-        }
     }
 
     /// The scans without the first ones; `None` if there are fewer than `count`.
     fn finish(&self, count: usize) -> Option<Sampling> {
         let (_, schedule, scaling) = self.announced.clone()?;
-        let (first, last, early) = self.times?;
         let scans = self.scans.get(FIRST_SCANS..).filter(|scans| scans.len() >= count)?.to_vec();
-        // Scans that came with the first are not covered by the time.
-        let timed = (self.scans.len() - early).max(1) as f64;
-        let elapsed_s = (last - first).as_secs_f64() * scans.len() as f64 / timed;
-        Some(Sampling { schedule, scaling, scans, missing: self.missing, elapsed_s })
+        Some(Sampling { schedule, scaling, scans })
     }
 }
 
@@ -244,17 +181,6 @@ const PAGE: &str = include_str!("../../../../firmware/README.md");
 
 const LEVELS: [RangeInclusive<usize>; 2] = [0..=2, 3..=5];
 
-/// The pin of the microcontroller for `signal`, and its place on the Morpho connectors: `PC10, CN7-1`.
-fn pin(signal: &str) -> Option<String> {
-    PAGE.lines().find_map(|line| {
-        let fields: Vec<&str> = line.strip_prefix("| ")?.split(" | ").collect();
-        match fields[..] {
-            [name, pin, _, morpho, ..] if name == signal => Some(format!("{pin}, {morpho}")),
-            _ => None,
-        }
-    })
-}
-
 /// The two electrodes of a cell, in the order of its words.
 pub(super) const ELECTRODES: [Electrode; 2] = [Electrode::X1, Electrode::X2];
 
@@ -264,7 +190,6 @@ const NUCLEO: &str = "NUCLEO-G474RE";
 /// Whether pins of a board are known.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Wiring {
-    /// The first board, a NUCLEO-G474RE.
     Nucleo,
     /// Another board, or a simulated one: signals have no pins.
     #[default]
@@ -277,9 +202,16 @@ impl Wiring {
         if board == NUCLEO { Self::Nucleo } else { Self::Unknown }
     }
 
-    /// The pin of `signal` by the table, if the board is the one it describes.
+    /// The pin of the microcontroller for `signal`, and its place on the Morpho connectors, `PC10, CN7-1`, if the board is
+    /// the one that the table describes.
     fn pin(self, signal: &str) -> Option<String> {
-        (self == Self::Nucleo).then(|| pin(signal))?
+        PAGE.lines().filter(|_| self == Self::Nucleo).find_map(|line| {
+            let fields: Vec<&str> = line.strip_prefix("| ")?.split(" | ").collect();
+            match fields[..] {
+                [name, pin, _, morpho, ..] if name == signal => Some(format!("{pin}, {morpho}")),
+                _ => None,
+            }
+        })
     }
 
     /// `name`, with the pin of `signal` in the table: `gate of emitter 4 (PC10, CN7-1)`.
@@ -346,8 +278,7 @@ mod tests {
     #[test]
     fn an_unknown_board_is_named() {
         let device = SimulatedDevice::at_rest(&slitpose_head::scene_file::WIDE.read().unwrap()).unwrap();
-        let mut board = Conversation::open(Box::new(device)).unwrap();
-        let simulated = board.introduce(Duration::from_secs(1)).unwrap();
+        let (_, simulated) = Conversation::introduced(Box::new(device)).unwrap();
         let of = |kind, board: &str| unknown_board(&BoardInfo { kind, board: board.to_owned(), ..simulated.clone() });
         assert_eq!(of(BoardKind::Simulated, "simulated"), None);
         assert_eq!(of(BoardKind::Physical, "NUCLEO-G474RE"), None);

@@ -1,12 +1,13 @@
 //! Codes and noise of each channel without light.
 
+use anyhow::Result;
 use slitpose_protocol::{AdcScaling, Level};
 
-use super::bench::{Bench, BenchError, sample};
-use super::bench::{ELECTRODES, Wiring};
-use super::sampling;
-use super::sampling::{Codes, Sampling};
+use super::bench::{Bench, ELECTRODES, Wiring, sample};
+use super::sampling::{self, Codes, Sampling};
+use crate::doctor::{faulty_or, named};
 use slitpose_head::finding::Finding;
+use slitpose_head::finding::Grade::{Failed, Warning};
 use slitpose_head::front_end::dark_word_noise_a;
 use slitpose_head::scene_file::SceneFile;
 
@@ -33,7 +34,7 @@ const QUIET: f64 = 0.4;
 const NOISY: f64 = 1.3;
 const TOO_NOISY: f64 = 2.0;
 
-pub(super) fn zero(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
+pub(super) fn zero(bench: &mut Bench<'_>) -> Result<Vec<Finding>> {
     let (mut board, _) = bench.connect()?;
     let schedule = sampling::alone(&bench.schedule()?);
     let sampling = sample(&mut board, sampling::at(schedule.clone(), Level(0)), ZERO_SCANS)?;
@@ -70,34 +71,32 @@ fn judge_zero(cells: &[Zero], scaling: &AdcScaling, wiring: Wiring) -> Vec<Findi
         let expected = scaling.zero_code + zero.dark_current_a / scaling.amperes_per_code;
         for (side, code) in ELECTRODES.into_iter().zip(zero.codes) {
             let (name, off) = (wiring.electrode(cell, side), code - expected);
-            let text = format!("{name}: code {code:.1} in the dark, expected {expected:.1} within {ZERO_TOLERANCE}");
-            if code <= RAIL_CODES || code >= top - RAIL_CODES {
-                let rail = if code <= RAIL_CODES { "ground" } else { "V_DDA" };
-                let next_step = "measure the amplifier's output: at 0 V a short, a solder bridge or too much light at \
-                                 the anode; at 5 V an open loop (R_f)";
-                findings.push(Finding::failed("zero", format!("{text}: stuck at {rail}"), next_step));
-            } else if off.abs() > ZERO_TOLERANCE {
-                // Light moves codes in the direction of the scaling.
-                let is_light = off * scaling.amperes_per_code > 0.0;
-                if is_light && zero.shines {
-                    continue;
-                }
-                let next_step = if is_light {
-                    "cover the detector; if that does not help: leakage at the anode, V_ref, or the amplifier's offset"
-                } else {
-                    "measure V_ref (3.247 V at V_DDA = 3.3 V), and the amplifier's output against it"
-                };
-                findings.push(Finding::failed("zero", text, next_step));
-            } else {
+            let (is_low, is_high) = (code <= RAIL_CODES, code >= top - RAIL_CODES);
+            let is_off = off.abs() > ZERO_TOLERANCE;
+            // Light moves codes in the direction of the scaling.
+            let is_light = off * scaling.amperes_per_code > 0.0;
+            if is_off && is_light && zero.shines && !is_low && !is_high {
+                continue;
+            }
+            if !is_off && !is_low && !is_high {
                 (worst, count) = (worst.max(off.abs()), count + 1);
             }
+            let text = format!("{name}: code {code:.1} in the dark, expected {expected:.1} within {ZERO_TOLERANCE}");
+            let stuck = "measure the amplifier's output: at 0 V a short, a solder bridge or too much light at the anode; \
+                         at 5 V an open loop (R_f)";
+            let light =
+                "cover the detector; if that does not help: leakage at the anode, V_ref, or the amplifier's offset";
+            let other = "measure V_ref (3.247 V at V_DDA = 3.3 V), and the amplifier's output against it";
+            let faults = [
+                (is_low, Failed, "stuck at ground", stuck),
+                (is_high, Failed, "stuck at V_DDA", stuck),
+                (is_off && is_light, Failed, "", light),
+                (is_off, Failed, "", other),
+            ];
+            findings.push(named("zero", text, &faults));
         }
     }
-    if findings.is_empty() {
-        let text = format!("{count} channels within {worst:.1} codes of the zero code");
-        findings.push(Finding::ok("zero", text));
-    }
-    findings
+    faulty_or(findings, "zero", || format!("{count} channels within {worst:.1} codes of the zero code"))
 }
 
 /// Cells whose emitters shine while all gates are off. `changes`: of the codes of each cell in the dark slot, both
@@ -124,7 +123,7 @@ fn judge_gates(changes: &[f64], wiring: Wiring) -> Finding {
     )
 }
 
-pub(super) fn noise(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
+pub(super) fn noise(bench: &mut Bench<'_>) -> Result<Vec<Finding>> {
     let (mut board, _) = bench.connect()?;
     // One conversion a word: the converter's codes themselves.
     let mut schedule = bench.schedule()?;
@@ -158,46 +157,37 @@ struct Noise {
 fn judge_noise(cells: &[Noise], wiring: Wiring) -> Vec<Finding> {
     let mut findings = Vec::new();
     let (mut least, mut most) = (f64::INFINITY, 0.0_f64);
-    for (cell, noise) in cells.iter().enumerate() {
-        for (side, codes) in ELECTRODES.into_iter().zip(noise.codes) {
-            let share = codes.rms / noise.promised;
+    for (cell, Noise { codes, promised }) in cells.iter().enumerate() {
+        for (side, Codes { rms, distinct, step, .. }) in ELECTRODES.into_iter().zip(*codes) {
+            let name = wiring.electrode(cell, side);
             let text = format!(
-                "{}: {:.2} codes rms, {} different codes; {:.2} codes rms expected from the scene's front end",
-                wiring.electrode(cell, side),
-                codes.rms,
-                codes.distinct,
-                noise.promised
+                "{name}: {rms:.2} codes rms, {distinct} different codes; {promised:.2} codes rms expected from the scene's \
+                 front end"
             );
-            let failed =
-                |why: &str, next_step: &'static str| Finding::failed("noise", format!("{text}: {why}"), next_step);
-            if share < QUIET {
-                let next_step = "the input is shorted or at a rail: measure at the pin";
-                findings.push(failed("too quiet", next_step));
-            } else if codes.step > 1 {
-                let next_step = "codes are missing: V_REF+ and V_DDA decoupling; ES0430 on converters that run at once";
-                findings.push(failed(&format!("codes come in steps of {}", codes.step), next_step));
-            } else if share > TOO_NOISY {
-                let next_step = "compare with the other channels: C_f, decoupling and ground of this amplifier, guard of \
-                                 its anode line, light that flickers";
-                findings.push(failed("too noisy", next_step));
-            } else if share > NOISY {
-                let next_step = "look for ripple on V_ref and supplies; or raise front_end.raw_noise_lsb of the scene";
-                findings.push(Finding::warning("noise", text, next_step));
-            } else {
-                (least, most) = (least.min(codes.rms), most.max(codes.rms));
-            }
+            (least, most) = (least.min(rms), most.max(rms));
+            let share = rms / promised;
+            let steps = format!("codes come in steps of {step}");
+            let missing = "codes are missing: V_REF+ and V_DDA decoupling; ES0430 on converters that run at once";
+            let loud = "compare with the other channels: C_f, decoupling and ground of this amplifier, guard of its anode \
+                        line, light that flickers";
+            let ripple = "look for ripple on V_ref and supplies; or raise front_end.raw_noise_lsb of the scene";
+            let faults = [
+                (share < QUIET, Failed, "too quiet", "the input is shorted or at a rail: measure at the pin"),
+                (step > 1, Failed, &*steps, missing),
+                (share > TOO_NOISY, Failed, "too noisy", loud),
+                (share > NOISY, Warning, "", ripple),
+            ];
+            findings.push(named("noise", text, &faults));
         }
     }
-    if findings.is_empty() {
+    faulty_or(findings, "noise", || {
         let promised = cells.iter().fold(0.0_f64, |most, cell| most.max(cell.promised));
-        let text = format!(
+        format!(
             "{} channels with {least:.2} to {most:.2} codes rms in one conversion, {promised:.2} expected from the scene's \
              front end; codes in steps of 1",
             2 * cells.len()
-        );
-        findings.push(Finding::ok("noise", text));
-    }
-    findings
+        )
+    })
 }
 
 #[cfg(test)]
@@ -208,29 +198,22 @@ mod tests {
     const SCALING: AdcScaling =
         AdcScaling { zero_code: 4_031.0, amperes_per_code: -2.5e-9, bits: 12, saturation_code: 32 };
 
-    fn zero_of(change: impl Fn(&mut Vec<Zero>)) -> Vec<Finding> {
-        let mut cells = vec![Zero { codes: [4_028.0, 4_033.0], dark_current_a: 0.0, shines: false }; 6];
-        change(&mut cells);
-        judge_zero(&cells, &SCALING, Wiring::Nucleo)
-    }
-
     #[test]
     fn words_off_zero_are_named_by_signal_and_pin() {
-        assert!(matches!(&zero_of(|_| ())[..], [finding] if finding.grade == Grade::Ok));
-        let stuck = zero_of(|cells| cells[4].codes[1] = 0.0);
-        assert_eq!(stuck.len(), 1);
-        assert!(stuck[0].text.contains("I_X2 of cell 4 (PB11") && stuck[0].text.contains("stuck at ground"));
-        assert!(zero_of(|cells| cells[0].codes[0] = 4_095.0)[0].text.contains("stuck at V_DDA"));
-        let bright = zero_of(|cells| cells[1].codes[0] = 3_991.0);
-        assert!(bright[0].next_step.as_ref().is_some_and(|step| step.starts_with("cover")), "{bright:?}");
-        let high = zero_of(|cells| cells[1].codes[0] = 4_051.0);
-        assert!(high[0].next_step.as_ref().is_some_and(|step| step.contains("V_ref")), "{high:?}");
-        // 100 nA of dark current are 40 codes.
-        let dark = zero_of(|cells| cells[1] = Zero { codes: [3_991.0; 2], dark_current_a: 100e-9, shines: false });
-        assert_eq!(dark[0].grade, Grade::Ok, "{dark:?}");
-        // Light of an emitter that its gate does not darken is named by the gate.
-        let shining = zero_of(|cells| cells[1] = Zero { codes: [3_961.0; 2], dark_current_a: 0.0, shines: true });
-        assert!(shining.len() == 1 && shining[0].text.starts_with("10 channels"), "{shining:?}");
+        let good = Zero { codes: [4_028.0, 4_033.0], dark_current_a: 0.0, shines: false };
+        for (zero, words) in [
+            (Zero { codes: [4_028.0, 0.0], ..good }, &["I_X2 of cell 1 (PC4", "stuck at ground"][..]),
+            (Zero { codes: [4_095.0, 4_033.0], ..good }, &["stuck at V_DDA"]),
+            (Zero { codes: [3_991.0, 4_033.0], ..good }, &["; cover the detector"]),
+            (Zero { codes: [4_051.0, 4_033.0], ..good }, &["; measure V_ref"]),
+            // 100 nA of dark current are 40 codes.
+            (Zero { codes: [3_991.0; 2], dark_current_a: 100e-9, shines: false }, &["12 channels"]),
+            // Light of an emitter that its gate does not darken is named by the gate.
+            (Zero { codes: [3_961.0; 2], dark_current_a: 0.0, shines: true }, &["10 channels"]),
+        ] {
+            let found = judge_zero(&[good, zero, good, good, good, good], &SCALING, Wiring::Nucleo);
+            assert!(found.len() == 1 && words.iter().all(|word| found[0].to_string().contains(word)), "{found:?}");
+        }
     }
 
     #[test]
@@ -239,8 +222,8 @@ mod tests {
         assert_eq!(good.grade, Grade::Ok, "{good}");
         // 20 codes are light of emitter 1 on another cell.
         let stuck = judge_gates(&[0.0, -2_734.0, 0.0, -800.0, -20.0, 0.0], Wiring::Nucleo);
-        assert!(stuck.grade == Grade::Failed && stuck.text.ends_with("off: 1 (2734 codes), 3 (800 codes)"), "{stuck}");
-        assert_eq!(judge_gates(&[0.0, 0.0, -20.0], Wiring::Nucleo).grade, Grade::Failed);
+        assert!(stuck.grade == Failed && stuck.text.ends_with("off: 1 (2734 codes), 3 (800 codes)"), "{stuck}");
+        assert_eq!(judge_gates(&[0.0, 0.0, -20.0], Wiring::Nucleo).grade, Failed);
         assert!(stuck.to_string().contains("gate of emitter 1 (PC7, CN10-19)"), "{stuck}");
         assert!(!judge_gates(&[99.0; 6], Wiring::Unknown).to_string().contains("CN"));
     }
@@ -248,23 +231,18 @@ mod tests {
     #[test]
     fn too_noisy_too_quiet_and_stepping_channels_are_told_apart() {
         let good = Codes { mean: 4_031.0, rms: 1.05, distinct: 8, step: 1 };
-        let with = |codes: Codes| {
+        for (codes, grade, words) in [
+            (good, Grade::Ok, "12 channels"),
+            (Codes { rms: 5.0, ..good }, Failed, "too noisy"),
+            (Codes { rms: 1.6, ..good }, Warning, "1.60 codes rms"),
+            (Codes { rms: 0.0, distinct: 1, step: 0, ..good }, Failed, "too quiet"),
+            (Codes { rms: 4.0, distinct: 3, step: 8, ..good }, Failed, "steps of 8"),
+        ] {
             let mut cells = vec![Noise { codes: [good; 2], promised: 1.04 }; 6];
             cells[1].codes[0] = codes;
-            judge_noise(&cells, Wiring::Nucleo)
-        };
-        assert!(matches!(&with(good)[..], [finding] if finding.grade == Grade::Ok));
-        let found = |codes, grade, words: &str| {
-            let findings = with(codes);
-            assert!(findings.len() == 1 && findings[0].grade == grade, "{findings:?}");
-            assert!(
-                findings[0].text.contains("I_X1 of cell 1 (PA1") && findings[0].text.contains(words),
-                "{findings:?}"
-            );
-        };
-        found(Codes { rms: 5.0, ..good }, Grade::Failed, "too noisy");
-        found(Codes { rms: 1.6, ..good }, Grade::Warning, "1.60 codes rms");
-        found(Codes { rms: 0.0, distinct: 1, step: 0, ..good }, Grade::Failed, "too quiet");
-        found(Codes { rms: 4.0, distinct: 3, step: 8, ..good }, Grade::Failed, "steps of 8");
+            let found = judge_noise(&cells, Wiring::Nucleo);
+            assert!(found.len() == 1 && found[0].grade == grade && found[0].text.contains(words), "{found:?}");
+            assert!(grade == Grade::Ok || found[0].text.contains("I_X1 of cell 1 (PA1"), "{found:?}");
+        }
     }
 }

@@ -7,15 +7,16 @@
 //! For the light of others, what a cell has more than by its own emitter alone comes from the other one of the slot,
 //! through a gap in the baffles or by reflection. All pairs are lit in as few configurations as there are partners.
 
+use anyhow::Result;
 use slitpose_model::Pair;
 use slitpose_protocol::{Level, Schedule};
 
-use super::bench::{Bench, BenchError, is_shared_level, sample};
-use super::bench::{ELECTRODES, Wiring};
-use super::sampling;
-use super::sampling::Expected;
+use super::bench::{Bench, ELECTRODES, Wiring, is_shared_level, sample};
+use super::sampling::{self, Expected};
 use crate::device::Conversation;
+use crate::doctor::named;
 use slitpose_head::finding::Finding;
+use slitpose_head::finding::Grade::Failed;
 
 /// Scans of each configuration: the mean of a word lit minus dark is then known to 0.05 codes of some 1 400.
 const SCANS: usize = 200;
@@ -41,7 +42,7 @@ enum Exchange {
     Unknown,
 }
 
-pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
+pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>> {
     let expected = bench.expected()?;
     let (mut board, _) = bench.connect()?;
     let schedule = bench.schedule()?;
@@ -81,12 +82,7 @@ fn exchanged(responses: &[Vec<Pair<f64>>], own: &[Pair<f64>], expected: &[Pair<f
 
 /// Tells exchanged gates from exchanged cells: both emitters are lit together, the second at level 0. Level lines stay
 /// with their drivers, so exchanged gates light the first emitter and its cell, exchanged cells the word of the second.
-fn tell(
-    board: &mut Conversation,
-    base: &Schedule,
-    pair: [usize; 2],
-    expected: &[Pair<f64>],
-) -> Result<Exchange, BenchError> {
+fn tell(board: &mut Conversation, base: &Schedule, pair: [usize; 2], expected: &[Pair<f64>]) -> Result<Exchange> {
     let [first, second] = pair;
     let others = (0..usize::from(base.cells)).filter(|emitter| !pair.contains(emitter));
     let groups: Vec<Vec<usize>> = std::iter::once(pair.to_vec()).chain(others.map(|emitter| vec![emitter])).collect();
@@ -148,38 +144,27 @@ fn of_cell(cell: usize, own: Pair<f64>, expected: Pair<f64>, is_saturated: bool,
         micro(expected.i_x1_a),
         micro(expected.i_x2_a)
     );
-    if is_saturated {
-        let next_step = "move the tool to its home pose; if it is there, lower the emitter's level or its current";
-        return Finding::failed("emitters", format!("{text}: saturated"), next_step);
-    }
-    match [own.i_x1_a, own.i_x2_a].map(|current_a| is_lit(current_a, expected)) {
-        [false, false] => Finding::failed(
-            "emitters",
-            format!(
-                "{text}: dark; emitter {cell} gives no light, or its light does not reach the detector ({})",
-                wiring.gate(cell)
-            ),
-            "measure its 3.3 ohm: 329 mV in its slot if the emitter is lit, then look at the detector's cathode, its \
-             plug and the slit; 0 V if it is not: gate, switch, emitter",
-        ),
-        [false, true] => of_electrode(cell, 0, &text, wiring),
-        [true, false] => of_electrode(cell, 1, &text, wiring),
-        [true, true] if !STRENGTH.contains(&share) => {
-            let (what, next_step) = if share < 1.0 {
-                ("weak", "measure its 3.3 ohm (329 mV at nominal), clean emitter and slit; then change the emitter")
-            } else {
-                ("strong", "measure its 3.3 ohm (329 mV at nominal): the current is too high, or the tool too close")
-            };
-            Finding::failed("emitters", format!("{text}: emitter {cell} is {what}, expected 0.6 to 1.6"), next_step)
-        }
-        [true, true] => Finding::ok("emitters", text),
-    }
-}
-
-fn of_electrode(cell: usize, dark: usize, text: &str, wiring: Wiring) -> Finding {
-    let name = wiring.electrode(cell, ELECTRODES[dark]);
-    let next_step = "look for an open anode, a shorted input or a dead amplifier: the amplifier's output must fall in the cell's slot";
-    Finding::failed("emitters", format!("{text}: {name} sees no light, the other electrode does"), next_step)
+    let lit = [own.i_x1_a, own.i_x2_a].map(|current_a| is_lit(current_a, expected));
+    let gate = wiring.gate(cell);
+    let dark = format!("dark; emitter {cell} gives no light, or its light does not reach the detector ({gate})");
+    let dead = usize::from(lit[0]);
+    let one_sided = format!("{} sees no light, the other electrode does", wiring.electrode(cell, ELECTRODES[dead]));
+    let [weak, strong] = ["weak", "strong"].map(|what| format!("emitter {cell} is {what}, expected 0.6 to 1.6"));
+    let too_much = "move the tool to its home pose; if it is there, lower the emitter's level or its current";
+    let no_light = "measure its 3.3 ohm: 329 mV in its slot if the emitter is lit, then look at the detector's cathode, its \
+                    plug and the slit; 0 V if it is not: gate, switch, emitter";
+    let no_anode = "look for an open anode, a shorted input or a dead amplifier: the amplifier's output must fall in the \
+                    cell's slot";
+    let too_weak = "measure its 3.3 ohm (329 mV at nominal), clean emitter and slit; then change the emitter";
+    let too_strong = "measure its 3.3 ohm (329 mV at nominal): the current is too high, or the tool too close";
+    let faults = [
+        (is_saturated, Failed, "saturated", too_much),
+        (lit == [false; 2], Failed, &*dark, no_light),
+        (lit != [true; 2], Failed, &*one_sided, no_anode),
+        (share < *STRENGTH.start(), Failed, &*weak, too_weak),
+        (!STRENGTH.contains(&share), Failed, &*strong, too_strong),
+    ];
+    named("emitters", text, &faults)
 }
 
 /// Whether electrodes may be exchanged, where the spot is far enough from the middle.
@@ -212,7 +197,7 @@ const TOLERANCE: f64 = 0.01;
 /// Largest change of a cell's own light during the measurement.
 const STILL: f64 = 3e-3;
 
-pub(super) fn take_crosstalk(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
+pub(super) fn take_crosstalk(bench: &mut Bench<'_>) -> Result<Vec<Finding>> {
     let expected = bench.expected()?;
     let (mut board, _) = bench.connect()?;
     let schedule = bench.schedule()?;
@@ -229,7 +214,7 @@ fn responses(
     base: &Schedule,
     own: &[Pair<f64>],
     scans: usize,
-) -> Result<Vec<Vec<Pair<f64>>>, BenchError> {
+) -> Result<Vec<Vec<Pair<f64>>>> {
     let mut responses = vec![vec![Pair::default(); own.len()]; own.len()];
     for (cell, own) in own.iter().enumerate() {
         responses[cell][cell] = *own;
@@ -317,24 +302,13 @@ mod tests {
         own
     }
 
-    fn failed(own: &[Pair<f64>]) -> String {
-        let findings = judge(own, &[OWN; 6], &[], &[], Wiring::Nucleo);
-        let failed: Vec<_> = findings.iter().filter(|finding| finding.grade == Grade::Failed).collect();
-        assert_eq!(failed.len(), 1, "{findings:?}");
-        failed[0].to_string()
-    }
-
     #[test]
-    fn a_good_head_has_no_failure_and_centred_spots_do_not_tell_electrodes_apart() {
-        let findings = judge(&[OWN; 6], &[OWN; 6], &[], &[], Wiring::Nucleo);
-        assert!(findings[..6].iter().all(|finding| finding.grade == Grade::Ok), "{findings:?}");
+    fn strong_emitters_and_saturated_cells_are_named_and_centred_spots_do_not_tell_electrodes_apart() {
+        let bright = with(5, Pair { i_x1_a: 5.7e-6, i_x2_a: 5.7e-6 });
+        let findings = judge(&bright, &[OWN; 6], &[1], &[], Wiring::Nucleo);
+        assert_eq!(findings.iter().filter(|finding| finding.grade == Failed).count(), 2, "{findings:?}");
+        assert!(findings[1].text.contains("saturated") && findings[5].text.contains("emitter 5 is strong"));
         assert_eq!(findings[6].grade, Grade::Skipped);
-    }
-
-    #[test]
-    fn strong_emitters_and_saturated_cells_are_named() {
-        assert!(failed(&with(5, Pair { i_x1_a: 5.7e-6, i_x2_a: 5.7e-6 })).contains("emitter 5 is strong"));
-        assert!(judge(&[OWN; 6], &[OWN; 6], &[1], &[], Wiring::Nucleo)[1].text.contains("saturated"));
     }
 
     #[test]
@@ -344,7 +318,7 @@ mod tests {
         expected[2] = aside;
         assert_eq!(of_order(&with(2, aside), &expected).grade, Grade::Ok);
         let turned = of_order(&with(2, Pair { i_x1_a: 3.8e-6, i_x2_a: 3.0e-6 }), &expected);
-        assert!(turned.grade == Grade::Failed && turned.text.contains("cells 2:"), "{turned}");
+        assert!(turned.grade == Failed && turned.text.contains("cells 2:"), "{turned}");
     }
 
     /// `stray`: shares of own light, `[cell][emitter]`.
@@ -364,7 +338,7 @@ mod tests {
         assert!(judged(&[(1, 2, 0.009)], 0.0).iter().all(|finding| finding.grade == Grade::Ok));
         assert!(judged(&[(1, 2, 0.05)], 0.045).iter().all(|finding| finding.grade == Grade::Ok));
         let findings = judged(&[(1, 2, 0.05), (2, 1, 0.05)], 0.0);
-        let failed: Vec<_> = findings.iter().filter(|finding| finding.grade == Grade::Failed).collect();
+        let failed: Vec<_> = findings.iter().filter(|finding| finding.grade == Failed).collect();
         assert_eq!(failed.len(), 2);
         assert!(failed[0].text.contains("too much by emitter 2") && failed[0].text.contains("5.00"), "{}", failed[0]);
         assert!(failed[1].to_string().contains("between cell 2 and 1"), "{}", failed[1]);
@@ -377,6 +351,6 @@ mod tests {
         let expected = Expected { own: vec![OWN; 2], stray: vec![vec![0.0; 2]; 2] };
         let findings = judge_crosstalk(&responses, &[Pair { i_x1_a: 3.5e-6, ..OWN }; 2], &expected);
         let grades: Vec<_> = findings.iter().map(|finding| (finding.place.as_ref(), finding.grade)).collect();
-        assert_eq!(grades, [("still", Grade::Warning), ("crosstalk", Grade::Ok), ("crosstalk", Grade::Failed)]);
+        assert_eq!(grades, [("still", Grade::Warning), ("crosstalk", Grade::Ok), ("crosstalk", Failed)]);
     }
 }

@@ -7,14 +7,16 @@
 
 use std::collections::BTreeMap;
 
+use anyhow::Result;
 use slitpose_model::Pair;
 use slitpose_protocol::{Level, Schedule};
 
-use super::bench::{Bench, BenchError, sample};
-use super::bench::{ELECTRODES, Wiring};
+use super::bench::{Bench, ELECTRODES, Wiring, sample};
 use super::sampling;
 use crate::device::Conversation;
+use crate::doctor::{faulty_or, judged};
 use slitpose_head::finding::Finding;
+use slitpose_head::finding::Grade::Failed;
 
 const SCANS: usize = 200;
 
@@ -29,7 +31,7 @@ const TOLERANCE: f64 = 0.02;
 /// Least share of the scene's light of a cell that is to be judged.
 const LIT: f64 = 0.15;
 
-pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
+pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>> {
     let expected = bench.expected()?;
     let (mut board, _) = bench.connect()?;
     let base = bench.schedule()?;
@@ -107,29 +109,30 @@ fn of_emitter(emitter: usize, shares: Option<Shares>, wrong_line: Option<String>
     let [of, levels] = [shares, LEVELS.map(Level::relative)]
         .map(|row| row.map(|share| format!("{:.3}", if share.abs() < 5e-4 { 0.0 } else { share })).join(" "));
     let text = format!("emitter {emitter}: {of} of its nominal light at levels {levels}");
-    let (what, next_step) = match (following(shares), wrong_line) {
-        (Following::Proportional(worst), _) => {
+    let (of_line, of_driver, next_step) = match following(shares) {
+        Following::Proportional(worst) => {
             return Finding::ok("levels", format!("{text}; off by {:.2} % at most, 2 % allowed", 1e2 * worst));
         }
-        (Following::Not, Some(line)) => (format!("{line} stays at nominal"), LINE),
-        (Following::UpTo(level), Some(line)) => (format!("{line} does not rise above level {level:.2}"), LINE),
-        (Following::Otherwise(worst), Some(line)) => {
-            (format!("{line} is off by {:.1} % of nominal, 2 % allowed", 1e2 * worst), LINE)
-        }
-        (Following::Not, None) => (
+        Following::Not => (
+            "stays at nominal".to_owned(),
             "the driver does not follow its level line".to_owned(),
             "look at the switch and the divider in front of the driver's amplifier",
         ),
-        (Following::UpTo(level), None) => (
+        Following::UpTo(level) => (
+            format!("does not rise above level {level:.2}"),
             format!("no more light above level {level:.2}; the driver or the cell saturates"),
             "measure the 3.3 ohm (329 mV at nominal) and the 5 V of the emitters under load; is the cell saturated?",
         ),
-        (Following::Otherwise(worst), None) => (
+        Following::Otherwise(worst) => (
+            format!("is off by {:.1} % of nominal, 2 % allowed", 1e2 * worst),
             format!("off by {:.1} %, 2 % allowed", 1e2 * worst),
             "measure the 3.3 ohm at each level: 329 mV in proportion; if it is, the emitter heats up or the tool moves",
         ),
     };
-    Finding::failed("levels", format!("{text}: {what}"), next_step)
+    match wrong_line {
+        Some(line) => Finding::failed("levels", format!("{text}: {line} {of_line}"), LINE),
+        None => Finding::failed("levels", format!("{text}: {of_driver}"), next_step),
+    }
 }
 
 /// What to do about a level line.
@@ -159,7 +162,7 @@ const REPEATED: f64 = 3.0;
 /// Words of single conversions of each cell's electrodes, over all levels.
 type Words = Vec<[Vec<u16>; 2]>;
 
-fn take_codes(board: &mut Conversation, base: &Schedule, wiring: Wiring) -> Result<Vec<Finding>, BenchError> {
+fn take_codes(board: &mut Conversation, base: &Schedule, wiring: Wiring) -> Result<Vec<Finding>> {
     let schedule = sampling::alone(&Schedule { oversampling: 1, ..base.clone() });
     let mut words: Words = vec![[Vec::new(), Vec::new()]; usize::from(base.cells)];
     for step in 0..CODE_LEVELS {
@@ -207,38 +210,28 @@ fn histogram(words: &[u16]) -> Option<Histogram> {
 
 fn judge_codes(words: &Words, wiring: Wiring) -> Vec<Finding> {
     let mut findings = Vec::new();
-    let mut judged = 0;
     for (cell, pair) in words.iter().enumerate() {
         for (side, words) in ELECTRODES.into_iter().zip(pair) {
-            let Some(histogram) = histogram(words) else { continue };
-            judged += 1;
-            let Histogram { first, last, missing, repeated } = &histogram;
-            if missing.is_empty() && repeated.is_empty() {
-                continue;
-            }
-            let count = last - first + 1;
+            let Some(Histogram { first, last, missing, repeated }) = histogram(words) else { continue };
             let text = format!(
-                "{}: of {count} codes from {first} on, {} are missing and {} come too often{}",
+                "{}: of {} codes from {first} on, {} are missing and {} come too often{}",
                 wiring.electrode(cell, side),
+                last - first + 1,
                 missing.len(),
                 repeated.len(),
-                period(if repeated.is_empty() { missing } else { repeated })
+                period(if repeated.is_empty() { &missing } else { &repeated })
             );
+            let is_faulty = !missing.is_empty() || !repeated.is_empty();
             let next_step = "decoupling and ground of V_REF+ and V_DDA; ES0430 on converters that run at once";
-            findings.push(Finding::failed("codes", text, next_step));
+            findings.push(judged("codes", text, [(is_faulty, Failed, next_step)]));
         }
     }
-    match (findings.is_empty(), judged) {
-        (true, 0) => findings.push(Finding::skipped("codes", "no cell has light that follows the level")),
-        (true, _) => {
-            findings.push(Finding::ok(
-                "codes",
-                format!("{judged} channels: no code missing or too frequent as the level falls"),
-            ));
-        }
-        _ => {}
+    match findings.len() {
+        0 => vec![Finding::skipped("codes", "no cell has light that follows the level")],
+        judged => faulty_or(findings, "codes", || {
+            format!("{judged} channels: no code missing or too frequent as the level falls")
+        }),
     }
-    findings
 }
 
 /// The distance of codes that are not as they should be, if it is the same for all.
@@ -255,53 +248,33 @@ mod tests {
     use super::*;
     use slitpose_head::finding::Grade;
 
-    const OWN: Pair<f64> = Pair { i_x1_a: 3.4e-6, i_x2_a: 3.4e-6 };
-
-    /// Findings if emitters give these shares of the scene's light at each level, 1 at nominal being good.
-    fn judged(shares: impl Fn(usize, f64) -> f64) -> Vec<Finding> {
-        let light: Vec<Vec<_>> = LEVELS
-            .iter()
-            .map(|level| {
-                let share = |emitter| shares(emitter, level.relative());
-                (0..6)
-                    .map(|emitter| Pair { i_x1_a: share(emitter) * 3.4e-6, i_x2_a: share(emitter) * 3.4e-6 })
-                    .collect()
-            })
-            .collect();
-        judge(&light, &[OWN; 6], Wiring::Nucleo)
-    }
-
-    fn failed(shares: impl Fn(usize, f64) -> f64) -> Vec<String> {
-        let findings = judged(shares);
-        findings.iter().filter(|finding| finding.grade == Grade::Failed).map(|finding| finding.text.clone()).collect()
-    }
-
+    /// Words of a finding that failed, of emitters that give these shares of the scene's light at each level.
     #[test]
-    fn light_in_proportion_to_the_level_is_good() {
-        assert_eq!(failed(|_, level| 0.7 * level), [""; 0]);
-        assert_eq!(failed(|_, level| level + 0.05 * level * (1.0 - level)), [""; 0]);
-        // The buffer of the DAC ends at 0.2 V of 1.65 V.
-        assert_eq!(failed(|_, level| level.max(0.2 / 1.65)), [""; 0]);
-    }
-
-    #[test]
-    fn a_stuck_line_is_named_and_a_stuck_driver_is_not_taken_for_it() {
-        let clamped = failed(|emitter, level| if emitter < 3 { level.max(0.3) } else { level });
-        assert!(clamped.len() == 3 && clamped[0].contains("(PA4, CN7-32) is off by 17.5 %"), "{clamped:?}");
-        let two = failed(|emitter, level| if emitter < 2 { 1.0 } else { level });
-        assert!(two.len() == 2 && two[0].contains("the driver does not follow"), "{two:?}");
-        let driver = failed(|emitter, level| if emitter == 4 { 1.0 } else { level });
-        assert!(driver.len() == 1 && driver[0].contains("emitter 4") && driver[0].contains("does not follow"));
-    }
-
-    #[test]
-    fn saturating_drivers_bent_ones_and_dark_ones_are_told_apart() {
-        let saturated = failed(|emitter, level| if emitter == 1 { level.min(0.6) } else { level });
-        assert!(saturated.len() == 1 && saturated[0].contains("no more light above level 0.60"), "{saturated:?}");
-        let bent = failed(|emitter, level| if emitter == 1 { level * level } else { level });
-        assert!(bent.len() == 1 && bent[0].contains("off by 25.0 %"), "{bent:?}");
-        let dark = failed(|emitter, level| if emitter == 1 { 0.0 } else { level });
-        assert!(dark.len() == 1 && dark[0].contains("no light at nominal"), "{dark:?}");
+    fn lines_and_drivers_that_do_not_follow_their_level_are_told_apart() {
+        type Shares = fn(usize, f64) -> f64;
+        let cases: [(Shares, usize, &str); 9] = [
+            (|_, level| 0.7 * level, 0, ""),
+            (|_, level| level + 0.05 * level * (1.0 - level), 0, ""),
+            // The buffer of the DAC ends at 0.2 V of 1.65 V.
+            (|_, level| level.max(0.2 / 1.65), 0, ""),
+            (|emitter, level| if emitter < 3 { level.max(0.3) } else { level }, 3, "(PA4, CN7-32) is off by 17.5 %"),
+            (|emitter, level| if emitter < 2 { 1.0 } else { level }, 2, "emitter 0: 1.000"),
+            (|emitter, level| if emitter == 4 { 1.0 } else { level }, 1, "the driver does not follow"),
+            (|emitter, level| if emitter == 1 { level.min(0.6) } else { level }, 1, "no more light above level 0.60"),
+            (|emitter, level| if emitter == 1 { level * level } else { level }, 1, "off by 25.0 %"),
+            (|emitter, level| if emitter == 1 { 0.0 } else { level }, 1, "no light at nominal"),
+        ];
+        for (shares, count, words) in cases {
+            let pair = |share: f64| Pair { i_x1_a: share * 3.4e-6, i_x2_a: share * 3.4e-6 };
+            let light: Vec<Vec<_>> = LEVELS
+                .iter()
+                .map(|level| (0..6).map(|emitter| pair(shares(emitter, level.relative()))).collect())
+                .collect();
+            let mut findings = judge(&light, &[pair(1.0); 6], Wiring::Nucleo);
+            findings.retain(|finding| finding.grade == Failed);
+            assert!(findings.len() == count, "{words}: {findings:?}");
+            assert!(findings.first().is_none_or(|finding| finding.text.contains(words)), "{words}: {findings:?}");
+        }
     }
 
     /// 50 words of each of 80 codes, as `bend` changes them.
@@ -316,17 +289,13 @@ mod tests {
     }
 
     #[test]
-    fn all_codes_equally_often_are_good() {
+    fn codes_left_out_every_eight_are_named_with_their_channel_and_period() {
         let good = judged_codes(words_of(|code| code));
         assert!(good.len() == 1 && good[0].grade == Grade::Ok && good[0].text.starts_with("12 channels"), "{good:?}");
         let dark = judge_codes(&vec![[vec![4_031; 4_000], vec![4_030; 4_000]]; 6], Wiring::Nucleo);
         assert_eq!(dark[0].grade, Grade::Skipped);
-    }
-
-    #[test]
-    fn codes_left_out_every_eight_are_named_with_their_channel_and_period() {
         let found = judged_codes(words_of(|code| if code % 8 == 7 { code - 1 } else { code }));
-        assert!(found.len() == 1 && found[0].grade == Grade::Failed, "{found:?}");
+        assert!(found.len() == 1 && found[0].grade == Failed, "{found:?}");
         assert!(found[0].text.contains("I_X2 of cell 3 (PB2") && found[0].text.contains("every 8 codes"), "{found:?}");
         let coarse = judged_codes(words_of(|code| code / 8 * 8));
         assert!(coarse[0].text.contains("come too often, every 8 codes"), "{coarse:?}");

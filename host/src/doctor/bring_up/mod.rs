@@ -24,10 +24,10 @@ mod settling;
 use std::fmt;
 use std::str::FromStr;
 
+use anyhow::Result;
 use slitpose_protocol::{Level, Schedule};
-use thiserror::Error;
 
-use self::bench::{Bench, BenchError};
+use self::bench::Bench;
 use super::default_scene;
 use crate::device::{Search, Selector};
 use slitpose_head::causes::with_causes;
@@ -46,7 +46,7 @@ pub(crate) struct Step {
 
 /// Does a step. The second argument asks the user to cut the board's power, and is false if there is no one to ask; then
 /// the board is rebooted instead.
-type Take = fn(&mut Bench<'_>, &mut dyn FnMut() -> bool) -> Result<Vec<Finding>, BenchError>;
+type Take = fn(&mut Bench<'_>, &mut dyn FnMut() -> bool) -> Result<Vec<Finding>>;
 
 impl Step {
     pub(crate) const ALL: [Self; 10] = [
@@ -118,7 +118,6 @@ impl Step {
         },
     ];
 
-    /// Its number, from 1.
     pub(crate) fn number(&self) -> usize {
         1 + Self::ALL.iter().take_while(|step| step.name != self.name).count()
     }
@@ -130,19 +129,14 @@ impl fmt::Display for Step {
     }
 }
 
-/// A step that is not in the list.
-#[derive(Debug, Error)]
-#[error("no step is called `{text}`; there are 1 to {}, or {}", Step::ALL.len(), Step::ALL.map(|step| step.name).join(", "))]
-pub(crate) struct UnknownStep {
-    text: String,
-}
-
 impl FromStr for Step {
-    type Err = UnknownStep;
+    type Err = String;
 
-    fn from_str(text: &str) -> Result<Self, UnknownStep> {
+    fn from_str(text: &str) -> Result<Self, String> {
         let is_it = |step: &Self| step.name == text || step.number().to_string() == text;
-        Self::ALL.into_iter().find(is_it).ok_or_else(|| UnknownStep { text: text.to_owned() })
+        let (count, names) = (Self::ALL.len(), Self::ALL.map(|step| step.name).join(", "));
+        let unknown = || format!("no step is called `{text}`; there are 1 to {count}, or {names}");
+        Self::ALL.into_iter().find(is_it).ok_or_else(unknown)
     }
 }
 
@@ -152,47 +146,39 @@ pub(crate) struct BringUp<'a> {
     schedule: Schedule,
 }
 
-/// The scene of a bring-up: `given`, else the one the board belongs to, else the default one; and what there is to say
-/// about it. `None` if the board cannot be reached, or belongs to another scene.
+/// The scene of a bring-up, `given`, else the one the board belongs to, else the default one, and the schedule of the board;
+/// and what there is to say about them. `None` if the board cannot be reached, or belongs to another scene.
 pub(crate) fn scene(
     device: &Selector,
     search: &[Search],
     given: Option<&SceneFile>,
     findings: &mut Vec<Finding>,
-) -> Option<SceneFile> {
+) -> Option<(SceneFile, Schedule)> {
     let trial = given.cloned().or_else(default_scene)?;
     match Bench::new(device, search, &trial).connect() {
         Ok((_, info)) => {
             findings.extend(bench::unknown_board(&info));
             let scene = super::link::scene(given, &info, findings)?;
             findings.push(super::link::full_scale(&scene, &info));
-            Some(scene)
+            Some((scene, info.schedule))
         }
         Err(error) => {
-            findings.push(unreachable_board(&error));
+            let next_step = "slitpose doctor checks ports and permissions; reset the board";
+            findings.push(Finding::failed("link", with_causes(error.as_ref()), next_step));
             None
         }
     }
 }
 
-fn unreachable_board(error: &BenchError) -> Finding {
-    Finding::failed("link", with_causes(error), "slitpose doctor checks ports and permissions; reset the board")
-}
-
 impl<'a> BringUp<'a> {
-    /// Of the board that `device` names, with the head of `scene`.
-    pub(crate) fn begin(device: &'a Selector, search: &'a [Search], scene: &'a SceneFile) -> Result<Self, Finding> {
-        let mut bench = Bench::new(device, search, scene);
-        match bench.connect() {
-            Ok((_, info)) => Ok(Self { bench, schedule: info.schedule }),
-            Err(error) => Err(unreachable_board(&error)),
-        }
+    /// Of the board that `device` names, with the head of `scene`; at first it had `schedule`.
+    pub(crate) fn new(device: &Selector, search: &[Search], scene: &'a SceneFile, schedule: Schedule) -> Self {
+        Self { bench: Bench::new(device, search, scene), schedule }
     }
 
-    /// Does `step`; see [`Take`].
     pub(crate) fn take(&mut self, step: Step, cut_power: &mut dyn FnMut() -> bool) -> Vec<Finding> {
         (step.take)(&mut self.bench, cut_power).unwrap_or_else(|error| {
-            vec![Finding::failed(step.name, with_causes(&error), "reset the board and take this step again")]
+            vec![Finding::failed(step.name, with_causes(error.as_ref()), "reset the board and take this step again")]
         })
     }
 
@@ -203,7 +189,7 @@ impl<'a> BringUp<'a> {
         restored.map_err(|error| {
             Finding::warning(
                 "configuration",
-                with_causes(&error),
+                with_causes(error.as_ref()),
                 "reset the board: it starts with its own configuration",
             )
         })
@@ -221,7 +207,7 @@ mod tests {
             assert_eq!(step.number().to_string().parse::<Step>().unwrap().name, step.name);
         }
         for text in ["0", "11", "Dark", ""] {
-            let error = text.parse::<Step>().unwrap_err().to_string();
+            let error = text.parse::<Step>().unwrap_err();
             assert!(error.contains("crosstalk") && error.contains(text), "{error}");
         }
         assert_eq!(Step::ALL[9].to_string(), "step 10 of 10, storage");

@@ -3,71 +3,30 @@
 
 use std::time::{Duration, Instant};
 
-use slitpose_protocol::{BootTarget, Hashes, Level, Schedule, SettingsSource, Status};
+use anyhow::Result;
+use slitpose_protocol::{BootTarget, Command, Hashes, Level, Schedule, SettingsSource, Status};
 
-use super::bench::{Bench, BenchError, sample};
+use super::bench::{Bench, sample};
 use super::sampling;
 use crate::device::{BoardInfo, Conversation, DeviceError};
-use crate::doctor::{judged, link, measurement};
+use crate::doctor::{judged, link, measurement, named};
 use slitpose_head::causes::with_causes;
 use slitpose_head::finding::Finding;
-use slitpose_head::finding::Grade::{Failed, Warning};
-use slitpose_tracking::link::start_findings;
+use slitpose_head::finding::Grade::Failed;
 
 /// Duration of the measurement, seconds.
 const DURATION_S: f64 = 2.0;
 
-/// What was counted in `DURATION_S`.
-#[derive(Clone, Copy, Debug)]
-struct Counted {
-    scans: usize,
-    missing: u64,
-    elapsed_s: f64,
-    scheduled_hz: f64,
-    lost_on_board: u64,
-    overruns: u32,
-}
-
-pub(super) fn link(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
+pub(super) fn link(bench: &mut Bench<'_>) -> Result<Vec<Finding>> {
     let (mut board, info) = bench.connect()?;
     let (mut findings, _) = link::judge(&info);
-    let configuration = sampling::at(bench.schedule()?, Level(0));
-    let scheduled_hz = configuration.schedule.frame_rate_hz();
-    let before = board.status()?;
-    let sampling = sample(&mut board, configuration, (DURATION_S * scheduled_hz) as usize)?;
-    let after = board.status()?;
-    findings.extend(start_findings(after.clock, after.settings));
-    let lost = |status: &Status| status.scans_dropped + status.scans_lost;
-    findings.extend(judge_link(&Counted {
-        scans: sampling.scans.len(),
-        missing: sampling.missing,
-        elapsed_s: sampling.elapsed_s,
-        scheduled_hz,
-        lost_on_board: lost(&after).saturating_sub(lost(&before)),
-        overruns: after.adc_overruns.saturating_sub(before.adc_overruns),
-    }));
+    let dark = sampling::at(bench.schedule()?, Level(0));
+    let measured = measurement::measure(&mut board, bench.scene, dark, DURATION_S, &mut Vec::new())?;
+    findings.extend(measured.dark_checks());
     Ok(findings)
 }
 
-fn judge_link(counted: &Counted) -> [Finding; 2] {
-    let &Counted { scans, missing, elapsed_s, scheduled_hz, lost_on_board, overruns } = counted;
-    let rate_hz = scans as f64 / elapsed_s;
-    let text = format!("{rate_hz:.0} frames/s by the host's clock, {scheduled_hz:.0} by the schedule; 5 % allowed");
-    let is_off = (rate_hz / scheduled_hz - 1.0).abs() > measurement::RATE_SLACK;
-    // An emulated board, or a busy host, and no fault of the board's clock that keeps poses from coming.
-    let next_step = "lower the load of this host; if it stays so, look at the board's clock (crystal, its load)";
-    let rate = judged("frame rate", text, [(is_off, Warning, next_step)]);
-    let text =
-        format!("{scans} frames, {missing} missing; the board counts {lost_on_board} lost and {overruns} overruns");
-    let is_lossy = missing > 0 || overruns > 0;
-    let by_board =
-        "the host did not read in time, its USB port suspends, or the MCU is overloaded: lower the load of both";
-    let by_cable = "change cable or hub; data lines of USB as short as possible, side by side";
-    let is_by_board = is_lossy && lost_on_board + u64::from(overruns) > 0;
-    [rate, judged("frames", text, [(is_by_board, Failed, by_board), (is_lossy, Failed, by_cable)])]
-}
-
-pub(super) fn supply(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
+pub(super) fn supply(bench: &mut Bench<'_>) -> Result<Vec<Finding>> {
     let status = bench.connect()?.0.status()?;
     Ok(judge_supply(&status).into())
 }
@@ -95,11 +54,12 @@ const SCANS: usize = 40;
 const CLOSED_OWN_PORT: Duration = Duration::from_secs(1);
 const CLOSED_SERIAL: Duration = Duration::from_secs(3);
 
-pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
+pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>> {
     let (mut board, _) = bench.connect()?;
     let configuration = sampling::at(bench.schedule()?, Level::NOMINAL);
     let taken = sample(&mut board, configuration, SCANS)?.scans.len();
-    let mut findings = vec![judge(After::Stop, &[board.status()?, board.status()?], taken)];
+    let when = format!("after {taken} frames and Stop");
+    let mut findings = vec![judge("stop", &when, &[board.status()?, board.status()?])];
     if bench.is_simulated() {
         findings.push(Finding::skipped("port closed", "a simulated board has no port"));
         return Ok(findings);
@@ -107,43 +67,27 @@ pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
     board.start()?;
     while board.listen()? && board.received().is_empty() {}
     board.abandon();
-    let closed = if bench.has_own_port() { CLOSED_OWN_PORT } else { CLOSED_SERIAL };
+    let closed = if bench.contact.has_own_port() { CLOSED_OWN_PORT } else { CLOSED_SERIAL };
     std::thread::sleep(closed);
     let (mut board, _) = bench.connect()?;
     let statuses = [board.status()?, board.status()?];
     // Whatever was found, it is dark now.
     board.stop(crate::device::Keep::Replies)?;
-    findings.push(judge(After::Closed(closed), &statuses, taken));
+    let when = format!("after the port was closed for {} s", closed.as_secs());
+    findings.push(judge("port closed", &when, &statuses));
     Ok(findings)
 }
 
-/// What the emitters should be off after.
-#[derive(Clone, Copy, Debug)]
-enum After {
-    Stop,
-    Closed(Duration),
-}
-
-/// Two successive statuses, and the scans that were taken before.
-fn judge(after: After, statuses: &[Status; 2], taken: usize) -> Finding {
-    let (place, when) = match after {
-        After::Stop => ("stop", format!("after {taken} frames and Stop")),
-        After::Closed(closed) => ("port closed", format!("after the port was closed for {} s", closed.as_secs())),
-    };
-    let [first, second] = statuses;
+/// Two successive statuses, after `when`, which is when the emitters should be off.
+fn judge(place: &'static str, when: &str, [first, second]: &[Status; 2]) -> Finding {
     if first.acquiring || second.acquiring || first.scans_taken != second.scans_taken {
         let frames = second.scans_taken.saturating_sub(first.scans_taken);
         let text = format!("{when} the board is still acquiring: {frames} frames between two statuses");
-        return Finding::failed(
-            place,
-            text,
-            "disconnect the emitters' supply: they may be lit; flash the firmware again, and report it",
-        );
+        let next_step = "disconnect the emitters' supply: they may be lit; flash the firmware again, and report it";
+        return Finding::failed(place, text, next_step);
     }
-    Finding::ok(
-        place,
-        format!("{when} the board is idle, emitters off; confirm 0 V over the 3.3 ohm with an oscilloscope"),
-    )
+    let text = format!("{when} the board is idle, emitters off; confirm 0 V over the 3.3 ohm with an oscilloscope");
+    Finding::ok(place, text)
 }
 
 // What a board has stored before is not overwritten: then its hashes and its schedule must be the same after the cut.
@@ -156,22 +100,10 @@ const LOOK_EVERY: Duration = Duration::from_millis(200);
 /// Timeout of the hello that shows what was stored.
 const HELLO_WITHIN: Duration = Duration::from_secs(1);
 
-#[derive(Clone, Debug, PartialEq)]
-struct Stored {
-    hashes: Hashes,
-    schedule: Schedule,
-}
+/// What a board starts with.
+type Stored = (Hashes, Schedule);
 
-impl From<BoardInfo> for Stored {
-    fn from(info: BoardInfo) -> Self {
-        Self { hashes: info.hashes, schedule: info.schedule }
-    }
-}
-
-pub(super) fn take_storage(
-    bench: &mut Bench<'_>,
-    cut_power: &mut dyn FnMut() -> bool,
-) -> Result<Vec<Finding>, BenchError> {
+pub(super) fn take_storage(bench: &mut Bench<'_>, cut_power: &mut dyn FnMut() -> bool) -> Result<Vec<Finding>> {
     if bench.is_simulated() {
         return Ok(vec![Finding::skipped("storage", "a simulated board stores nothing")]);
     }
@@ -180,17 +112,18 @@ pub(super) fn take_storage(
     let (mut board, info) = restart(bench, board)?;
     let had_settings = board.status()?.settings != SettingsSource::Defaults || info.hashes != Hashes::default();
     let before = if had_settings {
-        Stored::from(info)
+        (info.hashes, info.schedule)
     } else {
         // One frame in two: a schedule that no board starts with.
         let schedule = bench.schedule()?;
         board
             .configure(sampling::at(Schedule { frame_ticks: 2 * schedule.frame_ticks, ..schedule }, Level::NOMINAL))?;
         let hashes = Hashes { scene: Some(bench.scene.hash), ..Hashes::default() };
-        if let Err(error) = board.store(hashes) {
+        if let Err(error) = board.order(Command::Store(hashes)) {
             return Ok(vec![refused(&error)]);
         }
-        Stored::from(board.introduce(HELLO_WITHIN)?)
+        let info = board.introduce(HELLO_WITHIN)?;
+        (info.hashes, info.schedule)
     };
     drop(board);
     let is_cut = cut_power();
@@ -200,11 +133,10 @@ pub(super) fn take_storage(
         let (board, _) = bench.connect()?;
         restart(bench, board)?.1
     };
-    let after = Stored::from(after);
-    let mut findings = vec![judge_storage(&before, &after, is_cut)];
+    let mut findings = vec![judge_storage(&before, &(after.hashes, after.schedule), is_cut)];
     if !had_settings {
         let (mut board, _) = bench.connect()?;
-        findings.push(match board.forget_stored() {
+        findings.push(match board.order(Command::Forget) {
             Ok(()) => Finding::ok("forget", "the settings of this test are erased again"),
             Err(error) => {
                 Finding::failed("forget", with_causes(&error), "store the settings of the head: device set --scene")
@@ -214,19 +146,19 @@ pub(super) fn take_storage(
     Ok(findings)
 }
 
-fn restart(bench: &mut Bench<'_>, mut board: Conversation) -> Result<(Conversation, BoardInfo), BenchError> {
-    board.reboot(BootTarget::Firmware)?;
+fn restart(bench: &mut Bench<'_>, mut board: Conversation) -> Result<(Conversation, BoardInfo)> {
+    board.order(Command::Reboot(BootTarget::Firmware))?;
     drop(board);
     std::thread::sleep(DISCONNECTED);
     reconnect(bench)
 }
 
 /// Connects to a board that may take a while to be there.
-fn reconnect(bench: &mut Bench<'_>) -> Result<(Conversation, BoardInfo), BenchError> {
+fn reconnect(bench: &mut Bench<'_>) -> Result<(Conversation, BoardInfo)> {
     let until = Instant::now() + BACK_WITHIN;
     loop {
         match bench.connect() {
-            Err(BenchError::Device(_)) if Instant::now() < until => std::thread::sleep(LOOK_EVERY),
+            Err(error) if error.is::<DeviceError>() && Instant::now() < until => std::thread::sleep(LOOK_EVERY),
             outcome => return outcome,
         }
     }
@@ -240,8 +172,8 @@ fn refused(error: &DeviceError) -> Finding {
 
 fn judge_storage(before: &Stored, after: &Stored, is_cut: bool) -> Finding {
     let how = if is_cut { "the power cut" } else { "a reboot" };
-    let scene = |stored: &Stored| stored.hashes.scene.map_or("none".to_owned(), |hash| format!("{hash:016x}"));
-    let rate = |stored: &Stored| stored.schedule.frame_rate_hz();
+    let scene = |stored: &Stored| stored.0.scene.map_or("none".to_owned(), |hash| format!("{hash:016x}"));
+    let rate = |stored: &Stored| stored.1.frame_rate_hz();
     let text = format!(
         "hash of the scene {}, {:.0} frames/s stored; after {how} {}, {:.0} frames/s",
         scene(before),
@@ -249,13 +181,9 @@ fn judge_storage(before: &Stored, after: &Stored, is_cut: bool) -> Finding {
         scene(after),
         rate(after)
     );
-    if before == after {
-        Finding::ok("storage", text)
-    } else {
-        let next_step = "store once more and take this step again; if settings are lost again, the flash or its supply at \
-                         the cut is at fault: run from the scene file with --scene, and change the MCU";
-        Finding::failed("storage", format!("{text}: settings are lost"), next_step)
-    }
+    let next_step = "store once more and take this step again; if settings are lost again, the flash or its supply at the \
+                     cut is at fault: run from the scene file with --scene, and change the MCU";
+    named("storage", text, &[(before != after, Failed, "settings are lost", next_step)])
 }
 
 #[cfg(test)]
@@ -263,7 +191,7 @@ mod tests {
     use super::*;
     use crate::device::SimulatedDevice;
     use slitpose_head::finding::Grade;
-    use slitpose_head::finding::Grade::{Failed, Ok, Warning};
+    use slitpose_head::finding::Grade::{Failed, Ok};
     use slitpose_head::front_end;
     use slitpose_head::scene_file::WIDE;
 
@@ -276,38 +204,21 @@ mod tests {
     fn a_board_that_goes_on_is_found_by_its_state_or_by_its_count() {
         let idle = status();
         let status = |acquiring, scans_taken| Status { acquiring, scans_taken, ..idle };
-        let grade = |first, second| judge(After::Stop, &[first, second], 40).grade;
+        let grade = |first, second| judge("stop", "after Stop", &[first, second]).grade;
         assert_eq!(grade(status(false, 44), status(false, 44)), Ok);
         assert_eq!(grade(status(true, 44), status(false, 44)), Failed);
         assert_eq!(grade(status(false, 44), status(false, 45)), Failed);
-        let closed = judge(After::Closed(CLOSED_OWN_PORT), &[status(true, 0), status(true, 2_000)], 40);
-        assert!(closed.text.contains("closed for 1 s") && closed.text.contains("2000 frames"), "{closed}");
     }
 
     #[test]
     fn lost_hashes_and_lost_schedules_are_found() {
         let schedule = front_end::configuration(&WIDE.read().unwrap()).unwrap().schedule;
-        let stored = Stored { hashes: Hashes { scene: Some(7), calibration: None }, schedule };
+        let stored = (Hashes { scene: Some(7), calibration: None }, schedule.clone());
         assert_eq!(judge_storage(&stored, &stored, true).grade, Ok);
-        let hashes = Stored { hashes: Hashes::default(), ..stored.clone() };
-        let lost = judge_storage(&stored, &hashes, false);
+        let lost = judge_storage(&stored, &(Hashes::default(), schedule.clone()), false);
         assert!(lost.grade == Failed && lost.text.contains("after a reboot none"), "{lost}");
-        let mut slower = stored.clone();
-        slower.schedule.frame_ticks *= 2;
-        assert_eq!(judge_storage(&stored, &slower, true).grade, Failed);
-    }
-
-    #[test]
-    fn rates_and_losses_are_judged_apart() {
-        let good =
-            Counted { scans: 8_000, missing: 0, elapsed_s: 2.0, scheduled_hz: 4_000.0, lost_on_board: 0, overruns: 0 };
-        let grades = |counted| judge_link(&counted).map(|finding| finding.grade);
-        assert_eq!(grades(good), [Ok, Ok]);
-        assert_eq!(grades(Counted { elapsed_s: 2.2, ..good }), [Warning, Ok]);
-        assert_eq!(grades(Counted { missing: 1, ..good }), [Ok, Failed]);
-        assert_eq!(grades(Counted { overruns: 1, ..good }), [Ok, Failed]);
-        let lossy = judge_link(&Counted { missing: 4, lost_on_board: 4, ..good });
-        assert!(lossy[1].next_step.as_ref().is_some_and(|step| step.contains("host")), "{lossy:?}");
+        let slower = Schedule { frame_ticks: 2 * schedule.frame_ticks, ..schedule };
+        assert_eq!(judge_storage(&stored, &(stored.0, slower), true).grade, Failed);
     }
 
     #[test]

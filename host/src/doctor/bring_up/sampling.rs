@@ -9,9 +9,6 @@ pub(super) struct Sampling {
     pub(super) scaling: AdcScaling,
     /// The scans, without the first ones.
     pub(super) scans: Vec<RawScan>,
-    pub(super) missing: u64,
-    /// Time between the first scan and the last by the host's clock, seconds.
-    pub(super) elapsed_s: f64,
 }
 
 /// Statistics of one word, in codes of one conversion.
@@ -26,7 +23,6 @@ pub(super) struct Codes {
 }
 
 impl Codes {
-    /// Of words of `oversampling` conversions.
     fn of(words: impl Iterator<Item = u16> + Clone, oversampling: u16) -> Self {
         let conversions = f64::from(oversampling);
         let codes = words.clone().map(|word| f64::from(word) / conversions);
@@ -94,7 +90,6 @@ pub(super) fn alone(base: &Schedule) -> Schedule {
     grouped(base, &singles)
 }
 
-/// `schedule` with all emitters at `level`.
 pub(super) fn at(schedule: Schedule, level: Level) -> Configuration {
     let cells = usize::from(schedule.cells);
     let levels = [level; MAX_CELLS].into_iter().take(cells).collect();

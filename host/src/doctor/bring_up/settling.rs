@@ -5,12 +5,15 @@
 //! codes of full scale are left. With one pole that is exact; with those of `firmware/README.md` and a detector of 1.0 µs
 //! it is 0.2 µs late of 13.4 µs.
 
+use anyhow::Result;
 use slitpose_model::Pair;
 use slitpose_protocol::{Level, Schedule};
 
-use super::bench::{Bench, BenchError, least_settling_ticks, sample};
+use super::bench::{Bench, least_settling_ticks, sample};
 use super::sampling;
+use crate::doctor::named;
 use slitpose_head::finding::Finding;
+use slitpose_head::finding::Grade::Warning;
 
 /// Scans of each instant, and of the light long after: its error is in the remainder at all instants.
 const SCANS: usize = 300;
@@ -55,7 +58,7 @@ struct Instant {
     light_a: f64,
 }
 
-pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
+pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>> {
     let expected = bench.expected()?;
     let (mut board, _) = bench.connect()?;
     let base = Schedule { oversampling: 1, ..bench.schedule()? };
@@ -143,20 +146,18 @@ fn judge(cell: usize, settled: Option<Option<f64>>, asked: &Asked) -> Finding {
     );
     let off = time_constant_s / asked.time_constant_s - 1.0;
     let share = settled_s / asked.settling_s;
-    if share > LONG || off > TAU_TOLERANCE {
-        let next_step = format!(
-            "look for a larger R_f or C_f; or set front_end.settling_s = {:.1}e-6 and front_end.time_constant_s = {:.2}e-6",
-            micro(settled_s),
-            micro(time_constant_s)
-        );
+    let is_slow = share > LONG || off > TAU_TOLERANCE;
+    let set = format!("set front_end.settling_s = {:.1}e-6", micro(settled_s));
+    let set_both = format!("{set} and front_end.time_constant_s = {:.2}e-6", micro(time_constant_s));
+    if is_slow {
+        let next_step = format!("look for a larger R_f or C_f; or {set_both}");
         Finding::failed("settling", format!("{text}: the front end is slow"), next_step)
     } else if share > ENOUGH {
-        Finding::warning("settling", text, format!("set front_end.settling_s = {:.1}e-6", micro(settled_s)))
-    } else if off < -TAU_TOLERANCE {
-        let next_step = "is C_f fitted? look for ringing; noise grows with the bandwidth";
-        Finding::warning("settling", format!("{text}: the front end is faster than the scene says"), next_step)
+        Finding::warning("settling", text, set)
     } else {
-        Finding::ok("settling", text)
+        let next_step = "is C_f fitted? look for ringing; noise grows with the bandwidth";
+        let is_fast = off < -TAU_TOLERANCE;
+        named("settling", text, &[(is_fast, Warning, "the front end is faster than the scene says", next_step)])
     }
 }
 
@@ -209,9 +210,9 @@ mod tests {
         for (settled_us, grade) in [
             (11.9, Grade::Ok),
             (13.5, Grade::Ok),
-            (14.5, Grade::Warning),
-            (16.0, Grade::Warning),
-            (9.0, Grade::Warning),
+            (14.5, Warning),
+            (16.0, Warning),
+            (9.0, Warning),
             (17.0, Grade::Failed),
         ] {
             assert_eq!(judged(settled_us).grade, grade, "{settled_us}");
@@ -219,6 +220,6 @@ mod tests {
         let slow = judged(32.4).to_string();
         assert!(slow.contains("left after 32.4 us") && slow.contains("settling_s = 32.4e-6"), "{slow}");
         assert_eq!(judge(0, None, &ASKED).grade, Grade::Failed);
-        assert_eq!(judge(0, Some(None), &ASKED).grade, Grade::Warning);
+        assert_eq!(judge(0, Some(None), &ASKED).grade, Warning);
     }
 }
