@@ -187,27 +187,14 @@ impl AdcScaling {
 
 /// Why an [`AdcScaling`] cannot be used.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum ScalingError {
-    /// The width of a conversion is out of range.
     #[error("a word of 16 bits does not hold sums of {oversampling} conversions of {bits} bits")]
-    Bits {
-        /// Bits of one conversion.
-        bits: u8,
-        /// Conversions in a word.
-        oversampling: u16,
-    },
-    /// The saturation code lies above the top code.
+    Bits { bits: u8, oversampling: u16 },
     #[error("saturation code {saturation_code} lies above the top code {top_code}")]
-    SaturationCode {
-        /// The code given.
-        saturation_code: u16,
-        /// Largest code of one conversion.
-        top_code: u16,
-    },
-    /// The code at zero current is not a finite number.
+    SaturationCode { saturation_code: u16, top_code: u16 },
     #[error("the code at zero current is {0}: give a finite number")]
     ZeroCode(f64),
-    /// The scale is zero or not a finite number.
     #[error("one code is {0} A: give a finite number other than zero")]
     AmperesPerCode(f64),
 }

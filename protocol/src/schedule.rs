@@ -265,72 +265,26 @@ pub enum Quantity {
 /// Why a [`Schedule`] cannot be run. It crosses the wire in a
 /// [`Rejection`](crate::Rejection), variants numbered from 0 in this order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error, Serialize, Deserialize)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum ScheduleError {
-    /// The number of cells is not in 1 to [`MAX_CELLS`].
     #[error("{cells} cells: give 1 to 16")]
-    CellCount {
-        /// Requested number of cells.
-        cells: u8,
-    },
-    /// The number of conversions in a word is not in 1 to [`MAX_OVERSAMPLING`].
+    CellCount { cells: u8 },
     #[error("oversampling {oversampling}: give 1 to 16, the sum must fit a 16-bit word")]
-    Oversampling {
-        /// Requested number of conversions.
-        oversampling: u16,
-    },
-    /// A quantity that divides or advances time is zero.
+    Oversampling { oversampling: u16 },
     #[error("{0:?} is zero ticks or hertz: give at least 1")]
     Zero(Quantity),
-    /// Two slots are dark.
     #[error("slots {first_slot} and {second_slot} are both dark: keep one")]
-    DarkTwice {
-        /// Index of the first dark slot.
-        first_slot: u8,
-        /// Index of the second dark slot.
-        second_slot: u8,
-    },
-    /// A slot lights an emitter that belongs to no cell.
+    DarkTwice { first_slot: u8, second_slot: u8 },
     #[error("slot {slot} lights emitter {emitter}, but there are only {cells} cells")]
-    UnknownEmitter {
-        /// Index of the emitter.
-        emitter: u8,
-        /// Index of the slot.
-        slot: u8,
-        /// Number of cells.
-        cells: u8,
-    },
-    /// An emitter is lit in two slots.
+    UnknownEmitter { emitter: u8, slot: u8, cells: u8 },
     #[error("emitter {emitter} is lit in slots {first_slot} and {second_slot}: keep one")]
-    LitTwice {
-        /// Index of the emitter.
-        emitter: u8,
-        /// Index of the first slot that lights it.
-        first_slot: u8,
-        /// Index of the second slot that lights it.
-        second_slot: u8,
-    },
-    /// An emitter is lit in no slot.
+    LitTwice { emitter: u8, first_slot: u8, second_slot: u8 },
     #[error("emitter {emitter} is lit in no slot: add it to one")]
-    NeverLit {
-        /// Index of the emitter.
-        emitter: u8,
-    },
-    /// Settling and conversions do not fit a slot.
+    NeverLit { emitter: u8 },
     #[error("settling and conversions take {needed_ticks} ticks, a slot has {slot_ticks}")]
-    SlotTooShort {
-        /// Ticks of settling and conversions together.
-        needed_ticks: u64,
-        /// Ticks of a slot.
-        slot_ticks: u32,
-    },
-    /// The slots do not fit a frame.
+    SlotTooShort { needed_ticks: u64, slot_ticks: u32 },
     #[error("the slots take {needed_ticks} ticks, a frame has {frame_ticks}")]
-    FrameTooShort {
-        /// Ticks of all slots together.
-        needed_ticks: u64,
-        /// Ticks of a frame.
-        frame_ticks: u32,
-    },
+    FrameTooShort { needed_ticks: u64, frame_ticks: u32 },
 }
 
 #[cfg(test)]

@@ -35,56 +35,42 @@ const CLOCK_SETTLED_S: f64 = 0.2e-3;
 
 /// Why there is no calibration.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum CalibrateError {
-    /// A scene that cannot be computed.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// An earlier calibration that cannot be continued.
     #[error(transparent)]
     Start(#[from] CalibrationFileError),
-    /// A table.
     #[error(transparent)]
     Table(#[from] TableError),
-    /// Nothing to calibrate with.
     #[error("there is no row of readings; give at least one of --known, --free, --pivot, --stage, --rest with data")]
     NoRows,
-    /// No parameter to be found.
     #[error("the scene's [tolerance] says that every part is known; raise the tolerances of the parts that are not")]
     NothingOpen,
-    /// Rows that lead to no pose: the file, rows that lead to one, all rows, what is known of the head so far, and what to
-    /// do.
     #[error("{0}: only {1} of {2} rows lead to a pose by {3}; {4}")]
     NoPoses(String, usize, usize, &'static str, &'static str),
-    /// Readings of cells that are not those of the scene: what is left of each such cell, between readings and model.
     #[error(
         "no head within the tolerances explains these readings: an adjustment leaves {0} (usual: a few µm and 0.1 %); look for exchanged electrodes or cells, for readings of other instants, for exchanged or reversed axes of poses, at the kind of measurement that each file is, and at these cells in the scene, or take one out of both"
     )]
     ForeignCells(String),
-    /// Rows that most others contradict: the file, so many rows, of all.
     #[error(
         "{0}: {1} of {2} rows contradict the rest, and were left out as outliers: they are not what they are said to be; look at units (step_mm is in millimetres), at instants, and at the kind of measurement (--known, --pivot, --stage, --rest)"
     )]
     ForeignRows(String, usize, usize),
-    /// Poses that are not those of the tool: the file, by how much they err, and that over what is stated.
     #[error(
         "{0}: its poses err by {1}, {2:.0} times what is stated: they are not poses of this tool; look for axes of another order, direction or handedness, for rotations of the other sense, and for another marker, or state how coarse the instrument is (--known-sigma-um, --known-sigma-urad)"
     )]
     ForeignPoses(String, String, f64),
-    /// Light that changes while the data are taken: where, by how much, and what to do.
     #[error("{0}")]
     LightDrift(String),
-    /// A file of poses that do not fix what they have in common.
     #[error(
         "{0}: the tool moves too little to tell anything from; turn it by 10 degrees about two axes, and move it through its workspace"
     )]
     LittleMotion(String),
-    /// An instrument's record that does not fit a capture.
     #[error(transparent)]
     Clock(#[from] ClockError),
-    /// Data that contradict the scene, or each other.
     #[error(transparent)]
     Implausible(#[from] Implausible),
-    /// Normal equations that rounding made singular.
     #[error("the normal equations are singular; give more rows, or smaller tolerances")]
     Singular,
 }

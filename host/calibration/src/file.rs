@@ -19,14 +19,12 @@ const FORMAT: u32 = 1;
 
 /// Why a calibration cannot be used.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum CalibrationFileError {
-    /// The file cannot be read.
     #[error("cannot read the calibration {}; give a file that `slitpose calibrate` wrote", printable(.0))]
     Read(String, #[source] TextFileError),
-    /// The file, what is wrong with it, and the next step.
     #[error("{} {}", printable(.0), .1)]
     Content(String, String),
-    /// A file with parameters that no head can have.
     #[error("{} describes a head that cannot be; calibrate again", printable(.0))]
     Impossible(String, #[source] SceneError),
 }

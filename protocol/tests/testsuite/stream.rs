@@ -149,25 +149,6 @@ proptest! {
         let recovered: Vec<&[u8]> = recovered.iter().map(Vec::as_slice).collect();
         assert_adds_up(&noise, &recovered, &decoder);
     }
-
-    #[test]
-    fn undamaged_nonsense_never_panics(payload in vec(any::<u8>(), 0..200)) {
-        let bytes = packet_of_payload(&payload);
-        let _ = HostDecoder::new().next::<Message>(&mut bytes.as_slice());
-        let _ = HostDecoder::new().next::<Request>(&mut bytes.as_slice());
-    }
-
-    #[test]
-    fn a_batch_and_a_schedule_of_strangers_never_panic(
-        message in messages(),
-        schedule in schedules(),
-    ) {
-        let _ = schedule.validate();
-        let _ = schedule.reference_ticks();
-        if let Message::Batch(batch) = message && let Ok(scans) = batch.scans(&schedule) {
-            prop_assert_eq!(scans.len(), scans.count());
-        }
-    }
 }
 
 fn sample_stream() -> Vec<u8> {

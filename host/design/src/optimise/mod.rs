@@ -20,17 +20,14 @@ pub use search::{Found, Search};
 
 /// Why there is nothing to optimise.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum OptimiseError {
-    /// A scene that cannot be read, or a candidate of the search.
     #[error(transparent)]
     File(#[from] SceneFileError),
-    /// A scene that cannot be computed.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// A search without anything to change.
     #[error("nothing is free to change; give it with --free, such as --free slit_width --free roll")]
     NothingFree,
-    /// A scene's text in which a quantity cannot be set: why, and what to do.
     #[error("{0}{1}")]
     Text(String, String),
 }

@@ -40,14 +40,12 @@ use head::Head;
 
 /// Why a scene cannot be studied.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum ReportError {
-    /// The optics.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// A scene whose poses cannot be studied: why, and what to do.
     #[error("{0}")]
     Poses(String),
-    /// A front end that cannot run.
     #[error(transparent)]
     Timing(#[from] TimingError),
 }

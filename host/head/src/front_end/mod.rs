@@ -28,17 +28,14 @@ const TICK_HZ: u32 = 170_000_000;
 
 /// Why a board cannot run a scene.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum TimingError {
-    /// A scene that has no front end.
     #[error("scene `{0}` has no [front_end], so no board can sample it; add one, or use the shipped scene `wide`")]
     NoFrontEnd(String),
-    /// A scene whose front end no board can have: why, and what to change.
     #[error("scene `{0}`{1}")]
     FrontEnd(String, String),
-    /// Slots that take longer than a frame.
     #[error(transparent)]
     Slots(#[from] SceneFileError),
-    /// A scene with a schedule that no board can run.
     #[error("scene `{0}`: the schedule cannot be run; change [lighting] or [front_end]")]
     Schedule(String, #[source] ScheduleError),
 }

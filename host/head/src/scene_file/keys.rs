@@ -11,8 +11,8 @@ use crate::text_file::TextFileError;
 
 /// Why a scene cannot be had from a file.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum SceneFileError {
-    /// The SCENE argument: there is no such file and no such shipped scene, or the file cannot be read.
     #[error(
         "cannot read scene `{}`; {}give a scene file or a shipped scene ({})",
         printable(.0),
@@ -20,7 +20,6 @@ pub enum SceneFileError {
         shipped_names()
     )]
     Read(String, #[source] TextFileError),
-    /// A place in the text, and what is wrong there, with the next step.
     #[error("{0}: {1}")]
     Content(FilePlace, String),
 }
@@ -140,93 +139,42 @@ impl fmt::Display for KeyPath {
 const OWN: [&str; 6] = ["detector_mm", "x_axis", "normal", "emitter_mm", "emitter_axis", "second_axis_of"];
 
 /// How many of the sections, from the first on, a cell may override key by key.
-const PER_CELL: usize = 6;
+pub(super) const PER_CELL: usize = 6;
 
 /// The three ways to give an emitter's profile, exactly one of which is needed.
 pub(super) const PROFILES: [&str; 3] = ["half_angle_deg", "profile_exponent", "profile"];
 
-/// A section and its keys.
-pub(super) type Section = (&'static str, &'static [&'static str]);
-
-pub(super) const SECTIONS: &[Section] = &[
+/// Sections with their keys.
+pub(super) const SECTIONS: [(&str, &str); 12] = [
     (
         "detector",
-        &[
-            "part",
-            "length_mm",
-            "width_mm",
-            "responsivity_a_per_w",
-            "dark_current_a",
-            "interelectrode_ohm",
-            "saturation_a",
-            "faint_a",
-            "nonlinearity_mm",
-            "electrode_gain",
-        ],
+        "part length_mm width_mm responsivity_a_per_w dark_current_a interelectrode_ohm saturation_a \
+         faint_a nonlinearity_mm electrode_gain",
     ),
-    (
-        "slit",
-        &[
-            "distance_mm",
-            "width_mm",
-            "length_mm",
-            "diameter_mm",
-            "focal_length_mm",
-            "offset_mm",
-            "tilt_deg",
-            "thickness_mm",
-            "mount",
-        ],
-    ),
+    ("slit", "distance_mm width_mm length_mm diameter_mm focal_length_mm offset_mm tilt_deg thickness_mm mount"),
     (
         "emitter",
-        &[
-            "part",
-            "radiant_intensity_w_per_sr",
-            "source_diameter_mm",
-            "half_angle_deg",
-            "profile_exponent",
-            "profile",
-            "profile_radial",
-            "profile_azimuthal",
-        ],
+        "part radiant_intensity_w_per_sr source_diameter_mm half_angle_deg profile_exponent profile \
+         profile_radial profile_azimuthal",
     ),
-    ("window", &["thickness_mm", "refractive_index"]),
-    ("stray", &["current_a", "centre_mm", "linear_a_per_mm", "quadratic_a_per_mm2"]),
-    ("converter", &["full_scale_a", "curve_1_a", "curve_2_a"]),
-    ("noise", &["bandwidth_hz", "temperature_k", "adc_a"]),
+    ("window", "thickness_mm refractive_index"),
+    ("stray", "current_a centre_mm linear_a_per_mm quadratic_a_per_mm2"),
+    ("converter", "full_scale_a curve_1_a curve_2_a"),
+    ("noise", "bandwidth_hz temperature_k adc_a"),
     (
         "front_end",
-        &[
-            "full_scale_a",
-            "adc_bits",
-            "raw_noise_lsb",
-            "oversampling",
-            "time_constant_s",
-            "settling_s",
-            "conversion_s",
-            "frame_rate_hz",
-        ],
+        "full_scale_a adc_bits raw_noise_lsb oversampling time_constant_s settling_s conversion_s \
+         frame_rate_hz",
     ),
-    ("uncertainty", &["emitter_gain_relative", "electrode_gain_relative", "position_mm"]),
+    ("uncertainty", "emitter_gain_relative electrode_gain_relative position_mm"),
     (
         "tolerance",
-        &[
-            "position_mm",
-            "angle_deg",
-            "slit_width_mm",
-            "emitter_angle_deg",
-            "light_level_relative",
-            "emitter_gain_relative",
-            "electrode_gain_relative",
-            "profile_relative",
-            "nonlinearity_mm",
-            "window_mm",
-            "stray_relative",
-        ],
+        "position_mm angle_deg slit_width_mm emitter_angle_deg light_level_relative \
+         emitter_gain_relative electrode_gain_relative profile_relative nonlinearity_mm window_mm \
+         stray_relative",
     ),
-    ("lighting", &["slots"]),
-    ("workspace", &["half_extent_mm", "half_extent_deg"]),
+    ("lighting", "slots"),
+    ("workspace", "half_extent_mm half_extent_deg"),
 ];
 
 /// Keys at the top level, sections included.
@@ -234,12 +182,7 @@ pub(super) fn top() -> Vec<&'static str> {
     ["name"].into_iter().chain(SECTIONS.iter().map(|(section, _)| *section)).chain(["cell"]).collect()
 }
 
-/// Keys of a `[[cell]]`, sections included.
+/// Keys of a `[[cell]]`: its own, and the sections whose keys it may override.
 pub(super) fn of_cell() -> Vec<&'static str> {
-    OWN.into_iter().chain(per_cell().iter().map(|(section, _)| *section)).collect()
-}
-
-/// Sections whose keys a cell may override.
-pub(super) fn per_cell() -> &'static [Section] {
-    &SECTIONS[..PER_CELL]
+    OWN.into_iter().chain(SECTIONS[..PER_CELL].iter().map(|(section, _)| *section)).collect()
 }

@@ -105,14 +105,12 @@ struct Troubled {
 
 /// Why a scene cannot be simulated.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum SimulatorError {
-    /// The schedule.
     #[error(transparent)]
     Timing(#[from] TimingError),
-    /// The optics.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// The firmware's core refuses the configuration.
     #[error("the simulated board refuses the scene's schedule")]
     Refused(#[source] Rejection),
 }

@@ -70,11 +70,10 @@ enum Motion {
 
 /// Why a table is not a path.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum PathError {
-    /// The table itself.
     #[error(transparent)]
     Table(#[from] TableError),
-    /// Time that does not advance: the file, the earlier row's time, and the offending one.
     #[error("{0}: time {2} s follows {1} s; sort the rows by time_s, each time once")]
     Order(String, f64, f64),
 }

@@ -13,17 +13,14 @@ use crate::text_file::{self, TextFileError};
 
 /// Why a table cannot be used.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum TableError {
-    /// The file cannot be opened.
     #[error("cannot read {}; give a CSV file, or - for standard input", printable(.0))]
     Open(String, #[source] TextFileError),
-    /// Reading the file failed on the way, after so many rows of data.
     #[error("reading {0} failed after row {1}")]
     Read(String, u64, #[source] io::Error),
-    /// A place of the file, and what is wrong there, with the next step.
     #[error("{0} {1}")]
     Content(String, String),
-    /// The place of a field that should be a number, and its text.
     #[error("{} `{}` is not a finite number; give one like -1.5 or 2e-6", .0, printable(.1))]
     NotANumber(String, String),
 }

@@ -153,35 +153,6 @@ mod tests {
     }
 
     #[test]
-    fn a_table_of_many_rows_at_a_time_is_that_of_one_row_at_a_time() {
-        let folder = tempfile::tempdir().unwrap();
-        let paths = ["rows.csv", "chunks.csv"].map(|name| folder.path().join(name));
-        let numbers = [Some(0.1), None, Some(-2e-300), Some(4.0)];
-        let start = |path| TableWriter::new(Output::file(path).unwrap(), ["id", "number"]).unwrap();
-        let mut rows = start(&paths[0]);
-        for number in numbers {
-            rows.text("a, b");
-            rows.optional(number);
-            rows.end_row().unwrap();
-        }
-        rows.finish().unwrap();
-        let mut chunks = start(&paths[1]);
-        let starting = chunks.starting();
-        for numbers in numbers.chunks(3) {
-            let mut rows = starting();
-            for number in numbers {
-                rows.text("a, b");
-                rows.optional(*number);
-                rows.end_row();
-            }
-            chunks.append(&rows).unwrap();
-        }
-        chunks.finish().unwrap();
-        let [rows, chunks] = paths.map(|path| std::fs::read_to_string(path).unwrap());
-        assert_eq!(rows, chunks);
-    }
-
-    #[test]
     fn text_of_any_kind_is_kept_also_where_it_is_all_of_a_row() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("text.csv");

@@ -71,12 +71,7 @@ pub enum CaptureError {
          make room there, then record to another file",
         path.display()
     )]
-    Write {
-        path: PathBuf,
-        /// Number of its bytes that are whole.
-        kept_bytes: u64,
-        source: io::Error,
-    },
+    Write { path: PathBuf, kept_bytes: u64, source: io::Error },
     #[error("a report cannot be written as JSON")]
     Report(#[from] serde_json::Error),
     #[error("board {device} is not part of this capture; its scene must be given first")]
@@ -86,12 +81,7 @@ pub enum CaptureError {
     #[error("{} is not a capture but {what}; {next_step}", path.display())]
     Foreign { path: PathBuf, what: &'static str, next_step: &'static str },
     #[error("reading {} failed after {bytes} bytes; copy it from that medium if you can, and read the copy", path.display())]
-    Read {
-        path: PathBuf,
-        /// Number of bytes read.
-        bytes: u64,
-        source: io::Error,
-    },
+    Read { path: PathBuf, bytes: u64, source: io::Error },
 }
 
 /// What a capture has next.

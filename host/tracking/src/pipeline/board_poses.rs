@@ -42,23 +42,18 @@ pub struct Agreement {
 
 /// Why a pose of a board cannot be right.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum PoseFault {
-    /// A number is NaN, infinite, or negative where it must not be.
     #[error("one of its numbers is not finite, or its χ² is negative")]
     Number,
-    /// The quaternion is no rotation.
     #[error("its quaternion is not of length 1")]
     Rotation,
-    /// No covariance has come yet.
     #[error("no covariance has come with it or before")]
     NoCovariance,
-    /// The covariance is none.
     #[error("its covariance is not positive definite")]
     Covariance,
-    /// Cells that the head lacks, or too few.
     #[error("it is said to come from fewer than {MIN_CELLS} cells, or from cells that the head lacks")]
     Cells,
-    /// The head cannot see the tool there.
     #[error("fewer than {MIN_CELLS} of its cells see the tool there")]
     Unseen,
 }

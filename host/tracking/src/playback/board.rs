@@ -223,20 +223,11 @@ pub enum PlaybackError {
     )]
     NoScan { path: PathBuf, bytes: u64, packets: u64, topics: BTreeSet<String> },
     #[error("there is no scan from {from_s} s after the beginning of {} on; begin earlier", path.display())]
-    Beyond {
-        path: PathBuf,
-        /// The beginning asked for, seconds.
-        from_s: f64,
-    },
+    Beyond { path: PathBuf, from_s: f64 },
     #[error("{} has no times to cut it by, as bytes of a port have none; solve it whole", path.display())]
     Timeless { path: PathBuf },
     #[error("--to {to_s} s does not lie behind --from {from_s} s; give a later end")]
-    Range {
-        /// The beginning, seconds.
-        from_s: f64,
-        /// The end, seconds.
-        to_s: f64,
-    },
+    Range { from_s: f64, to_s: f64 },
 }
 
 fn named(topics: &BTreeSet<String>) -> String {

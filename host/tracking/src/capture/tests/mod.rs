@@ -182,37 +182,6 @@ fn record_two(series: &mut CaptureSeries, frames: &[Vec<u8>]) -> Content {
     delivered
 }
 
-#[test]
-fn a_capture_holds_what_was_recorded() {
-    let file = WIDE.read().unwrap();
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("two.mcap");
-    let mut series = CaptureSeries::create(&path, Limits::default(), Existing::Kept, About::default()).unwrap();
-    let delivered = record_two(&mut series, &stream(&file, 1000, true));
-    assert_eq!(series.finish().unwrap(), Recorded { files: 1, dropped_bytes: 0 });
-
-    let (content, end) = read_file(&path);
-    assert!(end.finished && !end.has_loss(), "{end:?}");
-    assert_eq!(content.setups, delivered.setups);
-    assert_eq!(content.setups[0].scene.parse().unwrap().hash, file.hash);
-    for device in [FIRST, SECOND] {
-        assert_eq!(content.bytes(device), delivered.bytes(device));
-        let of_board = |content: &Content| -> Vec<Segment> {
-            let links = content.links.iter().filter(|(of, ..)| *of == Some(device));
-            links.map(|(.., segment)| segment.clone()).collect()
-        };
-        let asked = |content: &Content| -> Vec<Asked> {
-            of_board(content).iter().flat_map(|segment| segment.asked.clone()).collect()
-        };
-        assert_eq!(asked(&content), asked(&delivered));
-        let opened = of_board(&content).iter().map(|segment| segment.opened).collect::<Vec<_>>();
-        assert!(opened[0] && opened.iter().filter(|opened| **opened).count() == 1);
-    }
-    for (_, log_ns, segment) in &content.links {
-        assert!(segment.chunks().next().is_none_or(|(_, at)| at.unwrap().utc_ns == *log_ns));
-    }
-}
-
 fn solve(bytes: &[u8]) -> (Vec<Record>, Pipeline) {
     let mut pipeline = Pipeline::new(WIDE.read().unwrap(), Tier::Paper, SceneMatch::Required);
     let mut records = Vec::new();
