@@ -335,7 +335,6 @@ impl SettingsSource {
     }
 }
 
-/// For people.
 impl fmt::Display for ClockSource {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
@@ -346,7 +345,6 @@ impl fmt::Display for ClockSource {
     }
 }
 
-/// For people.
 impl fmt::Display for SettingsSource {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {

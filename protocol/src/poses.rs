@@ -202,7 +202,6 @@ pub struct PosesBuilder<const BYTES: usize> {
     tick: u64,
     every: u8,
     covariance: Option<[f32; TRIANGLE]>,
-    /// The last one that was told.
     told: [f32; TRIANGLE],
     /// Packets since the last covariance.
     packets: u8,

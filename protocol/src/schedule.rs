@@ -192,24 +192,12 @@ impl Schedule {
         )
     }
 
-    /// Ticks from the frame start to the mean instant of the word of `cell` in `slot`;
-    /// `None` if the schedule lacks the slot or the cell. A multiple of ½, and exact.
-    pub fn sample_ticks(&self, slot: usize, cell: usize) -> Option<f64> {
-        let first = self.first_sample_ticks(slot, cell)?;
+    /// Ticks from the frame start to the mean instant of the lit word of `cell`;
+    /// `None` if its emitter is never lit. A multiple of ½, and exact.
+    pub fn lit_sample_ticks(&self, cell: usize) -> Option<f64> {
+        let first = self.first_sample_ticks(self.lit_slot(cell)?, cell)?;
         let spread = u64::from(self.oversampling.saturating_sub(1)) * u64::from(self.conversion_ticks);
         Some(first as f64 + spread as f64 / 2.0)
-    }
-
-    /// Ticks from the frame start to the mean instant of the lit word of `cell`;
-    /// `None` if its emitter is never lit.
-    pub fn lit_sample_ticks(&self, cell: usize) -> Option<f64> {
-        self.sample_ticks(self.lit_slot(cell)?, cell)
-    }
-
-    /// Ticks from the frame start to the mean instant of the dark word of `cell`;
-    /// `None` without a dark slot.
-    pub fn dark_sample_ticks(&self, cell: usize) -> Option<f64> {
-        self.sample_ticks(self.dark_slot()?, cell)
     }
 
     /// Ticks from the frame start to the reference instant of a scan: the mean of the
@@ -327,7 +315,6 @@ mod tests {
         let first = 5_800 + 2_210 + 4 * 4 * 148;
         assert_eq!(schedule.first_sample_ticks(1, 4), Some(first));
         assert_eq!(schedule.lit_sample_ticks(4), Some(first as f64 + 222.0));
-        assert_eq!(schedule.dark_sample_ticks(0), Some(3.0 * 5_800.0 + 2_432.0));
         // Cells 0 to 5 lie in slots 0, 1, 2, 0, 1, 2: on average slot 1, rank 2½.
         assert_eq!(schedule.reference_ticks(), 5_800.0 + 2_210.0 + 2.5 * 592.0 + 222.0);
         // The 24th conversion of the dark slot.
@@ -348,7 +335,6 @@ mod tests {
         assert_eq!(schedule.lit_sample_ticks(usize::MAX), None);
         schedule.slots.pop();
         assert_eq!(schedule.validate(), Ok(()));
-        assert_eq!(schedule.dark_sample_ticks(0), None);
         assert_eq!(schedule.words_per_scan(), 12);
         // Without it the last is that of cell 5, in slot 2.
         assert_eq!(schedule.last_sample_ticks(), 2 * 5_800 + 2_210 + 23 * 148);

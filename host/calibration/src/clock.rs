@@ -16,8 +16,7 @@ use thiserror::Error;
 use crate::data::{Constraint, Data, Row, compose, inverse};
 use crate::plausibility::{BETTER, UNITS, median};
 use crate::start::{align, first_poses, known_so_far};
-use crate::tables::thinned;
-use crate::tables::{FoundClock, Track};
+use crate::tables::{FoundClock, Track, thinned};
 use crate::{CalibrateError, Calibration};
 
 /// Rows between two orientations that are compared.

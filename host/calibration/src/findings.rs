@@ -9,8 +9,7 @@ use crate::adjust::FIRST_ERROR;
 use crate::data::{Constraint, Data, values_of};
 use crate::pose_error::{COEFFICIENTS, PoseError};
 use crate::prior::Parameter;
-use crate::state::TIER;
-use crate::state::{State, Weights};
+use crate::state::{State, TIER, Weights};
 use crate::{CalibrateError, Calibration};
 
 /// Share of what tolerances do to a cell that no adjustment leaves over: a hundredth is usual, and where cells or electrodes

@@ -172,7 +172,8 @@ fn open_by(parameters: &Parameters, number: usize, nominal: &Scene, poses: &[Pos
     let [mut relative, mut position, mut current] = [0.0; 3];
     for place in parameters.acting_on(cell, number, 0) {
         let parameter = &parameters.entries[place];
-        let adds_current = is_stray(parameter.quantity);
+        let adds_current =
+            matches!(parameter.quantity, Quantity::Stray(_) | Quantity::StrayLevel(_) | Quantity::StrayBalance(_));
         let changed = Some((place, parameter.value + STEP * parameter.sigma));
         let changed = Observer::of(parameters.cell(cell, number, changed))?;
         for (pose, before) in &lit {
@@ -192,11 +193,6 @@ fn open_by(parameters: &Parameters, number: usize, nominal: &Scene, poses: &[Pos
     Ok(ModelError { relative, position_m, current_a })
 }
 
-fn is_stray(quantity: Quantity) -> bool {
-    matches!(quantity, Quantity::Stray(_) | Quantity::StrayLevel(_) | Quantity::StrayBalance(_))
-}
-
-/// One cell on its own.
 struct Observer {
     plan: CompiledScene<f64>,
     half_length_m: f64,

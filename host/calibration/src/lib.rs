@@ -42,15 +42,12 @@ pub use data::{Constraint, Data, Group, Knowledge, Row, compose, inverse, pose_o
 pub use engine::{CalibrateError, Calibrated, Implausible, Progress, Request, calibrate};
 pub use file::{CalibrationFileError, Frames};
 pub use findings::Direction;
-pub use head::uncalibrated;
-pub use head::{Basis, Head};
+pub use head::{Basis, Head, uncalibrated};
 pub use parameter::Quantity;
 pub use plausibility::{Reports, check_poses, median, other_reading};
 pub use pose_error::{KnownPoses, PartCost, PartCosts, PoseRms, part_costs};
-pub use prior::Parameter;
-pub use prior::draw;
-pub use reading::measured_noise;
-pub use reading::{CellValidity, Validity, validity};
+pub use prior::{Parameter, draw};
+pub use reading::{CellValidity, Validity, measured_noise, validity};
 pub use start::align;
 pub use state::Residual;
 

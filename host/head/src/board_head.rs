@@ -59,7 +59,7 @@ mod tests {
             let path = format!("{}/../../tests/data/heads/calibrated_{number}.toml", env!("CARGO_MANIFEST_DIR"));
             let file = SceneFile::open(&path).expect("a scene");
             let scaling = slitpose_firmware::pcb::default_scaling();
-            let bytes = super::encode(&file, &configuration.schedule, &scaling, Hashes::default()).expect("computed");
+            let bytes = encode(&file, &configuration.schedule, &scaling, Hashes::default()).expect("computed");
             println!("calibrated_{number}: {} bytes", bytes.len());
             assert!((3_000..HEAD_BYTES).contains(&bytes.len()));
             let head = Head::decode(&bytes).expect("whole");

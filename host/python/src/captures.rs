@@ -32,7 +32,6 @@ pub(crate) struct Captures {
     is_ended: bool,
 }
 
-/// What one call of `read` gives.
 #[derive(Default)]
 struct Found {
     records: RecordColumns,
@@ -192,7 +191,6 @@ fn hear(
     Ok(())
 }
 
-/// Photocurrents of scans, one a row.
 #[derive(Default)]
 struct CurrentColumns {
     device: Vec<u8>,

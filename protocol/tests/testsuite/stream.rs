@@ -1,6 +1,6 @@
 //! What the decoder makes of streams: whole, cut anywhere, and damaged.
 
-use crate::common::{messages, packet, requests, schedules};
+use crate::common::{messages, packet, requests};
 use proptest::collection::vec;
 use proptest::prelude::*;
 use proptest::sample::Index;
@@ -59,7 +59,6 @@ impl Damage {
         ]
     }
 
-    /// Puts the packet on the stream.
     fn send(&self, packet: &[u8], stream: &mut Vec<u8>) {
         let mut sent = packet.to_vec();
         match self {

@@ -212,7 +212,6 @@ fn the_worst_pose_is_that_of_all_the_workspace() {
     assert!(worst_m <= found.after.sigma_m, "{worst_m}");
 }
 
-/// What `fine` is shipped for.
 #[test]
 fn fine_is_nearly_twice_as_accurate_as_wide() {
     let map = |file: SceneFile| {
@@ -229,7 +228,6 @@ fn fine_is_nearly_twice_as_accurate_as_wide() {
     assert!(fine.share(|view| view.lit == 6) >= 0.999);
 }
 
-/// What `redundant` is shipped for.
 #[test]
 fn redundant_keeps_its_accuracy_whichever_cell_is_dark() {
     let fineness = Fineness { samples: 500, side: 0, behind: 0 };

@@ -20,9 +20,8 @@ pub use close_up::cell_picture;
 pub(crate) use heat::{Heat, heat_picture};
 pub use scene::scene_picture;
 pub use shape::{MaskFrame, mask_half_extents_m};
-pub use style::PlotError;
 pub(crate) use style::three_digits;
-pub use style::{Colour, SOFT_INK, cell_colour};
+pub use style::{Colour, PlotError, SOFT_INK, cell_colour};
 
 #[cfg(test)]
 mod tests {

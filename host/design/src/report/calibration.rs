@@ -4,10 +4,8 @@ use slitpose_calibration::{Calibrated, Calibration, Residual};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_model::Pose;
 
-use super::section::Sheet;
-use super::section::{Report, Section, Table, Value, column, program, scene};
-use crate::plot::curve;
-use crate::plot::{Axis, Chart, CurveStyle};
+use super::section::{Report, Section, Sheet, Table, Value, column, program, scene};
+use crate::plot::{Axis, Chart, CurveStyle, curve};
 
 /// Readings drawn of each cell, at most: more hide each other.
 const DRAWN: usize = 400;

@@ -134,7 +134,6 @@ fn conditions(file: &SceneFile, settings: &Settings) -> Vec<(&'static str, Strin
     ]
 }
 
-/// Conditions under which times were measured.
 fn warnings() -> Vec<String> {
     let slow = format!(
         "This program was built with optimisation level {OPT_LEVEL}{}: its times say little. Build it with \
@@ -149,7 +148,6 @@ fn is_fast(opt_level: &str, debug_checks: bool) -> bool {
     !debug_checks && matches!(opt_level, "2" | "3")
 }
 
-/// The processor's name, from Linux.
 fn processor() -> String {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let name = fs::read_to_string("/proc/cpuinfo").ok().and_then(|text| model_name(&text));

@@ -17,15 +17,11 @@ pub enum SceneFileError {
         "cannot read scene `{}`; {}give a scene file or a shipped scene ({})",
         printable(.0),
         meant(.0),
-        shipped_names()
+        SHIPPED.map(|shipped| shipped.name).join(", ")
     )]
     Read(String, #[source] TextFileError),
     #[error("{0}: {1}")]
     Content(FilePlace, String),
-}
-
-fn shipped_names() -> String {
-    SHIPPED.map(|shipped| shipped.name).join(", ")
 }
 
 /// The shipped scene whose name is spelt almost like `argument`.

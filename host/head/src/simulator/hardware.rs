@@ -16,7 +16,6 @@ use super::electronics::Electronics;
 use super::trajectory::Trajectory;
 use crate::faults::{LightFaults, WordFaults, WordScale};
 
-/// The sensors of a simulated board.
 const HEALTH: Health = Health { supply_v: 3.3, temperature_k: 298.15, cpu_load_permille: 0 };
 
 /// Words in the ring of a converter, as on the board: see `RING_WORDS` in its firmware.

@@ -88,7 +88,6 @@ pub struct SimulatedBoard {
 
 type Core = Board<SimulatedHardware, Box<[u8]>>;
 
-/// A board that faults befall.
 #[derive(Debug)]
 struct Troubled {
     faults: BoardFaults,

@@ -216,7 +216,6 @@ const BOX_RAD: f64 = 0.12;
 /// Legs kept: for poses more than a second back, all legs are planned again.
 const KEPT: usize = 256;
 
-/// A motion from home on.
 #[derive(Clone, Debug)]
 struct Reversals {
     /// The generator at the beginning of the motion.
@@ -241,7 +240,6 @@ impl Reversals {
         Self { random, end_s, shrunk: [DVec3::ONE; 2], plan }
     }
 
-    /// Flies in a smaller box.
     fn shrink(&mut self, by_m: DVec3, by_rad: DVec3) {
         self.shrunk = [by_m, by_rad];
     }

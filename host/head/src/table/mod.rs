@@ -97,7 +97,6 @@ impl PoseColumns {
 /// The least and the greatest number of each column of poses: whether they can be millimetres and radians.
 #[derive(Clone, Copy, Debug)]
 pub struct PoseSizes {
-    /// Each with its row, from 1.
     extremes: [[(f64, u64); 2]; 6],
 }
 

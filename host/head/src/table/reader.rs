@@ -60,7 +60,6 @@ pub struct TableReader {
     csv: csv::Reader<Lines>,
     /// Bytes of the file; `None` if it has no length.
     length: Option<u64>,
-    /// The row that was read last.
     record: StringRecord,
     /// Whether it has not been given out yet.
     waiting: bool,

@@ -15,7 +15,6 @@ pub struct TableWriter {
 /// Rows of a table, written by any thread into memory for [`TableWriter::append`].
 pub struct TableRows {
     text: Vec<u8>,
-    /// Where the row at hand begins.
     begin: usize,
     is_terminal: bool,
 }

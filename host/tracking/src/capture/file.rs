@@ -70,7 +70,6 @@ pub(super) struct CaptureFile<M: Medium> {
     calibrations: BTreeMap<String, Arc<str>>,
     boards: BTreeMap<DeviceId, Board>,
     chunks: u64,
-    /// Time of the last message.
     log_ns: u64,
     message: Vec<u8>,
     links: u32,
@@ -217,7 +216,6 @@ impl<M: Medium> CaptureFile<M> {
         self.write(of.map_or(self.report, |channels| channels.report), 0, log_ns, log_ns)
     }
 
-    /// Writes `self.message`.
     fn write(&mut self, channel_id: u16, sequence: u32, log_ns: u64, publish_ns: u64) -> Result<(), McapError> {
         if self.chunk_bytes == 0 || self.chunk_bytes >= CHUNK_BYTES {
             self.begin_chunk(log_ns)?;

@@ -30,13 +30,11 @@ pub(super) struct Index {
     channels: BTreeMap<u16, Channel>,
     texts: Texts,
     kept_bytes: usize,
-    /// Boards with their last settings.
     setups: BTreeMap<DeviceId, Setup>,
     /// The last settings of each board whose scene or calibration has not been read yet, by number of the board.
     waiting: BTreeMap<String, BTreeMap<String, String>>,
     /// New settings that have not been returned.
     pub(super) ready: VecDeque<Box<Setup>>,
-    /// Names of the first topics.
     pub(super) topics: BTreeSet<String>,
     /// Boards whose last hello has been read: copies of it are skipped.
     greeted: BTreeSet<DeviceId>,
@@ -46,7 +44,6 @@ pub(super) struct Index {
     last_ns: BTreeMap<DeviceId, [u64; 2]>,
     /// Messages of links that stand behind later ones.
     pub(super) unordered_messages: u64,
-    /// Records that are damaged, so far.
     pub(super) damaged_records: u64,
     pub(super) damaged_bytes: u64,
     /// The first settings that cannot be used, though nothing damaged them.

@@ -20,7 +20,6 @@ mod link_bytes;
 mod packets;
 mod place;
 mod reader;
-mod readings;
 mod records;
 mod series;
 mod setup;
@@ -33,8 +32,6 @@ use thiserror::Error;
 pub use link_bytes::{decode as decode_link_bytes, encode as encode_link_bytes};
 pub use place::Existing;
 pub use reader::{CaptureReader, End};
-pub use readings::ReadingsError;
-pub use readings::{Readings, read as readings};
 pub use series::{CaptureSeries, Limits};
 pub use setup::{CapturedBasis, Settings, Setup, SetupError};
 
@@ -86,24 +83,15 @@ pub enum CaptureError {
 
 /// What a capture has next.
 #[derive(Clone, Debug, PartialEq)]
+#[allow(missing_docs, reason = "fields are named by what they are")]
 pub enum Entry {
     /// The setup of a board, before its data.
     Setup(Box<Setup>),
     /// The last hello of a board before the following data; the segment holds its packet.
-    Hello {
-        /// The board.
-        device: DeviceId,
-        /// Time of the message, nanoseconds.
-        log_ns: u64,
-    },
-    /// The segment holds bytes of the link of a board.
-    Link {
-        /// The board; `None` if the file is a plain byte stream.
-        device: Option<DeviceId>,
-        /// UTC of the first read, or the time given by the recorder, nanoseconds; 0 in a plain byte
-        /// stream.
-        log_ns: u64,
-    },
+    Hello { device: DeviceId, log_ns: u64 },
+    /// The segment holds bytes of the link of a board, first read at `log_ns` (UTC, or the time given by the recorder). In a
+    /// plain byte stream there is neither.
+    Link { device: Option<DeviceId>, log_ns: u64 },
 }
 
 /// The bytes of a link: a type of this project, as no standard type keeps the time of each read.

@@ -27,7 +27,6 @@ pub(super) struct Place {
 }
 
 impl Place {
-    /// Creates a file for `path`.
     pub(super) fn create(path: &Path, existing: Existing) -> io::Result<(File, Self)> {
         let replaces = existing == Existing::Replaced && fs::metadata(path).is_ok_and(|found| found.is_file());
         let (file, path, pending) = if replaces {

@@ -53,7 +53,6 @@ struct DeviceStream {
     setup: Setup,
     channels: Channels,
     packets: Packets,
-    /// When it was last heard.
     log_ns: u64,
 }
 
@@ -66,7 +65,6 @@ struct Output {
     next: Option<(PathBuf, u64)>,
     opened: Instant,
     flushed: Instant,
-    /// Flushes so far, in all files.
     flushes: u64,
     recorded: Recorded,
 }

@@ -98,7 +98,6 @@ impl BoardClock {
 /// Tolerance for device times, seconds: they are exact to nanoseconds, and frames are microseconds apart.
 const ROUNDING_S: f64 = 1e-9;
 
-/// Device time since the first scan.
 #[derive(Debug, Default)]
 pub(super) struct Span {
     until_s: Option<f64>,

@@ -38,6 +38,7 @@ pub struct Record {
 
 /// An output of the pipeline.
 #[derive(Debug)]
+#[allow(missing_docs, reason = "fields are named by what they are")]
 pub enum Item<'a> {
     /// A board introduced itself.
     Hello(&'a Hello<'a>),
@@ -48,21 +49,9 @@ pub enum Item<'a> {
     /// The board's own counters.
     Status(&'a Status),
     /// Something happened on the board.
-    Event {
-        /// Its severity.
-        severity: Severity,
-        /// Its time by the board's clock, seconds.
-        device_time_s: f64,
-        /// Its description.
-        text: &'a str,
-    },
-    /// A fault in the stream that a sound board never shows.
-    Oddity {
-        /// Its time by the board's clock, seconds; NaN if unknown.
-        device_time_s: f64,
-        /// The fault.
-        oddity: Oddity,
-    },
+    Event { severity: Severity, device_time_s: f64, text: &'a str },
+    /// A fault in the stream that a sound board never shows; at NaN if its time is not known.
+    Oddity { device_time_s: f64, oddity: Oddity },
     /// The board answered a command.
     Reply(&'a slitpose_protocol::Reply),
 }

@@ -22,8 +22,7 @@ use slitpose_model::{Photocurrents, Tier};
 use slitpose_protocol::{DELIMITER, Decoder, MAX_MESSAGE_BYTES, Message, Status};
 
 pub use board_poses::{Agreement, PoseFault};
-pub use counts::reason;
-pub use counts::{Counts, Outcomes};
+pub use counts::{Counts, Outcomes, reason};
 pub use item::{Item, Oddity, PipelineError, PipelineOptions, PoseSource, Record, SceneMatch};
 pub use session::{check, check_calibration, head_of};
 pub use waiting::{Queue, Scan};

@@ -168,7 +168,6 @@ impl Session {
         f64::from(self.schedule.tick_hz)
     }
 
-    /// Period of the frames, seconds.
     pub(super) fn frame_s(&self) -> f64 {
         self.schedule.frame_rate_hz().recip()
     }

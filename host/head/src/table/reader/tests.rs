@@ -103,18 +103,6 @@ fn messages_name_file_row_line_column_text_and_remedy() {
 }
 
 #[test]
-fn rows_may_be_long_and_have_many_fields() {
-    let names: Vec<String> = (0..200).map(|index| format!("column_{index}")).collect();
-    let long = "x".repeat(5_000);
-    let row = |value: &str| vec![value; names.len()].join(",");
-    let mut table = table(&format!("{}\n{}\n{}", names.join(","), row("2.5"), row(&long))).unwrap();
-    let last = table.column("column_199").unwrap();
-    let rows = table.next_rows(5).unwrap();
-    let found: Vec<&str> = rows.iter().map(|row| row.text(last)).collect();
-    assert!(found == ["2.5", &long]);
-}
-
-#[test]
 fn what_has_no_end_is_refused_before_it_is_all_in_memory() {
     for begin in ["", "id,b\n1,\""] {
         // 16 EiB of no line feed.

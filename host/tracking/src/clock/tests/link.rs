@@ -9,7 +9,6 @@ use rand_distr::{Distribution, Exp};
 use super::*;
 use crate::clock::HostInstant;
 
-/// Ticks a second.
 pub(super) const TICK_HZ: u32 = 170_000_000;
 
 /// Ticks from scan to scan: 4 kHz.
