@@ -305,7 +305,10 @@ pub fn read_tracked(
         next_s = middle(row) + INDEPENDENT * clock.track.usual_s;
         clock.tell(row)
     });
-    data.add_tracked(table, constraint, sigmas, clock, rows);
+    data.add(table, constraint, sigmas, rows);
+    if let Some(group) = data.groups.last_mut() {
+        group.clock = Some(clock);
+    }
     Ok(())
 }
 

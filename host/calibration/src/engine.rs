@@ -120,7 +120,7 @@ pub fn calibrate(
     progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,
 ) -> Result<Calibrated, CalibrateError> {
     let Request { file, data, start, .. } = *request;
-    if data.is_empty() {
+    if data.rows.is_empty() {
         return Err(CalibrateError::NoRows);
     }
     let (parameters, information) = before(file, start)?;
@@ -298,7 +298,7 @@ fn hold_out(
 ) -> Result<bool, CalibrateError> {
     let data = adjustment.data;
     let known: Vec<usize> =
-        (0..data.len()).filter(|&row| weights.poses[row] == 1.0 && data.rows[row].reported().is_some()).collect();
+        (0..data.rows.len()).filter(|&row| weights.poses[row] == 1.0 && data.rows[row].reported().is_some()).collect();
     if known.len() < MIN_HELD_OUT {
         return Ok(false);
     }

@@ -19,8 +19,10 @@ use crate::{Calibration, CalibrationFileError, prior};
 pub struct Head {
     /// The scene; its optics are those that readings are solved with.
     pub file: Arc<SceneFile>,
-    simulated: Arc<SceneFile>,
-    basis: Basis,
+    /// The scene of a simulated head.
+    pub simulated: Arc<SceneFile>,
+    /// What the optics are known by.
+    pub basis: Basis,
 }
 
 /// What the optics of a head are known by.
@@ -69,11 +71,6 @@ impl Head {
         if file.tolerance.is_some() { Self::uncalibrated(file) } else { Ok(file.into()) }
     }
 
-    /// What the optics are known by.
-    pub fn basis(&self) -> &Basis {
-        &self.basis
-    }
-
     /// The calibration, if there is one.
     pub fn calibration(&self) -> Option<&Calibration> {
         match &self.basis {
@@ -89,11 +86,6 @@ impl Head {
             Basis::Tolerances if self.file.tolerance.is_none() => Self::by(Arc::clone(&self.simulated), Basis::Scene),
             _ => self.clone(),
         }
-    }
-
-    /// The scene of a simulated head.
-    pub fn simulated(&self) -> &SceneFile {
-        &self.simulated
     }
 
     /// Completes a solution by [`Self::file`]: its covariance then includes what the calibration left open; without

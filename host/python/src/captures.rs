@@ -205,7 +205,7 @@ struct CurrentColumns {
 impl CurrentColumns {
     fn push(&mut self, device: u8, scan: &Scan, currents: &Photocurrents) {
         self.device.push(device);
-        self.sequence.push(scan.sequence());
+        self.sequence.push(scan.sequence);
         self.time_s.push(scan.device_time_s);
         self.host_utc_ns.push(scan.host_time.map_or(0, |time| time.utc_ns));
         self.cells = self.cells.max(currents.cells.len());

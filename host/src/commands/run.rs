@@ -350,7 +350,7 @@ impl Args {
                 let speed = self.speed.unwrap_or(Speed::Times(1.0));
                 // More boards than numbers share the last one.
                 let number_of_board = u8::try_from(number).unwrap_or(u8::MAX);
-                let simulated = self.tool.device(number_of_board, head.simulated(), tier, duration_s, speed)?;
+                let simulated = self.tool.device(number_of_board, &head.simulated, tier, duration_s, speed)?;
                 let is_simulated = |device: &&String| *device == "sim";
                 let name = match self.device.iter().filter(is_simulated).count() {
                     0 | 1 => device.to_owned(),
@@ -428,7 +428,7 @@ impl Admission {
                 file.origin
             ));
         }
-        let is_uncalibrated = matches!(pipeline::head_of(&self.head, hello).basis(), Basis::Tolerances);
+        let is_uncalibrated = matches!(pipeline::head_of(&self.head, hello).basis, Basis::Tolerances);
         if let (true, Some(hash)) = (is_uncalibrated, hello.hashes.calibration) {
             talk(format_args!(
                 "the board on {name} belongs to the calibration with hash {hash:016x}, and none is given: poses are those \

@@ -299,7 +299,7 @@ mod tests {
     use super::*;
     use slitpose_head::scene_file::WIDE;
     use slitpose_model::Tier;
-    use slitpose_tracking::capture::{About, CaptureReader, Entry, Existing, Limits};
+    use slitpose_tracking::capture::{CaptureReader, Entry, Existing, Limits};
     use slitpose_tracking::link::Segment;
     use slitpose_tracking::pipeline::PipelineOptions;
 
@@ -408,8 +408,8 @@ mod tests {
                     Step::Order(begins) => {
                         let series = begins.then(|| {
                             begun += 1;
-                            let about = About { report_schema: String::new() };
-                            CaptureSeries::create(&path(begun), Limits::default(), Existing::Kept, about).unwrap()
+                            let (limits, schema) = (Limits::default(), String::new());
+                            CaptureSeries::create(&path(begun), limits, Existing::Kept, schema).unwrap()
                         });
                         order.send(series).unwrap();
                         reference.orders.push_back(begins);

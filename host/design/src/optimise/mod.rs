@@ -121,37 +121,21 @@ impl fmt::Display for Excess {
     }
 }
 
-/// The limits that a head does not keep.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Excesses(Vec<Excess>);
-
-impl Excesses {
-    /// Notes that `limit` is passed by `worst`, which is worth `violation`; not if that is zero.
-    pub(super) fn note(&mut self, limit: Limit, violation: f64, worst: f64) {
-        if violation <= 0.0 {
-            return;
+/// Notes that `limit` is passed by `worst`, which is worth `violation`; not if that is zero.
+fn note(excesses: &mut Vec<Excess>, limit: Limit, violation: f64, worst: f64) {
+    if violation <= 0.0 {
+        return;
+    }
+    match excesses.iter_mut().find(|noted| noted.limit == limit) {
+        Some(noted) => {
+            noted.violation += violation;
+            noted.worst = noted.worst.max(worst);
         }
-        match self.0.iter_mut().find(|noted| noted.limit == limit) {
-            Some(noted) => {
-                noted.violation += violation;
-                noted.worst = noted.worst.max(worst);
-            }
-            None => self.0.push(Excess { limit, worst, violation }),
-        }
+        None => excesses.push(Excess { limit, worst, violation }),
     }
+}
 
-    /// Whether all limits are kept.
-    pub fn is_empty(&self) -> bool {
-        self.0.is_empty()
-    }
-
-    /// Each limit that is not kept.
-    pub fn iter(&self) -> impl Iterator<Item = &Excess> {
-        self.0.iter()
-    }
-
-    /// What a search makes least: zero if all are kept.
-    pub(super) fn violation(&self) -> f64 {
-        self.0.iter().map(|excess| excess.violation).sum()
-    }
+/// What a search makes least: zero if all limits are kept.
+fn violation(excesses: &[Excess]) -> f64 {
+    excesses.iter().map(|excess| excess.violation).sum()
 }

@@ -127,7 +127,7 @@ fn limits_are_told_by_how_much_they_are_passed() {
         let found = excesses(values, limits);
         let [excess] = found.iter().collect::<Vec<_>>()[..] else { panic!("{found:?}") };
         assert_eq!(excess.limit, limit, "{found:?}");
-        (excess.worst, found.violation())
+        (excess.worst, violation(&found))
     };
     // Emitters 10 mm before the detector, slits at 5 mm: motions of up to 4 mm along each axis, which the corners of a
     // cube reach, and rotations of 10 mm come nearer than 1 mm.

@@ -191,16 +191,3 @@ pub fn mask_half_extents_m(cell: &Cell) -> DVec2 {
     };
     0.5 * dvec2(cell.slit.width_m, cell.slit.length_m).max(covered) + MARGIN_M
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_hull_leaves_out_what_is_inside() {
-        let square = [dvec2(0.0, 0.0), dvec2(1.0, 0.0), dvec2(1.0, 1.0), dvec2(0.0, 1.0)];
-        let mut points = square.to_vec();
-        points.extend([dvec2(0.5, 0.5), dvec2(0.2, 0.9)]);
-        assert_eq!(hull(&points), square);
-    }
-}

@@ -183,7 +183,7 @@ impl SimulatedBoard {
 
     /// Lets one frame period pass, then [`transmit`](Self::transmit)s.
     pub fn step(&mut self, bytes: &mut Vec<u8>) {
-        self.board.hardware_mut().advance(self.frame_ticks);
+        self.board.hardware_mut().now_ticks += self.frame_ticks;
         let is_busy = self.begin_faults();
         if let Some(troubled) = &mut self.troubled {
             troubled.is_busy = is_busy;
@@ -198,7 +198,7 @@ impl SimulatedBoard {
 
     /// Lets one frame period pass with the link closed.
     pub fn step_closed(&mut self) {
-        self.board.hardware_mut().advance(self.frame_ticks);
+        self.board.hardware_mut().now_ticks += self.frame_ticks;
         if let Some(troubled) = &mut self.troubled {
             (troubled.is_busy, troubled.boots_for) = (false, 0);
         }
@@ -219,9 +219,9 @@ impl SimulatedBoard {
             return troubled.boots_for > 0;
         }
         let hardware = self.board.hardware_mut();
-        let (now, tick_hz) = hardware.clock();
-        if let Some(tick) = hardware.frame_tick() {
-            troubled.clock.take(tick, tick_hz);
+        let (now, tick_hz) = (hardware.now_ticks, hardware.tick_hz);
+        if let Some(run) = &hardware.run {
+            troubled.clock.take(run.next_frame_ticks, tick_hz);
         }
         let Some(time_s) = troubled.clock.at(now, tick_hz) else { return false };
         let trouble = troubled.faults.begin(time_s);
@@ -263,7 +263,7 @@ impl SimulatedBoard {
         }
         self.board.poll(Link::Open);
         let mut packet = [0; MAX_MESSAGE_BYTES];
-        for truth in self.board.hardware_mut().take_truths() {
+        for truth in self.board.hardware_mut().truths.drain(..) {
             if let Ok(packet) = encode(&Message::Truth(truth), &mut packet) {
                 bytes.extend_from_slice(packet);
             }

@@ -125,7 +125,7 @@ impl PoseSizes {
                     "the rotation vector in radians, at most a turn of 6.28; are these degrees?",
                 ));
             }
-            self.include(index, [(*number, row.number_of_row()); 2]);
+            self.include(index, [(*number, row.number); 2]);
         }
         let [tx, ty, tz, rx, ry, rz] = numbers;
         Ok(Pose::from_vectors(DVec3::new(tx, ty, tz) * 1e-3, DVec3::new(rx, ry, rz)))

@@ -63,7 +63,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     if args.tolerance_study.is_some() && map.share(|view| view.sigma.is_some()) == 0.0 {
         return Err(ArgumentError::Poseless { scene: head.file.origin.clone() }.into());
     }
-    let studied = args.tolerance_study.map(|heads| tolerances(head.simulated(), heads, args.seed)).transpose()?;
+    let studied = args.tolerance_study.map(|heads| tolerances(&head.simulated, heads, args.seed)).transpose()?;
     publish(&map_report(&head, &map, studied.as_ref(), schedules.as_ref()), folder.as_ref())?;
     Ok(Outcome::Done)
 }

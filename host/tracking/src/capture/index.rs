@@ -37,7 +37,7 @@ pub(super) struct Index {
     pub(super) ready: VecDeque<Box<Setup>>,
     pub(super) topics: BTreeSet<String>,
     /// Boards whose last hello has been read: copies of it are skipped.
-    greeted: BTreeSet<DeviceId>,
+    pub(super) greeted: BTreeSet<DeviceId>,
     /// Whether settings may be missing, so that later copies must be searched.
     pub(super) misses_settings: bool,
     /// Log time and monotonic time of the last message of each link.
@@ -62,11 +62,6 @@ impl Index {
     pub(super) fn count_damage(&mut self, bytes: u64) {
         self.damaged_records += 1;
         self.damaged_bytes += bytes;
-        self.greeted.clear();
-    }
-
-    /// Lets the next copy of each hello count.
-    pub(super) fn forget_hellos(&mut self) {
         self.greeted.clear();
     }
 

@@ -38,13 +38,6 @@ pub use setup::{CapturedBasis, Settings, Setup, SetupError};
 use crate::link::DeviceId;
 use crate::ros::RosType;
 
-/// Information in a capture about the program that writes it.
-#[derive(Clone, Debug, Default)]
-pub struct About {
-    /// JSON schema of the reports.
-    pub report_schema: String,
-}
-
 /// Why a capture cannot be written or read.
 #[derive(Debug, Error)]
 #[allow(missing_docs, reason = "the texts say what each is, and no other crate can name them")]

@@ -48,7 +48,8 @@ pub(super) struct Records<R> {
     window: Window<R>,
     /// Length of the record returned last.
     given: usize,
-    whole_bytes: u64,
+    /// Bytes up to the end of the last whole record.
+    pub(super) whole_bytes: u64,
     /// End of the bytes that were returned as damaged last.
     damaged_to: u64,
     /// Whether bytes were skipped, so that the checksum over all records is meaningless.
@@ -139,11 +140,6 @@ impl<R: Read> Records<R> {
 
     pub(super) fn position(&self) -> u64 {
         self.window.offset + self.given as u64
-    }
-
-    /// Bytes up to the end of the last whole record.
-    pub(super) fn whole_bytes(&self) -> u64 {
-        self.whole_bytes
     }
 
     fn begin(&mut self) -> io::Result<Option<Next<'static>>> {

@@ -93,7 +93,7 @@ impl Setup {
     /// A board with `head`, recorded by this program.
     pub fn new(device: DeviceId, head: &Head, settings: Settings) -> Self {
         let file = &head.file;
-        let basis = match head.basis() {
+        let basis = match &head.basis {
             Basis::Scene => CapturedBasis::Scene,
             Basis::Tolerances => CapturedBasis::Tolerances,
             Basis::Calibration(calibration) => CapturedBasis::Calibration(CapturedCalibration {

@@ -56,7 +56,6 @@ pub struct Health {
     before: Option<RawScan>,
     taken: u64,
     search: Search,
-    /// Whether the head is known by a calibration.
     /// Of a head that is known by a calibration.
     places: Option<Places>,
     tick_s: f64,

@@ -58,7 +58,8 @@ pub struct Playback {
     segment: Segment,
     turns_ns: [u64; 3],
     start_ns: u64,
-    boards: Vec<Board>,
+    /// The boards so far.
+    pub boards: Vec<Board>,
     /// Boards that the capture names without data.
     unsettled: BTreeSet<DeviceId>,
     /// Names of the first topics of the captures.
@@ -96,11 +97,6 @@ impl Playback {
         let (Some(first), Some(last)) = (files.first(), files.last()) else { return Ok(0.0) };
         let length_ns = files::last_log_ns(last)?.saturating_sub(files::first_log_ns(first)?);
         Ok(length_ns as f64 * 1e-9)
-    }
-
-    /// The boards so far.
-    pub fn boards(&self) -> &[Board] {
-        &self.boards
     }
 
     /// Bytes of the files that have been read.

@@ -47,7 +47,7 @@ pub fn map_report(head: &Head, map: &Map, studied: Option<&Tolerances>, proposed
     ];
     if let Some(calibration) = head.calibration() {
         let said =
-            format!("{}, hash {:016x}: what it leaves open is part of every σ", calibration.id(), calibration.hash());
+            format!("{}, hash {:016x}: what it leaves open is part of every σ", calibration.id, calibration.hash());
         conditions.insert(2, ("calibration", said));
     }
     let mut warnings = Vec::new();

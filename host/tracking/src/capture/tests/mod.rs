@@ -200,7 +200,7 @@ fn what_is_skipped_leaves_its_hello() {
     let frames = stream(&WIDE.read().unwrap(), 400, true);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("one.mcap");
-    let mut series = CaptureSeries::create(&path, Limits::default(), Existing::Kept, About::default()).unwrap();
+    let mut series = CaptureSeries::create(&path, Limits::default(), Existing::Kept, String::new()).unwrap();
     let delivered = record_two(&mut series, &frames);
     series.finish().unwrap();
     let middle = delivered.links[delivered.links.len() / 2].1;
@@ -236,8 +236,9 @@ fn poses_and_reports_are_there_for_other_programs() {
     let mut record = Record { device: FIRST, ..records[20] };
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("poses.mcap");
-    let about = About { report_schema: r#"{"type":"object","properties":{"well":{"type":"boolean"}}}"#.to_owned() };
-    let mut series = CaptureSeries::create(&path, Limits::default(), Existing::Kept, about.clone()).unwrap();
+    let schema_of_reports = r#"{"type":"object","properties":{"well":{"type":"boolean"}}}"#;
+    let mut series =
+        CaptureSeries::create(&path, Limits::default(), Existing::Kept, schema_of_reports.to_owned()).unwrap();
     series.add_device(setup(FIRST), None, 1).unwrap();
     series.pose(&record, 2).unwrap();
     let at = HostTime { monotonic_ns: 7, utc_ns: BEGIN.utc_ns, uncertainty_ns: 8 };
@@ -286,7 +287,7 @@ fn poses_and_reports_are_there_for_other_programs() {
     let schema = mcap::read::Summary::read(&bytes).unwrap().unwrap().attachment_indexes;
     let schema = schema.iter().find(|attachment| attachment.name == "report.schema.json").unwrap();
     let schema = mcap::read::attachment(&bytes, schema).unwrap();
-    assert_eq!((&*schema.data, &*schema.media_type), (about.report_schema.as_bytes(), "application/schema+json"));
+    assert_eq!((&*schema.data, &*schema.media_type), (schema_of_reports.as_bytes(), "application/schema+json"));
 }
 
 #[test]
