@@ -43,9 +43,6 @@ pub struct Batch<'a> {
 
 impl<'a> Batch<'a> {
     /// The scans of the batch, read by the schedule of the same configuration number.
-    ///
-    /// # Errors
-    /// If the batch does not fit this schedule.
     pub fn scans(&self, schedule: &Schedule) -> Result<Scans<'a>, BatchError> {
         let cells = usize::from(schedule.cells);
         if cells == 0 || self.levels.len() != cells {
@@ -289,12 +286,6 @@ mod tests {
             assert_eq!(builder.clone().push(&RawScan::new(cells, has_dark)), fits);
         }
         assert!(builder.push(&scan(8)));
-    }
-
-    /// Two words of two bytes for each of sixteen cells, lit and dark.
-    #[test]
-    fn the_largest_scan_has_128_bytes() {
-        assert_eq!(MAX_SCAN_BYTES, 128);
     }
 
     #[test]

@@ -100,9 +100,6 @@ pub struct Hello<'a> {
 
 impl Hello<'_> {
     /// Checks that every message and command known to both sides has the same layout.
-    ///
-    /// # Errors
-    /// The first kind whose schema keys differ.
     pub fn check_schemas(&self) -> Result<(), SchemaMismatch> {
         self.message_keys.check(&schema::MESSAGES)?;
         self.command_keys.check(&schema::COMMANDS)

@@ -137,9 +137,6 @@ impl AdcScaling {
     }
 
     /// Checks that words, each the sum of `oversampling` conversions, can be converted to currents.
-    ///
-    /// # Errors
-    /// The first contradiction found, with its numbers.
     pub fn validate(&self, oversampling: u16) -> Result<(), ScalingError> {
         if !Self::fits_a_word(self.bits.into(), oversampling.into()) {
             return Err(ScalingError::Bits { bits: self.bits, oversampling });
@@ -251,13 +248,5 @@ mod tests {
         }
         let scaling = AdcScaling { amperes_per_code: 0.0, ..FALLING };
         assert_eq!(scaling.validate(16), Err(ScalingError::AmperesPerCode(0.0)));
-    }
-
-    #[test]
-    fn levels_are_fractions_of_nominal() {
-        assert_eq!(
-            [0, 0x4000, 0x8000, 0xffff].map(|level| Level(level).relative()),
-            [0.0, 0.5, 1.0, 65_535.0 / 32_768.0]
-        );
     }
 }

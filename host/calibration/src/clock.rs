@@ -270,9 +270,6 @@ impl Motion<'_> {
 
 /// Adds the frames of a capture, whose poses the instrument of `table` recorded by its own clock, to `data`; `start` is what
 /// the head is known by if it has been calibrated before.
-///
-/// # Errors
-/// A capture with few poses, a table without times and poses, and a motion that does not tell how the clocks differ.
 pub fn read_tracked(
     file: &SceneFile,
     start: Option<&Calibration>,

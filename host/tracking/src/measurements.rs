@@ -90,9 +90,6 @@ pub enum MeasurementsError {
 impl Measurements {
     /// Reads all of them, of the head of `file`, which may have been calibrated before (`start`); `say` is told what is
     /// remarkable.
-    ///
-    /// # Errors
-    /// Files that cannot be read, or are of another head.
     pub fn read(
         &self,
         file: &SceneFile,
@@ -150,7 +147,7 @@ fn read_capture(
     data: &mut Data,
     say: &mut dyn FnMut(&str),
 ) -> Result<Vec<Row>, MeasurementsError> {
-    let Readings { rows, noise } = readings(Path::new(name), file)?;
+    let (rows, noise) = readings(Path::new(name), file)?;
     data.noise = noise.map(|stated| match measured_noise(&rows, &file.scene, &stated) {
         None => stated,
         Some(ratio) => {
@@ -176,12 +173,6 @@ fn with_noise(file: &SceneFile, data: &mut Data) -> Result<(), TimingError> {
     Ok(())
 }
 
-/// Readings of one board, with the noise of one frame.
-struct Readings {
-    rows: Vec<Row>,
-    noise: Option<Noise>,
-}
-
 /// Photocurrents of one scan, not yet at one instant.
 struct Scan {
     sequence: u64,
@@ -189,11 +180,11 @@ struct Scan {
     pairs: Vec<Option<[f64; 2]>>,
 }
 
-/// Reads the capture at `path` of the head of `file`.
+/// Reads the capture at `path` of the head of `file`: its rows, and the noise of one frame.
 ///
 /// Cells are exposed one after the other; their currents are carried to the reference instant of the frame with the
 /// slope between the frames before and after. Frames at a gap are left out.
-fn readings(path: &Path, file: &SceneFile) -> Result<Readings, MeasurementsError> {
+fn readings(path: &Path, file: &SceneFile) -> Result<(Vec<Row>, Option<Noise>), MeasurementsError> {
     let mut reader = CaptureReader::open(path)?;
     let (mut segment, mut decoder) = (Segment::default(), Decoder::<MAX_MESSAGE_BYTES>::new());
     let (mut device, mut board, mut rows) = (None, None::<Board<'_>>, Vec::new());
@@ -226,7 +217,7 @@ fn readings(path: &Path, file: &SceneFile) -> Result<Readings, MeasurementsError
         }
     }
     match board {
-        Some(Board { noise, .. }) if !rows.is_empty() => Ok(Readings { rows, noise }),
+        Some(Board { noise, .. }) if !rows.is_empty() => Ok((rows, noise)),
         _ => Err(MeasurementsError::NoScan { path: path.to_owned() }),
     }
 }

@@ -71,24 +71,18 @@ impl Default for Limits {
 
 /// The limits by name. Those without a field of [`Limits`] hold for every head.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[allow(missing_docs, reason = "each other is a field of Limits")]
 pub enum Limit {
     /// A frame gives a pose, everywhere in the workspace.
     Pose,
-    /// [`Limits::lit`].
     Lit,
-    /// [`Limits::clearance_m`].
     Clearance,
-    /// [`Limits::radius_m`].
     Radius,
-    /// [`Limits::detector_pitch_m`].
     DetectorPitch,
-    /// [`Limits::emitter_pitch_m`].
     EmitterPitch,
     /// The board can do what the front end and the lighting ask for.
     Board,
-    /// [`Limits::in_scale`].
     InScale,
-    /// [`Limits::crosstalk`].
     Crosstalk,
 }
 

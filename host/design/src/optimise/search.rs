@@ -108,9 +108,6 @@ impl Search {
 
     /// Runs on all cores. `progress` gets the number of candidates evaluated and the least σ so far, metres; `stop` ends
     /// it with the best so far.
-    ///
-    /// # Errors
-    /// A scene that cannot be read or computed as it is; nothing that is free.
     pub fn run(
         &self,
         progress: &mut (dyn FnMut(usize, f64) + Send),

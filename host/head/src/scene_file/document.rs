@@ -5,7 +5,7 @@
 
 use std::ops::Range;
 
-use slitpose_model::{Fault, SceneError};
+use slitpose_model::{Fault, Place, SceneError};
 use toml::Spanned;
 use toml::de::{DeArray, DeInteger, DeTable, DeValue};
 
@@ -301,7 +301,8 @@ impl<'a> Document<'a> {
 
     /// What the model says of a value, at the place of that value, in the file's own unit.
     pub(super) fn optics_error(&self, error: SceneError) -> SceneFileError {
-        let mut path = KeyPath::from(error.place);
+        let Place { cell, section, key } = error.place;
+        let mut path = KeyPath { cell, section, key };
         let diameter = KeyPath { key: "diameter_mm", ..path };
         // The model has the diameter of a hole as its width and length.
         let is_size = path.section == "slit" && matches!(path.key, "width_mm" | "length_mm");

@@ -2,7 +2,6 @@
 
 use std::fmt;
 
-use slitpose_model::Place;
 use thiserror::Error;
 
 use super::SHIPPED;
@@ -90,9 +89,7 @@ impl KeyPath {
     pub(super) const fn of_cell(cell: usize, section: &'static str, key: &'static str) -> Self {
         Self { cell: Some(cell), section, key }
     }
-}
 
-impl KeyPath {
     /// Where to add it, in words.
     pub(super) fn home(&self) -> String {
         match (self.cell, self.section) {
@@ -110,12 +107,6 @@ impl KeyPath {
             Some((_, "deg")) => 1_f64.to_radians(),
             _ => 1.0,
         }
-    }
-}
-
-impl From<Place> for KeyPath {
-    fn from(place: Place) -> Self {
-        Self { cell: place.cell, section: place.section, key: place.key }
     }
 }
 

@@ -108,9 +108,6 @@ impl Default for PoseSizes {
 
 impl PoseSizes {
     /// The pose of a row, whose numbers are counted in.
-    ///
-    /// # Errors
-    /// Fields that are no numbers, and numbers that cannot be millimetres or radians of a rotation vector.
     pub fn pose(&mut self, columns: &PoseColumns, row: &Row<'_>) -> Result<Pose, TableError> {
         let mut numbers = [0.0; 6];
         for (index, (number, column)) in numbers.iter_mut().zip(columns.components).enumerate() {

@@ -208,9 +208,6 @@ pub fn is_capture(path: &Path) -> bool {
 }
 
 /// Refuses a result in the place of something the same command reads, or of another result.
-///
-/// # Errors
-/// If `output` and one of `others` are one file.
 pub fn refuse_twice<'a>(output: &Path, others: impl IntoIterator<Item = &'a Path>) -> Result<(), OutputError> {
     let is_same = |other: &Path| match (fs::metadata(output), fs::metadata(other)) {
         (Ok(a), Ok(b)) => a.is_file() && (a.dev(), a.ino()) == (b.dev(), b.ino()),
@@ -229,33 +226,6 @@ fn is_one_name(a: &Path, b: &Path) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_file_appears_only_when_finished() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("table.csv");
-        let mut output = Output::file(&path).unwrap();
-        output.write_all(b"half").unwrap();
-        output.flush().unwrap();
-        assert!(!path.exists(), "unfinished output stands under its final name");
-        drop(output);
-        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0, "a part was left behind");
-
-        Output::file(&path).unwrap().write_text("whole").unwrap();
-        assert_eq!(fs::read_to_string(&path).unwrap(), "whole");
-        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
-    }
-
-    #[test]
-    fn a_capture_gives_way_to_no_table() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("night.csv");
-        fs::write(&path, [CAPTURE_MAGIC, b"measured"].concat()).unwrap();
-        assert!(matches!(Output::file(&path), Err(OutputError::Capture(of)) if of == path));
-        assert!(matches!(Output::replacing(&path, Replace::Nothing), Err(OutputError::Exists(of)) if of == path));
-        Output::replacing(&path, Replace::Anything).unwrap().write_text("new").unwrap();
-        assert_eq!(fs::read_to_string(&path).unwrap(), "new");
-    }
 
     #[test]
     fn a_file_that_appears_meanwhile_is_kept() {

@@ -208,9 +208,6 @@ impl CaptureSeries {
     }
 
     /// Writes what waits, and ends the last file.
-    ///
-    /// # Errors
-    /// A file that cannot be written.
     pub fn finish(mut self) -> Result<Recorded, CaptureError> {
         for stream in self.devices.values_mut() {
             let message = &mut self.message;

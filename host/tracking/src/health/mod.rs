@@ -80,9 +80,6 @@ impl Health {
     /// solved in `tier`.
     ///
     /// The schedule and the scaling must be valid and have a slot for each of the scene's cells.
-    ///
-    /// # Errors
-    /// If the scene cannot be compiled.
     pub fn new(file: &SceneFile, tier: Tier, schedule: &Schedule, scaling: &AdcScaling) -> Result<Self, SceneError> {
         let exposures_s = Stage::new(file, schedule, scaling).exposures_s();
         let scene = Stage::weighted_scene(file, schedule, scaling);

@@ -93,9 +93,6 @@ impl Pipeline {
 
     /// Decodes and solves a segment as [`push`](Self::push) does. Where reads have instants, and after the first
     /// answered ping, it also finds the host's time of each scan.
-    ///
-    /// # Errors
-    /// As for [`push`](Self::push).
     pub fn feed<E: From<PipelineError>>(
         &mut self,
         segment: &Segment,
@@ -106,9 +103,6 @@ impl Pipeline {
 
     /// Decodes a segment as [`feed`](Self::feed) does, but lets the scans wait for
     /// `solve_next`, `solve_newest` or `skip`.
-    ///
-    /// # Errors
-    /// As for [`push`](Self::push).
     pub fn receive<E: From<PipelineError>>(
         &mut self,
         segment: &Segment,

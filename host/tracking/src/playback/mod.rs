@@ -70,9 +70,6 @@ pub struct Playback {
 
 impl Playback {
     /// The captures `files`, those of a series in their order.
-    ///
-    /// # Errors
-    /// A first file that cannot be read, what is no regular file, a file given twice, and a part that ends before it begins.
     pub fn open(files: Vec<PathBuf>, choice: Choice) -> Result<Self, PlaybackError> {
         choice.check()?;
         files::check(&files)?;
@@ -90,9 +87,6 @@ impl Playback {
     }
 
     /// Time between the first bytes and the last, seconds; reads the last of `files`. Zero where bytes have no times.
-    ///
-    /// # Errors
-    /// A file that cannot be read.
     pub fn length_s(files: &[PathBuf]) -> Result<f64, PlaybackError> {
         let (Some(first), Some(last)) = (files.first(), files.last()) else { return Ok(0.0) };
         let length_ns = files::last_log_ns(last)?.saturating_sub(files::first_log_ns(first)?);

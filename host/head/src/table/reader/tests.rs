@@ -17,17 +17,6 @@ fn first_error(text: &str, column: &str) -> String {
 }
 
 #[test]
-fn columns_are_found_in_any_order_and_extra_ones_ignored() {
-    let mut table = table("extra, b ,id\nx,2.5,first\n\ny, -1e-3,second\n").unwrap();
-    let (id, b) = (table.column("id").unwrap(), table.column("b").unwrap());
-    let row = table.next_row().unwrap().unwrap();
-    assert_eq!((row.text(id), row.number(b).unwrap()), ("first", 2.5));
-    let row = table.next_row().unwrap().unwrap();
-    assert_eq!((row.text(id), row.number(b).unwrap()), ("second", -1e-3));
-    assert!(table.next_row().unwrap().is_none());
-}
-
-#[test]
 fn many_rows_at_a_time_are_those_that_come_one_by_one_up_to_the_same_error() {
     let text = "id, b\n1,2.5\n 2 ,\" -3 \"\n3,x\n4,5\n5\n6,7\n";
     for most in 1..8 {
@@ -120,12 +109,4 @@ fn what_has_no_end_is_refused_before_it_is_all_in_memory() {
     let long = "x".repeat(MAX_ROW_BYTES as usize / 2);
     let mut many = table(&format!("id\n{}", format!("{long}\n").repeat(9))).unwrap();
     assert_eq!([9; 4].map(|most| many.next_rows(most).unwrap().len()), [2; 4]);
-}
-
-#[test]
-fn bytes_that_are_no_text_are_an_error_with_their_row() {
-    let mut table = TableReader::new("poses.csv", io::Cursor::new(b"id,b\n1,2\n\xff,3\n")).unwrap();
-    table.next_row().unwrap();
-    let message = table.next_row().err().unwrap().to_string();
-    assert!(message.contains("row 2 (line 3)") && message.contains("UTF-8"), "{message}");
 }

@@ -289,8 +289,3 @@ fn poses_and_reports_are_there_for_other_programs() {
     let schema = mcap::read::attachment(&bytes, schema).unwrap();
     assert_eq!((&*schema.data, &*schema.media_type), (schema_of_reports.as_bytes(), "application/schema+json"));
 }
-
-#[test]
-fn results_never_take_the_place_of_what_begins_as_the_library_writes_it() {
-    assert_eq!(slitpose_head::table::CAPTURE_MAGIC, mcap::MAGIC);
-}
