@@ -43,9 +43,6 @@ pub struct Batch<'a> {
 
 impl<'a> Batch<'a> {
     /// The scans of the batch, read by the schedule of the same configuration number.
-    ///
-    /// # Errors
-    /// If the batch does not fit this schedule.
     pub fn scans(&self, schedule: &Schedule) -> Result<Scans<'a>, BatchError> {
         let cells = usize::from(schedule.cells);
         if cells == 0 || self.levels.len() != cells {
@@ -107,31 +104,14 @@ fn read_pairs(samples: &[u8], pairs: &mut [WordPair]) {
 
 /// Why a [`Batch`] does not belong to a schedule.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum BatchError {
-    /// The batch has another number of emitters than the schedule has cells.
     #[error("batch with {levels} emitter levels, schedule with {cells} cells (1 to 16)")]
-    Levels {
-        /// Levels in the batch.
-        levels: usize,
-        /// Cells of the schedule.
-        cells: usize,
-    },
-    /// The samples are not a whole number of scans, or none at all.
+    Levels { levels: usize, cells: usize },
     #[error("batch of {bytes} sample bytes, one scan of the schedule takes {scan_bytes}")]
-    Length {
-        /// Bytes of samples.
-        bytes: usize,
-        /// Bytes of one scan by the schedule.
-        scan_bytes: usize,
-    },
-    /// Sequence or tick would exceed 64 bits, which no board reaches.
+    Length { bytes: usize, scan_bytes: usize },
     #[error("batch starts at sequence {sequence}, tick {tick}: past the end of the counters")]
-    Counters {
-        /// Sequence number of the first scan.
-        sequence: u64,
-        /// Device tick of the first scan.
-        tick: u64,
-    },
+    Counters { sequence: u64, tick: u64 },
 }
 
 /// Collects scans into a [`Batch`]; `BYTES` is the capacity for samples.
@@ -306,12 +286,6 @@ mod tests {
             assert_eq!(builder.clone().push(&RawScan::new(cells, has_dark)), fits);
         }
         assert!(builder.push(&scan(8)));
-    }
-
-    /// Two words of two bytes for each of sixteen cells, lit and dark.
-    #[test]
-    fn the_largest_scan_has_128_bytes() {
-        assert_eq!(MAX_SCAN_BYTES, 128);
     }
 
     #[test]

@@ -27,6 +27,7 @@ pub struct Request {
 
 /// A command of a host to a board.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[allow(missing_docs, reason = "fields are named by what they are")]
 pub enum Command {
     /// Send a [`Hello`](crate::Hello).
     Hello,
@@ -38,15 +39,9 @@ pub enum Command {
     /// Replace the configuration; while acquiring, from the next frame on.
     Configure(Configuration),
     /// Send a [`Pong`](crate::Pong).
-    Ping {
-        /// Returned in the pong.
-        token: u32,
-    },
-    /// Blink the indicator light to identify the board.
-    Identify {
-        /// Duration in seconds; 0 ends it.
-        seconds: u8,
-    },
+    Ping { token: u32 },
+    /// Blink the indicator light for so many seconds to identify the board; 0 ends it.
+    Identify { seconds: u8 },
     /// Store the configuration in force and these hashes in flash memory; the board
     /// starts with them from then on. Answered when they are stored.
     Store(Hashes),
@@ -61,10 +56,7 @@ pub enum Command {
     /// Take this as the photocurrent of an electrode at the end of the converters' range, as their front end has it,
     /// from now on; Store keeps it. It replaces the configuration by the same one, so that scans before and after are told
     /// apart, and the board then has no head: its numbers hold for the full scale before.
-    FullScale {
-        /// The photocurrent in picoamperes.
-        full_scale_pa: NonZeroU32,
-    },
+    FullScale { full_scale_pa: NonZeroU32 },
 }
 
 /// Bytes of a head in one command.

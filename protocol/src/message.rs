@@ -100,9 +100,6 @@ pub struct Hello<'a> {
 
 impl Hello<'_> {
     /// Checks that every message and command known to both sides has the same layout.
-    ///
-    /// # Errors
-    /// The first kind whose schema keys differ.
     pub fn check_schemas(&self) -> Result<(), SchemaMismatch> {
         self.message_keys.check(&schema::MESSAGES)?;
         self.command_keys.check(&schema::COMMANDS)
@@ -212,107 +209,50 @@ pub struct Reply {
 /// Why a command was not carried out. The state of the board is unchanged, unless the
 /// variant says otherwise.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error, Serialize, Deserialize)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum Rejection {
-    /// The firmware does not know the command.
     #[error("command kind {kind} is unknown to this firmware: update it")]
-    Unsupported {
-        /// Number of the command's variant.
-        kind: u32,
-    },
-    /// The checksum is right but the fields are not those of the command.
+    Unsupported { kind: u32 },
     #[error("the fields of command kind {kind} cannot be read: compare schema keys")]
-    Malformed {
-        /// Number of the command's variant.
-        kind: u32,
-    },
-    /// The schedule contradicts itself.
+    Malformed { kind: u32 },
     #[error("schedule refused: {0}")]
     Schedule(ScheduleError),
-    /// The levels do not match the cells of the schedule.
     #[error("{levels} emitter levels for {cells} cells: give one a cell")]
-    Levels {
-        /// Levels given.
-        levels: u8,
-        /// Cells of the schedule.
-        cells: u8,
-    },
-    /// The schedule counts in other ticks than the board.
+    Levels { levels: u8, cells: u8 },
     #[error("schedule in ticks of {asked_hz} Hz, the board counts {board_hz} Hz")]
-    TickRate {
-        /// Ticks per second of the schedule.
-        asked_hz: u32,
-        /// Ticks per second of the board.
-        board_hz: u32,
-    },
-    /// The hardware refused or failed. Acquisition has stopped and emitters are off.
+    TickRate { asked_hz: u32, board_hz: u32 },
     #[error("hardware: {0}; acquisition has stopped")]
     Hardware(HardwareFault),
-    /// The hardware cannot run the configuration.
     #[error("the board cannot run this: {0}")]
     Unsuited(HardwareFault),
-    /// An earlier Store or Forget has not finished.
     #[error("settings are being stored: wait for the reply")]
     Storing,
-    /// The stored data could not be read back. The data stored before remain, unless a
-    /// Forget failed half-way.
     #[error("settings could not be stored: the board's flash memory does not take them")]
     Storage,
 }
 
 /// The part of a board that failed, or that cannot run a configuration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error, Serialize, Deserialize)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum HardwareFault {
-    /// The timers cannot make the durations of the schedule.
     #[error("the timers cannot make this schedule: change its durations")]
     Timing,
-    /// The converters cannot run with this conversion time.
     #[error("a conversion cannot take {asked_ticks} ticks: the nearest possible is {nearest_ticks}")]
-    Conversion {
-        /// Requested ticks of a conversion.
-        asked_ticks: u32,
-        /// Nearest possible ticks of a conversion.
-        nearest_ticks: u32,
-    },
-    /// The first conversion comes too early to be prepared.
+    Conversion { asked_ticks: u32, nearest_ticks: u32 },
     #[error("settling of {asked_ticks} ticks is too short to start a conversion in: at least {least_ticks}")]
-    Settling {
-        /// Requested ticks of settling.
-        asked_ticks: u32,
-        /// Least possible with this conversion time.
-        least_ticks: u32,
-    },
-    /// The converters cannot sum this many conversions.
+    Settling { asked_ticks: u32, least_ticks: u32 },
     #[error("the converters cannot sum {oversampling} conversions: use a power of two")]
-    Oversampling {
-        /// Requested number of conversions.
-        oversampling: u16,
-    },
-    /// The board has fewer channels than the schedule has cells.
+    Oversampling { oversampling: u16 },
     #[error("{cells} cells asked for, the board has {channels}")]
-    Channels {
-        /// Requested number of cells.
-        cells: u8,
-        /// Number of cells that the board can sample.
-        channels: u8,
-    },
-    /// The emitters cannot be driven at the requested levels.
+    Channels { cells: u8, channels: u8 },
     #[error("the emitters cannot be driven as asked: lower the levels")]
     Emitters,
-    /// Two emitters that are lit together share one source of their level.
     #[error("emitters {first} and {second} share a level and are lit together: give both the same level")]
-    SharedLevel {
-        /// The first emitter.
-        first: u8,
-        /// The second.
-        second: u8,
-    },
-    /// The supply voltage is too low for measurement.
+    SharedLevel { first: u8, second: u8 },
     #[error("the supply is too low: check the cable and the power source")]
     Supply,
-    /// The converters or their data path did not start or stop.
     #[error("the converters do not answer: reset the board")]
     Converters,
-    /// Sequence or tick of a scan went backwards, or a scan has the wrong shape.
     #[error("scan counters are inconsistent: reset the board")]
     Counters,
 }
@@ -392,7 +332,6 @@ impl SettingsSource {
     }
 }
 
-/// For people.
 impl fmt::Display for ClockSource {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
@@ -403,7 +342,6 @@ impl fmt::Display for ClockSource {
     }
 }
 
-/// For people.
 impl fmt::Display for SettingsSource {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {

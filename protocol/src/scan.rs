@@ -137,9 +137,6 @@ impl AdcScaling {
     }
 
     /// Checks that words, each the sum of `oversampling` conversions, can be converted to currents.
-    ///
-    /// # Errors
-    /// The first contradiction found, with its numbers.
     pub fn validate(&self, oversampling: u16) -> Result<(), ScalingError> {
         if !Self::fits_a_word(self.bits.into(), oversampling.into()) {
             return Err(ScalingError::Bits { bits: self.bits, oversampling });
@@ -187,27 +184,14 @@ impl AdcScaling {
 
 /// Why an [`AdcScaling`] cannot be used.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum ScalingError {
-    /// The width of a conversion is out of range.
     #[error("a word of 16 bits does not hold sums of {oversampling} conversions of {bits} bits")]
-    Bits {
-        /// Bits of one conversion.
-        bits: u8,
-        /// Conversions in a word.
-        oversampling: u16,
-    },
-    /// The saturation code lies above the top code.
+    Bits { bits: u8, oversampling: u16 },
     #[error("saturation code {saturation_code} lies above the top code {top_code}")]
-    SaturationCode {
-        /// The code given.
-        saturation_code: u16,
-        /// Largest code of one conversion.
-        top_code: u16,
-    },
-    /// The code at zero current is not a finite number.
+    SaturationCode { saturation_code: u16, top_code: u16 },
     #[error("the code at zero current is {0}: give a finite number")]
     ZeroCode(f64),
-    /// The scale is zero or not a finite number.
     #[error("one code is {0} A: give a finite number other than zero")]
     AmperesPerCode(f64),
 }
@@ -264,13 +248,5 @@ mod tests {
         }
         let scaling = AdcScaling { amperes_per_code: 0.0, ..FALLING };
         assert_eq!(scaling.validate(16), Err(ScalingError::AmperesPerCode(0.0)));
-    }
-
-    #[test]
-    fn levels_are_fractions_of_nominal() {
-        assert_eq!(
-            [0, 0x4000, 0x8000, 0xffff].map(|level| Level(level).relative()),
-            [0.0, 0.5, 1.0, 65_535.0 / 32_768.0]
-        );
     }
 }

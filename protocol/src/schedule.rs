@@ -96,9 +96,6 @@ pub struct Schedule {
 
 impl Schedule {
     /// Checks that the schedule can be run and lights the emitter of every cell.
-    ///
-    /// # Errors
-    /// The first contradiction found, with its numbers.
     pub fn validate(&self) -> Result<(), ScheduleError> {
         self.check_numbers()?;
         self.check_lighting()?;
@@ -192,24 +189,12 @@ impl Schedule {
         )
     }
 
-    /// Ticks from the frame start to the mean instant of the word of `cell` in `slot`;
-    /// `None` if the schedule lacks the slot or the cell. A multiple of ½, and exact.
-    pub fn sample_ticks(&self, slot: usize, cell: usize) -> Option<f64> {
-        let first = self.first_sample_ticks(slot, cell)?;
+    /// Ticks from the frame start to the mean instant of the lit word of `cell`;
+    /// `None` if its emitter is never lit. A multiple of ½, and exact.
+    pub fn lit_sample_ticks(&self, cell: usize) -> Option<f64> {
+        let first = self.first_sample_ticks(self.lit_slot(cell)?, cell)?;
         let spread = u64::from(self.oversampling.saturating_sub(1)) * u64::from(self.conversion_ticks);
         Some(first as f64 + spread as f64 / 2.0)
-    }
-
-    /// Ticks from the frame start to the mean instant of the lit word of `cell`;
-    /// `None` if its emitter is never lit.
-    pub fn lit_sample_ticks(&self, cell: usize) -> Option<f64> {
-        self.sample_ticks(self.lit_slot(cell)?, cell)
-    }
-
-    /// Ticks from the frame start to the mean instant of the dark word of `cell`;
-    /// `None` without a dark slot.
-    pub fn dark_sample_ticks(&self, cell: usize) -> Option<f64> {
-        self.sample_ticks(self.dark_slot()?, cell)
     }
 
     /// Ticks from the frame start to the reference instant of a scan: the mean of the
@@ -265,72 +250,26 @@ pub enum Quantity {
 /// Why a [`Schedule`] cannot be run. It crosses the wire in a
 /// [`Rejection`](crate::Rejection), variants numbered from 0 in this order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error, Serialize, Deserialize)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum ScheduleError {
-    /// The number of cells is not in 1 to [`MAX_CELLS`].
     #[error("{cells} cells: give 1 to 16")]
-    CellCount {
-        /// Requested number of cells.
-        cells: u8,
-    },
-    /// The number of conversions in a word is not in 1 to [`MAX_OVERSAMPLING`].
+    CellCount { cells: u8 },
     #[error("oversampling {oversampling}: give 1 to 16, the sum must fit a 16-bit word")]
-    Oversampling {
-        /// Requested number of conversions.
-        oversampling: u16,
-    },
-    /// A quantity that divides or advances time is zero.
+    Oversampling { oversampling: u16 },
     #[error("{0:?} is zero ticks or hertz: give at least 1")]
     Zero(Quantity),
-    /// Two slots are dark.
     #[error("slots {first_slot} and {second_slot} are both dark: keep one")]
-    DarkTwice {
-        /// Index of the first dark slot.
-        first_slot: u8,
-        /// Index of the second dark slot.
-        second_slot: u8,
-    },
-    /// A slot lights an emitter that belongs to no cell.
+    DarkTwice { first_slot: u8, second_slot: u8 },
     #[error("slot {slot} lights emitter {emitter}, but there are only {cells} cells")]
-    UnknownEmitter {
-        /// Index of the emitter.
-        emitter: u8,
-        /// Index of the slot.
-        slot: u8,
-        /// Number of cells.
-        cells: u8,
-    },
-    /// An emitter is lit in two slots.
+    UnknownEmitter { emitter: u8, slot: u8, cells: u8 },
     #[error("emitter {emitter} is lit in slots {first_slot} and {second_slot}: keep one")]
-    LitTwice {
-        /// Index of the emitter.
-        emitter: u8,
-        /// Index of the first slot that lights it.
-        first_slot: u8,
-        /// Index of the second slot that lights it.
-        second_slot: u8,
-    },
-    /// An emitter is lit in no slot.
+    LitTwice { emitter: u8, first_slot: u8, second_slot: u8 },
     #[error("emitter {emitter} is lit in no slot: add it to one")]
-    NeverLit {
-        /// Index of the emitter.
-        emitter: u8,
-    },
-    /// Settling and conversions do not fit a slot.
+    NeverLit { emitter: u8 },
     #[error("settling and conversions take {needed_ticks} ticks, a slot has {slot_ticks}")]
-    SlotTooShort {
-        /// Ticks of settling and conversions together.
-        needed_ticks: u64,
-        /// Ticks of a slot.
-        slot_ticks: u32,
-    },
-    /// The slots do not fit a frame.
+    SlotTooShort { needed_ticks: u64, slot_ticks: u32 },
     #[error("the slots take {needed_ticks} ticks, a frame has {frame_ticks}")]
-    FrameTooShort {
-        /// Ticks of all slots together.
-        needed_ticks: u64,
-        /// Ticks of a frame.
-        frame_ticks: u32,
-    },
+    FrameTooShort { needed_ticks: u64, frame_ticks: u32 },
 }
 
 #[cfg(test)]
@@ -373,7 +312,6 @@ mod tests {
         let first = 5_800 + 2_210 + 4 * 4 * 148;
         assert_eq!(schedule.first_sample_ticks(1, 4), Some(first));
         assert_eq!(schedule.lit_sample_ticks(4), Some(first as f64 + 222.0));
-        assert_eq!(schedule.dark_sample_ticks(0), Some(3.0 * 5_800.0 + 2_432.0));
         // Cells 0 to 5 lie in slots 0, 1, 2, 0, 1, 2: on average slot 1, rank 2½.
         assert_eq!(schedule.reference_ticks(), 5_800.0 + 2_210.0 + 2.5 * 592.0 + 222.0);
         // The 24th conversion of the dark slot.
@@ -394,7 +332,6 @@ mod tests {
         assert_eq!(schedule.lit_sample_ticks(usize::MAX), None);
         schedule.slots.pop();
         assert_eq!(schedule.validate(), Ok(()));
-        assert_eq!(schedule.dark_sample_ticks(0), None);
         assert_eq!(schedule.words_per_scan(), 12);
         // Without it the last is that of cell 5, in slot 2.
         assert_eq!(schedule.last_sample_ticks(), 2 * 5_800 + 2_210 + 23 * 148);

@@ -98,7 +98,6 @@ impl FreeMotion {
     }
 }
 
-/// A tip in a cone.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Pivot {
     /// The tip in the tool frame, metres.

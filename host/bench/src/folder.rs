@@ -95,26 +95,21 @@ fn write_pose(writer: &mut TableWriter, pose: &Pose) {
 
 /// Why there is no bench.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum BenchError {
-    /// The scene.
     #[error(transparent)]
     SceneFile(#[from] SceneFileError),
-    /// The optics.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// The electronics.
     #[error(transparent)]
     Timing(#[from] TimingError),
-    /// A head that hardly has a usable pose: its seed, the table that was to be made, and how many poses were tried.
     #[error(
         "seed {0}, {1}: none of {2} poses of the workspace has every spot on its detector and every current \
          within the converters' range; give another --seed, a smaller [workspace], or smaller tolerances"
     )]
     Dark(u64, &'static str, usize),
-    /// A folder that holds something.
     #[error("{} holds files already, which may have been measured; give a new folder", printable(&.0.to_string_lossy()))]
     NotEmpty(PathBuf),
-    /// A file that cannot be written.
     #[error(transparent)]
     Output(#[from] OutputError),
 }

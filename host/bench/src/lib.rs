@@ -14,6 +14,5 @@ mod folder;
 mod session;
 
 pub use drawn::{Beyond, DrawnHead, Within};
-pub use folder::BenchError;
-pub use folder::write;
+pub use folder::{BenchError, write};
 pub use session::{Session, Settings, Table};

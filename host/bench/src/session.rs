@@ -7,8 +7,7 @@ use slitpose_head::table::POSE_COLUMNS;
 use slitpose_model::{Pair, Pose};
 
 use crate::BenchError;
-use crate::chance::Chance;
-use crate::chance::{FreeMotion, Pivot, anywhere};
+use crate::chance::{Chance, FreeMotion, Pivot, anywhere};
 use crate::drawn::DrawnHead;
 
 /// Frames that are averaged in a row while the tool rests.
@@ -95,13 +94,8 @@ pub struct Table {
 
 impl Table {
     /// Number of rows.
-    pub fn len(&self) -> usize {
+    pub fn row_count(&self) -> usize {
         self.rows.len()
-    }
-
-    /// Whether there is none.
-    pub fn is_empty(&self) -> bool {
-        self.rows.is_empty()
     }
 }
 
@@ -159,7 +153,6 @@ impl Maker<'_> {
         Some(Row { truth, says, frames, currents: self.head.reading(&clean, frames, &mut self.chance) })
     }
 
-    /// `count` rows at usable poses.
     fn rows(
         &mut self,
         count: usize,

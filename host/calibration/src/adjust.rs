@@ -3,15 +3,13 @@
 use nalgebra::{DMatrix, DVector};
 use slitpose_model::{ModelError, Scene, SceneError};
 
-use crate::Statistics;
-use crate::constraint;
 use crate::data::{Constraint, Data};
 use crate::normal::{Normal, forward, moved, row_terms};
 use crate::parameter::FAMILIES;
 use crate::reading::{directions, whiten, whitener};
 use crate::start::solved;
-use crate::state::{CellSensitivity, sensitivities};
-use crate::state::{State, Weights};
+use crate::state::{CellSensitivity, State, Weights, sensitivities};
+use crate::{Statistics, constraint};
 
 /// Squared normalised residual of a reading (two currents) beyond which it is an outlier: one in 3·10⁶ by chance.
 const READING_LIMIT: f64 = 30.0;

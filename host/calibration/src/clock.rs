@@ -16,8 +16,7 @@ use thiserror::Error;
 use crate::data::{Constraint, Data, Row, compose, inverse};
 use crate::plausibility::{BETTER, UNITS, median};
 use crate::start::{align, first_poses, known_so_far};
-use crate::tables::thinned;
-use crate::tables::{FoundClock, Track};
+use crate::tables::{FoundClock, Track, thinned};
 use crate::{CalibrateError, Calibration};
 
 /// Rows between two orientations that are compared.
@@ -271,9 +270,6 @@ impl Motion<'_> {
 
 /// Adds the frames of a capture, whose poses the instrument of `table` recorded by its own clock, to `data`; `start` is what
 /// the head is known by if it has been calibrated before.
-///
-/// # Errors
-/// A capture with few poses, a table without times and poses, and a motion that does not tell how the clocks differ.
 pub fn read_tracked(
     file: &SceneFile,
     start: Option<&Calibration>,
@@ -306,7 +302,10 @@ pub fn read_tracked(
         next_s = middle(row) + INDEPENDENT * clock.track.usual_s;
         clock.tell(row)
     });
-    data.add_tracked(table, constraint, sigmas, clock, rows);
+    data.add(table, constraint, sigmas, rows);
+    if let Some(group) = data.groups.last_mut() {
+        group.clock = Some(clock);
+    }
     Ok(())
 }
 

@@ -8,7 +8,8 @@ use crate::tables::FoundClock;
 /// Measurements from any number of files.
 #[derive(Clone, Debug, Default)]
 pub struct Data {
-    pub(crate) rows: Vec<Row>,
+    /// All rows.
+    pub rows: Vec<Row>,
     pub(crate) groups: Vec<Group>,
     /// Noise of one frame; `None`: that of the scene.
     pub noise: Option<Noise>,
@@ -114,21 +115,6 @@ impl Data {
         self.groups.push(Group { file: file.to_owned(), constraint, sigma_m, sigma_rad, clock: None, rows });
     }
 
-    /// Adds the rows of a capture whose poses an instrument with a clock of its own recorded.
-    pub(crate) fn add_tracked(
-        &mut self,
-        file: &str,
-        constraint: Constraint,
-        sigmas: [f64; 2],
-        clock: FoundClock,
-        rows: Vec<Row>,
-    ) {
-        self.add(file, constraint, sigmas, rows);
-        if let Some(group) = self.groups.last_mut() {
-            group.clock = Some(clock);
-        }
-    }
-
     /// Puts the clocks of instruments forward by what an adjustment found beyond what was known of them: seconds, and a
     /// share, of each group that has one.
     pub(crate) fn put_forward(&mut self, found: &[Option<[f64; 2]>]) {
@@ -151,21 +137,6 @@ impl Data {
         let kept = |row: usize| row - left_out.partition_point(|&out| out < row);
         data.groups.iter_mut().for_each(|group| group.rows = kept(group.rows.start)..kept(group.rows.end));
         data
-    }
-
-    /// All rows.
-    pub fn rows(&self) -> &[Row] {
-        &self.rows
-    }
-
-    /// Number of rows.
-    pub fn len(&self) -> usize {
-        self.rows.len()
-    }
-
-    /// Whether there is none.
-    pub fn is_empty(&self) -> bool {
-        self.rows.is_empty()
     }
 }
 

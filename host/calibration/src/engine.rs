@@ -35,56 +35,42 @@ const CLOCK_SETTLED_S: f64 = 0.2e-3;
 
 /// Why there is no calibration.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum CalibrateError {
-    /// A scene that cannot be computed.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// An earlier calibration that cannot be continued.
     #[error(transparent)]
     Start(#[from] CalibrationFileError),
-    /// A table.
     #[error(transparent)]
     Table(#[from] TableError),
-    /// Nothing to calibrate with.
     #[error("there is no row of readings; give at least one of --known, --free, --pivot, --stage, --rest with data")]
     NoRows,
-    /// No parameter to be found.
     #[error("the scene's [tolerance] says that every part is known; raise the tolerances of the parts that are not")]
     NothingOpen,
-    /// Rows that lead to no pose: the file, rows that lead to one, all rows, what is known of the head so far, and what to
-    /// do.
     #[error("{0}: only {1} of {2} rows lead to a pose by {3}; {4}")]
     NoPoses(String, usize, usize, &'static str, &'static str),
-    /// Readings of cells that are not those of the scene: what is left of each such cell, between readings and model.
     #[error(
         "no head within the tolerances explains these readings: an adjustment leaves {0} (usual: a few µm and 0.1 %); look for exchanged electrodes or cells, for readings of other instants, for exchanged or reversed axes of poses, at the kind of measurement that each file is, and at these cells in the scene, or take one out of both"
     )]
     ForeignCells(String),
-    /// Rows that most others contradict: the file, so many rows, of all.
     #[error(
         "{0}: {1} of {2} rows contradict the rest, and were left out as outliers: they are not what they are said to be; look at units (step_mm is in millimetres), at instants, and at the kind of measurement (--known, --pivot, --stage, --rest)"
     )]
     ForeignRows(String, usize, usize),
-    /// Poses that are not those of the tool: the file, by how much they err, and that over what is stated.
     #[error(
         "{0}: its poses err by {1}, {2:.0} times what is stated: they are not poses of this tool; look for axes of another order, direction or handedness, for rotations of the other sense, and for another marker, or state how coarse the instrument is (--known-sigma-um, --known-sigma-urad)"
     )]
     ForeignPoses(String, String, f64),
-    /// Light that changes while the data are taken: where, by how much, and what to do.
     #[error("{0}")]
     LightDrift(String),
-    /// A file of poses that do not fix what they have in common.
     #[error(
         "{0}: the tool moves too little to tell anything from; turn it by 10 degrees about two axes, and move it through its workspace"
     )]
     LittleMotion(String),
-    /// An instrument's record that does not fit a capture.
     #[error(transparent)]
     Clock(#[from] ClockError),
-    /// Data that contradict the scene, or each other.
     #[error(transparent)]
     Implausible(#[from] Implausible),
-    /// Normal equations that rounding made singular.
     #[error("the normal equations are singular; give more rows, or smaller tolerances")]
     Singular,
 }
@@ -134,7 +120,7 @@ pub fn calibrate(
     progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,
 ) -> Result<Calibrated, CalibrateError> {
     let Request { file, data, start, .. } = *request;
-    if data.is_empty() {
+    if data.rows.is_empty() {
         return Err(CalibrateError::NoRows);
     }
     let (parameters, information) = before(file, start)?;
@@ -312,7 +298,7 @@ fn hold_out(
 ) -> Result<bool, CalibrateError> {
     let data = adjustment.data;
     let known: Vec<usize> =
-        (0..data.len()).filter(|&row| weights.poses[row] == 1.0 && data.rows[row].reported().is_some()).collect();
+        (0..data.rows.len()).filter(|&row| weights.poses[row] == 1.0 && data.rows[row].reported().is_some()).collect();
     if known.len() < MIN_HELD_OUT {
         return Ok(false);
     }
@@ -353,66 +339,52 @@ fn hold_out(
 
 /// What is wrong with the data of a file, which comes first.
 #[derive(Clone, Debug, Error, PartialEq)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum Implausible {
-    /// A scene that cannot be computed.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// A cell without light, or with too much, in so many rows, of all.
     #[error(
         "{0}: cell {1} sees no light, or more than its saturation_a, in {2} of {3} rows; check that currents are in amperes, its emitter and its detector, or take it out of the scene"
     )]
     Dark(String, usize, usize, usize),
-    /// Both electrodes of a cell exchanged.
     #[error(
         "{0}: the electrodes of cell {1} look exchanged: I_X1 behaves like I_X2; exchange the columns i_x1_{1}_a and i_x2_{1}_a, the wires, or turn the cell's x_axis"
     )]
     Electrodes(String, usize),
-    /// Columns of a cell that look like those of another cell.
     #[error("{0}: the currents of cell {1} look like those of cell {2}; exchange the columns or the wires")]
     Cells(String, usize, usize),
-    /// Lengths that look like another unit, and how many times smaller the spots' distances are then.
     #[error("{0}: tx_mm, ty_mm and tz_mm are millimetres, but are these {1}? Then the data fit {2:.0} times as well")]
     Lengths(String, &'static str, f64),
-    /// Rotations that look like another form, and how many times smaller the spots' distances are then.
     #[error(
         "{0}: rx_rad, ry_rad and rz_rad are rotation vectors in radians, but are these {1}? Then the data fit {2:.1} times as well; convert them"
     )]
     Rotations(String, String, f64),
-    /// Many poses far from where the light has the tool: so many, of all, and the first of them.
     #[error(
         "{0}: {1} of {2} poses are not where the light has the tool: {3}; remove rows in which the instrument had lost its marker, check that each pose is of the same instant as its currents"
     )]
     Outliers(String, usize, usize, String),
-    /// Axes of another order, direction or handedness, or rotations of the other sense: what translations and rotation
-    /// vectors become, and how many times smaller the spots' distances are then.
     #[error(
         "{0}: the axes of the poses look exchanged or reversed: the data fit {3:.0} times as well if tx_mm, ty_mm, tz_mm become ({1}), and rx_rad, ry_rad, rz_rad ({2})"
     )]
     Axes(String, String, String, f64),
-    /// tool_from_base instead of base_from_tool.
     #[error(
         "{0}: the poses look inverted, the base seen from the tool; give the tool seen from the base (base_from_tool)"
     )]
     Inverted(String),
-    /// Poses of other rows, and by how many they are shifted.
     #[error(
         "{0}: the poses look shifted against the currents by {1} rows; pair each pose with the currents of its own instant"
     )]
     Shifted(String, i64),
-    /// Not this head: median distance of the spots, and what is usual, millimetres.
     #[error(
         "{0}: the currents do not belong to this scene: spots are {1:.2} mm from where it has them at the instrument's poses, tolerances explain {2:.2} mm; check the scene and its [tolerance], the frames (--frames own if the instrument has its own) and the order of the cells"
     )]
     OtherScene(String, f64, f64),
-    /// More cells in the table than in the scene, which has so many.
     #[error("{0} has currents of a cell {1}, the scene has the cells 0 to {last}; give the scene of this head", last = .1 - 1)]
     MoreCells(String, usize),
-    /// One measurement given twice, for the second time in this row, from 1.
     #[error(
         "{0}: row {1} repeats an earlier one, currents and pose, to the last digit; a measurement that stands twice counts twice: remove one"
     )]
     Repeated(String, usize),
-    /// A tool that hardly moves: translation, millimetres, and rotation, degrees, root mean square.
     #[error(
         "{0}: the tool moves by {1:.3} mm and turns by {2:.3} degrees (rms) only, too little to tell parts apart; use the whole workspace, a third of it at least"
     )]

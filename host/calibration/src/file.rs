@@ -19,14 +19,12 @@ const FORMAT: u32 = 1;
 
 /// Why a calibration cannot be used.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum CalibrationFileError {
-    /// The file cannot be read.
     #[error("cannot read the calibration {}; give a file that `slitpose calibrate` wrote", printable(.0))]
     Read(String, #[source] TextFileError),
-    /// The file, what is wrong with it, and the next step.
     #[error("{} {}", printable(.0), .1)]
     Content(String, String),
-    /// A file with parameters that no head can have.
     #[error("{} describes a head that cannot be; calibrate again", printable(.0))]
     Impossible(String, #[source] SceneError),
 }
@@ -199,16 +197,11 @@ impl Calibration {
 
     /// Renews text and hash from the numbers.
     pub(crate) fn write(&mut self) {
-        let rest = self.text();
+        let mut rest = String::new();
+        // Writing to a string cannot fail.
+        let _ = self.write_text(&mut rest);
         self.hash = fnv1a_64(rest.as_bytes());
         self.source = format!("hash = \"{:016x}\"\n{rest}", self.hash);
-    }
-
-    fn text(&self) -> String {
-        let mut out = String::new();
-        // Writing to a string cannot fail.
-        let _ = self.write_text(&mut out);
-        out
     }
 
     fn write_text(&self, out: &mut String) -> std::fmt::Result {
@@ -276,7 +269,7 @@ impl Calibration {
         writeln!(out, "[correlation]\nrows = [")?;
         for row in &self.correlation {
             write!(out, "[")?;
-            row.iter().try_for_each(|value| write!(out, "{},", Digits(*value)))?;
+            row.iter().try_for_each(|value| write!(out, "{},", digits(*value)))?;
             writeln!(out, "],")?;
         }
         writeln!(out, "]")
@@ -311,10 +304,6 @@ impl Calibration {
 }
 
 /// A correlation with five digits after the point.
-struct Digits(f64);
-
-impl std::fmt::Display for Digits {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        if self.0.abs() < 5e-6 { f.write_str("0.0") } else { write!(f, "{:.5}", self.0) }
-    }
+fn digits(value: f64) -> String {
+    if value.abs() < 5e-6 { "0.0".to_owned() } else { format!("{value:.5}") }
 }

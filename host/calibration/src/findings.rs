@@ -9,8 +9,7 @@ use crate::adjust::FIRST_ERROR;
 use crate::data::{Constraint, Data, values_of};
 use crate::pose_error::{COEFFICIENTS, PoseError};
 use crate::prior::Parameter;
-use crate::state::TIER;
-use crate::state::{State, Weights};
+use crate::state::{State, TIER, Weights};
 use crate::{CalibrateError, Calibration};
 
 /// Share of what tolerances do to a cell that no adjustment leaves over: a hundredth is usual, and where cells or electrodes
@@ -129,7 +128,7 @@ fn beyond_tolerances(parameters: &[Parameter]) -> Option<String> {
 /// Poses of instruments that were outliers, with how far they are from where the readings have the tool.
 fn poses_left_out(data: &Data, state: &State, weights: &Weights) -> Option<String> {
     let mut left_out = Vec::new();
-    for row in (0..data.len()).filter(|&row| weights.poses[row] < 1.0) {
+    for row in (0..data.rows.len()).filter(|&row| weights.poses[row] < 1.0) {
         let Some(report) = state.reported(data, row) else { continue };
         let (t, r) = state.poses[row].displacement_from(&state.expected(data, row, &report));
         left_out.push(format!("{} by {:.0} µm and {:.1} mrad", data.rows[row].id, t.length() * 1e6, r.length() * 1e3));
@@ -151,7 +150,7 @@ const COVERED: f64 = 0.6;
 /// Axes of the workspace that known poses do not cover.
 fn uncovered(data: &Data, state: &State, weights: &Weights, workspace: &Workspace) -> Option<String> {
     let is_known = |row: &usize| weights.poses[*row] == 1.0 && data.rows[*row].reported().is_some();
-    let values: Vec<[f64; 6]> = (0..data.len()).filter(is_known).map(|row| values_of(&state.poses[row])).collect();
+    let values: Vec<[f64; 6]> = (0..data.rows.len()).filter(is_known).map(|row| values_of(&state.poses[row])).collect();
     let half = [workspace.half_extent_m.to_array(), workspace.half_extent_rad.to_array()].concat();
     let covered = |k: usize| {
         let of = |best: fn(f64, f64) -> f64| values.iter().map(|values| values[k]).reduce(best);

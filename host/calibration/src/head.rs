@@ -19,8 +19,10 @@ use crate::{Calibration, CalibrationFileError, prior};
 pub struct Head {
     /// The scene; its optics are those that readings are solved with.
     pub file: Arc<SceneFile>,
-    simulated: Arc<SceneFile>,
-    basis: Basis,
+    /// The scene of a simulated head.
+    pub simulated: Arc<SceneFile>,
+    /// What the optics are known by.
+    pub basis: Basis,
 }
 
 /// What the optics of a head are known by.
@@ -69,11 +71,6 @@ impl Head {
         if file.tolerance.is_some() { Self::uncalibrated(file) } else { Ok(file.into()) }
     }
 
-    /// What the optics are known by.
-    pub fn basis(&self) -> &Basis {
-        &self.basis
-    }
-
     /// The calibration, if there is one.
     pub fn calibration(&self) -> Option<&Calibration> {
         match &self.basis {
@@ -89,11 +86,6 @@ impl Head {
             Basis::Tolerances if self.file.tolerance.is_none() => Self::by(Arc::clone(&self.simulated), Basis::Scene),
             _ => self.clone(),
         }
-    }
-
-    /// The scene of a simulated head.
-    pub fn simulated(&self) -> &SceneFile {
-        &self.simulated
     }
 
     /// Completes a solution by [`Self::file`]: its covariance then includes what the calibration left open; without
@@ -172,7 +164,8 @@ fn open_by(parameters: &Parameters, number: usize, nominal: &Scene, poses: &[Pos
     let [mut relative, mut position, mut current] = [0.0; 3];
     for place in parameters.acting_on(cell, number, 0) {
         let parameter = &parameters.entries[place];
-        let adds_current = is_stray(parameter.quantity);
+        let adds_current =
+            matches!(parameter.quantity, Quantity::Stray(_) | Quantity::StrayLevel(_) | Quantity::StrayBalance(_));
         let changed = Some((place, parameter.value + STEP * parameter.sigma));
         let changed = Observer::of(parameters.cell(cell, number, changed))?;
         for (pose, before) in &lit {
@@ -192,11 +185,6 @@ fn open_by(parameters: &Parameters, number: usize, nominal: &Scene, poses: &[Pos
     Ok(ModelError { relative, position_m, current_a })
 }
 
-fn is_stray(quantity: Quantity) -> bool {
-    matches!(quantity, Quantity::Stray(_) | Quantity::StrayLevel(_) | Quantity::StrayBalance(_))
-}
-
-/// One cell on its own.
 struct Observer {
     plan: CompiledScene<f64>,
     half_length_m: f64,

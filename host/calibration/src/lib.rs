@@ -42,15 +42,12 @@ pub use data::{Constraint, Data, Group, Knowledge, Row, compose, inverse, pose_o
 pub use engine::{CalibrateError, Calibrated, Implausible, Progress, Request, calibrate};
 pub use file::{CalibrationFileError, Frames};
 pub use findings::Direction;
-pub use head::uncalibrated;
-pub use head::{Basis, Head};
+pub use head::{Basis, Head, uncalibrated};
 pub use parameter::Quantity;
 pub use plausibility::{Reports, check_poses, median, other_reading};
 pub use pose_error::{KnownPoses, PartCost, PartCosts, PoseRms, part_costs};
-pub use prior::Parameter;
-pub use prior::draw;
-pub use reading::measured_noise;
-pub use reading::{CellValidity, Validity, validity};
+pub use prior::{Parameter, draw};
+pub use reading::{CellValidity, Validity, measured_noise, validity};
 pub use start::align;
 pub use state::Residual;
 
@@ -60,22 +57,29 @@ use prior::Parameters;
 /// The parameters of one head, from measurements on it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Calibration {
-    id: String,
-    date: Option<String>,
+    /// A word that tells calibrations apart.
+    pub id: String,
+    /// When the data were taken, if that is known.
+    pub date: Option<String>,
     origin: String,
     source: String,
     hash: u64,
     scene_name: String,
     scene_source: String,
     scene_hash: u64,
-    statistics: Statistics,
-    weak: Vec<String>,
-    frames: Vec<Frames>,
-    clocks: Vec<Clock>,
+    /// How well the data fit.
+    pub statistics: Statistics,
+    /// What the data left open, in words.
+    pub weak: Vec<String>,
+    /// Where the frames of instruments lie.
+    pub frames: Vec<Frames>,
+    /// How the clocks of instruments differ from the board's.
+    pub clocks: Vec<Clock>,
     parameters: Parameters,
     /// Below the diagonal, row by row.
     correlation: Vec<Vec<f64>>,
-    model_errors: Vec<ModelError>,
+    /// What each cell does beyond the model.
+    pub model_errors: Vec<ModelError>,
     pose_error: PoseError,
 }
 
@@ -102,16 +106,6 @@ pub struct Statistics {
 }
 
 impl Calibration {
-    /// A word that tells calibrations apart.
-    pub fn id(&self) -> &str {
-        &self.id
-    }
-
-    /// When the data were taken, if that is known.
-    pub fn date(&self) -> Option<&str> {
-        self.date.as_deref()
-    }
-
     /// The file it was read from, for messages.
     pub fn origin(&self) -> &str {
         &self.origin
@@ -127,45 +121,15 @@ impl Calibration {
         self.hash
     }
 
-    /// Hash of the scene it was made with; see [`SceneFile::hash`].
-    pub fn scene_hash(&self) -> u64 {
-        self.scene_hash
-    }
-
     /// The scene it was made with.
     pub fn scene_file(&self) -> Result<SceneFile, slitpose_head::scene_file::SceneFileError> {
         SceneFile::parse(&self.scene_name, &self.scene_source)
-    }
-
-    /// How well the data fit.
-    pub fn statistics(&self) -> &Statistics {
-        &self.statistics
     }
 
     /// Names it by its numbers: eight hexadecimal digits.
     fn name_by_parameters(&mut self) {
         let values: Vec<u8> = self.parameters.entries.iter().flat_map(|entry| entry.value.to_le_bytes()).collect();
         self.id = format!("{:08x}", slitpose_head::scene_file::fnv1a_64(&values) >> 32);
-    }
-
-    /// What the data left open, in words.
-    pub fn weak(&self) -> &[String] {
-        &self.weak
-    }
-
-    /// Where the frames of instruments lie.
-    pub fn frames(&self) -> &[Frames] {
-        &self.frames
-    }
-
-    /// How the clocks of instruments differ from the board's.
-    pub fn clocks(&self) -> &[Clock] {
-        &self.clocks
-    }
-
-    /// What each cell does beyond the model.
-    pub fn model_errors(&self) -> &[ModelError] {
-        &self.model_errors
     }
 
     /// All parameters.

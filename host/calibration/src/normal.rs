@@ -10,8 +10,7 @@ use slitpose_model::Pose;
 use crate::constraint::{self, RESIDUALS, VAGUE};
 use crate::data::Data;
 use crate::reading::{whiten, whitener};
-use crate::state::CellSensitivity;
-use crate::state::{State, Weights};
+use crate::state::{CellSensitivity, State, Weights};
 
 /// Rows whose contributions are multiplied at once: bounds memory.
 const CHUNK: usize = 256;
@@ -31,7 +30,6 @@ pub(crate) struct Normal {
     pub(crate) rows: Vec<Option<RowFactor>>,
     /// M of all rows side by side: six columns a row.
     pub(crate) coupling: DMatrix<f64>,
-    /// What they were made of.
     pub(crate) cells: Vec<CellSensitivity>,
 }
 

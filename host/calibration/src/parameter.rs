@@ -128,7 +128,6 @@ static KINDS: [Kind; 23] = {
 pub(crate) const FAMILIES: usize = 9;
 
 impl fmt::Display for Quantity {
-    /// The name in a calibration file.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (kind, term) = self.kind();
         write!(f, "{}{}{term}", kind.name, if term.is_empty() { "" } else { "_" })

@@ -16,7 +16,6 @@ pub(crate) const UNITS: [(f64, &str); 4] =
 /// Rows of a group that are looked at.
 const SAMPLE: usize = 60;
 
-/// Fewest rows that say anything.
 const LEAST: usize = 8;
 
 /// How much nearer spots must be to where another reading of the data has them, for that to be what the data are.
@@ -385,7 +384,6 @@ fn best_reading(file: &str, reports: &[Pose], miss: &dyn Fn(Reports<'_>) -> f64)
     (as_given, best.1)
 }
 
-/// The middle of each coordinate.
 pub(crate) fn middle(points: &[DVec3]) -> DVec3 {
     DVec3::from_array(std::array::from_fn(|axis| median(points.iter().map(|point| point[axis]).collect())))
 }

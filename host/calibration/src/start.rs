@@ -236,7 +236,6 @@ fn translations(pairs: &[(Pose, Pose)], x: DQuat) -> Option<[DVec3; 2]> {
     Some([DVec3::new(found[0], found[1], found[2]), DVec3::new(found[3], found[4], found[5])])
 }
 
-/// The Gauss–Newton step of both transforms.
 fn refinement(pairs: &[(Pose, Pose)], [x, y]: &[Pose; 2]) -> Option<[f64; 12]> {
     const STEP: f64 = 1e-6;
     let residual = |x: &Pose, y: &Pose, (p, m): &(Pose, Pose)| {

@@ -66,7 +66,6 @@ impl State {
         }
     }
 
-    /// The head, with its model errors.
     pub(crate) fn scene(&self, nominal: &Scene) -> Scene {
         let mut scene = self.parameters.scene(nominal);
         for (cell, error) in scene.cells.iter_mut().zip(&self.model_errors) {
@@ -133,7 +132,6 @@ impl State {
         self.parameters.entries.len() + self.unknowns[..group].iter().map(Vec::len).sum::<usize>()
     }
 
-    /// Parameters, and unknowns of all groups.
     pub(crate) fn unknown_count(&self) -> usize {
         self.first_unknown(self.unknowns.len())
     }
@@ -164,7 +162,6 @@ pub(crate) struct CellSensitivity {
     pub(crate) acting: Vec<usize>,
     /// Currents above dark; `None`: no direct light reaches the detector.
     pub(crate) pairs: Vec<Option<[f64; 2]>>,
-    /// Derivatives by the pose's perturbation.
     pub(crate) by_pose: Vec<[[f64; 6]; 2]>,
     /// Derivatives by the acting parameters in units of their prior σ: row after row, then parameter after parameter.
     /// Empty if not asked for.

@@ -40,33 +40,23 @@ pub fn read(
     }
     let currents = CurrentColumns::find(&reader, cells)?;
     let frames = reader.optional_column("frames")?;
+    let id = reader.column("id")?;
+    let has_poses = matches!(constraint, Constraint::Known | Constraint::KnownInOwnFrames);
+    let poses = has_poses.then(|| PoseColumns::find(&reader)).transpose()?;
+    let step = (constraint == Constraint::Stage).then(|| reader.column("step_mm")).transpose()?;
+    let mut known: HashSet<Vec<u64>> = data.rows.iter().filter_map(digits).collect();
     let mut rows = Vec::new();
-    match constraint {
-        Constraint::Known | Constraint::KnownInOwnFrames => {
-            let poses = PoseColumns::find(&reader)?;
-            let mut known: HashSet<Vec<u64>> = data.rows.iter().filter_map(digits).collect();
-            while let Some(row) = reader.next_row()? {
-                let knowledge = Knowledge::Reported(poses.pose(&row)?);
-                let row = row_of(file, &currents, frames, &row, poses.id(&row), knowledge)?;
-                if digits(&row).is_some_and(|digits| !known.insert(digits)) {
-                    return Err(Implausible::Repeated(table.to_owned(), rows.len() + 1).into());
-                }
-                rows.push(row);
-            }
+    while let Some(row) = reader.next_row()? {
+        let knowledge = match (&poses, step) {
+            (Some(poses), _) => Knowledge::Reported(poses.pose(&row)?),
+            (None, Some(step)) => Knowledge::Step(row.number(step)? * 1e-3),
+            (None, None) => Knowledge::Nothing,
+        };
+        let row = row_of(file, &currents, frames, &row, row.text(id), knowledge)?;
+        if digits(&row).is_some_and(|digits| !known.insert(digits)) {
+            return Err(Implausible::Repeated(table.to_owned(), rows.len() + 1).into());
         }
-        Constraint::Stage => {
-            let (id, step) = (reader.column("id")?, reader.column("step_mm")?);
-            while let Some(row) = reader.next_row()? {
-                let knowledge = Knowledge::Step(row.number(step)? * 1e-3);
-                rows.push(row_of(file, &currents, frames, &row, row.text(id), knowledge)?);
-            }
-        }
-        Constraint::Free | Constraint::Pivot | Constraint::Rest => {
-            let id = reader.column("id")?;
-            while let Some(row) = reader.next_row()? {
-                rows.push(row_of(file, &currents, frames, &row, row.text(id), Knowledge::Nothing)?);
-            }
-        }
+        rows.push(row);
     }
     if constraint == Constraint::Free {
         rows = thinned(rows);

@@ -35,16 +35,14 @@ pub fn identify(cell: &Cell, plan: &CompiledScene<f64>, number: usize, pose: &Po
 
 /// Why points are no profile.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum ProfileError {
-    /// Nothing at all.
     #[error("no row has it lit and its emitter facing the slit; add such poses")]
     NoPoints,
-    /// Nothing within half a step of the axis, where a profile has to begin, and the smallest angle there is: degrees.
     #[error(
         "no current was taken within {0}° of the emitter's axis, the nearest at {1:.1}°; add such a pose, or use larger steps"
     )]
     NothingOnAxis(f64, f64),
-    /// All points in one step, degrees.
     #[error(
         "all currents were taken within {0}° of the emitter's axis; add poses at larger angles, or use smaller steps"
     )]

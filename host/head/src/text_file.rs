@@ -12,17 +12,14 @@ pub const MAX_TEXT_BYTES: usize = 1 << 24;
 
 /// Why a text file is not read.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum TextFileError {
-    /// The system's error.
     #[error(transparent)]
     System(#[from] io::Error),
-    /// Another kind of file, which may have no end, or never a beginning.
     #[error("it is a {0}; copy the text to a regular file")]
     Kind(&'static str),
-    /// Too long a text.
     #[error("it has more than the {MAX_TEXT_BYTES} bytes of the longest text that is read")]
     TooLong,
-    /// Bytes that are no text.
     #[error("it is not UTF-8 text; save it as UTF-8")]
     NotText,
 }

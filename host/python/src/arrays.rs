@@ -6,7 +6,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use slitpose_model::{
-    AXES, DegradedReason, Outcome, Pose, Solution, TwistEstimate, Verified, rotation_exp, rotation_log,
+    AXES, DegradedReason, Filtered, Outcome, Pose, Solution, TwistEstimate, Verified, rotation_exp, rotation_log,
 };
 use slitpose_tracking::link::DeviceId;
 use slitpose_tracking::pipeline::{Outcomes, Record};
@@ -54,31 +54,49 @@ impl<'py> Columns<'py> {
         self.dict.set_item(name, values.into_pyarray(self.dict.py()))
     }
 
-    /// A column with an array of this shape in each row.
+    /// A column with an array of this shape in each row; of an empty shape with one value.
     pub(crate) fn put_shaped<T: Element>(&self, name: &str, values: Vec<T>, shape: &[usize]) -> PyResult<()> {
         let shape = [&[self.rows], shape].concat();
         self.dict.set_item(name, values.into_pyarray(self.dict.py()).reshape(shape)?)
     }
 }
 
-/// Solutions, one a row. What a row lacks is NaN, or zero in columns of integers.
-#[derive(Default)]
-pub(crate) struct SolutionColumns {
-    status: Vec<u8>,
-    reason: Vec<u8>,
-    free_directions: Vec<u8>,
-    translation_m: Vec<f64>,
-    rotation_xyzw: Vec<f64>,
-    covariance: Vec<f64>,
-    condition: Vec<f64>,
-    chi2: Vec<f64>,
-    redundancy: Vec<u16>,
-    iterations: Vec<u16>,
-    cells_used: Vec<u16>,
-    excluded_cells: Vec<u16>,
-    verified: Vec<u8>,
-    unnoticed_sigmas: Vec<f64>,
+/// Columns with their types and, of arrays, their shapes: what a struct of vectors needs to become a dictionary.
+macro_rules! columns {
+    ($(#[$about:meta])* $name:ident { $($column:ident: $type:ty $([$($length:expr),*])?,)* }) => {
+        $(#[$about])*
+        #[derive(Default)]
+        pub(crate) struct $name { $($column: Vec<$type>,)* }
+
+        impl $name {
+            /// Puts all of them, the names behind `prefix`.
+            pub(crate) fn put(self, columns: &Columns<'_>, prefix: &str) -> PyResult<()> {
+                $(columns.put_shaped(&format!("{prefix}{}", stringify!($column)), self.$column, &[$($($length),*)?])?;)*
+                Ok(())
+            }
+        }
+    };
 }
+
+columns!(
+    /// Solutions, one a row. What a row lacks is NaN, or zero in columns of integers.
+    SolutionColumns {
+        status: u8,
+        reason: u8,
+        free_directions: u8,
+        translation_m: f64 [3],
+        rotation_xyzw: f64 [4],
+        covariance: f64 [6, 6],
+        condition: f64,
+        chi2: f64,
+        redundancy: u16,
+        iterations: u16,
+        cells_used: u16,
+        excluded_cells: u16,
+        verified: u8,
+        unnoticed_sigmas: f64,
+    }
+);
 
 impl SolutionColumns {
     pub(crate) fn push(&mut self, solution: &Solution) {
@@ -107,23 +125,6 @@ impl SolutionColumns {
         self.unnoticed_sigmas.push(solution.unnoticed_sigmas);
     }
 
-    pub(crate) fn put(self, columns: &Columns<'_>) -> PyResult<()> {
-        columns.put("status", self.status)?;
-        columns.put("reason", self.reason)?;
-        columns.put("free_directions", self.free_directions)?;
-        columns.put_shaped("translation_m", self.translation_m, &[3])?;
-        columns.put_shaped("rotation_xyzw", self.rotation_xyzw, &[4])?;
-        columns.put_shaped("covariance", self.covariance, &[6, 6])?;
-        columns.put("condition", self.condition)?;
-        columns.put("chi2", self.chi2)?;
-        columns.put("redundancy", self.redundancy)?;
-        columns.put("iterations", self.iterations)?;
-        columns.put("cells_used", self.cells_used)?;
-        columns.put("excluded_cells", self.excluded_cells)?;
-        columns.put("verified", self.verified)?;
-        columns.put("unnoticed_sigmas", self.unnoticed_sigmas)
-    }
-
     pub(crate) fn rows(&self) -> usize {
         self.status.len()
     }
@@ -138,103 +139,83 @@ pub(crate) fn number_in(devices: &mut Vec<DeviceId>, device: DeviceId) -> u8 {
     number as u8
 }
 
+columns!(
+    /// Scans, one a row.
+    ScanColumns {
+        device: u8,
+        sequence: u64,
+        time_s: f64,
+        host_monotonic_ns: u64,
+        host_utc_ns: u64,
+        host_uncertainty_ns: u64,
+        twist: f64 [6],
+        twist_sigma: f64 [6],
+        simulated: bool,
+        truth_translation_m: f64 [3],
+        truth_rotation_xyzw: f64 [4],
+    }
+);
+
+columns!(
+    /// What a filter found.
+    FilteredColumns {
+        translation_m: f64 [3],
+        rotation_xyzw: f64 [4],
+        covariance: f64 [6, 6],
+        twist: f64 [6],
+        twist_sigma: f64 [6],
+        lag_s: f64,
+    }
+);
+
 /// Poses of a stream, one a row.
 #[derive(Default)]
 pub(crate) struct RecordColumns {
     solutions: SolutionColumns,
-    sequence: Vec<u64>,
-    time_s: Vec<f64>,
-    host_monotonic_ns: Vec<u64>,
-    host_utc_ns: Vec<u64>,
-    host_uncertainty_ns: Vec<u64>,
-    twist: Vec<f64>,
-    twist_sigma: Vec<f64>,
-    simulated: Vec<bool>,
-    truth_translation_m: Vec<f64>,
-    truth_rotation_xyzw: Vec<f64>,
+    scans: ScanColumns,
     /// With a row for each, or none as long as there is no filter.
     filtered: FilteredColumns,
-    device: Vec<u8>,
-}
-
-#[derive(Default)]
-struct FilteredColumns {
-    rows: usize,
-    translation_m: Vec<f64>,
-    rotation_xyzw: Vec<f64>,
-    covariance: Vec<f64>,
-    twist: Vec<f64>,
-    twist_sigma: Vec<f64>,
-    lag_s: Vec<f64>,
-    is_present: bool,
+    is_filtered: bool,
 }
 
 impl RecordColumns {
     pub(crate) fn push(&mut self, record: &Record, devices: &mut Vec<DeviceId>) {
-        self.device.push(number_in(devices, record.device));
         self.solutions.push(&record.solution);
-        self.sequence.push(record.sequence);
-        self.time_s.push(record.device_time_s);
-        let time = record.host_time;
-        self.host_monotonic_ns.push(time.map_or(0, |time| time.monotonic_ns));
-        self.host_utc_ns.push(time.map_or(0, |time| time.utc_ns));
-        self.host_uncertainty_ns.push(time.map_or(0, |time| time.uncertainty_ns));
-        put_twist(&mut self.twist, &mut self.twist_sigma, record.twist);
-        self.simulated.push(record.simulated);
-        put_pose(&mut self.truth_translation_m, &mut self.truth_rotation_xyzw, record.truth);
-        let filtered = &mut self.filtered;
-        filtered.rows += 1;
-        let Some(found) = record.filtered else {
-            if filtered.is_present {
-                filtered.put_nothing();
-            }
-            return;
-        };
-        if !std::mem::replace(&mut filtered.is_present, true) {
-            (1..filtered.rows).for_each(|_| filtered.put_nothing());
+        let (scans, time) = (&mut self.scans, record.host_time);
+        scans.device.push(number_in(devices, record.device));
+        scans.sequence.push(record.sequence);
+        scans.time_s.push(record.device_time_s);
+        scans.host_monotonic_ns.push(time.map_or(0, |time| time.monotonic_ns));
+        scans.host_utc_ns.push(time.map_or(0, |time| time.utc_ns));
+        scans.host_uncertainty_ns.push(time.map_or(0, |time| time.uncertainty_ns));
+        put_twist(&mut scans.twist, &mut scans.twist_sigma, record.twist);
+        scans.simulated.push(record.simulated);
+        put_pose(&mut scans.truth_translation_m, &mut scans.truth_rotation_xyzw, record.truth);
+        if record.filtered.is_some() && !std::mem::replace(&mut self.is_filtered, true) {
+            (1..self.scans.time_s.len()).for_each(|_| self.filtered.push(None));
         }
-        put_pose(&mut filtered.translation_m, &mut filtered.rotation_xyzw, Some(found.estimate.pose));
-        put_matrix(&mut filtered.covariance, Some(found.estimate.covariance));
-        put_twist(&mut filtered.twist, &mut filtered.twist_sigma, Some(found.twist));
-        filtered.lag_s.push(found.lag_s);
+        if self.is_filtered {
+            self.filtered.push(record.filtered.as_ref());
+        }
     }
 
     pub(crate) fn put(self, columns: &Columns<'_>) -> PyResult<()> {
-        self.solutions.put(columns)?;
-        columns.put("device", self.device)?;
-        columns.put("sequence", self.sequence)?;
-        columns.put("time_s", self.time_s)?;
-        columns.put("host_monotonic_ns", self.host_monotonic_ns)?;
-        columns.put("host_utc_ns", self.host_utc_ns)?;
-        columns.put("host_uncertainty_ns", self.host_uncertainty_ns)?;
-        columns.put_shaped("twist", self.twist, &[6])?;
-        columns.put_shaped("twist_sigma", self.twist_sigma, &[6])?;
-        columns.put("simulated", self.simulated)?;
-        columns.put_shaped("truth_translation_m", self.truth_translation_m, &[3])?;
-        columns.put_shaped("truth_rotation_xyzw", self.truth_rotation_xyzw, &[4])?;
-        let filtered = self.filtered;
-        if filtered.is_present {
-            columns.put_shaped("filtered_translation_m", filtered.translation_m, &[3])?;
-            columns.put_shaped("filtered_rotation_xyzw", filtered.rotation_xyzw, &[4])?;
-            columns.put_shaped("filtered_covariance", filtered.covariance, &[6, 6])?;
-            columns.put_shaped("filtered_twist", filtered.twist, &[6])?;
-            columns.put_shaped("filtered_twist_sigma", filtered.twist_sigma, &[6])?;
-            columns.put("filtered_lag_s", filtered.lag_s)?;
-        }
-        Ok(())
+        self.solutions.put(columns, "")?;
+        self.scans.put(columns, "")?;
+        if self.is_filtered { self.filtered.put(columns, "filtered_") } else { Ok(()) }
     }
 
     pub(crate) fn rows(&self) -> usize {
-        self.time_s.len()
+        self.scans.time_s.len()
     }
 }
 
 impl FilteredColumns {
-    fn put_nothing(&mut self) {
-        put_pose(&mut self.translation_m, &mut self.rotation_xyzw, None);
-        put_matrix(&mut self.covariance, None);
-        put_twist(&mut self.twist, &mut self.twist_sigma, None);
-        self.lag_s.push(f64::NAN);
+    fn push(&mut self, found: Option<&Filtered>) {
+        put_pose(&mut self.translation_m, &mut self.rotation_xyzw, found.map(|found| found.estimate.pose));
+        put_matrix(&mut self.covariance, found.map(|found| found.estimate.covariance));
+        put_twist(&mut self.twist, &mut self.twist_sigma, found.map(|found| found.twist));
+        self.lag_s.push(found.map_or(f64::NAN, |found| found.lag_s));
     }
 }
 
@@ -319,7 +300,6 @@ fn unit(name: &str, row: usize, xyzw: [f64; 4]) -> PyResult<DQuat> {
     Err(PyValueError::new_err(format!("{name} of row {row} has the length {length}; give unit quaternions x, y, z, w")))
 }
 
-/// Rows of `N` numbers.
 fn rows_of<const N: usize>(name: &str, array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<[f64; N]>> {
     let array = array.as_array();
     if array.ncols() != N {

@@ -34,12 +34,12 @@ impl Calibration {
 
     #[getter]
     fn id(&self) -> &str {
-        self.0.id()
+        &self.0.id
     }
 
     #[getter]
     fn date(&self) -> Option<&str> {
-        self.0.date()
+        self.0.date.as_deref()
     }
 
     #[getter]
@@ -49,7 +49,7 @@ impl Calibration {
 
     #[getter]
     fn weak(&self) -> Vec<String> {
-        self.0.weak().to_vec()
+        self.0.weak.clone()
     }
 
     /// How well the data fit.
@@ -64,7 +64,7 @@ impl Calibration {
             redundancy,
             held_out_m,
             held_out_rad,
-        } = *self.0.statistics();
+        } = self.0.statistics;
         let dict = PyDict::new(py);
         dict.set_item("rows", rows)?;
         dict.set_item("readings", readings)?;
@@ -92,7 +92,7 @@ impl Calibration {
     fn clocks(&self) -> Vec<(String, f64, f64, f64, f64)> {
         let row =
             |clock: &Clock| (clock.file.clone(), clock.ahead_s, clock.ahead_sigma_s, clock.faster, clock.faster_sigma);
-        self.0.clocks().iter().map(row).collect()
+        self.0.clocks.iter().map(row).collect()
     }
 
     /// Of each instrument: its file, `base_from_reference`, σ, `tool_from_marker`, σ.
@@ -103,7 +103,7 @@ impl Calibration {
             let (base, tool) = (frames.base_from_reference, frames.tool_from_marker);
             (frames.file.clone(), base, frames.base_from_reference_sigma, tool, frames.tool_from_marker_sigma)
         };
-        self.0.frames().iter().map(row).collect()
+        self.0.frames.iter().map(row).collect()
     }
 
     /// Whether it still describes the head that gave readings of free motion.
@@ -116,7 +116,7 @@ impl Calibration {
             let data = measurements
                 .read(&file, Some(&self.0), &mut |remark| remarks.push(remark.to_owned()))
                 .map_err(raised)?;
-            validity(&scene, data.noise.or(scene.noise), data.rows()).map_err(raised)
+            validity(&scene, data.noise.or(scene.noise), &data.rows).map_err(raised)
         })??;
         let dict = PyDict::new(py);
         dict.set_item("rows", found.rows)?;

@@ -32,7 +32,6 @@ pub(crate) struct Captures {
     is_ended: bool,
 }
 
-/// What one call of `read` gives.
 #[derive(Default)]
 struct Found {
     records: RecordColumns,
@@ -192,7 +191,6 @@ fn hear(
     Ok(())
 }
 
-/// Photocurrents of scans, one a row.
 #[derive(Default)]
 struct CurrentColumns {
     device: Vec<u8>,
@@ -207,7 +205,7 @@ struct CurrentColumns {
 impl CurrentColumns {
     fn push(&mut self, device: u8, scan: &Scan, currents: &Photocurrents) {
         self.device.push(device);
-        self.sequence.push(scan.sequence());
+        self.sequence.push(scan.sequence);
         self.time_s.push(scan.device_time_s);
         self.host_utc_ns.push(scan.host_time.map_or(0, |time| time.utc_ns));
         self.cells = self.cells.max(currents.cells.len());

@@ -27,7 +27,6 @@ const PICTURE_TOLERANCE: f64 = 1e-6;
 /// A head as its scene says, or as a calibration found it.
 #[pyclass(module = "slitpose._native")]
 pub(crate) struct Scene {
-    /// As it was read.
     file: SceneFile,
     /// The calibrated head, or as the scene says.
     head: Head,
@@ -240,7 +239,7 @@ impl Scene {
         let mut found = SolutionColumns::default();
         solutions.iter().flatten().for_each(|solution| found.push(solution));
         let columns = Columns::new(py, found.rows());
-        found.put(&columns)?;
+        found.put(&columns, "")?;
         Ok(columns.dict)
     }
 
@@ -303,7 +302,6 @@ impl Scene {
         Self { head: file.clone().into(), file }
     }
 
-    /// The scene as it was read.
     pub(crate) fn file(&self) -> &SceneFile {
         &self.file
     }

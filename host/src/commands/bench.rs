@@ -98,7 +98,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let session = Session::of(&head, &settings)?;
     write(&args.output, &head, &session)?;
     for table in &session.tables {
-        talk(format_args!("{:>15} {:>6} rows: {}", format!("{}.csv", table.name), table.len(), table.about));
+        talk(format_args!("{:>15} {:>6} rows: {}", format!("{}.csv", table.name), table.row_count(), table.about));
     }
     if file.front_end.is_some() {
         capture(args, &head, &session)?;

@@ -124,7 +124,7 @@ fn still_holds(readings: &str, path: &Path) -> Result<Outcome, CommandError> {
         Some(&calibration),
         &mut say,
     )?;
-    let found = validity(&scene, data.noise.or(scene.noise), data.rows())?;
+    let found = validity(&scene, data.noise.or(scene.noise), &data.rows)?;
     let mut text = format!("{:>4} {:>10} {:>12} {:>12} {:>14}\n", "cell", "light", "position", "rms", "chi2 without");
     for (number, cell) in found.cells.iter().enumerate() {
         let (light, position, rms) = (cell.relative * 100.0, cell.position_m * 1e6, cell.rms_position_m * 1e6);
@@ -145,7 +145,7 @@ fn still_holds(readings: &str, path: &Path) -> Result<Outcome, CommandError> {
     };
     let Validity { rows, chi2, .. } = found;
     text +=
-        &format!("calibration {}: chi2 of {rows} rows is {chi2:.2} of its expectation; {verdict}\n", calibration.id());
+        &format!("calibration {}: chi2 of {rows} rows is {chi2:.2} of its expectation; {verdict}\n", calibration.id);
     options::print(&text)?;
     Ok(outcome)
 }
@@ -192,11 +192,11 @@ fn adjust(args: &Args, path: &Path) -> Result<Outcome, CommandError> {
 
 /// What a user wants to know at once.
 fn report(calibration: &Calibration, path: &Path) {
-    let statistics = calibration.statistics();
+    let statistics = &calibration.statistics;
     talk(format_args!(
         "calibration {} of {} parameters from {} rows; chi2 {:.2} of its expectation, {} readings and {} poses left out \
          as outliers",
-        calibration.id(),
+        calibration.id,
         calibration.parameters().len(),
         statistics.rows,
         statistics.chi2 / statistics.redundancy,
@@ -210,7 +210,7 @@ fn report(calibration: &Calibration, path: &Path) {
             radians * 1e3
         ));
     }
-    for clock in calibration.clocks() {
+    for clock in &calibration.clocks {
         talk(format_args!(
             "{}: its clock is {:.6} s ahead of the capture's (sigma {:.6} s) and {:.1} ppm faster (sigma {:.1} ppm)",
             clock.file,
@@ -220,7 +220,7 @@ fn report(calibration: &Calibration, path: &Path) {
             clock.faster_sigma * 1e6
         ));
     }
-    for weak in calibration.weak() {
+    for weak in &calibration.weak {
         talk(format_args!("open: {weak}"));
     }
     talk(format_args!("wrote {}", path.display()));

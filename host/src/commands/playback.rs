@@ -239,7 +239,7 @@ impl<'a> Playback<'a> {
 
     fn show(&mut self) {
         let Self { player: Some(player), captures, output, .. } = self else { return };
-        let boards = captures.boards();
+        let boards = &captures.boards;
         if output.samplers.len() != boards.len() {
             output.samplers = player.show(boards);
         }
@@ -322,7 +322,7 @@ impl Outputs<'_> {
 
 /// How all of them did; nothing is recorded.
 fn account(captures: &playback::Playback, statistics: &[RefCell<BoardStatistics>]) -> Account {
-    let boards = captures.boards().iter().zip(statistics).map(|(board, statistics)| report(board, statistics));
+    let boards = captures.boards.iter().zip(statistics).map(|(board, statistics)| report(board, statistics));
     Account { boards: boards.collect(), recorder: RecorderReport::default() }
 }
 

@@ -8,7 +8,7 @@ use super::options::{parse_duration, poses_hz};
 use super::talk;
 use crate::daemon::CapturePlan;
 use crate::telemetry::report_schema;
-use slitpose_tracking::capture::{About, CaptureError, CaptureSeries, Existing, Limits};
+use slitpose_tracking::capture::{CaptureError, CaptureSeries, Existing, Limits};
 
 /// Poses a device second in a capture: enough to look at it; all others follow from its bytes.
 const RECORDED_HZ: f64 = 25.0;
@@ -58,7 +58,7 @@ impl RecordOptions {
             max_bytes: self.record_size,
             max_age: self.record_time.map(|time_s| Duration::try_from_secs_f64(time_s).unwrap_or(Duration::MAX)),
         };
-        CaptureSeries::create(path, limits, existing, About { report_schema: report_schema() })
+        CaptureSeries::create(path, limits, existing, report_schema())
     }
 }
 

@@ -356,7 +356,7 @@ impl Args {
                 let speed = self.speed.unwrap_or(Speed::Times(1.0));
                 // More boards than numbers share the last one.
                 let number_of_board = u8::try_from(number).unwrap_or(u8::MAX);
-                let simulated = self.tool.device(number_of_board, head.simulated(), tier, duration_s, speed)?;
+                let simulated = self.tool.device(number_of_board, &head.simulated, tier, duration_s, speed)?;
                 let is_simulated = |device: &&String| *device == "sim";
                 let name = match self.device.iter().filter(is_simulated).count() {
                     0 | 1 => device.to_owned(),
@@ -426,7 +426,7 @@ fn admission(head: Head, name: String) -> Admit {
                 file.origin
             ));
         }
-        let is_uncalibrated = matches!(pipeline::head_of(&head, hello).basis(), Basis::Tolerances);
+        let is_uncalibrated = matches!(pipeline::head_of(&head, hello).basis, Basis::Tolerances);
         if let (true, Some(hash)) = (is_uncalibrated, hello.hashes.calibration) {
             talk(format_args!(
                 "the board on {name} belongs to the calibration with hash {hash:016x}, and none is given: poses are those \

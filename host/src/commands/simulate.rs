@@ -21,7 +21,7 @@ use slitpose_head::pace::Speed;
 use slitpose_head::scene_file::{SceneFile, nearest};
 use slitpose_head::simulator::{PathError, SimulatedBoard, Trajectory, TrajectoryKind};
 use slitpose_head::table::{Output, OutputError, POSE_COLUMNS, Replace, TableError, TableWriter, refuse_twice};
-use slitpose_tracking::capture::{About, CaptureError, CaptureSeries, Settings, Setup};
+use slitpose_tracking::capture::{CaptureError, CaptureSeries, Settings, Setup};
 use slitpose_tracking::link::{DeviceId, Segment};
 use slitpose_tracking::pipeline::PipelineOptions;
 
@@ -65,7 +65,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let schedule = front_end::configuration(&head.file)?.schedule;
     let frames = (args.duration * schedule.frame_rate_hz() - 1e-6).ceil() as u64;
     let tier = args.tier.tier(DEFAULT_TOLERANCE);
-    let device = args.tool.device(0, head.simulated(), tier, args.duration, Speed::Max)?;
+    let device = args.tool.device(0, &head.simulated, tier, args.duration, Speed::Max)?;
     args.tool.faults.tell();
     let sources = [args.scene.as_str(), args.tool.table().unwrap_or_default()].map(Path::new);
     let sources = sources.into_iter().chain(args.calibration.file());
@@ -152,8 +152,7 @@ impl Recording {
             None
         } else {
             let file_of_capture = output.as_file().map_err(|source| output.error(source))?;
-            let mut series =
-                CaptureSeries::in_file(file_of_capture, target.path, About { report_schema: report_schema() })?;
+            let mut series = CaptureSeries::in_file(file_of_capture, target.path, report_schema())?;
             let settings = Settings { tier, following: PipelineOptions::default() };
             series.add_device(Setup::new(device, head, settings), None, 0).map_err(|error| writing(&output, error))?;
             Some((Box::new(series), device))

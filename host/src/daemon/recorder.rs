@@ -276,46 +276,158 @@ impl Recorder {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::{BTreeMap, VecDeque};
+    use std::path::Path;
+
+    use proptest::prelude::*;
+
     use super::*;
     use slitpose_head::scene_file::WIDE;
     use slitpose_model::Tier;
-    use slitpose_tracking::capture::{About, Existing, Limits};
+    use slitpose_tracking::capture::{CaptureReader, Entry, Existing, Limits};
+    use slitpose_tracking::link::Segment;
     use slitpose_tracking::pipeline::PipelineOptions;
 
-    #[test]
-    fn bytes_of_a_board_without_a_name_are_missing_from_the_capture_they_came_in() {
-        let folder = tempfile::tempdir().unwrap();
-        let (order, captures) = unbounded();
-        let settings = Settings { tier: Tier::Paper, following: PipelineOptions::default() };
-        let source = Source { head: WIDE.read().unwrap().into(), settings, keeps_time: true, device: None };
-        let mut recorder = Recorder {
-            series: None,
-            captures,
-            recording: Arc::default(),
-            ends_at: None,
-            sources: vec![source],
-            talk: Arc::new(|text| panic!("{text}")),
-            report: Arc::default(),
-            bytes_missing: 0,
-            log_ns: 0,
-        };
-        for (number, device) in [None, Some(DeviceId(*b"second board"))].into_iter().enumerate() {
-            let (path, about) = (folder.path().join(number.to_string()), About { report_schema: String::new() });
-            order.send(CaptureSeries::create(&path, Limits::default(), Existing::Kept, about).ok()).unwrap();
-            recorder.change_captures();
-            let mut chunk = TapChunk { device, ..TapChunk::default() };
-            chunk.segment.push(&[7; 3], None);
-            recorder.record(&chunk).unwrap();
-            recorder.publish();
-            let report = lock(&recorder.report).clone();
-            assert_eq!(report.bytes_dropped, if device.is_none() { 3 } else { 0 });
-            assert!(report.state == RecorderState::Recording && recorder.recording.load(Ordering::Relaxed));
+    const BOARDS: [DeviceId; 2] = [DeviceId(*b"first board."), DeviceId(*b"second board")];
+
+    /// Bytes of each board in a capture.
+    type Bytes = BTreeMap<DeviceId, Vec<u8>>;
+
+    #[derive(Clone, Copy, Debug)]
+    enum Step {
+        /// The user begins a recording, or ends it.
+        Order(bool),
+        /// A board hands over bytes, and has introduced itself or not.
+        Chunk { board: usize, introduced: bool },
+        /// The thread looks for orders, before or after the last chunks of an ended recording have come.
+        Look { later: bool },
+    }
+
+    fn steps() -> impl Strategy<Value = Vec<Step>> {
+        let chunk = (0..2_usize, any::<bool>()).prop_map(|(board, introduced)| Step::Chunk { board, introduced });
+        let look = any::<bool>().prop_map(|later| Step::Look { later });
+        proptest::collection::vec(prop_oneof![any::<bool>().prop_map(Step::Order), chunk, look], 0..40)
+    }
+
+    #[derive(Default)]
+    struct Reference {
+        orders: VecDeque<bool>,
+        captures: Vec<Bytes>,
+        is_open: bool,
+        is_wanted: bool,
+        is_ending: bool,
+        is_introduced: [bool; 2],
+        missing: u64,
+    }
+
+    impl Reference {
+        fn chunk(&mut self, board: usize, introduced: bool, bytes: &[u8]) {
+            let Some(capture) = self.captures.last_mut().filter(|_| self.is_open) else { return };
+            self.is_introduced[board] |= introduced;
+            if self.is_introduced[board] {
+                capture.entry(BOARDS[board]).or_default().extend(bytes);
+            } else {
+                self.missing += bytes.len() as u64;
+            }
         }
-        order.send(None).unwrap();
-        recorder.change_captures();
-        assert!(!recorder.recording.load(Ordering::Relaxed) && recorder.series.is_some(), "the last chunks come yet");
-        recorder.ends_at = Some(Instant::now());
-        recorder.change_captures();
-        assert!(recorder.series.is_none());
+
+        fn look(&mut self, later: bool) {
+            if self.is_ending && !later {
+                return;
+            }
+            self.is_open &= !self.is_ending;
+            self.is_ending = false;
+            match self.orders.pop_front() {
+                Some(true) => {
+                    self.captures.push(Bytes::new());
+                    (self.is_open, self.is_wanted, self.missing, self.is_introduced) = (true, true, 0, [false; 2]);
+                }
+                Some(false) => (self.is_wanted, self.is_ending) = (false, true),
+                None => {}
+            }
+        }
+    }
+
+    fn bytes_in(path: &Path) -> Bytes {
+        let (mut bytes, mut segment) = (Bytes::new(), Segment::default());
+        let mut reader = CaptureReader::open(path).unwrap();
+        while let Some(entry) = reader.next(&mut segment).unwrap() {
+            if let Entry::Link { device: Some(device), .. } = entry {
+                bytes.entry(device).or_default().extend(&segment.bytes);
+            }
+        }
+        bytes
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        /// Recordings begin and end at random while boards send. Each capture holds the bytes that came while it was open, in
+        /// their order; bytes of boards that have not introduced themselves are counted as missing.
+        #[test]
+        fn captures_hold_what_came_while_they_were_open(steps in steps()) {
+            let folder = tempfile::tempdir().unwrap();
+            let path = |number: usize| folder.path().join(format!("{number}.mcap"));
+            let (order, captures) = unbounded();
+            let source = || Source {
+                head: WIDE.read().unwrap().into(),
+                settings: Settings { tier: Tier::Paper, following: PipelineOptions::default() },
+                keeps_time: true,
+                device: None,
+            };
+            let mut recorder = Recorder {
+                series: None,
+                captures,
+                recording: Arc::default(),
+                ends_at: None,
+                sources: vec![source(), source()],
+                talk: Arc::new(|text| panic!("{text}")),
+                report: Arc::default(),
+                bytes_missing: 0,
+                log_ns: 0,
+            };
+            let mut reference = Reference::default();
+            let mut begun = 0;
+            for (number, step) in (0_u8..).zip(steps) {
+                match step {
+                    Step::Order(begins) => {
+                        let series = begins.then(|| {
+                            begun += 1;
+                            let (limits, schema) = (Limits::default(), String::new());
+                            CaptureSeries::create(&path(begun), limits, Existing::Kept, schema).unwrap()
+                        });
+                        order.send(series).unwrap();
+                        reference.orders.push_back(begins);
+                    }
+                    Step::Chunk { board, introduced } => {
+                        let mut chunk = TapChunk { board, ..TapChunk::default() };
+                        chunk.device = introduced.then_some(BOARDS[board]);
+                        let bytes = [number; 3];
+                        chunk.segment.push(&bytes, None);
+                        prop_assert!(recorder.record(&chunk).is_ok());
+                        reference.chunk(board, introduced, &bytes);
+                    }
+                    Step::Look { later } => {
+                        let now = Instant::now();
+                        // However long the test is stopped here.
+                        let ends_at = if later { now } else { now + Duration::from_secs(3600) };
+                        recorder.ends_at = recorder.ends_at.map(|_| ends_at);
+                        recorder.change_captures();
+                        reference.look(later);
+                    }
+                }
+                recorder.publish();
+                let report = lock(&recorder.report).clone();
+                let state = if reference.is_open { RecorderState::Recording } else { RecorderState::Off };
+                prop_assert_eq!(report.state, state);
+                prop_assert_eq!(report.bytes_dropped, reference.missing);
+                prop_assert_eq!(recorder.recording.load(Ordering::Relaxed), reference.is_wanted);
+            }
+            recorder.finish();
+            drop(recorder);
+            for (number, expected) in (1..).zip(&reference.captures) {
+                prop_assert_eq!(&bytes_in(&path(number)), expected, "capture {}", number);
+            }
+        }
     }
 }

@@ -260,7 +260,7 @@ pub(super) fn head_message(number: usize, head: &Head) -> Option<Utf8Bytes> {
         "kind": "head",
         "board": number,
         "scene": file.name,
-        "calibrated": matches!(head.basis(), Basis::Calibration(_)),
+        "calibrated": matches!(head.basis, Basis::Calibration(_)),
         "workspace": {
             "half_extent_m": file.workspace.half_extent_m.to_array(),
             "half_extent_rad": file.workspace.half_extent_rad.to_array(),

@@ -57,7 +57,7 @@ impl BoardStatistics {
         match item {
             Item::Hello(hello) => self.take_hello(hello),
             Item::Scan(scan) => {
-                self.book.scan(scan.sequence(), scan.unsolved);
+                self.book.scan(scan.sequence, scan.unsolved);
                 self.last_device_s = Some(scan.device_time_s);
                 self.last_read = read_at;
             }

@@ -96,9 +96,6 @@ impl Solving {
 
 /// The head of `file` by the calibration at the path `calibration`, or as its scene says if that is `none`; without
 /// either by `usual`.
-///
-/// # Errors
-/// A calibration that cannot be read, or of another scene; and those of `usual`.
 pub fn head_by<E: From<CalibrationFileError>>(
     calibration: Option<&Path>,
     file: SceneFile,
@@ -135,9 +132,6 @@ pub struct RowSolver {
 
 impl RowSolver {
     /// For readings of `head`; `without_clipped`: cells whose light falls on an end of the detector are left out.
-    ///
-    /// # Errors
-    /// A scene that cannot be computed.
     pub fn new(head: Head, tier: Tier, without_clipped: bool) -> Result<Self, SceneError> {
         let rows = Self { head, tier, without_clipped, solvers: Mutex::default() };
         rows.with_frames(1.0)?;
@@ -150,9 +144,6 @@ impl RowSolver {
     }
 
     /// Makes ready for readings that are the mean of `frames` frames.
-    ///
-    /// # Errors
-    /// A scene that cannot be computed.
     pub fn with_frames(&self, frames: f64) -> Result<RowsOf<'_>, SceneError> {
         let key = frames.to_bits();
         let known = lock(&self.solvers).get(&key).cloned();

@@ -1,15 +1,38 @@
 //! What the decoder makes of streams: whole, cut anywhere, and damaged.
 
-use crate::common::{messages, packet, requests, schedules};
 use proptest::collection::vec;
 use proptest::prelude::*;
 use proptest::sample::Index;
 use slitpose_protocol::{
-    Decoder, DecoderCounters, EncodeError, FrameError, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, PROTOCOL,
-    PayloadError, Pong, ProtocolVersion, Request, encode,
+    Batch, Decoder, DecoderCounters, EncodeError, Event, FrameError, Level, MAX_CELLS, MAX_MESSAGE_BYTES, Message,
+    PROTOCOL, Packet, PayloadError, Pong, ProtocolVersion, Request, Severity, encode,
 };
 
 type HostDecoder = Decoder<MAX_MESSAGE_BYTES>;
+
+/// The packet of a value.
+fn packet<'p>(value: &impl Packet<'p>) -> Vec<u8> {
+    let mut buffer = [0; MAX_MESSAGE_BYTES];
+    encode(value, &mut buffer).expect("every message fits its limit").to_vec()
+}
+
+/// Packets of messages of fixed length, of text and of any bytes.
+fn packets() -> impl Strategy<Value = Vec<u8>> {
+    let (levels, samples) = (vec(any::<u16>(), 0..=MAX_CELLS), vec(any::<u8>(), 0..600));
+    prop_oneof![
+        any::<(u32, u64)>().prop_map(|(token, tick)| packet(&Message::Pong(Pong { token, tick }))),
+        (any::<u64>(), "\\PC{0,40}").prop_map(|(tick, text)| packet(&Message::Event(Event {
+            tick,
+            severity: Severity::Error,
+            text: &text
+        }))),
+        (any::<(u16, u64, u64)>(), levels, samples).prop_map(|(n, levels, samples)| {
+            let levels = levels.into_iter().map(Level).collect();
+            let (configuration, sequence, tick) = n;
+            packet(&Message::Batch(Batch { configuration, sequence, tick, levels, samples: &samples }))
+        }),
+    ]
+}
 
 /// Decodes `pieces` one after the other; what comes out is given as re-encoded packets,
 /// because messages only live until the next call.
@@ -59,7 +82,6 @@ impl Damage {
         ]
     }
 
-    /// Puts the packet on the stream.
     fn send(&self, packet: &[u8], stream: &mut Vec<u8>) {
         let mut sent = packet.to_vec();
         match self {
@@ -98,37 +120,16 @@ fn assert_adds_up(stream: &[u8], recovered: &[&[u8]], decoder: &HostDecoder) {
 
 proptest! {
     #[test]
-    fn every_message_comes_back(message in messages()) {
-        let packet = packet(&message);
-        prop_assert!(!packet[..packet.len() - 1].contains(&0));
-        let mut decoder = HostDecoder::new();
-        let mut input = packet.as_slice();
-        prop_assert_eq!(decoder.next(&mut input), Some(Ok(message)));
-        prop_assert_eq!(decoder.next::<Message>(&mut input), None);
-    }
-
-    #[test]
-    fn every_request_comes_back(request in requests()) {
-        let packet = packet(&request);
-        let mut decoder = Decoder::<MAX_REQUEST_BYTES>::new();
-        prop_assert_eq!(decoder.next(&mut packet.as_slice()), Some(Ok(request)));
-    }
-
-    #[test]
     fn whatever_arrives_whole_after_a_delimiter_is_recovered(
-        sent in vec((messages(), Damage::any()), 1..12),
+        sent in vec((packets(), Damage::any()), 1..12),
         cuts in vec(any::<Index>(), 0..6),
     ) {
         let mut stream = Vec::new();
-        let mut packets = Vec::new();
-        for (message, damage) in &sent {
-            packets.push(packet(message));
-            damage.send(&packets[packets.len() - 1], &mut stream);
-        }
+        sent.iter().for_each(|(packet, damage)| damage.send(packet, &mut stream));
         // A packet arrives whole if its bytes, and no others, stand between delimiters.
         let recoverable: Vec<&[u8]> = stream
             .split_inclusive(|&byte| byte == 0)
-            .filter(|frame| packets.iter().any(|packet| packet == frame))
+            .filter(|frame| sent.iter().any(|(packet, _)| packet == frame))
             .collect();
 
         let mut ends: Vec<usize> = cuts.iter().map(|cut| cut.index(stream.len() + 1)).collect();
@@ -141,59 +142,6 @@ proptest! {
         prop_assert_eq!(&recovered, &recoverable);
         assert_adds_up(&stream, &recovered, &decoder);
     }
-
-    #[test]
-    fn noise_never_panics_and_adds_up(noise in vec(any::<u8>(), 0..3_000)) {
-        let (results, decoder) = decode(&[&noise]);
-        let recovered: Vec<Vec<u8>> = results.into_iter().flatten().collect();
-        let recovered: Vec<&[u8]> = recovered.iter().map(Vec::as_slice).collect();
-        assert_adds_up(&noise, &recovered, &decoder);
-    }
-
-    #[test]
-    fn undamaged_nonsense_never_panics(payload in vec(any::<u8>(), 0..200)) {
-        let bytes = packet_of_payload(&payload);
-        let _ = HostDecoder::new().next::<Message>(&mut bytes.as_slice());
-        let _ = HostDecoder::new().next::<Request>(&mut bytes.as_slice());
-    }
-
-    #[test]
-    fn a_batch_and_a_schedule_of_strangers_never_panic(
-        message in messages(),
-        schedule in schedules(),
-    ) {
-        let _ = schedule.validate();
-        let _ = schedule.reference_ticks();
-        if let Message::Batch(batch) = message && let Ok(scans) = batch.scans(&schedule) {
-            prop_assert_eq!(scans.len(), scans.count());
-        }
-    }
-}
-
-fn sample_stream() -> Vec<u8> {
-    let mut stream = Vec::new();
-    for token in [0, 7, 0xffff_ffff] {
-        let pong = packet(&Message::Pong(Pong { token, tick: 1 << 40 }));
-        stream.extend(&pong);
-        stream.extend(&pong[..5]);
-        stream.push(0);
-        stream.extend([0, 0]);
-    }
-    stream
-}
-
-#[test]
-fn every_cut_gives_the_same() {
-    let stream = sample_stream();
-    let (uncut, decoder) = decode(&[&stream]);
-    assert_eq!(uncut.iter().filter(|result| result.is_ok()).count(), 3);
-    for at in 0..=stream.len() {
-        let (results, cut) = decode(&[&stream[..at], &stream[at..]]);
-        assert_eq!(results, uncut, "cut at {at}");
-        assert_eq!(cut.counters(), decoder.counters(), "cut at {at}");
-    }
-    let bytes: Vec<&[u8]> = stream.chunks(1).collect();
-    assert_eq!(decode(&bytes).0, uncut);
 }
 
 #[test]

@@ -200,7 +200,7 @@ fn an_instrument_with_frames_of_its_own_calibrates_as_well_and_its_frames_are_fo
     assert!(mean <= 3.0 && largest <= 20.0 && angle <= 0.015, "{mean} µm, {largest} µm, {angle}°");
 
     let calibration = slitpose_calibration::Calibration::open(&output).expect("a calibration");
-    let [frames] = calibration.frames() else { panic!("{:?}", calibration.frames()) };
+    let [frames] = &calibration.frames[..] else { panic!("{:?}", calibration.frames) };
     let pose = |v: [f64; 6]| Pose {
         translation_m: DVec3::new(v[0], v[1], v[2]),
         rotation: rotation_exp(DVec3::new(v[3], v[4], v[5])),

@@ -59,9 +59,6 @@ pub struct Schedules {
 
 impl Schedules {
     /// For `file` at `rate_hz` frames per second.
-    ///
-    /// # Errors
-    /// A scene that cannot be computed; a front end that cannot run at that rate, whatever the slots.
     pub fn of(file: &SceneFile, rate_hz: f64) -> Result<Self, ReportError> {
         let front_end = file.front_end.ok_or_else(|| TimingError::NoFrontEnd(file.name.clone()))?;
         let groupings = groupings(file)?;

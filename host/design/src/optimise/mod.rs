@@ -20,17 +20,14 @@ pub use search::{Found, Search};
 
 /// Why there is nothing to optimise.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum OptimiseError {
-    /// A scene that cannot be read, or a candidate of the search.
     #[error(transparent)]
     File(#[from] SceneFileError),
-    /// A scene that cannot be computed.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// A search without anything to change.
     #[error("nothing is free to change; give it with --free, such as --free slit_width --free roll")]
     NothingFree,
-    /// A scene's text in which a quantity cannot be set: why, and what to do.
     #[error("{0}{1}")]
     Text(String, String),
 }
@@ -74,24 +71,18 @@ impl Default for Limits {
 
 /// The limits by name. Those without a field of [`Limits`] hold for every head.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[allow(missing_docs, reason = "each other is a field of Limits")]
 pub enum Limit {
     /// A frame gives a pose, everywhere in the workspace.
     Pose,
-    /// [`Limits::lit`].
     Lit,
-    /// [`Limits::clearance_m`].
     Clearance,
-    /// [`Limits::radius_m`].
     Radius,
-    /// [`Limits::detector_pitch_m`].
     DetectorPitch,
-    /// [`Limits::emitter_pitch_m`].
     EmitterPitch,
     /// The board can do what the front end and the lighting ask for.
     Board,
-    /// [`Limits::in_scale`].
     InScale,
-    /// [`Limits::crosstalk`].
     Crosstalk,
 }
 
@@ -124,37 +115,21 @@ impl fmt::Display for Excess {
     }
 }
 
-/// The limits that a head does not keep.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Excesses(Vec<Excess>);
-
-impl Excesses {
-    /// Notes that `limit` is passed by `worst`, which is worth `violation`; not if that is zero.
-    pub(super) fn note(&mut self, limit: Limit, violation: f64, worst: f64) {
-        if violation <= 0.0 {
-            return;
+/// Notes that `limit` is passed by `worst`, which is worth `violation`; not if that is zero.
+fn note(excesses: &mut Vec<Excess>, limit: Limit, violation: f64, worst: f64) {
+    if violation <= 0.0 {
+        return;
+    }
+    match excesses.iter_mut().find(|noted| noted.limit == limit) {
+        Some(noted) => {
+            noted.violation += violation;
+            noted.worst = noted.worst.max(worst);
         }
-        match self.0.iter_mut().find(|noted| noted.limit == limit) {
-            Some(noted) => {
-                noted.violation += violation;
-                noted.worst = noted.worst.max(worst);
-            }
-            None => self.0.push(Excess { limit, worst, violation }),
-        }
+        None => excesses.push(Excess { limit, worst, violation }),
     }
+}
 
-    /// Whether all limits are kept.
-    pub fn is_empty(&self) -> bool {
-        self.0.is_empty()
-    }
-
-    /// Each limit that is not kept.
-    pub fn iter(&self) -> impl Iterator<Item = &Excess> {
-        self.0.iter()
-    }
-
-    /// What a search makes least: zero if all are kept.
-    pub(super) fn violation(&self) -> f64 {
-        self.0.iter().map(|excess| excess.violation).sum()
-    }
+/// What a search makes least: zero if all limits are kept.
+fn violation(excesses: &[Excess]) -> f64 {
+    excesses.iter().map(|excess| excess.violation).sum()
 }

@@ -10,7 +10,7 @@ use crate::map::{Outlook, View, quantiles_of};
 use crate::plot::MaskFrame;
 use crate::survey::share_of_others;
 
-use super::{Excesses, Limit, Limits};
+use super::{Excess, Limit, Limits, note, violation};
 
 /// Which σ is to be least.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -69,12 +69,12 @@ pub struct Score {
     /// Standard deviation of the position of the point that counts, a single frame, metres.
     pub sigma_m: f64,
     /// The limits that are not kept.
-    pub excesses: Excesses,
+    pub excesses: Vec<Excess>,
 }
 
 impl Score {
     pub(super) fn cost(&self) -> f64 {
-        let kept = if self.excesses.is_empty() { 0.0 } else { NOT_KEPT + PENALTY * self.excesses.violation() };
+        let kept = if self.excesses.is_empty() { 0.0 } else { NOT_KEPT + PENALTY * violation(&self.excesses) };
         kept + if self.sigma_m.is_finite() { self.sigma_m.ln() } else { 0.0 }
     }
 }
@@ -108,7 +108,7 @@ impl Judge {
         if score.excesses.is_empty()
             && self.lit(file)?.filter(|is_lit| !is_lit).count() as f64 > (1.0 - self.limits.lit) * CHECKED as f64
         {
-            score.excesses.note(Limit::Lit, MIN_MISSED_MM, MIN_MISSED_MM);
+            note(&mut score.excesses, Limit::Lit, MIN_MISSED_MM, MIN_MISSED_MM);
         }
         Ok(score)
     }
@@ -209,27 +209,27 @@ impl Judge {
                 worst.map(|(sigma_m, _)| sigma_m).fold(0.0, f64::max)
             }
         };
-        let mut excesses = Excesses::default();
+        let mut excesses = Vec::new();
         distances(file, poses, limits, &mut excesses);
         let missed_mm = missed_mm(file, poses, limits, spare_m);
-        excesses.note(Limit::Lit, missed_mm, missed_mm);
+        note(&mut excesses, Limit::Lit, missed_mm, missed_mm);
         if !sigma_m.is_finite() {
             let without = views.iter().filter(|view| view.sigma.is_none()).count() as f64 / views.len() as f64;
-            excesses.note(Limit::Pose, 10.0 + without, without);
+            note(&mut excesses, Limit::Pose, 10.0 + without, without);
         }
         if file.front_end.is_some() {
             if configuration(file).is_err() {
-                excesses.note(Limit::Board, 1.0, 1.0);
+                note(&mut excesses, Limit::Board, 1.0, 1.0);
             }
             let margin = self.margin(&views[..near.len()]) * full_scale;
-            excesses.note(Limit::InScale, 1.0 - margin, 1.0 / margin);
+            note(&mut excesses, Limit::InScale, 1.0 - margin, 1.0 / margin);
         }
         for slot in file.lighting.slots.iter().filter(|slot| slot.len() > 1) {
             for &cell in slot {
                 let share = |pose: &Pose| share_of_others(outlook.plan(), cell, slot, pose);
                 let most = poses.iter().take(CROSSTALK_POSES).chain(corners).map(share).fold(0.0, f64::max);
                 let by = most / limits.crosstalk;
-                excesses.note(Limit::Crosstalk, by.ln(), by);
+                note(&mut excesses, Limit::Crosstalk, by.ln(), by);
             }
         }
         Ok(Score { sigma_m, excesses })
@@ -298,11 +298,11 @@ fn margin_m(cell: &Cell, home: &MaskFrame, pose: &Pose) -> f64 {
 }
 
 /// Notes parts that are too near to each other, or too far out.
-fn distances(file: &SceneFile, poses: &[Pose], limits: &Limits, excesses: &mut Excesses) {
+fn distances(file: &SceneFile, poses: &[Pose], limits: &Limits, excesses: &mut Vec<Excess>) {
     let cells = &file.scene.cells;
     let mut lacking = |limit, found_m: f64, wanted_m: f64| {
         let by_mm = ((wanted_m - found_m) * 1e3).clamp(0.0, 100.0);
-        excesses.note(limit, by_mm, by_mm);
+        note(excesses, limit, by_mm, by_mm);
     };
     // From what rides on the tool to what stands before it.
     let above = |cell: &Cell, pose: &Pose| {
@@ -330,7 +330,6 @@ fn distances(file: &SceneFile, poses: &[Pose], limits: &Limits, excesses: &mut E
     }
 }
 
-/// Both ends of a detector's housing.
 pub(super) fn ends(cell: &Cell) -> [DVec3; 2] {
     let half = cell.detector.x_axis_base * (0.5 * cell.detector.length_m + HOUSING_M);
     [cell.detector.centre_base_m - half, cell.detector.centre_base_m + half]

@@ -26,7 +26,6 @@ const EDGE: f64 = 0.12;
 const SIMPLEXES: usize = 8;
 const GAIN: f64 = 0.002;
 
-/// Steps of a simplex for each free quantity.
 const STEPS: usize = 30;
 
 /// What is found by few poses and is not as good at all of them is looked for anew so many times, having learnt from it.
@@ -109,9 +108,6 @@ impl Search {
 
     /// Runs on all cores. `progress` gets the number of candidates evaluated and the least σ so far, metres; `stop` ends
     /// it with the best so far.
-    ///
-    /// # Errors
-    /// A scene that cannot be read or computed as it is; nothing that is free.
     pub fn run(
         &self,
         progress: &mut (dyn FnMut(usize, f64) + Send),
@@ -230,7 +226,6 @@ impl Work<'_> {
         cost + 10.0 * beyond
     }
 
-    /// Simplexes from `start` downwards.
     fn descend(&self, start: &Shares) {
         let steps = (STEPS * start.len()) as u64;
         let mut best = (f64::INFINITY, start.clone());

@@ -127,7 +127,7 @@ fn limits_are_told_by_how_much_they_are_passed() {
         let found = excesses(values, limits);
         let [excess] = found.iter().collect::<Vec<_>>()[..] else { panic!("{found:?}") };
         assert_eq!(excess.limit, limit, "{found:?}");
-        (excess.worst, found.violation())
+        (excess.worst, violation(&found))
     };
     // Emitters 10 mm before the detector, slits at 5 mm: motions of up to 4 mm along each axis, which the corners of a
     // cube reach, and rotations of 10 mm come nearer than 1 mm.
@@ -212,7 +212,6 @@ fn the_worst_pose_is_that_of_all_the_workspace() {
     assert!(worst_m <= found.after.sigma_m, "{worst_m}");
 }
 
-/// What `fine` is shipped for.
 #[test]
 fn fine_is_nearly_twice_as_accurate_as_wide() {
     let map = |file: SceneFile| {
@@ -229,7 +228,6 @@ fn fine_is_nearly_twice_as_accurate_as_wide() {
     assert!(fine.share(|view| view.lit == 6) >= 0.999);
 }
 
-/// What `redundant` is shipped for.
 #[test]
 fn redundant_keeps_its_accuracy_whichever_cell_is_dark() {
     let fineness = Fineness { samples: 500, side: 0, behind: 0 };

@@ -165,7 +165,6 @@ const MASK_M: f64 = 0.15e-3;
 /// Clear resin of the paper's detector, by its data sheet; 0.3 to 1 mm thick.
 const RESIN: Window = Window { thickness_m: 0.7e-3, refractive_index: 1.52 };
 
-/// The paper's bench with imperfect parts.
 struct Bench {
     name: &'static str,
     /// Stray current in the middle of the detector, relative to the calculated current with the emitter at the centre.

@@ -2,8 +2,7 @@
 //! with a small A below; `_` takes the next letter or a group in braces.
 
 use glam::{DVec2, dvec2};
-use quick_xml::Writer;
-use quick_xml::events::{BytesEnd, BytesStart, BytesText, Event};
+use quick_xml::escape::escape;
 
 use super::style::{Colour, INK, WHITE};
 
@@ -74,26 +73,20 @@ impl TextStyle {
 
 /// A picture in the making.
 pub struct Canvas {
-    writer: Writer<Vec<u8>>,
+    svg: String,
 }
 
 impl Canvas {
     /// An empty white sheet; `title` is for screen readers.
     pub fn new(width: f64, height: f64, title: &str) -> Self {
-        let mut canvas = Self { writer: Writer::new(Vec::new()) };
         let [w, h] = [width, height].map(number);
-        let attributes: [(&str, &str); 5] = [
-            ("xmlns", "http://www.w3.org/2000/svg"),
-            ("width", &w),
-            ("height", &h),
-            ("viewBox", &format!("0 0 {w} {h}")),
-            ("font-family", FONT),
-        ];
-        canvas.event(Event::Start(BytesStart::new("svg").with_attributes(attributes)));
-        canvas.event(Event::Start(BytesStart::new("title")));
-        canvas.event(Event::Text(BytesText::new(&printable(title))));
-        canvas.event(Event::End(BytesEnd::new("title")));
-        canvas.end_line();
+        let (font, title) = (escape(FONT), printable(title));
+        let svg = format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{w}\" height=\"{h}\" viewBox=\"0 0 {w} {h}\" \
+             font-family=\"{font}\"><title>{}</title>\n",
+            escape(&title)
+        );
+        let mut canvas = Self { svg };
         canvas.area(&[dvec2(0.0, 0.0), dvec2(width, 0.0), dvec2(width, height), dvec2(0.0, height)], WHITE, 1.0);
         canvas
     }
@@ -151,54 +144,39 @@ impl Canvas {
 
     /// A label whose base line starts, is centred or ends at a point. Formulas stand between `$`.
     pub(crate) fn text(&mut self, at: DVec2, label: &str, style: TextStyle) {
-        let mut text = BytesStart::new("text");
-        let place = match style.upwards {
-            false => format!("translate({} {})", number(at.x), number(at.y)),
-            true => format!("translate({} {}) rotate(-90)", number(at.x), number(at.y)),
+        let (x, y, size) = (number(at.x), number(at.y), number(style.size));
+        let turned = if style.upwards { " rotate(-90)" } else { "" };
+        let weight = if style.bold { " font-weight=\"bold\"" } else { "" };
+        let anchor = match style.anchor {
+            Anchor::Start => "",
+            Anchor::Middle => " text-anchor=\"middle\"",
+            Anchor::End => " text-anchor=\"end\"",
         };
-        text.push_attribute(("transform", place.as_str()));
-        text.push_attribute(("font-size", number(style.size).as_str()));
-        text.push_attribute(("fill", style.colour));
         // Else viewers drop the blanks between runs.
-        text.push_attribute(("xml:space", "preserve"));
-        if style.bold {
-            text.push_attribute(("font-weight", "bold"));
-        }
-        match style.anchor {
-            Anchor::Start => {}
-            Anchor::Middle => text.push_attribute(("text-anchor", "middle")),
-            Anchor::End => text.push_attribute(("text-anchor", "end")),
-        }
-        self.event(Event::Start(text));
+        let space = "xml:space=\"preserve\"";
+        let colour = style.colour;
+        self.svg += &format!(
+            "<text transform=\"translate({x} {y}){turned}\" font-size=\"{size}\" fill=\"{colour}\" {space}{weight}{anchor}>"
+        );
         let mut lowered = false;
-        for run in runs(&printable(label)) {
-            let mut span = BytesStart::new("tspan");
-            if run.italic {
-                span.push_attribute(("font-style", "italic"));
+        for Run { text, italic, subscript } in runs(&printable(label)) {
+            self.svg += if italic { "<tspan font-style=\"italic\"" } else { "<tspan" };
+            if subscript {
+                self.svg += &format!(" font-size=\"{}\"", number(SUBSCRIPT_SIZE * style.size));
             }
-            if run.subscript {
-                span.push_attribute(("font-size", number(SUBSCRIPT_SIZE * style.size).as_str()));
-            }
-            if run.subscript != lowered {
+            if subscript != lowered {
                 let drop = SUBSCRIPT_DROP * style.size;
-                let shift = number(if run.subscript { drop } else { -drop });
-                span.push_attribute(("dy", shift.as_str()));
-                lowered = run.subscript;
+                self.svg += &format!(" dy=\"{}\"", number(if subscript { drop } else { -drop }));
+                lowered = subscript;
             }
-            self.event(Event::Start(span));
-            self.event(Event::Text(BytesText::new(&run.text)));
-            self.event(Event::End(BytesEnd::new("tspan")));
+            self.svg += &format!(">{}</tspan>", escape(&text));
         }
-        self.event(Event::End(BytesEnd::new("text")));
-        self.end_line();
+        self.svg += "</text>\n";
     }
 
     /// The finished picture.
-    pub fn into_svg(mut self) -> String {
-        self.event(Event::End(BytesEnd::new("svg")));
-        let mut svg = String::from_utf8_lossy(&self.writer.into_inner()).into_owned();
-        svg.push('\n');
-        svg
+    pub fn into_svg(self) -> String {
+        self.svg + "</svg>\n"
     }
 
     fn stroked(&mut self, name: &str, attributes: &[(&'static str, String)], stroke: Stroke) {
@@ -212,20 +190,10 @@ impl Canvas {
         self.element(name, &attributes);
     }
 
+    /// None of these attributes has a character that XML would have to escape.
     fn element(&mut self, name: &str, attributes: &[(&str, String)]) {
-        let attributes = attributes.iter().map(|(key, value)| (*key, value.as_str()));
-        self.event(Event::Empty(BytesStart::new(name).with_attributes(attributes)));
-        self.end_line();
-    }
-
-    /// Between elements only: inside a label a line end would be a blank.
-    fn end_line(&mut self) {
-        self.event(Event::Text(BytesText::from_escaped("\n")));
-    }
-
-    fn event(&mut self, event: Event<'_>) {
-        // Writing to memory cannot fail.
-        let _ = self.writer.write_event(event);
+        let attributes: String = attributes.iter().map(|(key, value)| format!(" {key}=\"{value}\"")).collect();
+        self.svg += &format!("<{name}{attributes}/>\n");
     }
 }
 
@@ -281,42 +249,5 @@ fn formula(runs: &mut Vec<Run>, text: &str) {
 fn push(runs: &mut Vec<Run>, text: &str, italic: bool, subscript: bool) {
     if !text.is_empty() {
         runs.push(Run { text: text.to_owned(), italic, subscript });
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_label_is_escaped_and_its_runs_touch() {
-        let mut canvas = Canvas::new(100.0, 50.0, "a < b");
-        canvas.text(dvec2(1.0, 2.0), "$X_A$ & more", TextStyle::new(10.0));
-        let svg = canvas.into_svg();
-        assert!(svg.contains("<title>a &lt; b</title>"), "{svg}");
-        assert!(svg.contains(">X</tspan><tspan"), "runs are separated: {svg}");
-        assert!(svg.contains(" &amp; more</tspan>"), "{svg}");
-    }
-
-    #[test]
-    fn numbers_are_short_and_never_negative_zero() {
-        assert_eq!((number(1.23456), number(-0.001), number(2.0)), ("1.23".into(), "0".into(), "2".into()));
-    }
-
-    fn plain(label: &str) -> String {
-        let mark = |run: Run| match (run.italic, run.subscript) {
-            (true, _) => format!("/{}/", run.text),
-            (_, true) => format!("[{}]", run.text),
-            _ => run.text,
-        };
-        runs(label).into_iter().map(mark).collect()
-    }
-
-    #[test]
-    fn formulas_are_split_into_letters_and_subscripts() {
-        assert_eq!(plain("spot $X_A$ / mm"), "spot /X/[A] / mm");
-        assert_eq!(plain("$I_{rel}(γ)$"), "/I/[rel]/(γ)/");
-        assert_eq!(plain("no formula"), "no formula");
-        assert_eq!(plain("$x_"), "/x/");
     }
 }

@@ -3,8 +3,7 @@
 use glam::{DVec2, dvec2};
 
 use super::canvas::{Anchor, Canvas, Stroke, TextStyle};
-use super::style::{Colour, FAINT, INK, PALE, SOFT_INK, WHITE, cell_colour};
-use super::style::{decades, ticks};
+use super::style::{Colour, FAINT, INK, PALE, SOFT_INK, WHITE, cell_colour, decades, ticks};
 
 const LABEL: TextStyle = TextStyle::new(13.0);
 const TICK: TextStyle = TextStyle::new(12.0).coloured(SOFT_INK);

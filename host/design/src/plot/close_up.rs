@@ -6,8 +6,7 @@ use slitpose_model::{Cell, CompiledScene, Opening, Pose, Response};
 use super::canvas::{Anchor, Canvas, Stroke, TextStyle};
 use super::scene::{condition, pose_text};
 use super::shape::MaskFrame;
-use super::style::{ALERT, INK, MASK, PALE, SOFT_INK, cell_colour};
-use super::style::{PlotError, quantity, require_drawable};
+use super::style::{ALERT, INK, MASK, PALE, PlotError, SOFT_INK, cell_colour, quantity, require_drawable};
 
 const WIDTH: f64 = 900.0;
 /// Room at either side: for d_A and d_B, and for names.

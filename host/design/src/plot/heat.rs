@@ -4,8 +4,7 @@ use glam::{DVec2, dvec2};
 
 use super::canvas::{Anchor, Canvas, Stroke, TextStyle};
 use super::chart::tick_text;
-use super::style::{ALERT, BANDS, Colour, INK, SOFT_INK, WHITE};
-use super::style::{three_digits, ticks};
+use super::style::{ALERT, BANDS, Colour, INK, SOFT_INK, WHITE, three_digits, ticks};
 
 const LEFT: f64 = 70.0;
 const TOP: f64 = 96.0;

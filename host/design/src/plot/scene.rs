@@ -86,7 +86,6 @@ struct Sheet {
     /// Pixels of the middle of the drawing.
     middle: DVec2,
     scale: f64,
-    /// Millimetres of the middle.
     centre: DVec2,
 }
 

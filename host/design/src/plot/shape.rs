@@ -108,7 +108,6 @@ pub(super) const FRONT: View = View { name: "front view", right: (DVec3::X, "x")
 pub(super) const SIDE: View = View { name: "side view", right: (DVec3::Y, "y"), up: (DVec3::Z, "z") };
 
 impl View {
-    /// Right and up, millimetres.
     pub(super) fn project(&self, point: DVec3) -> DVec2 {
         dvec2(point.dot(self.right.0), point.dot(self.up.0))
     }
@@ -178,7 +177,6 @@ impl MaskFrame {
         Self { centre: pose.rotation * self.centre + pose.translation_m, axes }
     }
 
-    /// A point of the mask's mid-plane.
     pub(crate) fn at(&self, point_m: DVec2) -> DVec3 {
         self.centre + self.axes[0] * point_m.x + self.axes[1] * point_m.y
     }
@@ -192,17 +190,4 @@ pub fn mask_half_extents_m(cell: &Cell) -> DVec2 {
         _ => dvec2(cell.detector.length_m, cell.detector.width_m),
     };
     0.5 * dvec2(cell.slit.width_m, cell.slit.length_m).max(covered) + MARGIN_M
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_hull_leaves_out_what_is_inside() {
-        let square = [dvec2(0.0, 0.0), dvec2(1.0, 0.0), dvec2(1.0, 1.0), dvec2(0.0, 1.0)];
-        let mut points = square.to_vec();
-        points.extend([dvec2(0.5, 0.5), dvec2(0.2, 0.9)]);
-        assert_eq!(hull(&points), square);
-    }
 }

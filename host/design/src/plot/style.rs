@@ -6,7 +6,6 @@ use thiserror::Error;
 /// A colour as SVG writes it.
 pub type Colour = &'static str;
 
-/// Text and the axes of charts.
 pub(crate) const INK: Colour = "#222222";
 /// Secondary text, dimension lines.
 pub const SOFT_INK: Colour = "#666666";
@@ -15,7 +14,6 @@ pub(crate) const PALE: Colour = "#d4d4d4";
 pub(crate) const FAINT: Colour = "#ededed";
 pub(crate) const TOOL: Colour = "#9a9a9a";
 pub(crate) const MASK: Colour = "#3c3c3c";
-/// Where a picture must warn.
 pub(crate) const ALERT: Colour = "#c1121f";
 pub(crate) const WHITE: Colour = "#ffffff";
 

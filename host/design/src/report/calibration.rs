@@ -4,10 +4,8 @@ use slitpose_calibration::{Calibrated, Calibration, Residual};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_model::Pose;
 
-use super::section::Sheet;
-use super::section::{Report, Section, Table, Value, column, program, scene};
-use crate::plot::curve;
-use crate::plot::{Axis, Chart, CurveStyle};
+use super::section::{Report, Section, Sheet, Table, Value, column, program, scene};
+use crate::plot::{Axis, Chart, CurveStyle, curve};
 
 /// Readings drawn of each cell, at most: more hide each other.
 const DRAWN: usize = 400;
@@ -18,18 +16,18 @@ const BARS: usize = 24;
 /// The report on `calibrated`, made with the scene `file` at most `date`.
 pub fn calibration_report(file: &SceneFile, calibrated: &Calibrated) -> Report {
     let calibration = &calibrated.calibration;
-    let statistics = calibration.statistics();
+    let statistics = &calibration.statistics;
     let mut conditions = vec![
         program(),
         scene(file),
-        ("calibration", format!("{}, hash {:016x}", calibration.id(), calibration.hash())),
+        ("calibration", format!("{}, hash {:016x}", calibration.id, calibration.hash())),
         ("data", format!("{} rows, {} readings of single cells", statistics.rows, statistics.readings)),
         (
             "left out",
             format!("{} readings and {} poses as outliers", statistics.readings_rejected, statistics.poses_rejected),
         ),
     ];
-    if let Some(date) = calibration.date() {
+    if let Some(date) = &calibration.date {
         conditions.insert(2, ("date", date.to_owned()));
     }
     Report {
@@ -49,8 +47,8 @@ pub fn calibration_report(file: &SceneFile, calibrated: &Calibrated) -> Report {
 
 fn fit(calibrated: &Calibrated) -> Section {
     let (calibration, residuals) = (&calibrated.calibration, &calibrated.residuals);
-    let statistics = calibration.statistics();
-    let cells = calibration.model_errors().len();
+    let statistics = &calibration.statistics;
+    let cells = calibration.model_errors.len();
     let mut summary = vec![format!(
         "χ² is {:.2} of its expectation, model errors and priors counted.",
         statistics.chi2 / statistics.redundancy
@@ -125,9 +123,9 @@ fn fit(calibrated: &Calibrated) -> Section {
                 ("position_before_um", "position before / µm", &|cell| (1e6 * before(cell, 1)).into()),
                 ("position_after_um", "after / µm", &|cell| (1e6 * after(cell, 1)).into()),
                 ("model_error_percent", "model error / %", &|cell| {
-                    (1e2 * calibration.model_errors()[*cell].relative).into()
+                    (1e2 * calibration.model_errors[*cell].relative).into()
                 }),
-                ("model_error_um", "/ µm", &|cell| (1e6 * calibration.model_errors()[*cell].position_m).into()),
+                ("model_error_um", "/ µm", &|cell| (1e6 * calibration.model_errors[*cell].position_m).into()),
             ],
         )],
     }
@@ -186,7 +184,7 @@ fn observability(calibration: &Calibration) -> Section {
     Section {
         name: "observability",
         title: "What the data showed, and what not",
-        summary: calibration.weak().iter().map(|weak| format!("Open: {weak}.")).collect(),
+        summary: calibration.weak.iter().map(|weak| format!("Open: {weak}.")).collect(),
         paragraphs: vec![
             "Each direction is a mixture of parameters that changes the readings as one. A weak direction harms poses only \
              if it changes them; the next chapter shows how much all of them do together."
@@ -244,7 +242,7 @@ fn open(file: &SceneFile, calibration: &Calibration) -> Section {
 
 /// Frames and clocks of the instruments, if they have their own.
 fn instruments(calibration: &Calibration) -> Option<Section> {
-    let of_frames = calibration.frames().iter().flat_map(|frames| {
+    let of_frames = calibration.frames.iter().flat_map(|frames| {
         let transforms = [
             ("base_from_reference", frames.base_from_reference, frames.base_from_reference_sigma),
             ("tool_from_marker", frames.tool_from_marker, frames.tool_from_marker_sigma),
@@ -263,7 +261,7 @@ fn instruments(calibration: &Calibration) -> Option<Section> {
             })
         })
     });
-    let of_clocks = calibration.clocks().iter().flat_map(|clock| {
+    let of_clocks = calibration.clocks.iter().flat_map(|clock| {
         [
             ("clock ahead of the board's", "ms", 1e3, clock.ahead_s, clock.ahead_sigma_s),
             ("clock faster than the board's", "ppm", 1e6, clock.faster, clock.faster_sigma),

@@ -59,11 +59,6 @@ pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, R
     })
 }
 
-fn first_of_group<'a>(entries: &'a [Entry], entry: &Entry) -> &'a Entry {
-    // Every group has a first.
-    entries.iter().find(|other| other.0.group == entry.0.group).unwrap_or(&entries[0])
-}
-
 fn variants(head: &Head<'_>) -> Vec<Variant> {
     let lean = |change: &dyn Fn(&mut Scene)| {
         let mut scene = Scene { uncertainty: Uncertainty::default(), ..head.scene.clone() };
@@ -212,7 +207,11 @@ fn measure(head: &Head<'_>, settings: &Settings) -> Result<Vec<Entry>, ReportErr
 
 fn table(entries: &[Entry]) -> Table {
     let us = |seconds: f64| Value::from(seconds * 1e6);
-    let ratio = |entry: &Entry, k: usize| Value::from(entry.1[k].least_s / first_of_group(entries, entry).1[k].least_s);
+    let ratio = |entry: &Entry, k: usize| {
+        // Every group has a first.
+        let first = entries.iter().find(|other| other.0.group == entry.0.group).unwrap_or(entry);
+        Value::from(entry.1[k].least_s / first.1[k].least_s)
+    };
     Table::of(
         "economy",
         "Exact tier at 1e-6, f64",

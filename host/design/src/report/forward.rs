@@ -6,8 +6,7 @@ use glam::dvec2;
 use slitpose_model::{CompiledScene, Pair, Pose, Scalar, SceneError, Tier};
 
 use super::head::{Candidate, Head, RunTime, pair, race};
-use super::section::Sheet;
-use super::section::{Picture, Section, Table, Value};
+use super::section::{Picture, Section, Sheet, Table, Value};
 use super::solver::{Precision, tier_name};
 use super::{ReportError, Settings};
 use crate::plot::{Anchor, Axis, Chart, CurveStyle, Note, cell_colour, curve};

@@ -34,7 +34,6 @@ pub(super) const STREAM: Tier = Tier::Exact { tolerance: 1e-6 };
 
 const TRIES: usize = 40;
 
-/// A scene, prepared for its study.
 pub(super) struct Head<'a> {
     pub(super) file: &'a SceneFile,
     /// The scene with the noise of its front end; without front end, with that of the file.
@@ -48,7 +47,6 @@ pub(super) struct Head<'a> {
     pub(super) truth_tier: Tier,
 }
 
-/// The times of one frame.
 #[derive(Clone, Debug)]
 pub(crate) struct Frame {
     /// When the light of each cell leaves its emitter, relative to the reference instant, seconds.

@@ -3,12 +3,10 @@
 use slitpose_head::scene_file::SceneFile;
 
 use super::map::{KINDS, Kind, distribution};
-use super::section::Sheet;
-use super::section::{Report, Section, Table, Value, column, program, scene};
+use super::section::{Report, Section, Sheet, Table, Value, column, program, scene};
 use crate::map::{Map, NoiseOf, View};
 use crate::optimise::{Demand, Found, Search};
-use crate::plot::curve;
-use crate::plot::{Axis, Chart, CurveStyle};
+use crate::plot::{Axis, Chart, CurveStyle, curve};
 use crate::survey::WorkspaceFacts;
 
 /// Compares the heads of `maps`, each over its own workspace and with its own noise.

@@ -40,14 +40,12 @@ use head::Head;
 
 /// Why a scene cannot be studied.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum ReportError {
-    /// The optics.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// A scene whose poses cannot be studied: why, and what to do.
     #[error("{0}")]
     Poses(String),
-    /// A front end that cannot run.
     #[error(transparent)]
     Timing(#[from] TimingError),
 }
@@ -136,7 +134,6 @@ fn conditions(file: &SceneFile, settings: &Settings) -> Vec<(&'static str, Strin
     ]
 }
 
-/// Conditions under which times were measured.
 fn warnings() -> Vec<String> {
     let slow = format!(
         "This program was built with optimisation level {OPT_LEVEL}{}: its times say little. Build it with \
@@ -151,7 +148,6 @@ fn is_fast(opt_level: &str, debug_checks: bool) -> bool {
     !debug_checks && matches!(opt_level, "2" | "3")
 }
 
-/// The processor's name, from Linux.
 fn processor() -> String {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let name = fs::read_to_string("/proc/cpuinfo").ok().and_then(|text| model_name(&text));

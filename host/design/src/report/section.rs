@@ -84,7 +84,6 @@ pub struct Column {
     pub heading: &'static str,
 }
 
-/// Shorthand for a [`Column`].
 pub(crate) const fn column(name: &'static str, heading: &'static str) -> Column {
     Column { name, heading }
 }

@@ -9,8 +9,7 @@ use slitpose_model::{
 };
 
 use super::head::{Candidate, Errors, Head, NoiseSource, RunTime, STREAM, currents, race, rms_of_covariances};
-use super::section::Sheet;
-use super::section::{Getter, Picture, Section, Table, Value};
+use super::section::{Getter, Picture, Section, Sheet, Table, Value};
 use super::{ReportError, Settings};
 use crate::plot::{Anchor, Axis, Chart, Curve, CurveStyle, Note, SOFT_INK, cell_colour, curve};
 

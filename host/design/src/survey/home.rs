@@ -68,7 +68,6 @@ pub(crate) struct Travel {
     pub positive: End,
 }
 
-/// Where a motion ends, and why.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(crate) struct End {
     /// Signed motion from home, metres or radians; zero if a cell is not usable even at home.

@@ -17,12 +17,8 @@ use slitpose_head::finding::Finding;
 use slitpose_head::scene_file::{SceneFile, Workspace};
 
 use crate::map::{NoiseOf, Outlook};
-pub(crate) use coverage::AXES;
-pub(crate) use coverage::CellCost;
-pub(crate) use coverage::Coverage;
-pub(crate) use coverage::{SlotCrosstalk, Timing, share_of_others};
-pub(crate) use home::CellAtHome;
-pub(crate) use home::{End, Travel};
+pub(crate) use coverage::{AXES, CellCost, Coverage, SlotCrosstalk, Timing, share_of_others};
+pub(crate) use home::{CellAtHome, End, Travel};
 
 /// Relative error of the integrals. A designer's decision turns on percents.
 const TOLERANCE: f64 = 1e-4;
@@ -121,7 +117,6 @@ impl Survey {
 }
 
 impl fmt::Display for WorkspaceFacts {
-    /// In millimetres and degrees.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [tx, ty, tz] = self.half_extent_m.map(|extent| rounded(extent * 1e3));
         let [rx, ry, rz] = self.half_extent_rad.map(|extent| rounded(extent.to_degrees()));

@@ -6,9 +6,7 @@ use slitpose_head::front_end::{TimingError, board_configuration};
 use slitpose_head::scene_file::{FrontEnd, SceneFile};
 use slitpose_model::{MIN_CELLS, Pose, Status};
 
-use super::coverage::CellCost;
-use super::coverage::CellCoverage;
-use super::coverage::{CROSSTALK_LIMIT, SlotCrosstalk};
+use super::coverage::{CROSSTALK_LIMIT, CellCost, CellCoverage, SlotCrosstalk};
 use super::{AXES, End, Survey, WorkspaceFacts};
 
 /// σ of a single frame at home over the workspace's half extent: beyond this a pose is hardly told.

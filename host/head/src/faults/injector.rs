@@ -21,20 +21,18 @@ const TEXT_BYTES: usize = 200;
 
 /// The state of a link behind the injector.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[allow(missing_docs, reason = "fields are named by what they are")]
 pub enum Link {
     /// Bytes come.
     Open,
     /// The link broke; what had not been delivered is lost. The port is back after so many seconds.
-    HungUp {
-        /// Device time without a link, seconds.
-        for_s: f64,
-    },
+    HungUp { for_s: f64 },
 }
 
 /// Injects faults into the bytes of one board.
 ///
 /// Bytes may be cut anywhere: the result does not depend on it. A packet is passed on when it is whole.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Injector {
     announced: Vec<(Fault, u64)>,
     wire: Vec<WireFault>,
@@ -48,7 +46,6 @@ pub struct Injector {
     ahead_ticks: f64,
     sampled: Option<(Schedule, WordScale)>,
     decoder: Box<Decoder<MAX_MESSAGE_BYTES>>,
-    /// Bytes since the last delimiter.
     packet: Vec<u8>,
     samples: Vec<u8>,
     late: Vec<u8>,
@@ -73,16 +70,7 @@ impl Injector {
             announced: faults.iter().map(|fault| (fault.clone(), 0)).collect(),
             wire: of_wire.map(|(fault, random)| WireFault::new(fault, random)).collect(),
             words,
-            clock: FaultClock::default(),
-            time_s: None,
-            idle_s: 0.0,
-            ahead_ticks: 0.0,
-            sampled: None,
-            decoder: Box::new(Decoder::new()),
-            packet: Vec::new(),
-            samples: Vec::new(),
-            late: Vec::new(),
-            held: Vec::new(),
+            ..Self::default()
         }
     }
 
@@ -296,7 +284,6 @@ struct WireFault {
     random: ChaCha8Rng,
     /// Bits to the next that is inverted.
     bits: Option<u64>,
-    /// Bytes of a burst to come.
     burst: usize,
     /// Spans whose begin has been acted on.
     begun: u64,

@@ -1,5 +1,7 @@
 //! The table of faults: what each does, what its text may say, and what a user sees of it.
 
+use std::sync::LazyLock;
+
 use super::text::Unit;
 
 /// Where a fault acts.
@@ -70,249 +72,40 @@ pub struct Kind {
     pub example: &'static str,
 }
 
-const fn key(name: &'static str, unit: Unit, default: &'static str) -> Key {
-    Key { name, unit, default: Some(default) }
-}
-
-const CELL: Key = Key { name: "cell", unit: Unit::Number, default: None };
-
-/// Of each packet, that something happens to it.
-const RATE: Key = key("rate", Unit::Rate, "0.01");
-
-/// What is seen where packets are missing or damaged.
-const DAMAGE: &str = "gap in seq, counted as missing and damaged";
-const GAP: &str = "gap in seq, counted as missing";
-
-const EXCLUDED: &str = "degraded (cell_excluded, doubted); health: excluded";
-
-/// What kinds of a layer have in common, unless the table says otherwise.
-const WIRE: Kind = Kind {
-    name: "",
-    layer: Layer::Wire,
-    keys: &[RATE],
-    lasts: Lasts::ToTheEnd,
-    what: "",
-    sees: DAMAGE,
-    exit: 3,
-    example: "",
-};
-const WORDS: Kind = Kind { layer: Layer::Words, keys: &[CELL], sees: EXCLUDED, exit: 0, ..WIRE };
-const LIGHT: Kind = Kind { layer: Layer::Light, ..WORDS };
-const BOARD: Kind = Kind { layer: Layer::Board, keys: &[], lasts: Lasts::Instant, ..WIRE };
+/// The kinds as a table of text, one a row.
+const TABLE: &str = include_str!("kinds.txt");
 
 /// All kinds, by layer.
-pub const KINDS: [Kind; 27] = [
-    Kind {
-        name: "flip",
-        keys: &[key("rate", Unit::Rate, "1e-5")],
-        what: "inverts each bit with probability RATE",
-        example: "flip:rate=1e-5",
-        ..WIRE
-    },
-    Kind {
-        name: "drop",
-        what: "loses each packet with probability RATE",
-        sees: GAP,
-        example: "drop:rate=0.01",
-        ..WIRE
-    },
-    Kind {
-        name: "duplicate",
-        what: "delivers each packet twice with probability RATE",
-        sees: "repeats are left out and counted",
-        example: "duplicate:rate=0.01",
-        ..WIRE
-    },
-    Kind {
-        name: "reorder",
-        what: "delivers each packet behind the next with probability RATE",
-        sees: "gap in seq, counted as missing; late scans are left out and counted",
-        example: "reorder:rate=0.01",
-        ..WIRE
-    },
-    Kind {
-        name: "truncate",
-        what: "cuts the end off each packet with probability RATE",
-        example: "truncate:rate=0.01",
-        ..WIRE
-    },
-    Kind {
-        name: "burst",
-        keys: &[RATE, key("bytes", Unit::Count, "64")],
-        what: "replaces BYTES by noise, from each packet on with probability RATE",
-        example: "burst:rate=0.01,bytes=300",
-        ..WIRE
-    },
-    Kind {
-        name: "stall",
-        keys: &[],
-        lasts: Lasts::For("200ms"),
-        what: "holds all bytes back, and then delivers them at once",
-        sees: "poses come late; none is missing",
-        exit: 0,
-        example: "stall:from=1s,for=300ms",
-        ..WIRE
-    },
-    Kind {
-        name: "hangup",
-        keys: &[],
-        lasts: Lasts::For("200ms"),
-        what: "breaks the link; the port is back later",
-        sees: "link lost, reconnects counted; gap in seq; needs --patience, else the run fails",
-        example: "hangup:from=1s,for=300ms",
-        ..WIRE
-    },
-    Kind {
-        name: "drift",
-        keys: &[key("ppm", Unit::Ppm, "100ppm")],
-        what: "lets the board's clock gain PPM",
-        sees: "device times drift; drift_ppm in /status in real time",
-        exit: 0,
-        example: "drift:ppm=-300ppm",
-        ..WIRE
-    },
-    Kind {
-        name: "step",
-        keys: &[key("by", Unit::TimeStep, "10ms")],
-        lasts: Lasts::Instant,
-        what: "sets the board's clock forward BY a time, or back",
-        sees: "event: the board's clock jumped",
-        exit: 0,
-        example: "step:from=1s,by=-5ms",
-        ..WIRE
-    },
-    Kind {
-        name: "occlude",
-        what: "takes all light from a cell",
-        sees: "degraded (fewer_cells); health: dark",
-        example: "occlude:cell=2,from=1s,for=500ms",
-        ..WORDS
-    },
-    Kind {
-        name: "dim",
-        keys: &[CELL, key("to", Unit::Ratio, "0.5")],
-        what: "dims the light of a cell TO a share",
-        example: "dim:cell=0,to=0.7",
-        ..WORDS
-    },
-    Kind {
-        name: "saturate",
-        what: "drives a cell's converter to the end of its range",
-        sees: "degraded (fewer_cells); health: saturated",
-        example: "saturate:cell=1,every=10ms,for=1ms",
-        ..WORDS
-    },
-    Kind {
-        name: "glint",
-        keys: &[CELL, key("current", Unit::Current, "1uA")],
-        what: "adds a reflection of its own emitter to electrode 1 of a cell",
-        example: "glint:cell=3,current=500nA",
-        ..WORDS
-    },
-    Kind {
-        name: "stray",
-        keys: &[CELL, key("current", Unit::Current, "400nA")],
-        what: "adds CURRENT of other light to each electrode of a cell in all slots",
-        sees: "poses hold; health: stray_rising",
-        example: "stray:cell=3,current=400nA,from=2s",
-        ..WORDS
-    },
-    Kind {
-        name: "noisy",
-        keys: &[CELL, key("rms", Unit::Current, "20nA")],
-        what: "adds noise to each word of a cell",
-        sees: "degraded (misfit, cell_excluded, doubted); health: excluded or noisy",
-        example: "noisy:cell=4,rms=20nA",
-        ..WORDS
-    },
-    Kind {
-        name: "stuck",
-        what: "lets the words of a cell stay as they are",
-        sees: "degraded (cell_excluded, doubted); health: stuck",
-        example: "stuck:cell=5,from=1s",
-        ..WORDS
-    },
-    Kind {
-        name: "swap-electrodes",
-        what: "exchanges the electrodes of a cell",
-        sees: "degraded (cell_excluded, doubted); health: swapped",
-        example: "swap-electrodes:cell=0",
-        ..WORDS
-    },
-    Kind {
-        name: "swap-cells",
-        keys: &[CELL, Key { name: "with", unit: Unit::Number, default: None }],
-        what: "exchanges two cells",
-        sees: "degraded (misfit, doubted) or no pose; health: swapped",
-        example: "swap-cells:cell=0,with=3",
-        ..WORDS
-    },
-    Kind {
-        name: "dead",
-        keys: &[Key { name: "emitter", unit: Unit::Number, default: None }],
-        what: "lets an emitter fail",
-        sees: "degraded (fewer_cells); health: dark",
-        example: "dead:emitter=4,from=1s",
-        ..LIGHT
-    },
-    Kind {
-        name: "move",
-        keys: &[CELL, key("by", Unit::Length, "50um")],
-        what: "moves the slit of a cell along its detector",
-        example: "move:cell=2,by=30um,from=1s",
-        ..LIGHT
-    },
-    Kind {
-        name: "warm",
-        keys: &[key("by", Unit::Kelvin, "20K"), key("over", Unit::Time, "1s")],
-        what: "warms head and board within OVER: emitters weaken, dark currents rise",
-        sees: "temperature in status; poses stay right: the light level is an unknown of each scan",
-        example: "warm:by=20K,over=2s",
-        ..LIGHT
-    },
-    Kind {
-        name: "overrun",
-        keys: &[key("scans", Unit::Count, "8")],
-        what: "has the converters overwrite SCANS before they are collected",
-        sees: "gap in seq, counted as missing; lost scans and overruns in status",
-        example: "overrun:scans=8,every=500ms",
-        ..BOARD
-    },
-    Kind {
-        name: "reset",
-        keys: &[key("boot", Unit::Time, "20ms")],
-        what: "resets the board by its watchdog; the link stays open",
-        sees: "restart counted; the board is started again; needs --patience, else the run fails",
-        example: "reset:from=1s",
-        ..BOARD
-    },
-    Kind {
-        name: "restart",
-        lasts: Lasts::For("300ms"),
-        what: "takes the board's supply away; the port is gone, too",
-        sees: "link lost, reconnects counted; restart counted; needs --patience, else the run fails",
-        example: "restart:from=1s,for=300ms",
-        ..BOARD
-    },
-    Kind {
-        name: "slow",
-        keys: &[key("poll", Unit::Time, "30ms")],
-        lasts: Lasts::ToTheEnd,
-        what: "lets the board look after its scans only every POLL",
-        sees: "scans come late; beyond 21 ms at 4 kHz a gap in seq, overruns in status",
-        example: "slow:poll=30ms,from=1s,for=200ms",
-        ..BOARD
-    },
-    Kind {
-        name: "stop",
-        what: "has the converters fail: the board stops and goes dark",
-        sees: "event of the board; it is started again; needs --patience, else the run fails",
-        example: "stop:from=1s",
-        ..BOARD
-    },
-];
+pub static KINDS: LazyLock<[Kind; 27]> = LazyLock::new(|| {
+    let mut rows = TABLE.lines().filter(|row| !row.starts_with('#')).map(Kind::of_row);
+    std::array::from_fn(|_| rows.next().flatten().expect("a row of kinds.txt"))
+});
 
 impl Kind {
+    /// The kind of a row of [`TABLE`].
+    fn of_row(row: &'static str) -> Option<Self> {
+        let columns: Vec<&str> = row.split('|').map(str::trim).collect();
+        let [name, layer, keys, lasts, exit, example, what, sees] = columns[..] else { return None };
+        let layer = match layer {
+            "wire" => Layer::Wire,
+            "words" => Layer::Words,
+            "light" => Layer::Light,
+            _ => Layer::Board,
+        };
+        let lasts = match lasts {
+            "instant" => Lasts::Instant,
+            "on" => Lasts::ToTheEnd,
+            time => Lasts::For(time),
+        };
+        let key = |text: &'static str| {
+            let (name, value) = text.split_once(':')?;
+            let (unit, default) = value.split_once('=').map_or((value, None), |(unit, value)| (unit, Some(value)));
+            Some(Key { name, unit: Unit::named(unit)?, default })
+        };
+        let keys = keys.split_whitespace().map(key).collect::<Option<Vec<Key>>>()?.leak();
+        Some(Self { name, layer, keys, lasts, what, sees, exit: exit.parse().ok()?, example })
+    }
+
     /// The kind with this name.
     pub fn named(name: &str) -> Option<&'static Self> {
         KINDS.iter().find(|kind| kind.name == name)

@@ -198,6 +198,13 @@ const CURRENTS: Endings = &[("nA", 1e-9), ("uA", 1e-6), ("mA", 1e-3)];
 const LENGTHS: Endings = &[("nm", 1e-9), ("um", 1e-6), ("mm", 1e-3)];
 
 impl Unit {
+    /// The unit of this name in the table of kinds.
+    pub(super) fn named(name: &str) -> Option<Self> {
+        use Unit::*;
+        let all = [Number, Count, Rate, Ratio, Time, TimeStep, Ppm, Current, Length, Kelvin];
+        all.into_iter().find(|unit| format!("{unit:?}") == name)
+    }
+
     /// Endings, the least and the greatest value, and what such a value looks like.
     fn entry(self) -> (Endings, RangeInclusive<f64>, &'static str) {
         match self {
@@ -310,7 +317,7 @@ mod tests {
 
     #[test]
     fn each_kind_has_a_name_of_its_own_and_an_example_that_is_one() {
-        for kind in &KINDS {
+        for kind in KINDS.iter() {
             let fault: Fault = kind.example.parse().unwrap_or_else(|error| panic!("{}: {error}", kind.example));
             assert_eq!((fault.kind.name, fault.to_string().as_str()), (kind.name, kind.example));
             assert_eq!(KINDS.iter().filter(|other| other.name == kind.name).count(), 1, "{}", kind.name);

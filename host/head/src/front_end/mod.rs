@@ -28,17 +28,14 @@ const TICK_HZ: u32 = 170_000_000;
 
 /// Why a board cannot run a scene.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum TimingError {
-    /// A scene that has no front end.
     #[error("scene `{0}` has no [front_end], so no board can sample it; add one, or use the shipped scene `wide`")]
     NoFrontEnd(String),
-    /// A scene whose front end no board can have: why, and what to change.
     #[error("scene `{0}`{1}")]
     FrontEnd(String, String),
-    /// Slots that take longer than a frame.
     #[error(transparent)]
     Slots(#[from] SceneFileError),
-    /// A scene with a schedule that no board can run.
     #[error("scene `{0}`: the schedule cannot be run; change [lighting] or [front_end]")]
     Schedule(String, #[source] ScheduleError),
 }
@@ -63,9 +60,6 @@ pub fn board_configuration(file: &SceneFile) -> Result<Configuration, TimingErro
 
 /// The configuration of a board for `file`: its lighting slots, each just long enough for settling and
 /// conversions, at nominal emitter levels.
-///
-/// # Errors
-/// If the scene has no front end, or one whose schedule does not fit its frame period.
 pub fn configuration(file: &SceneFile) -> Result<Configuration, TimingError> {
     let scene = || file.name.clone();
     let front_end = file.front_end.ok_or_else(|| TimingError::NoFrontEnd(scene()))?;

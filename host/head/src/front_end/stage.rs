@@ -251,17 +251,6 @@ mod tests {
     use crate::scene_file::Shipped;
 
     #[test]
-    fn the_default_front_end_has_the_noise_its_arithmetic_says() {
-        let front_end = Shipped::named("wide").unwrap().read().unwrap().front_end.unwrap();
-        // One step of 10 µA/4096 = 2.44 nA, halved by four conversions, √2 for lit minus dark.
-        let step_a = 10e-6 / 4096.0;
-        let converter = (2.0 * converter_variance_lsb2(&front_end)).sqrt() * step_a;
-        assert!((converter - 1.8e-9).abs() < 0.05e-9, "{converter}");
-        // 184 kHz of the low-pass, averaged over 3.5 µs.
-        assert!((word_bandwidth_hz(&front_end) - 100e3).abs() < 20e3, "{}", word_bandwidth_hz(&front_end));
-    }
-
-    #[test]
     fn slow_front_ends_average_nothing_and_fast_ones_everything() {
         let mut front_end = Shipped::named("wide").unwrap().read().unwrap().front_end.unwrap();
         front_end.time_constant_s = 1.0;

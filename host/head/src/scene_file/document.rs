@@ -5,7 +5,7 @@
 
 use std::ops::Range;
 
-use slitpose_model::{Fault, SceneError};
+use slitpose_model::{Fault, Place, SceneError};
 use toml::Spanned;
 use toml::de::{DeArray, DeInteger, DeTable, DeValue};
 
@@ -39,19 +39,20 @@ impl<'a> Document<'a> {
 
     fn check_keys(&self) -> Result<(), SceneFileError> {
         self.check_table(&self.root, "the scene file", &keys::top())?;
+        let split = |keys: &'static str| keys.split(' ').collect::<Vec<_>>();
         for (section, known) in keys::SECTIONS {
-            if let Some(entry) = self.root.get(*section) {
+            if let Some(entry) = self.root.get(section) {
                 let table = self.as_table(KeyPath::top(section), entry)?;
-                self.check_table(table, &format!("[{section}]"), known)?;
+                self.check_table(table, &format!("[{section}]"), &split(known))?;
             }
         }
         for (number, entry) in self.cell_entries()?.iter().enumerate() {
             let cell = self.as_table(KeyPath::top("cell"), entry)?;
             self.check_table(cell, &format!("[[cell]] number {number}"), &keys::of_cell())?;
-            for (section, known) in keys::per_cell() {
+            for (section, known) in &keys::SECTIONS[..keys::PER_CELL] {
                 if let Some(entry) = cell.get(*section) {
                     let table = self.as_table(KeyPath::of_cell(number, "cell", section), entry)?;
-                    self.check_table(table, &format!("`{section}` of cell {number}"), known)?;
+                    self.check_table(table, &format!("`{section}` of cell {number}"), &split(known))?;
                 }
             }
         }
@@ -243,9 +244,7 @@ impl<'a> Document<'a> {
         entry: &Entry<'_>,
         expected: &'static str,
     ) -> Result<[f64; N], SceneFileError> {
-        let DeValue::Array(array) = entry.get_ref() else {
-            return Err(self.wrong_type(path, entry, expected));
-        };
+        let array = self.as_array(path, entry, expected)?;
         if array.len() != N {
             return Err(self.wrong_type(path, entry, expected));
         }
@@ -302,7 +301,8 @@ impl<'a> Document<'a> {
 
     /// What the model says of a value, at the place of that value, in the file's own unit.
     pub(super) fn optics_error(&self, error: SceneError) -> SceneFileError {
-        let mut path = KeyPath::from(error.place);
+        let Place { cell, section, key } = error.place;
+        let mut path = KeyPath { cell, section, key };
         let diameter = KeyPath { key: "diameter_mm", ..path };
         // The model has the diameter of a hole as its width and length.
         let is_size = path.section == "slit" && matches!(path.key, "width_mm" | "length_mm");

@@ -2,7 +2,6 @@
 
 use std::fmt;
 
-use slitpose_model::Place;
 use thiserror::Error;
 
 use super::SHIPPED;
@@ -11,22 +10,17 @@ use crate::text_file::TextFileError;
 
 /// Why a scene cannot be had from a file.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum SceneFileError {
-    /// The SCENE argument: there is no such file and no such shipped scene, or the file cannot be read.
     #[error(
         "cannot read scene `{}`; {}give a scene file or a shipped scene ({})",
         printable(.0),
         meant(.0),
-        shipped_names()
+        SHIPPED.map(|shipped| shipped.name).join(", ")
     )]
     Read(String, #[source] TextFileError),
-    /// A place in the text, and what is wrong there, with the next step.
     #[error("{0}: {1}")]
     Content(FilePlace, String),
-}
-
-fn shipped_names() -> String {
-    SHIPPED.map(|shipped| shipped.name).join(", ")
 }
 
 /// The shipped scene whose name is spelt almost like `argument`.
@@ -95,9 +89,7 @@ impl KeyPath {
     pub(super) const fn of_cell(cell: usize, section: &'static str, key: &'static str) -> Self {
         Self { cell: Some(cell), section, key }
     }
-}
 
-impl KeyPath {
     /// Where to add it, in words.
     pub(super) fn home(&self) -> String {
         match (self.cell, self.section) {
@@ -118,12 +110,6 @@ impl KeyPath {
     }
 }
 
-impl From<Place> for KeyPath {
-    fn from(place: Place) -> Self {
-        Self { cell: place.cell, section: place.section, key: place.key }
-    }
-}
-
 impl fmt::Display for KeyPath {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if let Some(cell) = self.cell {
@@ -140,93 +126,42 @@ impl fmt::Display for KeyPath {
 const OWN: [&str; 6] = ["detector_mm", "x_axis", "normal", "emitter_mm", "emitter_axis", "second_axis_of"];
 
 /// How many of the sections, from the first on, a cell may override key by key.
-const PER_CELL: usize = 6;
+pub(super) const PER_CELL: usize = 6;
 
 /// The three ways to give an emitter's profile, exactly one of which is needed.
 pub(super) const PROFILES: [&str; 3] = ["half_angle_deg", "profile_exponent", "profile"];
 
-/// A section and its keys.
-pub(super) type Section = (&'static str, &'static [&'static str]);
-
-pub(super) const SECTIONS: &[Section] = &[
+/// Sections with their keys.
+pub(super) const SECTIONS: [(&str, &str); 12] = [
     (
         "detector",
-        &[
-            "part",
-            "length_mm",
-            "width_mm",
-            "responsivity_a_per_w",
-            "dark_current_a",
-            "interelectrode_ohm",
-            "saturation_a",
-            "faint_a",
-            "nonlinearity_mm",
-            "electrode_gain",
-        ],
+        "part length_mm width_mm responsivity_a_per_w dark_current_a interelectrode_ohm saturation_a \
+         faint_a nonlinearity_mm electrode_gain",
     ),
-    (
-        "slit",
-        &[
-            "distance_mm",
-            "width_mm",
-            "length_mm",
-            "diameter_mm",
-            "focal_length_mm",
-            "offset_mm",
-            "tilt_deg",
-            "thickness_mm",
-            "mount",
-        ],
-    ),
+    ("slit", "distance_mm width_mm length_mm diameter_mm focal_length_mm offset_mm tilt_deg thickness_mm mount"),
     (
         "emitter",
-        &[
-            "part",
-            "radiant_intensity_w_per_sr",
-            "source_diameter_mm",
-            "half_angle_deg",
-            "profile_exponent",
-            "profile",
-            "profile_radial",
-            "profile_azimuthal",
-        ],
+        "part radiant_intensity_w_per_sr source_diameter_mm half_angle_deg profile_exponent profile \
+         profile_radial profile_azimuthal",
     ),
-    ("window", &["thickness_mm", "refractive_index"]),
-    ("stray", &["current_a", "centre_mm", "linear_a_per_mm", "quadratic_a_per_mm2"]),
-    ("converter", &["full_scale_a", "curve_1_a", "curve_2_a"]),
-    ("noise", &["bandwidth_hz", "temperature_k", "adc_a"]),
+    ("window", "thickness_mm refractive_index"),
+    ("stray", "current_a centre_mm linear_a_per_mm quadratic_a_per_mm2"),
+    ("converter", "full_scale_a curve_1_a curve_2_a"),
+    ("noise", "bandwidth_hz temperature_k adc_a"),
     (
         "front_end",
-        &[
-            "full_scale_a",
-            "adc_bits",
-            "raw_noise_lsb",
-            "oversampling",
-            "time_constant_s",
-            "settling_s",
-            "conversion_s",
-            "frame_rate_hz",
-        ],
+        "full_scale_a adc_bits raw_noise_lsb oversampling time_constant_s settling_s conversion_s \
+         frame_rate_hz",
     ),
-    ("uncertainty", &["emitter_gain_relative", "electrode_gain_relative", "position_mm"]),
+    ("uncertainty", "emitter_gain_relative electrode_gain_relative position_mm"),
     (
         "tolerance",
-        &[
-            "position_mm",
-            "angle_deg",
-            "slit_width_mm",
-            "emitter_angle_deg",
-            "light_level_relative",
-            "emitter_gain_relative",
-            "electrode_gain_relative",
-            "profile_relative",
-            "nonlinearity_mm",
-            "window_mm",
-            "stray_relative",
-        ],
+        "position_mm angle_deg slit_width_mm emitter_angle_deg light_level_relative \
+         emitter_gain_relative electrode_gain_relative profile_relative nonlinearity_mm window_mm \
+         stray_relative",
     ),
-    ("lighting", &["slots"]),
-    ("workspace", &["half_extent_mm", "half_extent_deg"]),
+    ("lighting", "slots"),
+    ("workspace", "half_extent_mm half_extent_deg"),
 ];
 
 /// Keys at the top level, sections included.
@@ -234,12 +169,7 @@ pub(super) fn top() -> Vec<&'static str> {
     ["name"].into_iter().chain(SECTIONS.iter().map(|(section, _)| *section)).chain(["cell"]).collect()
 }
 
-/// Keys of a `[[cell]]`, sections included.
+/// Keys of a `[[cell]]`: its own, and the sections whose keys it may override.
 pub(super) fn of_cell() -> Vec<&'static str> {
-    OWN.into_iter().chain(per_cell().iter().map(|(section, _)| *section)).collect()
-}
-
-/// Sections whose keys a cell may override.
-pub(super) fn per_cell() -> &'static [Section] {
-    &SECTIONS[..PER_CELL]
+    OWN.into_iter().chain(SECTIONS[..PER_CELL].iter().map(|(section, _)| *section)).collect()
 }

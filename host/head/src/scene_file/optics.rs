@@ -172,9 +172,7 @@ fn vector(document: &Document<'_>, cell: usize, key: &'static str) -> Result<DVe
 /// What the light of a cell passes through, and the keys of its sizes.
 struct Passage {
     opening: Opening,
-    /// Key of the size along x.
     width: &'static str,
-    /// Key of the size along y.
     length: &'static str,
 }
 

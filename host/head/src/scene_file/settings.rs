@@ -282,27 +282,19 @@ impl Default for Workspace {
 /// The workspace of the file, key by key in place of the default.
 pub(super) fn read_workspace(document: &Document<'_>) -> Result<Workspace, SceneFileError> {
     let default = Workspace::default();
-    let metres = extents(document, "half_extent_mm", f64::INFINITY, "numbers of zero or more")?;
-    let degrees = extents(document, "half_extent_deg", 180.0, "numbers from 0 to 180")?;
-    Ok(Workspace {
-        half_extent_m: metres.map_or(default.half_extent_m, |mm| mm * 1e-3),
-        half_extent_rad: degrees.map_or(default.half_extent_rad, |deg| deg.map(f64::to_radians)),
-    })
-}
-
-fn extents(
-    document: &Document<'_>,
-    key: &'static str,
-    most: f64,
-    allowed: &'static str,
-) -> Result<Option<DVec3>, SceneFileError> {
-    let path = KeyPath::section("workspace", key);
-    let Some(entry) = document.find(path) else {
-        return Ok(None);
+    let extents = |key, default, most, allowed| {
+        let path = KeyPath::section("workspace", key);
+        let Some(extents) = document.vector::<3>(path, "three numbers, [x, y, z]")? else { return Ok(default) };
+        document.within(path, extents[0], |_| extents.iter().all(|extent| (0.0..=most).contains(extent)), allowed)?;
+        Ok(DVec3::from_array(extents))
     };
-    let extents = document.as_vector::<3>(path, entry, "three numbers, [x, y, z]")?;
-    if extents.iter().all(|extent| (0.0..=most).contains(extent)) {
-        return Ok(Some(DVec3::from_array(extents)));
-    }
-    Err(document.out_of_range(path, entry, allowed))
+    Ok(Workspace {
+        half_extent_m: extents("half_extent_mm", default.half_extent_m, f64::INFINITY, "numbers of zero or more")?,
+        half_extent_rad: extents(
+            "half_extent_deg",
+            default.half_extent_rad,
+            180_f64.to_radians(),
+            "numbers from 0 to 180",
+        )?,
+    })
 }

@@ -58,7 +58,6 @@ pub struct CellNoise {
     shot_of: f64,
 }
 
-/// One cell's pair of electrodes.
 #[derive(Clone, Debug)]
 struct Channel {
     state: [f64; 2],

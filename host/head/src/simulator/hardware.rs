@@ -16,25 +16,25 @@ use super::electronics::Electronics;
 use super::trajectory::Trajectory;
 use crate::faults::{LightFaults, WordFaults, WordScale};
 
-/// The sensors of a simulated board.
 const HEALTH: Health = Health { supply_v: 3.3, temperature_k: 298.15, cpu_load_permille: 0 };
 
 /// Words in the ring of a converter, as on the board: see `RING_WORDS` in its firmware.
 const RING_WORDS: u64 = 2048;
 
-/// Simulated emitters, slits, detectors and converters of one head. Time passes only in
-/// [`SimulatedHardware::advance`].
+/// Simulated emitters, slits, detectors and converters of one head.
 #[derive(Debug)]
 pub(crate) struct SimulatedHardware {
     optics: Arc<dyn Light>,
     trajectory: Trajectory,
     electronics: Electronics,
     rng: ChaCha8Rng,
-    now_ticks: u64,
-    tick_hz: u32,
-    run: Option<Run>,
+    /// Ticks since the last reset: time passes as this is raised.
+    pub(super) now_ticks: u64,
+    pub(super) tick_hz: u32,
+    pub(super) run: Option<Run>,
     next_sequence: u64,
-    truths: VecDeque<Truth>,
+    /// The true poses at the scans since this was last emptied.
+    pub(super) truths: VecDeque<Truth>,
     /// Ticks before the last reset.
     earlier_ticks: u64,
     /// What the next scan comes to grief by.
@@ -44,9 +44,9 @@ pub(crate) struct SimulatedHardware {
 }
 
 #[derive(Debug)]
-struct Run {
+pub(super) struct Run {
     configuration: Configuration,
-    next_frame_ticks: u64,
+    pub(super) next_frame_ticks: u64,
 }
 
 impl SimulatedHardware {
@@ -102,25 +102,6 @@ impl SimulatedHardware {
     /// Lets the converters fail at the next scan.
     pub(crate) fn fail(&mut self) {
         self.trouble = self.run.as_ref().map(|_| ScanError::Fault(HardwareFault::Converters));
-    }
-
-    /// Ticks since the last reset, and ticks a second.
-    pub(crate) fn clock(&self) -> (u64, u32) {
-        (self.now_ticks, self.tick_hz)
-    }
-
-    /// Ticks of the frame under way; `None` while no scan is taken.
-    pub(crate) fn frame_tick(&self) -> Option<u64> {
-        self.run.as_ref().map(|run| run.next_frame_ticks)
-    }
-
-    pub(crate) fn advance(&mut self, ticks: u64) {
-        self.now_ticks += ticks;
-    }
-
-    /// The true poses of the scans delivered since the last call, at their reference instants.
-    pub(crate) fn take_truths(&mut self) -> impl Iterator<Item = Truth> + '_ {
-        self.truths.drain(..)
     }
 
     fn pose_at(&self, ticks: f64) -> Pose {

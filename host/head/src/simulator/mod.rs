@@ -88,7 +88,6 @@ pub struct SimulatedBoard {
 
 type Core = Board<SimulatedHardware, Box<[u8]>>;
 
-/// A board that faults befall.
 #[derive(Debug)]
 struct Troubled {
     faults: BoardFaults,
@@ -105,14 +104,12 @@ struct Troubled {
 
 /// Why a scene cannot be simulated.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum SimulatorError {
-    /// The schedule.
     #[error(transparent)]
     Timing(#[from] TimingError),
-    /// The optics.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// The firmware's core refuses the configuration.
     #[error("the simulated board refuses the scene's schedule")]
     Refused(#[source] Rejection),
 }
@@ -186,7 +183,7 @@ impl SimulatedBoard {
 
     /// Lets one frame period pass, then [`transmit`](Self::transmit)s.
     pub fn step(&mut self, bytes: &mut Vec<u8>) {
-        self.board.hardware_mut().advance(self.frame_ticks);
+        self.board.hardware_mut().now_ticks += self.frame_ticks;
         let is_busy = self.begin_faults();
         if let Some(troubled) = &mut self.troubled {
             troubled.is_busy = is_busy;
@@ -201,7 +198,7 @@ impl SimulatedBoard {
 
     /// Lets one frame period pass with the link closed.
     pub fn step_closed(&mut self) {
-        self.board.hardware_mut().advance(self.frame_ticks);
+        self.board.hardware_mut().now_ticks += self.frame_ticks;
         if let Some(troubled) = &mut self.troubled {
             (troubled.is_busy, troubled.boots_for) = (false, 0);
         }
@@ -222,9 +219,9 @@ impl SimulatedBoard {
             return troubled.boots_for > 0;
         }
         let hardware = self.board.hardware_mut();
-        let (now, tick_hz) = hardware.clock();
-        if let Some(tick) = hardware.frame_tick() {
-            troubled.clock.take(tick, tick_hz);
+        let (now, tick_hz) = (hardware.now_ticks, hardware.tick_hz);
+        if let Some(run) = &hardware.run {
+            troubled.clock.take(run.next_frame_ticks, tick_hz);
         }
         let Some(time_s) = troubled.clock.at(now, tick_hz) else { return false };
         let trouble = troubled.faults.begin(time_s);
@@ -266,7 +263,7 @@ impl SimulatedBoard {
         }
         self.board.poll(Link::Open);
         let mut packet = [0; MAX_MESSAGE_BYTES];
-        for truth in self.board.hardware_mut().take_truths() {
+        for truth in self.board.hardware_mut().truths.drain(..) {
             if let Ok(packet) = encode(&Message::Truth(truth), &mut packet) {
                 bytes.extend_from_slice(packet);
             }

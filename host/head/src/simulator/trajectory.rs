@@ -70,11 +70,10 @@ enum Motion {
 
 /// Why a table is not a path.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum PathError {
-    /// The table itself.
     #[error(transparent)]
     Table(#[from] TableError),
-    /// Time that does not advance: the file, the earlier row's time, and the offending one.
     #[error("{0}: time {2} s follows {1} s; sort the rows by time_s, each time once")]
     Order(String, f64, f64),
 }
@@ -217,7 +216,6 @@ const BOX_RAD: f64 = 0.12;
 /// Legs kept: for poses more than a second back, all legs are planned again.
 const KEPT: usize = 256;
 
-/// A motion from home on.
 #[derive(Clone, Debug)]
 struct Reversals {
     /// The generator at the beginning of the motion.
@@ -242,7 +240,6 @@ impl Reversals {
         Self { random, end_s, shrunk: [DVec3::ONE; 2], plan }
     }
 
-    /// Flies in a smaller box.
     fn shrink(&mut self, by_m: DVec3, by_rad: DVec3) {
         self.shrunk = [by_m, by_rad];
     }

@@ -97,7 +97,6 @@ impl PoseColumns {
 /// The least and the greatest number of each column of poses: whether they can be millimetres and radians.
 #[derive(Clone, Copy, Debug)]
 pub struct PoseSizes {
-    /// Each with its row, from 1.
     extremes: [[(f64, u64); 2]; 6],
 }
 
@@ -109,9 +108,6 @@ impl Default for PoseSizes {
 
 impl PoseSizes {
     /// The pose of a row, whose numbers are counted in.
-    ///
-    /// # Errors
-    /// Fields that are no numbers, and numbers that cannot be millimetres or radians of a rotation vector.
     pub fn pose(&mut self, columns: &PoseColumns, row: &Row<'_>) -> Result<Pose, TableError> {
         let mut numbers = [0.0; 6];
         for (index, (number, column)) in numbers.iter_mut().zip(columns.components).enumerate() {
@@ -126,7 +122,7 @@ impl PoseSizes {
                     "the rotation vector in radians, at most a turn of 6.28; are these degrees?",
                 ));
             }
-            self.include(index, [(*number, row.number_of_row()); 2]);
+            self.include(index, [(*number, row.number); 2]);
         }
         let [tx, ty, tz, rx, ry, rz] = numbers;
         Ok(Pose::from_vectors(DVec3::new(tx, ty, tz) * 1e-3, DVec3::new(rx, ry, rz)))

@@ -29,41 +29,22 @@ pub enum Replace {
 
 /// Why a result cannot be written.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum OutputError {
-    /// A file that is to be kept.
     #[error("{} is there already; give another name, or --overwrite to replace it", .0.display())]
     Exists(PathBuf),
-    /// Something measured that would be lost.
     #[error("{} is a capture, which a result would replace; give another name, or delete it first", .0.display())]
     Capture(PathBuf),
-    /// The result would replace what it is made from, or another result.
     #[error("{} is named twice, and would be replaced; give another name", .0.display())]
     Twice(PathBuf),
-    /// The user did not wait.
     #[error("interrupted: {target} is not written")]
-    Interrupted {
-        /// The file, or standard output.
-        target: String,
-    },
-    /// The file cannot be made.
+    Interrupted { target: String },
     #[error("cannot write to {}; give a file in a folder that exists and may be written", path.display())]
-    Create {
-        /// The file asked for.
-        path: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
-    /// A folder that is named as a file.
+    Create { path: PathBuf, source: io::Error },
     #[error("{} is to be a folder, of a page with its tables and pictures; give a name that is not a file's", .0.display())]
     Folder(PathBuf),
-    /// Writing failed on the way.
     #[error("writing to {target} failed; make room there, or choose another --output")]
-    Write {
-        /// The file, or standard output.
-        target: String,
-        /// The system's error.
-        source: io::Error,
-    },
+    Write { target: String, source: io::Error },
 }
 
 impl OutputError {
@@ -227,9 +208,6 @@ pub fn is_capture(path: &Path) -> bool {
 }
 
 /// Refuses a result in the place of something the same command reads, or of another result.
-///
-/// # Errors
-/// If `output` and one of `others` are one file.
 pub fn refuse_twice<'a>(output: &Path, others: impl IntoIterator<Item = &'a Path>) -> Result<(), OutputError> {
     let is_same = |other: &Path| match (fs::metadata(output), fs::metadata(other)) {
         (Ok(a), Ok(b)) => a.is_file() && (a.dev(), a.ino()) == (b.dev(), b.ino()),
@@ -248,54 +226,6 @@ fn is_one_name(a: &Path, b: &Path) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_file_appears_only_when_finished() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("table.csv");
-        let mut output = Output::file(&path).unwrap();
-        output.write_all(b"half").unwrap();
-        output.flush().unwrap();
-        assert!(!path.exists(), "unfinished output stands under its final name");
-        drop(output);
-        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0, "a part was left behind");
-
-        Output::file(&path).unwrap().write_text("whole").unwrap();
-        assert_eq!(fs::read_to_string(&path).unwrap(), "whole");
-        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
-    }
-
-    #[test]
-    fn an_unfinished_file_leaves_the_old_one_alone() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("table.csv");
-        fs::write(&path, "old").unwrap();
-        let mut output = Output::file(&path).unwrap();
-        output.write_all(b"new").unwrap();
-        drop(output);
-        assert_eq!(fs::read_to_string(&path).unwrap(), "old");
-    }
-
-    #[test]
-    fn an_impossible_place_is_refused_before_any_work() {
-        let folder = tempfile::tempdir().unwrap();
-        for path in [folder.path().to_owned(), folder.path().join("no/such/folder.csv")] {
-            let error = Output::file(&path).unwrap_err();
-            let message = error.to_string();
-            assert!(message.contains(&*path.to_string_lossy()) && message.contains("folder that exists"), "{message}");
-        }
-    }
-
-    #[test]
-    fn a_capture_gives_way_to_no_table() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("night.csv");
-        fs::write(&path, [CAPTURE_MAGIC, b"measured"].concat()).unwrap();
-        assert!(matches!(Output::file(&path), Err(OutputError::Capture(of)) if of == path));
-        assert!(matches!(Output::replacing(&path, Replace::Nothing), Err(OutputError::Exists(of)) if of == path));
-        Output::replacing(&path, Replace::Anything).unwrap().write_text("new").unwrap();
-        assert_eq!(fs::read_to_string(&path).unwrap(), "new");
-    }
 
     #[test]
     fn a_file_that_appears_meanwhile_is_kept() {

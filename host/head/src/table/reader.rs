@@ -13,17 +13,14 @@ use crate::text_file::{self, TextFileError};
 
 /// Why a table cannot be used.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum TableError {
-    /// The file cannot be opened.
     #[error("cannot read {}; give a CSV file, or - for standard input", printable(.0))]
     Open(String, #[source] TextFileError),
-    /// Reading the file failed on the way, after so many rows of data.
     #[error("reading {0} failed after row {1}")]
     Read(String, u64, #[source] io::Error),
-    /// A place of the file, and what is wrong there, with the next step.
     #[error("{0} {1}")]
     Content(String, String),
-    /// The place of a field that should be a number, and its text.
     #[error("{} `{}` is not a finite number; give one like -1.5 or 2e-6", .0, printable(.1))]
     NotANumber(String, String),
 }
@@ -63,7 +60,6 @@ pub struct TableReader {
     csv: csv::Reader<Lines>,
     /// Bytes of the file; `None` if it has no length.
     length: Option<u64>,
-    /// The row that was read last.
     record: StringRecord,
     /// Whether it has not been given out yet.
     waiting: bool,
@@ -87,7 +83,7 @@ impl TableReader {
 
     /// Reads from any source; `file` names it in messages. A table without any row is an error.
     pub fn new(file: &str, source: impl Read + 'static) -> Result<Self, TableError> {
-        let lines = Lines { source: Box::new(source), held: false, passed: 0, row_begin: 0 };
+        let lines = Lines { source: Box::new(source), passed: 0, row_begin: 0, has_crlf: false };
         let csv =
             csv::ReaderBuilder::new().has_headers(false).flexible(true).buffer_capacity(READ_BYTES).from_reader(lines);
         let names = |header| Arc::new(Names { file: file.to_owned(), header });
@@ -141,7 +137,7 @@ impl TableReader {
         self.length
     }
 
-    /// Bytes of the file that were read; lines that end in `\r\n` count one byte less.
+    /// Bytes of the file that were read.
     pub fn position(&self) -> u64 {
         self.csv.position().byte()
     }
@@ -235,9 +231,12 @@ impl TableReader {
     }
 
     fn read_record(&mut self) -> Result<bool, TableError> {
-        let begin = self.csv.position().clone();
+        let mut begin = self.csv.position().clone();
         self.csv.get_mut().row_begin = begin.byte();
         let read = self.csv.read_record(&mut self.record);
+        // The parser leaves the line feed behind a carriage return to the next row, and counts lines by line feeds.
+        begin.set_line(begin.line() + u64::from(begin.byte() > 0 && self.csv.get_ref().has_crlf));
+        self.record.set_position(Some(begin.clone()));
         let length = self.record.as_slice().len() + self.record.len();
         if self.csv.get_ref().is_too_long() || length as u64 > MAX_ROW_BYTES {
             let text =
@@ -316,7 +315,7 @@ pub struct Row<'a> {
     names: &'a Names,
     record: &'a StringRecord,
     /// From 1.
-    number: u64,
+    pub(crate) number: u64,
 }
 
 impl<'a> Row<'a> {
@@ -339,11 +338,6 @@ impl<'a> Row<'a> {
         TableError::Content(self.place(column), format!("{value} is out of range; give {allowed}"))
     }
 
-    /// Number of this data row, from 1.
-    pub(crate) fn number_of_row(&self) -> u64 {
-        self.number
-    }
-
     fn place(&self, column: Column) -> String {
         let Names { file, header } = self.names;
         let (row, line) = (self.number, line_of(self.record));
@@ -351,15 +345,14 @@ impl<'a> Row<'a> {
     }
 }
 
-/// Passes text on with every carriage return before a line feed left out, for the parser would count such lines one short;
-/// fails once a row has more than [`MAX_ROW_BYTES`].
+/// Passes text on, and fails once a row has more than [`MAX_ROW_BYTES`].
 struct Lines {
     source: Box<dyn Read>,
-    /// A carriage return has been read and not passed on, for what follows is not known.
-    held: bool,
     /// Bytes that were passed on, and how many of them came before the row at hand.
     passed: u64,
     row_begin: u64,
+    /// Whether lines end in `\r\n`.
+    has_crlf: bool,
 }
 
 impl Lines {
@@ -369,35 +362,14 @@ impl Lines {
 }
 
 impl Read for Lines {
-    /// `out` must have room for two bytes, as a reader's buffer has.
     fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
         if self.is_too_long() {
             return Err(io::ErrorKind::FileTooLarge.into());
         }
-        let first = usize::from(self.held);
-        out[..first].fill(b'\r');
-        let count = self.source.read(&mut out[first..])?;
-        let filled = first + count;
-        let mut kept = filled;
-        if count == 0 {
-            self.held = false;
-        } else if out[..filled].contains(&b'\r') {
-            self.held = out[filled - 1] == b'\r';
-            kept = 0;
-            for at in 0..filled {
-                if out[at] == b'\r' && (at + 1 == filled || out[at + 1] == b'\n') {
-                    continue;
-                }
-                out[kept] = out[at];
-                kept += 1;
-            }
-            // Nothing but a carriage return is not the end.
-            if kept == 0 {
-                return self.read(out);
-            }
-        }
-        self.passed += kept as u64;
-        Ok(kept)
+        let count = self.source.read(out)?;
+        self.passed += count as u64;
+        self.has_crlf = self.has_crlf || out[..count].windows(2).any(|two| two == b"\r\n");
+        Ok(count)
     }
 }
 

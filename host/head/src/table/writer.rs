@@ -15,7 +15,6 @@ pub struct TableWriter {
 /// Rows of a table, written by any thread into memory for [`TableWriter::append`].
 pub struct TableRows {
     text: Vec<u8>,
-    /// Where the row at hand begins.
     begin: usize,
     is_terminal: bool,
 }
@@ -150,35 +149,6 @@ mod tests {
             let back = table.next_row().unwrap().unwrap().number(column).unwrap();
             assert_eq!(back.to_bits(), number.to_bits(), "{number:?} became {back:?}");
         }
-    }
-
-    #[test]
-    fn a_table_of_many_rows_at_a_time_is_that_of_one_row_at_a_time() {
-        let folder = tempfile::tempdir().unwrap();
-        let paths = ["rows.csv", "chunks.csv"].map(|name| folder.path().join(name));
-        let numbers = [Some(0.1), None, Some(-2e-300), Some(4.0)];
-        let start = |path| TableWriter::new(Output::file(path).unwrap(), ["id", "number"]).unwrap();
-        let mut rows = start(&paths[0]);
-        for number in numbers {
-            rows.text("a, b");
-            rows.optional(number);
-            rows.end_row().unwrap();
-        }
-        rows.finish().unwrap();
-        let mut chunks = start(&paths[1]);
-        let starting = chunks.starting();
-        for numbers in numbers.chunks(3) {
-            let mut rows = starting();
-            for number in numbers {
-                rows.text("a, b");
-                rows.optional(*number);
-                rows.end_row();
-            }
-            chunks.append(&rows).unwrap();
-        }
-        chunks.finish().unwrap();
-        let [rows, chunks] = paths.map(|path| std::fs::read_to_string(path).unwrap());
-        assert_eq!(rows, chunks);
     }
 
     #[test]

@@ -68,7 +68,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
             head.file.origin
         );
     }
-    let studied = args.tolerance_study.map(|heads| tolerances(head.simulated(), heads, args.seed)).transpose()?;
+    let studied = args.tolerance_study.map(|heads| tolerances(&head.simulated, heads, args.seed)).transpose()?;
     publish(&map_report(&head, &map, studied.as_ref(), schedules.as_ref()), folder.as_ref())?;
     Ok(Outcome::Done)
 }

@@ -16,7 +16,7 @@ use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
 use super::place::{Medium, Sink};
 use super::records::PROGRAM;
 use super::setup::{LinkChannels, METADATA, Setup};
-use super::{About, LINK_BYTES, REPORT_SCHEMA, link_bytes};
+use super::{LINK_BYTES, REPORT_SCHEMA, link_bytes};
 use crate::link::{DeviceId, Segment};
 use crate::pipeline::Record;
 use crate::ros::cdr::Encoder;
@@ -70,17 +70,17 @@ pub(super) struct CaptureFile<M: Medium> {
     calibrations: BTreeMap<String, Arc<str>>,
     boards: BTreeMap<DeviceId, Board>,
     chunks: u64,
-    /// Time of the last message.
     log_ns: u64,
     message: Vec<u8>,
     links: u32,
     written_bytes: Arc<AtomicU64>,
     chunk_bytes: u64,
-    unflushed_link_bytes: u64,
+    /// Bytes of links written after the last flush.
+    pub(super) unflushed_link_bytes: u64,
 }
 
 impl<M: Medium> CaptureFile<M> {
-    pub(super) fn create(medium: M, about: &About) -> Result<Self, McapError> {
+    pub(super) fn create(medium: M, report_schema: &str) -> Result<Self, McapError> {
         let options = WriteOptions::new()
             .profile("ros2")
             .library(format!("{PROGRAM}{}", env!("CARGO_PKG_VERSION")))
@@ -94,7 +94,7 @@ impl<M: Medium> CaptureFile<M> {
         let sink = Sink::new(medium);
         let written_bytes = sink.position();
         let mut writer = options.create(sink)?;
-        attach(&mut writer, (REPORT_SCHEMA, "application/schema+json"), &about.report_schema, 0)?;
+        attach(&mut writer, (REPORT_SCHEMA, "application/schema+json"), report_schema, 0)?;
         let report = ros_channel(&mut writer, REPORT, "/slitpose/report", &[REPORT_CONTENT])?;
         let transforms = ros_channel(&mut writer, TRANSFORMS, "/tf", &[])?;
         Ok(Self {
@@ -217,7 +217,6 @@ impl<M: Medium> CaptureFile<M> {
         self.write(of.map_or(self.report, |channels| channels.report), 0, log_ns, log_ns)
     }
 
-    /// Writes `self.message`.
     fn write(&mut self, channel_id: u16, sequence: u32, log_ns: u64, publish_ns: u64) -> Result<(), McapError> {
         if self.chunk_bytes == 0 || self.chunk_bytes >= CHUNK_BYTES {
             self.begin_chunk(log_ns)?;
@@ -279,11 +278,6 @@ impl<M: Medium> CaptureFile<M> {
     /// Length of the file if it were flushed now, at most.
     pub(super) fn bytes(&self) -> u64 {
         self.written_bytes.load(Ordering::Relaxed) + self.chunk_bytes
-    }
-
-    /// Bytes of links written after the last flush.
-    pub(super) fn unflushed_link_bytes(&self) -> u64 {
-        self.unflushed_link_bytes
     }
 
     pub(super) fn finish(&mut self) -> Result<(), McapError> {

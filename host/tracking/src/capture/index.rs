@@ -30,23 +30,20 @@ pub(super) struct Index {
     channels: BTreeMap<u16, Channel>,
     texts: Texts,
     kept_bytes: usize,
-    /// Boards with their last settings.
     setups: BTreeMap<DeviceId, Setup>,
     /// The last settings of each board whose scene or calibration has not been read yet, by number of the board.
     waiting: BTreeMap<String, BTreeMap<String, String>>,
     /// New settings that have not been returned.
     pub(super) ready: VecDeque<Box<Setup>>,
-    /// Names of the first topics.
     pub(super) topics: BTreeSet<String>,
     /// Boards whose last hello has been read: copies of it are skipped.
-    greeted: BTreeSet<DeviceId>,
+    pub(super) greeted: BTreeSet<DeviceId>,
     /// Whether settings may be missing, so that later copies must be searched.
     pub(super) misses_settings: bool,
     /// Log time and monotonic time of the last message of each link.
     last_ns: BTreeMap<DeviceId, [u64; 2]>,
     /// Messages of links that stand behind later ones.
     pub(super) unordered_messages: u64,
-    /// Records that are damaged, so far.
     pub(super) damaged_records: u64,
     pub(super) damaged_bytes: u64,
     /// The first settings that cannot be used, though nothing damaged them.
@@ -65,11 +62,6 @@ impl Index {
     pub(super) fn count_damage(&mut self, bytes: u64) {
         self.damaged_records += 1;
         self.damaged_bytes += bytes;
-        self.greeted.clear();
-    }
-
-    /// Lets the next copy of each hello count.
-    pub(super) fn forget_hellos(&mut self) {
         self.greeted.clear();
     }
 

@@ -20,7 +20,6 @@ mod link_bytes;
 mod packets;
 mod place;
 mod reader;
-mod readings;
 mod records;
 mod series;
 mod setup;
@@ -33,20 +32,11 @@ use thiserror::Error;
 pub use link_bytes::{decode as decode_link_bytes, encode as encode_link_bytes};
 pub use place::Existing;
 pub use reader::{CaptureReader, End};
-pub use readings::ReadingsError;
-pub use readings::{Readings, read as readings};
 pub use series::{CaptureSeries, Limits};
 pub use setup::{CapturedBasis, Settings, Setup, SetupError};
 
 use crate::link::DeviceId;
 use crate::ros::RosType;
-
-/// Information in a capture about the program that writes it.
-#[derive(Clone, Debug, Default)]
-pub struct About {
-    /// JSON schema of the reports.
-    pub report_schema: String,
-}
 
 /// Why a capture cannot be written or read.
 #[derive(Debug, Error)]
@@ -71,12 +61,7 @@ pub enum CaptureError {
          make room there, then record to another file",
         path.display()
     )]
-    Write {
-        path: PathBuf,
-        /// Number of its bytes that are whole.
-        kept_bytes: u64,
-        source: io::Error,
-    },
+    Write { path: PathBuf, kept_bytes: u64, source: io::Error },
     #[error("a report cannot be written as JSON")]
     Report(#[from] serde_json::Error),
     #[error("board {device} is not part of this capture; its scene must be given first")]
@@ -86,34 +71,20 @@ pub enum CaptureError {
     #[error("{} is not a capture but {what}; {next_step}", path.display())]
     Foreign { path: PathBuf, what: &'static str, next_step: &'static str },
     #[error("reading {} failed after {bytes} bytes; copy it from that medium if you can, and read the copy", path.display())]
-    Read {
-        path: PathBuf,
-        /// Number of bytes read.
-        bytes: u64,
-        source: io::Error,
-    },
+    Read { path: PathBuf, bytes: u64, source: io::Error },
 }
 
 /// What a capture has next.
 #[derive(Clone, Debug, PartialEq)]
+#[allow(missing_docs, reason = "fields are named by what they are")]
 pub enum Entry {
     /// The setup of a board, before its data.
     Setup(Box<Setup>),
     /// The last hello of a board before the following data; the segment holds its packet.
-    Hello {
-        /// The board.
-        device: DeviceId,
-        /// Time of the message, nanoseconds.
-        log_ns: u64,
-    },
-    /// The segment holds bytes of the link of a board.
-    Link {
-        /// The board; `None` if the file is a plain byte stream.
-        device: Option<DeviceId>,
-        /// UTC of the first read, or the time given by the recorder, nanoseconds; 0 in a plain byte
-        /// stream.
-        log_ns: u64,
-    },
+    Hello { device: DeviceId, log_ns: u64 },
+    /// The segment holds bytes of the link of a board, first read at `log_ns` (UTC, or the time given by the recorder). In a
+    /// plain byte stream there is neither.
+    Link { device: Option<DeviceId>, log_ns: u64 },
 }
 
 /// The bytes of a link: a type of this project, as no standard type keeps the time of each read.

@@ -4,7 +4,6 @@ use slitpose_protocol::{DELIMITER, Decoder, MAX_MESSAGE_BYTES, Message};
 
 use crate::link::{Read, Segment};
 
-/// Most bytes in a message.
 const MAX_LINK_BYTES: usize = 1 << 20;
 
 /// First byte of a hello: its payload begins with a zero, which byte stuffing encodes as this.

@@ -27,7 +27,6 @@ pub(super) struct Place {
 }
 
 impl Place {
-    /// Creates a file for `path`.
     pub(super) fn create(path: &Path, existing: Existing) -> io::Result<(File, Self)> {
         let replaces = existing == Existing::Replaced && fs::metadata(path).is_ok_and(|found| found.is_file());
         let (file, path, pending) = if replaces {
@@ -230,29 +229,7 @@ impl<M: Medium> Seek for Sink<M> {
 
 #[cfg(test)]
 mod tests {
-    use std::io::Write;
-
     use super::*;
-
-    #[test]
-    fn a_file_to_be_replaced_stays_until_the_new_one_has_content() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("d.mcap");
-        let names = || fs::read_dir(folder.path()).unwrap().count();
-        fs::write(&path, "precious").unwrap();
-        // Without content the old file stays as it was, and no other file is left.
-        let (file, place) = Place::create(&path, Existing::Replaced).unwrap();
-        assert_eq!((fs::read_to_string(&path).unwrap().as_str(), names()), ("precious", 2));
-        drop((file, place));
-        assert_eq!((fs::read_to_string(&path).unwrap().as_str(), names()), ("precious", 1));
-        let (mut file, mut place) = Place::create(&path, Existing::Replaced).unwrap();
-        file.write_all(b"new").unwrap();
-        place.settle().unwrap();
-        assert!(!place.is_lost());
-        drop((file, place));
-        assert_eq!((fs::read_to_string(&path).unwrap().as_str(), names()), ("new", 1));
-        assert_eq!(Place::create(&path, Existing::Kept).unwrap_err().kind(), io::ErrorKind::AlreadyExists);
-    }
 
     #[test]
     fn a_recorded_file_is_locked_and_its_loss_is_noticed() {

@@ -244,7 +244,7 @@ fn sorted<R: Read + Seek>(begin: &[u8], input: &mut R) -> io::Result<Option<Sort
     while !is_sorted && bytes <= MAX_SORTED_BYTES {
         let mut segment = Segment::default();
         // Which hello is the first is known when all are sorted.
-        capture.index.forget_hellos();
+        capture.index.greeted.clear();
         let Some(entry) = capture.next(&mut segment, &mut end)? else { break };
         bytes += segment.bytes.len() + size_of_val(&segment.reads[..]);
         entries.push((entry, segment));
@@ -344,7 +344,7 @@ impl<R: Read + Seek> McapInput<R> {
                 behind_bytes = bytes;
             }
         }
-        end.whole_bytes = records.whole_bytes();
+        end.whole_bytes = records.whole_bytes;
         end.lost_bytes = behind_bytes + index.damaged_bytes;
         end.damaged_records = index.damaged_records;
         if self.is_over {

@@ -44,12 +44,12 @@ const END_BYTES: usize = 4 + mcap::MAGIC.len();
 /// The last record of the index: two offsets and a checksum.
 const FOOTER_BYTES: usize = FRAME_BYTES + 8 + 8 + 4;
 
-/// Reads records from `input`.
 pub(super) struct Records<R> {
     window: Window<R>,
     /// Length of the record returned last.
     given: usize,
-    whole_bytes: u64,
+    /// Bytes up to the end of the last whole record.
+    pub(super) whole_bytes: u64,
     /// End of the bytes that were returned as damaged last.
     damaged_to: u64,
     /// Whether bytes were skipped, so that the checksum over all records is meaningless.
@@ -140,11 +140,6 @@ impl<R: Read> Records<R> {
 
     pub(super) fn position(&self) -> u64 {
         self.window.offset + self.given as u64
-    }
-
-    /// Bytes up to the end of the last whole record.
-    pub(super) fn whole_bytes(&self) -> u64 {
-        self.whole_bytes
     }
 
     fn begin(&mut self) -> io::Result<Option<Next<'static>>> {
@@ -311,7 +306,9 @@ impl<R: Read + Seek> Records<R> {
         let mut ahead = Records::within(window, true, self.work_bytes[1]);
         let seen = look(&mut ahead);
         self.work_bytes[1] = ahead.work_bytes[0];
-        self.window.come_back()?;
+        // Back to where it was, for the window to go on.
+        let read = self.window.offset + self.window.bytes().len() as u64;
+        self.window.input.seek(SeekFrom::Start(read))?;
         seen.map(Some)
     }
 }
@@ -469,7 +466,6 @@ const READ_BYTES: usize = 1 << 18;
 struct Window<R> {
     input: R,
     buffer: Vec<u8>,
-    /// Offset of the window in `buffer`.
     start: usize,
     /// Offset of the window in the file.
     offset: u64,
@@ -504,7 +500,6 @@ impl<R: Read> Window<R> {
         Ok(self.bytes())
     }
 
-    /// All bytes at hand.
     fn bytes(&self) -> &[u8] {
         &self.buffer[self.start..]
     }
@@ -524,15 +519,9 @@ impl<R: Read> Window<R> {
 
 impl<R: Read + Seek> Window<R> {
     /// Another window, at `offset` of the file. `None` if the input, such as a pipe, cannot seek.
-    /// [`Self::come_back`] must be called before this window is used again.
+    /// The input must seek back before this window is used again.
     fn look_ahead(&mut self, offset: u64) -> Option<Window<&mut R>> {
         self.input.seek(SeekFrom::Start(offset)).ok()?;
         Some(Window::new(Vec::new(), &mut self.input, offset))
-    }
-
-    /// Restores the position before [`Self::look_ahead`].
-    fn come_back(&mut self) -> io::Result<()> {
-        let read = self.offset + self.bytes().len() as u64;
-        self.input.seek(SeekFrom::Start(read)).map(drop)
     }
 }

@@ -12,7 +12,7 @@ use serde::Serialize;
 use super::file::{CaptureFile, Channels, io_error};
 use super::packets::{Packets, last_hello};
 use super::place::{Existing, Place, next_number, numbered};
-use super::{About, CaptureError, Setup};
+use super::{CaptureError, Setup};
 use crate::link::{DeviceId, Segment};
 use crate::pipeline::Record;
 
@@ -42,7 +42,7 @@ pub struct Recorded {
 ///
 /// It keeps 0.9 kB of memory per chunk of the current file, for the index at its end: 4 kB per second of a board at 4 kHz.
 pub struct CaptureSeries {
-    about: About,
+    report_schema: String,
     limits: Limits,
     output: Output,
     devices: BTreeMap<DeviceId, DeviceStream>,
@@ -53,7 +53,6 @@ struct DeviceStream {
     setup: Setup,
     channels: Channels,
     packets: Packets,
-    /// When it was last heard.
     log_ns: u64,
 }
 
@@ -66,16 +65,20 @@ struct Output {
     next: Option<(PathBuf, u64)>,
     opened: Instant,
     flushed: Instant,
-    /// Flushes so far, in all files.
     flushes: u64,
     recorded: Recorded,
 }
 
 impl CaptureSeries {
-    /// Begins a capture. Without limits it is the file `path`. With limits it is a series of files
+    /// Begins a capture, in which `report_schema` is the JSON schema of its reports. Without limits it is the file `path`. With limits it is a series of files
     /// numbered from 1 after the stem of `path`: `name-0001.mcap`, `name-0002.mcap`, …; the numbers
     /// continue after existing ones, so that no file is replaced.
-    pub fn create(path: &Path, limits: Limits, existing: Existing, about: About) -> Result<Self, CaptureError> {
+    pub fn create(
+        path: &Path,
+        limits: Limits,
+        existing: Existing,
+        report_schema: String,
+    ) -> Result<Self, CaptureError> {
         let next = if limits == Limits::default() {
             None
         } else {
@@ -83,19 +86,19 @@ impl CaptureSeries {
             Some((path.to_owned(), number.map_err(|source| CaptureError::Create { path: path.to_owned(), source })?))
         };
         let mut output = Output::new(path.to_owned(), next);
-        output.open(existing, &about)?;
-        Ok(Self::over(output, limits, about))
+        output.open(existing, &report_schema)?;
+        Ok(Self::over(output, limits, report_schema))
     }
 
     /// Begins a capture in a file that is open; `path` names it in messages.
-    pub fn in_file(file: File, path: &Path, about: About) -> Result<Self, CaptureError> {
+    pub fn in_file(file: File, path: &Path, report_schema: String) -> Result<Self, CaptureError> {
         let mut output = Output::new(path.to_owned(), None);
-        output.begin(file, &about)?;
-        Ok(Self::over(output, Limits::default(), about))
+        output.begin(file, &report_schema)?;
+        Ok(Self::over(output, Limits::default(), report_schema))
     }
 
-    fn over(output: Output, limits: Limits, about: About) -> Self {
-        Self { about, limits, output, devices: BTreeMap::new(), message: Segment::default() }
+    fn over(output: Output, limits: Limits, report_schema: String) -> Self {
+        Self { report_schema, limits, output, devices: BTreeMap::new(), message: Segment::default() }
     }
 
     /// Adds a board, before its data. A board added again continues with the new setup. `hello`: its
@@ -205,9 +208,6 @@ impl CaptureSeries {
     }
 
     /// Writes what waits, and ends the last file.
-    ///
-    /// # Errors
-    /// A file that cannot be written.
     pub fn finish(mut self) -> Result<Recorded, CaptureError> {
         for stream in self.devices.values_mut() {
             let message = &mut self.message;
@@ -251,7 +251,7 @@ impl CaptureSeries {
         let hello = |device| self.output.file.as_ref().map_or(Vec::new(), |file| file.hello(device).to_owned());
         let hellos: Vec<Vec<u8>> = self.devices.keys().map(|device| hello(*device)).collect();
         self.output.end()?;
-        self.output.open(Existing::Kept, &self.about)?;
+        self.output.open(Existing::Kept, &self.report_schema)?;
         self.output.attempt(0, |file| {
             for (stream, hello) in self.devices.values_mut().zip(&hellos) {
                 stream.channels = file.add_device(&stream.setup, hello, log_ns)?;
@@ -288,7 +288,7 @@ impl Output {
         }
     }
 
-    fn open(&mut self, existing: Existing, about: &About) -> Result<(), CaptureError> {
+    fn open(&mut self, existing: Existing, report_schema: &str) -> Result<(), CaptureError> {
         let existing = match &mut self.next {
             Some((path, number)) => {
                 self.path = numbered(path, *number);
@@ -304,14 +304,14 @@ impl Output {
             io::ErrorKind::Interrupted => CaptureError::Interrupted { path: path.clone() },
             _ => CaptureError::Create { path: path.clone(), source },
         })?;
-        self.begin(file, about)?;
+        self.begin(file, report_schema)?;
         self.place = Some(place);
         Ok(())
     }
 
-    fn begin(&mut self, file: File, about: &About) -> Result<(), CaptureError> {
+    fn begin(&mut self, file: File, report_schema: &str) -> Result<(), CaptureError> {
         let error = |error| CaptureError::Create { path: self.path.clone(), source: io_error(error) };
-        self.file = Some(CaptureFile::create(file, about).map_err(error)?);
+        self.file = Some(CaptureFile::create(file, report_schema).map_err(error)?);
         self.opened = Instant::now();
         self.recorded.files += 1;
         Ok(())
@@ -326,7 +326,7 @@ impl Output {
         let Some(file) = &mut self.file else {
             return Ok(());
         };
-        let before = file.unflushed_link_bytes();
+        let before = file.unflushed_link_bytes;
         let Err(error) = write(file) else {
             return Ok(());
         };
@@ -341,7 +341,7 @@ impl Output {
         match self.place.as_mut().map_or(Ok(()), Place::settle) {
             Ok(()) => Ok(()),
             Err(source) => {
-                self.recorded.dropped_bytes += self.file.take().map_or(0, |file| file.unflushed_link_bytes());
+                self.recorded.dropped_bytes += self.file.take().map_or(0, |file| file.unflushed_link_bytes);
                 Err(match source.kind() {
                     io::ErrorKind::WouldBlock => CaptureError::InUse { path: path.clone() },
                     _ => CaptureError::Create { path: path.clone(), source },

@@ -93,7 +93,7 @@ impl Setup {
     /// A board with `head`, recorded by this program.
     pub fn new(device: DeviceId, head: &Head, settings: Settings) -> Self {
         let file = &head.file;
-        let basis = match head.basis() {
+        let basis = match &head.basis {
             Basis::Scene => CapturedBasis::Scene,
             Basis::Tolerances => CapturedBasis::Tolerances,
             Basis::Calibration(calibration) => CapturedBasis::Calibration(CapturedCalibration {
@@ -296,15 +296,9 @@ pub enum SetupError {
     )]
     Value { device: String, key: &'static str, value: String, expected: &'static str },
     #[error("the scene of hash {hash:016x} is missing or damaged")]
-    Scene {
-        /// [`SceneFile::hash`].
-        hash: u64,
-    },
+    Scene { hash: u64 },
     #[error("the calibration of hash {hash:016x} is missing or damaged")]
-    Calibration {
-        /// FNV-1a, 64 bits, of its text.
-        hash: u64,
-    },
+    Calibration { hash: u64 },
     #[error("the capture holds more than {limit} boards; the others are passed over")]
     TooMany { limit: usize },
 }

@@ -28,15 +28,6 @@ const ROUNDING_NS: f64 = 1.0;
 /// Lines are found to a rate of 5e-2/2²⁴ = 3e-9 within the widest bounds: 0.02 µs over the window.
 const BISECTIONS: usize = 24;
 
-/// The side of the curve on which points lie.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Side {
-    /// Above: arrivals.
-    Above,
-    /// Below: pings.
-    Below,
-}
-
 #[derive(Clone, Copy, Debug)]
 struct Point {
     x_ns: i64,
@@ -53,8 +44,8 @@ pub(super) struct Envelope {
 }
 
 impl Envelope {
-    pub(super) fn new(side: Side) -> Self {
-        let sign = if side == Side::Above { 1.0 } else { -1.0 };
+    /// Of points above the curve, which are arrivals (1), or below it, which are pings (−1).
+    pub(super) fn new(sign: f64) -> Self {
         Self { sign, points: VecDeque::with_capacity(BUCKETS), bucket: 0 }
     }
 
@@ -85,7 +76,6 @@ impl Envelope {
         true
     }
 
-    /// Drops all points before `x_ns`.
     pub(super) fn forget_before(&mut self, x_ns: i64) {
         while self.points.front().is_some_and(|point| point.x_ns < x_ns) {
             self.points.pop_front();

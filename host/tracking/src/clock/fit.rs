@@ -40,7 +40,7 @@
 
 use slitpose_protocol::ClockSource;
 
-use super::band::{Band, Envelope, RateBounds, Side, WINDOW_NS};
+use super::band::{Band, Envelope, RateBounds, WINDOW_NS};
 use super::{HostInstant, HostTime, UtcOffset};
 
 /// Least time between pongs that shows that a board keeps time. Pings come twice per second.
@@ -53,25 +53,30 @@ const STEERING_NS: f64 = 1e9;
 #[derive(Debug)]
 pub struct ClockFit {
     tick_hz: u32,
-    /// Source of the board's clock; `None` until the board reports it.
-    source: Option<ClockSource>,
-    /// The board reports a crystal, and points have contradicted its bounds since the fit was restarted.
-    contradicts_crystal: bool,
-    origin: Option<Origin>,
     arrivals: Envelope,
     questions: Envelope,
+    run: Run,
+    /// Arrival of the newest bytes.
+    newest_ns: u64,
+    utc: UtcOffset,
+    given: Option<HostTime>,
+}
+
+/// What a fit knows since its last restart, besides its points.
+#[derive(Debug, Default)]
+struct Run {
+    /// Source of the board's clock; `None` until the board reports it.
+    source: Option<ClockSource>,
+    /// The board reports a crystal, and points have contradicted its bounds.
+    contradicts_crystal: bool,
+    origin: Option<Origin>,
     band: Option<Band>,
     /// The line in use: y at x₀ and the rate from there.
     steered: Option<Steered>,
     trust: Trust,
     last_arrived: Option<u64>,
     last_answered: Option<u64>,
-    /// Arrival of the newest bytes.
-    newest_ns: u64,
-    utc: UtcOffset,
-    /// The last time given.
-    given: Option<HostTime>,
-    /// Device time of it; `None` before the first since a restart.
+    /// Device time of the last time given; `None` before the first.
     given_x_ns: Option<i64>,
 }
 
@@ -95,12 +100,12 @@ impl Steered {
     }
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum Trust {
+    #[default]
     New,
     /// Pongs over [`PROOF_NS`] agree.
     Proven {
-        /// The previous contradiction, if any.
         doubted: Option<Doubt>,
     },
     Lost(Doubt),
@@ -118,20 +123,12 @@ impl ClockFit {
     pub fn new(tick_hz: u32) -> Self {
         Self {
             tick_hz: tick_hz.max(1),
-            source: None,
-            contradicts_crystal: false,
-            origin: None,
-            arrivals: Envelope::new(Side::Above),
-            questions: Envelope::new(Side::Below),
-            band: None,
-            steered: None,
-            trust: Trust::New,
-            last_arrived: None,
-            last_answered: None,
+            arrivals: Envelope::new(1.0),
+            questions: Envelope::new(-1.0),
+            run: Run::default(),
             newest_ns: 0,
             utc: UtcOffset::default(),
             given: None,
-            given_x_ns: None,
         }
     }
 
@@ -139,45 +136,37 @@ impl ClockFit {
     /// New times follow those already given.
     pub fn restart(&mut self, tick_hz: u32) {
         self.tick_hz = tick_hz.max(1);
-        self.source = None;
-        self.contradicts_crystal = false;
-        self.origin = None;
         self.arrivals.clear();
         self.questions.clear();
-        self.band = None;
-        self.steered = None;
-        self.trust = Trust::New;
-        self.last_arrived = None;
-        self.last_answered = None;
-        self.given_x_ns = None;
+        self.run = Run::default();
     }
 
     /// Sets the source of the board's clock. The first report since a restart narrows the bounds for all points so far.
     /// A report of another source shows that the board has restarted.
     pub fn set_source(&mut self, source: ClockSource) {
-        if self.source.is_some_and(|before| before != source) {
+        if self.run.source.is_some_and(|before| before != source) {
             self.restart(self.tick_hz);
         }
-        self.source = Some(source);
+        self.run.source = Some(source);
     }
 
     /// Adds an arrival: the host knew at `at` of an event on the board at `tick`, such as the last sample of a batch.
     /// Ticks come in order; a tick before the last one shows that the board has restarted.
     pub fn arrived(&mut self, tick: u64, at: HostInstant) {
-        if is_behind(tick, self.last_arrived) {
+        if is_behind(tick, self.run.last_arrived) {
             self.restart(self.tick_hz);
         }
-        self.last_arrived = Some(tick);
+        self.run.last_arrived = Some(tick);
         self.observe(tick, at);
     }
 
     /// Adds an answered ping: about to be sent at `asked`, read by the board at its `tick`, its answer read at `at`.
     /// As for [`arrived`](Self::arrived), ticks come in order.
     pub fn answered(&mut self, asked: HostInstant, tick: u64, at: HostInstant) {
-        if is_behind(tick, self.last_answered) {
+        if is_behind(tick, self.run.last_answered) {
             self.restart(self.tick_hz);
         }
-        self.last_answered = Some(tick);
+        self.run.last_answered = Some(tick);
         let (x_ns, origin) = self.device_ns(tick, at);
         let y_ns = since_ns(asked.monotonic_ns, origin) - x_ns;
         self.questions.add((x_ns, y_ns), asked.monotonic_ns, self.rate());
@@ -188,12 +177,12 @@ impl ClockFit {
     /// The host's time at `fraction_ticks` after `tick`, if known; see the head of the module. To be called
     /// in the order of the scans, for each after its [`arrived`](Self::arrived).
     pub fn time_of(&mut self, tick: u64, fraction_ticks: f64) -> Option<HostTime> {
-        let origin = self.origin?;
-        let (band, steered) = (self.band?, self.steered?);
+        let origin = self.run.origin?;
+        let (band, steered) = (self.run.band?, self.run.steered?);
         let x_ns = nominal_ns(tick, origin, self.tick_hz) + nearest(fraction_ticks * 1e9 / f64::from(self.tick_hz));
         let (low_ns, high_ns) = band.at(x_ns);
         let host_ns = |y_ns: f64| instant(origin, x_ns + nearest(y_ns));
-        let (earliest_ns, latest_ns) = match self.trust {
+        let (earliest_ns, latest_ns) = match self.run.trust {
             Trust::Lost(_) => return None,
             Trust::Proven { .. } => (host_ns(low_ns), host_ns(high_ns).min(self.newest_ns)),
             Trust::New => {
@@ -202,7 +191,7 @@ impl ClockFit {
             }
         };
         let given_ns = self.given.map_or(0, |given| given.monotonic_ns);
-        let passed_ns = self.given_x_ns.map_or(0, |given_x_ns| (x_ns - given_x_ns).max(0).cast_unsigned());
+        let passed_ns = self.run.given_x_ns.map_or(0, |given_x_ns| (x_ns - given_x_ns).max(0).cast_unsigned());
         let wanted_ns = host_ns(steered.at(x_ns)).max(given_ns.saturating_add(passed_ns / 2));
         let monotonic_ns = if wanted_ns <= self.newest_ns {
             wanted_ns
@@ -215,7 +204,7 @@ impl ClockFit {
             .map_or(utc_ns, |given| utc_ns.max(given.utc_ns.saturating_add((monotonic_ns - given.monotonic_ns) / 2)));
         let uncertainty_ns = latest_ns.saturating_sub(monotonic_ns).max(monotonic_ns.saturating_sub(earliest_ns));
         self.given = Some(HostTime { monotonic_ns, utc_ns, uncertainty_ns });
-        self.given_x_ns = Some(x_ns);
+        self.run.given_x_ns = Some(x_ns);
         self.given
     }
 
@@ -226,7 +215,7 @@ impl ClockFit {
         let y_ns = since_ns(at.monotonic_ns, origin) - x_ns;
         let is_full = self.arrivals.add((x_ns, y_ns), at.monotonic_ns, self.rate());
         // It arrived before the fit says that it was sent.
-        let is_too_early = self.steered.is_some_and(|steered| (y_ns as f64) < steered.at(x_ns));
+        let is_too_early = self.run.steered.is_some_and(|steered| (y_ns as f64) < steered.at(x_ns));
         if is_full || is_too_early {
             self.refit(x_ns);
         }
@@ -234,28 +223,28 @@ impl ClockFit {
 
     /// Device time of a tick; the first ever is the origin.
     fn device_ns(&mut self, tick: u64, at: HostInstant) -> (i64, Origin) {
-        let origin = *self.origin.get_or_insert(Origin { tick, host_ns: at.monotonic_ns });
+        let origin = *self.run.origin.get_or_insert(Origin { tick, host_ns: at.monotonic_ns });
         (nominal_ns(tick, origin, self.tick_hz), origin)
     }
 
     /// Rate error of the board's clock, ppm, positive if fast; `None` while unknown.
     pub fn drift_ppm(&self) -> Option<f64> {
-        let is_proven = matches!(self.trust, Trust::Proven { .. });
-        self.band.filter(|_| is_proven).map(|band| -band.rate * 1e6)
+        let is_proven = matches!(self.run.trust, Trust::Proven { .. });
+        self.run.band.filter(|_| is_proven).map(|band| -band.rate * 1e6)
     }
 
     /// Whether the board reports a crystal and its rate has broken the bounds of one.
     pub fn contradicts_crystal(&self) -> bool {
-        self.contradicts_crystal
+        self.run.contradicts_crystal
     }
 
     fn bounds(&self) -> RateBounds {
-        RateBounds::of(self.source.filter(|_| !self.contradicts_crystal))
+        RateBounds::of(self.run.source.filter(|_| !self.run.contradicts_crystal))
     }
 
     /// The curve's rate as far as it is known.
     fn rate(&self) -> f64 {
-        self.band.map_or(0.0, |band| band.rate)
+        self.run.band.map_or(0.0, |band| band.rate)
     }
 
     fn refit(&mut self, x_ns: i64) {
@@ -264,8 +253,8 @@ impl ClockFit {
         let mut agreed = true;
         let (band, x0_ns) = loop {
             let (Some(above), Some(below)) = (self.arrivals.span_ns(), self.questions.span_ns()) else {
-                self.band = None;
-                self.steered = None;
+                self.run.band = None;
+                self.run.steered = None;
                 break (None, x_ns);
             };
             let (first_ns, x0_ns) = (above.0.min(below.0), above.1.max(below.1));
@@ -274,7 +263,7 @@ impl ClockFit {
                 break (band, x0_ns);
             }
             agreed = false;
-            self.contradicts_crystal = self.source == Some(ClockSource::Crystal);
+            self.run.contradicts_crystal = self.run.source == Some(ClockSource::Crystal);
             let newer_ns = first_ns + (x0_ns - first_ns) / 2 + 1;
             self.arrivals.forget_before(newer_ns);
             self.questions.forget_before(newer_ns);
@@ -284,18 +273,18 @@ impl ClockFit {
             return;
         };
         let (low_ns, high_ns) = band.at(x0_ns);
-        let followed = self.steered.filter(|_| agreed);
+        let followed = self.run.steered.filter(|_| agreed);
         let y0_ns = followed.map_or(band.y0_ns, |steered| steered.at(x0_ns).clamp(low_ns, high_ns));
         let rate = band.rate + (band.y0_ns - y0_ns) / STEERING_NS;
-        self.band = Some(band);
-        self.steered = Some(Steered { x0_ns, y0_ns, rate });
+        self.run.band = Some(band);
+        self.run.steered = Some(Steered { x0_ns, y0_ns, rate });
     }
 
     /// Updates whether the board keeps time; `agreed`: the points allow a line.
     fn judge(&mut self, agreed: bool, x0_ns: i64) {
         let pongs_ns = self.questions.span_ns().map_or(0, |(first_ns, last_ns)| last_ns - first_ns);
         if !agreed && pongs_ns < PROOF_NS {
-            let before = match self.trust {
+            let before = match self.run.trust {
                 Trust::New => None,
                 Trust::Proven { doubted } => doubted,
                 Trust::Lost(doubt) => Some(doubt),
@@ -304,12 +293,12 @@ impl ClockFit {
                 Some(doubt) if x0_ns - doubt.since_ns < 2 * WINDOW_NS => (2 * doubt.proof_ns).min(WINDOW_NS / 2),
                 _ => PROOF_NS,
             };
-            self.trust = Trust::Lost(Doubt { since_ns: x0_ns, proof_ns });
+            self.run.trust = Trust::Lost(Doubt { since_ns: x0_ns, proof_ns });
             return;
         }
-        match self.trust {
-            Trust::New if pongs_ns >= PROOF_NS => self.trust = Trust::Proven { doubted: None },
-            Trust::Lost(doubt) if pongs_ns >= doubt.proof_ns => self.trust = Trust::Proven { doubted: Some(doubt) },
+        match self.run.trust {
+            Trust::New if pongs_ns >= PROOF_NS => self.run.trust = Trust::Proven { doubted: None },
+            Trust::Lost(doubt) if pongs_ns >= doubt.proof_ns => self.run.trust = Trust::Proven { doubted: Some(doubt) },
             _ => {}
         }
     }

@@ -205,7 +205,6 @@ impl Place {
     }
 }
 
-/// Residuals of the last places.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Places {
     /// The current one is last.

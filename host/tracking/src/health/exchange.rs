@@ -109,7 +109,7 @@ pub(super) struct Search {
     keep_every: u32,
     until_next: u32,
     trial: Option<Trial>,
-    found: Option<Exchange>,
+    pub(super) found: Option<Exchange>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -140,11 +140,6 @@ impl Search {
             trial: None,
             found: None,
         }
-    }
-
-    /// The only exchange that explains the latest scans, if there is one.
-    pub(super) fn found(&self) -> Option<Exchange> {
-        self.found
     }
 
     /// Adds the next scan and makes one trial.

@@ -37,7 +37,7 @@ impl Health {
     pub fn report(&self) -> HeadHealth {
         let sum = self.window.sum();
         let judged = self.window.is_full() && sum.scans >= MIN_SCANS;
-        let exchange = self.search.found().filter(|_| judged);
+        let exchange = self.search.found.filter(|_| judged);
         let mut findings: Vec<Diagnosis> = exchange.map(of_exchange).into_iter().collect();
         let cells: Vec<CellHealth> = (0..self.cells.len())
             .map(|cell| {

@@ -25,7 +25,7 @@ use diagnosis::Places;
 use exchange::Search;
 use slitpose_head::front_end::{self, Settling, Stage};
 use slitpose_head::scene_file::SceneFile;
-use window::{Bucket, Turn, Window};
+use window::{Bucket, Window};
 
 /// Most scans per second whose cells are compared with the model: a cell's optics cost more than all other steps.
 const LOOKS_PER_S: f64 = 128.0;
@@ -52,12 +52,10 @@ pub struct Health {
     look_every: u64,
     window: Window,
     totals: Vec<CellTotals>,
-    /// The first full window.
     start: Option<Bucket>,
     before: Option<RawScan>,
     taken: u64,
     search: Search,
-    /// Whether the head is known by a calibration.
     /// Of a head that is known by a calibration.
     places: Option<Places>,
     tick_s: f64,
@@ -82,9 +80,6 @@ impl Health {
     /// solved in `tier`.
     ///
     /// The schedule and the scaling must be valid and have a slot for each of the scene's cells.
-    ///
-    /// # Errors
-    /// If the scene cannot be compiled.
     pub fn new(file: &SceneFile, tier: Tier, schedule: &Schedule, scaling: &AdcScaling) -> Result<Self, SceneError> {
         let exposures_s = Stage::new(file, schedule, scaling).exposures_s();
         let scene = Stage::weighted_scene(file, schedule, scaling);
@@ -136,7 +131,7 @@ impl Health {
 
     /// Adds the next scan, its photocurrents and its solution.
     pub fn update(&mut self, scan: &RawScan, photocurrents: &Photocurrents, solution: &Solution) {
-        if self.window.turn(scan.tick / self.bucket_ticks) == Turn::Next {
+        if self.window.turn(scan.tick / self.bucket_ticks) {
             self.turned();
         }
         let look = self.taken.is_multiple_of(self.look_every);

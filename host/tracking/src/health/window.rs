@@ -106,15 +106,6 @@ impl Bucket {
     }
 }
 
-/// The effect of a new scan on the window.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Turn {
-    Same,
-    Next,
-    /// The buckets are too old, or the clock has restarted.
-    Anew,
-}
-
 #[derive(Clone, Debug, Default)]
 pub(super) struct Window {
     buckets: [Bucket; FULL + 1],
@@ -124,24 +115,25 @@ pub(super) struct Window {
 }
 
 impl Window {
-    /// Advances to bucket `number`.
-    pub(super) fn turn(&mut self, number: u64) -> Turn {
+    /// Advances to bucket `number`; whether that is one of the next. Else it is the same one, or the buckets were too old or
+    /// the clock has restarted, and all begin anew.
+    pub(super) fn turn(&mut self, number: u64) -> bool {
         let ahead = self.number.and_then(|before| number.checked_sub(before));
         self.number = Some(number);
         match ahead {
-            Some(0) => Turn::Same,
+            Some(0) => false,
             Some(ahead) if ahead <= FULL as u64 => {
                 self.full = FULL.min(self.full + ahead as usize);
                 // Buckets in between stay empty.
                 for skipped in 0..ahead {
                     self.buckets[index_of(number - skipped)] = Bucket::default();
                 }
-                Turn::Next
+                true
             }
             _ => {
                 self.buckets.fill(Bucket::default());
                 self.full = 0;
-                Turn::Anew
+                false
             }
         }
     }
@@ -178,13 +170,13 @@ mod tests {
             window.current().scans += 1;
             (turn, window.sum().scans, window.is_full())
         };
-        assert_eq!(take(70), (Turn::Anew, 1, false));
-        assert_eq!(take(70), (Turn::Same, 2, false));
-        assert_eq!(take(71), (Turn::Next, 3, false));
-        assert_eq!(take(74), (Turn::Next, 4, true));
-        assert_eq!(take(75), (Turn::Next, 3, true), "70 is gone");
-        assert_eq!(take(80), (Turn::Anew, 1, false), "nothing came for a second");
-        assert_eq!(take(3), (Turn::Anew, 1, false), "the board was restarted");
+        assert_eq!(take(70), (false, 1, false));
+        assert_eq!(take(70), (false, 2, false));
+        assert_eq!(take(71), (true, 3, false));
+        assert_eq!(take(74), (true, 4, true));
+        assert_eq!(take(75), (true, 3, true), "70 is gone");
+        assert_eq!(take(80), (false, 1, false), "nothing came for a second");
+        assert_eq!(take(3), (false, 1, false), "the board was restarted");
     }
 
     #[test]

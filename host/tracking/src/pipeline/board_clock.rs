@@ -1,6 +1,6 @@
 //! The clock of the connected board relative to the host's, from reads and pings.
 
-use slitpose_protocol::{ClockSource, Pong};
+use slitpose_protocol::Pong;
 
 use crate::clock::{ClockFit, HostInstant, HostTime};
 use crate::link::{Asked, DeviceId};
@@ -12,12 +12,12 @@ const PINGS: usize = 8;
 #[derive(Debug, Default)]
 pub(super) struct BoardClock {
     /// Time of the read of the bytes being decoded.
-    at: Option<HostInstant>,
+    pub(super) at: Option<HostInstant>,
     /// The last pings without an answer, the oldest at `next`.
     asked: [Option<Asked>; PINGS],
     next: usize,
     board: Option<(DeviceId, u32)>,
-    fit: Option<ClockFit>,
+    pub(super) fit: Option<ClockFit>,
 }
 
 impl BoardClock {
@@ -32,16 +32,6 @@ impl BoardClock {
     pub(super) fn ask(&mut self, asked: Asked) {
         self.asked[self.next] = Some(asked);
         self.next = (self.next + 1) % PINGS;
-    }
-
-    /// The next bytes were read at `at`.
-    pub(super) fn read(&mut self, at: Option<HostInstant>) {
-        self.at = at;
-    }
-
-    /// Time of the read of the bytes being decoded.
-    pub(super) fn at(&self) -> Option<HostInstant> {
-        self.at
     }
 
     /// A board has introduced itself; the fit is kept if it is the same board.
@@ -71,23 +61,6 @@ impl BoardClock {
         }
     }
 
-    /// Sets the source of the board's clock.
-    pub(super) fn set_source(&mut self, source: ClockSource) {
-        if let Some(fit) = &mut self.fit {
-            fit.set_source(source);
-        }
-    }
-
-    /// Rate error of the board's clock, ppm; positive if fast.
-    pub(super) fn drift_ppm(&self) -> Option<f64> {
-        self.fit.as_ref()?.drift_ppm()
-    }
-
-    /// Whether the board reports a crystal and its rate has broken the bounds of one.
-    pub(super) fn contradicts_crystal(&self) -> bool {
-        self.fit.as_ref().is_some_and(ClockFit::contradicts_crystal)
-    }
-
     /// The host's time at `fraction_ticks` after `tick`.
     pub(super) fn time_of(&mut self, tick: u64, fraction_ticks: f64) -> Option<HostTime> {
         self.at?;
@@ -98,14 +71,15 @@ impl BoardClock {
 /// Tolerance for device times, seconds: they are exact to nanoseconds, and frames are microseconds apart.
 const ROUNDING_S: f64 = 1e-9;
 
-/// Device time since the first scan.
 #[derive(Debug, Default)]
 pub(super) struct Span {
     until_s: Option<f64>,
     first_s: Option<f64>,
     last_s: f64,
-    elapsed_s: f64,
-    complete: bool,
+    /// Device time between the first scan and the last.
+    pub(super) elapsed_s: f64,
+    /// Whether the last scan of the span, or a later one, has come.
+    pub(super) is_complete: bool,
 }
 
 impl Span {
@@ -125,7 +99,7 @@ impl Span {
         let elapsed_s = device_time_s - *first_s;
         let ends_by = |time_s: f64| self.until_s.is_some_and(|until_s| time_s >= until_s - ROUNDING_S);
         let admitted = !ends_by(elapsed_s);
-        self.complete |= !admitted || ends_by(elapsed_s + period_s);
+        self.is_complete |= !admitted || ends_by(elapsed_s + period_s);
         if admitted {
             self.elapsed_s = elapsed_s;
         }
@@ -134,20 +108,10 @@ impl Span {
 
     /// How many scans of the span, `period_s` apart, are still to come; none of a span without end.
     pub(super) fn left(&self, period_s: f64) -> u64 {
-        let Some(until_s) = self.until_s.filter(|_| !self.complete) else { return 0 };
+        let Some(until_s) = self.until_s.filter(|_| !self.is_complete) else { return 0 };
         let next_s = if self.first_s.is_some() { self.elapsed_s + period_s } else { 0.0 };
         // Saturates.
         ((until_s - ROUNDING_S - next_s) / period_s).ceil().max(0.0) as u64
-    }
-
-    /// Device time between the first scan and the last, seconds.
-    pub(super) fn elapsed_s(&self) -> f64 {
-        self.elapsed_s
-    }
-
-    /// Whether the last scan of the span, or a later one, has come.
-    pub(super) fn is_complete(&self) -> bool {
-        self.complete
     }
 }
 
@@ -170,24 +134,24 @@ mod tests {
     fn the_last_scan_completes_a_span_and_so_does_a_later_one() {
         let mut span = Span::until(Some(1.0));
         for (device_time_s, admitted, complete) in [(7.25, true, false), (7.75, true, false), (8.0, true, true)] {
-            assert_eq!((span.admits(device_time_s, 0.25), span.is_complete()), (admitted, complete));
+            assert_eq!((span.admits(device_time_s, 0.25), span.is_complete), (admitted, complete));
         }
         assert!(!span.admits(8.25, 0.25));
-        assert_eq!(span.elapsed_s(), 0.75);
+        assert_eq!(span.elapsed_s, 0.75);
 
         // The last one was lost.
         let mut span = Span::until(Some(1.0));
-        assert!(span.admits(0.0, 0.25) && !span.is_complete());
-        assert!(!span.admits(1.0, 0.25) && span.is_complete());
+        assert!(span.admits(0.0, 0.25) && !span.is_complete);
+        assert!(!span.admits(1.0, 0.25) && span.is_complete);
 
         // The board was restarted: its clock begins at 0 again.
         let mut span = Span::until(Some(1.0));
         for (device_time_s, admitted) in [(7.0, true), (7.25, true), (0.5, true), (0.75, true), (1.0, false)] {
             assert_eq!(span.admits(device_time_s, 0.25), admitted, "{device_time_s}");
         }
-        assert!(span.is_complete());
+        assert!(span.is_complete);
 
         let mut endless = Span::until(None);
-        assert!(endless.admits(0.0, 0.25) && endless.admits(1e9, 0.25) && !endless.is_complete());
+        assert!(endless.admits(0.0, 0.25) && endless.admits(1e9, 0.25) && !endless.is_complete);
     }
 }

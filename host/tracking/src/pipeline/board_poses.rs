@@ -42,23 +42,18 @@ pub struct Agreement {
 
 /// Why a pose of a board cannot be right.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum PoseFault {
-    /// A number is NaN, infinite, or negative where it must not be.
     #[error("one of its numbers is not finite, or its χ² is negative")]
     Number,
-    /// The quaternion is no rotation.
     #[error("its quaternion is not of length 1")]
     Rotation,
-    /// No covariance has come yet.
     #[error("no covariance has come with it or before")]
     NoCovariance,
-    /// The covariance is none.
     #[error("its covariance is not positive definite")]
     Covariance,
-    /// Cells that the head lacks, or too few.
     #[error("it is said to come from fewer than {MIN_CELLS} cells, or from cells that the head lacks")]
     Cells,
-    /// The head cannot see the tool there.
     #[error("fewer than {MIN_CELLS} of its cells see the tool there")]
     Unseen,
 }
@@ -155,9 +150,9 @@ pub(super) struct Comparison {
     by_host: Vec<Option<(u64, Option<Estimate>)>>,
     board: Run,
     host: Run,
-    agreement: Agreement,
-    /// A scan in which both have looked for a pose has come.
-    is_checked: bool,
+    pub(super) agreement: Agreement,
+    /// A scan in which both have looked for a pose has come since this was last taken.
+    pub(super) is_checked: bool,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -189,20 +184,6 @@ impl Default for Comparison {
 }
 
 impl Comparison {
-    pub(super) fn agreement(&self) -> Agreement {
-        self.agreement
-    }
-
-    /// Whether a pose has been compared since the last call.
-    pub(super) fn take_checked(&mut self) -> bool {
-        std::mem::take(&mut self.is_checked)
-    }
-
-    /// Takes the board's count of scans that it has not solved.
-    pub(super) fn take_missed(&mut self, missed: u64) {
-        self.agreement.missed = missed;
-    }
-
     /// Takes the board's pose of scan `sequence`.
     pub(super) fn take_board(&mut self, sequence: u64, record: &PoseRecord) {
         if !self.board.is_settled(sequence) {
@@ -292,7 +273,7 @@ mod tests {
         // f32 rounds a millimetre by 1e-10 at most.
         let board = |x: f32| record(PoseStatus::Converged, x);
         (90..120).for_each(|sequence| comparison.take_board(sequence, &board(1e-3 + 0.5e-6)));
-        let agreement = comparison.agreement();
+        let agreement = comparison.agreement;
         // Both are settled from 116 on.
         assert_eq!((agreement.compared, agreement.one_sided), (4, 0));
         assert!((agreement.worst_sigmas - 0.5).abs() < 1e-3, "{agreement:?}");
@@ -301,7 +282,7 @@ mod tests {
         comparison.take_board(139, &record(PoseStatus::TooDark, f32::NAN));
         comparison.take_board(140, &board(1e-3 + 2e-6));
         comparison.take_host(140, Some(&estimate(1e-3)));
-        let agreement = comparison.agreement();
+        let agreement = comparison.agreement;
         assert_eq!((agreement.compared, agreement.one_sided), (24, 1));
         assert!((agreement.worst_sigmas - 2.0).abs() < 1e-3, "{agreement:?}");
     }
@@ -311,13 +292,13 @@ mod tests {
         let mut comparison = Comparison::default();
         (0..100).for_each(|sequence| comparison.take_board(sequence, &record(PoseStatus::Converged, 0.0)));
         (50..66).for_each(|sequence| comparison.take_host(sequence, Some(&estimate(0.0))));
-        assert_eq!(comparison.agreement().compared, 0);
+        assert_eq!(comparison.agreement.compared, 0);
         comparison.take_host(66, Some(&estimate(0.0)));
-        assert_eq!(comparison.agreement().compared, 1);
+        assert_eq!(comparison.agreement.compared, 1);
         // Of another scan than the one remembered in its place.
         let far = 99 + REMEMBERED as u64;
         (far - 20..=far).for_each(|sequence| comparison.take_host(sequence, Some(&estimate(0.0))));
-        assert_eq!(comparison.agreement().compared, 1);
+        assert_eq!(comparison.agreement.compared, 1);
     }
 
     #[test]

@@ -91,7 +91,9 @@ impl Flow {
             Message::Batch(batch) => self.arrive(batch, sink),
             Message::Status(status) => {
                 self.counts.board_status = Some(*status);
-                self.clock.set_source(status.clock);
+                if let Some(fit) = &mut self.clock.fit {
+                    fit.set_source(status.clock);
+                }
                 sink(Item::Status(status))
             }
             Message::Event(event) => {
@@ -144,7 +146,8 @@ impl Flow {
         self.sessions += 1;
         self.clock.meet(session.device, hello.schedule.tick_hz);
         let before = self.session.replace(Box::new(session));
-        self.earlier.extend(before.filter(|before| Some(before.number) == self.waiting.newest_session()));
+        let newest = self.waiting.scans.back().map(|scan| scan.session);
+        self.earlier.extend(before.filter(|before| Some(before.number) == newest));
         Ok(before_now.filter(|_| !is_opened).map(|before| Oddity::Renamed { before, now }))
     }
 
@@ -219,7 +222,8 @@ impl Flow {
         let Some(session) = &mut self.session else { return Ok(()) };
         let device_time_s = session.time_s(tick);
         // Device time may restart.
-        if session.take_checked() || device_time_s.partial_cmp(&self.checked_s).is_none_or(Ordering::is_lt) {
+        let is_checked = session.comparison.as_mut().is_some_and(|it| std::mem::take(&mut it.is_checked));
+        if is_checked || device_time_s.partial_cmp(&self.checked_s).is_none_or(Ordering::is_lt) {
             self.checked_s = device_time_s;
         }
         let limit_s = MAX_UNCHECKED_S.max(1.5 * f64::from(Stream::POSES.scans) * session.frame_s());
@@ -269,10 +273,10 @@ impl Flow {
             session: session.number,
             device_time_s,
             host_time: self.clock.time_of(tick, session.reference_ticks),
-            arrival: self.clock.at(),
+            arrival: self.clock.at,
             truth: truth_of(&mut self.truths, sequence),
         };
-        self.waiting.push(scan);
+        self.waiting.scans.push_back(scan);
         sink(Item::Scan(&scan))?;
         Ok(true)
     }
@@ -322,7 +326,7 @@ pub(super) fn session_of<'a>(
 fn record(session: &Session, scan: &Scan, Tracked { solution, twist, filtered }: Tracked) -> Record {
     Record {
         device: session.device,
-        sequence: scan.sequence(),
+        sequence: scan.sequence,
         device_time_s: scan.device_time_s,
         host_time: scan.host_time,
         arrival: scan.arrival,

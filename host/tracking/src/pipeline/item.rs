@@ -38,6 +38,7 @@ pub struct Record {
 
 /// An output of the pipeline.
 #[derive(Debug)]
+#[allow(missing_docs, reason = "fields are named by what they are")]
 pub enum Item<'a> {
     /// A board introduced itself.
     Hello(&'a Hello<'a>),
@@ -48,21 +49,9 @@ pub enum Item<'a> {
     /// The board's own counters.
     Status(&'a Status),
     /// Something happened on the board.
-    Event {
-        /// Its severity.
-        severity: Severity,
-        /// Its time by the board's clock, seconds.
-        device_time_s: f64,
-        /// Its description.
-        text: &'a str,
-    },
-    /// A fault in the stream that a sound board never shows.
-    Oddity {
-        /// Its time by the board's clock, seconds; NaN if unknown.
-        device_time_s: f64,
-        /// The fault.
-        oddity: Oddity,
-    },
+    Event { severity: Severity, device_time_s: f64, text: &'a str },
+    /// A fault in the stream that a sound board never shows; at NaN if its time is not known.
+    Oddity { device_time_s: f64, oddity: Oddity },
     /// The board answered a command.
     Reply(&'a slitpose_protocol::Reply),
 }
@@ -111,14 +100,7 @@ pub enum PipelineError {
         "board `{}` samples {board_cells} cells, scene `{scene}` has {scene_cells}; give the scene of this head",
         printable(board)
     )]
-    Cells {
-        board: String,
-        /// The board's number of cells.
-        board_cells: usize,
-        scene: String,
-        /// The scene's number of cells.
-        scene_cells: usize,
-    },
+    Cells { board: String, board_cells: usize, scene: String, scene_cells: usize },
     #[error(
         "board `{}` belongs to the scene with hash {board_hash:016x}, but `{scene}` has {scene_hash:016x}; \
          give the scene it belongs to with --scene",
@@ -138,56 +120,33 @@ pub enum PipelineError {
 
 /// A fault in a stream that a sound board never shows. Poses continue.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[allow(missing_docs, reason = "the texts say what each is")]
 pub enum Oddity {
-    /// Number and tick of a scan do not fit those of the previous scan.
     #[error(
         "the board's clock jumped by {seconds:+.6} s between the scans {before} and {after}: device times before and \
          after it do not compare; if it comes again, reset the board"
     )]
-    ClockJump {
-        /// Size of the jump, positive if forward.
-        seconds: f64,
-        /// Number of the last scan before the jump.
-        before: u64,
-        /// Number of the first scan after the jump.
-        after: u64,
-    },
-    /// True poses from a board that says it measures; only simulated boards have them.
+    ClockJump { seconds: f64, before: u64, after: u64 },
     #[error(
         "the board says that it measures, and sends true poses as simulated ones do: they are left out; flash its \
          firmware anew"
     )]
     Truth,
-    /// The board solves poses by another head than this one.
     #[error(
         "the board's poses are of another head than that of the scene and the calibration given: they are left out; \
          store this head with `slitpose device set`, or give the scene and the calibration that the board has"
     )]
     OtherHead,
-    /// A pose of the board cannot be right.
     #[error(
         "the board's pose of scan {sequence} cannot be right: {fault}; it is left out, as {count} in all so far; build \
          firmware and program from the same source, and use --stream raw until then"
     )]
-    Pose {
-        /// Number of the scan.
-        sequence: u64,
-        /// The fault.
-        fault: PoseFault,
-        /// Poses left out so far.
-        count: u64,
-    },
-    /// The board's number changed although the link was not reopened.
+    Pose { sequence: u64, fault: PoseFault, count: u64 },
     #[error(
         "the board calls itself {now} in the midst of its stream, and was {before}: the poses that follow are told as \
          those of {now}; see that one board alone is on this port, then reset it"
     )]
-    Renamed {
-        /// The board's number before.
-        before: DeviceId,
-        /// The board's number now.
-        now: DeviceId,
-    },
+    Renamed { before: DeviceId, now: DeviceId },
 }
 
 /// Finds jumps of a board's clock: between two scans, the ticks must advance by one frame per number.

@@ -22,13 +22,13 @@ use slitpose_model::{Photocurrents, Tier};
 use slitpose_protocol::{DELIMITER, Decoder, MAX_MESSAGE_BYTES, Message, Status};
 
 pub use board_poses::{Agreement, PoseFault};
-pub use counts::reason;
-pub use counts::{Counts, Outcomes};
+pub use counts::{Counts, Outcomes, reason};
 pub use item::{Item, Oddity, PipelineError, PipelineOptions, PoseSource, Record, SceneMatch};
 pub use session::{check, check_calibration, head_of};
 pub use waiting::{Queue, Scan};
 
-use crate::health::HeadHealth;
+use crate::clock::ClockFit;
+use crate::health::{HeadHealth, Health};
 use crate::link::Segment;
 use board_clock::Span;
 use flow::{Flow, session_of};
@@ -87,15 +87,12 @@ impl Pipeline {
         bytes: &[u8],
         mut sink: impl FnMut(Item<'_>) -> Result<(), E>,
     ) -> Result<usize, E> {
-        self.flow.clock.read(None);
+        self.flow.clock.at = None;
         self.decode(bytes, Solve::AtOnce, &mut sink)
     }
 
     /// Decodes and solves a segment as [`push`](Self::push) does. Where reads have instants, and after the first
     /// answered ping, it also finds the host's time of each scan.
-    ///
-    /// # Errors
-    /// As for [`push`](Self::push).
     pub fn feed<E: From<PipelineError>>(
         &mut self,
         segment: &Segment,
@@ -106,9 +103,6 @@ impl Pipeline {
 
     /// Decodes a segment as [`feed`](Self::feed) does, but lets the scans wait for
     /// `solve_next`, `solve_newest` or `skip`.
-    ///
-    /// # Errors
-    /// As for [`push`](Self::push).
     pub fn receive<E: From<PipelineError>>(
         &mut self,
         segment: &Segment,
@@ -193,7 +187,7 @@ impl Pipeline {
         }
         let mut taken = 0;
         for (bytes, at) in segment.chunks() {
-            self.flow.clock.read(at);
+            self.flow.clock.at = at;
             let count = self.decode(bytes, solve, sink)?;
             taken += count;
             if count < bytes.len() {
@@ -220,7 +214,7 @@ impl Pipeline {
             let Ok(message) = result else {
                 continue;
             };
-            if self.flow.span.is_complete()
+            if self.flow.span.is_complete
                 && matches!(message, Message::Batch(_) | Message::Poses(_) | Message::Truth(_))
             {
                 return Ok(length - ahead);
@@ -247,34 +241,34 @@ impl Pipeline {
 
     /// The health of the head, if it is [monitored](Self::watched).
     pub fn health(&self) -> Option<HeadHealth> {
-        self.flow.session.as_ref()?.health()
+        self.flow.session.as_ref()?.health.as_ref().map(Health::report)
     }
 
     /// How the board's poses compare with those found here; `None` if it has sent none.
     pub fn agreement(&self) -> Option<Agreement> {
-        let agreement = self.flow.session.as_ref()?.agreement()?;
+        let agreement = self.flow.session.as_ref()?.comparison.as_ref()?.agreement;
         let refused = self.flow.counts.poses_refused;
         Some(Agreement { refused, is_unchecked: self.flow.is_unchecked, ..agreement })
     }
 
     /// Rate error of the board's clock, ppm, positive if fast; `None` while unknown.
     pub fn drift_ppm(&self) -> Option<f64> {
-        self.flow.clock.drift_ppm()
+        self.flow.clock.fit.as_ref()?.drift_ppm()
     }
 
     /// Whether the board reports a crystal and its rate has broken the bounds of one.
     pub fn contradicts_crystal(&self) -> bool {
-        self.flow.clock.contradicts_crystal()
+        self.flow.clock.fit.as_ref().is_some_and(ClockFit::contradicts_crystal)
     }
 
     /// Device time between the first scan and the last, seconds.
     pub fn elapsed_s(&self) -> f64 {
-        self.flow.span.elapsed_s()
+        self.flow.span.elapsed_s
     }
 
     /// Whether the [end](Self::until) is reached.
     pub fn is_complete(&self) -> bool {
-        self.flow.span.is_complete()
+        self.flow.span.is_complete
     }
 
     /// The board's last status.

@@ -5,11 +5,11 @@ use slitpose_model::{Photocurrents, Solver, Tier, Tracked, Tracker};
 use slitpose_protocol::poses::{Poses, TRIANGLE};
 use slitpose_protocol::{AdcScaling, BoardKind, Hello, PoseStatus, RawScan, Schedule};
 
-use super::board_poses::{Agreement, BoardPose, Comparison, PoseFault};
+use super::board_poses::{BoardPose, Comparison, PoseFault};
 use super::item::Doubt;
 use super::waiting::{Content, Scan};
 use super::{PipelineError, PipelineOptions, SceneMatch};
-use crate::health::{HeadHealth, Health};
+use crate::health::Health;
 use crate::link::{DeviceId, Versions};
 use crate::solving;
 use slitpose_head::front_end::Stage;
@@ -35,12 +35,12 @@ pub(super) struct Session {
     tracker: Tracker<f64>,
     /// Tracks the newest scans while older ones wait.
     ahead: Option<Tracker<f64>>,
-    health: Option<Health>,
+    pub(super) health: Option<Health>,
     doubt: Doubt,
     /// Number of the head that the board's poses must be of.
     head_number: u32,
     /// Poses of the board and of this program, once the board has sent any.
-    comparison: Option<Box<Comparison>>,
+    pub(super) comparison: Option<Box<Comparison>>,
     /// Finds what the board's poses are compared with: of a known light level, as the board's.
     as_board: Option<Box<Tracker<f64>>>,
     /// The latest that the board has told.
@@ -51,9 +51,6 @@ pub(super) struct Session {
 }
 
 /// Checks the parts of `hello` that do not depend on the schedule: protocol, scaling and scene.
-///
-/// # Errors
-/// If the board has another protocol, cannot measure, or belongs to another scene.
 pub fn check(file: &SceneFile, scene_match: SceneMatch, hello: &Hello<'_>) -> Result<(), PipelineError> {
     let board = || hello.board.to_owned();
     let versions = Versions { board: hello.protocol };
@@ -70,9 +67,6 @@ pub fn check(file: &SceneFile, scene_match: SceneMatch, hello: &Hello<'_>) -> Re
 }
 
 /// Checks that the board of `hello` belongs to the calibration of `head`, if both have one.
-///
-/// # Errors
-/// If it belongs to another.
 pub fn check_calibration(head: &Head, scene_match: SceneMatch, hello: &Hello<'_>) -> Result<(), PipelineError> {
     match (head.calibration(), hello.hashes.calibration) {
         (Some(calibration), Some(board_hash))
@@ -119,7 +113,7 @@ impl Session {
             return Err(PipelineError::Cells { board: board(), board_cells, scene: file.name.clone(), scene_cells });
         }
         let health = watched.then(|| Health::new(file, tier, &hello.schedule, &hello.scaling)).transpose()?;
-        let is_calibrated = matches!(head.basis(), Basis::Calibration(_));
+        let is_calibrated = matches!(head.basis, Basis::Calibration(_));
         let health = health.map(|health| if is_calibrated { health.calibrated() } else { health });
         let head_number = solving::hashes(&head).number();
         let stage = Stage::new(file, &hello.schedule, &hello.scaling);
@@ -168,7 +162,6 @@ impl Session {
         f64::from(self.schedule.tick_hz)
     }
 
-    /// Period of the frames, seconds.
     pub(super) fn frame_s(&self) -> f64 {
         self.schedule.frame_rate_hz().recip()
     }
@@ -191,8 +184,8 @@ impl Session {
             Content::Words(words) => self.solve_words(words, watched),
             Content::Pose(pose) => self.completed(pose),
         };
-        self.doubt.count(scan.sequence(), &tracked.solution.outcome, tracked.solution.cells_used.count());
-        self.doubt.apply(scan.sequence(), &mut tracked.solution.outcome);
+        self.doubt.count(scan.sequence, &tracked.solution.outcome, tracked.solution.cells_used.count());
+        self.doubt.apply(scan.sequence, &mut tracked.solution.outcome);
         tracked
     }
 
@@ -215,7 +208,7 @@ impl Session {
         let comparison = self.comparison.get_or_insert_default();
         self.as_board.get_or_insert_with(|| Box::new(self.tracker.clone().with_known_light_level()));
         self.missed = self.missed.max(poses.missed.into());
-        comparison.take_missed(self.missed);
+        comparison.agreement.missed = self.missed;
         let all = poses.iter(self.schedule.frame_ticks);
         all.clone().for_each(|(sequence, _, record)| comparison.take_board(sequence, &record));
         let covariance = self.covariance.unwrap_or([0.0; TRIANGLE]);
@@ -229,21 +222,11 @@ impl Session {
         Some(fault)
     }
 
-    /// Whether a pose of the board has been compared with the one found here since the last call.
-    pub(super) fn take_checked(&mut self) -> bool {
-        self.comparison.as_mut().is_some_and(|comparison| comparison.take_checked())
-    }
-
     /// How many of `missing` scans in a row the board says not to have solved.
     pub(super) fn place_unsolved(&mut self, missing: u64) -> u64 {
         let unsolved = missing.min(self.missed - self.placed);
         self.placed += unsolved;
         unsolved
-    }
-
-    /// How the board's poses compare with those found here; `None` if it has sent none.
-    pub(super) fn agreement(&self) -> Option<Agreement> {
-        self.comparison.as_ref().map(|comparison| comparison.agreement())
     }
 
     pub(super) fn solve_words(&mut self, scan: &RawScan, watched: bool) -> Tracked {
@@ -271,7 +254,7 @@ impl Session {
             Content::Words(words) => self.solve_words_ahead(words, first),
             Content::Pose(pose) => self.completed(pose),
         };
-        self.doubt.apply(scan.sequence(), &mut tracked.solution.outcome);
+        self.doubt.apply(scan.sequence, &mut tracked.solution.outcome);
         tracked
     }
 
@@ -291,10 +274,5 @@ impl Session {
             health.update(scan, &self.photocurrents, &tracked.solution);
         }
         tracked
-    }
-
-    /// The health of the head, if it is monitored.
-    pub(super) fn health(&self) -> Option<HeadHealth> {
-        self.health.as_ref().map(Health::report)
     }
 }

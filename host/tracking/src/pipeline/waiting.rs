@@ -28,7 +28,8 @@ pub(super) enum Content {
 /// A scan that is not solved yet.
 #[derive(Clone, Copy, Debug)]
 pub struct Scan {
-    pub(super) sequence: u64,
+    /// Number of the scan, counted by the board.
+    pub sequence: u64,
     /// Scans before it that the board says not to have solved: they are missing, and yet not lost.
     pub unsolved: u64,
     pub(super) content: Content,
@@ -41,13 +42,6 @@ pub struct Scan {
     pub arrival: Option<HostInstant>,
     /// The true pose at that instant, from simulated boards only.
     pub truth: Option<Pose>,
-}
-
-impl Scan {
-    /// Number of the scan, counted by the board.
-    pub fn sequence(&self) -> u64 {
-        self.sequence
-    }
 }
 
 /// The state of the queue of waiting scans.
@@ -75,7 +69,7 @@ impl Queue {
 /// Scans in the order of their arrival.
 #[derive(Debug)]
 pub(super) struct Waiting {
-    scans: VecDeque<Scan>,
+    pub(super) scans: VecDeque<Scan>,
     passed: usize,
 }
 
@@ -86,10 +80,6 @@ impl Default for Waiting {
 }
 
 impl Waiting {
-    pub(super) fn push(&mut self, scan: Scan) {
-        self.scans.push_back(scan);
-    }
-
     /// Removes the oldest scan; also returns whether a newer one was solved ahead of it.
     pub(super) fn pop(&mut self) -> Option<(Scan, bool)> {
         let scan = self.scans.pop_front()?;
@@ -116,11 +106,6 @@ impl Waiting {
             sessions: 0,
         }
     }
-
-    /// Number of the session of the newest scan.
-    pub(super) fn newest_session(&self) -> Option<u64> {
-        self.scans.back().map(|scan| scan.session)
-    }
 }
 
 #[cfg(test)]
@@ -134,7 +119,7 @@ mod tests {
         let taken = pipeline.receive(segment, |item| {
             assert!(!matches!(item, Item::Pose(_)), "nobody has asked for a pose");
             if let Item::Scan(scan) = item {
-                arrived.push(scan.sequence());
+                arrived.push(scan.sequence);
             }
             Ok::<_, PipelineError>(())
         });

@@ -25,21 +25,26 @@ pub struct Board {
     /// What has become of its bytes so far.
     pub pipeline: Pipeline,
     pub(super) setup: Option<Box<Setup>>,
-    pub(super) utc: UtcWatch,
-    /// Nothing more can be made of it until its link was opened anew.
-    pub(super) is_unusable: bool,
     pub(super) phase: Phase,
     /// Faults in its bytes, if any are injected.
     pub(super) faulty: Option<Box<Faulty>>,
+    pub(super) utc: UtcWatch,
+    /// Nothing more can be made of it until its link was opened anew.
+    pub(super) is_unusable: bool,
+    /// Whether another session has begun since its last bytes.
+    pub(super) begins_anew: bool,
+    pub(super) past: Past,
+}
+
+/// What outlives the settings of a board.
+#[derive(Default)]
+pub(super) struct Past {
     pub(super) seam: Seam,
     /// When the sessions began behind which a part can begin, seconds after the beginning.
     pub(super) sessions_s: Vec<f64>,
     pub(super) has_begun: bool,
-    /// Whether another has begun since its last bytes.
-    pub(super) begins_anew: bool,
     /// Scans, bytes and readable packets under earlier settings.
     pub(super) earlier: [u64; 3],
-    /// Settings behind which no bytes follow.
     pub(super) unused_settings: u64,
 }
 
@@ -62,37 +67,10 @@ pub struct Seam {
 }
 
 impl Board {
-    pub(super) fn new(
-        device: Option<DeviceId>,
-        setup: Option<Box<Setup>>,
-        head: Head,
-        pipeline: Pipeline,
-        phase: Phase,
-        faulty: Option<Box<Faulty>>,
-    ) -> Self {
-        let (utc, seam) = (UtcWatch::default(), Seam::default());
-        Self {
-            device,
-            head,
-            pipeline,
-            setup,
-            utc,
-            is_unusable: false,
-            phase,
-            faulty,
-            seam,
-            sessions_s: Vec::new(),
-            has_begun: false,
-            begins_anew: false,
-            earlier: [0; 3],
-            unused_settings: 0,
-        }
-    }
-
     /// Scans, bytes and readable packets so far.
     pub(super) fn totals(&self) -> [u64; 3] {
         let counts = self.pipeline.counts();
-        let [scans, bytes, packets] = self.earlier;
+        let [scans, bytes, packets] = self.past.earlier;
         [scans + counts.scans, bytes + counts.decoder.bytes, packets + counts.decoder.packets]
     }
 
@@ -223,20 +201,11 @@ pub enum PlaybackError {
     )]
     NoScan { path: PathBuf, bytes: u64, packets: u64, topics: BTreeSet<String> },
     #[error("there is no scan from {from_s} s after the beginning of {} on; begin earlier", path.display())]
-    Beyond {
-        path: PathBuf,
-        /// The beginning asked for, seconds.
-        from_s: f64,
-    },
+    Beyond { path: PathBuf, from_s: f64 },
     #[error("{} has no times to cut it by, as bytes of a port have none; solve it whole", path.display())]
     Timeless { path: PathBuf },
     #[error("--to {to_s} s does not lie behind --from {from_s} s; give a later end")]
-    Range {
-        /// The beginning, seconds.
-        from_s: f64,
-        /// The end, seconds.
-        to_s: f64,
-    },
+    Range { from_s: f64, to_s: f64 },
 }
 
 fn named(topics: &BTreeSet<String>) -> String {

@@ -17,12 +17,13 @@ use slitpose_model::Photocurrents;
 
 pub use crate::capture::CaptureError;
 use crate::capture::{CaptureReader, CapturedBasis, Entry, Setup};
+use crate::clock::UtcWatch;
 use crate::link::{DeviceId, Segment};
 use crate::pipeline::{Item, Pipeline, PipelineError, Scan, SceneMatch};
 use crate::solving::head_by;
 pub use board::{Board, Choice, PlaybackError, Seam, Yields};
 
-use board::{Faulty, Phase};
+use board::{Faulty, Past, Phase};
 
 /// Boards are recorded a piece at a time: what one said before the end may stand so far behind it.
 const LATEST_NS: u64 = 1_000_000_000;
@@ -30,36 +31,17 @@ const LATEST_NS: u64 = 1_000_000_000;
 /// Time between bytes and a part that begins right behind them: reads are farther apart.
 const AFTER_S: f64 = 1e-6;
 
-/// A result of playing captures.
+/// A result of playing captures. Boards have the `number` that they have in [`Playback::boards`]; `device` is `None` in the
+/// bytes of a port.
 #[derive(Debug)]
+#[allow(missing_docs, reason = "fields are named by what they are")]
 pub enum Event<'a> {
     /// There is a board, or it begins anew with other settings.
-    Board {
-        /// Its number in [`Playback::boards`].
-        number: usize,
-        /// `None` in the bytes of a port.
-        device: Option<DeviceId>,
-    },
+    Board { number: usize, device: Option<DeviceId> },
     /// What the pipeline of a board gave.
-    Item {
-        /// Its number in [`Playback::boards`].
-        number: usize,
-        /// `None` in the bytes of a port.
-        device: Option<DeviceId>,
-        /// A pose, and more.
-        item: Item<'a>,
-    },
+    Item { number: usize, device: Option<DeviceId>, item: Item<'a> },
     /// A scan that is not solved.
-    Currents {
-        /// The number of its board in [`Playback::boards`].
-        number: usize,
-        /// `None` in the bytes of a port.
-        device: Option<DeviceId>,
-        /// When it was taken, and its counts.
-        scan: &'a Scan,
-        /// Its photocurrents.
-        currents: &'a Photocurrents,
-    },
+    Currents { number: usize, device: Option<DeviceId>, scan: &'a Scan, currents: &'a Photocurrents },
     /// Something the user wants to know.
     Remark(&'a str),
     /// Data that were damaged or lost.
@@ -67,6 +49,7 @@ pub enum Event<'a> {
 }
 
 /// Captures being solved.
+#[derive(Default)]
 pub struct Playback {
     choice: Choice,
     files: VecDeque<PathBuf>,
@@ -74,9 +57,9 @@ pub struct Playback {
     reader: Option<(PathBuf, CaptureReader)>,
     segment: Segment,
     turns_ns: [u64; 3],
-    /// UTC of the first bytes.
     start_ns: u64,
-    boards: Vec<Board>,
+    /// The boards so far.
+    pub boards: Vec<Board>,
     /// Boards that the capture names without data.
     unsettled: BTreeSet<DeviceId>,
     /// Names of the first topics of the captures.
@@ -87,9 +70,6 @@ pub struct Playback {
 
 impl Playback {
     /// The captures `files`, those of a series in their order.
-    ///
-    /// # Errors
-    /// A first file that cannot be read, what is no regular file, a file given twice, and a part that ends before it begins.
     pub fn open(files: Vec<PathBuf>, choice: Choice) -> Result<Self, PlaybackError> {
         choice.check()?;
         files::check(&files)?;
@@ -103,35 +83,14 @@ impl Playback {
         let from_ns = choice.from_s.map_or(0, at_ns);
         let warm_ns = choice.from_s.map_or(0, |from_s| if from_s > warm_up_s { at_ns(from_s - warm_up_s) } else { 0 });
         let turns_ns = [warm_ns, from_ns, choice.to_s.map_or(u64::MAX, at_ns)];
-        Ok(Self {
-            choice,
-            first: files.first().cloned(),
-            files: files.into(),
-            reader: None,
-            segment: Segment::default(),
-            turns_ns,
-            start_ns,
-            boards: Vec::new(),
-            unsettled: BTreeSet::new(),
-            topics: BTreeSet::new(),
-            read_bytes: 0,
-            is_over: false,
-        })
+        Ok(Self { choice, first: files.first().cloned(), files: files.into(), turns_ns, start_ns, ..Self::default() })
     }
 
     /// Time between the first bytes and the last, seconds; reads the last of `files`. Zero where bytes have no times.
-    ///
-    /// # Errors
-    /// A file that cannot be read.
     pub fn length_s(files: &[PathBuf]) -> Result<f64, PlaybackError> {
         let (Some(first), Some(last)) = (files.first(), files.last()) else { return Ok(0.0) };
         let length_ns = files::last_log_ns(last)?.saturating_sub(files::first_log_ns(first)?);
         Ok(length_ns as f64 * 1e-9)
-    }
-
-    /// The boards so far.
-    pub fn boards(&self) -> &[Board] {
-        &self.boards
     }
 
     /// Bytes of the files that have been read.
@@ -146,13 +105,13 @@ impl Playback {
 
     /// Of each board, what its poses depended on at both ends of the part.
     pub fn seams(&self) -> impl Iterator<Item = (Option<DeviceId>, Seam)> {
-        self.boards.iter().map(|board| (board.device, board.seam))
+        self.boards.iter().map(|board| (board.device, board.past.seam))
     }
 
     /// Of each board, when its sessions began, seconds after the beginning of the captures. A part that begins then, and
     /// is warmed up for a moment, has a tracker without a past, as the whole has. The first session is not among them.
     pub fn sessions(&self) -> impl Iterator<Item = (Option<DeviceId>, &[f64])> {
-        self.boards.iter().map(|board| (board.device, board.sessions_s.as_slice()))
+        self.boards.iter().map(|board| (board.device, board.past.sessions_s.as_slice()))
     }
 
     /// Solves the next entry of the captures and passes the results to `hear`; returns whether there was an entry.
@@ -217,19 +176,19 @@ impl Playback {
             }
             let board_totals = board.totals();
             (0..3).for_each(|k| totals[k] += board_totals[k]);
-            board.unused_settings += u64::from(board.is_unused());
-            if board.unused_settings > 0 && board_totals[0] > 0 && are_settings_checked {
+            board.past.unused_settings += u64::from(board.is_unused());
+            if board.past.unused_settings > 0 && board_totals[0] > 0 && are_settings_checked {
                 hear(Event::Loss(&format!(
                     "{}: {} of its settings apply to no bytes: the program that rewrote the capture has moved them, and \
                      {} scans may be solved with the wrong ones; replay the captures as they were recorded, or give \
                      --scene and --calibration",
                     board.name(),
-                    board.unused_settings,
+                    board.past.unused_settings,
                     board_totals[0]
                 )))?;
             }
             if board.phase == Phase::Within {
-                board.seam.behind = board.pipeline.state();
+                board.past.seam.behind = board.pipeline.state();
             }
             if let Some(losses) = board.pipeline.counts().losses(is_cut) {
                 hear(Event::Loss(&format!("{}: {losses}", board.name())))?;
@@ -284,43 +243,64 @@ impl Playback {
         if known.is_some_and(|at| self.boards[at].setup.as_ref() == Some(&setup)) {
             return Ok(());
         }
-        let is_scene_given = self.choice.scene.is_some();
         let (file, scene_match) = self.scene_of(&setup)?;
-        if let Some(remark) = files::other_scene(&file, Some(setup.scene.hash), scene_match) {
+        let hash = Some(setup.scene.hash);
+        self.open_board(Some(setup.device), Some(setup), file, hash, scene_match, hear).map(drop)
+    }
+
+    /// A board with the head of `file`, known or new; a known one goes on with these settings. Gives its number.
+    fn open_board<E: From<PlaybackError>>(
+        &mut self,
+        device: Option<DeviceId>,
+        setup: Option<Box<Setup>>,
+        file: SceneFile,
+        hash: Option<u64>,
+        scene_match: SceneMatch,
+        hear: Hear<'_, E>,
+    ) -> Result<usize, E> {
+        if let Some(remark) = files::other_scene(&file, hash, scene_match) {
             hear(Event::Remark(&remark))?;
         }
-        let head = head_by(self.choice.calibration.as_deref(), file, |file| head_of(file, &setup, is_scene_given))?;
-        let pipeline = self.pipeline(head.clone(), scene_match, Some(&setup));
-        let phase = known.map_or(self.first_phase(), |at| self.boards[at].phase);
-        let faulty = match known {
-            Some(at) => self.boards[at].faulty.take(),
-            None => self.faulty(&head)?,
+        let is_scene_given = self.choice.scene.is_some();
+        let head = head_by(self.choice.calibration.as_deref(), file, |file| match &setup {
+            Some(setup) => head_of(file, setup, is_scene_given),
+            None => Head::uncalibrated(file).map_err(PlaybackError::from),
+        })?;
+        let pipeline = self.pipeline(head.clone(), scene_match, setup.as_deref());
+        let mut board = Board {
+            device,
+            pipeline,
+            setup,
+            phase: if self.is_part() { Phase::Before } else { Phase::Within },
+            faulty: None,
+            utc: UtcWatch::default(),
+            is_unusable: false,
+            begins_anew: false,
+            past: Past::default(),
+            head,
         };
-        let board = Board::new(Some(setup.device), Some(setup), head, pipeline, phase, faulty);
+        let known = self.boards.iter().position(|known| known.device == device);
         match known {
-            // Seams are those of the part, not of a setup.
             Some(at) => {
                 let before = &mut self.boards[at];
-                let (earlier, sessions_s) = (before.totals(), std::mem::take(&mut before.sessions_s));
-                let unused_settings = before.unused_settings + u64::from(before.is_unused());
-                let (seam, has_begun) = (before.seam, before.has_begun);
                 if let Some(losses) = before.pipeline.counts().losses(true) {
                     hear(Event::Loss(&format!("{}: {losses}", before.name())))?;
                 }
-                self.boards[at] = Board { seam, sessions_s, has_begun, earlier, unused_settings, ..board };
+                let (earlier, unused) = (before.totals(), u64::from(before.is_unused()));
+                (board.phase, board.faulty) = (before.phase, before.faulty.take());
+                board.past = std::mem::take(&mut before.past);
+                (board.past.earlier, board.past.unused_settings) = (earlier, board.past.unused_settings + unused);
+                *before = board;
             }
-            None => self.boards.push(board),
+            None => {
+                board.faulty =
+                    Faulty::of(&self.choice, board.head.file.scene.cells.len()).map_err(PlaybackError::from)?;
+                self.boards.push(board);
+            }
         }
         let number = known.unwrap_or(self.boards.len() - 1);
-        hear(Event::Board { number, device: self.boards[number].device })
-    }
-
-    fn faulty(&self, head: &Head) -> Result<Option<Box<Faulty>>, PlaybackError> {
-        Ok(Faulty::of(&self.choice, head.file.scene.cells.len())?)
-    }
-
-    fn first_phase(&self) -> Phase {
-        if self.is_part() { Phase::Before } else { Phase::Within }
+        hear(Event::Board { number, device })?;
+        Ok(number)
     }
 
     fn scene_of(&self, setup: &Setup) -> Result<(SceneFile, SceneMatch), PlaybackError> {
@@ -400,11 +380,11 @@ impl Playback {
             Err(Broken::Heard(error)) => return Err(error),
         }
         let begins = pipeline.sessions() > sessions;
-        board.begins_anew |= begins && std::mem::replace(&mut board.has_begun, true);
+        board.begins_anew |= begins && std::mem::replace(&mut board.past.has_begun, true);
         if let Some(log_ns) = log_ns.filter(|_| board.begins_anew) {
             board.begins_anew = false;
             // Behind these bytes, ahead of the next.
-            board.sessions_s.push(log_ns.saturating_sub(start_ns) as f64 * 1e-9 + AFTER_S);
+            board.past.sessions_s.push(log_ns.saturating_sub(start_ns) as f64 * 1e-9 + AFTER_S);
         }
         if yields == Yields::Currents {
             while let Some((scan, currents)) = pipeline.take_currents() {
@@ -451,18 +431,7 @@ impl Playback {
         // Bytes of a port, whose nothing says; or of a board, of which no more is known.
         let hash = files::scene_hash(path).map_err(PlaybackError::from)?;
         let (file, scene_match) = self.scene_of_bytes(hash)?;
-        if let Some(remark) = files::other_scene(&file, hash, scene_match) {
-            hear(Event::Remark(&remark))?;
-        }
-        let head = head_by(self.choice.calibration.as_deref(), file, |file| {
-            Head::uncalibrated(file).map_err(PlaybackError::from)
-        })?;
-        let pipeline = self.pipeline(head.clone(), scene_match, None);
-        let faulty = self.faulty(&head)?;
-        self.boards.push(Board::new(device, None, head, pipeline, self.first_phase(), faulty));
-        let number = self.boards.len() - 1;
-        hear(Event::Board { number, device })?;
-        Ok(Some(number))
+        self.open_board(device, None, file, hash, scene_match, hear).map(Some)
     }
 
     /// The scene for the bytes of a port: that asked for, else the shipped one that the board names.
@@ -498,10 +467,10 @@ impl Board {
             _ => Phase::Before,
         };
         if self.phase < Phase::Within && phase == Phase::Within {
-            self.seam.before = self.pipeline.state();
+            self.past.seam.before = self.pipeline.state();
         }
         if self.phase == Phase::Within && phase == Phase::Behind {
-            self.seam.behind = self.pipeline.state();
+            self.past.seam.behind = self.pipeline.state();
         }
         self.phase = self.phase.max(phase);
     }

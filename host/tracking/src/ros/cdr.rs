@@ -10,6 +10,15 @@ use slitpose_model::{Estimate, Pose, TwistEstimate};
 /// Plain CDR, little endian, no options.
 const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
 
+/// Methods that write a number of the type of their name.
+macro_rules! numbers {
+    ($($number:ident),*) => {$(
+        pub fn $number(&mut self, value: $number) {
+            self.put(value.to_le_bytes());
+        }
+    )*};
+}
+
 /// Writes one message into a reused buffer.
 pub struct Encoder<'a> {
     bytes: &'a mut Vec<u8>,
@@ -34,29 +43,7 @@ impl<'a> Encoder<'a> {
         self.u8(value.into());
     }
 
-    pub fn u8(&mut self, value: u8) {
-        self.put([value]);
-    }
-
-    pub fn i32(&mut self, value: i32) {
-        self.put(value.to_le_bytes());
-    }
-
-    pub fn u32(&mut self, value: u32) {
-        self.put(value.to_le_bytes());
-    }
-
-    pub fn u64(&mut self, value: u64) {
-        self.put(value.to_le_bytes());
-    }
-
-    pub(super) fn f32(&mut self, value: f32) {
-        self.put(value.to_le_bytes());
-    }
-
-    pub fn f64(&mut self, value: f64) {
-        self.put(value.to_le_bytes());
-    }
+    numbers!(u8, i32, u32, u64, f32, f64);
 
     /// The number of elements of a sequence, which follow one by one.
     pub fn length(&mut self, length: usize) {

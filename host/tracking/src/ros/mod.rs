@@ -14,8 +14,7 @@ use slitpose_model::{Cell, Opening, Pose};
 use crate::link::DeviceId;
 use crate::pipeline::Record;
 
-pub use cdr::header as encode_header;
-pub use cdr::{encode_pose, encode_pose_stamped, encode_transform, encode_twist};
+pub use cdr::{encode_pose, encode_pose_stamped, encode_transform, encode_twist, header as encode_header};
 
 const TOPICS: &str = "/slitpose/";
 

@@ -5,8 +5,7 @@ use slitpose_calibration::{PartCosts, PoseRms, median};
 
 use super::{Of, micro};
 use crate::map::{Candidate, KNOWN, Map, Schedules, Tolerances, View, quantiles_of};
-use crate::plot::curve;
-use crate::plot::{Anchor, Axis, Canvas, Chart, CurveStyle, Scale, Stroke, TextStyle, cell_colour};
+use crate::plot::{Anchor, Axis, Canvas, Chart, CurveStyle, Scale, Stroke, TextStyle, cell_colour, curve};
 use crate::report::section::{Picture, Section, Table, Value, column};
 
 pub(super) fn redundancy(map: &Map) -> Section {

@@ -5,10 +5,8 @@ use slitpose_head::causes::with_causes;
 use slitpose_head::front_end::configuration;
 
 use crate::map::{Map, NoiseOf, Plane, PlanePoint, Schedules, Tolerances, View};
-use crate::plot::curve;
-use crate::plot::{Axis, Chart, CurveStyle, Heat, heat_picture};
-use crate::report::section::Sheet;
-use crate::report::section::{Getter, Picture, Report, Section, Table, Value, column, program, scene};
+use crate::plot::{Axis, Chart, CurveStyle, Heat, curve, heat_picture};
+use crate::report::section::{Getter, Picture, Report, Section, Sheet, Table, Value, column, program, scene};
 use crate::survey::{AXES, WorkspaceFacts};
 
 mod checks;
@@ -49,7 +47,7 @@ pub fn map_report(head: &Head, map: &Map, studied: Option<&Tolerances>, proposed
     ];
     if let Some(calibration) = head.calibration() {
         let said =
-            format!("{}, hash {:016x}: what it leaves open is part of every σ", calibration.id(), calibration.hash());
+            format!("{}, hash {:016x}: what it leaves open is part of every σ", calibration.id, calibration.hash());
         conditions.insert(2, ("calibration", said));
     }
     let mut warnings = Vec::new();

@@ -88,7 +88,6 @@ impl Reached {
 #[derive(Clone, Debug)]
 struct Case {
     study: &'static str,
-    /// How far it was driven.
     case: String,
     /// Condition number of the problem, where it has one.
     condition: Option<f64>,

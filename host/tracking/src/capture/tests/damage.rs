@@ -29,7 +29,7 @@ struct OnDisk {
 fn on_disk(room: usize, chunks: usize) -> OnDisk {
     let mut random = ChaCha8Rng::seed_from_u64(11);
     let mut messages = Vec::new();
-    let mut file = CaptureFile::create(Disk { bytes: Vec::new(), room }, &About::default()).unwrap();
+    let mut file = CaptureFile::create(Disk { bytes: Vec::new(), room }, "").unwrap();
     let mut flushes = Vec::new();
     let mut write = |file: &mut CaptureFile<Disk>| {
         let channels = file.add_device(&setup(FIRST), &[], 0)?;
@@ -108,7 +108,7 @@ impl Chunked {
     fn new(chunks: usize) -> Self {
         let file = BENCH.read().unwrap();
         let frames = stream(&WIDE.read().unwrap(), 8 * chunks, false);
-        let mut capture = CaptureFile::create(Disk { bytes: Vec::new(), room: usize::MAX }, &About::default()).unwrap();
+        let mut capture = CaptureFile::create(Disk { bytes: Vec::new(), room: usize::MAX }, "").unwrap();
         let setups = BTreeMap::from(
             [FIRST, SECOND].map(|device| (device, Setup::new(device, &file.clone().into(), settings()))),
         );

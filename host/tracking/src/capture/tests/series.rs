@@ -22,7 +22,7 @@ fn each_file_of_a_series_stands_alone() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("long.mcap");
         std::fs::write(folder.path().join("long-0007.mcap"), "of an earlier run").unwrap();
-        let mut series = CaptureSeries::create(&path, limits, Existing::Kept, About::default()).unwrap();
+        let mut series = CaptureSeries::create(&path, limits, Existing::Kept, String::new()).unwrap();
         let delivered = record_two(&mut series, &frames);
         let recorded = series.finish().unwrap();
         assert!(recorded.files >= 4, "{recorded:?}");
@@ -62,7 +62,7 @@ fn each_file_of_a_series_stands_alone() {
 fn settings_of_no_bytes_are_a_loss_and_scans_before_them_count() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("moved.mcap");
-    let mut series = CaptureSeries::create(&path, Limits::default(), Existing::Kept, About::default()).unwrap();
+    let mut series = CaptureSeries::create(&path, Limits::default(), Existing::Kept, String::new()).unwrap();
     series.add_device(setup(FIRST), None, 0).unwrap();
     let mut segment = Segment::default();
     segment.push(&stream(&WIDE.read().unwrap(), 40, false).concat(), None);
@@ -91,7 +91,7 @@ fn an_earlier_capture_is_not_lost() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("run.mcap");
     std::fs::write(&path, "of last night").unwrap();
-    let create = |existing| CaptureSeries::create(&path, Limits::default(), existing, About::default());
+    let create = |existing| CaptureSeries::create(&path, Limits::default(), existing, String::new());
     let error = create(Existing::Kept).err().unwrap();
     assert!(matches!(&error, CaptureError::Exists { path: of } if *of == path), "{error}");
     assert_eq!(std::fs::read(&path).unwrap(), b"of last night");
@@ -108,7 +108,7 @@ fn an_earlier_capture_is_not_lost() {
     assert!(read_file(&path).1.finished);
     let missing = folder.path().join("no/such/folder.mcap");
     for limits in [Limits::default(), Limits { max_bytes: Some(1), max_age: None }] {
-        let error = CaptureSeries::create(&missing, limits, Existing::Kept, About::default()).err().unwrap();
+        let error = CaptureSeries::create(&missing, limits, Existing::Kept, String::new()).err().unwrap();
         assert!(matches!(error, CaptureError::Create { .. }), "{error}");
     }
 }
@@ -124,7 +124,7 @@ fn a_capture_that_is_taken_away_is_missed() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("run.mcap");
     for at_the_end in [false, true] {
-        let mut series = CaptureSeries::create(&path, Limits::default(), Existing::Kept, About::default()).unwrap();
+        let mut series = CaptureSeries::create(&path, Limits::default(), Existing::Kept, String::new()).unwrap();
         series.add_device(setup(FIRST), None, 0).unwrap();
         series.segment(FIRST, &three_bytes(), 0).unwrap();
         series.flush().unwrap();
@@ -138,7 +138,7 @@ fn a_capture_that_is_taken_away_is_missed() {
 #[test]
 fn a_failure_is_told_once_and_what_is_dropped_is_counted() {
     let full = Path::new("/dev/full");
-    let mut series = CaptureSeries::create(full, Limits::default(), Existing::Kept, About::default()).unwrap();
+    let mut series = CaptureSeries::create(full, Limits::default(), Existing::Kept, String::new()).unwrap();
     let error = series.add_device(setup(FIRST), None, 0).unwrap_err();
     assert!(matches!(&error, CaptureError::Write { kept_bytes: 0, .. }), "{error}");
     assert!(!series.is_recording());
@@ -158,7 +158,7 @@ fn growth_bytes(frames: &[Vec<u8>]) -> u64 {
     let (records, _) = solve(&frames.concat());
     let mut random = ChaCha8Rng::seed_from_u64(16);
     let disk = Disk { bytes: Vec::new(), room: usize::MAX };
-    let mut file = CaptureFile::create(disk, &About::default()).unwrap();
+    let mut file = CaptureFile::create(disk, "").unwrap();
     let channels = file.add_device(&setup(FIRST), &[], 0).unwrap();
     file.flush().unwrap();
     let begin = file.bytes();

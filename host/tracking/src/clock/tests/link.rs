@@ -9,7 +9,6 @@ use rand_distr::{Distribution, Exp};
 use super::*;
 use crate::clock::HostInstant;
 
-/// Ticks a second.
 pub(super) const TICK_HZ: u32 = 170_000_000;
 
 /// Ticks from scan to scan: 4 kHz.
@@ -65,21 +64,6 @@ pub(super) const USB: Link = Link {
     utc_step_ns: None,
 };
 
-#[derive(Clone, Copy, Debug)]
-pub(super) enum Seen {
-    /// A batch whose first scan is at `tick`, and in which the last sample is at `last`.
-    Batch {
-        tick: u64,
-        last: u64,
-        at: HostInstant,
-    },
-    Pong {
-        asked: HostInstant,
-        tick: u64,
-        at: HostInstant,
-    },
-}
-
 const MONOTONIC_NS: f64 = 5e12;
 const UTC_MINUS_MONOTONIC_NS: u64 = 1_700_000_000_000_000_000;
 
@@ -119,7 +103,7 @@ impl Link {
 
     /// True time `fraction` after a tick; `restarted` tells which of the two times of a board that
     /// restarts.
-    pub(super) fn truth_of_tick_ns(&self, tick: u64, fraction: f64, restarted: bool) -> f64 {
+    fn truth_of_tick_ns(&self, tick: u64, fraction: f64, restarted: bool) -> f64 {
         let ticks = tick.wrapping_sub(if restarted { 0 } else { self.first_tick });
         self.board_start_ns(restarted) + self.truth_ns((ticks as f64 + fraction) * 1e9 / f64::from(TICK_HZ))
     }
@@ -150,9 +134,16 @@ impl Link {
         }
     }
 
-    /// Lets `duration_s` pass, and hands over what the host sees, with whether the board has
-    /// restarted.
-    pub(super) fn run(&self, seed: u64, duration_s: f64, mut take: impl FnMut(Seen, bool)) {
+    /// Lets `duration_s` pass, of a board that reports `source` twice a second; hands over of each scan its true time, the
+    /// time that a fit gives it, and when its batch arrived. Gives the fit.
+    pub(super) fn run(
+        &self,
+        source: Option<ClockSource>,
+        seed: u64,
+        duration_s: f64,
+        mut take: impl FnMut(f64, Option<HostTime>, HostInstant),
+    ) -> ClockFit {
+        let mut fit = ClockFit::new(TICK_HZ);
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let (mut restarted, mut batch, mut ping) = (false, 0_u64, 0_u64);
         // Of a stream, what was sent later arrives later.
@@ -165,7 +156,7 @@ impl Link {
             let device_ns = (batch * BATCH * FRAME_TICKS + last) as f64 * 1e9 / f64::from(TICK_HZ);
             let sent_ns = self.board_start_ns(restarted) + self.truth_ns(device_ns);
             if sent_ns > duration_s * 1e9 {
-                return;
+                return fit;
             }
             if !restarted && self.restart_ns.is_some_and(|at_ns| sent_ns > at_ns) {
                 (restarted, batch) = (true, 0);
@@ -183,21 +174,20 @@ impl Link {
                 if !is_lost {
                     arrived_ns =
                         arrived_ns.max(self.awake_ns(read_ns + self.delay_ns(read_ns, self.up_ns, &mut random)));
-                    let (asked, at) = (self.instant(asked_ns), self.instant(arrived_ns));
-                    take(Seen::Pong { asked, tick: self.tick_at(read_ns, restarted), at }, restarted);
+                    fit.answered(self.instant(asked_ns), self.tick_at(read_ns, restarted), self.instant(arrived_ns));
+                    source.into_iter().for_each(|source| fit.set_source(source));
                 }
                 continue;
             }
             arrived_ns = arrived_ns.max(self.awake_ns(sent_ns + self.delay_ns(sent_ns, self.up_ns, &mut random)));
             let at = self.instant(arrived_ns);
-            take(Seen::Batch { tick, last: tick.wrapping_add(last), at }, restarted);
+            fit.arrived(tick.wrapping_add(last), at);
+            for scan in (0..BATCH).map(|scan| tick.wrapping_add(scan * FRAME_TICKS)) {
+                let truth_ns = self.truth_of_tick_ns(scan, REFERENCE_TICKS, restarted);
+                take(truth_ns, fit.time_of(scan, REFERENCE_TICKS), at);
+            }
             batch += 1;
         }
-    }
-
-    /// The ticks at which the scans of a batch begin.
-    pub(super) fn scans(tick: u64) -> impl Iterator<Item = u64> {
-        (0..BATCH).map(move |scan| tick.wrapping_add(scan * FRAME_TICKS))
     }
 }
 
@@ -224,26 +214,15 @@ fn ntp_that_corrects_the_host_faster_than_a_crystal_explains_is_noticed_within_3
     const SINCE_S: f64 = 20.0;
     for (seed, (name, link)) in (30..).zip([("USB", USB), ("UART", UART), ("quick", QUICK)]) {
         let link = Link { slew: Some((SINCE_S * 1e9, 500e-6)), ..link };
-        let mut fit = ClockFit::new(TICK_HZ);
         let (mut scans, mut last_wrong_s, mut most_ns) = (0, 0.0_f64, 0.0_f64);
-        link.run(seed, 60.0, |seen, restarted| match seen {
-            Seen::Pong { asked, tick, at } => {
-                fit.answered(asked, tick, at);
-                fit.set_source(ClockSource::Crystal);
-            }
-            Seen::Batch { tick, last, at } => {
-                fit.arrived(last, at);
-                for scan in Link::scans(tick) {
-                    let truth_ns = link.truth_of_tick_ns(scan, REFERENCE_TICKS, restarted);
-                    let Some(time) = fit.time_of(scan, REFERENCE_TICKS) else { continue };
-                    scans += usize::from(truth_ns > SINCE_S * 1e9);
-                    let error_ns = (time.monotonic_ns as f64 - link.monotonic_ns(truth_ns)).abs();
-                    let beyond_ns = error_ns - time.uncertainty_ns as f64;
-                    // Clocks are read in whole nanoseconds, and truth is known to one at 5e12.
-                    if beyond_ns > 2.0 {
-                        (last_wrong_s, most_ns) = (truth_ns / 1e9, most_ns.max(beyond_ns));
-                    }
-                }
+        let fit = link.run(Some(ClockSource::Crystal), seed, 60.0, |truth_ns, time, _| {
+            let Some(time) = time else { return };
+            scans += usize::from(truth_ns > SINCE_S * 1e9);
+            let error_ns = (time.monotonic_ns as f64 - link.monotonic_ns(truth_ns)).abs();
+            let beyond_ns = error_ns - time.uncertainty_ns as f64;
+            // Clocks are read in whole nanoseconds, and truth is known to one at 5e12.
+            if beyond_ns > 2.0 {
+                (last_wrong_s, most_ns) = (truth_ns / 1e9, most_ns.max(beyond_ns));
             }
         });
         println!("{name}: wrong by up to {:.0} us beyond the uncertainty, until {last_wrong_s:.1} s", most_ns / 1e3);
@@ -256,18 +235,8 @@ fn ntp_that_corrects_the_host_faster_than_a_crystal_explains_is_noticed_within_3
 #[test]
 fn only_a_crystal_narrows_the_bounds() {
     let times = |source: Option<ClockSource>| {
-        let mut fit = ClockFit::new(TICK_HZ);
         let mut times = Vec::new();
-        USB.run(40, 10.0, |seen, _| match seen {
-            Seen::Pong { asked, tick, at } => {
-                fit.answered(asked, tick, at);
-                source.into_iter().for_each(|source| fit.set_source(source));
-            }
-            Seen::Batch { tick, last, at } => {
-                fit.arrived(last, at);
-                times.extend(Link::scans(tick).map(|scan| fit.time_of(scan, REFERENCE_TICKS)));
-            }
-        });
+        USB.run(source, 40, 10.0, |_, time, _| times.push(time));
         times
     };
     let unknown = times(None);
