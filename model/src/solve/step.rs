@@ -183,6 +183,10 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
 
 #[cfg(test)]
 mod tests {
+    extern crate std;
+
+    use std::vec::Vec;
+
     use glam::DVec3;
 
     use super::super::compiled::{Bend, Prior};
@@ -262,6 +266,47 @@ mod tests {
                 }
             }
         }
+    }
+
+    /// What of a cell's error is visible where the light level is a seventh unknown, with its prior as one more
+    /// observation: I − B·N⁻¹·Bᵀ, B the cell's rows by all seven and N their information.
+    #[test]
+    fn the_light_level_hides_errors_as_a_seventh_unknown() {
+        let (mut head, truth) = (compiled(), pose());
+        let sorted = Sorted::of(&currents(&head.plan, &truth), &head.limits);
+        let visible: Vec<f64> = [1e6, 0.1, 1e-3]
+            .into_iter()
+            .map(|prior_sigma: f64| {
+                head.level_information = Some(prior_sigma.powi(-2));
+                let problem = head.problem(&sorted, &Prior { twist: TWIST, sigmas: [0.0; 2], bend: None });
+                let workspace = &mut Workspace::new();
+                let at = problem.linearise(&Transform::of(&truth), workspace);
+                let row = |row: &Row<f64>| core::array::from_fn(|i| if i < 6 { row.by_pose[i] } else { row.by_level });
+                let rows: Vec<[[f64; 7]; 2]> =
+                    workspace.rows.iter().map(|rows| [row(&rows[0]), row(&rows[1])]).collect();
+                let mut information = [[0.0; 12]; 12];
+                for row in rows.iter().flatten() {
+                    (0..49).for_each(|k| information[k / 7][k % 7] += row[k / 7] * row[k % 7]);
+                }
+                information[6][6] += prior_sigma.powi(-2);
+                (7..12).for_each(|i| information[i][i] = 1.0);
+                let expected = rows.iter().map(|rows| {
+                    let product = |a: &[f64; 7], b: &[f64; 7]| {
+                        let of_b = solved(information, core::array::from_fn(|i| b.get(i).copied().unwrap_or(0.0)));
+                        a.iter().zip(of_b).map(|(a, b)| a * b).sum::<f64>()
+                    };
+                    let [uu, vv, uv] = [(0, 0), (1, 1), (0, 1)].map(|(i, j)| product(&rows[i], &rows[j]));
+                    1.0 - 0.5 * (uu + vv) - (0.25 * (uu - vv) * (uu - vv) + uv * uv).sqrt()
+                });
+                let expected = expected.fold(1.0, f64::min);
+                let factor = Factor::of_matrix(&at.information, 0.0, 1e-12).expect("a pose");
+                let visible = problem.least_visible(&factor, workspace);
+                // A thousand roundings times the condition of the normal equations, some 10⁶.
+                assert!((visible - expected).abs() < 1e-7, "{prior_sigma}: {visible} {expected}");
+                visible
+            })
+            .collect();
+        assert!(visible[0] < visible[2], "{visible:?}");
     }
 
     /// M⁻¹·v, by Gauss and Jordan.

@@ -118,6 +118,12 @@ impl<'a> Document<'a> {
         self.root.contains_key(section)
     }
 
+    /// Whether a section has this key and no other.
+    pub(super) fn has_only(&self, section: &str, key: &str) -> bool {
+        let table = self.root.get(section).and_then(table_of);
+        table.is_some_and(|table| table.len() == 1 && table.contains_key(key))
+    }
+
     /// Whether a section is in the file, or of its own in a cell.
     pub(super) fn has_section_for(&self, cell: usize, section: &str) -> bool {
         self.has_section(section) || self.find_own(cell, "cell", section).is_some()

@@ -205,9 +205,10 @@ impl Default for Tolerance {
     }
 }
 
-/// The section `[tolerance]`; `None` if the scene has none. Keys that it leaves out have their defaults.
+/// The section `[tolerance]`; `None` if the scene has none, or one of the light level alone, which is not that of a part.
+/// Keys that it leaves out have their defaults.
 pub(super) fn read_tolerance(document: &Document<'_>) -> Result<Option<Tolerance>, SceneFileError> {
-    if !document.has_section("tolerance") {
+    if !document.has_section("tolerance") || document.has_only("tolerance", "light_level_relative") {
         return Ok(None);
     }
     let value = |key, default| document.not_negative(KeyPath::section("tolerance", key), default);

@@ -458,3 +458,46 @@ impl<S: Number> Spot<S> {
         (self.of_emitter(&light.power), x_a, middle + from_emitter * drift)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec2;
+
+    use super::*;
+    use crate::aperture::Aperture;
+
+    /// A mask parallel to its detector is that of an ideal cell, from wherever the emitter lights it: sides, what bounds
+    /// the spot next, and the walls of a thick mask.
+    #[test]
+    fn a_slit_that_is_not_turned_has_the_spot_of_an_ideal_cell() {
+        let half = [6e-3, 0.5e-3];
+        let mut seen = [0; 3];
+        for thickness_m in [0.0, 0.3e-3] {
+            let (offset_m, tilt_rad) = (DVec2::new(0.2e-3, -0.1e-3), DVec3::ZERO);
+            let slit = Slit { distance_m: 5e-3, width_m: 0.6e-3, length_m: 1.2e-3, offset_m, tilt_rad, thickness_m };
+            let beam = Beam::<f64>::compile(&slit, None).expect("a slit that is not turned");
+            for i in 0..2000 {
+                let along = |frequency: f64| libm::sin(f64::from(i) * frequency);
+                let e = DVec3::new(9e-3 * along(0.7), 2e-3 * along(1.3), 15e-3 + 9.9e-3 * along(2.1));
+                let (spot, visibility) = beam.spot::<true, true>(e, half);
+                let (ideal, of_ideal) = match Aperture::compile(&slit) {
+                    Aperture::Thick(lower, upper) => Rectangle::of_beam([lower, upper], e.to_array(), half),
+                    Aperture::Thin(face) => Rectangle::of_beam([face], e.to_array(), half),
+                    _ => unreachable!("not turned"),
+                };
+                assert_eq!(visibility.status(0), of_ideal.status(0), "{e}");
+                seen[usize::from(visibility.spot().is_ok()) + usize::from(thickness_m > 0.0)] += 1;
+                if visibility.spot().is_err() {
+                    continue;
+                }
+                for (a, b) in spot.rectangle.corners().into_iter().flatten().zip(ideal.corners().into_iter().flatten())
+                {
+                    assert!((a - b).abs() < 1e-15, "{e}: {a} {b}");
+                }
+                let [slack_m, expected_m] = [&visibility, &of_ideal].map(|visibility| visibility.slack_m(0));
+                assert!((slack_m - expected_m).abs() < 1e-14, "{e}: {slack_m} {expected_m}");
+            }
+        }
+        assert!(seen.iter().all(|&count| count > 300), "{seen:?}");
+    }
+}
