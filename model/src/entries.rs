@@ -103,7 +103,7 @@ macro_rules! entries_of {
     };
 }
 
-#[cfg(feature = "lanes")]
+#[cfg(all(feature = "lanes", target_arch = "x86_64"))]
 entries_of!(f32, NoLanes; f64, crate::plan::CellsInLanes;);
-#[cfg(not(feature = "lanes"))]
+#[cfg(not(all(feature = "lanes", target_arch = "x86_64")))]
 entries_of!(f32, NoLanes; f64, NoLanes;);

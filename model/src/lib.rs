@@ -66,7 +66,7 @@ mod aperture;
 mod effects;
 mod entries;
 mod exact;
-#[cfg(feature = "lanes")]
+#[cfg(all(feature = "lanes", target_arch = "x86_64"))]
 mod lanes;
 mod list;
 mod paper;

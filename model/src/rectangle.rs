@@ -171,7 +171,7 @@ impl<R: Real> Visibility<R> {
     }
 
     /// `yes` in lanes with a spot, else `no`.
-    #[cfg(feature = "lanes")]
+    #[cfg(all(feature = "lanes", target_arch = "x86_64"))]
     #[inline(always)]
     pub fn where_spot(&self, yes: R, no: R) -> R {
         let zero = self.behind.constant(0.0);

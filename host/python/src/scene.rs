@@ -228,11 +228,7 @@ impl Scene {
             let wanted: Vec<usize> = (0..rows).filter(|row| frames[*row].to_bits() == of.to_bits()).collect();
             let ready = solver.with_frames(of).map_err(raised)?;
             let found = each_piece(py, wanted.len(), |piece| {
-                let readings: Vec<_> =
-                    piece.map(|at| ready.readings((0..cells).map(|cell| pair(wanted[at], cell)))).collect();
-                let mut found = Vec::with_capacity(readings.len());
-                ready.solve(&readings, |solution| found.push(solution));
-                found
+                piece.map(|at| ready.solve(&ready.readings((0..cells).map(|cell| pair(wanted[at], cell))))).collect()
             })?;
             wanted.into_iter().zip(found).for_each(|(row, solution)| solutions[row] = Some(solution));
         }

@@ -12,9 +12,6 @@ use slitpose_head::table::{
 };
 use slitpose_tracking::solving::{RowSolver, STREAM_TOLERANCE};
 
-/// Solutions that are kept until their condition numbers are known.
-const AT_ONCE: usize = 64;
-
 /// Finds the pose behind each row of currents, each from a cold start.
 ///
 /// Columns in: id, and for each cell k i_x1_k_a and i_x2_k_a, all taken at one instant, dark current
@@ -112,24 +109,16 @@ fn solve(
         };
         read.push(Read { id: row.text(columns.id), currents, frames });
     }
-    // Those that are means of as many frames are solved at once.
+    // Those that are means of as many frames have one solver.
     for run in read.chunk_by(|a, b| a.frames.to_bits() == b.frames.to_bits()) {
         let ready = solver.with_frames(run[0].frames)?;
-        let readings: Vec<_> =
-            run.iter().map(|row| ready.readings((0..cells).map(|cell| row.currents.get(cell).copied()))).collect();
-        for (run, readings) in run.chunks(AT_ONCE).zip(readings.chunks(AT_ONCE)) {
-            let mut solutions = Vec::with_capacity(run.len());
-            ready.solve(readings, |solution| solutions.push(solution));
-            let mut rows = run.iter().zip(&solutions);
-            ready.conditions(&solutions, |condition| {
-                if let Some((row, solution)) = rows.next() {
-                    let mut solution = SolutionRow::with_condition(solution, condition);
-                    if row.currents.is_empty() {
-                        solution.status = UNREADABLE;
-                    }
-                    write(table, row.id, &solution);
-                }
-            });
+        for row in run {
+            let readings = ready.readings((0..cells).map(|cell| row.currents.get(cell).copied()));
+            let mut solution = SolutionRow::of(&ready.solve(&readings));
+            if row.currents.is_empty() {
+                solution.status = UNREADABLE;
+            }
+            write(table, row.id, &solution);
         }
     }
     Ok(faults)

@@ -192,17 +192,10 @@ impl RowsOf<'_> {
         Photocurrents { cells: row.into_iter().zip(&self.head.file.scene.cells).map(reading).collect() }
     }
 
-    /// Passes the solution of each of `rows` to `take`, in their order: the pose behind it, found from a cold start.
-    pub fn solve(&self, rows: &[Photocurrents], mut take: impl FnMut(Solution)) {
-        for readings in rows {
-            let mut solution = self.solver.solve(readings, Start::Cold, &MotionPrior::AT_REST);
-            self.head.complete(&mut solution);
-            take(solution);
-        }
-    }
-
-    /// Passes the condition number of each of `solutions` to `take`, in their order.
-    pub fn conditions(&self, solutions: &[Solution], mut take: impl FnMut(Option<f64>)) {
-        solutions.iter().for_each(|solution| take(solution.condition()));
+    /// The pose behind `readings`, found from a cold start.
+    pub fn solve(&self, readings: &Photocurrents) -> Solution {
+        let mut solution = self.solver.solve(readings, Start::Cold, &MotionPrior::AT_REST);
+        self.head.complete(&mut solution);
+        solution
     }
 }

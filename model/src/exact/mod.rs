@@ -19,14 +19,14 @@ pub use rectangle::narrow_light;
 use order::MAX_NODES;
 use rectangle::Reaches;
 
-#[cfg(feature = "lanes")]
+#[cfg(all(feature = "lanes", target_arch = "x86_64"))]
 use crate::lanes::MAX_LANES;
-#[cfg(feature = "lanes")]
+#[cfg(all(feature = "lanes", target_arch = "x86_64"))]
 use crate::profile::{CompiledProfile, MAX_TERMS};
 use crate::profile::{Emission, Series};
 use crate::rectangle::{Rectangle, RectangleLight};
 use crate::response::Integration;
-#[cfg(feature = "lanes")]
+#[cfg(all(feature = "lanes", target_arch = "x86_64"))]
 use crate::scalar::Real;
 use crate::scalar::{Linear3, Number};
 
@@ -106,15 +106,14 @@ fn least_power<S: Number>() -> S {
 }
 
 /// [`rule`] of `profile`.
-#[cfg(feature = "lanes")]
-#[inline]
+#[cfg(all(feature = "lanes", target_arch = "x86_64"))]
+#[inline(always)]
 fn rule_of(
     profile: &CompiledProfile<f64>,
     orders: &Orders<f64>,
     reaches: &Reaches<f64>,
-    slope: [f64; 2],
+    slope: impl Fn(usize) -> f64,
 ) -> Option<Rule<f64>> {
-    let slope = |along: usize| slope[along];
     match profile {
         CompiledProfile::Cosine(cosine) => rule(cosine, orders, reaches, slope),
         CompiledProfile::Table(table) => rule(table, orders, reaches, slope),
@@ -125,7 +124,7 @@ fn rule_of(
 
 /// [`rectangle_light`] of the spot of each lane by the rule of that lane's `profile`; the power is NaN where there is none,
 /// or none with a series.
-#[cfg(feature = "lanes")]
+#[cfg(all(feature = "lanes", target_arch = "x86_64"))]
 #[inline(always)]
 pub fn rectangle_light_lanes<'a, R: Real<Element = f64>, const GRADIENT: bool>(
     spot: &Rectangle<R>,
@@ -134,13 +133,14 @@ pub fn rectangle_light_lanes<'a, R: Real<Element = f64>, const GRADIENT: bool>(
     profile: impl Fn(usize) -> Option<(&'a CompiledProfile<f64>, &'a Orders<f64>)>,
 ) -> RectangleLight<R> {
     let reaches = Reaches::of(spot, axis);
-    let slopes = [reaches.slope(spot, axis, 0), reaches.slope(spot, axis, 1)];
-    let (mut nodes, mut most, mut terms) = ([[1; MAX_LANES]; 2], [1; 2], 0);
+    // Zero: any number.
+    let (mut nodes, mut most, mut terms) = ([[0; MAX_LANES]; 2], [1; 2], 0);
     let mut inverses = [f64::NAN; MAX_LANES];
     let mut coefficients = [[0.0; MAX_LANES]; MAX_TERMS + 1];
     for lane in 0..R::LANES {
-        let slope = [slopes[0].lane(lane), slopes[1].lane(lane)];
-        let rule = profile(lane).and_then(|(profile, orders)| rule_of(profile, orders, &reaches.lane(lane), slope));
+        let Some((profile, orders)) = profile(lane) else { continue };
+        let slope = |along: usize| reaches.slope(spot, axis, along).lane(lane);
+        let rule = rule_of(profile, orders, &reaches.lane(lane), slope);
         let Some(Rule { nodes: counts, series: Some(series) }) = rule else { continue };
         for (along, count) in counts.into_iter().enumerate() {
             nodes[along][lane] = count;
@@ -158,8 +158,8 @@ pub fn rectangle_light_lanes<'a, R: Real<Element = f64>, const GRADIENT: bool>(
     for k in 0..=terms {
         series.coefficients[k] = zero.fill_with(|lane| coefficients[k][lane]);
     }
-    let along_x = rules.in_lanes(zero, &nodes[0], most[0]);
-    let along_y = rules.in_lanes(zero, &nodes[1], most[1]);
+    let along_x = rules.in_lanes(zero, nodes[0], most[0]);
+    let along_y = rules.in_lanes(zero, nodes[1], most[1]);
     let along_x = along_x.iter().copied();
     let mut light = rectangle::light::<R, _, GRADIENT>(spot, axis, &series, &along_x, along_y.iter().copied());
     let power = light.power.value;

@@ -27,11 +27,13 @@
 use core::iter::{Copied, Zip};
 use core::slice::Iter;
 
-#[cfg(feature = "lanes")]
+#[cfg(all(feature = "lanes", target_arch = "x86_64"))]
 use arrayvec::ArrayVec;
 
+#[cfg(all(feature = "lanes", target_arch = "x86_64"))]
+use crate::lanes::MAX_LANES;
 use crate::scalar::Number;
-#[cfg(feature = "lanes")]
+#[cfg(all(feature = "lanes", target_arch = "x86_64"))]
 use crate::scalar::Real;
 
 /// Nodes and weights of a rule, on −1…1.
@@ -227,7 +229,7 @@ fn binomial(power: f64, k: usize) -> f64 {
 pub const ESTIMATED: usize = 10;
 
 /// Nodes and weights of a rule per lane.
-#[cfg(feature = "lanes")]
+#[cfg(all(feature = "lanes", target_arch = "x86_64"))]
 pub type LaneRule<R> = ArrayVec<(R, R), MAX_NODES>;
 
 /// Gauss–Legendre rules with 1 to [`MAX_NODES`] nodes on −1…1.
@@ -289,15 +291,20 @@ impl<S: Number> Rules<S> {
         S::of(4.0) * last * fall * fall
     }
 
-    /// Nodes and weights of the rule of each lane of `like`, with `counts` nodes each, 1 to [`MAX_NODES`], the longest of
-    /// which has `most`: those that it has more than others are at 0, with weight 0.
-    #[cfg(feature = "lanes")]
+    /// Nodes and weights of the rule of each lane of `like`, with `counts` nodes each, 1 to [`MAX_NODES`] or zero for any
+    /// number, the longest of which has `most`: those that it has more than others are at 0, with weight 0.
+    #[cfg(all(feature = "lanes", target_arch = "x86_64"))]
     #[inline(always)]
-    pub fn in_lanes<R: Real<Element = S>>(&self, like: R, counts: &[usize], most: usize) -> LaneRule<R> {
+    pub fn in_lanes<R: Real<Element = S>>(&self, like: R, counts: [usize; MAX_LANES], most: usize) -> LaneRule<R> {
         let mut rule = LaneRule::new();
+        if counts.iter().all(|&count| count == 0 || count == most) {
+            rule.extend(self.get(most).map(|(node, weight)| (like.splat(node), like.splat(weight))));
+            return rule;
+        }
         for i in 0..most {
-            let node = like.fill_with(|lane| self.nodes[counts[lane] - 1][i]);
-            rule.push((node, like.fill_with(|lane| self.weights[counts[lane] - 1][i])));
+            let of = |lane: usize| counts[lane].max(1) - 1;
+            let node = like.fill_with(|lane| self.nodes[of(lane)][i]);
+            rule.push((node, like.fill_with(|lane| self.weights[of(lane)][i])));
         }
         rule
     }

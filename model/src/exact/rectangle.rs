@@ -70,7 +70,7 @@ impl<R: Real> Reaches<R> {
         axis * self.distance / self.middle - at / self.distance
     }
 
-    #[cfg(feature = "lanes")]
+    #[cfg(all(feature = "lanes", target_arch = "x86_64"))]
     #[inline(always)]
     pub fn lane(&self, lane: usize) -> Reaches<R::Element> {
         Reaches {

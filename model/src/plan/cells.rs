@@ -10,43 +10,56 @@ extern crate alloc;
 
 use alloc::sync::Arc;
 use alloc::vec::Vec;
+use core::fmt::Debug;
+
+use glam::DVec3;
+use pulp::x86::{V3, V4};
+use pulp::{Simd, WithSimd};
 
 use crate::aperture::{Aperture, Face, Span};
-use crate::exact;
-use crate::lanes::MAX_LANES;
-use crate::lanes::{Instructions, Lanes, Task, Width};
+use crate::exact::{self, Rules};
+use crate::lanes::{Lanes, Lanes3, MAX_LANES};
 use crate::pose::Transform;
-use crate::rectangle::{Rectangle, RectangleLight, SideGradient, Visibility};
+use crate::rectangle::{Rectangle, RectangleLight, Visibility};
 use crate::response::{Pair, Status};
 use crate::scalar::{Linear3, Real};
-use crate::scene::MAX_CELLS;
 
-use super::imperfect::beam::{self, Beam, Glass, Slot};
+use super::imperfect::beam::{Beam, Face as BeamFace, Glass, Slot};
 use super::imperfect::electrical::{CompiledConverters, CompiledStray, Electrical};
 use super::imperfect::passage::{Passage, Way};
 use super::imperfect::{ExtendedSource, Imperfect, Sums};
 use super::optics::{Instant, Receiver, Source, of_sides};
 use super::{CellTerms, CellsAtOnce, CompiledCell, CompiledScene, evaluate};
 
-/// A number of each cell; the last one fills the remaining lanes.
-type PerCell = [f64; MAX_CELLS];
-
-const _: () = assert!(MAX_CELLS.is_multiple_of(MAX_LANES), "every group of cells fills all lanes");
-
-/// The cells of a plan, number by number.
+/// The cells of a plan, a cell per lane.
 #[derive(Clone, Debug)]
-pub struct CellsInLanes {
-    width: Width,
-    kind: Kind,
-    numbers: Arc<[PerCell]>,
+pub enum CellsInLanes {
+    Alone,
+    Four(Packs<V3>),
+    Eight(Packs<V4>),
 }
 
-/// What all cells of a plan have.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Kind {
-    Thin,
-    Thick,
-    Imperfect { is_thick: bool, window: bool, azimuth: bool, nonlinearity: bool, stray: bool, converters: bool },
+/// As many cells each as there are lanes; the last cell fills the remaining lanes.
+#[derive(Clone, Debug)]
+pub struct Packs<I: Simd> {
+    simd: I,
+    packs: Arc<[Pack<Lanes<I>>]>,
+}
+
+/// Cells of one kind, one per lane.
+#[derive(Clone, Debug)]
+struct Pack<R: Real> {
+    receiver: Receiver<R>,
+    source: Source<R>,
+    path: Path<R>,
+}
+
+/// What is between emitter and currents.
+#[derive(Clone, Debug)]
+enum Path<R: Real> {
+    Thin(Face<R>),
+    Thick([Face<R>; 2]),
+    Imperfect(Beam<R>, ExtendedSource<R>, Electrical<R>),
 }
 
 /// A cell of the plan.
@@ -72,250 +85,131 @@ impl<'a> View<'a> {
         Some(Self { cell, effects })
     }
 
-    fn kind(&self) -> Kind {
-        match (&self.effects, &self.cell.aperture) {
-            (Some((imperfect, beam)), _) => Kind::Imperfect {
-                is_thick: beam.is_thick,
-                window: beam.slot.window.is_some(),
-                azimuth: imperfect.source.azimuthal.is_some(),
-                nonlinearity: imperfect.electrical.nonlinearity.is_some(),
-                stray: imperfect.electrical.stray.is_some(),
-                converters: imperfect.electrical.converters.is_some(),
-            },
-            (None, Aperture::Thick(..)) => Kind::Thick,
-            (None, _) => Kind::Thin,
-        }
+    /// What all cells of a plan have, or none.
+    fn kind(&self) -> [bool; 7] {
+        let is_thick = matches!(self.cell.aperture, Aperture::Thick(..));
+        let Some((Imperfect { source, electrical, .. }, beam)) = self.effects else {
+            return [false, is_thick, false, false, false, false, false];
+        };
+        let (window, azimuth) = (beam.slot.window.is_some(), source.azimuthal.is_some());
+        let Electrical { nonlinearity, stray, converters, .. } = electrical;
+        [true, beam.is_thick, window, azimuth, nonlinearity.is_some(), stray.is_some(), converters.is_some()]
     }
 }
 
-/// Numbers of cells, in the order in which they are asked for. `#[inline(always)]`, as all that asks.
-trait Numbers<R: Real> {
-    /// The number `of` the cell of each lane.
-    fn next(&mut self, of: impl Fn(&View<'_>) -> f64) -> R;
+/// What has a number for each lane, put together of one for each cell.
+trait Gathered<I: Simd>: Sized {
+    /// That of one cell.
+    type One: 'static;
 
-    #[inline(always)]
-    fn next3(&mut self, of: impl Fn(&View<'_>) -> glam::DVec3) -> R::Vec3 {
-        let (x, y) = (self.next(|view| of(view).x), self.next(|view| of(view).y));
-        R::Vec3::new(x, y, self.next(|view| of(view).z))
+    /// `of`: that of the cell of each lane. All have the same optional parts.
+    fn gather<'a>(like: Lanes<I>, of: impl Fn(usize) -> &'a Self::One) -> Self;
+}
+
+impl<I: Simd> Gathered<I> for Lanes<I> {
+    type One = f64;
+
+    fn gather<'a>(like: Self, of: impl Fn(usize) -> &'a f64) -> Self {
+        like.fill_with(|lane| *of(lane))
     }
+}
 
-    #[inline(always)]
-    fn next_all<const N: usize>(&mut self, of: impl Fn(&View<'_>) -> Option<[f64; N]>) -> [R; N] {
-        let mut all = [self.next(|view| of(view).map_or(0.0, |all| all[0])); N];
-        for i in 1..N {
-            all[i] = self.next(|view| of(view).map_or(0.0, |all| all[i]));
-        }
-        all
+impl<I: Simd> Gathered<I> for Lanes3<Lanes<I>> {
+    type One = DVec3;
+
+    fn gather<'a>(like: Lanes<I>, of: impl Fn(usize) -> &'a DVec3) -> Self {
+        Self::new(
+            like.fill_with(|lane| of(lane).x),
+            like.fill_with(|lane| of(lane).y),
+            like.fill_with(|lane| of(lane).z),
+        )
     }
+}
 
-    #[inline(always)]
-    fn next_span(&mut self, of: impl Fn(&View<'_>) -> Span<f64>) -> Span<R> {
-        let (low, high) = (self.next(|view| of(view).low), self.next(|view| of(view).high));
-        Span { low, high, length: self.next(|view| of(view).length) }
+impl<I: Simd> Gathered<I> for bool {
+    type One = Self;
+
+    fn gather<'a>(_: Lanes<I>, of: impl Fn(usize) -> &'a Self) -> Self {
+        *of(0)
     }
+}
 
-    /// The lower face, or the upper one of a thick mask.
-    #[inline(always)]
-    fn next_face(&mut self, upper: bool) -> Face<R> {
-        let of = |view: &View<'_>| match &view.cell.aperture {
-            Aperture::Thick(_, face) if upper => *face,
-            Aperture::Thin(face) | Aperture::Thick(face, _) => *face,
-            Aperture::Turned(_) | Aperture::Imperfect(_) => Face::default(),
-        };
-        let (z, x) = (self.next(|view| of(view).z), self.next_span(|view| of(view).x));
-        Face { z, x, y: self.next_span(|view| of(view).y) }
+impl<I: Simd, T: Gathered<I>, const N: usize> Gathered<I> for [T; N] {
+    type One = [T::One; N];
+
+    fn gather<'a>(like: Lanes<I>, of: impl Fn(usize) -> &'a Self::One) -> Self {
+        core::array::from_fn(|i| T::gather(like, |lane| &of(lane)[i]))
     }
+}
 
-    #[inline(always)]
-    fn next_receiver(&mut self) -> Receiver<R> {
-        let axes = [
-            self.next3(|view| view.cell.receiver.axes[0]),
-            self.next3(|view| view.cell.receiver.axes[1]),
-            self.next3(|view| view.cell.receiver.axes[2]),
-        ];
-        Receiver {
-            axes,
-            centre: self.next3(|view| view.cell.receiver.centre),
-            half: self.next_all(|view| Some(view.cell.receiver.half)),
-            per_length: self.next(|view| view.cell.receiver.per_length),
-            responsivity: self.next(|view| view.cell.receiver.responsivity),
-            dark: self.next(|view| view.cell.receiver.dark),
-        }
+impl<I: Simd, T: Gathered<I>> Gathered<I> for Option<T> {
+    type One = Option<T::One>;
+
+    fn gather<'a>(like: Lanes<I>, of: impl Fn(usize) -> &'a Self::One) -> Self {
+        of(0).as_ref().map(|first| T::gather(like, |lane| of(lane).as_ref().unwrap_or(first)))
     }
+}
 
-    #[inline(always)]
-    fn next_source(&mut self) -> Source<R> {
-        Source {
-            position: self.next3(|view| view.cell.emitter.source.position),
-            axis: self.next3(|view| view.cell.emitter.source.axis),
-            intensity: self.next(|view| view.cell.emitter.source.intensity),
-        }
-    }
+macro_rules! gathered {
+    ($($name:ident { $($field:ident),* })*) => {
+        $(impl<I: Simd> Gathered<I> for $name<Lanes<I>> {
+            type One = $name<f64>;
 
-    #[inline(always)]
-    fn next_face_of_beam(&mut self, number: usize) -> beam::Face<R> {
-        let of = |view: &View<'_>| view.effects.map(|(_, beam)| beam.faces[number]);
-        let moment = |view: &View<'_>, i: usize| of(view).map_or(glam::DVec3::ZERO, |face| face.moments[i]);
-        let end = |view: &View<'_>, i: usize| of(view).map_or(glam::DVec3::ZERO, |face| face.ends[i]);
-        beam::Face {
-            moments: [self.next3(|view| moment(view, 0)), self.next3(|view| moment(view, 1))],
-            ends: [self.next3(|view| end(view, 0)), self.next3(|view| end(view, 1))],
-        }
-    }
+            fn gather<'a>(like: Lanes<I>, of: impl Fn(usize) -> &'a Self::One) -> Self {
+                Self { $($field: Gathered::gather(like, |lane| &of(lane).$field)),* }
+            }
+        })*
+    };
+}
 
-    #[inline(always)]
-    fn next_beam(&mut self, is_thick: bool, has_window: bool) -> Beam<R> {
-        let slot = |view: &View<'_>| view.effects.map(|(_, beam)| beam.slot);
-        let vector = |view: &View<'_>, of: &dyn Fn(&Beam<f64>) -> glam::DVec3| {
-            view.effects.map_or(glam::DVec3::ZERO, |(_, beam)| of(beam))
-        };
-        let first = self.next_face_of_beam(0);
-        let faces = [first, if is_thick { self.next_face_of_beam(1) } else { first }];
-        Beam {
-            faces,
-            is_thick,
-            normal: self.next3(|view| vector(view, &|beam| beam.normal)),
-            slot: Slot {
-                across: self.next3(|view| vector(view, &|beam| beam.slot.across)),
-                along: self.next3(|view| vector(view, &|beam| beam.slot.along)),
-                half_sizes: self.next_all(|view| slot(view).map(|slot| slot.half_sizes)),
-                centre: self.next3(|view| vector(view, &|beam| beam.slot.centre)),
-                half_thickness: self.next(|view| slot(view).map_or(0.0, |slot| slot.half_thickness)),
-                window: if has_window {
-                    let [thickness, index2, excess] = self
-                        .next_all(|view| slot(view)?.window.map(|glass| [glass.thickness, glass.index2, glass.excess]));
-                    Some(Glass { thickness, index2, excess })
-                } else {
-                    None
-                },
-            },
-        }
-    }
+gathered! {
+    Receiver { axes, centre, half, per_length, responsivity, dark }
+    Source { position, axis, intensity }
+    Span { low, high, length }
+    Face { z, x, y }
+    BeamFace { moments, ends }
+    Glass { thickness, index2, excess }
+    Slot { across, along, half_sizes, centre, half_thickness, window }
+    Beam { faces, is_thick, normal, slot }
+    ExtendedSource { across, azimuthal, radius }
+    CompiledStray { constant, linear, quadratic }
+    CompiledConverters { per_half_scale, curves }
+    Electrical { per_half_length, nonlinearity, stray, gain, converters }
+}
 
-    #[inline(always)]
-    fn next_extended(&mut self, has_azimuth: bool) -> Option<ExtendedSource<R>> {
-        if !has_azimuth {
-            return None;
-        }
-        let across = |view: &View<'_>, axis: usize| {
-            view.effects.map_or(glam::DVec3::ZERO, |(imperfect, _)| imperfect.source.across[axis])
-        };
-        Some(ExtendedSource {
-            across: [self.next3(|view| across(view, 0)), self.next3(|view| across(view, 1))],
-            azimuthal: Some(self.next_all(|view| view.effects?.0.source.azimuthal)),
-            radius: self.next(|_| 0.0),
+impl<I: Simd> Pack<Lanes<I>> {
+    /// Of the `views` of the cell of each lane, which are of one kind.
+    fn of(like: Lanes<I>, views: &[View<'_>]) -> Option<Self> {
+        let cells: Vec<_> = views.iter().map(|view| view.cell).collect();
+        Some(Self {
+            receiver: Gathered::gather(like, |lane| &cells[lane].receiver),
+            source: Gathered::gather(like, |lane| &cells[lane].emitter.source),
+            path: Path::of(like, views)?,
         })
     }
+}
 
-    #[inline(always)]
-    fn next_electrical(&mut self, [nonlinearity, stray, converters]: [bool; 3]) -> Electrical<R> {
-        let of = |view: &View<'_>| view.effects.map(|(imperfect, _)| imperfect.electrical.clone());
-        let stray_of = |view: &View<'_>| view.effects?.0.electrical.stray.clone();
-        let converters_of = |view: &View<'_>| view.effects?.0.electrical.converters.clone();
-        Electrical {
-            per_half_length: self.next(|view| of(view).map_or(0.0, |of| of.per_half_length)),
-            nonlinearity: if nonlinearity { Some(self.next_all(|view| of(view)?.nonlinearity)) } else { None },
-            stray: if stray {
-                Some(CompiledStray {
-                    constant: self.next_all(|view| Some(stray_of(view)?.constant)),
-                    linear: [
-                        self.next_all(|view| Some(stray_of(view)?.linear[0])),
-                        self.next_all(|view| Some(stray_of(view)?.linear[1])),
-                    ],
-                    quadratic: [
-                        self.next_all(|view| Some(stray_of(view)?.quadratic[0])),
-                        self.next_all(|view| Some(stray_of(view)?.quadratic[1])),
-                    ],
-                })
-            } else {
-                None
-            },
-            gain: self.next_all(|view| Some(of(view)?.gain)),
-            converters: if converters {
-                Some(CompiledConverters {
-                    per_half_scale: self.next(|view| converters_of(view).map_or(0.0, |it| it.per_half_scale)),
-                    curves: [
-                        self.next_all(|view| Some(converters_of(view)?.curves[0])),
-                        self.next_all(|view| Some(converters_of(view)?.curves[1])),
-                    ],
-                })
-            } else {
-                None
-            },
+impl<I: Simd> Path<Lanes<I>> {
+    fn of(like: Lanes<I>, views: &[View<'_>]) -> Option<Self> {
+        if views[0].effects.is_some() {
+            let effects: Vec<_> = views.iter().map(|view| view.effects).collect::<Option<_>>()?;
+            return Some(Self::Imperfect(
+                Gathered::gather(like, |lane| effects[lane].1),
+                Gathered::gather(like, |lane| &effects[lane].0.source),
+                Gathered::gather(like, |lane| &effects[lane].0.electrical),
+            ));
         }
-    }
-}
-
-/// Numbers of one cell, to be stored as those of cell `cell`.
-struct Stored<'a> {
-    view: View<'a>,
-    cell: usize,
-    next: usize,
-    numbers: &'a mut Vec<PerCell>,
-}
-
-impl Numbers<f64> for Stored<'_> {
-    fn next(&mut self, of: impl Fn(&View<'_>) -> f64) -> f64 {
-        if self.next == self.numbers.len() {
-            self.numbers.push([0.0; MAX_CELLS]);
-        }
-        let number = of(&self.view);
-        self.numbers[self.next][self.cell] = number;
-        self.next += 1;
-        number
-    }
-}
-
-/// Numbers of as many cells as there are lanes, from number `first` on.
-struct Loaded<'a, R> {
-    like: R,
-    first: usize,
-    numbers: core::slice::Iter<'a, PerCell>,
-}
-
-impl<R: Real<Element = f64>> Numbers<R> for Loaded<'_, R> {
-    #[inline(always)]
-    fn next(&mut self, _: impl Fn(&View<'_>) -> f64) -> R {
-        match self.numbers.next() {
-            Some(number) => {
-                let number = &number[self.first..][..R::LANES];
-                self.like.fill_with(|lane| number[lane])
-            }
-            None => self.like,
-        }
-    }
-}
-
-/// Cells of one kind, one per lane.
-struct CellLanes<R: Real> {
-    receiver: Receiver<R>,
-    source: Source<R>,
-    path: Path<R>,
-}
-
-/// What is between emitter and currents.
-enum Path<R: Real> {
-    Thin(Face<R>),
-    Thick([Face<R>; 2]),
-    Imperfect(Beam<R>, Option<ExtendedSource<R>>, Electrical<R>),
-}
-
-impl<R: Real> CellLanes<R> {
-    #[inline(always)]
-    fn of(kind: Kind, numbers: &mut impl Numbers<R>) -> Self {
-        Self {
-            receiver: numbers.next_receiver(),
-            source: numbers.next_source(),
-            path: match kind {
-                Kind::Thin => Path::Thin(numbers.next_face(false)),
-                Kind::Thick => Path::Thick([numbers.next_face(false), numbers.next_face(true)]),
-                Kind::Imperfect { is_thick, window, azimuth, nonlinearity, stray, converters } => Path::Imperfect(
-                    numbers.next_beam(is_thick, window),
-                    numbers.next_extended(azimuth),
-                    numbers.next_electrical([nonlinearity, stray, converters]),
-                ),
-            },
-        }
+        let faces = views.iter().map(|view| match &view.cell.aperture {
+            Aperture::Thin(face) => Some([face; 2]),
+            Aperture::Thick(lower, upper) => Some([lower, upper]),
+            Aperture::Turned(_) | Aperture::Imperfect(_) => None,
+        });
+        let faces: Vec<_> = faces.collect::<Option<_>>()?;
+        let lower = Gathered::gather(like, |lane| faces[lane][0]);
+        Some(match views[0].cell.aperture {
+            Aperture::Thick(..) => Self::Thick([lower, Gathered::gather(like, |lane| faces[lane][1])]),
+            _ => Self::Thin(lower),
+        })
     }
 }
 
@@ -370,24 +264,55 @@ impl Found {
 }
 
 impl CellsInLanes {
-    /// `None` if the cells of `plan` are not of one kind.
-    pub(crate) fn with_width(plan: &CompiledScene<f64>, width: Width) -> Option<Self> {
-        let last = plan.cells.len().checked_sub(1)?;
-        let view = |cell: usize| View::of(plan, &plan.cells[cell.min(last)]);
-        let kind = view(0)?.kind();
-        let mut numbers = Vec::new();
-        for cell in 0..MAX_CELLS {
-            let view = view(cell)?;
-            if plan.is_paper || view.kind() != kind {
-                return None;
-            }
-            CellLanes::of(kind, &mut Stored { view, cell, next: 0, numbers: &mut numbers });
-        }
-        Some(Self { width, kind, numbers: numbers.into() })
+    /// In each width that the processor has, narrowest first; none if the cells of `plan` are not of one kind.
+    pub(crate) fn all(plan: &CompiledScene<f64>) -> impl Iterator<Item = Self> {
+        let four = V3::try_new().and_then(|simd| Packs::of(plan, simd)).map(Self::Four);
+        let eight = V4::try_new().and_then(|simd| Packs::of(plan, simd)).map(Self::Eight);
+        four.into_iter().chain(eight)
     }
 
     /// Passes what is found of each of the `wanted` cells to `sink`, in order: by `of_lane` where lanes serve, else by
     /// `alone`.
+    #[inline(always)]
+    fn each<const SLOPES: bool, T>(
+        &self,
+        at: (&CompiledScene<f64>, &Instant<'_, f64>),
+        wanted: impl Fn(usize) -> bool,
+        of_lane: impl Fn(&Found, usize) -> Option<T>,
+        alone: impl Fn(usize, &Transform<f64>) -> T,
+        mut sink: impl FnMut(usize, T),
+    ) {
+        match self {
+            Self::Alone => {
+                let wanted = (0..at.0.cell_count()).filter(|&cell| wanted(cell));
+                wanted.for_each(|cell| sink(cell, alone(cell, &at.1.pose_of(cell))));
+            }
+            Self::Four(packs) => packs.each::<SLOPES, T>(at, wanted, of_lane, alone, sink),
+            Self::Eight(packs) => packs.each::<SLOPES, T>(at, wanted, of_lane, alone, sink),
+        }
+    }
+}
+
+impl<I: Simd> Packs<I> {
+    fn of(plan: &CompiledScene<f64>, simd: I) -> Option<Self> {
+        let last = plan.cells.len().checked_sub(1)?;
+        let kind = View::of(plan, &plan.cells[0])?.kind();
+        let mut packs = Vec::new();
+        for first in (0..=last).step_by(Lanes::<I>::LANES) {
+            let mut views = Vec::new();
+            for cell in first..first + Lanes::<I>::LANES {
+                let view = View::of(plan, &plan.cells[cell.min(last)])?;
+                if plan.is_paper || view.kind() != kind {
+                    return None;
+                }
+                views.push(view);
+            }
+            packs.push(Pack::of(Lanes::zero(simd), &views)?);
+        }
+        Some(Self { simd, packs: packs.into() })
+    }
+
+    /// See [`CellsInLanes::each`].
     #[inline(always)]
     fn each<const SLOPES: bool, T>(
         &self,
@@ -397,13 +322,13 @@ impl CellsInLanes {
         alone: impl Fn(usize, &Transform<f64>) -> T,
         mut sink: impl FnMut(usize, T),
     ) {
-        let (lanes, count) = (self.width.lanes(), plan.cell_count());
+        let (lanes, count) = (Lanes::<I>::LANES, plan.cell_count());
         let mut found = Found::NOTHING;
-        for first in (0..count).step_by(lanes) {
+        for (pack, first) in self.packs.iter().zip((0..count).step_by(lanes)) {
             let wanted = || (first..count.min(first + lanes)).filter(|&cell| wanted(cell));
             let at_once = wanted().nth(1).is_some();
             if at_once {
-                self.width.run(AtOnce::<SLOPES> { cells: self, plan, instant, first, found: &mut found });
+                self.simd.vectorize(AtOnce::<I, SLOPES> { pack, plan, instant, first, found: &mut found });
             }
             for cell in wanted() {
                 let of_lane = if at_once { of_lane(&found, cell - first) } else { None };
@@ -414,8 +339,10 @@ impl CellsInLanes {
 }
 
 impl CellsAtOnce<f64> for CellsInLanes {
-    fn of(plan: &CompiledScene<f64>) -> Option<Self> {
-        Self::with_width(plan, Width::widest()?)
+    const ALONE: Self = Self::Alone;
+
+    fn of(plan: &CompiledScene<f64>) -> Self {
+        Self::all(plan).last().unwrap_or(Self::ALONE)
     }
 
     fn linearise(
@@ -444,37 +371,54 @@ impl CellsAtOnce<f64> for CellsInLanes {
     }
 }
 
-/// As many cells as there are lanes, from number `first` on; `SLOPES`: with derivatives.
-struct AtOnce<'a, const SLOPES: bool> {
-    cells: &'a CellsInLanes,
+/// The cells of a pack, from number `first` on; `SLOPES`: with derivatives.
+struct AtOnce<'a, I: Simd, const SLOPES: bool> {
+    pack: &'a Pack<Lanes<I>>,
     plan: &'a CompiledScene<f64>,
     instant: &'a Instant<'a, f64>,
     first: usize,
     found: &'a mut Found,
 }
 
-impl<const SLOPES: bool> AtOnce<'_, SLOPES> {
+impl<I: Simd, const SLOPES: bool> WithSimd for AtOnce<'_, I, SLOPES> {
+    type Output = ();
+
     #[inline(always)]
-    fn all<R: Real<Element = f64>>(self, like: R) {
-        let Self { cells, plan, instant, first, found } = self;
-        let mut numbers = Loaded { like, first, numbers: cells.numbers.iter() };
-        let CellLanes { receiver, source, path } = CellLanes::of(cells.kind, &mut numbers);
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { pack, plan, instant, first, found } = self;
+        pack.evaluate::<SLOPES>(plan, instant, first, found);
+    }
+}
+
+impl<R: Real<Element = f64>> Pack<R> {
+    /// Puts what the cells give, which are those from number `first` on, into `found`.
+    #[inline(always)]
+    fn evaluate<const SLOPES: bool>(
+        &self,
+        plan: &CompiledScene<f64>,
+        instant: &Instant<'_, f64>,
+        first: usize,
+        found: &mut Found,
+    ) {
+        let Self { receiver, source, path } = self;
+        let like = receiver.dark;
+        let Some(rules) = &plan.rules else { return };
+        let of = (plan, rules, first);
         let pose = moved(instant, like, first);
-        let seen = receiver.see(&source, &pose);
+        let seen = receiver.see(source, &pose);
         let zero = like.constant(0.0);
         let (beam, extended, electrical) = match path {
             Path::Imperfect(beam, extended, electrical) => (beam, extended, electrical),
             Path::Thin(_) | Path::Thick(_) => {
                 let e = [seen.position.x(), seen.position.y(), seen.position.z()];
                 let (spot, visibility) = match path {
-                    Path::Thick(faces) => Rectangle::of_beam(faces, e, receiver.half),
-                    Path::Thin(face) => Rectangle::of_beam([face], e, receiver.half),
+                    Path::Thick(faces) => Rectangle::of_beam(*faces, e, receiver.half),
+                    Path::Thin(face) => Rectangle::of_beam([*face], e, receiver.half),
                     Path::Imperfect(..) => return,
                 };
-                let light =
-                    of_sides::<R, SLOPES>(&light::<R, SLOPES>(plan, first, &spot, &visibility, seen.axis), &spot, true);
+                let light = of_sides::<R, SLOPES>(&light::<R, SLOPES>(of, &spot, &visibility, seen.axis), &spot, true);
                 let (pair, jacobian) = if SLOPES {
-                    let (pair, jacobian) = receiver.linearise(&source, &light, &seen, false);
+                    let (pair, jacobian) = receiver.linearise(source, &light, &seen, false);
                     (pair, Some(jacobian))
                 } else {
                     let gain = receiver.responsivity * source.intensity;
@@ -485,14 +429,13 @@ impl<const SLOPES: bool> AtOnce<'_, SLOPES> {
             }
         };
         let (spot, visibility) = beam.spot::<SLOPES, SLOPES>(seen.position, receiver.half);
-        let light = spot.of_sides::<SLOPES>(&light::<R, SLOPES>(plan, first, &spot.rectangle, &visibility, seen.axis));
+        let light = spot.of_sides::<SLOPES>(&light::<R, SLOPES>(of, &spot.rectangle, &visibility, seen.axis));
         let (mut sums, one) = (Sums::none(zero), like.constant(1.0));
         let way = Way { turn: None, raise: (spot.raise.height, spot.raise.by_position), to_hole: None };
-        let extended = extended.as_ref();
-        sums.add::<SLOPES>(&receiver, &source, &seen, &pose, extended, &electrical, &light, &way, one);
+        sums.add::<SLOPES>(receiver, source, &seen, &pose, Some(extended), electrical, &light, &way, one);
         sums.total = visibility.where_spot(sums.total, zero);
         sums.moment = visibility.where_spot(sums.moment, zero);
-        let (pair, jacobian) = electrical.currents::<SLOPES>(&receiver, false, &sums, one, pose.translation());
+        let (pair, jacobian) = electrical.currents::<SLOPES>(receiver, false, &sums, one, pose.translation());
         found.set(&visibility, pair, SLOPES.then_some(jacobian));
     }
 }
@@ -500,16 +443,11 @@ impl<const SLOPES: bool> AtOnce<'_, SLOPES> {
 /// The light of the cell of each lane, from number `first` on; NaN where it must be evaluated alone.
 #[inline(always)]
 fn light<R: Real<Element = f64>, const SLOPES: bool>(
-    plan: &CompiledScene<f64>,
-    first: usize,
+    (plan, rules, first): (&CompiledScene<f64>, &Rules<f64>, usize),
     spot: &Rectangle<R>,
     visibility: &Visibility<R>,
     axis: R::Vec3,
 ) -> RectangleLight<R> {
-    let Some(rules) = &plan.rules else {
-        let nothing = SideGradient::of_value(spot.height.constant(f64::NAN));
-        return RectangleLight { power: nothing, centroid: nothing };
-    };
     exact::rectangle_light_lanes::<R, SLOPES>(spot, axis, rules, |lane| {
         let emitter = &plan.cells.get(first + lane).filter(|_| visibility.status(lane).has_spot())?.emitter;
         Some((&emitter.profile, emitter.orders.as_ref()?))
@@ -526,12 +464,5 @@ fn moved<R: Real<Element = f64>>(instant: &Instant<'_, f64>, like: R, first: usi
             pose.moved(shift, turn)
         }
         None => pose,
-    }
-}
-
-impl<const SLOPES: bool> Task for AtOnce<'_, SLOPES> {
-    #[inline(always)]
-    fn run<I: Instructions>(self, instructions: I) {
-        self.all(Lanes::zero(instructions));
     }
 }

@@ -1,6 +1,6 @@
 //! A scene compiled for evaluation: each cell's response to a pose, and its derivatives.
 
-#[cfg(feature = "lanes")]
+#[cfg(all(feature = "lanes", target_arch = "x86_64"))]
 mod cells;
 mod compact;
 mod compile;
@@ -24,7 +24,7 @@ use crate::scalar::Number;
 use crate::scene::{MAX_CELLS, Scene, SceneError};
 use crate::solve::{MotionPrior, Photocurrents, Solution, Solver, Start, Tracked, Tracker};
 
-#[cfg(feature = "lanes")]
+#[cfg(all(feature = "lanes", target_arch = "x86_64"))]
 pub use cells::CellsInLanes;
 pub use compact::CompactCell;
 pub use compact::{BOARD_CELLS, CompactPlan};
@@ -55,62 +55,55 @@ pub struct CompiledScene<S: Scalar> {
     is_paper: bool,
     /// `None` in the paper tier, unless an opening asks for integrals.
     rules: Option<Rules<S>>,
-    /// The cells of the exact tier in as many lanes as the processor has, if all are of one kind.
-    lanes: Option<S::CellsInLanes>,
+    lanes: S::CellsInLanes,
 }
 
 /// Cells of a plan in as many lanes as the processor has: what each gives alone, bit for bit.
 pub trait CellsAtOnce<S: Scalar>: Clone + Debug + Send + Sync + 'static {
-    /// `None` if the cells of `plan` are not of one kind, or not of the exact tier, or there are no lanes.
-    fn of(plan: &CompiledScene<S>) -> Option<Self>;
+    /// In no lanes: each cell alone.
+    const ALONE: Self;
+
+    /// Those of `plan`; alone if they are not of one kind, or not of the exact tier, or there are no lanes.
+    fn of(_plan: &CompiledScene<S>) -> Self {
+        Self::ALONE
+    }
 
     /// [`Optics::linearise_all`] of `plan`.
+    #[inline(always)]
     fn linearise(
         &self,
         plan: &CompiledScene<S>,
         instant: &Instant<'_, S>,
         wanted: impl Fn(usize) -> bool,
-        sink: impl FnMut(usize, &CellTerms<S>),
-    );
+        mut sink: impl FnMut(usize, &CellTerms<S>),
+    ) {
+        for cell in (0..plan.cells.len()).filter(|&cell| wanted(cell)) {
+            sink(cell, &evaluate::linearise(plan, cell, &instant.pose_of(cell)));
+        }
+    }
 
     /// [`Optics::currents_all`] of `plan`.
+    #[inline(always)]
     fn currents(
         &self,
         plan: &CompiledScene<S>,
         instant: &Instant<'_, S>,
         wanted: impl Fn(usize) -> bool,
-        sink: impl FnMut(usize, [S; 2]),
-    );
+        mut sink: impl FnMut(usize, [S; 2]),
+    ) {
+        for cell in (0..plan.cells.len()).filter(|&cell| wanted(cell)) {
+            let pair = evaluate::photocurrents(plan, cell, &instant.pose_of(cell));
+            sink(cell, [pair.i_x1_a, pair.i_x2_a]);
+        }
+    }
 }
 
-/// No cells in lanes: of `f32`, and of `f64` without the feature `lanes`.
+/// No lanes: of `f32`, and of `f64` without the feature `lanes`.
 #[derive(Clone, Debug)]
-pub enum NoLanes {}
+pub struct NoLanes;
 
 impl<S: Scalar> CellsAtOnce<S> for NoLanes {
-    fn of(_: &CompiledScene<S>) -> Option<Self> {
-        None
-    }
-
-    fn linearise(
-        &self,
-        _: &CompiledScene<S>,
-        _: &Instant<'_, S>,
-        _: impl Fn(usize) -> bool,
-        _: impl FnMut(usize, &CellTerms<S>),
-    ) {
-        match *self {}
-    }
-
-    fn currents(
-        &self,
-        _: &CompiledScene<S>,
-        _: &Instant<'_, S>,
-        _: impl Fn(usize) -> bool,
-        _: impl FnMut(usize, [S; 2]),
-    ) {
-        match *self {}
-    }
+    const ALONE: Self = Self;
 }
 
 /// The derivatives of a cell's two currents with respect to a perturbation of the pose in the base
@@ -257,14 +250,14 @@ impl<S: Scalar> CompiledScene<S> {
 
     #[inline]
     pub(crate) fn empty() -> Self {
-        Self { cells: List::new(), imperfect: List::new(), is_paper: true, rules: None, lanes: None }
+        Self { cells: List::new(), imperfect: List::new(), is_paper: true, rules: None, lanes: S::CellsInLanes::ALONE }
     }
 
     /// [`Self::compile`] in place. After an error the plan has no cells.
     pub(crate) fn set_scene(&mut self, scene: &Scene, tier: Tier) -> Result<(), SceneError> {
         self.cells.clear();
         self.imperfect.clear();
-        self.lanes = None;
+        self.lanes = S::CellsInLanes::ALONE;
         if let Err(error) = compile::fill(&mut self.cells, &mut self.imperfect, scene, tier) {
             self.cells.clear();
             return Err(error);
@@ -398,30 +391,14 @@ impl<S: Scalar> Optics<S> for CompiledScene<S> {
         &self,
         instant: &Instant<'_, S>,
         wanted: impl Fn(usize) -> bool,
-        mut sink: impl FnMut(usize, &CellTerms<S>),
+        sink: impl FnMut(usize, &CellTerms<S>),
     ) {
-        if let Some(lanes) = &self.lanes {
-            return lanes.linearise(self, instant, wanted, sink);
-        }
-        for cell in (0..self.cells.len()).filter(|&cell| wanted(cell)) {
-            sink(cell, &evaluate::linearise(self, cell, &instant.pose_of(cell)));
-        }
+        self.lanes.linearise(self, instant, wanted, sink);
     }
 
     #[inline(always)]
-    fn currents_all(
-        &self,
-        instant: &Instant<'_, S>,
-        wanted: impl Fn(usize) -> bool,
-        mut sink: impl FnMut(usize, [S; 2]),
-    ) {
-        if let Some(lanes) = &self.lanes {
-            return lanes.currents(self, instant, wanted, sink);
-        }
-        for cell in (0..self.cells.len()).filter(|&cell| wanted(cell)) {
-            let pair = evaluate::photocurrents(self, cell, &instant.pose_of(cell));
-            sink(cell, [pair.i_x1_a, pair.i_x2_a]);
-        }
+    fn currents_all(&self, instant: &Instant<'_, S>, wanted: impl Fn(usize) -> bool, sink: impl FnMut(usize, [S; 2])) {
+        self.lanes.currents(self, instant, wanted, sink);
     }
 }
 

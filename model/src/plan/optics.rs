@@ -66,7 +66,7 @@ impl<S: Number> Instant<'_, S> {
         self.pose.translation() + self.twist[0] * offset_s
     }
 
-    #[cfg(feature = "lanes")]
+    #[cfg(all(feature = "lanes", target_arch = "x86_64"))]
     /// The exposures of as many cells as `like` has lanes, from number `first` on; `None`: all zero.
     #[inline(always)]
     pub(crate) fn offsets_in_lanes<R: Real<Element = S>>(&self, like: R, first: usize) -> Option<R> {

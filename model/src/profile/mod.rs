@@ -138,12 +138,8 @@ impl<S: Number> CompiledProfile<S> {
     }
 
     pub fn as_power(&self) -> Option<&Power<S>> {
-        self.as_cosine().map(Cosine::power)
-    }
-
-    pub fn as_cosine(&self) -> Option<&Cosine<S>> {
         match self {
-            Self::Cosine(cosine) => Some(cosine),
+            Self::Cosine(cosine) => Some(cosine.power()),
             Self::Table(_) | Self::ShapedCosine(_) | Self::ShapedTable(_) => None,
         }
     }

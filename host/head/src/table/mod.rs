@@ -238,11 +238,6 @@ pub struct SolutionRow {
 impl SolutionRow {
     /// The row of a solution.
     pub fn of(solution: &Solution) -> Self {
-        Self::with_condition(solution, solution.condition())
-    }
-
-    /// The row of a solution whose condition number is known.
-    pub fn with_condition(solution: &Solution, condition: Option<f64>) -> Self {
         let mut numbers = [None; 14];
         if let Some(estimate) = &solution.estimate {
             let (t, r) = (estimate.pose.translation_m * 1e3, estimate.pose.rotation_rad());
@@ -254,7 +249,7 @@ impl SolutionRow {
             }
         }
         let finite = |value: &f64| value.is_finite();
-        numbers[12] = condition.filter(finite);
+        numbers[12] = solution.condition().filter(finite);
         numbers[13] = Some(solution.chi2).filter(finite);
         let free_directions = match solution.outcome {
             Outcome::Unobservable(directions) => directions.to_string(),
