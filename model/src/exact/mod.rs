@@ -20,8 +20,6 @@ use order::MAX_NODES;
 use rectangle::Reaches;
 
 #[cfg(all(feature = "lanes", target_arch = "x86_64"))]
-use crate::lanes::MAX_LANES;
-#[cfg(all(feature = "lanes", target_arch = "x86_64"))]
 use crate::profile::{CompiledProfile, MAX_TERMS};
 use crate::profile::{Emission, Series};
 use crate::rectangle::{Rectangle, RectangleLight};
@@ -134,9 +132,9 @@ pub fn rectangle_light_lanes<'a, R: Real<Element = f64>, const GRADIENT: bool>(
 ) -> RectangleLight<R> {
     let reaches = Reaches::of(spot, axis);
     // Zero: any number.
-    let (mut nodes, mut most, mut terms) = ([[0; MAX_LANES]; 2], [1; 2], 0);
-    let mut inverses = [f64::NAN; MAX_LANES];
-    let mut coefficients = [[0.0; MAX_LANES]; MAX_TERMS + 1];
+    let (mut nodes, mut most, mut terms) = ([[0; crate::lanes::MAX_LANES]; 2], [1; 2], 0);
+    let mut inverses = [f64::NAN; crate::lanes::MAX_LANES];
+    let mut coefficients = [[0.0; crate::lanes::MAX_LANES]; MAX_TERMS + 1];
     for lane in 0..R::LANES {
         let Some((profile, orders)) = profile(lane) else { continue };
         let slope = |along: usize| reaches.slope(spot, axis, along).lane(lane);

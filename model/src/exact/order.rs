@@ -27,11 +27,6 @@
 use core::iter::{Copied, Zip};
 use core::slice::Iter;
 
-#[cfg(all(feature = "lanes", target_arch = "x86_64"))]
-use arrayvec::ArrayVec;
-
-#[cfg(all(feature = "lanes", target_arch = "x86_64"))]
-use crate::lanes::MAX_LANES;
 use crate::scalar::Number;
 #[cfg(all(feature = "lanes", target_arch = "x86_64"))]
 use crate::scalar::Real;
@@ -230,7 +225,7 @@ pub const ESTIMATED: usize = 10;
 
 /// Nodes and weights of a rule per lane.
 #[cfg(all(feature = "lanes", target_arch = "x86_64"))]
-pub type LaneRule<R> = ArrayVec<(R, R), MAX_NODES>;
+pub type LaneRule<R> = arrayvec::ArrayVec<(R, R), MAX_NODES>;
 
 /// Gauss–Legendre rules with 1 to [`MAX_NODES`] nodes on −1…1.
 #[derive(Clone, Debug)]
@@ -295,7 +290,12 @@ impl<S: Number> Rules<S> {
     /// number, the longest of which has `most`: those that it has more than others are at 0, with weight 0.
     #[cfg(all(feature = "lanes", target_arch = "x86_64"))]
     #[inline(always)]
-    pub fn in_lanes<R: Real<Element = S>>(&self, like: R, counts: [usize; MAX_LANES], most: usize) -> LaneRule<R> {
+    pub fn in_lanes<R: Real<Element = S>>(
+        &self,
+        like: R,
+        counts: [usize; crate::lanes::MAX_LANES],
+        most: usize,
+    ) -> LaneRule<R> {
         let mut rule = LaneRule::new();
         if counts.iter().all(|&count| count == 0 || count == most) {
             rule.extend(self.get(most).map(|(node, weight)| (like.splat(node), like.splat(weight))));

@@ -64,12 +64,6 @@ fn poses() -> [Pose; 5] {
     .map(|(t, r)| Pose::from_vectors(DVec3::from(t), DVec3::from(r)))
 }
 
-/// A tool in motion, m/s and rad/s, and half its acceleration.
-#[cfg(all(feature = "lanes", target_arch = "x86_64"))]
-const TWIST: [DVec3; 2] = [DVec3::new(0.3, -0.2, 0.5), DVec3::new(2.0, 5.0, -3.0)];
-#[cfg(all(feature = "lanes", target_arch = "x86_64"))]
-const BEND: [DVec3; 2] = [DVec3::new(90.0, 150.0, -70.0), DVec3::new(-900.0, 800.0, 1500.0)];
-
 #[cfg(all(feature = "lanes", target_arch = "x86_64"))]
 fn bits(terms: &CellTerms<f64>) -> Vec<u64, 16> {
     let numbers = terms.pair.into_iter().chain(terms.jacobian.into_iter().flatten());
@@ -122,6 +116,10 @@ fn tabulated() -> Profile {
 #[cfg(all(feature = "lanes", target_arch = "x86_64"))]
 #[test]
 fn cells_in_lanes_have_the_bits_of_cells_alone() {
+    // A tool in motion, m/s and rad/s, and half its acceleration.
+    const TWIST: [DVec3; 2] = [DVec3::new(0.3, -0.2, 0.5), DVec3::new(2.0, 5.0, -3.0)];
+    const BEND: [DVec3; 2] = [DVec3::new(90.0, 150.0, -70.0), DVec3::new(-900.0, 800.0, 1500.0)];
+
     // Spots that no single rule integrates, for the horizon of an emitter that lies on its side crosses them.
     let mut turned = Pose::from_vectors(DVec3::ZERO, DVec3::new(1.56, 0.0, 0.0));
     let emitter = cell(0).emitter.position_tool_m;
