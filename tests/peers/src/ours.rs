@@ -13,9 +13,6 @@ pub struct Ours {
 
 impl Ours {
     /// For problems of `kind`.
-    ///
-    /// # Errors
-    /// Those of [`Solver::new`].
     pub fn new(scene: &Scene, kind: Kind) -> Result<Self, SceneError> {
         Ok(Self { solver: Solver::new(scene, Tier::Paper)?, cold: kind.is_cold() })
     }
@@ -43,9 +40,6 @@ pub struct Planes {
 
 impl Planes {
     /// For cold problems.
-    ///
-    /// # Errors
-    /// Those of [`Solver::new`].
     pub fn new(scene: &Scene) -> Result<Self, SceneError> {
         Ok(Self { solver: Solver::new(scene, Tier::Paper)? })
     }
