@@ -19,17 +19,16 @@ use pulp::{Simd, WithSimd};
 use crate::aperture::{Aperture, Face, Span};
 use crate::exact::{self, Rules};
 use crate::lanes::{Lanes, Lanes3, MAX_LANES};
-use crate::pose::Transform;
 use crate::rectangle::{Rectangle, RectangleLight, Visibility};
-use crate::response::{Pair, Status};
+use crate::response::Status;
 use crate::scalar::{Linear3, Real};
 
 use super::imperfect::beam::{Beam, Face as BeamFace, Glass, Slot};
 use super::imperfect::electrical::{CompiledConverters, CompiledStray, Electrical};
 use super::imperfect::passage::{Passage, Way};
 use super::imperfect::{ExtendedSource, Imperfect, Sums};
-use super::optics::{Instant, Receiver, Source, of_sides};
-use super::{CellTerms, CellsAtOnce, CompiledCell, CompiledScene, evaluate};
+use super::optics::{Instant, Receiver, Seen, Source, of_sides};
+use super::{CellTerms, CellsAtOnce, CompiledCell, CompiledScene, NoLanes};
 
 /// The cells of a plan, a cell per lane.
 #[derive(Clone, Debug)]
@@ -180,10 +179,9 @@ gathered! {
 impl<I: Simd> Pack<Lanes<I>> {
     /// Of the `views` of the cell of each lane, which are of one kind.
     fn of(like: Lanes<I>, views: &[View<'_>]) -> Option<Self> {
-        let cells: Vec<_> = views.iter().map(|view| view.cell).collect();
         Some(Self {
-            receiver: Gathered::gather(like, |lane| &cells[lane].receiver),
-            source: Gathered::gather(like, |lane| &cells[lane].emitter.source),
+            receiver: Gathered::gather(like, |lane| &views[lane].cell.receiver),
+            source: Gathered::gather(like, |lane| &views[lane].cell.emitter.source),
             path: Path::of(like, views)?,
         })
     }
@@ -246,81 +244,77 @@ impl Found {
         }
     }
 
-    /// Photocurrents without dark current; `None` where the cell must be evaluated alone.
-    fn pair(&self, lane: usize) -> Option<[f64; 2]> {
-        let pair = self.pair.map(|current| current[lane]);
-        (!(pair[0] + pair[1]).is_nan()).then_some(pair)
-    }
-
     /// `None` where the cell must be evaluated alone.
     fn terms(&self, lane: usize) -> Option<CellTerms<f64>> {
-        let (status, pair) = (self.statuses[lane], self.pair(lane)?);
+        let (status, pair) = (self.statuses[lane], self.pair.map(|current| current[lane]));
+        if (pair[0] + pair[1]).is_nan() {
+            return None;
+        }
+        let dark = CellTerms { pair, ..CellTerms::dark(status) };
         if !status.has_spot() {
-            return Some(CellTerms { pair, ..CellTerms::dark(status) });
+            return Some(dark);
         }
         let jacobian = self.jacobian.map(|row| row.map(|value| value[lane]));
-        Some(CellTerms { pair, jacobian, slack_m: self.slack_m[lane], ..CellTerms::dark(status) })
+        Some(CellTerms { jacobian, slack_m: self.slack_m[lane], ..dark })
     }
 }
 
 impl CellsInLanes {
-    /// In each width that the processor has, narrowest first; none if the cells of `plan` are not of one kind.
+    /// In each width that the processor has, widest first; none if the cells of `plan` are not of one kind.
     pub(crate) fn all(plan: &CompiledScene<f64>) -> impl Iterator<Item = Self> {
-        let four = V3::try_new().and_then(|simd| Packs::of(plan, simd)).map(Self::Four);
-        let eight = V4::try_new().and_then(|simd| Packs::of(plan, simd)).map(Self::Eight);
-        four.into_iter().chain(eight)
+        let eight = || Some(Self::Eight(Packs::of(plan, V4::try_new()?)?));
+        let four = || Some(Self::Four(Packs::of(plan, V3::try_new()?)?));
+        core::iter::once_with(eight).chain(core::iter::once_with(four)).flatten()
+    }
+}
+
+impl CellsAtOnce<f64> for CellsInLanes {
+    const ALONE: Self = Self::Alone;
+
+    fn of(plan: &CompiledScene<f64>) -> Self {
+        Self::all(plan).next().unwrap_or(Self::ALONE)
     }
 
-    /// Passes what is found of each of the `wanted` cells to `sink`, in order: by `of_lane` where lanes serve, else by
-    /// `alone`.
     #[inline(always)]
-    fn each<const SLOPES: bool, T>(
+    fn each<const SLOPES: bool>(
         &self,
-        at: (&CompiledScene<f64>, &Instant<'_, f64>),
+        plan: &CompiledScene<f64>,
+        instant: &Instant<'_, f64>,
         wanted: impl Fn(usize) -> bool,
-        of_lane: impl Fn(&Found, usize) -> Option<T>,
-        alone: impl Fn(usize, &Transform<f64>) -> T,
-        mut sink: impl FnMut(usize, T),
+        sink: impl FnMut(usize, Option<CellTerms<f64>>),
     ) {
         match self {
-            Self::Alone => {
-                let wanted = (0..at.0.cell_count()).filter(|&cell| wanted(cell));
-                wanted.for_each(|cell| sink(cell, alone(cell, &at.1.pose_of(cell))));
-            }
-            Self::Four(packs) => packs.each::<SLOPES, T>(at, wanted, of_lane, alone, sink),
-            Self::Eight(packs) => packs.each::<SLOPES, T>(at, wanted, of_lane, alone, sink),
+            Self::Alone => NoLanes.each::<SLOPES>(plan, instant, wanted, sink),
+            Self::Four(packs) => packs.each::<SLOPES>(plan, instant, wanted, sink),
+            Self::Eight(packs) => packs.each::<SLOPES>(plan, instant, wanted, sink),
         }
     }
 }
 
 impl<I: Simd> Packs<I> {
+    /// `None` if the cells of `plan` are not of one kind.
     fn of(plan: &CompiledScene<f64>, simd: I) -> Option<Self> {
-        let last = plan.cells.len().checked_sub(1)?;
-        let kind = View::of(plan, &plan.cells[0])?.kind();
-        let mut packs = Vec::new();
-        for first in (0..=last).step_by(Lanes::<I>::LANES) {
-            let mut views = Vec::new();
-            for cell in first..first + Lanes::<I>::LANES {
-                let view = View::of(plan, &plan.cells[cell.min(last)])?;
-                if plan.is_paper || view.kind() != kind {
-                    return None;
-                }
-                views.push(view);
-            }
-            packs.push(Pack::of(Lanes::zero(simd), &views)?);
+        let views: Vec<_> = plan.cells.iter().map(|cell| View::of(plan, cell)).collect::<Option<_>>()?;
+        let kind = views.first()?.kind();
+        if plan.is_paper || views.iter().any(|view| view.kind() != kind) {
+            return None;
         }
-        Some(Self { simd, packs: packs.into() })
+        let of_lanes = |views: &[View<'_>]| {
+            let last = views.len() - 1;
+            let views: Vec<_> = (0..Lanes::<I>::LANES).map(|lane| views[lane.min(last)]).collect();
+            Pack::of(Lanes::zero(simd), &views)
+        };
+        Some(Self { simd, packs: views.chunks(Lanes::<I>::LANES).map(of_lanes).collect::<Option<_>>()? })
     }
 
-    /// See [`CellsInLanes::each`].
+    /// See [`CellsAtOnce::each`].
     #[inline(always)]
-    fn each<const SLOPES: bool, T>(
+    fn each<const SLOPES: bool>(
         &self,
-        (plan, instant): (&CompiledScene<f64>, &Instant<'_, f64>),
+        plan: &CompiledScene<f64>,
+        instant: &Instant<'_, f64>,
         wanted: impl Fn(usize) -> bool,
-        of_lane: impl Fn(&Found, usize) -> Option<T>,
-        alone: impl Fn(usize, &Transform<f64>) -> T,
-        mut sink: impl FnMut(usize, T),
+        mut sink: impl FnMut(usize, Option<CellTerms<f64>>),
     ) {
         let (lanes, count) = (Lanes::<I>::LANES, plan.cell_count());
         let mut found = Found::NOTHING;
@@ -330,44 +324,8 @@ impl<I: Simd> Packs<I> {
             if at_once {
                 self.simd.vectorize(AtOnce::<I, SLOPES> { pack, plan, instant, first, found: &mut found });
             }
-            for cell in wanted() {
-                let of_lane = if at_once { of_lane(&found, cell - first) } else { None };
-                sink(cell, of_lane.unwrap_or_else(|| alone(cell, &instant.pose_of(cell))));
-            }
+            wanted().for_each(|cell| sink(cell, if at_once { found.terms(cell - first) } else { None }));
         }
-    }
-}
-
-impl CellsAtOnce<f64> for CellsInLanes {
-    const ALONE: Self = Self::Alone;
-
-    fn of(plan: &CompiledScene<f64>) -> Self {
-        Self::all(plan).last().unwrap_or(Self::ALONE)
-    }
-
-    fn linearise(
-        &self,
-        plan: &CompiledScene<f64>,
-        instant: &Instant<'_, f64>,
-        wanted: impl Fn(usize) -> bool,
-        mut sink: impl FnMut(usize, &CellTerms<f64>),
-    ) {
-        let alone = |cell, pose: &_| evaluate::linearise(plan, cell, pose);
-        self.each::<true, _>((plan, instant), wanted, Found::terms, alone, |cell, terms| sink(cell, &terms));
-    }
-
-    fn currents(
-        &self,
-        plan: &CompiledScene<f64>,
-        instant: &Instant<'_, f64>,
-        wanted: impl Fn(usize) -> bool,
-        sink: impl FnMut(usize, [f64; 2]),
-    ) {
-        let alone = |cell, pose: &_| {
-            let Pair { i_x1_a, i_x2_a } = evaluate::photocurrents(plan, cell, pose);
-            [i_x1_a, i_x2_a]
-        };
-        self.each::<false, _>((plan, instant), wanted, Found::pair, alone, sink);
     }
 }
 
@@ -404,39 +362,51 @@ impl<R: Real<Element = f64>> Pack<R> {
         let like = receiver.dark;
         let Some(rules) = &plan.rules else { return };
         let of = (plan, rules, first);
-        let pose = moved(instant, like, first);
+        let pose = instant.pose_in_lanes(like, first);
         let seen = receiver.see(source, &pose);
-        let zero = like.constant(0.0);
+        let e = [seen.position.x(), seen.position.y(), seen.position.z()];
         let (beam, extended, electrical) = match path {
-            Path::Imperfect(beam, extended, electrical) => (beam, extended, electrical),
-            Path::Thin(_) | Path::Thick(_) => {
-                let e = [seen.position.x(), seen.position.y(), seen.position.z()];
-                let (spot, visibility) = match path {
-                    Path::Thick(faces) => Rectangle::of_beam(*faces, e, receiver.half),
-                    Path::Thin(face) => Rectangle::of_beam([*face], e, receiver.half),
-                    Path::Imperfect(..) => return,
-                };
-                let light = of_sides::<R, SLOPES>(&light::<R, SLOPES>(of, &spot, &visibility, seen.axis), &spot, true);
-                let (pair, jacobian) = if SLOPES {
-                    let (pair, jacobian) = receiver.linearise(source, &light, &seen, false);
-                    (pair, Some(jacobian))
-                } else {
-                    let gain = receiver.responsivity * source.intensity;
-                    (receiver.divide(gain * light.power.value, light.x_a.value(), false), None)
-                };
-                let pair = [visibility.where_spot(pair[0], zero), visibility.where_spot(pair[1], zero)];
-                return found.set(&visibility, pair, jacobian);
+            Path::Thin(face) => {
+                return self.ideal::<SLOPES>(of, &seen, Rectangle::of_beam([*face], e, receiver.half), found);
             }
+            Path::Thick(faces) => {
+                return self.ideal::<SLOPES>(of, &seen, Rectangle::of_beam(*faces, e, receiver.half), found);
+            }
+            Path::Imperfect(beam, extended, electrical) => (beam, extended, electrical),
         };
+        let (zero, one) = (like.constant(0.0), like.constant(1.0));
         let (spot, visibility) = beam.spot::<SLOPES, SLOPES>(seen.position, receiver.half);
         let light = spot.of_sides::<SLOPES>(&light::<R, SLOPES>(of, &spot.rectangle, &visibility, seen.axis));
-        let (mut sums, one) = (Sums::none(zero), like.constant(1.0));
+        let mut sums = Sums::none(zero);
         let way = Way { turn: None, raise: (spot.raise.height, spot.raise.by_position), to_hole: None };
         sums.add::<SLOPES>(receiver, source, &seen, &pose, Some(extended), electrical, &light, &way, one);
         sums.total = visibility.where_spot(sums.total, zero);
         sums.moment = visibility.where_spot(sums.moment, zero);
         let (pair, jacobian) = electrical.currents::<SLOPES>(receiver, false, &sums, one, pose.translation());
         found.set(&visibility, pair, SLOPES.then_some(jacobian));
+    }
+
+    /// [`Self::evaluate`] without effects.
+    #[inline(always)]
+    fn ideal<const SLOPES: bool>(
+        &self,
+        of: (&CompiledScene<f64>, &Rules<f64>, usize),
+        seen: &Seen<R>,
+        (spot, visibility): (Rectangle<R>, Visibility<R>),
+        found: &mut Found,
+    ) {
+        let Self { receiver, source, .. } = self;
+        let light = of_sides::<R, SLOPES>(&light::<R, SLOPES>(of, &spot, &visibility, seen.axis), &spot, true);
+        let (pair, jacobian) = if SLOPES {
+            let (pair, jacobian) = receiver.linearise(source, &light, seen, false);
+            (pair, Some(jacobian))
+        } else {
+            let gain = receiver.responsivity * source.intensity;
+            (receiver.divide(gain * light.power.value, light.x_a.value(), false), None)
+        };
+        let zero = pair[0].constant(0.0);
+        let pair = [visibility.where_spot(pair[0], zero), visibility.where_spot(pair[1], zero)];
+        found.set(&visibility, pair, jacobian);
     }
 }
 
@@ -452,17 +422,4 @@ fn light<R: Real<Element = f64>, const SLOPES: bool>(
         let emitter = &plan.cells.get(first + lane).filter(|_| visibility.status(lane).has_spot())?.emitter;
         Some((&emitter.profile, emitter.orders.as_ref()?))
     })
-}
-
-/// [`Instant::pose_of`] the cell of each lane, from number `first` on.
-#[inline(always)]
-fn moved<R: Real<Element = f64>>(instant: &Instant<'_, f64>, like: R, first: usize) -> Transform<R> {
-    let pose = instant.pose.in_all_lanes(like);
-    match instant.offsets_in_lanes(like, first) {
-        Some(offset_s) => {
-            let [shift, turn] = instant.displacement(offset_s);
-            pose.moved(shift, turn)
-        }
-        None => pose,
-    }
 }

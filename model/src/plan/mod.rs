@@ -60,41 +60,25 @@ pub struct CompiledScene<S: Scalar> {
 
 /// Cells of a plan in as many lanes as the processor has: what each gives alone, bit for bit.
 pub trait CellsAtOnce<S: Scalar>: Clone + Debug + Send + Sync + 'static {
-    /// In no lanes: each cell alone.
+    /// In no lanes.
     const ALONE: Self;
 
-    /// Those of `plan`; alone if they are not of one kind, or not of the exact tier, or there are no lanes.
+    /// Those of `plan`; in no lanes if they are not of one kind, or not of the exact tier, or there are none.
     fn of(_plan: &CompiledScene<S>) -> Self {
         Self::ALONE
     }
 
-    /// [`Optics::linearise_all`] of `plan`.
+    /// Passes what is found of each of the `wanted` cells to `sink`, in order; `None`: it must be evaluated alone.
+    /// `SLOPES`: with derivatives.
     #[inline(always)]
-    fn linearise(
+    fn each<const SLOPES: bool>(
         &self,
         plan: &CompiledScene<S>,
-        instant: &Instant<'_, S>,
+        _instant: &Instant<'_, S>,
         wanted: impl Fn(usize) -> bool,
-        mut sink: impl FnMut(usize, &CellTerms<S>),
+        mut sink: impl FnMut(usize, Option<CellTerms<S>>),
     ) {
-        for cell in (0..plan.cells.len()).filter(|&cell| wanted(cell)) {
-            sink(cell, &evaluate::linearise(plan, cell, &instant.pose_of(cell)));
-        }
-    }
-
-    /// [`Optics::currents_all`] of `plan`.
-    #[inline(always)]
-    fn currents(
-        &self,
-        plan: &CompiledScene<S>,
-        instant: &Instant<'_, S>,
-        wanted: impl Fn(usize) -> bool,
-        mut sink: impl FnMut(usize, [S; 2]),
-    ) {
-        for cell in (0..plan.cells.len()).filter(|&cell| wanted(cell)) {
-            let pair = evaluate::photocurrents(plan, cell, &instant.pose_of(cell));
-            sink(cell, [pair.i_x1_a, pair.i_x2_a]);
-        }
+        (0..plan.cell_count()).filter(|&cell| wanted(cell)).for_each(|cell| sink(cell, None));
     }
 }
 
@@ -391,14 +375,31 @@ impl<S: Scalar> Optics<S> for CompiledScene<S> {
         &self,
         instant: &Instant<'_, S>,
         wanted: impl Fn(usize) -> bool,
-        sink: impl FnMut(usize, &CellTerms<S>),
+        mut sink: impl FnMut(usize, &CellTerms<S>),
     ) {
-        self.lanes.linearise(self, instant, wanted, sink);
+        self.lanes.each::<true>(self, instant, wanted, |cell, found| {
+            let terms = found.unwrap_or_else(|| evaluate::linearise(self, cell, &instant.pose_of(cell)));
+            sink(cell, &terms);
+        });
     }
 
     #[inline(always)]
-    fn currents_all(&self, instant: &Instant<'_, S>, wanted: impl Fn(usize) -> bool, sink: impl FnMut(usize, [S; 2])) {
-        self.lanes.currents(self, instant, wanted, sink);
+    fn currents_all(
+        &self,
+        instant: &Instant<'_, S>,
+        wanted: impl Fn(usize) -> bool,
+        mut sink: impl FnMut(usize, [S; 2]),
+    ) {
+        self.lanes.each::<false>(self, instant, wanted, |cell, found| {
+            let pair = found.map_or_else(
+                || {
+                    let Pair { i_x1_a, i_x2_a } = evaluate::photocurrents(self, cell, &instant.pose_of(cell));
+                    [i_x1_a, i_x2_a]
+                },
+                |terms| terms.pair,
+            );
+            sink(cell, pair);
+        });
     }
 }
 

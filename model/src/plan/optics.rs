@@ -66,23 +66,19 @@ impl<S: Number> Instant<'_, S> {
         self.pose.translation() + self.twist[0] * offset_s
     }
 
-    #[cfg(all(feature = "lanes", target_arch = "x86_64"))]
-    /// The exposures of as many cells as `like` has lanes, from number `first` on; `None`: all zero.
-    #[inline(always)]
-    pub(crate) fn offsets_in_lanes<R: Real<Element = S>>(&self, like: R, first: usize) -> Option<R> {
-        let last = self.offsets_s.len().checked_sub(1)?;
-        Some(like.fill_with(|lane| self.offsets_s[(first + lane).min(last)]))
-    }
-
     /// The pose at the exposure of one cell.
     pub(crate) fn pose_of(&self, cell: usize) -> Transform<S> {
-        match self.offsets_s.get(cell) {
-            Some(&offset_s) => {
-                let [shift, turn] = self.displacement(offset_s);
-                self.pose.moved(shift, turn)
-            }
-            None => *self.pose,
-        }
+        self.pose_in_lanes(S::zero(), cell)
+    }
+
+    /// The pose at the exposures of as many cells as `like` has lanes, from number `first` on.
+    #[inline(always)]
+    pub(crate) fn pose_in_lanes<R: Real<Element = S>>(&self, like: R, first: usize) -> Transform<R> {
+        let pose = self.pose.in_all_lanes(like);
+        let Some(last) = self.offsets_s.len().checked_sub(1) else { return pose };
+        let offset_s = like.fill_with(|lane| self.offsets_s[(first + lane).min(last)]);
+        let [shift, turn] = self.displacement(offset_s);
+        pose.moved(shift, turn)
     }
 
     /// How far the tool moves and turns until `offset_s` seconds after the reference instant.

@@ -70,40 +70,6 @@ fn bits(terms: &CellTerms<f64>) -> Vec<u64, 16> {
     numbers.chain([terms.slack_m, terms.wall_m]).map(f64::to_bits).collect()
 }
 
-/// Whatever a calibration finds of cell number `index`, a bit for each kind of effect.
-#[cfg(all(feature = "lanes", target_arch = "x86_64"))]
-fn imperfect(cell: &mut Cell, index: usize, which: u32) {
-    let (small, has) = (1.0 + 0.1 * index as f64, |bit: u32| which >> bit & 1 == 1);
-    let effects = &mut cell.effects;
-    effects.electrode_gain = [1.0 + 0.01 * small, 0.98];
-    effects.profile.radial = [0.1 * small, -0.2, 0.1, 0.05];
-    cell.slit.tilt_rad = DVec3::new(0.01, -0.005 * small, 0.02);
-    if has(0) {
-        cell.slit.thickness_m = 0.1e-3 * small;
-    }
-    if has(1) {
-        effects.window = Some(crate::Window { thickness_m: 0.7e-3 * small, refractive_index: 1.52 });
-    }
-    if has(2) {
-        effects.profile.azimuthal = [0.02, -0.01 * small, 0.03, 0.02];
-    }
-    if has(3) {
-        effects.nonlinearity_m = (0..12).map(|k| 5e-6 * small * libm::sin(f64::from(k))).collect();
-    }
-    if has(4) {
-        effects.stray = Some(crate::Stray {
-            linear_a_per_m: [[3e-6, -5e-6, 2e-6], [1e-6, 4e-6 * small, -6e-6]],
-            quadratic_a_per_m2: [[1e-3; 6]; 2],
-            ..crate::Stray::at(100e-9 * small, 1e-3, cell.detector.length_m)
-        });
-    }
-    if has(5) {
-        let curve = |sign: f64| (0..10).map(|k| sign * small * 1e-10 * f64::from(k)).collect();
-        // Some readings are beyond the range.
-        effects.converters = Some(crate::Converters { full_scale_a: 6e-6, curves_a: [curve(1.0), curve(-1.0)] });
-    }
-}
-
 /// A profile like that of a data sheet: every 5°, three decimals.
 #[cfg(all(feature = "lanes", target_arch = "x86_64"))]
 fn tabulated() -> Profile {
@@ -116,6 +82,8 @@ fn tabulated() -> Profile {
 #[cfg(all(feature = "lanes", target_arch = "x86_64"))]
 #[test]
 fn cells_in_lanes_have_the_bits_of_cells_alone() {
+    use crate::solve::fixture::{EFFECTS, Effect};
+
     // A tool in motion, m/s and rad/s, and half its acceleration.
     const TWIST: [DVec3; 2] = [DVec3::new(0.3, -0.2, 0.5), DVec3::new(2.0, 5.0, -3.0)];
     const BEND: [DVec3; 2] = [DVec3::new(90.0, 150.0, -70.0), DVec3::new(-900.0, 800.0, 1500.0)];
@@ -127,21 +95,28 @@ fn cells_in_lanes_have_the_bits_of_cells_alone() {
     let (mut lit, mut clipped, mut dark, mut divided) = (0, 0, 0, 0);
     let ideal = [(1, 0.0), (2, 0.3e-3), (3, 0.0), (4, 0.0), (5, 0.3e-3), (6, 0.0), (8, 0.0), (13, 0.3e-3)];
     let ideal = ideal.map(|(count, thickness_m)| scene(count, |cell| cell.slit.thickness_m = thickness_m));
-    let effects = (0..6).map(|bit| 1 << bit).chain([0, 0b11_1111]).map(|which| {
+    // Each effect by itself and all together, of cells that differ.
+    let with = |effects: &[Effect], scene: &mut Scene| {
+        for (index, cell) in scene.cells.iter_mut().enumerate() {
+            effects.iter().for_each(|(_, effect)| effect(cell, 1.0 + 0.1 * index as f64));
+            // Some readings are beyond the range.
+            cell.effects.converters.iter_mut().for_each(|converters| converters.full_scale_a = 6e-6);
+        }
+    };
+    let effects = EFFECTS.chunks(1).chain([&EFFECTS[..]]).map(|effects| {
         let mut scene = scene(6, |_| ());
-        scene.cells.iter_mut().enumerate().for_each(|(index, cell)| imperfect(cell, index, which));
+        with(effects, &mut scene);
         scene
     });
     // Narrow lobes, tables with and without a smooth factor, and one emitter of each.
     let profiles = [(30.0, 0), (1.3, 2), (1.3, 1), (5.0, 0b111)].map(|(exponent, tables)| {
         let mut scene = scene(3, |cell| cell.emitter.profile = Profile::Cosine { exponent });
-        for (index, cell) in scene.cells.iter_mut().enumerate().filter(|(index, _)| tables >> index & 1 == 1) {
-            cell.emitter.profile = tabulated();
-            imperfect(cell, index, 0);
+        for (index, cell) in scene.cells.iter_mut().enumerate() {
+            if tables >> index & 1 == 1 {
+                cell.emitter.profile = tabulated();
+            }
         }
-        if tables != 0 {
-            scene.cells.iter_mut().enumerate().for_each(|(index, cell)| imperfect(cell, index, 0));
-        }
+        with(if tables == 0 { &[] } else { &EFFECTS[4..5] }, &mut scene);
         scene
     });
     for scene in ideal.into_iter().chain(effects).chain(profiles) {

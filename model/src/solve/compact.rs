@@ -220,13 +220,11 @@ fn worst_error(plan: &CompactPlan<f64>, truth: &CompiledScene<f64>) -> f64 {
 mod tests {
     extern crate std;
 
-    use std::boxed::Box;
-
     use glam::DVec3;
 
-    use super::super::fixture::head;
+    use super::super::fixture::{EFFECTS, head};
     use super::*;
-    use crate::effects::{Converters, Opening, ProfileShape, Stray, Window};
+    use crate::effects::Opening;
     use crate::plan::{Instant, Optics};
     use crate::pose::Transform;
     use crate::scene::{Cell, Profile};
@@ -333,49 +331,15 @@ mod tests {
         assert_eq!(solved[0], solved[1]);
     }
 
-    type Change = (&'static str, fn(&mut Cell));
-
-    fn changes() -> [Change; 9] {
-        [
-            ("a thick mask", |cell| cell.slit.thickness_m = 0.15e-3),
-            // With an effect: of such cells alone a host computes a turned slit as a board does.
-            ("a turned slit", |cell| {
-                cell.slit.tilt_rad = DVec3::new(0.01, -0.012, 0.015);
-                cell.effects.electrode_gain = [1.001, 1.0];
-            }),
-            ("a shifted slit", |cell| cell.slit.offset_m.x = 8e-5),
-            ("a cover", |cell| {
-                cell.effects.window = Some(Window { thickness_m: 0.7e-3, refractive_index: 1.52 });
-            }),
-            ("a profile's shape", |cell| {
-                cell.effects.profile =
-                    ProfileShape { radial: [-0.06, 0.17, -0.03, 0.2], azimuthal: [2e-3, -1e-3, 0.03, -0.01] };
-            }),
-            ("a detector that is not linear", |cell| {
-                cell.effects.nonlinearity_m = [5e-5, -3e-5, 2e-5, 6e-5, -4e-5].into_iter().collect();
-            }),
-            ("stray light", |cell| {
-                let shift = [[2e-6, -3e-6, 1e-6], [1e-6, 2e-6, -2e-6]];
-                let bend = [[3e-4, -2e-4, 1e-4, 2e-4, -1e-4, 4e-4]; 2];
-                cell.effects.stray =
-                    Some(Stray { linear_a_per_m: shift, quadratic_a_per_m2: bend, ..Stray::at(5e-8, 1e-3, 12e-3) });
-            }),
-            ("gains of electrodes", |cell| cell.effects.electrode_gain = [1.004, 0.997]),
-            ("converters that are not linear", |cell| {
-                let curve = |sign: f64| [1e-9, sign * 2e-9, -2e-9, sign * 1e-9].into_iter().collect();
-                cell.effects.converters = Some(Converters { full_scale_a: 1e-5, curves_a: [curve(1.0), curve(-1.0)] });
-            }),
-        ]
-    }
-
     /// Each alone, and all at once: currents to the bound that a head is accepted by, derivatives to a hundredth.
     #[test]
     fn what_calibration_finds_is_computed_with_its_derivatives() {
-        let all = |cell: &mut Cell| changes().iter().for_each(|(_, change)| change(cell));
-        let one = changes().into_iter().map(|(name, change)| (name, Box::new(change) as Box<dyn Fn(&mut Cell)>));
-        for (name, change) in one.chain([("all of it", Box::new(all) as Box<dyn Fn(&mut Cell)>)]) {
+        let each = EFFECTS.iter().map(|effect| (effect.0, core::slice::from_ref(effect)));
+        for (name, effects) in each.chain([("all of it", &EFFECTS[..])]) {
             let mut scene = head();
-            scene.cells.iter_mut().for_each(change);
+            for cell in &mut scene.cells {
+                effects.iter().for_each(|(_, effect)| effect(cell, 1.0));
+            }
             let plan = plan_of(&scene);
             let compact = CompactPlan::of(&scene, &plan, &plan).expect(name);
             let error = worst_error(&compact, &plan);
@@ -400,7 +364,8 @@ mod tests {
         };
         let seven = compact(&|scene| scene.cells.push(scene.cells[0].clone()).expect("seven of sixteen"));
         assert_eq!(seven, CompactError::Cells { cells: 7, most: 6 });
-        let kinds: [Change; 6] = [
+        type Kind = (&'static str, fn(&mut Cell));
+        let kinds: [Kind; 6] = [
             ("a slit that is turned far against its detector", |cell| cell.slit.tilt_rad = DVec3::Z * 0.2),
             ("another opening than a slit", |cell| cell.effects.opening = Opening::Pinhole),
             ("an emitter that is no point", |cell| cell.effects.source_diameter_m = 3e-4),

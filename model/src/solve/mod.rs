@@ -25,7 +25,7 @@ mod compact;
 mod compiled;
 mod filter;
 #[cfg(test)]
-mod fixture;
+pub(crate) mod fixture;
 mod images;
 mod kink;
 mod level;
