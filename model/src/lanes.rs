@@ -67,10 +67,6 @@ impl<I: Simd> Real for Lanes<I> {
         a.with(a.simd.select_f64s(is_gt, yes.vector, no.vector))
     }
     #[inline(always)]
-    fn any_above(a: Self, b: Self) -> bool {
-        a.simd.first_true_m64s(a.simd.greater_than_f64s(a.vector, b.vector)) < I::F64_LANES
-    }
-    #[inline(always)]
     fn splat(self, value: f64) -> Self {
         self.with(self.simd.splat_f64s(value))
     }

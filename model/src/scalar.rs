@@ -63,9 +63,6 @@ pub trait Real:
         Self::Vec3::new(self, self, self)
     }
 
-    /// Whether a > b in any lane.
-    fn any_above(a: Self, b: Self) -> bool;
-
     /// |x|, lane by lane.
     #[inline(always)]
     fn magnitude(self) -> Self {
@@ -312,10 +309,6 @@ macro_rules! implement_scalar {
             #[inline(always)]
             fn select_gt(a: Self, b: Self, yes: Self, no: Self) -> Self {
                 if a > b { yes } else { no }
-            }
-            #[inline(always)]
-            fn any_above(a: Self, b: Self) -> bool {
-                a > b
             }
             #[inline(always)]
             fn select3_ge(a: Self, b: Self, yes: $vec3, no: $vec3) -> $vec3 {

@@ -43,6 +43,9 @@ pub struct Batch<'a> {
 
 impl<'a> Batch<'a> {
     /// The scans of the batch, read by the schedule of the same configuration number.
+    ///
+    /// # Errors
+    /// If the batch does not fit this schedule.
     pub fn scans(&self, schedule: &Schedule) -> Result<Scans<'a>, BatchError> {
         let cells = usize::from(schedule.cells);
         if cells == 0 || self.levels.len() != cells {

@@ -26,6 +26,9 @@ const CRC_BYTES: usize = size_of::<u32>();
 /// [`Request`](crate::Request).
 pub trait Packet<'p>: Serialize + Sized {
     /// Reads the value from a payload with a correct checksum.
+    ///
+    /// # Errors
+    /// If the payload is not such a value, or has extra bytes.
     fn from_payload(payload: &'p [u8]) -> Result<Self, PayloadError>;
 }
 

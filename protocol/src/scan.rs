@@ -137,6 +137,9 @@ impl AdcScaling {
     }
 
     /// Checks that words, each the sum of `oversampling` conversions, can be converted to currents.
+    ///
+    /// # Errors
+    /// The first contradiction found, with its numbers.
     pub fn validate(&self, oversampling: u16) -> Result<(), ScalingError> {
         if !Self::fits_a_word(self.bits.into(), oversampling.into()) {
             return Err(ScalingError::Bits { bits: self.bits, oversampling });

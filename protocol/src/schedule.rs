@@ -96,6 +96,9 @@ pub struct Schedule {
 
 impl Schedule {
     /// Checks that the schedule can be run and lights the emitter of every cell.
+    ///
+    /// # Errors
+    /// The first contradiction found, with its numbers.
     pub fn validate(&self) -> Result<(), ScheduleError> {
         self.check_numbers()?;
         self.check_lighting()?;

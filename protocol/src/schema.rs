@@ -163,6 +163,9 @@ impl SchemaKeys<'static> {
 
 impl SchemaKeys<'_> {
     /// Compares the peer's keys with the table `ours`, for the kinds known to both.
+    ///
+    /// # Errors
+    /// The first kind with another layout.
     pub fn check(self, ours: &[Schema]) -> Result<(), SchemaMismatch> {
         let (theirs, _) = self.0.as_chunks::<KEY_BYTES>();
         for (schema, &bytes) in ours.iter().zip(theirs) {

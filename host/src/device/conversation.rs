@@ -239,7 +239,7 @@ impl Conversation {
                 return match outcome {
                     Ok(()) => Ok(introduced),
                     Err(source) => {
-                        let next_step = next_step_of(&name, &source);
+                        let next_step = next_step_of(name, &source);
                         Err(DeviceError::Refused { name: self.name(), command: name, next_step, source })
                     }
                 };
@@ -338,15 +338,28 @@ impl Drop for Conversation {
     }
 }
 
-/// The name of a command, as the protocol writes it.
-fn name_of(command: &Command) -> String {
-    let text = format!("{command:?}");
-    text.split(|letter: char| !letter.is_alphanumeric()).next().unwrap_or_default().to_owned()
+const HEAD: &str = "Head";
+
+fn name_of(command: &Command) -> &'static str {
+    match command {
+        Command::Hello => "Hello",
+        Command::Start => "Start",
+        Command::Stop => "Stop",
+        Command::Configure(_) => "Configure",
+        Command::Ping { .. } => "Ping",
+        Command::Identify { .. } => "Identify",
+        Command::Store(_) => "Store",
+        Command::Forget => "Forget",
+        Command::Reboot(_) => "Reboot",
+        Command::Head(_) => HEAD,
+        Command::Stream(_) => "Stream",
+        Command::FullScale { .. } => "FullScale",
+    }
 }
 
 fn next_step_of(command: &str, rejection: &Rejection) -> &'static str {
     match rejection {
-        Rejection::Unsupported { .. } if command == "Head" => {
+        Rejection::Unsupported { .. } if command == HEAD => {
             "flash the image that solves poses, slitpose-board-pose, or let this program solve them: --stream raw"
         }
         Rejection::Unsupported { .. } | Rejection::Malformed { .. } => {

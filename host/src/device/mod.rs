@@ -16,7 +16,7 @@ pub(crate) use conversation::{Conversation, Keep};
 pub(crate) use discovery::{Contact, Found, Selector, find, list, locate};
 pub use error::{DeviceError, Scanless};
 pub use orders::KeepAlive;
-pub(crate) use ports::{BoardInfo, Listed, Port, PortState, Search, UsbId, in_words, ports};
+pub(crate) use ports::{BoardInfo, Listed, Port, PortState, Search, UsbId, ports};
 pub use serial::SerialDevice;
 pub(crate) use serial::holders;
 pub(crate) use serial::{SimulatedDevice, SimulatedPort};

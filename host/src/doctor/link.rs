@@ -118,11 +118,11 @@ pub(super) fn judge(info: &BoardInfo) -> (Vec<Finding>, bool) {
     });
     let cause = info.reset_cause_name();
     checks.push(match info.reset_cause {
-        BrownOut => Finding::warning("last start", &*cause, "check cable and supply: the supply voltage dropped"),
+        BrownOut => Finding::warning("last start", cause, "check cable and supply: the supply voltage dropped"),
         Watchdog | Panic | StackOverflow => {
-            Finding::warning("last start", &*cause, "update the firmware; if it happens again, report it")
+            Finding::warning("last start", cause, "update the firmware; if it happens again, report it")
         }
-        _ => Finding::ok("last start", &*cause),
+        _ => Finding::ok("last start", cause),
     });
     (checks, info.mismatch.is_none())
 }

@@ -4,7 +4,6 @@ use std::time::Duration;
 
 use super::losses::Latency;
 use super::report::{BoardReport, DaemonReport, LinkState, Losses, RecorderReport, RecorderState};
-use crate::device::in_words;
 use crate::terminal::{Line, Tone, WIDTH, layout};
 use slitpose_head::finding::{Finding, Grade};
 use slitpose_head::foreign::printable;
@@ -210,6 +209,15 @@ fn duration(seconds: f64) -> String {
     let whole =
         Duration::try_from_secs_f64(if seconds < 10.0 { (seconds * 10.0).round() / 10.0 } else { seconds.round() });
     whole.map_or_else(|_| "-".to_owned(), |duration| humantime::format_duration(duration).to_string())
+}
+
+/// `PowerOn` as `power on`.
+fn in_words(name: &str) -> String {
+    let letters = name.char_indices().flat_map(|(i, letter)| {
+        let space = (i > 0 && letter.is_uppercase()).then_some(' ');
+        space.into_iter().chain(letter.to_lowercase())
+    });
+    letters.collect()
 }
 
 fn put<'a>(lines: &'a mut Vec<Line>, name: &'static str, text: &str) -> &'a mut Line {

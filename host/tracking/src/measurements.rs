@@ -90,6 +90,9 @@ pub enum MeasurementsError {
 impl Measurements {
     /// Reads all of them, of the head of `file`, which may have been calibrated before (`start`); `say` is told what is
     /// remarkable.
+    ///
+    /// # Errors
+    /// Files that cannot be read, or are of another head.
     pub fn read(
         &self,
         file: &SceneFile,

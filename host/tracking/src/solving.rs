@@ -96,6 +96,9 @@ impl Solving {
 
 /// The head of `file` by the calibration at the path `calibration`, or as its scene says if that is `none`; without
 /// either by `usual`.
+///
+/// # Errors
+/// A calibration that cannot be read, or of another scene; and those of `usual`.
 pub fn head_by<E: From<CalibrationFileError>>(
     calibration: Option<&Path>,
     file: SceneFile,

@@ -10,10 +10,7 @@ use crate::scalar::{Linear3, Number, Real, array, zero_half_one};
 
 /// The detector on the base, without its aperture.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-#[serde(bound(
-    serialize = "R: Serialize, R::Vec3: Serialize",
-    deserialize = "R: Deserialize<'de>, R::Vec3: Deserialize<'de>"
-))]
+#[serde(bound = "R: Number")]
 pub struct Receiver<R: Real> {
     /// x, y, z axes of the cell frame in the base frame.
     pub axes: [R::Vec3; 3],
@@ -27,10 +24,7 @@ pub struct Receiver<R: Real> {
 
 /// The emitter on the tool, without its profile.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-#[serde(bound(
-    serialize = "R: Serialize, R::Vec3: Serialize",
-    deserialize = "R: Deserialize<'de>, R::Vec3: Deserialize<'de>"
-))]
+#[serde(bound = "R: Number")]
 pub struct Source<R: Real> {
     pub position: R::Vec3,
     pub axis: R::Vec3,

@@ -198,13 +198,6 @@ const CURRENTS: Endings = &[("nA", 1e-9), ("uA", 1e-6), ("mA", 1e-3)];
 const LENGTHS: Endings = &[("nm", 1e-9), ("um", 1e-6), ("mm", 1e-3)];
 
 impl Unit {
-    /// The unit of this name in the table of kinds.
-    pub(super) fn named(name: &str) -> Option<Self> {
-        use Unit::*;
-        let all = [Number, Count, Rate, Ratio, Time, TimeStep, Ppm, Current, Length, Kelvin];
-        all.into_iter().find(|unit| format!("{unit:?}") == name)
-    }
-
     /// Endings, the least and the greatest value, and what such a value looks like.
     fn entry(self) -> (Endings, RangeInclusive<f64>, &'static str) {
         match self {

@@ -60,6 +60,9 @@ pub fn board_configuration(file: &SceneFile) -> Result<Configuration, TimingErro
 
 /// The configuration of a board for `file`: its lighting slots, each just long enough for settling and
 /// conversions, at nominal emitter levels.
+///
+/// # Errors
+/// If the scene has no front end, or one whose schedule does not fit its frame period.
 pub fn configuration(file: &SceneFile) -> Result<Configuration, TimingError> {
     let scene = || file.name.clone();
     let front_end = file.front_end.ok_or_else(|| TimingError::NoFrontEnd(scene()))?;

@@ -208,6 +208,9 @@ pub fn is_capture(path: &Path) -> bool {
 }
 
 /// Refuses a result in the place of something the same command reads, or of another result.
+///
+/// # Errors
+/// If `output` and one of `others` are one file.
 pub fn refuse_twice<'a>(output: &Path, others: impl IntoIterator<Item = &'a Path>) -> Result<(), OutputError> {
     let is_same = |other: &Path| match (fs::metadata(output), fs::metadata(other)) {
         (Ok(a), Ok(b)) => a.is_file() && (a.dev(), a.ino()) == (b.dev(), b.ino()),

@@ -11,7 +11,7 @@ use slitpose_protocol::{PROTOCOL, Schedule, Status};
 use super::{BoardOptions, Connection};
 use crate::commands::options::print;
 use crate::commands::{CommandError, Outcome, talk};
-use crate::device::{BoardInfo, Listed, PortState, Search, UsbId, in_words};
+use crate::device::{BoardInfo, Listed, PortState, Search, UsbId};
 use slitpose_tracking::link::Versions;
 
 /// Lists the boards there are, and the ports that might have one.
@@ -184,7 +184,7 @@ fn info_text(connection: &Connection, status: Option<&Status>) -> String {
         None => ("protocol", format!("{}; this program speaks {PROTOCOL}", info.protocol)),
         Some(mismatch) => ("protocol", format!("{}; {mismatch}", Versions { board: info.protocol })),
     });
-    lines.push(("last start", in_words(&format!("{:?}", info.reset_cause))));
+    lines.push(("last start", info.reset_cause_name().replace('_', " ")));
     lines.push(("scene", stored(info.hashes.scene)));
     lines.push(("calibration", stored(info.hashes.calibration)));
     let scaling = &info.scaling;

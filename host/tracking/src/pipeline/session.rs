@@ -51,6 +51,9 @@ pub(super) struct Session {
 }
 
 /// Checks the parts of `hello` that do not depend on the schedule: protocol, scaling and scene.
+///
+/// # Errors
+/// If the board has another protocol, cannot measure, or belongs to another scene.
 pub fn check(file: &SceneFile, scene_match: SceneMatch, hello: &Hello<'_>) -> Result<(), PipelineError> {
     let board = || hello.board.to_owned();
     let versions = Versions { board: hello.protocol };
@@ -67,6 +70,9 @@ pub fn check(file: &SceneFile, scene_match: SceneMatch, hello: &Hello<'_>) -> Re
 }
 
 /// Checks that the board of `hello` belongs to the calibration of `head`, if both have one.
+///
+/// # Errors
+/// If it belongs to another.
 pub fn check_calibration(head: &Head, scene_match: SceneMatch, hello: &Hello<'_>) -> Result<(), PipelineError> {
     match (head.calibration(), hello.hashes.calibration) {
         (Some(calibration), Some(board_hash))

@@ -70,6 +70,9 @@ pub struct Playback {
 
 impl Playback {
     /// The captures `files`, those of a series in their order.
+    ///
+    /// # Errors
+    /// A first file that cannot be read, what is no regular file, a file given twice, and a part that ends before it begins.
     pub fn open(files: Vec<PathBuf>, choice: Choice) -> Result<Self, PlaybackError> {
         choice.check()?;
         files::check(&files)?;

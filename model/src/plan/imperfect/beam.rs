@@ -27,14 +27,7 @@ const MAX_TURN: f64 = 0.18;
 
 /// A slit before a detector; one per lane.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-#[serde(
-    bound(
-        serialize = "R: Serialize, R::Vec3: Serialize",
-        deserialize = "R: Deserialize<'de>, R::Vec3: Deserialize<'de>"
-    ),
-    from = "Slot<R>",
-    into = "Slot<R>"
-)]
+#[serde(bound = "R: Number", from = "Slot<R>", into = "Slot<R>")]
 pub struct Beam<R: Real> {
     pub faces: [Face<R>; 2],
     /// Whether the mask has two faces: in all lanes, or in none.
@@ -46,10 +39,7 @@ pub struct Beam<R: Real> {
 
 /// What a beam is made of.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-#[serde(bound(
-    serialize = "R: Serialize, R::Vec3: Serialize",
-    deserialize = "R: Deserialize<'de>, R::Vec3: Deserialize<'de>"
-))]
+#[serde(bound = "R: Number")]
 pub struct Slot<R: Real> {
     /// Directions along the width and the length of the slit, and half of both.
     pub across: R::Vec3,
@@ -88,24 +78,23 @@ impl<R: Real> Glass<R> {
     }
 }
 
-impl<R: Real> From<Slot<R>> for Beam<R> {
-    #[inline(always)]
-    fn from(slot: Slot<R>) -> Self {
+impl<S: Number> From<Slot<S>> for Beam<S> {
+    fn from(slot: Slot<S>) -> Self {
         let Slot { across, along, half_sizes: [half_width, half_length], centre, half_thickness, .. } = slot;
         let normal = across.cross(along);
-        let face = |offset: R| {
+        let face = |offset: S| {
             let middle = centre + normal * offset;
-            let moment = |half: R| (middle + across * half).cross(along);
-            let end = |half: R| middle + along * half;
-            Face { moments: [moment(-half_width), moment(half_width)], ends: [end(-half_length), end(half_length)] }
+            let moment = |half: S| (middle + across * half).cross(along);
+            let end = |half: S| middle + along * half;
+            Face { moments: [-half_width, half_width].map(moment), ends: [-half_length, half_length].map(end) }
         };
-        let is_thick = R::any_above(half_thickness, half_thickness.constant(0.0));
-        Self { faces: [face(-half_thickness), face(half_thickness)], is_thick, normal, slot }
+        let is_thick = half_thickness > S::zero();
+        Self { faces: [-half_thickness, half_thickness].map(face), is_thick, normal, slot }
     }
 }
 
-impl<R: Real> From<Beam<R>> for Slot<R> {
-    fn from(beam: Beam<R>) -> Self {
+impl<S: Number> From<Beam<S>> for Slot<S> {
+    fn from(beam: Beam<S>) -> Self {
         beam.slot
     }
 }
