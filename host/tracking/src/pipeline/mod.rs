@@ -19,7 +19,7 @@ mod waiting;
 use slitpose_calibration::Head;
 use slitpose_head::scene_file::fnv1a_64;
 use slitpose_model::{Photocurrents, Tier};
-use slitpose_protocol::{DELIMITER, Decoder, MAX_MESSAGE_BYTES, Message, Status};
+use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message, Status};
 
 pub use board_poses::{Agreement, PoseFault};
 pub use counts::{Counts, Outcomes, reason};
@@ -39,6 +39,8 @@ use waiting::Content;
 pub struct Pipeline {
     decoder: Decoder<MAX_MESSAGE_BYTES>,
     flow: Flow,
+    /// Whether bytes after the [end](Self::until) have been left out.
+    has_passed_end: bool,
 }
 
 /// Whether scans are solved as they come.
@@ -51,7 +53,7 @@ enum Solve {
 impl Pipeline {
     /// A pipeline for boards with `head`, solved in `tier`. That of a scene alone is taken to be as the scene says.
     pub fn new(head: impl Into<Head>, tier: Tier, scene_match: SceneMatch) -> Self {
-        Self { decoder: Decoder::new(), flow: Flow::new(head.into(), tier, scene_match) }
+        Self { decoder: Decoder::new(), flow: Flow::new(head.into(), tier, scene_match), has_passed_end: false }
     }
 
     /// Ends the stream `until_s` seconds of device time after the first scan, if given.
@@ -188,15 +190,13 @@ impl Pipeline {
         let mut taken = 0;
         for (bytes, at) in segment.chunks() {
             self.flow.clock.at = at;
-            let count = self.decode(bytes, solve, sink)?;
-            taken += count;
-            if count < bytes.len() {
-                break;
-            }
+            taken += self.decode(bytes, solve, sink)?;
         }
         Ok(taken)
     }
 
+    /// Decodes all of `bytes`; returns how many of them are taken. After the end these are whole packets before the next scan,
+    /// and then none: what is decoded counts as no damage, and what is taken ends with a packet.
     fn decode<E: From<PipelineError>>(
         &mut self,
         mut bytes: &[u8],
@@ -204,29 +204,34 @@ impl Pipeline {
         sink: &mut impl FnMut(Item<'_>) -> Result<(), E>,
     ) -> Result<usize, E> {
         let length = bytes.len();
-        // After the end only whole packets are taken: the rest of a cut one may lie beyond the end.
-        while !self.is_complete() || bytes.contains(&DELIMITER) {
-            let ahead = bytes.len();
+        let mut taken = 0;
+        loop {
             let Some(result) = self.decoder.next::<Message<'_>>(&mut bytes) else {
                 break;
             };
             // Damage is counted by the decoder.
-            let Ok(message) = result else {
-                continue;
-            };
-            if self.flow.span.is_complete
-                && matches!(message, Message::Batch(_) | Message::Poses(_) | Message::Truth(_))
-            {
-                return Ok(length - ahead);
+            if let Ok(message) = result {
+                let is_scan = matches!(message, Message::Batch(_) | Message::Poses(_) | Message::Truth(_));
+                self.has_passed_end |= self.flow.span.is_complete && is_scan;
+                if !(self.flow.span.is_complete && is_scan) {
+                    self.flow.accept(&message, sink)?;
+                    while solve == Solve::AtOnce
+                        && let Some(record) = self.flow.solve_next()
+                    {
+                        sink(Item::Pose(&record))?;
+                    }
+                }
             }
-            self.flow.accept(&message, sink)?;
-            while solve == Solve::AtOnce
-                && let Some(record) = self.flow.solve_next()
-            {
-                sink(Item::Pose(&record))?;
+            if !self.has_passed_end {
+                taken = length - bytes.len();
             }
         }
-        Ok(length - bytes.len())
+        if self.is_complete() {
+            self.has_passed_end |= taken < length;
+        } else {
+            taken = length;
+        }
+        Ok(taken)
     }
 
     /// Counts scans as lost that the stream, which has ended by itself, did not bring before [`until`](Self::until).

@@ -3,8 +3,8 @@
 use slitpose_model::Tier;
 use slitpose_protocol::poses::TRIANGLE;
 use slitpose_protocol::{
-    Command, Hashes, HeadPart, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, PoseRecord, PoseStatus, Poses, Request,
-    Stream, encode,
+    Command, DELIMITER, Hashes, HeadPart, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, PoseRecord, PoseStatus, Poses,
+    Request, Stream, encode,
 };
 
 use super::{Item, Oddity, Pipeline, PipelineError, PipelineOptions, PoseFault, PoseSource, Record, SceneMatch};
@@ -116,6 +116,24 @@ fn scans_have_the_time_at_which_they_were_taken() {
             // Between a ping and its pong lie a frame and twice the delay.
             assert!(token < 6 || time.uncertainty_ns < link.frame_ns + 2 * DELAY_NS, "{time:?}");
         }
+    }
+}
+
+/// Wherever reads end: what follows the end is neither damage nor part of what is kept, and what is kept ends with a packet.
+#[test]
+fn what_comes_after_the_end_is_no_damage() {
+    let mut link = SimulatedLink::new();
+    let bytes = link.segment(40, 0).bytes;
+    let push = |pipeline: &mut Pipeline, bytes: &[u8]| pipeline.push(bytes, |_| Ok::<_, PipelineError>(())).unwrap();
+    let until = || link.pipeline().until(Some(20.0 * link.frame_ns as f64 * 1e-9));
+    let mut whole = until();
+    let kept = push(&mut whole, &bytes);
+    assert!(whole.is_complete() && kept < bytes.len() && bytes[kept - 1] == DELIMITER);
+    for cut in kept - 200..kept + 200 {
+        let mut pipeline = until();
+        let taken: usize = [&bytes[..cut], &bytes[cut..]].map(|part| push(&mut pipeline, part)).iter().sum();
+        assert_eq!((pipeline.counts().decoder.damaged(), pipeline.counts().scans), (0, whole.counts().scans), "{cut}");
+        assert!(taken <= kept && (cut < kept || taken == kept), "{cut}: {taken} of {kept}");
     }
 }
 
