@@ -40,7 +40,7 @@ mod terminal;
 mod samples {
     use slitpose_head::scene_file::WIDE;
     use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
-    use slitpose_model::{MotionPrior, Photocurrents, Solver, Start, Tier};
+    use slitpose_model::{MotionPrior, NoTwist, Photocurrents, Solver, Start, Tier};
     use slitpose_protocol::{ClockSource, Command, MAX_REQUEST_BYTES, Request, SettingsSource, Status, encode};
     use slitpose_tracking::link::DeviceId;
     use slitpose_tracking::pipeline::{Item, Pipeline, PipelineError, Record, SceneMatch};
@@ -56,8 +56,9 @@ mod samples {
             host_time: None,
             arrival: None,
             solution: Solver::<f64>::empty().solve(&Photocurrents::default(), Start::Cold, &MotionPrior::AT_REST),
-            twist: None,
+            twist: Err(NoTwist::NoPose),
             filtered: None,
+            light_level: None,
             simulated: true,
             truth: None,
         }

@@ -97,6 +97,6 @@ pub use scene::{
 };
 pub use solve::{
     AXES, BoardTracker, Cells, CompactError, CompactFrame, CompactPart, DegradedReason, Directions, Estimate, Filtered,
-    MIN_CELLS, MotionPrior, Outcome, Photocurrents, Reading, Solution, Solver, Start, Tracked, Tracker, TwistEstimate,
-    Verified,
+    MIN_CELLS, MotionPrior, NoTwist, Outcome, Photocurrents, PoseTracker, Reading, Solution, Solver, Start, Tracked,
+    Tracker, TwistEstimate, Verified,
 };

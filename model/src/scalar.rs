@@ -142,6 +142,9 @@ pub trait Number:
     /// This number to a real power.
     fn power(self, exponent: Self) -> Self;
 
+    /// e to this power.
+    fn exponential(self) -> Self;
+
     /// Arc tangent.
     fn arc_tangent(self) -> Self;
 
@@ -236,7 +239,7 @@ fn single_root(x: f32) -> f32 {
 }
 
 macro_rules! implement_scalar {
-    ($scalar:ty, $vec3:ty, $terms:expr, [$root:expr, $inverse_root:expr], $as_dvec3:expr, $of_dvec3:expr, [$pow:ident, $atan:ident, $acos:ident, $cos:ident, $sin:ident, $atan2:ident]) => {
+    ($scalar:ty, $vec3:ty, $terms:expr, [$root:expr, $inverse_root:expr], $as_dvec3:expr, $of_dvec3:expr, [$pow:ident, $exp:ident, $atan:ident, $acos:ident, $cos:ident, $sin:ident, $atan2:ident]) => {
         impl Number for $scalar {
             const POWER_TERMS: usize = $terms;
             #[inline(always)]
@@ -258,6 +261,10 @@ macro_rules! implement_scalar {
                 let one = (1.0 as $scalar).to_bits();
                 let fraction = bits & ((1 << (<$scalar>::MANTISSA_DIGITS - 1)) - 1);
                 (<$scalar>::from_bits(one | fraction), exponent)
+            }
+            #[inline(always)]
+            fn exponential(self) -> Self {
+                libm::$exp(self)
             }
             #[inline(always)]
             fn arc_tangent(self) -> Self {
@@ -371,7 +378,7 @@ implement_scalar!(
     [single_root, single_inverse_root],
     |v: Vec3| v.as_dvec3(),
     |v: DVec3| v.as_vec3(),
-    [powf, atanf, acosf, cosf, sinf, atan2f]
+    [powf, expf, atanf, acosf, cosf, sinf, atan2f]
 );
 implement_scalar!(
     f64,
@@ -380,7 +387,7 @@ implement_scalar!(
     [Float::sqrt, |x: f64| Float::sqrt(x).recip()],
     |v| v,
     |v| v,
-    [pow, atan, acos, cos, sin, atan2]
+    [pow, exp, atan, acos, cos, sin, atan2]
 );
 
 #[cfg(test)]

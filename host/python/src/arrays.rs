@@ -188,7 +188,7 @@ impl RecordColumns {
         scans.host_monotonic_ns.push(time.map_or(0, |time| time.monotonic_ns));
         scans.host_utc_ns.push(time.map_or(0, |time| time.utc_ns));
         scans.host_uncertainty_ns.push(time.map_or(0, |time| time.uncertainty_ns));
-        put_twist(&mut scans.twist, &mut scans.twist_sigma, record.twist);
+        put_twist(&mut scans.twist, &mut scans.twist_sigma, record.twist.ok());
         scans.simulated.push(record.simulated);
         put_pose(&mut scans.truth_translation_m, &mut scans.truth_rotation_xyzw, record.truth);
         if record.filtered.is_some() && !std::mem::replace(&mut self.is_filtered, true) {
@@ -214,7 +214,7 @@ impl FilteredColumns {
     fn push(&mut self, found: Option<&Filtered>) {
         put_pose(&mut self.translation_m, &mut self.rotation_xyzw, found.map(|found| found.estimate.pose));
         put_matrix(&mut self.covariance, found.map(|found| found.estimate.covariance));
-        put_twist(&mut self.twist, &mut self.twist_sigma, found.map(|found| found.twist));
+        put_twist(&mut self.twist, &mut self.twist_sigma, found.and_then(|found| found.twist.ok()));
         self.lag_s.push(found.map_or(f64::NAN, |found| found.lag_s));
     }
 }

@@ -170,7 +170,7 @@ impl Board {
             ros::encode_transform(stamp_ns, &channels.tool, &estimate.pose, message);
             channels.transforms.log(message);
         }
-        if let Some(twist) = &record.twist {
+        if let Ok(twist) = &record.twist {
             ros::encode_twist(stamp_ns, twist, message);
             channels.twist.log(message);
         }

@@ -30,7 +30,7 @@ impl PoseDatagram {
         let solution = &record.solution;
         let flags = [
             (HAS_POSE, solution.estimate.is_some()),
-            (HAS_TWIST, record.twist.is_some()),
+            (HAS_TWIST, record.twist.is_ok()),
             (HAS_HOST_TIME, record.host_time.is_some()),
             (HAS_ARRIVAL, record.arrival.is_some()),
             (IS_SIMULATED, record.simulated),
@@ -70,7 +70,7 @@ impl PoseDatagram {
         for row in 0..6 {
             writer.numbers(estimate.map(|estimate| estimate.covariance[row]));
         }
-        let twist = record.twist;
+        let twist = record.twist.ok();
         writer.numbers(twist.map(|estimate| estimate.twist.linear_m_per_s.to_array()));
         writer.numbers(twist.map(|estimate| estimate.twist.angular_rad_per_s.to_array()));
         writer.numbers::<6>(twist.map(|estimate| std::array::from_fn(|i| estimate.covariance[i][i].sqrt())));

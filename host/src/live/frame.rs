@@ -43,7 +43,7 @@ impl Optics {
         let own = json!({
             "seq": record.sequence,
             "time_s": record.device_time_s,
-            "twist": record.twist.map(|TwistEstimate { twist, .. }| {
+            "twist": record.twist.ok().map(|TwistEstimate { twist, .. }| {
                 let [v, w] = [twist.linear_m_per_s, twist.angular_rad_per_s];
                 [v.x, v.y, v.z, w.x, w.y, w.z].map(rounded)
             }),

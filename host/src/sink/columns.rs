@@ -84,7 +84,8 @@ pub(super) fn more_columns() -> Vec<Column> {
     for (prefix, from) in [("", 0), ("sigma_", 6)] {
         for (axis, name) in ["vx", "vy", "vz", "wx", "wy", "wz"].into_iter().enumerate() {
             let unit = if axis < 3 { "m_per_s" } else { "rad_per_s" };
-            columns.push(number(format!("{prefix}{name}_{unit}"), move |row| motion(row.record.twist?, from + axis)));
+            columns
+                .push(number(format!("{prefix}{name}_{unit}"), move |row| motion(row.record.twist.ok()?, from + axis)));
         }
     }
     let mut poses = |prefix: &str, get: fn(&Record) -> Option<[f64; 6]>| {

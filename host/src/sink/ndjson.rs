@@ -5,7 +5,7 @@ use std::io::Write;
 
 use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
-use slitpose_model::{Filtered, Pose, TwistEstimate};
+use slitpose_model::{Filtered, NoTwist, Pose, TwistEstimate};
 
 use super::{Accounts, Note, Sink};
 use slitpose_head::faults::ANNOUNCED;
@@ -17,7 +17,7 @@ struct Line<'a>(&'a Record);
 
 impl Serialize for Line<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let Record { solution, host_time, twist, filtered, truth, .. } = self.0;
+        let Record { solution, host_time, twist, filtered, light_level, truth, .. } = self.0;
         let mut map = serializer.serialize_map(None)?;
         map.serialize_entry("seq", &self.0.sequence)?;
         map.serialize_entry("device", &self.0.device)?;
@@ -45,9 +45,12 @@ impl Serialize for Line<'_> {
         if solution.excluded.iter().next().is_some() {
             map.serialize_entry("excluded_cells", &solution.excluded.iter().collect::<Vec<_>>())?;
         }
-        map.serialize_entry("twist", &twist.as_ref().map(Motion))?;
+        put_twist(&mut map, twist)?;
         if let Some(filtered) = filtered {
             map.serialize_entry("filtered", &FilteredPose(filtered))?;
+        }
+        if let Some(level) = light_level {
+            map.serialize_entry("light_level", level)?;
         }
         map.serialize_entry("simulated", &self.0.simulated)?;
         if let Some(truth) = truth {
@@ -60,6 +63,15 @@ impl Serialize for Line<'_> {
 fn put_pose<M: SerializeMap>(map: &mut M, pose: Option<&Pose>) -> Result<(), M::Error> {
     map.serialize_entry("translation_m", &pose.map(|pose| pose.translation_m.to_array()))?;
     map.serialize_entry("rotation_xyzw", &pose.map(|pose| pose.rotation.to_array()))
+}
+
+/// Of a frame with a pose also the reason for no twist.
+fn put_twist<M: SerializeMap>(map: &mut M, twist: &Result<TwistEstimate, NoTwist>) -> Result<(), M::Error> {
+    map.serialize_entry("twist", &twist.as_ref().ok().map(Motion))?;
+    match twist {
+        Err(reason @ (NoTwist::Start | NoTwist::Jump)) => map.serialize_entry("no_twist", reason.as_str()),
+        _ => Ok(()),
+    }
 }
 
 struct TruePose<'a>(&'a Pose);
@@ -94,7 +106,7 @@ impl Serialize for FilteredPose<'_> {
         let mut map = serializer.serialize_map(None)?;
         put_pose(&mut map, Some(&estimate.pose))?;
         map.serialize_entry("covariance", estimate.covariance.as_flattened())?;
-        map.serialize_entry("twist", &Motion(twist))?;
+        put_twist(&mut map, twist)?;
         map.serialize_entry("lag_s", lag_s)?;
         map.serialize_entry("frames", frames)?;
         map.end()

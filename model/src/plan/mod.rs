@@ -22,7 +22,7 @@ use crate::profile::CompiledProfile;
 use crate::response::{Pair, Response, Status};
 use crate::scalar::Number;
 use crate::scene::{MAX_CELLS, Scene, SceneError};
-use crate::solve::{MotionPrior, Photocurrents, Solution, Solver, Start, Tracked, Tracker};
+use crate::solve::{MotionPrior, Photocurrents, Solution, Solver, Start};
 
 #[cfg(all(feature = "lanes", target_arch = "x86_64"))]
 pub use cells::CellsInLanes;
@@ -183,12 +183,6 @@ pub trait Optics<S: Number>: Sized {
         motion: &MotionPrior,
     ) -> Solution<S> {
         solver.solve_here(readings, start, motion)
-    }
-
-    /// [`Tracker::track`].
-    #[inline(always)]
-    fn track(tracker: &mut Tracker<S, Self>, frame: u64, readings: &Photocurrents<S>) -> Tracked<S> {
-        tracker.track_here(frame, readings)
     }
 
     /// Number of cells.
@@ -355,11 +349,6 @@ impl<S: Scalar> Optics<S> for CompiledScene<S> {
     #[inline(always)]
     fn solve(solver: &Solver<S>, readings: &Photocurrents<S>, start: Start<'_>, motion: &MotionPrior) -> Solution<S> {
         S::solve(solver, readings, start, motion)
-    }
-
-    #[inline(always)]
-    fn track(tracker: &mut Tracker<S>, frame: u64, readings: &Photocurrents<S>) -> Tracked<S> {
-        S::track(tracker, frame, readings)
     }
 
     fn cell_count(&self) -> usize {

@@ -16,7 +16,7 @@ use super::outcome::Solution;
 use super::planes::PlaneCell;
 use super::readings::{Limits, Photocurrents};
 use super::solver::Solver;
-use super::tracker::{Budget, Tracker};
+use super::tracker::{Budget, PoseTracker};
 use super::weights::CellNoise;
 
 /// Relative error of the currents that is always counted with: a fiftieth of what noise does to them in a frame at 4 kHz.
@@ -175,9 +175,9 @@ impl<S: Scalar> Solver<S, CompactPlan<S>> {
 }
 
 /// The tracker of a board.
-pub type BoardTracker = Tracker<f32, CompactPlan<f32>>;
+pub type BoardTracker = PoseTracker<f32, CompactPlan<f32>>;
 
-/// See [`Tracker::neglecting_motion`]: too small by 2 % at most.
+/// See [`PoseTracker::neglecting_motion`]: too small by 2 % at most.
 const NEGLIGIBLE_MOTION: f64 = 0.15;
 
 /// At some 0.1 ms each, while the tool is looked for: a frame then takes no more than two milliseconds, and the
@@ -185,13 +185,13 @@ const NEGLIGIBLE_MOTION: f64 = 0.15;
 const BUDGET: Budget = Budget { frame: 12, saved_a_frame: 0, most_saved: 0, first: 0 };
 
 impl BoardTracker {
-    /// Without cells and frames: see [`Tracker::solver_mut`] and [`Tracker::restart`].
+    /// Without cells and frames: see [`PoseTracker::solver_mut`] and [`PoseTracker::restart`].
     #[inline(always)]
     pub fn without_cells() -> Self {
         Self::new(Solver::without_cells(), 1.0).neglecting_motion(NEGLIGIBLE_MOTION).with_budget(BUDGET)
     }
 
-    /// The solution of [`Tracker::track`], made here: generic code is compiled by its caller's profile, which is for size
+    /// The solution of frame `frame`, made here: generic code is compiled by its caller's profile, which is for size
     /// on a board.
     #[inline(never)]
     pub fn track_on_board(&mut self, frame: u64, readings: &Photocurrents<f32>) -> Solution<f32> {

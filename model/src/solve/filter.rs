@@ -1,4 +1,4 @@
-//! A pose and its motion from many frames: a polynomial filter with fading memory.
+//! Where the tool will be in the next frame: a polynomial filter with fading memory.
 //!
 //! State is a pose X, its change V per frame and half the change A of that, on the manifold of
 //! poses: the error between a measured and a predicted pose is a displacement (δt, δθ), and corrects
@@ -8,19 +8,21 @@
 //! them, so that the covariance of (X, V, A) is a 3×3 matrix of numbers times that of a single pose,
 //! and follows from the gains exactly.
 //!
-//! A parabola through many frames has little noise and cuts corners. As long as its predictions err
-//! by no more than noise explains, the memory grows up to the one asked for; when they err by more, it
-//! shrinks: the pose of a resting tool has the noise of many frames, that of a swinging one has no delay.
+//! Its memory is short, so that it follows a swinging tool and costs a board little. Velocities that are given out come
+//! from [`super::motion`].
 
-use crate::pose::{Rigid, Twist};
-use crate::scalar::{Linear3, Number, Vector3};
+use crate::pose::Rigid;
+use crate::scalar::Number;
 
 use super::algebra::Matrix6;
-use super::outcome::Estimate;
 
 /// Squared error above which more than chance is at work: the running mean of χ²₆/6 has a standard
 /// deviation of 0.06 about 1.
 const CHANCE: f64 = 1.2;
+
+/// Share θ that a frame counts of the next: long enough that the noise of the twist adds next to nothing to that of a
+/// pose, short enough for the accelerations of a fast hand.
+const THETA: f64 = 2.0 / 3.0;
 
 /// Frames from which on a parabola is fitted; before, a line.
 const PARABOLA_FROM: u32 = 4;
@@ -31,57 +33,6 @@ const WEAK: f64 = 9.0;
 
 /// Share of the newest frame in the running mean of squared errors.
 const NEWEST: f64 = 0.02;
-
-/// The same for the means that show the bends of translations and of rotations.
-const NEWEST_BEND: f64 = 0.01;
-
-/// Mean squared error of translations or rotations alone that chance explains, above 1: 2.7 of its
-/// standard deviations.
-const CHANCE_BEND: f64 = 0.16;
-
-/// Squared velocity error of a swinging tool, relative to that of a tool whose acceleration changes steadily, both
-/// with the same error of the predicted pose: 1.0 to 1.35 for hands.
-const SWING: f64 = 1.2;
-
-/// The same for the mean that an alarm is raised by, and where: three standard deviations of the mean
-/// of χ²₆/6 above 1.
-const NEWEST_ALARM: f64 = 0.2;
-const ALARM: f64 = 1.6;
-
-/// How much an alarm shortens the memory, and a frame without one prolongs it.
-const SHRINK: f64 = 0.7;
-const GROW: f64 = 1.03;
-
-/// Shortest memory, frames: three and a half of them count.
-const MIN: f64 = 2.0;
-
-/// Frames of lag per frame of memory: of a step too small to raise the alarm half has come through.
-const LAG_PER_MEMORY: f64 = 0.2;
-
-/// Velocity of the tool with its covariance.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TwistEstimate<S = f64> {
-    /// In the base frame.
-    pub twist: Twist,
-    /// Of (linear, angular): m²/s², m·rad/s², rad²/s².
-    pub covariance: Matrix6<S>,
-}
-
-/// A filtered pose: from the frame and those before.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Filtered<S = f64> {
-    /// At the reference instant of the newest frame. Its covariance grows with the distance of the poses
-    /// from the parabola.
-    pub estimate: Estimate<S>,
-    /// At the same instant.
-    pub twist: TwistEstimate<S>,
-    /// Time after which half of a sudden step of the pose that is smaller than the noise has come
-    /// through: a fifth of the present memory. Steady motion and steady acceleration
-    /// come through without delay.
-    pub lag_s: S,
-    /// Frames since the memory began.
-    pub frames: u32,
-}
 
 /// Six numbers: displacements, or their rates.
 #[derive(Clone, Copy, Debug, Default)]
@@ -126,7 +77,8 @@ impl<S: Number> Gains<S> {
     }
 
     /// Least squares over all frames, each counting θ of the next.
-    fn fading(theta: S) -> Self {
+    fn fading() -> Self {
+        let theta = S::of(THETA);
         let fresh = S::one() - theta;
         let square = fresh * fresh;
         Self([S::one() - theta * theta * theta, S::of(1.5) * square * (S::one() + theta), S::half() * square * fresh])
@@ -141,7 +93,6 @@ fn count<S: Number>(frames: u32) -> S {
 #[derive(Clone, Debug)]
 pub struct FadingFilter<S: Number> {
     period_s: S,
-    longest: S,
     state: Option<State<S>>,
 }
 
@@ -153,16 +104,10 @@ struct State<S: Number> {
     /// Covariance of (X, V, A) in units of a single pose's.
     spread: [[S; 3]; 3],
     frames: u32,
-    /// Frames of memory: θ = memory/(1 + memory).
-    memory: S,
     /// Variances of the last pose's translation and rotation, mean of the axes.
     variances: [S; 2],
     /// Running mean of the squared prediction error, 1 if noise explains it.
     strain: S,
-    /// The same of translations and of rotations alone: bends of the one are not those of the other.
-    strains: [S; 2],
-    /// The same over few frames.
-    alarm: S,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -179,10 +124,9 @@ pub struct Prediction<S: Number> {
 }
 
 impl<S: Number> FadingFilter<S> {
-    /// For frames `period_s` apart. With a memory of `memory_s` a frame counts m/(1 + m) of the next,
-    /// m = `memory_s`/`period_s`.
-    pub fn new(period_s: f64, memory_s: f64) -> Self {
-        Self { period_s: S::of(period_s), longest: S::of((memory_s / period_s).max(MIN)), state: None }
+    /// For frames `period_s` apart.
+    pub fn new(period_s: f64) -> Self {
+        Self { period_s: S::of(period_s), state: None }
     }
 
     pub fn forget(&mut self) {
@@ -238,11 +182,8 @@ impl<S: Number> FadingFilter<S> {
                 bend: Displacement::default(),
                 spread: [[one, zero, zero], [zero; 3], [zero; 3]],
                 frames: 1,
-                memory: self.longest,
                 variances,
                 strain: one,
-                strains: [one; 2],
-                alarm: one,
             });
             return;
         };
@@ -253,20 +194,10 @@ impl<S: Number> FadingFilter<S> {
         if next.frames > PARABOLA_FROM {
             let per_axis = (one + next.spread[0][0]).recip();
             let squared = squared_sigmas([translation, rotation]) * (S::of(1.0 / 6.0) * per_axis);
-            let toward = |mean: S, share: f64, squared: S| mean + S::of(share) * (squared - mean);
-            next.strain = toward(next.strain, NEWEST, squared);
-            next.alarm = toward(next.alarm, NEWEST_ALARM, squared);
-            for (group, error) in [translation, rotation].into_iter().enumerate() {
-                let error = [error.x(), error.y(), error.z()];
-                let of_axis = |i: usize| error[i] * error[i] / covariance[3 * group + i][3 * group + i];
-                let squared = (of_axis(0) + of_axis(1) + of_axis(2)) * (S::of(1.0 / 3.0) * per_axis);
-                next.strains[group] = toward(next.strains[group], NEWEST_BEND, squared);
-            }
-            let factor = if next.alarm > S::of(ALARM) { SHRINK } else { GROW };
-            next.memory = (next.memory * S::of(factor)).max(S::of(MIN)).min(self.longest);
+            next.strain += S::of(NEWEST) * (squared - next.strain);
         }
         let expanding = Gains::<S>::expanding(next.frames);
-        let fading = Gains::fading(next.theta());
+        let fading = Gains::fading();
         let Gains(gains) = if expanding.0[0] > fading.0[0] { expanding } else { fading };
         next.pose = next.pose.perturbed(translation * gains[0], rotation * gains[0]);
         next.step = next.step.plus(gains[1], error);
@@ -275,34 +206,6 @@ impl<S: Number> FadingFilter<S> {
         next.frames = next.frames.saturating_add(1);
         *state = next;
     }
-
-    /// The state, where the covariance of a single pose is `covariance`.
-    pub fn state(&self, covariance: &Matrix6<S>) -> Option<Filtered<S>> {
-        let state = self.state.as_ref()?;
-        // What bends add is no noise: it is not correlated as that is.
-        let scaled = |noise: S, bends: [S; 2]| {
-            let mut scaled = covariance.map(|row| row.map(|value| value * noise));
-            for (i, row) in scaled.iter_mut().enumerate() {
-                row[i] += covariance[i][i] * bends[i / 3];
-            }
-            scaled
-        };
-        let bends = state.bends();
-        let per_second2 = (self.period_s * self.period_s).recip();
-        // Of one frame's velocity nothing is known.
-        (state.frames >= 2).then(|| Filtered {
-            estimate: Estimate {
-                pose: state.pose.to_pose(),
-                covariance: scaled(state.spread[0][0], bends.map(|[pose, _]| pose)),
-            },
-            twist: TwistEstimate {
-                twist: twist::<S>(state.step.rates(self.period_s)),
-                covariance: scaled(state.spread[1][1] * per_second2, bends.map(|[_, step]| step * per_second2)),
-            },
-            lag_s: S::of(LAG_PER_MEMORY) * state.memory * self.period_s,
-            frames: state.frames,
-        })
-    }
 }
 
 /// Of translation and rotation, mean of the axes.
@@ -310,35 +213,13 @@ fn mean_variances<S: Number>(covariance: &Matrix6<S>) -> [S; 2] {
     [0, 3].map(|i| (covariance[i][i] + covariance[i + 1][i + 1] + covariance[i + 2][i + 2]) * S::of(1.0 / 3.0))
 }
 
-fn twist<S: Number>([linear, angular]: [S::Vec3; 2]) -> Twist {
-    Twist { linear_m_per_s: linear.as_dvec3(), angular_rad_per_s: angular.as_dvec3() }
-}
-
 impl<S: Number> State<S> {
-    fn theta(&self) -> S {
-        self.memory / (S::one() + self.memory)
-    }
-
     /// Mean square of what noise does not explain in the predicted step: motion that bends more than a
     /// parabola.
     fn bent(&self) -> S {
         let excess = if self.strain > S::of(CHANCE) { self.strain - S::one() } else { S::zero() };
-        let astray = astray(self.theta());
+        let astray = astray::<S>();
         astray * astray * excess * (S::one() + self.spread[0][0])
-    }
-
-    /// The same of translations and of rotations, in the pose and in the step, both corrected by the
-    /// newest frame, which has seen its bend.
-    fn bends(&self) -> [[S; 2]; 2] {
-        let theta = self.theta();
-        let Gains([of_pose, of_step, _]) = Gains::<S>::fading(theta);
-        let (left, astray) = (S::one() - of_pose, astray(theta) - of_step);
-        // With a short memory chance adds a tenth to what noise does; with a long one it would be most.
-        let chance = S::of(CHANCE_BEND) * (S::one() - S::of(MIN) / self.memory);
-        self.strains.map(|strain| {
-            let square = (strain - S::one() - chance).max(S::zero()) * (S::one() + self.spread[0][0]);
-            [left * left * square, S::of(SWING) * astray * astray * square]
-        })
     }
 
     /// One frame later.
@@ -369,8 +250,8 @@ fn corrected<S: Number>(p: &[[S; 3]; 3], gains: &[S; 3]) -> [[S; 3]; 3] {
 
 /// What a steady change of acceleration, x = t³/6, does to the predicted step, per what it does to
 /// the predicted pose, which lags by 1/(1 − θ)³.
-fn astray<S: Number>(theta: S) -> S {
-    let fresh = S::one() - theta;
+fn astray<S: Number>() -> S {
+    let fresh = S::one() - S::of(THETA);
     fresh * (S::of(3.0) + fresh * (S::of(-1.5) + fresh * S::of(1.0 / 3.0)))
 }
 
@@ -394,8 +275,8 @@ mod tests {
 
     /// Frames of a polynomial motion, through a filter.
     /// None of them is off by more than noise explains.
-    fn run(memory_s: f64, frames: u32, pose: impl Fn(f64) -> Pose) -> FadingFilter<f64> {
-        let mut filter = FadingFilter::new(PERIOD, memory_s);
+    fn run(frames: u32, pose: impl Fn(f64) -> Pose) -> FadingFilter<f64> {
+        let mut filter = FadingFilter::new(PERIOD);
         for frame in 0..frames {
             filter.update(&Rigid::of(&pose(f64::from(frame) * PERIOD)), &UNIT, |_| 6.0);
         }
@@ -403,82 +284,36 @@ mod tests {
     }
 
     #[test]
-    fn steady_acceleration_comes_through_without_delay() {
+    fn steady_acceleration_is_predicted() {
         let (velocity, acceleration) = (DVec3::new(0.3, -0.2, 0.1), DVec3::new(20.0, 0.0, -40.0));
         let at = |t: f64| Pose::from_vectors(velocity * t + acceleration * (0.5 * t * t), DVec3::ZERO);
-        let state = run(2e-3, 400, at).state(&[[0.0; 6]; 6]).expect("many frames");
-        let end = 399.0 * PERIOD;
-        assert!((state.estimate.pose.translation_m - at(end).translation_m).length() < 1e-12);
-        let expected = velocity + acceleration * end;
-        assert!((state.twist.twist.linear_m_per_s - expected).length() < 1e-9);
+        let predicted = run(400, at).predict().expect("many frames");
+        let next_s = 400.0 * PERIOD;
+        assert!((predicted.pose.to_pose().translation_m - at(next_s).translation_m).length() < 1e-12);
+        assert!((predicted.twist[0] - (velocity + acceleration * next_s)).length() < 1e-9);
     }
 
     #[test]
     fn a_steady_jerk_leads_pose_and_step_astray_as_told() {
-        for memory_s in [0.75e-3, 5e-3] {
-            // The filter forgets its start; t³/6 in units of frames stays small enough for its digits.
-            let at = |frame: f64| Pose::from_vectors(DVec3::X * (frame * frame * frame / 6.0), DVec3::ZERO);
-            let filter = run(memory_s, 600, |t| at(t / PERIOD - 400.0));
-            let predicted = filter.predict().expect("started");
-            let pose = at(200.0).translation_m.x - predicted.pose.to_pose().translation_m.x;
-            let step = 0.5 * 200.0 * 200.0 - predicted.twist[0].x * PERIOD;
-            let theta = filter.state.expect("started").theta();
-            assert!((pose * (1.0 - theta).powi(3) - 1.0).abs() < 1e-6, "{pose}");
-            assert!((step / pose - astray(theta)).abs() < 1e-6, "{step} {pose}");
-        }
+        // The filter forgets its start; t³/6 in units of frames stays small enough for its digits.
+        let at = |frame: f64| Pose::from_vectors(DVec3::X * (frame * frame * frame / 6.0), DVec3::ZERO);
+        let predicted = run(600, |t| at(t / PERIOD - 400.0)).predict().expect("started");
+        let pose = at(200.0).translation_m.x - predicted.pose.to_pose().translation_m.x;
+        let step = 0.5 * 200.0 * 200.0 - predicted.twist[0].x * PERIOD;
+        assert!((pose * (1.0 - THETA).powi(3) - 1.0).abs() < 1e-6, "{pose}");
+        assert!((step / pose - astray::<f64>()).abs() < 1e-6, "{step} {pose}");
     }
 
     #[test]
     fn gains_start_as_least_squares_and_end_fading() {
         // A parabola through five points of which the last is one off: the textbook's weights.
-        let mut filter = FadingFilter::<f64>::new(PERIOD, 1.0);
-        for frame in 0..=PARABOLA_FROM {
-            let x = if frame == PARABOLA_FROM { 35.0 } else { 0.0 };
-            filter.update(&Rigid::of(&Pose::from_vectors(DVec3::new(x, 0.0, 0.0), DVec3::ZERO)), &UNIT, |_| 6.0);
-        }
-        let x = filter.state.expect("started").pose.to_pose().translation_m.x;
-        assert!((x - 31.0).abs() < 1e-12, "{x}");
-        let predicted = run(2e-3, 3000, |_| Pose::HOME).state.expect("started").advanced();
-        let theta = predicted.theta();
+        let gains = Gains::<f64>::expanding(PARABOLA_FROM).0;
+        assert!((gains[0] - 31.0 / 35.0).abs() < 1e-12, "{gains:?}");
+        let predicted = run(3000, |_| Pose::HOME).predict().expect("started");
         // Morrison 1969, table of the fading-memory parabola: variance of the position one frame ahead.
-        let expected = (1.0 - theta)
-            * (19.0 + 24.0 * theta + 16.0 * theta.powi(2) + 6.0 * theta.powi(3) + theta.powi(4))
-            / (1.0 + theta).powi(5);
-        assert!((predicted.spread[0][0] / expected - 1.0).abs() < 1e-9, "{} {expected}", predicted.spread[0][0]);
-    }
-
-    #[test]
-    fn a_sudden_bend_shortens_the_memory_within_a_few_frames_and_the_lag_told_with_it() {
-        let mut filter = run(0.1, 5_000, |_| Pose::HOME);
-        let lag_s = |filter: &FadingFilter<f64>| filter.state(&UNIT).expect("many frames").lag_s;
-        assert!((lag_s(&filter) / (0.2 * 0.1) - 1.0).abs() < 1e-9);
-        // Predictions err by twice what noise explains. The mean over 50 frames would need 12 to notice.
-        (0..12).for_each(|_| filter.update(&Rigid::of(&Pose::HOME), &UNIT, |_| 4.0 * 12.0));
-        let memory = filter.state.expect("started").memory * PERIOD;
-        assert!(memory < 0.1 * 0.05, "{memory}");
-        // The step of which half has come through, as long as the memory is what it is now.
-        let (told, there) = (lag_s(&filter), Pose::from_vectors(DVec3::X * 1e-6, DVec3::ZERO));
-        let mut frames = 0.0;
-        while filter.state.expect("started").pose.to_pose().translation_m.x < 0.5e-6 {
-            filter.update(&Rigid::of(&there), &UNIT, |_| 6.0);
-            frames += 1.0;
-        }
-        assert!((frames * PERIOD - told).abs() < 1.5 * PERIOD + 0.2 * told, "{frames} frames, {told}");
-    }
-
-    #[test]
-    fn lag_is_what_a_small_step_shows() {
-        for memory_s in [5e-3, 50e-3, 500e-3] {
-            let mut filter = run(memory_s, 30_000, |_| Pose::HOME);
-            let mut frames = 0.0;
-            let there = Pose::from_vectors(DVec3::X * 1e-6, DVec3::ZERO);
-            while filter.state.expect("started").pose.to_pose().translation_m.x < 0.5e-6 {
-                filter.update(&Rigid::of(&there), &UNIT, |_| 6.0);
-                frames += 1.0;
-            }
-            let told = filter.state(&[[0.0; 6]; 6]).expect("many frames").lag_s;
-            // Counted in whole frames, from the step's first one on.
-            assert!((frames * PERIOD - told).abs() < 1.5 * PERIOD + 0.1 * told, "{memory_s}: {frames} frames, {told}");
-        }
+        let expected = (1.0 - THETA)
+            * (19.0 + 24.0 * THETA + 16.0 * THETA.powi(2) + 6.0 * THETA.powi(3) + THETA.powi(4))
+            / (1.0 + THETA).powi(5);
+        assert!((predicted.pose_variance / expected - 1.0).abs() < 1e-9, "{} {expected}", predicted.pose_variance);
     }
 }

@@ -14,6 +14,7 @@
 //! | nothing known | [`cold_start`] | all of the above, from many starts |
 //! | pose expected | [`warm_start`] | the same from one start |
 //! | frame after frame | [`tracker`], [`filter`] | prediction by a fading-memory polynomial |
+//! | velocity, smoothed pose | [`tracked`], [`motion`] | several Kalman filters, weighted by how well they predict |
 //!
 //! [`solver`] is the interface, [`compiled`] a scene made ready, [`outcome`] the answer, [`algebra`] the 6 × 6 linear
 //! algebra.
@@ -30,6 +31,7 @@ mod images;
 mod kink;
 mod level;
 mod levenberg_marquardt;
+mod motion;
 mod normal_equations;
 mod outcome;
 mod outlier;
@@ -37,6 +39,7 @@ mod planes;
 mod readings;
 mod solver;
 mod step;
+mod tracked;
 mod tracker;
 mod twist;
 mod warm_start;
@@ -44,8 +47,9 @@ mod weights;
 
 pub use compact::{BoardTracker, CompactError, CompactFrame, CompactPart};
 pub use compiled::{MIN_CELLS, MotionPrior};
-pub use filter::{Filtered, TwistEstimate};
+pub use motion::{Filtered, NoTwist, TwistEstimate};
 pub use outcome::{AXES, Cells, DegradedReason, Directions, Estimate, Outcome, Solution, Verified};
 pub use readings::{Photocurrents, Reading};
 pub use solver::{Solver, Start};
-pub use tracker::{Tracked, Tracker};
+pub use tracked::{Tracked, Tracker};
+pub use tracker::PoseTracker;

@@ -328,8 +328,7 @@ impl<S: Number> Solution<S> {
     /// translations counted in units of the emitters' root-mean-square distance from the tool's
     /// origin, so that metres and radians compare. `None` without solution.
     pub fn condition(&self) -> Option<S> {
-        let [least, largest] = self.factor.as_ref()?.extreme_singular_values();
-        Some(largest / least)
+        self.factor.as_ref().map(Factor::condition)
     }
 }
 

@@ -23,16 +23,12 @@ use crate::scalar::{Linear3, Number};
 
 use super::cold_start::{COLD_WORK, Search};
 use super::compiled::{Bend, Prior};
-use super::filter::{FadingFilter, Filtered, Prediction, TwistEstimate};
+use super::filter::{FadingFilter, Prediction};
 use super::normal_equations::Workspace;
 use super::outcome::{Cells, DegradedReason, Estimate, Outcome, Solution};
 use super::outlier::LeftOut;
 use super::readings::{Photocurrents, Sorted};
 use super::solver::Solver;
-
-/// Memory of the polynomial that predicts exposures, in frames: long enough that the noise of the twist
-/// adds next to nothing to that of a pose, short enough for the accelerations of a fast hand.
-const MEMORY_FRAMES: f64 = 2.0;
 
 /// Frames without a pose over which the motion is extrapolated.
 const MAX_EXTRAPOLATED_FRAMES: u32 = 8;
@@ -72,20 +68,9 @@ const BETTER: f64 = 0.5;
 /// Frames over which the light level is averaged for frames that do not tell it.
 const LEVEL_MEMORY: f64 = 64.0;
 
-/// The result of one frame.
-#[derive(Clone, Copy, Debug)]
-pub struct Tracked<S: Number = f64> {
-    /// From this frame alone, but for the twist.
-    pub solution: Solution<S>,
-    /// Velocity at the reference instant, from this frame and a few before.
-    pub twist: Option<TwistEstimate<S>>,
-    /// From many frames, if asked for.
-    pub filtered: Option<Filtered<S>>,
-}
-
-/// Solves consecutive frames.
+/// Finds the poses of consecutive frames.
 #[derive(Clone, Debug)]
-pub struct Tracker<S: Number, P = CompiledScene<S>> {
+pub struct PoseTracker<S: Number, P = CompiledScene<S>> {
     solver: Solver<S, P>,
     period_s: f64,
     frame_rate_hz: S,
@@ -93,7 +78,6 @@ pub struct Tracker<S: Number, P = CompiledScene<S>> {
     negligible: S,
     budget: Budget,
     motion: FadingFilter<S>,
-    filter: Option<FadingFilter<S>>,
     next_frame: u64,
     /// Twist before the tool was lost: the tool may still be as fast.
     last_twist: [S::Vec3; 2],
@@ -113,7 +97,7 @@ pub struct Tracker<S: Number, P = CompiledScene<S>> {
     lost: Lost<S>,
 }
 
-impl<S: Number, P: Optics<S>> Tracker<S, P> {
+impl<S: Number, P: Optics<S>> PoseTracker<S, P> {
     /// For frames `period_s` seconds apart.
     pub fn new(solver: Solver<S, P>, period_s: f64) -> Self {
         Self {
@@ -122,8 +106,7 @@ impl<S: Number, P: Optics<S>> Tracker<S, P> {
             frame_rate_hz: S::of(period_s.recip()),
             negligible: S::zero(),
             budget: Budget::HOST,
-            motion: FadingFilter::new(period_s, MEMORY_FRAMES * period_s),
-            filter: None,
+            motion: FadingFilter::new(period_s),
             next_frame: 0,
             last_twist: [S::Vec3::default(); 2],
             cells: Cells::default(),
@@ -138,17 +121,26 @@ impl<S: Number, P: Optics<S>> Tracker<S, P> {
         }
     }
 
+    /// How bright all light was in the last 64 frames or so that told it, relative to the scene; `None` where it is taken for
+    /// known.
+    pub(crate) fn light_level(&self) -> Option<S> {
+        self.solver.compiled.level_information.map(|_| self.light_level)
+    }
+
+    pub(crate) fn solver(&self) -> &Solver<S, P> {
+        &self.solver
+    }
+
     /// The solver, to be changed: [`Self::restart`] then.
     pub fn solver_mut(&mut self) -> &mut Solver<S, P> {
         &mut self.solver
     }
 
-    /// Begins anew, for frames `period_s` seconds apart, without a filter.
+    /// Begins anew, for frames `period_s` seconds apart.
     pub fn restart(&mut self, period_s: f64) {
         self.period_s = period_s;
         self.frame_rate_hz = S::of(period_s.recip());
-        self.motion = FadingFilter::new(period_s, MEMORY_FRAMES * period_s);
-        self.filter = None;
+        self.motion = FadingFilter::new(period_s);
         self.next_frame = 0;
         self.last_twist = [S::Vec3::default(); 2];
         self.cells = Cells::default();
@@ -182,31 +174,6 @@ impl<S: Number, P: Optics<S>> Tracker<S, P> {
         self
     }
 
-    /// Also gives a filtered pose, with a memory of `memory_s` seconds: see [`Filtered`].
-    #[must_use]
-    pub fn with_filter(mut self, memory_s: f64) -> Self {
-        self.filter = Some(FadingFilter::new(self.period_s, memory_s));
-        self
-    }
-
-    /// The pose of frame `frame`. Frames are numbered without gaps by the device; across a longer
-    /// gap in the numbers the tracker forgets how the tool moved.
-    pub fn track(&mut self, frame: u64, readings: &Photocurrents<S>) -> Tracked<S> {
-        P::track(self, frame, readings)
-    }
-
-    #[inline(always)]
-    pub(crate) fn track_here(&mut self, frame: u64, readings: &Photocurrents<S>) -> Tracked<S> {
-        let mut solution = self.advance(frame, readings);
-        let Some(Estimate { covariance, .. }) = &solution.estimate else {
-            return Tracked { solution, twist: None, filtered: None };
-        };
-        let twist = self.motion.state(covariance).map(|state| state.twist);
-        let filtered = self.filter.as_ref().and_then(|filter| filter.state(covariance));
-        solution.inflate_covariance();
-        Tracked { solution, twist, filtered }
-    }
-
     /// The solution of frame `frame`, which has not owned up yet.
     #[inline(always)]
     pub(crate) fn advance(&mut self, frame: u64, readings: &Photocurrents<S>) -> Solution<S> {
@@ -237,9 +204,6 @@ impl<S: Number, P: Optics<S>> Tracker<S, P> {
             let solver = &self.solver;
             let squared_sigmas = |displacement| solver.compiled.squared_sigmas(&solution, displacement);
             self.motion.update(&pose, covariance, squared_sigmas);
-            if let Some(filter) = &mut self.filter {
-                filter.update(&pose, covariance, squared_sigmas);
-            }
             (self.cells, self.weak) = (solution.cells_used, 0);
         }
         self.extrapolated_frames = 0;
@@ -265,9 +229,6 @@ impl<S: Number, P: Optics<S>> Tracker<S, P> {
     #[inline(never)]
     fn forget(&mut self) {
         self.motion.forget();
-        if let Some(filter) = &mut self.filter {
-            filter.forget();
-        }
         self.extrapolated_frames = 0;
     }
 
@@ -279,9 +240,6 @@ impl<S: Number, P: Optics<S>> Tracker<S, P> {
             return self.forget();
         }
         self.motion.extrapolate();
-        if let Some(filter) = &mut self.filter {
-            filter.extrapolate();
-        }
     }
 
     fn solve(&mut self, readings: &Photocurrents<S>) -> Solution<S> {
@@ -503,7 +461,7 @@ impl<S: Number> Lost<S> {
     }
 }
 
-impl<S: Number, P: Optics<S>> Tracker<S, P> {
+impl<S: Number, P: Optics<S>> PoseTracker<S, P> {
     /// Looks for the tool everywhere, a piece of the search a frame.
     pub(crate) fn find(&mut self, sorted: &Sorted<S>, motion: &Prior<S>, workspace: &mut Workspace<S>) -> Solution<S> {
         let lost = &mut self.lost;

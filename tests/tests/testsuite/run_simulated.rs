@@ -191,7 +191,7 @@ fn twist_and_filtered_pose_come_with_their_worth() {
     let numbers = |value: &Value| -> Vec<f64> {
         value.as_array().map(|array| array.iter().filter_map(Value::as_f64).collect()).unwrap_or_default()
     };
-    let (mut squares, mut counted, mut well) = (0.0, 0.0, 0);
+    let (mut squares, mut counted, mut well, mut withheld) = (0.0, 0.0, 0, 0);
     for (index, pair) in objects.windows(3).enumerate().skip(20) {
         let [before, now, after] = pair else { unreachable!("windows of three") };
         assert!(["well", "weakly", "not"].contains(&now["verified"].as_str().unwrap_or("")), "scan {index}: {now}");
@@ -199,27 +199,33 @@ fn twist_and_filtered_pose_come_with_their_worth() {
         assert!(now.get("excluded_cells").is_none() && now.get("reason").is_none(), "scan {index}");
         // The tool's velocity by the truths before and after.
         let [a, b] = [before, after].map(|object| numbers(&object["truth"]["translation_m"]));
-        let (velocity, sigma) = (numbers(&now["twist"]["linear_m_per_s"]), numbers(&now["twist"]["sigma"]));
-        assert_eq!((velocity.len(), numbers(&now["twist"]["angular_rad_per_s"]).len(), sigma.len()), (3, 3, 6));
-        for axis in 0..3 {
-            let error = velocity[axis] - (b[axis] - a[axis]) / 500e-6;
-            squares += (error / sigma[axis]).powi(2);
-            counted += 1.0;
+        if now["twist"].is_null() {
+            // While the filters learn how the tool moves.
+            assert!(now["no_twist"] == "jump", "scan {index}: {now}");
+            withheld += 1;
+        } else {
+            let (velocity, sigma) = (numbers(&now["twist"]["linear_m_per_s"]), numbers(&now["twist"]["sigma"]));
+            assert_eq!((velocity.len(), numbers(&now["twist"]["angular_rad_per_s"]).len(), sigma.len()), (3, 3, 6));
+            for axis in 0..3 {
+                let error = velocity[axis] - (b[axis] - a[axis]) / 500e-6;
+                squares += (error / sigma[axis]).powi(2);
+                counted += 1.0;
+            }
         }
         let filtered = &now["filtered"];
         assert_eq!((numbers(&filtered["covariance"]).len(), numbers(&filtered["rotation_xyzw"]).len()), (36, 4));
         let lag_s = filtered["lag_s"].as_f64().expect("lag");
-        // A fifth of the memory: of two frames at least, of 5 ms at most.
-        assert!((0.9e-4..1.01e-3).contains(&lag_s), "{lag_s}");
+        // Of 5 ms at most, some 20 frames.
+        assert!((0.0..1e-3).contains(&lag_s), "{lag_s}");
         let variance = |object: &Value| numbers(&object["covariance"])[0];
-        assert!(variance(filtered) < variance(now), "scan {index}");
+        assert!(variance(filtered) < 1.01 * variance(now), "scan {index}");
     }
     // Nearly half of the poses of this head, as its geometry has it.
     assert!((700..1200).contains(&well), "{well} of 1978 well verified");
     let mean = squares / counted;
     println!("squared error of the velocity in units of its variance: {mean:.2}");
-    // 1 if honest; bends that chance hides add their part.
-    assert!((0.6..2.5).contains(&mean));
+    assert!((0.5..1.3).contains(&mean));
+    assert!(withheld < 60, "{withheld} scans without velocity");
 }
 
 /// The default scene with every effect at the size of a real head.

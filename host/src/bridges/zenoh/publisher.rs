@@ -225,7 +225,7 @@ impl BoardTopics {
             ros::encode_transform(stamp_ns, &self.tool, &estimate.pose, message);
             transforms.put(message);
         }
-        if let Some(twist) = &record.twist {
+        if let Ok(twist) = &record.twist {
             ros::encode_twist(stamp_ns, twist, message);
             self.twist.put(message);
         }

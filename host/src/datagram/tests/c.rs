@@ -9,6 +9,7 @@ use tempfile::TempDir;
 
 use super::{Bench, DEVICE, OTHER, PATIENCE, record};
 use crate::datagram::{PoseDatagram, Publisher};
+use slitpose_model::NoTwist;
 use slitpose_tracking::clock::{HostInstant, HostTime};
 use slitpose_tracking::pipeline::Record;
 
@@ -78,7 +79,8 @@ fn c_reads_what_is_written() {
     let sigma: Vec<f64> = (0..6).map(|i| twist.covariance[i][i].sqrt()).collect();
     assert_eq!(numbers(lines[7]), sigma);
 
-    let mut nothing = Record { twist: None, host_time: None, arrival: None, simulated: false, ..record };
+    let mut nothing =
+        Record { twist: Err(NoTwist::NoPose), host_time: None, arrival: None, simulated: false, ..record };
     nothing.solution.estimate = None;
     nothing.solution.outcome = slitpose_model::Outcome::TooDark;
     let text = read(&PoseDatagram::new(&nothing, 1, now));

@@ -25,7 +25,7 @@ const PATIENCE: Duration = Duration::from_secs(60);
 
 fn record() -> Record {
     let (record, _) = samples::poses(40).pop().unwrap();
-    assert!(record.solution.estimate.is_some() && record.twist.is_some());
+    assert!(record.solution.estimate.is_some() && record.twist.is_ok());
     let host_time = HostTime { monotonic_ns: 123_456_789_000, utc_ns: 1_700_000_000_987_654_321, uncertainty_ns: 345 };
     let arrival = HostInstant { monotonic_ns: 123_456_999_000, utc_ns: 0 };
     Record { host_time: Some(host_time), arrival: Some(arrival), ..record }

@@ -7,7 +7,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use glam::DVec3;
-use slitpose_model::{DegradedReason, Outcome};
+use slitpose_model::{DegradedReason, NoTwist, Outcome};
 use tempfile::TempDir;
 
 use super::c::{compile, compile_own, host};
@@ -81,7 +81,7 @@ fn useless(now_ns: u64) -> Vec<(&'static str, Step)> {
         ("nothing came", (now_ns, None)),
         ("no pose", with(&|record| record.solution.estimate = None)),
         ("degraded", with(&|record| record.solution.outcome = Outcome::Degraded(DegradedReason::FewerCells))),
-        ("no twist", with(&|record| record.twist = None)),
+        ("no twist", with(&|record| record.twist = Err(NoTwist::Jump))),
         ("behind", (now_ns, behind)),
         ("of unknown age", with(&|record| record.host_time = None)),
         ("too old", step(now_ns, &pose(1.4e-3, 0.0, now_ns - OLDEST_NS))),
@@ -277,7 +277,7 @@ fn useless_poses_give_no_force_and_a_daemon_that_ends_is_reported() {
         match number % 5 {
             0 => record.solution.outcome = Outcome::Degraded(DegradedReason::Misfit),
             1 => record.solution.estimate = None,
-            2 => record.twist = None,
+            2 => record.twist = Err(NoTwist::Jump),
             3 => record.host_time = None,
             _ => record.host_time = pose(x_m, 0.2, now_ns - 30_000_000_000).host_time,
         }

@@ -204,7 +204,7 @@ impl<M: Medium> CaptureFile<M> {
             ros::encode_transform(stamp_ns, &child, &estimate.pose, &mut self.message);
             self.write(self.transforms, sequence, log_ns, publish_ns)?;
         }
-        if let Some(twist) = &record.twist {
+        if let Ok(twist) = &record.twist {
             ros::encode_twist(stamp_ns, twist, &mut self.message);
             self.write(channels.twist, sequence, log_ns, publish_ns)?;
         }

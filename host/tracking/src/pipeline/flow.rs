@@ -323,7 +323,7 @@ pub(super) fn session_of<'a>(
     earlier.iter_mut().chain(current).map(|session| &mut **session).find(|session| session.number == number)
 }
 
-fn record(session: &Session, scan: &Scan, Tracked { solution, twist, filtered }: Tracked) -> Record {
+fn record(session: &Session, scan: &Scan, Tracked { solution, twist, filtered, light_level }: Tracked) -> Record {
     Record {
         device: session.device,
         sequence: scan.sequence,
@@ -333,6 +333,7 @@ fn record(session: &Session, scan: &Scan, Tracked { solution, twist, filtered }:
         solution,
         twist,
         filtered,
+        light_level,
         simulated: session.kind == BoardKind::Simulated,
         truth: scan.truth,
     }

@@ -2,7 +2,7 @@
 //! on the poses.
 
 use slitpose_head::foreign::printable;
-use slitpose_model::{DegradedReason, Filtered, Outcome, Pose, SceneError, Solution, TwistEstimate};
+use slitpose_model::{DegradedReason, Filtered, NoTwist, Outcome, Pose, SceneError, Solution, TwistEstimate};
 use slitpose_protocol::schema::SchemaMismatch;
 use slitpose_protocol::{Hello, ScalingError, ScheduleError, Severity, Status};
 use thiserror::Error;
@@ -26,10 +26,12 @@ pub struct Record {
     pub arrival: Option<HostInstant>,
     /// The solution from this scan alone.
     pub solution: Solution,
-    /// Velocity at that instant, from this scan and a few before.
-    pub twist: Option<TwistEstimate>,
+    /// Velocity at that instant, from this scan and those before.
+    pub twist: Result<TwistEstimate, NoTwist>,
     /// Pose and velocity filtered over many scans, if requested.
     pub filtered: Option<Filtered>,
+    /// How bright all light is, relative to the scene or the calibration; `None` where it is taken for known.
+    pub light_level: Option<f64>,
     /// Whether the photocurrents were computed, not measured.
     pub simulated: bool,
     /// The true pose at that instant, from simulated boards only.

@@ -1,7 +1,7 @@
 //! One board under one configuration: from a scan to a solution.
 
 use slitpose_calibration::{Basis, Head};
-use slitpose_model::{Photocurrents, Solver, Tier, Tracked, Tracker};
+use slitpose_model::{NoTwist, Photocurrents, Solver, Tier, Tracked, Tracker};
 use slitpose_protocol::poses::{Poses, TRIANGLE};
 use slitpose_protocol::{AdcScaling, BoardKind, Hello, PoseStatus, RawScan, Schedule};
 
@@ -197,7 +197,7 @@ impl Session {
 
     /// A pose that the board has found.
     fn completed(&self, pose: &BoardPose) -> Tracked {
-        let mut tracked = Tracked { solution: pose.solution(), twist: None, filtered: None };
+        let mut tracked = Tracked { solution: pose.solution(), twist: Err(NoTwist::NoPose), filtered: None, light_level: None };
         self.head.complete_tracked(&mut tracked);
         tracked
     }
@@ -223,7 +223,7 @@ impl Session {
 
     /// Takes away a pose that cannot be right, and says why.
     pub(super) fn refuse(&mut self, pose: &mut BoardPose) -> Option<PoseFault> {
-        let fault = pose.fault(self.tracker.solver_mut().plan())?;
+        let fault = pose.fault(self.tracker.solver().plan())?;
         pose.record.status = PoseStatus::Diverged;
         Some(fault)
     }

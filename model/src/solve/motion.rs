@@ -1,0 +1,434 @@
+//! How the tool moves: its velocity, and its pose smoothed over frames.
+//!
+//! Each coordinate of the pose is followed by several Kalman filters of position, velocity and acceleration. They differ
+//! in the white noise of the jerk that they reckon with (Bar-Shalom, Li and Kirubarajan, Estimation with Applications to
+//! Tracking and Navigation, 2001, section 6.2.3): the one with the least remembers longest, the one with the most takes
+//! poses as they are. How well each predicts the poses is its weight (the same, section 11.6.2), so that the noise is
+//! learnt from the motion, and what is not known of it yet widens σ: the answer is the mean of all, its covariance that of
+//! the mixture. A filter that predicts far worse than the best continues from the best one's state.
+//!
+//! A tool that hits something changes its velocity within a frame. A pose that no filter expects restarts them all, and until
+//! the new velocity is known there is none. A hit just before a frame cannot be seen in it: where the tool has hit before,
+//! σ of the velocity includes the share of frames in which that happens, times what it does there.
+//!
+//! Lengths and angles are in metres and radians, times in frames.
+
+use arrayvec::ArrayVec;
+
+use crate::pose::{Rigid, Twist};
+use crate::scalar::{Linear3, Number};
+
+use super::algebra::Matrix6;
+use super::outcome::Estimate;
+
+/// Most filters of a coordinate.
+const MAX_FILTERS: usize = 16;
+
+/// Decades of noise from one filter to the next, unless that takes more than [`MAX_FILTERS`]: one of them is then near
+/// enough to the best that the rms error is within a tenth of its.
+const STEP_DECADES: f64 = 1.5;
+
+/// Most noise of the jerk, in variances of a pose per frame⁵: a filter with it gives poses as they are.
+const MAX_NOISE: f64 = 1e6;
+
+/// Weight of a filter that predicts badly, relative to the best one's: how probable it is that the motion changes from
+/// one frame to the next.
+const LEAST_WEIGHT: f64 = 6e-6;
+
+/// The same after a restart, when little is known of the motion.
+const LEAST_WEIGHT_AT_RESTART: f64 = 0.05;
+
+/// Squared distance from the expected pose beyond which the motion starts anew, in units of its variance: of all
+/// coordinates together (χ² with six degrees of freedom exceeds it once in 10⁵ frames), and of the farthest alone.
+const JUMP: f64 = 33.0;
+const JUMP_OF_ONE: f64 = 20.0;
+
+/// Squared distance of the farthest coordinate from which on a pose may be the first of a new motion, so that the frame has no
+/// velocity; and the same of a tool that has hit something lately.
+const DOUBTFUL: f64 = 16.0;
+const DOUBTFUL_AFTER_HITS: f64 = 6.25;
+
+/// Frames after a restart before there is a velocity.
+const FRAMES_TO_VELOCITY: u32 = 3;
+
+/// How long hits are remembered, seconds.
+const HITS_S: f64 = 0.5;
+
+/// Frames without a pose after which the motion starts anew.
+const MAX_GAP: u64 = 8;
+
+/// σ of an unknown velocity and acceleration: a fast hand that hits something. Metres, radians, seconds.
+const UNKNOWN: [[f64; 2]; 2] = [[0.5, 1e3], [5.0, 1e4]];
+
+/// By how many σ of a pose a tool whose velocity has changed may be off and go unnoticed, in the first frame after the hit
+/// and in those that are doubtful, together. A change of velocity by v then goes unseen for this times σ/v frames, and the
+/// velocity is wrong by v for so long: squared, this times σ·v a hit.
+const UNSEEN_SIGMAS: f64 = 8.0;
+
+/// A small step has come through by half after this many times 1/α − 1 frames, α the share of the newest pose.
+const LAG: f64 = 0.58;
+
+/// Velocity of the tool with its covariance.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TwistEstimate<S = f64> {
+    /// In the base frame.
+    pub twist: Twist,
+    /// Of (linear, angular): m²/s², m·rad/s², rad²/s².
+    pub covariance: Matrix6<S>,
+}
+
+/// Why a frame has no twist.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NoTwist {
+    /// It has no pose, or one of a board, which sends no twist.
+    NoPose,
+    /// There were too few poses yet.
+    Start,
+    /// The tool is not where its motion led: it has hit something, or the pose is wrong.
+    Jump,
+}
+
+impl NoTwist {
+    /// The word used in tables and messages.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::NoPose => "no_pose",
+            Self::Start => "start",
+            Self::Jump => "jump",
+        }
+    }
+}
+
+/// A filtered pose: from the frame and those before.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Filtered<S = f64> {
+    /// At the reference instant of the newest frame.
+    pub estimate: Estimate<S>,
+    /// At the same instant.
+    pub twist: Result<TwistEstimate<S>, NoTwist>,
+    /// Time after which half of a sudden step of the pose that is smaller than the noise has come through. Steady motion and
+    /// steady acceleration come through without delay.
+    pub lag_s: S,
+    /// Frames since the motion last started anew.
+    pub frames: u32,
+}
+
+/// The filters of one coordinate: number k of each array is that of filter k.
+#[derive(Clone, Debug)]
+struct Coordinate<S> {
+    position: [S; MAX_FILTERS],
+    velocity: [S; MAX_FILTERS],
+    acceleration: [S; MAX_FILTERS],
+    /// Rows 0, 1, 2 of the upper half: 00, 01, 02, 11, 12, 22.
+    covariance: [[S; MAX_FILTERS]; 6],
+    /// Sum to one.
+    weights: [S; MAX_FILTERS],
+    /// Variance of the velocity by hits that are not seen yet.
+    hits: S,
+    /// Velocity before the last restart, until the new one is known.
+    before: Option<S>,
+}
+
+/// Distance of a measured coordinate from where each filter expects it, and its variance.
+struct Innovation<S> {
+    distance: [S; MAX_FILTERS],
+    variance: [S; MAX_FILTERS],
+    /// Of the mixture: squared distance per variance.
+    squared: S,
+}
+
+#[derive(Clone, Debug)]
+pub struct MotionEstimator<S: Number> {
+    period_s: f64,
+    /// Noise of each filter, in variances of a pose per frame⁵.
+    noises: ArrayVec<S, MAX_FILTERS>,
+    /// Positions are relative to this.
+    reference: Rigid<S>,
+    coordinates: [Coordinate<S>; 6],
+    /// Of the last pose.
+    variances: [S; 6],
+    next_frame: u64,
+    /// Since the restart; 0: none at all.
+    frames: u32,
+    /// Since the last hit.
+    since_hit: Option<u32>,
+    is_doubtful: bool,
+}
+
+impl<S: Number> MotionEstimator<S> {
+    /// For frames `period_s` apart. A filter whose α is 3 frames per memory remembers as a fading memory of `memory_s` does,
+    /// in which a frame counts m/(1 + m) of the next, m = `memory_s`/`period_s`; none remembers longer.
+    pub fn new(period_s: f64, memory_s: f64) -> Self {
+        let frames = (memory_s / period_s).max(1.0);
+        let least = 6.0 * libm::log10(1.5 / frames);
+        let decades = libm::log10(MAX_NOISE) - least;
+        let steps = libm::ceil(decades / STEP_DECADES).clamp(1.0, MAX_FILTERS as f64 - 1.0);
+        let noise = |k: usize| S::of(libm::pow(10.0, least + decades * k as f64 / steps));
+        let none = [S::zero(); MAX_FILTERS];
+        let coordinate = Coordinate {
+            position: none,
+            velocity: none,
+            acceleration: none,
+            covariance: [none; 6],
+            weights: none,
+            hits: S::zero(),
+            before: None,
+        };
+        Self {
+            period_s,
+            noises: (0..=steps as usize).map(noise).collect(),
+            reference: Rigid::home(),
+            coordinates: core::array::from_fn(|_| coordinate.clone()),
+            variances: [S::zero(); 6],
+            next_frame: 0,
+            frames: 0,
+            since_hit: None,
+            is_doubtful: false,
+        }
+    }
+
+    /// Takes the pose of frame `frame` and its covariance. Frames are numbered without gaps; some may have no pose.
+    pub fn update(&mut self, frame: u64, measured: &Rigid<S>, covariance: &Matrix6<S>) {
+        let passed = frame.checked_sub(self.next_frame).filter(|passed| *passed <= MAX_GAP && self.frames > 0);
+        self.next_frame = frame.wrapping_add(1);
+        let Some(passed) = passed else {
+            self.variances = core::array::from_fn(|i| covariance[i][i]);
+            return self.restart(measured);
+        };
+        (0..=passed).for_each(|_| self.predict());
+        self.variances = core::array::from_fn(|i| covariance[i][i]);
+        let [t, r] = measured.displacement_from(&self.reference);
+        let found = [t.x(), t.y(), t.z(), r.x(), r.y(), r.z()];
+        let count = self.noises.len();
+        let innovations: [_; 6] =
+            core::array::from_fn(|i| self.coordinates[i].innovation(count, found[i], self.variances[i]));
+        let (sum, most) = innovations
+            .iter()
+            .fold((S::zero(), S::zero()), |(sum, most), one| (sum + one.squared, most.max(one.squared)));
+        // Written so that NaN is a jump.
+        let is_expected = sum <= S::of(JUMP) && most <= S::of(JUMP_OF_ONE);
+        if !is_expected {
+            for coordinate in &mut self.coordinates {
+                let velocity = coordinate.mean(count, &coordinate.velocity);
+                coordinate.before.get_or_insert(velocity);
+            }
+            self.since_hit = Some(0);
+            return self.restart(measured);
+        }
+        self.since_hit = self.since_hit.map(|frames| frames.saturating_add(1));
+        let has_hit = self.since_hit.is_some_and(|frames| f64::from(frames) * self.period_s < HITS_S);
+        self.is_doubtful = most > S::of(if has_hit { DOUBTFUL_AFTER_HITS } else { DOUBTFUL });
+        self.frames = self.frames.saturating_add(1);
+        let share = (self.period_s / HITS_S).min(1.0);
+        for (i, (coordinate, innovation)) in self.coordinates.iter_mut().zip(&innovations).enumerate() {
+            coordinate.correct(count, innovation, self.variances[i]);
+            coordinate.hits *= S::of(1.0 - share);
+            if self.frames > FRAMES_TO_VELOCITY
+                && let Some(before) = coordinate.before.take()
+            {
+                let change = (coordinate.mean(count, &coordinate.velocity) - before).abs();
+                coordinate.hits += S::of(share * UNSEEN_SIGMAS) * self.variances[i].root() * change;
+            }
+        }
+    }
+
+    /// Begins with the pose `measured`, of which nothing but its variances is known.
+    fn restart(&mut self, measured: &Rigid<S>) {
+        let count = self.noises.len();
+        self.reference = *measured;
+        for (i, coordinate) in self.coordinates.iter_mut().enumerate() {
+            let [velocity, acceleration] = UNKNOWN[i / 3];
+            let square = |sigma: f64| S::of(sigma * sigma);
+            coordinate.position = [S::zero(); MAX_FILTERS];
+            coordinate.velocity = [S::zero(); MAX_FILTERS];
+            coordinate.acceleration = [S::zero(); MAX_FILTERS];
+            let of = [
+                self.variances[i],
+                S::zero(),
+                S::zero(),
+                square(velocity * self.period_s),
+                S::zero(),
+                square(acceleration * self.period_s * self.period_s),
+            ];
+            coordinate.covariance = of.map(|value| [value; MAX_FILTERS]);
+            // At the very first, all alike.
+            let least = if self.frames == 0 { S::one() } else { S::of(LEAST_WEIGHT_AT_RESTART) };
+            coordinate.raise_weights(count, least);
+        }
+        (self.frames, self.is_doubtful) = (1, false);
+    }
+
+    /// One frame later.
+    fn predict(&mut self) {
+        let count = self.noises.len();
+        for (coordinate, &variance) in self.coordinates.iter_mut().zip(&self.variances) {
+            coordinate.predict(&self.noises, variance);
+        }
+        let by: [S; 6] = core::array::from_fn(|i| {
+            let coordinate = &mut self.coordinates[i];
+            let mean = coordinate.mean(count, &coordinate.position);
+            coordinate.position[..count].iter_mut().for_each(|position| *position -= mean);
+            mean
+        });
+        self.reference = self.moved(by);
+    }
+
+    fn moved(&self, by: [S; 6]) -> Rigid<S> {
+        self.reference.perturbed(S::Vec3::new(by[0], by[1], by[2]), S::Vec3::new(by[3], by[4], by[5]))
+    }
+
+    /// The twist, after a pose of this covariance.
+    pub fn twist(&self, covariance: &Matrix6<S>) -> Result<TwistEstimate<S>, NoTwist> {
+        if self.frames <= FRAMES_TO_VELOCITY {
+            let has_hit = self.coordinates.iter().any(|coordinate| coordinate.before.is_some());
+            return Err(if has_hit { NoTwist::Jump } else { NoTwist::Start });
+        }
+        if self.is_doubtful {
+            return Err(NoTwist::Jump);
+        }
+        let count = self.noises.len();
+        let per_second = S::of(self.period_s.recip());
+        let mixed = self.coordinates.each_ref().map(|one| {
+            let (mean, variance) = one.mixture(count, &one.velocity, &one.covariance[3]);
+            (mean * per_second, (variance + one.hits) * per_second * per_second)
+        });
+        let v = mixed.map(|(mean, _)| mean.as_f64());
+        let twist = Twist {
+            linear_m_per_s: glam::DVec3::new(v[0], v[1], v[2]),
+            angular_rad_per_s: glam::DVec3::new(v[3], v[4], v[5]),
+        };
+        Ok(TwistEstimate { twist, covariance: self.covariance(covariance, &mixed.map(|(_, variance)| variance)) })
+    }
+
+    /// The smoothed pose, after a pose of this covariance.
+    pub fn filtered(&self, covariance: &Matrix6<S>) -> Filtered<S> {
+        let count = self.noises.len();
+        let mixed = self.coordinates.each_ref().map(|one| one.mixture(count, &one.position, &one.covariance[0]));
+        let least = self.newest_shares().into_iter().fold(S::one(), S::min);
+        Filtered {
+            estimate: Estimate {
+                pose: self.moved(mixed.map(|(mean, _)| mean)).to_pose(),
+                covariance: self.covariance(covariance, &mixed.map(|(_, variance)| variance)),
+            },
+            twist: self.twist(covariance),
+            lag_s: S::of(LAG * self.period_s) * (least.recip() - S::one()),
+            frames: self.frames,
+        }
+    }
+
+    /// α of each coordinate: the share of the newest pose in the smoothed one.
+    fn newest_shares(&self) -> [S; 6] {
+        let count = self.noises.len();
+        core::array::from_fn(|i| {
+            let one = &self.coordinates[i];
+            one.mean(count, &one.covariance[0]) / self.variances[i]
+        })
+    }
+
+    /// Of errors with these `variances`, by poses with errors of this covariance. Two coordinates whose filters remember so
+    /// differently share less of their noise: as filters of first order, 2·√(αβ)/(α + β) of the correlation is left.
+    fn covariance(&self, of_pose: &Matrix6<S>, variances: &[S; 6]) -> Matrix6<S> {
+        let shares = self.newest_shares();
+        let by: [S; 6] = core::array::from_fn(|i| (variances[i] * shares[i] / of_pose[i][i]).root());
+        core::array::from_fn(|i| {
+            core::array::from_fn(|j| of_pose[i][j] * by[i] * by[j] * S::two() / (shares[i] + shares[j]))
+        })
+    }
+}
+
+impl<S: Number> Coordinate<S> {
+    /// One frame later: x + v + a/2, v + a, a, with white noise in the jerk, in units of `variance`.
+    fn predict(&mut self, noises: &[S], variance: S) {
+        let half = S::half();
+        let [p00, p01, p02, p11, p12, p22] = &mut self.covariance;
+        for (k, &noise) in noises.iter().enumerate() {
+            let q = noise * variance;
+            self.position[k] += self.velocity[k] + half * self.acceleration[k];
+            self.velocity[k] += self.acceleration[k];
+            p00[k] += S::two() * p01[k] + p02[k] + p11[k] + p12[k] + half * half * p22[k] + q * S::of(1.0 / 20.0);
+            p01[k] += p02[k] + p11[k] + S::of(1.5) * p12[k] + half * p22[k] + q * S::of(1.0 / 8.0);
+            p02[k] += p12[k] + half * p22[k] + q * S::of(1.0 / 6.0);
+            p11[k] += S::two() * p12[k] + p22[k] + q * S::of(1.0 / 3.0);
+            p12[k] += p22[k] + half * q;
+            p22[k] += q;
+        }
+    }
+
+    fn innovation(&self, count: usize, measured: S, noise: S) -> Innovation<S> {
+        let mut found =
+            Innovation { distance: [S::zero(); MAX_FILTERS], variance: [S::one(); MAX_FILTERS], squared: S::zero() };
+        for k in 0..count {
+            found.distance[k] = measured - self.position[k];
+            found.variance[k] = self.covariance[0][k] + noise;
+        }
+        let (mean, variance) = self.mixture(count, &found.distance, &found.variance);
+        found.squared = mean * mean / variance;
+        found
+    }
+
+    fn correct(&mut self, count: usize, innovation: &Innovation<S>, noise: S) {
+        let Innovation { distance, variance, .. } = innovation;
+        let [p00, p01, p02, p11, p12, p22] = &mut self.covariance;
+        let mut least = S::infinity();
+        for k in 0..count {
+            let inverse = variance[k].recip();
+            let gains = [p00[k], p01[k], p02[k]].map(|value| value * inverse);
+            self.position[k] += gains[0] * distance[k];
+            self.velocity[k] += gains[1] * distance[k];
+            self.acceleration[k] += gains[2] * distance[k];
+            p11[k] -= gains[1] * p01[k];
+            p12[k] -= gains[1] * p02[k];
+            p22[k] -= gains[2] * p02[k];
+            // 1 − α = noise/variance, without cancellation.
+            let left = noise * inverse;
+            (p00[k], p01[k], p02[k]) = (p00[k] * left, p01[k] * left, p02[k] * left);
+            least = least.min(distance[k] * distance[k] * inverse);
+        }
+        for k in 0..count {
+            let inverse = variance[k].recip();
+            let excess = distance[k] * distance[k] * inverse - least;
+            self.weights[k] *= (-S::half() * excess).exponential() * (noise * inverse).root();
+        }
+        let best = self.best(count);
+        let floor = self.weights[best] * S::of(LEAST_WEIGHT);
+        for k in 0..count {
+            if self.weights[k] < floor {
+                self.position[k] = self.position[best];
+                self.velocity[k] = self.velocity[best];
+                self.acceleration[k] = self.acceleration[best];
+                self.covariance.iter_mut().for_each(|of| of[k] = of[best]);
+            }
+        }
+        self.raise_weights(count, S::of(LEAST_WEIGHT));
+    }
+
+    /// The filter of the greatest weight.
+    fn best(&self, count: usize) -> usize {
+        (1..count).fold(0, |best, k| if self.weights[k] > self.weights[best] { k } else { best })
+    }
+
+    /// No weight less than `least` times the greatest; all sum to one.
+    fn raise_weights(&mut self, count: usize, least: S) {
+        let greatest = self.weights[self.best(count)];
+        let least = if greatest > S::zero() { greatest * least } else { S::one() };
+        let weights = &mut self.weights[..count];
+        weights.iter_mut().for_each(|weight| *weight = weight.max(least));
+        let sum = weights.iter().fold(S::zero(), |sum, &weight| sum + weight);
+        weights.iter_mut().for_each(|weight| *weight *= sum.recip());
+    }
+
+    /// Of numbers of all filters, by weight.
+    fn mean(&self, count: usize, of: &[S; MAX_FILTERS]) -> S {
+        (0..count).fold(S::zero(), |sum, k| sum + self.weights[k] * of[k])
+    }
+
+    /// Mean and variance of a mixture of distributions with these means and variances.
+    fn mixture(&self, count: usize, means: &[S; MAX_FILTERS], variances: &[S; MAX_FILTERS]) -> (S, S) {
+        let mean = self.mean(count, means);
+        let variance = (0..count).fold(S::zero(), |sum, k| {
+            let off = means[k] - mean;
+            sum + self.weights[k] * (variances[k] + off * off)
+        });
+        (mean, variance)
+    }
+}

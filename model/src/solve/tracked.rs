@@ -1,0 +1,98 @@
+//! Pose and velocity frame after frame, and a smoothed pose beside them: what a host makes of a stream of frames.
+
+use crate::entries::Scalar;
+use crate::scalar::Number;
+
+use super::motion::{Filtered, MotionEstimator, NoTwist, TwistEstimate};
+use super::outcome::Solution;
+use super::readings::Photocurrents;
+use super::solver::Solver;
+use super::tracker::PoseTracker;
+
+/// Memory of the velocity, frames.
+const MEMORY_FRAMES: f64 = 8.0;
+
+/// The result of one frame.
+#[derive(Clone, Copy, Debug)]
+pub struct Tracked<S: Number = f64> {
+    /// From this frame alone, but for the motion within it.
+    pub solution: Solution<S>,
+    /// Velocity at the reference instant, from this frame and those before.
+    pub twist: Result<TwistEstimate<S>, NoTwist>,
+    /// From many frames, if asked for.
+    pub filtered: Option<Filtered<S>>,
+    /// How bright all light is, relative to the scene: the mean of some 64 frames with a pose; `None` where it is taken for
+    /// known.
+    pub light_level: Option<S>,
+}
+
+/// Solves consecutive frames.
+#[derive(Clone, Debug)]
+pub struct Tracker<S: Scalar> {
+    poses: PoseTracker<S>,
+    period_s: f64,
+    motion: MotionEstimator<S>,
+    filter: Option<MotionEstimator<S>>,
+}
+
+impl<S: Scalar> Tracker<S> {
+    /// For frames `period_s` seconds apart.
+    pub fn new(solver: Solver<S>, period_s: f64) -> Self {
+        Self {
+            poses: PoseTracker::new(solver, period_s),
+            period_s,
+            motion: MotionEstimator::new(period_s, MEMORY_FRAMES * period_s),
+            filter: None,
+        }
+    }
+
+    /// See [`PoseTracker::neglecting_motion`].
+    #[must_use]
+    pub fn neglecting_motion(mut self, share: f64) -> Self {
+        self.poses = self.poses.neglecting_motion(share);
+        self
+    }
+
+    /// Takes the light level for that of the head's scene: see [`crate::Uncertainty::light_level_relative`].
+    #[must_use]
+    pub fn with_known_light_level(mut self) -> Self {
+        self.poses = self.poses.with_known_light_level();
+        self
+    }
+
+    /// Of each frame.
+    pub fn solver(&self) -> &Solver<S> {
+        self.poses.solver()
+    }
+
+    /// Also gives a filtered pose, from no longer than some `memory_s` seconds, in which a frame counts m/(1 + m) of the next,
+    /// m = `memory_s`/`period_s`; from fewer where the motion is not steady for so long.
+    #[must_use]
+    pub fn with_filter(mut self, memory_s: f64) -> Self {
+        self.filter = Some(MotionEstimator::new(self.period_s, memory_s));
+        self
+    }
+
+    /// The pose of frame `frame`. Frames are numbered without gaps by the device; across a longer
+    /// gap in the numbers the tracker forgets how the tool moved.
+    pub fn track(&mut self, frame: u64, readings: &Photocurrents<S>) -> Tracked<S> {
+        S::track(self, frame, readings)
+    }
+
+    #[inline(always)]
+    pub(crate) fn track_here(&mut self, frame: u64, readings: &Photocurrents<S>) -> Tracked<S> {
+        let mut solution = self.poses.advance(frame, readings);
+        solution.inflate_covariance();
+        let light_level = self.poses.light_level();
+        let Some(estimate) = &solution.estimate else {
+            return Tracked { solution, twist: Err(NoTwist::NoPose), filtered: None, light_level };
+        };
+        let (pose, covariance) = (solution.rigid, estimate.covariance);
+        self.motion.update(frame, &pose, &covariance);
+        let filtered = self.filter.as_mut().map(|filter| {
+            filter.update(frame, &pose, &covariance);
+            filter.filtered(&covariance)
+        });
+        Tracked { twist: self.motion.twist(&covariance), filtered, solution, light_level }
+    }
+}
