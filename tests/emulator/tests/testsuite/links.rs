@@ -2,16 +2,16 @@
 //! sleep, do not read, or talk rubbish.
 
 use crate::common::is_of_silicon;
-use crate::common::talk::{FRAME_TICKS, MS, Said, TRANSFER_SCANS, Talk};
+use crate::common::listener::{Said, TRANSFER_SCANS};
+use crate::common::talk::{FRAME_TICKS, MS, Talk};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use slitpose_emulator::faults::{Fault, Faults};
 use slitpose_emulator::machine::Stop;
 use slitpose_emulator::memory::UNIQUE_ID;
 use slitpose_emulator::peripherals::Ticks;
-use slitpose_emulator::rig::{Rig, request};
+use slitpose_emulator::rig::request;
 use slitpose_emulator::usb_wire::{Answer, OutPacket};
-use slitpose_emulator::world::World;
 use slitpose_protocol::{Command, Decoder, MAX_MESSAGE_BYTES, Message, ResetCause};
 
 /// The board goes dark this long after it has lost its host.
@@ -130,13 +130,12 @@ fn a_cable_may_be_pulled_and_plugged_in_again() {
     assert_eq!(talk.ask(Command::Start), Ok(()));
     talk.run_ms(30.0);
     // Acquiring, for long.
-    talk.rig.machine().board.log_gates();
+    talk.record().forget();
     talk.rig.set_cable(false);
     talk.ear.breaks += 1;
     let pulled = talk.rig.now();
     talk.run_ms(600.0);
-    let (Some(last), false) = last_light(&mut talk.rig) else { panic!("lit after 600 ms") };
-    let after = last - pulled;
+    let after = talk.dark_since() - pulled;
     println!("dark {:.3} ms after pulling the cable", after as f64 / MS as f64);
     let range = HOST_GONE..=HOST_GONE + SUSPENSION + 2 * POLL;
     assert!(range.contains(&after), "dark after {after} ticks");
@@ -278,26 +277,18 @@ fn a_host_that_suspends_and_resets_the_bus_loses_what_is_counted() {
     let words = talk.ear.scans[0];
     assert!(talk.ear.scans.iter().all(|scan| (scan.lit(), scan.dark()) == (words.lit(), words.dark())));
     assert!(talk.ear.gaps.iter().all(|gap| gap.ticks == (gap.missing + 1) * FRAME_TICKS), "{:?}", talk.ear.gaps);
-    talk.rig.machine().board.log_gates();
+    talk.record().forget();
     talk.rig.set_open(false);
     talk.run_ms(700.0);
-    assert!(matches!(last_light(&mut talk.rig), (Some(_), false)), "lit after 700 ms");
+    talk.dark_since();
     talk.expect_no_faults();
-}
-
-/// When the gates were last lit, by the log since it was last taken, and whether they are now.
-fn last_light<W: World>(rig: &mut Rig<W>) -> (Option<Ticks>, bool) {
-    let edges = rig.machine().board.take_gate_log();
-    let is_lit = rig.machine().board.gates() != 0;
-    (edges.iter().rev().find(|edge| edge.gates == 0).map(|edge| edge.at), is_lit)
 }
 
 /// Whether an emitter is lit in the next two frames.
 fn lit_within_a_frame(talk: &mut Talk) -> bool {
-    talk.rig.machine().board.log_gates();
-    talk.rig.machine().board.take_gate_log();
+    talk.record().forget();
     talk.run_until(talk.rig.now() + 2 * FRAME_TICKS);
-    talk.rig.machine().board.take_gate_log().iter().any(|edge| edge.gates != 0)
+    talk.record().edges().iter().any(|edge| edge.1 != 0)
 }
 
 #[test]
@@ -384,11 +375,10 @@ fn the_serial_port_carries_the_default_stream_while_it_is_spoken_to() {
     assert_eq!(talk.ear.damaged(), 0);
     // Silence.
     assert_eq!(talk.ask(Command::Start), Ok(()));
-    talk.rig.machine().board.log_gates();
+    talk.record().forget();
     let begin = talk.rig.now();
     talk.run_ms(2_600.0);
-    let (Some(last), false) = last_light(&mut talk.rig) else { panic!("lit after 2.6 s") };
-    let after = last - begin;
+    let after = talk.dark_since() - begin;
     println!("dark {:.3} ms after the last word", after as f64 / MS as f64);
     let silence = 2_000 * MS;
     assert!(after + MS >= silence + HOST_GONE && after <= silence + HOST_GONE + 2 * POLL, "dark after {after} ticks");
