@@ -217,38 +217,29 @@ mod tests {
     use crate::board::Board;
     use crate::cpu::{Bus, Size};
     use crate::peripherals::TICKS_PER_SECOND;
+    use crate::world::Dark;
 
     const SPIN: &[u16] = &[0xE7FE];
-    struct Nothing;
-
-    impl World for Nothing {
-        fn drive(&mut self, _: Ticks, _: u8, _: [u16; 2]) {}
-
-        fn sample(&mut self, _: Ticks, _: u8, _: u8) -> u16 {
-            0
-        }
-    }
-
     /// A machine with a vector table and `code` behind it.
-    fn machine(code: &[u16]) -> Machine<Nothing> {
+    fn machine(code: &[u16]) -> Machine<Dark> {
         let mut flash = FlashArray::erased();
         flash.load(0, &0x2000_1000_u32.to_le_bytes());
         flash.load(4, &0x0800_0009_u32.to_le_bytes());
         let bytes: Vec<u8> = code.iter().flat_map(|half| half.to_le_bytes()).collect();
         flash.load(8, &bytes);
-        Machine::new(flash, Nothing)
+        Machine::new(flash, Dark)
     }
 
-    fn put(board: &mut Board<Nothing>, address: u32, value: u32) {
+    fn put(board: &mut Board<Dark>, address: u32, value: u32) {
         board.write(address, Size::Word, value).unwrap();
     }
 
-    fn causes(machine: &Machine<Nothing>) -> Vec<ResetCause> {
+    fn causes(machine: &Machine<Dark>) -> Vec<ResetCause> {
         machine.resets().iter().map(|reset| reset.cause).collect()
     }
 
     /// Starts the watchdog: 0.1 s.
-    fn start_watchdog(machine: &mut Machine<Nothing>) {
+    fn start_watchdog(machine: &mut Machine<Dark>) {
         for (offset, value) in [(0, 0x5555), (4, 1), (8, 399), (0, 0xCCCC)] {
             put(&mut machine.board, 0x4000_3000 + offset, value);
         }

@@ -4,6 +4,7 @@ use super::*;
 use crate::cpu::{Bus, Size};
 use crate::facts;
 use crate::peripherals::TICKS_PER_SECOND;
+use crate::world::Dark;
 
 const RCC: u32 = 0x4002_1000;
 const FLASH_ACR: u32 = 0x4002_2000;
@@ -11,18 +12,8 @@ const TIM2: u32 = 0x4000_0000;
 const PWR: u32 = 0x4000_7000;
 const GPIOC: u32 = 0x4800_0800;
 
-struct Nothing;
-
-impl World for Nothing {
-    fn drive(&mut self, _: Ticks, _: u8, _: [u16; 2]) {}
-
-    fn sample(&mut self, _: Ticks, _: u8, _: u8) -> u16 {
-        0
-    }
-}
-
-fn board() -> Board<Nothing> {
-    let mut board = Board::new(FlashArray::erased(), Nothing);
+fn board() -> Board<Dark> {
+    let mut board = Board::new(FlashArray::erased(), Dark);
     put(&mut board, RCC + 0x48, 0x107);
     put(&mut board, RCC + 0x4C, 0x0003_607F);
     put(&mut board, RCC + 0x58, 0x1000_000F);
@@ -30,17 +21,17 @@ fn board() -> Board<Nothing> {
     board
 }
 
-fn put(board: &mut Board<Nothing>, address: u32, value: u32) {
+fn put(board: &mut Board<Dark>, address: u32, value: u32) {
     board.write(address, Size::Word, value).unwrap();
 }
 
-fn get(board: &mut Board<Nothing>, address: u32) -> u32 {
+fn get(board: &mut Board<Dark>, address: u32) -> u32 {
     board.read(address, Size::Word).unwrap()
 }
 
 #[test]
 fn an_unclocked_peripheral_neither_hears_nor_answers() {
-    let mut board = Board::new(FlashArray::erased(), Nothing);
+    let mut board = Board::new(FlashArray::erased(), Dark);
     put(&mut board, GPIOC + 0x14, 1);
     assert_eq!(get(&mut board, GPIOC), 0);
     assert_eq!(

@@ -47,6 +47,18 @@ pub trait World {
     fn sample(&mut self, now: Ticks, adc: u8, channel: u8) -> u16;
 }
 
+/// No light, and converters at zero.
+#[derive(Debug)]
+pub struct Dark;
+
+impl World for Dark {
+    fn drive(&mut self, _: Ticks, _: u8, _: [u16; 2]) {}
+
+    fn sample(&mut self, _: Ticks, _: u8, _: u8) -> u16 {
+        0
+    }
+}
+
 /// Whether detectors and electronics are noisy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NoiseSource {

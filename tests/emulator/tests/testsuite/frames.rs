@@ -3,8 +3,7 @@
 //! What is read here follows the table of `slitpose_firmware::pose::frame`; its code has no part in it.
 
 use crate::common::talk::Talk;
-use crate::common::{SEED, is_ready_high, port_and_number, register, scene, us, wires};
-use slitpose_emulator::facts::bits;
+use crate::common::{SEED, scene, us};
 use slitpose_emulator::peripherals::{SentByte, Ticks};
 use slitpose_emulator::world::NoiseSource;
 use slitpose_firmware::pcb::default_configuration;
@@ -146,34 +145,6 @@ fn every_pose_is_on_the_line_bit_for_bit_and_none_is_missing_at_4_khz() {
     let nearest = frames.windows(2).map(|pair| pair[1].began - pair[0].began).min().expect("frames");
     println!("least distance of two frames: {:.1} µs", us(nearest));
     assert!(frames.iter().all(|frame| frame.over - frame.began == BYTES as Ticks * BYTE_TICKS), "without a gap");
-}
-
-/// From the pin's edge, looked at every tenth of a microsecond, to the end of the frame.
-#[test]
-fn a_frame_is_over_129_us_after_the_pin_says_that_its_pose_is_ready() {
-    let mut talk = Talk::solving(&scene(), NoiseSource::Off);
-    talk.rig.listen_as_controller();
-    talk.rig.send(Command::Start);
-    talk.run_ms(20.0);
-    talk.rig.take_controller_bytes();
-    let (end, mut toggles) = (talk.rig.now() + 20 * 42_500, Vec::new());
-    let mut high = is_ready_high(&mut talk);
-    while talk.rig.now() < end {
-        let _ = talk.rig.run_for(1e-7);
-        if is_ready_high(&mut talk) != high {
-            high = !high;
-            toggles.push(talk.rig.now());
-        }
-    }
-    let (frames, _) = stop(&mut talk);
-    assert!(toggles.len() >= 19, "{}", toggles.len());
-    let late = toggles.iter().map(|toggle| {
-        let frame = frames.iter().find(|frame| frame.began > *toggle).expect("each has its frame");
-        us(frame.over - toggle)
-    });
-    let (least, most) = late.fold((f64::MAX, 0.0_f64), |(least, most), late| (least.min(late), most.max(late)));
-    println!("pin to last bit: {least:.1} to {most:.1} µs");
-    assert!((128.0..131.0).contains(&least) && most < 131.0, "{least} {most}");
 }
 
 /// The stream is the host's: the controller has every pose with scans alone, and with each tenth pose.
@@ -333,28 +304,4 @@ fn a_controller_in_c_reads_what_the_board_sends() {
         .collect();
     assert!(frames.len() > 50, "{}", frames.len());
     assert_eq!(text, expected);
-}
-
-#[test]
-fn the_controllers_port_has_its_pins_and_its_clock() {
-    let mut talk = Talk::solving(&scene(), NoiseSource::Off);
-    let board = &mut talk.rig.machine().board;
-    let selected = register(board, "RCC_BASE", "RCC_TypeDef.CCIPR", 0);
-    assert_eq!(selected & bits("RCC_CCIPR_USART1SEL"), 0, "PCLK2");
-    let wires: Vec<_> = wires().into_iter().filter(|wire| wire.is_for_poses()).collect();
-    assert_eq!(wires.len(), 2);
-    for wire in wires {
-        let (port, pin) = port_and_number(wire.pin);
-        let offset = port * (bits("GPIOB_BASE") - bits("GPIOA_BASE"));
-        let mode = register(board, "GPIOA_BASE", "GPIO_TypeDef.MODER", offset) >> (2 * pin) & 3;
-        if wire.function.starts_with("output") {
-            assert_eq!(mode, bits("LL_GPIO_MODE_OUTPUT"), "{}", wire.signal);
-        } else {
-            let function =
-                register(board, "GPIOA_BASE", "GPIO_TypeDef.AFR", offset + pin / 8 * 4) >> (4 * (pin % 8)) & 15;
-            let both = (bits("LL_GPIO_MODE_ALTERNATE"), bits("GPIO_AF7_USART1"));
-            assert_eq!((mode, function), both, "{}", wire.signal);
-        }
-    }
-    assert_eq!(talk.rig.faults(), Vec::<String>::new());
 }

@@ -90,32 +90,6 @@ fn whoever_opens_the_port_hears_a_hello_first_and_nothing_stale() {
 }
 
 #[test]
-fn a_program_may_come_back_within_half_a_second_while_the_light_stays_on() {
-    let mut talk = Talk::at_usb();
-    assert_eq!(talk.ask(Command::Start), Ok(()));
-    talk.run_ms(20.0);
-    for pause_ms in [0.0, 1.0, 100.0, 480.0] {
-        talk.close();
-        talk.run_ms(pause_ms);
-        talk.open();
-        assert!(matches!(talk.ear.said[0].1, Said::Hello(_)));
-        assert!(talk.is_acquiring());
-        assert_eq!((talk.ear.hellos(), talk.ear.events().len()), (1, 0));
-        // The packet that was on its way as the port was closed is fetched by the next program
-        // if that comes at once.
-        assert!(talk.ear.damaged() <= u64::from(pause_ms == 0.0), "after {pause_ms} ms");
-    }
-    let most = TRANSFER_SCANS * talk.ear.breaks;
-    let status = talk.settle_account(most);
-    assert_eq!((status.scans_lost, status.adc_overruns), (0, 0));
-    // Without a listener scans are dropped: 481 ms at 4 kHz are most of it.
-    assert!(status.scans_dropped >= 4 * 580, "{status:?}");
-    assert!(talk.ear.missing() - status.scans_dropped <= most);
-    assert!(talk.ear.gaps.iter().all(|gap| gap.ticks == (gap.missing + 1) * FRAME_TICKS), "sampling went on");
-    talk.expect_no_faults();
-}
-
-#[test]
 fn a_cable_may_be_pulled_and_plugged_in_again() {
     let mut talk = Talk::at_usb();
     // Idle.
@@ -289,39 +263,6 @@ fn lit_within_a_frame(talk: &mut Talk) -> bool {
     talk.record().forget();
     talk.run_until(talk.rig.now() + 2 * FRAME_TICKS);
     talk.record().edges().iter().any(|edge| edge.1 != 0)
-}
-
-#[test]
-fn a_host_that_reads_late_loses_the_oldest_beyond_a_tenth_of_a_second() {
-    let mut talk = Talk::at_usb();
-    assert_eq!(talk.ask(Command::Start), Ok(()));
-    talk.run_ms(10.0);
-    for pause_ms in [50.0, 100.0] {
-        talk.rig.stop_reading(true);
-        talk.run_ms(pause_ms);
-        talk.rig.stop_reading(false);
-        talk.run_ms(60.0);
-        assert_eq!(talk.ear.gaps, [], "{pause_ms} ms are kept");
-    }
-    let status = talk.next_status();
-    assert_eq!((status.scans_dropped, status.batches_dropped), (0, 0));
-
-    talk.rig.stop_reading(true);
-    talk.run_ms(1_000.0);
-    talk.rig.stop_reading(false);
-    talk.run_ms(60.0);
-    let status = talk.next_status();
-    assert!(status.acquiring);
-    println!("{} of 4000 scans dropped", status.scans_dropped);
-    let [gap] = talk.ear.gaps[..] else { panic!("one stretch is missing, not {:?}", talk.ear.gaps) };
-    assert_eq!(gap.missing, status.scans_dropped);
-    assert_eq!(gap.ticks, (gap.missing + 1) * FRAME_TICKS, "sampling did not stall");
-    assert_eq!(status.scans_dropped, 4 * u64::from(status.batches_dropped));
-    // 400 scans are kept by design, 480 are the most that fit.
-    assert!((3_520..=3_600).contains(&gap.missing), "{gap:?}");
-    let status = talk.settle_account(0);
-    assert_eq!((status.scans_lost, status.adc_overruns), (0, 0));
-    talk.expect_no_faults();
 }
 
 #[test]

@@ -6,7 +6,7 @@
 //! controller takes some ten ticks from request to write, and a few more when the bus is busy.
 
 use crate::common::pins::{check_counters, check_pins, level_code, run, tick_offset, worst_codes};
-use crate::common::talk::{FRAME_TICKS, MS, Talk};
+use crate::common::talk::{MS, Talk};
 use slitpose_firmware::pcb::wiring::highest_level;
 use slitpose_firmware::pcb::{default_configuration, default_scaling};
 use slitpose_protocol::{Command, Configuration, EmitterSet, Exposure, Level, Schedule};
@@ -366,28 +366,4 @@ fn what_is_too_fast_is_lost_and_counted_but_the_board_stays_in_hand() {
     assert_eq!(bench.gates(), 0, "it obeys a Stop");
     assert_eq!(bench.rig.machine().resets().len(), 1, "no watchdog");
     check(&mut bench, "default, afterwards", &default_configuration(), 50);
-}
-
-#[test]
-fn a_configuration_comes_into_force_between_two_frames() {
-    let mut talk = Talk::at_usb();
-    assert_eq!(talk.ask(Command::Start), Ok(()));
-    for (round, frame_ticks) in [85_000_u32, 42_500, 34_000, 42_500].into_iter().enumerate() {
-        talk.run_ms(10.0);
-        let mut new = default_configuration();
-        new.schedule.frame_ticks = frame_ticks;
-        new.levels.fill(Level(0x7000 + round as u16));
-        talk.ear.clear();
-        assert_eq!(talk.ask(Command::Configure(new.clone())), Ok(()));
-        talk.run_ms(10.0);
-        let behind: Vec<_> = talk.ear.scans.iter().filter(|scan| scan.levels() == &new.levels[..]).collect();
-        assert!(behind.len() > 15, "{} scans of {frame_ticks} ticks", behind.len());
-        let [gap] = talk.ear.gaps[..] else { panic!("one change, {:?}", talk.ear.gaps) };
-        // The frame it interrupts is not finished and has no number; one that was finished and
-        // not yet collected may be lost.
-        assert!(gap.missing <= 1 && gap.ticks < 4 * FRAME_TICKS, "{gap:?}");
-    }
-    let status = talk.settle_account(0);
-    assert_eq!(status.adc_overruns, 0);
-    talk.expect_no_faults();
 }

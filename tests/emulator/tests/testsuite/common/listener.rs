@@ -245,8 +245,4 @@ impl Listener {
             .filter_map(|(_, said)| if let Said::Event(_, _, text) = said { Some(&text[..]) } else { None })
             .collect()
     }
-
-    pub fn missing(&self) -> u64 {
-        self.gaps.iter().map(|gap| gap.missing).sum()
-    }
 }
