@@ -170,20 +170,6 @@ mod tests {
     }
 
     #[test]
-    fn a_saturated_cell_is_lowered_at_once_a_faint_one_after_20_ms() {
-        let (_, seen) = settle(FALLING, 3.0, 3);
-        assert!(seen < 1.0, "two halvings, a scan each: {seen}");
-        let (levels, _) = settle(FALLING, 0.2, 40);
-        assert_eq!(levels[2], Level::NOMINAL, "faint light waits for 20 ms");
-    }
-
-    #[test]
-    fn a_blind_cell_is_driven_at_nominal_level() {
-        let (levels, _) = settle(FALLING, 0.005, 400);
-        assert_eq!(levels[2], Level::NOMINAL);
-    }
-
-    #[test]
     fn very_faint_and_very_bright_cells_end_at_the_limits_of_the_levels() {
         let (levels, _) = settle(FALLING, 0.02, 400);
         assert_eq!(levels[2], HIGHEST);

@@ -260,20 +260,6 @@ mod tests {
     }
 
     #[test]
-    fn settings_stored_last_are_read_and_forgotten_ones_are_not() {
-        let mut pages = BLANK;
-        assert_eq!(stored(&pages), None);
-        for n in 0..60 {
-            let append = append(&pages, Some(&settings(n)));
-            carry_out(&mut pages, &append, usize::MAX, 0);
-            assert_eq!(stored(&pages), Some(settings(n)), "record {n}");
-        }
-        let append = append(&pages, None);
-        carry_out(&mut pages, &append, usize::MAX, 0);
-        assert_eq!(stored(&pages), None);
-    }
-
-    #[test]
     fn damaged_records_and_records_of_other_versions_are_passed_over() {
         let mut pages = [[0; PAGE_BYTES]; 2];
         assert_eq!(stored(&pages), None);
@@ -290,18 +276,6 @@ mod tests {
         record.extend(payload);
         pages[1][..record.len()].copy_from_slice(&record);
         assert_eq!(stored(&pages), None, "a newer firmware's settings are not read as ours");
-    }
-
-    #[test]
-    fn a_head_goes_where_the_one_in_force_is_not() {
-        let mut pages = BLANK;
-        assert_eq!(free_area(&pages), 0);
-        for (kept, next) in [(Some(0), 1), (Some(1), 0), (None, 0)] {
-            let append = append(&pages, Some(&Settings { head: kept, ..settings(0) }));
-            carry_out(&mut pages, &append, usize::MAX, 0);
-            assert_eq!(free_area(&pages), next, "{kept:?}");
-        }
-        assert_eq!([0, 1].map(head_offset), [4096, 8192]);
     }
 
     #[test]

@@ -35,6 +35,20 @@ impl Table {
     }
 }
 
+/// The CSV text `table` with the numbers changed of the columns that are `chosen` by name.
+pub fn with_changed(table: &str, chosen: impl Fn(&str) -> bool, change: impl Fn(f64) -> f64) -> String {
+    let (header, rows) = table.split_once('\n').expect("a header");
+    let chosen: Vec<bool> = header.split(',').map(chosen).collect();
+    let row = |row: &str| {
+        let fields = row.split(',').zip(&chosen).map(|(field, chosen)| match chosen {
+            true => change(field.parse().expect("a number")).to_string(),
+            false => field.to_owned(),
+        });
+        fields.collect::<Vec<_>>().join(",") + "\n"
+    };
+    format!("{header}\n{}", rows.lines().map(row).collect::<String>())
+}
+
 impl<'a> Row<'a> {
     pub fn text(&self, column: &str) -> &'a str {
         let index = self.header.iter().position(|name| name == column).unwrap_or_else(|| panic!("no column {column}"));

@@ -174,7 +174,7 @@ const FRAMES_AT_ONCE: u64 = 20;
 const FRAMES_BEFORE_COMMAND: u64 = 200;
 
 /// A board does not sample while so much waits for its host: it loses nothing, and replies are not late.
-pub const BACKLOG_BYTES: usize = 4096;
+const BACKLOG_BYTES: usize = 4096;
 
 /// The simulated board in real time, or slower if machine or host are.
 #[derive(Debug)]

@@ -274,24 +274,6 @@ mod tests {
     }
 
     #[test]
-    fn the_default_configuration_gives_the_registers_of_its_table() {
-        let plan = FramePlan::new(&default_configuration()).unwrap();
-        // 24.5 + 12.5 periods of 4 ticks; trigger 98 + 8 ticks ahead of the hold.
-        assert_eq!((plan.sampling_code, plan.oversampling_log2, plan.ranks), (3, 2, 6));
-        assert_eq!(plan.trigger_ticks, 2_210 - 106);
-        // The dark slot takes the idle rest: its emitters are off anyway.
-        assert_eq!(plan.periods[..], [5_800, 5_800, 5_800, 42_500 - 3 * 5_800]);
-        assert_eq!(plan.off_ticks, None);
-        assert_eq!(plan.emitters[..], [0b00_1001, 0b01_0010, 0b10_0100, 0]);
-        assert_eq!(plan.lit_at[..], [0, 7, 14, 3, 10, 17]);
-        assert_eq!(plan.dark_at[..], [18, 19, 20, 21, 22, 23]);
-        assert_eq!(plan.words(), 24);
-        assert!(plan.is_level_constant(0) && plan.is_level_constant(1));
-        // 23 200 ticks of slots less 38 in hand, and a microsecond for the DMA.
-        assert_eq!(plan.done_ticks, 23_200 - 38 + 170);
-    }
-
-    #[test]
     fn the_guard_waits_for_no_trigger_in_vain_but_in_a_rest() {
         // Slots of 5 800 ticks with the trigger at 2 104: the last chance before the next frame's light is 512 before it.
         assert_eq!(guard(5_800, 2_104, 2_104 + 1_024), (5_800 + 512, true));
@@ -307,48 +289,6 @@ mod tests {
         }
         let plan = FramePlan::new(&default_configuration()).unwrap();
         assert_eq!((plan.guard_ticks, plan.guard_fires_in_rest), (7_494, true));
-    }
-
-    #[test]
-    fn a_lit_last_slot_goes_off_early_only_if_a_rest_follows() {
-        let mut configuration = default_configuration();
-        configuration.schedule.slots.clear();
-        configuration.schedule.slots.push(EmitterSet::of(&[0, 1, 2, 3, 4, 5])).unwrap();
-        let plan = FramePlan::new(&configuration).unwrap();
-        assert_eq!((&plan.periods[..], plan.off_ticks), (&[42_500][..], Some(5_768)));
-        assert_eq!(plan.lit_at[..], [0, 1, 2, 3, 4, 5]);
-        assert!(plan.dark_at.is_empty());
-        configuration.schedule.slot_ticks = 8_500;
-        configuration.schedule.frame_ticks = 8_500;
-        configuration.levels.iter_mut().for_each(|level| *level = Level(0x4000));
-        let plan = FramePlan::new(&configuration).unwrap();
-        assert_eq!((&plan.periods[..], plan.off_ticks), (&[8_500][..], None));
-        assert_eq!(plan.level_codes[0][..], [1_024]);
-    }
-
-    #[test]
-    fn levels_that_differ_in_a_line_follow_the_slots() {
-        let mut configuration = default_configuration();
-        let levels = [0x8000, 0x4000, 0xf000, 0x8000, 0x8000, 0x8000].map(Level);
-        configuration.levels = levels.into_iter().collect();
-        let plan = FramePlan::new(&configuration).unwrap();
-        assert_eq!(plan.level_codes[0][..], [2_048, 1_024, 3_840, 3_840]);
-        assert_eq!(plan.level_codes[1][..], [2_048; 4]);
-        assert!(!plan.is_level_constant(0) && plan.is_level_constant(1));
-    }
-
-    /// The first slots have the last level of the frame before.
-    #[test]
-    fn a_line_keeps_its_level_until_the_next_of_its_emitters() {
-        let mut configuration = default_configuration();
-        let levels = [0x1000, 0x2000, 0x3000, 0x4000, 0x5000, 0x6000].map(Level);
-        configuration.levels = levels.into_iter().collect();
-        let slots = [&[3][..], &[0], &[4], &[1], &[5], &[2], &[]].map(EmitterSet::of);
-        configuration.schedule.slots = slots.into_iter().collect();
-        let plan = FramePlan::new(&configuration).unwrap();
-        assert_eq!(plan.level_codes[0][..], [0x300, 0x100, 0x100, 0x200, 0x200, 0x300, 0x300]);
-        assert_eq!(plan.level_codes[1][..], [0x400, 0x400, 0x500, 0x500, 0x600, 0x600, 0x600]);
-        assert!(!plan.is_level_constant(0) && !plan.is_level_constant(1));
     }
 
     #[test]
@@ -399,29 +339,5 @@ mod tests {
             4_096.0 * 5.0 / 475.0 * (-sampling_s / time_constant_s).exp()
         };
         assert!(left(MIN_SAMPLING_CODE) < 0.5 && left(MIN_SAMPLING_CODE - 1) > 2.0);
-    }
-
-    #[test]
-    fn the_first_conversion_after_a_millisecond_is_not_handed_out() {
-        let at = |frame_ticks| {
-            let mut configuration = default_configuration();
-            configuration.schedule.frame_ticks = frame_ticks;
-            FramePlan::new(&configuration).unwrap()
-        };
-        // 23 200 ticks of slots, of which the last ends with 5 762 − 2 210 of conversions.
-        let least = 153_000 + 23_200 - (5_800 - 3_552);
-        let [often, rarely] = [at(least), at(least + 1)];
-        assert!(!often.has_leading_word && rarely.has_leading_word);
-        assert_eq!((often.ranks, rarely.ranks), (6, 7));
-        // Four conversions of 148 ticks more; the cells' own samples stay where they are.
-        assert_eq!(often.trigger_ticks - rarely.trigger_ticks, 592);
-        assert_eq!(rarely.lit_at[..], [1, 9, 17, 4, 12, 20]);
-        assert_eq!(rarely.dark_at[..], [22, 23, 24, 25, 26, 27]);
-        assert_eq!(rarely.words(), 28);
-
-        let mut configuration = default_configuration();
-        (configuration.schedule.frame_ticks, configuration.schedule.settling_ticks) = (1_700_000, 698);
-        let fault = HardwareFault::Settling { asked_ticks: 698, least_ticks: 8 + 98 + 592 + 1 };
-        assert_eq!(FramePlan::new(&configuration), Err(fault));
     }
 }

@@ -249,10 +249,8 @@ form("ldrexh", "111010001101nnnntttt111101011111", aim("n", lambda f, s: 0, 2))
 
 # ---- floating point --------------------------------------------------------------------------------------
 # D, N, M are the lowest bits of the S registers in q (Sd), p (Sn) and o (Sm).
-for name, opc, op in [("vmla", "0D00", 0), ("vmls", "0D00", 1), ("vnmls", "0D01", 0), ("vnmla", "0D01", 1),
-                      ("vmul", "0D10", 0), ("vnmul", "0D10", 1), ("vadd", "0D11", 0), ("vsub", "0D11", 1),
-                      ("vdiv", "1D00", 0), ("vfnms", "1D01", 0), ("vfnma", "1D01", 1), ("vfma", "1D10", 0),
-                      ("vfms", "1D10", 1)]:
+for name, opc, op in [("vmul", "0D10", 0), ("vnmul", "0D10", 1), ("vadd", "0D11", 0), ("vsub", "0D11", 1),
+                      ("vdiv", "1D00", 0)]:
     form(name, f"11101110{opc}ppppqqqq1010N{op}M0oooo")
 form("vmov_imm", "111011101D11iiiiqqqq10100000iiii")
 for name, opc2, high in [("vmov", 0, 0), ("vabs", 0, 1), ("vneg", 1, 0), ("vsqrt", 1, 1), ("vcmp", 4, 0),

@@ -22,7 +22,7 @@ use crate::peripherals::timer::Timer;
 use crate::peripherals::uart::Uart;
 use crate::peripherals::usb::Usb;
 use crate::peripherals::watchdog::Watchdog;
-use crate::peripherals::{Edge, Effects, ResetCause, Ticks};
+use crate::peripherals::{Effects, ResetCause, Ticks};
 use crate::usb_host::UsbHost;
 use crate::world::World;
 
@@ -50,13 +50,6 @@ const BACKUP_V: f64 = 1.55;
 const CALIBRATION_V: f64 = 3.0;
 /// Temperatures of the calibration of the sensor, in degrees Celsius (data sheet, TS_CAL1 and TS_CAL2).
 const CALIBRATION_C: [f64; 2] = [30.0, 130.0];
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct GateEdge {
-    pub at: Ticks,
-    /// Gates from then on: bit k for PC(6 + k).
-    pub gates: u8,
-}
 
 #[derive(Debug)]
 pub struct Board<W> {
@@ -98,7 +91,6 @@ pub struct Board<W> {
     pvd: bool,
     gates: u8,
     levels: [u16; 2],
-    gate_log: Option<Vec<GateEdge>>,
     under_way: UnderWay,
     /// Fault sram-first-write: some block of SRAM may lose a write, or has lost one that was not repeated.
     loses_writes: bool,
@@ -135,7 +127,6 @@ impl<W: World> Board<W> {
             pvd: false,
             gates: 0,
             levels: [0; 2],
-            gate_log: None,
             under_way: UnderWay::default(),
             loses_writes: false,
             next_event: Ticks::MAX,
@@ -188,7 +179,6 @@ impl<W: World> Board<W> {
         self.under_way.reset();
         self.forget_accesses();
         self.flash.reset(&self.effects);
-        self.effects.forget_code();
         self.rcc.reset(cause);
         self.pvd = false;
         for (unit, _) in UNITS {
@@ -239,16 +229,6 @@ impl<W: World> Board<W> {
     /// The emitter gates: bit k for PC(6 + k).
     pub fn gates(&self) -> u8 {
         self.gates
-    }
-
-    /// Starts to log the changes of the emitter gates.
-    pub fn log_gates(&mut self) {
-        self.gate_log.get_or_insert_default();
-    }
-
-    /// The gate edges since the last call, in order.
-    pub fn take_gate_log(&mut self) -> Vec<GateEdge> {
-        self.gate_log.as_mut().map(std::mem::take).unwrap_or_default()
     }
 
     /// Sets the counter of TIM2 to TIM5 (`index` 0 to 3), as a write to CNT does.
@@ -381,14 +361,8 @@ impl<W: World> Board<W> {
         if (gates, levels) == (self.gates, self.levels) {
             return;
         }
-        let at = self.effects.now;
-        if gates != self.gates
-            && let Some(log) = &mut self.gate_log
-        {
-            log.push(GateEdge { at, gates });
-        }
         (self.gates, self.levels) = (gates, levels);
-        self.world.drive(at, gates, levels);
+        self.world.drive(self.effects.now, gates, levels);
     }
 
     /// Carries the detector's output to its interrupt line.
@@ -397,7 +371,7 @@ impl<W: World> Board<W> {
         let low = self.power.is_low;
         if low != self.pvd {
             self.pvd = low;
-            self.exti.edge(if low { Edge::Rising } else { Edge::Falling }, &mut self.effects);
+            self.exti.supply_crosses(low, &mut self.effects);
         }
     }
 

@@ -88,12 +88,9 @@ impl<W: World> Machine<W> {
                 self.board.advance_to(self.now());
             }
             if self.board.effects.attention
-                && let Some(stop) = self.attend(end)
+                && let Some(stop) = self.attend()
             {
                 return stop;
-            }
-            if self.now() >= end {
-                break;
             }
             self.board.effects.pc = self.cpu.pc();
             match self.cpu.step(&mut self.board) {
@@ -185,7 +182,7 @@ impl<W: World> Machine<W> {
 
     /// Does what the board has asked of core and machine.
     #[cold]
-    fn attend(&mut self, end: Ticks) -> Option<Stop> {
+    fn attend(&mut self) -> Option<Stop> {
         self.board.effects.attention = false;
         if let Some(cause) = self.board.effects.reset {
             self.reset(cause);
@@ -194,28 +191,11 @@ impl<W: World> Machine<W> {
         if std::mem::take(&mut self.board.effects.boot_loader_entered) {
             return Some(Stop::BootLoader);
         }
-        if std::mem::take(&mut self.board.effects.code_changed) {
-            self.cpu.invalidate_code();
-        }
-        self.wait_for_bus(end);
         if std::mem::take(&mut self.board.effects.nmi) {
             self.cpu.raise_nmi();
         }
         self.cpu.set_lines(&self.board.effects.lines);
         None
-    }
-
-    /// The core stands on an access that the bus does not answer yet. It does not sleep.
-    fn wait_for_bus(&mut self, end: Ticks) {
-        let stalled_until = self.board.effects.stalled_until;
-        let before = self.now();
-        if stalled_until <= before {
-            return;
-        }
-        self.board.advance_to(stalled_until.min(end));
-        self.awake += self.now() - before;
-        // Not over yet, or a reset came between: look again.
-        self.board.effects.attention |= self.now() < stalled_until;
     }
 
     /// Lets time pass for a core that stands still after a fault.
@@ -236,50 +216,32 @@ mod tests {
     use super::*;
     use crate::board::Board;
     use crate::cpu::{Bus, Size};
-    use crate::memory::{BANK_BYTES, PAGE_BYTES};
     use crate::peripherals::TICKS_PER_SECOND;
+    use crate::world::Dark;
 
     const SPIN: &[u16] = &[0xE7FE];
-    struct Nothing;
-
-    impl World for Nothing {
-        fn drive(&mut self, _: Ticks, _: u8, _: [u16; 2]) {}
-
-        fn sample(&mut self, _: Ticks, _: u8, _: u8) -> u16 {
-            0
-        }
-    }
-
     /// A machine with a vector table and `code` behind it.
-    fn machine(code: &[u16]) -> Machine<Nothing> {
+    fn machine(code: &[u16]) -> Machine<Dark> {
         let mut flash = FlashArray::erased();
         flash.load(0, &0x2000_1000_u32.to_le_bytes());
         flash.load(4, &0x0800_0009_u32.to_le_bytes());
         let bytes: Vec<u8> = code.iter().flat_map(|half| half.to_le_bytes()).collect();
         flash.load(8, &bytes);
-        flash.load(BANK_BYTES, &[0; PAGE_BYTES]);
-        Machine::new(flash, Nothing)
+        Machine::new(flash, Dark)
     }
 
-    fn put(board: &mut Board<Nothing>, address: u32, value: u32) {
+    fn put(board: &mut Board<Dark>, address: u32, value: u32) {
         board.write(address, Size::Word, value).unwrap();
     }
 
-    fn causes(machine: &Machine<Nothing>) -> Vec<ResetCause> {
+    fn causes(machine: &Machine<Dark>) -> Vec<ResetCause> {
         machine.resets().iter().map(|reset| reset.cause).collect()
     }
 
     /// Starts the watchdog: 0.1 s.
-    fn start_watchdog(machine: &mut Machine<Nothing>) {
+    fn start_watchdog(machine: &mut Machine<Dark>) {
         for (offset, value) in [(0, 0x5555), (4, 1), (8, 399), (0, 0xCCCC)] {
             put(&mut machine.board, 0x4000_3000 + offset, value);
-        }
-    }
-
-    /// Starts the erasure of the first page of bank 2.
-    fn start_erasure(machine: &mut Machine<Nothing>) {
-        for (offset, value) in [(8, 0x4567_0123), (8, 0xCDEF_89AB), (0x14, 1 << 1 | 1 << 11 | 1 << 16)] {
-            put(&mut machine.board, 0x4002_2000 + offset, value);
         }
     }
 
@@ -308,18 +270,5 @@ mod tests {
         assert_eq!(machine.run_until(TICKS_PER_SECOND + 10), Stop::Reached);
         assert!(machine.now() >= TICKS_PER_SECOND + 10);
         assert_eq!(machine.resets()[1..], [Reset { at: TICKS_PER_SECOND, cause: ResetCause::PowerOn }]);
-    }
-
-    #[test]
-    fn reading_a_busy_bank_keeps_the_core_waiting_awake() {
-        // `ldr r0, [pc]`, `ldr r1, [r0]`, literal at 12, then the code goes on behind it.
-        let mut machine = machine(&[0x4801, 0x6801, 0xE7FE, 0xBF00, 0x0000, 0x0804]);
-        start_erasure(&mut machine);
-        machine.run_until(1_000);
-        assert_eq!((machine.now(), machine.cpu.pc()), (1_000, 0x0800_000C));
-        let done = 22 * TICKS_PER_SECOND / 1_000;
-        machine.run_until(done + 100);
-        assert!(machine.awake_ticks() >= done);
-        assert_eq!(machine.cpu.state().r[1], u32::MAX, "the read has seen the erased page");
     }
 }

@@ -107,12 +107,6 @@ impl Rig {
     ) -> Result<Self, WorldError> {
         let world = OpticsWorld::new(scene, trajectory, WORLD_TIER, noise, faults)?;
         let mut rig = Self::power_on(image, world, faults);
-        if faults.has(Fault::LowSupply) {
-            rig.machine.set_supply_v(LOW_SUPPLY_V);
-        }
-        if faults.has(Fault::LostSettings) {
-            rig.machine.board.lose_settings_at_reset();
-        }
         if let Some(origin) = rig.machine.device_clock_origin() {
             rig.machine.board.world.set_origin(origin);
         }
@@ -136,6 +130,12 @@ impl<W: World> Rig<W> {
             if rig.machine.run_until(rig.now() + 100) != Stop::Reached {
                 break;
             }
+        }
+        if faults.has(Fault::LowSupply) {
+            rig.machine.set_supply_v(LOW_SUPPLY_V);
+        }
+        if faults.has(Fault::LostSettings) {
+            rig.machine.board.lose_settings_at_reset();
         }
         rig
     }

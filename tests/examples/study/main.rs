@@ -6,12 +6,10 @@
 //! The command that is studied is this program once more: cargo builds no other for an example, and `slitpose` is what its
 //! arguments make of it.
 
-mod figures;
-
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::Parser;
 use slitpose_tests::process::Slitpose;
 use slitpose_tests::studies::Study;
 
@@ -25,26 +23,14 @@ struct Options {
     #[arg(long, value_name = "PROGRAM")]
     slitpose: Option<PathBuf>,
     #[command(subcommand)]
-    name: Name,
-}
-
-#[derive(Subcommand)]
-enum Name {
-    #[command(flatten)]
-    Study(Study),
-    /// Figures of the image that `firmware/build` made, from the linker and the emulator, as a Markdown table
-    Figures,
+    study: Study,
 }
 
 fn main() -> ExitCode {
     if std::env::args().nth(1).is_some_and(|verb| VERBS.contains(&verb.as_str())) {
         return slitpose::commands::main(std::env::args_os());
     }
-    let Options { slitpose, name } = Options::parse();
-    let Name::Study(study) = name else {
-        figures::print();
-        return ExitCode::SUCCESS;
-    };
+    let Options { slitpose, study } = Options::parse();
     let path = slitpose.unwrap_or_else(|| std::env::current_exe().expect("this program"));
     // Once in a process.
     study.run(Slitpose::at(path.into_os_string().into_string().expect("UTF-8 path").leak())).end()

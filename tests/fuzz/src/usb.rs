@@ -9,7 +9,7 @@ use slitpose_emulator::machine::{Reset, Stop};
 use slitpose_emulator::peripherals::{ResetCause, TICKS_PER_SECOND, Ticks, UsbPort};
 use slitpose_emulator::rig::{Rig, open_image};
 use slitpose_emulator::usb_wire::{Answer, BusSignal, FRAME_TICKS, MAX_PACKET_BYTES, OutPacket, data_ticks};
-use slitpose_emulator::world::World;
+use slitpose_emulator::world::Dark;
 use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message};
 
 use crate::wire::steps;
@@ -30,18 +30,6 @@ const ANY_LENGTH: u8 = 0xf8;
 
 /// Packets and tokens that one stage of a transfer takes at most: a device that is not ready answers NAK some dozen times.
 const MAX_TRIES: usize = 64;
-
-/// No light, and converters at zero.
-#[derive(Debug)]
-struct Dark;
-
-impl World for Dark {
-    fn drive(&mut self, _: Ticks, _: u8, _: [u16; 2]) {}
-
-    fn sample(&mut self, _: Ticks, _: u8, _: u8) -> u16 {
-        0
-    }
-}
 
 /// Runs the script against the image that `firmware/build` made last: packets in and out of turn, resets of the bus,
 /// silence. The core never stops, no emitter is lit by it, and a host of good will finds the board afterwards and hears its

@@ -7,8 +7,7 @@
 //! | [`lit_cells`] | does no scan cost a tracker more than its budget, whatever its head sees? |
 //! | [`faults`] | is each kind of injected fault noticed, and what does it cost? |
 //! | [`latency`] | how long does a pose take from a board's bytes to a control loop in C? |
-//! | [`soak`] | is nothing lost, and does nothing grow, with several boards for a long time? |
-//! | [`storm`] | is nothing lost silently in bad weather? |
+//! | [`storm`] | is nothing lost silently, and does nothing grow, with several boards for a long time, in fair weather and foul? |
 //! | [`replug`] | does a board that goes in all manners come back? |
 //! | [`hour`] | how fast are long captures solved, and in how much memory? |
 
@@ -19,7 +18,6 @@ pub mod lit_cells;
 pub mod monte_carlo;
 pub mod replug;
 pub mod scan_table;
-pub mod soak;
 pub mod storm;
 mod trials;
 
@@ -43,9 +41,8 @@ pub enum Study {
     Faults(faults::Options),
     /// Time from a board's bytes to a control loop in C
     Latency(latency::Conditions),
-    /// Several boards for a long time: nothing is lost, and nothing grows
-    Soak(soak::Conditions),
-    /// Faulty boards, and a daemon that is suspended, killed, without a disk, and whose clock is set
+    /// Several boards for a long time: faulty ones, and a daemon that is suspended, killed, without a disk, and whose clock is
+    /// set; or, with `--calm`, none of that
     Storm(storm::Conditions),
     /// A board that goes in all manners and comes back at another port
     Replug(replug::Conditions),
@@ -59,9 +56,8 @@ impl Study {
         match self {
             Self::MonteCarlo(conditions) => monte_carlo::study(conditions),
             Self::LitCells(options) => lit_cells::study(options),
-            Self::Faults(options) => faults::study(slitpose, options),
+            Self::Faults(options) => faults::study(options),
             Self::Latency(conditions) => latency::study(slitpose, conditions),
-            Self::Soak(conditions) => soak::study(slitpose, conditions),
             Self::Storm(conditions) => storm::study(slitpose, conditions),
             Self::Replug(conditions) => replug::study(slitpose, conditions),
             Self::Hour(conditions) => hour::study(slitpose, conditions),

@@ -1,4 +1,4 @@
-//! Scene files, tables and command lines that are wrong: refused with a message that says where, what
+//! Scene files and tables that are wrong: refused with a message that says where, what
 //! stands there and what to do, with nothing on standard output. Of a table a field refuses its row only. Tables in other
 //! units, frames and clocks than they are said to be in are refused, or told with the next step.
 
@@ -8,6 +8,7 @@ use slitpose_head::scene_file::BENCH;
 use slitpose_tests::process::{Finished, name_in};
 use slitpose_tests::scenes::wide_with;
 use slitpose_tests::slitpose;
+use slitpose_tests::table::{POSE, with_changed};
 
 const POSES: &str = "id,tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad\n";
 
@@ -45,18 +46,6 @@ fn every_verb_refuses_a_wrong_scene_and_says_where_it_is_wrong() {
 }
 
 #[test]
-fn a_scene_that_is_not_there() {
-    slitpose!()
-        .run(["model", "no/such.toml", "--poses", "-"])
-        .assert_refused(1, &["no/such.toml", "wide, fine, redundant, spacemouse, maglev, base, bench"]);
-    for (typed, meant) in [("wied", "wide"), ("bas", "base"), ("bnech", "bench")] {
-        slitpose!().run(["scene", "check", typed]).assert_refused(1, &[typed, &format!("did you mean `{meant}`?")]);
-    }
-    let refused = slitpose!().run(["run", "--device", "sim", "--scene", "bench", "--duration", "1ms"]);
-    refused.assert_refused(1, &["bench", "[front_end]", "add one"]);
-}
-
-#[test]
 fn tables_that_are_none() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let path = folder.path().join("poses.csv");
@@ -75,11 +64,6 @@ fn tables_that_are_none() {
         slitpose!().run(["model", "wide", "--poses", name]).assert_refused(1, &[parts, &[name]].concat());
         slitpose!().run_with_input(["model", "wide", "--poses", "-"], text).assert_refused(1, parts);
     }
-    let refused = slitpose!().run(["model", "wide", "--poses", "no/such.csv"]);
-    refused.assert_refused(1, &["cannot read no/such.csv", "give a CSV file"]);
-    let refused = slitpose!().run(["model", "wide", "--poses", "/dev/zero"]);
-    refused.assert_refused(1, &["cannot read /dev/zero", "a device"]);
-    slitpose!().run(["scene", "check", "/dev/zero"]).assert_refused(1, &["`/dev/zero`", "a device", "regular file"]);
     let currents = "id,i_x1_0_a,i_x2_0_a\n1,1e-6,1e-6\n";
     let refused = slitpose!().run_with_input(["solve", "wide", "--currents", "-"], currents);
     refused.assert_refused(1, &["standard input, line 1", "`i_x1_1_a` is missing", "add the column"]);
@@ -144,8 +128,6 @@ fn paths_that_do_not_advance() {
     let name = path.as_str();
     let run = ["run", "--device", "sim", "--speed", "max", "--duration", "1ms", "--trajectory", name];
     slitpose!().run(run).assert_refused(1, &[name, "the motions are still, smooth, fast, contact", "cannot read"]);
-    let misspelt = ["simulate", "--output", "-", "--trajectory", "contct"];
-    slitpose!().run(misspelt).assert_refused(1, &["no motion is called contct (did you mean `contact`?)"]);
     fs::write(&path, "time_s,tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad\n0,0,0,0,0,0,0\n0,1,0,0,0,0,0\n").expect("table");
     slitpose!().run(run).assert_refused(1, &[name, "time 0 s follows 0 s", "sort"]);
     fs::write(&path, "tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad\n0,0,0,0,0,0\n").expect("table");
@@ -202,31 +184,6 @@ fn integrals_that_meet_the_limit_of_work_are_told() {
 }
 
 #[test]
-fn wrong_usage_ends_with_two() {
-    for (arguments, part) in [
-        (&[][..], "Usage"),
-        (&["frobnicate"], "frobnicate"),
-        (&["run", "--device", "sim", "--scene", "wide,base,wide"], "3 scenes for 1 boards"),
-        (&["run", "--device", "sim", "--duration", "soon"], "such as 10s"),
-        (&["run", "--device", "sim", "--duration", "0s"], "such as 10s"),
-        (&["run", "--device", "sim", "--speed", "0"], "such as 1 or 0.5"),
-        (&["run", "--device", "sim", "--format", "xml"], "ndjson"),
-        (&["run", "--device", "sim", "--seed", "one"], "--seed"),
-        (&["model", "wide"], "--poses"),
-        (&["model", "wide", "--poses", "-", "--tier", "best"], "paper, exact"),
-        (&["model", "wide", "--poses", "-", "--tolerance", "0"], "between 0 and 1"),
-        (&["solve", "wide"], "--currents"),
-        (&["replay"], "<FILE>"),
-        (&["simulate"], "--output"),
-    ] {
-        slitpose!().run(arguments).assert_refused(2, &[part]);
-    }
-    slitpose!()
-        .run(["run", "--patience", "0s", "--device", "/dev/no-such-board"])
-        .assert_refused(1, &["/dev/no-such-board", "--device sim"]);
-}
-
-#[test]
 fn help_is_data_and_has_an_example() {
     fn check(command: &clap::Command, words: &[&str]) {
         let verbs: Vec<_> = command.get_subcommands().filter(|verb| verb.get_name() != "help").collect();
@@ -243,26 +200,9 @@ fn help_is_data_and_has_an_example() {
     check(&slitpose::commands::command(), &[]);
 }
 
-const COLUMNS: [&str; 6] = ["tx_mm", "ty_mm", "tz_mm", "rx_rad", "ry_rad", "rz_rad"];
-
-/// The column of that name in the header of `table`.
-fn place(table: &str, name: &str) -> usize {
-    table.lines().next().and_then(|header| header.split(',').position(|column| column == name)).expect(name)
-}
-
 /// `table` with the numbers of `names` changed.
 fn changed(table: &str, names: &[&str], change: impl Fn(f64) -> f64) -> String {
-    let places: Vec<usize> = names.iter().map(|name| place(table, name)).collect();
-    let mut lines = table.lines().map(str::to_owned);
-    let header = lines.next().expect("a header");
-    let rows = lines.map(|line| {
-        let fields = line.split(',').enumerate().map(|(at, field)| match places.contains(&at) {
-            true => change(field.parse().expect("a number")).to_string(),
-            false => field.to_owned(),
-        });
-        fields.collect::<Vec<_>>().join(",")
-    });
-    [header].into_iter().chain(rows).collect::<Vec<_>>().join("\n") + "\n"
+    with_changed(table, |name| names.contains(&name), change)
 }
 
 /// Ended with `code`, and said all `parts`, or nothing.
@@ -285,13 +225,13 @@ fn poses() -> String {
             (0..6).map(|axis| part(axis, if axis < 3 { 3.0 } else { 0.2 }).to_string()).collect();
         format!("{row},{}\n", numbers.join(","))
     };
-    format!("id,{}\n{}", COLUMNS.join(","), (0..6).map(row).collect::<String>())
+    format!("id,{}\n{}", POSE.join(","), (0..6).map(row).collect::<String>())
 }
 
 #[test]
 fn poses_of_other_units_are_told() {
     let table = poses();
-    let (t, r) = COLUMNS.split_at(3);
+    let (t, r) = POSE.split_at(3);
     let model = |table: &str| slitpose!().run_with_input(["model", "wide", "--poses", "-"], table);
     assert_no_doubt(&model(&table), "as it is");
     let degrees = changed(&table, r, |rad| 100.0 * rad);
@@ -317,7 +257,7 @@ fn measured(scene: &str, poses: &str) -> String {
 fn profiles_are_not_identified_from_poses_of_other_units() {
     // At most of these the light stays at the middle of the detector, whatever the axes.
     let turns: String = (-6..7).map(|row| format!("{row},{},0,0,0,{},0\n", row / 4, 0.1 * f64::from(row))).collect();
-    let bench = measured("bench", &format!("id,{}\n{turns}", COLUMNS.join(",")));
+    let bench = measured("bench", &format!("id,{}\n{turns}", POSE.join(",")));
     assert_no_doubt(&slitpose!().run_with_input(["identify", "bench", "--currents", "-"], &bench), "bench");
     let table = measured("wide", &poses());
     let identify = |table: &str| slitpose!().run_with_input(["identify", "wide", "--currents", "-"], table);
@@ -327,9 +267,9 @@ fn profiles_are_not_identified_from_poses_of_other_units() {
     let microamperes = identify(&changed(&table, &currents, |a| a * 1e6));
     assert_said(&microamperes, 0, &["check that currents are in amperes", "times the emitter's"], "microamperes");
     for (names, change, parts) in [
-        (&COLUMNS[..3], 1e-3, &["tx_mm, ty_mm and tz_mm are millimetres", "metres?"][..]),
-        (&COLUMNS[3..], 57.29577951308232, &["column `r", "are these degrees?"]),
-        (&COLUMNS[..3], -1.0, &["axes of the poses look exchanged or reversed"]),
+        (&POSE[..3], 1e-3, &["tx_mm, ty_mm and tz_mm are millimetres", "metres?"][..]),
+        (&POSE[3..], 57.29577951308232, &["column `r", "are these degrees?"]),
+        (&POSE[..3], -1.0, &["axes of the poses look exchanged or reversed"]),
     ] {
         let finished = identify(&changed(&table, names, |number| change * number));
         assert_said(&finished, 1, parts, &format!("{names:?} times {change}"));
@@ -352,7 +292,7 @@ fn references_of_other_clocks_and_units_are_told() {
     assert_no_doubt(&compare(&by_scan), "by scan");
     assert_no_doubt(&compare(&by_time), "by time");
     let time = |change: fn(f64) -> f64| changed(&by_time, &["time_s"], change);
-    let degrees = changed(&by_time, &COLUMNS[3..], f64::to_degrees);
+    let degrees = changed(&by_time, &POSE[3..], f64::to_degrees);
     for (what, table, code, parts) in [
         (
             "epoch",
@@ -365,8 +305,8 @@ fn references_of_other_clocks_and_units_are_told() {
         ("rows", changed(&by_time, &["time_s"], |s| (s * 4000.0).floor()), 0, &["are these numbers of rows?"]),
         ("late", time(|s| s + 0.0205), 0, &["the reference seems 0.020", "s late", "subtract"]),
         ("early", time(|s| s - 1.55e-4), 0, &["the reference seems 0.00015", "s early", "add"]),
-        ("metres", changed(&by_scan, &COLUMNS[..3], |mm| mm * 1e-3), 0, &["are these metres?", "times as well"]),
-        ("metres by time", changed(&by_time, &COLUMNS[..3], |mm| mm * 1e-3), 0, &["are these metres?"]),
+        ("metres", changed(&by_scan, &POSE[..3], |mm| mm * 1e-3), 0, &["are these metres?", "times as well"]),
+        ("metres by time", changed(&by_time, &POSE[..3], |mm| mm * 1e-3), 0, &["are these metres?"]),
         (
             "mirrored",
             changed(&by_scan, &["ty_mm", "rx_rad", "rz_rad"], |number| -number),
@@ -403,7 +343,7 @@ fn paths_by_another_clock_are_told() {
         ([0.0, 100.0, 200.0], 0, &["takes 200 s, and the simulation 0.02 s", "milliseconds"]),
     ] {
         let rows: String = times.iter().enumerate().map(|(x, time)| format!("{time},{x},0,0,0,0,0\n")).collect();
-        fs::write(&table, format!("time_s,{}\n{rows}", COLUMNS.join(","))).expect("a file");
+        fs::write(&table, format!("time_s,{}\n{rows}", POSE.join(","))).expect("a file");
         let simulate = ["simulate", "--duration", "20ms", "--trajectory", &table, "--overwrite", "--output", &capture];
         let finished = slitpose!().run(simulate);
         assert_said(&finished, code, parts, &format!("{times:?}"));

@@ -137,6 +137,19 @@ fn where_motion_is_hardly_foreseen_a_board_may_know_less_of_it_but_lacks_no_pose
     assert!(own.apart < 750 && own.rms() < 0.1, "{} {}", own.apart, own.rms());
 }
 
+/// Emitters take turns for half a millisecond. Where it is a near thing whether the tool went on as foreseen, one side takes
+/// its acceleration for known and the other does not, and their poses differ while they do.
+#[test]
+fn in_long_frames_a_board_lacks_no_pose() {
+    let source = wide()
+        .source
+        .replace("slots = [[0, 3], [1, 4], [2, 5], []]", "slots = [[0], [1], [2], [3], [4], [5], []]")
+        .replace("oversampling = 4", "oversampling = 16");
+    let alike = Difference::of(SceneFile::parse("long frames", &source).expect("a scene"), 1e3, 5.0, NEGLECTED);
+    assert!(alike.quantile(1.0) < 3.5 && alike.rms() < 0.5);
+    assert_eq!(alike.lacking, 0);
+}
+
 /// In one frame of twelve an emitter is at a wall of its thick mask, where derivatives jump: there is time for a second step.
 #[test]
 fn at_2_khz_a_calibrated_board_has_the_poses_of_a_host() {

@@ -13,7 +13,7 @@ use slitpose_head::scene_file::SceneFile;
 use slitpose_model::{CompiledScene, Pose, Tier, rotation_exp};
 use slitpose_tests::process::{name_in, text};
 use slitpose_tests::slitpose;
-use slitpose_tests::table::{POSE, Row, SIGMA, Table};
+use slitpose_tests::table::{POSE, Row, SIGMA, Table, with_changed};
 use tempfile::TempDir;
 
 /// The path of a file of the heads.
@@ -55,16 +55,7 @@ struct Solved {
 /// The table `test` with all currents multiplied by `level`, in `folder`.
 fn dimmed(folder: &TempDir, test: &str, level: f64) -> String {
     let text = std::fs::read_to_string(data(test)).expect("a table");
-    let (header, rows) = text.split_once('\n').expect("a header");
-    let is_current: Vec<bool> = header.split(',').map(|name| name.starts_with("i_x")).collect();
-    let mut dimmed = format!("{header}\n");
-    for row in rows.lines() {
-        let fields = row.split(',').zip(&is_current).map(|(field, is_current)| match is_current {
-            true => (level * field.parse::<f64>().expect("a number")).to_string(),
-            false => field.to_owned(),
-        });
-        dimmed += &(fields.collect::<Vec<_>>().join(",") + "\n");
-    }
+    let dimmed = with_changed(&text, |name| name.starts_with("i_x"), |current| level * current);
     let path = folder.path().join(format!("{level}.csv"));
     std::fs::write(&path, dimmed).expect("a folder");
     path.to_str().expect("UTF-8").to_owned()

@@ -149,13 +149,8 @@ fn a_replay_is_paused_moved_and_played_again() {
 }
 
 #[test]
-fn a_page_for_other_hosts_needs_a_token() {
-    let refused = slitpose!().run(["run", "--config", "none", "--device", "sim", "--live", "0.0.0.0:0"]);
-    refused.assert_refused(1, &["0.0.0.0:0", "--live-token"]);
-    let arguments = ["scene", "view", "wide", "--live", "[::]:0", "--live-token", "short"];
-    slitpose!().run(arguments).assert_refused(1, &["5 characters", "16"]);
-    slitpose!().run(["replay", "--live", "capture.mcap"]).assert_refused(2, &["capture.mcap", "is no address"]);
-    // It is not printed: standard error may be a journal.
+fn the_token_of_a_live_page_is_not_printed() {
+    // Standard error may be a journal.
     let arguments = ["scene", "view", "wide", "--live", "127.0.0.1:0", "--live-token", "correct-horse-battery"];
     let mut program = slitpose!().spawn(arguments);
     let mut line = String::new();

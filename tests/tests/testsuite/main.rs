@@ -13,6 +13,7 @@ mod guide;
 mod live_page;
 mod outputs;
 mod physics_chain;
+mod refusals;
 mod replay_identical;
 mod report;
 mod run_emulated;

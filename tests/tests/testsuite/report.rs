@@ -183,46 +183,12 @@ fn stiff(table: &Table) {
 }
 
 #[test]
-fn a_head_without_a_pose_is_refused() {
+fn a_report_is_a_folder_and_no_file() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let output = folder.path().join("report");
-    let finished = slitpose!().run(["report", "bench", "--output", output.to_str().expect("UTF-8")]);
-    finished.assert_refused(1, &["1 cells gives no pose at home", "unobservable", "wide"]);
-    slitpose!().run(["report"]).assert_refused(2, &["--output"]);
     let file = folder.path().join("a file");
     fs::write(&file, "").expect("file");
     let finished = slitpose!().run(["report", "--output", file.to_str().expect("UTF-8")]);
     finished.assert_refused(1, &["a file", "folder that exists"]);
-}
-
-fn refused(arguments: &[&str], parts: &[&str]) {
-    let finished = slitpose!().run(arguments);
-    assert_ne!(finished.code, 0, "{arguments:?}");
-    assert_eq!(finished.stdout, b"", "{arguments:?}");
-    for part in parts {
-        assert!(finished.stderr.contains(part), "{arguments:?}: `{part}` is not in {}", finished.stderr);
-    }
-}
-
-#[test]
-fn what_cannot_be_is_told_before_anything_is_searched() {
-    refused(&["scene", "optimise", "wide"], &["--free"]);
-    refused(&["scene", "optimise", "wide", "--free", "slit"], &["there is no `slit`", "slit_width"]);
-    refused(&["scene", "optimise", "wide", "--free", "roll=9"], &["`9` are no bounds", "roll=0..90"]);
-    refused(&["scene", "optimise", "wide", "--free", "roll", "--lit", "999"], &["'999'", "from 0 to 100"]);
-    refused(&["scene", "optimise", "wide", "--free", "roll", "--radius", "inf"], &["'inf'", "in mm"]);
-    refused(&["scene", "optimise", "bench", "--free", "full_scale"], &["no [front_end]", "leave full_scale out"]);
-    refused(&["scene", "map", "base", "--schedule", "4000", "--samples", "10"], &["no [front_end]", "wide"]);
-    refused(
-        &["scene", "map", "wide", "--schedule", "30000", "--samples", "10"],
-        &["the frame period is 33.3 µs", "lower front_end.frame_rate_hz"],
-    );
-    refused(&["scene", "map", "wide", "--tolerance-study", "0"], &["--tolerance-study"]);
-    let study = ["scene", "map", "bench", "--samples", "10", "--tolerance-study", "1"];
-    refused(&study, &["no pose anywhere in its workspace", "`wide`"]);
-    refused(&["scene", "map", "base", "--samples", "10", "--output", "no/m.svg"], &["no/m.svg is to be a folder"]);
-    refused(&["compare"], &["SCENE"]);
-    refused(&["compare", "wide", "no.toml"], &["cannot read scene `no.toml`"]);
 }
 
 /// Heads of which one cannot be run are compared by what all have, and the reason is told; those of other rates at equal

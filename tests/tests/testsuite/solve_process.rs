@@ -10,7 +10,7 @@ use slitpose_tests::poses::{self, PoseRow};
 use slitpose_tests::process::{Slitpose, name_in};
 use slitpose_tests::scenes::{self, changed, ring, wide_with};
 use slitpose_tests::slitpose;
-use slitpose_tests::table::{POSE, Row, SIGMA, Table, data, reference, single_cell_scene_file};
+use slitpose_tests::table::{POSE, Row, SIGMA, Table, data, reference, single_cell_scene_file, with_changed};
 
 /// Half extents of the shipped scenes' workspace.
 const WORKSPACE: (f64, f64) = (4.0, 15.0);
@@ -41,21 +41,6 @@ fn assert_no_pose(row: &Row<'_>, status: &str) {
     }
 }
 
-/// `currents` with those of all electrodes `level` times as large.
-fn at_level(currents: &str, level: f64) -> String {
-    let mut lines = currents.lines();
-    let header = lines.next().expect("a header");
-    let is_current: Vec<bool> = header.split(',').map(|name| name.starts_with("i_x")).collect();
-    let dimmed = |line: &str| {
-        let cell = |(text, is_current): (&str, &bool)| match text.parse::<f64>() {
-            Ok(current) if *is_current => (current * level).to_string(),
-            _ => text.to_owned(),
-        };
-        line.split(',').zip(&is_current).map(cell).collect::<Vec<_>>().join(",")
-    };
-    [header.to_owned()].into_iter().chain(lines.map(dimmed)).collect::<Vec<_>>().join("\n")
-}
-
 /// Rows of a head without a calibration are at the light level of its scene, unless that says how far it may be off.
 #[test]
 fn rows_of_another_light_level_are_solved_where_the_scene_says_that_it_varies() {
@@ -68,7 +53,8 @@ fn rows_of_another_light_level_are_solved_where_the_scene_says_that_it_varies() 
     let fixed = scene("fixed.toml", &wide_with(&[]));
     let varies = scene("varies.toml", &(wide_with(&[]) + "\n[tolerance]\nlight_level_relative = 0.1\n"));
     let truths = poses::in_box(&mut poses::generator(13), 2.0, 5.0, 20);
-    let dimmed = at_level(&currents(&fixed, "exact", &truths), 0.98);
+    let dimmed =
+        with_changed(&currents(&fixed, "exact", &truths), |name| name.starts_with("i_x"), |current| 0.98 * current);
     for (row, truth) in solve(&varies, "exact", &dimmed).rows().zip(&truths) {
         assert_eq!(row.text("status"), "converged");
         // The prior of 10 % draws the level, which the currents know to some 0.1 %, by 10⁻⁴ of its 2 %.

@@ -34,7 +34,7 @@ kept! {
     each_fault_is_noticed_and_costs_nothing_silently: "faults --spans 1 --tier paper --rate-hz 2000";
     poses_reach_a_client_in_c: "latency --warm-up 0 --seconds 2 --untimed";
     // Seconds say little about growth: queues still fill for the first time.
-    two_boards_lose_nothing: "soak --boards 2 --duration 4s --every 200ms --most-growth-kib 16384";
+    two_boards_lose_nothing: "storm --calm --boards 2 --duration 8s --pages 0 --most-growth-kib 16384";
     faulty_boards_and_a_daemon_that_is_struck_lose_nothing_silently:
         "storm --boards 2 --duration 4s --least-blows 3 --seed 3 --pause-s 0.5 --pages 0";
     // Twice in each manner.
@@ -81,11 +81,17 @@ fn a_fault_without_patience_ends_the_run_as_the_table_says() {
 
 #[test]
 fn the_exit_code_is_that_of_the_table() {
-    for kind in KINDS.iter().filter(|kind| !needs_daemon(kind)) {
-        let spec = Spans { from_s: 0.1, for_s: 0.3, every_s: 0.7, count: 1 }.spec(kind);
-        let run = ["run", "--device", "sim", "--speed", "max", "--duration", "600ms", "--tier", "paper"];
-        let finished = slitpose!().run(run.iter().chain(&["--format", "none", "--fault", &spec]));
+    for kind in &KINDS {
+        let spec = Spans { from_s: 0.1, for_s: 0.3, every_s: 10.0, count: 1 }.spec(kind);
+        let duration = if needs_daemon(kind) { "3s" } else { "600ms" };
+        let run = ["run", "--device", "sim", "--speed", "max", "--duration", duration, "--tier", "paper"];
+        // A busy machine may find a board that was lost late.
+        let options = ["--format", "csv", "--patience", "60s", "--fault", &spec];
+        let finished = slitpose!().run(run.iter().chain(&options));
         assert_eq!(finished.code, i32::from(kind.exit), "{spec}: {}", finished.stderr);
+        let poses = finished.text().lines().count() - 1;
+        // A quarter of what it would be without the fault, which acts for half of the time.
+        assert!(poses > 600, "{spec}: {poses} poses: {}", finished.stderr);
         assert!(finished.stderr.contains(&format!("faults are injected: {spec}")), "{}", finished.stderr);
     }
 }
@@ -134,19 +140,6 @@ fn a_run_has_all_scans_of_its_duration_or_says_how_many_are_missing() {
     // What is held back when the board stops is delivered when that time is over.
     let (found, code, said) = run("2s", &["stop:from=150ms", "stall:from=100ms,for=100ms"]);
     assert!(code == 3 && found > 600 && said.contains("the board on sim runs"), "{code}, {found}: {said}");
-}
-
-#[test]
-fn what_cannot_be_injected_is_refused_as_wrong_usage() {
-    for (arguments, parts) in [
-        (&["run", "--device", "sim", "--fault", "oclude:cell=1"][..], &["`oclude`", "`occlude` is"][..]),
-        (&["run", "--device", "sim", "--duration", "1s", "--fault", "occlude:cell=6"], &["occlude:cell=6", "0 to 5"]),
-        (&["run", "--device", "/dev/null", "--fault", "flip"], &["--fault", "--device sim"]),
-        (&["simulate", "--output", "/dev/null", "--fault", "hangup"], &["hangup", "--patience"]),
-        (&["replay", "/dev/null", "--fault", "dead:emitter=1"], &["dead:emitter=1", "`simulate`"]),
-    ] {
-        slitpose!().run(arguments).assert_refused(2, parts);
-    }
 }
 
 #[test]

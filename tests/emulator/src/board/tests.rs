@@ -1,41 +1,19 @@
 //! The wires between the peripherals, driven through the bus as a program drives them.
 
 use super::*;
-use crate::cpu::{Bus, BusFault, Size};
+use crate::cpu::{Bus, Size};
 use crate::facts;
-use crate::memory::{CCM_BASE, RAM_BASE};
 use crate::peripherals::TICKS_PER_SECOND;
+use crate::world::Dark;
 
 const RCC: u32 = 0x4002_1000;
 const FLASH_ACR: u32 = 0x4002_2000;
 const TIM2: u32 = 0x4000_0000;
 const PWR: u32 = 0x4000_7000;
 const GPIOC: u32 = 0x4800_0800;
-const DAC1_DHR12R1: u32 = 0x5000_0808;
-/// Remembers what it is asked and told.
-#[derive(Debug, Default)]
-struct Recorder {
-    drives: Vec<(Ticks, u8, [u16; 2])>,
-    samples: u64,
-    last_sample: Ticks,
-}
 
-impl World for Recorder {
-    fn drive(&mut self, now: Ticks, gates: u8, level_codes: [u16; 2]) {
-        assert!(now >= self.last_sample);
-        self.drives.push((now, gates, level_codes));
-    }
-
-    fn sample(&mut self, now: Ticks, adc: u8, channel: u8) -> u16 {
-        assert!(now >= self.last_sample && self.drives.last().is_none_or(|drive| drive.0 <= now));
-        self.last_sample = now;
-        self.samples += 1;
-        100 * u16::from(adc) + u16::from(channel)
-    }
-}
-
-fn board() -> Board<Recorder> {
-    let mut board = Board::new(FlashArray::erased(), Recorder::default());
+fn board() -> Board<Dark> {
+    let mut board = Board::new(FlashArray::erased(), Dark);
     put(&mut board, RCC + 0x48, 0x107);
     put(&mut board, RCC + 0x4C, 0x0003_607F);
     put(&mut board, RCC + 0x58, 0x1000_000F);
@@ -43,44 +21,17 @@ fn board() -> Board<Recorder> {
     board
 }
 
-fn put(board: &mut Board<Recorder>, address: u32, value: u32) {
+fn put(board: &mut Board<Dark>, address: u32, value: u32) {
     board.write(address, Size::Word, value).unwrap();
 }
 
-fn get(board: &mut Board<Recorder>, address: u32) -> u32 {
+fn get(board: &mut Board<Dark>, address: u32) -> u32 {
     board.read(address, Size::Word).unwrap()
-}
-
-fn wait(board: &mut Board<Recorder>, ticks: Ticks) {
-    let end = board.now() + ticks;
-    board.advance_to(end);
-}
-
-#[test]
-fn a_narrow_write_fills_all_lanes_and_a_narrow_read_takes_one() {
-    let mut board = board();
-    board.write(DAC1_DHR12R1, Size::Half, 0x0ABC).unwrap();
-    assert_eq!(get(&mut board, DAC1_DHR12R1), 0xABC);
-    assert_eq!(board.read(0x1FFF_75CA, Size::Half), Ok(u32::from(TS_CAL2)));
-    board.write(GPIOC + 0x14, Size::Byte, 0x81).unwrap();
-    assert_eq!(board.read(GPIOC + 0x15, Size::Byte), Ok(0x81));
-}
-
-#[test]
-fn memories_have_their_aliases_and_ends() {
-    let mut board = board();
-    put(&mut board, CCM_BASE + 4, 77);
-    assert_eq!(get(&mut board, RAM_BASE + 0x1_8004), 77);
-    assert_eq!(get(&mut board, 0), u32::MAX);
-    assert_eq!(board.read(RAM_BASE + RAM_BYTES as u32, Size::Word), Err(BusFault));
-    assert_eq!(board.read(RAM_BASE + RAM_BYTES as u32 - 2, Size::Word), Err(BusFault));
-    assert_eq!(board.write(0x6000_0000, Size::Word, 0), Err(BusFault));
-    assert_eq!(board.write(0x1FFF_7590, Size::Word, 0), Err(BusFault));
 }
 
 #[test]
 fn an_unclocked_peripheral_neither_hears_nor_answers() {
-    let mut board = Board::new(FlashArray::erased(), Recorder::default());
+    let mut board = Board::new(FlashArray::erased(), Dark);
     put(&mut board, GPIOC + 0x14, 1);
     assert_eq!(get(&mut board, GPIOC), 0);
     assert_eq!(
@@ -136,21 +87,4 @@ fn supply_clock_and_sensors_are_those_of_the_data_sheet() {
     assert_eq!(at_calibration, [TS_CAL1, TS_CAL2]);
     let reference = facts::bits("LL_ADC_CHANNEL_VREFINT") as u8;
     assert_eq!(internal_code(reference, CALIBRATION_V, 0.0), VREFINT_CAL);
-}
-
-#[test]
-fn a_debugger_halts_the_timers_of_st_s_bits() {
-    for (name, index) in [("TIM2", 0), ("TIM5", 3)] {
-        let mut board = board();
-        for base in ["TIM2_BASE", "TIM5_BASE"] {
-            put(&mut board, facts::bits(base), 1);
-        }
-        wait(&mut board, 100);
-        board.halt_timers(facts::bits(&format!("DBGMCU_APB1FZR1_DBG_{name}_STOP")));
-        let before = [0, 3].map(|timer| get(&mut board, facts::bits("TIM2_BASE") + 0x400 * timer + 0x24));
-        wait(&mut board, 100);
-        let after = [0, 3].map(|timer| get(&mut board, facts::bits("TIM2_BASE") + 0x400 * timer + 0x24));
-        let stands = [before[0] == after[0], before[1] == after[1]];
-        assert_eq!(stands, [index == 0, index == 3], "{name}");
-    }
 }

@@ -136,8 +136,6 @@ fn float_timing(float: FloatInstruction) -> Timing {
         FloatInstruction::Load { count, .. } | FloatInstruction::Store { count, .. } => alone(1 + count),
         FloatInstruction::Arithmetic { op: FloatOp::Div, .. }
         | FloatInstruction::Unary { op: FloatUnaryOp::Sqrt, .. } => alone(14),
-        FloatInstruction::Arithmetic { op: FloatOp::Add | FloatOp::Sub | FloatOp::Mul | FloatOp::Nmul, .. } => alone(1),
-        FloatInstruction::Arithmetic { .. } => alone(3),
         FloatInstruction::PairToCore { .. } | FloatInstruction::PairFromCore { .. } => alone(2),
         _ => alone(1),
     }
@@ -217,7 +215,6 @@ mod tests {
         assert_eq!(cycles(0xb5f0, 0), 6); // push {r4-r7, lr}
         assert_eq!(cycles(0xe9d1, 0x0200), 3); // ldrd r0, r2, [r1]
         assert_eq!(cycles(0xee80, 0x0a20), 14); // vdiv.f32 s0, s0, s1
-        assert_eq!(cycles(0xeea0, 0x0a20), 3); // vfma.f32 s0, s0, s1
         assert_eq!(cycles(0xecbd, 0x8a10), 17); // vpop {s16-s31}
     }
 

@@ -310,25 +310,17 @@ fn sm(w: u32) -> SReg {
     single(w, 0, 5)
 }
 
-/// DDI0403, A6.4. Double precision is undefined.
+/// DDI0403, A6.4. Double precision is undefined, and so are multiplications that accumulate.
 fn float_processing(w: u32) -> Option<FloatInstruction> {
     if bit(w, 8) {
         return None;
     }
     let op = match (w >> 20 & 11, bit(w, 6)) {
-        (0, false) => FloatOp::Mla,
-        (0, true) => FloatOp::Mls,
-        (1, false) => FloatOp::Nmls,
-        (1, true) => FloatOp::Nmla,
         (2, false) => FloatOp::Mul,
         (2, true) => FloatOp::Nmul,
         (3, false) => FloatOp::Add,
         (3, true) => FloatOp::Sub,
         (8, false) => FloatOp::Div,
-        (9, false) => FloatOp::Fnms,
-        (9, true) => FloatOp::Fnma,
-        (10, false) => FloatOp::Fma,
-        (10, true) => FloatOp::Fms,
         (11, false) => return Some(FloatInstruction::Constant { sd: sd(w), value: expand(w) }),
         (11, true) => return other_float_processing(w),
         _ => return None,

@@ -1,7 +1,7 @@
 //! Exception entry and return, faults, sleep (DDI0403, B1.5).
 //!
-//! Simplified: a fault while stacking or while reading a vector becomes HardFault at once instead of competing
-//! as a derived exception, and late arrival is not modelled.
+//! Simplified: a fault while stacking becomes HardFault at once instead of competing as a derived exception; a vector that
+//! cannot be read, or a return that cannot be made, locks the core up; late arrival is not modelled.
 
 use super::code::{ENTRY, FLOAT_FRAME, NOTHING_IN_FLIGHT, RETURN, TAIL_CHAIN};
 use super::nvic::HARD_FAULT;
@@ -110,19 +110,17 @@ impl Cpu {
                 self.pc = vector & !1;
                 self.ran()
             }
-            Err(_) if exception <= HARD_FAULT => self.lock_up(Fault::VectorTable { address }, self.pc),
-            Err(_) => {
-                self.report(Fault::VectorTable { address }, self.pc);
-                self.take_exception(bus, HARD_FAULT)
-            }
+            Err(_) => self.lock_up(Fault::VectorTable { address }, self.pc),
         }
     }
 
     /// ExceptionReturn with the EXC_RETURN `value`.
     pub(super) fn exception_return<B: Bus>(&mut self, bus: &mut B, value: u32) -> Step {
         let returning = (self.registers.ipsr & 127) as u8;
-        if let Err(fault) = self.check_return(value, returning) {
-            return self.refuse_return(bus, fault, value);
+        // The integrity checks of B1.5.8.
+        let mode = if self.nvic.active.count_ones() > 1 { 0xffff_ffe1 } else { 0xffff_ffe9 };
+        if value & !0x10 != mode || !self.nvic.is_active(returning) {
+            return self.lock_up(Fault::InvalidReturn { value }, self.pc);
         }
         self.nvic.deactivate(returning);
         self.attention = true;
@@ -135,35 +133,9 @@ impl Cpu {
             return self.take_exception(bus, next);
         }
         self.cycles += RETURN;
-        if let Err(fault) = self.pop_frame(bus, value) {
-            return self.refuse_return(bus, fault, value);
-        }
-        self.ran()
-    }
-
-    /// The integrity checks of B1.5.8.
-    fn check_return(&self, value: u32, returning: u8) -> Result<(), Fault> {
-        let nested = self.nvic.active.count_ones() > 1;
-        let fits = match value & !0x10 {
-            0xffff_ffe1 => nested,
-            0xffff_ffe9 => !nested,
-            _ => false,
-        };
-        if fits && self.nvic.is_active(returning) { Ok(()) } else { Err(Fault::InvalidReturn { value }) }
-    }
-
-    /// A return that cannot be made becomes a fault in the returning handler's place, without a new frame.
-    fn refuse_return<B: Bus>(&mut self, bus: &mut B, fault: Fault, value: u32) -> Step {
-        let returning = (self.registers.ipsr & 127) as u8;
-        if self.nvic.is_active(returning) {
-            self.nvic.deactivate(returning);
-        }
-        self.report(fault, self.pc);
-        if self.can_escalate() {
-            self.registers.r[14] = value;
-            self.take_exception(bus, HARD_FAULT)
-        } else {
-            self.lock_up(fault, self.pc)
+        match self.pop_frame(bus, value) {
+            Ok(()) => self.ran(),
+            Err(fault) => self.lock_up(fault, self.pc),
         }
     }
 

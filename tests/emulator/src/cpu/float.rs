@@ -74,23 +74,15 @@ impl FloatUnit {
         u32::from(self.result.1.wrapping_add(1) == now && sources.contains(&self.result.0))
     }
 
-    /// An operation on `n`, `m` and, for the accumulating ones, `d`.
     #[inline(always)]
-    pub fn arithmetic(op: FloatOp, d: u32, n: u32, m: u32) -> u32 {
+    pub fn arithmetic(op: FloatOp, n: u32, m: u32) -> u32 {
         match op {
-            FloatOp::Add => add(n, m),
-            FloatOp::Sub => sub(n, m),
+            FloatOp::Add => result(f32::from_bits(n) + f32::from_bits(m), &[n, m]),
+            // FPSub: a NaN keeps its sign.
+            FloatOp::Sub => result(f32::from_bits(n) - f32::from_bits(m), &[n, m]),
             FloatOp::Mul => mul(n, m),
             FloatOp::Nmul => mul(n, m) ^ SIGN,
             FloatOp::Div => result(f32::from_bits(n) / f32::from_bits(m), &[n, m]),
-            FloatOp::Mla => add(d, mul(n, m)),
-            FloatOp::Mls => add(d, mul(n, m) ^ SIGN),
-            FloatOp::Nmla => add(d ^ SIGN, mul(n, m) ^ SIGN),
-            FloatOp::Nmls => add(d ^ SIGN, mul(n, m)),
-            FloatOp::Fma => mul_add(d, n, m),
-            FloatOp::Fms => mul_add(d, n ^ SIGN, m),
-            FloatOp::Fnma => mul_add(d ^ SIGN, n ^ SIGN, m),
-            FloatOp::Fnms => mul_add(d ^ SIGN, n, m),
         }
     }
 
@@ -135,27 +127,8 @@ fn nan_of(operands: &[u32]) -> u32 {
 }
 
 #[inline(always)]
-fn add(x: u32, y: u32) -> u32 {
-    result(f32::from_bits(x) + f32::from_bits(y), &[x, y])
-}
-
-/// FPSub: a NaN keeps its sign.
-#[inline(always)]
-fn sub(x: u32, y: u32) -> u32 {
-    result(f32::from_bits(x) - f32::from_bits(y), &[x, y])
-}
-
-#[inline(always)]
 fn mul(x: u32, y: u32) -> u32 {
     result(f32::from_bits(x) * f32::from_bits(y), &[x, y])
-}
-
-/// FPMulAdd: `addend + x · y`, rounded once. Infinity times zero gives the default NaN even beside a quiet NaN.
-#[inline(always)]
-fn mul_add(addend: u32, x: u32, y: u32) -> u32 {
-    let [a, b, c] = [x, y, addend].map(f32::from_bits);
-    let is_undefined = a.is_infinite() && b == 0.0 || a == 0.0 && b.is_infinite();
-    if is_undefined && !is_signaling(addend) { DEFAULT_NAN } else { result(a.mul_add(b, c), &[addend, x, y]) }
 }
 
 /// To an integer: saturates, and gives 0 for NaN.
@@ -172,7 +145,7 @@ impl Cpu {
         match instruction {
             FloatInstruction::Arithmetic { op, sd, sn, sm } => {
                 self.await_float(&[sd, sn, sm]);
-                let result = FloatUnit::arithmetic(op, self.float.get(sd), self.float.get(sn), self.float.get(sm));
+                let result = FloatUnit::arithmetic(op, self.float.get(sn), self.float.get(sm));
                 self.float.set(sd, result);
                 self.float.made(sd, self.instructions);
             }

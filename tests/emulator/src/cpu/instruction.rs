@@ -1,9 +1,10 @@
 //! The instructions of ARMv7E-M with FPv4-SP, decoded.
 //!
 //! One variant stands for one *operation*; the several encodings of it (16-bit, 32-bit, with or without
-//! flags) differ only in fields. Names follow the ARMv7-M ARM (DDI0403), chapter A7. Undefined here are parallel operations
-//! that set or read the GE bits, halve or exchange, SSAT16, USAT16, USAD8, SMLAD, SMLAW, SMLALxy, SMLALD and their kin, and VCVT of fixed-point numbers, none of
-//! which is in an image, and access to BASEPRI, FAULTMASK and the process stack.
+//! flags) differ only in fields. Names follow the ARMv7-M ARM (DDI0403), chapter A7. Undefined here is what is in no image:
+//! parallel operations that set or read the GE bits, halve or exchange, SSAT16, USAT16, USAD8, SMLAD, SMLAW, SMLALxy, SMLALD
+//! and their kin, VCVT of fixed-point numbers, floating-point multiplications that accumulate, which the compiler does not
+//! fuse, and access to BASEPRI, FAULTMASK and the process stack.
 
 use super::Size;
 
@@ -292,7 +293,7 @@ impl SReg {
     }
 }
 
-/// Operations with two operands and, for the multiply-accumulates, the destination as third.
+/// Operations with two operands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FloatOp {
     Add,
@@ -300,14 +301,6 @@ pub enum FloatOp {
     Mul,
     Nmul,
     Div,
-    Mla,
-    Mls,
-    Nmla,
-    Nmls,
-    Fma,
-    Fms,
-    Fnma,
-    Fnms,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -6,7 +6,7 @@
 //! 0xE000_0000–0xE00F_FFFF, which the [`Bus`] never sees.
 //!
 //! Not modelled: what the image leaves alone: WFI, SVC, BKPT, PendSV, SysTick, priorities of system handlers, unprivileged code, the process stack, BASEPRI and FAULTMASK, groups of
-//! priorities; instructions that no compiler makes (see `instruction`); the MPU but for data accesses to a region 0 that allows none, debug halting, and the imprecision of bus faults on buffered
+//! priorities; code that is programmed while the core runs; instructions that no compiler makes (see `instruction`); the MPU but for data accesses to a region 0 that allows none, debug halting, and the imprecision of bus faults on buffered
 //! writes (they are all precise here). Floating-point registers are stacked at once; their cycles are charged
 //! when the handler first uses the floating-point unit, as lazy stacking would.
 
@@ -217,11 +217,6 @@ impl Cpu {
     pub fn raise_nmi(&mut self) {
         self.nvic.pend(nvic::NMI);
         self.attention = true;
-    }
-
-    /// Forgets decoded instructions: flash has changed.
-    pub fn invalidate_code(&mut self) {
-        self.code = Code::new();
     }
 
     /// Whether a WFE that sleeps has an undefined instruction behind it, whatever is there but ISB; see

@@ -7,12 +7,6 @@ use crate::memory::Bits;
 use std::collections::BTreeMap;
 use std::ops::{Index, IndexMut};
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Edge {
-    Rising,
-    Falling,
-}
-
 /// Why the device was reset (RM0440, "RCC_CSR").
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ResetCause {
@@ -50,7 +44,7 @@ pub struct Effects {
     pub pc: u32,
     pub address: u32,
     pub lines: [u32; 4],
-    /// The core or the machine has to look: lines, reset, NMI, stall, changed code or boot loader.
+    /// The core or the machine has to look: lines, reset, NMI or boot loader.
     pub attention: bool,
     /// DMA requests that wait, bit n for request n.
     pub requests: u128,
@@ -58,12 +52,8 @@ pub struct Effects {
     pub triggered: bool,
     pub reset: Option<ResetCause>,
     pub nmi: bool,
-    /// Flash has new content.
-    pub code_changed: bool,
     /// The core has jumped into the factory's boot loader.
     pub boot_loader_entered: bool,
-    /// The core waits on the bus until this instant.
-    pub stalled_until: Ticks,
     /// What the silicon does against its manual.
     pub faults: Faults,
     pub chance: Bits,
@@ -109,18 +99,6 @@ impl Effects {
         self.attention = true;
     }
 
-    /// Lets the core wait until `end`.
-    pub fn stall_until(&mut self, end: Ticks) {
-        self.stalled_until = self.stalled_until.max(end);
-        self.attention = true;
-    }
-
-    /// Decoded code is out of date.
-    pub fn forget_code(&mut self) {
-        self.code_changed = true;
-        self.attention = true;
-    }
-
     /// Code is fetched from the boot loader.
     pub fn enter_boot_loader(&mut self) {
         self.boot_loader_entered = true;
@@ -134,7 +112,6 @@ impl Effects {
         self.triggered = false;
         self.reset = None;
         self.nmi = false;
-        self.stalled_until = 0;
         self.boot_loader_entered = false;
         self.attention = true;
     }

@@ -1,8 +1,8 @@
 //! Extended interrupts and events: line 16, the voltage detector; nothing drives the pins' (RM0440,
 //! "Extended interrupts and events controller").
 
+use super::Effects;
 use super::effects::{ALL, Bank, Register};
-use super::{Edge, Effects};
 
 use crate::st::EXTI::{EMR1, EMR2, FTSR1, IMR1, IMR2, PR1, PR2, RTSR1, RTSR2, SWIER1};
 
@@ -58,13 +58,9 @@ impl Exti {
         self.update_line(effects);
     }
 
-    /// An edge of the voltage detector's output.
-    pub fn edge(&mut self, edge: Edge, effects: &mut Effects) {
-        let selected = match edge {
-            Edge::Rising => self.0[RTSR1],
-            Edge::Falling => self.0[FTSR1],
-        };
-        self.0[PR1] |= selected & PVD;
+    /// The supply has crossed the voltage detector's threshold, whose output rises where it is `low`.
+    pub fn supply_crosses(&mut self, low: bool, effects: &mut Effects) {
+        self.0[PR1] |= self.0[if low { RTSR1 } else { FTSR1 }] & PVD;
         self.update_line(effects);
     }
 

@@ -1,13 +1,13 @@
 //! Interface of the embedded flash memory in dual-bank mode (RM0440, "Embedded flash memory").
 //!
 //! Modelled: latency, unlocking, programming of double words, erasure of pages with
-//! their duration, error flags, the stall of accesses to a busy bank, and ECC errors of double
-//! words whose programming was cut short. Not modelled: fast programming, erasure of banks, option bytes,
-//! write and read protection.
+//! their duration, error flags, and ECC errors of double words whose programming was cut short. Not modelled: fast
+//! programming, erasure of banks, option bytes, write and read protection; the stall of a core that reads a busy bank, which
+//! breaks a rule here.
 
 use super::{Effects, TICKS_PER_SECOND, Ticks};
 use crate::faults::Fault;
-use crate::memory::{BANK_BYTES, DOUBLE_WORD_BYTES, FLASH_BASE, FLASH_BYTES, FlashArray, PAGE_BYTES, load};
+use crate::memory::{BANK_BYTES, DOUBLE_WORD_BYTES, FLASH_BASE, FlashArray, PAGE_BYTES, load};
 use crate::st::FLASH::{
     ACR, ACR_LATENCY as LATENCY, CR, CR_BKER as BKER, CR_EOPIE as EOPIE, CR_ERRIE as ERRIE, CR_LOCK as LOCK,
     CR_OPTLOCK as OPTLOCK, CR_PER as PER, CR_PG as PG, CR_PNB, CR_STRT as STRT, ECCR, ECCR_BK_ECC as BK_ECC,
@@ -29,6 +29,9 @@ const PROGRAM_TICKS: Ticks = 817 * TICKS_PER_SECOND / 10_000_000;
 /// Erasure of a page: 22.02 ms (data sheet, t_ERASE, typical; 24.47 at most).
 const ERASE_TICKS: Ticks = 2_202 * TICKS_PER_SECOND / 100_000;
 
+/// The core would stand still until the operation is done, and sampling is not looked after.
+const BUSY_RULE: &str = "a bank is read, and code fetched from it, only while it is not busy";
+
 #[derive(Clone, Copy, Debug)]
 enum Work {
     Program { offset: usize, data: u64 },
@@ -46,11 +49,6 @@ impl Operation {
     fn bank(&self) -> usize {
         let (Work::Program { offset, .. } | Work::Erase { offset, .. }) = self.work;
         offset / BANK_BYTES
-    }
-
-    /// Whether the bank of `offset` answers only after the operation.
-    fn blocks(&self, offset: usize) -> bool {
-        offset / BANK_BYTES == self.bank()
     }
 }
 
@@ -159,7 +157,6 @@ impl Flash {
         if self.cr & EOPIE != 0 {
             self.sr |= EOP;
         }
-        effects.forget_code();
         self.update_line(effects);
     }
 
@@ -175,9 +172,8 @@ impl Flash {
     /// Reads cells while some are torn or a bank is busy.
     #[cold]
     fn load_carefully(&mut self, offset: usize, width: u32, effects: &mut Effects) -> Option<u32> {
-        if let Some(operation) = self.operation.filter(|operation| operation.blocks(offset)) {
-            effects.stall_until(operation.done);
-            return Some(self.load_after(operation.work, offset, width));
+        if self.operation.is_some_and(|operation| operation.bank() == offset / BANK_BYTES) {
+            effects.violation(0, BUSY_RULE);
         }
         if self.array.is_torn(offset) && self.eccr & ECCD == 0 {
             let is_second = (offset >= BANK_BYTES) != effects.faults.has(Fault::EccBank);
@@ -186,19 +182,6 @@ impl Flash {
             effects.raise_nmi();
         }
         load(self.array.bytes(), offset, width)
-    }
-
-    /// What cells hold once `work` is done: a stalled access sees nothing older.
-    fn load_after(&self, work: Work, offset: usize, width: u32) -> u32 {
-        let base = offset & !(DOUBLE_WORD_BYTES - 1);
-        let before = self.array.double_word(base);
-        let after = match work {
-            Work::Program { offset, data } if offset == base => before & data,
-            Work::Erase { offset, length } if (offset..offset + length).contains(&base) => u64::MAX,
-            _ => before,
-        };
-        let bytes = after.to_le_bytes();
-        load(&bytes, offset - base, width).expect("an aligned access lies within its double word")
     }
 
     /// Writes to cells, which programs them (RM0440, "Flash main memory programming sequences").
@@ -292,10 +275,8 @@ impl Flash {
     fn begin(&mut self, work: Work, duration: Ticks, effects: &mut Effects) {
         let operation = Operation { work, started: effects.now, done: effects.now + duration };
         self.operation = Some(operation);
-        // The core cannot fetch from a busy bank: it stands still where it is.
-        let fetching = effects.pc.wrapping_sub(FLASH_BASE) as usize;
-        if fetching < FLASH_BYTES && operation.blocks(fetching) {
-            effects.stall_until(operation.done);
+        if effects.pc.wrapping_sub(FLASH_BASE) as usize / BANK_BYTES == operation.bank() {
+            effects.violation(effects.pc, BUSY_RULE);
         }
     }
 
@@ -353,11 +334,17 @@ mod tests {
     }
 
     #[test]
-    fn erasing_the_running_bank_stalls_the_core() {
-        let (mut flash, mut effects) = unlocked();
-        effects.pc = FLASH_BASE + 0x100;
-        flash.write(CR, PER | 127 << 3 | STRT, &mut effects);
-        assert_eq!(effects.stalled_until, ERASE_TICKS);
+    fn a_busy_bank_is_neither_run_from_nor_read() {
+        for (pc, rules) in [(FLASH_BASE, 1), (FLASH_BASE + BANK_BYTES as u32, 0)] {
+            let (mut flash, mut effects) = unlocked();
+            effects.pc = pc;
+            flash.write(CR, PER | 127 << 3 | STRT, &mut effects);
+            assert_eq!(effects.violation_count, rules);
+            flash.load(OFFSET, 4, &mut effects);
+            assert_eq!(effects.violation_count, rules);
+            flash.load(0, 4, &mut effects);
+            assert_eq!(effects.violation_count, rules + 1);
+        }
     }
 
     #[test]

@@ -47,7 +47,7 @@ pub use uart::SentByte;
 pub use usb::UsbPort;
 
 pub use effects::ResetCause;
-pub(crate) use effects::{Bank, Edge, Effects};
+pub(crate) use effects::{Bank, Effects};
 
 /// Periods of the 170 MHz core clock since power-on. The core starts on the 16 MHz
 /// oscillator until it selects the PLL; every core cycle counts as one tick all the same.

@@ -8,8 +8,7 @@
 use crate::st::USART::{
     BRR, CR1, CR1_FIFOEN, CR1_IDLEIE, CR1_RE, CR1_RXNEIE_RXFNEIE as CR1_RXNEIE, CR1_TCIE, CR1_TE,
     CR1_TXEIE_TXFNFIE as CR1_TXEIE, CR1_UE, CR2, CR3, CR3_DMAR, CR3_DMAT, CR3_EIE, CR3_OVRDIS, ICR, ISR, ISR_BUSY,
-    ISR_IDLE, ISR_ORE, ISR_REACK, ISR_RXNE_RXFNE as ISR_RXNE, ISR_TC, ISR_TEACK, ISR_TXE_TXFNF as ISR_TXE, PRESC, RDR,
-    TDR,
+    ISR_IDLE, ISR_REACK, ISR_RXNE_RXFNE as ISR_RXNE, ISR_TC, ISR_TEACK, ISR_TXE_TXFNF as ISR_TXE, PRESC, RDR, TDR,
 };
 use crate::st::{self, LL, LPUART, USART};
 use std::collections::VecDeque;
@@ -67,7 +66,7 @@ pub struct Uart {
     kind: &'static Kind,
     is_heard: bool,
     bank: Bank,
-    /// ORE, IDLE and TC.
+    /// IDLE and TC.
     flags: u32,
     /// TDR: waiting for the shift register.
     to_send: Option<u8>,
@@ -202,7 +201,7 @@ impl Uart {
             self.start_sending(now);
         }
         if self.arrives_at.is_some_and(|at| at <= now) {
-            self.arrive(now);
+            self.arrive(effects);
         }
         if self.idle_at.is_some_and(|at| at <= now) {
             self.idle_at = None;
@@ -254,7 +253,7 @@ impl Uart {
     }
 
     /// The byte on the line is complete.
-    fn arrive(&mut self, now: Ticks) {
+    fn arrive(&mut self, effects: &mut Effects) {
         let Some(byte) = self.incoming.pop_front() else {
             return;
         };
@@ -262,9 +261,9 @@ impl Uart {
             self.received = Some(byte);
         } else {
             // The new byte is lost, the old one stays.
-            self.flags |= ISR_ORE;
+            effects.violation(byte.into(), "UART: a byte has come before the one ahead of it was fetched");
         }
-        let next = now + self.frame_ticks();
+        let next = effects.now + self.frame_ticks();
         let more = !self.incoming.is_empty();
         (self.arrives_at, self.idle_at) = if more { (Some(next), None) } else { (None, Some(next)) };
     }
@@ -282,61 +281,11 @@ impl Uart {
     /// Interrupt line and DMA requests follow from the flags.
     fn update(&self, effects: &mut Effects) {
         let status = self.status();
-        let own = [(CR1_TXEIE, ISR_TXE), (CR1_TCIE, ISR_TC), (CR1_RXNEIE, ISR_RXNE | ISR_ORE), (CR1_IDLEIE, ISR_IDLE)];
+        let own = [(CR1_TXEIE, ISR_TXE), (CR1_TCIE, ISR_TC), (CR1_RXNEIE, ISR_RXNE), (CR1_IDLEIE, ISR_IDLE)];
         let raised = own.iter().any(|&(enable, flags)| self.bank[CR1] & enable != 0 && status & flags != 0);
-        let error = self.bank[CR3] & CR3_EIE != 0 && status & ISR_ORE != 0;
-        effects.set_line(self.kind.interrupt, raised || error);
+        effects.set_line(self.kind.interrupt, raised);
         let mut ask = |request, wanted| if wanted { effects.request(request) } else { effects.withdraw(request) };
         ask(self.kind.transmit, self.sends() && self.bank[CR3] & CR3_DMAT != 0 && status & ISR_TXE != 0);
         ask(self.kind.receive, self.bank[CR3] & CR3_DMAR != 0 && status & ISR_RXNE != 0);
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// 3 Mbaud: 170 MHz · 256 / 3 MHz.
-    const BRR_3M: u32 = 14_507;
-    /// Ten bits of it, rounded up.
-    const FRAME: Ticks = 567;
-
-    fn enabled() -> (Uart, Effects) {
-        let (mut lpuart, mut effects) = (Uart::lpuart1(), Effects::default());
-        lpuart.write(BRR, BRR_3M, &mut effects);
-        lpuart.write(CR1, CR1_UE | CR1_RE | CR1_TE, &mut effects);
-        run(&mut lpuart, &mut effects, FRAME);
-        assert_eq!(lpuart.next_event(), Ticks::MAX);
-        (lpuart, effects)
-    }
-
-    /// Lets time pass until `until`.
-    fn run(uart: &mut Uart, effects: &mut Effects, until: Ticks) {
-        while uart.next_event() <= until {
-            effects.now = uart.next_event();
-            uart.advance(effects);
-        }
-        effects.now = until;
-    }
-
-    fn line(effects: &Effects) -> bool {
-        effects.lines[2] & 1 << (st::LPUART1::IRQn - 64) != 0
-    }
-
-    #[test]
-    fn what_is_not_fetched_in_time_is_lost_and_told() {
-        let (mut lpuart, mut effects) = enabled();
-        lpuart.write(CR3, CR3_EIE, &mut effects);
-        let begin = effects.now;
-        lpuart.send(b"xyz", &effects);
-        run(&mut lpuart, &mut effects, begin + FRAME);
-        assert!(!line(&effects));
-        run(&mut lpuart, &mut effects, begin + 3 * FRAME);
-        assert!(line(&effects));
-        assert_eq!(lpuart.read(RDR, &mut effects), u32::from(b'x'));
-        assert_ne!(lpuart.read(ISR, &mut effects) & ISR_ORE, 0);
-        assert_eq!(lpuart.read(ISR, &mut effects) & ISR_RXNE, 0);
-        lpuart.write(ICR, ISR_ORE, &mut effects);
-        assert!(!line(&effects));
     }
 }

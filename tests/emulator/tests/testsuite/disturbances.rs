@@ -47,10 +47,9 @@ const PHASES: [Ticks; 6] = [500, 3_700, 9_000, 15_000, 22_700, 30_000];
 const FOUND_FRAMES: u64 = 6;
 
 /// The lit gates that follow one another from the start of `scan` on, with their distance from it.
-fn gates_of(talk: &mut Talk, scan: &RawScan, log: &[slitpose_emulator::board::GateEdge]) -> Vec<(i64, u8)> {
-    let origin = talk.rig.machine().device_clock_origin().expect("the clock runs");
-    let start = origin.wrapping_add(scan.tick) as i64;
-    let within = log.iter().map(|edge| (edge.at as i64 - start, edge.gates));
+fn gates_of(talk: &mut Talk, scan: &RawScan) -> Vec<(i64, u8)> {
+    let start = talk.origin().wrapping_add(scan.tick) as i64;
+    let within = talk.record().edges().into_iter().map(|(at, gates)| (at as i64 - start, gates));
     within.filter(|(after, _)| (-100..FRAME_TICKS as i64 - 100).contains(after)).collect()
 }
 
@@ -58,30 +57,27 @@ fn gates_of(talk: &mut Talk, scan: &RawScan, log: &[slitpose_emulator::board::Ga
 fn disturb(configuration: &Configuration, disturbance: Disturbance) {
     let mut talk = Talk::at_usb();
     assert_eq!(talk.ask(Command::Configure(configuration.clone())), Ok(()));
-    talk.rig.machine().board.log_gates();
     assert_eq!(talk.ask(Command::Start), Ok(()));
     talk.run_ms(20.0);
     let pattern = *talk.ear.scans.last().expect("scans come");
     let words: Vec<u16> = pattern.lit().iter().flatten().copied().collect();
     let distinct: std::collections::BTreeSet<_> = words.iter().collect();
     assert!(distinct.len() >= words.len() - 2, "words that could be told from each other: {words:?}");
-    let log = talk.rig.machine().board.take_gate_log();
     let before = talk.ear.scans[talk.ear.scans.len() - 8];
-    let gates = gates_of(&mut talk, &before, &log);
+    let gates = gates_of(&mut talk, &before);
     assert!(gates.len() >= 3, "{gates:?}");
 
     let (mut overruns, mut lost) = (0, 0);
     for (round, phase) in PHASES.into_iter().enumerate() {
         // Into a frame, and into the batch by as many frames as there were rounds.
-        let origin = talk.rig.machine().device_clock_origin().expect("the clock runs");
-        let last = talk.ear.scans.last().expect("scans come").tick + origin;
+        let last = talk.origin() + talk.ear.scans.last().expect("scans come").tick;
         let frames = (talk.rig.now() - last) / FRAME_TICKS + 2 + round as u64;
         talk.run_until(last + frames * FRAME_TICKS + phase);
         talk.ear.clear();
         let title = format!("{disturbance:?} at {phase}");
         disturbance.happen(&mut talk);
         talk.run_ms(20.0);
-        talk.rig.machine().board.take_gate_log();
+        talk.record().forget();
         talk.run_ms(5.0);
         let [gap] = talk.ear.gaps[..] else { panic!("{title}: one gap, not {:?}", talk.ear.gaps) };
         assert!((1..=FOUND_FRAMES).contains(&gap.missing), "{title}: {gap:?}");
@@ -94,9 +90,8 @@ fn disturb(configuration: &Configuration, disturbance: Disturbance) {
         for scan in &talk.ear.scans {
             assert_eq!((scan.lit(), scan.dark()), (pattern.lit(), pattern.dark()), "{title}: {}", scan.sequence);
         }
-        let log = talk.rig.machine().board.take_gate_log();
         let after = talk.ear.scans[talk.ear.scans.len() - 6];
-        let gates_now = gates_of(&mut talk, &after, &log);
+        let gates_now = gates_of(&mut talk, &after);
         assert_eq!(gates_now.len(), gates.len(), "{title}: {gates_now:?}");
         for (now, then) in gates_now.iter().zip(&gates) {
             // Between the start of the timer and the look at the clock lie some instructions,
@@ -145,8 +140,7 @@ fn no_scan_holds_a_word_of_another_frame() {
         assert_eq!(talk.ask(Command::Start), Ok(()));
         // Longer than a ring, so that it holds words of earlier frames.
         talk.run_ms(30.0);
-        let origin = talk.rig.machine().device_clock_origin().expect("the clock runs");
-        let first = talk.ear.scans[0].tick + origin;
+        let first = talk.origin() + talk.ear.scans[0].tick;
         let frames = (talk.rig.now() - first) / FRAME_TICKS + 2;
         let (converter, phase) = swallow_at.unwrap_or_default();
         talk.run_until(first + frames * FRAME_TICKS + phase);

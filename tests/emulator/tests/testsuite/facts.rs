@@ -4,10 +4,11 @@
 use crate::common::pins::level_code;
 use crate::common::silicon;
 use crate::common::talk::Talk;
-use crate::common::{Wire, port_and_number, register, wires};
+use crate::common::{Wire, port_and_number, register, scene, wires};
 use slitpose_emulator::facts::{bits, number};
 use slitpose_emulator::faults::Fault;
 use slitpose_emulator::peripherals::TICKS_PER_SECOND;
+use slitpose_emulator::world::NoiseSource;
 use slitpose_firmware::pcb::frame_plan::FramePlan;
 use slitpose_firmware::pcb::wiring::highest_level;
 use slitpose_firmware::pcb::{TICK_HZ, default_configuration};
@@ -22,10 +23,9 @@ impl Probe {
         let mut talk = Talk::at_usb();
         assert_eq!(talk.ask(Command::Start), Ok(()));
         talk.run_ms(5.0);
-        let origin = talk.rig.machine().device_clock_origin().expect("the clock runs");
         let schedule = default_configuration().schedule;
         let rest = u64::from(schedule.slots.len() as u32 * schedule.slot_ticks + 1_000);
-        let last = talk.ear.scans.last().expect("scans come").tick + origin;
+        let last = talk.origin() + talk.ear.scans.last().expect("scans come").tick;
         talk.run_until(last + 8 * u64::from(schedule.frame_ticks) + rest);
         Self(talk)
     }
@@ -142,15 +142,20 @@ fn converters_are_single_ended_and_within_their_clock() {
 #[test]
 fn every_wired_pin_has_the_mode_of_its_signal() {
     let mut probe = Probe::acquiring();
+    let mut of_poses = Probe(Talk::solving(&scene(), NoiseSource::Off));
     let [output, alternate, analog] =
         ["OUTPUT", "ALTERNATE", "ANALOG"].map(|mode| bits(&format!("LL_GPIO_MODE_{mode}")));
-    for Wire { signal, pin, function, .. } in wires().into_iter().filter(|wire| !wire.is_for_poses()) {
+    for wire in wires() {
+        let probe = if wire.is_for_poses() { &mut of_poses } else { &mut probe };
+        let Wire { signal, pin, function, .. } = wire;
         let mode = probe.of_pin(pin, "GPIO_TypeDef.MODER", 2);
+        let port = ["LPUART1", "USART1"].into_iter().find(|port| function.starts_with(port));
         let expected = if function.starts_with("output") {
             assert_eq!(probe.of_pin(pin, "GPIO_TypeDef.OTYPER", 1), 0, "{signal}: push and pull");
             output
-        } else if function.starts_with("LPUART1") {
-            assert_eq!(probe.of_pin(pin, "GPIO_TypeDef.AFR", 4), bits("GPIO_AF12_LPUART1"), "{signal}");
+        } else if let Some(port) = port {
+            let function = bits(if port == "USART1" { "GPIO_AF7_USART1" } else { "GPIO_AF12_LPUART1" });
+            assert_eq!(probe.of_pin(pin, "GPIO_TypeDef.AFR", 4), function, "{signal}");
             alternate
         } else if function.starts_with("ADC") || function.starts_with("DAC") {
             analog
@@ -160,6 +165,7 @@ fn every_wired_pin_has_the_mode_of_its_signal() {
         };
         assert_eq!(mode, expected, "{signal}, {pin}");
     }
+    assert_eq!(of_poses.get("RCC_BASE", "RCC_TypeDef.CCIPR") & bits("RCC_CCIPR_USART1SEL"), 0, "PCLK2");
     for dac in ["DAC1_BASE", "DAC2_BASE"] {
         assert_eq!(probe.get(dac, "DAC_TypeDef.CR"), bits("DAC_CR_EN1"), "{dac}");
         assert_eq!(probe.get(dac, "DAC_TypeDef.MCR"), bits("LL_DAC_HIGH_FREQ_MODE_ABOVE_160MHZ"), "{dac}, buffered");

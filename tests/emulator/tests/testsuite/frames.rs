@@ -2,9 +2,8 @@
 //!
 //! What is read here follows the table of `slitpose_firmware::pose::frame`; its code has no part in it.
 
-use crate::common::chain::Chain;
-use crate::common::{SEED, chain, is_ready_high, port_and_number, register, scene, us, wires};
-use slitpose_emulator::facts::bits;
+use crate::common::talk::Talk;
+use crate::common::{SEED, scene, us};
 use slitpose_emulator::peripherals::{SentByte, Ticks};
 use slitpose_emulator::world::NoiseSource;
 use slitpose_firmware::pcb::default_configuration;
@@ -84,30 +83,28 @@ fn frames(sent: &[SentByte]) -> (Vec<Frame>, usize) {
 }
 
 /// Ends sampling, and gives what has come to the controller since the last call.
-fn stop(chain: &mut Chain) -> (Vec<Frame>, usize) {
-    chain.rig.send(Command::Stop);
-    chain.run_for(5e-3);
-    frames(&chain.rig.take_controller_bytes())
+fn stop(talk: &mut Talk) -> (Vec<Frame>, usize) {
+    talk.rig.send(Command::Stop);
+    talk.run_ms(5.0);
+    frames(&talk.rig.take_controller_bytes())
 }
 
 /// A second at 4 kHz, a moving tool, poses alone over USB.
 #[test]
 fn every_pose_is_on_the_line_bit_for_bit_and_none_is_missing_at_4_khz() {
-    let mut chain = chain(&scene(), NoiseSource::Seeded(SEED));
-    chain.rig.listen_as_controller();
-    chain.rig.send(Command::Stream(Stream { scans: 0, poses: 1 }));
-    chain.run_for(1e-3);
-    chain.rig.send(Command::Start);
-    chain.run_for(1.0);
-    let (frames, others) = stop(&mut chain);
-    assert_eq!((others, chain.missed, chain.damaged), (0, 0, 0));
+    let mut talk = Talk::solving(&scene(), NoiseSource::Seeded(SEED));
+    talk.rig.listen_as_controller();
+    talk.start_poses();
+    talk.run_ms(1_000.0);
+    let (frames, others) = stop(&mut talk);
+    assert_eq!((others, talk.ear.missed, talk.ear.damaged()), (0, 0, 0));
     assert!(frames.len() >= 3_990, "{}", frames.len());
-    assert_eq!(frames.len(), chain.poses.len());
-    for (frame, (_, pose)) in frames.iter().zip(&chain.poses) {
+    assert_eq!(frames.len(), talk.ear.poses.len());
+    for (frame, (_, pose)) in frames.iter().zip(&talk.ear.poses) {
         frame.assert_is(pose);
         assert_eq!(frame.unsent(), 0);
     }
-    for (index, triangle) in &chain.covariances {
+    for (index, triangle) in &talk.ear.covariances {
         for (at, places) in [(48, [0, 2, 5]), (52, [9, 14, 20])] {
             let sigma = places.iter().map(|&place| f64::from(triangle[place])).sum::<f64>().sqrt();
             let off = f64::from(frames[*index].number(at)) / sigma - 1.0;
@@ -116,10 +113,10 @@ fn every_pose_is_on_the_line_bit_for_bit_and_none_is_missing_at_4_khz() {
     }
 
     // From the reading of the clock that the record tells, in units of 64 ticks, to the line.
-    let ready = |(_, tick, record): &(u64, u64, PoseRecord)| {
-        chain.origin + tick + u64::from(record.ready) * u64::from(READY_TICKS)
-    };
-    let pairs = || frames.iter().zip(&chain.poses);
+    let origin = talk.origin();
+    let ready =
+        |(_, tick, record): &(u64, u64, PoseRecord)| origin + tick + u64::from(record.ready) * u64::from(READY_TICKS);
+    let pairs = || frames.iter().zip(&talk.ear.poses);
     let mut begin: Vec<_> = pairs().map(|(frame, (_, pose))| frame.began - ready(pose)).collect();
     let mut over: Vec<_> = pairs().map(|(frame, (_, pose))| frame.over - ready(pose)).collect();
     begin.sort_unstable();
@@ -134,9 +131,9 @@ fn every_pose_is_on_the_line_bit_for_bit_and_none_is_missing_at_4_khz() {
     );
     assert!(us(begin[last]) < 6.0 && us(over[last]) < 134.0);
     // When the last byte has come; the first poses are found from nothing.
-    let schedule = chain.schedule.as_ref().expect("a hello");
+    let schedule = talk.ear.schedule();
     let passed = |since: Ticks| {
-        let after = pairs().skip(40).map(|(frame, (_, (_, tick, _)))| frame.over - (chain.origin + tick + since));
+        let after = pairs().skip(40).map(|(frame, (_, (_, tick, _)))| frame.over - (origin + tick + since));
         let mut after: Vec<_> = after.collect();
         after.sort_unstable();
         (us(after[after.len() / 2]), us(after[after.len() - 1]))
@@ -150,53 +147,25 @@ fn every_pose_is_on_the_line_bit_for_bit_and_none_is_missing_at_4_khz() {
     assert!(frames.iter().all(|frame| frame.over - frame.began == BYTES as Ticks * BYTE_TICKS), "without a gap");
 }
 
-/// From the pin's edge, looked at every tenth of a microsecond, to the end of the frame.
-#[test]
-fn a_frame_is_over_129_us_after_the_pin_says_that_its_pose_is_ready() {
-    let mut chain = chain(&scene(), NoiseSource::Off);
-    chain.rig.listen_as_controller();
-    chain.rig.send(Command::Start);
-    chain.run_for(20e-3);
-    chain.rig.take_controller_bytes();
-    let (end, mut toggles) = (chain.rig.now() + 20 * 42_500, Vec::new());
-    let mut high = is_ready_high(&mut chain);
-    while chain.rig.now() < end {
-        let _ = chain.rig.run_for(1e-7);
-        if is_ready_high(&mut chain) != high {
-            high = !high;
-            toggles.push(chain.rig.now());
-        }
-    }
-    let (frames, _) = stop(&mut chain);
-    assert!(toggles.len() >= 19, "{}", toggles.len());
-    let late = toggles.iter().map(|toggle| {
-        let frame = frames.iter().find(|frame| frame.began > *toggle).expect("each has its frame");
-        us(frame.over - toggle)
-    });
-    let (least, most) = late.fold((f64::MAX, 0.0_f64), |(least, most), late| (least.min(late), most.max(late)));
-    println!("pin to last bit: {least:.1} to {most:.1} µs");
-    assert!((128.0..131.0).contains(&least) && most < 131.0, "{least} {most}");
-}
-
 /// The stream is the host's: the controller has every pose with scans alone, and with each tenth pose.
 #[test]
 fn frames_leave_whatever_the_host_asks_for() {
-    let mut chain = chain(&scene(), NoiseSource::Off);
-    chain.rig.listen_as_controller();
+    let mut talk = Talk::solving(&scene(), NoiseSource::Off);
+    talk.rig.listen_as_controller();
     for stream in [Stream::SCANS, Stream { scans: 0, poses: 10 }] {
-        chain.rig.send(Command::Stream(stream));
-        chain.run_for(1e-3);
-        chain.poses.clear();
-        chain.rig.send(Command::Start);
-        chain.run_for(0.1);
-        let (frames, others) = stop(&mut chain);
+        talk.rig.send(Command::Stream(stream));
+        talk.run_ms(1.0);
+        talk.ear.poses.clear();
+        talk.rig.send(Command::Start);
+        talk.run_ms(100.0);
+        let (frames, others) = stop(&mut talk);
         assert_eq!(others, 0);
         // While the tool is looked for, scans are passed over, some two dozen at most.
         let span = frames[frames.len() - 1].word(4) - frames[0].word(4);
         assert!(span >= 385 && frames.len() >= 360, "{stream:?}: {} of {span}", frames.len());
         assert!(frames[40..].windows(2).all(|pair| pair[1].word(4) == pair[0].word(4) + 1), "{stream:?}");
-        assert_eq!(chain.poses.len() > 30, stream.poses > 0);
-        for (_, pose) in &chain.poses {
+        assert_eq!(talk.ear.poses.len() > 30, stream.poses > 0);
+        for (_, pose) in &talk.ear.poses {
             frames.iter().find(|frame| frame.word(4) == pose.0 as u32).expect("it is among them").assert_is(pose);
         }
     }
@@ -205,20 +174,18 @@ fn frames_leave_whatever_the_host_asks_for() {
 /// The tool is taken away and comes back: frames say that there is no pose, and what was not sent is counted.
 #[test]
 fn without_a_tool_frames_have_a_status_and_no_numbers() {
-    let mut chain = chain(&scene(), NoiseSource::Seeded(SEED));
-    chain.rig.listen_as_controller();
-    chain.rig.send(Command::Stream(Stream { scans: 0, poses: 1 }));
-    chain.run_for(1e-3);
-    chain.rig.send(Command::Start);
-    chain.run_for(0.05);
+    let mut talk = Talk::solving(&scene(), NoiseSource::Seeded(SEED));
+    talk.rig.listen_as_controller();
+    talk.start_poses();
+    talk.run_ms(50.0);
     let mut dark = default_configuration();
     dark.levels.iter_mut().for_each(|level| *level = Level(0));
     for configuration in [dark, default_configuration()] {
-        chain.rig.send(Command::Configure(configuration));
-        chain.run_for(0.05);
+        talk.rig.send(Command::Configure(configuration));
+        talk.run_ms(50.0);
     }
-    let (frames, others) = stop(&mut chain);
-    assert_eq!((others, chain.damaged), (0, 0));
+    let (frames, others) = stop(&mut talk);
+    assert_eq!((others, talk.ear.damaged()), (0, 0));
     let without: Vec<_> = frames.iter().filter(|frame| !frame.has_pose()).collect();
     assert!(without.len() > 100, "{}", without.len());
     for frame in without {
@@ -226,9 +193,9 @@ fn without_a_tool_frames_have_a_status_and_no_numbers() {
     }
     assert!(frames[frames.len() - 20..].iter().all(Frame::has_pose), "it is back");
     let unsent = frames[frames.len() - 1].unsent();
-    println!("{} frames, {unsent} not sent, {} poses over USB", frames.len(), chain.poses.len());
-    assert_eq!(frames.len() + usize::from(unsent), chain.poses.len());
-    for (_, pose) in &chain.poses {
+    println!("{} frames, {unsent} not sent, {} poses over USB", frames.len(), talk.ear.poses.len());
+    assert_eq!(frames.len() + usize::from(unsent), talk.ear.poses.len());
+    for (_, pose) in &talk.ear.poses {
         match frames.iter().find(|frame| frame.word(4) == pose.0 as u32) {
             Some(frame) => frame.assert_is(pose),
             // Only scans without a pose follow one another faster than frames.
@@ -240,25 +207,23 @@ fn without_a_tool_frames_have_a_status_and_no_numbers() {
 /// The DMA meets a bus error within a frame: that one is cut short, the next one counts it and all others are right.
 #[test]
 fn a_frame_that_the_dma_has_cut_short_costs_no_other() {
-    let mut chain = chain(&scene(), NoiseSource::Off);
-    chain.rig.listen_as_controller();
-    chain.rig.send(Command::Stream(Stream { scans: 0, poses: 1 }));
-    chain.run_for(1e-3);
-    chain.rig.send(Command::Start);
-    chain.run_for(20e-3);
-    chain.rig.take_controller_bytes();
+    let mut talk = Talk::solving(&scene(), NoiseSource::Off);
+    talk.rig.listen_as_controller();
+    talk.start_poses();
+    talk.run_ms(20.0);
+    talk.rig.take_controller_bytes();
     // Until the first bytes of a frame are there; they are not looked at again.
-    while chain.rig.take_controller_bytes().is_empty() {
-        let _ = chain.rig.run_for(1e-6);
+    while talk.rig.take_controller_bytes().is_empty() {
+        let _ = talk.rig.run_for(1e-6);
     }
-    chain.rig.machine().board.dma.fail_next(CHANNEL);
-    chain.run_for(20e-3);
-    let (frames, others) = stop(&mut chain);
+    talk.rig.machine().board.dma.fail_next(CHANNEL);
+    talk.run_ms(20.0);
+    let (frames, others) = stop(&mut talk);
     assert!((1..BYTES).contains(&others), "the rest of one frame: {others}");
     assert!(frames.len() > 70 && frames.iter().all(|frame| frame.unsent() == 1), "{}", frames.len());
     assert!(frames.iter().all(|frame| frame.bytes[3] == PoseStatus::Converged as u8));
     for frame in &frames {
-        let pose = chain.poses.iter().find(|(_, pose)| pose.0 as u32 == frame.word(4)).expect("it is among them");
+        let pose = talk.ear.poses.iter().find(|(_, pose)| pose.0 as u32 == frame.word(4)).expect("it is among them");
         frame.assert_is(&pose.1);
     }
     assert!(frames.windows(2).all(|pair| pair[1].word(4) == pair[0].word(4) + 1), "none between them");
@@ -300,11 +265,11 @@ int main(void)
 /// Bytes of the board, some of them damaged or missing, through the header for controllers in C.
 #[test]
 fn a_controller_in_c_reads_what_the_board_sends() {
-    let mut chain = chain(&scene(), NoiseSource::Seeded(SEED));
-    chain.rig.listen_as_controller();
-    chain.rig.send(Command::Start);
-    chain.run_for(20e-3);
-    let mut sent = chain.rig.take_controller_bytes();
+    let mut talk = Talk::solving(&scene(), NoiseSource::Seeded(SEED));
+    talk.rig.listen_as_controller();
+    talk.rig.send(Command::Start);
+    talk.run_ms(20.0);
+    let mut sent = talk.rig.take_controller_bytes();
     // Begins within a frame; one is damaged in the middle, one lacks a byte, one lacks its end.
     sent[20 * BYTES + 30].byte ^= 0x10;
     for gap in [50 * BYTES + 20..51 * BYTES, 40 * BYTES + 7..40 * BYTES + 8, 0..10] {
@@ -339,28 +304,4 @@ fn a_controller_in_c_reads_what_the_board_sends() {
         .collect();
     assert!(frames.len() > 50, "{}", frames.len());
     assert_eq!(text, expected);
-}
-
-#[test]
-fn the_controllers_port_has_its_pins_and_its_clock() {
-    let mut chain = chain(&scene(), NoiseSource::Off);
-    let board = &mut chain.rig.machine().board;
-    let selected = register(board, "RCC_BASE", "RCC_TypeDef.CCIPR", 0);
-    assert_eq!(selected & bits("RCC_CCIPR_USART1SEL"), 0, "PCLK2");
-    let wires: Vec<_> = wires().into_iter().filter(|wire| wire.is_for_poses()).collect();
-    assert_eq!(wires.len(), 2);
-    for wire in wires {
-        let (port, pin) = port_and_number(wire.pin);
-        let offset = port * (bits("GPIOB_BASE") - bits("GPIOA_BASE"));
-        let mode = register(board, "GPIOA_BASE", "GPIO_TypeDef.MODER", offset) >> (2 * pin) & 3;
-        if wire.function.starts_with("output") {
-            assert_eq!(mode, bits("LL_GPIO_MODE_OUTPUT"), "{}", wire.signal);
-        } else {
-            let function =
-                register(board, "GPIOA_BASE", "GPIO_TypeDef.AFR", offset + pin / 8 * 4) >> (4 * (pin % 8)) & 15;
-            let both = (bits("LL_GPIO_MODE_ALTERNATE"), bits("GPIO_AF7_USART1"));
-            assert_eq!((mode, function), both, "{}", wire.signal);
-        }
-    }
-    assert_eq!(chain.rig.faults(), Vec::<String>::new());
 }

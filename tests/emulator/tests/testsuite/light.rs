@@ -2,14 +2,13 @@
 
 use std::ops::RangeInclusive;
 
-use crate::common::pins::Bench;
-use crate::common::talk::{FRAME_TICKS, MS, Said};
+use crate::common::listener::Said;
+use crate::common::talk::{FRAME_TICKS, MS, Talk};
 use crate::common::{dma_ticks, silicon, us};
 use slitpose_emulator::faults::Fault;
 use slitpose_emulator::memory::{FLASH_BASE, RAM_BASE};
 use slitpose_emulator::peripherals::Ticks;
-use slitpose_emulator::rig::{Rig, open_image};
-use slitpose_emulator::world::World;
+use slitpose_emulator::rig::open_image;
 use slitpose_protocol::{BootTarget, ClockSource, Command, HardwareFault, Rejection, ResetCause};
 
 /// From an event of the supply or a fault to the gates: an exception's entry, some ten instructions from flash, and
@@ -20,9 +19,9 @@ const AT_ONCE_TICKS: Ticks = 500;
 const HALTED_TICKS: Ticks = 2 * 5_800;
 
 /// The board is dark, says why it started, stays dark until a Start, and then lights.
-fn assert_comes_back(bench: &mut Bench, cause: ResetCause) {
+fn assert_comes_back(bench: &mut Talk, cause: ResetCause) {
     let event = bench.rig.now();
-    assert_eq!(bench.connect(), cause);
+    assert_eq!(bench.connect().reset_cause, cause);
     bench.run_ms(20.0);
     let lit = bench.record().drives.iter().filter(|drive| drive.at > event && drive.gates != 0).count();
     assert_eq!(lit, 0, "dark until Start");
@@ -30,30 +29,30 @@ fn assert_comes_back(bench: &mut Bench, cause: ResetCause) {
     bench.light();
     bench.accept(&Command::Stop);
     assert_eq!(bench.gates(), 0);
-    bench.assert_no_faults();
+    bench.expect_neither_faults_nor_damage();
 }
 
 /// Lets time pass until the light is on, in phase `n`; gives the instant, and forgets what was before.
-fn lit_in_phase(bench: &mut Bench, n: u64) -> Ticks {
+fn lit_in_phase(bench: &mut Talk, n: u64) -> Ticks {
     change_phase(bench, n);
-    until_lit_and_awake(&mut bench.rig);
+    until_lit_and_awake(bench);
     bench.forget();
     bench.rig.now()
 }
 
 /// How long the gates went on behind `event`, of what is recorded since.
-fn dark_after(bench: &mut Bench, event: Ticks) -> Ticks {
+fn dark_after(bench: &mut Talk, event: Ticks) -> Ticks {
     bench.record().drives.iter().find(|drive| drive.gates == 0).expect("it goes dark").at - event
 }
 
-fn lit() -> Bench {
-    let mut bench = Bench::quiet();
+fn lit() -> Talk {
+    let mut bench = Talk::quiet();
     bench.light();
     bench
 }
 
 /// Lets time pass to another phase of frames, polls and the bus for each `n`.
-fn change_phase(bench: &mut Bench, n: u64) {
+fn change_phase(bench: &mut Talk, n: u64) {
     bench.run_until(bench.rig.now() + 3 * MS + 7_919 * n);
 }
 
@@ -74,13 +73,13 @@ fn stop_is_done_before_its_reply() {
         assert_eq!(bench.dark_since(), dark, "and stays dark");
         bench.light();
     }
-    bench.assert_no_faults();
+    bench.expect_neither_faults_nor_damage();
 }
 
 /// Lets `event` happen while it is lit, checks for how long it stays so, and that the next start names `cause`.
-fn ends(name: &str, event: impl Fn(&mut Bench), within: RangeInclusive<Ticks>, cause: ResetCause) -> Bench {
+fn ends(name: &str, event: impl Fn(&mut Talk), within: RangeInclusive<Ticks>, cause: ResetCause) -> Talk {
     let mut bench = lit();
-    until_lit_and_awake(&mut bench.rig);
+    until_lit_and_awake(&mut bench);
     let begun = bench.rig.now();
     event(&mut bench);
     bench.run_ms(120.0);
@@ -94,10 +93,10 @@ fn ends(name: &str, event: impl Fn(&mut Bench), within: RangeInclusive<Ticks>, c
 }
 
 /// Sends the core to the function whose mangled name contains `name`.
-fn jump_to(bench: &mut Bench, name: &str) {
+fn jump_to(bench: &mut Talk, name: &str) {
     let image = open_image(None).expect("firmware/build makes it");
     let (_, function) = image.symbols().find(|(symbol, _)| symbol.contains(name)).expect("the image has it");
-    jump(&mut bench.rig, function.address);
+    jump(bench, function.address);
 }
 
 #[test]
@@ -111,9 +110,9 @@ fn a_panic_ends_the_light_at_once() {
 fn a_fault_ends_the_light_at_once() {
     // UDF, a permanently undefined instruction; then an address where nothing is.
     for address in [None, Some(0x6000_0000)] {
-        let happens = |bench: &mut Bench| {
-            let address = address.unwrap_or_else(|| find_instruction(&mut bench.rig, 0xDEFE));
-            jump(&mut bench.rig, address);
+        let happens = |bench: &mut Talk| {
+            let address = address.unwrap_or_else(|| find_instruction(bench, 0xDEFE));
+            jump(bench, address);
         };
         let mut bench = ends("fault", happens, 0..=AT_ONCE_TICKS, ResetCause::Panic);
         assert!(bench.rig.machine().cpu.last_fault().is_some());
@@ -124,7 +123,7 @@ fn a_fault_ends_the_light_at_once() {
 fn a_stack_that_overflows_ends_the_light_and_the_next_start_says_so() {
     // At the frame of an interrupt; at the first instruction of a function.
     for (function, most) in [(None, MS + AT_ONCE_TICKS), (Some("make_core"), AT_ONCE_TICKS)] {
-        let happens = |bench: &mut Bench| {
+        let happens = |bench: &mut Talk| {
             function.into_iter().for_each(|function| jump_to(bench, function));
             let cpu = &mut bench.rig.machine().cpu;
             let mut state = cpu.state();
@@ -137,8 +136,8 @@ fn a_stack_that_overflows_ends_the_light_and_the_next_start_says_so() {
 
 #[test]
 fn the_watchdog_ends_the_light_of_a_program_that_hangs() {
-    let happens = |bench: &mut Bench| {
-        hang(&mut bench.rig);
+    let happens = |bench: &mut Talk| {
+        hang(bench);
         bench.forget();
         bench.run_ms(98.0);
         // Until then the schedule runs on by itself, on its frame.
@@ -170,8 +169,8 @@ fn a_debugger_that_halts_the_board_leaves_it_dark_and_lets_it_go_on() {
     }
     println!("halted: dark after {longest} ticks at most");
     assert!(longest < HALTED_TICKS, "{longest}");
-    bench.assert_no_faults();
-    until_lit_and_awake(&mut bench.rig);
+    bench.expect_neither_faults_nor_damage();
+    until_lit_and_awake(&mut bench);
     let event = bench.rig.now();
     bench.rig.machine().halt_until(event + 150 * MS);
     assert_eq!(bench.gates(), 0);
@@ -209,7 +208,7 @@ fn a_falling_supply_ends_the_light_within_microseconds() {
         bench.light();
     }
     println!("supply of 2.8 V: dark after {longest} ticks at most, {:.2} µs", us(longest));
-    bench.assert_no_faults();
+    bench.expect_neither_faults_nor_damage();
 }
 
 #[test]
@@ -244,7 +243,7 @@ fn a_reboot_is_done_in_the_dark_and_after_its_reply() {
 
 #[test]
 fn a_low_supply_refuses_the_start() {
-    let mut bench = Bench::quiet();
+    let mut bench = Talk::quiet();
     bench.rig.machine().set_supply_v(2.8);
     bench.run_ms(5.0);
     bench.forget();
@@ -266,12 +265,13 @@ fn a_low_supply_refuses_the_start() {
     assert!(bench.ear.scans.len() >= 395, "{}", bench.ear.scans.len());
     let heard = bench.ear.said.iter().filter(|(_, said)| matches!(said, Said::Event(..))).count();
     assert_eq!(heard, 0);
-    bench.assert_no_faults();
+    bench.expect_neither_faults_nor_damage();
 }
 
 /// Lets time pass until the core is awake in thread mode and a gate is on, so that the event that comes next finds the
 /// light on.
-fn until_lit_and_awake<W: World>(rig: &mut Rig<W>) {
+fn until_lit_and_awake(bench: &mut Talk) {
+    let rig = &mut bench.rig;
     let end = rig.now() + 100 * MS;
     while rig.now() < end {
         let before = rig.machine().cpu.instructions();
@@ -285,21 +285,21 @@ fn until_lit_and_awake<W: World>(rig: &mut Rig<W>) {
 }
 
 /// Lets the main loop end in a loop of its own, `B .`; interrupts go on.
-fn hang<W: World>(rig: &mut Rig<W>) {
-    let address = find_instruction(rig, 0xE7FE);
-    jump(rig, address);
+fn hang(bench: &mut Talk) {
+    let address = find_instruction(bench, 0xE7FE);
+    jump(bench, address);
 }
 
-fn jump<W: World>(rig: &mut Rig<W>, address: u32) {
-    let cpu = &mut rig.machine().cpu;
+fn jump(bench: &mut Talk, address: u32) {
+    let cpu = &mut bench.rig.machine().cpu;
     let mut state = cpu.state();
     state.r[15] = address;
     cpu.set_state(&state);
 }
 
 /// Address of an instruction `half` in the image. It is jumped to, so that where it stands does not matter.
-fn find_instruction<W: World>(rig: &mut Rig<W>, half: u16) -> u32 {
-    let code = rig.machine().board.flash_array().bytes();
+fn find_instruction(bench: &mut Talk, half: u16) -> u32 {
+    let code = bench.rig.machine().board.flash_array().bytes();
     let offset = code.chunks_exact(2).position(|bytes| bytes == half.to_le_bytes());
     FLASH_BASE + 2 * offset.expect("the image has one") as u32
 }

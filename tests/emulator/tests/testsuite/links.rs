@@ -2,16 +2,16 @@
 //! sleep, do not read, or talk rubbish.
 
 use crate::common::is_of_silicon;
-use crate::common::talk::{FRAME_TICKS, MS, Said, TRANSFER_SCANS, Talk};
+use crate::common::listener::{Said, TRANSFER_SCANS};
+use crate::common::talk::{FRAME_TICKS, MS, Talk};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use slitpose_emulator::faults::{Fault, Faults};
 use slitpose_emulator::machine::Stop;
 use slitpose_emulator::memory::UNIQUE_ID;
 use slitpose_emulator::peripherals::Ticks;
-use slitpose_emulator::rig::{Rig, request};
+use slitpose_emulator::rig::request;
 use slitpose_emulator::usb_wire::{Answer, OutPacket};
-use slitpose_emulator::world::World;
 use slitpose_protocol::{Command, Decoder, MAX_MESSAGE_BYTES, Message, ResetCause};
 
 /// The board goes dark this long after it has lost its host.
@@ -90,32 +90,6 @@ fn whoever_opens_the_port_hears_a_hello_first_and_nothing_stale() {
 }
 
 #[test]
-fn a_program_may_come_back_within_half_a_second_while_the_light_stays_on() {
-    let mut talk = Talk::at_usb();
-    assert_eq!(talk.ask(Command::Start), Ok(()));
-    talk.run_ms(20.0);
-    for pause_ms in [0.0, 1.0, 100.0, 480.0] {
-        talk.close();
-        talk.run_ms(pause_ms);
-        talk.open();
-        assert!(matches!(talk.ear.said[0].1, Said::Hello(_)));
-        assert!(talk.is_acquiring());
-        assert_eq!((talk.ear.hellos(), talk.ear.events().len()), (1, 0));
-        // The packet that was on its way as the port was closed is fetched by the next program
-        // if that comes at once.
-        assert!(talk.ear.damaged() <= u64::from(pause_ms == 0.0), "after {pause_ms} ms");
-    }
-    let most = TRANSFER_SCANS * talk.ear.breaks;
-    let status = talk.settle_account(most);
-    assert_eq!((status.scans_lost, status.adc_overruns), (0, 0));
-    // Without a listener scans are dropped: 481 ms at 4 kHz are most of it.
-    assert!(status.scans_dropped >= 4 * 580, "{status:?}");
-    assert!(talk.ear.missing() - status.scans_dropped <= most);
-    assert!(talk.ear.gaps.iter().all(|gap| gap.ticks == (gap.missing + 1) * FRAME_TICKS), "sampling went on");
-    talk.expect_no_faults();
-}
-
-#[test]
 fn a_cable_may_be_pulled_and_plugged_in_again() {
     let mut talk = Talk::at_usb();
     // Idle.
@@ -130,13 +104,12 @@ fn a_cable_may_be_pulled_and_plugged_in_again() {
     assert_eq!(talk.ask(Command::Start), Ok(()));
     talk.run_ms(30.0);
     // Acquiring, for long.
-    talk.rig.machine().board.log_gates();
+    talk.record().forget();
     talk.rig.set_cable(false);
     talk.ear.breaks += 1;
     let pulled = talk.rig.now();
     talk.run_ms(600.0);
-    let (Some(last), false) = last_light(&mut talk.rig) else { panic!("lit after 600 ms") };
-    let after = last - pulled;
+    let after = talk.dark_since() - pulled;
     println!("dark {:.3} ms after pulling the cable", after as f64 / MS as f64);
     let range = HOST_GONE..=HOST_GONE + SUSPENSION + 2 * POLL;
     assert!(range.contains(&after), "dark after {after} ticks");
@@ -278,59 +251,18 @@ fn a_host_that_suspends_and_resets_the_bus_loses_what_is_counted() {
     let words = talk.ear.scans[0];
     assert!(talk.ear.scans.iter().all(|scan| (scan.lit(), scan.dark()) == (words.lit(), words.dark())));
     assert!(talk.ear.gaps.iter().all(|gap| gap.ticks == (gap.missing + 1) * FRAME_TICKS), "{:?}", talk.ear.gaps);
-    talk.rig.machine().board.log_gates();
+    talk.record().forget();
     talk.rig.set_open(false);
     talk.run_ms(700.0);
-    assert!(matches!(last_light(&mut talk.rig), (Some(_), false)), "lit after 700 ms");
+    talk.dark_since();
     talk.expect_no_faults();
-}
-
-/// When the gates were last lit, by the log since it was last taken, and whether they are now.
-fn last_light<W: World>(rig: &mut Rig<W>) -> (Option<Ticks>, bool) {
-    let edges = rig.machine().board.take_gate_log();
-    let is_lit = rig.machine().board.gates() != 0;
-    (edges.iter().rev().find(|edge| edge.gates == 0).map(|edge| edge.at), is_lit)
 }
 
 /// Whether an emitter is lit in the next two frames.
 fn lit_within_a_frame(talk: &mut Talk) -> bool {
-    talk.rig.machine().board.log_gates();
-    talk.rig.machine().board.take_gate_log();
+    talk.record().forget();
     talk.run_until(talk.rig.now() + 2 * FRAME_TICKS);
-    talk.rig.machine().board.take_gate_log().iter().any(|edge| edge.gates != 0)
-}
-
-#[test]
-fn a_host_that_reads_late_loses_the_oldest_beyond_a_tenth_of_a_second() {
-    let mut talk = Talk::at_usb();
-    assert_eq!(talk.ask(Command::Start), Ok(()));
-    talk.run_ms(10.0);
-    for pause_ms in [50.0, 100.0] {
-        talk.rig.stop_reading(true);
-        talk.run_ms(pause_ms);
-        talk.rig.stop_reading(false);
-        talk.run_ms(60.0);
-        assert_eq!(talk.ear.gaps, [], "{pause_ms} ms are kept");
-    }
-    let status = talk.next_status();
-    assert_eq!((status.scans_dropped, status.batches_dropped), (0, 0));
-
-    talk.rig.stop_reading(true);
-    talk.run_ms(1_000.0);
-    talk.rig.stop_reading(false);
-    talk.run_ms(60.0);
-    let status = talk.next_status();
-    assert!(status.acquiring);
-    println!("{} of 4000 scans dropped", status.scans_dropped);
-    let [gap] = talk.ear.gaps[..] else { panic!("one stretch is missing, not {:?}", talk.ear.gaps) };
-    assert_eq!(gap.missing, status.scans_dropped);
-    assert_eq!(gap.ticks, (gap.missing + 1) * FRAME_TICKS, "sampling did not stall");
-    assert_eq!(status.scans_dropped, 4 * u64::from(status.batches_dropped));
-    // 400 scans are kept by design, 480 are the most that fit.
-    assert!((3_520..=3_600).contains(&gap.missing), "{gap:?}");
-    let status = talk.settle_account(0);
-    assert_eq!((status.scans_lost, status.adc_overruns), (0, 0));
-    talk.expect_no_faults();
+    talk.record().edges().iter().any(|edge| edge.1 != 0)
 }
 
 #[test]
@@ -384,11 +316,10 @@ fn the_serial_port_carries_the_default_stream_while_it_is_spoken_to() {
     assert_eq!(talk.ear.damaged(), 0);
     // Silence.
     assert_eq!(talk.ask(Command::Start), Ok(()));
-    talk.rig.machine().board.log_gates();
+    talk.record().forget();
     let begin = talk.rig.now();
     talk.run_ms(2_600.0);
-    let (Some(last), false) = last_light(&mut talk.rig) else { panic!("lit after 2.6 s") };
-    let after = last - begin;
+    let after = talk.dark_since() - begin;
     println!("dark {:.3} ms after the last word", after as f64 / MS as f64);
     let silence = 2_000 * MS;
     assert!(after + MS >= silence + HOST_GONE && after <= silence + HOST_GONE + 2 * POLL, "dark after {after} ticks");

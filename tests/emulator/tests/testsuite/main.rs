@@ -4,6 +4,7 @@ mod common;
 mod disturbances;
 mod documents;
 mod facts;
+mod figures;
 mod frames;
 mod light;
 mod links;

@@ -2,7 +2,8 @@
 
 use std::num::NonZeroU32;
 
-use crate::common::talk::{Introduction, MS, Talk};
+use crate::common::listener::Introduction;
+use crate::common::talk::{MS, Talk};
 use slitpose_emulator::memory::FLASH_BASE;
 use slitpose_emulator::peripherals::Ticks;
 
@@ -34,24 +35,6 @@ fn number(hello: &Introduction) -> u64 {
     n
 }
 
-/// Cuts the supply for a while, at once.
-fn cut(talk: &mut Talk) {
-    talk.rig.machine().cut_power();
-    talk.rig.run_for(0.001);
-    talk.rig.machine().power_on();
-    talk.rig.take_packets();
-    talk.ear.forget_board();
-}
-
-/// Starts to talk by USB, behind a start of the board.
-fn plug_in(talk: &mut Talk) -> Introduction {
-    // The computer notices that the board was gone.
-    talk.run_ms(20.0);
-    talk.await_port();
-    talk.open();
-    talk.ear.hello().expect("heard").clone()
-}
-
 /// Starts to talk by the serial port, behind a start of the board.
 fn greet(talk: &mut Talk) -> Introduction {
     talk.run_ms(BOOT_MS);
@@ -70,14 +53,13 @@ fn what_is_stored_outlives_the_supply_and_is_in_force_at_start() {
     let mut talk = Talk::at_usb();
     let store = prepare(&mut talk, 7);
     let full_scale_pa = NonZeroU32::new(6_600_000).expect("not zero");
-    let is = |hello: &Introduction, full_scale_a: f64| (hello.full_scale_a / full_scale_a - 1.0).abs() < 1e-6;
+    let is = |hello: &Introduction, full_scale_a: f64| (hello.scaling.full_scale_a() / full_scale_a - 1.0).abs() < 1e-6;
     assert_eq!(talk.ask(Command::FullScale { full_scale_pa }), Ok(()));
     assert!(talk.ear.hello().is_some_and(|hello| is(hello, 6.6e-6)), "in force at once");
     assert_eq!(talk.ask(store), Ok(()));
     assert_eq!(talk.ear.hello().map(number), Some(7), "said at once");
-    talk.rig.set_open(false);
-    cut(&mut talk);
-    let hello = plug_in(&mut talk);
+    talk.cut_supply();
+    let hello = talk.connect();
     assert_eq!((number(&hello), hello.configuration, hello.reset_cause), (7, 0, ResetCause::PowerOn));
     assert!(is(&hello, 6.6e-6), "{hello:?}");
     assert_eq!(talk.ask(Command::Start), Ok(()));
@@ -85,16 +67,14 @@ fn what_is_stored_outlives_the_supply_and_is_in_force_at_start() {
     assert!(talk.ear.scans.iter().all(|scan| scan.levels() == &settings(7).0.levels[..]));
     talk.settle_account(0);
     // The reset pin, and a start of its own.
-    talk.rig.set_open(false);
     talk.rig.machine().pull_reset_pin();
-    talk.ear.forget_board();
-    let hello = plug_in(&mut talk);
+    talk.forget_board();
+    let hello = talk.connect();
     assert_eq!((number(&hello), hello.reset_cause), (7, ResetCause::Pin));
     assert_eq!(talk.ask(Command::Forget), Ok(()));
     assert_eq!(talk.ear.hello().map(|hello| hello.hashes), Some(Hashes::default()));
-    talk.rig.set_open(false);
-    cut(&mut talk);
-    let hello = plug_in(&mut talk);
+    talk.cut_supply();
+    let hello = talk.connect();
     assert!(number(&hello) == 0 && is(&hello, 10e-6), "{hello:?}");
     talk.expect_no_faults();
 }
@@ -135,7 +115,7 @@ fn store(talk: &mut Talk, n: u64, after: Option<Ticks>) -> Ticks {
     match after {
         Some(after) => {
             talk.run_until(begin + after);
-            cut(talk);
+            talk.cut_supply();
         }
         None => {
             let mut end = begin;
@@ -162,8 +142,7 @@ fn settings_that_the_board_does_not_start_with_are_passed_over_and_told() {
         state.r[15] = FLASH_BASE | 0x00FF_FFF0;
         cpu.set_state(&state);
         talk.rig.run_for(1e-3);
-        talk.rig.take_packets();
-        talk.ear.forget_board();
+        talk.forget_board();
         let found = number(&greet(&mut talk));
         // The fourth start is the first after three failed ones.
         assert_eq!(found, if failed < 2 { 1 } else { 0 }, "after {} failed starts", failed + 1);
@@ -173,7 +152,7 @@ fn settings_that_the_board_does_not_start_with_are_passed_over_and_told() {
     talk.run_ms(1_100.0);
     // A start that went well: the settings are there, and used again at the next.
     talk.rig.machine().pull_reset_pin();
-    talk.ear.forget_board();
+    talk.forget_board();
     assert_eq!(number(&greet(&mut talk)), 1);
     talk.expect_no_faults();
 }
@@ -217,7 +196,7 @@ fn a_cut_of_the_supply_leaves_the_old_settings_or_the_new() {
         // behind what an erasure has torn are not looked at.
         assert!(torn >= 30 && old >= 30 && old + new >= CUTS as u32 - 1, "{seen:?}");
     }
-    cut(&mut talk);
+    talk.cut_supply();
     assert_eq!(number(&greet(&mut talk)), kept);
     let resets = talk.rig.machine().resets().to_vec();
     let by_itself = resets.iter().filter(|reset| reset.cause != slitpose_emulator::peripherals::ResetCause::PowerOn);
@@ -252,7 +231,7 @@ fn store_head(talk: &mut Talk, n: u64, after: Option<Ticks>) -> Ticks {
     let (number, begin) = (talk.rig.send(command), talk.rig.now());
     if let Some(after) = after {
         talk.run_until(begin + after);
-        cut(talk);
+        talk.cut_supply();
         return after;
     }
     assert!(talk.wait_for(300, |talk| !talk.ear.replies(number).is_empty()), "no reply");
@@ -283,7 +262,7 @@ fn a_cut_of_the_supply_leaves_the_old_head_or_the_new_with_its_settings() {
     // Without a head in force none is kept.
     talk.rig.send(Command::Head(HeadPart { offset: 0, total: 0, bytes: [].into_iter().collect() }));
     assert_eq!(talk.ask(Command::Store(settings(kept).1)), Ok(()));
-    cut(&mut talk);
+    talk.cut_supply();
     assert_eq!(number(&greet(&mut talk)), kept);
     assert_eq!(solving(&mut talk), None);
     // Of a head that is half sent nothing is kept.

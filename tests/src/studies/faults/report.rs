@@ -32,12 +32,6 @@ pub struct Trace {
     pub taken: u64,
     /// Scans that the program counted as missing.
     pub counted_lost: u64,
-    /// Scans missing in the numbers that came, where the numbers began anew and what was taken is not known.
-    pub missing: Option<u64>,
-    /// Whether the board began its numbers anew.
-    pub is_renumbered: bool,
-    /// Times without scans, where these are what a fault costs, seconds.
-    pub silences_s: Vec<f64>,
 }
 
 #[derive(Clone, Debug)]
@@ -65,7 +59,7 @@ impl Report {
     pub fn of(fault: &str, spans: &Spans, is_instant: bool, trace: &Trace) -> Self {
         let mut by = BTreeMap::new();
         let mut detected = 0;
-        let mut recovery_s = trace.silences_s.clone();
+        let mut recovery_s = Vec::new();
         let is_wrong = |scan: &&Scan| scan.sigmas.is_some_and(|sigmas| sigmas > WRONG_SIGMAS);
         for span in 0..spans.count {
             let (begin_s, end_s) = (spans.begin_s(span), spans.begin_s(span + 1));
@@ -76,19 +70,11 @@ impl Report {
             words.dedup();
             detected += usize::from(!words.is_empty());
             words.into_iter().for_each(|word| *by.entry(word).or_default() += 1);
-            if trace.missing.is_none() {
-                let over_s = if is_instant { begin_s } else { begin_s + spans.for_s };
-                recovery_s.push(recovery(&trace.scans, over_s, end_s));
-            }
+            let over_s = if is_instant { begin_s } else { begin_s + spans.for_s };
+            recovery_s.push(recovery(&trace.scans, over_s, end_s));
         }
-        // Times of a board that was lost are not those of the fault.
-        if trace.missing.is_some() {
-            detected = trace.silences_s.len().min(spans.count);
-            by.clear();
-            trace.signs.iter().for_each(|(_, sign)| *by.entry(sign.clone()).or_default() += 1);
-        }
-        let missing = trace.missing.unwrap_or_else(|| trace.taken.saturating_sub(trace.scans.len() as u64));
-        let is_back = |pair: &&[Scan]| pair[1].sequence <= pair[0].sequence && !trace.is_renumbered;
+        let missing = trace.taken.saturating_sub(trace.scans.len() as u64);
+        let is_back = |pair: &&[Scan]| pair[1].sequence <= pair[0].sequence;
         Self {
             fault: fault.to_owned(),
             injected: spans.count,

@@ -1,21 +1,22 @@
 //! What the tests of the whole board share.
 
-use self::chain::Chain;
+use self::listener::Listener;
+use self::talk::Talk;
 use slitpose_emulator::board::Board;
 use slitpose_emulator::cpu::{Bus, Size};
 use slitpose_emulator::facts::{self, bits};
 use slitpose_emulator::faults::{Fault, Faults};
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
-use slitpose_emulator::rig::open_pose_image;
-use slitpose_emulator::world::{NoiseSource, World};
+use slitpose_emulator::world::World;
 use slitpose_firmware::pose::Head;
 use slitpose_head::board_head;
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_protocol::Hashes;
 
-pub mod chain;
+pub mod listener;
 pub mod pins;
+pub mod recorder;
 pub mod talk;
 
 /// The variable that gives the silicon its faults: names, or `all`. Without it there are none.
@@ -152,30 +153,14 @@ pub fn calibrated() -> SceneFile {
     SceneFile::open(path).expect("a scene")
 }
 
-/// The head of `scene` for the schedule that the board starts with.
-pub fn head_of(chain: &Chain, scene: &SceneFile) -> Head {
-    let (schedule, scaling) = (chain.schedule.as_ref().expect("a hello"), chain.scaling.expect("a hello"));
+/// The head of `scene` for the schedule in force at the board that `ear` hears.
+pub fn head_of(ear: &Listener, scene: &SceneFile) -> Head {
     let hashes = Hashes { scene: Some(scene.hash), calibration: None };
-    board_head::compile(scene, schedule, &scaling, hashes).expect("a head for the board")
-}
-
-/// A board with the image that solves poses, its port open, and the head of `scene` sent to it.
-pub fn chain(scene: &SceneFile, noise: NoiseSource) -> Chain {
-    chain_of(scene, noise, silicon())
-}
-
-pub fn chain_of(scene: &SceneFile, noise: NoiseSource, faults: Faults) -> Chain {
-    println!("seed {SEED}");
-    let image = open_pose_image().expect("an image");
-    let mut chain = Chain::open_with(&image, scene, smooth(), noise, faults);
-    let head = head_of(&chain, scene);
-    chain.rig.send_head(&head);
-    chain.run_for(1e-3);
-    assert!(!chain.replies.is_empty() && chain.replies.iter().all(|&accepted| accepted), "{:?}", chain.replies);
-    chain
+    let scaling = ear.hello().expect("a hello").scaling;
+    board_head::compile(scene, ear.schedule(), &scaling, hashes).expect("a head for the board")
 }
 
 /// Pin PA8, which toggles with each pose.
-pub fn is_ready_high(chain: &mut Chain) -> bool {
-    chain.rig.machine().board.driven_high(0) & 1 << 8 != 0
+pub fn is_ready_high(talk: &mut Talk) -> bool {
+    talk.rig.machine().board.driven_high(0) & 1 << 8 != 0
 }

@@ -1,132 +1,17 @@
-//! A board on the bench: every change of its emitter pins and every instant at which a converter holds a sample; what they do
-//! against what a schedule asks for, tick by tick; and what the words are against the light of the model.
+//! What emitter pins and converters do against what a schedule asks for, tick by tick; and what the words are against the
+//! light of the model.
 
-use super::talk::{Listener, Talk, at_rest};
-use super::{dma_ticks, silicon, trigger_ticks};
-use super::{inputs, level_line};
+use super::recorder::{Drive, Hold, Recorder};
+use super::talk::{Talk, at_rest};
+use super::{dma_ticks, inputs, level_line, trigger_ticks};
 use slitpose_emulator::facts;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
-use slitpose_emulator::rig::{Rig, WORLD_TIER, open_image};
-use slitpose_emulator::world::{NoiseSource, OpticsWorld, World};
+use slitpose_emulator::rig::WORLD_TIER;
 use slitpose_firmware::pcb::default_scaling;
 use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::WIDE;
 use slitpose_model::{CompiledScene, Pair, Pose, Reading};
-use slitpose_protocol::{Command, Configuration, Level, RawScan, ResetCause, Schedule};
-
-/// Breaks of links by which every scan may be lost: what becomes of scans is no concern of these tests.
-const MANY_BREAKS: u64 = 1_000;
-
-/// Gates and level codes from `at` on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Drive {
-    pub at: Ticks,
-    pub gates: u8,
-    pub levels: [u16; 2],
-}
-
-/// A converter holds the sample of an input.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Hold {
-    pub at: Ticks,
-    pub adc: u8,
-    pub channel: u8,
-}
-
-/// A world that remembers what the board does to it.
-#[derive(Debug)]
-pub struct Recorder {
-    world: OpticsWorld,
-    now: Drive,
-    pub drives: Vec<Drive>,
-    pub holds: Vec<Hold>,
-    pub records_holds: bool,
-}
-
-impl World for Recorder {
-    fn drive(&mut self, at: Ticks, gates: u8, levels: [u16; 2]) {
-        self.now = Drive { at, gates, levels };
-        self.drives.push(self.now);
-        self.world.drive(at, gates, levels);
-    }
-
-    fn sample(&mut self, at: Ticks, adc: u8, channel: u8) -> u16 {
-        if self.records_holds {
-            self.holds.push(Hold { at, adc, channel });
-        }
-        self.world.sample(at, adc, channel)
-    }
-}
-
-pub type Bench = Talk<Recorder>;
-
-impl Bench {
-    /// A board that has introduced itself, in front of a tool [`at_rest`], without noise.
-    pub fn quiet() -> Self {
-        let scene = WIDE.read().expect("shipped");
-        let world =
-            OpticsWorld::new(&scene, at_rest(), WORLD_TIER, NoiseSource::Off, silicon()).expect("it is made for it");
-        let now = Drive { at: 0, gates: 0, levels: [0; 2] };
-        let recorder = Recorder { world, now, drives: Vec::new(), holds: Vec::new(), records_holds: false };
-        let image = open_image(None).expect("firmware/build makes it");
-        let mut bench = Self { rig: Rig::power_on(&image, recorder, silicon()), ear: Listener::default() };
-        assert_eq!(bench.connect(), ResetCause::PowerOn);
-        bench
-    }
-
-    /// Lets the host find the board and open its port; gives why the board started.
-    pub fn connect(&mut self) -> ResetCause {
-        // What was on its way when the board went is half a packet.
-        self.listen();
-        self.ear.forget_board();
-        self.ear.breaks = MANY_BREAKS;
-        assert!(self.wait_for(1_000, |bench| bench.rig.machine().device_clock_origin().is_some()), "no clock");
-        let origin = self.rig.machine().device_clock_origin().expect("the board has started its clock");
-        self.rig.machine().board.world.world.set_origin(origin);
-        self.await_port();
-        // A port that was open is opened again by the host itself.
-        self.run_ms(5.0);
-        self.rig.set_open(false);
-        self.run_ms(5.0);
-        self.open();
-        self.ear.hello().expect("it has come").reset_cause
-    }
-
-    pub fn forget(&mut self) {
-        self.ear.clear();
-        self.record().drives.clear();
-        self.record().holds.clear();
-    }
-
-    pub fn record(&mut self) -> &mut Recorder {
-        &mut self.rig.machine().board.world
-    }
-
-    pub fn gates(&mut self) -> u8 {
-        self.record().now.gates
-    }
-
-    /// The instant since which all gates have been off.
-    pub fn dark_since(&mut self) -> Ticks {
-        assert_eq!(self.gates(), 0, "lit");
-        let drives = &self.record().drives;
-        let last_lit = drives.iter().rposition(|drive| drive.gates != 0).expect("it was lit");
-        drives[last_lit + 1].at
-    }
-
-    /// Starts, and lets a few frames pass.
-    pub fn light(&mut self) {
-        self.accept(&Command::Start);
-        self.run_ms(5.0);
-        assert!(self.record().drives.iter().rev().take(8).any(|drive| drive.gates != 0), "it lights");
-    }
-
-    /// The program has kept to the manuals, and the line is clean.
-    pub fn assert_no_faults(&self) {
-        self.expect_no_faults();
-        assert_eq!(self.ear.damaged(), 0, "the line is clean");
-    }
-}
+use slitpose_protocol::{Command, Configuration, Level, RawScan, Schedule};
 
 /// By so much the emitters of a lit last slot go off ahead of the slot's end if the frame has an
 /// idle rest: 0.2 µs, rounded (firmware/README.md, "A frame").
@@ -171,13 +56,7 @@ pub fn check_pins(record: &Recorder, configuration: &Configuration, start: Ticks
     let uncut = frames.saturating_sub(1) as u64;
     let expected = gate_edges(record, schedule, start, uncut);
     let end = expected.last().map_or(start, |edge| edge.0) + 1 + dma_ticks();
-    let mut gates = 0;
-    let changes = record.drives.iter().filter(|drive| {
-        let is_change = drive.gates != gates;
-        gates = drive.gates;
-        is_change && drive.at < end
-    });
-    let seen: Vec<_> = changes.map(|drive| (drive.at, drive.gates)).collect();
+    let seen: Vec<_> = record.edges().into_iter().filter(|edge| edge.0 < end).collect();
     for (seen, expected) in seen.iter().zip(&expected) {
         let late = expected.0..=expected.0 + dma_ticks();
         assert!(seen.1 == expected.1 && late.contains(&seen.0), "{seen:?}, not {expected:?}, of a start at {start}");
@@ -275,7 +154,7 @@ fn check_levels(record: &Recorder, schedule: &Schedule, levels: &[Level], start:
 
 /// Runs `configuration` for `ms` from a Start on, then stops; gives the scans and the tick at which
 /// the first frame began on the pins.
-pub fn run(bench: &mut Bench, configuration: &Configuration, ms: f64) -> (Vec<RawScan>, Ticks) {
+pub fn run(bench: &mut Talk, configuration: &Configuration, ms: f64) -> (Vec<RawScan>, Ticks) {
     bench.accept(&Command::Configure(configuration.clone()));
     bench.forget();
     bench.record().records_holds = true;
@@ -309,9 +188,8 @@ pub fn check_counters(scans: &[RawScan], schedule: &Schedule) {
 
 /// Ticks from the pins' first edge to the tick of the first scan: the same for all scans, as their
 /// ticks and the pins' frames both are one frame apart.
-pub fn tick_offset(bench: &mut Bench, scans: &[RawScan], start: Ticks) -> i64 {
-    let origin = bench.rig.machine().device_clock_origin().expect("the clock runs");
-    (origin + scans[0].tick) as i64 - start as i64
+pub fn tick_offset(bench: &mut Talk, scans: &[RawScan], start: Ticks) -> i64 {
+    (bench.origin() + scans[0].tick) as i64 - start as i64
 }
 
 /// Light on `cell` in its slot, for a level of its own emitter of 1.

@@ -1,21 +1,17 @@
-//! A program at the board's link: it says commands and keeps everything it hears.
-//!
-//! [`Listener`] decodes what comes into messages of its own and checks what must hold of any of
-//! them: scans in order, counters that add up. [`Talk`] is a listener at a [`Rig`], with time.
+//! A program at the board's link, with time: it says commands, and its [`Listener`] keeps everything it hears.
 
-use super::{is_of_silicon, silicon};
+use super::listener::{Introduction, Listener, MANY_BREAKS, Said};
+use super::recorder::Recorder;
+use super::{SEED, head_of, silicon, smooth};
 use slitpose_emulator::faults::Faults;
 use slitpose_emulator::image::Image;
 use slitpose_emulator::machine::Stop;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
-use slitpose_emulator::rig::{Link, Rig, open_image, open_pose_image};
-use slitpose_emulator::world::{NoiseSource, OpticsWorld, World};
-use slitpose_head::scene_file::Shipped;
+use slitpose_emulator::rig::{Link, Rig, WORLD_TIER, open_image, open_pose_image};
+use slitpose_emulator::world::{NoiseSource, OpticsWorld};
+use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_head::simulator::Trajectory;
-use slitpose_protocol::{
-    Batch, Command, Decoder, Hashes, MAX_MESSAGE_BYTES, Message, Pong, RawScan, Rejection, Reply, ResetCause, Schedule,
-    Severity, Status,
-};
+use slitpose_protocol::{Command, Rejection, ResetCause, Status, Stream};
 
 pub const MS: Ticks = TICKS_PER_SECOND / 1_000;
 
@@ -33,225 +29,9 @@ const ANSWER_MS: u64 = 20;
 /// An erasure of 22 ms and a record of 24 double words at 85 µs, and as much in hand.
 const STORED_MS: u64 = 60;
 
-/// Scans that fit the board: 25 KB of packets of four scans and at least 218 bytes, and a batch
-/// under way.
-const ON_BOARD_SCANS: u64 = 480;
-
-/// Scans in a transfer of 1 KB, which is lost if the link breaks while it is sent.
-pub const TRANSFER_SCANS: u64 = 20;
-
-#[derive(Clone, Debug, PartialEq)]
-pub struct Introduction {
-    pub device_id: [u8; 12],
-    pub board: String,
-    pub reset_cause: ResetCause,
-    pub hashes: Hashes,
-    pub full_scale_a: f64,
-    pub configuration: u16,
-    pub schedule: Schedule,
-}
-
-/// A message, of which scans are kept elsewhere.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Said {
-    Hello(Introduction),
-    /// Number of the configuration, first sequence number, scans.
-    Batch(u16, u64, u64),
-    Status(Status),
-    Event(u64, Severity, String),
-    Reply(Reply),
-    Pong(Pong),
-}
-
-/// A place where scans do not follow one another.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Gap {
-    /// The last scan before it.
-    pub after: u64,
-    pub missing: u64,
-    /// From the start of the frame before it to that of the one behind it.
-    pub ticks: u64,
-}
-
-#[derive(Debug, Default)]
-pub struct Listener {
-    decoder: Decoder<MAX_MESSAGE_BYTES>,
-    schedule: Option<(u16, Schedule)>,
-    pub said: Vec<(Ticks, Said)>,
-    pub scans: Vec<RawScan>,
-    pub gaps: Vec<Gap>,
-    /// Scans since the board started, also those that were forgotten here.
-    pub received: u64,
-    last: Option<(u64, u64)>,
-    /// How often a link was closed or broken: what was on its way is lost.
-    pub breaks: u64,
-    pub status: Option<Status>,
-    /// Numbers of the heads of all packets of poses.
-    pub heads: Vec<u32>,
-    /// Empty packets, and the instants of packets that were full and had none behind them.
-    pub empty_packets: usize,
-    full_since: Option<Ticks>,
-    /// The longest that the end of a transfer was waited for behind a full packet.
-    pub longest_full: Ticks,
-}
-
-impl Listener {
-    /// The board starts anew, and its counters with it.
-    pub fn forget_board(&mut self) {
-        *self = Self::default();
-    }
-
-    /// A program opens the port: it has seen nothing yet.
-    pub fn begin_session(&mut self) {
-        self.decoder = Decoder::new();
-        self.schedule = None;
-        self.full_since = None;
-        self.said.clear();
-    }
-
-    /// Forgets scans, gaps and messages, but not the counts.
-    pub fn clear(&mut self) {
-        self.said.clear();
-        self.scans.clear();
-        self.gaps.clear();
-    }
-
-    /// Frames that were damaged, in this session.
-    pub fn damaged(&self) -> u64 {
-        let counters = self.decoder.counters();
-        counters.overlong + counters.misframed + counters.bad_checksum + counters.unknown + counters.malformed
-    }
-
-    /// Takes in a packet that was over at `at`.
-    pub fn hear(&mut self, at: Ticks, bytes: &[u8]) {
-        if let Some(since) = self.full_since.take() {
-            self.longest_full = self.longest_full.max(at - since);
-        }
-        match bytes.len() {
-            0 => self.empty_packets += 1,
-            64 => self.full_since = Some(at),
-            _ => {}
-        }
-        let mut decoder = std::mem::take(&mut self.decoder);
-        let mut rest = bytes;
-        while let Some(result) = decoder.next::<Message>(&mut rest) {
-            if let Ok(message) = result {
-                self.take(at, message);
-            }
-        }
-        self.decoder = decoder;
-    }
-
-    fn take(&mut self, at: Ticks, message: Message<'_>) {
-        let said = match message {
-            Message::Hello(hello) => {
-                assert_eq!(hello.check_schemas(), Ok(()));
-                self.schedule = Some((hello.configuration, hello.schedule.clone()));
-                Said::Hello(Introduction {
-                    device_id: hello.device_id,
-                    board: hello.board.to_owned(),
-                    reset_cause: hello.reset_cause,
-                    hashes: hello.hashes,
-                    full_scale_a: hello.scaling.full_scale_a(),
-                    configuration: hello.configuration,
-                    schedule: hello.schedule,
-                })
-            }
-            Message::Batch(batch) => self.take_batch(&batch),
-            Message::Status(status) => {
-                self.check_account(&status);
-                self.status = Some(status);
-                Said::Status(status)
-            }
-            Message::Event(event) => Said::Event(event.tick, event.severity, event.text.to_owned()),
-            Message::Reply(reply) => Said::Reply(reply),
-            Message::Pong(pong) => Said::Pong(pong),
-            Message::Truth(truth) => panic!("a physical board knows the truth: {truth:?}"),
-            Message::Poses(poses) => {
-                self.heads.push(poses.head);
-                return;
-            }
-        };
-        self.said.push((at, said));
-    }
-
-    fn take_batch(&mut self, batch: &Batch<'_>) -> Said {
-        let (number, schedule) = self.schedule.as_ref().expect("a hello comes before the first batch");
-        assert_eq!(batch.configuration, *number, "the last hello announces the configuration of a batch");
-        let frame_ticks = u64::from(schedule.frame_ticks);
-        let scans = batch.scans(schedule).expect("a batch agrees with the schedule of its hello");
-        let count = scans.len() as u64;
-        for scan in scans {
-            if let Some((sequence, tick)) = self.last {
-                assert!(
-                    scan.sequence > sequence && scan.tick > tick,
-                    "scan {} at {} behind scan {sequence} at {tick}",
-                    scan.sequence,
-                    scan.tick
-                );
-                let (missing, ticks) = (scan.sequence - sequence - 1, scan.tick - tick);
-                if (missing, ticks) != (0, frame_ticks) {
-                    self.gaps.push(Gap { after: sequence, missing, ticks });
-                }
-            }
-            self.last = Some((scan.sequence, scan.tick));
-            self.received += 1;
-            self.scans.push(scan);
-        }
-        Said::Batch(batch.configuration, batch.sequence, count)
-    }
-
-    /// Scans on the board by what a status and this end have counted.
-    fn unaccounted(&self, status: &Status) -> u64 {
-        let known = self.received + status.scans_dropped + status.scans_lost;
-        status
-            .scans_taken
-            .checked_sub(known)
-            .unwrap_or_else(|| panic!("{} received, more than {status:?}", self.received))
-    }
-
-    fn check_account(&self, status: &Status) {
-        let most = ON_BOARD_SCANS + self.breaks * TRANSFER_SCANS;
-        let unaccounted = self.unaccounted(status);
-        assert!(unaccounted <= most, "{unaccounted} scans unaccounted for, {} received: {status:?}", self.received);
-    }
-
-    pub fn replies(&self, number: u16) -> Vec<Result<(), Rejection>> {
-        let reply = |said: &(Ticks, Said)| match said.1 {
-            Said::Reply(reply) if reply.number == number => Some(reply.outcome),
-            _ => None,
-        };
-        self.said.iter().filter_map(reply).collect()
-    }
-
-    pub fn hello(&self) -> Option<&Introduction> {
-        self.said.iter().rev().find_map(|(_, said)| if let Said::Hello(hello) = said { Some(hello) } else { None })
-    }
-
-    pub fn hellos(&self) -> usize {
-        self.said.iter().filter(|(_, said)| matches!(said, Said::Hello(_))).count()
-    }
-
-    pub fn events(&self) -> Vec<&str> {
-        self.all_events().into_iter().filter(|text| !is_of_silicon(text)).collect()
-    }
-
-    /// The same with those that faults of the silicon make for.
-    pub fn all_events(&self) -> Vec<&str> {
-        self.said
-            .iter()
-            .filter_map(|(_, said)| if let Said::Event(_, _, text) = said { Some(&text[..]) } else { None })
-            .collect()
-    }
-
-    pub fn missing(&self) -> u64 {
-        self.gaps.iter().map(|gap| gap.missing).sum()
-    }
-}
-
 #[derive(Debug)]
-pub struct Talk<W = OpticsWorld> {
-    pub rig: Rig<W>,
+pub struct Talk {
+    pub rig: Rig<Recorder>,
     pub ear: Listener,
 }
 
@@ -273,13 +53,41 @@ impl Talk {
     }
 
     fn boot_with(noise: NoiseSource, silicon: Faults) -> Self {
-        Self::boot_image(&open_image(None).expect("firmware/build has made an image"), noise, silicon)
+        let image = open_image(None).expect("firmware/build has made an image");
+        Self::start(&image, &WIDE.read().expect("shipped"), at_rest(), noise, silicon)
     }
 
-    fn boot_image(image: &Image, noise: NoiseSource, silicon: Faults) -> Self {
-        let scene = Shipped::named("wide").expect("a shipped scene").read().expect("shipped scenes are valid");
-        let rig = Rig::boot(image, &scene, at_rest(), noise, silicon).expect("the board fits the scene");
-        Self { rig, ear: Listener::default() }
+    /// A board with `image`, its clock running, in front of the head of `scene`.
+    fn start(image: &Image, scene: &SceneFile, trajectory: Trajectory, noise: NoiseSource, silicon: Faults) -> Self {
+        let world = OpticsWorld::new(scene, trajectory, WORLD_TIER, noise, silicon).expect("the board fits the scene");
+        let mut talk = Self { rig: Rig::power_on(image, Recorder::around(world), silicon), ear: Listener::default() };
+        let origin = talk.origin();
+        talk.record().world.set_origin(origin);
+        talk
+    }
+
+    /// A board that solves poses of a moving tool, its port open, and the head of `scene` sent to it.
+    pub fn solving(scene: &SceneFile, noise: NoiseSource) -> Self {
+        Self::solving_on(scene, noise, silicon())
+    }
+
+    /// The same on `silicon`.
+    pub fn solving_on(scene: &SceneFile, noise: NoiseSource, silicon: Faults) -> Self {
+        println!("seed {SEED}");
+        let image = open_pose_image().expect("firmware/build has made an image");
+        let mut talk = Self::start(&image, scene, smooth(), noise, silicon);
+        talk.ear.breaks = MANY_BREAKS;
+        talk.rig.set_open(true);
+        while talk.ear.hello().is_none() {
+            assert!(talk.rig.now() < TICKS_PER_SECOND, "no hello within a second");
+            talk.run_ms(1.0);
+        }
+        let head = head_of(&talk.ear, scene);
+        talk.rig.send_head(&head);
+        talk.run_ms(1.0);
+        let accepted = talk.ear.accepted();
+        assert!(!accepted.is_empty() && accepted.iter().all(|&accepted| accepted), "{accepted:?}");
+        talk
     }
 
     /// The same with USB at work and its port open, and the hello heard.
@@ -300,7 +108,8 @@ impl Talk {
     /// The same, and the board solves poses if it is given a head.
     pub fn solving_at_uart() -> Self {
         let image = open_pose_image().expect("firmware/build has made an image");
-        Self::boot_image(&image, NoiseSource::Off, silicon()).turned_to_uart()
+        let scene = WIDE.read().expect("shipped");
+        Self::start(&image, &scene, at_rest(), NoiseSource::Off, silicon()).turned_to_uart()
     }
 
     fn turned_to_uart(mut self) -> Self {
@@ -309,9 +118,84 @@ impl Talk {
         assert_eq!(self.ask(Command::Hello), Ok(()));
         self
     }
-}
 
-impl<W: World> Talk<W> {
+    /// A board whose port is open, for tests that let scans be lost.
+    pub fn quiet() -> Self {
+        let mut talk = Self::boot();
+        assert_eq!(talk.connect().reset_cause, ResetCause::PowerOn);
+        talk
+    }
+
+    /// Lets the host find the board, which has started anew, and open its port; gives its hello.
+    pub fn connect(&mut self) -> Introduction {
+        self.forget_board();
+        self.ear.breaks = MANY_BREAKS;
+        // The computer notices that the board was gone.
+        self.run_ms(20.0);
+        self.await_port();
+        // A port that was open is opened again by the host itself.
+        self.run_ms(5.0);
+        self.rig.set_open(false);
+        self.run_ms(5.0);
+        self.open();
+        self.ear.hello().expect("it has come").clone()
+    }
+
+    /// Cuts the supply for a while, at once.
+    pub fn cut_supply(&mut self) {
+        self.rig.machine().cut_power();
+        self.rig.run_for(1e-3);
+        self.rig.machine().power_on();
+        self.forget_board();
+    }
+
+    /// The board has started anew: what it said before is of no use.
+    pub fn forget_board(&mut self) {
+        self.rig.take_packets();
+        self.ear.forget_board();
+    }
+
+    pub fn record(&mut self) -> &mut Recorder {
+        &mut self.rig.machine().board.world
+    }
+
+    /// Tick of power at which the board's clock was zero.
+    pub fn origin(&mut self) -> Ticks {
+        self.rig.machine().device_clock_origin().expect("the program starts its clock")
+    }
+
+    /// Forgets what was heard and recorded.
+    pub fn forget(&mut self) {
+        self.ear.clear();
+        self.record().forget();
+    }
+
+    pub fn gates(&mut self) -> u8 {
+        self.rig.machine().board.gates()
+    }
+
+    /// The instant since which all gates have been off.
+    pub fn dark_since(&mut self) -> Ticks {
+        let edges = self.record().edges();
+        let (at, gates) = *edges.last().expect("it was lit");
+        assert_eq!(gates, 0, "lit");
+        at
+    }
+
+    /// Starts, and lets a few frames pass.
+    pub fn light(&mut self) {
+        self.accept(&Command::Start);
+        self.run_ms(5.0);
+        assert!(self.record().drives.iter().rev().take(8).any(|drive| drive.gates != 0), "it lights");
+    }
+
+    /// Starts, and asks for poses and no scans.
+    pub fn start_poses(&mut self) {
+        self.rig.send(Command::Stream(Stream { scans: 0, poses: 1 }));
+        self.run_ms(1.0);
+        self.rig.send(Command::Start);
+    }
+
     /// Lets time pass and listens. The board must live, if it has a supply.
     pub fn run_until(&mut self, end: Ticks) {
         let stop = self.rig.run_until(end);
@@ -413,6 +297,12 @@ impl<W: World> Talk<W> {
 
     pub fn expect_no_faults(&self) {
         assert_eq!(self.rig.faults(), Vec::<String>::new());
+    }
+
+    /// The same, and the line is clean.
+    pub fn expect_neither_faults_nor_damage(&self) {
+        self.expect_no_faults();
+        assert_eq!(self.ear.damaged(), 0, "the line is clean");
     }
 }
 
