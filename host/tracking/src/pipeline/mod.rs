@@ -17,6 +17,7 @@ mod tests;
 mod waiting;
 
 use slitpose_calibration::Head;
+use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::fnv1a_64;
 use slitpose_model::{Photocurrents, Tier};
 use slitpose_protocol::{DELIMITER, Decoder, MAX_MESSAGE_BYTES, Message, Status};
@@ -139,6 +140,12 @@ impl Pipeline {
                 return Some((scan, photocurrents));
             }
         }
+    }
+
+    /// The conversion to photocurrents that `scan`, the last that was taken, is of.
+    pub fn stage_of(&self, scan: &Scan) -> Option<&Stage> {
+        let mut sessions = self.flow.earlier.iter().chain(&self.flow.session);
+        sessions.find(|session| session.number == scan.session).map(|session| &session.stage)
     }
 
     /// How many sessions have begun: a board introduced itself for the first time, or with another configuration. Each
