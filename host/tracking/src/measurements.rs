@@ -195,8 +195,8 @@ fn readings(path: &Path, file: &SceneFile) -> Result<(Vec<Row>, Option<Noise>), 
                 exposed.clear();
             }
             exposed.push_back(Exposed { sequence: scan.sequence, time_s: scan.device_time_s, pairs });
-            if let (Some(stage), [before, at, after]) = (pipeline.stage_of(&scan), &*exposed.make_contiguous()) {
-                rows.push(at_reference(before, at, after, &stage.exposures_s()));
+            if let (Some(offsets), [before, at, after]) = (pipeline.exposures_of(&scan), &*exposed.make_contiguous()) {
+                rows.push(at_reference(before, at, after, &offsets));
                 exposed.pop_front();
             }
         }
@@ -204,16 +204,15 @@ fn readings(path: &Path, file: &SceneFile) -> Result<(Vec<Row>, Option<Noise>), 
     if rows.is_empty() { Err(MeasurementsError::NoScan { path: path.to_owned() }) } else { Ok((rows, noise)) }
 }
 
-/// The readings of `at` at the reference instant, after which the cells are exposed by `exposures_s`.
-fn at_reference(before: &Exposed, at: &Exposed, after: &Exposed, exposures_s: &[f64]) -> Row {
-    let reading = |(cell, exposure_s): (usize, &f64)| {
-        let [before_a, at_a, after_a] = [before.pairs[cell]?, at.pairs[cell]?, after.pairs[cell]?];
-        let frames = exposure_s / (after.time_s - before.time_s);
-        Some([0, 1].map(|k| at_a[k] - frames * (after_a[k] - before_a[k])))
+/// The readings of `at` at the reference instant; `offsets` are those of the exposures, in frames.
+fn at_reference(before: &Exposed, at: &Exposed, after: &Exposed, offsets: &[f64]) -> Row {
+    let reading = |cell: usize| {
+        let [before, at, after] = [before.pairs[cell]?, at.pairs[cell]?, after.pairs[cell]?];
+        Some([0, 1].map(|k| at[k] - offsets[cell] * 0.5 * (after[k] - before[k])))
     };
     Row {
         id: at.sequence.to_string(),
-        readings: exposures_s.iter().enumerate().map(reading).collect(),
+        readings: (0..offsets.len()).map(reading).collect(),
         frames: 1.0,
         time_s: Some([at.time_s; 2]),
         knowledge: Knowledge::Nothing,

@@ -17,7 +17,6 @@ mod tests;
 mod waiting;
 
 use slitpose_calibration::Head;
-use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::fnv1a_64;
 use slitpose_model::{Photocurrents, Tier};
 use slitpose_protocol::{DELIMITER, Decoder, MAX_MESSAGE_BYTES, Message, Status};
@@ -142,10 +141,13 @@ impl Pipeline {
         }
     }
 
-    /// The conversion to photocurrents that `scan`, the last that was taken, is of.
-    pub fn stage_of(&self, scan: &Scan) -> Option<&Stage> {
+    /// When the light of each cell left its emitter in the session of `scan`, after the reference instant, in frames;
+    /// `None` once a scan of a later session has been taken.
+    pub fn exposures_of(&self, scan: &Scan) -> Option<Vec<f64>> {
         let mut sessions = self.flow.earlier.iter().chain(&self.flow.session);
-        sessions.find(|session| session.number == scan.session).map(|session| &session.stage)
+        let session = sessions.find(|session| session.number == scan.session)?;
+        let rate_hz = session.schedule.frame_rate_hz();
+        Some(session.stage.exposures_s().iter().map(|exposure_s| exposure_s * rate_hz).collect())
     }
 
     /// How many sessions have begun: a board introduced itself for the first time, or with another configuration. Each
