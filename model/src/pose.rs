@@ -9,7 +9,7 @@ use glam::{DQuat, DVec3};
 use crate::scalar::{Linear3, Number, Real, Vector3, array, zero_half_one};
 
 /// A rigid transform, `f64`: rotation as a unit quaternion and translation in metres.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Pose {
     /// R, unit quaternion (components x, y, z, w).
     pub rotation: DQuat,

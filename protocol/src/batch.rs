@@ -8,7 +8,7 @@
 //! `lit I_X1, lit I_X2` of cell 0, 1, …, then, if the schedule has a dark slot,
 //! `dark I_X1, dark I_X2` of cell 0, 1, ….
 
-use core::slice::ChunksExact;
+use core::fmt::Debug;
 
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
@@ -46,7 +46,10 @@ impl<'a> Batch<'a> {
     ///
     /// # Errors
     /// If the batch does not fit this schedule.
-    pub fn scans(&self, schedule: &Schedule) -> Result<Scans<'a>, BatchError> {
+    pub fn scans(
+        &self,
+        schedule: &Schedule,
+    ) -> Result<impl ExactSizeIterator<Item = RawScan> + Clone + Debug + use<'a>, BatchError> {
         let cells = usize::from(schedule.cells);
         if cells == 0 || self.levels.len() != cells {
             return Err(BatchError::Levels { levels: self.levels.len(), cells });
@@ -64,40 +67,21 @@ impl<'a> Batch<'a> {
         next.sequence = self.sequence;
         next.tick = self.tick;
         next.levels_mut().copy_from_slice(&self.levels);
-        Ok(Scans { next, frame_ticks: schedule.frame_ticks, samples: self.samples.chunks_exact(scan_bytes) })
+        let frame_ticks = u64::from(schedule.frame_ticks);
+        let read = move |samples: &[u8]| {
+            let (lit, dark) = samples.split_at(cells * PAIR_BYTES);
+            read_pairs(lit, next.lit_mut());
+            if let Some(words) = next.dark_mut() {
+                read_pairs(dark, words);
+            }
+            let scan = next;
+            next.sequence += 1;
+            next.tick += frame_ticks;
+            scan
+        };
+        Ok(self.samples.chunks_exact(scan_bytes).map(read))
     }
 }
-
-/// Iterator over the scans of a [`Batch`].
-#[derive(Debug, Clone)]
-pub struct Scans<'a> {
-    next: RawScan,
-    frame_ticks: u32,
-    samples: ChunksExact<'a, u8>,
-}
-
-impl Iterator for Scans<'_> {
-    type Item = RawScan;
-
-    fn next(&mut self) -> Option<RawScan> {
-        let samples = self.samples.next()?;
-        let (lit, dark) = samples.split_at(self.next.cells() * PAIR_BYTES);
-        read_pairs(lit, self.next.lit_mut());
-        if let Some(words) = self.next.dark_mut() {
-            read_pairs(dark, words);
-        }
-        let scan = self.next;
-        self.next.sequence += 1;
-        self.next.tick += u64::from(self.frame_ticks);
-        Some(scan)
-    }
-
-    fn size_hint(&self) -> (usize, Option<usize>) {
-        self.samples.size_hint()
-    }
-}
-
-impl ExactSizeIterator for Scans<'_> {}
 
 fn read_pairs(samples: &[u8], pairs: &mut [WordPair]) {
     for (bytes, pair) in samples.chunks_exact(PAIR_BYTES).zip(pairs) {

@@ -41,8 +41,8 @@ impl<const N: usize> Decoder<N> {
     const LIMIT: usize = N - 1;
 
     /// A decoder without input.
-    pub const fn new() -> Self {
-        Self { frame: [0; N], bytes: 0, counters: DecoderCounters::new() }
+    pub fn new() -> Self {
+        Self { frame: [0; N], bytes: 0, counters: DecoderCounters::default() }
     }
 
     /// Consumes bytes from the front of `input` up to the end of the next frame and
@@ -126,19 +126,6 @@ pub struct DecoderCounters {
 }
 
 impl DecoderCounters {
-    const fn new() -> Self {
-        Self {
-            bytes: 0,
-            bytes_skipped: 0,
-            packets: 0,
-            overlong: 0,
-            misframed: 0,
-            bad_checksum: 0,
-            unknown: 0,
-            malformed: 0,
-        }
-    }
-
     /// Frames damaged on the link. Unknown and malformed ones arrived as sent and do not
     /// count.
     pub fn damaged(&self) -> u64 {

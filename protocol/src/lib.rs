@@ -219,7 +219,7 @@ use core::fmt;
 
 use serde::{Deserialize, Serialize};
 
-pub use batch::{Batch, BatchBuilder, BatchError, MAX_SCAN_BYTES, Scans};
+pub use batch::{Batch, BatchBuilder, BatchError, MAX_SCAN_BYTES};
 pub use command::{
     BootTarget, Command, Configuration, Exposure, HEAD_PART_BYTES, Hashes, HeadPart, Request, SAMPLE_SCANS, Stream,
 };

@@ -17,8 +17,6 @@
 //!
 //! Integers and `f32` are little endian. Without a pose translation and rotation are NaN.
 
-use core::slice::ChunksExact;
-
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
@@ -63,37 +61,14 @@ pub struct Poses<'a> {
 impl<'a> Poses<'a> {
     /// The poses with the sequence number and tick of their scans, of which `frame_ticks` lie between two. Bytes that
     /// are no whole record are left out.
-    pub fn iter(&self, frame_ticks: u32) -> PoseIter<'a> {
-        PoseIter {
-            sequence: self.sequence,
-            tick: self.tick,
-            every: self.every,
-            frame_ticks,
-            records: self.records.chunks_exact(POSE_BYTES),
-        }
-    }
-}
-
-/// Iterator over the poses of a packet.
-#[derive(Debug, Clone)]
-pub struct PoseIter<'a> {
-    sequence: u64,
-    tick: u64,
-    every: u8,
-    frame_ticks: u32,
-    records: ChunksExact<'a, u8>,
-}
-
-impl Iterator for PoseIter<'_> {
-    type Item = (u64, u64, PoseRecord);
-
-    fn next(&mut self) -> Option<Self::Item> {
-        let record = PoseRecord::read(self.records.next()?.try_into().ok()?);
-        let (sequence, tick) = (self.sequence, self.tick);
-        let every = u64::from(self.every);
-        self.sequence = sequence.saturating_add(every);
-        self.tick = tick.saturating_add(every.saturating_mul(self.frame_ticks.into()));
-        Some((sequence, tick, record))
+    pub fn iter(&self, frame_ticks: u32) -> impl Iterator<Item = (u64, u64, PoseRecord)> + Clone + use<'a> {
+        let (sequence, tick, every) = (self.sequence, self.tick, u64::from(self.every));
+        let (records, _) = self.records.as_chunks();
+        (0..).zip(records).map(move |(number, record)| {
+            let scans = every * number;
+            let ticks = scans.saturating_mul(frame_ticks.into());
+            (sequence.saturating_add(scans), tick.saturating_add(ticks), PoseRecord::read(record))
+        })
     }
 }
 
@@ -319,10 +294,8 @@ mod tests {
         let poses = builder.poses(3, 5, 9).unwrap();
         assert_eq!((poses.configuration, poses.missed, poses.head), (3, 5, 9));
         assert_eq!(poses.covariance, Some([1.0; TRIANGLE]));
-        let mut all = poses.iter(100);
-        assert_eq!(all.next(), Some((7, 700, record(PoseStatus::Converged))));
-        assert_eq!(all.next(), Some((8, 800, record(PoseStatus::Diverged))));
-        assert_eq!(all.next(), None);
+        let expected = [(7, 700, record(PoseStatus::Converged)), (8, 800, record(PoseStatus::Diverged))];
+        assert!(poses.iter(100).eq(expected), "{poses:?}");
         let mut newer = record(PoseStatus::Converged).write();
         newer[0] = 8;
         assert_eq!(PoseRecord::read(&newer), record(PoseStatus::Unknown));

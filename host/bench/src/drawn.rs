@@ -6,9 +6,8 @@ use std::f64::consts::{PI, TAU};
 
 use glam::{DVec2, DVec3};
 use slitpose_calibration::{Parameter, draw};
-use slitpose_head::front_end::{Stage, TimingError, configuration};
 use slitpose_head::scene_file::{SceneFile, SceneFileError};
-use slitpose_head::simulator::{Electronics, Light, noisy_reading};
+use slitpose_head::simulator::{Light, noisy_reading, table_noise};
 use slitpose_model::{Cell, CompiledScene, Effects, Noise, Pair, Pose, Scene, SceneError, Status, Tier, rotation_exp};
 
 use crate::BenchError;
@@ -93,7 +92,7 @@ impl DrawnHead {
         Ok(Self {
             lit: (0..scene.cells.len()).map(of_slot).collect(),
             optics: Optics::of(&scene, &beyond)?,
-            noise: noise(nominal)?,
+            noise: table_noise(nominal)?,
             nominal: nominal.clone(),
             parameters,
             beyond,
@@ -143,19 +142,6 @@ fn with_tolerance(scene: &SceneFile) -> Result<SceneFile, SceneFileError> {
     match scene.tolerance {
         Some(_) => Ok(scene.clone()),
         None => SceneFile::parse(&scene.origin, &format!("{}\n[tolerance]  # the defaults\n", scene.source)),
-    }
-}
-
-/// Noise of a row of a table: what the scene gives for tables, else that of its front end.
-fn noise(file: &SceneFile) -> Result<Option<Noise>, TimingError> {
-    match (&file.scene.noise, &file.front_end) {
-        (Some(noise), _) => Ok(Some(*noise)),
-        (None, None) => Ok(None),
-        (None, Some(front_end)) => {
-            let schedule = configuration(file)?.schedule;
-            let scaling = Electronics::new(&file.scene, front_end).scaling();
-            Ok(Stage::weighted_scene(file, &schedule, &scaling).noise)
-        }
     }
 }
 

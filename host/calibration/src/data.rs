@@ -1,7 +1,7 @@
 //! Measurements on one head: rows of readings, and what is known of the pose of each row.
 
 use glam::DVec3;
-use slitpose_model::{Noise, Pose, rotation_exp};
+use slitpose_model::{Noise, Pair, Photocurrents, Pose, Reading, rotation_exp};
 
 use crate::tables::FoundClock;
 
@@ -33,6 +33,15 @@ pub struct Row {
 }
 
 impl Row {
+    /// The readings, for a solver.
+    pub(crate) fn photocurrents(&self) -> Photocurrents {
+        let reading = |pair: &Option<[f64; 2]>| match *pair {
+            Some([i_x1_a, i_x2_a]) => Reading::Light(Pair { i_x1_a, i_x2_a }),
+            None => Reading::Missing,
+        };
+        Photocurrents { cells: self.readings.iter().map(reading).collect() }
+    }
+
     /// The pose that the instrument reports, its clock as it was found at first.
     pub(crate) fn reported(&self) -> Option<Pose> {
         self.reported_at([0.0; 2])

@@ -2,13 +2,12 @@
 //!
 //! [`calibrate`] takes a scene and [`Data`] and gives a [`Calibration`]: what it makes of the scene, and what it leaves open
 //! in each pose. Read in this order:
-//! * `parameter`, `parameters`, `prior`: what a head may deviate in, and by how much before anything is measured;
-//! * `data`, `tables`, `track`, `clock`, `constraint`: what was measured, and what is known of the poses;
-//! * `plausibility`, `start`, `frames`: wrong data are refused, first poses found;
-//! * `sensitivity`, `normal`, `adjust`: derivatives, normal equations without the poses, steps, outliers, model errors;
-//! * `engine`: all of it in order; `pose_error`, `weakness`, `spectrum`, `residuals`: what came of it;
-//! * `part_costs`: what tolerances cost, without any measurement;
-//! * `file`: how it is stored; `head`, `first_light`: what solves with it, or without any; `validity`: whether it still holds.
+//! * `parameter`, `prior`: what a head may deviate in, and by how much before anything is measured;
+//! * `data`, `tables`, `clock`, `constraint`: what was measured, and what is known of the poses;
+//! * `plausibility`, `start`: wrong data are refused, first poses found;
+//! * `state`, `normal`, `adjust`: derivatives, normal equations without the poses, steps, outliers, model errors;
+//! * `engine`: all of it in order; `pose_error`, `findings`: what came of it, and what tolerances cost without it;
+//! * `file`: how it is stored; `head`: what solves with it, or without any; `reading`: whether it still holds.
 //!
 //! Readings are currents above dark, SI units throughout. Parameters are deviations from the scene; inside the adjustment
 //! they are counted in standard deviations of their priors.

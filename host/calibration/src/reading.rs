@@ -1,7 +1,7 @@
 //! Readings of a cell: their covariance, and whether a calibration still describes its head by what they say of each other.
 
 use slitpose_model::{
-    Cell, ModelError, MotionPrior, Noise, Pair, Photocurrents, Pose, Reading, Scene, SceneError, Solver, Start,
+    Cell, CompiledScene, ModelError, MotionPrior, Noise, Pair, Pose, Reading, Scene, SceneError, Solver, Start,
 };
 
 use crate::data::Row;
@@ -116,6 +116,20 @@ pub(crate) fn directions(pair: [f64; 2], half_length_m: f64) -> [[f64; 2]; 2] {
     [[total.recip(); 2], [across * (-1.0 - share), across * (1.0 - share)]]
 }
 
+/// How far the reading `found` is from what `plan` expects of `cell` at `pose`: of its relative intensity and position, and
+/// of its currents.
+pub(crate) fn deviation(
+    plan: &CompiledScene<f64>,
+    cell: usize,
+    pose: &Pose,
+    found: [f64; 2],
+    half_length_m: f64,
+) -> ([f64; 2], [f64; 2]) {
+    let Pair { i_x1_a, i_x2_a } = plan.photocurrents(cell, pose);
+    let change = [found[0] - i_x1_a, found[1] - i_x2_a];
+    (directions([i_x1_a, i_x2_a], half_length_m).map(|by| by[0] * change[0] + by[1] * change[1]), change)
+}
+
 /// Fewest rows that a verdict is given on.
 const MIN_ROWS: usize = 20;
 
@@ -176,13 +190,10 @@ pub fn validity(scene: &Scene, noise: Option<Noise>, rows: &[Row]) -> Result<Val
         }
         let Some((_, solver)) = &solver else { continue };
         let solve = |left_out: Option<usize>, start: Start<'_>| {
-            let reading = |(cell, pair): (usize, &Option<[f64; 2]>)| match pair {
-                Some([i_x1_a, i_x2_a]) if left_out != Some(cell) => {
-                    Reading::Light(Pair { i_x1_a: *i_x1_a, i_x2_a: *i_x2_a })
-                }
-                _ => Reading::Missing,
-            };
-            let readings = Photocurrents { cells: row.readings.iter().enumerate().map(reading).collect() };
+            let mut readings = row.photocurrents();
+            if let Some(cell) = left_out {
+                readings.cells[cell] = Reading::Missing;
+            }
             let solution = solver.solve(&readings, start, &MotionPrior::AT_REST);
             // A reading that the solver leaves out tells most of all.
             let pose: Option<Pose> = solution.estimate.map(|estimate| estimate.pose);
@@ -202,12 +213,8 @@ pub fn validity(scene: &Scene, noise: Option<Noise>, rows: &[Row]) -> Result<Val
             let excluded = solution.excluded.count() as f64;
             without[cell][0] += solution.chi2 + excluded * EXCLUDED_CHI2;
             without[cell][1] += solution.redundancy as f64 + 2.0 * excluded;
-            let expected = solver.plan().photocurrents(cell, &pose);
-            let expected = [expected.i_x1_a, expected.i_x2_a];
-            let change = [found[0] - expected[0], found[1] - expected[1]];
             let half_length_m = 0.5 * scene.cells[cell].detector.length_m;
-            let [relative, position] =
-                directions(expected, half_length_m).map(|by| by[0] * change[0] + by[1] * change[1]);
+            let ([relative, position], _) = deviation(solver.plan(), cell, &pose, found, half_length_m);
             let cell = &mut cells[cell];
             cell.readings += 1;
             cell.relative += relative;

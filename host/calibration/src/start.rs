@@ -5,7 +5,7 @@
 use glam::{DMat3, DQuat, DVec3};
 use nalgebra::{Matrix4, Matrix6, SymmetricEigen, Vector4, Vector6};
 use slitpose_head::scene_file::SceneFile;
-use slitpose_model::{MIN_CELLS, MotionPrior, Pair, Photocurrents, Pose, Reading, Scene, SceneError, Solver, Start};
+use slitpose_model::{MIN_CELLS, MotionPrior, Pose, Scene, SceneError, Solver, Start};
 
 use crate::data::{Constraint, Data, Group, Knowledge, Row, compose, inverse, values_of};
 use crate::state::TIER;
@@ -23,14 +23,7 @@ pub(crate) struct Beginning {
 /// The pose of each row by `scene` alone.
 pub(crate) fn solved(scene: &Scene, rows: &[Row]) -> Result<Vec<Option<Pose>>, SceneError> {
     let solver = Solver::<f64>::new(scene, TIER)?;
-    let solve = |row: &Row| {
-        let reading = |pair: &Option<[f64; 2]>| match pair {
-            Some([i_x1_a, i_x2_a]) => Reading::Light(Pair { i_x1_a: *i_x1_a, i_x2_a: *i_x2_a }),
-            None => Reading::Missing,
-        };
-        let readings = Photocurrents { cells: row.readings.iter().map(reading).collect() };
-        Some(solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST).estimate?.pose)
-    };
+    let solve = |row: &Row| Some(solver.solve(&row.photocurrents(), Start::Cold, &MotionPrior::AT_REST).estimate?.pose);
     Ok(rows.iter().map(solve).collect())
 }
 

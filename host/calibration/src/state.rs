@@ -6,7 +6,7 @@ use slitpose_model::{CompiledScene, ModelError, Pose, Scene, SceneError, Status,
 use crate::constraint;
 use crate::data::{Constraint, Data, Group, compose, inverse, pose_of};
 use crate::prior::Parameters;
-use crate::reading::{Covariance, ReadingNoise, directions, whiten, whitener};
+use crate::reading::{Covariance, ReadingNoise, deviation, whiten, whitener};
 
 /// Parameters, poses and unknowns of the groups.
 #[derive(Clone, Debug)]
@@ -270,13 +270,8 @@ pub(crate) fn residuals(nominal: &Scene, data: &Data, state: &State) -> Result<V
             let (Some(reading), response) = (*reading, after.respond(cell, pose)) else { continue };
             let (Some(position_m), Some(angle_rad)) = (response.x_a_m, response.gamma_rad) else { continue };
             let half_length_m = 0.5 * nominal.cells[cell].detector.length_m;
-            let deviation = |plan: &CompiledScene<f64>| {
-                let pair = plan.photocurrents(cell, pose);
-                let expected = [pair.i_x1_a, pair.i_x2_a];
-                let change = [reading[0] - expected[0], reading[1] - expected[1]];
-                (directions(expected, half_length_m).map(|by| by[0] * change[0] + by[1] * change[1]), change)
-            };
-            let ((before, _), (after, change)) = (deviation(&before), deviation(&after));
+            let [(before, _), (after, change)] =
+                [&before, &after].map(|plan| deviation(plan, cell, pose, reading, half_length_m));
             let normalised = whiten(whitener(state.covariance(cell, reading, row.frames)), change);
             if before.iter().chain(&after).all(|value| value.is_finite()) {
                 found.push(Residual { cell, position_m, angle_rad, before, after, normalised });

@@ -10,7 +10,7 @@ use slitpose_head::front_end::{self, Stage};
 use slitpose_head::scene_file::{SceneFile, WIDE, fnv1a_64};
 use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
 use slitpose_model::{Solver, Tier, Tracker};
-use slitpose_protocol::{Command, Decoder, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, Request, encode};
+use slitpose_protocol::{Command, Decoder, MAX_MESSAGE_BYTES, Message};
 
 const SEED: u64 = 5;
 const DURATION_S: f64 = 2.0;
@@ -29,10 +29,7 @@ fn sent(file: &SceneFile) -> Vec<u8> {
     let scans = configuration.schedule.frame_rate_hz() * DURATION_S;
     let trajectory = Trajectory::of_kind(TrajectoryKind::Smooth, SEED, DURATION_S);
     let mut board = SimulatedBoard::new(file, trajectory, TIER, SEED).expect("a board runs the scene");
-    let mut buffer = [0; MAX_REQUEST_BYTES];
-    for (number, command) in [(1, Command::Configure(configuration)), (2, Command::Start)] {
-        board.write(encode(&Request { number, command }, &mut buffer).expect("room"));
-    }
+    board.ask(1, Command::Start);
     let mut bytes = Vec::new();
     (0..scans as usize).for_each(|_| board.step(&mut bytes));
     bytes

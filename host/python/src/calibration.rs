@@ -169,7 +169,7 @@ pub(crate) fn calibrate(
         stage: texts(stage),
         rest: texts(rest),
         has_own_frames: own_frames,
-        known_sigmas: [known_sigma_m, known_sigma_rad],
+        known_sigmas: Some([known_sigma_m, known_sigma_rad]),
     };
     let (file, start) = (scene.file(), start.map(|start| &start.0));
     let mut remarks = Vec::new();

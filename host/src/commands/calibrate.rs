@@ -95,7 +95,7 @@ impl Args {
             stage: self.stage.clone(),
             rest: self.rest.clone(),
             has_own_frames: self.frames == FramesOf::Own,
-            known_sigmas: [self.known_sigma_um / 1e6, self.known_sigma_urad / 1e6],
+            known_sigmas: Some([self.known_sigma_um / 1e6, self.known_sigma_urad / 1e6]),
         }
     }
 }

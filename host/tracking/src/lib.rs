@@ -17,12 +17,12 @@
 //! use slitpose_head::scene_file::WIDE;
 //! use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
 //! use slitpose_model::Tier;
-//! use slitpose_protocol::{Command, MAX_REQUEST_BYTES, Request, encode};
+//! use slitpose_protocol::Command;
 //!
 //! let (head, tier) = (WIDE.read()?, Tier::Exact { tolerance: 1e-6 });
 //! let smooth = Trajectory::of_kind(TrajectoryKind::Smooth, 1, f64::INFINITY);
 //! let mut board = SimulatedBoard::new(&head, smooth, tier, 1)?;
-//! board.write(encode(&Request { number: 1, command: Command::Start }, &mut [0; MAX_REQUEST_BYTES])?);
+//! board.ask(1, Command::Start);
 //! let mut bytes = Vec::new();
 //! (0..400).for_each(|_| board.step(&mut bytes)); // 0.1 s at 4 kHz
 //!

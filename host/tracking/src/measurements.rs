@@ -1,21 +1,21 @@
 //! Measurements on a head, read for its calibration.
 
+use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 
 use slitpose_calibration::{
     CalibrateError, Calibration, Constraint, Data, Knowledge, Row, measured_noise, read_tracked, tables,
 };
-use slitpose_head::front_end::{Stage, TimingError, configuration};
+use slitpose_head::front_end::{Stage, TimingError};
 use slitpose_head::scene_file::SceneFile;
-use slitpose_head::simulator::Electronics;
+use slitpose_head::simulator::table_noise;
 use slitpose_head::table::is_capture;
-use slitpose_model::{Cell, Noise, Reading};
-use slitpose_protocol::{Decoder, Hello, MAX_MESSAGE_BYTES, Message, RawScan, Schedule};
+use slitpose_model::{Cell, Noise, Reading, Tier};
 use thiserror::Error;
 
 use crate::capture::{CaptureError, CaptureReader, Entry};
 use crate::link::Segment;
-use crate::pipeline::{PipelineError, SceneMatch, check};
+use crate::pipeline::{Item, Pipeline, PipelineError, SceneMatch};
 
 /// How well the tip of a tool stays in a cone, and a tool returns to a stop: metres and radians.
 const CONTACT: [f64; 2] = [3e-6, 100e-6];
@@ -30,7 +30,7 @@ const INSTRUMENT: [f64; 2] = [2e-6, 20e-6];
 const OTHER_NOISE: f64 = 1.3;
 
 /// The files with measurements on a head, by what is known of their poses: tables, or captures where no poses are needed.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Measurements {
     /// Readings at poses that another instrument measured; the first ones may be poses alone, by a clock of their own.
     pub known: Vec<String>,
@@ -46,23 +46,8 @@ pub struct Measurements {
     pub rest: Vec<String>,
     /// Whether the instrument's frame and marker are at unknown places, and not those of the scene.
     pub has_own_frames: bool,
-    /// Standard deviations of the instrument's poses, each axis: metres and radians.
-    pub known_sigmas: [f64; 2],
-}
-
-impl Default for Measurements {
-    fn default() -> Self {
-        Self {
-            known: Vec::new(),
-            known_captures: Vec::new(),
-            free: Vec::new(),
-            pivot: Vec::new(),
-            stage: Vec::new(),
-            rest: Vec::new(),
-            has_own_frames: false,
-            known_sigmas: INSTRUMENT,
-        }
-    }
+    /// Standard deviations of the instrument's poses, each axis: metres and radians; `None`: as usual, 2 µm and 20 µrad.
+    pub known_sigmas: Option<[f64; 2]>,
 }
 
 /// Why measurements cannot be read.
@@ -99,6 +84,7 @@ impl Measurements {
         start: Option<&Calibration>,
         say: &mut dyn FnMut(&str),
     ) -> Result<Data, MeasurementsError> {
+        let known_sigmas = self.known_sigmas.unwrap_or(INSTRUMENT);
         let known = if self.has_own_frames { Constraint::KnownInOwnFrames } else { Constraint::Known };
         let mut data = Data::default();
         if let Some(capture) = self.known_captures.get(self.known.len()) {
@@ -107,10 +93,10 @@ impl Measurements {
         let (tracked, listed) = self.known.split_at(self.known_captures.len());
         for (table, capture) in tracked.iter().zip(&self.known_captures) {
             let rows = read_capture(file, capture, &mut data, say)?;
-            read_tracked(file, start, [table, capture], rows, known, self.known_sigmas, &mut data)?;
+            read_tracked(file, start, [table, capture], rows, known, known_sigmas, &mut data)?;
         }
         for (files, constraint, sigmas) in [
-            (listed, known, self.known_sigmas),
+            (listed, known, known_sigmas),
             (&self.free, Constraint::Free, CONTACT),
             (&self.pivot, Constraint::Pivot, CONTACT),
             (&self.stage, Constraint::Stage, STAGE),
@@ -120,7 +106,9 @@ impl Measurements {
                 read(file, name, constraint, sigmas, &mut data, say)?;
             }
         }
-        with_noise(file, &mut data)?;
+        if data.noise.is_none() {
+            data.noise = table_noise(file)?;
+        }
         Ok(data)
     }
 }
@@ -163,21 +151,8 @@ fn read_capture(
     Ok(rows)
 }
 
-/// Tables of a scene that has no [noise] have the noise of the board that it asks for.
-fn with_noise(file: &SceneFile, data: &mut Data) -> Result<(), TimingError> {
-    if data.noise.is_none()
-        && file.scene.noise.is_none()
-        && let Some(front_end) = file.front_end
-    {
-        let configuration = configuration(file)?;
-        let scaling = Electronics::new(&file.scene, &front_end).scaling();
-        data.noise = Stage::weighted_scene(file, &configuration.schedule, &scaling).noise;
-    }
-    Ok(())
-}
-
 /// Photocurrents of one scan, not yet at one instant.
-struct Scan {
+struct Exposed {
     sequence: u64,
     time_s: f64,
     pairs: Vec<Option<[f64; 2]>>,
@@ -189,8 +164,10 @@ struct Scan {
 /// slope between the frames before and after. Frames at a gap are left out.
 fn readings(path: &Path, file: &SceneFile) -> Result<(Vec<Row>, Option<Noise>), MeasurementsError> {
     let mut reader = CaptureReader::open(path)?;
-    let (mut segment, mut decoder) = (Segment::default(), Decoder::<MAX_MESSAGE_BYTES>::new());
-    let (mut device, mut board, mut rows) = (None, None::<Board<'_>>, Vec::new());
+    // Nothing is solved.
+    let mut pipeline = Pipeline::new(file.clone(), Tier::Paper, SceneMatch::Required);
+    let (mut segment, mut device, mut noise) = (Segment::default(), None, None);
+    let (mut exposed, mut rows) = (VecDeque::<Exposed>::new(), Vec::new());
     while let Some(entry) = reader.next(&mut segment)? {
         let of = match entry {
             Entry::Setup(_) => continue,
@@ -200,90 +177,35 @@ fn readings(path: &Path, file: &SceneFile) -> Result<(Vec<Row>, Option<Noise>), 
         if *device.get_or_insert(of) != of {
             return Err(MeasurementsError::SeveralBoards { path: path.to_owned() });
         }
-        for (mut bytes, _) in segment.chunks() {
-            while let Some(message) = decoder.next::<Message>(&mut bytes) {
-                match message {
-                    Ok(Message::Hello(hello)) => {
-                        check(file, SceneMatch::Required, &hello)
-                            .map_err(|source| MeasurementsError::Board { path: path.to_owned(), source })?;
-                        board = Board::of(file, &hello);
-                    }
-                    Ok(Message::Batch(batch)) => {
-                        let Some(board) = &mut board else { continue };
-                        // A batch that does not fit its schedule is damaged.
-                        let scans = batch.scans(&board.schedule).into_iter().flatten();
-                        scans.for_each(|scan| rows.extend(board.take(&scan)));
-                    }
-                    _ => {}
-                }
+        let received = pipeline.receive(&segment, |item| {
+            if let Item::Hello(hello) = item {
+                noise = Stage::weighted_scene(file, &hello.schedule, &hello.scaling).noise;
+            }
+            Ok(())
+        });
+        received.map_err(|source| MeasurementsError::Board { path: path.to_owned(), source })?;
+        while let Some((scan, currents)) = pipeline.take_currents() {
+            let of_cell = |(reading, cell): (&Reading, &Cell)| match reading {
+                Reading::Light(pair) if pair.total_a() > cell.detector.faint_a => Some([pair.i_x1_a, pair.i_x2_a]),
+                _ => None,
+            };
+            let pairs = currents.cells.iter().zip(&file.scene.cells).map(of_cell).collect();
+            let follows = |last: &Exposed| last.sequence + 1 == scan.sequence && last.time_s < scan.device_time_s;
+            if !exposed.back().is_some_and(follows) {
+                exposed.clear();
+            }
+            exposed.push_back(Exposed { sequence: scan.sequence, time_s: scan.device_time_s, pairs });
+            if let (Some(offsets), [before, at, after]) = (pipeline.exposures_of(&scan), &*exposed.make_contiguous()) {
+                rows.push(at_reference(before, at, after, &offsets));
+                exposed.pop_front();
             }
         }
     }
-    match board {
-        Some(Board { noise, .. }) if !rows.is_empty() => Ok((rows, noise)),
-        _ => Err(MeasurementsError::NoScan { path: path.to_owned() }),
-    }
-}
-
-struct Board<'a> {
-    file: &'a SceneFile,
-    stage: Stage,
-    schedule: Schedule,
-    noise: Option<Noise>,
-    /// Exposure of each cell after the reference instant, in frames.
-    offsets: Vec<f64>,
-    /// Up to two scans that follow each other.
-    before: Vec<Scan>,
-}
-
-impl<'a> Board<'a> {
-    /// `None` if its schedule cannot be run, or has other cells.
-    fn of(file: &'a SceneFile, hello: &Hello<'_>) -> Option<Self> {
-        let schedule = hello.schedule.clone();
-        schedule.validate().ok()?;
-        if usize::from(schedule.cells) != file.scene.cells.len() {
-            return None;
-        }
-        let stage = Stage::new(file, &schedule, &hello.scaling);
-        let rate_hz = schedule.frame_rate_hz();
-        Some(Self {
-            file,
-            noise: Stage::weighted_scene(file, &schedule, &hello.scaling).noise,
-            offsets: stage.exposures_s().iter().map(|offset_s| offset_s * rate_hz).collect(),
-            stage,
-            schedule,
-            before: Vec::new(),
-        })
-    }
-
-    /// The scan before `scan`, if its neighbours are there.
-    fn take(&mut self, scan: &RawScan) -> Option<Row> {
-        let currents = self.stage.photocurrents(scan);
-        let of_cell = |(reading, cell): (&Reading, &Cell)| match reading {
-            Reading::Light(pair) if pair.total_a() > cell.detector.faint_a => Some([pair.i_x1_a, pair.i_x2_a]),
-            _ => None,
-        };
-        let pairs = currents.cells.iter().zip(&self.file.scene.cells).map(of_cell).collect();
-        let ticks = scan.tick as f64 + self.schedule.reference_ticks();
-        let time_s = ticks / f64::from(self.schedule.tick_hz);
-        let scan = Scan { sequence: scan.sequence, time_s, pairs };
-        if self.before.last().is_some_and(|last| last.sequence + 1 != scan.sequence) {
-            self.before.clear();
-        }
-        let row = match self.before.as_slice() {
-            [before, at] => Some(at_reference(before, at, &scan, &self.offsets)),
-            _ => None,
-        };
-        if row.is_some() {
-            self.before.remove(0);
-        }
-        self.before.push(scan);
-        row
-    }
+    if rows.is_empty() { Err(MeasurementsError::NoScan { path: path.to_owned() }) } else { Ok((rows, noise)) }
 }
 
 /// The readings of `at` at the reference instant; `offsets` are those of the exposures, in frames.
-fn at_reference(before: &Scan, at: &Scan, after: &Scan, offsets: &[f64]) -> Row {
+fn at_reference(before: &Exposed, at: &Exposed, after: &Exposed, offsets: &[f64]) -> Row {
     let reading = |cell: usize| {
         let [before, at, after] = [before.pairs[cell]?, at.pairs[cell]?, after.pairs[cell]?];
         Some([0, 1].map(|k| at[k] - offsets[cell] * 0.5 * (after[k] - before[k])))

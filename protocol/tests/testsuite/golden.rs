@@ -10,9 +10,9 @@ use serde::Serialize;
 use slitpose_protocol::schema::{COMMANDS, MESSAGES, SchemaKeys};
 use slitpose_protocol::{
     AdcScaling, Batch, BoardKind, BootTarget, ClockSource, Command, Configuration, Decoder, EmitterSet, Event,
-    Exposure, FrameError, HardwareFault, Hashes, HeadPart, Hello, Level, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message,
-    PROTOCOL, Packet, PayloadError, Pong, PoseRecord, PoseStatus, Poses, Quantity, Rejection, Reply, Request,
-    ResetCause, Schedule, ScheduleError, SettingsSource, Severity, Status, Stream, Truth, encode,
+    Exposure, HardwareFault, Hashes, HeadPart, Hello, Level, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, PROTOCOL,
+    Packet, Pong, PoseRecord, PoseStatus, Poses, Quantity, Rejection, Reply, Request, ResetCause, Schedule,
+    ScheduleError, SettingsSource, Severity, Status, Stream, Truth, encode,
 };
 
 fn bytes(hex: &str) -> std::vec::Vec<u8> {
@@ -174,21 +174,6 @@ fn status() {
         }),
         "0d02c0fec32801d00f0802050107030433335340010a96437d0102710d729d00",
     );
-}
-
-/// A board of an earlier build: its keys say so, and its status is not misread.
-#[test]
-fn a_status_without_clock_and_settings_is_told_apart() {
-    let mut keys = SchemaKeys::messages().0.to_vec();
-    keys[2 * 8..3 * 8].copy_from_slice(&0xd264_e884_6982_22ef_u64.to_le_bytes());
-    let hello = a_hello(SchemaKeys(&keys), SchemaKeys::commands());
-    assert_eq!(hello.check_schemas().map_err(|mismatch| mismatch.name), Err("Status"));
-
-    let mut decoder = Decoder::<MAX_MESSAGE_BYTES>::new();
-    let packet = bytes("0d02c0fec32801d00f0802050107030433335340010896437d8e9ddf1500");
-    let malformed = FrameError::Payload(PayloadError::MalformedMessage { kind: 2 });
-    assert_eq!(decoder.next::<Message>(&mut packet.as_slice()), Some(Err(malformed)));
-    assert_eq!(decoder.counters().malformed, 1);
 }
 
 #[test]

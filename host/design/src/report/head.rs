@@ -7,7 +7,6 @@ use glam::DVec3;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use slitpose_calibration::median;
 use slitpose_head::front_end::{Stage, configuration};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::{Electronics, noisy_reading};
@@ -207,7 +206,6 @@ impl NoiseSource {
 #[derive(Clone, Debug)]
 pub(super) struct Errors {
     pub(super) rms: [f64; 2],
-    pub(super) median: [f64; 2],
     /// Share of the solves that gave a pose.
     pub(super) solved: f64,
     pub(super) steps: f64,
@@ -215,23 +213,17 @@ pub(super) struct Errors {
 
 impl Errors {
     pub(super) fn of<'a>(solves: impl IntoIterator<Item = (Solved, &'a Pose)>) -> Self {
-        let (mut squares, mut tried, mut steps) = ([Vec::new(), Vec::new()], 0.0, 0.0);
+        let (mut squares, mut found, mut tried, mut steps) = ([0.0; 2], 0.0, 0.0, 0.0);
         for (solved, truth) in solves {
             tried += 1.0;
             steps += solved.iterations as f64;
             if let Some(pose) = &solved.pose {
                 let (dt, dr) = pose.displacement_from(truth);
-                squares[0].push(dt.length_squared());
-                squares[1].push(dr.length_squared());
+                squares = [squares[0] + dt.length_squared(), squares[1] + dr.length_squared()];
+                found += 1.0;
             }
         }
-        let found = squares[0].len() as f64;
-        Self {
-            rms: squares.each_ref().map(|squares| (squares.iter().sum::<f64>() / found).sqrt()),
-            median: squares.map(|squares| median(squares).sqrt()),
-            solved: found / tried,
-            steps: steps / tried,
-        }
+        Self { rms: squares.map(|square: f64| (square / found).sqrt()), solved: found / tried, steps: steps / tried }
     }
 }
 

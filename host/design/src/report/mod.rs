@@ -50,9 +50,6 @@ pub enum ReportError {
     Timing(#[from] TimingError),
 }
 
-/// Optimisation level of the compiler, from the build script.
-const OPT_LEVEL: &str = env!("SLITPOSE_OPT_LEVEL");
-
 /// Default number of poses of a full study: rms errors are known to 1 % or so.
 pub const POSES: usize = 1000;
 
@@ -123,10 +120,7 @@ fn conditions(file: &SceneFile, settings: &Settings) -> Vec<(&'static str, Strin
         program(),
         scene(file),
         ("processor", processor()),
-        (
-            "build",
-            format!("{checks}, optimisation level {OPT_LEVEL}, {} {}", std::env::consts::ARCH, std::env::consts::OS),
-        ),
+        ("build", format!("{checks}, {} {}", std::env::consts::ARCH, std::env::consts::OS)),
         ("threads", "one".to_owned()),
         ("seed", settings.seed.to_string()),
         ("counts", counts),
@@ -135,17 +129,8 @@ fn conditions(file: &SceneFile, settings: &Settings) -> Vec<(&'static str, Strin
 }
 
 fn warnings() -> Vec<String> {
-    let slow = format!(
-        "This program was built with optimisation level {OPT_LEVEL}{}: its times say little. Build it with \
-         `cargo build --release`.",
-        if cfg!(debug_assertions) { " and with debug checks" } else { "" }
-    );
-    if is_fast(OPT_LEVEL, cfg!(debug_assertions)) { Vec::new() } else { vec![slow] }
-}
-
-/// Whether a build is one whose times are worth reading.
-fn is_fast(opt_level: &str, debug_checks: bool) -> bool {
-    !debug_checks && matches!(opt_level, "2" | "3")
+    let slow = "This program was built with debug checks: its times say little. Build it with `cargo build --release`.";
+    cfg!(debug_assertions).then(|| slow.to_owned()).into_iter().collect()
 }
 
 fn processor() -> String {
@@ -165,11 +150,6 @@ fn model_name(cpuinfo: &str) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn times_of_slow_builds_are_warned_of() {
-        assert!(is_fast("3", false) && !is_fast("0", false) && !is_fast("2", true) && !is_fast("", false));
-    }
 
     #[test]
     fn a_processor_is_called_what_the_system_calls_it() {

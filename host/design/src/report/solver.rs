@@ -4,8 +4,7 @@ use std::hint::black_box;
 
 use glam::dvec2;
 use slitpose_model::{
-    self as model, CompiledScene, MotionPrior, Outcome, Photocurrents, Pose, Scalar, Scene, SceneError, Solution,
-    Solver, Tier,
+    self as model, MotionPrior, Outcome, Photocurrents, Pose, Scalar, Scene, SceneError, Solution, Solver, Tier,
 };
 
 use super::head::{Candidate, Errors, Head, NoiseSource, RunTime, STREAM, currents, race, rms_of_covariances};
@@ -73,7 +72,7 @@ pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, R
             ),
             picture(&entries, head, bound, 1, "work-precision-rotation", "The same for the rotation."),
         ],
-        tables: tables(&entries, bound).into_iter().chain([floor(head, settings)?]).collect(),
+        tables: tables(&entries, bound).into(),
     };
     let slowest_s = entries.iter().filter(|entry| searched(&entry.noisy)).map(|entry| entry.run_time.least_s);
     if let Some(slowest_s) = slowest_s.reduce(f64::max) {
@@ -201,45 +200,6 @@ fn tables(entries: &[Entry], bound: [f64; 2]) -> [Table; 2] {
         table("solver_noisy", "Noisy currents: error, its ratio to the Cramér–Rao bound, and time per solve", &noisy),
         table("solver_clean", "Currents free of noise: the error of the method itself", &clean),
     ]
-}
-
-/// The numerical floor: no noise in the currents and none in the weights, so that a solve goes on
-/// until arithmetic ends it.
-fn floor(head: &Head<'_>, settings: &Settings) -> Result<Table, ReportError> {
-    let silent = Scene { noise: None, ..head.scene.clone() };
-    let mut noise = NoiseSource::seeded(settings.seed);
-    let priors: Vec<Pose> = head.poses.iter().map(|pose| noise.near(pose, PRIOR)).collect();
-    let mut rows = Vec::new();
-    for tier in [Tier::Paper, STREAM, head.truth_tier] {
-        // Each tier on its own light: the model is no part of this error.
-        let own = if tier == Tier::Paper { tier } else { head.truth_tier };
-        let plan = CompiledScene::<f64>::compile(&silent, own)?;
-        let readings: Vec<Photocurrents> = head.poses.iter().map(|pose| currents(&plan, pose)).collect();
-        // What `f32` cannot keep it is not asked for.
-        let kept = Precision::BOTH.into_iter().filter(|p| *p == Precision::Double || tier != head.truth_tier);
-        for (precision, start) in kept.flat_map(|precision| Start::BOTH.map(|start| (precision, start))) {
-            let method = Method { tier, precision, start, effort: Effort::Full };
-            let solve = method.compile(&silent)?;
-            let solved = readings.iter().zip(&priors).map(|(readings, prior)| solve(readings, prior));
-            rows.push((method, Errors::of(solved.zip(&head.poses))));
-        }
-    }
-    Ok(Table::of(
-        "solver_floor",
-        "Numerical floor: no noise in currents and weights, each tier in its own light",
-        &rows,
-        &[
-            ("tier", "tier", &|(method, _)| tier_name(method.tier).into()),
-            ("number", "numbers", &|(method, _)| method.precision.name().into()),
-            ("start", "start", &|(method, _)| method.start.name().into()),
-            ("solved_percent", "solved / %", &|(_, errors)| (100.0 * errors.solved).into()),
-            ("rms_um", "rms / µm", &|(_, errors)| micro(errors.rms[0])),
-            ("rms_urad", "rms / µrad", &|(_, errors)| micro(errors.rms[1])),
-            ("median_um", "median / µm", &|(_, errors)| micro(errors.median[0])),
-            ("median_urad", "median / µrad", &|(_, errors)| micro(errors.median[1])),
-            ("steps", "steps, mean", &|(_, errors)| errors.steps.into()),
-        ],
-    ))
 }
 
 /// Error of translations (`half` 0) or rotations (1) against time.

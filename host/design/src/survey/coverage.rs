@@ -53,7 +53,7 @@ pub(crate) struct Coverage {
     pub cells: Vec<CellCoverage>,
 }
 
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub(crate) struct CellCoverage {
     pub cell: usize,
     /// Share of poses with the whole spot on the active area.
@@ -78,22 +78,6 @@ pub(crate) struct CellCoverage {
 }
 
 impl CellCoverage {
-    fn new(cell: usize) -> Self {
-        Self {
-            cell,
-            lit: 0.0,
-            clipped: 0.0,
-            dark: 0.0,
-            behind: 0.0,
-            saturated: 0.0,
-            faint: 0.0,
-            over_scale: 0.0,
-            i_o_range_a: None,
-            most_electrode_a: 0.0,
-            most_electrode_at: Pose::HOME,
-        }
-    }
-
     fn add(&mut self, pose: &Pose, response: &Response<f64>, full_scale_a: Option<f64>) {
         match response.status {
             Status::Lit => self.lit += 1.0,
@@ -144,7 +128,8 @@ impl Coverage {
         full_scale_a: Option<f64>,
         progress: impl FnMut(usize),
     ) -> Self {
-        let mut cells: Vec<CellCoverage> = (0..plan.cell_count()).map(CellCoverage::new).collect();
+        let of_cell = |cell| CellCoverage { cell, ..CellCoverage::default() };
+        let mut cells: Vec<CellCoverage> = (0..plan.cell_count()).map(of_cell).collect();
         // Poses with so many cells lit.
         let mut lit = vec![0; plan.cell_count() + 1];
         let respond = |pose: &Pose| (0..plan.cell_count()).map(|cell| plan.respond(cell, pose)).collect::<Vec<_>>();

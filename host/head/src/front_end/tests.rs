@@ -2,10 +2,7 @@
 //! physical constants, and with the scatter of simulated scans.
 
 use slitpose_model::{Noise, Reading, Tier};
-use slitpose_protocol::{
-    AdcScaling, Command, Configuration, Decoder, Level, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, RawScan,
-    Request, encode,
-};
+use slitpose_protocol::{AdcScaling, Command, Configuration, Decoder, Level, MAX_MESSAGE_BYTES, Message, RawScan};
 
 use super::{Stage, board_configuration, configuration, dark_word_noise_a};
 use crate::scene_file::{FrontEnd, SceneFile, WIDE};
@@ -46,10 +43,9 @@ struct Samples {
 fn simulated(file: &SceneFile, scans: usize, seed: u64) -> (Vec<Samples>, Noise, Vec<f64>) {
     let mut board =
         SimulatedBoard::new(file, Trajectory::of_kind(TrajectoryKind::Still, 0, 1.0), Tier::Paper, seed).expect("runs");
-    let start = Request { number: 1, command: Command::Start };
     let mut bytes = Vec::new();
     board.transmit(&mut bytes);
-    board.write(encode(&start, &mut [0; MAX_REQUEST_BYTES]).expect("fits"));
+    board.ask(1, Command::Start);
     (0..scans).for_each(|_| board.step(&mut bytes));
 
     let mut decoder = Decoder::<MAX_MESSAGE_BYTES>::new();

@@ -18,14 +18,14 @@ use hardware::SimulatedHardware;
 use slitpose_firmware::{Board, Identity, Link, TRANSMIT_BYTES, TransmitBuffer};
 use slitpose_model::{CompiledScene, Detector, Noise, Pair, Pose, SceneError, Tier};
 use slitpose_protocol::{
-    BoardKind, ClockSource, Configuration, Hashes, MAX_MESSAGE_BYTES, Message, Rejection, ResetCause, SettingsSource,
-    encode,
+    BoardKind, ClockSource, Command, Configuration, Hashes, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, Rejection,
+    Request, ResetCause, SettingsSource, encode,
 };
 use thiserror::Error;
 pub use trajectory::{MAX_KNOTS, PathError, Trajectory, TrajectoryKind};
 
 use crate::faults::{BoardFaults, FaultClock, Faults, LightFaults, Trouble, WordFaults};
-use crate::front_end::{self, TimingError};
+use crate::front_end::{self, Stage, TimingError};
 use crate::scene_file::SceneFile;
 
 /// Optics of a head. [`CompiledScene`] has those of the model; a virtual bench may have more.
@@ -68,6 +68,21 @@ pub fn noisy_reading(
     Pair {
         i_x1_a: clean.i_x1_a * (1.0 + shot) + johnson_a + noise.adc_a * normal(),
         i_x2_a: clean.i_x2_a * (1.0 + shot) - johnson_a + noise.adc_a * normal(),
+    }
+}
+
+/// Noise of a row of a table: what the scene of `file` gives for tables, else that of its front end; `None` without
+/// either.
+///
+/// # Errors
+/// If the schedule of the front end cannot be run.
+pub fn table_noise(file: &SceneFile) -> Result<Option<Noise>, TimingError> {
+    match (&file.scene.noise, &file.front_end) {
+        (None, Some(front_end)) => {
+            let schedule = front_end::configuration(file)?.schedule;
+            Ok(Stage::weighted_scene(file, &schedule, &electronics::scaling(front_end)).noise)
+        }
+        (noise, _) => Ok(*noise),
     }
 }
 
@@ -179,6 +194,14 @@ impl SimulatedBoard {
     /// Sends bytes from the host to the board.
     pub fn write(&mut self, bytes: &[u8]) {
         self.board.receive(bytes);
+    }
+
+    /// Sends `command` from the host to the board, in a request of this number.
+    pub fn ask(&mut self, number: u16, command: Command) {
+        // Every request fits.
+        if let Ok(request) = encode(&Request { number, command }, &mut [0; MAX_REQUEST_BYTES]) {
+            self.write(request);
+        }
     }
 
     /// Lets one frame period pass, then [`transmit`](Self::transmit)s.

@@ -2,7 +2,7 @@
 
 use slitpose_protocol::{DELIMITER, Decoder, MAX_MESSAGE_BYTES, Message};
 
-use crate::link::{Read, Segment};
+use crate::link::Segment;
 
 const MAX_LINK_BYTES: usize = 1 << 20;
 
@@ -54,20 +54,11 @@ impl Packets {
     /// time.
     fn split(&mut self, length: usize, message: &mut Segment) {
         message.clear();
-        let Segment { opened, bytes, reads, asked } = &mut self.pending;
-        message.opened = std::mem::take(opened);
-        message.asked.append(asked);
-        message.bytes.extend(bytes.drain(..length));
-        let mut left = length;
-        reads.retain_mut(|read| {
-            let taken = read.bytes.min(left);
-            if taken == read.bytes || taken > 0 {
-                message.reads.push(Read { bytes: taken, at: read.at });
-            }
-            left -= taken;
-            read.bytes -= taken;
-            read.bytes > 0
-        });
+        message.append(&self.pending);
+        message.truncate(length);
+        self.pending.skip(length);
+        self.pending.opened = false;
+        self.pending.asked.clear();
     }
 }
 

@@ -3,7 +3,7 @@
 
 use std::ffi::OsStr;
 use std::fs::{self, File};
-use std::io::{self, Seek, SeekFrom, Write};
+use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::os::fd::AsFd;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
@@ -163,16 +163,15 @@ impl Medium for File {
 
 /// A medium behind a buffer. A flush reaches the disk.
 #[derive(Debug)]
-pub(super) struct Sink<M> {
-    medium: M,
-    buffer: Vec<u8>,
+pub(super) struct Sink<M: Write> {
+    medium: BufWriter<M>,
     position: Arc<AtomicU64>,
     safe: u64,
 }
 
 impl<M: Medium> Sink<M> {
     pub(super) fn new(medium: M) -> Self {
-        Self { medium, buffer: Vec::with_capacity(BUFFER_BYTES), position: Arc::default(), safe: 0 }
+        Self { medium: BufWriter::with_capacity(BUFFER_BYTES, medium), position: Arc::default(), safe: 0 }
     }
 
     /// The number of bytes written, which the MCAP writer does not report.
@@ -182,36 +181,25 @@ impl<M: Medium> Sink<M> {
 
     /// After a failure: drops, if possible, the bytes after the last flush; returns the safe length and
     /// the medium.
-    pub(super) fn cut_back(mut self) -> (u64, M) {
+    pub(super) fn cut_back(self) -> (u64, M) {
+        // What is in the buffer still is not written.
+        let (mut medium, _) = self.medium.into_parts();
         // Otherwise a record without an end remains, which readers skip.
-        let _ = self.medium.truncate(self.safe);
-        (self.safe, self.medium)
-    }
-
-    fn drain(&mut self) -> io::Result<()> {
-        self.medium.write_all(&self.buffer)?;
-        self.buffer.clear();
-        Ok(())
+        let _ = medium.truncate(self.safe);
+        (self.safe, medium)
     }
 }
 
 impl<M: Medium> Write for Sink<M> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        if self.buffer.len() + bytes.len() > BUFFER_BYTES {
-            self.drain()?;
-        }
-        if bytes.len() > BUFFER_BYTES {
-            self.medium.write_all(bytes)?;
-        } else {
-            self.buffer.extend_from_slice(bytes);
-        }
-        self.position.fetch_add(bytes.len() as u64, Ordering::Relaxed);
-        Ok(bytes.len())
+        let count = self.medium.write(bytes)?;
+        self.position.fetch_add(count as u64, Ordering::Relaxed);
+        Ok(count)
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        self.drain()?;
-        self.medium.sync()?;
+        self.medium.flush()?;
+        self.medium.get_mut().sync()?;
         self.safe = self.position.load(Ordering::Relaxed);
         Ok(())
     }

@@ -185,7 +185,10 @@ impl Setup {
         map: &BTreeMap<String, String>,
         texts: &Texts,
     ) -> Result<(Self, LinkChannels), SetupError> {
-        check_hash(map)?;
+        let stated = map.get(HASH).and_then(|hash| u64::from_str_radix(hash, 16).ok());
+        if stated != Some(settings_hash(map)) {
+            return Err(SetupError::Damaged);
+        }
         let get = |key: &'static str| map.get(key).ok_or(SetupError::Damaged);
         let value = |key: &'static str, expected: &'static str| {
             let value = map.get(key).cloned().unwrap_or_default();
@@ -247,22 +250,6 @@ pub(super) type Texts = BTreeMap<u64, Arc<str>>;
 /// Key of the hash over all other entries.
 const HASH: &str = "settings_hash";
 
-/// The keys of captures that had no such hash.
-const UNHASHED: [&str; 12] = [
-    "device",
-    "filter_s",
-    "hello_channel",
-    "link_channel",
-    "program",
-    "scene",
-    "scene_hash",
-    "scene_name",
-    "scene_origin",
-    "tier",
-    "tolerance",
-    "without_clipped",
-];
-
 /// FNV-1a, 64 bits, of all entries but the hash itself, in the order of their keys: key, 0, value, 0.
 fn settings_hash(map: &BTreeMap<String, String>) -> u64 {
     let mut bytes = Vec::new();
@@ -271,15 +258,6 @@ fn settings_hash(map: &BTreeMap<String, String>) -> u64 {
         bytes.push(0);
     }
     fnv1a_64(&bytes)
-}
-
-fn check_hash(map: &BTreeMap<String, String>) -> Result<(), SetupError> {
-    let is_sound = match map.get(HASH) {
-        Some(hash) => u64::from_str_radix(hash, 16) == Ok(settings_hash(map)),
-        // Then nothing else is unknown either; else the key of the hash is what was damaged.
-        None => map.keys().all(|key| UNHASHED.contains(&key.as_str())),
-    };
-    if is_sound { Ok(()) } else { Err(SetupError::Damaged) }
 }
 
 /// Why the settings of a board cannot be used.
@@ -379,17 +357,11 @@ mod tests {
             ("link_channel", &["65536", "-1"]),
         ] {
             for value in values {
-                // Also in a capture without the hash, as programs before it wrote them.
-                for hashed in [true, false] {
-                    let mut changed = map.clone();
-                    changed.remove(HASH);
-                    changed.insert(key.to_owned(), (*value).to_owned());
-                    if hashed {
-                        changed.insert(HASH.to_owned(), format!("{:016x}", settings_hash(&changed)));
-                    }
-                    let message = Setup::from_metadata(&changed, &scenes).unwrap_err().to_string();
-                    assert!(message.contains(&format!("{key} = `{value}`")), "{message}");
-                }
+                let mut changed = map.clone();
+                changed.insert(key.to_owned(), (*value).to_owned());
+                changed.insert(HASH.to_owned(), format!("{:016x}", settings_hash(&changed)));
+                let message = Setup::from_metadata(&changed, &scenes).unwrap_err().to_string();
+                assert!(message.contains(&format!("{key} = `{value}`")), "{message}");
             }
         }
     }

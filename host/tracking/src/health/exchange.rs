@@ -58,18 +58,10 @@ impl Exchange {
         }
     }
 
-    /// The next one to try among `count` cells: each cell's electrodes, then each pair of cells.
-    fn next(self, count: usize) -> Option<Self> {
-        match self {
-            Self::Electrodes { cell } if cell + 1 < count => Some(Self::Electrodes { cell: cell + 1 }),
-            Self::Electrodes { .. } => Some(Self::Cells { cells: [0, 1] }).filter(|_| count > 1),
-            Self::Cells { cells: [first, second] } if second + 1 < count => {
-                Some(Self::Cells { cells: [first, second + 1] })
-            }
-            Self::Cells { cells: [first, _] } => {
-                Some(Self::Cells { cells: [first + 1, first + 2] }).filter(|_| first + 2 < count)
-            }
-        }
+    /// All among `count` cells, in the order in which they are tried: each cell's electrodes, then each pair of cells.
+    fn all(count: usize) -> impl Iterator<Item = Self> {
+        let pairs = (0..count).flat_map(move |first| (first + 1..count).map(move |second| [first, second]));
+        (0..count).map(|cell| Self::Electrodes { cell }).chain(pairs.map(|cells| Self::Cells { cells }))
     }
 
     /// The plug of `cell`, which is also the cell on plug `cell`.
@@ -104,6 +96,7 @@ pub(super) struct Search {
     exposures_s: Vec<f64>,
     /// Plugs whose emitters are lit together with that of each plug, one bit each.
     together: Vec<u16>,
+    exchanges: Vec<Exchange>,
     samples: [Photocurrents; SAMPLES],
     kept: usize,
     keep_every: u32,
@@ -114,7 +107,8 @@ pub(super) struct Search {
 
 #[derive(Clone, Copy, Debug)]
 struct Trial {
-    exchange: Exchange,
+    /// Place among all exchanges.
+    number: usize,
     sample: usize,
     misses: usize,
     /// The first exchange found that explains the scans, and whether it is the only one.
@@ -130,6 +124,7 @@ impl Search {
         };
         Self {
             together: (0..exposures_s.len()).map(lit_with).collect(),
+            exchanges: Exchange::all(exposures_s.len()).collect(),
             hasty: solver.clone().with_max_steps(STEPS),
             thorough: solver.clone(),
             exposures_s,
@@ -165,13 +160,13 @@ impl Search {
         if !mostly_troubled {
             (self.kept, self.until_next, self.trial, self.found) = (0, 0, None, None);
         } else if self.trial.is_none() && self.kept >= MIN_SAMPLES {
-            let exchange = Exchange::Electrodes { cell: 0 };
-            self.trial = Some(Trial { exchange, sample: 0, misses: 0, explains: None });
+            self.trial = Some(Trial { number: 0, sample: 0, misses: 0, explains: None });
         }
     }
 
     fn go_on(&mut self, mut trial: Trial) {
-        trial.misses += usize::from(!self.explains(trial.exchange, &self.samples[trial.sample]));
+        let exchange = self.exchanges[trial.number];
+        trial.misses += usize::from(!self.explains(exchange, &self.samples[trial.sample]));
         trial.sample += 1;
         let fails = trial.misses > MISSES;
         if !fails && trial.sample < self.kept.min(SAMPLES) {
@@ -179,15 +174,14 @@ impl Search {
             return;
         }
         if !fails {
-            trial.explains = Some(trial.explains.map_or((trial.exchange, true), |(first, _)| (first, false)));
+            trial.explains = Some(trial.explains.map_or((exchange, true), |(first, _)| (first, false)));
         }
-        match trial.exchange.next(self.exposures_s.len()) {
-            Some(exchange) => self.trial = Some(Trial { exchange, sample: 0, misses: 0, ..trial }),
-            None => {
-                self.found = trial.explains.filter(|(_, alone)| *alone).map(|(exchange, _)| exchange);
-                // The next search uses new scans.
-                (self.kept, self.until_next, self.trial) = (0, 0, None);
-            }
+        if trial.number + 1 < self.exchanges.len() {
+            self.trial = Some(Trial { number: trial.number + 1, sample: 0, misses: 0, ..trial });
+        } else {
+            self.found = trial.explains.filter(|(_, alone)| *alone).map(|(exchange, _)| exchange);
+            // The next search uses new scans.
+            (self.kept, self.until_next, self.trial) = (0, 0, None);
         }
     }
 
@@ -255,24 +249,4 @@ impl Search {
 fn is_clean(solution: &Solution) -> bool {
     matches!(solution.outcome, Outcome::Converged | Outcome::Degraded(DegradedReason::FewerCells))
         && solution.redundancy >= MIN_REDUNDANCY
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn every_exchange_is_tried_once() {
-        for count in [1, 2, 6, 16] {
-            let first = Exchange::Electrodes { cell: 0 };
-            let all: Vec<_> = std::iter::successors(Some(first), |exchange| exchange.next(count)).collect();
-            assert_eq!(all.len(), count + count * (count - 1) / 2);
-            for exchange in &all {
-                assert_eq!(all.iter().filter(|other| *other == exchange).count(), 1, "{exchange:?}");
-                if let Exchange::Cells { cells: [first, second] } = exchange {
-                    assert!(first < second && *second < count, "{exchange:?}");
-                }
-            }
-        }
-    }
 }

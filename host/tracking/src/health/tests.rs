@@ -7,9 +7,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
 use slitpose_model::{Tier, Tracker};
-use slitpose_protocol::{
-    Command, Decoder, Hello, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, RawScan, Request, encode,
-};
+use slitpose_protocol::{Command, Decoder, Hello, MAX_MESSAGE_BYTES, Message, RawScan};
 
 use super::window::CellSums;
 use super::*;
@@ -34,11 +32,7 @@ fn scans(
     faults: &[&str],
 ) -> (Vec<RawScan>, Schedule, AdcScaling) {
     let mut board = SimulatedBoard::new(file, trajectory, Tier::Paper, 61).unwrap();
-    let configuration = front_end::configuration(file).unwrap();
-    let mut buffer = [0; MAX_REQUEST_BYTES];
-    for (number, command) in [(1, Command::Configure(configuration)), (2, Command::Start)] {
-        board.write(encode(&Request { number, command }, &mut buffer).unwrap());
-    }
+    board.ask(1, Command::Start);
     let faults = faults.iter().map(|text| text.parse().unwrap()).collect();
     let mut injector = Injector::of_recording(&Faults::new(faults, file.scene.cells.len()).unwrap());
     let (mut scans, mut hello) = (Vec::new(), None);

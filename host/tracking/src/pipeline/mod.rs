@@ -143,6 +143,15 @@ impl Pipeline {
         }
     }
 
+    /// When the light of each cell left its emitter in the session of `scan`, after the reference instant, in frames;
+    /// `None` once a scan of a later session has been taken.
+    pub fn exposures_of(&self, scan: &Scan) -> Option<Vec<f64>> {
+        let mut sessions = self.flow.earlier.iter().chain(&self.flow.session);
+        let session = sessions.find(|session| session.number == scan.session)?;
+        let rate_hz = session.schedule.frame_rate_hz();
+        Some(session.stage.exposures_s().iter().map(|exposure_s| exposure_s * rate_hz).collect())
+    }
+
     /// How many sessions have begun: a board introduced itself for the first time, or with another configuration. Each
     /// begins with a new tracker.
     pub fn sessions(&self) -> u64 {

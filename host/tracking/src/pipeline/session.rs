@@ -197,7 +197,8 @@ impl Session {
 
     /// A pose that the board has found.
     fn completed(&self, pose: &BoardPose) -> Tracked {
-        let mut tracked = Tracked { solution: pose.solution(), twist: Err(NoTwist::NoPose), filtered: None, light_level: None };
+        let mut tracked =
+            Tracked { solution: pose.solution(), twist: Err(NoTwist::NoPose), filtered: None, light_level: None };
         self.head.complete_tracked(&mut tracked);
         tracked
     }

@@ -3,8 +3,7 @@
 use slitpose_model::Tier;
 use slitpose_protocol::poses::TRIANGLE;
 use slitpose_protocol::{
-    Command, DELIMITER, Hashes, HeadPart, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, PoseRecord, PoseStatus, Poses,
-    Request, Stream, encode,
+    Command, DELIMITER, Hashes, HeadPart, MAX_MESSAGE_BYTES, Message, PoseRecord, PoseStatus, Poses, Stream, encode,
 };
 
 use super::{Item, Oddity, Pipeline, PipelineError, PipelineOptions, PoseFault, PoseSource, Record, SceneMatch};
@@ -25,7 +24,7 @@ const DELAY_NS: u64 = 70_000;
 /// A simulated board, and a host whose clock is exact.
 pub(super) struct SimulatedLink {
     file: SceneFile,
-    board: SimulatedBoard,
+    pub(super) board: SimulatedBoard,
     frame_ns: u64,
     frames: u64,
 }
@@ -40,24 +39,18 @@ impl SimulatedLink {
         let configuration = front_end::configuration(&file).unwrap();
         let frame_ns = (1e9 / configuration.schedule.frame_rate_hz()) as u64;
         let trajectory = Trajectory::of_kind(TrajectoryKind::Smooth, 1, 2.0);
-        let board = SimulatedBoard::numbered(number, &file, trajectory, TIER, 1).unwrap();
-        let mut link = Self { file, board, frame_ns, frames: 0 };
-        link.tell(1, Command::Configure(configuration));
-        link.tell(2, Command::Start);
-        link
+        let mut board = SimulatedBoard::numbered(number, &file, trajectory, TIER, 1).unwrap();
+        board.ask(1, Command::Hello);
+        board.ask(2, Command::Start);
+        Self { file, board, frame_ns, frames: 0 }
     }
 
     /// Stops the board, configures it anew, and starts it.
     pub(super) fn reconfigure(&mut self) {
         let configuration = front_end::configuration(&self.file).unwrap();
-        self.tell(3, Command::Stop);
-        self.tell(4, Command::Configure(configuration));
-        self.tell(5, Command::Start);
-    }
-
-    pub(super) fn tell(&mut self, number: u16, command: Command) {
-        let mut buffer = [0; MAX_REQUEST_BYTES];
-        self.board.write(encode(&Request { number, command }, &mut buffer).unwrap());
+        self.board.ask(3, Command::Stop);
+        self.board.ask(4, Command::Configure(configuration));
+        self.board.ask(5, Command::Start);
     }
 
     /// The data delivered by the link in some frames, with a ping in the middle of the first.
@@ -67,7 +60,7 @@ impl SimulatedLink {
         let asked_ns = now_ns(self.frames) - DELAY_NS;
         segment.asked.push(Asked { token, at: instant(asked_ns) });
         let ends: Vec<u64> = (self.frames + 1..=self.frames + frames).map(now_ns).collect();
-        self.tell(0, Command::Ping { token });
+        self.board.ask(0, Command::Ping { token });
         let mut bytes = Vec::new();
         for end_ns in ends {
             bytes.clear();
@@ -246,12 +239,12 @@ fn of_stream(stream: Stream, source: PoseSource, change: u64, segments: u32) -> 
     let hashes = Hashes { scene: Some(link.file.hash ^ change), calibration: None };
     let head = board_head::encode(&link.file, &schedule, &scaling, hashes).unwrap();
     for (number, part) in (10..).zip(HeadPart::all(&head)) {
-        link.tell(number, Command::Head(part));
+        link.board.ask(number, Command::Head(part));
     }
-    link.tell(9, Command::Stream(stream));
+    link.board.ask(9, Command::Stream(stream));
     pipeline = link.pipeline().following(PipelineOptions { source, ..PipelineOptions::default() });
     // The session began without it.
-    link.tell(8, Command::Hello);
+    link.board.ask(8, Command::Hello);
     let (mut records, mut oddities) = (Vec::new(), Vec::new());
     for token in 0..segments {
         let segment = link.segment(400, token);
@@ -298,8 +291,8 @@ fn where_all_scans_come_the_poses_are_found_here_and_all_are_compared() {
     let mut alone = SimulatedLink::new();
     let mut host = alone.pipeline();
     alone.segment(1, 0);
-    alone.tell(9, Command::Stream(Stream::SCANS));
-    alone.tell(8, Command::Hello);
+    alone.board.ask(9, Command::Stream(Stream::SCANS));
+    alone.board.ask(8, Command::Hello);
     for (token, records) in (0..).zip(records.chunks(400)) {
         let (_, expected) = feed(&mut host, &alone.segment(400, token));
         for (record, expected) in records.iter().zip(&expected) {

@@ -63,14 +63,14 @@ impl Lone {
         let (double, _) = self.respond::<f64>(TIGHTEST, emitter_m)?;
         let (single, _) = self.respond::<f32>(Precision::Single.tightest_tier(), emitter_m)?;
         let above_dark = [double.i_o_a - DARK_A, f64::from(single.i_o_a) - f64::from(DARK_A as f32)].map(f64::abs);
-        let words = [double.status, single.status].into_iter().zip(above_dark);
+        let words = [(double.status, above_dark[0]), (single.status, above_dark[1])];
         Ok(Case {
             study: "no light",
             case: case.to_owned(),
             condition: None,
             quantity: "current above dark / A",
             expected: Expected::Words(word),
-            reached: words.map(|(status, a)| Reached::once(status.as_str(), Some(a), Some(0.0))).collect(),
+            reached: words.map(|(status, a)| Reached::once(status.as_str(), Some(a), Some(0.0))),
         })
     }
 
@@ -80,8 +80,8 @@ impl Lone {
         let (single, single_pair) = self.respond::<f32>(Precision::Single.tightest_tier(), emitter_m)?;
         let reference = self.reference(emitter_m).unwrap_or_default();
         let rounding = self.rounding(emitter_m)?;
-        let reached = [(double.status, double_pair), (single.status, single_pair)].into_iter().zip(Precision::BOTH);
-        let reached = reached.map(|((status, pair), precision)| {
+        let found = [(double.status, double_pair, Precision::Double), (single.status, single_pair, Precision::Single)];
+        let reached = found.map(|(status, pair, precision)| {
             let error = (pair.i_x1_a - reference.i_x1_a).abs().max((pair.i_x2_a - reference.i_x2_a).abs());
             let attainable = precision.unit_roundoff() * rounding;
             Reached::once(status.as_str(), Some(error / reference.total_a()), Some(attainable))
@@ -92,7 +92,7 @@ impl Lone {
             condition: Some(rounding),
             quantity: "current / relative",
             expected: Expected::Value,
-            reached: reached.collect(),
+            reached,
         })
     }
 

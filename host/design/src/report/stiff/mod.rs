@@ -1,7 +1,7 @@
 //! Stiff and extreme cases, which are numerically difficult, and their results.
 //!
-//! `cell` drives one cell's optics to extremes and compares with an integration of its own; `pose` drives solves, front
-//! ends and jumps there and compares with what is attainable. A [`Case`] is judged by the ratio of its error to that.
+//! `cell` drives one cell's optics to extremes and compares with an integration of its own; `pose` drives solves there and
+//! compares with what is attainable. A [`Case`] is judged by the ratio of its error to that.
 
 mod cell;
 mod pose;
@@ -94,8 +94,8 @@ struct Case {
     /// What the error is of, with its unit.
     quantity: &'static str,
     expected: Expected,
-    /// In `f64` and, if that number type takes part, in `f32`.
-    reached: Vec<Reached>,
+    /// In `f64` and in `f32`.
+    reached: [Reached; 2],
 }
 
 impl Case {
@@ -122,8 +122,6 @@ impl Case {
 pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, ReportError> {
     let mut cases = cell::cases(&head.scene)?;
     cases.extend(pose::cases(head, settings)?);
-    cases.extend(pose::front_ends(head));
-    cases.extend(pose::jumps(head, settings)?);
     let summary = summary(&cases);
     let of_slits = if head.is_of_slits() {
         ""
@@ -183,10 +181,7 @@ fn table(cases: &[Case]) -> Table {
         Expected::Value => "value".to_owned(),
         Expected::ValueBelow(_) | Expected::Honest => "value, or why not".to_owned(),
     };
-    let outcome = |case: &Case, of: usize| Value::from(case.reached.get(of).map(Reached::outcome).unwrap_or_default());
-    let number = |case: &Case, of: usize, value: fn(&Reached) -> Option<f64>| {
-        Value::optional(case.reached.get(of).and_then(value))
-    };
+    let number = |case: &Case, of: usize, value: fn(&Reached) -> Option<f64>| Value::optional(value(&case.reached[of]));
     let slowest_us = |reached: &Reached| Some(1e6 * reached.slowest_s?);
     let caption = format!(
         "Extreme cases: what came back, its error, what is attainable in that number type, and their ratio. Good: \
@@ -204,12 +199,12 @@ fn table(cases: &[Case]) -> Table {
             ("condition", "condition number", &|case| Value::optional(case.condition)),
             ("quantity", "error of", &|case| case.quantity.into()),
             ("expected", "expected", &|case| expected(case).into()),
-            ("f64_outcome", "f64", &|case| outcome(case, 0)),
+            ("f64_outcome", "f64", &|case| case.reached[0].outcome().into()),
             ("f64_error", "error", &|case| number(case, 0, |reached| reached.error)),
             ("f64_attainable", "attainable", &|case| number(case, 0, |reached| reached.attainable)),
             ("f64_ratio", "ratio", &|case| number(case, 0, Reached::ratio)),
             ("f64_slowest_us", "slowest / µs", &|case| number(case, 0, slowest_us)),
-            ("f32_outcome", "f32", &|case| outcome(case, 1)),
+            ("f32_outcome", "f32", &|case| case.reached[1].outcome().into()),
             ("f32_error", "error", &|case| number(case, 1, |reached| reached.error)),
             ("f32_attainable", "attainable", &|case| number(case, 1, |reached| reached.attainable)),
             ("f32_ratio", "ratio", &|case| number(case, 1, Reached::ratio)),
@@ -226,7 +221,7 @@ mod tests {
     #[test]
     fn verdicts_follow_from_what_is_expected_and_from_the_time() {
         let case = |expected, reached| {
-            let reached = vec![reached];
+            let reached = [Reached::clone(&reached), reached];
             Case { study: "", case: String::new(), condition: None, quantity: "", expected, reached }
         };
         let value = |error| Reached::once("converged", Some(error), Some(1e-17));

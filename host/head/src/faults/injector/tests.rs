@@ -2,11 +2,10 @@
 
 use rand::SeedableRng;
 use slitpose_model::Tier;
-use slitpose_protocol::{Command, MAX_REQUEST_BYTES, Request};
+use slitpose_protocol::Command;
 
 use super::*;
 use crate::faults::KINDS;
-use crate::front_end;
 use crate::scene_file::WIDE;
 use crate::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
 
@@ -23,10 +22,7 @@ fn sent(faults: &Faults) -> Vec<u8> {
     let board = SimulatedBoard::new(&file, motion, Tier::Paper, 3).unwrap();
     let mut board = board.with_faults(faults, &file, Tier::Paper).unwrap();
     let mut bytes = Vec::new();
-    let configure = Command::Configure(front_end::configuration(&file).unwrap());
-    for (number, command) in [(1, configure), (2, Command::Start)] {
-        board.write(encode(&Request { number, command }, &mut [0; MAX_REQUEST_BYTES]).unwrap());
-    }
+    board.ask(1, Command::Start);
     (0..SCANS).for_each(|_| board.step(&mut bytes));
     bytes
 }

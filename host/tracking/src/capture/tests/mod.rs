@@ -11,9 +11,7 @@ use std::time::Duration;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use slitpose_model::Tier;
-use slitpose_protocol::{
-    Command, DELIMITER, Decoder, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, RawScan, Request, Schedule, encode,
-};
+use slitpose_protocol::{Command, DELIMITER, Decoder, MAX_MESSAGE_BYTES, Message, RawScan, Schedule};
 
 use super::file::{CaptureFile, Channels};
 use super::place::Medium;
@@ -22,7 +20,6 @@ use super::*;
 use crate::clock::{HostInstant, HostTime};
 use crate::link::{Asked, DeviceId, Segment};
 use crate::pipeline::{Item, Pipeline, PipelineError, PipelineOptions, Record, SceneMatch};
-use slitpose_head::front_end;
 use slitpose_head::scene_file::{BENCH, SceneFile, WIDE};
 use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
 
@@ -52,13 +49,9 @@ fn setup(device: DeviceId) -> Setup {
 /// What a simulated board with the head of `file` sends in each of `scans` frames, with or without
 /// the true poses that only simulators know.
 fn stream(file: &SceneFile, scans: usize, truths: bool) -> Vec<Vec<u8>> {
-    let configuration = front_end::configuration(file).unwrap();
     let trajectory = Trajectory::of_kind(TrajectoryKind::Smooth, 1, 10.0);
     let mut board = SimulatedBoard::new(file, trajectory, Tier::Paper, 1).unwrap();
-    let mut buffer = [0; MAX_REQUEST_BYTES];
-    for (number, command) in [(1, Command::Configure(configuration)), (2, Command::Start)] {
-        board.write(encode(&Request { number, command }, &mut buffer).unwrap());
-    }
+    board.ask(1, Command::Start);
     let mut frame = || {
         let mut bytes = Vec::new();
         board.step(&mut bytes);
