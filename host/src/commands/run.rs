@@ -390,7 +390,6 @@ impl Args {
             until_s: self.poses.duration,
             patience,
             keeps_time,
-            talk: Arc::new(talk),
         })
     }
 }

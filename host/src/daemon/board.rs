@@ -21,11 +21,12 @@ use super::outputs::{Outbox, Outputs, Pending};
 use super::reader::Reader;
 use super::solver::{Solver, State};
 use super::tap::{Overflow, Tap, TapEnds};
-use super::{Talk, spawn, tap};
+use super::{spawn, tap};
 use crate::datagram::DatagramServer;
 use crate::device::DeviceError;
 use crate::live::{SampleSink, Sampler};
 use crate::telemetry::{BoardReport, BoardStatistics};
+use crate::terminal::say;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::{DeviceId, Segment};
 use slitpose_tracking::pipeline::{Counts, Pipeline, PipelineError, PipelineOptions, SceneMatch};
@@ -55,12 +56,12 @@ pub(crate) struct BoardPlan {
     pub patience: Option<Duration>,
     /// Whether device time runs in real time. If not, it waits for the slowest thread.
     pub keeps_time: bool,
-    pub talk: Arc<Talk>,
 }
 
 impl BoardPlan {
     pub(super) fn slot(&self) -> Arc<BoardSlot> {
-        Arc::new(BoardSlot::new(self.opener.name(), Link::new(Arc::clone(&self.talk))))
+        let report = Mutex::new(BoardReport { name: self.opener.name(), ..BoardReport::default() });
+        Arc::new(BoardSlot { link: Link::new(), report })
     }
 }
 
@@ -127,12 +128,7 @@ impl BoardThreads {
         let segments = buffer_pool(SEGMENTS, || Segment::with_capacity(SEGMENT_BYTES));
         let (handoff, solver_end) = handoff(solver, segments, plan.keeps_time);
         let reader = Reader {
-            opener: plan.opener,
-            configuration: plan.configuration,
-            stream: plan.stream,
-            head: plan.head,
-            admit: plan.admit,
-            patience: plan.patience,
+            plan,
             handoff,
             events,
             connection: 0,
@@ -143,10 +139,10 @@ impl BoardThreads {
             slot: Arc::clone(slot),
             stop: Arc::clone(stop),
         };
-        let (talk_slot, priority) = (Arc::clone(slot), shared.real_time);
+        let priority = shared.real_time;
         let solve = move || {
             if let Some(remedy) = priority.and_then(|priority| tap::claim(priority).err()) {
-                talk_slot.link.say(format_args!("{remedy}"));
+                say(format_args!("{remedy}"));
             }
             Solver::run(&solver_end)
         };
@@ -261,10 +257,6 @@ pub(super) struct BoardSlot {
 }
 
 impl BoardSlot {
-    pub(super) fn new(name: String, link: Link) -> Self {
-        Self { link, report: Mutex::new(BoardReport { name, ..BoardReport::default() }) }
-    }
-
     /// Updates the state; called a few times per second.
     pub(super) fn account(&self, pipeline: &Pipeline, statistics: &mut BoardStatistics) {
         statistics.report.clock.drift_ppm = pipeline.drift_ppm();

@@ -1,12 +1,12 @@
 //! The state of the link to a board, shared by all threads; and whether it delivers scans, even if other messages come.
 
-use std::fmt;
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::{Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
 use super::board::BoardError;
 use crate::device::{DeviceError, Scanless};
 use crate::telemetry::{LinkReport, LinkState};
+use crate::terminal::say;
 use slitpose_head::causes::with_causes;
 use slitpose_head::threads::lock;
 use slitpose_tracking::clock::HostInstant;
@@ -19,12 +19,7 @@ const TOLD_AGAIN: Duration = Duration::from_secs(2);
 
 const REASONS: usize = 8;
 
-pub(crate) type Talk = dyn Fn(fmt::Arguments<'_>) + Send + Sync;
-
-pub(super) struct Link {
-    state: Mutex<State>,
-    talk: Arc<Talk>,
-}
+pub(super) struct Link(Mutex<State>);
 
 #[derive(Default)]
 struct State {
@@ -81,10 +76,10 @@ impl State {
 }
 
 impl Link {
-    pub(super) fn new(talk: Arc<Talk>) -> Self {
+    pub(super) fn new() -> Self {
         let mut state = State::default();
         state.report.since_utc_ns = HostInstant::now().utc_ns;
-        Self { state: Mutex::new(state), talk }
+        Self(Mutex::new(state))
     }
 
     pub(super) fn report(&self) -> LinkReport {
@@ -93,10 +88,6 @@ impl Link {
 
     pub(super) fn is_given_up(&self) -> bool {
         self.lock().is_given_up
-    }
-
-    pub(super) fn say(&self, text: fmt::Arguments<'_>) {
-        (self.talk)(text);
     }
 
     /// A port is open, and the board is asked to start.
@@ -111,7 +102,7 @@ impl Link {
     pub(super) fn greeted(&self, device: DeviceId, port: &str) {
         let before = self.lock().device.replace(device);
         if let Some(before) = before.filter(|before| *before != device) {
-            self.say(format_args!("the board on {port} is {device} now; before it was {before}"));
+            say(format_args!("the board on {port} is {device} now; before it was {before}"));
         }
     }
 
@@ -125,10 +116,7 @@ impl Link {
         let is_told = std::mem::take(&mut state.is_loss_told);
         if let Some(since) = missed_since.filter(|_| is_told) {
             drop(state);
-            self.say(format_args!(
-                "the board on {port} runs; it was missed for {:.1} s",
-                since.elapsed().as_secs_f64()
-            ));
+            say(format_args!("the board on {port} runs; it was missed for {:.1} s", since.elapsed().as_secs_f64()));
         }
     }
 
@@ -154,8 +142,8 @@ impl Link {
         state.set(kind, Some(reason.clone()));
         drop(state);
         match told {
-            Some(0) => self.say(format_args!("{reason}; looking for it")),
-            Some(untold) => self.say(format_args!("{reason}; looking for it, as {untold} times before")),
+            Some(0) => say(format_args!("{reason}; looking for it")),
+            Some(untold) => say(format_args!("{reason}; looking for it, as {untold} times before")),
             None => {}
         }
     }
@@ -168,7 +156,7 @@ impl Link {
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
-        lock(&self.state)
+        lock(&self.0)
     }
 }
 
@@ -260,10 +248,8 @@ mod tests {
     }
 
     #[test]
-    fn a_board_that_comes_back_is_counted_and_reported_once() {
-        let said = Arc::new(Mutex::new(Vec::new()));
-        let ear = Arc::clone(&said);
-        let link = Link::new(Arc::new(move |text| ear.lock().unwrap().push(text.to_string())));
+    fn a_board_that_comes_back_is_counted_once() {
+        let link = Link::new();
         let missing = error(|name| DeviceError::Missing { name });
         link.lost(&missing);
         link.lost(&missing);
@@ -285,10 +271,6 @@ mod tests {
         assert!(link.report().state == LinkState::Ended && link.report().reason.is_some() && link.is_given_up());
         link.ended(None);
         assert!(link.report().reason.is_none() && !link.is_given_up());
-        let said = said.lock().unwrap();
-        let kinds: Vec<bool> = said.iter().map(|text| text.contains("looking for it")).collect();
-        assert_eq!(kinds, [true, false, true, true, false], "{said:?}");
-        assert!(said[4].contains("other port runs"), "{said:?}");
     }
 
     #[test]

@@ -6,14 +6,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::Receiver;
-use slitpose_calibration::Head;
-use slitpose_protocol::{Configuration, Stream};
 
-use super::board::{BoardError, BoardSlot, Claims};
+use super::board::{BoardError, BoardPlan, BoardSlot, Claims};
 use super::handoff::ReaderEnd;
-use super::opener::{Admit, Feed, Opener};
+use super::opener::Feed;
 use super::solver::{Solver, StreamEvent};
 use crate::device::{DeviceError, Keep};
+use crate::terminal::say;
 use slitpose_tracking::link::DeviceId;
 use slitpose_tracking::pipeline::head_of;
 use slitpose_tracking::solving;
@@ -33,14 +32,7 @@ const DOUBLINGS: u32 = 6;
 const MOMENT: Duration = Duration::from_millis(20);
 
 pub(super) struct Reader {
-    pub(super) opener: Box<dyn Opener>,
-    pub(super) configuration: Configuration,
-    pub(super) stream: Stream,
-    /// By which it solves poses, if these are asked for.
-    pub(super) head: Head,
-    pub(super) admit: Admit,
-    /// How long to go without a usable scan before giving up; `None`: for ever.
-    pub(super) patience: Option<Duration>,
+    pub(super) plan: BoardPlan,
     pub(super) handoff: ReaderEnd<Solver>,
     pub(super) events: Receiver<(u64, StreamEvent)>,
     /// Number of the connection, from 1; each event carries the number of its connection.
@@ -96,7 +88,7 @@ impl Reader {
             // only because it has just appeared.
             let is_hopeless = is_first && !error.is_passing();
             is_first = false;
-            if is_hopeless || self.patience.is_some_and(|patience| missing_since.elapsed() >= patience) {
+            if is_hopeless || self.plan.patience.is_some_and(|patience| missing_since.elapsed() >= patience) {
                 return Err(error);
             }
             self.slot.link.lost(&error);
@@ -124,11 +116,11 @@ impl Reader {
 
     /// Opens, greets, configures and starts the board. It counts as running once scans come.
     fn connect(&mut self) -> Result<Box<dyn Feed>, BoardError> {
-        let _turn = self.opener.turn();
-        let mut board = self.opener.open()?;
-        self.slot.link.connecting();
-
-        let Self { admit, opener, slot, claims, claimant, stream, head, configuration, .. } = self;
+        let Self { plan: BoardPlan { opener, admit, stream, head, configuration, .. }, slot, claims, claimant, .. } =
+            self;
+        let _turn = opener.turn();
+        let mut board = opener.open()?;
+        slot.link.connecting();
         let name = board.name();
         let mut compiled = None;
         board.greet(&mut |hello| {
@@ -191,9 +183,7 @@ impl Reader {
         let stopped = board.stop(keep);
         self.pass_on(board, false);
         if let Err(DeviceError::NoReply { .. }) = stopped {
-            self.slot
-                .link
-                .say(format_args!("the emitters of the board may still be lit; it goes dark when its port is closed"));
+            say(format_args!("the emitters of the board may still be lit; it goes dark when its port is closed"));
         }
         Ok(stopped?)
     }

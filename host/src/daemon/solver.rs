@@ -19,6 +19,7 @@ use super::outputs::Outputs;
 use super::tap::Tap;
 use crate::device::Scanless;
 use crate::telemetry::{HostLosses, LagReport};
+use crate::terminal::say;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::Segment;
 use slitpose_tracking::pipeline::{Counts, Item, Pipeline};
@@ -234,11 +235,11 @@ impl Solver {
     }
 
     fn decode(&mut self, segment: &mut Segment) -> Result<(), BoardError> {
-        let Self { pipeline, outputs, slot, name, .. } = self;
+        let Self { pipeline, outputs, name, .. } = self;
         outputs.begin(segment.opened);
         let fed = pipeline.receive(segment, |item| {
             if let Item::Oddity { oddity, .. } = &item {
-                slot.link.say(format_args!("{name}: {oddity}"));
+                say(format_args!("{name}: {oddity}"));
             }
             outputs.accept(&item);
             Ok(())
@@ -300,12 +301,12 @@ impl Solver {
         let Self { name, state, .. } = self;
         match (lag.finding(), state.told) {
             (Some(finding), None) => {
-                self.slot.link.say(format_args!("{}", finding.within(name)));
+                say(format_args!("{}", finding.within(name)));
                 state.told = Some(0);
             }
             (Some(_), Some(_)) => state.told = Some(0),
             (None, Some(calm)) if calm >= CALM => {
-                self.slot.link.say(format_args!("{name}: each scan is solved in time again"));
+                say(format_args!("{name}: each scan is solved in time again"));
                 state.told = None;
             }
             (None, told) => state.told = told.map(|calm| calm + 1),

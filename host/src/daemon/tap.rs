@@ -43,7 +43,7 @@ pub(crate) struct TapChunk {
 
 impl TapChunk {
     /// An empty chunk with room for ordinary contents.
-    pub(super) fn with_capacity() -> Self {
+    fn with_capacity() -> Self {
         Self { segment: Segment::with_capacity(ORDINARY_BYTES), poses: Vec::with_capacity(2), ..Self::default() }
     }
 
@@ -250,6 +250,9 @@ pub(crate) trait ChunkSink: Send {
 
     /// Called after each chunk, and ten times a second without.
     fn tick(&mut self);
+
+    /// All boards have ended: no chunk follows.
+    fn end(&mut self) {}
 }
 
 pub(crate) struct StreamPlan {
@@ -258,11 +261,21 @@ pub(crate) struct StreamPlan {
     pub(crate) pose_every_s: f64,
 }
 
-/// Starts the thread of a taker, which ends behind all boards; returns what boards need of it.
+/// Starts the thread of a stream; returns what boards need of it.
 pub(super) fn stream(plan: StreamPlan, boards: usize) -> Result<(JoinHandle<()>, TapEnds), BoardError> {
-    let (chunks, consumer) = buffer_pool(CHUNKS_A_BOARD * boards.max(1), TapChunk::with_capacity);
-    let StreamPlan { mut taker, pose_every_s } = plan;
-    let stream = move || {
+    let (thread, chunks) = start("stream", plan.taker, CHUNKS_A_BOARD * boards.max(1))?;
+    let (pose_every_s, is_wanted) = (plan.pose_every_s, Arc::new(AtomicBool::new(true)));
+    Ok((thread, TapEnds { chunks, is_wanted, pose_every_s, span: STREAM_SPAN, tells_hello: true }))
+}
+
+/// Starts the thread of `taker`, which ends behind all boards, with `chunks` chunks.
+pub(super) fn start(
+    name: &str,
+    mut taker: Box<dyn ChunkSink>,
+    chunks: usize,
+) -> Result<(JoinHandle<()>, Producer<TapChunk>), BoardError> {
+    let (producer, consumer) = buffer_pool(chunks, TapChunk::with_capacity);
+    let take = move || {
         loop {
             match consumer.next(IDLE) {
                 Ok(chunk) => {
@@ -270,14 +283,12 @@ pub(super) fn stream(plan: StreamPlan, boards: usize) -> Result<(JoinHandle<()>,
                     consumer.give_back(chunk);
                 }
                 Err(Empty::ForNow) => {}
-                Err(Empty::Closed) => return,
+                Err(Empty::Closed) => return taker.end(),
             }
             taker.tick();
         }
     };
-    let is_wanted = Arc::new(AtomicBool::new(true));
-    let ends = TapEnds { chunks, is_wanted, pose_every_s, span: STREAM_SPAN, tells_hello: true };
-    Ok((spawn("stream".to_owned(), stream)?, ends))
+    Ok((spawn(name.to_owned(), take)?, producer))
 }
 
 /// Gives the calling thread this priority (SCHED_FIFO, 1 to 99). The error is advice for the user.

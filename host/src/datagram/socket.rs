@@ -35,33 +35,28 @@ pub(super) struct PassedSocket {
     identity: (u64, u64),
     /// The process that made the pair, and its user.
     process: Option<i32>,
-    user: Option<u32>,
+    user: u32,
 }
 
 impl PassedSocket {
     /// `None` if `passed` is no end of a pair: datagrams could reach a socket that is not the client's.
     fn new(passed: OwnedFd) -> Option<Self> {
-        #[cfg(target_os = "linux")]
         let credentials = getsockopt(&passed, sockopt::PeerCredentials).ok()?;
-        #[cfg(target_os = "linux")]
-        let (process, user) = (Some(credentials.pid()), Some(credentials.uid()));
-        #[cfg(not(target_os = "linux"))]
-        let (process, user) = (None, None);
         let kind = getsockopt(&passed, sockopt::SockType).ok()?;
         let found = nix::sys::stat::fstat(&passed).ok()?;
         let socket = UnixDatagram::from(passed);
         let is_pair = kind == SockType::Datagram && socket.peer_addr().is_ok_and(|peer| peer.is_unnamed());
         // Zero for a process that this one cannot see.
-        let process = process.filter(|&process: &i32| process > 0);
-        is_pair.then(|| Self { socket, identity: (found.st_dev, found.st_ino), process, user })
+        let process = Some(credentials.pid()).filter(|&process| process > 0);
+        is_pair.then(|| Self { socket, identity: (found.st_dev, found.st_ino), process, user: credentials.uid() })
     }
 }
 
 /// A party in the sharing of places.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Party {
-    /// A user of this host; `None` if the system does not name the user.
-    User(Option<u32>),
+    /// A user of this host.
+    User(u32),
     /// Any client by UDP, where users are unknown.
     Udp,
 }
@@ -181,7 +176,7 @@ impl Socket {
         match sent {
             Ok(_) => Delivery::Sent,
             Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) => Delivery::Full,
-            // The error of some systems for a full queue.
+            // No memory for it at this moment.
             Err(error) if error.raw_os_error() == Some(nix::errno::Errno::ENOBUFS as i32) => Delivery::Full,
             Err(_) => Delivery::Gone,
         }

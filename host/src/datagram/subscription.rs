@@ -62,7 +62,7 @@ impl Subscription {
         let [missed, since_ns, last_ns] =
             [&self.misses.count, &self.misses.since_ns, &self.misses.last_ns].map(|it| it.load(Ordering::Relaxed));
         let is_slow = now_ns.saturating_sub(last_ns) < SLOW_NS && last_ns.saturating_sub(since_ns) >= SLOW_NS;
-        let user = if let Party::User(user) = self.peer.party() { user } else { None };
+        let user = if let Party::User(user) = self.peer.party() { Some(user) } else { None };
         is_slow.then(|| SlowClient {
             process: self.peer.process(),
             user,

@@ -4,8 +4,8 @@
 //! board. `Conversation` speaks the protocol over one of them: it greets, configures, starts and stops the board,
 //! checks every reply, and passes on all other bytes.
 //!
-//! `find` searches for the board that a `Selector` names, `list` for all boards, `locate` for one that was connected
-//! before.
+//! `find` searches for the board that a `Selector` names, `list` for all boards; a `Contact` opens one again and again,
+//! wherever it is then.
 //!
 //! The host drops no bytes: those not fetched wait in the operating system, then in the board's queue, which drops its
 //! oldest scans when full and so leaves gaps in their numbers.
@@ -13,7 +13,7 @@
 use std::io;
 
 pub(crate) use conversation::{Conversation, Keep};
-pub(crate) use discovery::{Contact, Found, Selector, find, list, locate};
+pub(crate) use discovery::{Contact, Found, Selector, find, list};
 pub use error::{DeviceError, Scanless};
 pub use orders::KeepAlive;
 pub(crate) use ports::{BoardInfo, Listed, Port, PortState, Search, UsbId, ports};

@@ -93,7 +93,7 @@ impl Port {
 /// The serial ports of this host.
 pub fn ports() -> Result<Vec<Port>, DeviceError> {
     // The library panics without this folder; a system without it has no ports.
-    if cfg!(target_os = "linux") && !Path::new("/sys/class/tty").is_dir() {
+    if !Path::new("/sys/class/tty").is_dir() {
         return Ok(Vec::new());
     }
     let listed = serialport::available_ports().map_err(|source| DeviceError::Ports { source })?;
@@ -101,7 +101,7 @@ pub fn ports() -> Result<Vec<Port>, DeviceError> {
 }
 
 /// The ports as the system lists them, sorted by name.
-pub(super) fn from_system(listed: Vec<SerialPortInfo>) -> Vec<Port> {
+fn from_system(listed: Vec<SerialPortInfo>) -> Vec<Port> {
     let mut ports: Vec<_> = listed
         .into_iter()
         .map(|info| Port {
@@ -119,10 +119,6 @@ pub(super) fn from_system(listed: Vec<SerialPortInfo>) -> Vec<Port> {
         })
         .collect();
     ports.sort_by(|a, b| a.name.cmp(&b.name));
-    // macOS lists each port twice; the one for callers does not wait for a carrier.
-    let callers: Vec<_> =
-        ports.iter().filter_map(|port| port.name.strip_prefix("/dev/cu.").map(str::to_owned)).collect();
-    ports.retain(|port| port.name.strip_prefix("/dev/tty.").is_none_or(|name| !callers.iter().any(|it| it == name)));
     ports
 }
 
@@ -159,7 +155,7 @@ pub(super) fn real_path(name: &str) -> PathBuf {
 // Asking a port for a board.
 
 /// Timeout: a running board answers within milliseconds; the rest is for a busy host.
-const ANSWER_WITHIN: Duration = Duration::from_secs(1);
+pub(super) const ANSWER_WITHIN: Duration = Duration::from_secs(1);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum PortState {
@@ -359,14 +355,6 @@ mod tests {
         let hello = DeviceId([0x00, 0x36, 0x00, 0x29, 0x00, 0x54, 0x48, 0x50, 0x02, 0x5a, 0x03, 0x20]);
         assert_eq!(ports[1].device(), Some(hello));
         assert_eq!(ports[0].device(), None);
-    }
-
-    #[test]
-    fn ports_that_are_listed_twice_count_once() {
-        let port = |name| info(name, SerialPortType::Unknown);
-        let ports = from_system(vec![port("/dev/tty.usb1"), port("/dev/cu.usb1"), port("/dev/tty.other")]);
-        let names: Vec<_> = ports.into_iter().map(|port| port.name).collect();
-        assert_eq!(names, ["/dev/cu.usb1", "/dev/tty.other"]);
     }
 
     #[test]

@@ -46,26 +46,17 @@ impl SerialDevice {
             Ok(found) if found.is_dir() => return Err(DeviceError::NotAPort { name, what: "folder" }),
             Ok(found) if found.is_file() => return Err(DeviceError::NotAPort { name, what: "file" }),
             Err(_) if !is_path(path) => return Err(DeviceError::NotAPath { name }),
-            // Ports of some systems are not in the file system: try to open.
             _ => {}
         }
-        let open = |baud| {
-            serialport::new(path, baud)
-                .data_bits(DataBits::Eight)
-                .parity(Parity::None)
-                .stop_bits(StopBits::One)
-                .flow_control(FlowControl::None)
-                .dtr_on_open(true)
-                .exclusive(true)
-                .timeout(WAIT)
-                .open()
-        };
-        // The pseudo-terminals of macOS refuse every rate; zero leaves it alone there.
-        let port = open(BAUD).or_else(|error| match error.kind {
-            serialport::ErrorKind::Unknown if cfg!(target_os = "macos") => open(0),
-            _ => Err(error),
-        });
-        match port {
+        let port = serialport::new(path, BAUD)
+            .data_bits(DataBits::Eight)
+            .parity(Parity::None)
+            .stop_bits(StopBits::One)
+            .flow_control(FlowControl::None)
+            .dtr_on_open(true)
+            .exclusive(true)
+            .timeout(WAIT);
+        match port.open() {
             Ok(port) => Ok(Self { name, port, chunk: [0; CHUNK_BYTES] }),
             Err(source) => Err(match source.kind {
                 serialport::ErrorKind::NoDevice => DeviceError::Busy { name },
@@ -122,8 +113,7 @@ impl Drop for SerialDevice {
     }
 }
 
-/// The programs that have the port `name` open, on Linux only, and without those of other users, whose open files
-/// are hidden. Reads every open file of the system.
+/// The programs that have the port `name` open, without those of other users, whose open files are hidden. Reads every open file of the system.
 pub(crate) fn holders(name: &str) -> Vec<String> {
     let port = real_path(name);
     let number = |entry: fs::DirEntry| entry.file_name().to_str()?.parse::<u32>().ok();

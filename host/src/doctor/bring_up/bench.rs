@@ -3,7 +3,7 @@
 //! `firmware/README.md`.
 
 use std::ops::RangeInclusive;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use anyhow::{Error, Result, anyhow, bail};
 use slitpose_model::{CompiledScene, Tier};
@@ -49,7 +49,16 @@ impl<'a> Bench<'a> {
             true => Box::new(SimulatedDevice::at_rest(self.scene)?),
             false => Box::new(self.contact.open()?),
         };
-        let (board, info) = Conversation::introduced(device)?;
+        self.met(Conversation::introduced(device)?)
+    }
+
+    /// Connects to a board that may take this long to be there.
+    pub(super) fn reconnect(&mut self, within: Duration) -> Result<(Conversation, BoardInfo)> {
+        let back = self.contact.await_return(None, within)?;
+        self.met(back)
+    }
+
+    fn met(&mut self, (board, info): (Conversation, BoardInfo)) -> Result<(Conversation, BoardInfo)> {
         self.contact.greeted(info.device);
         self.wiring = Wiring::of(&info.board);
         if info.mismatch.is_some() {

@@ -1,7 +1,7 @@
 //! The board itself: link and start, supply and temperature; whether it is dark after Stop and without a host, and keeps
 //! its settings over a power cut.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::Result;
 use slitpose_protocol::{BootTarget, Command, Hashes, Level, Schedule, SettingsSource, Status};
@@ -95,7 +95,6 @@ fn judge(place: &'static str, when: &str, [first, second]: &[Status; 2]) -> Find
 /// Time for the board to disconnect after Reboot, and for it to be there again.
 const DISCONNECTED: Duration = Duration::from_millis(500);
 const BACK_WITHIN: Duration = Duration::from_secs(15);
-const LOOK_EVERY: Duration = Duration::from_millis(200);
 
 /// Timeout of the hello that shows what was stored.
 const HELLO_WITHIN: Duration = Duration::from_secs(1);
@@ -128,7 +127,7 @@ pub(super) fn take_storage(bench: &mut Bench<'_>, cut_power: &mut dyn FnMut() ->
     drop(board);
     let is_cut = cut_power();
     let after = if is_cut {
-        reconnect(bench)?.1
+        bench.reconnect(BACK_WITHIN)?.1
     } else {
         let (board, _) = bench.connect()?;
         restart(bench, board)?.1
@@ -150,18 +149,7 @@ fn restart(bench: &mut Bench<'_>, mut board: Conversation) -> Result<(Conversati
     board.order(Command::Reboot(BootTarget::Firmware))?;
     drop(board);
     std::thread::sleep(DISCONNECTED);
-    reconnect(bench)
-}
-
-/// Connects to a board that may take a while to be there.
-fn reconnect(bench: &mut Bench<'_>) -> Result<(Conversation, BoardInfo)> {
-    let until = Instant::now() + BACK_WITHIN;
-    loop {
-        match bench.connect() {
-            Err(error) if error.is::<DeviceError>() && Instant::now() < until => std::thread::sleep(LOOK_EVERY),
-            outcome => return outcome,
-        }
-    }
+    bench.reconnect(BACK_WITHIN)
 }
 
 fn refused(error: &DeviceError) -> Finding {
