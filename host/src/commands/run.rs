@@ -178,7 +178,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let access = args.live.access()?;
     let is_recorded_later = access.as_ref().is_some_and(|access| access.may_write);
     let shown = || {
-        let shown = |board: &BoardPlan| LiveBoard { name: board.opener.name(), head: Some(board.head.clone()) };
+        let shown = |board: &BoardPlan| LiveBoard { name: board.opener.name(), head: board.head.clone() };
         boards.iter().map(shown).collect()
     };
     let live = match access {

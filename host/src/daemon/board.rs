@@ -7,29 +7,27 @@ use std::time::Duration;
 
 use crossbeam_channel::bounded;
 use slitpose_calibration::Head;
-use slitpose_head::board_head::BoardHeadError;
 use slitpose_head::threads::{join, lock};
 use slitpose_model::Tier;
-use slitpose_protocol::{Configuration, Rejection, Stream};
-use thiserror::Error;
+use slitpose_protocol::{Configuration, Stream};
 
 use super::backlog::Backlog;
+use super::error::BoardError;
 use super::handoff::{Producer, buffer_pool, handoff};
 use super::link::{Link, ScanWatch};
 use super::opener::{Admit, Opener};
 use super::outputs::{Outbox, Outputs, Pending};
 use super::reader::Reader;
 use super::solver::{Solver, State};
-use super::tap::{Overflow, Tap, TapEnds};
-use super::{spawn, tap};
+use super::tap::{self, Overflow, Tap, TapEnds};
+use crate::background::spawn;
 use crate::datagram::DatagramServer;
-use crate::device::DeviceError;
 use crate::live::{SampleSink, Sampler};
 use crate::telemetry::{BoardReport, BoardStatistics};
 use crate::terminal::say;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::{DeviceId, Segment};
-use slitpose_tracking::pipeline::{Counts, Pipeline, PipelineError, PipelineOptions, SceneMatch};
+use slitpose_tracking::pipeline::{Counts, Pipeline, PipelineOptions, SceneMatch};
 
 /// Most reads on their way to the solver: a quarter of a second at one read per millisecond.
 const SEGMENTS: usize = 256;
@@ -151,8 +149,8 @@ impl BoardThreads {
             let _ = priority.map(tap::claim);
             reader.run()
         };
-        let solver = spawn(format!("solve {number}"), solve)?;
-        let reader = spawn(format!("read {number}"), read)?;
+        let solver = spawn(format!("solve {number}"), solve).map_err(BoardError::Thread)?;
+        let reader = spawn(format!("read {number}"), read).map_err(BoardError::Thread)?;
         Ok(Self { name, reader, solver, slot: Arc::clone(slot) })
     }
 
@@ -169,64 +167,6 @@ impl BoardThreads {
         let read = join(self.reader);
         let counts = join(self.solver);
         (self.name, counts, read)
-    }
-}
-
-/// Why a board is followed no longer.
-#[derive(Debug, Error)]
-pub(crate) enum BoardError {
-    #[error(transparent)]
-    Device(#[from] DeviceError),
-    #[error(transparent)]
-    Pipeline(#[from] PipelineError),
-    #[error("the board cannot solve poses of this head, and this program can: give --stream raw")]
-    Head(#[from] BoardHeadError),
-    #[error("the board refused a command")]
-    Refused(#[source] Rejection),
-    #[error(
-        "{name} and {other} have one number, {device}: give only one of them if they are two ports of one board; two \
-         boards whose poses shall be told apart need different numbers"
-    )]
-    Twice {
-        device: DeviceId,
-        /// The second reader's name for the board.
-        name: String,
-        /// The first reader's name for the board.
-        other: String,
-    },
-    #[error("cannot start a thread; close other programs, or raise the limit of threads")]
-    Thread(#[source] std::io::Error),
-}
-
-impl BoardError {
-    /// Whether the error may pass once the user plugs the board in and switches it on.
-    pub(super) fn is_passing(&self) -> bool {
-        matches!(self, Self::Device(error) if error.is_passing())
-    }
-
-    /// Time since the last usable scan when the error was noticed, seconds.
-    pub(super) fn missed_s(&self) -> f64 {
-        match self {
-            Self::Device(
-                DeviceError::Quiet { seconds, .. }
-                | DeviceError::NoScans { seconds, .. }
-                | DeviceError::NotPublished { seconds, .. },
-            ) => *seconds,
-            _ => 0.0,
-        }
-    }
-
-    /// Whether the user most likely has to act, so that trying again is not urgent.
-    pub(super) fn needs_user(&self) -> bool {
-        let is_silent = matches!(self, Self::Device(DeviceError::NoScans { .. }));
-        is_silent || !self.is_passing() && !self.is_away()
-    }
-
-    /// Whether the board is not there, or its port is in use: another program may probe a port that has just appeared.
-    /// Both may end at any moment.
-    pub(super) fn is_away(&self) -> bool {
-        let Self::Device(error) = self else { return false };
-        matches!(error, DeviceError::Missing { .. } | DeviceError::Gone { .. } | DeviceError::Busy { .. })
     }
 }
 

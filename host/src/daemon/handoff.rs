@@ -10,13 +10,16 @@
 //! to the solving thread, so that reading continues. Chunks are processed in the order of their arrival: a mutex
 //! around the worker lets one thread work at a time, and the reading thread works only while the queue is empty.
 
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::{Arc, Mutex, MutexGuard, atomic};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, Sender, TryRecvError, TrySendError, bounded};
 
-use super::sleeper::Sleeper;
+use sleeper::Sleeper;
 use slitpose_head::threads::lock;
+
+mod sleeper;
 
 /// A pool of `count` buffers, each made by `make`. They are used in turn, so that all of them soon reach their
 /// final capacity.
@@ -220,9 +223,6 @@ impl<W: Worker> SolverEnd<W> {
 
 #[cfg(test)]
 mod tests {
-    use std::thread;
-    use std::time::Duration;
-
     use super::*;
 
     /// A worker that leaves one chunk in eight to the solving thread.

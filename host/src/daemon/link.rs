@@ -3,7 +3,7 @@
 use std::sync::{Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
-use super::board::BoardError;
+use super::error::BoardError;
 use crate::device::{DeviceError, Scanless};
 use crate::telemetry::{LinkReport, LinkState};
 use crate::terminal::say;

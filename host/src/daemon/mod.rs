@@ -19,22 +19,23 @@
 
 mod backlog;
 mod board;
+mod error;
 mod handoff;
 mod link;
 mod opener;
 mod outputs;
 mod reader;
 mod recorder;
-mod sleeper;
 mod solver;
 mod tap;
 
 use std::io;
-use std::sync::atomic::{self, AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
-use std::thread::{self, JoinHandle};
+use std::thread::JoinHandle;
 
-pub(crate) use board::{BoardError, BoardPlan};
+pub(crate) use board::BoardPlan;
+pub(crate) use error::BoardError;
 #[cfg(feature = "zenoh")]
 pub(crate) use opener::Feed;
 pub(crate) use opener::{Admit, Opener, SimulatedOpener};
@@ -223,14 +224,4 @@ impl Daemon {
 fn with_unrecorded(recorder: RecorderReport, boards: &[BoardReport]) -> RecorderReport {
     let unrecorded = boards.iter().map(|board| board.losses.host.bytes_unrecorded).sum::<u64>();
     RecorderReport { bytes_dropped: recorder.bytes_dropped + unrecorded, ..recorder }
-}
-
-/// The stack size of the main thread: scenes and pipelines take tens of kilobytes, and are moved during construction.
-const STACK_BYTES: usize = 8 << 20;
-
-fn spawn<T: Send + 'static>(
-    name: String,
-    run: impl FnOnce() -> T + Send + 'static,
-) -> Result<JoinHandle<T>, BoardError> {
-    thread::Builder::new().name(name).stack_size(STACK_BYTES).spawn(run).map_err(BoardError::Thread)
 }

@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 
 use slitpose_protocol::{Configuration, Hello, Stream};
 
-use super::board::BoardError;
+use super::error::BoardError;
 use crate::device::{Contact, Conversation, DeviceError, Keep, Selector, SimulatedDevice, SimulatedPort};
 use slitpose_head::threads::lock;
 use slitpose_tracking::link::{DeviceId, Segment};

@@ -7,7 +7,8 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::Receiver;
 
-use super::board::{BoardError, BoardPlan, BoardSlot, Claims};
+use super::board::{BoardPlan, BoardSlot, Claims};
+use super::error::BoardError;
 use super::handoff::ReaderEnd;
 use super::opener::Feed;
 use super::solver::{Solver, StreamEvent};

@@ -8,7 +8,8 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, Sender, bounded, unbounded};
 use slitpose_calibration::Head;
 
-use super::board::{BoardError, BoardPlan};
+use super::board::BoardPlan;
+use super::error::BoardError;
 use super::tap::{self, ChunkSink, TapChunk, TapEnds};
 use crate::telemetry::{DaemonReport, RecorderReport, RecorderState};
 use crate::terminal::say;

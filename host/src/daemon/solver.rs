@@ -10,9 +10,9 @@ use std::time::Duration;
 
 use crossbeam_channel::Sender;
 
-use super::BoardSlot;
 use super::backlog::{Backlog, Next};
-use super::board::BoardError;
+use super::board::BoardSlot;
+use super::error::BoardError;
 use super::handoff::{Empty, SolverEnd, Worker};
 use super::link::{News, ScanWatch};
 use super::outputs::Outputs;

@@ -12,9 +12,9 @@ use thread_priority::{
     set_thread_priority_and_policy, thread_native_id,
 };
 
-use super::board::BoardError;
+use super::error::BoardError;
 use super::handoff::{Empty, Producer, buffer_pool};
-use super::spawn;
+use crate::background::spawn;
 use slitpose_tracking::link::{DeviceId, Segment};
 use slitpose_tracking::pipeline::Record;
 
@@ -288,7 +288,7 @@ pub(super) fn start(
             taker.tick();
         }
     };
-    Ok((spawn(name.to_owned(), take)?, producer))
+    Ok((spawn(name.to_owned(), take).map_err(BoardError::Thread)?, producer))
 }
 
 /// Gives the calling thread this priority (SCHED_FIFO, 1 to 99). The error is advice for the user.

@@ -12,11 +12,11 @@ use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use schemars::JsonSchema;
 use serde::Serialize;
 
+use super::layout::{Answer, Mode, PoseDatagram, Request};
 use super::slot::Slot;
 use super::socket::{Delivery, Peer, Socket};
 use super::subscription::{Cookies, Lease, Leases, MAX_FOLLOWERS, MAX_NEWS, SlowClient, Subscription, Worth};
-use super::{Address, Answer, Mode, PoseDatagram, Request};
-use crate::address::{ServeError, SocketFile};
+use crate::address::{Address, ServeError, SocketFile};
 use crate::background::Background;
 use slitpose_head::threads::lock;
 use slitpose_tracking::clock::HostInstant;

@@ -11,8 +11,8 @@ use std::sync::Arc;
 use nix::sys::socket::{ControlMessage, MsgFlags, SockType, UnixAddr, getsockopt, send, sendmsg, sockopt};
 use rustix::net::{RecvAncillaryBuffer, RecvAncillaryMessage, RecvFlags, recvmsg};
 
-use super::{Address, Request, require_loopback};
-use crate::address::{ServeError, SocketFile};
+use super::layout::Request;
+use crate::address::{Address, ServeError, SocketFile};
 
 #[derive(Debug)]
 pub(super) enum Socket {
@@ -197,4 +197,11 @@ impl AsFd for Socket {
             Self::Udp(socket) => socket.as_fd(),
         }
     }
+}
+
+/// Refuses addresses that other hosts can reach.
+pub(super) fn require_loopback(address: SocketAddr) -> Result<(), ServeError> {
+    let reason = "poses carry no proof of their origin; give udp:127.0.0.1:PORT";
+    let refused = || ServeError::NotLoopback { address: Address::Udp(address), reason };
+    address.ip().is_loopback().then_some(()).ok_or_else(refused)
 }

@@ -7,8 +7,10 @@ use slitpose_protocol::{
     Message, PayloadError, Rejection, Request, Stream, encode,
 };
 
+use super::error::DeviceError;
+use super::listed::BoardInfo;
 use super::orders::{self, KeepAlive, ping};
-use super::{BoardInfo, Device, DeviceError};
+use super::stream::Device;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::{Asked, Segment, Versions};
 

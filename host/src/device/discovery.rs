@@ -13,8 +13,11 @@ use std::str::FromStr;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use super::ports::{ANSWER_WITHIN, BoardInfo, Listed, Port, PortState, Search, UsbId, ports, real_path};
-use super::{Conversation, DeviceError, SerialDevice};
+use super::conversation::Conversation;
+use super::error::DeviceError;
+use super::listed::{BoardInfo, Listed, Port, PortState, UsbId, is_path, real_path};
+use super::ports::{ANSWER_WITHIN, Search, ports};
+use super::serial::SerialDevice;
 use slitpose_tracking::link::DeviceId;
 
 const SIM: &str = "sim";
@@ -270,11 +273,6 @@ impl fmt::Display for Selector {
     }
 }
 
-/// Whether `name` looks like the path of a port, and not like the name of a board.
-pub(super) fn is_path(name: &str) -> bool {
-    name.contains('/') || Path::new(name).exists()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -283,7 +281,7 @@ mod tests {
     const SECOND: &str = "0036002900544850025a0321";
 
     fn usb(name: &str, vid: u16, pid: u16, serial: &str) -> Port {
-        let board = (vid, pid) == super::super::ports::BOARD;
+        let board = (vid, pid) == super::super::listed::BOARD;
         let text = |text: &str| board.then(|| text.to_owned());
         let (manufacturer, product) = (text("slitpose"), text("slitpose board"));
         Port {

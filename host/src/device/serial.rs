@@ -9,9 +9,10 @@ use std::{fs, io};
 use serialport::{DataBits, FlowControl, Parity, SerialPort, StopBits};
 use slitpose_model::Tier;
 
-use super::discovery::is_path;
-use super::ports::real_path;
-use super::{Device, DeviceError, KeepAlive};
+use super::error::DeviceError;
+use super::listed::{is_path, real_path};
+use super::orders::KeepAlive;
+use super::stream::Device;
 use slitpose_head::faults::{Injector, Link};
 use slitpose_head::front_end;
 use slitpose_head::pace::{Pace, Speed};

@@ -200,8 +200,7 @@ impl BoardTopics {
         let mut topic = |name: &str, of| Topic::new(session, node, &ros::topic(device, name), of);
         let tool = ros::tool_frame(device, is_first);
         let mut shapes = Vec::new();
-        let cells = board.head.as_ref().map(|head| &head.file.scene.cells[..]);
-        ros::encode_head(cells.unwrap_or_default(), &tool, &mut shapes);
+        ros::encode_head(&board.head.file.scene.cells, &tool, &mut shapes);
         Ok(Self {
             device,
             tool,

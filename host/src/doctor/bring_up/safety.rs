@@ -177,44 +177,22 @@ fn judge_storage(before: &Stored, after: &Stored, is_cut: bool) -> Finding {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::device::SimulatedDevice;
-    use slitpose_head::finding::Grade;
+    use crate::samples;
     use slitpose_head::finding::Grade::{Failed, Ok};
-    use slitpose_head::front_end;
-    use slitpose_head::scene_file::WIDE;
-
-    fn status() -> Status {
-        let device = SimulatedDevice::at_rest(&WIDE.read().unwrap()).unwrap();
-        Conversation::open(Box::new(device)).unwrap().status().unwrap()
-    }
 
     #[test]
     fn a_board_that_goes_on_is_found_by_its_state_or_by_its_count() {
-        let idle = status();
-        let status = |acquiring, scans_taken| Status { acquiring, scans_taken, ..idle };
+        let status = |acquiring, scans_taken| Status { acquiring, scans_taken, ..samples::status() };
         let grade = |first, second| judge("stop", "after Stop", &[first, second]).grade;
         assert_eq!(grade(status(false, 44), status(false, 44)), Ok);
         assert_eq!(grade(status(true, 44), status(false, 44)), Failed);
         assert_eq!(grade(status(false, 44), status(false, 45)), Failed);
     }
-
-    #[test]
-    fn lost_hashes_and_lost_schedules_are_found() {
-        let schedule = front_end::configuration(&WIDE.read().unwrap()).unwrap().schedule;
-        let stored = (Hashes { scene: Some(7), calibration: None }, schedule.clone());
-        assert_eq!(judge_storage(&stored, &stored, true).grade, Ok);
-        let lost = judge_storage(&stored, &(Hashes::default(), schedule.clone()), false);
-        assert!(lost.grade == Failed && lost.text.contains("after a reboot none"), "{lost}");
-        let slower = Schedule { frame_ticks: 2 * schedule.frame_ticks, ..schedule };
-        assert_eq!(judge_storage(&stored, &(stored.0, slower), true).grade, Failed);
-    }
-
     #[test]
     fn a_supply_of_three_volts_is_too_low() {
-        let good = status();
-        let status = |supply_v, temperature_k| Status { supply_v, temperature_k, ..good };
-        let grades = |supply_v, temperature_k| -> [Grade; 2] {
-            judge_supply(&status(supply_v, temperature_k)).map(|finding| finding.grade)
+        let grades = |supply_v, temperature_k| {
+            let status = Status { supply_v, temperature_k, ..samples::status() };
+            judge_supply(&status).map(|finding| finding.grade)
         };
         assert_eq!(grades(3.3, 300.0), [Ok, Ok]);
         assert_eq!(grades(3.0, 300.0), [Failed, Ok]);
