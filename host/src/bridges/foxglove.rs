@@ -42,17 +42,15 @@ pub(crate) fn serve_foxglove(
         error => ServeError::of(&place, std::io::Error::other(error)),
     };
     let (input, inputs) = LiveInput::new();
-    let mut url = String::new();
-    let serving = Serving::start("foxglove", &place, async || {
+    let (serving, url) = Serving::start("foxglove", &place, async || {
         let context = Context::new();
         let server = serve(&context, address).await.map_err(failed)?;
         let address = SocketAddr::new(address.ip(), server.port());
-        url = format!("ws://{address}");
         let channel = context.channel_builder("/slitpose/report").message_encoding("json");
         let mut shown = Shown { report: channel.build_raw().map_err(failed)?, context, boards: Vec::new() };
         shown.accept(Input::Boards(boards));
         tokio::spawn(shown.follow(inputs, report, server, address));
-        Ok(())
+        Ok(format!("ws://{address}"))
     })?;
     Ok((url, input, serving))
 }

@@ -19,7 +19,7 @@ use super::opener::{Admit, Opener};
 use super::outputs::{Outbox, Outputs, Pending};
 use super::reader::Reader;
 use super::solver::{Solver, State};
-use super::tap::{self, Overflow, Tap, TapEnds};
+use super::tap::{self, Tap, TapEnds};
 use crate::background::spawn;
 use crate::datagram::DatagramServer;
 use crate::live::{SampleSink, Sampler};
@@ -94,9 +94,8 @@ impl BoardThreads {
     ) -> Result<Self, BoardError> {
         let name = plan.opener.name();
         let (tell, events) = bounded(EVENTS);
-        let overflow = if plan.keeps_time { Overflow::Drop } else { Overflow::Wait };
         let keeps_all = shared.prints_each || plan.until_s.is_some();
-        let tap = |ends| Tap::new(number, ends, overflow);
+        let tap = |ends| Tap::new(number, ends, plan.keeps_time);
         let pipeline = Pipeline::new(plan.head.clone(), plan.tier, SceneMatch::Required)
             .until(plan.until_s)
             .following(plan.following)

@@ -26,7 +26,6 @@ struct State {
     report: LinkReport,
     has_run: bool,
     device: Option<DeviceId>,
-    is_given_up: bool,
     missed_since: Option<Instant>,
     /// Whether the user has been told of the loss.
     is_loss_told: bool,
@@ -87,7 +86,8 @@ impl Link {
     }
 
     pub(super) fn is_given_up(&self) -> bool {
-        self.lock().is_given_up
+        let LinkReport { state, reason, .. } = &self.lock().report;
+        *state == LinkState::Ended && reason.is_some()
     }
 
     /// A port is open, and the board is asked to start.
@@ -151,7 +151,6 @@ impl Link {
     /// The stream is complete, or the board was given up.
     pub(super) fn ended(&self, error: Option<&BoardError>) {
         let mut state = self.lock();
-        state.is_given_up = error.is_some();
         state.set(LinkState::Ended, error.map(|error| with_causes(error)));
     }
 
@@ -168,13 +167,17 @@ const NO_SCANS: Duration = Duration::from_secs(3);
 /// … or this many frames, if that is longer.
 const FRAMES: u32 = 3;
 
-/// A change in the scans of a link.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum News {
-    /// The first scan has come.
-    Begun,
-    /// No scan has come for this many seconds; with the most likely cause.
-    Missing(f64, Scanless),
+/// An event of the stream of a board.
+#[derive(Debug)]
+pub(super) enum StreamEvent {
+    /// The first scan of the connection has come.
+    Scans,
+    /// No scan has come for this many seconds; the second field says what came instead.
+    Scanless(f64, Scanless),
+    Complete,
+    /// The board has stopped by itself, with its last warning or error.
+    Stopped(Option<String>),
+    Unusable(BoardError),
 }
 
 /// Follows the scans of a link by the time at which their bytes were read, so that a slow host makes no scan late.
@@ -202,7 +205,7 @@ impl ScanWatch {
     }
 
     /// Compares the counters after bytes that were read at `at`; `opened`: these bytes are the first of a link.
-    pub(super) fn update(&mut self, opened: bool, counts: &Counts, at: Option<HostInstant>) -> Option<News> {
+    pub(super) fn update(&mut self, opened: bool, counts: &Counts, at: Option<HostInstant>) -> Option<StreamEvent> {
         let come = counts.scans > self.scans;
         if opened {
             self.begun = false;
@@ -211,7 +214,7 @@ impl ScanWatch {
             (self.since, self.scans, self.counts) = (at, counts.scans, *counts);
             let first = come && !self.begun;
             self.begun |= come;
-            return first.then_some(News::Begun);
+            return first.then_some(StreamEvent::Scans);
         }
         let (Some(since), Some(at)) = (self.since.or(at), at) else { return None };
         self.since = Some(since);
@@ -221,7 +224,7 @@ impl ScanWatch {
         }
         // Reported again if the link stays as it is.
         self.since = Some(at);
-        Some(News::Missing(missing_ns as f64 * 1e-9, self.cause(counts)))
+        Some(StreamEvent::Scanless(missing_ns as f64 * 1e-9, self.cause(counts)))
     }
 
     fn cause(&self, counts: &Counts) -> Scanless {
@@ -294,42 +297,40 @@ mod tests {
 
     #[test]
     fn a_link_without_scans_is_reported_with_its_cause_after_three_seconds() {
-        let mut scan_watch = ScanWatch::new(Duration::from_micros(250));
+        let mut watch = ScanWatch::new(Duration::from_micros(250));
+        let mut said = |opened, counts: &Counts, seconds| format!("{:?}", watch.update(opened, counts, at(seconds)));
+        let missing = |cause| format!("{:?}", Some(StreamEvent::Scanless(3.0, cause)));
         let mut counts = Counts::default();
-        assert_eq!(scan_watch.update(true, &counts, at(0.0)), None);
+        assert_eq!(said(true, &counts, 0.0), "None");
         counts.scans = 4;
-        assert_eq!(scan_watch.update(false, &counts, at(0.1)), Some(News::Begun));
+        assert_eq!(said(false, &counts, 0.1), "Some(Scans)");
         counts.scans = 8;
-        assert_eq!(scan_watch.update(false, &counts, at(1.0)), None);
+        assert_eq!(said(false, &counts, 1.0), "None");
         counts.batches_without_hello = 5;
-        assert_eq!(scan_watch.update(false, &counts, at(3.9)), None);
-        let cause = Scanless::Unexplained { batches: 5 };
-        assert_eq!(scan_watch.update(false, &counts, at(4.0)), Some(News::Missing(3.0, cause)));
+        assert_eq!(said(false, &counts, 3.9), "None");
+        assert_eq!(said(false, &counts, 4.0), missing(Scanless::Unexplained { batches: 5 }));
         // A new link: earlier counts do not matter.
-        assert_eq!(scan_watch.update(true, &counts, at(5.0)), None);
+        assert_eq!(said(true, &counts, 5.0), "None");
         counts.decoder.malformed = 7;
         counts.decoder.bad_checksum = 6;
-        assert_eq!(
-            scan_watch.update(false, &counts, at(8.0)),
-            Some(News::Missing(3.0, Scanless::Unreadable { packets: 7 }))
-        );
-        assert_eq!(scan_watch.update(true, &counts, at(9.0)), None);
-        assert_eq!(scan_watch.update(false, &counts, at(12.0)), Some(News::Missing(3.0, Scanless::Nothing)));
+        assert_eq!(said(false, &counts, 8.0), missing(Scanless::Unreadable { packets: 7 }));
+        assert_eq!(said(true, &counts, 9.0), "None");
+        assert_eq!(said(false, &counts, 12.0), missing(Scanless::Nothing));
         counts.scans = 9;
-        assert_eq!(scan_watch.update(false, &counts, at(12.1)), Some(News::Begun));
+        assert_eq!(said(false, &counts, 12.1), "Some(Scans)");
     }
 
     #[test]
     fn slow_boards_and_streams_without_time_are_given_longer() {
         let mut slow = ScanWatch::new(Duration::from_secs(2));
         let counts = Counts::default();
-        assert_eq!(slow.update(true, &counts, at(0.0)), None);
-        assert_eq!(slow.update(false, &counts, at(5.9)), None);
-        assert!(matches!(slow.update(false, &counts, at(6.0)), Some(News::Missing(..))));
+        assert!(slow.update(true, &counts, at(0.0)).is_none());
+        assert!(slow.update(false, &counts, at(5.9)).is_none());
+        assert!(matches!(slow.update(false, &counts, at(6.0)), Some(StreamEvent::Scanless(..))));
         let mut timeless = ScanWatch::new(Duration::from_micros(250));
         assert!((0..10).all(|number| timeless.update(number == 0, &counts, None).is_none()));
         // The first read with a time starts the watch.
-        assert_eq!(timeless.update(false, &counts, at(100.0)), None);
-        assert!(matches!(timeless.update(false, &counts, at(103.0)), Some(News::Missing(..))));
+        assert!(timeless.update(false, &counts, at(100.0)).is_none());
+        assert!(matches!(timeless.update(false, &counts, at(103.0)), Some(StreamEvent::Scanless(..))));
     }
 }

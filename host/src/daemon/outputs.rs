@@ -7,12 +7,13 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use crossbeam_channel::TryRecvError;
 use slitpose_head::threads::join;
 use slitpose_model::Photocurrents;
 use slitpose_protocol::{Rejection, Reply, Severity};
 
 use super::error::BoardError;
-use super::handoff::{Consumer, Empty, Producer};
+use super::handoff::{Consumer, Producer};
 use super::tap::Tap;
 use crate::background::spawn;
 use crate::datagram::{DatagramServer, Publisher};
@@ -291,8 +292,8 @@ fn print(
                 printed.fetch_add(1, Ordering::Relaxed);
                 (written, false)
             }
-            Err(Empty::ForNow) => (Ok(()), false),
-            Err(Empty::Closed) => (Ok(()), true),
+            Err(TryRecvError::Empty) => (Ok(()), false),
+            Err(TryRecvError::Disconnected) => (Ok(()), true),
         };
         let ticked = match (&failed, is_over) {
             (Some(_), _) => Ok(()),

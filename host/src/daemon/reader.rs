@@ -10,9 +10,10 @@ use crossbeam_channel::Receiver;
 use super::board::{BoardPlan, BoardSlot, Claims};
 use super::error::BoardError;
 use super::handoff::ReaderEnd;
+use super::link::StreamEvent;
 use super::opener::Feed;
-use super::solver::{Solver, StreamEvent};
-use crate::device::{DeviceError, Keep};
+use super::solver::Solver;
+use crate::device::DeviceError;
 use crate::terminal::say;
 use slitpose_tracking::link::DeviceId;
 use slitpose_tracking::pipeline::head_of;
@@ -47,12 +48,6 @@ pub(super) struct Reader {
     pub(super) stop: Arc<AtomicBool>,
 }
 
-enum Ending {
-    /// As requested, or because the stream is complete.
-    Wanted(Keep),
-    Lost(BoardError),
-}
-
 impl Reader {
     /// Reads until it is stopped, the stream is complete, or the board is given up.
     pub(super) fn run(mut self) -> Result<(), BoardError> {
@@ -69,15 +64,9 @@ impl Reader {
         loop {
             self.has_scans = false;
             self.claims.release(&self.claimant);
-            let error = match self.connect() {
-                Ok(mut board) => {
-                    let ending = self.listen(&mut *board);
-                    match ending {
-                        Ending::Wanted(keep) => return self.end(&mut *board, keep),
-                        // Dropping the conversation stops the board, if it can still be reached.
-                        Ending::Lost(error) => error,
-                    }
-                }
+            // A board that is lost is dropped, which stops it, if it can still be reached.
+            let error = match self.connect().and_then(|mut board| self.listen(&mut *board).map(|()| board)) {
+                Ok(mut board) => return self.end(&mut *board),
                 Err(error) => error,
             };
             if self.has_scans {
@@ -140,34 +129,31 @@ impl Reader {
         Ok(board)
     }
 
-    fn listen(&mut self, board: &mut dyn Feed) -> Ending {
+    /// Passes on what the board sends, until it shall end or the stream is complete; the error says why it is lost.
+    fn listen(&mut self, board: &mut dyn Feed) -> Result<(), BoardError> {
         self.pass_on(board, true);
         loop {
             match self.next_event() {
-                Some(StreamEvent::Complete) => return Ending::Wanted(Keep::Replies),
+                Some(StreamEvent::Complete) => return Ok(()),
                 Some(StreamEvent::Scans) => {
                     self.has_scans = true;
                     self.slot.link.running(&board.name());
                 }
                 Some(StreamEvent::Scanless(seconds, cause)) => {
-                    return Ending::Lost(DeviceError::NoScans { name: board.name(), seconds, cause }.into());
+                    return Err(DeviceError::NoScans { name: board.name(), seconds, cause }.into());
                 }
-                Some(StreamEvent::Unusable(error)) => return Ending::Lost(error),
+                Some(StreamEvent::Unusable(error)) => return Err(error),
                 Some(StreamEvent::Stopped(reason)) => {
                     let reason = reason.unwrap_or_else(|| "it gives no reason; reset the board".to_owned());
-                    return Ending::Lost(DeviceError::Stopped { name: board.name(), reason }.into());
+                    return Err(DeviceError::Stopped { name: board.name(), reason }.into());
                 }
-                None if self.stops() => return Ending::Wanted(Keep::All),
+                None if self.stops() => return Ok(()),
                 None => {}
             }
-            match board.listen() {
-                Ok(more) => {
-                    let is_taken = self.pass_on(board, false);
-                    if !more || !is_taken {
-                        return Ending::Wanted(Keep::All);
-                    }
-                }
-                Err(error) => return Ending::Lost(error.into()),
+            let more = board.listen()?;
+            let is_taken = self.pass_on(board, false);
+            if !more || !is_taken {
+                return Ok(());
             }
         }
     }
@@ -180,8 +166,8 @@ impl Reader {
     }
 
     /// Stops the board and passes on the bytes that were still under way.
-    fn end(&mut self, board: &mut dyn Feed, keep: Keep) -> Result<(), BoardError> {
-        let stopped = board.stop(keep);
+    fn end(&mut self, board: &mut dyn Feed) -> Result<(), BoardError> {
+        let stopped = board.stop();
         self.pass_on(board, false);
         if let Err(DeviceError::NoReply { .. }) = stopped {
             say(format_args!("the emitters of the board may still be lit; it goes dark when its port is closed"));

@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use crossbeam_channel::TryRecvError;
 use slitpose_protocol::{Hello, MAX_MESSAGE_BYTES, Message, encode};
 use thread_priority::{
     RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
@@ -13,7 +14,7 @@ use thread_priority::{
 };
 
 use super::error::BoardError;
-use super::handoff::{Empty, Producer, buffer_pool};
+use super::handoff::{Producer, buffer_pool};
 use crate::background::spawn;
 use slitpose_tracking::link::{DeviceId, Segment};
 use slitpose_tracking::pipeline::Record;
@@ -54,15 +55,6 @@ impl TapChunk {
     }
 }
 
-/// What to do with a chunk while the taker is behind.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Overflow {
-    /// The board's threads wait, and device time with them.
-    Wait,
-    /// The chunk is dropped, and the next one says so: a slow disk must not delay poses.
-    Drop,
-}
-
 /// What a board needs of a taker.
 #[derive(Clone, Debug)]
 pub(super) struct TapEnds {
@@ -82,7 +74,9 @@ pub(super) struct Tap {
     ends: TapEnds,
     /// The same when the segment in hand began.
     is_on: bool,
-    overflow: Overflow,
+    /// Whether the board keeps time: then a chunk is dropped while the taker is behind, and the next one says so, for a
+    /// slow disk must not delay poses. Else the board's threads wait, and device time with them.
+    keeps_time: bool,
     due: Due,
     under_way: Option<TapChunk>,
     /// The current chunk is long enough; poses of its last scans may still come.
@@ -99,12 +93,12 @@ pub(super) struct Tap {
 
 impl Tap {
     /// The queue of the board of this number.
-    pub(super) fn new(board: usize, ends: TapEnds, overflow: Overflow) -> Self {
+    pub(super) fn new(board: usize, ends: TapEnds, keeps_time: bool) -> Self {
         Self {
             board,
             ends,
             is_on: true,
-            overflow,
+            keeps_time,
             due: Due(f64::NEG_INFINITY),
             under_way: None,
             is_full: false,
@@ -131,10 +125,8 @@ impl Tap {
         if self.under_way.is_some() {
             return;
         }
-        let spare = match self.overflow {
-            Overflow::Wait => self.ends.chunks.spare(),
-            Overflow::Drop => self.ends.chunks.spare_now(),
-        };
+        let chunks = &self.ends.chunks;
+        let spare = if self.keeps_time { chunks.spare_now() } else { chunks.spare() };
         self.under_way = spare.map(|mut chunk| {
             chunk.clear();
             chunk.board = self.board;
@@ -282,8 +274,8 @@ pub(super) fn start(
                     taker.chunk(&chunk);
                     consumer.give_back(chunk);
                 }
-                Err(Empty::ForNow) => {}
-                Err(Empty::Closed) => return taker.end(),
+                Err(TryRecvError::Empty) => {}
+                Err(TryRecvError::Disconnected) => return taker.end(),
             }
             taker.tick();
         }

@@ -112,7 +112,15 @@ impl DatagramServer {
         }
         directory.boards.retain(|board| board.device != device);
         directory.boards.push(Board { device, slot: Arc::downgrade(&slot), subscriptions: sender });
-        Publisher::new(Arc::clone(&self.shared), slot, receiver)
+        Publisher {
+            shared: Arc::clone(&self.shared),
+            slot,
+            subscriptions: receiver,
+            followers: Vec::with_capacity(MAX_FOLLOWERS),
+            number: 0,
+            missed: 0,
+            is_behind: false,
+        }
     }
 
     pub fn counts(&self) -> DatagramCounts {
@@ -237,18 +245,6 @@ pub struct Publisher {
 }
 
 impl Publisher {
-    pub(super) fn new(shared: Arc<Shared>, slot: Arc<Slot>, subscriptions: Receiver<Subscription>) -> Self {
-        Self {
-            shared,
-            slot,
-            subscriptions,
-            followers: Vec::with_capacity(MAX_FOLLOWERS),
-            number: 0,
-            missed: 0,
-            is_behind: false,
-        }
-    }
-
     /// Sends a pose to all followers, and stores it for clients that request the newest.
     pub fn publish(&mut self, record: &Record, now: HostInstant) {
         self.number += 1;

@@ -52,15 +52,6 @@ impl PassedSocket {
     }
 }
 
-/// A party in the sharing of places.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Party {
-    /// A user of this host.
-    User(u32),
-    /// Any client by UDP, where users are unknown.
-    Udp,
-}
-
 impl Peer {
     pub(super) fn process(&self) -> Option<i32> {
         match self {
@@ -69,10 +60,11 @@ impl Peer {
         }
     }
 
-    pub(super) fn party(&self) -> Party {
+    /// Its user; `None` by UDP, where users are unknown.
+    pub(super) fn user(&self) -> Option<u32> {
         match self {
-            Self::Passed(peer) => Party::User(peer.user),
-            Self::Udp(_) => Party::Udp,
+            Self::Passed(peer) => Some(peer.user),
+            Self::Udp(_) => None,
         }
     }
 }

@@ -77,7 +77,7 @@ impl Contact {
     /// Waits for the board, which restarts or was unplugged, until it answers again, `within` this time. `open`: at a port
     /// that stays, as that of a debugger outlives the board behind it.
     pub(crate) fn await_return(
-        &mut self,
+        &self,
         mut open: Option<Conversation>,
         within: Duration,
     ) -> Result<(Conversation, BoardInfo), DeviceError> {
@@ -85,8 +85,11 @@ impl Contact {
         let until = Instant::now() + within;
         while Instant::now() < until {
             // It may be there and not yet be allowed to this user, or not yet be ready.
-            let mut reopened = || Conversation::open(Box::new(self.open().ok()?)).ok();
-            let Some(mut board) = open.take().or_else(&mut reopened) else {
+            let reopened = || {
+                let there = locate(&self.selector, self.known.as_ref())?;
+                Conversation::open(Box::new(SerialDevice::open(&there.port).ok()?)).ok()
+            };
+            let Some(mut board) = open.take().or_else(reopened) else {
                 sleep(LOOK_EVERY);
                 continue;
             };

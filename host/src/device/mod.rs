@@ -10,7 +10,7 @@
 //! The host drops no bytes: those not fetched wait in the operating system, then in the board's queue, which drops its
 //! oldest scans when full and so leaves gaps in their numbers.
 
-pub(crate) use conversation::{Conversation, Keep};
+pub(crate) use conversation::{Conversation, HELLO_WITHIN};
 pub(crate) use discovery::{Contact, Found, Selector, find, list};
 pub use error::{DeviceError, Scanless};
 pub(crate) use listed::{BoardInfo, Listed, Port, PortState, UsbId};

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use slitpose_protocol::{Command, HeadPart, MAX_REQUEST_BYTES, Message, Rejection, Request, Status, encode};
 
-use super::conversation::{Conversation, Keep, REPLY_WITHIN};
+use super::conversation::{Conversation, REPLY_WITHIN};
 use super::error::DeviceError;
 use super::listed::BoardInfo;
 use crate::background::Background;
@@ -20,7 +20,7 @@ impl Conversation {
     /// [`greet`](Self::greet)s the board and returns its hello. The caller decides whether the board can be used.
     pub(crate) fn introduce(&mut self, within: Duration) -> Result<BoardInfo, DeviceError> {
         let mut last = None;
-        self.greet_within(within, |hello| {
+        self.greet(within, |hello| {
             last = Some(BoardInfo::from(hello));
             Ok::<_, DeviceError>(())
         })?;
@@ -62,7 +62,7 @@ impl Conversation {
     pub(crate) fn order(&mut self, command: Command) -> Result<(), DeviceError> {
         self.forget();
         self.decoder.reset();
-        self.ask(command, Keep::Replies, REPLY_WITHIN).map(drop)
+        self.ask(command, REPLY_WITHIN)
     }
 }
 

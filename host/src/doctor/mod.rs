@@ -9,7 +9,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant, UNIX_EPOCH};
 use std::{fs, io};
 
-pub(crate) use bring_up::{BringUp, Step, scene as scene_of_bring_up};
+pub(crate) use bring_up::{BringUp, Step};
 use flate2::Compression;
 use flate2::write::GzEncoder;
 use nix::sys::statvfs::statvfs;

@@ -214,18 +214,13 @@ fn header_and_examples_compile_without_warnings_in_every_standard() {
     let alone = folder.path().join("alone.c");
     std::fs::write(&alone, "#define _POSIX_C_SOURCE 200809L\n#include \"slitpose_pose.h\"\n").unwrap();
     let sources = [alone, host("examples/c/follow_pose.c"), host("examples/c/virtual_wall.c")];
-    let in_c: &[&[&str]] = &[&["-std=c99"], &["-std=c11"]];
-    let in_cpp: &[&[&str]] = &[&["-x", "c++", "-std=c++11"], &["-x", "c++", "-std=c++17"]];
-    for (compiler, standards) in [("cc", in_c), ("c++", in_cpp)] {
-        for (standard, source) in standards.iter().flat_map(|s| sources.iter().map(move |source| (s, source))) {
-            let mut command = Command::new(compiler);
-            command.args(*standard).args(WARNINGS).arg("-O2").arg("-I").arg(host("include"));
-            let output = command
-                .args(["-c", "-o"])
-                .arg(folder.path().join("object"))
-                .arg(source)
-                .output()
-                .expect("cc and c++; on Debian: apt-get install g++");
+    for (language, standard) in [("c", "c99"), ("c", "c11"), ("c++", "c++11"), ("c++", "c++17")] {
+        for source in &sources {
+            let mut command = Command::new(if language == "c" { "cc" } else { "c++" });
+            command.args(["-x", language]).arg(format!("-std={standard}")).args(WARNINGS);
+            command.args(["-O2", "-I"]).arg(host("include"));
+            command.args(["-c", "-o"]).arg(folder.path().join("object")).arg(source);
+            let output = command.output().expect("cc and c++; on Debian: apt-get install g++");
             assert!(output.status.success(), "{command:?}: {}", String::from_utf8_lossy(&output.stderr));
         }
     }

@@ -17,16 +17,16 @@ use slitpose_head::finding::Grade::Failed;
 /// Duration of the measurement, seconds.
 const DURATION_S: f64 = 2.0;
 
-pub(super) fn link(bench: &mut Bench<'_>) -> Result<Vec<Finding>> {
+pub(super) fn link(bench: &mut Bench) -> Result<Vec<Finding>> {
     let (mut board, info) = bench.connect()?;
     let (mut findings, _) = link::judge(&info);
     let dark = sampling::at(bench.schedule()?, Level(0));
-    let measured = measurement::measure(&mut board, bench.scene, dark, DURATION_S, &mut Vec::new())?;
+    let measured = measurement::measure(&mut board, &bench.scene, dark, DURATION_S, &mut Vec::new())?;
     findings.extend(measured.dark_checks());
     Ok(findings)
 }
 
-pub(super) fn supply(bench: &mut Bench<'_>) -> Result<Vec<Finding>> {
+pub(super) fn supply(bench: &mut Bench) -> Result<Vec<Finding>> {
     let status = bench.connect()?.0.status()?;
     Ok(judge_supply(&status).into())
 }
@@ -54,7 +54,7 @@ const SCANS: usize = 40;
 const CLOSED_OWN_PORT: Duration = Duration::from_secs(1);
 const CLOSED_SERIAL: Duration = Duration::from_secs(3);
 
-pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>> {
+pub(super) fn take(bench: &mut Bench) -> Result<Vec<Finding>> {
     let (mut board, _) = bench.connect()?;
     let configuration = sampling::at(bench.schedule()?, Level::NOMINAL);
     let taken = sample(&mut board, configuration, SCANS)?.scans.len();
@@ -72,7 +72,7 @@ pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>> {
     let (mut board, _) = bench.connect()?;
     let statuses = [board.status()?, board.status()?];
     // Whatever was found, it is dark now.
-    board.stop(crate::device::Keep::Replies)?;
+    board.stop()?;
     let when = format!("after the port was closed for {} s", closed.as_secs());
     findings.push(judge("port closed", &when, &statuses));
     Ok(findings)
@@ -102,7 +102,7 @@ const HELLO_WITHIN: Duration = Duration::from_secs(1);
 /// What a board starts with.
 type Stored = (Hashes, Schedule);
 
-pub(super) fn take_storage(bench: &mut Bench<'_>, cut_power: &mut dyn FnMut() -> bool) -> Result<Vec<Finding>> {
+pub(super) fn take_storage(bench: &mut Bench) -> Result<Vec<Finding>> {
     if bench.is_simulated() {
         return Ok(vec![Finding::skipped("storage", "a simulated board stores nothing")]);
     }
@@ -125,7 +125,7 @@ pub(super) fn take_storage(bench: &mut Bench<'_>, cut_power: &mut dyn FnMut() ->
         (info.hashes, info.schedule)
     };
     drop(board);
-    let is_cut = cut_power();
+    let is_cut = (bench.cut_power)();
     let after = if is_cut {
         bench.reconnect(BACK_WITHIN)?.1
     } else {
@@ -145,7 +145,7 @@ pub(super) fn take_storage(bench: &mut Bench<'_>, cut_power: &mut dyn FnMut() ->
     Ok(findings)
 }
 
-fn restart(bench: &mut Bench<'_>, mut board: Conversation) -> Result<(Conversation, BoardInfo)> {
+fn restart(bench: &mut Bench, mut board: Conversation) -> Result<(Conversation, BoardInfo)> {
     board.order(Command::Reboot(BootTarget::Firmware))?;
     drop(board);
     std::thread::sleep(DISCONNECTED);
