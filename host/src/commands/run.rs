@@ -198,14 +198,8 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         None => None,
     };
     let foxglove = args.foxglove.start(shown(), reports())?;
-    let status = match &args.status {
-        Some(address) => {
-            let server = StatusServer::start(address, reports())?;
-            talk(format_args!("status at {}", server.address));
-            Some(server)
-        }
-        None => None,
-    };
+    let status = args.status.as_ref().map(|address| StatusServer::start(address, reports())).transpose()?;
+    status.iter().for_each(|server| talk(format_args!("status at {}", server.address)));
     let capture = args.record.open(is_recorded_later)?;
     let mut takers: Vec<Arc<dyn SampleSink>> = Vec::new();
     takers.extend(live.iter().map(|live| Arc::new(live.input.clone()) as Arc<dyn SampleSink>));

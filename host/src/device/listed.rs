@@ -1,4 +1,4 @@
-//! What is known of ports and boards: USB descriptors, what answers at a port, what a board says of itself.
+//! A port as it is listed: its USB descriptors, its state, what the board there says of itself.
 
 use std::path::{Path, PathBuf};
 

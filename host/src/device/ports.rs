@@ -1,4 +1,5 @@
-//! The serial ports of this host; and what answers at a port, asked by one Hello, so that other devices are not disturbed.
+//! Lists the serial ports of this host. Whether a board answers there is asked by one Hello, so that other devices are
+//! not disturbed.
 
 use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
