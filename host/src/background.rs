@@ -1,7 +1,7 @@
-//! Threads that end with what they serve.
+//! Starts threads, some of which end with what they serve.
 
 use std::io;
-use std::thread::JoinHandle;
+use std::thread::{self, JoinHandle};
 
 /// A thread that runs until its owner drops this, and with it `end`, by which the thread notices.
 #[derive(Debug)]
@@ -12,8 +12,7 @@ pub(crate) struct Background<E> {
 
 impl<E> Background<E> {
     pub(crate) fn spawn(name: &str, end: E, run: impl FnOnce() + Send + 'static) -> io::Result<Self> {
-        let thread = std::thread::Builder::new().name(name.to_owned()).spawn(run)?;
-        Ok(Self { end: Some(end), thread: Some(thread) })
+        Ok(Self { end: Some(end), thread: Some(spawn(name.to_owned(), run)?) })
     }
 }
 
@@ -25,4 +24,15 @@ impl<E> Drop for Background<E> {
             let _ = thread.join();
         }
     }
+}
+
+/// The stack size of the main thread: scenes and pipelines take tens of kilobytes, and are moved during construction.
+const STACK_BYTES: usize = 8 << 20;
+
+/// Starts a thread of this name.
+pub(crate) fn spawn<T: Send + 'static>(
+    name: String,
+    run: impl FnOnce() -> T + Send + 'static,
+) -> io::Result<JoinHandle<T>> {
+    thread::Builder::new().name(name).stack_size(STACK_BYTES).spawn(run)
 }

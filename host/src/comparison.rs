@@ -1,6 +1,6 @@
 //! Errors of poses against a reference, axis by axis.
 
-use slitpose_calibration::{Reports, other_reading};
+use slitpose_calibration::{Reports, median, other_reading};
 use slitpose_head::simulator::{PathError, Trajectory};
 use slitpose_head::table::{Column, PoseColumns, TableError, TableReader};
 use slitpose_model::{Estimate, Pose};
@@ -385,10 +385,4 @@ fn miss(tried: &[&Kept], reference: impl Fn(&Kept) -> Option<Pose>) -> f64 {
 
 fn distance(kept: &Kept, reference: &Pose) -> Option<f64> {
     kept.estimate.nees(reference).map(f64::sqrt)
-}
-
-/// Infinite of none.
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::INFINITY)
 }

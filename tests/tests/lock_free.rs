@@ -22,7 +22,7 @@ mod thread {
     }
 }
 
-#[path = "../../host/src/daemon/sleeper.rs"]
+#[path = "../../host/src/daemon/handoff/sleeper.rs"]
 mod sleeper;
 #[path = "../../host/src/datagram/slot.rs"]
 mod slot;

@@ -25,7 +25,7 @@ const BACKLOG: usize = 128;
 
 struct Shown {
     context: Arc<Context>,
-    boards: Vec<Option<Board>>,
+    boards: Vec<Board>,
     report: Arc<RawChannel>,
 }
 
@@ -42,17 +42,15 @@ pub(crate) fn serve_foxglove(
         error => ServeError::of(&place, std::io::Error::other(error)),
     };
     let (input, inputs) = LiveInput::new();
-    let mut url = String::new();
-    let serving = Serving::start("foxglove", &place, async || {
+    let (serving, url) = Serving::start("foxglove", &place, async || {
         let context = Context::new();
         let server = serve(&context, address).await.map_err(failed)?;
         let address = SocketAddr::new(address.ip(), server.port());
-        url = format!("ws://{address}");
         let channel = context.channel_builder("/slitpose/report").message_encoding("json");
         let mut shown = Shown { report: channel.build_raw().map_err(failed)?, context, boards: Vec::new() };
         shown.accept(Input::Boards(boards));
         tokio::spawn(shown.follow(inputs, report, server, address));
-        Ok(())
+        Ok(format!("ws://{address}"))
     })?;
     Ok((url, input, serving))
 }
@@ -84,7 +82,7 @@ impl Shown {
         loop {
             tokio::select! {
                 _ = ticks.tick() => {
-                    self.boards.iter().flatten().for_each(Board::show_head);
+                    self.boards.iter().for_each(Board::show_head);
                     self.report(&report());
                     if is_deaf(address) {
                         // Also closes what was connected, and may be in the way.
@@ -104,14 +102,14 @@ impl Shown {
     fn accept(&mut self, input: Input) {
         match input {
             Input::Sample(number, sample) => {
-                if let Some(Some(board)) = self.boards.get_mut(number) {
+                if let Some(board) = self.boards.get_mut(number) {
                     // Channels of a topic and a schema, as all these are, can always be made.
                     let _ = board.show(&sample, &self.context);
                 }
             }
             Input::Boards(boards) => {
-                let shown = |(number, board): (usize, LiveBoard)| board.head.map(|head| Board::new(number, head));
-                self.boards = boards.into_iter().enumerate().map(shown).collect();
+                let boards = boards.into_iter().enumerate();
+                self.boards = boards.map(|(number, board)| Board::new(number, board.head)).collect();
             }
             Input::Report(report) => self.report(&report),
             // Captures are played for the live page only.

@@ -8,7 +8,6 @@ mod spacenav;
 mod zenoh;
 
 use std::net::SocketAddr;
-use std::sync::Arc;
 
 use anyhow::Result;
 
@@ -19,7 +18,7 @@ pub(crate) use spacenav::{Axes, Feel, SpacenavInput, SpacenavServer};
 pub(crate) use zenoh::open_zenoh;
 
 use crate::address::{Address, ServeError, tcp_address};
-use crate::daemon::{Opener, StreamPlan, Talk};
+use crate::daemon::{Opener, StreamPlan};
 use crate::live::LiveBoard;
 use crate::telemetry::DaemonReport;
 
@@ -53,14 +52,12 @@ pub(crate) const DEFAULT_ROUTER: &str = "tcp/localhost:7447";
 
 /// A network over which boards come and go.
 pub(crate) trait Bridge {
-    /// Publishes boards, with a pose each `pose_every_s` of device time. `report`: the state of the daemon; `talk` tells
-    /// the user.
+    /// Publishes boards, with a pose each `pose_every_s` of device time. `report`: the state of the daemon.
     fn publisher(
         &self,
         boards: Vec<LiveBoard>,
         pose_every_s: f64,
         report: Box<dyn Fn() -> DaemonReport + Send>,
-        talk: Arc<Talk>,
     ) -> StreamPlan;
 
     /// Opens the board that another daemon publishes; `key` is what its topics begin with.

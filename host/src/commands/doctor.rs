@@ -9,7 +9,7 @@ use anyhow::Context;
 use super::device::BoardOptions;
 use super::options::parse_duration;
 use super::{CommandError, Outcome, options, talk};
-use crate::doctor::{BringUp, Bundle, Step, Subject, examine, scene_of_bring_up};
+use crate::doctor::{BringUp, Bundle, Step, Subject, examine};
 use crate::terminal;
 use crate::terminal::Tone;
 use slitpose_head::finding::{Finding, Grade};
@@ -125,15 +125,16 @@ impl Report {
 }
 
 fn bring_up(args: &Args, given: Option<&SceneFile>) -> Result<Outcome, CommandError> {
-    let (device, search) = (&args.board.device, &args.board.search[..]);
+    let BoardOptions { device, search } = &args.board;
     let mut report = Report::open()?;
     let asks = !args.yes && io::stdin().is_terminal();
     let mut findings = Vec::new();
-    let found = scene_of_bring_up(device, search, given, &mut findings);
+    let plugs = "take all cables off the board for two seconds, plug them in again, and press Enter";
+    let cut_power = Box::new(move || asks && wait_for_enter(plugs).is_ok());
+    let begun = BringUp::begin(device, search, given, cut_power, &mut findings);
     findings.iter().try_for_each(|finding| report.finding(finding))?;
     let mut failed_steps = Vec::new();
-    if let Some((scene, schedule)) = found {
-        let mut bring_up = BringUp::new(device, search, &scene, schedule);
+    if let Some(mut bring_up) = begun {
         for step in args.step.map_or_else(|| Step::ALL.to_vec(), |step| vec![step]) {
             report.line(&format!("{step}: {}", step.preparation))?;
             report.line(&format!("{:8} {}", "expected", step.expectation))?;
@@ -141,9 +142,7 @@ fn bring_up(args: &Args, given: Option<&SceneFile>) -> Result<Outcome, CommandEr
                 wait_for_enter("press Enter when it is so")?;
             }
             let before = report.failed;
-            let plugs = "take all cables off the board for two seconds, plug them in again, and press Enter";
-            let mut cut_power = || asks && wait_for_enter(plugs).is_ok();
-            bring_up.take(step, &mut cut_power).iter().try_for_each(|finding| report.finding(finding))?;
+            bring_up.take(step).iter().try_for_each(|finding| report.finding(finding))?;
             if report.failed > before {
                 failed_steps.push(step.name);
             }

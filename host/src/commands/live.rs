@@ -201,6 +201,6 @@ impl ZenohOptions {
     ) -> Option<StreamPlan> {
         let session = session.filter(|_| self.zenoh)?;
         let pose_every_s = if self.zenoh_poses > 0.0 { self.zenoh_poses.recip() } else { 0.0 };
-        Some(session.publisher(boards(), pose_every_s, Box::new(report), Arc::new(talk)))
+        Some(session.publisher(boards(), pose_every_s, Box::new(report)))
     }
 }

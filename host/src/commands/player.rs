@@ -69,7 +69,7 @@ impl Player {
 
     /// Shows these boards from now on, by the samplers that are returned.
     pub(super) fn show(&self, boards: &[Board]) -> Vec<Sampler> {
-        let shown = |board: &Board| LiveBoard { name: board.name(), head: Some(board.head.clone()) };
+        let shown = |board: &Board| LiveBoard { name: board.name(), head: board.head.clone() };
         self.live.show(Input::Boards(boards.iter().map(shown).collect()));
         (0..boards.len()).map(|number| Sampler::new(number, Arc::new(self.live.clone()))).collect()
     }

@@ -1,11 +1,9 @@
 //! The capture that `run` records.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
 use super::options::{parse_duration, poses_hz};
-use super::talk;
 use crate::daemon::CapturePlan;
 use crate::telemetry::report_schema;
 use slitpose_tracking::capture::{CaptureError, CaptureSeries, Existing, Limits};
@@ -43,7 +41,7 @@ impl RecordOptions {
             return Ok(None);
         }
         let poses_hz = if self.record_poses > 0.0 { self.record_poses } else { f64::INFINITY };
-        Ok(Some(CapturePlan { series, poses_hz, talk: Arc::new(talk) }))
+        Ok(Some(CapturePlan { series, poses_hz }))
     }
 
     /// Begins another capture, named by the time, beside the one asked for, else in the working directory.

@@ -178,7 +178,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let access = args.live.access()?;
     let is_recorded_later = access.as_ref().is_some_and(|access| access.may_write);
     let shown = || {
-        let shown = |board: &BoardPlan| LiveBoard { name: board.opener.name(), head: Some(board.head.clone()) };
+        let shown = |board: &BoardPlan| LiveBoard { name: board.opener.name(), head: board.head.clone() };
         boards.iter().map(shown).collect()
     };
     let live = match access {
@@ -198,14 +198,8 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         None => None,
     };
     let foxglove = args.foxglove.start(shown(), reports())?;
-    let status = match &args.status {
-        Some(address) => {
-            let server = StatusServer::start(address, reports())?;
-            talk(format_args!("status at {}", server.address));
-            Some(server)
-        }
-        None => None,
-    };
+    let status = args.status.as_ref().map(|address| StatusServer::start(address, reports())).transpose()?;
+    status.iter().for_each(|server| talk(format_args!("status at {}", server.address)));
     let capture = args.record.open(is_recorded_later)?;
     let mut takers: Vec<Arc<dyn SampleSink>> = Vec::new();
     takers.extend(live.iter().map(|live| Arc::new(live.input.clone()) as Arc<dyn SampleSink>));
@@ -390,7 +384,6 @@ impl Args {
             until_s: self.poses.duration,
             patience,
             keeps_time,
-            talk: Arc::new(talk),
         })
     }
 }

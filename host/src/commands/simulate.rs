@@ -12,7 +12,7 @@ use super::faults::FaultOptions;
 use super::options::{CalibrationOption, DEFAULT_TOLERANCE, TierOptions, open_scene, parse_duration};
 use super::{CommandError, Outcome, interrupt, options, talk};
 use crate::comparison::NothingMatches;
-use crate::device::{Conversation, DeviceError, Keep, SimulatedDevice};
+use crate::device::{Conversation, DeviceError, HELLO_WITHIN, SimulatedDevice};
 use crate::telemetry::report_schema;
 use slitpose_head::faults::{Faults, Injector};
 use slitpose_head::foreign::printable;
@@ -109,7 +109,7 @@ pub(super) fn record(
     let configuration = front_end::configuration(&head.file)?;
     let mut board = Conversation::open(Box::new(device))?;
     let mut device = DeviceId::default();
-    board.greet(|hello| {
+    board.greet(HELLO_WITHIN, |hello| {
         device = DeviceId(hello.device_id);
         Ok::<_, DeviceError>(())
     })?;
@@ -123,7 +123,7 @@ pub(super) fn record(
             return Err(OutputError::Interrupted { target: record.output.target().to_owned() }.into());
         }
     }
-    board.stop(Keep::All)?;
+    board.stop()?;
     record.write(&mut board)?;
     record.finish()
 }

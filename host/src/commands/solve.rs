@@ -6,9 +6,9 @@ use slitpose_model::Pair;
 
 use super::options::{CalibrationOption, Jobs, TierOptions, UNREADABLE, open_scene};
 use super::{CommandError, Outcome, options};
+use crate::sink::{Get, PoseColumn, PoseRow, solution_columns};
 use slitpose_head::table::{
-    Column, CurrentColumns, Output, Row, Rows, SOLUTION_COLUMNS, SolutionRow, TableError, TableReader, TableRows,
-    TableWriter,
+    Column, CurrentColumns, Output, Row, Rows, TableError, TableReader, TableRows, TableWriter,
 };
 use slitpose_tracking::solving::{RowSolver, STREAM_TOLERANCE};
 
@@ -56,9 +56,10 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         currents: CurrentColumns::find(&currents, solver.cells())?,
         frames: currents.optional_column("frames")?,
     };
-    let header = std::iter::once("id").chain(SOLUTION_COLUMNS);
+    let poses = solution_columns();
+    let header = std::iter::once("id").chain(poses.iter().map(|(name, _)| name.as_str()));
     let table = TableWriter::new(Output::open(args.output.as_deref())?, header)?;
-    args.jobs.table("solve", &mut currents, table, |rows, table| solve(&solver, &columns, rows, table))
+    args.jobs.table("solve", &mut currents, table, |rows, table| solve(&solver, &columns, &poses, rows, table))
 }
 
 /// Where the table of currents keeps what is read of it.
@@ -93,6 +94,7 @@ impl Columns {
 fn solve(
     solver: &RowSolver,
     columns: &Columns,
+    poses: &[PoseColumn],
     rows: &Rows,
     table: &mut TableRows,
 ) -> Result<Vec<TableError>, CommandError> {
@@ -114,27 +116,29 @@ fn solve(
         let ready = solver.with_frames(run[0].frames)?;
         for row in run {
             let readings = ready.readings((0..cells).map(|cell| row.currents.get(cell).copied()));
-            let mut solution = SolutionRow::of(&ready.solve(&readings));
+            let solution = ready.solve(&readings);
+            table.text(row.id);
             if row.currents.is_empty() {
-                solution.status = UNREADABLE;
+                table.text(UNREADABLE);
             }
-            write(table, row.id, &solution);
+            // The first column is the status.
+            write(table, &poses[usize::from(row.currents.is_empty())..], &PoseRow::of(&solution));
         }
     }
     Ok(faults)
 }
 
-fn write(table: &mut TableRows, id: &str, solution: &SolutionRow) {
-    table.text(id);
-    table.text(solution.status);
-    for number in solution.numbers {
-        table.optional(number);
+fn write(table: &mut TableRows, columns: &[PoseColumn], row: &PoseRow<'_>) {
+    for (_, get) in columns {
+        match get {
+            Get::Integer(get) => match get(row) {
+                Some(value) => table.integer(value as usize),
+                None => table.text(""),
+            },
+            Get::Number(get) => table.optional(get(row)),
+            Get::Word(get) => table.text(&get(row)),
+            Get::Flag(get) => table.text(if get(row) { "true" } else { "false" }),
+        }
     }
-    table.integer(solution.iterations);
-    table.integer(solution.cells_used);
-    table.text(&solution.free_directions);
-    table.text(&solution.excluded_cells);
-    table.text(solution.verified);
-    table.text(solution.reason);
     table.end_row();
 }

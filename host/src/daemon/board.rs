@@ -7,28 +7,27 @@ use std::time::Duration;
 
 use crossbeam_channel::bounded;
 use slitpose_calibration::Head;
-use slitpose_head::board_head::BoardHeadError;
 use slitpose_head::threads::{join, lock};
 use slitpose_model::Tier;
-use slitpose_protocol::{Configuration, Rejection, Stream};
-use thiserror::Error;
+use slitpose_protocol::{Configuration, Stream};
 
 use super::backlog::Backlog;
+use super::error::BoardError;
 use super::handoff::{Producer, buffer_pool, handoff};
 use super::link::{Link, ScanWatch};
 use super::opener::{Admit, Opener};
 use super::outputs::{Outbox, Outputs, Pending};
 use super::reader::Reader;
 use super::solver::{Solver, State};
-use super::tap::{Overflow, Tap, TapEnds};
-use super::{Talk, spawn, tap};
+use super::tap::{self, Tap, TapEnds};
+use crate::background::spawn;
 use crate::datagram::DatagramServer;
-use crate::device::DeviceError;
 use crate::live::{SampleSink, Sampler};
 use crate::telemetry::{BoardReport, BoardStatistics};
+use crate::terminal::say;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::{DeviceId, Segment};
-use slitpose_tracking::pipeline::{Counts, Pipeline, PipelineError, PipelineOptions, SceneMatch};
+use slitpose_tracking::pipeline::{Counts, Pipeline, PipelineOptions, SceneMatch};
 
 /// Most reads on their way to the solver: a quarter of a second at one read per millisecond.
 const SEGMENTS: usize = 256;
@@ -55,12 +54,12 @@ pub(crate) struct BoardPlan {
     pub patience: Option<Duration>,
     /// Whether device time runs in real time. If not, it waits for the slowest thread.
     pub keeps_time: bool,
-    pub talk: Arc<Talk>,
 }
 
 impl BoardPlan {
     pub(super) fn slot(&self) -> Arc<BoardSlot> {
-        Arc::new(BoardSlot::new(self.opener.name(), Link::new(Arc::clone(&self.talk))))
+        let report = Mutex::new(BoardReport { name: self.opener.name(), ..BoardReport::default() });
+        Arc::new(BoardSlot { link: Link::new(), report })
     }
 }
 
@@ -95,9 +94,8 @@ impl BoardThreads {
     ) -> Result<Self, BoardError> {
         let name = plan.opener.name();
         let (tell, events) = bounded(EVENTS);
-        let overflow = if plan.keeps_time { Overflow::Drop } else { Overflow::Wait };
         let keeps_all = shared.prints_each || plan.until_s.is_some();
-        let tap = |ends| Tap::new(number, ends, overflow);
+        let tap = |ends| Tap::new(number, ends, plan.keeps_time);
         let pipeline = Pipeline::new(plan.head.clone(), plan.tier, SceneMatch::Required)
             .until(plan.until_s)
             .following(plan.following)
@@ -127,12 +125,7 @@ impl BoardThreads {
         let segments = buffer_pool(SEGMENTS, || Segment::with_capacity(SEGMENT_BYTES));
         let (handoff, solver_end) = handoff(solver, segments, plan.keeps_time);
         let reader = Reader {
-            opener: plan.opener,
-            configuration: plan.configuration,
-            stream: plan.stream,
-            head: plan.head,
-            admit: plan.admit,
-            patience: plan.patience,
+            plan,
             handoff,
             events,
             connection: 0,
@@ -143,10 +136,10 @@ impl BoardThreads {
             slot: Arc::clone(slot),
             stop: Arc::clone(stop),
         };
-        let (talk_slot, priority) = (Arc::clone(slot), shared.real_time);
+        let priority = shared.real_time;
         let solve = move || {
             if let Some(remedy) = priority.and_then(|priority| tap::claim(priority).err()) {
-                talk_slot.link.say(format_args!("{remedy}"));
+                say(format_args!("{remedy}"));
             }
             Solver::run(&solver_end)
         };
@@ -155,8 +148,8 @@ impl BoardThreads {
             let _ = priority.map(tap::claim);
             reader.run()
         };
-        let solver = spawn(format!("solve {number}"), solve)?;
-        let reader = spawn(format!("read {number}"), read)?;
+        let solver = spawn(format!("solve {number}"), solve).map_err(BoardError::Thread)?;
+        let reader = spawn(format!("read {number}"), read).map_err(BoardError::Thread)?;
         Ok(Self { name, reader, solver, slot: Arc::clone(slot) })
     }
 
@@ -173,64 +166,6 @@ impl BoardThreads {
         let read = join(self.reader);
         let counts = join(self.solver);
         (self.name, counts, read)
-    }
-}
-
-/// Why a board is followed no longer.
-#[derive(Debug, Error)]
-pub(crate) enum BoardError {
-    #[error(transparent)]
-    Device(#[from] DeviceError),
-    #[error(transparent)]
-    Pipeline(#[from] PipelineError),
-    #[error("the board cannot solve poses of this head, and this program can: give --stream raw")]
-    Head(#[from] BoardHeadError),
-    #[error("the board refused a command")]
-    Refused(#[source] Rejection),
-    #[error(
-        "{name} and {other} have one number, {device}: give only one of them if they are two ports of one board; two \
-         boards whose poses shall be told apart need different numbers"
-    )]
-    Twice {
-        device: DeviceId,
-        /// The second reader's name for the board.
-        name: String,
-        /// The first reader's name for the board.
-        other: String,
-    },
-    #[error("cannot start a thread; close other programs, or raise the limit of threads")]
-    Thread(#[source] std::io::Error),
-}
-
-impl BoardError {
-    /// Whether the error may pass once the user plugs the board in and switches it on.
-    pub(super) fn is_passing(&self) -> bool {
-        matches!(self, Self::Device(error) if error.is_passing())
-    }
-
-    /// Time since the last usable scan when the error was noticed, seconds.
-    pub(super) fn missed_s(&self) -> f64 {
-        match self {
-            Self::Device(
-                DeviceError::Quiet { seconds, .. }
-                | DeviceError::NoScans { seconds, .. }
-                | DeviceError::NotPublished { seconds, .. },
-            ) => *seconds,
-            _ => 0.0,
-        }
-    }
-
-    /// Whether the user most likely has to act, so that trying again is not urgent.
-    pub(super) fn needs_user(&self) -> bool {
-        let is_silent = matches!(self, Self::Device(DeviceError::NoScans { .. }));
-        is_silent || !self.is_passing() && !self.is_away()
-    }
-
-    /// Whether the board is not there, or its port is in use: another program may probe a port that has just appeared.
-    /// Both may end at any moment.
-    pub(super) fn is_away(&self) -> bool {
-        let Self::Device(error) = self else { return false };
-        matches!(error, DeviceError::Missing { .. } | DeviceError::Gone { .. } | DeviceError::Busy { .. })
     }
 }
 
@@ -261,10 +196,6 @@ pub(super) struct BoardSlot {
 }
 
 impl BoardSlot {
-    pub(super) fn new(name: String, link: Link) -> Self {
-        Self { link, report: Mutex::new(BoardReport { name, ..BoardReport::default() }) }
-    }
-
     /// Updates the state; called a few times per second.
     pub(super) fn account(&self, pipeline: &Pipeline, statistics: &mut BoardStatistics) {
         statistics.report.clock.drift_ppm = pipeline.drift_ppm();

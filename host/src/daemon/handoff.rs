@@ -10,13 +10,16 @@
 //! to the solving thread, so that reading continues. Chunks are processed in the order of their arrival: a mutex
 //! around the worker lets one thread work at a time, and the reading thread works only while the queue is empty.
 
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::{Arc, Mutex, MutexGuard, atomic};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, Sender, TryRecvError, TrySendError, bounded};
 
-use super::sleeper::Sleeper;
+use sleeper::Sleeper;
 use slitpose_head::threads::lock;
+
+mod sleeper;
 
 /// A pool of `count` buffers, each made by `make`. They are used in turn, so that all of them soon reach their
 /// final capacity.
@@ -56,13 +59,6 @@ pub(super) struct Consumer<T> {
     full: Receiver<T>,
     empty: Sender<T>,
     sleeper: Arc<Sleeper>,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Empty {
-    /// No buffer has been handed over yet.
-    ForNow,
-    Closed,
 }
 
 impl<T> Clone for Producer<T> {
@@ -109,12 +105,12 @@ impl<T> Producer<T> {
 
 impl<T> Consumer<T> {
     /// Waits for the next full buffer, for `timeout` at most.
-    pub(super) fn next(&self, timeout: Duration) -> Result<T, Empty> {
+    pub(super) fn next(&self, timeout: Duration) -> Result<T, TryRecvError> {
         let until = Instant::now() + timeout;
         loop {
             let next = self.next_now();
             let left = until.saturating_duration_since(Instant::now());
-            if !matches!(next, Err(Empty::ForNow)) || left.is_zero() {
+            if !matches!(next, Err(TryRecvError::Empty)) || left.is_zero() {
                 return next;
             }
             self.wait(left);
@@ -127,12 +123,9 @@ impl<T> Consumer<T> {
         self.sleeper.sleep(timeout, || !self.full.is_empty());
     }
 
-    /// The next full buffer, if there is one now.
-    pub(super) fn next_now(&self) -> Result<T, Empty> {
-        self.full.try_recv().map_err(|error| match error {
-            TryRecvError::Empty => Empty::ForNow,
-            TryRecvError::Disconnected => Empty::Closed,
-        })
+    /// The next full buffer, if there is one now; disconnected once all producers are dropped, and all buffers taken.
+    pub(super) fn next_now(&self) -> Result<T, TryRecvError> {
+        self.full.try_recv()
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -220,9 +213,6 @@ impl<W: Worker> SolverEnd<W> {
 
 #[cfg(test)]
 mod tests {
-    use std::thread;
-    use std::time::Duration;
-
     use super::*;
 
     /// A worker that leaves one chunk in eight to the solving thread.
@@ -276,8 +266,8 @@ mod tests {
                     drop(clerk);
                     match next {
                         Ok(_) => {}
-                        Err(Empty::ForNow) => solver_end.chunks.wait(LONG),
-                        Err(Empty::Closed) => return std::mem::take(&mut *solver_end.worker()),
+                        Err(TryRecvError::Empty) => solver_end.chunks.wait(LONG),
+                        Err(TryRecvError::Disconnected) => return std::mem::take(&mut *solver_end.worker()),
                     }
                 }
             });
@@ -325,7 +315,7 @@ mod tests {
         assert_eq!((solver_end.chunks.next_now(), solver_end.chunks.next_now()), (Ok(2), Ok(3)));
         pass_on(4);
         assert_eq!(solver_end.worker().done, [1, 4]);
-        assert_eq!(solver_end.chunks.next_now(), Err(Empty::ForNow));
+        assert_eq!(solver_end.chunks.next_now(), Err(TryRecvError::Empty));
     }
 
     const AT_ONCE: Duration = Duration::ZERO;
@@ -344,10 +334,10 @@ mod tests {
                 full.clear();
                 consumer.give_back(full);
             }
-            assert_eq!(consumer.next(AT_ONCE), Err(Empty::ForNow));
+            assert_eq!(consumer.next(AT_ONCE), Err(TryRecvError::Empty));
         }
         drop(producer);
-        assert_eq!(consumer.next(AT_ONCE), Err(Empty::Closed));
+        assert_eq!(consumer.next(AT_ONCE), Err(TryRecvError::Disconnected));
     }
 
     #[test]
@@ -356,7 +346,7 @@ mod tests {
         producer.hand_over(producer.spare().unwrap());
         drop(producer);
         assert_eq!(consumer.next(AT_ONCE), Ok(Vec::new()));
-        assert_eq!(consumer.next(AT_ONCE), Err(Empty::Closed));
+        assert_eq!(consumer.next(AT_ONCE), Err(TryRecvError::Disconnected));
         let (producer, consumer) = buffer_pool(1, Vec::<u8>::new);
         let buffer = producer.spare().unwrap();
         drop(consumer);

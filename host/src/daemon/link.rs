@@ -1,12 +1,12 @@
 //! The state of the link to a board, shared by all threads; and whether it delivers scans, even if other messages come.
 
-use std::fmt;
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::{Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
-use super::board::BoardError;
+use super::error::BoardError;
 use crate::device::{DeviceError, Scanless};
 use crate::telemetry::{LinkReport, LinkState};
+use crate::terminal::say;
 use slitpose_head::causes::with_causes;
 use slitpose_head::threads::lock;
 use slitpose_tracking::clock::HostInstant;
@@ -19,19 +19,13 @@ const TOLD_AGAIN: Duration = Duration::from_secs(2);
 
 const REASONS: usize = 8;
 
-pub(crate) type Talk = dyn Fn(fmt::Arguments<'_>) + Send + Sync;
-
-pub(super) struct Link {
-    state: Mutex<State>,
-    talk: Arc<Talk>,
-}
+pub(super) struct Link(Mutex<State>);
 
 #[derive(Default)]
 struct State {
     report: LinkReport,
     has_run: bool,
     device: Option<DeviceId>,
-    is_given_up: bool,
     missed_since: Option<Instant>,
     /// Whether the user has been told of the loss.
     is_loss_told: bool,
@@ -81,10 +75,10 @@ impl State {
 }
 
 impl Link {
-    pub(super) fn new(talk: Arc<Talk>) -> Self {
+    pub(super) fn new() -> Self {
         let mut state = State::default();
         state.report.since_utc_ns = HostInstant::now().utc_ns;
-        Self { state: Mutex::new(state), talk }
+        Self(Mutex::new(state))
     }
 
     pub(super) fn report(&self) -> LinkReport {
@@ -92,11 +86,8 @@ impl Link {
     }
 
     pub(super) fn is_given_up(&self) -> bool {
-        self.lock().is_given_up
-    }
-
-    pub(super) fn say(&self, text: fmt::Arguments<'_>) {
-        (self.talk)(text);
+        let LinkReport { state, reason, .. } = &self.lock().report;
+        *state == LinkState::Ended && reason.is_some()
     }
 
     /// A port is open, and the board is asked to start.
@@ -111,7 +102,7 @@ impl Link {
     pub(super) fn greeted(&self, device: DeviceId, port: &str) {
         let before = self.lock().device.replace(device);
         if let Some(before) = before.filter(|before| *before != device) {
-            self.say(format_args!("the board on {port} is {device} now; before it was {before}"));
+            say(format_args!("the board on {port} is {device} now; before it was {before}"));
         }
     }
 
@@ -125,10 +116,7 @@ impl Link {
         let is_told = std::mem::take(&mut state.is_loss_told);
         if let Some(since) = missed_since.filter(|_| is_told) {
             drop(state);
-            self.say(format_args!(
-                "the board on {port} runs; it was missed for {:.1} s",
-                since.elapsed().as_secs_f64()
-            ));
+            say(format_args!("the board on {port} runs; it was missed for {:.1} s", since.elapsed().as_secs_f64()));
         }
     }
 
@@ -154,8 +142,8 @@ impl Link {
         state.set(kind, Some(reason.clone()));
         drop(state);
         match told {
-            Some(0) => self.say(format_args!("{reason}; looking for it")),
-            Some(untold) => self.say(format_args!("{reason}; looking for it, as {untold} times before")),
+            Some(0) => say(format_args!("{reason}; looking for it")),
+            Some(untold) => say(format_args!("{reason}; looking for it, as {untold} times before")),
             None => {}
         }
     }
@@ -163,12 +151,11 @@ impl Link {
     /// The stream is complete, or the board was given up.
     pub(super) fn ended(&self, error: Option<&BoardError>) {
         let mut state = self.lock();
-        state.is_given_up = error.is_some();
         state.set(LinkState::Ended, error.map(|error| with_causes(error)));
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
-        lock(&self.state)
+        lock(&self.0)
     }
 }
 
@@ -180,13 +167,17 @@ const NO_SCANS: Duration = Duration::from_secs(3);
 /// … or this many frames, if that is longer.
 const FRAMES: u32 = 3;
 
-/// A change in the scans of a link.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum News {
-    /// The first scan has come.
-    Begun,
-    /// No scan has come for this many seconds; with the most likely cause.
-    Missing(f64, Scanless),
+/// An event of the stream of a board.
+#[derive(Debug)]
+pub(super) enum StreamEvent {
+    /// The first scan of the connection has come.
+    Scans,
+    /// No scan has come for this many seconds; the second field says what came instead.
+    Scanless(f64, Scanless),
+    Complete,
+    /// The board has stopped by itself, with its last warning or error.
+    Stopped(Option<String>),
+    Unusable(BoardError),
 }
 
 /// Follows the scans of a link by the time at which their bytes were read, so that a slow host makes no scan late.
@@ -214,7 +205,7 @@ impl ScanWatch {
     }
 
     /// Compares the counters after bytes that were read at `at`; `opened`: these bytes are the first of a link.
-    pub(super) fn update(&mut self, opened: bool, counts: &Counts, at: Option<HostInstant>) -> Option<News> {
+    pub(super) fn update(&mut self, opened: bool, counts: &Counts, at: Option<HostInstant>) -> Option<StreamEvent> {
         let come = counts.scans > self.scans;
         if opened {
             self.begun = false;
@@ -223,7 +214,7 @@ impl ScanWatch {
             (self.since, self.scans, self.counts) = (at, counts.scans, *counts);
             let first = come && !self.begun;
             self.begun |= come;
-            return first.then_some(News::Begun);
+            return first.then_some(StreamEvent::Scans);
         }
         let (Some(since), Some(at)) = (self.since.or(at), at) else { return None };
         self.since = Some(since);
@@ -233,7 +224,7 @@ impl ScanWatch {
         }
         // Reported again if the link stays as it is.
         self.since = Some(at);
-        Some(News::Missing(missing_ns as f64 * 1e-9, self.cause(counts)))
+        Some(StreamEvent::Scanless(missing_ns as f64 * 1e-9, self.cause(counts)))
     }
 
     fn cause(&self, counts: &Counts) -> Scanless {
@@ -260,10 +251,8 @@ mod tests {
     }
 
     #[test]
-    fn a_board_that_comes_back_is_counted_and_reported_once() {
-        let said = Arc::new(Mutex::new(Vec::new()));
-        let ear = Arc::clone(&said);
-        let link = Link::new(Arc::new(move |text| ear.lock().unwrap().push(text.to_string())));
+    fn a_board_that_comes_back_is_counted_once() {
+        let link = Link::new();
         let missing = error(|name| DeviceError::Missing { name });
         link.lost(&missing);
         link.lost(&missing);
@@ -285,10 +274,6 @@ mod tests {
         assert!(link.report().state == LinkState::Ended && link.report().reason.is_some() && link.is_given_up());
         link.ended(None);
         assert!(link.report().reason.is_none() && !link.is_given_up());
-        let said = said.lock().unwrap();
-        let kinds: Vec<bool> = said.iter().map(|text| text.contains("looking for it")).collect();
-        assert_eq!(kinds, [true, false, true, true, false], "{said:?}");
-        assert!(said[4].contains("other port runs"), "{said:?}");
     }
 
     #[test]
@@ -312,42 +297,40 @@ mod tests {
 
     #[test]
     fn a_link_without_scans_is_reported_with_its_cause_after_three_seconds() {
-        let mut scan_watch = ScanWatch::new(Duration::from_micros(250));
+        let mut watch = ScanWatch::new(Duration::from_micros(250));
+        let mut said = |opened, counts: &Counts, seconds| format!("{:?}", watch.update(opened, counts, at(seconds)));
+        let missing = |cause| format!("{:?}", Some(StreamEvent::Scanless(3.0, cause)));
         let mut counts = Counts::default();
-        assert_eq!(scan_watch.update(true, &counts, at(0.0)), None);
+        assert_eq!(said(true, &counts, 0.0), "None");
         counts.scans = 4;
-        assert_eq!(scan_watch.update(false, &counts, at(0.1)), Some(News::Begun));
+        assert_eq!(said(false, &counts, 0.1), "Some(Scans)");
         counts.scans = 8;
-        assert_eq!(scan_watch.update(false, &counts, at(1.0)), None);
+        assert_eq!(said(false, &counts, 1.0), "None");
         counts.batches_without_hello = 5;
-        assert_eq!(scan_watch.update(false, &counts, at(3.9)), None);
-        let cause = Scanless::Unexplained { batches: 5 };
-        assert_eq!(scan_watch.update(false, &counts, at(4.0)), Some(News::Missing(3.0, cause)));
+        assert_eq!(said(false, &counts, 3.9), "None");
+        assert_eq!(said(false, &counts, 4.0), missing(Scanless::Unexplained { batches: 5 }));
         // A new link: earlier counts do not matter.
-        assert_eq!(scan_watch.update(true, &counts, at(5.0)), None);
+        assert_eq!(said(true, &counts, 5.0), "None");
         counts.decoder.malformed = 7;
         counts.decoder.bad_checksum = 6;
-        assert_eq!(
-            scan_watch.update(false, &counts, at(8.0)),
-            Some(News::Missing(3.0, Scanless::Unreadable { packets: 7 }))
-        );
-        assert_eq!(scan_watch.update(true, &counts, at(9.0)), None);
-        assert_eq!(scan_watch.update(false, &counts, at(12.0)), Some(News::Missing(3.0, Scanless::Nothing)));
+        assert_eq!(said(false, &counts, 8.0), missing(Scanless::Unreadable { packets: 7 }));
+        assert_eq!(said(true, &counts, 9.0), "None");
+        assert_eq!(said(false, &counts, 12.0), missing(Scanless::Nothing));
         counts.scans = 9;
-        assert_eq!(scan_watch.update(false, &counts, at(12.1)), Some(News::Begun));
+        assert_eq!(said(false, &counts, 12.1), "Some(Scans)");
     }
 
     #[test]
     fn slow_boards_and_streams_without_time_are_given_longer() {
         let mut slow = ScanWatch::new(Duration::from_secs(2));
         let counts = Counts::default();
-        assert_eq!(slow.update(true, &counts, at(0.0)), None);
-        assert_eq!(slow.update(false, &counts, at(5.9)), None);
-        assert!(matches!(slow.update(false, &counts, at(6.0)), Some(News::Missing(..))));
+        assert!(slow.update(true, &counts, at(0.0)).is_none());
+        assert!(slow.update(false, &counts, at(5.9)).is_none());
+        assert!(matches!(slow.update(false, &counts, at(6.0)), Some(StreamEvent::Scanless(..))));
         let mut timeless = ScanWatch::new(Duration::from_micros(250));
         assert!((0..10).all(|number| timeless.update(number == 0, &counts, None).is_none()));
         // The first read with a time starts the watch.
-        assert_eq!(timeless.update(false, &counts, at(100.0)), None);
-        assert!(matches!(timeless.update(false, &counts, at(103.0)), Some(News::Missing(..))));
+        assert!(timeless.update(false, &counts, at(100.0)).is_none());
+        assert!(matches!(timeless.update(false, &counts, at(103.0)), Some(StreamEvent::Scanless(..))));
     }
 }

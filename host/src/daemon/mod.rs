@@ -19,23 +19,23 @@
 
 mod backlog;
 mod board;
+mod error;
 mod handoff;
 mod link;
 mod opener;
 mod outputs;
 mod reader;
 mod recorder;
-mod sleeper;
 mod solver;
 mod tap;
 
 use std::io;
-use std::sync::atomic::{self, AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
-use std::thread::{self, JoinHandle};
+use std::thread::JoinHandle;
 
-pub(crate) use board::{BoardError, BoardPlan};
-pub(crate) use link::Talk;
+pub(crate) use board::BoardPlan;
+pub(crate) use error::BoardError;
 #[cfg(feature = "zenoh")]
 pub(crate) use opener::Feed;
 pub(crate) use opener::{Admit, Opener, SimulatedOpener};
@@ -53,7 +53,7 @@ use crate::telemetry::{BoardReport, DaemonReport, LinkState, RecorderReport};
 use board::{BoardSlot, BoardThreads, Claims};
 use handoff::buffer_pool;
 use outputs::{OUTBOX_POSES, Outbox, PrinterThread};
-use recorder::RecorderThread;
+use recorder::RecorderControl;
 use slitpose_head::threads::{join, lock};
 use slitpose_tracking::capture::CaptureSeries;
 use slitpose_tracking::clock::HostInstant;
@@ -84,8 +84,9 @@ pub(crate) struct Daemon {
     slots: Vec<Arc<BoardSlot>>,
     boards: Mutex<Vec<BoardThreads>>,
     printer: Mutex<Option<PrinterThread>>,
-    recorder: Option<RecorderThread>,
-    streamers: Mutex<Vec<JoinHandle<()>>>,
+    recorder: Option<RecorderControl>,
+    /// Threads of the takers of all bytes, of the recorder, too.
+    takers: Mutex<Vec<JoinHandle<()>>>,
     datagrams: Option<Arc<DatagramServer>>,
     stop: Arc<AtomicBool>,
 }
@@ -105,10 +106,13 @@ impl Daemon {
         let datagrams = datagrams.map(Arc::new);
         let slots: Vec<_> = boards.iter().map(BoardPlan::slot).collect();
         let prints_each = sink.as_ref().is_some_and(|sink| sink.needs_each());
+        let streams = streams.into_iter().map(|plan| tap::stream(plan, boards.len()));
+        let (mut threads_of_takers, streams): (Vec<_>, _) = streams.collect::<Result<Vec<_>, _>>()?.into_iter().unzip();
         let (recorder, recorder_ends) = match capture {
             Some(capture) => {
-                let (thread, ends) = RecorderThread::start(capture, &boards)?;
-                (Some(thread), Some(ends))
+                let (recorder, thread, ends) = RecorderControl::start(capture, &boards)?;
+                threads_of_takers.push(thread);
+                (Some(recorder), Some(ends))
             }
             None => (None, None),
         };
@@ -128,8 +132,6 @@ impl Daemon {
             }
             None => (None, None),
         };
-        let streams = streams.into_iter().map(|plan| tap::stream(plan, boards.len()));
-        let (streamers, streams): (Vec<_>, _) = streams.collect::<Result<Vec<_>, _>>()?.into_iter().unzip();
         let shared = board::Shared {
             outboxes,
             prints_each,
@@ -148,7 +150,7 @@ impl Daemon {
             boards: Mutex::new(threads),
             printer: Mutex::new(printer),
             recorder,
-            streamers: Mutex::new(streamers),
+            takers: Mutex::new(threads_of_takers),
             datagrams,
             stop,
         })
@@ -162,7 +164,7 @@ impl Daemon {
     }
 
     pub(crate) fn recorder_report(&self) -> RecorderReport {
-        self.recorder.as_ref().map(RecorderThread::report).unwrap_or_default()
+        self.recorder.as_ref().map(RecorderControl::report).unwrap_or_default()
     }
 
     fn boards_report(&self) -> Vec<BoardReport> {
@@ -209,12 +211,12 @@ impl Daemon {
     pub(crate) fn end(&self) -> Ended {
         let threads = std::mem::take(&mut *lock(&self.boards));
         let boards = threads.into_iter().map(BoardThreads::end).collect();
-        std::mem::take(&mut *lock(&self.streamers)).into_iter().for_each(join);
         self.record_report();
+        self.recorder.iter().for_each(RecorderControl::close);
         let printer = lock(&self.printer).take();
         let printed = printer.map_or(Ok(()), |printer| printer.end(&self.stop));
-        let recorder = self.recorder.as_ref().map(RecorderThread::end);
-        Ended { boards, printed, capture: with_unrecorded(recorder.unwrap_or_default(), &self.boards_report()) }
+        std::mem::take(&mut *lock(&self.takers)).into_iter().for_each(join);
+        Ended { boards, printed, capture: with_unrecorded(self.recorder_report(), &self.boards_report()) }
     }
 }
 
@@ -222,14 +224,4 @@ impl Daemon {
 fn with_unrecorded(recorder: RecorderReport, boards: &[BoardReport]) -> RecorderReport {
     let unrecorded = boards.iter().map(|board| board.losses.host.bytes_unrecorded).sum::<u64>();
     RecorderReport { bytes_dropped: recorder.bytes_dropped + unrecorded, ..recorder }
-}
-
-/// The stack size of the main thread: scenes and pipelines take tens of kilobytes, and are moved during construction.
-const STACK_BYTES: usize = 8 << 20;
-
-fn spawn<T: Send + 'static>(
-    name: String,
-    run: impl FnOnce() -> T + Send + 'static,
-) -> Result<JoinHandle<T>, BoardError> {
-    thread::Builder::new().name(name).stack_size(STACK_BYTES).spawn(run).map_err(BoardError::Thread)
 }

@@ -4,8 +4,8 @@ use std::sync::{Arc, Mutex, MutexGuard};
 
 use slitpose_protocol::{Configuration, Hello, Stream};
 
-use super::board::BoardError;
-use crate::device::{Contact, Conversation, DeviceError, Keep, Selector, SimulatedDevice, SimulatedPort};
+use super::error::BoardError;
+use crate::device::{Contact, Conversation, DeviceError, HELLO_WITHIN, Selector, SimulatedDevice, SimulatedPort};
 use slitpose_head::threads::lock;
 use slitpose_tracking::link::{DeviceId, Segment};
 use slitpose_tracking::pipeline::PipelineError;
@@ -31,7 +31,7 @@ pub(crate) trait Feed {
     fn fill(&mut self, segment: &mut Segment);
 
     /// Ends what [`start`](Self::start) began.
-    fn stop(&mut self, keep: Keep) -> Result<(), DeviceError>;
+    fn stop(&mut self) -> Result<(), DeviceError>;
 }
 
 impl Feed for Conversation {
@@ -40,7 +40,7 @@ impl Feed for Conversation {
     }
 
     fn greet(&mut self, admit: &mut dyn FnMut(&Hello<'_>) -> Result<(), BoardError>) -> Result<(), BoardError> {
-        self.greet(admit)
+        self.greet(HELLO_WITHIN, admit)
     }
 
     fn start(&mut self, configuration: &Configuration, stream: Stream, head: Option<&[u8]>) -> Result<(), DeviceError> {
@@ -60,8 +60,8 @@ impl Feed for Conversation {
         self.fill(segment);
     }
 
-    fn stop(&mut self, keep: Keep) -> Result<(), DeviceError> {
-        self.stop(keep)
+    fn stop(&mut self) -> Result<(), DeviceError> {
+        self.stop()
     }
 }
 

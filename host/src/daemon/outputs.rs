@@ -7,14 +7,15 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use crossbeam_channel::TryRecvError;
 use slitpose_head::threads::join;
 use slitpose_model::Photocurrents;
 use slitpose_protocol::{Rejection, Reply, Severity};
 
-use super::board::BoardError;
-use super::handoff::{Consumer, Empty, Producer};
-use super::spawn;
+use super::error::BoardError;
+use super::handoff::{Consumer, Producer};
 use super::tap::Tap;
+use crate::background::spawn;
 use crate::datagram::{DatagramServer, Publisher};
 use crate::live::Sampler;
 use crate::sink::{Account, Note, Sink};
@@ -250,7 +251,7 @@ impl PrinterThread {
         let printed = Arc::<AtomicU64>::default();
         let progress = Arc::clone(&printed);
         let run = move || print(&outboxes, sink, &*accounts, &stop, &progress);
-        Ok(Self { thread: spawn("printer".to_owned(), run)?, printed })
+        Ok(Self { thread: spawn("printer".to_owned(), run).map_err(BoardError::Thread)?, printed })
     }
 
     /// Waits until all is printed; all solvers must have ended. If `stop` is set and the output is not read, the rest
@@ -291,8 +292,8 @@ fn print(
                 printed.fetch_add(1, Ordering::Relaxed);
                 (written, false)
             }
-            Err(Empty::ForNow) => (Ok(()), false),
-            Err(Empty::Closed) => (Ok(()), true),
+            Err(TryRecvError::Empty) => (Ok(()), false),
+            Err(TryRecvError::Disconnected) => (Ok(()), true),
         };
         let ticked = match (&failed, is_over) {
             (Some(_), _) => Ok(()),

@@ -6,14 +6,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::Receiver;
-use slitpose_calibration::Head;
-use slitpose_protocol::{Configuration, Stream};
 
-use super::board::{BoardError, BoardSlot, Claims};
+use super::board::{BoardPlan, BoardSlot, Claims};
+use super::error::BoardError;
 use super::handoff::ReaderEnd;
-use super::opener::{Admit, Feed, Opener};
-use super::solver::{Solver, StreamEvent};
-use crate::device::{DeviceError, Keep};
+use super::link::StreamEvent;
+use super::opener::Feed;
+use super::solver::Solver;
+use crate::device::DeviceError;
+use crate::terminal::say;
 use slitpose_tracking::link::DeviceId;
 use slitpose_tracking::pipeline::head_of;
 use slitpose_tracking::solving;
@@ -33,14 +34,7 @@ const DOUBLINGS: u32 = 6;
 const MOMENT: Duration = Duration::from_millis(20);
 
 pub(super) struct Reader {
-    pub(super) opener: Box<dyn Opener>,
-    pub(super) configuration: Configuration,
-    pub(super) stream: Stream,
-    /// By which it solves poses, if these are asked for.
-    pub(super) head: Head,
-    pub(super) admit: Admit,
-    /// How long to go without a usable scan before giving up; `None`: for ever.
-    pub(super) patience: Option<Duration>,
+    pub(super) plan: BoardPlan,
     pub(super) handoff: ReaderEnd<Solver>,
     pub(super) events: Receiver<(u64, StreamEvent)>,
     /// Number of the connection, from 1; each event carries the number of its connection.
@@ -52,12 +46,6 @@ pub(super) struct Reader {
     pub(super) has_scans: bool,
     pub(super) slot: Arc<BoardSlot>,
     pub(super) stop: Arc<AtomicBool>,
-}
-
-enum Ending {
-    /// As requested, or because the stream is complete.
-    Wanted(Keep),
-    Lost(BoardError),
 }
 
 impl Reader {
@@ -76,15 +64,9 @@ impl Reader {
         loop {
             self.has_scans = false;
             self.claims.release(&self.claimant);
-            let error = match self.connect() {
-                Ok(mut board) => {
-                    let ending = self.listen(&mut *board);
-                    match ending {
-                        Ending::Wanted(keep) => return self.end(&mut *board, keep),
-                        // Dropping the conversation stops the board, if it can still be reached.
-                        Ending::Lost(error) => error,
-                    }
-                }
+            // A board that is lost is dropped, which stops it, if it can still be reached.
+            let error = match self.connect().and_then(|mut board| self.listen(&mut *board).map(|()| board)) {
+                Ok(mut board) => return self.end(&mut *board),
                 Err(error) => error,
             };
             if self.has_scans {
@@ -96,7 +78,7 @@ impl Reader {
             // only because it has just appeared.
             let is_hopeless = is_first && !error.is_passing();
             is_first = false;
-            if is_hopeless || self.patience.is_some_and(|patience| missing_since.elapsed() >= patience) {
+            if is_hopeless || self.plan.patience.is_some_and(|patience| missing_since.elapsed() >= patience) {
                 return Err(error);
             }
             self.slot.link.lost(&error);
@@ -124,11 +106,11 @@ impl Reader {
 
     /// Opens, greets, configures and starts the board. It counts as running once scans come.
     fn connect(&mut self) -> Result<Box<dyn Feed>, BoardError> {
-        let _turn = self.opener.turn();
-        let mut board = self.opener.open()?;
-        self.slot.link.connecting();
-
-        let Self { admit, opener, slot, claims, claimant, stream, head, configuration, .. } = self;
+        let Self { plan: BoardPlan { opener, admit, stream, head, configuration, .. }, slot, claims, claimant, .. } =
+            self;
+        let _turn = opener.turn();
+        let mut board = opener.open()?;
+        slot.link.connecting();
         let name = board.name();
         let mut compiled = None;
         board.greet(&mut |hello| {
@@ -147,34 +129,31 @@ impl Reader {
         Ok(board)
     }
 
-    fn listen(&mut self, board: &mut dyn Feed) -> Ending {
+    /// Passes on what the board sends, until it shall end or the stream is complete; the error says why it is lost.
+    fn listen(&mut self, board: &mut dyn Feed) -> Result<(), BoardError> {
         self.pass_on(board, true);
         loop {
             match self.next_event() {
-                Some(StreamEvent::Complete) => return Ending::Wanted(Keep::Replies),
+                Some(StreamEvent::Complete) => return Ok(()),
                 Some(StreamEvent::Scans) => {
                     self.has_scans = true;
                     self.slot.link.running(&board.name());
                 }
                 Some(StreamEvent::Scanless(seconds, cause)) => {
-                    return Ending::Lost(DeviceError::NoScans { name: board.name(), seconds, cause }.into());
+                    return Err(DeviceError::NoScans { name: board.name(), seconds, cause }.into());
                 }
-                Some(StreamEvent::Unusable(error)) => return Ending::Lost(error),
+                Some(StreamEvent::Unusable(error)) => return Err(error),
                 Some(StreamEvent::Stopped(reason)) => {
                     let reason = reason.unwrap_or_else(|| "it gives no reason; reset the board".to_owned());
-                    return Ending::Lost(DeviceError::Stopped { name: board.name(), reason }.into());
+                    return Err(DeviceError::Stopped { name: board.name(), reason }.into());
                 }
-                None if self.stops() => return Ending::Wanted(Keep::All),
+                None if self.stops() => return Ok(()),
                 None => {}
             }
-            match board.listen() {
-                Ok(more) => {
-                    let is_taken = self.pass_on(board, false);
-                    if !more || !is_taken {
-                        return Ending::Wanted(Keep::All);
-                    }
-                }
-                Err(error) => return Ending::Lost(error.into()),
+            let more = board.listen()?;
+            let is_taken = self.pass_on(board, false);
+            if !more || !is_taken {
+                return Ok(());
             }
         }
     }
@@ -187,13 +166,11 @@ impl Reader {
     }
 
     /// Stops the board and passes on the bytes that were still under way.
-    fn end(&mut self, board: &mut dyn Feed, keep: Keep) -> Result<(), BoardError> {
-        let stopped = board.stop(keep);
+    fn end(&mut self, board: &mut dyn Feed) -> Result<(), BoardError> {
+        let stopped = board.stop();
         self.pass_on(board, false);
         if let Err(DeviceError::NoReply { .. }) = stopped {
-            self.slot
-                .link
-                .say(format_args!("the emitters of the board may still be lit; it goes dark when its port is closed"));
+            say(format_args!("the emitters of the board may still be lit; it goes dark when its port is closed"));
         }
         Ok(stopped?)
     }

@@ -1,4 +1,4 @@
-//! The thread that records. No other thread waits for the disk.
+//! The recorder: a taker of all bytes, whose thread alone waits for the disk.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
@@ -8,13 +8,13 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, Sender, bounded, unbounded};
 use slitpose_calibration::Head;
 
-use super::board::{BoardError, BoardPlan};
-use super::handoff::{Consumer, Empty, buffer_pool};
-use super::tap::{TapChunk, TapEnds};
-use super::{Talk, spawn};
+use super::board::BoardPlan;
+use super::error::BoardError;
+use super::tap::{self, ChunkSink, TapChunk, TapEnds};
 use crate::telemetry::{DaemonReport, RecorderReport, RecorderState};
+use crate::terminal::say;
 use slitpose_head::causes::with_causes;
-use slitpose_head::threads::{join, lock};
+use slitpose_head::threads::lock;
 use slitpose_tracking::capture::{CaptureError, CaptureSeries, Settings, Setup};
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::DeviceId;
@@ -27,8 +27,6 @@ const CHUNKS_A_BOARD: usize = 256;
 /// Most reports on their way to the disk.
 const ACCOUNTS: usize = 4;
 
-const IDLE: Duration = Duration::from_millis(100);
-
 /// A board hands over its last chunk of an ended recording within this time.
 const LAST_CHUNK: Duration = Duration::from_millis(200);
 
@@ -37,11 +35,11 @@ pub(crate) struct CapturePlan {
     pub series: Option<CaptureSeries>,
     /// Poses recorded per device second, in addition to the bytes from which all poses can be solved again.
     pub poses_hz: f64,
-    pub talk: Arc<Talk>,
 }
 
-pub(super) struct RecorderThread {
-    thread: Mutex<Option<JoinHandle<()>>>,
+/// The daemon's end of the recorder.
+pub(super) struct RecorderControl {
+    /// `None` once the last report is sent.
     accounts: Mutex<Option<Sender<DaemonReport>>>,
     /// The next captures; `None` ends the present one.
     captures: Sender<Option<CaptureSeries>>,
@@ -58,53 +56,49 @@ struct Source {
 struct Recorder {
     series: Option<CaptureSeries>,
     captures: Receiver<Option<CaptureSeries>>,
+    accounts: Receiver<DaemonReport>,
     recording: Arc<AtomicBool>,
     /// When the last chunks of an ended recording have come.
     ends_at: Option<Instant>,
     sources: Vec<Source>,
-    talk: Arc<Talk>,
     report: Arc<Mutex<RecorderReport>>,
     bytes_missing: u64,
     log_ns: u64,
 }
 
-impl RecorderThread {
-    /// Starts the thread; returns what boards need of it.
-    pub(super) fn start(plan: CapturePlan, boards: &[BoardPlan]) -> Result<(Self, TapEnds), BoardError> {
-        let (producer, consumer) = buffer_pool(CHUNKS_A_BOARD * boards.len().max(1), TapChunk::with_capacity);
+impl RecorderControl {
+    /// Starts the recorder's thread; returns what boards need of it, too.
+    pub(super) fn start(
+        plan: CapturePlan,
+        boards: &[BoardPlan],
+    ) -> Result<(Self, JoinHandle<()>, TapEnds), BoardError> {
         let (tell, accounts) = bounded(ACCOUNTS);
+        let (order, captures) = unbounded();
         let source = |board: &BoardPlan| Source {
             head: board.head.clone(),
             settings: Settings { tier: board.tier, following: board.following },
             keeps_time: board.keeps_time,
             device: None,
         };
-        let (order, captures) = unbounded();
-        let recording = Arc::new(AtomicBool::new(plan.series.is_some()));
+        let is_wanted = Arc::new(AtomicBool::new(plan.series.is_some()));
         let state = if plan.series.is_some() { RecorderState::Recording } else { RecorderState::Off };
         let report = Arc::new(Mutex::new(RecorderReport { state, ..RecorderReport::default() }));
         let recorder = Recorder {
             series: plan.series,
             captures,
-            recording: Arc::clone(&recording),
+            accounts,
+            recording: Arc::clone(&is_wanted),
             ends_at: None,
             sources: boards.iter().map(source).collect(),
-            talk: plan.talk,
             report: Arc::clone(&report),
             bytes_missing: 0,
             log_ns: 0,
         };
         recorder.publish();
-        let thread = spawn("record".to_owned(), move || recorder.run(&consumer, &accounts))?;
-        let this = Self { thread: Mutex::new(Some(thread)), accounts: Mutex::new(Some(tell)), captures: order, report };
-        let ends = TapEnds {
-            chunks: producer,
-            is_wanted: recording,
-            pose_every_s: plan.poses_hz.recip(),
-            span: CHUNK,
-            tells_hello: false,
-        };
-        Ok((this, ends))
+        let (thread, chunks) = tap::start("record", Box::new(recorder), CHUNKS_A_BOARD * boards.len().max(1))?;
+        let pose_every_s = plan.poses_hz.recip();
+        let ends = TapEnds { chunks, is_wanted, pose_every_s, span: CHUNK, tells_hello: false };
+        Ok((Self { accounts: Mutex::new(Some(tell)), captures: order, report }, thread, ends))
     }
 
     pub(super) fn report(&self) -> RecorderReport {
@@ -128,45 +122,43 @@ impl RecorderThread {
         }
     }
 
-    /// Waits for the end; all boards must have ended.
-    pub(super) fn end(&self) -> RecorderReport {
-        drop(lock(&self.accounts).take());
-        if let Some(thread) = lock(&self.thread).take() {
-            join(thread);
-        }
-        self.report()
+    /// The last report is sent: the recorder ends behind it.
+    pub(super) fn close(&self) {
+        lock(&self.accounts).take();
     }
 }
 
-impl Recorder {
-    fn run(mut self, chunks: &Consumer<TapChunk>, accounts: &Receiver<DaemonReport>) {
-        loop {
-            let done = match chunks.next(IDLE) {
-                Ok(chunk) => {
-                    let done = self.record(&chunk);
-                    chunks.give_back(chunk);
-                    done
-                }
-                Err(Empty::ForNow) => self.series.as_mut().map_or(Ok(()), CaptureSeries::tick),
-                Err(Empty::Closed) => break,
-            };
+impl ChunkSink for Recorder {
+    fn chunk(&mut self, chunk: &TapChunk) {
+        let done = self.record(chunk);
+        self.report_failure(done);
+    }
+
+    fn tick(&mut self) {
+        if let Some(series) = &mut self.series
+            && lock(&self.report).state == RecorderState::Recording
+        {
+            let done = series.tick();
             self.report_failure(done);
-            while let Ok(report) = accounts.try_recv() {
-                let done = self.record_account(&report);
-                self.report_failure(done);
-            }
-            self.change_captures();
-            self.publish();
         }
+        while let Ok(report) = self.accounts.try_recv() {
+            self.record_account(&report);
+        }
+        self.change_captures();
+        self.publish();
+    }
+
+    fn end(&mut self) {
         // The last report comes when all boards have ended.
-        for report in accounts {
-            let done = self.record_account(&report);
-            self.report_failure(done);
+        while let Ok(report) = self.accounts.recv() {
+            self.record_account(&report);
         }
         self.publish();
         self.finish();
     }
+}
 
+impl Recorder {
     /// Ends the present capture, and begins the next, as asked.
     fn change_captures(&mut self) {
         if self.ends_at.is_some_and(|at| Instant::now() < at) {
@@ -238,25 +230,24 @@ impl Recorder {
         chunk.poses.iter().try_for_each(|record| series.pose(record, log_ns))
     }
 
-    fn record_account(&mut self, report: &DaemonReport) -> Result<(), CaptureError> {
-        let Some(series) = &mut self.series else { return Ok(()) };
+    fn record_account(&mut self, report: &DaemonReport) {
+        let Some(series) = &mut self.series else { return };
         // On one timeline with the boards.
         let keep_time = self.sources.iter().all(|source| source.keeps_time);
         let now_ns = if keep_time { HostInstant::now().utc_ns } else { self.log_ns };
-        for board in &report.boards {
-            if let Some(device) = board.device.filter(|device| self.sources.iter().any(|it| it.device == Some(*device)))
-            {
-                series.report(Some(device), board, now_ns)?;
-            }
-        }
-        series.report(None, report, now_ns)
+        let is_recorded = |device: &DeviceId| self.sources.iter().any(|source| source.device == Some(*device));
+        let mut of_boards = report.boards.iter().filter_map(|board| Some((board.device.filter(is_recorded)?, board)));
+        let done = of_boards
+            .try_for_each(|(device, board)| series.report(Some(device), board, now_ns))
+            .and_then(|()| series.report(None, report, now_ns));
+        self.report_failure(done);
     }
 
     /// Tells the user why the capture has ended.
     fn report_failure(&self, done: Result<(), CaptureError>) {
         if let Err(error) = done {
             let reason = with_causes(&error);
-            (self.talk)(format_args!("{reason}"));
+            say(format_args!("{reason}"));
             let mut report = lock(&self.report);
             (report.state, report.reason) = (RecorderState::Failed, Some(reason));
         }
@@ -276,10 +267,7 @@ impl Recorder {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::{BTreeMap, VecDeque};
     use std::path::Path;
-
-    use proptest::prelude::*;
 
     use super::*;
     use slitpose_head::scene_file::WIDE;
@@ -290,144 +278,109 @@ mod tests {
 
     const BOARDS: [DeviceId; 2] = [DeviceId(*b"first board."), DeviceId(*b"second board")];
 
-    /// Bytes of each board in a capture.
-    type Bytes = BTreeMap<DeviceId, Vec<u8>>;
-
     #[derive(Clone, Copy, Debug)]
     enum Step {
         /// The user begins a recording, or ends it.
         Order(bool),
-        /// A board hands over bytes, and has introduced itself or not.
+        /// A board hands over its bytes, and has introduced itself or not.
         Chunk { board: usize, introduced: bool },
         /// The thread looks for orders, before or after the last chunks of an ended recording have come.
         Look { later: bool },
     }
 
-    fn steps() -> impl Strategy<Value = Vec<Step>> {
-        let chunk = (0..2_usize, any::<bool>()).prop_map(|(board, introduced)| Step::Chunk { board, introduced });
-        let look = any::<bool>().prop_map(|later| Step::Look { later });
-        proptest::collection::vec(prop_oneof![any::<bool>().prop_map(Step::Order), chunk, look], 0..40)
-    }
-
-    #[derive(Default)]
-    struct Reference {
-        orders: VecDeque<bool>,
-        captures: Vec<Bytes>,
-        is_open: bool,
-        is_wanted: bool,
-        is_ending: bool,
-        is_introduced: [bool; 2],
-        missing: u64,
-    }
-
-    impl Reference {
-        fn chunk(&mut self, board: usize, introduced: bool, bytes: &[u8]) {
-            let Some(capture) = self.captures.last_mut().filter(|_| self.is_open) else { return };
-            self.is_introduced[board] |= introduced;
-            if self.is_introduced[board] {
-                capture.entry(BOARDS[board]).or_default().extend(bytes);
-            } else {
-                self.missing += bytes.len() as u64;
-            }
-        }
-
-        fn look(&mut self, later: bool) {
-            if self.is_ending && !later {
-                return;
-            }
-            self.is_open &= !self.is_ending;
-            self.is_ending = false;
-            match self.orders.pop_front() {
-                Some(true) => {
-                    self.captures.push(Bytes::new());
-                    (self.is_open, self.is_wanted, self.missing, self.is_introduced) = (true, true, 0, [false; 2]);
-                }
-                Some(false) => (self.is_wanted, self.is_ending) = (false, true),
-                None => {}
-            }
-        }
-    }
-
-    fn bytes_in(path: &Path) -> Bytes {
-        let (mut bytes, mut segment) = (Bytes::new(), Segment::default());
+    /// The number of each step whose chunk is in the capture at `path`, by board.
+    fn steps_in(path: &Path) -> [Vec<u8>; 2] {
+        let (mut steps, mut segment) = ([Vec::new(), Vec::new()], Segment::default());
         let mut reader = CaptureReader::open(path).unwrap();
         while let Some(entry) = reader.next(&mut segment).unwrap() {
             if let Entry::Link { device: Some(device), .. } = entry {
-                bytes.entry(device).or_default().extend(&segment.bytes);
+                steps[usize::from(device == BOARDS[1])].extend(&segment.bytes);
             }
         }
-        bytes
+        steps
     }
 
-    proptest! {
-        #![proptest_config(ProptestConfig::with_cases(64))]
-
-        /// Recordings begin and end at random while boards send. Each capture holds the bytes that came while it was open, in
-        /// their order; bytes of boards that have not introduced themselves are counted as missing.
-        #[test]
-        fn captures_hold_what_came_while_they_were_open(steps in steps()) {
-            let folder = tempfile::tempdir().unwrap();
-            let path = |number: usize| folder.path().join(format!("{number}.mcap"));
-            let (order, captures) = unbounded();
-            let source = || Source {
-                head: WIDE.read().unwrap().into(),
-                settings: Settings { tier: Tier::Paper, following: PipelineOptions::default() },
-                keeps_time: true,
-                device: None,
-            };
-            let mut recorder = Recorder {
-                series: None,
-                captures,
-                recording: Arc::default(),
-                ends_at: None,
-                sources: vec![source(), source()],
-                talk: Arc::new(|text| panic!("{text}")),
-                report: Arc::default(),
-                bytes_missing: 0,
-                log_ns: 0,
-            };
-            let mut reference = Reference::default();
-            let mut begun = 0;
-            for (number, step) in (0_u8..).zip(steps) {
-                match step {
-                    Step::Order(begins) => {
-                        let series = begins.then(|| {
-                            begun += 1;
-                            let (limits, schema) = (Limits::default(), String::new());
-                            CaptureSeries::create(&path(begun), limits, Existing::Kept, schema).unwrap()
-                        });
-                        order.send(series).unwrap();
-                        reference.orders.push_back(begins);
-                    }
-                    Step::Chunk { board, introduced } => {
-                        let mut chunk = TapChunk { board, ..TapChunk::default() };
-                        chunk.device = introduced.then_some(BOARDS[board]);
-                        let bytes = [number; 3];
-                        chunk.segment.push(&bytes, None);
-                        prop_assert!(recorder.record(&chunk).is_ok());
-                        reference.chunk(board, introduced, &bytes);
-                    }
-                    Step::Look { later } => {
-                        let now = Instant::now();
-                        // However long the test is stopped here.
-                        let ends_at = if later { now } else { now + Duration::from_secs(3600) };
-                        recorder.ends_at = recorder.ends_at.map(|_| ends_at);
-                        recorder.change_captures();
-                        reference.look(later);
-                    }
+    #[test]
+    fn captures_hold_what_came_while_they_were_open_of_boards_that_have_introduced_themselves() {
+        use RecorderState::{Off, Recording};
+        use Step::{Chunk, Look, Order};
+        let chunk = |board, introduced| Chunk { board, introduced };
+        // Each step, and what then holds: the state, the bytes missing, whether boards hand over chunks.
+        let steps = [
+            (chunk(0, true), (Off, 0, false)),
+            (Order(true), (Off, 0, false)),
+            (Look { later: false }, (Recording, 0, true)),
+            (chunk(0, false), (Recording, 1, true)),
+            (chunk(0, true), (Recording, 1, true)),
+            (chunk(0, false), (Recording, 1, true)),
+            (chunk(1, false), (Recording, 2, true)),
+            (Order(false), (Recording, 2, true)),
+            (Look { later: false }, (Recording, 2, false)),
+            (chunk(1, true), (Recording, 2, false)),
+            (Order(true), (Recording, 2, false)),
+            (Look { later: false }, (Recording, 2, false)),
+            (Look { later: true }, (Recording, 0, true)),
+            // It is another capture, to which boards introduce themselves anew.
+            (chunk(0, false), (Recording, 1, true)),
+            (chunk(1, true), (Recording, 1, true)),
+            // The next one comes at once.
+            (Order(true), (Recording, 1, true)),
+            (Look { later: false }, (Recording, 0, true)),
+            (chunk(0, true), (Recording, 0, true)),
+            (Order(false), (Recording, 0, true)),
+            (Look { later: false }, (Recording, 0, false)),
+            (Look { later: true }, (Off, 0, false)),
+            (chunk(0, true), (Off, 0, false)),
+        ];
+        let folder = tempfile::tempdir().unwrap();
+        let path = |number: usize| folder.path().join(format!("{number}.mcap"));
+        let (order, captures) = unbounded();
+        let source = || Source {
+            head: WIDE.read().unwrap().into(),
+            settings: Settings { tier: Tier::Paper, following: PipelineOptions::default() },
+            keeps_time: true,
+            device: None,
+        };
+        let mut recorder = Recorder {
+            series: None,
+            captures,
+            accounts: bounded(1).1,
+            recording: Arc::default(),
+            ends_at: None,
+            sources: vec![source(), source()],
+            report: Arc::default(),
+            bytes_missing: 0,
+            log_ns: 0,
+        };
+        let mut begun = 0;
+        for (number, (step, expected)) in (0..).zip(steps) {
+            match step {
+                Order(begins) => {
+                    let series = begins.then(|| {
+                        begun += 1;
+                        CaptureSeries::create(&path(begun), Limits::default(), Existing::Kept, String::new()).unwrap()
+                    });
+                    order.send(series).unwrap();
                 }
-                recorder.publish();
-                let report = lock(&recorder.report).clone();
-                let state = if reference.is_open { RecorderState::Recording } else { RecorderState::Off };
-                prop_assert_eq!(report.state, state);
-                prop_assert_eq!(report.bytes_dropped, reference.missing);
-                prop_assert_eq!(recorder.recording.load(Ordering::Relaxed), reference.is_wanted);
+                Chunk { board, introduced } => {
+                    let device = introduced.then_some(BOARDS[board]);
+                    let mut chunk = TapChunk { board, device, ..TapChunk::default() };
+                    chunk.segment.push(&[number], None);
+                    recorder.chunk(&chunk);
+                }
+                Look { later } => {
+                    // However long the test is stopped here.
+                    let wait = if later { Duration::ZERO } else { Duration::from_secs(3600) };
+                    recorder.ends_at = recorder.ends_at.map(|_| Instant::now() + wait);
+                    recorder.tick();
+                }
             }
-            recorder.finish();
-            drop(recorder);
-            for (number, expected) in (1..).zip(&reference.captures) {
-                prop_assert_eq!(&bytes_in(&path(number)), expected, "capture {}", number);
-            }
+            recorder.publish();
+            let report = recorder.report.lock().unwrap().clone();
+            let found = (report.state, report.bytes_dropped, recorder.recording.load(Ordering::Relaxed));
+            assert_eq!(found, expected, "step {number}, {step:?}");
         }
+        let captured = [1, 2, 3].map(|number| steps_in(&path(number)));
+        assert_eq!(captured, [[vec![4, 5], vec![9]], [vec![], vec![14]], [vec![17], vec![]]]);
     }
 }

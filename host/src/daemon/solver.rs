@@ -8,17 +8,17 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use crossbeam_channel::Sender;
+use crossbeam_channel::{Sender, TryRecvError};
 
-use super::BoardSlot;
 use super::backlog::{Backlog, Next};
-use super::board::BoardError;
-use super::handoff::{Empty, SolverEnd, Worker};
-use super::link::{News, ScanWatch};
+use super::board::BoardSlot;
+use super::error::BoardError;
+use super::handoff::{SolverEnd, Worker};
+use super::link::{ScanWatch, StreamEvent};
 use super::outputs::Outputs;
 use super::tap::Tap;
-use crate::device::Scanless;
 use crate::telemetry::{HostLosses, LagReport};
+use crate::terminal::say;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::Segment;
 use slitpose_tracking::pipeline::{Counts, Item, Pipeline};
@@ -139,8 +139,8 @@ impl Solver {
                     self.receive(&mut segment);
                     handoff.chunks.give_back(segment);
                 }
-                Err(Empty::ForNow) => return,
-                Err(Empty::Closed) => {
+                Err(TryRecvError::Empty) => return,
+                Err(TryRecvError::Disconnected) => {
                     self.state.is_over = true;
                     return;
                 }
@@ -207,15 +207,11 @@ impl Solver {
         } else if !self.state.is_complete {
             if let Err(error) = self.decode(segment) {
                 self.state.is_unusable = true;
-                self.tell(self.state.connection, StreamEvent::Unusable(error));
+                self.tell(StreamEvent::Unusable(error));
             }
             let read_at = segment.reads.last().and_then(|read| read.at);
-            match self.scan_watch.update(opened, &self.pipeline.counts(), read_at) {
-                Some(News::Begun) => self.tell(self.state.connection, StreamEvent::Scans),
-                Some(News::Missing(seconds, cause)) => {
-                    self.tell(self.state.connection, StreamEvent::Scanless(seconds, cause));
-                }
-                None => {}
+            if let Some(event) = self.scan_watch.update(opened, &self.pipeline.counts(), read_at) {
+                self.tell(event);
             }
             let status = self.pipeline.board_status();
             if opened {
@@ -224,21 +220,21 @@ impl Solver {
             } else if status.is_some_and(|status| !status.acquiring && Some(status.tick) != self.state.idle_tick) {
                 self.state.idle_tick = status.map(|status| status.tick);
                 let complaint = self.outputs.pending.complaint.take();
-                self.tell(self.state.connection, StreamEvent::Stopped(complaint));
+                self.tell(StreamEvent::Stopped(complaint));
             }
             if self.pipeline.is_complete() {
                 self.state.is_complete = true;
-                self.tell(self.state.connection, StreamEvent::Complete);
+                self.tell(StreamEvent::Complete);
             }
         }
     }
 
     fn decode(&mut self, segment: &mut Segment) -> Result<(), BoardError> {
-        let Self { pipeline, outputs, slot, name, .. } = self;
+        let Self { pipeline, outputs, name, .. } = self;
         outputs.begin(segment.opened);
         let fed = pipeline.receive(segment, |item| {
             if let Item::Oddity { oddity, .. } = &item {
-                slot.link.say(format_args!("{name}: {oddity}"));
+                say(format_args!("{name}: {oddity}"));
             }
             outputs.accept(&item);
             Ok(())
@@ -264,9 +260,9 @@ impl Solver {
         }
     }
 
-    fn tell(&self, connection: u64, event: StreamEvent) {
+    fn tell(&self, event: StreamEvent) {
         // Dropped if the reader has ended; a reader with a full queue acts on the first event.
-        let _ = self.events.try_send((connection, event));
+        let _ = self.events.try_send((self.state.connection, event));
     }
 
     fn account(&mut self) {
@@ -300,28 +296,15 @@ impl Solver {
         let Self { name, state, .. } = self;
         match (lag.finding(), state.told) {
             (Some(finding), None) => {
-                self.slot.link.say(format_args!("{}", finding.within(name)));
+                say(format_args!("{}", finding.within(name)));
                 state.told = Some(0);
             }
             (Some(_), Some(_)) => state.told = Some(0),
             (None, Some(calm)) if calm >= CALM => {
-                self.slot.link.say(format_args!("{name}: each scan is solved in time again"));
+                say(format_args!("{name}: each scan is solved in time again"));
                 state.told = None;
             }
             (None, told) => state.told = told.map(|calm| calm + 1),
         }
     }
-}
-
-/// An event of the stream of a board.
-#[derive(Debug)]
-pub(super) enum StreamEvent {
-    /// The first scan of the connection has come.
-    Scans,
-    /// No scan has come for this many seconds; the second field says what came instead.
-    Scanless(f64, Scanless),
-    Complete,
-    /// The board has stopped by itself, with its last warning or error.
-    Stopped(Option<String>),
-    Unusable(BoardError),
 }

@@ -6,15 +6,16 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use crossbeam_channel::TryRecvError;
 use slitpose_protocol::{Hello, MAX_MESSAGE_BYTES, Message, encode};
 use thread_priority::{
     RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
     set_thread_priority_and_policy, thread_native_id,
 };
 
-use super::board::BoardError;
-use super::handoff::{Empty, Producer, buffer_pool};
-use super::spawn;
+use super::error::BoardError;
+use super::handoff::{Producer, buffer_pool};
+use crate::background::spawn;
 use slitpose_tracking::link::{DeviceId, Segment};
 use slitpose_tracking::pipeline::Record;
 
@@ -43,7 +44,7 @@ pub(crate) struct TapChunk {
 
 impl TapChunk {
     /// An empty chunk with room for ordinary contents.
-    pub(super) fn with_capacity() -> Self {
+    fn with_capacity() -> Self {
         Self { segment: Segment::with_capacity(ORDINARY_BYTES), poses: Vec::with_capacity(2), ..Self::default() }
     }
 
@@ -52,15 +53,6 @@ impl TapChunk {
         self.segment.clear();
         self.poses.clear();
     }
-}
-
-/// What to do with a chunk while the taker is behind.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Overflow {
-    /// The board's threads wait, and device time with them.
-    Wait,
-    /// The chunk is dropped, and the next one says so: a slow disk must not delay poses.
-    Drop,
 }
 
 /// What a board needs of a taker.
@@ -82,7 +74,9 @@ pub(super) struct Tap {
     ends: TapEnds,
     /// The same when the segment in hand began.
     is_on: bool,
-    overflow: Overflow,
+    /// Whether the board keeps time: then a chunk is dropped while the taker is behind, and the next one says so, for a
+    /// slow disk must not delay poses. Else the board's threads wait, and device time with them.
+    keeps_time: bool,
     due: Due,
     under_way: Option<TapChunk>,
     /// The current chunk is long enough; poses of its last scans may still come.
@@ -99,12 +93,12 @@ pub(super) struct Tap {
 
 impl Tap {
     /// The queue of the board of this number.
-    pub(super) fn new(board: usize, ends: TapEnds, overflow: Overflow) -> Self {
+    pub(super) fn new(board: usize, ends: TapEnds, keeps_time: bool) -> Self {
         Self {
             board,
             ends,
             is_on: true,
-            overflow,
+            keeps_time,
             due: Due(f64::NEG_INFINITY),
             under_way: None,
             is_full: false,
@@ -131,10 +125,8 @@ impl Tap {
         if self.under_way.is_some() {
             return;
         }
-        let spare = match self.overflow {
-            Overflow::Wait => self.ends.chunks.spare(),
-            Overflow::Drop => self.ends.chunks.spare_now(),
-        };
+        let chunks = &self.ends.chunks;
+        let spare = if self.keeps_time { chunks.spare_now() } else { chunks.spare() };
         self.under_way = spare.map(|mut chunk| {
             chunk.clear();
             chunk.board = self.board;
@@ -250,6 +242,9 @@ pub(crate) trait ChunkSink: Send {
 
     /// Called after each chunk, and ten times a second without.
     fn tick(&mut self);
+
+    /// All boards have ended: no chunk follows.
+    fn end(&mut self) {}
 }
 
 pub(crate) struct StreamPlan {
@@ -258,26 +253,34 @@ pub(crate) struct StreamPlan {
     pub(crate) pose_every_s: f64,
 }
 
-/// Starts the thread of a taker, which ends behind all boards; returns what boards need of it.
+/// Starts the thread of a stream; returns what boards need of it.
 pub(super) fn stream(plan: StreamPlan, boards: usize) -> Result<(JoinHandle<()>, TapEnds), BoardError> {
-    let (chunks, consumer) = buffer_pool(CHUNKS_A_BOARD * boards.max(1), TapChunk::with_capacity);
-    let StreamPlan { mut taker, pose_every_s } = plan;
-    let stream = move || {
+    let (thread, chunks) = start("stream", plan.taker, CHUNKS_A_BOARD * boards.max(1))?;
+    let (pose_every_s, is_wanted) = (plan.pose_every_s, Arc::new(AtomicBool::new(true)));
+    Ok((thread, TapEnds { chunks, is_wanted, pose_every_s, span: STREAM_SPAN, tells_hello: true }))
+}
+
+/// Starts the thread of `taker`, which ends behind all boards, with `chunks` chunks.
+pub(super) fn start(
+    name: &str,
+    mut taker: Box<dyn ChunkSink>,
+    chunks: usize,
+) -> Result<(JoinHandle<()>, Producer<TapChunk>), BoardError> {
+    let (producer, consumer) = buffer_pool(chunks, TapChunk::with_capacity);
+    let take = move || {
         loop {
             match consumer.next(IDLE) {
                 Ok(chunk) => {
                     taker.chunk(&chunk);
                     consumer.give_back(chunk);
                 }
-                Err(Empty::ForNow) => {}
-                Err(Empty::Closed) => return,
+                Err(TryRecvError::Empty) => {}
+                Err(TryRecvError::Disconnected) => return taker.end(),
             }
             taker.tick();
         }
     };
-    let is_wanted = Arc::new(AtomicBool::new(true));
-    let ends = TapEnds { chunks, is_wanted, pose_every_s, span: STREAM_SPAN, tells_hello: true };
-    Ok((spawn("stream".to_owned(), stream)?, ends))
+    Ok((spawn(name.to_owned(), take).map_err(BoardError::Thread)?, producer))
 }
 
 /// Gives the calling thread this priority (SCHED_FIFO, 1 to 99). The error is advice for the user.

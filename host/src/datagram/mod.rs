@@ -71,7 +71,6 @@
 //! 2. The request was not served, or the client has lost its place: all places are taken. Ask again each second.
 //! 3. The request was served; use this cookie from now on, as the last one expires soon.
 
-use std::net::SocketAddr;
 use std::sync::atomic;
 
 pub use layout::{Answer, Mode, PoseDatagram, Request};
@@ -80,7 +79,7 @@ pub use socket::UnixClient;
 pub use subscription::SlowClient;
 
 pub use crate::address::Address;
-use crate::address::ServeError;
+use socket::require_loopback;
 
 mod layout;
 mod server;
@@ -103,13 +102,6 @@ pub(crate) fn address(text: &str) -> Result<Address, String> {
         }
         _ => Err(format!("`{text}` is no address for poses; give unix:PATH or udp:127.0.0.1:PORT")),
     }
-}
-
-/// Refuses addresses that other hosts can reach.
-fn require_loopback(address: SocketAddr) -> Result<(), ServeError> {
-    let reason = "poses carry no proof of their origin; give udp:127.0.0.1:PORT";
-    let refused = || ServeError::NotLoopback { address: Address::Udp(address), reason };
-    address.ip().is_loopback().then_some(()).ok_or_else(refused)
 }
 
 #[cfg(test)]

@@ -12,11 +12,11 @@ use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use schemars::JsonSchema;
 use serde::Serialize;
 
+use super::layout::{Answer, Mode, PoseDatagram, Request};
 use super::slot::Slot;
 use super::socket::{Delivery, Peer, Socket};
 use super::subscription::{Cookies, Lease, Leases, MAX_FOLLOWERS, MAX_NEWS, SlowClient, Subscription, Worth};
-use super::{Address, Answer, Mode, PoseDatagram, Request};
-use crate::address::{ServeError, SocketFile};
+use crate::address::{Address, ServeError, SocketFile};
 use crate::background::Background;
 use slitpose_head::threads::lock;
 use slitpose_tracking::clock::HostInstant;
@@ -112,7 +112,15 @@ impl DatagramServer {
         }
         directory.boards.retain(|board| board.device != device);
         directory.boards.push(Board { device, slot: Arc::downgrade(&slot), subscriptions: sender });
-        Publisher::new(Arc::clone(&self.shared), slot, receiver)
+        Publisher {
+            shared: Arc::clone(&self.shared),
+            slot,
+            subscriptions: receiver,
+            followers: Vec::with_capacity(MAX_FOLLOWERS),
+            number: 0,
+            missed: 0,
+            is_behind: false,
+        }
     }
 
     pub fn counts(&self) -> DatagramCounts {
@@ -237,18 +245,6 @@ pub struct Publisher {
 }
 
 impl Publisher {
-    pub(super) fn new(shared: Arc<Shared>, slot: Arc<Slot>, subscriptions: Receiver<Subscription>) -> Self {
-        Self {
-            shared,
-            slot,
-            subscriptions,
-            followers: Vec::with_capacity(MAX_FOLLOWERS),
-            number: 0,
-            missed: 0,
-            is_behind: false,
-        }
-    }
-
     /// Sends a pose to all followers, and stores it for clients that request the newest.
     pub fn publish(&mut self, record: &Record, now: HostInstant) {
         self.number += 1;

@@ -11,8 +11,8 @@ use std::sync::Arc;
 use nix::sys::socket::{ControlMessage, MsgFlags, SockType, UnixAddr, getsockopt, send, sendmsg, sockopt};
 use rustix::net::{RecvAncillaryBuffer, RecvAncillaryMessage, RecvFlags, recvmsg};
 
-use super::{Address, Request, require_loopback};
-use crate::address::{ServeError, SocketFile};
+use super::layout::Request;
+use crate::address::{Address, ServeError, SocketFile};
 
 #[derive(Debug)]
 pub(super) enum Socket {
@@ -57,15 +57,6 @@ impl PassedSocket {
     }
 }
 
-/// A party in the sharing of places.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Party {
-    /// A user of this host; `None` if the system does not name the user.
-    User(Option<u32>),
-    /// Any client by UDP, where users are unknown.
-    Udp,
-}
-
 impl Peer {
     pub(super) fn process(&self) -> Option<i32> {
         match self {
@@ -74,10 +65,11 @@ impl Peer {
         }
     }
 
-    pub(super) fn party(&self) -> Party {
+    /// Its user; `None` by UDP, where users are unknown.
+    pub(super) fn user(&self) -> Option<u32> {
         match self {
-            Self::Passed(peer) => Party::User(peer.user),
-            Self::Udp(_) => Party::Udp,
+            Self::Passed(peer) => peer.user,
+            Self::Udp(_) => None,
         }
     }
 }
@@ -181,7 +173,7 @@ impl Socket {
         match sent {
             Ok(_) => Delivery::Sent,
             Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) => Delivery::Full,
-            // The error of some systems for a full queue.
+            // No memory for it at this moment.
             Err(error) if error.raw_os_error() == Some(nix::errno::Errno::ENOBUFS as i32) => Delivery::Full,
             Err(_) => Delivery::Gone,
         }
@@ -202,4 +194,11 @@ impl AsFd for Socket {
             Self::Udp(socket) => socket.as_fd(),
         }
     }
+}
+
+/// Refuses addresses that other hosts can reach.
+pub(super) fn require_loopback(address: SocketAddr) -> Result<(), ServeError> {
+    let reason = "poses carry no proof of their origin; give udp:127.0.0.1:PORT";
+    let refused = || ServeError::NotLoopback { address: Address::Udp(address), reason };
+    address.ip().is_loopback().then_some(()).ok_or_else(refused)
 }

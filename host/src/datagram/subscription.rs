@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::socket::{Party, Peer};
+use super::socket::Peer;
 use slitpose_tracking::link::DeviceId;
 
 /// Most clients that follow a board at once: each costs the solver some microseconds per scan.
@@ -62,10 +62,9 @@ impl Subscription {
         let [missed, since_ns, last_ns] =
             [&self.misses.count, &self.misses.since_ns, &self.misses.last_ns].map(|it| it.load(Ordering::Relaxed));
         let is_slow = now_ns.saturating_sub(last_ns) < SLOW_NS && last_ns.saturating_sub(since_ns) >= SLOW_NS;
-        let user = if let Party::User(user) = self.peer.party() { user } else { None };
         is_slow.then(|| SlowClient {
             process: self.peer.process(),
-            user,
+            user: self.peer.user(),
             missed,
             missing_s: now_ns.saturating_sub(since_ns) as f64 * 1e-9,
         })
@@ -103,16 +102,16 @@ impl Lease {
         self.device.is_none() || device.is_none() || self.device == device
     }
 
-    fn party(&self) -> Party {
-        self.subscription.peer.party()
+    fn user(&self) -> Option<u32> {
+        self.subscription.peer.user()
     }
 }
 
 impl Leases {
     /// Adds a new lease, or renews a known one.
     ///
-    /// If all places are taken, the party with most of them loses its latest, as long as it has two more than the
-    /// party that asks: so no user can exclude another, however many clients it starts. Returns the client's subscription
+    /// If all places are taken, the user with most of them loses its latest, as long as it has two more than the one
+    /// that asks: so no user can exclude another, however many clients it starts. All clients by UDP count as one user. Returns the client's subscription
     /// and the leases that have ended for it; `None` if it gets no place.
     pub(super) fn renew(
         &mut self,
@@ -128,7 +127,7 @@ impl Leases {
         }
         let mut lost = Vec::new();
         while let Some(contested) = self.contested(device) {
-            let Some(loser) = self.loser(&contested, new.peer.party()) else {
+            let Some(loser) = self.loser(&contested, new.peer.user()) else {
                 // The places lost in vain are restored.
                 self.0.append(&mut lost);
                 return None;
@@ -152,11 +151,11 @@ impl Leases {
         fullest.filter(is_full).or(all)
     }
 
-    /// Index of the lease in `contested` that must end for one more of `party`.
-    fn loser(&self, contested: &[usize], party: Party) -> Option<usize> {
-        let count = |party: Party| contested.iter().filter(|&&number| self.0[number].party() == party).count();
-        let most = contested.iter().copied().max_by_key(|&number| (count(self.0[number].party()), number))?;
-        (count(self.0[most].party()) >= count(party) + 2).then_some(most)
+    /// Index of the lease in `contested` that must end for one more of `user`.
+    fn loser(&self, contested: &[usize], user: Option<u32>) -> Option<usize> {
+        let count = |user: Option<u32>| contested.iter().filter(|&&number| self.0[number].user() == user).count();
+        let most = contested.iter().copied().max_by_key(|&number| (count(self.0[number].user()), number))?;
+        (count(self.0[most].user()) >= count(user) + 2).then_some(most)
     }
 
     pub(super) fn of(&self, device: DeviceId, now_ns: u64) -> impl Iterator<Item = &Subscription> {

@@ -7,14 +7,16 @@ use slitpose_protocol::{
     Message, PayloadError, Rejection, Request, Stream, encode,
 };
 
+use super::error::DeviceError;
+use super::listed::BoardInfo;
 use super::orders::{self, KeepAlive, ping};
-use super::{BoardInfo, Device, DeviceError};
+use super::stream::Device;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::{Asked, Segment, Versions};
 
 /// Timeout of a hello: a board that was asked by its other port is free again 2 s later; one that has
 /// just been plugged in needs less.
-const HELLO_WITHIN: Duration = Duration::from_millis(2500);
+pub(crate) const HELLO_WITHIN: Duration = Duration::from_millis(2500);
 
 /// Interval of requests for a hello, as a board may not listen yet.
 const HELLO_EVERY: Duration = Duration::from_millis(250);
@@ -28,15 +30,6 @@ const STOP_WITHIN: Duration = Duration::from_millis(500);
 
 /// Longest time without bytes from a board that samples: it sends at least its status.
 const QUIET: Duration = Duration::from_millis(450);
-
-/// The bytes around a reply to keep.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Keep {
-    All,
-    /// Bytes from the last hello on: earlier ones belong to an older configuration.
-    FromHello,
-    Replies,
-}
 
 /// A conversation with a board. When dropped it stops the board.
 pub(crate) struct Conversation {
@@ -90,14 +83,6 @@ impl Conversation {
     /// may be an earlier one. Bytes received until then are dropped.
     pub(crate) fn greet<E: From<DeviceError>>(
         &mut self,
-        admit: impl FnMut(&Hello<'_>) -> Result<(), E>,
-    ) -> Result<(), E> {
-        self.greet_within(HELLO_WITHIN, admit)
-    }
-
-    /// As [`greet`](Self::greet), with another timeout.
-    pub(super) fn greet_within<E: From<DeviceError>>(
-        &mut self,
         within: Duration,
         mut admit: impl FnMut(&Hello<'_>) -> Result<(), E>,
     ) -> Result<(), E> {
@@ -143,33 +128,28 @@ impl Conversation {
         // At low frame rates a board is quiet between frames.
         let frame = Duration::from_secs_f64(configuration.schedule.frame_rate_hz().recip());
         self.quiet_limit = QUIET.max(3 * frame);
-        let introduced = self.ask(Command::Configure(configuration), Keep::FromHello, REPLY_WITHIN)?;
-        if !introduced {
+        if !self.ask_for_hello(Command::Configure(configuration))? {
             // The hello was damaged. Without it no scan can be read.
-            self.ask(Command::Hello, Keep::FromHello, REPLY_WITHIN)?;
+            self.ask_for_hello(Command::Hello)?;
         }
         Ok(())
     }
 
     /// Sends a compiled head, by which the board then solves poses. Received bytes are appended to the inbox.
     pub(crate) fn send_head(&mut self, head: &[u8]) -> Result<(), DeviceError> {
-        HeadPart::all(head).try_for_each(|part| self.ask(Command::Head(part), Keep::All, REPLY_WITHIN).map(drop))
+        HeadPart::all(head).try_for_each(|part| self.ask(Command::Head(part), REPLY_WITHIN))
     }
 
     /// Chooses what the board sends once it is started. Received bytes are appended to the inbox.
     pub(crate) fn stream(&mut self, stream: Stream) -> Result<(), DeviceError> {
         // So it does without being told.
-        if stream == Stream::SCANS {
-            Ok(())
-        } else {
-            self.ask(Command::Stream(stream), Keep::All, REPLY_WITHIN).map(drop)
-        }
+        if stream == Stream::SCANS { Ok(()) } else { self.ask(Command::Stream(stream), REPLY_WITHIN) }
     }
 
     /// Starts acquisition. Received bytes are appended to the inbox.
     pub(crate) fn start(&mut self) -> Result<(), DeviceError> {
         self.started = true;
-        self.ask(Command::Start, Keep::All, REPLY_WITHIN)?;
+        self.ask(Command::Start, REPLY_WITHIN)?;
         self.keep_alive = self.device.keep_alive().map_err(|source| self.gone(source))?;
         Ok(())
     }
@@ -188,18 +168,17 @@ impl Conversation {
         Ok(more)
     }
 
-    /// Stops acquisition. The inbox then holds the kept bytes before the reply.
-    pub(crate) fn stop(&mut self, keep: Keep) -> Result<(), DeviceError> {
+    /// Stops acquisition. The inbox then holds the bytes up to the reply.
+    pub(crate) fn stop(&mut self) -> Result<(), DeviceError> {
         self.keep_alive = None;
         self.started = false;
         self.forget();
         self.decoder.reset();
-        match self.ask(Command::Stop, keep, STOP_WITHIN) {
+        match self.ask(Command::Stop, STOP_WITHIN) {
             // Once more: the command may have been damaged on its way.
-            Err(DeviceError::NoReply { .. }) => self.ask(Command::Stop, keep, STOP_WITHIN)?,
-            outcome => outcome?,
-        };
-        Ok(())
+            Err(DeviceError::NoReply { .. }) => self.ask(Command::Stop, STOP_WITHIN),
+            outcome => outcome,
+        }
     }
 
     /// Appends to `segment` the bytes received last with their instant, and the pings sent since the last call.
@@ -226,8 +205,18 @@ impl Conversation {
         self.device.name().to_owned()
     }
 
-    /// Sends a command and waits for its reply; returns whether a hello came, too.
-    pub(super) fn ask(&mut self, command: Command, keep: Keep, within: Duration) -> Result<bool, DeviceError> {
+    /// Sends a command and waits for its reply.
+    pub(super) fn ask(&mut self, command: Command, within: Duration) -> Result<(), DeviceError> {
+        self.ask_and_sort(command, false, within).map(drop)
+    }
+
+    /// As [`ask`](Self::ask), and drops the bytes before the last hello: they belong to an older configuration. Returns
+    /// whether a hello came.
+    fn ask_for_hello(&mut self, command: Command) -> Result<bool, DeviceError> {
+        self.ask_and_sort(command, true, REPLY_WITHIN)
+    }
+
+    fn ask_and_sort(&mut self, command: Command, from_hello: bool, within: Duration) -> Result<bool, DeviceError> {
         let name = name_of(&command);
         let number = self.command(command)?;
         let until = Instant::now() + within;
@@ -235,7 +224,7 @@ impl Conversation {
         while Instant::now() < until {
             let decoded = self.inbox.len();
             let more = self.hear()?;
-            if let Some(outcome) = self.sort(decoded, number, keep, &mut introduced) {
+            if let Some(outcome) = self.sort(decoded, number, from_hello, &mut introduced) {
                 return match outcome {
                     Ok(()) => Ok(introduced),
                     Err(source) => {
@@ -251,16 +240,21 @@ impl Conversation {
         Err(DeviceError::NoReply { name: self.name(), command: name, seconds: within.as_secs_f64() })
     }
 
-    /// Decodes the inbox from `at` on and keeps the packets selected by `keep`; returns the reply to `number`, if any.
-    fn sort(&mut self, mut at: usize, number: u16, keep: Keep, introduced: &mut bool) -> Option<Result<(), Rejection>> {
+    /// Decodes the inbox from `at` on, and keeps it `from_hello` on, or all; returns the reply to `number`, if any.
+    fn sort(
+        &mut self,
+        mut at: usize,
+        number: u16,
+        from_hello: bool,
+        introduced: &mut bool,
+    ) -> Option<Result<(), Rejection>> {
         let mut answer = None;
         loop {
             let mut rest = &self.inbox[at..];
             let Some(message) = self.decoder.next::<Message<'_>>(&mut rest) else {
                 return answer;
             };
-            let is_hello = keep == Keep::FromHello && matches!(message, Ok(Message::Hello(_)));
-            let is_reply = matches!(message, Ok(Message::Reply(_)));
+            let is_hello = from_hello && matches!(message, Ok(Message::Hello(_)));
             if let Ok(Message::Reply(reply)) = &message
                 && reply.number == number
             {
@@ -271,8 +265,6 @@ impl Conversation {
                 // Kept from here on.
                 *introduced = true;
                 at -= self.inbox.drain(..self.whole).len();
-            } else if keep == Keep::Replies && !is_reply {
-                at -= self.inbox.drain(self.whole..at).len();
             }
             self.whole = at;
         }

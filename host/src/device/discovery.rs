@@ -8,14 +8,22 @@
 //! and both cables of a Nucleo may be plugged in.
 
 use std::fmt;
-use std::path::{MAIN_SEPARATOR, Path};
+use std::path::Path;
 use std::str::FromStr;
+use std::thread::sleep;
+use std::time::{Duration, Instant};
 
-use super::ports::{Listed, Port, PortState, Search, UsbId, ports, real_path};
-use super::{DeviceError, SerialDevice};
+use super::conversation::Conversation;
+use super::error::DeviceError;
+use super::listed::{BoardInfo, Listed, Port, PortState, UsbId, is_path, real_path};
+use super::ports::{ANSWER_WITHIN, Search, ports};
+use super::serial::SerialDevice;
 use slitpose_tracking::link::DeviceId;
 
 const SIM: &str = "sim";
+
+/// Interval of attempts to open a board that is to come back.
+const LOOK_EVERY: Duration = Duration::from_millis(100);
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Found {
@@ -48,6 +56,11 @@ impl Contact {
         Self { selector, search, known: None }
     }
 
+    /// With the board that was `found` before.
+    pub(crate) fn with(selector: Selector, search: Vec<Search>, found: Found) -> Self {
+        Self { selector, search, known: Some(found) }
+    }
+
     /// Opens the board's port, even if its name has changed.
     pub(crate) fn open(&mut self) -> Result<SerialDevice, DeviceError> {
         let found = match locate(&self.selector, self.known.as_ref()) {
@@ -59,6 +72,35 @@ impl Contact {
             None => find(&self.selector, &self.search)?,
         };
         SerialDevice::open(&self.known.insert(found).port)
+    }
+
+    /// Waits for the board, which restarts or was unplugged, until it answers again, `within` this time. `open`: at a port
+    /// that stays, as that of a debugger outlives the board behind it.
+    pub(crate) fn await_return(
+        &self,
+        mut open: Option<Conversation>,
+        within: Duration,
+    ) -> Result<(Conversation, BoardInfo), DeviceError> {
+        let name = self.known.as_ref().map_or_else(|| self.selector.to_string(), |found| found.port.clone());
+        let until = Instant::now() + within;
+        while Instant::now() < until {
+            // It may be there and not yet be allowed to this user, or not yet be ready.
+            let reopened = || {
+                let there = locate(&self.selector, self.known.as_ref())?;
+                Conversation::open(Box::new(SerialDevice::open(&there.port).ok()?)).ok()
+            };
+            let Some(mut board) = open.take().or_else(reopened) else {
+                sleep(LOOK_EVERY);
+                continue;
+            };
+            match board.introduce(ANSWER_WITHIN) {
+                Ok(info) => return Ok((board, info)),
+                Err(DeviceError::Gone { .. }) => {}
+                Err(DeviceError::Silent { .. } | DeviceError::NoHello { .. }) => open = Some(board),
+                Err(error) => return Err(error),
+            }
+        }
+        Err(DeviceError::NotBack { name, seconds: within.as_secs_f64() })
     }
 
     /// The board that was opened last has introduced itself.
@@ -116,7 +158,7 @@ pub(crate) fn list(search: &[Search], ask: bool) -> Result<Vec<Listed>, DeviceEr
 /// Finds the board that `selector` names without asking any port: fast enough for several calls per second. `known`:
 /// its last place, with its number if known. `None` if it is missing, or, without `known`, if only [`find`] can
 /// identify it.
-pub(crate) fn locate(selector: &Selector, known: Option<&Found>) -> Option<Found> {
+fn locate(selector: &Selector, known: Option<&Found>) -> Option<Found> {
     if *selector == Selector::Sim {
         return Some(Found { port: SIM.to_owned(), usb: None, device: None });
     }
@@ -234,11 +276,6 @@ impl fmt::Display for Selector {
     }
 }
 
-/// Whether `name` looks like the path of a port, and not like the name of a board.
-pub(super) fn is_path(name: &str) -> bool {
-    name.contains(['/', MAIN_SEPARATOR]) || (cfg!(windows) && name.starts_with("COM")) || Path::new(name).exists()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -247,7 +284,7 @@ mod tests {
     const SECOND: &str = "0036002900544850025a0321";
 
     fn usb(name: &str, vid: u16, pid: u16, serial: &str) -> Port {
-        let board = (vid, pid) == super::super::ports::BOARD;
+        let board = (vid, pid) == super::super::listed::BOARD;
         let text = |text: &str| board.then(|| text.to_owned());
         let (manufacturer, product) = (text("slitpose"), text("slitpose board"));
         Port {

@@ -6,7 +6,7 @@ use slitpose_protocol::Rejection;
 use slitpose_tracking::link::{DeviceId, Versions};
 use thiserror::Error;
 
-use super::Listed;
+use super::listed::Listed;
 
 /// Why a board cannot be used, or no longer.
 #[derive(Debug, Error)]

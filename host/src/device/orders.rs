@@ -6,8 +6,9 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use slitpose_protocol::{Command, HeadPart, MAX_REQUEST_BYTES, Message, Rejection, Request, Status, encode};
 
-use super::conversation::REPLY_WITHIN;
-use super::{BoardInfo, Conversation, DeviceError, Keep};
+use super::conversation::{Conversation, REPLY_WITHIN};
+use super::error::DeviceError;
+use super::listed::BoardInfo;
 use crate::background::Background;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::Asked;
@@ -19,7 +20,7 @@ impl Conversation {
     /// [`greet`](Self::greet)s the board and returns its hello. The caller decides whether the board can be used.
     pub(crate) fn introduce(&mut self, within: Duration) -> Result<BoardInfo, DeviceError> {
         let mut last = None;
-        self.greet_within(within, |hello| {
+        self.greet(within, |hello| {
             last = Some(BoardInfo::from(hello));
             Ok::<_, DeviceError>(())
         })?;
@@ -61,7 +62,7 @@ impl Conversation {
     pub(crate) fn order(&mut self, command: Command) -> Result<(), DeviceError> {
         self.forget();
         self.decoder.reset();
-        self.ask(command, Keep::Replies, REPLY_WITHIN).map(drop)
+        self.ask(command, REPLY_WITHIN)
     }
 }
 
@@ -71,7 +72,7 @@ pub(super) const INTERVAL: Duration = Duration::from_millis(500);
 /// Most sent pings kept until they are fetched.
 const MAX_UNTOLD: usize = 16;
 
-/// Number of the pings; a [`Conversation`](super::Conversation) counts its commands from 1.
+/// Number of the pings; a [`Conversation`] counts its commands from 1.
 pub(super) const PING: u16 = 0;
 
 /// Sends pings until dropped, on its own thread so that a slow reader of the poses does not darken the

@@ -9,9 +9,10 @@ use std::{fs, io};
 use serialport::{DataBits, FlowControl, Parity, SerialPort, StopBits};
 use slitpose_model::Tier;
 
-use super::discovery::is_path;
-use super::ports::real_path;
-use super::{Device, DeviceError, KeepAlive};
+use super::error::DeviceError;
+use super::listed::{is_path, real_path};
+use super::orders::KeepAlive;
+use super::stream::Device;
 use slitpose_head::faults::{Injector, Link};
 use slitpose_head::front_end;
 use slitpose_head::pace::{Pace, Speed};
@@ -122,8 +123,7 @@ impl Drop for SerialDevice {
     }
 }
 
-/// The programs that have the port `name` open, on Linux only, and without those of other users, whose open files
-/// are hidden. Reads every open file of the system.
+/// The programs that have the port `name` open, without those of other users, whose open files are hidden. Reads every open file of the system.
 pub(crate) fn holders(name: &str) -> Vec<String> {
     let port = real_path(name);
     let number = |entry: fs::DirEntry| entry.file_name().to_str()?.parse::<u32>().ok();

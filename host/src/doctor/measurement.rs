@@ -7,7 +7,7 @@ use slitpose_model::Tier;
 use slitpose_protocol::{Configuration, Severity, Status};
 
 use super::judged;
-use crate::device::{Conversation, Keep};
+use crate::device::Conversation;
 use slitpose_head::finding::Finding;
 use slitpose_head::finding::Grade::{Failed, Warning};
 use slitpose_head::scene_file::SceneFile;
@@ -105,7 +105,7 @@ pub(super) fn measure(
             received = (scans - scans_first, at.elapsed().as_secs_f64());
         }
     }
-    board.stop(Keep::All)?;
+    board.stop()?;
     take(&mut pipeline, board)?;
     let after = board.status()?;
     let counts = pipeline.counts();

@@ -9,7 +9,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant, UNIX_EPOCH};
 use std::{fs, io};
 
-pub(crate) use bring_up::{BringUp, Step, scene as scene_of_bring_up};
+pub(crate) use bring_up::{BringUp, Step};
 use flate2::Compression;
 use flate2::write::GzEncoder;
 use nix::sys::statvfs::statvfs;
@@ -316,43 +316,9 @@ fn write_rate(folder: &Path) -> io::Result<f64> {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
-    use std::io::Read;
-
-    use flate2::read::GzDecoder;
-
     use super::*;
     use slitpose_head::finding::Grade;
     use slitpose_head::finding::Grade::{Failed, Ok, Warning};
-    use slitpose_head::scene_file::WIDE;
-
-    fn unpacked(examination: &Examination) -> BTreeMap<String, Vec<u8>> {
-        let packed = Bundle::of(examination).unwrap().write(Vec::new()).unwrap();
-        let mut files = BTreeMap::new();
-        for entry in tar::Archive::new(GzDecoder::new(&packed[..])).entries().unwrap() {
-            let mut entry = entry.unwrap();
-            let name = entry.path().unwrap().display().to_string();
-            let mut bytes = Vec::new();
-            entry.read_to_end(&mut bytes).unwrap();
-            files.insert(name.trim_start_matches("slitpose-doctor/").to_owned(), bytes);
-        }
-        files
-    }
-
-    #[test]
-    fn a_bundle_holds_the_findings_and_no_other_file() {
-        let names = |examination| unpacked(examination).into_keys().collect::<Vec<_>>();
-        let mut examination = Examination { checks: vec![Finding::ok("scene", "fits")], ..Examination::default() };
-        assert_eq!(names(&examination), ["report.json", "report.txt", "system.txt"]);
-        examination.scene = WIDE.read().ok();
-        examination.bytes = vec![1, 2, 0, 3];
-        let files = unpacked(&examination);
-        assert_eq!(files["scene.toml"], WIDE.text.as_bytes());
-        assert_eq!(files["stream.bin"], [1, 2, 0, 3]);
-        let report: serde_json::Value = serde_json::from_slice(&files["report.json"]).unwrap();
-        assert_eq!((&report["checks"][0]["name"], &report["checks"][0]["verdict"]), (&"scene".into(), &"ok".into()));
-        assert_eq!(report["slitpose"], env!("CARGO_PKG_VERSION"));
-    }
 
     #[test]
     fn the_limit_is_read() {

@@ -13,7 +13,6 @@ use slitpose_model::{
     Tier, TwistEstimate,
 };
 
-use super::hub::text_of;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::pipeline::{Record, reason};
 
@@ -252,11 +251,11 @@ pub(super) fn coordinates(pose: &Pose) -> [f64; 6] {
 // The head.
 
 /// A head, as board `number`. Detectors and masks are in frame base, metres; emitters, and masks that ride, in frame tool.
-pub(super) fn head_message(number: usize, head: &Head) -> Option<Utf8Bytes> {
+pub(super) fn head_message(number: usize, head: &Head) -> Utf8Bytes {
     let file = &head.file;
     let full_scale_a = file.front_end.map(|front_end| front_end.full_scale_a);
     let cells = file.scene.cells.iter().enumerate().map(|(cell, parts)| cell_parts(cell, parts, full_scale_a));
-    text_of(&json!({
+    let message = json!({
         "kind": "head",
         "board": number,
         "scene": file.name,
@@ -266,7 +265,8 @@ pub(super) fn head_message(number: usize, head: &Head) -> Option<Utf8Bytes> {
             "half_extent_rad": file.workspace.half_extent_rad.to_array(),
         },
         "cells": cells.collect::<Vec<_>>(),
-    }))
+    });
+    message.to_string().into()
 }
 
 fn cell_parts(number: usize, cell: &Cell, full_scale_a: Option<f64>) -> Value {
@@ -314,13 +314,13 @@ impl SceneView {
 
     /// The frame, number `n`, with the tool at rest at `pose`; accuracy is the Cramér–Rao bound, and absent where the scene
     /// states no noise.
-    pub(super) fn frame(&self, n: u64, pose: &Pose) -> Option<Utf8Bytes> {
+    pub(super) fn frame(&self, n: u64, pose: &Pose) -> Utf8Bytes {
         let (readings, solution) = self.outlook.frame_at(pose);
         let mut frame = self.optics.solved(0, n, &solution, &readings);
         if self.outlook.noise == NoiseOf::Nothing {
             (frame["sigma"], frame["cov_t"]) = (Value::Null, Value::Null);
         }
-        text_of(&frame)
+        frame.to_string().into()
     }
 }
 

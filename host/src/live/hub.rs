@@ -30,8 +30,7 @@ const EVENTS: usize = 256;
 #[derive(Clone, Debug)]
 pub(crate) struct LiveBoard {
     pub name: String,
-    /// Its head; `None` while unknown.
-    pub head: Option<Head>,
+    pub head: Head,
 }
 
 #[derive(Debug)]
@@ -105,7 +104,7 @@ struct State {
 
 struct Board {
     name: String,
-    head: Option<Utf8Bytes>,
+    head: Utf8Bytes,
     optics: Option<Optics>,
     frames: VecDeque<Utf8Bytes>,
     next: u64,
@@ -199,7 +198,7 @@ impl State {
         }
         let board = self.boards.get_mut(number)?;
         board.time_s = sample.record.device_time_s;
-        let text = text_of(&board.optics.as_ref()?.frame(number, board.next, sample))?;
+        let text = Utf8Bytes::from(board.optics.as_ref()?.frame(number, board.next, sample).to_string());
         board.keep(text.clone());
         Some(Event::Frame { history: self.history, text })
     }
@@ -216,7 +215,7 @@ impl State {
         Snapshot {
             history: self.history,
             names: self.boards.iter().map(|board| board.name.clone()).collect(),
-            heads: self.boards.iter().filter_map(|board| board.head.clone()).collect(),
+            heads: self.boards.iter().map(|board| board.head.clone()).collect(),
             states: self.report.iter().chain(&self.player).cloned().collect(),
             frames: self.boards.iter().map(Board::kept).collect(),
         }
@@ -240,8 +239,8 @@ impl Board {
     fn new(number: usize, LiveBoard { name, head }: LiveBoard) -> Self {
         Self {
             // A scene that cannot be computed has been refused before.
-            optics: head.as_ref().and_then(|head| Optics::of(head).ok()),
-            head: head.and_then(|head| head_message(number, &head)),
+            optics: Optics::of(&head).ok(),
+            head: head_message(number, &head),
             frames: VecDeque::with_capacity(HISTORY),
             next: 0,
             time_s: f64::NEG_INFINITY,
@@ -250,7 +249,7 @@ impl Board {
     }
 }
 
-pub(super) fn text_of(message: &impl Serialize) -> Option<Utf8Bytes> {
+fn text_of(message: &impl Serialize) -> Option<Utf8Bytes> {
     serde_json::to_string(message).ok().map(Utf8Bytes::from)
 }
 
@@ -261,7 +260,8 @@ mod tests {
     #[test]
     fn a_client_that_falls_behind_keeps_no_frames_of_its_own() {
         let hub = Hub::new();
-        hub.accept(Input::Boards(vec![LiveBoard { name: "sim".to_owned(), head: None }]));
+        let head = slitpose_head::scene_file::WIDE.read().unwrap().into();
+        hub.accept(Input::Boards(vec![LiveBoard { name: "sim".to_owned(), head }]));
         let push = |count: usize| {
             let mut state = lock(&hub.state);
             for _ in 0..count {

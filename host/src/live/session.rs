@@ -242,8 +242,7 @@ impl Session {
         }
         self.drawn += 1;
         let pose = Pose::from_vectors(DVec3::from_array(t_m), DVec3::from_array(r_rad));
-        view.frame(self.drawn, &pose)
-            .ok_or_else(|| Refusal::Unreadable { reason: "no frame of this pose can be written".to_owned() })
+        Ok(view.frame(self.drawn, &pose))
     }
 
     async fn refuse(&mut self, refusal: &Refusal) -> Result<(), Gone> {

@@ -3,13 +3,13 @@
 use std::io;
 use std::io::Write;
 
-use super::columns::{Column, Device, Get, columns};
+use super::columns::{Device, Get, PoseColumn, columns};
 use super::{Accounts, Sink};
 use slitpose_tracking::pipeline::Record;
 
 pub(super) struct Csv<W: Write> {
     writer: csv::Writer<W>,
-    columns: Vec<Column>,
+    columns: Vec<PoseColumn>,
     device: Device,
     begun: bool,
     field: String,
@@ -41,7 +41,7 @@ impl<W: Write> Sink for Csv<W> {
             let _ = match get {
                 Get::Integer(get) => get(&row).map_or(Ok(()), |value| write!(field, "{value}")),
                 Get::Number(get) => get(&row).map_or(Ok(()), |value| write!(field, "{value:?}")),
-                Get::Word(get) => field.write_str(get(&row)),
+                Get::Word(get) => field.write_str(&get(&row)),
                 Get::Flag(get) => write!(field, "{}", get(&row)),
             };
             writer.write_field(&*field)?;

@@ -15,6 +15,8 @@ use slitpose_head::foreign::printable;
 use slitpose_tracking::link::DeviceId;
 use slitpose_tracking::pipeline::{Item, Record};
 
+pub(crate) use columns::{Get, PoseColumn, PoseRow, solution_columns};
+
 mod columns;
 mod csv;
 mod ndjson;

@@ -10,7 +10,7 @@ use parquet::file::properties::WriterProperties;
 use parquet::file::writer::{SerializedFileWriter, SerializedRowGroupWriter};
 use parquet::schema::types::{ColumnPath, Type};
 
-use super::columns::{Column, Device, Get, Getter, Row, columns, more_columns};
+use super::columns::{Device, Get, Getter, PoseColumn, PoseRow, columns, more_columns};
 use super::{Accounts, Sink};
 use slitpose_tracking::pipeline::Record;
 
@@ -29,14 +29,14 @@ struct Typed<T: DataType> {
 }
 
 trait Stored<W: Write + Send> {
-    fn push(&mut self, row: &Row<'_>);
+    fn push(&mut self, row: &PoseRow<'_>);
     fn field(&self) -> Result<Type, ParquetError>;
     fn encoding(&self) -> Option<(ColumnPath, Encoding)>;
     fn write(&mut self, group: &mut SerializedRowGroupWriter<'_, W>) -> Result<(), ParquetError>;
 }
 
 impl<T: DataType, W: Write + Send> Stored<W> for Typed<T> {
-    fn push(&mut self, row: &Row<'_>) {
+    fn push(&mut self, row: &PoseRow<'_>) {
         let value = (self.get)(row);
         self.levels.push(value.is_some().into());
         self.values.extend(value);
@@ -66,13 +66,13 @@ fn typed<T: DataType, W: Write + Send>(
     name: String,
     encoding: Option<Encoding>,
     meaning: Option<LogicalType>,
-    get: impl Fn(&Row<'_>) -> Option<T::T> + Send + 'static,
+    get: impl Fn(&PoseRow<'_>) -> Option<T::T> + Send + Sync + 'static,
 ) -> Box<dyn Stored<W> + Send> {
     Box::new(Typed::<T> { name, encoding, meaning, get: Box::new(get), values: Vec::new(), levels: Vec::new() })
 }
 
 /// Numbers that hardly repeat are stored byte by byte: half the size of dictionaries.
-fn stored<W: Write + Send>((name, get): Column) -> Box<dyn Stored<W> + Send> {
+fn stored<W: Write + Send>((name, get): PoseColumn) -> Box<dyn Stored<W> + Send> {
     match get {
         // Times and counts stay far below 2⁶³.
         Get::Integer(get) => typed::<Int64Type, W>(name, Some(Encoding::DELTA_BINARY_PACKED), None, move |row| {
@@ -80,7 +80,7 @@ fn stored<W: Write + Send>((name, get): Column) -> Box<dyn Stored<W> + Send> {
         }),
         Get::Number(get) => typed::<DoubleType, W>(name, Some(Encoding::BYTE_STREAM_SPLIT), None, get),
         Get::Word(get) => typed::<ByteArrayType, W>(name, None, Some(LogicalType::String), move |row| {
-            Some(get(row)).filter(|word| !word.is_empty()).map(ByteArray::from)
+            Some(get(row)).filter(|word| !word.is_empty()).map(|word| ByteArray::from(&*word))
         }),
         Get::Flag(get) => typed::<BoolType, W>(name, None, None, move |row| Some(get(row))),
     }

@@ -195,65 +195,46 @@ mod tests {
         }
     }
 
+    /// Asserts that a board that runs well, but for what `change` does, has one finding with these words, or none.
+    fn assert_found(words: &str, change: impl FnOnce(&mut BoardReport)) {
+        let mut board = running();
+        change(&mut board);
+        let found = findings(board);
+        let is_it = if words.is_empty() { found.is_empty() } else { found.len() == 1 && found[0].contains(words) };
+        assert!(is_it, "{words}: {found:?}");
+    }
+
     #[test]
     fn a_stuck_stream_is_reported() {
-        let lag = LagReport { is_behind: true, behind_s: 1.2, waiting_scans: 77, ..LagReport::default() };
-        let lossy = LinkLosses::default();
+        assert_found("", |_| ());
+        // The program no longer makes reports; the board sends no scans; there is no board.
+        assert_found("stuck", |it| it.made_monotonic_ns = NOW.monotonic_ns - 4_000_000_000);
+        assert_found("no scan", |it| it.last_scan_age_s = Some(2.9));
+        assert_found("searching", |it| it.link = LinkReport::default());
+        // A board that answers but sends no scan, after several attempts.
         let link = LinkReport { state: LinkState::Connecting, attempts: 7, ..LinkReport::default() };
-        type Change<'a> = &'a dyn Fn(&mut BoardReport);
-        let cases: [(Change<'_>, Option<&str>); 17] = [
-            (&|_| (), None),
-            // The program no longer makes reports; the board sends no scans; there is no board.
-            (&|it| it.made_monotonic_ns = NOW.monotonic_ns - 4_000_000_000, Some("stuck")),
-            (&|it| it.last_scan_age_s = Some(2.9), Some("no scan")),
-            (&|it| it.link = LinkReport::default(), Some("searching")),
-            // Scans come, but the solver does not keep up, or the printed poses are not read.
-            (&|it| it.lag = lag, Some("behind: scans come faster than they are solved")),
-            (&|it| it.lag = LagReport { behind_s: 0.8, ..lag }, None),
-            (
-                &|it| it.lag = LagReport { is_output_blocked: true, waiting_s: 1.5, ..lag },
-                Some("standard output: read too slowly: 77 scans wait"),
-            ),
-            (&|it| it.latencies.total.recent.p50_s = 0.3, Some("poses: 0.3 s old")),
-            // Of poses without a known instant, the time on the host is known.
-            (&|it| it.latencies.host.recent.p50_s = 0.5, Some("poses: 0.5 s old")),
-            // Scans without poses.
-            (
-                &|it| it.recent_outcomes = Outcomes { converged: 1, too_dark: 2, ..Outcomes::default() },
-                Some("only 1 of the last 3"),
-            ),
-            // Unreadable packets, and damaged ones, of which one may be chance.
-            (
-                &|it| it.recent_link_losses = LinkLosses { unreadable: 1, ..lossy },
-                Some("1 packets of the last second cannot be read"),
-            ),
-            (
-                &|it| it.recent_link_losses = LinkLosses { bad_checksum: 2, misframed: 1, ..lossy },
-                Some("3 packets of the last second came damaged"),
-            ),
-            (&|it| it.recent_link_losses = LinkLosses { overlong: 2, ..lossy }, None),
-            (
-                &|it| it.recent_link_losses = LinkLosses { poses_refused: 5, ..lossy },
-                Some("5 of the board's own in the last second"),
-            ),
-            (
-                &|it| it.board_poses = Some(Agreement { is_unchecked: true, ..Agreement::default() }),
-                Some("no scans by which its own poses can be checked"),
-            ),
-            (
-                &|it| it.board_poses = Some(Agreement { recent_rms_sigmas: 0.4, ..Agreement::default() }),
-                Some("differ from those found here by 0.40"),
-            ),
-            // A board that answers but sends no scan, after several attempts.
-            (&|it| it.link = link.clone(), Some("connecting: no scan has come yet (tried 7 times); wait some seconds")),
-        ];
-        for (change, words) in cases {
-            let mut board = running();
-            change(&mut board);
-            let found = findings(board);
-            let is_it = words.map_or(found.is_empty(), |words| found.len() == 1 && found[0].contains(words));
-            assert!(is_it, "{words:?}: {found:?}");
-        }
+        assert_found("connecting: no scan has come yet (tried 7 times); wait some seconds", |it| it.link = link);
+        // Scans come, but the solver does not keep up, or the printed poses are not read.
+        let lag = LagReport { is_behind: true, behind_s: 1.2, waiting_scans: 77, ..LagReport::default() };
+        assert_found("behind: scans come faster than they are solved", |it| it.lag = lag);
+        assert_found("", |it| it.lag = LagReport { behind_s: 0.8, ..lag });
+        let blocked = LagReport { is_output_blocked: true, waiting_s: 1.5, ..lag };
+        assert_found("standard output: read too slowly: 77 scans wait", |it| it.lag = blocked);
+        assert_found("poses: 0.3 s old", |it| it.latencies.total.recent.p50_s = 0.3);
+        // Of poses without a known instant, the time on the host is known.
+        assert_found("poses: 0.5 s old", |it| it.latencies.host.recent.p50_s = 0.5);
+        let dark = Outcomes { converged: 1, too_dark: 2, ..Outcomes::default() };
+        assert_found("only 1 of the last 3", |it| it.recent_outcomes = dark);
+        // Unreadable packets, and damaged ones, of which one may be chance.
+        assert_found("1 packets of the last second cannot be read", |it| it.recent_link_losses.unreadable = 1);
+        let damaged = LinkLosses { bad_checksum: 2, misframed: 1, ..LinkLosses::default() };
+        assert_found("3 packets of the last second came damaged", |it| it.recent_link_losses = damaged);
+        assert_found("", |it| it.recent_link_losses.overlong = 2);
+        assert_found("5 of the board's own in the last second", |it| it.recent_link_losses.poses_refused = 5);
+        let unchecked = Agreement { is_unchecked: true, ..Agreement::default() };
+        assert_found("no scans by which its own poses can be checked", |it| it.board_poses = Some(unchecked));
+        let apart = Agreement { recent_rms_sigmas: 0.4, ..Agreement::default() };
+        assert_found("differ from those found here by 0.40", |it| it.board_poses = Some(apart));
     }
 
     #[test]

@@ -13,7 +13,7 @@ use slitpose_protocol::{
 
 use super::{Attachment, Type, ZenohSession, topic_key};
 use crate::daemon::{BoardError, Feed, Opener};
-use crate::device::{DeviceError, Keep};
+use crate::device::DeviceError;
 use slitpose_tracking::capture::decode_link_bytes;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::{Segment, Versions};
@@ -219,7 +219,7 @@ impl Feed for FarBoard {
     }
 
     /// The board goes on: another host follows it.
-    fn stop(&mut self, _: Keep) -> Result<(), DeviceError> {
+    fn stop(&mut self) -> Result<(), DeviceError> {
         Ok(())
     }
 }

@@ -15,9 +15,10 @@ use twox_hash::XxHash3_128;
 use self::far_board::FarBoardOpener;
 use self::publisher::Publisher;
 use crate::bridges::{Bridge, DEFAULT_ROUTER};
-use crate::daemon::{Opener, StreamPlan, Talk};
+use crate::daemon::{Opener, StreamPlan};
 use crate::live::LiveBoard;
 use crate::telemetry::DaemonReport;
+use crate::terminal::say;
 use slitpose_head::threads::lock;
 use slitpose_tracking::capture::LINK_BYTES;
 use slitpose_tracking::ros::{MARKERS, POSE, RosType, TRANSFORMS, TWIST};
@@ -72,10 +73,9 @@ impl Bridge for ZenohSession {
         boards: Vec<LiveBoard>,
         pose_every_s: f64,
         report: Box<dyn Fn() -> DaemonReport + Send>,
-        talk: Arc<Talk>,
     ) -> StreamPlan {
-        talk(format_args!("boards by Zenoh at {}", self.what));
-        StreamPlan { taker: Box::new(Publisher::new(self.clone(), boards, report, talk)), pose_every_s }
+        say(format_args!("boards by Zenoh at {}", self.what));
+        StreamPlan { taker: Box::new(Publisher::new(self.clone(), boards, report)), pose_every_s }
     }
 
     fn opener(&self, key: &str) -> Result<Box<dyn Opener>> {

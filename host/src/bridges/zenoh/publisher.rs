@@ -1,6 +1,5 @@
 //! Publishes boards.
 
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use ::zenoh::liveliness::LivelinessToken;
@@ -9,9 +8,10 @@ use ::zenoh::{Session, Wait, pubsub};
 use slitpose_head::finding::{Finding, Grade};
 
 use super::{Attachment, Node, Type, ZenohSession, gid, topic_key};
-use crate::daemon::{ChunkSink, Talk, TapChunk};
+use crate::daemon::{ChunkSink, TapChunk};
 use crate::live::LiveBoard;
 use crate::telemetry::DaemonReport;
+use crate::terminal::say;
 use slitpose_tracking::capture::encode_link_bytes;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::{DeviceId, Segment};
@@ -27,7 +27,6 @@ pub(super) struct Publisher {
     boards: Vec<Shown>,
     report: Box<dyn Fn() -> DaemonReport + Send>,
     repeat_at: Instant,
-    talk: Arc<Talk>,
     is_told: bool,
     message: Vec<u8>,
 }
@@ -109,7 +108,6 @@ impl Publisher {
         session: ZenohSession,
         boards: Vec<LiveBoard>,
         report: Box<dyn Fn() -> DaemonReport + Send>,
-        talk: Arc<Talk>,
     ) -> Self {
         let shown = |board| Shown { board, device: None, hello: Vec::new(), topics: None };
         let mut this = Self {
@@ -118,7 +116,6 @@ impl Publisher {
             boards: boards.into_iter().map(shown).collect(),
             report,
             repeat_at: Instant::now(),
-            talk,
             is_told: false,
             message: Vec::new(),
         };
@@ -132,7 +129,7 @@ impl Publisher {
             // Declarations fail at the end of the session only.
             Ok(session) => self.daemon = DaemonTopics::new(session, self.session.domain).ok(),
             Err(error) if !self.is_told => {
-                (self.talk)(format_args!("{error}; looking for it"));
+                say(format_args!("{error}; looking for it"));
                 self.is_told = true;
             }
             Err(_) => {}
@@ -203,8 +200,7 @@ impl BoardTopics {
         let mut topic = |name: &str, of| Topic::new(session, node, &ros::topic(device, name), of);
         let tool = ros::tool_frame(device, is_first);
         let mut shapes = Vec::new();
-        let cells = board.head.as_ref().map(|head| &head.file.scene.cells[..]);
-        ros::encode_head(cells.unwrap_or_default(), &tool, &mut shapes);
+        ros::encode_head(&board.head.file.scene.cells, &tool, &mut shapes);
         Ok(Self {
             device,
             tool,
@@ -268,8 +264,7 @@ mod tests {
     fn chunks_do_not_wait_for_a_router_that_is_not_there() {
         let session = ZenohSession::open("tcp/127.0.0.1:9").unwrap();
         let report = || -> DaemonReport { unreachable!("without a router nothing is published") };
-        let talk = |_: std::fmt::Arguments<'_>| {};
-        let mut publisher = Publisher::new(session, Vec::new(), Box::new(report), Arc::new(talk));
+        let mut publisher = Publisher::new(session, Vec::new(), Box::new(report));
         publisher.tick();
         let begun = Instant::now();
         publisher.tick();

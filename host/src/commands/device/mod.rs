@@ -5,7 +5,7 @@ mod list;
 use std::num::NonZeroU32;
 use std::path::PathBuf;
 use std::thread::sleep;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use clap::Subcommand;
 use clap::builder::TypedValueParser;
@@ -16,8 +16,8 @@ use slitpose_protocol::{BootTarget, Command, Hashes, ResetCause, Schedule};
 
 use super::{CommandError, Outcome, options, talk};
 use crate::device::{
-    BoardInfo, Conversation, Device, DeviceError, Found, Search, Selector, SerialDevice, SimulatedDevice, find,
-    holders, locate,
+    BoardInfo, Contact, Conversation, Device, DeviceError, Found, Search, Selector, SerialDevice, SimulatedDevice,
+    find, holders,
 };
 use slitpose_tracking::link::Versions;
 use slitpose_tracking::pipeline::PipelineError;
@@ -248,10 +248,6 @@ const GONE_WITHIN: Duration = Duration::from_millis(300);
 /// A board is up in milliseconds; on USB the host needs a second or two to see it.
 const BACK_WITHIN: Duration = Duration::from_secs(10);
 
-const ANSWER_WITHIN: Duration = Duration::from_secs(1);
-
-const LOOK_EVERY: Duration = Duration::from_millis(100);
-
 /// Restarts a board, and waits until it is back.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  slitpose device reboot --device /dev/ttyACM0")]
@@ -275,8 +271,13 @@ fn reboot(args: &RebootArgs) -> Result<Outcome, CommandError> {
         return Ok(Outcome::Done);
     }
     connection.board.order(Command::Reboot(BootTarget::Firmware))?;
-    let device = connection.info.device;
-    let (port, info) = wait(connection, args)?;
+    let Connection { board, found, info: BoardInfo { device, .. } } = connection;
+    sleep(GONE_WITHIN);
+    let found = Found { device: Some(device), ..found };
+    let BoardOptions { device: selector, search } = &args.board;
+    let (board, info) =
+        Contact::with(selector.clone(), search.clone(), found).await_return(Some(board), BACK_WITHIN)?;
+    let port = board.name();
     if info.device != device {
         talk(format_args!("another board is on {port} now: {}", info.device));
         return Err(DeviceError::NotBack { name: port, seconds: BACK_WITHIN.as_secs_f64() }.into());
@@ -286,33 +287,4 @@ fn reboot(args: &RebootArgs) -> Result<Outcome, CommandError> {
         talk(format_args!("it says that it last started by `{}`, not by command", info.reset_cause_name()));
     }
     Ok(Outcome::Done)
-}
-
-/// Where the board answers again, and what it says.
-fn wait(connection: Connection, args: &RebootArgs) -> Result<(String, BoardInfo), DeviceError> {
-    let Connection { board, mut found, info } = connection;
-    let name = found.port.clone();
-    found.device = Some(info.device);
-    let until = Instant::now() + BACK_WITHIN;
-    // The port of a debugger outlives the board behind it, and stays open.
-    let mut open = Some(board);
-    sleep(GONE_WITHIN);
-    while Instant::now() < until {
-        let Some(board) = &mut open else {
-            let there = locate(&args.board.device, Some(&found));
-            // It may be there and not yet be allowed to this user, or not yet be ready.
-            open = there.and_then(|there| Conversation::open(Box::new(SerialDevice::open(&there.port).ok()?)).ok());
-            if open.is_none() {
-                sleep(LOOK_EVERY);
-            }
-            continue;
-        };
-        match board.introduce(ANSWER_WITHIN) {
-            Ok(info) => return Ok((board.name(), info)),
-            Err(DeviceError::Gone { .. }) => open = None,
-            Err(DeviceError::Silent { .. } | DeviceError::NoHello { .. }) => {}
-            Err(error) => return Err(error),
-        }
-    }
-    Err(DeviceError::NotBack { name, seconds: BACK_WITHIN.as_secs_f64() })
 }

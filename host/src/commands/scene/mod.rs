@@ -193,7 +193,7 @@ fn view(args: &ViewArgs) -> Result<Outcome, CommandError> {
         source: "scene",
         has_zero: false,
         scene: Some(SceneView::of(&head)?),
-        boards: vec![LiveBoard { name: head.file.name.clone(), head: Some(head) }],
+        boards: vec![LiveBoard { name: head.file.name.clone(), head }],
         // Nothing of a scene can be changed.
         control: Box::new(|order| {
             Err(match order {

@@ -193,13 +193,10 @@ fn a_program_finds_the_installed_header_by_pkg_config() {
     let output = install(&prefix, "");
     assert!(output.status.success() && output.stderr.is_empty(), "{output:?}");
     assert_eq!(shell(&prefix, "pkg-config --modversion slitpose-pose"), env!("CARGO_PKG_VERSION"));
+    // The source has no other header beside it.
     let (source, program) = (host("examples/c/follow_pose.c"), folder.path().join("follow_pose"));
     let (source, program) = (source.display(), program.display());
     shell(&prefix, &format!("cc -std=c11 $(pkg-config --cflags slitpose-pose) -o '{program}' '{source}'"));
-    // Installed is what this tree has, and it is what was found: the source has no other header beside it.
-    let installed = std::fs::read(format!("{prefix}/include/slitpose_pose.h")).unwrap();
-    assert_eq!(installed, std::fs::read(host("include/slitpose_pose.h")).unwrap());
-    assert_eq!(shell(&prefix, "pkg-config --cflags slitpose-pose"), format!("-I{prefix}/include"));
 
     // A package is staged elsewhere, and a relative prefix is refused.
     let stage = folder.path().to_str().unwrap();
@@ -219,18 +216,13 @@ fn header_and_examples_compile_without_warnings_in_every_standard() {
     let alone = folder.path().join("alone.c");
     std::fs::write(&alone, "#define _POSIX_C_SOURCE 200809L\n#include \"slitpose_pose.h\"\n").unwrap();
     let sources = [alone, host("examples/c/follow_pose.c"), host("examples/c/virtual_wall.c")];
-    let in_c: &[&[&str]] = &[&["-std=c99"], &["-std=c11"]];
-    let in_cpp: &[&[&str]] = &[&["-x", "c++", "-std=c++11"], &["-x", "c++", "-std=c++17"]];
-    for (compiler, standards) in [("cc", in_c), ("c++", in_cpp)] {
-        for (standard, source) in standards.iter().flat_map(|s| sources.iter().map(move |source| (s, source))) {
-            let mut command = Command::new(compiler);
-            command.args(*standard).args(WARNINGS).arg("-O2").arg("-I").arg(host("include"));
-            let output = command
-                .args(["-c", "-o"])
-                .arg(folder.path().join("object"))
-                .arg(source)
-                .output()
-                .expect("cc and c++; on Debian: apt-get install g++");
+    for (language, standard) in [("c", "c99"), ("c", "c11"), ("c++", "c++11"), ("c++", "c++17")] {
+        for source in &sources {
+            let mut command = Command::new(if language == "c" { "cc" } else { "c++" });
+            command.args(["-x", language]).arg(format!("-std={standard}")).args(WARNINGS);
+            command.args(["-O2", "-I"]).arg(host("include"));
+            command.args(["-c", "-o"]).arg(folder.path().join("object")).arg(source);
+            let output = command.output().expect("cc and c++; on Debian: apt-get install g++");
             assert!(output.status.success(), "{command:?}: {}", String::from_utf8_lossy(&output.stderr));
         }
     }

@@ -70,30 +70,21 @@ fn kinds(mut bytes: &[u8]) -> (Vec<&'static str>, Vec<u64>) {
 fn however_bytes_are_cut_nothing_old_and_nothing_damaged_is_kept() {
     let configuration = front_end::configuration(&WIDE.read().unwrap()).unwrap();
     for bytes_at_once in (1..40).chain([113, 250, 251, 252, 1024]) {
-        for keep in [Keep::All, Keep::Replies] {
-            let mut board = Conversation::open(Box::new(Slow::new(bytes_at_once))).unwrap();
-            board.greet(|_| Ok::<_, DeviceError>(())).unwrap();
-            board.configure(configuration.clone()).unwrap();
-            board.start().unwrap();
-            let mut kept = board.inbox.clone();
-            for _ in 0..3000 / bytes_at_once {
-                assert!(board.listen().unwrap());
-                kept.extend(&board.inbox);
-            }
-            if keep == Keep::Replies {
-                // The dropped bytes end with the last whole packet.
-                kept.truncate(kept.iter().rposition(|byte| *byte == DELIMITER).map_or(0, |last| last + 1));
-            }
-            board.stop(keep).unwrap();
-            if keep == Keep::Replies {
-                assert_eq!(kinds(&board.inbox).0, ["reply"], "{bytes_at_once} bytes at once");
-            }
+        let mut board = Conversation::open(Box::new(Slow::new(bytes_at_once))).unwrap();
+        board.greet(HELLO_WITHIN, |_| Ok::<_, DeviceError>(())).unwrap();
+        board.configure(configuration.clone()).unwrap();
+        board.start().unwrap();
+        let mut kept = board.inbox.clone();
+        for _ in 0..3000 / bytes_at_once {
+            assert!(board.listen().unwrap());
             kept.extend(&board.inbox);
-            let (kinds, configurations) = kinds(&kept);
-            assert_eq!(kinds[..2], ["hello", "reply"], "{bytes_at_once} bytes at once");
-            assert_eq!(kinds.last(), Some(&"reply"));
-            assert!(!configurations.is_empty() && configurations.iter().all(|number| *number == 1));
         }
+        board.stop().unwrap();
+        kept.extend(&board.inbox);
+        let (kinds, configurations) = kinds(&kept);
+        assert_eq!(kinds[..2], ["hello", "reply"], "{bytes_at_once} bytes at once");
+        assert_eq!(kinds.last(), Some(&"reply"));
+        assert!(!configurations.is_empty() && configurations.iter().all(|number| *number == 1));
     }
 }
 
@@ -134,13 +125,13 @@ fn only_the_reply_to_the_command_itself_answers_it() {
     // The first command has the number 1. Replies of an earlier host, from both sides of it.
     for other in [0, 2, u16::MAX] {
         let mut board = Scripted::saying(&[&[reply(other, Ok(()))], &[reply(1, Err(Rejection::Storing))], &[]]);
-        let refused = board.ask(Command::Stop, Keep::All, REPLY_WITHIN);
+        let refused = board.ask(Command::Stop, REPLY_WITHIN);
         assert!(matches!(refused, Err(DeviceError::Refused { .. })), "{other}: {refused:?}");
         let mut board = Scripted::saying(&[&[reply(other, Err(Rejection::Storing))], &[reply(1, Ok(()))], &[]]);
-        assert!(board.ask(Command::Stop, Keep::All, REPLY_WITHIN).is_ok(), "{other}");
+        assert!(board.ask(Command::Stop, REPLY_WITHIN).is_ok(), "{other}");
         // No other reply follows: no answer.
         let mut board = Scripted::saying(&[&[reply(other, Ok(()))], &[]]);
-        let silent = board.ask(Command::Stop, Keep::All, REPLY_WITHIN);
+        let silent = board.ask(Command::Stop, REPLY_WITHIN);
         assert!(matches!(silent, Err(DeviceError::NoReply { .. })), "{other}: {silent:?}");
     }
 }
@@ -165,7 +156,7 @@ fn a_greeting_is_over_with_the_reply_to_it_and_not_before() {
         let after: &[_] = &[hellos[1].clone(), reply(1, Ok(()))];
         let mut seen = Vec::new();
         let mut board = Scripted::saying(&[before, after, &[]]);
-        let greeted = board.greet(|hello| {
+        let greeted = board.greet(HELLO_WITHIN, |hello| {
             seen.push(hello.device_id);
             Ok::<_, DeviceError>(())
         });
@@ -173,6 +164,6 @@ fn a_greeting_is_over_with_the_reply_to_it_and_not_before() {
         assert_eq!(seen, DEVICES, "{other}");
         // Without the answer there is no board.
         let mut board = Scripted::saying(&[before, &[]]);
-        assert!(board.greet(|_| Ok::<_, DeviceError>(())).is_err(), "{other}");
+        assert!(board.greet(HELLO_WITHIN, |_| Ok::<_, DeviceError>(())).is_err(), "{other}");
     }
 }

@@ -3,7 +3,7 @@
 //! `firmware/README.md`.
 
 use std::ops::RangeInclusive;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use anyhow::{Error, Result, anyhow, bail};
 use slitpose_model::{CompiledScene, Tier};
@@ -13,7 +13,7 @@ use slitpose_protocol::{
 };
 
 use super::sampling::{Expected, Sampling};
-use crate::device::{BoardInfo, Contact, Conversation, Device, DeviceError, Keep, Search, Selector, SimulatedDevice};
+use crate::device::{BoardInfo, Contact, Conversation, Device, DeviceError, Search, Selector, SimulatedDevice};
 use crate::doctor::measurement::patience;
 use slitpose_head::finding::Finding;
 use slitpose_head::front_end;
@@ -27,16 +27,24 @@ const FIRST_SCANS: usize = 4;
 /// Most warnings and errors of the board that are kept.
 const EVENTS: usize = 3;
 
-pub(super) struct Bench<'a> {
+pub(super) struct Bench {
     pub(super) contact: Contact,
-    pub(super) scene: &'a SceneFile,
+    pub(super) scene: SceneFile,
+    /// Asks the user to cut the board's power; `false` if there is no one to ask.
+    pub(super) cut_power: Box<dyn FnMut() -> bool>,
     /// The wiring of the board that was last connected.
     pub(super) wiring: Wiring,
 }
 
-impl<'a> Bench<'a> {
-    pub(super) fn new(device: &Selector, search: &[Search], scene: &'a SceneFile) -> Self {
-        Self { contact: Contact::new(device.clone(), search.to_vec()), scene, wiring: Wiring::default() }
+impl Bench {
+    pub(super) fn new(
+        device: &Selector,
+        search: &[Search],
+        scene: SceneFile,
+        cut_power: Box<dyn FnMut() -> bool>,
+    ) -> Self {
+        let contact = Contact::new(device.clone(), search.to_vec());
+        Self { contact, scene, cut_power, wiring: Wiring::default() }
     }
 
     pub(super) fn is_simulated(&self) -> bool {
@@ -46,10 +54,19 @@ impl<'a> Bench<'a> {
     /// Opens the board's port and reads its hello.
     pub(super) fn connect(&mut self) -> Result<(Conversation, BoardInfo)> {
         let device: Box<dyn Device> = match self.is_simulated() {
-            true => Box::new(SimulatedDevice::at_rest(self.scene)?),
+            true => Box::new(SimulatedDevice::at_rest(&self.scene)?),
             false => Box::new(self.contact.open()?),
         };
-        let (board, info) = Conversation::introduced(device)?;
+        self.met(Conversation::introduced(device)?)
+    }
+
+    /// Connects to a board that may take this long to be there.
+    pub(super) fn reconnect(&mut self, within: Duration) -> Result<(Conversation, BoardInfo)> {
+        let back = self.contact.await_return(None, within)?;
+        self.met(back)
+    }
+
+    fn met(&mut self, (board, info): (Conversation, BoardInfo)) -> Result<(Conversation, BoardInfo)> {
         self.contact.greeted(info.device);
         self.wiring = Wiring::of(&info.board);
         if info.mismatch.is_some() {
@@ -59,7 +76,7 @@ impl<'a> Bench<'a> {
     }
 
     pub(super) fn schedule(&self) -> Result<Schedule> {
-        Ok(front_end::configuration(self.scene)?.schedule)
+        Ok(front_end::configuration(&self.scene)?.schedule)
     }
 
     /// What the scene predicts with the tool at home.
@@ -93,7 +110,7 @@ pub(super) fn sample(board: &mut Conversation, configuration: Configuration, cou
         }
         more = board.listen()?;
     }
-    board.stop(Keep::Replies)?;
+    board.stop()?;
     let got = reader.scans.len().saturating_sub(FIRST_SCANS);
     reader.finish(count).ok_or_else(|| {
         if reader.is_stopped {

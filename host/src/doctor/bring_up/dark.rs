@@ -34,7 +34,7 @@ const QUIET: f64 = 0.4;
 const NOISY: f64 = 1.3;
 const TOO_NOISY: f64 = 2.0;
 
-pub(super) fn zero(bench: &mut Bench<'_>) -> Result<Vec<Finding>> {
+pub(super) fn zero(bench: &mut Bench) -> Result<Vec<Finding>> {
     let (mut board, _) = bench.connect()?;
     let schedule = sampling::alone(&bench.schedule()?);
     let sampling = sample(&mut board, sampling::at(schedule.clone(), Level(0)), ZERO_SCANS)?;
@@ -123,13 +123,13 @@ fn judge_gates(changes: &[f64], wiring: Wiring) -> Finding {
     )
 }
 
-pub(super) fn noise(bench: &mut Bench<'_>) -> Result<Vec<Finding>> {
+pub(super) fn noise(bench: &mut Bench) -> Result<Vec<Finding>> {
     let (mut board, _) = bench.connect()?;
     // One conversion a word: the converter's codes themselves.
     let mut schedule = bench.schedule()?;
     schedule.oversampling = 1;
     let sampling = sample(&mut board, sampling::at(sampling::alone(&schedule), Level(0)), NOISE_SCANS)?;
-    let scene = single_conversions(bench.scene);
+    let scene = single_conversions(&bench.scene);
     let channels = (0..sampling.cells()).map(|cell| Noise {
         codes: [0, 1].map(|electrode| sampling.dark(cell, electrode)),
         promised: dark_word_noise_a(&scene, cell, &sampling.scaling).unwrap_or(f64::INFINITY)

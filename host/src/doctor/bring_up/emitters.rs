@@ -12,7 +12,7 @@ use slitpose_model::Pair;
 use slitpose_protocol::{Level, Schedule};
 
 use super::bench::{Bench, ELECTRODES, Wiring, is_shared_level, sample};
-use super::sampling::{self, Expected};
+use super::sampling::{self, Expected, LIT};
 use crate::device::Conversation;
 use crate::doctor::named;
 use slitpose_head::finding::Finding;
@@ -20,9 +20,6 @@ use slitpose_head::finding::Grade::Failed;
 
 /// Scans of each configuration: the mean of a word lit minus dark is then known to 0.05 codes of some 1 400.
 const SCANS: usize = 200;
-
-/// Least share of the scene's light at which an electrode, or a cell, counts as lit.
-const LIT: f64 = 0.15;
 
 /// Shares of the scene's light at home that emitters of one part number may have: the figures of such parts spread from
 /// 0.6 to 1.6 times their typical value (not checked against the data sheet of this part).
@@ -42,7 +39,7 @@ enum Exchange {
     Unknown,
 }
 
-pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>> {
+pub(super) fn take(bench: &mut Bench) -> Result<Vec<Finding>> {
     let expected = bench.expected()?;
     let (mut board, _) = bench.connect()?;
     let schedule = bench.schedule()?;
@@ -197,7 +194,7 @@ const TOLERANCE: f64 = 0.01;
 /// Largest change of a cell's own light during the measurement.
 const STILL: f64 = 3e-3;
 
-pub(super) fn take_crosstalk(bench: &mut Bench<'_>) -> Result<Vec<Finding>> {
+pub(super) fn take_crosstalk(bench: &mut Bench) -> Result<Vec<Finding>> {
     let expected = bench.expected()?;
     let (mut board, _) = bench.connect()?;
     let schedule = bench.schedule()?;

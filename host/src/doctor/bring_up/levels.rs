@@ -12,7 +12,7 @@ use slitpose_model::Pair;
 use slitpose_protocol::{Level, Schedule};
 
 use super::bench::{Bench, ELECTRODES, Wiring, sample};
-use super::sampling;
+use super::sampling::{self, LIT};
 use crate::device::Conversation;
 use crate::doctor::{faulty_or, judged};
 use slitpose_head::finding::Finding;
@@ -28,10 +28,7 @@ const LEVELS: [Level; 5] = [Level(0x1000), Level(0x2000), Level(0x4000), Level(0
 /// and an amplifier's offset of 150 µV has 0.1 % of 329 mV; the rest is heating of the emitter.
 const TOLERANCE: f64 = 0.02;
 
-/// Least share of the scene's light of a cell that is to be judged.
-const LIT: f64 = 0.15;
-
-pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>> {
+pub(super) fn take(bench: &mut Bench) -> Result<Vec<Finding>> {
     let expected = bench.expected()?;
     let (mut board, _) = bench.connect()?;
     let base = bench.schedule()?;

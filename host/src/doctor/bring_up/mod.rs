@@ -41,12 +41,8 @@ pub(crate) struct Step {
     pub(crate) preparation: &'static str,
     /// What is expected, with its tolerance and its origin.
     pub(crate) expectation: &'static str,
-    take: Take,
+    take: fn(&mut Bench) -> Result<Vec<Finding>>,
 }
-
-/// Does a step. The second argument asks the user to cut the board's power, and is false if there is no one to ask; then
-/// the board is rebooted instead.
-type Take = fn(&mut Bench<'_>, &mut dyn FnMut() -> bool) -> Result<Vec<Finding>>;
 
 impl Step {
     pub(crate) const ALL: [Self; 10] = [
@@ -55,60 +51,60 @@ impl Step {
             preparation: "power and data cable; detectors covered; emitters need not be connected",
             expectation: "hello in this program's protocol, frames at the scheduled rate within 5 % of the host's clock, \
                           none lost in 2 s",
-            take: |bench, _| safety::link(bench),
+            take: safety::link,
         },
         Self {
             name: "supply",
             preparation: "as before; the multimeter on 3.3 V",
             expectation: "3.3 V within 5 % (regulator of the Nucleo), -40 to 85 C (data sheet, suffix 6)",
-            take: |bench, _| safety::supply(bench),
+            take: safety::supply,
         },
         Self {
             name: "dark",
             preparation: "all detectors connected and covered from room light; emitters, if connected, are lit",
             expectation: "each word within 10 codes of the zero code: divider 1.3, amplifiers 2.6, converter 4 \
                           (firmware/README.md, analogue front end); no light from emitters while their gates are off",
-            take: |bench, _| dark::zero(bench),
+            take: dark::zero,
         },
         Self {
             name: "noise",
             preparation: "as before; lids closed, no lamp and no cable moved meanwhile",
             expectation: "rms of one conversion 0.4 to 1.3 times the scene's front end, failed above 2; codes in steps of 1",
-            take: |bench, _| dark::noise(bench),
+            take: dark::noise,
         },
         Self {
             name: "emitters",
             preparation: "all emitters connected; the tool fixed at its home pose; head covered from room light",
             expectation: "each cell sees its own emitter, by both electrodes, at 0.6 to 1.6 times the scene's light at \
                           home (spread of such emitters)",
-            take: |bench, _| emitters::take(bench),
+            take: emitters::take,
         },
         Self {
             name: "levels",
             preparation: "as before; the tool must not move",
             expectation: "light in proportion to the level within 2 % of nominal, from an eighth on (below, the level \
                           buffers are not specified); no code missing or repeated on the way",
-            take: |bench, _| levels::take(bench),
+            take: levels::take,
         },
         Self {
             name: "settling",
             preparation: "as before; the tool must not move",
             expectation: "settled to 0.3 codes of full scale within 1.1 times the scene's settling time \
                           (firmware/README.md, bandwidth and settling)",
-            take: |bench, _| settling::take(bench),
+            take: settling::take,
         },
         Self {
             name: "crosstalk",
             preparation: "as before; baffles fitted",
             expectation: "light of another emitter below the scene's prediction plus 1 % of the cell's own: 1 % at the end \
                           of a 12 mm detector moves the spot by 60 um, the detector's own error",
-            take: |bench, _| emitters::take_crosstalk(bench),
+            take: emitters::take_crosstalk,
         },
         Self {
             name: "safety",
             preparation: "as before; no other program opens the port",
             expectation: "idle after Stop; idle 1 s after the port was closed (serial link: 3 s)",
-            take: |bench, _| safety::take(bench),
+            take: safety::take,
         },
         Self {
             name: "storage",
@@ -140,44 +136,41 @@ impl FromStr for Step {
     }
 }
 
-pub(crate) struct BringUp<'a> {
-    bench: Bench<'a>,
+pub(crate) struct BringUp {
+    bench: Bench,
     /// The schedule that the board had at first.
     schedule: Schedule,
 }
 
-/// The scene of a bring-up, `given`, else the one the board belongs to, else the default one, and the schedule of the board;
-/// and what there is to say about them. `None` if the board cannot be reached, or belongs to another scene.
-pub(crate) fn scene(
-    device: &Selector,
-    search: &[Search],
-    given: Option<&SceneFile>,
-    findings: &mut Vec<Finding>,
-) -> Option<(SceneFile, Schedule)> {
-    let trial = given.cloned().or_else(default_scene)?;
-    match Bench::new(device, search, &trial).connect() {
-        Ok((_, info)) => {
-            findings.extend(bench::unknown_board(&info));
-            let scene = super::link::scene(given, &info, findings)?;
-            findings.push(super::link::full_scale(&scene, &info));
-            Some((scene, info.schedule))
-        }
-        Err(error) => {
-            let next_step = "slitpose doctor checks ports and permissions; reset the board";
-            findings.push(Finding::failed("link", with_causes(error.as_ref()), next_step));
-            None
+impl BringUp {
+    /// Of the board that `device` names, with the scene `given`, else the one the board belongs to, else the default one;
+    /// and what there is to say about them. `None` if the board cannot be reached, or belongs to another scene. Where
+    /// `cut_power` gives `false`, the board is rebooted instead.
+    pub(crate) fn begin(
+        device: &Selector,
+        search: &[Search],
+        given: Option<&SceneFile>,
+        cut_power: Box<dyn FnMut() -> bool>,
+        findings: &mut Vec<Finding>,
+    ) -> Option<Self> {
+        let mut bench = Bench::new(device, search, given.cloned().or_else(default_scene)?, cut_power);
+        match bench.connect() {
+            Ok((_, info)) => {
+                findings.extend(bench::unknown_board(&info));
+                bench.scene = super::link::scene(given, &info, findings)?;
+                findings.push(super::link::full_scale(&bench.scene, &info));
+                Some(Self { bench, schedule: info.schedule })
+            }
+            Err(error) => {
+                let next_step = "slitpose doctor checks ports and permissions; reset the board";
+                findings.push(Finding::failed("link", with_causes(error.as_ref()), next_step));
+                None
+            }
         }
     }
-}
 
-impl<'a> BringUp<'a> {
-    /// Of the board that `device` names, with the head of `scene`; at first it had `schedule`.
-    pub(crate) fn new(device: &Selector, search: &[Search], scene: &'a SceneFile, schedule: Schedule) -> Self {
-        Self { bench: Bench::new(device, search, scene), schedule }
-    }
-
-    pub(crate) fn take(&mut self, step: Step, cut_power: &mut dyn FnMut() -> bool) -> Vec<Finding> {
-        (step.take)(&mut self.bench, cut_power).unwrap_or_else(|error| {
+    pub(crate) fn take(&mut self, step: Step) -> Vec<Finding> {
+        (step.take)(&mut self.bench).unwrap_or_else(|error| {
             vec![Finding::failed(step.name, with_causes(error.as_ref()), "reset the board and take this step again")]
         })
     }

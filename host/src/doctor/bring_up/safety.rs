@@ -1,7 +1,7 @@
 //! The board itself: link and start, supply and temperature; whether it is dark after Stop and without a host, and keeps
 //! its settings over a power cut.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::Result;
 use slitpose_protocol::{BootTarget, Command, Hashes, Level, Schedule, SettingsSource, Status};
@@ -17,16 +17,16 @@ use slitpose_head::finding::Grade::Failed;
 /// Duration of the measurement, seconds.
 const DURATION_S: f64 = 2.0;
 
-pub(super) fn link(bench: &mut Bench<'_>) -> Result<Vec<Finding>> {
+pub(super) fn link(bench: &mut Bench) -> Result<Vec<Finding>> {
     let (mut board, info) = bench.connect()?;
     let (mut findings, _) = link::judge(&info);
     let dark = sampling::at(bench.schedule()?, Level(0));
-    let measured = measurement::measure(&mut board, bench.scene, dark, DURATION_S, &mut Vec::new())?;
+    let measured = measurement::measure(&mut board, &bench.scene, dark, DURATION_S, &mut Vec::new())?;
     findings.extend(measured.dark_checks());
     Ok(findings)
 }
 
-pub(super) fn supply(bench: &mut Bench<'_>) -> Result<Vec<Finding>> {
+pub(super) fn supply(bench: &mut Bench) -> Result<Vec<Finding>> {
     let status = bench.connect()?.0.status()?;
     Ok(judge_supply(&status).into())
 }
@@ -54,7 +54,7 @@ const SCANS: usize = 40;
 const CLOSED_OWN_PORT: Duration = Duration::from_secs(1);
 const CLOSED_SERIAL: Duration = Duration::from_secs(3);
 
-pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>> {
+pub(super) fn take(bench: &mut Bench) -> Result<Vec<Finding>> {
     let (mut board, _) = bench.connect()?;
     let configuration = sampling::at(bench.schedule()?, Level::NOMINAL);
     let taken = sample(&mut board, configuration, SCANS)?.scans.len();
@@ -72,7 +72,7 @@ pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>> {
     let (mut board, _) = bench.connect()?;
     let statuses = [board.status()?, board.status()?];
     // Whatever was found, it is dark now.
-    board.stop(crate::device::Keep::Replies)?;
+    board.stop()?;
     let when = format!("after the port was closed for {} s", closed.as_secs());
     findings.push(judge("port closed", &when, &statuses));
     Ok(findings)
@@ -95,7 +95,6 @@ fn judge(place: &'static str, when: &str, [first, second]: &[Status; 2]) -> Find
 /// Time for the board to disconnect after Reboot, and for it to be there again.
 const DISCONNECTED: Duration = Duration::from_millis(500);
 const BACK_WITHIN: Duration = Duration::from_secs(15);
-const LOOK_EVERY: Duration = Duration::from_millis(200);
 
 /// Timeout of the hello that shows what was stored.
 const HELLO_WITHIN: Duration = Duration::from_secs(1);
@@ -103,7 +102,7 @@ const HELLO_WITHIN: Duration = Duration::from_secs(1);
 /// What a board starts with.
 type Stored = (Hashes, Schedule);
 
-pub(super) fn take_storage(bench: &mut Bench<'_>, cut_power: &mut dyn FnMut() -> bool) -> Result<Vec<Finding>> {
+pub(super) fn take_storage(bench: &mut Bench) -> Result<Vec<Finding>> {
     if bench.is_simulated() {
         return Ok(vec![Finding::skipped("storage", "a simulated board stores nothing")]);
     }
@@ -126,9 +125,9 @@ pub(super) fn take_storage(bench: &mut Bench<'_>, cut_power: &mut dyn FnMut() ->
         (info.hashes, info.schedule)
     };
     drop(board);
-    let is_cut = cut_power();
+    let is_cut = (bench.cut_power)();
     let after = if is_cut {
-        reconnect(bench)?.1
+        bench.reconnect(BACK_WITHIN)?.1
     } else {
         let (board, _) = bench.connect()?;
         restart(bench, board)?.1
@@ -146,22 +145,11 @@ pub(super) fn take_storage(bench: &mut Bench<'_>, cut_power: &mut dyn FnMut() ->
     Ok(findings)
 }
 
-fn restart(bench: &mut Bench<'_>, mut board: Conversation) -> Result<(Conversation, BoardInfo)> {
+fn restart(bench: &mut Bench, mut board: Conversation) -> Result<(Conversation, BoardInfo)> {
     board.order(Command::Reboot(BootTarget::Firmware))?;
     drop(board);
     std::thread::sleep(DISCONNECTED);
-    reconnect(bench)
-}
-
-/// Connects to a board that may take a while to be there.
-fn reconnect(bench: &mut Bench<'_>) -> Result<(Conversation, BoardInfo)> {
-    let until = Instant::now() + BACK_WITHIN;
-    loop {
-        match bench.connect() {
-            Err(error) if error.is::<DeviceError>() && Instant::now() < until => std::thread::sleep(LOOK_EVERY),
-            outcome => return outcome,
-        }
-    }
+    bench.reconnect(BACK_WITHIN)
 }
 
 fn refused(error: &DeviceError) -> Finding {
@@ -189,44 +177,22 @@ fn judge_storage(before: &Stored, after: &Stored, is_cut: bool) -> Finding {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::device::SimulatedDevice;
-    use slitpose_head::finding::Grade;
+    use crate::samples;
     use slitpose_head::finding::Grade::{Failed, Ok};
-    use slitpose_head::front_end;
-    use slitpose_head::scene_file::WIDE;
-
-    fn status() -> Status {
-        let device = SimulatedDevice::at_rest(&WIDE.read().unwrap()).unwrap();
-        Conversation::open(Box::new(device)).unwrap().status().unwrap()
-    }
 
     #[test]
     fn a_board_that_goes_on_is_found_by_its_state_or_by_its_count() {
-        let idle = status();
-        let status = |acquiring, scans_taken| Status { acquiring, scans_taken, ..idle };
+        let status = |acquiring, scans_taken| Status { acquiring, scans_taken, ..samples::status() };
         let grade = |first, second| judge("stop", "after Stop", &[first, second]).grade;
         assert_eq!(grade(status(false, 44), status(false, 44)), Ok);
         assert_eq!(grade(status(true, 44), status(false, 44)), Failed);
         assert_eq!(grade(status(false, 44), status(false, 45)), Failed);
     }
-
-    #[test]
-    fn lost_hashes_and_lost_schedules_are_found() {
-        let schedule = front_end::configuration(&WIDE.read().unwrap()).unwrap().schedule;
-        let stored = (Hashes { scene: Some(7), calibration: None }, schedule.clone());
-        assert_eq!(judge_storage(&stored, &stored, true).grade, Ok);
-        let lost = judge_storage(&stored, &(Hashes::default(), schedule.clone()), false);
-        assert!(lost.grade == Failed && lost.text.contains("after a reboot none"), "{lost}");
-        let slower = Schedule { frame_ticks: 2 * schedule.frame_ticks, ..schedule };
-        assert_eq!(judge_storage(&stored, &(stored.0, slower), true).grade, Failed);
-    }
-
     #[test]
     fn a_supply_of_three_volts_is_too_low() {
-        let good = status();
-        let status = |supply_v, temperature_k| Status { supply_v, temperature_k, ..good };
-        let grades = |supply_v, temperature_k| -> [Grade; 2] {
-            judge_supply(&status(supply_v, temperature_k)).map(|finding| finding.grade)
+        let grades = |supply_v, temperature_k| {
+            let status = Status { supply_v, temperature_k, ..samples::status() };
+            judge_supply(&status).map(|finding| finding.grade)
         };
         assert_eq!(grades(3.3, 300.0), [Ok, Ok]);
         assert_eq!(grades(3.0, 300.0), [Failed, Ok]);

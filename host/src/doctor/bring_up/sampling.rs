@@ -116,6 +116,9 @@ pub(super) fn rounds(count: usize) -> Vec<Vec<Vec<usize>>> {
         .collect()
 }
 
+/// Least share of the scene's light at which an electrode, or a cell, counts as lit.
+pub(super) const LIT: f64 = 0.15;
+
 #[derive(Clone, Debug)]
 pub(super) struct Expected {
     pub(super) own: Vec<Pair<f64>>,

@@ -10,7 +10,7 @@ use slitpose_model::Pair;
 use slitpose_protocol::{Level, Schedule};
 
 use super::bench::{Bench, least_settling_ticks, sample};
-use super::sampling;
+use super::sampling::{self, LIT};
 use crate::doctor::named;
 use slitpose_head::finding::Finding;
 use slitpose_head::finding::Grade::Warning;
@@ -48,9 +48,6 @@ const TAU_TOLERANCE: f64 = 0.3;
 const ENOUGH: f64 = 1.1;
 const LONG: f64 = 1.3;
 
-/// Least share of the scene's light of a cell that is to be judged.
-const LIT: f64 = 0.15;
-
 /// Light of a cell at an instant after its emitter was switched on.
 #[derive(Clone, Copy, Debug)]
 struct Instant {
@@ -58,7 +55,7 @@ struct Instant {
     light_a: f64,
 }
 
-pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>> {
+pub(super) fn take(bench: &mut Bench) -> Result<Vec<Finding>> {
     let expected = bench.expected()?;
     let (mut board, _) = bench.connect()?;
     let base = Schedule { oversampling: 1, ..bench.schedule()? };
