@@ -10,7 +10,7 @@ use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_head::table::{CurrentColumns, PoseColumns, TableReader};
 use slitpose_model::{Estimate, MotionPrior, Noise, Outcome, Photocurrents, Pose, Scene, Solver, Start, Tier};
 
-const SEEDS: [u64; 2] = [1, 3];
+const SEEDS: [u64; 4] = [1, 2, 3, 4];
 const INSTRUMENT: [f64; 2] = [2e-6, 20e-6];
 
 fn make(folder: &Path, file: &SceneFile, within: Within, seed: u64, poses: usize) -> DrawnHead {

@@ -24,9 +24,9 @@ use super::outcome::Estimate;
 /// Most filters of a coordinate.
 const MAX_FILTERS: usize = 16;
 
-/// Decades of noise from one filter to the next, unless that takes more than [`MAX_FILTERS`]: one of them is then near
-/// enough to the best that the rms error is within a tenth of its.
-const STEP_DECADES: f64 = 1.5;
+/// Decades of noise from one filter to the next, unless that takes more than [`MAX_FILTERS`]: one of them is then so near to
+/// the best that σ is right within a tenth.
+const STEP_DECADES: f64 = 1.0;
 
 /// Most noise of the jerk, in variances of a pose per frame⁵: a filter with it gives poses as they are.
 const MAX_NOISE: f64 = 1e6;

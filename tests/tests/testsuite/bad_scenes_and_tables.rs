@@ -134,15 +134,15 @@ fn paths_that_do_not_advance() {
     slitpose!().run(run).assert_refused(1, &[name, "`time_s` is missing"]);
 }
 
-/// The workspace of `wide` reaches to 4 mm and 15°, 0.2618 rad.
+/// The workspace of `wide` reaches to 3.3 mm and 15°, 0.2618 rad.
 #[test]
 fn paths_far_beyond_the_workspace_are_told() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let [path, capture] = ["path.csv", "path.mcap"].map(|name| folder.path().join(name).display().to_string());
     for (row, told) in [
-        ("1,7,0,0.5,0", None),
+        ("1,6,0,0.5,0", None),
         ("0,7,0,1,0", Some("row 2, column `ry_rad`: 1 leads 4 times")),
-        ("0,20,0,1,0", Some("row 2, column `ty_mm`: 20 leads 5 times")),
+        ("0,20,0,1,0", Some("row 2, column `ty_mm`: 20 leads 6 times")),
     ] {
         fs::write(&path, format!("time_s,tx_mm,ty_mm,rx_rad,ry_rad,rz_rad,tz_mm\n0,0,0,0,0,0,0\n1,{row},0\n"))
             .expect("table");
@@ -240,7 +240,7 @@ fn poses_of_other_units_are_told() {
     let few_degrees = changed(&table, r, |rad| 20.0 * rad);
     assert_said(&model(&few_degrees), 0, &["column `r", "more than half a turn", "are these degrees?"], "few degrees");
     let micrometres = changed(&table, t, |mm| mm * 1e3);
-    assert_said(&model(&micrometres), 0, &["column `t", "leads 750 times", "are these micrometres?"], "micrometres");
+    assert_said(&model(&micrometres), 0, &["column `t", "leads 909 times", "are these micrometres?"], "micrometres");
     let metres = changed(&table, t, |mm| mm * 1e-3);
     assert_said(&model(&metres), 0, &["column `t", "0.003 is the largest", "are these metres?"], "metres");
     assert_no_doubt(&model(&changed(&table, t, |_| 0.0)), "turns alone");
