@@ -84,7 +84,7 @@ fn warnings_carry_the_number_and_a_remedy() {
         // A slip of the unit.
         (
             wide.replace("distance_mm = 5.0 ", "distance_mm = 0.005 "),
-            "ry of a single frame by 33.7° (1 σ), in a workspace of ±15.0°",
+            "tz of a single frame by 8.60 mm (1 σ), in a workspace of ±3.30 mm",
             "raise slit",
         ),
         // Cells are 117.4 µs apart: a slot of 20 µs and 6 · 16 conversions of 0.87 µs, and 16 conversions for the cell's turn
