@@ -13,6 +13,8 @@
 //!
 //! Lengths and angles are in metres and radians, times in frames.
 
+use core::ops::Range;
+
 use arrayvec::ArrayVec;
 
 use crate::pose::{Rigid, Twist};
@@ -116,25 +118,23 @@ pub struct Filtered<S = f64> {
 /// The filters of one coordinate: number k of each array is that of filter k.
 #[derive(Clone, Debug)]
 struct Coordinate<S> {
+    /// Those that count: the ones of more than the least weight, and one more on each side. The others would continue from
+    /// the best one's state in each frame; they do so once they are next to one that counts.
+    active: Range<usize>,
     position: [S; MAX_FILTERS],
     velocity: [S; MAX_FILTERS],
     acceleration: [S; MAX_FILTERS],
     /// Rows 0, 1, 2 of the upper half: 00, 01, 02, 11, 12, 22.
     covariance: [[S; MAX_FILTERS]; 6],
-    /// Sum to one.
+    /// Sum to one over those that count.
     weights: [S; MAX_FILTERS],
+    /// How far the newest pose is from where each filter expects it, and the variance of that.
+    distance: [S; MAX_FILTERS],
+    variance: [S; MAX_FILTERS],
     /// Variance of the velocity by hits that are not seen yet.
     hits: S,
     /// Velocity before the last restart, until the new one is known.
     before: Option<S>,
-}
-
-/// Distance of a measured coordinate from where each filter expects it, and its variance.
-struct Innovation<S> {
-    distance: [S; MAX_FILTERS],
-    variance: [S; MAX_FILTERS],
-    /// Of the mixture: squared distance per variance.
-    squared: S,
 }
 
 #[derive(Clone, Debug)]
@@ -166,11 +166,14 @@ impl<S: Number> MotionEstimator<S> {
         let noise = |k: usize| S::of(libm::pow(10.0, least + decades * k as f64 / steps));
         let none = [S::zero(); MAX_FILTERS];
         let coordinate = Coordinate {
+            active: 0..0,
             position: none,
             velocity: none,
             acceleration: none,
             covariance: [none; 6],
             weights: none,
+            distance: none,
+            variance: none,
             hits: S::zero(),
             before: None,
         };
@@ -198,18 +201,16 @@ impl<S: Number> MotionEstimator<S> {
         (0..=passed).for_each(|_| self.predict());
         self.variances = core::array::from_fn(|i| covariance[i][i]);
         let [t, r] = measured.displacement_from(&self.reference);
-        let found = [t.x(), t.y(), t.z(), r.x(), r.y(), r.z()];
-        let count = self.noises.len();
-        let innovations: [_; 6] =
-            core::array::from_fn(|i| self.coordinates[i].innovation(count, found[i], self.variances[i]));
-        let (sum, most) = innovations
-            .iter()
-            .fold((S::zero(), S::zero()), |(sum, most), one| (sum + one.squared, most.max(one.squared)));
+        let (mut sum, mut most) = (S::zero(), S::zero());
+        for (i, found) in [t.x(), t.y(), t.z(), r.x(), r.y(), r.z()].into_iter().enumerate() {
+            let squared = self.coordinates[i].innovate(found, self.variances[i]);
+            (sum, most) = (sum + squared, most.max(squared));
+        }
         // Written so that NaN is a jump.
         let is_expected = sum <= S::of(JUMP) && most <= S::of(JUMP_OF_ONE);
         if !is_expected {
             for coordinate in &mut self.coordinates {
-                let velocity = coordinate.mean(count, &coordinate.velocity);
+                let velocity = coordinate.mean(&coordinate.velocity);
                 coordinate.before.get_or_insert(velocity);
             }
             self.since_hit = Some(0);
@@ -220,13 +221,14 @@ impl<S: Number> MotionEstimator<S> {
         self.is_doubtful = most > S::of(if has_hit { DOUBTFUL_AFTER_HITS } else { DOUBTFUL });
         self.frames = self.frames.saturating_add(1);
         let share = (self.period_s / HITS_S).min(1.0);
-        for (i, (coordinate, innovation)) in self.coordinates.iter_mut().zip(&innovations).enumerate() {
-            coordinate.correct(count, innovation, self.variances[i]);
+        let count = self.noises.len();
+        for (i, coordinate) in self.coordinates.iter_mut().enumerate() {
+            coordinate.correct(count, self.variances[i]);
             coordinate.hits *= S::of(1.0 - share);
             if self.frames > FRAMES_TO_VELOCITY
                 && let Some(before) = coordinate.before.take()
             {
-                let change = (coordinate.mean(count, &coordinate.velocity) - before).abs();
+                let change = (coordinate.mean(&coordinate.velocity) - before).abs();
                 coordinate.hits += S::of(share * UNSEEN_SIGMAS) * self.variances[i].root() * change;
             }
         }
@@ -253,23 +255,24 @@ impl<S: Number> MotionEstimator<S> {
             coordinate.covariance = of.map(|value| [value; MAX_FILTERS]);
             // At the very first, all alike.
             let least = if self.frames == 0 { S::one() } else { S::of(LEAST_WEIGHT_AT_RESTART) };
-            coordinate.raise_weights(count, least);
+            // Those that did not count weigh nothing.
+            (0..count).filter(|k| !coordinate.active.contains(k)).for_each(|k| coordinate.weights[k] = S::zero());
+            coordinate.active = 0..count;
+            coordinate.raise_weights(least);
         }
         (self.frames, self.is_doubtful) = (1, false);
     }
 
     /// One frame later.
     fn predict(&mut self) {
-        let count = self.noises.len();
-        for (coordinate, &variance) in self.coordinates.iter_mut().zip(&self.variances) {
-            coordinate.predict(&self.noises, variance);
+        let mut by = [S::zero(); 6];
+        for (i, coordinate) in self.coordinates.iter_mut().enumerate() {
+            coordinate.predict(&self.noises, self.variances[i]);
+            by[i] = coordinate.mean(&coordinate.position);
+            for k in coordinate.active.clone() {
+                coordinate.position[k] -= by[i];
+            }
         }
-        let by: [S; 6] = core::array::from_fn(|i| {
-            let coordinate = &mut self.coordinates[i];
-            let mean = coordinate.mean(count, &coordinate.position);
-            coordinate.position[..count].iter_mut().for_each(|position| *position -= mean);
-            mean
-        });
         self.reference = self.moved(by);
     }
 
@@ -286,10 +289,9 @@ impl<S: Number> MotionEstimator<S> {
         if self.is_doubtful {
             return Err(NoTwist::Jump);
         }
-        let count = self.noises.len();
         let per_second = S::of(self.period_s.recip());
         let mixed = self.coordinates.each_ref().map(|one| {
-            let (mean, variance) = one.mixture(count, &one.velocity, &one.covariance[3]);
+            let (mean, variance) = one.mixture(&one.velocity, &one.covariance[3]);
             (mean * per_second, (variance + one.hits) * per_second * per_second)
         });
         let v = mixed.map(|(mean, _)| mean.as_f64());
@@ -302,8 +304,7 @@ impl<S: Number> MotionEstimator<S> {
 
     /// The smoothed pose, after a pose of this covariance.
     pub fn filtered(&self, covariance: &Matrix6<S>) -> Filtered<S> {
-        let count = self.noises.len();
-        let mixed = self.coordinates.each_ref().map(|one| one.mixture(count, &one.position, &one.covariance[0]));
+        let mixed = self.coordinates.each_ref().map(|one| one.mixture(&one.position, &one.covariance[0]));
         let least = self.newest_shares().into_iter().fold(S::one(), S::min);
         Filtered {
             estimate: Estimate {
@@ -318,10 +319,9 @@ impl<S: Number> MotionEstimator<S> {
 
     /// α of each coordinate: the share of the newest pose in the smoothed one.
     fn newest_shares(&self) -> [S; 6] {
-        let count = self.noises.len();
         core::array::from_fn(|i| {
             let one = &self.coordinates[i];
-            one.mean(count, &one.covariance[0]) / self.variances[i]
+            one.mean(&one.covariance[0]) / self.variances[i]
         })
     }
 
@@ -341,8 +341,8 @@ impl<S: Number> Coordinate<S> {
     fn predict(&mut self, noises: &[S], variance: S) {
         let half = S::half();
         let [p00, p01, p02, p11, p12, p22] = &mut self.covariance;
-        for (k, &noise) in noises.iter().enumerate() {
-            let q = noise * variance;
+        for k in self.active.clone() {
+            let q = noises[k] * variance;
             self.position[k] += self.velocity[k] + half * self.acceleration[k];
             self.velocity[k] += self.acceleration[k];
             p00[k] += S::two() * p01[k] + p02[k] + p11[k] + p12[k] + half * half * p22[k] + q * S::of(1.0 / 20.0);
@@ -354,23 +354,22 @@ impl<S: Number> Coordinate<S> {
         }
     }
 
-    fn innovation(&self, count: usize, measured: S, noise: S) -> Innovation<S> {
-        let mut found =
-            Innovation { distance: [S::zero(); MAX_FILTERS], variance: [S::one(); MAX_FILTERS], squared: S::zero() };
-        for k in 0..count {
-            found.distance[k] = measured - self.position[k];
-            found.variance[k] = self.covariance[0][k] + noise;
+    /// Takes the newest pose, of variance `noise`; its squared distance from the expected one, in units of its variance.
+    fn innovate(&mut self, measured: S, noise: S) -> S {
+        for k in self.active.clone() {
+            self.distance[k] = measured - self.position[k];
+            self.variance[k] = self.covariance[0][k] + noise;
         }
-        let (mean, variance) = self.mixture(count, &found.distance, &found.variance);
-        found.squared = mean * mean / variance;
-        found
+        let (mean, variance) = self.mixture(&self.distance, &self.variance);
+        mean * mean / variance
     }
 
-    fn correct(&mut self, count: usize, innovation: &Innovation<S>, noise: S) {
-        let Innovation { distance, variance, .. } = innovation;
+    /// Corrects the filters, of which there are `count`, by the newest pose.
+    fn correct(&mut self, count: usize, noise: S) {
+        let Self { distance, variance, .. } = self;
         let [p00, p01, p02, p11, p12, p22] = &mut self.covariance;
         let mut least = S::infinity();
-        for k in 0..count {
+        for k in self.active.clone() {
             let inverse = variance[k].recip();
             let gains = [p00[k], p01[k], p02[k]].map(|value| value * inverse);
             self.position[k] += gains[0] * distance[k];
@@ -382,50 +381,58 @@ impl<S: Number> Coordinate<S> {
             // 1 − α = noise/variance, without cancellation.
             let left = noise * inverse;
             (p00[k], p01[k], p02[k]) = (p00[k] * left, p01[k] * left, p02[k] * left);
-            least = least.min(distance[k] * distance[k] * inverse);
+            // For the weights: squared distances, and what the noise is of the variance.
+            distance[k] *= distance[k] * inverse;
+            variance[k] = left;
+            least = least.min(distance[k]);
         }
-        for k in 0..count {
-            let inverse = variance[k].recip();
-            let excess = distance[k] * distance[k] * inverse - least;
-            self.weights[k] *= (-S::half() * excess).exponential() * (noise * inverse).root();
+        for k in self.active.clone() {
+            self.weights[k] *= (-S::half() * (distance[k] - least)).exponential() * variance[k].root();
         }
-        let best = self.best(count);
+        let best = self.best();
         let floor = self.weights[best] * S::of(LEAST_WEIGHT);
-        for k in 0..count {
-            if self.weights[k] < floor {
+        let counts = |k: &usize| self.weights[*k] > floor;
+        let first = self.active.clone().find(counts).unwrap_or(best);
+        let last = self.active.clone().rfind(counts).unwrap_or(best);
+        let before = core::mem::replace(&mut self.active, first.saturating_sub(1)..(last + 2).min(count));
+        for k in self.active.clone() {
+            if !before.contains(&k) || self.weights[k] <= floor {
                 self.position[k] = self.position[best];
                 self.velocity[k] = self.velocity[best];
                 self.acceleration[k] = self.acceleration[best];
                 self.covariance.iter_mut().for_each(|of| of[k] = of[best]);
+                self.weights[k] = floor;
             }
         }
-        self.raise_weights(count, S::of(LEAST_WEIGHT));
+        self.raise_weights(S::of(LEAST_WEIGHT));
     }
 
     /// The filter of the greatest weight.
-    fn best(&self, count: usize) -> usize {
-        (1..count).fold(0, |best, k| if self.weights[k] > self.weights[best] { k } else { best })
+    fn best(&self) -> usize {
+        self.active
+            .clone()
+            .fold(self.active.start, |best, k| if self.weights[k] > self.weights[best] { k } else { best })
     }
 
     /// No weight less than `least` times the greatest; all sum to one.
-    fn raise_weights(&mut self, count: usize, least: S) {
-        let greatest = self.weights[self.best(count)];
+    fn raise_weights(&mut self, least: S) {
+        let greatest = self.weights[self.best()];
         let least = if greatest > S::zero() { greatest * least } else { S::one() };
-        let weights = &mut self.weights[..count];
+        let weights = &mut self.weights[self.active.clone()];
         weights.iter_mut().for_each(|weight| *weight = weight.max(least));
-        let sum = weights.iter().fold(S::zero(), |sum, &weight| sum + weight);
-        weights.iter_mut().for_each(|weight| *weight *= sum.recip());
+        let inverse = weights.iter().fold(S::zero(), |sum, &weight| sum + weight).recip();
+        weights.iter_mut().for_each(|weight| *weight *= inverse);
     }
 
     /// Of numbers of all filters, by weight.
-    fn mean(&self, count: usize, of: &[S; MAX_FILTERS]) -> S {
-        (0..count).fold(S::zero(), |sum, k| sum + self.weights[k] * of[k])
+    fn mean(&self, of: &[S; MAX_FILTERS]) -> S {
+        self.active.clone().fold(S::zero(), |sum, k| sum + self.weights[k] * of[k])
     }
 
     /// Mean and variance of a mixture of distributions with these means and variances.
-    fn mixture(&self, count: usize, means: &[S; MAX_FILTERS], variances: &[S; MAX_FILTERS]) -> (S, S) {
-        let mean = self.mean(count, means);
-        let variance = (0..count).fold(S::zero(), |sum, k| {
+    fn mixture(&self, means: &[S; MAX_FILTERS], variances: &[S; MAX_FILTERS]) -> (S, S) {
+        let mean = self.mean(means);
+        let variance = self.active.clone().fold(S::zero(), |sum, k| {
             let off = means[k] - mean;
             sum + self.weights[k] * (variances[k] + off * off)
         });
