@@ -328,7 +328,8 @@ impl<S: Number> Solution<S> {
     /// translations counted in units of the emitters' root-mean-square distance from the tool's
     /// origin, so that metres and radians compare. `None` without solution.
     pub fn condition(&self) -> Option<S> {
-        self.factor.as_ref().map(Factor::condition)
+        let [least, largest] = self.factor.as_ref()?.extreme_singular_values();
+        Some(largest / least)
     }
 }
 
