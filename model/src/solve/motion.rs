@@ -45,6 +45,10 @@ const LEAST_WEIGHT_AT_RESTART: f64 = 0.05;
 const JUMP: f64 = 33.0;
 const JUMP_OF_ONE: f64 = 20.0;
 
+/// Squared distance of the farthest coordinate beyond which the tool has hit something. Less is also what a motion does that
+/// becomes faster than the filters have learnt.
+const HIT: f64 = 25.0;
+
 /// Squared distance of the farthest coordinate from which on a pose may be the first of a new motion, so that the frame has no
 /// velocity; and the same of a tool that has hit something lately.
 const DOUBTFUL: f64 = 16.0;
@@ -153,6 +157,8 @@ pub struct MotionEstimator<S: Number> {
     /// Since the last hit.
     since_hit: Option<u32>,
     is_doubtful: bool,
+    /// Whether the motion last started anew because a pose was not where it led.
+    has_jumped: bool,
 }
 
 impl<S: Number> MotionEstimator<S> {
@@ -187,6 +193,7 @@ impl<S: Number> MotionEstimator<S> {
             frames: 0,
             since_hit: None,
             is_doubtful: false,
+            has_jumped: false,
         }
     }
 
@@ -209,12 +216,17 @@ impl<S: Number> MotionEstimator<S> {
         // Written so that NaN is a jump.
         let is_expected = sum <= S::of(JUMP) && most <= S::of(JUMP_OF_ONE);
         if !is_expected {
-            for coordinate in &mut self.coordinates {
+            let is_hit = most > S::of(HIT);
+            for coordinate in self.coordinates.iter_mut().filter(|_| is_hit) {
                 let velocity = coordinate.mean(&coordinate.velocity);
                 coordinate.before.get_or_insert(velocity);
             }
-            self.since_hit = Some(0);
-            return self.restart(measured);
+            if is_hit {
+                self.since_hit = Some(0);
+            }
+            self.restart(measured);
+            self.has_jumped = true;
+            return;
         }
         self.since_hit = self.since_hit.map(|frames| frames.saturating_add(1));
         let has_hit = self.since_hit.is_some_and(|frames| f64::from(frames) * self.period_s < HITS_S);
@@ -260,7 +272,7 @@ impl<S: Number> MotionEstimator<S> {
             coordinate.active = 0..count;
             coordinate.raise_weights(least);
         }
-        (self.frames, self.is_doubtful) = (1, false);
+        (self.frames, self.is_doubtful, self.has_jumped) = (1, false, false);
     }
 
     /// One frame later.
@@ -283,8 +295,7 @@ impl<S: Number> MotionEstimator<S> {
     /// The twist, after a pose of this covariance.
     pub fn twist(&self, covariance: &Matrix6<S>) -> Result<TwistEstimate<S>, NoTwist> {
         if self.frames <= FRAMES_TO_VELOCITY {
-            let has_hit = self.coordinates.iter().any(|coordinate| coordinate.before.is_some());
-            return Err(if has_hit { NoTwist::Jump } else { NoTwist::Start });
+            return Err(if self.has_jumped { NoTwist::Jump } else { NoTwist::Start });
         }
         if self.is_doubtful {
             return Err(NoTwist::Jump);
