@@ -393,7 +393,7 @@ impl<S: Number> Coordinate<S> {
             let left = noise * inverse;
             (p00[k], p01[k], p02[k]) = (p00[k] * left, p01[k] * left, p02[k] * left);
             // For the weights: squared distances, and what the noise is of the variance.
-            distance[k] *= distance[k] * inverse;
+            distance[k] = distance[k] * distance[k] * inverse;
             variance[k] = left;
             least = least.min(distance[k]);
         }
