@@ -11,7 +11,7 @@ use crate::pose::{Pose, Transform};
 use crate::response::{Pair, Response};
 use crate::scalar::Number;
 use crate::scene::{Scene, SceneError};
-use crate::solve::{Directions, MotionPrior, Photocurrents, Solution, Solver, Start, Tracked, Tracker};
+use crate::solve::{Directions, MotionPrior, Photocurrents, PoseTracker, Solution, Solver, Start};
 
 /// A number that heads are compiled and solved in.
 #[allow(missing_docs, reason = "each function is the method of the same name")]
@@ -39,7 +39,7 @@ pub trait Scalar: Number {
         start: Start<'_>,
         motion: &MotionPrior,
     ) -> Solution<Self>;
-    fn track(tracker: &mut Tracker<Self>, frame: u64, readings: &Photocurrents<Self>) -> Tracked<Self>;
+    fn track(tracker: &mut PoseTracker<Self>, frame: u64, readings: &Photocurrents<Self>) -> Solution<Self>;
 }
 
 macro_rules! entries {
@@ -96,7 +96,7 @@ macro_rules! entries_of {
             ) -> Solution<Self> {
                 solver.solve_here(readings, start, motion)
             }
-            track(tracker: &mut Tracker<Self>, frame: u64, readings: &Photocurrents<Self>) -> Tracked<Self> {
+            track(tracker: &mut PoseTracker<Self>, frame: u64, readings: &Photocurrents<Self>) -> Solution<Self> {
                 tracker.track_here(frame, readings)
             }
         })*

@@ -106,7 +106,8 @@ impl Link {
         }
     }
 
-    pub(super) fn running(&self, port: &str) {
+    /// The board samples; what the user is told then.
+    pub(super) fn running(&self, port: &str) -> Option<String> {
         let mut state = self.lock();
         state.set(LinkState::Running, None);
         state.report.reconnects += u64::from(state.has_run);
@@ -114,14 +115,13 @@ impl Link {
         state.report.attempts = 0;
         let missed_since = state.missed_since.take();
         let is_told = std::mem::take(&mut state.is_loss_told);
-        if let Some(since) = missed_since.filter(|_| is_told) {
-            drop(state);
-            say(format_args!("the board on {port} runs; it was missed for {:.1} s", since.elapsed().as_secs_f64()));
-        }
+        let missed_s = missed_since.filter(|_| is_told)?.elapsed().as_secs_f64();
+        Some(format!("the board on {port} runs; it was missed for {missed_s:.1} s"))
     }
 
-    /// The board is missing or cannot be used. Each reason is reported once, then less and less often while it lasts.
-    pub(super) fn lost(&self, error: &BoardError) {
+    /// The board is missing or cannot be used; what the user is told then. Each reason is reported once, then less and less
+    /// often while it lasts.
+    pub(super) fn lost(&self, error: &BoardError) -> Option<String> {
         let reason = with_causes(error);
         let mut state = self.lock();
         state.missed_since.get_or_insert_with(Instant::now);
@@ -140,12 +140,10 @@ impl Link {
         let told = state.is_told(&reason, Instant::now());
         state.is_loss_told |= told.is_some();
         state.set(kind, Some(reason.clone()));
-        drop(state);
-        match told {
-            Some(0) => say(format_args!("{reason}; looking for it")),
-            Some(untold) => say(format_args!("{reason}; looking for it, as {untold} times before")),
-            None => {}
-        }
+        told.map(|untold| match untold {
+            0 => format!("{reason}; looking for it"),
+            untold => format!("{reason}; looking for it, as {untold} times before"),
+        })
     }
 
     /// The stream is complete, or the board was given up.
@@ -251,29 +249,33 @@ mod tests {
     }
 
     #[test]
-    fn a_board_that_comes_back_is_counted_once() {
+    fn a_board_that_comes_back_is_counted_and_reported_once() {
         let link = Link::new();
+        let mut said = Vec::new();
         let missing = error(|name| DeviceError::Missing { name });
-        link.lost(&missing);
-        link.lost(&missing);
+        said.extend(link.lost(&missing));
+        said.extend(link.lost(&missing));
         assert_eq!((link.report().state, link.report().attempts), (LinkState::Searching, 2));
         link.connecting();
-        link.running("port");
+        said.extend(link.running("port"));
         assert_eq!((link.report().state, link.report().reconnects), (LinkState::Running, 0));
-        link.lost(&error(|name| DeviceError::Quiet { name, seconds: 0.5 }));
+        said.extend(link.lost(&error(|name| DeviceError::Quiet { name, seconds: 0.5 })));
         assert_eq!(link.report().state, LinkState::Quiet);
-        link.lost(&missing);
+        said.extend(link.lost(&missing));
         assert_eq!(link.report().state, LinkState::Gone);
-        link.lost(&error(|name| DeviceError::Busy { name }));
+        said.extend(link.lost(&error(|name| DeviceError::Busy { name })));
         assert_eq!(link.report().state, LinkState::Refused);
         link.connecting();
         assert!(link.report().reason.is_some(), "why it was missed is known until it runs");
-        link.running("other port");
+        said.extend(link.running("other port"));
         assert_eq!((link.report().reason, link.report().reconnects, link.report().attempts), (None, 1, 0));
         link.ended(Some(&missing));
         assert!(link.report().state == LinkState::Ended && link.report().reason.is_some() && link.is_given_up());
         link.ended(None);
         assert!(link.report().reason.is_none() && !link.is_given_up());
+        let kinds: Vec<bool> = said.iter().map(|text| text.contains("looking for it")).collect();
+        assert_eq!(kinds, [true, false, true, true, false], "{said:?}");
+        assert!(said[4].contains("other port runs"), "{said:?}");
     }
 
     #[test]

@@ -81,7 +81,9 @@ impl Reader {
             if is_hopeless || self.plan.patience.is_some_and(|patience| missing_since.elapsed() >= patience) {
                 return Err(error);
             }
-            self.slot.link.lost(&error);
+            if let Some(told) = self.slot.link.lost(&error) {
+                say(format_args!("{told}"));
+            }
             // A board that has just run will most likely run again at once. A board that stays away, or needs the
             // user, is tried less often.
             let is_soon = self.has_scans || (error.is_away() && missing_since.elapsed() < RECENTLY);
@@ -137,7 +139,9 @@ impl Reader {
                 Some(StreamEvent::Complete) => return Ok(()),
                 Some(StreamEvent::Scans) => {
                     self.has_scans = true;
-                    self.slot.link.running(&board.name());
+                    if let Some(told) = self.slot.link.running(&board.name()) {
+                        say(format_args!("{told}"));
+                    }
                 }
                 Some(StreamEvent::Scanless(seconds, cause)) => {
                     return Err(DeviceError::NoScans { name: board.name(), seconds, cause }.into());

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use serde_json::{Value, json};
 use slitpose_head::scene_file::WIDE;
 use slitpose_model::Photocurrents;
+use tungstenite::client::IntoClientRequest;
 use tungstenite::stream::MaybeTlsStream;
 use tungstenite::{Message, WebSocket};
 
@@ -263,7 +264,34 @@ fn a_client_that_comes_later_gets_the_last_minute_and_a_restart_begins_anew() {
 }
 
 #[test]
-fn wrong_tokens_see_nothing() {
+fn pages_of_others_and_wrong_tokens_see_nothing() {
+    let (server, _) = start("127.0.0.1:0", None);
+    let request = |host: &str, origin: Option<&str>| {
+        let mut request = format!("ws://127.0.0.1:{}/live", port(&server)).into_client_request().unwrap();
+        let own = format!("{host}:{}", port(&server));
+        request.headers_mut().insert("host", own.parse().unwrap());
+        if let Some(origin) = origin {
+            let origin = origin.replace("PORT", port(&server));
+            request.headers_mut().insert("origin", origin.parse().unwrap());
+        }
+        tungstenite::connect(request).map(|_| ())
+    };
+    assert!(request("127.0.0.1", Some("http://127.0.0.1:PORT")).is_ok());
+    assert!(request("localhost", None).is_ok());
+    for (host, origin) in [
+        ("evil.example", None),
+        ("evil.example", Some("http://evil.example:PORT")),
+        ("127.0.0.1", Some("http://evil.example")),
+        ("127.0.0.1", Some("https://127.0.0.1:PORT")),
+        ("127.0.0.1", Some("null")),
+    ] {
+        let refused = request(host, origin);
+        assert!(
+            matches!(&refused, Err(tungstenite::Error::Http(answer)) if answer.status() == 403),
+            "{host} {origin:?} {refused:?}"
+        );
+    }
+
     let (guarded, orders) = start("0.0.0.0:0", Some(TOKEN));
     for token in [json!(null), json!("wrong"), json!("correct-horse-batterz")] {
         let mut client = Client::connect(&guarded).unwrap();

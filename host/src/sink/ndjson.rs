@@ -69,8 +69,9 @@ fn put_pose<M: SerializeMap>(map: &mut M, pose: Option<&Pose>) -> Result<(), M::
 fn put_twist<M: SerializeMap>(map: &mut M, twist: &Result<TwistEstimate, NoTwist>) -> Result<(), M::Error> {
     map.serialize_entry("twist", &twist.as_ref().ok().map(Motion))?;
     match twist {
-        Err(reason @ (NoTwist::Start | NoTwist::Jump)) => map.serialize_entry("no_twist", reason.as_str()),
-        _ => Ok(()),
+        Err(NoTwist::Start) => map.serialize_entry("no_twist", "start"),
+        Err(NoTwist::Jump) => map.serialize_entry("no_twist", "jump"),
+        Ok(_) | Err(NoTwist::NoPose) => Ok(()),
     }
 }
 

@@ -195,9 +195,7 @@ impl BoardTracker {
     /// on a board.
     #[inline(never)]
     pub fn track_on_board(&mut self, frame: u64, readings: &Photocurrents<f32>) -> Solution<f32> {
-        let mut solution = self.advance(frame, readings);
-        solution.inflate_covariance();
-        solution
+        self.track_here(frame, readings)
     }
 }
 

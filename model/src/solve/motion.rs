@@ -1,15 +1,15 @@
 //! How the tool moves: its velocity, and its pose smoothed over frames.
 //!
-//! Each coordinate of the pose is followed by several Kalman filters of position, velocity and acceleration. They differ
-//! in the white noise of the jerk that they reckon with (Bar-Shalom, Li and Kirubarajan, Estimation with Applications to
-//! Tracking and Navigation, 2001, section 6.2.3): the one with the least remembers longest, the one with the most takes
-//! poses as they are. How well each predicts the poses is its weight (the same, section 11.6.2), so that the noise is
-//! learnt from the motion, and what is not known of it yet widens σ: the answer is the mean of all, its covariance that of
-//! the mixture. A filter that predicts far worse than the best continues from the best one's state.
+//! Each coordinate of the pose has several Kalman filters, with position, velocity and acceleration as their state. Each
+//! assumes another noise of the jerk (white: Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and
+//! Navigation, 2001, section 6.2.3). The filter with the least noise has the longest memory; the one with the most takes
+//! poses as they are. A filter is weighted by how well it predicts the poses (the same, section 11.6.2). The estimate is
+//! the mean and the covariance of the weighted mixture, so it adapts to the motion, and σ is larger while the noise of the
+//! motion is uncertain. A filter that predicts far worse than the best continues from the best one's state.
 //!
-//! A tool that hits something changes its velocity within a frame. A pose that no filter expects restarts them all, and until
-//! the new velocity is known there is none. A hit just before a frame cannot be seen in it: where the tool has hit before,
-//! σ of the velocity includes the share of frames in which that happens, times what it does there.
+//! A tool that hits something changes its velocity within a frame. A pose that no filter expects restarts all filters;
+//! there is no velocity until the new one is known. A hit just before a frame cannot be seen in that frame. After hits, σ
+//! of the velocity therefore includes the errors in such frames, averaged over all frames.
 //!
 //! Lengths and angles are in metres and radians, times in frames.
 
@@ -22,6 +22,7 @@ use crate::scalar::{Linear3, Number};
 
 use super::algebra::Matrix6;
 use super::outcome::Estimate;
+use super::tracker::{MAX_EXTRAPOLATED_FRAMES, UNKNOWN_ANGULAR_RAD_PER_S, UNKNOWN_LINEAR_M_PER_S};
 
 /// Most filters of a coordinate.
 const MAX_FILTERS: usize = 16;
@@ -35,10 +36,10 @@ const MAX_NOISE: f64 = 1e6;
 
 /// Weight of a filter that predicts badly, relative to the best one's: how probable it is that the motion changes from
 /// one frame to the next.
-const LEAST_WEIGHT: f64 = 6e-6;
+const MIN_WEIGHT: f64 = 6e-6;
 
 /// The same after a restart, when little is known of the motion.
-const LEAST_WEIGHT_AT_RESTART: f64 = 0.05;
+const MIN_WEIGHT_AT_RESTART: f64 = 0.05;
 
 /// Squared distance from the expected pose beyond which the motion starts anew, in units of its variance: of all
 /// coordinates together (χ² with six degrees of freedom exceeds it once in 10⁵ frames), and of the farthest alone.
@@ -60,11 +61,8 @@ const FRAMES_TO_VELOCITY: u32 = 3;
 /// How long hits are remembered, seconds.
 const HITS_S: f64 = 0.5;
 
-/// Frames without a pose after which the motion starts anew.
-const MAX_GAP: u64 = 8;
-
 /// σ of an unknown velocity and acceleration: a fast hand that hits something. Metres, radians, seconds.
-const UNKNOWN: [[f64; 2]; 2] = [[0.5, 1e3], [5.0, 1e4]];
+const UNKNOWN: [[f64; 2]; 2] = [[UNKNOWN_LINEAR_M_PER_S, 1e3], [UNKNOWN_ANGULAR_RAD_PER_S, 1e4]];
 
 /// By how many σ of a pose a tool whose velocity has changed may be off and go unnoticed, in the first frame after the hit
 /// and in those that are doubtful, together. A change of velocity by v then goes unseen for this times σ/v frames, and the
@@ -92,17 +90,6 @@ pub enum NoTwist {
     Start,
     /// The tool is not where its motion led: it has hit something, or the pose is wrong.
     Jump,
-}
-
-impl NoTwist {
-    /// The word used in tables and messages.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::NoPose => "no_pose",
-            Self::Start => "start",
-            Self::Jump => "jump",
-        }
-    }
 }
 
 /// A filtered pose: from the frame and those before.
@@ -199,7 +186,9 @@ impl<S: Number> MotionEstimator<S> {
 
     /// Takes the pose of frame `frame` and its covariance. Frames are numbered without gaps; some may have no pose.
     pub fn update(&mut self, frame: u64, measured: &Rigid<S>, covariance: &Matrix6<S>) {
-        let passed = frame.checked_sub(self.next_frame).filter(|passed| *passed <= MAX_GAP && self.frames > 0);
+        let passed = frame
+            .checked_sub(self.next_frame)
+            .filter(|passed| *passed <= u64::from(MAX_EXTRAPOLATED_FRAMES) && self.frames > 0);
         self.next_frame = frame.wrapping_add(1);
         let Some(passed) = passed else {
             self.variances = core::array::from_fn(|i| covariance[i][i]);
@@ -266,7 +255,7 @@ impl<S: Number> MotionEstimator<S> {
             ];
             coordinate.covariance = of.map(|value| [value; MAX_FILTERS]);
             // At the very first, all alike.
-            let least = if self.frames == 0 { S::one() } else { S::of(LEAST_WEIGHT_AT_RESTART) };
+            let least = if self.frames == 0 { S::one() } else { S::of(MIN_WEIGHT_AT_RESTART) };
             // Those that did not count weigh nothing.
             (0..count).filter(|k| !coordinate.active.contains(k)).for_each(|k| coordinate.weights[k] = S::zero());
             coordinate.active = 0..count;
@@ -377,37 +366,30 @@ impl<S: Number> Coordinate<S> {
 
     /// Corrects the filters, of which there are `count`, by the newest pose.
     fn correct(&mut self, count: usize, noise: S) {
-        let Self { distance, variance, .. } = self;
         let [p00, p01, p02, p11, p12, p22] = &mut self.covariance;
-        let mut least = S::infinity();
         for k in self.active.clone() {
-            let inverse = variance[k].recip();
+            let (distance, inverse) = (self.distance[k], self.variance[k].recip());
             let gains = [p00[k], p01[k], p02[k]].map(|value| value * inverse);
-            self.position[k] += gains[0] * distance[k];
-            self.velocity[k] += gains[1] * distance[k];
-            self.acceleration[k] += gains[2] * distance[k];
+            self.position[k] += gains[0] * distance;
+            self.velocity[k] += gains[1] * distance;
+            self.acceleration[k] += gains[2] * distance;
             p11[k] -= gains[1] * p01[k];
             p12[k] -= gains[1] * p02[k];
             p22[k] -= gains[2] * p02[k];
             // 1 − α = noise/variance, without cancellation.
             let left = noise * inverse;
             (p00[k], p01[k], p02[k]) = (p00[k] * left, p01[k] * left, p02[k] * left);
-            // For the weights: squared distances, and what the noise is of the variance.
-            distance[k] = distance[k] * distance[k] * inverse;
-            variance[k] = left;
-            least = least.min(distance[k]);
-        }
-        for k in self.active.clone() {
-            self.weights[k] *= (-S::half() * (distance[k] - least)).exponential() * variance[k].root();
+            // The normal density of the distance, but for a factor that all filters share.
+            self.weights[k] *= (-S::half() * distance * distance * inverse).exponential() * left.root();
         }
         let best = self.best();
-        let floor = self.weights[best] * S::of(LEAST_WEIGHT);
+        let floor = self.weights[best] * S::of(MIN_WEIGHT);
         let counts = |k: &usize| self.weights[*k] > floor;
         let first = self.active.clone().find(counts).unwrap_or(best);
         let last = self.active.clone().rfind(counts).unwrap_or(best);
-        let before = core::mem::replace(&mut self.active, first.saturating_sub(1)..(last + 2).min(count));
+        let were_active = core::mem::replace(&mut self.active, first.saturating_sub(1)..(last + 2).min(count));
         for k in self.active.clone() {
-            if !before.contains(&k) || self.weights[k] <= floor {
+            if !were_active.contains(&k) || self.weights[k] <= floor {
                 self.position[k] = self.position[best];
                 self.velocity[k] = self.velocity[best];
                 self.acceleration[k] = self.acceleration[best];
@@ -415,7 +397,7 @@ impl<S: Number> Coordinate<S> {
                 self.weights[k] = floor;
             }
         }
-        self.raise_weights(S::of(LEAST_WEIGHT));
+        self.raise_weights(S::of(MIN_WEIGHT));
     }
 
     /// The filter of the greatest weight.

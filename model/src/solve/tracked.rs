@@ -35,6 +35,14 @@ pub struct Tracker<S: Scalar> {
     filter: Option<MotionEstimator<S>>,
 }
 
+impl<S: Scalar> PoseTracker<S> {
+    /// The pose of frame `frame`. Frames are numbered without gaps by the device; across a longer
+    /// gap in the numbers the tracker forgets how the tool moved.
+    pub fn track(&mut self, frame: u64, readings: &Photocurrents<S>) -> Solution<S> {
+        S::track(self, frame, readings)
+    }
+}
+
 impl<S: Scalar> Tracker<S> {
     /// For frames `period_s` seconds apart.
     pub fn new(solver: Solver<S>, period_s: f64) -> Self {
@@ -53,16 +61,9 @@ impl<S: Scalar> Tracker<S> {
         self
     }
 
-    /// Takes the light level for that of the head's scene: see [`crate::Uncertainty::light_level_relative`].
-    #[must_use]
-    pub fn with_known_light_level(mut self) -> Self {
-        self.poses = self.poses.with_known_light_level();
-        self
-    }
-
-    /// Of each frame.
-    pub fn solver(&self) -> &Solver<S> {
-        self.poses.solver()
+    /// The tracker of poses alone.
+    pub fn poses(&self) -> &PoseTracker<S> {
+        &self.poses
     }
 
     /// Also gives a filtered pose, from no longer than some `memory_s` seconds, in which a frame counts m/(1 + m) of the next,
@@ -73,16 +74,9 @@ impl<S: Scalar> Tracker<S> {
         self
     }
 
-    /// The pose of frame `frame`. Frames are numbered without gaps by the device; across a longer
-    /// gap in the numbers the tracker forgets how the tool moved.
+    /// [`PoseTracker::track`], with velocity and filtered pose.
     pub fn track(&mut self, frame: u64, readings: &Photocurrents<S>) -> Tracked<S> {
-        S::track(self, frame, readings)
-    }
-
-    #[inline(always)]
-    pub(crate) fn track_here(&mut self, frame: u64, readings: &Photocurrents<S>) -> Tracked<S> {
-        let mut solution = self.poses.advance(frame, readings);
-        solution.inflate_covariance();
+        let solution = self.poses.track(frame, readings);
         let light_level = self.poses.light_level();
         let Some(estimate) = &solution.estimate else {
             return Tracked { solution, twist: Err(NoTwist::NoPose), filtered: None, light_level };

@@ -31,11 +31,11 @@ use super::readings::{Photocurrents, Sorted};
 use super::solver::Solver;
 
 /// Frames without a pose over which the motion is extrapolated.
-const MAX_EXTRAPOLATED_FRAMES: u32 = 8;
+pub const MAX_EXTRAPOLATED_FRAMES: u32 = 8;
 
 /// Standard deviation per axis of an unknown twist: a fast hand.
-const UNKNOWN_LINEAR_M_PER_S: f64 = 0.5;
-const UNKNOWN_ANGULAR_RAD_PER_S: f64 = 5.0;
+pub const UNKNOWN_LINEAR_M_PER_S: f64 = 0.5;
+pub const UNKNOWN_ANGULAR_RAD_PER_S: f64 = 5.0;
 
 /// Weak poses of other cells in a row over which the motion is extrapolated: with more of them poses are what they are now.
 const MAX_WEAK: u32 = 2;
@@ -127,7 +127,8 @@ impl<S: Number, P: Optics<S>> PoseTracker<S, P> {
         self.solver.compiled.level_information.map(|_| self.light_level)
     }
 
-    pub(crate) fn solver(&self) -> &Solver<S, P> {
+    /// The solver of each frame.
+    pub fn solver(&self) -> &Solver<S, P> {
         &self.solver
     }
 
@@ -174,9 +175,17 @@ impl<S: Number, P: Optics<S>> PoseTracker<S, P> {
         self
     }
 
-    /// The solution of frame `frame`, which has not owned up yet.
+    /// [`Self::track`], compiled where it is called.
     #[inline(always)]
-    pub(crate) fn advance(&mut self, frame: u64, readings: &Photocurrents<S>) -> Solution<S> {
+    pub(crate) fn track_here(&mut self, frame: u64, readings: &Photocurrents<S>) -> Solution<S> {
+        let mut solution = self.advance(frame, readings);
+        solution.inflate_covariance();
+        solution
+    }
+
+    /// [`Self::track_here`], but the covariance of a misfit is not inflated yet.
+    #[inline(always)]
+    fn advance(&mut self, frame: u64, readings: &Photocurrents<S>) -> Solution<S> {
         match frame.checked_sub(self.next_frame) {
             Some(missed) if missed <= u64::from(MAX_EXTRAPOLATED_FRAMES) => {
                 (0..missed).for_each(|_| self.extrapolate());

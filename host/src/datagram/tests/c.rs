@@ -193,10 +193,13 @@ fn a_program_finds_the_installed_header_by_pkg_config() {
     let output = install(&prefix, "");
     assert!(output.status.success() && output.stderr.is_empty(), "{output:?}");
     assert_eq!(shell(&prefix, "pkg-config --modversion slitpose-pose"), env!("CARGO_PKG_VERSION"));
-    // The source has no other header beside it.
     let (source, program) = (host("examples/c/follow_pose.c"), folder.path().join("follow_pose"));
     let (source, program) = (source.display(), program.display());
     shell(&prefix, &format!("cc -std=c11 $(pkg-config --cflags slitpose-pose) -o '{program}' '{source}'"));
+    // Installed is what this tree has, and it is what was found: the source has no other header beside it.
+    let installed = std::fs::read(format!("{prefix}/include/slitpose_pose.h")).unwrap();
+    assert_eq!(installed, std::fs::read(host("include/slitpose_pose.h")).unwrap());
+    assert_eq!(shell(&prefix, "pkg-config --cflags slitpose-pose"), format!("-I{prefix}/include"));
 
     // A package is staged elsewhere, and a relative prefix is refused.
     let stage = folder.path().to_str().unwrap();

@@ -214,32 +214,28 @@ impl Pipeline {
     ) -> Result<usize, E> {
         let length = bytes.len();
         let mut taken = 0;
-        loop {
-            let Some(result) = self.decoder.next::<Message<'_>>(&mut bytes) else {
-                break;
-            };
-            // Damage is counted by the decoder.
-            if let Ok(message) = result {
-                let is_scan = matches!(message, Message::Batch(_) | Message::Poses(_) | Message::Truth(_));
-                self.has_passed_end |= self.flow.span.is_complete && is_scan;
-                if !(self.flow.span.is_complete && is_scan) {
-                    self.flow.accept(&message, sink)?;
-                    while solve == Solve::AtOnce
-                        && let Some(record) = self.flow.solve_next()
-                    {
-                        sink(Item::Pose(&record))?;
-                    }
+        while let Some(result) = self.decoder.next::<Message<'_>>(&mut bytes) {
+            match result {
+                Ok(Message::Batch(_) | Message::Poses(_) | Message::Truth(_)) if self.flow.span.is_complete => {
+                    self.has_passed_end = true;
                 }
+                Ok(message) => self.flow.accept(&message, sink)?,
+                // The decoder counts damage.
+                Err(_) => {}
+            }
+            while solve == Solve::AtOnce
+                && let Some(record) = self.flow.solve_next()
+            {
+                sink(Item::Pose(&record))?;
             }
             if !self.has_passed_end {
                 taken = length - bytes.len();
             }
         }
-        if self.is_complete() {
-            self.has_passed_end |= taken < length;
-        } else {
-            taken = length;
+        if !self.is_complete() {
+            return Ok(length);
         }
+        self.has_passed_end |= taken < length;
         Ok(taken)
     }
 

@@ -1,7 +1,7 @@
 //! One board under one configuration: from a scan to a solution.
 
 use slitpose_calibration::{Basis, Head};
-use slitpose_model::{NoTwist, Photocurrents, Solver, Tier, Tracked, Tracker};
+use slitpose_model::{NoTwist, Photocurrents, PoseTracker, Solver, Tier, Tracked, Tracker};
 use slitpose_protocol::poses::{Poses, TRIANGLE};
 use slitpose_protocol::{AdcScaling, BoardKind, Hello, PoseStatus, RawScan, Schedule};
 
@@ -42,7 +42,7 @@ pub(super) struct Session {
     /// Poses of the board and of this program, once the board has sent any.
     pub(super) comparison: Option<Box<Comparison>>,
     /// Finds what the board's poses are compared with: of a known light level, as the board's.
-    as_board: Option<Box<Tracker<f64>>>,
+    as_board: Option<Box<PoseTracker<f64>>>,
     /// The latest that the board has told.
     covariance: Option<[f32; TRIANGLE]>,
     /// Scans that the board has not solved, and those among them whose place is known.
@@ -213,7 +213,7 @@ impl Session {
         }
         self.covariance = poses.covariance.or(self.covariance);
         let comparison = self.comparison.get_or_insert_default();
-        self.as_board.get_or_insert_with(|| Box::new(self.tracker.clone().with_known_light_level()));
+        self.as_board.get_or_insert_with(|| Box::new(self.tracker.poses().clone().with_known_light_level()));
         self.missed = self.missed.max(poses.missed.into());
         comparison.agreement.missed = self.missed;
         let all = poses.iter(self.schedule.frame_ticks);
@@ -224,7 +224,7 @@ impl Session {
 
     /// Takes away a pose that cannot be right, and says why.
     pub(super) fn refuse(&mut self, pose: &mut BoardPose) -> Option<PoseFault> {
-        let fault = pose.fault(self.tracker.solver().plan())?;
+        let fault = pose.fault(self.tracker.poses().solver().plan())?;
         pose.record.status = PoseStatus::Diverged;
         Some(fault)
     }
@@ -240,7 +240,7 @@ impl Session {
         self.photocurrents = self.stage.photocurrents(scan);
         let mut tracked = self.tracker.track(scan.sequence, &self.photocurrents);
         if let (Some(comparison), Some(as_board)) = (&mut self.comparison, &mut self.as_board) {
-            let found = as_board.track(scan.sequence, &self.photocurrents).solution;
+            let found = as_board.track(scan.sequence, &self.photocurrents);
             comparison.take_host(scan.sequence, found.estimate.as_ref());
         }
         self.head.complete_tracked(&mut tracked);
