@@ -15,7 +15,7 @@ use crate::plan::Optics;
 use crate::pose::Transform;
 use crate::scalar::Number;
 
-use super::algebra::{Factor, Matrix6};
+use super::algebra::{Factor, Matrix6, Vector6};
 use super::levenberg_marquardt::{Minimum, Stopping};
 use super::normal_equations::{Problem, Workspace};
 use super::outcome::{DegradedReason, Directions, Estimate, Outcome, Solution};
@@ -30,9 +30,24 @@ pub const ALIKE: f64 = 20.0;
 /// covariance says.
 const SOFT: usize = 3;
 
-/// χ² at a distance of [`DISTINCT_SIGMAS`], 36 by the covariance, from which on that says nothing: a pose
-/// where a head is singular has σ as large as you like, and the currents bend long before.
-const TOO_UNLIKE: f64 = 4.0 * DISTINCT_SIGMAS * DISTINCT_SIGMAS;
+/// How χ² grows along a direction, by what the covariance promises: the square of the distance in σ.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Growth {
+    AsTold,
+    /// As told near the pose and by more further away: σ is wider than need be.
+    Steeper,
+    /// By less, or σ is so wide that the currents bend long before.
+    Flatter,
+}
+
+/// Least share of that promise.
+const SHARE: f64 = ALIKE / (DISTINCT_SIGMAS * DISTINCT_SIGMAS);
+
+/// Multiple of it from which on χ² is looked at nearer the pose: a valley may end in a wall.
+const TOO_UNLIKE: f64 = 4.0;
+
+/// Distances that are looked at, each half of the one before.
+const HALVINGS: usize = 6;
 
 /// A residual this large a share of a cell's current is no small misfit: gains that calibration has not settled stay
 /// well below. The pose is then another, or the head.
@@ -146,21 +161,46 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
         let Some(factor) = minimum.factor.as_ref().filter(|_| has_free || solution.outcome.has_pose()) else {
             return;
         };
-        let mut soft = ArrayVec::<[f64; 6], SOFT>::new();
-        for (value, direction) in &factor.singular()[..SOFT] {
-            let grows = |sign: f64, workspace: &mut Workspace<S>| {
-                let far = direction.map(|element| element * (S::of(sign * DISTINCT_SIGMAS) / *value));
-                let there = self.linearise(&self.moved(&minimum.pose, &far), workspace);
-                (S::of(ALIKE)..S::of(TOO_UNLIKE)).contains(&(there.chi2 - minimum.chi2))
-            };
-            if is_free(*value) || !(grows(-1.0, workspace) && grows(1.0, workspace)) {
-                soft.push(direction.map(S::as_f64));
-            }
-        }
-        if !soft.is_empty() {
+        let singular = factor.singular();
+        let growths: ArrayVec<Growth, SOFT> =
+            singular[..SOFT].iter().map(|along| self.growth(minimum, along, workspace)).collect();
+        if growths.contains(&Growth::Flatter) {
+            // Of the others σ says nothing either, where the currents bend before it is reached.
+            let soft = singular.iter().zip(&growths).filter(|(_, growth)| **growth != Growth::AsTold);
+            let soft: ArrayVec<[f64; 6], SOFT> = soft.map(|((_, direction), _)| direction.map(S::as_f64)).collect();
             solution.outcome = Outcome::Unobservable(Directions::of_free(&soft));
             solution.estimate = None;
         }
+    }
+
+    /// How χ² grows from `minimum` both ways along a direction of its information, with that singular value.
+    fn growth(
+        &self,
+        minimum: &Minimum<S>,
+        (value, direction): &(S, Vector6<S>),
+        workspace: &mut Workspace<S>,
+    ) -> Growth {
+        if is_free(*value) {
+            return Growth::Flatter;
+        }
+        let mut one_way = |sign: f64| {
+            let (mut sigmas, mut growth) = (DISTINCT_SIGMAS, Growth::AsTold);
+            for _ in 0..HALVINGS {
+                let far = direction.map(|element| element * (S::of(sign * sigmas) / *value));
+                let chi2 = self.linearise(&self.moved(&minimum.pose, &far), workspace).chi2;
+                let promised = S::of(sigmas * sigmas);
+                let is_enough = chi2 - minimum.chi2 >= S::of(SHARE) * promised;
+                if !is_enough {
+                    break;
+                }
+                if chi2 - minimum.chi2 <= S::of(TOO_UNLIKE) * promised {
+                    return growth;
+                }
+                (sigmas, growth) = (0.5 * sigmas, Growth::Steeper);
+            }
+            Growth::Flatter
+        };
+        one_way(-1.0).max(one_way(1.0))
     }
 
     /// Whether the best pose found is too far from the data to call it one.

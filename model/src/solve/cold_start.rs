@@ -4,12 +4,12 @@
 //! then the search goes on for those, the best one counts, and where two fit alike the answer is ambiguous.
 
 use crate::plan::Optics;
-use crate::pose::{Pose, Transform};
+use crate::pose::Transform;
 use crate::scalar::{Number, Vector3};
 
 use super::accept::{Fit, ROUGH_WORK};
 use super::compiled::{Compiled, Prior};
-use super::images::{IMAGES, Minima, SOFT_STEPS, Seen, image};
+use super::images::{IMAGES, Minima, SOFT_STEPS, Seen, image, is_likely};
 use super::levenberg_marquardt::Stopping;
 use super::normal_equations::{Problem, Workspace};
 use super::outcome::{Outcome, Solution};
@@ -21,12 +21,15 @@ use super::readings::Sorted;
 /// search begins anew.
 pub const COLD_WORK: usize = 600;
 
-/// The same of a head that has mirror images: all places for them are looked at, which takes 500 in the mean.
+/// The same where poses may have mirror images: all places for them are looked at, which takes 500 in the mean.
 pub const WORK_FOR_IMAGES: usize = 2 * COLD_WORK;
 
 /// Evaluations after which a search in pieces ends, if there are no images to be found: of two cold solves, for each piece
 /// begins with the planes again.
 const MAX_WORK: usize = 2 * COLD_WORK;
+
+/// Planes that fix a pose: of fewer each start leads to another place on them, and one place in vain says nothing of others.
+const FIXING_PLANES: usize = 6;
 
 /// Starts that must all have led to one place for a misfit there to be the answer.
 const AGREEING: usize = 8;
@@ -233,7 +236,7 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
                 minimum = problem.beyond_kink(minimum, S::of(DOUBTED) * gate, workspace);
             }
             let fit = problem.fit(&minimum);
-            if fit == Fit::Full && !may_have_images {
+            if fit == Fit::Full && is_likely(&minimum, gate) && !may_have_images {
                 // By far the most frequent end, with the last linearisation still at hand.
                 search.is_over = true;
                 return problem.conclude(&minimum, workspace, fit);
@@ -250,7 +253,9 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
         let unfinished = |iterations| Solution { iterations, ..nothing(sorted, outcome) };
         let mut seen = Seen::new();
         let mut is_cut_short = false;
-        while let Some(next) = Try::of(search.next).filter(|_| !self.is_enough(sorted, &minima, &seen, search.next)) {
+        while let Some(next) =
+            Try::of(search.next).filter(|_| !self.is_enough(sorted, problem.gate(), &minima, &seen, search.next))
+        {
             if workspace.work == 0 {
                 if search.may_pause && (may_have_images || search.spent < MAX_WORK) {
                     search.spent += workspace.evaluations;
@@ -325,7 +330,7 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
     }
 
     /// Whether poses may have images that are worth the search.
-    fn looks_for_images(&self, sorted: &Sorted<S>) -> bool {
+    pub fn looks_for_images(&self, sorted: &Sorted<S>) -> bool {
         self.has_images || sorted.usable.len() < P::UNIQUE_FROM
     }
 
@@ -340,15 +345,23 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
         let best = minima.best.filter(|(_, fit)| *fit != Fit::None).map(|(best, _)| best);
         match next {
             Try::Exclusion { .. } => None,
-            Try::Home => best.is_none().then(|| (Transform::of(&Pose::HOME), true)),
+            Try::Home => best.is_none().then_some((self.home, true)),
             Try::Soft(index) => Some((self.softened(&best?, index)?, false)),
             Try::Image(index) => {
                 Some((image(&self.planes, &sorted.usable, &best?.pose, self.length_scale_m, index)?, false))
             }
-            Try::Around(index) => Some((around(on_planes, index), true)),
+            Try::Around(index) => Some((self.near_data(sorted, around(&self.home, on_planes, index)), true)),
             // Without redundancy a rough approach leads past too many poses.
-            Try::Spread(index) => Some((spread(index), self.redundancy(sorted.usable.len()) > 0)),
+            Try::Spread(index) => {
+                let start = self.near_data(sorted, spread(&self.home, index));
+                Some((start, self.redundancy(sorted.usable.len()) > 0))
+            }
         }
+    }
+
+    /// `start`, moved to where the emitters lie in the planes of their light, if these leave room.
+    fn near_data(&self, sorted: &Sorted<S>, start: Transform<S>) -> Transform<S> {
+        if sorted.usable.len() < FIXING_PLANES { self.onto_planes(sorted, start) } else { start }
     }
 
     /// Whether nothing tells a pose from its mirror images. Of three cells nearly every pose has some, and no search is sure
@@ -358,11 +371,12 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
     }
 
     /// Whether nothing after [`Try`] `next` can change the answer.
-    fn is_enough(&self, sorted: &Sorted<S>, minima: &Minima<S>, seen: &Seen<S>, next: usize) -> bool {
+    fn is_enough(&self, sorted: &Sorted<S>, gate: S, minima: &Minima<S>, seen: &Seen<S>, next: usize) -> bool {
         let may_have_images = self.looks_for_images(sorted);
         match minima.best_fit() {
+            Fit::None if sorted.usable.len() < FIXING_PLANES => false,
             Fit::None => seen.again >= AGREEING && (!may_have_images || next > Try::FURTHER),
-            Fit::Full if !may_have_images || self.is_unchecked(sorted) => true,
+            Fit::Full if self.is_unchecked(sorted) || !may_have_images && minima.is_likely(gate) => true,
             _ if minima.is_singular() => true,
             _ => minima.are_alike() && minima.cannot_be_beaten() || next >= Try::FURTHER,
         }
@@ -425,20 +439,20 @@ pub const STARTS_SPREAD: usize = 48;
 
 /// Start `index` of [`STARTS_AROUND`]: a turn about one axis and a shift along the next, both ways, first from
 /// home, then from `centre`.
-pub fn around<S: Number>(centre: &Transform<S>, index: usize) -> Transform<S> {
+pub fn around<S: Number>(home: &Transform<S>, centre: &Transform<S>, index: usize) -> Transform<S> {
     let i = index % 12;
     let mut turn = [0.0; 3];
     let mut shift = [0.0; 3];
     let sign = if i.is_multiple_of(2) { 1.0 } else { -1.0 };
     turn[i / 2 % 3] = sign * ROTATION_RAD;
     shift[(i / 2 + 1) % 3] = sign * TRANSLATION_M * if i < 6 { 1.0 } else { -1.0 };
-    let centre = if index < 12 { Transform::of(&Pose::HOME) } else { *centre };
+    let centre = if index < 12 { home } else { centre };
     centre.moved(vector::<S>(shift.into()), vector::<S>(turn.into()))
 }
 
-/// Start `index` of [`STARTS_SPREAD`], or of any number: the generalised golden ratio in six dimensions fills
+/// Start `index` of [`STARTS_SPREAD`] about `home`, or of any number: the generalised golden ratio in six dimensions fills
 /// a box evenly (Roberts 2018), with powers of the inverse of the root of x⁷ = x + 1.
-pub fn spread<S: Number>(index: usize) -> Transform<S> {
+pub fn spread<S: Number>(home: &Transform<S>, index: usize) -> Transform<S> {
     let mut share = 1.0;
     let coordinates: [f64; 6] = core::array::from_fn(|_| {
         share *= 0.898_653_712_628_699;
@@ -447,7 +461,7 @@ pub fn spread<S: Number>(index: usize) -> Transform<S> {
     });
     let [tx, ty, tz, rx, ry, rz] = coordinates;
     let (shift, turn) = (glam::DVec3::new(tx, ty, tz), glam::DVec3::new(rx, ry, rz));
-    Transform::of(&Pose::HOME).moved(vector::<S>(shift * 4.0 / 3.0 * TRANSLATION_M), vector::<S>(turn * ROTATION_RAD))
+    home.moved(vector::<S>(shift * 4.0 / 3.0 * TRANSLATION_M), vector::<S>(turn * ROTATION_RAD))
 }
 
 fn vector<S: Number>(v: glam::DVec3) -> S::Vec3 {

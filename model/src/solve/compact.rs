@@ -6,12 +6,13 @@ use thiserror::Error;
 
 use crate::entries::Scalar;
 use crate::plan::{BOARD_CELLS, CompactCell, CompactPlan, CompiledScene, Tier};
-use crate::pose::Pose;
-use crate::scalar::Number;
+use crate::pose::Transform;
+use crate::scalar::{Linear3, Number};
 use crate::scene::{MAX_CELLS, Scene, SceneError};
 
 use super::cold_start::spread;
 use super::compiled::Compiled;
+use super::home::home;
 use super::outcome::Solution;
 use super::planes::PlaneCell;
 use super::readings::{Limits, Photocurrents};
@@ -71,6 +72,8 @@ pub struct CompactFrame<S: Number> {
     gates: [S; MAX_CELLS + 1],
     has_offsets: bool,
     length_scale_m: S,
+    /// Translation, and rotation as a quaternion x, y, z, w.
+    home: ([S; 3], [S; 4]),
     jacobian_change_rate: S,
     has_images: bool,
 }
@@ -99,7 +102,8 @@ impl<S: Scalar> Solver<S, CompactPlan<S>> {
         }
         let other_kind = |(cell, what)| CompactError::Kind { cell, what };
         let truth = CompiledScene::<f64>::compile(scene, Tier::Exact { tolerance: TRUE_TOLERANCE })?;
-        let error = worst_error(&CompactPlan::of(scene, &truth, &truth).map_err(other_kind)?, &truth);
+        let plan = CompactPlan::of(scene, &truth, &truth).map_err(other_kind)?;
+        let error = worst_error(scene, &plan, &truth);
         if error > MAX_ERROR {
             return Err(CompactError::Spots { error });
         }
@@ -120,11 +124,12 @@ impl<S: Scalar> Solver<S, CompactPlan<S>> {
 
     /// What the solver holds besides its cells.
     pub fn frame(&self) -> CompactFrame<S> {
-        let Compiled { gates, offsets_s, length_scale_m, jacobian_change_rate, has_images, .. } = &self.compiled;
+        let Compiled { gates, offsets_s, length_scale_m, home, jacobian_change_rate, has_images, .. } = &self.compiled;
         CompactFrame {
             gates: *gates,
             has_offsets: !offsets_s.is_empty(),
             length_scale_m: *length_scale_m,
+            home: home.to_rigid().numbers(),
             jacobian_change_rate: *jacobian_change_rate,
             has_images: *has_images,
         }
@@ -152,6 +157,8 @@ impl<S: Scalar> Solver<S, CompactPlan<S>> {
         compiled.offsets_s.clear();
         compiled.gates = frame.gates;
         compiled.length_scale_m = frame.length_scale_m;
+        let ([x, y, z], rotation) = frame.home;
+        compiled.home = Transform::of_parts(rotation, S::Vec3::new(x, y, z));
         compiled.jacobian_change_rate = frame.jacobian_change_rate;
         compiled.has_images = frame.has_images;
     }
@@ -199,10 +206,12 @@ impl BoardTracker {
     }
 }
 
-/// The greatest relative error of a current of `plan`, over the reach of a head.
-fn worst_error(plan: &CompactPlan<f64>, truth: &CompiledScene<f64>) -> f64 {
-    let poses = core::iter::once(Pose::HOME).chain((0..LOOKS).map(|index| spread::<f64>(index).to_pose()));
+/// The greatest relative error of a current of `plan`, over the reach of the head.
+fn worst_error(scene: &Scene, plan: &CompactPlan<f64>, truth: &CompiledScene<f64>) -> f64 {
+    let home: Transform<f64> = Transform::of(&home(scene));
+    let poses = core::iter::once(home).chain((0..LOOKS).map(|index| spread(&home, index)));
     poses.fold(0.0, |worst: f64, pose| {
+        let pose = pose.to_pose();
         let found = plan.currents_at(&pose);
         found.iter().enumerate().fold(worst, |worst, (cell, found)| {
             let expected = truth.photocurrents(cell, &pose);
@@ -224,7 +233,7 @@ mod tests {
     use super::*;
     use crate::effects::Opening;
     use crate::plan::{Instant, Optics};
-    use crate::pose::Transform;
+    use crate::pose::Pose;
     use crate::scene::{Cell, Profile};
 
     /// By the squares of the angles that the spots subtend, 1 mm and more from 10 to 18 mm: up to 1e-2.
@@ -238,7 +247,7 @@ mod tests {
 
     fn check_derivatives(compact: &CompactPlan<f64>, plan: &CompiledScene<f64>, name: &str) {
         for index in 0..40 {
-            let pose = spread::<f64>(index).to_pose();
+            let pose = spread(&Transform::<f64>::of(&Pose::HOME), index).to_pose();
             let here = Transform::of(&pose);
             let instant = Instant { pose: &here, twist: [DVec3::ZERO; 2], bend: None, offsets_s: &[] };
             compact.linearise_all(
@@ -278,7 +287,7 @@ mod tests {
             cell.slit.width_m = 1e-3;
         }
         let plan = plan_of(&scene);
-        let error = worst_error(&CompactPlan::of(&scene, &plan, &plan).expect("slits and cosines"), &plan);
+        let error = worst_error(&scene, &CompactPlan::of(&scene, &plan, &plan).expect("slits and cosines"), &plan);
         assert!(error < 1e-5, "{error:e}");
     }
 
@@ -291,7 +300,7 @@ mod tests {
                 cell.slit.tilt_rad = DVec3::new(1.0, 0.5, 1.0) * degrees.to_radians();
             }
             let plan = plan_of(&scene);
-            let error = worst_error(&CompactPlan::of(&scene, &plan, &plan).expect("slits and cosines"), &plan);
+            let error = worst_error(&scene, &CompactPlan::of(&scene, &plan, &plan).expect("slits and cosines"), &plan);
             (scene, error)
         };
         let (scene, error) = (0..100)
@@ -340,11 +349,11 @@ mod tests {
             }
             let plan = plan_of(&scene);
             let compact = CompactPlan::of(&scene, &plan, &plan).expect(name);
-            let error = worst_error(&compact, &plan);
+            let error = worst_error(&scene, &compact, &plan);
             assert!(error < TOLERANCE, "{name}: {error:e}");
             // Without the change they differ.
             let ideal = CompactPlan::of(&head(), &plan_of(&head()), &plan_of(&head())).expect("ideal");
-            assert!(worst_error(&ideal, &plan) > 5.0 * TOLERANCE, "{name} changes nothing");
+            assert!(worst_error(&scene, &ideal, &plan) > 5.0 * TOLERANCE, "{name} changes nothing");
             check_derivatives(&compact, &plan, name);
         }
     }

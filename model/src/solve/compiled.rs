@@ -10,6 +10,7 @@ use crate::scene::{Cell, MAX_CELLS, Scene, SceneError};
 
 use super::accept::{chi2_gate, redundancy};
 use super::algebra::Factor;
+use super::home::home;
 use super::normal_equations::{Problem, Workspace};
 use super::outcome::{Directions, Outcome, Solution};
 use super::planes::{self, PlaneCell, jacobian_change_rate};
@@ -86,6 +87,8 @@ pub struct Compiled<S: Number, P = CompiledScene<S>> {
     /// Empty: all cells are exposed at the reference instant.
     pub offsets_s: Vec<S, MAX_CELLS>,
     pub length_scale_m: S,
+    /// Where the tool is before anything is known of it: [`super::home`].
+    pub home: Transform<S>,
     /// Relative change of the derivatives per unit of a scaled step.
     pub jacobian_change_rate: S,
     /// Whether poses of this head may have mirror images although all cells see light.
@@ -120,7 +123,9 @@ impl<S: Scalar> Compiled<S> {
         };
         let cells = scene.cells.iter();
         self.length_scale_m = S::of(scene.length_scale_m());
-        self.planes.extend(cells.clone().map(|cell| PlaneCell::compile(cell, tier == Tier::Paper)));
+        let home = home(scene);
+        self.home = Transform::of(&home);
+        self.planes.extend(cells.clone().map(|cell| PlaneCell::compile(cell, &home, tier == Tier::Paper)));
         self.noise.extend((0..scene.cells.len()).map(|cell| CellNoise::compile(scene, cell, relative_error)));
         self.limits.extend(cells.map(|cell @ Cell { detector, .. }| Limits {
             // Stray light without a spot is as faint as none.
@@ -164,6 +169,7 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
             gates: [S::zero(); MAX_CELLS + 1],
             offsets_s: Vec::new(),
             length_scale_m: S::one(),
+            home: Transform::of(&Pose::HOME),
             jacobian_change_rate: S::zero(),
             has_images: false,
             level_information: None,
@@ -200,6 +206,7 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
             gates: self.gates,
             offsets_s: self.offsets_s,
             length_scale_m: self.length_scale_m,
+            home: self.home,
             jacobian_change_rate: self.jacobian_change_rate,
             has_images: self.has_images,
             level_information: self.level_information,
@@ -207,7 +214,12 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
     }
 
     pub fn on_planes(&self, sorted: &Sorted<S>) -> Transform<S> {
-        planes::pose_on_planes(&self.planes, &sorted.usable, Transform::of(&Pose::HOME), self.length_scale_m)
+        self.onto_planes(sorted, self.home)
+    }
+
+    /// `start` moved to where the emitters lie in the planes of their light.
+    pub fn onto_planes(&self, sorted: &Sorted<S>, start: Transform<S>) -> Transform<S> {
+        planes::pose_on_planes(&self.planes, &sorted.usable, start, self.length_scale_m)
     }
 
     /// The longest time between a cell's exposure and the reference instant.

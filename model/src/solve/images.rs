@@ -127,9 +127,23 @@ impl<S: Number> Minima<S> {
         }
     }
 
+    /// Whether the best pose fits as noise makes likely.
+    pub fn is_likely(&self, gate: S) -> bool {
+        self.best.is_some_and(|(best, _)| is_likely(&best, gate))
+    }
+
     pub fn cannot_be_beaten(&self) -> bool {
         self.best.is_some_and(|(best, fit)| fit == Fit::Full && best.chi2 < S::of(ALIKE))
     }
+}
+
+/// Share of the χ² that noise explains beyond which a pose is looked for that fits better: one in 5000 honest scans of six
+/// cells has more.
+const HARDLY_NOISE: f64 = 0.5;
+
+/// Whether a pose fits as noise makes likely.
+pub fn is_likely<S: Number>(minimum: &Minimum<S>, gate: S) -> bool {
+    minimum.chi2 <= S::of(HARDLY_NOISE) * gate
 }
 
 /// Whether two poses differ by more than the data of either allow.
@@ -186,8 +200,7 @@ impl<S: Scalar> Compiled<S> {
     /// Whether there are images of poses over the reach of the head with as many cells lit as tell a
     /// pose apart from images, if the planes fix it.
     pub fn may_have_images(&self) -> bool {
-        let home = Transform::of(&Pose::HOME);
-        core::iter::once(home).chain((0..LOOKS).map(spread::<S>)).any(|pose| {
+        core::iter::once(self.home).chain((0..LOOKS).map(|index| spread(&self.home, index))).any(|pose| {
             let sorted = self.seen_at(&pose.to_pose());
             sorted.usable.len() >= <CompiledScene<S> as Optics<S>>::UNIQUE_FROM
                 && self.firmness_of_planes(&sorted, &pose) < S::of(FIXED)

@@ -27,6 +27,7 @@ mod compiled;
 mod filter;
 #[cfg(test)]
 pub(crate) mod fixture;
+mod home;
 mod images;
 mod kink;
 mod level;

@@ -11,7 +11,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::effects::Opening;
-use crate::pose::Transform;
+use crate::pose::{Pose, Transform};
 use crate::scalar::{Linear3, Number, Vector3};
 use crate::scene::Cell;
 
@@ -58,8 +58,9 @@ enum Plane<S: Number> {
 }
 
 impl<S: Number> PlaneCell<S> {
-    /// From a valid cell; `dark_in_ratio`: whether the currents divide I_D like the photocurrent.
-    pub fn compile(cell: &Cell, dark_in_ratio: bool) -> Self {
+    /// From a valid cell of a head whose tool's home is `home`; `dark_in_ratio`: whether the currents divide I_D like the
+    /// photocurrent.
+    pub fn compile(cell: &Cell, home: &Pose, dark_in_ratio: bool) -> Self {
         let detector = &cell.detector;
         let (x, z) = (detector.x_axis_base, detector.normal_base);
         let y = z.cross(x);
@@ -67,7 +68,8 @@ impl<S: Number> PlaneCell<S> {
         let slit = &cell.slit;
         let slit_cell = glam::DVec3::new(slit.offset_m.x, slit.offset_m.y, slit.distance_m);
         let along = crate::pose::rotation_exp(slit.tilt_rad) * glam::DVec3::Y;
-        let height = (cell.emitter.position_tool_m - detector.centre_base_m).dot(z);
+        let emitter = home.rotation * cell.emitter.position_tool_m + home.translation_m;
+        let height = (emitter - detector.centre_base_m).dot(z);
         let magnification = if height > slit.distance_m { height / (height - slit.distance_m) } else { 1.0 };
         // Of the width of a spot what a lens leaves.
         let shrunk = match cell.opening() {
@@ -261,12 +263,12 @@ pub fn jacobian_change_rate<S: Number>(cells: &[PlaneCell<S>], length_scale_m: S
 mod tests {
     use super::super::fixture::{emitter_in_cell, head, pose};
     use super::*;
-    use crate::pose::Pose;
 
     #[test]
     fn the_pose_is_where_all_emitters_lie_in_the_planes_of_their_light() {
         let (scene, truth) = (head(), pose());
-        let planes: heapless::Vec<_, 6> = scene.cells.iter().map(|cell| PlaneCell::compile(cell, true)).collect();
+        let planes: heapless::Vec<_, 6> =
+            scene.cells.iter().map(|cell| PlaneCell::compile(cell, &Pose::HOME, true)).collect();
         let readings: heapless::Vec<_, 6> = scene
             .cells
             .iter()

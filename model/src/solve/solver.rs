@@ -188,7 +188,7 @@ impl<S: Number, P: Optics<S>> Solver<S, P> {
     /// The only source of misfits: what [`Self::near`] finds to be one is searched for here, too.
     #[inline(never)]
     fn cold(&self, sorted: &Sorted<S>, motion: &Prior<S>) -> Solution<S> {
-        let work = if self.compiled.has_images { WORK_FOR_IMAGES } else { COLD_WORK };
+        let work = if self.compiled.looks_for_images(sorted) { WORK_FOR_IMAGES } else { COLD_WORK };
         let workspace = &mut Workspace::with_work(work);
         let mut solution = self.compiled.search(sorted, motion, &mut Search::at_once(), workspace);
         solution.evaluations = workspace.evaluations;

@@ -6,6 +6,7 @@ mod derivatives;
 mod effects;
 mod images;
 mod kinks;
+mod layouts;
 mod noise;
 mod openings;
 mod profiles;
