@@ -57,6 +57,35 @@ fn derivatives_of_all_effects_equal_differences() {
     }
 }
 
+/// Of a luminous disc the position is that of all of its light, and an edge that is lit is a spot.
+#[test]
+fn the_place_of_the_light_of_a_disc_is_that_of_all_its_points() {
+    let rng = &mut generator();
+    let mut edges = 0;
+    for _ in 0..2000 {
+        let mut scene = common::scene(rng, Kind::Thin);
+        scene.cells[0].effects.source_diameter_m = 0.6e-3;
+        scene.cells[0].detector.dark_current_a = 0.0;
+        let half_m = 0.5 * scene.cells[0].detector.length_m;
+        let turn = common::uniform(rng, 0.2, 0.9);
+        let pose = common::pose(rng, &scene, 1e-3, turn);
+        let plan = CompiledScene::<f64>::compile(&scene, EXACT).expect("valid");
+        let response = plan.respond(0, &pose);
+        let Pair { i_x1_a, i_x2_a } = response.currents;
+        assert_eq!(response.x_a_m.is_some(), i_x1_a + i_x2_a > 0.0, "{response:?}");
+        let Some(x_a_m) = response.x_a_m else { continue };
+        let told_m = half_m * (i_x2_a - i_x1_a) / (i_x1_a + i_x2_a);
+        assert!((x_a_m - told_m).abs() < 1e-9 * half_m, "{x_a_m} {told_m} {response:?}");
+        scene.cells[0].effects.source_diameter_m = 0.0;
+        let point = CompiledScene::<f64>::compile(&scene, EXACT).expect("valid").respond(0, &pose);
+        if point.x_a_m.is_none() {
+            edges += 1;
+            assert_eq!(response.status, Status::Clipped);
+        }
+    }
+    assert!(edges > 2, "{edges} spots of edges alone");
+}
+
 #[test]
 fn effects_that_are_off_change_no_bit() {
     let rng = &mut generator();

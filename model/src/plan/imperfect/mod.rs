@@ -215,6 +215,35 @@ struct Own<S: Number> {
     integration: Option<Integration<S>>,
 }
 
+impl<S: Number> Own<S> {
+    fn none() -> Self {
+        Self { status: Status::Clipped, slack_m: S::infinity(), photocurrent: S::zero(), x_a: None, integration: None }
+    }
+
+    /// Adds a point of a disc; `x_a` is the moment until [`Self::ended`].
+    fn join(&mut self, part: &Self, weight: S) {
+        let light = weight * part.photocurrent;
+        self.photocurrent += light;
+        if let Some(x_a) = part.x_a {
+            self.x_a = Some(self.x_a.unwrap_or_default() + light * x_a);
+        }
+        self.slack_m = self.slack_m.min(part.slack_m);
+        self.integration = part.integration;
+    }
+
+    /// The disc, of which the light is complete if it `is_whole`; if none of it has any, what its centre is.
+    fn ended(mut self, is_whole: bool, centre_is: Option<Status>) -> Result<Self, Status> {
+        let is_lit = self.photocurrent > S::zero();
+        self.x_a = self.x_a.filter(|_| is_lit).map(|moment| moment / self.photocurrent);
+        match centre_is {
+            Some(status) if !is_lit => Err(status),
+            _ if is_whole => Ok(Self { status: Status::Lit, ..self }),
+            Some(_) => Ok(Self { slack_m: S::zero(), ..self }),
+            None => Ok(self),
+        }
+    }
+}
+
 /// Adds the light of one point of the emitter of cell `of` to `sums`, with a `weight`.
 #[allow(clippy::too_many_arguments, reason = "one point of one emitter through one cell")]
 fn add_point<S: Scalar, const GRADIENT: bool>(
@@ -272,13 +301,28 @@ fn add_emitter<S: Scalar, const GRADIENT: bool>(
     let Some(disc) = extended.filter(|source| source.radius > S::zero()) else {
         return add(&emitter.source, S::one());
     };
+    let mut whole = Own::none();
+    let mut is_whole = true;
+    let mut join = |part: Result<Own<S>, Status>, weight: S| match part {
+        Ok(part) => {
+            is_whole &= part.status == Status::Lit;
+            whole.join(&part, weight);
+            None
+        }
+        Err(status) => {
+            is_whole = false;
+            Some(status)
+        }
+    };
     for [v, w] in RING {
         let offset = disc.across[0] * (disc.radius * S::of(v)) + disc.across[1] * (disc.radius * S::of(w));
         let point = Source { position: emitter.source.position + offset, ..emitter.source.clone() };
-        // A point without a spot adds nothing.
-        let _ = add(&point, S::of(RING_WEIGHT));
+        let weight = S::of(RING_WEIGHT);
+        let _ = join(add(&point, weight), weight);
     }
-    add(&emitter.source, S::of(CENTRE_WEIGHT))
+    let weight = S::of(CENTRE_WEIGHT);
+    let centre_is = join(add(&emitter.source, weight), weight);
+    whole.ended(is_whole, centre_is)
 }
 
 /// All light on the detector of `cell`.
@@ -351,10 +395,9 @@ pub fn respond<S: Scalar>(
     let saturated = cell.saturation.is_some_and(|limit| i_o_a > limit);
     let seen = receiver.see(&cell.emitter.source, pose);
     let beam = imperfect.middle_beam(plan.is_paper, cell, &seen, pose);
-    let (Ok(own), Ok(beam)) = (&own, beam) else {
-        let status = own.err().unwrap_or(Status::Dark);
+    let Ok(own) = own else {
         return Response {
-            status,
+            status: own.err().unwrap_or(Status::Dark),
             flags: Flags { saturated, faint: cell.faint > S::zero(), facing_away: false },
             x_a_m: None,
             gamma_rad: None,
@@ -364,12 +407,19 @@ pub fn respond<S: Scalar>(
             integration: None,
         };
     };
+    // Of a disc whose edge alone is seen, the centre has no beam.
+    let beam = beam.ok();
+    let cosine = beam.as_ref().map(|beam| beam.cosine);
     Response {
         status: own.status,
-        flags: Flags { saturated, faint: own.photocurrent < cell.faint, facing_away: beam.cosine <= S::zero() },
+        flags: Flags {
+            saturated,
+            faint: own.photocurrent < cell.faint,
+            facing_away: cosine.is_some_and(|cosine| cosine <= S::zero()),
+        },
         x_a_m: own.x_a,
-        gamma_rad: Some(beam.cosine.max(-S::one()).min(S::one()).arc_cosine()),
-        solid_angle_sr: beam.solid_angle,
+        gamma_rad: cosine.map(|cosine| cosine.max(-S::one()).min(S::one()).arc_cosine()),
+        solid_angle_sr: beam.map_or(S::zero(), |beam| beam.solid_angle),
         i_o_a,
         currents,
         integration: own.integration,
