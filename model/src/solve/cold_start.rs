@@ -235,6 +235,14 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
             if minimum.converged && minimum.chi2 <= gate {
                 minimum = problem.beyond_kink(minimum, S::of(DOUBTED) * gate, workspace);
             }
+            if P::FINDS_LIGHT_LEVEL
+                && !may_have_images
+                && minimum.chi2 > S::of(DOUBTED) * gate
+                && let Some(uneven) = problem.with_uneven_light(&minimum, workspace)
+            {
+                search.is_over = true;
+                return uneven.conclude_near(workspace);
+            }
             let fit = problem.fit(&minimum);
             if fit == Fit::Full && is_likely(&minimum, gate) && !may_have_images {
                 // By far the most frequent end, with the last linearisation still at hand.

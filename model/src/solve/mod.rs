@@ -43,6 +43,7 @@ mod step;
 mod tracked;
 mod tracker;
 mod twist;
+mod uneven;
 mod warm_start;
 mod weights;
 

@@ -153,25 +153,35 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// free.
     #[inline(never)]
     pub fn least_chi2_without(&self, index: usize, workspace: &Workspace<S>) -> Option<S> {
+        self.least_chi2(|reading| (reading != index).then(|| workspace.rows[reading]), workspace)
+    }
+
+    /// The least χ² with these rows of each reading, if it counts, in place of those of the last linearisation; `None` if that
+    /// leaves a direction free.
+    pub fn least_chi2(&self, rows_of: impl Fn(usize) -> Option<[Row<S>; 2]>, workspace: &Workspace<S>) -> Option<S> {
         let (mut information, mut elimination) = ([[S::zero(); 6]; 6], Elimination::new());
         elimination.begin(&self.motion);
         let mut level = self.level_information().map(Level::of_prior);
         let mut sums = ResidualSums::none();
-        let of_readings = workspace.rows.iter().enumerate().filter(|(reading, _)| *reading != index);
-        if let Some(level) = &mut level {
-            for (reading, rows) in of_readings.clone() {
-                self.add_level(level, rows, &self.sorted.usable[reading]);
-            }
-        }
-        let of_readings = of_readings.map(|(reading, rows)| (reading, rows.as_slice()));
-        let of_planes = workspace.plane_rows.iter().map(|(reading, row)| (*reading, core::slice::from_ref(row)));
-        for (reading, rows) in of_readings.chain(of_planes).filter(|(reading, _)| *reading != index) {
-            let reading = &self.sorted.usable[reading];
+        let mut add = |index: usize, rows: &[Row<S>]| {
+            let share = self.share(&self.sorted.usable[index]);
             for row in rows {
                 add_outer(&mut information, [&row.by_pose], [&row.by_pose]);
-                elimination.add(self.share(reading), &[*row]);
+                elimination.add(share, &[*row]);
             }
-            sums.add(rows, self.share(reading), self.has_bend());
+            sums.add(rows, share, self.has_bend());
+        };
+        for index in 0..workspace.rows.len() {
+            let Some(rows) = rows_of(index) else { continue };
+            if let Some(level) = &mut level {
+                self.add_level(level, &rows, &self.sorted.usable[index]);
+            }
+            add(index, &rows);
+        }
+        for (index, row) in &workspace.plane_rows {
+            if rows_of(*index).is_some() {
+                add(*index, core::slice::from_ref(row));
+            }
         }
         mirror(&mut information);
         let normal = self.marginalised(information, sums, level.as_mut(), &mut elimination);

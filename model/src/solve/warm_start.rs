@@ -5,6 +5,7 @@ use crate::pose::Transform;
 use crate::scalar::Number;
 
 use super::accept::Fit;
+use super::cold_start::DOUBTED;
 use super::compiled::{Compiled, Prior};
 use super::levenberg_marquardt::{Minimum, Stopping};
 use super::normal_equations::Workspace;
@@ -48,6 +49,12 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
         }
         let problem = self.problem(sorted, motion);
         let minimum = problem.minimise_quickly(start, workspace);
+        if P::FINDS_LIGHT_LEVEL
+            && minimum.chi2 > S::of(DOUBTED) * problem.gate()
+            && let Some(uneven) = problem.with_uneven_light(&minimum, workspace)
+        {
+            return uneven.conclude_near(workspace);
+        }
         let fit = problem.fit(&minimum);
         if fit != Fit::None {
             return problem.conclude_near(&minimum, workspace, fit);

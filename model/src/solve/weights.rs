@@ -27,7 +27,7 @@ impl<S: Number> Whitener<S> {
     /// (I + v·vᵀ)^(−½) = I − v·vᵀ/(s(1 + s)), s² = 1 + v². Nothing cancels however large σ is: a
     /// direction that is known to nothing loses its weight, the other keeps its digits.
     #[inline(always)]
-    fn loosened(&self, pair: [S; 2], variance: S) -> Self {
+    pub fn loosened(&self, pair: [S; 2], variance: S) -> Self {
         let [a, b] = self.apply(pair);
         let one = S::one();
         let root = (one + variance * (a * a + b * b)).root();
