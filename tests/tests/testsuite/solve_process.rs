@@ -85,6 +85,15 @@ fn round_trips_in_both_tiers() {
 }
 
 #[test]
+fn each_row_has_the_noise_of_its_own_number_of_frames() {
+    let currents = currents("wide", "paper", &[[0.0; 6]; 3]);
+    let rows = currents.lines().zip(["frames", "1", "16", "1"]).map(|(row, frames)| format!("{row},{frames}\n"));
+    let sigmas: Vec<f64> =
+        solve("wide", "paper", &rows.collect::<String>()).rows().map(|row| row.number(SIGMA[0])).collect();
+    assert!((sigmas[1] / sigmas[0] - 0.25).abs() < 1e-3 && sigmas[2] == sigmas[0], "{sigmas:?}");
+}
+
+#[test]
 fn dark_current_is_taken_off_as_each_tier_puts_it_on() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let scene = &*name_in(folder.path(), "dark.toml");
