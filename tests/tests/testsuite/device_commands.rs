@@ -281,8 +281,7 @@ fn a_board_that_restarts_is_waited_for() {
     let mut board = restarted();
     let later = move |received: &[u8], now_s: f64, sent: &mut Vec<u8>| now_s < 0.5 || board.act(received, now_s, sent);
     let (finished, log, path) = at(until_reboot(later), &["reboot"]);
-    assert_eq!(finished.code, 0, "{}", finished.stderr);
-    assert!(finished.stderr.contains(&format!("is back on {path}")), "{}", finished.stderr);
+    finished.assert_said(0, &[&format!("is back on {path}")]);
     assert!(!finished.stderr.contains("last started"), "{}", finished.stderr);
     assert_eq!(log.commands()[1], Command::Reboot(BootTarget::Firmware));
 
@@ -309,8 +308,7 @@ fn a_board_that_is_gone_while_it_restarts_is_waited_for() {
     let after = Terminal::serve(restarted());
     point(&after);
     let finished = Finished::of(child);
-    assert_eq!(finished.code, 0, "{}", finished.stderr);
-    assert!(finished.stderr.contains(&format!("is back on {link_text}")), "{}", finished.stderr);
+    finished.assert_said(0, &[&format!("is back on {link_text}")]);
     assert!(only_asked(&after.closed()));
 }
 

@@ -240,8 +240,7 @@ fn poses_go_on_when_the_disk_is_full() {
         std::thread::sleep(Duration::from_millis(50));
     }
     let finished = Finished::of(child);
-    assert_eq!(finished.code, 3, "{}", finished.stderr);
-    assert!(finished.stderr.contains("the capture is not whole"), "{}", finished.stderr);
+    finished.assert_said(3, &["the capture is not whole"]);
     assert_eq!(recorder["state"], "failed", "{recorder}");
     let reason = recorder["reason"].as_str().expect("a reason");
     assert!(reason.contains("File too large") && reason.contains(&capture), "{reason}");
@@ -253,8 +252,7 @@ fn poses_go_on_when_the_disk_is_full() {
     assert!(lines.iter().all(|line| line.estimate.is_some()), "a scan without a pose");
 
     let (boards, replayed) = scan_table::count(slitpose!(), &capture, &[]);
-    assert_eq!(replayed.code, 3, "{}", replayed.stderr);
-    assert!(replayed.stderr.contains("was not ended by its recorder"), "{}", replayed.stderr);
+    replayed.assert_said(3, &["was not ended by its recorder"]);
     let [scans] = boards.into_values().collect::<Vec<_>>()[..] else { panic!("one board") };
     // At the least what was flushed in the first second.
     assert!(scans.count >= 2000 && scans.count < 16_000 && scans.first == 0 && scans.jumps == 0, "{scans:?}");

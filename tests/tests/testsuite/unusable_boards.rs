@@ -1,12 +1,11 @@
 //! Boards that answer, and whose poses cannot be had: each is named with what to do, and no run waits for ever.
 
-use std::io::{BufRead, BufReader};
 use std::net::TcpStream;
 use std::process::Child;
 use std::time::{Duration, Instant};
 
 use slitpose_protocol::{BoardKind, Command, Decoder, Hello, MAX_MESSAGE_BYTES, Message};
-use slitpose_tests::process::{Finished, get};
+use slitpose_tests::process::{Finished, address_said, get};
 use slitpose_tests::slitpose;
 use slitpose_tests::terminal::{Board, Device, Log, Terminal, edited, greeting, packet};
 
@@ -91,13 +90,10 @@ fn a_run_without_usable_scans_ends_and_says_why() {
 fn no_board_without_scans_is_healthy_at_any_time() {
     let mut run =
         Run::on(Terminal::serve_until_pulled(misconfigured(84)), &["--format", "none", "--status", "127.0.0.1:0"]);
-    // Nothing more is said that could be lost with this reader.
-    let mut address = String::new();
-    BufReader::new(run.child.stderr.as_mut().expect("piped")).read_line(&mut address).expect("says where it is");
-    let address = address.trim_end().strip_prefix("slitpose: status at ").expect("an address");
+    let address = address_said(&mut run.child, "status at ");
     let since = Instant::now();
     loop {
-        let (code, text) = get(TcpStream::connect(address).expect("listens"), "/health").expect("an answer");
+        let (code, text) = get(TcpStream::connect(&address).expect("listens"), "/health").expect("an answer");
         assert_eq!(code, 503, "{text}");
         if text.contains("that this program has not given") {
             break;
@@ -134,10 +130,7 @@ fn two_ports_of_one_board_are_refused() {
     let terminals = [87, 88].map(|seed| Terminal::serve_until_pulled(Board::wide(seed)));
     let devices = terminals.map(|terminal| terminal.path);
     let finished = slitpose!().run(["run", "--config", "none", "--device", &devices.join(","), "--duration", "10s"]);
-    assert_eq!(finished.code, 1, "{}", finished.stderr);
-    for part in [&devices[0], &devices[1], "have one number", "two ports of one board"] {
-        assert!(finished.stderr.contains(part), "`{part}` is not in: {}", finished.stderr);
-    }
+    finished.assert_said(1, &[&devices[0], &devices[1], "have one number", "two ports of one board"]);
 }
 
 #[test]
