@@ -135,6 +135,13 @@ pub fn name_in(folder: &Path, name: &str) -> String {
     text(&folder.join(name)).to_owned()
 }
 
+/// The path of a new file in `folder`.
+pub fn written(folder: &Path, name: &str, content: impl AsRef<[u8]>) -> String {
+    let path = name_in(folder, name);
+    std::fs::write(&path, content).expect("written");
+    path
+}
+
 /// Names of the files in `folder`, hidden ones included.
 pub fn names(folder: &Path) -> Vec<String> {
     let entries = std::fs::read_dir(folder).expect("folder");

@@ -8,7 +8,7 @@ use slitpose_head::scene_file::WIDE;
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_protocol::{Event, Message, Severity};
 use slitpose_tests::capture::{STREAM, capture, packets};
-use slitpose_tests::process::Finished;
+use slitpose_tests::process::{Finished, written};
 use slitpose_tests::slitpose;
 use slitpose_tests::terminal::{Board, Device, Terminal, greeting, packet};
 
@@ -72,10 +72,8 @@ fn names_and_events_of_boards_and_captures() {
         }
     }
     let folder = tempfile::tempdir().expect("temporary folder");
-    let file = folder.path().join("received\u{1b}[2J.raw");
-    std::fs::write(&file, changed).expect("written");
-    let name = file.to_str().expect("UTF-8");
-    let finished = slitpose!().run(["replay", name, "--format", "summary"]);
+    let name = written(folder.path(), "received\u{1b}[2J.raw", changed);
+    let finished = slitpose!().run(["replay", &name, "--format", "summary"]);
     let text = check(&finished, "replay");
     assert!(text.contains("Warning") && text.contains("event "), "the event is shown: {text}");
     check(&slitpose!().run(["replay", &format!("{name}x")]), "a file name in an error");
@@ -84,11 +82,7 @@ fn names_and_events_of_boards_and_captures() {
 #[test]
 fn scenes_tables_and_configurations() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let file = |name: &str, text: &str| {
-        let path = folder.path().join(name);
-        std::fs::write(&path, text).expect("written");
-        path.to_str().expect("UTF-8").to_owned()
-    };
+    let file = |name: &str, text: &str| written(folder.path(), name, text);
     // TOML and CSV as far as they take such characters: as escapes, in quotes, or as they are.
     let escaped = "evil\\u001b[2J\\u009b2J\\u202e\\nslitpose: all is well\\r";
     let quoted = format!("\"{HOSTILE}\"");

@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use nix::sys::signal::Signal;
 use nix::unistd::mkfifo;
-use slitpose_tests::process::{Finished, Slitpose, name_in, names, text};
+use slitpose_tests::process::{Finished, Slitpose, name_in, names, text, written};
 use slitpose_tests::studies::scan_table;
 use slitpose_tests::{ndjson, slitpose};
 
@@ -278,11 +278,10 @@ fn a_full_output_is_an_error_and_a_full_disk_before_the_run_is_told_at_its_end()
 #[test]
 fn a_run_without_a_board_replaces_no_capture() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let path = folder.path().join("precious.mcap");
-    fs::write(&path, "of last night").expect("written");
-    let record = ["--duration", "1s", "--overwrite", "--record", path.to_str().expect("UTF-8")];
+    let path = &*written(folder.path(), "precious.mcap", "of last night");
+    let record = ["--duration", "1s", "--overwrite", "--record", path];
     let finished = slitpose!().run(["run", "--device", "/dev/slitpose-no-such-port"].iter().chain(&record));
     finished.assert_refused(1, &["there is no /dev/slitpose-no-such-port"]);
-    assert_eq!(fs::read(&path).expect("still there"), b"of last night");
+    assert_eq!(fs::read(path).expect("still there"), b"of last night");
     assert_eq!(names(folder.path()), ["precious.mcap"], "something is left behind");
 }

@@ -12,7 +12,7 @@ use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message};
 use slitpose_tests::consistency::Honesty;
 use slitpose_tests::ndjson::{self, Line, assert_complete};
-use slitpose_tests::process::{Finished, name_in, signal};
+use slitpose_tests::process::{Finished, name_in, signal, written};
 use slitpose_tests::terminal::FRAME_RATE_HZ;
 use slitpose_tests::{scenes, slitpose};
 
@@ -72,8 +72,8 @@ fn ten_seconds_of_the_image_behind_the_programs() {
 #[test]
 fn another_head_by_the_serial_port() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let scene = &*name_in(folder.path(), "head.toml");
-    std::fs::write(scene, format!("{}\n{}", BASE.text, scenes::front_end(2000.0))).expect("scene");
+    let text = format!("{}\n{}", BASE.text, scenes::front_end(2000.0));
+    let scene = &*written(folder.path(), "head.toml", text);
     let emulator = Emulator::start(&[scene, "--seed", "24", "--speed", "max", "--link", "uart"]);
     let lines = poses(emulator.run(&["--duration", "1s", "--scene", scene]), TrajectoryKind::Smooth, 24);
     assert_complete(&lines, 0, 2_000, 2000.0);
@@ -152,7 +152,7 @@ fn refused(arguments: &[&str]) -> Finished {
 #[test]
 fn what_cannot_be_run_is_named() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let path = |name: &str| folder.path().join(name).to_str().expect("UTF-8").to_owned();
+    let path = |name: &str| name_in(folder.path(), name);
     refused(&["wide", "--elf", &path("none")]).assert_refused(1, &[&path("none"), "firmware/build", "--elf"]);
     std::fs::write(path("text"), "no program").expect("file");
     refused(&["wide", "--elf", &path("text")]).assert_refused(1, &[&path("text"), "ELF"]);

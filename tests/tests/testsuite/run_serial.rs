@@ -18,7 +18,7 @@ use slitpose_tests::capture::decode;
 use slitpose_tests::consistency::Honesty;
 use slitpose_tests::daemon::Follower;
 use slitpose_tests::ndjson::{self, Line};
-use slitpose_tests::process::{Finished, name_in, signal};
+use slitpose_tests::process::{Finished, name_in, signal, text, written};
 use slitpose_tests::slitpose;
 use slitpose_tests::studies::scan_table;
 use slitpose_tests::terminal::{Board, Device, FRAME_RATE_HZ, Log, Terminal, edited, greeting, packet, reply};
@@ -320,9 +320,7 @@ fn the_scene_of_the_board_is_looked_after() {
 #[test]
 fn what_is_no_port_is_named() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let file = folder.path().join("file");
-    std::fs::write(&file, "").expect("file");
-    let (folder, file) = (folder.path().to_str().expect("UTF-8"), file.to_str().expect("UTF-8"));
+    let (file, folder) = (&*written(folder.path(), "file", ""), text(folder.path()));
     for (device, part) in [(file, "file, not a serial port"), (folder, "folder, not a serial port")] {
         slitpose!().run(["run", "--patience", "0s", "--device", device]).assert_refused(1, &[part]);
     }

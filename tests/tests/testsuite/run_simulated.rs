@@ -11,7 +11,7 @@ use slitpose_tests::capture::{STREAM, capture, solve};
 use slitpose_tests::consistency::{Honesty, error, median};
 use slitpose_tests::ndjson::{self, Line};
 use slitpose_tests::poses::{self, between};
-use slitpose_tests::process::{Finished, name_in};
+use slitpose_tests::process::{Finished, written};
 use slitpose_tests::scenes::{parse, wide_with};
 use slitpose_tests::slitpose;
 use slitpose_tests::table::{POSE, SIGMA, Table};
@@ -143,9 +143,7 @@ fn a_path_from_a_table_is_followed() {
         let _ = writeln!(text, "-,{time_s:?},{:?},{:?},{:?},{:?},{:?},{:?}", t.x, t.y, t.z, r.x, r.y, r.z);
     }
     let folder = tempfile::tempdir().expect("temporary folder");
-    let path = folder.path().join("path.csv");
-    std::fs::write(&path, text).expect("table");
-    let lines = lines(&["--duration", "200ms", "--trajectory", path.to_str().expect("UTF-8 path")]);
+    let lines = lines(&["--duration", "200ms", "--trajectory", &written(folder.path(), "path.csv", text)]);
     assert_complete(&lines, 800);
     for line in &lines {
         let after = knots.partition_point(|(time_s, _)| *time_s <= line.device_time_s);
@@ -230,8 +228,7 @@ fn with_all_effects() -> String {
 #[test]
 fn a_solver_that_knows_all_effects_recovers_poses() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let scene = &*name_in(folder.path(), "real.toml");
-    std::fs::write(scene, with_all_effects()).expect("scene");
+    let scene = &*written(folder.path(), "real.toml", with_all_effects());
     let truths = poses::in_box(&mut poses::generator(71), 3.0, 10.0, 100);
     let currents = slitpose!().run_with_input(["model", scene, "--poses", "-"], &poses::table("p", &truths)).done();
     // The largest error of each row: in σ, or translations in micrometres.
