@@ -48,8 +48,7 @@ fn every_verb_refuses_a_wrong_scene_and_says_where_it_is_wrong() {
 #[test]
 fn tables_that_are_none() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let path = folder.path().join("poses.csv");
-    let name = path.to_str().expect("UTF-8 path");
+    let name = &*name_in(folder.path(), "poses.csv");
     let missing_column = POSES.replace("tz_mm", "tz") + "a,0,0,0,0,0,0\n";
     for (text, parts) in [
         ("", &["is empty", "header row"][..]),
@@ -60,7 +59,7 @@ fn tables_that_are_none() {
         ),
         ("id,id,tx_mm\na,b,0\n", &["line 1", "`id`", "twice", "rename"]),
     ] {
-        fs::write(&path, text).expect("table");
+        fs::write(name, text).expect("table");
         slitpose!().run(["model", "wide", "--poses", name]).assert_refused(1, &[parts, &[name]].concat());
         slitpose!().run_with_input(["model", "wide", "--poses", "-"], text).assert_refused(1, parts);
     }
@@ -287,32 +286,19 @@ fn references_of_other_clocks_and_units_are_told() {
     assert_no_doubt(&compare(&by_time), "by time");
     let time = |change: fn(f64) -> f64| changed(&by_time, &["time_s"], change);
     let degrees = changed(&by_time, &POSE[3..], f64::to_degrees);
+    let mirrored = changed(&by_scan, &["ty_mm", "rx_rad", "rz_rad"], |number| -number);
+    let (epoch, later) = (time(|s| s + 1.79e9), changed(&by_scan, &["seq"], |n| n + 5e3));
     for (what, table, code, parts) in [
-        (
-            "epoch",
-            time(|s| s + 1.79e9),
-            1,
-            &["time_s runs from 1790000000.0", "that of the poses from 5.69", "epoch", "s late"][..],
-        ),
+        ("epoch", epoch, 1, &["time_s runs from 1790000000.0", "that of the poses from 5.69", "epoch", "s late"][..]),
         ("milliseconds", time(|s| s * 1e3), 0, &["are these milliseconds?"]),
         ("rows", changed(&by_time, &["time_s"], |s| (s * 4000.0).floor()), 0, &["are these numbers of rows?"]),
         ("late", time(|s| s + 0.0205), 0, &["the reference seems 0.020", "s late", "subtract"]),
         ("early", time(|s| s - 1.55e-4), 0, &["the reference seems 0.00015", "s early", "add"]),
         ("metres", changed(&by_scan, &POSE[..3], |mm| mm * 1e-3), 0, &["are these metres?", "times as well"]),
         ("metres by time", changed(&by_time, &POSE[..3], |mm| mm * 1e-3), 0, &["are these metres?"]),
-        (
-            "mirrored",
-            changed(&by_scan, &["ty_mm", "rx_rad", "rz_rad"], |number| -number),
-            0,
-            &["(tx_mm, −ty_mm, tz_mm)"],
-        ),
+        ("mirrored", mirrored, 0, &["(tx_mm, −ty_mm, tz_mm)"]),
         ("other axes", changed(&by_scan, &["tx_mm"], |mm| mm + 50.0), 0, &["hardly better than a tool at rest"]),
-        (
-            "scans",
-            changed(&by_scan, &["seq"], |n| n + 5e3),
-            1,
-            &["seq runs from 5000.0 to 6199.0", "from 0.0 to 1199.0"],
-        ),
+        ("scans", later, 1, &["seq runs from 5000.0 to 6199.0", "from 0.0 to 1199.0"]),
         ("degrees", degrees, 1, &["column `r", "are these degrees?"]),
     ] {
         println!("{what}");

@@ -296,13 +296,10 @@ fn wrong_data_are_recognised_and_named() {
     let in_degrees = |row: &mut ([f64; 6], _)| row.0[3..].iter_mut().for_each(|angle| *angle = angle.to_degrees());
     // Other lengths, inverted poses and shifted rows are cases of the crate of calibrations; one of them comes this way, too.
     let metres = |row: &mut ([f64; 6], _)| row.0[..3].iter_mut().for_each(|value| *value *= 1e-3);
+    let dead = |row: &mut (_, [[f64; 2]; 6])| row.1[3] = [1e-9; 2];
     let cases: [(&str, Known, &[&str]); 7] = [
         ("little motion", known.clone().spoilt(few_millimetres), &["too little to tell parts apart"]),
-        (
-            "a dead cell",
-            known.clone().spoilt(|row| row.1[3] = [1e-9; 2]),
-            &["cell 3 sees no light", "in 100 of 100 rows"],
-        ),
+        ("a dead cell", known.clone().spoilt(dead), &["cell 3 sees no light", "in 100 of 100 rows"]),
         ("electrodes", known.clone().spoilt(|row| row.1[2].swap(0, 1)), &["electrodes of cell 2", "i_x1_2_a"]),
         ("cells", known.clone().spoilt(|row| row.1.swap(1, 2)), &["cell 1 look like those of cell 2"]),
         ("metres", known.clone().spoilt(metres), &["tx_mm, ty_mm and tz_mm are millimetres", "are these metres?"]),

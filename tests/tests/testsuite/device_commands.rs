@@ -12,7 +12,7 @@ use serde_json::Value;
 use slitpose::device::SerialDevice;
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_protocol::{BootTarget, Command, Decoder, Hashes, MAX_REQUEST_BYTES, Request, ResetCause};
-use slitpose_tests::process::Finished;
+use slitpose_tests::process::{Finished, written};
 use slitpose_tests::slitpose;
 use slitpose_tests::terminal::{Board, Device, Log, Terminal, greeting};
 use slitpose_tracking::link::DeviceId;
@@ -55,9 +55,7 @@ fn listed(paths: &[&str], options: &[&str]) -> BTreeMap<String, Value> {
 
 /// A scene file like `wide`, with a hash of its own.
 fn other_scene(folder: &Path) -> SceneFile {
-    let path = folder.join("other.toml");
-    std::fs::write(&path, format!("{}\n# Another head.\n", WIDE.text)).expect("written");
-    SceneFile::open(path.to_str().expect("UTF-8")).expect("scene")
+    SceneFile::open(&written(folder, "other.toml", format!("{}\n# Another head.\n", WIDE.text))).expect("scene")
 }
 
 fn only_asked(log: &Log) -> bool {

@@ -90,31 +90,20 @@ fn scenes_tables_and_configurations() {
     let named = file("named.toml", &WIDE.text.replace("name = ", &format!("name = \"{escaped}\" # ")));
     let checked = slitpose!().run(["scene", "check", &named, "--samples", "10"]);
     assert_harmless(&checked.clone().done(), "a scene's name");
-    assert_harmless(
-        &String::from_utf8(slitpose!().run(["scene", "plot", &named, "--output", "-"]).stdout).expect("UTF-8"),
-        "a picture",
-    );
+    assert_harmless(slitpose!().run(["scene", "plot", &named, "--output", "-"]).text(), "a picture");
     let poses = "tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad";
+    let long_value = WIDE.text.replace("distance_mm = 5.0", &format!("distance_mm = \"{long}\""));
+    let long_names = format!("scene = [\"{long}\", \"{escaped}\"]");
     for (name, text, arguments, remedy) in [
         ("key.toml", format!("\"{escaped}\" = 1"), &["scene", "check"][..], "known keys"),
         ("long-key.toml", format!("{long} = 1"), &["scene", "check"], "known keys"),
         ("value.toml", format!("name = 1 # {HOSTILE}"), &["scene", "check"], "correct this line"),
-        (
-            "long.toml",
-            WIDE.text.replace("distance_mm = 5.0", &format!("distance_mm = \"{long}\"")),
-            &["scene", "check"],
-            "give",
-        ),
+        ("long.toml", long_value, &["scene", "check"], "give"),
         ("field.csv", format!("id,{poses}\na,{quoted},0,0,0,0,0\n"), &["model", "wide", "--poses"], "give one like"),
         ("long-field.csv", format!("id,{poses}\na,{long},0,0,0,0,0\n"), &["model", "wide", "--poses"], "give one like"),
         ("header.csv", format!("id,{quoted},{long}\n1,2,3\n"), &["model", "wide", "--poses"], "add the column"),
         ("option.toml", format!("\"{escaped}\" = 1"), &["run", "--config"], "slitpose run --help"),
-        (
-            "long-option.toml",
-            format!("scene = [\"{long}\", \"{escaped}\"]"),
-            &["run", "--device", "sim", "--config"],
-            "give",
-        ),
+        ("long-option.toml", long_names, &["run", "--device", "sim", "--config"], "give"),
         ("long-value.toml", format!("duration = \"{long}\""), &["run", "--config"], "slitpose run --help"),
     ] {
         let path = file(name, &text);

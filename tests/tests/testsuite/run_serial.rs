@@ -135,8 +135,7 @@ fn an_interrupt_stops_the_board_and_prints_all_it_took() {
     for signals in [&[Signal::SIGINT][..], &[Signal::SIGTERM], &[Signal::SIGHUP, Signal::SIGHUP]] {
         let first = signals[0];
         let terminal = Terminal::serve(Board::wide(63));
-        let record = folder.path().join(first.as_str());
-        let record = record.to_str().expect("UTF-8");
+        let record = &*name_in(folder.path(), first.as_str());
         let mut child = spawn(&terminal, &["--record", record]);
         let mut stdout = BufReader::new(child.stdout.take().expect("piped"));
         let mut text = String::new();

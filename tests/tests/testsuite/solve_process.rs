@@ -2,12 +2,10 @@
 //! solved says why. Two six-cell heads and every single cell, ordinary and extreme, against independent multi-precision
 //! integration; and single precision against double.
 
-use std::path::Path;
-
 use slitpose_model::{CompiledScene, Pose, Tier};
 use slitpose_tests::consistency::median;
 use slitpose_tests::poses::{self, PoseRow};
-use slitpose_tests::process::{Slitpose, written};
+use slitpose_tests::process::{Slitpose, name_in, text, written};
 use slitpose_tests::scenes::{self, changed, ring, wide_with};
 use slitpose_tests::slitpose;
 use slitpose_tests::table::{POSE, Row, SIGMA, Table, data, reference, single_cell_scene_file, with_changed};
@@ -141,13 +139,12 @@ fn a_saturated_detector_is_flagged_and_left_out() {
 #[test]
 fn equal_rolls_leave_directions_free() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let path = folder.path().join("ring.toml");
-    let scene = path.to_str().expect("UTF-8 path");
+    let scene = &*name_in(folder.path(), "ring.toml");
     // At home a detector along the ring feels turns about z and shifts across z; one along z feels
     // shifts along z and tilts; both feel by intensity who comes nearer. In between only a screw
     // along z goes unnoticed.
     for (roll_deg, free) in [(0.0, "tz;rx;ry"), (45.0, "tz;rz"), (90.0, "rz")] {
-        std::fs::write(&path, ring(&[roll_deg; 6])).expect("scene");
+        std::fs::write(scene, ring(&[roll_deg; 6])).expect("scene");
         let table = solve(scene, "exact", &currents(scene, "exact", &[[0.0; 6]]));
         let row = table.rows().next().expect("one row");
         assert_no_pose(&row, "unobservable");
@@ -159,14 +156,13 @@ fn equal_rolls_leave_directions_free() {
 #[test]
 fn accuracy_is_that_of_the_lower_bound_with_and_without_known_gains() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let path = folder.path().join("gains.toml");
-    let scene = path.to_str().expect("UTF-8 path");
+    let scene = &*name_in(folder.path(), "gains.toml");
     let truths = poses::in_box(&mut poses::generator(16), WORKSPACE.0, WORKSPACE.1, 300);
     // Cramér-Rao medians of an independent program for `wide` at 10 kHz, µm and µrad: with known
     // gains, and from positions alone. It drew other poses and took medians over them first: 20 %.
     for (gain, translation_um, rotation_urad) in [(0.0, 0.71, 96.0), (1.0, 2.2, 253.0)] {
         let uncertainty = format!("\n[uncertainty]\nemitter_gain_relative = {gain:?}\n");
-        std::fs::write(&path, slitpose_head::scene_file::WIDE.text.to_owned() + &uncertainty).expect("scene");
+        std::fs::write(scene, slitpose_head::scene_file::WIDE.text.to_owned() + &uncertainty).expect("scene");
         let table = solve(scene, "exact", &currents(scene, "exact", &truths));
         let of_axes = |axes: std::ops::Range<usize>| {
             let sigmas = table.rows().filter(|row| row.text("status") == "converged");
@@ -196,8 +192,7 @@ const HOME: &str = "id,tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad\nhome,0,0,0,0,0,0\
 /// default, the reference to 1e-14, the paper's closed forms to rounding.
 const RELATIVE: f64 = 1e-9;
 
-fn model(command: Slitpose, scene: &Path, poses: &str, tier: &str) -> Table {
-    let scene = scene.to_str().expect("UTF-8 path");
+fn model(command: Slitpose, scene: &str, poses: &str, tier: &str) -> Table {
     let output = command.run_with_input(["model", scene, "--poses", "-", "--tier", tier], poses);
     assert_eq!(output.stderr, "");
     Table::parse(&output.done())
@@ -215,7 +210,7 @@ fn check_six_cells(scene: &str, tier: &str) {
     let reference = reference(&format!("reference/six_cell_{scene}_poses.csv"));
     let poses = std::fs::read_to_string(data(&format!("reference/six_cell_{scene}_poses.csv"))).expect("poses");
     // The whole reference table goes in: its other columns must not disturb.
-    let table = model(slitpose!(), &data(&format!("reference/six_cell_{scene}.toml")), &poses, tier);
+    let table = model(slitpose!(), text(&data(&format!("reference/six_cell_{scene}.toml"))), &poses, tier);
     assert_eq!(table.rows().len(), reference.rows().len());
     let (mut largest, mut without_light) = (0_f64, 0);
     for (row, expected) in table.rows().zip(reference.rows()) {
@@ -254,7 +249,7 @@ fn six_cells_of_two_heads_in_both_tiers() {
 #[test]
 fn every_single_cell_goes_through_scene_file_and_process() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let path = folder.path().join("cell.toml");
+    let path = name_in(folder.path(), "cell.toml");
     // X_A: rounding of 12 mm in the paper tier, a nanometre where integrated to 1e-10.
     for (tier, x_tolerance_mm) in [("paper", 1e-9), ("exact", 1e-6)] {
         for expected in reference("reference/single_cell.csv").rows() {

@@ -63,18 +63,15 @@ fn unreadable(seed: u64) -> impl Device {
 
 #[test]
 fn a_run_without_usable_scans_ends_and_says_why() {
+    let unusable = "no usable scan for 3 s";
+    let foreign = "end any other program that speaks to the board";
+    let another = "cannot be read; build firmware and program from the same source";
     // Side by side: each takes the seconds after which scans are missed. Where nothing but a status comes, half a
     // second may pass without a byte, which is an end, too.
     let runs = [
         (Run::start(talkative(81), &["--duration", "10s"]), ["from the board on", "reset the board"]),
-        (
-            Run::start(misconfigured(82), &["--duration", "10s"]),
-            ["no usable scan for 3 s", "end any other program that speaks to the board"],
-        ),
-        (
-            Run::start(unreadable(83), &["--patience", "1s"]),
-            ["no usable scan for 3 s", "cannot be read; build firmware and program from the same source"],
-        ),
+        (Run::start(misconfigured(82), &["--duration", "10s"]), [unusable, foreign]),
+        (Run::start(unreadable(83), &["--patience", "1s"]), [unusable, another]),
     ];
     for (run, words) in runs {
         let (finished, log) = run.end();
