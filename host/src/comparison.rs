@@ -386,3 +386,21 @@ fn miss(tried: &[&Kept], reference: impl Fn(&Kept) -> Option<Pose>) -> f64 {
 fn distance(kept: &Kept, reference: &Pose) -> Option<f64> {
     kept.estimate.nees(reference).map(f64::sqrt)
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+
+    #[test]
+    fn poses_beyond_five_sigma_count_on_either_side() {
+        let covariance = std::array::from_fn(|i| std::array::from_fn(|j| if i == j { 1e-12 } else { 0.0 }));
+        let mut accuracy = Accuracy::default();
+        for sigmas in [-6.0, -4.0, 4.0, 6.0] {
+            let pose = Pose { translation_m: DVec3::X * (sigmas * 1e-6), ..Pose::HOME };
+            accuracy.add(&Estimate { pose, covariance }, &Pose::HOME);
+        }
+        assert_eq!(accuracy.beyond_five_sigma, 2);
+    }
+}

@@ -50,6 +50,17 @@ pub fn parse_measured(text: &str) -> Vec<Line> {
     lines
 }
 
+/// Asserts that `count` scans follow each other from number `first` on, one frame apart.
+pub fn assert_complete(lines: &[Line], first: u64, count: usize, rate_hz: f64) {
+    assert_eq!(lines.len(), count);
+    let start_s = lines[0].device_time_s;
+    for (i, line) in lines.iter().enumerate() {
+        assert_eq!(line.sequence, first + i as u64);
+        // Instants are exact in ticks of 6 ns.
+        assert!((line.device_time_s - start_s - i as f64 / rate_hz).abs() < 1e-9, "{line:?}");
+    }
+}
+
 fn parse_lines(text: &str, simulated: bool) -> Vec<Line> {
     assert!(text.is_empty() || text.ends_with('\n'), "the last line is cut off");
     text.lines().map(|line| parse_line(line, simulated).unwrap_or_else(|fault| panic!("{fault}: {line}"))).collect()

@@ -1,7 +1,7 @@
 //! The `slitpose` command as a process.
 
 use std::ffi::OsStr;
-use std::io::{Read, Write};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 
@@ -135,6 +135,13 @@ pub fn name_in(folder: &Path, name: &str) -> String {
     text(&folder.join(name)).to_owned()
 }
 
+/// The path of a new file in `folder`.
+pub fn written(folder: &Path, name: &str, content: impl AsRef<[u8]>) -> String {
+    let path = name_in(folder, name);
+    std::fs::write(&path, content).expect("written");
+    path
+}
+
 /// Names of the files in `folder`, hidden ones included.
 pub fn names(folder: &Path) -> Vec<String> {
     let entries = std::fs::read_dir(folder).expect("folder");
@@ -142,6 +149,14 @@ pub fn names(folder: &Path) -> Vec<String> {
         entries.map(|entry| entry.expect("entry").file_name().into_string().expect("UTF-8")).collect();
     names.sort();
     names
+}
+
+/// The address in the line that `child` begins its talk with, behind `what`. It says nothing more that could be lost.
+pub fn address_said(child: &mut Child, what: &str) -> String {
+    let mut line = String::new();
+    BufReader::new(child.stderr.as_mut().expect("piped")).read_line(&mut line).expect("UTF-8");
+    let address = line.trim_end().strip_prefix("slitpose: ").and_then(|said| said.strip_prefix(what));
+    address.unwrap_or_else(|| panic!("{line}")).to_owned()
 }
 
 /// Code and body of what a server answers on `stream`; `None` if it does not.

@@ -78,29 +78,13 @@ pub fn single_cell_scene_file(row: &Row<'_>) -> String {
         0.0 => String::new(),
         thickness => format!("thickness_mm = {thickness:?}\n"),
     };
-    let value = |column: &str| format!("{:?}", row.number(column));
-    format!(
-        "[detector]\nlength_mm = {}\nwidth_mm = {}\nresponsivity_a_per_w = {}\ndark_current_a = {}\n\
-         [slit]\ndistance_mm = {}\nwidth_mm = {}\nlength_mm = {}\noffset_mm = [{}, {}]\n{thickness}\
-         [emitter]\nradiant_intensity_w_per_sr = {}\nprofile_exponent = {}\n\
+    let text = "[detector]\nlength_mm = {length_mm}\nwidth_mm = {width_mm}\n\
+         responsivity_a_per_w = {responsivity_a_per_w}\ndark_current_a = {dark_current_a}\n\
+         [slit]\ndistance_mm = {slit_distance_mm}\nwidth_mm = {slit_width_mm}\nlength_mm = {slit_length_mm}\n\
+         offset_mm = [{slit_x_mm}, {slit_y_mm}]\n{thickness}\
+         [emitter]\nradiant_intensity_w_per_sr = {radiant_intensity_w_per_sr}\nprofile_exponent = {profile_exponent}\n\
          [[cell]]\ndetector_mm = [0.0, 0.0, 0.0]\nx_axis = [1.0, 0.0, 0.0]\nnormal = [0.0, 0.0, 1.0]\n\
-         emitter_mm = [{}, {}, {}]\nemitter_axis = [{}, {}, {}]\n",
-        value("length_mm"),
-        value("width_mm"),
-        value("responsivity_a_per_w"),
-        value("dark_current_a"),
-        value("slit_distance_mm"),
-        value("slit_width_mm"),
-        value("slit_length_mm"),
-        value("slit_x_mm"),
-        value("slit_y_mm"),
-        value("radiant_intensity_w_per_sr"),
-        value("profile_exponent"),
-        value("ex_mm"),
-        value("ey_mm"),
-        value("ez_mm"),
-        value("ux"),
-        value("uy"),
-        value("uz"),
-    )
+         emitter_mm = [{ex_mm}, {ey_mm}, {ez_mm}]\nemitter_axis = [{ux}, {uy}, {uz}]\n";
+    let fill = |text: String, column: &String| text.replace(&format!("{{{column}}}"), row.text(column));
+    row.header.iter().fold(text.replace("{thickness}", &thickness), fill)
 }

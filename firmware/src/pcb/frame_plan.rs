@@ -324,6 +324,25 @@ mod tests {
     }
 
     #[test]
+    fn words_and_the_end_of_a_frame_are_where_the_schedule_has_them() {
+        let configuration = default_configuration();
+        let plan = FramePlan::new(&configuration).unwrap();
+        assert_eq!(plan.lit_at, [0, 7, 14, 3, 10, 17]);
+        assert_eq!(plan.dark_at, [18, 19, 20, 21, 22, 23]);
+        let Schedule { conversion_ticks, .. } = configuration.schedule;
+        let sampled = configuration.schedule.last_sample_ticks() as u32 + conversion_ticks;
+        assert_eq!(plan.done_ticks, sampled + DMA_TICKS);
+    }
+
+    #[test]
+    fn a_line_has_its_level_before_its_first_emitter_is_lit() {
+        let mut configuration = default_configuration();
+        configuration.schedule.slots.rotate_right(1);
+        let plan = FramePlan::new(&configuration).unwrap();
+        assert!(plan.level_codes.iter().all(|codes| codes[..] == [2_048; 4]), "{:?}", plan.level_codes);
+    }
+
+    #[test]
     fn conversion_times_of_the_converters_can_be_asked_for_if_the_pins_settle_within() {
         for ticks in [148, 240, 420, 1_040, 2_612] {
             assert_eq!(conversion_ticks(sampling_code(ticks).unwrap()), ticks);

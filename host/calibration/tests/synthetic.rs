@@ -309,6 +309,30 @@ fn light_of_other_emitters_is_calibrated_with_theirs() {
     bench.assert_predicted(&found, &head);
 }
 
+/// A tool that turns about its tip: three equations a row, for six unknowns of the tip in both frames.
+#[test]
+fn the_redundancy_of_a_pivot_is_that_of_its_tip() {
+    let mut bench = Bench::new();
+    let head = bench.head(|_| false, 1.0);
+    let plan = CompiledScene::<f64>::compile(&head, TIER).expect("a head");
+    let (tip, turns) = (DVec3::new(0.2e-3, -0.1e-3, 1e-3), bench.file.workspace.half_extent_rad);
+    let mut turned = || {
+        let rotation = Pose::from_vectors(DVec3::ZERO, bench.vector(turns)).rotation;
+        let readings = bench.readings(&plan, &Pose { rotation, translation_m: tip - rotation * tip });
+        Row { id: String::new(), readings, frames: 16.0, time_s: None, knowledge: Knowledge::Nothing }
+    };
+    let mut data = Data::default();
+    data.add("pivot.csv", Constraint::Pivot, STATED, (0..20).map(|_| turned()).collect());
+    data.add("known.csv", Constraint::Known, STATED, bench.rows(&head, 40, STATED));
+    data.noise = bench.file.scene.noise.map(|noise| Noise { adc_a: NOISE_A, ..noise });
+    let request = Request { file: &bench.file, data: &data, start: None, date: None };
+    let found = calibrate(&request, &mut |_| ControlFlow::Continue(())).expect("a calibration").calibration;
+    let statistics = found.statistics;
+    let equations = 2 * statistics.readings + 20 * 3 + 40 * 6;
+    assert_eq!((statistics.poses_rejected, statistics.redundancy), (0, equations as f64 - 60.0 * 6.0 - 6.0));
+    bench.assert_predicted(&found, &head);
+}
+
 /// Slits on the tool, and detectors with two axes behind lenses: no window, one emitter for both axes.
 #[test]
 fn heads_with_other_openings_are_calibrated() {

@@ -80,10 +80,25 @@ pub fn profile_table(points: &[Identified], step_deg: f64) -> Result<Vec<[f64; 2
 
 #[cfg(test)]
 mod tests {
+    use glam::DVec3;
+    use slitpose_head::scene_file::WIDE;
+    use slitpose_model::Tier;
+
     use super::*;
 
     fn point(gamma_deg: f64, relative_intensity: f64) -> Identified {
         Identified { gamma_rad: gamma_deg.to_radians(), relative_intensity, solid_angle_sr: 1e-3 }
+    }
+
+    #[test]
+    fn a_clipped_spot_gives_no_point() {
+        let scene = WIDE.read().unwrap().scene;
+        let plan = CompiledScene::compile(&scene, Tier::Paper).unwrap();
+        let found = [0.0, 16e-3].map(|height_m| {
+            let pose = Pose { translation_m: DVec3::Z * height_m, ..Pose::HOME };
+            (plan.respond(0, &pose).status, identify(&scene.cells[0], &plan, 0, &pose, 1e-6).is_some())
+        });
+        assert_eq!(found, [(Status::Lit, true), (Status::Clipped, false)]);
     }
 
     #[test]

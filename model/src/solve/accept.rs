@@ -311,7 +311,24 @@ pub fn chi2_gate(freedom: usize) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::compiled::Prior;
+    use super::super::fixture::{compiled, currents, pose};
+    use super::super::readings::{Reading, Sorted};
     use super::*;
+    use crate::response::Pair;
+
+    #[test]
+    fn a_pose_that_lights_a_dark_cell_fits_the_lit_cells_only() {
+        let (head, start) = (compiled(), Transform::of(&pose()));
+        let mut readings = currents(&head.plan, &pose());
+        let fits = [Reading::Missing, Reading::Light(Pair::default())].map(|reading| {
+            readings.cells[0] = reading;
+            let sorted = Sorted::of(&readings, &head.limits);
+            let problem = head.problem(&sorted, &Prior::at_rest());
+            problem.fit(&problem.minimise(start, Stopping::exact(), &mut Workspace::new()))
+        });
+        assert_eq!(fits, [Fit::Full, Fit::LitOnly]);
+    }
 
     #[test]
     fn the_gate_of_chi2_is_passed_by_chance_once_in_a_billion() {

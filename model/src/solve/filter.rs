@@ -305,6 +305,22 @@ mod tests {
     }
 
     #[test]
+    fn variances_are_those_of_the_response_to_one_pose_that_is_off() {
+        let mut filter = run(300, |_| Pose::HOME);
+        let (mut pose, mut step) = (0.0, 0.0);
+        for frame in 0..200 {
+            let measured = Pose::from_vectors(DVec3::X * f64::from(u8::from(frame == 0)), DVec3::ZERO);
+            filter.update(&Rigid::of(&measured), &UNIT, |_| 6.0);
+            let predicted = filter.predict().expect("started");
+            pose += predicted.pose.to_pose().translation_m.x.powi(2);
+            step += (predicted.twist[0].x * PERIOD).powi(2);
+        }
+        let predicted = filter.predict().expect("started");
+        assert!((predicted.pose_variance / pose - 1.0).abs() < 1e-9, "{predicted:?} {pose}");
+        assert!((predicted.step_variance / step - 1.0).abs() < 1e-9, "{predicted:?} {step}");
+    }
+
+    #[test]
     fn gains_start_as_least_squares_and_end_fading() {
         // A parabola through five points of which the last is one off: the textbook's weights.
         let gains = Gains::<f64>::expanding(PARABOLA_FROM).0;

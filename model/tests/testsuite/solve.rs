@@ -106,10 +106,19 @@ fn fewer_cells_still_make_a_pose() {
 #[test]
 fn too_little_light_says_so() {
     let solver = Solver::<f64>::new(&wide(), Tier::Paper).expect("scene");
-    let dark = Photocurrents::of_pairs([Pair { i_x1_a: 1e-9, i_x2_a: 1e-9 }; 6]);
-    let solution = cold(&solver, &dark);
+    let dark = Pair { i_x1_a: 1e-9, i_x2_a: 1e-9 };
+    let solution = cold(&solver, &Photocurrents::of_pairs([dark; 6]));
     assert_eq!(solution.outcome, Outcome::TooDark);
     assert!(solution.estimate.is_none());
+    // Two lit cells, and so many dark ones.
+    let outcome = |count: usize| {
+        let mut cells = [Reading::Missing; 6];
+        cells[..2].fill(Reading::Light(Pair { i_x1_a: 3e-6, i_x2_a: 3e-6 }));
+        cells[2..2 + count].fill(Reading::Light(dark));
+        cold(&solver, &Photocurrents { cells: cells.into_iter().collect() }).outcome
+    };
+    assert_eq!(outcome(1), Outcome::TooDark);
+    assert!(matches!(outcome(0), Outcome::Unobservable(_)));
 }
 
 #[test]

@@ -48,8 +48,7 @@ fn every_verb_refuses_a_wrong_scene_and_says_where_it_is_wrong() {
 #[test]
 fn tables_that_are_none() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let path = folder.path().join("poses.csv");
-    let name = path.to_str().expect("UTF-8 path");
+    let name = &*name_in(folder.path(), "poses.csv");
     let missing_column = POSES.replace("tz_mm", "tz") + "a,0,0,0,0,0,0\n";
     for (text, parts) in [
         ("", &["is empty", "header row"][..]),
@@ -60,7 +59,7 @@ fn tables_that_are_none() {
         ),
         ("id,id,tx_mm\na,b,0\n", &["line 1", "`id`", "twice", "rename"]),
     ] {
-        fs::write(&path, text).expect("table");
+        fs::write(name, text).expect("table");
         slitpose!().run(["model", "wide", "--poses", name]).assert_refused(1, &[parts, &[name]].concat());
         slitpose!().run_with_input(["model", "wide", "--poses", "-"], text).assert_refused(1, parts);
     }
@@ -205,12 +204,6 @@ fn changed(table: &str, names: &[&str], change: impl Fn(f64) -> f64) -> String {
     with_changed(table, |name| names.contains(&name), change)
 }
 
-/// Ended with `code`, and said all `parts`, or nothing.
-fn assert_said(finished: &Finished, code: i32, parts: &[&str], what: &str) {
-    assert_eq!(finished.code, code, "{what}: {}", finished.stderr);
-    parts.iter().for_each(|part| assert!(finished.stderr.contains(part), "{what}: `{part}`: {}", finished.stderr));
-}
-
 /// Doubts of a table are a line of their own on standard error.
 fn assert_no_doubt(finished: &Finished, what: &str) {
     assert_eq!((finished.code, finished.stderr.contains("are these")), (0, false), "{what}: {}", finished.stderr);
@@ -236,13 +229,13 @@ fn poses_of_other_units_are_told() {
     assert_no_doubt(&model(&table), "as it is");
     let degrees = changed(&table, r, |rad| 100.0 * rad);
     let parts = ["row 1 (line 2), column `r", "radians", "are these degrees?"];
-    assert_said(&model(&degrees), 1, &parts, "degrees");
+    model(&degrees).assert_said(1, &parts);
     let few_degrees = changed(&table, r, |rad| 20.0 * rad);
-    assert_said(&model(&few_degrees), 0, &["column `r", "more than half a turn", "are these degrees?"], "few degrees");
+    model(&few_degrees).assert_said(0, &["column `r", "more than half a turn", "are these degrees?"]);
     let micrometres = changed(&table, t, |mm| mm * 1e3);
-    assert_said(&model(&micrometres), 0, &["column `t", "leads 909 times", "are these micrometres?"], "micrometres");
+    model(&micrometres).assert_said(0, &["column `t", "leads 909 times", "are these micrometres?"]);
     let metres = changed(&table, t, |mm| mm * 1e-3);
-    assert_said(&model(&metres), 0, &["column `t", "0.003 is the largest", "are these metres?"], "metres");
+    model(&metres).assert_said(0, &["column `t", "0.003 is the largest", "are these metres?"]);
     assert_no_doubt(&model(&changed(&table, t, |_| 0.0)), "turns alone");
 }
 
@@ -265,14 +258,14 @@ fn profiles_are_not_identified_from_poses_of_other_units() {
     let currents: Vec<&str> =
         table.lines().next().expect("a header").split(',').filter(|name| name.starts_with("i_x")).collect();
     let microamperes = identify(&changed(&table, &currents, |a| a * 1e6));
-    assert_said(&microamperes, 0, &["check that currents are in amperes", "times the emitter's"], "microamperes");
+    microamperes.assert_said(0, &["check that currents are in amperes", "times the emitter's"]);
     for (names, change, parts) in [
         (&POSE[..3], 1e-3, &["tx_mm, ty_mm and tz_mm are millimetres", "metres?"][..]),
         (&POSE[3..], 57.29577951308232, &["column `r", "are these degrees?"]),
         (&POSE[..3], -1.0, &["axes of the poses look exchanged or reversed"]),
     ] {
-        let finished = identify(&changed(&table, names, |number| change * number));
-        assert_said(&finished, 1, parts, &format!("{names:?} times {change}"));
+        println!("{names:?} times {change}");
+        identify(&changed(&table, names, |number| change * number)).assert_said(1, parts);
     }
 }
 
@@ -293,36 +286,23 @@ fn references_of_other_clocks_and_units_are_told() {
     assert_no_doubt(&compare(&by_time), "by time");
     let time = |change: fn(f64) -> f64| changed(&by_time, &["time_s"], change);
     let degrees = changed(&by_time, &POSE[3..], f64::to_degrees);
+    let mirrored = changed(&by_scan, &["ty_mm", "rx_rad", "rz_rad"], |number| -number);
+    let (epoch, later) = (time(|s| s + 1.79e9), changed(&by_scan, &["seq"], |n| n + 5e3));
     for (what, table, code, parts) in [
-        (
-            "epoch",
-            time(|s| s + 1.79e9),
-            1,
-            &["time_s runs from 1790000000.0", "that of the poses from 5.69", "epoch"][..],
-        ),
-        ("epoch", time(|s| s + 1.79e9), 1, &["1790000000.0", "s late"]),
+        ("epoch", epoch, 1, &["time_s runs from 1790000000.0", "that of the poses from 5.69", "epoch", "s late"][..]),
         ("milliseconds", time(|s| s * 1e3), 0, &["are these milliseconds?"]),
         ("rows", changed(&by_time, &["time_s"], |s| (s * 4000.0).floor()), 0, &["are these numbers of rows?"]),
         ("late", time(|s| s + 0.0205), 0, &["the reference seems 0.020", "s late", "subtract"]),
         ("early", time(|s| s - 1.55e-4), 0, &["the reference seems 0.00015", "s early", "add"]),
         ("metres", changed(&by_scan, &POSE[..3], |mm| mm * 1e-3), 0, &["are these metres?", "times as well"]),
         ("metres by time", changed(&by_time, &POSE[..3], |mm| mm * 1e-3), 0, &["are these metres?"]),
-        (
-            "mirrored",
-            changed(&by_scan, &["ty_mm", "rx_rad", "rz_rad"], |number| -number),
-            0,
-            &["(tx_mm, −ty_mm, tz_mm)"],
-        ),
+        ("mirrored", mirrored, 0, &["(tx_mm, −ty_mm, tz_mm)"]),
         ("other axes", changed(&by_scan, &["tx_mm"], |mm| mm + 50.0), 0, &["hardly better than a tool at rest"]),
-        (
-            "scans",
-            changed(&by_scan, &["seq"], |n| n + 5e3),
-            1,
-            &["seq runs from 5000.0 to 6199.0", "from 0.0 to 1199.0"],
-        ),
+        ("scans", later, 1, &["seq runs from 5000.0 to 6199.0", "from 0.0 to 1199.0"]),
         ("degrees", degrees, 1, &["column `r", "are these degrees?"]),
     ] {
-        assert_said(&compare(&table), code, parts, what);
+        println!("{what}");
+        compare(&table).assert_said(code, parts);
     }
 }
 
@@ -346,7 +326,8 @@ fn paths_by_another_clock_are_told() {
         fs::write(&table, format!("time_s,{}\n{rows}", POSE.join(","))).expect("a file");
         let simulate = ["simulate", "--duration", "20ms", "--trajectory", &table, "--overwrite", "--output", &capture];
         let finished = slitpose!().run(simulate);
-        assert_said(&finished, code, parts, &format!("{times:?}"));
+        println!("{times:?}");
+        finished.assert_said(code, parts);
         assert!(code == 1 || !parts.is_empty() || finished.stderr.is_empty(), "{times:?}: {}", finished.stderr);
     }
 }

@@ -7,9 +7,10 @@ use slitpose_head::board_head;
 use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
-use slitpose_model::{Estimate, Outcome, Pose, Solver, Tracker};
+use slitpose_model::{Outcome, Pose, Solver, Tracker};
 use slitpose_protocol::{Hashes, PoseStatus};
 use slitpose_tests::capture::{Decoded, STREAM, capture, decode};
+use slitpose_tests::consistency::{Sorted, error, worst_axis};
 
 /// Of noise and motion.
 const SEED: u64 = 17;
@@ -23,7 +24,7 @@ const SAME: f64 = 0.1;
 /// How a board's poses differ from a host's.
 struct Difference {
     /// In σ of the coordinate that differs most, of each scan of which both have a pose of all cells, and the same σ.
-    sigmas: Vec<f64>,
+    sigmas: Sorted,
     /// Scans of which only one had lost track of the motion, so that its σ is another.
     apart: usize,
     /// Scans in which the host has such a pose and the board has not.
@@ -48,7 +49,8 @@ impl Difference {
         weighted.uncertainty.light_level_relative = 0.0;
         let solver = Solver::<f64>::new(&weighted, STREAM).expect("shipped").with_exposures(&stage.exposures_s());
         let mut host = Tracker::new(solver, frame_rate_hz.recip()).neglecting_motion(neglected);
-        let mut difference = Self { sigmas: Vec::new(), apart: 0, lacking: 0 };
+        let mut difference = Self { sigmas: Sorted::default(), apart: 0, lacking: 0 };
+        let mut sigmas = Vec::new();
         for (number, scan) in scans.iter().enumerate() {
             let solved = board.solve(scan).expect("a head for this schedule");
             let record = &solved.record;
@@ -70,16 +72,16 @@ impl Difference {
                 difference.apart += 1;
                 continue;
             }
-            difference.sigmas.push(sigmas_between(&pose, &estimate));
+            sigmas.push(worst_axis(&error(&pose, &estimate.pose), &estimate.covariance));
         }
-        difference.sigmas.sort_by(f64::total_cmp);
+        difference.sigmas = Sorted::of(sigmas);
         println!(
             "{frame_rate_hz} Hz, seed {SEED}, motion neglected below {neglected} sigma: {} poses, {:.4} sigma rms, {:.3} for \
              99.9 %, {:.3} at worst, {} apart, {} lacking",
-            difference.sigmas.len(),
+            difference.sigmas.0.len(),
             difference.rms(),
-            difference.quantile(0.999),
-            difference.quantile(1.0),
+            difference.sigmas.at(0.999),
+            difference.sigmas.most(),
             difference.apart,
             difference.lacking
         );
@@ -87,19 +89,8 @@ impl Difference {
     }
 
     fn rms(&self) -> f64 {
-        (self.sigmas.iter().map(|sigma| sigma * sigma).sum::<f64>() / self.sigmas.len() as f64).sqrt()
+        (self.sigmas.0.iter().map(|sigma| sigma * sigma).sum::<f64>() / self.sigmas.0.len() as f64).sqrt()
     }
-
-    fn quantile(&self, share: f64) -> f64 {
-        self.sigmas[((self.sigmas.len() - 1) as f64 * share) as usize]
-    }
-}
-
-/// How far `pose` is from an estimate, in σ of the coordinate that differs most.
-fn sigmas_between(pose: &Pose, estimate: &Estimate) -> f64 {
-    let (shift, turn) = pose.displacement_from(&estimate.pose);
-    let off = shift.to_array().into_iter().chain(turn.to_array());
-    off.zip(estimate.sigma()).fold(0.0, |worst, (off, sigma)| worst.max((off / sigma).abs()))
 }
 
 fn wide() -> SceneFile {
@@ -113,18 +104,18 @@ const NEGLECTED: f64 = 0.15;
 fn at_4_khz_a_board_has_the_poses_of_a_host() {
     let alike = Difference::of(wide(), 4e3, 10.0, NEGLECTED);
     // The arithmetic takes 1e-3 σ, the short optics the rest: a twentieth of σ is a thousandth of the squared error.
-    assert!(alike.quantile(1.0) < 0.05 && alike.rms() < 0.01);
+    assert!(alike.sigmas.most() < 0.05 && alike.rms() < 0.01);
     assert_eq!((alike.apart, alike.lacking), (0, 0));
     // A host that neglects nothing. What the neglected takes of σ may be taken of the pose, too.
     let own = Difference::of(wide(), 4e3, 10.0, 0.0);
-    assert!(own.quantile(1.0) < NEGLECTED && own.rms() < 0.02);
+    assert!(own.sigmas.most() < NEGLECTED && own.rms() < 0.02);
     assert_eq!((own.apart, own.lacking), (0, 0));
 }
 
 #[test]
 fn at_1_khz_where_the_tool_goes_far_between_two_frames_a_board_lacks_no_pose() {
     let own = Difference::of(wide(), 1e3, 10.0, 0.0);
-    assert!(own.quantile(1.0) < 0.1 && own.rms() < 0.01);
+    assert!(own.sigmas.most() < 0.1 && own.rms() < 0.01);
     assert_eq!((own.apart, own.lacking), (0, 0));
 }
 
@@ -146,7 +137,7 @@ fn in_long_frames_a_board_lacks_no_pose() {
         .replace("slots = [[0, 3], [1, 4], [2, 5], []]", "slots = [[0], [1], [2], [3], [4], [5], []]")
         .replace("oversampling = 4", "oversampling = 16");
     let alike = Difference::of(SceneFile::parse("long frames", &source).expect("a scene"), 1e3, 5.0, NEGLECTED);
-    assert!(alike.quantile(1.0) < 3.5 && alike.rms() < 0.5);
+    assert!(alike.sigmas.most() < 3.5 && alike.rms() < 0.5);
     assert_eq!(alike.lacking, 0);
 }
 
@@ -155,6 +146,6 @@ fn in_long_frames_a_board_lacks_no_pose() {
 fn at_2_khz_a_calibrated_board_has_the_poses_of_a_host() {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/data/heads/calibrated_1.toml");
     let alike = Difference::of(SceneFile::open(path).expect("a scene"), 2e3, 5.0, NEGLECTED);
-    assert!(alike.quantile(1.0) < 0.15 && alike.rms() < 0.03);
+    assert!(alike.sigmas.most() < 0.15 && alike.rms() < 0.03);
     assert!(alike.apart < 10 && alike.lacking == 0);
 }

@@ -3,17 +3,18 @@
 
 use std::f64::consts::TAU;
 use std::fmt::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use slitpose_calibration::align;
 use slitpose_head::scene_file::SceneFile;
-use slitpose_model::{CompiledScene, Pose, Tier, rotation_exp};
-use slitpose_tests::process::{name_in, text};
+use slitpose_model::{CompiledScene, Pose, Tier};
+use slitpose_tests::poses::pose;
+use slitpose_tests::process::{name_in, text, written};
 use slitpose_tests::slitpose;
-use slitpose_tests::table::{POSE, Row, SIGMA, Table, with_changed};
+use slitpose_tests::table::{POSE, SIGMA, Table, with_changed};
 use tempfile::TempDir;
 
 /// The path of a file of the heads.
@@ -27,9 +28,7 @@ fn part(folder: &TempDir, name: &str, skip: usize, rows: usize) -> String {
     let mut lines = text.lines();
     let header = lines.next().expect("a header");
     let kept: Vec<&str> = std::iter::once(header).chain(lines.skip(skip).take(rows)).collect();
-    let path = folder.path().join(format!("{skip}-{rows}-{name}"));
-    std::fs::write(&path, kept.join("\n") + "\n").expect("written");
-    path.to_str().expect("UTF-8").to_owned()
+    written(folder.path(), &format!("{skip}-{rows}-{name}"), kept.join("\n") + "\n")
 }
 
 /// Calibrates; what it says on standard error.
@@ -39,11 +38,6 @@ fn calibrate(arguments: &[&str], output: &Path) -> String {
     let finished = slitpose!().run(fixed.iter().chain(arguments));
     assert_eq!(finished.code, 0, "{}", finished.stderr);
     finished.stderr
-}
-
-fn pose(row: Row<'_>) -> Pose {
-    let [tx, ty, tz, rx, ry, rz] = row.numbers(POSE);
-    Pose { translation_m: DVec3::new(tx, ty, tz) * 1e-3, rotation: rotation_exp(DVec3::new(rx, ry, rz)) }
 }
 
 /// Poses solved with a calibration, and true ones.
@@ -56,9 +50,7 @@ struct Solved {
 fn dimmed(folder: &TempDir, test: &str, level: f64) -> String {
     let text = std::fs::read_to_string(data(test)).expect("a table");
     let dimmed = with_changed(&text, |name| name.starts_with("i_x"), |current| level * current);
-    let path = folder.path().join(format!("{level}.csv"));
-    std::fs::write(&path, dimmed).expect("a folder");
-    path.to_str().expect("UTF-8").to_owned()
+    written(folder.path(), &format!("{level}.csv"), dimmed)
 }
 
 impl Solved {
@@ -70,7 +62,7 @@ impl Solved {
         let truths = Table::parse(&std::fs::read_to_string(&currents).expect("a table"));
         let mut solved = Self { pairs: Vec::new(), sigmas: Vec::new() };
         for (row, truth) in table.rows().zip(truths.rows()) {
-            solved.pairs.push((pose(row), pose(truth)));
+            solved.pairs.push((pose(row.numbers(POSE)), pose(truth.numbers(POSE))));
             let sigma = row.numbers(SIGMA);
             solved.sigmas.push(std::array::from_fn(|k| if k < 3 { sigma[k] * 1e-3 } else { sigma[k] }));
         }
@@ -166,23 +158,9 @@ fn fewer_poses_calibrate_less_well_and_a_later_file_goes_on_from_them() {
 
 #[test]
 fn an_instrument_with_frames_of_its_own_calibrates_as_well_and_its_frames_are_found() {
-    // Of the program that simulated the head: millimetres and radians.
-    const INSTRUMENT_FROM_BASE: [f64; 6] = [
-        6.526447243463368,
-        -1.12873972288355,
-        40.68502934019902,
-        -0.08875909522921967,
-        -0.27910495150140147,
-        -0.14392921924830393,
-    ];
-    const TOOL_FROM_MARKER: [f64; 6] = [
-        12.776243876165335,
-        -18.523991864176605,
-        -24.444079043301624,
-        0.17581768923005855,
-        -0.03476369337551624,
-        0.12755202486490047,
-    ];
+    // Of the program that simulated the head: millimetres and radians, to a thousandth of what is known of them.
+    const INSTRUMENT_FROM_BASE: [f64; 6] = [6.526447, -1.128740, 40.685029, -0.08875910, -0.27910495, -0.14392922];
+    const TOOL_FROM_MARKER: [f64; 6] = [12.776244, -18.523992, -24.444079, 0.17581769, -0.03476369, 0.12755202];
     let folder = TempDir::new().expect("a folder");
     let output = folder.path().join("head.toml");
     let said = calibrate(&["--known", &data("head_1_own.csv"), "--frames", "own"], &output);
@@ -192,19 +170,15 @@ fn an_instrument_with_frames_of_its_own_calibrates_as_well_and_its_frames_are_fo
 
     let calibration = slitpose_calibration::Calibration::open(&output).expect("a calibration");
     let [frames] = &calibration.frames[..] else { panic!("{:?}", calibration.frames) };
-    let pose = |v: [f64; 6]| Pose {
-        translation_m: DVec3::new(v[0], v[1], v[2]),
-        rotation: rotation_exp(DVec3::new(v[3], v[4], v[5])),
-    };
-    let metres = |v: [f64; 6]| pose(std::array::from_fn(|k| if k < 3 { v[k] * 1e-3 } else { v[k] }));
-    let instrument = metres(INSTRUMENT_FROM_BASE);
+    let instrument = pose(INSTRUMENT_FROM_BASE);
     let rotation = instrument.rotation.conjugate();
     let base = Pose { rotation, translation_m: -(rotation * instrument.translation_m) };
     for (found, sigma, truth) in [
         (frames.base_from_reference, frames.base_from_reference_sigma, base),
-        (frames.tool_from_marker, frames.tool_from_marker_sigma, metres(TOOL_FROM_MARKER)),
+        (frames.tool_from_marker, frames.tool_from_marker_sigma, pose(TOOL_FROM_MARKER)),
     ] {
-        let (t, r) = pose(found).displacement_from(&truth);
+        let in_millimetres = std::array::from_fn(|k| if k < 3 { found[k] * 1e3 } else { found[k] });
+        let (t, r) = pose(in_millimetres).displacement_from(&truth);
         for (error, sigma) in [t.x, t.y, t.z, r.x, r.y, r.z].into_iter().zip(sigma) {
             assert!(error.abs() <= 3.0 * sigma, "{found:?}: {error} of {sigma}");
         }
@@ -262,6 +236,7 @@ fn an_instrument_that_follows_a_motion_by_its_own_clock_calibrates_a_head() {
 /// A table of known poses that can be spoilt: pose, and both currents of each cell.
 #[derive(Clone)]
 struct Known {
+    header: String,
     rows: Vec<([f64; 6], [[f64; 2]; 6])>,
 }
 
@@ -278,7 +253,8 @@ impl Known {
             let pose = std::array::from_fn(|k| numbers[1 + k]);
             (pose, std::array::from_fn(|cell| [numbers[7 + 2 * cell], numbers[8 + 2 * cell]]))
         };
-        Self { rows: text.lines().skip(1).step_by(step).map(row).collect() }
+        let (header, rows) = text.split_once('\n').expect("rows");
+        Self { header: header.to_owned(), rows: rows.lines().step_by(step).map(row).collect() }
     }
 
     fn spoilt(mut self, spoil: impl FnMut(&mut ([f64; 6], [[f64; 2]; 6]))) -> Self {
@@ -286,12 +262,8 @@ impl Known {
         self
     }
 
-    fn write(&self, folder: &TempDir) -> PathBuf {
-        let mut text = "id,tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad".to_owned();
-        for cell in 0..6 {
-            let _ = write!(text, ",i_x1_{cell}_a,i_x2_{cell}_a");
-        }
-        text += ",frames\n";
+    fn write(&self, folder: &TempDir) -> String {
+        let mut text = format!("{}\n", self.header);
         for (id, (pose, cells)) in self.rows.iter().enumerate() {
             let _ = write!(text, "{id}");
             pose.iter().chain(cells.as_flattened()).for_each(|value| {
@@ -299,19 +271,16 @@ impl Known {
             });
             text += ",16\n";
         }
-        let path = folder.path().join("wrong.csv");
-        std::fs::write(&path, text).expect("written");
-        path
+        written(folder.path(), "wrong.csv", text)
     }
 
     /// Exit code and standard error.
     fn calibrate(&self, scene: &str, arguments: &[&str]) -> (i32, String) {
         let folder = TempDir::new().expect("a folder");
-        let (table, output) = (self.write(&folder), folder.path().join("head.toml"));
-        let [table, output] = [&table, &output].map(|path| path.to_str().expect("UTF-8"));
-        let fixed = ["calibrate", scene, "--known", table, "--output", output];
+        let (table, output) = (self.write(&folder), name_in(folder.path(), "head.toml"));
+        let fixed = ["calibrate", scene, "--known", &table, "--output", &output];
         let finished = slitpose!().run(fixed.iter().chain(arguments));
-        assert_eq!(finished.code == 0, Path::new(output).exists(), "a file exactly if something was learnt");
+        assert_eq!(finished.code == 0, Path::new(&output).exists(), "a file exactly if something was learnt");
         (finished.code, finished.stderr)
     }
 }
@@ -327,13 +296,10 @@ fn wrong_data_are_recognised_and_named() {
     let in_degrees = |row: &mut ([f64; 6], _)| row.0[3..].iter_mut().for_each(|angle| *angle = angle.to_degrees());
     // Other lengths, inverted poses and shifted rows are cases of the crate of calibrations; one of them comes this way, too.
     let metres = |row: &mut ([f64; 6], _)| row.0[..3].iter_mut().for_each(|value| *value *= 1e-3);
+    let dead = |row: &mut (_, [[f64; 2]; 6])| row.1[3] = [1e-9; 2];
     let cases: [(&str, Known, &[&str]); 7] = [
         ("little motion", known.clone().spoilt(few_millimetres), &["too little to tell parts apart"]),
-        (
-            "a dead cell",
-            known.clone().spoilt(|row| row.1[3] = [1e-9; 2]),
-            &["cell 3 sees no light", "in 100 of 100 rows"],
-        ),
+        ("a dead cell", known.clone().spoilt(dead), &["cell 3 sees no light", "in 100 of 100 rows"]),
         ("electrodes", known.clone().spoilt(|row| row.1[2].swap(0, 1)), &["electrodes of cell 2", "i_x1_2_a"]),
         ("cells", known.clone().spoilt(|row| row.1.swap(1, 2)), &["cell 1 look like those of cell 2"]),
         ("metres", known.clone().spoilt(metres), &["tx_mm, ty_mm and tz_mm are millimetres", "are these metres?"]),
@@ -356,9 +322,8 @@ fn translations_alone_calibrate_what_they_tell_and_a_row_counts_once() {
     let plan = CompiledScene::<f64>::compile(&file.scene, Tier::Paper).expect("a head");
     let mut known = Known::read().spoilt(|row| {
         row.0[3..].fill(0.0);
-        let pose = Pose::from_vectors(DVec3::new(row.0[0], row.0[1], row.0[2]) * 1e-3, DVec3::ZERO);
         for (cell, pair) in row.1.iter_mut().enumerate() {
-            let currents = plan.photocurrents(cell, &pose);
+            let currents = plan.photocurrents(cell, &pose(row.0));
             *pair = [currents.i_x1_a, currents.i_x2_a];
         }
     });
@@ -389,24 +354,23 @@ fn free_motion_with_readings_that_are_not_the_cells_own_is_refused() {
         assert_eq!(fields.len(), column(6, 0));
     }
     let folder = TempDir::new().expect("a folder");
-    let [table, output] = ["free.csv", "head.toml"].map(|name| folder.path().join(name));
+    let output = name_in(folder.path(), "head.toml");
     for (rows, cell) in [(exchanged_electrodes, " of cell 3"), (late_cell, " of cell 4")] {
         let rows: Vec<String> = rows.iter().map(|row| row.join(",")).collect();
-        std::fs::write(&table, format!("{header}\n{}\n", rows.join("\n"))).expect("written");
-        let [table, output] = [&table, &output].map(|path| path.to_str().expect("UTF-8"));
-        let finished = slitpose!().run(["calibrate", &data("nominal.toml"), "--free", table, "--output", output]);
+        let table = written(folder.path(), "free.csv", format!("{header}\n{}\n", rows.join("\n")));
+        let finished = slitpose!().run(["calibrate", &data("nominal.toml"), "--free", &table, "--output", &output]);
         let said = finished.stderr;
         assert!(finished.code == 1 && said.contains("no head within the tolerances") && said.contains(cell), "{said}");
-        assert!(!Path::new(output).exists());
+        assert!(!Path::new(&output).exists());
     }
 }
 
 #[test]
 fn a_head_that_never_tells_a_pose_is_sent_to_known_poses_alone() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let [free, output] = ["free.csv", "head.toml"].map(|name| folder.path().join(name).display().to_string());
     let rows: String = (0..50).map(|row| format!("{row},{}e-6,2e-6\n", 1.0 + 0.02 * f64::from(row))).collect();
-    std::fs::write(&free, "id,i_x1_0_a,i_x2_0_a\n".to_owned() + &rows).expect("written");
+    let free = written(folder.path(), "free.csv", "id,i_x1_0_a,i_x2_0_a\n".to_owned() + &rows);
+    let output = name_in(folder.path(), "head.toml");
     let calibrated = slitpose!().run(["calibrate", "bench", "--free", &free, "--output", &output]);
     calibrated.assert_refused(1, &["fewer than three cells", "can only be calibrated by poses", "(--known)"]);
 }

@@ -47,10 +47,7 @@ impl Capture {
     /// Replays `bytes`, from which the scans `lost` are gone, and checks what is printed.
     fn replay(&self, bytes: &[u8], lost: std::ops::Range<usize>, parts: &[&str]) {
         let finished = slitpose!().run(["replay", text(&self.file(bytes)), "--tier", "paper"]);
-        assert_eq!(finished.code, 3, "{}", finished.stderr);
-        for part in parts {
-            assert!(finished.stderr.contains(part), "`{part}` is not in: {}", finished.stderr);
-        }
+        finished.assert_said(3, parts);
         let lines: Vec<&[u8]> = finished.stdout.split_inclusive(|byte| *byte == b'\n').collect();
         assert_eq!(lines.len(), SCANS - lost.len());
         // What comes ahead of the damage is what it was; behind it the tracker starts anew.

@@ -12,7 +12,7 @@ use serde_json::Value;
 use slitpose::device::SerialDevice;
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_protocol::{BootTarget, Command, Decoder, Hashes, MAX_REQUEST_BYTES, Request, ResetCause};
-use slitpose_tests::process::Finished;
+use slitpose_tests::process::{Finished, written};
 use slitpose_tests::slitpose;
 use slitpose_tests::terminal::{Board, Device, Log, Terminal, greeting};
 use slitpose_tracking::link::DeviceId;
@@ -55,9 +55,7 @@ fn listed(paths: &[&str], options: &[&str]) -> BTreeMap<String, Value> {
 
 /// A scene file like `wide`, with a hash of its own.
 fn other_scene(folder: &Path) -> SceneFile {
-    let path = folder.join("other.toml");
-    std::fs::write(&path, format!("{}\n# Another head.\n", WIDE.text)).expect("written");
-    SceneFile::open(path.to_str().expect("UTF-8")).expect("scene")
+    SceneFile::open(&written(folder, "other.toml", format!("{}\n# Another head.\n", WIDE.text))).expect("scene")
 }
 
 fn only_asked(log: &Log) -> bool {
@@ -281,8 +279,7 @@ fn a_board_that_restarts_is_waited_for() {
     let mut board = restarted();
     let later = move |received: &[u8], now_s: f64, sent: &mut Vec<u8>| now_s < 0.5 || board.act(received, now_s, sent);
     let (finished, log, path) = at(until_reboot(later), &["reboot"]);
-    assert_eq!(finished.code, 0, "{}", finished.stderr);
-    assert!(finished.stderr.contains(&format!("is back on {path}")), "{}", finished.stderr);
+    finished.assert_said(0, &[&format!("is back on {path}")]);
     assert!(!finished.stderr.contains("last started"), "{}", finished.stderr);
     assert_eq!(log.commands()[1], Command::Reboot(BootTarget::Firmware));
 
@@ -309,8 +306,7 @@ fn a_board_that_is_gone_while_it_restarts_is_waited_for() {
     let after = Terminal::serve(restarted());
     point(&after);
     let finished = Finished::of(child);
-    assert_eq!(finished.code, 0, "{}", finished.stderr);
-    assert!(finished.stderr.contains(&format!("is back on {link_text}")), "{}", finished.stderr);
+    finished.assert_said(0, &[&format!("is back on {link_text}")]);
     assert!(only_asked(&after.closed()));
 }
 

@@ -8,7 +8,7 @@ use slitpose_head::scene_file::WIDE;
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_protocol::{Event, Message, Severity};
 use slitpose_tests::capture::{STREAM, capture, packets};
-use slitpose_tests::process::Finished;
+use slitpose_tests::process::{Finished, written};
 use slitpose_tests::slitpose;
 use slitpose_tests::terminal::{Board, Device, Terminal, greeting, packet};
 
@@ -72,10 +72,8 @@ fn names_and_events_of_boards_and_captures() {
         }
     }
     let folder = tempfile::tempdir().expect("temporary folder");
-    let file = folder.path().join("received\u{1b}[2J.raw");
-    std::fs::write(&file, changed).expect("written");
-    let name = file.to_str().expect("UTF-8");
-    let finished = slitpose!().run(["replay", name, "--format", "summary"]);
+    let name = written(folder.path(), "received\u{1b}[2J.raw", changed);
+    let finished = slitpose!().run(["replay", &name, "--format", "summary"]);
     let text = check(&finished, "replay");
     assert!(text.contains("Warning") && text.contains("event "), "the event is shown: {text}");
     check(&slitpose!().run(["replay", &format!("{name}x")]), "a file name in an error");
@@ -84,11 +82,7 @@ fn names_and_events_of_boards_and_captures() {
 #[test]
 fn scenes_tables_and_configurations() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let file = |name: &str, text: &str| {
-        let path = folder.path().join(name);
-        std::fs::write(&path, text).expect("written");
-        path.to_str().expect("UTF-8").to_owned()
-    };
+    let file = |name: &str, text: &str| written(folder.path(), name, text);
     // TOML and CSV as far as they take such characters: as escapes, in quotes, or as they are.
     let escaped = "evil\\u001b[2J\\u009b2J\\u202e\\nslitpose: all is well\\r";
     let quoted = format!("\"{HOSTILE}\"");
@@ -96,31 +90,20 @@ fn scenes_tables_and_configurations() {
     let named = file("named.toml", &WIDE.text.replace("name = ", &format!("name = \"{escaped}\" # ")));
     let checked = slitpose!().run(["scene", "check", &named, "--samples", "10"]);
     assert_harmless(&checked.clone().done(), "a scene's name");
-    assert_harmless(
-        &String::from_utf8(slitpose!().run(["scene", "plot", &named, "--output", "-"]).stdout).expect("UTF-8"),
-        "a picture",
-    );
+    assert_harmless(slitpose!().run(["scene", "plot", &named, "--output", "-"]).text(), "a picture");
     let poses = "tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad";
+    let long_value = WIDE.text.replace("distance_mm = 5.0", &format!("distance_mm = \"{long}\""));
+    let long_names = format!("scene = [\"{long}\", \"{escaped}\"]");
     for (name, text, arguments, remedy) in [
         ("key.toml", format!("\"{escaped}\" = 1"), &["scene", "check"][..], "known keys"),
         ("long-key.toml", format!("{long} = 1"), &["scene", "check"], "known keys"),
         ("value.toml", format!("name = 1 # {HOSTILE}"), &["scene", "check"], "correct this line"),
-        (
-            "long.toml",
-            WIDE.text.replace("distance_mm = 5.0", &format!("distance_mm = \"{long}\"")),
-            &["scene", "check"],
-            "give",
-        ),
+        ("long.toml", long_value, &["scene", "check"], "give"),
         ("field.csv", format!("id,{poses}\na,{quoted},0,0,0,0,0\n"), &["model", "wide", "--poses"], "give one like"),
         ("long-field.csv", format!("id,{poses}\na,{long},0,0,0,0,0\n"), &["model", "wide", "--poses"], "give one like"),
         ("header.csv", format!("id,{quoted},{long}\n1,2,3\n"), &["model", "wide", "--poses"], "add the column"),
         ("option.toml", format!("\"{escaped}\" = 1"), &["run", "--config"], "slitpose run --help"),
-        (
-            "long-option.toml",
-            format!("scene = [\"{long}\", \"{escaped}\"]"),
-            &["run", "--device", "sim", "--config"],
-            "give",
-        ),
+        ("long-option.toml", long_names, &["run", "--device", "sim", "--config"], "give"),
         ("long-value.toml", format!("duration = \"{long}\""), &["run", "--config"], "slitpose run --help"),
     ] {
         let path = file(name, &text);

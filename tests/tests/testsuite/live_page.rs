@@ -1,15 +1,14 @@
 //! The live page of a daemon and of a replay, through the socket that the page uses.
 
-use std::io::{BufRead, BufReader};
 use std::net::TcpStream;
 use std::path::Path;
-use std::process::{Child, ChildStderr};
+use std::process::Child;
 use std::thread;
 use std::time::{Duration, Instant};
 
 use nix::sys::signal::Signal;
 use serde_json::{Value, json};
-use slitpose_tests::process::{name_in, signal};
+use slitpose_tests::process::{address_said, name_in, signal};
 use slitpose_tests::slitpose;
 use tungstenite::stream::MaybeTlsStream;
 use tungstenite::{Message, WebSocket};
@@ -20,7 +19,6 @@ const PATIENCE: Duration = Duration::from_secs(60);
 /// A program that serves a page, and a client of it.
 struct Page {
     program: Child,
-    _talk: BufReader<ChildStderr>,
     socket: WebSocket<MaybeTlsStream<TcpStream>>,
     heard: u64,
 }
@@ -29,15 +27,12 @@ impl Page {
     fn of<'a>(folder: &Path, arguments: impl IntoIterator<Item = &'a str>) -> Self {
         let arguments = arguments.into_iter().chain(["--format", "none", "--live", "127.0.0.1:0"]);
         let mut program = slitpose!().command(arguments).current_dir(folder).spawn().expect("slitpose starts");
-        let mut talk = BufReader::new(program.stderr.take().expect("piped"));
-        let mut line = String::new();
-        talk.read_line(&mut line).expect("UTF-8");
-        let url = line.trim_end().strip_prefix("slitpose: live page at http://").unwrap_or_else(|| panic!("{line}"));
+        let url = address_said(&mut program, "live page at http://");
         let (mut socket, _) = tungstenite::connect(format!("ws://{url}live")).expect("a page");
         if let MaybeTlsStream::Plain(stream) = socket.get_mut() {
             stream.set_read_timeout(Some(PATIENCE)).expect("a socket");
         }
-        let mut page = Self { program, _talk: talk, socket, heard: 0 };
+        let mut page = Self { program, socket, heard: 0 };
         page.say(&json!({"kind": "hello"}));
         page
     }
@@ -153,9 +148,8 @@ fn the_token_of_a_live_page_is_not_printed() {
     // Standard error may be a journal.
     let arguments = ["scene", "view", "wide", "--live", "127.0.0.1:0", "--live-token", "correct-horse-battery"];
     let mut program = slitpose!().spawn(arguments);
-    let mut line = String::new();
-    BufReader::new(program.stderr.take().expect("piped")).read_line(&mut line).expect("UTF-8");
+    let said = address_said(&mut program, "live page at http://127.0.0.1:");
     program.kill().expect("running");
     program.wait().expect("ends");
-    assert!(line.contains("live page at http://127.0.0.1:") && !line.contains("horse"), "{line}");
+    assert!(!said.contains("horse"), "{said}");
 }

@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use nix::sys::signal::Signal;
 use nix::unistd::mkfifo;
-use slitpose_tests::process::{Finished, Slitpose, name_in, names, text};
+use slitpose_tests::process::{Finished, Slitpose, name_in, names, text, written};
 use slitpose_tests::studies::scan_table;
 use slitpose_tests::{ndjson, slitpose};
 
@@ -240,8 +240,7 @@ fn poses_go_on_when_the_disk_is_full() {
         std::thread::sleep(Duration::from_millis(50));
     }
     let finished = Finished::of(child);
-    assert_eq!(finished.code, 3, "{}", finished.stderr);
-    assert!(finished.stderr.contains("the capture is not whole"), "{}", finished.stderr);
+    finished.assert_said(3, &["the capture is not whole"]);
     assert_eq!(recorder["state"], "failed", "{recorder}");
     let reason = recorder["reason"].as_str().expect("a reason");
     assert!(reason.contains("File too large") && reason.contains(&capture), "{reason}");
@@ -253,8 +252,7 @@ fn poses_go_on_when_the_disk_is_full() {
     assert!(lines.iter().all(|line| line.estimate.is_some()), "a scan without a pose");
 
     let (boards, replayed) = scan_table::count(slitpose!(), &capture, &[]);
-    assert_eq!(replayed.code, 3, "{}", replayed.stderr);
-    assert!(replayed.stderr.contains("was not ended by its recorder"), "{}", replayed.stderr);
+    replayed.assert_said(3, &["was not ended by its recorder"]);
     let [scans] = boards.into_values().collect::<Vec<_>>()[..] else { panic!("one board") };
     // At the least what was flushed in the first second.
     assert!(scans.count >= 2000 && scans.count < 16_000 && scans.first == 0 && scans.jumps == 0, "{scans:?}");
@@ -280,11 +278,10 @@ fn a_full_output_is_an_error_and_a_full_disk_before_the_run_is_told_at_its_end()
 #[test]
 fn a_run_without_a_board_replaces_no_capture() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let path = folder.path().join("precious.mcap");
-    fs::write(&path, "of last night").expect("written");
-    let record = ["--duration", "1s", "--overwrite", "--record", path.to_str().expect("UTF-8")];
+    let path = &*written(folder.path(), "precious.mcap", "of last night");
+    let record = ["--duration", "1s", "--overwrite", "--record", path];
     let finished = slitpose!().run(["run", "--device", "/dev/slitpose-no-such-port"].iter().chain(&record));
     finished.assert_refused(1, &["there is no /dev/slitpose-no-such-port"]);
-    assert_eq!(fs::read(&path).expect("still there"), b"of last night");
+    assert_eq!(fs::read(path).expect("still there"), b"of last night");
     assert_eq!(names(folder.path()), ["precious.mcap"], "something is left behind");
 }

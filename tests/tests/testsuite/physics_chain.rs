@@ -7,6 +7,7 @@ use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_model::{DegradedReason, Estimate, Outcome, Solver, Tracker};
 use slitpose_tests::capture::{Decoded, STREAM, capture, decode, solve};
 use slitpose_tests::consistency::{Honesty, Matrix6, error, median, sigma, worst_axis};
+use slitpose_tests::process::written;
 use slitpose_tests::scenes::{front_end, parse, ring, wide_with};
 use slitpose_tracking::pipeline::Record;
 
@@ -20,9 +21,8 @@ fn smooth(seed: u64) -> Trajectory {
 /// A path through the rows `time_s,tx_mm,…,rz_rad`.
 fn path(rows: &str) -> Trajectory {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let file = folder.path().join("path.csv");
-    std::fs::write(&file, format!("time_s,tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad\n{rows}")).expect("table");
-    Trajectory::from_table(file.to_str().expect("UTF-8 path")).unwrap_or_else(|error| panic!("{error}"))
+    let table = format!("time_s,tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad\n{rows}");
+    Trajectory::from_table(&written(folder.path(), "path.csv", table)).unwrap_or_else(|error| panic!("{error}"))
 }
 
 /// Error and covariance of each scan that gave a pose.

@@ -4,6 +4,7 @@
 use std::fs;
 use std::path::Path;
 
+use slitpose_tests::process::written;
 use slitpose_tests::slitpose;
 use slitpose_tests::table::{Row, Table};
 use tempfile::TempDir;
@@ -166,9 +167,7 @@ fn stiff(table: &Table) {
 #[test]
 fn a_report_is_a_folder_and_no_file() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let file = folder.path().join("a file");
-    fs::write(&file, "").expect("file");
-    let finished = slitpose!().run(["report", "--output", file.to_str().expect("UTF-8")]);
+    let finished = slitpose!().run(["report", "--output", &written(folder.path(), "a file", "")]);
     finished.assert_refused(1, &["a file", "folder that exists"]);
 }
 
@@ -179,9 +178,8 @@ fn heads_are_compared_by_one_kind_of_noise_and_at_equal_bandwidth() {
     let folder = TempDir::new().expect("a folder");
     let text = slitpose!().run(["scene", "show", "wide"]).done();
     let at_rate = |rate_hz: &str| {
-        let path = folder.path().join(format!("{rate_hz}.toml"));
-        fs::write(&path, text.replace("frame_rate_hz = 4000", &format!("frame_rate_hz = {rate_hz}"))).expect("a scene");
-        path.to_str().expect("UTF-8").to_owned()
+        let text = text.replace("frame_rate_hz = 4000", &format!("frame_rate_hz = {rate_hz}"));
+        written(folder.path(), &format!("{rate_hz}.toml"), text)
     };
     let compared = |other: &str| slitpose!().run(["compare", "wide", other, "--samples", "50"]);
     for (other, reason) in [(at_rate("20000").as_str(), "the frame period is 50.0 µs"), ("base", "no [front_end]")] {
@@ -206,17 +204,8 @@ fn heads_are_compared_by_one_kind_of_noise_and_at_equal_bandwidth() {
 fn a_head_without_poses_has_a_map_all_the_same() {
     let folder = TempDir::new().expect("a folder");
     let at = folder.path().join("map");
-    let finished = slitpose!().run([
-        "scene",
-        "map",
-        "bench",
-        "--samples",
-        "200",
-        "--side",
-        "5",
-        "--output",
-        at.to_str().expect("UTF-8"),
-    ]);
+    let map = ["scene", "map", "bench", "--samples", "200", "--side", "5", "--output"];
+    let finished = slitpose!().run(map.into_iter().chain(at.to_str()));
     assert_eq!(finished.code, 0, "{}", finished.stderr);
     let page = fs::read_to_string(at.join("report.md")).expect("a page");
     assert!(page.contains("In 100.00 % of the workspace a frame gives no pose"), "{page}");

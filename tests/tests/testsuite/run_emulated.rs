@@ -11,8 +11,8 @@ use slitpose_head::scene_file::BASE;
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message};
 use slitpose_tests::consistency::Honesty;
-use slitpose_tests::ndjson::{self, Line};
-use slitpose_tests::process::{Finished, name_in, signal};
+use slitpose_tests::ndjson::{self, Line, assert_complete};
+use slitpose_tests::process::{Finished, name_in, signal, written};
 use slitpose_tests::terminal::FRAME_RATE_HZ;
 use slitpose_tests::{scenes, slitpose};
 
@@ -40,17 +40,6 @@ fn poses(finished: Finished, kind: TrajectoryKind, seed: u64) -> Vec<Line> {
     lines
 }
 
-/// Asserts that scans follow each other from `first` on, one frame apart.
-fn assert_complete(lines: &[Line], first: u64, count: usize, rate_hz: f64) {
-    assert_eq!(lines.len(), count);
-    let start_s = lines[0].device_time_s;
-    for (i, line) in lines.iter().enumerate() {
-        assert_eq!(line.sequence, first + i as u64);
-        // Instants are exact in ticks of 6 ns.
-        assert!((line.device_time_s - start_s - i as f64 / rate_hz).abs() < 1e-9, "{line:?}");
-    }
-}
-
 /// How many have converged, and how good they are.
 fn honesty(lines: &[Line]) -> (usize, Honesty) {
     let converged = lines.iter().filter(|line| line.status == "converged").count();
@@ -60,12 +49,8 @@ fn honesty(lines: &[Line]) -> (usize, Honesty) {
 
 #[test]
 fn ten_seconds_of_the_image_behind_the_programs() {
-    let folder = tempfile::tempdir().expect("temporary folder");
-    let record = &*name_in(folder.path(), "run.capture");
     let emulator = Emulator::start(&["wide", "--seed", "21", "--speed", "max"]);
-    let finished = emulator.run(&["--duration", "10s", "--record", record]);
-    let printed = finished.stdout.clone();
-    let lines = poses(finished, TrajectoryKind::Smooth, 21);
+    let lines = poses(emulator.run(&["--duration", "10s"]), TrajectoryKind::Smooth, 21);
     assert_complete(&lines, 0, 40_000, FRAME_RATE_HZ);
     let (converged, honest) = honesty(&lines);
     assert_eq!(converged, 40_000);
@@ -74,10 +59,6 @@ fn ten_seconds_of_the_image_behind_the_programs() {
     // Where the tool was a frame later would not do.
     let late = lines.windows(2).map(|pair| Line { truth: pair[1].truth, ..pair[0].clone() }).collect::<Vec<_>>();
     assert!(honesty(&late).1.median_nees > 6.5);
-
-    let replayed = slitpose!().run(["replay", record]);
-    assert_eq!(replayed.code, 0, "{}", replayed.stderr);
-    assert!(replayed.stdout == printed, "replay differs from run");
 
     // The board is still there, dark, and goes on counting.
     let again = poses(emulator.run(&["--duration", "200ms"]), TrajectoryKind::Smooth, 21);
@@ -91,8 +72,8 @@ fn ten_seconds_of_the_image_behind_the_programs() {
 #[test]
 fn another_head_by_the_serial_port() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let scene = &*name_in(folder.path(), "head.toml");
-    std::fs::write(scene, format!("{}\n{}", BASE.text, scenes::front_end(2000.0))).expect("scene");
+    let text = format!("{}\n{}", BASE.text, scenes::front_end(2000.0));
+    let scene = &*written(folder.path(), "head.toml", text);
     let emulator = Emulator::start(&[scene, "--seed", "24", "--speed", "max", "--link", "uart"]);
     let lines = poses(emulator.run(&["--duration", "1s", "--scene", scene]), TrajectoryKind::Smooth, 24);
     assert_complete(&lines, 0, 2_000, 2000.0);
@@ -171,7 +152,7 @@ fn refused(arguments: &[&str]) -> Finished {
 #[test]
 fn what_cannot_be_run_is_named() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let path = |name: &str| folder.path().join(name).to_str().expect("UTF-8").to_owned();
+    let path = |name: &str| name_in(folder.path(), name);
     refused(&["wide", "--elf", &path("none")]).assert_refused(1, &[&path("none"), "firmware/build", "--elf"]);
     std::fs::write(path("text"), "no program").expect("file");
     refused(&["wide", "--elf", &path("text")]).assert_refused(1, &[&path("text"), "ELF"]);
@@ -204,8 +185,7 @@ fn it_ends_with_its_standard_input_whoever_listens() {
     let mut rest = String::new();
     stdout.read_to_string(&mut rest).expect("UTF-8");
     let finished = Finished::of(child);
-    assert_eq!(finished.code, 1, "{}", finished.stderr);
-    assert!(finished.stderr.contains(&path) && finished.stderr.contains("unplugged"), "{}", finished.stderr);
+    finished.assert_said(1, &[&path, "unplugged"]);
 }
 
 /// The program with `arguments`, its streams piped.

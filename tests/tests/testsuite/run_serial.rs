@@ -18,7 +18,7 @@ use slitpose_tests::capture::decode;
 use slitpose_tests::consistency::Honesty;
 use slitpose_tests::daemon::Follower;
 use slitpose_tests::ndjson::{self, Line};
-use slitpose_tests::process::{Finished, name_in, signal};
+use slitpose_tests::process::{Finished, name_in, signal, text, written};
 use slitpose_tests::slitpose;
 use slitpose_tests::studies::scan_table;
 use slitpose_tests::terminal::{Board, Device, FRAME_RATE_HZ, Log, Terminal, edited, greeting, packet, reply};
@@ -55,17 +55,11 @@ fn is_ping(command: &Command) -> bool {
 
 #[test]
 fn two_seconds_through_a_terminal() {
-    let folder = tempfile::tempdir().expect("temporary folder");
-    let record = &*name_in(folder.path(), "run.capture");
-    let (finished, log, _) = run(Board::wide(61), &["--duration", "2s", "--record", record]);
+    let (finished, log, _) = run(Board::wide(61), &["--duration", "2s"]);
     assert_eq!((finished.code, finished.stderr.as_str()), (0, ""));
-    let lines = ndjson::parse(&finished.clone().done());
+    let lines = ndjson::parse(&finished.done());
     assert_eq!(lines.len(), 8000);
     assert_followed(&lines);
-
-    let replayed = slitpose!().run(["replay", record]);
-    assert_eq!((replayed.code, replayed.stderr.as_str()), (0, ""));
-    assert!(replayed.stdout == finished.stdout, "replay differs from run");
 
     assert_eq!(log.received[0], 0, "half a packet is ended first");
     let wanted = slitpose_head::front_end::configuration(&WIDE.read().expect("shipped")).expect("schedule");
@@ -141,8 +135,7 @@ fn an_interrupt_stops_the_board_and_prints_all_it_took() {
     for signals in [&[Signal::SIGINT][..], &[Signal::SIGTERM], &[Signal::SIGHUP, Signal::SIGHUP]] {
         let first = signals[0];
         let terminal = Terminal::serve(Board::wide(63));
-        let record = folder.path().join(first.as_str());
-        let record = record.to_str().expect("UTF-8");
+        let record = &*name_in(folder.path(), first.as_str());
         let mut child = spawn(&terminal, &["--record", record]);
         let mut stdout = BufReader::new(child.stdout.take().expect("piped"));
         let mut text = String::new();
@@ -196,8 +189,7 @@ fn a_board_that_is_unplugged_is_missed() {
     let mut board = Board::wide(66);
     let device = move |received: &[u8], now_s: f64, sent: &mut Vec<u8>| now_s < 0.7 && board.act(received, now_s, sent);
     let (finished, _, path) = run(device, &["--patience", "0s", "--record", record.to_str().expect("UTF-8")]);
-    assert_eq!(finished.code, 1, "{}", finished.stderr);
-    assert!(finished.stderr.contains(&path) && finished.stderr.contains("unplugged"), "{}", finished.stderr);
+    finished.assert_said(1, &[&path, "unplugged"]);
     let lines = ndjson::parse(&String::from_utf8(finished.stdout).expect("UTF-8"));
     assert!(lines.len() > 100, "{} lines", lines.len());
     assert_followed(&lines);
@@ -223,8 +215,7 @@ fn a_board_that_falls_silent_or_stops_by_itself_is_missed() {
             plugged
         };
         let (finished, log, path) = run(device, &["--duration", "10s"]);
-        assert_eq!(finished.code, 1, "{}", finished.stderr);
-        assert!(finished.stderr.contains(what) && finished.stderr.contains(&path), "{}", finished.stderr);
+        finished.assert_said(1, &[what, &path]);
         let lines = ndjson::parse(&String::from_utf8(finished.stdout).expect("UTF-8"));
         assert!(lines.len() > 100, "{} lines", lines.len());
         assert!(stops || log.commands().last() == Some(&Command::Stop), "told to stop in spite of it");
@@ -286,9 +277,7 @@ fn a_board_with_another_full_scale_is_pointed_out() {
         hello.scaling.amperes_per_code *= 0.9;
     });
     let (finished, _, _) = run(device, &["--duration", "50ms"]);
-    for word in ["up to 9.000 uA", "up to 10.000 uA", "full_scale_a"] {
-        assert!(finished.stderr.contains(word), "{}", finished.stderr);
-    }
+    finished.assert_said(0, &["up to 9.000 uA", "up to 10.000 uA", "full_scale_a"]);
     let (finished, _, _) = run(Board::wide(73), &["--duration", "50ms"]);
     assert_eq!(finished.stderr, "");
 }
@@ -308,8 +297,7 @@ fn the_scene_of_the_board_is_looked_after() {
     };
     // Without a scene of its own it is believed, and said so; what it measures is not simulated.
     let (finished, _, path) = run(real(None), &["--duration", "100ms"]);
-    assert_eq!(finished.code, 0, "{}", finished.stderr);
-    assert!(finished.stderr.contains(&path) && finished.stderr.contains("no scene stored"), "{}", finished.stderr);
+    finished.assert_said(0, &[&path, "no scene stored"]);
     let (text, said) = (String::from_utf8(finished.stdout).expect("UTF-8"), finished.stderr);
     assert_eq!(text.lines().count(), 400);
     for line in text.lines() {
@@ -331,9 +319,7 @@ fn the_scene_of_the_board_is_looked_after() {
 #[test]
 fn what_is_no_port_is_named() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let file = folder.path().join("file");
-    std::fs::write(&file, "").expect("file");
-    let (folder, file) = (folder.path().to_str().expect("UTF-8"), file.to_str().expect("UTF-8"));
+    let (file, folder) = (&*written(folder.path(), "file", ""), text(folder.path()));
     for (device, part) in [(file, "file, not a serial port"), (folder, "folder, not a serial port")] {
         slitpose!().run(["run", "--patience", "0s", "--device", device]).assert_refused(1, &[part]);
     }
@@ -418,8 +404,7 @@ fn an_interrupt_ends_a_run_whose_output_nobody_reads() {
     println!("ended {:?} after the interrupt", since.elapsed());
     let finished = Finished::of(unread.child);
     terminal.closed();
-    assert_eq!(finished.code, 1, "{}", finished.stderr);
-    assert!(finished.stderr.contains("nobody reads what is printed"), "{}", finished.stderr);
+    finished.assert_said(1, &["nobody reads what is printed"]);
     // What was not solved is in the capture.
     let (boards, replayed) = scan_table::count(slitpose!(), &capture, &[]);
     assert_eq!(replayed.code, 0, "{}", replayed.stderr);

@@ -11,7 +11,7 @@ use slitpose_tests::capture::{STREAM, capture, solve};
 use slitpose_tests::consistency::{Honesty, error, median};
 use slitpose_tests::ndjson::{self, Line};
 use slitpose_tests::poses::{self, between};
-use slitpose_tests::process::{Finished, name_in};
+use slitpose_tests::process::{Finished, written};
 use slitpose_tests::scenes::{parse, wide_with};
 use slitpose_tests::slitpose;
 use slitpose_tests::table::{POSE, SIGMA, Table};
@@ -31,16 +31,10 @@ fn lines(arguments: &[&str]) -> Vec<Line> {
     ndjson::parse(&run(arguments).done())
 }
 
-/// Asserts that scans 0 to `count` − 1 are there, one frame apart, each with its truth.
+/// Asserts that scans 0 to `count` − 1 are there, each with its truth.
 fn assert_complete(lines: &[Line], count: usize) {
-    assert_eq!(lines.len(), count);
-    let start_s = lines[0].device_time_s;
-    for (i, line) in lines.iter().enumerate() {
-        assert_eq!(line.sequence, i as u64);
-        // Instants are exact in ticks of 6 ns.
-        assert!((line.device_time_s - start_s - i as f64 / FRAME_RATE_HZ).abs() < 1e-9, "{line:?}");
-        assert!(line.truth.is_some() && line.cells_used <= 6, "{line:?}");
-    }
+    ndjson::assert_complete(lines, 0, count, FRAME_RATE_HZ);
+    assert!(lines.iter().all(|line| line.truth.is_some() && line.cells_used <= 6));
 }
 
 fn honesty(lines: &[Line]) -> Honesty {
@@ -149,9 +143,7 @@ fn a_path_from_a_table_is_followed() {
         let _ = writeln!(text, "-,{time_s:?},{:?},{:?},{:?},{:?},{:?},{:?}", t.x, t.y, t.z, r.x, r.y, r.z);
     }
     let folder = tempfile::tempdir().expect("temporary folder");
-    let path = folder.path().join("path.csv");
-    std::fs::write(&path, text).expect("table");
-    let lines = lines(&["--duration", "200ms", "--trajectory", path.to_str().expect("UTF-8 path")]);
+    let lines = lines(&["--duration", "200ms", "--trajectory", &written(folder.path(), "path.csv", text)]);
     assert_complete(&lines, 800);
     for line in &lines {
         let after = knots.partition_point(|(time_s, _)| *time_s <= line.device_time_s);
@@ -236,8 +228,7 @@ fn with_all_effects() -> String {
 #[test]
 fn a_solver_that_knows_all_effects_recovers_poses() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let scene = &*name_in(folder.path(), "real.toml");
-    std::fs::write(scene, with_all_effects()).expect("scene");
+    let scene = &*written(folder.path(), "real.toml", with_all_effects());
     let truths = poses::in_box(&mut poses::generator(71), 3.0, 10.0, 100);
     let currents = slitpose!().run_with_input(["model", scene, "--poses", "-"], &poses::table("p", &truths)).done();
     // The largest error of each row: in σ, or translations in micrometres.

@@ -2,12 +2,10 @@
 //! solved says why. Two six-cell heads and every single cell, ordinary and extreme, against independent multi-precision
 //! integration; and single precision against double.
 
-use std::path::Path;
-
 use slitpose_model::{CompiledScene, Pose, Tier};
 use slitpose_tests::consistency::median;
 use slitpose_tests::poses::{self, PoseRow};
-use slitpose_tests::process::{Slitpose, name_in};
+use slitpose_tests::process::{Slitpose, name_in, text, written};
 use slitpose_tests::scenes::{self, changed, ring, wide_with};
 use slitpose_tests::slitpose;
 use slitpose_tests::table::{POSE, Row, SIGMA, Table, data, reference, single_cell_scene_file, with_changed};
@@ -45,13 +43,9 @@ fn assert_no_pose(row: &Row<'_>, status: &str) {
 #[test]
 fn rows_of_another_light_level_are_solved_where_the_scene_says_that_it_varies() {
     let folder = tempfile::tempdir().expect("a folder");
-    let scene = |name: &str, text: &str| {
-        let path = folder.path().join(name);
-        std::fs::write(&path, text).expect("written");
-        path.display().to_string()
-    };
-    let fixed = scene("fixed.toml", &wide_with(&[]));
-    let varies = scene("varies.toml", &(wide_with(&[]) + "\n[tolerance]\nlight_level_relative = 0.1\n"));
+    let fixed = written(folder.path(), "fixed.toml", wide_with(&[]));
+    let tolerance = "\n[tolerance]\nlight_level_relative = 0.1\n";
+    let varies = written(folder.path(), "varies.toml", wide_with(&[]) + tolerance);
     let truths = poses::in_box(&mut poses::generator(13), 2.0, 5.0, 20);
     let dimmed =
         with_changed(&currents(&fixed, "exact", &truths), |name| name.starts_with("i_x"), |current| 0.98 * current);
@@ -87,9 +81,8 @@ fn round_trips_in_both_tiers() {
 #[test]
 fn dark_current_is_taken_off_as_each_tier_puts_it_on() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let scene = &*name_in(folder.path(), "dark.toml");
     let text = changed(slitpose_head::scene_file::WIDE.text, &[("dark_current_a = 0.0", "dark_current_a = 200e-9")]);
-    std::fs::write(scene, text).expect("scene");
+    let scene = &*written(folder.path(), "dark.toml", text);
     let truths = poses::in_box(&mut poses::generator(17), WORKSPACE.0, WORKSPACE.1, 50);
     for tier in ["paper", "exact"] {
         let currents = currents(scene, tier, &truths);
@@ -126,9 +119,8 @@ fn rows_without_a_pose_keep_their_place() {
 fn a_saturated_detector_is_flagged_and_left_out() {
     // At home each detector of `wide` carries 6.8 µA, cell 0 at 2 mm towards it 9.8 µA.
     let folder = tempfile::tempdir().expect("temporary folder");
-    let scene = &*name_in(folder.path(), "dim.toml");
     let text = changed(slitpose_head::scene_file::WIDE.text, &[("saturation_a = 100e-6", "saturation_a = 9e-6")]);
-    std::fs::write(scene, text).expect("scene");
+    let scene = &*written(folder.path(), "dim.toml", text);
     let truth = [2.0, 0.0, 0.0, 0.0, 0.0, 0.0];
     let model = currents(scene, "exact", &[truth]);
     let table = Table::parse(&model);
@@ -147,13 +139,12 @@ fn a_saturated_detector_is_flagged_and_left_out() {
 #[test]
 fn equal_rolls_leave_directions_free() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let path = folder.path().join("ring.toml");
-    let scene = path.to_str().expect("UTF-8 path");
+    let scene = &*name_in(folder.path(), "ring.toml");
     // At home a detector along the ring feels turns about z and shifts across z; one along z feels
     // shifts along z and tilts; both feel by intensity who comes nearer. In between only a screw
     // along z goes unnoticed.
     for (roll_deg, free) in [(0.0, "tz;rx;ry"), (45.0, "tz;rz"), (90.0, "rz")] {
-        std::fs::write(&path, ring(&[roll_deg; 6])).expect("scene");
+        std::fs::write(scene, ring(&[roll_deg; 6])).expect("scene");
         let table = solve(scene, "exact", &currents(scene, "exact", &[[0.0; 6]]));
         let row = table.rows().next().expect("one row");
         assert_no_pose(&row, "unobservable");
@@ -165,14 +156,13 @@ fn equal_rolls_leave_directions_free() {
 #[test]
 fn accuracy_is_that_of_the_lower_bound_with_and_without_known_gains() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let path = folder.path().join("gains.toml");
-    let scene = path.to_str().expect("UTF-8 path");
+    let scene = &*name_in(folder.path(), "gains.toml");
     let truths = poses::in_box(&mut poses::generator(16), WORKSPACE.0, WORKSPACE.1, 300);
     // Cramér-Rao medians of an independent program for `wide` at 10 kHz, µm and µrad: with known
     // gains, and from positions alone. It drew other poses and took medians over them first: 20 %.
     for (gain, translation_um, rotation_urad) in [(0.0, 0.71, 96.0), (1.0, 2.2, 253.0)] {
         let uncertainty = format!("\n[uncertainty]\nemitter_gain_relative = {gain:?}\n");
-        std::fs::write(&path, slitpose_head::scene_file::WIDE.text.to_owned() + &uncertainty).expect("scene");
+        std::fs::write(scene, slitpose_head::scene_file::WIDE.text.to_owned() + &uncertainty).expect("scene");
         let table = solve(scene, "exact", &currents(scene, "exact", &truths));
         let of_axes = |axes: std::ops::Range<usize>| {
             let sigmas = table.rows().filter(|row| row.text("status") == "converged");
@@ -202,8 +192,7 @@ const HOME: &str = "id,tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad\nhome,0,0,0,0,0,0\
 /// default, the reference to 1e-14, the paper's closed forms to rounding.
 const RELATIVE: f64 = 1e-9;
 
-fn model(command: Slitpose, scene: &Path, poses: &str, tier: &str) -> Table {
-    let scene = scene.to_str().expect("UTF-8 path");
+fn model(command: Slitpose, scene: &str, poses: &str, tier: &str) -> Table {
     let output = command.run_with_input(["model", scene, "--poses", "-", "--tier", tier], poses);
     assert_eq!(output.stderr, "");
     Table::parse(&output.done())
@@ -221,7 +210,7 @@ fn check_six_cells(scene: &str, tier: &str) {
     let reference = reference(&format!("reference/six_cell_{scene}_poses.csv"));
     let poses = std::fs::read_to_string(data(&format!("reference/six_cell_{scene}_poses.csv"))).expect("poses");
     // The whole reference table goes in: its other columns must not disturb.
-    let table = model(slitpose!(), &data(&format!("reference/six_cell_{scene}.toml")), &poses, tier);
+    let table = model(slitpose!(), text(&data(&format!("reference/six_cell_{scene}.toml"))), &poses, tier);
     assert_eq!(table.rows().len(), reference.rows().len());
     let (mut largest, mut without_light) = (0_f64, 0);
     for (row, expected) in table.rows().zip(reference.rows()) {
@@ -260,7 +249,7 @@ fn six_cells_of_two_heads_in_both_tiers() {
 #[test]
 fn every_single_cell_goes_through_scene_file_and_process() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let path = folder.path().join("cell.toml");
+    let path = name_in(folder.path(), "cell.toml");
     // X_A: rounding of 12 mm in the paper tier, a nanometre where integrated to 1e-10.
     for (tier, x_tolerance_mm) in [("paper", 1e-9), ("exact", 1e-6)] {
         for expected in reference("reference/single_cell.csv").rows() {

@@ -1,12 +1,11 @@
 //! A daemon tells how it does, to people, programs and Prometheus.
 
-use std::io::{BufRead, BufReader};
 use std::net::TcpStream;
 use std::process::Child;
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
-use slitpose_tests::process::{self, Finished};
+use slitpose_tests::process::{self, Finished, address_said};
 use slitpose_tests::slitpose;
 
 /// No line for people is longer.
@@ -19,11 +18,8 @@ const PATIENCE: Duration = Duration::from_secs(30);
 fn start(device: &str, more: &[&str]) -> (Child, String) {
     let arguments = ["run", "--config", "none", "--device", device, "--format", "none", "--status", "127.0.0.1:0"];
     let mut daemon = slitpose!().spawn(arguments.iter().chain(more));
-    let mut line = String::new();
-    // Nothing more is said that could be lost with this reader.
-    BufReader::new(daemon.stderr.as_mut().expect("piped")).read_line(&mut line).expect("UTF-8");
-    let address = line.trim_end().strip_prefix("slitpose: status at ").unwrap_or_else(|| panic!("{line}"));
-    (daemon, address.to_owned())
+    let address = address_said(&mut daemon, "status at ");
+    (daemon, address)
 }
 
 fn get(address: &str, path: &str) -> (u16, String) {
@@ -127,8 +123,7 @@ fn a_recording_that_is_taken_away_is_told() {
     std::fs::remove_file(&path).expect("was there");
     until(&|health| health.contains("was deleted, or replaced"));
     let finished = Finished::interrupted(daemon);
-    assert_eq!(finished.code, 3, "{}", finished.stderr);
-    assert!(finished.stderr.contains("was deleted, or replaced"), "{}", finished.stderr);
+    finished.assert_said(3, &["was deleted, or replaced"]);
 }
 
 #[test]

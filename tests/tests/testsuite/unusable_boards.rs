@@ -1,12 +1,11 @@
 //! Boards that answer, and whose poses cannot be had: each is named with what to do, and no run waits for ever.
 
-use std::io::{BufRead, BufReader};
 use std::net::TcpStream;
 use std::process::Child;
 use std::time::{Duration, Instant};
 
 use slitpose_protocol::{BoardKind, Command, Decoder, Hello, MAX_MESSAGE_BYTES, Message};
-use slitpose_tests::process::{Finished, get};
+use slitpose_tests::process::{Finished, address_said, get};
 use slitpose_tests::slitpose;
 use slitpose_tests::terminal::{Board, Device, Log, Terminal, edited, greeting, packet};
 
@@ -64,18 +63,15 @@ fn unreadable(seed: u64) -> impl Device {
 
 #[test]
 fn a_run_without_usable_scans_ends_and_says_why() {
+    let unusable = "no usable scan for 3 s";
+    let foreign = "end any other program that speaks to the board";
+    let another = "cannot be read; build firmware and program from the same source";
     // Side by side: each takes the seconds after which scans are missed. Where nothing but a status comes, half a
     // second may pass without a byte, which is an end, too.
     let runs = [
         (Run::start(talkative(81), &["--duration", "10s"]), ["from the board on", "reset the board"]),
-        (
-            Run::start(misconfigured(82), &["--duration", "10s"]),
-            ["no usable scan for 3 s", "end any other program that speaks to the board"],
-        ),
-        (
-            Run::start(unreadable(83), &["--patience", "1s"]),
-            ["no usable scan for 3 s", "cannot be read; build firmware and program from the same source"],
-        ),
+        (Run::start(misconfigured(82), &["--duration", "10s"]), [unusable, foreign]),
+        (Run::start(unreadable(83), &["--patience", "1s"]), [unusable, another]),
     ];
     for (run, words) in runs {
         let (finished, log) = run.end();
@@ -91,13 +87,10 @@ fn a_run_without_usable_scans_ends_and_says_why() {
 fn no_board_without_scans_is_healthy_at_any_time() {
     let mut run =
         Run::on(Terminal::serve_until_pulled(misconfigured(84)), &["--format", "none", "--status", "127.0.0.1:0"]);
-    // Nothing more is said that could be lost with this reader.
-    let mut address = String::new();
-    BufReader::new(run.child.stderr.as_mut().expect("piped")).read_line(&mut address).expect("says where it is");
-    let address = address.trim_end().strip_prefix("slitpose: status at ").expect("an address");
+    let address = address_said(&mut run.child, "status at ");
     let since = Instant::now();
     loop {
-        let (code, text) = get(TcpStream::connect(address).expect("listens"), "/health").expect("an answer");
+        let (code, text) = get(TcpStream::connect(&address).expect("listens"), "/health").expect("an answer");
         assert_eq!(code, 503, "{text}");
         if text.contains("that this program has not given") {
             break;
@@ -134,10 +127,7 @@ fn two_ports_of_one_board_are_refused() {
     let terminals = [87, 88].map(|seed| Terminal::serve_until_pulled(Board::wide(seed)));
     let devices = terminals.map(|terminal| terminal.path);
     let finished = slitpose!().run(["run", "--config", "none", "--device", &devices.join(","), "--duration", "10s"]);
-    assert_eq!(finished.code, 1, "{}", finished.stderr);
-    for part in [&devices[0], &devices[1], "have one number", "two ports of one board"] {
-        assert!(finished.stderr.contains(part), "`{part}` is not in: {}", finished.stderr);
-    }
+    finished.assert_said(1, &[&devices[0], &devices[1], "have one number", "two ports of one board"]);
 }
 
 #[test]

@@ -88,6 +88,18 @@ fn however_bytes_are_cut_nothing_old_and_nothing_damaged_is_kept() {
     }
 }
 
+#[test]
+fn a_board_of_rare_frames_may_be_quiet_between_them() {
+    let mut configuration = front_end::configuration(&WIDE.read().unwrap()).unwrap();
+    let mut board = Conversation::open(Box::new(Slow::new(1024))).unwrap();
+    board.greet(HELLO_WITHIN, |_| Ok::<_, DeviceError>(())).unwrap();
+    board.configure(configuration.clone()).unwrap();
+    assert_eq!(board.quiet_limit, QUIET);
+    configuration.schedule.frame_ticks = configuration.schedule.tick_hz;
+    board.configure(configuration).unwrap();
+    assert_eq!(board.quiet_limit, Duration::from_secs(3));
+}
+
 /// A device that delivers scripted bytes, one piece per receive.
 struct Scripted(std::collections::VecDeque<Vec<u8>>);
 

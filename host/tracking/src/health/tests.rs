@@ -329,6 +329,18 @@ fn a_slit_that_has_moved_makes_a_calibration_stale() {
 }
 
 #[test]
+fn a_pause_leaves_of_the_window_what_is_not_older_than_it() {
+    let mut window = Window::default();
+    for number in 0..5 {
+        window.turn(number);
+        window.current().scans += 1;
+    }
+    assert_eq!(window.sum().scans, 5);
+    window.turn(7);
+    assert_eq!(window.sum().scans, 2);
+}
+
+#[test]
 fn noise_is_told_in_steps_of_one_conversion() {
     let file = wide();
     let front_end = file.front_end.unwrap();

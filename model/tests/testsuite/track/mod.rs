@@ -194,10 +194,12 @@ fn a_motion_goes_on_after_a_gap_at_the_right_instant() {
     let straight = |t: f64| Pose::from_vectors(DVec3::new(0.4 * t - 3e-3, 0.1 * t, 0.0), DVec3::ZERO);
     for gap in [1, 3, 7] {
         let mut rig = Rig::filtered(5e-3);
-        (0..40).for_each(|_| _ = rig.step(straight));
+        let sigma = |tracked: &Tracked| tracked.solution.estimate.expect("a pose").sigma()[0];
+        let before = (0..40).map(|_| sigma(&rig.step(straight).0)).last().expect("frames");
         rig.frame += gap;
         let (tracked, _) = rig.step(straight);
         // One frame off, the tool would be 100 µm from where it is expected: a hit, and its motion forgotten.
+        assert!(sigma(&tracked) < 1.2 * before, "gap {gap}: {} after {before}", sigma(&tracked));
         let twist = tracked.twist.expect("the motion is known");
         assert!((twist.twist.linear_m_per_s.x - 0.4).abs() < 0.05, "gap {gap}: {twist:?}");
         assert!(tracked.filtered.expect("filter").frames > 40, "gap {gap}");

@@ -213,6 +213,17 @@ fn a_filter_trades_noise_for_the_lag_it_tells() {
     assert!((0.53..0.62).contains(&sigmas[0]) && (0.17..0.25).contains(&sigmas[1]), "{sigmas:?}");
 }
 
+#[test]
+fn the_lag_told_is_that_of_the_steadiest_coordinate() {
+    let told_s = |swing_m: f64| {
+        let mut rig = Rig::filtered(20e-3);
+        let pose = |t: f64| Pose::from_vectors(DVec3::X * swing_m * (150.0 * t).sin(), DVec3::ZERO);
+        (0..1000).map(|_| rig.step(pose).0.filtered.expect("filter").lag_s).last().expect("frames")
+    };
+    let (at_rest, swinging) = (told_s(0.0), told_s(3e-3));
+    assert!((swinging / at_rest - 1.0).abs() < 0.2, "{swinging} s, {at_rest} s at rest");
+}
+
 /// Half a metre a second into a wall, and back with half of it.
 #[test]
 fn of_a_hit_there_is_no_velocity_until_the_new_one_is_known() {

@@ -171,6 +171,7 @@ impl Chunked {
         }
         let end = reader.end();
         assert!(end.has_loss(), "{what}: nothing is told: {end:?}");
+        assert!(end.damaged_records == 0 || end.lost_bytes > 0, "{what}: damage of no bytes: {end:?}");
         lost.len()
     }
 }
