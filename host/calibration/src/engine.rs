@@ -10,6 +10,7 @@ use thiserror::Error;
 
 use crate::adjust::Adjustment;
 use crate::data::{Constraint, Data};
+use crate::light::LightTrend;
 use crate::normal::Normal;
 use crate::pose_error::PoseError;
 use crate::prior::Parameters;
@@ -61,8 +62,6 @@ pub enum CalibrateError {
         "{0}: its poses err by {1}, {2:.0} times what is stated: they are not poses of this tool; look for axes of another order, direction or handedness, for rotations of the other sense, and for another marker, or state how coarse the instrument is (--known-sigma-um, --known-sigma-urad)"
     )]
     ForeignPoses(String, String, f64),
-    #[error("{0}")]
-    LightDrift(String),
     #[error(
         "{0}: the tool moves too little to tell anything from; turn it by 10 degrees about two axes, and move it through its workspace"
     )]
@@ -150,25 +149,30 @@ pub fn calibrate(
     let mut is_interrupted = false;
     let mut adjustment = Adjustment::new(&nominal, data, information, start.is_none());
     let (mut normal, mut weights) = adjustment.first(&mut state)?;
-    for round in 1..=ROUNDS {
-        let told = progress(Progress::Adjusting(round, ROUNDS, adjustment.fit(&state, &normal, &weights)));
-        if told.is_break() {
+    let mut round = 1;
+    loop {
+        let fit = adjustment.fit(&state, &normal, &weights);
+        if progress(Progress::Adjusting(round.min(ROUNDS), ROUNDS, fit)).is_break() {
             is_interrupted = true;
             break;
         }
         let change = adjustment.round(&mut state, &mut normal, &mut weights)?;
-        if change < 0.1 {
-            break;
+        if change < 0.1 || round % ROUNDS == 0 {
+            if !adjustment.adds_light(&mut state, &mut normal, &mut weights)? {
+                break;
+            }
+            round = round.next_multiple_of(ROUNDS);
         }
+        round += 1;
     }
-    let drift = findings::light_drift(&nominal, data, &state)?;
     if !is_interrupted && let Err(error) = findings::require_agreement(&by_tolerances, data, &state, &weights) {
         let likely = plausibility::likely_reading(&state.scene(&nominal), data)?.map(CalibrateError::Implausible);
-        return Err(likely.or(drift.map(CalibrateError::LightDrift)).unwrap_or(error));
+        return Err(likely.unwrap_or(error));
     }
-    let mut remarks = [data.remarks.clone(), gross, drift.into_iter().collect()].concat();
+    let mut remarks = [data.remarks.clone(), gross].concat();
     remarks.extend(findings::remarks(data, &state, &weights, &file.workspace));
     let mut calibration = conclude(request, &adjustment, state.clone(), &normal, &weights)?;
+    remarks.extend(calibration.light.iter().map(LightTrend::remark));
     if !is_interrupted {
         is_interrupted = hold_out(&adjustment, &state, &weights, &mut calibration.statistics, &mut remarks, progress)?;
     }
@@ -278,6 +282,7 @@ fn conclude(
         weak,
         frames,
         clocks,
+        light: LightTrend::all(data, &state, &covariance),
         parameters: state.parameters,
         correlation,
         model_errors: state.model_errors,

@@ -3,13 +3,13 @@
 use nalgebra::{DMatrix, SymmetricEigen};
 use slitpose_head::scene_file::Workspace;
 use slitpose_head::table::POSE_COLUMNS;
-use slitpose_model::{CompiledScene, Pose, Scene, SceneError};
+use slitpose_model::{Pose, Scene};
 
 use crate::adjust::FIRST_ERROR;
 use crate::data::{Constraint, Data, values_of};
 use crate::pose_error::{COEFFICIENTS, PoseError};
 use crate::prior::Parameter;
-use crate::state::{State, TIER, Weights};
+use crate::state::{State, Weights};
 use crate::{CalibrateError, Calibration};
 
 /// Share of what tolerances do to a cell that no adjustment leaves over: a hundredth is usual, and where cells or electrodes
@@ -166,48 +166,6 @@ fn uncovered(data: &Data, state: &State, weights: &Weights, workspace: &Workspac
         )
     })
 }
-
-/// Trend of a cell's light over the rows of a file, relative, that is worth a word, and the least share of the variance of
-/// the cell's light that it explains.
-const DRIFT: f64 = 3e-3;
-const EXPLAINED: f64 = 0.5;
-
-/// The trend of the light over the rows of a file with known poses, if all cells have one in the same sense.
-pub(crate) fn light_drift(nominal: &Scene, data: &Data, state: &State) -> Result<Option<String>, SceneError> {
-    let plan = CompiledScene::<f64>::compile(&state.parameters.scene(nominal), TIER)?;
-    for group in &data.groups {
-        let trend = |cell: usize| {
-            let rows = group.rows.clone().filter_map(|row| {
-                let ([a, b], pair) = (data.rows[row].readings[cell]?, plan.photocurrents(cell, &state.poses[row]));
-                data.rows[row].reported()?;
-                let ratio = ((a + b) / (pair.i_x1_a + pair.i_x2_a)).ln();
-                ratio.is_finite().then_some(((row - group.rows.start) as f64 / group.rows.len() as f64, ratio))
-            });
-            let rows: Vec<(f64, f64)> = rows.collect();
-            let mean = |of: &dyn Fn(&(f64, f64)) -> f64| rows.iter().map(of).sum::<f64>() / rows.len() as f64;
-            let [x, y] = [mean(&|row| row.0), mean(&|row| row.1)];
-            let [xx, xy, yy] = [
-                mean(&|row| (row.0 - x).powi(2)),
-                mean(&|row| (row.0 - x) * (row.1 - y)),
-                mean(&|row| (row.1 - y).powi(2)),
-            ];
-            (rows.len() >= MIN_TREND && xy * xy > EXPLAINED * xx * yy && (xy / xx).abs() > DRIFT).then_some(xy / xx)
-        };
-        let trends: Option<Vec<f64>> = (0..nominal.cells.len()).map(trend).collect();
-        let Some(trends) = trends.filter(|of| of.iter().all(|by| by * of[0] > 0.0)) else { continue };
-        let percent = 100.0 * trends.iter().sum::<f64>() / trends.len() as f64;
-        return Ok(Some(format!(
-            "{}: the light of all cells {} by {:.1} % from the first row to the last: emitters or their supply drift; let \
-             them warm up, hold their current, and measure again, for a calibration takes the light to be constant",
-            group.file,
-            if percent < 0.0 { "falls" } else { "rises" },
-            percent.abs()
-        )));
-    }
-    Ok(None)
-}
-
-const MIN_TREND: usize = 20;
 
 /// Errors of poses below these are not worth a word, metres and radians: those of a single frame.
 const WORTH_M: f64 = 4e-6;

@@ -5,7 +5,7 @@
 //! * `parameter`, `prior`: what a head may deviate in, and by how much before anything is measured;
 //! * `data`, `tables`, `clock`, `constraint`: what was measured, and what is known of the poses;
 //! * `plausibility`, `start`: wrong data are refused, first poses found;
-//! * `state`, `normal`, `adjust`: derivatives, normal equations without the poses, steps, outliers, model errors;
+//! * `state`, `light`, `normal`, `adjust`: derivatives, normal equations without the poses, steps, outliers, model errors;
 //! * `engine`: all of it in order; `pose_error`, `findings`: what came of it, and what tolerances cost without it;
 //! * `file`: how it is stored; `head`: what solves with it, or without any; `reading`: whether it still holds.
 //!
@@ -22,6 +22,7 @@ mod engine;
 mod file;
 mod findings;
 mod head;
+mod light;
 mod normal;
 mod parameter;
 mod plausibility;
@@ -42,6 +43,7 @@ pub use engine::{CalibrateError, Calibrated, Implausible, Progress, Request, cal
 pub use file::{CalibrationFileError, Frames};
 pub use findings::Direction;
 pub use head::{Basis, Head, uncalibrated};
+pub use light::LightTrend;
 pub use parameter::Quantity;
 pub use plausibility::{Reports, check_poses, median, other_reading};
 pub use pose_error::{KnownPoses, PartCost, PartCosts, PoseRms, part_costs};
@@ -74,6 +76,8 @@ pub struct Calibration {
     pub frames: Vec<Frames>,
     /// How the clocks of instruments differ from the board's.
     pub clocks: Vec<Clock>,
+    /// How the light changed while files were taken.
+    pub light: Vec<LightTrend>,
     parameters: Parameters,
     /// Below the diagonal, row by row.
     correlation: Vec<Vec<f64>>,
