@@ -9,6 +9,7 @@ use slitpose_model::{ModelError, Scene, SceneError};
 use thiserror::Error;
 
 use crate::adjust::Adjustment;
+use crate::coverage::Coverage;
 use crate::data::{Constraint, Data};
 use crate::light::LightTrend;
 use crate::normal::Normal;
@@ -23,6 +24,12 @@ use crate::{
 
 /// Rounds of adjustment and estimate of the model errors.
 const ROUNDS: usize = 12;
+
+/// How much larger the model errors of a cell are for a solver than the root mean square of its residuals, whose tail is
+/// longer than a normal one's: spots beyond half of the half length of their detector, 3 % of all, err by 4 to 10 times as
+/// much as the rest. Of five heads at 100 and 200 poses, 4000 means of 100 frames: 6 are `converged` beyond 8 σ with 1, and 1
+/// with 1.6; errors are 0.85 to 1.13 σ and 0.77 to 0.94 σ; of single frames 0.96 to 1.04 σ and 0.94 to 1.00 σ.
+const TAIL: f64 = 1.6;
 
 /// Blocks of rows that are left out in turn.
 const BLOCKS: usize = 4;
@@ -170,9 +177,10 @@ pub fn calibrate(
         return Err(likely.unwrap_or(error));
     }
     let mut remarks = [data.remarks.clone(), gross].concat();
-    remarks.extend(findings::remarks(data, &state, &weights, &file.workspace));
+    remarks.extend(findings::remarks(data, &state, &weights));
     let mut calibration = conclude(request, &adjustment, state.clone(), &normal, &weights)?;
     remarks.extend(calibration.light.iter().map(LightTrend::remark));
+    remarks.extend(calibration.covered.as_ref().and_then(|covered| covered.remark(&file.workspace)));
     if !is_interrupted {
         is_interrupted = hold_out(&adjustment, &state, &weights, &mut calibration.statistics, &mut remarks, progress)?;
     }
@@ -229,11 +237,12 @@ fn conclude(
     let Request { file, date, .. } = *request;
     let data = adjustment.data;
     let covariance = normal.covariance().ok_or(CalibrateError::Singular)?;
+    let covered = Coverage::of(adjustment.nominal, data, &state, weights, &covariance, &file.workspace)?;
     let (pose_error, rest) = PoseError::of(adjustment.nominal, &state, &covariance, &file.workspace)?;
     let statistics = adjustment.statistics(&state, normal, weights);
     for (error, rest) in state.model_errors.iter_mut().zip(rest) {
-        error.relative = error.relative.hypot(rest.relative);
-        error.position_m = error.position_m.hypot(rest.position_m);
+        error.relative = (TAIL * error.relative).hypot(rest.relative);
+        error.position_m = (TAIL * error.position_m).hypot(rest.position_m);
     }
     let count = state.parameters.entries.len();
     for (k, entry) in state.parameters.entries.iter_mut().enumerate() {
@@ -283,6 +292,7 @@ fn conclude(
         frames,
         clocks,
         light: LightTrend::all(data, &state, &covariance),
+        covered,
         parameters: state.parameters,
         correlation,
         model_errors: state.model_errors,

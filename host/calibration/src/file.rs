@@ -13,7 +13,7 @@ use thiserror::Error;
 use crate::parameter::Quantity;
 use crate::pose_error::{COEFFICIENTS, PoseError};
 use crate::prior::{Parameter, Parameters};
-use crate::{Calibration, Clock, LightTrend, Statistics};
+use crate::{Calibration, Clock, Coverage, LightTrend, Statistics};
 
 const FORMAT: u32 = 1;
 
@@ -44,6 +44,7 @@ struct Text {
     clock: Vec<Clock>,
     #[serde(default)]
     light: Vec<LightTrend>,
+    covered: Option<Coverage>,
     converter: ConverterText,
     cell: Vec<CellText>,
     pose_error: PoseErrorText,
@@ -183,6 +184,7 @@ impl Calibration {
             frames: parsed.frames,
             clocks: parsed.clock,
             light: parsed.light,
+            covered: parsed.covered,
             parameters: Parameters { entries, full_scale_a: parsed.converter.full_scale_a },
             correlation: parsed.correlation.rows,
             model_errors: parsed
@@ -255,6 +257,12 @@ impl Calibration {
             writeln!(out, "change = {change:.2e}\nchange_sigma = {change_sigma:.1e}")?;
             if let Some(warm_up) = warm_up {
                 writeln!(out, "warm_up = {warm_up}")?;
+            }
+        }
+        if let Some(Coverage { lower, upper, share, outside_m, outside_rad }) = &self.covered {
+            writeln!(out, "\n[covered]\nlower = {lower:?}\nupper = {upper:?}\nshare = {share:.2e}")?;
+            for (key, value) in [("outside_m", outside_m), ("outside_rad", outside_rad)] {
+                value.map_or(Ok(()), |value| writeln!(out, "{key} = {value:.2e}"))?;
             }
         }
         writeln!(out, "\n# Parameters: name, deviation from the scene, its sigma, the same before, unit.")?;

@@ -2,11 +2,10 @@
 
 use nalgebra::{DMatrix, SymmetricEigen};
 use slitpose_head::scene_file::Workspace;
-use slitpose_head::table::POSE_COLUMNS;
 use slitpose_model::{Pose, Scene};
 
 use crate::adjust::FIRST_ERROR;
-use crate::data::{Constraint, Data, values_of};
+use crate::data::{Constraint, Data};
 use crate::pose_error::{COEFFICIENTS, PoseError};
 use crate::prior::Parameter;
 use crate::state::{State, Weights};
@@ -37,10 +36,9 @@ pub(crate) fn require_agreement(
 }
 
 /// What a user should know of the adjustment, with the next step.
-pub(crate) fn remarks(data: &Data, state: &State, weights: &Weights, workspace: &Workspace) -> Vec<String> {
+pub(crate) fn remarks(data: &Data, state: &State, weights: &Weights) -> Vec<String> {
     let mut remarks = worse_instruments(data, state);
     remarks.extend(poses_left_out(data, state, weights));
-    remarks.extend(uncovered(data, state, weights, workspace));
     remarks.extend(beyond_tolerances(&state.parameters.entries));
     remarks
 }
@@ -140,29 +138,6 @@ fn poses_left_out(data: &Data, state: &State, weights: &Weights) -> Option<Strin
         format!(
             "{count} poses left out, of the rows with id: {}{more}; the readings have the tool elsewhere",
             left_out.join(", ")
-        )
-    })
-}
-
-/// Share of the workspace, along one of its axes, below which poses do not speak for the whole.
-const COVERED: f64 = 0.6;
-
-/// Axes of the workspace that known poses do not cover.
-fn uncovered(data: &Data, state: &State, weights: &Weights, workspace: &Workspace) -> Option<String> {
-    let is_known = |row: &usize| weights.poses[*row] == 1.0 && data.rows[*row].reported().is_some();
-    let values: Vec<[f64; 6]> = (0..data.rows.len()).filter(is_known).map(|row| values_of(&state.poses[row])).collect();
-    let half = [workspace.half_extent_m.to_array(), workspace.half_extent_rad.to_array()].concat();
-    let covered = |k: usize| {
-        let of = |best: fn(f64, f64) -> f64| values.iter().map(|values| values[k]).reduce(best);
-        Some(0.5 * (of(f64::max)? - of(f64::min)?) / half[k])
-    };
-    let few = (0..6).filter_map(|k| Some((k, covered(k)?))).filter(|(_, share)| *share < COVERED);
-    let few: Vec<String> = few.map(|(k, share)| format!("{} {:.0} %", POSE_COLUMNS[k], 100.0 * share)).collect();
-    (!few.is_empty()).then(|| {
-        format!(
-            "the poses cover only a part of the workspace ({}): the error of poses left out holds within that part, outside \
-             it errors are greater; add poses farther out",
-            few.join(", ")
         )
     })
 }

@@ -6,7 +6,7 @@
 //! * `data`, `tables`, `clock`, `constraint`: what was measured, and what is known of the poses;
 //! * `plausibility`, `start`: wrong data are refused, first poses found;
 //! * `state`, `light`, `normal`, `adjust`: derivatives, normal equations without the poses, steps, outliers, model errors;
-//! * `engine`: all of it in order; `pose_error`, `findings`: what came of it, and what tolerances cost without it;
+//! * `engine`: all of it in order; `pose_error`, `coverage`, `findings`: what came of it, and what tolerances cost without it;
 //! * `file`: how it is stored; `head`: what solves with it, or without any; `reading`: whether it still holds.
 //!
 //! Readings are currents above dark, SI units throughout. Parameters are deviations from the scene; inside the adjustment
@@ -17,6 +17,7 @@
 mod adjust;
 mod clock;
 mod constraint;
+mod coverage;
 mod data;
 mod engine;
 mod file;
@@ -38,6 +39,7 @@ use slitpose_head::scene_file::SceneFile;
 use slitpose_model::{CompiledScene, ModelError, Pose, Scene, Tier};
 
 pub use clock::{Clock, ClockError, read_tracked};
+pub use coverage::Coverage;
 pub use data::{Constraint, Data, Group, Knowledge, Row, compose, inverse, pose_of, values_of};
 pub use engine::{CalibrateError, Calibrated, Implausible, Progress, Request, calibrate};
 pub use file::{CalibrationFileError, Frames};
@@ -78,6 +80,8 @@ pub struct Calibration {
     pub clocks: Vec<Clock>,
     /// How the light changed while files were taken.
     pub light: Vec<LightTrend>,
+    /// What known poses cover; `None`: there were none.
+    pub covered: Option<Coverage>,
     parameters: Parameters,
     /// Below the diagonal, row by row.
     correlation: Vec<Vec<f64>>,

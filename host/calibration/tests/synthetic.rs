@@ -242,7 +242,13 @@ fn outliers_units_conventions_frames_rows_and_drift_are_named_with_their_place()
             &["(tx_mm, tz_mm, ty_mm)", "(rx_rad, ry_rad, rz_rad)"],
         ),
         ("fading light", Constraint::Known, fading(0.05), true, &["the light faded by 4.9"]),
-        ("a part of the workspace", Constraint::Known, region, true, &["only a part of the workspace (tx_mm "]),
+        (
+            "a part of the workspace",
+            Constraint::Known,
+            region,
+            true,
+            &["only a part of the workspace (tx_mm ", "% of its volume)", " rms outside it"],
+        ),
         ("sound", Constraint::Known, rows.clone(), true, &[]),
     ];
     for (case, constraint, rows, is_accepted, parts) in cases {
