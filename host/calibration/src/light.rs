@@ -25,6 +25,9 @@ const MIN_ROWS: usize = 20;
 /// nearest leaves some hundredths of a warm-up.
 const WARM_UPS: [f64; 8] = [0.03, 0.045, 0.07, 0.1, 0.15, 0.22, 0.33, 0.5];
 
+/// Error of a warm-up's size, as a share of it, where its time constant lies between two that are tried.
+const BETWEEN: f64 = 0.06;
+
 /// Share of the change by which a warm-up gets its name; with less it is the bend of some other trend.
 const NAMED: f64 = 0.2;
 
@@ -164,6 +167,11 @@ impl LightTrend {
             };
             let change: f64 = terms.iter().map(|(_, term)| term.amplitude * term.change()).sum();
             let variance: f64 = terms.iter().flat_map(|a| terms.iter().map(move |b| variance(a, b))).sum();
+            let between = terms.iter().map(|(_, term)| match term.shape {
+                Shape::WarmUp(_) => (BETWEEN * term.amplitude * term.change()).powi(2),
+                Shape::Linear => 0.0,
+            });
+            let variance = variance + between.sum::<f64>();
             let warm_up = terms.iter().find_map(|(_, term)| match term.shape {
                 Shape::WarmUp(share) if (term.amplitude * term.change()).abs() > NAMED * change.abs() => Some(share),
                 _ => None,
@@ -183,8 +191,8 @@ impl LightTrend {
         let Self { file, change, change_sigma, warm_up } = self;
         let verb = if *change < 0.0 { "faded" } else { "grew" };
         let (size, sigma) = (100.0 * change.abs(), 100.0 * change_sigma);
-        // Two digits of σ.
-        let digits = (1.0 - sigma.log10().floor()).clamp(1.0, 6.0) as usize;
+        // One digit of σ.
+        let digits = (-sigma.log10().floor()).clamp(1.0, 6.0) as usize;
         let how = warm_up.map_or(String::new(), |share| {
             format!(", as in a warm-up with a time constant of {:.0} % of that time", 100.0 * share)
         });
