@@ -4,11 +4,12 @@ use nalgebra::{DMatrix, DVector};
 use slitpose_model::{ModelError, Scene, SceneError};
 
 use crate::data::{Constraint, Data};
+use crate::light;
 use crate::normal::{Normal, forward, moved, row_terms};
 use crate::parameter::FAMILIES;
 use crate::reading::{directions, whiten, whitener};
 use crate::start::solved;
-use crate::state::{CellSensitivity, State, Weights, sensitivities};
+use crate::state::{CellSensitivity, State, Weights, sensitivities_of_rows};
 use crate::{Statistics, constraint};
 
 /// Squared normalised residual of a reading (two currents) beyond which it is an outlier: one in 3·10⁶ by chance.
@@ -59,7 +60,7 @@ fn weight(square: f64, limit: f64) -> f64 {
 fn cost(data: &Data, state: &State, cells: &[CellSensitivity], prior: &DMatrix<f64>) -> f64 {
     let rows: f64 = (0..data.rows.len()).map(|row| row_cost(data, state, cells, row)).sum();
     let shift = shift(state);
-    rows + shift.dot(&(prior * &shift))
+    rows + shift.dot(&(prior * &shift)) + light_square(state)
 }
 
 fn row_cost(data: &Data, state: &State, cells: &[CellSensitivity], row: usize) -> f64 {
@@ -71,6 +72,10 @@ fn row_cost(data: &Data, state: &State, cells: &[CellSensitivity], row: usize) -
 fn shift(state: &State) -> DVector<f64> {
     let entries = &state.parameters.entries;
     DVector::from_iterator(entries.len(), entries.iter().map(|entry| entry.shift()))
+}
+
+fn light_square(state: &State) -> f64 {
+    state.light.iter().map(|term| term.amplitude * term.amplitude).sum()
 }
 
 fn reading_square(data: &Data, state: &State, cells: &[CellSensitivity], row: usize, cell: usize) -> Option<f64> {
@@ -98,7 +103,7 @@ impl<'a> Adjustment<'a> {
     }
 
     pub(crate) fn sensitivities(&self, state: &State, derivatives: bool) -> Result<Vec<CellSensitivity>, SceneError> {
-        sensitivities(self.nominal, &state.parameters, &state.poses, derivatives)
+        sensitivities_of_rows(self.nominal, self.data, state, derivatives)
     }
 
     fn weigh(&self, state: &State, cells: &[CellSensitivity]) -> Weights {
@@ -307,6 +312,20 @@ impl<'a> Adjustment<'a> {
         Ok(())
     }
 
+    /// Adds the term of the light that the data demand most, and adjusts with it; `false`: they demand none.
+    pub(crate) fn adds_light(
+        &self,
+        state: &mut State,
+        normal: &mut Normal,
+        weights: &mut Weights,
+    ) -> Result<bool, SceneError> {
+        let assemble = |state: &State, cells| Normal::assemble(self.data, state, cells, weights, &self.prior);
+        let Some(term) = light::missing(self.nominal, self.data, state, normal, &assemble) else { return Ok(false) };
+        state.light.push(term);
+        (*normal, *weights) = self.minimise(state, 3)?;
+        Ok(true)
+    }
+
     /// χ² by its expectation.
     pub(crate) fn fit(&self, state: &State, normal: &Normal, weights: &Weights) -> f64 {
         let statistics = self.statistics(state, normal, weights);
@@ -316,7 +335,7 @@ impl<'a> Adjustment<'a> {
     pub(crate) fn statistics(&self, state: &State, normal: &Normal, weights: &Weights) -> Statistics {
         let cells = &normal.cells;
         let mut found = Statistics { rows: self.data.rows.len(), ..Statistics::default() };
-        let (mut residuals, mut unknowns) = (0, state.unknown_count() - state.parameters.entries.len());
+        let (mut residuals, mut unknowns) = (0, state.first_light() - state.parameters.entries.len());
         for row in 0..self.data.rows.len() {
             for cell in 0..cells.len() {
                 let Some(square) = reading_square(self.data, state, cells, row, cell) else { continue };
@@ -339,7 +358,7 @@ impl<'a> Adjustment<'a> {
             unknowns += 6;
         }
         let shift = shift(state);
-        found.chi2 += shift.dot(&(&self.prior * &shift));
+        found.chi2 += shift.dot(&(&self.prior * &shift)) + light_square(state);
         found.redundancy = (residuals as f64 - unknowns as f64).max(1.0);
         found
     }

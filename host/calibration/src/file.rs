@@ -13,7 +13,7 @@ use thiserror::Error;
 use crate::parameter::Quantity;
 use crate::pose_error::{COEFFICIENTS, PoseError};
 use crate::prior::{Parameter, Parameters};
-use crate::{Calibration, Clock, Statistics};
+use crate::{Calibration, Clock, Coverage, LightTrend, Statistics};
 
 const FORMAT: u32 = 1;
 
@@ -42,6 +42,9 @@ struct Text {
     frames: Vec<Frames>,
     #[serde(default)]
     clock: Vec<Clock>,
+    #[serde(default)]
+    light: Vec<LightTrend>,
+    covered: Option<Coverage>,
     converter: ConverterText,
     cell: Vec<CellText>,
     pose_error: PoseErrorText,
@@ -180,6 +183,8 @@ impl Calibration {
             weak: parsed.weak,
             frames: parsed.frames,
             clocks: parsed.clock,
+            light: parsed.light,
+            covered: parsed.covered,
             parameters: Parameters { entries, full_scale_a: parsed.converter.full_scale_a },
             correlation: parsed.correlation.rows,
             model_errors: parsed
@@ -246,6 +251,19 @@ impl Calibration {
             writeln!(out, "\n[[clock]]\nfile = {}", toml::Value::from(file.as_str()))?;
             writeln!(out, "ahead_s = {ahead_s:.7}\nahead_sigma_s = {ahead_sigma_s:.1e}")?;
             writeln!(out, "faster = {faster:.2e}\nfaster_sigma = {faster_sigma:.1e}")?;
+        }
+        for LightTrend { file, change, change_sigma, warm_up } in &self.light {
+            writeln!(out, "\n[[light]]\nfile = {}", toml::Value::from(file.as_str()))?;
+            writeln!(out, "change = {change:.2e}\nchange_sigma = {change_sigma:.1e}")?;
+            if let Some(warm_up) = warm_up {
+                writeln!(out, "warm_up = {warm_up}")?;
+            }
+        }
+        if let Some(Coverage { lower, upper, share, outside_m, outside_rad }) = &self.covered {
+            writeln!(out, "\n[covered]\nlower = {lower:?}\nupper = {upper:?}\nshare = {share:.2e}")?;
+            for (key, value) in [("outside_m", outside_m), ("outside_rad", outside_rad)] {
+                value.map_or(Ok(()), |value| writeln!(out, "{key} = {value:.2e}"))?;
+            }
         }
         writeln!(out, "\n# Parameters: name, deviation from the scene, its sigma, the same before, unit.")?;
         for (number, error) in self.model_errors.iter().enumerate() {

@@ -2,14 +2,13 @@
 
 use nalgebra::{DMatrix, SymmetricEigen};
 use slitpose_head::scene_file::Workspace;
-use slitpose_head::table::POSE_COLUMNS;
-use slitpose_model::{CompiledScene, Pose, Scene, SceneError};
+use slitpose_model::{Pose, Scene};
 
 use crate::adjust::FIRST_ERROR;
-use crate::data::{Constraint, Data, values_of};
+use crate::data::{Constraint, Data};
 use crate::pose_error::{COEFFICIENTS, PoseError};
 use crate::prior::Parameter;
-use crate::state::{State, TIER, Weights};
+use crate::state::{State, Weights};
 use crate::{CalibrateError, Calibration};
 
 /// Share of what tolerances do to a cell that no adjustment leaves over: a hundredth is usual, and where cells or electrodes
@@ -37,10 +36,9 @@ pub(crate) fn require_agreement(
 }
 
 /// What a user should know of the adjustment, with the next step.
-pub(crate) fn remarks(data: &Data, state: &State, weights: &Weights, workspace: &Workspace) -> Vec<String> {
+pub(crate) fn remarks(data: &Data, state: &State, weights: &Weights) -> Vec<String> {
     let mut remarks = worse_instruments(data, state);
     remarks.extend(poses_left_out(data, state, weights));
-    remarks.extend(uncovered(data, state, weights, workspace));
     remarks.extend(beyond_tolerances(&state.parameters.entries));
     remarks
 }
@@ -143,71 +141,6 @@ fn poses_left_out(data: &Data, state: &State, weights: &Weights) -> Option<Strin
         )
     })
 }
-
-/// Share of the workspace, along one of its axes, below which poses do not speak for the whole.
-const COVERED: f64 = 0.6;
-
-/// Axes of the workspace that known poses do not cover.
-fn uncovered(data: &Data, state: &State, weights: &Weights, workspace: &Workspace) -> Option<String> {
-    let is_known = |row: &usize| weights.poses[*row] == 1.0 && data.rows[*row].reported().is_some();
-    let values: Vec<[f64; 6]> = (0..data.rows.len()).filter(is_known).map(|row| values_of(&state.poses[row])).collect();
-    let half = [workspace.half_extent_m.to_array(), workspace.half_extent_rad.to_array()].concat();
-    let covered = |k: usize| {
-        let of = |best: fn(f64, f64) -> f64| values.iter().map(|values| values[k]).reduce(best);
-        Some(0.5 * (of(f64::max)? - of(f64::min)?) / half[k])
-    };
-    let few = (0..6).filter_map(|k| Some((k, covered(k)?))).filter(|(_, share)| *share < COVERED);
-    let few: Vec<String> = few.map(|(k, share)| format!("{} {:.0} %", POSE_COLUMNS[k], 100.0 * share)).collect();
-    (!few.is_empty()).then(|| {
-        format!(
-            "the poses cover only a part of the workspace ({}): the error of poses left out holds within that part, outside \
-             it errors are greater; add poses farther out",
-            few.join(", ")
-        )
-    })
-}
-
-/// Trend of a cell's light over the rows of a file, relative, that is worth a word, and the least share of the variance of
-/// the cell's light that it explains.
-const DRIFT: f64 = 3e-3;
-const EXPLAINED: f64 = 0.5;
-
-/// The trend of the light over the rows of a file with known poses, if all cells have one in the same sense.
-pub(crate) fn light_drift(nominal: &Scene, data: &Data, state: &State) -> Result<Option<String>, SceneError> {
-    let plan = CompiledScene::<f64>::compile(&state.parameters.scene(nominal), TIER)?;
-    for group in &data.groups {
-        let trend = |cell: usize| {
-            let rows = group.rows.clone().filter_map(|row| {
-                let ([a, b], pair) = (data.rows[row].readings[cell]?, plan.photocurrents(cell, &state.poses[row]));
-                data.rows[row].reported()?;
-                let ratio = ((a + b) / (pair.i_x1_a + pair.i_x2_a)).ln();
-                ratio.is_finite().then_some(((row - group.rows.start) as f64 / group.rows.len() as f64, ratio))
-            });
-            let rows: Vec<(f64, f64)> = rows.collect();
-            let mean = |of: &dyn Fn(&(f64, f64)) -> f64| rows.iter().map(of).sum::<f64>() / rows.len() as f64;
-            let [x, y] = [mean(&|row| row.0), mean(&|row| row.1)];
-            let [xx, xy, yy] = [
-                mean(&|row| (row.0 - x).powi(2)),
-                mean(&|row| (row.0 - x) * (row.1 - y)),
-                mean(&|row| (row.1 - y).powi(2)),
-            ];
-            (rows.len() >= MIN_TREND && xy * xy > EXPLAINED * xx * yy && (xy / xx).abs() > DRIFT).then_some(xy / xx)
-        };
-        let trends: Option<Vec<f64>> = (0..nominal.cells.len()).map(trend).collect();
-        let Some(trends) = trends.filter(|of| of.iter().all(|by| by * of[0] > 0.0)) else { continue };
-        let percent = 100.0 * trends.iter().sum::<f64>() / trends.len() as f64;
-        return Ok(Some(format!(
-            "{}: the light of all cells {} by {:.1} % from the first row to the last: emitters or their supply drift; let \
-             them warm up, hold their current, and measure again, for a calibration takes the light to be constant",
-            group.file,
-            if percent < 0.0 { "falls" } else { "rises" },
-            percent.abs()
-        )));
-    }
-    Ok(None)
-}
-
-const MIN_TREND: usize = 20;
 
 /// Errors of poses below these are not worth a word, metres and radians: those of a single frame.
 const WORTH_M: f64 = 4e-6;

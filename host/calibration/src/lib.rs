@@ -5,8 +5,8 @@
 //! * `parameter`, `prior`: what a head may deviate in, and by how much before anything is measured;
 //! * `data`, `tables`, `clock`, `constraint`: what was measured, and what is known of the poses;
 //! * `plausibility`, `start`: wrong data are refused, first poses found;
-//! * `state`, `normal`, `adjust`: derivatives, normal equations without the poses, steps, outliers, model errors;
-//! * `engine`: all of it in order; `pose_error`, `findings`: what came of it, and what tolerances cost without it;
+//! * `state`, `light`, `normal`, `adjust`: derivatives, normal equations without the poses, steps, outliers, model errors;
+//! * `engine`: all of it in order; `pose_error`, `coverage`, `findings`: what came of it, and what tolerances cost without it;
 //! * `file`: how it is stored; `head`: what solves with it, or without any; `reading`: whether it still holds.
 //!
 //! Readings are currents above dark, SI units throughout. Parameters are deviations from the scene; inside the adjustment
@@ -17,11 +17,13 @@
 mod adjust;
 mod clock;
 mod constraint;
+mod coverage;
 mod data;
 mod engine;
 mod file;
 mod findings;
 mod head;
+mod light;
 mod normal;
 mod parameter;
 mod plausibility;
@@ -37,11 +39,13 @@ use slitpose_head::scene_file::SceneFile;
 use slitpose_model::{CompiledScene, ModelError, Pose, Scene, Tier};
 
 pub use clock::{Clock, ClockError, read_tracked};
+pub use coverage::Coverage;
 pub use data::{Constraint, Data, Group, Knowledge, Row, compose, inverse, pose_of, values_of};
 pub use engine::{CalibrateError, Calibrated, Implausible, Progress, Request, calibrate};
 pub use file::{CalibrationFileError, Frames};
 pub use findings::Direction;
 pub use head::{Basis, Head, uncalibrated};
+pub use light::LightTrend;
 pub use parameter::Quantity;
 pub use plausibility::{Reports, check_poses, median, other_reading};
 pub use pose_error::{KnownPoses, PartCost, PartCosts, PoseRms, part_costs};
@@ -74,6 +78,10 @@ pub struct Calibration {
     pub frames: Vec<Frames>,
     /// How the clocks of instruments differ from the board's.
     pub clocks: Vec<Clock>,
+    /// How the light changed while files were taken.
+    pub light: Vec<LightTrend>,
+    /// What known poses cover; `None`: there were none.
+    pub covered: Option<Coverage>,
     parameters: Parameters,
     /// Below the diagonal, row by row.
     correlation: Vec<Vec<f64>>,

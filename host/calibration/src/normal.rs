@@ -65,11 +65,17 @@ pub(crate) fn row_terms(
         let jacobian = sensitivity.by_pose[row];
         let count = sensitivity.acting.len();
         let derivatives = &sensitivity.by_parameter[row * count..][..count];
-        let mut unknown: [Vec<(usize, f64)>; 2] = [Vec::with_capacity(count), Vec::with_capacity(count)];
+        let mut unknown = [(); 2].map(|()| Vec::with_capacity(count + state.light.len()));
         for (&place, derivative) in sensitivity.acting.iter().zip(derivatives) {
             let [a, b] = whiten(w, *derivative);
             unknown[0].push((place, a));
             unknown[1].push((place, b));
+        }
+        for (k, term) in state.light.iter().enumerate() {
+            let Some(slope) = term.slope(data, row) else { continue };
+            let [a, b] = whiten(w, pair.map(|current_a| current_a * slope));
+            unknown[0].push((state.first_light() + k, a));
+            unknown[1].push((state.first_light() + k, b));
         }
         let mut by_pose = [[0.0; 6]; 2];
         for axis in 0..6 {
@@ -233,8 +239,12 @@ impl Normal {
                 matrix[(i, j)] += prior[(i, j)];
             }
         }
-        for k in parameters..count {
+        for k in parameters..state.first_light() {
             matrix[(k, k)] += VAGUE.powi(-2);
+        }
+        for (k, term) in (state.first_light()..).zip(&state.light) {
+            matrix[(k, k)] += 1.0;
+            right[k] -= term.amplitude;
         }
         Self { matrix, right, rows, coupling, cells }
     }

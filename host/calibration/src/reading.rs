@@ -140,6 +140,14 @@ const MAX_ROWS: usize = 400;
 /// 1.1; a cell whose slit or emitter has moved by 10 µm makes it 3.
 const STALE: f64 = 1.6;
 
+/// Deviation of all light together that a level which the scene takes for known may have, and otherwise standard
+/// deviations of the level.
+const KNOWN_LEVEL: f64 = 2e-3;
+const LEVEL_SIGMAS: f64 = 3.0;
+
+/// Fewest cells that leave redundancy enough for the level of all light to be free.
+const MIN_CELLS_WITH_LEVEL: usize = 6;
+
 /// How much of the excess χ² must go with a cell to say that it is that one.
 const BLAMED: f64 = 0.5;
 
@@ -165,8 +173,10 @@ pub struct Validity {
     pub rows: usize,
     /// χ² of all rows by its expectation.
     pub chi2: f64,
-    /// Deviation of all light together, relative: the median of the cells'. Poses allow for it.
+    /// Deviation of all light together, relative: the median of the cells'.
     pub light_level: f64,
+    /// Whether poses allow for it, by the tolerance of the scene's light level.
+    pub allows_level: bool,
     /// Of each cell.
     pub cells: Vec<CellValidity>,
     /// Whether the head has changed; `None`: too few rows to tell.
@@ -183,10 +193,15 @@ pub fn validity(scene: &Scene, noise: Option<Noise>, rows: &[Row]) -> Result<Val
     let mut cells = vec![CellValidity::default(); count];
     let mut without = vec![[0.0; 2]; count];
     let mut solver: Option<(f64, Solver<f64>)> = None;
+    // Other cells do not have to answer for a level that is off by more than the scene expects.
+    let mut uncertainty = scene.uncertainty;
+    if count >= MIN_CELLS_WITH_LEVEL {
+        uncertainty.light_level_relative = 1.0;
+    }
     for row in rows.iter().step_by(every) {
         if solver.as_ref().is_none_or(|(frames, _)| *frames != row.frames) {
             let noise = noise.map(|noise| noise.averaged(row.frames));
-            solver = Some((row.frames, Solver::new(&Scene { noise, ..scene.clone() }, TIER)?));
+            solver = Some((row.frames, Solver::new(&Scene { noise, uncertainty, ..scene.clone() }, TIER)?));
         }
         let Some((_, solver)) = &solver else { continue };
         let solve = |left_out: Option<usize>, start: Start<'_>| {
@@ -230,21 +245,26 @@ pub fn validity(scene: &Scene, noise: Option<Noise>, rows: &[Row]) -> Result<Val
         cell.without = chi2 / f64::max(redundancy, 1.0);
     }
     let mut light_level = 0.0;
-    if scene.uncertainty.light_level_relative > 0.0 {
+    if uncertainty.light_level_relative > 0.0 {
         let mut sorted: Vec<f64> = cells.iter().map(|cell| cell.relative).collect();
         sorted.sort_unstable_by(f64::total_cmp);
         light_level = 0.5 * (sorted[(count - 1) / 2] + sorted[count / 2]);
         cells.iter_mut().for_each(|cell| cell.relative -= light_level);
     }
     let chi2 = sums[0] / sums[1].max(1.0);
-    let is_valid = (used >= MIN_ROWS).then_some(chi2 < STALE);
+    let allowed = (LEVEL_SIGMAS * scene.uncertainty.light_level_relative).max(KNOWN_LEVEL);
+    let allows_level = light_level.abs() <= allowed;
+    let is_valid = (used >= MIN_ROWS).then_some(chi2 < STALE && allows_level);
     // Where one cell contradicts the others, rows without another one often have no pose that tells anything.
     let is_judged = |cell: &usize| 2 * cells[*cell].readings > used;
     let best = (0..count).filter(is_judged).min_by(|&a, &b| cells[a].without.total_cmp(&cells[b].without));
     let changed = best.filter(|&cell| {
-        is_valid == Some(false) && chi2 - cells[cell].without > BLAMED * (chi2 - 1.0) && cells[cell].without < STALE
+        is_valid.is_some()
+            && chi2 >= STALE
+            && chi2 - cells[cell].without > BLAMED * (chi2 - 1.0)
+            && cells[cell].without < STALE
     });
-    Ok(Validity { rows: used, chi2, light_level, cells, is_valid, changed })
+    Ok(Validity { rows: used, chi2, light_level, allows_level, cells, is_valid, changed })
 }
 
 /// What a cell that a solver excluded adds to χ² at least: its threshold is about that.

@@ -5,6 +5,7 @@ use slitpose_model::{CompiledScene, ModelError, Pose, Scene, SceneError, Status,
 
 use crate::constraint;
 use crate::data::{Constraint, Data, Group, compose, inverse, pose_of};
+use crate::light::Term;
 use crate::prior::Parameters;
 use crate::reading::{Covariance, ReadingNoise, deviation, whiten, whitener};
 
@@ -19,6 +20,8 @@ pub(crate) struct State {
     pub(crate) model_errors: Vec<ModelError>,
     /// Of each group: errors of lengths and angles by what is stated.
     pub(crate) scales: Vec<[f64; 2]>,
+    /// How the light of groups changes.
+    pub(crate) light: Vec<Term>,
     pub(crate) length_scale_m: f64,
     /// Of each row.
     groups: Vec<usize>,
@@ -61,6 +64,7 @@ impl State {
             noise: nominal.cells.iter().map(|cell| ReadingNoise::new(nominal.noise.as_ref(), cell)).collect(),
             model_errors,
             scales: vec![[1.0; 2]; data.groups.len()],
+            light: Vec::new(),
             length_scale_m: nominal.length_scale_m(),
             groups,
         }
@@ -132,8 +136,19 @@ impl State {
         self.parameters.entries.len() + self.unknowns[..group].iter().map(Vec::len).sum::<usize>()
     }
 
-    pub(crate) fn unknown_count(&self) -> usize {
+    /// Place of the first term of the light, after all groups.
+    pub(crate) fn first_light(&self) -> usize {
         self.first_unknown(self.unknowns.len())
+    }
+
+    pub(crate) fn unknown_count(&self) -> usize {
+        self.first_light() + self.light.len()
+    }
+
+    /// The light of row `row` by that of the head.
+    pub(crate) fn light_of(&self, data: &Data, row: usize) -> f64 {
+        let parts = self.light.iter().filter_map(|term| Some(term.amplitude * term.slope(data, row)?));
+        parts.sum::<f64>().exp()
     }
 
     /// Moves parameters and groups by `step`, in prior σ and scales.
@@ -147,6 +162,9 @@ impl State {
             for ((k, unknown), step) in unknowns.iter_mut().enumerate().zip(&mut rest) {
                 *unknown += step * constraint::scale(group.constraint, k);
             }
+        }
+        for (term, step) in self.light.iter_mut().zip(rest) {
+            term.amplitude += step;
         }
     }
 }
@@ -166,6 +184,18 @@ pub(crate) struct CellSensitivity {
     /// Derivatives by the acting parameters in units of their prior σ: row after row, then parameter after parameter.
     /// Empty if not asked for.
     pub(crate) by_parameter: Vec<[f64; 2]>,
+}
+
+impl CellSensitivity {
+    /// Multiplies the light of row `row` by `factor`.
+    fn brighten(&mut self, row: usize, factor: f64) {
+        let Some(pair) = &mut self.pairs[row] else { return };
+        let width = if self.by_parameter.is_empty() { 0 } else { self.acting.len() };
+        let by_parameter = self.by_parameter[row * width..][..width].as_flattened_mut();
+        for value in pair.iter_mut().chain(self.by_pose[row].as_flattened_mut()).chain(by_parameter) {
+            *value *= factor;
+        }
+    }
 }
 
 /// The part of the scene that cell `number` needs: all cells if light of other emitters reaches it.
@@ -233,6 +263,23 @@ pub(crate) fn sensitivities(
     on_all_cores(&numbers, of_cell).into_iter().collect()
 }
 
+/// Those of all rows of `data`, in the light that they have by `state`.
+pub(crate) fn sensitivities_of_rows(
+    nominal: &Scene,
+    data: &Data,
+    state: &State,
+    derivatives: bool,
+) -> Result<Vec<CellSensitivity>, SceneError> {
+    let mut cells = sensitivities(nominal, &state.parameters, &state.poses, derivatives)?;
+    if !state.light.is_empty() {
+        for row in 0..data.rows.len() {
+            let factor = state.light_of(data, row);
+            cells.iter_mut().for_each(|cell| cell.brighten(row, factor));
+        }
+    }
+    Ok(cells)
+}
+
 /// One reading, against the head before and after calibration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Residual {
@@ -265,9 +312,11 @@ pub(crate) fn residuals(nominal: &Scene, data: &Data, state: &State) -> Result<V
         [&at_prior, &state.parameters].map(|of| CompiledScene::<f64>::compile(&of.scene(nominal), TIER));
     let (before, after) = (before?, after?);
     let mut found = Vec::new();
-    for (row, pose) in data.rows.iter().zip(&state.poses) {
+    for (number, (row, pose)) in data.rows.iter().zip(&state.poses).enumerate() {
+        let level = state.light_of(data, number);
         for (cell, reading) in row.readings.iter().enumerate() {
             let (Some(reading), response) = (*reading, after.respond(cell, pose)) else { continue };
+            let reading = reading.map(|current_a| current_a / level);
             let (Some(position_m), Some(angle_rad)) = (response.x_a_m, response.gamma_rad) else { continue };
             let half_length_m = 0.5 * nominal.cells[cell].detector.length_m;
             let [(before, _), (after, change)] =

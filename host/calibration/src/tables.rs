@@ -41,6 +41,7 @@ pub fn read(
     let currents = CurrentColumns::find(&reader, cells)?;
     let frames = reader.optional_column("frames")?;
     let id = reader.column("id")?;
+    let time = reader.optional_column("time_s")?;
     let has_poses = matches!(constraint, Constraint::Known | Constraint::KnownInOwnFrames);
     let poses = has_poses.then(|| PoseColumns::find(&reader)).transpose()?;
     let step = (constraint == Constraint::Stage).then(|| reader.column("step_mm")).transpose()?;
@@ -52,7 +53,9 @@ pub fn read(
             (None, Some(step)) => Knowledge::Step(row.number(step)? * 1e-3),
             (None, None) => Knowledge::Nothing,
         };
-        let row = row_of(file, &currents, frames, &row, row.text(id), knowledge)?;
+        // Some other table's idea of time is no fault: rows then count in their order.
+        let time_s = time.and_then(|time| row.number(time).ok()).map(|time_s| [time_s; 2]);
+        let row = Row { time_s, ..row_of(file, &currents, frames, &row, row.text(id), knowledge)? };
         if digits(&row).is_some_and(|digits| !known.insert(digits)) {
             return Err(Implausible::Repeated(table.to_owned(), rows.len() + 1).into());
         }

@@ -20,7 +20,8 @@ use slitpose_tracking::measurements::Measurements;
 /// another instrument measured with --known, readings of free motion with --free, or motions that need no
 /// instrument: --pivot, the tip of the tool in a cone; --stage, known steps along a line; --rest, returns to one
 /// stop. Any mix of them is adjusted together. Columns in: those of `solve`, for --known also those of a pose, for
-/// --stage step_mm; frames, the number of frames averaged in a row, may be among them. An instrument that tracks a
+/// --stage step_mm; frames, the number of frames averaged in a row, and time_s, its instant, by which a drift of the light
+/// is followed, may be among them. An instrument that tracks a
 /// motion by a clock of its own gives time_s and poses alone, and --known-capture the readings: how the clocks differ is
 /// found with the rest.
 ///
@@ -114,6 +115,9 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     }
 }
 
+/// Change of all light, relative, that is worth a word.
+const WORTH_LEVEL: f64 = 1e-3;
+
 /// Whether the calibration at `path` still describes the head that gave `readings`.
 fn still_holds(readings: &str, path: &Path) -> Result<Outcome, CommandError> {
     let calibration = Calibration::open(path)?;
@@ -131,9 +135,15 @@ fn still_holds(readings: &str, path: &Path) -> Result<Outcome, CommandError> {
         text += &format!("{number:>4} {light:>+8.3} % {position:>+9.2} µm {rms:>9.2} µm {:>14.2}\n", cell.without);
     }
     text += &format!("{:>4} {:>+8.3} %\n", "all", found.light_level * 100.0);
+    let level = format!("{:+.1} %", found.light_level * 100.0);
     let (verdict, outcome) = match (found.is_valid, found.changed) {
         (None, _) => ("too few rows have a pose to tell; give 20 or more".to_owned(), Outcome::Failed),
-        (Some(true), _) => ("it still holds".to_owned(), Outcome::Done),
+        (Some(true), _) if found.light_level.abs() < WORTH_LEVEL => ("it still holds".to_owned(), Outcome::Done),
+        (Some(true), _) => (format!("it still holds: all light {level}, for which poses allow"), Outcome::Done),
+        (Some(false), _) if !found.allows_level => {
+            let next = "look after the emitters and their supply, then calibrate again";
+            (format!("stale: all light {level}, more than light_level_relative of the scene; {next}"), Outcome::Failed)
+        }
         (Some(false), Some(cell)) => {
             let CellValidity { relative, position_m, .. } = found.cells[cell];
             let (light, position) = (relative * 100.0, position_m * 1e6);
