@@ -134,8 +134,8 @@ struct FrameLine<'a> {
 
 pub(super) struct Ndjson<W> {
     output: W,
-    /// The last one, of the last board.
-    view: Option<(DeviceId, &'static View)>,
+    /// The last one of each board.
+    views: Vec<(DeviceId, &'static View)>,
     parts: Vec<Part>,
     line: Vec<u8>,
 }
@@ -143,22 +143,28 @@ pub(super) struct Ndjson<W> {
 impl<W: Write> Ndjson<W> {
     pub(super) fn new(output: W) -> Self {
         let columns: Vec<_> = COLUMNS.iter().filter(|column| !column.key.is_empty()).collect();
-        Self { output, view: None, parts: parts(&columns, 0), line: Vec::new() }
+        Self { output, views: Vec::new(), parts: parts(&columns, 0), line: Vec::new() }
     }
 }
 
 impl<W: Write> Sink for Ndjson<W> {
     fn pose(&mut self, record: &Record) -> io::Result<()> {
         self.line.clear();
-        let view = record.view.map(|view| (record.device, view));
-        if let (Some((device, view)), true) = (view, self.view != view) {
-            let user_from_base = values_of(view.user_from_base());
-            let line =
-                FrameLine { kind: "frame", device, frame: view.name(), user_from_base, tip_m: view.tip_m().to_array() };
-            json(&mut self.line, &line);
+        if let Some(view) = record.view.filter(|view| !self.views.contains(&(record.device, view))) {
+            self.views.retain(|(device, _)| *device != record.device);
+            self.views.push((record.device, view));
+            json(
+                &mut self.line,
+                &FrameLine {
+                    kind: "frame",
+                    device: record.device,
+                    frame: view.name(),
+                    user_from_base: values_of(view.user_from_base()),
+                    tip_m: view.tip_m().to_array(),
+                },
+            );
             self.line.push(b'\n');
         }
-        self.view = view;
         write(&self.parts, &Row::from(record), &mut self.line);
         self.output.write_all(&self.line)
     }

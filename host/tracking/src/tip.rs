@@ -2,10 +2,12 @@
 //!
 //! R·p + t = c for the pose (R, t) of each row, with the tip p in the tool frame and the cone c in the base. Least squares,
 //! with the inverse covariance of R·p + t as weight, which contains noise, model error and what the calibration left open.
+//! All but noise and contact is a smooth function of the pose, which many rows do not average away: it counts as
+//! [`SHARED_ERRORS`] independent errors, however many rows there are.
 
 use glam::{DMat3, DVec3};
 use slitpose_calibration::{Data, Head, Row};
-use slitpose_model::{Estimate, Pair, Photocurrents, Reading, SceneError, Tier};
+use slitpose_model::{CompiledScene, Estimate, Pair, Photocurrents, Reading, SceneError, Tier};
 use thiserror::Error;
 
 use crate::frame::View;
@@ -23,6 +25,14 @@ const MIN_KEPT: f64 = 0.8;
 
 const MIN_ROWS: usize = 6;
 
+/// Independent errors among those that rows share, one for each coordinate of a pose.
+const SHARED_ERRORS: f64 = 6.0;
+
+/// Frames in a row without noise.
+const NOISELESS: f64 = 1e12;
+
+const TIER: Tier = Tier::Exact { tolerance: STREAM_TOLERANCE };
+
 /// σ of a tip that is not known: the tool has turned about one axis, or hardly.
 const MAX_SIGMA_M: f64 = 1e-3;
 
@@ -33,7 +43,7 @@ pub struct Tip {
     pub tip_m: DVec3,
     /// Its covariance, m².
     pub covariance: DMat3,
-    /// Rows that found it, and rows that contradict them.
+    /// Rows that found it.
     pub rows: usize,
     /// Rows that contradict the rest.
     pub left_out: usize,
@@ -63,9 +73,9 @@ pub enum TipError {
     Moved { left_out: usize, rows: usize },
 }
 
-/// The tip in the readings of `data`, all of which were taken with the tip in one cone.
+/// The tip in the readings of `data`, all of which were taken with the tip of the calibrated `head` in one cone.
 pub fn find(head: &Head, data: &Data) -> Result<Tip, TipError> {
-    let solver = RowSolver::new(head.clone(), Tier::Exact { tolerance: STREAM_TOLERANCE }, false)?;
+    let solver = RowSolver::new(head.clone(), TIER, false)?;
     let solve = |row: &Row| Ok::<_, SceneError>(solver.with_frames(row.frames)?.solve(&photocurrents(row)).estimate);
     let solved = data.rows.iter().map(solve).collect::<Result<Vec<_>, _>>()?;
     let mut estimates: Vec<Estimate> = solved.into_iter().flatten().collect();
@@ -82,7 +92,9 @@ pub fn find(head: &Head, data: &Data) -> Result<Tip, TipError> {
     let fit = Fit::of(&estimates).ok_or(TipError::LittleTurn { sigma_m: f64::INFINITY })?;
     let redundancy = (3 * estimates.len() - 6) as f64;
     let chi2: f64 = estimates.iter().map(|estimate| fit.square(estimate)).sum();
-    let covariance = fit.covariance * (chi2 / redundancy).max(1.0);
+    let shared = fit.by_shared_errors(&estimates, head, &solver)?;
+    let covariance = fit.covariance * (chi2 / redundancy).max(1.0)
+        + shared * (estimates.len() as f64 / SHARED_ERRORS - 1.0).max(0.0);
     let sigma_m = (0..3).map(|k| covariance.col(k)[k].sqrt()).fold(0.0, f64::max);
     if sigma_m > MAX_SIGMA_M {
         return Err(TipError::LittleTurn { sigma_m });
@@ -104,12 +116,15 @@ struct Fit {
     tip_m: DVec3,
     cone_m: DVec3,
     covariance: DMat3,
+    /// How the cone follows from the tip.
+    share: DMat3,
 }
 
 impl Fit {
     /// `None`: nothing is known along an axis.
     fn of(estimates: &[Estimate]) -> Option<Self> {
-        let mut fit = Self { tip_m: DVec3::ZERO, cone_m: DVec3::ZERO, covariance: DMat3::ZERO };
+        let (zero, none) = (DVec3::ZERO, DMat3::ZERO);
+        let mut fit = Self { tip_m: zero, cone_m: zero, covariance: none, share: none };
         for _ in 0..ROUNDS {
             let (mut tips, mut mixed, mut cones) = (DMat3::ZERO, DMat3::ZERO, DMat3::ZERO);
             let (mut of_tip, mut of_cone) = (DVec3::ZERO, DVec3::ZERO);
@@ -121,9 +136,9 @@ impl Fit {
                 of_cone += weight * estimate.pose.translation_m;
             }
             // The cone eliminated.
-            let share = mixed * cones.inverse();
-            fit.covariance = (tips - share * mixed.transpose()).inverse();
-            fit.tip_m = fit.covariance * (of_tip + share * of_cone);
+            fit.share = mixed * cones.inverse();
+            fit.covariance = (tips - fit.share * mixed.transpose()).inverse();
+            fit.tip_m = fit.covariance * (of_tip + fit.share * of_cone);
             fit.cone_m = cones.inverse() * (of_cone + mixed.transpose() * fit.tip_m);
             if !fit.tip_m.is_finite() || (0..3).any(|k| fit.covariance.col(k)[k] <= 0.0) {
                 return None;
@@ -132,12 +147,31 @@ impl Fit {
         Some(fit)
     }
 
-    /// Where the tip is in the base by a pose, and the inverse covariance of that and of the contact.
-    fn at(&self, estimate: &Estimate) -> (DVec3, DMat3) {
+    /// Where the tip is in the base by a pose, and the covariance of that.
+    fn place(&self, estimate: &Estimate) -> (DVec3, DMat3) {
         let Estimate { pose, covariance } = View::with_tip(self.tip_m, DMat3::ZERO).estimate(estimate);
-        let contact = DMat3::from_diagonal(DVec3::splat(CONTACT[0] * CONTACT[0]));
         let block = DMat3::from_cols_array_2d(&std::array::from_fn(|c| std::array::from_fn(|r| covariance[r][c])));
-        (pose.translation_m, (block + contact).inverse())
+        (pose.translation_m, block)
+    }
+
+    /// The same, and the inverse covariance of that and of the contact.
+    fn at(&self, estimate: &Estimate) -> (DVec3, DMat3) {
+        let contact = DMat3::from_diagonal(DVec3::splat(CONTACT[0] * CONTACT[0]));
+        let (tip_m, covariance) = self.place(estimate);
+        (tip_m, (covariance + contact).inverse())
+    }
+
+    /// The covariance of the tip by errors of poses without noise, as if each row had its own.
+    fn by_shared_errors(&self, estimates: &[Estimate], head: &Head, solver: &RowSolver) -> Result<DMat3, SceneError> {
+        let (plan, still) = (CompiledScene::<f64>::compile(&head.file.scene, TIER)?, solver.with_frames(NOISELESS)?);
+        let of_row = |estimate: &Estimate| {
+            let currents = (0..solver.cells()).map(|cell| Some(plan.respond(cell, &estimate.pose).currents));
+            let shared = still.solve(&still.readings(currents)).estimate?;
+            let (r, weight) = (DMat3::from_quat(estimate.pose.rotation), self.at(estimate).1);
+            let gain = self.covariance * (r.transpose() - self.share) * weight;
+            Some(gain * self.place(&shared).1 * gain.transpose())
+        };
+        Ok(estimates.iter().filter_map(of_row).fold(DMat3::ZERO, |sum, of_row| sum + of_row))
     }
 
     fn square(&self, estimate: &Estimate) -> f64 {

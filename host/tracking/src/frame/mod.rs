@@ -132,17 +132,18 @@ impl Text {
             return Err(format!("says user_from_base.rotation_rad = {value}; give a rotation vector in radians"));
         }
         let covariance = self.tip.as_ref().map_or(DMat3::ZERO, TipText::covariance);
-        let is_fit = covariance == covariance.transpose() && (0..3).all(|k| covariance.col(k)[k] >= 0.0);
-        if is_fit && covariance.is_finite() {
+        if covariance.is_finite() && (0..3).all(|k| covariance.col(k)[k] >= 0.0) {
             return Ok(());
         }
-        Err("says tip.covariance_mm2, which is no covariance; give a symmetric matrix, or leave it out".to_owned())
+        Err("says tip.covariance_mm2, which is no covariance; give finite numbers, those of the diagonal not below 0, or leave it out".to_owned())
     }
 }
 
 impl TipText {
+    /// Symmetric, also where digits are missing.
     fn covariance(&self) -> DMat3 {
-        DMat3::from_cols_array_2d(&self.covariance_mm2) * 1e-6
+        let half = DMat3::from_cols_array_2d(&self.covariance_mm2) * 0.5e-6;
+        half + half.transpose()
     }
 }
 
@@ -164,10 +165,12 @@ pub fn folder() -> PathBuf {
 }
 
 impl View {
-    /// The frame of `frame`, a file or a name, and the tip of `tip`, a file or x,y,z in millimetres; `None` if both are
-    /// those of the head. It lives as long as the program, because records refer to it.
+    /// The frame of `frame`, a file or a name, and the tip of `tip`, a file or x,y,z in millimetres, or else the tip that
+    /// the frame's file has; `None` if both are those of the head. It lives as long as the program, because records refer
+    /// to it.
     pub fn open(frame: Option<&str>, tip: Option<&str>) -> Result<Option<&'static Self>, FrameError> {
         let mut view = Self::default();
+        let mut at = None;
         if let Some(name) = frame.filter(|name| *name != BASE) {
             let text = Text::open(name)?;
             let Some(pose) = text.user_from_base else {
@@ -178,19 +181,20 @@ impl View {
             view.name = text.name.or_else(|| stem.map(str::to_owned)).unwrap_or_else(|| "user".to_owned());
             let [translation_mm, rotation_rad] = [pose.translation_mm, pose.rotation_rad].map(DVec3::from_array);
             view.user_from_base = Pose::from_vectors(translation_mm * 1e-3, rotation_rad);
+            at = text.tip;
         }
         if let Some(tip) = tip {
             let numbers: Option<Vec<f64>> = tip.split(',').map(|number| number.trim().parse().ok()).collect();
-            let text = match numbers.and_then(|numbers| <[f64; 3]>::try_from(numbers).ok()) {
-                Some(position_mm) if beyond(position_mm, MAX_MM).is_none() => {
-                    Some(TipText { position_mm, covariance_mm2: [[0.0; 3]; 3] })
-                }
-                Some(_) => None,
+            let numbers = numbers.and_then(|numbers| <[f64; 3]>::try_from(numbers).ok());
+            at = match numbers.filter(|numbers| beyond(*numbers, MAX_MM).is_none()) {
+                Some(position_mm) => Some(TipText { position_mm, covariance_mm2: [[0.0; 3]; 3] }),
                 None if tip.contains(',') => None,
                 None => Text::open(tip)?.tip,
             };
-            let text = text.ok_or_else(|| FrameError::Tip(tip.to_owned()))?;
-            (view.tip_m, view.tip_covariance) = (DVec3::from_array(text.position_mm) * 1e-3, text.covariance());
+            at.as_ref().ok_or_else(|| FrameError::Tip(tip.to_owned()))?;
+        }
+        if let Some(at) = at {
+            (view.tip_m, view.tip_covariance) = (DVec3::from_array(at.position_mm) * 1e-3, at.covariance());
         }
         Ok((view != Self::default()).then(|| view.kept()))
     }

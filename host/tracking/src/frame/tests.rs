@@ -168,6 +168,9 @@ fn files_come_back_as_they_were_and_faults_are_named() {
     let (t, r) = read.user_from_base.displacement_from(&written.user_from_base);
     assert!(t.length() < 1e-15 && r.length() < 1e-15);
     assert!((0..3).all(|k| read.tip_covariance.col(k).distance(tip_covariance.col(k)) < 1e-25));
+    assert_eq!(View::open(Some(name), None).unwrap(), Some(read), "the tip of the same file");
+    let other = View::open(Some(name), Some("0,0,0")).unwrap().unwrap();
+    assert_eq!((other.name(), other.tip_m), ("jig", DVec3::ZERO));
     let given = View::open(None, Some("1, 2,-3")).unwrap().unwrap();
     assert_eq!((given.name(), given.tip_m), (BASE, DVec3::new(1e-3, 2e-3, -3e-3)));
     assert_eq!(View::open(Some(BASE), Some("0,0,0")).unwrap(), None);
@@ -188,10 +191,10 @@ fn files_come_back_as_they_were_and_faults_are_named() {
         let error = View::open(None, Some(tip)).unwrap_err().to_string();
         assert!(error.contains(tip), "{error}");
     }
-    std::fs::write(&path, "tip = { position_mm = [0, 0, 1], covariance_mm2 = [[1, 2, 0], [0, 1, 0], [0, 0, 1]] }")
+    std::fs::write(&path, "tip = { position_mm = [0, 0, 1], covariance_mm2 = [[1, 0, 0], [0, -1, 0], [0, 0, 1]] }")
         .unwrap();
     let error = View::open(None, Some(name)).unwrap_err().to_string();
-    assert!(error.contains("symmetric"), "{error}");
+    assert!(error.contains("diagonal not below 0"), "{error}");
 }
 
 #[test]
