@@ -21,7 +21,9 @@ __all__ = [
     "rotation_vectors",
 ]
 __version__: str
-CELL_READINGS: list[str]
+COLUMNS: list[Tuple[str, str, str, list[str]]]
+CELL_STATUSES: list[str]
+READINGS: list[str]
 AXES: list[str]
 SCENES: list[str]
 
