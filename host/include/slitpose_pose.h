@@ -56,6 +56,7 @@
 #define SLITPOSE_SIMULATED 16u    /* computed, not measured */
 #define SLITPOSE_BEHIND 32u       /* scans before this one were passed over: they come faster than the daemon
                                      can solve or print them, and this was the newest */
+#define SLITPOSE_IN_FRAME 64u     /* the pose is in a frame of the user, or of the tip: run --frame, --tip */
 
 /* Values of `status`. The first two have a pose. */
 enum slitpose_status {
@@ -94,6 +95,15 @@ struct slitpose_pose {
     double linear_m_per_s[3];
     double angular_rad_per_s[3];
     double twist_sigma[6]; /* standard deviations of the six */
+    double light_level;    /* of all light, relative to scene or calibration */
+    uint64_t no_twist;     /* why a pose has no velocity: see slitpose_no_twist */
+};
+
+/* Values of `no_twist`. */
+enum slitpose_no_twist {
+    SLITPOSE_TWIST_KNOWN = 0, /* or no pose */
+    SLITPOSE_TWIST_START = 1, /* too few poses yet */
+    SLITPOSE_TWIST_JUMP = 2   /* the tool is not where its motion led: it has hit something, or the pose is wrong */
 };
 
 /* What is sent to the daemon. */
@@ -151,7 +161,9 @@ SLITPOSE_CHECK_AT(covariance, 160);
 SLITPOSE_CHECK_AT(linear_m_per_s, 448);
 SLITPOSE_CHECK_AT(angular_rad_per_s, 472);
 SLITPOSE_CHECK_AT(twist_sigma, 496);
-SLITPOSE_CHECK(pose_bytes, sizeof(struct slitpose_pose) == 544);
+SLITPOSE_CHECK_AT(light_level, 544);
+SLITPOSE_CHECK_AT(no_twist, 552);
+SLITPOSE_CHECK(pose_bytes, sizeof(struct slitpose_pose) == 560);
 SLITPOSE_CHECK(request_bytes, sizeof(struct slitpose_request) == 32);
 SLITPOSE_CHECK(answer_bytes, sizeof(struct slitpose_answer) == 24);
 

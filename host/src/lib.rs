@@ -61,6 +61,7 @@ mod samples {
             light_level: None,
             simulated: true,
             truth: None,
+            view: None,
         }
     }
 

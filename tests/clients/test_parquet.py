@@ -58,7 +58,7 @@ class Parquet(unittest.TestCase):
             else:
                 same = [row[column] == text(value) for row, value in zip(rows, found)]
             self.assertTrue(all(same), column)
-        # What CSV lacks, NDJSON has.
+        # As NDJSON has them.
         for prefix, values in {
             "": lambda line: line["twist"] and [*line["twist"]["linear_m_per_s"], *line["twist"]["angular_rad_per_s"]],
             "sigma_": lambda line: line["twist"] and line["twist"]["sigma"],

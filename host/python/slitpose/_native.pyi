@@ -7,15 +7,13 @@ from numpy.typing import NDArray
 __all__ = [
     "AXES",
     "CELL_STATUSES",
+    "COLUMNS",
     "Calibration",
     "Captures",
     "READINGS",
-    "REASONS",
     "SCENES",
-    "STATUSES",
     "Scene",
     "SlitposeError",
-    "VERIFIED",
     "__version__",
     "calibrate",
     "limit_cores",
@@ -23,9 +21,7 @@ __all__ = [
     "rotation_vectors",
 ]
 __version__: str
-STATUSES: list[str]
-REASONS: list[str]
-VERIFIED: list[str]
+COLUMNS: list[Tuple[str, str, str, list[str]]]
 CELL_STATUSES: list[str]
 READINGS: list[str]
 AXES: list[str]
@@ -49,6 +45,8 @@ class Captures:
         tolerance: Optional[float] = None,
         filter_s: Optional[float] = None,
         without_clipped: bool = False,
+        frame: Optional[str] = None,
+        tip: Optional[str] = None,
         from_s: Optional[float] = None,
         to_s: Optional[float] = None,
         duration_s: Optional[float] = None,
@@ -104,6 +102,8 @@ class Scene:
         tier: Optional[str] = None,
         tolerance: Optional[float] = None,
         without_clipped: bool = False,
+        frame: Optional[str] = None,
+        tip: Optional[str] = None,
     ) -> _Columns: ...
     def crlb(self, translation_m: _Float, rotation: _Float) -> _Columns: ...
     def plot(self, translation_m: _Float, rotation: _Float, cell: Optional[int] = None) -> str: ...

@@ -59,6 +59,8 @@ def replay(
     tolerance: Optional[float] = None,
     filter_s: Optional[float] = None,
     without_clipped: bool = False,
+    frame: Optional[str] = None,
+    tip: Optional[str] = None,
     from_s: Optional[float] = None,
     to_s: Optional[float] = None,
     duration_s: Optional[float] = None,
@@ -73,6 +75,8 @@ def replay(
     :param tier: ``"paper"`` or ``"exact"``; `tolerance`: relative error of the exact tier's integrals.
     :param filter_s: memory of the filter, s; 0: no filter.
     :param without_clipped: leave out cells whose light falls on an end of the detector.
+    :param frame: file or name of a frame that poses, velocities and truth are given in; `tip`: point of the tool, a file or
+        ``"x,y,z"`` in mm. As for the command.
     :param from_s: begin this long after the beginning of the first file, s; the first poses are then found from nothing,
         unlike in the whole. For parts that are to be joined see :func:`slitpose.replay_part`.
     :param to_s: end this long after the beginning, s.

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._native import SlitposeError
-from .poses import Status
+from .poses import Poses, Status
 
 #: The layout of a pose datagram, ``struct slitpose_pose`` of slitpose_pose.h.
 DATAGRAM = np.dtype(
@@ -26,6 +26,7 @@ DATAGRAM = np.dtype(
         ("arrival_monotonic_ns", "<u8"), ("published_monotonic_ns", "<u8"), ("translation_m", "<f8", 3),
         ("rotation_xyzw", "<f8", 4), ("covariance", "<f8", (6, 6)), ("linear_m_per_s", "<f8", 3),
         ("angular_rad_per_s", "<f8", 3), ("twist_sigma", "<f8", 6),
+        ("light_level", "<f8"), ("no_twist", "<u8"),
     ]
 )  # fmt: skip
 
@@ -72,6 +73,10 @@ class LivePose:
     twist: NDArray[np.float64]
     #: (6,) its standard deviations.
     twist_sigma: NDArray[np.float64]
+    #: Brightness of all light relative to scene or calibration.
+    light_level: float
+    #: Why a pose has no velocity: a word of ``Poses.words["no_twist"]``.
+    no_twist: str
     #: Whether it was computed, not measured.
     simulated: bool
     #: Whether scans before this one were passed over because the daemon is late.
@@ -105,6 +110,8 @@ class LivePose:
             covariance=row["covariance"],
             twist=np.concatenate([row["linear_m_per_s"], row["angular_rad_per_s"]]),
             twist_sigma=row["twist_sigma"],
+            light_level=float(row["light_level"]),
+            no_twist=Poses.words["no_twist"][int(row["no_twist"])],
             simulated=bool(flags & _IS_SIMULATED),
             behind=bool(flags & _IS_BEHIND),
         )

@@ -101,6 +101,6 @@ def join(parts: Sequence[Part], *, same_bits: bool = True) -> Poses:
         raise SeamError(seams)
     whole = Poses.concatenate([part.poses for part in parts])
     # The last part has decoded everything, and has counted all losses.
-    whole = dataclasses.replace(whole, losses=parts[-1].poses.losses)
+    whole = whole._with(whole.columns(), parts[-1].poses.losses)
     _warn(whole.remarks, whole.losses)
     return whole

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import enum
 from typing import TYPE_CHECKING, Any, Optional, Sequence
 
@@ -60,88 +59,58 @@ class Reading(enum.IntEnum):
     missing = 2
 
 
-@dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class Poses:
-    """Poses and what is known of them, a row each (N). What a row lacks is NaN, in columns of integers 0.
+#: Unit and meaning of each array of :class:`Poses`. Arrays that stand in several rows of the table have the last one's.
+_ABOUT = {name: (unit, meaning) for name, unit, meaning, _ in _native.COLUMNS}
 
-    Columns that only streams have (``device`` to ``truth_rotation_xyzw``) are ``None`` where rows of currents were
-    solved; those of the filter are ``None`` without one.
+#: The words that the numbers of an array stand for.
+_WORDS = {name: tuple(words) for name, _, _, words in _native.COLUMNS if words}
+
+
+class Poses:
+    """Poses and what is known of them, a row each (N): an array for each quantity, as :meth:`describe` lists them.
+
+    What a row lacks is NaN, in columns of integers 0. Numbers stand for words where :attr:`words` has some. Columns that
+    only streams have are ``None`` where rows of currents were solved; those of the filter are ``None`` without one.
+    ``covariance`` (N, 6, 6) is that of (dt, dr) in the base frame; ``twist`` (N, 6) has linear and angular velocity.
+    Bit k of ``free_directions`` is that of ``slitpose.AXES[k]``, bit k of ``excluded_cells`` that of cell k. ``device`` has
+    indices of :attr:`devices`.
     """
 
-    #: (N,) numbers of :class:`Status`.
-    status: NDArray[np.uint8]
-    #: (N,) why a pose is degraded: numbers of :attr:`reasons`.
-    reason: NDArray[np.uint8]
-    #: (N,) of an unobservable pose, coordinates that are free: bit k is that of ``slitpose.AXES[k]``.
-    free_directions: NDArray[np.uint8]
-    #: (N, 3) m.
-    translation_m: NDArray[np.float64]
-    #: (N, 4) quaternion x, y, z, w.
-    rotation_xyzw: NDArray[np.float64]
-    #: (N, 6, 6) of (dt, dr) in the base frame: m², m·rad, rad².
-    covariance: NDArray[np.float64]
-    #: (N,) condition number of the scaled normal equations.
-    condition: NDArray[np.float64]
-    #: (N,) sum of the squared normalised residuals.
-    chi2: NDArray[np.float64]
-    #: (N,) data minus unknowns.
-    redundancy: NDArray[np.uint16]
-    #: (N,) refinement steps.
-    iterations: NDArray[np.uint16]
-    #: (N,) how many cells entered.
-    cells_used: NDArray[np.uint16]
-    #: (N,) cells that contradict all others: bit k is cell k.
-    excluded_cells: NDArray[np.uint16]
-    #: (N,) how well redundancy checked the pose: 0 not, 1 weakly, 2 well.
-    verified: NDArray[np.uint8]
-    #: (N,) greatest shift of the pose by one undetected outlier, in its σ.
-    unnoticed_sigmas: NDArray[np.float64]
+    #: The words for the numbers of each array that has some.
+    words = _WORDS
 
-    #: (N,) the board: index of :attr:`devices`.
-    device: Optional[NDArray[np.uint8]] = None
-    #: (N,) number of the scan, counted by the board.
-    sequence: Optional[NDArray[np.uint64]] = None
-    #: (N,) the instant of the pose by the board's clock, s.
-    time_s: Optional[NDArray[np.float64]] = None
-    #: (N,) the same by the host's CLOCK_MONOTONIC, ns; 0 while unknown.
-    host_monotonic_ns: Optional[NDArray[np.uint64]] = None
-    #: (N,) the same by UTC, ns since 1970; 0 while unknown.
-    host_utc_ns: Optional[NDArray[np.uint64]] = None
-    #: (N,) greatest error of both, ns; 0 while unknown.
-    host_uncertainty_ns: Optional[NDArray[np.uint64]] = None
-    #: (N, 6) velocity in the base frame: m/s, rad/s.
-    twist: Optional[NDArray[np.float64]] = None
-    #: (N, 6) its standard deviations.
-    twist_sigma: Optional[NDArray[np.float64]] = None
-    #: (N,) whether the currents were computed, not measured.
-    simulated: Optional[NDArray[np.bool_]] = None
-    #: (N, 3) m, the true pose of simulated boards.
-    truth_translation_m: Optional[NDArray[np.float64]] = None
-    #: (N, 4) quaternion x, y, z, w.
-    truth_rotation_xyzw: Optional[NDArray[np.float64]] = None
+    #: The words for ``reason``.
+    reasons = _WORDS["reason"]
 
-    #: (N, 3) m, the pose filtered over many scans.
-    filtered_translation_m: Optional[NDArray[np.float64]] = None
-    #: (N, 4) quaternion x, y, z, w.
-    filtered_rotation_xyzw: Optional[NDArray[np.float64]] = None
-    #: (N, 6, 6) as :attr:`covariance`.
-    filtered_covariance: Optional[NDArray[np.float64]] = None
-    #: (N, 6) as :attr:`twist`.
-    filtered_twist: Optional[NDArray[np.float64]] = None
-    #: (N, 6) its standard deviations.
-    filtered_twist_sigma: Optional[NDArray[np.float64]] = None
-    #: (N,) time after which half of a small step has come through the filter, s.
-    filtered_lag_s: Optional[NDArray[np.float64]] = None
+    if TYPE_CHECKING:
 
-    #: The boards: 24 hexadecimal digits each.
-    devices: tuple[str, ...] = ()
-    #: What was damaged or lost, in words; empty: nothing.
-    losses: tuple[str, ...] = ()
-    #: What else was remarkable.
-    remarks: tuple[str, ...] = ()
+        def __getattr__(self, name: str) -> Any: ...
 
-    #: The words for :attr:`reason`.
-    reasons = tuple(_native.REASONS)
+    def __init__(
+        self,
+        *,
+        devices: Sequence[str] = (),
+        losses: Sequence[str] = (),
+        remarks: Sequence[str] = (),
+        **columns: NDArray[Any],
+    ) -> None:
+        #: The boards: 24 hexadecimal digits each.
+        self.devices = tuple(devices)
+        #: What was damaged or lost, in words; empty: nothing.
+        self.losses = tuple(losses)
+        #: What else was remarkable.
+        self.remarks = tuple(remarks)
+        unknown = columns.keys() - _ABOUT.keys()
+        if unknown:
+            raise TypeError(f"{sorted(unknown)} are no arrays of poses; see Poses.describe()")
+        for name in _ABOUT:
+            setattr(self, name, columns.get(name))
+
+    @staticmethod
+    def describe() -> str:
+        """The arrays, with their units and meanings, a line each."""
+        lines = (f"{name:24}{unit:12}{meaning}" for name, (unit, meaning) in _ABOUT.items())
+        return "\n".join(lines)
 
     def __len__(self) -> int:
         return len(self.status)
@@ -154,17 +123,20 @@ class Poses:
         """The poses of a slice, a mask or an array of indices; views where numpy gives views."""
         if np.ndim(np.empty(len(self))[rows]) != 1:
             raise ValueError(f"{rows!r} gives no rows; give a slice, a mask or an array of indices")
-        return dataclasses.replace(self, **{name: column[rows] for name, column in self.columns().items()})
+        return self._with({name: column[rows] for name, column in self.columns().items()}, self.losses)
+
+    def _with(self, columns: dict[str, NDArray[Any]], losses: Sequence[str]) -> Poses:
+        return Poses(**columns, devices=self.devices, losses=losses, remarks=self.remarks)
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """The arrays that are there, by name."""
-        fields = ((field.name, getattr(self, field.name)) for field in dataclasses.fields(self))
-        return {name: value for name, value in fields if isinstance(value, np.ndarray)}
+        return {name: value for name in _ABOUT if (value := getattr(self, name)) is not None}
 
     @property
     def has_pose(self) -> NDArray[np.bool_]:
         """(N,) whether the row has a pose."""
-        return self.status <= Status.degraded
+        found: NDArray[np.bool_] = self.status <= Status.degraded
+        return found
 
     @property
     def rotation_rad(self) -> NDArray[np.float64]:
@@ -174,7 +146,8 @@ class Poses:
     @property
     def sigma(self) -> NDArray[np.float64]:
         """(N, 6) standard deviations of the pose: m, rad."""
-        return np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
+        sigma: NDArray[np.float64] = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
+        return sigma
 
     def to_frame(self) -> pandas.DataFrame:
         """As a pandas DataFrame, units in the names of its columns; covariances as standard deviations."""
@@ -185,34 +158,36 @@ class Poses:
 
         pose = [f"{axis}_{'m' if axis[0] == 't' else 'rad'}" for axis in _native.AXES]
         speed = [*(f"v{a}_m_per_s" for a in "xyz"), *(f"w{a}_rad_per_s" for a in "xyz")]
+
         def words(codes: NDArray[Any], categories: Sequence[str]) -> Any:
             return pandas.Categorical.from_codes(codes, categories=pandas.Index(categories))
 
         data: dict[str, Any] = {}
-        if self.sequence is not None and self.device is not None:
+        if self.sequence is not None:
             data |= {"sequence": self.sequence, "time_s": self.time_s}
-            if self.host_utc_ns is not None:
-                utc = self.host_utc_ns.astype("datetime64[ns]")
-                utc[self.host_utc_ns == 0] = np.datetime64("NaT")
-                data["host_utc"] = utc
+            utc = self.host_utc_ns.astype("datetime64[ns]")
+            utc[self.host_utc_ns == 0] = np.datetime64("NaT")
+            data["host_utc"] = utc
             data["device"] = words(self.device, self.devices)
-        data["status"] = words(self.status, _native.STATUSES)
-        data["reason"] = words(self.reason, _native.REASONS)
+        for name in ("status", "reason"):
+            data[name] = words(getattr(self, name), _WORDS[name])
         data |= axes("", self.translation_m, pose[:3]) | axes("", self.rotation_rad, pose[3:])
         data |= axes("q", self.rotation_xyzw, "xyzw") | axes("sigma_", self.sigma, pose)
         for name in ("condition", "chi2", "redundancy", "iterations", "cells_used", "excluded_cells"):
             data[name] = getattr(self, name)
-        data["verified"] = words(self.verified, _native.VERIFIED)
-        if self.twist is not None and self.twist_sigma is not None:
+        data["verified"] = words(self.verified, _WORDS["verified"])
+        if self.twist is not None:
             data |= axes("", self.twist, speed) | axes("sigma_", self.twist_sigma, speed)
-        if self.filtered_translation_m is not None and self.filtered_rotation_xyzw is not None:
+        if self.filtered_translation_m is not None:
             data |= axes("filtered_", self.filtered_translation_m, pose[:3])
             data |= axes("filtered_", _native.rotation_vectors(self.filtered_rotation_xyzw), pose[3:])
         if self.simulated is not None:
             data["simulated"] = self.simulated
-        if self.truth_translation_m is not None and self.truth_rotation_xyzw is not None:
             data |= axes("truth_", self.truth_translation_m, pose[:3])
             data |= axes("truth_", _native.rotation_vectors(self.truth_rotation_xyzw), pose[3:])
+        for name, column in self.columns().items():
+            if column.ndim == 1 and name not in data:
+                data[name] = words(column, _WORDS[name]) if name in _WORDS else column
         return pandas.DataFrame(data)
 
     @classmethod

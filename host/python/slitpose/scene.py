@@ -199,12 +199,15 @@ class Scene:
         tier: Optional[str] = None,
         tolerance: Optional[float] = None,
         without_clipped: bool = False,
+        frame: Optional[str] = None,
+        tip: Optional[str] = None,
     ) -> Poses:
         """The pose behind each row of currents, each from a cold start, as ``slitpose solve``; on all cores.
 
         :param currents_a: (N, K, 2) all taken at one instant, dark current included, A; NaN, infinite or masked: not measured.
         :param frames: (N,) or a number: of how many frames a row is the mean; default 1.
         :param tolerance: relative error of the exact tier's integrals, 1e-6 unless given.
+        :param frame: as for :func:`slitpose.replay`, and `tip`.
         """
         currents = _floats(currents_a)
         if currents.ndim != 3:
@@ -212,7 +215,7 @@ class Scene:
         if frames is not None:
             frames = np.ascontiguousarray(np.broadcast_to(_floats(frames), len(currents)))
         columns = self._native.solve(
-            currents, frames, tier=tier, tolerance=tolerance, without_clipped=without_clipped
+            currents, frames, tier=tier, tolerance=tolerance, without_clipped=without_clipped, frame=frame, tip=tip
         )
         return Poses(**columns)
 

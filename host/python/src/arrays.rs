@@ -5,29 +5,9 @@ use numpy::{Element, IntoPyArray, PyArray, PyArray2, PyArrayMethods, PyReadonlyA
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use slitpose_model::{
-    AXES, DegradedReason, Filtered, Outcome, Pose, Solution, TwistEstimate, Verified, rotation_exp, rotation_log,
-};
+use slitpose_model::{AXES, Pose, rotation_exp, rotation_log};
+use slitpose_tracking::columns::{COLUMNS, Column, Get, Row};
 use slitpose_tracking::link::DeviceId;
-use slitpose_tracking::pipeline::{Outcomes, Record};
-
-/// The numbers of `verified`.
-pub(crate) const VERIFIED: [Verified; 3] = [Verified::Not, Verified::Weakly, Verified::Well];
-
-/// Why a pose is degraded, in the order of the numbers, from 1.
-const REASONS: [DegradedReason; 6] = [
-    DegradedReason::FewerCells,
-    DegradedReason::CellExcluded,
-    DegradedReason::Misfit,
-    DegradedReason::Unfinished,
-    DegradedReason::Uncalibrated,
-    DegradedReason::Doubted,
-];
-
-/// The words for them; nothing for zero.
-pub(crate) fn reasons() -> Vec<&'static str> {
-    std::iter::once("").chain(REASONS.map(|reason| reason.as_str())).collect()
-}
 
 /// `values` as an array of this shape, without a copy.
 pub(crate) fn matrix<T: Element, D: numpy::ndarray::Dimension>(
@@ -61,75 +41,6 @@ impl<'py> Columns<'py> {
     }
 }
 
-/// Columns with their types and, of arrays, their shapes: what a struct of vectors needs to become a dictionary.
-macro_rules! columns {
-    ($(#[$about:meta])* $name:ident { $($column:ident: $type:ty $([$($length:expr),*])?,)* }) => {
-        $(#[$about])*
-        #[derive(Default)]
-        pub(crate) struct $name { $($column: Vec<$type>,)* }
-
-        impl $name {
-            /// Puts all of them, the names behind `prefix`.
-            pub(crate) fn put(self, columns: &Columns<'_>, prefix: &str) -> PyResult<()> {
-                $(columns.put_shaped(&format!("{prefix}{}", stringify!($column)), self.$column, &[$($($length),*)?])?;)*
-                Ok(())
-            }
-        }
-    };
-}
-
-columns!(
-    /// Solutions, one a row. What a row lacks is NaN, or zero in columns of integers.
-    SolutionColumns {
-        status: u8,
-        reason: u8,
-        free_directions: u8,
-        translation_m: f64 [3],
-        rotation_xyzw: f64 [4],
-        covariance: f64 [6, 6],
-        condition: f64,
-        chi2: f64,
-        redundancy: u16,
-        iterations: u16,
-        cells_used: u16,
-        excluded_cells: u16,
-        verified: u8,
-        unnoticed_sigmas: f64,
-    }
-);
-
-impl SolutionColumns {
-    pub(crate) fn push(&mut self, solution: &Solution) {
-        let outcome = &solution.outcome;
-        self.status.push(Outcomes::number_of(outcome) as u8);
-        let reason = match outcome {
-            Outcome::Degraded(why) => REASONS.iter().position(|reason| reason == why).map_or(0, |at| at + 1),
-            _ => 0,
-        };
-        self.reason.push(reason as u8);
-        let free = |name: &str| AXES.iter().position(|axis| *axis == name).map_or(0, |axis| 1_u8 << axis);
-        self.free_directions.push(match outcome {
-            Outcome::Unobservable(directions) => directions.names().map(free).fold(0, |set, bit| set | bit),
-            _ => 0,
-        });
-        put_pose(&mut self.translation_m, &mut self.rotation_xyzw, solution.estimate.map(|estimate| estimate.pose));
-        put_matrix(&mut self.covariance, solution.estimate.map(|estimate| estimate.covariance));
-        self.condition.push(solution.condition().filter(|_| solution.estimate.is_some()).unwrap_or(f64::NAN));
-        self.chi2.push(if solution.chi2.is_finite() { solution.chi2 } else { f64::NAN });
-        self.redundancy.push(solution.redundancy as u16);
-        self.iterations.push(solution.iterations as u16);
-        self.cells_used.push(solution.cells_used.count() as u16);
-        self.excluded_cells.push(solution.excluded.iter().fold(0, |set, cell| set | 1 << cell));
-        let verified = VERIFIED.iter().position(|verified| *verified == solution.verified());
-        self.verified.push(verified.unwrap_or(0) as u8);
-        self.unnoticed_sigmas.push(solution.unnoticed_sigmas);
-    }
-
-    pub(crate) fn rows(&self) -> usize {
-        self.status.len()
-    }
-}
-
 /// The number of a board among `devices`, to which it is added if it is new.
 pub(crate) fn number_in(devices: &mut Vec<DeviceId>, device: DeviceId) -> u8 {
     let number = devices.iter().position(|known| *known == device).unwrap_or_else(|| {
@@ -139,103 +50,182 @@ pub(crate) fn number_in(devices: &mut Vec<DeviceId>, device: DeviceId) -> u8 {
     number as u8
 }
 
-columns!(
-    /// Scans, one a row.
-    ScanColumns {
-        device: u8,
-        sequence: u64,
-        time_s: f64,
-        host_monotonic_ns: u64,
-        host_utc_ns: u64,
-        host_uncertainty_ns: u64,
-        twist: f64 [6],
-        twist_sigma: f64 [6],
-        simulated: bool,
-        truth_translation_m: f64 [3],
-        truth_rotation_xyzw: f64 [4],
-    }
-);
+/// Quantities of a filter: arrays only where there is one.
+const FILTERED: &str = "filtered.";
 
-columns!(
-    /// What a filter found.
-    FilteredColumns {
-        translation_m: f64 [3],
-        rotation_xyzw: f64 [4],
-        covariance: f64 [6, 6],
-        twist: f64 [6],
-        twist_sigma: f64 [6],
-        lag_s: f64,
+/// The array of a quantity; several of them that have one name are side by side in it. `None`: others say it.
+pub(crate) fn array_name(column: &Column) -> Option<String> {
+    let of_key = || {
+        let key = [".linear_m_per_s", ".angular_rad_per_s"].iter().find_map(|end| column.key.strip_suffix(end));
+        key.unwrap_or(column.key).replace('.', "_")
+    };
+    match (column.get, column.name) {
+        // All poses of a replay are in one frame.
+        (Get::Correlation(_) | Get::Text(_), _) => None,
+        (_, "seq") => Some("sequence".to_owned()),
+        (_, "device_time_s") => Some("time_s".to_owned()),
+        (
+            Get::Translation(_)
+            | Get::Rotation(_)
+            | Get::Covariance(_)
+            | Get::Velocity(_)
+            | Get::AngularVelocity(_)
+            | Get::TwistSigma(_),
+            _,
+        ) => Some(of_key()),
+        (_, name) => Some(name.to_owned()),
     }
-);
+}
 
-/// Poses of a stream, one a row.
-#[derive(Default)]
-pub(crate) struct RecordColumns {
-    solutions: SolutionColumns,
-    scans: ScanColumns,
-    /// With a row for each, or none as long as there is no filter.
-    filtered: FilteredColumns,
+/// All arrays: name, unit, meaning, and the words that its numbers stand for.
+pub(crate) fn listed() -> Vec<(String, &'static str, &'static str, Vec<&'static str>)> {
+    let words = |column: &Column| match column.get {
+        Get::Word(words, _) => words(),
+        _ => Vec::new(),
+    };
+    let named = COLUMNS.iter().filter_map(|column| Some((array_name(column)?, column)));
+    let mut listed: Vec<_> = named.map(|(name, column)| (name, column.unit, column.meaning, words(column))).collect();
+    // Of those side by side in one array, the first.
+    listed.dedup_by(|next, before| next.0 == before.0);
+    listed
+}
+
+/// What a row lacks is NaN, or zero among whole numbers.
+enum Values {
+    /// The words that the numbers stand for.
+    Words(Vec<u8>, Vec<&'static str>),
+    Bytes(Vec<u8>),
+    Counts(Vec<u16>),
+    Integers(Vec<u64>),
+    Numbers(Vec<f64>, Vec<usize>),
+    Flags(Vec<bool>),
+}
+
+struct Array {
+    name: String,
+    columns: Vec<&'static Column>,
+    values: Values,
+}
+
+impl Array {
+    /// The arrays of solutions, or of a stream.
+    fn all(is_stream: bool) -> Vec<Self> {
+        let mut arrays = Vec::<Self>::new();
+        for column in COLUMNS.iter().filter(|column| is_stream || !column.is_of_stream) {
+            let Some(name) = array_name(column) else { continue };
+            match arrays.last_mut().filter(|before| before.name == name) {
+                Some(Self { columns, values: Values::Numbers(_, shape), .. }) => {
+                    shape[0] += 3;
+                    columns.push(column);
+                }
+                _ => arrays.push(Self { name, columns: vec![column], values: Values::of(column) }),
+            }
+        }
+        arrays
+    }
+
+    fn is_filtered(&self) -> bool {
+        self.columns[0].key.starts_with(FILTERED)
+    }
+
+    fn push(&mut self, row: &Row<'_>, devices: &mut Vec<DeviceId>) {
+        for column in &self.columns {
+            match (&mut self.values, column.get) {
+                (Values::Words(values, words), Get::Word(_, get)) => {
+                    let word = get(row);
+                    values.push(words.iter().position(|known| *known == word).unwrap_or(0) as u8);
+                }
+                (Values::Bytes(values), Get::Device(get)) => values.push(number_in(devices, get(row))),
+                (Values::Bytes(values), Get::Directions(get)) => {
+                    let bit = |name| AXES.iter().position(|axis| *axis == name).map_or(0, |axis| 1 << axis);
+                    values.push(get(row).names().map(bit).fold(0, |set, bit| set | bit));
+                }
+                (Values::Counts(values), Get::Count(get)) => values.push(get(row) as u16),
+                (Values::Counts(values), Get::Cells(get)) => values.push(get(row).bits()),
+                (Values::Integers(values), Get::Integer(get)) => values.push(get(row).unwrap_or(0)),
+                (Values::Flags(values), Get::Flag(get)) => values.push(get(row)),
+                (Values::Numbers(values, _), Get::Number(get)) => values.push(get(row).unwrap_or(f64::NAN)),
+                (Values::Numbers(values, _), get) => numbers(values, get, row),
+                _ => unreachable!("values are those of their columns"),
+            }
+        }
+    }
+
+    fn put(self, columns: &Columns<'_>) -> PyResult<()> {
+        match self.values {
+            Values::Words(values, _) | Values::Bytes(values) => columns.put(&self.name, values),
+            Values::Counts(values) => columns.put(&self.name, values),
+            Values::Integers(values) => columns.put(&self.name, values),
+            Values::Flags(values) => columns.put(&self.name, values),
+            Values::Numbers(values, shape) => columns.put_shaped(&self.name, values, &shape),
+        }
+    }
+}
+
+impl Values {
+    fn of(column: &Column) -> Self {
+        let numbers = |shape: &[usize]| Self::Numbers(Vec::new(), shape.to_vec());
+        match column.get {
+            Get::Word(words, _) => Self::Words(Vec::new(), words()),
+            Get::Device(_) | Get::Directions(_) | Get::Text(_) => Self::Bytes(Vec::new()),
+            Get::Count(_) | Get::Cells(_) => Self::Counts(Vec::new()),
+            Get::Integer(_) => Self::Integers(Vec::new()),
+            Get::Flag(_) => Self::Flags(Vec::new()),
+            Get::Number(_) => numbers(&[]),
+            Get::Translation(_) | Get::Velocity(_) | Get::AngularVelocity(_) => numbers(&[3]),
+            Get::Rotation(_) => numbers(&[4]),
+            Get::TwistSigma(_) => numbers(&[6]),
+            Get::Covariance(_) | Get::Correlation(_) => numbers(&[6, 6]),
+        }
+    }
+}
+
+fn numbers(values: &mut Vec<f64>, get: Get, row: &Row<'_>) {
+    match get {
+        Get::Translation(get) | Get::Velocity(get) | Get::AngularVelocity(get) => {
+            values.extend(get(row).map_or([f64::NAN; 3], |v| v.to_array()));
+        }
+        Get::Rotation(get) => values.extend(get(row).map_or([f64::NAN; 4], |r| r.to_array())),
+        Get::TwistSigma(get) => values.extend(get(row).unwrap_or([f64::NAN; 6])),
+        Get::Covariance(get) | Get::Correlation(get) => put_matrix(values, get(row).copied()),
+        _ => {}
+    }
+}
+
+/// Poses, one a row.
+pub(crate) struct PoseArrays {
+    arrays: Vec<Array>,
+    pub(crate) rows: usize,
     is_filtered: bool,
 }
 
-impl RecordColumns {
-    pub(crate) fn push(&mut self, record: &Record, devices: &mut Vec<DeviceId>) {
-        self.solutions.push(&record.solution);
-        let (scans, time) = (&mut self.scans, record.host_time);
-        scans.device.push(number_in(devices, record.device));
-        scans.sequence.push(record.sequence);
-        scans.time_s.push(record.device_time_s);
-        scans.host_monotonic_ns.push(time.map_or(0, |time| time.monotonic_ns));
-        scans.host_utc_ns.push(time.map_or(0, |time| time.utc_ns));
-        scans.host_uncertainty_ns.push(time.map_or(0, |time| time.uncertainty_ns));
-        put_twist(&mut scans.twist, &mut scans.twist_sigma, record.twist.ok());
-        scans.simulated.push(record.simulated);
-        put_pose(&mut scans.truth_translation_m, &mut scans.truth_rotation_xyzw, record.truth);
-        if record.filtered.is_some() && !std::mem::replace(&mut self.is_filtered, true) {
-            (1..self.scans.time_s.len()).for_each(|_| self.filtered.push(None));
+impl PoseArrays {
+    pub(crate) fn new(is_stream: bool) -> Self {
+        Self { arrays: Array::all(is_stream), rows: 0, is_filtered: false }
+    }
+
+    pub(crate) fn push(&mut self, row: &Row<'_>, devices: &mut Vec<DeviceId>) {
+        let Self { arrays, rows, is_filtered } = self;
+        if !*is_filtered && row.record.is_some_and(|record| record.filtered.is_some()) {
+            *is_filtered = true;
+            let unfiltered = Row { record: None, ..*row };
+            let filtered = arrays.iter_mut().filter(|array| array.is_filtered());
+            filtered.for_each(|array| (0..*rows).for_each(|_| array.push(&unfiltered, devices)));
         }
-        if self.is_filtered {
-            self.filtered.push(record.filtered.as_ref());
-        }
+        let arrays = arrays.iter_mut().filter(|array| *is_filtered || !array.is_filtered());
+        arrays.for_each(|array| array.push(row, devices));
+        *rows += 1;
     }
 
     pub(crate) fn put(self, columns: &Columns<'_>) -> PyResult<()> {
-        self.solutions.put(columns, "")?;
-        self.scans.put(columns, "")?;
-        if self.is_filtered { self.filtered.put(columns, "filtered_") } else { Ok(()) }
+        let is_filtered = self.is_filtered;
+        let mut arrays = self.arrays.into_iter().filter(|array| is_filtered || !array.is_filtered());
+        arrays.try_for_each(|array| array.put(columns))
     }
-
-    pub(crate) fn rows(&self) -> usize {
-        self.scans.time_s.len()
-    }
-}
-
-impl FilteredColumns {
-    fn push(&mut self, found: Option<&Filtered>) {
-        put_pose(&mut self.translation_m, &mut self.rotation_xyzw, found.map(|found| found.estimate.pose));
-        put_matrix(&mut self.covariance, found.map(|found| found.estimate.covariance));
-        put_twist(&mut self.twist, &mut self.twist_sigma, found.and_then(|found| found.twist.ok()));
-        self.lag_s.push(found.map_or(f64::NAN, |found| found.lag_s));
-    }
-}
-
-fn put_pose(translation_m: &mut Vec<f64>, rotation_xyzw: &mut Vec<f64>, pose: Option<Pose>) {
-    translation_m.extend(pose.map_or([f64::NAN; 3], |pose| pose.translation_m.to_array()));
-    rotation_xyzw.extend(pose.map_or([f64::NAN; 4], |pose| pose.rotation.to_array()));
 }
 
 pub(crate) fn put_matrix(values: &mut Vec<f64>, matrix: Option<[[f64; 6]; 6]>) {
     values.extend(matrix.unwrap_or([[f64::NAN; 6]; 6]).as_flattened());
-}
-
-fn put_twist(values: &mut Vec<f64>, sigmas: &mut Vec<f64>, found: Option<TwistEstimate>) {
-    let Some(TwistEstimate { twist, covariance }) = found else {
-        values.extend([f64::NAN; 6]);
-        return sigmas.extend([f64::NAN; 6]);
-    };
-    values.extend(twist.linear_m_per_s.to_array());
-    values.extend(twist.angular_rad_per_s.to_array());
-    sigmas.extend((0..6).map(|axis| covariance[axis][axis].sqrt()));
 }
 
 /// Largest deviation of a quaternion's length from 1 that rounding explains.

@@ -9,12 +9,13 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use slitpose_head::threads::lock;
 use slitpose_model::{Photocurrents, Reading};
+use slitpose_tracking::frame::View;
 use slitpose_tracking::link::DeviceId;
 use slitpose_tracking::pipeline::{Item, Scan};
 use slitpose_tracking::playback::{Choice, Event, Playback, PlaybackError, Yields};
 use slitpose_tracking::solving::{Filter, Solving};
 
-use crate::arrays::{Columns, RecordColumns, number_in};
+use crate::arrays::{Columns, PoseArrays, number_in};
 use crate::work::{beside, raised, seconds, tier_choice};
 
 /// What a cell's reading is, by its number.
@@ -32,9 +33,8 @@ pub(crate) struct Captures {
     is_ended: bool,
 }
 
-#[derive(Default)]
 struct Found {
-    records: RecordColumns,
+    records: PoseArrays,
     currents: CurrentColumns,
 }
 
@@ -42,7 +42,8 @@ struct Found {
 impl Captures {
     #[new]
     #[pyo3(signature = (files, *, scene=None, calibration=None, tier=None, tolerance=None, filter_s=None,
-        without_clipped=false, from_s=None, to_s=None, duration_s=None, warm_up_s=None, currents=false))]
+        without_clipped=false, frame=None, tip=None, from_s=None, to_s=None, duration_s=None, warm_up_s=None,
+        currents=false))]
     #[expect(clippy::too_many_arguments, reason = "keywords of Python")]
     fn new(
         py: Python<'_>,
@@ -53,6 +54,8 @@ impl Captures {
         tolerance: Option<f64>,
         filter_s: Option<f64>,
         without_clipped: bool,
+        frame: Option<&str>,
+        tip: Option<&str>,
         from_s: Option<f64>,
         to_s: Option<f64>,
         duration_s: Option<f64>,
@@ -90,6 +93,7 @@ impl Captures {
                 None => Yields::Poses,
             },
             faults: Vec::new(),
+            view: View::open(frame, tip).map_err(raised)?,
         };
         Ok(Self {
             playback: beside(py, |_| Playback::open(files, choice))?.map_err(raised)?.into(),
@@ -109,7 +113,7 @@ impl Captures {
         }
         let Self { playback, devices, remarks, losses, .. } = self;
         let playback = playback.get_mut().unwrap_or_else(PoisonError::into_inner);
-        let mut found = Found::default();
+        let mut found = Found { records: PoseArrays::new(true), currents: CurrentColumns::default() };
         let mut is_more = true;
         let wanted = rows.unwrap_or(usize::MAX);
         let read = beside(py, |stop| {
@@ -166,7 +170,7 @@ impl Captures {
 
 impl Found {
     fn rows(&self) -> usize {
-        self.records.rows().max(self.currents.time_s.len())
+        self.records.rows.max(self.currents.time_s.len())
     }
 }
 
@@ -178,7 +182,7 @@ fn hear(
     losses: &mut Vec<String>,
 ) -> Result<(), PlaybackError> {
     match event {
-        Event::Item { item: Item::Pose(record), .. } => found.records.push(record, devices),
+        Event::Item { item: Item::Pose(record), .. } => found.records.push(&record.into(), devices),
         Event::Item { item: Item::Oddity { oddity, .. }, .. } => remarks.push(oddity.to_string()),
         Event::Item { .. } | Event::Board { .. } => {}
         Event::Currents { device, scan, currents, .. } => {

@@ -12,16 +12,13 @@ mod work;
 use pyo3::prelude::*;
 use slitpose_head::scene_file::SHIPPED;
 use slitpose_model::AXES;
-use slitpose_tracking::pipeline::Outcomes;
 
 #[pymodule]
 fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     let py = module.py();
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add("SlitposeError", py.get_type::<work::SlitposeError>())?;
-    module.add("STATUSES", Outcomes::default().by_name().map(|(name, _)| name))?;
-    module.add("REASONS", arrays::reasons())?;
-    module.add("VERIFIED", arrays::VERIFIED.map(|verified| verified.as_str()))?;
+    module.add("COLUMNS", arrays::listed())?;
     module.add("CELL_STATUSES", scene::CELL_STATUSES.map(|status| status.as_str()))?;
     module.add("READINGS", captures::READINGS)?;
     module.add("AXES", AXES)?;

@@ -12,9 +12,10 @@ use slitpose_design::map::Outlook;
 use slitpose_design::plot::{cell_picture, scene_picture};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_model::{CompiledScene, Pair, Pose, Status, Tier};
+use slitpose_tracking::frame::View;
 use slitpose_tracking::solving::{MODEL_TOLERANCE, RowSolver, STREAM_TOLERANCE};
 
-use crate::arrays::{Columns, SolutionColumns, poses, put_matrix};
+use crate::arrays::{Columns, PoseArrays, poses, put_matrix};
 use crate::calibration::Calibration;
 use crate::work::{beside, each_piece, each_row, raised, tier_choice};
 
@@ -179,7 +180,8 @@ impl Scene {
     }
 
     /// The pose behind each row of currents, each from a cold start.
-    #[pyo3(signature = (currents_a, frames=None, tier=None, tolerance=None, without_clipped=false))]
+    #[pyo3(signature = (currents_a, frames=None, tier=None, tolerance=None, without_clipped=false, frame=None, tip=None))]
+    #[expect(clippy::too_many_arguments, reason = "keywords of Python")]
     fn solve<'py>(
         &self,
         py: Python<'py>,
@@ -188,7 +190,10 @@ impl Scene {
         tier: Option<&str>,
         tolerance: Option<f64>,
         without_clipped: bool,
+        frame: Option<&str>,
+        tip: Option<&str>,
     ) -> PyResult<Bound<'py, PyDict>> {
+        let view = View::open(frame, tip).map_err(raised)?;
         let (currents, cells) = (currents_a.as_array(), self.cells());
         let &[rows, found_cells, electrodes] = currents.shape() else { unreachable!("three dimensions") };
         if (found_cells, electrodes) != (cells, 2) {
@@ -232,10 +237,11 @@ impl Scene {
             })?;
             wanted.into_iter().zip(found).for_each(|(row, solution)| solutions[row] = Some(solution));
         }
-        let mut found = SolutionColumns::default();
-        solutions.iter().flatten().for_each(|solution| found.push(solution));
-        let columns = Columns::new(py, found.rows());
-        found.put(&columns, "")?;
+        let mut found = PoseArrays::new(false);
+        solutions.iter_mut().flatten().for_each(|solution| view.iter().for_each(|view| view.apply(solution)));
+        solutions.iter().flatten().for_each(|solution| found.push(&solution.into(), &mut Vec::new()));
+        let columns = Columns::new(py, found.rows);
+        found.put(&columns)?;
         Ok(columns.dict)
     }
 

@@ -57,6 +57,24 @@ def test_poses_are_the_bits_of_the_command(
     assert_same(slitpose.replay(file, **options), rows)  # type: ignore[arg-type]
 
 
+def test_frame_tip_light_level_and_reasons_are_those_of_the_command(
+    command: Command, captures: Path, tmp_path: Path
+) -> None:
+    jig = tmp_path / "jig.toml"
+    jig.write_text("[user_from_base]\ntranslation_mm = [100, -20, 5]\nrotation_rad = [0.4, -1.2, 2]\n")
+    file = captures / "contact.mcap"
+    rows = table(command("replay", file, "--format", "csv", "--frame", jig, "--tip", "1,2,-80").stdout)
+    poses = slitpose.replay(file, frame=str(jig), tip="1,2,-80")
+    assert_same(poses, rows)
+    truth = numbers(rows, [f"truth_{name}" for name in POSE[:3]])
+    np.testing.assert_array_equal(poses.truth_translation_m * 1e3, truth)
+    np.testing.assert_array_equal(poses.light_level, numbers(rows, ["light_level"])[:, 0])
+    words = [poses.words["no_twist"][number] for number in poses.no_twist]
+    assert words == [row["no_twist"] for row in rows] and {"", "start"} <= set(words)
+    assert {row["frame"] for row in rows} == {"jig"}
+    assert "light_level" in poses.describe()
+
+
 def test_chunks_are_the_whole(captures: Path) -> None:
     file = captures / "contact.mcap"
     whole, chunks = slitpose.replay(file, filter_s=5e-3), list(slitpose.replay_chunks(file, 700, filter_s=5e-3))

@@ -163,13 +163,13 @@ impl Board {
         let Some(channels) = &self.channels else { return Ok(()) };
         let (stamp_ns, message) = (ros::stamp_ns(record), &mut self.message);
         if let Some(estimate) = &record.solution.estimate {
-            ros::encode_pose(stamp_ns, estimate, message);
+            ros::encode_pose(stamp_ns, ros::frame(record), estimate, message);
             channels.pose.log(message);
-            ros::encode_transform(stamp_ns, &channels.tool, &estimate.pose, message);
+            ros::encode_transform(stamp_ns, &channels.tool, &estimate.pose, record.view, message);
             channels.transforms.log(message);
         }
         if let Ok(twist) = &record.twist {
-            ros::encode_twist(stamp_ns, twist, message);
+            ros::encode_twist(stamp_ns, ros::frame(record), twist, message);
             channels.twist.log(message);
         }
         if let Some(optics) = self.optics.as_ref().filter(|_| channels.frame.has_sinks()) {

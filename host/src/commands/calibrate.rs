@@ -9,7 +9,7 @@ use slitpose_calibration::{Calibration, CellValidity, Progress as Step, Request,
 use slitpose_design::report::{Folder, calibration_report};
 
 use super::options::{Jobs, number, open_scene};
-use super::{CommandError, Outcome, interrupt, options, talk};
+use super::{CommandError, Outcome, interrupt, options, talk, tip};
 use crate::terminal::{Amount, Progress};
 use slitpose_head::table::Output;
 use slitpose_tracking::measurements::Measurements;
@@ -31,12 +31,16 @@ use slitpose_tracking::measurements::Measurements;
     after_help = "Examples:\n  slitpose calibrate head.toml --known poses.csv --output head-7.toml\n  slitpose solve head.toml --currents readings.csv --calibration head-7.toml"
 )]
 pub(super) struct Args {
-    /// Scene file, or the name of a shipped scene; with --check, a calibration
+    /// Scene file, or the name of a shipped scene; with --check or --tip, a calibration
     #[arg(value_parser = options::scenes(), hide_possible_values = true)]
     scene: String,
     /// Find out from these readings whether the calibration still holds: a capture, or a table as for --free
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["known", "known_capture", "free", "pivot", "stage", "rest", "start", "output", "report"])]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["tip", "known", "known_capture", "free", "pivot", "stage", "rest", "start", "output", "report"])]
     check: Option<String>,
+    /// Find the tip of the tool by the calibration, from readings as for --pivot; the result is a file for --tip of
+    /// other commands
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["known", "known_capture", "free", "pivot", "stage", "rest", "start", "report"])]
+    tip: Option<String>,
     /// Readings at poses that another instrument measured
     #[arg(long, value_name = "CSV")]
     known: Vec<String>,
@@ -108,6 +112,7 @@ fn say(remark: &str) {
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     args.jobs.apply();
     match (&args.check, &args.output) {
+        (None, Some(output)) if let Some(readings) = &args.tip => tip::run(readings, Path::new(&args.scene), output),
         (Some(check), _) => still_holds(check, Path::new(&args.scene)),
         (None, Some(output)) => adjust(args, output),
         // The command line asks for one of them.

@@ -25,6 +25,8 @@ mod scene;
 mod simulate;
 mod solve;
 mod status;
+mod tip;
+mod zero;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -61,6 +63,7 @@ enum Verb {
     Export(replay::ExportArgs),
     Device(device::Args),
     Status(status::Args),
+    Zero(zero::Args),
     Doctor(doctor::Args),
     Simulate(simulate::Args),
     Faults(faults::Args),
@@ -163,6 +166,7 @@ fn run(arguments: &[OsString]) -> Result<Outcome, CommandError> {
         Verb::Export(args) => replay::export(&args),
         Verb::Device(args) => device::run(&args),
         Verb::Status(args) => status::run(&args),
+        Verb::Zero(args) => zero::run(&args),
         Verb::Doctor(args) => doctor::run(&args),
         Verb::Simulate(args) => simulate::run(&args),
         Verb::Faults(args) => faults::run(&args),

@@ -26,6 +26,7 @@ pub(super) use slitpose_tracking::solving::STREAM_TOLERANCE as DEFAULT_TOLERANCE
 use super::{CommandError, Outcome, usage};
 use crate::sink::{self, Format, Sink};
 use crate::terminal::{self, Amount, Progress};
+use slitpose_tracking::frame::View;
 use slitpose_tracking::pipeline::{Counts, PipelineOptions};
 use slitpose_tracking::solving::{Filter, NOT_CALIBRATED, Solving, TierChoice, head_by, is_tolerance};
 
@@ -261,6 +262,28 @@ pub(super) struct PoseOptions {
     pub(super) format: Option<Format>,
     #[command(flatten)]
     solving: SolvingOptions,
+    #[command(flatten)]
+    pub(super) frame: FrameOptions,
+}
+
+/// The frame and the point of the tool that poses are given in.
+#[derive(Args, Clone, Debug)]
+pub(super) struct FrameOptions {
+    /// Give poses, velocities and truth in the frame of this file, or of this name in slitpose/frames of the user's
+    /// configuration; base is the head's own. Captures stay in that
+    #[arg(long, value_name = "FILE|NAME")]
+    frame: Option<String>,
+    /// Give them at this point of the tool: x,y,z in mm in the tool frame, or a file that `calibrate --tip` wrote, whose
+    /// uncertainty is then part of sigma
+    #[arg(long, value_name = "X,Y,Z|FILE", allow_hyphen_values = true)]
+    tip: Option<String>,
+}
+
+impl FrameOptions {
+    /// The frame asked for, if it is not the head's.
+    pub(super) fn view(&self) -> Result<Option<&'static View>, CommandError> {
+        Ok(View::open(self.frame.as_deref(), self.tip.as_deref())?)
+    }
 }
 
 impl PoseOptions {
@@ -284,9 +307,6 @@ impl PoseOptions {
         if is_terminal && !format.is_text() {
             let text = "Parquet is no text for a terminal; redirect standard output, or choose another --format";
             return Err(usage!("{text}").into());
-        }
-        if format == Format::Csv && matches!(self.solving.filter, Some(Filter(Some(_)))) {
-            talk(format_args!("--filter: CSV has no columns for the filtered pose; --format ndjson has it"));
         }
         Ok(sink::open(format, output, is_terminal && terminal::is_live()))
     }

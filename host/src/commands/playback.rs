@@ -112,6 +112,7 @@ impl<'a> Playback<'a> {
             is_watched: format == Format::Summary,
             yields: Yields::Poses,
             faults,
+            view: poses.frame.view()?,
         };
         let captures = playback::Playback::open(files.to_vec(), choice.clone())?;
         let comparison = play.compare.as_deref().map(Comparison::open).transpose()?;

@@ -33,6 +33,7 @@ impl Orders {
             Order::Player(order) => order,
             Order::Record(_) => return Err(Refusal::NO_RECORDER),
             Order::Zero => return Err(Refusal::NO_MOUSE),
+            Order::Frame(..) => return Err(Refusal::NO_FRAME),
         };
         if let Some(Some(value)) = order.speed
             && !(SPEEDS[0]..=SPEEDS[1]).contains(&value)

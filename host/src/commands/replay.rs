@@ -18,6 +18,7 @@ use slitpose_head::faults::Fault;
 use slitpose_head::pace::Speed;
 use slitpose_head::special_file;
 use slitpose_head::table::{Output, OutputError, refuse_twice};
+use slitpose_tracking::columns::{COLUMNS, Column};
 use slitpose_tracking::playback;
 
 /// Solves captures again, through the same pipeline as live boards.
@@ -90,10 +91,9 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Outcome, CommandError> {
 ///
 /// A capture holds some poses only; the others follow from its bytes, as when it was recorded. The
 /// ending of the file's name says how they are written: .csv, .ndjson, or .parquet if this build
-/// has it. Another needs --format.
+/// has it. Another needs --format. `slitpose export --help` lists the quantities of a pose.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:\n  slitpose export contact.mcap --output poses.csv\n  \
-                        slitpose export night-0001.mcap night-0002.mcap --output night.ndjson --filter 5ms")]
+#[command(after_help = EXPORT_EXAMPLES, after_long_help = quantities())]
 pub(super) struct ExportArgs {
     /// Captures
     #[arg(required = true, value_name = "FILE")]
@@ -105,6 +105,24 @@ pub(super) struct ExportArgs {
     play: PlayOptions,
     #[command(flatten)]
     poses: PoseOptions,
+}
+
+const EXPORT_EXAMPLES: &str = "Examples:\n  slitpose export contact.mcap --output poses.csv\n  \
+                               slitpose export night-0001.mcap night-0002.mcap --output night.ndjson --filter 5ms";
+
+/// The quantities of a pose in all outputs.
+fn quantities() -> String {
+    let line = |column: &Column| {
+        let names = match &column.names()[..] {
+            [name] => name.clone(),
+            names => format!("{} … {}", names[0], names[names.len() - 1]),
+        };
+        let unit = if column.unit.is_empty() { String::new() } else { format!(", {}", column.unit) };
+        let key = if column.key.is_empty() { "-" } else { column.key };
+        format!("  {key}{unit} | {names}\n      {}\n", column.meaning)
+    };
+    let lines: String = COLUMNS.iter().map(line).collect();
+    format!("{EXPORT_EXAMPLES}\n\nQuantities, as key and unit of NDJSON | columns of CSV and Parquet:\n{lines}")
 }
 
 pub(super) fn export(args: &ExportArgs) -> Result<Outcome, CommandError> {

@@ -11,7 +11,7 @@ use sd_notify::NotifyState;
 use slitpose_calibration::{Basis, Head};
 use slitpose_protocol::Stream;
 
-use super::live::{FoxgloveOptions, LiveOptions, MouseOptions, ZenohOptions, changes, key_of};
+use super::live::{FoxgloveOptions, LiveOptions, MouseOptions, ZenohOptions, changes, key_of, order_zero};
 use super::options::{PoseOptions, open_scene, parse_duration};
 use super::record::RecordOptions;
 use super::simulate::ToolOptions;
@@ -198,7 +198,15 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         None => None,
     };
     let foxglove = args.foxglove.start(shown(), reports())?;
-    let status = args.status.as_ref().map(|address| StatusServer::start(address, reports())).transpose()?;
+    let set_zero = || {
+        let followed = Arc::clone(&followed);
+        let of = move |board, order| match followed.get() {
+            Some(daemon) => order_zero(daemon, board, order).map_err(|refusal| refusal.to_string()),
+            None => Err("the daemon is still starting; try again".to_owned()),
+        };
+        Arc::new(of)
+    };
+    let status = args.status.as_ref().map(|address| StatusServer::start(address, reports(), set_zero())).transpose()?;
     status.iter().for_each(|server| talk(format_args!("status at {}", server.address)));
     let capture = args.record.open(is_recorded_later)?;
     let mut takers: Vec<Arc<dyn SampleSink>> = Vec::new();
@@ -380,6 +388,7 @@ impl Args {
             configuration,
             tier,
             following: PipelineOptions { source: self.stream.source(), ..self.poses.following() },
+            view: self.poses.frame.view()?,
             stream: self.stream.stream(),
             until_s: self.poses.duration,
             patience,

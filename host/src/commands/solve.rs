@@ -4,12 +4,13 @@ use std::path::PathBuf;
 
 use slitpose_model::Pair;
 
-use super::options::{CalibrationOption, Jobs, TierOptions, UNREADABLE, open_scene};
+use super::options::{CalibrationOption, FrameOptions, Jobs, TierOptions, UNREADABLE, open_scene};
 use super::{CommandError, Outcome, options};
-use crate::sink::{Get, PoseColumn, PoseRow, solution_columns};
 use slitpose_head::table::{
     Column, CurrentColumns, Output, Row, Rows, TableError, TableReader, TableRows, TableWriter,
 };
+use slitpose_tracking::columns::{self, Column as PoseColumn, Fields};
+use slitpose_tracking::frame::View;
 use slitpose_tracking::solving::{RowSolver, STREAM_TOLERANCE};
 
 /// Finds the pose behind each row of currents, each from a cold start.
@@ -37,6 +38,8 @@ pub(super) struct Args {
     calibration: CalibrationOption,
     #[command(flatten)]
     tier: TierOptions,
+    #[command(flatten)]
+    frame: FrameOptions,
     /// Leave out cells whose light falls on an end of the detector
     #[arg(long)]
     without_clipped: bool,
@@ -56,10 +59,12 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         currents: CurrentColumns::find(&currents, solver.cells())?,
         frames: currents.optional_column("frames")?,
     };
-    let poses = solution_columns();
-    let header = std::iter::once("id").chain(poses.iter().map(|(name, _)| name.as_str()));
+    let poses = columns::of_tables(false);
+    let names: Vec<String> = poses.iter().flat_map(|column| column.names()).collect();
+    let header = std::iter::once("id").chain(names.iter().map(String::as_str));
     let table = TableWriter::new(Output::open(args.output.as_deref())?, header)?;
-    args.jobs.table("solve", &mut currents, table, |rows, table| solve(&solver, &columns, &poses, rows, table))
+    let view = args.frame.view()?;
+    args.jobs.table("solve", &mut currents, table, |rows, table| solve(&solver, view, &columns, &poses, rows, table))
 }
 
 /// Where the table of currents keeps what is read of it.
@@ -93,8 +98,9 @@ impl Columns {
 /// Solves `rows` into `table`; returns the faults of those that cannot be read.
 fn solve(
     solver: &RowSolver,
+    view: Option<&View>,
     columns: &Columns,
-    poses: &[PoseColumn],
+    poses: &[&PoseColumn],
     rows: &Rows,
     table: &mut TableRows,
 ) -> Result<Vec<TableError>, CommandError> {
@@ -116,29 +122,41 @@ fn solve(
         let ready = solver.with_frames(run[0].frames)?;
         for row in run {
             let readings = ready.readings((0..cells).map(|cell| row.currents.get(cell).copied()));
-            let solution = ready.solve(&readings);
+            let mut solution = ready.solve(&readings);
+            view.iter().for_each(|view| view.apply(&mut solution));
             table.text(row.id);
             if row.currents.is_empty() {
                 table.text(UNREADABLE);
             }
             // The first column is the status.
-            write(table, &poses[usize::from(row.currents.is_empty())..], &PoseRow::of(&solution));
+            let poses = &poses[usize::from(row.currents.is_empty())..];
+            poses.iter().for_each(|column| column.put(&(&solution).into(), &mut Cells(table)));
+            table.end_row();
         }
     }
     Ok(faults)
 }
 
-fn write(table: &mut TableRows, columns: &[PoseColumn], row: &PoseRow<'_>) {
-    for (_, get) in columns {
-        match get {
-            Get::Integer(get) => match get(row) {
-                Some(value) => table.integer(value as usize),
-                None => table.text(""),
-            },
-            Get::Number(get) => table.optional(get(row)),
-            Get::Word(get) => table.text(&get(row)),
-            Get::Flag(get) => table.text(if get(row) { "true" } else { "false" }),
+/// The fields of a row.
+struct Cells<'a>(&'a mut TableRows);
+
+impl Fields for Cells<'_> {
+    fn integer(&mut self, value: Option<u64>) {
+        match value {
+            Some(value) => self.0.integer(value as usize),
+            None => self.0.text(""),
         }
     }
-    table.end_row();
+
+    fn number(&mut self, value: Option<f64>) {
+        self.0.optional(value);
+    }
+
+    fn word(&mut self, value: &str) {
+        self.0.text(value);
+    }
+
+    fn flag(&mut self, value: bool) {
+        self.0.text(if value { "true" } else { "false" });
+    }
 }

@@ -26,6 +26,7 @@ use crate::live::{SampleSink, Sampler};
 use crate::telemetry::{BoardReport, BoardStatistics};
 use crate::terminal::say;
 use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::frame::View;
 use slitpose_tracking::link::{DeviceId, Segment};
 use slitpose_tracking::pipeline::{Counts, Pipeline, PipelineOptions, SceneMatch};
 
@@ -48,6 +49,8 @@ pub(crate) struct BoardPlan {
     pub admit: Admit,
     pub tier: Tier,
     pub following: PipelineOptions,
+    /// The frame of its poses; `None`: that of the head.
+    pub view: Option<&'static View>,
     /// Duration of the run in device time, seconds; `None`: unlimited.
     pub until_s: Option<f64>,
     /// How long to look for a missing board; `None`: for ever.
@@ -59,7 +62,7 @@ pub(crate) struct BoardPlan {
 impl BoardPlan {
     pub(super) fn slot(&self) -> Arc<BoardSlot> {
         let report = Mutex::new(BoardReport { name: self.opener.name(), ..BoardReport::default() });
-        Arc::new(BoardSlot { link: Link::new(), report })
+        Arc::new(BoardSlot { link: Link::new(), report, zero: Mutex::default() })
     }
 }
 
@@ -99,6 +102,7 @@ impl BoardThreads {
         let pipeline = Pipeline::new(plan.head.clone(), plan.tier, SceneMatch::Required)
             .until(plan.until_s)
             .following(plan.following)
+            .in_frame(plan.view)
             .watched();
         let solver = Solver {
             name: name.clone(),
@@ -193,15 +197,30 @@ impl Claims {
 pub(super) struct BoardSlot {
     pub(super) link: Link,
     report: Mutex<BoardReport>,
+    /// A zero that is wanted: over so many seconds, or the frame of the start. Looked at a few times per second.
+    zero: Mutex<Option<ZeroOrder>>,
 }
 
+/// A zero of the frame: the mean pose of so many seconds; `None`: the frame of the start.
+pub(crate) type ZeroOrder = Option<f64>;
+
 impl BoardSlot {
+    /// Asks for a zero.
+    pub(super) fn order_zero(&self, order: ZeroOrder) {
+        *lock(&self.zero) = Some(order);
+    }
+
+    /// Takes a zero that is wanted.
+    pub(super) fn take_zero(&self) -> Option<ZeroOrder> {
+        lock(&self.zero).take()
+    }
+
     /// Updates the state; called a few times per second.
     pub(super) fn account(&self, pipeline: &Pipeline, statistics: &mut BoardStatistics) {
         statistics.report.clock.drift_ppm = pipeline.drift_ppm();
         statistics.report.clock.contradicts_crystal = pipeline.contradicts_crystal();
         let report = statistics.report(&pipeline.counts(), pipeline.health(), HostInstant::now());
-        *lock(&self.report) = BoardReport { board_poses: pipeline.agreement(), ..report };
+        *lock(&self.report) = BoardReport { board_poses: pipeline.agreement(), frame: pipeline.frame(), ..report };
     }
 
     pub(super) fn report(&self) -> BoardReport {

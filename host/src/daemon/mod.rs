@@ -34,7 +34,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
-pub(crate) use board::BoardPlan;
+pub(crate) use board::{BoardPlan, ZeroOrder};
 pub(crate) use error::BoardError;
 #[cfg(feature = "zenoh")]
 pub(crate) use opener::Feed;
@@ -175,6 +175,11 @@ impl Daemon {
         if let Some(recorder) = &self.recorder {
             recorder.account(self.report());
         }
+    }
+
+    /// Sets the zero of the frame of board `number`; `false`: there is none of this number.
+    pub(crate) fn zero(&self, number: usize, order: ZeroOrder) -> bool {
+        self.slots.get(number).map(|slot| slot.order_zero(order)).is_some()
     }
 
     /// Begins a recording, now or after the one that is ending.

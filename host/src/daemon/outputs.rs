@@ -119,6 +119,11 @@ impl Outputs {
         self.taps().for_each(|tap| tap.keep(segment));
     }
 
+    /// Captures a pose that is to be published.
+    pub(super) fn capture(&mut self, record: &Record) {
+        self.capture.iter_mut().for_each(|tap| tap.pose(record));
+    }
+
     /// Publishes a pose that is newer than all before, at once or together with the next few; and shows it with its
     /// photocurrents.
     pub(super) fn publish(
@@ -157,9 +162,7 @@ impl Outputs {
         }
         for record in &self.pending.fresh {
             self.statistics.update(&Item::Pose(record), record.arrival, record.arrival.map(|_| now));
-            for tap in self.capture.iter_mut().chain(&mut self.streams) {
-                tap.pose(record);
-            }
+            self.streams.iter_mut().for_each(|tap| tap.pose(record));
         }
         self.pending.fresh.clear();
     }

@@ -165,11 +165,17 @@ impl Solver {
             }
             Next::Wait => return false,
         };
-        if let Some(record) = solved {
+        if let Some(mut record) = solved {
             self.state.now = HostInstant::now();
             let is_newest = next == Next::Newest;
+            let is_published = is_newest || queue.passed == 0;
+            if is_published {
+                // Captures stay in the frame of the head.
+                self.outputs.capture(&record);
+            }
+            self.pipeline.see(&mut record);
             // The most urgent first.
-            if is_newest || queue.passed == 0 {
+            if is_published {
                 let is_behind = is_newest || self.backlog.is_behind();
                 self.outputs.publish(&record, self.pipeline.last_photocurrents(), self.state.now, is_behind);
             }
@@ -268,6 +274,9 @@ impl Solver {
     fn account(&mut self) {
         let now_ns = self.state.now.monotonic_ns;
         self.state.accounted_ns = now_ns;
+        if let Some(order) = self.slot.take_zero() {
+            self.pipeline.zero(order);
+        }
         let queue = self.pipeline.queue();
         let is_behind = std::mem::take(&mut self.state.was_behind);
         self.state.behind_since_ns = is_behind.then(|| self.state.behind_since_ns.unwrap_or(now_ns));

@@ -1,6 +1,7 @@
 //! The bytes of datagrams, requests and answers, as [`super`] describes them.
 
 use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::columns::no_twist;
 use slitpose_tracking::link::DeviceId;
 use slitpose_tracking::pipeline::{Outcomes, Record};
 
@@ -15,6 +16,7 @@ const HAS_HOST_TIME: u32 = 4;
 const HAS_ARRIVAL: u32 = 8;
 const IS_SIMULATED: u32 = 16;
 const IS_BEHIND: u32 = 32;
+const IN_FRAME: u32 = 64;
 
 const AT_FLAGS: usize = 8;
 const AT_MISSED: usize = 40;
@@ -23,7 +25,7 @@ const AT_MISSED: usize = 40;
 pub struct PoseDatagram([u8; Self::BYTES]);
 
 impl PoseDatagram {
-    pub const BYTES: usize = 544;
+    pub const BYTES: usize = 560;
 
     /// The datagram of `record` with the number `number`, made at `now`.
     pub fn new(record: &Record, number: u64, now: HostInstant) -> Self {
@@ -34,6 +36,7 @@ impl PoseDatagram {
             (HAS_HOST_TIME, record.host_time.is_some()),
             (HAS_ARRIVAL, record.arrival.is_some()),
             (IS_SIMULATED, record.simulated),
+            (IN_FRAME, record.view.is_some()),
         ];
         let flags = flags.iter().filter(|(_, is_set)| *is_set).fold(0, |flags, (flag, _)| flags | flag);
         let excluded = solution.excluded.iter().fold(0, |cells, cell| cells | 1_u16 << cell);
@@ -74,6 +77,8 @@ impl PoseDatagram {
         writer.numbers(twist.map(|estimate| estimate.twist.linear_m_per_s.to_array()));
         writer.numbers(twist.map(|estimate| estimate.twist.angular_rad_per_s.to_array()));
         writer.numbers::<6>(twist.map(|estimate| std::array::from_fn(|i| estimate.covariance[i][i].sqrt())));
+        writer.numbers(record.light_level.map(|level| [level]));
+        writer.put((no_twist(&record.twist) as u64).to_le_bytes());
         Self(writer.bytes)
     }
 

@@ -25,14 +25,14 @@
 //!
 //! All numbers are little endian, without padding, each aligned to its size.
 //!
-//! A pose, 544 bytes:
+//! A pose, 560 bytes:
 //!
 //! | at | type | what |
 //! |---|---|---|
 //! | 0 | u32 | magic, "SLPP" |
 //! | 4 | u16 | version, 1: another version may change all later fields |
 //! | 6 | u16 | total bytes; fields may be added at the end without a new version |
-//! | 8 | u32 | flags: 1 pose, 2 twist, 4 host time, 8 arrival, 16 simulated, 32 behind: scans before this one were skipped because the daemon could not solve or print each in time |
+//! | 8 | u32 | flags: 1 pose, 2 twist, 4 host time, 8 arrival, 16 simulated, 32 behind: scans before this one were skipped because the daemon could not solve or print each in time; 64 the pose, its covariance and the velocity are in a frame of the user or of the tip, not of the head (`--frame`, `--tip`) |
 //! | 12 | u16 | status: 0 converged, 1 degraded, 2 ambiguous, 3 unobservable, 4 too dark, 5 diverged |
 //! | 14 | u16 | cells that were used |
 //! | 16 | [u8; 12] | id of the board |
@@ -53,6 +53,8 @@
 //! | 448 | [f64; 3] | velocity in the base frame, m/s |
 //! | 472 | [f64; 3] | angular velocity in the base frame, rad/s |
 //! | 496 | [f64; 6] | standard deviations of those six |
+//! | 544 | f64 | brightness of all light relative to scene or calibration |
+//! | 552 | u64 | why a pose has no velocity: 1 too few poses yet, 2 the tool is not where its motion led; else 0 |
 //!
 //! Absent values are NaN, and their flag is clear. On UDP a full queue is not reported: there only gaps in the numbers
 //! of the datagrams show losses.

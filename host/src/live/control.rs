@@ -8,6 +8,7 @@ use serde_json::{Map, Value};
 use thiserror::Error;
 
 use crate::address::{Address, tcp_address};
+use crate::daemon::ZeroOrder;
 use crate::http::BindScope;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -16,6 +17,8 @@ pub(crate) enum Order {
     Player(PlayerOrder),
     /// Make the present pose the zero of the 6-DoF mouse.
     Zero,
+    /// Set the zero of the frame of a board.
+    Frame(usize, ZeroOrder),
 }
 
 /// How a capture is to be played; what is `None` stays as it is.
@@ -68,6 +71,9 @@ impl Refusal {
     pub(crate) const NO_PLAYER: Self =
         Self::NotHere { what: "player", instead: "`slitpose replay FILE --live` has one" };
 
+    pub(crate) const NO_FRAME: Self =
+        Self::NotHere { what: "frame to set", instead: "`slitpose run --live` has one for each board" };
+
     pub(crate) const NO_MOUSE: Self =
         Self::NotHere { what: "6-DoF mouse", instead: "`slitpose run --spacenav PATH --live` has one" };
 }
@@ -93,6 +99,11 @@ pub(super) enum Request {
     Player(PlayerOrder),
     /// Make the present pose the zero of the 6-DoF mouse.
     Zero {},
+    /// Make the mean pose of so many seconds the zero of the frame of a board; `null`: the frame is that of the start.
+    SetFrame {
+        board: usize,
+        over_s: Option<f64>,
+    },
     Pose {
         /// Translation, metres.
         t_m: [f64; 3],
@@ -194,6 +205,9 @@ mod tests {
     #[test]
     fn requests_are_read_or_refused() {
         assert_eq!(read(r#"{"kind":"hello"}"#), Some(Request::Hello { token: None }));
+        let frame = |over_s| Some(Request::SetFrame { board: 1, over_s });
+        assert_eq!(read(r#"{"kind":"set_frame","board":1,"over_s":0.5}"#), frame(Some(0.5)));
+        assert_eq!(read(r#"{"kind":"set_frame","board":1,"over_s":null}"#), frame(None));
         assert_eq!(read(r#"{"kind":"ack","messages":7}"#), Some(Request::Ack { messages: 7 }));
         let player = |playing, speed, seek_s| Some(Request::Player(PlayerOrder { playing, speed, seek_s }));
         assert_eq!(read(r#"{"kind":"player","playing":true}"#), player(Some(true), None, None));

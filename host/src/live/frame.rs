@@ -9,11 +9,13 @@ use slitpose_calibration::{Basis, Head};
 use slitpose_design::map::{NoiseOf, Outlook};
 use slitpose_design::{MaskFrame, mask_half_extents_m};
 use slitpose_model::{
-    Cell, CompiledScene, Detector, Estimate, Opening, Pair, Photocurrents, Pose, Reading, SceneError, Solution, Status,
-    Tier, TwistEstimate,
+    Cell, CompiledScene, Detector, Opening, Pair, Photocurrents, Pose, Reading, SceneError, Solution, Status, Tier,
+    TwistEstimate,
 };
 
 use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::columns::{NO_TWIST, no_twist};
+use slitpose_tracking::frame::View;
 use slitpose_tracking::pipeline::{Record, reason};
 
 /// Relative error of the integrals: a page shows three digits.
@@ -38,14 +40,25 @@ impl Optics {
     /// texts are half as long.
     pub(crate) fn frame(&self, board: usize, n: u64, sample: &Sample) -> Value {
         let Sample { record, photocurrents, scans, poses, range } = sample;
-        let mut frame = self.solved(board, n, &record.solution, photocurrents);
+        let seen = record.solution.estimate.as_ref();
+        // Where the tool is in front of the head, whatever frame its pose is given in.
+        let in_base = |pose: &Pose| record.view.map_or(*pose, |view| view.base_from_tool(pose));
+        let base = seen.map(|estimate| in_base(&estimate.pose));
+        let mut frame = self.solved(board, n, &record.solution, base.as_ref(), photocurrents);
         let own = json!({
             "seq": record.sequence,
             "time_s": record.device_time_s,
+            "frame": record.view.map(View::name),
+            "base": record.view.map(|view| {
+                json!({ "tool": base.as_ref().map(place), "truth": record.truth.as_ref().map(in_base).as_ref().map(place),
+                    "cov_t": seen.map(|estimate| position_covariance(&view.covariance_in_base(estimate))) })
+            }),
             "twist": record.twist.ok().map(|TwistEstimate { twist, .. }| {
                 let [v, w] = [twist.linear_m_per_s, twist.angular_rad_per_s];
                 [v.x, v.y, v.z, w.x, w.y, w.z].map(rounded)
             }),
+            "no_twist": Some(NO_TWIST[no_twist(&record.twist)]).filter(|word| !word.is_empty()),
+            "light_level": record.light_level.map(|level| (level * 1e5).round() / 1e5),
             "truth": record.truth.as_ref().map(place),
             "simulated": record.simulated,
             "filtered": record.filtered.map(|filtered| {
@@ -64,7 +77,15 @@ impl Optics {
         frame
     }
 
-    fn solved(&self, board: usize, n: u64, solution: &Solution, photocurrents: &Photocurrents) -> Value {
+    /// `base`: the pose of the tool in front of the head.
+    fn solved(
+        &self,
+        board: usize,
+        n: u64,
+        solution: &Solution,
+        base: Option<&Pose>,
+        photocurrents: &Photocurrents,
+    ) -> Value {
         let estimate = solution.estimate.as_ref();
         let place = estimate.map(|estimate| place(&estimate.pose)).unwrap_or_default();
         let at = estimate.map(|estimate| coordinates(&estimate.pose).map(nanometres));
@@ -81,10 +102,7 @@ impl Optics {
             "t_m": place["t_m"],
             "q_xyzw": place["q_xyzw"],
             "sigma": estimate.map(|estimate| estimate.sigma().map(rounded)),
-            // Of the position: xx, xy, xz, yy, yz, zz.
-            "cov_t": estimate.map(|Estimate { covariance: c, .. }| {
-                [c[0][0], c[0][1], c[0][2], c[1][1], c[1][2], c[2][2]].map(rounded)
-            }),
+            "cov_t": estimate.map(|estimate| position_covariance(&estimate.covariance)),
             "twist": null,
             "chi2": rounded(solution.chi2),
             "redundancy": solution.redundancy,
@@ -93,7 +111,7 @@ impl Optics {
             "simulated": true,
             "filtered": null,
             "cells": cells
-                .map(|(number, (cell, reading))| self.cell(number, &cell.detector, reading, solution))
+                .map(|(number, (cell, reading))| self.cell(number, &cell.detector, reading, solution, base))
                 .collect::<Vec<_>>(),
             "scans": 1,
             "poses": u32::from(estimate.is_some()),
@@ -102,7 +120,14 @@ impl Optics {
         })
     }
 
-    fn cell(&self, cell: usize, detector: &Detector, reading: &Reading, solution: &Solution) -> Value {
+    fn cell(
+        &self,
+        cell: usize,
+        detector: &Detector,
+        reading: &Reading,
+        solution: &Solution,
+        base: Option<&Pose>,
+    ) -> Value {
         let mut state = Vec::new();
         let mut push = |holds: bool, word| state.extend(holds.then_some(word));
         push(solution.cells_used.contains(cell), "used");
@@ -117,7 +142,7 @@ impl Optics {
         push(is_faint, "faint");
         let mut expected_x_m = None;
         let mut spot_m = None;
-        if let Some(Estimate { pose, .. }) = &solution.estimate {
+        if let Some(pose) = base {
             let response = self.plan.respond(cell, pose);
             push(response.status == Status::Clipped, "clipped");
             push(response.status == Status::Dark, "dark");
@@ -145,6 +170,11 @@ impl Optics {
 /// (I_X2 − I_X1)/(I_X1 + I_X2): equation (1) of De La Cruz et al. 2018, solved for X_A.
 fn imbalance(pair: &Pair<f64>) -> f64 {
     (pair.i_x2_a - pair.i_x1_a) / pair.total_a()
+}
+
+/// Of the position: xx, xy, xz, yy, yz, zz.
+fn position_covariance(c: &[[f64; 6]; 6]) -> [f64; 6] {
+    [c[0][0], c[0][1], c[0][2], c[1][1], c[1][2], c[2][2]].map(rounded)
 }
 
 fn place(pose: &Pose) -> Value {
@@ -316,7 +346,8 @@ impl SceneView {
     /// states no noise.
     pub(super) fn frame(&self, n: u64, pose: &Pose) -> Utf8Bytes {
         let (readings, solution) = self.outlook.frame_at(pose);
-        let mut frame = self.optics.solved(0, n, &solution, &readings);
+        let base = solution.estimate.map(|estimate| estimate.pose);
+        let mut frame = self.optics.solved(0, n, &solution, base.as_ref(), &readings);
         if self.outlook.noise == NoiseOf::Nothing {
             (frame["sigma"], frame["cov_t"]) = (Value::Null, Value::Null);
         }

@@ -214,6 +214,7 @@ impl Session {
             Request::Record { on } => self.order(Order::Record(on)),
             Request::Player(order) => self.order(Order::Player(order)),
             Request::Zero {} => self.order(Order::Zero),
+            Request::SetFrame { board, over_s } => self.order(Order::Frame(board, over_s)),
             Request::Pose { t_m, r_rad } => match self.drawn_at(t_m, r_rad) {
                 Ok(text) => return self.send(text).await,
                 Err(refusal) => Err(refusal),

@@ -3,58 +3,72 @@
 use std::io;
 use std::io::Write;
 
-use super::columns::{Device, Get, PoseColumn, columns};
-use super::{Accounts, Sink};
+use super::{Accounts, Sink, json};
+use slitpose_tracking::columns::{Column, Fields, Row, of_tables};
 use slitpose_tracking::pipeline::Record;
 
 pub(super) struct Csv<W: Write> {
-    writer: csv::Writer<W>,
-    columns: Vec<PoseColumn>,
-    device: Device,
-    begun: bool,
-    field: String,
+    output: W,
+    columns: Vec<&'static Column>,
+    line: Line,
+    has_begun: bool,
+}
+
+/// The fields of a row, each behind a comma. None needs quotes.
+struct Line(Vec<u8>);
+
+impl Fields for Line {
+    fn integer(&mut self, value: Option<u64>) {
+        self.0.push(b',');
+        value.iter().for_each(|value| json(&mut self.0, value));
+    }
+
+    fn number(&mut self, value: Option<f64>) {
+        self.0.push(b',');
+        value.iter().for_each(|value| json(&mut self.0, value));
+    }
+
+    fn word(&mut self, value: &str) {
+        self.0.push(b',');
+        self.0.extend_from_slice(value.as_bytes());
+    }
+
+    fn flag(&mut self, value: bool) {
+        self.word(if value { "true" } else { "false" });
+    }
 }
 
 impl<W: Write> Csv<W> {
     pub(super) fn new(output: W) -> Self {
-        let (writer, field) = (csv::Writer::from_writer(output), String::new());
-        Self { writer, columns: columns(), device: Device::default(), begun: false, field }
+        Self { output, columns: of_tables(true), line: Line(Vec::new()), has_begun: false }
     }
 
     fn begin(&mut self) -> io::Result<()> {
-        if !std::mem::replace(&mut self.begun, true) {
-            self.writer.write_record(self.columns.iter().map(|(name, _)| name))?;
+        if std::mem::replace(&mut self.has_begun, true) {
+            return Ok(());
         }
-        Ok(())
+        let names: Vec<String> = self.columns.iter().flat_map(|column| column.names()).collect();
+        writeln!(self.output, "{}", names.join(","))
     }
 }
 
 impl<W: Write> Sink for Csv<W> {
     fn pose(&mut self, record: &Record) -> io::Result<()> {
-        use std::fmt::Write;
         self.begin()?;
-        let Self { writer, columns, device, field, .. } = self;
-        let row = device.row(record);
-        for (_, get) in &*columns {
-            field.clear();
-            // Writing to a String cannot fail.
-            let _ = match get {
-                Get::Integer(get) => get(&row).map_or(Ok(()), |value| write!(field, "{value}")),
-                Get::Number(get) => get(&row).map_or(Ok(()), |value| write!(field, "{value:?}")),
-                Get::Word(get) => field.write_str(&get(&row)),
-                Get::Flag(get) => write!(field, "{}", get(&row)),
-            };
-            writer.write_field(&*field)?;
-        }
-        Ok(writer.write_record(None::<&[u8]>)?)
+        let Self { output, columns, line, .. } = self;
+        line.0.clear();
+        let row = Row::from(record);
+        columns.iter().for_each(|column| column.put(&row, line));
+        line.0.push(b'\n');
+        output.write_all(&line.0[1..])
     }
 
     fn tick(&mut self, _: &Accounts<'_>) -> io::Result<()> {
-        self.writer.flush()
+        self.output.flush()
     }
 
     fn finish(&mut self, _: &Accounts<'_>) -> io::Result<()> {
         self.begin()?;
-        self.writer.flush()
+        self.output.flush()
     }
 }

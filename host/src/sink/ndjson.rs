@@ -3,114 +3,112 @@
 use std::io;
 use std::io::Write;
 
-use serde::ser::SerializeMap;
-use serde::{Serialize, Serializer};
-use slitpose_model::{Filtered, NoTwist, Pose, TwistEstimate};
+use serde::Serialize;
 
-use super::{Accounts, Note, Sink};
+use super::{Accounts, Note, Sink, json};
+use slitpose_calibration::values_of;
 use slitpose_head::faults::ANNOUNCED;
+use slitpose_tracking::columns::{COLUMNS, Column, Get, Row};
+use slitpose_tracking::frame::View;
 use slitpose_tracking::link::DeviceId;
-use slitpose_tracking::pipeline::{Record, reason};
+use slitpose_tracking::pipeline::Record;
 
-/// A pose as JSON: SI units, frame base_from_tool, quaternion x, y, z, w; the covariance row-major in the order (t, θ).
-struct Line<'a>(&'a Record);
+/// What an object consists of, from front to back.
+enum Part {
+    /// A value behind a comma and its key.
+    Value(&'static Column, String),
+    /// The beginning of an object, if its first value is there; the number of parts up to its end.
+    Begin(&'static Column, String, usize),
+    End,
+}
 
-impl Serialize for Line<'_> {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let Record { solution, host_time, twist, filtered, light_level, truth, .. } = self.0;
-        let mut map = serializer.serialize_map(None)?;
-        map.serialize_entry("seq", &self.0.sequence)?;
-        map.serialize_entry("device", &self.0.device)?;
-        map.serialize_entry("device_time_s", &self.0.device_time_s)?;
-        if let Some(time) = host_time {
-            map.serialize_entry("host_monotonic_ns", &time.monotonic_ns)?;
-            map.serialize_entry("host_utc_ns", &time.utc_ns)?;
-            map.serialize_entry("host_uncertainty_ns", &time.uncertainty_ns)?;
-        }
-        map.serialize_entry("status", solution.outcome.as_str())?;
-        if let Some(reason) = reason(&solution.outcome) {
-            map.serialize_entry("reason", &reason)?;
-        }
-        let estimate = solution.estimate.as_ref();
-        put_pose(&mut map, estimate.map(|estimate| &estimate.pose))?;
-        map.serialize_entry("covariance", &estimate.map(|estimate| estimate.covariance.as_flattened()))?;
-        map.serialize_entry("cells_used", &solution.cells_used.count())?;
-        map.serialize_entry("chi2", &Some(solution.chi2).filter(|chi2| chi2.is_finite()))?;
-        map.serialize_entry("redundancy", &solution.redundancy)?;
-        map.serialize_entry("verified", solution.verified().as_str())?;
-        // External reliability: the greatest shift of the pose by one undetected outlier, in its σ; absent if unbounded.
-        if solution.unnoticed_sigmas.is_finite() {
-            map.serialize_entry("unnoticed_sigmas", &solution.unnoticed_sigmas)?;
-        }
-        if solution.excluded.iter().next().is_some() {
-            map.serialize_entry("excluded_cells", &solution.excluded.iter().collect::<Vec<_>>())?;
-        }
-        put_twist(&mut map, twist)?;
-        if let Some(filtered) = filtered {
-            map.serialize_entry("filtered", &FilteredPose(filtered))?;
-        }
-        if let Some(level) = light_level {
-            map.serialize_entry("light_level", level)?;
-        }
-        map.serialize_entry("simulated", &self.0.simulated)?;
-        if let Some(truth) = truth {
-            map.serialize_entry("truth", &TruePose(truth))?;
-        }
-        map.end()
+/// The parts of an object with `columns`, whose keys go on behind `behind` bytes.
+fn parts(columns: &[&'static Column], behind: usize) -> Vec<Part> {
+    let (mut parts, mut rest) = (Vec::new(), columns);
+    while let Some((&first, others)) = rest.split_first() {
+        let key = &first.key[behind..];
+        let Some((object, _)) = key.split_once('.') else {
+            parts.push(Part::Value(first, format!(",\"{key}\":")));
+            rest = others;
+            continue;
+        };
+        let path = &first.key[..=behind + object.len()];
+        let length = rest.iter().take_while(|column| column.key.starts_with(path)).count();
+        let inner = self::parts(&rest[..length], path.len());
+        parts.push(Part::Begin(first, format!(",\"{object}\":"), inner.len() + 1));
+        parts.extend(inner);
+        parts.push(Part::End);
+        rest = &rest[length..];
     }
+    parts
 }
 
-fn put_pose<M: SerializeMap>(map: &mut M, pose: Option<&Pose>) -> Result<(), M::Error> {
-    map.serialize_entry("translation_m", &pose.map(|pose| pose.translation_m.to_array()))?;
-    map.serialize_entry("rotation_xyzw", &pose.map(|pose| pose.rotation.to_array()))
-}
-
-/// Of a frame with a pose also the reason for no twist.
-fn put_twist<M: SerializeMap>(map: &mut M, twist: &Result<TwistEstimate, NoTwist>) -> Result<(), M::Error> {
-    map.serialize_entry("twist", &twist.as_ref().ok().map(Motion))?;
-    match twist {
-        Err(NoTwist::Start) => map.serialize_entry("no_twist", "start"),
-        Err(NoTwist::Jump) => map.serialize_entry("no_twist", "jump"),
-        Ok(_) | Err(NoTwist::NoPose) => Ok(()),
+/// Writes an object of `parts` with the values of `row`.
+fn write(parts: &[Part], row: &Row<'_>, out: &mut Vec<u8>) {
+    out.push(b'{');
+    let mut next = 0;
+    while let Some(part) = parts.get(next) {
+        next += 1;
+        let before = out.len();
+        // The first of an object has no comma.
+        let from = usize::from(out.last() == Some(&b'{'));
+        let (column, is_written) = match part {
+            Part::Value(column, key) => {
+                out.extend_from_slice(&key.as_bytes()[from..]);
+                (column, value(column, row, out))
+            }
+            Part::Begin(column, key, length) => {
+                out.extend_from_slice(&key.as_bytes()[from..]);
+                let is_there = match column.get {
+                    Get::Translation(get) | Get::Velocity(get) => get(row).is_some(),
+                    _ => true,
+                };
+                if is_there {
+                    out.push(b'{');
+                } else {
+                    next += length;
+                }
+                (column, is_there)
+            }
+            Part::End => {
+                out.push(b'}');
+                continue;
+            }
+        };
+        match (is_written, column.is_null) {
+            (true, _) => {}
+            (false, true) => out.extend_from_slice(b"null"),
+            (false, false) => out.truncate(before),
+        }
     }
+    out.extend_from_slice(b"}\n");
 }
 
-struct TruePose<'a>(&'a Pose);
-
-impl Serialize for TruePose<'_> {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let mut map = serializer.serialize_map(None)?;
-        put_pose(&mut map, Some(self.0))?;
-        map.end()
+/// Writes the value of `row`; `false`: it has none.
+fn value(column: &Column, row: &Row<'_>, out: &mut Vec<u8>) -> bool {
+    fn put<T: Serialize>(out: &mut Vec<u8>, value: &Option<T>) -> bool {
+        value.iter().for_each(|value| json(out, value));
+        value.is_some()
     }
-}
-
-/// Velocity of the tool in the base frame.
-struct Motion<'a>(&'a TwistEstimate);
-
-impl Serialize for Motion<'_> {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let TwistEstimate { twist, covariance } = self.0;
-        let mut map = serializer.serialize_map(None)?;
-        map.serialize_entry("linear_m_per_s", &twist.linear_m_per_s.to_array())?;
-        map.serialize_entry("angular_rad_per_s", &twist.angular_rad_per_s.to_array())?;
-        map.serialize_entry("sigma", &std::array::from_fn::<_, 6, _>(|i| covariance[i][i].sqrt()))?;
-        map.end()
-    }
-}
-
-struct FilteredPose<'a>(&'a Filtered);
-
-impl Serialize for FilteredPose<'_> {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let Filtered { estimate, twist, lag_s, frames, .. } = self.0;
-        let mut map = serializer.serialize_map(None)?;
-        put_pose(&mut map, Some(&estimate.pose))?;
-        map.serialize_entry("covariance", estimate.covariance.as_flattened())?;
-        put_twist(&mut map, twist)?;
-        map.serialize_entry("lag_s", lag_s)?;
-        map.serialize_entry("frames", frames)?;
-        map.end()
+    match column.get {
+        Get::Integer(get) => put(out, &get(row)),
+        Get::Count(get) => put(out, &Some(get(row))),
+        Get::Number(get) => put(out, &get(row)),
+        Get::Flag(get) => put(out, &Some(get(row))),
+        Get::Word(_, get) => put(out, &Some(get(row)).filter(|word| !word.is_empty())),
+        Get::Text(get) => put(out, &Some(get(row)).filter(|text| !text.is_empty())),
+        Get::Device(get) => put(out, &Some(get(row))),
+        Get::Directions(get) => put(out, &Some(get(row).to_string()).filter(|names| !names.is_empty())),
+        Get::Cells(get) => {
+            let cells = get(row);
+            put(out, &(!cells.is_empty()).then(|| cells.iter().collect::<Vec<_>>()))
+        }
+        Get::Translation(get) | Get::Velocity(get) | Get::AngularVelocity(get) => {
+            put(out, &get(row).map(|v| v.to_array()))
+        }
+        Get::Rotation(get) => put(out, &get(row).map(|r| r.to_array())),
+        Get::Covariance(get) | Get::Correlation(get) => put(out, &get(row).map(|matrix| matrix.as_flattened())),
+        Get::TwistSigma(get) => put(out, &get(row)),
     }
 }
 
@@ -122,12 +120,53 @@ struct FaultLine<'a> {
     device_time_s: f64,
 }
 
-pub(super) struct Ndjson<W>(pub(super) W);
+/// The frame that the next objects speak of.
+#[derive(Serialize)]
+struct FrameLine<'a> {
+    kind: &'static str,
+    device: DeviceId,
+    frame: &'a str,
+    /// Translation, m, and rotation vector, rad.
+    user_from_base: [f64; 6],
+    /// The tip in the tool frame, m.
+    tip_m: [f64; 3],
+}
+
+pub(super) struct Ndjson<W> {
+    output: W,
+    /// The last one of each board.
+    views: Vec<(DeviceId, &'static View)>,
+    parts: Vec<Part>,
+    line: Vec<u8>,
+}
+
+impl<W: Write> Ndjson<W> {
+    pub(super) fn new(output: W) -> Self {
+        let columns: Vec<_> = COLUMNS.iter().filter(|column| !column.key.is_empty()).collect();
+        Self { output, views: Vec::new(), parts: parts(&columns, 0), line: Vec::new() }
+    }
+}
 
 impl<W: Write> Sink for Ndjson<W> {
     fn pose(&mut self, record: &Record) -> io::Result<()> {
-        serde_json::to_writer(&mut self.0, &Line(record))?;
-        self.0.write_all(b"\n")
+        self.line.clear();
+        if let Some(view) = record.view.filter(|view| !self.views.contains(&(record.device, view))) {
+            self.views.retain(|(device, _)| *device != record.device);
+            self.views.push((record.device, view));
+            json(
+                &mut self.line,
+                &FrameLine {
+                    kind: "frame",
+                    device: record.device,
+                    frame: view.name(),
+                    user_from_base: values_of(view.user_from_base()),
+                    tip_m: view.tip_m().to_array(),
+                },
+            );
+            self.line.push(b'\n');
+        }
+        write(&self.parts, &Row::from(record), &mut self.line);
+        self.output.write_all(&self.line)
     }
 
     /// Poses that follow an injected fault are not what the board would have given: the stream says so.
@@ -135,15 +174,15 @@ impl<W: Write> Sink for Ndjson<W> {
         let Note { device, device_time_s, text, .. } = note;
         let Some(fault) = text.strip_prefix(ANNOUNCED) else { return Ok(()) };
         let line = FaultLine { kind: "injected_fault", fault, device: *device, device_time_s: *device_time_s };
-        serde_json::to_writer(&mut self.0, &line)?;
-        self.0.write_all(b"\n")
+        serde_json::to_writer(&mut self.output, &line)?;
+        self.output.write_all(b"\n")
     }
 
     fn tick(&mut self, _: &Accounts<'_>) -> io::Result<()> {
-        self.0.flush()
+        self.output.flush()
     }
 
     fn finish(&mut self, _: &Accounts<'_>) -> io::Result<()> {
-        self.0.flush()
+        self.output.flush()
     }
 }

@@ -1,96 +1,141 @@
-//! Parquet: a typed column for each of CSV, and for what CSV lacks.
+//! Parquet: the columns of CSV, with types.
 
 use std::io::{self, Write};
 use std::sync::Arc;
 
-use parquet::basic::{Compression, Encoding, LogicalType, Repetition, ZstdLevel};
+use parquet::basic::{Compression, Encoding, LogicalType, Repetition, Type as PhysicalType, ZstdLevel};
 use parquet::data_type::{BoolType, ByteArray, ByteArrayType, DataType, DoubleType, Int64Type};
 use parquet::errors::ParquetError;
 use parquet::file::properties::WriterProperties;
-use parquet::file::writer::{SerializedFileWriter, SerializedRowGroupWriter};
+use parquet::file::writer::{SerializedColumnWriter, SerializedFileWriter, SerializedRowGroupWriter};
 use parquet::schema::types::{ColumnPath, Type};
 
-use super::columns::{Device, Get, Getter, PoseColumn, PoseRow, columns, more_columns};
 use super::{Accounts, Sink};
+use slitpose_tracking::columns::{Column, Fields, Get, Row, of_tables};
 use slitpose_tracking::pipeline::Record;
 
-/// Rows that are held until they are written: some 30 MB.
+/// Rows that are held until they are written: some 60 MB.
 const GROUP: usize = 1 << 16;
 
-/// A column, and its values that are not written yet; rows may have none.
-struct Typed<T: DataType> {
+/// The values of a column that are not written yet; rows may have none.
+enum Values {
+    Integer(Vec<i64>),
+    Number(Vec<f64>),
+    Word(Vec<ByteArray>),
+    Flag(Vec<bool>),
+}
+
+struct Stored {
     name: String,
-    encoding: Option<Encoding>,
-    meaning: Option<LogicalType>,
-    get: Getter<Option<T::T>>,
-    values: Vec<T::T>,
+    values: Values,
     /// Of each row, 1 with a value and 0 without.
     levels: Vec<i16>,
 }
 
-trait Stored<W: Write + Send> {
-    fn push(&mut self, row: &PoseRow<'_>);
-    fn field(&self) -> Result<Type, ParquetError>;
-    fn encoding(&self) -> Option<(ColumnPath, Encoding)>;
-    fn write(&mut self, group: &mut SerializedRowGroupWriter<'_, W>) -> Result<(), ParquetError>;
-}
-
-impl<T: DataType, W: Write + Send> Stored<W> for Typed<T> {
-    fn push(&mut self, row: &PoseRow<'_>) {
-        let value = (self.get)(row);
-        self.levels.push(value.is_some().into());
-        self.values.extend(value);
+impl Stored {
+    fn of(column: &Column) -> impl Iterator<Item = Self> {
+        let get = column.get;
+        column.names().into_iter().map(move |name| {
+            let values = match get {
+                Get::Integer(_) | Get::Count(_) => Values::Integer(Vec::new()),
+                Get::Flag(_) => Values::Flag(Vec::new()),
+                Get::Word(..) | Get::Text(_) | Get::Device(_) | Get::Directions(_) | Get::Cells(_) => {
+                    Values::Word(Vec::new())
+                }
+                _ => Values::Number(Vec::new()),
+            };
+            Self { name, values, levels: Vec::new() }
+        })
     }
 
     fn field(&self) -> Result<Type, ParquetError> {
-        let field = Type::primitive_type_builder(&self.name, T::get_physical_type());
-        field.with_repetition(Repetition::OPTIONAL).with_logical_type(self.meaning.clone()).build()
+        let (kind, meaning) = match self.values {
+            Values::Integer(_) => (PhysicalType::INT64, None),
+            Values::Number(_) => (PhysicalType::DOUBLE, None),
+            Values::Word(_) => (PhysicalType::BYTE_ARRAY, Some(LogicalType::String)),
+            Values::Flag(_) => (PhysicalType::BOOLEAN, None),
+        };
+        let field = Type::primitive_type_builder(&self.name, kind);
+        field.with_repetition(Repetition::OPTIONAL).with_logical_type(meaning).build()
     }
 
+    /// Numbers that hardly repeat are stored byte by byte: half the size of dictionaries.
     fn encoding(&self) -> Option<(ColumnPath, Encoding)> {
-        Some((ColumnPath::from(self.name.as_str()), self.encoding?))
+        let encoding = match self.values {
+            Values::Integer(_) => Encoding::DELTA_BINARY_PACKED,
+            Values::Number(_) => Encoding::BYTE_STREAM_SPLIT,
+            Values::Word(_) | Values::Flag(_) => return None,
+        };
+        Some((ColumnPath::from(self.name.as_str()), encoding))
     }
 
-    fn write(&mut self, group: &mut SerializedRowGroupWriter<'_, W>) -> Result<(), ParquetError> {
+    fn write<W: Write + Send>(&mut self, group: &mut SerializedRowGroupWriter<'_, W>) -> Result<(), ParquetError> {
+        fn batch<T: DataType>(
+            writer: &mut SerializedColumnWriter<'_>,
+            values: &mut Vec<T::T>,
+            levels: &[i16],
+        ) -> Result<(), ParquetError> {
+            writer.typed::<T>().write_batch(values, Some(levels), None)?;
+            values.clear();
+            Ok(())
+        }
         if let Some(mut writer) = group.next_column()? {
-            writer.typed::<T>().write_batch(&self.values, Some(&self.levels), None)?;
+            match &mut self.values {
+                Values::Integer(values) => batch::<Int64Type>(&mut writer, values, &self.levels)?,
+                Values::Number(values) => batch::<DoubleType>(&mut writer, values, &self.levels)?,
+                Values::Word(values) => batch::<ByteArrayType>(&mut writer, values, &self.levels)?,
+                Values::Flag(values) => batch::<BoolType>(&mut writer, values, &self.levels)?,
+            }
             writer.close()?;
         }
-        self.values.clear();
         self.levels.clear();
         Ok(())
     }
 }
 
-fn typed<T: DataType, W: Write + Send>(
-    name: String,
-    encoding: Option<Encoding>,
-    meaning: Option<LogicalType>,
-    get: impl Fn(&PoseRow<'_>) -> Option<T::T> + Send + Sync + 'static,
-) -> Box<dyn Stored<W> + Send> {
-    Box::new(Typed::<T> { name, encoding, meaning, get: Box::new(get), values: Vec::new(), levels: Vec::new() })
+/// The columns that the fields of a row go to, one after the other.
+struct Places<'a>(std::slice::IterMut<'a, Stored>);
+
+impl Places<'_> {
+    fn next(&mut self, is_some: bool) -> Option<&mut Values> {
+        let Stored { values, levels, .. } = self.0.next()?;
+        levels.push(is_some.into());
+        Some(values)
+    }
 }
 
-/// Numbers that hardly repeat are stored byte by byte: half the size of dictionaries.
-fn stored<W: Write + Send>((name, get): PoseColumn) -> Box<dyn Stored<W> + Send> {
-    match get {
-        // Times and counts stay far below 2⁶³.
-        Get::Integer(get) => typed::<Int64Type, W>(name, Some(Encoding::DELTA_BINARY_PACKED), None, move |row| {
-            get(row).map(|value| value as i64)
-        }),
-        Get::Number(get) => typed::<DoubleType, W>(name, Some(Encoding::BYTE_STREAM_SPLIT), None, get),
-        Get::Word(get) => typed::<ByteArrayType, W>(name, None, Some(LogicalType::String), move |row| {
-            Some(get(row)).filter(|word| !word.is_empty()).map(|word| ByteArray::from(&*word))
-        }),
-        Get::Flag(get) => typed::<BoolType, W>(name, None, None, move |row| Some(get(row))),
+impl Fields for Places<'_> {
+    fn integer(&mut self, value: Option<u64>) {
+        if let Some(Values::Integer(values)) = self.next(value.is_some()) {
+            // Times and counts stay far below 2⁶³.
+            values.extend(value.map(|value| value as i64));
+        }
+    }
+
+    fn number(&mut self, value: Option<f64>) {
+        if let Some(Values::Number(values)) = self.next(value.is_some()) {
+            values.extend(value);
+        }
+    }
+
+    fn word(&mut self, value: &str) {
+        if let Some(Values::Word(values)) = self.next(!value.is_empty()) {
+            values.extend((!value.is_empty()).then(|| ByteArray::from(value)));
+        }
+    }
+
+    fn flag(&mut self, value: bool) {
+        if let Some(Values::Flag(values)) = self.next(true) {
+            values.push(value);
+        }
     }
 }
 
 pub(super) struct Parquet<W: Write + Send> {
     output: Output<W>,
     rows: usize,
-    columns: Vec<Box<dyn Stored<W> + Send>>,
-    device: Device,
+    table: Vec<&'static Column>,
+    columns: Vec<Stored>,
 }
 
 /// The file begins with the first rows, or at its end.
@@ -101,8 +146,9 @@ enum Output<W: Write + Send> {
 
 impl<W: Write + Send> Parquet<W> {
     pub(super) fn new(output: W) -> Self {
-        let columns = columns().into_iter().chain(more_columns()).map(stored).collect();
-        Self { output: Output::Waiting(Some(output)), rows: 0, columns, device: Device::default() }
+        let table = of_tables(true);
+        let columns = table.iter().flat_map(|column| Stored::of(column)).collect();
+        Self { output: Output::Waiting(Some(output)), rows: 0, table, columns }
     }
 
     fn begin(&self, output: W) -> Result<SerializedFileWriter<W>, ParquetError> {
@@ -136,8 +182,8 @@ impl<W: Write + Send> Parquet<W> {
 
 impl<W: Write + Send> Sink for Parquet<W> {
     fn pose(&mut self, record: &Record) -> io::Result<()> {
-        let row = self.device.row(record);
-        self.columns.iter_mut().for_each(|column| column.push(&row));
+        let mut places = Places(self.columns.iter_mut());
+        self.table.iter().for_each(|column| column.put(&Row::from(record), &mut places));
         self.rows += 1;
         if self.rows >= GROUP { self.write().map_err(system) } else { Ok(()) }
     }

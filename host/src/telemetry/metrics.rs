@@ -61,6 +61,8 @@ const BOARD: &[Metric] = &[
     ("packets_damaged_total", "cause=unreadable", "/losses/link/unreadable", ""),
     ("bytes_skipped_total", "", "/losses/link/bytes_skipped", "Bytes of packets that could not be used."),
     ("solutions_total", "outcome", "/outcomes", "Scans by what the solver says of them."),
+    ("velocities_withheld_total", "reason", "/velocities_withheld", "Poses without a velocity, by the reason."),
+    ("light_level_ratio", "", "/light_level", "Brightness of all light over what scene or calibration says."),
     ("behind", "", "/lag/behind", "1 if control loops get the newest scans only."),
     ("waiting_scans", "", "/lag/waiting_scans", "Scans that arrived and are not solved yet."),
     ("waiting_seconds", "", "/lag/waiting_s", "For how long the oldest of them has waited."),

@@ -18,5 +18,5 @@ pub(crate) use report::{
     BoardReport, DaemonReport, HostLosses, LagReport, LinkReport, LinkState, RecorderReport, RecorderState,
     report_schema,
 };
-pub(crate) use server::{DEFAULT_STATUS_ADDRESS, StatusServer, fetch, status_address};
+pub(crate) use server::{DEFAULT_STATUS_ADDRESS, StatusServer, fetch, request, status_address};
 pub use statistics::BoardStatistics;

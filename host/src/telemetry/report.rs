@@ -11,6 +11,7 @@ use slitpose_protocol::{ClockSource, SettingsSource};
 use super::losses::Latency;
 use crate::datagram::DatagramCounts;
 use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::frame::FrameReport;
 use slitpose_tracking::health::HeadHealth;
 use slitpose_tracking::link::DeviceId;
 use slitpose_tracking::pipeline::{Agreement, Outcomes};
@@ -82,6 +83,12 @@ pub(crate) struct BoardReport {
     pub outcomes: Outcomes,
     /// Solutions of the last interval by outcome.
     pub recent_outcomes: Outcomes,
+    /// Brightness of all light relative to scene or calibration, by the last pose; `None`: it is taken for known.
+    pub light_level: Option<f64>,
+    /// Poses without a velocity, by the reason.
+    pub velocities_withheld: Withheld,
+    /// The frame of the poses, and what became of setting its zero.
+    pub frame: FrameReport,
     /// Losses between board and host in the last interval.
     pub recent_link_losses: LinkLosses,
     /// Age of the poses.
@@ -98,6 +105,15 @@ pub(crate) struct BoardReport {
     pub head: Option<HeadHealth>,
     /// How the poses that the board finds itself compare with those found here; `None` if it sends none.
     pub board_poses: Option<Agreement>,
+}
+
+/// Poses without a velocity, by the reason.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
+pub(crate) struct Withheld {
+    /// There were too few poses yet.
+    pub start: u64,
+    /// The tool was not where its motion led: it hit something, or the pose was wrong.
+    pub jump: u64,
 }
 
 /// State of the link to a board.

@@ -1,4 +1,4 @@
-//! The status over HTTP: `/` for people, `/status` as JSON, `/metrics` for Prometheus, `/health` for probes; served, and
+//! The status over HTTP, and one order, `POST /zero/BOARD/MILLISECONDS`: `/` for people, `/status` as JSON, `/metrics` for Prometheus, `/health` for probes; served, and
 //! requested.
 //!
 //! The server has its own thread and makes a report for each request. It has no authentication: by default it listens
@@ -13,13 +13,15 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow};
 use axum::Router;
+use axum::extract::Path;
 use axum::http::StatusCode;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::Response;
-use axum::routing::get;
+use axum::routing::{get, post};
 
 use super::{DaemonReport, metrics, view};
 use crate::address::{Address, ServeError};
+use crate::daemon::ZeroOrder;
 use crate::http;
 use crate::http::{BindScope, Serving};
 use slitpose_tracking::clock::HostInstant;
@@ -36,11 +38,15 @@ pub(crate) struct StatusServer {
 
 type Source = Arc<dyn Fn() -> DaemonReport + Send + Sync>;
 
+/// Sets the zero of the frame of a board; says why not.
+pub(crate) type SetZero = Arc<dyn Fn(usize, ZeroOrder) -> Result<(), String> + Send + Sync>;
+
 impl StatusServer {
     /// Serves the reports of `source` at `address`. A socket left behind by a killed daemon is replaced.
     pub(crate) fn start(
         address: &Address,
         source: impl Fn() -> DaemonReport + Send + Sync + 'static,
+        set_zero: SetZero,
     ) -> Result<Self, ServeError> {
         if let Address::Tcp(tcp) = address
             && !tcp.ip().is_loopback()
@@ -51,12 +57,12 @@ impl StatusServer {
         let source: Source = Arc::new(source);
         let refusal = "pages in a browser get no answer; ask by 127.0.0.1, [::1] or localhost, without an Origin\n";
         let (serving, address) =
-            Serving::http("status", address, BindScope::Loopback, refusal, routes(&source), || ())?;
+            Serving::http("status", address, BindScope::Loopback, refusal, routes(&source, set_zero), || ())?;
         Ok(Self { address, _serving: serving })
     }
 }
 
-fn routes(source: &Source) -> Router {
+fn routes(source: &Source, set_zero: SetZero) -> Router {
     let page = |answer: fn(&DaemonReport) -> Response| {
         let source = Arc::clone(source);
         get(move || {
@@ -77,6 +83,15 @@ fn routes(source: &Source) -> Router {
             page(|report| reply(StatusCode::OK, metrics::CONTENT_TYPE, metrics::text(report, HostInstant::now()))),
         )
         .route("/health", page(health))
+        .route(
+            "/zero/{board}/{milliseconds}",
+            post(move |Path((board, milliseconds)): Path<(usize, u32)>| async move {
+                match set_zero(board, (milliseconds > 0).then(|| f64::from(milliseconds) * 1e-3)) {
+                    Ok(()) => reply(StatusCode::ACCEPTED, TEXT, "begun; /status says what becomes of it\n".to_owned()),
+                    Err(reason) => reply(StatusCode::CONFLICT, TEXT, format!("{reason}\n")),
+                }
+            }),
+        )
         .fallback(|| async {
             reply(StatusCode::NOT_FOUND, TEXT, "there is /, /status, /metrics and /health\n".to_owned())
         })
@@ -111,6 +126,11 @@ const MAX_BYTES: usize = 1 << 24;
 
 /// HTTP status and text at `path` of the daemon at `address`, such as `/status`.
 pub(crate) fn fetch(address: &Address, path: &str) -> Result<(u16, String)> {
+    request(address, &format!("GET {path}"))
+}
+
+/// Answer of the daemon at `address` to a request of this method and path.
+pub(crate) fn request(address: &Address, request: &str) -> Result<(u16, String)> {
     let connect = || {
         format!(
             "nothing answers at {address}; start a daemon with `slitpose run --status {address}`, or give its address"
@@ -119,9 +139,9 @@ pub(crate) fn fetch(address: &Address, path: &str) -> Result<(u16, String)> {
     let answer = match address {
         Address::Tcp(to) | Address::Udp(to) => {
             let stream = TcpStream::connect_timeout(to, WITHIN).with_context(connect)?;
-            ask(stream, TcpStream::set_read_timeout, path)
+            ask(stream, TcpStream::set_read_timeout, request)
         }
-        Address::Unix(to) => ask(UnixStream::connect(to).with_context(connect)?, UnixStream::set_read_timeout, path),
+        Address::Unix(to) => ask(UnixStream::connect(to).with_context(connect)?, UnixStream::set_read_timeout, request),
     };
     let seconds = WITHIN.as_secs();
     let answer = answer.with_context(|| {
@@ -135,10 +155,10 @@ pub(crate) fn fetch(address: &Address, path: &str) -> Result<(u16, String)> {
 fn ask<S: Read + Write>(
     mut stream: S,
     set_timeout: impl Fn(&S, Option<Duration>) -> io::Result<()>,
-    path: &str,
+    request: &str,
 ) -> io::Result<Vec<u8>> {
     let until = Instant::now() + WITHIN;
-    write!(stream, "GET {path} HTTP/1.0\r\nHost: localhost\r\n\r\n")?;
+    write!(stream, "{request} HTTP/1.0\r\nHost: localhost\r\n\r\n")?;
     let (mut answer, mut chunk) = (Vec::new(), [0; 4096]);
     loop {
         let left = until.saturating_duration_since(Instant::now());

@@ -2,6 +2,7 @@
 
 use std::fs;
 
+use slitpose_model::NoTwist;
 use slitpose_protocol::{BoardKind, Hello, Severity, Status};
 
 use super::losses::{LatencyHistogram, LossBook};
@@ -134,6 +135,13 @@ impl BoardStatistics {
 
     fn take_record(&mut self, record: &Record, read_at: Option<HostInstant>, published_at: Option<HostInstant>) {
         self.report.clock.uncertainty_s = record.host_time.map(|time| time.uncertainty_ns as f64 * 1e-9);
+        self.report.light_level = record.light_level.or(self.report.light_level);
+        let withheld = &mut self.report.velocities_withheld;
+        match record.twist {
+            Ok(_) | Err(NoTwist::NoPose) => {}
+            Err(NoTwist::Start) => withheld.start += 1,
+            Err(NoTwist::Jump) => withheld.jump += 1,
+        }
         let sampled_ns = record.host_time.map(|time| time.monotonic_ns);
         let [read_ns, published_ns] = [read_at, published_at].map(|at| at.map(|at| at.monotonic_ns));
         let record_ns = |histogram: &mut LatencyHistogram, from_ns: Option<u64>, to_ns: Option<u64>| {

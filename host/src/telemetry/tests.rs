@@ -6,6 +6,7 @@ use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::net::UnixStream;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use slitpose_protocol::{ClockSource, SettingsSource, Severity, Status};
@@ -90,7 +91,12 @@ fn daemon(boards: Vec<BoardReport>) -> DaemonReport {
 
 fn serve(address: &str) -> Result<StatusServer, ServeError> {
     let (well, ill) = (board(AWKWARD, None), board("other", Some(head())));
-    StatusServer::start(&status_address(address).unwrap(), move || daemon(vec![well.clone(), ill.clone()]))
+    let set_zero = |board: usize, over_s: Option<f64>| match (board, over_s) {
+        (0, Some(0.25)) => Ok(()),
+        _ => Err("no such board".to_owned()),
+    };
+    let source = move || daemon(vec![well.clone(), ill.clone()]);
+    StatusServer::start(&status_address(address).unwrap(), source, Arc::new(set_zero))
 }
 
 #[test]
@@ -198,6 +204,12 @@ fn is_served(server: &StatusServer) {
     let (status, text) = get("/health");
     assert!(status == 503 && text.contains("cell 1: saturated"), "{status}: {text}");
     assert_eq!(get("/nonsense").0, 404);
+    // A zero is an order: no link of a page can give it.
+    let order = |line: &str| request(&server.address, line).unwrap();
+    assert_eq!(order("POST /zero/0/250").0, 202);
+    assert_eq!(order("GET /zero/0/250").0, 405);
+    assert_eq!(order("POST /zero/1/250"), (409, "no such board\n".to_owned()));
+    assert_eq!(order("POST /zero/one/250").0, 400);
 }
 
 #[test]

@@ -3,10 +3,12 @@
 //! * [`link`] holds bytes that a link has delivered, and identifies boards;
 //! * [`clock`] relates a board's clock to those of the host;
 //! * [`pipeline`] turns bytes into poses; [`solving`] has what can be chosen about it;
+//! * [`frame`] puts poses into a frame of the user, and at the tip of the tool;
 //! * [`health`] monitors the cells of a head;
 //! * [`capture`] writes and reads recordings, [`playback`] takes them through the pipeline again;
+//! * [`columns`] lists the quantities of a scan, for all outputs;
 //! * [`ros`] has poses and heads as messages;
-//! * [`measurements`] reads what calibrations rest on.
+//! * [`measurements`] reads what calibrations rest on, [`tip`] finds the tip of a tool in them.
 //!
 //! All units are SI.
 //!
@@ -43,6 +45,8 @@
 
 pub mod capture;
 pub mod clock;
+pub mod columns;
+pub mod frame;
 pub mod health;
 pub mod link;
 pub mod measurements;
@@ -50,3 +54,4 @@ pub mod pipeline;
 pub mod playback;
 pub mod ros;
 pub mod solving;
+pub mod tip;

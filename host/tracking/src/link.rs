@@ -24,7 +24,7 @@ impl fmt::Display for DeviceId {
 
 impl DeviceId {
     /// Passes the digits on. Every pose has them: byte by byte formatting would take a sixth of the time of its line.
-    fn with_digits<T>(self, with: impl FnOnce(&str) -> T) -> T {
+    pub(crate) fn with_digits<T>(self, with: impl FnOnce(&str) -> T) -> T {
         let mut digits = [0; 24];
         for (pair, byte) in digits.chunks_exact_mut(2).zip(self.0) {
             pair.copy_from_slice(&[byte >> 4, byte & 15].map(|digit| b"0123456789abcdef"[usize::from(digit)]));

@@ -18,7 +18,7 @@ use crate::link::Segment;
 use crate::pipeline::{Item, Pipeline, PipelineError, SceneMatch};
 
 /// How well the tip of a tool stays in a cone, and a tool returns to a stop: metres and radians.
-const CONTACT: [f64; 2] = [3e-6, 100e-6];
+pub(crate) const CONTACT: [f64; 2] = [3e-6, 100e-6];
 
 /// How true the steps of a stage are, and how little its carriage turns: metres and radians.
 const STAGE: [f64; 2] = [1e-6, 20e-6];

@@ -203,6 +203,7 @@ works! {
     the_designer_gets_a_better_head: "accuracy.md",
     the_bench_engineer_finds_the_faults: "bench.md",
     a_raw_head_becomes_a_calibrated_one: "calibration.md",
+    poses_are_given_in_a_frame_and_at_the_tip: "frame.md",
     the_lab_user_gets_recordings_and_tables: "lab.md",
     the_application_writer_closes_a_loop: "application.md",
     the_analyst_judges_poses: "analyst.md",

@@ -24,13 +24,37 @@ fn folder_with_capture() -> (tempfile::TempDir, PathBuf, Vec<u8>) {
     (folder, capture, bytes)
 }
 
+/// CSV and NDJSON have the same quantities.
 #[test]
-fn a_filtered_pose_that_csv_has_no_room_for_is_missed_aloud() {
+fn a_filtered_pose_and_its_velocity_are_in_csv_too() {
     let (_folder, capture, _) = folder_with_capture();
-    let replay = |format, filter| slitpose!().run(["replay", text(&capture), "--format", format, "--filter", filter]);
-    let says_so = |finished: Finished| finished.stderr.contains("CSV has no columns for the filtered pose");
-    assert!(says_so(replay("csv", "5ms")));
-    assert!(!says_so(replay("csv", "off")) && !says_so(replay("ndjson", "5ms")));
+    let replay = |format| {
+        let finished = slitpose!().run(["replay", text(&capture), "--format", format, "--filter", "5ms"]);
+        assert_eq!((finished.code, finished.stderr.as_str()), (0, ""));
+        finished
+    };
+    let (ndjson, csv) = (replay("ndjson"), replay("csv"));
+    let objects = ndjson.text().lines().map(|line| serde_json::from_str::<serde_json::Value>(line).expect("JSON"));
+    let mut rows = csv::Reader::from_reader(csv.text().as_bytes());
+    let names = rows.headers().expect("a header").clone();
+    let mut withheld = 0;
+    for (object, row) in objects.zip(rows.records()) {
+        let row = row.expect("a row");
+        let field = |name: &str| &row[names.iter().position(|known| known == name).expect(name)];
+        let number = |name: &str| field(name).parse::<f64>().ok();
+        let filtered = &object["filtered"];
+        assert_eq!(number("filtered_lag_s"), filtered["lag_s"].as_f64());
+        assert_eq!(number("filtered_tz_mm"), filtered["translation_m"][2].as_f64().map(|z| z * 1e3));
+        assert_eq!(number("filtered_sigma_wx_rad_per_s"), filtered["twist"]["sigma"][3].as_f64());
+        assert_eq!(number("vy_m_per_s"), object["twist"]["linear_m_per_s"][1].as_f64());
+        assert_eq!(field("no_twist"), object["no_twist"].as_str().unwrap_or_default());
+        assert_eq!(number("light_level"), object["light_level"].as_f64());
+        let covariance = |i: usize, j: usize| object["covariance"][6 * i + j].as_f64().expect("a number");
+        let correlation = covariance(1, 5) / (covariance(1, 1) * covariance(5, 5)).sqrt();
+        assert_eq!(number("correlation_ty_rz"), Some(correlation));
+        withheld += usize::from(field("no_twist") == "start");
+    }
+    assert!((1..20).contains(&withheld), "{withheld} poses without a velocity");
 }
 
 #[test]

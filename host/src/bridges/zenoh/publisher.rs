@@ -216,13 +216,13 @@ impl BoardTopics {
     fn pose(&mut self, record: &Record, transforms: &mut Topic, message: &mut Vec<u8>) {
         let stamp_ns = ros::stamp_ns(record);
         if let Some(estimate) = &record.solution.estimate {
-            ros::encode_pose(stamp_ns, estimate, message);
+            ros::encode_pose(stamp_ns, ros::frame(record), estimate, message);
             self.pose.put(message);
-            ros::encode_transform(stamp_ns, &self.tool, &estimate.pose, message);
+            ros::encode_transform(stamp_ns, &self.tool, &estimate.pose, record.view, message);
             transforms.put(message);
         }
         if let Ok(twist) = &record.twist {
-            ros::encode_twist(stamp_ns, twist, message);
+            ros::encode_twist(stamp_ns, ros::frame(record), twist, message);
             self.twist.put(message);
         }
     }

@@ -199,6 +199,7 @@ fn view(args: &ViewArgs) -> Result<Outcome, CommandError> {
             Err(match order {
                 Order::Record(_) => Refusal::NO_RECORDER,
                 Order::Zero => Refusal::NO_MOUSE,
+                Order::Frame(..) => Refusal::NO_FRAME,
                 Order::Player(_) => Refusal::NO_PLAYER,
             })
         }),

@@ -58,10 +58,10 @@ fn c_reads_what_is_written() {
     let lines: Vec<&str> = text.lines().collect();
     let solution = &record.solution;
     let (used, redundancy) = (solution.cells_used.count(), solution.redundancy);
-    assert_eq!(lines[0], format!("544 31 0 {used} simulated 0 {redundancy}"));
+    assert_eq!(lines[0], format!("560 31 0 {used} simulated 0 {redundancy}"));
     let mut behind = datagram.clone();
     behind.mark_behind();
-    assert!(read(&behind).starts_with("544 63 0 "), "the sixth bit, and no other");
+    assert!(read(&behind).starts_with("560 63 0 "), "the sixth bit, and no other");
     let device_time_ns = (record.device_time_s * 1e9).round();
     assert_eq!(
         lines[1],
@@ -78,6 +78,11 @@ fn c_reads_what_is_written() {
     assert_eq!(numbers(lines[6]), twist.twist.angular_rad_per_s.to_array());
     let sigma: Vec<f64> = (0..6).map(|i| twist.covariance[i][i].sqrt()).collect();
     assert_eq!(numbers(lines[7]), sigma);
+    assert_eq!((numbers(lines[8]), lines[9]), (vec![record.light_level.unwrap()], "0"));
+    let jumped = Record { twist: Err(NoTwist::Jump), light_level: None, ..record };
+    let text = read(&PoseDatagram::new(&jumped, 1, now));
+    let lines: Vec<&str> = text.lines().collect();
+    assert!(numbers(lines[8])[0].is_nan() && lines[9] == "2", "{text}");
 
     let mut nothing =
         Record { twist: Err(NoTwist::NoPose), host_time: None, arrival: None, simulated: false, ..record };
@@ -85,7 +90,7 @@ fn c_reads_what_is_written() {
     nothing.solution.outcome = slitpose_model::Outcome::TooDark;
     let text = read(&PoseDatagram::new(&nothing, 1, now));
     let lines: Vec<&str> = text.lines().collect();
-    assert!(lines[0].starts_with("544 0 4 "), "{}", lines[0]);
+    assert!(lines[0].starts_with("560 0 4 "), "{}", lines[0]);
     assert!(lines[1].ends_with(" 0 0 0 0 123457000001 "), "{}", lines[1]);
     assert!(lines[2..8].iter().flat_map(|line| numbers(line)).all(f64::is_nan), "{text}");
 }

@@ -27,6 +27,8 @@ int main(void)
     list("v", p.linear_m_per_s, 3);
     list("w", p.angular_rad_per_s, 3);
     list("s", p.twist_sigma, 6);
+    list("l", &p.light_level, 1);
+    printf("%llu\n", (unsigned long long)p.no_twist);
     printf("%llu\n", age_ns);
     return 0;
 }

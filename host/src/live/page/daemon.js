@@ -62,20 +62,25 @@ function duration(seconds) {
   return (parts[first][0] ? parts.slice(first, first + 2) : parts.slice(-1)).map(([amount, unit]) => `${amount} ${unit}`).join(" ");
 }
 
-/** The buttons that change something: recording, and the zero of the mouse. */
+/** The buttons that change something: recording, the zero of the mouse, and that of the frame. */
 export class Recorder {
   #isRecording = false;
 
-  /** @param {(request: object) => void} send */
-  constructor(send) {
+  /** @param {(request: object) => void} send @param {() => number} board the one shown */
+  constructor(send, board) {
+    byId("zero-frame").addEventListener("click", () => send({ kind: "set_frame", board: board(), over_s: 1 }));
+    byId("undo-frame").addEventListener("click", () => send({ kind: "set_frame", board: board(), over_s: null }));
     byId("record").addEventListener("click", () => send({ kind: "record", on: !this.#isRecording }));
     byId("zero").addEventListener("click", () => send({ kind: "zero" }));
   }
 
-  /** @param {object | null} recorder of the report @param {object | null} hello @param {boolean} isOpen */
-  draw(recorder, hello, isOpen) {
+  /** @param {object | null} recorder of the report @param {object | undefined} frame of the board shown
+   * @param {object | null} hello @param {boolean} isOpen */
+  draw(recorder, frame, hello, isOpen) {
     const isLive = hello?.source === "run";
     show(byId("recorder"), isLive);
+    show(byId("frame"), Boolean(isLive && hello.may_write && frame));
+    if (frame) write(byId("frame-words"), `frame ${frame.name}${frame.zero ? `; ${frame.zero}` : ""}`);
     show(byId("mouse"), Boolean(hello?.has_zero && hello.may_write));
     if (!isLive) return;
     this.#isRecording = recorder?.state === "recording";

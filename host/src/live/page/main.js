@@ -47,7 +47,7 @@ const banner = new Banner(reportChanged);
 const numbers = new Numbers();
 const daemon = new Daemon();
 const findings = new Findings();
-const recorder = new Recorder(send);
+const recorder = new Recorder(send, () => board);
 const player = new Player(send);
 const view = new View3d(byId("view"), byId("view-words"), byId("view-notes"), schedule);
 const strips = new Strips(byId("strips"), schedule);
@@ -181,7 +181,7 @@ function drawReport(frame) {
   strips.setFindings(faults);
   findings.draw(report.findings, state, isScene());
   daemon.draw(report.report, board);
-  recorder.draw(report.report?.recorder, hello, link.state.state === "open");
+  recorder.draw(report.report?.recorder, state?.frame, hello, link.state.state === "open");
   player.draw(playerState, hello);
   banner.draw({ link: link.state, hello, board: isScene() ? null : state, frame, isPaused: timeline.isPaused });
 }

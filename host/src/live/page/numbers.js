@@ -5,6 +5,8 @@ import { byId, make, show, write } from "./dom.js";
 import { COORDINATES, fixed, STATUS, UNITS, VERIFIED } from "./format.js";
 import { angleBetween, coordinates, norm, sub } from "./vectors.js";
 
+/** Why a pose has no velocity. */
+const NO_TWIST = { start: "withheld: too few poses yet", jump: "withheld: the tool is not where its motion led" };
 const OUTCOME_SIGNS = { converged: ["✓", "good"], degraded: ["▽", "warn"] };
 
 export class Numbers {
@@ -19,7 +21,7 @@ export class Numbers {
       byId("pose").tBodies[0].append(make("tr", "", head, ...cells));
       return cells;
     });
-    this.#facts = facts(byId("pose-facts"), ["Verified", "χ² / redundancy", "Error", "Filtered", "Board time", "Scan", "Scans in frame"]);
+    this.#facts = facts(byId("pose-facts"), ["Verified", "χ² / redundancy", "Frame", "Light level", "Velocity", "Error", "Filtered", "Board time", "Scan", "Scans in frame"]);
   }
 
   /** @param {object | undefined} frame @param {boolean} isScene whether the tool is placed by hand */
@@ -42,6 +44,9 @@ export class Numbers {
     this.#facts({
       "Verified": (pose && VERIFIED[frame.verified]) ?? "–",
       "χ² / redundancy": chi2,
+      "Frame": frame?.frame ?? null,
+      "Light level": frame?.light_level == null ? null : `${fixed(frame.light_level * 100, 2)} %`,
+      "Velocity": NO_TWIST[frame?.no_twist] ?? null,
       "Error": pose && frame.truth ? errorOf(pose, frame.truth) : null,
       "Filtered": frame?.filtered ? filtered(frame.filtered) : null,
       "Board time": isScene ? null : `${fixed(frame?.time_s, 2)} s`,

@@ -16,6 +16,13 @@ const TRAIL_ALPHAS = [0.15, 0.3, 0.5, 0.8];
 const ROUND = Array.from({ length: 33 }, (_, i) => [Math.cos((i * Math.PI) / 16), Math.sin((i * Math.PI) / 16)]);
 const AXES = [["x", [1, 0, 0]], ["y", [0, 1, 0]], ["z", [0, 0, 1]]];
 
+/** The frame with pose and truth in front of the head, if its numbers are in a frame of the user. */
+function inBase(frame) {
+  if (!frame?.base) return frame;
+  const { tool, truth, cov_t } = frame.base;
+  return { ...frame, t_m: tool?.t_m, q_xyzw: tool?.q_xyzw, truth, cov_t };
+}
+
 export class View3d {
   #head = null;
   #second = new Map();
@@ -51,6 +58,7 @@ export class View3d {
     const context = this.surface.start();
     if (!context) return;
     this.camera.resize(this.surface.width, this.surface.height);
+    frame = inBase(frame);
     const measured = frame?.t_m && frame.q_xyzw ? frame : null;
     const pose = measured ?? placed;
     this.#explain(frame, measured, placed);
@@ -167,7 +175,8 @@ export class View3d {
       context.beginPath();
       let isDown = false;
       for (let i = history.indexAt(from_s); i <= index && history.at(i).time_s <= to_s; i++) {
-        const point = history.at(i).t_m && this.camera.project(history.at(i).t_m);
+        const { t_m } = inBase(history.at(i));
+        const point = t_m && this.camera.project(t_m);
         if (point && isDown) context.lineTo(point[0], point[1]);
         else if (point) context.moveTo(point[0], point[1]);
         isDown = Boolean(point);

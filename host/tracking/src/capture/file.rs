@@ -17,6 +17,7 @@ use super::place::{Medium, Sink};
 use super::records::PROGRAM;
 use super::setup::{LinkChannels, METADATA, Setup};
 use super::{LINK_BYTES, REPORT_SCHEMA, link_bytes};
+use crate::frame::BASE;
 use crate::link::{DeviceId, Segment};
 use crate::pipeline::Record;
 use crate::ros::cdr::Encoder;
@@ -196,16 +197,16 @@ impl<M: Medium> CaptureFile<M> {
         let publish_ns = record.host_time.map_or(log_ns, |time| time.utc_ns);
         let sequence = record.sequence as u32;
         if let Some(estimate) = &record.solution.estimate {
-            ros::encode_pose(stamp_ns, estimate, &mut self.message);
+            ros::encode_pose(stamp_ns, BASE, estimate, &mut self.message);
             self.write(channels.pose, sequence, log_ns, publish_ns)?;
             ros::encode_pose_stamped(stamp_ns, &estimate.pose, &mut self.message);
             self.write(channels.pose_stamped, sequence, log_ns, publish_ns)?;
             let child = ros::tool_frame(record.device, channels.is_first);
-            ros::encode_transform(stamp_ns, &child, &estimate.pose, &mut self.message);
+            ros::encode_transform(stamp_ns, &child, &estimate.pose, None, &mut self.message);
             self.write(self.transforms, sequence, log_ns, publish_ns)?;
         }
         if let Ok(twist) = &record.twist {
-            ros::encode_twist(stamp_ns, twist, &mut self.message);
+            ros::encode_twist(stamp_ns, BASE, twist, &mut self.message);
             self.write(channels.twist, sequence, log_ns, publish_ns)?;
         }
         Ok(())

@@ -336,6 +336,7 @@ fn record(session: &Session, scan: &Scan, Tracked { solution, twist, filtered, l
         light_level,
         simulated: session.kind == BoardKind::Simulated,
         truth: scan.truth,
+        view: None,
     }
 }
 

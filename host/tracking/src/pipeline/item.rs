@@ -9,6 +9,7 @@ use thiserror::Error;
 
 use super::{PoseFault, Scan};
 use crate::clock::{HostInstant, HostTime};
+use crate::frame::View;
 use crate::link::{DeviceId, Versions};
 
 /// The pose of one scan.
@@ -36,6 +37,8 @@ pub struct Record {
     pub simulated: bool,
     /// The true pose at that instant, from simulated boards only.
     pub truth: Option<Pose>,
+    /// The frame and the point of the tool that poses, velocities and truth speak of; `None`: those of the head.
+    pub view: Option<&'static View>,
 }
 
 /// An output of the pipeline.

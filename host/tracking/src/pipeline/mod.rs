@@ -28,6 +28,7 @@ pub use session::{check, check_calibration, head_of};
 pub use waiting::{Queue, Scan};
 
 use crate::clock::ClockFit;
+use crate::frame::{FrameReport, View, Viewer};
 use crate::health::{HeadHealth, Health};
 use crate::link::Segment;
 use board_clock::Span;
@@ -41,6 +42,7 @@ pub struct Pipeline {
     flow: Flow,
     /// Whether bytes after the [end](Self::until) have been left out.
     has_passed_end: bool,
+    viewer: Viewer,
 }
 
 /// Whether scans are solved as they come.
@@ -53,7 +55,8 @@ enum Solve {
 impl Pipeline {
     /// A pipeline for boards with `head`, solved in `tier`. That of a scene alone is taken to be as the scene says.
     pub fn new(head: impl Into<Head>, tier: Tier, scene_match: SceneMatch) -> Self {
-        Self { decoder: Decoder::new(), flow: Flow::new(head.into(), tier, scene_match), has_passed_end: false }
+        let flow = Flow::new(head.into(), tier, scene_match);
+        Self { decoder: Decoder::new(), flow, has_passed_end: false, viewer: Viewer::default() }
     }
 
     /// Ends the stream `until_s` seconds of device time after the first scan, if given.
@@ -67,6 +70,13 @@ impl Pipeline {
     #[must_use]
     pub fn following(mut self, following: PipelineOptions) -> Self {
         self.flow.following = following;
+        self
+    }
+
+    /// Gives poses in `view`; `None`: in the frame of the head.
+    #[must_use]
+    pub fn in_frame(mut self, view: Option<&'static View>) -> Self {
+        self.viewer = Viewer::of(view);
         self
     }
 
@@ -118,7 +128,24 @@ impl Pipeline {
         Queue { sessions: self.flow.earlier.len(), ..self.flow.waiting.queue() }
     }
 
-    /// Solves the oldest waiting scan. Poses solved in this order do not depend on the delay.
+    /// Puts a record that was solved by [`Self::solve_next`] or [`Self::solve_newest`] into the frame of the user. Items
+    /// are in it.
+    pub fn see(&mut self, record: &mut Record) {
+        self.viewer.see(record);
+    }
+
+    /// Makes the mean pose of the next `over_s` seconds of device time the zero of the frame; `None`: the frame is again
+    /// that of the start.
+    pub fn zero(&mut self, over_s: Option<f64>) {
+        self.viewer.zero(over_s);
+    }
+
+    /// The frame of the poses.
+    pub fn frame(&self) -> FrameReport {
+        self.viewer.report()
+    }
+
+    /// Solves the oldest waiting scan, in the frame of the head. Poses solved in this order do not depend on the delay.
     pub fn solve_next(&mut self) -> Option<Record> {
         self.flow.solve_next()
     }
@@ -224,8 +251,9 @@ impl Pipeline {
                 Err(_) => {}
             }
             while solve == Solve::AtOnce
-                && let Some(record) = self.flow.solve_next()
+                && let Some(mut record) = self.flow.solve_next()
             {
+                self.viewer.see(&mut record);
                 sink(Item::Pose(&record))?;
             }
             if !self.has_passed_end {

@@ -12,6 +12,7 @@ use thiserror::Error;
 
 use crate::capture::{CaptureError, Setup};
 use crate::clock::UtcWatch;
+use crate::frame::View;
 use crate::link::{DeviceId, Segment};
 use crate::pipeline::{Pipeline, PipelineError};
 use crate::solving::Solving;
@@ -146,6 +147,8 @@ pub struct Choice {
     pub yields: Yields,
     /// Faults that are injected into the bytes of each board.
     pub faults: Vec<Fault>,
+    /// The frame of the poses; `None`: that of the head.
+    pub view: Option<&'static View>,
 }
 
 /// What is made of scans.

@@ -319,7 +319,8 @@ impl Playback {
         let (settings, solving) = (setup.map(|setup| setup.settings), &self.choice.solving);
         let pipeline = Pipeline::new(head, solving.tier_or(settings.map(|settings| settings.tier)), scene_match)
             .until(self.choice.duration_s)
-            .following(solving.following_or(settings.map(|settings| settings.following)));
+            .following(solving.following_or(settings.map(|settings| settings.following)))
+            .in_frame(self.choice.view);
         if self.choice.is_watched { pipeline.watched() } else { pipeline }
     }
 

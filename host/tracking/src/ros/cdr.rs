@@ -5,7 +5,10 @@
 //! which the existing crates, through serde, would copy byte by byte.
 
 use glam::DVec3;
+use slitpose_calibration::inverse;
 use slitpose_model::{Estimate, Pose, TwistEstimate};
+
+use crate::frame::{BASE, View};
 
 /// Plain CDR, little endian, no options.
 const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
@@ -135,13 +138,10 @@ impl<'a> Decoder<'a> {
     }
 }
 
-/// The reference frame of poses, velocities and what stands still of a head.
-pub(super) const BASE: &str = "base";
-
-/// `geometry_msgs/msg/PoseWithCovarianceStamped`.
-pub fn encode_pose(stamp_ns: u64, estimate: &Estimate, bytes: &mut Vec<u8>) {
+/// `geometry_msgs/msg/PoseWithCovarianceStamped` in `frame`.
+pub fn encode_pose(stamp_ns: u64, frame: &str, estimate: &Estimate, bytes: &mut Vec<u8>) {
     let mut encoder = Encoder::new(bytes);
-    header(&mut encoder, stamp_ns, BASE);
+    header(&mut encoder, stamp_ns, frame);
     pose(&mut encoder, &estimate.pose);
     covariance(&mut encoder, &estimate.covariance);
 }
@@ -153,19 +153,36 @@ pub fn encode_pose_stamped(stamp_ns: u64, of: &Pose, bytes: &mut Vec<u8>) {
     pose(&mut encoder, of);
 }
 
-/// `tf2_msgs/msg/TFMessage` with one transform; `child` is the name of the tool's frame.
-pub fn encode_transform(stamp_ns: u64, child: &str, of: &Pose, bytes: &mut Vec<u8>) {
+/// `tf2_msgs/msg/TFMessage` of a pose in `view`: the tool in the base, then the frame of the user in the base, and the tip
+/// in the tool, if there are. `tool` is the name of the tool's frame.
+pub fn encode_transform(stamp_ns: u64, tool: &str, of: &Pose, view: Option<&View>, bytes: &mut Vec<u8>) {
     let mut encoder = Encoder::new(bytes);
-    encoder.length(1);
-    header(&mut encoder, stamp_ns, BASE);
-    encoder.text(child);
-    pose(&mut encoder, of);
+    let put = |encoder: &mut Encoder<'_>, parent: &str, child: &str, of: &Pose| {
+        header(encoder, stamp_ns, parent);
+        encoder.text(child);
+        pose(encoder, of);
+    };
+    let Some(view) = view else {
+        encoder.length(1);
+        put(&mut encoder, BASE, tool, of);
+        return;
+    };
+    let (is_user, has_tip) = (view.name() != BASE, view.tip_m() != DVec3::ZERO);
+    encoder.length(1 + usize::from(is_user) + usize::from(has_tip));
+    put(&mut encoder, BASE, tool, &view.base_from_tool(of));
+    if is_user {
+        put(&mut encoder, BASE, view.name(), &inverse(view.user_from_base()));
+    }
+    if has_tip {
+        let tip = Pose { translation_m: view.tip_m(), ..Pose::HOME };
+        put(&mut encoder, tool, &format!("{tool}_tip"), &tip);
+    }
 }
 
 /// `geometry_msgs/msg/TwistWithCovarianceStamped`.
-pub fn encode_twist(stamp_ns: u64, estimate: &TwistEstimate, bytes: &mut Vec<u8>) {
+pub fn encode_twist(stamp_ns: u64, frame: &str, estimate: &TwistEstimate, bytes: &mut Vec<u8>) {
     let mut encoder = Encoder::new(bytes);
-    header(&mut encoder, stamp_ns, BASE);
+    header(&mut encoder, stamp_ns, frame);
     vector(&mut encoder, estimate.twist.linear_m_per_s);
     vector(&mut encoder, estimate.twist.angular_rad_per_s);
     covariance(&mut encoder, &estimate.covariance);
@@ -243,7 +260,7 @@ mod tests {
         let flat = covariance.as_flattened();
         let pose = Pose { translation_m: DVec3::new(1.0, 2.0, 3.0), rotation: DQuat::from_xyzw(0.5, -0.5, 0.5, 0.5) };
         let mut bytes = Vec::new();
-        encode_pose(1_750_000_000_123_456_789, &Estimate { pose, covariance }, &mut bytes);
+        encode_pose(1_750_000_000_123_456_789, BASE, &Estimate { pose, covariance }, &mut bytes);
         assert_eq!(bytes[4..8], 1_750_000_000_i32.to_le_bytes());
         assert_eq!(bytes[8..12], 123_456_789_u32.to_le_bytes());
         assert_eq!(bytes[12..21], *b"\x05\0\0\0base\0");
@@ -252,7 +269,7 @@ mod tests {
         encode_pose_stamped(1_750_000_000_123_456_789, &pose, &mut bytes);
         assert_eq!(bytes[12..21], *b"\x05\0\0\0base\0");
         assert_eq!(numbers(&bytes), [1.0, 2.0, 3.0, 0.5, -0.5, 0.5, 0.5]);
-        encode_transform(1_750_000_000_123_456_789, "tool", &pose, &mut bytes);
+        encode_transform(1_750_000_000_123_456_789, "tool", &pose, None, &mut bytes);
         assert_eq!(bytes[4..8], 1_u32.to_le_bytes());
         assert_eq!(bytes[8..12], 1_750_000_000_i32.to_le_bytes());
         assert_eq!(bytes[16..25], *b"\x05\0\0\0base\0");
@@ -263,7 +280,7 @@ mod tests {
         assert_eq!((found, rest.len()), (vec![1.0, 2.0, 3.0, 0.5, -0.5, 0.5, 0.5], 0));
 
         let twist = Twist { linear_m_per_s: DVec3::new(4.0, 5.0, 6.0), angular_rad_per_s: DVec3::new(7.0, 8.0, 9.0) };
-        encode_twist(0, &TwistEstimate { twist, covariance }, &mut bytes);
+        encode_twist(0, BASE, &TwistEstimate { twist, covariance }, &mut bytes);
         assert_eq!(numbers(&bytes), [&[4.0, 5.0, 6.0, 7.0, 8.0, 9.0], flat].concat());
     }
 }

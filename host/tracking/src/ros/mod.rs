@@ -1,16 +1,18 @@
 //! Poses, velocities and heads as messages of ROS 2, for captures and live servers.
 //!
-//! Frames: `base`, and `tool` for the tool in front of the first board. Lengths are in metres.
+//! Frames: `base`, and `tool` for the tool in front of the first board; a frame of the user by its name, and `tool_tip`. Lengths
+//! are in metres.
 
 pub mod cdr;
 
 use std::f64::consts::{FRAC_PI_4, TAU};
 
-use cdr::{BASE, Encoder, header, pose, vector};
+use cdr::{Encoder, header, pose, vector};
 use glam::{DVec2, DVec3, dvec2};
 use slitpose_design::{MaskFrame, mask_half_extents_m};
 use slitpose_model::{Cell, Opening, Pose};
 
+use crate::frame::{BASE, View};
 use crate::link::DeviceId;
 use crate::pipeline::Record;
 
@@ -32,6 +34,11 @@ pub fn board_of(topic: &str) -> Option<(DeviceId, &str)> {
 /// Name of the tool's frame: the tools in front of other boards than the first have the number of theirs in it.
 pub fn tool_frame(device: DeviceId, is_first: bool) -> String {
     if is_first { "tool".to_owned() } else { format!("tool_{device}") }
+}
+
+/// Name of the frame that a record speaks of.
+pub fn frame(record: &Record) -> &str {
+    record.view.map_or(BASE, View::name)
 }
 
 /// The instant of a scan: UTC, or the board's time since its start while that is unknown; nanoseconds.
