@@ -3,7 +3,7 @@
 //! R·p + t = c for the pose (R, t) of each row, with the tip p in the tool frame and the cone c in the base. Least squares,
 //! with the inverse covariance of R·p + t as weight, which contains noise, model error and what the calibration left open.
 //! All but noise and contact is a smooth function of the pose, which many rows do not average away: it counts as
-//! [`SHARED_ERRORS`] independent errors, however many rows there are.
+//! `SHARED_ERRORS` independent errors, however many rows there are.
 
 use glam::{DMat3, DVec3};
 use slitpose_calibration::{Data, Head, Row};

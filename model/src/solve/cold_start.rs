@@ -237,7 +237,7 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
             }
             if P::FINDS_LIGHT_LEVEL
                 && !may_have_images
-                && minimum.chi2 > S::of(DOUBTED) * gate
+                && !is_likely(&minimum, gate)
                 && let Some(uneven) = problem.with_uneven_light(&minimum, workspace)
             {
                 search.is_over = true;

@@ -139,7 +139,7 @@ impl<S: Number> Minima<S> {
 
 /// Share of the χ² that noise explains beyond which a pose is looked for that fits better: one in 5000 honest scans of six
 /// cells has more.
-const HARDLY_NOISE: f64 = 0.5;
+pub const HARDLY_NOISE: f64 = 0.5;
 
 /// Whether a pose fits as noise makes likely.
 pub fn is_likely<S: Number>(minimum: &Minimum<S>, gate: S) -> bool {

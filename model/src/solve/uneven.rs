@@ -9,7 +9,7 @@ use crate::plan::Optics;
 use crate::scalar::Number;
 
 use super::accept::Fit;
-use super::cold_start::DOUBTED;
+use super::images::HARDLY_NOISE;
 use super::levenberg_marquardt::{Minimum, Stopping};
 use super::normal_equations::{Problem, Workspace};
 use super::outcome::Solution;
@@ -53,7 +53,7 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
         let is_one_cell = |index| self.least_chi2_without(index, workspace).is_some_and(|without| without <= most);
         if !minimum.converged
             || !workspace.plane_rows.is_empty()
-            || chi2 <= S::of(DOUBTED) * self.gate()
+            || chi2 <= S::of(HARDLY_NOISE) * self.gate()
             || (0..readings).any(is_one_cell)
         {
             return None;

@@ -5,8 +5,8 @@ use crate::pose::Transform;
 use crate::scalar::Number;
 
 use super::accept::Fit;
-use super::cold_start::DOUBTED;
 use super::compiled::{Compiled, Prior};
+use super::images::HARDLY_NOISE;
 use super::levenberg_marquardt::{Minimum, Stopping};
 use super::normal_equations::Workspace;
 use super::outcome::{Outcome, Solution};
@@ -50,7 +50,7 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
         let problem = self.problem(sorted, motion);
         let minimum = problem.minimise_quickly(start, workspace);
         if P::FINDS_LIGHT_LEVEL
-            && minimum.chi2 > S::of(DOUBTED) * problem.gate()
+            && minimum.chi2 > S::of(HARDLY_NOISE) * problem.gate()
             && let Some(uneven) = problem.with_uneven_light(&minimum, workspace)
         {
             return uneven.conclude_near(workspace);
