@@ -3,7 +3,6 @@
 use std::ops::Range;
 
 use glam::{DQuat, DVec3};
-use slitpose_head::faults::{Faults, Injector, Link};
 use slitpose_head::front_end;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::{SimulatedBoard, Trajectory};
@@ -34,17 +33,6 @@ pub fn capture(file: &SceneFile, trajectory: Trajectory, tier: Tier, seed: u64, 
     ask(&mut board, 3, Command::Stop);
     board.step(&mut bytes);
     bytes
-}
-
-/// What comes of a capture of a head with so many cells, into which `faults` are injected as `replay --fault` does.
-pub fn with_faults(bytes: Vec<u8>, cells: usize, faults: &[String]) -> Vec<u8> {
-    let faults = faults.iter().map(|text| text.parse().unwrap_or_else(|error| panic!("{error}")));
-    let faults = Faults::new(faults.collect(), cells).unwrap_or_else(|error| panic!("{error}"));
-    let Some(mut injector) = Injector::of_recording(&faults) else { return bytes };
-    let mut faulty = Vec::new();
-    assert_eq!(injector.push(&bytes, &mut faulty), Link::Open, "a capture keeps its link");
-    injector.finish(&mut faulty);
-    faulty
 }
 
 pub fn pipeline(file: &SceneFile, tier: Tier) -> Pipeline {

@@ -7,7 +7,7 @@ use std::net::{SocketAddr, TcpListener};
 use std::os::unix::fs::FileExt;
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStdout, Command, ExitStatus, Stdio};
+use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{JoinHandle, sleep, spawn};
@@ -67,11 +67,6 @@ impl Daemon {
         self.folder.path()
     }
 
-    /// What it prints, if that was piped; once.
-    pub fn take_stdout(&mut self) -> ChildStdout {
-        self.child.stdout.take().expect("piped")
-    }
-
     /// What it takes now; `None` if it has ended.
     pub fn usage(&self) -> Option<Usage> {
         Usage::of(self.child.id())
@@ -93,11 +88,6 @@ impl Daemon {
             }
             sleep(Duration::from_millis(20));
         }
-    }
-
-    /// Waits until each of so many boards has sent scans.
-    pub fn await_scans(&self, boards: usize) {
-        self.status_when(|status| scans(status).len() == boards && scans(status).iter().all(|scans| *scans > 0));
     }
 
     pub fn end_by(mut self, by: Signal) -> Ended {

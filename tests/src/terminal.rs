@@ -1,16 +1,12 @@
 //! Boards on pseudo-terminals, as `run --device PATH` meets them.
 
-use std::os::fd::{AsFd, OwnedFd};
 use std::sync::{Arc, OnceLock};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use nix::errno::Errno;
-use nix::fcntl::{FcntlArg, FdFlag, OFlag, fcntl};
-use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
-use nix::pty::{PtyMaster, openpty, posix_openpt};
-use nix::sys::termios::{SetArg, cfmakeraw, tcgetattr, tcsetattr};
-use nix::unistd::{read, ttyname, write};
+use nix::fcntl::OFlag;
+use nix::pty::{PtyMaster, posix_openpt};
+use slitpose_emulator::terminal::Terminal as Line;
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
 use slitpose_model::Tier;
@@ -86,19 +82,11 @@ impl Terminal {
     }
 
     fn start(device: impl Device, ends_with_host: bool) -> Self {
-        let pair = openpty(None, None).expect("pseudo-terminal");
-        let path = ttyname(&pair.slave).expect("path").to_str().expect("UTF-8").to_owned();
-        let mut settings = tcgetattr(&pair.slave).expect("settings");
-        cfmakeraw(&mut settings);
-        tcsetattr(&pair.slave, SetArg::TCSANOW, &settings).expect("raw");
-        fcntl(&pair.master, FcntlArg::F_SETFL(OFlag::O_NONBLOCK)).expect("does not block");
-        // Or the host, started later, would hold its own end and never see the plug pulled.
-        fcntl(&pair.master, FcntlArg::F_SETFD(FdFlag::FD_CLOEXEC)).expect("closes");
-        // From now on the other side counts as closed until the host opens it.
-        drop(pair.slave);
+        let line = Line::open().expect("pseudo-terminal");
+        let path = line.path().to_str().expect("UTF-8").to_owned();
         let opened = Arc::new(OnceLock::new());
-        let (master, clock) = (pair.master, Arc::clone(&opened));
-        let thread = std::thread::spawn(move || serve(&master, device, &clock, ends_with_host));
+        let clock = Arc::clone(&opened);
+        let thread = std::thread::spawn(move || serve(&line, device, &clock, ends_with_host));
         Self { path, opened, thread }
     }
 
@@ -113,27 +101,18 @@ impl Terminal {
     }
 }
 
-fn serve(master: &OwnedFd, mut device: impl Device, opened: &OnceLock<Instant>, ends_with_host: bool) -> Log {
+fn serve(line: &Line, mut device: impl Device, opened: &OnceLock<Instant>, ends_with_host: bool) -> Log {
     let mut log = Log::default();
-    let mut received = Vec::new();
-    let mut pending = Vec::new();
+    let (mut chunk, mut pending) = ([0; 4096], Vec::new());
     let mut due = Instant::now();
     loop {
         // What the device takes to act is not on top; what it takes beyond is not made up for.
         due = (due + Duration::from_millis(1)).max(Instant::now());
         std::thread::sleep(due.saturating_duration_since(Instant::now()));
-        let mut fds = [PollFd::new(master.as_fd(), PollFlags::POLLIN)];
-        poll(&mut fds, PollTimeout::ZERO).expect("poll");
-        let events = fds[0].revents().unwrap_or(PollFlags::empty());
-        received.clear();
-        if events.contains(PollFlags::POLLIN) {
-            let mut chunk = [0; 4096];
-            match read(master, &mut chunk) {
-                Ok(count) => received.extend_from_slice(&chunk[..count]),
-                Err(Errno::EAGAIN | Errno::EIO) => {}
-                Err(error) => panic!("{error}"),
-            }
-        } else if events.contains(PollFlags::POLLHUP) {
+        // In this order: what a host has written before it closed the terminal is read.
+        let is_open = line.is_open().expect("poll");
+        let received = line.read(&mut chunk).expect("read");
+        if received.is_empty() && !is_open {
             std::thread::sleep(Duration::from_millis(1));
             if ends_with_host {
                 if opened.get().is_some() {
@@ -145,22 +124,16 @@ fn serve(master: &OwnedFd, mut device: impl Device, opened: &OnceLock<Instant>, 
             pending.clear();
         }
         let now_s = opened.get_or_init(Instant::now).elapsed().as_secs_f64();
-        let plugged = device.act(&received, now_s, &mut pending);
+        let plugged = device.act(received, now_s, &mut pending);
         if ends_with_host {
-            log.received.extend_from_slice(&received);
+            log.received.extend_from_slice(received);
         }
         if !plugged {
             return log;
         }
-        match write(master, &pending) {
-            Ok(count) => {
-                let written = pending.drain(..count);
-                if ends_with_host {
-                    log.sent.extend(written);
-                }
-            }
-            Err(Errno::EAGAIN | Errno::EIO) => {}
-            Err(error) => panic!("{error}"),
+        let written = pending.drain(..line.write(&pending).expect("write"));
+        if ends_with_host {
+            log.sent.extend(written);
         }
     }
 }

@@ -589,23 +589,6 @@ fn faint() -> Identity {
 const HALVED: [Level; 2] = [Level(Level::NOMINAL.0 / 2); 2];
 
 #[test]
-fn exposure_changes_levels_between_batches() {
-    let mut board = Board::new(Fake::default(), identity(), automatic(), [0; 2_048]).unwrap();
-    let mut listener = Listener::default();
-    turn(&mut board, &mut listener);
-    board.receive(&request(1, Command::Start));
-    board.hardware_mut().sample(1);
-    // The words of the scripted board's first scan, read as they are: cell 1 is saturated.
-    turn(&mut board, &mut listener);
-    let running = board.hardware_mut().running.clone().expect("still lit");
-    assert_eq!(running.schedule, automatic().schedule);
-    assert_eq!(running.levels[..], HALVED);
-    board.hardware_mut().sample(1);
-    let heard = turn(&mut board, &mut listener);
-    assert!(matches!(&heard[0], Heard::Scan { scan, .. } if scan.levels() == HALVED), "{heard:?}");
-}
-
-#[test]
 fn exposure_ends_at_the_highest_level_of_the_hardware() {
     let highest = Level(0x9000);
     let mut board =

@@ -57,6 +57,7 @@ fn step() -> impl Strategy<Value = Step> {
     ]
 }
 
+#[derive(Default)]
 struct Reference {
     acquiring: bool,
     open: bool,
@@ -116,19 +117,10 @@ struct Life {
 
 impl Life {
     fn new() -> Self {
-        let reference = Reference {
-            acquiring: false,
-            open: false,
-            light_refused: false,
-            heard_from_host: 0,
-            owed: Vec::new(),
-            rejected: 0,
-            hashes: Hashes::default(),
-        };
         Self {
             board: board(Fake::default()),
             listener: Listener::default(),
-            reference,
+            reference: Reference::default(),
             next_number: 0,
             delivered: 0,
             last_sequence: None,

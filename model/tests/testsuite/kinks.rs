@@ -65,8 +65,10 @@ fn nees((pose, solution): &(Pose, Solution)) -> f64 {
 }
 
 /// Both starts: all poses are found, in few evaluations, and few of them are off.
-fn assert_found<S: Scalar>(most_evaluations: [f64; 2]) {
-    for (found, most) in solved::<S>(NOISE_A).into_iter().zip(most_evaluations) {
+#[test]
+fn a_minimum_on_a_kink_is_found_in_both_precisions() {
+    let both = [solved::<f64>(NOISE_A), solved::<f32>(NOISE_A)];
+    for (found, most) in both.into_iter().flat_map(|starts| starts.into_iter().zip([8.0, 3.0])) {
         for (pose, solution) in &found {
             assert_eq!(solution.outcome, Outcome::Converged, "{pose:?}");
         }
@@ -78,16 +80,6 @@ fn assert_found<S: Scalar>(most_evaluations: [f64; 2]) {
         // whole: of 100 000 such poses 0.5 % are told so, in both number types and from both starts.
         assert!(off < POSES / 100, "{off}");
     }
-}
-
-#[test]
-fn a_minimum_on_a_kink_is_found_in_double_precision() {
-    assert_found::<f64>([8.0, 3.0]);
-}
-
-#[test]
-fn a_minimum_on_a_kink_is_found_in_single_precision() {
-    assert_found::<f32>([8.0, 3.0]);
 }
 
 #[test]

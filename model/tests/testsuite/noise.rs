@@ -137,32 +137,6 @@ fn johnson_noise_is_that_of_the_energy_of_a_capacitor() {
 }
 
 #[test]
-fn gains_and_converters_scatter_as_told() {
-    let mut scene = quiet();
-    scene.noise.as_mut().expect("noise").adc_a = 2e-9;
-    let found = study(&scene, |plan, cell, pose, rng| {
-        let Pair { i_x1_a, i_x2_a } = plan.photocurrents(cell, pose);
-        Pair { i_x1_a: i_x1_a + 2e-9 * normal(rng), i_x2_a: i_x2_a + 2e-9 * normal(rng) }
-    });
-    assert_known("converter", &found);
-    let mut scene = quiet();
-    scene.uncertainty.electrode_gain_relative = 1e-3;
-    let found = study(&scene, |plan, cell, pose, rng| {
-        let Pair { i_x1_a, i_x2_a } = plan.photocurrents(cell, pose);
-        Pair { i_x1_a: i_x1_a * (1.0 + 1e-3 * normal(rng)), i_x2_a: i_x2_a * (1.0 + 1e-3 * normal(rng)) }
-    });
-    assert_known("electrodes", &found);
-    let mut scene = quiet();
-    scene.uncertainty.emitter_gain_relative = 2e-3;
-    let found = study(&scene, |plan, cell, pose, rng| {
-        let Pair { i_x1_a, i_x2_a } = plan.photocurrents(cell, pose);
-        let gain = 1.0 + 2e-3 * normal(rng);
-        Pair { i_x1_a: i_x1_a * gain, i_x2_a: i_x2_a * gain }
-    });
-    assert_known("emitters", &found);
-}
-
-#[test]
 fn a_common_light_level_is_one_more_unknown() {
     let mut scene = quiet();
     scene.noise.as_mut().expect("noise").adc_a = 2e-9;

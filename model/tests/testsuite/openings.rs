@@ -4,12 +4,12 @@
 use glam::{DMat3, DVec2, DVec3};
 use rand_chacha::ChaCha8Rng;
 use slitpose_model::{
-    Cell, CompiledScene, Effects, Fault, Opening, Pose, Profile, ProfileShape, Scene, Solver, Status, Stray, Tier,
-    Window, rotation_exp, rotation_log,
+    Cell, CompiledScene, Effects, Fault, Opening, Pose, Profile, ProfileShape, Scene, Status, Stray, Tier, Window,
+    rotation_exp, rotation_log,
 };
 
 use super::derivatives::check;
-use crate::common::{self, Kind, cold, generator, uniform, vector};
+use crate::common::{self, Kind, generator, uniform, vector};
 
 const EXACT: Tier = Tier::Exact { tolerance: 1e-10 };
 
@@ -301,58 +301,6 @@ fn what_an_opening_cannot_be_computed_with_is_refused() {
     blunt.cells[0].effects.opening = Opening::Lens { focal_length_m: 0.0 };
     let error = CompiledScene::<f64>::compile(&blunt, Tier::Paper).expect_err("refused");
     assert_eq!((error.place.key, error.fault), ("focal_length_mm", Fault::NotPositive(0.0)));
-}
-
-/// Six slits that ride with their emitters.
-fn riding_head() -> Scene {
-    let mut scene = common::six_cells(8.0, 0.4, [0.0, 90.0]);
-    scene.cells.iter_mut().for_each(|cell| cell.effects.opening = Opening::RidingSlit);
-    scene
-}
-
-/// Three detectors with two axes behind lenses.
-fn lens_head() -> Scene {
-    let six = common::six_cells(4.0, 1.0, [0.0, 0.0]);
-    let mut scene = Scene { cells: Default::default(), ..six.clone() };
-    for k in 0..3 {
-        let mut cell = six.cells[2 * k].clone();
-        cell.detector.width_m = cell.detector.length_m;
-        cell.slit.length_m = cell.slit.width_m;
-        cell.effects.opening = Opening::Lens { focal_length_m: 3e-3 };
-        let mut other = cell.clone();
-        other.detector.x_axis_base = cell.detector.normal_base.cross(cell.detector.x_axis_base);
-        (cell.effects.other_axis, other.effects.other_axis) = (Some(2 * k + 1), Some(2 * k));
-        scene.cells.extend([cell, other]);
-    }
-    scene
-}
-
-#[test]
-fn their_poses_are_found_from_anywhere_in_a_few_steps() {
-    let rng = &mut generator();
-    for (name, scene, most) in [("riding slits", riding_head(), 230), ("lenses", lens_head(), 310)] {
-        for tier in [EXACT, Tier::Paper] {
-            let solver = Solver::<f64>::new(&scene, tier).expect("a head");
-            let (mut tried, mut steps, mut evaluations) = (0, 0, 0);
-            while tried < 100 {
-                let pose = common::pose_in_box(rng, 2.0, 8.0);
-                if (0..6).any(|cell| solver.plan().respond(cell, &pose).status != Status::Lit) {
-                    continue;
-                }
-                let solution = cold(&solver, &common::seen(solver.plan(), &pose));
-                let estimate =
-                    solution.estimate.unwrap_or_else(|| panic!("{name} at {pose:?}: {:?}", solution.outcome));
-                let (dt, dr) = estimate.pose.displacement_from(&pose);
-                // The integrals of data and solver are the same.
-                assert!(dt.length() < 1e-11 && dr.length() < 1e-9, "{name}: {dt} {dr}");
-                (tried, steps, evaluations) =
-                    (tried + 1, steps + solution.iterations, evaluations + solution.evaluations);
-            }
-            println!("{name} {tier:?}: {} steps, {} evaluations in 100 solves", steps, evaluations);
-            // Two steps from planes of slits; a centroid of a wide hole leaves a third.
-            assert!(steps < most, "{name}: {steps}");
-        }
-    }
 }
 
 #[test]

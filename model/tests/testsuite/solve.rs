@@ -1,107 +1,9 @@
 //! The solver against poses it does not know, outliers, gains nobody knows, and what a pose says of its own worth.
 
 use glam::DVec3;
-use slitpose_model::{
-    CompiledScene, DegradedReason, MotionPrior, Outcome, Pair, Photocurrents, Pose, Reading, Scene, Solver, Start,
-    Status, Tier, Twist, Verified,
-};
+use slitpose_model::{DegradedReason, Outcome, Pair, Photocurrents, Pose, Reading, Scene, Solver, Status, Tier};
 
-use crate::common::{
-    base, cold, errors_in_sigmas, generator, near, noisy, pairs, pose_in_box, seen, uniform, vector, wide,
-};
-
-fn lit(plan: &CompiledScene<f64>, pose: &Pose) -> bool {
-    (0..6).all(|cell| !plan.respond(cell, pose).flags.faint)
-}
-
-#[test]
-fn cold_start_finds_noise_free_poses() {
-    for (name, scene, least) in [("wide", wide(), 1.0), ("base", base(), 0.999)] {
-        for tier in [Tier::Paper, Tier::Exact { tolerance: 1e-6 }] {
-            let mut rng = generator();
-            let solver = Solver::<f64>::new(&scene, tier).expect("scene");
-            let (mut found, mut tried, mut worst_mm, mut worst_rad, mut iterations) = (0, 0, 0.0_f64, 0.0_f64, 0);
-            while tried < 2000 {
-                let pose = pose_in_box(&mut rng, 4.0, 15.0);
-                if !lit(solver.plan(), &pose) {
-                    continue;
-                }
-                tried += 1;
-                let solution = cold(&solver, &seen(solver.plan(), &pose));
-                iterations += solution.iterations;
-                let Some(estimate) = solution.estimate else {
-                    println!("{name} {tier:?}: {:?} at {pose:?}", solution.outcome);
-                    continue;
-                };
-                let (dt, dr) = estimate.pose.displacement_from(&pose);
-                if dt.length() < 1e-6 && dr.length() < 1e-4 {
-                    found += 1;
-                    worst_mm = worst_mm.max(dt.length() * 1e3);
-                    worst_rad = worst_rad.max(dr.length());
-                } else {
-                    println!("{name} {tier:?}: {:?} wrong at {pose:?}", solution.outcome);
-                }
-            }
-            let share = f64::from(found) / f64::from(tried);
-            println!(
-                "{name} {tier:?}: {found} of {tried}, worst {worst_mm:.1e} mm {worst_rad:.1e} rad, {:.2} steps",
-                f64::from(iterations as u32) / f64::from(tried)
-            );
-            assert!(share >= least);
-            // The last step is below a hundredth of σ (some 0.01 µm); what it leaves is second order.
-            // The exact tier adds its tolerance, 1e-6 of the spot's millimetre.
-            let bound = if tier == Tier::Paper { 1e-9 } else { 1e-6 };
-            assert!(worst_mm < bound && worst_rad < bound);
-        }
-    }
-}
-
-#[test]
-fn the_covariance_is_honest() {
-    let scene = wide();
-    let tier = Tier::Paper;
-    let solver = Solver::<f64>::new(&scene, tier).expect("scene");
-    let mut rng = generator();
-    let (mut sum, mut count, mut beyond) = (0.0, 0, 0);
-    let mut sigmas = Vec::new();
-    while count < 2000 {
-        let pose = pose_in_box(&mut rng, 3.5, 12.0);
-        if !lit(solver.plan(), &pose) {
-            continue;
-        }
-        let solution = cold(&solver, &noisy(&pairs(solver.plan(), &pose), 0.6e-9, &mut rng));
-        let estimate = solution.estimate.expect("pose");
-        sum += estimate.nees(&pose).expect("covariance");
-        count += 1;
-        sigmas.push(estimate.sigma()[0]);
-        beyond += errors_in_sigmas(&estimate, &pose).iter().filter(|&&error| error > 5.0).count();
-    }
-    let mean = sum / f64::from(count);
-    sigmas.sort_by(f64::total_cmp);
-    println!("mean NEES {mean:.3}, median σ_tx {:.3} µm", sigmas[1000] * 1e6);
-    // Mean of 2000 draws of χ²₆ has σ = √(12/2000) = 0.077; the noise put in lacks the shot and
-    // Johnson noise the covariance counts (7 % of the variance).
-    assert!((5.2..6.3).contains(&mean), "{mean}");
-    assert_eq!(beyond, 0);
-    // The Cramér–Rao medians of an independent computation are 0.71 µm and 96 µrad.
-    assert!((sigmas[1000] * 1e6 - 0.71).abs() < 0.1);
-}
-
-#[test]
-fn fewer_cells_still_make_a_pose() {
-    let solver = Solver::<f64>::new(&wide(), Tier::Paper).expect("scene");
-    let mut rng = generator();
-    for missing in 0..6 {
-        let pose = pose_in_box(&mut rng, 2.0, 8.0);
-        let mut readings = seen(solver.plan(), &pose);
-        readings.cells[missing] = if missing % 2 == 0 { Reading::Missing } else { Reading::Saturated };
-        let solution = cold(&solver, &readings);
-        assert_eq!(solution.outcome, Outcome::Degraded(DegradedReason::FewerCells));
-        assert_eq!((solution.cells_used.count(), solution.redundancy), (5, 4));
-        let (dt, _) = solution.estimate.expect("pose").pose.displacement_from(&pose);
-        assert!(dt.length() < 1e-9);
-    }
-}
+use crate::common::{base, cold, generator, near, noisy, pairs, pose_in_box, seen, uniform, wide};
 
 #[test]
 fn too_little_light_says_so() {
@@ -130,44 +32,6 @@ fn a_pose_from_currents_that_are_none_is_finite() {
         pairs[3].i_x2_a = bad;
         let solution = cold(&solver, &Photocurrents::of_pairs(pairs));
         assert!(solution.estimate.is_none_or(|estimate| estimate.pose.is_finite()));
-    }
-}
-
-#[test]
-fn exposures_and_twist_are_inverted_together() {
-    let offsets = [-40e-6, 0.0, 40e-6, -36e-6, 4e-6, 44e-6];
-    let solver = Solver::<f64>::new(&wide(), Tier::Paper).expect("scene").with_exposures(&offsets);
-    let mut rng = generator();
-    for _ in 0..100 {
-        let pose = pose_in_box(&mut rng, 2.0, 8.0);
-        let twist = Twist { linear_m_per_s: vector(&mut rng, 0.5), angular_rad_per_s: vector(&mut rng, 5.0) };
-        let pairs = (0..6).map(|cell| solver.plan().photocurrents(cell, &twist.advance(&pose, offsets[cell])));
-        let readings = Photocurrents::of_pairs(pairs);
-        let known = MotionPrior { twist, ..MotionPrior::AT_REST };
-        let prior = pose.perturbed(DVec3::splat(2e-5), DVec3::splat(1e-3));
-        let estimate = solver.solve(&readings, Start::Near(&prior), &known).estimate.expect("pose");
-        let (dt, dr) = estimate.pose.displacement_from(&pose);
-        // Following a tool leaves a thousandth of σ: of 0.7 µm and 96 µrad, six axes together.
-        assert!(dt.length() < 2e-9 && dr.length() < 3e-7, "{dt} {dr}");
-        // Ignoring the order of exposure would be seen.
-        let ignored = cold(&solver, &readings).estimate.expect("pose");
-        assert!(ignored.pose.displacement_from(&pose).0.length() > 1e-7);
-    }
-}
-
-#[test]
-fn single_precision_finds_the_same_pose() {
-    let scene: Scene = wide();
-    let double = Solver::<f64>::new(&scene, Tier::Paper).expect("scene");
-    let single = Solver::<f32>::new(&scene, Tier::Paper).expect("scene");
-    let mut rng = generator();
-    for _ in 0..500 {
-        let pose = pose_in_box(&mut rng, 3.0, 10.0);
-        let readings = seen(double.plan(), &pose);
-        let estimate = cold(&single, &readings.rounded()).estimate.expect("pose");
-        let (dt, dr) = estimate.pose.displacement_from(&pose);
-        // Rounding of f32: 6e-8 of lengths up to 25 mm, times a condition of some ten.
-        assert!(dt.length() < 3e-8 && dr.length() < 4e-6, "{dt} {dr}");
     }
 }
 
@@ -240,19 +104,6 @@ fn five_cells_do_not_tell_which_of_them_lies() {
         assert!(solution.excluded.is_empty());
         assert!(!matches!(solution.outcome, Outcome::Converged | Outcome::Degraded(DegradedReason::FewerCells)));
     }
-}
-
-#[test]
-fn a_pose_says_how_well_it_was_checked() {
-    let solver = Solver::<f64>::new(&wide(), Tier::Paper).expect("scene");
-    let mut readings = seen(solver.plan(), &Pose::HOME);
-    let all = cold(&solver, &readings);
-    for cell in [0, 2, 4] {
-        readings.cells[cell] = Reading::Missing;
-    }
-    let three = near(&solver, &readings, &Pose::HOME);
-    assert!(all.unnoticed_sigmas.is_finite() && all.verified() != Verified::Not, "{}", all.unnoticed_sigmas);
-    assert_eq!((three.redundancy, three.verified()), (0, Verified::Not));
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 
 use nix::errno::Errno;
-use nix::fcntl::{FcntlArg, OFlag, fcntl};
+use nix::fcntl::{FcntlArg, FdFlag, OFlag, fcntl};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::pty::{OpenptyResult, openpty};
 use nix::sys::termios::{SetArg, cfmakeraw, tcgetattr, tcsetattr};
@@ -38,6 +38,8 @@ impl Terminal {
         let path = unistd::ttyname(&slave).map_err(at("ttyname"))?;
         let flags = OFlag::from_bits_retain(fcntl(&master, FcntlArg::F_GETFL).map_err(at("F_GETFL"))?);
         fcntl(&master, FcntlArg::F_SETFL(flags | OFlag::O_NONBLOCK)).map_err(at("F_SETFL"))?;
+        // Or a program started later would hold it, too, and never see it closed.
+        fcntl(&master, FcntlArg::F_SETFD(FdFlag::FD_CLOEXEC)).map_err(at("F_SETFD"))?;
         // Our own end of the slave is closed here, so that a hang-up means: nobody has it open.
         drop(slave);
         Ok(Self { master, path })

@@ -73,7 +73,7 @@ pub fn study(slitpose: Slitpose, conditions: &Conditions) -> Verdicts {
     point(&link, &port.terminal.path);
     let arguments = ["--device", &link, "--format", "ndjson"];
     let mut daemon = Daemon::start(None, slitpose, folder, arguments, Stdio::piped());
-    let poses = Poses::watch(daemon.take_stdout());
+    let poses = Poses::watch(daemon.child.stdout.take().expect("piped"));
     poses.next(&board).expect("the first pose");
 
     let (mut returns, mut usages) = (Vec::<Return>::new(), Vec::<Usage>::new());

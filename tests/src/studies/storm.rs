@@ -259,7 +259,8 @@ fn start(
     }
     arguments.extend(live.iter().flat_map(|live| ["--live", *live]).map(str::to_owned));
     let daemon = Daemon::start(Some(clock), slitpose, folder, &arguments, Stdio::null());
-    daemon.await_scans(conditions.boards.into());
+    let boards = usize::from(conditions.boards);
+    daemon.status_when(|status| scans(status).iter().filter(|scans| **scans > 0).count() == boards);
     daemon
 }
 

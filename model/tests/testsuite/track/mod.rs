@@ -233,31 +233,6 @@ fn a_tool_that_hits_something_may_leave_as_fast_as_it_came() {
 }
 
 #[test]
-fn a_wall_costs_no_pose_and_does_not_ring() {
-    let mut rig = Rig::filtered(5e-3);
-    let hit_s = 200.3 * PERIOD_S;
-    // Half a metre a second into a wall, and back with half of it.
-    let motion = |t: f64| {
-        let x = if t < hit_s { 0.5 * (t - hit_s) } else { -0.25 * (t - hit_s) };
-        Pose::from_vectors(DVec3::new(x * 0.1 + 2e-3, x * 0.05, 0.0), DVec3::new(x * 0.5, 0.0, 0.0))
-    };
-    let mut worst = 0.0_f64;
-    for frame in 0..400 {
-        let (tracked, truth) = rig.step(motion);
-        assert!(tracked.solution.outcome.has_pose(), "frame {frame}: {:?}", tracked.solution.outcome);
-        if frame > 205 {
-            worst = worst.max(nees(&tracked, &truth));
-            if let Some(state) = tracked.filtered {
-                let filtered = state.estimate.nees(&truth).expect("covariance");
-                // χ² of six degrees exceeds 45 four times in a hundred million.
-                assert!(filtered < 45.0, "frame {frame}: {filtered}");
-            }
-        }
-    }
-    assert!(worst < 45.0, "{worst}");
-}
-
-#[test]
 fn a_jump_of_the_tool_is_believed_at_once() {
     let mut rig = Rig::filtered(5e-3);
     let there = Pose::from_vectors(DVec3::new(1e-3, 0.0, -0.5e-3), DVec3::new(0.0, 0.17, 0.0));
@@ -288,18 +263,6 @@ fn light_that_comes_back_is_a_pose_again() {
             assert_eq!(tracked.solution.outcome, Outcome::Converged, "{frame} frames after {missing}");
             assert!(nees(&tracked, &truth) < 45.0);
         }
-    }
-}
-
-#[test]
-fn frames_that_got_lost_on_the_way_do_no_harm() {
-    let mut rig = Rig::new();
-    for gap in [0, 1, 5, 60, 0, 0, 2] {
-        for _ in 0..30 {
-            let (tracked, truth) = rig.step(swing);
-            assert!(nees(&tracked, &truth) < 45.0, "after a gap of {gap}");
-        }
-        rig.frame += gap;
     }
 }
 

@@ -234,15 +234,12 @@ impl Listener {
         self.said.iter().filter(|(_, said)| matches!(said, Said::Hello(_))).count()
     }
 
+    /// Without those that faults of the silicon make for.
     pub fn events(&self) -> Vec<&str> {
-        self.all_events().into_iter().filter(|text| !is_of_silicon(text)).collect()
-    }
-
-    /// The same with those that faults of the silicon make for.
-    pub fn all_events(&self) -> Vec<&str> {
         self.said
             .iter()
             .filter_map(|(_, said)| if let Said::Event(_, _, text) = said { Some(&text[..]) } else { None })
+            .filter(|text| !is_of_silicon(text))
             .collect()
     }
 }

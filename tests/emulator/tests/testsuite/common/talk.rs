@@ -11,6 +11,7 @@ use slitpose_emulator::rig::{Link, Rig, WORLD_TIER, open_image, open_pose_image}
 use slitpose_emulator::world::{NoiseSource, OpticsWorld};
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_head::simulator::Trajectory;
+use slitpose_head::table::TableReader;
 use slitpose_protocol::{Command, Rejection, ResetCause, Status, Stream};
 
 pub const MS: Ticks = TICKS_PER_SECOND / 1_000;
@@ -308,11 +309,8 @@ impl Talk {
 
 /// A tool at rest where every electrode has another current.
 pub fn at_rest() -> Trajectory {
-    let path = std::env::temp_dir().join(format!("at-rest-{}.csv", std::process::id()));
-    std::fs::write(&path, AT_REST).expect("there is room for a line");
-    let trajectory = Trajectory::from_table(path.to_str().expect("a path of letters"));
-    std::fs::remove_file(&path).expect("it was written");
-    trajectory.expect("one pose")
+    let table = TableReader::new("at rest", AT_REST.as_bytes()).expect("a table");
+    Trajectory::through_rows(table).expect("one pose")
 }
 
 const AT_REST: &str = "\
