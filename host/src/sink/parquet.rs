@@ -11,7 +11,7 @@ use parquet::file::writer::{SerializedColumnWriter, SerializedFileWriter, Serial
 use parquet::schema::types::{ColumnPath, Type};
 
 use super::{Accounts, Sink};
-use slitpose_tracking::columns::{Column, Fields, Get, Row, of_tables};
+use slitpose_tracking::columns::{Column, Field, Get, Row, of_tables};
 use slitpose_tracking::pipeline::Record;
 
 /// Rows that are held until they are written: some 60 MB.
@@ -46,6 +46,18 @@ impl Stored {
             };
             Self { name, values, levels: Vec::new() }
         })
+    }
+
+    fn push(&mut self, field: Field<'_>) {
+        match (&mut self.values, field) {
+            // Times and counts stay far below 2⁶³.
+            (Values::Integer(values), Field::Integer(Some(value))) => values.push(value as i64),
+            (Values::Number(values), Field::Number(Some(value))) => values.push(value),
+            (Values::Word(values), Field::Word(word)) if !word.is_empty() => values.push(ByteArray::from(word)),
+            (Values::Flag(values), Field::Flag(flag)) => values.push(flag),
+            _ => return self.levels.push(0),
+        }
+        self.levels.push(1);
     }
 
     fn field(&self) -> Result<Type, ParquetError> {
@@ -90,44 +102,6 @@ impl Stored {
         }
         self.levels.clear();
         Ok(())
-    }
-}
-
-/// The columns that the fields of a row go to, one after the other.
-struct Places<'a>(std::slice::IterMut<'a, Stored>);
-
-impl Places<'_> {
-    fn next(&mut self, is_some: bool) -> Option<&mut Values> {
-        let Stored { values, levels, .. } = self.0.next()?;
-        levels.push(is_some.into());
-        Some(values)
-    }
-}
-
-impl Fields for Places<'_> {
-    fn integer(&mut self, value: Option<u64>) {
-        if let Some(Values::Integer(values)) = self.next(value.is_some()) {
-            // Times and counts stay far below 2⁶³.
-            values.extend(value.map(|value| value as i64));
-        }
-    }
-
-    fn number(&mut self, value: Option<f64>) {
-        if let Some(Values::Number(values)) = self.next(value.is_some()) {
-            values.extend(value);
-        }
-    }
-
-    fn word(&mut self, value: &str) {
-        if let Some(Values::Word(values)) = self.next(!value.is_empty()) {
-            values.extend((!value.is_empty()).then(|| ByteArray::from(value)));
-        }
-    }
-
-    fn flag(&mut self, value: bool) {
-        if let Some(Values::Flag(values)) = self.next(true) {
-            values.push(value);
-        }
     }
 }
 
@@ -182,8 +156,9 @@ impl<W: Write + Send> Parquet<W> {
 
 impl<W: Write + Send> Sink for Parquet<W> {
     fn pose(&mut self, record: &Record) -> io::Result<()> {
-        let mut places = Places(self.columns.iter_mut());
-        self.table.iter().for_each(|column| column.put(&Row::from(record), &mut places));
+        let mut places = self.columns.iter_mut();
+        let mut put = |field: Field<'_>| places.next().into_iter().for_each(|place| place.push(field));
+        self.table.iter().for_each(|column| column.put(&Row::from(record), &mut put));
         self.rows += 1;
         if self.rows >= GROUP { self.write().map_err(system) } else { Ok(()) }
     }

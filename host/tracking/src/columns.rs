@@ -83,16 +83,17 @@ pub struct Column {
     pub get: Get,
 }
 
-/// Takes the fields of tables.
-pub trait Fields {
+/// A field of a table.
+#[derive(Clone, Copy, Debug)]
+pub enum Field<'a> {
     /// A whole number, or none.
-    fn integer(&mut self, value: Option<u64>);
+    Integer(Option<u64>),
     /// A number, or none.
-    fn number(&mut self, value: Option<f64>);
+    Number(Option<f64>),
     /// A word, or none if it is empty.
-    fn word(&mut self, value: &str);
+    Word(&'a str),
     /// Yes or no.
-    fn flag(&mut self, value: bool);
+    Flag(bool),
 }
 
 const VELOCITY_AXES: [&str; 6] = ["vx", "vy", "vz", "wx", "wy", "wz"];
@@ -273,37 +274,36 @@ impl Column {
         }
     }
 
-    /// Passes the value of `row` to `fields`: one for each of its [names](Self::names).
-    pub fn put(&self, row: &Row<'_>, fields: &mut impl Fields) {
-        fn numbers<const N: usize>(fields: &mut impl Fields, values: Option<[f64; N]>, scale: f64) {
-            (0..N).for_each(|k| fields.number(values.map(|values| values[k] * scale)));
+    /// Passes the value of `row` to `put`: a field for each of its [names](Self::names).
+    pub fn put(&self, row: &Row<'_>, put: &mut impl FnMut(Field<'_>)) {
+        fn numbers<const N: usize>(put: &mut impl FnMut(Field<'_>), values: Option<[f64; N]>, scale: f64) {
+            (0..N).for_each(|k| put(Field::Number(values.map(|values| values[k] * scale))));
         }
-        let set = |fields: &mut _, text: String| Fields::word(fields, &text);
         match self.get {
-            Get::Integer(get) => fields.integer(get(row)),
-            Get::Count(get) => fields.integer(Some(get(row) as u64)),
-            Get::Number(get) => fields.number(get(row)),
-            Get::Flag(get) => fields.flag(get(row)),
-            Get::Word(_, get) => fields.word(get(row)),
-            Get::Text(get) => fields.word(get(row)),
-            Get::Device(get) => get(row).with_digits(|digits| fields.word(digits)),
-            Get::Directions(get) => set(fields, get(row).to_string()),
-            Get::Cells(get) => set(fields, get(row).to_string()),
-            Get::Translation(get) => numbers(fields, get(row).map(|t| t.to_array()), 1e3),
-            Get::Rotation(get) => numbers(fields, get(row).map(|r| rotation_log(r).to_array()), 1.0),
+            Get::Integer(get) => put(Field::Integer(get(row))),
+            Get::Count(get) => put(Field::Integer(Some(get(row) as u64))),
+            Get::Number(get) => put(Field::Number(get(row))),
+            Get::Flag(get) => put(Field::Flag(get(row))),
+            Get::Word(_, get) => put(Field::Word(get(row))),
+            Get::Text(get) => put(Field::Word(get(row))),
+            Get::Device(get) => get(row).with_digits(|digits| put(Field::Word(digits))),
+            Get::Directions(get) => put(Field::Word(&get(row).to_string())),
+            Get::Cells(get) => put(Field::Word(&get(row).to_string())),
+            Get::Translation(get) => numbers(put, get(row).map(|t| t.to_array()), 1e3),
+            Get::Rotation(get) => numbers(put, get(row).map(|r| rotation_log(r).to_array()), 1.0),
             Get::Covariance(get) => {
-                let [tx, ty, tz, rotation @ ..] = get(row).map(deviations).map_or([None; 6], |sigma| sigma.map(Some));
-                [tx, ty, tz].into_iter().for_each(|sigma| fields.number(sigma.map(|sigma| sigma * 1e3)));
-                rotation.into_iter().for_each(|sigma| fields.number(sigma));
+                let sigma = get(row).map(deviations);
+                numbers(put, sigma.map(|[x, y, z, ..]| [x, y, z]), 1e3);
+                numbers(put, sigma.map(|[.., x, y, z]| [x, y, z]), 1.0);
             }
             Get::Correlation(get) => {
                 let matrix = get(row);
                 for (i, j) in pairs() {
-                    fields.number(matrix.map(|m| m[i][j] / (m[i][i] * m[j][j]).sqrt()).and_then(finite));
+                    put(Field::Number(matrix.map(|m| m[i][j] / (m[i][i] * m[j][j]).sqrt()).and_then(finite)));
                 }
             }
-            Get::Velocity(get) | Get::AngularVelocity(get) => numbers(fields, get(row).map(|v| v.to_array()), 1.0),
-            Get::TwistSigma(get) => numbers(fields, get(row), 1.0),
+            Get::Velocity(get) | Get::AngularVelocity(get) => numbers(put, get(row).map(|v| v.to_array()), 1.0),
+            Get::TwistSigma(get) => numbers(put, get(row), 1.0),
         }
     }
 }
