@@ -64,15 +64,7 @@ pub(crate) fn array_name(column: &Column) -> Option<String> {
         (Get::Correlation(_) | Get::Text(_), _) => None,
         (_, "seq") => Some("sequence".to_owned()),
         (_, "device_time_s") => Some("time_s".to_owned()),
-        (
-            Get::Translation(_)
-            | Get::Rotation(_)
-            | Get::Covariance(_)
-            | Get::Velocity(_)
-            | Get::AngularVelocity(_)
-            | Get::TwistSigma(_),
-            _,
-        ) => Some(of_key()),
+        _ if column.names().len() > 1 => Some(of_key()),
         (_, name) => Some(name.to_owned()),
     }
 }

@@ -179,7 +179,7 @@ impl Daemon {
 
     /// Sets the zero of the frame of board `number`; `false`: there is none of this number.
     pub(crate) fn zero(&self, number: usize, order: ZeroOrder) -> bool {
-        self.slots.get(number).map(|slot| slot.order_zero(order)).is_some()
+        self.slots.get(number).map(|slot| *lock(&slot.zero) = Some(order)).is_some()
     }
 
     /// Begins a recording, now or after the one that is ending.

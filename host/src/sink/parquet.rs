@@ -60,25 +60,15 @@ impl Stored {
         self.levels.push(1);
     }
 
-    fn field(&self) -> Result<Type, ParquetError> {
-        let (kind, meaning) = match self.values {
-            Values::Integer(_) => (PhysicalType::INT64, None),
-            Values::Number(_) => (PhysicalType::DOUBLE, None),
-            Values::Word(_) => (PhysicalType::BYTE_ARRAY, Some(LogicalType::String)),
-            Values::Flag(_) => (PhysicalType::BOOLEAN, None),
-        };
-        let field = Type::primitive_type_builder(&self.name, kind);
-        field.with_repetition(Repetition::OPTIONAL).with_logical_type(meaning).build()
-    }
-
-    /// Numbers that hardly repeat are stored byte by byte: half the size of dictionaries.
-    fn encoding(&self) -> Option<(ColumnPath, Encoding)> {
-        let encoding = match self.values {
-            Values::Integer(_) => Encoding::DELTA_BINARY_PACKED,
-            Values::Number(_) => Encoding::BYTE_STREAM_SPLIT,
-            Values::Word(_) | Values::Flag(_) => return None,
-        };
-        Some((ColumnPath::from(self.name.as_str()), encoding))
+    /// Its type, and its encoding if that is not a dictionary: numbers that hardly repeat are stored byte by byte, in half
+    /// the size.
+    fn kind(&self) -> (PhysicalType, Option<LogicalType>, Option<Encoding>) {
+        match self.values {
+            Values::Integer(_) => (PhysicalType::INT64, None, Some(Encoding::DELTA_BINARY_PACKED)),
+            Values::Number(_) => (PhysicalType::DOUBLE, None, Some(Encoding::BYTE_STREAM_SPLIT)),
+            Values::Word(_) => (PhysicalType::BYTE_ARRAY, Some(LogicalType::String), None),
+            Values::Flag(_) => (PhysicalType::BOOLEAN, None, None),
+        }
     }
 
     fn write<W: Write + Send>(&mut self, group: &mut SerializedRowGroupWriter<'_, W>) -> Result<(), ParquetError> {
@@ -126,13 +116,19 @@ impl<W: Write + Send> Parquet<W> {
     }
 
     fn begin(&self, output: W) -> Result<SerializedFileWriter<W>, ParquetError> {
-        let fields = self.columns.iter().map(|column| column.field().map(Arc::new)).collect::<Result<_, _>>()?;
+        let mut fields = Vec::new();
         let mut properties = WriterProperties::builder()
             .set_created_by(concat!("slitpose ", env!("CARGO_PKG_VERSION")).to_owned())
             .set_compression(Compression::ZSTD(ZstdLevel::default()));
-        for (path, encoding) in self.columns.iter().filter_map(|column| column.encoding()) {
-            properties =
-                properties.set_column_dictionary_enabled(path.clone(), false).set_column_encoding(path, encoding);
+        for column in &self.columns {
+            let (kind, meaning, encoding) = column.kind();
+            let field = Type::primitive_type_builder(&column.name, kind).with_repetition(Repetition::OPTIONAL);
+            fields.push(Arc::new(field.with_logical_type(meaning).build()?));
+            if let Some(encoding) = encoding {
+                let path = ColumnPath::from(column.name.as_str());
+                properties =
+                    properties.set_column_dictionary_enabled(path.clone(), false).set_column_encoding(path, encoding);
+            }
         }
         let schema = Type::group_type_builder("poses").with_fields(fields).build()?;
         SerializedFileWriter::new(output, Arc::new(schema), Arc::new(properties.build()))

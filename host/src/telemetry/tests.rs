@@ -5,7 +5,6 @@ use std::fs;
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::os::unix::fs::PermissionsExt;
-use std::os::unix::net::UnixStream;
 use std::time::{Duration, Instant};
 
 use slitpose_protocol::{ClockSource, SettingsSource, Severity, Status};
@@ -285,17 +284,4 @@ fn clients_that_hang_keep_nobody_waiting_and_are_closed() {
     // When dropped, the server ends in spite of hanging clients.
     let _hanging = TcpStream::connect(tcp(&server)).unwrap();
     drop(server);
-}
-
-#[test]
-fn a_connection_too_many_closes_the_oldest_silent_one() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("status");
-    let server = serve(&format!("unix:{}", path.display())).unwrap();
-    let connect = || UnixStream::connect(&path).unwrap();
-    let mut silent: Vec<UnixStream> = (0..http::MOST).map(|_| connect()).collect();
-    silent.iter().for_each(|silent| silent.set_read_timeout(Some(Duration::from_secs(60))).unwrap());
-    let answer = fetch(&server.address, "/status");
-    assert!(answer.is_ok(), "{answer:?}");
-    assert!(matches!(silent[0].read(&mut [0; 16]), Ok(0) | Err(_)));
 }

@@ -181,18 +181,6 @@ fn pairs() -> impl Iterator<Item = (usize, usize)> {
     (0..6).flat_map(|i| (i + 1..6).map(move |j| (i, j)))
 }
 
-fn reason_words() -> Vec<&'static str> {
-    std::iter::once("").chain(REASONS.map(DegradedReason::as_str)).collect()
-}
-
-fn status_words() -> Vec<&'static str> {
-    Outcomes::default().by_name().map(|(name, _)| name).into()
-}
-
-fn verified_words() -> Vec<&'static str> {
-    [Verified::Not, Verified::Weakly, Verified::Well].map(Verified::as_str).into()
-}
-
 /// All quantities, in the order of NDJSON. Those of one object stand together.
 #[rustfmt::skip]
 pub static COLUMNS: [Column; 40] = [
@@ -202,8 +190,8 @@ pub static COLUMNS: [Column; 40] = [
     stream("host_monotonic_ns", "host_monotonic_ns", "ns", "the same by the host's CLOCK_MONOTONIC", Get::Integer(|row| time(row, |time| time.monotonic_ns))).ranked(16),
     stream("host_utc_ns", "host_utc_ns", "ns", "the same by UTC, since 1970", Get::Integer(|row| time(row, |time| time.utc_ns))).ranked(17),
     stream("host_uncertainty_ns", "host_uncertainty_ns", "ns", "greatest error of both", Get::Integer(|row| time(row, |time| time.uncertainty_ns))).ranked(18),
-    solution("status", "status", "", "whether there is a pose, and how good; else why not", Get::Word(status_words, |row| row.solution.outcome.as_str())).ranked(2),
-    solution("reason", "reason", "", "why a pose is degraded", Get::Word(reason_words, |row| match row.solution.outcome {
+    solution("status", "status", "", "whether there is a pose, and how good; else why not", Get::Word(|| Outcomes::default().by_name().map(|(name, _)| name).into(), |row| row.solution.outcome.as_str())).ranked(2),
+    solution("reason", "reason", "", "why a pose is degraded", Get::Word(|| std::iter::once("").chain(REASONS.map(DegradedReason::as_str)).collect(), |row| match row.solution.outcome {
         Outcome::Degraded(reason) => reason.as_str(),
         _ => "",
     })).ranked(13),
@@ -217,20 +205,20 @@ pub static COLUMNS: [Column; 40] = [
     solution("cells_used", "cells_used", "", "number of cells that entered", Get::Count(|row| row.solution.cells_used.count())).ranked(9),
     solution("chi2", "chi2", "", "sum of the squared normalised residuals", Get::Number(|row| finite(row.solution.chi2))).or_null().ranked(7),
     solution("redundancy", "redundancy", "", "data minus unknowns", Get::Count(|row| row.solution.redundancy)),
-    solution("verified", "verified", "", "how well redundancy checked the pose: `well`, `weakly` or `not`", Get::Word(verified_words, |row| row.solution.verified().as_str())).ranked(12),
+    solution("verified", "verified", "", "how well redundancy checked the pose: `well`, `weakly` or `not`", Get::Word(|| [Verified::Not, Verified::Weakly, Verified::Well].map(Verified::as_str).into(), |row| row.solution.verified().as_str())).ranked(12),
     solution("unnoticed_sigmas", "unnoticed_sigmas", "σ", "external reliability: greatest shift of the pose by one undetected outlier; none if unbounded", Get::Number(|row| finite(row.solution.unnoticed_sigmas))),
     solution("excluded_cells", "excluded_cells", "", "cells that contradict all others, in tables joined by `;`", Get::Cells(|row| row.solution.excluded)).ranked(11),
     stream("twist.linear_m_per_s", "", "m/s", "velocity in the base frame", Get::Velocity(|row| Some(twist(row)?.twist.linear_m_per_s))).or_null(),
     stream("twist.angular_rad_per_s", "", "rad/s", "angular velocity in the base frame", Get::AngularVelocity(|row| Some(twist(row)?.twist.angular_rad_per_s))),
     stream("twist.sigma", "sigma_", "m/s, rad/s", "standard deviations of both", Get::TwistSigma(|row| Some(deviations(&twist(row)?.covariance)))),
-    stream("no_twist", "no_twist", "", "why a pose has no velocity: `start` (too few poses yet) or `jump` (the tool is not where its motion led)", Get::Word(no_twist_words, |row| NO_TWIST[row.record.map_or(0, |record| no_twist(&record.twist))])),
+    stream("no_twist", "no_twist", "", "why a pose has no velocity: `start` (too few poses yet) or `jump` (the tool is not where its motion led)", Get::Word(|| NO_TWIST.into(), |row| NO_TWIST[row.record.map_or(0, |record| no_twist(&record.twist))])),
     stream("filtered.translation_m", "filtered_", "m", "as above, filtered over many scans", Get::Translation(|row| Some(filtered(row)?.estimate.pose.translation_m))),
     stream("filtered.rotation_xyzw", "filtered_", "", "as above", Get::Rotation(|row| Some(filtered(row)?.estimate.pose.rotation))),
     stream("filtered.covariance", "filtered_sigma_", "m, rad", "as above", Get::Covariance(|row| Some(&filtered(row)?.estimate.covariance))),
     stream("filtered.twist.linear_m_per_s", "filtered_", "m/s", "as above", Get::Velocity(|row| Some(filtered_twist(row)?.twist.linear_m_per_s))).or_null(),
     stream("filtered.twist.angular_rad_per_s", "filtered_", "rad/s", "as above", Get::AngularVelocity(|row| Some(filtered_twist(row)?.twist.angular_rad_per_s))),
     stream("filtered.twist.sigma", "filtered_sigma_", "m/s, rad/s", "as above", Get::TwistSigma(|row| Some(deviations(&filtered_twist(row)?.covariance)))),
-    stream("filtered.no_twist", "filtered_no_twist", "", "as above", Get::Word(no_twist_words, |row| NO_TWIST[filtered(row).map_or(0, |filtered| no_twist(&filtered.twist))])),
+    stream("filtered.no_twist", "filtered_no_twist", "", "as above", Get::Word(|| NO_TWIST.into(), |row| NO_TWIST[filtered(row).map_or(0, |filtered| no_twist(&filtered.twist))])),
     stream("filtered.lag_s", "filtered_lag_s", "s", "time after which half of a small step has come through the filter", Get::Number(|row| Some(filtered(row)?.lag_s))),
     stream("filtered.frames", "filtered_frames", "", "scans since the motion last started anew", Get::Integer(|row| Some(filtered(row)?.frames.into()))),
     stream("light_level", "light_level", "", "brightness of all light relative to scene or calibration; none where it is taken for known", Get::Number(|row| row.record?.light_level)),
@@ -243,10 +231,6 @@ pub static COLUMNS: [Column; 40] = [
     stream("", "correlation_", "", "of the coordinates of the pose, by its covariance", Get::Correlation(|row| Some(&estimate(row)?.covariance))),
     stream("", "filtered_correlation_", "", "as above", Get::Correlation(|row| Some(&filtered(row)?.estimate.covariance))),
 ];
-
-fn no_twist_words() -> Vec<&'static str> {
-    NO_TWIST.into()
-}
 
 /// The columns of tables: first those on whose order other programs rely. `is_stream`: with those of streams.
 pub fn of_tables(is_stream: bool) -> Vec<&'static Column> {
