@@ -61,7 +61,7 @@ pub(crate) fn array_name(column: &Column) -> Option<String> {
     };
     match (column.get, column.name) {
         // All poses of a replay are in one frame.
-        (Get::Correlation(_) | Get::Text(_), _) => None,
+        (Get::Correlation(_), _) | (_, "frame") => None,
         (_, "seq") => Some("sequence".to_owned()),
         (_, "device_time_s") => Some("time_s".to_owned()),
         _ if column.names().len() > 1 => Some(of_key()),
@@ -170,7 +170,7 @@ impl Values {
         let numbers = |shape: &[usize]| Self::Numbers(Vec::new(), shape.to_vec());
         match column.get {
             Get::Word(words, _) => Self::Bytes(Vec::new(), words()),
-            Get::Device(_) | Get::Directions(_) | Get::Text(_) => Self::Bytes(Vec::new(), Vec::new()),
+            Get::Device(_) | Get::Directions(_) => Self::Bytes(Vec::new(), Vec::new()),
             Get::Count(_) | Get::Cells(_) => Self::Counts(Vec::new()),
             Get::Integer(_) => Self::Integers(Vec::new()),
             Get::Flag(_) => Self::Flags(Vec::new()),

@@ -198,11 +198,8 @@ pub(super) struct BoardSlot {
     pub(super) link: Link,
     report: Mutex<BoardReport>,
     /// A zero that is wanted: over so many seconds, or the frame of the start. Looked at a few times per second.
-    pub(super) zero: Mutex<Option<ZeroOrder>>,
+    pub(super) zero: Mutex<Option<Option<f64>>>,
 }
-
-/// A zero of the frame: the mean pose of so many seconds; `None`: the frame of the start.
-pub(crate) type ZeroOrder = Option<f64>;
 
 impl BoardSlot {
     /// Updates the state; called a few times per second.

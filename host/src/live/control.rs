@@ -8,7 +8,6 @@ use serde_json::{Map, Value};
 use thiserror::Error;
 
 use crate::address::{Address, tcp_address};
-use crate::daemon::ZeroOrder;
 use crate::http::BindScope;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -17,8 +16,8 @@ pub(crate) enum Order {
     Player(PlayerOrder),
     /// Make the present pose the zero of the 6-DoF mouse.
     Zero,
-    /// Set the zero of the frame of a board.
-    Frame(usize, ZeroOrder),
+    /// Set the zero of the frame of a board to the mean pose of so many seconds; `None`: the frame is that of the start.
+    Frame(usize, Option<f64>),
 }
 
 /// How a capture is to be played; what is `None` stays as it is.

@@ -62,7 +62,6 @@ fn value(column: &Column, row: &Row<'_>, out: &mut Vec<u8>) -> bool {
         Get::Number(get) => put(out, &get(row)),
         Get::Flag(get) => put(out, &Some(get(row))),
         Get::Word(_, get) => put(out, &Some(get(row)).filter(|word| !word.is_empty())),
-        Get::Text(get) => put(out, &Some(get(row)).filter(|text| !text.is_empty())),
         Get::Device(get) => put(out, &Some(get(row))),
         Get::Directions(get) => put(out, &Some(get(row).to_string()).filter(|names| !names.is_empty())),
         Get::Cells(get) => {

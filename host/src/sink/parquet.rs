@@ -39,9 +39,7 @@ impl Stored {
             let values = match get {
                 Get::Integer(_) | Get::Count(_) => Values::Integer(Vec::new()),
                 Get::Flag(_) => Values::Flag(Vec::new()),
-                Get::Word(..) | Get::Text(_) | Get::Device(_) | Get::Directions(_) | Get::Cells(_) => {
-                    Values::Word(Vec::new())
-                }
+                Get::Word(..) | Get::Device(_) | Get::Directions(_) | Get::Cells(_) => Values::Word(Vec::new()),
                 _ => Values::Number(Vec::new()),
             };
             Self { name, values, levels: Vec::new() }

@@ -43,9 +43,8 @@ pub enum Get {
     Count(fn(&Row<'_>) -> usize),
     Number(fn(&Row<'_>) -> Option<f64>),
     Flag(fn(&Row<'_>) -> bool),
-    /// One of these words.
+    /// One of these words, if they are known beforehand.
     Word(fn() -> Vec<&'static str>, fn(&Row<'_>) -> &'static str),
-    Text(for<'a> fn(&'a Row<'a>) -> &'a str),
     Device(fn(&Row<'_>) -> DeviceId),
     Directions(fn(&Row<'_>) -> Directions),
     Cells(fn(&Row<'_>) -> Cells),
@@ -227,7 +226,7 @@ pub static COLUMNS: [Column; 40] = [
     stream("truth.rotation_xyzw", "truth_", "", "as above", Get::Rotation(|row| Some(truth(row)?.rotation))),
     solution("", "condition", "", "condition number of the scaled normal equations; in tables only, because it takes longer than a line of NDJSON", Get::Number(|row| row.solution.condition().and_then(finite))).ranked(6),
     solution("iterations", "iterations", "", "refinement steps", Get::Count(|row| row.solution.iterations)).ranked(8),
-    stream("frame", "frame", "", "frame of pose, velocity and truth, if it was chosen; else the head's base", Get::Text(|row| row.record.and_then(|record| record.view).map_or("", View::name))),
+    stream("frame", "frame", "", "frame of pose, velocity and truth, if it was chosen; else the head's base", Get::Word(Vec::new, |row| row.record.and_then(|record| record.view).map_or("", View::name))),
     stream("", "correlation_", "", "of the coordinates of the pose, by its covariance", Get::Correlation(|row| Some(&estimate(row)?.covariance))),
     stream("", "filtered_correlation_", "", "as above", Get::Correlation(|row| Some(&filtered(row)?.estimate.covariance))),
 ];
@@ -269,7 +268,6 @@ impl Column {
             Get::Number(get) => put(Field::Number(get(row))),
             Get::Flag(get) => put(Field::Flag(get(row))),
             Get::Word(_, get) => put(Field::Word(get(row))),
-            Get::Text(get) => put(Field::Word(get(row))),
             Get::Device(get) => get(row).with_digits(|digits| put(Field::Word(digits))),
             Get::Directions(get) => put(Field::Word(&get(row).to_string())),
             Get::Cells(get) => put(Field::Word(&get(row).to_string())),
