@@ -61,18 +61,10 @@ pub(crate) fn array_name(column: &Column) -> Option<String> {
     };
     match (column.get, column.name) {
         // All poses of a replay are in one frame.
-        (Get::Correlation(_) | Get::Text(_), _) => None,
+        (Get::Correlation(_), _) | (_, "frame") => None,
         (_, "seq") => Some("sequence".to_owned()),
         (_, "device_time_s") => Some("time_s".to_owned()),
-        (
-            Get::Translation(_)
-            | Get::Rotation(_)
-            | Get::Covariance(_)
-            | Get::Velocity(_)
-            | Get::AngularVelocity(_)
-            | Get::TwistSigma(_),
-            _,
-        ) => Some(of_key()),
+        _ if column.names().len() > 1 => Some(of_key()),
         (_, name) => Some(name.to_owned()),
     }
 }
@@ -92,9 +84,8 @@ pub(crate) fn listed() -> Vec<(String, &'static str, &'static str, Vec<&'static 
 
 /// What a row lacks is NaN, or zero among whole numbers.
 enum Values {
-    /// The words that the numbers stand for.
-    Words(Vec<u8>, Vec<&'static str>),
-    Bytes(Vec<u8>),
+    /// With the words that the numbers stand for, if they do.
+    Bytes(Vec<u8>, Vec<&'static str>),
     Counts(Vec<u16>),
     Integers(Vec<u64>),
     Numbers(Vec<f64>, Vec<usize>),
@@ -131,12 +122,12 @@ impl Array {
     fn push(&mut self, row: &Row<'_>, devices: &mut Vec<DeviceId>) {
         for column in &self.columns {
             match (&mut self.values, column.get) {
-                (Values::Words(values, words), Get::Word(_, get)) => {
+                (Values::Bytes(values, words), Get::Word(_, get)) => {
                     let word = get(row);
                     values.push(words.iter().position(|known| *known == word).unwrap_or(0) as u8);
                 }
-                (Values::Bytes(values), Get::Device(get)) => values.push(number_in(devices, get(row))),
-                (Values::Bytes(values), Get::Directions(get)) => {
+                (Values::Bytes(values, _), Get::Device(get)) => values.push(number_in(devices, get(row))),
+                (Values::Bytes(values, _), Get::Directions(get)) => {
                     let bit = |name| AXES.iter().position(|axis| *axis == name).map_or(0, |axis| 1 << axis);
                     values.push(get(row).names().map(bit).fold(0, |set, bit| set | bit));
                 }
@@ -145,7 +136,19 @@ impl Array {
                 (Values::Integers(values), Get::Integer(get)) => values.push(get(row).unwrap_or(0)),
                 (Values::Flags(values), Get::Flag(get)) => values.push(get(row)),
                 (Values::Numbers(values, _), Get::Number(get)) => values.push(get(row).unwrap_or(f64::NAN)),
-                (Values::Numbers(values, _), get) => numbers(values, get, row),
+                (
+                    Values::Numbers(values, _),
+                    Get::Translation(get) | Get::Velocity(get) | Get::AngularVelocity(get),
+                ) => {
+                    values.extend(get(row).map_or([f64::NAN; 3], |v| v.to_array()));
+                }
+                (Values::Numbers(values, _), Get::Rotation(get)) => {
+                    values.extend(get(row).map_or([f64::NAN; 4], |r| r.to_array()));
+                }
+                (Values::Numbers(values, _), Get::TwistSigma(get)) => {
+                    values.extend(get(row).unwrap_or([f64::NAN; 6]));
+                }
+                (Values::Numbers(values, _), Get::Covariance(get)) => put_matrix(values, get(row).copied()),
                 _ => unreachable!("values are those of their columns"),
             }
         }
@@ -153,7 +156,7 @@ impl Array {
 
     fn put(self, columns: &Columns<'_>) -> PyResult<()> {
         match self.values {
-            Values::Words(values, _) | Values::Bytes(values) => columns.put(&self.name, values),
+            Values::Bytes(values, _) => columns.put(&self.name, values),
             Values::Counts(values) => columns.put(&self.name, values),
             Values::Integers(values) => columns.put(&self.name, values),
             Values::Flags(values) => columns.put(&self.name, values),
@@ -166,8 +169,8 @@ impl Values {
     fn of(column: &Column) -> Self {
         let numbers = |shape: &[usize]| Self::Numbers(Vec::new(), shape.to_vec());
         match column.get {
-            Get::Word(words, _) => Self::Words(Vec::new(), words()),
-            Get::Device(_) | Get::Directions(_) | Get::Text(_) => Self::Bytes(Vec::new()),
+            Get::Word(words, _) => Self::Bytes(Vec::new(), words()),
+            Get::Device(_) | Get::Directions(_) => Self::Bytes(Vec::new(), Vec::new()),
             Get::Count(_) | Get::Cells(_) => Self::Counts(Vec::new()),
             Get::Integer(_) => Self::Integers(Vec::new()),
             Get::Flag(_) => Self::Flags(Vec::new()),
@@ -177,18 +180,6 @@ impl Values {
             Get::TwistSigma(_) => numbers(&[6]),
             Get::Covariance(_) | Get::Correlation(_) => numbers(&[6, 6]),
         }
-    }
-}
-
-fn numbers(values: &mut Vec<f64>, get: Get, row: &Row<'_>) {
-    match get {
-        Get::Translation(get) | Get::Velocity(get) | Get::AngularVelocity(get) => {
-            values.extend(get(row).map_or([f64::NAN; 3], |v| v.to_array()));
-        }
-        Get::Rotation(get) => values.extend(get(row).map_or([f64::NAN; 4], |r| r.to_array())),
-        Get::TwistSigma(get) => values.extend(get(row).unwrap_or([f64::NAN; 6])),
-        Get::Covariance(get) | Get::Correlation(get) => put_matrix(values, get(row).copied()),
-        _ => {}
     }
 }
 

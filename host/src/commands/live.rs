@@ -126,7 +126,15 @@ pub(super) fn changes(
             (Order::Record(false), true) => daemon.end_recording(),
             (Order::Record(false), false) => return Err(refused("nothing is being recorded")),
             (Order::Zero, _) => mouse.as_ref().ok_or(Refusal::NO_MOUSE)?.zero(),
-            (Order::Frame(board, over_s), _) => order_zero(daemon, board, over_s)?,
+            (Order::Frame(board, over_s), _) => {
+                if let Some(value) = over_s.filter(|over_s| !(*over_s > 0.0 && *over_s <= MAX_ZERO_S)) {
+                    return Err(Refusal::Value { key: "over_s", value, hint: "seconds above 0, 60 at most" });
+                }
+                if !daemon.zero(board, over_s) {
+                    let (key, value) = ("board", board as f64);
+                    return Err(Refusal::Value { key, value, hint: "the number of a board, from 0" });
+                }
+            }
             (Order::Player(_), _) => return Err(Refusal::NO_PLAYER),
         }
         Ok(())
@@ -135,17 +143,6 @@ pub(super) fn changes(
 
 /// Longest time of a zero, seconds.
 const MAX_ZERO_S: f64 = 60.0;
-
-/// Sets the zero of the frame of a board of `daemon`.
-pub(super) fn order_zero(daemon: &Daemon, board: usize, over_s: Option<f64>) -> Result<(), Refusal> {
-    if let Some(value) = over_s.filter(|over_s| !(*over_s > 0.0 && *over_s <= MAX_ZERO_S)) {
-        return Err(Refusal::Value { key: "over_s", value, hint: "seconds above 0, 60 at most" });
-    }
-    match daemon.zero(board, over_s) {
-        true => Ok(()),
-        false => Err(Refusal::Value { key: "board", value: board as f64, hint: "the number of a board, from 0" }),
-    }
-}
 
 /// The mouse asked for.
 #[derive(clap::Args, Debug)]

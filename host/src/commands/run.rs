@@ -11,7 +11,7 @@ use sd_notify::NotifyState;
 use slitpose_calibration::{Basis, Head};
 use slitpose_protocol::Stream;
 
-use super::live::{FoxgloveOptions, LiveOptions, MouseOptions, ZenohOptions, changes, key_of, order_zero};
+use super::live::{FoxgloveOptions, LiveOptions, MouseOptions, ZenohOptions, changes, key_of};
 use super::options::{PoseOptions, open_scene, parse_duration};
 use super::record::RecordOptions;
 use super::simulate::ToolOptions;
@@ -181,6 +181,10 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         let shown = |board: &BoardPlan| LiveBoard { name: board.opener.name(), head: board.head.clone() };
         boards.iter().map(shown).collect()
     };
+    let control = || {
+        let mouse = mouse.as_ref().map(|mouse| mouse.input.clone());
+        changes(Arc::clone(&followed), args.record.clone(), mouse)
+    };
     let live = match access {
         Some(access) => Some(args.live.access.start(LivePlan {
             access,
@@ -188,25 +192,13 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
             has_zero: mouse.is_some(),
             boards: shown(),
             scene: None,
-            control: changes(
-                Arc::clone(&followed),
-                args.record.clone(),
-                mouse.as_ref().map(|mouse| mouse.input.clone()),
-            ),
+            control: control(),
             report: Some(Box::new(reports())),
         })?),
         None => None,
     };
     let foxglove = args.foxglove.start(shown(), reports())?;
-    let set_zero = || {
-        let followed = Arc::clone(&followed);
-        let of = move |board, order| match followed.get() {
-            Some(daemon) => order_zero(daemon, board, order).map_err(|refusal| refusal.to_string()),
-            None => Err("the daemon is still starting; try again".to_owned()),
-        };
-        Arc::new(of)
-    };
-    let status = args.status.as_ref().map(|address| StatusServer::start(address, reports(), set_zero())).transpose()?;
+    let status = args.status.as_ref().map(|address| StatusServer::start(address, reports(), control())).transpose()?;
     status.iter().for_each(|server| talk(format_args!("status at {}", server.address)));
     let capture = args.record.open(is_recorded_later)?;
     let mut takers: Vec<Arc<dyn SampleSink>> = Vec::new();

@@ -9,7 +9,7 @@ use super::{CommandError, Outcome, options};
 use slitpose_head::table::{
     Column, CurrentColumns, Output, Row, Rows, TableError, TableReader, TableRows, TableWriter,
 };
-use slitpose_tracking::columns::{self, Column as PoseColumn, Fields};
+use slitpose_tracking::columns::{self, Column as PoseColumn, Field};
 use slitpose_tracking::frame::View;
 use slitpose_tracking::solving::{RowSolver, STREAM_TOLERANCE};
 
@@ -130,33 +130,16 @@ fn solve(
             }
             // The first column is the status.
             let poses = &poses[usize::from(row.currents.is_empty())..];
-            poses.iter().for_each(|column| column.put(&(&solution).into(), &mut Cells(table)));
+            let mut put = |field: Field<'_>| match field {
+                Field::Integer(Some(value)) => table.integer(value as usize),
+                Field::Integer(None) => table.text(""),
+                Field::Number(value) => table.optional(value),
+                Field::Word(word) => table.text(word),
+                Field::Flag(flag) => table.text(if flag { "true" } else { "false" }),
+            };
+            poses.iter().for_each(|column| column.put(&(&solution).into(), &mut put));
             table.end_row();
         }
     }
     Ok(faults)
-}
-
-/// The fields of a row.
-struct Cells<'a>(&'a mut TableRows);
-
-impl Fields for Cells<'_> {
-    fn integer(&mut self, value: Option<u64>) {
-        match value {
-            Some(value) => self.0.integer(value as usize),
-            None => self.0.text(""),
-        }
-    }
-
-    fn number(&mut self, value: Option<f64>) {
-        self.0.optional(value);
-    }
-
-    fn word(&mut self, value: &str) {
-        self.0.text(value);
-    }
-
-    fn flag(&mut self, value: bool) {
-        self.0.text(if value { "true" } else { "false" });
-    }
 }

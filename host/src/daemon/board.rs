@@ -198,23 +198,10 @@ pub(super) struct BoardSlot {
     pub(super) link: Link,
     report: Mutex<BoardReport>,
     /// A zero that is wanted: over so many seconds, or the frame of the start. Looked at a few times per second.
-    zero: Mutex<Option<ZeroOrder>>,
+    pub(super) zero: Mutex<Option<Option<f64>>>,
 }
 
-/// A zero of the frame: the mean pose of so many seconds; `None`: the frame of the start.
-pub(crate) type ZeroOrder = Option<f64>;
-
 impl BoardSlot {
-    /// Asks for a zero.
-    pub(super) fn order_zero(&self, order: ZeroOrder) {
-        *lock(&self.zero) = Some(order);
-    }
-
-    /// Takes a zero that is wanted.
-    pub(super) fn take_zero(&self) -> Option<ZeroOrder> {
-        lock(&self.zero).take()
-    }
-
     /// Updates the state; called a few times per second.
     pub(super) fn account(&self, pipeline: &Pipeline, statistics: &mut BoardStatistics) {
         statistics.report.clock.drift_ppm = pipeline.drift_ppm();

@@ -34,7 +34,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
-pub(crate) use board::{BoardPlan, ZeroOrder};
+pub(crate) use board::BoardPlan;
 pub(crate) use error::BoardError;
 #[cfg(feature = "zenoh")]
 pub(crate) use opener::Feed;
@@ -177,9 +177,10 @@ impl Daemon {
         }
     }
 
-    /// Sets the zero of the frame of board `number`; `false`: there is none of this number.
-    pub(crate) fn zero(&self, number: usize, order: ZeroOrder) -> bool {
-        self.slots.get(number).map(|slot| slot.order_zero(order)).is_some()
+    /// Sets the zero of the frame of board `number` to the mean pose of so many seconds, or takes it back; `false`: there is
+    /// none of this number.
+    pub(crate) fn zero(&self, number: usize, order: Option<f64>) -> bool {
+        self.slots.get(number).map(|slot| *lock(&slot.zero) = Some(order)).is_some()
     }
 
     /// Begins a recording, now or after the one that is ending.

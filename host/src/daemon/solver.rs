@@ -19,6 +19,7 @@ use super::outputs::Outputs;
 use super::tap::Tap;
 use crate::telemetry::{HostLosses, LagReport};
 use crate::terminal::say;
+use slitpose_head::threads::lock;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::Segment;
 use slitpose_tracking::pipeline::{Counts, Item, Pipeline};
@@ -274,7 +275,7 @@ impl Solver {
     fn account(&mut self) {
         let now_ns = self.state.now.monotonic_ns;
         self.state.accounted_ns = now_ns;
-        if let Some(order) = self.slot.take_zero() {
+        if let Some(order) = lock(&self.slot.zero).take() {
             self.pipeline.zero(order);
         }
         let queue = self.pipeline.queue();

@@ -39,7 +39,6 @@ impl PoseDatagram {
             (IN_FRAME, record.view.is_some()),
         ];
         let flags = flags.iter().filter(|(_, is_set)| *is_set).fold(0, |flags, (flag, _)| flags | flag);
-        let excluded = solution.excluded.iter().fold(0, |cells, cell| cells | 1_u16 << cell);
 
         let mut writer = Writer { bytes: [0; Self::BYTES], at: 0 };
         writer.put(POSE_MAGIC);
@@ -49,7 +48,7 @@ impl PoseDatagram {
         writer.put(Outcomes::number_of(&solution.outcome).to_le_bytes());
         writer.put((solution.cells_used.count() as u16).to_le_bytes());
         writer.put(record.device.0);
-        writer.put(excluded.to_le_bytes());
+        writer.put(solution.excluded.bits().to_le_bytes());
         writer.put((solution.redundancy as u16).to_le_bytes());
 
         let (time, arrival) = (record.host_time, record.arrival);

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use axum::extract::ws::Utf8Bytes;
 use serde_json::{Value, json};
-use slitpose_calibration::{Basis, Head};
+use slitpose_calibration::{Basis, Head, values_of};
 use slitpose_design::map::{NoiseOf, Outlook};
 use slitpose_design::{MaskFrame, mask_half_extents_m};
 use slitpose_model::{
@@ -88,7 +88,7 @@ impl Optics {
     ) -> Value {
         let estimate = solution.estimate.as_ref();
         let place = estimate.map(|estimate| place(&estimate.pose)).unwrap_or_default();
-        let at = estimate.map(|estimate| coordinates(&estimate.pose).map(nanometres));
+        let at = estimate.map(|estimate| values_of(&estimate.pose).map(nanometres));
         let cells = self.cells.iter().zip(&photocurrents.cells).enumerate();
         json!({
             "kind": "frame",
@@ -230,25 +230,26 @@ pub(crate) struct Sampler {
     board: usize,
     taker: Arc<dyn SampleSink>,
     due_ns: u64,
-    newest: Option<Record>,
-    scans: u32,
-    poses: u32,
-    range: Option<[[f64; 6]; 2]>,
+    /// The next one, whose photocurrents come at last.
+    sample: Option<Sample>,
 }
 
 impl Sampler {
     /// Samples of the board of this number, for `taker`.
     pub(crate) fn new(board: usize, taker: Arc<dyn SampleSink>) -> Self {
-        Self { board, taker, due_ns: 0, newest: None, scans: 0, poses: 0, range: None }
+        Self { board, taker, due_ns: 0, sample: None }
     }
 
     pub(crate) fn add(&mut self, record: &Record) {
-        self.newest = Some(*record);
-        self.scans += 1;
+        let begin =
+            || Sample { record: *record, photocurrents: Photocurrents::default(), scans: 0, poses: 0, range: None };
+        let sample = self.sample.get_or_insert_with(begin);
+        sample.record = *record;
+        sample.scans += 1;
         if let Some(estimate) = &record.solution.estimate {
-            self.poses += 1;
-            let at = coordinates(&estimate.pose);
-            let [low, high] = self.range.get_or_insert([at; 2]);
+            sample.poses += 1;
+            let at = values_of(&estimate.pose);
+            let [low, high] = sample.range.get_or_insert([at; 2]);
             for ((low, high), value) in low.iter_mut().zip(high).zip(at) {
                 *low = low.min(value);
                 *high = high.max(value);
@@ -262,20 +263,14 @@ impl Sampler {
         if now.monotonic_ns < self.due_ns {
             return;
         }
-        let (Some(record), Some(photocurrents)) = (self.newest, photocurrents) else { return };
-        let Self { board, scans, poses, range, .. } = *self;
-        let photocurrents = photocurrents.clone();
+        let (Some(sample), Some(photocurrents)) = (&mut self.sample, photocurrents) else { return };
+        sample.photocurrents.clone_from(photocurrents);
         // A sample that is not taken in time is part of the next one.
-        if self.taker.sample(board, &Sample { record, photocurrents, scans, poses, range }) {
-            (self.newest, self.scans, self.poses, self.range) = (None, 0, 0, None);
+        if self.taker.sample(self.board, sample) {
+            self.sample = None;
         }
         self.due_ns = (self.due_ns + PERIOD_NS).max(now.monotonic_ns + PERIOD_NS / 2);
     }
-}
-
-pub(super) fn coordinates(pose: &Pose) -> [f64; 6] {
-    let ([tx, ty, tz], [rx, ry, rz]) = (pose.translation_m.to_array(), pose.rotation_rad().to_array());
-    [tx, ty, tz, rx, ry, rz]
 }
 
 // The head.

@@ -4,43 +4,19 @@ use std::io;
 use std::io::Write;
 
 use super::{Accounts, Sink, json};
-use slitpose_tracking::columns::{Column, Fields, Row, of_tables};
+use slitpose_tracking::columns::{Column, Field, Row, of_tables};
 use slitpose_tracking::pipeline::Record;
 
 pub(super) struct Csv<W: Write> {
     output: W,
     columns: Vec<&'static Column>,
-    line: Line,
+    line: Vec<u8>,
     has_begun: bool,
-}
-
-/// The fields of a row, each behind a comma. None needs quotes.
-struct Line(Vec<u8>);
-
-impl Fields for Line {
-    fn integer(&mut self, value: Option<u64>) {
-        self.0.push(b',');
-        value.iter().for_each(|value| json(&mut self.0, value));
-    }
-
-    fn number(&mut self, value: Option<f64>) {
-        self.0.push(b',');
-        value.iter().for_each(|value| json(&mut self.0, value));
-    }
-
-    fn word(&mut self, value: &str) {
-        self.0.push(b',');
-        self.0.extend_from_slice(value.as_bytes());
-    }
-
-    fn flag(&mut self, value: bool) {
-        self.word(if value { "true" } else { "false" });
-    }
 }
 
 impl<W: Write> Csv<W> {
     pub(super) fn new(output: W) -> Self {
-        Self { output, columns: of_tables(true), line: Line(Vec::new()), has_begun: false }
+        Self { output, columns: of_tables(true), line: Vec::new(), has_begun: false }
     }
 
     fn begin(&mut self) -> io::Result<()> {
@@ -56,11 +32,21 @@ impl<W: Write> Sink for Csv<W> {
     fn pose(&mut self, record: &Record) -> io::Result<()> {
         self.begin()?;
         let Self { output, columns, line, .. } = self;
-        line.0.clear();
+        line.clear();
         let row = Row::from(record);
-        columns.iter().for_each(|column| column.put(&row, line));
-        line.0.push(b'\n');
-        output.write_all(&line.0[1..])
+        // Each behind a comma. None needs quotes.
+        let mut put = |field: Field<'_>| {
+            line.push(b',');
+            match field {
+                Field::Integer(value) => value.iter().for_each(|value| json(line, value)),
+                Field::Number(value) => value.iter().for_each(|value| json(line, value)),
+                Field::Word(word) => line.extend_from_slice(word.as_bytes()),
+                Field::Flag(flag) => json(line, &flag),
+            }
+        };
+        columns.iter().for_each(|column| column.put(&row, &mut put));
+        line.push(b'\n');
+        output.write_all(&line[1..])
     }
 
     fn tick(&mut self, _: &Accounts<'_>) -> io::Result<()> {

@@ -13,75 +13,41 @@ use slitpose_tracking::frame::View;
 use slitpose_tracking::link::DeviceId;
 use slitpose_tracking::pipeline::Record;
 
-/// What an object consists of, from front to back.
-enum Part {
-    /// A value behind a comma and its key.
-    Value(&'static Column, String),
-    /// The beginning of an object, if its first value is there; the number of parts up to its end.
-    Begin(&'static Column, String, usize),
-    End,
-}
-
-/// The parts of an object with `columns`, whose keys go on behind `behind` bytes.
-fn parts(columns: &[&'static Column], behind: usize) -> Vec<Part> {
-    let (mut parts, mut rest) = (Vec::new(), columns);
-    while let Some((&first, others)) = rest.split_first() {
-        let key = &first.key[behind..];
-        let Some((object, _)) = key.split_once('.') else {
-            parts.push(Part::Value(first, format!(",\"{key}\":")));
-            rest = others;
-            continue;
-        };
-        let path = &first.key[..=behind + object.len()];
-        let length = rest.iter().take_while(|column| column.key.starts_with(path)).count();
-        let inner = self::parts(&rest[..length], path.len());
-        parts.push(Part::Begin(first, format!(",\"{object}\":"), inner.len() + 1));
-        parts.extend(inner);
-        parts.push(Part::End);
-        rest = &rest[length..];
-    }
-    parts
-}
-
-/// Writes an object of `parts` with the values of `row`.
-fn write(parts: &[Part], row: &Row<'_>, out: &mut Vec<u8>) {
+/// Writes an object with the values of `row`, whose keys go on behind `behind` bytes.
+fn write(columns: &[&Column], behind: usize, row: &Row<'_>, out: &mut Vec<u8>) {
     out.push(b'{');
-    let mut next = 0;
-    while let Some(part) = parts.get(next) {
-        next += 1;
+    let mut rest = columns;
+    while let Some((first, others)) = rest.split_first() {
         let before = out.len();
+        let key = &first.key[behind..];
+        let object = key.find('.').map(|length| &key[..length]);
         // The first of an object has no comma.
-        let from = usize::from(out.last() == Some(&b'{'));
-        let (column, is_written) = match part {
-            Part::Value(column, key) => {
-                out.extend_from_slice(&key.as_bytes()[from..]);
-                (column, value(column, row, out))
+        out.extend_from_slice(if out.last() == Some(&b'{') { b"\"" } else { b",\"" });
+        out.extend_from_slice(object.unwrap_or(key).as_bytes());
+        out.extend_from_slice(b"\":");
+        let is_written = if let Some(object) = object {
+            let path = &first.key[..=behind + object.len()];
+            let (inner, others) = rest.split_at(rest.iter().take_while(|column| column.key.starts_with(path)).count());
+            rest = others;
+            let is_there = match first.get {
+                Get::Translation(get) | Get::Velocity(get) => get(row).is_some(),
+                _ => true,
+            };
+            if is_there {
+                write(inner, path.len(), row, out);
             }
-            Part::Begin(column, key, length) => {
-                out.extend_from_slice(&key.as_bytes()[from..]);
-                let is_there = match column.get {
-                    Get::Translation(get) | Get::Velocity(get) => get(row).is_some(),
-                    _ => true,
-                };
-                if is_there {
-                    out.push(b'{');
-                } else {
-                    next += length;
-                }
-                (column, is_there)
-            }
-            Part::End => {
-                out.push(b'}');
-                continue;
-            }
+            is_there
+        } else {
+            rest = others;
+            value(first, row, out)
         };
-        match (is_written, column.is_null) {
+        match (is_written, first.is_null) {
             (true, _) => {}
             (false, true) => out.extend_from_slice(b"null"),
             (false, false) => out.truncate(before),
         }
     }
-    out.extend_from_slice(b"}\n");
+    out.push(b'}');
 }
 
 /// Writes the value of `row`; `false`: it has none.
@@ -96,7 +62,6 @@ fn value(column: &Column, row: &Row<'_>, out: &mut Vec<u8>) -> bool {
         Get::Number(get) => put(out, &get(row)),
         Get::Flag(get) => put(out, &Some(get(row))),
         Get::Word(_, get) => put(out, &Some(get(row)).filter(|word| !word.is_empty())),
-        Get::Text(get) => put(out, &Some(get(row)).filter(|text| !text.is_empty())),
         Get::Device(get) => put(out, &Some(get(row))),
         Get::Directions(get) => put(out, &Some(get(row).to_string()).filter(|names| !names.is_empty())),
         Get::Cells(get) => {
@@ -136,14 +101,14 @@ pub(super) struct Ndjson<W> {
     output: W,
     /// The last one of each board.
     views: Vec<(DeviceId, &'static View)>,
-    parts: Vec<Part>,
+    columns: Vec<&'static Column>,
     line: Vec<u8>,
 }
 
 impl<W: Write> Ndjson<W> {
     pub(super) fn new(output: W) -> Self {
-        let columns: Vec<_> = COLUMNS.iter().filter(|column| !column.key.is_empty()).collect();
-        Self { output, views: Vec::new(), parts: parts(&columns, 0), line: Vec::new() }
+        let columns = COLUMNS.iter().filter(|column| !column.key.is_empty()).collect();
+        Self { output, views: Vec::new(), columns, line: Vec::new() }
     }
 }
 
@@ -165,7 +130,8 @@ impl<W: Write> Sink for Ndjson<W> {
             );
             self.line.push(b'\n');
         }
-        write(&self.parts, &Row::from(record), &mut self.line);
+        write(&self.columns, 0, &Row::from(record), &mut self.line);
+        self.line.push(b'\n');
         self.output.write_all(&self.line)
     }
 

@@ -11,7 +11,7 @@ use parquet::file::writer::{SerializedColumnWriter, SerializedFileWriter, Serial
 use parquet::schema::types::{ColumnPath, Type};
 
 use super::{Accounts, Sink};
-use slitpose_tracking::columns::{Column, Fields, Get, Row, of_tables};
+use slitpose_tracking::columns::{Column, Field, Get, Row, of_tables};
 use slitpose_tracking::pipeline::Record;
 
 /// Rows that are held until they are written: some 60 MB.
@@ -39,34 +39,34 @@ impl Stored {
             let values = match get {
                 Get::Integer(_) | Get::Count(_) => Values::Integer(Vec::new()),
                 Get::Flag(_) => Values::Flag(Vec::new()),
-                Get::Word(..) | Get::Text(_) | Get::Device(_) | Get::Directions(_) | Get::Cells(_) => {
-                    Values::Word(Vec::new())
-                }
+                Get::Word(..) | Get::Device(_) | Get::Directions(_) | Get::Cells(_) => Values::Word(Vec::new()),
                 _ => Values::Number(Vec::new()),
             };
             Self { name, values, levels: Vec::new() }
         })
     }
 
-    fn field(&self) -> Result<Type, ParquetError> {
-        let (kind, meaning) = match self.values {
-            Values::Integer(_) => (PhysicalType::INT64, None),
-            Values::Number(_) => (PhysicalType::DOUBLE, None),
-            Values::Word(_) => (PhysicalType::BYTE_ARRAY, Some(LogicalType::String)),
-            Values::Flag(_) => (PhysicalType::BOOLEAN, None),
-        };
-        let field = Type::primitive_type_builder(&self.name, kind);
-        field.with_repetition(Repetition::OPTIONAL).with_logical_type(meaning).build()
+    fn push(&mut self, field: Field<'_>) {
+        match (&mut self.values, field) {
+            // Times and counts stay far below 2⁶³.
+            (Values::Integer(values), Field::Integer(Some(value))) => values.push(value as i64),
+            (Values::Number(values), Field::Number(Some(value))) => values.push(value),
+            (Values::Word(values), Field::Word(word)) if !word.is_empty() => values.push(ByteArray::from(word)),
+            (Values::Flag(values), Field::Flag(flag)) => values.push(flag),
+            _ => return self.levels.push(0),
+        }
+        self.levels.push(1);
     }
 
-    /// Numbers that hardly repeat are stored byte by byte: half the size of dictionaries.
-    fn encoding(&self) -> Option<(ColumnPath, Encoding)> {
-        let encoding = match self.values {
-            Values::Integer(_) => Encoding::DELTA_BINARY_PACKED,
-            Values::Number(_) => Encoding::BYTE_STREAM_SPLIT,
-            Values::Word(_) | Values::Flag(_) => return None,
-        };
-        Some((ColumnPath::from(self.name.as_str()), encoding))
+    /// Its type, and its encoding if that is not a dictionary: numbers that hardly repeat are stored byte by byte, in half
+    /// the size.
+    fn kind(&self) -> (PhysicalType, Option<LogicalType>, Option<Encoding>) {
+        match self.values {
+            Values::Integer(_) => (PhysicalType::INT64, None, Some(Encoding::DELTA_BINARY_PACKED)),
+            Values::Number(_) => (PhysicalType::DOUBLE, None, Some(Encoding::BYTE_STREAM_SPLIT)),
+            Values::Word(_) => (PhysicalType::BYTE_ARRAY, Some(LogicalType::String), None),
+            Values::Flag(_) => (PhysicalType::BOOLEAN, None, None),
+        }
     }
 
     fn write<W: Write + Send>(&mut self, group: &mut SerializedRowGroupWriter<'_, W>) -> Result<(), ParquetError> {
@@ -93,44 +93,6 @@ impl Stored {
     }
 }
 
-/// The columns that the fields of a row go to, one after the other.
-struct Places<'a>(std::slice::IterMut<'a, Stored>);
-
-impl Places<'_> {
-    fn next(&mut self, is_some: bool) -> Option<&mut Values> {
-        let Stored { values, levels, .. } = self.0.next()?;
-        levels.push(is_some.into());
-        Some(values)
-    }
-}
-
-impl Fields for Places<'_> {
-    fn integer(&mut self, value: Option<u64>) {
-        if let Some(Values::Integer(values)) = self.next(value.is_some()) {
-            // Times and counts stay far below 2⁶³.
-            values.extend(value.map(|value| value as i64));
-        }
-    }
-
-    fn number(&mut self, value: Option<f64>) {
-        if let Some(Values::Number(values)) = self.next(value.is_some()) {
-            values.extend(value);
-        }
-    }
-
-    fn word(&mut self, value: &str) {
-        if let Some(Values::Word(values)) = self.next(!value.is_empty()) {
-            values.extend((!value.is_empty()).then(|| ByteArray::from(value)));
-        }
-    }
-
-    fn flag(&mut self, value: bool) {
-        if let Some(Values::Flag(values)) = self.next(true) {
-            values.push(value);
-        }
-    }
-}
-
 pub(super) struct Parquet<W: Write + Send> {
     output: Output<W>,
     rows: usize,
@@ -152,13 +114,19 @@ impl<W: Write + Send> Parquet<W> {
     }
 
     fn begin(&self, output: W) -> Result<SerializedFileWriter<W>, ParquetError> {
-        let fields = self.columns.iter().map(|column| column.field().map(Arc::new)).collect::<Result<_, _>>()?;
+        let mut fields = Vec::new();
         let mut properties = WriterProperties::builder()
             .set_created_by(concat!("slitpose ", env!("CARGO_PKG_VERSION")).to_owned())
             .set_compression(Compression::ZSTD(ZstdLevel::default()));
-        for (path, encoding) in self.columns.iter().filter_map(|column| column.encoding()) {
-            properties =
-                properties.set_column_dictionary_enabled(path.clone(), false).set_column_encoding(path, encoding);
+        for column in &self.columns {
+            let (kind, meaning, encoding) = column.kind();
+            let field = Type::primitive_type_builder(&column.name, kind).with_repetition(Repetition::OPTIONAL);
+            fields.push(Arc::new(field.with_logical_type(meaning).build()?));
+            if let Some(encoding) = encoding {
+                let path = ColumnPath::from(column.name.as_str());
+                properties =
+                    properties.set_column_dictionary_enabled(path.clone(), false).set_column_encoding(path, encoding);
+            }
         }
         let schema = Type::group_type_builder("poses").with_fields(fields).build()?;
         SerializedFileWriter::new(output, Arc::new(schema), Arc::new(properties.build()))
@@ -182,8 +150,9 @@ impl<W: Write + Send> Parquet<W> {
 
 impl<W: Write + Send> Sink for Parquet<W> {
     fn pose(&mut self, record: &Record) -> io::Result<()> {
-        let mut places = Places(self.columns.iter_mut());
-        self.table.iter().for_each(|column| column.put(&Row::from(record), &mut places));
+        let mut places = self.columns.iter_mut();
+        let mut put = |field: Field<'_>| places.next().into_iter().for_each(|place| place.push(field));
+        self.table.iter().for_each(|column| column.put(&Row::from(record), &mut put));
         self.rows += 1;
         if self.rows >= GROUP { self.write().map_err(system) } else { Ok(()) }
     }

@@ -21,9 +21,9 @@ use axum::routing::{get, post};
 
 use super::{DaemonReport, metrics, view};
 use crate::address::{Address, ServeError};
-use crate::daemon::ZeroOrder;
 use crate::http;
 use crate::http::{BindScope, Serving};
+use crate::live::{Control, Order};
 use slitpose_tracking::clock::HostInstant;
 
 const TEXT: &str = "text/plain; charset=utf-8";
@@ -38,15 +38,12 @@ pub(crate) struct StatusServer {
 
 type Source = Arc<dyn Fn() -> DaemonReport + Send + Sync>;
 
-/// Sets the zero of the frame of a board; says why not.
-pub(crate) type SetZero = Arc<dyn Fn(usize, ZeroOrder) -> Result<(), String> + Send + Sync>;
-
 impl StatusServer {
     /// Serves the reports of `source` at `address`. A socket left behind by a killed daemon is replaced.
     pub(crate) fn start(
         address: &Address,
         source: impl Fn() -> DaemonReport + Send + Sync + 'static,
-        set_zero: SetZero,
+        control: Control,
     ) -> Result<Self, ServeError> {
         if let Address::Tcp(tcp) = address
             && !tcp.ip().is_loopback()
@@ -57,12 +54,12 @@ impl StatusServer {
         let source: Source = Arc::new(source);
         let refusal = "pages in a browser get no answer; ask by 127.0.0.1, [::1] or localhost, without an Origin\n";
         let (serving, address) =
-            Serving::http("status", address, BindScope::Loopback, refusal, routes(&source, set_zero), || ())?;
+            Serving::http("status", address, BindScope::Loopback, refusal, routes(&source, Arc::new(control)), || ())?;
         Ok(Self { address, _serving: serving })
     }
 }
 
-fn routes(source: &Source, set_zero: SetZero) -> Router {
+fn routes(source: &Source, control: Arc<Control>) -> Router {
     let page = |answer: fn(&DaemonReport) -> Response| {
         let source = Arc::clone(source);
         get(move || {
@@ -86,7 +83,7 @@ fn routes(source: &Source, set_zero: SetZero) -> Router {
         .route(
             "/zero/{board}/{milliseconds}",
             post(move |Path((board, milliseconds)): Path<(usize, u32)>| async move {
-                match set_zero(board, (milliseconds > 0).then(|| f64::from(milliseconds) * 1e-3)) {
+                match control(Order::Frame(board, (milliseconds > 0).then(|| f64::from(milliseconds) * 1e-3))) {
                     Ok(()) => reply(StatusCode::ACCEPTED, TEXT, "begun; /status says what becomes of it\n".to_owned()),
                     Err(reason) => reply(StatusCode::CONFLICT, TEXT, format!("{reason}\n")),
                 }

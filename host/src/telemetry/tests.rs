@@ -5,8 +5,6 @@ use std::fs;
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::os::unix::fs::PermissionsExt;
-use std::os::unix::net::UnixStream;
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use slitpose_protocol::{ClockSource, SettingsSource, Severity, Status};
@@ -15,6 +13,7 @@ use super::*;
 use crate::address::{Address, ServeError};
 use crate::datagram::DatagramCounts;
 use crate::http;
+use crate::live::{Order, Refusal};
 use crate::samples;
 use slitpose_head::finding::Finding;
 use slitpose_tracking::clock::{HostInstant, HostTime};
@@ -91,12 +90,9 @@ fn daemon(boards: Vec<BoardReport>) -> DaemonReport {
 
 fn serve(address: &str) -> Result<StatusServer, ServeError> {
     let (well, ill) = (board(AWKWARD, None), board("other", Some(head())));
-    let set_zero = |board: usize, over_s: Option<f64>| match (board, over_s) {
-        (0, Some(0.25)) => Ok(()),
-        _ => Err("no such board".to_owned()),
-    };
+    let control = |order| if order == Order::Frame(0, Some(0.25)) { Ok(()) } else { Err(Refusal::NO_FRAME) };
     let source = move || daemon(vec![well.clone(), ill.clone()]);
-    StatusServer::start(&status_address(address).unwrap(), source, Arc::new(set_zero))
+    StatusServer::start(&status_address(address).unwrap(), source, Box::new(control))
 }
 
 #[test]
@@ -208,7 +204,7 @@ fn is_served(server: &StatusServer) {
     let order = |line: &str| request(&server.address, line).unwrap();
     assert_eq!(order("POST /zero/0/250").0, 202);
     assert_eq!(order("GET /zero/0/250").0, 405);
-    assert_eq!(order("POST /zero/1/250"), (409, "no such board\n".to_owned()));
+    assert_eq!(order("POST /zero/1/250"), (409, format!("{}\n", Refusal::NO_FRAME)));
     assert_eq!(order("POST /zero/one/250").0, 400);
 }
 
@@ -288,17 +284,4 @@ fn clients_that_hang_keep_nobody_waiting_and_are_closed() {
     // When dropped, the server ends in spite of hanging clients.
     let _hanging = TcpStream::connect(tcp(&server)).unwrap();
     drop(server);
-}
-
-#[test]
-fn a_connection_too_many_closes_the_oldest_silent_one() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("status");
-    let server = serve(&format!("unix:{}", path.display())).unwrap();
-    let connect = || UnixStream::connect(&path).unwrap();
-    let mut silent: Vec<UnixStream> = (0..http::MOST).map(|_| connect()).collect();
-    silent.iter().for_each(|silent| silent.set_read_timeout(Some(Duration::from_secs(60))).unwrap());
-    let answer = fetch(&server.address, "/status");
-    assert!(answer.is_ok(), "{answer:?}");
-    assert!(matches!(silent[0].read(&mut [0; 16]), Ok(0) | Err(_)));
 }

@@ -43,9 +43,8 @@ pub enum Get {
     Count(fn(&Row<'_>) -> usize),
     Number(fn(&Row<'_>) -> Option<f64>),
     Flag(fn(&Row<'_>) -> bool),
-    /// One of these words.
+    /// One of these words, if they are known beforehand.
     Word(fn() -> Vec<&'static str>, fn(&Row<'_>) -> &'static str),
-    Text(for<'a> fn(&'a Row<'a>) -> &'a str),
     Device(fn(&Row<'_>) -> DeviceId),
     Directions(fn(&Row<'_>) -> Directions),
     Cells(fn(&Row<'_>) -> Cells),
@@ -83,16 +82,17 @@ pub struct Column {
     pub get: Get,
 }
 
-/// Takes the fields of tables.
-pub trait Fields {
+/// A field of a table.
+#[derive(Clone, Copy, Debug)]
+pub enum Field<'a> {
     /// A whole number, or none.
-    fn integer(&mut self, value: Option<u64>);
+    Integer(Option<u64>),
     /// A number, or none.
-    fn number(&mut self, value: Option<f64>);
+    Number(Option<f64>),
     /// A word, or none if it is empty.
-    fn word(&mut self, value: &str);
+    Word(&'a str),
     /// Yes or no.
-    fn flag(&mut self, value: bool);
+    Flag(bool),
 }
 
 const VELOCITY_AXES: [&str; 6] = ["vx", "vy", "vz", "wx", "wy", "wz"];
@@ -180,18 +180,6 @@ fn pairs() -> impl Iterator<Item = (usize, usize)> {
     (0..6).flat_map(|i| (i + 1..6).map(move |j| (i, j)))
 }
 
-fn reason_words() -> Vec<&'static str> {
-    std::iter::once("").chain(REASONS.map(DegradedReason::as_str)).collect()
-}
-
-fn status_words() -> Vec<&'static str> {
-    Outcomes::default().by_name().map(|(name, _)| name).into()
-}
-
-fn verified_words() -> Vec<&'static str> {
-    [Verified::Not, Verified::Weakly, Verified::Well].map(Verified::as_str).into()
-}
-
 /// All quantities, in the order of NDJSON. Those of one object stand together.
 #[rustfmt::skip]
 pub static COLUMNS: [Column; 40] = [
@@ -201,8 +189,8 @@ pub static COLUMNS: [Column; 40] = [
     stream("host_monotonic_ns", "host_monotonic_ns", "ns", "the same by the host's CLOCK_MONOTONIC", Get::Integer(|row| time(row, |time| time.monotonic_ns))).ranked(16),
     stream("host_utc_ns", "host_utc_ns", "ns", "the same by UTC, since 1970", Get::Integer(|row| time(row, |time| time.utc_ns))).ranked(17),
     stream("host_uncertainty_ns", "host_uncertainty_ns", "ns", "greatest error of both", Get::Integer(|row| time(row, |time| time.uncertainty_ns))).ranked(18),
-    solution("status", "status", "", "whether there is a pose, and how good; else why not", Get::Word(status_words, |row| row.solution.outcome.as_str())).ranked(2),
-    solution("reason", "reason", "", "why a pose is degraded", Get::Word(reason_words, |row| match row.solution.outcome {
+    solution("status", "status", "", "whether there is a pose, and how good; else why not", Get::Word(|| Outcomes::default().by_name().map(|(name, _)| name).into(), |row| row.solution.outcome.as_str())).ranked(2),
+    solution("reason", "reason", "", "why a pose is degraded", Get::Word(|| std::iter::once("").chain(REASONS.map(DegradedReason::as_str)).collect(), |row| match row.solution.outcome {
         Outcome::Degraded(reason) => reason.as_str(),
         _ => "",
     })).ranked(13),
@@ -216,20 +204,20 @@ pub static COLUMNS: [Column; 40] = [
     solution("cells_used", "cells_used", "", "number of cells that entered", Get::Count(|row| row.solution.cells_used.count())).ranked(9),
     solution("chi2", "chi2", "", "sum of the squared normalised residuals", Get::Number(|row| finite(row.solution.chi2))).or_null().ranked(7),
     solution("redundancy", "redundancy", "", "data minus unknowns", Get::Count(|row| row.solution.redundancy)),
-    solution("verified", "verified", "", "how well redundancy checked the pose: `well`, `weakly` or `not`", Get::Word(verified_words, |row| row.solution.verified().as_str())).ranked(12),
+    solution("verified", "verified", "", "how well redundancy checked the pose: `well`, `weakly` or `not`", Get::Word(|| [Verified::Not, Verified::Weakly, Verified::Well].map(Verified::as_str).into(), |row| row.solution.verified().as_str())).ranked(12),
     solution("unnoticed_sigmas", "unnoticed_sigmas", "σ", "external reliability: greatest shift of the pose by one undetected outlier; none if unbounded", Get::Number(|row| finite(row.solution.unnoticed_sigmas))),
     solution("excluded_cells", "excluded_cells", "", "cells that contradict all others, in tables joined by `;`", Get::Cells(|row| row.solution.excluded)).ranked(11),
     stream("twist.linear_m_per_s", "", "m/s", "velocity in the base frame", Get::Velocity(|row| Some(twist(row)?.twist.linear_m_per_s))).or_null(),
     stream("twist.angular_rad_per_s", "", "rad/s", "angular velocity in the base frame", Get::AngularVelocity(|row| Some(twist(row)?.twist.angular_rad_per_s))),
     stream("twist.sigma", "sigma_", "m/s, rad/s", "standard deviations of both", Get::TwistSigma(|row| Some(deviations(&twist(row)?.covariance)))),
-    stream("no_twist", "no_twist", "", "why a pose has no velocity: `start` (too few poses yet) or `jump` (the tool is not where its motion led)", Get::Word(no_twist_words, |row| NO_TWIST[row.record.map_or(0, |record| no_twist(&record.twist))])),
+    stream("no_twist", "no_twist", "", "why a pose has no velocity: `start` (too few poses yet) or `jump` (the tool is not where its motion led)", Get::Word(|| NO_TWIST.into(), |row| NO_TWIST[row.record.map_or(0, |record| no_twist(&record.twist))])),
     stream("filtered.translation_m", "filtered_", "m", "as above, filtered over many scans", Get::Translation(|row| Some(filtered(row)?.estimate.pose.translation_m))),
     stream("filtered.rotation_xyzw", "filtered_", "", "as above", Get::Rotation(|row| Some(filtered(row)?.estimate.pose.rotation))),
     stream("filtered.covariance", "filtered_sigma_", "m, rad", "as above", Get::Covariance(|row| Some(&filtered(row)?.estimate.covariance))),
     stream("filtered.twist.linear_m_per_s", "filtered_", "m/s", "as above", Get::Velocity(|row| Some(filtered_twist(row)?.twist.linear_m_per_s))).or_null(),
     stream("filtered.twist.angular_rad_per_s", "filtered_", "rad/s", "as above", Get::AngularVelocity(|row| Some(filtered_twist(row)?.twist.angular_rad_per_s))),
     stream("filtered.twist.sigma", "filtered_sigma_", "m/s, rad/s", "as above", Get::TwistSigma(|row| Some(deviations(&filtered_twist(row)?.covariance)))),
-    stream("filtered.no_twist", "filtered_no_twist", "", "as above", Get::Word(no_twist_words, |row| NO_TWIST[filtered(row).map_or(0, |filtered| no_twist(&filtered.twist))])),
+    stream("filtered.no_twist", "filtered_no_twist", "", "as above", Get::Word(|| NO_TWIST.into(), |row| NO_TWIST[filtered(row).map_or(0, |filtered| no_twist(&filtered.twist))])),
     stream("filtered.lag_s", "filtered_lag_s", "s", "time after which half of a small step has come through the filter", Get::Number(|row| Some(filtered(row)?.lag_s))),
     stream("filtered.frames", "filtered_frames", "", "scans since the motion last started anew", Get::Integer(|row| Some(filtered(row)?.frames.into()))),
     stream("light_level", "light_level", "", "brightness of all light relative to scene or calibration; none where it is taken for known", Get::Number(|row| row.record?.light_level)),
@@ -238,14 +226,10 @@ pub static COLUMNS: [Column; 40] = [
     stream("truth.rotation_xyzw", "truth_", "", "as above", Get::Rotation(|row| Some(truth(row)?.rotation))),
     solution("", "condition", "", "condition number of the scaled normal equations; in tables only, because it takes longer than a line of NDJSON", Get::Number(|row| row.solution.condition().and_then(finite))).ranked(6),
     solution("iterations", "iterations", "", "refinement steps", Get::Count(|row| row.solution.iterations)).ranked(8),
-    stream("frame", "frame", "", "frame of pose, velocity and truth, if it was chosen; else the head's base", Get::Text(|row| row.record.and_then(|record| record.view).map_or("", View::name))),
+    stream("frame", "frame", "", "frame of pose, velocity and truth, if it was chosen; else the head's base", Get::Word(Vec::new, |row| row.record.and_then(|record| record.view).map_or("", View::name))),
     stream("", "correlation_", "", "of the coordinates of the pose, by its covariance", Get::Correlation(|row| Some(&estimate(row)?.covariance))),
     stream("", "filtered_correlation_", "", "as above", Get::Correlation(|row| Some(&filtered(row)?.estimate.covariance))),
 ];
-
-fn no_twist_words() -> Vec<&'static str> {
-    NO_TWIST.into()
-}
 
 /// The columns of tables: first those on whose order other programs rely. `is_stream`: with those of streams.
 pub fn of_tables(is_stream: bool) -> Vec<&'static Column> {
@@ -273,37 +257,35 @@ impl Column {
         }
     }
 
-    /// Passes the value of `row` to `fields`: one for each of its [names](Self::names).
-    pub fn put(&self, row: &Row<'_>, fields: &mut impl Fields) {
-        fn numbers<const N: usize>(fields: &mut impl Fields, values: Option<[f64; N]>, scale: f64) {
-            (0..N).for_each(|k| fields.number(values.map(|values| values[k] * scale)));
+    /// Passes the value of `row` to `put`: a field for each of its [names](Self::names).
+    pub fn put(&self, row: &Row<'_>, put: &mut impl FnMut(Field<'_>)) {
+        fn numbers<const N: usize>(put: &mut impl FnMut(Field<'_>), values: Option<[f64; N]>, scale: f64) {
+            (0..N).for_each(|k| put(Field::Number(values.map(|values| values[k] * scale))));
         }
-        let set = |fields: &mut _, text: String| Fields::word(fields, &text);
         match self.get {
-            Get::Integer(get) => fields.integer(get(row)),
-            Get::Count(get) => fields.integer(Some(get(row) as u64)),
-            Get::Number(get) => fields.number(get(row)),
-            Get::Flag(get) => fields.flag(get(row)),
-            Get::Word(_, get) => fields.word(get(row)),
-            Get::Text(get) => fields.word(get(row)),
-            Get::Device(get) => get(row).with_digits(|digits| fields.word(digits)),
-            Get::Directions(get) => set(fields, get(row).to_string()),
-            Get::Cells(get) => set(fields, get(row).to_string()),
-            Get::Translation(get) => numbers(fields, get(row).map(|t| t.to_array()), 1e3),
-            Get::Rotation(get) => numbers(fields, get(row).map(|r| rotation_log(r).to_array()), 1.0),
+            Get::Integer(get) => put(Field::Integer(get(row))),
+            Get::Count(get) => put(Field::Integer(Some(get(row) as u64))),
+            Get::Number(get) => put(Field::Number(get(row))),
+            Get::Flag(get) => put(Field::Flag(get(row))),
+            Get::Word(_, get) => put(Field::Word(get(row))),
+            Get::Device(get) => get(row).with_digits(|digits| put(Field::Word(digits))),
+            Get::Directions(get) => put(Field::Word(&get(row).to_string())),
+            Get::Cells(get) => put(Field::Word(&get(row).to_string())),
+            Get::Translation(get) => numbers(put, get(row).map(|t| t.to_array()), 1e3),
+            Get::Rotation(get) => numbers(put, get(row).map(|r| rotation_log(r).to_array()), 1.0),
             Get::Covariance(get) => {
-                let [tx, ty, tz, rotation @ ..] = get(row).map(deviations).map_or([None; 6], |sigma| sigma.map(Some));
-                [tx, ty, tz].into_iter().for_each(|sigma| fields.number(sigma.map(|sigma| sigma * 1e3)));
-                rotation.into_iter().for_each(|sigma| fields.number(sigma));
+                let sigma = get(row).map(deviations);
+                numbers(put, sigma.map(|[x, y, z, ..]| [x, y, z]), 1e3);
+                numbers(put, sigma.map(|[.., x, y, z]| [x, y, z]), 1.0);
             }
             Get::Correlation(get) => {
                 let matrix = get(row);
                 for (i, j) in pairs() {
-                    fields.number(matrix.map(|m| m[i][j] / (m[i][i] * m[j][j]).sqrt()).and_then(finite));
+                    put(Field::Number(matrix.map(|m| m[i][j] / (m[i][i] * m[j][j]).sqrt()).and_then(finite)));
                 }
             }
-            Get::Velocity(get) | Get::AngularVelocity(get) => numbers(fields, get(row).map(|v| v.to_array()), 1.0),
-            Get::TwistSigma(get) => numbers(fields, get(row), 1.0),
+            Get::Velocity(get) | Get::AngularVelocity(get) => numbers(put, get(row).map(|v| v.to_array()), 1.0),
+            Get::TwistSigma(get) => numbers(put, get(row), 1.0),
         }
     }
 }

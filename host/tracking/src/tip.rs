@@ -83,13 +83,13 @@ pub fn find(head: &Head, data: &Data) -> Result<Tip, TipError> {
     if found < MIN_ROWS {
         return Err(TipError::FewPoses { found, rows });
     }
-    let first = Fit::of(&estimates).ok_or(TipError::LittleTurn { sigma_m: f64::INFINITY })?;
+    let first = Fit::of(&estimates)?;
     estimates.retain(|estimate| first.square(estimate) <= MAX_SQUARE);
     let left_out = found - estimates.len();
     if (estimates.len() as f64) < MIN_KEPT * found as f64 {
         return Err(TipError::Moved { left_out, rows });
     }
-    let fit = Fit::of(&estimates).ok_or(TipError::LittleTurn { sigma_m: f64::INFINITY })?;
+    let fit = Fit::of(&estimates)?;
     let redundancy = (3 * estimates.len() - 6) as f64;
     let chi2: f64 = estimates.iter().map(|estimate| fit.square(estimate)).sum();
     let shared = fit.by_shared_errors(&estimates, head, &solver)?;
@@ -112,6 +112,7 @@ fn photocurrents(row: &Row) -> Photocurrents {
     Photocurrents { cells: row.readings.iter().map(reading).collect() }
 }
 
+#[derive(Default)]
 struct Fit {
     tip_m: DVec3,
     cone_m: DVec3,
@@ -121,10 +122,8 @@ struct Fit {
 }
 
 impl Fit {
-    /// `None`: nothing is known along an axis.
-    fn of(estimates: &[Estimate]) -> Option<Self> {
-        let (zero, none) = (DVec3::ZERO, DMat3::ZERO);
-        let mut fit = Self { tip_m: zero, cone_m: zero, covariance: none, share: none };
+    fn of(estimates: &[Estimate]) -> Result<Self, TipError> {
+        let mut fit = Self::default();
         for _ in 0..ROUNDS {
             let (mut tips, mut mixed, mut cones) = (DMat3::ZERO, DMat3::ZERO, DMat3::ZERO);
             let (mut of_tip, mut of_cone) = (DVec3::ZERO, DVec3::ZERO);
@@ -141,10 +140,10 @@ impl Fit {
             fit.tip_m = fit.covariance * (of_tip + fit.share * of_cone);
             fit.cone_m = cones.inverse() * (of_cone + mixed.transpose() * fit.tip_m);
             if !fit.tip_m.is_finite() || (0..3).any(|k| fit.covariance.col(k)[k] <= 0.0) {
-                return None;
+                return Err(TipError::LittleTurn { sigma_m: f64::INFINITY });
             }
         }
-        Some(fit)
+        Ok(fit)
     }
 
     /// Where the tip is in the base by a pose, and the covariance of that.
@@ -226,7 +225,7 @@ mod tests {
     #[test]
     fn a_tool_that_turns_about_one_axis_tells_no_tip() {
         let fit = Fit::of(&estimates(DVec3::new(0.0, 0.0, -80e-3), 0.0, 1));
-        let is_open = fit.is_none_or(|fit| fit.covariance.col(0)[0].sqrt() > MAX_SIGMA_M);
+        let is_open = fit.ok().is_none_or(|fit| fit.covariance.col(0)[0].sqrt() > MAX_SIGMA_M);
         assert!(is_open, "along the axis nothing is known");
     }
 }

@@ -164,6 +164,10 @@ pub fn folder() -> PathBuf {
     given("XDG_CONFIG_HOME").or_else(home).unwrap_or_default().join("slitpose").join("frames")
 }
 
+fn matrix(of: impl Fn(usize, usize) -> f64) -> Matrix6 {
+    std::array::from_fn(|row| std::array::from_fn(|column| of(row, column)))
+}
+
 impl View {
     /// The frame of `frame`, a file or a name, and the tip of `tip`, a file or x,y,z in millimetres, or else the tip that
     /// the frame's file has; `None` if both are those of the head. It lives as long as the program, because records refer
@@ -233,26 +237,17 @@ impl View {
 
     /// J·C·Jᵀ, where the tip is at `arm_m` from the tool's origin, in axes of the base.
     fn covariance(&self, covariance: &Matrix6, arm_m: DVec3) -> Matrix6 {
-        let block = |i: usize, j: usize| {
-            DMat3::from_cols_array_2d(&std::array::from_fn(|c| std::array::from_fn(|r| covariance[i + r][j + c])))
-        };
-        let (tt, tr, rr) = (block(0, 0), block(0, 3), block(3, 3));
-        // M·x = x × arm.
-        let m = DMat3::from_cols(DVec3::X.cross(arm_m), DVec3::Y.cross(arm_m), DVec3::Z.cross(arm_m));
-        let mixed = tr * m.transpose();
         let u = DMat3::from_quat(self.user_from_base.rotation);
-        let turned = |matrix: DMat3| (u * matrix * u.transpose()).to_cols_array_2d();
-        let tt = turned(tt + mixed + mixed.transpose() + m * rr * m.transpose());
-        let (tr, rr) = (turned(tr + m * rr), turned(rr));
-        std::array::from_fn(|i| {
-            std::array::from_fn(|j| match (i < 3, j < 3) {
-                // Columns first; both halves have the same bits.
-                (true, true) => tt[i.max(j)][i.min(j)],
-                (true, false) => tr[j - 3][i],
-                (false, true) => tr[i - 3][j],
-                (false, false) => rr[i.max(j) - 3][i.min(j) - 3],
-            })
-        })
+        // Of x × arm.
+        let turned = u * DMat3::from_cols(DVec3::X.cross(arm_m), DVec3::Y.cross(arm_m), DVec3::Z.cross(arm_m));
+        let jacobian = |row: usize, column: usize| match (row < 3, column < 3) {
+            (true, false) => turned.col(column - 3)[row],
+            (false, true) => 0.0,
+            _ => u.col(column % 3)[row % 3],
+        };
+        let half = matrix(|row, column| (0..6).map(|k| jacobian(row, k) * covariance[k][column]).sum());
+        // Both halves have the same bits.
+        matrix(|row, column| (0..6).map(|k| half[row.min(column)][k] * jacobian(row.max(column), k)).sum())
     }
 
     /// The pose of the tip in the user's frame, with its covariance and that of the tip.

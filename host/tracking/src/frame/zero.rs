@@ -32,7 +32,7 @@ pub struct FrameReport {
 }
 
 /// The mean of the poses of some time, of which a frame is made.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct Mean {
     over_s: f64,
     /// Device time of the first scan, and the tip's pose in the first one with a pose.
@@ -78,10 +78,8 @@ pub(crate) struct Viewer {
     given: Option<&'static View>,
     view: Option<&'static View>,
     mean: Option<Mean>,
-    zeros: u64,
-    zero: Option<String>,
-    is_refused: bool,
-    remark: String,
+    /// What became of its zeros.
+    report: FrameReport,
 }
 
 impl Viewer {
@@ -101,20 +99,11 @@ impl Viewer {
 
     /// Makes the mean of the next `over_s` seconds of device time the zero; `None`: the frame is that of the start.
     pub(crate) fn zero(&mut self, over_s: Option<f64>) {
-        self.mean = over_s.map(|over_s| Mean {
-            over_s,
-            begun_s: None,
-            first: None,
-            count: 0,
-            sums: [0.0; 6],
-            squares: [0.0; 6],
-        });
+        self.mean = over_s.map(|over_s| Mean { over_s, ..Mean::default() });
         if over_s.is_none() {
             self.view = self.given;
-            self.zeros += 1;
-            self.is_refused = false;
-            self.zero = Some("the frame is that of the start".to_owned());
-            self.remark.clear();
+            let (zeros, zero) = (self.report.zeros + 1, Some("the frame is that of the start".to_owned()));
+            self.report = FrameReport { zeros, zero, ..FrameReport::default() };
         }
     }
 
@@ -123,16 +112,16 @@ impl Viewer {
         let tool_from_tip = Pose { translation_m: tip_m, ..Pose::HOME };
         let base_from_tip = record.solution.estimate.as_ref().map(|estimate| compose(&estimate.pose, &tool_from_tip));
         let Some(mean) = self.mean.take_if(|mean| mean.add(record.device_time_s, base_from_tip)) else { return };
-        self.zeros += 1;
-        self.is_refused = mean.count == 0;
+        self.report.zeros += 1;
+        self.report.is_refused = mean.count == 0;
         let Some((pose, sigma, spread)) = mean.pose() else {
             let reason = "no zero was set: no scan of that time had a pose; bring the tool into view, and try again";
-            self.zero = Some(reason.to_owned());
+            self.report.zero = Some(reason.to_owned());
             return;
         };
         let tip_covariance = self.view.map_or(DMat3::ZERO, |view| view.tip_covariance);
         let user_from_base = inverse(&pose);
-        self.view = Some(View { name: ZERO.to_owned(), user_from_base, tip_m, tip_covariance }.kept());
+        let view = View { name: ZERO.to_owned(), user_from_base, tip_m, tip_covariance }.kept();
         let six = |values: [f64; 6]| {
             let [x, y, z, rx, ry, rz] = values.map(|value| value * 1e6);
             format!("{x:.3} {y:.3} {z:.3} um, {rx:.2} {ry:.2} {rz:.2} urad")
@@ -144,8 +133,9 @@ impl Viewer {
             six(sigma),
             six(spread)
         );
-        self.remark.clone_from(&text);
-        self.zero = Some(text);
+        self.view = Some(view);
+        self.report.text = view.to_text(&text);
+        self.report.zero = Some(text);
     }
 
     pub(crate) fn report(&self) -> FrameReport {
@@ -153,11 +143,8 @@ impl Viewer {
         FrameReport {
             user_from_base: values_of(&view.user_from_base),
             tip_m: view.tip_m.to_array(),
-            zeros: self.zeros,
-            zero: self.zero.clone(),
-            is_refused: self.is_refused,
-            text: if self.remark.is_empty() { String::new() } else { view.to_text(&self.remark) },
             name: view.name,
+            ..self.report.clone()
         }
     }
 }

@@ -200,14 +200,12 @@ impl Outcomes {
     /// The counts since `before`.
     #[must_use]
     pub fn since(&self, before: &Self) -> Self {
-        Self {
-            converged: self.converged.saturating_sub(before.converged),
-            degraded: self.degraded.saturating_sub(before.degraded),
-            ambiguous: self.ambiguous.saturating_sub(before.ambiguous),
-            unobservable: self.unobservable.saturating_sub(before.unobservable),
-            too_dark: self.too_dark.saturating_sub(before.too_dark),
-            diverged: self.diverged.saturating_sub(before.diverged),
+        let mut since = *self;
+        for (kind, (_, count)) in Self::kinds().iter().zip(before.by_name()) {
+            let since = since.of_kind(kind);
+            *since = since.saturating_sub(count);
         }
+        since
     }
 
     /// Solutions with a pose.

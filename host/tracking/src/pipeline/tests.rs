@@ -137,14 +137,10 @@ fn without_instants_there_are_no_times_and_the_poses_are_the_same() {
     let mut link = SimulatedLink::new();
     let segment = link.segment(50, 0);
     let (_, timed) = feed(&mut link.pipeline(), &segment);
-    let mut pushed = Vec::new();
-    let taken = link.pipeline().push(&segment.bytes, |item| {
-        if let Item::Pose(record) = item {
-            pushed.push(*record);
-        }
-        Ok::<_, PipelineError>(())
-    });
-    assert_eq!(taken.unwrap(), segment.bytes.len());
+    let mut timeless = Segment::default();
+    timeless.push(&segment.bytes, None);
+    let (taken, pushed) = feed(&mut link.pipeline(), &timeless);
+    assert_eq!(taken, segment.bytes.len());
     assert_eq!(timed.len(), pushed.len());
     for (timed, pushed) in timed.iter().zip(&pushed) {
         assert!(pushed.host_time.is_none() && pushed.arrival.is_none());

@@ -162,20 +162,15 @@ pub fn encode_transform(stamp_ns: u64, tool: &str, of: &Pose, view: Option<&View
         encoder.text(child);
         pose(encoder, of);
     };
-    let Some(view) = view else {
-        encoder.length(1);
-        put(&mut encoder, BASE, tool, of);
-        return;
-    };
-    let (is_user, has_tip) = (view.name() != BASE, view.tip_m() != DVec3::ZERO);
-    encoder.length(1 + usize::from(is_user) + usize::from(has_tip));
-    put(&mut encoder, BASE, tool, &view.base_from_tool(of));
-    if is_user {
+    let user = view.filter(|view| view.name() != BASE);
+    let tip_m = view.map(View::tip_m).filter(|tip_m| *tip_m != DVec3::ZERO);
+    encoder.length(1 + usize::from(user.is_some()) + usize::from(tip_m.is_some()));
+    put(&mut encoder, BASE, tool, &view.map_or(*of, |view| view.base_from_tool(of)));
+    if let Some(view) = user {
         put(&mut encoder, BASE, view.name(), &inverse(view.user_from_base()));
     }
-    if has_tip {
-        let tip = Pose { translation_m: view.tip_m(), ..Pose::HOME };
-        put(&mut encoder, tool, &format!("{tool}_tip"), &tip);
+    if let Some(translation_m) = tip_m {
+        put(&mut encoder, tool, &format!("{tool}_tip"), &Pose { translation_m, ..Pose::HOME });
     }
 }
 
