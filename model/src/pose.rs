@@ -147,6 +147,11 @@ impl<S: Number> Rigid<S> {
         ([t.x(), t.y(), t.z()], self.rotation)
     }
 
+    /// Of [`Self::numbers`].
+    pub fn of_numbers(([x, y, z], rotation): ([S; 3], [S; 4])) -> Self {
+        Self { rotation, translation: S::Vec3::new(x, y, z) }
+    }
+
     pub fn widened(&self) -> Rigid<f64> {
         Rigid { rotation: self.rotation.map(S::as_f64), translation: self.translation.as_dvec3() }
     }

@@ -353,15 +353,17 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
         let best = minima.best.filter(|(_, fit)| *fit != Fit::None).map(|(best, _)| best);
         match next {
             Try::Exclusion { .. } => None,
-            Try::Home => best.is_none().then_some((self.home, true)),
+            Try::Home => best.is_none().then(|| (self.home.to_transform(), true)),
             Try::Soft(index) => Some((self.softened(&best?, index)?, false)),
             Try::Image(index) => {
                 Some((image(&self.planes, &sorted.usable, &best?.pose, self.length_scale_m, index)?, false))
             }
-            Try::Around(index) => Some((self.near_data(sorted, around(&self.home, on_planes, index)), true)),
+            Try::Around(index) => {
+                Some((self.near_data(sorted, around(&self.home.to_transform(), on_planes, index)), true))
+            }
             // Without redundancy a rough approach leads past too many poses.
             Try::Spread(index) => {
-                let start = self.near_data(sorted, spread(&self.home, index));
+                let start = self.near_data(sorted, spread(&self.home.to_transform(), index));
                 Some((start, self.redundancy(sorted.usable.len()) > 0))
             }
         }

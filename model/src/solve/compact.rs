@@ -6,8 +6,8 @@ use thiserror::Error;
 
 use crate::entries::Scalar;
 use crate::plan::{BOARD_CELLS, CompactCell, CompactPlan, CompiledScene, Tier};
-use crate::pose::Transform;
-use crate::scalar::{Linear3, Number};
+use crate::pose::{Rigid, Transform};
+use crate::scalar::Number;
 use crate::scene::{MAX_CELLS, Scene, SceneError};
 
 use super::cold_start::spread;
@@ -129,7 +129,7 @@ impl<S: Scalar> Solver<S, CompactPlan<S>> {
             gates: *gates,
             has_offsets: !offsets_s.is_empty(),
             length_scale_m: *length_scale_m,
-            home: home.to_rigid().numbers(),
+            home: home.numbers(),
             jacobian_change_rate: *jacobian_change_rate,
             has_images: *has_images,
         }
@@ -157,8 +157,7 @@ impl<S: Scalar> Solver<S, CompactPlan<S>> {
         compiled.offsets_s.clear();
         compiled.gates = frame.gates;
         compiled.length_scale_m = frame.length_scale_m;
-        let ([x, y, z], rotation) = frame.home;
-        compiled.home = Transform::of_parts(rotation, S::Vec3::new(x, y, z));
+        compiled.home = Rigid::of_numbers(frame.home);
         compiled.jacobian_change_rate = frame.jacobian_change_rate;
         compiled.has_images = frame.has_images;
     }

@@ -4,7 +4,7 @@ use heapless::Vec;
 
 use crate::entries::Scalar;
 use crate::plan::{CompiledScene, Optics, Tier};
-use crate::pose::{Pose, Transform, Twist};
+use crate::pose::{Pose, Rigid, Transform, Twist};
 use crate::scalar::{Linear3, Number, Vector3};
 use crate::scene::{Cell, MAX_CELLS, Scene, SceneError};
 
@@ -88,7 +88,7 @@ pub struct Compiled<S: Number, P = CompiledScene<S>> {
     pub offsets_s: Vec<S, MAX_CELLS>,
     pub length_scale_m: S,
     /// Where the tool is before anything is known of it: [`super::home`].
-    pub home: Transform<S>,
+    pub home: Rigid<S>,
     /// Relative change of the derivatives per unit of a scaled step.
     pub jacobian_change_rate: S,
     /// Whether poses of this head may have mirror images although all cells see light.
@@ -124,7 +124,7 @@ impl<S: Scalar> Compiled<S> {
         let cells = scene.cells.iter();
         self.length_scale_m = S::of(scene.length_scale_m());
         let home = home(scene);
-        self.home = Transform::of(&home);
+        self.home = Rigid::of(&home);
         self.planes.extend(cells.clone().map(|cell| PlaneCell::compile(cell, &home, tier == Tier::Paper)));
         self.noise.extend((0..scene.cells.len()).map(|cell| CellNoise::compile(scene, cell, relative_error)));
         self.limits.extend(cells.map(|cell @ Cell { detector, .. }| Limits {
@@ -169,7 +169,7 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
             gates: [S::zero(); MAX_CELLS + 1],
             offsets_s: Vec::new(),
             length_scale_m: S::one(),
-            home: Transform::of(&Pose::HOME),
+            home: Rigid::home(),
             jacobian_change_rate: S::zero(),
             has_images: false,
             level_information: None,
@@ -214,7 +214,7 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
     }
 
     pub fn on_planes(&self, sorted: &Sorted<S>) -> Transform<S> {
-        self.onto_planes(sorted, self.home)
+        self.onto_planes(sorted, self.home.to_transform())
     }
 
     /// `start` moved to where the emitters lie in the planes of their light.

@@ -200,7 +200,8 @@ impl<S: Scalar> Compiled<S> {
     /// Whether there are images of poses over the reach of the head with as many cells lit as tell a
     /// pose apart from images, if the planes fix it.
     pub fn may_have_images(&self) -> bool {
-        core::iter::once(self.home).chain((0..LOOKS).map(|index| spread(&self.home, index))).any(|pose| {
+        let home = self.home.to_transform();
+        core::iter::once(home).chain((0..LOOKS).map(|index| spread(&home, index))).any(|pose| {
             let sorted = self.seen_at(&pose.to_pose());
             sorted.usable.len() >= <CompiledScene<S> as Optics<S>>::UNIQUE_FROM
                 && self.firmness_of_planes(&sorted, &pose) < S::of(FIXED)

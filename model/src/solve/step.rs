@@ -153,35 +153,41 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// free.
     #[inline(never)]
     pub fn least_chi2_without(&self, index: usize, workspace: &Workspace<S>) -> Option<S> {
-        self.least_chi2(|reading| (reading != index).then(|| workspace.rows[reading]), workspace)
+        self.least_chi2(Some(index), |rows| *rows, workspace)
     }
 
-    /// The least χ² with these rows of each reading, if it counts, in place of those of the last linearisation; `None` if that
-    /// leaves a direction free.
-    pub fn least_chi2(&self, rows_of: impl Fn(usize) -> Option<[Row<S>; 2]>, workspace: &Workspace<S>) -> Option<S> {
+    /// The least χ² by the last linearisation, `without` one reading, of rows that are `changed`; `None` if that leaves a
+    /// direction free.
+    #[inline(always)]
+    pub fn least_chi2(
+        &self,
+        without: Option<usize>,
+        changed: impl Fn(&[Row<S>; 2]) -> [Row<S>; 2],
+        workspace: &Workspace<S>,
+    ) -> Option<S> {
         let (mut information, mut elimination) = ([[S::zero(); 6]; 6], Elimination::new());
         elimination.begin(&self.motion);
         let mut level = self.level_information().map(Level::of_prior);
         let mut sums = ResidualSums::none();
-        let mut add = |index: usize, rows: &[Row<S>]| {
-            let share = self.share(&self.sorted.usable[index]);
+        let mut add = |reading: &Usable<S>, rows: &[Row<S>]| {
             for row in rows {
                 add_outer(&mut information, [&row.by_pose], [&row.by_pose]);
-                elimination.add(share, &[*row]);
+                elimination.add(self.share(reading), &[*row]);
             }
-            sums.add(rows, share, self.has_bend());
+            sums.add(rows, self.share(reading), self.has_bend());
         };
-        for index in 0..workspace.rows.len() {
-            let Some(rows) = rows_of(index) else { continue };
+        for (index, (rows, reading)) in workspace.rows.iter().zip(&self.sorted.usable).enumerate() {
+            if Some(index) == without {
+                continue;
+            }
+            let rows = changed(rows);
             if let Some(level) = &mut level {
-                self.add_level(level, &rows, &self.sorted.usable[index]);
+                self.add_level(level, &rows, reading);
             }
-            add(index, &rows);
+            add(reading, &rows);
         }
-        for (index, row) in &workspace.plane_rows {
-            if rows_of(*index).is_some() {
-                add(*index, core::slice::from_ref(row));
-            }
+        for (index, row) in workspace.plane_rows.iter().filter(|(index, _)| Some(*index) != without) {
+            add(&self.sorted.usable[*index], core::slice::from_ref(row));
         }
         mirror(&mut information);
         let normal = self.marginalised(information, sums, level.as_mut(), &mut elimination);

@@ -59,8 +59,7 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
             return None;
         }
         let redundancy = self.head.redundancy(readings);
-        let chi2_with =
-            |variance: S| self.least_chi2(|index| Some(loosened(workspace.rows[index], variance)), workspace);
+        let chi2_with = |variance: S| self.least_chi2(None, |rows| loosened(*rows, variance), workspace);
         let [mut low, mut high] = SIGMAS.map(|sigma| S::of(sigma * sigma));
         if chi2_with(high)? > likely(redundancy) {
             return None;
