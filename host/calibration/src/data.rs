@@ -34,7 +34,7 @@ pub struct Row {
 
 impl Row {
     /// The readings, for a solver.
-    pub(crate) fn photocurrents(&self) -> Photocurrents {
+    pub fn photocurrents(&self) -> Photocurrents {
         let reading = |pair: &Option<[f64; 2]>| match *pair {
             Some([i_x1_a, i_x2_a]) => Reading::Light(Pair { i_x1_a, i_x2_a }),
             None => Reading::Missing,

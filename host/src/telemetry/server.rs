@@ -1,5 +1,5 @@
-//! The status over HTTP, and one order, `POST /zero/BOARD/MILLISECONDS`: `/` for people, `/status` as JSON, `/metrics` for Prometheus, `/health` for probes; served, and
-//! requested.
+//! The status over HTTP, served and requested: `/` for people, `/status` as JSON, `/metrics` for Prometheus, `/health` for
+//! probes; and one order, `POST /zero/BOARD/MILLISECONDS`.
 //!
 //! The server has its own thread and makes a report for each request. It has no authentication: by default it listens
 //! for programs on its own host only, and never answers pages in browsers.

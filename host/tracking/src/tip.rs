@@ -7,7 +7,7 @@
 
 use glam::{DMat3, DVec3};
 use slitpose_calibration::{Data, Head, Row};
-use slitpose_model::{CompiledScene, Estimate, Pair, Photocurrents, Reading, SceneError, Tier};
+use slitpose_model::{CompiledScene, Estimate, SceneError, Tier};
 use thiserror::Error;
 
 use crate::frame::View;
@@ -76,7 +76,7 @@ pub enum TipError {
 /// The tip in the readings of `data`, all of which were taken with the tip of the calibrated `head` in one cone.
 pub fn find(head: &Head, data: &Data) -> Result<Tip, TipError> {
     let solver = RowSolver::new(head.clone(), TIER, false)?;
-    let solve = |row: &Row| Ok::<_, SceneError>(solver.with_frames(row.frames)?.solve(&photocurrents(row)).estimate);
+    let solve = |row: &Row| Ok::<_, SceneError>(solver.with_frames(row.frames)?.solve(&row.photocurrents()).estimate);
     let solved = data.rows.iter().map(solve).collect::<Result<Vec<_>, _>>()?;
     let mut estimates: Vec<Estimate> = solved.into_iter().flatten().collect();
     let (found, rows) = (estimates.len(), data.rows.len());
@@ -102,14 +102,6 @@ pub fn find(head: &Head, data: &Data) -> Result<Tip, TipError> {
     let squares = estimates.iter().map(|estimate| fit.at(estimate).0.distance_squared(fit.cone_m));
     let rms_m = (squares.sum::<f64>() / estimates.len() as f64).sqrt();
     Ok(Tip { tip_m: fit.tip_m, covariance, rows: estimates.len(), left_out, rms_m })
-}
-
-fn photocurrents(row: &Row) -> Photocurrents {
-    let reading = |pair: &Option<[f64; 2]>| match *pair {
-        Some([i_x1_a, i_x2_a]) => Reading::Light(Pair { i_x1_a, i_x2_a }),
-        None => Reading::Missing,
-    };
-    Photocurrents { cells: row.readings.iter().map(reading).collect() }
 }
 
 #[derive(Default)]

@@ -26,7 +26,8 @@ use crate::scalar::{Linear3, Real};
 use super::imperfect::beam::{Beam, Face as BeamFace, Glass, Slot};
 use super::imperfect::electrical::{CompiledConverters, CompiledStray, Electrical};
 use super::imperfect::passage::{Passage, Way};
-use super::imperfect::{ExtendedSource, Imperfect, Sums};
+use super::imperfect::source::ExtendedSource;
+use super::imperfect::{Imperfect, Sums};
 use super::optics::{Instant, Receiver, Seen, Source, of_sides};
 use super::{CellTerms, CellsAtOnce, CompiledCell, CompiledScene, NoLanes};
 

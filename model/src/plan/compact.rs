@@ -25,7 +25,8 @@ use crate::scene::{Cell, Scene};
 use super::imperfect::beam::Beam;
 use super::imperfect::electrical::Electrical;
 use super::imperfect::passage::Passage;
-use super::imperfect::{Imperfect, Sums, azimuthal_factor};
+use super::imperfect::source::azimuthal_factor;
+use super::imperfect::{Imperfect, Sums};
 use super::optics::{Instant, Light, Place, Receiver, Seen, Source, of_sides};
 use super::{CellTerms, CompiledCell, CompiledScene, Near, Optics};
 
@@ -230,7 +231,7 @@ pub struct CompactImperfect<S: Number> {
     electrical: Electrical<S>,
 }
 
-/// Of [`super::imperfect::ExtendedSource`], that of a point.
+/// Of [`super::imperfect::source::ExtendedSource`], that of a point.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(bound = "")]
 struct Azimuth<S: Number> {

@@ -5,10 +5,11 @@
 
 use crate::plan::Optics;
 use crate::pose::Transform;
-use crate::scalar::{Number, Vector3};
+use crate::scalar::Number;
 
 use super::accept::{Fit, ROUGH_WORK};
 use super::compiled::{Compiled, Prior};
+use super::home::{STARTS_AROUND, STARTS_SPREAD, around, spread};
 use super::images::{IMAGES, Minima, SOFT_STEPS, Seen, image, is_likely};
 use super::levenberg_marquardt::Stopping;
 use super::normal_equations::{Problem, Workspace};
@@ -237,14 +238,14 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
             }
             if P::FINDS_LIGHT_LEVEL
                 && !may_have_images
-                && !is_likely(&minimum, gate)
-                && let Some(uneven) = problem.with_uneven_light(&minimum, workspace)
+                && !is_likely(minimum.chi2, gate)
+                && let Some(solution) = problem.with_uneven_light(&minimum, workspace)
             {
                 search.is_over = true;
-                return uneven.conclude_near(workspace);
+                return solution;
             }
             let fit = problem.fit(&minimum);
-            if fit == Fit::Full && is_likely(&minimum, gate) && !may_have_images {
+            if fit == Fit::Full && is_likely(minimum.chi2, gate) && !may_have_images {
                 // By far the most frequent end, with the last linearisation still at hand.
                 search.is_over = true;
                 return problem.conclude(&minimum, workspace, fit);
@@ -436,46 +437,6 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
 
 fn nothing<S: Number>(sorted: &Sorted<S>, outcome: Outcome) -> Solution<S> {
     Solution::without_pose(outcome, sorted.used)
-}
-
-/// How far the starts lie apart: half the reach of a head.
-const ROTATION_RAD: f64 = 0.3;
-const TRANSLATION_M: f64 = 3e-3;
-
-/// Starts around home and around the pose on the planes, twelve each.
-pub const STARTS_AROUND: usize = 24;
-
-pub const STARTS_SPREAD: usize = 48;
-
-/// Start `index` of [`STARTS_AROUND`]: a turn about one axis and a shift along the next, both ways, first from
-/// home, then from `centre`.
-pub fn around<S: Number>(home: &Transform<S>, centre: &Transform<S>, index: usize) -> Transform<S> {
-    let i = index % 12;
-    let mut turn = [0.0; 3];
-    let mut shift = [0.0; 3];
-    let sign = if i.is_multiple_of(2) { 1.0 } else { -1.0 };
-    turn[i / 2 % 3] = sign * ROTATION_RAD;
-    shift[(i / 2 + 1) % 3] = sign * TRANSLATION_M * if i < 6 { 1.0 } else { -1.0 };
-    let centre = if index < 12 { home } else { centre };
-    centre.moved(vector::<S>(shift.into()), vector::<S>(turn.into()))
-}
-
-/// Start `index` of [`STARTS_SPREAD`] about `home`, or of any number: the generalised golden ratio in six dimensions fills
-/// a box evenly (Roberts 2018), with powers of the inverse of the root of x⁷ = x + 1.
-pub fn spread<S: Number>(home: &Transform<S>, index: usize) -> Transform<S> {
-    let mut share = 1.0;
-    let coordinates: [f64; 6] = core::array::from_fn(|_| {
-        share *= 0.898_653_712_628_699;
-        let position = (index + 1) as f64 * share;
-        2.0 * (position - libm::floor(position)) - 1.0
-    });
-    let [tx, ty, tz, rx, ry, rz] = coordinates;
-    let (shift, turn) = (glam::DVec3::new(tx, ty, tz), glam::DVec3::new(rx, ry, rz));
-    home.moved(vector::<S>(shift * 4.0 / 3.0 * TRANSLATION_M), vector::<S>(turn * ROTATION_RAD))
-}
-
-fn vector<S: Number>(v: glam::DVec3) -> S::Vec3 {
-    S::Vec3::of(v)
 }
 
 #[cfg(test)]

@@ -10,9 +10,8 @@ use crate::pose::{Rigid, Transform};
 use crate::scalar::Number;
 use crate::scene::{MAX_CELLS, Scene, SceneError};
 
-use super::cold_start::spread;
 use super::compiled::Compiled;
-use super::home::home;
+use super::home::{home, spread};
 use super::outcome::Solution;
 use super::planes::PlaneCell;
 use super::readings::{Limits, Photocurrents};

@@ -1,4 +1,4 @@
-//! Where the tool is before anything is known of it.
+//! Where the tool is before anything is known of it, and places around to start from.
 //!
 //! A scene has its tool about the origin of the base, or it has not: what the axes of a tool are called is the designer's
 //! choice. So home is where emitters look at the slits: R turns their axes against the cells' normals, and their places
@@ -10,6 +10,7 @@ use glam::{DMat3, DQuat, DVec3};
 
 use crate::effects::Opening;
 use crate::pose::{Pose, Transform};
+use crate::scalar::{Number, Vector3};
 use crate::scene::{Cell, Scene};
 
 use super::algebra::{Factor, Matrix6};
@@ -93,6 +94,42 @@ fn slit_base_m(cell: &Cell) -> DVec3 {
     let [x, z] = [detector.x_axis_base, detector.normal_base];
     let slit = &cell.slit;
     detector.centre_base_m + x * slit.offset_m.x + z.cross(x) * slit.offset_m.y + z * slit.distance_m
+}
+
+/// How far the starts lie apart: half the reach of a head.
+const ROTATION_RAD: f64 = 0.3;
+const TRANSLATION_M: f64 = 3e-3;
+
+/// Starts around home and around the pose on the planes, twelve each.
+pub const STARTS_AROUND: usize = 24;
+
+pub const STARTS_SPREAD: usize = 48;
+
+/// Start `index` of [`STARTS_AROUND`]: a turn about one axis and a shift along the next, both ways, first from
+/// home, then from `centre`.
+pub fn around<S: Number>(home: &Transform<S>, centre: &Transform<S>, index: usize) -> Transform<S> {
+    let i = index % 12;
+    let mut turn = [0.0; 3];
+    let mut shift = [0.0; 3];
+    let sign = if i.is_multiple_of(2) { 1.0 } else { -1.0 };
+    turn[i / 2 % 3] = sign * ROTATION_RAD;
+    shift[(i / 2 + 1) % 3] = sign * TRANSLATION_M * if i < 6 { 1.0 } else { -1.0 };
+    let centre = if index < 12 { home } else { centre };
+    centre.moved(S::Vec3::of(shift.into()), S::Vec3::of(turn.into()))
+}
+
+/// Start `index` of [`STARTS_SPREAD`] about `home`, or of any number: the generalised golden ratio in six dimensions fills
+/// a box evenly (Roberts 2018), with powers of the inverse of the root of x⁷ = x + 1.
+pub fn spread<S: Number>(home: &Transform<S>, index: usize) -> Transform<S> {
+    let mut share = 1.0;
+    let coordinates: [f64; 6] = core::array::from_fn(|_| {
+        share *= 0.898_653_712_628_699;
+        let position = (index + 1) as f64 * share;
+        2.0 * (position - libm::floor(position)) - 1.0
+    });
+    let [tx, ty, tz, rx, ry, rz] = coordinates;
+    let (shift, turn) = (DVec3::new(tx, ty, tz), DVec3::new(rx, ry, rz));
+    home.moved(S::Vec3::of(shift * 4.0 / 3.0 * TRANSLATION_M), S::Vec3::of(turn * ROTATION_RAD))
 }
 
 #[cfg(test)]

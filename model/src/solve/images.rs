@@ -19,8 +19,8 @@ use crate::scene::MAX_CELLS;
 
 use super::accept::{ALIKE, DISTINCT_SIGMAS, Fit, is_singular, sigmas_between};
 use super::algebra::{Factor, Matrix6, square};
-use super::cold_start::spread;
 use super::compiled::{Compiled, Prior};
+use super::home::spread;
 use super::levenberg_marquardt::{Minimum, Stopping};
 use super::normal_equations::{Problem, Workspace};
 use super::outcome::Solution;
@@ -129,7 +129,7 @@ impl<S: Number> Minima<S> {
 
     /// Whether the best pose fits as noise makes likely.
     pub fn is_likely(&self, gate: S) -> bool {
-        self.best.is_some_and(|(best, _)| is_likely(&best, gate))
+        self.best.is_some_and(|(best, _)| is_likely(best.chi2, gate))
     }
 
     pub fn cannot_be_beaten(&self) -> bool {
@@ -139,11 +139,12 @@ impl<S: Number> Minima<S> {
 
 /// Share of the χ² that noise explains beyond which a pose is looked for that fits better: one in 5000 honest scans of six
 /// cells has more.
-pub const HARDLY_NOISE: f64 = 0.5;
+const HARDLY_NOISE: f64 = 0.5;
 
-/// Whether a pose fits as noise makes likely.
-pub fn is_likely<S: Number>(minimum: &Minimum<S>, gate: S) -> bool {
-    minimum.chi2 <= S::of(HARDLY_NOISE) * gate
+/// Whether noise makes a χ² likely.
+#[inline(always)]
+pub fn is_likely<S: Number>(chi2: S, gate: S) -> bool {
+    chi2 <= S::of(HARDLY_NOISE) * gate
 }
 
 /// Whether two poses differ by more than the data of either allow.

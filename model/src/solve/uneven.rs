@@ -9,11 +9,11 @@ use crate::plan::Optics;
 use crate::scalar::Number;
 
 use super::accept::Fit;
-use super::images::HARDLY_NOISE;
+use super::images::is_likely;
 use super::levenberg_marquardt::{Minimum, Stopping};
 use super::normal_equations::{Problem, Workspace};
 use super::outcome::Solution;
-use super::weights::Row;
+use super::weights::{LoosePart, Row};
 
 /// Relative standard deviations between which the change of an emitter's light is looked for: less matters to no pose, and
 /// of more there is another reason.
@@ -25,23 +25,15 @@ const HALVINGS: usize = 7;
 /// Share of χ² that is left without the one cell whose matter it is.
 const ONE_CELL: f64 = 0.1;
 
-/// Redundancy plus so many standard deviations of χ² is likely.
-const LIKELY_SIGMAS: f64 = 2.0;
+/// Redundancy plus so many standard deviations of χ² is usual.
+const USUAL_SIGMAS: f64 = 2.0;
 
-/// What a frame says whose emitters have changed each by its own share.
-pub struct Uneven<'a, S: Number, P> {
-    pub problem: Problem<'a, S, P>,
-    pub minimum: Minimum<S>,
-    /// Whether noise alone does not explain the frame.
-    pub was_misfit: bool,
-}
-
-impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
-    /// The frame with emitters that differ, if that explains why the `minimum` fits no better; the last linearisation is
-    /// near it.
+impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
+    /// The solution of a frame whose emitters differ, if that explains why the `minimum` fits no better; the last
+    /// linearisation is near it. It is a misfit still where noise alone does not explain the frame.
     #[cold]
     #[inline(never)]
-    pub fn with_uneven_light(&self, minimum: &Minimum<S>, workspace: &mut Workspace<S>) -> Option<Uneven<'a, S, P>> {
+    pub fn with_uneven_light(&self, minimum: &Minimum<S>, workspace: &mut Workspace<S>) -> Option<Solution<S>> {
         let readings = self.sorted.usable.len();
         let was_misfit = minimum.chi2 > self.gate();
         // Without level or redundancy, or with planes for want of light, χ² says nothing of this.
@@ -49,11 +41,11 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
         let off = workspace.level.as_ref().map_or(S::zero(), |level| level.factor() - S::one());
         // What an unlikely level of all light costs is no matter of single emitters.
         let chi2 = minimum.chi2 - off * off * prior;
-        let most = if was_misfit { likely(self.head.redundancy(readings - 1)) } else { S::of(ONE_CELL) * chi2 };
+        let most = if was_misfit { usual(self.head.redundancy(readings - 1)) } else { S::of(ONE_CELL) * chi2 };
         let is_one_cell = |index| self.least_chi2_without(index, workspace).is_some_and(|without| without <= most);
         if !minimum.converged
             || !workspace.plane_rows.is_empty()
-            || chi2 <= S::of(HARDLY_NOISE) * self.gate()
+            || is_likely(chi2, self.gate())
             || (0..readings).any(is_one_cell)
         {
             return None;
@@ -61,7 +53,7 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
         let redundancy = self.head.redundancy(readings);
         let chi2_with = |variance: S| self.least_chi2(None, |rows| loosened(*rows, variance), workspace);
         let [mut low, mut high] = SIGMAS.map(|sigma| S::of(sigma * sigma));
-        if chi2_with(high)? > likely(redundancy) {
+        if chi2_with(high)? > usual(redundancy) {
             return None;
         }
         for _ in 0..HALVINGS {
@@ -76,37 +68,23 @@ impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
         let whiteners = loosened.map(|(reading, whitener)| whitener.loosened(reading.pair, high)).collect();
         let problem = Self { whiteners, ..*self };
         let minimum = problem.minimise(minimum.pose, Stopping::near(), workspace);
-        (problem.fit(&minimum) == Fit::Full).then_some(Uneven { problem, minimum, was_misfit })
+        let fit = if was_misfit { Fit::None } else { Fit::Full };
+        (problem.fit(&minimum) == Fit::Full).then(|| problem.conclude_near(&minimum, workspace, fit))
     }
 }
 
-impl<S: Number, P: Optics<S>> Uneven<'_, S, P> {
-    /// The solution, which is a misfit still where noise alone does not explain the frame.
-    pub fn conclude_near(&self, workspace: &mut Workspace<S>) -> Solution<S> {
-        let fit = if self.was_misfit { Fit::None } else { Fit::Full };
-        self.problem.conclude_near(&self.minimum, workspace, fit)
-    }
-}
-
-fn likely<S: Number>(redundancy: usize) -> S {
+fn usual<S: Number>(redundancy: usize) -> S {
     let mean = redundancy as f64;
-    S::of(mean + LIKELY_SIGMAS * libm::sqrt(2.0 * mean))
+    S::of(mean + USUAL_SIGMAS * libm::sqrt(2.0 * mean))
 }
 
 /// The rows of a reading whose emitter's level has a `variance` of its own: (I + v·vᵀ)^(−½) times them, v what one standard
 /// deviation does, as in [`super::weights::Whitener`].
 fn loosened<S: Number>(rows: [Row<S>; 2], variance: S) -> [Row<S>; 2] {
     let [first, second] = rows;
-    let (a, b) = (first.by_level, second.by_level);
-    let root = (S::one() + variance * (a * a + b * b)).root();
-    let factor = variance / (root * (S::one() + root));
-    let along = |x: S, y: S| factor * (a * x + b * y);
-    let by_pose: [S; 6] = core::array::from_fn(|i| along(first.by_pose[i], second.by_pose[i]));
-    let (by_level, residual) = (along(a, b), along(first.residual, second.residual));
-    let reduced = |row: Row<S>, share: S| Row {
-        by_pose: core::array::from_fn(|i| row.by_pose[i] - share * by_pose[i]),
-        by_level: row.by_level - share * by_level,
-        residual: row.residual - share * residual,
-    };
-    [reduced(first, a), reduced(second, b)]
+    let part = LoosePart::new([first.by_level, second.by_level], variance);
+    let of = |get: fn(&Row<S>) -> S| part.taken_from([get(&first), get(&second)]);
+    let (by_level, residual) = (of(|row| row.by_level), of(|row| row.residual));
+    let by_pose: [[S; 2]; 6] = core::array::from_fn(|i| part.taken_from([first.by_pose[i], second.by_pose[i]]));
+    [0, 1].map(|k| Row { by_pose: by_pose.map(|pair| pair[k]), by_level: by_level[k], residual: residual[k] })
 }

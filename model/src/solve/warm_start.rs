@@ -6,7 +6,7 @@ use crate::scalar::Number;
 
 use super::accept::Fit;
 use super::compiled::{Compiled, Prior};
-use super::images::HARDLY_NOISE;
+use super::images::is_likely;
 use super::levenberg_marquardt::{Minimum, Stopping};
 use super::normal_equations::Workspace;
 use super::outcome::{Outcome, Solution};
@@ -50,10 +50,10 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
         let problem = self.problem(sorted, motion);
         let minimum = problem.minimise_quickly(start, workspace);
         if P::FINDS_LIGHT_LEVEL
-            && minimum.chi2 > S::of(HARDLY_NOISE) * problem.gate()
-            && let Some(uneven) = problem.with_uneven_light(&minimum, workspace)
+            && !is_likely(minimum.chi2, problem.gate())
+            && let Some(solution) = problem.with_uneven_light(&minimum, workspace)
         {
-            return uneven.conclude_near(workspace);
+            return solution;
         }
         let fit = problem.fit(&minimum);
         if fit != Fit::None {

@@ -225,8 +225,11 @@ impl View {
 
     /// user_from_tip of base_from_tool.
     pub fn pose(&self, base_from_tool: &Pose) -> Pose {
-        let tool_from_tip = Pose { translation_m: self.tip_m, ..Pose::HOME };
-        compose(&self.user_from_base, &compose(base_from_tool, &tool_from_tip))
+        compose(&self.user_from_base, &self.base_from_tip(base_from_tool))
+    }
+
+    fn base_from_tip(&self, base_from_tool: &Pose) -> Pose {
+        compose(base_from_tool, &Pose { translation_m: self.tip_m, ..Pose::HOME })
     }
 
     /// base_from_tool of user_from_tip.

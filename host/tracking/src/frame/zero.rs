@@ -1,9 +1,9 @@
 //! The frame of a board's poses, whose zero a person may set while the board is followed.
 
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 use schemars::JsonSchema;
 use serde::Serialize;
-use slitpose_calibration::{compose, inverse, values_of};
+use slitpose_calibration::{inverse, values_of};
 use slitpose_model::Pose;
 
 use super::View;
@@ -108,9 +108,8 @@ impl Viewer {
     }
 
     fn add(&mut self, record: &Record) {
-        let tip_m = self.view.map_or(DVec3::ZERO, |view| view.tip_m);
-        let tool_from_tip = Pose { translation_m: tip_m, ..Pose::HOME };
-        let base_from_tip = record.solution.estimate.as_ref().map(|estimate| compose(&estimate.pose, &tool_from_tip));
+        let tip = |pose: &Pose| self.view.map_or(*pose, |view| view.base_from_tip(pose));
+        let base_from_tip = record.solution.estimate.as_ref().map(|estimate| tip(&estimate.pose));
         let Some(mean) = self.mean.take_if(|mean| mean.add(record.device_time_s, base_from_tip)) else { return };
         self.report.zeros += 1;
         self.report.is_refused = mean.count == 0;
@@ -119,9 +118,9 @@ impl Viewer {
             self.report.zero = Some(reason.to_owned());
             return;
         };
-        let tip_covariance = self.view.map_or(DMat3::ZERO, |view| view.tip_covariance);
-        let user_from_base = inverse(&pose);
-        let view = View { name: ZERO.to_owned(), user_from_base, tip_m, tip_covariance }.kept();
+        let view =
+            View { name: ZERO.to_owned(), user_from_base: inverse(&pose), ..self.view.cloned().unwrap_or_default() }
+                .kept();
         let six = |values: [f64; 6]| {
             let [x, y, z, rx, ry, rz] = values.map(|value| value * 1e6);
             format!("{x:.3} {y:.3} {z:.3} um, {rx:.2} {ry:.2} {rz:.2} urad")

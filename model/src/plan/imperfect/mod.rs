@@ -7,23 +7,25 @@ pub mod beam;
 pub mod electrical;
 mod opening;
 pub mod passage;
+pub mod source;
 
 use heapless::Vec;
 
-use crate::effects::{AZIMUTHAL_TERMS, Effects};
+use crate::effects::Effects;
 use crate::entries::Scalar;
 use crate::paper;
 use crate::polygon::MAX_CORNERS;
 use crate::pose::Transform;
 use crate::profile::CompiledProfile;
 use crate::response::{Flags, Integration, Pair, Response, Status};
-use crate::scalar::{Linear3, Number, Real, Vector3, array};
+use crate::scalar::{Linear3, Number, Real, array};
 use crate::scene::Cell;
 
 use self::beam::Beam;
 use self::electrical::Electrical;
 use self::opening::Opening;
 use self::passage::{Passage, Passed, Way, pass};
+use self::source::{CENTRE_WEIGHT, ExtendedSource, RING, RING_WEIGHT, azimuthal_factor};
 use super::optics::{Light, Place, Receiver, Seen, Source};
 use super::{CellTerms, CompiledCell, CompiledEmitter, CompiledScene};
 
@@ -35,33 +37,6 @@ pub struct Imperfect<S: Number> {
     pub lit_together: u16,
     pub other_axis: Option<usize>,
 }
-
-/// What an emitter has beyond its place, axis and profile; one per lane.
-#[derive(Clone, Debug)]
-pub struct ExtendedSource<R: Real> {
-    /// Directions v and w across the axis, tool frame.
-    pub across: [R::Vec3; 2],
-    /// Coefficients of v² − w², 2vw, zv, zw; `None`: the profile has no azimuth.
-    pub azimuthal: Option<[R; AZIMUTHAL_TERMS]>,
-    /// Radius of the points of the source around its centre, metres; zero: a point.
-    pub radius: R,
-}
-
-/// Points around the centre of a disc, in units of √⅔ of its radius: with the weights ⅛ and ¼ for the centre the rule
-/// is exact to the fifth degree (Radon 1948).
-const RING: [[f64; 2]; 6] = [
-    [1.0, 0.0],
-    [0.5, 0.866_025_403_784_438_6],
-    [-0.5, 0.866_025_403_784_438_6],
-    [-1.0, 0.0],
-    [-0.5, -0.866_025_403_784_438_6],
-    [0.5, -0.866_025_403_784_438_6],
-];
-const RING_WEIGHT: f64 = 0.125;
-const CENTRE_WEIGHT: f64 = 0.25;
-
-/// √⅔.
-const RING_RADIUS: f64 = 0.816_496_580_927_726;
 
 impl<S: Number> Imperfect<S> {
     /// `None`: the slit on the base is turned too far. The profile's radial part is in the cell's [`CompiledProfile`].
@@ -77,39 +52,6 @@ impl<S: Number> Imperfect<S> {
             other_axis: effects.other_axis,
         })
     }
-}
-
-impl<S: Number> ExtendedSource<S> {
-    fn compile(axis: glam::DVec3, effects: &Effects) -> Self {
-        let reference = if axis.z.abs() > core::f64::consts::FRAC_1_SQRT_2 { glam::DVec3::X } else { glam::DVec3::Z };
-        let v = (reference - axis * axis.dot(reference)).normalize_or_zero();
-        let azimuthal = effects.profile.azimuthal;
-        Self {
-            across: [v, axis.cross(v)].map(S::Vec3::of),
-            azimuthal: (azimuthal != [0.0; AZIMUTHAL_TERMS]).then(|| azimuthal.map(S::of)),
-            radius: S::of(0.5 * RING_RADIUS * effects.source_diameter_m),
-        }
-    }
-}
-
-/// The factor 1 + Σ azimuthal of the ray along the unit vector `ray`, with the axes v, w and u of the emitter, and its
-/// derivatives by the components of the ray along them, as one vector.
-#[inline(always)]
-pub fn azimuthal_factor<R: Real>(
-    coefficients: &[R; AZIMUTHAL_TERMS],
-    [v_axis, w_axis, axis]: [R::Vec3; 3],
-    ray: R::Vec3,
-) -> (R, R::Vec3) {
-    let (v, w) = (v_axis.dot(ray), w_axis.dot(ray));
-    let one = v.constant(1.0);
-    let two = one + one;
-    let z = one - axis.dot(ray);
-    let [squares, product, along_v, along_w] = *coefficients;
-    let value = one + squares * (v * v - w * w) + product * two * v * w + z * (along_v * v + along_w * w);
-    let by_v = two * (squares * v + product * w) + z * along_v;
-    let by_w = two * (product * v - squares * w) + z * along_w;
-    let by_u = -(along_v * v + along_w * w);
-    (value, v_axis * by_v + w_axis * by_w + axis * by_u)
 }
 
 /// Light on a detector: power and moment in amperes and ampere metres, with derivatives by the pose; one detector per
@@ -216,31 +158,27 @@ struct Own<S: Number> {
 }
 
 impl<S: Number> Own<S> {
+    /// Of a disc without points.
     fn none() -> Self {
-        Self { status: Status::Clipped, slack_m: S::infinity(), photocurrent: S::zero(), x_a: None, integration: None }
+        Self { status: Status::Lit, slack_m: S::infinity(), photocurrent: S::zero(), x_a: None, integration: None }
     }
 
-    /// Adds a point of a disc; `x_a` is the moment until [`Self::ended`].
-    fn join(&mut self, part: &Self, weight: S) {
-        let light = weight * part.photocurrent;
+    /// Adds a point of the disc; `x_a` is the moment of the light.
+    fn join(&mut self, point: &Result<Self, Status>, weight: S) {
+        let Ok(point) = point else {
+            self.status = Status::Clipped;
+            return;
+        };
+        if point.status != Status::Lit {
+            self.status = Status::Clipped;
+        }
+        let light = weight * point.photocurrent;
         self.photocurrent += light;
-        if let Some(x_a) = part.x_a {
+        if let Some(x_a) = point.x_a {
             self.x_a = Some(self.x_a.unwrap_or_default() + light * x_a);
         }
-        self.slack_m = self.slack_m.min(part.slack_m);
-        self.integration = part.integration;
-    }
-
-    /// The disc, of which the light is complete if it `is_whole`; if none of it has any, what its centre is.
-    fn ended(mut self, is_whole: bool, centre_is: Option<Status>) -> Result<Self, Status> {
-        let is_lit = self.photocurrent > S::zero();
-        self.x_a = self.x_a.filter(|_| is_lit).map(|moment| moment / self.photocurrent);
-        match centre_is {
-            Some(status) if !is_lit => Err(status),
-            _ if is_whole => Ok(Self { status: Status::Lit, ..self }),
-            Some(_) => Ok(Self { slack_m: S::zero(), ..self }),
-            None => Ok(self),
-        }
+        self.slack_m = self.slack_m.min(point.slack_m);
+        self.integration = point.integration;
     }
 }
 
@@ -302,27 +240,24 @@ fn add_emitter<S: Scalar, const GRADIENT: bool>(
         return add(&emitter.source, S::one());
     };
     let mut whole = Own::none();
-    let mut is_whole = true;
-    let mut join = |part: Result<Own<S>, Status>, weight: S| match part {
-        Ok(part) => {
-            is_whole &= part.status == Status::Lit;
-            whole.join(&part, weight);
-            None
-        }
-        Err(status) => {
-            is_whole = false;
-            Some(status)
-        }
+    let mut join = |point: &Source<S>, weight: S| {
+        let point = add(point, weight);
+        whole.join(&point, weight);
+        point.err()
     };
     for [v, w] in RING {
         let offset = disc.across[0] * (disc.radius * S::of(v)) + disc.across[1] * (disc.radius * S::of(w));
         let point = Source { position: emitter.source.position + offset, ..emitter.source.clone() };
-        let weight = S::of(RING_WEIGHT);
-        let _ = join(add(&point, weight), weight);
+        join(&point, S::of(RING_WEIGHT));
     }
-    let weight = S::of(CENTRE_WEIGHT);
-    let centre_is = join(add(&emitter.source, weight), weight);
-    whole.ended(is_whole, centre_is)
+    let missing = join(&emitter.source, S::of(CENTRE_WEIGHT));
+    let is_lit = whole.photocurrent > S::zero();
+    whole.x_a = whole.x_a.filter(|_| is_lit).map(|moment| moment / whole.photocurrent);
+    match missing {
+        Some(status) if !is_lit => Err(status),
+        Some(_) => Ok(Own { slack_m: S::zero(), ..whole }),
+        None => Ok(whole),
+    }
 }
 
 /// All light on the detector of `cell`.
@@ -395,17 +330,20 @@ pub fn respond<S: Scalar>(
     let saturated = cell.saturation.is_some_and(|limit| i_o_a > limit);
     let seen = receiver.see(&cell.emitter.source, pose);
     let beam = imperfect.middle_beam(plan.is_paper, cell, &seen, pose);
-    let Ok(own) = own else {
-        return Response {
-            status: own.err().unwrap_or(Status::Dark),
-            flags: Flags { saturated, faint: cell.faint > S::zero(), facing_away: false },
-            x_a_m: None,
-            gamma_rad: None,
-            solid_angle_sr: S::zero(),
-            i_o_a,
-            currents,
-            integration: None,
-        };
+    let own = match own {
+        Ok(own) => own,
+        Err(status) => {
+            return Response {
+                status,
+                flags: Flags { saturated, faint: cell.faint > S::zero(), facing_away: false },
+                x_a_m: None,
+                gamma_rad: None,
+                solid_angle_sr: S::zero(),
+                i_o_a,
+                currents,
+                integration: None,
+            };
+        }
     };
     // Of a disc whose edge alone is seen, the centre has no beam.
     let beam = beam.ok();
