@@ -163,7 +163,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
         };
         let singular = factor.singular();
         let growths: ArrayVec<Growth, SOFT> =
-            singular[..SOFT].iter().map(|along| self.growth(minimum, along, workspace)).collect();
+            singular[..SOFT].iter().map(|along| self.growth(minimum, along, singular[5].0, workspace)).collect();
         if growths.contains(&Growth::Flatter) {
             // Of the others σ says nothing either, where the currents bend before it is reached.
             let soft = singular.iter().zip(&growths).filter(|(_, growth)| **growth != Growth::AsTold);
@@ -173,11 +173,13 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
         }
     }
 
-    /// How χ² grows from `minimum` both ways along a direction of its information, with that singular value.
+    /// How χ² grows from `minimum` both ways along a direction of its information, with that singular value, of which the
+    /// `largest` is another.
     fn growth(
         &self,
         minimum: &Minimum<S>,
         (value, direction): &(S, Vector6<S>),
+        largest: S,
         workspace: &mut Workspace<S>,
     ) -> Growth {
         if is_free(*value) {
@@ -200,7 +202,13 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
             }
             Growth::Flatter
         };
-        one_way(-1.0).max(one_way(1.0))
+        // Near a fold the singular value is in proportion to the distance from it, and χ² to the fourth power of that: a
+        // value that small is no more than rounding makes of a fold.
+        let is_rounded = *value <= (S::of(RANK_ROUNDINGS) * S::epsilon()).root() * largest;
+        match one_way(-1.0).max(one_way(1.0)) {
+            Growth::Steeper if is_rounded => Growth::Flatter,
+            growth => growth,
+        }
     }
 
     /// Whether the best pose found is too far from the data to call it one.

@@ -236,14 +236,6 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
             if minimum.converged && minimum.chi2 <= gate {
                 minimum = problem.beyond_kink(minimum, S::of(DOUBTED) * gate, workspace);
             }
-            if P::FINDS_LIGHT_LEVEL
-                && !may_have_images
-                && !is_likely(minimum.chi2, gate)
-                && let Some(solution) = problem.with_uneven_light(&minimum, workspace)
-            {
-                search.is_over = true;
-                return solution;
-            }
             let fit = problem.fit(&minimum);
             if fit == Fit::Full && is_likely(minimum.chi2, gate) && !may_have_images {
                 // By far the most frequent end, with the last linearisation still at hand.

@@ -43,7 +43,6 @@ mod step;
 mod tracked;
 mod tracker;
 mod twist;
-mod uneven;
 mod warm_start;
 mod weights;
 

@@ -153,41 +153,25 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// free.
     #[inline(never)]
     pub fn least_chi2_without(&self, index: usize, workspace: &Workspace<S>) -> Option<S> {
-        self.least_chi2(Some(index), |rows| *rows, workspace)
-    }
-
-    /// The least χ² by the last linearisation, `without` one reading, of rows that are `changed`; `None` if that leaves a
-    /// direction free.
-    #[inline(always)]
-    pub fn least_chi2(
-        &self,
-        without: Option<usize>,
-        changed: impl Fn(&[Row<S>; 2]) -> [Row<S>; 2],
-        workspace: &Workspace<S>,
-    ) -> Option<S> {
         let (mut information, mut elimination) = ([[S::zero(); 6]; 6], Elimination::new());
         elimination.begin(&self.motion);
         let mut level = self.level_information().map(Level::of_prior);
         let mut sums = ResidualSums::none();
-        let mut add = |reading: &Usable<S>, rows: &[Row<S>]| {
+        let of_readings = workspace.rows.iter().enumerate().filter(|(reading, _)| *reading != index);
+        if let Some(level) = &mut level {
+            for (reading, rows) in of_readings.clone() {
+                self.add_level(level, rows, &self.sorted.usable[reading]);
+            }
+        }
+        let of_readings = of_readings.map(|(reading, rows)| (reading, rows.as_slice()));
+        let of_planes = workspace.plane_rows.iter().map(|(reading, row)| (*reading, core::slice::from_ref(row)));
+        for (reading, rows) in of_readings.chain(of_planes).filter(|(reading, _)| *reading != index) {
+            let reading = &self.sorted.usable[reading];
             for row in rows {
                 add_outer(&mut information, [&row.by_pose], [&row.by_pose]);
                 elimination.add(self.share(reading), &[*row]);
             }
             sums.add(rows, self.share(reading), self.has_bend());
-        };
-        for (index, (rows, reading)) in workspace.rows.iter().zip(&self.sorted.usable).enumerate() {
-            if Some(index) == without {
-                continue;
-            }
-            let rows = changed(rows);
-            if let Some(level) = &mut level {
-                self.add_level(level, &rows, reading);
-            }
-            add(reading, &rows);
-        }
-        for (index, row) in workspace.plane_rows.iter().filter(|(index, _)| Some(*index) != without) {
-            add(&self.sorted.usable[*index], core::slice::from_ref(row));
         }
         mirror(&mut information);
         let normal = self.marginalised(information, sums, level.as_mut(), &mut elimination);

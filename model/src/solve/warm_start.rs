@@ -6,7 +6,6 @@ use crate::scalar::Number;
 
 use super::accept::Fit;
 use super::compiled::{Compiled, Prior};
-use super::images::is_likely;
 use super::levenberg_marquardt::{Minimum, Stopping};
 use super::normal_equations::Workspace;
 use super::outcome::{Outcome, Solution};
@@ -49,12 +48,6 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
         }
         let problem = self.problem(sorted, motion);
         let minimum = problem.minimise_quickly(start, workspace);
-        if P::FINDS_LIGHT_LEVEL
-            && !is_likely(minimum.chi2, problem.gate())
-            && let Some(solution) = problem.with_uneven_light(&minimum, workspace)
-        {
-            return solution;
-        }
         let fit = problem.fit(&minimum);
         if fit != Fit::None {
             return problem.conclude_near(&minimum, workspace, fit);

@@ -7,29 +7,6 @@ use crate::scene::{Scene, Uncertainty};
 
 use super::algebra::Vector6;
 
-/// v·vᵀ/(s(1 + s)), s² = 1 + v², with v = `along`·σ: what I − (I + v·vᵀ)^(−½) is.
-pub struct LoosePart<S> {
-    along: [S; 2],
-    factor: S,
-}
-
-impl<S: Number> LoosePart<S> {
-    #[inline(always)]
-    pub fn new([a, b]: [S; 2], variance: S) -> Self {
-        let one = S::one();
-        let root = (one + variance * (a * a + b * b)).root();
-        Self { along: [a, b], factor: variance / (root * (one + root)) }
-    }
-
-    /// (I + v·vᵀ)^(−½) times a pair.
-    #[inline(always)]
-    pub fn taken_from(&self, [x, y]: [S; 2]) -> [S; 2] {
-        let [a, b] = self.along;
-        let share = self.factor * (a * x + b * y);
-        [x - a * share, y - b * share]
-    }
-}
-
 /// Multiplies the residuals of a cell's two currents into uncorrelated ones of unit variance.
 #[derive(Clone, Copy, Debug)]
 pub struct Whitener<S> {
@@ -50,11 +27,14 @@ impl<S: Number> Whitener<S> {
     /// (I + v·vᵀ)^(−½) = I − v·vᵀ/(s(1 + s)), s² = 1 + v². Nothing cancels however large σ is: a
     /// direction that is known to nothing loses its weight, the other keeps its digits.
     #[inline(always)]
-    pub fn loosened(&self, pair: [S; 2], variance: S) -> Self {
-        let part = LoosePart::new(self.apply(pair), variance);
+    fn loosened(&self, pair: [S; 2], variance: S) -> Self {
+        let [a, b] = self.apply(pair);
+        let one = S::one();
+        let root = (one + variance * (a * a + b * b)).root();
+        let factor = variance / (root * (one + root));
         let [w0, w1] = self.rows;
-        let [first, second] = [0, 1].map(|k| part.taken_from([w0[k], w1[k]]));
-        Self { rows: [[first[0], second[0]], [first[1], second[1]]] }
+        let along = [0, 1].map(|k| factor * (a * w0[k] + b * w1[k]));
+        Self { rows: [[w0[0] - a * along[0], w0[1] - a * along[1]], [w1[0] - b * along[0], w1[1] - b * along[1]]] }
     }
 
     /// [`Self::loosened`] where `variance` is positive.

@@ -6,7 +6,7 @@ use glam::{DVec2, DVec3};
 use rand_chacha::ChaCha8Rng;
 use slitpose_model::{Cell, CompiledScene, Detector, Emitter, Pair, Pose, Profile, Scene, Slit, Tier, Uncertainty};
 
-use crate::common::{KINDS, generator, scene, uniform, vector};
+use crate::common::{KINDS, Kind, generator, scene, uniform, vector};
 
 /// Next to the end of the number range currents have fewer digits, or none: they are numbers all the same.
 const MIN_A: f64 = 1e-290;
@@ -216,6 +216,41 @@ fn light_next_to_the_end_of_the_number_range() {
                 }
             }
         }
+    }
+}
+
+/// Currents down to the least numbers there are, of which the reciprocal is none any more: rows `grazing_n…` of the
+/// reference table, all of the default cell.
+#[test]
+fn light_fainter_than_the_least_normal_number_keeps_its_digits_and_its_place() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/data/reference/single_cell.csv");
+    let table = std::fs::read_to_string(path).expect("reference table");
+    let names: Vec<&str> = table.lines().next().expect("header").split(',').collect();
+    let rows: Vec<Vec<&str>> =
+        table.lines().filter(|line| line.starts_with("grazing_n")).map(|line| line.split(',').collect()).collect();
+    assert_eq!(rows.len(), 3);
+    for row in rows {
+        let number = |name: &str| {
+            let column = names.iter().position(|column| *column == name).expect("column");
+            row[column].parse::<f64>().expect("number")
+        };
+        let mut scene = scene(&mut generator(), Kind::Thin);
+        let cell = &mut scene.cells[0];
+        let detector = &mut cell.detector;
+        (detector.centre_base_m, detector.x_axis_base, detector.normal_base) = (DVec3::ZERO, DVec3::X, DVec3::Z);
+        (detector.length_m, detector.width_m, detector.dark_current_a) = (12e-3, 1e-3, 0.0);
+        (cell.slit.distance_m, cell.slit.width_m, cell.slit.offset_m) = (7.5e-3, 0.4e-3, DVec2::ZERO);
+        cell.emitter.position_tool_m = DVec3::Z * 15e-3;
+        cell.emitter.axis_tool = DVec3::from(["ux", "uy", "uz"].map(number));
+        cell.emitter.profile = Profile::Cosine { exponent: number("profile_exponent") };
+        let plan = CompiledScene::<f64>::compile(&scene, Tier::Exact { tolerance: 1e-10 }).expect("scene");
+        let response = plan.respond(0, &Pose::HOME);
+        // Half of the least number is what any of them is rounded by.
+        let (current, least) = (number("exact_i_o_a"), f64::from_bits(1));
+        assert!((response.i_o_a - current).abs() <= 1e-10 * current + least, "{}: {:e}", row[0], response.i_o_a);
+        let x_a_mm = response.x_a_m.expect("light") * 1e3;
+        assert!((x_a_mm - number("exact_x_a_mm")).abs() < 1e-9, "{}: {x_a_mm}", row[0]);
+        check(&scene, &Pose::HOME, Tier::Exact { tolerance: 1e-10 }, row[0]);
     }
 }
 

@@ -1,11 +1,12 @@
 //! `slitpose model` into `slitpose solve`: poses come back, rows keep their place, and what cannot be
 //! solved says why. Two six-cell heads and every single cell, ordinary and extreme, against independent multi-precision
-//! integration.
+//! integration; and single precision against double.
 
+use slitpose_model::{CompiledScene, Pose, Tier};
 use slitpose_tests::consistency::median;
 use slitpose_tests::poses::{self, PoseRow};
 use slitpose_tests::process::{Slitpose, name_in, text, written};
-use slitpose_tests::scenes::{changed, ring, wide_with};
+use slitpose_tests::scenes::{self, changed, ring, wide_with};
 use slitpose_tests::slitpose;
 use slitpose_tests::table::{POSE, Row, SIGMA, Table, data, reference, single_cell_scene_file, with_changed};
 
@@ -74,6 +75,24 @@ fn round_trips_in_both_tiers() {
             assert!(errors_in_sigma(&row, truth).iter().all(|error| error.abs() < BACK), "p{i} {truth:?}");
         }
         assert!(converged >= 98, "{converged} poses from all cells");
+    }
+}
+
+#[test]
+fn dark_current_is_taken_off_as_each_tier_puts_it_on() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let text = changed(slitpose_head::scene_file::WIDE.text, &[("dark_current_a = 0.0", "dark_current_a = 200e-9")]);
+    let scene = &*written(folder.path(), "dark.toml", text);
+    let truths = poses::in_box(&mut poses::generator(17), WORKSPACE.0, WORKSPACE.1, 50);
+    for tier in ["paper", "exact"] {
+        let currents = currents(scene, tier, &truths);
+        for (row, truth) in solve(scene, tier, &currents).rows().zip(&truths) {
+            assert!(errors_in_sigma(&row, truth).iter().all(|error| error.abs() < BACK), "{tier}, {truth:?}");
+        }
+        // Without the dark current the same numbers mean other poses.
+        for (row, truth) in solve("wide", tier, &currents).rows().zip(&truths) {
+            assert!(errors_in_sigma(&row, truth).iter().any(|error| error.abs() > 1.0), "{tier}, {truth:?}");
+        }
     }
 }
 
@@ -252,6 +271,29 @@ fn every_single_cell_goes_through_scene_file_and_process() {
                     assert!(error <= x_tolerance_mm, "{name}, {tier}: X_A off by {error:e} mm");
                 }
             }
+        }
+    }
+}
+
+#[test]
+fn single_precision_follows_double_precision() {
+    for row in reference("reference/single_cell.csv").rows() {
+        // Cut by an edge of the detector, or far beyond what single precision resolves of the
+        // distance between emitter and horizon: no bound is claimed there.
+        if row.text("status") != "lit" || row.text("name").starts_with("grazing") {
+            continue;
+        }
+        let scene = scenes::parse(&single_cell_scene_file(&row)).scene;
+        for tier in [Tier::Paper, Tier::Exact { tolerance: 1e-6 }] {
+            let double = CompiledScene::<f64>::compile(&scene, tier).expect("scene").respond(0, &Pose::HOME);
+            let single = CompiledScene::<f32>::compile(&scene, tier).expect("scene").respond(0, &Pose::HOME);
+            if double.i_o_a == 0.0 {
+                assert_eq!(single.i_o_a, 0.0, "{}", row.text("name"));
+                continue;
+            }
+            let error = (f64::from(single.i_o_a) - double.i_o_a).abs() / double.i_o_a;
+            println!("{} {tier:?}: {error:.1e}", row.text("name"));
+            assert!(error <= 1e-5, "{}: {error:e}", row.text("name"));
         }
     }
 }
