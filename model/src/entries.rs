@@ -11,7 +11,7 @@ use crate::pose::{Pose, Transform};
 use crate::response::{Pair, Response};
 use crate::scalar::Number;
 use crate::scene::{Scene, SceneError};
-use crate::solve::{Directions, MotionPrior, Photocurrents, PoseTracker, Solution, Solver, Start};
+use crate::solve::{Directions, MotionPrior, Observation, Photocurrents, PoseTracker, Solution, Solver, Start};
 
 /// A number that heads are compiled and solved in.
 #[allow(missing_docs, reason = "each function is the method of the same name")]
@@ -40,6 +40,11 @@ pub trait Scalar: Number {
         motion: &MotionPrior,
     ) -> Solution<Self>;
     fn track(tracker: &mut PoseTracker<Self>, frame: u64, readings: &Photocurrents<Self>) -> Solution<Self>;
+    fn observe(
+        tracker: &PoseTracker<Self>,
+        readings: &Photocurrents<Self>,
+        solution: &Solution<Self>,
+    ) -> Option<Observation<Self>>;
 }
 
 macro_rules! entries {
@@ -98,6 +103,11 @@ macro_rules! entries_of {
             }
             track(tracker: &mut PoseTracker<Self>, frame: u64, readings: &Photocurrents<Self>) -> Solution<Self> {
                 tracker.track_here(frame, readings)
+            }
+            observe(
+                tracker: &PoseTracker<Self>, readings: &Photocurrents<Self>, solution: &Solution<Self>
+            ) -> Option<Observation<Self>> {
+                tracker.observe_here(readings, solution)
             }
         })*
     };

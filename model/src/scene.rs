@@ -206,6 +206,11 @@ pub struct Uncertainty {
     /// Relative standard deviation of a factor common to all light of a frame, which each frame finds for itself: emitters
     /// that are fed together and warm together. Zero: known.
     pub light_level_relative: f64,
+    /// Relative standard deviation of what each emitter may deviate from that factor, and the time after which it says nothing
+    /// more of itself, seconds: a [`crate::Tracker`] finds it while the tool moves. Zero: known.
+    pub emitter_drift_relative: f64,
+    /// See [`Self::emitter_drift_relative`]; more than zero where that is.
+    pub emitter_drift_s: f64,
 }
 
 /// Why a scene cannot be compiled.

@@ -45,6 +45,7 @@ class Captures:
         tolerance: Optional[float] = None,
         filter_s: Optional[float] = None,
         without_clipped: bool = False,
+        known_light: bool = False,
         frame: Optional[str] = None,
         tip: Optional[str] = None,
         from_s: Optional[float] = None,

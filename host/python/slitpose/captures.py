@@ -59,6 +59,7 @@ def replay(
     tolerance: Optional[float] = None,
     filter_s: Optional[float] = None,
     without_clipped: bool = False,
+    known_light: bool = False,
     frame: Optional[str] = None,
     tip: Optional[str] = None,
     from_s: Optional[float] = None,
@@ -75,6 +76,7 @@ def replay(
     :param tier: ``"paper"`` or ``"exact"``; `tolerance`: relative error of the exact tier's integrals.
     :param filter_s: memory of the filter, s; 0: no filter.
     :param without_clipped: leave out cells whose light falls on an end of the detector.
+    :param known_light: take emitters for as bright as scene or calibration says.
     :param frame: file or name of a frame that poses, velocities and truth are given in; `tip`: point of the tool, a file or
         ``"x,y,z"`` in mm. As for the command.
     :param from_s: begin this long after the beginning of the first file, s; the first poses are then found from nothing,

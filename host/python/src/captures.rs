@@ -42,8 +42,8 @@ struct Found {
 impl Captures {
     #[new]
     #[pyo3(signature = (files, *, scene=None, calibration=None, tier=None, tolerance=None, filter_s=None,
-        without_clipped=false, frame=None, tip=None, from_s=None, to_s=None, duration_s=None, warm_up_s=None,
-        currents=false))]
+        without_clipped=false, known_light=false, frame=None, tip=None, from_s=None, to_s=None, duration_s=None,
+        warm_up_s=None, currents=false))]
     #[expect(clippy::too_many_arguments, reason = "keywords of Python")]
     fn new(
         py: Python<'_>,
@@ -54,6 +54,7 @@ impl Captures {
         tolerance: Option<f64>,
         filter_s: Option<f64>,
         without_clipped: bool,
+        known_light: bool,
         frame: Option<&str>,
         tip: Option<&str>,
         from_s: Option<f64>,
@@ -82,7 +83,7 @@ impl Captures {
         let choice = Choice {
             scene,
             calibration,
-            solving: Solving { filter, without_clipped, tier: tier_choice(tier, tolerance)? },
+            solving: Solving { filter, without_clipped, known_light, tier: tier_choice(tier, tolerance)? },
             from_s,
             to_s,
             duration_s: duration_s.filter(|duration_s| *duration_s > 0.0),

@@ -44,6 +44,7 @@ def assert_same(poses: slitpose.Poses, rows: list[dict[str, str]]) -> None:
         ({}, []),
         ({"tier": "paper"}, ["--tier", "paper"]),
         ({"tolerance": 1e-4, "without_clipped": True}, ["--tolerance", "1e-4", "--without-clipped"]),
+        ({"known_light": True}, ["--known-light"]),
         ({"from_s": 0.25, "to_s": 0.5}, ["--from", "250ms", "--to", "500ms"]),
         ({"duration_s": 0.125}, ["--duration", "125ms"]),
         ({"scene": "wide", "calibration": "none"}, ["--scene", "wide", "--calibration", "none"]),

@@ -247,6 +247,10 @@ struct SolvingOptions {
     /// Leave out cells whose light falls on an end of the detector
     #[arg(long)]
     without_clipped: bool,
+    /// Take emitters for as bright as scene or calibration says; else each scan finds how bright all are, and those of a
+    /// calibrated head may drift apart
+    #[arg(long)]
+    known_light: bool,
     #[command(flatten)]
     tier: TierOptions,
 }
@@ -312,8 +316,8 @@ impl PoseOptions {
     }
 
     pub(super) fn solving(&self) -> Solving {
-        let SolvingOptions { filter, without_clipped, tier } = self.solving;
-        Solving { filter, without_clipped, tier: tier.choice() }
+        let SolvingOptions { filter, without_clipped, known_light, tier } = self.solving;
+        Solving { filter, without_clipped, known_light, tier: tier.choice() }
     }
 
     pub(super) fn following(&self) -> PipelineOptions {
@@ -326,8 +330,9 @@ impl PoseOptions {
 
     /// An option that was given for poses found by this program.
     pub(super) fn for_this_program(&self) -> Option<&'static str> {
-        let SolvingOptions { filter, without_clipped, .. } = self.solving;
-        [(matches!(filter, Some(Filter(Some(_)))), "--filter"), (without_clipped, "--without-clipped")]
+        let SolvingOptions { filter, without_clipped, known_light, .. } = self.solving;
+        let is_filtered = matches!(filter, Some(Filter(Some(_))));
+        [(is_filtered, "--filter"), (without_clipped, "--without-clipped"), (known_light, "--known-light")]
             .into_iter()
             .find_map(|(is_given, option)| is_given.then_some(option))
     }

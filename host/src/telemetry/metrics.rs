@@ -94,6 +94,7 @@ const CELL: &[Metric] = &[
     ("cell_condition_ratio", "condition", "/shares", "Share of the scans of the last second."),
     ("cell_light_amperes", "", "/light_a", "Mean photocurrent at nominal drive."),
     ("cell_brightness_ratio", "", "/brightness", "Photocurrent over what the pose says."),
+    ("cell_emitter_drift_ratio", "", "/emitter_drift", "What the emitter deviates from the common light level."),
     ("cell_stray_amperes", "", "/stray_a", "Current in the dark slot."),
     ("cell_noise_amperes", "", "/noise_a", "Standard deviation of a dark word."),
     ("cell_promised_noise_amperes", "", "/promised_noise_a", "The same by the scene's front end."),

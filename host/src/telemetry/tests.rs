@@ -31,6 +31,8 @@ fn cell(cell: usize, verdict: Verdict) -> CellHealth {
         shares: Shares { saturated: 0.34, ..Shares::default() },
         light_a: Some(3.1e-6),
         brightness: None,
+        emitter_drift: None,
+        emitter_drift_sigma: None,
         stray_a: Some(f64::NAN),
         stray_rise_a: None,
         noise_a: Some(1.3e-9),

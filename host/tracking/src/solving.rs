@@ -66,6 +66,8 @@ pub struct Solving {
     pub filter: Option<Filter>,
     /// Leaves out cells whose light falls on an end of the detector.
     pub without_clipped: bool,
+    /// Takes emitters for as bright as scene or calibration says.
+    pub known_light: bool,
     /// How exactly the optics are evaluated.
     pub tier: TierChoice,
 }
@@ -85,6 +87,7 @@ impl Solving {
                 None => recorded.filter_s,
             },
             without_clipped: self.without_clipped || recorded.without_clipped,
+            known_light: self.known_light || recorded.known_light,
         }
     }
 

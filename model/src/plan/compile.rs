@@ -127,7 +127,12 @@ fn check_noise(scene: &Scene) -> Result<(), SceneError> {
     check.not_negative("electrode_gain_relative", scene.uncertainty.electrode_gain_relative)?;
     check.not_negative("position_mm", scene.uncertainty.position_m)?;
     let check = Check { cell: None, section: "tolerance" };
-    check.not_negative("light_level_relative", scene.uncertainty.light_level_relative)
+    check.not_negative("light_level_relative", scene.uncertainty.light_level_relative)?;
+    check.not_negative("emitter_drift_relative", scene.uncertainty.emitter_drift_relative)?;
+    if scene.uncertainty.emitter_drift_relative > 0.0 {
+        check.positive("emitter_drift_minutes", scene.uncertainty.emitter_drift_s)?;
+    }
+    Ok(())
 }
 
 fn compile_cell<S: Number>(index: usize, cell: &Cell, tier: Tier) -> Result<CompiledCell<S>, SceneError> {

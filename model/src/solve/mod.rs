@@ -14,6 +14,7 @@
 //! | nothing known | [`cold_start`] | all of the above, from many starts |
 //! | pose expected | [`warm_start`] | the same from one start |
 //! | frame after frame | [`tracker`], [`filter`] | prediction by a fading-memory polynomial |
+//! | levels of single emitters | [`levels`] | Kalman filter of their deviations from the common level |
 //! | velocity, smoothed pose | [`tracked`], [`motion`] | several Kalman filters, weighted by how well they predict |
 //!
 //! [`solver`] is the interface, [`compiled`] a scene made ready, [`outcome`] the answer, [`algebra`] the 6 × 6 linear
@@ -31,6 +32,7 @@ mod home;
 mod images;
 mod kink;
 mod level;
+mod levels;
 mod levenberg_marquardt;
 mod motion;
 mod normal_equations;
@@ -48,6 +50,7 @@ mod weights;
 
 pub use compact::{BoardTracker, CompactError, CompactFrame, CompactPart};
 pub use compiled::{MIN_CELLS, MotionPrior};
+pub(crate) use levels::Observation;
 pub use motion::{Filtered, NoTwist, TwistEstimate};
 pub use outcome::{AXES, Cells, DegradedReason, Directions, Estimate, Outcome, Solution, Verified};
 pub use readings::{Photocurrents, Reading};

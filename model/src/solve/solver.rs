@@ -119,6 +119,13 @@ impl<S: Number, P: Optics<S>> Solver<S, P> {
         self
     }
 
+    /// Takes the common light level for that of the head's scene: see [`crate::Uncertainty::light_level_relative`].
+    #[must_use]
+    pub fn with_known_light_level(mut self) -> Self {
+        self.compiled.take_light_level_for_known();
+        self
+    }
+
     /// Whether poses of this head may have mirror images, other poses with nearly the same currents,
     /// although six cells or more see light: a cold solve then looks for them, takes the best, and says
     /// [`Outcome::Ambiguous`] where two fit alike. Of fewer cells this holds for every head.

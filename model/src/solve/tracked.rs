@@ -1,8 +1,12 @@
 //! Pose and velocity frame after frame, and a smoothed pose beside them: what a host makes of a stream of frames.
 
+use heapless::Vec;
+
 use crate::entries::Scalar;
 use crate::scalar::Number;
+use crate::scene::{MAX_CELLS, Scene};
 
+use super::levels::Levels;
 use super::motion::{Filtered, MotionEstimator, NoTwist, TwistEstimate};
 use super::outcome::Solution;
 use super::readings::Photocurrents;
@@ -33,6 +37,7 @@ pub struct Tracker<S: Scalar> {
     period_s: f64,
     motion: MotionEstimator<S>,
     filter: Option<MotionEstimator<S>>,
+    levels: Option<Levels<S>>,
 }
 
 impl<S: Scalar> PoseTracker<S> {
@@ -51,6 +56,7 @@ impl<S: Scalar> Tracker<S> {
             period_s,
             motion: MotionEstimator::new(period_s, MEMORY_FRAMES * period_s),
             filter: None,
+            levels: None,
         }
     }
 
@@ -61,9 +67,36 @@ impl<S: Scalar> Tracker<S> {
         self
     }
 
+    /// Follows what single emitters deviate from the common light level, if `scene` says that they may: see
+    /// [`crate::Uncertainty::emitter_drift_relative`].
+    #[must_use]
+    pub fn following_levels(mut self, scene: &Scene) -> Self {
+        self.levels = Levels::of(scene, &self.poses.solver().compiled.noise, self.period_s);
+        if let Some(levels) = &self.levels {
+            self.poses.allow_for(levels);
+        }
+        self
+    }
+
     /// The tracker of poses alone.
     pub fn poses(&self) -> &PoseTracker<S> {
         &self.poses
+    }
+
+    /// What the emitter of each cell deviates from the common light level, relative, and its standard deviation, as far as the
+    /// tool's motion has told; `None`: single emitters are taken for known.
+    pub fn emitter_drifts(&self) -> Option<Vec<[S; 2], MAX_CELLS>> {
+        self.levels.as_ref().map(Levels::deviations)
+    }
+
+    /// The tracker of poses of a board, which takes all light levels for known.
+    pub fn poses_as_on_board(&self) -> PoseTracker<S> {
+        let mut poses = self.poses.clone();
+        poses.solver_mut().compiled.take_light_level_for_known();
+        match &self.levels {
+            Some(levels) => poses.without(levels),
+            None => poses,
+        }
     }
 
     /// Also gives a filtered pose, from no longer than some `memory_s` seconds, in which a frame counts m/(1 + m) of the next,
@@ -76,7 +109,15 @@ impl<S: Scalar> Tracker<S> {
 
     /// [`PoseTracker::track`], with velocity and filtered pose.
     pub fn track(&mut self, frame: u64, readings: &Photocurrents<S>) -> Tracked<S> {
-        let solution = self.poses.track(frame, readings);
+        let solution = match &mut self.levels {
+            Some(levels) => {
+                let corrected = levels.corrected(readings);
+                let solution = self.poses.track(frame, &corrected);
+                self.poses.observe_levels(levels, frame, &corrected, &solution);
+                solution
+            }
+            None => self.poses.track(frame, readings),
+        };
         let light_level = self.poses.light_level();
         let Some(estimate) = &solution.estimate else {
             return Tracked { solution, twist: Err(NoTwist::NoPose), filtered: None, light_level };

@@ -127,6 +127,18 @@ impl<S: Number, P: Optics<S>> PoseTracker<S, P> {
         self.solver.compiled.level_information.map(|_| self.light_level)
     }
 
+    pub(crate) fn period_s(&self) -> f64 {
+        self.period_s
+    }
+
+    /// The motion that is expected within the next frame; `None`: it is not known how the tool moves.
+    pub(crate) fn expected_motion(&self) -> Option<Prior<S>> {
+        self.motion
+            .predict()
+            .filter(|expected| expected.frames >= BEND_FROM)
+            .map(|expected| self.motion_prior(&expected))
+    }
+
     /// The solver of each frame.
     pub fn solver(&self) -> &Solver<S, P> {
         &self.solver
@@ -159,13 +171,6 @@ impl<S: Number, P: Optics<S>> PoseTracker<S, P> {
     #[must_use]
     pub fn neglecting_motion(mut self, share: f64) -> Self {
         self.negligible = S::of(share);
-        self
-    }
-
-    /// Takes the light level for that of the head's scene: see [`crate::Uncertainty::light_level_relative`].
-    #[must_use]
-    pub fn with_known_light_level(mut self) -> Self {
-        self.solver.compiled.take_light_level_for_known();
         self
     }
 

@@ -73,7 +73,8 @@ pub struct CellNoise<S> {
     johnson: S,
     /// Of converter and amplifier, and of the model's currents, per electrode.
     converter: S,
-    emitter_gain: S,
+    /// Relative variance of the emitter's gain: [`super::levels`] adds to it while a tool is tracked.
+    pub emitter_gain: S,
     electrode_gain: S,
     /// Variance of X_A/Lx: model error, and more on the way from far off.
     position: S,

@@ -23,6 +23,8 @@ const UNSETTLED: Uncertainty = Uncertainty {
     electrode_gain_relative: 1e-3,
     position_m: 1e-6,
     light_level_relative: 0.0,
+    emitter_drift_relative: 0.0,
+    emitter_drift_s: 0.0,
 };
 
 /// A tool that moves while its cells are exposed one after another.

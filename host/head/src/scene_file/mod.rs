@@ -46,6 +46,8 @@ pub struct SceneFile {
     pub tolerance: Option<Tolerance>,
     /// Whether the file says how well the common light level is known; else the scene has a usual value.
     pub gives_light_level: bool,
+    /// Whether it says how far single emitters may drift from that; else the scene has a usual value, for a calibrated head.
+    pub gives_emitter_drift: bool,
     /// Which emitters are lit together, and in which order.
     pub lighting: Lighting,
     /// The box of poses the head is meant for.
@@ -101,6 +103,7 @@ impl SceneFile {
             front_end: settings::read_front_end(&document)?,
             tolerance: settings::read_tolerance(&document)?,
             gives_light_level: optics::read_light_level(&document)?.is_some(),
+            gives_emitter_drift: optics::read_emitter_drift(&document)?.is_some(),
             lighting,
             workspace,
             scene,

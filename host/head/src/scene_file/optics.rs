@@ -148,6 +148,15 @@ fn read_noise(document: &Document<'_>) -> Result<Option<Noise>, SceneFileError> 
 /// How well the common level of all light is known, unless the scene says: emitters are brighter when cool, and age.
 const LIGHT_LEVEL_RELATIVE: f64 = 0.1;
 
+/// How far emitters that have been calibrated drift apart, unless the scene says: some kelvin between them, or months of use.
+const EMITTER_DRIFT_RELATIVE: f64 = 0.01;
+const EMITTER_DRIFT_MINUTES: f64 = 120.0;
+
+/// [`Uncertainty::emitter_drift_relative`] as far as the file gives it.
+pub(super) fn read_emitter_drift(document: &Document<'_>) -> Result<Option<f64>, SceneFileError> {
+    document.number(KeyPath::section("tolerance", "emitter_drift_relative"))
+}
+
 /// [`Uncertainty::light_level_relative`] as far as the file gives it.
 pub(super) fn read_light_level(document: &Document<'_>) -> Result<Option<f64>, SceneFileError> {
     document.number(KeyPath::section("tolerance", "light_level_relative"))
@@ -155,11 +164,14 @@ pub(super) fn read_light_level(document: &Document<'_>) -> Result<Option<f64>, S
 
 fn read_uncertainty(document: &Document<'_>) -> Result<Uncertainty, SceneFileError> {
     let key = |key| Ok(document.number(KeyPath::section("uncertainty", key))?.unwrap_or(0.0));
+    let minutes = document.number(KeyPath::section("tolerance", "emitter_drift_minutes"))?;
     Ok(Uncertainty {
         emitter_gain_relative: key("emitter_gain_relative")?,
         electrode_gain_relative: key("electrode_gain_relative")?,
         position_m: key("position_mm")?,
         light_level_relative: read_light_level(document)?.unwrap_or(LIGHT_LEVEL_RELATIVE),
+        emitter_drift_relative: read_emitter_drift(document)?.unwrap_or(EMITTER_DRIFT_RELATIVE),
+        emitter_drift_s: 60.0 * minutes.unwrap_or(EMITTER_DRIFT_MINUTES),
     })
 }
 

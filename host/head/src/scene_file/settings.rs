@@ -205,10 +205,13 @@ impl Default for Tolerance {
     }
 }
 
-/// The section `[tolerance]`; `None` if the scene has none, or one of the light level alone, which is not that of a part.
+/// Tolerances of a head in use, not of its parts before calibration.
+const IN_USE: [&str; 3] = ["light_level_relative", "emitter_drift_relative", "emitter_drift_minutes"];
+
+/// The section `[tolerance]`; `None` if the scene has none, or one of light levels alone, which are not those of a part.
 /// Keys that it leaves out have their defaults.
 pub(super) fn read_tolerance(document: &Document<'_>) -> Result<Option<Tolerance>, SceneFileError> {
-    if !document.has_section("tolerance") || document.has_only("tolerance", "light_level_relative") {
+    if !document.has_section("tolerance") || document.has_only("tolerance", &IN_USE) {
         return Ok(None);
     }
     let value = |key, default| document.not_negative(KeyPath::section("tolerance", key), default);

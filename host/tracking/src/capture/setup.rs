@@ -173,6 +173,9 @@ impl Setup {
             put("filter_s", filter_s.to_string());
         }
         put("without_clipped", following.without_clipped.to_string());
+        if following.known_light {
+            put("known_light", "true".to_owned());
+        }
         put("link_channel", channels.link.to_string());
         put("hello_channel", channels.hello.to_string());
         let hash = settings_hash(&map);
@@ -238,7 +241,12 @@ impl Setup {
             Some("board") => PoseSource::Board,
             Some(_) => return Err(value("poses", "`board`, or nothing")),
         };
-        let settings = Settings { tier, following: PipelineOptions { source, filter_s, without_clipped } };
+        let known_light = match map.get("known_light").map(String::as_str) {
+            None => false,
+            Some("true") => true,
+            Some(_) => return Err(value("known_light", "`true`, or nothing")),
+        };
+        let settings = Settings { tier, following: PipelineOptions { source, filter_s, without_clipped, known_light } };
         let setup = Self { device, scene, basis, settings, program: get("program")?.clone() };
         Ok((setup, LinkChannels { link: channel("link_channel")?, hello: channel("hello_channel")? }))
     }
@@ -294,7 +302,8 @@ mod tests {
             (Tier::Paper, PoseSource::Host, None, true),
             (Tier::Exact { tolerance: 1.0 / 3.0e6 }, PoseSource::Board, Some(0.1 + 0.2), false),
         ] {
-            let settings = Settings { tier, following: PipelineOptions { source, filter_s, without_clipped } };
+            let following = PipelineOptions { source, filter_s, without_clipped, known_light: !without_clipped };
+            let settings = Settings { tier, following };
             let setup = Setup::new(DeviceId(*b"0123456789ab"), &file.clone().into(), settings);
             let name = setup.attachment(|_| false);
             assert_eq!(name, "wide.toml");
@@ -353,6 +362,7 @@ mod tests {
             ("filter_s", &["NaN", "0", "-0.005", "inf", "soon"]),
             ("tier", &["Exact", ""]),
             ("without_clipped", &["1"]),
+            ("known_light", &["false", "1"]),
             ("device", &["0123"]),
             ("link_channel", &["65536", "-1"]),
         ] {

@@ -101,6 +101,11 @@ pub struct CellHealth {
     pub light_a: Option<f64>,
     /// Measured photocurrent over that predicted by the pose, where that is at least twice `faint_a`.
     pub brightness: Option<f64>,
+    /// What its emitter deviates from the common light level of the head, relative, as far as the tool's motion has told, and
+    /// its standard deviation; `None`: taken for known.
+    pub emitter_drift: Option<f64>,
+    /// See [`Self::emitter_drift`].
+    pub emitter_drift_sigma: Option<f64>,
     /// Current in the dark slot above the dark current of the scene, both electrodes, amperes. It includes
     /// the offset of the front end.
     pub stray_a: Option<f64>,

@@ -106,6 +106,8 @@ impl Health {
             },
             light_a: (sums.measured > 0).then(|| sums.light_a / f64::from(sums.measured)),
             brightness: (sums.expected > 0).then(|| sums.compared_a / sums.expected_a),
+            emitter_drift: None,
+            emitter_drift_sigma: None,
             stray_a: self.stray_a(known, sums),
             stray_rise_a: self.rise(cell, sums).map(|(rise_a, _)| rise_a),
             noise_a,

@@ -89,6 +89,8 @@ pub struct PipelineOptions {
     pub filter_s: Option<f64>,
     /// Whether cells whose light falls on an end of the detector are left out.
     pub without_clipped: bool,
+    /// Whether emitters are as bright as scene or calibration says, all together and each.
+    pub known_light: bool,
 }
 
 /// Why the pipeline cannot go on.

@@ -29,7 +29,7 @@ pub use waiting::{Queue, Scan};
 
 use crate::clock::ClockFit;
 use crate::frame::{FrameReport, View, Viewer};
-use crate::health::{HeadHealth, Health};
+use crate::health::HeadHealth;
 use crate::link::Segment;
 use board_clock::Span;
 use flow::{Flow, session_of};
@@ -279,7 +279,7 @@ impl Pipeline {
 
     /// The health of the head, if it is [monitored](Self::watched).
     pub fn health(&self) -> Option<HeadHealth> {
-        self.flow.session.as_ref()?.health.as_ref().map(Health::report)
+        self.flow.session.as_ref()?.health()
     }
 
     /// How the board's poses compare with those found here; `None` if it has sent none.

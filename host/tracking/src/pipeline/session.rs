@@ -9,7 +9,7 @@ use super::board_poses::{BoardPose, Comparison, PoseFault};
 use super::item::Doubt;
 use super::waiting::{Content, Scan};
 use super::{PipelineError, PipelineOptions, SceneMatch};
-use crate::health::Health;
+use crate::health::{HeadHealth, Health};
 use crate::link::{DeviceId, Versions};
 use crate::solving;
 use slitpose_head::front_end::Stage;
@@ -126,7 +126,13 @@ impl Session {
         let scene = Stage::weighted_scene(file, &hello.schedule, &hello.scaling);
         let solver = Solver::new(&scene, tier)?.with_exposures(&stage.exposures_s());
         let solver = if following.without_clipped { solver.without_clipped() } else { solver };
+        let solver = if following.known_light { solver.with_known_light_level() } else { solver };
         let tracker = Tracker::new(solver, hello.schedule.frame_rate_hz().recip());
+        let tracker = if !following.known_light && (is_calibrated || file.gives_emitter_drift) {
+            tracker.following_levels(&scene)
+        } else {
+            tracker
+        };
         let tracker = match following.filter_s {
             Some(memory_s) => tracker.with_filter(memory_s),
             None => tracker,
@@ -213,7 +219,7 @@ impl Session {
         }
         self.covariance = poses.covariance.or(self.covariance);
         let comparison = self.comparison.get_or_insert_default();
-        self.as_board.get_or_insert_with(|| Box::new(self.tracker.poses().clone().with_known_light_level()));
+        self.as_board.get_or_insert_with(|| Box::new(self.tracker.poses_as_on_board()));
         self.missed = self.missed.max(poses.missed.into());
         comparison.agreement.missed = self.missed;
         let all = poses.iter(self.schedule.frame_ticks);
@@ -248,6 +254,15 @@ impl Session {
             health.update(scan, &self.photocurrents, &tracked.solution);
         }
         tracked
+    }
+
+    /// The health of the head, if it is monitored.
+    pub(super) fn health(&self) -> Option<HeadHealth> {
+        let mut health = self.health.as_ref()?.report();
+        for (cell, [drift, sigma]) in health.cells.iter_mut().zip(self.tracker.emitter_drifts().into_iter().flatten()) {
+            (cell.emitter_drift, cell.emitter_drift_sigma) = (Some(drift), Some(sigma));
+        }
+        Some(health)
     }
 
     /// All that the next pose depends on, besides its scan.

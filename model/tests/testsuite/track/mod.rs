@@ -7,6 +7,7 @@ use slitpose_model::{Outcome, Pair, Photocurrents, Pose, Reading, Scene, Solver,
 use crate::common::{generator, normal, wide};
 
 mod faults;
+mod levels;
 mod motion;
 
 const PERIOD_S: f64 = 250e-6;

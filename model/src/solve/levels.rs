@@ -1,0 +1,280 @@
+//! What single emitters deviate from the common light level, followed while the tool moves.
+//!
+//! Emitters warm and age, each in its own way. The part that is common to all is an unknown of each frame
+//! ([`super::level`]). What is left of each changes slowly: a process of mean zero that forgets with a time constant
+//! (Uhlenbeck and Ornstein 1930), whose standard deviation is the tolerance of the scene. One frame says little of it,
+//! because pose and levels explain nearly the same currents; frames from many places tell them apart.
+//!
+//! A frame's whitened residuals are r = C·x + c·g + A·p + τ·A·v + n: deviations x, common level g, pose p, the motion v within
+//! the frame as far as it is not known, and noise of unit variance. A Kalman filter takes them one after another (Maybeck
+//! 1979, section 7.7), with a pose of which nothing is known beforehand, and what it then knows of x is kept. Currents are
+//! divided by 1 + x before their pose is found, and the variance of x counts as one of the emitter's gain.
+//!
+//! The errors of a calibrated model belong to a place. A frame from where the tool was before would bring the same errors as
+//! if they were new: it counts only once the tool has moved on.
+
+use heapless::Vec;
+
+use crate::entries::Scalar;
+use crate::pose::Rigid;
+use crate::scalar::{Linear3, Number};
+use crate::scene::{MAX_CELLS, Scene};
+
+use super::compiled::LEVEL_CELLS;
+use super::normal_equations::Workspace;
+use super::outcome::{Outcome, Solution};
+use super::readings::{Photocurrents, Reading, Sorted};
+use super::tracker::PoseTracker;
+use super::weights::{CellNoise, Row};
+
+/// How far the tool moves to a new place: the ripple of detectors is longer, the spot of a slit narrower.
+const NEW_PLACE_M: f64 = 0.5e-3;
+
+/// Seconds after which the same place counts again.
+const AGAIN_S: f64 = 10.0;
+
+/// Frames between two that count, so that a fast tool does not pay for it in each.
+const PAUSE_FRAMES: u64 = 8;
+
+/// Standard deviation of a pose of which nothing is known, in units of the head's length: wide against any pose, narrow
+/// enough that its square loses no digits.
+const ANYWHERE: f64 = 0.1;
+
+/// Unknowns beside the deviations: common level, pose, motion.
+const OTHERS: usize = 13;
+const UNKNOWNS: usize = MAX_CELLS + OTHERS;
+
+/// Whitened residual of one current, its derivatives by light level and scaled pose, and its exposure in units of the
+/// frame's duration.
+#[derive(Clone, Copy, Debug)]
+pub struct Observed<S> {
+    cell: usize,
+    by_level: S,
+    by_pose: [S; 6],
+    share: S,
+    residual: S,
+}
+
+/// What a frame says of levels, and the standard deviations of what is known of motion within it.
+#[derive(Clone, Debug)]
+pub struct Observation<S> {
+    rows: Vec<Observed<S>, { 2 * MAX_CELLS }>,
+    reach: [S; 2],
+    level_sigma: S,
+}
+
+/// Deviations of emitters, relative to the head's scene and the common level.
+#[derive(Clone, Debug)]
+pub struct Levels<S: Number> {
+    /// The emitter of each cell: cells that read one detector share it.
+    emitters: Vec<usize, MAX_CELLS>,
+    /// Variance of the gain of each cell's emitter by the scene alone.
+    gains: Vec<S, MAX_CELLS>,
+    /// Standard deviation and time constant in frames.
+    sigma: S,
+    frames: f64,
+    deviations: [S; MAX_CELLS],
+    covariance: [[S; MAX_CELLS]; MAX_CELLS],
+    /// The last frame that counted, and where the tool was.
+    counted: Option<(u64, Rigid<S>)>,
+    /// Up to which the process has been followed.
+    frame: u64,
+}
+
+impl<S: Number> Levels<S> {
+    /// Of a head of `scene` with frames `period_s` apart; `None`: its emitters do not drift.
+    pub fn of(scene: &Scene, noise: &[CellNoise<S>], period_s: f64) -> Option<Self> {
+        let sigma = S::of(scene.uncertainty.emitter_drift_relative);
+        if sigma <= S::zero() {
+            return None;
+        }
+        let emitters = scene
+            .cells
+            .iter()
+            .enumerate()
+            .map(|(number, cell)| cell.other_axis().map_or(number, |other| other.min(number)));
+        let mut covariance = [[S::zero(); MAX_CELLS]; MAX_CELLS];
+        (0..MAX_CELLS).for_each(|i| covariance[i][i] = sigma * sigma);
+        Some(Self {
+            emitters: emitters.collect(),
+            gains: noise.iter().map(|noise| noise.emitter_gain).collect(),
+            sigma,
+            frames: scene.uncertainty.emitter_drift_s / period_s,
+            deviations: [S::zero(); MAX_CELLS],
+            covariance,
+            counted: None,
+            frame: 0,
+        })
+    }
+
+    /// Relative variance of the light of each cell's emitter, without what is common to all: that each frame finds.
+    pub fn variances(&self) -> Vec<S, MAX_CELLS> {
+        let is_own = |(cell, emitter): (usize, &usize)| (cell == *emitter).then_some(cell);
+        let own: Vec<usize, MAX_CELLS> = self.emitters.iter().enumerate().filter_map(is_own).collect();
+        let per_emitter = S::of((own.len() as f64).recip());
+        let mean =
+            |of: &dyn Fn(usize) -> S| own.iter().fold(S::zero(), |sum, &emitter| sum + of(emitter)) * per_emitter;
+        let with_all = |row: usize| mean(&|column| self.covariance[row][column]);
+        let common = mean(&with_all);
+        // Of n deviations from their mean the variance is by 1/n too small.
+        let of = |&emitter: &usize| {
+            let from_mean = self.covariance[emitter][emitter] - S::two() * with_all(emitter) + common;
+            from_mean.at_least(S::zero()) / (S::one() - per_emitter)
+        };
+        self.emitters.iter().map(of).collect()
+    }
+
+    /// Relative deviation of each cell's emitter from the common level, and its standard deviation.
+    pub fn deviations(&self) -> Vec<[S; 2], MAX_CELLS> {
+        let of = |(variance, &emitter): (S, &usize)| [self.deviations[emitter], variance.root()];
+        self.variances().into_iter().zip(&self.emitters).map(of).collect()
+    }
+
+    /// The currents that emitters as in the scene would give.
+    pub fn corrected(&self, readings: &Photocurrents<S>) -> Photocurrents<S> {
+        let mut corrected = readings.clone();
+        for (reading, &emitter) in corrected.cells.iter_mut().zip(&self.emitters) {
+            if let Reading::Light(pair) = reading {
+                let factor = (S::one() + self.deviations[emitter]).recip();
+                (pair.i_x1_a, pair.i_x2_a) = (pair.i_x1_a * factor, pair.i_x2_a * factor);
+            }
+        }
+        corrected
+    }
+
+    /// Whether frame `frame`, with the tool at `pose`, counts.
+    fn is_new(&self, frame: u64, pose: &Rigid<S>, length_m: S, period_s: f64) -> bool {
+        let Some((last, place)) = &self.counted else { return true };
+        let frames = frame.wrapping_sub(*last);
+        let [shift, turn] = pose.displacement_from(place);
+        let moved = shift.length() + length_m * turn.length();
+        frames >= PAUSE_FRAMES && (moved >= S::of(NEW_PLACE_M) || frames as f64 * period_s >= AGAIN_S)
+    }
+
+    /// What the process does up to frame `frame`.
+    fn advance(&mut self, frame: u64) {
+        let frames = frame.saturating_sub(self.frame);
+        self.frame = frame;
+        let kept = S::of(libm::exp(-(frames as f64) / self.frames));
+        let added = self.sigma * self.sigma * (S::one() - kept * kept);
+        for i in 0..MAX_CELLS {
+            self.deviations[i] *= kept;
+            self.covariance[i].iter_mut().for_each(|element| *element = *element * kept * kept);
+            self.covariance[i][i] += added;
+        }
+    }
+
+    /// Takes what a frame says.
+    fn update(&mut self, observation: &Observation<S>) {
+        let count = self.emitters.len();
+        let size = count + OTHERS;
+        let mut state = [S::zero(); UNKNOWNS];
+        let mut covariance = [[S::zero(); UNKNOWNS]; UNKNOWNS];
+        for i in 0..count {
+            covariance[i][..count].copy_from_slice(&self.covariance[i][..count]);
+        }
+        let mut sigmas = [S::of(ANYWHERE); OTHERS];
+        sigmas[0] = observation.level_sigma;
+        (0..6).for_each(|axis| sigmas[7 + axis] = observation.reach[axis / 3]);
+        for (i, &sigma) in (count..size).zip(&sigmas) {
+            covariance[i][i] = sigma * sigma;
+        }
+        for row in &observation.rows {
+            let mut of = [S::zero(); UNKNOWNS];
+            of[self.emitters[row.cell]] = row.by_level;
+            of[count] = row.by_level;
+            for (axis, &by) in row.by_pose.iter().enumerate() {
+                (of[count + 1 + axis], of[count + 7 + axis]) = (by, row.share * by);
+            }
+            let product = |a: &[S; UNKNOWNS], b: &[S; UNKNOWNS]| (0..size).fold(S::zero(), |sum, i| sum + a[i] * b[i]);
+            let mut gain = [S::zero(); UNKNOWNS];
+            (0..size).for_each(|i| gain[i] = product(&covariance[i], &of));
+            let per_variance = (S::one() + product(&of, &gain)).recip();
+            let innovation = (row.residual - product(&of, &state)) * per_variance;
+            for i in 0..size {
+                state[i] += gain[i] * innovation;
+                let share = gain[i] * per_variance;
+                (0..size).for_each(|j| covariance[i][j] -= share * gain[j]);
+            }
+        }
+        for i in 0..count {
+            self.deviations[i] += state[i];
+            self.covariance[i][..count].copy_from_slice(&covariance[i][..count]);
+        }
+    }
+}
+
+impl<S: Scalar> PoseTracker<S> {
+    /// Takes what frame `frame` with these `readings`, already corrected, says of `levels`, if it says anything new.
+    pub(crate) fn observe_levels(
+        &mut self,
+        levels: &mut Levels<S>,
+        frame: u64,
+        readings: &Photocurrents<S>,
+        solution: &Solution<S>,
+    ) {
+        let length_m = self.solver().compiled.length_scale_m;
+        if solution.outcome != Outcome::Converged
+            || solution.cells_used.count() < LEVEL_CELLS
+            || !levels.is_new(frame, &solution.rigid, length_m, self.period_s())
+        {
+            return;
+        }
+        levels.advance(frame);
+        self.set_emitter_gains(&levels.gains);
+        if let Some(observation) = S::observe(self, readings, solution) {
+            levels.update(&observation);
+            levels.counted = Some((frame, solution.rigid));
+        }
+        self.allow_for(levels);
+    }
+
+    /// Counts what is not known of `levels` as a variance of each emitter's gain.
+    pub(crate) fn allow_for(&mut self, levels: &Levels<S>) {
+        let of = |((&gain, variance), number): ((&S, S), usize)| {
+            // As shot noise: see [`CellNoise::compile`].
+            let readers = levels.emitters.iter().filter(|&&emitter| emitter == levels.emitters[number]).count();
+            gain + variance * S::of(readers as f64)
+        };
+        let gains: Vec<S, MAX_CELLS> = levels.gains.iter().zip(levels.variances()).zip(0..).map(of).collect();
+        self.set_emitter_gains(&gains);
+    }
+
+    /// Takes single emitters for as well known as the scene says, as if no levels were followed.
+    pub(crate) fn without(mut self, levels: &Levels<S>) -> Self {
+        self.set_emitter_gains(&levels.gains);
+        self
+    }
+
+    fn set_emitter_gains(&mut self, gains: &[S]) {
+        let noise = &mut self.solver_mut().compiled.noise;
+        noise.iter_mut().zip(gains).for_each(|(noise, &gain)| noise.emitter_gain = gain);
+    }
+
+    #[inline(always)]
+    pub(crate) fn observe_here(&self, readings: &Photocurrents<S>, solution: &Solution<S>) -> Option<Observation<S>> {
+        let compiled = &self.solver().compiled;
+        let mut sorted = Sorted::of(readings, &compiled.limits);
+        let level_sigma = match compiled.level_information(sorted.usable.len()) {
+            Some(information) => information.inverse_root(),
+            None => return None,
+        };
+        sorted.divide_by(self.light_level()?);
+        let motion = self.expected_motion()?;
+        let workspace = &mut Workspace::new();
+        let problem = compiled.problem(&sorted, &motion);
+        problem.linearise(&solution.rigid.to_transform(), workspace);
+        let duration = compiled.duration_s();
+        let reach = [motion.sigmas[0] * duration / compiled.length_scale_m, motion.sigmas[1] * duration];
+        let mut rows = Vec::new();
+        for (reading, pair) in sorted.usable.iter().zip(&workspace.rows) {
+            let share = compiled.offsets_s.get(reading.cell).map_or(S::zero(), |&offset| offset / duration);
+            for row in pair {
+                let &Row { by_pose, by_level, residual } = row;
+                // Two of each cell.
+                let _ = rows.push(Observed { cell: reading.cell, by_level, by_pose, share, residual });
+            }
+        }
+        Some(Observation { rows, reach, level_sigma })
+    }
+}
