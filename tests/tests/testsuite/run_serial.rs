@@ -145,13 +145,20 @@ fn an_interrupt_stops_the_board_and_prints_all_it_took() {
         signals.iter().for_each(|by| signal(&child, *by));
         stdout.read_to_string(&mut text).expect("UTF-8");
         let finished = Finished::of(child);
-        assert_eq!((finished.code, finished.stderr.as_str()), (0, ""), "{first}");
+        assert_eq!(finished.code, 0, "{first}: {}", finished.stderr);
         let lines = ndjson::parse(&text);
         assert_followed(&lines);
-        let log = terminal.closed();
+        let (path, log) = (terminal.path.clone(), terminal.closed());
         assert_eq!(log.commands().last(), Some(&Command::Stop), "{first}");
-        assert_eq!(lines.len(), decode(&log.sent).scans.len(), "{first}");
-        assert!(slitpose!().run(["replay", record]).done() == text, "{first}: the capture has other poses");
+        let sent = decode(&log.sent).scans.len();
+        // A busy processor leaves scans that wait; they are counted, and in the capture.
+        let waited = sent - lines.len();
+        let said =
+            format!("slitpose: {path}: {waited} of {sent} scans were not solved: they waited at the interrupt\n");
+        assert_eq!(finished.stderr, if waited == 0 { "" } else { said.as_str() }, "{first}");
+        let replayed = slitpose!().run(["replay", record]).done();
+        assert!(replayed.starts_with(&text), "{first}: the capture has other poses");
+        assert_eq!(replayed.lines().count(), sent, "{first}");
     }
 }
 

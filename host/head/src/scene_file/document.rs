@@ -118,10 +118,12 @@ impl<'a> Document<'a> {
         self.root.contains_key(section)
     }
 
-    /// Whether a section has no other keys than these.
+    /// Whether a section has keys, and no others than these.
     pub(super) fn has_only(&self, section: &str, keys: &[&str]) -> bool {
         let table = self.root.get(section).and_then(table_of);
-        table.is_some_and(|table| table.iter().all(|(key, _)| keys.contains(&key.get_ref().as_ref())))
+        table.is_some_and(|table| {
+            !table.is_empty() && table.iter().all(|(key, _)| keys.contains(&key.get_ref().as_ref()))
+        })
     }
 
     /// Whether a section is in the file, or of its own in a cell.
