@@ -36,6 +36,12 @@ const AGAIN_S: f64 = 10.0;
 /// Frames between two that count, so that a fast tool does not pay for it in each.
 const PAUSE_FRAMES: u64 = 8;
 
+/// Frames over which those that contradict the head are counted: with more than this share of them some part of it is not as
+/// the scene says, and levels learn nothing; a cell that most of them exclude may have an emitter that changed at once.
+const TROUBLE_FRAMES: f64 = 64.0;
+const TROUBLED: f64 = 0.05;
+const MOSTLY: f64 = 0.5;
+
 /// Standard deviation of a pose of which nothing is known, in units of the head's length: wide against any pose, narrow
 /// enough that its square loses no digits.
 const ANYWHERE: f64 = 0.1;
@@ -75,6 +81,8 @@ pub struct Levels<S: Number> {
     frames: f64,
     deviations: [S; MAX_CELLS],
     covariance: [[S; MAX_CELLS]; MAX_CELLS],
+    /// Share of the last frames whose poses are not converged.
+    trouble: S,
     /// The last frame that counted, and where the tool was.
     counted: Option<(u64, Rigid<S>)>,
     /// Up to which the process has been followed.
@@ -102,6 +110,7 @@ impl<S: Number> Levels<S> {
             frames: scene.uncertainty.emitter_drift_s / period_s,
             deviations: [S::zero(); MAX_CELLS],
             covariance,
+            trouble: S::zero(),
             counted: None,
             frame: 0,
         })
@@ -149,6 +158,14 @@ impl<S: Number> Levels<S> {
         let [shift, turn] = pose.displacement_from(place);
         let moved = shift.length() + length_m * turn.length();
         frames >= PAUSE_FRAMES && (moved >= S::of(NEW_PLACE_M) || frames as f64 * period_s >= AGAIN_S)
+    }
+
+    /// Forgets what is known of the emitter of `cell`.
+    fn forget(&mut self, cell: usize) {
+        let emitter = self.emitters[cell];
+        self.covariance[emitter] = [S::zero(); MAX_CELLS];
+        self.covariance.iter_mut().for_each(|row| row[emitter] = S::zero());
+        self.covariance[emitter][emitter] = self.sigma * self.sigma;
     }
 
     /// What the process does up to frame `frame`.
@@ -214,7 +231,15 @@ impl<S: Scalar> PoseTracker<S> {
         solution: &Solution<S>,
     ) {
         let length_m = self.solver().compiled.length_scale_m;
-        if solution.outcome != Outcome::Converged
+        let is_converged = solution.outcome == Outcome::Converged;
+        let now = if is_converged { S::zero() } else { S::one() };
+        levels.trouble += (now - levels.trouble) * S::of(TROUBLE_FRAMES.recip());
+        if let Some(cell) = solution.excluded.iter().next().filter(|_| levels.trouble > S::of(MOSTLY)) {
+            levels.forget(cell);
+            self.allow_for(levels);
+        }
+        if !is_converged
+            || levels.trouble > S::of(TROUBLED)
             || solution.cells_used.count() < LEVEL_CELLS
             || !levels.is_new(frame, &solution.rigid, length_m, self.period_s())
         {

@@ -83,3 +83,19 @@ fn a_tool_at_rest_says_little_of_its_emitters() {
     println!("σ at rest {rest:.2e} m, in motion {moving:.2e} m");
     assert!(rest > 1.2 * moving);
 }
+
+/// An emitter that changes at once contradicts the others, which know by then how bright it was: what was known is forgotten.
+#[test]
+fn an_emitter_that_changes_at_once_is_followed_again() {
+    let motion = |time_s: f64| swing_at(time_s, 0.25);
+    let (mut rig, mut same) = drifted([1.0; 6], true);
+    judged(&mut rig, &mut same, 4000, motion);
+    let (_, mut dim) = drifted([1.0, 1.0, 0.985, 1.0, 1.0, 1.0], true);
+    let outcomes: Vec<Outcome> = (0..2000).map(|_| faulty(&mut rig, motion, &mut dim).0.solution.outcome).collect();
+    let excluded = |outcomes: &[Outcome]| outcomes.iter().filter(|&&outcome| outcome != Outcome::Converged).count();
+    println!("{} of 64 frames after the change are not converged", excluded(&outcomes[..64]));
+    assert!(excluded(&outcomes[..64]) > 32);
+    assert_eq!(excluded(&outcomes[1000..]), 0);
+    let [_, nees] = judged(&mut rig, &mut dim, 2000, motion);
+    assert!((0.75..1.25).contains(&nees), "{nees}");
+}
