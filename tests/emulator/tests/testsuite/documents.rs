@@ -1,5 +1,4 @@
-//! What documents, scenes and programs beside the image say, against numbers from outside the project; and the table of those
-//! numbers that readers want (`tests/data/stm32g474/README.md`).
+//! What documents, scenes and programs beside the image say, against numbers from outside the project.
 
 use crate::common::{Wire, pin, wires};
 use slitpose_emulator::facts::{self, number};
@@ -46,75 +45,6 @@ fn detectors_are_those_of_the_data_sheet() {
     let ranges = [["R_ie_least", "R_ie", "R_ie_most"], ["position_error", "position_error", "position_error_most"]];
     for range in ranges {
         assert!(range.map(|name| number(&format!("S3932_{name}"))).is_sorted());
-    }
-}
-
-/// Whether `name` is the fact that `pattern` means, in which `*` and `?` stand for anything.
-fn means(pattern: &str, name: &str) -> bool {
-    let mut parts = pattern.split(['*', '?']);
-    let first = parts.next().expect("a pattern");
-    let Some(mut rest) = name.strip_prefix(first) else { return false };
-    let Some(last) = parts.next_back() else { return rest.is_empty() };
-    for part in parts {
-        match rest.find(part) {
-            Some(at) => rest = &rest[at + part.len()..],
-            None => return false,
-        }
-    }
-    rest.ends_with(last)
-}
-
-/// The table that readers want stays the table that tests use.
-#[test]
-fn the_readers_table_names_every_fact_and_tests_that_exist() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
-    let page = std::fs::read_to_string(root.join("tests/data/stm32g474/README.md")).expect("the page");
-    let table = page.split_once("| fact | source |").expect("the table").1;
-    let rows: Vec<Vec<&str>> = table
-        .lines()
-        .skip(2)
-        .take_while(|row| row.starts_with('|'))
-        .map(|row| row.trim_matches('|').split('|').map(str::trim).collect())
-        .collect();
-    let code = |cell: &str| cell.split('`').skip(1).step_by(2).map(str::to_owned).collect::<Vec<_>>();
-    let patterns: Vec<_> = rows.iter().flat_map(|row| code(row[0])).collect();
-    for fact in facts::all() {
-        assert!(patterns.iter().any(|pattern| means(pattern, fact.name)), "no row for `{}`", fact.name);
-    }
-    for pattern in &patterns {
-        assert!(facts::all().any(|fact| means(pattern, fact.name)), "no fact for `{pattern}`");
-    }
-    let of_headers = facts::all().filter(|fact| !fact.source.contains(' ') || fact.source.starts_with("HAL "));
-    let of_headers = of_headers.filter(|fact| fact.source.contains(':') && !fact.source.contains([';', '('])).count();
-    let share = format!("{of_headers} of {}", facts::all().count());
-    assert!(page.contains(&share), "rows that check.py compares: {share}");
-    for row in &rows {
-        let [_, source, image, emulator, test] = row[..] else { panic!("{row:?}") };
-        assert!([source, image, emulator, test].iter().all(|cell| !cell.is_empty()), "{row:?}");
-        for (cell, folders) in [
-            (
-                image,
-                &[
-                    "firmware/src/bin/slitpose-board",
-                    "firmware/src/pcb",
-                    "firmware/src",
-                    "firmware",
-                    "host/head/scenes",
-                ][..],
-            ),
-            (emulator, &["tests/emulator/src", "tests/emulator/src/peripherals"]),
-        ] {
-            for file in code(cell) {
-                assert!(folders.iter().any(|folder| root.join(folder).join(&file).exists()), "`{file}` of {row:?}");
-            }
-        }
-        for test in code(test) {
-            let (file, name) = test.split_once("::").expect("file and test");
-            let folders = ["tests/emulator/tests/testsuite", "tests/emulator/src/peripherals", "tests/emulator/src"];
-            let mut sources =
-                folders.iter().filter_map(|folder| std::fs::read_to_string(root.join(folder).join(file)).ok());
-            assert!(sources.any(|source| source.contains(&format!("fn {name}("))), "`{test}` of {row:?}");
-        }
     }
 }
 
