@@ -5,7 +5,7 @@ use std::fmt;
 
 use slitpose_model::{Outcome, Solution};
 
-use crate::consistency::{error, sigma};
+use crate::consistency::error;
 use crate::poses::{self, PoseRow};
 use crate::studies::Table;
 
@@ -37,7 +37,7 @@ impl Case {
 
     /// Errors in units of the reported σ.
     fn sigmas(&self) -> Option<[f64; 6]> {
-        let sigma = sigma(&self.solution.estimate?.covariance);
+        let sigma = self.solution.estimate?.sigma();
         self.error.map(|error| std::array::from_fn(|axis| error[axis] / sigma[axis]))
     }
 

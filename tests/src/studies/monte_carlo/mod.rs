@@ -12,7 +12,7 @@ use slitpose_model::{AXES, MotionPrior, Outcome, Photocurrents, Scene, Solver, S
 
 use super::trials::{Disturbance, HALF, Trials, any_pose, lit_pose};
 use super::{Table, Verdicts};
-use crate::consistency::{median, nees, sigma};
+use crate::consistency::median;
 use crate::poses::pose;
 use case::{Case, Kind, Tally, print_failures};
 
@@ -205,15 +205,16 @@ fn efficient(name: &str, scene: &Scene, half: [f64; 2], trials: Trials, verdicts
     let right: Vec<(&Case, [f64; 6])> = solved
         .iter()
         .filter(|(case, _)| case.by_sigmas() == Kind::Right)
-        .filter_map(|(case, bound)| Some((case, sigma(bound.as_ref()?))))
+        .filter_map(|(case, bound)| {
+            let bound = bound.as_ref()?;
+            Some((case, std::array::from_fn(|axis| bound[axis][axis].sqrt())))
+        })
         .collect();
     let mean = |value: &dyn Fn(&Case, &[f64; 6]) -> f64| {
         right.iter().map(|(case, bound)| value(case, bound)).sum::<f64>() / right.len() as f64
     };
-    let own_nees = mean(&|case, _| match (case.error, case.solution.estimate) {
-        (Some(error), Some(estimate)) => nees(&error, &estimate.covariance),
-        _ => 0.0,
-    });
+    let nees = |case: &Case| case.solution.estimate.and_then(|estimate| estimate.nees(&pose(case.truth)));
+    let own_nees = mean(&|case, _| nees(case).unwrap_or(0.0));
     let bound = std::array::from_fn(|axis| median(right.iter().map(|(_, bound)| bound[axis])));
     println!("efficiency, {name}, paper tier, ±{half:?} mm and °, all cells lit, noise of the scene, {trials:?}");
     // A root mean square of n normal numbers scatters by 1/√(2n), the mean of n χ² of six degrees by √(12/n).
