@@ -2,10 +2,7 @@
 
 use glam::DQuat;
 use serde_json::{Map, Value};
-use slitpose_model::Pose;
-
-use crate::consistency;
-use crate::consistency::Matrix6;
+use slitpose_model::{Estimate, Pose};
 
 const WITH_POSE: [&str; 2] = ["converged", "degraded"];
 
@@ -24,7 +21,7 @@ pub struct Line {
     /// `status`.
     pub status: String,
     /// `translation_m`, `rotation_xyzw` and `covariance`.
-    pub estimate: Option<(Pose, Matrix6)>,
+    pub estimate: Option<Estimate>,
     /// `cells_used`.
     pub cells_used: u64,
     /// `truth`.
@@ -32,10 +29,9 @@ pub struct Line {
 }
 
 impl Line {
-    /// The error of the pose and its covariance, where pose and truth are known.
-    pub fn error(&self) -> Option<([f64; 6], Matrix6)> {
-        let ((pose, covariance), truth) = (self.estimate?, self.truth?);
-        Some((consistency::error(&pose, &truth), covariance))
+    /// The pose and the true one, where both are known.
+    pub fn beside_truth(&self) -> Option<(Estimate, Pose)> {
+        Some((self.estimate?, self.truth?))
     }
 }
 
@@ -79,7 +75,7 @@ fn parse_line(text: &str, simulated: bool) -> Result<Line, String> {
     }
     let estimate = if has_pose {
         let pose = pose(get("translation_m")?, get("rotation_xyzw")?)?;
-        Some((pose, covariance(get("covariance")?)?))
+        Some(Estimate { pose, covariance: covariance(get("covariance")?)? })
     } else {
         for key in ["translation_m", "rotation_xyzw", "covariance"] {
             if !get(key)?.is_null() {
@@ -119,9 +115,9 @@ fn pose(translation_m: &Value, rotation_xyzw: &Value) -> Result<Pose, String> {
     Ok(Pose { rotation, translation_m: numbers(translation_m)?.into() })
 }
 
-fn covariance(value: &Value) -> Result<Matrix6, String> {
+fn covariance(value: &Value) -> Result<[[f64; 6]; 6], String> {
     let flat: [f64; 36] = numbers(value)?;
-    let matrix: Matrix6 = std::array::from_fn(|i| std::array::from_fn(|j| flat[6 * i + j]));
+    let matrix: [[f64; 6]; 6] = std::array::from_fn(|i| std::array::from_fn(|j| flat[6 * i + j]));
     for i in 0..6 {
         if matrix[i][i] <= 0.0 {
             return Err(format!("variance {i} is {}", matrix[i][i]));

@@ -105,8 +105,6 @@ form("adr_add", "11110i10000011110iiiddddiiiiiiii")
 form("adr_sub", "11110i10101011110iiiddddiiiiiiii")
 form("movw", "11110i100100iiii0iiiddddiiiiiiii")
 form("movt", "11110i101100iiii0iiiddddiiiiiiii")
-form("ssat", "1111001100s0nnnn0iiiddddii0bbbbb", lambda r, f, s: not (f["s"] and f["i"] == 0))
-form("usat", "1111001110s0nnnn0iiiddddii0bbbbb", lambda r, f, s: not (f["s"] and f["i"] == 0))
 form("sbfx", "111100110100nnnn0iiiddddii0wwwww", lambda r, f, s: f["i"] + f["w"] <= 31)
 form("ubfx", "111100111100nnnn0iiiddddii0wwwww", lambda r, f, s: f["i"] + f["w"] <= 31)
 form("bfi", "111100110110nnnn0iiiddddii0bbbbb", lambda r, f, s: f["b"] >= f["i"])
@@ -116,11 +114,7 @@ for number, name in enumerate(["lsl", "lsr", "asr", "ror"]):
 for number, name in enumerate(["xtah", "uxtah", "sxtab16", "uxtab16", "sxtab", "uxtab"]):
     form(name, f"11111010{number:04b}nnnn1111dddd10rrmmmm")
     form(name + "_plain", f"11111010{number:04b}11111111dddd10rrmmmm")
-for op in (0, 1, 4, 5):
-    for kind in (1, 5):
-        form(f"lanes_{op}_{kind}", f"111110101{op:03b}nnnn1111dddd{kind:04b}mmmm")
-for number, name in enumerate(["qadd", "qdadd", "qsub", "qdsub"]):
-    form(name, f"111110101000nnnn1111dddd10{number:02b}mmmm")
+form("uqsub8", "111110101100nnnn1111dddd0101mmmm")
 for number, name in enumerate(["rev", "rev16", "rbit", "revsh"]):
     form(name + "_w", f"111110101001mmmm1111dddd10{number:02b}nnnn",
          lambda r, f, s: f.__setitem__("m", f["n"]) is None)
@@ -132,11 +126,8 @@ form("mla", "111110110000nnnnaaaadddd0000mmmm")
 form("mls", "111110110000nnnnaaaadddd0001mmmm")
 form("smlaxy", "111110110001nnnnaaaadddd00xymmmm")
 form("smulxy", "111110110001nnnn1111dddd00xymmmm")
-form("smmla", "111110110101nnnnaaaadddd000xmmmm")
-form("smmul", "111110110101nnnn1111dddd000xmmmm")
-form("smmls", "111110110110nnnnaaaadddd000xmmmm")
 LONG = [("smull", "000", "0000"), ("umull", "010", "0000"), ("smlal", "100", "0000"),
-        ("umlal", "110", "0000"), ("umaal", "110", "0110")]
+        ("umlal", "110", "0000")]
 for name, op, low in LONG:
     form(name, f"111110111{op}nnnnaaaadddd{low}mmmm", differ("a", "d"))
 form("sdiv", "111110111001nnnn1111dddd1111mmmm")

@@ -52,16 +52,6 @@ pub fn open_pose_image() -> Result<Image, OpenError> {
     open_built(&image_path("slitpose-board-pose"))
 }
 
-/// The ELF files of both images as `firmware/build` made them last: the default one, and the one that solves poses.
-pub fn built_files() -> Result<[Vec<u8>; 2], OpenError> {
-    let read = |path: PathBuf| {
-        let file = std::fs::read(&path).map_err(|source| OpenError::Read { path: path.clone(), source })?;
-        check_sources(&path)?;
-        Ok::<_, OpenError>(file)
-    };
-    Ok([read(image_path("slitpose-board"))?, read(image_path("slitpose-board-pose"))?])
-}
-
 fn open_built(path: &Path) -> Result<Image, OpenError> {
     let image = read_image(path)?;
     check_sources(path)?;

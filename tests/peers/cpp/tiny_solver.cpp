@@ -1,6 +1,4 @@
 // A pose by ceres::TinySolver with automatic derivatives, and its covariance.
-//
-// Compiled once for every set of compiler options; build.rs names the function.
 
 #include "ceres/tiny_solver.h"
 
@@ -59,7 +57,7 @@ class Recorded {
 
 }  // namespace
 
-extern "C" void SOLVE(const Cell* cells, const Reading* readings, const Pose* start, const Options* options,
+extern "C" void tiny_solver(const Cell* cells, const Reading* readings, const Pose* start, const Options* options,
                       Answer* answer) {
   const Eigen::Map<const Eigen::Quaterniond> rotation(start->rotation);
   const Eigen::Map<const Eigen::Vector3d> translation(start->translation);

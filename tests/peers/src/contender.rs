@@ -5,9 +5,9 @@ use std::hint::black_box;
 use slitpose_model::{Photocurrents, Pose, Scene, SceneError};
 
 use crate::levenberg_marquardt;
-use crate::ours::{Ours, Planes};
+use crate::ours::Ours;
 use crate::problems::{Kind, Problem};
-use crate::tiny_solver::{Build, TinySolver};
+use crate::tiny_solver::TinySolver;
 
 #[derive(Clone, Copy, Debug)]
 pub struct Answer {
@@ -46,12 +46,9 @@ pub trait Contender {
 
 /// All that take part in problems of `kind`; the first is the measure of the others.
 pub fn all(scene: &Scene, kind: Kind) -> Result<Vec<Box<dyn Contender>>, SceneError> {
-    let mut contenders: Vec<Box<dyn Contender>> = vec![Box::new(Ours::new(scene, kind)?)];
-    if kind.starts_on_planes() {
-        contenders.push(Box::new(Planes::new(scene)?));
-    }
-    contenders.push(Box::new(TinySolver::new(scene, Build::Portable)));
-    contenders.push(Box::new(TinySolver::new(scene, Build::Native)));
-    contenders.push(Box::new(levenberg_marquardt::Crate::new(scene)?));
-    Ok(contenders)
+    Ok(vec![
+        Box::new(Ours::new(scene, kind)?),
+        Box::new(TinySolver::new(scene)),
+        Box::new(levenberg_marquardt::Crate::new(scene)?),
+    ])
 }

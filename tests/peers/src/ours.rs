@@ -1,6 +1,6 @@
 //! slitpose itself.
 
-use slitpose_model::{MotionPrior, Scene, SceneError, Solution, Solver, Start, Tier};
+use slitpose_model::{MotionPrior, Scene, SceneError, Solver, Start, Tier};
 
 use crate::contender::{Answer, Contender};
 use crate::problems::{Kind, Problem};
@@ -24,41 +24,13 @@ impl Contender for Ours {
     }
 
     fn solve(&self, problem: &Problem) -> Answer {
-        let solution = if self.cold {
-            self.solver.solve(&problem.readings, Start::Cold, &MotionPrior::AT_REST)
-        } else {
-            self.solver.solve(&problem.readings, Start::Near(&problem.start), &MotionPrior::AT_REST)
+        let start = if self.cold { Start::Cold } else { Start::Near(&problem.start) };
+        let solution = self.solver.solve(&problem.readings, start, &MotionPrior::AT_REST);
+        // A solve without a pose counts as one that stayed where it was.
+        let (pose, covariance) = match &solution.estimate {
+            Some(estimate) => (estimate.pose, estimate.covariance),
+            None => (problem.start, [[f64::NAN; 6]; 6]),
         };
-        answer(&solution, problem)
-    }
-}
-
-/// slitpose's solver, stopped at the pose on the planes: what the peers' better start costs.
-pub struct Planes {
-    solver: Solver<f64>,
-}
-
-impl Planes {
-    /// For cold problems.
-    pub fn new(scene: &Scene) -> Result<Self, SceneError> {
-        Ok(Self { solver: Solver::new(scene, Tier::Paper)? })
-    }
-}
-
-impl Contender for Planes {
-    fn name(&self) -> &'static str {
-        "slitpose-planes"
-    }
-
-    fn solve(&self, problem: &Problem) -> Answer {
-        answer(&self.solver.solve(&problem.readings, Start::PlanesOnly, &MotionPrior::AT_REST), problem)
-    }
-}
-
-/// A solve without a pose counts as one that stayed where it was.
-fn answer(solution: &Solution, problem: &Problem) -> Answer {
-    match &solution.estimate {
-        Some(estimate) => Answer { pose: estimate.pose, covariance: estimate.covariance, steps: solution.iterations },
-        None => Answer { pose: problem.start, covariance: [[f64::NAN; 6]; 6], steps: solution.iterations },
+        Answer { pose, covariance, steps: solution.iterations }
     }
 }

@@ -58,11 +58,6 @@ impl Kind {
         matches!(self, Self::Cold | Self::Planes | Self::ColdNoisy | Self::HomeNoisy)
     }
 
-    /// Whether peers are given the pose on the planes.
-    pub fn starts_on_planes(self) -> bool {
-        matches!(self, Self::Planes | Self::ColdNoisy)
-    }
-
     fn is_noisy(self) -> bool {
         matches!(self, Self::ColdNoisy | Self::HomeNoisy | Self::WarmNoisy)
     }

@@ -82,50 +82,25 @@ struct RawAnswer {
     iterations: c_int,
 }
 
-type Solve = unsafe extern "C" fn(*const Cell, *const Weighted, *const RawPose, *const Options, *mut RawAnswer);
-
 unsafe extern "C" {
-    fn tiny_solver_portable(
+    fn tiny_solver(
         cells: *const Cell,
         readings: *const Weighted,
         start: *const RawPose,
         options: *const Options,
         answer: *mut RawAnswer,
     );
-    fn tiny_solver_native(
-        cells: *const Cell,
-        readings: *const Weighted,
-        start: *const RawPose,
-        options: *const Options,
-        answer: *mut RawAnswer,
-    );
-}
-
-/// What the C++ is compiled for.
-#[derive(Clone, Copy)]
-pub enum Build {
-    /// Any x86-64.
-    Portable,
-    Native,
 }
 
 pub struct TinySolver {
-    name: &'static str,
-    solve: Solve,
     cells: [Cell; CELLS],
     noise: [CellNoise; CELLS],
     options: Options,
 }
 
 impl TinySolver {
-    pub fn new(scene: &Scene, build: Build) -> Self {
-        let (name, solve): (_, Solve) = match build {
-            Build::Portable => ("TinySolver", tiny_solver_portable),
-            Build::Native => ("TinySolver-native", tiny_solver_native),
-        };
+    pub fn new(scene: &Scene) -> Self {
         Self {
-            name,
-            solve,
             cells: core::array::from_fn(|cell| Cell::of(&scene.cells[cell])),
             noise: CellNoise::of(scene),
             options: Options {
@@ -143,7 +118,7 @@ impl TinySolver {
 
 impl Contender for TinySolver {
     fn name(&self) -> &'static str {
-        self.name
+        "TinySolver"
     }
 
     fn solve(&self, problem: &Problem) -> Answer {
@@ -154,7 +129,7 @@ impl Contender for TinySolver {
         let mut answer = RawAnswer { pose: start, covariance: [[0.0; 6]; 6], iterations: 0 };
         let readings: [Weighted; CELLS] = core::array::from_fn(|cell| self.noise[cell].weigh(&problem.pairs[cell]));
         // SAFETY: six cells and six readings, as C++ lays them out, alive until it returns.
-        unsafe { (self.solve)(self.cells.as_ptr(), readings.as_ptr(), &start, &self.options, &mut answer) };
+        unsafe { tiny_solver(self.cells.as_ptr(), readings.as_ptr(), &start, &self.options, &mut answer) };
         Answer {
             pose: Pose {
                 rotation: DQuat::from_array(answer.pose.rotation),

@@ -4,17 +4,13 @@
 //! | study | question |
 //! |---|---|
 //! | [`monte_carlo`] | are poses and covariances right over many random poses? |
-//! | [`lit_cells`] | does no scan cost a tracker more than its budget, whatever its head sees? |
 //! | [`faults`] | is each kind of injected fault noticed, and what does it cost? |
 //! | [`latency`] | how long does a pose take from a board's bytes to a control loop in C? |
 //! | [`storm`] | is nothing lost silently, and does nothing grow, with several boards for a long time, in fair weather and foul? |
 //! | [`replug`] | does a board that goes in all manners come back? |
-//! | [`hour`] | how fast are long captures solved, and in how much memory? |
 
 pub mod faults;
-pub mod hour;
 pub mod latency;
-pub mod lit_cells;
 pub mod monte_carlo;
 pub mod replug;
 pub mod scan_table;
@@ -34,9 +30,6 @@ pub enum Study {
     /// Poses and covariances over many random poses; half an hour with `--count 100000`
     #[command(name = "monte_carlo")]
     MonteCarlo(monte_carlo::Conditions),
-    /// What each scan costs a tracker, whatever the head sees
-    #[command(name = "lit_cells")]
-    LitCells(lit_cells::Options),
     /// Every kind of fault against the whole chain
     Faults(faults::Options),
     /// Time from a board's bytes to a control loop in C
@@ -46,8 +39,6 @@ pub enum Study {
     Storm(storm::Conditions),
     /// A board that goes in all manners and comes back at another port
     Replug(replug::Conditions),
-    /// Long captures, fast and in little memory
-    Hour(hour::Conditions),
 }
 
 impl Study {
@@ -55,12 +46,10 @@ impl Study {
     pub fn run(&self, slitpose: Slitpose) -> Verdicts {
         match self {
             Self::MonteCarlo(conditions) => monte_carlo::study(conditions),
-            Self::LitCells(options) => lit_cells::study(options),
             Self::Faults(options) => faults::study(options),
             Self::Latency(conditions) => latency::study(slitpose, conditions),
             Self::Storm(conditions) => storm::study(slitpose, conditions),
             Self::Replug(conditions) => replug::study(slitpose, conditions),
-            Self::Hour(conditions) => hour::study(slitpose, conditions),
         }
     }
 }

@@ -9,7 +9,6 @@
 
 use std::thread;
 
-use glam::DVec3;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -103,16 +102,6 @@ impl Disturbance {
     pub fn measured(&self, pairs: &[Pair<f64>], rng: &mut ChaCha8Rng) -> Photocurrents {
         Photocurrents::of_pairs(self.cells.iter().zip(pairs).map(|(cell, pair)| cell.measure(*pair, rng)))
     }
-
-    /// `difference` in uncorrelated units of σ of cell `cell` at `pair`: its length is the
-    /// Mahalanobis norm.
-    pub fn whiten(&self, cell: usize, pair: Pair<f64>, difference: [f64; 2]) -> [f64; 2] {
-        let [[first, mixed], [_, second]] = self.cells[cell].covariance(pair);
-        let sigma = first.sqrt();
-        let lean = mixed / sigma;
-        let x = difference[0] / sigma;
-        [x, (difference[1] - lean * x) / (second - lean * lean).sqrt()]
-    }
 }
 
 impl CellDisturbance {
@@ -130,39 +119,11 @@ impl CellDisturbance {
             i_x2_a: second * (1.0 + shot) - johnson + self.converter_a * normal(rng),
         }
     }
-
-    /// Covariance of what [`Self::measure`] makes of `pair`, A².
-    fn covariance(&self, pair: Pair<f64>) -> [[f64; 2]; 2] {
-        let (a, b, total) = (pair.i_x1_a, pair.i_x2_a, pair.total_a());
-        let common = self.emitter_gain.powi(2)
-            + if total > 0.0 { self.shot_a * (total + self.dark_a) / (total * total) } else { 0.0 };
-        let opposed = self.johnson_a.powi(2);
-        let own = |current_a: f64| self.converter_a.powi(2) + (self.electrode_gain * current_a).powi(2);
-        [
-            [common * a * a + opposed + own(a), common * a * b - opposed],
-            [common * a * b - opposed, common * b * b + opposed + own(b)],
-        ]
-    }
 }
 
 /// The photocurrents of all cells at `pose`, undisturbed.
 pub fn pairs(plan: &CompiledScene<f64>, pose: &Pose) -> Vec<Pair<f64>> {
     (0..plan.cell_count()).map(|cell| plan.photocurrents(cell, pose)).collect()
-}
-
-/// The same where each cell's detector and slit are off by `position_m` along each axis, drawn anew: they
-/// see the emitter off the other way.
-pub fn displaced_pairs(
-    plan: &CompiledScene<f64>,
-    pose: &Pose,
-    position_m: f64,
-    rng: &mut ChaCha8Rng,
-) -> Vec<Pair<f64>> {
-    let mut displaced = || {
-        let off_m = DVec3::from_array([0; 3].map(|_| position_m * normal(rng)));
-        Pose { translation_m: pose.translation_m - off_m, ..*pose }
-    };
-    (0..plan.cell_count()).map(|cell| plan.photocurrents(cell, &displaced())).collect()
 }
 
 /// A random pose of a box, and its currents.

@@ -10,7 +10,7 @@ use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_model::{Outcome, Pose, Solver, Tracker};
 use slitpose_protocol::{Hashes, PoseStatus};
 use slitpose_tests::capture::{Decoded, STREAM, capture, decode};
-use slitpose_tests::consistency::{Sorted, error, worst_axis};
+use slitpose_tests::consistency::{Sorted, worst_axis};
 
 /// Of noise and motion.
 const SEED: u64 = 17;
@@ -72,7 +72,7 @@ impl Difference {
                 difference.apart += 1;
                 continue;
             }
-            sigmas.push(worst_axis(&error(&pose, &estimate.pose), &estimate.covariance));
+            sigmas.push(worst_axis(&estimate, &pose));
         }
         difference.sigmas = Sorted::of(sigmas);
         println!(

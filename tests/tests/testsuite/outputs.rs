@@ -10,6 +10,7 @@ use std::time::Duration;
 
 use nix::sys::signal::Signal;
 use nix::unistd::mkfifo;
+use slitpose_tests::daemon::Usage;
 use slitpose_tests::process::{Finished, Slitpose, name_in, names, text, written};
 use slitpose_tests::studies::scan_table;
 use slitpose_tests::{ndjson, slitpose};
@@ -22,6 +23,28 @@ fn folder_with_capture() -> (tempfile::TempDir, PathBuf, Vec<u8>) {
     assert_eq!(simulated.code, 0, "{}", simulated.stderr);
     let bytes = fs::read(&capture).expect("capture");
     (folder, capture, bytes)
+}
+
+/// Neither a capture that is made nor one that is solved is in memory as a whole.
+#[test]
+fn memory_is_bounded_however_long_a_capture() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let capture = name_in(folder.path(), "long.mcap");
+    for command in [
+        &["simulate", "--tier", "paper", "--duration", "30s", "--output", &capture][..],
+        &["replay", &capture, "--tier", "paper", "--format", "none"],
+        &["replay", &capture, "--tier", "exact", "--format", "none"],
+    ] {
+        let mut child = slitpose!().spawn(command);
+        let mut most = Usage::default();
+        while child.try_wait().expect("runs").is_none() {
+            // An ended process that was not waited for has no memory any more.
+            most = Usage::of(child.id()).unwrap_or(most);
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        assert_eq!(Finished::of(child).code, 0, "{command:?}");
+        assert!((1..64 << 20).contains(&most.peak_bytes), "{command:?}: {} MiB", most.peak_bytes >> 20);
+    }
 }
 
 /// CSV and NDJSON have the same quantities.

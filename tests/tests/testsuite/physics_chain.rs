@@ -7,9 +7,9 @@ use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_head::table::TableReader;
-use slitpose_model::{DegradedReason, Estimate, Outcome, Solver, Tracker, Verified};
+use slitpose_model::{DegradedReason, Estimate, Outcome, Pose, Solver, Tracker, Verified};
 use slitpose_tests::capture::{Decoded, STREAM, capture, decode, solve};
-use slitpose_tests::consistency::{Honesty, Matrix6, error, median, sigma, worst_axis};
+use slitpose_tests::consistency::{Honesty, median, worst_axis};
 use slitpose_tests::scenes::{front_end, parse, ring, wide_with};
 use slitpose_tracking::pipeline::Record;
 
@@ -26,13 +26,9 @@ fn path(rows: &str) -> Trajectory {
     Trajectory::through_rows(TableReader::new("path", Cursor::new(table)).expect("a table")).expect("a path")
 }
 
-/// Error and covariance of each scan that gave a pose.
-fn errors(records: &[Record]) -> Vec<([f64; 6], Matrix6)> {
-    let of = |record: &Record| {
-        let estimate = record.solution.estimate?;
-        Some((error(&estimate.pose, &record.truth.expect("simulated")), estimate.covariance))
-    };
-    records.iter().filter_map(of).collect()
+/// The pose of each scan that gave one, and the true one.
+fn poses(records: &[Record]) -> impl Iterator<Item = (Estimate, Pose)> {
+    records.iter().filter_map(|record| Some((record.solution.estimate?, record.truth.expect("simulated"))))
 }
 
 /// Solves `scans` scans of a smooth motion in front of `file`; each must give an honest pose.
@@ -46,14 +42,13 @@ fn assert_honest(what: &str, file: &SceneFile, trajectory: Trajectory, scans: us
         counts.outcomes
     );
     println!("{what}");
-    let errors = errors(&records);
-    let honesty = Honesty::of(errors.clone());
+    let honesty = Honesty::of(poses(&records));
     // χ² of six degrees has the median 5.35; of 2000 the median scatters by 1.3 %. Poses known
     // better in one direction than in others are understated by up to a tenth.
     assert!((4.5..5.9).contains(&honesty.median_nees), "{what}: {honesty:?}");
     // Of 12 000 normal numbers one in 3000 draws has one beyond 5.5 σ.
     assert!(honesty.worst_sigmas < 5.5, "{what}: {honesty:?}");
-    median(errors.iter().map(|(_, covariance)| sigma(covariance)[0]))
+    median(poses(&records).map(|(estimate, _)| estimate.sigma()[0]))
 }
 
 /// Follows `decoded` with each cell's exposure `factor` times as far from the reference instant as it
@@ -65,9 +60,8 @@ fn worst_axis_with_exposures(file: &SceneFile, decoded: &Decoded, factor: f64) -
     let solver = Solver::<f64>::new(&scene, STREAM).expect("scene").with_exposures(&exposures_s);
     let mut tracker = Tracker::new(solver, decoded.schedule.frame_rate_hz().recip());
     let worst = decoded.scans.iter().zip(&decoded.truths).filter_map(|(scan, truth)| {
-        let Estimate { pose, covariance } =
-            tracker.track(scan.sequence, &stage.photocurrents(scan)).solution.estimate?;
-        Some(worst_axis(&error(&pose, truth), &covariance))
+        let estimate = tracker.track(scan.sequence, &stage.photocurrents(scan)).solution.estimate?;
+        Some(worst_axis(&estimate, truth))
     });
     median(worst)
 }
@@ -148,7 +142,7 @@ fn heads_of_other_sizes() {
     }
     // Nearly always there is an image; a pose that is given all the same must be the tool's.
     assert!(counts.outcomes.ambiguous > 500, "{:?}", counts.outcomes);
-    assert!(Honesty::of(errors(&records)).worst_sigmas < 6.0);
+    assert!(Honesty::of(poses(&records)).worst_sigmas < 6.0);
 }
 
 #[test]
@@ -189,6 +183,6 @@ fn a_converter_at_its_limit_is_left_out() {
     assert!(lost <= 2 * 600 / 20, "{lost}");
     println!("scans by cells left out: {masked:?}");
     assert!(masked[0] > 50 && masked[1] > 200 && masked[2] > 200, "the motion must meet the limit: {masked:?}");
-    let honesty = Honesty::of(errors(&records));
+    let honesty = Honesty::of(poses(&records));
     assert!(honesty.worst_sigmas < 5.5 && (4.3..5.9).contains(&honesty.median_nees), "{honesty:?}");
 }

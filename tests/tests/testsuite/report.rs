@@ -67,7 +67,7 @@ fn summary(folder: &Path) {
     let page = fs::read_to_string(folder.join("index.html")).expect("page");
     let (summary, _) = page.split_once("<h2 id=\"conditions\">").expect("a summary comes first");
     let noisy = table(folder, "solver_noisy.csv");
-    let default = [("tier", "exact 1e-6"), ("number", "f64"), ("start", "cold"), ("effort", "full")];
+    let default = [("tier", "exact 1e-6"), ("start", "cold"), ("effort", "full")];
     let row = rows(&noisy, &default)[0];
     let shown = format!(
         "the position to {:.2} µm and the orientation to {:.0} µrad",
@@ -83,7 +83,7 @@ fn summary(folder: &Path) {
 }
 
 fn forward(table: &Table) {
-    for row in rows(table, &[("number", "f64")]) {
+    for row in table.rows() {
         let (tier, worst) = (row.text("tier"), row.number("error_worst"));
         match tier.strip_prefix("exact ").map(|tolerance| tolerance.parse::<f64>().expect("tolerance")) {
             // Kept, and not by wasting nodes on eight digits more.
@@ -91,10 +91,6 @@ fn forward(table: &Table) {
             // The models differ by percents at worst.
             None => assert!((1e-3..0.1).contains(&worst), "{tier}: {worst:e}"),
         }
-    }
-    for row in rows(table, &[("number", "f32")]) {
-        let rounding = row.number("rounding_worst");
-        assert!((1e-7..1e-5).contains(&rounding), "{}: {rounding:e}", row.text("tier"));
     }
 }
 
@@ -118,10 +114,7 @@ fn solver(folder: &Path) {
 }
 
 /// Studies, and beginnings of their cases, that fall short of what arithmetic allows, and why.
-const KNOWN_SHORT: [(&str, &str); 4] = [
-    // Rounding of `f32` hides what tells the mirror images of such a head apart: it has no pose, and says so.
-    ("near-parallel layout", "rolls ±0.01"),
-    ("near-parallel layout", "rolls ±0.001"),
+const KNOWN_SHORT: [(&str, &str); 2] = [
     // An emitter far off the axis: the spot's place is the difference of two large numbers.
     ("small solid angle", ""),
     // The three cells that are left do not tell images apart, and the search gives up.
@@ -146,21 +139,16 @@ fn stiff(table: &Table) {
             let case = row.text("case");
             let is_known = KNOWN_SHORT.iter().any(|(of, beginning)| *of == study && case.starts_with(beginning));
             assert!(!verdict.starts_with("short") || is_known, "{study}, {case}: {verdict}");
-            if study == "near-parallel layout" {
-                assert!(!verdict.contains("f64"), "{study}, {case}: {verdict}");
-            }
-            for outcome in [row.text("f64_outcome"), row.text("f32_outcome")] {
-                assert!(!(outcome.contains("diverged") && verdict == "good"), "{study}: {outcome} is good");
-            }
+            let outcome = row.text("outcome");
+            assert!(!(outcome.contains("diverged") && verdict == "good"), "{study}: {outcome} is good");
         }
     }
-    // The sweep goes on to where `f32` has no pose to give, and says so; `f64` still has one.
+    // The sweep goes on to where hardly anything tells the pose.
     for start in ["cold", "warm"] {
         let case = format!("rolls ±1.0e−8°, {start}");
         let row = rows(table, &[("study", "near-parallel layout"), ("case", &case)])[0];
-        assert_eq!(row.text("f64_outcome"), "converged", "{start}");
-        assert!(matches!(row.text("f32_outcome"), "unobservable" | "ambiguous"), "{start}");
-        assert!(row.number("condition") > 1e9 && row.number("f64_error") < 10.0);
+        assert_eq!(row.text("outcome"), "converged", "{start}");
+        assert!(row.number("condition") > 1e9 && row.number("error") < 10.0);
     }
 }
 

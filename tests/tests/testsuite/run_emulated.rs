@@ -44,7 +44,7 @@ fn poses(finished: Finished, kind: TrajectoryKind, seed: u64) -> Vec<Line> {
 fn honesty(lines: &[Line]) -> (usize, Honesty) {
     let converged = lines.iter().filter(|line| line.status == "converged").count();
     println!("{converged} converged");
-    (converged, Honesty::of(lines.iter().filter_map(Line::error)))
+    (converged, Honesty::of(lines.iter().filter_map(Line::beside_truth)))
 }
 
 #[test]

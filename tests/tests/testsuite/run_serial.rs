@@ -43,7 +43,7 @@ fn assert_followed(lines: &[Line]) {
     for (line, expected) in lines.iter().zip(lines[0].sequence..) {
         assert_eq!(line.sequence, expected);
     }
-    let honesty = Honesty::of(lines.iter().filter_map(Line::error));
+    let honesty = Honesty::of(lines.iter().filter_map(Line::beside_truth));
     // Of 48 000 normal numbers 0.03 lie beyond 5 σ.
     let is_followed = honesty.poses * 1000 >= lines.len() * 999 && honesty.beyond_five_sigma <= 2;
     assert!(is_followed, "of {} scans: {honesty:?}", lines.len());

@@ -28,9 +28,6 @@ kept! {
         "monte_carlo --seed 20180719 --only cold --count 600";
     errors_are_those_of_the_bound: "monte_carlo --seed 20180719 --only efficiency --count 1200";
     other_openings_give_poses_as_slits_do: "monte_carlo --seed 20180719 --only openings";
-    outliers_do_not_pass_for_poses: "monte_carlo --seed 20180719 --only outliers --count 1000";
-    too_few_cells_are_not_made_up_for: "monte_carlo --seed 20180719 --only subsets --count 300";
-    no_scan_costs_more_than_its_budget: "lit_cells --runs 2 --scans 250 --seed 20180720";
     each_fault_is_noticed_and_costs_nothing_silently: "faults --spans 1 --tier paper --rate-hz 2000";
     poses_reach_a_client_in_c: "latency --warm-up 0 --seconds 2 --untimed";
     // Seconds say little about growth: queues still fill for the first time.
@@ -39,7 +36,6 @@ kept! {
         "storm --boards 2 --duration 4s --least-blows 3 --seed 3 --pause-s 0.5 --pages 0";
     // Twice in each manner.
     a_board_is_back_however_it_went: "replug --cycles 12 --seed 7 --within 15s --most-growth-kib 16384";
-    memory_is_bounded: "hour --duration 30s --untimed --by env";
 }
 
 #[test]

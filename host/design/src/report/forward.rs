@@ -3,11 +3,11 @@
 use std::hint::black_box;
 
 use glam::dvec2;
-use slitpose_model::{CompiledScene, Pair, Pose, Scalar, SceneError, Tier};
+use slitpose_model::{CompiledScene, Pair, Pose, SceneError, Tier};
 
-use super::head::{Candidate, Head, RunTime, pair, race};
+use super::head::{Candidate, Head, RunTime, race};
 use super::section::{Picture, Section, Sheet, Table, Value};
-use super::solver::{Precision, tier_name};
+use super::solver::tier_name;
 use super::{ReportError, Settings};
 use crate::plot::{Anchor, Axis, Chart, CurveStyle, Note, cell_colour, curve};
 
@@ -21,11 +21,8 @@ const REFERENCE: Tier = Tier::Exact { tolerance: 1e-13 };
 /// One way to evaluate, with its results. Errors are of electrode currents, relative to the total current of their cell.
 struct Entry {
     tier: Tier,
-    precision: Precision,
-    /// Median and worst, against the exact tier at its tightest, in `f64`.
+    /// Median and worst, against the exact tier at its tightest.
     error: [f64; 2],
-    /// The worst against the same tier in `f64`: the error of the number type.
-    rounding: Option<f64>,
     currents: RunTime,
     derivatives: RunTime,
 }
@@ -34,11 +31,11 @@ struct Entry {
 /// derivatives.
 type Evaluated<'a> = (Vec<Pair<f64>>, [Candidate<'a>; 2]);
 
-fn evaluate<'a, S: Scalar>(head: &Head<'_>, tier: Tier, timed: &'a [Pose]) -> Result<Evaluated<'a>, SceneError> {
-    let plan = CompiledScene::<S>::compile(&head.scene, tier)?;
+fn evaluate<'a>(head: &Head<'_>, tier: Tier, timed: &'a [Pose]) -> Result<Evaluated<'a>, SceneError> {
+    let plan = CompiledScene::<f64>::compile(&head.scene, tier)?;
     let cells = plan.cell_count();
     let currents = head.poses.iter().flat_map(|pose| (0..cells).map(move |cell| (cell, pose)));
-    let currents = currents.map(|(cell, pose)| pair(&plan, cell, pose)).collect();
+    let currents = currents.map(|(cell, pose)| plan.photocurrents(cell, pose)).collect();
     let other = plan.clone();
     let without = move || {
         for (pose, cell) in timed.iter().flat_map(|pose| (0..cells).map(move |cell| (pose, cell))) {
@@ -68,7 +65,7 @@ pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, R
         paragraphs: vec![
             format!(
                 "All {} cells at {} poses of the workspace. The error is that of an electrode's current relative to \
-                 the total current of its cell, against the exact tier at a tolerance of 1e-13 in f64; the time is \
+                 the total current of its cell, against the exact tier at a tolerance of 1e-13; the time is \
                  that of all cells together, with the pose's conversion, with and without the analytic derivatives \
                  by the pose.",
                 head.scene.cells.len(),
@@ -76,8 +73,7 @@ pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, R
             ),
             format!(
                 "The paper tier computes what equations (1) to (6) say; its error here is the difference between \
-                 the two models, up to {} of a cell's current, and no arithmetic removes it. What f32 adds is in a \
-                 column of its own.",
+                 the two models, up to {} of a cell's current, and no arithmetic removes it.",
                 Value::from(difference).shown()
             ),
         ],
@@ -88,28 +84,19 @@ pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, R
 
 fn measure(head: &Head<'_>, settings: &Settings) -> Result<Vec<Entry>, ReportError> {
     let timed = &head.poses[..settings.timed_poses()];
-    let (reference, _) = evaluate::<f64>(head, REFERENCE, timed)?;
-    let tiers = [Tier::Paper].into_iter().chain(TOLERANCES.map(|tolerance| Tier::Exact { tolerance }));
-    let (mut doubles, mut errors, mut candidates) = (Vec::new(), Vec::new(), Vec::new());
-    for precision in Precision::BOTH {
-        for (number, tier) in tiers.clone().enumerate() {
-            let (currents, works) = match precision {
-                Precision::Double => evaluate::<f64>(head, tier, timed)?,
-                Precision::Single => evaluate::<f32>(head, tier, timed)?,
-            };
-            candidates.extend(works);
-            let error = spread(&currents, &reference);
-            let rounding = doubles.get(number).map(|double: &Vec<_>| spread(&currents, double)[1]);
-            errors.push((tier, precision, error, rounding));
-            if precision == Precision::Double {
-                doubles.push(currents);
-            }
-        }
+    let (reference, _) = evaluate(head, REFERENCE, timed)?;
+    let (mut errors, mut candidates) = (Vec::new(), Vec::new());
+    for tier in [Tier::Paper].into_iter().chain(TOLERANCES.map(|tolerance| Tier::Exact { tolerance })) {
+        let (currents, works) = evaluate(head, tier, timed)?;
+        candidates.extend(works);
+        errors.push((tier, spread(&currents, &reference)));
     }
     let run_times = race(&mut candidates, settings.rounds(), timed.len());
-    let entry = |((tier, precision, error, rounding), run_times): (_, &[RunTime])| {
-        let (currents, derivatives) = (run_times[0], run_times[1]);
-        Entry { tier, precision, error, rounding, currents, derivatives }
+    let entry = |((tier, error), run_times): (_, &[RunTime])| Entry {
+        tier,
+        error,
+        currents: run_times[0],
+        derivatives: run_times[1],
     };
     Ok(errors.into_iter().zip(run_times.chunks_exact(2)).map(entry).collect())
 }
@@ -133,10 +120,8 @@ fn table(entries: &[Entry]) -> Table {
         entries,
         &[
             ("tier", "tier", &|entry| tier_name(entry.tier).into()),
-            ("number", "numbers", &|entry| entry.precision.name().into()),
             ("error_median", "error, median", &|entry| entry.error[0].into()),
             ("error_worst", "error, worst", &|entry| entry.error[1].into()),
-            ("rounding_worst", "of which f32, worst", &|entry| Value::optional(entry.rounding)),
             ("currents_least_us", "currents, least / µs", &|entry| us(entry.currents.least_s)),
             ("currents_median_us", "median / µs", &|entry| us(entry.currents.median_s)),
             ("derivatives_least_us", "with derivatives, least / µs", &|entry| us(entry.derivatives.least_s)),
@@ -148,30 +133,23 @@ fn table(entries: &[Entry]) -> Table {
 
 fn picture(entries: &[Entry], head: &Head<'_>) -> Picture {
     let panel = |heading: &str, time: fn(&Entry) -> f64| {
-        let of = |precision, is_paper| {
-            let chosen =
-                entries.iter().filter(move |e| e.precision == precision && (e.tier == Tier::Paper) == is_paper);
+        let of = |is_paper| {
+            let chosen = entries.iter().filter(move |entry| (entry.tier == Tier::Paper) == is_paper);
             chosen.map(|entry| [1e6 * time(entry), entry.error[0]]).collect::<Vec<_>>()
         };
-        let curves = [
-            ("exact tier, f64, at the tolerance written beside it", CurveStyle::Joined, Precision::Double, false),
-            ("exact tier, f32", CurveStyle::DashedRings, Precision::Single, false),
-            ("paper tier, f64: the difference between the models", CurveStyle::Markers, Precision::Double, true),
-            ("paper tier, f32", CurveStyle::Rings, Precision::Single, true),
-        ]
-        .into_iter()
-        .enumerate()
-        .map(|(colour, (label, style, precision, is_paper))| curve(label, colour, style, of(precision, is_paper)))
-        .collect();
+        let exact = "exact tier, at the tolerance written beside it";
+        let paper = "paper tier: the difference between the models";
+        let curves =
+            vec![curve(exact, 0, CurveStyle::Joined, of(false)), curve(paper, 1, CurveStyle::Markers, of(true))];
         let note = |entry: &Entry| match entry.tier {
-            Tier::Exact { tolerance } if entry.precision == Precision::Double => Some(Note {
+            Tier::Exact { tolerance } => Some(Note {
                 at: [1e6 * time(entry), entry.error[0]],
                 offset: dvec2(8.0, -6.0),
                 anchor: Anchor::Start,
                 text: format!("{tolerance:e}").replace('-', "−"),
                 colour: cell_colour(0),
             }),
-            _ => None,
+            Tier::Paper => None,
         };
         let x = |x| Axis::logarithmic("time for all cells / µs", x);
         let mut chart = Chart::over(curves, x, |y| Axis::logarithmic("median error of a current", y));

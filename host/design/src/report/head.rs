@@ -11,8 +11,8 @@ use slitpose_head::front_end::{Stage, configuration};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::{Electronics, noisy_reading};
 use slitpose_model::{
-    Cell, CompiledScene, MotionPrior, Opening, Pair, Photocurrents, Pose, Profile, Reading, Scalar, Scene, Solver,
-    Start, Tier, Uncertainty,
+    Cell, CompiledScene, MotionPrior, Opening, Pair, Photocurrents, Pose, Profile, Reading, Scene, Solver, Start, Tier,
+    Uncertainty,
 };
 
 use super::solver::Solved;
@@ -121,11 +121,6 @@ pub(super) fn exponent(profile: &Profile) -> f64 {
         Profile::Cosine { exponent } => *exponent,
         Profile::Table(_) => EXPONENT,
     }
-}
-
-pub(super) fn pair<S: Scalar>(plan: &CompiledScene<S>, cell: usize, pose: &Pose) -> Pair<f64> {
-    let pair = plan.photocurrents(cell, pose);
-    Pair { i_x1_a: pair.i_x1_a.as_f64(), i_x2_a: pair.i_x2_a.as_f64() }
 }
 
 pub(super) fn currents(plan: &CompiledScene<f64>, pose: &Pose) -> Photocurrents {

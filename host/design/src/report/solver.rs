@@ -4,7 +4,7 @@ use std::hint::black_box;
 
 use glam::dvec2;
 use slitpose_model::{
-    self as model, MotionPrior, Outcome, Photocurrents, Pose, Scalar, Scene, SceneError, Solution, Solver, Tier,
+    self as model, MotionPrior, Outcome, Photocurrents, Pose, Scene, SceneError, Solution, Solver, Tier,
 };
 
 use super::head::{Candidate, Errors, Head, NoiseSource, RunTime, STREAM, currents, race, rms_of_covariances};
@@ -88,8 +88,8 @@ pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, R
 
 fn summary(entries: &[Entry], bound: [f64; 2]) -> Vec<String> {
     let full = |wanted: Start| {
-        entries.iter().find(|Entry { method: Method { tier, precision, start, effort }, .. }| {
-            (*tier, *precision, *start, *effort) == (STREAM, Precision::Double, wanted, Effort::Full)
+        entries.iter().find(|Entry { method: Method { tier, start, effort }, .. }| {
+            (*tier, *start, *effort) == (STREAM, wanted, Effort::Full)
         })
     };
     let (Some(cold), Some(warm)) = (full(Start::Cold), full(Start::Warm)) else { return Vec::new() };
@@ -124,16 +124,12 @@ fn searched(errors: &Errors) -> bool {
 fn methods(head: &Head<'_>) -> Vec<Method> {
     let mut methods = Vec::new();
     // What the tolerance costs and gives: once more at a tight one.
-    for (tier, precisions) in
-        [(STREAM, &Precision::BOTH[..]), (Tier::Paper, &Precision::BOTH), (head.truth_tier, &[Precision::Double])]
-    {
-        for &precision in precisions {
-            for start in Start::BOTH {
-                // From a pose nearby the planes are skipped.
-                let planes = (start == Start::Cold && tier != head.truth_tier).then_some(Effort::Planes);
-                let efforts = planes.into_iter().chain(STEPS.map(Effort::Steps)).chain([Effort::Full]);
-                methods.extend(efforts.map(|effort| Method { tier, precision, start, effort }));
-            }
+    for tier in [STREAM, Tier::Paper, head.truth_tier] {
+        for start in Start::BOTH {
+            // From a pose nearby the planes are skipped.
+            let planes = (start == Start::Cold && tier != head.truth_tier).then_some(Effort::Planes);
+            let efforts = planes.into_iter().chain(STEPS.map(Effort::Steps)).chain([Effort::Full]);
+            methods.extend(efforts.map(|effort| Method { tier, start, effort }));
         }
     }
     methods
@@ -172,9 +168,8 @@ fn micro(value: f64) -> Value {
 
 /// Errors of currents with and without noise.
 fn tables(entries: &[Entry], bound: [f64; 2]) -> [Table; 2] {
-    let method: [Getter<'_, Entry>; 4] = [
+    let method: [Getter<'_, Entry>; 3] = [
         ("tier", "tier", &|entry| tier_name(entry.method.tier).into()),
-        ("number", "numbers", &|entry| entry.method.precision.name().into()),
         ("start", "start", &|entry| entry.method.start.name().into()),
         ("effort", "effort", &|entry| entry.method.effort.name().into()),
     ];
@@ -215,10 +210,8 @@ fn picture(
     let tight = format!("{}, cold start", tier_name(head.truth_tier).replace("exact", "exact tier at"));
     let panel = |heading: &str, errors: fn(&Entry) -> &Errors, floor: Option<f64>| {
         let point = |entry: &Entry| [entry.run_time.least_s * 1e6, errors(entry).rms[half] * 1e6];
-        let chosen = |tier: Tier, start, precision| {
-            let is_of =
-                move |method: &Method| (method.tier, method.precision, method.start) == (tier, precision, start);
-            entries.iter().filter(move |entry| is_of(&entry.method))
+        let chosen = |tier: Tier, start| {
+            entries.iter().filter(move |Entry { method, .. }| (method.tier, method.start) == (tier, start))
         };
         let mut curves = Vec::new();
         for (colour, (name, tier, start)) in [
@@ -232,13 +225,8 @@ fn picture(
         .enumerate()
         {
             // A full solve goes its own way: it is no further step.
-            for (label, style, precision, is_full) in [
-                (name, CurveStyle::Joined, Precision::Double, false),
-                ("", CurveStyle::DashedRings, Precision::Single, false),
-                ("", CurveStyle::Markers, Precision::Double, true),
-                ("", CurveStyle::Rings, Precision::Single, true),
-            ] {
-                let shown = chosen(tier, start, precision).filter(|entry| !searched(errors(entry)));
+            for (label, style, is_full) in [(name, CurveStyle::Joined, false), ("", CurveStyle::Markers, true)] {
+                let shown = chosen(tier, start).filter(|entry| !searched(errors(entry)));
                 let points = shown.filter(|entry| (entry.method.effort == Effort::Full) == is_full).map(point);
                 curves.push(curve(label, colour, style, points.collect()));
             }
@@ -251,11 +239,11 @@ fn picture(
             chart.notes.push(Note { at, offset, anchor, text: text.to_owned(), colour });
         };
         // The clearest curve says what its points are, as far as they do not lie on the bound.
-        let named = chosen(STREAM, Start::Cold, Precision::Double).take(2);
+        let named = chosen(STREAM, Start::Cold).take(2);
         for entry in named.filter(|entry| floor.is_none_or(|floor| point(entry)[1] > 2.0 * floor)) {
             note(point(entry), dvec2(9.0, -5.0), Anchor::Start, &entry.method.effort.name(), cell_colour(0));
         }
-        if let Some(entry) = chosen(Tier::Paper, Start::Cold, Precision::Double).find(|entry| searched(errors(entry))) {
+        if let Some(entry) = chosen(Tier::Paper, Start::Cold).find(|entry| searched(errors(entry))) {
             let [time, error] = point(entry);
             let text = format!("paper tier in full: {} µs →", Value::from(time).shown());
             note([times[1], error], dvec2(-8.0, 16.0), Anchor::End, &text, cell_colour(2));
@@ -270,7 +258,7 @@ fn picture(
     Sheet {
         title: format!("Pose from {} cells: error of the {what} against time", head.scene.cells.len()),
         note: format!(
-            "{} poses, one frame each. Discs f64, rings f32; curves: planes (cold start), 1, 2, 3, 4 steps; lone points: full.",
+            "{} poses, one frame each. Curves: planes (cold start), 1, 2, 3, 4 steps; lone points: full.",
             head.poses.len()
         ),
         panels: vec![
@@ -279,40 +267,6 @@ fn picture(
         ],
     }
     .draw(name, caption)
-}
-
-/// The number type that is computed with: `f64`, or `f32` as on the board.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Precision {
-    Double,
-    Single,
-}
-
-impl Precision {
-    pub(super) const BOTH: [Self; 2] = [Self::Double, Self::Single];
-
-    pub(super) fn name(self) -> &'static str {
-        match self {
-            Self::Double => "f64",
-            Self::Single => "f32",
-        }
-    }
-
-    /// The exact tier at the tightest tolerance that is of use: a solver weighs by it, and stops when
-    /// it has come so near. Asked for more, `f32` divides spots for ever without coming nearer.
-    pub(super) fn tightest_tier(self) -> Tier {
-        match self {
-            Self::Double => Tier::Exact { tolerance: 1e-15 },
-            Self::Single => Tier::Exact { tolerance: 1e-6 },
-        }
-    }
-
-    pub(super) fn unit_roundoff(self) -> f64 {
-        match self {
-            Self::Double => 0.5 * f64::EPSILON,
-            Self::Single => 0.5 * f64::from(f32::EPSILON),
-        }
-    }
 }
 
 /// What a solve starts from: nothing, or a pose near the truth, as from the frame before.
@@ -355,7 +309,6 @@ impl Effort {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Method {
     pub(super) tier: Tier,
-    pub(super) precision: Precision,
     pub(super) start: Start,
     pub(super) effort: Effort,
 }
@@ -367,8 +320,8 @@ pub(super) struct Solved {
     pub(super) iterations: usize,
 }
 
-impl<S: Scalar> From<Solution<S>> for Solved {
-    fn from(solution: Solution<S>) -> Self {
+impl From<Solution> for Solved {
+    fn from(solution: Solution) -> Self {
         let Solution { outcome, estimate, iterations, .. } = solution;
         Self { outcome, pose: estimate.map(|estimate| estimate.pose), iterations }
     }
@@ -380,14 +333,7 @@ pub(super) type Compiled = Box<dyn Fn(&Photocurrents, &Pose) -> Solved>;
 impl Method {
     /// For the cells of `scene`, all exposed at one instant.
     pub(super) fn compile(&self, scene: &Scene) -> Result<Compiled, SceneError> {
-        match self.precision {
-            Precision::Double => self.compile_for::<f64>(scene),
-            Precision::Single => self.compile_for::<f32>(scene),
-        }
-    }
-
-    fn compile_for<S: Scalar>(&self, scene: &Scene) -> Result<Compiled, SceneError> {
-        let mut solver = Solver::<S>::new(scene, self.tier)?;
+        let mut solver = Solver::<f64>::new(scene, self.tier)?;
         if let Effort::Steps(steps) = self.effort {
             solver = solver.with_max_steps(steps);
         }
@@ -398,7 +344,7 @@ impl Method {
                 (Start::Cold, _) => model::Start::Cold,
                 (Start::Warm, _) => model::Start::Near(prior),
             };
-            solver.solve(&readings.rounded(), start, &MotionPrior::AT_REST).into()
+            solver.solve(readings, start, &MotionPrior::AT_REST).into()
         }))
     }
 }

@@ -66,14 +66,32 @@ fn poses_of_little_worth_do_not_lead_the_next_ones_astray() {
     }
 }
 
-/// Blocked cells, and other faults, are in the study `lit_cells`.
+/// Cells, those first that stay lit longest: with two opposite ones dark a pose at home is unknown.
+const BLOCKED: [usize; 6] = [0, 3, 5, 4, 1, 2];
+
 #[test]
 fn whatever_a_head_sees_a_frame_keeps_to_its_budget() {
     type Fault = Box<dyn FnMut(&mut Photocurrents)>;
-    let faults: [(&str, Fault); 3] = [
-        ("three missing", Box::new(|readings| readings.cells[1..4].fill(Reading::Missing))),
-        ("opposite cells exchanged", Box::new(|readings| readings.cells.swap(0, 3))),
-        ("all gains off", {
+    let of_cell = |change: fn(&mut Pair<f64>, &mut ChaCha8Rng)| -> Fault {
+        let mut rng = generator();
+        Box::new(move |readings| {
+            if let Reading::Light(pair) = &mut readings.cells[4] {
+                change(pair, &mut rng);
+            }
+        })
+    };
+    let lit = |lit: usize| -> (usize, &str, Fault) {
+        let block = move |cells: &mut Photocurrents| BLOCKED[lit..].iter().for_each(|&k| blocked(&mut cells.cells[k]));
+        (lit, "lit", Box::new(block))
+    };
+    let mut rng = generator();
+    let faults: [(usize, &str, Fault); 7] = [
+        (3, "not missing", Box::new(|readings| readings.cells[1..4].fill(Reading::Missing))),
+        (6, "and opposite ones exchanged", Box::new(|readings| readings.cells.swap(0, 3))),
+        (6, "and other ones exchanged each frame", {
+            Box::new(move |readings| readings.cells.swap(rng.random_range(0..6), rng.random_range(0..6)))
+        }),
+        (6, "and all gains off", {
             Box::new(|readings| {
                 for (cell, reading) in readings.cells.iter_mut().enumerate() {
                     if let Reading::Light(pair) = reading {
@@ -82,27 +100,47 @@ fn whatever_a_head_sees_a_frame_keeps_to_its_budget() {
                 }
             })
         }),
+        (6, "and electrodes exchanged", of_cell(|pair, _| core::mem::swap(&mut pair.i_x1_a, &mut pair.i_x2_a))),
+        (6, "and an electrode stuck", of_cell(|pair, _| pair.i_x2_a = 5e-6)),
+        (6, "and one that scatters", {
+            of_cell(|pair, rng| {
+                pair.i_x1_a *= 1.0 + 0.05 * normal(rng);
+                pair.i_x2_a *= 1.0 + 0.05 * normal(rng);
+            })
+        }),
     ];
-    for (what, mut fault) in faults {
+    for (cells, what, mut fault) in (0..=6).map(lit).chain(faults) {
         for motion in [swing as fn(f64) -> Pose, |_| Pose::HOME] {
             for healthy in [0, 30] {
                 let mut rig = Rig::new();
                 (0..healthy).for_each(|_| _ = rig.step(motion));
-                let mut evaluations = Vec::new();
+                let (mut evaluations, mut poses) = (Vec::new(), 0);
                 for _ in 0..600 {
                     let (tracked, truth) = faulty(&mut rig, motion, &mut fault);
-                    evaluations.push(tracked.solution.evaluations);
-                    // Two outliers may agree on another pose; cells that are missing say nothing false.
-                    if what == "three missing" && tracked.solution.outcome.has_pose() {
-                        assert!(nees(&tracked, &truth) < 60.0, "{what}: {:?}", tracked.solution);
+                    let solution = &tracked.solution;
+                    evaluations.push(solution.evaluations);
+                    poses += usize::from(solution.outcome.has_pose());
+                    // Two outliers may agree on another pose; cells that are dark or missing say nothing false.
+                    let is_doubted = matches!(
+                        solution.outcome,
+                        Outcome::Degraded(DegradedReason::Misfit | DegradedReason::Unfinished)
+                    );
+                    if !what.starts_with("and") && solution.outcome.has_pose() && !is_doubted {
+                        assert!(nees(&tracked, &truth) < 60.0, "{cells} {what}: {solution:?}");
                     }
                 }
                 // The first search of all is that of a cold solve.
                 let first = usize::from(healthy == 0);
                 let most = evaluations[first..].iter().max().expect("frames");
                 let mean = evaluations[first..].iter().sum::<usize>() as f64 / (600 - first) as f64;
-                println!("{what}, after {healthy}: {mean:.1} evaluations, {most} at most");
-                assert!(*most <= MAX_EVALUATIONS && mean <= MEAN_EVALUATIONS, "{what}");
+                println!("{cells} {what}, after {healthy}: {mean:.1} evaluations, {most} at most, {poses} poses");
+                assert!(*most <= MAX_EVALUATIONS && mean <= MEAN_EVALUATIONS, "{cells} {what}");
+                // What was followed with six cells is with four, at the cost of one solve from where it is expected.
+                let is_followed = what == "lit" && cells > 3 && healthy > 0;
+                assert!(
+                    !is_followed || poses >= 570 && mean < 2.5,
+                    "{cells} {what}: {poses} poses, {mean} evaluations"
+                );
             }
         }
     }

@@ -4,7 +4,7 @@
 use std::ops::RangeInclusive;
 
 use super::Board;
-use crate::faults::{Fault, Faults};
+use crate::faults::{DAC_REST_V, Fault, Faults};
 use crate::memory::{Bits, CCM_BYTES, RAM_BASE, RAM_BYTES};
 use crate::peripherals::{TICKS_PER_SECOND, Ticks};
 use crate::world::World;
@@ -74,7 +74,9 @@ impl<W: World> Board<W> {
         self.effects.faults = faults;
         self.effects.chance = Bits::seeded(seed);
         self.effects.clock_phase = self.effects.chance.within(0..=3);
-        self.dacs.iter_mut().for_each(|dac| dac.set_rest_v(faults.dac_rest_v()));
+        if faults.has(Fault::DacRest) {
+            self.dacs.iter_mut().for_each(|dac| dac.set_rest_v(DAC_REST_V));
+        }
         self.forget_accesses();
         if faults.has(Fault::UsbHost) {
             self.under_way.usb_due = *USB_PAUSE_TICKS.start();

@@ -1,7 +1,7 @@
 //! Integer arithmetic of the ARMv7-M pseudocode (DDI0403, A2.2.1), and of the DSP extension on the halfwords and bytes of a
 //! register (A4.4.3 to A4.4.5): pure functions of their arguments.
 
-use super::instruction::{Extension, SaturatingOp, Shift, ShiftKind, UnaryOp};
+use super::instruction::{Extension, Shift, ShiftKind, UnaryOp};
 
 /// AddWithCarry: sum, carry out, overflow.
 #[inline(always)]
@@ -38,19 +38,6 @@ pub(super) fn shift_by(value: u32, kind: ShiftKind, amount: u32, carry: bool) ->
     }
 }
 
-/// SignedSat to `bits` bits: result and whether it saturated.
-pub(super) fn saturate_signed(value: i64, bits: u8) -> (u32, bool) {
-    let limit = 1i64 << (bits - 1);
-    let result = value.clamp(-limit, limit - 1);
-    (result as u32, result != value)
-}
-
-/// UnsignedSat to `bits` bits: result and whether it saturated.
-pub(super) fn saturate_unsigned(value: i64, bits: u8) -> (u32, bool) {
-    let result = value.clamp(0, (1i64 << bits) - 1);
-    (result as u32, result != value)
-}
-
 /// A mask of `width` (1–32) ones from bit `lsb` on.
 pub(super) fn field_mask(lsb: u8, width: u8) -> u32 {
     (u32::MAX >> (32 - u32::from(width))) << lsb
@@ -79,36 +66,10 @@ pub(super) fn half(x: u32, top: bool) -> i64 {
     i64::from(if top { (x >> 16) as i16 } else { x as i16 })
 }
 
-pub(super) fn saturating_lanes(signed: bool, subtract: bool, bits: u8, x: u32, y: u32) -> u32 {
-    let unused = 32 - u32::from(bits);
-    (0..32 / u32::from(bits)).fold(0, |result, lane| {
-        let at = lane * u32::from(bits);
-        let widen = |word: u32| {
-            let top = word << (unused - at);
-            if signed { (top as i32 >> unused).into() } else { i64::from(top >> unused) }
-        };
-        let exact: i64 = if subtract { widen(x) - widen(y) } else { widen(x) + widen(y) };
-        let (value, _) = if signed { saturate_signed(exact, bits) } else { saturate_unsigned(exact, bits) };
-        result | (value & u32::MAX >> unused) << at
-    })
-}
-
-/// QADD and its kin, with `x` = Rm and `y` = Rn: result and whether it saturated.
-pub(super) fn saturating_add(op: SaturatingOp, x: u32, y: u32) -> (u32, bool) {
-    let (x, y) = (i64::from(x as i32), i64::from(y as i32));
-    let (doubled, saturated) = match op {
-        SaturatingOp::Qadd | SaturatingOp::Qsub => (y, false),
-        SaturatingOp::Qdadd | SaturatingOp::Qdsub => {
-            let (value, saturated) = saturate_signed(2 * y, 32);
-            (i64::from(value as i32), saturated)
-        }
-    };
-    let sum = match op {
-        SaturatingOp::Qadd | SaturatingOp::Qdadd => x + doubled,
-        SaturatingOp::Qsub | SaturatingOp::Qdsub => x - doubled,
-    };
-    let (result, saturated_again) = saturate_signed(sum, 32);
-    (result, saturated | saturated_again)
+/// Each byte of `x` less that of `y`, at least zero.
+pub(super) fn subtract_bytes(x: u32, y: u32) -> u32 {
+    let (x, y) = (x.to_le_bytes(), y.to_le_bytes());
+    u32::from_le_bytes(std::array::from_fn(|lane| x[lane].saturating_sub(y[lane])))
 }
 
 /// The widened part of `rotated`, added to `base`.

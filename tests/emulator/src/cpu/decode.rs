@@ -21,17 +21,6 @@ pub fn decode(first: u16, second: u16) -> Instruction {
     }
 }
 
-/// Length of the instruction at `at`, and where it branches to, if it names that.
-pub fn direct_branch(at: u32, first: u16, second: u16) -> (u32, Option<u32>) {
-    let target = match decode(first, second) {
-        Instruction::Branch { offset } | Instruction::BranchIf { offset, .. } | Instruction::BranchLink { offset } => {
-            Some((at + 4).wrapping_add_signed(offset))
-        }
-        _ => None,
-    };
-    (if is_wide(first) { 4 } else { 2 }, target)
-}
-
 fn low(word: u32, position: u32) -> Reg {
     Reg((word >> position & 7) as u8)
 }

@@ -5,8 +5,7 @@ use super::decode::{
     bit, decode_coprocessor, hint, immediate_shift, rd, rm, rn, rt, set_flags, sign_extend, unless_15,
 };
 use super::instruction::{
-    Address, AluOp, Extension, ImmediateCarry, Instruction, LoadKind, Reg, SaturatingOp, SetFlags, ShiftKind, Special,
-    UnaryOp,
+    Address, AluOp, Extension, ImmediateCarry, Instruction, LoadKind, Reg, SetFlags, ShiftKind, Special, UnaryOp,
 };
 
 /// Decodes the 32-bit instruction `w`.
@@ -167,23 +166,10 @@ fn plain_immediate(w: u32) -> Instruction {
         0b01010 if rn == Reg::PC => Instruction::PcRelative { rd, offset: -(imm12 as i16) },
         0b01010 => alu(AluOp::Sub, imm12),
         0b01100 => Instruction::MoveTop { rd, value: imm16 },
-        0b10000 | 0b10010 | 0b11000 | 0b11010 => saturate(w, lsb, low_5),
         0b10100 => Instruction::BitfieldExtract { signed: true, rd, rn, lsb, width: low_5 + 1 },
         0b11100 => Instruction::BitfieldExtract { signed: false, rd, rn, lsb, width: low_5 + 1 },
         0b10110 if low_5 >= lsb => Instruction::BitfieldInsert { rd, rn: unless_15(rn), lsb, width: low_5 + 1 - lsb },
         _ => Instruction::Undefined,
-    }
-}
-
-fn saturate(w: u32, amount: u8, low_5: u8) -> Instruction {
-    let signed = !bit(w, 23);
-    let (rd, rn) = (rd(w), rn(w));
-    let bits = low_5 + u8::from(signed);
-    if bit(w, 21) && amount == 0 {
-        Instruction::Undefined
-    } else {
-        let shift = immediate_shift(w >> 20 & 2, amount.into());
-        Instruction::Saturate { signed, rd, rn, bits, shift }
     }
 }
 
@@ -303,14 +289,7 @@ fn register_operations(w: u32) -> Instruction {
             ][op as usize];
             Instruction::Extend { extension, rd, rn: unless_15(rn), rm, rotate: (w >> 1 & 0x18) as u8 }
         }
-        (op @ (8 | 9 | 12 | 13), kind @ (1 | 5)) => {
-            let (signed, subtract, bits) = (kind == 1, op & 4 != 0, if op & 1 == 0 { 8 } else { 16 });
-            Instruction::SaturatingLanes { signed, subtract, bits, rd, rn, rm }
-        }
-        (8, 8) => Instruction::SaturatingAdd { op: SaturatingOp::Qadd, rd, rn, rm },
-        (8, 9) => Instruction::SaturatingAdd { op: SaturatingOp::Qdadd, rd, rn, rm },
-        (8, 10) => Instruction::SaturatingAdd { op: SaturatingOp::Qsub, rd, rn, rm },
-        (8, 11) => Instruction::SaturatingAdd { op: SaturatingOp::Qdsub, rd, rn, rm },
+        (12, 5) => Instruction::SubtractBytes { rd, rn, rm },
         (9, 8) => Instruction::Unary { op: UnaryOp::Rev, rd, rm },
         (9, 9) => Instruction::Unary { op: UnaryOp::Rev16, rd, rm },
         (9, 10) => Instruction::Unary { op: UnaryOp::Rbit, rd, rm },
@@ -334,8 +313,6 @@ fn multiply(w: u32) -> Instruction {
         },
         (0, false, true) => Instruction::MultiplyAdd { subtract: true, rd, rn, rm, ra: rt(w) },
         (1, n_top, m_top) => Instruction::MultiplyHalves { rd, rn, rm, ra, n_top, m_top },
-        (5, false, round) => Instruction::MultiplyHigh { subtract: false, round, rd, rn, rm, ra },
-        (6, false, round) => Instruction::MultiplyHigh { subtract: true, round, rd, rn, rm, ra },
         _ => Instruction::Undefined,
     }
 }
@@ -351,7 +328,6 @@ fn multiply_long(w: u32) -> Instruction {
         (3, 15) => Instruction::Divide { signed: false, rd: hi, rn, rm },
         (4, 0) => long(true, true),
         (6, 0) => long(false, true),
-        (6, 6) => Instruction::MultiplyAddAddLong { lo, hi, rn, rm },
         _ => Instruction::Undefined,
     }
 }

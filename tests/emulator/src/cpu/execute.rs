@@ -1,10 +1,7 @@
 //! Execution: data processing, branches and system instructions. Operands are read, one function of the
 //! pseudocode is applied, results are written.
 
-use super::arithmetic::{
-    self as dsp, add_with_carry, extend, extract, field_mask, saturate_signed, saturate_unsigned, shift, shift_by,
-    unary,
-};
+use super::arithmetic::{add_with_carry, extend, extract, field_mask, half, shift, shift_by, subtract_bytes, unary};
 use super::code::REFILL;
 use super::instruction::{AluOp, ImmediateCarry, Instruction, Reg, SetFlags, ShiftKind, Special};
 use super::{Bus, Cpu, Fault, Size, Trap};
@@ -100,14 +97,6 @@ impl Cpu {
     #[inline(never)]
     fn execute_rare<B: Bus>(&mut self, bus: &mut B, instruction: Instruction) -> Result<(), Trap> {
         match instruction {
-            Instruction::Saturate { signed, rd, rn, bits, shift: by } => {
-                let (value, _) = shift(self.get(rn), by, false);
-                let value = i64::from(value as i32);
-                let (result, saturated) =
-                    if signed { saturate_signed(value, bits) } else { saturate_unsigned(value, bits) };
-                self.set(rd, result);
-                self.registers.flags.q |= saturated;
-            }
             Instruction::TableBranch { half, rn, rm } => self.table_branch(bus, half, rn, rm)?,
             Instruction::LoadExclusive { size, rt, rn, offset } => self.load_exclusive(bus, size, rt, rn, offset)?,
             Instruction::StoreExclusive { size, rd, rt, rn, offset } => {
@@ -142,32 +131,18 @@ impl Cpu {
                 let (top, bottom) = if tb { (x, y) } else { (y, x) };
                 self.set(rd, top & 0xffff_0000 | bottom & 0xffff);
             }
-            Instruction::SaturatingLanes { signed, subtract, bits, rd, rn, rm } => {
-                self.set(rd, dsp::saturating_lanes(signed, subtract, bits, self.get(rn), self.get(rm)));
-            }
-            Instruction::SaturatingAdd { op, rd, rn, rm } => {
-                let (result, saturated) = dsp::saturating_add(op, self.get(rm), self.get(rn));
-                self.set(rd, result);
-                self.registers.flags.q |= saturated;
-            }
+            Instruction::SubtractBytes { rd, rn, rm } => self.set(rd, subtract_bytes(self.get(rn), self.get(rm))),
             Instruction::MultiplyAdd { subtract, rd, rn, rm, ra } => {
                 let product = self.get(rn).wrapping_mul(self.get(rm));
                 let base = self.get(ra);
                 self.set(rd, if subtract { base.wrapping_sub(product) } else { base.wrapping_add(product) });
             }
             Instruction::MultiplyHalves { rd, rn, rm, ra, n_top, m_top } => {
-                let product = dsp::half(self.get(rn), n_top) * dsp::half(self.get(rm), m_top);
+                let product = half(self.get(rn), n_top) * half(self.get(rm), m_top);
                 // Q when the sum does not fit.
                 let sum = product + ra.map_or(0, |ra| self.signed(ra));
                 self.set(rd, sum as u32);
                 self.registers.flags.q |= i64::from(sum as i32) != sum;
-            }
-            Instruction::MultiplyHigh { subtract, round, rd, rn, rm, ra } => {
-                let base = ra.map_or(0, |ra| self.signed(ra) << 32);
-                let product = self.signed(rn) * self.signed(rm);
-                let sum = if subtract { base.wrapping_sub(product) } else { base.wrapping_add(product) };
-                let sum = if round { sum.wrapping_add(0x8000_0000) } else { sum };
-                self.set(rd, (sum >> 32) as u32);
             }
             Instruction::MultiplyLong { signed, accumulate, lo, hi, rn, rm } => {
                 let product = if signed {
@@ -177,10 +152,6 @@ impl Cpu {
                 };
                 let base = if accumulate { self.pair(lo, hi) } else { 0 };
                 self.set_pair(lo, hi, base.wrapping_add(product));
-            }
-            Instruction::MultiplyAddAddLong { lo, hi, rn, rm } => {
-                let product = u64::from(self.get(rn)) * u64::from(self.get(rm));
-                self.set_pair(lo, hi, product + u64::from(self.get(lo)) + u64::from(self.get(hi)));
             }
             other => unreachable!("{other:?} is executed elsewhere"),
         }

@@ -2,8 +2,8 @@
 //!
 //! One variant stands for one *operation*; the several encodings of it (16-bit, 32-bit, with or without
 //! flags) differ only in fields. Names follow the ARMv7-M ARM (DDI0403), chapter A7. Undefined here is what is in no image:
-//! parallel operations that set or read the GE bits, halve or exchange, SSAT16, USAT16, USAD8, SMLAD, SMLAW, SMLALxy, SMLALD
-//! and their kin, VCVT of fixed-point numbers, floating-point multiplications that accumulate, which the compiler does not
+//! parallel operations but UQSUB8, additions and numbers that saturate (QADD, SSAT, USAT and their kin), SMMUL, UMAAL, USAD8,
+//! SMLAD, SMLAW, SMLALxy, SMLALD and their kin, VCVT of fixed-point numbers, floating-point multiplications that accumulate, which the compiler does not
 //! fuse, and access to BASEPRI, FAULTMASK and the process stack.
 
 use super::Size;
@@ -22,28 +22,21 @@ pub enum Instruction {
     BitfieldExtract { signed: bool, rd: Reg, rn: Reg, lsb: u8, width: u8 },
     /// BFI, or BFC when there is no `rn`.
     BitfieldInsert { rd: Reg, rn: Option<Reg>, lsb: u8, width: u8 },
-    /// SSAT or USAT to `bits` bits.
-    Saturate { signed: bool, rd: Reg, rn: Reg, bits: u8, shift: Shift },
     /// SXTB…UXTB16, and with `rn` SXTAB…UXTAB16.
     Extend { extension: Extension, rd: Reg, rn: Option<Reg>, rm: Reg, rotate: u8 },
     Unary { op: UnaryOp, rd: Reg, rm: Reg },
     /// PKHBT, or with `tb` PKHTB.
     Pack { tb: bool, rd: Reg, rn: Reg, rm: Reg, shift: Shift },
-    /// QADD8, QADD16, UQADD8, UQADD16 and their subtractions, in lanes of `bits` bits.
-    SaturatingLanes { signed: bool, subtract: bool, bits: u8, rd: Reg, rn: Reg, rm: Reg },
-    SaturatingAdd { op: SaturatingOp, rd: Reg, rn: Reg, rm: Reg },
+    /// UQSUB8.
+    SubtractBytes { rd: Reg, rn: Reg, rm: Reg },
 
     Multiply { flags: SetFlags, rd: Reg, rn: Reg, rm: Reg },
     /// MLA, MLS.
     MultiplyAdd { subtract: bool, rd: Reg, rn: Reg, rm: Reg, ra: Reg },
     /// SMULxy, SMLAxy.
     MultiplyHalves { rd: Reg, rn: Reg, rm: Reg, ra: Option<Reg>, n_top: bool, m_top: bool },
-    /// SMMUL, SMMLA, SMMLS.
-    MultiplyHigh { subtract: bool, round: bool, rd: Reg, rn: Reg, rm: Reg, ra: Option<Reg> },
     /// SMULL, UMULL, SMLAL, UMLAL.
     MultiplyLong { signed: bool, accumulate: bool, lo: Reg, hi: Reg, rn: Reg, rm: Reg },
-    /// UMAAL.
-    MultiplyAddAddLong { lo: Reg, hi: Reg, rn: Reg, rm: Reg },
     Divide { signed: bool, rd: Reg, rn: Reg, rm: Reg },
 
     Load { kind: LoadKind, rt: Reg, address: Address },
@@ -230,14 +223,6 @@ pub enum Extension {
     Byte,
     Half,
     Bytes,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum SaturatingOp {
-    Qadd,
-    Qdadd,
-    Qsub,
-    Qdsub,
 }
 
 /// What a load puts into its register.

@@ -26,7 +26,6 @@ mod system;
 mod tests;
 
 use code::{Accelerator, Code, Decoded, NOTHING_IN_FLIGHT};
-pub use decode::direct_branch;
 use float::FloatUnit;
 use instruction::Reg;
 use nvic::Nvic;

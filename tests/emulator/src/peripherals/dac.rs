@@ -3,7 +3,7 @@
 //!
 //! A code written to a holding register is at the output in the same tick; the hardware takes
 //! up to three bus cycles, and the analog stage about a microsecond, which belongs to the optics.
-//! The output buffer reaches ground unless the silicon has one of the faults `dac-rest`.
+//! The output buffer reaches ground unless the silicon has the fault `dac-rest`.
 
 use super::Effects;
 use super::effects::{ALL, Bank, Register};
@@ -28,7 +28,7 @@ impl Dac {
         self.bank.reset();
     }
 
-    /// Faults dac-rest: the output buffer goes no lower than `rest_v`, of 3.3 V.
+    /// Fault dac-rest: the output buffer goes no lower than `rest_v`, of 3.3 V.
     pub fn set_rest_v(&mut self, rest_v: f64) {
         self.rest = (rest_v / 3.3 * 4096.0).round() as u16;
     }

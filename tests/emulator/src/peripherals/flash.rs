@@ -176,8 +176,7 @@ impl Flash {
             effects.violation(0, BUSY_RULE);
         }
         if self.array.is_torn(offset) && self.eccr & ECCD == 0 {
-            let is_second = (offset >= BANK_BYTES) != effects.faults.has(Fault::EccBank);
-            let bank = if is_second { BK_ECC } else { 0 };
+            let bank = if offset >= BANK_BYTES { BK_ECC } else { 0 };
             self.eccr = ECCD | bank | ((offset % BANK_BYTES) & !(DOUBLE_WORD_BYTES - 1)) as u32;
             effects.raise_nmi();
         }

@@ -14,7 +14,7 @@ use slitpose_tracking::link::{Asked, Segment};
 use slitpose_tracking::pipeline::{Counts, Item, Pipeline, PipelineError, Record, SceneMatch};
 
 use super::{Conditions, Scan, Trace};
-use crate::consistency::{error, worst_axis};
+use crate::consistency::worst_axis;
 
 /// Time between pings, and between looks at the health of the head, seconds.
 const PING_S: f64 = 0.1;
@@ -222,8 +222,7 @@ fn is_late(record: &Record) -> bool {
 
 /// The error of a pose in σ of its worst axis; `None` without one.
 fn sigmas(record: &Record, truth: &Pose) -> Option<f64> {
-    let estimate = record.solution.estimate?;
-    Some(worst_axis(&error(&estimate.pose, truth), &estimate.covariance))
+    Some(worst_axis(&record.solution.estimate?, truth))
 }
 
 /// The word for an outcome that is not sound.

@@ -5,12 +5,12 @@ use std::fmt;
 
 use slitpose_model::{Outcome, Solution};
 
-use crate::consistency::{error, sigma};
+use crate::consistency::error;
 use crate::poses::{self, PoseRow};
 use crate::studies::Table;
 
 /// A noisy pose this many of its σ from the truth, on any axis, is another pose.
-pub const WRONG_SIGMAS: f64 = 10.0;
+const WRONG_SIGMAS: f64 = 10.0;
 
 /// One solve, with all that is needed to repeat it.
 #[derive(Clone, Copy, Debug)]
@@ -21,16 +21,12 @@ pub struct Case {
     pub solution: Solution,
     /// Error of the pose, m and rad, if there is one.
     pub error: Option<[f64; 6]>,
-    /// What was done to the data, in σ; 0: nothing.
-    pub error_sigmas: f64,
-    /// The χ² that is left at the pose that suits the error best, were the optics linear.
-    pub least_chi2: f64,
 }
 
 impl Case {
     pub fn new(trial: usize, truth: PoseRow, solution: Solution) -> Self {
         let error = solution.estimate.map(|estimate| error(&estimate.pose, &poses::pose(truth)));
-        Self { trial, truth, solution, error, error_sigmas: 0.0, least_chi2: 0.0 }
+        Self { trial, truth, solution, error }
     }
 
     /// Largest error of a translation, mm, and of a rotation, rad; infinite without pose.
@@ -41,7 +37,7 @@ impl Case {
 
     /// Errors in units of the reported σ.
     fn sigmas(&self) -> Option<[f64; 6]> {
-        let sigma = sigma(&self.solution.estimate?.covariance);
+        let sigma = self.solution.estimate?.sigma();
         self.error.map(|error| std::array::from_fn(|axis| error[axis] / sigma[axis]))
     }
 
@@ -74,9 +70,6 @@ impl fmt::Display for Case {
         writeln!(f, "    trial {} at {:?} (mm, rad)", self.trial, self.truth)?;
         let (outcome, cells) = (self.outcome(), cells_used.count());
         write!(f, "      {outcome}: {cells} cells, χ² {chi2:.3e} of {redundancy}, {iterations} steps")?;
-        if self.error_sigmas > 0.0 {
-            write!(f, ", error {:.1} σ, least χ² {:.1}", self.error_sigmas, self.least_chi2)?;
-        }
         let (mm, rad) = self.largest();
         self.sigmas().map_or(Ok(()), |sigmas| write!(f, "; error {mm:.1e} mm {rad:.1e} rad, in σ {sigmas:.3?}"))
     }
@@ -121,10 +114,10 @@ impl Tally {
         tally
     }
 
-    /// What ended with `outcome`, from any number of cells; all of it if that is empty.
+    /// What ended with `outcome`, from any number of cells.
     pub fn count(&self, outcome: &str) -> Count {
         let mut sum = Count::default();
-        for (_, count) in self.0.iter().filter(|((of, _), _)| outcome.is_empty() || of == outcome) {
+        for (_, count) in self.0.iter().filter(|((of, _), _)| of == outcome) {
             sum.right += count.right;
             sum.near += count.near;
             sum.wrong += count.wrong;

@@ -5,15 +5,14 @@
 //! seed in 3000 has one outside. A number of poses as large as the default has bounds of its own.
 
 mod case;
-mod outliers;
 
 use clap::{Args, ValueEnum};
 use slitpose_head::scene_file::{BASE, MAGLEV, SPACEMOUSE, SceneFile, Shipped, WIDE};
 use slitpose_model::{AXES, MotionPrior, Outcome, Photocurrents, Scene, Solver, Start, Tier, Uncertainty};
 
-use super::trials::{Disturbance, HALF, Trials, any_pose, displaced_pairs, lit_pose};
+use super::trials::{Disturbance, HALF, Trials, any_pose, lit_pose};
 use super::{Table, Verdicts};
-use crate::consistency::{median, nees, sigma};
+use crate::consistency::median;
 use crate::poses::pose;
 use case::{Case, Kind, Tally, print_failures};
 
@@ -46,10 +45,6 @@ enum Part {
     Efficiency,
     /// Both of heads whose light does not pass slits on the base
     Openings,
-    /// One cell answers for another pose
-    Outliers,
-    /// Three, four or five cells
-    Subsets,
 }
 
 impl Conditions {
@@ -65,8 +60,6 @@ pub fn study(conditions: &Conditions) -> Verdicts {
             Part::Cold => cold(conditions, &mut verdicts),
             Part::Efficiency => efficiency(conditions, &mut verdicts),
             Part::Openings => openings(conditions, &mut verdicts),
-            Part::Outliers => outliers::study(conditions, &mut verdicts),
-            Part::Subsets => outliers::subsets(conditions, &mut verdicts),
         }
     }
     verdicts
@@ -205,25 +198,23 @@ fn efficient(name: &str, scene: &Scene, half: [f64; 2], trials: Trials, verdicts
     let solver = solver(scene, Tier::Paper);
     let disturbance = Disturbance::of(scene);
     let solved = trials.run(|trial, rng| {
-        let (row, mut pairs) = lit_pose(scene, solver.plan(), half, rng);
-        if scene.uncertainty.position_m > 0.0 {
-            pairs = displaced_pairs(solver.plan(), &pose(row), scene.uncertainty.position_m, rng);
-        }
+        let (row, pairs) = lit_pose(scene, solver.plan(), half, rng);
         (case(&solver, trial, row, &disturbance.measured(&pairs, rng)), solver.bound(&pose(row)))
     });
     let cases: Vec<&Case> = solved.iter().map(|(case, _)| case).collect();
     let right: Vec<(&Case, [f64; 6])> = solved
         .iter()
         .filter(|(case, _)| case.by_sigmas() == Kind::Right)
-        .filter_map(|(case, bound)| Some((case, sigma(bound.as_ref()?))))
+        .filter_map(|(case, bound)| {
+            let bound = bound.as_ref()?;
+            Some((case, std::array::from_fn(|axis| bound[axis][axis].sqrt())))
+        })
         .collect();
     let mean = |value: &dyn Fn(&Case, &[f64; 6]) -> f64| {
         right.iter().map(|(case, bound)| value(case, bound)).sum::<f64>() / right.len() as f64
     };
-    let own_nees = mean(&|case, _| match (case.error, case.solution.estimate) {
-        (Some(error), Some(estimate)) => nees(&error, &estimate.covariance),
-        _ => 0.0,
-    });
+    let nees = |case: &Case| case.solution.estimate.and_then(|estimate| estimate.nees(&pose(case.truth)));
+    let own_nees = mean(&|case, _| nees(case).unwrap_or(0.0));
     let bound = std::array::from_fn(|axis| median(right.iter().map(|(_, bound)| bound[axis])));
     println!("efficiency, {name}, paper tier, ±{half:?} mm and °, all cells lit, noise of the scene, {trials:?}");
     // A root mean square of n normal numbers scatters by 1/√(2n), the mean of n χ² of six degrees by √(12/n).
@@ -253,7 +244,6 @@ fn efficiency(conditions: &Conditions, verdicts: &mut Verdicts) {
     let unknown = [
         ("emitter gains to 1 %", Uncertainty { emitter_gain_relative: 0.01, ..calibrated }),
         ("electrode gains to 0.3 %", Uncertainty { electrode_gain_relative: 0.003, ..calibrated }),
-        ("positions to 10 µm", Uncertainty { position_m: 10e-6, ..calibrated }),
     ]
     .map(|(name, uncertainty)| study(name, uncertainty));
     // With 1 % of gain the currents as good as drop out, which costs 1.5 to 3 times; the others cost more.

@@ -8,9 +8,10 @@ mod pose;
 
 use std::collections::BTreeMap;
 
+use slitpose_model::Tier;
+
 use super::head::Head;
 use super::section::{Section, Table, Value};
-use super::solver::Precision;
 use super::{ReportError, Settings};
 
 pub(super) const TITLE: &str = "Stiff and extreme cases";
@@ -26,7 +27,7 @@ const SLOW_S: f64 = 5e-3;
 enum Expected {
     /// One of these words, whatever the number.
     Words(&'static [&'static str]),
-    /// A number, as exact as the number type allows.
+    /// A number, as exact as rounding allows.
     Value,
     /// Such a number where less than this error is attainable; elsewhere a word will do that says
     /// why there is none.
@@ -35,7 +36,7 @@ enum Expected {
     Honest,
 }
 
-/// The result of a case in one number type.
+/// The result of a case.
 #[derive(Clone, Debug, Default)]
 struct Reached {
     /// How many came back without a value.
@@ -43,7 +44,7 @@ struct Reached {
     outcomes: BTreeMap<String, usize>,
     /// Error, in the unit of the case; `None` without a value.
     error: Option<f64>,
-    /// The attainable error in this number type, in the same unit.
+    /// The attainable error, in the same unit.
     attainable: Option<f64>,
     /// The slowest of the solves, seconds.
     slowest_s: Option<f64>,
@@ -94,27 +95,29 @@ struct Case {
     /// What the error is of, with its unit.
     quantity: &'static str,
     expected: Expected,
-    /// In `f64` and in `f32`.
-    reached: [Reached; 2],
+    reached: Reached,
 }
 
+/// The exact tier at the tightest tolerance that is of use: a solver weighs by it, and stops when it has come so near.
+const TIGHTEST: Tier = Tier::Exact { tolerance: 1e-15 };
+
+const UNIT_ROUNDOFF: f64 = 0.5 * f64::EPSILON;
+
 impl Case {
-    /// The number types in which the case falls short.
-    fn short(&self) -> Vec<&'static str> {
-        let short = Precision::BOTH.into_iter().zip(&self.reached).filter(|(_, it)| !it.is_good(self.expected));
-        short.map(|(precision, _)| precision.name()).collect()
+    fn is_good(&self) -> bool {
+        self.reached.is_good(self.expected)
     }
 
     /// The slowest solve of all, where it is too slow, seconds.
     fn slow_s(&self) -> Option<f64> {
-        self.reached.iter().filter_map(|reached| reached.slowest_s).reduce(f64::max).filter(|it| *it > SLOW_S)
+        self.reached.slowest_s.filter(|it| *it > SLOW_S)
     }
 
     fn verdict(&self) -> Value {
-        match (&self.short()[..], self.slow_s()) {
-            ([], None) => "good".into(),
-            ([], Some(slow_s)) => Value::Alert(format!("slow: {:.0} ms", slow_s * 1e3)),
-            (short, _) => Value::Alert(format!("short: {}", short.join(", "))),
+        match (self.is_good(), self.slow_s()) {
+            (true, None) => "good".into(),
+            (true, Some(slow_s)) => Value::Alert(format!("slow: {:.0} ms", slow_s * 1e3)),
+            (false, _) => Value::Alert("short".to_owned()),
         }
     }
 }
@@ -134,10 +137,9 @@ pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, R
         summary: vec![format!("Extreme cases: {}{}", summary[..1].to_lowercase(), &summary[1..])],
         paragraphs: vec![
             format!(
-                "Each case is driven towards the point where it must fail, in f64 and in f32. The condition number of \
-                 a case says by how much it magnifies a relative error of what goes in; what is attainable is what \
-                 remains when every number that goes in is rounded once: the condition number times the number type's \
-                 rounding. Currents of one cell are compared with an integration that shares nothing with the \
+                "Each case is driven towards the point where it must fail. The condition number of a case says by how \
+                 much it magnifies a relative error of what goes in; what is attainable is what remains when every \
+                 number that goes in is rounded once: the condition number times that rounding. Currents of one cell are compared with an integration that shares nothing with the \
                  model; poses, {} near home in each case, with the truth.{of_slits}",
                 pose::POSES
             ),
@@ -148,13 +150,11 @@ pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, R
     })
 }
 
-/// How many cases fall short, by study and number type.
+/// How many cases fall short, by study.
 fn summary(cases: &[Case]) -> String {
-    let mut short: BTreeMap<(&str, &str), usize> = BTreeMap::new();
-    for case in cases {
-        for precision in case.short() {
-            *short.entry((case.study, precision)).or_default() += 1;
-        }
+    let mut short: BTreeMap<&str, usize> = BTreeMap::new();
+    for case in cases.iter().filter(|case| !case.is_good()) {
+        *short.entry(case.study).or_default() += 1;
     }
     let slow: Vec<f64> = cases.iter().filter_map(Case::slow_s).collect();
     let slow = match slow.iter().copied().reduce(f64::max) {
@@ -168,10 +168,8 @@ fn summary(cases: &[Case]) -> String {
         return format!("All {} cases came out as they must.{slow}", cases.len());
     }
     let of = |study: &str| cases.iter().filter(|case| case.study == study).count();
-    let names: Vec<String> = short
-        .into_iter()
-        .map(|((study, precision), count)| format!("{study} in {precision} ({count} of {})", of(study)))
-        .collect();
+    let names: Vec<String> =
+        short.into_iter().map(|(study, count)| format!("{study} ({count} of {})", of(study))).collect();
     format!("Of {} cases these fall short, and are marked in the table: {}.{slow}", cases.len(), names.join(", "))
 }
 
@@ -181,10 +179,8 @@ fn table(cases: &[Case]) -> Table {
         Expected::Value => "value".to_owned(),
         Expected::ValueBelow(_) | Expected::Honest => "value, or why not".to_owned(),
     };
-    let number = |case: &Case, of: usize, value: fn(&Reached) -> Option<f64>| Value::optional(value(&case.reached[of]));
-    let slowest_us = |reached: &Reached| Some(1e6 * reached.slowest_s?);
     let caption = format!(
-        "Extreme cases: what came back, its error, what is attainable in that number type, and their ratio. Good: \
+        "Extreme cases: what came back, its error, what is attainable, and their ratio. Good: \
          the ratio is at most {ENOUGH}, each pose came back or a reason why it cannot, and no solve took longer \
          than {:.0} ms",
         SLOW_S * 1e3
@@ -199,16 +195,11 @@ fn table(cases: &[Case]) -> Table {
             ("condition", "condition number", &|case| Value::optional(case.condition)),
             ("quantity", "error of", &|case| case.quantity.into()),
             ("expected", "expected", &|case| expected(case).into()),
-            ("f64_outcome", "f64", &|case| case.reached[0].outcome().into()),
-            ("f64_error", "error", &|case| number(case, 0, |reached| reached.error)),
-            ("f64_attainable", "attainable", &|case| number(case, 0, |reached| reached.attainable)),
-            ("f64_ratio", "ratio", &|case| number(case, 0, Reached::ratio)),
-            ("f64_slowest_us", "slowest / µs", &|case| number(case, 0, slowest_us)),
-            ("f32_outcome", "f32", &|case| case.reached[1].outcome().into()),
-            ("f32_error", "error", &|case| number(case, 1, |reached| reached.error)),
-            ("f32_attainable", "attainable", &|case| number(case, 1, |reached| reached.attainable)),
-            ("f32_ratio", "ratio", &|case| number(case, 1, Reached::ratio)),
-            ("f32_slowest_us", "slowest / µs", &|case| number(case, 1, slowest_us)),
+            ("outcome", "outcome", &|case| case.reached.outcome().into()),
+            ("error", "error", &|case| Value::optional(case.reached.error)),
+            ("attainable", "attainable", &|case| Value::optional(case.reached.attainable)),
+            ("ratio", "ratio", &|case| Value::optional(case.reached.ratio())),
+            ("slowest_us", "slowest / µs", &|case| Value::optional(case.reached.slowest_s.map(|s| 1e6 * s))),
             ("verdict", "verdict", &Case::verdict),
         ],
     )
@@ -220,9 +211,13 @@ mod tests {
 
     #[test]
     fn verdicts_follow_from_what_is_expected_and_from_the_time() {
-        let case = |expected, reached| {
-            let reached = [Reached::clone(&reached), reached];
-            Case { study: "", case: String::new(), condition: None, quantity: "", expected, reached }
+        let case = |expected, reached| Case {
+            study: "",
+            case: String::new(),
+            condition: None,
+            quantity: "",
+            expected,
+            reached,
         };
         let value = |error| Reached::once("converged", Some(error), Some(1e-17));
         let none = || Reached::once("unobservable", None, Some(1.0));
@@ -241,7 +236,7 @@ mod tests {
             (Expected::Honest, Reached { without_value: 1, ..value(1e-15) }, true),
             (Expected::Honest, Reached::once("diverged", None, Some(1.0)), false),
         ] {
-            assert_eq!(case(expected, reached.clone()).short().is_empty(), good, "{expected:?} {reached:?}");
+            assert_eq!(case(expected, reached.clone()).is_good(), good, "{expected:?} {reached:?}");
         }
         let slow = |slowest_s| case(Expected::Value, Reached { slowest_s: Some(slowest_s), ..value(1e-17) }).verdict();
         assert_eq!(slow(0.1), Value::Alert("slow: 100 ms".to_owned()));

@@ -1,6 +1,6 @@
 //! Poses driven to extremes: layouts that hardly tell them, masked cells, turned frames, currents of any size.
 //!
-//! What a number type can attain at all: a relative error ρ of each current, and of each coordinate of detectors and
+//! What can be attained at all: a relative error ρ of each current, and of each coordinate of detectors and
 //! emitters, moves the pose by ρ times a factor that belongs to the head and the pose, the condition. No arithmetic can do
 //! better with rounded data, and a stable one does little worse.
 
@@ -11,11 +11,11 @@ use glam::DVec3;
 use nalgebra::DMatrix;
 use slitpose_model::{CompiledScene, Opening, Pair, Photocurrents, Pose, Reading, Scene, SceneError, rotation_exp};
 
-use super::{Case, Expected, Reached};
+use super::{Case, Expected, Reached, TIGHTEST, UNIT_ROUNDOFF};
 use crate::report::Settings;
 use crate::report::head::{Head, NoiseSource, currents};
 use crate::report::section::Value;
-use crate::report::solver::{Effort, Method, Precision, Start};
+use crate::report::solver::{Effort, Method, Start};
 
 /// A pose whose rounding moves the emitters by less than this share of their distance can be had.
 const TELLS_A_POSE: f64 = 1e-2;
@@ -121,7 +121,7 @@ struct Trial {
 impl Trial {
     /// Noise-free currents of `scene` at poses around `centre`, `spread` times the usual distance away.
     fn within(scene: Scene, centre: &Pose, spread: f64, seed: u64) -> Result<Self, SceneError> {
-        let plan = CompiledScene::compile(&scene, Precision::Double.tightest_tier())?;
+        let plan = CompiledScene::compile(&scene, TIGHTEST)?;
         let mut noise = NoiseSource::seeded(seed);
         let poses: Vec<Pose> = (0..POSES).map(|_| noise.near(centre, NEAR_HOME.map(|sigma| spread * sigma))).collect();
         let readings = poses.iter().map(|pose| currents(&plan, pose)).collect();
@@ -140,20 +140,18 @@ impl Trial {
     ) -> Result<Case, SceneError> {
         let attainable = |pose| Attainable::at(&self.scene, &self.plan, pose, &used);
         let attainable: Vec<Attainable> = self.poses.iter().map(attainable).collect();
-        let [double, single] = Precision::BOTH.map(|precision| self.reached(start, precision, &attainable));
-        let mut reached = [double?, single?];
+        let mut reached = self.reached(start, &attainable)?;
         // Where there is no pose, nothing is attainable.
         let has_pose = !matches!(expected, Expected::Words(_));
-        reached.iter_mut().filter(|_| !has_pose).for_each(|reached| reached.attainable = None);
+        reached.attainable = reached.attainable.filter(|_| has_pose);
         let condition = slitpose_calibration::median(attainable.iter().map(|it| it.condition).collect());
         let quantity = "pose at the emitters / µm";
         Ok(Case { study, case, condition: has_pose.then_some(condition), quantity, expected, reached })
     }
 
-    fn reached(&self, start: Start, precision: Precision, attainable: &[Attainable]) -> Result<Reached, SceneError> {
+    fn reached(&self, start: Start, attainable: &[Attainable]) -> Result<Reached, SceneError> {
         let arm_m = self.scene.length_scale_m();
-        let tier = precision.tightest_tier();
-        let solve = Method { tier, precision, start, effort: Effort::Full }.compile(&self.scene)?;
+        let solve = Method { tier: TIGHTEST, start, effort: Effort::Full }.compile(&self.scene)?;
         let mut reached = Reached::default();
         let (mut squares, mut best, mut found, mut slowest_s) = (0.0, 0.0, 0.0, 0.0_f64);
         for (index, pose) in self.poses.iter().enumerate() {
@@ -169,7 +167,7 @@ impl Trial {
             slowest_s = slowest_s.max(least_s);
             *reached.outcomes.entry(solved.outcome.as_str().to_owned()).or_default() += 1;
             reached.without_value += usize::from(solved.pose.is_none());
-            best += attainable[index].at_emitters_m(precision, arm_m).powi(2);
+            best += attainable[index].at_emitters_m(arm_m).powi(2);
             if let Some(found_pose) = solved.pose {
                 let (dt, dr) = found_pose.displacement_from(pose);
                 squares += dt.length_squared() + arm_m * arm_m * dr.length_squared();
@@ -232,10 +230,9 @@ impl Attainable {
         }
     }
 
-    /// How far rounding in `precision` moves the emitters of a tool with the given arm: root mean
-    /// square, metres.
-    fn at_emitters_m(&self, precision: Precision, arm_m: f64) -> f64 {
-        precision.unit_roundoff() * self.translation_m.hypot(arm_m * self.rotation_rad)
+    /// How far rounding moves the emitters of a tool with the given arm: root mean square, metres.
+    fn at_emitters_m(&self, arm_m: f64) -> f64 {
+        UNIT_ROUNDOFF * self.translation_m.hypot(arm_m * self.rotation_rad)
     }
 }
 
@@ -252,11 +249,9 @@ mod tests {
         let plan = CompiledScene::compile(&scene, Tier::Paper).unwrap();
         let all = Attainable::at(&scene, &plan, &Pose::HOME, |_| true);
         assert!((1.0..10.0).contains(&all.condition), "{}", all.condition);
-        for precision in Precision::BOTH {
-            // Detectors lie 25 mm from the middle.
-            let roundings = all.at_emitters_m(precision, scene.length_scale_m()) / (precision.unit_roundoff() * 25e-3);
-            assert!((0.3..10.0).contains(&roundings), "{roundings}");
-        }
+        // Detectors lie 25 mm from the middle.
+        let roundings = all.at_emitters_m(scene.length_scale_m()) / (UNIT_ROUNDOFF * 25e-3);
+        assert!((0.3..10.0).contains(&roundings), "{roundings}");
         let half = Attainable::at(&scene, &plan, &Pose::HOME, |cell| cell > 1);
         assert!(half.condition > all.condition, "fewer cells tell no more");
     }
