@@ -1,11 +1,12 @@
 //! `slitpose model` into `slitpose solve`: poses come back, rows keep their place, and what cannot be
 //! solved says why. Two six-cell heads and every single cell, ordinary and extreme, against independent multi-precision
-//! integration.
+//! integration; and single precision against double.
 
+use slitpose_model::{CompiledScene, Pose, Tier};
 use slitpose_tests::consistency::median;
 use slitpose_tests::poses::{self, PoseRow};
 use slitpose_tests::process::{Slitpose, name_in, text, written};
-use slitpose_tests::scenes::{changed, ring, wide_with};
+use slitpose_tests::scenes::{self, changed, ring, wide_with};
 use slitpose_tests::slitpose;
 use slitpose_tests::table::{POSE, Row, SIGMA, Table, data, reference, single_cell_scene_file, with_changed};
 
@@ -270,6 +271,29 @@ fn every_single_cell_goes_through_scene_file_and_process() {
                     assert!(error <= x_tolerance_mm, "{name}, {tier}: X_A off by {error:e} mm");
                 }
             }
+        }
+    }
+}
+
+#[test]
+fn single_precision_follows_double_precision() {
+    for row in reference("reference/single_cell.csv").rows() {
+        // Cut by an edge of the detector, or far beyond what single precision resolves of the
+        // distance between emitter and horizon: no bound is claimed there.
+        if row.text("status") != "lit" || row.text("name").starts_with("grazing") {
+            continue;
+        }
+        let scene = scenes::parse(&single_cell_scene_file(&row)).scene;
+        for tier in [Tier::Paper, Tier::Exact { tolerance: 1e-6 }] {
+            let double = CompiledScene::<f64>::compile(&scene, tier).expect("scene").respond(0, &Pose::HOME);
+            let single = CompiledScene::<f32>::compile(&scene, tier).expect("scene").respond(0, &Pose::HOME);
+            if double.i_o_a == 0.0 {
+                assert_eq!(single.i_o_a, 0.0, "{}", row.text("name"));
+                continue;
+            }
+            let error = (f64::from(single.i_o_a) - double.i_o_a).abs() / double.i_o_a;
+            println!("{} {tier:?}: {error:.1e}", row.text("name"));
+            assert!(error <= 1e-5, "{}: {error:e}", row.text("name"));
         }
     }
 }
