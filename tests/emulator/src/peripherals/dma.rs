@@ -322,6 +322,7 @@ fn channel_register(offset: u32) -> Option<(usize, u32)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::facts;
 
     const CH3: u32 = FIRST_CHANNEL + 2 * CHANNEL_SPAN;
 
@@ -348,5 +349,13 @@ mod tests {
         dma.write(0, FIRST_CHANNEL + CNDTR, 1, &mut effects);
         dma.write(0, FIRST_CHANNEL + CCR, EN, &mut effects);
         assert_eq!(effects.violation_count, 3, "two channels share a request");
+    }
+
+    #[test]
+    fn widths_and_priority_are_st_s_fields() {
+        let ccr = ["DMA_CCR_PSIZE_1", "DMA_CCR_MSIZE_0", "DMA_CCR_PL"].map(facts::bits).iter().sum();
+        let wide = Channel { ccr, ..Channel::default() };
+        let Transfer { source_width, destination_width, .. } = wide.transfer();
+        assert_eq!((source_width, destination_width, wide.priority()), (4, 2, 3));
     }
 }

@@ -255,6 +255,7 @@ fn is_register(offset: u32) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::facts;
 
     /// HSI / 4 × 85 / 2.
     const PLL_170_MHZ: u32 = 2 | 3 << 4 | 85 << 8 | 1 << 24;
@@ -298,5 +299,22 @@ mod tests {
             assert_eq!(effects.violation_count, broken, "{steps:?}");
             assert!(rcc.is_at_full_speed());
         }
+    }
+
+    #[test]
+    fn clocks_are_selected_by_st_s_bits() {
+        let mut rcc = Rcc::new();
+        let field = |name: &str, value: u32| value << facts::bits(&format!("RCC_PLLCFGR_{name}")).trailing_zeros();
+        let loops = field("PLLM", 6 - 1) | field("PLLN", 85) | field("PLLR", 0) | field("PLLREN", 1);
+        rcc.set(PLLCFGR, loops | facts::bits("RCC_PLLCFGR_PLLSRC_HSE"));
+        assert_eq!(rcc.pll_hz(), TICKS_PER_SECOND);
+        rcc.set(PLLCFGR, loops | facts::bits("RCC_PLLCFGR_PLLSRC_HSI"));
+        assert_eq!(rcc.pll_hz(), TICKS_PER_SECOND * HSI_HZ / HSE_HZ);
+        rcc.set(CRRCR, facts::bits("RCC_CRRCR_HSI48ON"));
+        assert!(rcc.has_usb_clock());
+        let ready = facts::bits("RCC_CRRCR_HSI48RDY");
+        assert_eq!(rcc.read(CRRCR, &mut Effects::default()) & ready, ready);
+        rcc.set(CCIPR, 1 << facts::bits("RCC_CCIPR_CLK48SEL").trailing_zeros());
+        assert!(!rcc.has_usb_clock(), "01 is reserved");
     }
 }

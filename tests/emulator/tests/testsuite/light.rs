@@ -9,7 +9,7 @@ use slitpose_emulator::faults::Fault;
 use slitpose_emulator::memory::{FLASH_BASE, RAM_BASE};
 use slitpose_emulator::peripherals::Ticks;
 use slitpose_emulator::rig::open_image;
-use slitpose_protocol::{ClockSource, Command, HardwareFault, Rejection, ResetCause};
+use slitpose_protocol::{BootTarget, ClockSource, Command, HardwareFault, Rejection, ResetCause};
 
 /// From an event of the supply or a fault to the gates: an exception's entry, some ten instructions from flash, and
 /// whatever runs with interrupts off, 250 ticks at most.
@@ -218,6 +218,27 @@ fn a_brown_out_lets_the_pins_float_at_once() {
         ends("brown-out", |bench| bench.rig.machine().set_supply_v(volts), 0..=0, cause);
     }
     ends("reset pin", |bench| bench.rig.machine().pull_reset_pin(), 0..=0, ResetCause::Pin);
+}
+
+#[test]
+fn a_reboot_is_done_in_the_dark_and_after_its_reply() {
+    let mut bench = lit();
+    let asked = bench.rig.now();
+    let replied = bench.accept(&Command::Reboot(BootTarget::Firmware));
+    let dark = bench.dark_since();
+    bench.run_ms(150.0);
+    let reset = bench.rig.machine().resets().last().expect("it starts").at;
+    println!(
+        "Reboot: dark after {:.0} µs, reply after {:.0} µs, reset after {:.0} µs",
+        us(dark.saturating_sub(asked)),
+        us(replied - asked),
+        us(reset - asked)
+    );
+    assert!(dark < replied && replied < reset);
+    assert!(dark <= asked + 2 * MS);
+    assert!(reset <= asked + 102 * MS, "100 ms for the reply to be taken");
+    assert_eq!(bench.dark_since(), dark);
+    assert_comes_back(&mut bench, ResetCause::Software);
 }
 
 #[test]

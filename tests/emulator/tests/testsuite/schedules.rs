@@ -323,6 +323,21 @@ fn the_fastest_frames_lose_nothing_for_a_second() {
     bench.expect_neither_faults_nor_damage();
 }
 
+#[test]
+fn the_default_slots_cost_more_of_the_core_the_faster_they_follow() {
+    let mut bench = Talk::quiet();
+    let mut before = 0.0;
+    for frame_ticks in [170_000, 85_000, 42_500, 23_200] {
+        let mut configuration = default_configuration();
+        configuration.schedule.frame_ticks = frame_ticks;
+        let outcome = outcome(&mut bench, &configuration, 1_000);
+        println!("default slots at {:.0} Hz: {outcome:?}", configuration.schedule.frame_rate_hz());
+        assert_eq!((outcome.missing, outcome.dropped, outcome.overruns), (0, 0, 0));
+        assert!(outcome.awake_permille > before && outcome.awake_permille < 500.0);
+        before = outcome.awake_permille;
+    }
+}
+
 /// Frames of all cells at 20 kHz are more than the bus takes away.
 #[test]
 fn what_is_too_fast_is_lost_and_counted_but_the_board_stays_in_hand() {

@@ -260,4 +260,13 @@ mod tests {
         // Half a tick in whole ones, and up to three.
         assert_eq!(late, [1, 2, 3, 4]);
     }
+
+    #[test]
+    fn trigger_and_clock_are_selected_by_st_s_numbers() {
+        let select = facts::bits("LL_ADC_REG_TRIG_EXT_TIM2_TRGO") & facts::bits("ADC_CFGR_EXTSEL");
+        assert_eq!(RISING_TIM2, select | facts::bits("LL_ADC_REG_TRIG_EXT_RISING"));
+        for (divider, mode) in [(1, 1), (2, 2), (4, facts::bits("LL_ADC_CLOCK_SYNC_PCLK_DIV4") >> 16)] {
+            assert_eq!(clock_ticks(mode << 16), divider);
+        }
+    }
 }
