@@ -70,11 +70,18 @@ fn what_is_absent_is_off() {
     let cell = &file.scene.cells[0];
     assert_eq!(file.name, "scene");
     assert_eq!((&file.scene.noise, &file.front_end), (&None, &None));
-    assert_eq!(file.scene.uncertainty, Uncertainty { light_level_relative: 0.1, ..Uncertainty::default() });
+    let usual = Uncertainty {
+        light_level_relative: 0.1,
+        emitter_drift_relative: 0.01,
+        emitter_drift_s: 7200.0,
+        ..Uncertainty::default()
+    };
+    assert_eq!((file.scene.uncertainty, file.gives_light_level, file.gives_emitter_drift), (usual, false, false));
     for (given, light_level_relative) in [("0", 0.0), ("0.02", 0.02)] {
-        let text = format!("{LEAST}\n[tolerance]\nlight_level_relative = {given}\n");
+        let text = format!("{LEAST}\n[tolerance]\nlight_level_relative = {given}\nemitter_drift_minutes = 1\n");
         let file = parse(&text).unwrap();
-        assert_eq!(file.scene.uncertainty, Uncertainty { light_level_relative, ..Uncertainty::default() });
+        assert_eq!(file.scene.uncertainty, Uncertainty { light_level_relative, emitter_drift_s: 60.0, ..usual });
+        assert!(file.tolerance.is_none(), "levels are no tolerances of parts");
     }
     assert_eq!((cell.detector.saturation_a, cell.detector.interelectrode_ohm), (None, None));
     assert_eq!((cell.detector.dark_current_a, cell.slit.thickness_m), (0.0, 0.0));
