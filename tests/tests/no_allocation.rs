@@ -68,7 +68,7 @@ fn reversals_and_damage_allocate_nothing() {
     assert!(poses > SCANS as u64 / 2 && poses < SCANS as u64 + 400, "{poses}");
 }
 
-/// As a pipeline does that is behind, for the newest scan.
+/// As a pipeline does that is behind, for the newest scan, and a search for exchanged cells.
 #[test]
 fn copies_of_a_tracker_allocate_nothing() {
     let scene = WIDE.read().expect("shipped").scene;
@@ -93,6 +93,7 @@ fn watching_and_counting_allocate_nothing() {
         for (scan, record) in decoded.scans.iter().zip(&records) {
             let mut record = *record;
             if spoil {
+                // Nothing fits any more: exchanges are looked for, too.
                 record.solution.outcome = slitpose_model::Outcome::Diverged;
             }
             let sampled_ns = (record.device_time_s * 1e9) as u64;

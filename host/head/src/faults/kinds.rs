@@ -129,9 +129,9 @@ pub const KINDS: [Kind; 27] = kinds! {
     "stuck", Words, [cell: Number], Lasts::ToTheEnd, 0, "stuck:cell=5,from=1s",
         "lets the words of a cell stay as they are", "degraded (cell_excluded, doubted); health: stuck";
     "swap-electrodes", Words, [cell: Number], Lasts::ToTheEnd, 0, "swap-electrodes:cell=0",
-        "exchanges the electrodes of a cell", "degraded (cell_excluded, doubted); health: excluded";
+        "exchanges the electrodes of a cell", "degraded (cell_excluded, doubted); health: swapped";
     "swap-cells", Words, [cell: Number, with: Number], Lasts::ToTheEnd, 0, "swap-cells:cell=0,with=3",
-        "exchanges two cells", "degraded (misfit, doubted) or no pose; health: the scans contradict the scene";
+        "exchanges two cells", "degraded (misfit, doubted) or no pose; health: swapped";
     "dead", Light, [emitter: Number], Lasts::ToTheEnd, 0, "dead:emitter=4,from=1s",
         "lets an emitter fail", "degraded (fewer_cells); health: dark";
     "move", Light, [cell: Number, by: Length = "50um"], Lasts::ToTheEnd, 0, "move:cell=2,by=30um,from=1s",

@@ -5,6 +5,8 @@ use serde::{Serialize, Serializer};
 use slitpose_head::finding::Finding;
 use slitpose_model::{MAX_CELLS, Pose};
 
+use super::Exchange;
+
 /// The state of a cell, gravest first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -13,6 +15,8 @@ pub enum Verdict {
     Unknown,
     /// Not measured: its emitter is off.
     Off,
+    /// Its electrodes are swapped, or it is swapped with another cell.
+    Swapped,
     /// Its words have stopped changing.
     Stuck,
     /// A converter or the detector is at its limit.
@@ -37,6 +41,7 @@ impl Verdict {
         match self {
             Self::Unknown => "unknown",
             Self::Off => "off",
+            Self::Swapped => "swapped",
             Self::Stuck => "stuck",
             Self::Saturated => "saturated",
             Self::Dark => "dark",
@@ -129,7 +134,9 @@ pub enum Fault {
     },
     /// Most cells see too little light for a pose.
     TooDark,
-    /// Most scans contradict the scene, and no single cell explains them.
+    /// Two electrodes or two cells are swapped.
+    Exchange(Exchange),
+    /// Most scans contradict the scene, and no single cell and no exchange explains them.
     Unexplained,
     /// The head has changed since it was calibrated.
     CalibrationStale {

@@ -2,7 +2,7 @@
 
 use super::diagnosis::{CellHealth, Diagnosis, Fault, HeadHealth, Residuals, Shares, Verdict};
 use super::window::{Bucket, CellSums};
-use super::{Cell, Health};
+use super::{Cell, Exchange, Health};
 use slitpose_head::finding::Finding;
 
 /// Least number of scans for a verdict.
@@ -37,12 +37,13 @@ impl Health {
     pub fn report(&self) -> HeadHealth {
         let sum = self.window.sum();
         let judged = self.window.is_full() && sum.scans >= MIN_SCANS;
-        let mut findings: Vec<Diagnosis> = Vec::new();
+        let exchange = self.search.found.filter(|_| judged);
+        let mut findings: Vec<Diagnosis> = exchange.map(of_exchange).into_iter().collect();
         let cells: Vec<CellHealth> = (0..self.cells.len())
             .map(|cell| {
                 let mut health = self.measure(cell, &sum);
                 if judged {
-                    health.verdict = self.judge(cell, &health, &sum);
+                    health.verdict = self.judge(cell, &health, &sum, exchange);
                     findings.extend(self.of_cell(&health, sum.cells[cell].looks > 0));
                 }
                 health
@@ -60,8 +61,7 @@ impl Health {
         if judged && unexplained > 0.5 && findings.is_empty() {
             let percent = 100.0 * unexplained;
             let text = format!("{percent:.0} % of the scans contradict the scene, and no single cell explains it");
-            let next_step = "check that the scene is this head's and, by `slitpose doctor --bring-up`, that no plugs are \
-                             exchanged, then calibrate it";
+            let next_step = "check that the scene is this head's, then calibrate it";
             findings.push(Diagnosis { fault: Fault::Unexplained, finding: Finding::failed("head", text, next_step) });
         }
         if judged && findings.is_empty() {
@@ -117,7 +117,7 @@ impl Health {
         }
     }
 
-    fn judge(&self, cell: usize, health: &CellHealth, sum: &Bucket) -> Verdict {
+    fn judge(&self, cell: usize, health: &CellHealth, sum: &Bucket, exchange: Option<Exchange>) -> Verdict {
         let (known, sums, shares) = (&self.cells[cell], &sum.cells[cell], &health.shares);
         let lively = known.promised_noise_a.is_some_and(|noise_a| noise_a >= LIVELY_STEPS * self.step_a());
         // Words at the end of their range do not change.
@@ -132,10 +132,11 @@ impl Health {
         };
         let conditions = [
             (Verdict::Off, shares.off > OFTEN),
+            (Verdict::Swapped, exchange.is_some_and(|exchange| exchange.concerns(cell))),
             (Verdict::Stuck, stuck),
             (Verdict::Saturated, shares.saturated > OFTEN),
             (Verdict::Dark, shares.dark > OFTEN),
-            (Verdict::Excluded, shares.excluded > OFTEN),
+            (Verdict::Excluded, shares.excluded > OFTEN && exchange.is_none()),
             (Verdict::Faint, shares.faint > OFTEN),
             (Verdict::StrayRising, has_risen),
             (Verdict::Noisy, is_noisy),
@@ -143,13 +144,13 @@ impl Health {
         conditions.into_iter().find(|(_, holds)| *holds).map_or(Verdict::Ok, |(verdict, _)| verdict)
     }
 
-    /// The diagnosis of a cell; `None` without a fault.
+    /// The diagnosis of a cell; `None` without a fault, or if the exchange has its own diagnosis.
     fn of_cell(&self, health: &CellHealth, has_pose: bool) -> Option<Diagnosis> {
         let CellHealth { cell, verdict, shares, .. } = *health;
         let percent = |share: f64| 100.0 * share;
         let nanoamperes = |current_a: Option<f64>| current_a.unwrap_or(f64::NAN) * 1e9;
         let (text, next_step) = match verdict {
-            Verdict::Unknown | Verdict::Ok => return None,
+            Verdict::Unknown | Verdict::Swapped | Verdict::Ok => return None,
             // The pose predicts no light: the cell cannot see its emitter there.
             Verdict::Faint if has_pose => return None,
             Verdict::Off => ("its emitter is off".to_owned(), "give it a level above zero"),
@@ -174,7 +175,7 @@ impl Health {
                     percent(shares.excluded),
                     percent(health.brightness.unwrap_or(f64::NAN))
                 ),
-                "clean its slit and emitter, check by `slitpose doctor --bring-up` that no plugs are exchanged, then calibrate it",
+                "clean its slit and emitter, then calibrate",
             ),
             Verdict::Faint => (
                 format!(
@@ -225,6 +226,22 @@ impl Health {
         let sigma = (variance(start)? + variance(sums)?).sqrt();
         Some((self.stray_a(known, sums)? - self.stray_a(known, start)?, sigma * self.step_a()))
     }
+}
+
+fn of_exchange(exchange: Exchange) -> Diagnosis {
+    let (place, text, next_step) = match exchange {
+        Exchange::Electrodes { cell } => (
+            format!("cell {cell}"),
+            "electrodes exchanged",
+            "exchange the wires of its two anodes, or turn its x_axis round in the scene",
+        ),
+        Exchange::Cells { cells: [first, second] } => (
+            format!("cells {first} and {second}"),
+            "exchanged",
+            "exchange the plugs of both, emitters and detectors, or their [[cell]] in the scene",
+        ),
+    };
+    Diagnosis { fault: Fault::Exchange(exchange), finding: Finding::failed(place, text, next_step) }
 }
 
 fn share(part: u32, whole: u32) -> f64 {

@@ -4,10 +4,12 @@
 //! device time; it allocates nothing. [`HeadHealth`] is judged from these sums: shares, levels, noise, a [`Verdict`]
 //! for each cell and, for people, a [`Diagnosis`] of each fault.
 //!
-//! A cell without light is no fault if the model predicts no light for it at the pose. Exchanged cells contradict the
-//! scene together: which ones they are is found by `slitpose doctor --bring-up` and by a calibration with poses.
+//! A cell without light is no fault if the model predicts no light for it at the pose. Poses cannot reveal cells whose
+//! plugs or electrodes are exchanged; if most scans contradict the scene, such exchanges are tried one after another on
+//! a few scans.
 
 mod diagnosis;
+mod exchange;
 mod judge;
 #[cfg(test)]
 mod tests;
@@ -17,8 +19,10 @@ use slitpose_model::{DegradedReason, Outcome, Photocurrents, Reading, SceneError
 use slitpose_protocol::{AdcScaling, RawScan, Schedule};
 
 pub use diagnosis::{CellHealth, CellTotals, Diagnosis, Fault, HeadHealth, Shares, Verdict};
+pub use exchange::Exchange;
 
 use diagnosis::Places;
+use exchange::Search;
 use slitpose_head::front_end::{self, Settling, Stage};
 use slitpose_head::scene_file::SceneFile;
 use window::{Bucket, Window};
@@ -34,6 +38,9 @@ const MISSED_FROM: f64 = 2.0;
 const BUCKET_S: f64 = 0.25;
 const BUCKET_FRAMES: u64 = 8;
 
+/// Time between scans kept for the search for exchanges, in which the tool moves.
+const SAMPLE_S: f64 = 0.125;
+
 /// Monitors the cells of one head over one board session.
 #[derive(Debug)]
 pub struct Health {
@@ -48,6 +55,7 @@ pub struct Health {
     start: Option<Bucket>,
     before: Option<RawScan>,
     taken: u64,
+    search: Search,
     /// Of a head that is known by a calibration.
     places: Option<Places>,
     tick_s: f64,
@@ -98,6 +106,7 @@ impl Health {
         let bucket_ticks =
             ((f64::from(schedule.tick_hz) * BUCKET_S) as u64).max(BUCKET_FRAMES * u64::from(schedule.frame_ticks));
         Ok(Self {
+            search: Search::new(&solver, schedule, exposures_s, (SAMPLE_S * schedule.frame_rate_hz()) as u32),
             solver,
             scaling: *scaling,
             oversampling: schedule.oversampling,
@@ -122,8 +131,8 @@ impl Health {
 
     /// Adds the next scan, its photocurrents and its solution.
     pub fn update(&mut self, scan: &RawScan, photocurrents: &Photocurrents, solution: &Solution) {
-        if self.window.turn(scan.tick / self.bucket_ticks) && self.start.is_none() && self.window.is_full() {
-            self.start = Some(self.window.sum());
+        if self.window.turn(scan.tick / self.bucket_ticks) {
+            self.turned();
         }
         let look = self.taken.is_multiple_of(self.look_every);
         self.taken += 1;
@@ -195,6 +204,18 @@ impl Health {
                 }
             }
         }
+        self.search.update(photocurrents, troubled);
+    }
+
+    fn turned(&mut self) {
+        if !self.window.is_full() {
+            return;
+        }
+        let sum = self.window.sum();
+        if self.start.is_none() {
+            self.start = Some(sum.clone());
+        }
+        self.search.turned(2 * sum.troubled > sum.scans);
     }
 }
 

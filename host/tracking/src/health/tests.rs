@@ -221,8 +221,6 @@ fn each_fault_of_a_cell_is_named() {
     assert!(dirty.cells[0].shares.excluded > 0.9 && dirty.unexplained > 0.9, "{dirty:?}");
     // The converter repeats itself from some scan on. Smooth motion: it contradicts, too, and that is why.
     assert_only(&smooth(&["stuck:cell=5,from=25ms"]), 5, Verdict::Stuck);
-    // Exchanged anodes.
-    assert_only(&smooth(&["swap-electrodes:cell=0"]), 0, Verdict::Excluded);
     // Noise of a bad contact, less than what contradicts the other cells.
     assert_only(&smooth(&["noisy:cell=2,rms=4nA"]), 2, Verdict::Noisy);
 }
@@ -260,24 +258,50 @@ fn stray_light_that_rises_is_told_and_steady_stray_light_is_not() {
 }
 
 #[test]
-fn cells_on_exchanged_plugs_are_told_to_be_looked_for() {
-    // Neighbours, next but one of either roll, and opposite ones, which share a slot: by symmetry there are no others.
-    // In the end three cells in a ring.
-    let exchanges: [&[usize]; 6] = [&[0, 1], &[0, 5], &[0, 2], &[1, 3], &[0, 3], &[0, 1, 2]];
-    for exchanged in exchanges {
-        // On the wrong plugs: lit, and sampled, in each other's slot.
-        let (file, mut board) = (wide(), wide());
-        for pair in exchanged.windows(2) {
-            board.scene.cells.swap(pair[0], pair[1]);
-        }
-        // A cell between two that are exchanged may seem to be the one that is wrong.
-        let watch = Watch { board: &board, scans: 2 * FRAME_RATE, ..Watch::of(&file, TrajectoryKind::Smooth) };
-        let findings = watch.last().findings;
-        let [Diagnosis { fault, finding }] = &findings[..] else { panic!("{exchanged:?}: {findings:?}") };
-        let is_of_cell = matches!(fault, Fault::Cell { verdict: Verdict::Excluded, .. });
-        assert!(is_of_cell || *fault == Fault::Unexplained, "{exchanged:?}: {finding}");
-        assert!(finding.to_string().contains("slitpose doctor --bring-up"), "{exchanged:?}: {finding}");
+fn exchanged_electrodes_are_named() {
+    // The head looks the same from every second cell, and from the others in a mirror.
+    for (cell, kind) in [(0, TrajectoryKind::Smooth), (1, TrajectoryKind::Contact)] {
+        let exchanged = format!("swap-electrodes:cell={cell}");
+        let health = Watch { faults: &[&exchanged], scans: 2 * FRAME_RATE, ..Watch::of(&wide(), kind) }.last();
+        assert_eq!(faults(&health), [Fault::Exchange(Exchange::Electrodes { cell })], "{kind:?}");
+        assert_eq!(health.cells[cell].verdict, Verdict::Swapped);
     }
+}
+
+#[test]
+fn exchanged_cells_are_named() {
+    // Neighbours, next but one of either roll, and opposite ones, which share a slot: by symmetry there are no others.
+    for (first, second) in [(0, 1), (0, 5), (0, 2), (1, 3), (0, 3)] {
+        // On the wrong plugs: lit, and sampled, in each other's slot. Of cells 120 degrees apart neighbours are
+        // then lit together, and shine on each other's detectors.
+        let (file, mut board) = (wide(), wide());
+        board.scene.cells.swap(first, second);
+        let watch = Watch::of(&file, TrajectoryKind::Smooth);
+        let health = Watch { board: &board, scans: 2 * FRAME_RATE, ..watch }.last();
+        assert_eq!(faults(&health), [Fault::Exchange(Exchange::Cells { cells: [first, second] })]);
+        assert!([first, second].iter().all(|&cell| health.cells[cell].verdict == Verdict::Swapped));
+    }
+}
+
+#[test]
+fn what_cannot_be_seen_is_not_claimed() {
+    // At home every spot is in the middle, and all cells are alike.
+    let (file, mut board) = (wide(), wide());
+    let still = || Watch { scans: 2 * FRAME_RATE, ..Watch::of(&file, TrajectoryKind::Still) };
+    let electrodes = Watch { faults: &["swap-electrodes:cell=3"], ..still() }.last();
+    assert!(electrodes.findings.is_empty(), "{:?}", electrodes.findings);
+    board.scene.cells.swap(0, 1);
+    let cells = Watch { board: &board, ..still() }.last();
+    assert!(cells.findings.is_empty(), "{:?}", cells.findings);
+}
+
+#[test]
+fn a_head_that_is_another_one_is_told_without_a_guess() {
+    // Three cells in a ring: no exchange of two explains it.
+    let (file, mut board) = (wide(), wide());
+    board.scene.cells[..3].rotate_left(1);
+    let watch = Watch::of(&file, TrajectoryKind::Smooth);
+    assert_eq!(faults(&Watch { board: &board, scans: 2 * FRAME_RATE, ..watch }.last()), [Fault::Unexplained]);
 }
 
 #[test]
@@ -332,6 +356,17 @@ fn noise_is_told_in_steps_of_one_conversion() {
         let step_a = front_end.full_scale_a / (4095.0 - 64.0);
         assert!((cell.noise_a.unwrap() / (noise_lsb * step_a) - 1.0).abs() < 1e-3, "{cell:?}");
     }
+}
+
+#[test]
+fn exchanged_cells_are_exposed_in_each_others_slots() {
+    // Slots so long that the tool moves tens of σ within one.
+    let mut file = wide();
+    file.front_end.as_mut().unwrap().settling_s = 180e-6;
+    let mut board = file.clone();
+    board.scene.cells.swap(0, 1);
+    let health = Watch { board: &board, scans: 2 * FRAME_RATE, ..Watch::of(&file, TrajectoryKind::Fast) }.last();
+    assert_eq!(faults(&health), [Fault::Exchange(Exchange::Cells { cells: [0, 1] })], "{:?}", health.findings);
 }
 
 #[test]
