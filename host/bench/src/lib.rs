@@ -10,6 +10,7 @@
 
 mod chance;
 mod drawn;
+mod drift;
 mod folder;
 mod session;
 
