@@ -90,10 +90,12 @@ pub struct Levels<S: Number> {
 }
 
 impl<S: Number> Levels<S> {
-    /// Of a head of `scene` with frames `period_s` apart; `None`: its emitters do not drift.
+    /// Of a head of `scene` with frames `period_s` apart; `None`: its emitters do not drift, or it does not tell levels.
     pub fn of(scene: &Scene, noise: &[CellNoise<S>], period_s: f64) -> Option<Self> {
         let sigma = S::of(scene.uncertainty.emitter_drift_relative);
-        if sigma <= S::zero() {
+        let is_told = scene.uncertainty.light_level_relative > 0.0 && scene.cells.len() >= LEVEL_CELLS;
+        let own = scene.cells.iter().enumerate().filter(|(number, cell)| !cell.is_second_axis(*number)).count();
+        if sigma <= S::zero() || !is_told || own < 2 {
             return None;
         }
         let emitters = scene
