@@ -169,22 +169,19 @@ function curve(context, columns, i, x, y, colour) {
   const hasMean = !isArea || filled < 20 * noise;
   [context.lineJoin, context.fillStyle, context.strokeStyle] = ["bevel", colour, colour];
   for (const run of runs) {
-    // Extremes are those of the whole column.
-    const extremes = (place, points, [from, to]) => {
-      for (const point of points) [context.lineTo(point[from], point[place]), context.lineTo(point[to], point[place])];
-    };
-    context.beginPath();
-    extremes(3, run, [0, 1]);
-    extremes(4, run.toReversed(), [1, 0]);
-    context.globalAlpha = isArea ? 0.5 : 0.3;
-    context.fill();
-    context.globalAlpha = 1;
-    for (const place of isArea ? [3, 4] : []) {
-      context.beginPath();
-      extremes(place, run, [0, 1]);
-      context.lineWidth = 1;
-      context.stroke();
-    }
+    // Rectangles of whole pixels: a polygon with so many corners would cost ten times as much.
+    run.forEach(([start, end, , ...extremes], k) => {
+      // Columns of half a period hold the crest or the trough: three of them hold both.
+      const near = hasMean ? [extremes] : run.slice(Math.max(k - 1, 0), k + 2).map((point) => point.slice(3));
+      const [top, bottom] = [Math.min(...near.map(([y]) => y)), Math.max(...near.map(([, y]) => y))];
+      const [left, width] = [Math.round(start), Math.max(Math.round(end) - Math.round(start), 1)];
+      context.globalAlpha = isArea ? 0.5 : 0.3;
+      context.fillRect(left, top, width, bottom - top);
+      if (!isArea) return;
+      context.globalAlpha = 1;
+      context.fillRect(left, top, width, 1);
+      context.fillRect(left, bottom - 1, width, 1);
+    });
     if (!hasMean) continue;
     context.beginPath();
     if (run.length === 1) context.moveTo(run[0][0], run[0][2]);
