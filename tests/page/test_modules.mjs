@@ -167,6 +167,12 @@ test("columns of a sine have its extremes at every span, whether fine or coarse,
   assert.equal(trace.statistics(6, 590, 600), null);
 });
 
+test("a coarse bin stands for fine ones of which some are missing", () => {
+  const trace = new Trace(kept);
+  trace.put({ fine: bins(240, 0, 2, 1000, sine).filter(([k]) => k < 300 || k > 400), coarse: bins(20, 0, 2, 1000, sine) });
+  assert.deepEqual([trace.statistics(0, 0, 2).count, trace.columns(0, 0, 2, 100).gaps], [2000, []]);
+});
+
 test("times without scans and without poses are gaps; slow scans are none", () => {
   const trace = new Trace(kept);
   trace.put({ fine: bins(240, 0, 1, 4000, (time_s) => (time_s >= 0.5 && time_s < 0.52 ? null : 5)) });

@@ -93,7 +93,10 @@ export class Trace {
     return Math.max(1.5 / ring.hz, (2.5 * this.#spacing) / this.rings[0].hz);
   }
 
-  /** Calls `visit(ring, start of its numbers, from_s, to_s)` for the bins whose middle is in a span: fine ones where there are. */
+  /**
+   * Calls `visit(ring, start of its numbers, from_s, to_s)` for the bins whose middle is in a span: fine ones where they hold
+   * all scans of the coarse one.
+   */
   each(from_s, to_s, visit) {
     const [fine, coarse] = this.rings;
     const ratio = fine.hz / coarse.hz;
@@ -101,16 +104,15 @@ export class Trace {
     const call = (ring, index) => {
       const [at, middle_s] = [ring.find(index), (index + 0.5) / ring.hz];
       if (at >= 0 && middle_s >= from_s && middle_s < to_s) visit(ring, at, index / ring.hz, (index + 1) / ring.hz);
-      return at >= 0;
     };
+    const scansOf = (ring, index) => ring.numbers[ring.find(index)] ?? 0;
     const last = Math.min(Math.floor(to_s * coarse.hz), Math.max(coarse.newest, Math.floor(fine.newest / ratio)));
     const first = Math.max(Math.floor(from_s * coarse.hz), last - coarse.size - 1);
     for (let k = first; k <= last; k++) {
-      let isFine = false;
-      if ((k + 1) * ratio > oldest) {
-        for (let j = 0; j < ratio; j++) isFine = call(fine, k * ratio + j) || isFine;
-      }
-      if (!isFine) call(coarse, k);
+      let scans = 0;
+      for (let j = 0; j < ratio && (k + 1) * ratio > oldest; j++) scans += scansOf(fine, k * ratio + j);
+      if (scans === 0 || scans < scansOf(coarse, k)) call(coarse, k);
+      else for (let j = 0; j < ratio; j++) call(fine, k * ratio + j);
     }
   }
 
