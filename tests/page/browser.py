@@ -158,7 +158,7 @@ class Page(InBrowser):
         height = "document.documentElement.scrollHeight"
         for size, scheme in [((1920, 1080), "light"), ((1280, 800), "dark"), ((390, 844), "light")]:
             page = self.open(viewport={"width": size[0], "height": size[1]}, color_scheme=scheme)
-            page.wait_for_timeout(9000 if size[0] == 1920 else 2000)
+            page.wait_for_timeout(11000 if size[0] == 1920 else 2000)
             plots = [plot.bounding_box() for plot in page.locator(".plot canvas").all()]
             self.assertTrue(all(box["width"] > 250 and box["height"] > 110 for box in plots), f"{size}: {plots}")
             self.assertLessEqual(page.evaluate("document.documentElement.scrollWidth"), size[0])
