@@ -251,7 +251,7 @@ class Page(InBrowser):
         box = plot.bounding_box()
         middle = (box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
         page.mouse.move(*middle)
-        wait(page, "document.getElementById('instant').textContent.includes('board time')")
+        wait(page, "document.getElementById('instant').textContent.includes('(board ')")
         self.assertRegex(page.locator(".plot .number").first.inner_text(), r"^[+−]\d.* ± 0\.0\d+ +\[.* … .*\]$")
         page.mouse.wheel(0, -400)
         wait(page, "Number(document.getElementById('span').value) < 10")

@@ -235,7 +235,7 @@ export class Plots {
     what.cursor = this.#cursor;
     const pointed_s = this.#timeAt(this.#cursor);
     const isPointed = this.#cursor !== null && mode === "time";
-    write(byId("instant"), isPointed ? `${ago(pointed_s - what.now_s, 1e-3)} (board time ${fixed(pointed_s, 3)} s)` : "");
+    write(byId("instant"), isPointed ? `${ago(pointed_s - what.now_s, 1e-3)} (board ${fixed(pointed_s, 3)} s)` : "");
     if (mode === "time") {
       const columns = trace.columns(what.first, what.from_s, what.to_s, Math.floor(width));
       for (const lane of this.#lanes) lane.drawTime(columns, what);
