@@ -1,10 +1,12 @@
 """The live page in headless Chromium, in front of a simulated board. Start it with tests/page/run."""
 
+import math
 import os
 import pathlib
 import re
 import signal
 import subprocess
+import tempfile
 import threading
 import time
 import unittest
@@ -43,9 +45,9 @@ FRAMES = """seconds => new Promise(done => {
 })"""
 
 
-def wait(page, condition):
+def wait(page, condition, patience_s=PATIENCE_MS / 1000):
     """Until an expression is true. Playwright's own way needs eval, which the page's security policy forbids."""
-    end = time.monotonic() + PATIENCE_MS / 1000
+    end = time.monotonic() + patience_s
     while not page.evaluate(condition):
         if time.monotonic() > end:
             raise TimeoutError(condition)
@@ -53,11 +55,12 @@ def wait(page, condition):
 
 
 class Daemon:
-    """A daemon of a simulated board; `address` is where its page is."""
+    """A daemon, of a simulated board unless told otherwise; `address` is where its page is."""
 
-    def __init__(self, address="127.0.0.1:0", scene="wide"):
-        arguments = [PROGRAM, "run", "--device", "sim", "--scene", scene, "--format", "none", "--live", address]
-        self.process = subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True)
+    def __init__(self, *arguments, address="127.0.0.1:0"):
+        arguments = arguments or ("run", "--device", "sim")
+        command = [PROGRAM, *arguments, "--format", "none", "--live", address]
+        self.process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
         self.url, said = None, []
         for line in self.process.stderr:
             said.append(line)
@@ -82,7 +85,7 @@ class Daemon:
         self.process.stderr.close()
 
 
-class Page(unittest.TestCase):
+class InBrowser(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
         PICTURES.mkdir(parents=True, exist_ok=True)
@@ -93,11 +96,15 @@ class Page(unittest.TestCase):
         cls.addClassCleanup(cls.browser.close)
 
     def setUp(self):
-        self.daemon = None if URL else Daemon()
+        self.daemon = None if URL else Daemon(*self.arguments())
         if self.daemon:
             self.addCleanup(lambda: self.daemon.end())
         self.errors = []
         self.page = self.open()
+
+    def arguments(self):
+        """What the daemon does, unless it runs a simulated board."""
+        return ()
 
     def open(self, **options):
         page = self.browser.new_page(**{"viewport": {"width": 1400, "height": 900}, **options})
@@ -121,6 +128,8 @@ class Page(unittest.TestCase):
         if URL:
             self.skipTest("SLITPOSE_LIVE_URL: this daemon is not ours to stop")
 
+
+class Page(InBrowser):
     def moves(self):
         """Waits until the pose shown changes; the time that it took, milliseconds."""
         since, before = time.monotonic(), self.page.evaluate(POSE)
@@ -144,6 +153,22 @@ class Page(unittest.TestCase):
             page.wait_for_timeout(1000)
             self.assertLessEqual(page.evaluate("document.documentElement.scrollWidth"), 360)
             page.screenshot(path=PICTURES / f"phone-{scheme}.png", full_page=True)
+
+    def test_a_desk_is_filled_and_no_plot_is_small(self):
+        height = "document.documentElement.scrollHeight"
+        for size, scheme in [((1920, 1080), "light"), ((1280, 800), "dark"), ((390, 844), "light")]:
+            page = self.open(viewport={"width": size[0], "height": size[1]}, color_scheme=scheme)
+            page.wait_for_timeout(11000 if size[0] == 1920 else 2000)
+            plots = [plot.bounding_box() for plot in page.locator(".plot canvas").all()]
+            self.assertTrue(all(box["width"] > 250 and box["height"] > 110 for box in plots), f"{size}: {plots}")
+            self.assertLessEqual(page.evaluate("document.documentElement.scrollWidth"), size[0])
+            if size[0] == 1920:
+                self.assertLess(page.evaluate(height), 1.1 * size[1])
+                panels = [page.locator(f"#{name}-panel").bounding_box() for name in ["finding", "plot", "daemon"]]
+                ends = [box["y"] + box["height"] for box in panels]
+                self.assertLess(max(ends) - min(ends), 10, "columns end together")
+            page.screenshot(path=PICTURES / ("live.png" if size[0] == 1920 else f"live-{size[0]}.png"))
+            page.close()
 
     def test_a_pause_holds_the_page_and_live_returns(self):
         self.page.wait_for_timeout(1000)
@@ -178,7 +203,7 @@ class Page(unittest.TestCase):
         self.daemon.end()
         wait(self.page, "!document.getElementById('banner').hidden")
         self.page.wait_for_timeout(3000)
-        self.daemon = Daemon(address)
+        self.daemon = Daemon(address=address)
         if "#" in self.daemon.url:
             # Its token is new, too; a fragment does not load the page again.
             self.page.goto(self.daemon.url)
@@ -214,6 +239,181 @@ class Page(unittest.TestCase):
               f" all tasks a frame, {heap:.1f} MB of heap", flush=True)
         # Scripts must leave half of a frame of 60 frames/s free; the rate itself is the machine's.
         self.assertLess(cost["ScriptDuration"], 8)
+
+    def span(self):
+        return float(self.page.locator("#span").input_value())
+
+    def test_plots_zoom_pan_measure_and_keep_their_state(self):
+        page = self.page
+        # Poses in the middle of the plots.
+        page.wait_for_timeout(6000)
+        plot = page.locator(".plot canvas").first
+        box = plot.bounding_box()
+        middle = (box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+        page.mouse.move(*middle)
+        wait(page, "document.getElementById('instant').textContent.includes('(board ')")
+        self.assertRegex(page.locator(".plot .number").first.inner_text(), r"^[+−]\d.* ± 0\.0\d+ +\[.* … .*\]$")
+        page.mouse.wheel(0, -400)
+        wait(page, "Number(document.getElementById('span').value) < 10")
+        self.assertTrue(page.locator("#follow").is_hidden(), "zoomed about the newest")
+        page.mouse.down()
+        page.mouse.move(middle[0] + 80, middle[1], steps=4)
+        page.mouse.up()
+        wait(page, "!document.getElementById('follow').hidden")
+        pointed = page.locator(".plot .number").first.inner_text()
+        page.wait_for_timeout(700)
+        self.assertEqual(page.locator(".plot .number").first.inner_text(), pointed, "held")
+        page.keyboard.down("Shift")
+        page.mouse.move(middle[0] - 60, middle[1])
+        page.mouse.down()
+        page.mouse.move(middle[0] + 60, middle[1], steps=4)
+        page.mouse.up()
+        page.keyboard.up("Shift")
+        words = "document.getElementById('figures-words').textContent"
+        wait(page, f"{words}.includes('scans with a value')")
+        expected = self.span() * 120 / (box["width"] - 46)
+        shown = lambda: float(re.search(r"B − A ([\d.]+) s", page.evaluate(words))[1])
+        self.assertAlmostEqual(shown(), expected, delta=0.02 * expected)
+        # The marker at the right, by its line.
+        page.mouse.move(middle[0] + 60, middle[1])
+        page.mouse.down()
+        page.mouse.move(middle[0] + 90, middle[1], steps=3)
+        page.mouse.up()
+        page.wait_for_timeout(100)
+        self.assertAlmostEqual(shown(), expected * 1.25, delta=0.03 * expected)
+        page.locator("#mode").select_option("allan")
+        page.reload()
+        wait(page, f"{words}.includes('scans with a value')")
+        self.assertAlmostEqual(shown(), expected * 1.25, delta=0.03 * expected)
+        self.assertEqual(page.locator("#mode").input_value(), "allan")
+        page.locator("#mode").select_option("time")
+        # A click is a moment of the whole page.
+        page.mouse.click(*middle)
+        wait(page, "document.getElementById('badges').textContent.includes('paused')")
+        page.locator("#plots").focus()
+        page.keyboard.press("Escape")
+        wait(page, "document.getElementById('figures').hidden")
+        span_s = self.span()
+        page.keyboard.press("-")
+        page.keyboard.press("ArrowLeft")
+        page.keyboard.press("[")
+        wait(page, "!document.getElementById('figures').hidden")
+        self.assertAlmostEqual(self.span(), span_s * 1.5, delta=0.02 * span_s)
+        page.keyboard.press("l")
+        self.moves()
+        wait(page, "document.getElementById('follow').hidden")
+
+    def test_fingers_zoom_and_pan_the_plots(self):
+        page = self.open(viewport={"width": 390, "height": 844}, has_touch=True)
+        page.wait_for_timeout(1000)
+        page.locator(".plot canvas").first.scroll_into_view_if_needed()
+        box = page.locator(".plot canvas").first.bounding_box()
+        session = page.context.new_cdp_session(page)
+        at = lambda *xs: [{"x": box["x"] + x, "y": box["y"] + 40, "id": i} for i, x in enumerate(xs)]
+        touch = lambda kind, *xs: session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": at(*xs)})
+        span = "Number(document.getElementById('span').value)"
+        before = page.evaluate(span)
+        touch("touchStart", 150, 200)
+        for apart in range(10, 100, 10):
+            touch("touchMove", 150 - apart, 200 + apart)
+        touch("touchEnd")
+        wait(page, f"{span} < {before / 3}")
+        touch("touchStart", 150)
+        for x in range(160, 260, 10):
+            touch("touchMove", x)
+        touch("touchEnd")
+        wait(page, "!document.getElementById('follow').hidden")
+
+    def test_what_was_wrong_is_said_for_a_while(self):
+        self.needs_daemon()
+        self.moves()
+        self.daemon.signal(signal.SIGSTOP)
+        time.sleep(0.6)
+        self.daemon.signal(signal.SIGCONT)
+        text = "document.getElementById('findings').textContent"
+        wait(self.page, f"{text}.includes('older than') || {text}.includes('skipped')")
+        self.page.wait_for_timeout(5000)
+        self.assertNotIn("Nothing is wrong", self.page.evaluate(text))
+
+
+class Sine(InBrowser):
+    """A tool that shakes at 19 Hz, which pages at 60 frames a second cannot sample."""
+
+    HZ, AMPLITUDE_MM, LENGTH_S = 19, 2.0, 603
+
+    @classmethod
+    def setUpClass(cls):
+        super().setUpClass()
+        if URL:
+            raise unittest.SkipTest("SLITPOSE_LIVE_URL: it does not replay this motion")
+        cls.folder = pathlib.Path(cls.enterClassContext(tempfile.TemporaryDirectory()))
+        scene = subprocess.run([PROGRAM, "scene", "show", "wide"], capture_output=True, text=True, check=True).stdout
+        (cls.folder / "scene.toml").write_text(re.sub(r"frame_rate_hz = \d+", "frame_rate_hz = 1000", scene))
+        with open(cls.folder / "motion.csv", "w") as table:
+            table.write("time_s,tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad\n")
+            for row in range(cls.LENGTH_S * 1000):
+                x = cls.AMPLITUDE_MM * math.sin(2 * math.pi * cls.HZ * row / 1000)
+                table.write(f"{row / 1000},{x:.6f},0,0,0,0,0\n")
+        subprocess.run([PROGRAM, "simulate", "--scene", cls.folder / "scene.toml", "--trajectory",
+                        cls.folder / "motion.csv", "--duration", f"{cls.LENGTH_S}s", "--tier", "paper",
+                        "--output", cls.folder / "sine.mcap"], check=True)
+
+    def arguments(self):
+        return ("replay", str(self.folder / "sine.mcap"))
+
+    def is_right(self, figure, expected):
+        self.assertAlmostEqual(figure, expected, delta=0.01 * abs(expected))
+
+    def check(self, spans_s):
+        """At each span: the least and greatest value of all columns, and the figures between markers at its ends."""
+        page = self.page
+        box = page.locator(".plot canvas").first.bounding_box()
+        left, width = box["x"] + 46, box["width"] - 46
+        for span_s in spans_s:
+            page.locator("#span").select_option(str(span_s))
+            ends = []
+            has_periods = span_s / width * self.HZ > 2
+            for step in range(1, 25 if has_periods else 130):
+                page.mouse.move(left + width * step / (25 if has_periods else 130), box["y"] + 20)
+                page.wait_for_timeout(40)
+                text = page.locator(".plot .number").first.inner_text().replace("−", "-")
+                ends += [float(number) for number in re.search(r"\[(\S+) … (\S+)\]", text).groups()]
+                if has_periods:
+                    self.is_right(ends[-2], -self.AMPLITUDE_MM)
+                    self.is_right(ends[-1], self.AMPLITUDE_MM)
+            self.is_right(min(ends), -self.AMPLITUDE_MM)
+            self.is_right(max(ends), self.AMPLITUDE_MM)
+            page.locator("#plots").focus()
+            for place, key in [(left + 1, "["), (left + width - 1, "]")]:
+                page.mouse.move(place, box["y"] + 20)
+                page.keyboard.press(key)
+            page.wait_for_timeout(200)
+            figures = page.locator("#figures tbody tr").first.locator("td").all_inner_texts()
+            mean, rms, peak_to_peak = [float(figure.replace("−", "-")) for figure in figures[-3:]]
+            print(f"\n{span_s} s: columns {min(ends):.4f} to {max(ends):.4f} mm, rms {rms:.4f}, peak to peak {peak_to_peak:.4f}", flush=True)
+            self.is_right(rms, self.AMPLITUDE_MM / math.sqrt(2))
+            self.is_right(peak_to_peak, 2 * self.AMPLITUDE_MM)
+            # Some part of a period remains, and the last digit shown.
+            self.assertLess(abs(mean), 1.1 * self.AMPLITUDE_MM / (math.pi * self.HZ * span_s) + 1e-4)
+            page.keyboard.press("Escape")
+            page.keyboard.press("End")
+
+    def test_envelope_and_markers_are_right_at_every_span(self):
+        page = self.page
+        page.wait_for_timeout(6000)
+        page.keyboard.press("p")
+        page.wait_for_timeout(500)
+        self.check([0.5, 1, 2, 5])
+        page.locator("#mode").select_option("spectrum")
+        wait(page, "document.querySelector('.plot .number').textContent.includes('strongest')")
+        hz, mm = re.search(r"strongest ([\d.]+) Hz, ([\d.]+) mm", page.locator(".plot .number").first.inner_text()).groups()
+        self.is_right(float(hz), self.HZ)
+        self.is_right(float(mm), self.AMPLITUDE_MM)
+        page.locator("#mode").select_option("time")
+        page.locator("#speed").select_option("max")
+        page.keyboard.press("p")
+        wait(page, "document.getElementById('capture').textContent.includes('at its end')", 240)
+        self.check([0.5, 10, 20, 30, 60, 120, 300, 600])
 
 
 if __name__ == "__main__":

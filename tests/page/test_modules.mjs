@@ -6,7 +6,10 @@ const page = new URL("../../host/src/live/page/", import.meta.url);
 const load = (name) => import(new URL(name, page));
 const v = await load("vectors.js");
 const { Camera, hull, roundDown } = await load("camera.js");
-const { Columns, History, poseValues } = await load("history.js");
+const { History } = await load("history.js");
+const { Trace } = await load("trace.js");
+const { allan, spectrum } = await load("analysis.js");
+const { Memory } = await load("findings.js");
 const head = await load("head.js");
 const format = await load("format.js");
 
@@ -106,7 +109,6 @@ test("a frozen history stays", () => {
   const frozen = history.frozen();
   history.push(frame(2));
   assert.deepEqual([frozen.length, history.length], [1, 2]);
-  assert.notEqual(frozen.epoch, history.epoch);
 });
 
 test("the frame of a time is the last one before it", () => {
@@ -115,21 +117,125 @@ test("the frame of a time is the last one before it", () => {
   assert.deepEqual([0, 1, 1.4, 1.5, 9].map((t) => history.indexAt(t)), [0, 0, 0, 1, 2]);
 });
 
-test("columns hold the envelope, the last value, and gaps; frames are read once", () => {
-  const history = new History();
-  let reads = 0;
-  const columns = new Columns(0.1, (f) => (reads++, poseValues(f)));
-  history.push({ ...frame(0, 5), low: [4, 0, 0, 0, 0, 0], high: [9, 0, 0, 0, 0, 0] });
-  history.push(frame(1, 3));
-  history.push({ ...frame(6), t_m: null });
-  columns.update(history, -100);
-  columns.update(history, -100);
-  assert.equal(reads, 3);
-  assert.deepEqual([columns.at(0).low[0], columns.at(0).high[0], columns.at(0).value[0]], [3, 9, 3]);
-  assert.equal(columns.at(0).hasGap, false);
-  assert.deepEqual([columns.at(1).value, columns.at(1).hasGap], [null, true]);
-  assert.deepEqual(columns.range(0, 0, 1), [3, 9]);
-  assert.equal(columns.range(0, 1, 1), null);
+/** Bins of `scans_hz` values of `x` nanometres over time, as the daemon makes them; σ is 7 nm. */
+function bins(hz, from_s, to_s, scans_hz, x) {
+  const found = new Map();
+  for (let scan = Math.ceil(from_s * scans_hz); scan < to_s * scans_hz; scan++) {
+    const k = Math.floor((scan / scans_hz) * hz + 1e-9);
+    found.set(k, [...(found.get(k) ?? []), x(scan / scans_hz)]);
+  }
+  const twelve = (value) => [value, ...Array(11).fill(0)].map(Math.round);
+  return [...found].map(([k, all]) => {
+    const values = all.filter((value) => value !== null);
+    const mean = values.reduce((sum, value) => sum + value, 0) / (values.length || 1);
+    const rms = Math.sqrt(values.reduce((sum, value) => sum + (value - mean) ** 2, 0) / (values.length || 1));
+    const [low, high] = values.length ? [Math.min(...values), Math.max(...values)] : [mean, mean];
+    return [k, all.length, values.length, 0, ...[mean, mean - low, high - mean, rms, 7].flatMap(twelve)];
+  });
+}
+const kept = { fine_hz: 240, coarse_hz: 20, coarse_s: 600 };
+const sine = (time_s) => 2e6 * Math.sin(2 * Math.PI * 19 * time_s);
+const isNear = (actual, expected, share) => assert.ok(Math.abs(actual / expected - 1) <= share, `${actual} is not ${expected}`);
+
+test("columns of a sine have its extremes at every span, whether fine or coarse, and statistics its rms", () => {
+  const trace = new Trace(kept);
+  // Coarse bins come later and twice; fine ones of the last three minutes only.
+  trace.put({ fine: bins(240, 560, 600, 4000, sine) });
+  for (let i = 0; i < 2; i++) trace.put({ coarse: bins(20, 0, 600, 1000, sine) });
+  assert.equal(trace.last_s, 600);
+  for (const span_s of [0.5, 1, 5, 10, 30, 60, 300, 600]) {
+    const columns = trace.columns(0, 600 - span_s, 600, 700);
+    let [low, high, filled] = [0, 0, 0];
+    for (let c = 0; c < 700; c++) {
+      if (!columns.count[c]) continue;
+      [low, high] = [Math.min(low, columns.low[6 * c]), Math.max(high, columns.high[6 * c])];
+      filled++;
+      if ((columns.end_s[c] - columns.start_s[c]) * 19 > 1) isNear(columns.high[6 * c], 2e6, 0.01);
+    }
+    assert.ok(filled === 700 || span_s < 4, `${filled} columns of ${span_s} s`);
+    assert.equal(columns.gaps.length, 0);
+    isNear(low, -2e6, 0.001);
+    isNear(high, 2e6, 0.001);
+    const { count, from_s, to_s, quantities } = trace.statistics(0, 600 - span_s, 600);
+    isNear(to_s - from_s, span_s, 1e-9);
+    assert.ok(count >= span_s * 1000);
+    isNear(quantities[0].rms, 2e6 / Math.SQRT2, 0.002);
+    isNear(quantities[0].high - quantities[0].low, 4e6, 0.001);
+    assert.ok(Math.abs(quantities[0].mean) < 0.04e6 / span_s);
+  }
+  assert.equal(trace.columns(6, 590, 600, 100).count.some(Boolean), false, "no velocity");
+  assert.equal(trace.statistics(6, 590, 600), null);
+});
+
+test("a coarse bin stands for fine ones of which some are missing", () => {
+  const trace = new Trace(kept);
+  trace.put({ fine: bins(240, 0, 2, 1000, sine).filter(([k]) => k < 300 || k > 400), coarse: bins(20, 0, 2, 1000, sine) });
+  assert.deepEqual([trace.statistics(0, 0, 2).count, trace.columns(0, 0, 2, 100).gaps], [2000, []]);
+});
+
+test("times without scans and without poses are gaps; slow scans are none", () => {
+  const trace = new Trace(kept);
+  trace.put({ fine: bins(240, 0, 1, 4000, (time_s) => (time_s >= 0.5 && time_s < 0.52 ? null : 5)) });
+  trace.put({ fine: bins(240, 1.5, 2, 4000, () => 5) });
+  const { gaps, isBroken } = trace.columns(0, 0, 2, 100);
+  near(gaps.flat(), [0.5, 0.516667, 1, 1.5], 1e-6);
+  assert.deepEqual([...isBroken.keys()].filter((c) => isBroken[c]), [25, 75]);
+  assert.equal(trace.series(0, 0, 0.6, 0.9).values.length, 72);
+  assert.equal(trace.series(0, 0, 0.4, 0.9), null);
+  const slow = new Trace(kept);
+  slow.put({ fine: bins(240, 0, 20, 50, () => 5) });
+  assert.equal(slow.columns(0, 10, 20, 700).gaps.length, 0);
+});
+
+test("a frozen trace stays, and a cleared one is empty", () => {
+  const trace = new Trace(kept);
+  trace.put({ fine: bins(240, 0, 1, 4000, sine) });
+  const frozen = trace.frozen();
+  trace.put({ fine: bins(240, 1, 2, 4000, sine) });
+  assert.deepEqual([frozen.last_s, trace.last_s], [1, 2]);
+  trace.clear();
+  assert.deepEqual([frozen.last_s, trace.last_s], [1, null]);
+});
+
+test("findings and losses stay for a minute, each once", () => {
+  const memory = new Memory();
+  const at = (second, p99_s, skipped_scans = 0, findings = []) => {
+    const board = {
+      name: "port", lag: { skipped_scans }, latencies: { total: { recent: { p99_s } } }, clock: {},
+      losses: { board: { scans_dropped: 0, scans_lost: 0 }, link: { scans: 0 } },
+    };
+    const message = { findings, report: { uptime_s: second, boards: [board] } };
+    return memory.take(message, second * 1e3).map(({ name, finding }) => `${name}: ${finding}`);
+  };
+  assert.deepEqual(at(100, 0), []);
+  const late = "1 % of the last second were older than";
+  assert.deepEqual(at(101, 0.053), [`port, poses: ${late} 53.0 ms when they were sent`]);
+  assert.deepEqual(at(115, 0), [`port, poses: in the last 20 s: ${late} 53.0 ms when they were sent`]);
+  assert.deepEqual(at(160, 0.021), [`port, poses: ${late} 21.0 ms when they were sent`]);
+  assert.deepEqual(at(221, 0), []);
+  assert.match(at(230, 0, 7)[0], /^port, solver: in the last minute 7 scans were skipped/);
+  assert.match(at(280, 0, 9)[0], /^port, solver: in the last minute 9 scans/);
+  assert.match(at(300, 0, 9)[0], /^port, solver: in the last minute 2 scans/);
+  assert.deepEqual(at(345, 0, 9), []);
+  const failed = [{ name: "port, link", verdict: "failed", finding: "no scan for 4 s" }, { name: "x", verdict: "ok", finding: "" }];
+  assert.deepEqual(at(346, 0, 9, failed), ["port, link: no scan for 4 s"]);
+});
+
+test("a spectrum has frequency and amplitude of a sine, and the density of noise", () => {
+  for (const count of [120, 777, 2400, 14400]) {
+    const { peak } = spectrum({ hz: 240, values: bins(240, 0, count / 240, 24000, sine).map((bin) => 5e6 + bin[4]) });
+    isNear(peak.hz, 19, 0.001);
+    isNear(peak.amplitude, 2e6, 0.01);
+  }
+  let seed = 1;
+  const random = () => (seed = (seed * 48271) % 2147483647) / 2147483647;
+  const noise = Array.from({ length: 20000 }, () => 1000 * Math.sqrt(12) * (random() - 0.5));
+  const { y } = spectrum({ hz: 240, values: noise });
+  isNear(Math.sqrt(y.reduce((sum, v) => sum + v * v, 0) / y.length), 1000 * Math.sqrt(2 / 240), 0.03);
+  // White noise falls with the root of the averaging time.
+  const deviation = allan({ hz: 240, values: noise });
+  for (const k of [0, 8]) isNear(deviation.y[k] * Math.sqrt(deviation.x[k] * 240), 1000, 0.05);
+  assert.equal(allan({ hz: 240, values: [1, 2] }), null);
 });
 
 /** A slit 5 mm in front of a detector that faces x. */

@@ -135,7 +135,7 @@ fn synopsis(command: &Command) -> String {
 
 /// Verbs, an option of each, and its default, in the order in which synopses name them. A value has no spaces; anything
 /// else is a rule.
-const DEFAULTS: [(&str, &str, &str); 21] = [
+const DEFAULTS: [(&str, &str, &str); 22] = [
     ("replay export", "tier", "as recorded, else exact"),
     ("replay export", "tolerance", "as recorded, else 1e-6"),
     ("replay export", "filter", "as recorded, else off"),
@@ -144,7 +144,8 @@ const DEFAULTS: [(&str, &str, &str); 21] = [
     ("run simulate solve", "tolerance", "1e-6"),
     ("model", "tolerance", "1e-10"),
     ("run", "filter", "off"),
-    ("run simulate", "trajectory", "smooth"),
+    ("run", "trajectory", "smooth; with --live hand"),
+    ("simulate", "trajectory", "smooth"),
     ("run simulate", "seed", "1"),
     ("run replay", "format", "summary on a terminal, else ndjson"),
     ("run", "speed", "1"),

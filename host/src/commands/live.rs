@@ -75,6 +75,10 @@ impl FoxgloveOptions {
 }
 
 impl LiveOptions {
+    pub(super) fn is_wanted(&self) -> bool {
+        self.live.is_some() || self.access.open
+    }
+
     /// The rules of the page; `None` if none is asked for.
     pub(super) fn access(&self) -> Result<Option<Access>, CommandError> {
         let address = match (self.live, self.access.open) {

@@ -161,7 +161,7 @@ fn run(arguments: &[OsString]) -> Result<Outcome, CommandError> {
     });
     match cli.verb {
         Verb::Run(args) if args.print_config => options::print(&config::print(&configured, &matches)),
-        Verb::Run(args) => run::run(&args),
+        Verb::Run(mut args) => run::run(&mut args),
         Verb::Replay(args) => replay::replay(&args),
         Verb::Export(args) => replay::export(&args),
         Verb::Device(args) => device::run(&args),

@@ -52,7 +52,7 @@ const ACCOUNT_EVERY: Duration = Duration::from_secs(1);
 /// configuration file (device = "auto"). Flags override environment variables, which override the file.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  slitpose run --scene head.toml\n  \
-                  slitpose run --device sim --duration 10s\n  \
+                  slitpose run --device sim --live --open\n  \
                   slitpose run --device sim --trajectory contact --record contact.mcap > poses.ndjson\n  \
                   slitpose run --device sim --duration 3s --fault occlude:cell=2,from=1s,for=500ms\n  \
                   slitpose run --device /dev/ttyACM0 --publish unix:/run/slitpose/pose --status 127.0.0.1:7450 --format none")]
@@ -145,7 +145,10 @@ fn parse_patience(text: &str) -> Result<Patience, String> {
     }
 }
 
-pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
+pub(super) fn run(args: &mut Args) -> Result<Outcome, CommandError> {
+    if args.live.is_wanted() {
+        args.tool.default_motion = "hand";
+    }
     if let (StreamName::Pose, Some(option)) = (args.stream, args.poses.for_this_program()) {
         return Err(usage!(
             "{option} says how this program solves poses, and with --stream pose the board does; leave one of both out"

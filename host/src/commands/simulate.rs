@@ -232,9 +232,12 @@ const MIN_ROWS: usize = 3;
 /// The tool in front of a simulated board.
 #[derive(clap::Args, Debug)]
 pub(super) struct ToolOptions {
-    /// still, smooth, fast, contact, or a CSV table with time_s and the columns of a pose
+    /// still, hand, smooth, fast, contact, or a CSV table with time_s and the columns of a pose
     #[arg(long, value_name = "MOTION", value_parser = options::motions(), hide_possible_values = true)]
     trajectory: Option<String>,
+    /// Its motion unless one is given.
+    #[arg(skip = "smooth")]
+    pub(super) default_motion: &'static str,
     /// Seed of motion and noise
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
@@ -298,7 +301,7 @@ impl ToolOptions {
 
     /// The motion of the tool of that board, of the head of `file`, over `duration_s`, which may be infinite.
     pub(super) fn trajectory(&self, file: &SceneFile, number: u8, duration_s: f64) -> Result<Trajectory, CommandError> {
-        let name = self.trajectory.as_deref().unwrap_or("smooth");
+        let name = self.trajectory.as_deref().unwrap_or(self.default_motion);
         match TrajectoryKind::named(name) {
             Some(kind) => Ok(Trajectory::of_kind(kind, self.seed(number), duration_s).within(&file.workspace)),
             None => Trajectory::from_table(name).map_err(|error| match error {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use axum::extract::ws::Utf8Bytes;
 use serde_json::{Value, json};
-use slitpose_calibration::{Basis, Head, values_of};
+use slitpose_calibration::{Basis, Head};
 use slitpose_design::map::{NoiseOf, Outlook};
 use slitpose_design::{MaskFrame, mask_half_extents_m};
 use slitpose_model::{
@@ -13,6 +13,7 @@ use slitpose_model::{
     TwistEstimate,
 };
 
+use super::bins::{Bin, Binner, Bins, MAX_FINE};
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::columns::{NO_TWIST, no_twist};
 use slitpose_tracking::frame::View;
@@ -39,7 +40,7 @@ impl Optics {
     /// Frame `n` of a board. Translations are exact to a nanometre, and numbers that are only looked at are rounded further:
     /// texts are half as long.
     pub(crate) fn frame(&self, board: usize, n: u64, sample: &Sample) -> Value {
-        let Sample { record, photocurrents, scans, poses, range } = sample;
+        let Sample { record, photocurrents, scans, poses, bins } = sample;
         let seen = record.solution.estimate.as_ref();
         // Where the tool is in front of the head, whatever frame its pose is given in.
         let in_base = |pose: &Pose| record.view.map_or(*pose, |view| view.base_from_tool(pose));
@@ -68,8 +69,8 @@ impl Optics {
             }),
             "scans": scans,
             "poses": poses,
-            "low": range.map(|[low, _]| low.map(nanometres)),
-            "high": range.map(|[_, high]| high.map(nanometres)),
+            "fine": bins.fine.iter().filter(|_| bins.fine.len() < MAX_FINE).map(Bin::numbers).collect::<Vec<_>>(),
+            "coarse": bins.coarse.iter().map(Bin::numbers).collect::<Vec<_>>(),
         });
         if let (Value::Object(frame), Value::Object(own)) = (&mut frame, own) {
             frame.extend(own);
@@ -88,7 +89,6 @@ impl Optics {
     ) -> Value {
         let estimate = solution.estimate.as_ref();
         let place = estimate.map(|estimate| place(&estimate.pose)).unwrap_or_default();
-        let at = estimate.map(|estimate| values_of(&estimate.pose).map(nanometres));
         let cells = self.cells.iter().zip(&photocurrents.cells).enumerate();
         json!({
             "kind": "frame",
@@ -115,8 +115,8 @@ impl Optics {
                 .collect::<Vec<_>>(),
             "scans": 1,
             "poses": u32::from(estimate.is_some()),
-            "low": at,
-            "high": at,
+            "fine": [],
+            "coarse": [],
         })
     }
 
@@ -198,7 +198,7 @@ fn rounded(value: f64) -> f64 {
 /// Samples per second of the host's clock.
 pub(super) const FRAMES_HZ: u64 = 60;
 
-/// The newest pose of a board, and the range of all since the sample before.
+/// The newest pose of a board, and the bins that are complete since the sample before.
 #[derive(Clone, Debug)]
 pub(crate) struct Sample {
     pub(crate) record: Record,
@@ -207,8 +207,7 @@ pub(crate) struct Sample {
     pub(super) scans: u32,
     /// Scans of these that had a pose.
     pub(super) poses: u32,
-    /// Least and greatest coordinates of these poses: translation, rotation vector; metres, radians.
-    pub(super) range: Option<[[f64; 6]; 2]>,
+    pub(super) bins: Bins,
 }
 
 impl Sample {
@@ -230,6 +229,7 @@ pub(crate) struct Sampler {
     board: usize,
     taker: Arc<dyn SampleSink>,
     due_ns: u64,
+    binner: Binner,
     /// The next one, whose photocurrents come at last.
     sample: Option<Sample>,
 }
@@ -237,24 +237,17 @@ pub(crate) struct Sampler {
 impl Sampler {
     /// Samples of the board of this number, for `taker`.
     pub(crate) fn new(board: usize, taker: Arc<dyn SampleSink>) -> Self {
-        Self { board, taker, due_ns: 0, sample: None }
+        Self { board, taker, due_ns: 0, binner: Binner::default(), sample: None }
     }
 
     pub(crate) fn add(&mut self, record: &Record) {
-        let begin =
-            || Sample { record: *record, photocurrents: Photocurrents::default(), scans: 0, poses: 0, range: None };
+        let (photocurrents, bins) = (Photocurrents::default(), Bins::default());
+        let begin = || Sample { record: *record, photocurrents, scans: 0, poses: 0, bins };
         let sample = self.sample.get_or_insert_with(begin);
         sample.record = *record;
         sample.scans += 1;
-        if let Some(estimate) = &record.solution.estimate {
-            sample.poses += 1;
-            let at = values_of(&estimate.pose);
-            let [low, high] = sample.range.get_or_insert([at; 2]);
-            for ((low, high), value) in low.iter_mut().zip(high).zip(at) {
-                *low = low.min(value);
-                *high = high.max(value);
-            }
-        }
+        sample.poses += u32::from(record.solution.estimate.is_some());
+        self.binner.add(record, &mut sample.bins);
     }
 
     /// Sends a sample if one is due; `photocurrents` are those of the scan added last.

@@ -11,6 +11,7 @@ use slitpose_head::threads::lock;
 use tokio::sync::broadcast;
 use tokio::sync::mpsc::{Receiver, Sender, channel};
 
+use super::bins::COARSE_HZ;
 use super::control::PlayerState;
 use super::frame::{FRAMES_HZ, Optics, Sample, SampleSink, head_message};
 use crate::telemetry::DaemonReport;
@@ -20,6 +21,10 @@ use slitpose_tracking::clock::HostInstant;
 /// The frames of the last minute are kept.
 pub(super) const HISTORY_S: u64 = 60;
 const HISTORY: usize = (HISTORY_S * FRAMES_HZ) as usize;
+
+/// The coarse bins of the last ten minutes are kept.
+pub(super) const COARSE_S: u64 = 600;
+const COARSE: usize = (COARSE_S * COARSE_HZ) as usize;
 
 /// Most samples on their way to the server's thread: a quarter of a second of one board.
 const INPUTS: usize = 16;
@@ -87,6 +92,8 @@ pub(super) struct Snapshot {
     pub(super) states: Vec<Utf8Bytes>,
     /// Numbers of the frames of each board so far.
     pub(super) frames: Vec<Range<u64>>,
+    /// Coarse bins of each board.
+    pub(super) coarse: Vec<VecDeque<Utf8Bytes>>,
 }
 
 pub(super) struct Hub {
@@ -107,6 +114,7 @@ struct Board {
     head: Utf8Bytes,
     optics: Option<Optics>,
     frames: VecDeque<Utf8Bytes>,
+    coarse: VecDeque<Utf8Bytes>,
     next: u64,
     time_s: f64,
 }
@@ -198,7 +206,10 @@ impl State {
         }
         let board = self.boards.get_mut(number)?;
         board.time_s = sample.record.device_time_s;
-        let text = Utf8Bytes::from(board.optics.as_ref()?.frame(number, board.next, sample).to_string());
+        let frame = board.optics.as_ref()?.frame(number, board.next, sample);
+        board.coarse.extend(frame["coarse"].as_array()?.iter().map(|bin| Utf8Bytes::from(bin.to_string())));
+        board.coarse.drain(..board.coarse.len().saturating_sub(COARSE));
+        let text = Utf8Bytes::from(frame.to_string());
         board.keep(text.clone());
         Some(Event::Frame { history: self.history, text })
     }
@@ -207,6 +218,7 @@ impl State {
         self.history += 1;
         for board in &mut self.boards {
             board.frames.clear();
+            board.coarse.clear();
             board.time_s = f64::NEG_INFINITY;
         }
     }
@@ -218,6 +230,7 @@ impl State {
             heads: self.boards.iter().map(|board| board.head.clone()).collect(),
             states: self.report.iter().chain(&self.player).cloned().collect(),
             frames: self.boards.iter().map(Board::kept).collect(),
+            coarse: self.boards.iter().map(|board| board.coarse.clone()).collect(),
         }
     }
 }
@@ -242,6 +255,7 @@ impl Board {
             optics: Optics::of(&head).ok(),
             head: head_message(number, &head),
             frames: VecDeque::with_capacity(HISTORY),
+            coarse: VecDeque::new(),
             next: 0,
             time_s: f64::NEG_INFINITY,
             name,

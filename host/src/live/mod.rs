@@ -5,12 +5,13 @@
 //!            (one a board)              (history)      (one a client)
 //! ```
 //!
-//! A [`Sampler`] condenses the poses of a board: the newest, and the range of all since the sample before. The
-//! [`LiveServer`] has a thread of its own, which turns samples into JSON once for all clients and keeps those of the last
-//! minute. No client can delay a pose: a sample that finds the thread busy goes into the next one, and a client that does
+//! A [`Sampler`] condenses the poses of a board: the newest, and statistics of all in bins of time. The [`LiveServer`] has
+//! a thread of its own, which turns samples into JSON once for all clients and keeps the frames of the last minute and
+//! the coarse bins of the last ten. No client can delay a pose: a sample that finds the thread busy goes into the next one, and a client that does
 //! not acknowledge what it got is sent the newest frames only, and how many it has missed. `LIVE.md` describes the
 //! messages.
 
+mod bins;
 mod control;
 mod frame;
 mod hub;

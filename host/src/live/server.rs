@@ -179,29 +179,13 @@ macro_rules! files {
 
 /// All of them; the first is the page itself.
 pub(super) const FILES: &[PageFile] = &files! {
-    HTML "index.html"
-    JAVASCRIPT "banner.js"
-    JAVASCRIPT "camera.js"
-    JAVASCRIPT "daemon.js"
-    JAVASCRIPT "dom.js"
-    JAVASCRIPT "findings.js"
-    JAVASCRIPT "format.js"
-    JAVASCRIPT "gestures.js"
-    JAVASCRIPT "head.js"
-    JAVASCRIPT "history.js"
-    SVG "icon.svg"
-    JAVASCRIPT "link.js"
-    JAVASCRIPT "main.js"
-    JAVASCRIPT "numbers.js"
-    JAVASCRIPT "palette.js"
-    JAVASCRIPT "placement.js"
-    JAVASCRIPT "player.js"
-    JAVASCRIPT "plots.js"
-    JAVASCRIPT "strips.js"
-    CSS "style.css"
-    JAVASCRIPT "timeline.js"
-    JAVASCRIPT "vectors.js"
-    JAVASCRIPT "view3d.js"
+    HTML "index.html" SVG "icon.svg" CSS "style.css"
+    JAVASCRIPT "analysis.js" JAVASCRIPT "banner.js" JAVASCRIPT "camera.js" JAVASCRIPT "daemon.js"
+    JAVASCRIPT "dom.js" JAVASCRIPT "findings.js" JAVASCRIPT "format.js" JAVASCRIPT "gestures.js"
+    JAVASCRIPT "head.js" JAVASCRIPT "history.js" JAVASCRIPT "lane.js" JAVASCRIPT "link.js" JAVASCRIPT "main.js"
+    JAVASCRIPT "numbers.js" JAVASCRIPT "palette.js" JAVASCRIPT "placement.js" JAVASCRIPT "player.js"
+    JAVASCRIPT "plots.js" JAVASCRIPT "strips.js" JAVASCRIPT "timeline.js" JAVASCRIPT "trace.js"
+    JAVASCRIPT "vectors.js" JAVASCRIPT "view3d.js"
 };
 
 #[cfg(test)]

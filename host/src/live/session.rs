@@ -18,9 +18,10 @@ use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::{RecvError, TryRecvError};
 use tokio::time::{Instant, sleep, sleep_until, timeout};
 
+use super::bins::{COARSE_HZ, FINE_HZ};
 use super::control::{Order, Refusal, Request};
 use super::frame::FRAMES_HZ;
-use super::hub::{Event, HISTORY_S, Snapshot};
+use super::hub::{COARSE_S, Event, HISTORY_S, Snapshot};
 use super::server::Shared;
 use crate::http::Connection;
 
@@ -32,6 +33,9 @@ const PAST_WINDOW: u64 = 4;
 
 /// Frames of the past in one message.
 const PAST: usize = 60;
+
+/// Coarse bins in one message.
+const PAST_COARSE: usize = 360;
 
 /// A client for which more frames wait goes on with the present: half a second of one board.
 const MAX_WAITING: usize = (FRAMES_HZ / 2) as usize;
@@ -78,14 +82,16 @@ struct Session {
     boards: Vec<String>,
     /// Numbers of the frames of the past that are still to be sent, by board.
     past: VecDeque<(usize, Range<u64>)>,
+    /// Coarse bins that are still to be sent, by board.
+    coarse: Vec<VecDeque<Utf8Bytes>>,
     /// Frames of a scene without a board.
     drawn: u64,
 }
 
 impl Session {
     fn new(socket: WebSocket, shared: Arc<Shared>) -> Self {
-        let (boards, past) = (Vec::new(), VecDeque::new());
-        Self { socket, shared, sent: 0, acknowledged: 0, missed: 0, history: 0, boards, past, drawn: 0 }
+        let (boards, past, coarse) = (Vec::new(), VecDeque::new(), Vec::new());
+        Self { socket, shared, sent: 0, acknowledged: 0, missed: 0, history: 0, boards, past, coarse, drawn: 0 }
     }
 
     async fn run(&mut self) -> Result<(), Gone> {
@@ -112,7 +118,8 @@ impl Session {
                 self.skip_to_newest(&mut news);
                 self.tell_missed().await?;
             }
-            let sends_past = waiting < PAST_WINDOW && !self.past.is_empty() && news.is_empty();
+            let has_past = !self.past.is_empty() || self.coarse.iter().any(|bins| !bins.is_empty());
+            let sends_past = waiting < PAST_WINDOW && has_past && news.is_empty();
             tokio::select! {
                 request = self.socket.recv() => {
                     heard = Instant::now();
@@ -151,6 +158,9 @@ impl Session {
             "may_write": self.shared.plan.access.may_write,
             "frames_hz": FRAMES_HZ,
             "history_s": HISTORY_S,
+            "fine_hz": FINE_HZ,
+            "coarse_hz": COARSE_HZ,
+            "coarse_s": COARSE_S,
             "boards": snapshot.names,
         }))
         .await
@@ -158,8 +168,8 @@ impl Session {
 
     /// What has to be known before frames of a history.
     async fn begin(&mut self, snapshot: Snapshot) -> Result<(), Gone> {
-        let Snapshot { history, names, heads, states, frames } = snapshot;
-        (self.history, self.boards) = (history, names);
+        let Snapshot { history, names, heads, states, frames, coarse } = snapshot;
+        (self.history, self.boards, self.coarse) = (history, names, coarse);
         self.past = frames.into_iter().enumerate().filter(|(_, frames)| !frames.is_empty()).collect();
         for text in heads.into_iter().chain(states) {
             self.send(text).await?;
@@ -188,15 +198,24 @@ impl Session {
         }
     }
 
-    /// Sends some frames of the past, the oldest first.
+    /// Sends some frames of the past, the oldest first, and then its coarse bins.
     async fn send_past(&mut self) -> Result<(), Gone> {
-        let Some((board, mut wanted)) = self.past.pop_front() else { return Ok(()) };
+        let Some((board, mut wanted)) = self.past.pop_front() else { return self.send_coarse().await };
         let frames = self.shared.hub.past(self.history, board, &mut wanted, PAST);
         if !wanted.is_empty() {
             self.past.push_front((board, wanted));
         }
         let frames: Vec<&str> = frames.iter().map(Utf8Bytes::as_str).collect();
         let text = format!(r#"{{"kind":"history","board":{board},"frames":[{}]}}"#, frames.join(","));
+        self.send(text.into()).await
+    }
+
+    async fn send_coarse(&mut self) -> Result<(), Gone> {
+        let Some(board) = self.coarse.iter().position(|bins| !bins.is_empty()) else { return Ok(()) };
+        let count = self.coarse[board].len().min(PAST_COARSE);
+        let bins: Vec<Utf8Bytes> = self.coarse[board].drain(..count).collect();
+        let bins: Vec<&str> = bins.iter().map(Utf8Bytes::as_str).collect();
+        let text = format!(r#"{{"kind":"history","board":{board},"coarse":[{}]}}"#, bins.join(","));
         self.send(text.into()).await
     }
 

@@ -12,6 +12,7 @@ use tungstenite::client::IntoClientRequest;
 use tungstenite::stream::MaybeTlsStream;
 use tungstenite::{Message, WebSocket};
 
+use super::bins::{Bins, FINE_HZ};
 use super::hub::LiveBoard;
 use super::server::{Clients, MAX_CLIENTS, MAX_REQUEST};
 use super::session::WINDOW;
@@ -118,7 +119,7 @@ impl Client {
 fn play(server: &LiveServer, poses: &[(Record, Photocurrents)]) {
     for (record, photocurrents) in poses {
         let (record, photocurrents) = (*record, photocurrents.clone());
-        let sample = Sample { record, photocurrents, scans: 1, poses: 1, range: None };
+        let sample = Sample { record, photocurrents, scans: 1, poses: 1, bins: Bins::default() };
         while !server.input.sample(0, &sample) {
             std::thread::yield_now();
         }
@@ -178,18 +179,31 @@ fn a_frame_covers_all_scans_since_the_one_before() {
         sampler.send(Some(photocurrents), HostInstant { monotonic_ns: number as u64 * 600_000, utc_ns: 0 });
     }
     let frames: Vec<Value> = (0..3).map(|_| client.hear_of("frame").pop().unwrap()).collect();
-    let mut covered = 0;
+    let (mut covered, mut fine) = (0, Vec::new());
     for frame in &frames {
         let scans = frame["scans"].as_u64().unwrap() as usize;
         let part = &poses[covered..covered + scans];
         covered += scans;
         assert_eq!(frame["seq"], json!(part[scans - 1].0.sequence));
-        let x = |(record, _): &(Record, Photocurrents)| record.solution.estimate.unwrap().pose.translation_m.x;
-        let [least, most] = [f64::min, f64::max].map(|pick| part.iter().map(x).reduce(pick).unwrap());
-        assert!((numbers(&frame["low"])[0] - least).abs() < 1e-9, "{frame} {least}");
-        assert!((numbers(&frame["high"])[0] - most).abs() < 1e-9, "{frame} {most}");
+        fine.extend(frame["fine"].as_array().unwrap().iter().map(numbers));
     }
     assert!(covered > 50, "{covered}");
+    // Mean, distances to the extremes, spread and σ of x in each bin, nanometres.
+    assert!(fine.len() > 10, "{fine:?}");
+    for bin in &fine {
+        let is_in = |record: &&Record| (record.device_time_s * FINE_HZ as f64).floor() == bin[0];
+        let estimates = poses.iter().map(|(record, _)| record).filter(is_in).map(|it| it.solution.estimate.unwrap());
+        let (x, sigmas): (Vec<f64>, Vec<f64>) =
+            estimates.map(|estimate| (estimate.pose.translation_m.x * 1e9, estimate.sigma()[0] * 1e9)).unzip();
+        let count = x.len() as f64;
+        let [mean, sigma] = [&x, &sigmas].map(|values| values.iter().sum::<f64>() / count);
+        let [low, high] = [f64::min, f64::max].map(|pick| x.iter().copied().reduce(pick).unwrap());
+        let rms = (x.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / count).sqrt();
+        let expected = [(1, count), (2, count), (4, mean), (16, mean - low), (28, high - mean), (40, rms), (52, sigma)];
+        for (place, expected) in expected {
+            assert!((bin[place] - expected).abs() < 1.0, "{place}: {expected}, {bin:?}");
+        }
+    }
 }
 
 #[test]

@@ -87,7 +87,9 @@ struct Measurement {
 pub fn study(slitpose: Slitpose, conditions: &Conditions) -> Verdicts {
     let mut conditions = conditions.clone();
     if conditions.pages > 0 {
-        conditions.options.extend(["--live".to_owned(), live_pages(conditions.pages, 1).to_string()]);
+        let live =
+            ["--trajectory", "smooth", "--live", &live_pages(conditions.pages, 1).to_string()].map(str::to_owned);
+        conditions.options.extend(live);
     }
     print_conditions(&conditions);
     let poses = (conditions.seconds * FRAME_RATE_HZ) as usize;

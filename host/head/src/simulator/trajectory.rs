@@ -35,6 +35,8 @@ pub const MAX_KNOTS: u64 = 1 << 23;
 pub enum TrajectoryKind {
     /// At rest at home.
     Still,
+    /// As a hand moves it: to and fro some times a second, with rests, and now and then against a wall.
+    Hand,
     /// Sinusoids in all six coordinates, up to 0.5 m/s and 5 rad/s.
     Smooth,
     /// The same four times as fast.
@@ -45,8 +47,13 @@ pub enum TrajectoryKind {
 
 impl TrajectoryKind {
     /// All kinds with their names.
-    pub const NAMED: [(&'static str, Self); 4] =
-        [("still", Self::Still), ("smooth", Self::Smooth), ("fast", Self::Fast), ("contact", Self::Contact)];
+    pub const NAMED: [(&'static str, Self); 5] = [
+        ("still", Self::Still),
+        ("hand", Self::Hand),
+        ("smooth", Self::Smooth),
+        ("fast", Self::Fast),
+        ("contact", Self::Contact),
+    ];
 
     /// The kind of this name.
     pub fn named(name: &str) -> Option<Self> {
@@ -61,6 +68,8 @@ pub struct Trajectory(Motion);
 #[derive(Clone, Debug)]
 enum Motion {
     Still,
+    /// As `Sines`.
+    Hand([(f64, f64, f64); 6]),
     /// Amplitude, angular frequency and phase of each coordinate.
     Sines([(f64, f64, f64); 6]),
     /// Knots in time, constant twist between them, at rest before and after.
@@ -85,8 +94,9 @@ impl Trajectory {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         Self(match kind {
             TrajectoryKind::Still => Motion::Still,
-            TrajectoryKind::Smooth => Motion::Sines(sines(&mut rng, 1.0)),
-            TrajectoryKind::Fast => Motion::Sines(sines(&mut rng, FAST)),
+            TrajectoryKind::Hand => Motion::Hand(sines(&mut rng, HAND)),
+            TrajectoryKind::Smooth => Motion::Sines(sines(&mut rng, [1.0; 2])),
+            TrajectoryKind::Fast => Motion::Sines(sines(&mut rng, [FAST; 2])),
             TrajectoryKind::Contact => Motion::Reversals(Box::new(Reversals::new(rng, duration_s))),
         })
     }
@@ -97,13 +107,11 @@ impl Trajectory {
     pub fn within(mut self, workspace: &Workspace) -> Self {
         let by_m = (workspace.half_extent_m * (SHARE / AMPLITUDE_M)).min(DVec3::ONE);
         let by_rad = (workspace.half_extent_rad * (SHARE / AMPLITUDE_RAD)).min(DVec3::ONE);
+        let by = by_m.to_array().into_iter().chain(by_rad.to_array());
         match &mut self.0 {
             Motion::Still | Motion::Path(..) => {}
-            Motion::Sines(sines) => {
-                for ((amplitude, ..), by) in sines.iter_mut().zip(by_m.to_array().into_iter().chain(by_rad.to_array()))
-                {
-                    *amplitude *= by;
-                }
+            Motion::Sines(sines) | Motion::Hand(sines) => {
+                sines.iter_mut().zip(by).for_each(|((amplitude, ..), by)| *amplitude *= by);
             }
             Motion::Reversals(reversals) => reversals.shrink(by_m, by_rad),
         }
@@ -160,8 +168,16 @@ impl Trajectory {
         match &self.0 {
             Motion::Still => Pose::HOME,
             Motion::Sines(sines) => {
-                let v = sines.map(|(amplitude, frequency, phase)| amplitude * (frequency * time_s + phase).sin());
-                Pose::from_vectors(DVec3::new(v[0], v[1], v[2]), DVec3::new(v[3], v[4], v[5]))
+                pose_of(sines.map(|(amplitude, frequency, phase)| amplitude * (frequency * time_s + phase).sin()))
+            }
+            Motion::Hand(sines) => {
+                let moved_s = moved_s(time_s);
+                let mut v = sines.map(|(amplitude, frequency, phase)| {
+                    let angle = frequency * moved_s + phase;
+                    amplitude * angle.sin() * (0.6 + 0.4 * (SWELL * angle).cos())
+                });
+                v[2] = v[2].max(WALL * sines[2].0);
+                pose_of(v)
             }
             Motion::Path(knots, _) => on_path(knots, time_s),
             Motion::Reversals(reversals) => reversals.pose(time_s),
@@ -169,9 +185,32 @@ impl Trajectory {
     }
 }
 
+fn pose_of(v: [f64; 6]) -> Pose {
+    Pose::from_vectors(DVec3::new(v[0], v[1], v[2]), DVec3::new(v[3], v[4], v[5]))
+}
+
+/// A hand moves for the first part of each cycle, and rests for the remainder, seconds.
+const MOVES_S: f64 = 2.9;
+const CYCLE_S: f64 = 4.0;
+
+/// The speeds of a hand's motion relative to a smooth one: 1 to 3 Hz, and rotations somewhat slower.
+const HAND: [f64; 2] = [0.08, 0.3];
+
+/// The frequency with which its amplitude swells, relative to that of the motion.
+const SWELL: f64 = 0.37;
+
+/// The wall that stops a hand along z, relative to the amplitude of its motion.
+const WALL: f64 = -0.6;
+
+/// The time along a hand's motion at `time_s`: it starts and stops without a jerk (smoothstep of fifth order).
+fn moved_s(time_s: f64) -> f64 {
+    let share = (time_s.rem_euclid(CYCLE_S) / MOVES_S).min(1.0);
+    MOVES_S * (time_s.div_euclid(CYCLE_S) + share.powi(3) * (10.0 + share * (6.0 * share - 15.0)))
+}
+
 /// Each coordinate oscillates with its own frequency, so that all combinations occur. The greatest
-/// speeds of the three axes add up, at worst, to the stated speed.
-fn sines(rng: &mut ChaCha8Rng, speed: f64) -> [(f64, f64, f64); 6] {
+/// speeds of the three axes add up, at worst, to the stated speed; `speeds` are factors of it for translation and rotation.
+fn sines(rng: &mut ChaCha8Rng, speeds: [f64; 2]) -> [(f64, f64, f64); 6] {
     // Shares whose squares add up to one.
     let shares = |rng: &mut ChaCha8Rng| {
         let raw = [0; 3].map(|_| rng.random_range(0.7..1.3_f64));
@@ -183,7 +222,7 @@ fn sines(rng: &mut ChaCha8Rng, speed: f64) -> [(f64, f64, f64); 6] {
         [(AMPLITUDE_M, SMOOTH_M_PER_S), (AMPLITUDE_RAD, SMOOTH_RAD_PER_S)].into_iter().enumerate()
     {
         for (axis, share) in shares(rng).into_iter().enumerate() {
-            let frequency = speed * greatest * share / amplitude;
+            let frequency = speeds[half] * greatest * share / amplitude;
             out[3 * half + axis] = (amplitude, frequency, rng.random_range(0.0..2.0 * PI));
         }
     }
@@ -286,7 +325,7 @@ mod tests {
     #[test]
     fn motions_stay_within_the_workspace_and_only_shrink() {
         let [wide, small] = [WIDE, SPACEMOUSE].map(|shipped| shipped.read().unwrap().workspace);
-        for kind in [TrajectoryKind::Smooth, TrajectoryKind::Fast, TrajectoryKind::Contact] {
+        for kind in [TrajectoryKind::Hand, TrajectoryKind::Smooth, TrajectoryKind::Fast, TrajectoryKind::Contact] {
             let motion = || Trajectory::of_kind(kind, 3, f64::INFINITY);
             let (own, inside) = (motion().within(&wide), motion().within(&small));
             let mut most = [0.0_f64; 2];
@@ -318,6 +357,21 @@ mod tests {
             assert!((0.45..=0.5001).contains(&linear), "seed {seed}: {linear} m/s");
             assert!((4.0..=5.001).contains(&angular), "seed {seed}: {angular} rad/s");
         }
+    }
+
+    #[test]
+    fn a_hand_moves_rests_and_meets_its_wall() {
+        let hand = Trajectory::of_kind(TrajectoryKind::Hand, 1, f64::INFINITY);
+        let (linear, angular) = greatest_speeds(&hand);
+        assert!((0.01..0.08).contains(&linear) && (0.5..5.0).contains(&angular), "{linear} m/s, {angular} rad/s");
+        let (mut rests, mut presses) = (0, 0);
+        for i in 0..10_000 {
+            let time_s = f64::from(i) * 1e-2;
+            let [here, there] = [time_s, time_s + 1e-3].map(|time_s| hand.pose(time_s).translation_m);
+            rests += i32::from(here.distance(there) < 2e-6);
+            presses += i32::from(here.z < WALL * AMPLITUDE_M + 1e-9);
+        }
+        assert!((2000..5000).contains(&rests) && (100..2500).contains(&presses), "{rests} {presses} of 10,000");
     }
 
     fn reversals(end_s: f64) -> Reversals {

@@ -56,3 +56,20 @@ export class Surface {
     return this.context;
   }
 }
+
+/** Keeps a value for this tab, over reloads; without storage a reload forgets it. */
+export function remember(key, value) {
+  try {
+    sessionStorage.setItem(`slitpose-${key}`, JSON.stringify(value));
+  } catch {
+    // Nothing depends on it.
+  }
+}
+
+export function remembered(key) {
+  try {
+    return JSON.parse(sessionStorage.getItem(`slitpose-${key}`));
+  } catch {
+    return null;
+  }
+}

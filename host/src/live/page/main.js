@@ -1,12 +1,12 @@
 /**
  * The live page of slitpose: takes messages, keeps what was last said of every board, and draws it.
  *
- * One animation frame draws all that has changed since the last one; while nothing changes, none is asked for. Numbers
- * are renewed ten times a second, as people cannot read them faster.
+ * One animation frame draws all that has changed since the last one; while nothing changes, none is asked for. New poses are
+ * drawn thirty times a second, which halves the work, and numbers ten times, as people cannot read them faster.
  */
 import { Banner } from "./banner.js";
 import { Daemon, Recorder } from "./daemon.js";
-import { byId, make, show, takesKeys, write } from "./dom.js";
+import { byId, make, remember, remembered, show, takesKeys, write } from "./dom.js";
 import { Findings } from "./findings.js";
 import { CELL_STATES } from "./format.js";
 import { attachGestures } from "./gestures.js";
@@ -19,20 +19,27 @@ import { Player } from "./player.js";
 import { Plots } from "./plots.js";
 import { Strips } from "./strips.js";
 import { Timeline } from "./timeline.js";
+import { Trace } from "./trace.js";
 import { View3d } from "./view3d.js";
 
 const NUMBERS_EVERY_MS = 100;
+/** Somewhat less than two frames of 60 a second. */
+const POSES_EVERY_MS = 30;
 
 let hello = null;
-let report = { report: null, findings: null };
+let report = { report: null };
 let playerState = null;
-let board = 0;
+let board = remembered("board") ?? 0;
 /** @type {(object | null)[]} by board */
 let heads = [null];
 let histories = [new History()];
+let traces = [new Trace()];
 let numbersAt_ms = -Infinity;
 let numbersTimer = 0;
+let drawnAt_ms = -Infinity;
 let isScheduled = false;
+/** Whether more than a new pose is to be drawn. */
+let isUrgent = true;
 /** What the animation frame has to draw besides the frame. */
 let isReportNew = true;
 
@@ -51,16 +58,16 @@ const recorder = new Recorder(send, () => board);
 const player = new Player(send);
 const view = new View3d(byId("view"), byId("view-words"), byId("view-notes"), schedule);
 const strips = new Strips(byId("strips"), schedule);
-const plots = new Plots(byId("plots"), schedule);
-const timeline = new Timeline(() => histories, () => board, () => {
+const plots = new Plots(plotsChanged, (time_s) => timeline.pick(time_s));
+const timeline = new Timeline(() => ({ histories, traces }), () => board, (isLive) => {
   numbersAt_ms = -Infinity;
+  if (isLive) plots.follow();
   reportChanged();
 });
 const placement = new Placement(send, schedule);
 const goHome = attachGestures(byId("view"), view, schedule, placement);
 followTheme(byId("theme"), () => {
-  plots.redraw();
-  schedule();
+  plots.changed();
 });
 const link = new Link(received, (state) => {
   if (state.state !== "open") placement.answered();
@@ -71,7 +78,7 @@ function received(message) {
   const take = takers[message.kind];
   // A newer daemon may say more than this page knows.
   if (take) take(message);
-  schedule();
+  schedule(message.kind !== "frame" || isScene());
 }
 
 const takers = {
@@ -79,11 +86,13 @@ const takers = {
     hello = message;
     heads = message.boards.map(() => null);
     histories = message.boards.map(() => new History(message.history_s, message.frames_hz));
+    traces = message.boards.map(() => new Trace(message));
     board = Math.min(board, Math.max(message.boards.length - 1, 0));
     playerState = null;
-    report = { report: null, findings: null };
-    if (heads.length === 0) [heads, histories] = [[null], [new History()]];
-    timeline.live();
+    report = { report: null };
+    findings.take(null);
+    if (heads.length === 0) [heads, histories, traces] = [[null], [new History()], [new Trace()]];
+    if (timeline.isPaused) timeline.live();
     byId("board").replaceChildren(...message.boards.map((name, i) => new Option(name, i)));
     byId("board").value = board;
     show(byId("board-choice"), message.boards.length > 1);
@@ -94,18 +103,23 @@ const takers = {
   },
   head(message) {
     heads[message.board] = message;
-    histories[message.board]?.clear();
+    clear(message.board);
     if (message.board === board) setHead();
   },
   frame(frame) {
+    keep(frame);
     histories[frame.board]?.push(frame);
     if (isScene()) placement.answered();
   },
   history(message) {
-    histories[message.board]?.merge(message.frames);
+    traces[message.board]?.put(message);
+    for (const frame of message.frames ?? []) keep(frame);
+    if (message.frames) histories[message.board]?.merge(message.frames);
   },
   report(message) {
     report = message;
+    findings.take(message);
+    plots.follows(message.report.started_utc_ns);
     isReportNew = true;
   },
   player(message) {
@@ -114,7 +128,7 @@ const takers = {
   },
   cleared(message) {
     timeline.live();
-    histories[message.board]?.clear();
+    clear(message.board);
   },
   missed: ({ frames }) => banner.missed(frames),
   refused({ reason }) {
@@ -122,6 +136,22 @@ const takers = {
     if (isScene()) placement.answered();
   },
 };
+
+/** Puts the bins of a frame in their place; nothing else needs them. */
+function keep(frame) {
+  traces[frame.board]?.put(frame);
+  frame.fine = frame.coarse = undefined;
+}
+
+function clear(number) {
+  histories[number]?.clear();
+  traces[number]?.clear();
+}
+
+function plotsChanged() {
+  numbersAt_ms = -Infinity;
+  schedule();
+}
 
 function setHead() {
   const head = heads[board] ?? null;
@@ -136,6 +166,8 @@ function setHead() {
 
 function choose(next) {
   board = next;
+  remember("board", next);
+  plots.reset();
   byId("board").value = next;
   timeline.boardChanged();
   setHead();
@@ -146,7 +178,8 @@ function reportChanged() {
   schedule();
 }
 
-function schedule() {
+function schedule(urgent = true) {
+  isUrgent ||= urgent;
   if (isScheduled) return;
   isScheduled = true;
   requestAnimationFrame(draw);
@@ -155,20 +188,22 @@ function schedule() {
 function draw(now_ms) {
   isScheduled = false;
   link.acknowledge();
+  if (!isUrgent && now_ms - drawnAt_ms < POSES_EVERY_MS) return schedule(false);
+  [isUrgent, drawnAt_ms] = [false, now_ms];
   const { history, index } = timeline.shown;
   const frame = history.at(index);
   const isDue = now_ms - numbersAt_ms >= NUMBERS_EVERY_MS;
   view.draw(frame, isScene() ? null : { history, index }, isScene() ? placement.pose : null);
   strips.draw(frame, isDue);
-  if (!isScene()) plots.draw(history, index);
+  if (!isScene()) plots.draw(timeline.trace, timeline.isPaused && frame ? frame.time_s : null);
   clearTimeout(numbersTimer);
   if (isDue) {
     numbers.draw(frame, isScene());
-    timeline.draw();
+    timeline.draw(plots.isHeld);
     numbersAt_ms = now_ms;
   } else {
     // Should this be the last frame for a while, its numbers come as well.
-    numbersTimer = setTimeout(schedule, NUMBERS_EVERY_MS);
+    numbersTimer = setTimeout(() => schedule(), NUMBERS_EVERY_MS);
   }
   if (!isReportNew) return;
   isReportNew = false;
@@ -179,7 +214,7 @@ function drawReport(frame) {
   const state = report.report?.boards[board];
   const faults = state?.head?.findings ?? [];
   strips.setFindings(faults);
-  findings.draw(report.findings, state, isScene());
+  findings.draw(state, isScene());
   daemon.draw(report.report, board);
   recorder.draw(report.report?.recorder, state?.frame, hello, link.state.state === "open");
   player.draw(playerState, hello);
@@ -187,14 +222,6 @@ function drawReport(frame) {
 }
 
 byId("board").addEventListener("change", ({ target }) => choose(Number(target.value)));
-byId("quantity").addEventListener("change", ({ target }) => {
-  plots.quantity = target.value;
-  schedule();
-});
-byId("span").addEventListener("change", ({ target }) => {
-  plots.span_s = Number(target.value);
-  schedule();
-});
 byId("help").addEventListener("click", () => byId("keys").showModal());
 for (const [name, sign] of CELL_STATES) byId("signs").append(make("dt", "", sign), make("dd", "", name));
 
@@ -204,6 +231,7 @@ const keys = {
   ",": () => timeline.step(-1),
   ".": () => timeline.step(1),
   b: () => choose((board + 1) % heads.length),
+  m: () => plots.toggleMarks(),
   p: () => player.toggle(),
   "?": () => byId("keys").showModal(),
 };

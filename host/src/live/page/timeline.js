@@ -7,13 +7,16 @@ import { byId, write } from "./dom.js";
 import { fixed } from "./format.js";
 
 export class Timeline {
-  /** Copies by board while paused, else null. */
+  /** Copies of histories and traces by board while paused, else null. */
   #frozen = null;
   #index = 0;
 
-  /** @param {() => import("./history.js").History[]} histories @param {() => number} board @param {() => void} changed */
-  constructor(histories, board, changed) {
-    [this.histories, this.board, this.changed] = [histories, board, changed];
+  /**
+   * @param {() => {histories: import("./history.js").History[], traces: import("./trace.js").Trace[]}} kept
+   * @param {() => number} board @param {(isLive: boolean) => void} changed
+   */
+  constructor(kept, board, changed) {
+    [this.kept, this.board, this.changed] = [kept, board, changed];
     const scrub = byId("scrub");
     scrub.addEventListener("input", () => {
       this.pause();
@@ -34,7 +37,12 @@ export class Timeline {
   }
 
   get #current() {
-    return (this.#frozen ?? this.histories())[this.board()];
+    return (this.#frozen ?? this.kept()).histories[this.board()];
+  }
+
+  /** What plots show. */
+  get trace() {
+    return (this.#frozen ?? this.kept()).traces[this.board()];
   }
 
   get #end_s() {
@@ -43,13 +51,22 @@ export class Timeline {
 
   pause() {
     if (this.isPaused || !this.#current?.last) return;
-    this.#frozen = this.histories().map((history) => history.frozen());
+    const { histories, traces } = this.kept();
+    const copy = (kept) => kept.frozen();
+    this.#frozen = { histories: histories.map(copy), traces: traces.map(copy) };
     this.#show(this.#current.length - 1);
   }
 
   live() {
     this.#frozen = null;
-    this.changed();
+    this.changed(true);
+  }
+
+  /** Pauses at a moment, if its frame is kept. */
+  pick(time_s) {
+    if (!(this.#current.at(0)?.time_s <= time_s)) return;
+    this.pause();
+    if (this.isPaused) this.#show(this.#current.indexAt(time_s));
   }
 
   toggle() {
@@ -69,10 +86,11 @@ export class Timeline {
 
   #show(index) {
     this.#index = Math.min(Math.max(index, 0), this.#current.length - 1);
-    this.changed();
+    this.changed(false);
   }
 
-  draw() {
+  /** @param {boolean} isHeld whether the plots show another stretch than the newest */
+  draw(isHeld) {
     const { history, index } = this.shown;
     const first = history?.at(0);
     const scrub = byId("scrub");
@@ -83,6 +101,6 @@ export class Timeline {
     write(byId("moment"), words);
     scrub.setAttribute("aria-valuetext", words);
     write(byId("pause"), this.isPaused ? "▶ Go on" : "❚❚ Pause");
-    byId("live").disabled = !this.isPaused;
+    byId("live").disabled = !this.isPaused && !isHeld;
   }
 }
