@@ -208,10 +208,10 @@ test("findings and losses stay for a minute, each once", () => {
     return memory.take(message, second * 1e3).map(({ name, finding }) => `${name}: ${finding}`);
   };
   assert.deepEqual(at(100, 0), []);
-  const late = "1 % of the last second were older than";
-  assert.deepEqual(at(101, 0.053), [`port, poses: ${late} 53.0 ms when they were sent`]);
-  assert.deepEqual(at(115, 0), [`port, poses: in the last 20 s: ${late} 53.0 ms when they were sent`]);
-  assert.deepEqual(at(160, 0.021), [`port, poses: ${late} 21.0 ms when they were sent`]);
+  const late = "1 % of the poses were sent later than";
+  assert.deepEqual(at(101, 0.053), [`port, poses: ${late} 53.0 ms after their instant`]);
+  assert.deepEqual(at(115, 0), [`port, poses: in the last 20 s: ${late} 53.0 ms after their instant`]);
+  assert.deepEqual(at(160, 0.021), [`port, poses: ${late} 21.0 ms after their instant`]);
   assert.deepEqual(at(221, 0), []);
   assert.match(at(230, 0, 7)[0], /^port, solver: in the last minute 7 scans were skipped/);
   assert.match(at(280, 0, 9)[0], /^port, solver: in the last minute 9 scans/);

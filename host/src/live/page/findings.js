@@ -20,7 +20,7 @@ function oddities({ name, latencies, clock }) {
   return [
     p99_s > LATE_S && {
       name: `${name}, poses`,
-      finding: `1 % of the last second were older than ${engineering(p99_s, "s")} when they were sent`,
+      finding: `1 % of the poses were sent later than ${engineering(p99_s, "s")} after their instant`,
       next_step: "see from the latencies whether the link or this machine is too slow",
     },
     clock.contradicts_crystal && {

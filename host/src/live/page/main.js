@@ -213,7 +213,7 @@ function draw(now_ms) {
 function drawReport(frame) {
   const state = report.report?.boards[board];
   const faults = state?.head?.findings ?? [];
-  strips.setFindings(faults);
+  strips.setHealth(faults, state?.head?.cells ?? []);
   findings.draw(state, isScene());
   daemon.draw(report.report, board);
   recorder.draw(report.report?.recorder, state?.frame, hello, link.state.state === "open");

@@ -29,9 +29,10 @@ export class Strips {
     this.#strips.forEach((strip, k) => strip.draw(frame?.cells[k], isWritten));
   }
 
-  /** @param {{fault: object | string, text: string}[]} findings of the head */
-  setFindings(findings) {
+  /** @param {{fault: object | string, text: string}[]} findings of the head @param {object[]} cells their health */
+  setHealth(findings, cells) {
     this.#strips.forEach((strip, k) => {
+      strip.setDrift(cells[k]);
       strip.setFinding(findings.filter(({ fault }) => concerns(fault, k)).map(({ text }) => text).join(" "));
     });
   }
@@ -47,6 +48,7 @@ class Strip {
   #canvas = make("canvas");
   #states = make("span", "states");
   #place = make("span", "number");
+  #drift = make("span", "drift");
   #finding = make("p", "finding");
   #shown = null;
 
@@ -59,9 +61,16 @@ class Strip {
     this.#finding.hidden = true;
     const title = make("h3", "", swatch, ` cell ${k}${note}`);
     const top = make("div", "row", title, this.#place);
-    this.element = make("article", "strip", top, this.#states, this.#canvas, this.#finding);
+    const state = make("div", "row", this.#states, this.#drift);
+    this.#drift.title = "What its emitter deviates from the common light level, as the tool's motion has told";
+    this.element = make("article", "strip", top, state, this.#canvas, this.#finding);
     this.#canvas.setAttribute("aria-hidden", "true");
     this.surface = new Surface(this.#canvas, changed);
+  }
+
+  setDrift({ emitter_drift: drift, emitter_drift_sigma: sigma } = {}) {
+    const percent = (value, options) => fixed(value * 100, 2, options);
+    write(this.#drift, drift == null ? "" : `emitter ${percent(drift, { plus: true })} ± ${percent(sigma)} %`);
   }
 
   setFinding(text) {
