@@ -143,9 +143,12 @@ class Page(InBrowser):
         for strip in strips.all():
             self.assertRegex(strip.locator(".number").inner_text(), r"\d mm")
             self.assertIn("used", strip.locator(".states").inner_text())
-        self.page.wait_for_timeout(1000)
         for canvas in self.page.locator("#view, .plot canvas, .strip canvas:not(.swatch)").all():
-            self.assertGreater(canvas.evaluate(INK), 2)
+            # A busy machine draws late.
+            since = time.monotonic()
+            while canvas.evaluate(INK) <= 2:
+                self.assertLess(time.monotonic() - since, 30, "a canvas stays blank")
+                self.page.wait_for_timeout(100)
 
     def test_a_phone_sees_all_without_scrolling_sideways(self):
         for scheme in ["light", "dark"]:
