@@ -126,7 +126,9 @@ fn paths_that_do_not_advance() {
     let path = name_in(folder.path(), "path.csv");
     let name = path.as_str();
     let run = ["run", "--device", "sim", "--speed", "max", "--duration", "1ms", "--trajectory", name];
-    slitpose!().run(run).assert_refused(1, &[name, "the motions are still, hand, smooth, fast, contact", "cannot read"]);
+    slitpose!()
+        .run(run)
+        .assert_refused(1, &[name, "the motions are still, hand, smooth, fast, contact", "cannot read"]);
     fs::write(&path, "time_s,tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad\n0,0,0,0,0,0,0\n0,1,0,0,0,0,0\n").expect("table");
     slitpose!().run(run).assert_refused(1, &[name, "time 0 s follows 0 s", "sort"]);
     fs::write(&path, "tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad\n0,0,0,0,0,0\n").expect("table");
