@@ -83,6 +83,8 @@ pub struct Levels<S: Number> {
     covariance: [[S; MAX_CELLS]; MAX_CELLS],
     /// Share of the last frames whose poses are not converged.
     trouble: S,
+    /// Whether an emitter has been forgotten in this trouble: were it not the cause, others would follow until none is known.
+    has_forgotten: bool,
     /// The last frame that counted, and where the tool was.
     counted: Option<(u64, Rigid<S>)>,
     /// Up to which the process has been followed.
@@ -113,6 +115,7 @@ impl<S: Number> Levels<S> {
             deviations: [S::zero(); MAX_CELLS],
             covariance,
             trouble: S::zero(),
+            has_forgotten: false,
             counted: None,
             frame: 0,
         })
@@ -236,10 +239,13 @@ impl<S: Scalar> PoseTracker<S> {
         let is_converged = solution.outcome == Outcome::Converged;
         let now = if is_converged { S::zero() } else { S::one() };
         levels.trouble += (now - levels.trouble) * S::of(TROUBLE_FRAMES.recip());
-        if let Some(cell) = solution.excluded.iter().next().filter(|_| levels.trouble > S::of(MOSTLY)) {
+        let may_forget = levels.trouble > S::of(MOSTLY) && !levels.has_forgotten;
+        if let Some(cell) = solution.excluded.iter().next().filter(|_| may_forget) {
             levels.forget(cell);
+            levels.has_forgotten = true;
             self.allow_for(levels);
         }
+        levels.has_forgotten &= levels.trouble > S::of(TROUBLED);
         if !is_converged
             || levels.trouble > S::of(TROUBLED)
             || solution.cells_used.count() < LEVEL_CELLS
