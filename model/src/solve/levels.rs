@@ -42,6 +42,9 @@ const TROUBLE_FRAMES: f64 = 64.0;
 const TROUBLED: f64 = 0.05;
 const MOSTLY: f64 = 0.5;
 
+/// By how much the position of light may differ, in halves of a detector, if a change of brightness by one is all that is wrong.
+const ASIDE: f64 = 0.2;
+
 /// Standard deviation of a pose of which nothing is known, in units of the head's length: wide against any pose, narrow
 /// enough that its square loses no digits.
 const ANYWHERE: f64 = 0.1;
@@ -240,7 +243,10 @@ impl<S: Scalar> PoseTracker<S> {
         let now = if is_converged { S::zero() } else { S::one() };
         levels.trouble += (now - levels.trouble) * S::of(TROUBLE_FRAMES.recip());
         let may_forget = levels.trouble > S::of(MOSTLY) && !levels.has_forgotten;
-        if let Some(cell) = solution.excluded.iter().next().filter(|_| may_forget) {
+        if may_forget
+            && let Some(cell) = solution.excluded.iter().next()
+            && self.is_brighter_alone(cell, readings, solution)
+        {
             levels.forget(cell);
             levels.has_forgotten = true;
             self.allow_for(levels);
@@ -260,6 +266,18 @@ impl<S: Scalar> PoseTracker<S> {
             levels.counted = Some((frame, solution.rigid));
         }
         self.allow_for(levels);
+    }
+
+    /// Whether the light of `cell` lies where the model has it at the pose of a solution, and only its brightness differs.
+    fn is_brighter_alone(&self, cell: usize, readings: &Photocurrents<S>, solution: &Solution<S>) -> bool {
+        let (Some(Reading::Light(measured)), Some(estimate)) = (readings.cells.get(cell), &solution.estimate) else {
+            return false;
+        };
+        let expected = self.solver().plan().photocurrents(cell, &estimate.pose);
+        let [(total, share), (expected, expected_share)] =
+            [*measured, expected].map(|pair| (pair.total_a(), (pair.i_x2_a - pair.i_x1_a) / pair.total_a()));
+        let brighter = total / (expected * self.light_level().unwrap_or(S::one())) - S::one();
+        (share - expected_share).abs() < S::of(ASIDE) * brighter.abs()
     }
 
     /// Counts what is not known of `levels` as a variance of each emitter's gain.
