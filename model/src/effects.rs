@@ -128,9 +128,14 @@ impl Cell {
         self.effects.other_axis
     }
 
+    /// The cell whose emitter this cell, number `number`, sees: itself, unless it reads the second axis of its detector.
+    pub fn emitter(&self, number: usize) -> usize {
+        self.other_axis().map_or(number, |other| other.min(number))
+    }
+
     /// Whether this cell, number `number`, reads the second axis of its detector: the emitter is that of another cell.
     pub fn is_second_axis(&self, number: usize) -> bool {
-        self.other_axis().is_some_and(|other| other < number)
+        self.emitter(number) != number
     }
 
     /// Whether the light of this cell's emitter, number `number`, counts on the detector of `cell` besides that of its own.

@@ -6,12 +6,10 @@
 
 use std::f64::consts::TAU;
 
+use slitpose_head::faults::EMITTER_PER_K;
 use slitpose_model::{Cell, Pair};
 
 use crate::chance::Chance;
-
-/// Change of an infrared emitter's power per kelvin: data sheets of GaAlAs emitters have −0.5 to −0.7 %.
-const PER_K: f64 = -0.006;
 
 /// By how much a head warms, kelvin, and within which time, seconds; each emitter by so much more or less, as a share.
 const WARMER_K: [f64; 2] = [4.0, 12.0];
@@ -42,22 +40,16 @@ impl Drift {
     pub(crate) fn draw(cells: &[Cell], chance: &mut Chance) -> Self {
         let [warmer_k, within_s, aged] = [WARMER_K, WARMS_WITHIN_S, AGED].map(|range| chance.between(range));
         let flicker_a = chance.between(FLICKER_A);
-        let emitters = 0..cells.len();
-        let mut of_emitters =
-            |mean: f64, sigma: f64| emitters.clone().map(|_| mean + sigma * chance.within_three_sigma()).collect();
-        let mut drift = Self {
+        let mut of_emitters = |mean: f64, sigma: f64| {
+            let drawn: Vec<f64> = cells.iter().map(|_| mean + sigma * chance.within_three_sigma()).collect();
+            cells.iter().enumerate().map(|(number, cell)| drawn[cell.emitter(number)]).collect()
+        };
+        Self {
             within_s,
             warmer_k: of_emitters(warmer_k, UNEVEN * warmer_k),
             aged: of_emitters(aged, AGED_UNEVENLY),
             flicker_a,
-        };
-        // Two axes of one detector have one emitter.
-        for (number, cell) in cells.iter().enumerate() {
-            if let Some(first) = cell.other_axis().filter(|other| *other < number) {
-                (drift.warmer_k[number], drift.aged[number]) = (drift.warmer_k[first], drift.aged[first]);
-            }
         }
-        drift
     }
 
     /// The currents `clean` at `instant`.
@@ -65,7 +57,7 @@ impl Drift {
         let flicker_a = self.flicker_a * (TAU * chance.between([0.0, 1.0])).sin();
         let of_cell = |(pair, (warmer_k, aged)): (&Pair<f64>, (&f64, &f64))| {
             let warm = -(-instant.on_s / self.within_s).exp_m1();
-            let share = (1.0 + PER_K * warmer_k * warm) * if instant.is_later { 1.0 - aged } else { 1.0 };
+            let share = (1.0 + EMITTER_PER_K * warmer_k * warm) * if instant.is_later { 1.0 - aged } else { 1.0 };
             Pair { i_x1_a: share * pair.i_x1_a + flicker_a, i_x2_a: share * pair.i_x2_a + flicker_a }
         };
         clean.iter().zip(self.warmer_k.iter().zip(&self.aged)).map(of_cell).collect()
@@ -76,7 +68,7 @@ impl Drift {
         self.warmer_k
             .iter()
             .zip(&self.aged)
-            .map(|(warmer_k, aged)| 1.0 - (1.0 + PER_K * warmer_k) * (1.0 - aged))
+            .map(|(warmer_k, aged)| 1.0 - (1.0 + EMITTER_PER_K * warmer_k) * (1.0 - aged))
             .collect()
     }
 }

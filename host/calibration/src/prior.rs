@@ -160,15 +160,10 @@ pub(crate) struct Parameters {
 }
 
 impl Parameters {
-    /// The cell whose parameters are those of the emitter of `cell`, cell `number`: two axes of a detector have one.
-    pub(crate) fn emitter_of(cell: &Cell, number: usize) -> usize {
-        cell.other_axis().map_or(number, |other| other.min(number))
-    }
-
     /// Which parameters act on `cell`, cell `number`, which sees light of the emitters `lit_together`, too: places in
     /// [`Self::entries`].
     pub(crate) fn acting_on(&self, cell: &Cell, number: usize, lit_together: u16) -> Vec<usize> {
-        let emitters = lit_together | 1 << Self::emitter_of(cell, number);
+        let emitters = lit_together | 1 << cell.emitter(number);
         let acts = |parameter: &Parameter| match parameter.cell {
             None => true,
             Some(own) => own == number || emitters >> own & 1 == 1 && parameter.quantity.is_of_emitter(),
@@ -178,7 +173,7 @@ impl Parameters {
 
     /// Cell `number` with the parameters in force, that at place `changed.0` with another value.
     pub(crate) fn cell(&self, nominal: &Cell, number: usize, changed: Option<(usize, f64)>) -> Cell {
-        let emitter = Self::emitter_of(nominal, number);
+        let emitter = nominal.emitter(number);
         let acts = |entry: &Parameter| {
             entry.cell.is_none_or(|own| own == if entry.quantity.is_of_emitter() { emitter } else { number })
         };

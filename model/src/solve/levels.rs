@@ -94,24 +94,25 @@ pub struct Levels<S: Number> {
     frame: u64,
 }
 
+/// The emitters, each once, of cells that have these.
+fn own(emitters: &[usize]) -> impl Iterator<Item = usize> + '_ {
+    emitters.iter().enumerate().filter(|(cell, emitter)| cell == *emitter).map(|(cell, _)| cell)
+}
+
 impl<S: Number> Levels<S> {
     /// Of a head of `scene` with frames `period_s` apart; `None`: its emitters do not drift, or it does not tell levels.
     pub fn of(scene: &Scene, noise: &[CellNoise<S>], period_s: f64) -> Option<Self> {
         let sigma = S::of(scene.uncertainty.emitter_drift_relative);
         let is_told = scene.uncertainty.light_level_relative > 0.0 && scene.cells.len() >= LEVEL_CELLS;
-        let own = scene.cells.iter().enumerate().filter(|(number, cell)| !cell.is_second_axis(*number)).count();
-        if sigma <= S::zero() || !is_told || own < 2 {
+        let emitters: Vec<usize, MAX_CELLS> =
+            scene.cells.iter().enumerate().map(|(number, cell)| cell.emitter(number)).collect();
+        if sigma <= S::zero() || !is_told || own(&emitters).count() < 2 {
             return None;
         }
-        let emitters = scene
-            .cells
-            .iter()
-            .enumerate()
-            .map(|(number, cell)| cell.other_axis().map_or(number, |other| other.min(number)));
         let mut covariance = [[S::zero(); MAX_CELLS]; MAX_CELLS];
         (0..MAX_CELLS).for_each(|i| covariance[i][i] = sigma * sigma);
         Some(Self {
-            emitters: emitters.collect(),
+            emitters,
             gains: noise.iter().map(|noise| noise.emitter_gain).collect(),
             sigma,
             frames: scene.uncertainty.emitter_drift_s / period_s,
@@ -126,11 +127,10 @@ impl<S: Number> Levels<S> {
 
     /// Relative variance of the light of each cell's emitter, without what is common to all: that each frame finds.
     pub fn variances(&self) -> Vec<S, MAX_CELLS> {
-        let is_own = |(cell, emitter): (usize, &usize)| (cell == *emitter).then_some(cell);
-        let own: Vec<usize, MAX_CELLS> = self.emitters.iter().enumerate().filter_map(is_own).collect();
-        let per_emitter = S::of((own.len() as f64).recip());
-        let mean =
-            |of: &dyn Fn(usize) -> S| own.iter().fold(S::zero(), |sum, &emitter| sum + of(emitter)) * per_emitter;
+        let per_emitter = S::of((own(&self.emitters).count() as f64).recip());
+        let mean = |of: &dyn Fn(usize) -> S| {
+            own(&self.emitters).fold(S::zero(), |sum, emitter| sum + of(emitter)) * per_emitter
+        };
         let with_all = |row: usize| mean(&|column| self.covariance[row][column]);
         let common = mean(&with_all);
         // Of n deviations from their mean the variance is by 1/n too small.
@@ -280,7 +280,7 @@ impl<S: Scalar> PoseTracker<S> {
         (share - expected_share).abs() < S::of(ASIDE) * brighter.abs()
     }
 
-    /// Counts what is not known of `levels` as a variance of each emitter's gain.
+    /// Adds the variances of `levels` to those of the emitters' gains.
     pub(crate) fn allow_for(&mut self, levels: &Levels<S>) {
         let of = |((&gain, variance), number): ((&S, S), usize)| {
             // As shot noise: see [`CellNoise::compile`].
@@ -306,10 +306,7 @@ impl<S: Scalar> PoseTracker<S> {
     pub(crate) fn observe_here(&self, readings: &Photocurrents<S>, solution: &Solution<S>) -> Option<Observation<S>> {
         let compiled = &self.solver().compiled;
         let mut sorted = Sorted::of(readings, &compiled.limits);
-        let level_sigma = match compiled.level_information(sorted.usable.len()) {
-            Some(information) => information.inverse_root(),
-            None => return None,
-        };
+        let level_sigma = compiled.level_information(sorted.usable.len())?.inverse_root();
         sorted.divide_by(self.light_level()?);
         let motion = self.expected_motion()?;
         let workspace = &mut Workspace::new();
@@ -319,7 +316,7 @@ impl<S: Scalar> PoseTracker<S> {
         let reach = [motion.sigmas[0] * duration / compiled.length_scale_m, motion.sigmas[1] * duration];
         let mut rows = Vec::new();
         for (reading, pair) in sorted.usable.iter().zip(&workspace.rows) {
-            let share = compiled.offsets_s.get(reading.cell).map_or(S::zero(), |&offset| offset / duration);
+            let share = problem.share(reading);
             for row in pair {
                 let &Row { by_pose, by_level, residual } = row;
                 // Two of each cell.

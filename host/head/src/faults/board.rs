@@ -67,7 +67,7 @@ impl BoardFaults {
 }
 
 /// Change of an emitter's power, 1/K: the temperature coefficient of GaAlAs emitters (Vishay TSAL6200, −0.6 %/K).
-const EMITTER_PER_K: f64 = -0.006;
+pub const EMITTER_PER_K: f64 = -0.006;
 
 /// Factor of the dark current of a silicon detector for each kelvin: usual in Hamamatsu's data sheets.
 const DARK_PER_K: f64 = 1.15;

@@ -20,7 +20,7 @@ mod kinds;
 mod text;
 
 pub(crate) use board::WordScale;
-pub use board::{BoardFaults, LightFaults, Trouble, WordFaults};
+pub use board::{BoardFaults, EMITTER_PER_K, LightFaults, Trouble, WordFaults};
 pub use injector::{ANNOUNCED, Injector, Link};
 pub use kinds::{KINDS, Key, Kind, Lasts, Layer};
 pub use text::{Fault, FaultClock, FaultError, Unit, Window};

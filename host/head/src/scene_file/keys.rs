@@ -157,8 +157,8 @@ pub(super) const SECTIONS: [(&str, &str); 12] = [
     (
         "tolerance",
         "position_mm angle_deg slit_width_mm emitter_angle_deg light_level_relative \
-         emitter_drift_relative emitter_drift_minutes emitter_gain_relative electrode_gain_relative profile_relative nonlinearity_mm window_mm \
-         stray_relative",
+         emitter_drift_relative emitter_drift_minutes emitter_gain_relative \
+         electrode_gain_relative profile_relative nonlinearity_mm window_mm stray_relative",
     ),
     ("lighting", "slots"),
     ("workspace", "half_extent_mm half_extent_deg"),
