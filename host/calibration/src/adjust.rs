@@ -19,13 +19,15 @@ const READING_LIMIT: f64 = 30.0;
 const POSE_LIMIT: f64 = 40.0;
 
 /// Model error of an uncalibrated cell, from which the adjustment starts.
-pub(crate) const FIRST_ERROR: ModelError = ModelError { relative: 0.03, position_m: 50e-6, current_a: 0.0 };
+pub(crate) const FIRST_ERROR: ModelError =
+    ModelError { relative: 0.03, position_m: 50e-6, current_a: 0.0, reach: None };
 
 /// The least model error: of the arithmetic.
-const MIN_ERROR: ModelError = ModelError { relative: 1e-6, position_m: 1e-9, current_a: 0.0 };
+const MIN_ERROR: ModelError = ModelError { relative: 1e-6, position_m: 1e-9, current_a: 0.0, reach: None };
 
 /// What the model leaves out of a usual head, and how many readings this knowledge is worth.
-pub(crate) const USUAL_ERROR: ModelError = ModelError { relative: 2e-4, position_m: 0.4e-6, current_a: 0.0 };
+pub(crate) const USUAL_ERROR: ModelError =
+    ModelError { relative: 2e-4, position_m: 0.4e-6, current_a: 0.0, reach: None };
 const USUAL_READINGS: f64 = 30.0;
 
 /// Least share of a pose's redundancy in its instrument's errors that rounding leaves to be told.
@@ -225,7 +227,7 @@ impl<'a> Adjustment<'a> {
                 change = change.max((ratio * variance - variance).abs() / variance);
                 (ratio * variance - noise).max(least[k] * least[k]).sqrt()
             });
-            *error = ModelError { relative: after[0], position_m: after[1], current_a: 0.0 };
+            *error = ModelError { relative: after[0], position_m: after[1], current_a: 0.0, reach: None };
         }
         change
     }

@@ -68,6 +68,7 @@ struct ConverterText {
 struct CellText {
     model_error_relative: f64,
     model_error_m: f64,
+    model_error_reach: Option<f64>,
     parameters: Vec<Entry>,
 }
 
@@ -193,7 +194,8 @@ impl Calibration {
                 .map(|cell| ModelError {
                     relative: cell.model_error_relative,
                     position_m: cell.model_error_m,
-                    ..ModelError::default()
+                    current_a: 0.0,
+                    reach: cell.model_error_reach,
                 })
                 .collect(),
             pose_error: PoseError { length_scale_m: parsed.pose_error.length_scale_m, coefficients: full },
@@ -269,6 +271,7 @@ impl Calibration {
         for (number, error) in self.model_errors.iter().enumerate() {
             writeln!(out, "[[cell]]\nmodel_error_relative = {:e}", error.relative)?;
             writeln!(out, "model_error_m = {:e}", error.position_m)?;
+            error.reach.map_or(Ok(()), |reach| writeln!(out, "model_error_reach = {reach:.3}"))?;
             self.write_parameters(out, Some(number))?;
         }
         writeln!(out, "[converter]\nfull_scale_a = {:e}", self.parameters.full_scale_a)?;

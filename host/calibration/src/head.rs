@@ -151,6 +151,7 @@ pub fn uncalibrated(file: &SceneFile) -> Result<Scene, SceneError> {
             relative: given.relative.hypot(open.relative),
             position_m: given.position_m.hypot(open.position_m),
             current_a: given.current_a.hypot(open.current_a),
+            reach: given.reach,
         };
     }
     Ok(scene)
@@ -182,7 +183,7 @@ fn open_by(parameters: &Parameters, number: usize, nominal: &Scene, poses: &[Pos
     }
     let [relative, position_m, current_a] =
         [relative, position, current].map(|sum| (sum / lit.len().max(1) as f64).sqrt());
-    Ok(ModelError { relative, position_m, current_a })
+    Ok(ModelError { relative, position_m, current_a, reach: None })
 }
 
 struct Observer {
@@ -229,7 +230,7 @@ mod tests {
     fn model_errors_that_a_scene_states_stay() {
         let mut file = WIDE.read().expect("the scene");
         let without = uncalibrated(&file).expect("a head");
-        let given = ModelError { relative: 0.5, position_m: 1e-3, current_a: 1e-6 };
+        let given = ModelError { relative: 0.5, position_m: 1e-3, current_a: 1e-6, reach: Some(0.5) };
         for cell in &mut file.scene.cells {
             cell.effects.model_error = given;
         }

@@ -128,7 +128,7 @@ impl PoseError {
                 }
             }
             let [relative, position_m] = sums.map(|sum| if weights > 0.0 { (sum / weights).sqrt() } else { 0.0 });
-            ModelError { relative, position_m, current_a: 0.0 }
+            ModelError { relative, position_m, ..ModelError::default() }
         };
         cells.iter().enumerate().map(of_cell).collect()
     }

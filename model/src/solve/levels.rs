@@ -22,7 +22,7 @@ use crate::scene::{MAX_CELLS, Scene};
 
 use super::compiled::LEVEL_CELLS;
 use super::normal_equations::Workspace;
-use super::outcome::{Outcome, Solution};
+use super::outcome::{DegradedReason, Outcome, Solution};
 use super::readings::{Photocurrents, Reading, Sorted};
 use super::tracker::PoseTracker;
 use super::weights::{CellNoise, Row};
@@ -36,14 +36,24 @@ const AGAIN_S: f64 = 10.0;
 /// Frames between two that count, so that a fast tool does not pay for it in each.
 const PAUSE_FRAMES: u64 = 8;
 
-/// Frames over which those that contradict the head are counted: with more than this share of them some part of it is not as
-/// the scene says, and levels learn nothing; a cell that most of them exclude may have an emitter that changed at once.
-const TROUBLE_FRAMES: f64 = 64.0;
-const TROUBLED: f64 = 0.05;
-const MOSTLY: f64 = 0.5;
+/// Frames over which it is judged whether the head is as its scene and these levels say: by the share of those that contradict
+/// it, and by the mean χ² over redundancy of the others, which has a standard deviation of 0.06 where five data are redundant.
+const JUDGED_FRAMES: f64 = 64.0;
 
-/// By how much the position of light may differ, in halves of a detector, if a change of brightness by one is all that is wrong.
-const ASIDE: f64 = 0.2;
+/// With more than this share, or more than this mean, it is not: nothing is learnt. Either part of the head is not as the
+/// scene says, or an emitter has changed at once.
+const TROUBLED: f64 = 0.05;
+const MISFIT: f64 = 1.5;
+
+/// Most that χ² over redundancy of one frame counts for.
+const MOST_MISFIT: f64 = 10.0;
+
+/// An emitter has changed if so many frames, with its level free, have no more than this mean χ² over redundancy.
+const SUSPECTED_FRAMES: u32 = 32;
+const EXPLAINED: f64 = 1.25;
+
+/// Standard deviation of the level of an emitter that has changed at once.
+const CHANGED: f64 = 0.3;
 
 /// Standard deviation of a pose of which nothing is known, in units of the head's length: wide against any pose, narrow
 /// enough that its square loses no digits.
@@ -84,10 +94,12 @@ pub struct Levels<S: Number> {
     frames: f64,
     deviations: [S; MAX_CELLS],
     covariance: [[S; MAX_CELLS]; MAX_CELLS],
-    /// Share of the last frames whose poses are not converged.
-    trouble: S,
-    /// Whether an emitter has been forgotten in this trouble: were it not the cause, others would follow until none is known.
-    has_forgotten: bool,
+    /// Share of the last frames that contradict the head, and mean χ² over redundancy of the others.
+    contradicting: S,
+    misfit: S,
+    /// Sum of χ² over redundancy with the level of each emitter free, of so many frames that contradict.
+    suspicions: [S; MAX_CELLS],
+    suspected: u32,
     /// The last frame that counted, and where the tool was.
     counted: Option<(u64, Rigid<S>)>,
     /// Up to which the process has been followed.
@@ -118,8 +130,10 @@ impl<S: Number> Levels<S> {
             frames: scene.uncertainty.emitter_drift_s / period_s,
             deviations: [S::zero(); MAX_CELLS],
             covariance,
-            trouble: S::zero(),
-            has_forgotten: false,
+            contradicting: S::zero(),
+            misfit: S::one(),
+            suspicions: [S::zero(); MAX_CELLS],
+            suspected: 0,
             counted: None,
             frame: 0,
         })
@@ -168,12 +182,55 @@ impl<S: Number> Levels<S> {
         frames >= PAUSE_FRAMES && (moved >= S::of(NEW_PLACE_M) || frames as f64 * period_s >= AGAIN_S)
     }
 
-    /// Forgets what is known of the emitter of `cell`.
-    fn forget(&mut self, cell: usize) {
-        let emitter = self.emitters[cell];
+    /// Counts a frame with this solution; whether levels can be told by it at all.
+    fn judge(&mut self, solution: &Solution<S>) -> bool {
+        let is_converged = solution.outcome == Outcome::Converged;
+        let contradicts = match solution.outcome {
+            Outcome::Converged => S::zero(),
+            Outcome::Degraded(DegradedReason::Misfit | DegradedReason::CellExcluded) => S::one(),
+            _ => return false,
+        };
+        let part = S::of(JUDGED_FRAMES.recip());
+        self.contradicting += (contradicts - self.contradicting) * part;
+        if is_converged && solution.redundancy > 0 {
+            let misfit = solution.chi2 / S::of(solution.redundancy as f64);
+            self.misfit += (misfit.min(S::of(MOST_MISFIT)) - self.misfit) * part;
+        }
+        is_converged || self.is_in_trouble()
+    }
+
+    fn is_in_trouble(&self) -> bool {
+        self.contradicting > S::of(TROUBLED) || self.misfit > S::of(MISFIT)
+    }
+
+    /// Tries with each emitter whether a change of it explains a frame that contradicts; after many, takes the best for changed.
+    fn suspect(&mut self, observation: &Observation<S>) {
+        // Of a frame's data, six are the pose's, one the common level's, one the emitter's.
+        let redundancy = observation.rows.len().saturating_sub(OTHERS - 5).max(1);
+        for emitter in own(&self.emitters) {
+            let mut changed = self.clone();
+            changed.set_free(emitter);
+            self.suspicions[emitter] += changed.update(observation) / S::of(redundancy as f64);
+        }
+        self.suspected += 1;
+        if self.suspected < SUSPECTED_FRAMES {
+            return;
+        }
+        let best = own(&self.emitters).reduce(|a, b| if self.suspicions[b] < self.suspicions[a] { b } else { a });
+        if let Some(emitter) = best
+            && self.suspicions[emitter] <= S::of(EXPLAINED * f64::from(SUSPECTED_FRAMES))
+        {
+            self.set_free(emitter);
+            (self.contradicting, self.misfit) = (S::zero(), S::one());
+        }
+        (self.suspicions, self.suspected) = ([S::zero(); MAX_CELLS], 0);
+    }
+
+    /// Forgets what is known of an emitter that has changed at once.
+    fn set_free(&mut self, emitter: usize) {
         self.covariance[emitter] = [S::zero(); MAX_CELLS];
         self.covariance.iter_mut().for_each(|row| row[emitter] = S::zero());
-        self.covariance[emitter][emitter] = self.sigma * self.sigma;
+        self.covariance[emitter][emitter] = S::of(CHANGED * CHANGED);
     }
 
     /// What the process does up to frame `frame`.
@@ -189,8 +246,8 @@ impl<S: Number> Levels<S> {
         }
     }
 
-    /// Takes what a frame says.
-    fn update(&mut self, observation: &Observation<S>) {
+    /// Takes what a frame says, and returns χ² of what it says that was not expected.
+    fn update(&mut self, observation: &Observation<S>) -> S {
         let count = self.emitters.len();
         let size = count + OTHERS;
         let mut state = [S::zero(); UNKNOWNS];
@@ -204,6 +261,7 @@ impl<S: Number> Levels<S> {
         for (i, &sigma) in (count..size).zip(&sigmas) {
             covariance[i][i] = sigma * sigma;
         }
+        let mut chi2 = S::zero();
         for row in &observation.rows {
             let mut of = [S::zero(); UNKNOWNS];
             of[self.emitters[row.cell]] = row.by_level;
@@ -215,7 +273,9 @@ impl<S: Number> Levels<S> {
             let mut gain = [S::zero(); UNKNOWNS];
             (0..size).for_each(|i| gain[i] = product(&covariance[i], &of));
             let per_variance = (S::one() + product(&of, &gain)).recip();
-            let innovation = (row.residual - product(&of, &state)) * per_variance;
+            let unexpected = row.residual - product(&of, &state);
+            let innovation = unexpected * per_variance;
+            chi2 += unexpected * innovation;
             for i in 0..size {
                 state[i] += gain[i] * innovation;
                 let share = gain[i] * per_variance;
@@ -226,6 +286,7 @@ impl<S: Number> Levels<S> {
             self.deviations[i] += state[i];
             self.covariance[i][..count].copy_from_slice(&covariance[i][..count]);
         }
+        chi2
     }
 }
 
@@ -239,45 +300,23 @@ impl<S: Scalar> PoseTracker<S> {
         solution: &Solution<S>,
     ) {
         let length_m = self.solver().compiled.length_scale_m;
-        let is_converged = solution.outcome == Outcome::Converged;
-        let now = if is_converged { S::zero() } else { S::one() };
-        levels.trouble += (now - levels.trouble) * S::of(TROUBLE_FRAMES.recip());
-        let may_forget = levels.trouble > S::of(MOSTLY) && !levels.has_forgotten;
-        if may_forget
-            && let Some(cell) = solution.excluded.iter().next()
-            && self.is_brighter_alone(cell, readings, solution)
-        {
-            levels.forget(cell);
-            levels.has_forgotten = true;
-            self.allow_for(levels);
-        }
-        levels.has_forgotten &= levels.trouble > S::of(TROUBLED);
-        if !is_converged
-            || levels.trouble > S::of(TROUBLED)
-            || solution.cells_used.count() < LEVEL_CELLS
-            || !levels.is_new(frame, &solution.rigid, length_m, self.period_s())
-        {
+        let can_tell = levels.judge(solution);
+        if !can_tell || !levels.is_new(frame, &solution.rigid, length_m, self.period_s()) {
             return;
         }
         levels.advance(frame);
         self.set_emitter_gains(&levels.gains);
-        if let Some(observation) = S::observe(self, readings, solution) {
-            levels.update(&observation);
+        if let Some(observation) = S::observe(self, readings, solution)
+            && observation.rows.len() >= 2 * LEVEL_CELLS
+        {
+            if levels.is_in_trouble() {
+                levels.suspect(&observation);
+            } else {
+                levels.update(&observation);
+            }
             levels.counted = Some((frame, solution.rigid));
         }
         self.allow_for(levels);
-    }
-
-    /// Whether the light of `cell` lies where the model has it at the pose of a solution, and only its brightness differs.
-    fn is_brighter_alone(&self, cell: usize, readings: &Photocurrents<S>, solution: &Solution<S>) -> bool {
-        let (Some(Reading::Light(measured)), Some(estimate)) = (readings.cells.get(cell), &solution.estimate) else {
-            return false;
-        };
-        let expected = self.solver().plan().photocurrents(cell, &estimate.pose);
-        let [(total, share), (expected, expected_share)] =
-            [*measured, expected].map(|pair| (pair.total_a(), (pair.i_x2_a - pair.i_x1_a) / pair.total_a()));
-        let brighter = total / (expected * self.light_level().unwrap_or(S::one())) - S::one();
-        (share - expected_share).abs() < S::of(ASIDE) * brighter.abs()
     }
 
     /// Adds the variances of `levels` to those of the emitters' gains.

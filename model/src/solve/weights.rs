@@ -75,11 +75,15 @@ pub struct CellNoise<S> {
     converter: S,
     /// Relative variance of the emitter's gain: [`super::levels`] adds to it while a tool is tracked.
     pub emitter_gain: S,
+    /// Relative variance of the total current by model error, at the centre of the detector.
+    relative: S,
     electrode_gain: S,
     /// Variance of X_A/Lx: model error, and more on the way from far off.
     position: S,
     /// Variance of the place of the cell's parts per axis, m²: see [`Whitener::displaced`].
     pub displacement: S,
+    /// Of the variances of the model's errors: see [`ModelError::reach`](crate::ModelError::reach).
+    growth: S,
     /// Square of the relative error of the arithmetic: of the exact tier's integrals, or rounding.
     arithmetic: S,
     dark: S,
@@ -104,12 +108,12 @@ impl<S: Number> CellNoise<S> {
             shot: S::of(common * shot),
             johnson: S::of(johnson),
             converter: S::of(converter + error.current_a * error.current_a),
-            emitter_gain: S::of(
-                common * (emitter_gain_relative * emitter_gain_relative + error.relative * error.relative),
-            ),
+            emitter_gain: S::of(common * emitter_gain_relative * emitter_gain_relative),
+            relative: S::of(common * error.relative * error.relative),
             electrode_gain: S::of(electrode_gain_relative * electrode_gain_relative),
             position: S::of(moved * moved),
             displacement: S::of(position_m * position_m),
+            growth: S::of(error.reach.map_or(0.0, |reach| libm::pow(reach, -8.0))),
             arithmetic: S::of(relative_error * relative_error),
             dark: S::of(dark),
         }
@@ -142,12 +146,20 @@ impl<S: Number> CellNoise<S> {
         let own = self.converter + self.arithmetic * square;
         let mut whitener =
             Whitener::of_variances(currents.map(|current| own + self.electrode_gain * current * current));
-        let across = self.johnson + self.position * square;
+        let (mut position, mut relative) = (self.position, self.relative);
+        if self.growth > S::zero() {
+            let difference = currents[1] - currents[0];
+            let from_centre = (difference * difference / square).min(S::one());
+            let fourth = from_centre * from_centre;
+            let grown = S::one() + self.growth * fourth * fourth;
+            (position, relative) = (position * grown, relative * grown);
+        }
+        let across = self.johnson + position * square;
         whitener = whitener.loosened_if_positive([-one, one], across);
         if self.dark > S::zero() {
             whitener = whitener.loosened([half, half], self.dark);
         }
-        let along = self.shot * total / square + self.emitter_gain;
+        let along = self.shot * total / square + self.emitter_gain + relative;
         whitener.loosened_if_positive(currents, along)
     }
 }
@@ -212,7 +224,9 @@ mod tests {
             converter: S::of(3.6e-19),
             emitter_gain: S::of(emitter_gain * emitter_gain),
             electrode_gain: S::of(1e-6),
+            relative: S::of(1e-6),
             position: S::of(1e-8),
+            growth: S::of(4e3),
             displacement: S::zero(),
             arithmetic: S::of(1e-20),
             dark: S::of(1e-21),
@@ -236,9 +250,10 @@ mod tests {
             let current = electrode[0] * pair[0] + electrode[1] * pair[1];
             add(electrode, 3.6e-19 + 1e-20 * total * total + 1e-6 * current * current);
         }
-        add([-1.0, 1.0], 3.4e-21 + 1e-8 * total * total);
+        let grown = 1.0 + 4e3 / 3.0_f64.powi(8);
+        add([-1.0, 1.0], 3.4e-21 + 1e-8 * grown * total * total);
         add([0.5, 0.5], 1e-21);
-        add(pair, 3.2e-15 * total / (total * total) + 1e-4);
+        add(pair, 3.2e-15 / total + 1e-4 + 1e-6 * grown);
         for i in 0..2 {
             for j in 0..2 {
                 let product: f64 = (0..2)

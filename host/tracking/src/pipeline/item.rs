@@ -189,7 +189,7 @@ impl ClockWatch {
 
 // One scan has six data more than unknowns, and an error of one cell hides from them at some poses. The tool moves on, and
 // the same error shows: so a pose is in doubt while several scans shortly before it contradicted the scene, even if its own
-// residuals are small.
+// residuals are small. An error too small to contradict in any scan shows in the mean of their residuals.
 
 /// So many contradictions are no chance: of a sound head's scans one in 10⁵ has one, and three come within a thousand scans
 /// once in 2·10⁹, which is once in six days at 4 kHz.
@@ -197,6 +197,16 @@ const CONTRADICTIONS: usize = 3;
 
 /// Within this time: a hand moves the tool by centimetres meanwhile, and the error to where it shows.
 const WITHIN_S: f64 = 0.25;
+
+/// Mean χ² over redundancy above which scans contradict together: that of a sound head is about 1, and 1.3 when it is 20 K
+/// warmer. It may be larger by six standard deviations of the mean besides, as chance makes it once in 10⁹; a smaller redundancy
+/// of all is too far from a normal distribution to say so.
+const MISFIT: f64 = 1.5;
+const CHANCE: f64 = 6.0;
+const LEAST_REDUNDANCY: f64 = 40.0;
+
+/// Most that a scan counts for, in units of its redundancy: what is beyond contradicts by itself.
+const MOST_MISFIT: f64 = 10.0;
 
 /// From so many cells on their light has one pose, or contradicts the scene.
 const CELLS: usize = 6;
@@ -210,31 +220,68 @@ pub(super) struct Doubt {
     within: u64,
     /// Numbers of the latest contradictions, the oldest first.
     latest: [Option<u64>; CONTRADICTIONS],
+    /// Of the half of this time under way, and of the one before.
+    residuals: [Residuals; 2],
+}
+
+/// χ² and redundancy of the scans of one half of the time within which contradictions count.
+#[derive(Clone, Copy, Debug, Default)]
+struct Residuals {
+    half: u64,
+    chi2: f64,
+    redundancy: f64,
+}
+
+impl Residuals {
+    fn contradict(&self) -> bool {
+        self.redundancy >= LEAST_REDUNDANCY
+            && self.chi2 > MISFIT * self.redundancy + CHANCE * (2.0 * self.redundancy).sqrt()
+    }
 }
 
 impl Doubt {
     /// Of a board that takes a scan each `frame_s`.
     pub(super) fn new(frame_s: f64) -> Self {
-        Self { within: ((WITHIN_S / frame_s) as u64).max(MIN_SCANS), latest: [None; CONTRADICTIONS] }
+        Self {
+            within: ((WITHIN_S / frame_s) as u64).max(MIN_SCANS),
+            latest: [None; CONTRADICTIONS],
+            residuals: Default::default(),
+        }
     }
 
-    /// Counts the scan `sequence`, which came to `outcome` by so many `cells`.
-    pub(super) fn count(&mut self, sequence: u64, outcome: &Outcome, cells: usize) {
+    /// Counts the scan `sequence`, which has this solution.
+    pub(super) fn count(&mut self, sequence: u64, solution: &Solution) {
         // What counts no more leaves no trace: the state is that of a session which has not seen it.
         for latest in &mut self.latest {
             *latest = latest.filter(|latest| sequence.abs_diff(*latest) <= self.within);
         }
-        if contradicts(outcome, cells) {
+        if contradicts(&solution.outcome, solution.cells_used.count()) {
             self.latest.rotate_left(1);
             self.latest[CONTRADICTIONS - 1] = Some(sequence);
         }
+        let half = sequence / (self.within / 2);
+        let now = self.residuals[0];
+        if now.half != half {
+            let before = if now.half + 1 == half { now } else { Residuals::default() };
+            self.residuals = [Residuals { half, ..Residuals::default() }, before];
+        }
+        if solution.outcome == Outcome::Converged {
+            let redundancy = solution.redundancy as f64;
+            self.residuals[0].redundancy += redundancy;
+            self.residuals[0].chi2 += solution.chi2.min(MOST_MISFIT * redundancy);
+        }
     }
 
-    /// Degrades a pose that seems sound and is in doubt.
-    pub(super) fn apply(&self, sequence: u64, outcome: &mut Outcome) {
+    /// Degrades a pose that seems sound and is in doubt. By as much as the residuals are larger than they should be, its
+    /// covariance is, too.
+    pub(super) fn apply(&self, sequence: u64, solution: &mut Solution) {
+        let contradicting = self.residuals.iter().filter(|residuals| residuals.contradict());
+        let misfit = contradicting.map(|residuals| residuals.chi2 / residuals.redundancy).reduce(f64::max);
         let is_doubted = self.latest[0].is_some_and(|oldest| sequence.abs_diff(oldest) <= self.within);
-        if is_doubted && *outcome == Outcome::Converged {
-            *outcome = Outcome::Degraded(DegradedReason::Doubted);
+        if (is_doubted || misfit.is_some()) && solution.outcome == Outcome::Converged {
+            solution.outcome = Outcome::Degraded(DegradedReason::Doubted);
+            let covariance = solution.estimate.iter_mut().flat_map(|estimate| estimate.covariance.as_flattened_mut());
+            covariance.for_each(|element| *element *= misfit.unwrap_or(1.0));
         }
     }
 }
@@ -250,6 +297,8 @@ fn contradicts(outcome: &Outcome, cells: usize) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use slitpose_model::{Cells, Estimate};
+
     use super::*;
 
     #[test]
@@ -269,43 +318,76 @@ mod tests {
         assert_eq!(watch.check(9, 77, 1000, 1e6), None);
     }
 
-    /// Scans that are doubted of 0 to `count`, at 100 Hz, where those of `contradictions` contradict.
-    fn doubted(contradictions: &[u64], count: u64) -> Vec<u64> {
+    fn solution(outcome: Outcome, cells: u16, chi2: f64) -> Solution {
+        let pose = Pose { translation_m: Default::default(), rotation: Default::default() };
+        let estimate = outcome.has_pose().then_some(Estimate { pose, covariance: [[1.0; 6]; 6] });
+        Solution::reported(outcome, estimate, chi2, Cells::from_bits((1 << cells) - 1), Cells::default())
+    }
+
+    /// Covariance of each scan of these solutions, at 100 Hz, that is doubted.
+    fn doubted(solutions: impl Iterator<Item = Solution>) -> Vec<(u64, f64)> {
         let mut doubt = Doubt::new(0.01);
-        let is_doubted = |&sequence: &u64| {
-            let contradicts = contradictions.contains(&sequence);
-            let mut outcome = if contradicts { Outcome::Degraded(DegradedReason::Misfit) } else { Outcome::Converged };
-            doubt.count(sequence, &outcome, CELLS);
-            doubt.apply(sequence, &mut outcome);
-            outcome == Outcome::Degraded(DegradedReason::Doubted)
+        let doubted = |(sequence, mut solution): (u64, Solution)| {
+            doubt.count(sequence, &solution);
+            doubt.apply(sequence, &mut solution);
+            let is_doubted = solution.outcome == Outcome::Degraded(DegradedReason::Doubted);
+            solution.estimate.filter(|_| is_doubted).map(|estimate| (sequence, estimate.covariance[0][0]))
         };
-        (0..count).filter(is_doubted).collect()
+        (0..).zip(solutions).filter_map(doubted).collect()
     }
 
     #[test]
     fn three_contradictions_within_a_quarter_second_put_what_follows_in_doubt() {
-        assert_eq!(doubted(&[10, 20], 100), [0; 0]);
+        let doubted = |contradictions: &[u64]| {
+            doubted((0..100).map(|sequence| match contradictions.contains(&sequence) {
+                true => solution(Outcome::Degraded(DegradedReason::Misfit), 6, 60.0),
+                false => solution(Outcome::Converged, 6, 6.0),
+            }))
+        };
+        let follow = |scans: std::ops::RangeInclusive<u64>| scans.map(|scan| (scan, 1.0)).collect::<Vec<_>>();
+        assert_eq!(doubted(&[10, 20]), []);
         // 25 scans from the first of the latest three on; their own status stays.
-        assert_eq!(doubted(&[10, 20, 30], 100), (31..=35).collect::<Vec<_>>());
-        assert_eq!(doubted(&[10, 11, 12, 40, 41], 100), (13..=35).collect::<Vec<_>>(), "two are forgotten");
-        assert_eq!(doubted(&[10, 22, 36], 100), [0; 0], "too far apart");
+        assert_eq!(doubted(&[10, 20, 30]), follow(31..=35));
+        assert_eq!(doubted(&[10, 11, 12, 40, 41]), follow(13..=35), "two are forgotten");
+        assert_eq!(doubted(&[10, 22, 36]), [], "too far apart");
+    }
+
+    #[test]
+    fn residuals_that_are_too_large_on_average_put_poses_in_doubt_and_their_covariance_grows() {
+        let with = |misfit: f64| move |_| solution(Outcome::Converged, 6, misfit * 6.0);
+        assert_eq!(doubted((0..1000).map(with(1.5))), []);
+        // Seven scans have a redundancy of 42.
+        let doubtful = doubted((0..36).map(with(3.0)).chain((36..100).map(with(1.0))));
+        assert_eq!(
+            doubtful,
+            (6..=47).map(|scan| (scan, 3.0)).collect::<Vec<_>>(),
+            "and until the half after them is over"
+        );
+        // One bad scan does not outweigh all.
+        let one_in = |length: u64| (0..240).map(move |scan| with(if scan % length == 0 { 1e9 } else { 1.0 })(scan));
+        assert_eq!(doubted(one_in(12)), []);
+        assert_ne!(doubted(one_in(4)), []);
     }
 
     #[test]
     fn only_poses_that_seem_sound_are_put_in_doubt() {
-        let mut doubt = Doubt::new(1.0);
-        (0..3).for_each(|sequence| doubt.count(sequence, &Outcome::Diverged, CELLS - 1));
-        let mut outcome = Outcome::Converged;
-        doubt.apply(3, &mut outcome);
-        assert_eq!(outcome, Outcome::Converged, "five cells leave a pose open");
-        (3..6).for_each(|sequence| doubt.count(sequence, &Outcome::Diverged, CELLS));
+        let after_three = |first: Solution, outcome: Outcome| {
+            doubted([first, first, first, solution(outcome, 6, 6.0)].into_iter()).len()
+        };
+        assert_eq!(
+            after_three(solution(Outcome::Diverged, 5, 0.0), Outcome::Converged),
+            0,
+            "five cells leave a pose open"
+        );
+        let diverged = solution(Outcome::Diverged, 6, 0.0);
+        assert_eq!(after_three(diverged, Outcome::Converged), 1);
         for kept in [Outcome::Ambiguous, Outcome::TooDark, Outcome::Degraded(DegradedReason::FewerCells)] {
-            let mut outcome = kept;
-            doubt.apply(8, &mut outcome);
-            assert_eq!(outcome, kept);
+            assert_eq!(after_three(diverged, kept), 0, "{kept:?}");
         }
-        let mut outcome = Outcome::Converged;
-        doubt.apply(8, &mut outcome);
-        assert_ne!(outcome, Outcome::Converged, "a slow board has eight scans");
+        let mut slow = Doubt::new(1.0);
+        (3..6).for_each(|sequence| slow.count(sequence, &diverged));
+        let mut last = solution(Outcome::Converged, 6, 6.0);
+        slow.apply(8, &mut last);
+        assert_ne!(last.outcome, Outcome::Converged, "a slow board has eight scans");
     }
 }

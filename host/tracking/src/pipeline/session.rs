@@ -196,8 +196,8 @@ impl Session {
             Content::Words(words) => self.solve_words(words, watched),
             Content::Pose(pose) => self.completed(pose),
         };
-        self.doubt.count(scan.sequence, &tracked.solution.outcome, tracked.solution.cells_used.count());
-        self.doubt.apply(scan.sequence, &mut tracked.solution.outcome);
+        self.doubt.count(scan.sequence, &tracked.solution);
+        self.doubt.apply(scan.sequence, &mut tracked.solution);
         tracked
     }
 
@@ -276,7 +276,7 @@ impl Session {
             Content::Words(words) => self.solve_words_ahead(words, first),
             Content::Pose(pose) => self.completed(pose),
         };
-        self.doubt.apply(scan.sequence, &mut tracked.solution.outcome);
+        self.doubt.apply(scan.sequence, &mut tracked.solution);
         tracked
     }
 
