@@ -13,10 +13,11 @@ use slitpose_head::scene_file::SceneFile;
 use slitpose_model::Pose;
 use thiserror::Error;
 
-use crate::data::{Constraint, Data, Row, compose, inverse};
-use crate::plausibility::{BETTER, UNITS, median};
+use crate::data::{Constraint, Data, Row, compose, inverse, median};
+use crate::plausibility::{BETTER, UNITS};
 use crate::start::{align, first_poses, known_so_far};
-use crate::tables::{FoundClock, Track, thinned};
+use crate::tables::thinned;
+use crate::track::{FoundClock, Track};
 use crate::{CalibrateError, Calibration};
 
 /// Rows between two orientations that are compared.

@@ -3,7 +3,7 @@
 use glam::DVec3;
 use slitpose_model::{Noise, Pair, Photocurrents, Pose, Reading, rotation_exp};
 
-use crate::tables::FoundClock;
+use crate::track::FoundClock;
 
 /// Measurements from any number of files.
 #[derive(Clone, Debug, Default)]
@@ -173,4 +173,14 @@ pub fn pose_of(values: &[f64]) -> Pose {
 pub fn values_of(pose: &Pose) -> [f64; 6] {
     let (t, r) = (pose.translation_m, pose.rotation_rad());
     [t.x, t.y, t.z, r.x, r.y, r.z]
+}
+
+/// The median of `values`; NaN if there are none.
+pub fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+}
+
+pub(crate) fn middle(points: &[DVec3]) -> DVec3 {
+    DVec3::from_array(std::array::from_fn(|axis| median(points.iter().map(|point| point[axis]).collect())))
 }

@@ -13,6 +13,7 @@ use crate::coverage::Coverage;
 use crate::data::{Constraint, Data};
 use crate::light::LightTrend;
 use crate::normal::Normal;
+use crate::plausibility::Implausible;
 use crate::pose_error::PoseError;
 use crate::prior::Parameters;
 use crate::start::{Beginning, solved};
@@ -365,58 +366,4 @@ fn hold_out(
         );
     }
     Ok(false)
-}
-
-/// What is wrong with the data of a file, which comes first.
-#[derive(Clone, Debug, Error, PartialEq)]
-#[allow(missing_docs, reason = "the texts say what each is")]
-pub enum Implausible {
-    #[error(transparent)]
-    Scene(#[from] SceneError),
-    #[error(
-        "{0}: cell {1} sees no light, or more than its saturation_a, in {2} of {3} rows; check that currents are in amperes, its emitter and its detector, or take it out of the scene"
-    )]
-    Dark(String, usize, usize, usize),
-    #[error(
-        "{0}: the electrodes of cell {1} look exchanged: I_X1 behaves like I_X2; exchange the columns i_x1_{1}_a and i_x2_{1}_a, the wires, or turn the cell's x_axis"
-    )]
-    Electrodes(String, usize),
-    #[error("{0}: the currents of cell {1} look like those of cell {2}; exchange the columns or the wires")]
-    Cells(String, usize, usize),
-    #[error("{0}: tx_mm, ty_mm and tz_mm are millimetres, but are these {1}? Then the data fit {2:.0} times as well")]
-    Lengths(String, &'static str, f64),
-    #[error(
-        "{0}: rx_rad, ry_rad and rz_rad are rotation vectors in radians, but are these {1}? Then the data fit {2:.1} times as well; convert them"
-    )]
-    Rotations(String, String, f64),
-    #[error(
-        "{0}: {1} of {2} poses are not where the light has the tool: {3}; remove rows in which the instrument had lost its marker, check that each pose is of the same instant as its currents"
-    )]
-    Outliers(String, usize, usize, String),
-    #[error(
-        "{0}: the axes of the poses look exchanged or reversed: the data fit {3:.0} times as well if tx_mm, ty_mm, tz_mm become ({1}), and rx_rad, ry_rad, rz_rad ({2})"
-    )]
-    Axes(String, String, String, f64),
-    #[error(
-        "{0}: the poses look inverted, the base seen from the tool; give the tool seen from the base (base_from_tool)"
-    )]
-    Inverted(String),
-    #[error(
-        "{0}: the poses look shifted against the currents by {1} rows; pair each pose with the currents of its own instant"
-    )]
-    Shifted(String, i64),
-    #[error(
-        "{0}: the currents do not belong to this scene: spots are {1:.2} mm from where it has them at the instrument's poses, tolerances explain {2:.2} mm; check the scene and its [tolerance], the frames (--frames own if the instrument has its own) and the order of the cells"
-    )]
-    OtherScene(String, f64, f64),
-    #[error("{0} has currents of a cell {1}, the scene has the cells 0 to {last}; give the scene of this head", last = .1 - 1)]
-    MoreCells(String, usize),
-    #[error(
-        "{0}: row {1} repeats an earlier one, currents and pose, to the last digit; a measurement that stands twice counts twice: remove one"
-    )]
-    Repeated(String, usize),
-    #[error(
-        "{0}: the tool moves by {1:.3} mm and turns by {2:.3} degrees (rms) only, too little to tell parts apart; use the whole workspace, a third of it at least"
-    )]
-    LittleMotion(String, f64, f64),
 }

@@ -33,6 +33,7 @@ mod reading;
 mod start;
 mod state;
 pub mod tables;
+mod track;
 
 use serde::Deserialize;
 use slitpose_head::scene_file::SceneFile;
@@ -40,14 +41,14 @@ use slitpose_model::{CompiledScene, ModelError, Pose, Scene, Tier};
 
 pub use clock::{Clock, ClockError, read_tracked};
 pub use coverage::Coverage;
-pub use data::{Constraint, Data, Group, Knowledge, Row, compose, inverse, pose_of, values_of};
-pub use engine::{CalibrateError, Calibrated, Implausible, Progress, Request, calibrate};
+pub use data::{Constraint, Data, Group, Knowledge, Row, compose, inverse, median, pose_of, values_of};
+pub use engine::{CalibrateError, Calibrated, Progress, Request, calibrate};
 pub use file::{CalibrationFileError, Frames};
 pub use findings::Direction;
 pub use head::{Basis, Head, uncalibrated};
 pub use light::LightTrend;
 pub use parameter::Quantity;
-pub use plausibility::{Reports, check_poses, median, other_reading};
+pub use plausibility::{Implausible, Reports, check_poses, other_reading};
 pub use pose_error::{KnownPoses, PartCost, PartCosts, PoseRms, part_costs};
 pub use prior::{Parameter, draw};
 pub use reading::{CellValidity, Validity, measured_noise, validity};

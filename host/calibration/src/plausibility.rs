@@ -3,11 +3,65 @@
 use glam::{DQuat, DVec3};
 use slitpose_head::table::POSE_COLUMNS;
 use slitpose_model::{Cell, CompiledScene, Pose, Scene, SceneError, rotation_exp};
+use thiserror::Error;
 
-use crate::data::{Constraint, Data, Group, Row, compose, inverse, values_of};
-use crate::engine::Implausible;
+use crate::data::{Constraint, Data, Group, Row, compose, inverse, median, middle, values_of};
+use crate::reading::TIER;
 use crate::start::{align, solved};
-use crate::state::TIER;
+
+/// What is wrong with the data of a file, which comes first.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[allow(missing_docs, reason = "the texts say what each is")]
+pub enum Implausible {
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    #[error(
+        "{0}: cell {1} sees no light, or more than its saturation_a, in {2} of {3} rows; check that currents are in amperes, its emitter and its detector, or take it out of the scene"
+    )]
+    Dark(String, usize, usize, usize),
+    #[error(
+        "{0}: the electrodes of cell {1} look exchanged: I_X1 behaves like I_X2; exchange the columns i_x1_{1}_a and i_x2_{1}_a, the wires, or turn the cell's x_axis"
+    )]
+    Electrodes(String, usize),
+    #[error("{0}: the currents of cell {1} look like those of cell {2}; exchange the columns or the wires")]
+    Cells(String, usize, usize),
+    #[error("{0}: tx_mm, ty_mm and tz_mm are millimetres, but are these {1}? Then the data fit {2:.0} times as well")]
+    Lengths(String, &'static str, f64),
+    #[error(
+        "{0}: rx_rad, ry_rad and rz_rad are rotation vectors in radians, but are these {1}? Then the data fit {2:.1} times as well; convert them"
+    )]
+    Rotations(String, String, f64),
+    #[error(
+        "{0}: {1} of {2} poses are not where the light has the tool: {3}; remove rows in which the instrument had lost its marker, check that each pose is of the same instant as its currents"
+    )]
+    Outliers(String, usize, usize, String),
+    #[error(
+        "{0}: the axes of the poses look exchanged or reversed: the data fit {3:.0} times as well if tx_mm, ty_mm, tz_mm become ({1}), and rx_rad, ry_rad, rz_rad ({2})"
+    )]
+    Axes(String, String, String, f64),
+    #[error(
+        "{0}: the poses look inverted, the base seen from the tool; give the tool seen from the base (base_from_tool)"
+    )]
+    Inverted(String),
+    #[error(
+        "{0}: the poses look shifted against the currents by {1} rows; pair each pose with the currents of its own instant"
+    )]
+    Shifted(String, i64),
+    #[error(
+        "{0}: the currents do not belong to this scene: spots are {1:.2} mm from where it has them at the instrument's poses, tolerances explain {2:.2} mm; check the scene and its [tolerance], the frames (--frames own if the instrument has its own) and the order of the cells"
+    )]
+    OtherScene(String, f64, f64),
+    #[error("{0} has currents of a cell {1}, the scene has the cells 0 to {last}; give the scene of this head", last = .1 - 1)]
+    MoreCells(String, usize),
+    #[error(
+        "{0}: row {1} repeats an earlier one, currents and pose, to the last digit; a measurement that stands twice counts twice: remove one"
+    )]
+    Repeated(String, usize),
+    #[error(
+        "{0}: the tool moves by {1:.3} mm and turns by {2:.3} degrees (rms) only, too little to tell parts apart; use the whole workspace, a third of it at least"
+    )]
+    LittleMotion(String, f64, f64),
+}
 
 /// Units that lengths may be in by mistake, and how many millimetres they have.
 pub(crate) const UNITS: [(f64, &str); 4] =
@@ -66,12 +120,6 @@ const MAX_GROSS_ROWS: usize = 3;
 const FAR_OFF: f64 = 4.0;
 
 const NAMED: usize = 5;
-
-/// The median of `values`; NaN if there are none.
-pub fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
-}
 
 /// Refuses data that look like another thing than they are said to be; `scene` is the head by its tolerances. Gives the rows
 /// whose poses are gross outliers, and a remark on those of each file.
@@ -382,10 +430,6 @@ fn best_reading(file: &str, reports: &[Pose], miss: &dyn Fn(Reports<'_>) -> f64)
         try_reading(&of_row, &|_| Implausible::Shifted(name(), shift));
     }
     (as_given, best.1)
-}
-
-pub(crate) fn middle(points: &[DVec3]) -> DVec3 {
-    DVec3::from_array(std::array::from_fn(|axis| median(points.iter().map(|point| point[axis]).collect())))
 }
 
 /// Place of the light, as a share of half the detector.

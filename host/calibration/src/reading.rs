@@ -1,11 +1,13 @@
 //! Readings of a cell: their covariance, and whether a calibration still describes its head by what they say of each other.
 
 use slitpose_model::{
-    Cell, CompiledScene, ModelError, MotionPrior, Noise, Pair, Pose, Reading, Scene, SceneError, Solver, Start,
+    Cell, CompiledScene, ModelError, MotionPrior, Noise, Pair, Pose, Reading, Scene, SceneError, Solver, Start, Tier,
 };
 
 use crate::data::Row;
-use crate::state::TIER;
+
+/// The optics of calibration: finer than the noise of a thousand frames.
+pub(crate) const TIER: Tier = Tier::Exact { tolerance: 1e-6 };
 
 /// Covariance of the currents of one cell, A²: three numbers, [1,1], [1,2] and [2,2].
 pub(crate) type Covariance = [f64; 3];

@@ -8,7 +8,7 @@ use slitpose_head::scene_file::SceneFile;
 use slitpose_model::{MIN_CELLS, MotionPrior, Pose, Scene, SceneError, Solver, Start};
 
 use crate::data::{Constraint, Data, Group, Knowledge, Row, compose, inverse, values_of};
-use crate::state::TIER;
+use crate::reading::TIER;
 use crate::{CalibrateError, Calibration, constraint, uncalibrated};
 
 /// Share of a group's rows that must lead to a pose for the others to follow from home.

@@ -1,13 +1,13 @@
 //! Everything that an adjustment changes; currents and their derivatives there, and what is left between readings and model.
 
 use slitpose_head::threads::on_all_cores;
-use slitpose_model::{CompiledScene, ModelError, Pose, Scene, SceneError, Status, Tier};
+use slitpose_model::{CompiledScene, ModelError, Pose, Scene, SceneError, Status};
 
 use crate::constraint;
 use crate::data::{Constraint, Data, Group, compose, inverse, pose_of};
 use crate::light::Term;
 use crate::prior::Parameters;
-use crate::reading::{Covariance, ReadingNoise, deviation, whiten, whitener};
+use crate::reading::{Covariance, ReadingNoise, TIER, deviation, whiten, whitener};
 
 /// Parameters, poses and unknowns of the groups.
 #[derive(Clone, Debug)]
@@ -168,9 +168,6 @@ impl State {
         }
     }
 }
-
-/// The optics of calibration: finer than the noise of a thousand frames.
-pub(crate) const TIER: Tier = Tier::Exact { tolerance: 1e-6 };
 
 /// Step of a one-sided difference by a parameter, in standard deviations of its prior: parts deviate by a hundredth of
 /// their size, so that curvature is below 1e-4 of the slope.

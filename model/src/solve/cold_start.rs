@@ -8,7 +8,7 @@ use crate::pose::Transform;
 use crate::scalar::Number;
 
 use super::accept::{Fit, ROUGH_WORK};
-use super::compiled::{Compiled, Prior};
+use super::compiled::Compiled;
 use super::home::{STARTS_AROUND, STARTS_SPREAD, around, spread};
 use super::images::{IMAGES, Minima, SOFT_STEPS, Seen, image, is_likely};
 use super::levenberg_marquardt::Stopping;
@@ -16,6 +16,7 @@ use super::normal_equations::{Problem, Workspace};
 use super::outcome::{Outcome, Solution};
 use super::outlier::{MIN_WORK, OutlierSearch, exclude};
 use super::readings::Sorted;
+use super::twist::Prior;
 
 /// Evaluations of all cells that one cold solve may take: some 2 ms on a desktop core, by currents to
 /// 1e-6 and derivatives. Twice as many on a head with mirror images that has an outlier, too: without it the

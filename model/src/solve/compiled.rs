@@ -4,77 +4,21 @@ use heapless::Vec;
 
 use crate::entries::Scalar;
 use crate::plan::{CompiledScene, Optics, Tier};
-use crate::pose::{Pose, Rigid, Transform, Twist};
-use crate::scalar::{Linear3, Number, Vector3};
+use crate::pose::{Pose, Rigid, Transform};
+use crate::scalar::{Linear3, Number};
 use crate::scene::{Cell, MAX_CELLS, Scene, SceneError};
 
-use super::accept::{chi2_gate, redundancy};
-use super::algebra::Factor;
 use super::home::home;
-use super::normal_equations::{Problem, Workspace};
 use super::outcome::{Directions, Outcome, Solution};
 use super::planes::{self, PlaneCell, jacobian_change_rate};
 use super::readings::{Limits, Photocurrents, Sorted};
-use super::weights::CellNoise;
+use super::weights::{CellNoise, chi2_gate, redundancy};
 
 /// Cells whose currents, two each, tell the six coordinates of a pose.
 pub const MIN_CELLS: usize = 3;
 
 /// Cells that tell the light level beside the pose.
 pub const LEVEL_CELLS: usize = 5;
-
-/// What is known beforehand of the tool's motion within a frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct MotionPrior {
-    /// The twist that carries each cell's exposure to the reference instant.
-    pub twist: Twist,
-    /// Standard deviation of its linear part, per axis, m/s.
-    pub linear_sigma_m_per_s: f64,
-    /// Standard deviation of its angular part, per axis, rad/s.
-    pub angular_sigma_rad_per_s: f64,
-}
-
-impl MotionPrior {
-    /// A tool at rest.
-    pub const AT_REST: Self = Self {
-        twist: Twist { linear_m_per_s: glam::DVec3::ZERO, angular_rad_per_s: glam::DVec3::ZERO },
-        linear_sigma_m_per_s: 0.0,
-        angular_sigma_rad_per_s: 0.0,
-    };
-}
-
-/// [`MotionPrior`] in the solver's numbers.
-#[derive(Clone, Copy, Debug)]
-pub struct Prior<S: Number> {
-    pub twist: [S::Vec3; 2],
-    /// Standard deviations of the twist per axis, m/s and rad/s.
-    pub sigmas: [S; 2],
-    /// How the twist changes; `None`: not at all.
-    pub bend: Option<Bend<S>>,
-}
-
-/// What is known beforehand of the tool's acceleration within a frame.
-#[derive(Clone, Copy, Debug)]
-pub struct Bend<S: Number> {
-    /// Half the acceleration, linear and angular: m/s² and rad/s².
-    pub half_acceleration: [S::Vec3; 2],
-    /// Standard deviations of that per axis.
-    pub sigmas: [S; 2],
-}
-
-impl<S: Number> Prior<S> {
-    pub fn of(motion: &MotionPrior) -> Self {
-        Self {
-            twist: [motion.twist.linear_m_per_s, motion.twist.angular_rad_per_s].map(|v| S::Vec3::of(v)),
-            sigmas: [motion.linear_sigma_m_per_s, motion.angular_sigma_rad_per_s].map(S::of),
-            bend: None,
-        }
-    }
-
-    pub fn at_rest() -> Self {
-        Self { twist: [S::Vec3::default(); 2], sigmas: [S::zero(); 2], bend: None }
-    }
-}
 
 #[derive(Clone, Debug)]
 pub struct Compiled<S: Number, P = CompiledScene<S>> {
@@ -145,16 +89,6 @@ impl<S: Scalar> Compiled<S> {
     pub fn seen_at(&self, pose: &Pose) -> Sorted<S> {
         let pairs = (0..self.plan.cell_count()).map(|cell| self.plan.photocurrents(cell, pose));
         Sorted::of(&Photocurrents::of_pairs(pairs), &self.limits)
-    }
-
-    /// The factor of the information of all cells with light at `pose`, the tool at rest.
-    pub fn factor_at(&self, pose: &Pose) -> Option<Factor<S>> {
-        let sorted = self.seen_at(pose);
-        if sorted.usable.len() < MIN_CELLS {
-            return None;
-        }
-        let problem = self.problem(&sorted, &Prior::at_rest());
-        problem.factor_at(&Transform::of(pose), &mut Workspace::new())
     }
 }
 
@@ -230,10 +164,6 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
     /// Whether the tool's acceleration within a frame matters: see [`Optics::BENDS_FROM_S`].
     pub fn allows_for_bends(&self) -> bool {
         self.duration_s() >= S::of(P::BENDS_FROM_S)
-    }
-
-    pub fn problem<'a>(&'a self, sorted: &'a Sorted<S>, motion: &Prior<S>) -> Problem<'a, S, P> {
-        Problem::new(self, sorted, motion)
     }
 
     /// Six unknowns need [`MIN_CELLS`].

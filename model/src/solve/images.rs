@@ -19,13 +19,14 @@ use crate::scene::MAX_CELLS;
 
 use super::accept::{ALIKE, DISTINCT_SIGMAS, Fit, is_singular, sigmas_between};
 use super::algebra::{Factor, Matrix6, square};
-use super::compiled::{Compiled, Prior};
+use super::compiled::Compiled;
 use super::home::spread;
 use super::levenberg_marquardt::{Minimum, Stopping};
 use super::normal_equations::{Problem, Workspace};
 use super::outcome::Solution;
 use super::planes::{PlaneCell, settle};
 use super::readings::{Sorted, Usable};
+use super::twist::Prior;
 
 /// Rough approaches that are remembered, so that none is refined twice.
 const REMEMBERED: usize = 15;

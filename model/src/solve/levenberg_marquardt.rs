@@ -342,9 +342,9 @@ fn lowered<S: Number>(damping: S) -> S {
 mod tests {
     use glam::DVec3;
 
-    use super::super::compiled::Prior;
     use super::super::fixture::{compiled, currents, pose};
     use super::super::readings::Sorted;
+    use super::super::twist::Prior;
     use super::*;
 
     #[test]

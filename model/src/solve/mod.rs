@@ -49,7 +49,7 @@ mod warm_start;
 mod weights;
 
 pub use compact::{BoardTracker, CompactError, CompactFrame, CompactPart};
-pub use compiled::{MIN_CELLS, MotionPrior};
+pub use compiled::MIN_CELLS;
 pub(crate) use levels::Observation;
 pub use motion::{Filtered, NoTwist, TwistEstimate};
 pub use outcome::{AXES, Cells, DegradedReason, Directions, Estimate, Outcome, Solution, Verified};
@@ -57,3 +57,4 @@ pub use readings::{Photocurrents, Reading};
 pub use solver::{Solver, Start};
 pub use tracked::{Tracked, Tracker};
 pub use tracker::PoseTracker;
+pub use twist::MotionPrior;

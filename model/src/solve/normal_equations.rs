@@ -11,17 +11,18 @@
 // heapless clears the memory of a new vector; here that would take as long as the algebra.
 use arrayvec::ArrayVec;
 
+use crate::entries::Scalar;
 use crate::plan::{BOARD_CELLS, CellTerms, Instant, Optics};
-use crate::pose::Transform;
+use crate::pose::{Pose, Transform};
 use crate::scalar::Number;
 use crate::scene::MAX_CELLS;
 
-use super::algebra::{Matrix6, Vector6, add_outer, dot, mirror};
-use super::compiled::{Compiled, Prior};
+use super::algebra::{Factor, Matrix6, Vector6, add_outer, dot, mirror};
+use super::compiled::{Compiled, MIN_CELLS};
 use super::level::Level;
 use super::readings::{Sorted, Usable};
 use super::step::SAFE_ROUNDINGS;
-use super::twist::{Elimination, Motion};
+use super::twist::{Elimination, Motion, Prior};
 use super::weights::{CellNoise, ResidualSums, Row, Whitener};
 
 /// Distance from a guiding plane that counts as one σ.
@@ -136,6 +137,25 @@ impl<S: Number> NormalEquations<S> {
     /// The length of a step in σ, squared.
     pub fn along(&self, step: &Vector6<S>) -> S {
         dot(step, &self.times(step))
+    }
+}
+
+impl<S: Number, P: Optics<S>> Compiled<S, P> {
+    /// The problem that readings pose.
+    pub fn problem<'a>(&'a self, sorted: &'a Sorted<S>, motion: &Prior<S>) -> Problem<'a, S, P> {
+        Problem::new(self, sorted, motion)
+    }
+}
+
+impl<S: Scalar> Compiled<S> {
+    /// The factor of the information of all cells with light at `pose`, the tool at rest.
+    pub fn factor_at(&self, pose: &Pose) -> Option<Factor<S>> {
+        let sorted = self.seen_at(pose);
+        if sorted.usable.len() < MIN_CELLS {
+            return None;
+        }
+        let problem = self.problem(&sorted, &Prior::at_rest());
+        problem.factor_at(&Transform::of(pose), &mut Workspace::new())
     }
 }
 

@@ -6,8 +6,8 @@ use crate::pose::{Pose, Rigid};
 use crate::scalar::Number;
 use crate::scene::MAX_CELLS;
 
-use super::accept::redundancy;
 use super::algebra::{Factor, Matrix6};
+use super::weights::redundancy;
 
 /// The coordinates of a pose, in the order of the covariance.
 pub const AXES: [&str; 6] = ["tx", "ty", "tz", "rx", "ry", "rz"];

@@ -9,11 +9,12 @@ use crate::pose::Transform;
 use crate::scalar::Number;
 
 use super::accept::Fit;
-use super::compiled::{Compiled, Prior};
+use super::compiled::Compiled;
 use super::levenberg_marquardt::{Minimum, Stopping};
 use super::normal_equations::{Problem, Workspace};
 use super::outcome::{DegradedReason, Outcome, Solution};
 use super::readings::Sorted;
+use super::twist::Prior;
 
 /// Least number of cells besides the outlier: with four, two redundancies leave too much that fits.
 const MIN_CELLS: usize = 5;

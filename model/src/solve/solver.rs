@@ -8,11 +8,12 @@ use crate::scene::{Scene, SceneError};
 
 use super::accept::{Fit, covariance, free_directions};
 use super::cold_start::{COLD_WORK, Search, WORK_FOR_IMAGES};
-use super::compiled::{Compiled, MotionPrior, Prior};
+use super::compiled::Compiled;
 use super::levenberg_marquardt::Stopping;
 use super::normal_equations::Workspace;
 use super::outcome::{DegradedReason, Directions, Outcome, Solution};
 use super::readings::{Photocurrents, Sorted};
+use super::twist::{MotionPrior, Prior};
 
 /// Where a solve starts.
 #[derive(Clone, Copy, Debug)]

@@ -189,9 +189,9 @@ mod tests {
 
     use glam::DVec3;
 
-    use super::super::compiled::{Bend, Prior};
     use super::super::fixture::{compiled, currents, pose};
     use super::super::readings::Sorted;
+    use super::super::twist::{Bend, Prior};
     use super::*;
     use crate::pose::Pose;
 

@@ -22,13 +22,13 @@ use crate::pose::{Pose, Rigid, Transform};
 use crate::scalar::{Linear3, Number};
 
 use super::cold_start::{COLD_WORK, Search};
-use super::compiled::{Bend, Prior};
 use super::filter::{FadingFilter, Prediction};
 use super::normal_equations::Workspace;
 use super::outcome::{Cells, DegradedReason, Estimate, Outcome, Solution};
 use super::outlier::LeftOut;
 use super::readings::{Photocurrents, Sorted};
 use super::solver::Solver;
+use super::twist::{Bend, Prior};
 
 /// Frames without a pose over which the motion is extrapolated.
 pub const MAX_EXTRAPOLATED_FRAMES: u32 = 8;

@@ -12,22 +12,75 @@
 
 use arrayvec::ArrayVec;
 
-use crate::scalar::Number;
+use crate::pose::Twist;
+use crate::scalar::{Number, Vector3};
 
 use super::algebra::{Factor, Matrix6, Vector6, add_outer, mirror};
-use super::compiled::Prior;
 use super::level::{Level, Unknowns};
 use super::weights::{ResidualSums, Row};
 
 /// Largest information a prior on the motion can have: it is then known.
 const KNOWN: f64 = 1e30;
 
+/// What is known beforehand of the tool's motion within a frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MotionPrior {
+    /// The twist that carries each cell's exposure to the reference instant.
+    pub twist: Twist,
+    /// Standard deviation of its linear part, per axis, m/s.
+    pub linear_sigma_m_per_s: f64,
+    /// Standard deviation of its angular part, per axis, rad/s.
+    pub angular_sigma_rad_per_s: f64,
+}
+
+impl MotionPrior {
+    /// A tool at rest.
+    pub const AT_REST: Self = Self {
+        twist: Twist { linear_m_per_s: glam::DVec3::ZERO, angular_rad_per_s: glam::DVec3::ZERO },
+        linear_sigma_m_per_s: 0.0,
+        angular_sigma_rad_per_s: 0.0,
+    };
+}
+
+/// [`MotionPrior`] in the solver's numbers.
+#[derive(Clone, Copy, Debug)]
+pub struct Prior<S: Number> {
+    pub twist: [S::Vec3; 2],
+    /// Standard deviations of the twist per axis, m/s and rad/s.
+    pub sigmas: [S; 2],
+    /// How the twist changes; `None`: not at all.
+    pub bend: Option<Bend<S>>,
+}
+
+/// What is known beforehand of the tool's acceleration within a frame.
+#[derive(Clone, Copy, Debug)]
+pub struct Bend<S: Number> {
+    /// Half the acceleration, linear and angular: m/s² and rad/s².
+    pub half_acceleration: [S::Vec3; 2],
+    /// Standard deviations of that per axis.
+    pub sigmas: [S; 2],
+}
+
+impl<S: Number> Prior<S> {
+    pub fn of(motion: &MotionPrior) -> Self {
+        Self {
+            twist: [motion.twist.linear_m_per_s, motion.twist.angular_rad_per_s].map(|v| S::Vec3::of(v)),
+            sigmas: [motion.linear_sigma_m_per_s, motion.angular_sigma_rad_per_s].map(S::of),
+            bend: None,
+        }
+    }
+
+    pub fn at_rest() -> Self {
+        Self { twist: [S::Vec3::default(); 2], sigmas: [S::zero(); 2], bend: None }
+    }
+}
+
 /// Motion of the tool within a frame, and how well it is known.
 #[derive(Clone, Copy, Debug)]
 pub struct Motion<S: Number> {
     /// Linear and angular.
     pub twist: [S::Vec3; 2],
-    /// Half the acceleration, as in [`super::compiled::Bend`]; `None`: zero.
+    /// Half the acceleration, as in [`Bend`]; `None`: zero.
     pub bend: Option<[S::Vec3; 2]>,
     /// The largest |τ|, seconds; zero if all cells are exposed at one instant.
     pub duration: S,

@@ -5,12 +5,13 @@ use crate::pose::Transform;
 use crate::scalar::Number;
 
 use super::accept::Fit;
-use super::compiled::{Compiled, Prior};
+use super::compiled::Compiled;
 use super::levenberg_marquardt::{Minimum, Stopping};
 use super::normal_equations::Workspace;
 use super::outcome::{Outcome, Solution};
 use super::outlier::LeftOut;
 use super::readings::Sorted;
+use super::twist::Prior;
 
 /// Evaluations that are left to [`Compiled::taken_roughly`], which takes some five near an expected pose.
 const ROUGH_STEPS: usize = 12;

@@ -4,7 +4,7 @@
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
 use nalgebra::storage::Owned;
 use nalgebra::{Matrix3, Matrix6, SMatrix, SVector, U6, U12};
-use slitpose_model::{Pair, CompiledScene, Pose, Scene, SceneError, Tier};
+use slitpose_model::{CompiledScene, Pair, Pose, Scene, SceneError, Tier};
 
 use crate::chart::{self, ARM_M};
 use crate::contender::{Answer, Contender};

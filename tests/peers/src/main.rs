@@ -17,8 +17,11 @@ use std::hint::black_box;
 use anyhow::{Context, Result};
 use clap::Parser;
 
-use contender::Stretch;
+use contender::Contender;
+use ours::Ours;
 use problems::{BOX_DEG, BOX_MM, Kind};
+use slitpose_model::{Scene, SceneError};
+use tiny_solver::TinySolver;
 
 /// Poses of each kind of problem.
 const COUNT: usize = 2000;
@@ -43,19 +46,27 @@ struct Arguments {
     count: usize,
 }
 
+/// All that take part in problems of `kind`; the first is the measure of the others.
+fn contenders(scene: &Scene, kind: Kind) -> Result<Vec<Box<dyn Contender>>, SceneError> {
+    Ok(vec![
+        Box::new(Ours::new(scene, kind)?),
+        Box::new(TinySolver::new(scene)),
+        Box::new(levenberg_marquardt::Crate::new(scene)?),
+    ])
+}
+
 fn main() -> Result<()> {
     let arguments = Arguments::parse();
     let scene = common::wide();
     if let (Some(name), Some(kind)) = (&arguments.only, arguments.problem) {
-        let contenders = contender::all(&scene, kind)?;
+        let contenders = contenders(&scene, kind)?;
         let contender = contenders.iter().find(|contender| contender.name() == name).with_context(|| {
             let names: Vec<_> = contenders.iter().map(|contender| contender.name()).collect();
             format!("no contender {name}: there are {}", names.join(", "))
         })?;
         let problems = kind.problems(&scene, common::SEED, UNTIMED)?;
-        let stretch = Stretch::of(&problems);
         for _ in 0..arguments.count.div_ceil(UNTIMED) {
-            contender.solve_all(black_box(&stretch));
+            contender.solve_all(black_box(&problems));
         }
         return Ok(());
     }
@@ -72,7 +83,7 @@ fn main() -> Result<()> {
     for kind in kinds {
         println!("\n{}", kind.heading());
         let problems = kind.problems(&scene, common::SEED, COUNT)?;
-        measure::compare(&contender::all(&scene, kind)?, &problems, arguments.rounds);
+        measure::compare(&contenders(&scene, kind)?, &problems, arguments.rounds);
     }
     Ok(())
 }

@@ -6,7 +6,7 @@ use std::time::Instant;
 use slitpose_model::Pose;
 
 use crate::chart::ARM_M;
-use crate::contender::{Answer, Contender, Stretch};
+use crate::contender::{Answer, Contender};
 use crate::problems::Problem;
 
 /// A pose this near to the least χ² is found, millimetres: see [`distance_mm`].
@@ -47,7 +47,7 @@ struct Times {
 /// Times `contenders` taking turns, stretch by stretch: neighbours in time, they suffer alike from
 /// whatever else the machine does, and of each stretch some round is left in peace.
 fn times_us(contenders: &[Box<dyn Contender>], problems: &[Problem], rounds: usize) -> Vec<Times> {
-    let stretches: Vec<Stretch<'_>> = problems.chunks(STRETCH).map(Stretch::of).collect();
+    let stretches: Vec<&[Problem]> = problems.chunks(STRETCH).collect();
     let mut times = vec![vec![Vec::with_capacity(rounds); stretches.len()]; contenders.len()];
     for _ in 0..rounds {
         for (number, stretch) in stretches.iter().enumerate() {

@@ -5,7 +5,9 @@ use glam::DVec3;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use slitpose_model::{MotionPrior, Pair, Photocurrents, CompiledScene, Pose, Scene, SceneError, Solver, Start, Status, Tier};
+use slitpose_model::{
+    CompiledScene, MotionPrior, Pair, Photocurrents, Pose, Scene, SceneError, Solver, Start, Status, Tier,
+};
 
 use crate::common;
 use crate::levenberg_marquardt;
