@@ -142,7 +142,7 @@ impl Link {
         state.set(kind, Some(reason.clone()));
         told.map(|untold| match untold {
             0 => format!("{reason}; looking for it"),
-            untold => format!("{reason}; looking for it, as {untold} times before"),
+            untold => format!("{reason}; looking for it ({untold} times since this was last said)"),
         })
     }
 

@@ -91,7 +91,11 @@ pub(crate) fn lines(report: &BoardReport) -> Vec<Line> {
         LinkState::Searching | LinkState::Connecting => Tone::Careful,
         _ => Tone::Wrong,
     };
-    let text = format!("{} for {}{reconnects}{reason}", link.state.as_str(), duration(since_s));
+    let since = match (link.state, duration(since_s)) {
+        (LinkState::Ended, since) => format!("{since} ago"),
+        (_, since) => format!("for {since}"),
+    };
+    let text = format!("{} {since}{reconnects}{reason}", link.state.as_str());
     put(&mut lines, "link", &text).tone(tone).rank(1);
     if report.scans == 0 && link.state != LinkState::Running {
         return lines;

@@ -26,7 +26,10 @@ pub enum OptimiseError {
     File(#[from] SceneFileError),
     #[error(transparent)]
     Scene(#[from] SceneError),
-    #[error("nothing is free to change; give it with --free, such as --free slit_width --free roll")]
+    #[error(
+        "nothing is free to change; give each with --free, such as --free slit_width --free roll: {}",
+        Quantity::names()
+    )]
     NothingFree,
     #[error("{0}{1}")]
     Text(String, String),

@@ -59,6 +59,10 @@ impl Quantity {
         ENTRIES.into_iter().map(|(quantity, ..)| quantity)
     }
 
+    pub(super) fn names() -> String {
+        Self::all().map(Self::name).collect::<Vec<_>>().join(", ")
+    }
+
     fn entry(self) -> Entry {
         // Each has one.
         ENTRIES.into_iter().find(|(quantity, ..)| *quantity == self).unwrap_or(ENTRIES[0])
@@ -129,10 +133,9 @@ impl FromStr for Free {
     /// `slit_width`, or `slit_width=0.3..1.2`.
     fn from_str(text: &str) -> Result<Self, String> {
         let (name, bounds) = text.split_once('=').map_or((text, None), |(name, bounds)| (name, Some(bounds)));
-        let quantity = Quantity::all().find(|quantity| quantity.name() == name).ok_or_else(|| {
-            let names = Quantity::all().map(Quantity::name).collect::<Vec<_>>().join(", ");
-            format!("there is no `{name}` to be free; there are {names}")
-        })?;
+        let quantity = Quantity::all()
+            .find(|quantity| quantity.name() == name)
+            .ok_or_else(|| format!("there is no `{name}` to be free; there are {}", Quantity::names()))?;
         let Some(bounds) = bounds else {
             return Ok(Self { quantity, bounds: quantity.usual_bounds(), is_given: false });
         };
@@ -350,9 +353,9 @@ fn set(document: &mut DocumentMut, section: &str, key: &str, number: f64) {
 
 /// Replaces what the text says of the head that the search began with: name, heading, and remarks on its currents and cells.
 fn rename(document: &mut DocumentMut, file: &SceneFile) {
-    const ENDING: &str = ", optimised";
-    let name = file.name.strip_suffix(ENDING).unwrap_or(&file.name);
-    document["name"] = value(format!("{name}{ENDING}"));
+    const FROM: &str = "optimised from: ";
+    let name = file.name.strip_prefix(FROM).unwrap_or(&file.name);
+    document["name"] = value(format!("{FROM}{name}"));
     let heading =
         format!("# Found by `slitpose scene optimise`; it began with the scene \"{}\".\n", name.escape_default());
     let mut is_first = true;

@@ -114,7 +114,7 @@ fn quantities_are_where_the_drawing_has_them() {
     assert!(eight.source.contains("# Hamamatsu S3932"), "{}", eight.source);
     assert!(!["The default scene", "circle of 25 mm", "3.4 uA"].iter().any(|old| eight.source.contains(old)));
     for file in [&eight, &set(&eight, &[])] {
-        assert_eq!(file.name, "six cells, rolled 45 degrees, optimised");
+        assert_eq!(file.name, "optimised from: six cells, rolled 45 degrees");
     }
 }
 

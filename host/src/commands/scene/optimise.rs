@@ -161,7 +161,8 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
             none if none.is_empty() => "all limits kept".to_owned(),
             excesses => format!("limits not kept: {excesses}"),
         };
-        talk(format_args!("{name}: {}, {limits}", sigma_text(score.sigma_m)));
+        let at = format_args!("{} mm from the tool's centre", args.lever);
+        talk(format_args!("{name}: σ {} of a point {at}, {limits}", sigma_text(score.sigma_m)));
     };
     said("before", &search.file, &found.before);
     said("after", &found.file, &found.after);

@@ -52,7 +52,7 @@ export function clock(seconds) {
 /** The outcomes of a solution, as people say them. */
 export const STATUS = {
   converged: "converged",
-  degraded: "degraded: with fewer cells, or less exact",
+  degraded: "degraded: from fewer cells, or with a larger error",
   ambiguous: "no pose: several fit",
   unobservable: "no pose: the cells with light do not fix it",
   too_dark: "no pose: too little light",

@@ -42,7 +42,7 @@ pub(super) fn redundancy(map: &Map) -> Section {
         format!("Every cell is lit in {:.2} % of the workspace.", 100.0 * all),
         if median.is_finite() {
             format!(
-                "A fault in one cell that is as likely as not to be noticed moves the pose by {median:.0} σ in the median{}.",
+                "A fault in one cell that goes unnoticed every other time moves the pose by {median:.0} σ in the median{}.",
                 if most.is_finite() { format!(", by {most:.0} σ at 95 % of the workspace") } else { String::new() }
             )
         } else {

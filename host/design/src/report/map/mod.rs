@@ -200,7 +200,7 @@ fn planes(map: &Map) -> Option<Section> {
     (!map.planes.is_empty()).then(|| Section {
         name: "planes",
         title: "Accuracy over planes through home",
-        paragraphs: vec!["Where a point is crossed out, there is a pose at which a frame gives none.".to_owned()],
+        paragraphs: vec!["A crossed-out point has poses that a single frame cannot tell.".to_owned()],
         pictures: pictures.map(|(name, kind, over)| picture(map, name, kind, over)).into(),
         ..Section::default()
     })
