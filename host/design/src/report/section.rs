@@ -2,6 +2,7 @@
 
 use glam::dvec2;
 use slitpose_head::scene_file::SceneFile;
+use slitpose_head::table::aligned;
 
 use crate::plot::{Anchor, Canvas, Chart, TextStyle, three_digits};
 
@@ -125,18 +126,7 @@ impl Table {
         let heading: Vec<String> = self.columns.iter().map(|column| column.heading.to_owned()).collect();
         let shown = |row: &Vec<Value>| row.iter().map(Value::shown).collect::<Vec<_>>();
         let lines: Vec<Vec<String>> = [heading].into_iter().chain(self.rows.iter().map(shown)).collect();
-        let widths: Vec<usize> = (0..self.columns.len())
-            .map(|k| lines.iter().map(|line| line[k].chars().count()).max().unwrap_or(0))
-            .collect();
-        let mut text = String::new();
-        for line in lines {
-            let fields = line.iter().zip(&widths).enumerate().map(|(k, (field, width))| {
-                if self.is_number(k) { format!("{field:>width$}") } else { format!("{field:<width$}") }
-            });
-            text += format!("  {}", fields.collect::<Vec<_>>().join("  ")).trim_end();
-            text.push('\n');
-        }
-        text
+        aligned(&lines, |column| self.is_number(column)).map(|line| format!("  {line}\n")).collect()
     }
 }
 

@@ -46,6 +46,20 @@ impl CurrentColumns {
 /// Names of the six columns of a pose.
 pub const POSE_COLUMNS: [&str; 6] = ["tx_mm", "ty_mm", "tz_mm", "rx_rad", "ry_rad", "rz_rad"];
 
+/// A line of each of `rows`, for people: columns are as wide as they need to be, and numbers end at one place.
+pub fn aligned(rows: &[Vec<String>], is_number: impl Fn(usize) -> bool) -> impl Iterator<Item = String> {
+    let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
+    let length = |row: &Vec<String>, column| row.get(column).map_or(0, |field: &String| field.chars().count());
+    let widths: Vec<usize> =
+        (0..columns).map(|column| rows.iter().map(|row| length(row, column)).max().unwrap_or(0)).collect();
+    rows.iter().map(move |row| {
+        let fields = row.iter().zip(&widths).enumerate().map(|(column, (field, width))| {
+            if is_number(column) { format!("{field:>width$}") } else { format!("{field:<width$}") }
+        });
+        fields.collect::<Vec<_>>().join("  ").trim_end().to_owned()
+    })
+}
+
 /// A translation beyond this is a slip of units, not a pose: 1000 km.
 const MAX_MM: f64 = 1e9;
 

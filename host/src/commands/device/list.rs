@@ -5,7 +5,7 @@ use serde::Serialize;
 use serde_json::json;
 use slitpose_head::foreign::printable;
 use slitpose_head::scene_file::{Shipped, WIDE};
-use slitpose_head::table::Output;
+use slitpose_head::table::{Output, aligned};
 use slitpose_protocol::{PROTOCOL, Schedule, Status};
 
 use super::{BoardOptions, Connection};
@@ -80,24 +80,17 @@ const MAX_NAME: usize = 40;
 
 const HEADINGS: [&str; 7] = ["SERIAL", "USB", "PORT", "BOARD", "FIRMWARE", "KIND", "STATE"];
 
-/// Columns as wide as they need to be.
 fn table(listed: &[Listed]) -> String {
-    let mut rows = vec![HEADINGS.map(str::to_owned)];
-    rows.extend(listed.iter().map(row));
-    let widths: [usize; HEADINGS.len()] =
-        std::array::from_fn(|i| rows.iter().map(|row| row[i].chars().count()).max().unwrap_or(0));
-    let line = |row: &[String; HEADINGS.len()]| {
-        let fields: Vec<_> = row.iter().zip(widths).map(|(field, width)| format!("{field:width$}")).collect();
-        format!("{}\n", fields.join("  ").trim_end())
-    };
-    rows.iter().map(line).collect()
+    let headings = HEADINGS.map(str::to_owned).to_vec();
+    let rows: Vec<Vec<String>> = std::iter::once(headings).chain(listed.iter().map(row)).collect();
+    aligned(&rows, |_| false).map(|line| line + "\n").collect()
 }
 
-fn row(listed: &Listed) -> [String; HEADINGS.len()] {
+fn row(listed: &Listed) -> Vec<String> {
     let name = |text: &str| printable(text).at_most(MAX_NAME).to_string();
     let or_dash = |text: Option<String>| text.unwrap_or_else(|| "-".to_owned());
     let board = listed.board.as_ref();
-    [
+    vec![
         or_dash(listed.device().map(|device| device.to_string())),
         or_dash(listed.port.usb.as_ref().map(|usb| format!("{:04x}:{:04x}", usb.vid, usb.pid))),
         printable(&listed.port.name).to_string(),
