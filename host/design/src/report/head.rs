@@ -11,11 +11,10 @@ use slitpose_head::front_end::{Stage, configuration};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::{Electronics, noisy_reading};
 use slitpose_model::{
-    Cell, CompiledScene, MotionPrior, Opening, Pair, Photocurrents, Pose, Profile, Reading, Scene, Solver, Start, Tier,
-    Uncertainty,
+    Cell, CompiledScene, MotionPrior, Opening, Pair, Photocurrents, Pose, Profile, Reading, Scene, Solution, Solver,
+    Start, Tier, Uncertainty,
 };
 
-use super::solver::Solved;
 use super::{ReportError, Settings};
 
 /// The truth: integrals far more exact than any method under study.
@@ -207,13 +206,13 @@ pub(super) struct Errors {
 }
 
 impl Errors {
-    pub(super) fn of<'a>(solves: impl IntoIterator<Item = (Solved, &'a Pose)>) -> Self {
+    pub(super) fn of<'a>(solves: impl IntoIterator<Item = (Solution, &'a Pose)>) -> Self {
         let (mut squares, mut found, mut tried, mut steps) = ([0.0; 2], 0.0, 0.0, 0.0);
         for (solved, truth) in solves {
             tried += 1.0;
             steps += solved.iterations as f64;
-            if let Some(pose) = &solved.pose {
-                let (dt, dr) = pose.displacement_from(truth);
+            if let Some(estimate) = &solved.estimate {
+                let (dt, dr) = estimate.pose.displacement_from(truth);
                 squares = [squares[0] + dt.length_squared(), squares[1] + dr.length_squared()];
                 found += 1.0;
             }

@@ -3,9 +3,7 @@
 use std::hint::black_box;
 
 use glam::dvec2;
-use slitpose_model::{
-    self as model, MotionPrior, Outcome, Photocurrents, Pose, Scene, SceneError, Solution, Solver, Tier,
-};
+use slitpose_model::{self as model, MotionPrior, Photocurrents, Pose, Scene, SceneError, Solution, Solver, Tier};
 
 use super::head::{Candidate, Errors, Head, NoiseSource, RunTime, STREAM, currents, race, rms_of_covariances};
 use super::section::{Getter, Picture, Section, Sheet, Table, Value};
@@ -313,39 +311,25 @@ pub(super) struct Method {
     pub(super) effort: Effort,
 }
 
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Solved {
-    pub(super) outcome: Outcome,
-    pub(super) pose: Option<Pose>,
-    pub(super) iterations: usize,
-}
-
-impl From<Solution> for Solved {
-    fn from(solution: Solution) -> Self {
-        let Solution { outcome, estimate, iterations, .. } = solution;
-        Self { outcome, pose: estimate.map(|estimate| estimate.pose), iterations }
-    }
-}
-
-/// A method compiled for a scene: photocurrents and a pose to start from in, a pose out.
-pub(super) type Compiled = Box<dyn Fn(&Photocurrents, &Pose) -> Solved>;
-
 impl Method {
-    /// For the cells of `scene`, all exposed at one instant.
-    pub(super) fn compile(&self, scene: &Scene) -> Result<Compiled, SceneError> {
+    /// For the cells of `scene`, all exposed at one instant: photocurrents and a pose to start from in, a solution out.
+    pub(super) fn compile(
+        &self,
+        scene: &Scene,
+    ) -> Result<impl Fn(&Photocurrents, &Pose) -> Solution + use<>, SceneError> {
         let mut solver = Solver::<f64>::new(scene, self.tier)?;
         if let Effort::Steps(steps) = self.effort {
             solver = solver.with_max_steps(steps);
         }
         let Self { start, effort, .. } = *self;
-        Ok(Box::new(move |readings, prior| {
+        Ok(move |readings: &Photocurrents, prior: &Pose| {
             let start = match (start, effort) {
                 (_, Effort::Planes) => model::Start::PlanesOnly,
                 (Start::Cold, _) => model::Start::Cold,
                 (Start::Warm, _) => model::Start::Near(prior),
             };
-            solver.solve(readings, start, &MotionPrior::AT_REST).into()
-        }))
+            solver.solve(readings, start, &MotionPrior::AT_REST)
+        })
     }
 }
 

@@ -166,10 +166,10 @@ impl Trial {
             }
             slowest_s = slowest_s.max(least_s);
             *reached.outcomes.entry(solved.outcome.as_str().to_owned()).or_default() += 1;
-            reached.without_value += usize::from(solved.pose.is_none());
+            reached.without_value += usize::from(solved.estimate.is_none());
             best += attainable[index].at_emitters_m(arm_m).powi(2);
-            if let Some(found_pose) = solved.pose {
-                let (dt, dr) = found_pose.displacement_from(pose);
+            if let Some(estimate) = solved.estimate {
+                let (dt, dr) = estimate.pose.displacement_from(pose);
                 squares += dt.length_squared() + arm_m * arm_m * dr.length_squared();
                 found += 1.0;
             }
