@@ -41,7 +41,7 @@ mod samples {
     use slitpose_head::scene_file::WIDE;
     use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
     use slitpose_model::{MotionPrior, NoTwist, Photocurrents, Solver, Start, Tier};
-    use slitpose_protocol::{ClockSource, Command, MAX_REQUEST_BYTES, Request, SettingsSource, Status, encode};
+    use slitpose_protocol::{ClockSource, Command, SettingsSource, Status};
     use slitpose_tracking::link::DeviceId;
     use slitpose_tracking::pipeline::{Item, Pipeline, PipelineError, Record, SceneMatch};
 
@@ -91,17 +91,14 @@ mod samples {
         let head = WIDE.read().unwrap();
         let smooth = Trajectory::of_kind(TrajectoryKind::Smooth, 1, f64::INFINITY);
         let mut board = SimulatedBoard::new(&head, smooth, TIER, 1).unwrap();
-        let ask = |board: &mut SimulatedBoard, command| {
-            board.write(encode(&Request { number: 1, command }, &mut [0; MAX_REQUEST_BYTES]).unwrap());
-        };
-        ask(&mut board, Command::Start);
+        board.ask(1, Command::Start);
         let mut pipeline = Pipeline::new(head, TIER, SceneMatch::Required);
         let mut poses: Vec<(Record, Photocurrents)> = Vec::new();
         let mut bytes = Vec::new();
         while poses.len() < count {
             bytes.clear();
             // A board whose host is silent stops.
-            ask(&mut board, Command::Ping { token: 0 });
+            board.ask(1, Command::Ping { token: 0 });
             board.step(&mut bytes);
             let mut newest = None;
             let found = pipeline.push(&bytes, |item| {

@@ -7,10 +7,7 @@ use slitpose_head::front_end;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::{SimulatedBoard, Trajectory};
 use slitpose_model::{Pose, Tier};
-use slitpose_protocol::{
-    AdcScaling, Command, DELIMITER, Decoder, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, RawScan, Request, Schedule,
-    encode,
-};
+use slitpose_protocol::{AdcScaling, Command, DELIMITER, Decoder, MAX_MESSAGE_BYTES, Message, RawScan, Schedule};
 use slitpose_tracking::pipeline::{Counts, Item, Pipeline, PipelineError, Record, SceneMatch};
 
 /// What streams are solved to by default.
@@ -21,16 +18,12 @@ pub fn capture(file: &SceneFile, trajectory: Trajectory, tier: Tier, seed: u64, 
     let configuration = front_end::configuration(file).unwrap_or_else(|error| panic!("{error}"));
     let mut board = SimulatedBoard::new(file, trajectory, tier, seed).unwrap_or_else(|error| panic!("{error}"));
     let mut bytes = Vec::new();
-    let mut buffer = [0; MAX_REQUEST_BYTES];
-    let mut ask = |board: &mut SimulatedBoard, number, command| {
-        board.write(encode(&Request { number, command }, &mut buffer).expect("room"));
-    };
-    ask(&mut board, 1, Command::Configure(configuration));
-    ask(&mut board, 2, Command::Start);
+    board.ask(1, Command::Configure(configuration));
+    board.ask(2, Command::Start);
     for _ in 0..scans {
         board.step(&mut bytes);
     }
-    ask(&mut board, 3, Command::Stop);
+    board.ask(3, Command::Stop);
     board.step(&mut bytes);
     bytes
 }

@@ -18,8 +18,7 @@ impl Slow {
         let file = WIDE.read().unwrap();
         let still = Trajectory::of_kind(TrajectoryKind::Still, 1, 1.0);
         let mut board = SimulatedBoard::new(&file, still, slitpose_model::Tier::Paper, 1).unwrap();
-        let mut buffer = [0; MAX_REQUEST_BYTES];
-        board.write(encode(&Request { number: 1, command: Command::Start }, &mut buffer).unwrap());
+        board.ask(1, Command::Start);
         let mut line = Vec::new();
         for _ in 0..20 {
             board.step(&mut line);
@@ -153,8 +152,7 @@ fn a_greeting_is_over_with_the_reply_to_it_and_not_before() {
     const DEVICES: [[u8; 12]; 2] = [*b"an older one", *b"the one here"];
     let mut line = Vec::new();
     let mut board = Slow::new(1).board;
-    let mut buffer = [0; MAX_REQUEST_BYTES];
-    board.write(encode(&Request { number: 1, command: Command::Hello }, &mut buffer).unwrap());
+    board.ask(1, Command::Hello);
     board.step(&mut line);
     let (mut decoder, mut bytes, mut hellos) = (Decoder::<MAX_MESSAGE_BYTES>::new(), &line[..], Vec::new());
     while let Some(message) = decoder.next::<Message<'_>>(&mut bytes) {
