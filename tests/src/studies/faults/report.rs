@@ -28,7 +28,7 @@ pub struct Trace {
     pub scans: Vec<Scan>,
     /// When somebody noticed something, seconds of device time, and who: a word for the table.
     pub signs: Vec<(f64, String)>,
-    /// Scans that the board took.
+    /// Scans that the board took, by the number of the last one: no fault acts at the end.
     pub taken: u64,
     /// Scans that the program counted as missing.
     pub counted_lost: u64,

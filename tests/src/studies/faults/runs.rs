@@ -1,13 +1,10 @@
 //! One fault on one board in one thread.
 
-use std::collections::BTreeMap;
-
-use glam::DQuat;
 use slitpose_head::faults::{Faults, Injector, Link};
 use slitpose_head::front_end;
 use slitpose_head::simulator::{SimulatedBoard, Trajectory};
-use slitpose_model::{DegradedReason, Outcome, Pose};
-use slitpose_protocol::{Command, Decoder, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, Request, encode};
+use slitpose_model::{DegradedReason, Outcome};
+use slitpose_protocol::Command;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::health::Fault;
 use slitpose_tracking::link::{Asked, Segment};
@@ -38,8 +35,6 @@ struct Host {
     segment: Segment,
     number: u16,
     trace: Trace,
-    /// True poses of scans that are under way.
-    truths: BTreeMap<u64, Pose>,
     before: Counts,
     now_s: f64,
 }
@@ -70,7 +65,6 @@ fn of_board(conditions: &Conditions, spec: &str) -> Trace {
         segment: Segment::default(),
         number: 0,
         trace: Trace::default(),
-        truths: BTreeMap::new(),
         before: Counts::default(),
         now_s: 0.0,
     };
@@ -107,8 +101,7 @@ fn board(Conditions { file, tier, motion, seed, .. }: &Conditions, faults: &Faul
 impl Host {
     fn ask(&mut self, command: Command) {
         self.number += 1;
-        let request = Request { number: self.number, command };
-        self.board.write(encode(&request, &mut [0; MAX_REQUEST_BYTES]).expect("room"));
+        self.board.ask(self.number, command);
     }
 
     fn at(&self) -> HostInstant {
@@ -124,7 +117,6 @@ impl Host {
     fn step(&mut self) {
         let mut sent = Vec::new();
         self.board.step(&mut sent);
-        self.note_truths(&sent);
         let bytes = match &mut self.injector {
             Some(injector) => {
                 let mut bytes = Vec::new();
@@ -134,26 +126,14 @@ impl Host {
             None => sent,
         };
         self.segment.push(&bytes, Some(self.at()));
-        let Self { pipeline, segment, trace, truths, now_s, .. } = self;
+        let Self { pipeline, segment, trace, now_s, .. } = self;
         let fed = pipeline.feed(segment, |item| {
-            hear(trace, truths, *now_s, &item);
+            hear(trace, *now_s, &item);
             Ok::<_, PipelineError>(())
         });
         fed.unwrap_or_else(|error| panic!("{error}"));
         self.segment.clear();
         self.count();
-    }
-
-    /// The scans that the board has taken, whatever comes of them.
-    fn note_truths(&mut self, mut sent: &[u8]) {
-        let mut decoder = Decoder::<MAX_MESSAGE_BYTES>::new();
-        while let Some(message) = decoder.next::<Message<'_>>(&mut sent) {
-            if let Ok(Message::Truth(truth)) = message {
-                self.trace.taken = truth.sequence + 1;
-                let rotation = DQuat::from_array(truth.rotation_xyzw);
-                self.truths.insert(truth.sequence, Pose { rotation, translation_m: truth.translation_m.into() });
-            }
-        }
     }
 
     /// What the counters say since the last look.
@@ -188,7 +168,7 @@ impl Host {
     }
 }
 
-fn hear(trace: &mut Trace, truths: &mut BTreeMap<u64, Pose>, now_s: f64, item: &Item<'_>) {
+fn hear(trace: &mut Trace, now_s: f64, item: &Item<'_>) {
     let mut sign = |has_come: bool, sign: &str| {
         if has_come {
             trace.signs.push((now_s, sign.to_owned()));
@@ -201,11 +181,12 @@ fn hear(trace: &mut Trace, truths: &mut BTreeMap<u64, Pose>, now_s: f64, item: &
             sign(is_late(record), "late");
             // From the first pings on there are times.
             sign(record.host_time.is_none() && now_s > SETTLED_S, "untimed");
+            trace.taken = trace.taken.max(record.sequence + 1);
             trace.scans.push(Scan {
                 sequence: record.sequence,
                 time_s: now_s,
                 unnoticed_sigmas: record.solution.unnoticed_sigmas,
-                sigmas: truths.remove(&record.sequence).and_then(|truth| sigmas(record, &truth)),
+                sigmas: sigmas(record),
                 is_flagged: status.is_some(),
             });
         }
@@ -221,8 +202,8 @@ fn is_late(record: &Record) -> bool {
 }
 
 /// The error of a pose in σ of its worst axis; `None` without one.
-fn sigmas(record: &Record, truth: &Pose) -> Option<f64> {
-    Some(worst_axis(&record.solution.estimate?, truth))
+fn sigmas(record: &Record) -> Option<f64> {
+    Some(worst_axis(&record.solution.estimate?, &record.truth?))
 }
 
 /// The word for an outcome that is not sound.
