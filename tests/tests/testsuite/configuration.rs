@@ -1,10 +1,9 @@
-//! The options of `run` from flags, environment and file, as a process sees them; a script that the shell takes, and a page
+//! The options of `run` from flags, environment and file, as a process sees them; scripts for shells, and a page
 //! for each verb with each of its options.
 
 use std::fs;
-use std::io::Write;
 use std::path::PathBuf;
-use std::process::{Command, Stdio};
+use std::process::Command;
 
 use clap::CommandFactory;
 use slitpose::commands::Cli;
@@ -155,15 +154,8 @@ fn mistakes_are_wrong_usage_and_named_with_their_place() {
 }
 
 #[test]
-fn the_shell_takes_its_script() {
-    let script = slitpose!().run(["completions", "bash"]).done();
-    for word in ["device", "identify", "--boot-loader", "--trajectory", "complete -F _slitpose"] {
-        assert!(script.contains(word), "`{word}` is not in the script");
-    }
-    let mut bash = Command::new("bash").arg("-n").stdin(Stdio::piped()).spawn().expect("bash starts");
-    bash.stdin.take().expect("piped").write_all(script.as_bytes()).expect("read");
-    assert!(bash.wait().expect("ends").success());
-    for shell in ["zsh", "fish", "elvish", "powershell"] {
+fn each_shell_has_its_script() {
+    for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
         assert!(slitpose!().run(["completions", shell]).done().contains("boot-loader"), "{shell}");
     }
 }
