@@ -10,7 +10,6 @@ use std::fmt::Write;
 
 use clap::ValueEnum;
 use slitpose_head::simulator::Electrode;
-use thiserror::Error;
 
 /// Whose faults they are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -116,15 +115,6 @@ impl Fault {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Faults(u64);
 
-/// A name that no fault of the kind has.
-#[derive(Debug, Error)]
-#[error("no {kind} is called `{name}`; there are {known}")]
-pub struct UnknownName {
-    kind: &'static str,
-    name: String,
-    known: String,
-}
-
 impl Faults {
     pub fn all_of_silicon() -> Self {
         Fault::of(Kind::Silicon).iter().copied().collect()
@@ -146,24 +136,22 @@ impl Faults {
     }
 
     /// Names of the silicon's faults separated by commas, or `all`.
-    pub fn of_silicon(text: &str) -> Result<Self, UnknownName> {
-        if text == "all" { Ok(Self::all_of_silicon()) } else { Self::parse(text, Kind::Silicon) }
+    pub fn of_silicon(text: &str) -> Result<Self, String> {
+        let all = if text == "all" { Ok(Self::all_of_silicon()) } else { Err("all, ") };
+        all.or_else(|all| Self::parse(text, Kind::Silicon, "silicon fault", all))
     }
 
     /// Names of the board's faults separated by commas.
-    pub fn of_board(text: &str) -> Result<Self, UnknownName> {
-        Self::parse(text, Kind::Board)
+    pub fn of_board(text: &str) -> Result<Self, String> {
+        Self::parse(text, Kind::Board, "flaw", "")
     }
 
-    fn parse(text: &str, kind: Kind) -> Result<Self, UnknownName> {
+    fn parse(text: &str, kind: Kind, called: &str, all: &str) -> Result<Self, String> {
+        let known = Fault::of(kind);
         let find = |name: &str| {
-            Fault::of(kind).iter().copied().find(|fault| fault.name() == name).ok_or_else(|| {
-                let (called, all) = match kind {
-                    Kind::Silicon => ("silicon fault", Some("all".to_owned())),
-                    Kind::Board => ("flaw", None),
-                };
-                let known = all.into_iter().chain(Fault::of(kind).iter().map(|fault| fault.name()));
-                UnknownName { kind: called, name: name.to_owned(), known: known.collect::<Vec<_>>().join(", ") }
+            known.iter().copied().find(|fault| fault.name() == name).ok_or_else(|| {
+                let names: Vec<_> = known.iter().map(|fault| fault.name()).collect();
+                format!("no {called} is called `{name}`; there are {all}{}", names.join(", "))
             })
         };
         text.split(',').map(str::trim).map(find).collect()
@@ -215,7 +203,7 @@ mod tests {
             (Faults::of_board("low-supply,x"), "no flaw is called `x`", "missing-baffle"),
             (Faults::of_board("all"), "`all`", "are open-electrode, "),
         ] {
-            let error = result.expect_err("no such fault").to_string();
+            let error = result.expect_err("no such fault");
             assert!(error.contains(name) && error.contains(known), "{error}");
         }
     }

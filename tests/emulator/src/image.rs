@@ -7,23 +7,13 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use anyhow::{Context, Result, anyhow, ensure};
 use crc::{CRC_32_CKSUM, Crc};
 use object::elf::{FileHeader32, PT_LOAD};
 use object::read::elf::{ElfFile32, FileHeader, ProgramHeader};
 use object::{Endianness, Object, ObjectSection, ObjectSymbol, SectionFlags};
 
 use crate::memory::{CCM_BASE, CCM_BYTES, FLASH_BASE, FLASH_BYTES, FlashArray, RAM_BASE, RAM_BYTES};
-
-/// Why a file is no image for this device.
-#[derive(Debug, thiserror::Error)]
-pub enum ImageError {
-    #[error("not a 32-bit ELF file; give the file that firmware/build makes")]
-    Elf(#[from] object::Error),
-    #[error("a segment of {bytes} bytes at {address:#010x} lies outside flash; check memory.x")]
-    OutsideFlash { address: u32, bytes: usize },
-    #[error("the file has no loadable segment; is it an executable?")]
-    Empty,
-}
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Symbol {
@@ -42,12 +32,11 @@ pub struct Image {
 
 impl Image {
     /// Reads an ELF file.
-    pub fn from_elf(file: &[u8]) -> Result<Self, ImageError> {
-        let elf = ElfFile32::<Endianness>::parse(file)?;
+    pub fn from_elf(file: &[u8]) -> Result<Self> {
+        let elf = ElfFile32::<Endianness>::parse(file)
+            .context("not a 32-bit ELF file; give the file that firmware/build makes")?;
         let segments = loadable_segments(file)?;
-        if segments.is_empty() {
-            return Err(ImageError::Empty);
-        }
+        ensure!(!segments.is_empty(), "the file has no loadable segment; is it an executable?");
         let named = elf.symbols().filter_map(|symbol| {
             let place = Symbol { address: symbol.address() as u32, bytes: symbol.size() as u32 };
             symbol.name().ok().filter(|name| !name.is_empty()).map(|name| (name.to_owned(), place))
@@ -93,7 +82,7 @@ impl Image {
     }
 }
 
-fn loadable_segments(file: &[u8]) -> Result<Vec<(u32, Vec<u8>)>, ImageError> {
+fn loadable_segments(file: &[u8]) -> Result<Vec<(u32, Vec<u8>)>> {
     let header = FileHeader32::<Endianness>::parse(file)?;
     let endian = header.endian()?;
     let mut segments = Vec::new();
@@ -102,11 +91,9 @@ fn loadable_segments(file: &[u8]) -> Result<Vec<(u32, Vec<u8>)>, ImageError> {
             continue;
         }
         let (address, bytes) = (segment.p_paddr(endian), segment.p_filesz(endian) as usize);
-        let outside = || ImageError::OutsideFlash { address, bytes };
+        let outside = || anyhow!("a segment of {bytes} bytes at {address:#010x} lies outside flash; check memory.x");
         let offset = address.checked_sub(FLASH_BASE).ok_or_else(outside)? as usize;
-        if offset + bytes > FLASH_BYTES {
-            return Err(outside());
-        }
+        ensure!(offset + bytes <= FLASH_BYTES, outside());
         segments.push((address, segment.data(endian, file).map_err(|()| outside())?.to_vec()));
     }
     Ok(segments)
@@ -134,41 +121,23 @@ pub(crate) fn image_path(name: &str) -> PathBuf {
     target.join("firmware/thumbv7em-none-eabihf/firmware").join(name)
 }
 
-/// Why an image is not that of the sources.
-#[derive(Debug, thiserror::Error, PartialEq, Eq)]
-#[error("the image {} is out of date: {change}; run firmware/build again", image.display())]
-pub struct StaleError {
-    /// The image.
-    image: PathBuf,
-    change: Change,
-}
-
-#[derive(Debug, thiserror::Error, PartialEq, Eq)]
-enum Change {
-    #[error("its last build did not end")]
-    NoRecord,
-    #[error("{0} has changed since")]
-    Source(String),
-}
-
 /// Checks that `image`, which `firmware/build` has made, is not older than any of its sources.
-pub(crate) fn check_sources(image: &Path) -> Result<(), StaleError> {
-    changed_since(image, &project()).map_err(|change| StaleError { image: image.to_owned(), change })
+pub(crate) fn check_sources(image: &Path) -> Result<()> {
+    changed_since(image, &project())
+        .map_err(|change| anyhow!("the image {} is out of date: {change}; run firmware/build again", image.display()))
 }
 
-fn changed_since(image: &Path, project: &Path) -> Result<(), Change> {
-    let record = std::fs::read_to_string(image.with_extension("sources")).map_err(|_| Change::NoRecord)?;
-    let mut sources = record.lines().peekable();
+fn changed_since(image: &Path, project: &Path) -> Result<(), String> {
+    const NO_RECORD: &str = "its last build did not end";
+    let record = std::fs::read_to_string(image.with_extension("sources")).unwrap_or_default();
     // Never of nothing.
-    sources.peek().ok_or(Change::NoRecord)?;
-    for line in sources {
-        let mut words = line.splitn(3, ' ');
-        let (Some(sum), Some(_), Some(source)) = (words.next(), words.next(), words.next()) else {
-            return Err(Change::NoRecord);
-        };
-        let is_same = std::fs::read(project.join(source)).is_ok_and(|bytes| cksum(&bytes).to_string() == sum);
-        if !is_same {
-            return Err(Change::Source(source.to_owned()));
+    if record.is_empty() {
+        return Err(NO_RECORD.to_owned());
+    }
+    for line in record.lines() {
+        let [sum, _, source] = line.splitn(3, ' ').collect::<Vec<_>>()[..] else { return Err(NO_RECORD.to_owned()) };
+        if !std::fs::read(project.join(source)).is_ok_and(|bytes| cksum(&bytes).to_string() == sum) {
+            return Err(format!("{source} has changed since"));
         }
     }
     Ok(())
@@ -213,12 +182,10 @@ mod tests {
 
     #[test]
     fn what_does_not_fit_is_refused() {
-        assert!(matches!(Image::from_elf(&elf(0x2000_0000)), Err(ImageError::OutsideFlash { bytes: 4, .. })));
-        assert!(matches!(
-            Image::from_elf(&elf(FLASH_BASE + FLASH_BYTES as u32 - 3)),
-            Err(ImageError::OutsideFlash { .. })
-        ));
-        assert!(matches!(Image::from_elf(b"hello"), Err(ImageError::Elf(_))));
+        let refused = |file: &[u8]| Image::from_elf(file).expect_err("no image").to_string();
+        assert!(refused(&elf(0x2000_0000)).contains("of 4 bytes at 0x20000000 lies outside flash"));
+        assert!(refused(&elf(FLASH_BASE + FLASH_BYTES as u32 - 3)).contains("outside flash"));
+        assert!(refused(b"hello").contains("not a 32-bit ELF"));
     }
 
     /// Against the system's own `cksum`, over files of every kind of length.
@@ -226,7 +193,8 @@ mod tests {
     fn an_image_is_refused_when_any_of_its_sources_has_changed() {
         let folder = tempfile::tempdir().expect("temporary folder");
         let image = folder.path().join("image");
-        assert_eq!(changed_since(&image, folder.path()), Err(Change::NoRecord));
+        let no_record = Err("its last build did not end".to_owned());
+        assert_eq!(changed_since(&image, folder.path()), no_record);
         let sources = [("empty", 0), ("one byte", 1), ("a longer one", 300), ("longest", 70_000)];
         for (name, bytes) in sources {
             std::fs::write(folder.path().join(name), vec![0x5a; bytes]).expect("written");
@@ -240,7 +208,7 @@ mod tests {
             let mut changed = vec![0x5a; bytes];
             changed.pop();
             changed.push(0x5b);
-            let error = Err(Change::Source(name.to_owned()));
+            let error = Err(format!("{name} has changed since"));
             std::fs::write(&source, &changed).expect("written");
             assert_eq!(changed_since(&image, folder.path()), error);
             std::fs::remove_file(&source).expect("removed");
@@ -248,15 +216,8 @@ mod tests {
             std::fs::write(&source, vec![0x5a; bytes]).expect("written");
         }
         std::fs::write(folder.path().join("image.sources"), "").expect("written");
-        assert_eq!(changed_since(&image, folder.path()), Err(Change::NoRecord));
-    }
-
-    #[test]
-    fn the_error_names_what_changed_and_what_to_run() {
-        let (image, change) = ("some/image".into(), Change::Source("firmware/src/board.rs".to_owned()));
-        let text = StaleError { image, change }.to_string();
-        for part in ["some/image", "firmware/src/board.rs", "run firmware/build"] {
-            assert!(text.contains(part), "{text}");
-        }
+        assert_eq!(changed_since(&image, folder.path()), no_record);
+        let told = check_sources(&image).expect_err("no record").to_string();
+        assert!(told.contains("image is out of date: its last build") && told.contains("run firmware/build"), "{told}");
     }
 }

@@ -9,19 +9,18 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use anyhow::{Context, Result, bail};
 use clap::Parser;
-use slitpose_emulator::cpu::FaultReport;
 use slitpose_emulator::faults::{Fault, Faults, Kind};
 use slitpose_emulator::machine::Stop;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
-use slitpose_emulator::rig::{Link, OpenError, Rig, open_image};
-use slitpose_emulator::terminal::{Terminal, TerminalError};
-use slitpose_emulator::world::{NoiseSource, WorldError};
+use slitpose_emulator::rig::{Link, Rig, open_image};
+use slitpose_emulator::terminal::Terminal;
+use slitpose_emulator::world::NoiseSource;
 use slitpose_head::causes::with_causes;
 use slitpose_head::pace::{Pace, Speed};
-use slitpose_head::scene_file::{SceneFile, SceneFileError};
-use slitpose_head::simulator::{PathError, Trajectory, TrajectoryKind};
-use thiserror::Error;
+use slitpose_head::scene_file::SceneFile;
+use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 
 /// Device time between two looks at the terminal: half a USB frame.
 const SLICE_TICKS: Ticks = TICKS_PER_SECOND / 2_000;
@@ -68,29 +67,9 @@ struct Args {
     link: Link,
 }
 
-#[derive(Debug, Error)]
-enum Failure {
-    #[error(transparent)]
-    Scene(#[from] SceneFileError),
-    #[error(transparent)]
-    Path(#[from] PathError),
-    #[error(transparent)]
-    Image(#[from] OpenError),
-    #[error(transparent)]
-    World(#[from] WorldError),
-    #[error(transparent)]
-    Terminal(#[from] TerminalError),
-    #[error("cannot write to standard output")]
-    Output(#[from] io::Error),
-    #[error("the board has started its boot loader, which is not emulated")]
-    BootLoader,
-    #[error("the board is dead: {0}")]
-    Lockup(FaultReport),
-}
-
 fn main() -> ExitCode {
     let Err(failure) = run(&Args::parse()) else { return ExitCode::SUCCESS };
-    talk(format_args!("{}", with_causes(&failure)));
+    talk(format_args!("{}", with_causes(failure.as_ref())));
     ExitCode::FAILURE
 }
 
@@ -99,7 +78,7 @@ fn talk(text: fmt::Arguments<'_>) {
     let _ = writeln!(io::stderr(), "slitpose-emulator: {text}");
 }
 
-fn run(args: &Args) -> Result<(), Failure> {
+fn run(args: &Args) -> Result<()> {
     let scene = SceneFile::open(&args.scene)?;
     let image = open_image(args.elf.as_deref())?;
     let trajectory = match TrajectoryKind::named(&args.trajectory) {
@@ -111,8 +90,8 @@ fn run(args: &Args) -> Result<(), Failure> {
     let rig = Rig::boot(&image, &scene, trajectory, noise, faults)?.with_link(args.link);
     let terminal = Terminal::open()?;
     let mut out = io::stdout();
-    writeln!(out, "{}", terminal.path().display())?;
-    out.flush()?;
+    let written = writeln!(out, "{}", terminal.path().display()).and_then(|()| out.flush());
+    written.context("cannot write to standard output")?;
     let mut session = Session::new(rig, terminal, args.speed);
     let outcome = session.follow(&stdin_closed());
     session.report();
@@ -159,7 +138,7 @@ impl Session {
         }
     }
 
-    fn follow(&mut self, closed: &AtomicBool) -> Result<(), Failure> {
+    fn follow(&mut self, closed: &AtomicBool) -> Result<()> {
         let mut from_terminal = [0; 4096];
         while !closed.load(Ordering::Relaxed) {
             // What was written before the port was closed still goes to the board.
@@ -176,8 +155,8 @@ impl Session {
             match self.rig.run_until(end) {
                 // Nothing here takes its supply away.
                 Stop::Reached | Stop::PoweredOff => {}
-                Stop::BootLoader => return Err(Failure::BootLoader),
-                Stop::Lockup(report) => return Err(Failure::Lockup(report)),
+                Stop::BootLoader => bail!("the board has started its boot loader, which is not emulated"),
+                Stop::Lockup(report) => bail!("the board is dead: {report}"),
             }
             let bytes = self.rig.take_bytes();
             if open {
@@ -190,7 +169,7 @@ impl Session {
     }
 
     /// Gives the terminal what has come, and waits a while for a slow reader.
-    fn hand_over(&mut self, closed: &AtomicBool) -> Result<(), Failure> {
+    fn hand_over(&mut self, closed: &AtomicBool) -> Result<()> {
         let begun = Instant::now();
         loop {
             let taken = self.terminal.write(&self.pending)?;

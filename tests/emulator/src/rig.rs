@@ -1,24 +1,24 @@
 //! A board with its image, a head in front of it and a host at its cable: what the command line
 //! runs, and what tests drive.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
+use anyhow::{Context, Result};
 use clap::ValueEnum;
 use slitpose_firmware::pose::{HEAD_BYTES, Head};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::Trajectory;
 use slitpose_model::Tier;
 use slitpose_protocol::{Command, DELIMITER, HeadPart, MAX_REQUEST_BYTES, Request, encode};
-use thiserror::Error;
 
 use crate::faults::{Fault, Faults, LOW_SUPPLY_V};
-use crate::image::{Image, ImageError, StaleError, check_sources, image_path};
+use crate::image::{Image, check_sources, image_path};
 use crate::machine::{Machine, Stop};
 use crate::memory::FlashArray;
 use crate::peripherals::uart::SentByte;
 use crate::peripherals::{TICKS_PER_SECOND, Ticks};
 use crate::usb_host::UsbHost;
-use crate::world::{NoiseSource, OpticsWorld, World, WorldError};
+use crate::world::{NoiseSource, OpticsWorld, World};
 
 /// Optics are evaluated to this relative error, which is far below a code of the converters.
 const TOLERANCE: f64 = 1e-6;
@@ -31,39 +31,28 @@ const SEED: u64 = 20_180_718;
 /// Longest time a program may take to its first start of the device clock.
 const BOOT_TICKS: Ticks = TICKS_PER_SECOND / 10;
 
-/// Why there is no image to run.
-#[derive(Debug, Error)]
-pub enum OpenError {
-    #[error("cannot read the image {}; make it with firmware/build, or give another with --elf", path.display())]
-    Read { path: PathBuf, source: std::io::Error },
-    #[error("{} cannot run on the board", path.display())]
-    Image { path: PathBuf, source: ImageError },
-    #[error(transparent)]
-    Stale(#[from] StaleError),
-}
-
 /// Reads the image in `path`, or what `firmware/build` made last.
-pub fn open_image(path: Option<&Path>) -> Result<Image, OpenError> {
+pub fn open_image(path: Option<&Path>) -> Result<Image> {
     path.map_or_else(|| open_built(&image_path("slitpose-board")), read_image)
 }
 
 /// Reads the image that solves poses, which `firmware/build` makes beside the default one.
-pub fn open_pose_image() -> Result<Image, OpenError> {
+pub fn open_pose_image() -> Result<Image> {
     open_built(&image_path("slitpose-board-pose"))
 }
 
-fn open_built(path: &Path) -> Result<Image, OpenError> {
+fn open_built(path: &Path) -> Result<Image> {
     let image = read_image(path)?;
     check_sources(path)?;
     Ok(image)
 }
 
-fn read_image(path: &Path) -> Result<Image, OpenError> {
-    let path = path.to_owned();
-    match std::fs::read(&path) {
-        Ok(file) => Image::from_elf(&file).map_err(|source| OpenError::Image { path, source }),
-        Err(source) => Err(OpenError::Read { path, source }),
-    }
+fn read_image(path: &Path) -> Result<Image> {
+    let name = path.display();
+    let file = std::fs::read(path).with_context(|| {
+        format!("cannot read the image {name}; make it with firmware/build, or give another with --elf")
+    })?;
+    Image::from_elf(&file).with_context(|| format!("{name} cannot run on the board"))
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -94,7 +83,7 @@ impl Rig {
         trajectory: Trajectory,
         noise: NoiseSource,
         faults: Faults,
-    ) -> Result<Self, WorldError> {
+    ) -> Result<Self> {
         let world = OpticsWorld::new(scene, trajectory, WORLD_TIER, noise, faults)?;
         let mut rig = Self::power_on(image, world, faults);
         if let Some(origin) = rig.machine.device_clock_origin() {

@@ -6,14 +6,14 @@
 
 mod light;
 
+use anyhow::{Result, bail};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use slitpose_head::scene_file::{FrontEnd, SceneFile};
 use slitpose_head::simulator::{CellNoise, Electrode, Electronics, Trajectory};
-use slitpose_model::{SceneError, Tier};
+use slitpose_model::Tier;
 use slitpose_protocol::AdcScaling;
-use thiserror::Error;
 
 use crate::faults::{self, Fault, Faults};
 use crate::peripherals::{TICKS_PER_SECOND, Ticks};
@@ -68,19 +68,6 @@ pub enum NoiseSource {
     Off,
 }
 
-/// Why a scene cannot be put around the board.
-#[derive(Debug, Error)]
-pub enum WorldError {
-    #[error("scene `{scene}` has no [front_end]; add one, or use the shipped scene `wide`")]
-    NoFrontEnd { scene: String },
-    #[error("scene `{scene}`: front_end.adc_bits = {bits}, the board's converters have {ADC_BITS}")]
-    AdcBits { scene: String, bits: u32 },
-    #[error("scene `{scene}` has {cells} cells, the board has inputs for {BOARD_CELLS}")]
-    TooManyCells { scene: String, cells: usize },
-    #[error(transparent)]
-    Optics(#[from] SceneError),
-}
-
 /// The head of a scene around the board, its tool on a trajectory.
 #[derive(Debug)]
 pub struct OpticsWorld {
@@ -111,15 +98,17 @@ impl OpticsWorld {
         tier: Tier,
         noise: NoiseSource,
         faults: Faults,
-    ) -> Result<Self, WorldError> {
-        let scene = || file.name.clone();
-        let front_end = file.front_end.as_ref().ok_or_else(|| WorldError::NoFrontEnd { scene: scene() })?;
-        if front_end.adc_bits != ADC_BITS {
-            return Err(WorldError::AdcBits { scene: scene(), bits: front_end.adc_bits });
+    ) -> Result<Self> {
+        let name = &file.name;
+        let Some(front_end) = &file.front_end else {
+            bail!("scene `{name}` has no [front_end]; add one, or use the shipped scene `wide`");
+        };
+        let (bits, cells) = (front_end.adc_bits, file.scene.cells.len());
+        if bits != ADC_BITS {
+            bail!("scene `{name}`: front_end.adc_bits = {bits}, the board's converters have {ADC_BITS}");
         }
-        let cells = file.scene.cells.len();
         if cells > BOARD_CELLS {
-            return Err(WorldError::TooManyCells { scene: scene(), cells });
+            bail!("scene `{name}` has {cells} cells, the board has inputs for {BOARD_CELLS}");
         }
         let line_s = faults::LINES_S.into_iter().find(|(line, _)| faults.has(*line)).map(|(_, line_s)| line_s);
         let slowness = if faults.has(Fault::SlowFrontEnd) { faults::SLOW_FACTOR } else { 1.0 };
