@@ -429,12 +429,4 @@ mod tests {
         assert_eq!(parse_filter("off"), Ok(Filter(None)));
         assert_eq!(parse_filter("5ms"), Ok(Filter(Some(0.005))));
     }
-
-    #[test]
-    fn a_tolerance_lies_between_zero_and_one() {
-        assert_eq!(tolerance()("1e-6"), Ok(1e-6));
-        for text in ["0", "1", "-1e-3", "nan", "tight"] {
-            assert!(tolerance()(text).is_err(), "`{text}` was taken for a tolerance");
-        }
-    }
 }

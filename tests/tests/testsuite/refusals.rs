@@ -34,6 +34,7 @@ const REFUSED: &[(&str, i32, &[&str])] = &[
     ("model wide", 2, &["--poses"]),
     ("model wide --poses - --tier best", 2, &["paper, exact"]),
     ("model wide --poses - --tolerance 0", 2, &["between 0 and 1"]),
+    ("model wide --poses - --tolerance 1", 2, &["between 0 and 1"]),
     ("model wide --poses no/such.csv", 1, &["cannot read no/such.csv", "give a CSV file"]),
     ("model wide --poses /dev/zero", 1, &["cannot read /dev/zero", "a device"]),
     ("model no/such.toml --poses -", 1, &["no/such.toml", "wide, fine, redundant, spacemouse, maglev, base, bench"]),
