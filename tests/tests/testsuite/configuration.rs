@@ -165,7 +165,7 @@ fn offered(script: &std::path::Path, folder: &std::path::Path, words: &[&str]) -
     let quoted: Vec<String> = words.iter().map(|word| format!("'{word}'")).collect();
     let (last, before) = (&quoted[quoted.len() - 1], &quoted[quoted.len() - 2]);
     let commands = format!(
-        "source '{}'; COMP_WORDS=({}); COMP_CWORD={}; _slitpose slitpose {last} {before}; printf '%s\\n' \"${{COMPREPLY[@]}}\"",
+        "source '{}' || exit; COMP_WORDS=({}); COMP_CWORD={}; _slitpose slitpose {last} {before}; printf '%s\\n' \"${{COMPREPLY[@]}}\"",
         script.display(),
         quoted.join(" "),
         quoted.len() - 1
