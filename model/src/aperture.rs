@@ -7,7 +7,7 @@ use glam::{DMat3, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
 use crate::pose::rotation_exp;
-use crate::scalar::{Linear3, Number, Vector3};
+use crate::scalar::{Number, Vector3};
 use crate::scene::Slit;
 
 #[derive(Clone, Debug)]
@@ -47,8 +47,8 @@ impl<S: Number> Span<S> {
 /// A slit in general orientation.
 #[derive(Clone, Debug)]
 pub struct Turned<S: Number> {
-    /// Corners of the faces, in order around the slit.
-    pub faces: [[S::Vec3; 4]; 2],
+    /// See [`slit_edges`].
+    pub edges: [[[S::Vec3; 2]; 4]; 2],
     /// Number of distinct faces: 1 for a thin mask, else 2.
     pub face_count: usize,
     pub centre: S::Vec3,
@@ -68,6 +68,17 @@ const PARALLEL: f64 = 1e-14;
 /// over 0.1° is no steeper than the current's own slope.
 const TILTED_RAD: f64 = 0.1 * core::f64::consts::PI / 180.0;
 
+/// Of both faces of a slit around `centre` in a mask with this `normal` a place on each edge and the edge's direction, in
+/// order around it from an end: (place − emitter)×direction is the normal of the plane through both, towards the slit.
+pub fn slit_edges<S: Number>(slit: &Slit, centre: DVec3, normal: DVec3, axes: DMat3) -> [[[S::Vec3; 2]; 4]; 2] {
+    let (across, along) = (axes.x_axis, axes.y_axis);
+    let outward = [(-along, slit.length_m), (across, slit.width_m), (along, slit.length_m), (-across, slit.width_m)];
+    [-0.5, 0.5].map(|side| {
+        let middle = centre + normal * (side * slit.thickness_m);
+        outward.map(|(outward, size)| [middle + outward * (0.5 * size), outward.cross(normal)].map(S::Vec3::of))
+    })
+}
+
 impl<S: Number> Aperture<S> {
     pub fn compile(slit: &Slit) -> Self {
         let axes = DMat3::from_quat(rotation_exp(slit.tilt_rad));
@@ -86,18 +97,8 @@ impl<S: Number> Aperture<S> {
         let skew = share * share * (3.0 - 2.0 * share);
         let half_thickness = 0.5 * slit.thickness_m;
         let normal = if axes.z_axis.z < 0.0 { -axes.z_axis } else { axes.z_axis };
-        let face = |offset: f64| {
-            [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)].map(|(i, j)| {
-                S::Vec3::of(
-                    centre
-                        + normal * offset
-                        + axes.x_axis * (0.5 * i * slit.width_m)
-                        + axes.y_axis * (0.5 * j * slit.length_m),
-                )
-            })
-        };
         Self::Turned(Turned {
-            faces: [face(-half_thickness), face(half_thickness)],
+            edges: slit_edges::<S>(slit, centre, normal, axes),
             face_count: if half_thickness > 0.0 { 2 } else { 1 },
             centre: S::Vec3::of(centre),
             normal: S::Vec3::of(normal),
@@ -120,23 +121,5 @@ impl<S: Number> Aperture<S> {
             y: Span::centred(centre.y, size.y),
         };
         if thickness > 0.0 { Self::Thick(face(-0.5 * thickness), face(0.5 * thickness)) } else { Self::Thin(face(0.0)) }
-    }
-
-    /// The corners of the faces that bound the beam, for [`crate::polygon`].
-    pub fn corners(&self) -> heapless::Vec<[S::Vec3; 4], 2> {
-        let of_face = |face: &Face<S>| {
-            [
-                S::Vec3::new(face.x.low, face.y.low, face.z),
-                S::Vec3::new(face.x.high, face.y.low, face.z),
-                S::Vec3::new(face.x.high, face.y.high, face.z),
-                S::Vec3::new(face.x.low, face.y.high, face.z),
-            ]
-        };
-        match self {
-            Self::Thin(face) => [of_face(face)].into_iter().collect(),
-            Self::Thick(lower, upper) => [of_face(lower), of_face(upper)].into_iter().collect(),
-            Self::Turned(turned) => turned.faces[..turned.face_count].iter().copied().collect(),
-            Self::Imperfect(_) => heapless::Vec::new(),
-        }
     }
 }

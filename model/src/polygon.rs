@@ -6,7 +6,7 @@
 
 use heapless::Vec;
 
-use crate::aperture::{Aperture, Turned};
+use crate::aperture::Turned;
 use crate::rectangle::Rectangle;
 use crate::response::Status;
 use crate::scalar::{Linear3, Number, Real};
@@ -19,24 +19,26 @@ pub const MAX_CORNERS: usize = 16;
 #[derive(Clone, Copy, Debug)]
 pub struct Line<S: Number> {
     pub normal: [S; 2],
-    offset: S,
+    pub offset: S,
     pub motion: Motion<S>,
 }
 
 #[derive(Clone, Copy, Debug)]
 pub enum Motion<S: Number> {
-    /// An end of the detector, which cuts the spot along x: fixed.
-    DetectorEnd,
-    /// Another fixed line.
-    Still,
     /// Shadow of the slit edge from `corner` (relative to the emitter) along `edge`.
     Shadow { corner: S::Vec3, edge: S::Vec3 },
     /// The emitter's horizon, perpendicular to its `axis`.
     Horizon { axis: S::Vec3 },
     /// Shadow of an edge that rides with the emitter, in the plane with this normal.
     Riding { normal: S::Vec3 },
-    /// A side of the detector (`is_end`: across x) as light reaches it through a lens, with ∂F/∂e.
-    Refracted { by_position: S::Vec3, is_end: bool },
+    /// With this ∂F/∂e all along; `is_end`: a side of the detector across x.
+    Moved { by_position: S::Vec3, is_end: bool },
+}
+
+impl<S: Number> Motion<S> {
+    pub fn is_still(&self) -> bool {
+        matches!(self, Self::Moved { by_position, .. } if *by_position == S::Vec3::default())
+    }
 }
 
 impl<S: Number> Line<S> {
@@ -45,52 +47,29 @@ impl<S: Number> Line<S> {
         self.normal[0] * point[0] + self.normal[1] * point[1] + self.offset
     }
 
-    /// The plane through the emitter and the slit edge from `corner` to `next`, with the slit's `centre`
-    /// on the positive side. All positions are relative to the emitter.
-    fn shadow(corner: S::Vec3, next: S::Vec3, centre: S::Vec3, height: S) -> Self {
-        let mut edge = next - corner;
-        let mut normal = corner.cross(edge);
-        if normal.dot(centre - corner) < S::zero() {
-            edge = -edge;
-            normal = -normal;
-        }
-        Self { normal: [normal.x(), normal.y()], offset: -normal.z() * height, motion: Motion::Shadow { corner, edge } }
+    /// The plane through the emitter and the `edge` of a slit from `corner`, relative to the emitter: see [`Turned::edges`].
+    fn shadow(corner: S::Vec3, edge: S::Vec3, height: S) -> Self {
+        Self { motion: Motion::Shadow { corner, edge }, ..Self::riding(corner.cross(edge), height) }
     }
 
-    /// The same line, of an edge that rides with the emitter, at `height` above the detector.
-    fn riding(self, height: S) -> Self {
-        let normal = S::Vec3::new(self.normal[0], self.normal[1], -self.offset / height);
-        Self { motion: Motion::Riding { normal }, ..self }
+    /// The plane with this `normal` through an emitter at `height`, of an edge that rides with it.
+    fn riding(normal: S::Vec3, height: S) -> Self {
+        Self { normal: [normal.x(), normal.y()], offset: -normal.z() * height, motion: Motion::Riding { normal } }
     }
 
-    /// Outward motion of the line at `point` per motion of the emitter, (∂F/∂e)/|∇F|.
-    /// With F = (p − q)·((q − e)×E): ∂F/∂e = −E×(p − q).
-    pub fn speed_by_position(&self, point: S::Vec3) -> S::Vec3 {
-        let inverse = self.inverse_gradient();
-        match self.motion {
-            Motion::DetectorEnd | Motion::Still => S::Vec3::default(),
-            Motion::Shadow { corner, edge } => edge.cross(point - corner) * -inverse,
-            Motion::Horizon { axis } => axis * -inverse,
-            Motion::Riding { normal } => normal * -inverse,
-            Motion::Refracted { by_position, .. } => by_position * inverse,
-        }
-    }
-
-    /// Outward motion of the line at `point` per turn of the emitter and all that rides with it, about the emitter.
-    /// With F = p·N and dN = ω×N: ∂F/∂ω = N×p.
-    pub fn speed_by_turn(&self, point: S::Vec3) -> Option<S::Vec3> {
-        match self.motion {
-            Motion::Riding { normal } => Some(normal.cross(point) * self.inverse_gradient()),
-            _ => None,
-        }
-    }
-
-    /// Outward motion of the line at `point` per change of the emitter's axis, (∂F/∂u)/|∇F|.
-    pub fn speed_by_axis(&self, point: S::Vec3) -> S::Vec3 {
-        match self.motion {
-            Motion::Horizon { .. } => point * self.inverse_gradient(),
-            _ => S::Vec3::default(),
-        }
+    /// Outward motion of the line at `point` per motion of the emitter, per change of its axis, and per turn about it of all
+    /// that rides with it: ∂F/∂e, ∂F/∂u and ∂F/∂ω over |∇F|.
+    ///
+    /// With F = (p − q)·((q − e)×E): ∂F/∂e = −E×(p − q). With F = p·N and dN = ω×N: ∂F/∂e = −N, ∂F/∂ω = N×p.
+    pub fn speeds(&self, point: S::Vec3) -> [S::Vec3; 3] {
+        let (none, inverse) = (S::Vec3::default(), self.inverse_gradient());
+        let slopes = match self.motion {
+            Motion::Shadow { corner, edge } => [-edge.cross(point - corner), none, none],
+            Motion::Horizon { axis } => [-axis, point, none],
+            Motion::Riding { normal } => [-normal, none, normal.cross(point)],
+            Motion::Moved { by_position, .. } => [by_position, none, none],
+        };
+        slopes.map(|slope| slope * inverse)
     }
 
     fn inverse_gradient(&self) -> S {
@@ -131,107 +110,86 @@ pub struct Polygon<S: Number> {
 }
 
 impl<S: Number> Polygon<S> {
-    /// The spot of the beam through `aperture` from an emitter at `emitter` (cell frame).
-    pub fn of_beam(aperture: &Aperture<S>, emitter: S::Vec3, detector_half: [S; 2]) -> Result<(Self, Status), Status> {
-        let mut polygon = Self::detector(emitter, detector_half);
-        if let Aperture::Turned(turned) = aperture {
-            if (emitter - turned.centre).dot(turned.normal) <= turned.half_thickness {
-                return Err(Status::Behind);
-            }
-            polygon.clip(mask_plane(turned, emitter));
+    /// The spot of the beam through a turned slit from an emitter at `emitter` (cell frame).
+    pub fn of_beam(slit: &Turned<S>, emitter: S::Vec3, detector_half: [S; 2]) -> Result<(Self, Status), Status> {
+        if (emitter - slit.centre).dot(slit.normal) <= slit.half_thickness {
+            return Err(Status::Behind);
         }
-        for face in aperture.corners() {
-            polygon.clip_to_face(&face.map(|corner| corner - emitter), false);
+        let mut polygon = Self::detector(emitter, detector_half);
+        // Where a tilted mask dips below the detector surface, light reaches the detector in front of the mask and has
+        // not passed the slit: only points behind the mask count.
+        let below = slit.centre - emitter + slit.normal * -slit.half_thickness;
+        polygon.clip(Line {
+            normal: [-slit.normal.x(), -slit.normal.y()],
+            offset: slit.normal.dot(below) + slit.normal.z() * emitter.z(),
+            motion: Motion::Moved { by_position: Default::default(), is_end: false },
+        });
+        for [corner, edge] in slit.edges[..slit.face_count].as_flattened() {
+            polygon.clip(Line::shadow(*corner - emitter, *edge, emitter.z()));
         }
         polygon.with_status()
     }
 
-    /// The spot of the beam through `faces` that ride with the emitter at `emitter`, their corners relative to it.
-    pub fn of_riding(
-        faces: &[[S::Vec3; 4]],
-        emitter: S::Vec3,
-        detector_half: [S; 2],
-    ) -> Result<(Self, Status), Status> {
+    /// The spot of an emitter at `emitter` between `planes` through it that ride with it, their normals towards the inside.
+    pub fn of_riding(planes: &[S::Vec3], emitter: S::Vec3, detector_half: [S; 2]) -> Result<(Self, Status), Status> {
         let mut polygon = Self::detector(emitter, detector_half);
-        for face in faces {
-            polygon.clip_to_face(face, true);
+        for &normal in planes {
+            polygon.clip(Line::riding(normal, polygon.height));
         }
         polygon.with_status()
     }
 
-    /// The spot of the beam through the corners `around` a convex hole parallel to the detector, relative to an emitter
-    /// at `height`, within `sides`: normal, offset and motion of each.
+    /// The part of a hole with these `corners`, in a plane at `height` below the emitter, within `sides`.
     pub fn of_hole(
-        around: &[S::Vec3],
+        corners: impl IntoIterator<Item = [S; 2]>,
         height: S,
-        sides: impl IntoIterator<Item = ([S; 2], S, Motion<S>)>,
+        sides: impl IntoIterator<Item = Line<S>>,
     ) -> Result<(Self, Status), Status> {
-        let centre = around.iter().fold(S::Vec3::default(), |sum, &corner| sum + corner);
-        let centre = centre * S::of(around.len() as f64).recip();
-        let next = around.iter().cycle().skip(1);
-        let landing = |corner: &S::Vec3| [corner.x(), corner.y()].map(|value| value * (-height / corner.z()));
-        let mut polygon = Self {
-            corners: around.iter().map(landing).collect(),
-            lines: around.iter().zip(next).map(|(&a, &b)| Line::shadow(a, b, centre, height)).collect(),
-            height,
+        let corners: Vec<[S; 2], MAX_CORNERS> = corners.into_iter().collect();
+        // They stay where they are, and what stays needs no normal.
+        let still = Line {
+            normal: [S::zero(); 2],
+            offset: S::zero(),
+            motion: Motion::Moved { by_position: Default::default(), is_end: false },
         };
-        for (normal, offset, motion) in sides {
-            polygon.clip(Line { normal, offset, motion });
-        }
+        let lines = corners.iter().map(|_| still).collect();
+        let mut polygon = Self { corners, lines, height };
+        sides.into_iter().for_each(|side| polygon.clip(side));
         polygon.with_status()
-    }
-
-    /// Clips the spot to the shadow of the rectangle with these corners relative to the emitter.
-    fn clip_to_face(&mut self, face: &[S::Vec3; 4], is_riding: bool) {
-        let centre = (face[0] + face[2]) * S::half();
-        for i in 0..4 {
-            let line = Line::shadow(face[i], face[(i + 1) % 4], centre, self.height);
-            self.clip(if is_riding { line.riding(self.height) } else { line });
-        }
     }
 
     fn with_status(self) -> Result<(Self, Status), Status> {
         if !self.has_area() {
             return Err(Status::Dark);
         }
-        let is_end =
-            |line: &Line<S>| matches!(line.motion, Motion::DetectorEnd | Motion::Refracted { is_end: true, .. });
+        let is_end = |line: &Line<S>| matches!(line.motion, Motion::Moved { is_end: true, .. });
         let status = if self.lines.iter().any(is_end) { Status::Clipped } else { Status::Lit };
         Ok((self, status))
     }
 
-    /// A rectangular spot whose sides do not move with the emitter.
-    pub fn of_rectangle(spot: &Rectangle<S>) -> Self {
-        let [x0, x1] = [spot.x.low.position, spot.x.high.position];
-        let [y0, y1] = [spot.y.low.position, spot.y.high.position];
-        let (zero, one) = (S::zero(), S::one());
-        let line = |normal, offset| Line { normal, offset, motion: Motion::Still };
-        Self {
-            corners: spot.corners().into_iter().collect(),
-            lines: [line([zero, one], -y0), line([-one, zero], x1), line([zero, -one], y1), line([one, zero], -x0)]
-                .into_iter()
-                .collect(),
-            height: spot.height,
-        }
+    /// A rectangular spot within the ends of a detector, whose sides (x low, x high, y low, y high) move on it with the
+    /// emitter.
+    pub fn of_rectangle(spot: &Rectangle<S>, motions: [S::Vec3; 4]) -> Self {
+        let [[x0, y0], _, [x1, y1], _] = spot.corners();
+        let [low_x, high_x, low_y, high_y] = motions;
+        let line = |is_end: bool, sign: S, at: S, motion: S::Vec3| Line {
+            normal: if is_end { [-sign, S::zero()] } else { [S::zero(), -sign] },
+            offset: sign * at,
+            motion: Motion::Moved { by_position: motion * sign, is_end },
+        };
+        let (low, high) = (-S::one(), S::one());
+        let lines = [
+            line(false, low, y0, low_y),
+            line(true, high, x1, high_x),
+            line(false, high, y1, high_y),
+            line(true, low, x0, low_x),
+        ];
+        Self { corners: spot.corners().into(), lines: lines.into(), height: spot.height }
     }
 
-    fn detector(emitter: S::Vec3, half: [S; 2]) -> Self {
-        let (x0, x1) = (-half[0] - emitter.x(), half[0] - emitter.x());
-        let (y0, y1) = (-half[1] - emitter.y(), half[1] - emitter.y());
-        let (zero, one) = (S::zero(), S::one());
-        let line = |normal, offset, motion| Line { normal, offset, motion };
-        Self {
-            corners: [[x0, y0], [x1, y0], [x1, y1], [x0, y1]].into_iter().collect(),
-            lines: [
-                line([zero, one], -y0, Motion::Still),
-                line([-one, zero], x1, Motion::DetectorEnd),
-                line([zero, -one], y1, Motion::Still),
-                line([one, zero], -x0, Motion::DetectorEnd),
-            ]
-            .into_iter()
-            .collect(),
-            height: emitter.z(),
-        }
+    fn detector(emitter: S::Vec3, [x, y]: [S; 2]) -> Self {
+        let (ex, ey) = (emitter.x(), emitter.y());
+        Self::of_rectangle(&Rectangle::between([-x - ex, x - ex], [-y - ey, y - ey], emitter.z()), Default::default())
     }
 
     /// Clips the spot to the emitter's front half-space, u·(p − e) > 0; whether any area is left.
@@ -394,7 +352,7 @@ impl<S: Number> Polygon<S> {
         let (mut area, mut x, mut y) = (S::Vec3::default(), S::Vec3::default(), S::Vec3::default());
         for (i, (line, a, b)) in self.edges().enumerate() {
             let length = self.edge_length(i);
-            let speed = |p: [S; 2]| line.speed_by_position(S::Vec3::new(p[0], p[1], -self.height)) * length;
+            let speed = |p: [S; 2]| line.speeds(S::Vec3::new(p[0], p[1], -self.height))[0] * length;
             let (da, db) = (speed(a), speed(b));
             let moment = |pa: S, pb: S| da * (pa * third + pb * sixth) + db * (pb * third + pa * sixth);
             area += (da + db) * S::half();
@@ -412,19 +370,8 @@ impl<S: Number> Polygon<S> {
         let [_, yc] = self.centroid();
         let (a, b) = (self.corners[i], self.corners[(i + 1) % self.corners.len()]);
         let x = a[0] + (yc - a[1]) / (b[1] - a[1]) * (b[0] - a[0]);
-        let by_position = line.speed_by_position(S::Vec3::new(x, yc, -self.height)) * line.inverse_gradient().recip();
+        let by_position = line.speeds(S::Vec3::new(x, yc, -self.height))[0] * line.inverse_gradient().recip();
         (by_position + y_moved * line.normal[1]) * -(line.normal[0].recip())
-    }
-}
-
-/// Where a tilted mask dips below the detector surface, light reaches the detector in front of the
-/// mask and has not passed the slit: only points behind the mask count.
-fn mask_plane<S: Number>(turned: &Turned<S>, emitter: S::Vec3) -> Line<S> {
-    let below = turned.centre - emitter + turned.normal * -turned.half_thickness;
-    Line {
-        normal: [-turned.normal.x(), -turned.normal.y()],
-        offset: turned.normal.dot(below) + turned.normal.z() * emitter.z(),
-        motion: Motion::Still,
     }
 }
 
@@ -454,7 +401,7 @@ mod tests {
     use super::*;
 
     fn keeping(normal: [f64; 2], offset: f64) -> Line<f64> {
-        Line { normal, offset, motion: Motion::Still }
+        Line { normal, offset, motion: Motion::Moved { by_position: Default::default(), is_end: false } }
     }
 
     #[test]

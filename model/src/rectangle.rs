@@ -122,17 +122,25 @@ impl<R: Real> Rectangle<R> {
         (Self { x, y, height: ez }, visibility)
     }
 
-    /// This spot with one side (x low, x high, y low, y high) moved outward or inward.
-    pub fn with_side_moved(&self, side: usize, by: R) -> Self {
-        let mut moved = *self;
-        let half = by.constant(0.5);
-        let extent = if side < 2 { &mut moved.x } else { &mut moved.y };
-        let (edge, sign) = if side.is_multiple_of(2) { (&mut extent.low, -half) } else { (&mut extent.high, half) };
-        edge.position += by;
-        extent.middle += half * by;
-        extent.landing += half * by;
-        extent.half += sign * by;
-        moved
+    /// The rectangle between these sides, which do not move on the detector, of an emitter at `height` above its foot.
+    pub fn between(x: [R; 2], y: [R; 2], height: R) -> Self {
+        let [_, half, one] = zero_half_one(height);
+        let extent = |[low, high]: [R; 2]| {
+            let side = |position| Edge { position, magnification: one };
+            let middle = half * (low + high);
+            Extent { low: side(low), high: side(high), middle, landing: middle, half: half * (high - low) }
+        };
+        Self { x: extent(x), y: extent(y), height }
+    }
+
+    /// How the sides (x low, x high, y low, y high) move on the detector with the emitter.
+    pub fn motions(&self) -> [R::Vec3; 4] {
+        let [zero, _, one] = zero_half_one(self.height);
+        let motion = |side: Edge<R>, [x, y]: [R; 2]| {
+            R::Vec3::new(x, y, side.position / self.height) * (one - side.magnification)
+        };
+        let (along, across) = ([one, zero], [zero, one]);
+        [motion(self.x.low, along), motion(self.x.high, along), motion(self.y.low, across), motion(self.y.high, across)]
     }
 
     /// Corners in order around the spot, relative to the emitter's foot point.

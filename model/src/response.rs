@@ -121,3 +121,10 @@ pub struct Response<S> {
     /// Cost and accuracy of the integrals; `None` in the paper tier and where there is nothing to integrate.
     pub integration: Option<Integration<S>>,
 }
+
+impl<S: Number> Response<S> {
+    pub(crate) fn without_spot(status: Status, flags: Flags, currents: Pair<S>) -> Self {
+        let (solid_angle_sr, i_o_a) = (S::zero(), currents.total_a());
+        Self { status, flags, x_a_m: None, gamma_rad: None, solid_angle_sr, i_o_a, currents, integration: None }
+    }
+}

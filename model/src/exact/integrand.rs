@@ -13,7 +13,7 @@ use crate::profile::{Emission, Falloff, Series};
 use crate::scalar::{Linear3, Number, Real};
 
 use super::order::{MAX_NODES, Nodes, Orders, Rules};
-use super::{Cosines, Integration, panels, sides};
+use super::{Cosines, Integration, Method, panels, sides};
 
 /// An end of a line is at the horizon if u·d there is within this share of the tolerance, or so many roundings, of what it is
 /// at the other end.
@@ -40,6 +40,34 @@ impl<S: Number> Sums<S> {
             sum.by_position += by_position * factor;
             sum.by_axis += by_axis * factor;
         }
+    }
+
+    /// Adds what a side sweeps over at `x` per motion of the emitter, its axis and what rides with it.
+    #[inline(always)]
+    pub fn sweep(&mut self, x: S, by_position: S::Vec3, by_axis: S::Vec3, by_turn: S::Vec3) {
+        self.add(x, S::zero(), by_position, by_axis);
+        self.turn[0] += by_turn;
+        self.turn[1] += by_turn * x;
+    }
+
+    /// The light of sums about `reference` that count in units of 1/`factor`.
+    #[inline(always)]
+    pub fn light(self, reference: S, factor: S) -> LightAndTurn<S> {
+        let Self { power, moment, turn: [power_turn, moment_turn] } = self;
+        let inverse = power.value.recip();
+        let x = moment.value * inverse;
+        let of_ratio = |first: S::Vec3, zeroth: S::Vec3| (first - zeroth * x) * inverse;
+        let centroid = EmitterGradient {
+            value: reference + x,
+            by_position: of_ratio(moment.by_position, power.by_position),
+            by_axis: of_ratio(moment.by_axis, power.by_axis),
+        };
+        let power = EmitterGradient {
+            value: power.value * factor,
+            by_position: power.by_position * factor,
+            by_axis: power.by_axis * factor,
+        };
+        ((power, centroid), [power_turn * factor, of_ratio(moment_turn, power_turn)])
     }
 }
 
@@ -90,36 +118,23 @@ pub type PolygonLight<S> = (EmitterGradient<S>, EmitterGradient<S>);
 /// The light on a polygon, and its derivatives by a turn.
 pub type LightAndTurn<S> = (PolygonLight<S>, Turn<S>);
 
-/// The light on `polygon` with derivatives with respect to the emitter, `None` if none is found; and the
-/// cost and accuracy of the integrals.
-pub fn light<S: Number, E: Emission<S>, const GRADIENT: bool>(
-    polygon: Polygon<S>,
-    axis: S::Vec3,
-    emission: &E,
-    orders: &Orders<S>,
-    rules: &Rules<S>,
-) -> (Option<PolygonLight<S>>, Integration<S>) {
-    let (light, integration) = light_and_turn::<S, E, GRADIENT>(polygon, axis, emission, orders, rules);
-    (light.map(|(light, _)| light), integration)
-}
-
-/// [`light`], with the derivatives by a turn of the sides that ride with the emitter.
-pub fn light_and_turn<S: Number, E: Emission<S>, const GRADIENT: bool>(
+/// The light on `polygon` with derivatives with respect to the emitter and to a turn of the sides that ride with it,
+/// `None` if none is found; and the cost and accuracy of the integrals.
+pub fn polygon_light<S: Number, E: Emission<S>, const GRADIENT: bool>(
     mut polygon: Polygon<S>,
     axis: S::Vec3,
-    emission: &E,
-    orders: &Orders<S>,
-    rules: &Rules<S>,
+    method: &Method<'_, S, E>,
 ) -> (Option<LightAndTurn<S>>, Integration<S>) {
+    let nothing = (None, Integration { evaluations: 0, relative_error: method.orders.tolerance() });
     if !polygon.clip_horizon(axis) {
-        return (None, Integration { evaluations: 0, relative_error: orders.tolerance() });
+        return nothing;
     }
-    let (divisor, factor) = emission.rescaling(|| polygon.greatest_cosine(axis), corner_cosine(&polygon, axis));
+    let (divisor, factor) = method.emission.rescaling(|| polygon.greatest_cosine(axis), corner_cosine(&polygon, axis));
     if factor == S::zero() {
         // The light is below the smallest number.
-        return (None, Integration { evaluations: 0, relative_error: orders.tolerance() });
+        return nothing;
     }
-    let integrand = Integrand::new(&polygon, axis, emission, orders, rules, divisor.recip());
+    let integrand = Integrand::new(&polygon, axis, method, divisor.recip());
     let (mut sums, integration) = panels::add_all::<S, E, GRADIENT>(&integrand, &integrand.slabs(&polygon));
     let total = sums.power.value;
     if total.is_nan() || total <= S::zero() {
@@ -130,22 +145,7 @@ pub fn light_and_turn<S: Number, E: Emission<S>, const GRADIENT: bool>(
             sides::add(&integrand, line, a, b, total, &mut sums);
         }
     }
-    let Sums { power, moment, turn: [power_turn, moment_turn] } = sums;
-    let inverse = total.recip();
-    let x = moment.value * inverse;
-    let of_ratio = |first: S::Vec3, zeroth: S::Vec3| (first - zeroth * x) * inverse;
-    let centroid = EmitterGradient {
-        value: integrand.reference + x,
-        by_position: of_ratio(moment.by_position, power.by_position),
-        by_axis: of_ratio(moment.by_axis, power.by_axis),
-    };
-    let power = EmitterGradient {
-        value: power.value * factor,
-        by_position: power.by_position * factor,
-        by_axis: power.by_axis * factor,
-    };
-    let turn = [power_turn * factor, of_ratio(moment_turn, power_turn)];
-    (Some(((power, centroid), turn)), integration)
+    (Some(sums.light(integrand.reference, factor)), integration)
 }
 
 /// cos γ at the brightest corner.
@@ -158,14 +158,7 @@ fn corner_cosine<S: Number>(polygon: &Polygon<S>, axis: S::Vec3) -> S {
 }
 
 impl<'a, S: Number, E: Emission<S>> Integrand<'a, S, E> {
-    fn new(
-        polygon: &Polygon<S>,
-        axis: S::Vec3,
-        emission: &'a E,
-        orders: &'a Orders<S>,
-        rules: &'a Rules<S>,
-        unit: S,
-    ) -> Self {
+    fn new(polygon: &Polygon<S>, axis: S::Vec3, method: &Method<'a, S, E>, unit: S) -> Self {
         let height = polygon.height();
         let (mut least, mut brightest) = (S::infinity(), S::zero());
         for &[x, y] in polygon.corners() {
@@ -182,13 +175,23 @@ impl<'a, S: Number, E: Emission<S>> Integrand<'a, S, E> {
         let size = polygon.corners().iter().fold(S::zero(), |size, &[x, y]| size.max(S::norm(x - x0, y - y0)));
         let [tx, ty] = along_t;
         let (ux, uy, uz) = (axis.x(), axis.y(), axis.z());
+        let orders = method.orders;
         let cone = orders.is_narrow().then(|| Cone {
             axis: [ux * ty - uy * tx, ux * tx + uy * ty, uz],
             height,
             cosine: orders.faded(polygon.greatest_cosine(axis)),
         });
-        let more = usize::from(S::Vec3::new(x0, y0, -height).length() > orders.far());
-        Self { axis, height, emission, orders, rules, along_t, across_horizon, unit, cone, reference: x0, size, more }
+        let undivided = Self::undivided(S::Vec3::new(x0, y0, -height), axis, method);
+        Self { along_t, across_horizon, unit, cone, size, ..undivided }
+    }
+
+    /// Of a spot that is not divided, with moments about a `place` in it, relative to the emitter.
+    #[inline(always)]
+    pub fn undivided(place: S::Vec3, axis: S::Vec3, method: &Method<'a, S, E>) -> Self {
+        let Method { emission, orders, rules } = *method;
+        let (height, reference, more) = (-place.z(), place.x(), usize::from(place.length() > orders.far()));
+        let (along_t, across_horizon, unit, cone, size) = ([S::zero(), S::one()], false, S::one(), None, S::zero());
+        Self { axis, height, emission, orders, rules, along_t, across_horizon, unit, cone, reference, size, more }
     }
 
     fn xy(&self, s: S, t: S) -> [S; 2] {
@@ -288,10 +291,11 @@ impl<'a, S: Number, E: Emission<S>> Integrand<'a, S, E> {
     }
 
     /// I_rel·h/r³ at a point of the detector, per area; zero behind the horizon.
-    pub fn density(&self, ray: S::Vec3) -> S {
+    #[inline(always)]
+    pub fn density<F: Falloff<S>>(&self, falloff: &F, ray: S::Vec3) -> S {
         let inverse = ray.length().recip();
         let c = self.axis.dot(ray) * inverse * self.unit;
-        let relative = if c > S::zero() { self.emission.relative(c) } else { S::zero() };
+        let relative = if c > S::zero() { falloff.relative(c) } else { S::zero() };
         relative * self.height * inverse * inverse * inverse
     }
 

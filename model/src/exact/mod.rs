@@ -1,8 +1,8 @@
 //! The exact tier: I_rel integrated over the solid angle of the spot, and the power-weighted
 //! centroid of the light.
 //!
-//! A rectangle wholly in front of the emitter takes one tensor rule ([`rectangle`]); any other spot is
-//! divided ([`integrand`], [`panels`], [`sides`]). For a narrow lobe the division starts from the part
+//! A rectangle wholly in front of the emitter takes one tensor rule ([`rectangle`]), and so do common spots of other
+//! openings ([`uncut`]); any other spot is divided ([`integrand`], [`panels`], [`sides`]). For a narrow lobe the division starts from the part
 //! of the spot that it lights ([`integrand::Cone`]). The work is bounded: see [`MAX_EVALUATIONS`].
 
 mod integrand;
@@ -10,15 +10,18 @@ mod order;
 mod panels;
 mod rectangle;
 mod sides;
+mod uncut;
 
-pub use integrand::{PolygonLight, Turn, light as polygon_light, light_and_turn};
+pub use integrand::{LightAndTurn, PolygonLight, Turn, polygon_light};
 pub use order::{Orders, Rules, SERIES_EXPONENT};
 pub use panels::MAX_EVALUATIONS;
 pub use rectangle::narrow_light;
+pub use uncut::{Disc, Strip, disc_light, strip_light};
 
 use order::MAX_NODES;
 use rectangle::Reaches;
 
+use crate::polygon::Polygon;
 #[cfg(all(feature = "lanes", target_arch = "x86_64"))]
 use crate::profile::{CompiledProfile, MAX_TERMS};
 use crate::profile::{Emission, Series};
@@ -27,6 +30,13 @@ use crate::response::Integration;
 #[cfg(all(feature = "lanes", target_arch = "x86_64"))]
 use crate::scalar::Real;
 use crate::scalar::{Linear3, Number};
+
+/// What a light is integrated with: the profile, the numbers of nodes that it takes, and the rules of so many.
+pub struct Method<'a, S, E> {
+    pub emission: &'a E,
+    pub orders: &'a Orders<S>,
+    pub rules: &'a Rules<S>,
+}
 
 /// u·d at the middle of the spot, and by how much it is more or less at a corner: it is linear over the spot.
 #[inline(always)]
@@ -55,20 +65,30 @@ pub fn is_wholly_in_front<S: Number>(spot: &Rectangle<S>, axis: S::Vec3) -> bool
 pub fn rectangle_light<S: Number, E: Emission<S>, const GRADIENT: bool>(
     spot: &Rectangle<S>,
     axis: S::Vec3,
-    emission: &E,
-    orders: &Orders<S>,
-    rules: &Rules<S>,
+    method: &Method<'_, S, E>,
 ) -> Option<(RectangleLight<S>, usize)> {
     let reaches = Reaches::of(spot, axis);
-    let rule = rule::<S, E>(emission, orders, &reaches, |along| reaches.slope(spot, axis, along))?;
+    let rule = rule(method.emission, method.orders, &reaches, |along| reaches.slope(spot, axis, along))?;
     let [nodes_x, nodes_y] = rule.nodes;
-    let (along_x, along_y) = (rules.get(nodes_x), rules.get(nodes_y));
+    let (along_x, along_y) = (method.rules.get(nodes_x), method.rules.get(nodes_y));
     let light = match rule.series {
         Some(series) => rectangle::light::<S, _, GRADIENT>(spot, axis, &series, &along_x, along_y),
-        None => rectangle::light::<S, _, GRADIENT>(spot, axis, emission, &along_x, along_y),
+        None => rectangle::light::<S, _, GRADIENT>(spot, axis, method.emission, &along_x, along_y),
     };
     // NaN fails, too.
     (light.power.value >= least_power()).then_some((light, nodes_x * nodes_y))
+}
+
+/// The light of a rectangular spot that one tensor rule cannot integrate: see [`Polygon::of_rectangle`].
+#[cold]
+#[inline(never)]
+pub fn divided_light<S: Number, E: Emission<S>, const GRADIENT: bool>(
+    spot: &Rectangle<S>,
+    motions: impl FnOnce() -> [S::Vec3; 4],
+    axis: S::Vec3,
+    method: &Method<'_, S, E>,
+) -> (Option<LightAndTurn<S>>, Integration<S>) {
+    polygon_light::<S, E, GRADIENT>(Polygon::of_rectangle(spot, motions()), axis, method)
 }
 
 /// The tensor rule for a spot that lies as `reaches` tells; `None` if the spot must be divided. `slope`: see

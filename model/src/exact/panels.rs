@@ -33,9 +33,6 @@ struct Panel<S> {
 /// for half a spot or a quarter of one.
 const DIVISIONS: [[usize; 2]; 4] = [[1, 1], [2, 1], [1, 2], [2, 2]];
 
-/// Enough for four parts of each slab of common spots; others are divided adaptively.
-const MAX_PARTS: usize = 2 * MAX_CORNERS;
-
 struct Rule<'a, S> {
     along_s: Nodes<'a, S>,
     along_t: Vec<(S, S), MAX_ALONG_T>,
@@ -77,17 +74,13 @@ pub fn add_all<S: Number, E: Emission<S>, const GRADIENT: bool>(
 ) -> (Sums<S>, Integration<S>) {
     let tolerance = integrand.orders.tolerance();
     let is_narrow = integrand.orders.is_narrow();
-    for parts in if E::NEEDS_SERIES || is_narrow { &DIVISIONS[..] } else { &DIVISIONS[..1] } {
-        let panels = || (0..slabs.len()).flat_map(|slab| integrand.lit(whole(slabs, slab), slabs).parts(*parts));
-        let rules: Vec<Rule<'_, S>, MAX_PARTS> =
-            panels().take(MAX_PARTS).map_while(|panel| integrand.rule(&slabs[panel.slab], &panel)).collect();
-        if rules.len() < panels().count() {
-            continue;
-        }
+    'divisions: for parts in if E::NEEDS_SERIES || is_narrow { &DIVISIONS[..] } else { &DIVISIONS[..1] } {
         let (mut sums, mut evaluations) = (Sums::default(), 0);
-        for (panel, rule) in panels().zip(&rules) {
+        for panel in (0..slabs.len()).flat_map(|slab| integrand.lit(whole(slabs, slab), slabs).parts(*parts)) {
+            let slab = &slabs[panel.slab];
+            let Some(rule) = integrand.rule(slab, &panel) else { continue 'divisions };
             evaluations += rule.evaluations();
-            integrand.add_panel::<GRADIENT>(&slabs[panel.slab], &panel, rule, &mut sums);
+            integrand.add_panel::<GRADIENT>(slab, &panel, &rule, &mut sums);
         }
         if is_narrow && !integrand.may_leave_out(sums.power.value) {
             break;
@@ -374,7 +367,7 @@ impl<S: Number, E: Emission<S>> Integrand<'_, S, E> {
             let scale = half_t * half_share * (right - left);
             for (i, (xi, weight_s)) in self.rules.get(ESTIMATED).enumerate() {
                 let ray = self.ray(left + (right - left) * (half * (c0 + c1) + half_share * xi), t);
-                let g = scale * self.density(ray);
+                let g = scale * self.density(self.emission, ray);
                 along_s[i] += weight_t * g;
                 along_t[j] += weight_s * g;
                 measured.power += weight_t * weight_s * g;

@@ -22,7 +22,7 @@ pub struct Reaches<R> {
     emitter: [R; 2],
     horizon: [R; 2],
     /// From the emitter to the middle of the spot.
-    distance: R,
+    pub distance: R,
     /// cos γ of that ray, and the greatest relative change of cos γ over the spot.
     pub cosine: R,
     tangent2: R,

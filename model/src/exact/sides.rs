@@ -27,7 +27,8 @@ pub fn add<S: Number, E: Emission<S>>(
     sums: &mut Sums<S>,
 ) {
     let at_horizon = integrand.emission.at_horizon();
-    if matches!(line.motion, Motion::Horizon { .. }) && at_horizon == S::zero() {
+    let is_dark = matches!(line.motion, Motion::Horizon { .. }) && at_horizon == S::zero();
+    if is_dark || line.motion.is_still() {
         return;
     }
     let side = Side { integrand, line, a, b, at_horizon };
@@ -108,7 +109,7 @@ impl<S: Number, E: Emission<S>> Side<'_, '_, S, E> {
             }
             let mut values = [S::zero(); ESTIMATED];
             for (value, (xi, _)) in values.iter_mut().zip(integrand.rules.get(ESTIMATED)) {
-                *value = integrand.density(self.at(S::half() * (low + high + (high - low) * xi)));
+                *value = integrand.density(integrand.emission, self.at(S::half() * (low + high + (high - low) * xi)));
             }
             let estimate = integrand.rules.estimate(
                 &values,
@@ -138,14 +139,8 @@ impl<S: Number, E: Emission<S>> Side<'_, '_, S, E> {
             let c = integrand.axis.dot(ray) * inverse;
             let g =
                 weight * half_length * relative(c * integrand.unit) * integrand.height * inverse * inverse * inverse;
-            let by_position = self.line.speed_by_position(ray) * g;
-            let by_axis = self.line.speed_by_axis(ray) * g;
-            let x = ray.x() - integrand.reference;
-            sums.add(x, S::zero(), by_position, by_axis);
-            if let Some(by_turn) = self.line.speed_by_turn(ray) {
-                sums.turn[0] += by_turn * g;
-                sums.turn[1] += by_turn * (g * x);
-            }
+            let [by_position, by_axis, by_turn] = self.line.speeds(ray);
+            sums.sweep(ray.x() - integrand.reference, by_position * g, by_axis * g, by_turn * g);
         }
     }
 }

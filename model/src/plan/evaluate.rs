@@ -4,7 +4,7 @@ use heapless::Vec;
 
 use crate::aperture::Aperture;
 use crate::entries::Scalar;
-use crate::exact::{self, Orders, PolygonLight};
+use crate::exact::{self, Method, Orders, PolygonLight};
 use crate::paper;
 use crate::polygon::{EmitterGradient, MAX_CORNERS, Polygon, fan_solid_angle};
 use crate::pose::Transform;
@@ -13,7 +13,7 @@ use crate::rectangle::Rectangle;
 use crate::response::{Flags, Integration, Pair, Response, Status};
 use crate::scalar::{Linear3, Number};
 
-use super::optics::{Light, Place, Receiver, Seen, of_sides};
+use super::optics::{Light, Place, Seen, of_sides};
 use super::{CellTerms, CompiledCell, CompiledEmitter, CompiledScene, imperfect};
 
 impl<S: Number> CompiledCell<S> {
@@ -24,10 +24,12 @@ impl<S: Number> CompiledCell<S> {
         let (rectangle, verdict) = match &self.aperture {
             Aperture::Thin(face) => Rectangle::of_beam([*face], emitter, half),
             Aperture::Thick(lower, upper) => Rectangle::of_beam([*lower, *upper], emitter, half),
-            Aperture::Turned(_) | Aperture::Imperfect(_) => {
-                return Polygon::of_beam(&self.aperture, e, half)
+            Aperture::Turned(slit) => {
+                return Polygon::of_beam(slit, e, half)
                     .map(|(polygon, status)| (Spot::Polygon(polygon), status, S::zero()));
             }
+            // Those have spots of their own.
+            Aperture::Imperfect(_) => return Err(Status::Dark),
         };
         let status = verdict.status(0);
         if status.has_spot() { Ok((Spot::Rectangle(rectangle), status, verdict.slack_m(0))) } else { Err(status) }
@@ -57,50 +59,34 @@ fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     {
         return (None, None);
     }
-    let ((power, centroid), integration) = match (&emitter.orders, &plan.rules, spot) {
+    let (found, integration) = match (&emitter.orders, &plan.rules, spot) {
         (Some(orders), Some(rules), Spot::Rectangle(rectangle)) => {
-            match exact::rectangle_light::<S, E, GRADIENT>(rectangle, axis, emission, orders, rules) {
-                Some((light, evaluations)) => {
-                    let integration = Integration { evaluations, relative_error: orders.tolerance() };
-                    return (Some(of_sides::<S, GRADIENT>(&light, rectangle, true)), Some(integration));
-                }
-                None => match divided::<S, E, GRADIENT>(plan, cell, emitter, emission, seen) {
-                    Some((Some(light), integration)) => (light, Some(integration)),
-                    Some((None, integration)) => return (None, Some(integration)),
-                    None => return (None, None),
-                },
+            let method = Method { emission, orders, rules };
+            if let Some((light, evaluations)) = exact::rectangle_light::<S, E, GRADIENT>(rectangle, axis, &method) {
+                let integration = Integration { evaluations, relative_error: orders.tolerance() };
+                return (Some(of_sides::<S, GRADIENT>(&light, rectangle, true)), Some(integration));
             }
+            exact::divided_light::<S, E, GRADIENT>(rectangle, || rectangle.motions(), axis, &method)
         }
         (Some(orders), Some(rules), Spot::Polygon(polygon)) => {
-            match exact::polygon_light::<S, E, GRADIENT>(polygon.clone(), axis, emission, orders, rules) {
-                (Some(light), integration) => (light, Some(integration)),
-                (None, integration) => return (None, Some(integration)),
-            }
+            let method = Method { emission, orders, rules };
+            exact::polygon_light::<S, E, GRADIENT>(polygon.clone(), axis, &method)
         }
         (_, _, Spot::Rectangle(rectangle)) => {
             let light = paper::rectangle_light::<S, E, GRADIENT>(rectangle, axis, emission);
             return (Some(of_sides::<S, GRADIENT>(&light, rectangle, false)), None);
         }
         (_, _, Spot::Polygon(polygon)) => {
-            (paper::polygon_light::<S, E, GRADIENT>(polygon, axis, emission, cell.aperture.skew()), None)
+            let light = paper::polygon_light::<S, E, GRADIENT>(polygon, axis, emission, cell.aperture.skew());
+            return (Some(weighted(light, seen)), None);
         }
     };
-    let x_a = EmitterGradient { value: seen.position.x() + centroid.value, ..centroid };
-    (Some(Light { power, x_a: Place::Weighted(x_a) }), integration)
+    (found.map(|(light, _)| weighted(light, seen)), Some(integration))
 }
 
-/// The light of a rectangular spot that one tensor rule cannot integrate.
-#[cold]
-fn divided<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
-    plan: &CompiledScene<S>,
-    cell: &CompiledCell<S>,
-    emitter: &CompiledEmitter<S>,
-    emission: &E,
-    seen: &Seen<S>,
-) -> Option<(Option<PolygonLight<S>>, Integration<S>)> {
-    let (polygon, _) = Polygon::of_beam(&cell.aperture, seen.position, cell.receiver.half).ok()?;
-    let (orders, rules) = (emitter.orders.as_ref()?, plan.rules.as_ref()?);
-    Some(exact::polygon_light::<S, E, GRADIENT>(polygon, seen.axis, emission, orders, rules))
+fn weighted<S: Number>((power, centroid): PolygonLight<S>, seen: &Seen<S>) -> Light<S> {
+    let x_a = EmitterGradient { value: seen.position.x() + centroid.value, ..centroid };
+    Light { power, x_a: Place::Weighted(x_a) }
 }
 
 impl<S: Scalar> CompiledEmitter<S> {
@@ -136,15 +122,6 @@ fn light_apart<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     light::<S, E, GRADIENT>(plan, cell, emitter, emission, seen, spot)
 }
 
-impl<S: Scalar> CompiledScene<S> {
-    /// `photocurrent` at `x_a` divided between the electrodes, without dark current.
-    #[inline(always)]
-    fn above_dark(&self, receiver: &Receiver<S>, photocurrent: S, x_a: S) -> Pair<S> {
-        let [i_x1_a, i_x2_a] = receiver.divide(photocurrent, x_a, self.is_paper);
-        Pair { i_x1_a, i_x2_a }
-    }
-}
-
 pub fn photocurrents<S: Scalar>(plan: &CompiledScene<S>, cell: usize, base_from_tool: &Transform<S>) -> Pair<S> {
     let cell = &plan.cells[cell];
     if let Some(imperfect) = plan.imperfect_of(cell) {
@@ -167,7 +144,8 @@ fn photocurrents_of<S: Scalar>(
     match emitter.light_on::<false>(plan, cell, &seen, &spot).0 {
         Some(light) => {
             let photocurrent = cell.receiver.responsivity * emitter.source.intensity * light.power.value;
-            plan.above_dark(&cell.receiver, photocurrent, light.x_a.value())
+            let [i_x1_a, i_x2_a] = cell.receiver.divide(photocurrent, light.x_a.value(), plan.is_paper);
+            Pair { i_x1_a, i_x2_a }
         }
         None => Pair::default(),
     }
@@ -202,16 +180,8 @@ pub fn respond<S: Scalar>(plan: &CompiledScene<S>, cell: usize, base_from_tool: 
     let (spot, status, _) = match cell.spot(&seen) {
         Ok(spot) => spot,
         Err(status) => {
-            return Response {
-                status,
-                flags: Flags { faint: cell.faint > S::zero(), ..Flags::default() },
-                x_a_m: None,
-                gamma_rad: None,
-                solid_angle_sr: S::zero(),
-                i_o_a: receiver.dark,
-                currents: Pair { i_x1_a: half_dark, i_x2_a: half_dark },
-                integration: None,
-            };
+            let flags = Flags { faint: cell.faint > S::zero(), ..Flags::default() };
+            return Response::without_spot(status, flags, Pair { i_x1_a: half_dark, i_x2_a: half_dark });
         }
     };
     let beam = match &spot {
@@ -223,7 +193,7 @@ pub fn respond<S: Scalar>(plan: &CompiledScene<S>, cell: usize, base_from_tool: 
     let power = light.as_ref().map_or(S::zero(), |light| light.power.value);
     let photocurrent = receiver.responsivity * emitter.source.intensity * power;
     let x_a = light.as_ref().map(|light| light.x_a.value());
-    let above_dark = plan.above_dark(receiver, photocurrent, x_a.unwrap_or_default());
+    let above_dark = receiver.divide(photocurrent, x_a.unwrap_or_default(), plan.is_paper);
     let i_o = photocurrent + receiver.dark;
     Response {
         status,
@@ -236,7 +206,7 @@ pub fn respond<S: Scalar>(plan: &CompiledScene<S>, cell: usize, base_from_tool: 
         gamma_rad: Some(beam.cosine.max(-S::one()).min(S::one()).arc_cosine()),
         solid_angle_sr: if plan.is_paper { beam.solid_angle } else { exact_solid_angle(&spot) },
         i_o_a: i_o,
-        currents: Pair { i_x1_a: above_dark.i_x1_a + half_dark, i_x2_a: above_dark.i_x2_a + half_dark },
+        currents: Pair { i_x1_a: above_dark[0] + half_dark, i_x2_a: above_dark[1] + half_dark },
         integration: integration
             .map(|reached| Integration { relative_error: reached.relative_error.max(rounding), ..reached }),
     }

@@ -188,7 +188,8 @@ pub trait Optics<S: Number>: Sized {
     /// Number of cells.
     fn cell_count(&self) -> usize;
 
-    /// From the tool's origin to the emitter of cell `cell`, base frame, metres.
+    /// From the tool's origin to the emitter of cell `cell`, or to where the light of a slit on the tool lands at home:
+    /// the spot moves with that point of the tool. Base frame, metres.
     fn arm(&self, cell: usize, base_from_tool: &Transform<S>) -> S::Vec3;
 
     /// Passes the terms of all `wanted` cells, at their exposures and in order, to `sink`. It may
@@ -356,7 +357,9 @@ impl<S: Scalar> Optics<S> for CompiledScene<S> {
     }
 
     fn arm(&self, cell: usize, base_from_tool: &Transform<S>) -> S::Vec3 {
-        base_from_tool.rotate(self.cells[cell].emitter.source.position)
+        let cell = &self.cells[cell];
+        let landing = self.imperfect_of(cell).and_then(Imperfect::landing);
+        base_from_tool.rotate(landing.unwrap_or(cell.emitter.source.position))
     }
 
     #[inline(always)]

@@ -4,7 +4,7 @@ use glam::{DVec2, DVec3};
 
 use super::*;
 use crate::response::Flags;
-use crate::scene::{Cell, DEFAULT_FAINT_A, Detector, Emitter, Fault, Profile, Slit};
+use crate::scene::{Cell, Fault, Profile};
 
 const EXACT: Tier = Tier::Exact { tolerance: 1e-9 };
 
@@ -12,35 +12,20 @@ const EXACT: Tier = Tier::Exact { tolerance: 1e-9 };
 /// sides, faces, electrodes or cells is detected.
 fn cell(index: usize) -> Cell {
     let shift = 0.1e-3 * (index as f64 + 1.0);
-    Cell {
-        detector: Detector {
-            centre_base_m: DVec3::new(shift, -shift, 0.0),
-            x_axis_base: DVec3::X,
-            normal_base: DVec3::Z,
-            length_m: 12e-3,
-            width_m: 1e-3 + shift,
-            responsivity_a_per_w: 0.5 + 0.02 * index as f64,
-            dark_current_a: 2e-6 * (index as f64 + 1.0),
-            interelectrode_ohm: None,
-            saturation_a: None,
-            faint_a: DEFAULT_FAINT_A,
-        },
-        slit: Slit {
-            distance_m: 7e-3 + shift,
-            width_m: 0.5e-3 + shift,
-            length_m: 10e-3,
-            offset_m: DVec2::new(0.3e-3, 0.1e-3),
-            tilt_rad: DVec3::ZERO,
-            thickness_m: 0.0,
-        },
-        emitter: Emitter {
-            position_tool_m: DVec3::new(0.2e-3, shift, 15e-3 + shift),
-            axis_tool: DVec3::new(0.1, -0.05 * (index as f64 + 1.0), -1.0).normalize(),
-            radiant_intensity_w_per_sr: 3e-3 + shift,
-            profile: Profile::Cosine { exponent: 1.2 + 0.1 * index as f64 },
-        },
-        effects: crate::Effects::default(),
-    }
+    let mut cell = crate::solve::fixture::head().cells[0].clone();
+    let Cell { detector, slit, emitter, .. } = &mut cell;
+    detector.centre_base_m = DVec3::new(shift, -shift, 0.0);
+    (detector.x_axis_base, detector.normal_base) = (DVec3::X, DVec3::Z);
+    detector.width_m = 1e-3 + shift;
+    detector.responsivity_a_per_w = 0.5 + 0.02 * index as f64;
+    detector.dark_current_a = 2e-6 * (index as f64 + 1.0);
+    (slit.distance_m, slit.width_m) = (7e-3 + shift, 0.5e-3 + shift);
+    slit.offset_m = DVec2::new(0.3e-3, 0.1e-3);
+    emitter.position_tool_m = DVec3::new(0.2e-3, shift, 15e-3 + shift);
+    emitter.axis_tool = DVec3::new(0.1, -0.05 * (index as f64 + 1.0), -1.0).normalize();
+    emitter.radiant_intensity_w_per_sr = 3e-3 + shift;
+    emitter.profile = Profile::Cosine { exponent: 1.2 + 0.1 * index as f64 };
+    cell
 }
 
 fn scene(count: usize, change: impl Fn(&mut Cell)) -> Scene {

@@ -109,7 +109,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
             let length = S::of(DISTINCT_SIGMAS) / factor.length(&step);
             step.map(|element| element * length)
         };
-        // It is not known where the kinks of an opening other than a slit lie.
+        // It is not known where the kinks of a polygonal spot lie.
         let may_cross = |&index: &usize| {
             let step = across(&self.sorted.usable[index]);
             workspace.slacks_m[index] > S::zero() && !self.is_smooth_in_cell(index, &step, &minimum.pose, workspace)

@@ -14,6 +14,7 @@ use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
 use crate::effects::Window;
+use crate::exact::PolygonLight;
 use crate::polygon::EmitterGradient;
 use crate::pose::rotation_exp;
 use crate::rectangle::{DETECTOR, Edge, Extent, Rectangle, RectangleLight, SideGradient, Visibility, WALL_SLACK};
@@ -433,6 +434,27 @@ impl<R: Real> Spot<R> {
 }
 
 impl<S: Number> Spot<S> {
+    /// How the sides move, seen from an emitter that rises as the detector sinks: what moves by m with the emitter moves with
+    /// that one by m + r·m_z/(1 − r_z), r that of the raise.
+    pub fn motions(&self) -> [S::Vec3; 4] {
+        let raise = self.raise.by_position;
+        let per_rise = (S::one() - raise.z()).recip();
+        self.sides.map(|side| side + raise * (side.z() * per_rise))
+    }
+
+    /// Power and position of the light in terms of the emitter, from those with sides that move by [`Self::motions`].
+    pub fn of_polygon(&self, (power, centroid): PolygonLight<S>) -> Light<S> {
+        let of_emitter = |quantity: EmitterGradient<S>| EmitterGradient {
+            by_position: quantity.by_position - self.raise.by_position * quantity.by_position.z(),
+            ..quantity
+        };
+        let (bend, bend_by) = self.raise.bend(&self.rectangle, &self.sides);
+        let (x, mut x_a) = (&self.rectangle.x, of_emitter(centroid));
+        x_a.value += x.landing - x.middle + bend;
+        x_a.by_position += bend_by;
+        Light { power: of_emitter(power), x_a: Place::Weighted(x_a) }
+    }
+
     /// Power, and place with its derivatives by the emitter's position, of the light of a narrow spot: see
     /// [`crate::exact::narrow_light`], of which `drift` is what comes second. What bends the light in a window counts, and
     /// how that changes, by 10⁻⁴ of the emitter's way, does not.

@@ -52,6 +52,14 @@ impl<S: Number> Imperfect<S> {
             other_axis: effects.other_axis,
         })
     }
+
+    /// Where the light of a slit on the tool lands with the tool at home, tool frame.
+    pub fn landing(&self) -> Option<S::Vec3> {
+        match &self.passage {
+            Passage::Opening(Opening::Riding(slit)) => Some(slit.landing),
+            _ => None,
+        }
+    }
 }
 
 /// Light on a detector: power and moment in amperes and ampere metres, with derivatives by the pose; one detector per
@@ -333,16 +341,8 @@ pub fn respond<S: Scalar>(
     let own = match own {
         Ok(own) => own,
         Err(status) => {
-            return Response {
-                status,
-                flags: Flags { saturated, faint: cell.faint > S::zero(), facing_away: false },
-                x_a_m: None,
-                gamma_rad: None,
-                solid_angle_sr: S::zero(),
-                i_o_a,
-                currents,
-                integration: None,
-            };
+            let flags = Flags { saturated, faint: cell.faint > S::zero(), facing_away: false };
+            return Response::without_spot(status, flags, currents);
         }
     };
     // Of a disc whose edge alone is seen, the centre has no beam.
@@ -386,7 +386,7 @@ impl<S: Number> Imperfect<S> {
             Passage::Opening(opening) => {
                 let spot = opening.spot(&cell.receiver, &cell.emitter.source, seen, pose)?;
                 let ray = spot.middle();
-                Ok(paper::Beam { solid_angle: spot.solid_angle(), cosine: seen.axis.dot(ray) / ray.length() })
+                Ok(paper::Beam { solid_angle: spot.polygon.solid_angle(), cosine: seen.axis.dot(ray) / ray.length() })
             }
         }
     }
@@ -402,7 +402,7 @@ pub fn outline<S: Number>(
         Passage::Beam(beam) => beam,
         Passage::Opening(opening) => {
             let spot = opening.spot(&cell.receiver, &cell.emitter.source, &seen, pose);
-            return spot.map_or_else(|_| Vec::new(), |spot| spot.outline(&seen));
+            return spot.map_or_else(|_| Vec::new(), |spot| spot.outline());
         }
     };
     let (spot, visibility) = beam.spot::<false, false>(seen.position, cell.receiver.half);

@@ -65,35 +65,19 @@ pub fn scene(rng: &mut ChaCha8Rng, kind: Kind) -> Scene {
         _ => Profile::Cosine { exponent: uniform(rng, 1.0, 3.0) },
     };
     let toward = centre + normal * uniform(rng, 10e-3, 16e-3) + vector(rng, 0.5e-3);
-    let cell = Cell {
-        detector: Detector {
-            centre_base_m: centre,
-            x_axis_base: x_axis,
-            normal_base: normal,
-            length_m: 12e-3,
-            width_m: uniform(rng, 0.8e-3, 2e-3),
-            responsivity_a_per_w: 0.54,
-            dark_current_a: 5e-9,
-            interelectrode_ohm: None,
-            saturation_a: None,
-            faint_a: DEFAULT_FAINT_A,
-        },
-        slit: Slit {
-            distance_m: distance,
-            width_m: uniform(rng, 0.3e-3, 1e-3),
-            length_m: 10e-3,
-            offset_m: DVec2::new(uniform(rng, -0.3e-3, 0.3e-3), uniform(rng, -0.3e-3, 0.3e-3)),
-            tilt_rad: if tilted { vector(rng, 0.25) } else { DVec3::ZERO },
-            thickness_m: if thick { uniform(rng, 0.05e-3, 0.3e-3) } else { 0.0 },
-        },
-        emitter: Emitter {
-            position_tool_m: toward,
-            axis_tool: (-normal + vector(rng, 0.3)).normalize(),
-            radiant_intensity_w_per_sr: 3.16e-3,
-            profile,
-        },
-        effects: slitpose_model::Effects::default(),
-    };
+    let mut cell = base().cells[0].clone();
+    let Cell { detector, slit, emitter, .. } = &mut cell;
+    (detector.centre_base_m, detector.x_axis_base, detector.normal_base) = (centre, x_axis, normal);
+    detector.width_m = uniform(rng, 0.8e-3, 2e-3);
+    detector.dark_current_a = 5e-9;
+    (detector.interelectrode_ohm, detector.saturation_a) = (None, None);
+    (slit.distance_m, slit.width_m) = (distance, uniform(rng, 0.3e-3, 1e-3));
+    slit.offset_m = DVec2::new(uniform(rng, -0.3e-3, 0.3e-3), uniform(rng, -0.3e-3, 0.3e-3));
+    slit.tilt_rad = if tilted { vector(rng, 0.25) } else { DVec3::ZERO };
+    slit.thickness_m = if thick { uniform(rng, 0.05e-3, 0.3e-3) } else { 0.0 };
+    emitter.position_tool_m = toward;
+    emitter.axis_tool = (-normal + vector(rng, 0.3)).normalize();
+    emitter.profile = profile;
     Scene { cells: [cell].into_iter().collect(), noise: None, uncertainty: Uncertainty::default() }
 }
 
