@@ -1,4 +1,4 @@
-//! From bytes to poses with covariance, one thread: the scene `wide` in smooth motion at up to
+//! From bytes to poses with covariance, one thread: shipped scenes in smooth motion, `wide` at up to
 //! 0.5 m/s and 5 rad/s, four scans a packet, truths included as a simulated board sends them.
 //!
 //! ```text
@@ -11,7 +11,7 @@ use std::hint::black_box;
 use std::time::Duration;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use slitpose_head::scene_file::WIDE;
+use slitpose_head::scene_file::{MAGLEV, SPACEMOUSE, WIDE};
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_model::Tier;
 use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message};
@@ -22,10 +22,11 @@ use slitpose_tracking::pipeline::{Item, PipelineError};
 const SCANS: usize = 1000;
 
 fn bytes_to_poses(c: &mut Criterion) {
-    let file = WIDE.read().expect("shipped");
     let mut group = c.benchmark_group("bytes to poses");
     group.throughput(Throughput::Elements(SCANS as u64)).measurement_time(Duration::from_secs(5));
-    for (name, tier) in [("paper", Tier::Paper), ("exact 1e-6", STREAM)] {
+    for (shipped, tier) in [(WIDE, Tier::Paper), (WIDE, STREAM), (SPACEMOUSE, STREAM), (MAGLEV, STREAM)] {
+        let file = shipped.read().expect("shipped");
+        let name = format!("{}, {}", shipped.name, if tier == STREAM { "exact 1e-6" } else { "paper" });
         let bytes = capture(&file, Trajectory::of_kind(TrajectoryKind::Smooth, 1, 1.0), tier, 1, SCANS);
         group.bench_function(name, |b| {
             b.iter(|| {
