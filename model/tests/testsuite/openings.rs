@@ -304,7 +304,7 @@ fn what_an_opening_cannot_be_computed_with_is_refused() {
 }
 
 /// Where nothing cuts a spot one rule integrates it, else a polygon is divided, as nearly all are at a tolerance 10⁻⁵ times
-/// as large. The tolerance is that of the currents. Derivatives err more, as the light falls off within a millimetre or
+/// as small. The tolerance is that of the currents. Derivatives err more, as the light falls off within a millimetre or
 /// two: over a million cells by 1.2e-5 of the current per millimetre and 3.2e-5 per 0.1 rad at most, polygons' as well.
 #[test]
 fn whole_spots_have_the_light_and_the_derivatives_of_divided_ones() {

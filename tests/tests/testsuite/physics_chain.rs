@@ -4,7 +4,7 @@
 use std::io::Cursor;
 
 use slitpose_head::front_end::Stage;
-use slitpose_head::scene_file::{SceneFile, WIDE};
+use slitpose_head::scene_file::{MAGLEV, SPACEMOUSE, SceneFile, WIDE};
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_head::table::TableReader;
 use slitpose_model::{DegradedReason, Estimate, Outcome, Pose, Solver, Tracker, Verified};
@@ -185,4 +185,16 @@ fn a_converter_at_its_limit_is_left_out() {
     assert!(masked[0] > 50 && masked[1] > 200 && masked[2] > 200, "the motion must meet the limit: {masked:?}");
     let honesty = Honesty::of(poses(&records));
     assert!(honesty.worst_sigmas < 5.5 && (4.3..5.9).contains(&honesty.median_nees), "{honesty:?}");
+}
+
+/// Where it is not known how far a spot is from being cut, a solve looks at both sides of its pose, with three evaluations.
+#[test]
+fn spots_that_nothing_cuts_cost_few_evaluations() {
+    for shipped in [SPACEMOUSE, MAGLEV, WIDE] {
+        let file = shipped.read().expect("shipped");
+        let (records, _) = solve(&file, STREAM, &capture(&file, smooth(7), STREAM, 7, 500));
+        let evaluations: usize = records[100..].iter().map(|record| record.solution.evaluations).sum();
+        println!("{}: {} evaluations of 400 scans", shipped.name, evaluations);
+        assert!(evaluations < 2 * 400, "{}", shipped.name);
+    }
 }
