@@ -63,7 +63,7 @@ fn unreadable(seed: u64) -> impl Device {
 
 #[test]
 fn a_run_without_usable_scans_ends_and_says_why() {
-    let unusable = "no usable scan for 3 s";
+    let unusable = "no usable scan for ";
     let foreign = "end any other program that speaks to the board";
     let another = "cannot be read; build firmware and program from the same source";
     // Side by side: each takes the seconds after which scans are missed. Where nothing but a status comes, half a
