@@ -88,9 +88,9 @@ fn a_calibration_finds_the_drawn_parameters_within_their_deviations() {
     println!("seeds {SEEDS:?}: {count} parameters, error/sigma {rms:.3} rms, {:.2} % within 3", within * 1e2);
     // Of normal errors 99.7 % are within three. Those of one head depend on each other.
     assert!(within >= 0.99 && (0.8..1.25).contains(&rms), "seeds {SEEDS:?}: {within} {rms}");
-    // What a calibration leaves open is the same at all poses: six numbers for each head. χ² of six is above 1.6 and
-    // below 12.6 nine times in ten.
-    assert!(nees.iter().all(|of_head| (1.6..12.6).contains(of_head)), "seeds {SEEDS:?}: {nees:?}");
+    // What a calibration leaves open is the same at all poses: six numbers for each head. χ² of six is above 1.2 and
+    // below 14.4 nineteen times in twenty. These heads have no physics beyond the model, and smaller errors than allowed for.
+    assert!(nees.iter().all(|of_head| (1.2..14.4).contains(of_head)), "seeds {SEEDS:?}: {nees:?}");
 }
 
 /// A trend that is common to all light is found and allowed for. What single emitters change more or less is not: a tenth of it.
