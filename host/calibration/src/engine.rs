@@ -28,9 +28,12 @@ const ROUNDS: usize = 12;
 
 /// How much larger the model errors of a cell are for a solver than the root mean square of its residuals, whose tail is
 /// longer than a normal one's, even where they grow towards the ends of detectors ([`ModelError::reach`]). Of five heads at 200
-/// poses, 2000 means of 100 frames: none is `converged` beyond 8 σ (7.4), of 3 a sound cell is left out or doubted (none with
+/// poses, 2000 means of 100 frames: none is `converged` beyond 8 σ (7.4), 3 leave a sound cell out or are a misfit (none with
 /// 1.6); errors are 0.84 σ rms (0.74 σ), of single frames 0.97 σ.
 const TAIL: f64 = 1.2;
+
+/// Least reach: model errors at the end of a detector are then some hundred times those of its centre, as unknown as before.
+const MIN_REACH: f64 = 0.3;
 
 /// Readings of a cell from which on it is told how far from the centre of its detector they reach.
 const MIN_REACH_READINGS: usize = 20;
@@ -314,8 +317,9 @@ fn reach(data: &Data, weights: &Weights, cell: usize) -> Option<f64> {
         .filter_map(|(row, _)| row.readings[cell])
         .map(|[first, second]| ((second - first) / (second + first)).abs())
         .collect();
-    let ninth = 9 * from_centre.len() / 10;
-    (from_centre.len() >= MIN_REACH_READINGS).then(|| *from_centre.select_nth_unstable_by(ninth, f64::total_cmp).1)
+    let place = 9 * from_centre.len() / 10;
+    (from_centre.len() >= MIN_REACH_READINGS)
+        .then(|| from_centre.select_nth_unstable_by(place, f64::total_cmp).1.max(MIN_REACH))
 }
 
 /// Errors of poses of rows that are left out in turn, against the instrument, its outliers excepted; whether it was interrupted.

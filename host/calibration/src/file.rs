@@ -153,6 +153,11 @@ impl Calibration {
                 entries.push(Parameter { cell, quantity, prior, prior_sigma, value, sigma });
             }
         }
+        for (cell, reach) in parsed.cell.iter().map(|cell| cell.model_error_reach).enumerate() {
+            if reach.is_some_and(|reach| !(reach > 0.0 && reach.is_finite())) {
+                return Err(format!("model_error_reach of cell {cell} is not finite and positive"));
+            }
+        }
         let count = entries.len();
         let square = parsed.correlation.rows.iter().enumerate().all(|(row, values)| values.len() == row);
         if parsed.correlation.rows.len() != count || !square {
@@ -271,7 +276,7 @@ impl Calibration {
         for (number, error) in self.model_errors.iter().enumerate() {
             writeln!(out, "[[cell]]\nmodel_error_relative = {:e}", error.relative)?;
             writeln!(out, "model_error_m = {:e}", error.position_m)?;
-            error.reach.map_or(Ok(()), |reach| writeln!(out, "model_error_reach = {reach:.3}"))?;
+            error.reach.map_or(Ok(()), |reach| writeln!(out, "model_error_reach = {reach:e}"))?;
             self.write_parameters(out, Some(number))?;
         }
         writeln!(out, "[converter]\nfull_scale_a = {:e}", self.parameters.full_scale_a)?;

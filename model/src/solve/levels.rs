@@ -48,12 +48,13 @@ const MISFIT: f64 = 1.5;
 /// Most that χ² over redundancy of one frame counts for.
 const MOST_MISFIT: f64 = 10.0;
 
-/// An emitter has changed if so many frames, with its level free, have no more than this mean χ² over redundancy.
+/// An emitter has changed if so many frames have no more than this mean χ² over redundancy with its level free, and more with
+/// all levels as they are.
 const SUSPECTED_FRAMES: u32 = 32;
 const EXPLAINED: f64 = 1.25;
 
-/// Standard deviation of the level of an emitter that has changed at once.
-const CHANGED: f64 = 0.3;
+/// Standard deviation of the level of an emitter that has changed at once: next to nothing is known of it.
+const CHANGED: f64 = 3.0;
 
 /// Standard deviation of a pose of which nothing is known, in units of the head's length: wide against any pose, narrow
 /// enough that its square loses no digits.
@@ -97,8 +98,9 @@ pub struct Levels<S: Number> {
     /// Share of the last frames that contradict the head, and mean χ² over redundancy of the others.
     contradicting: S,
     misfit: S,
-    /// Sum of χ² over redundancy with the level of each emitter free, of so many frames that contradict.
+    /// Sums of χ² over redundancy with the level of each emitter free, and with none free, of so many frames in trouble.
     suspicions: [S; MAX_CELLS],
+    unexplained: S,
     suspected: u32,
     /// The last frame that counted, and where the tool was.
     counted: Option<(u64, Rigid<S>)>,
@@ -133,6 +135,7 @@ impl<S: Number> Levels<S> {
             contradicting: S::zero(),
             misfit: S::one(),
             suspicions: [S::zero(); MAX_CELLS],
+            unexplained: S::zero(),
             suspected: 0,
             counted: None,
             frame: 0,
@@ -203,27 +206,39 @@ impl<S: Number> Levels<S> {
         self.contradicting > S::of(TROUBLED) || self.misfit > S::of(MISFIT)
     }
 
-    /// Tries with each emitter whether a change of it explains a frame that contradicts; after many, takes the best for changed.
+    /// Tries with each emitter whether a change of it explains a frame in trouble; after many, takes the best for changed.
     fn suspect(&mut self, observation: &Observation<S>) {
-        // Of a frame's data, six are the pose's, one the common level's, one the emitter's.
-        let redundancy = observation.rows.len().saturating_sub(OTHERS - 5).max(1);
+        // Of a frame's data, six are the pose's and one the common level's.
+        let redundancy = observation.rows.len().saturating_sub(OTHERS - 6).max(2);
+        let misfit = |mut levels: Self, freed: usize| {
+            let misfit = levels.update(observation) / S::of((redundancy - freed) as f64);
+            misfit.min(S::of(MOST_MISFIT))
+        };
+        self.unexplained += misfit(self.clone(), 0);
         for emitter in own(&self.emitters) {
             let mut changed = self.clone();
             changed.set_free(emitter);
-            self.suspicions[emitter] += changed.update(observation) / S::of(redundancy as f64);
+            self.suspicions[emitter] += misfit(changed, 1);
         }
         self.suspected += 1;
         if self.suspected < SUSPECTED_FRAMES {
             return;
         }
         let best = own(&self.emitters).reduce(|a, b| if self.suspicions[b] < self.suspicions[a] { b } else { a });
+        let enough = S::of(EXPLAINED * f64::from(SUSPECTED_FRAMES));
         if let Some(emitter) = best
-            && self.suspicions[emitter] <= S::of(EXPLAINED * f64::from(SUSPECTED_FRAMES))
+            && self.suspicions[emitter] <= enough
+            && self.unexplained > enough
         {
             self.set_free(emitter);
+            self.update(observation);
             (self.contradicting, self.misfit) = (S::zero(), S::one());
         }
-        (self.suspicions, self.suspected) = ([S::zero(); MAX_CELLS], 0);
+        self.acquit();
+    }
+
+    fn acquit(&mut self) {
+        (self.suspicions, self.unexplained, self.suspected) = ([S::zero(); MAX_CELLS], S::zero(), 0);
     }
 
     /// Forgets what is known of an emitter that has changed at once.
@@ -313,6 +328,7 @@ impl<S: Scalar> PoseTracker<S> {
                 levels.suspect(&observation);
             } else {
                 levels.update(&observation);
+                levels.acquit();
             }
             levels.counted = Some((frame, solution.rigid));
         }

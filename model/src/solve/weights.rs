@@ -126,6 +126,7 @@ impl<S: Number> CellNoise<S> {
         Self {
             emitter_gain: self.emitter_gain.max(S::of(0.05 * 0.05)),
             position: self.position.max(position * position),
+            growth: S::zero(),
             ..*self
         }
     }

@@ -2,7 +2,7 @@
 //! on the poses.
 
 use slitpose_head::foreign::printable;
-use slitpose_model::{DegradedReason, Filtered, NoTwist, Outcome, Pose, SceneError, Solution, TwistEstimate};
+use slitpose_model::{DegradedReason, Filtered, NoTwist, Outcome, Pose, SceneError, Solution, Tracked, TwistEstimate};
 use slitpose_protocol::schema::SchemaMismatch;
 use slitpose_protocol::{Hello, ScalingError, ScheduleError, Severity, Status};
 use thiserror::Error;
@@ -251,7 +251,8 @@ impl Doubt {
 
     /// Counts the scan `sequence`, which has this solution.
     pub(super) fn count(&mut self, sequence: u64, solution: &Solution) {
-        // What counts no more leaves no trace: the state is that of a session which has not seen it.
+        // What counts no more leaves no trace, nor residuals after the end of the half that follows theirs: the state is that of a
+        // session which has not seen them.
         for latest in &mut self.latest {
             *latest = latest.filter(|latest| sequence.abs_diff(*latest) <= self.within);
         }
@@ -265,7 +266,7 @@ impl Doubt {
             let before = if now.half + 1 == half { now } else { Residuals::default() };
             self.residuals = [Residuals { half, ..Residuals::default() }, before];
         }
-        if solution.outcome == Outcome::Converged {
+        if has_residuals(&solution.outcome) {
             let redundancy = solution.redundancy as f64;
             self.residuals[0].redundancy += redundancy;
             self.residuals[0].chi2 += solution.chi2.min(MOST_MISFIT * redundancy);
@@ -273,17 +274,41 @@ impl Doubt {
     }
 
     /// Degrades a pose that seems sound and is in doubt. By as much as the residuals are larger than they should be, its
-    /// covariance is, too.
-    pub(super) fn apply(&self, sequence: u64, solution: &mut Solution) {
-        let contradicting = self.residuals.iter().filter(|residuals| residuals.contradict());
+    /// covariance is, too, and those of twist and filtered pose.
+    pub(super) fn apply(&self, sequence: u64, tracked: &mut Tracked) {
+        let half = sequence / (self.within / 2);
+        let recent = self.residuals.map(|residuals| {
+            let is_recent = half.checked_sub(residuals.half).is_some_and(|halves| halves <= 1);
+            if is_recent { residuals } else { Residuals::default() }
+        });
+        let [now, before] = recent;
+        let both = Residuals { half, chi2: now.chi2 + before.chi2, redundancy: now.redundancy + before.redundancy };
+        let contradicting = [now, before, both].into_iter().filter(Residuals::contradict);
         let misfit = contradicting.map(|residuals| residuals.chi2 / residuals.redundancy).reduce(f64::max);
         let is_doubted = self.latest[0].is_some_and(|oldest| sequence.abs_diff(oldest) <= self.within);
-        if (is_doubted || misfit.is_some()) && solution.outcome == Outcome::Converged {
-            solution.outcome = Outcome::Degraded(DegradedReason::Doubted);
-            let covariance = solution.estimate.iter_mut().flat_map(|estimate| estimate.covariance.as_flattened_mut());
-            covariance.for_each(|element| *element *= misfit.unwrap_or(1.0));
+        let solution = &mut tracked.solution;
+        if !has_residuals(&solution.outcome) || !(is_doubted || misfit.is_some()) {
+            return;
         }
+        if solution.outcome == Outcome::Converged {
+            solution.outcome = Outcome::Degraded(DegradedReason::Doubted);
+        }
+        let filtered = tracked.filtered.iter_mut();
+        let twists = tracked.twist.iter_mut().map(|twist| &mut twist.covariance);
+        let covariances = solution.estimate.iter_mut().map(|estimate| &mut estimate.covariance).chain(twists);
+        let covariances = covariances.chain(filtered.flat_map(|filtered| {
+            let twist = filtered.twist.iter_mut().map(|twist| &mut twist.covariance);
+            twist.chain([&mut filtered.estimate.covariance])
+        }));
+        covariances.flat_map(|covariance| covariance.as_flattened_mut()).for_each(|element| {
+            *element *= misfit.unwrap_or(1.0);
+        });
     }
+}
+
+/// Whether the residuals of a scan are those of all cells with light, and passed the gate of χ².
+fn has_residuals(outcome: &Outcome) -> bool {
+    matches!(outcome, Outcome::Converged | Outcome::Degraded(DegradedReason::FewerCells))
 }
 
 /// Whether the scene does not explain a scan: it has outliers, identified or not. Of few cells none is found because they
@@ -324,12 +349,18 @@ mod tests {
         Solution::reported(outcome, estimate, chi2, Cells::from_bits((1 << cells) - 1), Cells::default())
     }
 
+    fn applied(doubt: &Doubt, sequence: u64, solution: Solution) -> Solution {
+        let mut tracked = Tracked { solution, twist: Err(NoTwist::NoPose), filtered: None, light_level: None };
+        doubt.apply(sequence, &mut tracked);
+        tracked.solution
+    }
+
     /// Covariance of each scan of these solutions, at 100 Hz, that is doubted.
     fn doubted(solutions: impl Iterator<Item = Solution>) -> Vec<(u64, f64)> {
         let mut doubt = Doubt::new(0.01);
-        let doubted = |(sequence, mut solution): (u64, Solution)| {
+        let doubted = |(sequence, solution): (u64, Solution)| {
             doubt.count(sequence, &solution);
-            doubt.apply(sequence, &mut solution);
+            let solution = applied(&doubt, sequence, solution);
             let is_doubted = solution.outcome == Outcome::Degraded(DegradedReason::Doubted);
             solution.estimate.filter(|_| is_doubted).map(|estimate| (sequence, estimate.covariance[0][0]))
         };
@@ -367,6 +398,15 @@ mod tests {
         let one_in = |length: u64| (0..240).map(move |scan| with(if scan % length == 0 { 1e9 } else { 1.0 })(scan));
         assert_eq!(doubted(one_in(12)), []);
         assert_ne!(doubted(one_in(4)), []);
+        // A slow board has four scans a half, of which two halves are enough; and what was long ago counts no more.
+        let mut slow = Doubt::new(1.0);
+        (0..8).for_each(|scan| slow.count(scan, &with(9.0)(scan)));
+        let misfit = |scan: u64, cells| applied(&slow, scan, solution(Outcome::Converged, cells, 6.0)).outcome;
+        assert_eq!([7, 8, 500].map(|scan| misfit(scan, 6) == Outcome::Converged), [false, true, true]);
+        // With a dark cell the status stays, and the covariance grows.
+        let fewer = Outcome::Degraded(DegradedReason::FewerCells);
+        let estimate = applied(&slow, 7, solution(fewer, 5, 4.0)).estimate.expect("a pose");
+        assert_eq!((misfit(7, 5), estimate.covariance[0][0]), (Outcome::Degraded(DegradedReason::Doubted), 9.0));
     }
 
     #[test]
@@ -386,8 +426,7 @@ mod tests {
         }
         let mut slow = Doubt::new(1.0);
         (3..6).for_each(|sequence| slow.count(sequence, &diverged));
-        let mut last = solution(Outcome::Converged, 6, 6.0);
-        slow.apply(8, &mut last);
+        let last = applied(&slow, 8, solution(Outcome::Converged, 6, 6.0));
         assert_ne!(last.outcome, Outcome::Converged, "a slow board has eight scans");
     }
 }

@@ -186,7 +186,7 @@ impl Pipeline {
     }
 
     /// Digest of the state that later poses depend on besides later bytes and what scans say of themselves: that of the
-    /// tracker, and recent contradictions. Of two pipelines that have decoded the same bytes and have the same digest, all later poses are the same,
+    /// tracker, recent contradictions and sums of residuals. Of two pipelines that have decoded the same bytes and have the same digest, all later poses are the same,
     /// bit for bit, whichever scans each has solved before (but for a chance of 2⁻⁶⁴). `None` before the first hello.
     pub fn state(&self) -> Option<u64> {
         let session = self.flow.session.as_ref()?;

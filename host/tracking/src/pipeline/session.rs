@@ -197,7 +197,7 @@ impl Session {
             Content::Pose(pose) => self.completed(pose),
         };
         self.doubt.count(scan.sequence, &tracked.solution);
-        self.doubt.apply(scan.sequence, &mut tracked.solution);
+        self.doubt.apply(scan.sequence, &mut tracked);
         tracked
     }
 
@@ -276,7 +276,7 @@ impl Session {
             Content::Words(words) => self.solve_words_ahead(words, first),
             Content::Pose(pose) => self.completed(pose),
         };
-        self.doubt.apply(scan.sequence, &mut tracked.solution);
+        self.doubt.apply(scan.sequence, &mut tracked);
         tracked
     }
 
