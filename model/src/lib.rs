@@ -97,6 +97,6 @@ pub use scene::{
 };
 pub use solve::{
     AXES, BoardTracker, Cells, CompactError, CompactFrame, CompactPart, DegradedReason, Directions, Estimate, Filtered,
-    MIN_CELLS, MotionPrior, NoTwist, Outcome, Photocurrents, PoseTracker, Reading, Solution, Solver, Start, Tracked,
-    Tracker, TwistEstimate, Verified,
+    MAX_MEAN_MISFIT, MAX_MISFIT, MIN_CELLS, MotionPrior, NoTwist, Outcome, Photocurrents, PoseTracker, Reading,
+    Solution, Solver, Start, Tracked, Tracker, TwistEstimate, Verified,
 };

@@ -16,6 +16,7 @@ use crate::normal::Normal;
 use crate::plausibility::Implausible;
 use crate::pose_error::PoseError;
 use crate::prior::Parameters;
+use crate::reading::share;
 use crate::start::{Beginning, solved};
 use crate::state::{State, Weights, residuals};
 use crate::{
@@ -310,13 +311,11 @@ fn conclude(
     Ok(calibration)
 }
 
-/// See [`ModelError::reach`](slitpose_model::ModelError::reach); readings that were left out do not count.
+/// See [`ModelError::reach`]; readings that were left out do not count.
 fn reach(data: &Data, weights: &Weights, cell: usize) -> Option<f64> {
     let used = data.rows.iter().zip(&weights.readings).filter(|(_, weights)| weights[cell] > 0.0);
-    let mut from_centre: Vec<f64> = used
-        .filter_map(|(row, _)| row.readings[cell])
-        .map(|[first, second]| ((second - first) / (second + first)).abs())
-        .collect();
+    let mut from_centre: Vec<f64> =
+        used.filter_map(|(row, _)| row.readings[cell]).map(|reading| share(reading).abs()).collect();
     let place = 9 * from_centre.len() / 10;
     (from_centre.len() >= MIN_REACH_READINGS)
         .then(|| from_centre.select_nth_unstable_by(place, f64::total_cmp).1.max(MIN_REACH))

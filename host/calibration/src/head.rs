@@ -12,6 +12,7 @@ use slitpose_model::{
 
 use crate::parameter::Quantity;
 use crate::prior::Parameters;
+use crate::reading::share;
 use crate::{Calibration, CalibrationFileError, prior};
 
 /// A head, and what its poses rest on. Scenes are large: copies of a head share them.
@@ -177,7 +178,7 @@ fn open_by(parameters: &Parameters, number: usize, nominal: &Scene, poses: &[Pos
                 current += 0.5 * (change(|[first, _]| first) + change(|[_, second]| second));
             } else {
                 relative += change(|[first, second]| (first + second).ln());
-                position += change(|[first, second]| (second - first) / (first + second)) * usual.half_length_m.powi(2);
+                position += change(share) * usual.half_length_m.powi(2);
             }
         }
     }

@@ -6,7 +6,7 @@ use slitpose_model::{Cell, CompiledScene, Pose, Scene, SceneError, rotation_exp}
 use thiserror::Error;
 
 use crate::data::{Constraint, Data, Group, Row, compose, inverse, median, middle, values_of};
-use crate::reading::TIER;
+use crate::reading::{TIER, share};
 use crate::start::{align, solved};
 
 /// What is wrong with the data of a file, which comes first.
@@ -430,11 +430,6 @@ fn best_reading(file: &str, reports: &[Pose], miss: &dyn Fn(Reports<'_>) -> f64)
         try_reading(&of_row, &|_| Implausible::Shifted(name(), shift));
     }
     (as_given, best.1)
-}
-
-/// Place of the light, as a share of half the detector.
-fn share([first, second]: [f64; 2]) -> f64 {
-    (second - first) / (first + second)
 }
 
 const ORDERS: [[usize; 3]; 6] = [[0, 1, 2], [1, 2, 0], [2, 0, 1], [1, 0, 2], [0, 2, 1], [2, 1, 0]];

@@ -9,6 +9,11 @@ use crate::data::Row;
 /// The optics of calibration: finer than the noise of a thousand frames.
 pub(crate) const TIER: Tier = Tier::Exact { tolerance: 1e-6 };
 
+/// Place of the light, as a share of half the detector.
+pub(crate) fn share([first, second]: [f64; 2]) -> f64 {
+    (second - first) / (first + second)
+}
+
 /// Covariance of the currents of one cell, A²: three numbers, [1,1], [1,2] and [2,2].
 pub(crate) type Covariance = [f64; 3];
 

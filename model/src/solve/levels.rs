@@ -22,7 +22,7 @@ use crate::scene::{MAX_CELLS, Scene};
 
 use super::compiled::LEVEL_CELLS;
 use super::normal_equations::Workspace;
-use super::outcome::{DegradedReason, Outcome, Solution};
+use super::outcome::{MAX_MEAN_MISFIT, MAX_MISFIT, Outcome, Solution};
 use super::readings::{Photocurrents, Reading, Sorted};
 use super::tracker::PoseTracker;
 use super::weights::{CellNoise, Row};
@@ -40,13 +40,9 @@ const PAUSE_FRAMES: u64 = 8;
 /// it, and by the mean χ² over redundancy of the others, which has a standard deviation of 0.06 where five data are redundant.
 const JUDGED_FRAMES: f64 = 64.0;
 
-/// With more than this share, or more than this mean, it is not: nothing is learnt. Either part of the head is not as the
-/// scene says, or an emitter has changed at once.
+/// With more than this share, or a mean above [`MAX_MEAN_MISFIT`], it is not: nothing is learnt. Either part of the head is not
+/// as the scene says, or an emitter has changed at once.
 const TROUBLED: f64 = 0.05;
-const MISFIT: f64 = 1.5;
-
-/// Most that χ² over redundancy of one frame counts for.
-const MOST_MISFIT: f64 = 10.0;
 
 /// An emitter has changed if so many frames have no more than this mean χ² over redundancy with its level free, and more with
 /// all levels as they are.
@@ -188,22 +184,21 @@ impl<S: Number> Levels<S> {
     /// Counts a frame with this solution; whether levels can be told by it at all.
     fn judge(&mut self, solution: &Solution<S>) -> bool {
         let is_converged = solution.outcome == Outcome::Converged;
-        let contradicts = match solution.outcome {
-            Outcome::Converged => S::zero(),
-            Outcome::Degraded(DegradedReason::Misfit | DegradedReason::CellExcluded) => S::one(),
-            _ => return false,
-        };
+        if !is_converged && !solution.outcome.is_contradiction() {
+            return false;
+        }
+        let contradicts = if is_converged { S::zero() } else { S::one() };
         let part = S::of(JUDGED_FRAMES.recip());
         self.contradicting += (contradicts - self.contradicting) * part;
         if is_converged && solution.redundancy > 0 {
             let misfit = solution.chi2 / S::of(solution.redundancy as f64);
-            self.misfit += (misfit.min(S::of(MOST_MISFIT)) - self.misfit) * part;
+            self.misfit += (misfit.min(S::of(MAX_MISFIT)) - self.misfit) * part;
         }
         is_converged || self.is_in_trouble()
     }
 
     fn is_in_trouble(&self) -> bool {
-        self.contradicting > S::of(TROUBLED) || self.misfit > S::of(MISFIT)
+        self.contradicting > S::of(TROUBLED) || self.misfit > S::of(MAX_MEAN_MISFIT)
     }
 
     /// Tries with each emitter whether a change of it explains a frame in trouble; after many, takes the best for changed.
@@ -212,7 +207,7 @@ impl<S: Number> Levels<S> {
         let redundancy = observation.rows.len().saturating_sub(OTHERS - 6).max(2);
         let misfit = |mut levels: Self, freed: usize| {
             let misfit = levels.update(observation) / S::of((redundancy - freed) as f64);
-            misfit.min(S::of(MOST_MISFIT))
+            misfit.min(S::of(MAX_MISFIT))
         };
         self.unexplained += misfit(self.clone(), 0);
         for emitter in own(&self.emitters) {

@@ -52,7 +52,9 @@ pub use compact::{BoardTracker, CompactError, CompactFrame, CompactPart};
 pub use compiled::MIN_CELLS;
 pub(crate) use levels::Observation;
 pub use motion::{Filtered, NoTwist, TwistEstimate};
-pub use outcome::{AXES, Cells, DegradedReason, Directions, Estimate, Outcome, Solution, Verified};
+pub use outcome::{
+    AXES, Cells, DegradedReason, Directions, Estimate, MAX_MEAN_MISFIT, MAX_MISFIT, Outcome, Solution, Verified,
+};
 pub use readings::{Photocurrents, Reading};
 pub use solver::{Solver, Start};
 pub use tracked::{Tracked, Tracker};

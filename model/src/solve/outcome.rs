@@ -66,6 +66,11 @@ impl Outcome {
         matches!(self, Self::Converged | Self::Degraded(_))
     }
 
+    /// Whether the scene does not explain the currents: they have an outlier, identified or not.
+    pub fn is_contradiction(&self) -> bool {
+        matches!(self, Self::Degraded(DegradedReason::Misfit | DegradedReason::CellExcluded))
+    }
+
     /// The word used in tables and messages.
     pub fn as_str(&self) -> &'static str {
         match self {
@@ -192,6 +197,13 @@ impl<S: Number> Estimate<S> {
         Some(factor.forward(&right).iter().map(|value| value * value).sum())
     }
 }
+
+/// Mean χ² over redundancy above which frames contradict their scene together: that of a sound head is about 1, and 1.3 when it
+/// is 20 K warmer.
+pub const MAX_MEAN_MISFIT: f64 = 1.5;
+
+/// Most that one frame counts for in this mean: what is beyond contradicts by itself.
+pub const MAX_MISFIT: f64 = 10.0;
 
 /// The result of one solve.
 #[derive(Clone, Copy, Debug)]

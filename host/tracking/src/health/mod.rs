@@ -15,7 +15,7 @@ mod judge;
 mod tests;
 mod window;
 
-use slitpose_model::{DegradedReason, Outcome, Photocurrents, Reading, SceneError, Solution, Solver, Status, Tier};
+use slitpose_model::{Outcome, Photocurrents, Reading, SceneError, Solution, Solver, Status, Tier};
 use slitpose_protocol::{AdcScaling, RawScan, Schedule};
 
 pub use diagnosis::{CellHealth, CellTotals, Diagnosis, Fault, HeadHealth, Shares, Verdict};
@@ -221,5 +221,5 @@ impl Health {
 
 /// Whether the scene does not explain the scan: it has outliers, identified or not.
 fn is_troubled(outcome: &Outcome) -> bool {
-    matches!(outcome, Outcome::Diverged | Outcome::Degraded(DegradedReason::Misfit | DegradedReason::CellExcluded))
+    *outcome == Outcome::Diverged || outcome.is_contradiction()
 }

@@ -9,6 +9,7 @@
 mod board_clock;
 mod board_poses;
 mod counts;
+mod doubt;
 mod flow;
 mod item;
 mod session;

@@ -6,7 +6,7 @@ use slitpose_protocol::poses::{Poses, TRIANGLE};
 use slitpose_protocol::{AdcScaling, BoardKind, Hello, PoseStatus, RawScan, Schedule};
 
 use super::board_poses::{BoardPose, Comparison, PoseFault};
-use super::item::Doubt;
+use super::doubt::Doubt;
 use super::waiting::{Content, Scan};
 use super::{PipelineError, PipelineOptions, SceneMatch};
 use crate::health::{HeadHealth, Health};

@@ -124,3 +124,33 @@ fn levels_do_not_learn_what_is_no_change_of_light() {
     assert!(converged > 2000);
     assert!(most < 3.0);
 }
+
+/// One scan in twelve has a reflection: the others need no explanation, and no emitter counts as changed.
+#[test]
+fn scans_that_contradict_now_and_then_change_no_emitter() {
+    let motion = |time_s: f64| swing_at(time_s, 0.25);
+    let (mut rig, mut same) = drifted([1.0; 6], true);
+    judged(&mut rig, &mut same, 4000, motion);
+    let known = |rig: &Rig| {
+        let drifts = rig.tracker.emitter_drifts().expect("followed");
+        drifts.iter().map(|drift| drift[1]).fold(0.0, f64::max)
+    };
+    let before = known(&rig);
+    let (mut scan, mut most, mut excluded) = (0, 0.0_f64, 0);
+    for _ in 0..8000 {
+        let mut flash = |readings: &mut Photocurrents| {
+            scan += 1;
+            if let Reading::Light(pair) = &mut readings.cells[2]
+                && scan % 12 == 0
+            {
+                pair.i_x1_a *= 1.3;
+            }
+        };
+        excluded += usize::from(faulty(&mut rig, motion, &mut flash).0.solution.outcome.is_contradiction());
+        most = most.max(known(&rig));
+    }
+    println!("{excluded} of 8000 scans contradict; emitters known to {before:.1e} before, {most:.1e} at worst then");
+    // Of the process alone: σ²·2·t/τ more, for the two seconds in which nothing is learnt.
+    let unlearnt = before.hypot(DRIFT * (2.0 * 8000.0 * PERIOD_S / 7200.0).sqrt());
+    assert!(excluded > 400 && most < 1.2 * unlearnt, "{unlearnt:.1e}");
+}
