@@ -21,33 +21,38 @@ Files = Union[str, "os.PathLike[str]", Iterable[Union[str, "os.PathLike[str]"]]]
 
 @dataclasses.dataclass(frozen=True)
 class CellCheck:
-    """What readings say of one cell, against what all others predict of it."""
+    """What readings say of one cell, against what all others predict of it.
 
-    #: Readings looked at.
+    :ivar readings: number of readings.
+    :ivar relative: mean deviation of its photocurrent, relative, from that of all cells.
+    :ivar position_m: mean deviation of the position of its light, m.
+    :ivar rms_position_m: root mean square of that deviation, m.
+    :ivar without: χ² over its expectation without the cell.
+    """
+
     readings: int
-    #: Mean deviation of its photocurrent, relative, from that of all cells.
     relative: float
-    #: Mean deviation of the position of its light, m.
     position_m: float
-    #: Root mean square of that deviation, m.
     rms_position_m: float
-    #: χ² by its expectation without the cell.
     without: float
 
 
 @dataclasses.dataclass(frozen=True)
 class Check:
-    """Whether a calibration still describes its head."""
+    """Whether a calibration still describes its head.
 
-    #: Rows with a pose.
+    :ivar rows: rows with a pose.
+    :ivar chi2: χ² of all rows over its expectation.
+    :ivar light_level: relative deviation of all light together; poses allow for it.
+    :ivar is_valid: whether the calibration holds; ``None``: too few rows.
+    :ivar changed: the cell that has changed, if only one has.
+    :ivar cells: each cell on its own.
+    """
+
     rows: int
-    #: χ² of all rows by its expectation.
     chi2: float
-    #: Deviation of all light together, relative: poses allow for it.
     light_level: float
-    #: ``None``: too few rows to tell.
     is_valid: Optional[bool]
-    #: The cell that has changed, if it is one alone.
     changed: Optional[int]
     cells: tuple[CellCheck, ...]
 
@@ -138,7 +143,7 @@ class Calibration:
 
 
 def calibrate(
-    scene: Scene,
+    scene: Union[Scene, str, os.PathLike[str]],
     *,
     known: Files = (),
     known_captures: Files = (),
@@ -154,6 +159,7 @@ def calibrate(
 ) -> Calibration:
     """Finds the parameters of a real head from measurements on it, as ``slitpose calibrate``: files, in its units.
 
+    :param scene: the head as designed: a scene, its file, or the name of a shipped one.
     :param known: tables of readings at poses that another instrument measured.
     :param known_captures: captures whose poses the first tables of `known` list by a clock of their own.
     :param free: captures or tables of free motion.
@@ -168,6 +174,10 @@ def calibrate(
     :raises slitpose.SlitposeError: data that contradict the scene.
     :warns slitpose.SlitposeWarning: what was noticed on the way.
     """
+    from .scene import Scene
+
+    if not isinstance(scene, Scene):
+        scene = Scene.open(scene)
     if start is not None and not isinstance(start, Calibration):
         start = Calibration.open(start)
     native, remarks = _native.calibrate(

@@ -7,7 +7,7 @@ import os
 import re
 import warnings
 from pathlib import Path
-from typing import Any, Iterable, Iterator, Optional, Union
+from typing import TYPE_CHECKING, Any, Iterable, Iterator, Mapping, Optional, Sequence, TypedDict, Union
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +15,35 @@ from numpy.typing import NDArray
 from . import _native
 from .poses import DataLossWarning, Poses, SlitposeWarning
 
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
 Paths = Union[str, "os.PathLike[str]", Iterable[Union[str, "os.PathLike[str]"]]]
 
 #: Rows of a chunk: some 60 MB.
 CHUNK = 100_000
+
+
+class PartOptions(TypedDict, total=False):
+    """The options of :func:`replay` that do not say where to begin and end."""
+
+    scene: Union[str, os.PathLike[str], None]
+    calibration: Union[str, os.PathLike[str], None]
+    tier: Optional[str]
+    tolerance: Optional[float]
+    filter_s: Optional[float]
+    without_clipped: bool
+    known_light: bool
+    frame: Union[str, os.PathLike[str], None]
+    tip: Union[str, os.PathLike[str], None]
+    duration_s: Optional[float]
+
+
+class Options(PartOptions, total=False):
+    """The options of :func:`replay`."""
+
+    from_s: Optional[float]
+    to_s: Optional[float]
 
 
 def series(folder: Union[str, os.PathLike[str]]) -> list[list[Path]]:
@@ -53,15 +78,15 @@ def _files(paths: Paths) -> list[Path]:
 def replay(
     paths: Paths,
     *,
-    scene: Optional[str] = None,
+    scene: Union[str, os.PathLike[str], None] = None,
     calibration: Union[str, os.PathLike[str], None] = None,
     tier: Optional[str] = None,
     tolerance: Optional[float] = None,
     filter_s: Optional[float] = None,
     without_clipped: bool = False,
     known_light: bool = False,
-    frame: Optional[str] = None,
-    tip: Optional[str] = None,
+    frame: Union[str, os.PathLike[str], None] = None,
+    tip: Union[str, os.PathLike[str], None] = None,
     from_s: Optional[float] = None,
     to_s: Optional[float] = None,
     duration_s: Optional[float] = None,
@@ -72,7 +97,8 @@ def replay(
     and filter are those of the recording unless given.
 
     :param scene: scene file, or the name of a shipped scene.
-    :param calibration: calibration file, or ``"none"``: the head is as its scene says.
+    :param calibration: calibration file, as :meth:`slitpose.Calibration.save` writes it, or ``"none"``: the head is as its
+        scene says.
     :param tier: ``"paper"`` or ``"exact"``; `tolerance`: relative error of the exact tier's integrals.
     :param filter_s: memory of the filter, s; 0: no filter.
     :param without_clipped: leave out cells whose light falls on an end of the detector.
@@ -89,10 +115,14 @@ def replay(
     Some 0.6 kB of memory a scan; :func:`replay_chunks` holds a chunk at a time.
     """
     options = {name: value for name, value in locals().items() if name != "paths"}
-    return _finished(_native.Captures(_files(paths), **_native_options(options)))
+    captures = _native.Captures(_files(paths), **_native_options(options))
+    columns = captures.read() or {}
+    losses, remarks = tuple(captures.losses), tuple(captures.remarks)
+    _warn(remarks, losses)
+    return Poses(**columns, devices=tuple(captures.devices), losses=losses, remarks=remarks)
 
 
-def replay_chunks(paths: Paths, rows: int = CHUNK, **options: Any) -> Iterator[Poses]:
+def replay_chunks(paths: Paths, rows: int = CHUNK, **options: Unpack[Options]) -> Iterator[Poses]:
     """The poses of :func:`replay`, at least `rows` at a time (the last ones fewer); takes its options.
 
     The same bits, in bounded memory. Losses are known, and warned of, with the last chunk.
@@ -123,26 +153,28 @@ def sessions(paths: Paths) -> list[float]:
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Scans:
-    """The raw scans of a recording, a row each (N), of K cells."""
+    """The raw scans of a recording, a row each (N), of K cells.
 
-    #: (N,) the board: index of :attr:`devices`.
+    :ivar device: (N,) the board: index of :attr:`devices`.
+    :ivar sequence: (N,) number of the scan, counted by the board.
+    :ivar time_s: (N,) the instant that a pose of the scan would have, by the board's clock, s.
+    :ivar host_utc_ns: (N,) the same by UTC, ns since 1970; 0 while unknown.
+    :ivar currents_a: (N, K, 2) photocurrents above dark at nominal emitter drive, A; NaN where a cell was not measured.
+        The cells are exposed one after the other, so those of a moving tool belong to slightly different instants.
+    :ivar reading: (N, K) numbers of :class:`slitpose.Reading`.
+    :ivar devices: the boards: 24 hexadecimal digits each.
+    :ivar losses: what was damaged or lost, in words; empty: nothing.
+    :ivar remarks: what else was remarkable.
+    """
+
     device: NDArray[np.uint8]
-    #: (N,) number of the scan, counted by the board.
     sequence: NDArray[np.uint64]
-    #: (N,) the instant that a pose of the scan would have, by the board's clock, s.
     time_s: NDArray[np.float64]
-    #: (N,) the same by UTC, ns since 1970; 0 while unknown.
     host_utc_ns: NDArray[np.uint64]
-    #: (N, K, 2) photocurrents above dark at nominal emitter drive, A; NaN where a cell was not measured. The cells are
-    #: exposed one after the other, so those of a moving tool belong to slightly different instants.
     currents_a: NDArray[np.float64]
-    #: (N, K) numbers of :class:`slitpose.Reading`.
     reading: NDArray[np.uint8]
-    #: The boards: 24 hexadecimal digits each.
     devices: tuple[str, ...] = ()
-    #: What was damaged or lost, in words; empty: nothing.
     losses: tuple[str, ...] = ()
-    #: What else was remarkable.
     remarks: tuple[str, ...] = ()
 
     def __len__(self) -> int:
@@ -155,7 +187,7 @@ class Scans:
 def open(
     paths: Paths,
     *,
-    scene: Optional[str] = None,
+    scene: Union[str, os.PathLike[str], None] = None,
     from_s: Optional[float] = None,
     to_s: Optional[float] = None,
     duration_s: Optional[float] = None,
@@ -165,29 +197,30 @@ def open(
     :raises slitpose.SlitposeError: a file that cannot be read, or a board that does not suit the scene.
     :warns slitpose.DataLossWarning: data were damaged or lost; :attr:`Scans.losses` says what.
     """
-    captures = _native.Captures(
-        _files(paths), scene=scene, from_s=from_s, to_s=to_s, duration_s=duration_s, currents=True
-    )
+    options: Options = {"scene": scene, "from_s": from_s, "to_s": to_s, "duration_s": duration_s}
+    captures = _native.Captures(_files(paths), **_native_options(options), currents=True)
     columns = captures.read() or {}
     losses, remarks = tuple(captures.losses), tuple(captures.remarks)
     _warn(remarks, losses)
     return Scans(**columns, devices=tuple(captures.devices), losses=losses, remarks=remarks)
 
 
-def _native_options(options: dict[str, Any]) -> dict[str, Any]:
+def _native_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    unknown = options.keys() - Options.__annotations__.keys()
+    if unknown:
+        raise TypeError(f"{sorted(unknown)} are no options of replay; it has {', '.join(Options.__annotations__)}")
+    texts = {name: _text(options.get(name)) for name in ("scene", "frame", "tip")}
     calibration = options.get("calibration")
-    return {**options, "calibration": None if calibration is None else Path(calibration)}
+    return {**options, **texts, "calibration": None if calibration is None else Path(calibration)}
 
 
-def _finished(captures: _native.Captures) -> Poses:
-    columns = captures.read() or {}
-    losses, remarks = tuple(captures.losses), tuple(captures.remarks)
-    _warn(remarks, losses)
-    return Poses(**columns, devices=tuple(captures.devices), losses=losses, remarks=remarks)
+def _text(path: Union[str, os.PathLike[str], None]) -> Optional[str]:
+    return None if path is None else os.fspath(path)
 
 
-def _warn(remarks: tuple[str, ...], losses: tuple[str, ...]) -> None:
+def _warn(remarks: Sequence[str], losses: Sequence[str]) -> None:
+    """At the line that calls the caller."""
     for text in remarks:
-        warnings.warn(text, SlitposeWarning, stacklevel=4)
+        warnings.warn(text, SlitposeWarning, stacklevel=3)
     for text in losses:
-        warnings.warn(text, DataLossWarning, stacklevel=4)
+        warnings.warn(text, DataLossWarning, stacklevel=3)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import array
 import contextlib
 import dataclasses
+import re
 import socket
 import struct
 import time
@@ -13,7 +14,7 @@ from typing import Iterator, Optional, Union
 import numpy as np
 from numpy.typing import NDArray
 
-from ._native import SlitposeError
+from ._native import SlitposeError, rotation_vectors
 from .poses import Poses, Status
 
 #: The layout of a pose datagram, ``struct slitpose_pose`` of slitpose_pose.h.
@@ -43,44 +44,62 @@ _RENEWAL_S = 1.0
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class LivePose:
-    """One pose, as it was sent. What it lacks is NaN, or ``None``."""
+    """One pose, as it was sent. What it lacks is NaN, or ``None``.
 
-    #: The board: 24 hexadecimal digits.
+    :ivar device: the board: 24 hexadecimal digits.
+    :ivar sequence: number of the scan, counted by the board.
+    :ivar datagram: number of the datagram, from 1: gaps are poses that were not received.
+    :ivar missed: datagrams that the full queue of this follower refused; of UDP unknown.
+    :ivar status: whether there is a pose.
+    :ivar cells_used: number of cells that entered.
+    :ivar excluded_cells: cells that contradict all others: bit k is cell k.
+    :ivar redundancy: data minus unknowns.
+    :ivar time_s: the instant of the pose by the board's clock, s.
+    :ivar host_utc_ns: the same by UTC, ns since 1970; ``None`` while unknown.
+    :ivar host_monotonic_ns: the same by CLOCK_MONOTONIC of the daemon's machine; ``None`` while unknown.
+    :ivar translation_m: (3,) m.
+    :ivar rotation_xyzw: (4,) quaternion x, y, z, w.
+    :ivar covariance: (6, 6) of (dt, dr) in the base frame: m², m·rad, rad².
+    :ivar twist: (6,) velocity in the base frame: m/s, rad/s.
+    :ivar twist_sigma: (6,) its standard deviations.
+    :ivar light_level: brightness of all light relative to scene or calibration.
+    :ivar no_twist: why a pose has no velocity: a word of ``Poses.words["no_twist"]``.
+    :ivar simulated: whether it was computed, not measured.
+    :ivar behind: whether the daemon is late and has skipped scans before this one.
+    """
+
     device: str
-    #: Number of the scan, counted by the board.
     sequence: int
-    #: Number of the datagram, from 1: gaps are poses that were not received.
     datagram: int
-    #: Datagrams that the full queue of this follower refused; of UDP unknown.
     missed: int
     status: Status
     cells_used: int
-    #: Cells that contradict all others: bit k is cell k.
     excluded_cells: int
     redundancy: int
-    #: The instant of the pose by the board's clock, s.
     time_s: float
-    #: The same by UTC, ns since 1970, and by CLOCK_MONOTONIC; ``None`` while unknown.
     host_utc_ns: Optional[int]
     host_monotonic_ns: Optional[int]
-    #: (3,) m.
     translation_m: NDArray[np.float64]
-    #: (4,) quaternion x, y, z, w.
     rotation_xyzw: NDArray[np.float64]
-    #: (6, 6) of (dt, dr) in the base frame: m², m·rad, rad².
     covariance: NDArray[np.float64]
-    #: (6,) velocity in the base frame: m/s, rad/s.
     twist: NDArray[np.float64]
-    #: (6,) its standard deviations.
     twist_sigma: NDArray[np.float64]
-    #: Brightness of all light relative to scene or calibration.
     light_level: float
-    #: Why a pose has no velocity: a word of ``Poses.words["no_twist"]``.
     no_twist: str
-    #: Whether it was computed, not measured.
     simulated: bool
-    #: Whether scans before this one were passed over because the daemon is late.
     behind: bool
+
+    @property
+    def rotation_rad(self) -> NDArray[np.float64]:
+        """(3,) rotation vector, rad."""
+        rotation: NDArray[np.float64] = rotation_vectors(self.rotation_xyzw[np.newaxis])[0]
+        return rotation
+
+    @property
+    def sigma(self) -> NDArray[np.float64]:
+        """(6,) standard deviations of the pose: m, rad."""
+        sigma: NDArray[np.float64] = np.sqrt(np.diag(self.covariance))
+        return sigma
 
     @classmethod
     def of(cls, datagram: bytes) -> LivePose:
@@ -118,24 +137,29 @@ class LivePose:
 
 
 def follow(
-    address: str, *, device: Optional[str] = None, timeout_s: Optional[float] = None
+    address: str,
+    *,
+    device: Optional[str] = None,
+    timeout_s: Optional[float] = None,
+    duration_s: Optional[float] = None,
 ) -> Iterator[LivePose]:
     """Each pose of a running daemon, as it comes, until the iteration is left.
 
-    The queue of a socket holds some hundred poses: a loop that takes longer misses some, as the numbers of the
-    datagrams show.
+    The queue of a socket holds some 160 poses, 40 ms at 4 kHz: a loop that takes longer misses some, as the numbers of
+    the datagrams show.
 
     :param address: as given to ``slitpose run --publish``: ``unix:PATH`` or ``udp:127.0.0.1:PORT``.
     :param device: the board, 24 hexadecimal digits; ``None``: all.
     :param timeout_s: end the iteration after so long without a pose; ``None``: wait for ever.
-    :raises slitpose.SlitposeError: there is no daemon, or it has no place for a follower.
+    :param duration_s: end the iteration after so long, with or without poses; ``None``: never.
+    :raises slitpose.SlitposeError: there is no daemon, it has ended, or it has no place for a follower.
     :raises ValueError: an address or a board that cannot be.
     """
-    board = bytes(12) if device is None else bytes.fromhex(device)
-    if len(board) != 12:
+    if device is not None and not re.fullmatch("[0-9a-fA-F]{24}", device):
         raise ValueError(f"device = {device!r}; give 24 hexadecimal digits")
+    board = bytes(12) if device is None else bytes.fromhex(device)
     family, target = _parsed(address)
-    return _follow(address, family, target, board, timeout_s)
+    return _follow(address, family, target, board, timeout_s, duration_s)
 
 
 def _parsed(address: str) -> tuple[int, Union[str, tuple[str, int]]]:
@@ -150,23 +174,30 @@ def _parsed(address: str) -> tuple[int, Union[str, tuple[str, int]]]:
 
 
 def _follow(
-    address: str, family: int, target: Union[str, tuple[str, int]], board: bytes, timeout_s: Optional[float]
+    address: str,
+    family: int,
+    target: Union[str, tuple[str, int]],
+    board: bytes,
+    timeout_s: Optional[float],
+    duration_s: Optional[float],
 ) -> Iterator[LivePose]:
     with contextlib.ExitStack() as sockets:
         ask = link = sockets.enter_context(socket.socket(family, socket.SOCK_DGRAM))
         rights = []
-        cookie, asked_s, last_s = 0, -np.inf, time.monotonic()
+        cookie, asked_s, last_s, poses = 0, -np.inf, time.monotonic(), 0
+        silence_s = np.inf if timeout_s is None else timeout_s
+        end_s = np.inf if duration_s is None else last_s + duration_s
         try:
             if family == socket.AF_UNIX:
                 # A queue of its own: the daemon sends from the far end, which it gets with each request.
                 link, far = map(sockets.enter_context, socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM))
                 rights = [(socket.SOL_SOCKET, socket.SCM_RIGHTS, array.array("i", [far.fileno()]))]
             ask.connect(target)
-            while timeout_s is None or time.monotonic() - last_s < timeout_s:
-                if time.monotonic() - asked_s >= _RENEWAL_S:
+            while (now_s := time.monotonic()) < min(end_s, last_s + silence_s):
+                if now_s - asked_s >= _RENEWAL_S:
                     ask.sendmsg([_request(board, cookie)], rights)
-                    asked_s = time.monotonic()
-                wait_s = _RENEWAL_S if timeout_s is None else min(_RENEWAL_S, timeout_s)
+                    asked_s = now_s
+                wait_s = min(_RENEWAL_S, silence_s, end_s - now_s)
                 link.settimeout(max(wait_s, 1e-3))
                 try:
                     received = link.recv(4096)
@@ -179,11 +210,14 @@ def _follow(
                     if kind == _PROVE:
                         ask.sendmsg([_request(board, cookie)], rights)
                 elif len(received) >= DATAGRAM.itemsize and received.startswith(b"SLPP"):
+                    poses += 1
                     yield LivePose.of(received)
                     last_s = time.monotonic()
         except OSError as error:
             reason = error.strerror or error
-            raise SlitposeError(f"{address}: {reason}; start `slitpose run --publish {address}` first") from error
+            step = f"start `slitpose run --publish {address}`"
+            step = f"the daemon has ended after {poses} poses: {step} again" if poses else f"{step} first"
+            raise SlitposeError(f"{address}: {reason}; {step}") from error
 
 
 def _request(board: bytes, cookie: int) -> bytes:

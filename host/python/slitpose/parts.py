@@ -14,11 +14,14 @@ and 1e-11 rad were seen), but are not the same bits.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Optional, Sequence
+from typing import TYPE_CHECKING, Optional, Sequence
 
 from . import _native
-from .captures import Paths, _files, _native_options, _warn
+from .captures import Options, PartOptions, Paths, _files, _native_options, _warn
 from .poses import Poses
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 #: Digests of the states of trackers, by board.
 States = dict[str, Optional[int]]
@@ -38,21 +41,23 @@ class SeamError(_native.SlitposeError):
 
 @dataclasses.dataclass(frozen=True)
 class Part:
-    """The poses of a part, and what they depend on at both of its ends."""
+    """The poses of a part, and what they depend on at both of its ends.
+
+    :ivar before: state before the first scan of each board; ``None``: it has none in this part.
+    :ivar behind: state behind the last scan of each board.
+    :ivar from_s: where it begins, seconds after the beginning of the recording.
+    :ivar to_s: where it ends.
+    """
 
     poses: Poses
-    #: Before the first scan of each board; ``None``: it has none in this part.
     before: States
-    #: Behind the last scan of each board.
     behind: States
-    #: Seconds after the beginning.
     from_s: Optional[float]
-    #: Seconds after the beginning.
     to_s: Optional[float]
 
 
 def replay_part(
-    paths: Paths, from_s: Optional[float], to_s: Optional[float], *, warm_up_s: float = 0.1, **options: Any
+    paths: Paths, from_s: Optional[float], to_s: Optional[float], *, warm_up_s: float = 0.1, **options: Unpack[PartOptions]
 ) -> Part:
     """The poses between two times of a recording, as a replay of the whole gives them if the seam before is closed.
 
@@ -61,8 +66,8 @@ def replay_part(
 
     Warnings are not raised, because losses before the part belong to other parts: :func:`join` raises them.
     """
-    options = _native_options(options)
-    captures = _native.Captures(_files(paths), from_s=from_s, to_s=to_s, warm_up_s=warm_up_s, **options)
+    whole: Options = {**options, "from_s": from_s, "to_s": to_s}
+    captures = _native.Captures(_files(paths), warm_up_s=warm_up_s, **_native_options(whole))
     columns = captures.read() or {}
     losses, remarks = tuple(captures.losses), tuple(captures.remarks)
     poses = Poses(**columns, devices=tuple(captures.devices), losses=losses, remarks=remarks)

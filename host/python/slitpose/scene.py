@@ -13,67 +13,84 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _native
 from .calibration import Calibration
-from .poses import Poses, SlitposeWarning
+from .captures import _text
+from .poses import CellStatus, Poses, SlitposeWarning
 
 Float = NDArray[np.float64]
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Response:
-    """What every cell (K) of a head gives at poses (N)."""
+    """What every cell (K) of a head gives at poses (N).
 
-    #: (N, K, 2) currents of the electrodes at x = −Lx/2 and +Lx/2, dark current included, A.
+    :ivar currents_a: (N, K, 2) currents of the electrodes at x = −Lx/2 and +Lx/2, dark current included, A.
+    :ivar i_o_a: (N, K) their sum, A.
+    :ivar x_a_m: (N, K) position of the light on the detector, m; NaN without light.
+    :ivar solid_angle_sr: (N, K) solid angle of the spot seen from the emitter, sr.
+    :ivar status: (N, K) numbers of :class:`slitpose.CellStatus`.
+    :ivar flags: (N, K) bits of :class:`slitpose.Flag`.
+    :ivar relative_error: (N, K) error of the integrals, relative to I_O; NaN where nothing was integrated.
+    """
+
     currents_a: Float
-    #: (N, K) their sum, A.
     i_o_a: Float
-    #: (N, K) position of the light on the detector, m; NaN without light.
     x_a_m: Float
-    #: (N, K) solid angle of the spot seen from the emitter, sr.
     solid_angle_sr: Float
-    #: (N, K) numbers of :class:`slitpose.CellStatus`.
     status: NDArray[np.uint8]
-    #: (N, K) bits of :class:`slitpose.Flag`.
     flags: NDArray[np.uint8]
-    #: (N, K) error of the integrals, relative to I_O; NaN where nothing was integrated.
     relative_error: Float
 
+    def __repr__(self) -> str:
+        return f"<Response: {len(self.status)} poses, {self.status.shape[1]} cells>"
 
-@dataclasses.dataclass(frozen=True, eq=False)
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Derivatives:
-    """Photocurrents of every cell (K) at poses (N), and their derivatives."""
+    """Photocurrents of every cell (K) at poses (N), and their derivatives.
 
-    #: (N, K) numbers of :class:`slitpose.CellStatus`.
+    :ivar status: (N, K) numbers of :class:`slitpose.CellStatus`.
+    :ivar photocurrents_a: (N, K, 2) currents without dark current, A.
+    :ivar derivatives: (N, K, 2, 6) derivatives with respect to (dt, dr), a perturbation in the base frame: A/m, A/rad.
+    """
+
     status: NDArray[np.uint8]
-    #: (N, K, 2) currents without dark current, A.
     photocurrents_a: Float
-    #: (N, K, 2, 6) derivatives with respect to (dt, dr), a perturbation in the base frame: A/m, A/rad.
     derivatives: Float
 
+    def __repr__(self) -> str:
+        return f"<Derivatives: {len(self.status)} poses, {self.status.shape[1]} cells>"
 
-@dataclasses.dataclass(frozen=True, eq=False)
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Bound:
-    """What a single frame is worth at poses (N), with the noise of the scene's front end, else of the scene."""
+    """What a single frame is worth at poses (N), with the noise of the scene's front end, else of the scene.
 
-    #: (N, 3) m, the poses.
+    :ivar translation_m: (N, 3) m, the poses.
+    :ivar rotation: (N, 3) rotation vectors, rad, or (N, 4) quaternions, as they were given.
+    :ivar sigma: (N, 6) standard deviations by the Cramér–Rao bound, with what a calibration left open: m, rad; NaN: no
+        pose.
+    :ivar covariance: (N, 6, 6) the covariance that they belong to.
+    :ivar lit: (N,) cells whose whole spot is on the detector.
+    :ivar condition: (N,) condition number of the scaled normal equations.
+    :ivar unnoticed_sigmas: (N,) greatest shift of the pose by one undetected outlier, in its σ.
+    :ivar full_scale: (N,) full scale over the greatest current of an electrode.
+    :ivar saturation: (N,) saturation of a detector over its photocurrent, the least of all cells.
+    :ivar faint: (N,) photocurrent over what counts as faint, the least of all cells.
+    """
+
     translation_m: Float
-    #: (N, 3) rotation vectors, rad, or (N, 4) quaternions, as they were given.
     rotation: Float
-    #: (N, 6) standard deviations by the Cramér–Rao bound, with what a calibration left open: m, rad; NaN: no pose.
     sigma: Float
-    #: (N, 6, 6) the covariance that they belong to.
     covariance: Float
-    #: (N,) cells whose whole spot is on the detector.
     lit: NDArray[np.uint16]
-    #: (N,) condition number of the scaled normal equations.
     condition: Float
-    #: (N,) greatest shift of the pose by one undetected outlier, in its σ.
     unnoticed_sigmas: Float
-    #: (N,) full scale over the greatest current of an electrode.
     full_scale: Float
-    #: (N,) saturation of a detector over its photocurrent, the least of all cells.
     saturation: Float
-    #: (N,) photocurrent over what counts as faint, the least of all cells.
     faint: Float
+
+    def __repr__(self) -> str:
+        return f"<Bound: {len(self.sigma)} poses>"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -177,6 +194,9 @@ class Scene:
             rows = int(inexact.any(axis=1).sum())
             text = f"{rows} rows are good to {worst:.1e} of I_O only: the integrals met a limit; see relative_error"
             warnings.warn(text, SlitposeWarning, stacklevel=2)
+        if len(response.status) and (response.status >= CellStatus.dark).all():
+            text = "no cell sees light at any pose; are these metres, and radians or quaternions x, y, z, w?"
+            warnings.warn(text, SlitposeWarning, stacklevel=2)
         return response
 
     def derivatives(
@@ -199,8 +219,8 @@ class Scene:
         tier: Optional[str] = None,
         tolerance: Optional[float] = None,
         without_clipped: bool = False,
-        frame: Optional[str] = None,
-        tip: Optional[str] = None,
+        frame: Union[str, os.PathLike[str], None] = None,
+        tip: Union[str, os.PathLike[str], None] = None,
     ) -> Poses:
         """The pose behind each row of currents, each from a cold start, as ``slitpose solve``; on all cores.
 
@@ -214,10 +234,15 @@ class Scene:
             raise ValueError(f"currents_a has the shape {currents.shape}; give (N, {self.cells}, 2)")
         if frames is not None:
             frames = np.ascontiguousarray(np.broadcast_to(_floats(frames), len(currents)))
+        view = {"frame": _text(frame), "tip": _text(tip)}
         columns = self._native.solve(
-            currents, frames, tier=tier, tolerance=tolerance, without_clipped=without_clipped, frame=frame, tip=tip
+            currents, frames, tier=tier, tolerance=tolerance, without_clipped=without_clipped, **view
         )
-        return Poses(**columns)
+        poses = Poses(**columns)
+        if len(poses) and not poses.has_pose.any():
+            text = f"no row leads to a pose ({poses!r}); are the currents amperes, with the electrodes in the last axis?"
+            warnings.warn(text, SlitposeWarning, stacklevel=2)
+        return poses
 
     def crlb(self, translation_m: ArrayLike, rotation: ArrayLike) -> Bound:
         """What a single frame is worth at poses: the Cramér–Rao bound, which solving reaches."""

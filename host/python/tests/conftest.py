@@ -34,9 +34,10 @@ def table(text: str) -> list[dict[str, str]]:
 
 @pytest.fixture(scope="session")
 def captures(command: Command, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder: `contact.mcap`, one second; `still.mcap`, half a second of another head."""
+    """A folder: `contact.mcap`, one second; `smooth.mcap`, half a second of another head; `bench`, measurements of a head."""
     folder = tmp_path_factory.mktemp("captures")
     simulate = ("simulate", "--trajectory")
     command(*simulate, "contact", "--duration", "1s", "--output", folder / "contact.mcap")
     command(*simulate, "smooth", "--duration", "500ms", "--scene", "fine", "--output", folder / "smooth.mcap")
+    command("bench", "wide", "--output", folder / "bench", "--poses", "60", "--duration", "1s")
     return folder

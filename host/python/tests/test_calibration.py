@@ -20,7 +20,7 @@ def test_a_calibration_is_that_of_the_command(command: Command, tmp_path: Path) 
     scene = slitpose.Scene.open("wide")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", slitpose.SlitposeWarning)
-        found = slitpose.calibrate(scene, known=known)
+        found = slitpose.calibrate("wide", known=known)
     assert found.toml == output.read_text()
     statistics = found.statistics
     assert statistics["rows"] > 100 and 0.5 < statistics["chi2"] / statistics["redundancy"] < 1.5

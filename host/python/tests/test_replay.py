@@ -11,6 +11,7 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+import polars
 import pytest
 import slitpose
 from conftest import Command, table
@@ -33,7 +34,7 @@ def assert_same(poses: slitpose.Poses, rows: list[dict[str, str]]) -> None:
         np.testing.assert_array_equal(getattr(poses, name), numbers(rows, [name])[:, 0], err_msg=name)
     assert [slitpose.Status(status).name for status in poses.status] == [row["status"] for row in rows]
     assert [poses.reasons[reason] for reason in poses.reason] == [row["reason"] for row in rows]
-    if poses.sequence is not None and poses.time_s is not None:
+    if "sequence" in poses.columns():
         assert poses.sequence.tolist() == [int(row["seq"]) for row in rows]
         np.testing.assert_array_equal(poses.time_s, numbers(rows, ["device_time_s"])[:, 0])
 
@@ -102,6 +103,46 @@ def test_poses_are_near_the_truth_and_pickle(captures: Path) -> None:
         poses[3]
 
 
+def test_errors_and_their_squares_are_those_of_the_command(command: Command, captures: Path, tmp_path: Path) -> None:
+    """The printed numbers: rms of each axis in µm and µrad, and the mean NEES."""
+    file, truth = captures / "contact.mcap", tmp_path / "truth.csv"
+    command("simulate", "--trajectory", "contact", "--duration", "1s", "--output", tmp_path / "same.mcap", "--truth", truth)
+    told = command("replay", file, "--compare", truth, "--format", "none").stderr.splitlines()
+    rms = [float(next(line for line in told if f": {axis} " in line).split()[3]) for axis in "xyz"]
+    poses = slitpose.replay(file)
+    error = poses.error()
+    np.testing.assert_allclose(np.sqrt((error**2).mean(axis=0))[:3] * 1e6, rms, atol=1e-3)
+    assert f"mean NEES {poses.nees().mean():.2f} " in next(line for line in told if "NEES" in line)
+    rows = table(truth.read_text())
+    true = numbers(rows, POSE) * np.array([1e-3] * 3 + [1.0] * 3)
+    np.testing.assert_allclose(poses.error(true[:, :3], true[:, 3:]), error, atol=1e-12)
+    rest = slitpose.Scene.open("wide").solve(slitpose.open(file).currents_a[:3])
+    with pytest.raises(ValueError, match="have no truth"):
+        rest.error()
+    with pytest.raises(ValueError, match="a pose for each row"):
+        poses.error(true[:5, :3], true[:5, 3:])
+    covariance = rest.covariance.copy()
+    covariance[1], rest.status[1] = np.nan, slitpose.Status.too_dark
+    rest = rest._with({**rest.columns(), "covariance": covariance}, ())
+    assert np.isnan(rest.nees(np.ones((3, 6)))).tolist() == [False, True, False]
+
+
+def test_arrays_are_declared_and_the_absent_ones_say_why(captures: Path) -> None:
+    names = [name for name, *_ in slitpose.poses._native.COLUMNS]
+    poses = slitpose.replay(captures / "contact.mcap", filter_s=5e-3, to_s=0.1)
+    declared = {name: kind for name, kind in slitpose.Poses.__annotations__.items()}
+    assert list(declared) == names == list(poses.columns())
+    for name, kind in declared.items():
+        assert str(getattr(poses, name).dtype) == kind[len("NDArray[np.") : -1].rstrip("_"), name
+    assert slitpose.Poses.__doc__ and all(name in slitpose.Poses.__doc__ for name in names)
+    with pytest.raises(AttributeError, match="give filter_s"):
+        slitpose.replay(captures / "contact.mcap", to_s=0.1).filtered_twist
+    with pytest.raises(AttributeError, match="only poses of captures"):
+        slitpose.Scene.open("wide").solve(np.full((1, 6, 2), 1e-6)).time_s
+    with pytest.raises(AttributeError, match="no translation; see"):
+        poses.translation  # type: ignore[attr-defined]
+
+
 def test_frames_name_units(captures: Path) -> None:
     poses = slitpose.replay(captures / "contact.mcap", filter_s=5e-3)
     frame = poses.to_frame()
@@ -109,6 +150,15 @@ def test_frames_name_units(captures: Path) -> None:
     np.testing.assert_array_equal(frame["tx_m"], poses.translation_m[:, 0])
     np.testing.assert_array_equal(frame["sigma_rz_rad"], poses.sigma[:, 5])
     assert {"vx_m_per_s", "truth_tx_m", "filtered_rz_rad", "time_s", "host_utc"} <= set(frame.columns)
+
+
+def test_tables_of_others_are_one_line(captures: Path, tmp_path: Path) -> None:
+    poses, file = slitpose.replay(captures / "contact.mcap"), tmp_path / "poses.parquet"
+    poses.to_frame().to_parquet(file)
+    table = polars.from_pandas(poses.to_frame())
+    assert table.equals(polars.read_parquet(file)) and table["status"].unique().to_list() == ["converged"]
+    arrays = polars.DataFrame(poses.columns())
+    np.testing.assert_array_equal(arrays["covariance"].to_numpy(), poses.covariance)
 
 
 def test_currents_solve_to_nearly_the_same_poses(captures: Path) -> None:
@@ -132,10 +182,12 @@ def test_damage_is_told(command: Command, captures: Path, tmp_path: Path) -> Non
     assert_same(poses, table(done.stdout))
     assert poses.losses and all(loss in done.stderr.replace("\n", " ") or loss for loss in poses.losses)
     assert [str(warning.message) for warning in caught] == list(poses.losses)
+    assert {warning.filename for warning in caught} == {__file__}
     for loss in poses.losses:
         assert f"slitpose: {loss}" in done.stderr
-    with pytest.warns(slitpose.DataLossWarning):
+    with pytest.warns(slitpose.DataLossWarning) as caught:
         assert slitpose.open(file).losses == poses.losses
+    assert {warning.filename for warning in caught} == {__file__}
 
 
 def test_errors_are_those_of_the_command(command: Command, tmp_path: Path, captures: Path) -> None:
@@ -155,6 +207,10 @@ def test_errors_are_those_of_the_command(command: Command, tmp_path: Path, captu
     ]:
         with pytest.raises(ValueError, match=text):
             slitpose.replay(file, **options)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="'filter'.* are no options"):
+        list(slitpose.replay_chunks(file, filter=1))  # type: ignore[call-arg]
+    with pytest.raises(slitpose.SlitposeError, match="cannot read the frame"):
+        slitpose.replay(file, frame=tmp_path / "absent.toml")
     with pytest.raises(slitpose.SlitposeError, match="begin earlier"):
         slitpose.replay(file, from_s=100.0)
     with pytest.raises(ValueError, match="2 recordings"):

@@ -101,6 +101,11 @@ def test_frames_and_missing_cells_count() -> None:
     rows[2] = -np.inf
     some = WIDE.solve(rows)
     assert list(some.cells_used) == [6, 5, 0] and np.isnan(some.translation_m).any(axis=1).tolist() == [False, False, True]
+    with pytest.warns(slitpose.SlitposeWarning, match="unobservable 1.*are the currents amperes") as caught:
+        WIDE.solve(currents * 1e6)
+    with pytest.warns(slitpose.SlitposeWarning, match="are these metres") as also:
+        WIDE.model([1.0, 0.0, -2.0], [0, 0, 0])
+    assert {warning.filename for warning in [*caught, *also]} == {__file__}
     with pytest.raises(ValueError, match=r"\(1, 6, 2\)"):
         WIDE.solve(currents[:, :5])
     with pytest.raises(ValueError, match=r"frames\[0\] = 0"):
