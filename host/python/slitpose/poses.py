@@ -200,6 +200,8 @@ class Poses:
         or quaternions.
         """
         if translation_m is None or rotation is None:
+            if translation_m is not rotation:
+                raise ValueError("half a reference; give both translation_m and rotation")
             if not getattr(self, "simulated", np.zeros(0)).any():
                 raise ValueError("these poses have no truth; give translation_m and rotation of a reference")
             translation_m, rotation = self.truth_translation_m, self.truth_rotation_xyzw

@@ -121,6 +121,8 @@ def test_errors_and_their_squares_are_those_of_the_command(command: Command, cap
         rest.error()
     with pytest.raises(ValueError, match="a pose for each row"):
         poses.error(true[:5, :3], true[:5, 3:])
+    with pytest.raises(ValueError, match="give both"):
+        poses.error(true[:, :3])
     covariance = rest.covariance.copy()
     covariance[1], rest.status[1] = np.nan, slitpose.Status.too_dark
     rest = rest._with({**rest.columns(), "covariance": covariance}, ())
