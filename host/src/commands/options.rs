@@ -293,12 +293,7 @@ impl FrameOptions {
 impl PoseOptions {
     /// The format to write in; `live` tells whether somebody looks.
     pub(super) fn format(&self, live: bool) -> Format {
-        self.format_or(if live { Format::Summary } else { Format::Ndjson })
-    }
-
-    /// The format to write in, `usual` unless one was asked for.
-    pub(super) fn format_or(&self, usual: Format) -> Format {
-        self.format.unwrap_or(usual)
+        self.format.unwrap_or(if live { Format::Summary } else { Format::Ndjson })
     }
 
     /// The sink of `format`. Says so if that leaves out what was asked for.

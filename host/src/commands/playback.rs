@@ -1,7 +1,6 @@
 //! Captures through the pipeline, for `replay` and `export`.
 
 use std::cell::RefCell;
-use std::fmt::Display;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -57,8 +56,6 @@ pub(super) struct Printing<'a> {
     pub(super) target: &'a str,
     pub(super) format: Format,
     pub(super) is_terminal: bool,
-    /// The capture, if others are replayed at the same time: messages name it, and there is no progress line.
-    pub(super) name: Option<&'a str>,
 }
 
 /// A capture that rests looks this often for orders.
@@ -84,7 +81,6 @@ pub(super) struct Playback<'a> {
 struct Outputs<'a> {
     sink: Option<Box<dyn Sink + Send + 'a>>,
     target: &'a str,
-    name: Option<&'a str>,
     comparison: Option<Comparison>,
     statistics: Vec<RefCell<BoardStatistics>>,
     /// Of each board, if a page shows them.
@@ -99,7 +95,7 @@ impl<'a> Playback<'a> {
         poses: &PoseOptions,
         faults: Vec<Fault>,
         speed: Speed,
-        Printing { sink, target, format, is_terminal, name }: Printing<'a>,
+        Printing { sink, target, format, is_terminal }: Printing<'a>,
     ) -> Result<Self, CommandError> {
         let choice = Choice {
             scene: play.scene.clone(),
@@ -118,11 +114,11 @@ impl<'a> Playback<'a> {
         let comparison = play.compare.as_deref().map(Comparison::open).transpose()?;
         let bytes = files.iter().filter_map(|file| fs::metadata(file).ok()).map(|metadata| metadata.len()).sum();
         // Poses that run over the screen show it themselves.
-        let is_drawn = name.is_none() && (!is_terminal || matches!(format, Format::Summary | Format::None));
+        let is_drawn = !is_terminal || matches!(format, Format::Summary | Format::None);
         let progress = is_drawn.then(|| Progress::new("progress", bytes, Amount::Bytes));
         let stop = interrupt()?;
         let (statistics, samplers, outcome) = (Vec::new(), Vec::new(), Outcome::Done);
-        let output = Outputs { sink, target, name, comparison, statistics, samplers, outcome };
+        let output = Outputs { sink, target, comparison, statistics, samplers, outcome };
         let (pace, paced_from_s, player, began) = (None, 0.0, None, HostInstant::now());
         Ok(Self { files, choice, captures, speed, pace, paced_from_s, stop, progress, output, player, began })
     }
@@ -135,12 +131,8 @@ impl<'a> Playback<'a> {
         Ok(self)
     }
 
-    pub(super) fn run(self) -> Result<Outcome, CommandError> {
-        self.play().map(|(outcome, _)| outcome)
-    }
-
-    /// Solves all of them; returns how they did, too.
-    pub(super) fn play(mut self) -> Result<(Outcome, Account), CommandError> {
+    /// Solves all of them.
+    pub(super) fn run(mut self) -> Result<Outcome, CommandError> {
         loop {
             let next = !self.is_stopped() && {
                 let Self { captures, output, .. } = &mut self;
@@ -176,12 +168,12 @@ impl<'a> Playback<'a> {
                         Some(PlaybackError::NoScan { .. } | PlaybackError::Beyond { .. })
                     ) =>
             {
-                Ok((output.outcome, account(&captures, &output.statistics)))
+                Ok(output.outcome)
             }
             ended => {
                 ended?;
                 matched?;
-                Ok((output.outcome, account(&captures, &output.statistics)))
+                Ok(output.outcome)
             }
         }
     }
@@ -276,11 +268,11 @@ impl Outputs<'_> {
                 self.write(device, &item)
             }
             Event::Remark(remark) => {
-                self.say(&remark);
+                talk(format_args!("{remark}"));
                 Ok(())
             }
             Event::Loss(loss) => {
-                self.say(&loss);
+                talk(format_args!("{loss}"));
                 self.outcome = Outcome::DataLost;
                 Ok(())
             }
@@ -289,16 +281,9 @@ impl Outputs<'_> {
         }
     }
 
-    fn say(&self, message: &dyn Display) {
-        match self.name {
-            Some(name) => talk(format_args!("{name}: {message}")),
-            None => talk(format_args!("{message}")),
-        }
-    }
-
     fn write(&mut self, device: Option<DeviceId>, item: &Item<'_>) -> Result<(), CommandError> {
         if let Item::Oddity { oddity, .. } = item {
-            self.say(&oddity);
+            talk(format_args!("{oddity}"));
         }
         if let Item::Pose(record) = item {
             if let Some(comparison) = &mut self.comparison {

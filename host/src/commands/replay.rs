@@ -5,7 +5,6 @@ use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 
-use super::compare::SideBySide;
 use super::faults::FaultOptions;
 use super::live::LiveOptions;
 use super::options::PoseOptions;
@@ -13,8 +12,7 @@ use super::playback::{PlayOptions, Playback, Printing};
 use super::player::{Orders, Player};
 use super::{CommandError, Outcome, interrupt, usage};
 use crate::live::LivePlan;
-use crate::sink::{Account, Format};
-use slitpose_head::faults::Fault;
+use crate::sink::Format;
 use slitpose_head::pace::Speed;
 use slitpose_head::special_file;
 use slitpose_head::table::{Output, OutputError, refuse_twice};
@@ -27,15 +25,10 @@ use slitpose_tracking::playback;
 /// recording unless given; files of a series are given together, in order. Files other than MCAP are
 /// taken for the bytes of a port. Ends with exit code 3 if a capture is damaged or incomplete. With --live the
 /// capture is played on a page, to pause, seek and go on, until the program is interrupted.
-///
-/// With --jobs each file is a capture of its own, and several are replayed at once: each has the poses of its own
-/// replay. They go to files in the folder of --output, and a table of how each capture did to standard output. A capture
-/// that cannot be replayed does not keep the others from it; the exit code is then 1.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  slitpose replay contact.mcap --format csv > poses.csv\n  \
                         slitpose replay contact.mcap --speed 0.1 --from 2s --to 3s\n  \
                         slitpose replay contact.mcap --live --open\n  \
-                        slitpose replay a.mcap b.mcap c.mcap --jobs 2 --output poses --format csv\n  \
                         slitpose replay night-0001.mcap night-0002.mcap --compare truth.csv --format none")]
 pub(super) struct ReplayArgs {
     /// Captures
@@ -52,19 +45,14 @@ pub(super) struct ReplayArgs {
     /// Seconds of the recording per second, or max
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     speed: Option<Speed>,
-    #[command(flatten)]
-    side_by_side: SideBySide,
 }
 
 pub(super) fn replay(args: &ReplayArgs) -> Result<Outcome, CommandError> {
-    if let Some(jobs) = args.side_by_side.jobs {
-        return args.side_by_side.replay(jobs, &args.files, (&args.play, &args.poses), &args.faults);
-    }
     let is_terminal = io::stdout().is_terminal();
     let format = args.poses.format(is_terminal);
     let output = io::BufWriter::with_capacity(1 << 16, io::stdout());
     let sink = args.poses.open_sink(format, output, is_terminal)?;
-    let printing = Printing { sink, target: "standard output", format, is_terminal, name: None };
+    let printing = Printing { sink, target: "standard output", format, is_terminal };
     let access = args.live.access()?;
     let usual = if access.is_some() { Speed::Times(1.0) } else { Speed::Max };
     let (faults, speed) = (args.faults.fault.clone(), args.speed.unwrap_or(usual));
@@ -131,30 +119,18 @@ pub(super) fn export(args: &ExportArgs) -> Result<Outcome, CommandError> {
         None => format_of(&args.output)?,
     };
     refuse_twice(&args.output, args.files.iter().map(PathBuf::as_path).chain(args.play.sources()))?;
-    Ok(write(&args.output, format, &args.files, (&args.play, &args.poses), Vec::new(), None)?.0)
-}
-
-/// Writes the poses of captures to `output`; returns how they did, too. `name`: that of a capture of several.
-pub(super) fn write(
-    output: &Path,
-    format: Format,
-    files: &[PathBuf],
-    (play, poses): (&PlayOptions, &PoseOptions),
-    faults: Vec<Fault>,
-    name: Option<&str>,
-) -> Result<(Outcome, Account), CommandError> {
     let stop = interrupt()?;
-    let mut output = Output::open(Some(output))?;
+    let mut output = Output::open(Some(&args.output))?;
     let target = output.target().to_owned();
     let is_terminal = output.is_terminal();
-    let sink = poses.open_sink(format, &mut output, is_terminal)?;
-    let printing = Printing { sink, target: &target, format, is_terminal, name };
-    let done = Playback::new(files, play, poses, faults, Speed::Max, printing)?.play()?;
+    let sink = args.poses.open_sink(format, &mut output, is_terminal)?;
+    let printing = Printing { sink, target: &target, format, is_terminal };
+    let outcome = Playback::new(&args.files, &args.play, &args.poses, Vec::new(), Speed::Max, printing)?.run()?;
     if stop.load(Ordering::Relaxed) {
         return Err(OutputError::Interrupted { target }.into());
     }
     output.finish()?;
-    Ok(done)
+    Ok(outcome)
 }
 
 /// Endings of names that say how poses are written.

@@ -38,17 +38,6 @@ pub(crate) enum Format {
 }
 
 impl Format {
-    /// How names of files in this format end; `None`: it is for no file.
-    pub(crate) fn ending(self) -> Option<&'static str> {
-        match self {
-            Self::Ndjson => Some(".ndjson"),
-            Self::Csv => Some(".csv"),
-            #[cfg(feature = "parquet")]
-            Self::Parquet => Some(".parquet"),
-            Self::Summary | Self::None => None,
-        }
-    }
-
     pub(crate) fn is_text(self) -> bool {
         #[cfg(feature = "parquet")]
         if self == Self::Parquet {

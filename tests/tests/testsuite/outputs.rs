@@ -139,6 +139,20 @@ fn the_name_of_an_export_says_how_it_is_written() {
     assert!(exporting.wait().expect("ends").success());
 }
 
+#[test]
+fn an_export_of_a_damaged_capture_has_the_poses_of_its_replay_and_their_exit_code() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let (capture, poses) = (folder.path().join("cut.capture"), folder.path().join("poses.csv"));
+    slitpose!().run(["simulate", "--raw", "--output", text(&capture), "--duration", "50ms"]).done();
+    let whole = fs::read(&capture).expect("a capture");
+    // It ends within a packet.
+    fs::write(&capture, &whole[..whole.len() - 70]).expect("a shorter capture");
+    let replayed = slitpose!().run(["replay", text(&capture), "--format", "csv"]);
+    let exported = slitpose!().run(["export", text(&capture), "--output", text(&poses)]);
+    assert_eq!((replayed.code, exported.code), (3, 3));
+    assert_eq!(fs::read(&poses).expect("poses"), replayed.stdout);
+}
+
 /// Waits until `child` takes notice of interrupts, and `is_ready`.
 fn wait_until(child: &mut Child, is_ready: impl Fn() -> bool) {
     let status = format!("/proc/{}/status", child.id());
