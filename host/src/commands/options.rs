@@ -2,7 +2,6 @@
 
 use std::ffi::OsStr;
 use std::fmt;
-use std::io::Write;
 use std::num::NonZero;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -23,8 +22,8 @@ use slitpose_model::{Pose, Tier};
 
 pub(super) use slitpose_tracking::solving::STREAM_TOLERANCE as DEFAULT_TOLERANCE;
 
-use super::{CommandError, Outcome, usage};
-use crate::sink::{self, Format, Sink};
+use super::{CommandError, Outcome};
+use crate::sink::Format;
 use crate::terminal::{self, Amount, Progress};
 use slitpose_tracking::frame::View;
 use slitpose_tracking::pipeline::{Counts, PipelineOptions};
@@ -294,20 +293,6 @@ impl PoseOptions {
     /// The format to write in; `live` tells whether somebody looks.
     pub(super) fn format(&self, live: bool) -> Format {
         self.format.unwrap_or(if live { Format::Summary } else { Format::Ndjson })
-    }
-
-    /// The sink of `format`. Says so if that leaves out what was asked for.
-    pub(super) fn open_sink<'a>(
-        &self,
-        format: Format,
-        output: impl Write + Send + 'a,
-        is_terminal: bool,
-    ) -> Result<Option<Box<dyn Sink + Send + 'a>>, CommandError> {
-        if is_terminal && !format.is_text() {
-            let text = "Parquet is no text for a terminal; redirect standard output, or choose another --format";
-            return Err(usage!("{text}").into());
-        }
-        Ok(sink::open(format, output, is_terminal && terminal::is_live()))
     }
 
     pub(super) fn solving(&self) -> Solving {

@@ -12,7 +12,8 @@ use super::playback::{PlayOptions, Playback, Printing};
 use super::player::{Orders, Player};
 use super::{CommandError, Outcome, interrupt, usage};
 use crate::live::LivePlan;
-use crate::sink::Format;
+use crate::sink::{self, Format};
+use crate::terminal;
 use slitpose_head::pace::Speed;
 use slitpose_head::special_file;
 use slitpose_head::table::{Output, OutputError, refuse_twice};
@@ -51,7 +52,7 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Outcome, CommandError> {
     let is_terminal = io::stdout().is_terminal();
     let format = args.poses.format(is_terminal);
     let output = io::BufWriter::with_capacity(1 << 16, io::stdout());
-    let sink = args.poses.open_sink(format, output, is_terminal)?;
+    let sink = sink::open(format, output, is_terminal && terminal::is_live());
     let printing = Printing { sink, target: "standard output", format, is_terminal };
     let access = args.live.access()?;
     let usual = if access.is_some() { Speed::Times(1.0) } else { Speed::Max };
@@ -78,8 +79,7 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Outcome, CommandError> {
 /// Writes a pose for every scan of captures to a file.
 ///
 /// A capture holds some poses only; the others follow from its bytes, as when it was recorded. The
-/// ending of the file's name says how they are written: .csv, .ndjson, or .parquet if this build
-/// has it. Another needs --format. `slitpose export --help` lists the quantities of a pose.
+/// ending of the file's name says how they are written: .csv or .ndjson. Another needs --format. `slitpose export --help` lists the quantities of a pose.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXPORT_EXAMPLES, after_long_help = quantities())]
 pub(super) struct ExportArgs {
@@ -110,7 +110,7 @@ fn quantities() -> String {
         format!("  {key}{unit} | {names}\n      {}\n", column.meaning)
     };
     let lines: String = COLUMNS.iter().map(line).collect();
-    format!("{EXPORT_EXAMPLES}\n\nQuantities, as key and unit of NDJSON | columns of CSV and Parquet:\n{lines}")
+    format!("{EXPORT_EXAMPLES}\n\nQuantities, as key and unit of NDJSON | columns of CSV:\n{lines}")
 }
 
 pub(super) fn export(args: &ExportArgs) -> Result<Outcome, CommandError> {
@@ -123,7 +123,7 @@ pub(super) fn export(args: &ExportArgs) -> Result<Outcome, CommandError> {
     let mut output = Output::open(Some(&args.output))?;
     let target = output.target().to_owned();
     let is_terminal = output.is_terminal();
-    let sink = args.poses.open_sink(format, &mut output, is_terminal)?;
+    let sink = sink::open(format, &mut output, is_terminal && terminal::is_live());
     let printing = Printing { sink, target: &target, format, is_terminal };
     let outcome = Playback::new(&args.files, &args.play, &args.poses, Vec::new(), Speed::Max, printing)?.run()?;
     if stop.load(Ordering::Relaxed) {
@@ -133,27 +133,15 @@ pub(super) fn export(args: &ExportArgs) -> Result<Outcome, CommandError> {
     Ok(outcome)
 }
 
-/// Endings of names that say how poses are written.
-const ENDINGS: &str = if cfg!(feature = "parquet") { ".csv, .ndjson or .parquet" } else { ".csv or .ndjson" };
-
 /// How poses are written to a file of this name.
 fn format_of(output: &Path) -> Result<Format, CommandError> {
     match output.extension().and_then(|extension| extension.to_str()) {
         Some("csv") => Ok(Format::Csv),
         Some("ndjson") => Ok(Format::Ndjson),
-        #[cfg(feature = "parquet")]
-        Some("parquet") => Ok(Format::Parquet),
-        #[cfg(not(feature = "parquet"))]
-        Some("parquet") => Err(usage!(
-            "this build cannot write {} as Parquet; build with `cargo build --release -p slitpose --features parquet`, or \
-             give a name that ends in .csv or .ndjson",
-            output.display()
-        )
-        .into()),
         // Standard output, devices and pipes have no name that could say it.
         _ if output == Path::new("-") || special_file::is_special(output) => Ok(Format::Csv),
         _ => Err(usage!(
-            "the name {} does not say how poses are to be written; give one that ends in {ENDINGS}, or --format",
+            "the name {} does not say how poses are to be written; give one that ends in .csv or .ndjson, or --format",
             output.display()
         )
         .into()),

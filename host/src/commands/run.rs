@@ -22,7 +22,9 @@ use crate::daemon::{Admit, BoardPlan, Daemon, Ended, Opener, Plan, SimulatedOpen
 use crate::datagram::{self, DatagramServer};
 use crate::device::{Contact, Search, Selector};
 use crate::live::{LiveBoard, LivePlan, SampleSink};
+use crate::sink;
 use crate::telemetry::{DaemonReport, RecorderReport, RecorderState, StatusServer, status_address};
+use crate::terminal;
 use slitpose_head::front_end;
 use slitpose_head::pace::Speed;
 use slitpose_head::scene_file::SceneFile;
@@ -165,7 +167,7 @@ pub(super) fn run(args: &mut Args) -> Result<Outcome, CommandError> {
     }
     let output = io::BufWriter::with_capacity(1 << 16, io::stdout());
     let is_terminal = io::stdout().is_terminal();
-    let sink = args.poses.open_sink(args.poses.format(is_terminal), output, is_terminal)?;
+    let sink = sink::open(args.poses.format(is_terminal), output, is_terminal && terminal::is_live());
     // All that can fail comes before the first thread: a board that is lit is stopped by its own.
     let (began, followed) = (HostInstant::now(), Arc::new(OnceLock::<Arc<Daemon>>::new()));
     let reports = || {

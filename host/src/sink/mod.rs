@@ -1,4 +1,4 @@
-//! Outputs for poses: NDJSON, CSV, Parquet, or a summary for people.
+//! Outputs for poses: NDJSON, CSV, or a summary for people.
 
 use std::io;
 use std::io::Write;
@@ -18,8 +18,6 @@ use slitpose_tracking::pipeline::{Item, Record};
 
 mod csv;
 mod ndjson;
-#[cfg(feature = "parquet")]
-mod parquet;
 
 /// How poses are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -30,21 +28,8 @@ pub(crate) enum Format {
     Ndjson,
     /// One row a scan
     Csv,
-    /// One row a scan, in columns with types
-    #[cfg(feature = "parquet")]
-    Parquet,
     /// Nothing: for a daemon that is read by datagrams, or only records
     None,
-}
-
-impl Format {
-    pub(crate) fn is_text(self) -> bool {
-        #[cfg(feature = "parquet")]
-        if self == Self::Parquet {
-            return false;
-        }
-        true
-    }
 }
 
 #[derive(Clone, Debug, Default)]
@@ -86,8 +71,6 @@ pub(crate) fn open<'a>(
         Format::Summary => Some(Box::new(Summary::new(output, live))),
         Format::Ndjson => Some(Box::new(ndjson::Ndjson::new(output))),
         Format::Csv => Some(Box::new(csv::Csv::new(output))),
-        #[cfg(feature = "parquet")]
-        Format::Parquet => Some(Box::new(parquet::Parquet::new(output))),
         Format::None => None,
     }
 }

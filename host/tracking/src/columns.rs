@@ -1,4 +1,4 @@
-//! The quantities of a scan, in one table for all outputs: NDJSON writes objects, CSV, `solve` and Parquet write columns,
+//! The quantities of a scan, in one table for all outputs: NDJSON writes objects, CSV and `solve` write columns,
 //! Python makes arrays, and the help lists them. A quantity is added by one row of [`COLUMNS`], at its end.
 
 use glam::{DQuat, DVec3};

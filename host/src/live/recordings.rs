@@ -1,0 +1,238 @@
+//! Captures in the folder of the recordings, which pages list, fetch, rename and play.
+
+use std::collections::VecDeque;
+use std::fs::{self, File, TryLockError};
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, Weak};
+use std::time::{Duration, UNIX_EPOCH};
+
+use serde::Serialize;
+use slitpose_head::threads::lock;
+use slitpose_tracking::capture::contents;
+use tokio::sync::mpsc::Receiver;
+
+use super::control::{Control, Refusal};
+use super::hub::{Input, LiveInput};
+use super::server::Shared;
+
+const ENDING: &str = ".mcap";
+
+/// Most captures that are listed, the newest.
+const MAX_LISTED: usize = 200;
+
+/// Most captures that are played at a time: each takes some per cent of a processor.
+const MAX_PLAYED: usize = 8;
+
+/// Most downloads that have been asked for and may begin.
+const MAX_TICKETS: usize = 64;
+
+/// Plays a capture to the pages of the input until that is closed; returns what takes their orders.
+pub(crate) type Play = Box<dyn Fn(PathBuf, LiveInput) -> io::Result<Control> + Send + Sync>;
+
+/// The captures in one folder.
+pub(crate) struct Recordings {
+    folder: PathBuf,
+    play: Play,
+    /// Paths that may be fetched by whoever knows the secret beside them.
+    tickets: Mutex<VecDeque<(String, PathBuf)>>,
+    /// Captures being played, as long as a page looks.
+    played: Mutex<Vec<(PathBuf, Weak<Shared>)>>,
+}
+
+/// A capture as it is listed.
+#[derive(Debug, PartialEq, Serialize)]
+pub(super) struct Recording {
+    name: String,
+    bytes: u64,
+    /// Seconds since 1970.
+    modified_s: Option<f64>,
+    is_recorded: bool,
+    /// What follows is known of captures that were ended.
+    length_s: Option<f64>,
+    boards: Vec<String>,
+    notes: u64,
+}
+
+impl Recordings {
+    pub(crate) fn new(folder: PathBuf, play: Play) -> Self {
+        let folder = if folder.as_os_str().is_empty() { PathBuf::from(".") } else { folder };
+        Self { folder, play, tickets: Mutex::default(), played: Mutex::default() }
+    }
+
+    /// The folder, as far as it can be told.
+    pub(super) fn folder(&self) -> String {
+        fs::canonicalize(&self.folder).as_ref().unwrap_or(&self.folder).display().to_string()
+    }
+
+    /// The newest captures first. Reads the end of each.
+    pub(super) fn list(&self) -> Result<Vec<Recording>, Refusal> {
+        let mut found = Vec::new();
+        for entry in fs::read_dir(&self.folder).map_err(|error| unusable(&self.folder, &error))?.flatten() {
+            let name = entry.file_name().into_string().unwrap_or_default();
+            if let (true, Ok(metadata)) = (is_name(&name), entry.metadata())
+                && metadata.is_file()
+            {
+                let modified = metadata.modified().ok().and_then(|at| at.duration_since(UNIX_EPOCH).ok());
+                found.push((modified, name, metadata.len()));
+            }
+        }
+        found.sort_by(|one, other| other.cmp(one));
+        found.truncate(MAX_LISTED);
+        let recording = |(modified, name, bytes): (Option<Duration>, String, u64)| {
+            let path = self.folder.join(&name);
+            let known = contents(&path).ok().flatten();
+            let known = known.as_ref();
+            Recording {
+                bytes,
+                modified_s: modified.map(|at| at.as_secs_f64()),
+                is_recorded: known.is_none() && is_recorded(&path),
+                length_s: known.map(|known| known.length_s),
+                boards: known.map_or(Vec::new(), |known| known.boards.iter().map(ToString::to_string).collect()),
+                notes: known.map_or(0, |known| known.notes),
+                name,
+            }
+        };
+        Ok(found.into_iter().map(recording).collect())
+    }
+
+    /// The capture called `name`, which is there.
+    fn path(&self, name: &str) -> Result<PathBuf, Refusal> {
+        let path = self.folder.join(check(name)?);
+        match fs::symlink_metadata(&path) {
+            Ok(metadata) if metadata.is_file() => Ok(path),
+            Ok(_) => Err(refused(format!("{name} is no regular file"))),
+            Err(error) => Err(unusable(&path, &error)),
+        }
+    }
+
+    pub(super) fn rename(&self, name: &str, to: &str) -> Result<(), Refusal> {
+        let (from, to) = (self.path(name)?, self.folder.join(check(to)?));
+        if is_recorded(&from) {
+            return Err(refused(format!("{name} is being recorded; end the recording first")));
+        }
+        if fs::symlink_metadata(&to).is_ok() {
+            return Err(refused(format!("{} is there already; choose another name", to.display())));
+        }
+        fs::rename(&from, &to).map_err(|error| unusable(&from, &error))
+    }
+
+    /// Lets the capture called `name` be fetched; returns the path of its address.
+    pub(super) fn ticket(&self, name: &str) -> Result<String, Refusal> {
+        let path = self.path(name)?;
+        let mut secret = [0; 16];
+        getrandom::fill(&mut secret).map_err(|error| refused(format!("the system gives no random number: {error}")))?;
+        let secret: String = secret.iter().map(|byte| format!("{byte:02x}")).collect();
+        let mut tickets = lock(&self.tickets);
+        if tickets.len() == MAX_TICKETS {
+            tickets.pop_front();
+        }
+        tickets.push_back((secret.clone(), path));
+        Ok(format!("/recordings/{secret}"))
+    }
+
+    /// The path that may be fetched by `secret`.
+    pub(super) fn fetched_by(&self, secret: &str) -> Option<PathBuf> {
+        lock(&self.tickets).iter().find(|(own, _)| own == secret).map(|(_, path)| path.clone())
+    }
+
+    /// What pages share that look at the capture called `name`. For the first of them `begin` makes it of what takes their
+    /// orders and of what the player shows.
+    pub(super) fn played(
+        &self,
+        name: &str,
+        begin: impl FnOnce(Control, Receiver<Input>) -> Arc<Shared>,
+    ) -> Result<Arc<Shared>, Refusal> {
+        let path = self.path(name)?;
+        let mut played = lock(&self.played);
+        played.retain(|(_, shared)| shared.strong_count() > 0);
+        if let Some(shared) = played.iter().find(|(of, _)| *of == path).and_then(|(_, shared)| shared.upgrade()) {
+            return Ok(shared);
+        }
+        if played.len() >= MAX_PLAYED {
+            return Err(refused(format!("{MAX_PLAYED} captures are being played already; close the page of one")));
+        }
+        let (input, inputs) = LiveInput::new();
+        let control = (self.play)(path.clone(), input).map_err(|error| unusable(&path, &error))?;
+        let shared = begin(control, inputs);
+        played.push((path, Arc::downgrade(&shared)));
+        Ok(shared)
+    }
+}
+
+fn refused(reason: String) -> Refusal {
+    Refusal::Recording { reason }
+}
+
+fn unusable(path: &Path, error: &io::Error) -> Refusal {
+    refused(format!("{}: {error}; look whether it is still there", path.display()))
+}
+
+/// Whether captures have such names: those of files in the folder itself.
+fn is_name(name: &str) -> bool {
+    let is_plain = |letter: char| !letter.is_control() && !r#"/\:*?"<>|"#.contains(letter);
+    name.len() > ENDING.len()
+        && name.len() <= 200
+        && name.ends_with(ENDING)
+        && !name.starts_with('.')
+        && name.chars().all(is_plain)
+}
+
+fn check(name: &str) -> Result<&str, Refusal> {
+    let hint = "give the name of a file that ends in .mcap, without a folder";
+    is_name(name).then_some(name).ok_or_else(|| refused(format!("`{name}` is no name of a capture; {hint}")))
+}
+
+/// Whether a recorder has locked the file.
+fn is_recorded(path: &Path) -> bool {
+    File::open(path).is_ok_and(|file| matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_captures_of_the_folder_are_listed_fetched_and_renamed() {
+        let outer = tempfile::tempdir().unwrap();
+        let folder = outer.path().join("captures");
+        fs::create_dir(&folder).unwrap();
+        fs::create_dir(folder.join("folder.mcap")).unwrap();
+        for name in ["captures/a.mcap", "captures/b.mcap", "captures/notes.txt", "captures/.hidden.mcap", "secret.mcap"]
+        {
+            fs::write(outer.path().join(name), "no capture").unwrap();
+        }
+        let recordings = Recordings::new(folder.clone(), Box::new(|_, _| Err(io::ErrorKind::Unsupported.into())));
+        let names = || {
+            let mut names: Vec<_> = recordings.list().unwrap().into_iter().map(|of| of.name).collect();
+            names.sort();
+            names
+        };
+        assert_eq!(names(), ["a.mcap", "b.mcap"]);
+        let list = recordings.list().unwrap();
+        assert!(list.iter().all(|of| of.length_s.is_none() && !of.is_recorded && of.bytes == 10), "{list:?}");
+        for name in ["../secret.mcap", "/etc/passwd", "notes.txt", ".hidden.mcap", "folder.mcap", "c.mcap", "", ".mcap"]
+        {
+            assert!(recordings.ticket(name).is_err(), "{name}");
+            assert!(recordings.rename(name, "d.mcap").is_err(), "{name}");
+        }
+        for to in ["b.mcap", "../d.mcap", "d", "a/d.mcap", "d\n.mcap", "folder.mcap"] {
+            assert!(recordings.rename("a.mcap", to).is_err(), "{to}");
+        }
+        let locked = File::options().write(true).open(folder.join("b.mcap")).unwrap();
+        locked.lock().unwrap();
+        let refused = recordings.rename("b.mcap", "d.mcap").unwrap_err().to_string();
+        assert!(refused.contains("b.mcap is being recorded"), "{refused}");
+        assert!(recordings.list().unwrap().iter().all(|of| of.is_recorded == (of.name == "b.mcap")));
+        recordings.rename("a.mcap", "steps 2.mcap").unwrap();
+        assert_eq!(names(), ["b.mcap", "steps 2.mcap"]);
+        let address = recordings.ticket("steps 2.mcap").unwrap();
+        let secret = address.strip_prefix("/recordings/").unwrap();
+        assert_eq!(recordings.fetched_by(secret), Some(folder.join("steps 2.mcap")));
+        assert_eq!(recordings.fetched_by(&secret.replace(|_| true, "0")), None);
+        for _ in 0..MAX_TICKETS {
+            recordings.ticket("b.mcap").unwrap();
+        }
+        assert_eq!(recordings.fetched_by(secret), None, "the oldest ticket is void");
+    }
+}
