@@ -15,12 +15,11 @@ use anyhow::Result;
 pub(crate) use foxglove::serve_foxglove;
 pub(crate) use spacenav::{Axes, Feel, SpacenavInput, SpacenavServer};
 #[cfg(feature = "zenoh")]
-pub(crate) use zenoh::open_zenoh;
+pub(crate) use zenoh::publish_by_zenoh;
 
 use crate::address::{Address, ServeError, tcp_address};
-use crate::daemon::{Opener, StreamPlan};
-use crate::live::LiveBoard;
-use crate::telemetry::DaemonReport;
+#[cfg(not(all(feature = "foxglove", feature = "zenoh")))]
+use crate::{live::LiveBoard, telemetry::DaemonReport};
 
 pub(crate) const DEFAULT_FOXGLOVE_ADDRESS: &str = "127.0.0.1:8765";
 
@@ -50,23 +49,14 @@ pub(crate) fn serve_foxglove(
 /// Where the router of ROS 2 listens.
 pub(crate) const DEFAULT_ROUTER: &str = "tcp/localhost:7447";
 
-/// A network over which boards come and go.
-pub(crate) trait Bridge {
-    /// Publishes boards, with a pose each `pose_every_s` of device time. `report`: the state of the daemon.
-    fn publisher(
-        &self,
-        boards: Vec<LiveBoard>,
-        pose_every_s: f64,
-        report: Box<dyn Fn() -> DaemonReport + Send>,
-    ) -> StreamPlan;
-
-    /// Opens the board that another daemon publishes; `key` is what its topics begin with.
-    fn opener(&self, key: &str) -> Result<Box<dyn Opener>>;
-}
-
-/// A build without Zenoh opens no session.
+/// A build without Zenoh publishes nothing.
 #[cfg(not(feature = "zenoh"))]
-pub(crate) fn open_zenoh(_: &str) -> Result<Box<dyn Bridge>> {
+pub(crate) fn publish_by_zenoh(
+    _: &str,
+    _: Vec<LiveBoard>,
+    _: f64,
+    _: impl Fn() -> DaemonReport + Send + 'static,
+) -> Result<crate::daemon::StreamPlan> {
     anyhow::bail!("this build has no Zenoh; build with `cargo build --release -p slitpose --features zenoh`")
 }
 

@@ -10,8 +10,8 @@ use super::options::{number, poses_hz};
 use super::record::RecordOptions;
 use super::{CommandError, talk};
 use crate::bridges::{
-    Axes, Bridge, DEFAULT_FOXGLOVE_ADDRESS, DEFAULT_ROUTER, Feel, SpacenavInput, SpacenavServer, foxglove_address,
-    open_zenoh, serve_foxglove,
+    Axes, DEFAULT_FOXGLOVE_ADDRESS, DEFAULT_ROUTER, Feel, SpacenavInput, SpacenavServer, foxglove_address,
+    publish_by_zenoh, serve_foxglove,
 };
 use crate::daemon::{Daemon, StreamPlan};
 use crate::http::Serving;
@@ -194,29 +194,13 @@ pub(super) struct ZenohOptions {
     zenoh_poses: f64,
 }
 
-/// The name of a board that another host publishes begins with this.
-const PREFIX: &str = "zenoh:";
-
-/// The key of a board that another host publishes.
-pub(super) fn key_of(device: &str) -> Option<&str> {
-    device.strip_prefix(PREFIX)
-}
-
 impl ZenohOptions {
-    /// The session, if one of the `devices` or the user needs it.
-    pub(super) fn open(&self, devices: &[String]) -> Result<Option<Box<dyn Bridge>>, CommandError> {
-        let is_needed = self.zenoh || devices.iter().any(|device| key_of(device).is_some());
-        is_needed.then(|| open_zenoh(&self.zenoh_router)).transpose()
-    }
-
-    pub(super) fn publisher(
+    pub(super) fn start(
         &self,
-        session: Option<&dyn Bridge>,
-        boards: impl FnOnce() -> Vec<LiveBoard>,
+        boards: Vec<LiveBoard>,
         report: impl Fn() -> DaemonReport + Send + 'static,
-    ) -> Option<StreamPlan> {
-        let session = session.filter(|_| self.zenoh)?;
+    ) -> Result<Option<StreamPlan>, CommandError> {
         let pose_every_s = if self.zenoh_poses > 0.0 { self.zenoh_poses.recip() } else { 0.0 };
-        Some(session.publisher(boards(), pose_every_s, Box::new(report)))
+        self.zenoh.then(|| publish_by_zenoh(&self.zenoh_router, boards, pose_every_s, report)).transpose()
     }
 }

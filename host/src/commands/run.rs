@@ -11,13 +11,12 @@ use sd_notify::NotifyState;
 use slitpose_calibration::{Basis, Head};
 use slitpose_protocol::Stream;
 
-use super::live::{FoxgloveOptions, LiveOptions, MouseOptions, ZenohOptions, changes, key_of};
+use super::live::{FoxgloveOptions, LiveOptions, MouseOptions, ZenohOptions, changes};
 use super::options::{PoseOptions, open_scene, parse_duration};
 use super::record::RecordOptions;
 use super::simulate::ToolOptions;
 use super::{CommandError, Outcome, interrupt, options, talk, usage};
 use crate::address::Address;
-use crate::bridges::Bridge;
 use crate::daemon::{Admit, BoardPlan, Daemon, Ended, Opener, Plan, SimulatedOpener};
 use crate::datagram::{self, DatagramServer};
 use crate::device::{Contact, Search, Selector};
@@ -59,8 +58,8 @@ const ACCOUNT_EVERY: Duration = Duration::from_secs(1);
                   slitpose run --device sim --duration 3s --fault occlude:cell=2,from=1s,for=500ms\n  \
                   slitpose run --device /dev/ttyACM0 --publish unix:/run/slitpose/pose --status 127.0.0.1:7450 --format none")]
 pub(super) struct Args {
-    /// Which board: `auto`, a serial number, the path of a port, zenoh:KEY, or `sim`, a simulated one;
-    /// once for each board
+    /// Which board: `auto`, a serial number, the path of a port, or `sim`, a simulated one; once for each
+    /// board
     #[arg(long, value_name = "DEVICE", value_delimiter = ',', default_value = "auto", value_parser = options::devices(), hide_possible_values = true)]
     device: Vec<String>,
     /// Scene file, or the name of a shipped scene; one for all boards, or one for each
@@ -157,8 +156,7 @@ pub(super) fn run(args: &mut Args) -> Result<Outcome, CommandError> {
         )
         .into());
     }
-    let zenoh = args.zenoh.open(&args.device)?;
-    let boards = args.boards(zenoh.as_deref())?;
+    let boards = args.boards()?;
     args.tool.faults.tell();
     let stop = interrupt()?;
     let datagrams = if args.publish.is_empty() { None } else { Some(DatagramServer::bind(&args.publish)?) };
@@ -203,6 +201,7 @@ pub(super) fn run(args: &mut Args) -> Result<Outcome, CommandError> {
         None => None,
     };
     let foxglove = args.foxglove.start(shown(), reports())?;
+    let streams = args.zenoh.start(shown(), reports())?.into_iter().collect();
     let status = args.status.as_ref().map(|address| StatusServer::start(address, reports(), control())).transpose()?;
     status.iter().for_each(|server| talk(format_args!("status at {}", server.address)));
     let capture = args.record.open(is_recorded_later)?;
@@ -210,7 +209,6 @@ pub(super) fn run(args: &mut Args) -> Result<Outcome, CommandError> {
     takers.extend(live.iter().map(|live| Arc::new(live.input.clone()) as Arc<dyn SampleSink>));
     takers.extend(foxglove.iter().map(|(input, _)| Arc::new(input.clone()) as Arc<dyn SampleSink>));
     takers.extend(mouse.iter().map(|mouse| Arc::new(mouse.input.clone()) as Arc<dyn SampleSink>));
-    let streams = args.zenoh.publisher(zenoh.as_deref(), shown, reports()).into_iter().collect();
     let plan = Plan { boards, sink, capture, datagrams, streams, takers, real_time: args.real_time };
     let daemon = Arc::new(Daemon::start(plan, Arc::clone(&stop))?);
     let daemon = followed.get_or_init(|| daemon);
@@ -310,7 +308,7 @@ fn outcome_of(ended: Ended, reconnects: &[u64], interrupted: bool, bounded: bool
 }
 
 impl Args {
-    fn boards(&self, zenoh: Option<&dyn Bridge>) -> Result<Vec<BoardPlan>, CommandError> {
+    fn boards(&self) -> Result<Vec<BoardPlan>, CommandError> {
         let scenes = self.scene.iter().map(|scene| open_scene(scene)).collect::<Result<Vec<_>, _>>()?;
         let (scenes_given, calibrations, devices) = (scenes.len(), self.calibration.len(), self.device.len());
         if scenes_given != 1 && scenes_given != devices {
@@ -323,7 +321,7 @@ impl Args {
         }
         let search = self.search.iter().map(|pattern| pattern.parse()).collect::<Result<Vec<Search>, _>>()?;
         let boards = self.device.iter().zip(scenes.iter().cycle()).enumerate();
-        boards.map(|(number, (device, scene))| self.board(number, device, scene, &search, zenoh)).collect()
+        boards.map(|(number, (device, scene))| self.board(number, device, scene, &search)).collect()
     }
 
     fn board(
@@ -332,24 +330,20 @@ impl Args {
         device: &str,
         file: &SceneFile,
         search: &[Search],
-        zenoh: Option<&dyn Bridge>,
     ) -> Result<BoardPlan, CommandError> {
         let tier = self.poses.tier();
         let configuration = front_end::configuration(file)?;
         // A simulated board needs none.
-        let opener: Option<Box<dyn Opener>> = match zenoh.zip(key_of(device)) {
-            Some((session, key)) => Some(session.opener(key)?),
-            None => match device.parse()? {
-                Selector::Sim => None,
-                selector => Some(Box::new(Contact::new(selector, search.to_vec()))),
-            },
+        let contact = match device.parse()? {
+            Selector::Sim => None,
+            selector => Some(Contact::new(selector, search.to_vec())),
         };
         // A head is within its tolerances, given or usual.
         let head = head_by(self.calibration.get(number).map(PathBuf::as_path), file.clone(), |file| {
-            let head = if opener.is_none() { Head::as_scene_says(file) } else { Head::uncalibrated(file) };
+            let head = if contact.is_none() { Head::as_scene_says(file) } else { Head::uncalibrated(file) };
             Ok::<_, CommandError>(head?)
         })?;
-        let (opener, keeps_time): (Box<dyn Opener>, _) = match opener {
+        let (opener, keeps_time): (Box<dyn Opener>, _) = match contact {
             None => {
                 let duration_s = self.poses.duration.unwrap_or(f64::INFINITY);
                 let speed = self.speed.unwrap_or(Speed::Times(1.0));
@@ -363,14 +357,14 @@ impl Args {
                 };
                 (Box::new(SimulatedOpener::new(simulated, name)), speed == Speed::Times(1.0))
             }
-            Some(opener) => {
+            Some(contact) => {
                 if let Some(option) = self.tool.given().or(self.speed.map(|_| "--speed")) {
                     return Err(usage!(
                         "{option} is for simulated boards and means nothing to {device}; leave it out, or give --device sim"
                     )
                     .into());
                 }
-                (opener, true)
+                (Box::new(contact), true)
             }
         };
         let patience = match (self.patience, self.poses.duration) {

@@ -42,11 +42,7 @@ impl BoardError {
     /// Time since the last usable scan when the error was noticed, seconds.
     pub(super) fn missed_s(&self) -> f64 {
         match self {
-            Self::Device(
-                DeviceError::Quiet { seconds, .. }
-                | DeviceError::NoScans { seconds, .. }
-                | DeviceError::NotPublished { seconds, .. },
-            ) => *seconds,
+            Self::Device(DeviceError::Quiet { seconds, .. } | DeviceError::NoScans { seconds, .. }) => *seconds,
             _ => 0.0,
         }
     }

@@ -128,10 +128,7 @@ impl Link {
         state.report.attempts += 1;
         let kind = match error {
             BoardError::Device(
-                DeviceError::Quiet { .. }
-                | DeviceError::NoScans { .. }
-                | DeviceError::NotPublished { .. }
-                | DeviceError::Stopped { .. },
+                DeviceError::Quiet { .. } | DeviceError::NoScans { .. } | DeviceError::Stopped { .. },
             ) => LinkState::Quiet,
             error if !error.is_passing() => LinkState::Refused,
             _ if state.has_run => LinkState::Gone,

@@ -36,8 +36,6 @@ use std::thread::JoinHandle;
 
 pub(crate) use board::BoardPlan;
 pub(crate) use error::BoardError;
-#[cfg(feature = "zenoh")]
-pub(crate) use opener::Feed;
 pub(crate) use opener::{Admit, Opener, SimulatedOpener};
 pub(crate) use recorder::CapturePlan;
 #[cfg(feature = "zenoh")]

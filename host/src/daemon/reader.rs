@@ -11,9 +11,8 @@ use super::board::{BoardPlan, BoardSlot, Claims};
 use super::error::BoardError;
 use super::handoff::ReaderEnd;
 use super::link::StreamEvent;
-use super::opener::Feed;
 use super::solver::Solver;
-use crate::device::DeviceError;
+use crate::device::{Conversation, DeviceError, HELLO_WITHIN};
 use crate::terminal::say;
 use slitpose_tracking::link::DeviceId;
 use slitpose_tracking::pipeline::head_of;
@@ -65,8 +64,8 @@ impl Reader {
             self.has_scans = false;
             self.claims.release(&self.claimant);
             // A board that is lost is dropped, which stops it, if it can still be reached.
-            let error = match self.connect().and_then(|mut board| self.listen(&mut *board).map(|()| board)) {
-                Ok(mut board) => return self.end(&mut *board),
+            let error = match self.connect().and_then(|mut board| self.listen(&mut board).map(|()| board)) {
+                Ok(mut board) => return self.end(&mut board),
                 Err(error) => error,
             };
             if self.has_scans {
@@ -107,7 +106,7 @@ impl Reader {
     }
 
     /// Opens, greets, configures and starts the board. It counts as running once scans come.
-    fn connect(&mut self) -> Result<Box<dyn Feed>, BoardError> {
+    fn connect(&mut self) -> Result<Conversation, BoardError> {
         let Self { plan: BoardPlan { opener, admit, stream, head, configuration, .. }, slot, claims, claimant, .. } =
             self;
         let _turn = opener.turn();
@@ -115,7 +114,7 @@ impl Reader {
         slot.link.connecting();
         let name = board.name();
         let mut compiled = None;
-        board.greet(&mut |hello| {
+        board.greet(HELLO_WITHIN, |hello| {
             admit(hello)?;
             let device = DeviceId(hello.device_id);
             claims.claim(device, claimant)?;
@@ -124,15 +123,20 @@ impl Reader {
             if stream.poses > 0 {
                 compiled = Some(solving::compile(&head_of(head, hello), &configuration.schedule, &hello.scaling)?);
             }
-            Ok(())
+            Ok::<_, BoardError>(())
         })?;
-        board.start(configuration, *stream, compiled.as_deref())?;
+        board.configure(configuration.clone())?;
+        if let Some(head) = &compiled {
+            board.send_head(head)?;
+        }
+        board.stream(*stream)?;
+        board.start()?;
         self.connection += 1;
         Ok(board)
     }
 
     /// Passes on what the board sends, until it shall end or the stream is complete; the error says why it is lost.
-    fn listen(&mut self, board: &mut dyn Feed) -> Result<(), BoardError> {
+    fn listen(&mut self, board: &mut Conversation) -> Result<(), BoardError> {
         self.pass_on(board, true);
         loop {
             match self.next_event() {
@@ -170,7 +174,7 @@ impl Reader {
     }
 
     /// Stops the board and passes on the bytes that were still under way.
-    fn end(&mut self, board: &mut dyn Feed) -> Result<(), BoardError> {
+    fn end(&mut self, board: &mut Conversation) -> Result<(), BoardError> {
         let stopped = board.stop();
         self.pass_on(board, false);
         if let Err(DeviceError::NoReply { .. }) = stopped {
@@ -181,7 +185,7 @@ impl Reader {
 
     /// Solves the bytes received last, or passes them on. Waits if the solver is far behind: bytes then wait in the
     /// operating system and on the board. `false` if the solver has ended.
-    fn pass_on(&mut self, board: &mut dyn Feed, opened: bool) -> bool {
+    fn pass_on(&mut self, board: &mut Conversation, opened: bool) -> bool {
         let Some(segment) = self.handoff.chunk() else {
             return false;
         };

@@ -50,11 +50,6 @@ pub enum DeviceError {
     )]
     Silent { name: String, seconds: f64 },
     #[error(
-        "no {what} of {name} came within {seconds} s; check that `slitpose run --zenoh` follows the board there, and that \
-         both reach the same router"
-    )]
-    NotPublished { name: String, what: &'static str, seconds: f64 },
-    #[error(
         "no board answers on {name}: {bytes} bytes came within {seconds} s, {packets} readable packets and no hello \
          among them; check that this is the port of the board, and reset the board"
     )]
@@ -121,7 +116,6 @@ impl DeviceError {
                 | Self::NoSuchBoard { .. }
                 | Self::Missing { .. }
                 | Self::Silent { .. }
-                | Self::NotPublished { .. }
                 | Self::NoHello { .. }
                 | Self::NoStatus { .. }
                 | Self::NotBack { .. }

@@ -30,7 +30,6 @@ const REFUSED: &[(&str, i32, &[&str])] = &[
     ("run --config none --device sim --foxglove", 1, &["--features foxglove"]),
     ("run --config none --device sim --foxglove 0.0.0.0:8765", 2, &["0.0.0.0:8765", "ssh -L"]),
     ("run --config none --device sim --zenoh", 1, &["--features zenoh"]),
-    ("run --config none --device zenoh:slitpose/board_0036002900544850025a0320", 1, &["--features zenoh"]),
     ("model wide", 2, &["--poses"]),
     ("model wide --poses - --tier best", 2, &["paper, exact"]),
     ("model wide --poses - --tolerance 0", 2, &["between 0 and 1"]),

@@ -1,47 +1,40 @@
-//! Boards over Zenoh: poses and more for ROS 2, as rmw_zenoh sees it, and all bytes for daemons on other machines.
+//! Boards over Zenoh for ROS 2, as rmw_zenoh sees it: poses and more, and all bytes.
 
-mod far_board;
 mod publisher;
 
 use std::env;
 use std::ffi::OsString;
-use std::sync::{Arc, Mutex};
 
-use ::zenoh::key_expr::KeyExpr;
 use ::zenoh::{Config, Session, Wait};
 use anyhow::{Result, anyhow, bail};
 use twox_hash::XxHash3_128;
 
-use self::far_board::FarBoardOpener;
 use self::publisher::Publisher;
-use crate::bridges::{Bridge, DEFAULT_ROUTER};
-use crate::daemon::{Opener, StreamPlan};
+use crate::bridges::DEFAULT_ROUTER;
+use crate::daemon::StreamPlan;
 use crate::live::LiveBoard;
 use crate::telemetry::DaemonReport;
 use crate::terminal::say;
-use slitpose_head::threads::lock;
 use slitpose_tracking::capture::LINK_BYTES;
 use slitpose_tracking::ros::{MARKERS, POSE, RosType, TRANSFORMS, TWIST};
 
-/// A session of Zenoh, which begins as soon as its router is there, and reaches that again whenever it was away.
-#[derive(Clone)]
-pub(crate) struct ZenohSession {
+/// The way to a router. A session reaches that again whenever it was away.
+pub(super) struct Router {
     what: String,
     config: Config,
     pub(super) domain: u8,
-    session: Arc<Mutex<Option<Session>>>,
 }
 
-impl ZenohSession {
-    /// A session by the router at `endpoint`, or by the file that ZENOH_SESSION_CONFIG_URI names, as ROS 2 does.
-    pub(crate) fn open(endpoint: &str) -> Result<Self> {
+impl Router {
+    /// The router at `endpoint`, or that of the file that ZENOH_SESSION_CONFIG_URI names, as for ROS 2.
+    pub(super) fn at(endpoint: &str) -> Result<Self> {
         let domain = domain(env::var_os("ROS_DOMAIN_ID"))?;
         let (what, config) = match env::var_os("ZENOH_SESSION_CONFIG_URI") {
             Some(path) => (path.display().to_string(), Config::from_file(&path)),
             None => (endpoint.to_owned(), by_router(endpoint)),
         };
         match config {
-            Ok(config) => Ok(Self { what, config, domain, session: Arc::default() }),
+            Ok(config) => Ok(Self { what, config, domain }),
             Err(error) => {
                 let reason = reason_of(&*error);
                 bail!(
@@ -52,45 +45,26 @@ impl ZenohSession {
         }
     }
 
-    /// The session, once its router is there. Takes a second at most.
-    pub(super) fn get(&self) -> Result<Session> {
-        let mut session = lock(&self.session);
-        if let Some(session) = &*session {
-            return Ok(session.clone());
-        }
-        let opened = ::zenoh::open(self.config.clone()).wait();
-        let opened = opened.map_err(|error| {
+    /// A session, if the router is there. Takes a second at most.
+    pub(super) fn session(&self) -> Result<Session> {
+        ::zenoh::open(self.config.clone()).wait().map_err(|error| {
             let (what, reason) = (&self.what, reason_of(&*error));
             anyhow!("no router of Zenoh by {what} ({reason}); start one, or give its endpoint with --zenoh-router")
-        })?;
-        Ok(session.insert(opened).clone())
+        })
     }
 }
 
-impl Bridge for ZenohSession {
-    fn publisher(
-        &self,
-        boards: Vec<LiveBoard>,
-        pose_every_s: f64,
-        report: Box<dyn Fn() -> DaemonReport + Send>,
-    ) -> StreamPlan {
-        say(format_args!("boards by Zenoh at {}", self.what));
-        StreamPlan { taker: Box::new(Publisher::new(self.clone(), boards, report)), pose_every_s }
-    }
-
-    fn opener(&self, key: &str) -> Result<Box<dyn Opener>> {
-        Ok(Box::new(FarBoardOpener { session: self.clone(), topic: topic_of(key)? }))
-    }
-}
-
-/// What the topics of one board begin with.
-fn topic_of(key: &str) -> Result<String> {
-    let topic = key.trim_start_matches('/');
-    // Of several boards at once nothing could be solved.
-    if KeyExpr::new(topic).is_err() || topic.contains(['*', '$']) {
-        bail!("`zenoh:{key}` names no board; give zenoh:slitpose/board_SERIAL, with the serial number of the board");
-    }
-    Ok(topic.to_owned())
+/// Publishes boards by the router at `endpoint`, with a pose each `pose_every_s` of device time. `report`: the state of the
+/// daemon.
+pub(crate) fn publish_by_zenoh(
+    endpoint: &str,
+    boards: Vec<LiveBoard>,
+    pose_every_s: f64,
+    report: impl Fn() -> DaemonReport + Send + 'static,
+) -> Result<StreamPlan> {
+    let router = Router::at(endpoint)?;
+    say(format_args!("boards by Zenoh at {}", router.what));
+    Ok(StreamPlan { taker: Box::new(Publisher::new(router, boards, Box::new(report))), pose_every_s })
 }
 
 /// The number of the ROS 2 graph, from its environment variable.
@@ -203,7 +177,7 @@ impl Node {
     }
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct Attachment {
     /// Counts the messages of a publisher, from 1.
     pub(super) sequence: i64,
@@ -225,14 +199,6 @@ impl Attachment {
         bytes[17..].copy_from_slice(&self.gid);
         bytes
     }
-
-    pub(super) fn decode(bytes: &[u8]) -> Option<Self> {
-        let (sequence, rest) = bytes.split_first_chunk()?;
-        let (stamp_ns, rest) = rest.split_first_chunk()?;
-        let (length, gid) = rest.split_first()?;
-        let gid = gid.try_into().ok().filter(|_| *length == 16)?;
-        Some(Self { sequence: i64::from_le_bytes(*sequence), stamp_ns: i64::from_le_bytes(*stamp_ns), gid })
-    }
 }
 
 /// The number of a publisher: a hash of its token, the lower half first.
@@ -240,26 +206,12 @@ pub(super) fn gid(token: &str) -> [u8; 16] {
     XxHash3_128::oneshot(token.as_bytes()).to_le_bytes()
 }
 
-/// The session by the router at `endpoint`.
-pub(crate) fn open_zenoh(endpoint: &str) -> Result<Box<dyn Bridge>> {
-    Ok(Box::new(ZenohSession::open(endpoint)?))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn names_and_numbers_are_read_or_refused() {
-        for (key, topic) in
-            [("slitpose/board_1", "slitpose/board_1"), ("/lab/slitpose/board_1", "lab/slitpose/board_1")]
-        {
-            assert_eq!(topic_of(key).unwrap(), topic);
-        }
-        for key in ["", "/", "slitpose/*", "slitpose/**", "slitpose/board_$*", "slitpose//board_1", "slitpose/board_1/"]
-        {
-            assert!(topic_of(key).is_err(), "{key}");
-        }
+    fn the_number_of_the_ros_graph_is_read_or_refused() {
         for (variable, number) in [(None, 0), (Some(""), 0), (Some("0"), 0), (Some("232"), 232)] {
             assert_eq!(domain(variable.map(OsString::from)).unwrap(), number);
         }
@@ -271,19 +223,9 @@ mod tests {
     #[test]
     fn a_router_that_is_not_there_is_named_without_paths_of_sources() {
         // Nothing listens at port 1.
-        let error = ZenohSession::open("tcp/127.0.0.1:1").unwrap().get().err().unwrap().to_string();
+        let error = Router::at("tcp/127.0.0.1:1").unwrap().session().err().unwrap().to_string();
         assert!(error.contains("tcp/127.0.0.1:1") && error.contains("--zenoh-router"), "{error}");
         assert!(!error.contains(".rs"), "{error}");
-        assert!(ZenohSession::open("nonsense").is_err());
-    }
-
-    #[test]
-    fn attachments_come_back() {
-        let attachment = Attachment { sequence: 7, stamp_ns: -1, gid: gid("token") };
-        let bytes = attachment.encode();
-        assert_eq!(Attachment::decode(&bytes), Some(attachment));
-        for length in 0..bytes.len() {
-            assert_eq!(Attachment::decode(&bytes[..length]), None);
-        }
+        assert!(Router::at("nonsense").is_err());
     }
 }

@@ -7,7 +7,7 @@ use ::zenoh::qos::CongestionControl;
 use ::zenoh::{Session, Wait, pubsub};
 use slitpose_head::finding::{Finding, Grade};
 
-use super::{Attachment, Node, Type, ZenohSession, gid, topic_key};
+use super::{Attachment, Node, Router, Type, gid, topic_key};
 use crate::daemon::{ChunkSink, TapChunk};
 use crate::live::LiveBoard;
 use crate::telemetry::DaemonReport;
@@ -22,7 +22,7 @@ use slitpose_tracking::ros::{self, cdr::Encoder};
 const REPEAT_EVERY: Duration = Duration::from_secs(1);
 
 pub(super) struct Publisher {
-    session: ZenohSession,
+    router: Router,
     daemon: Option<DaemonTopics>,
     boards: Vec<Shown>,
     report: Box<dyn Fn() -> DaemonReport + Send>,
@@ -104,14 +104,10 @@ impl DaemonTopics {
 }
 
 impl Publisher {
-    pub(super) fn new(
-        session: ZenohSession,
-        boards: Vec<LiveBoard>,
-        report: Box<dyn Fn() -> DaemonReport + Send>,
-    ) -> Self {
+    pub(super) fn new(router: Router, boards: Vec<LiveBoard>, report: Box<dyn Fn() -> DaemonReport + Send>) -> Self {
         let shown = |board| Shown { board, device: None, hello: Vec::new(), topics: None };
         let mut this = Self {
-            session,
+            router,
             daemon: None,
             boards: boards.into_iter().map(shown).collect(),
             report,
@@ -125,9 +121,9 @@ impl Publisher {
 
     /// Begins to publish if the router is there by now.
     fn connect(&mut self) {
-        match self.session.get() {
+        match self.router.session() {
             // Declarations fail at the end of the session only.
-            Ok(session) => self.daemon = DaemonTopics::new(session, self.session.domain).ok(),
+            Ok(session) => self.daemon = DaemonTopics::new(session, self.router.domain).ok(),
             Err(error) if !self.is_told => {
                 say(format_args!("{error}; looking for it"));
                 self.is_told = true;
@@ -262,9 +258,9 @@ mod tests {
 
     #[test]
     fn chunks_do_not_wait_for_a_router_that_is_not_there() {
-        let session = ZenohSession::open("tcp/127.0.0.1:9").unwrap();
+        let router = Router::at("tcp/127.0.0.1:9").unwrap();
         let report = || -> DaemonReport { unreachable!("without a router nothing is published") };
-        let mut publisher = Publisher::new(session, Vec::new(), Box::new(report));
+        let mut publisher = Publisher::new(router, Vec::new(), Box::new(report));
         publisher.tick();
         let begun = Instant::now();
         publisher.tick();

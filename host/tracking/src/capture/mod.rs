@@ -29,7 +29,7 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
-pub use link_bytes::{decode as decode_link_bytes, encode as encode_link_bytes};
+pub use link_bytes::encode as encode_link_bytes;
 pub use place::Existing;
 pub use reader::{CaptureReader, End};
 pub use series::{CaptureSeries, Limits};
