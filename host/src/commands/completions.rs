@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use clap::{Arg, ArgAction, Command};
+use clap::Command;
 use clap_complete::Shell;
 use clap_mangen::Man;
 use slitpose_head::table::{Output, OutputError};
@@ -97,40 +97,8 @@ fn write_page(command: &Command, folder: &Path) -> Result<(), OutputError> {
     let mut text = Vec::new();
     // Writing to memory cannot fail; the generator writes text only.
     let _ = man.render(&mut text);
-    let text = with_values(&String::from_utf8_lossy(&text), command);
-    Output::file(&folder.join(man.get_filename()))?.write_text(&text)?;
+    Output::file(&folder.join(man.get_filename()))?.write_text(&String::from_utf8_lossy(&text))?;
     command.get_subcommands().try_for_each(|verb| write_page(verb, folder))
-}
-
-/// `page` with a synopsis that names the values of options.
-fn with_values(page: &str, command: &Command) -> String {
-    const HEADING: &str = ".SH SYNOPSIS\n";
-    let Some((before, rest)) = page.split_once(HEADING) else { return page.to_owned() };
-    let after = rest.find("\n.SH ").map_or("", |at| &rest[at..]);
-    format!("{before}{HEADING}{}{after}", synopsis(command))
-}
-
-/// In roff: literal words bold, values in italics.
-fn synopsis(command: &Command) -> String {
-    let hyphens = |text: &str| text.replace('-', "\\-");
-    let name = command.get_bin_name().unwrap_or_else(|| command.get_name());
-    let mut words = vec![format!("\\fB{}\\fR", hyphens(name))];
-    let is_own = |arg: &&Arg| !arg.is_hide_set() && !matches!(arg.get_id().as_str(), "help" | "version");
-    for arg in command.get_arguments().filter(is_own) {
-        let value = arg.get_value_names().and_then(|names| names.first());
-        let value = format!("\\fI{}\\fR", hyphens(value.map_or(arg.get_id().as_str(), |name| name.as_str())));
-        let word = match (arg.get_long(), arg.get_action().takes_values()) {
-            (Some(long), true) => format!("\\fB\\-\\-{}\\fR {value}", hyphens(long)),
-            (Some(long), false) => format!("\\fB\\-\\-{}\\fR", hyphens(long)),
-            (None, _) => value,
-        };
-        let many = if matches!(arg.get_action(), ArgAction::Append) { " ..." } else { "" };
-        words.push(if arg.is_required_set() { format!("{word}{many}") } else { format!("[{word}]{many}") });
-    }
-    if command.get_subcommands().next().is_some() {
-        words.push("\\fIVERB\\fR".to_owned());
-    }
-    words.join(" ")
 }
 
 /// Verbs, an option of each, and its default, in the order in which synopses name them. A value has no spaces; anything
