@@ -34,7 +34,7 @@ pub fn capture(bytes: &[u8], from_ns: u64) -> Result<Captured, CaptureError> {
     while let Some(entry) = reader.next(&mut segment)? {
         match entry {
             Entry::Setup(_) => captured.setups += 1,
-            Entry::Hello { .. } => {}
+            Entry::Hello { .. } | Entry::Note { .. } => {}
             Entry::Link { .. } => captured.link_bytes += segment.bytes.len() as u64,
         }
     }

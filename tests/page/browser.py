@@ -339,6 +339,67 @@ class Page(InBrowser):
         self.assertNotIn("Nothing is wrong", self.page.evaluate(text))
 
 
+class Recordings(InBrowser):
+    def arguments(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.folder = pathlib.Path(folder.name)
+        return ("run", "--device", "sim", "--record", self.folder / "first.mcap")
+
+    def test_a_recording_is_noted_listed_renamed_fetched_and_replayed(self):
+        self.needs_daemon()
+        page = self.page
+        wait(page, "document.getElementById('recording').textContent.includes('first.mcap')")
+        page.fill("#note-text", "contact <b>now</b>")
+        page.keyboard.press("Enter")
+        wait(page, "document.getElementById('noted').textContent.includes('contact')")
+        page.wait_for_timeout(1000)
+        page.click("#record")
+        wait(page, "!document.getElementById('recording').textContent || document.getElementById('record').textContent.includes('● Record')")
+        page.click("#show-recordings")
+        row = page.locator("#recordings-rows tr")
+        cells = "[...document.querySelectorAll('#recordings-rows tr')].map(e => e.innerText).join()"
+        # The summary of the file is its end.
+        end = time.monotonic() + PATIENCE_MS / 1000
+        while "0:0" not in page.evaluate(cells):
+            self.assertLess(time.monotonic(), end, page.evaluate(cells))
+            page.click("#list-again")
+            page.wait_for_timeout(100)
+        page.screenshot(path=PICTURES / "recordings.png")
+        row.get_by_text("Rename").click()
+        page.keyboard.type("contact 1")
+        page.keyboard.press("Enter")
+        wait(page, f"{cells}.includes('contact 1.mcap')")
+        self.assertEqual([path.name for path in self.folder.iterdir()], ["contact 1.mcap"])
+        # A name that is taken by nothing else, but is no capture's.
+        row.get_by_text("Rename").click()
+        page.keyboard.press("Control+A")
+        page.keyboard.type("../x.mcap")
+        page.keyboard.press("Enter")
+        wait(page, "document.getElementById('banner').textContent.includes('is no name of a capture')")
+        with page.expect_download() as download:
+            row.get_by_text("Download").click()
+        self.assertEqual(download.value.suggested_filename, "contact 1.mcap")
+        fetched = pathlib.Path(download.value.path()).read_bytes()
+        self.assertEqual(fetched, (self.folder / "contact 1.mcap").read_bytes())
+        with page.context.expect_page() as opened:
+            row.get_by_text("Replay").click()
+        replay = opened.value
+        replay.on("pageerror", lambda error: self.errors.append(str(error)))
+        wait(replay, f"{IS_CONNECTED} && /[0-9]/.test({POSE})")
+        wait(replay, "document.getElementById('notes').textContent.includes('contact <b>now</b>')")
+        self.assertIn("contact 1.mcap", replay.locator("#capture").text_content())
+        replay.screenshot(path=PICTURES / "replay-noted.png")
+        replay.click("#notes button")
+        replay.click("#play")
+        wait(replay, "document.getElementById('play').textContent.includes('▶')")
+        # The daemon's own page goes on meanwhile.
+        page.keyboard.press("Escape")
+        before = page.evaluate(POSE)
+        wait(page, f"{POSE} !== {before!r}")
+        replay.close()
+
+
 class Sine(InBrowser):
     """A tool that shakes at 19 Hz, which pages at 60 frames a second cannot sample."""
 

@@ -25,9 +25,10 @@ POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 HEAD = "visualization_msgs/msg/MarkerArray"
 REPORT = "std_msgs/msg/String"
+NOTE = "rcl_interfaces/msg/Log"
 SCHEMAS = {
     "link": LINK, "hello": LINK, "pose": POSE, "pose_stamped": POSE_STAMPED, "tf": TRANSFORMS, "twist": TWIST,
-    "head": HEAD, "report": REPORT,
+    "head": HEAD, "report": REPORT, "notes": NOTE,
 }
 NO_TIME = 2**64 - 1
 
@@ -73,7 +74,7 @@ class Contents:
         self.raw_bytes = 0
         self.timed_reads = 0
         self.positions_m = []
-        self.reports = []
+        self.reports, self.notes = [], []
         self.heads = {}
         self.report_schema = None
         self.scenes, self.devices, self.schemas, self.channels, self.topics = {}, [], {}, {}, {}
@@ -118,6 +119,9 @@ class Contents:
         message = self._ros.decoder_for(channel.message_encoding, schema)(record.data)
         if schema.name == REPORT:
             self.reports.append((channel.topic, json.loads(message.data)))
+            return
+        if schema.name == NOTE:
+            self.notes.append((message.stamp.sec + message.stamp.nanosec * 1e-9, message.msg))
             return
         check(self.devices, "a message before its board")
         if schema.name == LINK:

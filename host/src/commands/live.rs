@@ -128,7 +128,8 @@ pub(super) fn changes(
             }
             (Order::Record(true), true) => return Err(refused("a recording is under way already; end it first")),
             (Order::Record(false), true) => daemon.end_recording(),
-            (Order::Record(false), false) => return Err(refused("nothing is being recorded")),
+            (Order::Note(text, ago_s), true) => daemon.note(text, ago_s),
+            (Order::Note(..) | Order::Record(false), false) => return Err(refused("nothing is being recorded")),
             (Order::Zero, _) => mouse.as_ref().ok_or(Refusal::NO_MOUSE)?.zero(),
             (Order::Frame(board, over_s), _) => {
                 if let Some(value) = over_s.filter(|over_s| !(*over_s > 0.0 && *over_s <= MAX_ZERO_S)) {

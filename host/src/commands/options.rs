@@ -99,7 +99,7 @@ impl Jobs {
 }
 
 /// What the head is known by.
-#[derive(Args, Clone, Debug)]
+#[derive(Args, Clone, Debug, Default)]
 pub(super) struct CalibrationOption {
     /// Calibration of the head, as `slitpose calibrate` wrote it; or none: the head is as its scene says
     #[arg(long, value_name = "FILE")]
@@ -186,7 +186,7 @@ pub(super) fn motions() -> Names {
 }
 
 /// How exactly the optics are evaluated.
-#[derive(Args, Clone, Copy, Debug)]
+#[derive(Args, Clone, Copy, Debug, Default)]
 pub(super) struct TierOptions {
     /// Equations as printed in the source paper, or integrated over the spot
     #[arg(long, value_enum)]
@@ -237,7 +237,7 @@ fn parse_filter(text: &str) -> Result<Filter, String> {
 }
 
 /// How scans are solved.
-#[derive(Args, Clone, Copy, Debug)]
+#[derive(Args, Clone, Copy, Debug, Default)]
 struct SolvingOptions {
     /// Also estimate each pose from many scans, by a parabola through about this long, such as 5ms;
     /// or off
@@ -255,7 +255,7 @@ struct SolvingOptions {
 }
 
 /// When a stream of poses ends, how it is written and how it is solved.
-#[derive(clap::Args, Debug)]
+#[derive(clap::Args, Debug, Default)]
 pub(super) struct PoseOptions {
     /// End after this much time of the board's clock, such as 10s; else at the end of the data, or at an interrupt
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
@@ -270,7 +270,7 @@ pub(super) struct PoseOptions {
 }
 
 /// The frame and the point of the tool that poses are given in.
-#[derive(Args, Clone, Debug)]
+#[derive(Args, Clone, Debug, Default)]
 pub(super) struct FrameOptions {
     /// Give poses, velocities and truth in the frame of this file, or of this name in slitpose/frames of the user's
     /// configuration; base is the head's own. Captures stay in that

@@ -26,7 +26,7 @@ use slitpose_tracking::pipeline::Item;
 use slitpose_tracking::playback::{self, Choice, Event, PlaybackError, Yields};
 
 /// Which part of captures is solved, and how.
-#[derive(clap::Args, Debug)]
+#[derive(clap::Args, Debug, Default)]
 pub(super) struct PlayOptions {
     /// Scene file, or the name of a shipped scene, also if it is not the one of the capture
     #[arg(long, value_name = "SCENE", value_parser = options::scenes(), hide_possible_values = true)]
@@ -123,9 +123,11 @@ impl<'a> Playback<'a> {
         Ok(Self { files, choice, captures, speed, pace, paced_from_s, stop, progress, output, player, began })
     }
 
-    /// Plays them as `player` says, until the program is interrupted.
+    /// Plays them as `player` says, until the program is interrupted or nobody looks any more.
     pub(super) fn played_by(mut self, player: Player) -> Result<Self, CommandError> {
         self.choice.is_watched = true;
+        // The page shows how far it has come.
+        self.progress = None;
         self.player = Some(player);
         self.leap(self.choice.from_s.unwrap_or(0.0))?;
         Ok(self)
@@ -179,7 +181,7 @@ impl<'a> Playback<'a> {
     }
 
     fn is_stopped(&self) -> bool {
-        self.stop.load(Ordering::Relaxed)
+        self.stop.load(Ordering::Relaxed) || self.player.as_ref().is_some_and(Player::is_left)
     }
 
     /// Waits until the next bytes are due, or at the `end` for orders; returns the place of a leap, if one was ordered.

@@ -7,7 +7,7 @@ use crate::live::{Control, Input, LiveBoard, LiveInput, Order, PlayerOrder, Play
 use crate::telemetry::DaemonReport;
 use slitpose_head::pace::Speed;
 use slitpose_head::threads::lock;
-use slitpose_tracking::playback::Board;
+use slitpose_tracking::playback::{Board, Outline};
 
 /// Time between messages on the state of the player.
 const TELL_EVERY: Duration = Duration::from_millis(250);
@@ -25,13 +25,13 @@ impl Orders {
     /// Takes the orders of a page.
     pub(super) fn control(&self) -> Control {
         let orders = self.clone();
-        Box::new(move |order| orders.order(order))
+        Box::new(move |order| orders.order(&order))
     }
 
-    fn order(&self, order: Order) -> Result<(), Refusal> {
+    fn order(&self, order: &Order) -> Result<(), Refusal> {
         let order = match order {
-            Order::Player(order) => order,
-            Order::Record(_) => return Err(Refusal::NO_RECORDER),
+            Order::Player(order) => *order,
+            Order::Record(_) | Order::Note(..) => return Err(Refusal::NO_RECORDER),
             Order::Zero => return Err(Refusal::NO_MOUSE),
             Order::Frame(..) => return Err(Refusal::NO_FRAME),
         };
@@ -63,8 +63,10 @@ pub(super) struct Player {
 }
 
 impl Player {
-    pub(super) fn new(orders: Orders, live: LiveInput, file: String, duration_s: f64) -> Self {
-        let state = PlayerState { playing: true, duration_s, file, ..PlayerState::default() };
+    /// A player of the capture `file` up to `to_s`, if that is before its end.
+    pub(super) fn new(orders: Orders, live: LiveInput, file: String, outline: Outline, to_s: Option<f64>) -> Self {
+        let duration_s = outline.length_s.min(to_s.unwrap_or(f64::INFINITY));
+        let state = PlayerState { playing: true, duration_s, file, notes: outline.notes, ..PlayerState::default() };
         Self { orders, live, state, told: None }
     }
 
@@ -73,6 +75,11 @@ impl Player {
         let shown = |board: &Board| LiveBoard { name: board.name(), head: board.head.clone() };
         self.live.show(Input::Boards(boards.iter().map(shown).collect()));
         (0..boards.len()).map(|number| Sampler::new(number, Arc::new(self.live.clone()))).collect()
+    }
+
+    /// Whether nobody looks any more.
+    pub(super) fn is_left(&self) -> bool {
+        self.live.is_closed()
     }
 
     pub(super) fn is_playing(&self) -> bool {
@@ -124,7 +131,7 @@ mod tests {
     #[test]
     fn orders_that_wait_are_joined_and_bad_ones_refused() {
         let orders = Orders::default();
-        let give = |order| orders.order(Order::Player(order));
+        let give = |order| orders.order(&Order::Player(order));
         let none = PlayerOrder::default();
         give(PlayerOrder { playing: Some(false), seek_s: Some(3.0), ..none }).unwrap();
         give(PlayerOrder { playing: Some(true), speed: Some(None), ..none }).unwrap();
@@ -136,7 +143,7 @@ mod tests {
         for speed in [0.0, -1.0, 1e9, f64::NAN] {
             assert!(give(PlayerOrder { speed: Some(Some(speed)), ..none }).is_err(), "{speed}");
         }
-        assert!(orders.order(Order::Record(true)).is_err());
+        assert!(orders.order(&Order::Record(true)).is_err());
         assert_eq!(*lock(&orders.0), joined, "refused orders change nothing");
     }
 }

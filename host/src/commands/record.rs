@@ -2,11 +2,20 @@
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
+use std::{io, thread};
 
-use super::options::{parse_duration, poses_hz};
+use super::CommandError;
+use super::options::{PoseOptions, parse_duration, poses_hz};
+use super::playback::{PlayOptions, Playback, Printing};
+use super::player::{Orders, Player};
 use crate::daemon::CapturePlan;
+use crate::live::{Control, Input, LiveInput, Recordings};
+use crate::sink::Format;
 use crate::telemetry::report_schema;
+use slitpose_head::causes::with_causes;
+use slitpose_head::pace::Speed;
 use slitpose_tracking::capture::{CaptureError, CaptureSeries, Existing, Limits};
+use slitpose_tracking::playback;
 
 /// Poses a device second in a capture: enough to look at it; all others follow from its bytes.
 const RECORDED_HZ: f64 = 25.0;
@@ -44,10 +53,19 @@ impl RecordOptions {
         Ok(Some(CapturePlan { series, poses_hz }))
     }
 
+    /// The captures beside the one asked for, else in the working directory.
+    pub(super) fn recordings(&self) -> Recordings {
+        Recordings::new(self.folder(), Box::new(play))
+    }
+
+    fn folder(&self) -> PathBuf {
+        self.record.as_deref().and_then(Path::parent).map(Path::to_owned).unwrap_or_default()
+    }
+
     /// Begins another capture, named by the time, beside the one asked for, else in the working directory.
     pub(super) fn another(&self) -> Result<CaptureSeries, CaptureError> {
         let now = humantime::format_rfc3339_seconds(SystemTime::now()).to_string().replace(':', "");
-        let path = self.record.clone().unwrap_or_default().with_file_name(format!("slitpose-{now}.mcap"));
+        let path = self.folder().join(format!("slitpose-{now}.mcap"));
         self.create(&path, Existing::Kept)
     }
 
@@ -58,6 +76,27 @@ impl RecordOptions {
         };
         CaptureSeries::create(path, limits, existing, report_schema())
     }
+}
+
+/// Plays a capture to the pages of `live`, on a thread of its own, until nobody looks any more.
+fn play(path: PathBuf, live: LiveInput) -> io::Result<Control> {
+    let orders = Orders::default();
+    let control = orders.control();
+    thread::Builder::new().name("play".to_owned()).spawn(move || {
+        if let Err(error) = play_all(&path, orders, live.clone()) {
+            live.show(Input::Failed(with_causes(error.as_ref()).to_string()));
+        }
+    })?;
+    Ok(control)
+}
+
+fn play_all(path: &Path, orders: Orders, live: LiveInput) -> Result<(), CommandError> {
+    let files = [path.to_owned()];
+    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let player = Player::new(orders, live, name.clone(), playback::Playback::outline(&files)?, None);
+    let (play, poses) = (PlayOptions::default(), PoseOptions::default());
+    let printing = Printing { sink: None, target: "", format: Format::None, is_terminal: false };
+    Playback::new(&files, &play, &poses, Vec::new(), Speed::Times(1.0), printing)?.played_by(player)?.run().map(drop)
 }
 
 /// No capture is shorter than its beginning.

@@ -60,7 +60,7 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Outcome, CommandError> {
     let playback = Playback::new(&args.files, &args.play, &args.poses, faults, speed, printing)?;
     args.faults.tell();
     let Some(access) = access else { return playback.run() };
-    let length_s = args.play.to.unwrap_or(f64::INFINITY).min(playback::Playback::length_s(&args.files)?);
+    let outline = playback::Playback::outline(&args.files)?;
     let orders = Orders::default();
     let server = args.live.access.start(LivePlan {
         access,
@@ -70,9 +70,10 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Outcome, CommandError> {
         scene: None,
         control: orders.control(),
         report: None,
+        recordings: None,
     })?;
     let names: Vec<_> = args.files.iter().map(|file| file.display().to_string()).collect();
-    let player = Player::new(orders, server.input, names.join(", "), length_s);
+    let player = Player::new(orders, server.input, names.join(", "), outline, args.play.to);
     playback.played_by(player)?.run()
 }
 

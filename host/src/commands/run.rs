@@ -197,6 +197,7 @@ pub(super) fn run(args: &mut Args) -> Result<Outcome, CommandError> {
             scene: None,
             control: control(),
             report: Some(Box::new(reports())),
+            recordings: Some(args.record.recordings()),
         })?),
         None => None,
     };

@@ -188,6 +188,13 @@ impl Daemon {
         }
     }
 
+    /// Notes a text of an instant `ago_s` seconds ago in the recording, if there is one.
+    pub(crate) fn note(&self, text: String, ago_s: f64) {
+        if let Some(recorder) = &self.recorder {
+            recorder.note(text, ago_s);
+        }
+    }
+
     /// Ends the recording, if there is one.
     pub(crate) fn end_recording(&self) {
         if let Some(recorder) = &self.recorder {

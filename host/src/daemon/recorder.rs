@@ -37,12 +37,23 @@ pub(crate) struct CapturePlan {
     pub poses_hz: f64,
 }
 
+/// What the recorder is to do.
+enum RecorderOrder {
+    Begin(Box<CaptureSeries>),
+    End,
+    /// Note a text of an instant, so many nanoseconds before it was asked for.
+    Note {
+        text: String,
+        ago_ns: u64,
+        asked: Instant,
+    },
+}
+
 /// The daemon's end of the recorder.
 pub(super) struct RecorderControl {
     /// `None` once the last report is sent.
     accounts: Mutex<Option<Sender<DaemonReport>>>,
-    /// The next captures; `None` ends the present one.
-    captures: Sender<Option<CaptureSeries>>,
+    orders: Sender<RecorderOrder>,
     pub(super) report: Arc<Mutex<RecorderReport>>,
 }
 
@@ -55,7 +66,7 @@ struct Source {
 
 struct Recorder {
     series: Option<CaptureSeries>,
-    captures: Receiver<Option<CaptureSeries>>,
+    orders: Receiver<RecorderOrder>,
     accounts: Receiver<DaemonReport>,
     recording: Arc<AtomicBool>,
     /// When the last chunks of an ended recording have come.
@@ -73,7 +84,7 @@ impl RecorderControl {
         boards: &[BoardPlan],
     ) -> Result<(Self, JoinHandle<()>, TapEnds), BoardError> {
         let (tell, accounts) = bounded(ACCOUNTS);
-        let (order, captures) = unbounded();
+        let (order, orders) = unbounded();
         let source = |board: &BoardPlan| Source {
             head: board.head.clone(),
             settings: Settings { tier: board.tier, following: board.following },
@@ -85,7 +96,7 @@ impl RecorderControl {
         let report = Arc::new(Mutex::new(RecorderReport { state, ..RecorderReport::default() }));
         let recorder = Recorder {
             series: plan.series,
-            captures,
+            orders,
             accounts,
             recording: Arc::clone(&is_wanted),
             ends_at: None,
@@ -98,7 +109,7 @@ impl RecorderControl {
         let (thread, chunks) = tap::start("record", Box::new(recorder), CHUNKS_A_BOARD * boards.len().max(1))?;
         let pose_every_s = plan.poses_hz.recip();
         let ends = TapEnds { chunks, is_wanted, pose_every_s, span: CHUNK, tells_hello: false };
-        Ok((Self { accounts: Mutex::new(Some(tell)), captures: order, report }, thread, ends))
+        Ok((Self { accounts: Mutex::new(Some(tell)), orders: order, report }, thread, ends))
     }
 
     pub(super) fn report(&self) -> RecorderReport {
@@ -108,11 +119,17 @@ impl RecorderControl {
     /// Begins a recording, after the present one if there is one.
     pub(super) fn begin(&self, series: CaptureSeries) {
         lock(&self.report).state = RecorderState::Recording;
-        let _ = self.captures.send(Some(series));
+        let _ = self.orders.send(RecorderOrder::Begin(Box::new(series)));
     }
 
     pub(super) fn end_capture(&self) {
-        let _ = self.captures.send(None);
+        let _ = self.orders.send(RecorderOrder::End);
+    }
+
+    /// Notes a text of an instant in the present capture.
+    pub(super) fn note(&self, text: String, ago_s: f64) {
+        let ago_ns = (ago_s * 1e9) as u64;
+        let _ = self.orders.send(RecorderOrder::Note { text, ago_ns, asked: Instant::now() });
     }
 
     /// Records the daemon's report in the capture, unless the recorder is far behind.
@@ -144,7 +161,7 @@ impl ChunkSink for Recorder {
         while let Ok(report) = self.accounts.try_recv() {
             self.record_account(&report);
         }
-        self.change_captures();
+        self.obey();
         self.publish();
     }
 
@@ -159,18 +176,18 @@ impl ChunkSink for Recorder {
 }
 
 impl Recorder {
-    /// Ends the present capture, and begins the next, as asked.
-    fn change_captures(&mut self) {
+    /// Ends the present capture, begins the next, or notes something, as asked.
+    fn obey(&mut self) {
         if self.ends_at.is_some_and(|at| Instant::now() < at) {
             return;
         }
         if self.ends_at.take().is_some() {
             self.finish();
         }
-        match self.captures.try_recv() {
-            Ok(Some(series)) => {
+        match self.orders.try_recv() {
+            Ok(RecorderOrder::Begin(series)) => {
                 self.finish();
-                self.series = Some(series);
+                self.series = Some(*series);
                 // Each capture has the setup of its boards.
                 self.sources.iter_mut().for_each(|source| source.device = None);
                 let mut report = lock(&self.report);
@@ -178,7 +195,15 @@ impl Recorder {
                 self.bytes_missing = 0;
                 self.recording.store(true, Ordering::Relaxed);
             }
-            Ok(None) => {
+            Ok(RecorderOrder::Note { text, ago_ns, asked }) => {
+                let now_ns = self.now_ns();
+                if let Some(series) = &mut self.series {
+                    let waited_ns = asked.elapsed().as_nanos() as u64;
+                    let done = series.note(now_ns.saturating_sub(ago_ns + waited_ns), &text, now_ns);
+                    self.report_failure(done);
+                }
+            }
+            Ok(RecorderOrder::End) => {
                 self.recording.store(false, Ordering::Relaxed);
                 self.ends_at = Some(Instant::now() + LAST_CHUNK);
             }
@@ -231,16 +256,20 @@ impl Recorder {
     }
 
     fn record_account(&mut self, report: &DaemonReport) {
+        let now_ns = self.now_ns();
         let Some(series) = &mut self.series else { return };
-        // On one timeline with the boards.
-        let keep_time = self.sources.iter().all(|source| source.keeps_time);
-        let now_ns = if keep_time { HostInstant::now().utc_ns } else { self.log_ns };
         let is_recorded = |device: &DeviceId| self.sources.iter().any(|source| source.device == Some(*device));
         let mut of_boards = report.boards.iter().filter_map(|board| Some((board.device.filter(is_recorded)?, board)));
         let done = of_boards
             .try_for_each(|(device, board)| series.report(Some(device), board, now_ns))
             .and_then(|()| series.report(None, report, now_ns));
         self.report_failure(done);
+    }
+
+    /// Now, on one time line with the boards.
+    fn now_ns(&self) -> u64 {
+        let keep_time = self.sources.iter().all(|source| source.keeps_time);
+        if keep_time { HostInstant::now().utc_ns } else { self.log_ns }
     }
 
     /// Tells the user why the capture has ended.
@@ -334,7 +363,7 @@ mod tests {
         ];
         let folder = tempfile::tempdir().unwrap();
         let path = |number: usize| folder.path().join(format!("{number}.mcap"));
-        let (order, captures) = unbounded();
+        let (order, orders) = unbounded();
         let source = || Source {
             head: WIDE.read().unwrap().into(),
             settings: Settings { tier: Tier::Paper, following: PipelineOptions::default() },
@@ -343,7 +372,7 @@ mod tests {
         };
         let mut recorder = Recorder {
             series: None,
-            captures,
+            orders,
             accounts: bounded(1).1,
             recording: Arc::default(),
             ends_at: None,
@@ -356,11 +385,15 @@ mod tests {
         for (number, (step, expected)) in (0..).zip(steps) {
             match step {
                 Order(begins) => {
-                    let series = begins.then(|| {
+                    let given = if begins {
                         begun += 1;
-                        CaptureSeries::create(&path(begun), Limits::default(), Existing::Kept, String::new()).unwrap()
-                    });
-                    order.send(series).unwrap();
+                        let (limits, existing) = (Limits::default(), Existing::Kept);
+                        let series = CaptureSeries::create(&path(begun), limits, existing, String::new()).unwrap();
+                        RecorderOrder::Begin(Box::new(series))
+                    } else {
+                        RecorderOrder::End
+                    };
+                    order.send(given).unwrap();
                 }
                 Chunk { board, introduced } => {
                     let device = introduced.then_some(BOARDS[board]);

@@ -17,7 +17,7 @@ pub(super) const COARSE_HZ: u64 = 20;
 
 /// Most fine bins in a sample, 24 times those of a board in real time: of a capture that is played faster, plots get the
 /// coarse bins only.
-pub(super) const MAX_FINE: usize = 96;
+pub(super) const MAX_FINE: usize = 192;
 
 /// Six coordinates of the pose, and six of the velocity.
 const QUANTITIES: usize = 12;

@@ -9,10 +9,13 @@ use thiserror::Error;
 
 use crate::address::{Address, tcp_address};
 use crate::http::BindScope;
+use slitpose_tracking::playback::OutlineNote;
 
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Order {
     Record(bool),
+    /// Note a text of an instant, so many seconds ago, in the capture being recorded.
+    Note(String, f64),
     Player(PlayerOrder),
     /// Make the present pose the zero of the 6-DoF mouse.
     Zero,
@@ -43,6 +46,7 @@ pub(crate) struct PlayerState {
     pub duration_s: f64,
     pub file: String,
     pub ended: bool,
+    pub notes: Vec<OutlineNote>,
 }
 
 /// Why an order is not carried out.
@@ -87,6 +91,8 @@ pub(super) enum Request {
     Hello {
         /// The server's token, if it asks for one.
         token: Option<String>,
+        /// The capture to be played to this client; absent: what the server shows.
+        recording: Option<String>,
     },
     /// How many messages have been received since the connection began.
     Ack {
@@ -94,6 +100,22 @@ pub(super) enum Request {
     },
     Record {
         on: bool,
+    },
+    /// Note a text in the capture being recorded.
+    Note {
+        text: String,
+        /// Seconds between the instant and now.
+        ago_s: f64,
+    },
+    /// The captures in the folder of the recordings.
+    Recordings {},
+    /// Where one of them can be fetched.
+    Download {
+        file: String,
+    },
+    Rename {
+        file: String,
+        to: String,
     },
     Player(PlayerOrder),
     /// Make the present pose the zero of the 6-DoF mouse.
@@ -203,7 +225,7 @@ mod tests {
 
     #[test]
     fn requests_are_read_or_refused() {
-        assert_eq!(read(r#"{"kind":"hello"}"#), Some(Request::Hello { token: None }));
+        assert_eq!(read(r#"{"kind":"hello"}"#), Some(Request::Hello { token: None, recording: None }));
         let frame = |over_s| Some(Request::SetFrame { board: 1, over_s });
         assert_eq!(read(r#"{"kind":"set_frame","board":1,"over_s":0.5}"#), frame(Some(0.5)));
         assert_eq!(read(r#"{"kind":"set_frame","board":1,"over_s":null}"#), frame(None));

@@ -195,8 +195,9 @@ fn rounded(value: f64) -> f64 {
     if rounded.is_finite() { rounded } else { value }
 }
 
-/// Samples per second of the host's clock.
-pub(super) const FRAMES_HZ: u64 = 60;
+/// Samples per second of the host's clock for pages: as often as they are drawn, which is most of a page's work. Plots have
+/// all scans in bins.
+pub(super) const FRAMES_HZ: u64 = 30;
 
 /// The newest pose of a board, and the bins that are complete since the sample before.
 #[derive(Clone, Debug)]
@@ -219,6 +220,9 @@ impl Sample {
 
 /// Takes samples from the threads that solve.
 pub(crate) trait SampleSink: Debug + Send + Sync {
+    /// Samples per second of the host's clock.
+    fn rate_hz(&self) -> u64;
+
     /// Takes a sample of a board; `false` if it has no time. Never blocks.
     fn sample(&self, board: usize, sample: &Sample) -> bool;
 }
@@ -252,7 +256,6 @@ impl Sampler {
 
     /// Sends a sample if one is due; `photocurrents` are those of the scan added last.
     pub(crate) fn send(&mut self, photocurrents: Option<&Photocurrents>, now: HostInstant) {
-        const PERIOD_NS: u64 = 1_000_000_000 / FRAMES_HZ;
         if now.monotonic_ns < self.due_ns {
             return;
         }
@@ -262,7 +265,8 @@ impl Sampler {
         if self.taker.sample(self.board, sample) {
             self.sample = None;
         }
-        self.due_ns = (self.due_ns + PERIOD_NS).max(now.monotonic_ns + PERIOD_NS / 2);
+        let period_ns = 1_000_000_000 / self.taker.rate_hz();
+        self.due_ns = (self.due_ns + period_ns).max(now.monotonic_ns + period_ns / 2);
     }
 }
 

@@ -6,6 +6,7 @@ use std::sync::Mutex;
 
 use axum::extract::ws::Utf8Bytes;
 use serde::Serialize;
+use serde_json::json;
 use slitpose_calibration::Head;
 use slitpose_head::threads::lock;
 use tokio::sync::broadcast;
@@ -46,6 +47,8 @@ pub(crate) enum Input {
     Boards(Vec<LiveBoard>),
     Report(Box<DaemonReport>),
     Player(PlayerState),
+    /// Why there is nothing more to show.
+    Failed(String),
 }
 
 /// The server's end for samples and changes.
@@ -58,6 +61,11 @@ impl LiveInput {
         (Self(sender), receiver)
     }
 
+    /// Whether nobody looks any more.
+    pub(crate) fn is_closed(&self) -> bool {
+        self.0.is_closed()
+    }
+
     /// Waits for the server.
     pub(crate) fn show(&self, input: Input) {
         // The server ends after all who send.
@@ -66,6 +74,10 @@ impl LiveInput {
 }
 
 impl SampleSink for LiveInput {
+    fn rate_hz(&self) -> u64 {
+        FRAMES_HZ
+    }
+
     fn sample(&self, board: usize, sample: &Sample) -> bool {
         self.0.try_reserve().map(|room| room.send(Input::Sample(board, sample.clone()))).is_ok()
     }
@@ -175,6 +187,7 @@ impl Hub {
                 drop(state);
                 self.report(&report);
             }
+            Input::Failed(reason) => self.pass_on(text_of(&json!({"kind": "refused", "reason": reason}))),
             Input::Player(player) => {
                 state.player = text_of(&player);
                 self.pass_on(state.player.clone());

@@ -1,7 +1,7 @@
 //! The live page: heads, poses and health in a browser.
 //!
 //! ```text
-//!  solver ──▶ Sampler ──samples, 60/s──▶ Hub ──text──▶ Session ──WebSocket──▶ page
+//!  solver ──▶ Sampler ──samples, 30/s──▶ Hub ──text──▶ Session ──WebSocket──▶ page
 //!            (one a board)              (history)      (one a client)
 //! ```
 //!
@@ -15,6 +15,7 @@ mod bins;
 mod control;
 mod frame;
 mod hub;
+mod recordings;
 mod server;
 mod session;
 #[cfg(test)]
@@ -28,4 +29,5 @@ pub(crate) use frame::Optics;
 pub(crate) use frame::SceneView;
 pub(crate) use frame::{Sample, SampleSink, Sampler};
 pub(crate) use hub::{Input, LiveBoard, LiveInput};
+pub(crate) use recordings::Recordings;
 pub(crate) use server::{LivePlan, LiveServer};

@@ -4,21 +4,26 @@ use std::net::IpAddr;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use axum::extract::State;
+use axum::body::Body;
 use axum::extract::ws::WebSocketUpgrade;
+use axum::extract::{Path, State};
 use axum::http::StatusCode;
 use axum::http::header::{
-    CACHE_CONTROL, CONNECTION, CONTENT_SECURITY_POLICY, CONTENT_TYPE, REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS,
+    CACHE_CONTROL, CONNECTION, CONTENT_DISPOSITION, CONTENT_LENGTH, CONTENT_SECURITY_POLICY, CONTENT_TYPE,
+    REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS,
 };
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use axum::{Extension, Router};
 use slitpose_head::threads::lock;
+use tokio::io::AsyncReadExt;
 use tokio::time::{MissedTickBehavior, interval};
+use tokio_util::io::ReaderStream;
 
 use super::control::{Access, Control, Refusal};
 use super::frame::SceneView;
 use super::hub::{Hub, Input, LiveBoard, LiveInput};
+use super::recordings::Recordings;
 use super::session;
 use crate::address::{Address, ServeError};
 use crate::http::{Connection, Serving, reply};
@@ -48,12 +53,51 @@ pub(crate) struct LivePlan {
     pub control: Control,
     /// The state of the daemon, if there is one.
     pub report: Option<Box<dyn Fn() -> DaemonReport + Send + Sync>>,
+    /// The recordings, if there may be any.
+    pub recordings: Option<Recordings>,
 }
 
 pub(super) struct Shared {
     pub(super) plan: LivePlan,
     pub(super) hub: Hub,
     pub(super) clients: Clients,
+}
+
+impl Shared {
+    fn new(plan: LivePlan) -> Self {
+        Self { plan, hub: Hub::new(), clients: Clients::default() }
+    }
+
+    /// The recordings, for a client that may change something.
+    pub(super) fn recordings(&self) -> Result<&Recordings, Refusal> {
+        if !self.plan.access.may_write {
+            return Err(Refusal::ReadOnly);
+        }
+        self.plan.recordings.as_ref().ok_or(Refusal::NO_RECORDER)
+    }
+
+    /// What clients share to whom the capture `name` is played; the player ends with the last of them.
+    pub(super) fn played(&self, name: &str) -> Result<Arc<Self>, Refusal> {
+        self.recordings()?.played(name, |control, mut inputs| {
+            let shared = Arc::new(Self::new(LivePlan {
+                access: self.plan.access.clone(),
+                source: "replay",
+                boards: Vec::new(),
+                has_zero: false,
+                scene: None,
+                control,
+                report: None,
+                recordings: None,
+            }));
+            let played = Arc::downgrade(&shared);
+            tokio::spawn(async move {
+                while let Some((input, shared)) = inputs.recv().await.zip(played.upgrade()) {
+                    shared.hub.accept(input);
+                }
+            });
+            shared
+        })
+    }
 }
 
 /// Addresses of the clients that have said hello.
@@ -99,7 +143,7 @@ impl LiveServer {
     pub(crate) fn start(mut plan: LivePlan) -> Result<Self, ServeError> {
         let (address, scope) = (Address::Tcp(plan.access.address), plan.access.scope());
         let (boards, report) = (std::mem::take(&mut plan.boards), plan.report.take());
-        let shared = Arc::new(Shared { plan, hub: Hub::new(), clients: Clients::default() });
+        let shared = Arc::new(Shared::new(plan));
         shared.hub.accept(Input::Boards(boards));
         let (input, mut inputs) = LiveInput::new();
         let (routes, of_inputs, of_reports) = (routes(&shared), Arc::clone(&shared), Arc::clone(&shared));
@@ -128,7 +172,8 @@ impl LiveServer {
 }
 
 fn routes(shared: &Arc<Shared>) -> Router {
-    let mut router = Router::new().route("/live", get(upgrade)).with_state(Arc::clone(shared));
+    let router = Router::new().route("/live", get(upgrade)).route("/recordings/{secret}", get(fetch));
+    let mut router = router.with_state(Arc::clone(shared));
     for (number, file) in FILES.iter().enumerate() {
         let path = if number == 0 { "/".to_owned() } else { format!("/{}", file.0) };
         router = router.route(&path, get(move || async move { page_file(file) }));
@@ -158,6 +203,40 @@ async fn upgrade(
     }
     let upgrade = upgrade.max_message_size(MAX_REQUEST).max_frame_size(MAX_REQUEST);
     upgrade.on_upgrade(async move |socket| session::serve(socket, shared, &connection).await)
+}
+
+/// The capture to which a client has got a ticket.
+async fn fetch(
+    State(shared): State<Arc<Shared>>,
+    Extension(connection): Extension<Arc<Connection>>,
+    Path(secret): Path<String>,
+) -> Response {
+    let path = shared.plan.recordings.as_ref().and_then(|recordings| recordings.fetched_by(&secret));
+    let gone = || reply(StatusCode::NOT_FOUND, "no such recording; ask for it on the page again\n");
+    let Some(path) = path else { return gone() };
+    let (Ok(file), Some(name)) = (tokio::fs::File::open(&path).await, path.file_name()) else { return gone() };
+    let Ok(bytes) = file.metadata().await.map(|metadata| metadata.len()) else { return gone() };
+    // A long file takes longer than other answers.
+    connection.release();
+    let name = percent_encode(name.as_encoded_bytes());
+    let headers = [
+        (CONTENT_TYPE, "application/octet-stream".to_owned()),
+        // What is appended meanwhile is not sent.
+        (CONTENT_LENGTH, bytes.to_string()),
+        (CONTENT_DISPOSITION, format!("attachment; filename*=UTF-8''{name}")),
+        (X_CONTENT_TYPE_OPTIONS, "nosniff".to_owned()),
+        (CONNECTION, "close".to_owned()),
+    ];
+    (headers, Body::from_stream(ReaderStream::with_capacity(file.take(bytes), 1 << 16))).into_response()
+}
+
+/// The value of an extended parameter, RFC 8187.
+fn percent_encode(bytes: &[u8]) -> String {
+    let encode = |byte: &u8| match byte {
+        byte if byte.is_ascii_alphanumeric() || b"-._".contains(byte) => char::from(*byte).to_string(),
+        byte => format!("%{byte:02X}"),
+    };
+    bytes.iter().map(encode).collect()
 }
 
 /// A file: its path after `/`, its media type, its text.
@@ -199,6 +278,7 @@ pub(super) const FILES: &[PageFile] = &files! {
     JAVASCRIPT "placement.js"
     JAVASCRIPT "player.js"
     JAVASCRIPT "plots.js"
+    JAVASCRIPT "recordings.js"
     JAVASCRIPT "strips.js"
     CSS "style.css"
     JAVASCRIPT "timeline.js"

@@ -16,12 +16,14 @@ use serde_json::{Value, json};
 use slitpose_model::Pose;
 use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::{RecvError, TryRecvError};
+use tokio::task::spawn_blocking;
 use tokio::time::{Instant, sleep, sleep_until, timeout};
 
 use super::bins::{COARSE_HZ, FINE_HZ};
 use super::control::{Order, Refusal, Request};
 use super::frame::FRAMES_HZ;
 use super::hub::{COARSE_S, Event, HISTORY_S, Snapshot};
+use super::recordings::Recordings;
 use super::server::Shared;
 use crate::http::Connection;
 
@@ -49,6 +51,12 @@ const GONE_AFTER: Duration = Duration::from_secs(40);
 /// No dragged tool is farther from home than this, metres and radians: beyond it all cells are dark.
 const FARTHEST: f64 = 10.0;
 
+/// Longest time before a note of its instant, seconds: that of the page's memory.
+const MAX_AGO_S: f64 = COARSE_S as f64;
+
+/// Most characters of a note.
+const MAX_NOTE: usize = 500;
+
 /// Before a wrong token is answered: against guessing.
 const PENALTY: Duration = Duration::from_secs(1);
 
@@ -57,7 +65,7 @@ struct Gone;
 /// Serves a client until it goes. It has a place, and `connection` is released, once it has shown that it may look.
 pub(super) async fn serve(mut socket: WebSocket, shared: Arc<Shared>, connection: &Connection) {
     let Some(Some(Ok(Message::Text(text)))) = connection.while_open(socket.recv()).await else { return };
-    let Ok(Request::Hello { token }) = Request::read(&text) else { return };
+    let Ok(Request::Hello { token, recording }) = Request::read(&text) else { return };
     let mut session = Session::new(socket, Arc::clone(&shared));
     if !shared.plan.access.admits(token.as_deref()) {
         sleep(PENALTY).await;
@@ -69,6 +77,15 @@ pub(super) async fn serve(mut socket: WebSocket, shared: Arc<Shared>, connection
         return;
     };
     connection.release();
+    if let Some(name) = recording {
+        match shared.played(&name) {
+            Ok(played) => session.shared = played,
+            Err(refusal) => {
+                let _ = session.refuse(&refusal).await;
+                return;
+            }
+        }
+    }
     let _ = session.run().await;
 }
 
@@ -231,6 +248,13 @@ impl Session {
                 Ok(())
             }
             Request::Record { on } => self.order(Order::Record(on)),
+            Request::Note { text, ago_s } => self.note(&text, ago_s),
+            Request::Recordings {} => return self.tell_recordings(|_| Ok(())).await,
+            Request::Rename { file, to } => return self.tell_recordings(move |of| of.rename(&file, &to)).await,
+            Request::Download { file } => match self.shared.recordings().and_then(|of| of.ticket(&file)) {
+                Ok(address) => return self.answer(json!({"kind": "download", "file": file, "address": address})).await,
+                Err(refusal) => Err(refusal),
+            },
             Request::Player(order) => self.order(Order::Player(order)),
             Request::Zero {} => self.order(Order::Zero),
             Request::SetFrame { board, over_s } => self.order(Order::Frame(board, over_s)),
@@ -243,6 +267,34 @@ impl Session {
             Ok(()) => Ok(()),
             Err(refusal) => self.refuse(&refusal).await,
         }
+    }
+
+    /// Changes the recordings, and sends their list.
+    async fn tell_recordings(
+        &mut self,
+        change: impl FnOnce(&Recordings) -> Result<(), Refusal> + Send + 'static,
+    ) -> Result<(), Gone> {
+        let shared = Arc::clone(&self.shared);
+        let listed = spawn_blocking(move || {
+            let recordings = shared.recordings()?;
+            change(recordings)?;
+            Ok((recordings.folder(), recordings.list()?))
+        });
+        match listed.await {
+            Ok(Ok((folder, files))) => {
+                self.answer(json!({"kind": "recordings", "folder": folder, "files": files})).await
+            }
+            Ok(Err(refusal)) => self.refuse(&refusal).await,
+            Err(_) => Err(Gone),
+        }
+    }
+
+    fn note(&self, text: &str, ago_s: f64) -> Result<(), Refusal> {
+        if !(0.0..=MAX_AGO_S).contains(&ago_s) {
+            return Err(Refusal::Value { key: "ago_s", value: ago_s, hint: "seconds from 0, 600 at most" });
+        }
+        let text: String = text.chars().filter(|letter| !letter.is_control()).take(MAX_NOTE).collect();
+        self.order(Order::Note(text, ago_s))
     }
 
     fn order(&self, order: Order) -> Result<(), Refusal> {

@@ -48,6 +48,7 @@ fn start(address: &str, token: Option<&str>) -> (LiveServer, Orders) {
         scene: None,
         control: kept_in(&orders),
         report: None,
+        recordings: None,
     });
     (server.unwrap(), orders)
 }
@@ -176,7 +177,7 @@ fn a_frame_covers_all_scans_since_the_one_before() {
     for (number, (record, photocurrents)) in poses.iter().enumerate() {
         sampler.add(record);
         // One in thirty is due.
-        sampler.send(Some(photocurrents), HostInstant { monotonic_ns: number as u64 * 600_000, utc_ns: 0 });
+        sampler.send(Some(photocurrents), HostInstant { monotonic_ns: number as u64 * 1_200_000, utc_ns: 0 });
     }
     let frames: Vec<Value> = (0..3).map(|_| client.hear_of("frame").pop().unwrap()).collect();
     let (mut covered, mut fine) = (0, Vec::new());
@@ -412,6 +413,7 @@ fn a_tool_is_dragged_where_a_frame_sees_it_or_says_why_not() {
         boards: vec![LiveBoard { name: "wide".to_owned(), head }],
         control: kept_in(&Orders::default()),
         report: None,
+        recordings: None,
     })
     .unwrap();
     let mut client = Client::greeted(&server);

@@ -170,7 +170,7 @@ fn readings(path: &Path, file: &SceneFile) -> Result<(Vec<Row>, Option<Noise>), 
     let (mut exposed, mut rows) = (VecDeque::<Exposed>::new(), Vec::new());
     while let Some(entry) = reader.next(&mut segment)? {
         let of = match entry {
-            Entry::Setup(_) => continue,
+            Entry::Setup(_) | Entry::Note { .. } => continue,
             Entry::Hello { device, .. } => Some(device),
             Entry::Link { device, .. } => device,
         };

@@ -1,5 +1,6 @@
 //! The live page of a daemon and of a replay, through the socket that the page uses.
 
+use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
 use std::process::Child;
@@ -18,9 +19,20 @@ const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A program that serves a page, and a client of it.
 struct Page {
-    program: Child,
+    /// `None` if it is another page's.
+    program: Option<Child>,
+    /// Host, port and a slash.
+    url: String,
     socket: WebSocket<MaybeTlsStream<TcpStream>>,
     heard: u64,
+}
+
+fn connect(url: &str) -> WebSocket<MaybeTlsStream<TcpStream>> {
+    let (mut socket, _) = tungstenite::connect(format!("ws://{url}live")).expect("a page");
+    if let MaybeTlsStream::Plain(stream) = socket.get_mut() {
+        stream.set_read_timeout(Some(PATIENCE)).expect("a socket");
+    }
+    socket
 }
 
 impl Page {
@@ -28,13 +40,28 @@ impl Page {
         let arguments = arguments.into_iter().chain(["--format", "none", "--live", "127.0.0.1:0"]);
         let mut program = slitpose!().command(arguments).current_dir(folder).spawn().expect("slitpose starts");
         let url = address_said(&mut program, "live page at http://");
-        let (mut socket, _) = tungstenite::connect(format!("ws://{url}live")).expect("a page");
-        if let MaybeTlsStream::Plain(stream) = socket.get_mut() {
-            stream.set_read_timeout(Some(PATIENCE)).expect("a socket");
-        }
-        let mut page = Self { program, socket, heard: 0 };
+        let mut page = Self { program: Some(program), socket: connect(&url), url, heard: 0 };
         page.say(&json!({"kind": "hello"}));
         page
+    }
+
+    /// Another client of the program, for which it replays a recording.
+    fn of_recording(&self, name: &str) -> Self {
+        let mut page = Self { program: None, socket: connect(&self.url), url: self.url.clone(), heard: 0 };
+        page.say(&json!({"kind": "hello", "recording": name}));
+        page
+    }
+
+    /// What the program has at this address.
+    fn fetched(&self, address: &str) -> Vec<u8> {
+        let host = self.url.trim_end_matches('/');
+        let mut stream = TcpStream::connect(host).expect("a page");
+        write!(stream, "GET {address} HTTP/1.1\r\nHost: {host}\r\n\r\n").expect("a page");
+        let mut answer = Vec::new();
+        stream.read_to_end(&mut answer).expect("an answer");
+        let end = answer.windows(4).position(|bytes| bytes == b"\r\n\r\n").expect("a header");
+        assert!(answer.starts_with(b"HTTP/1.1 200"), "{}", String::from_utf8_lossy(&answer[..end]));
+        answer.split_off(end + 4)
     }
 
     fn say(&mut self, request: &Value) {
@@ -76,8 +103,9 @@ impl Page {
     }
 
     fn end(mut self) {
-        signal(&self.program, Signal::SIGINT);
-        let ended = self.program.wait().expect("ends");
+        let program = self.program.as_mut().expect("its own");
+        signal(program, Signal::SIGINT);
+        let ended = program.wait().expect("ends");
         // 3 if the machine was so busy that scans were left out.
         assert!(matches!(ended.code(), Some(0 | 3)), "{ended}");
     }
@@ -118,6 +146,67 @@ fn recordings_begin_and_end_while_a_daemon_runs_and_each_replays_whole() {
         assert!(scans.len() > 1000, "{}", scans.len());
         assert!(scans.windows(2).all(|pair| pair[1] == pair[0] + 1), "a gap");
     }
+}
+
+#[test]
+fn a_recording_is_noted_listed_renamed_fetched_and_replayed_while_the_board_is_followed() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut page = Page::of(folder.path(), ["run", "--config", "none", "--device", "sim"]);
+    page.until(|message| message["kind"] == "frame");
+    page.say(&json!({"kind": "note", "text": "too early", "ago_s": 0}));
+    page.until(|message| message["kind"] == "refused");
+    let file = page.begins_recording();
+    let is_long =
+        |message: &Value| message["report"]["recorder"]["bytes"].as_u64().is_some_and(|bytes| bytes > 300_000);
+    page.until(is_long);
+    page.say(&json!({"kind": "note", "text": "contact\n\u{3bc}", "ago_s": 0.2}));
+    page.say(&json!({"kind": "record", "on": false}));
+    page.recorder("off");
+    page.say(&json!({"kind": "rename", "file": file, "to": "contact 1.mcap"}));
+    let listed = page.until(|message| message["kind"] == "recordings");
+    let of = &listed["files"][0];
+    assert_eq!((&of["name"], &of["notes"]), (&json!("contact 1.mcap"), &json!(1)), "{listed}");
+    let length_s = of["length_s"].as_f64().expect("an ended capture");
+    page.say(&json!({"kind": "download", "file": "contact 1.mcap"}));
+    let address = page.until(|message| message["kind"] == "download")["address"].as_str().expect("a text").to_owned();
+    let path = folder.path().join("contact 1.mcap");
+    assert_eq!(page.fetched(&address), std::fs::read(&path).expect("a capture"));
+
+    let mut replay = page.of_recording("contact 1.mcap");
+    assert_eq!(replay.until(|message| message["kind"] == "hello")["source"], "replay");
+    replay.until(|message| message["kind"] == "frame");
+    let played = replay.until(|message| message["kind"] == "player");
+    assert!((played["duration_s"].as_f64().expect("a number") - length_s).abs() < 0.2, "{played} {length_s}");
+    let note = &played["notes"][0];
+    // The page asked when so much was recorded, some 0.2 s ago.
+    assert!(
+        (0.0..length_s).contains(&note["at_s"].as_f64().expect("a number")) && note["text"] == "contactμ",
+        "{note}"
+    );
+    let mut other = page.of_recording("contact 1.mcap");
+    other.say(&json!({"kind": "player", "playing": false}));
+    replay.until(|message| message["kind"] == "player" && message["playing"] == false);
+    // The board is followed meanwhile.
+    page.until(|message| message["kind"] == "frame");
+    let mut none = page.of_recording("../contact 1.mcap");
+    let refused = none.until(|message| message["kind"] == "refused");
+    assert!(refused["reason"].as_str().expect("a text").contains("is no name of a capture"), "{refused}");
+    let threads = || {
+        let tasks = std::fs::read_dir(format!("/proc/{}/task", page.program.as_ref().expect("running").id()));
+        let name =
+            |task: std::io::Result<std::fs::DirEntry>| std::fs::read_to_string(task.ok()?.path().join("comm")).ok();
+        tasks.expect("a process").filter_map(name).filter(|name| name.trim() == "play").count()
+    };
+    assert_eq!(threads(), 1, "both pages look at one player");
+    drop((replay, other));
+    let since = Instant::now();
+    while threads() > 0 {
+        assert!(since.elapsed() < PATIENCE, "the player goes on though nobody looks");
+        thread::sleep(Duration::from_millis(20));
+    }
+    page.end();
+    let said = slitpose!().run(["replay", path.to_str().expect("UTF-8"), "--format", "none"]);
+    assert!(said.stderr.contains("s: contactμ"), "{}", said.stderr);
 }
 
 #[test]

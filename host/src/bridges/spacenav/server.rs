@@ -59,6 +59,11 @@ impl SpacenavInput {
 }
 
 impl SampleSink for SpacenavInput {
+    /// As a 3-D mouse sends.
+    fn rate_hz(&self) -> u64 {
+        60
+    }
+
     fn sample(&self, board: usize, sample: &Sample) -> bool {
         // The first board is the mouse.
         board > 0 || self.see(sample.pose())

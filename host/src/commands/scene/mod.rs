@@ -197,13 +197,14 @@ fn view(args: &ViewArgs) -> Result<Outcome, CommandError> {
         // Nothing of a scene can be changed.
         control: Box::new(|order| {
             Err(match order {
-                Order::Record(_) => Refusal::NO_RECORDER,
+                Order::Record(_) | Order::Note(..) => Refusal::NO_RECORDER,
                 Order::Zero => Refusal::NO_MOUSE,
                 Order::Frame(..) => Refusal::NO_FRAME,
                 Order::Player(_) => Refusal::NO_PLAYER,
             })
         }),
         report: None,
+        recordings: None,
     })?;
     while !stop.load(Ordering::Relaxed) {
         std::thread::sleep(MOMENT);

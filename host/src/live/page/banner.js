@@ -47,6 +47,7 @@ export class Banner {
     write(byId("banner"), words.join(" "));
     byId("banner").dataset.grade = link.state === "open" ? "warn" : "bad";
     document.body.classList.toggle("old", link.state !== "open" && Boolean(hello));
+    document.body.classList.toggle("paused", isPaused);
     const state = { open: "● connected", waiting: "○ disconnected", connecting: "◌ connecting", refused: "✕ refused" };
     write(byId("link-state"), state[link.state]);
     byId("link-state").dataset.grade = { open: "good", connecting: "warn" }[link.state] ?? "bad";

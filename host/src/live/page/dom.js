@@ -36,6 +36,13 @@ export class Surface {
       this.#fit();
       changed();
     }).observe(canvas);
+    // What is far out of sight is not drawn.
+    this.isSeen = true;
+    const watch = (entries) => {
+      this.isSeen = entries.at(-1).isIntersecting;
+      if (this.isSeen) changed();
+    };
+    new IntersectionObserver(watch, { rootMargin: "100% 0px" }).observe(canvas);
     this.#fit();
   }
 
@@ -48,9 +55,9 @@ export class Surface {
     this.canvas.height = Math.max(Math.round(clientHeight * ratio), 1);
   }
 
-  /** An empty canvas to draw on; null while it has no size. */
+  /** An empty canvas to draw on; null while it has no size, or is far out of sight. */
   start() {
-    if (!this.width || !this.height) return null;
+    if (!this.width || !this.height || !this.isSeen) return null;
     this.context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
     this.context.clearRect(0, 0, this.width, this.height);
     return this.context;

@@ -40,6 +40,8 @@ export class Link {
     this.received = received;
     this.changed = changed;
     this.token = takeToken();
+    /** The capture that this page plays, if it was opened for one. */
+    this.recording = new URLSearchParams(location.search).get("recording");
     addEventListener("hashchange", () => {
       this.token = takeToken();
       this.#open();
@@ -76,7 +78,7 @@ export class Link {
     this.#mayBeSilent = false;
     socket.onopen = () => {
       this.#heard = performance.now();
-      socket.send(JSON.stringify({ kind: "hello", token: this.token }));
+      socket.send(JSON.stringify({ kind: "hello", token: this.token, recording: this.recording }));
     };
     socket.onmessage = ({ data }) => this.#take(data);
     socket.onclose = () => this.#lost("the daemon is gone");

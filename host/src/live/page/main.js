@@ -2,7 +2,8 @@
  * The live page of slitpose: takes messages, keeps what was last said of every board, and draws it.
  *
  * One animation frame draws all that has changed since the last one; while nothing changes, none is asked for. New poses are
- * drawn thirty times a second, which halves the work, and numbers ten times, as people cannot read them faster.
+ * drawn in space as they come, thirty times a second, curves fifteen times, and numbers and detectors ten times, as people cannot read
+ * them faster: most of a page's work is filling canvases.
  */
 import { Banner } from "./banner.js";
 import { Daemon, Recorder } from "./daemon.js";
@@ -16,6 +17,7 @@ import { Numbers } from "./numbers.js";
 import { followTheme } from "./palette.js";
 import { Placement } from "./placement.js";
 import { Player } from "./player.js";
+import { Notes, Recordings } from "./recordings.js";
 import { Plots } from "./plots.js";
 import { Strips } from "./strips.js";
 import { Timeline } from "./timeline.js";
@@ -23,8 +25,8 @@ import { Trace } from "./trace.js";
 import { View3d } from "./view3d.js";
 
 const NUMBERS_EVERY_MS = 100;
-/** Somewhat less than two frames of 60 a second. */
-const POSES_EVERY_MS = 30;
+/** Somewhat less than four frames of 60 a second. */
+const CURVES_EVERY_MS = 63;
 
 let hello = null;
 let report = { report: null };
@@ -36,7 +38,7 @@ let histories = [new History()];
 let traces = [new Trace()];
 let numbersAt_ms = -Infinity;
 let numbersTimer = 0;
-let drawnAt_ms = -Infinity;
+let curvesAt_ms = -Infinity;
 let isScheduled = false;
 /** Whether more than a new pose is to be drawn. */
 let isUrgent = true;
@@ -56,6 +58,11 @@ const daemon = new Daemon();
 const findings = new Findings();
 const recorder = new Recorder(send, () => board);
 const player = new Player(send);
+const recordings = new Recordings(send, () => link.token);
+const notes = new Notes(send, () => {
+  const [shown, kept] = [timeline.shown, histories[board]];
+  return timeline.isPaused ? Math.max(kept.last.time_s - shown.history.at(shown.index).time_s, 0) : 0;
+});
 const view = new View3d(byId("view"), byId("view-words"), byId("view-notes"), schedule);
 const strips = new Strips(byId("strips"), schedule);
 const plots = new Plots(plotsChanged, (time_s) => timeline.pick(time_s));
@@ -130,6 +137,8 @@ const takers = {
     timeline.live();
     clear(message.board);
   },
+  recordings: (message) => recordings.take(message),
+  download: (message) => recordings.download(message),
   missed: ({ frames }) => banner.missed(frames),
   refused({ reason }) {
     banner.notice("request", `Refused: ${reason}.`);
@@ -188,21 +197,24 @@ function schedule(urgent = true) {
 function draw(now_ms) {
   isScheduled = false;
   link.acknowledge();
-  if (!isUrgent && now_ms - drawnAt_ms < POSES_EVERY_MS) return schedule(false);
-  [isUrgent, drawnAt_ms] = [false, now_ms];
+  const areCurvesDue = isUrgent || now_ms - curvesAt_ms >= CURVES_EVERY_MS;
   const { history, index } = timeline.shown;
   const frame = history.at(index);
   const isDue = now_ms - numbersAt_ms >= NUMBERS_EVERY_MS;
-  view.draw(frame, isScene() ? null : { history, index }, isScene() ? placement.pose : null);
-  strips.draw(frame, isDue);
-  if (!isScene()) plots.draw(timeline.trace, timeline.isPaused && frame ? frame.time_s : null);
+  view.draw(frame, isScene() ? null : { history, index }, isScene() ? placement.pose : null, isDue);
+  if (isDue || isUrgent) strips.draw(frame);
+  if (areCurvesDue && !isScene()) {
+    plots.draw(timeline.trace, timeline.isPaused && frame ? frame.time_s : null);
+    curvesAt_ms = now_ms;
+  }
+  isUrgent = false;
   clearTimeout(numbersTimer);
   if (isDue) {
     numbers.draw(frame, isScene());
     timeline.draw(plots.isHeld);
     numbersAt_ms = now_ms;
   } else {
-    // Should this be the last frame for a while, its numbers come as well.
+    // Should this be the last frame for a while, its numbers and curves come as well.
     numbersTimer = setTimeout(() => schedule(), NUMBERS_EVERY_MS);
   }
   if (!isReportNew) return;
@@ -218,6 +230,8 @@ function drawReport(frame) {
   daemon.draw(report.report, board);
   recorder.draw(report.report?.recorder, state?.frame, hello, link.state.state === "open");
   player.draw(playerState, hello);
+  recordings.draw(report.report?.recorder, hello);
+  notes.draw(report.report?.recorder, playerState, hello, timeline.isPaused);
   banner.draw({ link: link.state, hello, board: isScene() ? null : state, frame, isPaused: timeline.isPaused });
 }
 
@@ -226,7 +240,7 @@ byId("help").addEventListener("click", () => byId("keys").showModal());
 for (const [name, sign] of CELL_STATES) byId("signs").append(make("dt", "", sign), make("dd", "", name));
 
 const keys = {
-  " ": () => timeline.toggle(),
+  " ": () => (hello?.source === "replay" && !timeline.isPaused ? player : timeline).toggle(),
   l: () => timeline.live(),
   ",": () => timeline.step(-1),
   ".": () => timeline.step(1),

@@ -25,6 +25,7 @@ const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 export class Plots {
   #lanes;
   #drawn = "";
+  #bar = "";
   #changes = 0;
   #analysed = { key: "", at_ms: 0, lanes: [] };
   #trace = null;
@@ -248,6 +249,9 @@ export class Plots {
 
   #writeBar() {
     const { quantity, mode, span_s, marks } = this.view;
+    const shown = [quantity, mode, span_s, Boolean(marks), this.isHeld].join();
+    if (shown === this.#bar) return;
+    this.#bar = shown;
     for (const [id, value] of Object.entries({ quantity, mode })) byId(id).value = value;
     const list = byId("span");
     const value = String(Number(span_s.toPrecision(3)));

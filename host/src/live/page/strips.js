@@ -24,9 +24,9 @@ export class Strips {
     this.container.replaceChildren(...this.#strips.map((strip) => strip.element));
   }
 
-  /** @param {object | undefined} frame @param {boolean} isWritten whether numbers are due, too */
-  draw(frame, isWritten) {
-    this.#strips.forEach((strip, k) => strip.draw(frame?.cells[k], isWritten));
+  /** @param {object | undefined} frame */
+  draw(frame) {
+    this.#strips.forEach((strip, k) => strip.draw(frame?.cells[k]));
   }
 
   /** @param {{fault: object | string, text: string}[]} findings of the head @param {object[]} cells their health */
@@ -51,6 +51,8 @@ class Strip {
   #drift = make("span", "drift");
   #finding = make("p", "finding");
   #shown = null;
+  /** The colour of the swatch: themes differ. */
+  #swatched = "";
 
   constructor(cell, k, longest_m, changed) {
     [this.cell, this.k, this.longest_m] = [cell, k, longest_m];
@@ -78,9 +80,9 @@ class Strip {
     show(this.#finding, text !== "");
   }
 
-  draw(reading, isWritten) {
+  draw(reading) {
     this.#writeStates(reading?.state ?? ["missing"]);
-    if (isWritten) write(this.#place, reading?.x_m == null ? "– mm" : `${fixed(reading.x_m * 1e3, 3, { plus: true })} mm`);
+    write(this.#place, reading?.x_m == null ? "– mm" : `${fixed(reading.x_m * 1e3, 3, { plus: true })} mm`);
     const context = this.surface.start();
     if (!context) return;
     const width = this.surface.width - 2 * MARGIN;
@@ -88,7 +90,9 @@ class Strip {
     const middle = MARGIN + width / 2;
     this.#drawDetector(context, reading, (x_m) => middle + x_m * scale);
     this.#drawCurrents(context, reading, width);
-    this.swatch.fillStyle = cellColour(this.k);
+    const colour = cellColour(this.k);
+    if (this.#swatched === colour) return;
+    this.#swatched = this.swatch.fillStyle = colour;
     this.swatch.fillRect(0, 0, 12, 12);
   }
 

@@ -53,8 +53,9 @@ export class View3d {
    * @param {object | undefined} frame
    * @param {object} trail history, and the index in it of the frame shown
    * @param {object | null} placed the pose that the tool was dragged to, if it is dragged
+   * @param {boolean} isWritten whether numbers are due, too
    */
-  draw(frame, trail, placed) {
+  draw(frame, trail, placed, isWritten) {
     const context = this.surface.start();
     if (!context) return;
     this.camera.resize(this.surface.width, this.surface.height);
@@ -75,7 +76,7 @@ export class View3d {
     if (measured?.cov_t) this.#ellipsoid(context, measured);
     if (placed) this.#drawRing(context, pose);
     this.#labels(context);
-    this.#measure(frame, measured);
+    if (isWritten) this.#measure(frame, measured);
   }
 
   #project(points) {
@@ -132,6 +133,10 @@ export class View3d {
 
   #addTool(outlines, pose, colour) {
     const size = this.radius_m * 0.022;
+    const emitters = this.#project(this.#head.cells.map(({ emitter }) => transform(pose, emitter.position_m)));
+    // A body between its emitters, behind its arms.
+    const depth = emitters && emitters.reduce((sum, p) => sum + p[2], 0) / emitters.length + 0.05 * this.radius_m;
+    if (emitters) outlines.push({ rings: [hull(emitters)], depth, closed: true, fill: colour, alpha: 0.22, stroke: colour, line: 1 });
     this.#head.cells.forEach((cell, k) => {
       if (cell.second_axis_of != null) return;
       const emitter = transform(pose, cell.emitter.position_m);

@@ -21,7 +21,7 @@ use crate::frame::BASE;
 use crate::link::{DeviceId, Segment};
 use crate::pipeline::Record;
 use crate::ros::cdr::Encoder;
-use crate::ros::{self, MARKERS, POSE, POSE_STAMPED, REPORT, RosType, TRANSFORMS, TWIST};
+use crate::ros::{self, MARKERS, NOTE, NOTES, POSE, POSE_STAMPED, REPORT, RosType, TRANSFORMS, TWIST};
 
 /// Level 3 makes captures 4 % shorter and takes twice as long (six cells at 4 kHz).
 const ZSTD_LEVEL: u32 = 1;
@@ -64,6 +64,7 @@ struct Board {
 pub(super) struct CaptureFile<M: Medium> {
     writer: Writer<Sink<M>>,
     report: u16,
+    notes: u16,
     transforms: u16,
     /// Texts of scenes by name of attachment.
     scenes: BTreeMap<String, Arc<str>>,
@@ -97,10 +98,12 @@ impl<M: Medium> CaptureFile<M> {
         let mut writer = options.create(sink)?;
         attach(&mut writer, (REPORT_SCHEMA, "application/schema+json"), report_schema, 0)?;
         let report = ros_channel(&mut writer, REPORT, "/slitpose/report", &[REPORT_CONTENT])?;
+        let notes = ros_channel(&mut writer, NOTE, NOTES, &[("content", "notes of persons, each of its instant")])?;
         let transforms = ros_channel(&mut writer, TRANSFORMS, "/tf", &[])?;
         Ok(Self {
             writer,
             report,
+            notes,
             transforms,
             scenes: BTreeMap::new(),
             calibrations: BTreeMap::new(),
@@ -216,6 +219,12 @@ impl<M: Medium> CaptureFile<M> {
     pub(super) fn report(&mut self, of: Option<Channels>, report: &str, log_ns: u64) -> Result<(), McapError> {
         Encoder::new(&mut self.message).text(report);
         self.write(of.map_or(self.report, |channels| channels.report), 0, log_ns, log_ns)
+    }
+
+    /// Writes what a person noted of an instant.
+    pub(super) fn note(&mut self, stamp_ns: u64, text: &str, log_ns: u64) -> Result<(), McapError> {
+        ros::encode_note(stamp_ns, text, &mut self.message);
+        self.write(self.notes, 0, log_ns, log_ns)
     }
 
     fn write(&mut self, channel_id: u16, sequence: u32, log_ns: u64, publish_ns: u64) -> Result<(), McapError> {

@@ -8,7 +8,7 @@ use super::records::attachment;
 use super::setup::{METADATA, Setup, SetupError, Texts};
 use super::{Entry, link_bytes};
 use crate::link::{DeviceId, Segment};
-use crate::ros;
+use crate::ros::{self, cdr::decode_note};
 use slitpose_head::scene_file::fnv1a_64;
 use slitpose_head::text_file::MAX_TEXT_BYTES;
 
@@ -54,6 +54,7 @@ pub(super) struct Index {
 enum Channel {
     Link(DeviceId),
     Hello(DeviceId),
+    Notes,
     Other,
 }
 
@@ -110,6 +111,7 @@ impl Index {
             return None;
         };
         let channel_is = match ros::board_of(&channel.topic) {
+            _ if channel.topic == ros::NOTES => Channel::Notes,
             Some((device, "link")) => Channel::Link(device),
             Some((device, "hello")) => Channel::Hello(device),
             _ => Channel::Other,
@@ -192,6 +194,9 @@ impl Index {
             }
             // Each chunk has a hello; it is news only at the beginning and after damage.
             Some(Channel::Hello(device)) if self.greeted.insert(*device) => Entry::Hello { device: *device, log_ns },
+            Some(Channel::Notes) => {
+                return decode_note(&data).map(|(stamp_ns, text)| Some(Entry::Note { stamp_ns, text, log_ns }));
+            }
             Some(Channel::Hello(_) | Channel::Other) | None => return Some(None),
         };
         link_bytes::decode(&data, segment)?;

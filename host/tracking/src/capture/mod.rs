@@ -14,6 +14,7 @@
 //!   a packet is never split between two files, because incomplete packets are held back.
 //! * *A full disk ends the recording, not the program*: the file is cut back to its last flush.
 
+mod contents;
 mod file;
 mod index;
 mod link_bytes;
@@ -29,6 +30,7 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
+pub use contents::{Contents, contents};
 pub use link_bytes::encode as encode_link_bytes;
 pub use place::Existing;
 pub use reader::{CaptureReader, End};
@@ -85,6 +87,8 @@ pub enum Entry {
     /// The segment holds bytes of the link of a board, first read at `log_ns` (UTC, or the time given by the recorder). In a
     /// plain byte stream there is neither.
     Link { device: Option<DeviceId>, log_ns: u64 },
+    /// What a person noted of the instant `stamp_ns`, recorded at `log_ns`.
+    Note { stamp_ns: u64, text: String, log_ns: u64 },
 }
 
 /// The bytes of a link: a type of this project, as no standard type keeps the time of each read.

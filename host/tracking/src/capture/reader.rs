@@ -256,7 +256,7 @@ fn sorted<R: Read + Seek>(begin: &[u8], input: &mut R) -> io::Result<Option<Sort
     entries.sort_by_key(|(entry, _)| match entry {
         Entry::Setup(_) => (0, 0),
         Entry::Hello { log_ns, .. } => (*log_ns, 1),
-        Entry::Link { log_ns, .. } => (*log_ns, 2),
+        Entry::Link { log_ns, .. } | Entry::Note { log_ns, .. } => (*log_ns, 2),
     });
     let mut greeted = BTreeSet::new();
     entries.retain(|(entry, _)| match entry {
@@ -265,7 +265,7 @@ fn sorted<R: Read + Seek>(begin: &[u8], input: &mut R) -> io::Result<Option<Sort
             greeted.insert(*device);
             true
         }
-        Entry::Setup(_) => true,
+        Entry::Setup(_) | Entry::Note { .. } => true,
     });
     Ok(Some((entries, End { unordered_messages: 0, ..end })))
 }

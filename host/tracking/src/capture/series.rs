@@ -174,6 +174,12 @@ impl CaptureSeries {
         self.tick()
     }
 
+    /// Records what a person noted of the instant `stamp_ns`, on the time line of `log_ns`.
+    pub fn note(&mut self, stamp_ns: u64, text: &str, log_ns: u64) -> Result<(), CaptureError> {
+        self.output.attempt(0, |file| file.note(stamp_ns, text, log_ns))?;
+        self.tick()
+    }
+
     /// The channels of a board; `None` if recording is over.
     fn channels(&self, device: DeviceId) -> Result<Option<Channels>, CaptureError> {
         if !self.is_recording() {

@@ -8,7 +8,7 @@ use slitpose_head::scene_file::SceneFile;
 use slitpose_head::special_file;
 use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message};
 
-use super::PlaybackError;
+use super::{Outline, OutlineNote, PlaybackError};
 use crate::capture::{CaptureError, CaptureReader, End, Entry};
 use crate::link::Segment;
 use crate::pipeline::SceneMatch;
@@ -90,14 +90,30 @@ pub(super) fn first_log_ns(path: &Path) -> Result<u64, CaptureError> {
     Ok(next_log_ns(&mut reader, &mut Segment::default())?.unwrap_or(0))
 }
 
-/// When the last bytes of a capture came; reads all of it.
-pub(super) fn last_log_ns(path: &Path) -> Result<u64, CaptureError> {
-    let mut reader = CaptureReader::open(path)?;
-    let (mut segment, mut last_ns) = (Segment::default(), 0);
-    while let Some(log_ns) = next_log_ns(&mut reader, &mut segment)? {
-        last_ns = last_ns.max(log_ns);
+/// Length and notes of captures, those of a series in their order; reads all of them.
+pub(super) fn outline(files: &[PathBuf]) -> Result<Outline, CaptureError> {
+    let (mut start_ns, mut last_ns, mut noted) = (None, 0, Vec::new());
+    for path in files {
+        let (mut reader, mut segment) = (CaptureReader::open(path)?, Segment::default());
+        while let Some(entry) = reader.next(&mut segment)? {
+            match entry {
+                Entry::Link { log_ns, .. } => {
+                    start_ns.get_or_insert(log_ns);
+                    last_ns = last_ns.max(log_ns);
+                }
+                Entry::Note { stamp_ns, text, .. } => noted.push((stamp_ns, text)),
+                Entry::Setup(_) | Entry::Hello { .. } => {}
+            }
+        }
     }
-    Ok(last_ns)
+    let start_ns = start_ns.unwrap_or(0);
+    let note = |(stamp_ns, text)| OutlineNote { at_s: since_s(start_ns, stamp_ns), text };
+    Ok(Outline { length_s: since_s(start_ns, last_ns).max(0.0), notes: noted.into_iter().map(note).collect() })
+}
+
+/// Seconds from one instant to the other, nanoseconds; below zero if that is earlier.
+pub(super) fn since_s(from_ns: u64, to_ns: u64) -> f64 {
+    (i128::from(to_ns) - i128::from(from_ns)) as f64 * 1e-9
 }
 
 fn next_log_ns(reader: &mut CaptureReader, segment: &mut Segment) -> Result<Option<u64>, CaptureError> {

@@ -11,6 +11,7 @@ use std::collections::{BTreeSet, VecDeque};
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use serde::Serialize;
 use slitpose_calibration::Head;
 use slitpose_head::scene_file::{SceneFile, Shipped, WIDE};
 use slitpose_model::Photocurrents;
@@ -46,6 +47,24 @@ pub enum Event<'a> {
     Remark(&'a str),
     /// Data that were damaged or lost.
     Loss(&'a str),
+}
+
+/// What captures hold besides poses.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Outline {
+    /// Time between the first bytes and the last, seconds; zero where bytes have no times.
+    pub length_s: f64,
+    /// What persons noted while they were recorded.
+    pub notes: Vec<OutlineNote>,
+}
+
+/// What a person noted of an instant.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct OutlineNote {
+    /// The instant, seconds after the first bytes.
+    pub at_s: f64,
+    /// Its text.
+    pub text: String,
 }
 
 /// Captures being solved.
@@ -89,11 +108,12 @@ impl Playback {
         Ok(Self { choice, first: files.first().cloned(), files: files.into(), turns_ns, start_ns, ..Self::default() })
     }
 
-    /// Time between the first bytes and the last, seconds; reads the last of `files`. Zero where bytes have no times.
-    pub fn length_s(files: &[PathBuf]) -> Result<f64, PlaybackError> {
-        let (Some(first), Some(last)) = (files.first(), files.last()) else { return Ok(0.0) };
-        let length_ns = files::last_log_ns(last)?.saturating_sub(files::first_log_ns(first)?);
-        Ok(length_ns as f64 * 1e-9)
+    /// Length and notes of the captures `files`; reads all of them.
+    ///
+    /// # Errors
+    /// Files that cannot be read.
+    pub fn outline(files: &[PathBuf]) -> Result<Outline, PlaybackError> {
+        Ok(files::outline(files)?)
     }
 
     /// Bytes of the files that have been read.
@@ -226,6 +246,11 @@ impl Playback {
         let [_, _, to_ns] = self.turns_ns;
         match entry {
             Entry::Setup(setup) => self.set_up(setup, hear),
+            Entry::Note { stamp_ns, text, .. } => {
+                let is_wanted = (self.turns_ns[1]..=self.turns_ns[2]).contains(&stamp_ns) && !self.is_part();
+                let remark = || format!("note at {:.3} s: {text}", files::since_s(self.start_ns, stamp_ns));
+                if is_wanted { hear(Event::Remark(&remark())) } else { Ok(()) }
+            }
             Entry::Hello { device, .. } => self.feed(path, Some(device), None, segment, hear),
             Entry::Link { device, log_ns } => {
                 let is_late = log_ns > to_ns.saturating_add(LATEST_NS);

@@ -185,10 +185,36 @@ pub fn encode_twist(stamp_ns: u64, frame: &str, estimate: &TwistEstimate, bytes:
 
 /// `std_msgs/msg/Header`: the stamp in nanoseconds and the frame.
 pub fn header(encoder: &mut Encoder<'_>, stamp_ns: u64, frame: &str) {
-    const S: u64 = 1_000_000_000;
+    time(encoder, stamp_ns);
+    encoder.text(frame);
+}
+
+const S: u64 = 1_000_000_000;
+
+fn time(encoder: &mut Encoder<'_>, stamp_ns: u64) {
     encoder.i32(i32::try_from(stamp_ns / S).unwrap_or(i32::MAX));
     encoder.u32((stamp_ns % S) as u32);
-    encoder.text(frame);
+}
+
+/// `rcl_interfaces/msg/Log` of a person's `text`.
+pub fn encode_note(stamp_ns: u64, text: &str, bytes: &mut Vec<u8>) {
+    /// `INFO` in that type.
+    const INFO: u8 = 20;
+    let mut encoder = Encoder::new(bytes);
+    time(&mut encoder, stamp_ns);
+    encoder.u8(INFO);
+    ["slitpose", text, "", ""].into_iter().for_each(|text| encoder.text(text));
+    encoder.u32(0);
+}
+
+/// Stamp in nanoseconds and text of `rcl_interfaces/msg/Log`.
+pub fn decode_note(message: &[u8]) -> Option<(u64, String)> {
+    let mut decoder = Decoder::new(message)?;
+    let (seconds, nanoseconds) = (u64::from(decoder.u32()?), u64::from(decoder.u32()?));
+    decoder.get::<1>()?;
+    let _name = decoder.bytes()?;
+    let text = std::str::from_utf8(decoder.bytes()?).ok()?;
+    Some((seconds * S + nanoseconds, text.trim_end_matches('\0').to_owned()))
 }
 
 /// Translation, then rotation as x, y, z, w: poses and transforms alike.

@@ -16,7 +16,7 @@ use crate::frame::{BASE, View};
 use crate::link::DeviceId;
 use crate::pipeline::Record;
 
-pub use cdr::{encode_pose, encode_pose_stamped, encode_transform, encode_twist, header as encode_header};
+pub use cdr::{encode_note, encode_pose, encode_pose_stamped, encode_transform, encode_twist, header as encode_header};
 
 const TOPICS: &str = "/slitpose/";
 
@@ -84,6 +84,12 @@ pub const MARKERS: RosType =
 
 /// A report, as JSON text in CDR: ROS tools refuse files with messages in other encodings.
 pub const REPORT: RosType = RosType { name: "std_msgs/msg/String", definition: "string data\n" };
+
+/// What a person noted while a capture was recorded.
+pub const NOTE: RosType = RosType { name: "rcl_interfaces/msg/Log", definition: include_str!("msg/Log.msg") };
+
+/// Where notes stand: they are of all boards.
+pub const NOTES: &str = "/slitpose/notes";
 
 /// Shapes by their numbers in `visualization_msgs/msg/Marker`.
 const LINE_LIST: i32 = 5;

@@ -150,6 +150,7 @@ impl Chunked {
         while let Some(entry) = reader.next(&mut segment).unwrap() {
             match entry {
                 Entry::Setup(setup) => drop(setups.insert(setup.device, setup)),
+                Entry::Note { .. } => panic!("{what}: a note that nobody wrote"),
                 Entry::Hello { device, .. } => drop(decoders.entry(device).or_default().take(&segment)),
                 Entry::Link { device, .. } => {
                     let device = device.unwrap_or_else(|| panic!("{what}: taken for the bytes of a port"));

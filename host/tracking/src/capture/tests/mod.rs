@@ -74,6 +74,7 @@ struct Content {
     setups: Vec<Setup>,
     hellos: Vec<(DeviceId, Vec<u8>)>,
     links: Vec<(Option<DeviceId>, u64, Segment)>,
+    notes: Vec<(u64, String)>,
 }
 
 impl Content {
@@ -95,6 +96,7 @@ fn read_all<R: io::Read + io::Seek>(mut reader: CaptureReader<R>) -> (Content, E
             Entry::Setup(setup) => content.setups.push(*setup),
             Entry::Hello { device, .. } => content.hellos.push((device, segment.bytes.clone())),
             Entry::Link { device, log_ns } => content.links.push((device, log_ns, segment.clone())),
+            Entry::Note { stamp_ns, text, .. } => content.notes.push((stamp_ns, text)),
         }
     }
     (content, reader.end())
@@ -239,7 +241,13 @@ fn poses_and_reports_are_there_for_other_programs() {
     series.pose(&record, 3).unwrap();
     series.report(Some(FIRST), &BTreeMap::from([("well", true)]), 4).unwrap();
     series.report(None, &BTreeMap::from([("well", false)]), 5).unwrap();
+    series.note(BEGIN.utc_ns, "contact", 6).unwrap();
+    assert_eq!(contents(&path).unwrap(), None, "not ended");
     series.finish().unwrap();
+    let known = contents(&path).unwrap().unwrap();
+    assert_eq!((known.boards.len(), known.notes), (0, 1), "no bytes of a board: {known:?}");
+    assert!((known.length_s - 4e-9).abs() < 1e-12, "{known:?}");
+    assert_eq!(read_file(&path).0.notes, [(BEGIN.utc_ns, "contact".to_owned())]);
 
     let bytes = std::fs::read(&path).unwrap();
     let messages: Vec<_> = mcap::MessageStream::new(&bytes).unwrap().map(|message| message.unwrap()).collect();
@@ -263,7 +271,8 @@ fn poses_and_reports_are_there_for_other_programs() {
     let report = |topic: &str, log_ns| (topic.to_owned(), "std_msgs/msg/String", "cdr", log_ns);
     let reports = [report("/slitpose/board_ID/report", 4), report("/slitpose/report", 5)];
     let head = ("/slitpose/board_ID/head".to_owned(), "visualization_msgs/msg/MarkerArray", "cdr", 2);
-    assert_eq!(told, [&[head], &of_pose(2)[..], &of_pose(3), &reports].concat());
+    let note = ("/slitpose/notes".to_owned(), "rcl_interfaces/msg/Log", "cdr", 6);
+    assert_eq!(told, [&[head], &of_pose(2)[..], &of_pose(3), &reports, &[note]].concat());
     let messages = &messages[1..];
     assert_eq!(messages[0].sequence, 20);
     assert_eq!((messages[0].publish_time, messages[4].publish_time), (2, BEGIN.utc_ns));
