@@ -327,6 +327,22 @@ class Page(InBrowser):
         touch("touchEnd")
         wait(page, "!document.getElementById('follow').hidden")
 
+    def test_twenty_pages_at_once(self):
+        self.needs_daemon()
+        self.page.wait_for_timeout(2000)
+        ticks = lambda: sum(map(int, pathlib.Path(f"/proc/{self.daemon.process.pid}/stat").read_text().rsplit(")")[1].split()[11:13]))
+        share = lambda since, before: (ticks() - before) / os.sysconf("SC_CLK_TCK") / (time.monotonic() - since) * 100
+        since, before = time.monotonic(), ticks()
+        self.page.wait_for_timeout(4000)
+        one = share(since, before)
+        pages = [self.page, *(self.open() for _ in range(19))]
+        since, before = time.monotonic(), ticks()
+        for page in pages:
+            pose = page.evaluate(POSE)
+            wait(page, f"{IS_CONNECTED} && {POSE} !== {pose!r}", 120)
+        self.page.wait_for_timeout(4000)
+        print(f"\ndaemon: {one:.1f} % of a core with one page, {share(since, before):.1f} % with twenty", flush=True)
+
     def test_what_was_wrong_is_said_for_a_while(self):
         self.needs_daemon()
         self.moves()

@@ -112,8 +112,17 @@ const RENEWAL: Duration = Duration::from_millis(200);
 /// The rate of a recording is measured over this time, or up to twice this time.
 const RATE_OVER: Duration = Duration::from_secs(2);
 
-/// The lines of a pose, with their ranks in a low window.
-const POSE_LINES: [(&str, u8); 4] = [("position", 0), ("  sigma", 1), ("rotation", 0), ("  sigma", 1)];
+/// Three numbers, each behind the name of its axis, if it has one.
+fn along(axes: [&str; 3], numbers: [f64; 3], decimals: usize, unit: &str) -> String {
+    let number = |(axis, number): (&str, f64)| match axis {
+        "" => format!("   {number:>8.decimals$}"),
+        _ => format!("{axis:<2} {number:>+8.decimals$}"),
+    };
+    let numbers: Vec<String> = axes.into_iter().zip(numbers).map(number).collect();
+    format!("{} {unit}", numbers.join("  "))
+}
+
+const NO_AXES: [&str; 3] = [""; 3];
 
 /// The last pose of a board, and the accuracy of all its poses.
 struct Seen {
@@ -131,19 +140,25 @@ impl Seen {
         }
         match &self.last.solution.estimate {
             Some(estimate) => {
-                let (t, r) = (estimate.pose.translation_m * 1e3, estimate.pose.rotation_rad());
-                let s = estimate.sigma();
-                let degrees = r * (180.0 / std::f64::consts::PI);
-                let texts = [
-                    format!("{:>+8.4} {:>+8.4} {:>+8.4} mm", t.x, t.y, t.z),
-                    format!("{:>8.2} {:>8.2} {:>8.2} um", s[0] * 1e6, s[1] * 1e6, s[2] * 1e6),
-                    format!("{:>+8.4} {:>+8.4} {:>+8.4} deg", degrees.x, degrees.y, degrees.z),
-                    format!("{:>8.1} {:>8.1} {:>8.1} urad", s[3] * 1e6, s[4] * 1e6, s[5] * 1e6),
-                ];
-                for ((name, rank), text) in POSE_LINES.into_iter().zip(texts) {
+                let [tx, ty, tz, rx, ry, rz] = estimate.sigma().map(|sigma| sigma * 1e6);
+                let twist = self.last.twist.ok().map(|estimate| estimate.twist);
+                let mut put = |name, rank, text: String| {
                     let mut line = Line::new(name, &text);
                     line.rank(rank);
                     lines.push(line);
+                };
+                let position_mm = (estimate.pose.translation_m * 1e3).to_array();
+                put("position", 0, along(["x", "y", "z"], position_mm, 4, "mm"));
+                put("  sigma", 1, along(NO_AXES, [tx, ty, tz], 2, "um"));
+                if let Some(twist) = twist {
+                    put("  velocity", 2, along(NO_AXES, (twist.linear_m_per_s * 1e3).to_array(), 1, "mm/s"));
+                }
+                let rotation_deg = estimate.pose.rotation_rad().map(f64::to_degrees).to_array();
+                put("rotation", 0, along(["rx", "ry", "rz"], rotation_deg, 4, "deg"));
+                put("  sigma", 1, along(NO_AXES, [rx, ry, rz], 1, "urad"));
+                if let Some(twist) = twist {
+                    let rates = twist.angular_rad_per_s.map(f64::to_degrees).to_array();
+                    put("  velocity", 2, along(NO_AXES, rates, 1, "deg/s"));
                 }
             }
             None => {
@@ -177,9 +192,8 @@ impl<W: Write> Summary<W> {
             if !lines.is_empty() {
                 lines.push(Line::blank());
             }
-            lines.extend(view::lines(board));
             let seen = self.boards.iter().find(|seen| Some(seen.device) == board.device);
-            lines.extend(seen.map(Seen::lines).into_iter().flatten());
+            lines.extend(view::lines(board, seen.map(Seen::lines).unwrap_or_default()));
         }
         let bytes_per_s = self.bytes_per_s(account.recorder.bytes);
         lines.extend(view::recorder(&account.recorder, bytes_per_s));

@@ -30,7 +30,7 @@ fn daemon(report: &DaemonReport, now: HostInstant) -> Vec<Line> {
     put(&mut lines, report.program, &format!("{}, up {}{memory}", report.version, duration(report.uptime_s)));
     for board in &report.boards {
         lines.push(Line::blank());
-        lines.extend(self::lines(board));
+        lines.extend(self::lines(board, Vec::new()));
     }
     lines.push(Line::blank());
     lines.extend(recorder(&report.recorder, None).or_else(|| Some(Line::new("recorder", "off"))));
@@ -68,8 +68,8 @@ pub(crate) fn recorder(report: &RecorderReport, bytes_per_s: Option<f64>) -> Opt
     Some(line)
 }
 
-/// One board: link, rates, losses, outcomes, latencies, cells, findings.
-pub(crate) fn lines(report: &BoardReport) -> Vec<Line> {
+/// One board: its last `pose`, link, rates, losses, outcomes, latencies, cells, findings.
+pub(crate) fn lines(report: &BoardReport, pose: Vec<Line>) -> Vec<Line> {
     let mut lines = Vec::new();
     let BoardReport { link, losses, rates, .. } = report;
     let name = |text| printable(text).at_most(MAX_NAME);
@@ -79,6 +79,7 @@ pub(crate) fn lines(report: &BoardReport) -> Vec<Line> {
         if report.firmware.is_empty() { String::new() } else { format!(", firmware {}", name(&report.firmware)) };
     let simulated = if report.simulated { ", SIMULATED" } else { "" };
     put(&mut lines, "board", &format!("{board} on {}{id}{firmware}{simulated}", report.name));
+    lines.extend(pose);
     let since_s = report.made_utc_ns.saturating_sub(link.since_utc_ns) as f64 * 1e-9;
     let reason = link.reason.as_ref().map_or(String::new(), |reason| format!(": {reason}"));
     let reconnects = match link.reconnects {
@@ -102,28 +103,22 @@ pub(crate) fn lines(report: &BoardReport) -> Vec<Line> {
     }
     let device = rates.device_hz.map_or("-".to_owned(), |rate_hz| format!("{rate_hz:.1}"));
     let host = if rates.interval_s > 0.0 { format!("{:.1}", rates.host_hz) } else { "-".to_owned() };
-    put(
-        &mut lines,
-        "rate",
-        &format!("{device} scans/s by the board's clock, {host} by the host's; {} scans", report.scans),
-    )
-    .rank(2);
-    put(
-        &mut lines,
-        "lost",
-        &format!(
-            "board {}, link {} scans; {} damaged, {} unreadable packets; host {} unrecorded, {} unpublished, {} unsent",
-            losses.board.scans_dropped + losses.board.scans_lost,
-            losses.link.scans,
-            losses.link.damaged(),
-            losses.link.unreadable,
-            losses.host.bytes_unrecorded,
-            losses.host.bytes_unpublished,
-            losses.host.poses_unsent,
-        ),
-    )
-    .tone(if *losses == Losses::default() { Tone::Plain } else { Tone::Careful })
-    .rank(1);
+    put(&mut lines, "rate", &format!("{device} Hz by the board, {host} Hz by the host; {} scans", report.scans))
+        .rank(2);
+    let is_whole = *losses == Losses::default();
+    let text = format!(
+        "on the board {} scans; on the link {} scans, {} packets damaged, {} unreadable; on the host {} bytes unrecorded, \
+         {} unpublished, {} poses unsent",
+        losses.board.scans_dropped + losses.board.scans_lost,
+        losses.link.scans,
+        losses.link.damaged(),
+        losses.link.unreadable,
+        losses.host.bytes_unrecorded,
+        losses.host.bytes_unpublished,
+        losses.host.poses_unsent,
+    );
+    let (text, tone) = if is_whole { ("nothing", Tone::Plain) } else { (&*text, Tone::Careful) };
+    put(&mut lines, "lost", text).tone(tone).rank(1);
     let recent = &report.recent_outcomes;
     let tone = if recent.all() > 0 && recent.poses() == 0 { Tone::Wrong } else { Tone::Plain };
     put(&mut lines, "outcomes", &report.outcomes.words()).tone(tone).rank(1);
@@ -157,7 +152,7 @@ pub(crate) fn lines(report: &BoardReport) -> Vec<Line> {
             &mut lines,
             "MCU",
             &format!(
-                "{:.2} V, {:.1} deg C, processor {:.0} %, last reset: {}, clock: {}, settings: {}",
+                "{:.2} V, {:.1} deg C, {:.0} % CPU, last reset: {}, clock: {}, settings: {}",
                 vitals.supply_v,
                 vitals.temperature_k - KELVIN_AT_0_CELSIUS,
                 100.0 * vitals.cpu_load,

@@ -130,7 +130,7 @@ impl Screen {
     }
 }
 
-/// Columns of pages without a window; no line is longer.
+/// Columns of pages without a window.
 pub(crate) const WIDTH: usize = 100;
 
 /// Width of the column with the names of the lines.
@@ -205,7 +205,7 @@ impl Line {
 
     /// The rows of this line in `width` columns.
     fn rows(&self, width: usize) -> Vec<Row> {
-        let width = width.clamp(1, WIDTH);
+        let width = width.max(1);
         let indent = INDENT.min(width / 4);
         let mut name = format!("{:<indent$}", self.name.chars().take(width).collect::<String>());
         if self.name.chars().count() >= indent && !self.text.is_empty() && indent > 0 {
@@ -225,7 +225,7 @@ struct Row {
     tone: Tone,
 }
 
-/// All of `lines` in `width` columns, [`WIDTH`] at most.
+/// All of `lines` in `width` columns.
 pub(crate) fn layout(lines: &[Line], width: usize) -> Vec<String> {
     lines.iter().flat_map(|line| line.rows(width)).map(|row| row.text).collect()
 }
@@ -259,7 +259,7 @@ mod tests {
                 let rows = layout(&[Line::new(name, words)], width);
                 let longest = rows.iter().map(|row| measure_text_width(row)).max().unwrap();
                 // A wide character does not fit a window of one column.
-                assert!(longest <= width.max(2) && longest <= WIDTH, "{width}: {rows:#?}");
+                assert!(longest <= width.max(2), "{width}: {rows:#?}");
                 let all = |text: &str| text.chars().filter(|c| *c != ' ').collect::<String>();
                 let shown = all(&rows.concat());
                 assert!(shown.ends_with(&all(words)), "{width}: {rows:#?}");

@@ -134,7 +134,7 @@ fn a_live_view_fits_every_window() {
     let arguments = ["run", "--config", "none", "--device", "sim", "--record", text(&capture)];
     let window = Window::open(&arguments, 24, 80, &[]);
     let (wide, low) =
-        (["board", "link", "rate", "position", "rotation", "recorder"], ["board", "position", "rotation", "recorder"]);
+        (["board", "position", "rotation", "link", "rate", "recorder"], ["board", "position", "rotation", "recorder"]);
     window.expect(&wide, &OTHERS);
     for (rows, columns, names) in [(10, 40, &low[..]), (24, 80, &wide[..]), (40, 120, &wide[..]), (30, 30, &low[..])] {
         window.resize(rows, columns);
