@@ -2,8 +2,8 @@
  * The live page of slitpose: takes messages, keeps what was last said of every board, and draws it.
  *
  * One animation frame draws all that has changed since the last one; while nothing changes, none is asked for. New poses are
- * drawn in space as they come, thirty times a second, curves fifteen times, and numbers and detectors ten times, as people cannot read
- * them faster: most of a page's work is filling canvases.
+ * drawn in space as they come, thirty times a second, and numbers, curves and detectors ten times, as people cannot read them
+ * faster: most of a page's work is filling canvases.
  */
 import { Banner } from "./banner.js";
 import { Daemon, Recorder } from "./daemon.js";
@@ -25,8 +25,6 @@ import { Trace } from "./trace.js";
 import { View3d } from "./view3d.js";
 
 const NUMBERS_EVERY_MS = 100;
-/** Somewhat less than four frames of 60 a second. */
-const CURVES_EVERY_MS = 63;
 
 let hello = null;
 let report = { report: null };
@@ -38,7 +36,6 @@ let histories = [new History()];
 let traces = [new Trace()];
 let numbersAt_ms = -Infinity;
 let numbersTimer = 0;
-let curvesAt_ms = -Infinity;
 let isScheduled = false;
 /** Whether more than a new pose is to be drawn. */
 let isUrgent = true;
@@ -197,15 +194,13 @@ function schedule(urgent = true) {
 function draw(now_ms) {
   isScheduled = false;
   link.acknowledge();
-  const areCurvesDue = isUrgent || now_ms - curvesAt_ms >= CURVES_EVERY_MS;
   const { history, index } = timeline.shown;
   const frame = history.at(index);
   const isDue = now_ms - numbersAt_ms >= NUMBERS_EVERY_MS;
   view.draw(frame, isScene() ? null : { history, index }, isScene() ? placement.pose : null, isDue);
-  if (isDue || isUrgent) strips.draw(frame);
-  if (areCurvesDue && !isScene()) {
-    plots.draw(timeline.trace, timeline.isPaused && frame ? frame.time_s : null);
-    curvesAt_ms = now_ms;
+  if (isDue || isUrgent) {
+    strips.draw(frame);
+    if (!isScene()) plots.draw(timeline.trace, timeline.isPaused && frame ? frame.time_s : null);
   }
   isUrgent = false;
   clearTimeout(numbersTimer);
