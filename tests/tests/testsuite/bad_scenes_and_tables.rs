@@ -38,7 +38,7 @@ fn every_verb_refuses_a_wrong_scene_and_says_where_it_is_wrong() {
     }
     for (old, new, parts) in [
         ("emitter_axis = [1.0, 0.0, 0.0]", "emitter_axis = [0.0, 0.0, 0.0]", ["emitter_axis", "length 0"]),
-        ("slots = [[0, 3], [1, 4], [2, 5], []]", "slots = [[0, 3], [1, 4], [2], []]", ["emitter 5", "no slot"]),
+        ("slots = [[0, 2, 4], [1, 3, 5], []]", "slots = [[0, 2, 4], [1, 3], []]", ["emitter 5", "no slot"]),
     ] {
         fs::write(&path, wide_with(&[(old, new)])).expect("scene");
         slitpose!().run(["scene", "check", &path]).assert_refused(1, &parts);

@@ -134,8 +134,8 @@ fn where_motion_is_hardly_foreseen_a_board_may_know_less_of_it_but_lacks_no_pose
 fn in_long_frames_a_board_lacks_no_pose() {
     let source = wide()
         .source
-        .replace("slots = [[0, 3], [1, 4], [2, 5], []]", "slots = [[0], [1], [2], [3], [4], [5], []]")
-        .replace("oversampling = 4", "oversampling = 16");
+        .replace("slots = [[0, 2, 4], [1, 3, 5], []]", "slots = [[0], [1], [2], [3], [4], [5], []]")
+        .replace("oversampling = 8", "oversampling = 16");
     let alike = Difference::of(SceneFile::parse("long frames", &source).expect("a scene"), 1e3, 5.0, NEGLECTED);
     assert!(alike.sigmas.most() < 3.5 && alike.rms() < 0.5);
     assert_eq!(alike.lacking, 0);

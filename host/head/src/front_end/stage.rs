@@ -256,10 +256,10 @@ mod tests {
         front_end.time_constant_s = 1.0;
         assert!((word_bandwidth_hz(&front_end) - 0.25).abs() < 1e-5);
         front_end.time_constant_s = 1e-9;
-        assert!((word_bandwidth_hz(&front_end) - 0.25e9 / 4.0).abs() < 1.0);
-        // Without a low-pass, half the rate of four conversions of 0.87 µs.
+        assert!((word_bandwidth_hz(&front_end) - 0.25e9 / 8.0).abs() < 1.0);
+        // Without a low-pass, half the rate of eight conversions of 0.87 µs.
         front_end.time_constant_s = 0.0;
-        assert!((word_bandwidth_hz(&front_end) - 143_678.16).abs() < 0.01);
+        assert!((word_bandwidth_hz(&front_end) - 71_839.08).abs() < 0.01);
         front_end.conversion_s = 0.0;
         assert_eq!(word_bandwidth_hz(&front_end), 0.0);
     }
@@ -268,7 +268,7 @@ mod tests {
     fn rounding_is_averaged_where_noise_makes_it_independent() {
         let mut front_end = Shipped::named("wide").unwrap().read().unwrap().front_end.unwrap();
         for (raw_noise_lsb, variance_lsb2) in
-            [(0.0, 1.0 / 12.0), (0.4, 0.04 + 1.0 / 12.0), (0.5, 1.0 / 12.0), (2.0, 49.0 / 48.0)]
+            [(0.0, 1.0 / 12.0), (0.4, 0.02 + 1.0 / 12.0), (0.5, 1.0 / 24.0), (2.0, 49.0 / 96.0)]
         {
             front_end.raw_noise_lsb = raw_noise_lsb;
             let found = converter_variance_lsb2(&front_end);

@@ -283,8 +283,8 @@ fn a_word_that_tells_no_current_gives_none() {
 fn the_default_scene_runs_at_4_khz_with_a_third_of_the_frame_idle() {
     let Configuration { schedule, levels, .. } = configuration(&WIDE.read().unwrap()).unwrap();
     assert_eq!(schedule.frame_rate_hz(), 4000.0);
-    assert_eq!((schedule.slots.len(), levels.len(), schedule.words_per_scan()), (4, 6, 24));
-    let busy = 4.0 * f64::from(schedule.slot_ticks) / f64::from(schedule.frame_ticks);
+    assert_eq!((schedule.slots.len(), levels.len(), schedule.words_per_scan()), (3, 6, 24));
+    let busy = 3.0 * f64::from(schedule.slot_ticks) / f64::from(schedule.frame_ticks);
     assert!((0.5..0.67).contains(&busy), "{busy}");
 }
 
@@ -309,7 +309,7 @@ fn a_schedule_that_does_not_fit_is_refused() {
     file.front_end.as_mut().unwrap().frame_rate_hz = 8000.0;
     let refused = configuration(&file).unwrap_err().to_string();
     for part in
-        ["wide:", "4 slots of 33.9 µs take 135.5 µs, the frame period is 125.0 µs", "lower front_end.frame_rate_hz"]
+        ["wide:", "3 slots of 54.8 µs take 164.3 µs, the frame period is 125.0 µs", "lower front_end.frame_rate_hz"]
     {
         assert!(refused.contains(part), "`{part}` is not in: {refused}");
     }

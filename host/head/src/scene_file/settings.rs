@@ -119,7 +119,7 @@ impl Lighting {
 /// The lighting of the file, or [`Lighting::one_by_one`].
 pub(super) fn read_lighting(document: &Document<'_>, scene: &Scene) -> Result<Lighting, SceneFileError> {
     let path = KeyPath::section("lighting", "slots");
-    let expected = "slots of emitter numbers, e.g. [[0, 3], [1, 4], [2, 5], []]";
+    let expected = "slots of emitter numbers, e.g. [[0, 2, 4], [1, 3, 5], []]";
     let Some(entry) = document.find(path) else {
         return Ok(Lighting::one_by_one(scene));
     };

@@ -175,9 +175,9 @@ fn a_batch_has_come_after_its_last_sample() {
     let mut pipeline = link.pipeline();
     feed(&mut pipeline, &link.segment(20, 0));
     let session = pipeline.flow.session.unwrap();
-    // Ticks at 170 MHz: 42 500 per frame; a slot has 2210 of settling and 24 conversions of 148. The last
-    // sample is the 24th conversion of the fourth slot, the dark one.
-    let last_sample = 3 * (2_210 + 24 * 148) + 2_210 + 23 * 148;
+    // Ticks at 170 MHz: 42 500 per frame; a slot has 2210 of settling and 48 conversions of 148. The last
+    // sample is the 48th conversion of the third slot, the dark one.
+    let last_sample = 2 * (2_210 + 48 * 148) + 2_210 + 47 * 148;
     assert_eq!(session.last_tick(1_000, 1), 1_000 + last_sample);
     assert_eq!(session.last_tick(1_000, 4), 1_000 + 3 * 42_500 + last_sample);
     assert_eq!(session.last_tick(u64::MAX, 1), last_sample - 1, "the counter wraps");

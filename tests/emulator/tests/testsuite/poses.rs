@@ -62,8 +62,8 @@ fn poses_of_a_calibrated_head_are_those_of_a_host_bit_for_bit() {
 fn poses_of_long_frames_are_those_of_a_host_bit_for_bit() {
     let source = scene()
         .source
-        .replace("slots = [[0, 3], [1, 4], [2, 5], []]", "slots = [[0], [1], [2], [3], [4], [5], []]")
-        .replace("oversampling = 4", "oversampling = 16")
+        .replace("slots = [[0, 2, 4], [1, 3, 5], []]", "slots = [[0], [1], [2], [3], [4], [5], []]")
+        .replace("oversampling = 8", "oversampling = 16")
         .replace("frame_rate_hz = 4000", "frame_rate_hz = 1000");
     let file = SceneFile::parse("long frames", &source).expect("a scene");
     agree(&file, &board_configuration(&file).expect("fits"));
