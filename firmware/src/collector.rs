@@ -36,13 +36,24 @@ pub(crate) struct Collector {
     lost: u64,
     overruns: u32,
     stream: Stream,
+    /// Scans that the host wants in a batch at most.
+    most: usize,
 }
 
 impl Collector {
     /// A collector without scans, prepared for scans of this configuration.
     pub fn new(configuration: u16, schedule: &Schedule) -> Self {
         let batch = BatchBuilder::new(configuration, schedule, batch_scans(schedule));
-        Self { scan: batch.blank(), batch, taken: 0, last_tick: None, lost: 0, overruns: 0, stream: Stream::SCANS }
+        Self {
+            scan: batch.blank(),
+            batch,
+            taken: 0,
+            last_tick: None,
+            lost: 0,
+            overruns: 0,
+            stream: Stream::SCANS,
+            most: BATCH_SCANS,
+        }
     }
 
     /// Prepares the collector for scans of another configuration; the batch of the old one
@@ -94,12 +105,17 @@ impl Collector {
 
     /// Scans until the open batch is full.
     pub fn scans_to_batch(&self) -> usize {
-        self.batch.remaining()
+        self.batch_scans().saturating_sub(self.batch.len())
     }
 
     /// Scans in a full batch, or poses in a packet of them.
     pub fn batch_scans(&self) -> usize {
-        self.batch.len() + self.batch.remaining()
+        (self.batch.len() + self.batch.remaining()).min(self.most)
+    }
+
+    /// Puts no more than so many scans in a batch, but one at least; the batch under way must have been flushed.
+    pub fn set_most(&mut self, scans: u8) {
+        self.most = usize::from(scans).max(1);
     }
 
     /// Which scans are sent; the batch under way must have been flushed.
@@ -145,7 +161,7 @@ impl Collector {
             // An empty batch takes any scan of its shape.
             let _ = self.batch.push(&self.scan);
         }
-        if self.batch.is_full() {
+        if self.scans_to_batch() == 0 {
             self.flush(outbox);
         }
         Ok(())

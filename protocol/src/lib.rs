@@ -99,7 +99,7 @@
 //! **8 Reboot**: enum target (0 firmware, 1 boot loader) · **9 Head**: `u16` offset, `u16` bytes of
 //! the whole, `list u8` bytes (128 at most) · **10 Stream**: `u16` of how
 //! many scans the first 32 are sent, `u8` of how many poses one is sent, none if zero · **11 FullScale**: `u32`
-//! picoamperes at the end of the converters' range, not zero.
+//! picoamperes at the end of the converters' range, not zero · **12 Packet**: `u8` scans or poses in a packet at most.
 //!
 //! Every command with a readable number gets one Reply, after all other messages it
 //! causes; a command of unknown kind gets rejection 0 (unsupported).
@@ -149,6 +149,7 @@
 //! Head:offset u16,total u16,bytes [u8;..128]
 //! Stream:scans u16,poses u8
 //! FullScale:full_scale_pa u32
+//! Packet:scans u8
 //! ```
 //!
 //! # Example

@@ -85,7 +85,7 @@ pub const MESSAGES: [Schema; 8] = [
 ];
 
 /// Kinds of [`Command`](crate::Command); the index is the number on the wire.
-pub const COMMANDS: [Schema; 12] = [
+pub const COMMANDS: [Schema; 13] = [
     Schema::new("Hello", ""),
     Schema::new("Start", ""),
     Schema::new("Stop", ""),
@@ -98,6 +98,7 @@ pub const COMMANDS: [Schema; 12] = [
     Schema::new("Head", "offset u16,total u16,bytes [u8;..128]"),
     Schema::new("Stream", "scans u16,poses u8"),
     Schema::new("FullScale", "full_scale_pa u32"),
+    Schema::new("Packet", "scans u8"),
 ];
 
 const KEY_BYTES: usize = size_of::<u64>();

@@ -14,6 +14,7 @@
 //! | Head | a part taken; with the last one the head is in force | the same, poses from the next scan on |
 //! | Stream | in force until the next Stop | the same; what is under way goes out |
 //! | FullScale | as a Configure that changes nothing else; no head is in force | the same |
+//! | Packet | in force until the next Stop | the same; what is under way goes out |
 //!
 //! A Configure changes nothing in either state if its schedule contradicts itself or is in
 //! other ticks than the board's, if its number of levels is wrong, or if the hardware
@@ -101,6 +102,10 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
                 }
             }
             Command::Stream(stream) => self.set_stream(stream),
+            Command::Packet { scans } => {
+                self.flush();
+                self.collector.set_most(scans);
+            }
             Command::FullScale { full_scale_pa } => {
                 let before = self.identity.full_scale_pa.replace(full_scale_pa);
                 if let Err(rejection) = self.configure(self.configuration.clone()) {

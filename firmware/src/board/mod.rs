@@ -258,6 +258,7 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
         // Of scans that were taken the poses are sent, too. Each takes a frame at most.
         while was_acquiring && self.solve_next() {}
         self.set_stream(Stream::SCANS);
+        self.collector.set_most(u8::MAX);
         outcome
     }
 

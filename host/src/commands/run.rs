@@ -73,6 +73,12 @@ pub(super) struct Args {
     /// check them by; or both, solved here and compared. A board that shall solve poses is sent its head first
     #[arg(long, value_enum, value_name = "WHAT", default_value_t = StreamName::Raw)]
     stream: StreamName,
+    /// Frames a second instead of the scene's, such as 8kHz, with as many conversions as then fit
+    #[arg(long, value_name = "RATE", value_parser = parse_rate)]
+    rate: Option<f64>,
+    /// Send scans as soon as they are there, with as few in a packet as USB carries, instead of four: one up to 6 kHz
+    #[arg(long)]
+    latency: bool,
     #[command(flatten)]
     poses: PoseOptions,
     #[command(flatten)]
@@ -144,6 +150,21 @@ fn parse_patience(text: &str) -> Result<Patience, String> {
         "0" | "0s" => Ok(Patience(Some(Duration::ZERO))),
         _ => Ok(Patience(Some(Duration::try_from_secs_f64(parse_duration(text)?).unwrap_or(Duration::MAX)))),
     }
+}
+
+/// Frames a second of boards: a link carries no more, and motion is not followed with fewer.
+const RATES_HZ: [f64; 2] = [10.0, 10e3];
+
+fn parse_rate(text: &str) -> Result<f64, String> {
+    let number = |text: &str, unit: f64| text.trim().parse::<f64>().ok().map(|number| number * unit);
+    let rate_hz = match (text.strip_suffix("kHz"), text.strip_suffix("Hz")) {
+        (Some(text), _) => number(text, 1e3),
+        (None, text_hz) => number(text_hz.unwrap_or(text), 1.0),
+    };
+    let [least, most] = RATES_HZ;
+    rate_hz.filter(|rate_hz| (least..=most).contains(rate_hz)).ok_or_else(|| {
+        format!("give frames a second from {least} Hz to {} kHz, which USB carries, such as 8kHz", most * 1e-3)
+    })
 }
 
 pub(super) fn run(args: &mut Args) -> Result<Outcome, CommandError> {
@@ -310,7 +331,11 @@ fn outcome_of(ended: Ended, reconnects: &[u64], interrupted: bool, bounded: bool
 
 impl Args {
     fn boards(&self) -> Result<Vec<BoardPlan>, CommandError> {
-        let scenes = self.scene.iter().map(|scene| open_scene(scene)).collect::<Result<Vec<_>, _>>()?;
+        let open = |scene: &String| match self.rate {
+            Some(rate_hz) => Ok(front_end::at_rate(&open_scene(scene)?, rate_hz)?),
+            None => open_scene(scene),
+        };
+        let scenes = self.scene.iter().map(open).collect::<Result<Vec<_>, CommandError>>()?;
         let (scenes_given, calibrations, devices) = (scenes.len(), self.calibration.len(), self.device.len());
         if scenes_given != 1 && scenes_given != devices {
             let next_step = "give one for all, or one for each, in the same order";
@@ -382,6 +407,7 @@ impl Args {
             following: PipelineOptions { source: self.stream.source(), ..self.poses.following() },
             view: self.poses.frame.view()?,
             stream: self.stream.stream(),
+            sends_soon: self.latency,
             until_s: self.poses.duration,
             patience,
             keeps_time,

@@ -45,6 +45,8 @@ pub(crate) struct BoardPlan {
     pub head: Head,
     pub configuration: Configuration,
     pub stream: Stream,
+    /// Whether scans are sent as soon as the link carries them, with few in a packet.
+    pub sends_soon: bool,
     /// Decides whether a board may be followed.
     pub admit: Admit,
     pub tier: Tier,

@@ -107,8 +107,13 @@ impl Reader {
 
     /// Opens, greets, configures and starts the board. It counts as running once scans come.
     fn connect(&mut self) -> Result<Conversation, BoardError> {
-        let Self { plan: BoardPlan { opener, admit, stream, head, configuration, .. }, slot, claims, claimant, .. } =
-            self;
+        let Self {
+            plan: BoardPlan { opener, admit, stream, sends_soon, head, configuration, .. },
+            slot,
+            claims,
+            claimant,
+            ..
+        } = self;
         let _turn = opener.turn();
         let mut board = opener.open()?;
         slot.link.connecting();
@@ -130,6 +135,9 @@ impl Reader {
             board.send_head(head)?;
         }
         board.stream(*stream)?;
+        if *sends_soon {
+            board.send_soon(&configuration.schedule)?;
+        }
         board.start()?;
         self.connection += 1;
         Ok(board)

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use slitpose_protocol::{
     Command, Configuration, DELIMITER, Decoder, FrameError, HeadPart, Hello, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES,
-    Message, PayloadError, Rejection, Request, Stream, encode,
+    Message, PayloadError, Rejection, Request, Schedule, Stream, encode,
 };
 
 use super::error::DeviceError;
@@ -144,6 +144,11 @@ impl Conversation {
     pub(crate) fn stream(&mut self, stream: Stream) -> Result<(), DeviceError> {
         // So it does without being told.
         if stream == Stream::SCANS { Ok(()) } else { self.ask(Command::Stream(stream), REPLY_WITHIN) }
+    }
+
+    /// Has scans by `schedule`, or poses, sent as soon as USB carries them: with as few in a packet.
+    pub(crate) fn send_soon(&mut self, schedule: &Schedule) -> Result<(), DeviceError> {
+        self.ask(Command::Packet { scans: packet_scans(schedule) }, REPLY_WITHIN)
     }
 
     /// Starts acquisition. Received bytes are appended to the inbox.
@@ -330,6 +335,23 @@ impl Drop for Conversation {
     }
 }
 
+/// Bytes a second that a board sends over USB while packets wait, by its image in the emulator: 537 000, in packets of 64.
+const USB_BYTES_PER_S: f64 = 530e3;
+
+/// Bytes of a packet besides its samples, with six levels.
+const PACKET_BYTES: f64 = 36.0;
+
+/// Most scans in a packet.
+const MOST: u8 = 4;
+
+/// The least number of scans in a packet with which USB carries all.
+fn packet_scans(schedule: &Schedule) -> u8 {
+    let samples = 2.0 * schedule.words_per_scan() as f64;
+    let is_carried =
+        |scans: &u8| schedule.frame_rate_hz() * (samples + PACKET_BYTES / f64::from(*scans)) < USB_BYTES_PER_S;
+    (1..MOST).find(is_carried).unwrap_or(MOST)
+}
+
 const HEAD: &str = "Head";
 
 fn name_of(command: &Command) -> &'static str {
@@ -346,6 +368,7 @@ fn name_of(command: &Command) -> &'static str {
         Command::Head(_) => HEAD,
         Command::Stream(_) => "Stream",
         Command::FullScale { .. } => "FullScale",
+        Command::Packet { .. } => "Packet",
     }
 }
 

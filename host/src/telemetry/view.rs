@@ -74,7 +74,9 @@ pub(crate) fn lines(report: &BoardReport, pose: Vec<Line>) -> Vec<Line> {
     let BoardReport { link, losses, rates, .. } = report;
     let name = |text| printable(text).at_most(MAX_NAME);
     let board = name(if report.board.is_empty() { "not known yet" } else { &report.board });
-    let id = report.device.map_or(String::new(), |device| format!(", id {device}"));
+    // A capture's board is called by its number.
+    let id = report.device.map(|device| device.to_string()).filter(|id| *id != report.name);
+    let id = id.map_or(String::new(), |id| format!(", id {id}"));
     let firmware =
         if report.firmware.is_empty() { String::new() } else { format!(", firmware {}", name(&report.firmware)) };
     let simulated = if report.simulated { ", SIMULATED" } else { "" };

@@ -99,7 +99,7 @@ fn both_tables_of_a_hello_are_compared() {
     let differs = |hello: Hello| hello.check_schemas().map_err(|mismatch| mismatch.name);
     assert_eq!(differs(a_hello(messages, commands)), Ok(()));
     assert_eq!(differs(a_hello(SchemaKeys(&changed(messages)), commands)), Err("Poses"));
-    assert_eq!(differs(a_hello(messages, SchemaKeys(&changed(commands)))), Err("FullScale"));
+    assert_eq!(differs(a_hello(messages, SchemaKeys(&changed(commands)))), Err("Packet"));
 }
 
 #[test]
@@ -240,6 +240,7 @@ fn commands() {
     assert_command(11, Command::Stream(Stream { scans: 512, poses: 3 }), "0a0b0a80040356a91fc200");
     let full_scale_pa = NonZeroU32::new(9_100_000).expect("not zero");
     assert_command(12, Command::FullScale { full_scale_pa }, "0b0c0be0b5ab04318ca4ee00");
+    assert_command(13, Command::Packet { scans: 1 }, "080d0c01db352b2c00");
 }
 
 /// By Python's `zlib.crc32(struct.pack("<QQ", …))`.
@@ -279,6 +280,7 @@ fn schema_keys() {
             "Head e2c6e609d22bd4de",
             "Stream 73b8e4ce7f67049c",
             "FullScale 6b1cd75dd110be9c",
+            "Packet bdef264ce40ea2ca",
         ]
     );
 }

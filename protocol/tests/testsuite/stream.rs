@@ -211,7 +211,7 @@ fn what_cannot_be_read_is_named_and_counted_by_its_kind() {
     ];
     let requests = [
         (payload(&[3], PayloadError::NoKind { bytes: 1 }), malformed),
-        (payload(&[0x81, 4, 12, 1], PayloadError::UnknownCommand { number: 513, kind: 12 }), unknown),
+        (payload(&[0x81, 4, 13, 1], PayloadError::UnknownCommand { number: 513, kind: 13 }), unknown),
         // A full scale of zero.
         (payload(&[3, 11, 0], PayloadError::MalformedCommand { number: 3, kind: 11 }), malformed),
         (payload(&[3, 4], PayloadError::MalformedCommand { number: 3, kind: 4 }), malformed),

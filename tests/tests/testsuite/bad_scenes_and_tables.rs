@@ -291,7 +291,7 @@ fn references_of_other_clocks_and_units_are_told() {
     let mirrored = changed(&by_scan, &["ty_mm", "rx_rad", "rz_rad"], |number| -number);
     let (epoch, later) = (time(|s| s + 1.79e9), changed(&by_scan, &["seq"], |n| n + 5e3));
     for (what, table, code, parts) in [
-        ("epoch", epoch, 1, &["time_s runs from 1790000000.0", "that of the poses from 5.69", "epoch", "s late"][..]),
+        ("epoch", epoch, 1, &["time_s runs from 1790000000.0", "that of the poses from 6.08", "epoch", "s late"][..]),
         ("milliseconds", time(|s| s * 1e3), 0, &["are these milliseconds?"]),
         ("rows", changed(&by_time, &["time_s"], |s| (s * 4000.0).floor()), 0, &["are these numbers of rows?"]),
         ("late", time(|s| s + 0.0205), 0, &["the reference seems 0.020", "s late", "subtract"]),

@@ -20,9 +20,9 @@ use slitpose_tests::{scenes, slitpose};
 const HORIZON_S: f64 = 3600.0;
 
 /// Root mean square error of all axes in smooth motion: within 15 % of what `run --device sim`
-/// gives with this scene, 2.34 µm and 285 µrad.
-const RMS_M: (f64, f64) = (2.0e-6, 2.7e-6);
-const RMS_RAD: (f64, f64) = (242e-6, 328e-6);
+/// gives with this scene, 1.68 µm and 199 µrad.
+const RMS_M: (f64, f64) = (1.43e-6, 1.93e-6);
+const RMS_RAD: (f64, f64) = (169e-6, 229e-6);
 
 /// The first line a run on a board without a stored scene prints: not an error.
 const NO_SCENE_STORED: &str = "has no scene stored";
@@ -45,6 +45,31 @@ fn honesty(lines: &[Line]) -> (usize, Honesty) {
     let converged = lines.iter().filter(|line| line.status == "converged").count();
     println!("{converged} converged");
     (converged, Honesty::of(lines.iter().filter_map(Line::beside_truth)))
+}
+
+#[test]
+fn at_high_rates_with_few_scans_in_a_packet_nothing_is_lost_and_a_replay_has_the_same_poses() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let emulator = Emulator::start(&["wide", "--seed", "23", "--speed", "max"]);
+    for (rate_hz, count) in [(6e3, 12_000), (8e3, 16_000), (10e3, 20_000)] {
+        let capture = &*name_in(folder.path(), &format!("{rate_hz}.mcap"));
+        let ran = emulator.run(&["--duration", "2s", "--rate", &rate_hz.to_string(), "--latency", "--record", capture]);
+        assert_eq!(ran.code, 0, "{}", ran.stderr);
+        let printed = String::from_utf8(ran.stdout).expect("UTF-8");
+        let mut lines = ndjson::parse_measured(&printed);
+        // Frames of 6 kHz are no whole number of ticks.
+        let ticks = (170e6_f64 / rate_hz).round();
+        assert_complete(&lines, lines[0].sequence, lines.len(), 170e6 / ticks);
+        assert!(lines.len().abs_diff(count) <= 1, "{}", lines.len());
+        let trajectory = Trajectory::of_kind(TrajectoryKind::Smooth, 23, HORIZON_S);
+        lines.iter_mut().for_each(|line| line.truth = Some(trajectory.pose(line.device_time_s)));
+        honesty(&lines).1.assert(4.5..6.5, 3);
+        let replayed = slitpose!().run(["replay", capture, "--format", "ndjson"]).done();
+        let poses =
+            |text: &str| text.lines().map(|line| line.split("host_").next().map(str::to_owned)).collect::<Vec<_>>();
+        assert_eq!(poses(&replayed), poses(&printed));
+    }
+    emulator.close();
 }
 
 #[test]

@@ -45,9 +45,9 @@ fn honesty(lines: &[Line]) -> Honesty {
 fn ten_seconds_of_the_default() {
     let lines = lines(&["--duration", "10s"]);
     assert_complete(&lines, 40_000);
-    // The mean lit instant in ticks of 170 MHz: cells k and k + 3 in slot k of 2210 settling ticks and
-    // 24 conversions of 148, so one slot on average, settling, and the middle of rank 2.5.
-    let reference_ticks = (2210.0 + 24.0 * 148.0) + 2210.0 + (2.5 * 4.0 + 1.5) * 148.0;
+    // The mean lit instant in ticks of 170 MHz: even cells in the first and odd ones in the second slot, of 2210 settling ticks
+    // and 48 conversions of 148, so half a slot on average, settling, and the middle of rank 2.5.
+    let reference_ticks = 0.5 * (2210.0 + 48.0 * 148.0) + 2210.0 + (2.5 * 8.0 + 3.5) * 148.0;
     assert!((lines[0].device_time_s - reference_ticks / 170e6).abs() < 1e-12, "{}", lines[0].device_time_s);
     let honesty = honesty(&lines);
     assert!(honesty.poses >= 39_960, "99.9 % of the scans must give a pose");
@@ -125,7 +125,7 @@ fn duration_is_device_time_whatever_the_format() {
         assert!(table.rows().all(|row| row.text("simulated") == "true"));
     }
     let summary = run(&["--duration", "100ms", "--format", "summary"]).done();
-    assert!(summary.contains("400 scans") && summary.contains("lost        board 0, link 0 scans"), "{summary}");
+    assert!(summary.contains("400 scans") && summary.contains("lost        nothing"), "{summary}");
 }
 
 #[test]
@@ -200,8 +200,8 @@ fn twist_and_filtered_pose_come_with_their_worth() {
         let variance = |object: &Value| numbers(&object["covariance"])[0];
         assert!(variance(filtered) < 1.01 * variance(now), "scan {index}");
     }
-    // Nearly half of the poses of this head, as its geometry has it.
-    assert!((700..1200).contains(&well), "{well} of 1978 well verified");
+    // A third of the poses of this head, as its geometry has it.
+    assert!((450..900).contains(&well), "{well} of 1978 well verified");
     let mean = squares / counted;
     println!("squared error of the velocity in units of its variance: {mean:.2}");
     assert!((0.5..1.4).contains(&mean), "{mean}");

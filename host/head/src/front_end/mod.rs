@@ -40,6 +40,31 @@ pub enum TimingError {
     Schedule(String, #[source] ScheduleError),
 }
 
+impl FrontEnd {
+    /// With the conversions of `schedule`, which may be another than the scene's.
+    #[must_use]
+    pub fn as_scheduled(&self, schedule: &Schedule) -> Self {
+        let conversion_s = f64::from(schedule.conversion_ticks) / f64::from(schedule.tick_hz);
+        Self { oversampling: schedule.oversampling.into(), conversion_s, ..*self }
+    }
+}
+
+/// `file` at another rate of frames, with as many conversions as then fit, the scene's at most.
+///
+/// # Errors
+/// Those of [`configuration`] with a single conversion.
+pub fn at_rate(file: &SceneFile, frame_rate_hz: f64) -> Result<SceneFile, TimingError> {
+    let mut file = file.clone();
+    let Some(front_end) = &mut file.front_end else { return Err(TimingError::NoFrontEnd(file.name)) };
+    front_end.frame_rate_hz = frame_rate_hz;
+    loop {
+        match (configuration(&file), &mut file.front_end) {
+            (Err(_), Some(front_end)) if front_end.oversampling > 1 => front_end.oversampling /= 2,
+            (outcome, _) => return outcome.map(|_| file),
+        }
+    }
+}
+
 /// As [`configuration`], for a board that is to send what it converts.
 ///
 /// # Errors

@@ -61,7 +61,7 @@ impl Stage {
                 .map(|settling| settling.gain.abs())
                 .fold(1.0, f64::min)
                 .max(MIN_GAIN);
-            scene.noise = Some(of_lit_minus_dark(&scene, front_end, schedule, scaling, gain));
+            scene.noise = Some(of_lit_minus_dark(&scene, &front_end.as_scheduled(schedule), schedule, scaling, gain));
         }
         scene
     }
@@ -139,19 +139,19 @@ fn of_lit_minus_dark(
     }
 }
 
-/// Standard deviation of one dark word of `cell` by the front end of `file`, the same for both
-/// electrodes, amperes; `None` for a scene without front end.
+/// Standard deviation of one dark word of `cell` by the front end of `file` and the conversions of `schedule`, the same for
+/// both electrodes, amperes; `None` for a scene without front end.
 ///
 /// Shot noise of the dark current divides between the electrodes like the current.
-pub fn dark_word_noise_a(file: &SceneFile, cell: usize, scaling: &AdcScaling) -> Option<f64> {
-    let front_end = file.front_end.as_ref()?;
+pub fn dark_word_noise_a(file: &SceneFile, cell: usize, schedule: &Schedule, scaling: &AdcScaling) -> Option<f64> {
+    let front_end = file.front_end?.as_scheduled(schedule);
     let detector = &file.scene.cells.get(cell)?.detector;
-    let bandwidth_hz = word_bandwidth_hz(front_end);
+    let bandwidth_hz = word_bandwidth_hz(&front_end);
     let noise = Noise {
         shot_bandwidth_hz: bandwidth_hz,
         johnson_bandwidth_hz: bandwidth_hz,
         temperature_k: temperature_k(&file.scene),
-        adc_a: converter_variance_lsb2(front_end).sqrt() * scaling.amperes_per_code.abs(),
+        adc_a: converter_variance_lsb2(&front_end).sqrt() * scaling.amperes_per_code.abs(),
     };
     Some((noise.adc_a * noise.adc_a + noise.johnson_a2(detector) + 0.25 * noise.dark_shot_a2(detector)).sqrt())
 }

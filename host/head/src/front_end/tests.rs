@@ -74,7 +74,8 @@ fn simulated(file: &SceneFile, scans: usize, seed: u64) -> (Vec<Samples>, Noise,
         }
     }
     let scaling = scaling.expect("a hello");
-    let promised = (0..samples.len()).map(|cell| dark_word_noise_a(file, cell, &scaling).expect("a front end"));
+    let promised =
+        (0..samples.len()).map(|cell| dark_word_noise_a(file, cell, &schedule, &scaling).expect("a front end"));
     let promised = promised.collect();
     let noise = Stage::weighted_scene(file, &schedule, &scaling).noise.expect("a front end");
     (samples, noise, promised)

@@ -9,7 +9,6 @@ use crate::doctor::{faulty_or, named};
 use slitpose_head::finding::Finding;
 use slitpose_head::finding::Grade::{Failed, Warning};
 use slitpose_head::front_end::dark_word_noise_a;
-use slitpose_head::scene_file::SceneFile;
 
 /// Scans for the mean codes, and for the noise: a standard deviation from 1 000 scans is off by 2 %.
 const ZERO_SCANS: usize = 200;
@@ -129,22 +128,12 @@ pub(super) fn noise(bench: &mut Bench) -> Result<Vec<Finding>> {
     let mut schedule = bench.schedule()?;
     schedule.oversampling = 1;
     let sampling = sample(&mut board, sampling::at(sampling::alone(&schedule), Level(0)), NOISE_SCANS)?;
-    let scene = single_conversions(&bench.scene);
     let channels = (0..sampling.cells()).map(|cell| Noise {
         codes: [0, 1].map(|electrode| sampling.dark(cell, electrode)),
-        promised: dark_word_noise_a(&scene, cell, &sampling.scaling).unwrap_or(f64::INFINITY)
+        promised: dark_word_noise_a(&bench.scene, cell, &sampling.schedule, &sampling.scaling).unwrap_or(f64::INFINITY)
             / sampling.scaling.amperes_per_code.abs(),
     });
     Ok(judge_noise(&channels.collect::<Vec<_>>(), bench.wiring))
-}
-
-/// The scene with words of one conversion.
-fn single_conversions(scene: &SceneFile) -> SceneFile {
-    let mut scene = scene.clone();
-    if let Some(front_end) = &mut scene.front_end {
-        front_end.oversampling = 1;
-    }
-    scene
 }
 
 /// Statistics of a cell's dark words, and the rms that the front end of the scene gives them.

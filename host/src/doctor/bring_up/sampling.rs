@@ -181,7 +181,8 @@ mod tests {
         for schedule in pairs.chain([alone(&base), alone(&fewer)]) {
             assert_eq!(schedule.validate(), Ok(()), "{schedule:?}");
             assert_eq!(schedule.dark_slot(), Some(0));
-            assert!(schedule.frame_rate_hz() > 3_500.0, "{}", schedule.frame_rate_hz());
+            // One emitter after another with eight conversions takes 384 µs.
+            assert!(schedule.frame_rate_hz() > 2_400.0, "{}", schedule.frame_rate_hz());
         }
     }
 }

@@ -97,7 +97,7 @@ impl Health {
                     .saturation_a
                     .map_or(f64::INFINITY, |limit_a| limit_a - description.detector.dark_current_a),
                 dark_current_a: description.detector.dark_current_a,
-                promised_noise_a: front_end::dark_word_noise_a(file, cell, scaling),
+                promised_noise_a: front_end::dark_word_noise_a(file, cell, schedule, scaling),
                 afterglow: Settling::of_cell(schedule, cell, time_constant_s)
                     .map_or(0.0, |settling| (1.0 - settling.gain).max(0.0)),
                 half_length_m: 0.5 * description.detector.length_m,

@@ -2,12 +2,13 @@
 //! are. They are printed with `--nocapture`.
 
 use crate::common::listener::{Listener, Said};
-use crate::common::talk::{FRAME_TICKS, Talk};
-use crate::common::us;
+use crate::common::talk::Talk;
+use crate::common::{scene, us};
 use slitpose_emulator::memory::RAM_BYTES;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::rig::{Link, open_image};
 use slitpose_firmware::pcb::default_configuration;
+use slitpose_head::front_end;
 use slitpose_protocol::{Command, Configuration, Exposure, Hashes};
 
 /// Bytes of RAM that are kept for the stack.
@@ -71,24 +72,42 @@ fn the_board_is_there_within_a_fifth_of_a_second() {
     assert!(us(at_serial_port) < 10e3 && us(at_usb) < 200e3);
 }
 
+/// Frames a second, scans in a packet, and how late they are at most: in the median, and 99 % of them, microseconds.
+const LATENESS_US: [(f64, u8, [f64; 2]); 5] = [
+    (4e3, 4, [1e3, 1.4e3]),
+    (4e3, 1, [300.0, 350.0]),
+    (8e3, 4, [700.0, 1e3]),
+    (8e3, 2, [550.0, 750.0]),
+    (1e4, 4, [700.0, 1e3]),
+];
+
 #[test]
-fn scans_come_within_two_milliseconds_of_their_light() {
+fn scans_come_soon_after_their_light_at_every_rate_and_none_is_lost() {
+    for (rate_hz, scans, most_us) in LATENESS_US {
+        let file = front_end::at_rate(&scene(), rate_hz).expect("a rate that fits");
+        let configuration = front_end::configuration(&file).expect("a schedule");
+        let at = lateness_us(&configuration, scans);
+        println!("{rate_hz} frames/s, {scans} in a packet: {at:.0?} µs in the median, for 99 %, at most");
+        assert!(at.iter().zip(most_us).all(|(at, most)| *at < most), "{rate_hz} {scans}: {at:?}");
+    }
+}
+
+/// Between the last conversion of light and the end of the packet: median, 99 %, most, of a second.
+fn lateness_us(configuration: &Configuration, scans: u8) -> [f64; 3] {
     let mut talk = Talk::quiet();
+    talk.accept(&Command::Configure(configuration.clone()));
+    talk.accept(&Command::Packet { scans });
     talk.forget();
-    let sent = talk.rig.now();
     talk.rig.send(Command::Start);
-    talk.run_ms(4_000.0);
-    let lit = talk.record().edges()[0].0;
+    talk.run_ms(1_000.0);
     // Each scan with the end of the packet that completes its batch.
     let batches = talk.ear.said.iter().filter_map(|(at, said)| match said {
         Said::Batch(_, _, count) => Some(std::iter::repeat_n(*at, *count as usize)),
         _ => None,
     });
     let over: Vec<Ticks> = batches.flatten().collect();
-    println!("Start to light {:.0} µs, to the first scan {:.0} µs", us(lit - sent), us(over[0] - sent));
-
     let origin = talk.origin();
-    let schedule = default_configuration().schedule;
+    let schedule = &configuration.schedule;
     let conversions = u64::from(schedule.oversampling - 1) * u64::from(schedule.conversion_ticks);
     let first = (0..usize::from(schedule.cells))
         .filter_map(|cell| schedule.first_sample_ticks(schedule.lit_slot(cell)?, cell))
@@ -97,14 +116,7 @@ fn scans_come_within_two_milliseconds_of_their_light() {
     let scans = over.iter().zip(&talk.ear.scans);
     let mut late: Vec<_> = scans.map(|(over, scan)| over - (origin + scan.tick + first + conversions)).collect();
     late.sort_unstable();
-    let at = |share: f64| us(late[((late.len() - 1) as f64 * share) as usize]);
-    println!(
-        "light to USB: {:.0} µs in the median, {:.0} for 99 %, {:.0} at most; {} scans",
-        at(0.5),
-        at(0.99),
-        at(1.0),
-        late.len()
-    );
     assert_eq!((over.len(), talk.ear.gaps.len()), (talk.ear.scans.len(), 0));
-    assert!(over.len() as u64 > 4 * TICKS_PER_SECOND / FRAME_TICKS - 20 && at(0.99) < 2e3);
+    assert!(over.len() as u64 > TICKS_PER_SECOND / u64::from(schedule.frame_ticks) - 40, "{}", over.len());
+    [0.5, 0.99, 1.0].map(|share| us(late[((late.len() - 1) as f64 * share) as usize]))
 }
