@@ -23,6 +23,7 @@
 #include <arpa/inet.h>
 #include <errno.h>
 #include <fcntl.h>
+#include <math.h>
 #include <netinet/in.h>
 #include <poll.h>
 #include <stddef.h>
@@ -414,6 +415,40 @@ static inline int slitpose_follow(struct slitpose_link *link, struct slitpose_po
         *pose = newer;
     }
     return count > 1 ? 1 : count;
+}
+
+/* Moves a pose on by `later_ns`, as its velocity goes on: translation, rotation, covariance and times. Variances grow by
+   what velocities are uncertain, and by what accelerations of these rms sizes may add (0: none). 0; or -1 without a pose or
+   a velocity. host/guide/application.md has its errors. Who calls it links with -lm. */
+static inline int slitpose_predict(struct slitpose_pose *pose, uint64_t later_ns, double rms_m_per_s2,
+                                   double rms_rad_per_s2)
+{
+    const double t = (double)later_ns * 1e-9, *w = pose->angular_rad_per_s;
+    const double half = sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2]) * t / 2;
+    const double factor = half > 0 ? sin(half) / half * t / 2 : 0, scalar = cos(half);
+    double p[4];
+    int i;
+    if (!(pose->flags & SLITPOSE_HAS_POSE) || !(pose->flags & SLITPOSE_HAS_TWIST))
+        return -1;
+    memcpy(p, pose->rotation_xyzw, sizeof p);
+    for (i = 0; i < 3; i++) {
+        const int j = (i + 1) % 3, k = (i + 2) % 3;
+        pose->translation_m[i] += pose->linear_m_per_s[i] * t;
+        pose->rotation_xyzw[i] = scalar * p[i] + factor * (w[i] * p[3] + w[j] * p[k] - w[k] * p[j]);
+    }
+    pose->rotation_xyzw[3] = scalar * p[3] - factor * (w[0] * p[0] + w[1] * p[1] + w[2] * p[2]);
+    for (i = 0; i < 6; i++) {
+        /* Errors of a pose and of its velocity may go together. */
+        const double sigma = sqrt(pose->covariance[7 * i]) + pose->twist_sigma[i] * t;
+        const double bend = (i < 3 ? rms_m_per_s2 : rms_rad_per_s2) * t * t / 2;
+        pose->covariance[7 * i] = sigma * sigma + bend * bend;
+    }
+    pose->device_time_ns += later_ns;
+    if (pose->flags & SLITPOSE_HAS_HOST_TIME) {
+        pose->host_monotonic_ns += later_ns;
+        pose->host_utc_ns += later_ns;
+    }
+    return 0;
 }
 
 #endif

@@ -264,6 +264,22 @@ fn the_running_wall_sets_the_force_of_each_pose_and_lets_go_at_an_interrupt() {
 }
 
 #[test]
+fn the_stiffest_wall_of_a_simulated_loop_is_a_little_above_the_passive_one() {
+    let folder = TempDir::new().unwrap();
+    let output = Command::new(compile(&host("examples/c/passive_wall.c"), &folder)).output().unwrap();
+    let text = String::from_utf8(output.stdout).unwrap();
+    let rows: Vec<Vec<f64>> =
+        text.lines().skip(2).map(|row| row.split_whitespace().map(|word| word.parse().unwrap()).collect()).collect();
+    assert_eq!(rows.len(), 12, "{text}");
+    for row in rows {
+        let &[rate_hz, age_ms, passive, stable] = &row[..] else { panic!("{text}") };
+        assert!((passive - 2.0 / (0.5 / rate_hz + age_ms * 1e-3)).abs() < 1.0, "{text}");
+        // To first order of the delay they are the same.
+        assert!((1.0..1.1).contains(&(stable / passive)), "{text}");
+    }
+}
+
+#[test]
 fn a_daemon_that_ends_is_reported() {
     let bench = Bench::new();
     let mut running = Running::start(&bench, &["--oldest", "1e3", "--duration", "1e6"]);
