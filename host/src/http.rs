@@ -1,5 +1,6 @@
 //! What servers of HTTP share: limits of connections, whose requests are answered, and threads.
 
+use std::future::pending;
 use std::net::IpAddr;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Weak};
@@ -170,7 +171,15 @@ impl Connection {
         tokio::select! {
             done = work => Some(done),
             () = self.end.notified() => None,
-            () = sleep_until(self.until) => None,
+            () = self.outlives() => None,
+        }
+    }
+
+    /// Waits for the end of its lifetime; for ever if it is released by then.
+    async fn outlives(&self) {
+        sleep_until(self.until).await;
+        if self.is_released.load(Ordering::Relaxed) {
+            pending::<()>().await;
         }
     }
 }

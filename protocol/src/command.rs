@@ -57,8 +57,8 @@ pub enum Command {
     /// from now on; Store keeps it. It replaces the configuration by the same one, so that scans before and after are told
     /// apart, and the board then has no head: its numbers hold for the full scale before.
     FullScale { full_scale_pa: NonZeroU32 },
-    /// Put no more scans, or poses, in a packet, from now on: with one, each leaves as soon as it is there. After a reset
-    /// and after each Stop: as many as suit the rate of frames.
+    /// At most so many scans, or poses, in a packet from now on; 1 sends each at once. After a reset and after each Stop: as
+    /// many as suit the rate of frames.
     Packet { scans: u8 },
 }
 

@@ -1,6 +1,7 @@
 //! Captures through the pipeline, for `replay` and `export`.
 
 use std::cell::RefCell;
+use std::fmt::Display;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -56,6 +57,8 @@ pub(super) struct Printing<'a> {
     pub(super) target: &'a str,
     pub(super) format: Format,
     pub(super) is_terminal: bool,
+    /// Whether messages are nobody's: those of another program's work would be taken for its own.
+    pub(super) is_silent: bool,
 }
 
 /// A capture that rests looks this often for orders.
@@ -81,6 +84,7 @@ pub(super) struct Playback<'a> {
 struct Outputs<'a> {
     sink: Option<Box<dyn Sink + Send + 'a>>,
     target: &'a str,
+    is_silent: bool,
     comparison: Option<Comparison>,
     statistics: Vec<RefCell<BoardStatistics>>,
     /// Of each board, if a page shows them.
@@ -95,7 +99,7 @@ impl<'a> Playback<'a> {
         poses: &PoseOptions,
         faults: Vec<Fault>,
         speed: Speed,
-        Printing { sink, target, format, is_terminal }: Printing<'a>,
+        Printing { sink, target, format, is_terminal, is_silent }: Printing<'a>,
     ) -> Result<Self, CommandError> {
         let choice = Choice {
             scene: play.scene.clone(),
@@ -118,7 +122,7 @@ impl<'a> Playback<'a> {
         let progress = is_drawn.then(|| Progress::new("progress", bytes, Amount::Bytes));
         let stop = interrupt()?;
         let (statistics, samplers, outcome) = (Vec::new(), Vec::new(), Outcome::Done);
-        let output = Outputs { sink, target, comparison, statistics, samplers, outcome };
+        let output = Outputs { sink, target, is_silent, comparison, statistics, samplers, outcome };
         let (pace, paced_from_s, player, began) = (None, 0.0, None, HostInstant::now());
         Ok(Self { files, choice, captures, speed, pace, paced_from_s, stop, progress, output, player, began })
     }
@@ -143,7 +147,7 @@ impl<'a> Playback<'a> {
             if next {
                 self.output.print(|sink, statistics| sink.tick(&|| account(&self.captures, statistics)))?;
                 self.show();
-            } else if self.player.is_none() || self.is_stopped() {
+            } else if self.player.is_none() || self.captures.boards.is_empty() || self.is_stopped() {
                 break;
             }
             if let Some(progress) = &mut self.progress {
@@ -165,6 +169,7 @@ impl<'a> Playback<'a> {
             // Interrupted where the page had led it.
             Err(error)
                 if player.is_some()
+                    && !captures.boards.is_empty()
                     && matches!(
                         error.downcast_ref(),
                         Some(PlaybackError::NoScan { .. } | PlaybackError::Beyond { .. })
@@ -270,11 +275,11 @@ impl Outputs<'_> {
                 self.write(device, &item)
             }
             Event::Remark(remark) => {
-                talk(format_args!("{remark}"));
+                self.say(&remark);
                 Ok(())
             }
             Event::Loss(loss) => {
-                talk(format_args!("{loss}"));
+                self.say(&loss);
                 self.outcome = Outcome::DataLost;
                 Ok(())
             }
@@ -283,9 +288,15 @@ impl Outputs<'_> {
         }
     }
 
+    fn say(&self, message: &dyn Display) {
+        if !self.is_silent {
+            talk(format_args!("{message}"));
+        }
+    }
+
     fn write(&mut self, device: Option<DeviceId>, item: &Item<'_>) -> Result<(), CommandError> {
         if let Item::Oddity { oddity, .. } = item {
-            talk(format_args!("{oddity}"));
+            self.say(&oddity);
         }
         if let Item::Pose(record) = item {
             if let Some(comparison) = &mut self.comparison {

@@ -1,5 +1,6 @@
 //! A capture that is played as the live page asks.
 
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -7,7 +8,7 @@ use crate::live::{Control, Input, LiveBoard, LiveInput, Order, PlayerOrder, Play
 use crate::telemetry::DaemonReport;
 use slitpose_head::pace::Speed;
 use slitpose_head::threads::lock;
-use slitpose_tracking::playback::{Board, Outline};
+use slitpose_tracking::playback::{self, Board, PlaybackError};
 
 /// Time between messages on the state of the player.
 const TELL_EVERY: Duration = Duration::from_millis(250);
@@ -63,11 +64,37 @@ pub(super) struct Player {
 }
 
 impl Player {
-    /// A player of the capture `file` up to `to_s`, if that is before its end.
-    pub(super) fn new(orders: Orders, live: LiveInput, file: String, outline: Outline, to_s: Option<f64>) -> Self {
-        let duration_s = outline.length_s.min(to_s.unwrap_or(f64::INFINITY));
-        let state = PlayerState { playing: true, duration_s, file, notes: outline.notes, ..PlayerState::default() };
-        Self { orders, live, state, told: None }
+    /// A player of the captures `files`, called `name`, up to `to_s`, if that is before their end; `None` if nobody looks
+    /// any more when they have been read.
+    pub(super) fn new(
+        orders: Orders,
+        live: LiveInput,
+        name: String,
+        files: &[PathBuf],
+        to_s: Option<f64>,
+    ) -> Result<Option<Self>, PlaybackError> {
+        let state = PlayerState { playing: true, file: name, ..PlayerState::default() };
+        let mut player = Self { orders, live, state, told: None };
+        let outline = playback::Playback::outline(files, &mut |length_s| {
+            // A page that hears nothing takes the program for dead.
+            player.state.duration_s = length_s;
+            player.tell_state();
+            !player.is_left()
+        })?;
+        player.state.duration_s = outline.length_s.min(to_s.unwrap_or(f64::INFINITY));
+        player.state.notes = outline.notes;
+        player.told = None;
+        Ok(Some(player).filter(|player| !player.is_left()))
+    }
+
+    /// Sends the state to the page, four times a second; returns whether it was sent.
+    fn tell_state(&mut self) -> bool {
+        let is_due = self.told.is_none_or(|told| told.elapsed() >= TELL_EVERY);
+        if is_due {
+            self.told = Some(Instant::now());
+            self.live.show(Input::Player(PlayerState { playing: self.is_playing(), ..self.state.clone() }));
+        }
+        is_due
     }
 
     /// Shows these boards from now on, by the samplers that are returned.
@@ -116,9 +143,9 @@ impl Player {
             Speed::Max => None,
             Speed::Times(times) => Some(times),
         };
-        if self.told.is_none_or(|told| told.elapsed() >= TELL_EVERY) {
-            self.told = Some(Instant::now());
-            self.live.show(Input::Player(PlayerState { playing: self.is_playing(), ..self.state.clone() }));
+        // It may still be recorded.
+        self.state.duration_s = self.state.duration_s.max(position_s);
+        if self.tell_state() {
             self.live.show(Input::Report(Box::new(report())));
         }
     }

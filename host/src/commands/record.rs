@@ -15,7 +15,6 @@ use crate::telemetry::report_schema;
 use slitpose_head::causes::with_causes;
 use slitpose_head::pace::Speed;
 use slitpose_tracking::capture::{CaptureError, CaptureSeries, Existing, Limits};
-use slitpose_tracking::playback;
 
 /// Poses a device second in a capture: enough to look at it; all others follow from its bytes.
 const RECORDED_HZ: f64 = 25.0;
@@ -93,9 +92,11 @@ fn play(path: PathBuf, live: LiveInput) -> io::Result<Control> {
 fn play_all(path: &Path, orders: Orders, live: LiveInput) -> Result<(), CommandError> {
     let files = [path.to_owned()];
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let player = Player::new(orders, live, name.clone(), playback::Playback::outline(&files)?, None);
+    // The board that is followed goes first: this is the niceness of the thread alone.
+    let _ = rustix::process::nice(10);
+    let Some(player) = Player::new(orders, live, name, &files, None)? else { return Ok(()) };
     let (play, poses) = (PlayOptions::default(), PoseOptions::default());
-    let printing = Printing { sink: None, target: "", format: Format::None, is_terminal: false };
+    let printing = Printing { sink: None, target: "", format: Format::None, is_terminal: false, is_silent: true };
     Playback::new(&files, &play, &poses, Vec::new(), Speed::Times(1.0), printing)?.played_by(player)?.run().map(drop)
 }
 

@@ -18,7 +18,6 @@ use slitpose_head::pace::Speed;
 use slitpose_head::special_file;
 use slitpose_head::table::{Output, OutputError, refuse_twice};
 use slitpose_tracking::columns::{COLUMNS, Column};
-use slitpose_tracking::playback;
 
 /// Solves captures again, through the same pipeline as live boards.
 ///
@@ -53,14 +52,13 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Outcome, CommandError> {
     let format = args.poses.format(is_terminal);
     let output = io::BufWriter::with_capacity(1 << 16, io::stdout());
     let sink = sink::open(format, output, is_terminal && terminal::is_live());
-    let printing = Printing { sink, target: "standard output", format, is_terminal };
+    let printing = Printing { sink, target: "standard output", format, is_terminal, is_silent: false };
     let access = args.live.access()?;
     let usual = if access.is_some() { Speed::Times(1.0) } else { Speed::Max };
     let (faults, speed) = (args.faults.fault.clone(), args.speed.unwrap_or(usual));
     let playback = Playback::new(&args.files, &args.play, &args.poses, faults, speed, printing)?;
     args.faults.tell();
     let Some(access) = access else { return playback.run() };
-    let outline = playback::Playback::outline(&args.files)?;
     let orders = Orders::default();
     let server = args.live.access.start(LivePlan {
         access,
@@ -73,8 +71,10 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Outcome, CommandError> {
         recordings: None,
     })?;
     let names: Vec<_> = args.files.iter().map(|file| file.display().to_string()).collect();
-    let player = Player::new(orders, server.input, names.join(", "), outline, args.play.to);
-    playback.played_by(player)?.run()
+    match Player::new(orders, server.input, names.join(", "), &args.files, args.play.to)? {
+        Some(player) => playback.played_by(player)?.run(),
+        None => Ok(Outcome::Done),
+    }
 }
 
 /// Writes a pose for every scan of captures to a file.
@@ -125,7 +125,7 @@ pub(super) fn export(args: &ExportArgs) -> Result<Outcome, CommandError> {
     let target = output.target().to_owned();
     let is_terminal = output.is_terminal();
     let sink = sink::open(format, &mut output, is_terminal && terminal::is_live());
-    let printing = Printing { sink, target: &target, format, is_terminal };
+    let printing = Printing { sink, target: &target, format, is_terminal, is_silent: false };
     let outcome = Playback::new(&args.files, &args.play, &args.poses, Vec::new(), Speed::Max, printing)?.run()?;
     if stop.load(Ordering::Relaxed) {
         return Err(OutputError::Interrupted { target }.into());

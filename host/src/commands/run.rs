@@ -73,10 +73,10 @@ pub(super) struct Args {
     /// check them by; or both, solved here and compared. A board that shall solve poses is sent its head first
     #[arg(long, value_enum, value_name = "WHAT", default_value_t = StreamName::Raw)]
     stream: StreamName,
-    /// Frames a second instead of the scene's, such as 8kHz, with as many conversions as then fit
+    /// Frame rate instead of the scene's, such as 8kHz; conversions are halved until they fit in a frame
     #[arg(long, value_name = "RATE", value_parser = parse_rate)]
     rate: Option<f64>,
-    /// Send scans as soon as they are there, with as few in a packet as USB carries, instead of four: one up to 6 kHz
+    /// Fewer scans in a packet, for a lower latency: one up to 6 kHz, more above, as USB requires
     #[arg(long)]
     latency: bool,
     #[command(flatten)]
@@ -163,7 +163,7 @@ fn parse_rate(text: &str) -> Result<f64, String> {
     };
     let [least, most] = RATES_HZ;
     rate_hz.filter(|rate_hz| (least..=most).contains(rate_hz)).ok_or_else(|| {
-        format!("give frames a second from {least} Hz to {} kHz, which USB carries, such as 8kHz", most * 1e-3)
+        format!("give a frame rate from {least}Hz to {}kHz, such as 8kHz; USB carries no more", most * 1e-3)
     })
 }
 
@@ -176,6 +176,11 @@ pub(super) fn run(args: &mut Args) -> Result<Outcome, CommandError> {
             "{option} says how this program solves poses, and with --stream pose the board does; leave one of both out"
         )
         .into());
+    }
+    if args.latency && args.stream != StreamName::Raw {
+        return Err(
+            usage!("--latency is for scans, and USB does not carry poses beside them so; leave out --stream").into()
+        );
     }
     let boards = args.boards()?;
     args.tool.faults.tell();
@@ -332,7 +337,8 @@ fn outcome_of(ended: Ended, reconnects: &[u64], interrupted: bool, bounded: bool
 impl Args {
     fn boards(&self) -> Result<Vec<BoardPlan>, CommandError> {
         let open = |scene: &String| match self.rate {
-            Some(rate_hz) => Ok(front_end::at_rate(&open_scene(scene)?, rate_hz)?),
+            Some(rate_hz) => front_end::at_rate(&open_scene(scene)?, rate_hz)
+                .map_err(|error| usage!("--rate {rate_hz}Hz does not suit {scene}: {error}").into()),
             None => open_scene(scene),
         };
         let scenes = self.scene.iter().map(open).collect::<Result<Vec<_>, CommandError>>()?;

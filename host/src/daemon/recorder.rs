@@ -122,7 +122,9 @@ impl RecorderControl {
         let _ = self.orders.send(RecorderOrder::Begin(Box::new(series)));
     }
 
+    /// Ends the present capture, when the last bytes have come.
     pub(super) fn end_capture(&self) {
+        lock(&self.report).state = RecorderState::Off;
         let _ = self.orders.send(RecorderOrder::End);
     }
 

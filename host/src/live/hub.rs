@@ -10,7 +10,7 @@ use serde_json::json;
 use slitpose_calibration::Head;
 use slitpose_head::threads::lock;
 use tokio::sync::broadcast;
-use tokio::sync::mpsc::{Receiver, Sender, channel};
+use tokio::sync::mpsc::{Receiver, Sender, WeakSender, channel};
 
 use super::bins::COARSE_HZ;
 use super::control::PlayerState;
@@ -61,6 +61,11 @@ impl LiveInput {
         (Self(sender), receiver)
     }
 
+    /// Tells whether others still send.
+    pub(super) fn downgrade(&self) -> WeakInput {
+        WeakInput(self.0.downgrade())
+    }
+
     /// Whether nobody looks any more.
     pub(crate) fn is_closed(&self) -> bool {
         self.0.is_closed()
@@ -70,6 +75,15 @@ impl LiveInput {
     pub(crate) fn show(&self, input: Input) {
         // The server ends after all who send.
         let _ = self.0.blocking_send(input);
+    }
+}
+
+#[derive(Debug)]
+pub(super) struct WeakInput(WeakSender<Input>);
+
+impl WeakInput {
+    pub(super) fn is_open(&self) -> bool {
+        self.0.strong_count() > 0
     }
 }
 
@@ -187,7 +201,7 @@ impl Hub {
                 drop(state);
                 self.report(&report);
             }
-            Input::Failed(reason) => self.pass_on(text_of(&json!({"kind": "refused", "reason": reason}))),
+            Input::Failed(reason) => self.pass_on(text_of(&json!({"kind": "ended", "reason": reason}))),
             Input::Player(player) => {
                 state.player = text_of(&player);
                 self.pass_on(state.player.clone());

@@ -13,16 +13,16 @@ use slitpose_tracking::capture::contents;
 use tokio::sync::mpsc::Receiver;
 
 use super::control::{Control, Refusal};
-use super::hub::{Input, LiveInput};
+use super::hub::{Input, LiveInput, WeakInput};
 use super::server::Shared;
 
 const ENDING: &str = ".mcap";
 
 /// Most captures that are listed, the newest.
-const MAX_LISTED: usize = 200;
+const MAX_LISTED: usize = 100;
 
-/// Most captures that are played at a time: each takes some per cent of a processor.
-const MAX_PLAYED: usize = 8;
+/// Most captures that are played at a time: each takes some per cent of a processor at its own speed.
+const MAX_PLAYED: usize = 4;
 
 /// Most downloads that have been asked for and may begin.
 const MAX_TICKETS: usize = 64;
@@ -34,10 +34,10 @@ pub(crate) type Play = Box<dyn Fn(PathBuf, LiveInput) -> io::Result<Control> + S
 pub(crate) struct Recordings {
     folder: PathBuf,
     play: Play,
-    /// Paths that may be fetched by whoever knows the secret beside them.
+    /// Paths that may be fetched, once each, by the secret beside them.
     tickets: Mutex<VecDeque<(String, PathBuf)>>,
-    /// Captures being played, as long as a page looks.
-    played: Mutex<Vec<(PathBuf, Weak<Shared>)>>,
+    /// Captures being played, with what their pages share; the input is gone when the player has ended.
+    played: Mutex<Vec<(PathBuf, Weak<Shared>, WeakInput)>>,
 }
 
 /// A capture as it is listed.
@@ -114,7 +114,15 @@ impl Recordings {
         if fs::symlink_metadata(&to).is_ok() {
             return Err(refused(format!("{} is there already; choose another name", to.display())));
         }
-        fs::rename(&from, &to).map_err(|error| unusable(&from, &error))
+        fs::rename(&from, &to).map_err(|error| unusable(&from, &error))?;
+        // Another file may get the old name.
+        lock(&self.tickets).retain(|(_, path)| *path != from);
+        lock(&self.played).iter_mut().for_each(|(path, shared, _)| {
+            if *path == from {
+                *shared = Weak::new();
+            }
+        });
+        Ok(())
     }
 
     /// Lets the capture called `name` be fetched; returns the path of its address.
@@ -133,11 +141,13 @@ impl Recordings {
 
     /// The path that may be fetched by `secret`.
     pub(super) fn fetched_by(&self, secret: &str) -> Option<PathBuf> {
-        lock(&self.tickets).iter().find(|(own, _)| own == secret).map(|(_, path)| path.clone())
+        let mut tickets = lock(&self.tickets);
+        let at = tickets.iter().position(|(own, _)| own == secret)?;
+        tickets.remove(at).map(|(_, path)| path)
     }
 
-    /// What pages share that look at the capture called `name`. For the first of them `begin` makes it of what takes their
-    /// orders and of what the player shows.
+    /// The state that all pages of the capture called `name` share. The first page starts the player, and `begin` makes the
+    /// state of what takes its orders and of what it shows.
     pub(super) fn played(
         &self,
         name: &str,
@@ -145,17 +155,18 @@ impl Recordings {
     ) -> Result<Arc<Shared>, Refusal> {
         let path = self.path(name)?;
         let mut played = lock(&self.played);
-        played.retain(|(_, shared)| shared.strong_count() > 0);
-        if let Some(shared) = played.iter().find(|(of, _)| *of == path).and_then(|(_, shared)| shared.upgrade()) {
+        played.retain(|(_, _, input)| input.is_open());
+        if let Some(shared) = played.iter().filter(|(of, ..)| *of == path).find_map(|(_, shared, _)| shared.upgrade()) {
             return Ok(shared);
         }
         if played.len() >= MAX_PLAYED {
             return Err(refused(format!("{MAX_PLAYED} captures are being played already; close the page of one")));
         }
         let (input, inputs) = LiveInput::new();
+        let weak = input.downgrade();
         let control = (self.play)(path.clone(), input).map_err(|error| unusable(&path, &error))?;
         let shared = begin(control, inputs);
-        played.push((path, Arc::downgrade(&shared)));
+        played.push((path, Arc::downgrade(&shared), weak));
         Ok(shared)
     }
 }
@@ -165,16 +176,18 @@ fn refused(reason: String) -> Refusal {
 }
 
 fn unusable(path: &Path, error: &io::Error) -> Refusal {
-    refused(format!("{}: {error}; look whether it is still there", path.display()))
+    refused(format!("{}: {error}; list the recordings again", path.display()))
 }
 
 /// Whether captures have such names: those of files in the folder itself.
 fn is_name(name: &str) -> bool {
-    let is_plain = |letter: char| !letter.is_control() && !r#"/\:*?"<>|"#.contains(letter);
+    // Nor letters that hide, or turn the writing round.
+    let is_hidden = |letter: char| letter.is_control() || ('\u{200b}'..='\u{206f}').contains(&letter);
+    let is_plain = |letter: char| !is_hidden(letter) && !r#"/\:*?"<>|"#.contains(letter);
     name.len() > ENDING.len()
         && name.len() <= 200
         && name.ends_with(ENDING)
-        && !name.starts_with('.')
+        && !name.starts_with(['.', ' '])
         && name.chars().all(is_plain)
 }
 
@@ -211,8 +224,17 @@ mod tests {
         assert_eq!(names(), ["a.mcap", "b.mcap"]);
         let list = recordings.list().unwrap();
         assert!(list.iter().all(|of| of.length_s.is_none() && !of.is_recorded && of.bytes == 10), "{list:?}");
-        for name in ["../secret.mcap", "/etc/passwd", "notes.txt", ".hidden.mcap", "folder.mcap", "c.mcap", "", ".mcap"]
-        {
+        for name in [
+            "../secret.mcap",
+            "/etc/passwd",
+            "notes.txt",
+            ".hidden.mcap",
+            "folder.mcap",
+            "c.mcap",
+            "",
+            ".mcap",
+            "\u{202e}.mcap",
+        ] {
             assert!(recordings.ticket(name).is_err(), "{name}");
             assert!(recordings.rename(name, "d.mcap").is_err(), "{name}");
         }
@@ -229,10 +251,9 @@ mod tests {
         let address = recordings.ticket("steps 2.mcap").unwrap();
         let secret = address.strip_prefix("/recordings/").unwrap();
         assert_eq!(recordings.fetched_by(secret), Some(folder.join("steps 2.mcap")));
-        assert_eq!(recordings.fetched_by(&secret.replace(|_| true, "0")), None);
-        for _ in 0..MAX_TICKETS {
-            recordings.ticket("b.mcap").unwrap();
-        }
-        assert_eq!(recordings.fetched_by(secret), None, "the oldest ticket is void");
+        assert_eq!(recordings.fetched_by(secret), None, "it is used up");
+        let address = recordings.ticket("steps 2.mcap").unwrap();
+        recordings.rename("steps 2.mcap", "steps.mcap").unwrap();
+        assert_eq!(recordings.fetched_by(address.strip_prefix("/recordings/").unwrap()), None, "it has another name");
     }
 }

@@ -248,7 +248,10 @@ impl Session {
                 Ok(())
             }
             Request::Record { on } => self.order(Order::Record(on)),
-            Request::Note { text, ago_s } => self.note(&text, ago_s),
+            Request::Note { text, ago_s } => match self.note(&text, ago_s) {
+                Ok(()) => return self.answer(json!({"kind": "noted", "text": text})).await,
+                refused => refused,
+            },
             Request::Recordings {} => return self.tell_recordings(|_| Ok(())).await,
             Request::Rename { file, to } => return self.tell_recordings(move |of| of.rename(&file, &to)).await,
             Request::Download { file } => match self.shared.recordings().and_then(|of| of.ticket(&file)) {

@@ -45,8 +45,8 @@ export function bytes(value) {
 
 /** Minutes and seconds: 75.25 is "1:15.3". */
 export function clock(seconds) {
-  const tenths = Math.round((seconds ?? 0) * 10);
-  return `${Math.floor(tenths / 600)}:${((tenths % 600) / 10).toFixed(1).padStart(4, "0")}`;
+  const tenths = Math.abs(Math.round((seconds ?? 0) * 10));
+  return `${seconds <= -0.05 ? MINUS : ""}${Math.floor(tenths / 600)}:${((tenths % 600) / 10).toFixed(1).padStart(4, "0")}`;
 }
 
 /** The outcomes of a solution, as people say them. */

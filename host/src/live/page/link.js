@@ -93,7 +93,7 @@ export class Link {
       this.#mayBeSilent = message.source === "scene";
       reloadIfOther(message.version);
       this.#change("open");
-    } else if (message.kind === "refused" && this.state.state !== "open") {
+    } else if (message.kind === "ended" || (message.kind === "refused" && this.state.state !== "open")) {
       this.#refused(message.reason);
       return;
     }

@@ -37,6 +37,8 @@ let traces = [new Trace()];
 let numbersAt_ms = -Infinity;
 let numbersTimer = 0;
 let isScheduled = false;
+/** When the last frame of any board came. */
+let heardAt_ms = 0;
 /** Whether more than a new pose is to be drawn. */
 let isUrgent = true;
 /** What the animation frame has to draw besides the frame. */
@@ -58,7 +60,8 @@ const player = new Player(send);
 const recordings = new Recordings(send, () => link.token);
 const notes = new Notes(send, () => {
   const [shown, kept] = [timeline.shown, histories[board]];
-  return timeline.isPaused ? Math.max(kept.last.time_s - shown.history.at(shown.index).time_s, 0) : 0;
+  const sinceLast_s = (performance.now() - heardAt_ms) / 1e3;
+  return timeline.isPaused ? Math.max(kept.last.time_s - shown.history.at(shown.index).time_s + sinceLast_s, 0) : 0;
 });
 const view = new View3d(byId("view"), byId("view-words"), byId("view-notes"), schedule);
 const strips = new Strips(byId("strips"), schedule);
@@ -111,6 +114,7 @@ const takers = {
     if (message.board === board) setHead();
   },
   frame(frame) {
+    heardAt_ms = performance.now();
     keep(frame);
     histories[frame.board]?.push(frame);
     if (isScene()) placement.answered();
@@ -136,6 +140,7 @@ const takers = {
   },
   recordings: (message) => recordings.take(message),
   download: (message) => recordings.download(message),
+  noted: ({ text }) => notes.noted(text),
   missed: ({ frames }) => banner.missed(frames),
   refused({ reason }) {
     banner.notice("request", `Refused: ${reason}.`);

@@ -99,10 +99,13 @@ export class Notes {
     byId("note").addEventListener("submit", (event) => {
       event.preventDefault();
       const text = byId("note-text");
-      if (!text.value.trim() || !send({ kind: "note", text: text.value.trim(), ago_s: ago_s() })) return;
-      write(byId("noted"), `noted “${text.value.trim()}”`);
-      text.value = "";
+      if (text.value.trim() && send({ kind: "note", text: text.value.trim(), ago_s: ago_s() })) text.value = "";
     });
+  }
+
+  /** The daemon has taken a note. */
+  noted(text) {
+    write(byId("noted"), `noted “${text}”`);
   }
 
   /** @param {object | null} recorder @param {object | null} player @param {object | null} hello @param {boolean} isPaused */
@@ -116,7 +119,8 @@ export class Notes {
     show(byId("notes"), notes.length > 0);
     byId("notes").replaceChildren(...notes.map(({ at_s, text }) => {
       const go = button(clock(at_s), () => this.send({ kind: "player", seek_s: Math.max(at_s, 0) }));
-      go.disabled = !hello?.may_write;
+      // A note may be of an instant before the capture.
+      go.disabled = !hello?.may_write || at_s < 0;
       return make("li", "", go, ` ${text}`);
     }));
     byId("note-ticks").replaceChildren(...notes.map(({ at_s }) => new Option("", at_s)));

@@ -195,6 +195,7 @@ impl Index {
             // Each chunk has a hello; it is news only at the beginning and after damage.
             Some(Channel::Hello(device)) if self.greeted.insert(*device) => Entry::Hello { device: *device, log_ns },
             Some(Channel::Notes) => {
+                segment.clear();
                 return decode_note(&data).map(|(stamp_ns, text)| Some(Entry::Note { stamp_ns, text, log_ns }));
             }
             Some(Channel::Hello(_) | Channel::Other) | None => return Some(None),

@@ -90,19 +90,28 @@ pub(super) fn first_log_ns(path: &Path) -> Result<u64, CaptureError> {
     Ok(next_log_ns(&mut reader, &mut Segment::default())?.unwrap_or(0))
 }
 
-/// Length and notes of captures, those of a series in their order; reads all of them.
-pub(super) fn outline(files: &[PathBuf]) -> Result<Outline, CaptureError> {
+/// Most notes that are kept, and most characters of one.
+const MAX_NOTES: [usize; 2] = [200, 500];
+
+/// Length and notes of captures, those of a series in their order; reads all of them, as long as `goes_on` allows, which is
+/// given the length so far.
+pub(super) fn outline(files: &[PathBuf], goes_on: &mut dyn FnMut(f64) -> bool) -> Result<Outline, CaptureError> {
+    let [most, longest] = MAX_NOTES;
     let (mut start_ns, mut last_ns, mut noted) = (None, 0, Vec::new());
     for path in files {
         let (mut reader, mut segment) = (CaptureReader::open(path)?, Segment::default());
         while let Some(entry) = reader.next(&mut segment)? {
             match entry {
                 Entry::Link { log_ns, .. } => {
-                    start_ns.get_or_insert(log_ns);
                     last_ns = last_ns.max(log_ns);
+                    if !goes_on(since_s(*start_ns.get_or_insert(log_ns), last_ns)) {
+                        return Ok(Outline::default());
+                    }
                 }
-                Entry::Note { stamp_ns, text, .. } => noted.push((stamp_ns, text)),
-                Entry::Setup(_) | Entry::Hello { .. } => {}
+                Entry::Note { stamp_ns, text, .. } if noted.len() < most => {
+                    noted.push((stamp_ns, text.chars().take(longest).collect()));
+                }
+                Entry::Setup(_) | Entry::Hello { .. } | Entry::Note { .. } => {}
             }
         }
     }

@@ -108,12 +108,13 @@ impl Playback {
         Ok(Self { choice, first: files.first().cloned(), files: files.into(), turns_ns, start_ns, ..Self::default() })
     }
 
-    /// Length and notes of the captures `files`; reads all of them.
+    /// Length and notes of the captures `files`; reads all of them, as long as `goes_on` allows, which is given the length
+    /// so far.
     ///
     /// # Errors
     /// Files that cannot be read.
-    pub fn outline(files: &[PathBuf]) -> Result<Outline, PlaybackError> {
-        Ok(files::outline(files)?)
+    pub fn outline(files: &[PathBuf], goes_on: &mut dyn FnMut(f64) -> bool) -> Result<Outline, PlaybackError> {
+        Ok(files::outline(files, goes_on)?)
     }
 
     /// Bytes of the files that have been read.
