@@ -33,7 +33,7 @@ def main():
         key=lambda crate: (crate["name"], crate["version"]),
     )
     users = collections.defaultdict(list)
-    print("Parts by others, with the licence that each offers. Sources: https://crates.io/crates/NAME/VERSION")
+    print("Parts by others, with the licence that each offers. Their sources are in the public registry of Rust, by name and version.")
     print("The standard library of Rust: MIT OR Apache-2.0 (The Rust Project Developers)")
     if "musl" in target:
         print("musl: MIT (Rich Felker and others). LLVM's libunwind: Apache-2.0 WITH LLVM-exception (LLVM contributors)")
