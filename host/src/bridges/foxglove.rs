@@ -113,7 +113,7 @@ impl Shown {
             }
             Input::Report(report) => self.report(&report),
             // Captures are played for the live page only.
-            Input::Player(_) => {}
+            Input::Player(_) | Input::Failed(_) => {}
         }
     }
 
