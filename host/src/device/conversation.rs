@@ -146,7 +146,7 @@ impl Conversation {
         if stream == Stream::SCANS { Ok(()) } else { self.ask(Command::Stream(stream), REPLY_WITHIN) }
     }
 
-    /// Has scans by `schedule`, or poses, sent as soon as USB carries them: with as few in a packet.
+    /// Has scans by `schedule` sent as soon as USB carries them: with as few in a packet.
     pub(crate) fn send_soon(&mut self, schedule: &Schedule) -> Result<(), DeviceError> {
         self.ask(Command::Packet { scans: packet_scans(schedule) }, REPLY_WITHIN)
     }
@@ -341,15 +341,12 @@ const USB_BYTES_PER_S: f64 = 530e3;
 /// Bytes of a packet besides its samples, with six levels.
 const PACKET_BYTES: f64 = 36.0;
 
-/// Most scans in a packet.
-const MOST: u8 = 4;
-
-/// The least number of scans in a packet with which USB carries all.
+/// The least number of scans in a packet with which USB carries all; the board never takes more than by default.
 fn packet_scans(schedule: &Schedule) -> u8 {
     let samples = 2.0 * schedule.words_per_scan() as f64;
     let is_carried =
         |scans: &u8| schedule.frame_rate_hz() * (samples + PACKET_BYTES / f64::from(*scans)) < USB_BYTES_PER_S;
-    (1..MOST).find(is_carried).unwrap_or(MOST)
+    (1..u8::MAX).find(is_carried).unwrap_or(u8::MAX)
 }
 
 const HEAD: &str = "Head";
