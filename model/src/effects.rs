@@ -181,7 +181,8 @@ impl ProfileShape {
 }
 
 /// Light of the cell's own emitter that reaches the detector by reflection, as the currents it adds to I_X1 and
-/// I_X2. It follows the tool's translation t as a polynomial of second order.
+/// I_X2. It follows the tool's translation t as a polynomial of second order, and its rotation by an angle θ about the unit
+/// vector n in proportion to n·sin θ.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Stray {
     /// With the tool at home, amperes.
@@ -190,6 +191,8 @@ pub struct Stray {
     pub linear_a_per_m: [[f64; 3]; 2],
     /// Per square metre: coefficients of t_x², t_y², t_z², t_x·t_y, t_y·t_z, t_z·t_x.
     pub quadratic_a_per_m2: [[f64; 6]; 2],
+    /// Per unit of n_x·sin θ, n_y·sin θ, n_z·sin θ.
+    pub turning_a: [[f64; 3]; 2],
 }
 
 impl Stray {

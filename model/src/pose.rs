@@ -208,6 +208,17 @@ impl<R: Real> Transform<R> {
         self.translation
     }
 
+    /// The rotation as n·sin θ, n its axis and θ its angle, and the derivatives of `coefficients`·n·sin θ by a small rotation
+    /// in the base frame.
+    #[inline(always)]
+    pub fn turn(&self, coefficients: &[R; 3]) -> (R, R::Vec3) {
+        let ([x, y, z, w], [a, b, c]) = (self.rotation, *coefficients);
+        let (v, of) = (R::Vec3::new(x, y, z), R::Vec3::new(a, b, c));
+        // n·sin θ = 2·w·v; by a rotation δ: dv = (w·δ + δ×v)/2, dw = −δ·v/2.
+        let along = of.dot(v);
+        ((w + w) * along, of * (w * w) - v * along + v.cross(of) * w)
+    }
+
     /// From a quaternion of nearly unit length.
     #[inline(always)]
     pub fn of_parts(quaternion: [R; 4], translation: R::Vec3) -> Self {

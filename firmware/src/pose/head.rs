@@ -20,7 +20,7 @@ pub use crate::settings::HEAD_BYTES;
 const MAGIC: u32 = u32::from_le_bytes(*b"head");
 
 /// Raised when the payload changes.
-const VERSION: u16 = 3;
+const VERSION: u16 = 4;
 
 const HEADER_BYTES: usize = 12;
 const CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);

@@ -52,6 +52,9 @@ pub enum Quantity {
     StrayLevel(u8),
     /// The same, added on electrode 2 and taken from electrode 1: stray light that wanders along the detector.
     StrayBalance(u8),
+    /// Change of the stray light of an electrode by the tool's rotation, a term of [`Stray::turning_a`], those of electrode 1
+    /// first: amperes.
+    StrayTurning(u8),
     /// Gain of electrode 2 over that of electrode 1, relative.
     ElectrodeGain,
     /// Legendre coefficient of the curve of the converters of all first or second electrodes, of this order: amperes.
@@ -96,7 +99,7 @@ const PROFILE: (&str, &str) = ("emitter, profile", "profile_relative");
 const CONVERTERS: (&str, &str) = ("converters, linearity", "nonlinearity_mm");
 
 /// All kinds, in the order of calibration files.
-static KINDS: [Kind; 23] = {
+static KINDS: [Kind; 25] = {
     use Quantity as Q;
     [
         kind(Q::DetectorShift, ("detector", XYZ), "m", None, ("detector, place", "position_mm")),
@@ -119,13 +122,15 @@ static KINDS: [Kind; 23] = {
         kind(|k| Q::StrayLevel(k + 3), ("stray_level", SQUARES), "1/m^2", Some(5), STRAY),
         kind(Q::StrayBalance, ("stray_balance", XYZ), "1/m", Some(6), STRAY),
         kind(|k| Q::StrayBalance(k + 3), ("stray_balance", SQUARES), "1/m^2", Some(7), STRAY),
+        kind(Q::StrayTurning, ("stray_turning_1", XYZ), "A", Some(9), STRAY),
+        kind(|k| Q::StrayTurning(k + 3), ("stray_turning_2", XYZ), "A", Some(9), STRAY),
         kind(|_| Q::ElectrodeGain, ("electrode_gain", ONE), "1", None, ("electrodes, gain", "electrode_gain_relative")),
         kind(|k| Q::Converter(0, k + 2), ("converter_1", CURVE), "A", Some(8), CONVERTERS),
         kind(|k| Q::Converter(1, k + 2), ("converter_2", CURVE), "A", Some(8), CONVERTERS),
     ]
 };
 
-pub(crate) const FAMILIES: usize = 9;
+pub(crate) const FAMILIES: usize = 10;
 
 impl fmt::Display for Quantity {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -262,6 +267,7 @@ pub(crate) fn cell_with(nominal: &Cell, full_scale_a: f64, values: impl IntoIter
             Quantity::Stray(e) => by.stray.constant_a[index(e)] += value,
             Quantity::StrayLevel(k) => by.stray_level[index(k)] += value,
             Quantity::StrayBalance(k) => by.stray_balance[index(k)] += value,
+            Quantity::StrayTurning(k) => by.stray.turning_a.as_flattened_mut()[index(k)] += value,
             Quantity::ElectrodeGain => by.electrode_gain += value,
             Quantity::Converter(e, k) => by.converter[index(e)][index(k)] += value,
         }

@@ -27,6 +27,10 @@ const STRAY_OF_ELECTRODE: [f64; 2] = [0.399, 0.417];
 /// Surfaces that reflect are about ten workspaces' extents of path away.
 const STRAY_CHANGE: [f64; 2] = [0.15, 0.05];
 
+/// Change of the stray light of an electrode from home to the largest rotation, in the tolerance of that of both: parts of
+/// the tool that turn are nearer to its emitters than walls are.
+const STRAY_TURNING: f64 = 0.03;
+
 /// How far the electrodes' stray light changes unlike: most of a change is that of its brightness.
 const STRAY_BALANCE: f64 = 0.3;
 
@@ -42,6 +46,7 @@ pub(crate) fn parameters(file: &SceneFile) -> Result<Parameters, SceneError> {
     let tolerance = file.tolerance.unwrap_or_default();
     let plan = CompiledScene::<f64>::compile(&file.scene, Tier::Exact { tolerance: 1e-6 })?;
     let extent_m = file.workspace.half_extent_m.max_element().max(1e-3);
+    let extent_rad = file.workspace.half_extent_rad.max_element().max(0.1);
     let (full_scale_a, codes) = match &file.front_end {
         Some(front_end) => (front_end.full_scale_a, f64::from(front_end.adc_bits).exp2()),
         None => (FULL_SCALE_A, CODES),
@@ -51,7 +56,7 @@ pub(crate) fn parameters(file: &SceneFile) -> Result<Parameters, SceneError> {
         let stray_a = tolerance.stray_relative * plan.photocurrents(number, &Pose::HOME).total_a();
         let is_second = cell.is_second_axis(number);
         for quantity in Quantity::of_cell().filter(|quantity| !(is_second && quantity.is_of_emitter())) {
-            if let Some([mean, sigma]) = of_cell(&tolerance, cell, quantity, stray_a, extent_m) {
+            if let Some([mean, sigma]) = of_cell(&tolerance, cell, quantity, stray_a, [extent_m, extent_rad]) {
                 entries.push(Parameter::at_prior(Some(number), quantity, mean, sigma));
             }
         }
@@ -67,7 +72,13 @@ pub(crate) fn parameters(file: &SceneFile) -> Result<Parameters, SceneError> {
 }
 
 /// Mean and standard deviation; `None`: no parameter.
-fn of_cell(tolerance: &Tolerance, cell: &Cell, quantity: Quantity, stray_a: f64, extent_m: f64) -> Option<[f64; 2]> {
+fn of_cell(
+    tolerance: &Tolerance,
+    cell: &Cell,
+    quantity: Quantity,
+    stray_a: f64,
+    [extent_m, extent_rad]: [f64; 2],
+) -> Option<[f64; 2]> {
     let [z, v] = EDGE;
     let profile = tolerance.profile_relative;
     let around_zero = |sigma: f64| [0.0, sigma];
@@ -105,11 +116,14 @@ fn of_cell(tolerance: &Tolerance, cell: &Cell, quantity: Quantity, stray_a: f64,
         // What the scene gives may be wrong either way.
         Quantity::Stray(_) if cell.effects.stray.is_some() => around_zero(STRAY_OF_ELECTRODE[1] * stray_a),
         Quantity::Stray(_) => STRAY_OF_ELECTRODE.map(|share| share * stray_a),
-        Quantity::StrayLevel(_) | Quantity::StrayBalance(_) if stray_a == 0.0 => return None,
+        Quantity::StrayLevel(_) | Quantity::StrayBalance(_) | Quantity::StrayTurning(_) if stray_a == 0.0 => {
+            return None;
+        }
         Quantity::StrayLevel(0..3) => around_zero(STRAY_CHANGE[0] / extent_m),
         Quantity::StrayLevel(_) => around_zero(STRAY_CHANGE[1] / (extent_m * extent_m)),
         Quantity::StrayBalance(0..3) => around_zero(STRAY_BALANCE * STRAY_CHANGE[0] / extent_m),
         Quantity::StrayBalance(_) => around_zero(STRAY_BALANCE * STRAY_CHANGE[1] / (extent_m * extent_m)),
+        Quantity::StrayTurning(_) => around_zero(STRAY_TURNING * stray_a / extent_rad),
         Quantity::ElectrodeGain => around_zero(tolerance.electrode_gain_relative * std::f64::consts::SQRT_2),
         Quantity::Converter(..) => return None,
     };

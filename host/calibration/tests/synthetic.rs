@@ -345,7 +345,7 @@ fn heads_with_other_openings_are_calibrated() {
     for shipped in [SPACEMOUSE, MAGLEV] {
         let mut bench = Bench { file: shipped.read().expect("a scene"), ..Bench::new() };
         let head = bench.head(|_| false, 1.0);
-        let rows = bench.rows(&head, 80, STATED);
+        let rows = bench.rows(&head, 160, STATED);
         let found = bench.calibrated(rows).calibration;
         let of = |quantity| found.parameters().iter().filter(|entry| entry.quantity == quantity).count();
         let emitters = if shipped.name == MAGLEV.name { 3 } else { 6 };

@@ -86,14 +86,15 @@ impl<'a> View<'a> {
     }
 
     /// What all cells of a plan have, or none.
-    fn kind(&self) -> [bool; 7] {
+    fn kind(&self) -> [bool; 8] {
         let is_thick = matches!(self.cell.aperture, Aperture::Thick(..));
         let Some((Imperfect { source, electrical, .. }, beam)) = self.effects else {
-            return [false, is_thick, false, false, false, false, false];
+            return [false, is_thick, false, false, false, false, false, false];
         };
         let (window, azimuth) = (beam.slot.window.is_some(), source.azimuthal.is_some());
         let Electrical { nonlinearity, stray, converters, .. } = electrical;
-        [true, beam.is_thick, window, azimuth, nonlinearity.is_some(), stray.is_some(), converters.is_some()]
+        let turning = stray.as_ref().is_some_and(|stray| stray.turning.is_some());
+        [true, beam.is_thick, window, azimuth, nonlinearity.is_some(), stray.is_some(), turning, converters.is_some()]
     }
 }
 
@@ -172,7 +173,7 @@ gathered! {
     Slot { across, along, half_sizes, centre, half_thickness, window }
     Beam { faces, is_thick, normal, slot }
     ExtendedSource { across, azimuthal, radius }
-    CompiledStray { constant, linear, quadratic }
+    CompiledStray { constant, linear, quadratic, turning }
     CompiledConverters { per_half_scale, curves }
     Electrical { per_half_length, nonlinearity, stray, gain, converters }
 }
@@ -383,7 +384,7 @@ impl<R: Real<Element = f64>> Pack<R> {
         sums.add::<SLOPES>(receiver, source, &seen, &pose, Some(extended), electrical, &light, &way, one);
         sums.total = visibility.where_spot(sums.total, zero);
         sums.moment = visibility.where_spot(sums.moment, zero);
-        let (pair, jacobian) = electrical.currents::<SLOPES>(receiver, false, &sums, one, pose.translation());
+        let (pair, jacobian) = electrical.currents::<SLOPES>(receiver, false, &sums, one, (pose.translation(), &pose));
         found.set(&visibility, pair, SLOPES.then_some(jacobian));
     }
 

@@ -296,7 +296,8 @@ impl<S: Number> CompactImperfect<S> {
             }
         }
         let translation = instant.translation_of(index);
-        let (pair, jacobian) = self.electrical.currents::<true>(receiver, false, &sums, S::one(), translation);
+        let (pair, jacobian) =
+            self.electrical.currents::<true>(receiver, false, &sums, S::one(), (translation, instant.pose));
         if status.has_spot() {
             CellTerms { status, pair, jacobian, slack_m, wall_m }
         } else {

@@ -21,6 +21,7 @@ fn set_all(effects: &mut Effects, rng: &mut ChaCha8Rng) {
         constant_a: [30e-9, 50e-9],
         linear_a_per_m: [[3e-6, -5e-6, 2e-6], [1e-6, 4e-6, -6e-6]],
         quadratic_a_per_m2: [[1e-3, 2e-3, -1e-3, 3e-3, -2e-3, 1e-3], [2e-3, -1e-3, 1e-3, -2e-3, 1e-3, 3e-3]],
+        turning_a: [[3e-8, -2e-8, 1e-8], [-1e-8, 2e-8, 4e-8]],
     });
     effects.electrode_gain = [1.01, 0.98];
     effects.converters = Some(Converters {

@@ -4,6 +4,7 @@ use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
 use crate::effects::{Effects, MAX_CONVERTER, MAX_NONLINEARITY, Stray};
+use crate::pose::Transform;
 use crate::scalar::{Linear3, Number, Real, array, zero_half_one};
 
 use super::super::optics::Receiver;
@@ -24,6 +25,7 @@ pub struct CompiledStray<R> {
     pub constant: [R; 2],
     pub linear: [[R; 3]; 2],
     pub quadratic: [[R; 6]; 2],
+    pub turning: Option<[[R; 3]; 2]>,
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -61,6 +63,7 @@ impl<S: Number> Electrical<S> {
                 constant: stray.constant_a.map(S::of),
                 linear: stray.linear_a_per_m.map(|row| row.map(S::of)),
                 quadratic: stray.quadratic_a_per_m2.map(|row| row.map(S::of)),
+                turning: (stray.turning_a != [[0.0; 3]; 2]).then(|| stray.turning_a.map(|row| row.map(S::of))),
             }),
             gain: effects.electrode_gain.map(S::of),
             converters: effects.converters.as_ref().map(|converters| CompiledConverters {
@@ -84,7 +87,7 @@ impl<R: Real> Electrical<R> {
     }
 
     /// The currents above dark with the cell's own emitter at `own_level`, relative to nominal, and the tool's origin at
-    /// `translation`, and their derivatives by the pose. In the paper tier I_D is divided, too: `divides_dark`.
+    /// `translation`, and their derivatives by the pose; it is turned as at `pose`. In the paper tier I_D is divided, too: `divides_dark`.
     #[inline(always)]
     pub fn currents<const GRADIENT: bool>(
         &self,
@@ -92,7 +95,7 @@ impl<R: Real> Electrical<R> {
         divides_dark: bool,
         sums: &Sums<R>,
         own_level: R,
-        translation: R::Vec3,
+        (translation, pose): (R::Vec3, &Transform<R>),
     ) -> ([R; 2], [[R; 6]; 2]) {
         let ([zero, half, one], per_length) = (zero_half_one(sums.total), receiver.per_length);
         let mut imbalance = sums.moment * per_length;
@@ -129,6 +132,15 @@ impl<R: Real> Electrical<R> {
                     moving += (linear[i] + bend[i]) * t[i];
                     if GRADIENT {
                         jacobian[k][i] += own_level * (linear[i] + (one + one) * bend[i]);
+                    }
+                }
+                if let Some(turning) = &stray.turning {
+                    let (value, by_turn) = pose.turn(&turning[k]);
+                    moving += value;
+                    if GRADIENT {
+                        jacobian[k][3] += own_level * by_turn.x();
+                        jacobian[k][4] += own_level * by_turn.y();
+                        jacobian[k][5] += own_level * by_turn.z();
                     }
                 }
                 pair[k] += own_level * (stray.constant[k] + moving);

@@ -297,8 +297,13 @@ pub fn photocurrents<S: Scalar>(
     pose: &Transform<S>,
 ) -> Pair<S> {
     let (sums, _) = gather::<S, false>(plan, cell, imperfect, pose);
-    let ([i_x1_a, i_x2_a], _) =
-        imperfect.electrical.currents::<false>(&cell.receiver, plan.is_paper, &sums, S::one(), pose.translation());
+    let ([i_x1_a, i_x2_a], _) = imperfect.electrical.currents::<false>(
+        &cell.receiver,
+        plan.is_paper,
+        &sums,
+        S::one(),
+        (pose.translation(), pose),
+    );
     Pair { i_x1_a, i_x2_a }
 }
 
@@ -311,8 +316,13 @@ pub fn linearise<S: Scalar>(
     pose: &Transform<S>,
 ) -> CellTerms<S> {
     let (sums, own) = gather::<S, true>(plan, cell, imperfect, pose);
-    let (pair, jacobian) =
-        imperfect.electrical.currents::<true>(&cell.receiver, plan.is_paper, &sums, S::one(), pose.translation());
+    let (pair, jacobian) = imperfect.electrical.currents::<true>(
+        &cell.receiver,
+        plan.is_paper,
+        &sums,
+        S::one(),
+        (pose.translation(), pose),
+    );
     match own {
         Ok(Own { status, slack_m, .. }) => CellTerms { status, pair, jacobian, slack_m, wall_m: S::infinity() },
         // Without direct light, what is left says next to nothing of the pose.
@@ -330,8 +340,13 @@ pub fn respond<S: Scalar>(
 ) -> Response<S> {
     let receiver = &cell.receiver;
     let (sums, own) = gather::<S, false>(plan, cell, imperfect, pose);
-    let (pair, _) =
-        imperfect.electrical.currents::<false>(&cell.receiver, plan.is_paper, &sums, S::one(), pose.translation());
+    let (pair, _) = imperfect.electrical.currents::<false>(
+        &cell.receiver,
+        plan.is_paper,
+        &sums,
+        S::one(),
+        (pose.translation(), pose),
+    );
     let half_dark = S::half() * receiver.dark;
     let currents = Pair { i_x1_a: pair[0] + half_dark, i_x2_a: pair[1] + half_dark };
     let i_o_a = currents.total_a();
@@ -432,7 +447,12 @@ pub fn photocurrents_of_emitters<'a, S: Scalar>(
             own_level = level;
         }
     }
-    let ([i_x1_a, i_x2_a], _) =
-        imperfect.electrical.currents::<false>(&cell.receiver, plan.is_paper, &sums, own_level, pose.translation());
+    let ([i_x1_a, i_x2_a], _) = imperfect.electrical.currents::<false>(
+        &cell.receiver,
+        plan.is_paper,
+        &sums,
+        own_level,
+        (pose.translation(), pose),
+    );
     Pair { i_x1_a, i_x2_a }
 }

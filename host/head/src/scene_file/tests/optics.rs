@@ -135,7 +135,7 @@ fn every_effect_becomes_si() {
         "current_a = 1e-7\ncentre_mm = 3.0\nlinear_a_per_mm = [[1e-9, 2e-9, 3e-9], [4e-9, 5e-9, 6e-9]]\n\
          quadratic_a_per_mm2 = [[0, 0, 0, 0, 0, 2e-9], [1e-9, 0, 0, 0, 0, 0]]",
     );
-    let Stray { constant_a, linear_a_per_m, quadratic_a_per_m2 } = stray.stray.unwrap();
+    let Stray { constant_a, linear_a_per_m, quadratic_a_per_m2, .. } = stray.stray.unwrap();
     // A quarter of the detector's length towards electrode 2.
     assert!((constant_a[0] - 0.25e-7).abs() < 1e-21 && (constant_a[1] - 0.75e-7).abs() < 1e-21);
     assert_eq!(linear_a_per_m, [[1e-9, 2e-9, 3e-9], [4e-9, 5e-9, 6e-9]].map(|row| row.map(|value| value * 1e3)));
