@@ -21,6 +21,9 @@ const AVERAGED_CHANGE: f64 = 0.02;
 
 const MAX_AVERAGED: usize = 256;
 
+/// Change of the same between the halves of a rest.
+const REST_CHANGE: f64 = 2e-3;
+
 /// Reads a table into `data`.
 pub fn read(
     file: &SceneFile,
@@ -110,41 +113,47 @@ pub fn thinned(rows: Vec<Row>) -> Vec<Row> {
     if rows.len() <= MAX_ROWS {
         return rows;
     }
-    let mut groups: Vec<Row> = Vec::new();
-    let mut rows = rows.into_iter().peekable();
-    while let Some(first) = rows.next() {
-        let mut sum = first.clone();
-        let mut count = 1;
-        while count < MAX_AVERAGED && rows.peek().is_some_and(|next| is_near(&first, next)) {
-            let Some(next) = rows.next() else { break };
-            count += 1;
-            sum.frames += next.frames;
-            if let (Some([_, last]), Some([_, of_next])) = (&mut sum.time_s, next.time_s) {
-                *last = of_next;
-            }
-            for (sum, next) in sum.readings.iter_mut().zip(&next.readings) {
-                if let (Some(sum), Some(next)) = (sum, next) {
-                    for k in 0..2 {
-                        sum[k] += next[k];
-                    }
-                }
-            }
-        }
-        for reading in sum.readings.iter_mut().flatten() {
-            *reading = reading.map(|value| value / count as f64);
-        }
-        groups.push(sum);
+    let (mut groups, mut rest) = (Vec::new(), &rows[..]);
+    while let Some((first, after)) = rest.split_first() {
+        let near = after.iter().take(MAX_AVERAGED - 1).take_while(|next| is_near(first, next, AVERAGED_CHANGE)).count();
+        let (group, others) = rest.split_at(1 + near);
+        groups.extend(mean(group));
+        rest = others;
     }
     let count = groups.len();
     let most = MAX_ROWS.min(count);
     (0..most).map(|k| groups[k * count / most].clone()).collect()
 }
 
-fn is_near(first: &Row, next: &Row) -> bool {
+/// The mean of rows whose tool hardly moves, with the name of the first; `None`: there are none.
+pub fn mean(rows: &[Row]) -> Option<Row> {
+    let mut sum = rows.first()?.clone();
+    for next in &rows[1..] {
+        sum.frames += next.frames;
+        if let (Some([_, last]), Some([_, of_next])) = (&mut sum.time_s, next.time_s) {
+            *last = of_next;
+        }
+        for (sum, next) in sum.readings.iter_mut().zip(&next.readings) {
+            *sum = sum.zip(*next).map(|(sum, next)| [0, 1].map(|k| sum[k] + next[k]));
+        }
+    }
+    for reading in sum.readings.iter_mut().flatten() {
+        *reading = reading.map(|value| value / rows.len() as f64);
+    }
+    Some(sum)
+}
+
+/// Whether the light on the detectors differs by no more than a tool at rest allows: some 10 µm.
+pub fn is_at_rest(first: &Row, next: &Row) -> bool {
+    is_near(first, next, REST_CHANGE)
+}
+
+/// Whether the currents of each cell differ by less than this share of its total.
+fn is_near(first: &Row, next: &Row, share: f64) -> bool {
     first.frames == next.frames
         && first.readings.iter().zip(&next.readings).all(|pair| match pair {
             (Some(a), Some(b)) => {
-                let change = AVERAGED_CHANGE * (a[0] + a[1]);
+                let change = share * (a[0] + a[1]);
                 (a[0] - b[0]).abs() < change && (a[1] - b[1]).abs() < change
             }
             (None, None) => true,

@@ -26,6 +26,9 @@ const STAGE: [f64; 2] = [1e-6, 20e-6];
 /// Standard deviations of an instrument that states none, each axis: metres and radians.
 const INSTRUMENT: [f64; 2] = [2e-6, 20e-6];
 
+/// The tool rests for this long before the note that marks it, nanoseconds.
+const REST_NS: u64 = 250_000_000;
+
 /// Ratio of measured to stated noise, or its inverse, from which it is said.
 const OTHER_NOISE: f64 = 1.3;
 
@@ -40,9 +43,9 @@ pub struct Measurements {
     pub free: Vec<String>,
     /// Readings while one point of the tool rests in a cone.
     pub pivot: Vec<String>,
-    /// Readings at known steps along a line.
+    /// Readings at known steps along a line; of captures, those at notes such as `step 1.25 mm`.
     pub stage: Vec<String>,
-    /// Readings of several returns to one pose.
+    /// Readings of several returns to one pose; of captures with notes `stop`, those at the notes.
     pub rest: Vec<String>,
     /// Whether the instrument's frame and marker are at unknown places, and not those of the scene.
     pub has_own_frames: bool,
@@ -64,6 +67,10 @@ pub enum MeasurementsError {
     SeveralBoards { path: PathBuf },
     #[error("{} holds no scan; give a capture written by `run --record` or `simulate`", path.display())]
     NoScan { path: PathBuf },
+    #[error(
+        "{} has no note such as `step 1.25 mm`, taken while the tool rests at that step; give such a capture, or a table with step_mm", path.display()
+    )]
+    NoSteps { path: PathBuf },
     #[error(transparent)]
     Timing(#[from] TimingError),
     #[error(
@@ -92,7 +99,7 @@ impl Measurements {
         }
         let (tracked, listed) = self.known.split_at(self.known_captures.len());
         for (table, capture) in tracked.iter().zip(&self.known_captures) {
-            let rows = read_capture(file, capture, &mut data, say)?;
+            let rows = read_capture(file, capture, None, &mut data, say)?;
             read_tracked(file, start, [table, capture], rows, known, known_sigmas, &mut data)?;
         }
         for (files, constraint, sigmas) in [
@@ -122,23 +129,80 @@ fn read(
     data: &mut Data,
     say: &mut dyn FnMut(&str),
 ) -> Result<(), MeasurementsError> {
-    let has_poses = matches!(constraint, Constraint::Known | Constraint::KnownInOwnFrames | Constraint::Stage);
+    let has_poses = matches!(constraint, Constraint::Known | Constraint::KnownInOwnFrames);
     if has_poses || !is_capture(Path::new(name)) {
         return Ok(tables::read(file, name, constraint, sigmas, data)?);
     }
-    let rows = read_capture(file, name, data, say)?;
-    data.add(name, constraint, sigmas, tables::thinned(rows));
+    let marks = marks(Path::new(name), constraint)?;
+    let rows = match &marks[..] {
+        [] if constraint == Constraint::Stage => return Err(MeasurementsError::NoSteps { path: name.into() }),
+        [] => tables::thinned(read_capture(file, name, None, data, say)?),
+        _ => at_rest(name, &marks, read_capture(file, name, Some(&marks), data, say)?, say),
+    };
+    data.add(name, constraint, sigmas, rows);
     Ok(())
 }
 
-/// The frames of a capture, whose noise is then that of the data.
+/// An instant at which a note says that the tool rests.
+struct Mark {
+    text: String,
+    /// On the time line of the capture.
+    at_ns: u64,
+    knowledge: Knowledge,
+}
+
+/// The notes of a capture that mark rows of `constraint`: `step 1.25 mm` of a stage, `stop` of a tool that has returned.
+fn marks(path: &Path, constraint: Constraint) -> Result<Vec<Mark>, MeasurementsError> {
+    let knowledge = |text: &str| match constraint {
+        Constraint::Stage => {
+            let step_mm: f64 = text.strip_prefix("step ")?.strip_suffix("mm")?.trim().parse().ok()?;
+            step_mm.is_finite().then_some(Knowledge::Step(step_mm * 1e-3))
+        }
+        Constraint::Rest => (text == "stop").then_some(Knowledge::Nothing),
+        _ => None,
+    };
+    let (mut reader, mut segment, mut found) = (CaptureReader::open(path)?, Segment::default(), Vec::new());
+    while let Some(entry) = reader.next(&mut segment)? {
+        if let Entry::Note { stamp_ns, text, .. } = entry
+            && let Some(knowledge) = knowledge(text.trim())
+        {
+            found.push(Mark { text, at_ns: stamp_ns, knowledge });
+        }
+    }
+    Ok(found)
+}
+
+/// One row for each mark: the mean of the frames just before it, which are `rows`, with the place of their mark as id.
+fn at_rest(name: &str, marks: &[Mark], rows: Vec<Row>, say: &mut dyn FnMut(&str)) -> Vec<Row> {
+    let mut found = Vec::new();
+    for (place, mark) in marks.iter().enumerate() {
+        let id = place.to_string();
+        let of_mark: Vec<Row> = rows.iter().filter(|row| row.id == id).cloned().collect();
+        // Halves of the same length.
+        let half = of_mark.len() / 2;
+        let [first, second] = [&of_mark[..half], &of_mark[of_mark.len() - half..]].map(tables::mean);
+        let (Some(first), Some(second)) = (first, second) else {
+            say(&format!("{name}: no frames at the note `{}`; left out", mark.text));
+            continue;
+        };
+        if !tables::is_at_rest(&first, &second) {
+            say(&format!("{name}: the tool moved at the note `{}`; left out: note it when the tool rests", mark.text));
+            continue;
+        }
+        found.extend(tables::mean(&of_mark).map(|mean| Row { knowledge: mark.knowledge, ..mean }));
+    }
+    found
+}
+
+/// The frames of a capture, whose noise is then that of the data; with `marks`, those at rest before them alone.
 fn read_capture(
     file: &SceneFile,
     name: &str,
+    marks: Option<&[Mark]>,
     data: &mut Data,
     say: &mut dyn FnMut(&str),
 ) -> Result<Vec<Row>, MeasurementsError> {
-    let (rows, noise) = readings(Path::new(name), file)?;
+    let (rows, noise) = readings(Path::new(name), file, marks)?;
     data.noise = noise.map(|stated| match measured_noise(&rows, &file.scene, &stated) {
         None => stated,
         Some(ratio) => {
@@ -161,19 +225,26 @@ struct Exposed {
 /// Reads the capture at `path` of the head of `file`: its rows, and the noise of one frame.
 ///
 /// Cells are exposed one after the other; their currents are carried to the reference instant of the frame with the
-/// slope between the frames before and after. Frames at a gap are left out.
-fn readings(path: &Path, file: &SceneFile) -> Result<(Vec<Row>, Option<Noise>), MeasurementsError> {
+/// slope between the frames before and after. Frames at a gap are left out, and those that are not just before one of the
+/// marks, whose place is then their id.
+fn readings(
+    path: &Path,
+    file: &SceneFile,
+    marks: Option<&[Mark]>,
+) -> Result<(Vec<Row>, Option<Noise>), MeasurementsError> {
     let mut reader = CaptureReader::open(path)?;
     // Nothing is solved.
     let mut pipeline = Pipeline::new(file.clone(), Tier::Paper, SceneMatch::Required);
     let (mut segment, mut device, mut noise) = (Segment::default(), None, None);
     let (mut exposed, mut rows) = (VecDeque::<Exposed>::new(), Vec::new());
     while let Some(entry) = reader.next(&mut segment)? {
-        let of = match entry {
+        let (of, at_ns) = match entry {
             Entry::Setup(_) | Entry::Note { .. } => continue,
-            Entry::Hello { device, .. } => Some(device),
-            Entry::Link { device, .. } => device,
+            Entry::Hello { device, .. } => (Some(device), None),
+            Entry::Link { device, log_ns, .. } => (device, Some(log_ns)),
         };
+        let is_of = |mark: &Mark| at_ns.is_some_and(|at_ns| (0..=REST_NS).contains(&mark.at_ns.wrapping_sub(at_ns)));
+        let place = marks.map(|marks| marks.iter().position(is_of));
         if *device.get_or_insert(of) != of {
             return Err(MeasurementsError::SeveralBoards { path: path.to_owned() });
         }
@@ -196,7 +267,14 @@ fn readings(path: &Path, file: &SceneFile) -> Result<(Vec<Row>, Option<Noise>), 
             }
             exposed.push_back(Exposed { sequence: scan.sequence, time_s: scan.device_time_s, pairs });
             if let (Some(offsets), [before, at, after]) = (pipeline.exposures_of(&scan), &*exposed.make_contiguous()) {
-                rows.push(at_reference(before, at, after, &offsets));
+                match place {
+                    None => rows.push(at_reference(before, at, after, &offsets)),
+                    Some(Some(place)) => {
+                        let id = place.to_string();
+                        rows.push(Row { id, ..at_reference(before, at, after, &offsets) });
+                    }
+                    Some(None) => {}
+                }
                 exposed.pop_front();
             }
         }

@@ -8,13 +8,16 @@ use std::path::Path;
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use slitpose_calibration::align;
-use slitpose_head::scene_file::SceneFile;
+use slitpose_calibration::{Knowledge, align};
+use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_model::{CompiledScene, Pose, Tier};
 use slitpose_tests::poses::pose;
 use slitpose_tests::process::{name_in, text, written};
 use slitpose_tests::slitpose;
 use slitpose_tests::table::{POSE, SIGMA, Table, with_changed};
+use slitpose_tracking::capture::{CaptureReader, CaptureSeries, Entry, Existing, Limits};
+use slitpose_tracking::link::Segment;
+use slitpose_tracking::measurements::Measurements;
 use tempfile::TempDir;
 
 /// The path of a file of the heads.
@@ -424,4 +427,58 @@ fn dark_currents_and_intensities_need_no_measurement_of_their_own() {
     let held_out_um: f64 = held_out_um.expect("a figure").0.parse().expect("a number");
     // Of the same head as it is, from these hundred poses: 4.5 µm, of which the instrument is 3.5 µm.
     assert!((3.5..5.5).contains(&held_out_um), "{held_out_um} µm: {said}");
+}
+
+/// A stage stands at 0, 1 and 2 mm for a second each, and takes 0.2 s from one to the next.
+#[test]
+fn steps_and_stops_of_a_capture_are_read_at_its_notes() {
+    let folder = TempDir::new().expect("a folder");
+    let motion = "time_s,tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad\n0,0,0,0,0,0,0\n1,0,0,0,0,0,0\n1.2,1,0,0,0,0,0\n\
+                  2.2,1,0,0,0,0,0\n2.4,2,0,0,0,0,0\n3.4,2,0,0,0,0,0\n";
+    let [bare, noted] = ["bare.mcap", "noted.mcap"].map(|name| name_in(folder.path(), name));
+    let motion = written(folder.path(), "motion.csv", motion);
+    slitpose!().run(["simulate", "--trajectory", &motion, "--duration", "3.4s", "--output", &bare]).done();
+    let mut reader = CaptureReader::open(Path::new(&bare)).expect("a capture");
+    let (limits, mut segment) = (Limits::default(), Segment::default());
+    let mut series =
+        CaptureSeries::create(Path::new(&noted), limits, Existing::Kept, "{}".to_owned()).expect("a capture");
+    while let Some(entry) = reader.next(&mut segment).expect("an entry") {
+        match entry {
+            Entry::Setup(setup) => series.add_device(*setup, None, 0).expect("a board"),
+            Entry::Link { device: Some(device), log_ns } => series.segment(device, &segment, log_ns).expect("room"),
+            _ => {}
+        }
+    }
+    let notes = [
+        (900, "step 0 mm"),
+        (1100, "step 0.5 mm"),
+        (2100, "step 1 mm"),
+        (3300, "step 2e0 mm "),
+        (3300, "a fly"),
+        (9000, "step 3 mm"),
+        (1900, "stop"),
+    ];
+    for (at_ms, text) in notes {
+        series.note(at_ms * 1_000_000, text, 3_400_000_000).expect("room");
+    }
+    series.finish().expect("an end");
+    let file = WIDE.read().expect("a scene");
+    let read = |measurements: Measurements| {
+        let mut said = Vec::new();
+        let data = measurements.read(&file, None, &mut |remark| said.push(remark.to_owned()));
+        (data.map(|data| data.rows), said.join("\n"))
+    };
+    let (rows, said) = read(Measurements { stage: vec![noted.clone()], ..Measurements::default() });
+    let rows = rows.expect("steps");
+    let steps: Vec<Knowledge> = rows.iter().map(|row| row.knowledge).collect();
+    assert_eq!(steps, [0.0, 1e-3, 2e-3].map(Knowledge::Step));
+    // A quarter of a second at 4 kHz, in packets of some scans.
+    assert!(rows.iter().all(|row| (900.0..=1001.0).contains(&row.frames)), "{rows:?}");
+    assert!(said.contains("the tool moved at the note `step 0.5 mm`; left out"), "{said}");
+    assert!(said.contains("no frames at the note `step 3 mm`; left out"), "{said}");
+    let (rows, _) = read(Measurements { rest: vec![noted], ..Measurements::default() });
+    assert_eq!(rows.expect("a stop").len(), 1);
+    let (rows, _) = read(Measurements { stage: vec![bare], ..Measurements::default() });
+    let error = rows.expect_err("nothing says where it stood").to_string();
+    assert!(error.contains("bare.mcap has no note such as `step 1.25 mm`"), "{error}");
 }
