@@ -39,7 +39,8 @@ pub fn write(folder: &Path, head: &DrawnHead, session: &Session) -> Result<Vec<P
         write_poses(table, file(apart.join(&name))?)?;
     }
     if head.nominal.front_end.is_some() {
-        write_tracked(&session.tracked, file(folder.join("tracked.csv"))?)?;
+        write_path(&session.tracked, file(folder.join("tracked.csv"))?)?;
+        write_path(&session.by_hand, file(folder.join("session.csv"))?)?;
     }
     file(apart.join("truth.toml"))?.write_text(&truth_text(head, session))?;
     Ok(written)
@@ -83,10 +84,9 @@ fn write_poses(table: &Table, output: Output) -> Result<(), OutputError> {
     writer.finish()
 }
 
-/// The poses that belong to the capture of the free motion.
-fn write_tracked(tracked: &[(f64, Pose)], output: Output) -> Result<(), OutputError> {
+fn write_path(poses: &[(f64, Pose)], output: Output) -> Result<(), OutputError> {
     let mut writer = TableWriter::new(output, ["time_s"].into_iter().chain(POSE_COLUMNS))?;
-    for (time_s, pose) in tracked {
+    for (time_s, pose) in poses {
         writer.number(*time_s);
         write_pose(&mut writer, pose);
         writer.end_row()?;

@@ -36,6 +36,14 @@ const STAGE: [f64; 2] = [1e-6, 20e-6];
 
 const FREE_HZ: f64 = 200.0;
 
+/// A session without an instrument, after the free motion: how long the tool turns in its cone, rests at each step or stop,
+/// and is on its way between two of them; steps and returns.
+const TURN_S: f64 = 20.0;
+const REST_S: f64 = 2.0;
+const WAY_S: f64 = 1.0;
+const STEPS: u32 = 9;
+const RETURNS: u32 = 6;
+
 /// Poses per second of an instrument that tracks the free motion.
 const TRACKED_HZ: f64 = 240.0;
 
@@ -111,6 +119,8 @@ pub struct Session {
     pub tables: Vec<Table>,
     /// The free motion: instants in seconds, and poses.
     pub path: Vec<(f64, Pose)>,
+    /// A session without an instrument: the free motion, the tip in a cone, steps along a line, returns to a stop.
+    pub(crate) by_hand: Vec<(f64, Pose)>,
     /// The same motion by an instrument with frames, a marker and a clock of its own.
     pub(crate) tracked: Vec<(f64, Pose)>,
     /// By how many seconds that clock is ahead in the middle of the motion, and how much faster it is, as a share.
@@ -266,6 +276,26 @@ impl Session {
             (time_s + ahead_s, tracking.near(&marker, instrument))
         });
         let tracked = tracked.collect();
+        let by_hand = {
+            let begin_s = settings.free_s + WAY_S;
+            let turned = (0..=(TURN_S * FREE_HZ) as u64).map(|k| {
+                let time_s = k as f64 / FREE_HZ;
+                let turned = motion.pose(time_s);
+                let translation_m = pivot.in_base_m - turned.rotation * pivot.in_tool_m;
+                (begin_s + time_s, Pose { translation_m, ..turned })
+            });
+            let step = |k: u32| {
+                let along_m = 2.0 * reach_m * f64::from(k) / f64::from(STEPS - 1);
+                Pose { translation_m: stage_start.translation_m + along_m * stage_direction, ..stage_start }
+            };
+            let stops = (0..RETURNS).flat_map(|k| [motion.pose(f64::from(k)), rest]);
+            let rests = (0..STEPS).map(step).chain(stops).zip(0u32..);
+            let at_rest = rests.flat_map(|(pose, k)| {
+                let from_s = begin_s + TURN_S + WAY_S + f64::from(k) * (REST_S + WAY_S);
+                [(from_s, pose), (from_s + REST_S, pose)]
+            });
+            path.iter().copied().chain(turned).chain(at_rest).collect()
+        };
         let table = |name, about, columns, rows| Table { name, about, columns, rows };
         Ok(Self {
             tables: vec![
@@ -284,6 +314,7 @@ impl Session {
                 table("free", "free motion, no poses, single frames", &["time_s"], free),
             ],
             path,
+            by_hand,
             tracked,
             clock,
             settings: *settings,

@@ -36,7 +36,7 @@ pub mod tables;
 mod track;
 
 use serde::Deserialize;
-use slitpose_head::scene_file::SceneFile;
+use slitpose_head::scene_file::{SceneFile, Workspace};
 use slitpose_model::{CompiledScene, ModelError, Pose, Scene, Tier};
 
 pub use clock::{Clock, ClockError, read_tracked};
@@ -155,6 +155,12 @@ impl Calibration {
         CompiledScene::<f64>::compile(&scene, Tier::Paper)
             .map_err(|source| CalibrationFileError::Impossible(self.origin.clone(), source))?;
         Ok(scene)
+    }
+
+    /// What the calibration left open of poses over a `workspace`, apart from where base and tool frame lie: root mean square
+    /// of three axes together, metres and radians. Noise and model errors of a frame come on top.
+    pub fn open_apart_from_frames(&self, workspace: &Workspace) -> [f64; 2] {
+        self.pose_error.apart_from_frames(workspace)
     }
 
     /// Covariance of the error (δt, δθ) of a pose that the calibration left: m², m·rad, rad². It is the same at every

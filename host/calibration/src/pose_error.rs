@@ -1,6 +1,7 @@
 //! What the errors of the parameters do to poses, and what the tolerance of each kind of part costs in them, before calibration
 //! and after it: the linear prediction.
 
+use glam::DVec3;
 use nalgebra::{DMatrix, DMatrixView, DVector, SMatrix};
 use slitpose_head::scene_file::{SceneFile, Workspace};
 use slitpose_model::{ModelError, Pose, Scene, SceneError};
@@ -150,6 +151,46 @@ impl PoseError {
             }
         }
         std::array::from_fn(|i| std::array::from_fn(|j| half[i][j] + half[j][i]))
+    }
+}
+
+impl PoseError {
+    /// Errors over a `workspace` apart from where base and tool frame lie, root mean square of three axes together: metres
+    /// and radians. What both frames shifted and turned explain is left out by least squares, to first order in the rotation.
+    pub(crate) fn apart_from_frames(&self, workspace: &Workspace) -> [f64; 2] {
+        let scale_m = self.length_scale_m;
+        let poses: Vec<Pose> = workspace.poses(POSES).collect();
+        let mut errors = DMatrix::<f64>::zeros(6 * poses.len(), COEFFICIENTS);
+        for (row, pose) in poses.iter().enumerate() {
+            for (k, function) in functions(pose, scale_m).into_iter().enumerate() {
+                for axis in 0..6 {
+                    // Rotations as lengths, so that both can be fitted together.
+                    errors[(6 * row + axis, 6 * k + axis)] = if axis < 3 { function } else { function * scale_m };
+                }
+            }
+        }
+        // Base shifted by a or turned by w: a + w×t, and w; tool frame: R·a, and R·w, with R ≈ 1 + [θ]×.
+        let mut frames = DMatrix::<f64>::zeros(COEFFICIENTS, 12);
+        for i in 0..3 {
+            (frames[(i, i)], frames[(3 + i, 3 + i)]) = (1.0, 1.0);
+            (frames[(i, 6 + i)], frames[(3 + i, 9 + i)]) = (1.0, 1.0);
+            for j in 0..3 {
+                let across = DVec3::AXES[i].cross(DVec3::AXES[j]);
+                for axis in 0..3 {
+                    frames[(6 * (1 + j) + axis, 3 + i)] = scale_m * across[axis];
+                    frames[(6 * (4 + j) + axis, 6 + i)] = -across[axis];
+                    frames[(6 * (4 + j) + 3 + axis, 9 + i)] = -across[axis];
+                }
+            }
+        }
+        let fitted = (&errors * frames).qr().q();
+        let left = &errors - &fitted * (fitted.transpose() * &errors);
+        let spread = &left * DMatrix::from_row_slice(COEFFICIENTS, COEFFICIENTS, &self.coefficients);
+        let mut squares = [0.0; 2];
+        for row in 0..left.nrows() {
+            squares[row % 6 / 3] += spread.row(row).dot(&left.row(row)) / poses.len() as f64;
+        }
+        [squares[0].max(0.0).sqrt(), squares[1].max(0.0).sqrt() / scale_m]
     }
 }
 

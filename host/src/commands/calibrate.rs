@@ -2,17 +2,22 @@
 
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use clap::ValueEnum;
-use slitpose_calibration::{Calibration, CellValidity, Progress as Step, Request, Validity, calibrate, validity};
+use slitpose_calibration::{Calibration, CellValidity, Head, Progress as Step, Request, Validity, calibrate, validity};
 use slitpose_design::report::{Folder, calibration_report};
 
 use super::options::{Jobs, number, open_scene};
 use super::{CommandError, Outcome, interrupt, options, talk, tip};
+use crate::live::Calibrate;
 use crate::terminal::{Amount, Progress};
-use slitpose_head::table::Output;
+use slitpose_head::scene_file::SceneFile;
+use slitpose_head::table::{Output, Replace};
+use slitpose_model::{CompiledScene, Tier};
 use slitpose_tracking::measurements::Measurements;
+use slitpose_tracking::solving::{RowSolver, STREAM_TOLERANCE};
 
 /// Finds the parameters of a real head from measurements on it.
 ///
@@ -174,15 +179,7 @@ fn adjust(args: &Args, path: &Path) -> Result<Outcome, CommandError> {
     let stop = interrupt()?;
     let mut progress = Progress::new("calibrate", 100, Amount::Of("%"));
     let mut tell = |step: Step| {
-        let (done, text) = match step {
-            Step::Starting => (0, "first poses".to_owned()),
-            Step::Adjusting(round, of, fit) => {
-                (5 + 65 * (round as u64 - 1) / of as u64, format!("adjusting, chi2 {fit:.2} of its expectation"))
-            }
-            Step::LeavingOut(block, of) => {
-                (70 + 30 * (block as u64 - 1) / of as u64, "rows left out in turn".to_owned())
-            }
-        };
+        let (done, text) = in_words(step);
         progress.step(done, &text);
         if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
@@ -191,7 +188,10 @@ fn adjust(args: &Args, path: &Path) -> Result<Outcome, CommandError> {
     drop(progress);
     let found = found?;
     output.write_text(found.calibration.source())?;
-    report(&found.calibration, path);
+    for line in summary(&found.calibration, &file) {
+        talk(format_args!("{line}"));
+    }
+    talk(format_args!("wrote {}", path.display()));
     if let (Some(folder), Some(directory)) = (&folder, &args.report) {
         folder.write(&calibration_report(&file, &found))?;
         talk(format_args!("wrote {}", directory.join("index.html").display()));
@@ -205,10 +205,21 @@ fn adjust(args: &Args, path: &Path) -> Result<Outcome, CommandError> {
     Ok(Outcome::Done)
 }
 
+/// How far the work is, in per cent and in words.
+fn in_words(step: Step) -> (u64, String) {
+    match step {
+        Step::Starting => (0, "first poses".to_owned()),
+        Step::Adjusting(round, of, fit) => {
+            (5 + 65 * (round as u64 - 1) / of as u64, format!("adjusting, chi2 {fit:.2} of its expectation"))
+        }
+        Step::LeavingOut(block, of) => (70 + 30 * (block as u64 - 1) / of as u64, "rows left out in turn".to_owned()),
+    }
+}
+
 /// What a user wants to know at once.
-fn report(calibration: &Calibration, path: &Path) {
+fn summary(calibration: &Calibration, file: &SceneFile) -> Vec<String> {
     let statistics = &calibration.statistics;
-    talk(format_args!(
+    let mut lines = vec![format!(
         "calibration {} of {} parameters from {} rows; chi2 {:.2} of its expectation, {} readings and {} poses left out \
          as outliers",
         calibration.id,
@@ -217,26 +228,82 @@ fn report(calibration: &Calibration, path: &Path) {
         statistics.chi2 / statistics.redundancy,
         statistics.readings_rejected,
         statistics.poses_rejected,
-    ));
+    )];
     if let (Some(metres), Some(radians)) = (statistics.held_out_m, statistics.held_out_rad) {
-        talk(format_args!(
+        lines.push(format!(
             "poses left out in turn miss the instrument's by {:.1} µm and {:.3} mrad rms, errors of the instrument included",
             metres * 1e6,
             radians * 1e3
         ));
     }
-    for clock in &calibration.clocks {
-        talk(format_args!(
+    if let Some([metres, radians]) = known_to(calibration, file) {
+        lines.push(format!(
+            "poses are known to {:.1} µm and {:.3} mrad rms over the workspace, apart from where its frames lie, and from noise",
+            metres * 1e6,
+            radians * 1e3
+        ));
+    }
+    lines.extend(calibration.clocks.iter().map(|clock| {
+        format!(
             "{}: its clock is {:.6} s ahead of the capture's (sigma {:.6} s) and {:.1} ppm faster (sigma {:.1} ppm)",
             clock.file,
             clock.ahead_s,
             clock.ahead_sigma_s,
             clock.faster * 1e6,
             clock.faster_sigma * 1e6
-        ));
+        )
+    }));
+    lines.extend(calibration.weak.iter().map(|weak| format!("open: {weak}")));
+    lines
+}
+
+/// Poses over the workspace at which errors are computed.
+const POSES: usize = 64;
+
+/// Frames in a row without noise.
+const NOISELESS: f64 = 1e12;
+
+/// Error of poses over the workspace by what the calibration left open and by what its cells do beyond the model, apart from
+/// where the frames lie: root mean square of three axes together, metres and radians. `None`: no pose there is solved.
+fn known_to(calibration: &Calibration, file: &SceneFile) -> Option<[f64; 2]> {
+    let tier = Tier::Exact { tolerance: STREAM_TOLERANCE };
+    let head = Head::calibrated(file.clone(), calibration.clone()).ok()?;
+    let plan = CompiledScene::<f64>::compile(&head.file.scene, tier).ok()?;
+    let solver = RowSolver::new(head, tier, false).ok()?;
+    let still = solver.with_frames(NOISELESS).ok()?;
+    let (mut squares, mut count) = ([0.0; 2], 0.0);
+    for pose in file.workspace.poses(POSES) {
+        let currents = (0..solver.cells()).map(|cell| Some(plan.respond(cell, &pose).currents));
+        let Some(estimate) = still.solve(&still.readings(currents)).estimate else { continue };
+        let open = calibration.pose_covariance(&estimate.pose);
+        for axis in 0..6 {
+            squares[axis / 3] += estimate.covariance[axis][axis] - open[axis][axis];
+        }
+        count += 1.0;
     }
-    for weak in &calibration.weak {
-        talk(format_args!("open: {weak}"));
-    }
-    talk(format_args!("wrote {}", path.display()));
+    let open = calibration.open_apart_from_frames(&file.workspace);
+    (count > 0.0).then(|| [0, 1].map(|k| (squares[k].max(0.0) / count + open[k] * open[k]).sqrt()))
+}
+
+/// Calibrates the head of `file` from recordings, for a page. The result becomes a new file.
+pub(super) fn from_recordings(file: Arc<SceneFile>) -> Calibrate {
+    Box::new(move |measurements, path, tell| {
+        // The board that is followed goes first: this is the niceness of the thread, and of those that it begins.
+        let _ = rustix::process::nice(10);
+        // As the designer wrote it: the daemon's has the most probable parts.
+        let file = SceneFile::parse(&file.origin, &file.source)?;
+        let mut said = Vec::new();
+        let data = measurements.read(&file, None, &mut |remark| said.push(remark.to_owned()))?;
+        let output = Output::replacing(path, Replace::Nothing)?;
+        let request = Request { file: &file, data: &data, start: None, date: None };
+        let found = calibrate(&request, &mut |step| {
+            let (done, text) = in_words(step);
+            tell(done, text);
+            ControlFlow::Continue(())
+        })?;
+        output.write_text(found.calibration.source())?;
+        said.extend(summary(&found.calibration, &file));
+        said.extend(found.remarks);
+        Ok(said)
+    })
 }

@@ -9,7 +9,7 @@ use super::options::{PoseOptions, parse_duration, poses_hz};
 use super::playback::{PlayOptions, Playback, Printing};
 use super::player::{Orders, Player};
 use crate::daemon::CapturePlan;
-use crate::live::{Control, Input, LiveInput, Recordings};
+use crate::live::{Calibrate, Control, Input, LiveInput, Recordings};
 use crate::sink::Format;
 use crate::telemetry::report_schema;
 use slitpose_head::causes::with_causes;
@@ -53,8 +53,9 @@ impl RecordOptions {
     }
 
     /// The captures beside the one asked for, else in the working directory.
-    pub(super) fn recordings(&self) -> Recordings {
-        Recordings::new(self.folder(), Box::new(play))
+    /// A head can be calibrated from them by `calibrate`.
+    pub(super) fn recordings(&self, calibrate: Calibrate) -> Recordings {
+        Recordings::new(self.folder(), Box::new(play), calibrate)
     }
 
     fn folder(&self) -> PathBuf {

@@ -11,6 +11,7 @@ use sd_notify::NotifyState;
 use slitpose_calibration::{Basis, Head};
 use slitpose_protocol::Stream;
 
+use super::calibrate::from_recordings;
 use super::live::{FoxgloveOptions, LiveOptions, MouseOptions, ZenohOptions, changes};
 use super::options::{PoseOptions, open_scene, parse_duration};
 use super::record::RecordOptions;
@@ -223,7 +224,8 @@ pub(super) fn run(args: &mut Args) -> Result<Outcome, CommandError> {
             scene: None,
             control: control(),
             report: Some(Box::new(reports())),
-            recordings: Some(args.record.recordings()),
+            recordings:
+                boards.first().map(|board| args.record.recordings(from_recordings(Arc::clone(&board.head.file)))),
         })?),
         None => None,
     };

@@ -4,6 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use slitpose_bench::{DrawnHead, Within};
 use slitpose_calibration::Head;
 use slitpose_model::Tier;
 use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message, Schedule};
@@ -241,6 +242,10 @@ pub(super) struct ToolOptions {
     /// Seed of motion and noise
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
+    /// Simulate a head whose parts deviate from the scene within its [tolerance], drawn by this seed as by `bench`: a head
+    /// to calibrate
+    #[arg(long, value_name = "N")]
+    drawn: Option<u64>,
     #[command(flatten)]
     pub(super) faults: FaultOptions,
 }
@@ -248,7 +253,12 @@ pub(super) struct ToolOptions {
 impl ToolOptions {
     /// The first option that was given, if any.
     pub(super) fn given(&self) -> Option<&'static str> {
-        self.trajectory.as_ref().map(|_| "--trajectory").or(self.seed.map(|_| "--seed")).or(self.faults.given())
+        self.trajectory
+            .as_ref()
+            .map(|_| "--trajectory")
+            .or(self.seed.map(|_| "--seed"))
+            .or(self.drawn.map(|_| "--drawn"))
+            .or(self.faults.given())
     }
 
     /// The table of a motion, if it is one.
@@ -288,7 +298,13 @@ impl ToolOptions {
             }
             sizes.finding(table, &file.workspace, FAR).iter().for_each(|finding| talk(format_args!("{finding}")));
         }
-        let board = SimulatedBoard::numbered(number, file, trajectory, tier, seed)?;
+        let board = match self.drawn {
+            None => SimulatedBoard::numbered(number, file, trajectory, tier, seed)?,
+            Some(drawn) => {
+                let head = DrawnHead::draw(file, Within::Family, drawn.wrapping_add(number.into()))?;
+                SimulatedBoard::with_light(number, &head.simulated(), head.light()?.into(), trajectory, seed)?
+            }
+        };
         let faults = Faults::new(self.faults.fault.clone(), file.scene.cells.len())?;
         let board = board.with_faults(&faults, file, tier)?;
         let device = SimulatedDevice::new(board, frame_s, duration_s, speed);

@@ -49,6 +49,20 @@ pub(crate) struct PlayerState {
     pub notes: Vec<OutlineNote>,
 }
 
+/// How far a calibration from recordings is.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(tag = "kind", rename = "calibration")]
+pub(crate) struct CalibrationState {
+    /// `running`, `done` or `failed`.
+    pub state: &'static str,
+    /// Per cent.
+    pub done: u64,
+    /// The file of the result, once it is there.
+    pub file: String,
+    /// What is being done, what was found, or why it failed; a sentence each.
+    pub said: Vec<String>,
+}
+
 /// Why an order is not carried out.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub(crate) enum Refusal {
@@ -116,6 +130,14 @@ pub(super) enum Request {
     Rename {
         file: String,
         to: String,
+    },
+    /// Calibrate the head of the first board from recordings: of free motion, of the tip in a cone, of steps along a line
+    /// and of returns to a stop.
+    Calibrate {
+        free: Vec<String>,
+        pivot: Vec<String>,
+        stage: Vec<String>,
+        rest: Vec<String>,
     },
     Player(PlayerOrder),
     /// Make the present pose the zero of the 6-DoF mouse.

@@ -13,7 +13,7 @@ use tokio::sync::broadcast;
 use tokio::sync::mpsc::{Receiver, Sender, WeakSender, channel};
 
 use super::bins::COARSE_HZ;
-use super::control::PlayerState;
+use super::control::{CalibrationState, PlayerState};
 use super::frame::{FRAMES_HZ, Optics, Sample, SampleSink, head_message};
 use crate::telemetry::DaemonReport;
 use slitpose_head::finding::Finding;
@@ -47,6 +47,7 @@ pub(crate) enum Input {
     Boards(Vec<LiveBoard>),
     Report(Box<DaemonReport>),
     Player(PlayerState),
+    Calibration(CalibrationState),
     /// Why there is nothing more to show.
     Failed(String),
 }
@@ -133,6 +134,7 @@ struct State {
     history: u64,
     report: Option<Utf8Bytes>,
     player: Option<Utf8Bytes>,
+    calibration: Option<Utf8Bytes>,
 }
 
 struct Board {
@@ -206,6 +208,10 @@ impl Hub {
                 state.player = text_of(&player);
                 self.pass_on(state.player.clone());
             }
+            Input::Calibration(calibration) => {
+                state.calibration = text_of(&calibration);
+                self.pass_on(state.calibration.clone());
+            }
         }
     }
 
@@ -255,7 +261,7 @@ impl State {
             history: self.history,
             names: self.boards.iter().map(|board| board.name.clone()).collect(),
             heads: self.boards.iter().map(|board| board.head.clone()).collect(),
-            states: self.report.iter().chain(&self.player).cloned().collect(),
+            states: self.report.iter().chain(&self.player).chain(&self.calibration).cloned().collect(),
             frames: self.boards.iter().map(Board::kept).collect(),
             coarse: self.boards.iter().map(|board| board.coarse.clone()).collect(),
         }

@@ -29,5 +29,5 @@ pub(crate) use frame::Optics;
 pub(crate) use frame::SceneView;
 pub(crate) use frame::{Sample, SampleSink, Sampler};
 pub(crate) use hub::{Input, LiveBoard, LiveInput};
-pub(crate) use recordings::Recordings;
+pub(crate) use recordings::{Calibrate, Recordings};
 pub(crate) use server::{LivePlan, LiveServer};

@@ -4,15 +4,19 @@ use std::collections::VecDeque;
 use std::fs::{self, File, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, Weak};
-use std::time::{Duration, UNIX_EPOCH};
+use std::thread;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use serde::Serialize;
+use slitpose_head::causes::with_causes;
 use slitpose_head::threads::lock;
 use slitpose_tracking::capture::contents;
+use slitpose_tracking::measurements::Measurements;
 use tokio::sync::mpsc::Receiver;
 
-use super::control::{Control, Refusal};
+use super::control::{CalibrationState, Control, Refusal};
 use super::hub::{Input, LiveInput, WeakInput};
 use super::server::Shared;
 
@@ -30,10 +34,17 @@ const MAX_TICKETS: usize = 64;
 /// Plays a capture to the pages of the input until that is closed; returns what takes their orders.
 pub(crate) type Play = Box<dyn Fn(PathBuf, LiveInput) -> io::Result<Control> + Send + Sync>;
 
+/// Calibrates a head from measurements, tells how far it is in per cent and in words, and writes the result to a new file;
+/// returns what it has found.
+pub(crate) type Calibrate =
+    Box<dyn Fn(&Measurements, &Path, &mut dyn FnMut(u64, String)) -> anyhow::Result<Vec<String>> + Send + Sync>;
+
 /// The captures in one folder.
 pub(crate) struct Recordings {
     folder: PathBuf,
     play: Play,
+    calibrate: Arc<Calibrate>,
+    is_calibrating: Arc<AtomicBool>,
     /// Paths that may be fetched, once each, by the secret beside them.
     tickets: Mutex<VecDeque<(String, PathBuf)>>,
     /// Captures being played, with what their pages share; the input is gone when the player has ended.
@@ -55,9 +66,46 @@ pub(super) struct Recording {
 }
 
 impl Recordings {
-    pub(crate) fn new(folder: PathBuf, play: Play) -> Self {
+    pub(crate) fn new(folder: PathBuf, play: Play, calibrate: Calibrate) -> Self {
         let folder = if folder.as_os_str().is_empty() { PathBuf::from(".") } else { folder };
-        Self { folder, play, tickets: Mutex::default(), played: Mutex::default() }
+        let (calibrate, is_calibrating) = (Arc::new(calibrate), Arc::default());
+        Self { folder, play, calibrate, is_calibrating, tickets: Mutex::default(), played: Mutex::default() }
+    }
+
+    /// Begins to calibrate the head from captures, by what each is of, on a thread of its own that tells `shared`.
+    pub(super) fn calibrate(&self, shared: &Arc<Shared>, captures: [&[String]; 4]) -> Result<(), Refusal> {
+        let paths = |names: &[String]| {
+            let path = |name: &String| Ok(self.path(name)?.to_string_lossy().into_owned());
+            names.iter().map(path).collect::<Result<Vec<_>, Refusal>>()
+        };
+        let [free, pivot, stage, rest] = captures.map(paths);
+        let measurements =
+            Measurements { free: free?, pivot: pivot?, stage: stage?, rest: rest?, ..Measurements::default() };
+        if self.is_calibrating.swap(true, Ordering::Relaxed) {
+            return Err(refused("a calibration is under way already; wait until it has ended".to_owned()));
+        }
+        let now = humantime::format_rfc3339_seconds(SystemTime::now()).to_string().replace(':', "");
+        let path = self.folder.join(format!("calibration-{now}.toml"));
+        let file = path.display().to_string();
+        let (shared, calibrate, is_calibrating) =
+            (Arc::clone(shared), Arc::clone(&self.calibrate), Arc::clone(&self.is_calibrating));
+        let tell = move |state, done, file: &str, said| {
+            let file = file.to_owned();
+            shared.hub.accept(Input::Calibration(CalibrationState { state, done, file, said }));
+        };
+        let run = move || {
+            tell("running", 0, "", vec!["reading the recordings".to_owned()]);
+            match calibrate(&measurements, &path, &mut |done, text| tell("running", done, "", vec![text])) {
+                Ok(found) => tell("done", 100, &file, found),
+                Err(error) => tell("failed", 100, "", vec![with_causes(error.as_ref()).to_string()]),
+            }
+            is_calibrating.store(false, Ordering::Relaxed);
+        };
+        let begun = thread::Builder::new().name("calibrate".to_owned()).spawn(run);
+        begun.map(drop).map_err(|error| {
+            self.is_calibrating.store(false, Ordering::Relaxed);
+            refused(format!("no thread for the calibration: {error}; try again"))
+        })
     }
 
     /// The folder, as far as it can be told.
@@ -215,7 +263,11 @@ mod tests {
         {
             fs::write(outer.path().join(name), "no capture").unwrap();
         }
-        let recordings = Recordings::new(folder.clone(), Box::new(|_, _| Err(io::ErrorKind::Unsupported.into())));
+        let recordings = Recordings::new(
+            folder.clone(),
+            Box::new(|_, _| Err(io::ErrorKind::Unsupported.into())),
+            Box::new(|_, _, _| Ok(Vec::new())),
+        );
         let names = || {
             let mut names: Vec<_> = recordings.list().unwrap().into_iter().map(|of| of.name).collect();
             names.sort();

@@ -267,6 +267,7 @@ pub(super) const FILES: &[PageFile] = &files! {
     JAVASCRIPT "findings.js"
     JAVASCRIPT "format.js"
     JAVASCRIPT "gestures.js"
+    JAVASCRIPT "guide.js"
     JAVASCRIPT "head.js"
     JAVASCRIPT "history.js"
     SVG "icon.svg"

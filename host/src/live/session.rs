@@ -254,6 +254,10 @@ impl Session {
             },
             Request::Recordings {} => return self.tell_recordings(|_| Ok(())).await,
             Request::Rename { file, to } => return self.tell_recordings(move |of| of.rename(&file, &to)).await,
+            Request::Calibrate { free, pivot, stage, rest } => {
+                let captures = [&free[..], &pivot, &stage, &rest];
+                self.shared.recordings().and_then(|of| of.calibrate(&self.shared, captures))
+            }
             Request::Download { file } => match self.shared.recordings().and_then(|of| of.ticket(&file)) {
                 Ok(address) => return self.answer(json!({"kind": "download", "file": file, "address": address})).await,
                 Err(refusal) => Err(refusal),

@@ -11,6 +11,7 @@ import { byId, make, remember, remembered, show, takesKeys, write } from "./dom.
 import { Findings } from "./findings.js";
 import { CELL_STATES } from "./format.js";
 import { attachGestures } from "./gestures.js";
+import { Guide } from "./guide.js";
 import { History } from "./history.js";
 import { Link } from "./link.js";
 import { Numbers } from "./numbers.js";
@@ -63,6 +64,7 @@ const notes = new Notes(send, () => {
   const sinceLast_s = (performance.now() - heardAt_ms) / 1e3;
   return timeline.isPaused ? Math.max(kept.last.time_s - shown.history.at(shown.index).time_s + sinceLast_s, 0) : 0;
 });
+const guide = new Guide(send);
 const view = new View3d(byId("view"), byId("view-words"), byId("view-notes"), schedule);
 const strips = new Strips(byId("strips"), schedule);
 const plots = new Plots(plotsChanged, (time_s) => timeline.pick(time_s));
@@ -117,6 +119,7 @@ const takers = {
     heardAt_ms = performance.now();
     keep(frame);
     histories[frame.board]?.push(frame);
+    guide.frame(frame);
     if (isScene()) placement.answered();
   },
   history(message) {
@@ -141,6 +144,7 @@ const takers = {
   recordings: (message) => recordings.take(message),
   download: (message) => recordings.download(message),
   noted: ({ text }) => notes.noted(text),
+  calibration: (message) => guide.take(message),
   missed: ({ frames }) => banner.missed(frames),
   refused({ reason }) {
     banner.notice("request", `Refused: ${reason}.`);
@@ -168,6 +172,7 @@ function setHead() {
   const head = heads[board] ?? null;
   view.setHead(head);
   strips.setHead(head);
+  guide.setHead(head);
   const name = head && `${head.scene}${head.calibrated ? ", calibrated" : isScene() ? "" : ", not calibrated"}`;
   write(byId("scene-name"), name ?? "");
   if (head && isScene()) placement.setHead(head);
@@ -231,6 +236,7 @@ function drawReport(frame) {
   recorder.draw(report.report?.recorder, state?.frame, hello, link.state.state === "open");
   player.draw(playerState, hello);
   recordings.draw(report.report?.recorder, hello);
+  guide.draw(report.report?.recorder, hello);
   notes.draw(report.report?.recorder, playerState, hello, timeline.isPaused);
   banner.draw({ link: link.state, hello, board: isScene() ? null : state, frame, isPaused: timeline.isPaused });
 }
