@@ -105,7 +105,11 @@ impl Scene {
         columns.put_shaped("detector_m", vectors(|cell| cell.detector.centre_base_m), &[3])?;
         columns.put_shaped("x_axis", vectors(|cell| cell.detector.x_axis_base), &[3])?;
         columns.put_shaped("normal", vectors(|cell| cell.detector.normal_base), &[3])?;
-        columns.put_shaped("active_area_m", pairs(cells, |cell| [cell.detector.length_m, cell.detector.width_m]), &[2])?;
+        columns.put_shaped(
+            "active_area_m",
+            pairs(cells, |cell| [cell.detector.length_m, cell.detector.width_m]),
+            &[2],
+        )?;
         columns.put("slit_distance_m", cells.iter().map(|cell| cell.slit.distance_m).collect())?;
         columns.put_shaped("slit_m", pairs(cells, |cell| [cell.slit.width_m, cell.slit.length_m]), &[2])?;
         columns.put_shaped("slit_offset_m", pairs(cells, |cell| cell.slit.offset_m.to_array()), &[2])?;

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import math
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Sequence
 from .. import Scene, SlitposeError
 from . import checks, drawings, files, page, pictures
 from .head import HeadParts, Placed, head
+from .jig import JigParts, jig
 from .layout import Layout
 from .sizes import ExportError, Sizes
 
@@ -28,7 +30,7 @@ def arguments(words: Sequence[str]) -> argparse.Namespace:
         "nothing has been built.",
         epilog="Example: python3 -m slitpose.export wide --output head",
     )
-    parser.add_argument("scene", metavar="SCENE", help="scene file, or the name of a shipped scene")
+    parser.add_argument("scene", metavar="SCENE", help="scene file, the name of a shipped scene, or - for a scene on standard input")
     parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="folder for the files; made if absent")
     parser.add_argument("--jig", action="store_true", help="also a nest, a stage and a cone for calibration without an instrument")
     parser.add_argument("--sizes", type=Path, metavar="FILE", help="TOML with other sizes of parts, such as: detector.length = 16.2")
@@ -48,7 +50,8 @@ def run(words: Sequence[str]) -> int:
     given = arguments(words)
     try:
         sizes = Sizes.open(given.sizes)
-        layout = Layout.of(Scene.open(given.scene), sizes)
+        scene = Scene.from_toml(sys.stdin.read(), "standard input") if given.scene == "-" else Scene.open(given.scene)
+        layout = Layout.of(scene, sizes)
         given.output.mkdir(parents=True, exist_ok=True)
         failures = export(layout, sizes, given.output, given.poses, given.jig)
     except (ExportError, SlitposeError, OSError) as error:
@@ -69,29 +72,35 @@ def export(layout: Layout, sizes: Sizes, folder: Path, poses: int, with_jig: boo
     if layout.emitter_part != sizes.emitter.part:
         print(f"slitpose.export: the scene has the emitter {layout.emitter_part}; the carrier is made for {sizes.emitter.part}", file=sys.stderr)
     placed = head(parts, layout.poses(OPENING_POSES))
-    distinct = files.distinct(placed)
-    files.write_solids(placed, folder)
+    jigs = JigParts(parts) if with_jig else None
+    fixture = jig(jigs) if jigs else []
+    distinct = files.distinct([*placed, *fixture])
+    files.write_solids(placed, folder, "assembly")
+    if jigs:
+        files.write_solids([*placed, *fixture], folder, "jig_assembly")
     for name, part in distinct.items():
         if name.startswith("mask ") and part.instance is not None and "frame" not in name and part.made:
             files.write_mask(layout.cells[part.instance], name, parts, folder / f"{files.stem(name)}.dxf")
-    items = files.bill(placed, parts)
+    items = [*files.bill(placed, parts), *(files.jig_bill(jigs, fixture) if jigs else [])]
     files.write_bill(items, folder / "bill.csv")
     sheets = draw(parts, distinct, folder)
-    picture(parts, placed, folder)
-    findings = check(parts, placed, poses)
-    page.write(folder / "index.html", parts, items, findings, sheets, with_jig)
+    picture(parts, placed, fixture, folder)
+    findings = check(parts, placed, fixture, poses)
+    blocks = {part.instance: part.name for part in placed if part.name.startswith("cell block") and part.instance is not None}
+    page.write(folder / "index.html", parts, items, findings, sheets, blocks, with_jig)
     for name, result in findings.rows():
         print(f"{name}: {result}")
     return findings.failures
 
 
-def check(parts: HeadParts, placed: list[Placed], poses: int) -> page.Findings:
+def check(parts: HeadParts, placed: list[Placed], fixture: list[Placed], poses: int) -> page.Findings:
     """All checks of a head."""
     layout = parts.layout
-    solid = {name: part.solid for name, part in files.distinct(placed).items() if part.made and not _is_foil(name)}
+    everything = [*placed, *fixture]
+    solid = {name: part.solid for name, part in files.distinct(everything).items() if part.made and not _is_foil(name)}
     return page.Findings(
-        faults=checks.faults(placed),
-        overlaps=checks.overlaps(placed),
+        faults=checks.faults(everything),
+        overlaps=checks.overlaps(everything),
         walls={name: checks.thinnest(part) for name, part in solid.items()},
         clearance=checks.clearance(placed, layout.poses(poses)),
         light=checks.light(layout, placed, layout.poses(LIGHT_POSES)),
@@ -128,7 +137,7 @@ def draw(parts: HeadParts, distinct: dict[str, Placed], folder: Path) -> list[st
     return written
 
 
-def picture(parts: HeadParts, placed: list[Placed], folder: Path) -> None:
+def picture(parts: HeadParts, placed: list[Placed], fixture: list[Placed], folder: Path) -> None:
     """The pictures of the page."""
     outward = -parts.layout.cells[0].base_from_block[:, 2]
     azimuth = math.atan2(outward[1], outward[0])
@@ -139,3 +148,12 @@ def picture(parts: HeadParts, placed: list[Placed], folder: Path) -> None:
     ends = ("handle", "tip", "base plate")
     near = [part for part in placed if part.name not in ends]
     pictures.render(pictures.section(near, azimuth, 2.0), pictures.View(-90, 4), folder / "cell.png")
+    if fixture:
+        pictures.render(pictures.exploded([*placed, *fixture], 0.0), pictures.View(-125, 30), folder / "jig.png")
+        pictures.render(pictures.exploded(_together(placed, fixture), 0.45 * reach), pictures.View(-125, 28), folder / "jig_exploded.png", 1600, 1300)
+
+
+def _together(placed: list[Placed], fixture: list[Placed]) -> list[Placed]:
+    """The head in one piece, its tool lifted out, among the parts of its jig."""
+    whole = [dataclasses.replace(part, away=(0.0, 0.0, 1.2 if part.on_tool else 0.0)) for part in placed]
+    return [*whole, *fixture]

@@ -72,7 +72,7 @@ class Sheet:
 class Projection:
     """One view of a solid on a sheet. Places are given in the view's plane, mm of the part, y up."""
 
-    def __init__(self, sheet: Sheet, solid: Part, eye: Sequence[float], up: Sequence[float], at: tuple[float, float], scale: float, name: str = "", hidden: bool = True) -> None:
+    def __init__(self, sheet: Sheet, solid: Part, eye: Sequence[float], up: Sequence[float], at: tuple[float, float], scale: float, name: str = "", hidden: bool = True, below: float = 22.0) -> None:
         self.sheet, self.at, self.scale = sheet, at, scale
         direction = np.array(eye, dtype=float)
         visible, behind = solid.project_to_viewport(tuple(direction * FAR), tuple(up), (0, 0, 0))
@@ -81,7 +81,7 @@ class Projection:
                 sheet.line([self.place(x, y) for x, y in _polyline(edge)], style)
         if name:
             x, y = self.place(0, min(y for edge in visible for _, y in _polyline(edge)))
-            sheet.text(x, y + 16, f"{name}  {_ratio(scale)}", size=4)
+            sheet.text(x, y + below, f"{name}  {_ratio(scale)}", size=4)
 
     def place(self, x: float, y: float) -> tuple[float, float]:
         """Where a place of the view is on the sheet."""
@@ -156,7 +156,7 @@ class Projection:
 def _polyline(edge: Edge) -> list[tuple[float, float]]:
     """Points of a projected edge. By its parameter: edges seen from their end have no length to divide."""
     curve = edge.geom_adaptor()
-    count = 2 if edge.geom_type == GeomType.LINE else 33
+    count = 2 if edge.geom_type == GeomType.LINE else 97
     places = [curve.Value(at) for at in np.linspace(curve.FirstParameter(), curve.LastParameter(), count)]
     return [(place.X(), place.Y()) for place in places]
 
@@ -188,25 +188,25 @@ def block_sheet(parts: HeadParts, cell: Cell, name: str, solid: Part, material: 
         ),
     )
     half_x, half_y = size.flange_half_width, size.flange_half_height
-    tool = Projection(sheet, solid, *TOP, at=(110, 105), scale=3, name="from the tool", hidden=False)
+    tool = Projection(sheet, solid, *TOP, at=(80, 105), scale=3, name="from the tool", hidden=False)
     tool.across(-half_x, half_x, -half_y, -half_y - 3)
     tool.along(-half_y, half_y, -half_x, -half_x - 9)
     tool.along(-size.ring_screw, size.ring_screw, -half_x, -half_x - 5)
     tool.across(-size.corner, size.corner, half_y, half_y + 3)
     pin = np.array([math.cos(cell.roll), math.sin(cell.roll)]) * mask.pin_distance
-    tool.leader(pin[0], pin[1], 40, 12, f"2x {mask.pin_diameter:g} H7 through, {_number(2 * mask.pin_distance)} +-0.01 apart")
-    tool.leader(size.barrel_radius * 0.9, -size.barrel_radius * 0.43, 32, -14, f"B: barrel {_number(2 * size.barrel_radius)} g6")
-    tool.leader(-size.corner, size.ring_screw, -34, 22, "dowel 2 H7")
-    tool.leader(size.corner, size.ring_screw, 34, 22, "3x M2")
-    behind = Projection(sheet, solid, (0, 0, -1), (0, 1, 0), at=(215, 105), scale=3, name="from behind", hidden=False)
-    for side in (1, -1):
-        behind.centre(0, side * size.ring_screw, COUNTERSUNK["M2.5"][0] / 2)
-    behind.leader(0, -size.ring_screw - CLEARANCE["M2.5"] / 2, 30, -24, f"2x {CLEARANCE['M2.5']}, sunk {COUNTERSUNK['M2.5'][0]:g} for M2.5")
+    tool.leader(-pin[0], -pin[1], 16, -80, f"2x {mask.pin_diameter:g} H7 through, {_number(2 * mask.pin_distance)} +-0.01 apart")
+    tool.leader(-size.barrel_radius * 0.43, -size.barrel_radius * 0.9, -12, -78, f"B: barrel {_number(2 * size.barrel_radius)} g6")
+    tool.leader(-size.corner, size.ring_screw, -14, 26, "dowel 2 H7")
+    tool.leader(size.corner, size.ring_screw, 14, 26, "3x M2")
+    behind = Projection(sheet, solid, (0, 0, -1), (0, 1, 0), at=(185, 105), scale=3, name="from behind", hidden=False)
+    for end in (1, -1):
+        behind.centre(0, end * size.ring_screw, COUNTERSUNK["M2.5"][0] / 2)
+    behind.leader(0, -size.ring_screw - CLEARANCE["M2.5"] / 2, 14, -46, f"2x {CLEARANCE['M2.5']}, sunk {COUNTERSUNK['M2.5'][0]:g} for M2.5")
     pocket = f"pocket {_number(detector.length + 2 * detector.clearance)} x {_number(detector.width + 2 * detector.clearance)}, deep {_number(detector.surface_depth - rear)}"
     along = np.array([-math.cos(cell.roll), math.sin(cell.roll)]) * (detector.length / 2)
-    behind.leader(float(along[0]), float(along[1]), -20 if along[0] < 0 else 20, 38, pocket)
+    behind.leader(float(along[0]), float(along[1]), -8 if along[0] < 0 else 8, 52, pocket)
     cut = solid & (Pos(-HALF, 0, 0) * Box(2 * HALF, 2 * HALF, 2 * HALF))
-    side = Projection(sheet, cut, *RIGHT, at=(320, 140), scale=4, name="section through the middle", hidden=False)
+    side = Projection(sheet, cut, *RIGHT, at=(325, 125), scale=4, name="section through the middle", hidden=False)
     side.along(rear, parts.flange_top, half_y, half_y + 4)
     side.along(rear, cell.seat, -half_y, -half_y - 4)
     side.along(detector.surface_depth, cell.seat, -half_y, -half_y - 8, f"{_number(cell.seat - detector.surface_depth)} +-0.02")
@@ -243,7 +243,7 @@ def mask_sheet(parts: HeadParts, cell: Cell, name: str, solid: Part, material: s
             "Datum A-B: the line through the middles of the pin holes. For laser or etching from the DXF of the same name.",
         ),
     )
-    view = Projection(sheet, turned, *TOP, at=(160, 130), scale=10, name="from the tool", hidden=False)
+    view = Projection(sheet, turned, *TOP, at=(160, 130), scale=10, name="from the tool", hidden=False, below=36)
     radius, (w, length), (x, y) = size.radius, cell.slit, cell.offset
     view.across(x - w / 2, x + w / 2, y + length / 2, radius + 1.2, f"{_number(w)} +-{size.slit_width_tolerance:g}")
     view.along(y - length / 2, y + length / 2, x + w / 2, radius + 2, f"{_number(length)} +-0.05")
@@ -269,7 +269,7 @@ def ring_sheet(parts: HeadParts, solid: Part, material: str) -> Sheet:
         ),
     )
     scale = 2.0
-    top = Projection(sheet, solid, *TOP, at=(120, 115), scale=scale, name="from above", hidden=False)
+    top = Projection(sheet, solid, *TOP, at=(120, 115), scale=scale, name="from above", hidden=False, below=26)
     radius = parts.inner_radius
     top.across(-radius, radius, 0, -parts.corner_radius - 5, f"B: {_number(2 * radius)} H8")
     first = cells[0]
@@ -278,16 +278,39 @@ def ring_sheet(parts: HeadParts, solid: Part, material: str) -> Sheet:
     top.leader(float(outward[0] * flat), float(outward[1] * flat), 22, 12, f"{len(cells)} flats at {_number(flat)} from B (cell 0)")
     x, y = parts.corner_holes()[0]
     top.centre(x, y, THREAD["M3"] / 2)
-    top.leader(x, y, 30, 30, f"3x M3 x {size.corner_depth:g}, above and below, radius {_number(math.hypot(x, y))}")
-    view = Projection(sheet, solid, tuple(outward), (0, 0, 1), at=(310, 115), scale=scale, name="flat of cell 0", hidden=False)
+    top.leader(x, y, 70, 10, f"3x M3 x {size.corner_depth:g}, above and below, radius {_number(math.hypot(x, y))}")
+    view = Projection(sheet, solid, tuple(outward), (0, 0, 1), at=(310, 115), scale=scale, name="flat of cell 0", hidden=False, below=26)
     middle = float(first.detector[2])
-    view.along(low, high, -parts.flat * 0.58, -parts.flat * 0.58 - 12, _number(high - low))
-    view.along(low, middle, 0, -parts.flat * 0.58 - 6)
-    view.leader(block.barrel_radius * 0.7, middle + block.barrel_radius * 0.7, 34, 22, f"{_number(2 * (block.barrel_radius + block.bore_clearance))} H7")
-    view.leader(0, middle - block.ring_screw, 34, -20, f"2x M2.5 through, {_number(2 * block.ring_screw)} apart")
-    view.leader(-block.corner, middle + block.ring_screw, -40, 20, f"dowel 2 H7 x 2.5, {_number(block.corner)} from the middle")
-    view.datum(8, low, 0, -14, "A")
+    side = -parts.flat / math.cos(math.pi / 6)
+    view.along(low, high, side, side - 9)
+    view.along(low, middle, 0, side - 4)
+    view.leader(block.barrel_radius * 0.7, middle + block.barrel_radius * 0.7, 40, 8, f"{_number(2 * (block.barrel_radius + block.bore_clearance))} H7")
+    view.leader(0, middle - block.ring_screw, 30, -24, f"2x M2.5 through, {_number(2 * block.ring_screw)} apart")
+    view.leader(block.corner, middle + block.ring_screw, 24, 26, f"dowel 2 H7 x 2.5, {_number(block.corner)} from the middle")
+    view.datum(-12, low, 0, -14, "A")
     return sheet
+
+
+def jig_notes(parts: HeadParts) -> dict[str, tuple[str, ...]]:
+    """Notes for the drawings of the jig's parts."""
+    jig, tool = parts.sizes.jig, parts.sizes.tool
+    screws = f"3x {CLEARANCE['M3']:g} sunk {COUNTERSUNK['M3'][0]:g} from above for M3, at radius {_number(math.hypot(*parts.corner_holes()[0]))}"
+    pins = f"fence: 2 dowels {_number(2 * jig.pin_radius)} at (+-{_number(jig.fence_spread)}, -{_number(jig.nest_flat + jig.pin_radius)})"
+    stop = f"stop: 1 at (-{_number(jig.nest_flat + jig.block + jig.pin_radius)}, 0)"
+    return {
+        "jig deck": (f"{screws}. Top flat within 0.05. Dowels m6 in holes H7: {pins} +-0.02; {stop} +-0.02.",),
+        "jig nest": (
+            f"Three vees of 90 deg at 90, 210 and 330 deg, apex {_number(jig.vee_depth)} +-0.05 below the top, smooth. Flats at {_number(jig.nest_flat)} +-0.05, straight within 0.02,",
+            "square to each other within 0.02. The underside slides on the deck.",
+        ),
+        "jig ball plate": (
+            f"Three holes {_number(2 * jig.ball_radius)} H7 at radius {_number(jig.ball_circle)}, for balls {_number(2 * jig.ball_radius)} G10, bonded. Two M3 towards the handle.",
+        ),
+        "jig foot": (
+            f"Cone of {_number(2 * jig.cone_half_angle_deg)} deg, smooth, for the tip's ball of {_number(2 * tool.tip_ball_radius)}. 3x {CLEARANCE['M4']:g} at radius {_number(math.hypot(*parts.plate_holes()[0]))}.",
+            "Any place will do: calibration finds where the tip rests.",
+        ),
+    }
 
 
 def other_sheet(parts: HeadParts, name: str, solid: Part, material: str) -> Sheet:
@@ -320,9 +343,10 @@ def other_sheet(parts: HeadParts, name: str, solid: Part, material: str) -> Shee
             f"Flange {_number(2 * sizes.tool.flange_radius)} with {screw}: through {CLEARANCE['M2']:g}.",
             f"Ball {_number(2 * sizes.tool.tip_ball_radius)} +-0.01, its centre at z = {sizes.tool.tip_z:g} of the tool's frame (--tip 0,0,{sizes.tool.tip_z:g}).",
         ),
+        **jig_notes(parts),
     }
     box = solid.bounding_box()
-    eyes = (("from the tool", TOP), ("from the side", FRONT))
+    eyes = (("from above", TOP), ("from the side", FRONT))
     reach = max(box.size.X, box.size.Y, box.size.Z)
     scale = next((ratio for ratio in (8.0, 5.0, 4.0, 3.0, 2.0, 1.5, 1.0) if ratio * reach < 160.0), 1.0)
     sheet = Sheet(name, material, notes.get(name, ()))

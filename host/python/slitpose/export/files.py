@@ -14,8 +14,9 @@ from build123d import Color, Compound, export_step, export_stl
 from ezdxf.enums import TextEntityAlignment
 
 from .head import HeadParts, Placed
-from .pictures import colour
+from .jig import JigParts
 from .layout import Cell
+from .pictures import colour
 
 STL_CHORD = 0.01
 STL_ANGLE = 0.1
@@ -36,7 +37,7 @@ def distinct(placed: list[Placed]) -> dict[str, Placed]:
     return found
 
 
-def write_solids(placed: list[Placed], folder: Path) -> None:
+def write_solids(placed: list[Placed], folder: Path, assembly: str) -> None:
     """STEP and STL of each part that is made, in its own frame, and one STEP with all parts in place."""
     for name, part in distinct(placed).items():
         if part.made:
@@ -49,13 +50,13 @@ def write_solids(placed: list[Placed], folder: Path) -> None:
         child.label = part.label
         child.color = Color(*(channel / 255 for channel in colour(part.name)))
         children.append(child)
-    export_step(Compound(label="head", children=children), folder / "assembly.step")
+    export_step(Compound(label=assembly, children=children), folder / f"{assembly}.step")
 
 
 def write_mask(cell: Cell, name: str, parts: HeadParts, path: Path) -> None:
     """The outline of a mask in the cell's frame, x along the detector, seen from the tool, with tolerances beside it."""
     size = parts.sizes.mask
-    drawing = ezdxf.new("R2010", setup=True)  # type: ignore[attr-defined]
+    drawing = ezdxf.new("R2010")
     drawing.units = ezdxf.units.MM
     drawing.layers.add("CUT", color=1)
     drawing.layers.add("NOTE", color=8)
@@ -158,6 +159,23 @@ def bill(placed: list[Placed], parts: HeadParts) -> list[Item]:
     ]
     items += [Item(name, number, "bought", text, "") for name, number, text in screws]
     return items
+
+
+def jig_bill(jigs: JigParts, fixture: list[Placed]) -> list[Item]:
+    """All parts of a jig."""
+    counts = Counter(part.name for part in fixture)
+    bought = {
+        "jig dowel 4x12": "ISO 2338, fence and stop",
+        "ball": f"bearing ball {2 * jigs.size.ball_radius:g}, G10",
+        "gauge block": f"a set: {jigs.size.block:g} at home, {jigs.size.block - jigs.size.steps:g} to {jigs.size.block + jigs.size.steps:g} for steps",
+        "jig standoff": f"M4, {jigs.standoff:g} long, with three screws M4 from below",
+    }
+    items = []
+    for name, part in distinct(fixture).items():
+        text = material(name) if part.made else bought[name]
+        items.append(Item(name, counts[name], "made" if part.made else "bought", text, f"{stem(name)}.step" if part.made else ""))
+    screw = f"screw M3x{_length(jigs.size.deck_thickness + 5.0)}"
+    return [*items, Item(screw, 3, "bought", "ISO 10642, deck to ring", ""), Item("set screw M3x25", 2, "bought", "ISO 4026, ball plate to handle", "")]
 
 
 def write_bill(items: list[Item], path: Path) -> None:

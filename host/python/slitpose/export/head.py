@@ -126,12 +126,12 @@ class HeadParts:
         body = slab(2 * size.flange_half_width, 2 * size.flange_half_height, rear, self.flange_top)
         body += rod(size.barrel_radius, self.flange_top - OVER / 2, cell.seat)
         through = rear - OVER
-        pocket = (extent + 2 * detector.clearance for extent in (detector.length, detector.width))
+        pocket_x, pocket_y = (extent + 2 * detector.clearance for extent in (detector.length, detector.width))
         head, height = COUNTERSUNK["M2.5"]
         hole = rod(CLEARANCE["M2.5"] / 2, through, self.flange_top + OVER)
         countersink = Pos(0, 0, rear + height / 2) * Cone(head / 2, CLEARANCE["M2.5"] / 2, height)
         turned = [
-            slab(*pocket, through, detector.surface_depth),
+            slab(pocket_x, pocket_y, through, detector.surface_depth),
             _at(cell.offset[0], cell.offset[1], slab(2 * slot_x, 2 * slot_y, plate - OVER, cell.seat + OVER)),
             *(_at(side * mask.pin_distance, 0, self._pin_hole(plate - OVER, cell.seat + OVER)) for side in (1, -1)),
         ]
@@ -411,11 +411,11 @@ def head(parts: HeadParts, poses: tuple[Float, Float]) -> list[Placed]:
     openings = [parts.frame_opening(cell, layout.rays(cell.number, poses)) for cell in layout.cells]
     opening = tuple(np.array(openings).max(axis=0))
 
-    def variant(name: str, cell: Cell, make: Callable[[], Part]) -> tuple[str, Part]:
+    def variant(name: str, cell: Cell, make: Callable[[Cell], Part]) -> tuple[str, Part]:
         key = (name, cell.variant)
         if key not in made:
             letter = chr(ord("A") + sum(known == name for known, _ in made))
-            made[key] = (f"{name} {letter}", make())
+            made[key] = (f"{name} {letter}", make(cell))
         return made[key]
 
     placed = [Placed("base ring", parts.ring(), Location()), Placed("base plate", parts.base_plate(), Location(), away=(0, 0, -1))]
@@ -433,9 +433,9 @@ def head(parts: HeadParts, poses: tuple[Float, Float]) -> list[Placed]:
         def put(name: str, solid: Part, at: Location, steps: float, made_here: bool = True) -> None:
             placed.append(Placed(name, solid, at, number, made=made_here, away=away(steps)))
 
-        put(*variant("cell block", cell, lambda cell=cell: parts.block(cell)), base_from_block, 2.0)
-        put(*variant("mask", cell, lambda cell=cell: parts.mask(cell)), base_from_block, 1.1)
-        put(*variant("mask frame", cell, lambda cell=cell: parts.frame(cell, opening)), base_from_block, 0.8)
+        put(*variant("cell block", cell, parts.block), base_from_block, 2.0)
+        put(*variant("mask", cell, parts.mask), base_from_block, 1.1)
+        put(*variant("mask frame", cell, lambda of: parts.frame(of, opening)), base_from_block, 0.8)
         top = cell.seat + cell.thickness + sizes.mask.frame_thickness
         for side in (1, -1):
             at = base_from_cell * Pos(side * sizes.mask.pin_distance, 0, top)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from html import escape
 from pathlib import Path
 from typing import Sequence
@@ -77,13 +78,24 @@ def steps(parts: HeadParts) -> list[str]:
         "Fasten the ring to the base plate with three countersunk M3 from below, and the base plate to the bench with three M4.",
         "Lay each emitter's board into its pocket, wires through the hole, and fasten it with two M1.6. Lead the wires up through the bore.",
         "Fasten handle and tip to the carrier with three M2 each. Leave the cable a loose loop: it must not pull at the tool.",
-        "Wire as in firmware/README.md: cell and emitter numbers are the numbers of the scene; electrode 1 is at the end towards which "
-        "the cell's x axis points away. Then check with: slitpose doctor --bring-up",
+        "Wire as in firmware/README.md: cell and emitter numbers are those of the scene, and the table of cells says where electrode 2 "
+        "is. Then check with: slitpose doctor --bring-up",
         "Calibrate: the parts are known to about 0.1 mm only, as made. slitpose calibrate finds the rest.",
     ]
 
 
-def write(path: Path, parts: HeadParts, items: Sequence[Item], findings: Findings, drawings: Sequence[str], has_jig: bool) -> None:
+def cell_rows(parts: HeadParts, blocks: dict[int, str]) -> list[tuple[str, ...]]:
+    """Of each cell: its number, its direction, its block, and where its second electrode is, seen from outside."""
+    rows: list[tuple[str, ...]] = []
+    for cell in parts.layout.cells:
+        outward = -cell.base_from_block[:, 2]
+        azimuth = math.degrees(math.atan2(outward[1], outward[0])) % 360
+        clockwise = math.degrees(math.atan2(-math.cos(cell.roll), math.sin(cell.roll))) % 360
+        rows.append((str(cell.number), f"{azimuth:.1f}°", blocks[cell.number], f"{clockwise:.1f}°"))
+    return rows
+
+
+def write(path: Path, parts: HeadParts, items: Sequence[Item], findings: Findings, drawings: Sequence[str], blocks: dict[int, str], has_jig: bool) -> None:
     """Writes the page. Pictures and drawings lie beside it."""
 
     def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -104,7 +116,7 @@ def write(path: Path, parts: HeadParts, items: Sequence[Item], findings: Finding
     sheets = "".join(f'<li><a href="{name}">{name}</a></li>' for name in drawings)
     jig = ""
     if has_jig:
-        jig = "<h2>Jig</h2>" + picture("jig", "Nest, stage and cone on the head") + "<p>Use: chapter build.md of the guide.</p>"
+        jig = "<h2>Jig</h2>" + picture("jig", "Nest, stage and cone on the head") + picture("jig_exploded", "Its parts") + "<p>Use: chapter build.md of the guide.</p>"
     html = f"""<!doctype html><html lang="en"><meta charset="utf-8"><title>{escape(scene.name)}: a head to make</title>
 <style>{STYLE}</style><h1>{escape(scene.name)}: a head to make</h1>
 <p class="note">Designed and checked by calculation. No head has been built or measured. Figures of bought parts that are marked
@@ -115,6 +127,7 @@ uses. Workspace {extent}.</p>
 {picture("cell", "Cell 0 in section")}
 <h2>Parts</h2>{table(("item", "number", "", "material or specification", "file"), bill)}
 <p>Everything in place: {link("assembly.step")}. The bill as a table: {link("bill.csv")}. Masks: DXF. STL beside each STEP.</p>
+<h2>Cells</h2>{table(("cell", "direction, from x towards y", "block", "electrode 2, clockwise from the top, seen from outside"), cell_rows(parts, blocks))}
 <h2>Drawings</h2><ul>{sheets}</ul><h2>Putting it together</h2><ol>{lists}</ol>{jig}
 <h2>Checks of the drawings</h2>{table(("check", "result"), [(escape(a), escape(b)) for a, b in findings.rows()])}</html>
 """

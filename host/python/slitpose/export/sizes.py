@@ -53,7 +53,7 @@ class Block:
     barrel_radius: float = 8.0
     bore_clearance: float = 0.05  # on the radius, between barrel and ring
     flange_half_width: float = 9.4
-    flange_half_height: float = 14.0
+    flange_half_height: float = 15.0
     shoulder: float = 1.0  # flange above the detector's shoulder
     board_gap: float = 0.2  # between flange and board: the board presses the detector on its shoulder
     chamber_clearance: float = 0.5  # around the light, on the radius
@@ -85,7 +85,7 @@ class Mask:
 class Ring:
     """The base ring and the plate under it."""
 
-    half_height: float = 15.0
+    half_height: float = 16.0
     plate_thickness: float = 6.0
     plate_margin: float = 9.0  # beyond the ring's corners
     plate_screw_margin: float = 5.0  # M4, from the plate's edge
@@ -106,27 +106,37 @@ class Tool:
     handle_radius: float = 5.0
     handle_top: float = 60.0  # z
     tip_radius: float = 3.0
-    tip_z: float = -80.0  # centre of the ball
+    tip_z: float = -40.0  # centre of the ball
     tip_ball_radius: float = 1.5
 
 
 @dataclasses.dataclass(frozen=True)
 class Jig:
-    """Nest, stage and cone for calibration without an instrument."""
+    """Deck, nest, ball plate and foot for calibration without an instrument."""
 
-    ball_radius: float = 3.0  # G10 steel, bonded
-    ball_circle: float = 26.0  # radius
+    ball_radius: float = 3.0  # steel, G10, bonded
+    ball_circle: float = 26.0  # radius on which the balls are
     vee_depth: float = 3.2  # of the apex below the nest's top
-    nest_thickness: float = 8.0
-    nest_radius: float = 34.0
-    ball_plate_thickness: float = 6.0
     deck_thickness: float = 6.0
-    deck_gap: float = 3.0  # between the ring's top and the deck, over the covers
-    block: float = 5.0  # gauge block at home
-    fence_radius: float = 2.0  # dowel pins
+    deck_radius: float = 44.0
+    nest_thickness: float = 8.0
+    nest_radius: float = 33.0
+    nest_flat: float = 30.0  # of fence and stop, from the axis
+    ball_plate_thickness: float = 6.0
+    ball_plate_radius: float = 31.0
+    ball_plate_gap: float = 2.0  # above the nest
+    opening: float = 3.0  # around the handle, on the radius
+    block: float = 5.0  # gauge block with the tool at home
+    steps: float = 3.0  # greatest, both ways
+    pin_radius: float = 2.0  # dowels, of fence and stop
+    pin_height: float = 6.0  # above the deck
+    fence_spread: float = 16.0  # of its two pins, from the middle
+    foot_thickness: float = 6.0
+    foot_boss_radius: float = 8.0
+    foot_boss_least: float = 8.0  # height
     cone_half_angle_deg: float = 45.0
-    cone_block_height: float = 12.0
-    clamp_clearance: float = 0.05  # around the handle
+    cone_drop: float = 0.2  # of the boss below the ball's middle
+    clamp_clearance: float = 0.05  # around the handle, on the radius
 
 
 @dataclasses.dataclass(frozen=True)
