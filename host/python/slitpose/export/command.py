@@ -79,15 +79,18 @@ def export(layout: Layout, sizes: Sizes, folder: Path, poses: int, with_jig: boo
     if jigs:
         files.write_solids([*placed, *fixture], folder, "jig_assembly")
     for name, part in distinct.items():
-        if name.startswith("mask ") and part.instance is not None and "frame" not in name and part.made:
+        if _is_foil(name) and part.instance is not None:
             files.write_mask(layout.cells[part.instance], name, parts, folder / f"{files.stem(name)}.dxf")
     items = [*files.bill(placed, parts), *(files.jig_bill(jigs, fixture) if jigs else [])]
     files.write_bill(items, folder / "bill.csv")
     sheets = draw(parts, distinct, folder)
     picture(parts, placed, fixture, folder)
     findings = check(parts, placed, fixture, poses)
-    blocks = {part.instance: part.name for part in placed if part.name.startswith("cell block") and part.instance is not None}
-    page.write(folder / "index.html", parts, items, findings, sheets, blocks, with_jig)
+    blocks, masks = (
+        {part.instance: part.name for part in placed if part.instance is not None and is_kind(part.name)}
+        for is_kind in (lambda name: name.startswith("cell block"), _is_foil)
+    )
+    page.write(folder / "index.html", parts, items, findings, sheets, blocks, masks, with_jig)
     for name, result in findings.rows():
         print(f"{name}: {result}")
     return findings.failures
@@ -108,7 +111,7 @@ def check(parts: HeadParts, placed: list[Placed], fixture: list[Placed], poses: 
 
 
 def _is_foil(name: str) -> bool:
-    return name.startswith("mask ") and "frame" not in name
+    return name.startswith("mask ") and "frame" not in name and "pin" not in name
 
 
 def draw(parts: HeadParts, distinct: dict[str, Placed], folder: Path) -> list[str]:

@@ -11,7 +11,7 @@ from html import escape
 from typing import Sequence
 
 import numpy as np
-from build123d import Axis, Box, Edge, GeomType, Part, Pos
+from build123d import Box, Edge, GeomType, Part, Pos
 
 from .head import CLEARANCE, COUNTERSUNK, THREAD, HeadParts
 from .layout import Cell, Float
@@ -220,11 +220,10 @@ def block_sheet(parts: HeadParts, cell: Cell, name: str, solid: Part, material: 
 def frame_sheet(parts: HeadParts, cell: Cell, name: str, solid: Part, material: str) -> Sheet:
     """The frame of a mask."""
     size = parts.sizes.mask
-    sheet = Sheet(name, material, (f"Opening turned by {_number(math.degrees(cell.roll))} deg, as the slit. Pressed on its pins, with a drop of adhesive on each.",))
+    sheet = Sheet(name, material, (f"Opening symmetrical to the pin holes within 0.05. Pressed on its pins, with a drop of adhesive on each.",))
     front = Projection(sheet, solid, *TOP, at=(130, 130), scale=8, name="from the tool", hidden=False)
     front.across(-size.frame_radius, size.frame_radius, -size.frame_radius, -size.frame_radius - 1.5)
-    pin = np.array([math.cos(cell.roll), math.sin(cell.roll)]) * size.pin_distance
-    front.leader(pin[0], pin[1], 50, 10, f"2x {size.pin_diameter:g} P7, {_number(2 * size.pin_distance)} +-0.01 apart")
+    front.leader(size.pin_distance, 0.0, 50, 10, f"2x {size.pin_diameter:g} P7, {_number(2 * size.pin_distance)} +-0.01 apart")
     side = Projection(sheet, solid, *FRONT, at=(310, 180), scale=8, name="from the side")
     seat = cell.seat + cell.thickness
     side.along(seat, seat + size.frame_thickness, size.frame_radius, size.frame_radius + 2)
@@ -234,16 +233,15 @@ def frame_sheet(parts: HeadParts, cell: Cell, name: str, solid: Part, material: 
 def mask_sheet(parts: HeadParts, cell: Cell, name: str, solid: Part, material: str) -> Sheet:
     """The mask, with the tolerances that its DXF has."""
     size = parts.sizes.mask
-    turned = solid.rotate(Axis.Z, -math.degrees(cell.roll))
     sheet = Sheet(
         name,
         material,
         (
-            f"Foil {cell.thickness:g} +-{0.1 * cell.thickness:.3f}, blackened on both sides, flat within 0.02. In the block it is turned by {_number(math.degrees(cell.roll))} deg.",
+            f"Foil {cell.thickness:g} +-{0.1 * cell.thickness:.3f}, blackened on both sides, flat within 0.02. The pins turn it with its block.",
             "Datum A-B: the line through the middles of the pin holes. For laser or etching from the DXF of the same name.",
         ),
     )
-    view = Projection(sheet, turned, *TOP, at=(160, 130), scale=10, name="from the tool", hidden=False, below=36)
+    view = Projection(sheet, solid, *TOP, at=(160, 130), scale=10, name="from the tool", hidden=False, below=36)
     radius, (w, length), (x, y) = size.radius, cell.slit, cell.offset
     view.across(x - w / 2, x + w / 2, y + length / 2, radius + 1.2, f"{_number(w)} +-{size.slit_width_tolerance:g}")
     view.along(y - length / 2, y + length / 2, x + w / 2, radius + 2, f"{_number(length)} +-0.05")
@@ -298,17 +296,18 @@ def jig_notes(parts: HeadParts) -> dict[str, tuple[str, ...]]:
     pins = f"fence: 2 dowels {_number(2 * jig.pin_radius)} at (+-{_number(jig.fence_spread)}, -{_number(jig.nest_flat + jig.pin_radius)})"
     stop = f"stop: 1 at (-{_number(jig.nest_flat + jig.block + jig.pin_radius)}, 0)"
     return {
-        "jig deck": (f"{screws}. Top flat within 0.05. Dowels m6 in holes H7: {pins} +-0.02; {stop} +-0.02.",),
+        "jig deck": (f"{screws}. Top flat within 0.05. Dowels m6 in holes H7: {pins} +-0.02; {stop} +-0.02.", f"Opening {_number(2 * (tool.handle_radius + jig.opening + jig.steps))}."),
         "jig nest": (
             f"Three vees of 90 deg at 90, 210 and 330 deg, apex {_number(jig.vee_depth)} +-0.05 below the top, smooth. Flats at {_number(jig.nest_flat)} +-0.05, straight within 0.02,",
-            "square to each other within 0.02. The underside slides on the deck.",
+            f"square to each other within 0.02. The underside slides on the deck. Bore {_number(2 * (tool.handle_radius + jig.opening))}.",
         ),
         "jig ball plate": (
-            f"Three holes {_number(2 * jig.ball_radius)} H7 at radius {_number(jig.ball_circle)}, for balls {_number(2 * jig.ball_radius)} G10, bonded. Two M3 towards the handle.",
+            f"Three holes {_number(2 * jig.ball_radius)} H7 at radius {_number(jig.ball_circle)}, for balls {_number(2 * jig.ball_radius)} G10, bonded; deep until the balls stand out by {_number(jig.ball_plate_gap + jig.vee_depth - (math.sqrt(2.0) - 1.0) * jig.ball_radius)}.",
+            f"Bore {_number(2 * (tool.handle_radius + jig.clamp_clearance))}; two M3 towards it at 30 and 150 deg.",
         ),
         "jig foot": (
             f"Cone of {_number(2 * jig.cone_half_angle_deg)} deg, smooth, for the tip's ball of {_number(2 * tool.tip_ball_radius)}. 3x {CLEARANCE['M4']:g} at radius {_number(math.hypot(*parts.plate_holes()[0]))}.",
-            "Any place will do: calibration finds where the tip rests.",
+            f"Plate {_number(jig.foot_thickness)} thick, boss {_number(2 * jig.foot_boss_radius)}. Any place will do: calibration finds where the tip rests.",
         ),
     }
 
@@ -326,7 +325,7 @@ def other_sheet(parts: HeadParts, name: str, solid: Part, material: str) -> Shee
             f"Bore {_number(2 * parts.inner_radius)} H8 (datum B), underside datum A, flat within 0.05. At three angles of 120 deg:",
             f"{CLEARANCE['M3']:g} sunk {COUNTERSUNK['M3'][0]:g} from below at radius {_number(plate[0])} (M3); {CLEARANCE['M4']:g} through at radius {_number(plate[1])} (M4).",
         ),
-        "cover": (f"Wall {_number(block.cover_wall)}; posts 4.4 x 4.4 with {corner}.",),
+        "cover": (f"Wall {_number(block.cover_wall)}; posts 4.4 wide with {corner}. Opening for the cable 6 wide.",),
         "detector board": (f"Outline and holes of the board: {corner}.", "The detector's middle is the board's middle; it is turned as the pocket of its block."),
         "emitter board": (
             f"2x {CLEARANCE['M1.6']:g} at +-{_number(emitter.screw_distance)} from the middle, which is the emitter's; emitter along the board's length.",
@@ -338,9 +337,13 @@ def other_sheet(parts: HeadParts, name: str, solid: Part, material: str) -> Shee
             f"in it 2x M1.6 x 3.5 at +-{_number(emitter.screw_distance)}, and {_number(sizes.tool.wire_hole_diameter)} to the bore, {_number(sizes.tool.wire_hole_distance)} below the middle.",
             f"Above and below: {screw}, 3 deep. Bore {_number(2 * sizes.tool.bore_radius)} (datum B), lower face datum A.",
         ),
-        "handle": (f"Flange {_number(2 * sizes.tool.flange_radius)} with {screw}: through {CLEARANCE['M2']:g}.",),
+        "handle": (
+            f"Flange {_number(2 * sizes.tool.flange_radius)} x {_number(sizes.tool.flange_thickness)} with {screw}: through {CLEARANCE['M2']:g}.",
+            f"Tube {_number(2 * sizes.tool.handle_radius)} h9, bore {_number(2 * sizes.tool.bore_radius)}.",
+        ),
         "tip": (
-            f"Flange {_number(2 * sizes.tool.flange_radius)} with {screw}: through {CLEARANCE['M2']:g}.",
+            f"Flange {_number(2 * sizes.tool.flange_radius)} x {_number(sizes.tool.flange_thickness)} with {screw}: through {CLEARANCE['M2']:g}.",
+            f"Shaft {_number(2 * sizes.tool.tip_radius)}; cone over the last 10 before the ball's middle, to {_number(1.6 * sizes.tool.tip_ball_radius)}.",
             f"Ball {_number(2 * sizes.tool.tip_ball_radius)} +-0.01, its centre at z = {sizes.tool.tip_z:g} of the tool's frame (--tip 0,0,{sizes.tool.tip_z:g}).",
         ),
         **jig_notes(parts),

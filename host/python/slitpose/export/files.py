@@ -76,7 +76,7 @@ def write_mask(cell: Cell, name: str, parts: HeadParts, path: Path) -> None:
         "Slit at right angles to the line of the pin holes +-0.1 degree",
         f"Pin holes {size.pin_diameter:g} +0.02/0, distance {2 * size.pin_distance:g} +-0.01",
         f"Outline {2 * size.radius:g} +-0.05",
-        f"Quantity: {sum(other.variant == cell.variant for other in parts.layout.cells)}",
+        f"Quantity: {sum(other.mask_variant == cell.mask_variant for other in parts.layout.cells)}",
     ]
     for row, line in enumerate(lines):
         text = space.add_text(line, height=0.8, dxfattribs=note)

@@ -154,12 +154,12 @@ class HeadParts:
         return rod(self.sizes.mask.pin_diameter / 2, z0, z1)
 
     def mask(self, cell: Cell) -> Part:
-        """The foil with its slit and two holes for pins, in the block's frame."""
+        """The foil with its slit and two holes for pins, in the cell's frame."""
         size, top = self.sizes.mask, cell.seat + cell.thickness
         foil = rod(size.radius, cell.seat, top)
         slit = _at(*cell.offset, _turned(cell.turn, slab(*cell.slit, cell.seat - OVER, top + OVER)))
         holes = [_at(side * size.pin_distance, 0, self._pin_hole(cell.seat - OVER, top + OVER)) for side in (1, -1)]
-        return _cut(foil, [_turned(cell.roll, tool) for tool in (slit, *holes)])
+        return _cut(foil, [slit, *holes])
 
     def frame_opening(self, cell: Cell, rays: Rays) -> tuple[float, float]:
         """Half extents of the frame's opening: the light's, over the workspace, with the slot's clearance."""
@@ -175,14 +175,14 @@ class HeadParts:
         return half
 
     def frame(self, cell: Cell, opening: tuple[float, float]) -> Part:
-        """The frame that presses the mask on its seat, in the block's frame."""
+        """The frame that presses the mask on its seat, in the cell's frame."""
         size, seat = self.sizes.mask, cell.seat + cell.thickness
         front = seat + size.frame_thickness
         tools = [
             slab(2 * opening[0], 2 * opening[1], seat - OVER, front + OVER),
             *(_at(side * size.pin_distance, 0, self._pin_hole(seat - OVER, front + OVER)) for side in (1, -1)),
         ]
-        return _cut(rod(size.frame_radius, seat, front), [_turned(cell.roll, tool) for tool in tools])
+        return _cut(rod(size.frame_radius, seat, front), tools)
 
     def pin(self) -> Part:
         """A pin of the mask; its upper end is its origin."""
@@ -207,7 +207,9 @@ class HeadParts:
         bottom, x, y = top - size.cover_height, 2 * size.flange_half_width, 2 * size.flange_half_height
         inside = slab(x - 2 * size.cover_wall, y - 2 * size.cover_wall, bottom + size.cover_wall, top + OVER)
         cable = Pos(0, -y / 2, top - 2.0) * Box(6.0, 4 * size.cover_wall, 4.0 + OVER)
-        posts = [_at(*at, slab(4.4, 4.4, bottom, top)) for at in self._corners()]
+        # As wide as a post needs, and as long as joins it to the wall.
+        post_y = 2 * (size.flange_half_height - size.cover_wall - size.ring_screw)
+        posts = [_at(*at, slab(4.4, post_y, bottom, top)) for at in self._corners()]
         cover = slab(x, y, bottom, top) - inside
         for post in posts:
             cover += post
@@ -411,8 +413,8 @@ def head(parts: HeadParts, poses: tuple[Float, Float]) -> list[Placed]:
     openings = [parts.frame_opening(cell, layout.rays(cell.number, poses)) for cell in layout.cells]
     opening = tuple(np.array(openings).max(axis=0))
 
-    def variant(name: str, cell: Cell, make: Callable[[Cell], Part]) -> tuple[str, Part]:
-        key = (name, cell.variant)
+    def variant(name: str, cell: Cell, numbers: tuple[float, ...], make: Callable[[Cell], Part]) -> tuple[str, Part]:
+        key = (name, numbers)
         if key not in made:
             letter = chr(ord("A") + sum(known == name for known, _ in made))
             made[key] = (f"{name} {letter}", make(cell))
@@ -433,9 +435,9 @@ def head(parts: HeadParts, poses: tuple[Float, Float]) -> list[Placed]:
         def put(name: str, solid: Part, at: Location, steps: float, made_here: bool = True) -> None:
             placed.append(Placed(name, solid, at, number, made=made_here, away=away(steps)))
 
-        put(*variant("cell block", cell, parts.block), base_from_block, 2.0)
-        put(*variant("mask", cell, parts.mask), base_from_block, 1.1)
-        put(*variant("mask frame", cell, lambda of: parts.frame(of, opening)), base_from_block, 0.8)
+        put(*variant("cell block", cell, cell.block_variant, parts.block), base_from_block, 2.0)
+        put(*variant("mask", cell, cell.mask_variant, parts.mask), base_from_cell, 1.1)
+        put(*variant("mask frame", cell, cell.mask_variant, lambda of: parts.frame(of, opening)), base_from_cell, 0.8)
         top = cell.seat + cell.thickness + sizes.mask.frame_thickness
         for side in (1, -1):
             at = base_from_cell * Pos(side * sizes.mask.pin_distance, 0, top)

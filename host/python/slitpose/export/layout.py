@@ -65,10 +65,15 @@ class Cell:
         return self.base_from_block @ about_z(self.roll)
 
     @property
-    def variant(self) -> tuple[float, ...]:
-        """What makes the blocks of two cells the same part."""
-        numbers = (self.roll, *self.area, *self.slit, *self.offset, self.turn, self.distance, self.thickness)
+    def mask_variant(self) -> tuple[float, ...]:
+        """What makes the masks, and their frames, of two cells the same part."""
+        numbers = (*self.slit, *self.offset, self.turn, self.distance, self.thickness)
         return tuple(round(number, 9) + 0.0 for number in numbers)
+
+    @property
+    def block_variant(self) -> tuple[float, ...]:
+        """What makes the blocks of two cells the same part."""
+        return (*self.mask_variant, *(round(number, 9) + 0.0 for number in (self.roll, *self.area)))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

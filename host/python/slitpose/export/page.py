@@ -68,7 +68,7 @@ def steps(parts: HeadParts) -> list[str]:
     return [
         "Blacken every part inside: light that bounces is read as a displaced spot.",
         f"Lay a mask on the seat of its cell block. Press two pins of {sizes.mask.pin_diameter:g} mm through the mask's frame, the mask and the "
-        "block, flush with the frame. One drop of adhesive on each pin. Letters must agree: mask A, frame A, block A.",
+        "block, flush with the frame. One drop of adhesive on each pin. The table of cells says which mask belongs to which block.",
         "Solder the detector to its board, flat, turned as the pocket of its block. Lay it into the pocket from behind: its top face rests "
         "on the shoulder, and the board stands off by "
         f"{sizes.block.board_gap:g} mm. Do not touch the window.",
@@ -84,18 +84,18 @@ def steps(parts: HeadParts) -> list[str]:
     ]
 
 
-def cell_rows(parts: HeadParts, blocks: dict[int, str]) -> list[tuple[str, ...]]:
-    """Of each cell: its number, its direction, its block, and where its second electrode is, seen from outside."""
+def cell_rows(parts: HeadParts, blocks: dict[int, str], masks: dict[int, str]) -> list[tuple[str, ...]]:
+    """Of each cell: its number, its direction, its block and mask, and where its second electrode is, seen from outside."""
     rows: list[tuple[str, ...]] = []
     for cell in parts.layout.cells:
         outward = -cell.base_from_block[:, 2]
         azimuth = math.degrees(math.atan2(outward[1], outward[0])) % 360
         clockwise = math.degrees(math.atan2(-math.cos(cell.roll), math.sin(cell.roll))) % 360
-        rows.append((str(cell.number), f"{azimuth:.1f}°", blocks[cell.number], f"{clockwise:.1f}°"))
+        rows.append((str(cell.number), f"{azimuth:.1f}°", blocks[cell.number], masks[cell.number], f"{clockwise:.1f}°"))
     return rows
 
 
-def write(path: Path, parts: HeadParts, items: Sequence[Item], findings: Findings, drawings: Sequence[str], blocks: dict[int, str], has_jig: bool) -> None:
+def write(path: Path, parts: HeadParts, items: Sequence[Item], findings: Findings, drawings: Sequence[str], blocks: dict[int, str], masks: dict[int, str], has_jig: bool) -> None:
     """Writes the page. Pictures and drawings lie beside it."""
 
     def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -127,7 +127,7 @@ uses. Workspace {extent}.</p>
 {picture("cell", "Cell 0 in section")}
 <h2>Parts</h2>{table(("item", "number", "", "material or specification", "file"), bill)}
 <p>Everything in place: {link("assembly.step")}. The bill as a table: {link("bill.csv")}. Masks: DXF. STL beside each STEP.</p>
-<h2>Cells</h2>{table(("cell", "direction, from x towards y", "block", "electrode 2, clockwise from the top, seen from outside"), cell_rows(parts, blocks))}
+<h2>Cells</h2>{table(("cell", "direction, from x towards y", "block", "mask", "electrode 2, clockwise from the top, seen from outside"), cell_rows(parts, blocks, masks))}
 <h2>Drawings</h2><ul>{sheets}</ul><h2>Putting it together</h2><ol>{lists}</ol>{jig}
 <h2>Checks of the drawings</h2>{table(("check", "result"), [(escape(a), escape(b)) for a, b in findings.rows()])}</html>
 """
