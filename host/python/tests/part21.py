@@ -93,7 +93,11 @@ class Part21:
         for _, relation in self.all("SHAPE_REPRESENTATION_RELATIONSHIP"):
             if relation and relation[2].number == representation:
                 items += self._solids(relation[3].number)
-        return [item for item in items if isinstance(item, Reference) and "MANIFOLD_SOLID_BREP" in self.entities[item.number]]
+        return [
+            item
+            for item in items
+            if isinstance(item, Reference) and "MANIFOLD_SOLID_BREP" in self.entities[item.number]
+        ]
 
     def _faces(self, solid: Any) -> list[Face]:
         shell = self.get(self.get(solid, "MANIFOLD_SOLID_BREP")[1], "CLOSED_SHELL")
@@ -108,8 +112,10 @@ class Part21:
             for oriented in self.get(bound[1], "EDGE_LOOP")[1]:
                 *_, edge, forward = self.get(oriented, "ORIENTED_EDGE")
                 _, start, end, curve, _ = self.get(edge, "EDGE_CURVE")
-                straight &= "LINE" in self.entities[curve.number] or "SURFACE_CURVE" in self.entities[curve.number] and (
-                    "LINE" in self.entities[self.get(curve, "SURFACE_CURVE")[1].number]
+                straight &= (
+                    "LINE" in self.entities[curve.number]
+                    or "SURFACE_CURVE" in self.entities[curve.number]
+                    and ("LINE" in self.entities[self.get(curve, "SURFACE_CURVE")[1].number])
                 )
                 corners.append(self.point(self.get(start if forward == "T" else end, "VERTEX_POINT")[1]))
             if straight:

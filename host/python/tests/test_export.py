@@ -49,10 +49,11 @@ def test_the_command_without_the_package_names_the_next_step(command: Command, t
 cad = pytest.importorskip("build123d", reason="needs the extra `cad`: host/python/run --cad")
 
 from slitpose.export import checks, command as export_command, files  # noqa: E402
-from slitpose.export.head import HeadParts, Placed, head  # noqa: E402
+from slitpose.export.head import HeadParts, head  # noqa: E402
 from slitpose.export.jig import JigParts, jig  # noqa: E402
 from slitpose.export.layout import Layout  # noqa: E402
 from slitpose.export.sizes import ExportError, Sizes  # noqa: E402
+from slitpose.export.solids import Placed  # noqa: E402
 
 
 @dataclasses.dataclass
@@ -83,7 +84,9 @@ def orderable() -> Made:
 def folder(command: Command, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What the command writes for `orderable` with its jig."""
     out = tmp_path_factory.mktemp("export") / "head"
-    done = command("scene", "export", "orderable", "--jig", "--python", sys.executable, "--poses", "50", "--output", out)
+    done = command(
+        "scene", "export", "orderable", "--jig", "--python", sys.executable, "--poses", "50", "--output", out
+    )
     assert "0 of 50 poses" in done.stdout and "no part" not in done.stdout
     return out
 
@@ -114,7 +117,9 @@ def misplaced(found: dict[str, tuple[Float, list[Face]]], toml: str) -> list[str
         place, slit, area = cell["cell"], cell["slit"], cell["detector"]
         centre, x, z = (np.array(place[key], dtype=float) for key in ("detector_mm", "x_axis", "normal"))
         y = np.cross(z, x)
-        (mask,) = [name for name in found if name.startswith("mask ") and name.endswith(f" {number}") and len(name) <= 9]
+        (mask,) = [
+            name for name in found if name.startswith("mask ") and name.endswith(f" {number}") and len(name) <= 9
+        ]
         thickness = slit.get("thickness_mm", 0.1)
         base_from_part, faces = found[mask]
         corners = np.concatenate([face.corners for face in faces]) @ base_from_part[:3, :3].T + base_from_part[:3, 3]
@@ -131,7 +136,11 @@ def misplaced(found: dict[str, tuple[Float, list[Face]]], toml: str) -> list[str
         if far > MICROMETRE or turned > MICRORADIAN or len(faces) != 4 or len(sides) != 2:
             wrong.append(f"slit {number}: {far:.6f} mm, {turned:.2e} rad")
         active = in_base(f"detector {number}", found, (area["length_mm"], area["width_mm"]))
-        edge = next(b - a for a, b in zip(active.corners, np.roll(active.corners, -1, axis=0)) if np.isclose(np.linalg.norm(b - a), area["length_mm"]))
+        edge = next(
+            b - a
+            for a, b in zip(active.corners, np.roll(active.corners, -1, axis=0))
+            if np.isclose(np.linalg.norm(b - a), area["length_mm"])
+        )
         far, turned = float(np.linalg.norm(active.centre - centre)), max(angle(active.normal, z), angle(edge, x))
         if far > MICROMETRE or turned > MICRORADIAN or active.normal @ z < 0:
             wrong.append(f"detector {number}: {far:.6f} mm, {turned:.2e} rad")
@@ -143,9 +152,13 @@ def misplaced(found: dict[str, tuple[Float, list[Face]]], toml: str) -> list[str
     return wrong
 
 
-def test_slits_detectors_and_emitters_of_the_step_file_are_where_the_scene_says(any_head: tuple[str, Made], tmp_path: Path) -> None:
+def test_slits_detectors_and_emitters_of_the_step_file_are_where_the_scene_says(
+    any_head: tuple[str, Made], tmp_path: Path
+) -> None:
     name, found = any_head
-    files.write_solids([part for part in found.placed if part.name.startswith(("mask ", "detector", "emitter"))], tmp_path, "assembly")
+    files.write_solids(
+        [part for part in found.placed if part.name.startswith(("mask ", "detector", "emitter"))], tmp_path, "assembly"
+    )
     read = Part21(tmp_path / "assembly.step").placed()
     toml = slitpose.Scene.open(name).toml
     assert misplaced(read, toml) == []
@@ -175,9 +188,18 @@ def test_parts_that_hold_each_other_touch(any_head: tuple[str, Made]) -> None:
     for cell in found.parts.layout.cells:
         block = found.one("cell block", cell.number).in_place
         mask, frame, detector, board, emitter, small = (
-            found.one(name, cell.number).in_place for name in ("mask ", "mask frame", "detector", "detector board", "emitter", "emitter board")
+            found.one(name, cell.number).in_place
+            for name in ("mask ", "mask frame", "detector", "detector board", "emitter", "emitter board")
         )
-        pairs = ((block, ring), (mask, block), (frame, mask), (detector, block), (board, detector), (emitter, small), (small, carrier))
+        pairs = (
+            (block, ring),
+            (mask, block),
+            (frame, mask),
+            (detector, block),
+            (board, detector),
+            (emitter, small),
+            (small, carrier),
+        )
         assert max(a.distance_to(b) for a, b in pairs) < 1e-6
 
 
@@ -205,8 +227,13 @@ def test_parts_in_the_way_too_thin_or_too_large_are_found(orderable: Made) -> No
     assert traced.blocked > 0 and traced.by == ("mask pin 0",)
     collar = Placed("collar", cad.Cylinder(18.0, 4.0), cad.Location(), on_tool=True)
     assert checks.clearance([*orderable.placed, collar], layout.poses(50)).colliding > 0
-    assert any("collar" in pair for pair in checks.overlaps([*orderable.placed, dataclasses.replace(collar, solid=cad.Cylinder(22.0, 4.0))]))
-    assert checks.thinnest(cad.Box(10, 10, 5) - cad.Pos(0, 0, 0.5) * cad.Box(8.6, 8.0, 5)) == pytest.approx(0.5, abs=1e-3)
+    assert any(
+        "collar" in pair
+        for pair in checks.overlaps([*orderable.placed, dataclasses.replace(collar, solid=cad.Cylinder(22.0, 4.0))])
+    )
+    assert checks.thinnest(cad.Box(10, 10, 5) - cad.Pos(0, 0, 0.5) * cad.Box(8.6, 8.0, 5)) == pytest.approx(
+        0.5, abs=1e-3
+    )
     two = cad.Box(1, 1, 1) + cad.Pos(3, 0, 0) * cad.Box(1, 1, 1)
     assert checks.faults([Placed("two", two, cad.Location())]) == ["two: 2 bodies, valid, 2.000 mm³"]
 
@@ -220,10 +247,17 @@ def test_balls_rest_in_their_vees_and_the_stage_moves_freely(orderable: Made) ->
         assert nest.distance_to(ball.in_place) < 1e-6
         lowered = ball.in_place.moved(cad.Pos(0, 0, -0.01)).intersect(nest)
         assert sum(solid.volume for solid in lowered.solids()) > 0.0
-    foot, tip = (next(part.in_place for part in [*fixture, *orderable.placed] if part.name == name) for name in ("jig foot", "tip"))
+    foot, tip = (
+        next(part.in_place for part in [*fixture, *orderable.placed] if part.name == name)
+        for name in ("jig foot", "tip")
+    )
     assert foot.distance_to(tip) < 1e-6
     steps = np.linspace(-jigs.size.steps, jigs.size.steps, 7)
-    on_stage = [dataclasses.replace(part, on_tool=True) if part.name == "jig nest" else part for part in fixture if part.name != "gauge block"]
+    on_stage = [
+        dataclasses.replace(part, on_tool=True) if part.name == "jig nest" else part
+        for part in fixture
+        if part.name != "gauge block"
+    ]
     # A hair above the deck, on which it slides.
     poses = np.stack([steps, 0 * steps, 0 * steps + 0.02], axis=1), np.tile(np.eye(3), (7, 1, 1))
     without_foot = [part for part in on_stage if part.name != "jig foot"]
@@ -235,7 +269,10 @@ def test_balls_rest_in_their_vees_and_the_stage_moves_freely(orderable: Made) ->
 def test_files_are_complete_and_agree_with_the_scene(folder: Path) -> None:
     rows = list(csv.DictReader((folder / "bill.csv").open(encoding="utf-8")))
     count = {row["item"]: int(row["quantity"]) for row in rows}
-    assert count["detector"] == count["emitter"] == count["cover"] == 6 and count["cell block A"] + count["cell block B"] == 6
+    assert (
+        count["detector"] == count["emitter"] == count["cover"] == 6
+        and count["cell block A"] + count["cell block B"] == 6
+    )
     assert count["mask pin"] == 12 and count["jig deck"] == 1 and count["ball"] == 3
     page = (folder / "index.html").read_text(encoding="utf-8")
     for row in rows:
@@ -266,7 +303,9 @@ def test_masks_of_the_dxf_have_the_slit_of_the_scene(folder: Path) -> None:
     ("scene", "reason"),
     [("maglev", "a lens"), ("spacemouse", "a slit on the tool"), ("bench", "at least 3")],
 )
-def test_scenes_that_no_ring_can_hold_are_refused(scene: str, reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_scenes_that_no_ring_can_hold_are_refused(
+    scene: str, reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert export_command.run([scene, "--output", str(tmp_path / "head")]) == 1
     message = capsys.readouterr().err
     assert reason in message and "choose another scene" in message and not (tmp_path / "head").exists()
@@ -276,7 +315,11 @@ def test_scenes_and_sizes_that_cannot_be_made_are_refused_with_their_numbers(tmp
     toml = slitpose.Scene.open("wide").toml
     for old, new, reason in (
         ("distance_mm = 5.0", "distance_mm = 2.0", "slit.distance_mm = 2"),
-        ("normal = [-1.0, 0.0, 0.0]\nemitter", "normal = [-0.8, 0.424264068711929, -0.424264068711928]\nemitter", "component -0.424264 along z"),
+        (
+            "normal = [-1.0, 0.0, 0.0]\nemitter",
+            "normal = [-0.8, 0.424264068711929, -0.424264068711928]\nemitter",
+            "component -0.424264 along z",
+        ),
         ("width_mm = 0.6", "width_mm = 0.6\ntilt_deg = [2.0, 0.0, 0.0]", "leans out of the detector's plane by 2.000"),
     ):
         changed = toml.replace(old, new)
@@ -285,7 +328,11 @@ def test_scenes_and_sizes_that_cannot_be_made_are_refused_with_their_numbers(tmp
             parts = HeadParts(Layout.of(slitpose.Scene.from_toml(changed, "changed"), Sizes()), Sizes())
             head(parts, parts.layout.poses(10))
     sizes = tmp_path / "sizes.toml"
-    for text, reason in (("detector.breadth = 5.0", "no size 'breadth'"), ("detector.length = true", "length = True"), ("x", "sizes.toml")):
+    for text, reason in (
+        ("detector.breadth = 5.0", "no size 'breadth'"),
+        ("detector.length = true", "length = True"),
+        ("x", "sizes.toml"),
+    ):
         sizes.write_text(text)
         with pytest.raises(ExportError, match=reason):
             Sizes.open(sizes)

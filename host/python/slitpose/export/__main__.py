@@ -10,7 +10,9 @@ NEEDED = (3, 11)
 def main() -> int:
     """Runs the command; errors go to standard error."""
     if sys.version_info < NEEDED:
-        print(f"slitpose.export needs Python {NEEDED[0]}.{NEEDED[1]}; this is {sys.version.split()[0]}", file=sys.stderr)
+        print(
+            f"slitpose.export needs Python {NEEDED[0]}.{NEEDED[1]}; this is {sys.version.split()[0]}", file=sys.stderr
+        )
         return 1
     try:
         from .command import run

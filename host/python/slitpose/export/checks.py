@@ -1,4 +1,4 @@
-"""Checks of a head's solids, before anything is made: closed, apart from each other, thick enough, and out of the light.
+"""Checks of a head's solids before anything is made: closed, apart, thick enough, and out of the light.
 
 What is computed here is geometry of the drawings. No part has been made or measured.
 """
@@ -14,8 +14,8 @@ import trimesh
 from build123d import Part
 from numpy.typing import NDArray
 
-from .head import Placed
 from .layout import Float, Layout
+from .solids import Placed
 
 #: Deviation of meshes from the solids, mm and rad; coarser for the tool's motion.
 CHORD = 0.02
@@ -42,7 +42,9 @@ def faults(placed: Iterable[Placed]) -> list[str]:
     for name, solid in {part.name: part.solid for part in placed}.items():
         bodies = len(solid.solids())
         if bodies != 1 or not solid.is_valid or solid.volume <= 0.0:
-            found.append(f"{name}: {bodies} bodies, {'valid' if solid.is_valid else 'not valid'}, {solid.volume:.3f} mm³")
+            found.append(
+                f"{name}: {bodies} bodies, {'valid' if solid.is_valid else 'not valid'}, {solid.volume:.3f} mm³"
+            )
         elif not mesh(solid).is_watertight:
             found.append(f"{name}: its mesh is not closed")
     return found
@@ -52,7 +54,9 @@ def overlaps(placed: list[Placed]) -> list[str]:
     """Pairs of parts that share volume with the tool at home."""
     solids = [part.in_place for part in placed]
     boxes = [solid.bounding_box() for solid in solids]
-    low, high = (np.array([(c.X, c.Y, c.Z) for c in corner]) for corner in ([b.min for b in boxes], [b.max for b in boxes]))
+    low, high = (
+        np.array([(c.X, c.Y, c.Z) for c in corner]) for corner in ([b.min for b in boxes], [b.max for b in boxes])
+    )
     found = []
     for i in range(len(placed)):
         for j in np.flatnonzero((low[i] < high[i + 1 :]).all(axis=1) & (high[i] > low[i + 1 :]).all(axis=1)) + i + 1:
@@ -137,7 +141,9 @@ class Light:
 def light(layout: Layout, placed: list[Placed], poses: tuple[Float, Float]) -> Light:
     """Traces the light of every cell. Masks and packages of emitters and detectors are the light's own ends."""
     own = ("mask ", "emitter", "detector")
-    solid = [part for part in placed if part.name == "emitter board" or not part.name.startswith(own) or "frame" in part.name]
+    solid = [
+        part for part in placed if part.name == "emitter board" or not part.name.startswith(own) or "frame" in part.name
+    ]
     solid += [part for part in placed if part.name in ("emitter carrier", "mask pin")]
     translation, turned = poses
     total, blocked, by = 0, 0, set()

@@ -11,10 +11,11 @@ from typing import Sequence
 
 from .. import Scene, SlitposeError
 from . import checks, drawings, files, page, pictures
-from .head import HeadParts, Placed, head
+from .head import HeadParts, head
 from .jig import JigParts, jig
 from .layout import Layout
 from .sizes import ExportError, Sizes
+from .solids import Placed
 
 #: Poses for which the frames of the masks are open.
 OPENING_POSES = 2000
@@ -26,15 +27,31 @@ def arguments(words: Sequence[str]) -> argparse.Namespace:
     """The arguments."""
     parser = argparse.ArgumentParser(
         prog="slitpose.export",
-        description="Housing, masks, drawings, bill of materials and assembly page of a head, from its scene. Designed only: "
-        "nothing has been built.",
+        description=(
+            "Housing, masks, drawings, bill of materials and assembly page of a head, from its scene. Designed only: "
+            "nothing has been built."
+        ),
         epilog="Example: python3 -m slitpose.export wide --output head",
     )
-    parser.add_argument("scene", metavar="SCENE", help="scene file, the name of a shipped scene, or - for a scene on standard input")
-    parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="folder for the files; made if absent")
-    parser.add_argument("--jig", action="store_true", help="also a nest, a stage and a cone for calibration without an instrument")
-    parser.add_argument("--sizes", type=Path, metavar="FILE", help="TOML with other sizes of parts, such as: detector.length = 16.2")
-    parser.add_argument("--poses", type=_count, default=500, metavar="N", help="poses at which tool and housing are checked (default 500)")
+    parser.add_argument(
+        "scene", metavar="SCENE", help="scene file, the name of a shipped scene, or - for a scene on standard input"
+    )
+    parser.add_argument(
+        "--output", type=Path, required=True, metavar="DIR", help="folder for the files; made if absent"
+    )
+    parser.add_argument(
+        "--jig", action="store_true", help="also a nest, a stage and a cone for calibration without an instrument"
+    )
+    parser.add_argument(
+        "--sizes", type=Path, metavar="FILE", help="TOML with other sizes of parts, such as: detector.length = 16.2"
+    )
+    parser.add_argument(
+        "--poses",
+        type=_count,
+        default=500,
+        metavar="N",
+        help="poses at which tool and housing are checked (default 500)",
+    )
     return parser.parse_args(words)
 
 
@@ -70,7 +87,11 @@ def export(layout: Layout, sizes: Sizes, folder: Path, poses: int, with_jig: boo
     """
     parts = HeadParts(layout, sizes)
     if layout.emitter_part != sizes.emitter.part:
-        print(f"slitpose.export: the scene has the emitter {layout.emitter_part}; the carrier is made for {sizes.emitter.part}", file=sys.stderr)
+        print(
+            f"slitpose.export: the scene has the emitter {layout.emitter_part}; the carrier is made for"
+            f" {sizes.emitter.part}",
+            file=sys.stderr,
+        )
     placed = head(parts, layout.poses(OPENING_POSES))
     jigs = JigParts(parts) if with_jig else None
     fixture = jig(jigs) if jigs else []
@@ -146,14 +167,22 @@ def picture(parts: HeadParts, placed: list[Placed], fixture: list[Placed], folde
     azimuth = math.atan2(outward[1], outward[0])
     reach = parts.plate_radius
     pictures.render(pictures.exploded(placed, 0.0), pictures.View(), folder / "assembly.png")
-    pictures.render(pictures.exploded(placed, 0.75 * reach), pictures.View(-70, 28), folder / "exploded.png", 1600, 1300)
+    pictures.render(
+        pictures.exploded(placed, 0.75 * reach), pictures.View(-70, 28), folder / "exploded.png", 1600, 1300
+    )
     pictures.render(pictures.section(placed, azimuth), pictures.View(-90, 8), folder / "section.png")
     ends = ("handle", "tip", "base plate")
     near = [part for part in placed if part.name not in ends]
     pictures.render(pictures.section(near, azimuth, 2.0), pictures.View(-90, 4), folder / "cell.png")
     if fixture:
         pictures.render(pictures.exploded([*placed, *fixture], 0.0), pictures.View(-125, 30), folder / "jig.png")
-        pictures.render(pictures.exploded(_together(placed, fixture), 0.45 * reach), pictures.View(-125, 28), folder / "jig_exploded.png", 1600, 1300)
+        pictures.render(
+            pictures.exploded(_together(placed, fixture), 0.45 * reach),
+            pictures.View(-125, 28),
+            folder / "jig_exploded.png",
+            1600,
+            1300,
+        )
 
 
 def _together(placed: list[Placed], fixture: list[Placed]) -> list[Placed]:

@@ -13,10 +13,11 @@ import ezdxf
 from build123d import Color, Compound, export_step, export_stl
 from ezdxf.enums import TextEntityAlignment
 
-from .head import HeadParts, Placed
+from .head import HeadParts
 from .jig import JigParts
 from .layout import Cell
 from .pictures import colour
+from .solids import Placed
 
 STL_CHORD = 0.01
 STL_ANGLE = 0.1
@@ -167,15 +168,24 @@ def jig_bill(jigs: JigParts, fixture: list[Placed]) -> list[Item]:
     bought = {
         "jig dowel 4x12": "ISO 2338, fence and stop",
         "ball": f"bearing ball {2 * jigs.size.ball_radius:g}, G10",
-        "gauge block": f"a set: {jigs.size.block:g} at home, {jigs.size.block - jigs.size.steps:g} to {jigs.size.block + jigs.size.steps:g} for steps",
+        "gauge block": (
+            f"a set: {jigs.size.block:g} at home, {jigs.size.block - jigs.size.steps:g} to"
+            f" {jigs.size.block + jigs.size.steps:g} for steps"
+        ),
         "jig standoff": f"M4, {jigs.standoff:g} long, with three screws M4 from below",
     }
     items = []
     for name, part in distinct(fixture).items():
         text = material(name) if part.made else bought[name]
-        items.append(Item(name, counts[name], "made" if part.made else "bought", text, f"{stem(name)}.step" if part.made else ""))
+        items.append(
+            Item(name, counts[name], "made" if part.made else "bought", text, f"{stem(name)}.step" if part.made else "")
+        )
     screw = f"screw M3x{_length(jigs.size.deck_thickness + 5.0)}"
-    return [*items, Item(screw, 3, "bought", "ISO 10642, deck to ring", ""), Item("set screw M3x25", 2, "bought", "ISO 4026, ball plate to handle", "")]
+    return [
+        *items,
+        Item(screw, 3, "bought", "ISO 10642, deck to ring", ""),
+        Item("set screw M3x25", 2, "bought", "ISO 4026, ball plate to handle", ""),
+    ]
 
 
 def write_bill(items: list[Item], path: Path) -> None:

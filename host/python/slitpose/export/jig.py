@@ -1,5 +1,7 @@
-"""A jig for calibration without an instrument: a foot with a cone for the tip (``--pivot``), and on the ring a deck with a
-nest of three vees for three balls on the handle (``--rest``), which slides along a fence against gauge blocks (``--stage``).
+"""A jig for calibration without an instrument.
+
+A foot has a cone for the tip (``--pivot``). On the ring, a deck carries a nest of three vees for three balls on the
+handle (``--rest``), which slides along a fence against gauge blocks (``--stage``).
 
 Lengths are millimetres, in the base frame with the tool at home.
 """
@@ -10,8 +12,9 @@ import math
 
 from build123d import Align, Box, Cone, Location, Part, Pos, Rot, Sphere
 
-from .head import CLEARANCE, COUNTERSUNK, OVER, THREAD, HeadParts, Placed, rod
+from .head import HeadParts
 from .sizes import ExportError
+from .solids import CLEARANCE, COUNTERSUNK, OVER, THREAD, Placed, rod
 
 #: Directions of the vees, degrees.
 VEES = (90.0, 210.0, 330.0)
@@ -54,14 +57,22 @@ class JigParts:
         """Places of the two pins of the fence, and of the stop, which a gauge block separates from the nest."""
         size = self.size
         fence = -(size.nest_flat + size.pin_radius)
-        return [(size.fence_spread, fence), (-size.fence_spread, fence), (-(size.nest_flat + size.block + size.pin_radius), 0.0)]
+        return [
+            (size.fence_spread, fence),
+            (-size.fence_spread, fence),
+            (-(size.nest_flat + size.block + size.pin_radius), 0.0),
+        ]
 
     def deck(self) -> Part:
         """The plate on the ring."""
         low, top = self.parts.heights[1], self.deck_top
         head, height = COUNTERSUNK["M3"]
-        hole = rod(CLEARANCE["M3"] / 2, low - OVER, top + OVER) + Pos(0, 0, top - height / 2) * Cone(CLEARANCE["M3"] / 2, head / 2, height)
-        deck = rod(max(self.size.deck_radius, self.parts.corner_radius), low, top) - rod(self.hole, low - OVER, top + OVER)
+        hole = rod(CLEARANCE["M3"] / 2, low - OVER, top + OVER) + Pos(0, 0, top - height / 2) * Cone(
+            CLEARANCE["M3"] / 2, head / 2, height
+        )
+        deck = rod(max(self.size.deck_radius, self.parts.corner_radius), low, top) - rod(
+            self.hole, low - OVER, top + OVER
+        )
         for x, y in self.parts.corner_holes():
             deck -= Pos(x, y, 0) * hole
         for x, y in self.fence_pins():
@@ -88,14 +99,21 @@ class JigParts:
         low = self.nest_top + size.ball_plate_gap
         top = low + size.ball_plate_thickness
         if not low < self.ball_height + size.ball_radius < top - 0.8:
-            text = f"balls reach to {self.ball_height + size.ball_radius - low:.2f} mm in a plate of {size.ball_plate_thickness:g} mm"
+            text = (
+                f"balls reach to {self.ball_height + size.ball_radius - low:.2f} mm in a plate of"
+                f" {size.ball_plate_thickness:g} mm"
+            )
             raise ExportError(f"{text}; change jig.vee_depth or jig.ball_plate_gap")
-        plate = rod(size.ball_plate_radius, low, top) - rod(self.tool.handle_radius + size.clamp_clearance, low - OVER, top + OVER)
+        plate = rod(size.ball_plate_radius, low, top) - rod(
+            self.tool.handle_radius + size.clamp_clearance, low - OVER, top + OVER
+        )
         for x, y in self.ball_places():
             plate -= Pos(x, y, 0) * rod(size.ball_radius, low - OVER, self.ball_height + size.ball_radius)
         middle = (low + top) / 2
         for angle in (30.0, 150.0):
-            thread = Rot(0, 90, 0) * rod(THREAD["M3"] / 2, self.tool.handle_radius - OVER, size.ball_plate_radius + OVER)
+            thread = Rot(0, 90, 0) * rod(
+                THREAD["M3"] / 2, self.tool.handle_radius - OVER, size.ball_plate_radius + OVER
+            )
             plate -= Pos(0, 0, middle) * Rot(0, 0, angle) * thread
         return plate
 
@@ -114,7 +132,9 @@ class JigParts:
         boss = self.tool.tip_z - size.cone_drop
         apex = self.tool.tip_z - ball / math.sin(math.radians(size.cone_half_angle_deg))
         wide = (boss + OVER - apex) * math.tan(math.radians(size.cone_half_angle_deg))
-        foot = rod(self.parts.plate_radius, top - size.foot_thickness, top) + rod(size.foot_boss_radius, top - OVER, boss)
+        foot = rod(self.parts.plate_radius, top - size.foot_thickness, top) + rod(
+            size.foot_boss_radius, top - OVER, boss
+        )
         foot -= Pos(0, 0, (apex + boss + OVER) / 2) * Cone(0.0, wide, boss + OVER - apex)
         for x, y in self.parts.plate_holes():
             foot -= Pos(x, y, 0) * rod(CLEARANCE["M4"] / 2, top - size.foot_thickness - OVER, top + OVER)
@@ -136,7 +156,9 @@ def jig(jigs: JigParts) -> list[Placed]:
         placed.append(Placed("jig dowel 4x12", pin, Pos(x, y, low), number, made=False, away=(0, 0, 1.9)))
     for number, (x, y) in enumerate(jigs.ball_places()):
         ball = Sphere(size.ball_radius)
-        placed.append(Placed("ball", ball, Pos(x, y, jigs.ball_height), number, on_tool=True, made=False, away=(0, 0, 2.6)))
+        placed.append(
+            Placed("ball", ball, Pos(x, y, jigs.ball_height), number, on_tool=True, made=False, away=(0, 0, 2.6))
+        )
     gauge = Pos(-(size.nest_flat + size.block / 2), 0, deck + 4.0) * Box(size.block, 30.0, 8.0)
     placed.append(Placed("gauge block", gauge, Location(), made=False, away=(-0.8, 0, 1.9)))
     plate = jigs.parts.heights[0] - jigs.parts.sizes.ring.plate_thickness

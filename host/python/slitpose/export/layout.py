@@ -133,7 +133,9 @@ class Layout:
             tilt = found["slit_tilt_rad"][number]
             if np.abs(tilt[:2]).max() > LEVEL:
                 text = f"cell {number} of {scene.name!r}: slit.tilt_deg leans out of the detector's plane"
-                raise ExportError(f"{text} by {np.degrees(np.abs(tilt[:2]).max()):.3f} degrees; masks lie parallel to it")
+                raise ExportError(
+                    f"{text} by {np.degrees(np.abs(tilt[:2]).max()):.3f} degrees; masks lie parallel to it"
+                )
         document = tomllib.loads(scene.toml)
         return cls(
             scene=scene,

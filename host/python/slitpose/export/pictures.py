@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from .checks import mesh
-from .head import Placed
 from .layout import Float
+from .solids import Placed
 
 Projection = Callable[[Float], Float]
 
@@ -102,7 +102,7 @@ def section(placed: list[Placed], azimuth: float, only_from: float = -SIZE) -> l
     """Parts with one side of the vertical plane at `azimuth` (rad) cut away, turned so that it is the plane y = 0, and
     named where they are cut; only what reaches farther than `only_from` along the plane.
     """
-    front = Pos(only_from, -SIZE / 2, 0) * Box(SIZE, SIZE, SIZE, align=(Align.MIN, Align.CENTER, Align.CENTER))
+    front = Pos(only_from, -SIZE / 2, 0) * Box(2 * SIZE, SIZE, SIZE, align=(Align.MIN, Align.CENTER, Align.CENTER))
     beside = Pos(only_from, 0, 0) * Box(SIZE, 2 * SIZE, SIZE, align=(Align.MAX, Align.CENTER, Align.CENTER))
     named: set[str] = set()
     drawn = []
