@@ -51,7 +51,7 @@ cad = pytest.importorskip("build123d", reason="needs the extra `cad`: host/pytho
 from slitpose.export import checks, command as export_command, files  # noqa: E402
 from slitpose.export.head import HeadParts, head  # noqa: E402
 from slitpose.export.jig import JigParts, jig  # noqa: E402
-from slitpose.export.layout import Layout  # noqa: E402
+from slitpose.export.layout import Layout, rotation  # noqa: E402
 from slitpose.export.sizes import ExportError, Sizes  # noqa: E402
 from slitpose.export.solids import Placed  # noqa: E402
 
@@ -264,6 +264,61 @@ def test_balls_rest_in_their_vees_and_the_stage_moves_freely(orderable: Made) ->
     free = np.array([[0.01, 0.06, 0.0]])
     moved = poses[0] + free * np.sign(np.abs(steps))[:, None]
     assert checks.clearance([*orderable.placed, *without_foot], (moved, poses[1])).colliding == 0
+
+
+def test_motions_that_the_jig_allows_calibrate_a_head(command: Command, tmp_path: Path) -> None:
+    """Stage, cone and nest with the sizes of the jig, free motion, and the noise of the front end; a perfect jig."""
+    command("bench", "orderable", "--output", tmp_path / "head", "--poses", "60", "--duration", "1s")
+    scene = slitpose.Scene.open("orderable")
+    true = scene.with_calibration(slitpose.calibrate("orderable", known=tmp_path / "head" / "known.csv"))
+    noise, sizes = np.random.default_rng(3), Sizes()
+
+    def write(name: str, translation: Float, turned: Float, frames: int, steps_mm: Float | None = None) -> Path:
+        currents = true.model(translation, turned).currents_a
+        sigma = 32.5e-6 / 4031 * np.sqrt(2 / 8 / frames)  # one code, eight conversions, lit minus dark
+        currents = currents + sigma * noise.standard_normal(currents.shape)
+        rows = [
+            [row, *([] if steps_mm is None else [steps_mm[row]]), *it.ravel(), frames]
+            for row, it in enumerate(currents)
+        ]
+        head = [
+            "id",
+            *([] if steps_mm is None else ["step_mm"]),
+            *(f"i_x{e}_{k}_a" for k in range(6) for e in (1, 2)),
+            "frames",
+        ]
+        with (tmp_path / name).open("w", newline="") as file:
+            csv.writer(file).writerows([head, *rows])
+        return tmp_path / name
+
+    def path(extent: float, count: int) -> Float:
+        """Smooth motion within an extent."""
+        rate, phase = noise.uniform(12, 56, (3, 3, 1)), noise.uniform(0, 6.3, (3, 3, 1))
+        return np.asarray(extent / 3 * np.sin(rate * np.linspace(0, 1, count) + phase).sum(axis=0).T)
+
+    home, askew = np.array([0.15e-3, -0.1e-3, 0.12e-3]), np.radians([0.4, -0.3, 0.5])
+    steps = np.arange(-sizes.jig.steps, sizes.jig.steps + 0.1, 0.5)
+    along = home + np.outer(1e-3 * steps, [1, 0, 0])
+    tip = np.array([0, 0, 1e-3 * sizes.tool.tip_z])
+    tilts = np.radians(noise.uniform([-4, -4, -15], [4, 4, 15], (60, 3)))
+    found = slitpose.calibrate(
+        scene,
+        free=write("free.csv", path(3.3e-3, 600), path(np.radians(15), 600), 1),
+        stage=write("stage.csv", along, np.tile(askew, (len(steps), 1)), 100, steps - steps[0]),
+        rest=write("rest.csv", np.tile(home, (20, 1)), np.tile(askew, (20, 1)), 100),
+        pivot=write("pivot.csv", np.array([home + tip - rotation(tilt) @ tip for tilt in tilts]), tilts, 100),
+    )
+    places, turns = path(3e-3, 400), path(np.radians(14), 400)
+    currents = true.model(places, turns).currents_a
+
+    def error_um(head: slitpose.Scene) -> float:
+        poses = head.solve(currents).translation_m
+        lengths = [np.linalg.norm(points[7:] - points[:-7], axis=1) for points in (poses, places)]
+        return float(1e6 * np.sqrt(np.mean((lengths[0] - lengths[1]) ** 2)))
+
+    before, after = error_um(scene), error_um(scene.with_calibration(found))
+    print(f"displacements err by {before:.1f} um rms before, {after:.2f} um after")
+    assert before > 20 and 0.1 < after < 4
 
 
 def test_files_are_complete_and_agree_with_the_scene(folder: Path) -> None:

@@ -36,7 +36,11 @@ const REFUSED: &[(&str, i32, &[&str])] = &[
     ("model wide --poses - --tolerance 1", 2, &["between 0 and 1"]),
     ("model wide --poses no/such.csv", 1, &["cannot read no/such.csv", "give a CSV file"]),
     ("model wide --poses /dev/zero", 1, &["cannot read /dev/zero", "a device"]),
-    ("model no/such.toml --poses -", 1, &["no/such.toml", "wide, fine, redundant, orderable, spacemouse, maglev, base, bench"]),
+    (
+        "model no/such.toml --poses -",
+        1,
+        &["no/such.toml", "wide, fine, redundant, orderable, spacemouse, maglev, base, bench"],
+    ),
     ("solve wide", 2, &["--currents"]),
     ("replay", 2, &["<FILE>"]),
     ("replay /dev/null", 1, &["/dev/null", "no regular file"]),
