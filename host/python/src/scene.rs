@@ -11,7 +11,7 @@ use slitpose_calibration::Head;
 use slitpose_design::map::Outlook;
 use slitpose_design::plot::{cell_picture, scene_picture};
 use slitpose_head::scene_file::SceneFile;
-use slitpose_model::{CompiledScene, Pair, Pose, Status, Tier};
+use slitpose_model::{Cell, CompiledScene, Pair, Pose, Status, Tier};
 use slitpose_tracking::frame::View;
 use slitpose_tracking::solving::{MODEL_TOLERANCE, RowSolver, STREAM_TOLERANCE};
 
@@ -94,6 +94,32 @@ impl Scene {
     fn workspace(&self) -> ([f64; 3], [f64; 3]) {
         let workspace = self.file.workspace;
         (workspace.half_extent_m.to_array(), workspace.half_extent_rad.to_array())
+    }
+
+    /// Where detector, slit and emitter of each cell are with the tool at home: metres and radians, a row per cell;
+    /// detectors and slits in the base frame and the cell's own, emitters in the tool frame.
+    fn geometry<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let cells = &self.head.file.scene.cells;
+        let columns = Columns::new(py, cells.len());
+        let vectors = |of: fn(&Cell) -> DVec3| cells.iter().flat_map(|cell| of(cell).to_array()).collect();
+        columns.put_shaped("detector_m", vectors(|cell| cell.detector.centre_base_m), &[3])?;
+        columns.put_shaped("x_axis", vectors(|cell| cell.detector.x_axis_base), &[3])?;
+        columns.put_shaped("normal", vectors(|cell| cell.detector.normal_base), &[3])?;
+        columns.put_shaped(
+            "active_area_m",
+            pairs(cells, |cell| [cell.detector.length_m, cell.detector.width_m]),
+            &[2],
+        )?;
+        columns.put("slit_distance_m", cells.iter().map(|cell| cell.slit.distance_m).collect())?;
+        columns.put_shaped("slit_m", pairs(cells, |cell| [cell.slit.width_m, cell.slit.length_m]), &[2])?;
+        columns.put_shaped("slit_offset_m", pairs(cells, |cell| cell.slit.offset_m.to_array()), &[2])?;
+        columns.put_shaped("slit_tilt_rad", vectors(|cell| cell.slit.tilt_rad), &[3])?;
+        columns.put("mask_thickness_m", cells.iter().map(|cell| cell.slit.thickness_m).collect())?;
+        columns.put_shaped("emitter_m", vectors(|cell| cell.emitter.position_tool_m), &[3])?;
+        columns.put_shaped("emitter_axis", vectors(|cell| cell.emitter.axis_tool), &[3])?;
+        let openings: Vec<String> = cells.iter().map(|cell| cell.opening().to_string()).collect();
+        columns.dict.set_item("opening", openings)?;
+        Ok(columns.dict)
     }
 
     /// Poses spread evenly over the workspace.
@@ -315,6 +341,10 @@ impl Scene {
             None => Head::as_scene_says(self.file.clone()).map_err(raised),
         }
     }
+}
+
+fn pairs(cells: &[Cell], of: impl Fn(&Cell) -> [f64; 2]) -> Vec<f64> {
+    cells.iter().flat_map(of).collect()
 }
 
 fn number_of(status: Status) -> u8 {

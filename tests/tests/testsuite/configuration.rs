@@ -199,7 +199,7 @@ fn names_and_files_are_completed_where_both_are_taken() {
     }
     let zsh = slitpose!().run(["completions", "zsh"]).done();
     assert!(zsh.lines().any(|line| line.contains("--scene=")
-        && line.contains("(wide fine redundant spacemouse maglev base bench)")
+        && line.contains("(wide fine redundant orderable spacemouse maglev base bench)")
         && line.contains("_files")));
     assert!(
         zsh.lines().any(|line| line.contains("':name -- ") && !line.contains("_files")),
@@ -210,7 +210,7 @@ fn names_and_files_are_completed_where_both_are_taken() {
         |name: &str| fish.lines().any(|line| line.contains(&format!("-l {name} ")) && line.contains(" -r -F -a \""));
     assert!(["scene", "device", "trajectory"].iter().all(|name| option(name)), "{fish}");
     assert!(
-        fish.lines().any(|line| line.contains("from check\" -a \"wide fine redundant spacemouse maglev base bench\"")),
+        fish.lines().any(|line| line.contains("from check\" -a \"wide fine redundant orderable spacemouse maglev base bench\"")),
         "{fish}"
     );
 }

@@ -201,6 +201,7 @@ macro_rules! works {
 works! {
     the_designer_gets_a_head: "designer.md",
     the_designer_gets_a_better_head: "accuracy.md",
+    a_head_is_made_and_calibrated_with_its_jig: "build.md",
     the_bench_engineer_finds_the_faults: "bench.md",
     a_raw_head_becomes_a_calibrated_one: "calibration.md",
     poses_are_given_in_a_frame_and_at_the_tip: "frame.md",

@@ -207,6 +207,13 @@ pub const REDUNDANT: Shipped = Shipped {
     text: include_str!("../../scenes/redundant.toml"),
 };
 
+/// `wide` with parts that are sold.
+pub const ORDERABLE: Shipped = Shipped {
+    name: "orderable",
+    about: "the geometry of wide with parts that are sold, and tolerances of its housing",
+    text: include_str!("../../scenes/orderable.toml"),
+};
+
 /// Slits on the tool.
 pub const SPACEMOUSE: Shipped = Shipped {
     name: "spacemouse",
@@ -236,7 +243,7 @@ pub const BENCH: Shipped = Shipped {
 };
 
 /// Every shipped scene.
-pub const SHIPPED: [Shipped; 7] = [WIDE, FINE, REDUNDANT, SPACEMOUSE, MAGLEV, BASE, BENCH];
+pub const SHIPPED: [Shipped; 8] = [WIDE, FINE, REDUNDANT, ORDERABLE, SPACEMOUSE, MAGLEV, BASE, BENCH];
 
 impl Shipped {
     /// The shipped scene of this name.

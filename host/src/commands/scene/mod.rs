@@ -1,5 +1,6 @@
 //! `slitpose scene`: everything about scenes that needs no device.
 
+mod export;
 mod map;
 mod optimise;
 
@@ -33,6 +34,7 @@ pub(super) struct Args {
 #[derive(Debug, Subcommand)]
 enum Verb {
     Check(CheckArgs),
+    Export(export::Args),
     /// Lists the scenes that come with the program
     #[command(after_help = "Example:\n  slitpose scene list")]
     List,
@@ -46,6 +48,7 @@ enum Verb {
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     match &args.verb {
         Verb::Check(args) => check(args),
+        Verb::Export(args) => export::run(args),
         Verb::List => list(),
         Verb::Map(args) => map::run(args),
         Verb::Optimise(args) => optimise::run(args),
