@@ -467,10 +467,10 @@ class Session(InBrowser):
         rests_s = [turned_s + self.TURN_S + self.WAY_S + k * (self.REST_S + self.WAY_S) for k in range(self.STEPS + 2 * self.STOPS)]
         step_mm = self.step_mm(rests_s)
         page.fill("#guide-step", step_mm)
-        self.part(rests_s[self.STEPS - 1] + self.REST_S, [at + 1.2 for at in rests_s[:self.STEPS]])
+        self.part(rests_s[self.STEPS - 1] + self.REST_S, [at + 1.6 for at in rests_s[:self.STEPS]])
         # Every other rest is at the stop.
         stops_s = rests_s[self.STEPS + 1::2]
-        self.assertIn("That is enough", self.part(stops_s[-1] + self.REST_S, [at + 1.2 for at in stops_s]))
+        self.assertIn("That is enough", self.part(stops_s[-1] + self.REST_S, [at + 1.6 for at in stops_s]))
         page.click("#guide-adjust")
         wait(page, "document.getElementById('guide-result').textContent.includes('wrote')", 900)
         said = page.inner_text("#guide-result")
