@@ -8,7 +8,7 @@
 use crate::memory::CCM_BASE;
 
 use super::decode::{decode, is_wide};
-use super::instruction::{Address, FloatAddress, FloatInstruction, FloatOp, FloatUnaryOp, Instruction};
+use super::instruction::{Address, FloatInstruction, FloatOp, FloatUnaryOp, Instruction, Words};
 use super::{Bus, Fault};
 
 /// Flash of the STM32G474RE, bytes; it shows at 0 and at 0x0800_0000.
@@ -109,10 +109,10 @@ pub(super) fn timing(instruction: &Instruction) -> Timing {
             Timing { cycles: 2, needs: rn.bit() | rm.bit(), busy: 0 }
         }
         Instruction::Store { .. } => Timing { cycles: 1, needs: NONE, busy: 0 },
-        Instruction::LoadMultiple { registers, .. } | Instruction::StoreMultiple { registers, .. } => {
-            alone(1 + registers.count_ones() as u8)
+        Instruction::LoadWords { words: Words::Float { count: 1, .. }, address: Address::Offset { rn, .. } } => {
+            Timing { cycles: 2, needs: rn.bit(), busy: 0 }
         }
-        Instruction::LoadPair { .. } | Instruction::StorePair { .. } => alone(3),
+        Instruction::LoadWords { words, .. } | Instruction::StoreWords { words, .. } => alone(1 + words.count()),
         Instruction::LoadExclusive { .. } | Instruction::StoreExclusive { .. } => alone(2),
         Instruction::TableBranch { .. } | Instruction::Divide { .. } => alone(2),
         Instruction::Float(float) => float_timing(float),
@@ -130,10 +130,6 @@ fn address_registers(address: Address) -> u16 {
 fn float_timing(float: FloatInstruction) -> Timing {
     let alone = |cycles| Timing { cycles, needs: NONE, busy: NONE };
     match float {
-        FloatInstruction::Load { count: 1, address: FloatAddress::Offset { rn, .. }, .. } => {
-            Timing { cycles: 2, needs: rn.bit(), busy: 0 }
-        }
-        FloatInstruction::Load { count, .. } | FloatInstruction::Store { count, .. } => alone(1 + count),
         FloatInstruction::Arithmetic { op: FloatOp::Div, .. }
         | FloatInstruction::Unary { op: FloatUnaryOp::Sqrt, .. } => alone(14),
         FloatInstruction::PairToCore { .. } | FloatInstruction::PairFromCore { .. } => alone(2),

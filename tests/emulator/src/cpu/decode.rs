@@ -2,8 +2,8 @@
 //! 10 and 11, A6; others do not exist), and what all share.
 
 use super::instruction::{
-    Address, AluOp, Extension, FloatAddress, FloatInstruction, FloatOp, FloatUnaryOp, ImmediateCarry, Instruction,
-    LoadKind, Reg, SReg, SetFlags, Shift, ShiftKind, UnaryOp,
+    Address, AluOp, Extension, FloatInstruction, FloatOp, FloatUnaryOp, ImmediateCarry, Instruction, LoadKind, Reg,
+    SReg, SetFlags, Shift, ShiftKind, UnaryOp, Words,
 };
 use super::{Size, decode_wide};
 
@@ -161,18 +161,14 @@ fn miscellaneous(h: u32) -> Instruction {
             rn: low(h, 0),
             offset: (h >> 3 & 0x40 | h >> 2 & 0x3e) as u8,
         },
-        op if op & 0b111000 == 0b010000 => Instruction::StoreMultiple {
-            rn: Reg::SP,
-            registers: (h & 255 | h << 6 & 1 << 14) as u16,
-            decrement: true,
-            writeback: true,
-        },
-        op if op & 0b111000 == 0b110000 => Instruction::LoadMultiple {
-            rn: Reg::SP,
-            registers: (h & 255 | h << 7 & 1 << 15) as u16,
-            decrement: false,
-            writeback: true,
-        },
+        op if op & 0b111000 == 0b010000 => {
+            let words = Words::Core((h & 255 | h << 6 & 1 << 14) as u16);
+            Instruction::StoreWords { words, address: block(Reg::SP, words, true, true) }
+        }
+        op if op & 0b111000 == 0b110000 => {
+            let words = Words::Core((h & 255 | h << 7 & 1 << 15) as u16);
+            Instruction::LoadWords { words, address: block(Reg::SP, words, false, true) }
+        }
         op if op & 0b111100 == 0b111100 => if_then_or_hint(h),
         _ => Instruction::Undefined,
     }
@@ -184,12 +180,24 @@ fn if_then_or_hint(h: u32) -> Instruction {
 
 fn multiple(h: u32, is_load: bool) -> Instruction {
     let (rn, registers) = (low(h, 8), (h & 255) as u16);
-    if is_load {
-        // A loaded base register keeps what was loaded.
-        let writeback = registers & rn.bit() == 0;
-        Instruction::LoadMultiple { rn, registers, decrement: false, writeback }
-    } else {
-        Instruction::StoreMultiple { rn, registers, decrement: false, writeback: true }
+    let words = Words::Core(registers);
+    // A loaded base register keeps what was loaded.
+    let writeback = !is_load || registers & rn.bit() == 0;
+    move_words(is_load, words, block(rn, words, false, writeback))
+}
+
+pub(super) fn move_words(is_load: bool, words: Words, address: Address) -> Instruction {
+    if is_load { Instruction::LoadWords { words, address } } else { Instruction::StoreWords { words, address } }
+}
+
+/// Where `words` lie upwards from `rn`, or downwards below it.
+pub(super) fn block(rn: Reg, words: Words, downwards: bool, writeback: bool) -> Address {
+    let bytes = 4 * i16::from(words.count());
+    match (downwards, writeback) {
+        (false, true) => Address::PostIndexed { rn, offset: bytes },
+        (false, false) => Address::Offset { rn, offset: 0 },
+        (true, true) => Address::PreIndexed { rn, offset: -bytes },
+        (true, false) => Address::Offset { rn, offset: -bytes },
     }
 }
 
@@ -272,7 +280,7 @@ pub(super) fn decode_coprocessor(w: u32) -> Instruction {
         2 => float_processing(w),
         3 => None,
         _ if w >> 21 & 15 == 2 => transfer_pair(w),
-        _ => load_store(w),
+        _ => return load_store(w).unwrap_or(Instruction::Undefined),
     };
     float.map_or(Instruction::Undefined, Instruction::Float)
 }
@@ -380,34 +388,24 @@ fn transfer_pair(w: u32) -> Option<FloatInstruction> {
 }
 
 /// DDI0403, A6.5.
-fn load_store(w: u32) -> Option<FloatInstruction> {
+fn load_store(w: u32) -> Option<Instruction> {
     let rn = Reg::at(w, 16);
-    let (before, up, writeback, is_load) = (bit(w, 24), bit(w, 23), bit(w, 21), bit(w, 20));
     let is_double = bit(w, 8);
     let first = if is_double { double(w, 12, 22)? } else { sd(w) };
-    let words = w & 255;
-    let (count, address) = match (before, up, writeback) {
-        (true, _, false) => {
-            let bytes = (words << 2) as i16;
-            let offset = if up { bytes } else { -bytes };
-            (if is_double { 2 } else { 1 }, FloatAddress::Offset { rn, offset })
-        }
-        (false, true, _) => {
-            let bytes = if writeback { words << 2 } else { 0 };
-            (words, FloatAddress::Increment { rn, bytes: u8::try_from(bytes).ok()? })
-        }
-        (true, false, true) => (words, FloatAddress::Decrement { rn, bytes: u8::try_from(words << 2).ok()? }),
-        _ => return None,
+    let (before, up, writeback) = (bit(w, 24), bit(w, 23), bit(w, 21));
+    let moves = |count: u32, address: &dyn Fn(Words) -> Address| {
+        let words = Words::Float { first, count: count as u8 };
+        (count > 0 && u32::from(first.0) + count <= 32).then(|| move_words(bit(w, 20), words, address(words)))
     };
-    // An odd count of double-precision words is FLDMX or FSTMX: the last word is skipped, not moved.
-    let count = if is_double { count & !1 } else { count };
-    if count == 0 || u32::from(first.0) + count > 32 {
-        return None;
+    match (before, up, writeback) {
+        (true, _, false) => {
+            let bytes = ((w & 255) << 2) as i16;
+            moves(1 + u32::from(is_double), &|_| Address::Offset { rn, offset: if up { bytes } else { -bytes } })
+        }
+        // An odd count of double-precision words is FLDMX or FSTMX, which no compiler makes.
+        (false, true, _) | (true, false, true) if !(is_double && bit(w, 0)) => {
+            moves(w & 255, &|words| block(rn, words, before, writeback))
+        }
+        _ => None,
     }
-    let count = count as u8;
-    Some(if is_load {
-        FloatInstruction::Load { first, count, address }
-    } else {
-        FloatInstruction::Store { first, count, address }
-    })
 }

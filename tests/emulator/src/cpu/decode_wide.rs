@@ -2,10 +2,11 @@
 
 use super::Size;
 use super::decode::{
-    bit, decode_coprocessor, hint, immediate_shift, rd, rm, rn, rt, set_flags, sign_extend, unless_15,
+    bit, block, decode_coprocessor, hint, immediate_shift, move_words, rd, rm, rn, rt, set_flags, sign_extend,
+    unless_15,
 };
 use super::instruction::{
-    Address, AluOp, Extension, ImmediateCarry, Instruction, LoadKind, Reg, SetFlags, ShiftKind, Special, UnaryOp,
+    Address, AluOp, Extension, ImmediateCarry, Instruction, LoadKind, Reg, SetFlags, ShiftKind, Special, UnaryOp, Words,
 };
 
 /// Decodes the 32-bit instruction `w`.
@@ -28,17 +29,13 @@ pub(super) fn decode_wide(w: u32) -> Instruction {
 }
 
 fn multiple(w: u32) -> Instruction {
-    let (rn, registers, writeback) = (rn(w), w as u16, bit(w, 21));
-    let decrement = match w >> 23 & 3 {
+    let words = Words::Core(w as u16);
+    let downwards = match w >> 23 & 3 {
         1 => false,
         2 => true,
         _ => return Instruction::Undefined,
     };
-    if bit(w, 20) {
-        Instruction::LoadMultiple { rn, registers, decrement, writeback }
-    } else {
-        Instruction::StoreMultiple { rn, registers, decrement, writeback }
-    }
+    move_words(bit(w, 20), words, block(rn(w), words, downwards, bit(w, 21)))
 }
 
 /// Addressing by P (bit 24), U (bit 23), W (bit 21) as LDRD has it; `bytes` is the offset's magnitude.
@@ -57,12 +54,7 @@ fn pair_exclusive_table(w: u32) -> Instruction {
     let is_load = bit(w, 20);
     if bit(w, 24) || bit(w, 21) {
         let address = indexed(w, 24, 23, 21, (w & 255) << 2);
-        let (rt, rt2) = (rt(w), Reg::at(w, 8));
-        return if is_load {
-            Instruction::LoadPair { rt, rt2, address }
-        } else {
-            Instruction::StorePair { rt, rt2, address }
-        };
+        return move_words(is_load, Words::Pair(rt(w), Reg::at(w, 8)), address);
     }
     if !bit(w, 23) {
         let offset = ((w & 255) << 2) as u16;

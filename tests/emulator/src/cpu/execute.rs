@@ -55,14 +55,8 @@ impl Cpu {
 
             Instruction::Load { kind, rt, address } => self.load(bus, kind, rt, address)?,
             Instruction::Store { size, rt, address } => self.store(bus, size, rt, address)?,
-            Instruction::LoadPair { rt, rt2, address } => self.load_pair(bus, rt, rt2, address)?,
-            Instruction::StorePair { rt, rt2, address } => self.store_pair(bus, rt, rt2, address)?,
-            Instruction::LoadMultiple { rn, registers, decrement, writeback } => {
-                self.load_multiple(bus, rn, registers, decrement, writeback)?;
-            }
-            Instruction::StoreMultiple { rn, registers, decrement, writeback } => {
-                self.store_multiple(bus, rn, registers, decrement, writeback)?;
-            }
+            Instruction::LoadWords { words, address } => self.load_words(bus, words, address)?,
+            Instruction::StoreWords { words, address } => self.store_words(bus, words, address)?,
 
             Instruction::Branch { offset } => self.branch_by(offset),
             Instruction::BranchIf { condition, offset } => {
@@ -87,7 +81,7 @@ impl Cpu {
             }
             Instruction::IfThen { state } => self.registers.it = state,
             Instruction::Nop | Instruction::Barrier => {}
-            Instruction::Float(float) => self.execute_float(bus, float)?,
+            Instruction::Float(float) => self.execute_float(float)?,
             _ => return self.execute_rare(bus, instruction),
         }
         Ok(())

@@ -41,14 +41,10 @@ pub enum Instruction {
 
     Load { kind: LoadKind, rt: Reg, address: Address },
     Store { size: Size, rt: Reg, address: Address },
-    /// LDRD.
-    LoadPair { rt: Reg, rt2: Reg, address: Address },
-    /// STRD.
-    StorePair { rt: Reg, rt2: Reg, address: Address },
-    /// LDM, LDMDB, POP.
-    LoadMultiple { rn: Reg, registers: u16, decrement: bool, writeback: bool },
-    /// STM, STMDB, PUSH.
-    StoreMultiple { rn: Reg, registers: u16, decrement: bool, writeback: bool },
+    /// LDRD, LDM, LDMDB, POP, VLDR, VLDM, VPOP.
+    LoadWords { words: Words, address: Address },
+    /// STRD, STM, STMDB, PUSH, VSTR, VSTM, VPUSH.
+    StoreWords { words: Words, address: Address },
     LoadExclusive { size: Size, rt: Reg, rn: Reg, offset: u16 },
     StoreExclusive { size: Size, rd: Reg, rt: Reg, rn: Reg, offset: u16 },
     /// CLREX.
@@ -111,10 +107,6 @@ pub enum FloatInstruction {
     ReadStatus { rt: Reg },
     /// VMSR.
     WriteStatus { rt: Reg },
-    /// VLDR of `count` words, VLDM, VPOP.
-    Load { first: SReg, count: u8, address: FloatAddress },
-    /// VSTR of `count` words, VSTM, VPUSH.
-    Store { first: SReg, count: u8, address: FloatAddress },
 }
 
 const _: () = assert!(size_of::<Instruction>() <= 12, "the decoded-instruction cache relies on small instructions");
@@ -257,6 +249,28 @@ pub enum Address {
     Register { rn: Reg, rm: Reg, shift: u8 },
 }
 
+/// Registers that are loaded or stored together, the first at the lowest address.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Words {
+    Pair(Reg, Reg),
+    /// R0–R15 by their bits, in ascending order.
+    Core(u16),
+    Float {
+        first: SReg,
+        count: u8,
+    },
+}
+
+impl Words {
+    pub fn count(self) -> u8 {
+        match self {
+            Self::Pair(..) => 2,
+            Self::Core(registers) => registers.count_ones() as u8,
+            Self::Float { count, .. } => count,
+        }
+    }
+}
+
 /// A special register of MRS and MSR.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Special {
@@ -294,23 +308,4 @@ pub enum FloatUnaryOp {
     Abs,
     Neg,
     Sqrt,
-}
-
-/// Address of a floating-point load or store.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum FloatAddress {
-    Offset {
-        rn: Reg,
-        offset: i16,
-    },
-    /// VLDM, VSTM upwards from `rn`; `bytes` is what write-back adds, or 0.
-    Increment {
-        rn: Reg,
-        bytes: u8,
-    },
-    /// VLDMDB, VSTMDB downwards from `rn`, by `bytes`, with write-back.
-    Decrement {
-        rn: Reg,
-        bytes: u8,
-    },
 }
