@@ -23,6 +23,7 @@ use crate::peripherals::uart::Uart;
 use crate::peripherals::usb::Usb;
 use crate::peripherals::watchdog::Watchdog;
 use crate::peripherals::{Effects, ResetCause, Ticks};
+use crate::st::{self, LL, TS, V};
 use crate::usb_host::UsbHost;
 use crate::world::World;
 
@@ -32,24 +33,14 @@ mod faults;
 use bus::{UNITS, Unit};
 use faults::UnderWay;
 
-/// Flash wait states that the core needs at 170 MHz (RM0440, "Number of wait states according
-/// to CPU clock frequency", range 1 boost mode).
-const LATENCY_AT_170_MHZ: u32 = 4;
-
 /// The port that switches the emitters, and the shift of its first gate (PC6).
 const GATE_PORT: usize = 2;
 const FIRST_GATE: u32 = 6;
 /// PC6 to PC11.
 const GATES: u16 = 0x3F;
 
-/// Below this supply the brown-out reset holds the device, in volts (data sheet, V_BOR0, falling, typical).
-const BROWN_OUT_V: f64 = 1.64;
-/// Below this the backup registers are lost, in volts (data sheet, V_BAT minimum).
-const BACKUP_V: f64 = 1.55;
-/// Supply during the factory's calibration of temperature sensor and reference, in volts.
-const CALIBRATION_V: f64 = 3.0;
-/// Temperatures of the calibration of the sensor, in degrees Celsius (data sheet, TS_CAL1 and TS_CAL2).
-const CALIBRATION_C: [f64; 2] = [30.0, 130.0];
+/// Temperatures at which the factory calibrates the sensor, in degrees Celsius.
+const CALIBRATION_C: [f64; 2] = [TS::CAL1_temperature as f64, TS::CAL2_temperature as f64];
 
 #[derive(Debug)]
 pub struct Board<W> {
@@ -201,11 +192,11 @@ impl<W: World> Board<W> {
     /// Sets the supply, in volts. Returns whether it is high enough for the device to run.
     pub fn set_supply_v(&mut self, volts: f64) -> bool {
         self.power.supply_v = volts;
-        if volts < BACKUP_V {
+        if volts < V::BAT_least {
             self.lose_backup();
         }
         self.update_pvd();
-        volts >= BROWN_OUT_V
+        volts >= V::BOR0_falling
     }
 
     /// Sets the temperature of the chip, in degrees Celsius.
@@ -384,7 +375,7 @@ impl<W: World> Board<W> {
         let slow = !self.rcc.is_at_full_speed();
         let pulled = self.rcc.write(offset, value, &mut self.effects);
         if slow && self.rcc.is_at_full_speed() {
-            if self.flash.latency() < LATENCY_AT_170_MHZ {
+            if self.flash.latency() < st::wait::states_170_MHz {
                 self.effects.violation(value, "170 MHz need four wait states of the flash");
             }
             if !self.power.is_boosted() {
@@ -433,15 +424,15 @@ impl<W: World> Board<W> {
 /// Code of `channel` of ADC3 to ADC5 (data sheet, "Temperature sensor characteristics" and "Internal voltage reference"):
 /// temperature on ADC5_IN4, reference on IN18; nothing else is connected.
 fn internal_code(channel: u8, supply_v: f64, temperature_c: f64) -> u16 {
-    let at_calibration_supply = match channel {
-        4 => {
+    let at_calibration_supply = match channel.into() {
+        LL::ADC_CHANNEL_TEMPSENSOR_ADC5 => {
             let slope = f64::from(TS_CAL2 - TS_CAL1) / (CALIBRATION_C[1] - CALIBRATION_C[0]);
             f64::from(TS_CAL1) + slope * (temperature_c - CALIBRATION_C[0])
         }
-        18 => f64::from(VREFINT_CAL),
+        LL::ADC_CHANNEL_VREFINT => f64::from(VREFINT_CAL),
         _ => 0.0,
     };
-    (at_calibration_supply * CALIBRATION_V / supply_v).round().clamp(0.0, 4_095.0) as u16
+    (at_calibration_supply * st::calibration::supply / supply_v).round().clamp(0.0, 4_095.0) as u16
 }
 
 #[cfg(test)]

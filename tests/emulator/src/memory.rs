@@ -35,8 +35,8 @@ const UNIQUE_ID_ADDRESS: u32 = st::UID::BASE;
 pub const TS_CAL1: u16 = 1_037;
 /// Code of the temperature sensor at 130 °C and 3.0 V (TS_CAL2).
 pub const TS_CAL2: u16 = 1_379;
-/// Code of the internal reference of 1.212 V at 3.0 V (VREFINT_CAL).
-pub const VREFINT_CAL: u16 = 1_654;
+/// Code of the internal reference during the factory's calibration (VREFINT_CAL).
+pub const VREFINT_CAL: u16 = (4_095.0 * st::V::REFINT / st::calibration::supply + 0.5) as u16;
 
 /// The aligned word of system memory at `address`; erased where nothing is known.
 pub fn system_word(address: u32) -> u32 {
@@ -208,17 +208,5 @@ impl Bits {
     fn with_density(&mut self, density: f64) -> u64 {
         let threshold = (density.clamp(0.0, 1.0) * 65_536.0) as u64;
         (0..64).fold(0, |word, bit| word | u64::from(self.next() >> 32 & 0xFFFF < threshold) << bit)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::facts;
-
-    #[test]
-    fn the_reference_s_code_is_that_of_its_voltage() {
-        let full_scale_v = facts::number("calibration_supply");
-        assert_eq!(f64::from(VREFINT_CAL), (4_095.0 * facts::number("V_REFINT") / full_scale_v).round());
     }
 }

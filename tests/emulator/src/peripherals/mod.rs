@@ -54,4 +54,14 @@ pub(crate) use effects::{Bank, Effects};
 pub type Ticks = u64;
 
 /// Ticks in one second: the core clock, and that of all buses, in hertz.
-pub const TICKS_PER_SECOND: u64 = 170_000_000;
+pub const TICKS_PER_SECOND: u64 = 1_000_000 * crate::st::f::HCLK as u64;
+
+/// What stands in the bits of `mask`.
+fn field(word: u32, mask: u32) -> u32 {
+    (word & mask) >> mask.trailing_zeros()
+}
+
+/// The ticks next to `time`, of which `per_second` are a second.
+const fn ticks(time: f64, per_second: u64) -> Ticks {
+    (time * TICKS_PER_SECOND as f64 / per_second as f64 + 0.5) as Ticks
+}

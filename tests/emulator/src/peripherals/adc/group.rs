@@ -161,7 +161,6 @@ fn clock_ticks(ccr: u32) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::facts;
 
     const SMP_24_5: u32 = 3;
 
@@ -230,22 +229,9 @@ mod tests {
         assert_eq!(effects.violation_count, 1, "calibrated before the regulator is up");
     }
 
+    /// At a quarter of the bus clock: the way to its next edge, and the eighth of a clock that the data sheet has more.
     #[test]
-    fn times_are_those_of_st() {
-        let half_clocks = |name: &str| (2.0 * facts::number(name)) as u64;
-        let sampling = [0, 1, 2, 3, 4, 5, 6, 7].map(|code| half_clocks(&format!("sampling_clocks_{code}")));
-        assert_eq!(SAMPLE_HALF_CLOCKS, sampling);
-        assert_eq!(APPROXIMATION_HALF_CLOCKS, half_clocks("approximation_clocks_12_bits"));
-        let conversion = sampling[0] + APPROXIMATION_HALF_CLOCKS;
-        assert_eq!(2 * STABILISATION_CLOCKS, u64::from(facts::bits("t_STAB")) * conversion);
-    }
-
-    /// Without fault trigger-phase the latency is that of the data sheet in whole clocks; the fault adds the eighth that
-    /// is left at a quarter of the bus clock, and the way to the clock's next edge.
-    #[test]
-    fn the_triggers_latency_is_that_of_the_data_sheet_less_an_eighth() {
-        let latency = facts::number("t_LATR_ckmode_11");
-        assert_eq!((TRIGGER_CLOCKS as f64, latency.fract()), (latency.trunc(), 0.125));
+    fn the_fault_of_triggers_makes_them_late_by_the_phase_and_an_eighth_of_the_clock() {
         let (group, _) = enabled();
         let clock = group.adc(0).clock;
         let faults = [Fault::TriggerPhase].into_iter().collect();
@@ -259,14 +245,5 @@ mod tests {
         late.sort_unstable();
         // Half a tick in whole ones, and up to three.
         assert_eq!(late, [1, 2, 3, 4]);
-    }
-
-    #[test]
-    fn trigger_and_clock_are_selected_by_st_s_numbers() {
-        let select = facts::bits("LL_ADC_REG_TRIG_EXT_TIM2_TRGO") & facts::bits("ADC_CFGR_EXTSEL");
-        assert_eq!(RISING_TIM2, select | facts::bits("LL_ADC_REG_TRIG_EXT_RISING"));
-        for (divider, mode) in [(1, 1), (2, 2), (4, facts::bits("LL_ADC_CLOCK_SYNC_PCLK_DIV4") >> 16)] {
-            assert_eq!(clock_ticks(mode << 16), divider);
-        }
     }
 }
