@@ -452,15 +452,14 @@ impl UsbHost {
 
     fn complete_pipe(&mut self, place: usize, answer: Answer, sent: usize, now: Ticks) -> Result<(), String> {
         let Some(pipes) = &mut self.pipes else { return Ok(()) };
-        let (is_data, is_taken) = (matches!(answer, Answer::Data { .. }), answer == Answer::Ack);
-        let name = ["notification", "bulk IN", "bulk OUT"][place];
-        let bytes = pipes[place].progress(answer, now).map_err(|fault| format!("{name}: {fault}"))?;
-        if is_taken {
+        if answer == Answer::Ack {
             self.outgoing.drain(..sent);
         }
+        let name = ["notification", "bulk IN", "bulk OUT"][place];
+        let data = pipes[place].progress(answer, now).map_err(|fault| format!("{name}: {fault}"))?;
         // Changes of serial state concern nobody here.
-        if is_data && place == BULK_IN {
-            self.received.push((now, bytes));
+        if place == BULK_IN {
+            self.received.extend(data.map(|bytes| (now, bytes)));
         }
         Ok(())
     }
