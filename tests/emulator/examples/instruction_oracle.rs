@@ -50,7 +50,7 @@ fn hexadecimal(word: &str) -> Result<u32, std::num::ParseIntError> {
 
 /// A core in thread mode that has enabled its floating-point unit and used it: the first use sets the modes.
 fn core_with_float() -> Cpu {
-    let mut cpu = Cpu::new();
+    let mut cpu = Cpu::default();
     let mut memory = Memory { code: vec![0x6001, 0xeeb0, 0x0a40], data: Vec::new() }; // str r1, [r0]; vmov s0, s0
     cpu.reset(&mut memory);
     let mut state = cpu.state();

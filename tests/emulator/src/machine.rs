@@ -49,7 +49,7 @@ impl<W: World> Machine<W> {
     /// A machine whose flash holds `array`, powered on at tick 0.
     pub fn new(array: FlashArray, world: W) -> Self {
         let mut machine = Self {
-            cpu: Cpu::new(),
+            cpu: Cpu::default(),
             board: Board::new(array, world),
             resets: Vec::new(),
             awake: 0,

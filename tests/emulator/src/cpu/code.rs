@@ -31,13 +31,15 @@ pub(super) struct Code {
     decoded: Vec<Decoded>,
 }
 
-impl Code {
-    pub fn new() -> Self {
+impl Default for Code {
+    fn default() -> Self {
         let instruction = Instruction::Undefined;
         let none = Decoded { instruction, timing: timing(&instruction), bytes: 0 };
         Self { decoded: vec![none; FLASH_BYTES as usize / 2] }
     }
+}
 
+impl Code {
     /// The instruction at `address`, if it has been decoded.
     #[inline(always)]
     pub fn get(&self, address: u32) -> Option<Decoded> {
@@ -159,11 +161,13 @@ pub(super) struct Accelerator {
 /// A line number no address has.
 const NO_LINE: u32 = u32::MAX;
 
-impl Accelerator {
-    pub fn new() -> Self {
+impl Default for Accelerator {
+    fn default() -> Self {
         Self { current: NO_LINE, instructions: [NO_LINE; 32], data: [NO_LINE; 8] }
     }
+}
 
+impl Accelerator {
     /// Whether an instruction at `address` has to be waited for. Only those in flash pass through the caches.
     #[inline(always)]
     pub fn misses_instruction(&mut self, address: u32) -> bool {
@@ -223,7 +227,7 @@ mod tests {
 
     #[test]
     fn code_in_ccm_sram_is_not_waited_for_and_leaves_the_caches_alone() {
-        let mut accelerator = Accelerator::new();
+        let mut accelerator = Accelerator::default();
         assert!(accelerator.misses_instruction(0x0800_0000) && accelerator.misses_data(0x0800_0000));
         assert!(!accelerator.misses_instruction(CCM_BASE) && !accelerator.misses_data(CCM_BASE));
         assert!(!accelerator.misses_instruction(0x0800_0000) && !accelerator.misses_data(0x0800_0000));

@@ -17,7 +17,7 @@ const SIGN: u32 = 0x8000_0000;
 const QUIET: u32 = 0x0040_0000;
 const DEFAULT_NAN: u32 = 0x7fc0_0000;
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct FloatUnit {
     /// Bits of S0–S31.
     pub s: [u32; 32],
@@ -29,10 +29,6 @@ pub(super) struct FloatUnit {
 }
 
 impl FloatUnit {
-    pub fn new() -> Self {
-        Self { s: [0; 32], status: 0, stacking_unpaid: false, result: (SReg(0), u64::MAX) }
-    }
-
     pub fn fpscr(&self) -> u32 {
         self.status
     }
@@ -71,7 +67,7 @@ impl FloatUnit {
     /// 7.2.3).
     #[inline(always)]
     pub fn stall(&self, sources: &[SReg], now: u64) -> u32 {
-        u32::from(self.result.1.wrapping_add(1) == now && sources.contains(&self.result.0))
+        u32::from(self.result.1 + 1 == now && sources.contains(&self.result.0))
     }
 
     #[inline(always)]

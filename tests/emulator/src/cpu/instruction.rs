@@ -282,7 +282,7 @@ pub enum Special {
 }
 
 /// A single-precision register, 0–31.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SReg(pub u8);
 
 impl SReg {

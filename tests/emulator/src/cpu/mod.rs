@@ -109,7 +109,7 @@ impl From<Fault> for Trap {
 }
 
 /// The core. It starts unreset: call [`Cpu::reset`] first.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Cpu {
     registers: Registers,
     /// Address of the next instruction.
@@ -144,42 +144,10 @@ pub struct Cpu {
     lockup: Option<FaultReport>,
 }
 
-impl Default for Cpu {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
 /// Where the vector table is found at reset; the STM32G474 shows its flash at 0 and at 0x0800_0000.
 const RESET_VECTORS: u32 = 0x0800_0000;
 
 impl Cpu {
-    /// A core before its first reset.
-    pub fn new() -> Self {
-        Self {
-            registers: Registers::at_reset(0),
-            pc: 0,
-            float: FloatUnit::new(),
-            nvic: Nvic::new(),
-            system: System::default(),
-            code: Code::new(),
-            accelerator: Accelerator::new(),
-            lines: [0; 4],
-            attention: false,
-            is_waiting: false,
-            fetches_wrong_behind_sleep: false,
-            event: false,
-            exclusive: false,
-            in_flight: NOTHING_IN_FLIGHT,
-            in_it_block: false,
-            cycles: 0,
-            executed: 0,
-            instructions: 0,
-            last_fault: None,
-            lockup: None,
-        }
-    }
-
     /// Resets the core: stack pointer and program counter from the vector table at 0x0800_0000. Counters of
     /// instructions and cycles, the report of the last fault and decoded code stay; interrupt lines count as low
     /// until [`Self::set_lines`] tells otherwise.
@@ -190,11 +158,11 @@ impl Cpu {
         let start = vector(RESET_VECTORS + 4);
         self.registers.thumb = start & 1 != 0;
         self.pc = start & !1;
-        self.float = FloatUnit::new();
-        self.nvic = Nvic::new();
+        self.float = FloatUnit::default();
+        self.nvic = Nvic::default();
         self.lines = [0; 4];
         self.system = System::default();
-        self.accelerator = Accelerator::new();
+        self.accelerator = Accelerator::default();
         self.attention = true;
         self.is_waiting = false;
         self.event = false;

@@ -47,7 +47,7 @@ impl Flags {
     }
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Registers {
     /// R0–R15. R15 reads as instruction address plus 4.
     pub r: [u32; 16],
@@ -71,16 +71,7 @@ impl Registers {
         let mut r = [0; 16];
         r[13] = msp & !3;
         r[14] = 0xffff_ffff;
-        Self {
-            r,
-            min_msp: msp & !3,
-            flags: Flags::default(),
-            thumb: true,
-            it: 0,
-            ipsr: 0,
-            primask: false,
-            float_active: false,
-        }
+        Self { r, min_msp: msp & !3, ..Self::default() }
     }
 
     #[inline(always)]

@@ -58,7 +58,7 @@ impl Board {
     /// A board reset into `program`; every handler is `BX LR`.
     fn new(program: &[u16]) -> Self {
         let memory = Memory { flash: vec![0; 0x2000], ram: vec![0; 0x1000], flash_wait_states: 0 };
-        let mut board = Self { cpu: Cpu::new(), memory };
+        let mut board = Self { cpu: Cpu::default(), memory };
         board.store(0x0800_0000, STACK);
         board.store(0x0800_0004, PROGRAM | 1);
         for exception in 2..48 {
