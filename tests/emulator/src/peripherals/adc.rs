@@ -41,6 +41,8 @@ const CFGR_MODELLED: u32 = DMAEN | ADC::CFGR_DMACFG | ADC::CFGR_EXTSEL | ADC::CF
 const RISING_TIM2: u32 = LL::ADC_REG_TRIG_EXT_RISING | LL::ADC_REG_TRIG_EXT_TIM2_TRGO & ADC::CFGR_EXTSEL;
 /// Without injected conversions both modes of ROVSM are the same.
 const CFGR2_MODELLED: u32 = ROVSE | ADC::CFGR2_OVSR | ADC::CFGR2_ROVSM;
+/// Of SMPR1 and SMPR2: three bits for each of ten channels.
+const TEN_CHANNELS: u32 = (1 << 30) - 1;
 /// The clock, and the switches of the internal channels.
 const CCR_MODELLED: u32 = ADC::CCR_CKMODE | ADC::CCR_VREFEN | ADC::CCR_VSENSESEL | ADC::CCR_VBATSEL;
 
@@ -80,10 +82,10 @@ const REGISTERS: &[Register] = &[
     (ISR, 0, 0),
     (IER, 0, 0),
     (CR, DEEPPWD, 0),
-    (CFGR, ADC::CFGR_JQDIS, ALL),
-    (CFGR2, 0, ALL),
-    (SMPR1, 0, ALL),
-    (SMPR2, 0, ALL),
+    (CFGR, ADC::CFGR_JQDIS, CFGR_MODELLED),
+    (CFGR2, 0, CFGR2_MODELLED),
+    (SMPR1, 0, TEN_CHANNELS),
+    (SMPR2, 0, TEN_CHANNELS),
     (SQR1, 0, ALL),
     (SQR1 + 4, 0, ALL),
     (SQR1 + 8, 0, ALL),
@@ -93,8 +95,9 @@ const REGISTERS: &[Register] = &[
 ];
 
 /// What the converter does by itself next.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum Phase {
+    #[default]
     Idle,
     Hold,
     /// The end of a rank's last conversion.
@@ -120,7 +123,7 @@ struct Plan {
     is_triggered: bool,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Adc {
     number: u8,
     request: u32,
@@ -151,20 +154,11 @@ impl Adc {
             number,
             request,
             bank: Bank::new(REGISTERS),
-            regulator_since: 0,
-            calibrated_at: None,
             clock: 4,
-            plan: Plan::default(),
-            phase: Phase::Idle,
             phase_at: Ticks::MAX,
-            rank: 0,
-            conversions: 0,
-            sum: 0,
             command_at: Ticks::MAX,
             next: Ticks::MAX,
-            swallow: false,
-            was_stopped: false,
-            last_conversion: 0,
+            ..Self::default()
         }
     }
 
@@ -201,15 +195,12 @@ impl Adc {
             ISR => return self.bank[ISR] &= !value,
             CR => return self.command(value, effects),
             CFGR => {
-                effects.unmodelled_bits(value & !CFGR_MODELLED);
                 let trigger = value & (ADC::CFGR_EXTEN | ADC::CFGR_EXTSEL);
                 effects.unmodelled_bits(if trigger == RISING_TIM2 { 0 } else { trigger & ADC::CFGR_EXTEN });
                 if value & DMAEN == 0 {
                     effects.withdraw(self.request);
                 }
             }
-            CFGR2 => effects.unmodelled_bits(value & !CFGR2_MODELLED),
-            SMPR1 | SMPR2 => effects.unmodelled_bits(value >> 30),
             TR1..=TR3 => return,
             _ => {}
         }

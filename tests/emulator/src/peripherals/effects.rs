@@ -140,21 +140,31 @@ impl Effects {
     }
 }
 
-/// Offset, value after reset, and the bits that a write sets or clears; the others stay as after reset. With no such bits a
-/// register reads as after reset; that it is written no model knows, unless the unit's own code answers for it.
+/// Offset, value after reset, and the bits that a write sets or clears; no model knows a write that changes others, unless
+/// the unit's own code answers for it.
 pub type Register = (u32, u32, u32);
 
 pub const ALL: u32 = u32::MAX;
 
+/// Room for the registers of any unit.
+const WORDS: usize = 46;
+
 #[derive(Clone, Debug)]
 pub struct Bank {
     table: &'static [Register],
-    words: [u32; 46],
+    words: [u32; WORDS],
+}
+
+impl Default for Bank {
+    /// No registers.
+    fn default() -> Self {
+        Self::new(&[])
+    }
 }
 
 impl Bank {
     pub fn new(table: &'static [Register]) -> Self {
-        let mut bank = Self { table, words: [0; 46] };
+        let mut bank = Self { table, words: [0; WORDS] };
         bank.reset();
         bank
     }
@@ -180,8 +190,11 @@ impl Bank {
 
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
         match self.keeps(offset) {
-            None | Some(0) => effects.unmodelled(),
-            Some(keeps) => self[offset] = self[offset] & !keeps | value & keeps,
+            None => effects.unmodelled(),
+            Some(keeps) => {
+                effects.unmodelled_bits((self[offset] ^ value) & !keeps);
+                self[offset] = self[offset] & !keeps | value & keeps;
+            }
         }
     }
 }

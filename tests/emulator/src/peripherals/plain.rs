@@ -13,17 +13,14 @@ pub mod crs {
 
     use crate::st::CRS::{CFGR, CR, ICR, ISR};
 
-    pub const REGISTERS: &[Register] = &[(CR, 0x4000, ALL), (CFGR, 0x2022_BB7F, ALL), (ISR, 0, 0), (ICR, 0, 0)];
+    pub const REGISTERS: &[Register] = &[(CR, 0x4000, !INTERRUPTS), (CFGR, 0x2022_BB7F, ALL), (ISR, 0, 0), (ICR, 0, 0)];
 
     const INTERRUPTS: u32 = 0xF;
 
     pub fn write(bank: &mut Bank, offset: u32, value: u32, effects: &mut Effects) {
-        match offset {
-            CR => effects.unmodelled_bits(value & INTERRUPTS),
-            ICR => return,
-            _ => {}
+        if offset != ICR {
+            bank.write(offset, value, effects);
         }
-        bank.write(offset, value, effects);
     }
 }
 
@@ -82,13 +79,13 @@ pub mod crc {
     use super::super::effects::{ALL, Register};
     use super::{Bank, Effects};
 
-    use crate::st::CRC::{CR, CR_POLYSIZE, CR_RESET, CR_REV_IN, CR_REV_OUT, DR, IDR, INIT, POL};
+    use crate::st::CRC::{CR, CR_RESET, CR_REV_IN, CR_REV_OUT, DR, IDR, INIT, POL};
 
     pub const REGISTERS: &[Register] = &[
         // The checksum, its bits not reversed.
         (DR, u32::MAX, 0),
         (IDR, 0, ALL),
-        (CR, 0, CR_REV_IN | CR_REV_OUT),
+        (CR, 0, CR_REV_IN | CR_REV_OUT | CR_RESET),
         (INIT, u32::MAX, ALL),
         (POL, crate::st::DEFAULT::CRC32_POLY, ALL),
     ];
@@ -116,10 +113,10 @@ pub mod crc {
             self.0.write(offset, value, effects);
             match offset {
                 CR => {
-                    effects.unmodelled_bits(value & CR_POLYSIZE);
                     // Bytes and halves, reversed where they are.
                     effects.unmodelled_bits(if value & CR_REV_IN == CR_REV_IN { 0 } else { value & CR_REV_IN });
                     if value & CR_RESET != 0 {
+                        self.0[CR] &= !CR_RESET;
                         self.0[DR] = self.0[INIT];
                     }
                 }

@@ -9,7 +9,7 @@ use crate::st::V;
 use crate::st::PWR::{CR1, CR2, CR3, CR4, CR5, PDCRG, PUCRA, SCR, SR1, SR2};
 
 const REGISTERS: &[Register] = &[
-    (CR1, 0x0200, ALL),
+    (CR1, 0x0200, !LOW_POWER_MODES),
     (CR2, 0, 0xF),
     // Wake-up from standby and pulls in standby have no meaning without standby.
     (CR3, 0x8000, ALL),
@@ -22,8 +22,8 @@ const REGISTERS: &[Register] = &[
     (CR5, R1MODE, R1MODE),
 ];
 
-/// Low-power modes, voltage range 2 and low-power run.
-const CR1_UNMODELLED: u32 = 0b111 | 1 << 10 | 1 << 14;
+/// Of CR1: low-power modes, voltage range 2 and low-power run.
+const LOW_POWER_MODES: u32 = 0b111 | 1 << 10 | 1 << 14;
 
 /// Falling thresholds of the voltage detector by PLS code, in volts (data sheet, "Embedded
 /// reset and power control block characteristics", V_PVD0 to V_PVD6, typical). The seventh code
@@ -68,14 +68,7 @@ impl Power {
     }
 
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
-        match offset {
-            CR1 => effects.unmodelled_bits(value & CR1_UNMODELLED),
-            CR2 => {
-                effects.unmodelled_bits(value & !0xF);
-                effects.unmodelled_bits(u32::from(value >> 1 & 7 == 7));
-            }
-            _ => {}
-        }
+        effects.unmodelled_bits(u32::from(offset == CR2 && value >> 1 & 7 == 7));
         if !matches!(offset, SCR | PUCRA..=PDCRG) {
             self.bank.write(offset, value, effects);
         }
