@@ -24,7 +24,7 @@ pub(super) struct FloatUnit {
     status: u32,
     /// Lazy stacking of the interrupted context has not been charged yet.
     pub stacking_unpaid: bool,
-    /// Register of the last arithmetic result, and the number of the instruction that made it.
+    /// Register of the last arithmetic result, and the number of the instruction that has to wait for it.
     result: (SReg, u64),
 }
 
@@ -60,14 +60,14 @@ impl FloatUnit {
     /// Notes that instruction number `now` makes its result in `register`.
     #[inline(always)]
     pub fn made(&mut self, register: SReg, now: u64) {
-        self.result = (register, now);
+        self.result = (register, now + 1);
     }
 
     /// One cycle if the instruction before `now` made one of `sources`: such a result is late by one (DDI0439,
     /// 7.2.3).
     #[inline(always)]
     pub fn stall(&self, sources: &[SReg], now: u64) -> u32 {
-        u32::from(self.result.1 + 1 == now && sources.contains(&self.result.0))
+        u32::from(self.result.1 == now && sources.contains(&self.result.0))
     }
 
     #[inline(always)]
