@@ -5,7 +5,7 @@
 //! folded, a skipped instruction takes its one cycle, the write buffer never fills, and a floating-point result that
 //! the next instruction consumes is not waited for (a cycle each: some 2 % of the pose solver).
 
-use crate::memory::CCM_BASE;
+use crate::memory::{CCM_BASE, CCM_BYTES};
 
 use super::decode::{decode, is_wide};
 use super::instruction::{Address, FloatInstruction, FloatOp, FloatUnaryOp, Instruction, Words};
@@ -25,17 +25,19 @@ pub(super) struct Decoded {
     pub bytes: u8,
 }
 
-/// One entry per halfword of flash. Code elsewhere (RAM can change) is decoded each time.
+/// One entry per halfword of flash; and those of code elsewhere by their place in 32 KiB, each with the bits it was made of,
+/// as RAM can change.
 #[derive(Clone, Debug)]
 pub(super) struct Code {
     decoded: Vec<Decoded>,
+    elsewhere: Vec<(u32, Decoded)>,
 }
 
 impl Default for Code {
     fn default() -> Self {
         let instruction = Instruction::Undefined;
         let none = Decoded { instruction, timing: timing(&instruction), bytes: 0 };
-        Self { decoded: vec![none; FLASH_BYTES as usize / 2] }
+        Self { decoded: vec![none; FLASH_BYTES as usize / 2], elsewhere: vec![(0, none); CCM_BYTES / 2] }
     }
 }
 
@@ -58,12 +60,16 @@ impl Code {
         };
         let first = fetch(address)?;
         let (second, bytes) = if is_wide(first) { (fetch(address.wrapping_add(2))?, 4) } else { (0, 2) };
-        let instruction = decode(first, second);
-        let decoded = Decoded { instruction, timing: timing(&instruction), bytes };
-        if let Some(slot) = self.decoded.get_mut((address & !VIEW) as usize / 2) {
-            *slot = decoded;
+        let bits = u32::from(first) << 16 | u32::from(second);
+        let (known_bits, known) = &mut self.elsewhere[address as usize / 2 % (CCM_BYTES / 2)];
+        if (*known_bits, known.bytes) != (bits, bytes) {
+            let instruction = decode(first, second);
+            (*known_bits, *known) = (bits, Decoded { instruction, timing: timing(&instruction), bytes });
         }
-        Ok(decoded)
+        if let Some(slot) = self.decoded.get_mut((address & !VIEW) as usize / 2) {
+            *slot = *known;
+        }
+        Ok(*known)
     }
 }
 

@@ -276,6 +276,7 @@ impl Cpu {
 }
 
 /// The registers whose bits are set, ascending.
+#[inline]
 fn numbers(registers: u16) -> impl Iterator<Item = u8> {
     (0..16).filter(move |number| registers >> number & 1 != 0)
 }

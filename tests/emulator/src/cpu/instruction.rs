@@ -121,17 +121,14 @@ impl Reg {
     /// Program counter; reads as the address of the instruction plus 4.
     pub const PC: Self = Self(15);
 
-    /// The four bits of `word` from bit `low` on, as a register.
-    pub(super) fn at(word: u32, low: u32) -> Self {
-        Self((word >> low & 15) as u8)
-    }
-
     /// Index into an array of 16.
+    #[inline]
     pub(super) fn index(self) -> usize {
         usize::from(self.0 & 15)
     }
 
     /// A mask with this register's bit set.
+    #[inline]
     pub(super) fn bit(self) -> u16 {
         1 << (self.0 & 15)
     }
@@ -287,6 +284,7 @@ pub struct SReg(pub u8);
 
 impl SReg {
     /// Index into an array of 32.
+    #[inline]
     pub(super) fn index(self) -> usize {
         usize::from(self.0 & 31)
     }

@@ -13,7 +13,6 @@
 mod arithmetic;
 mod code;
 mod decode;
-mod decode_wide;
 mod exceptions;
 mod execute;
 mod execute_memory;

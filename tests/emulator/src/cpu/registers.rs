@@ -26,12 +26,14 @@ impl Flags {
         Self { n: bit(31), z: bit(30), c: bit(29), v: bit(28), q: bit(27) }
     }
 
+    #[inline]
     pub fn set_nz(&mut self, result: u32) {
         self.n = (result as i32) < 0;
         self.z = result == 0;
     }
 
     /// ConditionPassed for a condition field of four bits.
+    #[inline]
     pub fn pass(self, condition: u8) -> bool {
         let holds = match condition >> 1 {
             0 => self.z,
