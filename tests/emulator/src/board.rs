@@ -15,7 +15,7 @@ use crate::peripherals::exti::Exti;
 use crate::peripherals::flash::Flash;
 use crate::peripherals::gpio::{PORTS, Port};
 use crate::peripherals::plain::crc::Crc;
-use crate::peripherals::plain::{Backup, crs, syscfg};
+use crate::peripherals::plain::{backup, crs, syscfg};
 use crate::peripherals::power::Power;
 use crate::peripherals::rcc::Rcc;
 use crate::peripherals::timer::Timer;
@@ -65,19 +65,20 @@ pub struct Board<W> {
     /// USART1: the serial port to a motor controller.
     pub usart: Uart,
     ram: Box<[u8]>,
-    flash: Flash,
+    pub flash: Flash,
     rcc: Rcc,
     power: Power,
     exti: Exti,
     syscfg: Bank,
-    backup: Backup,
-    ports: [Port; PORTS],
+    backup: Bank,
+    /// GPIO ports A to G.
+    pub ports: [Port; PORTS],
     dacs: [Dac; 2],
     watchdog: Watchdog,
     crs: Bank,
     crc: Crc,
     /// Temperature of the chip, in degrees Celsius.
-    temperature_c: f64,
+    pub temperature_c: f64,
     /// Output of the voltage detector, as the interrupt controller last saw it.
     pvd: bool,
     gates: u8,
@@ -108,7 +109,7 @@ impl<W: World> Board<W> {
             power: Power::new(3.3),
             exti: Exti::new(),
             syscfg: Bank::new(syscfg::REGISTERS),
-            backup: Backup::default(),
+            backup: Bank::new(backup::REGISTERS),
             ports: std::array::from_fn(Port::new),
             dacs: [Dac::new(), Dac::new()],
             watchdog: Watchdog::new(),
@@ -125,16 +126,6 @@ impl<W: World> Board<W> {
         board.scramble_ram();
         board.find_next_event();
         board
-    }
-
-    /// Lets the flash pages of the settings be erased at each reset from now on.
-    pub fn lose_settings_at_reset(&mut self) {
-        self.flash.lose_settings_at_reset();
-    }
-
-    /// The pins of a port (0 for A) that the program drives high, bit n for pin n.
-    pub fn driven_high(&self, port: usize) -> u16 {
-        self.ports[port].driven_high()
     }
 
     /// The present, in ticks since the machine was made.
@@ -199,22 +190,8 @@ impl<W: World> Board<W> {
         volts >= V::BOR0_falling
     }
 
-    /// Sets the temperature of the chip, in degrees Celsius.
-    pub fn set_temperature_c(&mut self, temperature_c: f64) {
-        self.temperature_c = temperature_c;
-    }
-
     pub fn watchdog_runs(&self) -> bool {
         self.watchdog.next_event() != Ticks::MAX
-    }
-
-    pub fn flash_array(&self) -> &FlashArray {
-        self.flash.array()
-    }
-
-    /// When the flash operation under way will be done; `None` if there is none.
-    pub fn flash_busy_until(&self) -> Option<Ticks> {
-        Some(self.flash.next_event()).filter(|&done| done != Ticks::MAX)
     }
 
     /// The emitter gates: bit k for PC(6 + k).
@@ -250,7 +227,7 @@ impl<W: World> Board<W> {
     }
 
     fn lose_backup(&mut self) {
-        self.backup = Backup::default();
+        self.backup.reset();
         self.rcc.reset_backup_domain();
     }
 
@@ -383,7 +360,7 @@ impl<W: World> Board<W> {
             }
         }
         if self.rcc.holds_backup_domain() {
-            self.backup = Backup::default();
+            self.backup.reset();
         }
         self.update_clocks();
         if let Some(pulled) = pulled {

@@ -114,7 +114,7 @@ impl<W: World> Rig<W> {
             rig.machine.set_supply_v(LOW_SUPPLY_V);
         }
         if faults.has(Fault::LostSettings) {
-            rig.machine.board.lose_settings_at_reset();
+            rig.machine.board.flash.loses_settings = true;
         }
         rig
     }

@@ -6,7 +6,7 @@ use crate::memory::{
     BOOT_LOADER_BASE, BOOT_LOADER_END, CCM_BASE, CCM_BYTES, FLASH_BASE, FLASH_BYTES, RAM_BASE, RAM_BYTES, load, store,
     system_word,
 };
-use crate::peripherals::plain::crs;
+use crate::peripherals::plain::backup;
 use crate::peripherals::rcc::Gate;
 use crate::st;
 use crate::world::World;
@@ -53,8 +53,8 @@ impl<W: World> Board<W> {
             return load(&self.ram, RAM_BYTES - CCM_BYTES + in_ccm, width).ok_or(BusFault);
         }
         let word = if PERIPHERALS.contains(&address) {
-            if let Some(offset) = packet_memory_offset(address) {
-                return Ok(self.read_packet_memory(offset, width));
+            if let Some(place) = packet_memory(address, width) {
+                return Ok(if self.is_clocked(USB, 0) { self.usb.memory.read(place) } else { 0 });
             }
             self.read_peripheral(address & !3)
         } else if SYSTEM_MEMORY.contains(&address) {
@@ -92,24 +92,14 @@ impl<W: World> Board<W> {
             self.flash.store(in_flash as usize, width, value, &mut self.effects);
             Ok(())
         } else if PERIPHERALS.contains(&address) {
-            if let Some(offset) = packet_memory_offset(address) {
-                self.write_packet_memory(offset, width, value);
-            } else {
-                self.write_peripheral(address & !3, repeat(value, width));
+            match packet_memory(address, width) {
+                Some(place) if self.is_clocked(USB, value) => self.usb.memory.write(place, value),
+                Some(_) => {}
+                None => self.write_peripheral(address & !3, repeat(value, width)),
             }
             Ok(())
         } else {
             Err(BusFault)
-        }
-    }
-
-    fn read_packet_memory(&mut self, offset: u32, width: u32) -> u32 {
-        if self.is_clocked(USB, 0) { self.usb.read_memory(offset, width as usize) } else { 0 }
-    }
-
-    fn write_packet_memory(&mut self, offset: u32, width: u32, value: u32) {
-        if self.is_clocked(USB, value) {
-            self.usb.write_memory(offset, width as usize, value);
         }
     }
 
@@ -191,9 +181,9 @@ impl<W: World> Board<W> {
             }
             Unit::Exti => self.exti.write(offset, value, effects),
             Unit::Syscfg => self.syscfg.write(offset, value, effects),
-            Unit::Backup => self.backup.write(offset, value, self.power.backup_access(), effects),
+            Unit::Backup => backup::write(&mut self.backup, offset, value, self.power.backup_access(), effects),
             Unit::Watchdog => self.watchdog.write(offset, value, effects),
-            Unit::Crs => crs::write(&mut self.crs, offset, value, effects),
+            Unit::Crs => self.crs.write(offset, value, effects),
             Unit::Crc => self.crc.write(offset, value, effects),
         }
     }
@@ -323,8 +313,10 @@ units! {
 /// VREFBUF, comparators and amplifiers share the kilobyte with SYSCFG.
 const BEHIND_SYSCFG: std::ops::Range<u32> = st::VREFBUF::BASE..st::EXTI::BASE;
 
-fn packet_memory_offset(address: u32) -> Option<u32> {
-    Some(address.wrapping_sub(st::USB::PMAADDR)).filter(|&offset| offset < 1_024)
+/// The place in USB's packet memory that an access goes to.
+fn packet_memory(address: u32, width: u32) -> Option<std::ops::Range<usize>> {
+    let offset = address.wrapping_sub(st::USB::PMAADDR) as usize;
+    (offset < 1_024).then_some(offset..offset + width as usize)
 }
 
 /// A narrow value written to a peripheral appears in all lanes (RM0440, "AHB/APB bridges").

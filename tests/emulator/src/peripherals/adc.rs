@@ -79,19 +79,15 @@ const NEIGHBOUR_CODES: u64 = 8;
 const MIN_CLOCK_TICKS: u64 = TICKS_PER_SECOND.div_ceil(1_000_000 * st::f::ADC_single as u64);
 
 const REGISTERS: &[Register] = &[
-    (ISR, 0, 0),
-    (IER, 0, 0),
-    (CR, DEEPPWD, 0),
-    (CFGR, ADC::CFGR_JQDIS, CFGR_MODELLED),
-    (CFGR2, 0, CFGR2_MODELLED),
-    (SMPR1, 0, TEN_CHANNELS),
-    (SMPR2, 0, TEN_CHANNELS),
-    (SQR1, 0, ALL),
-    (SQR1 + 4, 0, ALL),
-    (SQR1 + 8, 0, ALL),
-    (SQR4, 0, ALL),
-    (DR, 0, 0),
-    (DIFSEL, 0, 0),
+    (ISR, 1, 0, 0),
+    (IER, 1, 0, 0),
+    (CR, 1, DEEPPWD, 0),
+    (CFGR, 1, ADC::CFGR_JQDIS, CFGR_MODELLED),
+    (CFGR2, 1, 0, CFGR2_MODELLED),
+    (SMPR1, 2, 0, TEN_CHANNELS),
+    (SQR1, 4, 0, ALL),
+    (DR, 1, 0, 0),
+    (DIFSEL, 1, 0, 0),
 ];
 
 /// What the converter does by itself next.

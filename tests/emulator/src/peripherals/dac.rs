@@ -10,7 +10,7 @@ use super::effects::{ALL, Bank, Register};
 
 use crate::st::DAC::{CCR, CR, CR_EN1, DHR12R1, MCR, MCR_HFSEL};
 
-const REGISTERS: &[Register] = &[(CR, 0, CR_EN1), (DHR12R1, 0, 0xFFF), (CCR, 0, ALL), (MCR, 0, MCR_HFSEL)];
+const REGISTERS: &[Register] = &[(CR, 1, 0, CR_EN1), (DHR12R1, 1, 0, 0xFFF), (CCR, 1, 0, ALL), (MCR, 1, 0, MCR_HFSEL)];
 
 #[derive(Debug)]
 pub struct Dac {

@@ -140,14 +140,14 @@ impl Effects {
     }
 }
 
-/// Offset, value after reset, and the bits that a write sets or clears; no model knows a write that changes others, unless
-/// the unit's own code answers for it.
-pub type Register = (u32, u32, u32);
+/// Registers that are alike: the offset of the first, how many they are, value after reset, and the bits that a write sets or
+/// clears; no model knows a write that changes others, unless the unit's own code answers for it.
+pub type Register = (u32, u32, u32, u32);
 
 pub const ALL: u32 = u32::MAX;
 
 /// Room for the registers of any unit.
-const WORDS: usize = 46;
+const WORDS: usize = 96;
 
 #[derive(Clone, Debug)]
 pub struct Bank {
@@ -170,14 +170,15 @@ impl Bank {
     }
 
     pub fn reset(&mut self) {
-        for &(offset, reset, _) in self.table {
-            self[offset] = reset;
+        for &(first, count, reset, _) in self.table {
+            (0..count).for_each(|index| self[first + 4 * index] = reset);
         }
     }
 
     /// Bits that a write to the register keeps, if there is one.
     fn keeps(&self, offset: u32) -> Option<u32> {
-        self.table.iter().find(|register| register.0 == offset).map(|register| register.2)
+        let row = self.table.iter().find(|(first, count, ..)| (*first..first + 4 * count).contains(&offset));
+        row.map(|row| row.3)
     }
 
     pub fn read(&self, offset: u32, effects: &mut Effects) -> u32 {

@@ -4,21 +4,19 @@
 use super::Effects;
 use super::effects::{ALL, Bank, Register};
 
-use crate::st::EXTI::{EMR1, EMR2, FTSR1, IMR1, IMR2, PR1, PR2, RTSR1, RTSR2, SWIER1};
+use crate::st::EXTI::{EMR1, EMR2, FTSR1, IMR1, IMR2, PR1, RTSR1, RTSR2, SWIER1};
 
 const REGISTERS: &[Register] = &[
-    (IMR1, IMR1_RESET, IMR1_RESET | MODELLED),
-    (EMR1, 0, 0),
-    (RTSR1, 0, ALL),
-    (FTSR1, 0, ALL),
-    (SWIER1, 0, 0),
-    (PR1, 0, 0),
-    (IMR2, IMR2_RESET, IMR2_RESET),
-    (EMR2, 0, 0),
-    (RTSR2, 0, 0),
-    (RTSR2 + 4, 0, 0),
-    (RTSR2 + 8, 0, 0),
-    (PR2, 0, 0),
+    (IMR1, 1, IMR1_RESET, IMR1_RESET | MODELLED),
+    (EMR1, 1, 0, 0),
+    (RTSR1, 1, 0, ALL),
+    (FTSR1, 1, 0, ALL),
+    (SWIER1, 1, 0, 0),
+    (PR1, 1, 0, 0),
+    (IMR2, 1, IMR2_RESET, IMR2_RESET),
+    (EMR2, 1, 0, 0),
+    // To PR2.
+    (RTSR2, 4, 0, 0),
 ];
 
 /// The voltage detector's output.

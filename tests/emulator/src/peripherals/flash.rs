@@ -55,7 +55,7 @@ impl Operation {
 /// The interface, with the cells behind it.
 #[derive(Debug)]
 pub struct Flash {
-    array: FlashArray,
+    pub array: FlashArray,
     acr: u32,
     sr: u32,
     cr: u32,
@@ -65,8 +65,8 @@ pub struct Flash {
     /// First word of a double word being programmed: offset and value.
     latch: Option<(usize, u32)>,
     operation: Option<Operation>,
-    /// The pages of the settings are erased at each reset.
-    loses_settings: bool,
+    /// The pages of the settings, the first two of bank 2, are erased at each reset.
+    pub loses_settings: bool,
 }
 
 impl Flash {
@@ -85,11 +85,6 @@ impl Flash {
         }
     }
 
-    /// Lets the pages of the settings, the first two of bank 2, be erased at each reset from now on.
-    pub fn lose_settings_at_reset(&mut self) {
-        self.loses_settings = true;
-    }
-
     /// Reset or loss of power: an operation under way leaves torn cells.
     pub fn reset(&mut self, effects: &Effects) {
         if let Some(operation) = self.operation.take() {
@@ -106,10 +101,6 @@ impl Flash {
         }
         let array = std::mem::replace(&mut self.array, FlashArray::erased());
         *self = Self { loses_settings: self.loses_settings, ..Self::new(array) };
-    }
-
-    pub fn array(&self) -> &FlashArray {
-        &self.array
     }
 
     /// Wait states of the cells, as set.
@@ -144,6 +135,7 @@ impl Flash {
         self.update_line(effects);
     }
 
+    /// When the operation under way will be done.
     #[inline]
     pub fn next_event(&self) -> Ticks {
         self.operation.map_or(Ticks::MAX, |operation| operation.done)

@@ -9,17 +9,17 @@ use crate::st::V;
 use crate::st::PWR::{CR1, CR2, CR3, CR4, CR5, PDCRG, PUCRA, SCR, SR1, SR2};
 
 const REGISTERS: &[Register] = &[
-    (CR1, 0x0200, !LOW_POWER_MODES),
-    (CR2, 0, 0xF),
+    (CR1, 1, 0x0200, !LOW_POWER_MODES),
+    (CR2, 1, 0, 0xF),
     // Wake-up from standby and pulls in standby have no meaning without standby.
-    (CR3, 0x8000, ALL),
-    (CR4, 0, ALL),
-    (SR1, 0, 0),
-    (SR2, 0, 0),
-    (SCR, 0, 0),
-    (PUCRA, 0, 0),
-    (PDCRG, 0, 0),
-    (CR5, R1MODE, R1MODE),
+    (CR3, 1, 0x8000, ALL),
+    (CR4, 1, 0, ALL),
+    (SR1, 1, 0, 0),
+    (SR2, 1, 0, 0),
+    (SCR, 1, 0, 0),
+    (PUCRA, 1, 0, 0),
+    (PDCRG, 1, 0, 0),
+    (CR5, 1, R1MODE, R1MODE),
 ];
 
 /// Of CR1: low-power modes, voltage range 2 and low-power run.

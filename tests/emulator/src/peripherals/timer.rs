@@ -30,21 +30,17 @@ const DIER_MODELLED: u32 = FLAGS | FLAGS << 8;
 const CCMR_MODELLED: u32 = 0x7878;
 
 const REGISTERS: &[Register] = &[
-    (CR1, 0, CR1_MODELLED),
-    (CR2, 0, CR2_MMS),
-    (SMCR, 0, 0),
-    (DIER, 0, DIER_MODELLED),
-    (SR, 0, 0),
-    (EGR, 0, 0),
-    (CCMR1, 0, CCMR_MODELLED),
-    (CCMR2, 0, CCMR_MODELLED),
-    (CCER, 0, ALL),
-    (PSC, 0, 0xFFFF),
-    (ARR, 0, 0),
-    (CCR1, 0, 0),
-    (CCR1 + 4, 0, 0),
-    (CCR1 + 8, 0, 0),
-    (CCR4, 0, 0),
+    (CR1, 1, 0, CR1_MODELLED),
+    (CR2, 1, 0, CR2_MMS),
+    (SMCR, 1, 0, 0),
+    (DIER, 1, 0, DIER_MODELLED),
+    (SR, 1, 0, 0),
+    (EGR, 1, 0, 0),
+    (CCMR1, 2, 0, CCMR_MODELLED),
+    (CCER, 1, 0, ALL),
+    (PSC, 1, 0, 0xFFFF),
+    (ARR, 1, 0, 0),
+    (CCR1, 4, 0, 0),
 ];
 
 #[derive(Clone, Copy, Debug, Default)]

@@ -58,8 +58,14 @@ const USART1: Kind = Kind {
     transmit: LL::DMAMUX_REQ_USART1_TX,
 };
 
-const REGISTERS: &[Register] =
-    &[(CR1, 0, CR1_MODELLED), (CR2, 0, 0), (CR3, 0, CR3_MODELLED), (BRR, 0, ALL), (ICR, 0, 0), (PRESC, 0, 0)];
+const REGISTERS: &[Register] = &[
+    (CR1, 1, 0, CR1_MODELLED),
+    (CR2, 1, 0, 0),
+    (CR3, 1, 0, CR3_MODELLED),
+    (BRR, 1, 0, ALL),
+    (ICR, 1, 0, 0),
+    (PRESC, 1, 0, 0),
+];
 
 #[derive(Debug)]
 pub struct Uart {

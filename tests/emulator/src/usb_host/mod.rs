@@ -88,10 +88,13 @@ enum Port {
     },
 }
 
+/// What the computer does to its port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Order {
+pub enum Order {
+    /// Stops all traffic, as when it sleeps.
     Suspend,
     Resume,
+    /// Resets the bus in the middle of what goes on; the device is then enumerated anew.
     Reset,
 }
 
@@ -138,20 +141,8 @@ impl UsbHost {
         }
     }
 
-    /// Stops all traffic, as when the computer sleeps.
-    pub fn suspend(&mut self, now: Ticks) {
-        self.order = Some(Order::Suspend);
-        self.hurry(now);
-    }
-
-    pub fn resume(&mut self, now: Ticks) {
-        self.order = Some(Order::Resume);
-        self.hurry(now);
-    }
-
-    /// Resets the bus in the middle of what goes on; the device is then enumerated anew.
-    pub fn reset_bus(&mut self, now: Ticks) {
-        self.order = Some(Order::Reset);
+    pub fn order(&mut self, order: Order, now: Ticks) {
+        self.order = Some(order);
         self.hurry(now);
     }
 

@@ -6,7 +6,7 @@ use crate::st::LL;
 /// Converters that share a clock and the common registers: ADC1 and ADC2, or ADC3 to ADC5.
 #[derive(Debug)]
 pub struct AdcGroup<const N: usize> {
-    adcs: [Adc; N],
+    pub adcs: [Adc; N],
     ccr: u32,
     next: Ticks,
 }
@@ -38,16 +38,6 @@ impl<const N: usize> AdcGroup<N> {
         }
         self.ccr = 0;
         self.update();
-    }
-
-    /// Converter `index` of the group.
-    pub fn adc(&self, index: usize) -> &Adc {
-        &self.adcs[index]
-    }
-
-    /// Converter `index` of the group, for fault injection.
-    pub fn adc_mut(&mut self, index: usize) -> &mut Adc {
-        &mut self.adcs[index]
     }
 
     pub fn read(&mut self, offset: u32, effects: &mut Effects) -> u32 {
@@ -233,7 +223,7 @@ mod tests {
     #[test]
     fn the_fault_of_triggers_makes_them_late_by_the_phase_and_an_eighth_of_the_clock() {
         let (group, _) = enabled();
-        let clock = group.adc(0).clock;
+        let clock = group.adcs[0].clock;
         let faults = [Fault::TriggerPhase].into_iter().collect();
         let mut effects = Effects { faults, ..Effects::default() };
         let mut late: Vec<_> = (0..clock)
