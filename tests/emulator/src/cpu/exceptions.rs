@@ -179,12 +179,9 @@ impl Cpu {
     #[cold]
     pub(super) fn take_fault<B: Bus>(&mut self, bus: &mut B, fault: Fault, address: u32) -> Step {
         self.report(fault, address);
-        if self.can_escalate() { self.enter_exception(bus, HARD_FAULT, address) } else { self.lock_up(fault, address) }
-    }
-
-    /// Whether a fault becomes HardFault: no fault has a handler of its own. Otherwise the core locks up.
-    fn can_escalate(&self) -> bool {
-        self.execution_priority() > -1
+        // No fault has a handler of its own.
+        let can_escalate = self.execution_priority() > -1;
+        if can_escalate { self.enter_exception(bus, HARD_FAULT, address) } else { self.lock_up(fault, address) }
     }
 
     /// Writes the fault status register and keeps a report.

@@ -192,7 +192,8 @@ impl Cpu {
     /// ExecuteFPCheck: the unit must be enabled; its first use makes it part of the context.
     #[inline(always)]
     pub(super) fn check_float(&mut self) -> Result<(), Trap> {
-        if !self.system.float_enabled() {
+        // CPACR grants coprocessors 10 and 11.
+        if self.system.cpacr >> 20 & 15 != 0b1111 {
             return Err(Fault::NoCoprocessor.into());
         }
         if self.float.stacking_unpaid {

@@ -196,11 +196,6 @@ impl Cpu {
         self.pc
     }
 
-    /// Stack pointer in use.
-    pub fn sp(&self) -> u32 {
-        self.registers.sp()
-    }
-
     /// Peripherals that stand still while a debugger halts the core, as DBGMCU_APB1FZR1 has them.
     pub fn frozen_in_halt(&self) -> u32 {
         self.system.frozen_in_halt
@@ -226,11 +221,6 @@ impl Cpu {
         self.float.s = state.s;
         self.float.restore_fpscr(state.fpscr);
         self.attention = true;
-    }
-
-    /// Number of the exception being handled, 0 in thread mode.
-    pub fn exception(&self) -> u16 {
-        self.registers.ipsr
     }
 
     /// Instructions executed since the first reset.

@@ -55,6 +55,15 @@ struct Channel {
 }
 
 impl Channel {
+    fn get(&self, register: u32) -> u32 {
+        match register {
+            CCR => self.ccr,
+            CNDTR => self.cndtr,
+            CPAR => self.cpar,
+            _ => self.cmar,
+        }
+    }
+
     fn enabled(&self) -> bool {
         self.ccr & EN != 0
     }
@@ -117,15 +126,7 @@ impl Dma {
         match offset {
             ISR => (0..8).map(|index| self.channels[first + index].flags << (4 * index)).sum(),
             _ => match channel_register(offset) {
-                Some((index, register)) => {
-                    let channel = &self.channels[first + index];
-                    match register {
-                        CCR => channel.ccr,
-                        CNDTR => channel.cndtr,
-                        CPAR => channel.cpar,
-                        _ => channel.cmar,
-                    }
-                }
+                Some((index, register)) => self.channels[first + index].get(register),
                 None => {
                     effects.unmodelled();
                     0
@@ -241,13 +242,7 @@ impl Dma {
 
     fn write_channel(&mut self, index: usize, register: u32, value: u32, effects: &mut Effects) {
         let channel = &mut self.channels[index];
-        let before = match register {
-            CCR => channel.ccr,
-            CNDTR => channel.cndtr,
-            CPAR => channel.cpar,
-            _ => channel.cmar,
-        };
-        if channel.enabled() && value != before && !(register == CCR && value & EN == 0) {
+        if channel.enabled() && value != channel.get(register) && !(register == CCR && value & EN == 0) {
             effects.violation(value, "registers of a DMA channel are written only while EN = 0");
         }
         match register {

@@ -277,7 +277,7 @@ fn until_lit_and_awake(bench: &mut Talk) {
         let before = rig.machine().cpu.instructions();
         rig.run_until(rig.now() + 1);
         let cpu = &rig.machine().cpu;
-        if cpu.instructions() != before && cpu.exception() == 0 && rig.machine().board.gates() != 0 {
+        if cpu.instructions() != before && cpu.state().xpsr & 0x1ff == 0 && rig.machine().board.gates() != 0 {
             return;
         }
     }

@@ -69,14 +69,6 @@ impl Endpoint {
         Stat::of(self.0 >> 4)
     }
 
-    pub fn rx_toggle(&self) -> bool {
-        self.0 & DTOG_RX != 0
-    }
-
-    pub fn tx_toggle(&self) -> bool {
-        self.0 & DTOG_TX != 0
-    }
-
     pub fn is_control(&self) -> bool {
         self.0 & EP_TYPE == TYPE_CONTROL
     }
@@ -90,11 +82,6 @@ impl Endpoint {
         }
     }
 
-    /// A control endpoint that takes only the empty packet of a status stage.
-    pub fn expects_status_out(&self) -> bool {
-        self.is_control() && self.0 & EP_KIND != 0
-    }
-
     pub fn has_received(&self) -> bool {
         self.0 & CTR_RX != 0
     }
@@ -104,27 +91,22 @@ impl Endpoint {
     }
 
     pub fn complete_tx(&mut self) {
-        self.0 = (self.0 ^ DTOG_TX) & !STAT_TX | nak_tx() | CTR_TX;
+        self.0 = (self.0 ^ DTOG_TX) & !STAT_TX | NAK_TX | CTR_TX;
     }
 
     pub fn complete_rx(&mut self) {
-        self.0 = (self.0 ^ DTOG_RX) & !(STAT_RX | SETUP) | nak_rx() | CTR_RX;
+        self.0 = (self.0 ^ DTOG_RX) & !(STAT_RX | SETUP) | NAK_RX | CTR_RX;
     }
 
     /// A SETUP was received, as DATA0: both directions go on with DATA1, when the program has
     /// understood the request.
     pub fn complete_setup(&mut self) {
-        self.0 = self.0 & !(STAT_RX | STAT_TX) | nak_rx() | nak_tx() | DTOG_RX | DTOG_TX | SETUP | CTR_RX;
+        self.0 = self.0 & !(STAT_RX | STAT_TX) | NAK_RX | NAK_TX | DTOG_RX | DTOG_TX | SETUP | CTR_RX;
     }
 }
 
-const fn nak_rx() -> u32 {
-    0b10 << 12
-}
-
-const fn nak_tx() -> u32 {
-    0b10 << 4
-}
+const NAK_RX: u32 = 0b10 << 12;
+const NAK_TX: u32 = 0b10 << 4;
 
 pub const BYTES: usize = 1024;
 
@@ -244,7 +226,7 @@ impl UsbPort<'_> {
         let endpoint = &self.usb.endpoints[index];
         match endpoint.tx() {
             Stat::Valid => Answer::Data {
-                toggle: endpoint.tx_toggle(),
+                toggle: endpoint.0 & DTOG_TX != 0,
                 bytes: self.usb.memory.bytes(self.usb.memory.tx_buffer(self.usb.entry(index))).to_vec(),
             },
             Stat::Nak => Answer::Nak,
@@ -285,11 +267,12 @@ impl UsbPort<'_> {
                 Stat::Disabled => return Answer::Silence,
                 Stat::Valid => {}
             }
-            if endpoint.expects_status_out() && !packet.bytes.is_empty() {
+            // A control endpoint that takes only the empty packet of a status stage.
+            if endpoint.is_control() && endpoint.0 & EP_KIND != 0 && !packet.bytes.is_empty() {
                 return Answer::Stall;
             }
             // The host has missed the last handshake and repeats the packet.
-            if packet.toggle != endpoint.rx_toggle() {
+            if packet.toggle != (endpoint.0 & DTOG_RX != 0) {
                 return Answer::Ack;
             }
         }
