@@ -89,9 +89,9 @@ pub(crate) fn store(bytes: &mut [u8], offset: usize, width: u32, value: u32) -> 
 pub struct FlashArray {
     bytes: Box<[u8]>,
     /// Offsets of double words whose ECC does not fit: a program or erase was cut short.
-    torn: BTreeSet<usize>,
-    /// Offsets of double words that read as erased and are not: see [`crate::faults::Fault::FlashTornOnes`].
-    refusing: BTreeSet<usize>,
+    pub torn: BTreeSet<usize>,
+    /// Offsets of double words that read as erased and refuse to be programmed: see [`crate::faults::Fault::FlashTornOnes`].
+    pub refusing: BTreeSet<usize>,
 }
 
 impl FlashArray {
@@ -107,16 +107,6 @@ impl FlashArray {
     pub fn load(&mut self, offset: usize, data: &[u8]) {
         self.bytes[offset..offset + data.len()].copy_from_slice(data);
         self.torn.retain(|torn| !(offset..offset + data.len()).contains(torn));
-    }
-
-    #[inline]
-    pub fn has_torn(&self) -> bool {
-        !self.torn.is_empty()
-    }
-
-    /// Whether the double word around `offset` is torn.
-    pub fn is_torn(&self, offset: usize) -> bool {
-        self.torn.contains(&(offset & !(DOUBLE_WORD_BYTES - 1)))
     }
 
     /// Where the stack of the program begins: the first word of its vector table.
@@ -143,21 +133,6 @@ impl FlashArray {
         } else {
             self.torn.remove(&offset);
         }
-    }
-
-    /// Leaves a double word as its programming does that is cut short so early that it still reads as erased.
-    pub fn tear_unseen(&mut self, offset: usize) {
-        self.refusing.insert(offset);
-    }
-
-    /// Whether any double word reads as erased and refuses to be programmed.
-    pub fn has_refusing(&self) -> bool {
-        !self.refusing.is_empty()
-    }
-
-    /// Whether the erased double word at `offset` refuses to be programmed.
-    pub fn refuses(&self, offset: usize) -> bool {
-        self.refusing.contains(&offset)
     }
 
     /// Erases `length` bytes from `offset` on. `complete` as in [`FlashArray::program`]: cells

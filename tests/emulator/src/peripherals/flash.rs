@@ -91,7 +91,7 @@ impl Flash {
             let granted = (effects.now - operation.started) as f64 / (operation.done - operation.started) as f64;
             match operation.work {
                 Work::Program { offset, .. } if effects.faults.has(Fault::FlashTornOnes) => {
-                    self.array.tear_unseen(offset);
+                    self.array.refusing.insert(offset);
                 }
                 work => self.apply(work, granted),
             }
@@ -155,7 +155,7 @@ impl Flash {
     /// Reads cells; 1, 2 or 4 bytes at `offset`, aligned.
     #[inline]
     pub fn load(&mut self, offset: usize, width: u32, effects: &mut Effects) -> Option<u32> {
-        if self.operation.is_some() || self.array.has_torn() {
+        if self.operation.is_some() || !self.array.torn.is_empty() {
             return self.load_carefully(offset, width, effects);
         }
         load(self.array.bytes(), offset, width)
@@ -167,9 +167,10 @@ impl Flash {
         if self.operation.is_some_and(|operation| operation.bank() == offset / BANK_BYTES) {
             effects.violation(0, BUSY_RULE);
         }
-        if self.array.is_torn(offset) && self.eccr & ECCD == 0 {
+        let double_word = offset & !(DOUBLE_WORD_BYTES - 1);
+        if self.array.torn.contains(&double_word) && self.eccr & ECCD == 0 {
             let bank = if offset >= BANK_BYTES { BK_ECC } else { 0 };
-            self.eccr = ECCD | bank | ((offset % BANK_BYTES) & !(DOUBLE_WORD_BYTES - 1)) as u32;
+            self.eccr = ECCD | bank | (double_word % BANK_BYTES) as u32;
             effects.raise_nmi();
         }
         load(self.array.bytes(), offset, width)
@@ -202,7 +203,7 @@ impl Flash {
                 let data = u64::from(low) | u64::from(value) << 32;
                 if self.array.double_word(base) != u64::MAX && data != 0 {
                     self.fail(PROGERR, value, "a double word is programmed only after its erasure", effects);
-                } else if self.array.refuses(base) {
+                } else if self.array.refusing.contains(&base) {
                     self.latch = None;
                     self.sr |= PROGERR;
                 } else {

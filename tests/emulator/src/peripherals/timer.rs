@@ -131,7 +131,7 @@ impl Timer {
             PSC => self.bank.write(offset, value & 0xFFFF, effects),
             CNT => self.preset(value & self.wiring.maximum, effects),
             ARR => self.write_arr(value & self.wiring.maximum),
-            CCR1..=CCR4 => self.write_ccr(channel_of(offset), value & self.wiring.maximum, effects),
+            CCR1..=CCR4 => self.write_ccr(((offset - CCR1) / 4) as usize, value & self.wiring.maximum, effects),
             _ => effects.unmodelled_bits(value),
         }
         self.update_line(effects);
@@ -356,10 +356,6 @@ impl Timer {
     /// Sets flag `event` (0: update, 1 to 4: compare channel) and raises its request.
     fn raise(&mut self, event: usize, effects: &mut Effects) {
         self.bank[SR] |= 1 << event;
-        self.request(event, effects);
-    }
-
-    fn request(&self, event: usize, effects: &mut Effects) {
         if self.bank[DIER] & UDE << event != 0 {
             effects.request(self.request_of(event));
         }
@@ -402,8 +398,4 @@ impl Timer {
         }
         self.next = self.zero_at.wrapping_add(count * self.period());
     }
-}
-
-fn channel_of(offset: u32) -> usize {
-    ((offset - CCR1) / 4) as usize
 }

@@ -339,7 +339,7 @@ impl UsbHost {
         {
             self.transfer = Some(Transfer::new(request, self.enumeration.control_packet_bytes(), now));
         }
-        let control_at = self.transfer.as_ref().map_or(Ticks::MAX, |transfer| transfer.ready_at);
+        let control_at = self.transfer.as_ref().map_or(Ticks::MAX, |transfer| transfer.pipe.ready_at);
         let mut pipes_at = [Ticks::MAX; 3];
         if let Some(pipes) = &self.pipes {
             let is_used = [true, self.reading, !self.outgoing.is_empty()];

@@ -29,28 +29,17 @@ enum Stage {
 pub struct Transfer {
     request: Request,
     stage: Stage,
-    packet_bytes: usize,
+    /// Endpoint 0.
+    pub pipe: Pipe,
     received: Vec<u8>,
     sent: usize,
-    toggle: bool,
-    silences: u8,
     begun_at: Ticks,
-    pub ready_at: Ticks,
 }
 
 impl Transfer {
     pub fn new(request: Request, packet_bytes: usize, now: Ticks) -> Self {
-        Self {
-            request,
-            stage: Stage::Setup,
-            packet_bytes,
-            received: Vec::new(),
-            sent: 0,
-            toggle: false,
-            silences: 0,
-            begun_at: now,
-            ready_at: now,
-        }
+        let pipe = Pipe::new(Endpoint { number: 0, packet_bytes, interval: 0 }, now);
+        Self { request, stage: Stage::Setup, pipe, received: Vec::new(), sent: 0, begun_at: now }
     }
 
     /// The packet to send next: whether it is a SETUP, its toggle and its bytes. `None`: an IN
@@ -60,7 +49,7 @@ impl Transfer {
             Stage::Setup => Some((true, false, self.request.setup.to_vec())),
             Stage::DataOut => {
                 let rest = &self.request.data[self.sent..];
-                Some((false, self.toggle, rest[..rest.len().min(self.packet_bytes)].to_vec()))
+                Some((false, self.pipe.toggle, rest[..rest.len().min(self.pipe.endpoint.packet_bytes)].to_vec()))
             }
             Stage::StatusOut => Some((false, true, Vec::new())),
             Stage::DataIn | Stage::StatusIn => None,
@@ -70,24 +59,21 @@ impl Transfer {
     /// Goes on from the answer to a transaction; gives what the device has sent when all is over.
     pub fn progress(&mut self, answer: Answer, sent: usize, now: Ticks) -> Result<Option<Vec<u8>>, String> {
         let stage = self.stage;
-        self.ready_at = now;
-        self.silences = if answer == Answer::Silence { self.silences + 1 } else { 0 };
         let is_late = stage == Stage::Setup || now - self.begun_at > PATIENCE_TICKS;
-        match answer {
-            Answer::Nak if !is_late => self.ready_at = now + RETRY_TICKS,
-            Answer::Silence if self.silences < ATTEMPTS => self.ready_at = now + RETRY_TICKS,
-            Answer::Ack => return Ok(self.sent(sent)),
-            Answer::Data { .. } if stage == Stage::StatusIn => return Ok(Some(Vec::new())),
-            Answer::Data { toggle, bytes } if toggle == self.toggle => {
-                self.toggle = !toggle;
+        if is_late && answer == Answer::Nak {
+            return Err(format!("{answer:?} at the last, {stage:?}"));
+        }
+        let is_taken = answer == Answer::Ack;
+        match self.pipe.progress(answer, now).map_err(|fault| format!("{fault}, {stage:?}"))? {
+            None if is_taken => return Ok(self.sent(sent)),
+            None => {}
+            Some(_) if stage == Stage::StatusIn => return Ok(Some(Vec::new())),
+            Some(bytes) => {
                 self.received.extend_from_slice(&bytes);
-                if bytes.len() < self.packet_bytes || self.received.len() >= self.length() {
+                if bytes.len() < self.pipe.endpoint.packet_bytes || self.received.len() >= self.length() {
                     self.stage = Stage::StatusOut;
                 }
             }
-            // What the host has had already.
-            Answer::Data { .. } => {}
-            Answer::Nak | Answer::Silence | Answer::Stall => return Err(format!("{answer:?} at the last, {stage:?}")),
         }
         Ok(None)
     }
@@ -105,13 +91,11 @@ impl Transfer {
                     (_, true) => Stage::DataIn,
                     (_, false) => Stage::DataOut,
                 };
-                self.toggle = true;
             }
             Stage::DataOut | Stage::DataIn | Stage::StatusIn => {
                 self.sent += len;
-                self.toggle = !self.toggle;
                 if self.sent == self.request.data.len() {
-                    self.stage = Stage::StatusIn;
+                    (self.stage, self.pipe.toggle) = (Stage::StatusIn, true);
                 }
             }
         }
@@ -119,7 +103,7 @@ impl Transfer {
     }
 }
 
-/// A bulk or interrupt endpoint, as the host keeps it.
+/// An endpoint, as the host keeps it.
 #[derive(Debug)]
 pub struct Pipe {
     pub endpoint: Endpoint,

@@ -176,7 +176,7 @@ fn a_cut_of_the_supply_leaves_the_old_settings_or_the_new() {
             n += 1;
             store(&mut talk, n, Some(duration * step / CUTS));
             let array = &talk.rig.machine().board.flash.array;
-            let is_torn = array.has_torn() || array.has_refusing();
+            let is_torn = !array.torn.is_empty() || !array.refusing.is_empty();
             let found = number(&greet(&mut talk));
             assert!(found == kept || found == n, "{found} instead of {kept} or {n}, cut {step} of part {part}");
             let (torn, old, new) = &mut seen[part];
