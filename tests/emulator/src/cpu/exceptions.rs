@@ -151,7 +151,13 @@ impl Cpu {
             return Err(Fault::InvalidReturn { value });
         }
         if float {
-            self.pop_float(bus, base.wrapping_add(BASIC_FRAME))?;
+            let mut words = [0; 17];
+            load_frame(bus, base.wrapping_add(BASIC_FRAME), &mut words)?;
+            self.float.s[..16].copy_from_slice(&words[..16]);
+            self.float.restore_fpscr(words[16]);
+            if !std::mem::take(&mut self.float.stacking_unpaid) {
+                self.cycles += FLOAT_FRAME;
+            }
         }
         self.registers.float_active = float;
         self.registers.r[..4].copy_from_slice(&[r0, r1, r2, r3]);
@@ -162,17 +168,6 @@ impl Cpu {
         let padding = if xpsr >> 9 & 1 != 0 { 4 } else { 0 };
         self.registers.set_sp(base.wrapping_add(bytes + padding));
         self.pc = pc & !1;
-        Ok(())
-    }
-
-    fn pop_float<B: Bus>(&mut self, bus: &mut B, base: u32) -> Result<(), Fault> {
-        let mut words = [0; 17];
-        load_frame(bus, base, &mut words)?;
-        self.float.s[..16].copy_from_slice(&words[..16]);
-        self.float.restore_fpscr(words[16]);
-        if !std::mem::take(&mut self.float.stacking_unpaid) {
-            self.cycles += FLOAT_FRAME;
-        }
         Ok(())
     }
 
