@@ -28,12 +28,11 @@ impl<W: World> Board<W> {
     /// Reads `width` bytes; the lane of the word for peripherals.
     #[inline]
     pub fn access_read(&mut self, address: u32, width: u32) -> Result<u32, BusFault> {
-        let in_ram = address.wrapping_sub(RAM_BASE);
-        if (in_ram as usize) < self.ram.len() {
+        if let Some(offset) = ram_offset(address) {
             if self.loses_writes {
-                self.loses_access(in_ram as usize, None);
+                self.loses_access(offset, None);
             }
-            return load(&self.ram, in_ram as usize, width).ok_or(BusFault);
+            return load(&self.ram, offset, width).ok_or(BusFault);
         }
         self.effects.address = address;
         let in_flash = address & !FLASH_BASE;
@@ -45,13 +44,6 @@ impl<W: World> Board<W> {
 
     /// Reads what is neither RAM nor flash.
     fn access_read_beyond(&mut self, address: u32, width: u32) -> Result<u32, BusFault> {
-        let in_ccm = address.wrapping_sub(CCM_BASE) as usize;
-        if in_ccm < CCM_BYTES {
-            if self.loses_writes {
-                self.loses_access(RAM_BYTES - CCM_BYTES + in_ccm, None);
-            }
-            return load(&self.ram, RAM_BYTES - CCM_BYTES + in_ccm, width).ok_or(BusFault);
-        }
         let word = if PERIPHERALS.contains(&address) {
             if let Some(place) = packet_memory(address, width) {
                 return Ok(if self.is_clocked(USB, 0) { self.usb.memory.read(place) } else { 0 });
@@ -68,12 +60,11 @@ impl<W: World> Board<W> {
 
     #[inline]
     pub fn access_write(&mut self, address: u32, width: u32, value: u32) -> Result<(), BusFault> {
-        let in_ram = address.wrapping_sub(RAM_BASE);
-        if (in_ram as usize) < self.ram.len() {
-            if self.loses_writes && self.loses_access(in_ram as usize, Some(value)) {
+        if let Some(offset) = ram_offset(address) {
+            if self.loses_writes && self.loses_access(offset, Some(value)) {
                 return Ok(());
             }
-            return store(&mut self.ram, in_ram as usize, width, value).ok_or(BusFault);
+            return store(&mut self.ram, offset, width, value).ok_or(BusFault);
         }
         self.effects.address = address;
         self.access_write_beyond(address, width, value)
@@ -81,14 +72,8 @@ impl<W: World> Board<W> {
 
     /// Writes what is not RAM.
     fn access_write_beyond(&mut self, address: u32, width: u32, value: u32) -> Result<(), BusFault> {
-        let in_ccm = address.wrapping_sub(CCM_BASE) as usize;
         let in_flash = address & !FLASH_BASE;
-        if in_ccm < CCM_BYTES {
-            if self.loses_writes && self.loses_access(RAM_BYTES - CCM_BYTES + in_ccm, Some(value)) {
-                return Ok(());
-            }
-            store(&mut self.ram, RAM_BYTES - CCM_BYTES + in_ccm, width, value).ok_or(BusFault)
-        } else if in_flash < FLASH_BYTES as u32 {
+        if in_flash < FLASH_BYTES as u32 {
             self.flash.store(in_flash as usize, width, value, &mut self.effects);
             Ok(())
         } else if PERIPHERALS.contains(&address) {
@@ -312,6 +297,16 @@ units! {
 
 /// VREFBUF, comparators and amplifiers share the kilobyte with SYSCFG.
 const BEHIND_SYSCFG: std::ops::Range<u32> = st::VREFBUF::BASE..st::EXTI::BASE;
+
+/// The place in RAM, of which CCM SRAM is the last part, that `address` shows.
+#[inline]
+fn ram_offset(address: u32) -> Option<usize> {
+    let [in_ram, in_ccm] = [RAM_BASE, CCM_BASE].map(|base| address.wrapping_sub(base) as usize);
+    if in_ram < RAM_BYTES {
+        return Some(in_ram);
+    }
+    (in_ccm < CCM_BYTES).then_some(RAM_BYTES - CCM_BYTES + in_ccm)
+}
 
 /// The place in USB's packet memory that an access goes to.
 fn packet_memory(address: u32, width: u32) -> Option<std::ops::Range<usize>> {
