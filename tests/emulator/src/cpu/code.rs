@@ -8,7 +8,7 @@
 use crate::memory::{CCM_BASE, CCM_BYTES};
 
 use super::decode::{decode, is_wide};
-use super::instruction::{Address, FloatInstruction, FloatOp, FloatUnaryOp, Instruction, Words};
+use super::instruction::{Address, FloatInstruction, FloatOp, FloatUnaryOp, Instruction, RegisterOp, Words};
 use super::{Bus, Fault};
 
 /// Flash of the STM32G474RE, bytes; it shows at 0 and at 0x0800_0000.
@@ -122,7 +122,8 @@ pub(super) fn timing(instruction: &Instruction) -> Timing {
         }
         Instruction::LoadWords { words, .. } | Instruction::StoreWords { words, .. } => alone(1 + words.count()),
         Instruction::LoadExclusive { .. } | Instruction::StoreExclusive { .. } => alone(2),
-        Instruction::TableBranch { .. } | Instruction::Divide { .. } => alone(2),
+        Instruction::TableBranch { .. } => alone(2),
+        Instruction::Registers { op: RegisterOp::UnsignedDivide | RegisterOp::SignedDivide, .. } => alone(2),
         Instruction::Float(float) => float_timing(float),
         _ => alone(1),
     }

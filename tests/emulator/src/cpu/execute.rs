@@ -2,8 +2,8 @@
 //! pseudocode is applied, results are written.
 
 use super::arithmetic::{add_with_carry, extend, extract, field_mask, half, shift, shift_by, subtract_bytes, unary};
-use super::code::REFILL;
-use super::instruction::{AluOp, ImmediateCarry, Instruction, Reg, SetFlags, ShiftKind, Special};
+use super::code::{REFILL, division};
+use super::instruction::{AluOp, ImmediateCarry, Instruction, Reg, RegisterOp, SetFlags, Special};
 use super::{Bus, Cpu, Fault, Size, Trap};
 
 /// The halfwords of ISB.
@@ -25,7 +25,7 @@ impl Cpu {
                 let (value, carry) = shift(self.get(rm), by, self.registers.flags.c);
                 self.alu(op, flags, rd, self.get(rn), value, carry);
             }
-            Instruction::ShiftRegister { kind, flags, rd, rn, rm } => self.shift_register(kind, flags, rd, rn, rm),
+            Instruction::Registers { op, flags, rd, rn, rm } => self.registers(op, flags, rd, rn, rm),
             Instruction::PcRelative { rd, offset } => {
                 let base = self.get(Reg::PC) & !3;
                 self.set(rd, base.wrapping_add_signed(offset.into()));
@@ -44,16 +44,8 @@ impl Cpu {
                 self.set(rd, extend(extension, self.get(rm).rotate_right(rotate.into()), base));
             }
             Instruction::Unary { op, rd, rm } => self.set(rd, unary(op, self.get(rm))),
-            Instruction::Multiply { flags, rd, rn, rm } => {
-                let result = self.get(rn).wrapping_mul(self.get(rm));
-                self.set(rd, result);
-                if self.sets(flags) {
-                    self.registers.flags.set_nz(result);
-                }
-            }
-            Instruction::Divide { signed, rd, rn, rm } => self.divide(signed, rd, rn, rm),
 
-            Instruction::Load { kind, rt, address } => self.load(bus, kind, rt, address)?,
+            Instruction::Load { size, signed, rt, address } => self.load(bus, size, signed, rt, address)?,
             Instruction::Store { size, rt, address } => self.store(bus, size, rt, address)?,
             Instruction::LoadWords { words, address } => self.load_words(bus, words, address)?,
             Instruction::StoreWords { words, address } => self.store_words(bus, words, address)?,
@@ -125,7 +117,6 @@ impl Cpu {
                 let (top, bottom) = if tb { (x, y) } else { (y, x) };
                 self.set(rd, top & 0xffff_0000 | bottom & 0xffff);
             }
-            Instruction::SubtractBytes { rd, rn, rm } => self.set(rd, subtract_bytes(self.get(rn), self.get(rm))),
             Instruction::MultiplyAdd { subtract, rd, rn, rm, ra } => {
                 let product = self.get(rn).wrapping_mul(self.get(rm));
                 let base = self.get(ra);
@@ -194,28 +185,32 @@ impl Cpu {
         }
     }
 
-    fn shift_register(&mut self, kind: ShiftKind, flags: SetFlags, rd: Reg, rn: Reg, rm: Reg) {
-        let (result, carry) = shift_by(self.get(rn), kind, self.get(rm) & 255, self.registers.flags.c);
+    /// `rd = rn op rm`.
+    fn registers(&mut self, op: RegisterOp, flags: SetFlags, rd: Reg, rn: Reg, rm: Reg) {
+        let (x, y, mut carry) = (self.get(rn), self.get(rm), self.registers.flags.c);
+        let result = match op {
+            RegisterOp::Shift(kind) => {
+                let (result, last_out) = shift_by(x, kind, y & 255, carry);
+                carry = last_out;
+                result
+            }
+            RegisterOp::Multiply => x.wrapping_mul(y),
+            RegisterOp::UnsignedDivide => {
+                self.cycles += division(x, y);
+                x.checked_div(y).unwrap_or(0)
+            }
+            RegisterOp::SignedDivide => {
+                let (x, y) = (x as i32, y as i32);
+                self.cycles += division(x.unsigned_abs(), y.unsigned_abs());
+                if y == 0 { 0 } else { x.wrapping_div(y) as u32 }
+            }
+            RegisterOp::SubtractBytes => subtract_bytes(x, y),
+        };
         self.set(rd, result);
         if self.sets(flags) {
             self.registers.flags.set_nz(result);
             self.registers.flags.c = carry;
         }
-    }
-
-    fn divide(&mut self, signed: bool, rd: Reg, rn: Reg, rm: Reg) {
-        let (x, y) = (self.get(rn), self.get(rm));
-        let quotient = match (y, signed) {
-            (0, _) => 0,
-            (_, true) => (x as i32).wrapping_div(y as i32) as u32,
-            (_, false) => x / y,
-        };
-        self.cycles += if signed {
-            super::code::division((x as i32).unsigned_abs(), (y as i32).unsigned_abs())
-        } else {
-            super::code::division(x, y)
-        };
-        self.set(rd, quotient);
     }
 
     /// BranchTo, with the refill of the pipeline.

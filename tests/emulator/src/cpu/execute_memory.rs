@@ -1,6 +1,6 @@
 //! Execution: loads and stores, and the way of an access to the bus or to the private peripherals.
 
-use super::instruction::{Address, LoadKind, Reg, SReg, Words};
+use super::instruction::{Address, Reg, SReg, Words};
 use super::{Bus, Cpu, Fault, Size, Trap};
 
 /// Address, and what write-back puts into the base register.
@@ -137,13 +137,20 @@ impl Cpu {
     }
 
     #[inline(always)]
-    pub(super) fn load<B: Bus>(&mut self, bus: &mut B, kind: LoadKind, rt: Reg, address: Address) -> Result<(), Trap> {
+    pub(super) fn load<B: Bus>(
+        &mut self,
+        bus: &mut B,
+        size: Size,
+        signed: bool,
+        rt: Reg,
+        address: Address,
+    ) -> Result<(), Trap> {
         let (address, moved) = self.locate(address);
-        let raw = self.read(bus, address, kind.size())?;
-        let value = match kind {
-            LoadKind::Word | LoadKind::Half | LoadKind::Byte => raw,
-            LoadKind::SignedHalf => raw as i16 as u32,
-            LoadKind::SignedByte => raw as i8 as u32,
+        let raw = self.read(bus, address, size)?;
+        let value = match (size, signed) {
+            (Size::Half, true) => raw as i16 as u32,
+            (Size::Byte, true) => raw as i8 as u32,
+            _ => raw,
         };
         self.write_back(moved);
         if rt == Reg::PC {

@@ -13,8 +13,7 @@ use super::Size;
 pub enum Instruction {
     AluImmediate { op: AluOp, flags: SetFlags, rd: Reg, rn: Reg, carry: ImmediateCarry, value: u32 },
     AluRegister { op: AluOp, flags: SetFlags, rd: Reg, rn: Reg, rm: Reg, shift: Shift },
-    /// `rd = rn shifted by the low byte of rm`.
-    ShiftRegister { kind: ShiftKind, flags: SetFlags, rd: Reg, rn: Reg, rm: Reg },
+    Registers { op: RegisterOp, flags: SetFlags, rd: Reg, rn: Reg, rm: Reg },
     /// ADR.
     PcRelative { rd: Reg, offset: i16 },
     /// MOVT.
@@ -27,19 +26,15 @@ pub enum Instruction {
     Unary { op: UnaryOp, rd: Reg, rm: Reg },
     /// PKHBT, or with `tb` PKHTB.
     Pack { tb: bool, rd: Reg, rn: Reg, rm: Reg, shift: Shift },
-    /// UQSUB8.
-    SubtractBytes { rd: Reg, rn: Reg, rm: Reg },
 
-    Multiply { flags: SetFlags, rd: Reg, rn: Reg, rm: Reg },
     /// MLA, MLS.
     MultiplyAdd { subtract: bool, rd: Reg, rn: Reg, rm: Reg, ra: Reg },
     /// SMULxy, SMLAxy.
     MultiplyHalves { rd: Reg, rn: Reg, rm: Reg, ra: Option<Reg>, n_top: bool, m_top: bool },
     /// SMULL, UMULL, SMLAL, UMLAL.
     MultiplyLong { signed: bool, accumulate: bool, lo: Reg, hi: Reg, rn: Reg, rm: Reg },
-    Divide { signed: bool, rd: Reg, rn: Reg, rm: Reg },
 
-    Load { kind: LoadKind, rt: Reg, address: Address },
+    Load { size: Size, signed: bool, rt: Reg, address: Address },
     Store { size: Size, rt: Reg, address: Address },
     /// LDRD, LDM, LDMDB, POP, VLDR, VLDM, VPOP.
     LoadWords { words: Words, address: Address },
@@ -163,6 +158,18 @@ pub enum AluOp {
     Cmn,
 }
 
+/// Operations on two registers as they are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RegisterOp {
+    /// By the low byte of the second.
+    Shift(ShiftKind),
+    Multiply,
+    UnsignedDivide,
+    SignedDivide,
+    /// UQSUB8.
+    SubtractBytes,
+}
+
 /// What an immediate operand does to the carry flag in a logical operation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ImmediateCarry {
@@ -212,26 +219,6 @@ pub enum Extension {
     Byte,
     Half,
     Bytes,
-}
-
-/// What a load puts into its register.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum LoadKind {
-    Word,
-    Half,
-    Byte,
-    SignedHalf,
-    SignedByte,
-}
-
-impl LoadKind {
-    pub fn size(self) -> Size {
-        match self {
-            Self::Word => Size::Word,
-            Self::Half | Self::SignedHalf => Size::Half,
-            Self::Byte | Self::SignedByte => Size::Byte,
-        }
-    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -3,8 +3,8 @@
 use super::{Fields, sign_extend};
 use crate::cpu::Size;
 use crate::cpu::instruction::{
-    Address, AluOp, Extension, FloatInstruction, FloatOp, FloatUnaryOp, ImmediateCarry, Instruction, LoadKind, Reg,
-    SReg, SetFlags, Shift, ShiftKind, Special, UnaryOp, Words,
+    Address, AluOp, Extension, FloatInstruction, FloatOp, FloatUnaryOp, ImmediateCarry, Instruction, Reg, RegisterOp,
+    SReg, SetFlags, Shift, Special, UnaryOp, Words,
 };
 
 pub(super) fn shifted(op: AluOp, flags: SetFlags, f: &Fields, rn: char, shift: Shift) -> Instruction {
@@ -65,8 +65,8 @@ pub(super) fn move_sp(op: AluOp, rd: Reg, f: &Fields) -> Instruction {
     Instruction::AluImmediate { op, flags: SetFlags::No, rd, rn: Reg::SP, carry, value: f.get('i') << 2 }
 }
 
-pub(super) fn shift_register(kind: ShiftKind, flags: SetFlags, f: &Fields, rn: char) -> Instruction {
-    Instruction::ShiftRegister { kind, flags, rd: f.reg('d'), rn: f.reg(rn), rm: f.reg('m') }
+pub(super) fn registers(op: RegisterOp, flags: SetFlags, f: &Fields, rn: char, rm: char) -> Instruction {
+    Instruction::Registers { op, flags, rd: f.reg('d'), rn: f.reg(rn), rm: f.reg(rm) }
 }
 
 pub(super) fn extend(extension: Extension, f: &Fields, rn: Option<Reg>) -> Instruction {
@@ -122,14 +122,6 @@ pub(super) fn bitfield_insert(f: &Fields) -> Instruction {
     Instruction::BitfieldInsert { rd: f.reg('d'), rn: f.some_reg('n'), lsb, width: last + 1 - lsb }
 }
 
-pub(super) fn subtract_bytes(f: &Fields) -> Instruction {
-    Instruction::SubtractBytes { rd: f.reg('d'), rn: f.reg('n'), rm: f.reg('m') }
-}
-
-pub(super) fn multiply(flags: SetFlags, f: &Fields, rm: char) -> Instruction {
-    Instruction::Multiply { flags, rd: f.reg('d'), rn: f.reg('n'), rm: f.reg(rm) }
-}
-
 pub(super) fn multiply_add(f: &Fields) -> Instruction {
     let subtract = f.is('s');
     Instruction::MultiplyAdd { subtract, rd: f.reg('d'), rn: f.reg('n'), rm: f.reg('m'), ra: f.reg('a') }
@@ -138,10 +130,6 @@ pub(super) fn multiply_add(f: &Fields) -> Instruction {
 pub(super) fn multiply_halves(f: &Fields) -> Instruction {
     let (ra, n_top, m_top) = (f.some_reg('a'), f.is('x'), f.is('y'));
     Instruction::MultiplyHalves { rd: f.reg('d'), rn: f.reg('n'), rm: f.reg('m'), ra, n_top, m_top }
-}
-
-pub(super) fn divide(signed: bool, f: &Fields) -> Instruction {
-    Instruction::Divide { signed, rd: f.reg('d'), rn: f.reg('n'), rm: f.reg('m') }
 }
 
 pub(super) fn multiply_long(f: &Fields) -> Instruction {
@@ -170,8 +158,8 @@ pub(super) fn far_offset(f: &Fields) -> i32 {
     sign_extend(s << 24 | i1 << 23 | i2 << 22 | f.get('i') << 1, 25)
 }
 
-pub(super) fn load(kind: LoadKind, f: &Fields, address: Address) -> Instruction {
-    Instruction::Load { kind, rt: f.reg('t'), address }
+pub(super) fn load(size: Size, signed: bool, f: &Fields, address: Address) -> Instruction {
+    Instruction::Load { size, signed, rt: f.reg('t'), address }
 }
 
 pub(super) fn store(size: Size, f: &Fields, address: Address) -> Instruction {
@@ -197,28 +185,24 @@ pub(super) fn indexed(f: &Fields, before: bool, writeback: bool, bytes: u32) -> 
     }
 }
 
+fn size(f: &Fields) -> Option<Size> {
+    [Size::Byte, Size::Half, Size::Word].get(f.get('z') as usize).copied()
+}
+
 pub(super) fn store_single(f: &Fields, address: Address) -> Instruction {
-    match f.get('z') {
-        _ if f.reg('n') == Reg::PC => Instruction::Undefined,
-        0 => store(Size::Byte, f, address),
-        1 => store(Size::Half, f, address),
-        2 => store(Size::Word, f, address),
+    match size(f) {
+        Some(size) if f.reg('n') != Reg::PC => store(size, f, address),
         _ => Instruction::Undefined,
     }
 }
 
 pub(super) fn load_single(f: &Fields, address: Address) -> Instruction {
-    let kind = match (f.get('z'), f.is('g')) {
-        (0, false) => LoadKind::Byte,
-        (0, true) => LoadKind::SignedByte,
-        (1, false) => LoadKind::Half,
-        (1, true) => LoadKind::SignedHalf,
-        (2, false) => LoadKind::Word,
-        _ => return Instruction::Undefined,
-    };
-    // PLD, PLI.
-    let is_hint = f.reg('t') == Reg::PC && kind != LoadKind::Word;
-    if is_hint { Instruction::Nop } else { load(kind, f, address) }
+    match (size(f), f.is('g')) {
+        (None, _) | (Some(Size::Word), true) => Instruction::Undefined,
+        // PLD, PLI.
+        (Some(Size::Byte | Size::Half), _) if f.reg('t') == Reg::PC => Instruction::Nop,
+        (Some(size), signed) => load(size, signed, f, address),
+    }
 }
 
 pub(super) fn exclusive(size: Size, f: &Fields, offset: u16) -> Instruction {
