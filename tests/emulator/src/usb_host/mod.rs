@@ -1,8 +1,9 @@
 //! A host computer's USB port with a driver for serial devices behind it.
 //!
-//! It finds a device by its pull-up, resets it, reads and checks its descriptors, configures it,
-//! opens it as a CDC-ACM serial port, and then moves bytes. It acts on machine time: [`UsbHost::advance`]
-//! at [`UsbHost::next_event`]. Each transaction takes the time it takes on the wire.
+//! It finds a device by its pull-up, resets it, reads its descriptors, configures it, opens it as a CDC-ACM serial port, and
+//! then moves bytes. It acts on machine time: [`UsbHost::advance`] at [`UsbHost::next_event`]. Each transaction takes the time
+//! it takes on the wire. A request or an endpoint that the device refuses, or does not answer, is complained of and left alone;
+//! data with the toggle of those before are passed over, as a host does.
 //!
 //! ```text
 //! port ─▶ enumeration ─▶ transfer ─▶ transaction ─▶ UsbPort
