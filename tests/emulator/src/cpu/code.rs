@@ -8,7 +8,7 @@
 use crate::memory::{CCM_BASE, CCM_BYTES};
 
 use super::decode::{decode, is_wide};
-use super::instruction::{Address, FloatInstruction, FloatOp, FloatUnaryOp, Instruction, RegisterOp, Words};
+use super::instruction::{Address, FloatInstruction, FloatOp, FloatUnaryOp, Instruction, RegisterOp};
 use super::{Bus, Fault};
 
 /// Flash of the STM32G474RE, bytes; it shows at 0 and at 0x0800_0000.
@@ -117,10 +117,14 @@ pub(super) fn timing(instruction: &Instruction) -> Timing {
             Timing { cycles: 2, needs: rn.bit() | rm.bit(), busy: 0 }
         }
         Instruction::Store { .. } => Timing { cycles: 1, needs: NONE, busy: 0 },
-        Instruction::LoadWords { words: Words::Float { count: 1, .. }, address: Address::Offset { rn, .. } } => {
+        Instruction::LoadFloat { count: 1, address: Address::Offset { rn, .. }, .. } => {
             Timing { cycles: 2, needs: rn.bit(), busy: 0 }
         }
-        Instruction::LoadWords { words, .. } | Instruction::StoreWords { words, .. } => alone(1 + words.count()),
+        Instruction::LoadFloat { count, .. } | Instruction::StoreFloat { count, .. } => alone(1 + count),
+        Instruction::LoadMultiple { registers, .. } | Instruction::StoreMultiple { registers, .. } => {
+            alone(1 + registers.count_ones() as u8)
+        }
+        Instruction::LoadPair { .. } | Instruction::StorePair { .. } => alone(3),
         Instruction::LoadExclusive { .. } | Instruction::StoreExclusive { .. } => alone(2),
         Instruction::TableBranch { .. } => alone(2),
         Instruction::Registers { op: RegisterOp::UnsignedDivide | RegisterOp::SignedDivide, .. } => alone(2),

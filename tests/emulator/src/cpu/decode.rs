@@ -208,8 +208,8 @@ const WIDE: &[Row] = &[
     row("111010001101nnnn ........0001mmmm", |f| table_branch(true, f)),
     row("11101000110lnnnn tttt....0100dddd", |f| exclusive(Size::Byte, f, 0)),
     row("11101000110lnnnn tttt....0101dddd", |f| exclusive(Size::Half, f, 0)),
-    row("1110100pu11lnnnn ttttvvvviiiiiiii", |f| move_words(f.is('l'), pair(f), indexed(f, f.is('p'), true, f.get('i') << 2))),
-    row("11101001u10lnnnn ttttvvvviiiiiiii", |f| move_words(f.is('l'), pair(f), indexed(f, true, false, f.get('i') << 2))),
+    row("1110100pu11lnnnn ttttvvvviiiiiiii", |f| pair(f, indexed(f, f.is('p'), true, f.get('i') << 2))),
+    row("11101001u10lnnnn ttttvvvviiiiiiii", |f| pair(f, indexed(f, true, false, f.get('i') << 2))),
     row("111010101100nnnn .iiiddddiib0mmmm", pack),
     row("1110101oooosnnnn .iiiddddiikkmmmm", |f| alu_op(f, |op| shifted(op, f.set_flags(), f, 'n', f.shift(f.get('k'))))),
 

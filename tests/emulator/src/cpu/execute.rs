@@ -47,8 +47,12 @@ impl Cpu {
 
             Instruction::Load { size, signed, rt, address } => self.load(bus, size, signed, rt, address)?,
             Instruction::Store { size, rt, address } => self.store(bus, size, rt, address)?,
-            Instruction::LoadWords { words, address } => self.load_words(bus, words, address)?,
-            Instruction::StoreWords { words, address } => self.store_words(bus, words, address)?,
+            Instruction::LoadPair { rt, rt2, address } => self.load_pair(bus, rt, rt2, address)?,
+            Instruction::StorePair { rt, rt2, address } => self.store_pair(bus, rt, rt2, address)?,
+            Instruction::LoadMultiple { registers, address } => self.load_multiple(bus, registers, address)?,
+            Instruction::StoreMultiple { registers, address } => self.store_multiple(bus, registers, address)?,
+            Instruction::LoadFloat { first, count, address } => self.load_float(bus, first, count, address)?,
+            Instruction::StoreFloat { first, count, address } => self.store_float(bus, first, count, address)?,
 
             Instruction::Branch { offset } => self.branch_by(offset),
             Instruction::BranchIf { condition, offset } => {

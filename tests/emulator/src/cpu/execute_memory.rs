@@ -1,6 +1,6 @@
 //! Execution: loads and stores, and the way of an access to the bus or to the private peripherals.
 
-use super::instruction::{Address, Reg, SReg, Words};
+use super::instruction::{Address, Reg, SReg};
 use super::{Bus, Cpu, Fault, Size, Trap};
 
 /// Address, and what write-back puts into the base register.
@@ -174,72 +174,88 @@ impl Cpu {
         Ok(())
     }
 
-    /// A load of several words; those of the core are written when all are read.
-    #[inline]
-    pub(super) fn load_words<B: Bus>(&mut self, bus: &mut B, words: Words, address: Address) -> Result<(), Trap> {
+    pub(super) fn load_pair<B: Bus>(&mut self, bus: &mut B, rt: Reg, rt2: Reg, address: Address) -> Result<(), Trap> {
+        let (address, moved) = self.locate(address);
+        let low = self.read_word(bus, address)?;
+        let high = self.read_word(bus, address.wrapping_add(4))?;
+        self.write_back(moved);
+        self.set(rt, low);
+        self.set(rt2, high);
+        Ok(())
+    }
+
+    pub(super) fn store_pair<B: Bus>(&mut self, bus: &mut B, rt: Reg, rt2: Reg, address: Address) -> Result<(), Trap> {
+        let (address, moved) = self.locate(address);
+        self.write_word(bus, address, self.get(rt))?;
+        self.write_word(bus, address.wrapping_add(4), self.get(rt2))?;
+        self.write_back(moved);
+        Ok(())
+    }
+
+    pub(super) fn load_multiple<B: Bus>(&mut self, bus: &mut B, registers: u16, address: Address) -> Result<(), Trap> {
         let (mut address, moved) = self.locate(address);
-        let mut next = |cpu: &mut Self| {
-            let word = cpu.read_word(bus, address);
-            address = address.wrapping_add(4);
-            word
-        };
-        match words {
-            Words::Float { first, count } => {
-                self.check_float()?;
-                for number in first.0..first.0 + count {
-                    let word = next(self)?;
-                    self.float.set(SReg(number), word);
-                }
-                self.write_back(moved);
+        let mut loaded = [0; 16];
+        for (number, value) in loaded.iter_mut().enumerate() {
+            if registers >> number & 1 != 0 {
+                *value = self.read_word(bus, address)?;
+                address = address.wrapping_add(4);
             }
-            Words::Pair(rt, rt2) => {
-                let (low, high) = (next(self)?, next(self)?);
-                self.write_back(moved);
-                self.set(rt, low);
-                self.set(rt2, high);
+        }
+        self.write_back(moved);
+        for number in 0..15 {
+            if registers >> number & 1 != 0 {
+                self.set(Reg(number), loaded[usize::from(number)]);
             }
-            Words::Core(registers) => {
-                let mut loaded = [0; 16];
-                for number in numbers(registers) {
-                    loaded[usize::from(number)] = next(self)?;
-                }
-                self.write_back(moved);
-                for number in numbers(registers & !Reg::PC.bit()) {
-                    self.set(Reg(number), loaded[usize::from(number)]);
-                }
-                if registers & Reg::PC.bit() != 0 {
-                    return self.branch_exchange(loaded[15]);
-                }
-            }
+        }
+        if registers & Reg::PC.bit() != 0 {
+            return self.branch_exchange(loaded[15]);
         }
         Ok(())
     }
 
-    #[inline]
-    pub(super) fn store_words<B: Bus>(&mut self, bus: &mut B, words: Words, address: Address) -> Result<(), Trap> {
+    pub(super) fn store_multiple<B: Bus>(&mut self, bus: &mut B, registers: u16, address: Address) -> Result<(), Trap> {
         let (mut address, moved) = self.locate(address);
-        let mut store = |cpu: &mut Self, word: u32| {
-            let stored = cpu.write_word(bus, address, word);
-            address = address.wrapping_add(4);
-            stored
-        };
-        match words {
-            Words::Float { first, count } => {
-                self.check_float()?;
-                self.await_float(&[first]);
-                for number in first.0..first.0 + count {
-                    store(self, self.float.get(SReg(number)))?;
-                }
+        for number in 0..15 {
+            if registers >> number & 1 != 0 {
+                self.write_word(bus, address, self.get(Reg(number)))?;
+                address = address.wrapping_add(4);
             }
-            Words::Pair(rt, rt2) => {
-                store(self, self.get(rt))?;
-                store(self, self.get(rt2))?;
-            }
-            Words::Core(registers) => {
-                for number in numbers(registers) {
-                    store(self, self.get(Reg(number)))?;
-                }
-            }
+        }
+        self.write_back(moved);
+        Ok(())
+    }
+
+    #[inline(always)]
+    pub(super) fn load_float<B: Bus>(
+        &mut self,
+        bus: &mut B,
+        first: SReg,
+        count: u8,
+        address: Address,
+    ) -> Result<(), Trap> {
+        self.check_float()?;
+        let (base, moved) = self.locate(address);
+        for n in 0..count {
+            let word = self.read_word(bus, base.wrapping_add(4 * u32::from(n)))?;
+            self.float.set(SReg(first.0 + n), word);
+        }
+        self.write_back(moved);
+        Ok(())
+    }
+
+    #[inline(always)]
+    pub(super) fn store_float<B: Bus>(
+        &mut self,
+        bus: &mut B,
+        first: SReg,
+        count: u8,
+        address: Address,
+    ) -> Result<(), Trap> {
+        self.check_float()?;
+        let (base, moved) = self.locate(address);
+        self.await_float(&[first]);
+        for n in 0..count {
+            self.write_word(bus, base.wrapping_add(4 * u32::from(n)), self.float.get(SReg(first.0 + n)))?;
         }
         self.write_back(moved);
         Ok(())
@@ -280,12 +296,6 @@ impl Cpu {
         self.set(rd, (!allowed).into());
         Ok(())
     }
-}
-
-/// The registers whose bits are set, ascending.
-#[inline]
-fn numbers(registers: u16) -> impl Iterator<Item = u8> {
-    (0..16).filter(move |number| registers >> number & 1 != 0)
 }
 
 /// The private peripheral bus.

@@ -36,10 +36,18 @@ pub enum Instruction {
 
     Load { size: Size, signed: bool, rt: Reg, address: Address },
     Store { size: Size, rt: Reg, address: Address },
-    /// LDRD, LDM, LDMDB, POP, VLDR, VLDM, VPOP.
-    LoadWords { words: Words, address: Address },
-    /// STRD, STM, STMDB, PUSH, VSTR, VSTM, VPUSH.
-    StoreWords { words: Words, address: Address },
+    /// LDRD.
+    LoadPair { rt: Reg, rt2: Reg, address: Address },
+    /// STRD.
+    StorePair { rt: Reg, rt2: Reg, address: Address },
+    /// LDM, LDMDB, POP; registers by their bits.
+    LoadMultiple { registers: u16, address: Address },
+    /// STM, STMDB, PUSH.
+    StoreMultiple { registers: u16, address: Address },
+    /// VLDR of `count` words, VLDM, VPOP.
+    LoadFloat { first: SReg, count: u8, address: Address },
+    /// VSTR of `count` words, VSTM, VPUSH.
+    StoreFloat { first: SReg, count: u8, address: Address },
     LoadExclusive { size: Size, rt: Reg, rn: Reg, offset: u16 },
     StoreExclusive { size: Size, rd: Reg, rt: Reg, rn: Reg, offset: u16 },
     /// CLREX.
@@ -231,28 +239,6 @@ pub enum Address {
     PostIndexed { rn: Reg, offset: i16 },
     /// `[rn, rm, LSL #shift]`.
     Register { rn: Reg, rm: Reg, shift: u8 },
-}
-
-/// Registers that are loaded or stored together, the first at the lowest address.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Words {
-    Pair(Reg, Reg),
-    /// R0–R15 by their bits, in ascending order.
-    Core(u16),
-    Float {
-        first: SReg,
-        count: u8,
-    },
-}
-
-impl Words {
-    pub fn count(self) -> u8 {
-        match self {
-            Self::Pair(..) => 2,
-            Self::Core(registers) => registers.count_ones() as u8,
-            Self::Float { count, .. } => count,
-        }
-    }
 }
 
 /// A special register of MRS and MSR.

@@ -4,7 +4,7 @@ use super::{Fields, sign_extend};
 use crate::cpu::Size;
 use crate::cpu::instruction::{
     Address, AluOp, Extension, FloatInstruction, FloatOp, FloatUnaryOp, ImmediateCarry, Instruction, Reg, RegisterOp,
-    SReg, SetFlags, Shift, Special, UnaryOp, Words,
+    SReg, SetFlags, Shift, Special, UnaryOp,
 };
 
 pub(super) fn shifted(op: AluOp, flags: SetFlags, f: &Fields, rn: char, shift: Shift) -> Instruction {
@@ -214,22 +214,23 @@ pub(super) fn exclusive(size: Size, f: &Fields, offset: u16) -> Instruction {
     }
 }
 
-pub(super) fn pair(f: &Fields) -> Words {
-    Words::Pair(f.reg('t'), f.reg('v'))
-}
-
-pub(super) fn move_words(is_load: bool, words: Words, address: Address) -> Instruction {
-    if is_load { Instruction::LoadWords { words, address } } else { Instruction::StoreWords { words, address } }
+pub(super) fn pair(f: &Fields, address: Address) -> Instruction {
+    let (rt, rt2) = (f.reg('t'), f.reg('v'));
+    if f.is('l') { Instruction::LoadPair { rt, rt2, address } } else { Instruction::StorePair { rt, rt2, address } }
 }
 
 pub(super) fn block(is_load: bool, rn: Reg, registers: u32, downwards: bool, writeback: bool) -> Instruction {
-    let words = Words::Core(registers as u16);
-    move_words(is_load, words, beside(rn, words, downwards, writeback))
+    let (registers, address) = (registers as u16, beside(rn, registers.count_ones(), downwards, writeback));
+    if is_load {
+        Instruction::LoadMultiple { registers, address }
+    } else {
+        Instruction::StoreMultiple { registers, address }
+    }
 }
 
-/// Where `words` lie upwards from `rn`, or downwards below it.
-pub(super) fn beside(rn: Reg, words: Words, downwards: bool, writeback: bool) -> Address {
-    let bytes = 4 * i16::from(words.count());
+/// Where `count` words lie upwards from `rn`, or downwards below it.
+fn beside(rn: Reg, count: u32, downwards: bool, writeback: bool) -> Address {
+    let bytes = 4 * count as i16;
     match (downwards, writeback) {
         (false, true) => Address::PostIndexed { rn, offset: bytes },
         (false, false) => Address::Offset { rn, offset: 0 },
@@ -238,20 +239,24 @@ pub(super) fn beside(rn: Reg, words: Words, downwards: bool, writeback: bool) ->
     }
 }
 
-/// VLDR and VSTR of one word, or of two; D15 has the last ones.
-pub(super) fn float_beside(f: &Fields, count: u8) -> Instruction {
-    let words = Words::Float { first: f.sd(), count };
-    move_words(f.is('l'), words, indexed(f, true, false, f.get('i') << 2))
+/// VLDR and VSTR of one word, or of two.
+pub(super) fn float_beside(f: &Fields, count: u32) -> Instruction {
+    float_words(f, count, indexed(f, true, false, f.get('i') << 2))
 }
 
-/// VLDM and VSTM of registers that exist.
+/// VLDM and VSTM.
 pub(super) fn float_block(f: &Fields, count: u32, downwards: bool, writeback: bool) -> Instruction {
+    float_words(f, count, beside(f.reg('n'), count, downwards, writeback))
+}
+
+/// Of registers that exist.
+fn float_words(f: &Fields, count: u32, address: Address) -> Instruction {
     let first = f.sd();
-    if count == 0 || u32::from(first.0) + count > 32 {
-        return Instruction::Undefined;
+    match u8::try_from(count) {
+        Ok(count @ 1..=32) if first.0 + count <= 32 && f.is('l') => Instruction::LoadFloat { first, count, address },
+        Ok(count @ 1..=32) if first.0 + count <= 32 => Instruction::StoreFloat { first, count, address },
+        _ => Instruction::Undefined,
     }
-    let words = Words::Float { first, count: count as u8 };
-    move_words(f.is('l'), words, beside(f.reg('n'), words, downwards, writeback))
 }
 
 pub(super) fn float(instruction: FloatInstruction) -> Instruction {
