@@ -344,4 +344,11 @@ mod tests {
         dma.write(0, FIRST_CHANNEL + CCR, EN, &mut effects);
         assert_eq!(effects.violation_count, 3, "two channels share a request");
     }
+
+    #[test]
+    fn widths_and_priority_are_fields_of_their_own() {
+        let wide = Channel { ccr: CCR_PSIZE_1 | CCR_MSIZE_0 | CCR_PL, ..Channel::default() };
+        let Transfer { source_width, destination_width, .. } = wide.transfer();
+        assert_eq!((source_width, destination_width, wide.priority()), (4, 2, 3));
+    }
 }

@@ -306,4 +306,14 @@ mod tests {
             assert!(rcc.is_at_full_speed());
         }
     }
+
+    #[test]
+    fn usb_has_the_clock_that_is_selected_and_runs() {
+        let mut rcc = Rcc::new();
+        assert!(!rcc.has_usb_clock());
+        rcc.set(CRRCR, CRRCR_HSI48ON);
+        assert!(rcc.has_usb_clock());
+        rcc.set(CCIPR, 1 << CCIPR_CLK48SEL.trailing_zeros());
+        assert!(!rcc.has_usb_clock(), "01 is reserved");
+    }
 }

@@ -141,3 +141,36 @@ impl Pipe {
         Ok(None)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pipe() -> Pipe {
+        Pipe::new(Endpoint { number: 1, packet_bytes: 64, interval: 0 }, 0)
+    }
+
+    #[test]
+    fn who_refuses_or_keeps_silent_is_asked_no_more() {
+        let silence = || Answer::Silence;
+        for (answers, fault) in [
+            (vec![Answer::Nak, Answer::Stall], "Stall at the last"),
+            (vec![silence(), silence(), Answer::Nak, silence(), silence(), silence()], "Silence at the last"),
+        ] {
+            let mut pipe = pipe();
+            let faults: Vec<_> = answers.into_iter().map(|answer| pipe.progress(answer, 0).err()).collect();
+            let told = faults.iter().position(Option::is_some).expect("a fault");
+            assert_eq!((told + 1, faults[told].as_deref()), (faults.len(), Some(fault)));
+            assert_eq!(pipe.ready_at, Ticks::MAX);
+        }
+        let mut transfer = Transfer::new(Request { setup: [0x80, 6, 0, 1, 0, 0, 10, 0], data: Vec::new() }, 8, 0);
+        assert_eq!(transfer.progress(Answer::Nak, 0, 0), Err("Nak at the last, Setup".to_owned()));
+    }
+
+    #[test]
+    fn repeated_data_are_passed_over() {
+        let mut pipe = pipe();
+        let mut is_new = |toggle| pipe.progress(Answer::Data { toggle, bytes: vec![1] }, 0).expect("data").is_some();
+        assert_eq!([false, false, true, true, false].map(&mut is_new), [true, false, true, false, true]);
+    }
+}
