@@ -1,5 +1,5 @@
-//! Makes constants of the whole numbers in the table of facts: `USART_CR1_UE` becomes `USART::CR1_UE`, the offset
-//! `USART_TypeDef.CR1` becomes `USART::CR1`, `LSI` becomes `one_word::LSI`.
+//! Makes constants of the numbers in the table of facts: `USART_CR1_UE` becomes `USART::CR1_UE`, the offset
+//! `USART_TypeDef.CR1` becomes `USART::CR1`, `LSI` becomes `one_word::LSI`; whole ones are `u32`, others `f64`.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -15,11 +15,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let (Some(name), Some(value)) = (fields.next(), fields.next()) else { continue };
         let name = name.replace("_TypeDef.", "_");
         let is_name = name.chars().all(|letter| letter.is_ascii_alphanumeric() || letter == '_');
-        let is_number = value.starts_with("0x") || value.parse::<u32>().is_ok();
-        if is_name && is_number {
+        let is_whole = value.starts_with("0x") || value.parse::<u32>().is_ok();
+        let kind = if is_whole { "u32" } else { "f64" };
+        if is_name && (is_whole || value.parse::<f64>().is_ok()) {
             let (unit, name) = name.split_once('_').unwrap_or(("one_word", &name));
             let mark = if name.starts_with(|letter: char| letter.is_ascii_digit()) { "_" } else { "" };
-            writeln!(units.entry(unit.to_owned()).or_default(), "    pub const {mark}{name}: u32 = {value};")?;
+            writeln!(units.entry(unit.to_owned()).or_default(), "    pub const {mark}{name}: {kind} = {value};")?;
         }
     }
     let modules: String = units.iter().map(|(unit, numbers)| format!("pub mod {unit} {{\n{numbers}}}\n")).collect();

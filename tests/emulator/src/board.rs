@@ -15,7 +15,7 @@ use crate::peripherals::exti::Exti;
 use crate::peripherals::flash::Flash;
 use crate::peripherals::gpio::{PORTS, Port};
 use crate::peripherals::plain::crc::Crc;
-use crate::peripherals::plain::{Backup, crs, syscfg};
+use crate::peripherals::plain::{backup, crs, syscfg};
 use crate::peripherals::power::Power;
 use crate::peripherals::rcc::Rcc;
 use crate::peripherals::timer::Timer;
@@ -23,6 +23,7 @@ use crate::peripherals::uart::Uart;
 use crate::peripherals::usb::Usb;
 use crate::peripherals::watchdog::Watchdog;
 use crate::peripherals::{Effects, ResetCause, Ticks};
+use crate::st::{self, LL, TS, V};
 use crate::usb_host::UsbHost;
 use crate::world::World;
 
@@ -32,24 +33,14 @@ mod faults;
 use bus::{UNITS, Unit};
 use faults::UnderWay;
 
-/// Flash wait states that the core needs at 170 MHz (RM0440, "Number of wait states according
-/// to CPU clock frequency", range 1 boost mode).
-const LATENCY_AT_170_MHZ: u32 = 4;
-
 /// The port that switches the emitters, and the shift of its first gate (PC6).
 const GATE_PORT: usize = 2;
 const FIRST_GATE: u32 = 6;
 /// PC6 to PC11.
 const GATES: u16 = 0x3F;
 
-/// Below this supply the brown-out reset holds the device, in volts (data sheet, V_BOR0, falling, typical).
-const BROWN_OUT_V: f64 = 1.64;
-/// Below this the backup registers are lost, in volts (data sheet, V_BAT minimum).
-const BACKUP_V: f64 = 1.55;
-/// Supply during the factory's calibration of temperature sensor and reference, in volts.
-const CALIBRATION_V: f64 = 3.0;
-/// Temperatures of the calibration of the sensor, in degrees Celsius (data sheet, TS_CAL1 and TS_CAL2).
-const CALIBRATION_C: [f64; 2] = [30.0, 130.0];
+/// Temperatures at which the factory calibrates the sensor, in degrees Celsius.
+const CALIBRATION_C: [f64; 2] = [TS::CAL1_temperature as f64, TS::CAL2_temperature as f64];
 
 #[derive(Debug)]
 pub struct Board<W> {
@@ -74,19 +65,20 @@ pub struct Board<W> {
     /// USART1: the serial port to a motor controller.
     pub usart: Uart,
     ram: Box<[u8]>,
-    flash: Flash,
+    pub flash: Flash,
     rcc: Rcc,
     power: Power,
     exti: Exti,
     syscfg: Bank,
-    backup: Backup,
-    ports: [Port; PORTS],
+    backup: Bank,
+    /// GPIO ports A to G.
+    pub ports: [Port; PORTS],
     dacs: [Dac; 2],
     watchdog: Watchdog,
     crs: Bank,
     crc: Crc,
     /// Temperature of the chip, in degrees Celsius.
-    temperature_c: f64,
+    pub temperature_c: f64,
     /// Output of the voltage detector, as the interrupt controller last saw it.
     pvd: bool,
     gates: u8,
@@ -117,7 +109,7 @@ impl<W: World> Board<W> {
             power: Power::new(3.3),
             exti: Exti::new(),
             syscfg: Bank::new(syscfg::REGISTERS),
-            backup: Backup::default(),
+            backup: Bank::new(backup::REGISTERS),
             ports: std::array::from_fn(Port::new),
             dacs: [Dac::new(), Dac::new()],
             watchdog: Watchdog::new(),
@@ -134,16 +126,6 @@ impl<W: World> Board<W> {
         board.scramble_ram();
         board.find_next_event();
         board
-    }
-
-    /// Lets the flash pages of the settings be erased at each reset from now on.
-    pub fn lose_settings_at_reset(&mut self) {
-        self.flash.lose_settings_at_reset();
-    }
-
-    /// The pins of a port (0 for A) that the program drives high, bit n for pin n.
-    pub fn driven_high(&self, port: usize) -> u16 {
-        self.ports[port].driven_high()
     }
 
     /// The present, in ticks since the machine was made.
@@ -201,29 +183,15 @@ impl<W: World> Board<W> {
     /// Sets the supply, in volts. Returns whether it is high enough for the device to run.
     pub fn set_supply_v(&mut self, volts: f64) -> bool {
         self.power.supply_v = volts;
-        if volts < BACKUP_V {
+        if volts < V::BAT_least {
             self.lose_backup();
         }
         self.update_pvd();
-        volts >= BROWN_OUT_V
-    }
-
-    /// Sets the temperature of the chip, in degrees Celsius.
-    pub fn set_temperature_c(&mut self, temperature_c: f64) {
-        self.temperature_c = temperature_c;
+        volts >= V::BOR0_falling
     }
 
     pub fn watchdog_runs(&self) -> bool {
         self.watchdog.next_event() != Ticks::MAX
-    }
-
-    pub fn flash_array(&self) -> &FlashArray {
-        self.flash.array()
-    }
-
-    /// When the flash operation under way will be done; `None` if there is none.
-    pub fn flash_busy_until(&self) -> Option<Ticks> {
-        Some(self.flash.next_event()).filter(|&done| done != Ticks::MAX)
     }
 
     /// The emitter gates: bit k for PC(6 + k).
@@ -259,7 +227,7 @@ impl<W: World> Board<W> {
     }
 
     fn lose_backup(&mut self) {
-        self.backup = Backup::default();
+        self.backup.reset();
         self.rcc.reset_backup_domain();
     }
 
@@ -384,7 +352,7 @@ impl<W: World> Board<W> {
         let slow = !self.rcc.is_at_full_speed();
         let pulled = self.rcc.write(offset, value, &mut self.effects);
         if slow && self.rcc.is_at_full_speed() {
-            if self.flash.latency() < LATENCY_AT_170_MHZ {
+            if self.flash.latency() < st::wait::states_170_MHz {
                 self.effects.violation(value, "170 MHz need four wait states of the flash");
             }
             if !self.power.is_boosted() {
@@ -392,7 +360,7 @@ impl<W: World> Board<W> {
             }
         }
         if self.rcc.holds_backup_domain() {
-            self.backup = Backup::default();
+            self.backup.reset();
         }
         self.update_clocks();
         if let Some(pulled) = pulled {
@@ -433,15 +401,15 @@ impl<W: World> Board<W> {
 /// Code of `channel` of ADC3 to ADC5 (data sheet, "Temperature sensor characteristics" and "Internal voltage reference"):
 /// temperature on ADC5_IN4, reference on IN18; nothing else is connected.
 fn internal_code(channel: u8, supply_v: f64, temperature_c: f64) -> u16 {
-    let at_calibration_supply = match channel {
-        4 => {
+    let at_calibration_supply = match channel.into() {
+        LL::ADC_CHANNEL_TEMPSENSOR_ADC5 => {
             let slope = f64::from(TS_CAL2 - TS_CAL1) / (CALIBRATION_C[1] - CALIBRATION_C[0]);
             f64::from(TS_CAL1) + slope * (temperature_c - CALIBRATION_C[0])
         }
-        18 => f64::from(VREFINT_CAL),
+        LL::ADC_CHANNEL_VREFINT => f64::from(VREFINT_CAL),
         _ => 0.0,
     };
-    (at_calibration_supply * CALIBRATION_V / supply_v).round().clamp(0.0, 4_095.0) as u16
+    (at_calibration_supply * st::calibration::supply / supply_v).round().clamp(0.0, 4_095.0) as u16
 }
 
 #[cfg(test)]

@@ -13,7 +13,7 @@ use object::elf::{FileHeader32, PT_LOAD};
 use object::read::elf::{ElfFile32, FileHeader, ProgramHeader};
 use object::{Endianness, Object, ObjectSection, ObjectSymbol, SectionFlags};
 
-use crate::memory::{CCM_BASE, CCM_BYTES, FLASH_BASE, FLASH_BYTES, FlashArray, RAM_BASE, RAM_BYTES};
+use crate::memory::{FLASH_BASE, FLASH_BYTES, FlashArray, RAM_BASE, RAM_BYTES};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Symbol {
@@ -26,8 +26,8 @@ pub struct Symbol {
 pub struct Image {
     segments: Vec<(u32, Vec<u8>)>,
     symbols: BTreeMap<String, Symbol>,
-    static_ram_bytes: usize,
-    ccm_bytes: usize,
+    /// Bytes of RAM its static variables take; the stack comes on top.
+    pub static_ram_bytes: usize,
 }
 
 impl Image {
@@ -41,17 +41,11 @@ impl Image {
             let place = Symbol { address: symbol.address() as u32, bytes: symbol.size() as u32 };
             symbol.name().ok().filter(|name| !name.is_empty()).map(|name| (name.to_owned(), place))
         });
-        let bytes_in = |base: u32, bytes: usize| {
-            let place = u64::from(base)..u64::from(base) + bytes as u64;
-            let sections = elf.sections().filter(|section| is_allocated(section) && place.contains(&section.address()));
-            sections.filter(|section| section.name() != Ok(".stack")).map(|section| section.size() as usize).sum()
-        };
-        Ok(Self {
-            segments,
-            symbols: named.collect(),
-            static_ram_bytes: bytes_in(RAM_BASE, RAM_BYTES),
-            ccm_bytes: bytes_in(CCM_BASE, CCM_BYTES),
-        })
+        let ram = u64::from(RAM_BASE)..u64::from(RAM_BASE) + RAM_BYTES as u64;
+        let variables = elf.sections().filter(|section| is_allocated(section) && ram.contains(&section.address()));
+        let variables = variables.filter(|section| section.name() != Ok(".stack"));
+        let static_ram_bytes = variables.map(|section| section.size() as usize).sum();
+        Ok(Self { segments, symbols: named.collect(), static_ram_bytes })
     }
 
     /// Puts the image into flash, as a programmer's tool does.
@@ -69,16 +63,6 @@ impl Image {
     /// Bytes of flash the program takes.
     pub fn flash_bytes(&self) -> usize {
         self.segments.iter().map(|(_, data)| data.len()).sum()
-    }
-
-    /// Bytes of RAM its static variables take; the stack comes on top.
-    pub fn static_ram_bytes(&self) -> usize {
-        self.static_ram_bytes
-    }
-
-    /// Bytes of CCM SRAM, seen at its own address, that its code and variables take.
-    pub fn ccm_bytes(&self) -> usize {
-        self.ccm_bytes
     }
 }
 

@@ -11,7 +11,7 @@
 //! | [`board`], [`machine`] | the controller as a whole: bus, time, resets, supply |
 //! | [`faults`] | what can be wrong with silicon and board, to be switched on by name |
 //! | [`world`] | emitters, optics, electronics |
-//! | [`usb_wire`], `usb_host` | the cable and the computer at its other end |
+//! | [`usb_wire`], [`usb_host`] | the cable and the computer at its other end |
 //! | [`terminal`] | that computer's serial port, as programs open it |
 //! | [`facts`] | numbers from outside the project, of which registers are made, and for tests |
 //! | [`rig`] | all of it together, running an [`image`] that `firmware/build` has made |
@@ -33,6 +33,6 @@ mod st {
     include!(concat!(env!("OUT_DIR"), "/st.rs"));
 }
 pub mod terminal;
-mod usb_host;
+pub mod usb_host;
 pub mod usb_wire;
 pub mod world;

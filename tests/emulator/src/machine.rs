@@ -49,7 +49,7 @@ impl<W: World> Machine<W> {
     /// A machine whose flash holds `array`, powered on at tick 0.
     pub fn new(array: FlashArray, world: W) -> Self {
         let mut machine = Self {
-            cpu: Cpu::new(),
+            cpu: Cpu::default(),
             board: Board::new(array, world),
             resets: Vec::new(),
             awake: 0,
@@ -101,7 +101,11 @@ impl<W: World> Machine<W> {
                 Step::Asleep => self.sleep(end),
                 Step::ResetRequested => self.reset(ResetCause::Software),
                 // Only a reset helps now, and the watchdog may bring one.
-                Step::Lockup(_) if self.board.watchdog_runs() => self.wait_locked_up(end),
+                Step::Lockup(_) if self.board.watchdog_runs() => {
+                    let before = self.now();
+                    self.sleep(end);
+                    self.awake += self.now() - before;
+                }
                 Step::Lockup(report) => return Stop::Lockup(report),
             }
         }
@@ -198,14 +202,7 @@ impl<W: World> Machine<W> {
         None
     }
 
-    /// Lets time pass for a core that stands still after a fault.
-    fn wait_locked_up(&mut self, end: Ticks) {
-        let before = self.now();
-        self.board.advance_to(self.board.next_event().min(end).max(before));
-        self.awake += self.now() - before;
-    }
-
-    /// Lets time pass until something happens that may wake the core.
+    /// Lets time pass until something happens that may wake the core, or reset it.
     fn sleep(&mut self, end: Ticks) {
         self.board.advance_to(self.board.next_event().min(end).max(self.now()));
     }

@@ -35,8 +35,8 @@ const UNIQUE_ID_ADDRESS: u32 = st::UID::BASE;
 pub const TS_CAL1: u16 = 1_037;
 /// Code of the temperature sensor at 130 °C and 3.0 V (TS_CAL2).
 pub const TS_CAL2: u16 = 1_379;
-/// Code of the internal reference of 1.212 V at 3.0 V (VREFINT_CAL).
-pub const VREFINT_CAL: u16 = 1_654;
+/// Code of the internal reference during the factory's calibration (VREFINT_CAL).
+pub const VREFINT_CAL: u16 = (4_095.0 * st::V::REFINT / st::calibration::supply + 0.5) as u16;
 
 /// The aligned word of system memory at `address`; erased where nothing is known.
 pub fn system_word(address: u32) -> u32 {
@@ -89,9 +89,9 @@ pub(crate) fn store(bytes: &mut [u8], offset: usize, width: u32, value: u32) -> 
 pub struct FlashArray {
     bytes: Box<[u8]>,
     /// Offsets of double words whose ECC does not fit: a program or erase was cut short.
-    torn: BTreeSet<usize>,
-    /// Offsets of double words that read as erased and are not: see [`crate::faults::Fault::FlashTornOnes`].
-    refusing: BTreeSet<usize>,
+    pub torn: BTreeSet<usize>,
+    /// Offsets of double words that read as erased and refuse to be programmed: see [`crate::faults::Fault::FlashTornOnes`].
+    pub refusing: BTreeSet<usize>,
 }
 
 impl FlashArray {
@@ -107,16 +107,6 @@ impl FlashArray {
     pub fn load(&mut self, offset: usize, data: &[u8]) {
         self.bytes[offset..offset + data.len()].copy_from_slice(data);
         self.torn.retain(|torn| !(offset..offset + data.len()).contains(torn));
-    }
-
-    #[inline]
-    pub fn has_torn(&self) -> bool {
-        !self.torn.is_empty()
-    }
-
-    /// Whether the double word around `offset` is torn.
-    pub fn is_torn(&self, offset: usize) -> bool {
-        self.torn.contains(&(offset & !(DOUBLE_WORD_BYTES - 1)))
     }
 
     /// Where the stack of the program begins: the first word of its vector table.
@@ -143,21 +133,6 @@ impl FlashArray {
         } else {
             self.torn.remove(&offset);
         }
-    }
-
-    /// Leaves a double word as its programming does that is cut short so early that it still reads as erased.
-    pub fn tear_unseen(&mut self, offset: usize) {
-        self.refusing.insert(offset);
-    }
-
-    /// Whether any double word reads as erased and refuses to be programmed.
-    pub fn has_refusing(&self) -> bool {
-        !self.refusing.is_empty()
-    }
-
-    /// Whether the erased double word at `offset` refuses to be programmed.
-    pub fn refuses(&self, offset: usize) -> bool {
-        self.refusing.contains(&offset)
     }
 
     /// Erases `length` bytes from `offset` on. `complete` as in [`FlashArray::program`]: cells
@@ -208,17 +183,5 @@ impl Bits {
     fn with_density(&mut self, density: f64) -> u64 {
         let threshold = (density.clamp(0.0, 1.0) * 65_536.0) as u64;
         (0..64).fold(0, |word, bit| word | u64::from(self.next() >> 32 & 0xFFFF < threshold) << bit)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::facts;
-
-    #[test]
-    fn the_reference_s_code_is_that_of_its_voltage() {
-        let full_scale_v = facts::number("calibration_supply");
-        assert_eq!(f64::from(VREFINT_CAL), (4_095.0 * facts::number("V_REFINT") / full_scale_v).round());
     }
 }

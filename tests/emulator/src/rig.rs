@@ -8,7 +8,6 @@ use clap::ValueEnum;
 use slitpose_firmware::pose::{HEAD_BYTES, Head};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::Trajectory;
-use slitpose_model::Tier;
 use slitpose_protocol::{Command, DELIMITER, HeadPart, MAX_REQUEST_BYTES, Request, encode};
 
 use crate::faults::{Fault, Faults, LOW_SUPPLY_V};
@@ -19,11 +18,6 @@ use crate::peripherals::uart::SentByte;
 use crate::peripherals::{TICKS_PER_SECOND, Ticks};
 use crate::usb_host::UsbHost;
 use crate::world::{NoiseSource, OpticsWorld, World};
-
-/// Optics are evaluated to this relative error, which is far below a code of the converters.
-const TOLERANCE: f64 = 1e-6;
-
-pub const WORLD_TIER: Tier = Tier::Exact { tolerance: TOLERANCE };
 
 /// Seed of what the silicon's faults do by chance.
 const SEED: u64 = 20_180_718;
@@ -84,7 +78,7 @@ impl Rig {
         noise: NoiseSource,
         faults: Faults,
     ) -> Result<Self> {
-        let world = OpticsWorld::new(scene, trajectory, WORLD_TIER, noise, faults)?;
+        let world = OpticsWorld::new(scene, trajectory, noise, faults)?;
         let mut rig = Self::power_on(image, world, faults);
         if let Some(origin) = rig.machine.device_clock_origin() {
             rig.machine.board.world.set_origin(origin);
@@ -114,7 +108,7 @@ impl<W: World> Rig<W> {
             rig.machine.set_supply_v(LOW_SUPPLY_V);
         }
         if faults.has(Fault::LostSettings) {
-            rig.machine.board.lose_settings_at_reset();
+            rig.machine.board.flash.loses_settings = true;
         }
         rig
     }

@@ -6,7 +6,7 @@ use crate::memory::{
     BOOT_LOADER_BASE, BOOT_LOADER_END, CCM_BASE, CCM_BYTES, FLASH_BASE, FLASH_BYTES, RAM_BASE, RAM_BYTES, load, store,
     system_word,
 };
-use crate::peripherals::plain::crs;
+use crate::peripherals::plain::backup;
 use crate::peripherals::rcc::Gate;
 use crate::st;
 use crate::world::World;
@@ -28,12 +28,11 @@ impl<W: World> Board<W> {
     /// Reads `width` bytes; the lane of the word for peripherals.
     #[inline]
     pub fn access_read(&mut self, address: u32, width: u32) -> Result<u32, BusFault> {
-        let in_ram = address.wrapping_sub(RAM_BASE);
-        if (in_ram as usize) < self.ram.len() {
+        if let Some(offset) = ram_offset(address) {
             if self.loses_writes {
-                self.loses_access(in_ram as usize, None);
+                self.loses_access(offset, None);
             }
-            return load(&self.ram, in_ram as usize, width).ok_or(BusFault);
+            return load(&self.ram, offset, width).ok_or(BusFault);
         }
         self.effects.address = address;
         let in_flash = address & !FLASH_BASE;
@@ -45,16 +44,9 @@ impl<W: World> Board<W> {
 
     /// Reads what is neither RAM nor flash.
     fn access_read_beyond(&mut self, address: u32, width: u32) -> Result<u32, BusFault> {
-        let in_ccm = address.wrapping_sub(CCM_BASE) as usize;
-        if in_ccm < CCM_BYTES {
-            if self.loses_writes {
-                self.loses_access(RAM_BYTES - CCM_BYTES + in_ccm, None);
-            }
-            return load(&self.ram, RAM_BYTES - CCM_BYTES + in_ccm, width).ok_or(BusFault);
-        }
         let word = if PERIPHERALS.contains(&address) {
-            if let Some(offset) = packet_memory_offset(address) {
-                return Ok(self.read_packet_memory(offset, width));
+            if let Some(place) = packet_memory(address, width) {
+                return Ok(if self.is_clocked(USB, 0) { self.usb.memory.read(place) } else { 0 });
             }
             self.read_peripheral(address & !3)
         } else if SYSTEM_MEMORY.contains(&address) {
@@ -68,12 +60,11 @@ impl<W: World> Board<W> {
 
     #[inline]
     pub fn access_write(&mut self, address: u32, width: u32, value: u32) -> Result<(), BusFault> {
-        let in_ram = address.wrapping_sub(RAM_BASE);
-        if (in_ram as usize) < self.ram.len() {
-            if self.loses_writes && self.loses_access(in_ram as usize, Some(value)) {
+        if let Some(offset) = ram_offset(address) {
+            if self.loses_writes && self.loses_access(offset, Some(value)) {
                 return Ok(());
             }
-            return store(&mut self.ram, in_ram as usize, width, value).ok_or(BusFault);
+            return store(&mut self.ram, offset, width, value).ok_or(BusFault);
         }
         self.effects.address = address;
         self.access_write_beyond(address, width, value)
@@ -81,35 +72,19 @@ impl<W: World> Board<W> {
 
     /// Writes what is not RAM.
     fn access_write_beyond(&mut self, address: u32, width: u32, value: u32) -> Result<(), BusFault> {
-        let in_ccm = address.wrapping_sub(CCM_BASE) as usize;
         let in_flash = address & !FLASH_BASE;
-        if in_ccm < CCM_BYTES {
-            if self.loses_writes && self.loses_access(RAM_BYTES - CCM_BYTES + in_ccm, Some(value)) {
-                return Ok(());
-            }
-            store(&mut self.ram, RAM_BYTES - CCM_BYTES + in_ccm, width, value).ok_or(BusFault)
-        } else if in_flash < FLASH_BYTES as u32 {
+        if in_flash < FLASH_BYTES as u32 {
             self.flash.store(in_flash as usize, width, value, &mut self.effects);
             Ok(())
         } else if PERIPHERALS.contains(&address) {
-            if let Some(offset) = packet_memory_offset(address) {
-                self.write_packet_memory(offset, width, value);
-            } else {
-                self.write_peripheral(address & !3, repeat(value, width));
+            match packet_memory(address, width) {
+                Some(place) if self.is_clocked(USB, value) => self.usb.memory.write(place, value),
+                Some(_) => {}
+                None => self.write_peripheral(address & !3, repeat(value, width)),
             }
             Ok(())
         } else {
             Err(BusFault)
-        }
-    }
-
-    fn read_packet_memory(&mut self, offset: u32, width: u32) -> u32 {
-        if self.is_clocked(USB, 0) { self.usb.read_memory(offset, width as usize) } else { 0 }
-    }
-
-    fn write_packet_memory(&mut self, offset: u32, width: u32, value: u32) {
-        if self.is_clocked(USB, value) {
-            self.usb.write_memory(offset, width as usize, value);
         }
     }
 
@@ -191,9 +166,9 @@ impl<W: World> Board<W> {
             }
             Unit::Exti => self.exti.write(offset, value, effects),
             Unit::Syscfg => self.syscfg.write(offset, value, effects),
-            Unit::Backup => self.backup.write(offset, value, self.power.backup_access(), effects),
+            Unit::Backup => backup::write(&mut self.backup, offset, value, self.power.backup_access(), effects),
             Unit::Watchdog => self.watchdog.write(offset, value, effects),
-            Unit::Crs => crs::write(&mut self.crs, offset, value, effects),
+            Unit::Crs => self.crs.write(offset, value, effects),
             Unit::Crc => self.crc.write(offset, value, effects),
         }
     }
@@ -323,8 +298,20 @@ units! {
 /// VREFBUF, comparators and amplifiers share the kilobyte with SYSCFG.
 const BEHIND_SYSCFG: std::ops::Range<u32> = st::VREFBUF::BASE..st::EXTI::BASE;
 
-fn packet_memory_offset(address: u32) -> Option<u32> {
-    Some(address.wrapping_sub(st::USB::PMAADDR)).filter(|&offset| offset < 1_024)
+/// The place in RAM, of which CCM SRAM is the last part, that `address` shows.
+#[inline]
+fn ram_offset(address: u32) -> Option<usize> {
+    let [in_ram, in_ccm] = [RAM_BASE, CCM_BASE].map(|base| address.wrapping_sub(base) as usize);
+    if in_ram < RAM_BYTES {
+        return Some(in_ram);
+    }
+    (in_ccm < CCM_BYTES).then_some(RAM_BYTES - CCM_BYTES + in_ccm)
+}
+
+/// The place in USB's packet memory that an access goes to.
+fn packet_memory(address: u32, width: u32) -> Option<std::ops::Range<usize>> {
+    let offset = address.wrapping_sub(st::USB::PMAADDR) as usize;
+    (offset < 1_024).then_some(offset..offset + width as usize)
 }
 
 /// A narrow value written to a peripheral appears in all lanes (RM0440, "AHB/APB bridges").

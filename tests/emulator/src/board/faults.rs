@@ -7,6 +7,7 @@ use super::Board;
 use crate::faults::{DAC_REST_V, Fault, Faults};
 use crate::memory::{Bits, CCM_BYTES, RAM_BASE, RAM_BYTES};
 use crate::peripherals::{TICKS_PER_SECOND, Ticks};
+use crate::usb_host::Order;
 use crate::world::World;
 
 /// Fault dma-latency: ticks of a transfer.
@@ -164,11 +165,11 @@ impl<W: World> Board<W> {
     /// Fault usb-host; gives the ticks until the next time.
     fn trouble_usb(&mut self, now: Ticks) -> Ticks {
         if self.usb_host.is_suspended() {
-            self.usb_host.resume(now);
+            self.usb_host.order(Order::Resume, now);
         } else if self.usb_host.dtr() && self.effects.chance.within(0..=2) == 0 {
-            self.usb_host.reset_bus(now);
+            self.usb_host.order(Order::Reset, now);
         } else if self.usb_host.dtr() {
-            self.usb_host.suspend(now);
+            self.usb_host.order(Order::Suspend, now);
             return USB_SUSPENDED_TICKS;
         }
         self.effects.chance.within(USB_PAUSE_TICKS)

@@ -2,8 +2,6 @@
 
 use super::*;
 use crate::cpu::{Bus, Size};
-use crate::facts;
-use crate::peripherals::TICKS_PER_SECOND;
 use crate::world::Dark;
 
 const RCC: u32 = 0x4002_1000;
@@ -70,21 +68,4 @@ fn the_pll_needs_boost_and_wait_states() {
         board.effects.violation_count
     };
     assert_eq!((select(true), select(false)), (0, 2));
-}
-
-#[test]
-fn supply_clock_and_sensors_are_those_of_the_data_sheet() {
-    assert_eq!(BROWN_OUT_V, facts::number("V_BOR0_falling"));
-    assert_eq!(BACKUP_V, facts::number("V_BAT_least"));
-    assert_eq!(LATENCY_AT_170_MHZ, facts::bits("wait_states_170_MHz"));
-    assert_eq!(TICKS_PER_SECOND as f64, 1e6 * facts::number("f_HCLK"));
-    assert_eq!(CALIBRATION_V, facts::number("calibration_supply"));
-    let at_calibration = ["TS_CAL1", "TS_CAL2"].map(|name| {
-        let temperature_c = facts::number(&format!("{name}_temperature"));
-        let sensor = facts::bits("LL_ADC_CHANNEL_TEMPSENSOR_ADC5") as u8;
-        internal_code(sensor, CALIBRATION_V, temperature_c)
-    });
-    assert_eq!(at_calibration, [TS_CAL1, TS_CAL2]);
-    let reference = facts::bits("LL_ADC_CHANNEL_VREFINT") as u8;
-    assert_eq!(internal_code(reference, CALIBRATION_V, 0.0), VREFINT_CAL);
 }

@@ -5,10 +5,10 @@
 //! folded, a skipped instruction takes its one cycle, the write buffer never fills, and a floating-point result that
 //! the next instruction consumes is not waited for (a cycle each: some 2 % of the pose solver).
 
-use crate::memory::CCM_BASE;
+use crate::memory::{CCM_BASE, CCM_BYTES};
 
 use super::decode::{decode, is_wide};
-use super::instruction::{Address, FloatAddress, FloatInstruction, FloatOp, FloatUnaryOp, Instruction};
+use super::instruction::{Address, FloatInstruction, FloatOp, FloatUnaryOp, Instruction, RegisterOp};
 use super::{Bus, Fault};
 
 /// Flash of the STM32G474RE, bytes; it shows at 0 and at 0x0800_0000.
@@ -25,19 +25,23 @@ pub(super) struct Decoded {
     pub bytes: u8,
 }
 
-/// One entry per halfword of flash. Code elsewhere (RAM can change) is decoded each time.
+/// One entry per halfword of flash; and those of code elsewhere by their place in 32 KiB, each with the bits it was made of,
+/// as RAM can change.
 #[derive(Clone, Debug)]
 pub(super) struct Code {
     decoded: Vec<Decoded>,
+    elsewhere: Vec<(u32, Decoded)>,
+}
+
+impl Default for Code {
+    fn default() -> Self {
+        let instruction = Instruction::Undefined;
+        let none = Decoded { instruction, timing: timing(&instruction), bytes: 0 };
+        Self { decoded: vec![none; FLASH_BYTES as usize / 2], elsewhere: vec![(0, none); CCM_BYTES / 2] }
+    }
 }
 
 impl Code {
-    pub fn new() -> Self {
-        let instruction = Instruction::Undefined;
-        let none = Decoded { instruction, timing: timing(&instruction), bytes: 0 };
-        Self { decoded: vec![none; FLASH_BYTES as usize / 2] }
-    }
-
     /// The instruction at `address`, if it has been decoded.
     #[inline(always)]
     pub fn get(&self, address: u32) -> Option<Decoded> {
@@ -56,12 +60,16 @@ impl Code {
         };
         let first = fetch(address)?;
         let (second, bytes) = if is_wide(first) { (fetch(address.wrapping_add(2))?, 4) } else { (0, 2) };
-        let instruction = decode(first, second);
-        let decoded = Decoded { instruction, timing: timing(&instruction), bytes };
-        if let Some(slot) = self.decoded.get_mut((address & !VIEW) as usize / 2) {
-            *slot = decoded;
+        let bits = u32::from(first) << 16 | u32::from(second);
+        let (known_bits, known) = &mut self.elsewhere[address as usize / 2 % (CCM_BYTES / 2)];
+        if (*known_bits, known.bytes) != (bits, bytes) {
+            let instruction = decode(first, second);
+            (*known_bits, *known) = (bits, Decoded { instruction, timing: timing(&instruction), bytes });
         }
-        Ok(decoded)
+        if let Some(slot) = self.decoded.get_mut((address & !VIEW) as usize / 2) {
+            *slot = *known;
+        }
+        Ok(*known)
     }
 }
 
@@ -109,12 +117,17 @@ pub(super) fn timing(instruction: &Instruction) -> Timing {
             Timing { cycles: 2, needs: rn.bit() | rm.bit(), busy: 0 }
         }
         Instruction::Store { .. } => Timing { cycles: 1, needs: NONE, busy: 0 },
+        Instruction::LoadFloat { count: 1, address: Address::Offset { rn, .. }, .. } => {
+            Timing { cycles: 2, needs: rn.bit(), busy: 0 }
+        }
+        Instruction::LoadFloat { count, .. } | Instruction::StoreFloat { count, .. } => alone(1 + count),
         Instruction::LoadMultiple { registers, .. } | Instruction::StoreMultiple { registers, .. } => {
             alone(1 + registers.count_ones() as u8)
         }
         Instruction::LoadPair { .. } | Instruction::StorePair { .. } => alone(3),
         Instruction::LoadExclusive { .. } | Instruction::StoreExclusive { .. } => alone(2),
-        Instruction::TableBranch { .. } | Instruction::Divide { .. } => alone(2),
+        Instruction::TableBranch { .. } => alone(2),
+        Instruction::Registers { op: RegisterOp::UnsignedDivide | RegisterOp::SignedDivide, .. } => alone(2),
         Instruction::Float(float) => float_timing(float),
         _ => alone(1),
     }
@@ -130,10 +143,6 @@ fn address_registers(address: Address) -> u16 {
 fn float_timing(float: FloatInstruction) -> Timing {
     let alone = |cycles| Timing { cycles, needs: NONE, busy: NONE };
     match float {
-        FloatInstruction::Load { count: 1, address: FloatAddress::Offset { rn, .. }, .. } => {
-            Timing { cycles: 2, needs: rn.bit(), busy: 0 }
-        }
-        FloatInstruction::Load { count, .. } | FloatInstruction::Store { count, .. } => alone(1 + count),
         FloatInstruction::Arithmetic { op: FloatOp::Div, .. }
         | FloatInstruction::Unary { op: FloatUnaryOp::Sqrt, .. } => alone(14),
         FloatInstruction::PairToCore { .. } | FloatInstruction::PairFromCore { .. } => alone(2),
@@ -163,11 +172,13 @@ pub(super) struct Accelerator {
 /// A line number no address has.
 const NO_LINE: u32 = u32::MAX;
 
-impl Accelerator {
-    pub fn new() -> Self {
+impl Default for Accelerator {
+    fn default() -> Self {
         Self { current: NO_LINE, instructions: [NO_LINE; 32], data: [NO_LINE; 8] }
     }
+}
 
+impl Accelerator {
     /// Whether an instruction at `address` has to be waited for. Only those in flash pass through the caches.
     #[inline(always)]
     pub fn misses_instruction(&mut self, address: u32) -> bool {
@@ -227,7 +238,7 @@ mod tests {
 
     #[test]
     fn code_in_ccm_sram_is_not_waited_for_and_leaves_the_caches_alone() {
-        let mut accelerator = Accelerator::new();
+        let mut accelerator = Accelerator::default();
         assert!(accelerator.misses_instruction(0x0800_0000) && accelerator.misses_data(0x0800_0000));
         assert!(!accelerator.misses_instruction(CCM_BASE) && !accelerator.misses_data(CCM_BASE));
         assert!(!accelerator.misses_instruction(0x0800_0000) && !accelerator.misses_data(0x0800_0000));

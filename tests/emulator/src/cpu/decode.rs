@@ -1,11 +1,17 @@
-//! From halfwords to [`Instruction`]: the 16-bit encodings (DDI0403, A5.2), those of the coprocessors (FPv4-SP is coprocessors
-//! 10 and 11, A6; others do not exist), and what all share.
+//! From halfwords to [`Instruction`]: tables of the encodings as the manual draws them (DDI0403, A5.2, A5.3, A6.4 to A6.7).
+//!
+//! In a pattern 0 and 1 are fixed, a dot is any bit, and a letter is a field, whose bits may lie apart; the first row that
+//! fits decides. FPv4-SP is coprocessors 10 and 11; others do not exist. Double precision is undefined, and so are
+//! floating-point multiplications that accumulate, and the odd counts of FLDMX and FSTMX.
 
+mod operations;
+
+use super::Size;
 use super::instruction::{
-    Address, AluOp, Extension, FloatAddress, FloatInstruction, FloatOp, FloatUnaryOp, ImmediateCarry, Instruction,
-    LoadKind, Reg, SReg, SetFlags, Shift, ShiftKind, UnaryOp,
+    Address, AluOp, Extension, FloatInstruction, FloatOp, FloatUnaryOp, Instruction, Reg, RegisterOp, SReg, SetFlags,
+    Shift, ShiftKind, UnaryOp,
 };
-use super::{Size, decode_wide};
+use operations::*;
 
 /// Whether `first` is the first half of a 32-bit instruction (DDI0403, A5.1).
 pub fn is_wide(first: u16) -> bool {
@@ -14,400 +20,285 @@ pub fn is_wide(first: u16) -> bool {
 
 /// Decodes a 32-bit instruction, or a 16-bit one (`second` is then ignored).
 pub fn decode(first: u16, second: u16) -> Instruction {
-    if is_wide(first) {
-        decode_wide::decode_wide(u32::from(first) << 16 | u32::from(second))
-    } else {
-        decode_narrow(u32::from(first))
+    let (table, word) = match is_wide(first) {
+        true => (WIDE, u32::from(first) << 16 | u32::from(second)),
+        false => (NARROW, first.into()),
+    };
+    let row = table.iter().find(|row| word & row.mask == row.value);
+    row.map_or(Instruction::Undefined, |row| (row.decode)(&Fields { word, pattern: row.pattern }))
+}
+
+type Decode = fn(&Fields) -> Instruction;
+
+struct Row {
+    pattern: &'static str,
+    /// The bits that are fixed, and what they are.
+    mask: u32,
+    value: u32,
+    decode: Decode,
+}
+
+const fn row(pattern: &'static str, decode: Decode) -> Row {
+    let (text, mut mask, mut value, mut at) = (pattern.as_bytes(), 0, 0, 0);
+    while at < text.len() {
+        if text[at] != b' ' {
+            mask = mask << 1 | matches!(text[at], b'0' | b'1') as u32;
+            value = value << 1 | (text[at] == b'1') as u32;
+        }
+        at += 1;
     }
+    Row { pattern, mask, value, decode }
 }
 
-fn low(word: u32, position: u32) -> Reg {
-    Reg((word >> position & 7) as u8)
+/// An instruction, and the pattern that it fits.
+struct Fields {
+    word: u32,
+    pattern: &'static str,
 }
 
-fn immediate(op: AluOp, flags: SetFlags, rd: Reg, rn: Reg, value: u32) -> Instruction {
-    Instruction::AluImmediate { op, flags, rd, rn, carry: ImmediateCarry::Keep, value }
-}
-
-fn decode_narrow(h: u32) -> Instruction {
-    match h >> 11 {
-        0..=2 => Instruction::AluRegister {
-            op: AluOp::Mov,
-            flags: SetFlags::OutsideIt,
-            rd: low(h, 0),
-            rn: low(h, 0),
-            rm: low(h, 3),
-            shift: immediate_shift(h >> 11, h >> 6 & 31),
-        },
-        3 => add_subtract(h),
-        4 => immediate(AluOp::Mov, SetFlags::OutsideIt, low(h, 8), low(h, 8), h & 255),
-        5 => immediate(AluOp::Cmp, SetFlags::Yes, low(h, 8), low(h, 8), h & 255),
-        6 => immediate(AluOp::Add, SetFlags::OutsideIt, low(h, 8), low(h, 8), h & 255),
-        7 => immediate(AluOp::Sub, SetFlags::OutsideIt, low(h, 8), low(h, 8), h & 255),
-        8 if !bit(h, 10) => data_processing(h),
-        8 => special_data(h),
-        9 => load(LoadKind::Word, low(h, 8), offset(Reg::PC, (h & 255) << 2)),
-        10 | 11 => load_store_register(h),
-        12 => store(Size::Word, low(h, 0), offset(low(h, 3), h >> 4 & 0x7c)),
-        13 => load(LoadKind::Word, low(h, 0), offset(low(h, 3), h >> 4 & 0x7c)),
-        14 => store(Size::Byte, low(h, 0), offset(low(h, 3), h >> 6 & 31)),
-        15 => load(LoadKind::Byte, low(h, 0), offset(low(h, 3), h >> 6 & 31)),
-        16 => store(Size::Half, low(h, 0), offset(low(h, 3), h >> 5 & 0x3e)),
-        17 => load(LoadKind::Half, low(h, 0), offset(low(h, 3), h >> 5 & 0x3e)),
-        18 => store(Size::Word, low(h, 8), offset(Reg::SP, (h & 255) << 2)),
-        19 => load(LoadKind::Word, low(h, 8), offset(Reg::SP, (h & 255) << 2)),
-        20 => Instruction::PcRelative { rd: low(h, 8), offset: ((h & 255) << 2) as i16 },
-        21 => immediate(AluOp::Add, SetFlags::No, low(h, 8), Reg::SP, (h & 255) << 2),
-        22 | 23 => miscellaneous(h),
-        24 => multiple(h, false),
-        25 => multiple(h, true),
-        26 | 27 => conditional_branch(h),
-        28 => Instruction::Branch { offset: sign_extend(h << 1, 12) },
-        _ => Instruction::Undefined,
+impl Fields {
+    /// The bits of field `letter` in their order.
+    fn get(&self, letter: char) -> u32 {
+        let letters = self.pattern.bytes().filter(|&letter| letter != b' ').rev().enumerate();
+        let places = letters.filter(|&(_, found)| found == letter as u8);
+        places.enumerate().fold(0, |value, (bit, (place, _))| value | (self.word >> place & 1) << bit)
     }
-}
 
-fn load(kind: LoadKind, rt: Reg, address: Address) -> Instruction {
-    Instruction::Load { kind, rt, address }
-}
-
-fn store(size: Size, rt: Reg, address: Address) -> Instruction {
-    Instruction::Store { size, rt, address }
-}
-
-fn offset(rn: Reg, bytes: u32) -> Address {
-    Address::Offset { rn, offset: bytes as i16 }
-}
-
-fn add_subtract(h: u32) -> Instruction {
-    let op = if bit(h, 9) { AluOp::Sub } else { AluOp::Add };
-    let (rd, rn, flags) = (low(h, 0), low(h, 3), SetFlags::OutsideIt);
-    if bit(h, 10) {
-        immediate(op, flags, rd, rn, h >> 6 & 7)
-    } else {
-        Instruction::AluRegister { op, flags, rd, rn, rm: low(h, 6), shift: Shift::NONE }
+    /// imm4:i:imm3:imm8 of MOVW and MOVT.
+    fn get_16(&self) -> u16 {
+        (self.get('n') << 12 | self.get('i')) as u16
     }
-}
 
-fn data_processing(h: u32) -> Instruction {
-    let (rd, rm, flags) = (low(h, 0), low(h, 3), SetFlags::OutsideIt);
-    let alu = |op, flags| Instruction::AluRegister { op, flags, rd, rn: rd, rm, shift: Shift::NONE };
-    let shift = |kind| Instruction::ShiftRegister { kind, flags, rd, rn: rd, rm };
-    match h >> 6 & 15 {
-        0 => alu(AluOp::And, flags),
-        1 => alu(AluOp::Eor, flags),
-        2 => shift(ShiftKind::Lsl),
-        3 => shift(ShiftKind::Lsr),
-        4 => shift(ShiftKind::Asr),
-        5 => alu(AluOp::Adc, flags),
-        6 => alu(AluOp::Sbc, flags),
-        7 => shift(ShiftKind::Ror),
-        8 => alu(AluOp::Tst, SetFlags::Yes),
-        9 => immediate(AluOp::Rsb, flags, rd, rm, 0),
-        10 => alu(AluOp::Cmp, SetFlags::Yes),
-        11 => alu(AluOp::Cmn, SetFlags::Yes),
-        12 => alu(AluOp::Orr, flags),
-        13 => Instruction::Multiply { flags, rd, rn: rm, rm: rd },
-        14 => alu(AluOp::Bic, flags),
-        _ => alu(AluOp::Mvn, flags),
+    fn is(&self, letter: char) -> bool {
+        self.get(letter) != 0
     }
-}
 
-/// Operations on any register, and branches to a register.
-fn special_data(h: u32) -> Instruction {
-    let rd = Reg((h >> 4 & 8 | h & 7) as u8);
-    let rm = Reg::at(h, 3);
-    let alu = |op, flags| Instruction::AluRegister { op, flags, rd, rn: rd, rm, shift: Shift::NONE };
-    match h >> 8 & 3 {
-        0 => alu(AluOp::Add, SetFlags::No),
-        1 => alu(AluOp::Cmp, SetFlags::Yes),
-        2 => alu(AluOp::Mov, SetFlags::No),
-        _ if bit(h, 7) => Instruction::BranchLinkExchange { rm },
-        _ => Instruction::BranchExchange { rm },
+    fn reg(&self, letter: char) -> Reg {
+        Reg(self.get(letter) as u8)
     }
-}
 
-fn load_store_register(h: u32) -> Instruction {
-    let (rt, address) = (low(h, 0), Address::Register { rn: low(h, 3), rm: low(h, 6), shift: 0 });
-    match h >> 9 & 7 {
-        0 => store(Size::Word, rt, address),
-        1 => store(Size::Half, rt, address),
-        2 => store(Size::Byte, rt, address),
-        3 => load(LoadKind::SignedByte, rt, address),
-        4 => load(LoadKind::Word, rt, address),
-        5 => load(LoadKind::Half, rt, address),
-        6 => load(LoadKind::Byte, rt, address),
-        _ => load(LoadKind::SignedHalf, rt, address),
+    /// A register field in which 15 stands for "none".
+    fn some_reg(&self, letter: char) -> Option<Reg> {
+        Some(self.reg(letter)).filter(|&register| register != Reg::PC)
     }
-}
 
-/// DDI0403, A5.2.5.
-fn miscellaneous(h: u32) -> Instruction {
-    let extend = |extension| Instruction::Extend { extension, rd: low(h, 0), rn: None, rm: low(h, 3), rotate: 0 };
-    let unary = |op| Instruction::Unary { op, rd: low(h, 0), rm: low(h, 3) };
-    match h >> 6 & 0x3f {
-        0b000000 | 0b000001 => immediate(AluOp::Add, SetFlags::No, Reg::SP, Reg::SP, (h & 0x7f) << 2),
-        0b000010 | 0b000011 => immediate(AluOp::Sub, SetFlags::No, Reg::SP, Reg::SP, (h & 0x7f) << 2),
-        0b001000 => extend(Extension::SignedHalf),
-        0b001001 => extend(Extension::SignedByte),
-        0b001010 => extend(Extension::Half),
-        0b001011 => extend(Extension::Byte),
-        0b101000 => unary(UnaryOp::Rev),
-        0b101001 => unary(UnaryOp::Rev16),
-        0b101011 => unary(UnaryOp::Revsh),
-        0b011001 if bit(h, 5) && h & 3 == 2 => Instruction::ChangeMask { disable: bit(h, 4) },
-        op if op & 0b010100 == 0b000100 => Instruction::CompareBranch {
-            nonzero: bit(h, 11),
-            rn: low(h, 0),
-            offset: (h >> 3 & 0x40 | h >> 2 & 0x3e) as u8,
-        },
-        op if op & 0b111000 == 0b010000 => Instruction::StoreMultiple {
-            rn: Reg::SP,
-            registers: (h & 255 | h << 6 & 1 << 14) as u16,
-            decrement: true,
-            writeback: true,
-        },
-        op if op & 0b111000 == 0b110000 => Instruction::LoadMultiple {
-            rn: Reg::SP,
-            registers: (h & 255 | h << 7 & 1 << 15) as u16,
-            decrement: false,
-            writeback: true,
-        },
-        op if op & 0b111100 == 0b111100 => if_then_or_hint(h),
-        _ => Instruction::Undefined,
+    fn sd(&self) -> SReg {
+        self.single('d', 'D')
     }
-}
 
-fn if_then_or_hint(h: u32) -> Instruction {
-    if h & 15 != 0 { Instruction::IfThen { state: h as u8 } } else { hint(h >> 4 & 15) }
-}
-
-fn multiple(h: u32, is_load: bool) -> Instruction {
-    let (rn, registers) = (low(h, 8), (h & 255) as u16);
-    if is_load {
-        // A loaded base register keeps what was loaded.
-        let writeback = registers & rn.bit() == 0;
-        Instruction::LoadMultiple { rn, registers, decrement: false, writeback }
-    } else {
-        Instruction::StoreMultiple { rn, registers, decrement: false, writeback: true }
+    fn sm(&self) -> SReg {
+        self.single('m', 'M')
     }
-}
 
-fn conditional_branch(h: u32) -> Instruction {
-    match h >> 8 & 15 {
-        // UDF, and SVC, which no image has.
-        14 | 15 => Instruction::Undefined,
-        condition => Instruction::BranchIf { condition: condition as u8, offset: sign_extend(h << 1, 9) },
+    /// A single-precision register of the bits of `high` and one of `low`.
+    fn single(&self, high: char, low: char) -> SReg {
+        SReg((self.get(high) << 1 | self.get(low)) as u8)
     }
-}
 
-// Fields that instructions of several groups have.
+    /// The field `i` as a two's complement number of halfwords.
+    fn branch(&self, bits: u32) -> i32 {
+        sign_extend(self.get('i') << 1, bits)
+    }
 
-pub(super) fn bit(word: u32, n: u32) -> bool {
-    word >> n & 1 != 0
+    fn set_flags(&self) -> SetFlags {
+        if self.is('s') { SetFlags::Yes } else { SetFlags::No }
+    }
+
+    /// DecodeImmShift of field `i` and a kind.
+    fn shift(&self, kind: u32) -> Shift {
+        let amount = self.get('i') as u8;
+        let or_32 = if amount == 0 { 32 } else { amount };
+        let (kind, amount) = match (kind, amount) {
+            (0, _) => (ShiftKind::Lsl, amount),
+            (1, _) => (ShiftKind::Lsr, or_32),
+            (2, _) => (ShiftKind::Asr, or_32),
+            (_, 0) => (ShiftKind::Rrx, 1),
+            _ => (ShiftKind::Ror, amount),
+        };
+        Shift { kind, amount }
+    }
 }
 
 /// The low `bits` bits of `value` as a two's complement number.
-pub(super) fn sign_extend(value: u32, bits: u32) -> i32 {
+fn sign_extend(value: u32, bits: u32) -> i32 {
     (value << (32 - bits)) as i32 >> (32 - bits)
 }
 
-/// DecodeImmShift.
-pub(super) fn immediate_shift(kind: u32, amount: u32) -> Shift {
-    let or_32 = if amount == 0 { 32 } else { amount as u8 };
-    match (kind & 3, amount) {
-        (0, _) => Shift { kind: ShiftKind::Lsl, amount: amount as u8 },
-        (1, _) => Shift { kind: ShiftKind::Lsr, amount: or_32 },
-        (2, _) => Shift { kind: ShiftKind::Asr, amount: or_32 },
-        (_, 0) => Shift { kind: ShiftKind::Rrx, amount: 1 },
-        _ => Shift { kind: ShiftKind::Ror, amount: amount as u8 },
-    }
-}
+#[rustfmt::skip] // One line an encoding.
+const NARROW: &[Row] = &[
+    row("0001100mmmnnnddd", |f| alu(AluOp::Add, SetFlags::OutsideIt, f, 'n')),
+    row("0001101mmmnnnddd", |f| alu(AluOp::Sub, SetFlags::OutsideIt, f, 'n')),
+    row("0001110iiinnnddd", |f| immediate(AluOp::Add, SetFlags::OutsideIt, f, 'n')),
+    row("0001111iiinnnddd", |f| immediate(AluOp::Sub, SetFlags::OutsideIt, f, 'n')),
+    row("000kkiiiiimmmddd", |f| shifted(AluOp::Mov, SetFlags::OutsideIt, f, 'd', f.shift(f.get('k')))),
+    row("00100dddiiiiiiii", |f| immediate(AluOp::Mov, SetFlags::OutsideIt, f, 'd')),
+    row("00101dddiiiiiiii", |f| immediate(AluOp::Cmp, SetFlags::Yes, f, 'd')),
+    row("00110dddiiiiiiii", |f| immediate(AluOp::Add, SetFlags::OutsideIt, f, 'd')),
+    row("00111dddiiiiiiii", |f| immediate(AluOp::Sub, SetFlags::OutsideIt, f, 'd')),
+    row("0100000000mmmddd", |f| alu(AluOp::And, SetFlags::OutsideIt, f, 'd')),
+    row("0100000001mmmddd", |f| alu(AluOp::Eor, SetFlags::OutsideIt, f, 'd')),
+    row("0100000010mmmddd", |f| registers(RegisterOp::Shift(ShiftKind::Lsl), SetFlags::OutsideIt, f, 'd', 'm')),
+    row("0100000011mmmddd", |f| registers(RegisterOp::Shift(ShiftKind::Lsr), SetFlags::OutsideIt, f, 'd', 'm')),
+    row("0100000100mmmddd", |f| registers(RegisterOp::Shift(ShiftKind::Asr), SetFlags::OutsideIt, f, 'd', 'm')),
+    row("0100000101mmmddd", |f| alu(AluOp::Adc, SetFlags::OutsideIt, f, 'd')),
+    row("0100000110mmmddd", |f| alu(AluOp::Sbc, SetFlags::OutsideIt, f, 'd')),
+    row("0100000111mmmddd", |f| registers(RegisterOp::Shift(ShiftKind::Ror), SetFlags::OutsideIt, f, 'd', 'm')),
+    row("0100001000mmmddd", |f| alu(AluOp::Tst, SetFlags::Yes, f, 'd')),
+    row("0100001001nnnddd", |f| immediate(AluOp::Rsb, SetFlags::OutsideIt, f, 'n')),
+    row("0100001010mmmddd", |f| alu(AluOp::Cmp, SetFlags::Yes, f, 'd')),
+    row("0100001011mmmddd", |f| alu(AluOp::Cmn, SetFlags::Yes, f, 'd')),
+    row("0100001100mmmddd", |f| alu(AluOp::Orr, SetFlags::OutsideIt, f, 'd')),
+    row("0100001101nnnddd", |f| registers(RegisterOp::Multiply, SetFlags::OutsideIt, f, 'n', 'd')),
+    row("0100001110mmmddd", |f| alu(AluOp::Bic, SetFlags::OutsideIt, f, 'd')),
+    row("0100001111mmmddd", |f| alu(AluOp::Mvn, SetFlags::OutsideIt, f, 'd')),
+    row("01000100dmmmmddd", |f| alu(AluOp::Add, SetFlags::No, f, 'd')),
+    row("01000101dmmmmddd", |f| alu(AluOp::Cmp, SetFlags::Yes, f, 'd')),
+    row("01000110dmmmmddd", |f| alu(AluOp::Mov, SetFlags::No, f, 'd')),
+    row("010001110mmmm...", |f| Instruction::BranchExchange { rm: f.reg('m') }),
+    row("010001111mmmm...", |f| Instruction::BranchLinkExchange { rm: f.reg('m') }),
+    row("01001tttiiiiiiii", |f| load(Size::Word, false, f, offset(Reg::PC, f.get('i') << 2))),
+    row("0101000mmmnnnttt", |f| store(Size::Word, f, indexed_by_register(f))),
+    row("0101001mmmnnnttt", |f| store(Size::Half, f, indexed_by_register(f))),
+    row("0101010mmmnnnttt", |f| store(Size::Byte, f, indexed_by_register(f))),
+    row("0101011mmmnnnttt", |f| load(Size::Byte, true, f, indexed_by_register(f))),
+    row("0101100mmmnnnttt", |f| load(Size::Word, false, f, indexed_by_register(f))),
+    row("0101101mmmnnnttt", |f| load(Size::Half, false, f, indexed_by_register(f))),
+    row("0101110mmmnnnttt", |f| load(Size::Byte, false, f, indexed_by_register(f))),
+    row("0101111mmmnnnttt", |f| load(Size::Half, true, f, indexed_by_register(f))),
+    row("01100iiiiinnnttt", |f| store(Size::Word, f, offset(f.reg('n'), f.get('i') << 2))),
+    row("01101iiiiinnnttt", |f| load(Size::Word, false, f, offset(f.reg('n'), f.get('i') << 2))),
+    row("01110iiiiinnnttt", |f| store(Size::Byte, f, offset(f.reg('n'), f.get('i')))),
+    row("01111iiiiinnnttt", |f| load(Size::Byte, false, f, offset(f.reg('n'), f.get('i')))),
+    row("10000iiiiinnnttt", |f| store(Size::Half, f, offset(f.reg('n'), f.get('i') << 1))),
+    row("10001iiiiinnnttt", |f| load(Size::Half, false, f, offset(f.reg('n'), f.get('i') << 1))),
+    row("10010tttiiiiiiii", |f| store(Size::Word, f, offset(Reg::SP, f.get('i') << 2))),
+    row("10011tttiiiiiiii", |f| load(Size::Word, false, f, offset(Reg::SP, f.get('i') << 2))),
+    row("10100dddiiiiiiii", |f| Instruction::PcRelative { rd: f.reg('d'), offset: (f.get('i') << 2) as i16 }),
+    row("10101dddiiiiiiii", |f| move_sp(AluOp::Add, f.reg('d'), f)),
+    row("101100000iiiiiii", |f| move_sp(AluOp::Add, Reg::SP, f)),
+    row("101100001iiiiiii", |f| move_sp(AluOp::Sub, Reg::SP, f)),
+    row("1011001000mmmddd", |f| extend(Extension::SignedHalf, f, None)),
+    row("1011001001mmmddd", |f| extend(Extension::SignedByte, f, None)),
+    row("1011001010mmmddd", |f| extend(Extension::Half, f, None)),
+    row("1011001011mmmddd", |f| extend(Extension::Byte, f, None)),
+    row("1011101000mmmddd", |f| unary(UnaryOp::Rev, f)),
+    row("1011101001mmmddd", |f| unary(UnaryOp::Rev16, f)),
+    row("1011101011mmmddd", |f| unary(UnaryOp::Revsh, f)),
+    row("10110110011i..10", |f| Instruction::ChangeMask { disable: f.is('i') }),
+    row("1011z0i1iiiiinnn", compare_branch),
+    row("1011010lrrrrrrrr", |f| block(false, Reg::SP, f.get('l') << 14 | f.get('r'), true, true)),
+    row("1011110prrrrrrrr", |f| block(true, Reg::SP, f.get('p') << 15 | f.get('r'), false, true)),
+    row("10111111hhhh0000", hint),
+    row("10111111iiiiiiii", |f| Instruction::IfThen { state: f.get('i') as u8 }),
+    row("11000nnnrrrrrrrr", |f| block(false, f.reg('n'), f.get('r'), false, true)),
+    // A loaded base register keeps what was loaded.
+    row("11001nnnrrrrrrrr", |f| block(true, f.reg('n'), f.get('r'), false, f.get('r') >> f.get('n') & 1 == 0)),
+    // UDF, and SVC, which no image has.
+    row("1101111.........", |_| Instruction::Undefined),
+    row("1101cccciiiiiiii", |f| Instruction::BranchIf { condition: f.get('c') as u8, offset: f.branch(9) }),
+    row("11100iiiiiiiiiii", |f| Instruction::Branch { offset: f.branch(12) }),
+];
 
-/// The hints of both widths by number. WFI is not modelled: no image sleeps by it.
-pub(super) fn hint(number: u32) -> Instruction {
-    match number {
-        2 => Instruction::Wfe,
-        3 => Instruction::Undefined,
-        4 => Instruction::Sev,
-        _ => Instruction::Nop,
-    }
-}
+#[rustfmt::skip] // One line an encoding.
+const WIDE: &[Row] = &[
+    row("1110100010wlnnnn rrrrrrrrrrrrrrrr", |f| block(f.is('l'), f.reg('n'), f.get('r'), false, f.is('w'))),
+    row("1110100100wlnnnn rrrrrrrrrrrrrrrr", |f| block(f.is('l'), f.reg('n'), f.get('r'), true, f.is('w'))),
+    row("11101000010lnnnn ttttddddiiiiiiii", |f| exclusive(Size::Word, f, (f.get('i') << 2) as u16)),
+    row("111010001101nnnn ........0000mmmm", |f| table_branch(false, f)),
+    row("111010001101nnnn ........0001mmmm", |f| table_branch(true, f)),
+    row("11101000110lnnnn tttt....0100dddd", |f| exclusive(Size::Byte, f, 0)),
+    row("11101000110lnnnn tttt....0101dddd", |f| exclusive(Size::Half, f, 0)),
+    row("1110100pu11lnnnn ttttvvvviiiiiiii", |f| pair(f, indexed(f, f.is('p'), true, f.get('i') << 2))),
+    row("11101001u10lnnnn ttttvvvviiiiiiii", |f| pair(f, indexed(f, true, false, f.get('i') << 2))),
+    row("111010101100nnnn .iiiddddiib0mmmm", pack),
+    row("1110101oooosnnnn .iiiddddiikkmmmm", |f| alu_op(f, |op| shifted(op, f.set_flags(), f, 'n', f.shift(f.get('k'))))),
 
-pub(super) fn rn(w: u32) -> Reg {
-    Reg::at(w, 16)
-}
+    row("11110011100.nnnn 10.010..yyyyyyyy", |f| special(f, |special| Instruction::WriteSpecial { special, rn: f.reg('n') })),
+    row("111100111010.... 10.0.000hhhhhhhh", hint),
+    row("111100111011.... 10.0....0010....", |_| Instruction::ClearExclusive),
+    row("111100111011.... 10.0....010.....", |_| Instruction::Barrier),
+    row("111100111011.... 10.0....0110....", |_| Instruction::Barrier),
+    row("11110011111..... 10.0ddddyyyyyyyy", |f| special(f, |special| Instruction::ReadSpecial { rd: f.reg('d'), special })),
+    row("11110.111....... 10.0............", |_| Instruction::Undefined),
+    row("11110scccciiiiii 10j0kiiiiiiiiiii", branch_if),
+    row("11110siiiiiiiiii 10j1kiiiiiiiiiii", |f| Instruction::Branch { offset: far_offset(f) }),
+    row("11110siiiiiiiiii 11j1kiiiiiiiiiii", |f| Instruction::BranchLink { offset: far_offset(f) }),
 
-pub(super) fn rd(w: u32) -> Reg {
-    Reg::at(w, 8)
-}
+    row("11110i0oooosnnnn 0iiiddddiiiiiiii", |f| alu_op(f, |op| expanded(op, f))),
+    row("11110i1000001111 0iiiddddiiiiiiii", |f| Instruction::PcRelative { rd: f.reg('d'), offset: f.get('i') as i16 }),
+    row("11110i100000nnnn 0iiiddddiiiiiiii", |f| immediate(AluOp::Add, SetFlags::No, f, 'n')),
+    row("11110i100100nnnn 0iiiddddiiiiiiii", move_wide),
+    row("11110i1010101111 0iiiddddiiiiiiii", |f| Instruction::PcRelative { rd: f.reg('d'), offset: -(f.get('i') as i16) }),
+    row("11110i101010nnnn 0iiiddddiiiiiiii", |f| immediate(AluOp::Sub, SetFlags::No, f, 'n')),
+    row("11110i101100nnnn 0iiiddddiiiiiiii", |f| Instruction::MoveTop { rd: f.reg('d'), value: f.get_16() }),
+    row("11110.110100nnnn 0iiiddddii.wwwww", |f| bitfield_extract(true, f)),
+    row("11110.111100nnnn 0iiiddddii.wwwww", |f| bitfield_extract(false, f)),
+    row("11110.110110nnnn 0iiiddddii.wwwww", bitfield_insert),
 
-pub(super) fn rm(w: u32) -> Reg {
-    Reg::at(w, 0)
-}
+    row("111110001zz0nnnn ttttiiiiiiiiiiii", |f| store_single(f, offset(f.reg('n'), f.get('i')))),
+    // Also STRT and LDRT, which are ordinary accesses: there is no unprivileged code.
+    row("111110000zz0nnnn tttt11uwiiiiiiii", |f| store_single(f, indexed(f, true, f.is('w'), f.get('i')))),
+    row("111110000zz0nnnn tttt10u1iiiiiiii", |f| store_single(f, indexed(f, false, true, f.get('i')))),
+    row("111110000zz0nnnn tttt000000kkmmmm", |f| store_single(f, indexed_by_register(f))),
+    row("1111100g0zz11111 ttttiiiiiiiiiiii", |f| load_single(f, Address::Offset { rn: Reg::PC, offset: -(f.get('i') as i16) })),
+    row("1111100g1zz1nnnn ttttiiiiiiiiiiii", |f| load_single(f, offset(f.reg('n'), f.get('i')))),
+    row("1111100g0zz1nnnn tttt11uwiiiiiiii", |f| load_single(f, indexed(f, true, f.is('w'), f.get('i')))),
+    row("1111100g0zz1nnnn tttt10u1iiiiiiii", |f| load_single(f, indexed(f, false, true, f.get('i')))),
+    row("1111100g0zz1nnnn tttt000000kkmmmm", |f| load_single(f, indexed_by_register(f))),
+    row("11111010000snnnn 1111dddd0000mmmm", |f| registers(RegisterOp::Shift(ShiftKind::Lsl), f.set_flags(), f, 'n', 'm')),
+    row("11111010001snnnn 1111dddd0000mmmm", |f| registers(RegisterOp::Shift(ShiftKind::Lsr), f.set_flags(), f, 'n', 'm')),
+    row("11111010010snnnn 1111dddd0000mmmm", |f| registers(RegisterOp::Shift(ShiftKind::Asr), f.set_flags(), f, 'n', 'm')),
+    row("11111010011snnnn 1111dddd0000mmmm", |f| registers(RegisterOp::Shift(ShiftKind::Ror), f.set_flags(), f, 'n', 'm')),
+    row("111110100000nnnn 1111dddd1.rrmmmm", |f| extend(Extension::SignedHalf, f, f.some_reg('n'))),
+    row("111110100001nnnn 1111dddd1.rrmmmm", |f| extend(Extension::Half, f, f.some_reg('n'))),
+    row("111110100010nnnn 1111dddd1.rrmmmm", |f| extend(Extension::SignedBytes, f, f.some_reg('n'))),
+    row("111110100011nnnn 1111dddd1.rrmmmm", |f| extend(Extension::Bytes, f, f.some_reg('n'))),
+    row("111110100100nnnn 1111dddd1.rrmmmm", |f| extend(Extension::SignedByte, f, f.some_reg('n'))),
+    row("111110100101nnnn 1111dddd1.rrmmmm", |f| extend(Extension::Byte, f, f.some_reg('n'))),
+    row("111110101100nnnn 1111dddd0101mmmm", |f| registers(RegisterOp::SubtractBytes, SetFlags::No, f, 'n', 'm')),
+    row("111110101001.... 1111dddd1000mmmm", |f| unary(UnaryOp::Rev, f)),
+    row("111110101001.... 1111dddd1001mmmm", |f| unary(UnaryOp::Rev16, f)),
+    row("111110101001.... 1111dddd1010mmmm", |f| unary(UnaryOp::Rbit, f)),
+    row("111110101001.... 1111dddd1011mmmm", |f| unary(UnaryOp::Revsh, f)),
+    row("111110101011.... 1111dddd1000mmmm", |f| unary(UnaryOp::Clz, f)),
+    row("111110110000nnnn 1111dddd0000mmmm", |f| registers(RegisterOp::Multiply, SetFlags::No, f, 'n', 'm')),
+    row("111110110000nnnn aaaadddd000smmmm", multiply_add),
+    row("111110110001nnnn aaaadddd00xymmmm", multiply_halves),
+    row("111110111uu0nnnn llllhhhh0000mmmm", multiply_long),
+    row("111110111001nnnn ....dddd1111mmmm", |f| registers(RegisterOp::SignedDivide, SetFlags::No, f, 'n', 'm')),
+    row("111110111011nnnn ....dddd1111mmmm", |f| registers(RegisterOp::UnsignedDivide, SetFlags::No, f, 'n', 'm')),
 
-/// Field Rt of loads and stores, Ra and RdLo of multiplications.
-pub(super) fn rt(w: u32) -> Reg {
-    Reg::at(w, 12)
-}
-
-/// A register field in which 15 stands for "none".
-pub(super) fn unless_15(register: Reg) -> Option<Reg> {
-    (register != Reg::PC).then_some(register)
-}
-
-pub(super) fn set_flags(w: u32) -> SetFlags {
-    if bit(w, 20) { SetFlags::Yes } else { SetFlags::No }
-}
-
-pub(super) fn decode_coprocessor(w: u32) -> Instruction {
-    if !matches!(w >> 8 & 15, 10 | 11) {
-        return Instruction::NoCoprocessor;
-    }
-    if bit(w, 28) {
-        return Instruction::Undefined;
-    }
-    let float = match w >> 24 & 3 {
-        2 if bit(w, 4) => transfer(w),
-        2 => float_processing(w),
-        3 => None,
-        _ if w >> 21 & 15 == 2 => transfer_pair(w),
-        _ => load_store(w),
-    };
-    float.map_or(Instruction::Undefined, Instruction::Float)
-}
-
-/// A single-precision register of four bits at `position` and the lowest bit at `extra`.
-fn single(w: u32, position: u32, extra: u32) -> SReg {
-    SReg((w >> position << 1 & 0x1e | w >> extra & 1) as u8)
-}
-
-/// The lower half of the double-precision register at `position`; D16 and up do not exist.
-fn double(w: u32, position: u32, extra: u32) -> Option<SReg> {
-    (!bit(w, extra)).then(|| SReg((w >> position << 1 & 0x1e) as u8))
-}
-
-fn sd(w: u32) -> SReg {
-    single(w, 12, 22)
-}
-
-fn sn(w: u32) -> SReg {
-    single(w, 16, 7)
-}
-
-fn sm(w: u32) -> SReg {
-    single(w, 0, 5)
-}
-
-/// DDI0403, A6.4. Double precision is undefined, and so are multiplications that accumulate.
-fn float_processing(w: u32) -> Option<FloatInstruction> {
-    if bit(w, 8) {
-        return None;
-    }
-    let op = match (w >> 20 & 11, bit(w, 6)) {
-        (2, false) => FloatOp::Mul,
-        (2, true) => FloatOp::Nmul,
-        (3, false) => FloatOp::Add,
-        (3, true) => FloatOp::Sub,
-        (8, false) => FloatOp::Div,
-        (11, false) => return Some(FloatInstruction::Constant { sd: sd(w), value: expand(w) }),
-        (11, true) => return other_float_processing(w),
-        _ => return None,
-    };
-    Some(FloatInstruction::Arithmetic { op, sd: sd(w), sn: sn(w), sm: sm(w) })
-}
-
-/// VFPExpandImm for 32 bits.
-fn expand(w: u32) -> u32 {
-    let bits = w >> 12 & 0xf0 | w & 15;
-    let exponent = if bit(bits, 6) { 0x1f << 25 } else { 1 << 30 };
-    (bits & 0x80) << 24 | exponent | (bits & 0x3f) << 19
-}
-
-fn other_float_processing(w: u32) -> Option<FloatInstruction> {
-    let (sd, sm, high) = (sd(w), sm(w), bit(w, 7));
-    let unary = |op| FloatInstruction::Unary { op, sd, sm };
-    Some(match (w >> 16 & 15, high) {
-        (0, false) => unary(FloatUnaryOp::Mov),
-        (0, true) => unary(FloatUnaryOp::Abs),
-        (1, false) => unary(FloatUnaryOp::Neg),
-        (1, true) => unary(FloatUnaryOp::Sqrt),
-        (4, _) => FloatInstruction::Compare { sd, sm: Some(sm) },
-        (5, _) => FloatInstruction::Compare { sd, sm: None },
-        (8, signed) => FloatInstruction::FromInteger { sd, sm, signed },
-        (12, truncate) => FloatInstruction::ToInteger { sd, sm, signed: false, truncate },
-        (13, truncate) => FloatInstruction::ToInteger { sd, sm, signed: true, truncate },
-        _ => return None,
-    })
-}
-
-/// DDI0403, A6.6.
-fn transfer(w: u32) -> Option<FloatInstruction> {
-    let rt = Reg::at(w, 12);
-    let is_read = bit(w, 20);
-    let register = match (bit(w, 8), w >> 21 & 7) {
-        (false, 0) => sn(w),
-        (false, 7) if w >> 16 & 15 == 1 => {
-            return Some(if is_read {
-                FloatInstruction::ReadStatus { rt }
-            } else {
-                FloatInstruction::WriteStatus { rt }
-            });
-        }
-        // VMOV of one word of a double-precision register.
-        (true, word @ (0 | 1)) if w >> 5 & 3 == 0 => SReg(double(w, 16, 7)?.0 + word as u8),
-        _ => return None,
-    };
-    Some(if is_read {
-        FloatInstruction::ToCore { rt, sn: register }
-    } else {
-        FloatInstruction::FromCore { sn: register, rt }
-    })
-}
-
-/// DDI0403, A6.7.
-fn transfer_pair(w: u32) -> Option<FloatInstruction> {
-    if w >> 6 & 3 != 0 || !bit(w, 4) {
-        return None;
-    }
-    let (rt, rt2) = (Reg::at(w, 12), Reg::at(w, 16));
-    let sm = if bit(w, 8) { double(w, 0, 5)? } else { sm(w) };
-    Some(if bit(w, 20) {
-        FloatInstruction::PairToCore { rt, rt2, sm }
-    } else {
-        FloatInstruction::PairFromCore { sm, rt, rt2 }
-    })
-}
-
-/// DDI0403, A6.5.
-fn load_store(w: u32) -> Option<FloatInstruction> {
-    let rn = Reg::at(w, 16);
-    let (before, up, writeback, is_load) = (bit(w, 24), bit(w, 23), bit(w, 21), bit(w, 20));
-    let is_double = bit(w, 8);
-    let first = if is_double { double(w, 12, 22)? } else { sd(w) };
-    let words = w & 255;
-    let (count, address) = match (before, up, writeback) {
-        (true, _, false) => {
-            let bytes = (words << 2) as i16;
-            let offset = if up { bytes } else { -bytes };
-            (if is_double { 2 } else { 1 }, FloatAddress::Offset { rn, offset })
-        }
-        (false, true, _) => {
-            let bytes = if writeback { words << 2 } else { 0 };
-            (words, FloatAddress::Increment { rn, bytes: u8::try_from(bytes).ok()? })
-        }
-        (true, false, true) => (words, FloatAddress::Decrement { rn, bytes: u8::try_from(words << 2).ok()? }),
-        _ => return None,
-    };
-    // An odd count of double-precision words is FLDMX or FSTMX: the last word is skipped, not moved.
-    let count = if is_double { count & !1 } else { count };
-    if count == 0 || u32::from(first.0) + count > 32 {
-        return None;
-    }
-    let count = count as u8;
-    Some(if is_load {
-        FloatInstruction::Load { first, count, address }
-    } else {
-        FloatInstruction::Store { first, count, address }
-    })
-}
+    row("111011100D10nnnn dddd1010n0M0mmmm", |f| float_operation(FloatOp::Mul, f)),
+    row("111011100D10nnnn dddd1010n1M0mmmm", |f| float_operation(FloatOp::Nmul, f)),
+    row("111011100D11nnnn dddd1010n0M0mmmm", |f| float_operation(FloatOp::Add, f)),
+    row("111011100D11nnnn dddd1010n1M0mmmm", |f| float_operation(FloatOp::Sub, f)),
+    row("111011101D00nnnn dddd1010n0M0mmmm", |f| float_operation(FloatOp::Div, f)),
+    row("111011101D11iiii dddd1010.0.0iiii", float_constant),
+    row("111011101D110000 dddd101001M0mmmm", |f| float_unary(FloatUnaryOp::Mov, f)),
+    row("111011101D110000 dddd101011M0mmmm", |f| float_unary(FloatUnaryOp::Abs, f)),
+    row("111011101D110001 dddd101001M0mmmm", |f| float_unary(FloatUnaryOp::Neg, f)),
+    row("111011101D110001 dddd101011M0mmmm", |f| float_unary(FloatUnaryOp::Sqrt, f)),
+    row("111011101D110100 dddd1010.1M0mmmm", |f| float_compare(f, Some(f.sm()))),
+    row("111011101D110101 dddd1010.1.0....", |f| float_compare(f, None)),
+    row("111011101D111000 dddd1010s1M0mmmm", from_integer),
+    row("111011101D11110s dddd1010t1M0mmmm", to_integer),
+    row("111011100000nnnn tttt1010N..1....", |f| float(FloatInstruction::FromCore { sn: f.single('n', 'N'), rt: f.reg('t') })),
+    row("111011100001nnnn tttt1010N..1....", |f| float(FloatInstruction::ToCore { sn: f.single('n', 'N'), rt: f.reg('t') })),
+    // One word of a double-precision register; D16 and up do not exist.
+    row("1110111000w0nnnn tttt10110001....", |f| float(FloatInstruction::FromCore { sn: f.single('n', 'w'), rt: f.reg('t') })),
+    row("1110111000w1nnnn tttt10110001....", |f| float(FloatInstruction::ToCore { sn: f.single('n', 'w'), rt: f.reg('t') })),
+    row("1110111011100001 tttt1010...1....", |f| float(FloatInstruction::WriteStatus { rt: f.reg('t') })),
+    row("1110111011110001 tttt1010...1....", |f| float(FloatInstruction::ReadStatus { rt: f.reg('t') })),
+    row("111011000100vvvv tttt101000M1mmmm", pair_from_core),
+    row("111011000100vvvv tttt10110001mmmm", pair_from_core),
+    row("111011000101vvvv tttt101000M1mmmm", pair_to_core),
+    row("111011000101vvvv tttt10110001mmmm", pair_to_core),
+    row("11101101uD0lnnnn dddd1010iiiiiiii", |f| float_beside(f, 1)),
+    row("11101101u00lnnnn dddd1011iiiiiiii", |f| float_beside(f, 2)),
+    row("111011001Dwlnnnn dddd1010iiiiiiii", |f| float_block(f, f.get('i'), false, f.is('w'))),
+    row("1110110010wlnnnn dddd1011iiiiiii0", |f| float_block(f, f.get('i') << 1, false, f.is('w'))),
+    row("111011010D1lnnnn dddd1010iiiiiiii", |f| float_block(f, f.get('i'), true, true)),
+    row("11101101001lnnnn dddd1011iiiiiii0", |f| float_block(f, f.get('i') << 1, true, true)),
+    row("111.11.......... ....101.........", |_| Instruction::Undefined),
+    row("111.11.......... ................", |_| Instruction::NoCoprocessor),
+];

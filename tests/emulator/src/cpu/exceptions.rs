@@ -151,7 +151,13 @@ impl Cpu {
             return Err(Fault::InvalidReturn { value });
         }
         if float {
-            self.pop_float(bus, base.wrapping_add(BASIC_FRAME))?;
+            let mut words = [0; 17];
+            load_frame(bus, base.wrapping_add(BASIC_FRAME), &mut words)?;
+            self.float.s[..16].copy_from_slice(&words[..16]);
+            self.float.restore_fpscr(words[16]);
+            if !std::mem::take(&mut self.float.stacking_unpaid) {
+                self.cycles += FLOAT_FRAME;
+            }
         }
         self.registers.float_active = float;
         self.registers.r[..4].copy_from_slice(&[r0, r1, r2, r3]);
@@ -165,26 +171,12 @@ impl Cpu {
         Ok(())
     }
 
-    fn pop_float<B: Bus>(&mut self, bus: &mut B, base: u32) -> Result<(), Fault> {
-        let mut words = [0; 17];
-        load_frame(bus, base, &mut words)?;
-        self.float.s[..16].copy_from_slice(&words[..16]);
-        self.float.restore_fpscr(words[16]);
-        if !std::mem::take(&mut self.float.stacking_unpaid) {
-            self.cycles += FLOAT_FRAME;
-        }
-        Ok(())
-    }
-
     #[cold]
     pub(super) fn take_fault<B: Bus>(&mut self, bus: &mut B, fault: Fault, address: u32) -> Step {
         self.report(fault, address);
-        if self.can_escalate() { self.enter_exception(bus, HARD_FAULT, address) } else { self.lock_up(fault, address) }
-    }
-
-    /// Whether a fault becomes HardFault: no fault has a handler of its own. Otherwise the core locks up.
-    fn can_escalate(&self) -> bool {
-        self.execution_priority() > -1
+        // No fault has a handler of its own.
+        let can_escalate = self.execution_priority() > -1;
+        if can_escalate { self.enter_exception(bus, HARD_FAULT, address) } else { self.lock_up(fault, address) }
     }
 
     /// Writes the fault status register and keeps a report.

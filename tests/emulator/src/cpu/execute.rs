@@ -2,8 +2,8 @@
 //! pseudocode is applied, results are written.
 
 use super::arithmetic::{add_with_carry, extend, extract, field_mask, half, shift, shift_by, subtract_bytes, unary};
-use super::code::REFILL;
-use super::instruction::{AluOp, ImmediateCarry, Instruction, Reg, SetFlags, ShiftKind, Special};
+use super::code::{REFILL, division};
+use super::instruction::{AluOp, ImmediateCarry, Instruction, Reg, RegisterOp, SetFlags, Special};
 use super::{Bus, Cpu, Fault, Size, Trap};
 
 /// The halfwords of ISB.
@@ -25,7 +25,7 @@ impl Cpu {
                 let (value, carry) = shift(self.get(rm), by, self.registers.flags.c);
                 self.alu(op, flags, rd, self.get(rn), value, carry);
             }
-            Instruction::ShiftRegister { kind, flags, rd, rn, rm } => self.shift_register(kind, flags, rd, rn, rm),
+            Instruction::Registers { op, flags, rd, rn, rm } => self.registers(op, flags, rd, rn, rm),
             Instruction::PcRelative { rd, offset } => {
                 let base = self.get(Reg::PC) & !3;
                 self.set(rd, base.wrapping_add_signed(offset.into()));
@@ -44,25 +44,15 @@ impl Cpu {
                 self.set(rd, extend(extension, self.get(rm).rotate_right(rotate.into()), base));
             }
             Instruction::Unary { op, rd, rm } => self.set(rd, unary(op, self.get(rm))),
-            Instruction::Multiply { flags, rd, rn, rm } => {
-                let result = self.get(rn).wrapping_mul(self.get(rm));
-                self.set(rd, result);
-                if self.sets(flags) {
-                    self.registers.flags.set_nz(result);
-                }
-            }
-            Instruction::Divide { signed, rd, rn, rm } => self.divide(signed, rd, rn, rm),
 
-            Instruction::Load { kind, rt, address } => self.load(bus, kind, rt, address)?,
+            Instruction::Load { size, signed, rt, address } => self.load(bus, size, signed, rt, address)?,
             Instruction::Store { size, rt, address } => self.store(bus, size, rt, address)?,
             Instruction::LoadPair { rt, rt2, address } => self.load_pair(bus, rt, rt2, address)?,
             Instruction::StorePair { rt, rt2, address } => self.store_pair(bus, rt, rt2, address)?,
-            Instruction::LoadMultiple { rn, registers, decrement, writeback } => {
-                self.load_multiple(bus, rn, registers, decrement, writeback)?;
-            }
-            Instruction::StoreMultiple { rn, registers, decrement, writeback } => {
-                self.store_multiple(bus, rn, registers, decrement, writeback)?;
-            }
+            Instruction::LoadMultiple { registers, address } => self.load_multiple(bus, registers, address)?,
+            Instruction::StoreMultiple { registers, address } => self.store_multiple(bus, registers, address)?,
+            Instruction::LoadFloat { first, count, address } => self.load_float(bus, first, count, address)?,
+            Instruction::StoreFloat { first, count, address } => self.store_float(bus, first, count, address)?,
 
             Instruction::Branch { offset } => self.branch_by(offset),
             Instruction::BranchIf { condition, offset } => {
@@ -87,7 +77,7 @@ impl Cpu {
             }
             Instruction::IfThen { state } => self.registers.it = state,
             Instruction::Nop | Instruction::Barrier => {}
-            Instruction::Float(float) => self.execute_float(bus, float)?,
+            Instruction::Float(float) => self.execute_float(float)?,
             _ => return self.execute_rare(bus, instruction),
         }
         Ok(())
@@ -131,7 +121,6 @@ impl Cpu {
                 let (top, bottom) = if tb { (x, y) } else { (y, x) };
                 self.set(rd, top & 0xffff_0000 | bottom & 0xffff);
             }
-            Instruction::SubtractBytes { rd, rn, rm } => self.set(rd, subtract_bytes(self.get(rn), self.get(rm))),
             Instruction::MultiplyAdd { subtract, rd, rn, rm, ra } => {
                 let product = self.get(rn).wrapping_mul(self.get(rm));
                 let base = self.get(ra);
@@ -200,28 +189,32 @@ impl Cpu {
         }
     }
 
-    fn shift_register(&mut self, kind: ShiftKind, flags: SetFlags, rd: Reg, rn: Reg, rm: Reg) {
-        let (result, carry) = shift_by(self.get(rn), kind, self.get(rm) & 255, self.registers.flags.c);
+    /// `rd = rn op rm`.
+    fn registers(&mut self, op: RegisterOp, flags: SetFlags, rd: Reg, rn: Reg, rm: Reg) {
+        let (x, y, mut carry) = (self.get(rn), self.get(rm), self.registers.flags.c);
+        let result = match op {
+            RegisterOp::Shift(kind) => {
+                let (result, last_out) = shift_by(x, kind, y & 255, carry);
+                carry = last_out;
+                result
+            }
+            RegisterOp::Multiply => x.wrapping_mul(y),
+            RegisterOp::UnsignedDivide => {
+                self.cycles += division(x, y);
+                x.checked_div(y).unwrap_or(0)
+            }
+            RegisterOp::SignedDivide => {
+                let (x, y) = (x as i32, y as i32);
+                self.cycles += division(x.unsigned_abs(), y.unsigned_abs());
+                if y == 0 { 0 } else { x.wrapping_div(y) as u32 }
+            }
+            RegisterOp::SubtractBytes => subtract_bytes(x, y),
+        };
         self.set(rd, result);
         if self.sets(flags) {
             self.registers.flags.set_nz(result);
             self.registers.flags.c = carry;
         }
-    }
-
-    fn divide(&mut self, signed: bool, rd: Reg, rn: Reg, rm: Reg) {
-        let (x, y) = (self.get(rn), self.get(rm));
-        let quotient = match (y, signed) {
-            (0, _) => 0,
-            (_, true) => (x as i32).wrapping_div(y as i32) as u32,
-            (_, false) => x / y,
-        };
-        self.cycles += if signed {
-            super::code::division((x as i32).unsigned_abs(), (y as i32).unsigned_abs())
-        } else {
-            super::code::division(x, y)
-        };
-        self.set(rd, quotient);
     }
 
     /// BranchTo, with the refill of the pipeline.

@@ -1,6 +1,6 @@
 //! Execution: loads and stores, and the way of an access to the bus or to the private peripherals.
 
-use super::instruction::{Address, LoadKind, Reg};
+use super::instruction::{Address, Reg, SReg};
 use super::{Bus, Cpu, Fault, Size, Trap};
 
 /// Address, and what write-back puts into the base register.
@@ -137,13 +137,20 @@ impl Cpu {
     }
 
     #[inline(always)]
-    pub(super) fn load<B: Bus>(&mut self, bus: &mut B, kind: LoadKind, rt: Reg, address: Address) -> Result<(), Trap> {
+    pub(super) fn load<B: Bus>(
+        &mut self,
+        bus: &mut B,
+        size: Size,
+        signed: bool,
+        rt: Reg,
+        address: Address,
+    ) -> Result<(), Trap> {
         let (address, moved) = self.locate(address);
-        let raw = self.read(bus, address, kind.size())?;
-        let value = match kind {
-            LoadKind::Word | LoadKind::Half | LoadKind::Byte => raw,
-            LoadKind::SignedHalf => raw as i16 as u32,
-            LoadKind::SignedByte => raw as i8 as u32,
+        let raw = self.read(bus, address, size)?;
+        let value = match (size, signed) {
+            (Size::Half, true) => raw as i16 as u32,
+            (Size::Byte, true) => raw as i8 as u32,
+            _ => raw,
         };
         self.write_back(moved);
         if rt == Reg::PC {
@@ -185,26 +192,8 @@ impl Cpu {
         Ok(())
     }
 
-    /// Lowest address of a multiple access and the base register after it.
-    fn block(&self, rn: Reg, registers: u16, decrement: bool) -> (u32, u32) {
-        let (base, bytes) = (self.get(rn), 4 * registers.count_ones());
-        if decrement {
-            let lowest = base.wrapping_sub(bytes);
-            (lowest, lowest)
-        } else {
-            (base, base.wrapping_add(bytes))
-        }
-    }
-
-    pub(super) fn load_multiple<B: Bus>(
-        &mut self,
-        bus: &mut B,
-        rn: Reg,
-        registers: u16,
-        decrement: bool,
-        writeback: bool,
-    ) -> Result<(), Trap> {
-        let (mut address, moved) = self.block(rn, registers, decrement);
+    pub(super) fn load_multiple<B: Bus>(&mut self, bus: &mut B, registers: u16, address: Address) -> Result<(), Trap> {
+        let (mut address, moved) = self.locate(address);
         let mut loaded = [0; 16];
         for (number, value) in loaded.iter_mut().enumerate() {
             if registers >> number & 1 != 0 {
@@ -212,9 +201,7 @@ impl Cpu {
                 address = address.wrapping_add(4);
             }
         }
-        if writeback {
-            self.set(rn, moved);
-        }
+        self.write_back(moved);
         for number in 0..15 {
             if registers >> number & 1 != 0 {
                 self.set(Reg(number), loaded[usize::from(number)]);
@@ -226,24 +213,51 @@ impl Cpu {
         Ok(())
     }
 
-    pub(super) fn store_multiple<B: Bus>(
-        &mut self,
-        bus: &mut B,
-        rn: Reg,
-        registers: u16,
-        decrement: bool,
-        writeback: bool,
-    ) -> Result<(), Trap> {
-        let (mut address, moved) = self.block(rn, registers, decrement);
+    pub(super) fn store_multiple<B: Bus>(&mut self, bus: &mut B, registers: u16, address: Address) -> Result<(), Trap> {
+        let (mut address, moved) = self.locate(address);
         for number in 0..15 {
             if registers >> number & 1 != 0 {
                 self.write_word(bus, address, self.get(Reg(number)))?;
                 address = address.wrapping_add(4);
             }
         }
-        if writeback {
-            self.set(rn, moved);
+        self.write_back(moved);
+        Ok(())
+    }
+
+    #[inline(always)]
+    pub(super) fn load_float<B: Bus>(
+        &mut self,
+        bus: &mut B,
+        first: SReg,
+        count: u8,
+        address: Address,
+    ) -> Result<(), Trap> {
+        self.check_float()?;
+        let (base, moved) = self.locate(address);
+        for n in 0..count {
+            let word = self.read_word(bus, base.wrapping_add(4 * u32::from(n)))?;
+            self.float.set(SReg(first.0 + n), word);
         }
+        self.write_back(moved);
+        Ok(())
+    }
+
+    #[inline(always)]
+    pub(super) fn store_float<B: Bus>(
+        &mut self,
+        bus: &mut B,
+        first: SReg,
+        count: u8,
+        address: Address,
+    ) -> Result<(), Trap> {
+        self.check_float()?;
+        let (base, moved) = self.locate(address);
+        self.await_float(&[first]);
+        for n in 0..count {
+            self.write_word(bus, base.wrapping_add(4 * u32::from(n)), self.float.get(SReg(first.0 + n)))?;
+        }
+        self.write_back(moved);
         Ok(())
     }
 

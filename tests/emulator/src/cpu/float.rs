@@ -6,9 +6,9 @@
 //! they are written.
 
 use super::code::FLOAT_FRAME;
-use super::instruction::{FloatAddress, FloatInstruction, FloatOp, FloatUnaryOp, Reg, SReg};
+use super::instruction::{FloatInstruction, FloatOp, FloatUnaryOp, Reg, SReg};
 use super::registers::Flags;
-use super::{Bus, Cpu, Fault, Trap};
+use super::{Cpu, Fault, Trap};
 
 /// FPSCR: alternative half precision, default NaN, flush to zero, rounding mode.
 const MODES: u32 = 1 << 26 | 1 << 25 | 1 << 24 | 3 << 22;
@@ -17,22 +17,18 @@ const SIGN: u32 = 0x8000_0000;
 const QUIET: u32 = 0x0040_0000;
 const DEFAULT_NAN: u32 = 0x7fc0_0000;
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct FloatUnit {
     /// Bits of S0–S31.
     pub s: [u32; 32],
     status: u32,
     /// Lazy stacking of the interrupted context has not been charged yet.
     pub stacking_unpaid: bool,
-    /// Register of the last arithmetic result, and the number of the instruction that made it.
+    /// Register of the last arithmetic result, and the number of the instruction that has to wait for it.
     result: (SReg, u64),
 }
 
 impl FloatUnit {
-    pub fn new() -> Self {
-        Self { s: [0; 32], status: 0, stacking_unpaid: false, result: (SReg(0), u64::MAX) }
-    }
-
     pub fn fpscr(&self) -> u32 {
         self.status
     }
@@ -64,14 +60,14 @@ impl FloatUnit {
     /// Notes that instruction number `now` makes its result in `register`.
     #[inline(always)]
     pub fn made(&mut self, register: SReg, now: u64) {
-        self.result = (register, now);
+        self.result = (register, now + 1);
     }
 
     /// One cycle if the instruction before `now` made one of `sources`: such a result is late by one (DDI0439,
     /// 7.2.3).
     #[inline(always)]
     pub fn stall(&self, sources: &[SReg], now: u64) -> u32 {
-        u32::from(self.result.1.wrapping_add(1) == now && sources.contains(&self.result.0))
+        u32::from(self.result.1 == now && sources.contains(&self.result.0))
     }
 
     #[inline(always)]
@@ -140,7 +136,7 @@ fn to_integer(x: u32, signed: bool, truncate: bool) -> u32 {
 
 impl Cpu {
     #[inline(always)]
-    pub(super) fn execute_float<B: Bus>(&mut self, bus: &mut B, instruction: FloatInstruction) -> Result<(), Trap> {
+    pub(super) fn execute_float(&mut self, instruction: FloatInstruction) -> Result<(), Trap> {
         self.check_float()?;
         match instruction {
             FloatInstruction::Arithmetic { op, sd, sn, sm } => {
@@ -163,8 +159,6 @@ impl Cpu {
                 let other = sm.map_or(0, |sm| self.float.get(sm));
                 self.float.compare(self.float.get(sd), other);
             }
-            FloatInstruction::Load { first, count, address } => self.load_float(bus, first, count, address)?,
-            FloatInstruction::Store { first, count, address } => self.store_float(bus, first, count, address)?,
             FloatInstruction::ToCore { rt, sn } => {
                 self.await_float(&[sn]);
                 self.set(rt, self.float.get(sn));
@@ -197,8 +191,9 @@ impl Cpu {
 
     /// ExecuteFPCheck: the unit must be enabled; its first use makes it part of the context.
     #[inline(always)]
-    fn check_float(&mut self) -> Result<(), Trap> {
-        if !self.system.float_enabled() {
+    pub(super) fn check_float(&mut self) -> Result<(), Trap> {
+        // CPACR grants coprocessors 10 and 11.
+        if self.system.cpacr >> 20 & 15 != 0b1111 {
             return Err(Fault::NoCoprocessor.into());
         }
         if self.float.stacking_unpaid {
@@ -210,7 +205,7 @@ impl Cpu {
     }
 
     #[inline(always)]
-    fn await_float(&mut self, sources: &[SReg]) {
+    pub(super) fn await_float(&mut self, sources: &[SReg]) {
         self.cycles += self.float.stall(sources, self.instructions);
     }
 
@@ -219,50 +214,5 @@ impl Cpu {
         self.await_float(&[sm]);
         self.float.set(sd, operation(self.float.get(sm)));
         self.float.made(sd, self.instructions);
-    }
-
-    /// Lowest address, and what write-back puts into the base register.
-    fn locate_float(&self, address: FloatAddress) -> (u32, Option<(Reg, u32)>) {
-        match address {
-            FloatAddress::Offset { rn, offset } => {
-                let base = if rn == Reg::PC { self.get(rn) & !3 } else { self.get(rn) };
-                (base.wrapping_add_signed(offset.into()), None)
-            }
-            FloatAddress::Increment { rn, bytes: 0 } => (self.get(rn), None),
-            FloatAddress::Increment { rn, bytes } => {
-                let base = self.get(rn);
-                (base, Some((rn, base.wrapping_add(bytes.into()))))
-            }
-            FloatAddress::Decrement { rn, bytes } => {
-                let lowest = self.get(rn).wrapping_sub(bytes.into());
-                (lowest, Some((rn, lowest)))
-            }
-        }
-    }
-
-    #[inline(always)]
-    fn load_float<B: Bus>(&mut self, bus: &mut B, first: SReg, count: u8, address: FloatAddress) -> Result<(), Trap> {
-        let (base, moved) = self.locate_float(address);
-        for n in 0..count {
-            let word = self.read_word(bus, base.wrapping_add(4 * u32::from(n)))?;
-            self.float.set(SReg(first.0 + n), word);
-        }
-        if let Some((rn, value)) = moved {
-            self.set(rn, value);
-        }
-        Ok(())
-    }
-
-    #[inline(always)]
-    fn store_float<B: Bus>(&mut self, bus: &mut B, first: SReg, count: u8, address: FloatAddress) -> Result<(), Trap> {
-        let (base, moved) = self.locate_float(address);
-        self.await_float(&[first]);
-        for n in 0..count {
-            self.write_word(bus, base.wrapping_add(4 * u32::from(n)), self.float.get(SReg(first.0 + n)))?;
-        }
-        if let Some((rn, value)) = moved {
-            self.set(rn, value);
-        }
-        Ok(())
     }
 }

@@ -13,8 +13,7 @@ use super::Size;
 pub enum Instruction {
     AluImmediate { op: AluOp, flags: SetFlags, rd: Reg, rn: Reg, carry: ImmediateCarry, value: u32 },
     AluRegister { op: AluOp, flags: SetFlags, rd: Reg, rn: Reg, rm: Reg, shift: Shift },
-    /// `rd = rn shifted by the low byte of rm`.
-    ShiftRegister { kind: ShiftKind, flags: SetFlags, rd: Reg, rn: Reg, rm: Reg },
+    Registers { op: RegisterOp, flags: SetFlags, rd: Reg, rn: Reg, rm: Reg },
     /// ADR.
     PcRelative { rd: Reg, offset: i16 },
     /// MOVT.
@@ -27,28 +26,28 @@ pub enum Instruction {
     Unary { op: UnaryOp, rd: Reg, rm: Reg },
     /// PKHBT, or with `tb` PKHTB.
     Pack { tb: bool, rd: Reg, rn: Reg, rm: Reg, shift: Shift },
-    /// UQSUB8.
-    SubtractBytes { rd: Reg, rn: Reg, rm: Reg },
 
-    Multiply { flags: SetFlags, rd: Reg, rn: Reg, rm: Reg },
     /// MLA, MLS.
     MultiplyAdd { subtract: bool, rd: Reg, rn: Reg, rm: Reg, ra: Reg },
     /// SMULxy, SMLAxy.
     MultiplyHalves { rd: Reg, rn: Reg, rm: Reg, ra: Option<Reg>, n_top: bool, m_top: bool },
     /// SMULL, UMULL, SMLAL, UMLAL.
     MultiplyLong { signed: bool, accumulate: bool, lo: Reg, hi: Reg, rn: Reg, rm: Reg },
-    Divide { signed: bool, rd: Reg, rn: Reg, rm: Reg },
 
-    Load { kind: LoadKind, rt: Reg, address: Address },
+    Load { size: Size, signed: bool, rt: Reg, address: Address },
     Store { size: Size, rt: Reg, address: Address },
     /// LDRD.
     LoadPair { rt: Reg, rt2: Reg, address: Address },
     /// STRD.
     StorePair { rt: Reg, rt2: Reg, address: Address },
-    /// LDM, LDMDB, POP.
-    LoadMultiple { rn: Reg, registers: u16, decrement: bool, writeback: bool },
+    /// LDM, LDMDB, POP; registers by their bits.
+    LoadMultiple { registers: u16, address: Address },
     /// STM, STMDB, PUSH.
-    StoreMultiple { rn: Reg, registers: u16, decrement: bool, writeback: bool },
+    StoreMultiple { registers: u16, address: Address },
+    /// VLDR of `count` words, VLDM, VPOP.
+    LoadFloat { first: SReg, count: u8, address: Address },
+    /// VSTR of `count` words, VSTM, VPUSH.
+    StoreFloat { first: SReg, count: u8, address: Address },
     LoadExclusive { size: Size, rt: Reg, rn: Reg, offset: u16 },
     StoreExclusive { size: Size, rd: Reg, rt: Reg, rn: Reg, offset: u16 },
     /// CLREX.
@@ -111,10 +110,6 @@ pub enum FloatInstruction {
     ReadStatus { rt: Reg },
     /// VMSR.
     WriteStatus { rt: Reg },
-    /// VLDR of `count` words, VLDM, VPOP.
-    Load { first: SReg, count: u8, address: FloatAddress },
-    /// VSTR of `count` words, VSTM, VPUSH.
-    Store { first: SReg, count: u8, address: FloatAddress },
 }
 
 const _: () = assert!(size_of::<Instruction>() <= 12, "the decoded-instruction cache relies on small instructions");
@@ -129,17 +124,14 @@ impl Reg {
     /// Program counter; reads as the address of the instruction plus 4.
     pub const PC: Self = Self(15);
 
-    /// The four bits of `word` from bit `low` on, as a register.
-    pub(super) fn at(word: u32, low: u32) -> Self {
-        Self((word >> low & 15) as u8)
-    }
-
     /// Index into an array of 16.
+    #[inline]
     pub(super) fn index(self) -> usize {
         usize::from(self.0 & 15)
     }
 
     /// A mask with this register's bit set.
+    #[inline]
     pub(super) fn bit(self) -> u16 {
         1 << (self.0 & 15)
     }
@@ -172,6 +164,18 @@ pub enum AluOp {
     Teq,
     Cmp,
     Cmn,
+}
+
+/// Operations on two registers as they are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RegisterOp {
+    /// By the low byte of the second.
+    Shift(ShiftKind),
+    Multiply,
+    UnsignedDivide,
+    SignedDivide,
+    /// UQSUB8.
+    SubtractBytes,
 }
 
 /// What an immediate operand does to the carry flag in a logical operation.
@@ -225,26 +229,6 @@ pub enum Extension {
     Bytes,
 }
 
-/// What a load puts into its register.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum LoadKind {
-    Word,
-    Half,
-    Byte,
-    SignedHalf,
-    SignedByte,
-}
-
-impl LoadKind {
-    pub fn size(self) -> Size {
-        match self {
-            Self::Word => Size::Word,
-            Self::Half | Self::SignedHalf => Size::Half,
-            Self::Byte | Self::SignedByte => Size::Byte,
-        }
-    }
-}
-
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Address {
     /// `[rn, #offset]`; with `rn` = PC the PC is aligned down to a word first.
@@ -268,11 +252,12 @@ pub enum Special {
 }
 
 /// A single-precision register, 0–31.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SReg(pub u8);
 
 impl SReg {
     /// Index into an array of 32.
+    #[inline]
     pub(super) fn index(self) -> usize {
         usize::from(self.0 & 31)
     }
@@ -294,23 +279,4 @@ pub enum FloatUnaryOp {
     Abs,
     Neg,
     Sqrt,
-}
-
-/// Address of a floating-point load or store.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum FloatAddress {
-    Offset {
-        rn: Reg,
-        offset: i16,
-    },
-    /// VLDM, VSTM upwards from `rn`; `bytes` is what write-back adds, or 0.
-    Increment {
-        rn: Reg,
-        bytes: u8,
-    },
-    /// VLDMDB, VSTMDB downwards from `rn`, by `bytes`, with write-back.
-    Decrement {
-        rn: Reg,
-        bytes: u8,
-    },
 }

@@ -13,7 +13,6 @@
 mod arithmetic;
 mod code;
 mod decode;
-mod decode_wide;
 mod exceptions;
 mod execute;
 mod execute_memory;
@@ -109,7 +108,7 @@ impl From<Fault> for Trap {
 }
 
 /// The core. It starts unreset: call [`Cpu::reset`] first.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Cpu {
     registers: Registers,
     /// Address of the next instruction.
@@ -144,42 +143,10 @@ pub struct Cpu {
     lockup: Option<FaultReport>,
 }
 
-impl Default for Cpu {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
 /// Where the vector table is found at reset; the STM32G474 shows its flash at 0 and at 0x0800_0000.
 const RESET_VECTORS: u32 = 0x0800_0000;
 
 impl Cpu {
-    /// A core before its first reset.
-    pub fn new() -> Self {
-        Self {
-            registers: Registers::at_reset(0),
-            pc: 0,
-            float: FloatUnit::new(),
-            nvic: Nvic::new(),
-            system: System::default(),
-            code: Code::new(),
-            accelerator: Accelerator::new(),
-            lines: [0; 4],
-            attention: false,
-            is_waiting: false,
-            fetches_wrong_behind_sleep: false,
-            event: false,
-            exclusive: false,
-            in_flight: NOTHING_IN_FLIGHT,
-            in_it_block: false,
-            cycles: 0,
-            executed: 0,
-            instructions: 0,
-            last_fault: None,
-            lockup: None,
-        }
-    }
-
     /// Resets the core: stack pointer and program counter from the vector table at 0x0800_0000. Counters of
     /// instructions and cycles, the report of the last fault and decoded code stay; interrupt lines count as low
     /// until [`Self::set_lines`] tells otherwise.
@@ -190,11 +157,11 @@ impl Cpu {
         let start = vector(RESET_VECTORS + 4);
         self.registers.thumb = start & 1 != 0;
         self.pc = start & !1;
-        self.float = FloatUnit::new();
-        self.nvic = Nvic::new();
+        self.float = FloatUnit::default();
+        self.nvic = Nvic::default();
         self.lines = [0; 4];
         self.system = System::default();
-        self.accelerator = Accelerator::new();
+        self.accelerator = Accelerator::default();
         self.attention = true;
         self.is_waiting = false;
         self.event = false;
@@ -229,11 +196,6 @@ impl Cpu {
         self.pc
     }
 
-    /// Stack pointer in use.
-    pub fn sp(&self) -> u32 {
-        self.registers.sp()
-    }
-
     /// Peripherals that stand still while a debugger halts the core, as DBGMCU_APB1FZR1 has them.
     pub fn frozen_in_halt(&self) -> u32 {
         self.system.frozen_in_halt
@@ -259,11 +221,6 @@ impl Cpu {
         self.float.s = state.s;
         self.float.restore_fpscr(state.fpscr);
         self.attention = true;
-    }
-
-    /// Number of the exception being handled, 0 in thread mode.
-    pub fn exception(&self) -> u16 {
-        self.registers.ipsr
     }
 
     /// Instructions executed since the first reset.

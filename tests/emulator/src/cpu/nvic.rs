@@ -27,11 +27,13 @@ pub(super) struct Nvic {
 /// Exceptions that cannot be disabled.
 const ALWAYS_ENABLED: u128 = 1 << NMI | 1 << HARD_FAULT;
 
-impl Nvic {
-    pub fn new() -> Self {
+impl Default for Nvic {
+    fn default() -> Self {
         Self { pending: 0, enabled: ALWAYS_ENABLED, active: 0, lines: 0, priority: [0; 128] }
     }
+}
 
+impl Nvic {
     /// Takes the levels of the interrupt lines; a rising one becomes pending. Returns whether one did.
     pub fn set_lines(&mut self, lines: &[u32; 4]) -> bool {
         let lines = lines.iter().rev().fold(0u128, |all, &word| all << 32 | u128::from(word)) << FIRST_INTERRUPT;

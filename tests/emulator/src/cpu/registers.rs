@@ -26,12 +26,14 @@ impl Flags {
         Self { n: bit(31), z: bit(30), c: bit(29), v: bit(28), q: bit(27) }
     }
 
+    #[inline]
     pub fn set_nz(&mut self, result: u32) {
         self.n = (result as i32) < 0;
         self.z = result == 0;
     }
 
     /// ConditionPassed for a condition field of four bits.
+    #[inline]
     pub fn pass(self, condition: u8) -> bool {
         let holds = match condition >> 1 {
             0 => self.z,
@@ -47,7 +49,7 @@ impl Flags {
     }
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Registers {
     /// R0–R15. R15 reads as instruction address plus 4.
     pub r: [u32; 16],
@@ -71,16 +73,7 @@ impl Registers {
         let mut r = [0; 16];
         r[13] = msp & !3;
         r[14] = 0xffff_ffff;
-        Self {
-            r,
-            min_msp: msp & !3,
-            flags: Flags::default(),
-            thumb: true,
-            it: 0,
-            ipsr: 0,
-            primask: false,
-            float_active: false,
-        }
+        Self { r, min_msp: msp & !3, ..Self::default() }
     }
 
     #[inline(always)]

@@ -1,7 +1,8 @@
 //! The private peripheral bus: system control block, NVIC registers, cycle counter (DDI0403, B3 and C1.8). Registers
-//! without a model read 0 and ignore writes, among them VTOR, identification, the debug components, SysTick, HFSR, the addresses of
-//! faults, and what changes how exceptions are entered and left or which faults have handlers of their own: SCR, CCR, SHCSR, FPCCR. All is as after reset: unaligned
-//! accesses and divisions by zero are no faults, stacks are aligned to eight bytes, floating-point state is stacked lazily.
+//! without a model read 0 and ignore writes, among them VTOR, identification, the debug components, SysTick, HFSR, the
+//! addresses of faults, and what changes how exceptions are entered and left or which faults have handlers of their own:
+//! SCR, CCR, SHCSR, FPCCR. All is as after reset: unaligned accesses and divisions by zero are no faults, stacks are aligned
+//! to eight bytes, floating-point state is stacked lazily. Which interrupts are enabled, pending and active is not read.
 
 use super::nvic::FIRST_INTERRUPT;
 use super::{Cpu, Size};
@@ -9,6 +10,12 @@ use crate::st::DBGMCU;
 
 /// Peripherals that stand still while a debugger halts the core (RM0440, "Debug support").
 const DBGMCU_APB1FZR1: u32 = DBGMCU::BASE + DBGMCU::APB1FZR1;
+const DWT_CTRL: u32 = 0xe000_1000;
+const DWT_CYCCNT: u32 = 0xe000_1004;
+const DEMCR: u32 = 0xe000_edfc;
+/// NVIC_IPR: a byte for each interrupt.
+const PRIORITIES: u32 = 0xe000_e400;
+const LAST_PRIORITY: u32 = 0xe000_e46f;
 /// AIRCR key of a write, and what it reads as.
 const VECTKEY: u32 = 0x05fa;
 const VECTKEYSTAT: u32 = 0xfa05;
@@ -48,31 +55,10 @@ pub(super) struct System {
     pub cfsr: u32,
     pub frozen_in_halt: u32,
     demcr: u32,
-    cycle_counter: CycleCounter,
+    dwt_control: u32,
+    /// Executed cycles when DWT_CYCCNT was zero, while DEMCR.TRCENA and DWT_CTRL.CYCCNTENA are set; otherwise it reads 0.
+    cycles_from: Option<u64>,
     pub reset_requested: bool,
-}
-
-impl System {
-    /// Whether CPACR grants coprocessors 10 and 11.
-    #[inline(always)]
-    pub fn float_enabled(&self) -> bool {
-        self.cpacr >> 20 & 15 == 0b1111
-    }
-}
-
-/// The part of a register that a write touches.
-#[derive(Clone, Copy)]
-struct Written {
-    /// The written bits in place, others 0.
-    value: u32,
-    /// Ones where bits are written.
-    mask: u32,
-}
-
-impl Written {
-    fn over(self, old: u32) -> u32 {
-        old & !self.mask | self.value
-    }
 }
 
 impl Cpu {
@@ -80,30 +66,18 @@ impl Cpu {
     #[cold]
     #[inline(never)]
     pub(super) fn read_private(&mut self, address: u32, size: Size) -> u32 {
-        let word = self.read_register(address & !3);
-        let shifted = word >> (8 * (address & 3));
+        let shifted = self.read_register(address & !3) >> (8 * (address & 3));
         shifted & u32::MAX >> (32 - 8 * size.bytes())
-    }
-
-    /// A write to the private peripheral bus at an address aligned to `size`.
-    #[cold]
-    #[inline(never)]
-    pub(super) fn write_private(&mut self, address: u32, size: Size, value: u32) {
-        let (mask, shift) = (u32::MAX >> (32 - 8 * size.bytes()), 8 * (address & 3));
-        self.write_register(address & !3, Written { value: (value & mask) << shift, mask: mask << shift });
-        self.attention = true;
     }
 
     fn read_register(&mut self, address: u32) -> u32 {
         match address {
-            0xe000_1000 => 0x4000_0000 | u32::from(self.system.cycle_counter.enabled), // four comparators
-            0xe000_1004 => self.system.cycle_counter.value(self.executed),
-            0xe000_e100..=0xe000_e17c => self.interrupt_word(self.nvic.enabled, address),
-            0xe000_e180..=0xe000_e1fc => self.interrupt_word(self.nvic.enabled, address),
-            0xe000_e200..=0xe000_e27c => self.interrupt_word(self.nvic.pending, address),
-            0xe000_e280..=0xe000_e2fc => self.interrupt_word(self.nvic.pending, address),
-            0xe000_e300..=0xe000_e37c => self.interrupt_word(self.nvic.active, address),
-            0xe000_e400..=0xe000_e46c => self.priority_word((address - 0xe000_e400) as u8 + FIRST_INTERRUPT),
+            DWT_CTRL => 0x4000_0000 | self.system.dwt_control, // four comparators
+            DWT_CYCCNT => self.system.cycles_from.map_or(0, |from| (self.executed - from) as u32),
+            PRIORITIES..=LAST_PRIORITY => {
+                let first = (address - PRIORITIES) as u8 + FIRST_INTERRUPT;
+                u32::from_le_bytes([0, 1, 2, 3].map(|n| self.nvic.priority(first + n)))
+            }
             // ICSR: VECTACTIVE.
             0xe000_ed04 => self.registers.ipsr.into(),
             0xe000_ed0c => VECTKEYSTAT << 16,
@@ -112,92 +86,46 @@ impl Cpu {
             0xe000_ed94 => self.system.mpu.control,
             0xe000_ed9c => self.system.mpu.base,
             0xe000_eda0 => self.system.mpu.attributes,
-            0xe000_edfc => self.system.demcr,
+            DEMCR => self.system.demcr,
             DBGMCU_APB1FZR1 => self.system.frozen_in_halt,
             _ => 0,
         }
     }
 
-    fn write_register(&mut self, address: u32, written: Written) {
-        let value = written.value;
+    /// A write to the private peripheral bus at an address aligned to `size`: of a word but for priorities.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn write_private(&mut self, address: u32, size: Size, value: u32) {
+        self.attention = true;
         match address {
-            0xe000_1000 | 0xe000_1004 | 0xe000_edfc => self.write_cycle_counter(address, written),
+            DWT_CTRL | DEMCR => {
+                let register = if address == DEMCR { &mut self.system.demcr } else { &mut self.system.dwt_control };
+                *register = value & if address == DEMCR { 1 << 24 } else { 1 };
+                let runs = self.system.demcr != 0 && self.system.dwt_control != 0;
+                self.system.cycles_from = self.system.cycles_from.or(Some(self.executed)).filter(|_| runs);
+            }
             0xe000_e100..=0xe000_e17c => self.nvic.enabled |= interrupt_bits(address, value),
             0xe000_e180..=0xe000_e1fc => self.nvic.enabled &= !interrupt_bits(address, value),
             0xe000_e200..=0xe000_e27c => self.nvic.pend_all(interrupt_bits(address, value)),
             0xe000_e280..=0xe000_e2fc => self.nvic.unpend_all(interrupt_bits(address, value)),
-            0xe000_e400..=0xe000_e46c => {
-                self.set_priority_word((address - 0xe000_e400) as u8 + FIRST_INTERRUPT, written);
+            PRIORITIES..=LAST_PRIORITY => {
+                let exceptions = (address - PRIORITIES) as u8 + FIRST_INTERRUPT..;
+                for (exception, priority) in exceptions.zip(value.to_le_bytes()).take(size.bytes() as usize) {
+                    self.nvic.set_priority(exception, priority);
+                }
             }
-            0xe000_ed0c => self.write_reset_control(value),
+            // AIRCR; a write without its key is ignored.
+            0xe000_ed0c => self.system.reset_requested |= value >> 16 == VECTKEY && value & 4 != 0,
             0xe000_ed28 => self.system.cfsr &= !value,
-            0xe000_ed88 => self.system.cpacr = written.over(self.system.cpacr) & 0x00f0_0000,
+            0xe000_ed88 => self.system.cpacr = value & 0x00f0_0000,
             0xe000_ed94 | 0xe000_ed9c | 0xe000_eda0 => self.system.mpu.write(address, value),
-            DBGMCU_APB1FZR1 => self.system.frozen_in_halt = written.over(self.system.frozen_in_halt),
+            DBGMCU_APB1FZR1 => self.system.frozen_in_halt = value,
             _ => {}
         }
-    }
-
-    /// 32 interrupts of a set of exceptions, as the register at `address` shows them.
-    fn interrupt_word(&self, exceptions: u128, address: u32) -> u32 {
-        (exceptions >> FIRST_INTERRUPT).checked_shr(8 * (address & 0x7c)).unwrap_or(0) as u32
-    }
-
-    fn priority_word(&self, first: u8) -> u32 {
-        u32::from_le_bytes([0, 1, 2, 3].map(|n| self.nvic.priority(first + n)))
-    }
-
-    fn set_priority_word(&mut self, first: u8, written: Written) {
-        let word = written.over(self.priority_word(first));
-        for (exception, priority) in (first..).zip(word.to_le_bytes()) {
-            self.nvic.set_priority(exception, priority);
-        }
-    }
-
-    /// AIRCR; a write without its key is ignored.
-    fn write_reset_control(&mut self, value: u32) {
-        if value >> 16 == VECTKEY {
-            self.system.reset_requested |= value & 4 != 0;
-        }
-    }
-
-    /// DWT_CTRL, DWT_CYCCNT and DEMCR.
-    fn write_cycle_counter(&mut self, address: u32, written: Written) {
-        let counter = &mut self.system.cycle_counter;
-        let mut count = counter.value(self.executed);
-        match address {
-            0xe000_1000 => counter.enabled = written.over(counter.enabled.into()) & 1 != 0,
-            0xe000_1004 => count = written.over(count),
-            _ => self.system.demcr = written.over(self.system.demcr) & 0x0100_0000,
-        }
-        counter.set(count, counter.enabled && self.system.demcr != 0, self.executed);
     }
 }
 
 /// The exceptions of `value` written to a register of interrupt bits at `address`.
 fn interrupt_bits(address: u32, value: u32) -> u128 {
     u128::from(value).checked_shl(8 * (address & 0x7c)).unwrap_or(0) << FIRST_INTERRUPT
-}
-
-/// DWT_CYCCNT: counts executed cycles while DEMCR.TRCENA and DWT_CTRL.CYCCNTENA are set.
-#[derive(Clone, Debug, Default)]
-pub(super) struct CycleCounter {
-    /// DWT_CTRL.CYCCNTENA.
-    pub enabled: bool,
-    running: bool,
-    /// Value minus executed cycles while running, value otherwise.
-    base: u32,
-}
-
-impl CycleCounter {
-    /// Value after `executed` cycles.
-    pub fn value(&self, executed: u64) -> u32 {
-        if self.running { self.base.wrapping_add(executed as u32) } else { self.base }
-    }
-
-    /// Counts on from `value`, or stands at it.
-    pub fn set(&mut self, value: u32, running: bool, executed: u64) {
-        self.running = running;
-        self.base = if running { value.wrapping_sub(executed as u32) } else { value };
-    }
 }

@@ -2,77 +2,46 @@
 //! compute is judged by `oracle/run`, and by poses that are a host's bit for bit; what exceptions do, by the image, which
 //! lives by them.
 
-use super::{Bus, BusFault, Cpu, Fault, Size, Step};
+use super::{Bus, Cpu, Fault, Size, Step};
+use crate::board::Board;
+use crate::memory::{FLASH_BASE, FlashArray};
+use crate::st::FLASH;
+use crate::world::Dark;
 
 /// Where the programs stand; a handler stands at `HANDLERS + 64 · exception number`.
 const PROGRAM: u32 = 0x0800_0200;
 const HANDLERS: u32 = 0x0800_1000;
 const STACK: u32 = 0x2000_0800;
 const RAM: u32 = 0x2000_0000;
+const FLASH_ACR: u32 = FLASH::R_BASE + FLASH::ACR;
 
-/// 8 KB of flash, seen twice, and 4 KB of RAM.
-struct Memory {
-    flash: Vec<u8>,
-    ram: Vec<u8>,
-    flash_wait_states: u32,
-}
-
-impl Memory {
-    fn bytes(&mut self, address: u32, size: Size) -> Result<&mut [u8], BusFault> {
-        let (memory, start) = match address {
-            0x0000_0000..0x1000_0000 => (&mut self.flash, address & !0x0800_0000),
-            _ => (&mut self.ram, address.wrapping_sub(RAM)),
-        };
-        memory.get_mut(start as usize..).and_then(|rest| rest.get_mut(..size.bytes() as usize)).ok_or(BusFault)
-    }
-}
-
-impl Bus for Memory {
-    fn fetch(&mut self, address: u32) -> Result<u16, BusFault> {
-        self.read(address, Size::Half).map(|half| half as u16)
-    }
-
-    fn read(&mut self, address: u32, size: Size) -> Result<u32, BusFault> {
-        assert_eq!(address % size.bytes(), 0, "accesses are aligned");
-        Ok(self.bytes(address, size)?.iter().rev().fold(0, |word, &byte| word << 8 | u32::from(byte)))
-    }
-
-    fn write(&mut self, address: u32, size: Size, value: u32) -> Result<(), BusFault> {
-        assert_eq!(address % size.bytes(), 0, "accesses are aligned");
-        let bytes = self.bytes(address, size)?;
-        bytes.copy_from_slice(&value.to_le_bytes()[..bytes.len()]);
-        Ok(())
-    }
-
-    fn wait_states(&self, address: u32) -> u32 {
-        if address < RAM { self.flash_wait_states } else { 0 }
-    }
-}
-
-struct Board {
+/// A core on a dark board.
+struct Bench {
     cpu: Cpu,
-    memory: Memory,
+    board: Board<Dark>,
 }
 
-impl Board {
-    /// A board reset into `program`; every handler is `BX LR`.
+impl Bench {
+    /// A core reset into `program`; every handler is `BX LR`.
     fn new(program: &[u16]) -> Self {
-        let memory = Memory { flash: vec![0; 0x2000], ram: vec![0; 0x1000], flash_wait_states: 0 };
-        let mut board = Self { cpu: Cpu::new(), memory };
-        board.store(0x0800_0000, STACK);
-        board.store(0x0800_0004, PROGRAM | 1);
-        for exception in 2..48 {
-            board.store(0x0800_0000 + 4 * exception, (HANDLERS + 64 * exception) | 1);
-            board = board.with_handler(exception, &[0x4770]);
-        }
-        board.place(PROGRAM, program);
-        board.cpu.reset(&mut board.memory);
-        board
+        Self::with_handler(program, 0, &[])
     }
 
-    fn with_handler(mut self, exception: u32, code: &[u16]) -> Self {
-        self.place(HANDLERS + 64 * exception, code);
-        self
+    /// The same with another handler of `exception`.
+    fn with_handler(program: &[u16], exception: u32, handler: &[u16]) -> Self {
+        let mut flash = FlashArray::erased();
+        let mut place = |address: u32, bytes: &[u8]| flash.load((address - FLASH_BASE) as usize, bytes);
+        let code = |code: &[u16]| code.iter().flat_map(|half| half.to_le_bytes()).collect::<Vec<_>>();
+        place(FLASH_BASE, &STACK.to_le_bytes());
+        place(FLASH_BASE + 4, &(PROGRAM | 1).to_le_bytes());
+        for number in 2..48 {
+            place(FLASH_BASE + 4 * number, &((HANDLERS + 64 * number) | 1).to_le_bytes());
+            place(HANDLERS + 64 * number, &code(if number == exception { handler } else { &[0x4770] }));
+        }
+        place(PROGRAM, &code(program));
+        let mut bench = Self { cpu: Cpu::default(), board: Board::new(flash, Dark) };
+        bench.cpu.reset(&mut bench.board);
+        bench
     }
 
     fn with_float(mut self) -> Self {
@@ -80,14 +49,8 @@ impl Board {
         self
     }
 
-    fn place(&mut self, address: u32, code: &[u16]) {
-        for (n, &half) in code.iter().enumerate() {
-            self.memory.write(address + 2 * n as u32, Size::Half, half.into()).unwrap();
-        }
-    }
-
     fn store(&mut self, address: u32, word: u32) {
-        self.memory.write(address, Size::Word, word).unwrap();
+        self.board.write(address, Size::Word, word).unwrap();
     }
 
     fn set(&mut self, number: usize, value: u32) {
@@ -97,7 +60,7 @@ impl Board {
     }
 
     fn step(&mut self) -> Step {
-        self.cpu.step(&mut self.memory)
+        self.cpu.step(&mut self.board)
     }
 
     /// Takes `steps` steps and returns their cycles.
@@ -125,8 +88,8 @@ impl Board {
 }
 
 /// A board with R0–R4 set, after one step of `program` for each of `steps`.
-fn after(program: &[u16], registers: [u32; 5], steps: usize) -> Board {
-    let mut board = Board::new(program);
+fn after(program: &[u16], registers: [u32; 5], steps: usize) -> Bench {
+    let mut board = Bench::new(program);
     for (number, value) in registers.into_iter().enumerate() {
         board.set(number, value);
     }
@@ -144,8 +107,8 @@ fn neighbouring_loads_overlap_unless_one_needs_the_other() {
 
 #[test]
 fn flash_lines_are_waited_for_once() {
-    let mut board = Board::new(&[0xbf00, 0xe7fd]); // nop; b back
-    board.memory.flash_wait_states = 4;
+    let mut board = Bench::new(&[0xbf00, 0xe7fd]); // nop; b back
+    board.store(FLASH_ACR, 4);
     assert_eq!([board.run(2), board.run(2)], [8, 4]);
 }
 
@@ -153,8 +116,8 @@ const ONE: u32 = 0x3f80_0000;
 /// vadd.f32 s2, s0, s1
 const VADD: [u16; 2] = [0xee30, 0x1a20];
 
-fn with_operands(program: &[u16], s0: u32, s1: u32) -> Board {
-    let mut board = Board::new(program).with_float();
+fn with_operands(program: &[u16], s0: u32, s1: u32) -> Bench {
+    let mut board = Bench::new(program).with_float();
     (board.cpu.float.s[0], board.cpu.float.s[1]) = (s0, s1);
     board
 }
@@ -189,10 +152,10 @@ fn unprivileged_code_and_the_process_stack_are_not_modelled() {
 #[test]
 fn lazy_stacking_is_paid_on_first_use() {
     // nop; the handler: vmov.f32 s0, s1; bx lr.
-    let mut board = Board::new(&[0xbf00]).with_handler(16, &[0xeeb0, 0x0a60, 0x4770]).with_float();
+    let mut board = Bench::with_handler(&[0xbf00], 16, &[0xeeb0, 0x0a60, 0x4770]).with_float();
     board.cpu.registers.float_active = true;
     assert_eq!([board.interrupt(), board.run(1), board.run(1)], [12, 1 + 17, 1 + 10 + 17]);
-    let mut board = Board::new(&[0xbf00]).with_float();
+    let mut board = Bench::new(&[0xbf00]).with_float();
     board.cpu.registers.float_active = true;
     assert_eq!([board.interrupt(), board.run(1)], [12, 11]);
 }

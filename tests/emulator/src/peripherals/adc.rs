@@ -28,7 +28,7 @@ use crate::st::ADC::{
     ISR_ADRDY as ADRDY, ISR_EOC as EOC, ISR_EOS as EOS, ISR_EOSMP as EOSMP, ISR_OVR as OVR, SMPR1, SMPR2, SQR1, SQR4,
     TR1, TR3,
 };
-use crate::st::{self, ADC, ADC1, ADC12};
+use crate::st::{self, ADC, ADC1, ADC12, LL, approximation, sampling};
 
 /// The register common to a group of converters, from the group's base.
 const CCR: u32 = ADC12::COMMON_BASE - ADC1::BASE + ADC::Common_CCR;
@@ -38,22 +38,31 @@ const CR_COMMANDS: u32 = ADEN | ADDIS | ADSTART | JADSTART | ADSTP | JADSTP | AD
 
 const CFGR_MODELLED: u32 = DMAEN | ADC::CFGR_DMACFG | ADC::CFGR_EXTSEL | ADC::CFGR_EXTEN | OVRMOD | ADC::CFGR_JQDIS;
 /// EXTEN and EXTSEL: each rising edge of TIM2's TRGO (RM0440, "ADC1/2: external triggers for regular channels").
-const RISING_TIM2: u32 = 1 << 10 | 11 << 5;
+const RISING_TIM2: u32 = LL::ADC_REG_TRIG_EXT_RISING | LL::ADC_REG_TRIG_EXT_TIM2_TRGO & ADC::CFGR_EXTSEL;
 /// Without injected conversions both modes of ROVSM are the same.
 const CFGR2_MODELLED: u32 = ROVSE | ADC::CFGR2_OVSR | ADC::CFGR2_ROVSM;
+/// Of SMPR1 and SMPR2: three bits for each of ten channels.
+const TEN_CHANNELS: u32 = (1 << 30) - 1;
 /// The clock, and the switches of the internal channels.
 const CCR_MODELLED: u32 = ADC::CCR_CKMODE | ADC::CCR_VREFEN | ADC::CCR_VSENSESEL | ADC::CCR_VBATSEL;
 
-/// Twice the sampling time in converter clocks, by SMP code.
-const SAMPLE_HALF_CLOCKS: [u64; 8] = [5, 13, 25, 49, 95, 185, 495, 1281];
-/// Twice the duration of the successive approximation in clocks.
-const APPROXIMATION_HALF_CLOCKS: u64 = 25;
-/// Trigger to start of sampling, in clocks.
-const TRIGGER_CLOCKS: u64 = 2;
+/// The sampling time in converter clocks, by SMP code.
+const SAMPLING_CLOCKS: [f64; 8] = [
+    sampling::clocks_0,
+    sampling::clocks_1,
+    sampling::clocks_2,
+    sampling::clocks_3,
+    sampling::clocks_4,
+    sampling::clocks_5,
+    sampling::clocks_6,
+    sampling::clocks_7,
+];
+/// Trigger to start of sampling, in clocks; the data sheet's eighth of a clock is fault trigger-phase's.
+const TRIGGER_CLOCKS: u64 = st::t::LATR_ckmode_11 as u64;
 /// Calibration, in clocks (STM32G474 data sheet, "ADC characteristics", t_CAL).
 const CALIBRATION_CLOCKS: u64 = st::t::CAL as u64;
 /// From ADEN to ADRDY: one conversion (data sheet, t_STAB), in clocks.
-const STABILISATION_CLOCKS: u64 = 15;
+const STABILISATION_CLOCKS: u64 = st::t::STAB as u64 * (SAMPLING_CLOCKS[0] + approximation::clocks_12_bits) as u64;
 /// From ADSTP or ADDIS to the end of the command, in clocks.
 const STOP_CLOCKS: u64 = 2;
 /// Wait between ADCAL cleared and ADEN, in clocks (RM0440, "Software procedure to enable the ADC").
@@ -70,24 +79,21 @@ const NEIGHBOUR_CODES: u64 = 8;
 const MIN_CLOCK_TICKS: u64 = TICKS_PER_SECOND.div_ceil(1_000_000 * st::f::ADC_single as u64);
 
 const REGISTERS: &[Register] = &[
-    (ISR, 0, 0),
-    (IER, 0, 0),
-    (CR, DEEPPWD, 0),
-    (CFGR, ADC::CFGR_JQDIS, ALL),
-    (CFGR2, 0, ALL),
-    (SMPR1, 0, ALL),
-    (SMPR2, 0, ALL),
-    (SQR1, 0, ALL),
-    (SQR1 + 4, 0, ALL),
-    (SQR1 + 8, 0, ALL),
-    (SQR4, 0, ALL),
-    (DR, 0, 0),
-    (DIFSEL, 0, 0),
+    (ISR, 1, 0, 0),
+    (IER, 1, 0, 0),
+    (CR, 1, DEEPPWD, 0),
+    (CFGR, 1, ADC::CFGR_JQDIS, CFGR_MODELLED),
+    (CFGR2, 1, 0, CFGR2_MODELLED),
+    (SMPR1, 2, 0, TEN_CHANNELS),
+    (SQR1, 4, 0, ALL),
+    (DR, 1, 0, 0),
+    (DIFSEL, 1, 0, 0),
 ];
 
 /// What the converter does by itself next.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum Phase {
+    #[default]
     Idle,
     Hold,
     /// The end of a rank's last conversion.
@@ -113,7 +119,7 @@ struct Plan {
     is_triggered: bool,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Adc {
     number: u8,
     request: u32,
@@ -144,20 +150,11 @@ impl Adc {
             number,
             request,
             bank: Bank::new(REGISTERS),
-            regulator_since: 0,
-            calibrated_at: None,
             clock: 4,
-            plan: Plan::default(),
-            phase: Phase::Idle,
             phase_at: Ticks::MAX,
-            rank: 0,
-            conversions: 0,
-            sum: 0,
             command_at: Ticks::MAX,
             next: Ticks::MAX,
-            swallow: false,
-            was_stopped: false,
-            last_conversion: 0,
+            ..Self::default()
         }
     }
 
@@ -194,15 +191,12 @@ impl Adc {
             ISR => return self.bank[ISR] &= !value,
             CR => return self.command(value, effects),
             CFGR => {
-                effects.unmodelled_bits(value & !CFGR_MODELLED);
                 let trigger = value & (ADC::CFGR_EXTEN | ADC::CFGR_EXTSEL);
                 effects.unmodelled_bits(if trigger == RISING_TIM2 { 0 } else { trigger & ADC::CFGR_EXTEN });
                 if value & DMAEN == 0 {
                     effects.withdraw(self.request);
                 }
             }
-            CFGR2 => effects.unmodelled_bits(value & !CFGR2_MODELLED),
-            SMPR1 | SMPR2 => effects.unmodelled_bits(value >> 30),
             TR1..=TR3 => return,
             _ => {}
         }
@@ -210,7 +204,7 @@ impl Adc {
     }
 
     fn plan_sequence(&self) -> Plan {
-        let half_clock = |half_clocks: u64| half_clocks * self.clock / 2;
+        let ticks = |clocks: f64| (clocks * self.clock as f64) as Ticks;
         let oversampled = self.bank[CFGR2] & ROVSE != 0;
         let mut ranks = [Rank::default(); 16];
         for (index, rank) in ranks.iter_mut().enumerate() {
@@ -218,12 +212,12 @@ impl Adc {
             rank.channel = (self.bank[SQR1 + 4 * (field / 5) as u32] >> (6 * (field % 5)) & 0x1F) as u8;
             let half = if rank.channel < 10 { SMPR1 } else { SMPR2 };
             let code = self.bank[half] >> (3 * (rank.channel % 10)) & 7;
-            rank.sampling = half_clock(SAMPLE_HALF_CLOCKS[code as usize]);
+            rank.sampling = ticks(SAMPLING_CLOCKS[code as usize]);
         }
         Plan {
             ranks,
             length: (self.bank[SQR1] & 0xF) as usize + 1,
-            approximation: half_clock(APPROXIMATION_HALF_CLOCKS),
+            approximation: ticks(approximation::clocks_12_bits),
             oversampling: if oversampled { 2 << (self.bank[CFGR2] >> 2 & 7) } else { 1 },
             trigger_delay: TRIGGER_CLOCKS * self.clock,
             is_triggered: self.bank[CFGR] & ADC::CFGR_EXTEN != 0,

@@ -10,7 +10,7 @@ use super::effects::{ALL, Bank, Register};
 
 use crate::st::DAC::{CCR, CR, CR_EN1, DHR12R1, MCR, MCR_HFSEL};
 
-const REGISTERS: &[Register] = &[(CR, 0, CR_EN1), (DHR12R1, 0, 0xFFF), (CCR, 0, ALL), (MCR, 0, ALL)];
+const REGISTERS: &[Register] = &[(CR, 1, 0, CR_EN1), (DHR12R1, 1, 0, 0xFFF), (CCR, 1, 0, ALL), (MCR, 1, 0, MCR_HFSEL)];
 
 #[derive(Debug)]
 pub struct Dac {
@@ -38,18 +38,12 @@ impl Dac {
     }
 
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
-        match offset {
-            CR => effects.unmodelled_bits(value & !CR_EN1),
-            MCR => {
-                if self.is_enabled() && (value ^ self.bank[MCR]) & 7 != 0 {
-                    effects.violation(value, "DAC_MCR.MODE is written only while ENx = 0");
-                }
-                // The modes of the channels but "external pin with buffer" are not.
-                effects.unmodelled_bits(value & !MCR_HFSEL);
-            }
-            _ => {}
+        // The mode is "external pin with buffer".
+        if offset == MCR && self.is_enabled() && value & 7 != 0 {
+            effects.violation(value, "DAC_MCR.MODE is written only while ENx = 0");
         }
-        self.bank.write(offset, value, effects);
+        // A narrow write is repeated over the word.
+        self.bank.write(offset, if offset == DHR12R1 { value & 0xFFF } else { value }, effects);
     }
 
     /// 12-bit code at the output; 0 while it is off.

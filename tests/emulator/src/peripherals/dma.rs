@@ -6,12 +6,12 @@
 //! each transfer, and more on a busy bus: [`crate::faults::Fault::DmaLatency`]. Memory-to-memory transfers, synchronisation and request generators are not
 //! modelled. The data move through the board, which owns the bus.
 
-use super::Effects;
+use super::{Effects, field};
 use crate::st::DMA::{
     CCR_CIRC as CIRC, CCR_DIR as DIR, CCR_EN as EN, CCR_HTIE as HTIE, CCR_MEM2MEM as MEM2MEM, CCR_MINC as MINC,
-    CCR_PINC as PINC, CCR_TCIE as TCIE, CCR_TEIE as TEIE, Channel_CCR as CCR, Channel_CMAR as CMAR,
-    Channel_CNDTR as CNDTR, Channel_CPAR as CPAR, IFCR, ISR, ISR_GIF1 as GIF, ISR_HTIF1 as HTIF, ISR_TCIF1 as TCIF,
-    ISR_TEIF1 as TEIF,
+    CCR_MSIZE_0, CCR_MSIZE_1, CCR_PINC as PINC, CCR_PL, CCR_PSIZE_0, CCR_PSIZE_1, CCR_TCIE as TCIE, CCR_TEIE as TEIE,
+    Channel_CCR as CCR, Channel_CMAR as CMAR, Channel_CNDTR as CNDTR, Channel_CPAR as CPAR, IFCR, ISR, ISR_GIF1 as GIF,
+    ISR_HTIF1 as HTIF, ISR_TCIF1 as TCIF, ISR_TEIF1 as TEIF,
 };
 use crate::st::DMAMUX::CxCR_EGE as MUX_EVENTS;
 use crate::st::{DMA1, DMA2};
@@ -55,6 +55,15 @@ struct Channel {
 }
 
 impl Channel {
+    fn get(&self, register: u32) -> u32 {
+        match register {
+            CCR => self.ccr,
+            CNDTR => self.cndtr,
+            CPAR => self.cpar,
+            _ => self.cmar,
+        }
+    }
+
     fn enabled(&self) -> bool {
         self.ccr & EN != 0
     }
@@ -65,7 +74,7 @@ impl Channel {
     }
 
     fn priority(&self) -> u32 {
-        self.ccr >> 12 & 3
+        field(self.ccr, CCR_PL)
     }
 
     fn interrupt(&self) -> bool {
@@ -73,8 +82,8 @@ impl Channel {
     }
 
     fn transfer(&self) -> Transfer {
-        let peripheral_width = 1 << (self.ccr >> 8 & 3).min(2);
-        let memory_width = 1 << (self.ccr >> 10 & 3).min(2);
+        let peripheral_width = 1 << field(self.ccr, CCR_PSIZE_0 | CCR_PSIZE_1).min(2);
+        let memory_width = 1 << field(self.ccr, CCR_MSIZE_0 | CCR_MSIZE_1).min(2);
         let step = |increment: u32, width: Width| if self.ccr & increment != 0 { self.moved * width } else { 0 };
         let peripheral = (self.cpar.wrapping_add(step(PINC, peripheral_width)), peripheral_width);
         let memory = (self.cmar.wrapping_add(step(MINC, memory_width)), memory_width);
@@ -117,15 +126,7 @@ impl Dma {
         match offset {
             ISR => (0..8).map(|index| self.channels[first + index].flags << (4 * index)).sum(),
             _ => match channel_register(offset) {
-                Some((index, register)) => {
-                    let channel = &self.channels[first + index];
-                    match register {
-                        CCR => channel.ccr,
-                        CNDTR => channel.cndtr,
-                        CPAR => channel.cpar,
-                        _ => channel.cmar,
-                    }
-                }
+                Some((index, register)) => self.channels[first + index].get(register),
                 None => {
                     effects.unmodelled();
                     0
@@ -241,13 +242,7 @@ impl Dma {
 
     fn write_channel(&mut self, index: usize, register: u32, value: u32, effects: &mut Effects) {
         let channel = &mut self.channels[index];
-        let before = match register {
-            CCR => channel.ccr,
-            CNDTR => channel.cndtr,
-            CPAR => channel.cpar,
-            _ => channel.cmar,
-        };
-        if channel.enabled() && value != before && !(register == CCR && value & EN == 0) {
+        if channel.enabled() && value != channel.get(register) && !(register == CCR && value & EN == 0) {
             effects.violation(value, "registers of a DMA channel are written only while EN = 0");
         }
         match register {
@@ -322,7 +317,6 @@ fn channel_register(offset: u32) -> Option<(usize, u32)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::facts;
 
     const CH3: u32 = FIRST_CHANNEL + 2 * CHANNEL_SPAN;
 
@@ -352,9 +346,8 @@ mod tests {
     }
 
     #[test]
-    fn widths_and_priority_are_st_s_fields() {
-        let ccr = ["DMA_CCR_PSIZE_1", "DMA_CCR_MSIZE_0", "DMA_CCR_PL"].map(facts::bits).iter().sum();
-        let wide = Channel { ccr, ..Channel::default() };
+    fn widths_and_priority_are_fields_of_their_own() {
+        let wide = Channel { ccr: CCR_PSIZE_1 | CCR_MSIZE_0 | CCR_PL, ..Channel::default() };
         let Transfer { source_width, destination_width, .. } = wide.transfer();
         assert_eq!((source_width, destination_width, wide.priority()), (4, 2, 3));
     }

@@ -140,34 +140,45 @@ impl Effects {
     }
 }
 
-/// Offset, value after reset, and the bits that a write sets or clears; the others stay as after reset. With no such bits a
-/// register reads as after reset; that it is written no model knows, unless the unit's own code answers for it.
-pub type Register = (u32, u32, u32);
+/// Registers that are alike: the offset of the first, how many they are, value after reset, and the bits that a write sets or
+/// clears; no model knows a write that changes others, unless the unit's own code answers for it.
+pub type Register = (u32, u32, u32, u32);
 
 pub const ALL: u32 = u32::MAX;
+
+/// Room for the registers of any unit.
+const WORDS: usize = 96;
 
 #[derive(Clone, Debug)]
 pub struct Bank {
     table: &'static [Register],
-    words: [u32; 46],
+    words: [u32; WORDS],
+}
+
+impl Default for Bank {
+    /// No registers.
+    fn default() -> Self {
+        Self::new(&[])
+    }
 }
 
 impl Bank {
     pub fn new(table: &'static [Register]) -> Self {
-        let mut bank = Self { table, words: [0; 46] };
+        let mut bank = Self { table, words: [0; WORDS] };
         bank.reset();
         bank
     }
 
     pub fn reset(&mut self) {
-        for &(offset, reset, _) in self.table {
-            self[offset] = reset;
+        for &(first, count, reset, _) in self.table {
+            (0..count).for_each(|index| self[first + 4 * index] = reset);
         }
     }
 
     /// Bits that a write to the register keeps, if there is one.
     fn keeps(&self, offset: u32) -> Option<u32> {
-        self.table.iter().find(|register| register.0 == offset).map(|register| register.2)
+        let row = self.table.iter().find(|(first, count, ..)| (*first..first + 4 * count).contains(&offset));
+        row.map(|row| row.3)
     }
 
     pub fn read(&self, offset: u32, effects: &mut Effects) -> u32 {
@@ -180,8 +191,11 @@ impl Bank {
 
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
         match self.keeps(offset) {
-            None | Some(0) => effects.unmodelled(),
-            Some(keeps) => self[offset] = self[offset] & !keeps | value & keeps,
+            None => effects.unmodelled(),
+            Some(keeps) => {
+                effects.unmodelled_bits((self[offset] ^ value) & !keeps);
+                self[offset] = self[offset] & !keeps | value & keeps;
+            }
         }
     }
 }

@@ -4,19 +4,19 @@
 use super::Effects;
 use super::effects::{ALL, Bank, Register};
 
-use crate::st::EXTI::{EMR1, EMR2, FTSR1, IMR1, IMR2, PR1, PR2, RTSR1, RTSR2, SWIER1};
+use crate::st::EXTI::{EMR1, EMR2, FTSR1, IMR1, IMR2, PR1, RTSR1, RTSR2, SWIER1};
 
 const REGISTERS: &[Register] = &[
-    (IMR1, IMR1_RESET, ALL),
-    (EMR1, 0, 0),
-    (RTSR1, 0, ALL),
-    (FTSR1, 0, ALL),
-    (SWIER1, 0, 0),
-    (PR1, 0, 0),
-    (IMR2, IMR2_RESET, ALL),
-    (EMR2, 0, 0),
-    (RTSR2, 0, 0),
-    (PR2, 0, 0),
+    (IMR1, 1, IMR1_RESET, IMR1_RESET | MODELLED),
+    (EMR1, 1, 0, 0),
+    (RTSR1, 1, 0, ALL),
+    (FTSR1, 1, 0, ALL),
+    (SWIER1, 1, 0, 0),
+    (PR1, 1, 0, 0),
+    (IMR2, 1, IMR2_RESET, IMR2_RESET),
+    (EMR2, 1, 0, 0),
+    // To PR2.
+    (RTSR2, 4, 0, 0),
 ];
 
 /// The voltage detector's output.
@@ -41,18 +41,12 @@ impl Exti {
     }
 
     pub fn read(&self, offset: u32, effects: &mut Effects) -> u32 {
-        if matches!(offset, RTSR2..=PR2) { 0 } else { self.0.read(offset, effects) }
+        self.0.read(offset, effects)
     }
 
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
         match offset {
-            IMR1 => effects.unmodelled_bits(value & !(IMR1_RESET | MODELLED)),
-            IMR2 => effects.unmodelled_bits(value & !IMR2_RESET),
-            _ => {}
-        }
-        match offset {
             PR1 => self.0[PR1] &= !value,
-            EMR1 | EMR2 | RTSR2..=PR2 => effects.unmodelled_bits(value),
             _ => self.0.write(offset, value, effects),
         }
         self.update_line(effects);

@@ -11,15 +11,14 @@ pub const PORTS: usize = 7;
 use crate::st::GPIO::{AFR, BSRR, IDR, MODER, ODR, OSPEEDR, OTYPER, PUPDR};
 
 const REGISTERS: &[Register] = &[
-    (MODER, 0, ALL),
-    (OTYPER, 0, 0xFFFF),
-    (OSPEEDR, 0, ALL),
-    (PUPDR, 0, ALL),
-    (IDR, 0, 0),
-    (ODR, 0, 0xFFFF),
-    (BSRR, 0, 0),
-    (AFR, 0, ALL),
-    (AFR + 4, 0, ALL),
+    (MODER, 1, 0, ALL),
+    (OTYPER, 1, 0, 0xFFFF),
+    (OSPEEDR, 1, 0, ALL),
+    (PUPDR, 1, 0, ALL),
+    (IDR, 1, 0, 0),
+    (ODR, 1, 0, 0xFFFF),
+    (BSRR, 1, 0, 0),
+    (AFR, 2, 0, ALL),
 ];
 
 #[derive(Debug)]

@@ -1,7 +1,7 @@
 //! The peripherals of an STM32G474 and the wires between them.
 //!
 //! Each peripheral is a plain struct of its own file, held by value in the board
-//! (`machine::Board`), without dynamic dispatch. All of them look alike:
+//! (`board::Board`), without dynamic dispatch. All of them look alike:
 //!
 //! ```ignore
 //! pub fn new() -> Self;                                                  // state after power-on
@@ -15,6 +15,7 @@
 //! * `offset` counts from the peripheral's base and is word aligned; `value` is a word. The
 //!   board widens narrow accesses as the AHB-APB bridge does: a byte or halfword written is
 //!   repeated over the word; a narrow read returns the lane of the word addressed.
+//! * Registers that do no more than hold bits are rows of a table, `effects::Bank`.
 //! * The present time is `Effects::now`. An event is never handled late: the board calls
 //!   `advance` once for every instant a peripheral has asked for, in time order, with `now`
 //!   equal to that instant; and before any register access all earlier events are done.
@@ -54,4 +55,14 @@ pub(crate) use effects::{Bank, Effects};
 pub type Ticks = u64;
 
 /// Ticks in one second: the core clock, and that of all buses, in hertz.
-pub const TICKS_PER_SECOND: u64 = 170_000_000;
+pub const TICKS_PER_SECOND: u64 = 1_000_000 * crate::st::f::HCLK as u64;
+
+/// What stands in the bits of `mask`.
+fn field(word: u32, mask: u32) -> u32 {
+    (word & mask) >> mask.trailing_zeros()
+}
+
+/// The ticks next to `time`, of which `per_second` are a second.
+const fn ticks(time: f64, per_second: u64) -> Ticks {
+    (time * TICKS_PER_SECOND as f64 / per_second as f64 + 0.5) as Ticks
+}

@@ -3,28 +3,17 @@
 
 use super::Effects;
 use super::effects::Bank;
-use crate::st::TAMP::{BKP0R, BKP31R};
 
 /// Clock recovery system. The 48 MHz oscillator is taken as exact, so there is nothing to trim (RM0440, "Clock recovery
 /// system").
 pub mod crs {
     use super::super::effects::{ALL, Register};
-    use super::{Bank, Effects};
-
     use crate::st::CRS::{CFGR, CR, ICR, ISR};
 
-    pub const REGISTERS: &[Register] = &[(CR, 0x4000, ALL), (CFGR, 0x2022_BB7F, ALL), (ISR, 0, 0), (ICR, 0, 0)];
+    pub const REGISTERS: &[Register] =
+        &[(CR, 1, 0x4000, !INTERRUPTS), (CFGR, 1, 0x2022_BB7F, ALL), (ISR, 1, 0, 0), (ICR, 1, 0, ALL)];
 
     const INTERRUPTS: u32 = 0xF;
-
-    pub fn write(bank: &mut Bank, offset: u32, value: u32, effects: &mut Effects) {
-        match offset {
-            CR => effects.unmodelled_bits(value & INTERRUPTS),
-            ICR => return,
-            _ => {}
-        }
-        bank.write(offset, value, effects);
-    }
 }
 
 /// System configuration controller: the port of each external interrupt line, which nothing drives here (RM0440, "System
@@ -35,41 +24,29 @@ pub mod syscfg {
     use crate::st::SYSCFG::{CFGR1, CFGR2, EXTICR, MEMRMP, SCSR};
 
     pub const REGISTERS: &[Register] = &[
-        (MEMRMP, 0, 0x107),
-        (CFGR1, 0x7C00_0001, ALL),
-        (EXTICR, 0, 0x7777),
-        (EXTICR + 4, 0, 0x7777),
-        (EXTICR + 8, 0, 0x7777),
-        (EXTICR + 12, 0, 0x7777),
-        (SCSR, 0, 0),
-        (CFGR2, 0, 0),
+        (MEMRMP, 1, 0, 0x107),
+        (CFGR1, 1, 0x7C00_0001, ALL),
+        (EXTICR, 4, 0, 0x7777),
+        (SCSR, 1, 0, 0),
+        (CFGR2, 1, 0, 0),
     ];
 }
 
 /// Backup registers of the tamper block (RM0440, "Tamper and backup registers"). They outlive
 /// resets and are lost with the supply. Tamper detection is not modelled.
-#[derive(Debug, Default)]
-pub struct Backup {
-    registers: [u32; 32],
-}
+pub mod backup {
+    use super::super::effects::{ALL, Register};
+    use super::{Bank, Effects};
+    use crate::st::TAMP::BKP0R;
 
-impl Backup {
-    pub fn read(&self, offset: u32, effects: &mut Effects) -> u32 {
-        match offset {
-            BKP0R..=BKP31R => self.registers[((offset - BKP0R) / 4) as usize],
-            _ => {
-                effects.unmodelled();
-                0
-            }
-        }
-    }
+    pub const REGISTERS: &[Register] = &[(BKP0R, 32, 0, ALL)];
 
     /// `access`: PWR_CR1.DBP.
-    pub fn write(&mut self, offset: u32, value: u32, access: bool, effects: &mut Effects) {
-        match offset {
-            BKP0R..=BKP31R if access => self.registers[((offset - BKP0R) / 4) as usize] = value,
-            BKP0R..=BKP31R => effects.violation(value, "TAMP_BKPxR are written only while PWR_CR1.DBP = 1"),
-            _ => effects.unmodelled(),
+    pub fn write(bank: &mut Bank, offset: u32, value: u32, access: bool, effects: &mut Effects) {
+        if access {
+            bank.write(offset, value, effects);
+        } else {
+            effects.violation(value, "TAMP_BKPxR are written only while PWR_CR1.DBP = 1");
         }
     }
 }
@@ -82,15 +59,15 @@ pub mod crc {
     use super::super::effects::{ALL, Register};
     use super::{Bank, Effects};
 
-    use crate::st::CRC::{CR, CR_POLYSIZE, CR_RESET, CR_REV_IN, CR_REV_OUT, DR, IDR, INIT, POL};
+    use crate::st::CRC::{CR, CR_RESET, CR_REV_IN, CR_REV_OUT, DR, IDR, INIT, POL};
 
     pub const REGISTERS: &[Register] = &[
         // The checksum, its bits not reversed.
-        (DR, u32::MAX, 0),
-        (IDR, 0, ALL),
-        (CR, 0, CR_REV_IN | CR_REV_OUT),
-        (INIT, u32::MAX, ALL),
-        (POL, crate::st::DEFAULT::CRC32_POLY, ALL),
+        (DR, 1, u32::MAX, 0),
+        (IDR, 1, 0, ALL),
+        (CR, 1, 0, CR_REV_IN | CR_REV_OUT | CR_RESET),
+        (INIT, 1, u32::MAX, ALL),
+        (POL, 1, crate::st::DEFAULT::CRC32_POLY, ALL),
     ];
 
     #[derive(Debug)]
@@ -116,10 +93,10 @@ pub mod crc {
             self.0.write(offset, value, effects);
             match offset {
                 CR => {
-                    effects.unmodelled_bits(value & CR_POLYSIZE);
                     // Bytes and halves, reversed where they are.
                     effects.unmodelled_bits(if value & CR_REV_IN == CR_REV_IN { 0 } else { value & CR_REV_IN });
                     if value & CR_RESET != 0 {
+                        self.0[CR] &= !CR_RESET;
                         self.0[DR] = self.0[INIT];
                     }
                 }
@@ -140,13 +117,14 @@ pub mod crc {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::st::TAMP::BKP31R;
 
     #[test]
     fn backup_registers_need_backup_access() {
-        let (mut backup, mut effects) = (Backup::default(), Effects::default());
-        backup.write(BKP31R, 7, false, &mut effects);
-        assert_eq!((backup.read(BKP31R, &mut effects), effects.violation_count), (0, 1));
-        backup.write(BKP31R, 7, true, &mut effects);
-        assert_eq!(backup.read(BKP31R, &mut effects), 7);
+        let (mut bank, mut effects) = (Bank::new(backup::REGISTERS), Effects::default());
+        backup::write(&mut bank, BKP31R, 7, false, &mut effects);
+        assert_eq!((bank.read(BKP31R, &mut effects), effects.violation_count), (0, 1));
+        backup::write(&mut bank, BKP31R, 7, true, &mut effects);
+        assert_eq!(bank.read(BKP31R, &mut effects), 7);
     }
 }

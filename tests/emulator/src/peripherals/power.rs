@@ -4,32 +4,39 @@
 use super::Effects;
 use super::effects::{ALL, Bank, Register};
 use crate::st::PWR::{CR1_DBP as DBP, CR2_PVDE as PVDE, CR5_R1MODE as R1MODE, SR2_PVDO as PVDO, SR2_REGLPS as REGLPS};
+use crate::st::V;
 
 use crate::st::PWR::{CR1, CR2, CR3, CR4, CR5, PDCRG, PUCRA, SCR, SR1, SR2};
 
 const REGISTERS: &[Register] = &[
-    (CR1, 0x0200, ALL),
-    (CR2, 0, 0xF),
+    (CR1, 1, 0x0200, !LOW_POWER_MODES),
+    (CR2, 1, 0, 0xF),
     // Wake-up from standby and pulls in standby have no meaning without standby.
-    (CR3, 0x8000, ALL),
-    (CR4, 0, ALL),
-    (SR1, 0, 0),
-    (SR2, 0, 0),
-    (SCR, 0, 0),
-    (PUCRA, 0, 0),
-    (PDCRG, 0, 0),
-    (CR5, R1MODE, R1MODE),
+    (CR3, 1, 0x8000, ALL),
+    (CR4, 1, 0, ALL),
+    (SR1, 1, 0, 0),
+    (SR2, 1, 0, 0),
+    (SCR, 1, 0, 0),
+    (PUCRA, 1, 0, 0),
+    (PDCRG, 1, 0, 0),
+    (CR5, 1, R1MODE, R1MODE),
 ];
 
-/// Low-power modes, voltage range 2 and low-power run.
-const CR1_UNMODELLED: u32 = 0b111 | 1 << 10 | 1 << 14;
+/// Of CR1: low-power modes, voltage range 2 and low-power run.
+const LOW_POWER_MODES: u32 = 0b111 | 1 << 10 | 1 << 14;
 
 /// Falling thresholds of the voltage detector by PLS code, in volts (data sheet, "Embedded
 /// reset and power control block characteristics", V_PVD0 to V_PVD6, typical). The seventh code
 /// compares an external pin, which is not modelled.
-const PVD_FALLING_V: [f64; 7] = [2.05, 2.20, 2.36, 2.52, 2.64, 2.81, 2.90];
-/// Hysteresis of the detector (data sheet, V_hyst_BOR_PVD).
-const PVD_HYSTERESIS_V: f64 = 0.1;
+const PVD_FALLING_V: [f64; 7] = [
+    V::PVD0_falling,
+    V::PVD1_falling,
+    V::PVD2_falling,
+    V::PVD3_falling,
+    V::PVD4_falling,
+    V::PVD5_falling,
+    V::PVD6_falling,
+];
 
 #[derive(Debug)]
 pub struct Power {
@@ -61,14 +68,7 @@ impl Power {
     }
 
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
-        match offset {
-            CR1 => effects.unmodelled_bits(value & CR1_UNMODELLED),
-            CR2 => {
-                effects.unmodelled_bits(value & !0xF);
-                effects.unmodelled_bits(u32::from(value >> 1 & 7 == 7));
-            }
-            _ => {}
-        }
+        effects.unmodelled_bits(u32::from(offset == CR2 && value >> 1 & 7 == 7));
         if !matches!(offset, SCR | PUCRA..=PDCRG) {
             self.bank.write(offset, value, effects);
         }
@@ -89,21 +89,9 @@ impl Power {
         let threshold = PVD_FALLING_V.get((self.bank[CR2] >> 1 & 7) as usize);
         self.is_low = match threshold {
             Some(falling) if self.bank[CR2] & PVDE != 0 => {
-                self.supply_v < falling + if self.is_low { PVD_HYSTERESIS_V } else { 0.0 }
+                self.supply_v < falling + if self.is_low { V::hyst_BOR_PVD } else { 0.0 }
             }
             _ => false,
         };
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::facts;
-
-    #[test]
-    fn thresholds_are_those_of_the_data_sheet() {
-        assert_eq!(PVD_FALLING_V, [0, 1, 2, 3, 4, 5, 6].map(|level| facts::number(&format!("V_PVD{level}_falling"))));
-        assert_eq!(PVD_HYSTERESIS_V, facts::number("V_hyst_BOR_PVD"));
     }
 }

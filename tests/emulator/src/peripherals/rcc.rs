@@ -4,19 +4,39 @@
 //! switched on. Time does not follow the clock tree: the core clock is taken as 170 MHz throughout, and
 //! a program that settles on another one is recorded as unmodelled.
 
-use super::{Effects, ResetCause, TICKS_PER_SECOND, Ticks};
+use super::effects::{ALL, Register};
+use super::{Bank, Effects, ResetCause, TICKS_PER_SECOND, Ticks, field};
 use crate::faults::Fault;
 use crate::st;
 use crate::st::RCC::{
-    AHB1ENR, AHB1RSTR, AHB1SMENR, APB1ENR1, APB1ENR1_TIM2EN, APB1ENR1_TIM5EN, APB2ENR, APB2RSTR, APB2SMENR, BDCR,
-    BDCR_BDRST as BDRST, CCIPR, CCIPR2, CFGR, CFGR_HPRE as HPRE, CFGR_HPRE_DIV2 as HPRE_HALF, CFGR_PPRE1, CFGR_PPRE2,
-    CFGR_SW as SW, CFGR_SW_PLL as SW_PLL, CICR, CIER, CIFR, CR, CR_CSSON as CSSON, CR_HSEON as HSEON,
-    CR_HSERDY as HSERDY, CR_HSION, CR_HSIRDY, CR_PLLON as PLLON, CR_PLLRDY, CRRCR, CSR, CSR_BORRSTF as BORRSTF,
-    CSR_IWDGRSTF as IWDGRSTF, CSR_PINRSTF as PINRSTF, CSR_RMVF as RMVF, CSR_SFTRSTF as SFTRSTF, ICSCR, PLLCFGR,
-    PLLCFGR_PLLP, PLLCFGR_PLLPDIV, PLLCFGR_PLLPEN as PLLPEN, PLLCFGR_PLLQEN as PLLQEN, PLLCFGR_PLLREN,
+    AHB1ENR, AHB1ENR_FLASHEN, AHB1RSTR, AHB1SMENR, AHB2ENR, APB1ENR1, APB1ENR1_TIM2EN, APB1ENR1_TIM5EN, APB2RSTR,
+    APB2SMENR, BDCR, BDCR_BDRST as BDRST, CCIPR, CCIPR_CLK48SEL, CFGR, CFGR_HPRE as HPRE, CFGR_HPRE_DIV2 as HPRE_HALF,
+    CFGR_PPRE1, CFGR_PPRE2, CFGR_SW as SW, CFGR_SW_PLL as SW_PLL, CICR, CIER, CIFR, CR, CR_CSSON as CSSON,
+    CR_HSEON as HSEON, CR_HSERDY as HSERDY, CR_HSION, CR_HSIRDY, CR_PLLON as PLLON, CR_PLLRDY, CRRCR, CRRCR_HSI48ON,
+    CSR, CSR_BORRSTF as BORRSTF, CSR_IWDGRSTF as IWDGRSTF, CSR_PINRSTF as PINRSTF, CSR_RMVF as RMVF,
+    CSR_SFTRSTF as SFTRSTF, ICSCR, PLLCFGR, PLLCFGR_PLLM, PLLCFGR_PLLN, PLLCFGR_PLLP, PLLCFGR_PLLPDIV,
+    PLLCFGR_PLLPEN as PLLPEN, PLLCFGR_PLLQEN as PLLQEN, PLLCFGR_PLLR, PLLCFGR_PLLREN, PLLCFGR_PLLSRC,
+    PLLCFGR_PLLSRC_HSE, PLLCFGR_PLLSRC_HSI,
 };
 
-const WORDS: usize = 0xA0 / 4;
+const REGISTERS: &[Register] = &[
+    (CR, 1, CR_HSION, ALL),
+    (ICSCR, 1, 0x4000_0000, ALL),
+    (CFGR, 1, 1, ALL),
+    (PLLCFGR, 1, 0x1000, ALL),
+    // To CICR; resets, clocks, and clocks in sleep of AHB and APB.
+    (CIER, 3, 0, 0),
+    (AHB1RSTR, 3, 0, ALL),
+    (APB2RSTR - 8, 3, 0, ALL),
+    (AHB1ENR, 1, AHB1ENR_FLASHEN, ALL),
+    (AHB2ENR, 2, 0, ALL),
+    (APB1ENR1, 3, 0, ALL),
+    (AHB1SMENR, 3, 0, ALL),
+    (APB2SMENR - 8, 3, 0, ALL),
+    (CCIPR, 1, 0, ALL),
+    // To CCIPR2.
+    (BDCR, 4, 0, ALL),
+];
 
 /// (enable, ready) bits of HSI, HSE and PLL in RCC_CR.
 const CR_READY: [(u32, u32); 3] = [(CR_HSION, CR_HSIRDY), (HSEON, HSERDY), (PLLON, CR_PLLRDY)];
@@ -49,7 +69,7 @@ impl Gate {
 #[derive(Debug)]
 pub struct Rcc {
     /// Registers without their ready bits.
-    words: [u32; WORDS],
+    bank: Bank,
     crystal_since: Ticks,
     /// When the PLL became the system clock.
     switched_at: Ticks,
@@ -59,7 +79,7 @@ pub struct Rcc {
 
 impl Rcc {
     pub fn new() -> Self {
-        let mut rcc = Self { words: [0; WORDS], crystal_since: 0, switched_at: 0, clock_lost: 0 };
+        let mut rcc = Self { bank: Bank::new(REGISTERS), crystal_since: 0, switched_at: 0, clock_lost: 0 };
         rcc.reset(ResetCause::PowerOn);
         rcc
     }
@@ -67,13 +87,8 @@ impl Rcc {
     /// Reset of the device. RCC_BDCR belongs to the backup domain and stays; flags add up.
     pub fn reset(&mut self, cause: ResetCause) {
         let (backup, flags) = (self.get(BDCR), self.get(CSR) & RESET_FLAGS);
-        self.words = [0; WORDS];
+        self.bank.reset();
         self.clock_lost = 0;
-        self.set(CR, 1 << 8);
-        self.set(ICSCR, 0x4000_0000);
-        self.set(CFGR, 1);
-        self.set(PLLCFGR, 0x1000);
-        self.set(AHB1ENR, 1 << 8);
         self.set(BDCR, backup);
         // Every internal reset also pulls the NRST pin.
         let flags = match cause {
@@ -101,47 +116,41 @@ impl Rcc {
             CFGR => self.get(CFGR) | (self.get(CFGR) & SW) << 2,
             BDCR | CSR | CRRCR => self.get(offset) | (self.get(offset) & 1) << 1,
             CIFR => self.clock_lost,
-            _ if is_register(offset) => self.get(offset),
-            _ => {
-                effects.unmodelled();
-                0
-            }
+            _ => self.bank.read(offset, effects),
         }
     }
 
     /// Writes a register. Returns the resets that it pulls, as gates of the same layout.
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) -> Option<Gate> {
-        let before = if is_register(offset) { self.get(offset) } else { 0 };
         match offset {
             CR => self.write_cr(value, effects),
             CFGR => self.write_cfgr(value, effects),
             PLLCFGR => self.write_pllcfgr(value, effects),
             CICR => self.clock_lost &= !value,
-            CIER => effects.unmodelled_bits(value),
             BDCR => self.set(BDCR, if value & BDRST != 0 { BDRST } else { value & !0b10 }),
             CSR => {
-                let flags = if value & RMVF != 0 { 0 } else { before & RESET_FLAGS };
+                let flags = if value & RMVF != 0 { 0 } else { self.get(CSR) & RESET_FLAGS };
                 self.set(CSR, flags | value & 1);
             }
             CRRCR => self.set(CRRCR, value & 1),
-            AHB1RSTR..=APB2RSTR if is_register(offset) => {
-                self.set(offset, value);
+            AHB1RSTR..=APB2RSTR => {
+                let before = self.get(offset);
+                self.bank.write(offset, value, effects);
                 return Some(Gate { register: offset + AHB1ENR - AHB1RSTR, bit: value & !before });
             }
             APB1ENR1 => {
                 let is_slow = self.runs_from_pll() && !self.is_at_full_speed();
-                effects.unmodelled_bits(value & !before & if is_slow { FRAME_TIMERS } else { 0 });
+                effects.unmodelled_bits(value & !self.get(offset) & if is_slow { FRAME_TIMERS } else { 0 });
                 self.set(offset, value);
             }
-            _ if is_register(offset) => self.set(offset, value),
-            _ => effects.unmodelled(),
+            _ => self.bank.write(offset, value, effects),
         }
         None
     }
 
     #[inline]
     pub fn is_on(&self, gate: Gate) -> bool {
-        self.words[(gate.register / 4) as usize] & gate.bit != 0
+        self.get(gate.register) & gate.bit != 0
     }
 
     /// The crystal stops. With the clock security system on, the non-maskable interrupt comes (RM0440, "Clock security
@@ -174,19 +183,19 @@ impl Rcc {
 
     /// Whether the USB block gets its 48 MHz.
     pub fn has_usb_clock(&self) -> bool {
-        match self.get(CCIPR) >> 26 & 3 {
-            0 => self.get(CRRCR) & 1 != 0,
+        match field(self.get(CCIPR), CCIPR_CLK48SEL) {
+            0 => self.get(CRRCR) & CRRCR_HSI48ON != 0,
             2 => self.get(CR) & PLLON != 0 && self.get(PLLCFGR) & PLLQEN != 0,
             _ => false,
         }
     }
 
     fn get(&self, offset: u32) -> u32 {
-        self.words[(offset / 4) as usize]
+        self.bank[offset]
     }
 
     fn set(&mut self, offset: u32, value: u32) {
-        self.words[(offset / 4) as usize] = value;
+        self.bank[offset] = value;
     }
 
     fn write_cr(&mut self, value: u32, effects: &mut Effects) {
@@ -196,7 +205,11 @@ impl Rcc {
         if value & HSEON != 0 && self.get(CR) & HSEON == 0 {
             self.crystal_since = effects.now;
         }
-        if value & PLLON != 0 && self.get(CR) & PLLON == 0 && self.get(PLLCFGR) & 3 == 3 && !self.has_crystal(effects) {
+        if value & PLLON != 0
+            && self.get(CR) & PLLON == 0
+            && self.get(PLLCFGR) & PLLCFGR_PLLSRC == PLLCFGR_PLLSRC_HSE
+            && !self.has_crystal(effects)
+        {
             effects.violation(value, "the PLL is switched on only while its source is ready");
         }
         self.set(CR, CR_READY.iter().fold(value, |cr, &(_, ready)| cr & !ready));
@@ -236,26 +249,19 @@ impl Rcc {
     /// Frequency of the PLL's R output.
     fn pll_hz(&self) -> u64 {
         let pll = self.get(PLLCFGR);
-        let source = match pll & 3 {
-            2 => HSI_HZ,
-            3 => HSE_HZ,
+        let source = match pll & PLLCFGR_PLLSRC {
+            PLLCFGR_PLLSRC_HSI => HSI_HZ,
+            PLLCFGR_PLLSRC_HSE => HSE_HZ,
             _ => 0,
         };
-        let (m, n, r) = (u64::from(pll >> 4 & 0xF) + 1, u64::from(pll >> 8 & 0x7F), 2 * (u64::from(pll >> 25 & 3) + 1));
-        source * n / m / r
+        let [m, n, r] = [PLLCFGR_PLLM, PLLCFGR_PLLN, PLLCFGR_PLLR].map(|mask| u64::from(field(pll, mask)));
+        source * n / (m + 1) / (2 * (r + 1))
     }
-}
-
-fn is_register(offset: u32) -> bool {
-    matches!(offset,
-        CR..=PLLCFGR | CIER..=CICR | AHB1RSTR..=0x30 | 0x38..=APB2RSTR | AHB1ENR..=0x50 | APB1ENR1..=APB2ENR
-        | AHB1SMENR..=0x70 | 0x78..=APB2SMENR | CCIPR | BDCR..=CCIPR2)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::facts;
 
     /// HSI / 4 × 85 / 2.
     const PLL_170_MHZ: u32 = 2 | 3 << 4 | 85 << 8 | 1 << 24;
@@ -302,19 +308,12 @@ mod tests {
     }
 
     #[test]
-    fn clocks_are_selected_by_st_s_bits() {
+    fn usb_has_the_clock_that_is_selected_and_runs() {
         let mut rcc = Rcc::new();
-        let field = |name: &str, value: u32| value << facts::bits(&format!("RCC_PLLCFGR_{name}")).trailing_zeros();
-        let loops = field("PLLM", 6 - 1) | field("PLLN", 85) | field("PLLR", 0) | field("PLLREN", 1);
-        rcc.set(PLLCFGR, loops | facts::bits("RCC_PLLCFGR_PLLSRC_HSE"));
-        assert_eq!(rcc.pll_hz(), TICKS_PER_SECOND);
-        rcc.set(PLLCFGR, loops | facts::bits("RCC_PLLCFGR_PLLSRC_HSI"));
-        assert_eq!(rcc.pll_hz(), TICKS_PER_SECOND * HSI_HZ / HSE_HZ);
-        rcc.set(CRRCR, facts::bits("RCC_CRRCR_HSI48ON"));
+        assert!(!rcc.has_usb_clock());
+        rcc.set(CRRCR, CRRCR_HSI48ON);
         assert!(rcc.has_usb_clock());
-        let ready = facts::bits("RCC_CRRCR_HSI48RDY");
-        assert_eq!(rcc.read(CRRCR, &mut Effects::default()) & ready, ready);
-        rcc.set(CCIPR, 1 << facts::bits("RCC_CCIPR_CLK48SEL").trailing_zeros());
+        rcc.set(CCIPR, 1 << CCIPR_CLK48SEL.trailing_zeros());
         assert!(!rcc.has_usb_clock(), "01 is reserved");
     }
 }

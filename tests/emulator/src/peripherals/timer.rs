@@ -30,24 +30,20 @@ const DIER_MODELLED: u32 = FLAGS | FLAGS << 8;
 const CCMR_MODELLED: u32 = 0x7878;
 
 const REGISTERS: &[Register] = &[
-    (CR1, 0, CR1_MODELLED),
-    (CR2, 0, CR2_MMS),
-    (SMCR, 0, 0),
-    (DIER, 0, DIER_MODELLED),
-    (SR, 0, 0),
-    (EGR, 0, 0),
-    (CCMR1, 0, CCMR_MODELLED),
-    (CCMR2, 0, CCMR_MODELLED),
-    (CCER, 0, ALL),
-    (PSC, 0, 0xFFFF),
-    (ARR, 0, 0),
-    (CCR1, 0, 0),
-    (CCR1 + 4, 0, 0),
-    (CCR1 + 8, 0, 0),
-    (CCR4, 0, 0),
+    (CR1, 1, 0, CR1_MODELLED),
+    (CR2, 1, 0, CR2_MMS),
+    (SMCR, 1, 0, 0),
+    (DIER, 1, 0, DIER_MODELLED),
+    (SR, 1, 0, 0),
+    (EGR, 1, 0, 0),
+    (CCMR1, 2, 0, CCMR_MODELLED),
+    (CCER, 1, 0, ALL),
+    (PSC, 1, 0, 0xFFFF),
+    (ARR, 1, 0, 0),
+    (CCR1, 4, 0, 0),
 ];
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 struct Wiring {
     interrupt: u32,
     /// DMA request of compare channel 1; channels 2 to 4 and the update follow.
@@ -56,7 +52,7 @@ struct Wiring {
     maximum: u32,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Timer {
     wiring: Wiring,
     bank: Bank,
@@ -94,21 +90,7 @@ impl Timer {
     fn at_reset(wiring: Wiring) -> Self {
         let mut bank = Bank::new(REGISTERS);
         bank[ARR] = wiring.maximum;
-        Self {
-            wiring,
-            bank,
-            psc_active: 0,
-            arr_active: wiring.maximum,
-            ccr_active: [0; 4],
-            reference: [false; 4],
-            zero_at: 0,
-            held: 0,
-            done: 0,
-            top: wiring.maximum,
-            origin: None,
-            is_halted: false,
-            next: Ticks::MAX,
-        }
+        Self { wiring, bank, arr_active: wiring.maximum, top: wiring.maximum, next: Ticks::MAX, ..Self::default() }
     }
 
     pub fn reset(&mut self, effects: &mut Effects) {
@@ -129,7 +111,6 @@ impl Timer {
         match offset {
             CR1 => self.write_cr1(value, effects),
             CR2 => {
-                effects.unmodelled_bits(value & !CR2_MMS);
                 effects.unmodelled_bits(if self.is_tim2() && value & 0x40 != 0 { 0 } else { value });
                 self.bank.write(CR2, value, effects);
             }
@@ -145,10 +126,12 @@ impl Timer {
             SR => self.bank[SR] &= value,
             EGR => self.generate(value, effects),
             CCMR1 | CCMR2 => self.write_ccmr(offset, value, effects),
-            CCER | PSC => self.bank.write(offset, value, effects),
+            CCER => self.bank.write(offset, value, effects),
+            // A narrow write is repeated over the word.
+            PSC => self.bank.write(offset, value & 0xFFFF, effects),
             CNT => self.preset(value & self.wiring.maximum, effects),
             ARR => self.write_arr(value & self.wiring.maximum),
-            CCR1..=CCR4 => self.write_ccr(channel_of(offset), value & self.wiring.maximum, effects),
+            CCR1..=CCR4 => self.write_ccr(((offset - CCR1) / 4) as usize, value & self.wiring.maximum, effects),
             _ => effects.unmodelled_bits(value),
         }
         self.update_line(effects);
@@ -242,7 +225,6 @@ impl Timer {
     }
 
     fn write_cr1(&mut self, value: u32, effects: &mut Effects) {
-        effects.unmodelled_bits(value & !CR1_MODELLED);
         let (was_running, count) = (self.running(), self.done);
         self.bank.write(CR1, value, effects);
         if self.running() != was_running {
@@ -251,7 +233,6 @@ impl Timer {
     }
 
     fn write_dier(&mut self, value: u32, effects: &mut Effects) {
-        effects.unmodelled_bits(value & !DIER_MODELLED);
         self.withdraw(self.bank[DIER] & !value, effects);
         self.bank.write(DIER, value, effects);
     }
@@ -266,7 +247,6 @@ impl Timer {
     }
 
     fn write_ccmr(&mut self, offset: u32, value: u32, effects: &mut Effects) {
-        effects.unmodelled_bits(value & !CCMR_MODELLED);
         effects.unmodelled_bits(u32::from([value >> 4, value >> 12].iter().any(|mode| matches!(mode & 7, 1..=6))));
         self.bank.write(offset, value, effects);
         let first = if offset == CCMR1 { 0 } else { 2 };
@@ -376,10 +356,6 @@ impl Timer {
     /// Sets flag `event` (0: update, 1 to 4: compare channel) and raises its request.
     fn raise(&mut self, event: usize, effects: &mut Effects) {
         self.bank[SR] |= 1 << event;
-        self.request(event, effects);
-    }
-
-    fn request(&self, event: usize, effects: &mut Effects) {
         if self.bank[DIER] & UDE << event != 0 {
             effects.request(self.request_of(event));
         }
@@ -422,8 +398,4 @@ impl Timer {
         }
         self.next = self.zero_at.wrapping_add(count * self.period());
     }
-}
-
-fn channel_of(offset: u32) -> usize {
-    ((offset - CCR1) / 4) as usize
 }

@@ -58,8 +58,14 @@ const USART1: Kind = Kind {
     transmit: LL::DMAMUX_REQ_USART1_TX,
 };
 
-const REGISTERS: &[Register] =
-    &[(CR1, 0, CR1_MODELLED), (CR2, 0, 0), (CR3, 0, CR3_MODELLED), (BRR, 0, ALL), (ICR, 0, 0), (PRESC, 0, 0)];
+const REGISTERS: &[Register] = &[
+    (CR1, 1, 0, CR1_MODELLED),
+    (CR2, 1, 0, 0),
+    (CR3, 1, 0, CR3_MODELLED),
+    (BRR, 1, 0, ALL),
+    (ICR, 1, 0, 0),
+    (PRESC, 1, 0, 0),
+];
 
 #[derive(Debug)]
 pub struct Uart {
@@ -158,12 +164,7 @@ impl Uart {
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
         match offset {
             CR1 => self.write_cr1(value, effects),
-            CR3 => {
-                effects.unmodelled_bits(value & !CR3_MODELLED);
-                self.bank.write(CR3, value, effects);
-            }
             BRR => self.bank[BRR] = value & self.kind.divider_mask,
-            CR2 | PRESC => effects.unmodelled_bits(value),
             ICR => self.flags &= !value,
             TDR => {
                 if self.to_send.is_some() {
@@ -173,7 +174,7 @@ impl Uart {
                 self.flags &= !ISR_TC;
                 self.start_sending(effects.now);
             }
-            _ => effects.unmodelled(),
+            _ => self.bank.write(offset, value, effects),
         }
         self.update(effects);
     }
@@ -211,7 +212,6 @@ impl Uart {
     }
 
     fn write_cr1(&mut self, value: u32, effects: &mut Effects) {
-        effects.unmodelled_bits(value & !CR1_MODELLED);
         let (sent, received) = (self.sends(), self.receives());
         self.bank.write(CR1, value, effects);
         if value & CR1_UE == 0 {

@@ -9,7 +9,8 @@ use crate::st::LL::{IWDG_KEY_ENABLE as KEY_START, IWDG_KEY_RELOAD as KEY_REFRESH
 
 use crate::st::IWDG::{KR, PR, RLR, SR, WINR};
 
-const REGISTERS: &[Register] = &[(KR, 0, 0), (PR, 0, 7), (RLR, 0xFFF, 0xFFF), (SR, 0, 0), (WINR, 0xFFF, 0)];
+const REGISTERS: &[Register] =
+    &[(KR, 1, 0, 0), (PR, 1, 0, 7), (RLR, 1, 0xFFF, 0xFFF), (SR, 1, 0, 0), (WINR, 1, 0xFFF, 0)];
 
 /// Low-speed internal oscillator, in hertz.
 const LSI_HZ: u64 = 1_000 * crate::st::one_word::LSI as u64;

@@ -19,8 +19,6 @@ const STRING: u8 = 3;
 const INTERFACE: u8 = 4;
 const ENDPOINT: u8 = 5;
 
-const DEVICE_BYTES: usize = 18;
-
 // Classes of interfaces, and types of endpoints.
 const COMMUNICATION: u8 = 0x02;
 const COMMUNICATION_DATA: u8 = 0x0a;
@@ -135,7 +133,7 @@ impl Enumeration {
                 get_descriptor(CONFIGURATION, 0, 0, head.get(2..4).map_or(0, le16))
             }
             Step::Languages => get_descriptor(STRING, 0, 0, 255),
-            Step::Text(n) => get_descriptor(STRING, self.description.device[14 + n], self.language, 255),
+            Step::Text(n) => get_descriptor(STRING, self.text_index(n), self.language, 255),
             Step::Configure => command(0x00, 9, self.port.map_or(1, |port| port.configuration).into(), 0, &[]),
             Step::LineCoding => command(0x21, 0x20, 0, interface, &LINE_CODING),
             // DTR and RTS go together, as with a terminal.
@@ -143,12 +141,17 @@ impl Enumeration {
         })
     }
 
+    /// iManufacturer, iProduct or iSerialNumber.
+    fn text_index(&self, n: usize) -> u8 {
+        self.description.device.get(14 + n).copied().unwrap_or_default()
+    }
+
     /// Takes the answer to the last request. When the serial port works, returns its endpoints.
     pub fn answered(&mut self, data: &[u8]) -> Result<Option<Endpoints>, String> {
         self.recovery = 0;
         self.step = match self.step {
             Step::DeviceHead => {
-                self.description.device = exactly(data, MIN_PACKET_BYTES)?;
+                self.description.device = data.to_vec();
                 Step::Address
             }
             Step::Address => {
@@ -157,7 +160,7 @@ impl Enumeration {
                 Step::Device
             }
             Step::Device => {
-                self.description.device = exactly(data, DEVICE_BYTES)?;
+                self.description.device = data.to_vec();
                 Step::ConfigurationHead
             }
             Step::ConfigurationHead => {
@@ -194,14 +197,6 @@ impl Enumeration {
     /// The last request has failed; gives what it was for.
     pub fn fail(&mut self) -> String {
         format!("{:?}", std::mem::replace(&mut self.step, Step::Failed))
-    }
-}
-
-fn exactly(data: &[u8], bytes: usize) -> Result<Vec<u8>, String> {
-    if data.len() == bytes {
-        Ok(data.to_vec())
-    } else {
-        Err(format!("{} bytes where {bytes} were asked for", data.len()))
     }
 }
 

@@ -1,8 +1,9 @@
 //! A host computer's USB port with a driver for serial devices behind it.
 //!
-//! It finds a device by its pull-up, resets it, reads and checks its descriptors, configures it,
-//! opens it as a CDC-ACM serial port, and then moves bytes. It acts on machine time: [`UsbHost::advance`]
-//! at [`UsbHost::next_event`]. Each transaction takes the time it takes on the wire.
+//! It finds a device by its pull-up, resets it, reads its descriptors, configures it, opens it as a CDC-ACM serial port, and
+//! then moves bytes. It acts on machine time: [`UsbHost::advance`] at [`UsbHost::next_event`]. Each transaction takes the time
+//! it takes on the wire. A request or an endpoint that the device refuses, or does not answer, is complained of and left alone;
+//! data with the toggle of those before are passed over, as a host does.
 //!
 //! ```text
 //! port ─▶ enumeration ─▶ transfer ─▶ transaction ─▶ UsbPort
@@ -88,10 +89,13 @@ enum Port {
     },
 }
 
+/// What the computer does to its port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Order {
+pub enum Order {
+    /// Stops all traffic, as when it sleeps.
     Suspend,
     Resume,
+    /// Resets the bus in the middle of what goes on; the device is then enumerated anew.
     Reset,
 }
 
@@ -138,20 +142,8 @@ impl UsbHost {
         }
     }
 
-    /// Stops all traffic, as when the computer sleeps.
-    pub fn suspend(&mut self, now: Ticks) {
-        self.order = Some(Order::Suspend);
-        self.hurry(now);
-    }
-
-    pub fn resume(&mut self, now: Ticks) {
-        self.order = Some(Order::Resume);
-        self.hurry(now);
-    }
-
-    /// Resets the bus in the middle of what goes on; the device is then enumerated anew.
-    pub fn reset_bus(&mut self, now: Ticks) {
-        self.order = Some(Order::Reset);
+    pub fn order(&mut self, order: Order, now: Ticks) {
+        self.order = Some(order);
         self.hurry(now);
     }
 
@@ -348,7 +340,7 @@ impl UsbHost {
         {
             self.transfer = Some(Transfer::new(request, self.enumeration.control_packet_bytes(), now));
         }
-        let control_at = self.transfer.as_ref().map_or(Ticks::MAX, |transfer| transfer.ready_at);
+        let control_at = self.transfer.as_ref().map_or(Ticks::MAX, |transfer| transfer.pipe.ready_at);
         let mut pipes_at = [Ticks::MAX; 3];
         if let Some(pipes) = &self.pipes {
             let is_used = [true, self.reading, !self.outgoing.is_empty()];
@@ -452,15 +444,14 @@ impl UsbHost {
 
     fn complete_pipe(&mut self, place: usize, answer: Answer, sent: usize, now: Ticks) -> Result<(), String> {
         let Some(pipes) = &mut self.pipes else { return Ok(()) };
-        let (is_data, is_taken) = (matches!(answer, Answer::Data { .. }), answer == Answer::Ack);
-        let name = ["notification", "bulk IN", "bulk OUT"][place];
-        let bytes = pipes[place].progress(answer, now).map_err(|fault| format!("{name}: {fault}"))?;
-        if is_taken {
+        if answer == Answer::Ack {
             self.outgoing.drain(..sent);
         }
+        let name = ["notification", "bulk IN", "bulk OUT"][place];
+        let data = pipes[place].progress(answer, now).map_err(|fault| format!("{name}: {fault}"))?;
         // Changes of serial state concern nobody here.
-        if is_data && place == BULK_IN {
-            self.received.push((now, bytes));
+        if place == BULK_IN {
+            self.received.extend(data.map(|bytes| (now, bytes)));
         }
         Ok(())
     }

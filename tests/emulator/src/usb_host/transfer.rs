@@ -29,28 +29,17 @@ enum Stage {
 pub struct Transfer {
     request: Request,
     stage: Stage,
-    packet_bytes: usize,
+    /// Endpoint 0.
+    pub pipe: Pipe,
     received: Vec<u8>,
     sent: usize,
-    toggle: bool,
-    silences: u8,
     begun_at: Ticks,
-    pub ready_at: Ticks,
 }
 
 impl Transfer {
     pub fn new(request: Request, packet_bytes: usize, now: Ticks) -> Self {
-        Self {
-            request,
-            stage: Stage::Setup,
-            packet_bytes,
-            received: Vec::new(),
-            sent: 0,
-            toggle: false,
-            silences: 0,
-            begun_at: now,
-            ready_at: now,
-        }
+        let pipe = Pipe::new(Endpoint { number: 0, packet_bytes, interval: 0 }, now);
+        Self { request, stage: Stage::Setup, pipe, received: Vec::new(), sent: 0, begun_at: now }
     }
 
     /// The packet to send next: whether it is a SETUP, its toggle and its bytes. `None`: an IN
@@ -60,7 +49,7 @@ impl Transfer {
             Stage::Setup => Some((true, false, self.request.setup.to_vec())),
             Stage::DataOut => {
                 let rest = &self.request.data[self.sent..];
-                Some((false, self.toggle, rest[..rest.len().min(self.packet_bytes)].to_vec()))
+                Some((false, self.pipe.toggle, rest[..rest.len().min(self.pipe.endpoint.packet_bytes)].to_vec()))
             }
             Stage::StatusOut => Some((false, true, Vec::new())),
             Stage::DataIn | Stage::StatusIn => None,
@@ -70,29 +59,21 @@ impl Transfer {
     /// Goes on from the answer to a transaction; gives what the device has sent when all is over.
     pub fn progress(&mut self, answer: Answer, sent: usize, now: Ticks) -> Result<Option<Vec<u8>>, String> {
         let stage = self.stage;
-        self.ready_at = now;
-        self.silences = if answer == Answer::Silence { self.silences + 1 } else { 0 };
         let is_late = stage == Stage::Setup || now - self.begun_at > PATIENCE_TICKS;
-        match answer {
-            Answer::Nak if !is_late => self.ready_at = now + RETRY_TICKS,
-            Answer::Silence if self.silences < ATTEMPTS => self.ready_at = now + RETRY_TICKS,
-            Answer::Ack => return Ok(self.sent(sent)),
-            Answer::Data { toggle, bytes } => {
-                let (due, most) = match stage {
-                    Stage::StatusIn => (true, 0),
-                    _ => (self.toggle, self.packet_bytes.min(self.length() - self.received.len())),
-                };
-                check(toggle, bytes.len(), due, most).map_err(|fault| format!("{fault}, {stage:?}"))?;
-                if stage == Stage::StatusIn {
-                    return Ok(Some(Vec::new()));
-                }
-                self.toggle = !toggle;
+        if is_late && answer == Answer::Nak {
+            return Err(format!("{answer:?} at the last, {stage:?}"));
+        }
+        let is_taken = answer == Answer::Ack;
+        match self.pipe.progress(answer, now).map_err(|fault| format!("{fault}, {stage:?}"))? {
+            None if is_taken => return Ok(self.sent(sent)),
+            None => {}
+            Some(_) if stage == Stage::StatusIn => return Ok(Some(Vec::new())),
+            Some(bytes) => {
                 self.received.extend_from_slice(&bytes);
-                if bytes.len() < self.packet_bytes || self.received.len() == self.length() {
+                if bytes.len() < self.pipe.endpoint.packet_bytes || self.received.len() >= self.length() {
                     self.stage = Stage::StatusOut;
                 }
             }
-            Answer::Nak | Answer::Silence | Answer::Stall => return Err(format!("{answer:?} at the last, {stage:?}")),
         }
         Ok(None)
     }
@@ -110,13 +91,11 @@ impl Transfer {
                     (_, true) => Stage::DataIn,
                     (_, false) => Stage::DataOut,
                 };
-                self.toggle = true;
             }
             Stage::DataOut | Stage::DataIn | Stage::StatusIn => {
                 self.sent += len;
-                self.toggle = !self.toggle;
                 if self.sent == self.request.data.len() {
-                    self.stage = Stage::StatusIn;
+                    (self.stage, self.pipe.toggle) = (Stage::StatusIn, true);
                 }
             }
         }
@@ -124,15 +103,7 @@ impl Transfer {
     }
 }
 
-fn check(toggle: bool, len: usize, due: bool, most: usize) -> Result<(), String> {
-    if toggle == due && len <= most {
-        return Ok(());
-    }
-    let [came, due] = [toggle, due].map(u8::from);
-    Err(format!("{len} bytes of DATA{came} where DATA{due} of at most {most} is due"))
-}
-
-/// A bulk or interrupt endpoint, as the host keeps it.
+/// An endpoint, as the host keeps it.
 #[derive(Debug)]
 pub struct Pipe {
     pub endpoint: Endpoint,
@@ -149,7 +120,7 @@ impl Pipe {
 
     /// Goes on from the answer to a transaction; gives what was received. A fault closes the pipe until the device is
     /// configured anew.
-    pub fn progress(&mut self, answer: Answer, now: Ticks) -> Result<Vec<u8>, String> {
+    pub fn progress(&mut self, answer: Answer, now: Ticks) -> Result<Option<Vec<u8>>, String> {
         let ready_at = now + self.endpoint.interval;
         self.silences = if answer == Answer::Silence { self.silences + 1 } else { 0 };
         // Closed, unless all is well.
@@ -159,13 +130,15 @@ impl Pipe {
             Answer::Silence if self.silences < ATTEMPTS => self.ready_at = now + RETRY_TICKS,
             Answer::Ack => (self.toggle, self.ready_at) = (!self.toggle, ready_at),
             Answer::Data { toggle, bytes } => {
-                check(toggle, bytes.len(), self.toggle, self.endpoint.packet_bytes)?;
-                (self.toggle, self.ready_at) = (!toggle, ready_at);
-                return Ok(bytes);
+                self.ready_at = ready_at;
+                // The other one is what the host has had already.
+                if std::mem::replace(&mut self.toggle, !toggle) == toggle {
+                    return Ok(Some(bytes));
+                }
             }
             Answer::Stall | Answer::Silence => return Err(format!("{answer:?} at the last")),
         }
-        Ok(Vec::new())
+        Ok(None)
     }
 }
 
@@ -173,35 +146,31 @@ impl Pipe {
 mod tests {
     use super::*;
 
+    fn pipe() -> Pipe {
+        Pipe::new(Endpoint { number: 1, packet_bytes: 64, interval: 0 }, 0)
+    }
+
     #[test]
-    fn who_breaks_the_protocol_is_told_and_is_asked_no_more() {
-        let data = |toggle, len| Answer::Data { toggle, bytes: vec![1; len] };
+    fn who_refuses_or_keeps_silent_is_asked_no_more() {
         let silence = || Answer::Silence;
         for (answers, fault) in [
-            (vec![data(true, 10)], "10 bytes of DATA1 where DATA0 of at most 64 is due"),
-            (vec![data(false, 64), data(true, 65)], "65 bytes of DATA1 where DATA1 of at most 64 is due"),
             (vec![Answer::Nak, Answer::Stall], "Stall at the last"),
             (vec![silence(), silence(), Answer::Nak, silence(), silence(), silence()], "Silence at the last"),
         ] {
-            let mut pipe = Pipe::new(Endpoint { number: 1, packet_bytes: 64, interval: 0 }, 0);
+            let mut pipe = pipe();
             let faults: Vec<_> = answers.into_iter().map(|answer| pipe.progress(answer, 0).err()).collect();
             let told = faults.iter().position(Option::is_some).expect("a fault");
             assert_eq!((told + 1, faults[told].as_deref()), (faults.len(), Some(fault)));
             assert_eq!(pipe.ready_at, Ticks::MAX);
         }
-        let ack = || Answer::Ack;
-        for (answers, fault) in [
-            (vec![Answer::Nak], "Nak at the last, Setup"),
-            (vec![silence(), silence(), silence()], "Silence at the last, Setup"),
-            (vec![ack(), Answer::Nak, Answer::Stall], "Stall at the last, DataIn"),
-            (vec![ack(), data(false, 8)], "8 bytes of DATA0 where DATA1 of at most 8 is due, DataIn"),
-            (vec![ack(), data(true, 8), data(false, 3)], "3 bytes of DATA0 where DATA0 of at most 2 is due, DataIn"),
-            (vec![ack(), data(true, 8), data(false, 2), Answer::Stall], "Stall at the last, StatusOut"),
-        ] {
-            let request = Request { setup: [0x80, 6, 0, 1, 0, 0, 10, 0], data: Vec::new() };
-            let mut transfer = Transfer::new(request, 8, 0);
-            let mut outcomes = answers.into_iter().map(|answer| transfer.progress(answer, 0, 0));
-            assert_eq!(outcomes.find_map(Result::err).as_deref(), Some(fault));
-        }
+        let mut transfer = Transfer::new(Request { setup: [0x80, 6, 0, 1, 0, 0, 10, 0], data: Vec::new() }, 8, 0);
+        assert_eq!(transfer.progress(Answer::Nak, 0, 0), Err("Nak at the last, Setup".to_owned()));
+    }
+
+    #[test]
+    fn repeated_data_are_passed_over() {
+        let mut pipe = pipe();
+        let mut is_new = |toggle| pipe.progress(Answer::Data { toggle, bytes: vec![1] }, 0).expect("data").is_some();
+        assert_eq!([false, false, true, true, false].map(&mut is_new), [true, false, true, false, true]);
     }
 }

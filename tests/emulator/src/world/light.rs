@@ -12,7 +12,7 @@
 //! the electrodes sin(nπ/N)·(1, −(−1)ⁿ)/(2N·sin²(nπ/2N)). Mode and poles in cascade are a sum of first-order low-passes
 //! with the weights τ_i^(m−1)/∏(τ_i − τ_j), m of them, each exact for light that changes linearly.
 
-use super::BOARD_CELLS;
+use super::{BOARD_CELLS, TIER};
 use crate::faults::{BAFFLE, BAFFLE_SHARE, DEAD, Fault, Faults, WEAK, WEAK_STRENGTH};
 use crate::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_head::simulator::{Electronics, Trajectory};
@@ -64,12 +64,9 @@ pub(super) struct Illumination {
 }
 
 impl Illumination {
-    pub(super) fn new(scene: &Scene, trajectory: Trajectory, tier: Tier, faults: Faults) -> Result<Self, SceneError> {
-        let stray = match tier {
-            Tier::Exact { tolerance } => Tier::Exact { tolerance: tolerance.max(STRAY_TOLERANCE) },
-            Tier::Paper => Tier::Paper,
-        };
-        let (plan, stray) = (CompiledScene::compile(scene, tier)?, CompiledScene::compile(scene, stray)?);
+    pub(super) fn new(scene: &Scene, trajectory: Trajectory, faults: Faults) -> Result<Self, SceneError> {
+        let stray = Tier::Exact { tolerance: STRAY_TOLERANCE };
+        let (plan, stray) = (CompiledScene::compile(scene, TIER)?, CompiledScene::compile(scene, stray)?);
         let dark = [Pair::default(); BOARD_CELLS];
         let nowhere = Knot { at: 0, pose: Pose::HOME, known: 0, by_emitter: [dark; BOARD_CELLS], sum: dark };
         Ok(Self { plan, stray, faults, trajectory, origin: 0, lit: 0, levels: [0.0; 2], from: nowhere, to: nowhere })

@@ -19,6 +19,9 @@ use crate::faults::{self, Fault, Faults};
 use crate::peripherals::{TICKS_PER_SECOND, Ticks};
 use light::{Chain, Illumination, STAGE_S};
 
+/// Of the optics: to a relative error which is far below a code of the converters.
+pub const TIER: Tier = Tier::Exact { tolerance: 1e-6 };
+
 /// Cells a board has converter inputs for.
 pub const BOARD_CELLS: usize = 6;
 
@@ -91,14 +94,8 @@ struct Noise {
 }
 
 impl OpticsWorld {
-    /// The head of `file` with `faults` in the dark at tick 0, its tool on `trajectory`, optics of `tier`.
-    pub fn new(
-        file: &SceneFile,
-        trajectory: Trajectory,
-        tier: Tier,
-        noise: NoiseSource,
-        faults: Faults,
-    ) -> Result<Self> {
+    /// The head of `file` with `faults` in the dark at tick 0, its tool on `trajectory`.
+    pub fn new(file: &SceneFile, trajectory: Trajectory, noise: NoiseSource, faults: Faults) -> Result<Self> {
         let name = &file.name;
         let Some(front_end) = &file.front_end else {
             bail!("scene `{name}` has no [front_end]; add one, or use the shipped scene `wide`");
@@ -116,7 +113,7 @@ impl OpticsWorld {
         let front_end = FrontEnd { time_constant_s: slowness * stage_s, ..*front_end };
         let electronics = Electronics::new(&file.scene, &front_end);
         Ok(Self {
-            illumination: Illumination::new(&file.scene, trajectory, tier, faults)?,
+            illumination: Illumination::new(&file.scene, trajectory, faults)?,
             zero_current_code: electronics.scaling().zero_code.round() as u16,
             electronics,
             chain: line_s.map(Chain::new),
@@ -276,7 +273,6 @@ mod tests {
     use slitpose_head::scene_file::WIDE;
     use slitpose_head::simulator::TrajectoryKind;
 
-    const TIER: Tier = Tier::Exact { tolerance: 1e-6 };
     const NOMINAL: [u16; 2] = [NOMINAL_LEVEL_CODE; 2];
 
     #[test]
@@ -284,7 +280,7 @@ mod tests {
         let mut file = WIDE.read().unwrap();
         file.scene.cells.truncate(2);
         let still = Trajectory::of_kind(TrajectoryKind::Still, 0, 0.0);
-        let mut world = OpticsWorld::new(&file, still, TIER, NoiseSource::Seeded(1), Faults::default()).unwrap();
+        let mut world = OpticsWorld::new(&file, still, NoiseSource::Seeded(1), Faults::default()).unwrap();
         world.drive(0, 0b111_111, NOMINAL);
         assert_eq!(world.sample(1_000, 2, ADC2_INPUTS[5]), world.scaling().zero_code as u16);
         assert_eq!(world.sample(1_000, 1, 3), 0);

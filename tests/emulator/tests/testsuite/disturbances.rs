@@ -27,8 +27,8 @@ impl Disturbance {
     fn happen(self, talk: &mut Talk) {
         let board = &mut talk.rig.machine().board;
         match self {
-            Self::SwallowedRequest(converter) => board.adc12.adc_mut(converter).swallow_request(),
-            Self::Overrun(converter) => board.adc12.adc_mut(converter).force_overrun(),
+            Self::SwallowedRequest(converter) => board.adc12.adcs[converter].swallow_request(),
+            Self::Overrun(converter) => board.adc12.adcs[converter].force_overrun(),
             Self::Transfer(request) => {
                 let channel = channel_of(board, request);
                 board.dma.fail_next(channel);

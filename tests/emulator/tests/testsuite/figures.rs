@@ -44,8 +44,8 @@ fn image_and_stack_fit_the_chip() {
     talk.accept(&Command::Start);
     talk.run_ms(1_000.0);
     let (image, stack) = (open_image(None).expect("firmware/build makes it"), talk.rig.stack_bytes());
-    println!("{} bytes of flash, {} of static RAM, {stack} of stack", image.flash_bytes(), image.static_ram_bytes());
-    assert!(stack <= STACK_BYTES && image.static_ram_bytes() + STACK_BYTES as usize <= RAM_BYTES, "{stack}");
+    println!("{} bytes of flash, {} of static RAM, {stack} of stack", image.flash_bytes(), image.static_ram_bytes);
+    assert!(stack <= STACK_BYTES && image.static_ram_bytes + STACK_BYTES as usize <= RAM_BYTES, "{stack}");
 }
 
 /// When the first hello has come, by power.

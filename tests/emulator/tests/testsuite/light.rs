@@ -277,7 +277,7 @@ fn until_lit_and_awake(bench: &mut Talk) {
         let before = rig.machine().cpu.instructions();
         rig.run_until(rig.now() + 1);
         let cpu = &rig.machine().cpu;
-        if cpu.instructions() != before && cpu.exception() == 0 && rig.machine().board.gates() != 0 {
+        if cpu.instructions() != before && cpu.state().xpsr & 0x1ff == 0 && rig.machine().board.gates() != 0 {
             return;
         }
     }
@@ -299,7 +299,7 @@ fn jump(bench: &mut Talk, address: u32) {
 
 /// Address of an instruction `half` in the image. It is jumped to, so that where it stands does not matter.
 fn find_instruction(bench: &mut Talk, half: u16) -> u32 {
-    let code = bench.rig.machine().board.flash_array().bytes();
+    let code = bench.rig.machine().board.flash.array.bytes();
     let offset = code.chunks_exact(2).position(|bytes| bytes == half.to_le_bytes());
     FLASH_BASE + 2 * offset.expect("the image has one") as u32
 }

@@ -11,6 +11,7 @@ use slitpose_emulator::machine::Stop;
 use slitpose_emulator::memory::UNIQUE_ID;
 use slitpose_emulator::peripherals::Ticks;
 use slitpose_emulator::rig::request;
+use slitpose_emulator::usb_host::Order;
 use slitpose_emulator::usb_wire::{Answer, OutPacket};
 use slitpose_protocol::{Command, Decoder, MAX_MESSAGE_BYTES, Message, ResetCause};
 
@@ -159,13 +160,13 @@ fn a_computer_may_sleep() {
     assert_eq!(talk.ask(Command::Start), Ok(()));
     for (asleep_ms, goes_on) in [(200.0, true), (900.0, false)] {
         talk.run_ms(10.0);
-        talk.rig.host(|host, now| host.suspend(now));
+        talk.rig.host(|host, now| host.order(Order::Suspend, now));
         talk.ear.breaks += 1;
         talk.run_ms(asleep_ms);
         assert_eq!(lit_within_a_frame(&mut talk), goes_on, "after {asleep_ms} ms");
         // The port stays open in the program: what comes begins with a hello all the same.
         talk.ear.begin_session();
-        talk.rig.host(|host, now| host.resume(now));
+        talk.rig.host(|host, now| host.order(Order::Resume, now));
         assert!(talk.wait_for(100, |talk| talk.ear.hello().is_some()), "no hello after {asleep_ms} ms");
         assert_eq!(talk.is_acquiring(), goes_on);
         assert_eq!(talk.ear.events().len(), usize::from(!goes_on));
@@ -220,12 +221,12 @@ fn of_a_suspension_and_a_reset_within_a_control_transfer_the_last_counts() {
         talk.run_ms(11.0 * f64::from(phase));
         begin_transfer(&mut talk, &setup);
         talk.ear.breaks += 1;
-        talk.rig.host(|host, now| host.suspend(now));
+        talk.rig.host(|host, now| host.order(Order::Suspend, now));
         talk.run_ms(5.0);
         talk.ear.begin_session();
-        talk.rig.host(|host, now| host.resume(now));
+        talk.rig.host(|host, now| host.order(Order::Resume, now));
         talk.run_ms(1.0);
-        talk.rig.host(|host, now| host.reset_bus(now));
+        talk.rig.host(|host, now| host.order(Order::Reset, now));
         assert!(talk.wait_for(1_000, |talk| talk.ear.hello().is_some()), "no hello after {setup:x?}, phase {phase}");
         assert_eq!(talk.ask(Command::Start), Ok(()));
         assert!(talk.is_acquiring());

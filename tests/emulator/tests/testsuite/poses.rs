@@ -120,7 +120,7 @@ fn every_frame_of_ten_seconds_is_solved_in_time() {
     }
     let status = talk.ear.status.expect("twice a second");
     println!("load {load} per mille, {} poses, stack {} bytes", talk.ear.poses.len(), talk.rig.stack_bytes());
-    let (stack, variables) = (talk.rig.stack_bytes() as usize, open_pose_image().expect("an image").static_ram_bytes());
+    let (stack, variables) = (talk.rig.stack_bytes() as usize, open_pose_image().expect("an image").static_ram_bytes);
     assert!(stack + variables <= RAM_BYTES - CCM_BYTES, "{stack} bytes of stack, {variables} of variables");
     assert!(talk.ear.scans.is_empty(), "only poses are asked for");
     assert_eq!((talk.ear.damaged(), talk.ear.missed, status.scans_lost), (0, 0, 0));

@@ -106,7 +106,7 @@ fn store(talk: &mut Talk, n: u64, after: Option<Ticks>) -> Ticks {
     let command = prepare(talk, n);
     let number = talk.rig.send(command);
     let begin = loop {
-        if talk.rig.machine().board.flash_busy_until().is_some() {
+        if talk.rig.machine().board.flash.next_event() != Ticks::MAX {
             break talk.rig.now();
         }
         assert_eq!(talk.ear.replies(number), [], "the memory has not been busy");
@@ -120,7 +120,8 @@ fn store(talk: &mut Talk, n: u64, after: Option<Ticks>) -> Ticks {
         None => {
             let mut end = begin;
             while talk.ear.replies(number).is_empty() {
-                end = talk.rig.machine().board.flash_busy_until().unwrap_or(end);
+                let done = talk.rig.machine().board.flash.next_event();
+                end = if done == Ticks::MAX { end } else { done };
                 talk.run_until(talk.rig.now() + 2_000);
                 assert!(talk.rig.now() < begin + 60 * MS, "no reply");
             }
@@ -174,8 +175,8 @@ fn a_cut_of_the_supply_leaves_the_old_settings_or_the_new() {
             }
             n += 1;
             store(&mut talk, n, Some(duration * step / CUTS));
-            let array = talk.rig.machine().board.flash_array();
-            let is_torn = array.has_torn() || array.has_refusing();
+            let array = &talk.rig.machine().board.flash.array;
+            let is_torn = !array.torn.is_empty() || !array.refusing.is_empty();
             let found = number(&greet(&mut talk));
             assert!(found == kept || found == n, "{found} instead of {kept} or {n}, cut {step} of part {part}");
             let (torn, old, new) = &mut seen[part];

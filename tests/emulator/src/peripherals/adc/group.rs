@@ -6,7 +6,7 @@ use crate::st::LL;
 /// Converters that share a clock and the common registers: ADC1 and ADC2, or ADC3 to ADC5.
 #[derive(Debug)]
 pub struct AdcGroup<const N: usize> {
-    adcs: [Adc; N],
+    pub adcs: [Adc; N],
     ccr: u32,
     next: Ticks,
 }
@@ -38,16 +38,6 @@ impl<const N: usize> AdcGroup<N> {
         }
         self.ccr = 0;
         self.update();
-    }
-
-    /// Converter `index` of the group.
-    pub fn adc(&self, index: usize) -> &Adc {
-        &self.adcs[index]
-    }
-
-    /// Converter `index` of the group, for fault injection.
-    pub fn adc_mut(&mut self, index: usize) -> &mut Adc {
-        &mut self.adcs[index]
     }
 
     pub fn read(&mut self, offset: u32, effects: &mut Effects) -> u32 {
@@ -161,7 +151,6 @@ fn clock_ticks(ccr: u32) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::facts;
 
     const SMP_24_5: u32 = 3;
 
@@ -178,27 +167,16 @@ mod tests {
             for base in [0, 0x100] {
                 group.write(base + CR, ADVREGEN | command, &mut effects);
             }
-            drain(&mut group, &mut effects, 1_000);
+            let end = effects.now + 1_000;
+            while group.next_event() <= end {
+                effects.now = group.next_event();
+                group.advance(&mut effects, &mut |_, _| 0);
+            }
+            effects.now = end;
         }
         assert_eq!(effects.violations, []);
         assert_eq!(group.read(ISR, &mut effects), ADRDY);
         (group, effects)
-    }
-
-    /// Lets `ticks` pass; returns (tick, ADC, channel) of every hold.
-    fn drain(group: &mut AdcGroup<2>, effects: &mut Effects, ticks: Ticks) -> Vec<(Ticks, u8, u8)> {
-        let end = effects.now + ticks;
-        let mut holds = Vec::new();
-        while group.next_event() <= end {
-            effects.now = group.next_event();
-            let now = effects.now;
-            group.advance(effects, &mut |adc, channel| {
-                holds.push((now, adc, channel));
-                100 * u16::from(channel) + holds.len() as u16
-            });
-        }
-        effects.now = end;
-        holds
     }
 
     /// Two ranks (IN1, IN6) at 24.5 clocks, oversampled ×2, triggered by TIM2.
@@ -230,24 +208,11 @@ mod tests {
         assert_eq!(effects.violation_count, 1, "calibrated before the regulator is up");
     }
 
+    /// At a quarter of the bus clock: the way to its next edge, and the eighth of a clock that the data sheet has more.
     #[test]
-    fn times_are_those_of_st() {
-        let half_clocks = |name: &str| (2.0 * facts::number(name)) as u64;
-        let sampling = [0, 1, 2, 3, 4, 5, 6, 7].map(|code| half_clocks(&format!("sampling_clocks_{code}")));
-        assert_eq!(SAMPLE_HALF_CLOCKS, sampling);
-        assert_eq!(APPROXIMATION_HALF_CLOCKS, half_clocks("approximation_clocks_12_bits"));
-        let conversion = sampling[0] + APPROXIMATION_HALF_CLOCKS;
-        assert_eq!(2 * STABILISATION_CLOCKS, u64::from(facts::bits("t_STAB")) * conversion);
-    }
-
-    /// Without fault trigger-phase the latency is that of the data sheet in whole clocks; the fault adds the eighth that
-    /// is left at a quarter of the bus clock, and the way to the clock's next edge.
-    #[test]
-    fn the_triggers_latency_is_that_of_the_data_sheet_less_an_eighth() {
-        let latency = facts::number("t_LATR_ckmode_11");
-        assert_eq!((TRIGGER_CLOCKS as f64, latency.fract()), (latency.trunc(), 0.125));
+    fn the_fault_of_triggers_makes_them_late_by_the_phase_and_an_eighth_of_the_clock() {
         let (group, _) = enabled();
-        let clock = group.adc(0).clock;
+        let clock = group.adcs[0].clock;
         let faults = [Fault::TriggerPhase].into_iter().collect();
         let mut effects = Effects { faults, ..Effects::default() };
         let mut late: Vec<_> = (0..clock)
@@ -259,14 +224,5 @@ mod tests {
         late.sort_unstable();
         // Half a tick in whole ones, and up to three.
         assert_eq!(late, [1, 2, 3, 4]);
-    }
-
-    #[test]
-    fn trigger_and_clock_are_selected_by_st_s_numbers() {
-        let select = facts::bits("LL_ADC_REG_TRIG_EXT_TIM2_TRGO") & facts::bits("ADC_CFGR_EXTSEL");
-        assert_eq!(RISING_TIM2, select | facts::bits("LL_ADC_REG_TRIG_EXT_RISING"));
-        for (divider, mode) in [(1, 1), (2, 2), (4, facts::bits("LL_ADC_CLOCK_SYNC_PCLK_DIV4") >> 16)] {
-            assert_eq!(clock_ticks(mode << 16), divider);
-        }
     }
 }

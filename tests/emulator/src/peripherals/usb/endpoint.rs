@@ -6,7 +6,7 @@
 //! buffer. The upper bits of the latter hold the buffer's size.
 
 use super::{BCDR_DPPU, CNTR_FSUSP, CNTR_LPMODE, CNTR_PDWN, DADDR_EF, FNR_FRAME, FNR_LCK, ISTR_SOF, ISTR_WKUP, Usb};
-use crate::peripherals::{Effects, Ticks};
+use crate::peripherals::Effects;
 use crate::st::USB::{
     EP_BULK as TYPE_BULK, EP_CONTROL as TYPE_CONTROL, EP_CTR_RX as CTR_RX, EP_CTR_TX as CTR_TX, EP_DTOG_RX as DTOG_RX,
     EP_DTOG_TX as DTOG_TX, EP_INTERRUPT as TYPE_INTERRUPT, EP_KIND, EP_SETUP as SETUP, EP_T_FIELD as EP_TYPE,
@@ -69,14 +69,6 @@ impl Endpoint {
         Stat::of(self.0 >> 4)
     }
 
-    pub fn rx_toggle(&self) -> bool {
-        self.0 & DTOG_RX != 0
-    }
-
-    pub fn tx_toggle(&self) -> bool {
-        self.0 & DTOG_TX != 0
-    }
-
     pub fn is_control(&self) -> bool {
         self.0 & EP_TYPE == TYPE_CONTROL
     }
@@ -90,11 +82,6 @@ impl Endpoint {
         }
     }
 
-    /// A control endpoint that takes only the empty packet of a status stage.
-    pub fn expects_status_out(&self) -> bool {
-        self.is_control() && self.0 & EP_KIND != 0
-    }
-
     pub fn has_received(&self) -> bool {
         self.0 & CTR_RX != 0
     }
@@ -104,27 +91,22 @@ impl Endpoint {
     }
 
     pub fn complete_tx(&mut self) {
-        self.0 = (self.0 ^ DTOG_TX) & !STAT_TX | nak_tx() | CTR_TX;
+        self.0 = (self.0 ^ DTOG_TX) & !STAT_TX | NAK_TX | CTR_TX;
     }
 
     pub fn complete_rx(&mut self) {
-        self.0 = (self.0 ^ DTOG_RX) & !(STAT_RX | SETUP) | nak_rx() | CTR_RX;
+        self.0 = (self.0 ^ DTOG_RX) & !(STAT_RX | SETUP) | NAK_RX | CTR_RX;
     }
 
     /// A SETUP was received, as DATA0: both directions go on with DATA1, when the program has
     /// understood the request.
     pub fn complete_setup(&mut self) {
-        self.0 = self.0 & !(STAT_RX | STAT_TX) | nak_rx() | nak_tx() | DTOG_RX | DTOG_TX | SETUP | CTR_RX;
+        self.0 = self.0 & !(STAT_RX | STAT_TX) | NAK_RX | NAK_TX | DTOG_RX | DTOG_TX | SETUP | CTR_RX;
     }
 }
 
-const fn nak_rx() -> u32 {
-    0b10 << 12
-}
-
-const fn nak_tx() -> u32 {
-    0b10 << 4
-}
+const NAK_RX: u32 = 0b10 << 12;
+const NAK_TX: u32 = 0b10 << 4;
 
 pub const BYTES: usize = 1024;
 
@@ -207,66 +189,45 @@ impl UsbPort<'_> {
 
     /// Something other than a packet happens on the bus.
     pub fn signal(&mut self, signal: BusSignal) {
-        self.usb.signal(signal, self.effects.now);
-        self.usb.update_interrupt(self.effects);
-    }
-
-    pub fn token_in(&mut self, address: u8, endpoint: u8) -> Answer {
-        self.usb.token_in(address, endpoint)
-    }
-
-    /// The host has acknowledged the data that the last IN token brought.
-    pub fn acknowledged(&mut self, address: u8, endpoint: u8) {
-        self.usb.acknowledged(address, endpoint);
-        self.usb.update_interrupt(self.effects);
-    }
-
-    /// An OUT or SETUP token and its data packet, at the end of the latter.
-    pub fn packet_out(&mut self, packet: OutPacket<'_>) -> Answer {
-        let handshake = self.usb.packet_out(packet);
-        self.usb.update_interrupt(self.effects);
-        handshake
-    }
-}
-
-impl Usb {
-    fn signal(&mut self, signal: BusSignal, now: Ticks) {
-        self.line_held = matches!(signal, BusSignal::ResetBegins | BusSignal::ResumeBegins);
-        if self.is_held() {
+        let usb = &mut *self.usb;
+        usb.line_held = matches!(signal, BusSignal::ResetBegins | BusSignal::ResumeBegins);
+        if usb.is_held() {
             return;
         }
-        if self.control & CNTR_FSUSP != 0 {
-            self.status |= ISTR_WKUP;
-            self.control &= !CNTR_LPMODE;
+        if usb.control & CNTR_FSUSP != 0 {
+            usb.status |= ISTR_WKUP;
+            usb.control &= !CNTR_LPMODE;
         }
         match signal {
-            BusSignal::ResetBegins => self.reset_protocol(),
+            BusSignal::ResetBegins => usb.reset_protocol(),
             BusSignal::StartOfFrame(number) => {
-                self.status |= ISTR_SOF;
-                self.frames_seen = (self.frames_seen + 1).min(2);
-                let locked = if self.frames_seen == 2 { FNR_LCK } else { 0 };
-                self.frame = u32::from(number) & FNR_FRAME | locked;
+                usb.status |= ISTR_SOF;
+                usb.frames_seen = (usb.frames_seen + 1).min(2);
+                let locked = if usb.frames_seen == 2 { FNR_LCK } else { 0 };
+                usb.frame = u32::from(number) & FNR_FRAME | locked;
             }
             BusSignal::ResetEnds | BusSignal::ResumeBegins | BusSignal::ResumeEnds => {}
         }
-        self.listen(now);
+        usb.listen(self.effects.now);
+        usb.update_interrupt(self.effects);
     }
 
     /// Whether packets to `address` are for this device, in its present state.
     fn hears(&self, address: u8) -> bool {
-        !self.is_held() && self.clock && self.control & CNTR_FSUSP == 0 && self.address == DADDR_EF | u32::from(address)
+        let usb = &self.usb;
+        !usb.is_held() && usb.clock && usb.control & CNTR_FSUSP == 0 && usb.address == DADDR_EF | u32::from(address)
     }
 
-    fn token_in(&self, address: u8, number: u8) -> Answer {
+    pub fn token_in(&self, address: u8, number: u8) -> Answer {
         let serves = |endpoint: &Endpoint| endpoint.number() == number && endpoint.tx() != Stat::Disabled;
-        let Some(index) = self.endpoints.iter().position(serves).filter(|_| self.hears(address)) else {
+        let Some(index) = self.usb.endpoints.iter().position(serves).filter(|_| self.hears(address)) else {
             return Answer::Silence;
         };
-        let endpoint = &self.endpoints[index];
+        let endpoint = &self.usb.endpoints[index];
         match endpoint.tx() {
             Stat::Valid => Answer::Data {
-                toggle: endpoint.tx_toggle(),
-                bytes: self.memory.bytes(self.memory.tx_buffer(self.entry(index))).to_vec(),
+                toggle: endpoint.0 & DTOG_TX != 0,
+                bytes: self.usb.memory.bytes(self.usb.memory.tx_buffer(self.usb.entry(index))).to_vec(),
             },
             Stat::Nak => Answer::Nak,
             Stat::Stall => Answer::Stall,
@@ -274,22 +235,26 @@ impl Usb {
         }
     }
 
-    fn acknowledged(&mut self, address: u8, number: u8) {
+    /// The host has acknowledged the data that the last IN token brought.
+    pub fn acknowledged(&mut self, address: u8, number: u8) {
         let sends = |endpoint: &&mut Endpoint| endpoint.number() == number && endpoint.tx() == Stat::Valid;
         if self.hears(address)
-            && let Some(endpoint) = self.endpoints.iter_mut().find(sends)
+            && let Some(endpoint) = self.usb.endpoints.iter_mut().find(sends)
         {
             endpoint.complete_tx();
+            self.usb.update_interrupt(self.effects);
         }
     }
 
-    fn packet_out(&mut self, packet: OutPacket<'_>) -> Answer {
+    /// An OUT or SETUP token and its data packet, at the end of the latter.
+    pub fn packet_out(&mut self, packet: OutPacket<'_>) -> Answer {
         let serves = |endpoint: &Endpoint| endpoint.number() == packet.endpoint && endpoint.rx() != Stat::Disabled;
-        let Some(index) = self.endpoints.iter().position(serves).filter(|_| self.hears(packet.address)) else {
+        let Some(index) = self.usb.endpoints.iter().position(serves).filter(|_| self.hears(packet.address)) else {
             return Answer::Silence;
         };
-        let entry = self.entry(index);
-        let endpoint = &mut self.endpoints[index];
+        let entry = self.usb.entry(index);
+        let Usb { endpoints, memory, .. } = &mut *self.usb;
+        let endpoint = &mut endpoints[index];
         // A SETUP is taken in any state, unless the one before has not been seen yet.
         if packet.setup {
             if !endpoint.is_control() || endpoint.has_received() {
@@ -302,23 +267,25 @@ impl Usb {
                 Stat::Disabled => return Answer::Silence,
                 Stat::Valid => {}
             }
-            if endpoint.expects_status_out() && !packet.bytes.is_empty() {
+            // A control endpoint that takes only the empty packet of a status stage.
+            if endpoint.is_control() && endpoint.0 & EP_KIND != 0 && !packet.bytes.is_empty() {
                 return Answer::Stall;
             }
             // The host has missed the last handshake and repeats the packet.
-            if packet.toggle != endpoint.rx_toggle() {
+            if packet.toggle != (endpoint.0 & DTOG_RX != 0) {
                 return Answer::Ack;
             }
         }
-        if packet.bytes.len() > self.memory.rx_buffer(entry).len() {
+        if packet.bytes.len() > memory.rx_buffer(entry).len() {
             return Answer::Silence;
         }
-        self.memory.receive(entry, packet.bytes);
+        memory.receive(entry, packet.bytes);
         if packet.setup {
             endpoint.complete_setup();
         } else {
             endpoint.complete_rx();
         }
+        self.usb.update_interrupt(self.effects);
         Answer::Ack
     }
 }

@@ -37,7 +37,8 @@ const SUSPEND_FRAMES: u32 = 3;
 #[derive(Debug, Default)]
 pub struct Usb {
     endpoints: [Endpoint; ENDPOINTS],
-    memory: PacketMemory,
+    /// It has its own addresses and does not repeat narrow accesses over a word.
+    pub memory: PacketMemory,
     control: u32,
     /// USB_ISTR without what follows from the endpoints.
     status: u32,
@@ -103,17 +104,6 @@ impl Usb {
             _ => effects.unmodelled(),
         }
         self.update_interrupt(effects);
-    }
-
-    /// Reads `width` bytes (1, 2 or 4, aligned) of the packet memory, which has its own addresses
-    /// and does not repeat narrow accesses over a word.
-    pub fn read_memory(&mut self, offset: u32, width: usize) -> u32 {
-        self.memory.read(offset as usize..offset as usize + width)
-    }
-
-    /// Writes `width` bytes (1, 2 or 4, aligned) of the packet memory.
-    pub fn write_memory(&mut self, offset: u32, width: usize, value: u32) {
-        self.memory.write(offset as usize..offset as usize + width, value);
     }
 
     /// When the block will notice a missing start of frame.
@@ -230,9 +220,9 @@ mod tests {
         usb.write(ISTR, 0, &mut effects);
         usb.write(DADDR, DADDR_EF, &mut effects);
         // Endpoint 0: 8 bytes out at 64 + 0, 64 bytes in at 128.
-        usb.write_memory(0, 2, 128);
-        usb.write_memory(4, 2, 64);
-        usb.write_memory(6, 2, 1 << 15 | 1 << 10);
+        usb.memory.write(0..2, 128);
+        usb.memory.write(4..6, 64);
+        usb.memory.write(6..8, 1 << 15 | 1 << 10);
         assert_eq!(effects.violation_count, 0);
         (usb, effects)
     }
@@ -250,7 +240,7 @@ mod tests {
         assert_eq!(usb.port(&mut effects).packet_out(packet(b"again", false, false)), Answer::Ack);
         assert_eq!(usb.read(ISTR, &mut effects) & ISTR_CTR, 0);
         assert_eq!(usb.port(&mut effects).packet_out(packet(b"after", false, true)), Answer::Ack);
-        assert_eq!(usb.read_memory(64, 1), u32::from(b'a'));
+        assert_eq!(usb.memory.read(64..65), u32::from(b'a'));
         // More than the buffer holds is not acknowledged.
         usb.write(0, CONTROL | 1 << 7 | 0b01 << 12, &mut effects);
         assert_eq!(usb.port(&mut effects).packet_out(packet(&[0; 65], false, false)), Answer::Silence);

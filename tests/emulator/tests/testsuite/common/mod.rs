@@ -162,5 +162,5 @@ pub fn head_of(ear: &Listener, scene: &SceneFile) -> Head {
 
 /// Pin PA8, which toggles with each pose.
 pub fn is_ready_high(talk: &mut Talk) -> bool {
-    talk.rig.machine().board.driven_high(0) & 1 << 8 != 0
+    talk.rig.machine().board.ports[0].driven_high() & 1 << 8 != 0
 }

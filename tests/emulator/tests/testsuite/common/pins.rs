@@ -6,7 +6,7 @@ use super::talk::{Talk, at_rest};
 use super::{dma_ticks, inputs, level_line, trigger_ticks};
 use slitpose_emulator::facts;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
-use slitpose_emulator::rig::WORLD_TIER;
+use slitpose_emulator::world::TIER;
 use slitpose_firmware::pcb::default_scaling;
 use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::WIDE;
@@ -211,7 +211,7 @@ pub fn worst_codes(scans: &[RawScan], configuration: &Configuration) -> f64 {
     let Configuration { schedule, .. } = configuration;
     let (scene, scaling) = (WIDE.read().expect("shipped"), default_scaling());
     let stage = Stage::new(&scene, schedule, &scaling);
-    let plan = CompiledScene::<f64>::compile(&scene.scene, WORLD_TIER).expect("the scene is valid");
+    let plan = CompiledScene::<f64>::compile(&scene.scene, TIER).expect("the scene is valid");
     let cells = usize::from(schedule.cells);
     let pose = at_rest().pose(0.0);
     let expected: Vec<_> = (0..cells).map(|cell| light_on(&plan, schedule, cell, scans[0].levels(), &pose)).collect();

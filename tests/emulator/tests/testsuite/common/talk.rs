@@ -7,7 +7,7 @@ use slitpose_emulator::faults::Faults;
 use slitpose_emulator::image::Image;
 use slitpose_emulator::machine::Stop;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
-use slitpose_emulator::rig::{Link, Rig, WORLD_TIER, open_image, open_pose_image};
+use slitpose_emulator::rig::{Link, Rig, open_image, open_pose_image};
 use slitpose_emulator::world::{NoiseSource, OpticsWorld};
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_head::simulator::Trajectory;
@@ -60,7 +60,7 @@ impl Talk {
 
     /// A board with `image`, its clock running, in front of the head of `scene`.
     fn start(image: &Image, scene: &SceneFile, trajectory: Trajectory, noise: NoiseSource, silicon: Faults) -> Self {
-        let world = OpticsWorld::new(scene, trajectory, WORLD_TIER, noise, silicon).expect("the board fits the scene");
+        let world = OpticsWorld::new(scene, trajectory, noise, silicon).expect("the board fits the scene");
         let mut talk = Self { rig: Rig::power_on(image, Recorder::around(world), silicon), ear: Listener::default() };
         let origin = talk.origin();
         talk.record().world.set_origin(origin);
