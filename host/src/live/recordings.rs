@@ -10,9 +10,10 @@ use std::time::{Duration, UNIX_EPOCH};
 use serde::Serialize;
 use slitpose_head::threads::lock;
 use slitpose_tracking::capture::contents;
+use slitpose_tracking::page::Refusal;
 use tokio::sync::mpsc::Receiver;
 
-use super::control::{Control, Refusal};
+use super::control::Control;
 use super::hub::{Input, LiveInput, WeakInput};
 use super::server::Shared;
 

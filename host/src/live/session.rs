@@ -19,13 +19,11 @@ use tokio::sync::broadcast::error::{RecvError, TryRecvError};
 use tokio::task::spawn_blocking;
 use tokio::time::{Instant, sleep, sleep_until, timeout};
 
-use super::bins::{COARSE_HZ, FINE_HZ};
-use super::control::{Order, Refusal, Request};
-use super::frame::FRAMES_HZ;
-use super::hub::{COARSE_S, Event, HISTORY_S, Snapshot};
+use super::hub::{Event, Snapshot};
 use super::recordings::Recordings;
 use super::server::Shared;
 use crate::http::Connection;
+use slitpose_tracking::page::{COARSE_S, FRAMES_HZ, Order, Refusal, Request, hello};
 
 /// Most messages that a client has not acknowledged.
 pub(super) const WINDOW: u64 = 64;
@@ -166,21 +164,10 @@ impl Session {
     }
 
     async fn greet(&mut self, snapshot: &Snapshot) -> Result<(), Gone> {
-        self.answer(json!({
-            "kind": "hello",
-            "program": env!("CARGO_PKG_NAME"),
-            "version": env!("CARGO_PKG_VERSION"),
-            "source": self.shared.plan.source,
-            "has_zero": self.shared.plan.has_zero,
-            "may_write": self.shared.plan.access.may_write,
-            "frames_hz": FRAMES_HZ,
-            "history_s": HISTORY_S,
-            "fine_hz": FINE_HZ,
-            "coarse_hz": COARSE_HZ,
-            "coarse_s": COARSE_S,
-            "boards": snapshot.names,
-        }))
-        .await
+        let plan = &self.shared.plan;
+        let mut greeting = hello(plan.source, &snapshot.names, plan.access.may_write);
+        (greeting["has_zero"], greeting["has_folder"]) = (plan.has_zero.into(), plan.recordings.is_some().into());
+        self.answer(greeting).await
     }
 
     /// What has to be known before frames of a history.
@@ -317,7 +304,7 @@ impl Session {
         }
         self.drawn += 1;
         let pose = Pose::from_vectors(DVec3::from_array(t_m), DVec3::from_array(r_rad));
-        Ok(view.frame(self.drawn, &pose))
+        Ok(view.frame(self.drawn, &pose).into())
     }
 
     async fn refuse(&mut self, refusal: &Refusal) -> Result<(), Gone> {

@@ -1,17 +1,21 @@
 //! A capture as one file, or as a series of files.
 
 use std::collections::BTreeMap;
+#[cfg(unix)]
 use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use mcap::McapError;
 use serde::Serialize;
+use web_time::Instant;
 
 use super::file::{CaptureFile, Channels, io_error};
+use super::medium::Medium;
 use super::packets::{Packets, last_hello};
-use super::place::{Existing, Place, next_number, numbered};
+#[cfg(unix)]
+use super::place::{Existing, Files};
 use super::{CaptureError, Setup};
 use crate::link::{DeviceId, Segment};
 use crate::pipeline::Record;
@@ -33,6 +37,21 @@ pub struct Recorded {
     pub files: u64,
     /// Bytes of links that were not recorded because writing failed.
     pub dropped_bytes: u64,
+}
+
+/// Where the files of a capture come from.
+pub(super) trait Site: Send {
+    /// The path of the next file.
+    fn next(&mut self) -> PathBuf;
+
+    /// Opens the file at `path`.
+    fn open(&mut self, path: &Path) -> io::Result<Box<dyn Medium + Send>>;
+
+    /// Moves the file to its place, over one that it replaces. Called when it has content.
+    fn settle(&mut self) -> io::Result<()>;
+
+    /// Whether the file was deleted or replaced: further writing is lost.
+    fn is_lost(&self) -> bool;
 }
 
 /// A capture that is being recorded.
@@ -57,12 +76,10 @@ struct DeviceStream {
 }
 
 struct Output {
-    file: Option<CaptureFile<File>>,
-    /// Its place; `None` for a file opened by the caller.
-    place: Option<Place>,
+    file: Option<CaptureFile<Box<dyn Medium + Send>>>,
+    /// `None` for a medium opened by the caller.
+    site: Option<Box<dyn Site>>,
     path: PathBuf,
-    /// Path and number of the next file; `None` for a single file.
-    next: Option<(PathBuf, u64)>,
     opened: Instant,
     flushed: Instant,
     flushes: u64,
@@ -73,27 +90,30 @@ impl CaptureSeries {
     /// Begins a capture, in which `report_schema` is the JSON schema of its reports. Without limits it is the file `path`. With limits it is a series of files
     /// numbered from 1 after the stem of `path`: `name-0001.mcap`, `name-0002.mcap`, …; the numbers
     /// continue after existing ones, so that no file is replaced.
+    #[cfg(unix)]
     pub fn create(
         path: &Path,
         limits: Limits,
         existing: Existing,
         report_schema: String,
     ) -> Result<Self, CaptureError> {
-        let next = if limits == Limits::default() {
-            None
-        } else {
-            let number = next_number(path);
-            Some((path.to_owned(), number.map_err(|source| CaptureError::Create { path: path.to_owned(), source })?))
-        };
-        let mut output = Output::new(path.to_owned(), next);
-        output.open(existing, &report_schema)?;
+        let files = Files::new(path, limits != Limits::default(), existing);
+        let files = files.map_err(|source| CaptureError::Create { path: path.to_owned(), source })?;
+        let mut output = Output::new(path.to_owned(), Some(Box::new(files)));
+        output.open(&report_schema)?;
         Ok(Self::over(output, limits, report_schema))
     }
 
     /// Begins a capture in a file that is open; `path` names it in messages.
+    #[cfg(unix)]
     pub fn in_file(file: File, path: &Path, report_schema: String) -> Result<Self, CaptureError> {
+        Self::on_medium(Box::new(file), path, report_schema)
+    }
+
+    /// Begins a capture on `medium`; `path` names it in messages.
+    pub fn on_medium(medium: Box<dyn Medium + Send>, path: &Path, report_schema: String) -> Result<Self, CaptureError> {
         let mut output = Output::new(path.to_owned(), None);
-        output.begin(file, &report_schema)?;
+        output.begin(medium, &report_schema)?;
         Ok(Self::over(output, Limits::default(), report_schema))
     }
 
@@ -257,7 +277,7 @@ impl CaptureSeries {
         let hello = |device| self.output.file.as_ref().map_or(Vec::new(), |file| file.hello(device).to_owned());
         let hellos: Vec<Vec<u8>> = self.devices.keys().map(|device| hello(*device)).collect();
         self.output.end()?;
-        self.output.open(Existing::Kept, &self.report_schema)?;
+        self.output.open(&self.report_schema)?;
         self.output.attempt(0, |file| {
             for (stream, hello) in self.devices.values_mut().zip(&hellos) {
                 stream.channels = file.add_device(&stream.setup, hello, log_ns)?;
@@ -268,7 +288,7 @@ impl CaptureSeries {
 }
 
 impl DeviceStream {
-    fn write(&mut self, file: &mut CaptureFile<File>, message: &Segment) -> Result<(), McapError> {
+    fn write<M: Medium>(&mut self, file: &mut CaptureFile<M>, message: &Segment) -> Result<(), McapError> {
         let first_read = message.reads.iter().find_map(|read| read.at);
         let first = first_read.or_else(|| message.asked.first().map(|asked| asked.at));
         file.link(self.channels, message, first.map_or(self.log_ns, |at| at.utc_ns))?;
@@ -280,44 +300,28 @@ impl DeviceStream {
 }
 
 impl Output {
-    fn new(path: PathBuf, next: Option<(PathBuf, u64)>) -> Self {
+    fn new(path: PathBuf, site: Option<Box<dyn Site>>) -> Self {
         let now = Instant::now();
-        Self {
-            file: None,
-            place: None,
-            path,
-            next,
-            opened: now,
-            flushed: now,
-            flushes: 0,
-            recorded: Recorded::default(),
-        }
+        Self { file: None, site, path, opened: now, flushed: now, flushes: 0, recorded: Recorded::default() }
     }
 
-    fn open(&mut self, existing: Existing, report_schema: &str) -> Result<(), CaptureError> {
-        let existing = match &mut self.next {
-            Some((path, number)) => {
-                self.path = numbered(path, *number);
-                *number += 1;
-                Existing::Kept
-            }
-            None => existing,
-        };
-        let path = self.path.clone();
-        let (file, place) = Place::create(&path, existing).map_err(|source| match source.kind() {
+    /// Opens the next file of the site, if there is one.
+    fn open(&mut self, report_schema: &str) -> Result<(), CaptureError> {
+        let Some(site) = &mut self.site else { return Ok(()) };
+        let path = site.next();
+        self.path.clone_from(&path);
+        let medium = site.open(&path).map_err(|source| match source.kind() {
             io::ErrorKind::AlreadyExists => CaptureError::Exists { path: path.clone() },
             io::ErrorKind::WouldBlock => CaptureError::InUse { path: path.clone() },
             io::ErrorKind::Interrupted => CaptureError::Interrupted { path: path.clone() },
             _ => CaptureError::Create { path: path.clone(), source },
         })?;
-        self.begin(file, report_schema)?;
-        self.place = Some(place);
-        Ok(())
+        self.begin(medium, report_schema)
     }
 
-    fn begin(&mut self, file: File, report_schema: &str) -> Result<(), CaptureError> {
+    fn begin(&mut self, medium: Box<dyn Medium + Send>, report_schema: &str) -> Result<(), CaptureError> {
         let error = |error| CaptureError::Create { path: self.path.clone(), source: io_error(error) };
-        self.file = Some(CaptureFile::create(file, report_schema).map_err(error)?);
+        self.file = Some(CaptureFile::create(medium, report_schema).map_err(error)?);
         self.opened = Instant::now();
         self.recorded.files += 1;
         Ok(())
@@ -327,7 +331,7 @@ impl Output {
     fn attempt(
         &mut self,
         bytes: u64,
-        write: impl FnOnce(&mut CaptureFile<File>) -> Result<(), McapError>,
+        write: impl FnOnce(&mut CaptureFile<Box<dyn Medium + Send>>) -> Result<(), McapError>,
     ) -> Result<(), CaptureError> {
         let Some(file) = &mut self.file else {
             return Ok(());
@@ -344,7 +348,7 @@ impl Output {
     /// Moves the file, which now has content, to its place.
     fn settle(&mut self) -> Result<(), CaptureError> {
         let path = &self.path;
-        match self.place.as_mut().map_or(Ok(()), Place::settle) {
+        match self.site.as_mut().map_or(Ok(()), |site| site.settle()) {
             Ok(()) => Ok(()),
             Err(source) => {
                 self.recorded.dropped_bytes += self.file.take().map_or(0, |file| file.unflushed_link_bytes);
@@ -358,7 +362,7 @@ impl Output {
 
     /// Ends recording if the file has been deleted or replaced.
     fn check(&mut self) -> Result<(), CaptureError> {
-        if self.file.is_none() || !self.place.as_ref().is_some_and(Place::is_lost) {
+        if self.file.is_none() || !self.site.as_ref().is_some_and(|site| site.is_lost()) {
             return Ok(());
         }
         self.file = None;
@@ -368,7 +372,7 @@ impl Output {
     fn end(&mut self) -> Result<(), CaptureError> {
         self.attempt(0, CaptureFile::finish)?;
         self.check()?;
-        (self.file, self.place) = (None, None);
+        self.file = None;
         Ok(())
     }
 }
