@@ -283,6 +283,7 @@ pub(super) const FILES: &[PageFile] = &files! {
     CSS "style.css"
     JAVASCRIPT "timeline.js"
     JAVASCRIPT "trace.js"
+    JAVASCRIPT "transport.js"
     JAVASCRIPT "vectors.js"
     JAVASCRIPT "view3d.js"
 };

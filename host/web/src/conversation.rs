@@ -50,8 +50,6 @@ pub(crate) enum ConversationError {
     Refused { command: &'static str, source: Rejection },
     #[error("no data for 2 s from the board; reset the board")]
     Quiet,
-    #[error("no scan for 3 s from the board, which says that it is there; reset the board")]
-    NoScans,
     #[error("the board has stopped sampling: {reason}")]
     Stopped { reason: String },
     #[error("the board has gone ({reason}); plug it in again")]

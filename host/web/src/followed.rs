@@ -2,7 +2,6 @@
 
 use slitpose_calibration::Head;
 use slitpose_head::causes::with_causes;
-use slitpose_head::front_end::{TimingError, board_configuration};
 use slitpose_model::Tier;
 use slitpose_protocol::{Configuration, MAX_MESSAGE_BYTES, Message, Severity, encode};
 use slitpose_tracking::capture::{CaptureError, Settings};
@@ -26,9 +25,6 @@ const TIER: Tier = Tier::Exact { tolerance: STREAM_TOLERANCE };
 /// A board that was lost while its link is open is greeted again after this time.
 const AGAIN_NS: u64 = 500_000_000;
 
-/// Longest time without a scan from a board that runs, as of three frames of the slowest.
-const NO_SCANS_NS: u64 = 3_000_000_000;
-
 /// What is at the other end.
 pub(crate) enum Far {
     Simulated(Box<SimulatedHead>),
@@ -49,8 +45,6 @@ pub(crate) struct Followed {
     pub(crate) shown: Shown,
     link: LinkReport,
     has_run: bool,
-    /// Scans when one came last, and that instant.
-    scanned: (u64, u64),
     idle_tick: Option<u64>,
     recording: Option<Recording>,
     recorder: RecorderReport,
@@ -60,14 +54,6 @@ pub(crate) struct Followed {
     segment: Segment,
     poses: Vec<Record>,
     bytes: Vec<u8>,
-}
-
-/// How a board of `head` is set up.
-///
-/// # Errors
-/// A head without front end, or whose schedule no board can run.
-pub(crate) fn configuration_of(head: &Head) -> Result<Configuration, TimingError> {
-    board_configuration(&head.file)
 }
 
 impl Followed {
@@ -84,7 +70,6 @@ impl Followed {
             head,
             link: LinkReport { since_utc_ns: now.utc_ns, ..LinkReport::default() },
             has_run: false,
-            scanned: (0, 0),
             idle_tick: None,
             recording: None,
             recorder: RecorderReport::default(),
@@ -181,7 +166,7 @@ impl Followed {
     fn solve(&mut self, clock: &dyn Fn() -> HostInstant, out: &mut Outbox) -> Result<(), PipelineError> {
         let Self { pipeline, statistics, shown, segment, poses, device, hello, .. } = self;
         let is_recorded = self.recording.is_some();
-        let mut complaint = None;
+        let (mut complaint, mut has_scans) = (None, false);
         let fed = pipeline.feed(segment, |item| {
             match &item {
                 Item::Pose(record) => {
@@ -201,6 +186,7 @@ impl Followed {
                 Item::Event { severity, text, .. } if *severity != Severity::Info => {
                     complaint = Some((*text).to_owned())
                 }
+                Item::Scan(_) => has_scans = true,
                 Item::Oddity { oddity, .. } => out.notice(&oddity.to_string()),
                 _ => {}
             }
@@ -222,22 +208,16 @@ impl Followed {
         self.segment.clear();
         self.poses.clear();
         fed?;
-        self.watch(is_first, complaint, now);
+        self.watch(is_first, has_scans, complaint, now);
         Ok(())
     }
 
-    /// Notices that scans have come, or come no more.
-    fn watch(&mut self, is_first: bool, complaint: Option<String>, now: HostInstant) {
-        let scans = self.pipeline.counts().scans;
-        if scans > self.scanned.0 || is_first {
-            if scans > self.scanned.0 && self.link.state != LinkState::Running {
-                self.link.reconnects += u64::from(std::mem::replace(&mut self.has_run, true));
-                self.link.attempts = 0;
-                self.set(LinkState::Running, None, now);
-            }
-            self.scanned = (scans, now.monotonic_ns);
-        } else if now.monotonic_ns.saturating_sub(self.scanned.1) > NO_SCANS_NS {
-            self.lost(&ConversationError::NoScans, now);
+    /// Notices that scans have come, or that the board has stopped.
+    fn watch(&mut self, is_first: bool, has_scans: bool, complaint: Option<String>, now: HostInstant) {
+        if has_scans && self.link.state != LinkState::Running {
+            self.link.reconnects += u64::from(std::mem::replace(&mut self.has_run, true));
+            self.link.attempts = 0;
+            self.set(LinkState::Running, None, now);
         }
         let Some(status) = self.pipeline.board_status() else { return };
         let (tick, is_idle) = (Some(status.tick), !status.acquiring);
@@ -271,7 +251,6 @@ impl Followed {
             | ConversationError::NoHello { .. }
             | ConversationError::NoReply { .. }
             | ConversationError::Quiet
-            | ConversationError::NoScans
             | ConversationError::Stopped { .. } => LinkState::Quiet,
             ConversationError::Version(_) | ConversationError::Refused { .. } | ConversationError::Pipeline(_) => {
                 LinkState::Refused

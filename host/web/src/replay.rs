@@ -12,6 +12,7 @@ use slitpose_tracking::pipeline::Item;
 use slitpose_tracking::playback::{Board, Choice, Event, Playback, PlaybackError, Shelf, Survey};
 use slitpose_tracking::telemetry::{BoardReport, BoardStatistics, DaemonReport, LinkReport, LinkState, RecorderReport};
 
+use crate::shelf::Files;
 use crate::shown::{Outbox, Shown};
 
 /// Longest time for which captures are read at a stretch: messages of the page wait meanwhile.
@@ -21,27 +22,27 @@ const STRETCH_NS: u64 = 12_000_000;
 const TELL_EVERY_NS: u64 = 250_000_000;
 
 /// Captures that are played.
-pub(crate) struct Replay<S: Shelf> {
-    shelf: S,
+pub(crate) struct Replay {
+    shelf: Files,
     files: Vec<PathBuf>,
-    captures: Playback<S>,
+    captures: Playback<Files>,
     state: PlayerState,
     from_s: f64,
     /// The instant from which on it is played at its speed, and the place then.
     paced_from: Option<(u64, f64)>,
     /// Reads ahead for length and notes.
-    survey: Option<Survey<S::Input>>,
+    survey: Option<Survey<<Files as Shelf>::Input>>,
     pub(crate) shown: Vec<Shown>,
     statistics: Vec<BoardStatistics>,
     told_ns: u64,
 }
 
-impl<S: Shelf + Clone> Replay<S> {
+impl Replay {
     /// Plays the captures called `files` on `shelf`.
     ///
     /// # Errors
     /// A first one that cannot be read.
-    pub(crate) fn new(shelf: S, files: Vec<PathBuf>) -> Result<Self, PlaybackError> {
+    pub(crate) fn new(shelf: Files, files: Vec<PathBuf>) -> Result<Self, PlaybackError> {
         let names: Vec<String> = files.iter().map(|file| file.display().to_string()).collect();
         Ok(Self {
             captures: Self::captures(&shelf, &files, 0.0)?,
@@ -57,7 +58,7 @@ impl<S: Shelf + Clone> Replay<S> {
         })
     }
 
-    fn captures(shelf: &S, files: &[PathBuf], from_s: f64) -> Result<Playback<S>, PlaybackError> {
+    fn captures(shelf: &Files, files: &[PathBuf], from_s: f64) -> Result<Playback<Files>, PlaybackError> {
         let from_s = Some(from_s).filter(|from_s| *from_s > 0.0);
         Playback::on(shelf.clone(), files.to_vec(), Choice { from_s, is_watched: true, ..Choice::default() })
     }
@@ -193,8 +194,8 @@ fn hear(
 }
 
 /// Every pose of captures as CSV, byte for byte as `slitpose export` writes it.
-pub(crate) struct Export<S: Shelf> {
-    captures: Playback<S>,
+pub(crate) struct Export {
+    captures: Playback<Files>,
     rows: CsvRows,
     total_bytes: u64,
     has_begun: bool,
@@ -202,12 +203,12 @@ pub(crate) struct Export<S: Shelf> {
     losses: VecDeque<String>,
 }
 
-impl<S: Shelf> Export<S> {
+impl Export {
     /// Of the captures called `files` on `shelf`.
     ///
     /// # Errors
     /// A first one that cannot be read.
-    pub(crate) fn new(shelf: S, files: Vec<PathBuf>) -> Result<Self, PlaybackError> {
+    pub(crate) fn new(shelf: Files, files: Vec<PathBuf>) -> Result<Self, PlaybackError> {
         let total_bytes = files.iter().map(|file| shelf.length(file)).sum();
         let captures = Playback::on(shelf, files, Choice::default())?;
         Ok(Self { captures, rows: CsvRows::default(), total_bytes, has_begun: false, losses: VecDeque::new() })

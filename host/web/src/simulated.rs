@@ -1,36 +1,15 @@
 //! A simulated head in front of a simulated board, in real time.
 
-use slitpose_head::faults::{Fault, FaultError, Faults, Injector, Link};
+use slitpose_head::faults::{Fault, Faults, Injector, Link};
 use slitpose_head::scene_file::SceneFile;
-use slitpose_head::simulator::{SimulatedBoard, SimulatorError, Trajectory, TrajectoryKind};
+use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
 use slitpose_model::Tier;
 use slitpose_protocol::Configuration;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::solving::STREAM_TOLERANCE;
-use thiserror::Error;
 
 /// Most device time caught up at once, seconds: a browser stops pages that it does not show.
 const CATCH_UP_S: f64 = 0.25;
-
-/// What a simulated head does.
-#[derive(Clone, Debug)]
-pub struct Simulation {
-    /// How its tool moves.
-    pub motion: TrajectoryKind,
-    /// Of motion and noise.
-    pub seed: u64,
-    /// Faults of head, board and link.
-    pub faults: Vec<Fault>,
-}
-
-/// Why a scene cannot be simulated.
-#[derive(Debug, Error)]
-pub(crate) enum SimulationError {
-    #[error(transparent)]
-    Simulator(#[from] SimulatorError),
-    #[error(transparent)]
-    Fault(#[from] FaultError),
-}
 
 /// The board at the other end of a link.
 pub(crate) struct SimulatedHead {
@@ -46,16 +25,18 @@ pub(crate) struct SimulatedHead {
 }
 
 impl SimulatedHead {
+    /// In front of the head of `file`, whose tool moves as `motion`; motion and noise are drawn from `seed`.
     pub(crate) fn new(
         file: &SceneFile,
         configuration: &Configuration,
-        simulation: &Simulation,
+        (motion, seed): (TrajectoryKind, u64),
+        faults: Vec<Fault>,
         now: HostInstant,
-    ) -> Result<Self, SimulationError> {
+    ) -> anyhow::Result<Self> {
         let tier = Tier::Exact { tolerance: STREAM_TOLERANCE };
-        let faults = Faults::new(simulation.faults.clone(), file.scene.cells.len())?;
-        let motion = Trajectory::of_kind(simulation.motion, simulation.seed, f64::INFINITY).within(&file.workspace);
-        let board = SimulatedBoard::new(file, motion, tier, simulation.seed)?;
+        let faults = Faults::new(faults, file.scene.cells.len())?;
+        let motion = Trajectory::of_kind(motion, seed, f64::INFINITY).within(&file.workspace);
+        let board = SimulatedBoard::new(file, motion, tier, seed)?;
         let board = board.with_faults(&faults, file, tier)?;
         Ok(Self {
             board,

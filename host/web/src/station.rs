@@ -1,26 +1,25 @@
 //! What is behind the page in place of a daemon: one source at a time, and the messages that LIVE.md describes.
 //!
-//! Time comes in by a clock, bytes by calls; nothing waits.
+//! Time comes in by a clock, bytes by calls; nothing waits. JavaScript calls the exported functions; what they throw are texts
+//! for the user.
 
 use std::path::PathBuf;
 
-use glam::DVec3;
-use serde_json::json;
-use slitpose_calibration::{Calibration, CalibrationFileError, Head};
-use slitpose_head::causes::with_causes;
-use slitpose_head::front_end::TimingError;
-use slitpose_head::scene_file::{SceneFile, SceneFileError, Shipped};
-use slitpose_model::{Pose, SceneError};
+use serde_json::{Value, json};
+use slitpose_calibration::{Calibration, Head};
+use slitpose_head::front_end::board_configuration;
+use slitpose_head::scene_file::{SceneFile, Shipped};
+use slitpose_head::simulator::TrajectoryKind;
 use slitpose_tracking::clock::HostInstant;
-use slitpose_tracking::page::{COARSE_S, Order, Refusal, Request, SceneView, hello, report_message};
-use slitpose_tracking::playback::{PlaybackError, Shelf};
-use thiserror::Error;
+use slitpose_tracking::page::{Order, Refusal, Request, SceneView, hello, report_message};
+use wasm_bindgen::prelude::wasm_bindgen;
 
-use crate::followed::{Far, Followed, configuration_of};
+use crate::followed::{Far, Followed};
 use crate::recording::Written;
 use crate::replay::{Export, Replay, ended};
+use crate::shelf::Files;
 use crate::shown::{Outbox, Shown};
-use crate::simulated::{SimulatedHead, Simulation, SimulationError};
+use crate::simulated::SimulatedHead;
 
 /// Interval of reports.
 const REPORT_EVERY_NS: u64 = 500_000_000;
@@ -28,73 +27,55 @@ const REPORT_EVERY_NS: u64 = 500_000_000;
 /// Longest time of a zero, seconds.
 const MAX_ZERO_S: f64 = 60.0;
 
-/// No dragged tool is farther from home than this, metres and radians: beyond it all cells are dark.
-const FARTHEST: f64 = 10.0;
-
-/// Most characters of a note.
-const MAX_NOTE: usize = 500;
-
-/// Why a source cannot be shown.
-#[derive(Debug, Error)]
-#[allow(missing_docs, reason = "the texts say what each is")]
-pub enum SourceError {
-    #[error(transparent)]
-    SceneFile(#[from] SceneFileError),
-    #[error(transparent)]
-    Calibration(#[from] CalibrationFileError),
-    #[error(transparent)]
-    Scene(#[from] SceneError),
-    #[error(transparent)]
-    Timing(#[from] TimingError),
-    #[error(transparent)]
-    Simulation(#[from] Box<dyn std::error::Error + Send + Sync>),
-    #[error(transparent)]
-    Playback(#[from] PlaybackError),
+/// A scene, and the calibration of its head if there is one: names and texts.
+#[wasm_bindgen]
+pub struct HeadFiles {
+    scene: (String, Vec<u8>),
+    calibration: Option<(String, Vec<u8>)>,
 }
 
-impl From<SimulationError> for SourceError {
-    fn from(error: SimulationError) -> Self {
-        Self::Simulation(Box::new(error))
+#[wasm_bindgen]
+impl HeadFiles {
+    /// The scene of this name, shipped if `text` is empty.
+    #[wasm_bindgen(constructor)]
+    pub fn new(name: String, text: Vec<u8>) -> Self {
+        Self { scene: (name, text), calibration: None }
+    }
+
+    /// Adds a calibration.
+    pub fn calibrate(&mut self, name: String, text: Vec<u8>) {
+        self.calibration = Some((name, text));
     }
 }
 
-/// A text with the name of its file.
-#[derive(Clone, Copy, Debug)]
-pub struct NamedText<'a> {
-    /// The name; that of a shipped scene stands for it if there are no bytes.
-    pub name: &'a str,
-    /// The bytes.
-    pub bytes: &'a [u8],
+impl HeadFiles {
+    fn read(&self) -> anyhow::Result<Head> {
+        let (name, text) = &self.scene;
+        let file = match Shipped::named(name).filter(|_| text.is_empty()) {
+            Some(shipped) => shipped.read()?,
+            None => SceneFile::from_bytes(name, text)?,
+        };
+        Ok(match &self.calibration {
+            Some((name, text)) => Head::calibrated(file, Calibration::from_bytes(name, text)?)?,
+            None => Head::uncalibrated(file)?,
+        })
+    }
 }
 
-/// The head of `scene`, by `calibration` if there is one.
-///
-/// # Errors
-/// Files that are none, or do not belong together.
-pub fn read_head(scene: NamedText<'_>, calibration: Option<NamedText<'_>>) -> Result<Head, SourceError> {
-    let file = match Shipped::named(scene.name).filter(|_| scene.bytes.is_empty()) {
-        Some(shipped) => shipped.read()?,
-        None => SceneFile::from_bytes(scene.name, scene.bytes)?,
-    };
-    Ok(match calibration {
-        Some(NamedText { name, bytes }) => Head::calibrated(file, Calibration::from_bytes(name, bytes)?)?,
-        None => Head::uncalibrated(file)?,
-    })
-}
-
-enum Source<S: Shelf> {
+enum Source {
     Nothing,
     Board(Box<Followed>),
-    Replay(Box<Replay<S>>),
+    Replay(Box<Replay>),
     Scene { view: Box<SceneView>, head: String, name: String },
 }
 
 /// Everything behind a page.
-pub struct Station<S: Shelf> {
+#[wasm_bindgen]
+pub struct Station {
     clock: Box<dyn Fn() -> HostInstant>,
     began: HostInstant,
-    source: Source<S>,
-    export: Option<Export<S>>,
+    source: Source,
+    export: Option<Export>,
     out: Outbox,
     recorded: Written,
     report_due_ns: u64,
@@ -103,60 +84,48 @@ pub struct Station<S: Shelf> {
     is_greeted: bool,
 }
 
-impl<S: Shelf + Clone> Station<S> {
-    /// Shows nothing yet; `clock` reads the clocks of the host.
-    pub fn new(clock: Box<dyn Fn() -> HostInstant>) -> Self {
-        Self {
-            began: clock(),
-            clock,
-            source: Source::Nothing,
-            export: None,
-            out: Outbox::default(),
-            recorded: Written::default(),
-            report_due_ns: 0,
-            drawn: 0,
-            is_greeted: false,
-        }
-    }
+/// What a failure is for JavaScript.
+fn thrown<T>(done: anyhow::Result<T>) -> Result<T, String> {
+    done.map_err(|error| format!("{error:#}"))
+}
 
-    /// Shows a simulated head from now on.
-    ///
-    /// # Errors
-    /// A head that cannot be simulated.
-    pub fn simulate(&mut self, head: Head, simulation: &Simulation) -> Result<(), SourceError> {
-        let (now, configuration) = ((self.clock)(), configuration_of(&head)?);
-        let far = Far::Simulated(Box::new(SimulatedHead::new(&head.file, &configuration, simulation, now)?));
-        self.choose(Source::Board(Box::new(Followed::new("sim", head, configuration, far, now))));
+#[wasm_bindgen]
+impl Station {
+    /// Shows a simulated head: `motion` has the name of one, `faults` has a fault on each line.
+    pub fn simulate(&mut self, head: &HeadFiles, motion: &str, seed: u32, faults: &str) -> Result<(), String> {
+        let lines = faults.lines().map(str::trim).filter(|line| !line.is_empty());
+        let motion = TrajectoryKind::named(motion).unwrap_or(TrajectoryKind::Hand);
+        let now = (self.clock)();
+        let board = || {
+            let (head, faults) = (head.read()?, lines.map(str::parse).collect::<Result<_, _>>()?);
+            let configuration = board_configuration(&head.file)?;
+            let far = SimulatedHead::new(&head.file, &configuration, (motion, seed.into()), faults, now)?;
+            Ok(Followed::new("sim", head, configuration, Far::Simulated(Box::new(far)), now))
+        };
+        self.choose(Source::Board(Box::new(thrown(board())?)));
         Ok(())
     }
 
-    /// Shows a board with `head` from now on, whose port the page [opens](Self::port_opened), reads and writes.
-    ///
-    /// # Errors
-    /// A head that no board can measure.
-    pub fn follow(&mut self, head: Head) -> Result<(), SourceError> {
-        let configuration = configuration_of(&head)?;
-        let board = Followed::new("serial port", head, configuration, Far::Port(false), (self.clock)());
-        self.choose(Source::Board(Box::new(board)));
+    /// Shows a board, whose port the page opens, reads and writes.
+    pub fn follow(&mut self, head: &HeadFiles) -> Result<(), String> {
+        let now = (self.clock)();
+        let board = || {
+            let head = head.read()?;
+            let configuration = board_configuration(&head.file)?;
+            Ok(Followed::new("serial port", head, configuration, Far::Port(false), now))
+        };
+        self.choose(Source::Board(Box::new(thrown(board())?)));
         Ok(())
     }
 
-    /// Plays the captures called `files` on `shelf` from now on.
-    ///
-    /// # Errors
-    /// A first one that cannot be read.
-    pub fn play(&mut self, shelf: S, files: Vec<PathBuf>) -> Result<(), SourceError> {
-        self.choose(Source::Replay(Box::new(Replay::new(shelf, files)?)));
-        Ok(())
-    }
-
-    /// Shows a scene without a board from now on, whose tool is placed by hand.
-    ///
-    /// # Errors
-    /// A scene that cannot be computed.
-    pub fn view(&mut self, head: &Head) -> Result<(), SourceError> {
-        let (view, name) = (Box::new(SceneView::of(head)?), head.file.name.clone());
-        self.choose(Source::Scene { view, head: Shown::new(0, head).head, name });
+    /// Shows a scene, whose tool is placed by hand.
+    pub fn view(&mut self, head: &HeadFiles) -> Result<(), String> {
+        let scene = || {
+            let head = head.read()?;
+            let (view, name) = (Box::new(SceneView::of(&head)?), head.file.name.clone());
+            Ok(Source::Scene { view, head: Shown::new(0, &head).head, name })
+        };
+        self.choose(thrown(scene())?);
         Ok(())
     }
 
@@ -165,32 +134,11 @@ impl<S: Shelf + Clone> Station<S> {
         self.choose(Source::Nothing);
     }
 
-    fn choose(&mut self, source: Source<S>) {
-        self.end_recording();
-        self.source = source;
-        self.report_due_ns = 0;
-        if self.is_greeted {
-            self.greet();
-        }
-    }
-
-    /// Writes every pose of the captures called `files` on `shelf` as CSV to what is [recorded](Self::take_recorded).
-    ///
-    /// # Errors
-    /// A first one that cannot be read.
-    pub fn export(&mut self, shelf: S, files: Vec<PathBuf>) -> Result<(), SourceError> {
-        self.export = Some(Export::new(shelf, files)?);
-        Ok(())
-    }
-
-    /// Reads on for the export; returns the share that is done, and 1 at its end, or if there is none.
-    ///
-    /// # Errors
-    /// Captures that cannot be read or solved.
-    pub fn step_export(&mut self) -> Result<f64, SourceError> {
+    /// Reads on for an export; returns the share that is done, 1 at its end.
+    pub fn step_export(&mut self) -> Result<f64, String> {
         let Some(export) = &mut self.export else { return Ok(1.0) };
         let mut text = Vec::new();
-        let share = export.step(&self.clock, &mut text)?;
+        let share = thrown(export.step(&self.clock, &mut text).map_err(Into::into))?;
         export.losses().for_each(|loss| self.out.notice(&loss));
         self.recorded.append(&text);
         if share >= 1.0 {
@@ -206,9 +154,10 @@ impl<S: Shelf + Clone> Station<S> {
         }
     }
 
-    /// Bytes that were read from the port at `at`.
-    pub fn port_received(&mut self, bytes: &[u8], at: HostInstant) {
+    /// Takes bytes of the port, read `at_ms` milliseconds after 1970 by the clock of the browser that is never set.
+    pub fn port_received(&mut self, bytes: &[u8], at_ms: f64) {
         if let Source::Board(board) = &mut self.source {
+            let at = HostInstant { monotonic_ns: (at_ms * 1e6) as u64, ..(self.clock)() };
             board.receive(bytes, at, &self.clock, &mut self.out);
         }
     }
@@ -243,13 +192,10 @@ impl<S: Shelf + Clone> Station<S> {
     }
 
     /// Begins a recording of the board, called `name`.
-    pub fn record(&mut self, name: &str) {
-        let refused = match &mut self.source {
-            Source::Board(board) => board.record(name, self.recorded.clone()).err().map(|error| with_causes(&error)),
-            _ => Some("there is no board to record; choose one".to_owned()),
-        };
-        if let Some(reason) = refused {
-            self.refuse(&Refusal::Recording { reason });
+    pub fn record(&mut self, name: &str) -> Result<(), String> {
+        match &mut self.source {
+            Source::Board(board) => thrown(board.record(name, self.recorded.clone()).map_err(Into::into)),
+            _ => Err("there is no board to record; choose one".to_owned()),
         }
     }
 
@@ -261,12 +207,6 @@ impl<S: Shelf + Clone> Station<S> {
     /// The bytes of recording or export since this was last asked.
     pub fn take_recorded(&mut self) -> Vec<u8> {
         self.recorded.take()
-    }
-
-    fn end_recording(&mut self) {
-        if let Source::Board(board) = &mut self.source {
-            board.end_recording((self.clock)());
-        }
     }
 
     /// The next message for the page.
@@ -281,11 +221,8 @@ impl<S: Shelf + Clone> Station<S> {
             Source::Nothing | Source::Scene { .. } => {}
             Source::Board(board) => board.tick(clock, out),
             Source::Replay(replay) => match replay.tick(clock, out) {
-                Ok(false) => {
-                    if replay.tell(clock(), out) {
-                        self.report_due_ns = 0;
-                    }
-                }
+                Ok(false) if replay.tell(clock(), out) => self.report_due_ns = 0,
+                Ok(false) => {}
                 Ok(true) => self.greet(),
                 Err(error) => {
                     out.push(ended(&error));
@@ -306,9 +243,60 @@ impl<S: Shelf + Clone> Station<S> {
         self.out.push(report_message(&report, now));
     }
 
+    /// Takes a message of the page.
+    pub fn request(&mut self, text: &str) {
+        let done = match Request::read(text) {
+            Ok(request) => self.obey(request),
+            Err(error) => Err(Refusal::Unreadable { reason: error.to_string() }),
+        };
+        let answer = done.unwrap_or_else(|refusal| Some(json!({"kind": "refused", "reason": refusal.to_string()})));
+        answer.into_iter().for_each(|answer| self.out.push(answer.to_string()));
+    }
+}
+
+impl Station {
+    /// Shows nothing yet; `clock` reads the clocks of the host.
+    pub(crate) fn by(clock: Box<dyn Fn() -> HostInstant>) -> Self {
+        Self {
+            began: clock(),
+            clock,
+            source: Source::Nothing,
+            export: None,
+            out: Outbox::default(),
+            recorded: Written::default(),
+            report_due_ns: 0,
+            drawn: 0,
+            is_greeted: false,
+        }
+    }
+
+    /// Plays the captures called `names` on `files`.
+    pub(crate) fn play_on(&mut self, files: Files, names: Vec<PathBuf>) -> Result<(), String> {
+        let replay = thrown(Replay::new(files, names).map_err(Into::into))?;
+        self.choose(Source::Replay(Box::new(replay)));
+        Ok(())
+    }
+
+    /// Begins to write every pose of the captures called `names` on `files` as CSV to what is recorded.
+    pub(crate) fn export_of(&mut self, files: Files, names: Vec<PathBuf>) -> Result<(), String> {
+        self.export = Some(thrown(Export::new(files, names).map_err(Into::into))?);
+        Ok(())
+    }
+
+    fn choose(&mut self, source: Source) {
+        if let Source::Board(board) = &mut self.source {
+            board.end_recording((self.clock)());
+        }
+        self.source = source;
+        self.report_due_ns = 0;
+        if self.is_greeted {
+            self.greet();
+        }
+    }
+
     /// Says what is shown; all before is void.
     fn greet(&mut self) {
-        let (source, names, heads) = match &self.source {
+        let (source, names, messages) = match &self.source {
             Source::Nothing => ("run", Vec::new(), Vec::new()),
             Source::Board(board) => ("run", vec![board.name().to_owned()], vec![board.shown.head.clone()]),
             Source::Replay(replay) => {
@@ -317,96 +305,49 @@ impl<S: Shelf + Clone> Station<S> {
             }
             Source::Scene { head, name, .. } => ("scene", vec![name.clone()], vec![head.clone()]),
         };
-        let mut greeting = hello(source, &names, true);
-        (greeting["has_zero"], greeting["has_folder"]) = (false.into(), false.into());
-        self.out.push(greeting.to_string());
-        heads.into_iter().for_each(|message| self.out.push(message));
+        self.out.push(hello(source, &names, true).to_string());
+        messages.into_iter().for_each(|message| self.out.push(message));
     }
 
-    /// Takes a message of the page.
-    pub fn request(&mut self, text: &str) {
-        let request = match Request::read(text) {
-            Ok(request) => request,
-            Err(error) => return self.refuse(&Refusal::Unreadable { reason: error.to_string() }),
-        };
-        let order = match request {
-            Request::Hello { .. } => {
-                self.out.restart();
-                self.is_greeted = true;
-                return self.greet();
-            }
-            Request::Ack { messages } => return self.out.acknowledge(messages),
-            Request::Pose { t_m, r_rad } => {
-                let drawn = self.draw(t_m, r_rad);
-                return self.answer(drawn);
-            }
-            Request::Record { on } => Order::Record(on),
-            Request::Note { text, ago_s } => {
-                let text: String = text.chars().filter(|letter| !letter.is_control()).take(MAX_NOTE).collect();
-                Order::Note(text, ago_s)
-            }
-            Request::Player(order) => Order::Player(order),
-            Request::SetFrame { board, over_s } => Order::Frame(board, over_s),
-            Request::Zero {} => Order::Zero,
-            Request::Recordings {} | Request::Rename { .. } | Request::Download { .. } => {
-                let instead = "a recording is in the file that was chosen for it";
-                return self.refuse(&Refusal::NotHere { what: "folder of recordings", instead });
-            }
-        };
-        let done = self.order(order);
-        self.answer(done);
-    }
-
-    fn order(&mut self, order: Order) -> Result<Option<String>, Refusal> {
+    /// Does what the page asks for; returns the answer, if there is one.
+    fn obey(&mut self, request: Request) -> Result<Option<Value>, Refusal> {
         let now = (self.clock)();
         let not_here = |what, instead| Err(Refusal::NotHere { what, instead });
-        let value = |key, value, hint| Err(Refusal::Value { key, value, hint });
-        match (order, &mut self.source) {
-            (Order::Record(false), Source::Board(board)) => board.end_recording(now),
-            // The page begins it with the name of its file.
-            (Order::Record(true), _) => {}
-            (Order::Note(_, ago_s), Source::Board(_)) if !(0.0..=COARSE_S as f64).contains(&ago_s) => {
-                return value("ago_s", ago_s, "seconds from 0, 600 at most");
+        match (request, &mut self.source) {
+            (Request::Hello { .. }, _) => {
+                self.out.restart();
+                self.is_greeted = true;
+                self.greet();
             }
-            (Order::Note(text, ago_s), Source::Board(board)) if board.is_recording() => {
-                board.note(&text, ago_s, now);
-                return Ok(Some(json!({"kind": "noted", "text": text}).to_string()));
+            (Request::Ack { messages }, _) => self.out.acknowledge(messages),
+            (Request::Pose { t_m, r_rad }, Source::Scene { view, .. }) => {
+                self.drawn += 1;
+                self.out.push(view.frame(self.drawn, t_m, r_rad)?);
             }
-            (Order::Frame(_, Some(over_s)), _) if !(over_s > 0.0 && over_s <= MAX_ZERO_S) => {
-                return value("over_s", over_s, "seconds above 0, 60 at most");
+            // The page begins one with the name of its file.
+            (Request::Record { on: false }, Source::Board(board)) => board.end_recording(now),
+            (Request::Note { text, ago_s }, Source::Board(board)) if board.is_recording() => {
+                if let Order::Note(text, ago_s) = Order::note(&text, ago_s)? {
+                    board.note(&text, ago_s, now);
+                    return Ok(Some(json!({"kind": "noted", "text": text})));
+                }
             }
-            (Order::Frame(_, over_s), Source::Board(board)) => board.zero(over_s),
-            (Order::Player(order), Source::Replay(replay)) => replay.obey(&order)?,
-            (Order::Player(_), _) => return not_here("player", "open a capture"),
-            (Order::Zero, _) => return not_here("6-DoF mouse", "`slitpose run --spacenav PATH --live` has one"),
-            (Order::Frame(..), _) => return not_here("frame to set", "choose a board or a simulated head"),
-            (Order::Record(_) | Order::Note(..), _) => return not_here("recording", "begin one of a board"),
+            (Request::SetFrame { over_s: Some(value), .. }, _) if !(value > 0.0 && value <= MAX_ZERO_S) => {
+                return Err(Refusal::Value { key: "over_s", value, hint: "seconds above 0, 60 at most" });
+            }
+            (Request::SetFrame { over_s, .. }, Source::Board(board)) => board.zero(over_s),
+            (Request::Player(order), Source::Replay(replay)) => replay.obey(&order)?,
+            (Request::Pose { .. }, _) => return not_here("tool to drag", "choose to look at a scene"),
+            (Request::Player(_), _) => return not_here("player", "open a capture"),
+            (Request::SetFrame { .. }, _) => return not_here("frame to set", "choose a board or a simulated head"),
+            (Request::Record { .. } | Request::Note { .. }, _) => {
+                return not_here("recording", "begin one of a board");
+            }
+            (Request::Zero {}, _) => return not_here("6-DoF mouse", "`slitpose run --spacenav PATH` serves one"),
+            (Request::Recordings {} | Request::Rename { .. } | Request::Download { .. }, _) => {
+                return not_here("folder of recordings", "each is in the file that was chosen for it");
+            }
         }
         Ok(None)
-    }
-
-    fn draw(&mut self, t_m: [f64; 3], r_rad: [f64; 3]) -> Result<Option<String>, Refusal> {
-        let Source::Scene { view, .. } = &self.source else {
-            return Err(Refusal::NotHere { what: "tool to drag", instead: "choose to look at a scene" });
-        };
-        for (key, values) in [("t_m", t_m), ("r_rad", r_rad)] {
-            if let Some(value) = values.into_iter().find(|value| value.abs() > FARTHEST) {
-                return Err(Refusal::Value { key, value, hint: "metres and radians within the workspace" });
-            }
-        }
-        self.drawn += 1;
-        let pose = Pose::from_vectors(DVec3::from_array(t_m), DVec3::from_array(r_rad));
-        Ok(Some(view.frame(self.drawn, &pose)))
-    }
-
-    fn answer(&mut self, done: Result<Option<String>, Refusal>) {
-        match done {
-            Ok(message) => message.into_iter().for_each(|message| self.out.push(message)),
-            Err(refusal) => self.refuse(&refusal),
-        }
-    }
-
-    fn refuse(&mut self, refusal: &Refusal) {
-        self.out.push(json!({"kind": "refused", "reason": refusal.to_string()}).to_string());
     }
 }

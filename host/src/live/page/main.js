@@ -142,6 +142,7 @@ const takers = {
   download: (message) => recordings.download(message),
   noted: ({ text }) => notes.noted(text),
   missed: ({ frames }) => banner.missed(frames),
+  notice: ({ text }) => banner.notice("notice", `${text}.`),
   refused({ reason }) {
     banner.notice("request", `Refused: ${reason}.`);
     if (isScene()) placement.answered();

@@ -3,6 +3,7 @@
 use std::fmt::Debug;
 use std::sync::Arc;
 
+use glam::DVec3;
 use serde_json::{Value, json};
 use slitpose_calibration::{Basis, Head};
 use slitpose_design::map::{NoiseOf, Outlook};
@@ -13,6 +14,7 @@ use slitpose_model::{
 };
 
 use super::bins::{Bin, Binner, Bins, MAX_FINE};
+use super::message::Refusal;
 use crate::clock::HostInstant;
 use crate::columns::{NO_TWIST, no_twist};
 use crate::frame::View;
@@ -337,6 +339,9 @@ pub struct SceneView {
     optics: Optics,
 }
 
+/// No dragged tool is farther from home than this, metres and radians: beyond it all cells are dark.
+const FARTHEST: f64 = 10.0;
+
 impl SceneView {
     /// Of `head`.
     ///
@@ -346,16 +351,25 @@ impl SceneView {
         Ok(Self { outlook: Outlook::of(head.clone())?, optics: Optics::of(head)? })
     }
 
-    /// The frame, number `n`, with the tool at rest at `pose`; accuracy is the Cramér–Rao bound, and absent where the scene
-    /// states no noise.
-    pub fn frame(&self, n: u64, pose: &Pose) -> String {
-        let (readings, solution) = self.outlook.frame_at(pose);
+    /// The message with frame `n`: the tool is at rest at translation `t_m`, metres, and rotation vector `r_rad`; accuracy is
+    /// the Cramér–Rao bound, and absent where the scene states no noise.
+    ///
+    /// # Errors
+    /// A place that is farther from home than any tool.
+    pub fn frame(&self, n: u64, t_m: [f64; 3], r_rad: [f64; 3]) -> Result<String, Refusal> {
+        for (key, values) in [("t_m", t_m), ("r_rad", r_rad)] {
+            if let Some(value) = values.into_iter().find(|value| value.abs() > FARTHEST) {
+                return Err(Refusal::Value { key, value, hint: "metres and radians within the workspace" });
+            }
+        }
+        let pose = Pose::from_vectors(DVec3::from_array(t_m), DVec3::from_array(r_rad));
+        let (readings, solution) = self.outlook.frame_at(&pose);
         let base = solution.estimate.map(|estimate| estimate.pose);
         let mut frame = self.optics.solved(0, n, &solution, base.as_ref(), &readings);
         if self.outlook.noise == NoiseOf::Nothing {
             (frame["sigma"], frame["cov_t"]) = (Value::Null, Value::Null);
         }
-        frame.to_string()
+        Ok(frame.to_string())
     }
 }
 

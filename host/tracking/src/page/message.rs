@@ -67,6 +67,22 @@ pub enum Order {
     Frame(usize, Option<f64>),
 }
 
+/// Most characters of a note.
+const MAX_NOTE: usize = 500;
+
+impl Order {
+    /// Note `text` of an instant `ago_s` seconds ago: of the page's memory.
+    ///
+    /// # Errors
+    /// An instant that the page cannot know.
+    pub fn note(text: &str, ago_s: f64) -> Result<Self, Refusal> {
+        if !(0.0..=COARSE_S as f64).contains(&ago_s) {
+            return Err(Refusal::Value { key: "ago_s", value: ago_s, hint: "seconds from 0, 600 at most" });
+        }
+        Ok(Self::Note(text.chars().filter(|letter| !letter.is_control()).take(MAX_NOTE).collect(), ago_s))
+    }
+}
+
 /// How a capture is to be played; what is `None` stays as it is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
