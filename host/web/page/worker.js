@@ -65,6 +65,19 @@ class Target {
   }
 }
 
+/** The captures that were chosen last, by their names; read a piece at a time. */
+const captures = new Map();
+const reader = new FileReaderSync();
+globalThis.readFile = (name, at, count) => new Uint8Array(reader.readAsArrayBuffer(captures.get(name).slice(at, at + count)));
+globalThis.lengthOfFile = (name) => captures.get(name)?.size ?? 0;
+globalThis.clocks = () => [performance.timeOrigin + performance.now(), Date.now()];
+
+/** The names of files, which are read from now on, too. */
+function namesOf(files) {
+  for (const file of files) captures.set(file.name, file);
+  return files.map(({ name }) => name);
+}
+
 /** The head of a scene and a calibration: each `{ name, text }`, without text a shipped one. */
 function headOf({ scene, calibration }) {
   const head = new HeadFiles(scene.name, scene.text ?? new Uint8Array());
@@ -87,7 +100,7 @@ const functions = {
     isBusy = false;
   },
   play(files) {
-    host.play(files);
+    host.play(namesOf(files));
     isBusy = true;
   },
   leave() {
@@ -104,7 +117,7 @@ const functions = {
   },
   async export(files, name, handle) {
     if (file) throw new Error("another file is being written; end that first");
-    host.export(files);
+    host.export(namesOf(files));
     file = await Target.open(name, handle);
     isExporting = true;
   },

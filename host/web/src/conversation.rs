@@ -35,19 +35,16 @@ const PING: u16 = 0;
 #[derive(Debug, Error)]
 pub(crate) enum ConversationError {
     #[error(
-        "nothing answers: not a byte came within 2.5 s; choose the port of the board, and check that it has its firmware and power"
+        "no board answers: {bytes} bytes came within 2.5 s, and no hello; choose the port of the board, and check its \
+         firmware and power"
     )]
-    Silent,
-    #[error(
-        "no board answers: {bytes} bytes came within 2.5 s, {packets} readable packets and no hello among them; choose the port of the board, or reset it"
-    )]
-    NoHello { bytes: u64, packets: u64 },
+    NoHello { bytes: u64 },
     #[error("the board cannot be used: {0}")]
     Version(Versions),
-    #[error("the board did not reply to {command} within 2 s; reset the board")]
-    NoReply { command: &'static str },
-    #[error("the board refused {command}: {source}; check that scene and board belong together")]
-    Refused { command: &'static str, source: Rejection },
+    #[error("the board did not reply within 2 s; reset the board")]
+    NoReply,
+    #[error("the board refused to be configured or started; check that scene and board belong together")]
+    Refused(#[source] Rejection),
     #[error("no data for 2 s from the board; reset the board")]
     Quiet,
     #[error("the board has stopped sampling: {reason}")]
@@ -61,20 +58,8 @@ pub(crate) enum ConversationError {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Step {
     Greet { is_admitted: bool, is_answered: bool },
-    Configure { has_hello: bool },
-    Start,
+    Start { has_hello: bool },
     Run,
-}
-
-impl Step {
-    fn command(self) -> &'static str {
-        match self {
-            Self::Greet { .. } => "Hello",
-            Self::Configure { .. } => "Configure",
-            Self::Start => "Start",
-            Self::Run => "Stop",
-        }
-    }
 }
 
 /// A conversation with one board over one link.
@@ -88,8 +73,9 @@ pub(crate) struct Conversation {
     heard_ns: u64,
     due_ns: u64,
     token: u32,
-    /// Bytes of the configuration in force that came before the board ran.
+    /// Bytes of the configuration in force that came before the board ran; the first so many are whole packets.
     inbox: Vec<u8>,
+    whole: usize,
     outgoing: Vec<u8>,
 }
 
@@ -107,6 +93,7 @@ impl Conversation {
             due_ns: now_ns,
             token: 0,
             inbox: Vec::new(),
+            whole: 0,
             outgoing: Vec::new(),
         }
     }
@@ -119,11 +106,6 @@ impl Conversation {
     /// What is to be sent to the board now.
     pub(crate) fn take_outgoing(&mut self) -> Vec<u8> {
         std::mem::take(&mut self.outgoing)
-    }
-
-    /// Blinks the board's indicator for so many seconds.
-    pub(crate) fn identify(&mut self, seconds: u8) {
-        self.command(Command::Identify { seconds });
     }
 
     /// Tells the board to stop. Its reply is not waited for: a board whose port is closed goes dark by itself.
@@ -140,18 +122,14 @@ impl Conversation {
         let waited_ns = now_ns.saturating_sub(self.began_ns);
         match self.step {
             Step::Greet { .. } if waited_ns > HELLO_WITHIN_NS => {
-                let counters = self.decoder.counters();
-                return Err(match counters.bytes {
-                    0 => ConversationError::Silent,
-                    bytes => ConversationError::NoHello { bytes, packets: counters.packets },
-                });
+                return Err(ConversationError::NoHello { bytes: self.decoder.counters().bytes });
             }
             Step::Greet { .. } if now_ns >= self.due_ns => {
                 self.due_ns = now_ns + HELLO_EVERY_NS;
                 self.command(Command::Hello);
             }
-            Step::Configure { .. } | Step::Start if waited_ns > REPLY_WITHIN_NS => {
-                return Err(ConversationError::NoReply { command: self.step.command() });
+            Step::Start { .. } if waited_ns > REPLY_WITHIN_NS => {
+                return Err(ConversationError::NoReply);
             }
             Step::Run if now_ns.saturating_sub(self.heard_ns) > QUIET_NS => return Err(ConversationError::Quiet),
             Step::Run if now_ns >= self.due_ns => {
@@ -183,7 +161,6 @@ impl Conversation {
             return Ok(());
         }
         let mut at_byte = self.inbox.len();
-        let mut whole = at_byte;
         self.inbox.extend_from_slice(bytes);
         loop {
             // Each message borrows the inbox: what it says is taken from it first.
@@ -204,29 +181,26 @@ impl Conversation {
             }
             at_byte = self.inbox.len() - rest.len();
             if is_hello {
-                self.greeted();
+                if let Step::Greet { is_admitted: has_hello, .. } | Step::Start { has_hello } = &mut self.step {
+                    *has_hello = true;
+                }
                 // What came before is of another configuration.
-                self.inbox.drain(..whole);
-                at_byte -= whole;
+                at_byte -= self.inbox.drain(..self.whole).len();
             }
-            whole = at_byte;
+            self.whole = at_byte;
             if let Some((number, outcome)) = reply {
                 self.answered(number, outcome, at)?;
             }
         }
         match self.step {
-            Step::Greet { .. } => self.inbox.clear(),
+            Step::Greet { .. } => {
+                self.inbox.clear();
+                self.whole = 0;
+            }
+            Step::Start { .. } => {}
             Step::Run => segment.push(&std::mem::take(&mut self.inbox), Some(at)),
-            Step::Configure { .. } | Step::Start => {}
         }
         Ok(())
-    }
-
-    fn greeted(&mut self) {
-        match &mut self.step {
-            Step::Greet { is_admitted: has_hello, .. } | Step::Configure { has_hello } => *has_hello = true,
-            Step::Start | Step::Run => {}
-        }
     }
 
     fn answered(
@@ -235,35 +209,27 @@ impl Conversation {
         outcome: Result<(), Rejection>,
         at: HostInstant,
     ) -> Result<(), ConversationError> {
-        if let Step::Greet { is_answered, .. } = &mut self.step {
-            *is_answered |= number != PING;
-        } else if number != self.number {
-            return Ok(());
+        outcome.map_err(ConversationError::Refused)?;
+        match &mut self.step {
+            Step::Greet { is_answered, .. } => *is_answered |= number != PING,
+            // Behind the hello of the new configuration; if that was damaged, behind another one.
+            Step::Start { has_hello: true } if number == self.number => {
+                (self.step, self.due_ns) = (Step::Run, at.monotonic_ns);
+            }
+            Step::Start { has_hello: false } if number == self.number => self.command(Command::Hello),
+            Step::Start { .. } | Step::Run => {}
         }
-        outcome.map_err(|source| ConversationError::Refused { command: self.step.command(), source })?;
-        match self.step {
-            // A hello alone may be an earlier one.
-            Step::Greet { is_admitted: true, is_answered: true } => {
-                let configure = Command::Configure(self.configuration.clone());
-                self.go_on(Step::Configure { has_hello: false }, configure, at);
-            }
-            Step::Configure { has_hello: true } => self.go_on(Step::Start, Command::Start, at),
-            // Its hello was damaged, and without it no scan can be read.
-            Step::Configure { has_hello: false } => {
-                self.command(Command::Hello);
-            }
-            Step::Start => (self.step, self.due_ns) = (Step::Run, at.monotonic_ns),
-            Step::Greet { .. } | Step::Run => {}
+        // A hello alone may be an earlier one.
+        if self.step == (Step::Greet { is_admitted: true, is_answered: true }) {
+            (self.step, self.began_ns) = (Step::Start { has_hello: false }, at.monotonic_ns);
+            self.command(Command::Configure(self.configuration.clone()));
+            self.command(Command::Start);
         }
         Ok(())
     }
 
-    fn go_on(&mut self, step: Step, command: Command, now: HostInstant) {
-        (self.step, self.began_ns) = (step, now.monotonic_ns);
-        self.command(command);
-    }
-
-    fn command(&mut self, command: Command) {
+    /// Sends a command.
+    pub(crate) fn command(&mut self, command: Command) {
         self.number += 1;
         self.send(self.number, command);
     }

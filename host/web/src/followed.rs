@@ -34,19 +34,18 @@ pub(crate) enum Far {
 
 /// A board that is followed, for as long as its source is chosen.
 pub(crate) struct Followed {
-    name: String,
     head: Head,
     configuration: Configuration,
     far: Far,
-    conversation: Option<Conversation>,
+    pub(crate) conversation: Option<Conversation>,
     again_ns: u64,
-    pipeline: Pipeline,
-    statistics: BoardStatistics,
+    pub(crate) pipeline: Pipeline,
+    pub(crate) statistics: BoardStatistics,
     pub(crate) shown: Shown,
     link: LinkReport,
     has_run: bool,
     idle_tick: Option<u64>,
-    recording: Option<Recording>,
+    pub(crate) recording: Option<Recording>,
     recorder: RecorderReport,
     device: Option<DeviceId>,
     /// Its last hello packet.
@@ -59,7 +58,6 @@ pub(crate) struct Followed {
 impl Followed {
     pub(crate) fn new(name: &str, head: Head, configuration: Configuration, far: Far, now: HostInstant) -> Self {
         Self {
-            name: name.to_owned(),
             configuration,
             far,
             conversation: None,
@@ -81,10 +79,6 @@ impl Followed {
         }
     }
 
-    pub(crate) fn name(&self) -> &str {
-        &self.name
-    }
-
     /// The port has been opened.
     pub(crate) fn opened(&mut self, now: HostInstant) {
         self.far = Far::Port(true);
@@ -97,23 +91,12 @@ impl Followed {
         self.lost(&ConversationError::Gone { reason: reason.to_owned() }, now);
     }
 
-    /// Tells the board to stop; what is to be sent then is [taken](Self::take_outgoing) as always.
-    pub(crate) fn stop(&mut self) {
-        self.conversation.iter_mut().for_each(Conversation::stop);
-    }
-
-    pub(crate) fn identify(&mut self, seconds: u8) {
-        self.conversation.iter_mut().for_each(|conversation| conversation.identify(seconds));
-    }
-
-    /// Makes the mean pose of so many seconds the zero of the frame.
-    pub(crate) fn zero(&mut self, over_s: Option<f64>) {
-        self.pipeline.zero(over_s);
-    }
-
-    /// What is to be sent over the port.
+    /// What is to be sent over the port; a simulated board gets it without.
     pub(crate) fn take_outgoing(&mut self) -> Vec<u8> {
-        self.conversation.as_mut().map_or(Vec::new(), Conversation::take_outgoing)
+        match (&self.far, &mut self.conversation) {
+            (Far::Port(_), Some(conversation)) => conversation.take_outgoing(),
+            _ => Vec::new(),
+        }
     }
 
     /// Does what is due.
@@ -219,16 +202,13 @@ impl Followed {
             self.link.attempts = 0;
             self.set(LinkState::Running, None, now);
         }
-        let Some(status) = self.pipeline.board_status() else { return };
-        let (tick, is_idle) = (Some(status.tick), !status.acquiring);
-        if is_first {
-            // A status from before the start does not count.
-            self.idle_tick = tick;
-        } else if is_idle && tick != self.idle_tick {
-            self.idle_tick = tick;
+        let idle = self.pipeline.board_status().filter(|status| !status.acquiring).map(|status| status.tick);
+        // A status from before the start does not count.
+        if !is_first && idle.is_some() && idle != self.idle_tick {
             let reason = complaint.unwrap_or_else(|| "it gives no reason; reset the board".to_owned());
             self.lost(&ConversationError::Stopped { reason }, now);
         }
+        self.idle_tick = idle;
     }
 
     fn greet(&mut self, now: HostInstant) {
@@ -247,14 +227,10 @@ impl Followed {
     fn lost(&mut self, error: &ConversationError, now: HostInstant) {
         let state = match error {
             ConversationError::Gone { .. } => LinkState::Gone,
-            ConversationError::Silent
-            | ConversationError::NoHello { .. }
-            | ConversationError::NoReply { .. }
-            | ConversationError::Quiet
-            | ConversationError::Stopped { .. } => LinkState::Quiet,
-            ConversationError::Version(_) | ConversationError::Refused { .. } | ConversationError::Pipeline(_) => {
+            ConversationError::Version(_) | ConversationError::Refused(_) | ConversationError::Pipeline(_) => {
                 LinkState::Refused
             }
+            _ => LinkState::Quiet,
         };
         self.conversation = None;
         self.again_ns = now.monotonic_ns + AGAIN_NS;
@@ -280,10 +256,6 @@ impl Followed {
         Ok(())
     }
 
-    pub(crate) fn is_recording(&self) -> bool {
-        self.recording.is_some()
-    }
-
     /// Completes the capture.
     pub(crate) fn end_recording(&mut self, now: HostInstant) {
         if let Some(recording) = self.recording.take() {
@@ -294,15 +266,8 @@ impl Followed {
         }
     }
 
-    /// Notes a text of an instant in the capture being recorded.
-    pub(crate) fn note(&mut self, text: &str, ago_s: f64, now: HostInstant) {
-        if let Some(recording) = &mut self.recording {
-            let done = recording.note(text, ago_s, now);
-            self.settle_recording(done);
-        }
-    }
-
-    fn settle_recording(&mut self, done: Result<(), CaptureError>) {
+    /// Ends the recording if it has failed.
+    pub(crate) fn settle_recording(&mut self, done: Result<(), CaptureError>) {
         if let Err(error) = done {
             self.recording = None;
             self.recorder = failed(&error);

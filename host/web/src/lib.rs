@@ -14,12 +14,16 @@ mod conversation;
 mod followed;
 mod recording;
 mod replay;
-mod shelf;
 mod shown;
 mod simulated;
 mod station;
 #[cfg(test)]
 mod tests;
+
+#[cfg(target_arch = "wasm32")]
+use browser::Files;
+#[cfg(not(target_arch = "wasm32"))]
+use slitpose_tracking::playback::Disk as Files;
 
 use serde_json::json;
 use slitpose_head::faults::KINDS;

@@ -12,7 +12,7 @@ use slitpose_tracking::pipeline::Item;
 use slitpose_tracking::playback::{Board, Choice, Event, Playback, PlaybackError, Shelf, Survey};
 use slitpose_tracking::telemetry::{BoardReport, BoardStatistics, DaemonReport, LinkReport, LinkState, RecorderReport};
 
-use crate::shelf::Files;
+use crate::Files;
 use crate::shown::{Outbox, Shown};
 
 /// Longest time for which captures are read at a stretch: messages of the page wait meanwhile.
@@ -23,7 +23,6 @@ const TELL_EVERY_NS: u64 = 250_000_000;
 
 /// Captures that are played.
 pub(crate) struct Replay {
-    shelf: Files,
     files: Vec<PathBuf>,
     captures: Playback<Files>,
     state: PlayerState,
@@ -38,19 +37,18 @@ pub(crate) struct Replay {
 }
 
 impl Replay {
-    /// Plays the captures called `files` on `shelf`.
+    /// Plays the captures called `files`.
     ///
     /// # Errors
     /// A first one that cannot be read.
-    pub(crate) fn new(shelf: Files, files: Vec<PathBuf>) -> Result<Self, PlaybackError> {
+    pub(crate) fn new(files: Vec<PathBuf>) -> Result<Self, PlaybackError> {
         let names: Vec<String> = files.iter().map(|file| file.display().to_string()).collect();
         Ok(Self {
-            captures: Self::captures(&shelf, &files, 0.0)?,
+            captures: Self::captures(&files, 0.0)?,
             state: PlayerState { playing: true, speed: Some(1.0), file: names.join(", "), ..PlayerState::default() },
             from_s: 0.0,
             paced_from: None,
             survey: Some(Survey::of(&files)),
-            shelf,
             files,
             shown: Vec::new(),
             statistics: Vec::new(),
@@ -58,9 +56,9 @@ impl Replay {
         })
     }
 
-    fn captures(shelf: &Files, files: &[PathBuf], from_s: f64) -> Result<Playback<Files>, PlaybackError> {
+    fn captures(files: &[PathBuf], from_s: f64) -> Result<Playback<Files>, PlaybackError> {
         let from_s = Some(from_s).filter(|from_s| *from_s > 0.0);
-        Playback::on(shelf.clone(), files.to_vec(), Choice { from_s, is_watched: true, ..Choice::default() })
+        Playback::on(Files, files.to_vec(), Choice { from_s, is_watched: true, ..Choice::default() })
     }
 
     /// Names of its boards.
@@ -80,7 +78,7 @@ impl Replay {
         let Some(from_s) = self.state.obey(order) else { return Ok(()) };
         self.from_s = from_s;
         // What could be read once can be read again.
-        if let Ok(captures) = Self::captures(&self.shelf, &self.files, from_s) {
+        if let Ok(captures) = Self::captures(&self.files, from_s) {
             self.captures = captures;
         }
         self.shown.clear();
@@ -125,7 +123,7 @@ impl Replay {
         while let Some(survey) = &mut self.survey
             && is_in_time()
         {
-            let goes_on = survey.step(&self.shelf)?;
+            let goes_on = survey.step(&Files)?;
             self.state.duration_s = survey.length_s();
             if !goes_on {
                 self.state.notes = survey.outline().notes;
@@ -204,13 +202,13 @@ pub(crate) struct Export {
 }
 
 impl Export {
-    /// Of the captures called `files` on `shelf`.
+    /// Of the captures called `files`.
     ///
     /// # Errors
     /// A first one that cannot be read.
-    pub(crate) fn new(shelf: Files, files: Vec<PathBuf>) -> Result<Self, PlaybackError> {
-        let total_bytes = files.iter().map(|file| shelf.length(file)).sum();
-        let captures = Playback::on(shelf, files, Choice::default())?;
+    pub(crate) fn new(files: Vec<PathBuf>) -> Result<Self, PlaybackError> {
+        let total_bytes = files.iter().map(|file| Files.length(file)).sum();
+        let captures = Playback::on(Files, files, Choice::default())?;
         Ok(Self { captures, rows: CsvRows::default(), total_bytes, has_begun: false, losses: VecDeque::new() })
     }
 

@@ -10,14 +10,15 @@ use slitpose_calibration::{Calibration, Head};
 use slitpose_head::front_end::board_configuration;
 use slitpose_head::scene_file::{SceneFile, Shipped};
 use slitpose_head::simulator::TrajectoryKind;
+use slitpose_protocol::{Command, Configuration};
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::page::{Order, Refusal, Request, SceneView, hello, report_message};
 use wasm_bindgen::prelude::wasm_bindgen;
 
+use crate::conversation::Conversation;
 use crate::followed::{Far, Followed};
 use crate::recording::Written;
 use crate::replay::{Export, Replay, ended};
-use crate::shelf::Files;
 use crate::shown::{Outbox, Shown};
 use crate::simulated::SimulatedHead;
 
@@ -91,31 +92,28 @@ fn thrown<T>(done: anyhow::Result<T>) -> Result<T, String> {
 
 #[wasm_bindgen]
 impl Station {
+    /// Shows nothing yet.
+    #[cfg(target_arch = "wasm32")]
+    #[wasm_bindgen(constructor)]
+    #[expect(clippy::new_without_default, reason = "JavaScript has no defaults")]
+    pub fn new() -> Self {
+        Self::by(Box::new(crate::browser::now))
+    }
+
     /// Shows a simulated head: `motion` has the name of one, `faults` has a fault on each line.
     pub fn simulate(&mut self, head: &HeadFiles, motion: &str, seed: u32, faults: &str) -> Result<(), String> {
         let lines = faults.lines().map(str::trim).filter(|line| !line.is_empty());
         let motion = TrajectoryKind::named(motion).unwrap_or(TrajectoryKind::Hand);
-        let now = (self.clock)();
-        let board = || {
-            let (head, faults) = (head.read()?, lines.map(str::parse).collect::<Result<_, _>>()?);
-            let configuration = board_configuration(&head.file)?;
-            let far = SimulatedHead::new(&head.file, &configuration, (motion, seed.into()), faults, now)?;
-            Ok(Followed::new("sim", head, configuration, Far::Simulated(Box::new(far)), now))
-        };
-        self.choose(Source::Board(Box::new(thrown(board())?)));
-        Ok(())
+        self.follow_by("sim", head, |head, configuration, now| {
+            let faults = lines.map(str::parse).collect::<Result<_, _>>()?;
+            let far = SimulatedHead::new(&head.file, configuration, (motion, seed.into()), faults, now)?;
+            Ok(Far::Simulated(Box::new(far)))
+        })
     }
 
     /// Shows a board, whose port the page opens, reads and writes.
     pub fn follow(&mut self, head: &HeadFiles) -> Result<(), String> {
-        let now = (self.clock)();
-        let board = || {
-            let head = head.read()?;
-            let configuration = board_configuration(&head.file)?;
-            Ok(Followed::new("serial port", head, configuration, Far::Port(false), now))
-        };
-        self.choose(Source::Board(Box::new(thrown(board())?)));
-        Ok(())
+        self.follow_by("serial port", head, |_, _, _| Ok(Far::Port(false)))
     }
 
     /// Shows a scene, whose tool is placed by hand.
@@ -132,6 +130,19 @@ impl Station {
     /// Shows nothing from now on; a recording ends.
     pub fn leave(&mut self) {
         self.choose(Source::Nothing);
+    }
+
+    /// Plays the captures of these names.
+    pub fn play(&mut self, names: Vec<String>) -> Result<(), String> {
+        let replay = thrown(Replay::new(names.into_iter().map(PathBuf::from).collect()).map_err(Into::into))?;
+        self.choose(Source::Replay(Box::new(replay)));
+        Ok(())
+    }
+
+    /// Begins to write every pose of the captures of these names as CSV to what is recorded.
+    pub fn export(&mut self, names: Vec<String>) -> Result<(), String> {
+        self.export = Some(thrown(Export::new(names.into_iter().map(PathBuf::from).collect()).map_err(Into::into))?);
+        Ok(())
     }
 
     /// Reads on for an export; returns the share that is done, 1 at its end.
@@ -171,16 +182,12 @@ impl Station {
 
     /// Tells the board to stop, before its port is closed.
     pub fn stop_board(&mut self) {
-        if let Source::Board(board) = &mut self.source {
-            board.stop();
-        }
+        self.conversation(Conversation::stop);
     }
 
     /// Blinks the board's indicator for so many seconds.
     pub fn identify(&mut self, seconds: u8) {
-        if let Source::Board(board) = &mut self.source {
-            board.identify(seconds);
-        }
+        self.conversation(|conversation| conversation.command(Command::Identify { seconds }));
     }
 
     /// What is to be written to the port.
@@ -201,7 +208,7 @@ impl Station {
 
     /// Whether a recording is under way.
     pub fn is_recording(&self) -> bool {
-        matches!(&self.source, Source::Board(board) if board.is_recording())
+        matches!(&self.source, Source::Board(board) if board.recording.is_some())
     }
 
     /// The bytes of recording or export since this was last asked.
@@ -270,17 +277,30 @@ impl Station {
         }
     }
 
-    /// Plays the captures called `names` on `files`.
-    pub(crate) fn play_on(&mut self, files: Files, names: Vec<PathBuf>) -> Result<(), String> {
-        let replay = thrown(Replay::new(files, names).map_err(Into::into))?;
-        self.choose(Source::Replay(Box::new(replay)));
+    /// Shows a board with the head of `head`; `far` makes what is at the other end.
+    fn follow_by(
+        &mut self,
+        name: &str,
+        head: &HeadFiles,
+        far: impl FnOnce(&Head, &Configuration, HostInstant) -> anyhow::Result<Far>,
+    ) -> Result<(), String> {
+        let now = (self.clock)();
+        let board = || {
+            let head = head.read()?;
+            let configuration = board_configuration(&head.file)?;
+            let far = far(&head, &configuration, now)?;
+            Ok(Source::Board(Box::new(Followed::new(name, head, configuration, far, now))))
+        };
+        self.choose(thrown(board())?);
         Ok(())
     }
 
-    /// Begins to write every pose of the captures called `names` on `files` as CSV to what is recorded.
-    pub(crate) fn export_of(&mut self, files: Files, names: Vec<PathBuf>) -> Result<(), String> {
-        self.export = Some(thrown(Export::new(files, names).map_err(Into::into))?);
-        Ok(())
+    /// What `act` does with the conversation, if there is one.
+    fn conversation<T>(&mut self, act: impl FnOnce(&mut Conversation) -> T) -> Option<T> {
+        match &mut self.source {
+            Source::Board(board) => board.conversation.as_mut().map(act),
+            _ => None,
+        }
     }
 
     fn choose(&mut self, source: Source) {
@@ -298,7 +318,7 @@ impl Station {
     fn greet(&mut self) {
         let (source, names, messages) = match &self.source {
             Source::Nothing => ("run", Vec::new(), Vec::new()),
-            Source::Board(board) => ("run", vec![board.name().to_owned()], vec![board.shown.head.clone()]),
+            Source::Board(board) => ("run", vec![board.statistics.report.name.clone()], vec![board.shown.head.clone()]),
             Source::Replay(replay) => {
                 let heads = replay.shown.iter().map(|shown| shown.head.clone());
                 ("replay", replay.names(), heads.chain([replay.message()]).collect())
@@ -326,16 +346,19 @@ impl Station {
             }
             // The page begins one with the name of its file.
             (Request::Record { on: false }, Source::Board(board)) => board.end_recording(now),
-            (Request::Note { text, ago_s }, Source::Board(board)) if board.is_recording() => {
-                if let Order::Note(text, ago_s) = Order::note(&text, ago_s)? {
-                    board.note(&text, ago_s, now);
-                    return Ok(Some(json!({"kind": "noted", "text": text})));
-                }
+            (Request::Note { text, ago_s }, Source::Board(board)) => {
+                let (Order::Note(text, ago_s), Some(recording)) = (Order::note(&text, ago_s)?, &mut board.recording)
+                else {
+                    return not_here("recording", "begin one of a board");
+                };
+                let done = recording.note(&text, ago_s, now);
+                board.settle_recording(done);
+                return Ok(Some(json!({"kind": "noted", "text": text})));
             }
             (Request::SetFrame { over_s: Some(value), .. }, _) if !(value > 0.0 && value <= MAX_ZERO_S) => {
                 return Err(Refusal::Value { key: "over_s", value, hint: "seconds above 0, 60 at most" });
             }
-            (Request::SetFrame { over_s, .. }, Source::Board(board)) => board.zero(over_s),
+            (Request::SetFrame { over_s, .. }, Source::Board(board)) => board.pipeline.zero(over_s),
             (Request::Player(order), Source::Replay(replay)) => replay.obey(&order)?,
             (Request::Pose { .. }, _) => return not_here("tool to drag", "choose to look at a scene"),
             (Request::Player(_), _) => return not_here("player", "open a capture"),
