@@ -57,6 +57,7 @@ pub(crate) struct Followed {
 
 impl Followed {
     pub(crate) fn new(name: &str, head: Head, configuration: Configuration, far: Far, now: HostInstant) -> Self {
+        let head = if matches!(far, Far::Simulated(_)) { head.in_simulation() } else { head };
         Self {
             configuration,
             far,

@@ -106,7 +106,7 @@ impl Station {
         let motion = TrajectoryKind::named(motion).unwrap_or(TrajectoryKind::Hand);
         self.follow_by("sim", head, |head, configuration, now| {
             let faults = lines.map(str::parse).collect::<Result<_, _>>()?;
-            let far = SimulatedHead::new(&head.file, configuration, (motion, seed.into()), faults, now)?;
+            let far = SimulatedHead::new(&head.simulated, configuration, (motion, seed.into()), faults, now)?;
             Ok(Far::Simulated(Box::new(far)))
         })
     }
@@ -119,7 +119,7 @@ impl Station {
     /// Shows a scene, whose tool is placed by hand.
     pub fn view(&mut self, head: &HeadFiles) -> Result<(), String> {
         let scene = || {
-            let head = head.read()?;
+            let head = head.read()?.in_simulation();
             let (view, name) = (Box::new(SceneView::of(&head)?), head.file.name.clone());
             Ok(Source::Scene { view, head: Shown::new(0, &head).head, name })
         };

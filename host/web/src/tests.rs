@@ -181,7 +181,7 @@ fn what_is_recorded_replays_without_a_loss_and_exports_as_the_program_does() {
 fn what_is_no_capture_ends_with_a_reason_and_requests_out_of_place_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("noise.mcap");
-    std::fs::write(&path, [7; 5000]).unwrap();
+    std::fs::write(&path, [0x87, 0].repeat(2500)).unwrap();
     let mut bench = Bench::new();
     bench.station.play(vec![path.display().to_string()]).unwrap();
     bench.run(0.1, |_, _| ());
