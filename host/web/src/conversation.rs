@@ -49,7 +49,7 @@ pub(crate) enum ConversationError {
     Quiet,
     #[error("the board has stopped sampling: {reason}")]
     Stopped { reason: String },
-    #[error("the board has gone ({reason}); plug it in again")]
+    #[error("the board has gone: {reason}; plug it in again")]
     Gone { reason: String },
     #[error(transparent)]
     Pipeline(#[from] PipelineError),

@@ -118,7 +118,7 @@ impl Followed {
             self.receive(&bytes, now, clock, out);
             self.bytes = bytes;
             if !is_open {
-                self.lost(&ConversationError::Gone { reason: "a fault".to_owned() }, now);
+                self.lost(&ConversationError::Gone { reason: "by a fault, or this page was stopped".to_owned() }, now);
             }
         }
         if let Some(conversation) = &mut self.conversation {

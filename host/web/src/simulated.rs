@@ -8,8 +8,9 @@ use slitpose_protocol::Configuration;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::solving::STREAM_TOLERANCE;
 
-/// Most device time caught up at once, seconds: a browser stops pages that it does not show.
-const CATCH_UP_S: f64 = 0.25;
+/// Most device time caught up at once, seconds. A browser may stop a page for longer: then the link counts as broken, for the
+/// board's clock stood still.
+const CATCH_UP_S: f64 = 2.0;
 
 /// The board at the other end of a link.
 pub(crate) struct SimulatedHead {
@@ -67,11 +68,13 @@ impl SimulatedHead {
     /// Lets time pass until `now`, and appends what comes over the link to `bytes`; `false`: the link is broken.
     pub(crate) fn advance(&mut self, now: HostInstant, bytes: &mut Vec<u8>) -> bool {
         let due_s = now.monotonic_ns.saturating_sub(self.began_ns) as f64 * 1e-9;
-        let late_s = due_s - self.frames as f64 * self.frame_s - CATCH_UP_S;
-        // What is not caught up is lost: the board's clock stood still meanwhile.
-        let lost_s = late_s.max(0.0);
-        self.began_ns += (lost_s * 1e9) as u64;
-        while (self.frames + 1) as f64 * self.frame_s <= due_s - lost_s {
+        let late_s = due_s - self.frames as f64 * self.frame_s;
+        if late_s > CATCH_UP_S {
+            self.began_ns += (late_s * 1e9) as u64;
+            self.is_back_ns.get_or_insert(now.monotonic_ns);
+            return false;
+        }
+        while (self.frames + 1) as f64 * self.frame_s <= due_s {
             self.frames += 1;
             if self.is_back_ns.is_some() {
                 self.board.step_closed();
