@@ -129,7 +129,7 @@ class SimulatedHead(InBrowser):
             page.wait_for_timeout(1000)
             found = Axe().run(page)
             told = [(rule["id"], [node["html"] for node in rule["nodes"]]) for rule in found.response["violations"]]
-            self.assertEqual(told, [], theme)
+            self.assertEqual(told, [], f"{theme}: {told}")
 
     def test_it_is_shown_again_without_a_network(self):
         page = self.open()

@@ -14,50 +14,6 @@ use slitpose_head::replacement::{folder_of, part_of};
 use slitpose_head::special_file;
 use tempfile::TempPath;
 
-use super::medium::Medium;
-use super::series::Site;
-
-/// One file of a capture, or a series of files, each in its place.
-pub(super) struct Files {
-    path: PathBuf,
-    /// Number of the next file; `None`: there is one.
-    number: Option<u64>,
-    existing: Existing,
-    place: Option<Place>,
-}
-
-impl Files {
-    /// The file `path`; or a series numbered after its stem, in which no file is replaced.
-    pub(super) fn new(path: &Path, is_series: bool, existing: Existing) -> io::Result<Self> {
-        let number = is_series.then(|| next_number(path)).transpose()?;
-        let existing = if is_series { Existing::Kept } else { existing };
-        Ok(Self { path: path.to_owned(), number, existing, place: None })
-    }
-}
-
-impl Site for Files {
-    fn next(&mut self) -> PathBuf {
-        self.place = None;
-        let Some(number) = &mut self.number else { return self.path.clone() };
-        *number += 1;
-        numbered(&self.path, *number - 1)
-    }
-
-    fn open(&mut self, path: &Path) -> io::Result<Box<dyn Medium + Send>> {
-        let (file, place) = Place::create(path, self.existing)?;
-        self.place = Some(place);
-        Ok(Box::new(file))
-    }
-
-    fn settle(&mut self) -> io::Result<()> {
-        self.place.as_mut().map_or(Ok(()), Place::settle)
-    }
-
-    fn is_lost(&self) -> bool {
-        self.place.as_ref().is_some_and(Place::is_lost)
-    }
-}
-
 /// The place of a file that is being recorded.
 #[derive(Debug)]
 pub(super) struct Place {

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 #[cfg(unix)]
 use std::fs::File;
+#[cfg(unix)]
 use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -15,7 +16,7 @@ use super::file::{CaptureFile, Channels, io_error};
 use super::medium::Medium;
 use super::packets::{Packets, last_hello};
 #[cfg(unix)]
-use super::place::{Existing, Files};
+use super::place::{Existing, Place, next_number, numbered};
 use super::{CaptureError, Setup};
 use crate::link::{DeviceId, Segment};
 use crate::pipeline::Record;
@@ -37,21 +38,6 @@ pub struct Recorded {
     pub files: u64,
     /// Bytes of links that were not recorded because writing failed.
     pub dropped_bytes: u64,
-}
-
-/// Where the files of a capture come from.
-pub(super) trait Site: Send {
-    /// The path of the next file.
-    fn next(&mut self) -> PathBuf;
-
-    /// Opens the file at `path`.
-    fn open(&mut self, path: &Path) -> io::Result<Box<dyn Medium + Send>>;
-
-    /// Moves the file to its place, over one that it replaces. Called when it has content.
-    fn settle(&mut self) -> io::Result<()>;
-
-    /// Whether the file was deleted or replaced: further writing is lost.
-    fn is_lost(&self) -> bool;
 }
 
 /// A capture that is being recorded.
@@ -77,9 +63,13 @@ struct DeviceStream {
 
 struct Output {
     file: Option<CaptureFile<Box<dyn Medium + Send>>>,
-    /// `None` for a medium opened by the caller.
-    site: Option<Box<dyn Site>>,
+    /// Its place; `None` for a medium opened by the caller.
+    #[cfg(unix)]
+    place: Option<Place>,
     path: PathBuf,
+    /// Path and number of the next file; `None` for a single file.
+    #[cfg(unix)]
+    next: Option<(PathBuf, u64)>,
     opened: Instant,
     flushed: Instant,
     flushes: u64,
@@ -97,10 +87,12 @@ impl CaptureSeries {
         existing: Existing,
         report_schema: String,
     ) -> Result<Self, CaptureError> {
-        let files = Files::new(path, limits != Limits::default(), existing);
-        let files = files.map_err(|source| CaptureError::Create { path: path.to_owned(), source })?;
-        let mut output = Output::new(path.to_owned(), Some(Box::new(files)));
-        output.open(&report_schema)?;
+        let mut output = Output::new(path.to_owned());
+        if limits != Limits::default() {
+            let number = next_number(path).map_err(|source| CaptureError::Create { path: path.to_owned(), source })?;
+            output.next = Some((path.to_owned(), number));
+        }
+        output.open(existing, &report_schema)?;
         Ok(Self::over(output, limits, report_schema))
     }
 
@@ -112,7 +104,7 @@ impl CaptureSeries {
 
     /// Begins a capture on `medium`; `path` names it in messages.
     pub fn on_medium(medium: Box<dyn Medium + Send>, path: &Path, report_schema: String) -> Result<Self, CaptureError> {
-        let mut output = Output::new(path.to_owned(), None);
+        let mut output = Output::new(path.to_owned());
         output.begin(medium, &report_schema)?;
         Ok(Self::over(output, Limits::default(), report_schema))
     }
@@ -277,7 +269,8 @@ impl CaptureSeries {
         let hello = |device| self.output.file.as_ref().map_or(Vec::new(), |file| file.hello(device).to_owned());
         let hellos: Vec<Vec<u8>> = self.devices.keys().map(|device| hello(*device)).collect();
         self.output.end()?;
-        self.output.open(&self.report_schema)?;
+        #[cfg(unix)]
+        self.output.open(Existing::Kept, &self.report_schema)?;
         self.output.attempt(0, |file| {
             for (stream, hello) in self.devices.values_mut().zip(&hellos) {
                 stream.channels = file.add_device(&stream.setup, hello, log_ns)?;
@@ -300,23 +293,42 @@ impl DeviceStream {
 }
 
 impl Output {
-    fn new(path: PathBuf, site: Option<Box<dyn Site>>) -> Self {
+    fn new(path: PathBuf) -> Self {
         let now = Instant::now();
-        Self { file: None, site, path, opened: now, flushed: now, flushes: 0, recorded: Recorded::default() }
+        Self {
+            file: None,
+            #[cfg(unix)]
+            place: None,
+            path,
+            #[cfg(unix)]
+            next: None,
+            opened: now,
+            flushed: now,
+            flushes: 0,
+            recorded: Recorded::default(),
+        }
     }
 
-    /// Opens the next file of the site, if there is one.
-    fn open(&mut self, report_schema: &str) -> Result<(), CaptureError> {
-        let Some(site) = &mut self.site else { return Ok(()) };
-        let path = site.next();
-        self.path.clone_from(&path);
-        let medium = site.open(&path).map_err(|source| match source.kind() {
+    #[cfg(unix)]
+    fn open(&mut self, existing: Existing, report_schema: &str) -> Result<(), CaptureError> {
+        let existing = match &mut self.next {
+            Some((path, number)) => {
+                self.path = numbered(path, *number);
+                *number += 1;
+                Existing::Kept
+            }
+            None => existing,
+        };
+        let path = self.path.clone();
+        let (file, place) = Place::create(&path, existing).map_err(|source| match source.kind() {
             io::ErrorKind::AlreadyExists => CaptureError::Exists { path: path.clone() },
             io::ErrorKind::WouldBlock => CaptureError::InUse { path: path.clone() },
             io::ErrorKind::Interrupted => CaptureError::Interrupted { path: path.clone() },
             _ => CaptureError::Create { path: path.clone(), source },
         })?;
-        self.begin(medium, report_schema)
+        self.begin(Box::new(file), report_schema)?;
+        self.place = Some(place);
+        Ok(())
     }
 
     fn begin(&mut self, medium: Box<dyn Medium + Send>, report_schema: &str) -> Result<(), CaptureError> {
@@ -347,32 +359,36 @@ impl Output {
 
     /// Moves the file, which now has content, to its place.
     fn settle(&mut self) -> Result<(), CaptureError> {
-        let path = &self.path;
-        match self.site.as_mut().map_or(Ok(()), |site| site.settle()) {
-            Ok(()) => Ok(()),
-            Err(source) => {
-                self.recorded.dropped_bytes += self.file.take().map_or(0, |file| file.unflushed_link_bytes);
-                Err(match source.kind() {
-                    io::ErrorKind::WouldBlock => CaptureError::InUse { path: path.clone() },
-                    _ => CaptureError::Create { path: path.clone(), source },
-                })
-            }
+        #[cfg(unix)]
+        if let Some(Err(source)) = self.place.as_mut().map(Place::settle) {
+            self.recorded.dropped_bytes += self.file.take().map_or(0, |file| file.unflushed_link_bytes);
+            let path = self.path.clone();
+            return Err(match source.kind() {
+                io::ErrorKind::WouldBlock => CaptureError::InUse { path },
+                _ => CaptureError::Create { path, source },
+            });
         }
+        Ok(())
     }
 
     /// Ends recording if the file has been deleted or replaced.
     fn check(&mut self) -> Result<(), CaptureError> {
-        if self.file.is_none() || !self.site.as_ref().is_some_and(|site| site.is_lost()) {
-            return Ok(());
+        #[cfg(unix)]
+        if self.file.is_some() && self.place.as_ref().is_some_and(Place::is_lost) {
+            self.file = None;
+            return Err(CaptureError::Lost { path: self.path.clone() });
         }
-        self.file = None;
-        Err(CaptureError::Lost { path: self.path.clone() })
+        Ok(())
     }
 
     fn end(&mut self) -> Result<(), CaptureError> {
         self.attempt(0, CaptureFile::finish)?;
         self.check()?;
         self.file = None;
+        #[cfg(unix)]
+        {
+            self.place = None;
+        }
         Ok(())
     }
 }
