@@ -65,9 +65,15 @@ impl HeadFiles {
 
 enum Source {
     Nothing,
+    /// What could not be played, with the message on it.
+    Failed(String),
     Board(Box<Followed>),
     Replay(Box<Replay>),
-    Scene { view: Box<SceneView>, head: String, name: String },
+    Scene {
+        view: Box<SceneView>,
+        head: String,
+        name: String,
+    },
 }
 
 /// Everything behind a page.
@@ -225,7 +231,7 @@ impl Station {
     pub fn tick(&mut self) {
         let Self { source, out, clock, .. } = self;
         match source {
-            Source::Nothing | Source::Scene { .. } => {}
+            Source::Nothing | Source::Failed(_) | Source::Scene { .. } => {}
             Source::Board(board) => board.tick(clock, out),
             Source::Replay(replay) => match replay.tick(clock, out) {
                 Ok(false) if replay.tell(clock(), out) => self.report_due_ns = 0,
@@ -233,7 +239,7 @@ impl Station {
                 Ok(true) => self.greet(),
                 Err(error) => {
                     out.push(ended(&error));
-                    self.source = Source::Nothing;
+                    self.source = Source::Failed(ended(&error));
                 }
             },
         }
@@ -245,7 +251,7 @@ impl Station {
         let report = match &mut self.source {
             Source::Board(board) => board.report(self.began, now),
             Source::Replay(replay) => replay.report(self.began, now),
-            Source::Nothing | Source::Scene { .. } => return,
+            Source::Nothing | Source::Failed(_) | Source::Scene { .. } => return,
         };
         self.out.push(report_message(&report, now));
     }
@@ -318,6 +324,7 @@ impl Station {
     fn greet(&mut self) {
         let (source, names, messages) = match &self.source {
             Source::Nothing => ("run", Vec::new(), Vec::new()),
+            Source::Failed(message) => ("replay", Vec::new(), vec![message.clone()]),
             Source::Board(board) => ("run", vec![board.statistics.report.name.clone()], vec![board.shown.head.clone()]),
             Source::Replay(replay) => {
                 let heads = replay.shown.iter().map(|shown| shown.head.clone());

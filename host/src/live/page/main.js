@@ -91,6 +91,7 @@ function received(message) {
 const takers = {
   hello(message) {
     hello = message;
+    banner.forget("notice");
     heads = message.boards.map(() => null);
     histories = message.boards.map(() => new History(message.history_s, message.frames_hz));
     traces = message.boards.map(() => new Trace(message));
