@@ -168,7 +168,7 @@ impl Followed {
                     }
                 }
                 Item::Event { severity, text, .. } if *severity != Severity::Info => {
-                    complaint = Some((*text).to_owned())
+                    complaint = Some((*text).to_owned());
                 }
                 Item::Scan(_) => has_scans = true,
                 Item::Oddity { oddity, .. } => out.notice(&oddity.to_string()),

@@ -269,7 +269,7 @@ impl Station {
 
 impl Station {
     /// Shows nothing yet; `clock` reads the clocks of the host.
-    pub(crate) fn by(clock: Box<dyn Fn() -> HostInstant>) -> Self {
+    pub fn by(clock: Box<dyn Fn() -> HostInstant>) -> Self {
         Self {
             began: clock(),
             clock,
