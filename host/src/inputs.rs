@@ -6,10 +6,11 @@ use std::path::Path;
 
 use axum::http::{HeaderMap, HeaderName, HeaderValue};
 
+use crate::commands;
 use crate::http::{self, BindScope};
-use crate::{commands, live};
 use slitpose_tracking::capture::{CaptureError, CaptureReader, Entry};
 use slitpose_tracking::link::Segment;
+use slitpose_tracking::page::Request;
 
 /// What a capture holds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -49,7 +50,7 @@ pub fn configuration(text: &str) -> Result<Vec<String>, String> {
 
 /// Whether a page's message to the live server is a request.
 pub fn is_page_request(text: &str) -> bool {
-    live::is_request(text)
+    Request::read(text).is_ok()
 }
 
 /// Whether a request with these headers is one of HTTP, and comes from a program of this host.

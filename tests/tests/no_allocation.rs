@@ -2,7 +2,6 @@
 
 use allocation_counter::AllocationInfo;
 use slitpose::datagram::{Address, DatagramServer, Mode, PoseDatagram, Request, UnixClient};
-use slitpose::telemetry::BoardStatistics;
 use slitpose_head::front_end::{self, Stage};
 use slitpose_head::scene_file::WIDE;
 use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
@@ -14,6 +13,7 @@ use slitpose_tracking::clock::{HostInstant, HostTime};
 use slitpose_tracking::health::Health;
 use slitpose_tracking::link::{Asked, DeviceId, Segment};
 use slitpose_tracking::pipeline::{Item, PipelineError};
+use slitpose_tracking::telemetry::BoardStatistics;
 
 const SCANS: usize = 10_000;
 

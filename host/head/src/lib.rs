@@ -11,6 +11,8 @@
 //! * [`text_file`] opens texts, [`special_file`] pipes and devices for writing, [`replacement`] makes files that replace others when complete;
 //! * [`interrupt`] handles Ctrl-C, [`threads`] panics of other threads, and work on all cores.
 //!
+//! What writes files or handles signals is there on Unix only: in a browser there is neither.
+//!
 //! Internally all units are SI. Millimetres and degrees appear in scene files, with the unit in the name.
 
 #![forbid(unsafe_code)]
@@ -21,8 +23,10 @@ pub mod faults;
 pub mod finding;
 pub mod foreign;
 pub mod front_end;
+#[cfg(unix)]
 pub mod interrupt;
 pub mod pace;
+#[cfg(unix)]
 pub mod replacement;
 pub mod scene_file;
 pub mod simulator;

@@ -1,8 +1,7 @@
 //! Text files that users name: TOML is read as a whole, CSV as a stream.
 
-use std::fs::{self, File};
+use std::fs::{self, File, FileType};
 use std::io::{self, Read};
-use std::os::unix::fs::FileTypeExt;
 use std::path::Path;
 
 use thiserror::Error;
@@ -40,14 +39,27 @@ pub fn open(path: &Path) -> Result<File, TextFileError> {
 fn open_kind(path: &Path, pipes: bool) -> Result<File, TextFileError> {
     // Opening a pipe waits for its writer.
     let kind = fs::metadata(path)?.file_type();
-    let kind = match () {
-        () if kind.is_file() || (pipes && kind.is_fifo()) => return Ok(File::open(path)?),
-        () if kind.is_dir() => "folder",
+    match special_kind(kind) {
+        _ if kind.is_file() => Ok(File::open(path)?),
+        "pipe" if pipes => Ok(File::open(path)?),
+        _ if kind.is_dir() => Err(TextFileError::Kind("folder")),
+        special => Err(TextFileError::Kind(special)),
+    }
+}
+
+#[cfg(unix)]
+fn special_kind(kind: FileType) -> &'static str {
+    use std::os::unix::fs::FileTypeExt;
+    match () {
         () if kind.is_fifo() => "pipe",
         () if kind.is_socket() => "socket",
         () => "device",
-    };
-    Err(TextFileError::Kind(kind))
+    }
+}
+
+#[cfg(not(unix))]
+fn special_kind(_: FileType) -> &'static str {
+    "device"
 }
 
 #[cfg(test)]

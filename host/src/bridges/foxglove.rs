@@ -12,10 +12,11 @@ use tokio::time::{MissedTickBehavior, interval};
 
 use crate::address::{Address, ServeError};
 use crate::http::Serving;
-use crate::live::{Input, LiveBoard, LiveInput, Optics, Sample};
-use crate::telemetry::DaemonReport;
+use crate::live::{Input, LiveBoard, LiveInput};
 use slitpose_tracking::link::DeviceId;
+use slitpose_tracking::page::{Optics, Sample};
 use slitpose_tracking::ros::{self, MARKERS, POSE, RosType, TRANSFORMS, TWIST};
+use slitpose_tracking::telemetry::DaemonReport;
 
 /// Time between reports, and between copies of heads: the protocol keeps no message for those who come later.
 const REPORT_EVERY: Duration = Duration::from_millis(500);

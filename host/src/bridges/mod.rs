@@ -19,7 +19,8 @@ pub(crate) use zenoh::publish_by_zenoh;
 
 use crate::address::{Address, ServeError, tcp_address};
 #[cfg(not(all(feature = "foxglove", feature = "zenoh")))]
-use crate::{live::LiveBoard, telemetry::DaemonReport};
+use crate::live::LiveBoard;
+use slitpose_tracking::telemetry::DaemonReport;
 
 pub(crate) const DEFAULT_FOXGLOVE_ADDRESS: &str = "127.0.0.1:8765";
 

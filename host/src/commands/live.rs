@@ -15,11 +15,10 @@ use crate::bridges::{
 };
 use crate::daemon::{Daemon, StreamPlan};
 use crate::http::Serving;
-use crate::live::{
-    Access, Control, DEFAULT_LIVE_ADDRESS, LiveBoard, LiveInput, LivePlan, LiveServer, Order, Refusal, live_address,
-};
-use crate::telemetry::{DaemonReport, RecorderState};
+use crate::live::{Access, Control, DEFAULT_LIVE_ADDRESS, LiveBoard, LiveInput, LivePlan, LiveServer, live_address};
 use slitpose_head::scene_file::Workspace;
+use slitpose_tracking::page::{Order, Refusal};
+use slitpose_tracking::telemetry::{DaemonReport, RecorderState};
 
 /// The page asked for.
 #[derive(clap::Args, Debug)]

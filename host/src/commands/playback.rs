@@ -14,17 +14,17 @@ use super::options::{CalibrationOption, PoseOptions, parse_duration};
 use super::player::Player;
 use super::{CommandError, Outcome, interrupt, options, talk};
 use crate::comparison::Comparison;
-use crate::live::Sampler;
 use crate::sink::{Account, Format, Note, Sink};
-use crate::telemetry::{BoardReport, BoardStatistics, DaemonReport, LinkReport, LinkState, RecorderReport};
 use crate::terminal::{Amount, Progress};
 use slitpose_head::faults::Fault;
 use slitpose_head::pace::{Pace, Speed};
 use slitpose_head::table::OutputError;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::DeviceId;
+use slitpose_tracking::page::Sampler;
 use slitpose_tracking::pipeline::Item;
 use slitpose_tracking::playback::{self, Choice, Event, PlaybackError, Yields};
+use slitpose_tracking::telemetry::{BoardReport, BoardStatistics, DaemonReport, LinkReport, LinkState, RecorderReport};
 
 /// Which part of captures is solved, and how.
 #[derive(clap::Args, Debug, Default)]
@@ -222,7 +222,7 @@ impl<'a> Playback<'a> {
         let position_s = leap.unwrap_or(self.choice.from_s.unwrap_or(0.0) + elapsed_s);
         player.tell(position_s, self.speed, end && leap.is_none(), || {
             let Account { boards, recorder } = account(&self.captures, &self.output.statistics);
-            DaemonReport::of_now(self.began, boards, recorder)
+            DaemonReport::of(self.began, HostInstant::now(), boards, recorder)
         });
         leap
     }

@@ -4,11 +4,12 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use crate::live::{Control, Input, LiveBoard, LiveInput, Order, PlayerOrder, PlayerState, Refusal, Sampler};
-use crate::telemetry::DaemonReport;
+use crate::live::{Control, Input, LiveBoard, LiveInput};
 use slitpose_head::pace::Speed;
 use slitpose_head::threads::lock;
+use slitpose_tracking::page::{Order, PlayerOrder, PlayerState, Refusal, Sampler};
 use slitpose_tracking::playback::{self, Board, PlaybackError};
+use slitpose_tracking::telemetry::DaemonReport;
 
 /// Time between messages on the state of the player.
 const TELL_EVERY: Duration = Duration::from_millis(250);
@@ -16,11 +17,6 @@ const TELL_EVERY: Duration = Duration::from_millis(250);
 /// Orders that are not carried out yet; a later one overrides an earlier one.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Orders(Arc<Mutex<PlayerOrder>>);
-
-/// What is left to play at least, seconds.
-const MIN_S: f64 = 0.05;
-
-const SPEEDS: [f64; 2] = [1e-3, 1e3];
 
 impl Orders {
     /// Takes the orders of a page.
@@ -36,16 +32,7 @@ impl Orders {
             Order::Zero => return Err(Refusal::NO_MOUSE),
             Order::Frame(..) => return Err(Refusal::NO_FRAME),
         };
-        if let Some(Some(value)) = order.speed
-            && !(SPEEDS[0]..=SPEEDS[1]).contains(&value)
-        {
-            return Err(Refusal::Value { key: "speed", value, hint: "0.001 to 1000, or null" });
-        }
-        if let Some(value) = order.seek_s
-            && !(0.0..1e9).contains(&value)
-        {
-            return Err(Refusal::Value { key: "seek_s", value, hint: "seconds after the beginning" });
-        }
+        order.check()?;
         let mut waiting = lock(&self.0);
         *waiting = PlayerOrder {
             playing: order.playing.or(waiting.playing),
@@ -92,7 +79,7 @@ impl Player {
         let is_due = self.told.is_none_or(|told| told.elapsed() >= TELL_EVERY);
         if is_due {
             self.told = Some(Instant::now());
-            self.live.show(Input::Player(PlayerState { playing: self.is_playing(), ..self.state.clone() }));
+            self.live.show(Input::Player(self.state.clone()));
         }
         is_due
     }
@@ -110,27 +97,19 @@ impl Player {
     }
 
     pub(super) fn is_playing(&self) -> bool {
-        self.state.playing && !self.state.ended
+        self.state.is_playing()
     }
 
     /// Carries out waiting orders: changes `speed`, and returns the place of a leap, seconds after the beginning.
     pub(super) fn obey(&mut self, speed: &mut Speed) -> Option<f64> {
-        let PlayerOrder { playing, speed: new_speed, seek_s } = std::mem::take(&mut *lock(&self.orders.0));
-        if let Some(new) = new_speed {
-            *speed = new.map_or(Speed::Max, Speed::Times);
-        }
-        // Played again from the beginning.
-        let again = (self.state.ended && playing == Some(true)).then_some(0.0);
-        self.state.playing = playing.unwrap_or(self.state.playing);
-        // Not so near the end that nothing is left to play.
-        let seek_s = seek_s.map(|seek_s| seek_s.min(self.state.duration_s - MIN_S).max(0.0)).or(again);
-        if let Some(seek_s) = seek_s {
-            (self.state.position_s, self.state.ended) = (seek_s, false);
-        }
-        if playing.is_some() || new_speed.is_some() || seek_s.is_some() {
+        let order = std::mem::take(&mut *lock(&self.orders.0));
+        if order != PlayerOrder::default() {
             self.told = None;
         }
-        seek_s
+        if let Some(new) = order.speed {
+            *speed = new.map_or(Speed::Max, Speed::Times);
+        }
+        self.state.obey(&order)
     }
 
     /// Sends the state of the player and a report on the boards to the page, four times a second and after each change.

@@ -11,10 +11,10 @@ use super::player::{Orders, Player};
 use crate::daemon::CapturePlan;
 use crate::live::{Calibrate, Control, Input, LiveInput, Recordings};
 use crate::sink::Format;
-use crate::telemetry::report_schema;
 use slitpose_head::causes::with_causes;
 use slitpose_head::pace::Speed;
 use slitpose_tracking::capture::{CaptureError, CaptureSeries, Existing, Limits};
+use slitpose_tracking::telemetry::report_schema;
 
 /// Poses a device second in a capture: enough to look at it; all others follow from its bytes.
 const RECORDED_HZ: f64 = 25.0;

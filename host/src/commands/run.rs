@@ -21,9 +21,9 @@ use crate::address::Address;
 use crate::daemon::{Admit, BoardPlan, Daemon, Ended, Opener, Plan, SimulatedOpener};
 use crate::datagram::{self, DatagramServer};
 use crate::device::{Contact, Search, Selector};
-use crate::live::{LiveBoard, LivePlan, SampleSink};
+use crate::live::{LiveBoard, LivePlan};
 use crate::sink;
-use crate::telemetry::{DaemonReport, RecorderReport, RecorderState, StatusServer, status_address};
+use crate::telemetry::{StatusServer, status_address};
 use crate::terminal;
 use slitpose_head::front_end;
 use slitpose_head::pace::Speed;
@@ -32,8 +32,10 @@ use slitpose_head::table::OutputError;
 use slitpose_head::threads::lock;
 use slitpose_tracking::clock::{HostInstant, UtcWatch};
 use slitpose_tracking::link::DeviceId;
+use slitpose_tracking::page::SampleSink;
 use slitpose_tracking::pipeline::{self, PipelineOptions, PoseSource, SceneMatch};
 use slitpose_tracking::solving::head_by;
+use slitpose_tracking::telemetry::{DaemonReport, RecorderReport, RecorderState};
 
 /// Period of checks for ended boards, and of housekeeping.
 const MOMENT: Duration = Duration::from_millis(20);
@@ -199,7 +201,7 @@ pub(super) fn run(args: &mut Args) -> Result<Outcome, CommandError> {
         let followed = Arc::clone(&followed);
         move || match followed.get() {
             Some(daemon) => daemon.report(),
-            None => DaemonReport::of_now(began, Vec::new(), RecorderReport::default()),
+            None => DaemonReport::of(began, HostInstant::now(), Vec::new(), RecorderReport::default()),
         }
     };
     // The first board is the mouse.

@@ -14,7 +14,6 @@ use super::options::{CalibrationOption, DEFAULT_TOLERANCE, TierOptions, open_sce
 use super::{CommandError, Outcome, interrupt, options, talk};
 use crate::comparison::NothingMatches;
 use crate::device::{Conversation, DeviceError, HELLO_WITHIN, SimulatedDevice};
-use crate::telemetry::report_schema;
 use slitpose_head::faults::{Faults, Injector};
 use slitpose_head::foreign::printable;
 use slitpose_head::front_end;
@@ -25,6 +24,7 @@ use slitpose_head::table::{Output, OutputError, POSE_COLUMNS, Replace, TableErro
 use slitpose_tracking::capture::{CaptureError, CaptureSeries, Settings, Setup};
 use slitpose_tracking::link::{DeviceId, Segment};
 use slitpose_tracking::pipeline::PipelineOptions;
+use slitpose_tracking::telemetry::report_schema;
 
 /// Writes what a simulated board would send: a capture for `replay`.
 ///

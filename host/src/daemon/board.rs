@@ -22,13 +22,13 @@ use super::solver::{Solver, State};
 use super::tap::{self, Tap, TapEnds};
 use crate::background::spawn;
 use crate::datagram::DatagramServer;
-use crate::live::{SampleSink, Sampler};
-use crate::telemetry::{BoardReport, BoardStatistics};
 use crate::terminal::say;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::frame::View;
 use slitpose_tracking::link::{DeviceId, Segment};
+use slitpose_tracking::page::{SampleSink, Sampler};
 use slitpose_tracking::pipeline::{Counts, Pipeline, PipelineOptions, SceneMatch};
+use slitpose_tracking::telemetry::{BoardReport, BoardStatistics};
 
 /// Most reads on their way to the solver: a quarter of a second at one read per millisecond.
 const SEGMENTS: usize = 256;

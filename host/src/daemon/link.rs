@@ -5,13 +5,13 @@ use std::time::{Duration, Instant};
 
 use super::error::BoardError;
 use crate::device::{DeviceError, Scanless};
-use crate::telemetry::{LinkReport, LinkState};
 use crate::terminal::say;
 use slitpose_head::causes::with_causes;
 use slitpose_head::threads::lock;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::DeviceId;
 use slitpose_tracking::pipeline::Counts;
+use slitpose_tracking::telemetry::{LinkReport, LinkState};
 
 /// A repeated reason is reported again after this time, then after twice this time, and so on: some twenty times a
 /// week.

@@ -45,9 +45,7 @@ pub(crate) use tap::StreamPlan;
 pub(crate) use tap::TapChunk;
 
 use crate::datagram::DatagramServer;
-use crate::live::SampleSink;
 use crate::sink::{Account, Sink};
-use crate::telemetry::{BoardReport, DaemonReport, LinkState, RecorderReport};
 use board::{BoardSlot, BoardThreads, Claims};
 use handoff::buffer_pool;
 use outputs::{OUTBOX_POSES, Outbox, PrinterThread};
@@ -55,7 +53,9 @@ use recorder::RecorderControl;
 use slitpose_head::threads::{join, lock};
 use slitpose_tracking::capture::CaptureSeries;
 use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::page::SampleSink;
 use slitpose_tracking::pipeline::Counts;
+use slitpose_tracking::telemetry::{BoardReport, DaemonReport, LinkState, RecorderReport};
 
 /// Most outboxes on their way to the printer: half a second of one board at 4 kHz.
 const OUTBOXES: usize = 128;
@@ -158,7 +158,7 @@ impl Daemon {
         let boards = self.boards_report();
         let recorder = with_unrecorded(self.recorder_report(), &boards);
         let datagrams = self.datagrams.as_ref().map(|datagrams| datagrams.counts());
-        DaemonReport { datagrams, ..DaemonReport::of_now(self.started, boards, recorder) }
+        DaemonReport { datagrams, ..DaemonReport::of(self.started, HostInstant::now(), boards, recorder) }
     }
 
     pub(crate) fn recorder_report(&self) -> RecorderReport {

@@ -17,12 +17,12 @@ use super::handoff::{Consumer, Producer};
 use super::tap::Tap;
 use crate::background::spawn;
 use crate::datagram::{DatagramServer, Publisher};
-use crate::live::Sampler;
 use crate::sink::{Account, Note, Sink};
-use crate::telemetry::BoardStatistics;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::{DeviceId, Segment};
+use slitpose_tracking::page::Sampler;
 use slitpose_tracking::pipeline::{Item, Record};
+use slitpose_tracking::telemetry::BoardStatistics;
 
 #[derive(Clone, Debug)]
 #[expect(clippy::large_enum_variant, reason = "a box would be allocated for each pose")]

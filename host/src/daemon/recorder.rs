@@ -11,13 +11,13 @@ use slitpose_calibration::Head;
 use super::board::BoardPlan;
 use super::error::BoardError;
 use super::tap::{self, ChunkSink, TapChunk, TapEnds};
-use crate::telemetry::{DaemonReport, RecorderReport, RecorderState};
 use crate::terminal::say;
 use slitpose_head::causes::with_causes;
 use slitpose_head::threads::lock;
 use slitpose_tracking::capture::{CaptureError, CaptureSeries, Settings, Setup};
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::DeviceId;
+use slitpose_tracking::telemetry::{DaemonReport, RecorderReport, RecorderState};
 
 const CHUNK: Duration = Duration::from_millis(20);
 

@@ -17,12 +17,12 @@ use super::handoff::{SolverEnd, Worker};
 use super::link::{ScanWatch, StreamEvent};
 use super::outputs::Outputs;
 use super::tap::Tap;
-use crate::telemetry::{HostLosses, LagReport};
 use crate::terminal::say;
 use slitpose_head::threads::lock;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::Segment;
 use slitpose_tracking::pipeline::{Counts, Item, Pipeline};
+use slitpose_tracking::telemetry::{HostLosses, LagReport};
 
 const IDLE: Duration = Duration::from_millis(100);
 

@@ -16,6 +16,7 @@ use thread_priority::{
 use super::error::BoardError;
 use super::handoff::{Producer, buffer_pool};
 use crate::background::spawn;
+use slitpose_tracking::capture::PoseRate;
 use slitpose_tracking::link::{DeviceId, Segment};
 use slitpose_tracking::pipeline::Record;
 
@@ -77,7 +78,7 @@ pub(super) struct Tap {
     /// Whether the board keeps time: then a chunk is dropped while the taker is behind, and the next one says so, for a
     /// slow disk must not delay poses. Else the board's threads wait, and device time with them.
     keeps_time: bool,
-    due: Due,
+    rate: PoseRate,
     under_way: Option<TapChunk>,
     /// The current chunk is long enough; poses of its last scans may still come.
     is_full: bool,
@@ -96,10 +97,10 @@ impl Tap {
     pub(super) fn new(board: usize, ends: TapEnds, keeps_time: bool) -> Self {
         Self {
             board,
+            rate: PoseRate::every(ends.pose_every_s),
             ends,
             is_on: true,
             keeps_time,
-            due: Due(f64::NEG_INFINITY),
             under_way: None,
             is_full: false,
             begun: Instant::now(),
@@ -167,7 +168,7 @@ impl Tap {
         let chunk_ns = self.under_way.as_ref().map_or(0, |chunk| self.device_ns.abs_diff(chunk.device_ns));
         self.is_full |= u128::from(chunk_ns) >= self.ends.span.as_nanos();
         if let Some(chunk) = &mut self.under_way
-            && self.due.is_due(time_s, self.ends.pose_every_s)
+            && self.rate.is_due(time_s)
         {
             chunk.poses.push(*record);
         }
@@ -199,24 +200,6 @@ impl Tap {
         if let Some(chunk) = self.under_way.take() {
             self.ends.chunks.hand_over(chunk);
         }
-    }
-}
-
-/// The device time from which on the next pose is kept, seconds.
-#[derive(Clone, Copy, Debug)]
-struct Due(f64);
-
-impl Due {
-    /// Whether a pose of `time_s` is kept, of those that are `every_s` apart.
-    fn is_due(&mut self, time_s: f64, every_s: f64) -> bool {
-        // Device time may restart.
-        let is_due = time_s >= self.0 || time_s < self.0 - 2.0 * every_s;
-        if is_due {
-            // One period after the last one was due, so that the rate does not drift; unless that is not the next period.
-            let next_s = self.0 + every_s;
-            self.0 = if next_s > time_s && next_s <= time_s + every_s { next_s } else { time_s + every_s };
-        }
-        is_due
     }
 }
 
@@ -294,19 +277,4 @@ pub(super) fn claim(priority: u8) -> Result<(), &'static str> {
         ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo),
     )
     .map_err(|_| REMEDY)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn poses_are_kept_at_their_rate_also_when_device_time_restarts() {
-        let mut due = Due(f64::NEG_INFINITY);
-        // 4 kHz for 10 s, a reset, 4 kHz for 5 s, and a jump ahead by a minute.
-        let times = (0..40_000).chain(0..20_000).chain(260_000..264_000).map(|scan| f64::from(scan) / 4000.0);
-        let kept: Vec<f64> = times.filter(|&time_s| due.is_due(time_s, 0.04)).collect();
-        // 25 a second, and one for each new beginning at most.
-        assert!((400..=402).contains(&kept.len()), "{}", kept.len());
-    }
 }

@@ -76,9 +76,8 @@
 use std::sync::atomic;
 
 pub use layout::{Answer, Mode, PoseDatagram, Request};
-pub use server::{DatagramCounts, DatagramServer, Publisher};
+pub use server::{DatagramServer, Publisher};
 pub use socket::UnixClient;
-pub use subscription::SlowClient;
 
 pub use crate::address::Address;
 use socket::require_loopback;

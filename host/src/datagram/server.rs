@@ -9,45 +9,21 @@ use std::time::Duration;
 
 use crossbeam_channel::{Receiver, Sender};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
-use schemars::JsonSchema;
-use serde::Serialize;
 
 use super::layout::{Answer, Mode, PoseDatagram, Request};
 use super::slot::Slot;
 use super::socket::{Delivery, Peer, Socket};
-use super::subscription::{Cookies, Lease, Leases, MAX_FOLLOWERS, MAX_NEWS, SlowClient, Subscription, Worth};
+use super::subscription::{Cookies, Lease, Leases, MAX_FOLLOWERS, MAX_NEWS, Subscription, Worth};
 use crate::address::{Address, ServeError, SocketFile};
 use crate::background::Background;
 use slitpose_head::threads::lock;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::DeviceId;
 use slitpose_tracking::pipeline::Record;
+use slitpose_tracking::telemetry::DatagramCounts;
 
 /// Duration of a lease after each request. Clients send one each second.
 pub(super) const LEASE: Duration = Duration::from_secs(3);
-
-/// Counts of datagrams sent and refused since the server started.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
-pub struct DatagramCounts {
-    /// Places taken by clients now.
-    pub places_taken: u64,
-    /// Places of each board; users share them evenly, and all clients on UDP count as one user.
-    pub places: u64,
-    /// Clients that got no place, or lost theirs to another user's client.
-    pub places_refused: u64,
-    /// Valid requests.
-    pub requests: u64,
-    /// Requests refused: unreadable, from clients without a valid name of their own, or too many at a time.
-    pub refused: u64,
-    /// Requests on UDP without a valid cookie, answered with a cookie.
-    pub unproven: u64,
-    /// Datagrams sent.
-    pub sent: u64,
-    /// Datagrams for which a client's queue had no room. Not known for UDP.
-    pub missed: u64,
-    /// Clients that do not read fast enough. Not known for UDP.
-    pub slow_clients: Vec<SlowClient>,
-}
 
 /// The server's side of a board; its publisher holds the other ends.
 #[derive(Debug)]

@@ -5,11 +5,9 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use schemars::JsonSchema;
-use serde::Serialize;
-
 use super::socket::Peer;
 use slitpose_tracking::link::DeviceId;
+use slitpose_tracking::telemetry::SlowClient;
 
 /// Most clients that follow a board at once: each costs the solver some microseconds per scan.
 pub(super) const MAX_FOLLOWERS: usize = 16;
@@ -36,19 +34,6 @@ pub(super) struct Misses {
     count: AtomicU64,
     since_ns: AtomicU64,
     last_ns: AtomicU64,
-}
-
-/// A client that has missed poses for more than a second, without a second in which it missed none.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, JsonSchema)]
-pub struct SlowClient {
-    /// Its process; `None` if unknown.
-    pub process: Option<i32>,
-    /// Its user; `None` if unknown.
-    pub user: Option<u32>,
-    /// Poses that it has missed.
-    pub missed: u64,
-    /// For how long it has missed poses, seconds.
-    pub missing_s: f64,
 }
 
 impl Subscription {

@@ -5,26 +5,21 @@ use std::ops::Range;
 use std::sync::Mutex;
 
 use axum::extract::ws::Utf8Bytes;
-use serde::Serialize;
 use serde_json::json;
 use slitpose_calibration::Head;
 use slitpose_head::threads::lock;
 use tokio::sync::broadcast;
 use tokio::sync::mpsc::{Receiver, Sender, WeakSender, channel};
 
-use super::bins::COARSE_HZ;
-use super::control::{CalibrationState, PlayerState};
-use super::frame::{FRAMES_HZ, Optics, Sample, SampleSink, head_message};
-use crate::telemetry::DaemonReport;
-use slitpose_head::finding::Finding;
 use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::page::{
+    COARSE_HZ, COARSE_S, CalibrationState, FRAMES_HZ, HISTORY_S, Optics, PlayerState, Sample, SampleSink, head_message,
+    report_message,
+};
+use slitpose_tracking::telemetry::DaemonReport;
 
-/// The frames of the last minute are kept.
-pub(super) const HISTORY_S: u64 = 60;
 const HISTORY: usize = (HISTORY_S * FRAMES_HZ) as usize;
 
-/// The coarse bins of the last ten minutes are kept.
-pub(super) const COARSE_S: u64 = 600;
 const COARSE: usize = (COARSE_S * COARSE_HZ) as usize;
 
 /// Most samples on their way to the server's thread: a quarter of a second of one board.
@@ -147,13 +142,6 @@ struct Board {
     time_s: f64,
 }
 
-#[derive(Serialize)]
-#[serde(tag = "kind", rename = "report")]
-struct ReportMessage<'a> {
-    report: &'a DaemonReport,
-    findings: Vec<Finding>,
-}
-
 impl Hub {
     pub(super) fn new() -> Self {
         Self { events: broadcast::channel(EVENTS).0, state: Mutex::default() }
@@ -203,30 +191,30 @@ impl Hub {
                 drop(state);
                 self.report(&report);
             }
-            Input::Failed(reason) => self.pass_on(text_of(&json!({"kind": "ended", "reason": reason}))),
+            Input::Failed(reason) => self.pass_on(json!({"kind": "ended", "reason": reason}).to_string().into()),
             Input::Player(player) => {
-                state.player = text_of(&player);
-                self.pass_on(state.player.clone());
+                let text = Utf8Bytes::from(player.message());
+                state.player = Some(text.clone());
+                self.pass_on(text);
             }
             Input::Calibration(calibration) => {
-                state.calibration = text_of(&calibration);
-                self.pass_on(state.calibration.clone());
+                let text = Utf8Bytes::from(calibration.message());
+                state.calibration = Some(text.clone());
+                self.pass_on(text);
             }
         }
     }
 
     /// Passes a report on to the clients.
     pub(super) fn report(&self, report: &DaemonReport) {
-        let text = text_of(&ReportMessage { findings: report.findings(HostInstant::now()), report });
-        lock(&self.state).report.clone_from(&text);
+        let text = Utf8Bytes::from(report_message(report, HostInstant::now()));
+        lock(&self.state).report = Some(text.clone());
         self.pass_on(text);
     }
 
-    fn pass_on(&self, text: Option<Utf8Bytes>) {
-        if let Some(text) = text {
-            // Without clients there is nobody to tell.
-            let _ = self.events.send(Event::State(text));
-        }
+    fn pass_on(&self, text: Utf8Bytes) {
+        // Without clients there is nobody to tell.
+        let _ = self.events.send(Event::State(text));
     }
 }
 
@@ -286,7 +274,7 @@ impl Board {
         Self {
             // A scene that cannot be computed has been refused before.
             optics: Optics::of(&head).ok(),
-            head: head_message(number, &head),
+            head: head_message(number, &head).into(),
             frames: VecDeque::with_capacity(HISTORY),
             coarse: VecDeque::new(),
             next: 0,
@@ -294,10 +282,6 @@ impl Board {
             name,
         }
     }
-}
-
-fn text_of(message: &impl Serialize) -> Option<Utf8Bytes> {
-    serde_json::to_string(message).ok().map(Utf8Bytes::from)
 }
 
 #[cfg(test)]

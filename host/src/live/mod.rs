@@ -11,9 +11,7 @@
 //! not acknowledge what it got is sent the newest frames only, and how many it has missed. `LIVE.md` describes the
 //! messages.
 
-mod bins;
 mod control;
-mod frame;
 mod hub;
 mod recordings;
 mod server;
@@ -21,13 +19,7 @@ mod session;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use control::{
-    Access, Control, DEFAULT_LIVE_ADDRESS, Order, PlayerOrder, PlayerState, Refusal, is_request, live_address,
-};
-#[cfg(feature = "foxglove")]
-pub(crate) use frame::Optics;
-pub(crate) use frame::SceneView;
-pub(crate) use frame::{Sample, SampleSink, Sampler};
+pub(crate) use control::{Access, Control, DEFAULT_LIVE_ADDRESS, live_address};
 pub(crate) use hub::{Input, LiveBoard, LiveInput};
 pub(crate) use recordings::{Calibrate, Recordings};
 pub(crate) use server::{LivePlan, LiveServer};

@@ -14,9 +14,10 @@ use slitpose_head::causes::with_causes;
 use slitpose_head::threads::lock;
 use slitpose_tracking::capture::contents;
 use slitpose_tracking::measurements::Measurements;
+use slitpose_tracking::page::{CalibrationState, Refusal};
 use tokio::sync::mpsc::Receiver;
 
-use super::control::{CalibrationState, Control, Refusal};
+use super::control::Control;
 use super::hub::{Input, LiveInput, WeakInput};
 use super::server::Shared;
 

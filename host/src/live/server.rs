@@ -20,14 +20,14 @@ use tokio::io::AsyncReadExt;
 use tokio::time::{MissedTickBehavior, interval};
 use tokio_util::io::ReaderStream;
 
-use super::control::{Access, Control, Refusal};
-use super::frame::SceneView;
+use super::control::{Access, Control};
 use super::hub::{Hub, Input, LiveBoard, LiveInput};
 use super::recordings::Recordings;
 use super::session;
 use crate::address::{Address, ServeError};
 use crate::http::{Connection, Serving, reply};
-use crate::telemetry::DaemonReport;
+use slitpose_tracking::page::{Refusal, SceneView};
+use slitpose_tracking::telemetry::DaemonReport;
 
 /// Most clients at a time, of those that have said hello.
 pub(super) const MAX_CLIENTS: usize = 32;
@@ -284,6 +284,7 @@ pub(super) const FILES: &[PageFile] = &files! {
     CSS "style.css"
     JAVASCRIPT "timeline.js"
     JAVASCRIPT "trace.js"
+    JAVASCRIPT "transport.js"
     JAVASCRIPT "vectors.js"
     JAVASCRIPT "view3d.js"
 };

@@ -11,21 +11,17 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::extract::ws::{Message, Utf8Bytes, WebSocket};
-use glam::DVec3;
 use serde_json::{Value, json};
-use slitpose_model::Pose;
 use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::{RecvError, TryRecvError};
 use tokio::task::spawn_blocking;
 use tokio::time::{Instant, sleep, sleep_until, timeout};
 
-use super::bins::{COARSE_HZ, FINE_HZ};
-use super::control::{Order, Refusal, Request};
-use super::frame::FRAMES_HZ;
-use super::hub::{COARSE_S, Event, HISTORY_S, Snapshot};
+use super::hub::{Event, Snapshot};
 use super::recordings::Recordings;
 use super::server::Shared;
 use crate::http::Connection;
+use slitpose_tracking::page::{FRAMES_HZ, Order, Refusal, Request, hello};
 
 /// Most messages that a client has not acknowledged.
 pub(super) const WINDOW: u64 = 64;
@@ -47,15 +43,6 @@ const ASK_AFTER: Duration = Duration::from_secs(15);
 
 /// … and is gone if it takes or answers nothing for this long.
 const GONE_AFTER: Duration = Duration::from_secs(40);
-
-/// No dragged tool is farther from home than this, metres and radians: beyond it all cells are dark.
-const FARTHEST: f64 = 10.0;
-
-/// Longest time before a note of its instant, seconds: that of the page's memory.
-const MAX_AGO_S: f64 = COARSE_S as f64;
-
-/// Most characters of a note.
-const MAX_NOTE: usize = 500;
 
 /// Before a wrong token is answered: against guessing.
 const PENALTY: Duration = Duration::from_secs(1);
@@ -166,21 +153,10 @@ impl Session {
     }
 
     async fn greet(&mut self, snapshot: &Snapshot) -> Result<(), Gone> {
-        self.answer(json!({
-            "kind": "hello",
-            "program": env!("CARGO_PKG_NAME"),
-            "version": env!("CARGO_PKG_VERSION"),
-            "source": self.shared.plan.source,
-            "has_zero": self.shared.plan.has_zero,
-            "may_write": self.shared.plan.access.may_write,
-            "frames_hz": FRAMES_HZ,
-            "history_s": HISTORY_S,
-            "fine_hz": FINE_HZ,
-            "coarse_hz": COARSE_HZ,
-            "coarse_s": COARSE_S,
-            "boards": snapshot.names,
-        }))
-        .await
+        let plan = &self.shared.plan;
+        let mut greeting = hello(plan.source, &snapshot.names, plan.access.may_write);
+        (greeting["has_zero"], greeting["has_folder"]) = (plan.has_zero.into(), plan.recordings.is_some().into());
+        self.answer(greeting).await
     }
 
     /// What has to be known before frames of a history.
@@ -248,7 +224,7 @@ impl Session {
                 Ok(())
             }
             Request::Record { on } => self.order(Order::Record(on)),
-            Request::Note { text, ago_s } => match self.note(&text, ago_s) {
+            Request::Note { text, ago_s } => match Order::note(&text, ago_s).and_then(|order| self.order(order)) {
                 Ok(()) => return self.answer(json!({"kind": "noted", "text": text})).await,
                 refused => refused,
             },
@@ -296,14 +272,6 @@ impl Session {
         }
     }
 
-    fn note(&self, text: &str, ago_s: f64) -> Result<(), Refusal> {
-        if !(0.0..=MAX_AGO_S).contains(&ago_s) {
-            return Err(Refusal::Value { key: "ago_s", value: ago_s, hint: "seconds from 0, 600 at most" });
-        }
-        let text: String = text.chars().filter(|letter| !letter.is_control()).take(MAX_NOTE).collect();
-        self.order(Order::Note(text, ago_s))
-    }
-
     fn order(&self, order: Order) -> Result<(), Refusal> {
         if !self.shared.plan.access.may_write {
             return Err(Refusal::ReadOnly);
@@ -314,14 +282,8 @@ impl Session {
     fn drawn_at(&mut self, t_m: [f64; 3], r_rad: [f64; 3]) -> Result<Utf8Bytes, Refusal> {
         let instead = "`slitpose scene view SCENE` has one";
         let view = self.shared.plan.scene.as_ref().ok_or(Refusal::NotHere { what: "tool to drag", instead })?;
-        for (key, values) in [("t_m", t_m), ("r_rad", r_rad)] {
-            if let Some(value) = values.into_iter().find(|value| value.abs() > FARTHEST) {
-                return Err(Refusal::Value { key, value, hint: "metres and radians within the workspace" });
-            }
-        }
         self.drawn += 1;
-        let pose = Pose::from_vectors(DVec3::from_array(t_m), DVec3::from_array(r_rad));
-        Ok(view.frame(self.drawn, &pose))
+        view.frame(self.drawn, t_m, r_rad).map(Utf8Bytes::from)
     }
 
     async fn refuse(&mut self, refusal: &Refusal) -> Result<(), Gone> {

@@ -12,7 +12,6 @@ use tungstenite::client::IntoClientRequest;
 use tungstenite::stream::MaybeTlsStream;
 use tungstenite::{Message, WebSocket};
 
-use super::bins::{Bins, FINE_HZ};
 use super::hub::LiveBoard;
 use super::server::{Clients, MAX_CLIENTS, MAX_REQUEST};
 use super::session::WINDOW;
@@ -20,6 +19,7 @@ use super::*;
 use crate::http::{LIFETIME, MOST};
 use crate::samples::poses;
 use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::page::{Bins, FINE_HZ, Order, PlayerOrder, Sample, SampleSink, Sampler, SceneView};
 use slitpose_tracking::pipeline::Record;
 
 const TOKEN: &str = "correct-horse-battery";

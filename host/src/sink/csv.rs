@@ -3,50 +3,36 @@
 use std::io;
 use std::io::Write;
 
-use super::{Accounts, Sink, json};
-use slitpose_tracking::columns::{Column, Field, Row, of_tables};
+use super::{Accounts, Sink};
+use slitpose_tracking::columns::CsvRows;
 use slitpose_tracking::pipeline::Record;
 
 pub(super) struct Csv<W: Write> {
     output: W,
-    columns: Vec<&'static Column>,
+    rows: CsvRows,
     line: Vec<u8>,
     has_begun: bool,
 }
 
 impl<W: Write> Csv<W> {
     pub(super) fn new(output: W) -> Self {
-        Self { output, columns: of_tables(true), line: Vec::new(), has_begun: false }
+        Self { output, rows: CsvRows::default(), line: Vec::new(), has_begun: false }
     }
 
-    fn begin(&mut self) -> io::Result<()> {
-        if std::mem::replace(&mut self.has_begun, true) {
-            return Ok(());
+    /// Puts the header into the line if it has not been written.
+    fn begin(&mut self) {
+        self.line.clear();
+        if !std::mem::replace(&mut self.has_begun, true) {
+            self.rows.header(&mut self.line);
         }
-        let names: Vec<String> = self.columns.iter().flat_map(|column| column.names()).collect();
-        writeln!(self.output, "{}", names.join(","))
     }
 }
 
 impl<W: Write> Sink for Csv<W> {
     fn pose(&mut self, record: &Record) -> io::Result<()> {
-        self.begin()?;
-        let Self { output, columns, line, .. } = self;
-        line.clear();
-        let row = Row::from(record);
-        // Each behind a comma. None needs quotes.
-        let mut put = |field: Field<'_>| {
-            line.push(b',');
-            match field {
-                Field::Integer(value) => value.iter().for_each(|value| json(line, value)),
-                Field::Number(value) => value.iter().for_each(|value| json(line, value)),
-                Field::Word(word) => line.extend_from_slice(word.as_bytes()),
-                Field::Flag(flag) => json(line, &flag),
-            }
-        };
-        columns.iter().for_each(|column| column.put(&row, &mut put));
-        line.push(b'\n');
-        output.write_all(&line[1..])
+        self.begin();
+        self.rows.row(record, &mut self.line);
+        self.output.write_all(&self.line)
     }
 
     fn tick(&mut self, _: &Accounts<'_>) -> io::Result<()> {
@@ -54,7 +40,8 @@ impl<W: Write> Sink for Csv<W> {
     }
 
     fn finish(&mut self, _: &Accounts<'_>) -> io::Result<()> {
-        self.begin()?;
+        self.begin();
+        self.output.write_all(&self.line)?;
         self.output.flush()
     }
 }

@@ -9,12 +9,13 @@ use serde::Serialize;
 use slitpose_protocol::Severity;
 
 use crate::comparison::Accuracy;
-use crate::telemetry::{BoardReport, RecorderReport, view};
+use crate::telemetry::view;
 use crate::terminal;
 use crate::terminal::{Line, Tone, WIDTH, layout};
 use slitpose_head::foreign::printable;
 use slitpose_tracking::link::DeviceId;
 use slitpose_tracking::pipeline::{Item, Record};
+use slitpose_tracking::telemetry::{BoardReport, RecorderReport};
 
 mod csv;
 mod ndjson;

@@ -8,8 +8,8 @@ use std::fmt::Write;
 use serde_json::{Value, json};
 use slitpose_protocol::{ClockSource, SettingsSource};
 
-use super::report::{BoardReport, DaemonReport, LinkState, RecorderState};
 use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::telemetry::{BoardReport, DaemonReport, LinkState, RecorderState};
 
 pub(crate) const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
 

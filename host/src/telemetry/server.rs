@@ -19,12 +19,14 @@ use axum::http::header::CONTENT_TYPE;
 use axum::response::Response;
 use axum::routing::{get, post};
 
-use super::{DaemonReport, metrics, view};
+use super::{metrics, view};
 use crate::address::{Address, ServeError};
 use crate::http;
 use crate::http::{BindScope, Serving};
-use crate::live::{Control, Order};
+use crate::live::Control;
 use slitpose_tracking::clock::HostInstant;
+use slitpose_tracking::page::Order;
+use slitpose_tracking::telemetry::DaemonReport;
 
 const TEXT: &str = "text/plain; charset=utf-8";
 const JSON: &str = "application/json";

@@ -11,15 +11,17 @@ use slitpose_protocol::{ClockSource, SettingsSource, Severity, Status};
 
 use super::*;
 use crate::address::{Address, ServeError};
-use crate::datagram::DatagramCounts;
 use crate::http;
-use crate::live::{Order, Refusal};
 use crate::samples;
 use slitpose_head::finding::Finding;
 use slitpose_tracking::clock::{HostInstant, HostTime};
 use slitpose_tracking::health::{CellHealth, CellTotals, Diagnosis, Fault, HeadHealth, Shares, Verdict};
 use slitpose_tracking::link::DeviceId;
+use slitpose_tracking::page::{Order, Refusal};
 use slitpose_tracking::pipeline::{Counts, Item, Outcomes, Record};
+use slitpose_tracking::telemetry::{
+    BoardReport, BoardStatistics, DaemonReport, DatagramCounts, LinkReport, LinkState, RecorderReport,
+};
 
 /// A name with all characters that a label must escape.
 const AWKWARD: &str = "a \"port\"\\with\nlines";
@@ -87,7 +89,10 @@ fn board(name: &str, head: Option<HeadHealth>) -> BoardReport {
 fn daemon(boards: Vec<BoardReport>) -> DaemonReport {
     let datagrams =
         Some(DatagramCounts { places: 16, places_taken: 5, places_refused: 3, ..DatagramCounts::default() });
-    DaemonReport { datagrams, ..DaemonReport::of_now(HostInstant::now(), boards, RecorderReport::default()) }
+    DaemonReport {
+        datagrams,
+        ..DaemonReport::of(HostInstant::now(), HostInstant::now(), boards, RecorderReport::default())
+    }
 }
 
 fn serve(address: &str) -> Result<StatusServer, ServeError> {

@@ -2,8 +2,6 @@
 
 use std::time::Duration;
 
-use super::losses::Latency;
-use super::report::{BoardReport, DaemonReport, LinkState, Losses, RecorderReport, RecorderState};
 use crate::terminal::{Line, Tone, WIDTH, layout};
 use slitpose_head::finding::{Finding, Grade};
 use slitpose_head::foreign::printable;
@@ -11,6 +9,8 @@ use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::health::{CellHealth, Verdict};
 use slitpose_tracking::link::{contradicted_crystal, start_findings};
 use slitpose_tracking::pipeline::Agreement;
+use slitpose_tracking::telemetry::Latency;
+use slitpose_tracking::telemetry::{BoardReport, DaemonReport, LinkState, Losses, RecorderReport, RecorderState};
 
 /// Longer names of boards and firmware are cut.
 const MAX_NAME: usize = 60;

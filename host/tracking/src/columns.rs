@@ -2,6 +2,7 @@
 //! Python makes arrays, and the help lists them. A quantity is added by one row of [`COLUMNS`], at its end.
 
 use glam::{DQuat, DVec3};
+use serde::Serialize;
 use slitpose_model::{
     AXES, Cells, DegradedReason, Directions, Estimate, Filtered, NoTwist, Outcome, Pose, Solution, TwistEstimate,
     Verified, rotation_log,
@@ -287,5 +288,45 @@ impl Column {
             Get::Velocity(get) | Get::AngularVelocity(get) => numbers(put, get(row).map(|v| v.to_array()), 1.0),
             Get::TwistSigma(get) => numbers(put, get(row), 1.0),
         }
+    }
+}
+
+/// The columns of tables of scans, written as CSV.
+pub struct CsvRows(Vec<&'static Column>);
+
+impl Default for CsvRows {
+    fn default() -> Self {
+        Self(of_tables(true))
+    }
+}
+
+impl CsvRows {
+    /// Appends the header to `line`.
+    pub fn header(&self, line: &mut Vec<u8>) {
+        let names: Vec<String> = self.0.iter().flat_map(|column| column.names()).collect();
+        line.extend_from_slice(names.join(",").as_bytes());
+        line.push(b'\n');
+    }
+
+    /// Appends the row of `record` to `line`; numbers read back to the same bits.
+    pub fn row(&self, record: &Record, line: &mut Vec<u8>) {
+        let (row, begin) = (Row::from(record), line.len());
+        // Writing numbers and words to memory cannot fail.
+        fn json(line: &mut Vec<u8>, value: &impl Serialize) {
+            let _ = serde_json::to_writer(line, value);
+        }
+        // Each behind a comma. None needs quotes.
+        let mut put = |field: Field<'_>| {
+            line.push(b',');
+            match field {
+                Field::Integer(value) => value.iter().for_each(|value| json(line, value)),
+                Field::Number(value) => value.iter().for_each(|value| json(line, value)),
+                Field::Word(word) => line.extend_from_slice(word.as_bytes()),
+                Field::Flag(flag) => json(line, &flag),
+            }
+        };
+        self.0.iter().for_each(|column| column.put(&row, &mut put));
+        line.push(b'\n');
+        line.remove(begin);
     }
 }

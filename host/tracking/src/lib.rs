@@ -7,6 +7,7 @@
 //! * [`health`] monitors the cells of a head;
 //! * [`capture`] writes and reads recordings, [`playback`] takes them through the pipeline again;
 //! * [`columns`] lists the quantities of a scan, for all outputs;
+//! * [`telemetry`] counts what boards send, and reports it; [`page`] has the messages of the live page;
 //! * [`ros`] has poses and heads as messages;
 //! * [`measurements`] reads what calibrations rest on, [`tip`] finds the tip of a tool in them.
 //!
@@ -49,9 +50,13 @@ pub mod columns;
 pub mod frame;
 pub mod health;
 pub mod link;
+#[cfg(unix)]
 pub mod measurements;
+pub mod page;
 pub mod pipeline;
 pub mod playback;
 pub mod ros;
 pub mod solving;
+pub mod telemetry;
+#[cfg(unix)]
 pub mod tip;

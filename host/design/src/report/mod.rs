@@ -19,6 +19,7 @@ mod map;
 mod section;
 mod solver;
 mod stiff;
+#[cfg(unix)]
 mod write;
 
 use std::fs;
@@ -32,8 +33,9 @@ pub use calibration::calibration_report;
 pub(crate) use head::frame_scene;
 pub use heads::{comparison, pareto, scene_name};
 pub use map::map_report;
-pub use section::{Column, Report, Section, Table, Value};
-pub(crate) use section::{Picture, column, program, scene};
+pub use section::{Column, Picture, Report, Section, Table, Value};
+pub(crate) use section::{column, program, scene};
+#[cfg(unix)]
 pub use write::Folder;
 
 use head::Head;

@@ -130,10 +130,14 @@ impl Table {
     }
 }
 
+/// A picture of a section.
 #[derive(Clone, Debug)]
-pub(crate) struct Picture {
+pub struct Picture {
+    /// The name of its file.
     pub name: &'static str,
+    /// What it shows.
     pub caption: String,
+    /// The picture.
     pub svg: String,
 }
 
@@ -148,7 +152,8 @@ pub struct Section {
     pub summary: Vec<String>,
     /// Method and conclusions.
     pub paragraphs: Vec<String>,
-    pub(crate) pictures: Vec<Picture>,
+    /// Pictures.
+    pub pictures: Vec<Picture>,
     /// Tables.
     pub tables: Vec<Table>,
 }

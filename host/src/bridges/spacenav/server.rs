@@ -14,7 +14,7 @@ use slitpose_model::Pose;
 use super::Feel;
 use crate::address::{ServeError, SocketFile, connects_stream};
 use crate::background::Background;
-use crate::live::{Sample, SampleSink};
+use slitpose_tracking::page::{Sample, SampleSink};
 
 /// Most clients; more are not let in.
 pub(super) const MAX_CLIENTS: usize = 16;

@@ -13,10 +13,10 @@ use self::publisher::Publisher;
 use crate::bridges::DEFAULT_ROUTER;
 use crate::daemon::StreamPlan;
 use crate::live::LiveBoard;
-use crate::telemetry::DaemonReport;
 use crate::terminal::say;
 use slitpose_tracking::capture::LINK_BYTES;
 use slitpose_tracking::ros::{MARKERS, POSE, RosType, TRANSFORMS, TWIST};
+use slitpose_tracking::telemetry::DaemonReport;
 
 /// The way to a router. A session reaches that again whenever it was away.
 pub(super) struct Router {

@@ -10,13 +10,13 @@ use slitpose_head::finding::{Finding, Grade};
 use super::{Attachment, Node, Router, Type, gid, topic_key};
 use crate::daemon::{ChunkSink, TapChunk};
 use crate::live::LiveBoard;
-use crate::telemetry::DaemonReport;
 use crate::terminal::say;
 use slitpose_tracking::capture::encode_link_bytes;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::{DeviceId, Segment};
 use slitpose_tracking::pipeline::Record;
 use slitpose_tracking::ros::{self, cdr::Encoder};
+use slitpose_tracking::telemetry::DaemonReport;
 
 /// Time between copies of what late subscribers need, too: hellos, heads, health.
 const REPEAT_EVERY: Duration = Duration::from_secs(1);

@@ -19,10 +19,11 @@ use slitpose_model::{CompiledScene, Pose, Tier};
 use super::live::AccessOptions;
 use super::options::{CalibrationOption, Jobs, open_scene, parse_pose};
 use super::{CommandError, Outcome, interrupt, options};
-use crate::live::{DEFAULT_LIVE_ADDRESS, LiveBoard, LivePlan, Order, Refusal, SceneView, live_address};
+use crate::live::{DEFAULT_LIVE_ADDRESS, LiveBoard, LivePlan, live_address};
 use crate::terminal::{Amount, Progress};
 use slitpose_head::scene_file::{SHIPPED, Shipped};
 use slitpose_head::table::Output;
+use slitpose_tracking::page::{Order, Refusal, SceneView};
 
 /// Checks, maps, draws, lists and shows scenes.
 #[derive(Debug, clap::Args)]

@@ -25,6 +25,12 @@ export class Banner {
     this.changed();
   }
 
+  /** What was shown is about something else. */
+  forget(kind) {
+    clearTimeout(this.#notices.get(kind)?.timer);
+    if (this.#notices.delete(kind)) this.changed();
+  }
+
   /** Frames that the daemon left out; those of one burst are added up. */
   #missed = 0;
   missed(frames) {

@@ -7,7 +7,7 @@ import { facts } from "./numbers.js";
 
 const FACTS = [
   "Board", "Link", "Rate", "Scans", "Lost on the board", "Lost on the link", "Lost on the host", "Latency",
-  "of which link, host", "Lag", "Clock", "Health of the board", "Its last message", "Daemon",
+  "of which link, host", "Lag", "Clock", "Health of the board", "Its last message", "Program",
 ];
 
 export class Daemon {
@@ -39,7 +39,7 @@ export class Daemon {
         : `± ${engineering(clock.uncertainty_s, "s")}, drift ${fixed(clock.drift_ppm, 2, { plus: true })} ppm${clock.contradicts_crystal ? ", contradicts its crystal" : ""}`,
       "Health of the board": vitals && `${fixed(vitals.supply_v, 2)} V, ${fixed(vitals.temperature_k - 273.15, 0)} °C, ${fixed(vitals.cpu_load * 100, 0)} % CPU`,
       "Its last message": complaint && complaint.text,
-      "Daemon": `${report.program} ${report.version}, up ${duration(report.uptime_s)}${report.process ? `, ${bytes(report.process.resident_bytes)}` : ""}`,
+      "Program": `${report.program} ${report.version}, up ${duration(report.uptime_s)}${report.process ? `, ${bytes(report.process.resident_bytes)}` : ""}`,
     });
   }
 }

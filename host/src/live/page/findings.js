@@ -69,7 +69,7 @@ export class Memory {
     while (this.#losses[1].at_ms <= now_ms - MEMORY_MS) this.#losses.shift();
     const lines = [
       ["skipped", "solver", "skipped: they came faster than they were solved", "close other programs, use --tier paper, or lower the frame rate"],
-      ["board", "board", "lost on the board", "see under Board and daemon where; reset the board"],
+      ["board", "board", "lost on the board", "see under Board and program where; reset the board"],
       ["link", "link", "lost between board and host", "check cable, hub and port of the board"],
     ];
     return boards.flatMap(({ name }, i) =>

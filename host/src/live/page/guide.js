@@ -129,7 +129,7 @@ export class Guide {
 
   /** @param {object | null} recorder of the report @param {object | null} hello */
   draw(recorder, hello) {
-    const isOffered = hello?.source === "run" && hello.may_write && hello.boards.length === 1;
+    const isOffered = hello?.has_folder && hello.may_write && hello.boards.length === 1;
     show(byId("open-guide"), Boolean(isOffered));
     show(byId("guide-panel"), Boolean(isOffered && this.#isOpen));
     const running = this.#running;

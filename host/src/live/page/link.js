@@ -1,10 +1,11 @@
 /**
- * The connection to the daemon: opens it, keeps it, acknowledges what came.
+ * The connection to the daemon, or to what stands in its place: opens it, keeps it, acknowledges what came.
  *
  * The daemon sends at least twice a second, so two seconds of silence mean that the network or the daemon hangs, or that
  * the browser slept: the connection is given up and opened anew. Only a page of source "scene" may be silent, while
- * nothing is asked of it.
+ * nothing is asked of it, and one without a network.
  */
+import { connect, GONE, hasNetwork, onChange } from "./transport.js";
 
 const SILENCE_MS = 2000;
 const FIRST_WAIT_MS = 250;
@@ -42,7 +43,7 @@ export class Link {
     this.token = takeToken();
     /** The capture that this page plays, if it was opened for one. */
     this.recording = new URLSearchParams(location.search).get("recording");
-    addEventListener("hashchange", () => {
+    onChange(() => {
       this.token = takeToken();
       this.#open();
     });
@@ -70,18 +71,17 @@ export class Link {
   #open() {
     clearTimeout(this.#timer);
     this.#drop();
-    const scheme = location.protocol === "https:" ? "wss:" : "ws:";
-    const socket = new WebSocket(`${scheme}//${location.host}/live`);
+    const socket = connect();
     this.#socket = socket;
     this.#heard = performance.now();
     this.#messages = this.#acknowledged = 0;
-    this.#mayBeSilent = false;
+    this.#mayBeSilent = !hasNetwork;
     socket.onopen = () => {
       this.#heard = performance.now();
       socket.send(JSON.stringify({ kind: "hello", token: this.token, recording: this.recording }));
     };
     socket.onmessage = ({ data }) => this.#take(data);
-    socket.onclose = () => this.#lost("the daemon is gone");
+    socket.onclose = () => this.#lost(GONE);
   }
 
   #take(data) {
@@ -90,7 +90,7 @@ export class Link {
     const message = JSON.parse(data);
     if (message.kind === "hello") {
       this.#wait = FIRST_WAIT_MS;
-      this.#mayBeSilent = message.source === "scene";
+      this.#mayBeSilent = !hasNetwork || message.source === "scene";
       reloadIfOther(message.version);
       this.#change("open");
     } else if (message.kind === "ended" || (message.kind === "refused" && this.state.state !== "open")) {

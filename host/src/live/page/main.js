@@ -93,6 +93,7 @@ function received(message) {
 const takers = {
   hello(message) {
     hello = message;
+    banner.forget("notice");
     heads = message.boards.map(() => null);
     histories = message.boards.map(() => new History(message.history_s, message.frames_hz));
     traces = message.boards.map(() => new Trace(message));
@@ -146,6 +147,7 @@ const takers = {
   noted: ({ text }) => notes.noted(text),
   calibration: (message) => guide.take(message),
   missed: ({ frames }) => banner.missed(frames),
+  notice: ({ text }) => banner.notice("notice", `${text}.`),
   refused({ reason }) {
     banner.notice("request", `Refused: ${reason}.`);
     if (isScene()) placement.answered();

@@ -82,7 +82,7 @@ export class Recordings {
 
   /** @param {object | null} recorder of the report @param {object | null} hello */
   draw(recorder, hello) {
-    show(byId("show-recordings"), Boolean(hello?.source === "run" && hello.may_write));
+    show(byId("show-recordings"), Boolean(hello?.source === "run" && hello.may_write && hello.has_folder));
     const state = `${recorder?.state} ${recorder?.file}`;
     if (state !== this.#askedFor && byId("recordings").open) this.#ask();
     this.#askedFor = state;

@@ -13,7 +13,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
 
-use super::place::{Medium, Sink};
+use super::medium::{Medium, Sink};
 use super::records::PROGRAM;
 use super::setup::{LinkChannels, METADATA, Setup};
 use super::{LINK_BYTES, REPORT_SCHEMA, link_bytes};

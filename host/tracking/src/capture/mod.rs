@@ -18,8 +18,11 @@ mod contents;
 mod file;
 mod index;
 mod link_bytes;
+mod medium;
 mod packets;
+#[cfg(unix)]
 mod place;
+mod rate;
 mod reader;
 mod records;
 mod series;
@@ -32,7 +35,10 @@ use thiserror::Error;
 
 pub use contents::{Contents, contents};
 pub use link_bytes::encode as encode_link_bytes;
+pub use medium::Medium;
+#[cfg(unix)]
 pub use place::Existing;
+pub use rate::PoseRate;
 pub use reader::{CaptureReader, End};
 pub use series::{CaptureSeries, Limits};
 pub use setup::{CapturedBasis, Settings, Setup, SetupError};

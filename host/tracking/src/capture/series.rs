@@ -1,16 +1,21 @@
 //! A capture as one file, or as a series of files.
 
 use std::collections::BTreeMap;
+#[cfg(unix)]
 use std::fs::File;
+#[cfg(unix)]
 use std::io;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use mcap::McapError;
 use serde::Serialize;
+use web_time::Instant;
 
 use super::file::{CaptureFile, Channels, io_error};
+use super::medium::Medium;
 use super::packets::{Packets, last_hello};
+#[cfg(unix)]
 use super::place::{Existing, Place, next_number, numbered};
 use super::{CaptureError, Setup};
 use crate::link::{DeviceId, Segment};
@@ -57,11 +62,13 @@ struct DeviceStream {
 }
 
 struct Output {
-    file: Option<CaptureFile<File>>,
-    /// Its place; `None` for a file opened by the caller.
+    file: Option<CaptureFile<Box<dyn Medium + Send>>>,
+    /// Its place; `None` for a medium opened by the caller.
+    #[cfg(unix)]
     place: Option<Place>,
     path: PathBuf,
     /// Path and number of the next file; `None` for a single file.
+    #[cfg(unix)]
     next: Option<(PathBuf, u64)>,
     opened: Instant,
     flushed: Instant,
@@ -73,27 +80,32 @@ impl CaptureSeries {
     /// Begins a capture, in which `report_schema` is the JSON schema of its reports. Without limits it is the file `path`. With limits it is a series of files
     /// numbered from 1 after the stem of `path`: `name-0001.mcap`, `name-0002.mcap`, …; the numbers
     /// continue after existing ones, so that no file is replaced.
+    #[cfg(unix)]
     pub fn create(
         path: &Path,
         limits: Limits,
         existing: Existing,
         report_schema: String,
     ) -> Result<Self, CaptureError> {
-        let next = if limits == Limits::default() {
-            None
-        } else {
-            let number = next_number(path);
-            Some((path.to_owned(), number.map_err(|source| CaptureError::Create { path: path.to_owned(), source })?))
-        };
-        let mut output = Output::new(path.to_owned(), next);
+        let mut output = Output::new(path.to_owned());
+        if limits != Limits::default() {
+            let number = next_number(path).map_err(|source| CaptureError::Create { path: path.to_owned(), source })?;
+            output.next = Some((path.to_owned(), number));
+        }
         output.open(existing, &report_schema)?;
         Ok(Self::over(output, limits, report_schema))
     }
 
     /// Begins a capture in a file that is open; `path` names it in messages.
+    #[cfg(unix)]
     pub fn in_file(file: File, path: &Path, report_schema: String) -> Result<Self, CaptureError> {
-        let mut output = Output::new(path.to_owned(), None);
-        output.begin(file, &report_schema)?;
+        Self::on_medium(Box::new(file), path, report_schema)
+    }
+
+    /// Begins a capture on `medium`; `path` names it in messages.
+    pub fn on_medium(medium: Box<dyn Medium + Send>, path: &Path, report_schema: String) -> Result<Self, CaptureError> {
+        let mut output = Output::new(path.to_owned());
+        output.begin(medium, &report_schema)?;
         Ok(Self::over(output, Limits::default(), report_schema))
     }
 
@@ -257,6 +269,7 @@ impl CaptureSeries {
         let hello = |device| self.output.file.as_ref().map_or(Vec::new(), |file| file.hello(device).to_owned());
         let hellos: Vec<Vec<u8>> = self.devices.keys().map(|device| hello(*device)).collect();
         self.output.end()?;
+        #[cfg(unix)]
         self.output.open(Existing::Kept, &self.report_schema)?;
         self.output.attempt(0, |file| {
             for (stream, hello) in self.devices.values_mut().zip(&hellos) {
@@ -268,7 +281,7 @@ impl CaptureSeries {
 }
 
 impl DeviceStream {
-    fn write(&mut self, file: &mut CaptureFile<File>, message: &Segment) -> Result<(), McapError> {
+    fn write<M: Medium>(&mut self, file: &mut CaptureFile<M>, message: &Segment) -> Result<(), McapError> {
         let first_read = message.reads.iter().find_map(|read| read.at);
         let first = first_read.or_else(|| message.asked.first().map(|asked| asked.at));
         file.link(self.channels, message, first.map_or(self.log_ns, |at| at.utc_ns))?;
@@ -280,13 +293,15 @@ impl DeviceStream {
 }
 
 impl Output {
-    fn new(path: PathBuf, next: Option<(PathBuf, u64)>) -> Self {
+    fn new(path: PathBuf) -> Self {
         let now = Instant::now();
         Self {
             file: None,
+            #[cfg(unix)]
             place: None,
             path,
-            next,
+            #[cfg(unix)]
+            next: None,
             opened: now,
             flushed: now,
             flushes: 0,
@@ -294,6 +309,7 @@ impl Output {
         }
     }
 
+    #[cfg(unix)]
     fn open(&mut self, existing: Existing, report_schema: &str) -> Result<(), CaptureError> {
         let existing = match &mut self.next {
             Some((path, number)) => {
@@ -310,14 +326,14 @@ impl Output {
             io::ErrorKind::Interrupted => CaptureError::Interrupted { path: path.clone() },
             _ => CaptureError::Create { path: path.clone(), source },
         })?;
-        self.begin(file, report_schema)?;
+        self.begin(Box::new(file), report_schema)?;
         self.place = Some(place);
         Ok(())
     }
 
-    fn begin(&mut self, file: File, report_schema: &str) -> Result<(), CaptureError> {
+    fn begin(&mut self, medium: Box<dyn Medium + Send>, report_schema: &str) -> Result<(), CaptureError> {
         let error = |error| CaptureError::Create { path: self.path.clone(), source: io_error(error) };
-        self.file = Some(CaptureFile::create(file, report_schema).map_err(error)?);
+        self.file = Some(CaptureFile::create(medium, report_schema).map_err(error)?);
         self.opened = Instant::now();
         self.recorded.files += 1;
         Ok(())
@@ -327,7 +343,7 @@ impl Output {
     fn attempt(
         &mut self,
         bytes: u64,
-        write: impl FnOnce(&mut CaptureFile<File>) -> Result<(), McapError>,
+        write: impl FnOnce(&mut CaptureFile<Box<dyn Medium + Send>>) -> Result<(), McapError>,
     ) -> Result<(), CaptureError> {
         let Some(file) = &mut self.file else {
             return Ok(());
@@ -343,32 +359,36 @@ impl Output {
 
     /// Moves the file, which now has content, to its place.
     fn settle(&mut self) -> Result<(), CaptureError> {
-        let path = &self.path;
-        match self.place.as_mut().map_or(Ok(()), Place::settle) {
-            Ok(()) => Ok(()),
-            Err(source) => {
-                self.recorded.dropped_bytes += self.file.take().map_or(0, |file| file.unflushed_link_bytes);
-                Err(match source.kind() {
-                    io::ErrorKind::WouldBlock => CaptureError::InUse { path: path.clone() },
-                    _ => CaptureError::Create { path: path.clone(), source },
-                })
-            }
+        #[cfg(unix)]
+        if let Some(Err(source)) = self.place.as_mut().map(Place::settle) {
+            self.recorded.dropped_bytes += self.file.take().map_or(0, |file| file.unflushed_link_bytes);
+            let path = self.path.clone();
+            return Err(match source.kind() {
+                io::ErrorKind::WouldBlock => CaptureError::InUse { path },
+                _ => CaptureError::Create { path, source },
+            });
         }
+        Ok(())
     }
 
     /// Ends recording if the file has been deleted or replaced.
     fn check(&mut self) -> Result<(), CaptureError> {
-        if self.file.is_none() || !self.place.as_ref().is_some_and(Place::is_lost) {
-            return Ok(());
+        #[cfg(unix)]
+        if self.file.is_some() && self.place.as_ref().is_some_and(Place::is_lost) {
+            self.file = None;
+            return Err(CaptureError::Lost { path: self.path.clone() });
         }
-        self.file = None;
-        Err(CaptureError::Lost { path: self.path.clone() })
+        Ok(())
     }
 
     fn end(&mut self) -> Result<(), CaptureError> {
         self.attempt(0, CaptureFile::finish)?;
         self.check()?;
-        (self.file, self.place) = (None, None);
+        self.file = None;
+        #[cfg(unix)]
+        {
+            self.place = None;
+        }
         Ok(())
     }
 }

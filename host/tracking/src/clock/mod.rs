@@ -6,6 +6,7 @@
 mod band;
 mod fit;
 
+#[cfg(unix)]
 use nix::time::{ClockId, clock_gettime};
 
 pub use fit::ClockFit;
@@ -30,6 +31,7 @@ pub struct HostTime {
     pub uncertainty_ns: u64,
 }
 
+#[cfg(unix)]
 impl HostInstant {
     /// Reads both clocks.
     pub fn now() -> Self {
@@ -38,6 +40,7 @@ impl HostInstant {
 }
 
 /// Reads a clock, ns; 0 for a clock that cannot be read or is before 1970.
+#[cfg(unix)]
 fn read(clock: ClockId) -> u64 {
     clock_gettime(clock).map_or(0, |time| {
         let seconds = u64::try_from(time.tv_sec()).unwrap_or(0);

@@ -1,14 +1,15 @@
 //! Facts on captures besides the data of boards.
 
-use std::collections::BTreeSet;
-use std::fs;
+use std::collections::{BTreeSet, VecDeque};
+use std::fs::{self, File};
+use std::io::{Read, Seek};
 use std::path::{Path, PathBuf};
 
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::special_file;
 use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message};
 
-use super::{Outline, OutlineNote, PlaybackError};
+use super::{Outline, OutlineNote, PlaybackError, Shelf};
 use crate::capture::{CaptureError, CaptureReader, End, Entry};
 use crate::link::Segment;
 use crate::pipeline::SceneMatch;
@@ -85,39 +86,70 @@ pub(super) fn check(files: &[PathBuf]) -> Result<(), PlaybackError> {
 }
 
 /// When the first bytes of a capture came; 0 in bytes of a port.
-pub(super) fn first_log_ns(path: &Path) -> Result<u64, CaptureError> {
-    let mut reader = CaptureReader::open(path)?;
+pub(super) fn first_log_ns(shelf: &impl Shelf, path: &Path) -> Result<u64, CaptureError> {
+    let mut reader = shelf.open(path)?;
     Ok(next_log_ns(&mut reader, &mut Segment::default())?.unwrap_or(0))
 }
 
 /// Most notes that are kept, and most characters of one.
 const MAX_NOTES: [usize; 2] = [200, 500];
 
-/// Length and notes of captures, those of a series in their order; reads all of them, as long as `goes_on` allows, which is
-/// given the length so far.
-pub(super) fn outline(files: &[PathBuf], goes_on: &mut dyn FnMut(f64) -> bool) -> Result<Outline, CaptureError> {
-    let [most, longest] = MAX_NOTES;
-    let (mut start_ns, mut last_ns, mut noted) = (None, 0, Vec::new());
-    for path in files {
-        let (mut reader, mut segment) = (CaptureReader::open(path)?, Segment::default());
-        while let Some(entry) = reader.next(&mut segment)? {
-            match entry {
-                Entry::Link { log_ns, .. } => {
-                    last_ns = last_ns.max(log_ns);
-                    if !goes_on(since_s(*start_ns.get_or_insert(log_ns), last_ns)) {
-                        return Ok(Outline::default());
-                    }
+/// Reads captures for their length and notes, those of a series in their order, an entry at a time.
+pub struct Survey<I = File> {
+    files: VecDeque<PathBuf>,
+    reader: Option<CaptureReader<I>>,
+    segment: Segment,
+    /// Of the first bytes and the last.
+    span_ns: Option<[u64; 2]>,
+    noted: Vec<(u64, String)>,
+}
+
+impl<I: Read + Seek> Survey<I> {
+    /// Of the captures called `files`.
+    pub fn of(files: &[PathBuf]) -> Self {
+        let (files, reader, segment) = (files.iter().cloned().collect(), None, Segment::default());
+        Self { files, reader, segment, span_ns: None, noted: Vec::new() }
+    }
+
+    /// Reads on to the next bytes of a board; `false` at the end.
+    ///
+    /// # Errors
+    /// Captures that cannot be read.
+    pub fn step(&mut self, shelf: &impl Shelf<Input = I>) -> Result<bool, CaptureError> {
+        let [most, longest] = MAX_NOTES;
+        loop {
+            let Some(reader) = &mut self.reader else {
+                let Some(path) = self.files.pop_front() else { return Ok(false) };
+                self.reader = Some(shelf.open(&path)?);
+                continue;
+            };
+            match reader.next(&mut self.segment)? {
+                Some(Entry::Link { log_ns, .. }) => {
+                    let [first, last] = self.span_ns.unwrap_or([log_ns; 2]);
+                    self.span_ns = Some([first, last.max(log_ns)]);
+                    return Ok(true);
                 }
-                Entry::Note { stamp_ns, text, .. } if noted.len() < most => {
-                    noted.push((stamp_ns, text.chars().take(longest).collect()));
+                Some(Entry::Note { stamp_ns, text, .. }) if self.noted.len() < most => {
+                    self.noted.push((stamp_ns, text.chars().take(longest).collect()));
                 }
-                Entry::Setup(_) | Entry::Hello { .. } | Entry::Note { .. } => {}
+                Some(Entry::Setup(_) | Entry::Hello { .. } | Entry::Note { .. }) => {}
+                None => self.reader = None,
             }
         }
     }
-    let start_ns = start_ns.unwrap_or(0);
-    let note = |(stamp_ns, text)| OutlineNote { at_s: since_s(start_ns, stamp_ns), text };
-    Ok(Outline { length_s: since_s(start_ns, last_ns).max(0.0), notes: noted.into_iter().map(note).collect() })
+
+    /// Their length so far, seconds.
+    pub fn length_s(&self) -> f64 {
+        self.span_ns.map_or(0.0, |[first, last]| since_s(first, last).max(0.0))
+    }
+
+    /// What has been found so far.
+    pub fn outline(&self) -> Outline {
+        let start_ns = self.span_ns.map_or(0, |[first, _]| first);
+        let note =
+            |(stamp_ns, text): &(u64, String)| OutlineNote { at_s: since_s(start_ns, *stamp_ns), text: text.clone() };
+        Outline { length_s: self.length_s(), notes: self.noted.iter().map(note).collect() }
+    }
 }
 
 /// Seconds from one instant to the other, nanoseconds; below zero if that is earlier.
@@ -125,7 +157,10 @@ pub(super) fn since_s(from_ns: u64, to_ns: u64) -> f64 {
     (i128::from(to_ns) - i128::from(from_ns)) as f64 * 1e-9
 }
 
-fn next_log_ns(reader: &mut CaptureReader, segment: &mut Segment) -> Result<Option<u64>, CaptureError> {
+fn next_log_ns<I: Read + Seek>(
+    reader: &mut CaptureReader<I>,
+    segment: &mut Segment,
+) -> Result<Option<u64>, CaptureError> {
     while let Some(entry) = reader.next(segment)? {
         if let Entry::Link { log_ns, .. } = entry {
             return Ok(Some(log_ns));
@@ -135,8 +170,8 @@ fn next_log_ns(reader: &mut CaptureReader, segment: &mut Segment) -> Result<Opti
 }
 
 /// The scene hash of the first hello in the bytes of a port.
-pub(super) fn scene_hash(path: &Path) -> Result<Option<u64>, CaptureError> {
-    let mut reader = CaptureReader::open(path)?;
+pub(super) fn scene_hash(shelf: &impl Shelf, path: &Path) -> Result<Option<u64>, CaptureError> {
+    let mut reader = shelf.open(path)?;
     let mut segment = Segment::default();
     let mut decoder = Decoder::<MAX_MESSAGE_BYTES>::new();
     while reader.next(&mut segment)?.is_some() {

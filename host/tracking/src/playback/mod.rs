@@ -8,7 +8,8 @@ mod board;
 mod files;
 
 use std::collections::{BTreeSet, VecDeque};
-use std::fs;
+use std::fs::{self, File};
+use std::io::{Read, Seek};
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
@@ -23,6 +24,7 @@ use crate::link::{DeviceId, Segment};
 use crate::pipeline::{Item, Pipeline, PipelineError, Scan, SceneMatch};
 use crate::solving::head_by;
 pub use board::{Board, Choice, PlaybackError, Seam, Yields};
+pub use files::Survey;
 
 use board::{Faulty, Past, Phase};
 
@@ -67,13 +69,44 @@ pub struct OutlineNote {
     pub text: String,
 }
 
+/// Where captures are read from.
+pub trait Shelf {
+    /// What a capture is read from.
+    type Input: Read + Seek;
+
+    /// Opens the capture called `path`.
+    ///
+    /// # Errors
+    /// What is not there, or is no capture.
+    fn open(&self, path: &Path) -> Result<CaptureReader<Self::Input>, CaptureError>;
+
+    /// Its length, bytes; zero if it cannot be told.
+    fn length(&self, path: &Path) -> u64;
+}
+
+/// The file system.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Disk;
+
+impl Shelf for Disk {
+    type Input = File;
+
+    fn open(&self, path: &Path) -> Result<CaptureReader, CaptureError> {
+        CaptureReader::open(path)
+    }
+
+    fn length(&self, path: &Path) -> u64 {
+        fs::metadata(path).map_or(0, |metadata| metadata.len())
+    }
+}
+
 /// Captures being solved.
-#[derive(Default)]
-pub struct Playback {
+pub struct Playback<S: Shelf = Disk> {
+    shelf: S,
     choice: Choice,
     files: VecDeque<PathBuf>,
     first: Option<PathBuf>,
-    reader: Option<(PathBuf, CaptureReader)>,
+    reader: Option<(PathBuf, CaptureReader<S::Input>)>,
     segment: Segment,
     turns_ns: [u64; 3],
     start_ns: u64,
@@ -93,9 +126,34 @@ impl Playback {
     /// # Errors
     /// A first file that cannot be read, what is no regular file, a file given twice, and a part that ends before it begins.
     pub fn open(files: Vec<PathBuf>, choice: Choice) -> Result<Self, PlaybackError> {
-        choice.check()?;
         files::check(&files)?;
-        let start_ns = files.first().map(|file| files::first_log_ns(file)).transpose()?.unwrap_or(0);
+        Self::on(Disk, files, choice)
+    }
+
+    /// Length and notes of the captures `files`; reads all of them, as long as `goes_on` allows, which is given the length
+    /// so far.
+    ///
+    /// # Errors
+    /// Files that cannot be read.
+    pub fn outline(files: &[PathBuf], goes_on: &mut dyn FnMut(f64) -> bool) -> Result<Outline, PlaybackError> {
+        let mut survey = Survey::of(files);
+        while survey.step(&Disk)? {
+            if !goes_on(survey.length_s()) {
+                return Ok(Outline::default());
+            }
+        }
+        Ok(survey.outline())
+    }
+}
+
+impl<S: Shelf> Playback<S> {
+    /// The captures called `files` on `shelf`, those of a series in their order.
+    ///
+    /// # Errors
+    /// A first one that cannot be read, and a part that ends before it begins.
+    pub fn on(shelf: S, files: Vec<PathBuf>, choice: Choice) -> Result<Self, PlaybackError> {
+        choice.check()?;
+        let start_ns = files.first().map(|file| files::first_log_ns(&shelf, file)).transpose()?.unwrap_or(0);
         let at_ns = |offset_s: f64| start_ns.saturating_add((offset_s * 1e9) as u64);
         let warm_up_s = match choice.yields {
             Yields::PosesOfPart { warm_up_s } => warm_up_s,
@@ -105,16 +163,21 @@ impl Playback {
         let from_ns = choice.from_s.map_or(0, at_ns);
         let warm_ns = choice.from_s.map_or(0, |from_s| if from_s > warm_up_s { at_ns(from_s - warm_up_s) } else { 0 });
         let turns_ns = [warm_ns, from_ns, choice.to_s.map_or(u64::MAX, at_ns)];
-        Ok(Self { choice, first: files.first().cloned(), files: files.into(), turns_ns, start_ns, ..Self::default() })
-    }
-
-    /// Length and notes of the captures `files`; reads all of them, as long as `goes_on` allows, which is given the length
-    /// so far.
-    ///
-    /// # Errors
-    /// Files that cannot be read.
-    pub fn outline(files: &[PathBuf], goes_on: &mut dyn FnMut(f64) -> bool) -> Result<Outline, PlaybackError> {
-        Ok(files::outline(files, goes_on)?)
+        Ok(Self {
+            shelf,
+            choice,
+            first: files.first().cloned(),
+            files: files.into(),
+            reader: None,
+            segment: Segment::default(),
+            turns_ns,
+            start_ns,
+            boards: Vec::new(),
+            unsettled: BTreeSet::new(),
+            topics: BTreeSet::new(),
+            read_bytes: 0,
+            is_over: false,
+        })
     }
 
     /// Bytes of the files that have been read.
@@ -150,7 +213,7 @@ impl Playback {
         while !self.is_over {
             let Some((path, mut reader)) = self.reader.take() else {
                 let Some(path) = self.files.pop_front() else { return Ok(false) };
-                let reader = CaptureReader::open(&path).map_err(PlaybackError::from)?;
+                let reader = self.shelf.open(&path).map_err(PlaybackError::from)?;
                 // A part is decoded from the beginning.
                 let from_ns = if self.is_part() { 0 } else { self.turns_ns[1] };
                 self.reader = Some((path, reader.starting_at(from_ns)));
@@ -161,7 +224,7 @@ impl Playback {
             let taken = match next {
                 Some(entry) => self.take(entry, &path, &segment, hear),
                 None => {
-                    self.read_bytes += fs::metadata(&path).map_or(0, |metadata| metadata.len());
+                    self.read_bytes += self.shelf.length(&path);
                     let end = reader.end();
                     files::losses(&path, &end).iter().try_for_each(|loss| hear(Event::Loss(loss)))?;
                     self.topics.extend(end.topics);
@@ -459,7 +522,7 @@ impl Playback {
             )))?;
         }
         // Bytes of a port, whose nothing says; or of a board, of which no more is known.
-        let hash = files::scene_hash(path).map_err(PlaybackError::from)?;
+        let hash = files::scene_hash(&self.shelf, path).map_err(PlaybackError::from)?;
         let (file, scene_match) = self.scene_of_bytes(hash)?;
         self.open_board(device, None, file, hash, scene_match, hear).map(Some)
     }

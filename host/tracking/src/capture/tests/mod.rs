@@ -14,7 +14,7 @@ use slitpose_model::Tier;
 use slitpose_protocol::{Command, DELIMITER, Decoder, MAX_MESSAGE_BYTES, Message, RawScan, Schedule};
 
 use super::file::{CaptureFile, Channels};
-use super::place::Medium;
+use super::medium::Medium;
 use super::series::Recorded;
 use super::*;
 use crate::clock::{HostInstant, HostTime};

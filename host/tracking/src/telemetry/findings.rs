@@ -1,10 +1,11 @@
 //! The findings that explain missing or bad poses.
 
-use super::report::{BoardEvent, BoardReport, DaemonReport, LagReport, LinkLosses, LinkState, RecorderState};
-use crate::datagram::SlowClient;
+use super::report::{
+    BoardEvent, BoardReport, DaemonReport, LagReport, LinkLosses, LinkState, RecorderState, SlowClient,
+};
+use crate::clock::HostInstant;
+use crate::pipeline::Agreement;
 use slitpose_head::finding::{Finding, Grade};
-use slitpose_tracking::clock::HostInstant;
-use slitpose_tracking::pipeline::Agreement;
 
 /// A report this old shows that the daemon hangs: reports are made several times per second.
 const STALE_S: f64 = 3.0;
@@ -26,7 +27,7 @@ const DAMAGED_FROM: u64 = 3;
 
 impl LagReport {
     /// The reason why poses are late or left out, if any.
-    pub(crate) fn finding(&self) -> Option<Finding> {
+    pub fn finding(&self) -> Option<Finding> {
         let Self { behind_s, is_output_blocked, waiting_scans, waiting_s, skipped_scans, .. } = self;
         if *is_output_blocked && *waiting_s > BEHIND_S {
             let text =
@@ -45,7 +46,8 @@ impl LagReport {
 }
 
 impl BoardEvent {
-    pub(super) fn finding(&self) -> Finding {
+    /// The finding that the board reported.
+    pub fn finding(&self) -> Finding {
         let grade = if self.is_error { Grade::Failed } else { Grade::Warning };
         let place = self.device_time_s.map_or("board".into(), |time_s| format!("board at {time_s:.3} s").into());
         Finding { place, ..Finding::new(grade, "", &*self.text) }
@@ -54,7 +56,7 @@ impl BoardEvent {
 
 impl DaemonReport {
     /// All reasons for missing or bad poses; empty if there are none.
-    pub(crate) fn findings(&self, now: HostInstant) -> Vec<Finding> {
+    pub fn findings(&self, now: HostInstant) -> Vec<Finding> {
         self.gather(|board| {
             let (stream, is_running) = board.findings(now);
             let heads = board.head.iter().filter(|_| is_running).flat_map(|head| &head.findings);
@@ -63,7 +65,7 @@ impl DaemonReport {
     }
 
     /// As [`findings`](Self::findings), without the findings on heads.
-    pub(super) fn findings_beside_heads(&self, now: HostInstant) -> Vec<Finding> {
+    pub fn findings_beside_heads(&self, now: HostInstant) -> Vec<Finding> {
         self.gather(|board| board.findings(now).0)
     }
 
@@ -172,15 +174,14 @@ impl BoardReport {
 
 #[cfg(test)]
 mod tests {
-    use super::super::report::{LinkReport, RecorderReport};
+    use super::super::report::{DatagramCounts, LinkReport, RecorderReport};
     use super::*;
-    use crate::datagram::DatagramCounts;
-    use slitpose_tracking::pipeline::Outcomes;
+    use crate::pipeline::Outcomes;
 
     const NOW: HostInstant = HostInstant { monotonic_ns: 100_000_000_000, utc_ns: 0 };
 
     fn findings(board: BoardReport) -> Vec<String> {
-        let report = DaemonReport::of_now(NOW, vec![board], RecorderReport::default());
+        let report = DaemonReport::of(NOW, NOW, vec![board], RecorderReport::default());
         report.findings(NOW).iter().map(Finding::to_string).collect()
     }
 
@@ -242,7 +243,7 @@ mod tests {
         let slow = SlowClient { process: Some(42), user: Some(7), missed: 900, missing_s: 1.5 };
         let nameless = SlowClient { process: None, user: None, ..slow };
         let datagrams = DatagramCounts { slow_clients: vec![slow, nameless], ..DatagramCounts::default() };
-        let report = DaemonReport::of_now(NOW, vec![running()], RecorderReport::default());
+        let report = DaemonReport::of(NOW, NOW, vec![running()], RecorderReport::default());
         let report = DaemonReport { datagrams: Some(datagrams), ..report };
         let findings: Vec<String> = report.findings(NOW).iter().map(Finding::to_string).collect();
         assert_eq!(findings.len(), 2, "{findings:?}");

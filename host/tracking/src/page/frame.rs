@@ -3,7 +3,7 @@
 use std::fmt::Debug;
 use std::sync::Arc;
 
-use axum::extract::ws::Utf8Bytes;
+use glam::DVec3;
 use serde_json::{Value, json};
 use slitpose_calibration::{Basis, Head};
 use slitpose_design::map::{NoiseOf, Outlook};
@@ -14,10 +14,11 @@ use slitpose_model::{
 };
 
 use super::bins::{Bin, Binner, Bins, MAX_FINE};
-use slitpose_tracking::clock::HostInstant;
-use slitpose_tracking::columns::{NO_TWIST, no_twist};
-use slitpose_tracking::frame::View;
-use slitpose_tracking::pipeline::{Record, reason};
+use super::message::Refusal;
+use crate::clock::HostInstant;
+use crate::columns::{NO_TWIST, no_twist};
+use crate::frame::View;
+use crate::pipeline::{Record, reason};
 
 /// Relative error of the integrals: a page shows three digits.
 const TIER: Tier = Tier::Exact { tolerance: 1e-3 };
@@ -26,20 +27,24 @@ const TIER: Tier = Tier::Exact { tolerance: 1e-3 };
 const MISSED_FROM: f64 = 2.0;
 
 /// What frames need to know of a head.
-pub(crate) struct Optics {
+pub struct Optics {
     plan: CompiledScene<f64>,
     cells: Vec<Cell>,
 }
 
 impl Optics {
-    pub(crate) fn of(head: &Head) -> Result<Self, SceneError> {
+    /// Of `head`.
+    ///
+    /// # Errors
+    /// A scene that cannot be computed.
+    pub fn of(head: &Head) -> Result<Self, SceneError> {
         let scene = &head.file.scene;
         Ok(Self { plan: CompiledScene::compile(scene, TIER)?, cells: scene.cells.to_vec() })
     }
 
     /// Frame `n` of a board. Translations are exact to a nanometre, and numbers that are only looked at are rounded further:
     /// texts are half as long.
-    pub(crate) fn frame(&self, board: usize, n: u64, sample: &Sample) -> Value {
+    pub fn frame(&self, board: usize, n: u64, sample: &Sample) -> Value {
         let Sample { record, photocurrents, scans, poses, bins } = sample;
         let seen = record.solution.estimate.as_ref();
         // Where the tool is in front of the head, whatever frame its pose is given in.
@@ -197,29 +202,32 @@ fn rounded(value: f64) -> f64 {
 
 /// Samples per second of the host's clock for pages: as often as they are drawn, which is most of a page's work. Plots have
 /// all scans in bins.
-pub(super) const FRAMES_HZ: u64 = 30;
+pub const FRAMES_HZ: u64 = 30;
 
 /// The newest pose of a board, and the bins that are complete since the sample before.
 #[derive(Clone, Debug)]
-pub(crate) struct Sample {
-    pub(crate) record: Record,
-    pub(super) photocurrents: Photocurrents,
+pub struct Sample {
+    /// The newest scan, solved.
+    pub record: Record,
+    /// Its photocurrents.
+    pub photocurrents: Photocurrents,
     /// Scans since the sample before.
-    pub(super) scans: u32,
+    pub scans: u32,
     /// Scans of these that had a pose.
-    pub(super) poses: u32,
-    pub(super) bins: Bins,
+    pub poses: u32,
+    /// Bins that are complete since the sample before.
+    pub bins: Bins,
 }
 
 impl Sample {
     /// The pose of the newest scan; `None` if it has none.
-    pub(crate) fn pose(&self) -> Option<Pose> {
+    pub fn pose(&self) -> Option<Pose> {
         self.record.solution.estimate.map(|estimate| estimate.pose)
     }
 }
 
 /// Takes samples from the threads that solve.
-pub(crate) trait SampleSink: Debug + Send + Sync {
+pub trait SampleSink: Debug + Send + Sync {
     /// Samples per second of the host's clock.
     fn rate_hz(&self) -> u64;
 
@@ -229,7 +237,7 @@ pub(crate) trait SampleSink: Debug + Send + Sync {
 
 /// Makes the samples of one board. Never blocks.
 #[derive(Debug)]
-pub(crate) struct Sampler {
+pub struct Sampler {
     board: usize,
     taker: Arc<dyn SampleSink>,
     due_ns: u64,
@@ -240,11 +248,12 @@ pub(crate) struct Sampler {
 
 impl Sampler {
     /// Samples of the board of this number, for `taker`.
-    pub(crate) fn new(board: usize, taker: Arc<dyn SampleSink>) -> Self {
+    pub fn new(board: usize, taker: Arc<dyn SampleSink>) -> Self {
         Self { board, taker, due_ns: 0, binner: Binner::default(), sample: None }
     }
 
-    pub(crate) fn add(&mut self, record: &Record) {
+    /// Counts a solved scan in.
+    pub fn add(&mut self, record: &Record) {
         let (photocurrents, bins) = (Photocurrents::default(), Bins::default());
         let begin = || Sample { record: *record, photocurrents, scans: 0, poses: 0, bins };
         let sample = self.sample.get_or_insert_with(begin);
@@ -255,7 +264,7 @@ impl Sampler {
     }
 
     /// Sends a sample if one is due; `photocurrents` are those of the scan added last.
-    pub(crate) fn send(&mut self, photocurrents: Option<&Photocurrents>, now: HostInstant) {
+    pub fn send(&mut self, photocurrents: Option<&Photocurrents>, now: HostInstant) {
         if now.monotonic_ns < self.due_ns {
             return;
         }
@@ -273,7 +282,7 @@ impl Sampler {
 // The head.
 
 /// A head, as board `number`. Detectors and masks are in frame base, metres; emitters, and masks that ride, in frame tool.
-pub(super) fn head_message(number: usize, head: &Head) -> Utf8Bytes {
+pub fn head_message(number: usize, head: &Head) -> String {
     let file = &head.file;
     let full_scale_a = file.front_end.map(|front_end| front_end.full_scale_a);
     let cells = file.scene.cells.iter().enumerate().map(|(cell, parts)| cell_parts(cell, parts, full_scale_a));
@@ -288,7 +297,7 @@ pub(super) fn head_message(number: usize, head: &Head) -> Utf8Bytes {
         },
         "cells": cells.collect::<Vec<_>>(),
     });
-    message.to_string().into()
+    message.to_string()
 }
 
 fn cell_parts(number: usize, cell: &Cell, full_scale_a: Option<f64>) -> Value {
@@ -324,26 +333,43 @@ fn cell_parts(number: usize, cell: &Cell, full_scale_a: Option<f64>) -> Value {
     })
 }
 
-pub(crate) struct SceneView {
+/// A scene without a board, whose tool is placed by hand.
+pub struct SceneView {
     outlook: Outlook,
     optics: Optics,
 }
 
+/// No dragged tool is farther from home than this, metres and radians: beyond it all cells are dark.
+const FARTHEST: f64 = 10.0;
+
 impl SceneView {
-    pub(crate) fn of(head: &Head) -> Result<Self, SceneError> {
+    /// Of `head`.
+    ///
+    /// # Errors
+    /// A scene that cannot be computed.
+    pub fn of(head: &Head) -> Result<Self, SceneError> {
         Ok(Self { outlook: Outlook::of(head.clone())?, optics: Optics::of(head)? })
     }
 
-    /// The frame, number `n`, with the tool at rest at `pose`; accuracy is the Cramér–Rao bound, and absent where the scene
-    /// states no noise.
-    pub(super) fn frame(&self, n: u64, pose: &Pose) -> Utf8Bytes {
-        let (readings, solution) = self.outlook.frame_at(pose);
+    /// The message with frame `n`: the tool is at rest at translation `t_m`, metres, and rotation vector `r_rad`; accuracy is
+    /// the Cramér–Rao bound, and absent where the scene states no noise.
+    ///
+    /// # Errors
+    /// A place that is farther from home than any tool.
+    pub fn frame(&self, n: u64, t_m: [f64; 3], r_rad: [f64; 3]) -> Result<String, Refusal> {
+        for (key, values) in [("t_m", t_m), ("r_rad", r_rad)] {
+            if let Some(value) = values.into_iter().find(|value| value.abs() > FARTHEST) {
+                return Err(Refusal::Value { key, value, hint: "metres and radians within the workspace" });
+            }
+        }
+        let pose = Pose::from_vectors(DVec3::from_array(t_m), DVec3::from_array(r_rad));
+        let (readings, solution) = self.outlook.frame_at(&pose);
         let base = solution.estimate.map(|estimate| estimate.pose);
         let mut frame = self.optics.solved(0, n, &solution, base.as_ref(), &readings);
         if self.outlook.noise == NoiseOf::Nothing {
             (frame["sigma"], frame["cov_t"]) = (Value::Null, Value::Null);
         }
-        frame.to_string().into()
+        Ok(frame.to_string())
     }
 }
 

@@ -9,10 +9,10 @@ use super::losses::{LatencyHistogram, LossBook};
 use super::report::{
     BoardEvent, BoardReport, DaemonReport, Latencies, LinkLosses, Losses, ProcessReport, Rates, RecorderReport, Vitals,
 };
-use slitpose_tracking::clock::HostInstant;
-use slitpose_tracking::health::HeadHealth;
-use slitpose_tracking::link::DeviceId;
-use slitpose_tracking::pipeline::{Counts, Item, Outcomes, Record};
+use crate::clock::HostInstant;
+use crate::health::HeadHealth;
+use crate::link::DeviceId;
+use crate::pipeline::{Counts, Item, Outcomes, Record};
 
 /// Length of the interval of recent values.
 const INTERVAL_NS: u64 = 1_000_000_000;
@@ -21,7 +21,7 @@ const INTERVAL_NS: u64 = 1_000_000_000;
 #[derive(Clone, Debug, Default)]
 pub struct BoardStatistics {
     /// What does not follow from the counts when it is asked for.
-    pub(crate) report: BoardReport,
+    pub report: BoardReport,
     reset_cause: String,
     book: LossBook,
     status: Option<Status>,
@@ -82,7 +82,7 @@ impl BoardStatistics {
 
     /// The report at `now`, without the link's state; `counts` and `head` are those of the pipeline. To be called a
     /// few times per second: an interval ends once per second.
-    pub(crate) fn report(&mut self, counts: &Counts, head: Option<HeadHealth>, now: HostInstant) -> BoardReport {
+    pub fn report(&mut self, counts: &Counts, head: Option<HeadHealth>, now: HostInstant) -> BoardReport {
         if now.monotonic_ns.saturating_sub(self.begun.at.monotonic_ns) >= INTERVAL_NS {
             self.end_interval(counts, now);
         }
@@ -196,11 +196,11 @@ impl BoardStatistics {
 }
 
 impl DaemonReport {
-    /// The report of this program now, `started` at that time.
-    pub(crate) fn of_now(started: HostInstant, boards: Vec<BoardReport>, recorder: RecorderReport) -> Self {
-        let running_ns = HostInstant::now().monotonic_ns.saturating_sub(started.monotonic_ns);
+    /// The report of this program `now`, `started` at that time.
+    pub fn of(started: HostInstant, now: HostInstant, boards: Vec<BoardReport>, recorder: RecorderReport) -> Self {
+        let running_ns = now.monotonic_ns.saturating_sub(started.monotonic_ns);
         Self {
-            program: env!("CARGO_PKG_NAME"),
+            program: "slitpose",
             version: env!("CARGO_PKG_VERSION"),
             started_utc_ns: started.utc_ns,
             uptime_s: running_ns as f64 * 1e-9,

@@ -80,7 +80,7 @@ const QUANTILES: [f64; 4] = [0.5, 0.9, 0.99, 0.999];
 
 /// Percentiles of durations, seconds; zeros if there are no durations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
-pub(crate) struct Percentiles {
+pub struct Percentiles {
     /// Median.
     pub p50_s: f64,
     /// 90th percentile.
@@ -99,7 +99,7 @@ pub(crate) struct Percentiles {
 
 impl Percentiles {
     /// Each quantile, 0 to 1, with its duration in seconds.
-    pub(crate) fn quantiles(&self) -> [(f64, f64); 4] {
+    pub fn quantiles(&self) -> [(f64, f64); 4] {
         let values = [self.p50_s, self.p90_s, self.p99_s, self.p999_s];
         std::array::from_fn(|i| (QUANTILES[i], values[i]))
     }
@@ -109,13 +109,13 @@ impl Percentiles {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct Latency {
     /// Durations since the start.
-    pub(crate) total: Percentiles,
+    pub total: Percentiles,
     /// Durations of the last full interval: see [`Rates::interval_s`](super::report::Rates::interval_s).
-    pub(crate) recent: Percentiles,
+    pub recent: Percentiles,
 }
 
 #[derive(Clone, Debug)]
-pub(crate) struct LatencyHistogram {
+pub struct LatencyHistogram {
     total: Sums,
     interval: Sums,
     recent: Percentiles,
@@ -158,29 +158,46 @@ impl Default for LatencyHistogram {
 }
 
 impl LatencyHistogram {
-    pub(crate) fn record_ns(&mut self, duration_ns: u64) {
+    pub fn record_ns(&mut self, duration_ns: u64) {
         self.total.record(duration_ns);
         self.interval.record(duration_ns);
     }
 
-    pub(crate) fn end_interval(&mut self) {
+    pub fn end_interval(&mut self) {
         self.recent = self.interval.percentiles();
         self.interval.histogram.reset();
         (self.interval.sum_ns, self.interval.max_ns) = (0, 0);
     }
 
-    pub(crate) fn latency(&self) -> Latency {
+    pub fn latency(&self) -> Latency {
         Latency { total: self.total.percentiles(), recent: self.recent }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use slitpose_protocol::{ClockSource, SettingsSource};
+
     use super::*;
-    use crate::samples;
 
     fn status(tick: u64, scans_dropped: u64, scans_lost: u64) -> Status {
-        Status { tick, scans_dropped, scans_lost, ..samples::status() }
+        Status {
+            tick,
+            acquiring: true,
+            scans_taken: 0,
+            scans_dropped,
+            batches_dropped: 0,
+            scans_lost,
+            adc_overruns: 0,
+            replies_dropped: 0,
+            commands_damaged: 0,
+            commands_rejected: 0,
+            supply_v: 3.3,
+            temperature_k: 300.0,
+            cpu_load_permille: 0,
+            clock: ClockSource::Crystal,
+            settings: SettingsSource::Defaults,
+        }
     }
 
     fn shares(book: &LossBook) -> (u64, u64, u64) {

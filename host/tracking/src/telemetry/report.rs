@@ -9,16 +9,15 @@ use serde::Serialize;
 use slitpose_protocol::{ClockSource, SettingsSource};
 
 use super::losses::Latency;
-use crate::datagram::DatagramCounts;
-use slitpose_tracking::clock::HostInstant;
-use slitpose_tracking::frame::FrameReport;
-use slitpose_tracking::health::HeadHealth;
-use slitpose_tracking::link::DeviceId;
-use slitpose_tracking::pipeline::{Agreement, Outcomes};
+use crate::clock::HostInstant;
+use crate::frame::FrameReport;
+use crate::health::HeadHealth;
+use crate::link::DeviceId;
+use crate::pipeline::{Agreement, Outcomes};
 
 /// The state of a daemon.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
-pub(crate) struct DaemonReport {
+pub struct DaemonReport {
     /// Name of the program.
     pub program: &'static str,
     /// Its version.
@@ -38,14 +37,14 @@ pub(crate) struct DaemonReport {
 }
 
 /// The JSON schema of a [`DaemonReport`], and within it that of a [`BoardReport`].
-pub(crate) fn report_schema() -> String {
+pub fn report_schema() -> String {
     let settings = SchemaSettings::draft2020_12().for_serialize();
     settings.into_generator().into_root_schema_for::<DaemonReport>().as_value().to_string()
 }
 
 /// Memory and threads of the daemon, from the operating system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, JsonSchema)]
-pub(crate) struct ProcessReport {
+pub struct ProcessReport {
     /// Memory in RAM, bytes.
     pub resident_bytes: u64,
     /// Number of threads.
@@ -54,7 +53,7 @@ pub(crate) struct ProcessReport {
 
 /// The state of one board.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
-pub(crate) struct BoardReport {
+pub struct BoardReport {
     /// The user's name for it: a port, or `sim`.
     pub name: String,
     /// Its unique number; `None` until it has introduced itself.
@@ -109,7 +108,7 @@ pub(crate) struct BoardReport {
 
 /// Poses without a velocity, by the reason.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
-pub(crate) struct Withheld {
+pub struct Withheld {
     /// There were too few poses yet.
     pub start: u64,
     /// The tool was not where its motion led: it hit something, or the pose was wrong.
@@ -119,7 +118,7 @@ pub(crate) struct Withheld {
 /// State of the link to a board.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
-pub(crate) enum LinkState {
+pub enum LinkState {
     /// The daemon searches for the board.
     #[default]
     Searching,
@@ -138,11 +137,12 @@ pub(crate) enum LinkState {
 }
 
 impl LinkState {
-    pub(crate) const ALL: [Self; 7] =
+    /// All of them.
+    pub const ALL: [Self; 7] =
         [Self::Searching, Self::Connecting, Self::Running, Self::Quiet, Self::Gone, Self::Refused, Self::Ended];
 
     /// The word used in tables and messages.
-    pub(crate) fn as_str(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             Self::Searching => "searching",
             Self::Connecting => "connecting",
@@ -157,7 +157,7 @@ impl LinkState {
 
 /// The link to a board.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
-pub(crate) struct LinkReport {
+pub struct LinkReport {
     /// Its state.
     pub state: LinkState,
     /// Reason for the state in a sentence, if any.
@@ -172,7 +172,7 @@ pub(crate) struct LinkReport {
 
 /// Scans per second in the last interval.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
-pub(crate) struct Rates {
+pub struct Rates {
     /// Rate by the board's clock; `None` if no scan came.
     pub device_hz: Option<f64>,
     /// Rate by the host's clock; zero if no scan came.
@@ -183,7 +183,7 @@ pub(crate) struct Rates {
 
 /// Losses by place.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
-pub(crate) struct Losses {
+pub struct Losses {
     /// Losses on the board.
     pub board: BoardLosses,
     /// Losses between board and host.
@@ -194,7 +194,7 @@ pub(crate) struct Losses {
 
 /// Losses reported by the board.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
-pub(crate) struct BoardLosses {
+pub struct BoardLosses {
     /// Scans dropped because the link did not take them in time.
     pub scans_dropped: u64,
     /// Scans lost in acquisition.
@@ -205,7 +205,7 @@ pub(crate) struct BoardLosses {
 
 /// Losses between board and host.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
-pub(crate) struct LinkLosses {
+pub struct LinkLosses {
     /// Scans missing in the numbering that the board does not report as lost. Updated with each status of
     /// the board.
     pub scans: u64,
@@ -227,7 +227,7 @@ pub(crate) struct LinkLosses {
 
 /// Losses on the host.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
-pub(crate) struct HostLosses {
+pub struct HostLosses {
     /// Bytes of the link that the recorder had no room for.
     pub bytes_unrecorded: u64,
     /// Bytes of the link that were not published by Zenoh, and poses with them, because publishing was behind.
@@ -237,11 +237,13 @@ pub(crate) struct HostLosses {
 }
 
 impl LinkLosses {
-    pub(crate) fn damaged(&self) -> u64 {
+    /// Packets that came damaged.
+    pub fn damaged(&self) -> u64 {
         self.bad_checksum + self.misframed + self.overlong
     }
 
-    pub(crate) fn since(&self, before: &Self) -> Self {
+    /// Losses since `before`.
+    pub fn since(&self, before: &Self) -> Self {
         Self {
             scans: self.scans.saturating_sub(before.scans),
             scans_repeated: self.scans_repeated.saturating_sub(before.scans_repeated),
@@ -257,7 +259,7 @@ impl LinkLosses {
 
 /// Age of the poses. The instant of a pose is known within the clock's uncertainty.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
-pub(crate) struct Latencies {
+pub struct Latencies {
     /// From the instant of a pose until the host had read its scan: board and link.
     pub link: Latency,
     /// From then until the pose was published: the host.
@@ -268,7 +270,7 @@ pub(crate) struct Latencies {
 
 /// How far the solver is behind the scans that arrive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
-pub(crate) struct LagReport {
+pub struct LagReport {
     /// Whether the solver is slower than the board, so that control loops get only the newest scans.
     #[serde(rename = "behind")]
     pub is_behind: bool,
@@ -287,7 +289,7 @@ pub(crate) struct LagReport {
 
 /// The board's clock relative to the host's.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
-pub(crate) struct ClockReport {
+pub struct ClockReport {
     /// Greatest error of the instants of scans by the host's clock, either way, seconds; `None` while
     /// unknown.
     pub uncertainty_s: Option<f64>,
@@ -300,7 +302,7 @@ pub(crate) struct ClockReport {
 
 /// A board's own status.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
-pub(crate) struct Vitals {
+pub struct Vitals {
     /// Cause of the last reset.
     pub reset_cause: String,
     /// Source of its clock: `internal` (oscillator of the MCU), `crystal`, or `crystal_failed` (oscillator of the MCU, as
@@ -329,7 +331,7 @@ pub(crate) struct Vitals {
 
 /// A warning or error that a board reported.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
-pub(crate) struct BoardEvent {
+pub struct BoardEvent {
     /// Whether it is an error, not a warning.
     pub is_error: bool,
     /// Time by the board's clock, seconds; `None` if the clock's rate is unknown.
@@ -341,7 +343,7 @@ pub(crate) struct BoardEvent {
 /// Whether scans are recorded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
-pub(crate) enum RecorderState {
+pub enum RecorderState {
     /// No recording was requested.
     #[default]
     Off,
@@ -352,10 +354,11 @@ pub(crate) enum RecorderState {
 }
 
 impl RecorderState {
-    pub(crate) const ALL: [Self; 3] = [Self::Off, Self::Recording, Self::Failed];
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Off, Self::Recording, Self::Failed];
 
     /// The word used in tables and messages.
-    pub(crate) fn as_str(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             Self::Off => "off",
             Self::Recording => "recording",
@@ -366,7 +369,7 @@ impl RecorderState {
 
 /// The capture that a daemon writes.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
-pub(crate) struct RecorderReport {
+pub struct RecorderReport {
     /// State of the recording.
     pub state: RecorderState,
     /// Reason of a failure.
@@ -383,14 +386,50 @@ pub(crate) struct RecorderReport {
     pub bytes_dropped: u64,
 }
 
+/// Counts of datagrams sent and refused since the server started.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
+pub struct DatagramCounts {
+    /// Places taken by clients now.
+    pub places_taken: u64,
+    /// Places of each board; users share them evenly, and all clients on UDP count as one user.
+    pub places: u64,
+    /// Clients that got no place, or lost theirs to another user's client.
+    pub places_refused: u64,
+    /// Valid requests.
+    pub requests: u64,
+    /// Requests refused: unreadable, from clients without a valid name of their own, or too many at a time.
+    pub refused: u64,
+    /// Requests on UDP without a valid cookie, answered with a cookie.
+    pub unproven: u64,
+    /// Datagrams sent.
+    pub sent: u64,
+    /// Datagrams for which a client's queue had no room. Not known for UDP.
+    pub missed: u64,
+    /// Clients that do not read fast enough. Not known for UDP.
+    pub slow_clients: Vec<SlowClient>,
+}
+
+/// A client that has missed poses for more than a second, without a second in which it missed none.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, JsonSchema)]
+pub struct SlowClient {
+    /// Its process; `None` if unknown.
+    pub process: Option<i32>,
+    /// Its user; `None` if unknown.
+    pub user: Option<u32>,
+    /// Poses that it has missed.
+    pub missed: u64,
+    /// For how long it has missed poses, seconds.
+    pub missing_s: f64,
+}
+
 impl BoardReport {
     /// A unique name for the board: its number, or its port before the number is known.
-    pub(crate) fn label(&self) -> String {
+    pub fn label(&self) -> String {
         self.device.map_or_else(|| self.name.clone(), |device| device.to_string())
     }
 
     /// Age of this report at `now`, seconds.
-    pub(crate) fn age_s(&self, now: HostInstant) -> f64 {
+    pub fn age_s(&self, now: HostInstant) -> f64 {
         now.monotonic_ns.saturating_sub(self.made_monotonic_ns) as f64 * 1e-9
     }
 }

@@ -5,19 +5,19 @@
 
 use std::mem::replace;
 
+use crate::pipeline::Record;
 use slitpose_calibration::values_of;
 use slitpose_model::TwistEstimate;
-use slitpose_tracking::pipeline::Record;
 
 /// Fine bins per second of the board's clock: twelve in a period of a tool that shakes at 20 Hz.
-pub(super) const FINE_HZ: u64 = 240;
+pub const FINE_HZ: u64 = 240;
 
 /// Coarse bins per second, a whole part of [`FINE_HZ`]: a pixel of a plot of ten minutes covers several.
-pub(super) const COARSE_HZ: u64 = 20;
+pub const COARSE_HZ: u64 = 20;
 
 /// Most fine bins in a sample, 24 times those of a board in real time: of a capture that is played faster, plots get the
 /// coarse bins only.
-pub(super) const MAX_FINE: usize = 192;
+pub const MAX_FINE: usize = 192;
 
 /// Six coordinates of the pose, and six of the velocity.
 const QUANTITIES: usize = 12;
@@ -56,7 +56,7 @@ impl Moments {
 
 /// The scans of a span of time.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Bin {
+pub struct Bin {
     /// It covers device times from `index` to `index + 1`, divided by its rate.
     index: i64,
     scans: u32,
@@ -103,15 +103,16 @@ impl Bin {
 
 /// Bins that are complete.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Bins {
+pub struct Bins {
     /// The first ones; if they are [`MAX_FINE`], others may be missing.
-    pub(super) fine: Vec<Bin>,
-    pub(super) coarse: Vec<Bin>,
+    pub fine: Vec<Bin>,
+    /// Wider ones.
+    pub coarse: Vec<Bin>,
 }
 
 /// Sorts the records of one board into bins.
 #[derive(Debug, Default)]
-pub(super) struct Binner {
+pub struct Binner {
     fine: Bin,
     coarse: Bin,
 }

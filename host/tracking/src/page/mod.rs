@@ -1,0 +1,14 @@
+//! What the live page is told of boards and heads, and what it asks for, for whoever serves it.
+//!
+//! A [`Sampler`] condenses the poses of a board: the newest, and statistics of all in bins of time. [`Optics`] makes a frame
+//! of it, [`head_message`] describes the head. LIVE.md describes all messages.
+
+mod bins;
+mod frame;
+mod message;
+
+pub use bins::{Bins, COARSE_HZ, FINE_HZ};
+pub use frame::{FRAMES_HZ, Optics, Sample, SampleSink, Sampler, SceneView, head_message};
+pub use message::{
+    COARSE_S, CalibrationState, HISTORY_S, Order, PlayerOrder, PlayerState, Refusal, Request, hello, report_message,
+};
