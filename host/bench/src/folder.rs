@@ -39,7 +39,6 @@ pub fn write(folder: &Path, head: &DrawnHead, session: &Session) -> Result<Vec<P
         write_poses(table, file(apart.join(&name))?)?;
     }
     if head.nominal.front_end.is_some() {
-        write_path(&session.tracked, file(folder.join("tracked.csv"))?)?;
         write_path(&session.by_hand, file(folder.join("session.csv"))?)?;
     }
     file(apart.join("truth.toml"))?.write_text(&truth_text(head, session))?;
@@ -137,8 +136,6 @@ fn write_text(out: &mut String, head: &DrawnHead, session: &Session) -> std::fmt
     writeln!(out, "\n[instrument]\nsigma_m = {sigma_m:e}\nsigma_rad = {sigma_rad:e}")?;
     writeln!(out, "base_from_reference = {:?}", values_of(&session.base_from_reference))?;
     writeln!(out, "tool_from_marker = {:?}", values_of(&session.tool_from_marker))?;
-    let [ahead_s, faster] = session.clock;
-    writeln!(out, "clock_ahead_s = {ahead_s:.9}\nclock_faster = {faster:e}")?;
     if let Some(drift) = &session.drift {
         writeln!(out, "\n[drift]\nlost = {:?}", drift.lost())?;
     }

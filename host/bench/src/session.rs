@@ -2,7 +2,6 @@
 
 use glam::DVec3;
 use slitpose_calibration::{compose, inverse};
-use slitpose_head::simulator::Trajectory;
 use slitpose_head::table::POSE_COLUMNS;
 use slitpose_model::{Pair, Pose};
 
@@ -43,13 +42,6 @@ const REST_S: f64 = 2.0;
 const WAY_S: f64 = 1.0;
 const STEPS: u32 = 9;
 const RETURNS: u32 = 6;
-
-/// Poses per second of an instrument that tracks the free motion.
-const TRACKED_HZ: f64 = 240.0;
-
-/// How far its clock may be ahead of the board's, seconds, and how much faster it may be, as a share.
-const AHEAD_S: f64 = 1000.0;
-const FASTER: f64 = 50e-6;
 
 /// Poses that are tried for a row before the head is given up.
 const TRIES: usize = 1000;
@@ -121,10 +113,6 @@ pub struct Session {
     pub path: Vec<(f64, Pose)>,
     /// A session without an instrument: the free motion, the tip in a cone, steps along a line, returns to a stop.
     pub(crate) by_hand: Vec<(f64, Pose)>,
-    /// The same motion by an instrument with frames, a marker and a clock of its own.
-    pub(crate) tracked: Vec<(f64, Pose)>,
-    /// By how many seconds that clock is ahead in the middle of the motion, and how much faster it is, as a share.
-    pub(crate) clock: [f64; 2],
     pub(crate) settings: Settings,
     pub(crate) drift: Option<Drift>,
     pub(crate) base_from_reference: Pose,
@@ -146,8 +134,8 @@ enum Stream {
     Rest,
     Free,
     Frames,
-    Tracked,
-    Drift,
+    // 25 was that of a table that is no longer made.
+    Drift = 26,
 }
 
 struct Maker<'a> {
@@ -264,18 +252,6 @@ impl Session {
             freely.row_at(truth, Says::TimeS(time_s), 1)
         };
         let free = path.iter().filter_map(at_instant).collect();
-        let mut tracking = maker("tracked", Stream::Tracked).chance;
-        let clock = [AHEAD_S, FASTER].map(|most| tracking.in_box(DVec3::splat(most)).x);
-        let moved = Trajectory::through(path.clone());
-        let tracked = (0..=(settings.free_s * TRACKED_HZ) as u64).map(|k| {
-            let time_s = k as f64 / TRACKED_HZ;
-            // Along the path as the board goes it.
-            let truth = moved.pose(time_s);
-            let marker = compose(&compose(&inverse(&base_from_reference), &truth), &tool_from_marker);
-            let ahead_s = clock[0] + clock[1] * (time_s - 0.5 * settings.free_s);
-            (time_s + ahead_s, tracking.near(&marker, instrument))
-        });
-        let tracked = tracked.collect();
         let by_hand = {
             let begin_s = settings.free_s + WAY_S;
             let turned = (0..=(TURN_S * FREE_HZ) as u64).map(|k| {
@@ -315,8 +291,6 @@ impl Session {
             ],
             path,
             by_hand,
-            tracked,
-            clock,
             settings: *settings,
             drift,
             base_from_reference,

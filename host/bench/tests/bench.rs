@@ -138,11 +138,7 @@ fn a_seed_determines_every_byte() {
             .filter(|path| path.is_file())
             .collect();
         names.sort();
-        assert_eq!(
-            names.len(),
-            20,
-            "scene, truth, eight tables twice, what tracked the motion, and the motion of a session"
-        );
+        assert_eq!(names.len(), 19, "scene, truth, eight tables twice, and the motion of a session");
         let read = |path: &PathBuf| {
             (path.strip_prefix(folder.path()).expect("inside").to_owned(), fs::read(path).expect("bytes"))
         };

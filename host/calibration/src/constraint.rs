@@ -4,24 +4,17 @@
 //! * an instrument with frames of its own: base_from_reference and tool_from_marker, as translation and rotation vector;
 //! * a pivot: the point in the tool and in the base;
 //! * a stage: the pose at step zero, and the vector of travel per metre of step;
-//! * a rest: the pose;
-//! * an instrument with a clock of its own, besides: by how much more than was found at first it is ahead, and how much
-//!   faster it is.
+//! * a rest: the pose.
 
 use glam::DVec3;
 use slitpose_model::Pose;
 
-use crate::data::{Constraint, Group, Knowledge, Row, compose, inverse, pose_of};
+use crate::data::{Constraint, Knowledge, Row, compose, inverse, pose_of};
 
 pub(crate) const RESIDUALS: usize = 7;
 
-/// Unknowns of a group, in SI units.
-pub(crate) fn unknowns(group: &Group) -> usize {
-    clock_place(group.constraint) + if group.clock.is_some() { 2 } else { 0 }
-}
-
-/// Place of the clock among the unknowns, after those of the constraint.
-pub(crate) fn clock_place(constraint: Constraint) -> usize {
+/// Number of unknowns of a group, in SI units.
+pub(crate) fn unknowns(constraint: Constraint) -> usize {
     match constraint {
         Constraint::Known | Constraint::Free => 0,
         Constraint::KnownInOwnFrames => 12,
@@ -33,7 +26,6 @@ pub(crate) fn clock_place(constraint: Constraint) -> usize {
 /// Scale of an unknown of a group: what makes the normal equations well conditioned, metres or radians.
 pub(crate) fn scale(constraint: Constraint, unknown: usize) -> f64 {
     match constraint {
-        Constraint::Known | Constraint::KnownInOwnFrames if unknown >= clock_place(constraint) => 1e-4,
         Constraint::Stage if unknown >= 6 => 1e-2,
         Constraint::Pivot => 1e-4,
         _ if unknown % 6 < 3 => 1e-4,
@@ -56,19 +48,15 @@ pub(crate) fn residuals(
     let mut put = |from: usize, vector: DVec3, sigma: f64| {
         out[from..from + 3].copy_from_slice(&(vector / sigma).to_array());
     };
-    let reported = || {
-        let clock = unknowns.get(clock_place(constraint)..).and_then(|clock| clock.try_into().ok());
-        row.reported_at(clock.unwrap_or_default())
-    };
     match constraint {
         Constraint::Known => {
-            let Some(report) = reported() else { return out };
+            let Some(report) = row.reported() else { return out };
             let (t, r) = pose.displacement_from(&report);
             put(0, t, length);
             put(3, r, angle);
         }
         Constraint::KnownInOwnFrames => {
-            let Some(report) = reported() else { return out };
+            let Some(report) = row.reported() else { return out };
             let [base_from_reference, tool_from_marker] = [pose_of(&unknowns[..6]), pose_of(&unknowns[6..12])];
             let expected = compose(&compose(&inverse(&base_from_reference), pose), &tool_from_marker);
             let (t, r) = expected.displacement_from(&report);

@@ -3,8 +3,6 @@
 use glam::DVec3;
 use slitpose_model::{Noise, Pair, Photocurrents, Pose, Reading, rotation_exp};
 
-use crate::track::FoundClock;
-
 /// Measurements from any number of files.
 #[derive(Clone, Debug, Default)]
 pub struct Data {
@@ -13,8 +11,6 @@ pub struct Data {
     pub(crate) groups: Vec<Group>,
     /// Noise of one frame; `None`: that of the scene.
     pub noise: Option<Noise>,
-    /// What was noticed when they were read.
-    pub(crate) remarks: Vec<String>,
 }
 
 /// The readings of all cells at one pose.
@@ -42,20 +38,10 @@ impl Row {
         Photocurrents { cells: self.readings.iter().map(reading).collect() }
     }
 
-    /// The pose that the instrument reports, its clock as it was found at first.
+    /// The pose that the instrument reports.
     pub(crate) fn reported(&self) -> Option<Pose> {
-        self.reported_at([0.0; 2])
-    }
-
-    /// The pose that the instrument reports if its clock is ahead by so many seconds more than was found at first, and
-    /// faster by such a share.
-    pub(crate) fn reported_at(&self, clock: [f64; 2]) -> Option<Pose> {
         match self.knowledge {
             Knowledge::Reported(pose) => Some(pose),
-            Knowledge::Tracked { pose, twist: [linear, angular], since_s } => {
-                let ahead_s = clock[0] + clock[1] * since_s;
-                Some(pose.perturbed(linear * ahead_s, angular * ahead_s))
-            }
             Knowledge::Step(_) | Knowledge::Nothing => None,
         }
     }
@@ -66,16 +52,6 @@ impl Row {
 pub enum Knowledge {
     /// The instrument's pose of its marker.
     Reported(Pose),
-    /// The instrument's pose of its marker by a clock of its own: the pose, velocities in metres and radians per second,
-    /// and seconds since the middle of its record.
-    Tracked {
-        /// At the instant of the row.
-        pose: Pose,
-        /// Its change.
-        twist: [DVec3; 2],
-        /// Since the middle of the record.
-        since_s: f64,
-    },
     /// The distance moved along the line of a stage, metres.
     Step(f64),
     /// No more than that it belongs to its group.
@@ -110,8 +86,6 @@ pub struct Group {
     pub sigma_m: f64,
     /// Standard deviation of an angle, radians.
     pub sigma_rad: f64,
-    /// The instrument's clock, if it is not the board's.
-    pub(crate) clock: Option<FoundClock>,
     pub(crate) rows: std::ops::Range<usize>,
 }
 
@@ -121,21 +95,7 @@ impl Data {
         let start = self.rows.len();
         self.rows.extend(rows);
         let rows = start..self.rows.len();
-        self.groups.push(Group { file: file.to_owned(), constraint, sigma_m, sigma_rad, clock: None, rows });
-    }
-
-    /// Puts the clocks of instruments forward by what an adjustment found beyond what was known of them: seconds, and a
-    /// share, of each group that has one.
-    pub(crate) fn put_forward(&mut self, found: &[Option<[f64; 2]>]) {
-        for (group, found) in self.groups.iter_mut().zip(found) {
-            let (Some(clock), Some([ahead_s, faster])) = (&mut group.clock, found) else { continue };
-            clock.ahead_s += ahead_s;
-            clock.faster += faster;
-            for row in &mut self.rows[group.rows.clone()] {
-                // A row at the very end of a record keeps the pose that it had.
-                clock.tell(row);
-            }
-        }
+        self.groups.push(Group { file: file.to_owned(), constraint, sigma_m, sigma_rad, rows });
     }
 
     /// All but the rows `left_out`, which ascend.

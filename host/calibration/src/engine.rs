@@ -20,8 +20,7 @@ use crate::reading::share;
 use crate::start::{Beginning, solved};
 use crate::state::{State, Weights, residuals};
 use crate::{
-    Calibration, CalibrationFileError, Clock, ClockError, Frames, Residual, Statistics, findings, plausibility, prior,
-    uncalibrated,
+    Calibration, CalibrationFileError, Frames, Residual, Statistics, findings, plausibility, prior, uncalibrated,
 };
 
 /// Rounds of adjustment and estimate of the model errors.
@@ -44,10 +43,6 @@ const BLOCKS: usize = 4;
 
 /// Fewest known poses for which errors of poses left out mean something.
 const MIN_HELD_OUT: usize = 20;
-
-/// Most adjustments for the clocks of instruments alone, and the change of a clock below which none follows, seconds.
-const CLOCK_ROUNDS: usize = 3;
-const CLOCK_SETTLED_S: f64 = 0.2e-3;
 
 /// Why there is no calibration.
 #[derive(Debug, Error)]
@@ -81,8 +76,6 @@ pub enum CalibrateError {
         "{0}: the tool moves too little to tell anything from; turn it by 10 degrees about two axes, and move it through its workspace"
     )]
     LittleMotion(String),
-    #[error(transparent)]
-    Clock(#[from] ClockError),
     #[error(transparent)]
     Implausible(#[from] Implausible),
     #[error("the normal equations are singular; give more rows, or smaller tolerances")]
@@ -143,7 +136,7 @@ pub fn calibrate(
     }
     let _ = progress(Progress::Starting);
     let by_tolerances = uncalibrated(file)?;
-    let (outliers, gross) = plausibility::check(&by_tolerances, data)?;
+    let (outliers, mut remarks) = plausibility::check(&by_tolerances, data)?;
     let kept;
     let mut data = data;
     if !outliers.is_empty() {
@@ -156,11 +149,6 @@ pub fn calibrate(
     let Beginning { poses, unknowns } = Beginning::of(started.as_ref().unwrap_or(&by_tolerances), start, data)?;
     let mut state = State::new(&nominal, parameters, data, poses, errors);
     state.unknowns = unknowns;
-    let on_time;
-    if data.groups.iter().any(|group| group.clock.is_some()) {
-        on_time = put_on_time(&nominal, data, &information, &mut state)?;
-        data = &on_time;
-    }
     let mut is_interrupted = false;
     let mut adjustment = Adjustment::new(&nominal, data, information, start.is_none());
     let (mut normal, mut weights) = adjustment.first(&mut state)?;
@@ -184,7 +172,6 @@ pub fn calibrate(
         let likely = plausibility::likely_reading(&state.scene(&nominal), data)?.map(CalibrateError::Implausible);
         return Err(likely.unwrap_or(error));
     }
-    let mut remarks = [data.remarks.clone(), gross].concat();
     remarks.extend(findings::remarks(data, &state, &weights));
     let mut calibration = conclude(request, &adjustment, state.clone(), &normal, &weights)?;
     remarks.extend(calibration.light.iter().map(LightTrend::remark));
@@ -195,26 +182,6 @@ pub fn calibrate(
     calibration.write();
     let residuals = residuals(&nominal, data, &state)?;
     Ok(Calibrated { calibration, residuals, remarks, is_interrupted })
-}
-
-/// The data with the clocks of instruments as short adjustments of everything find them; `state` goes with them.
-fn put_on_time(
-    nominal: &Scene,
-    data: &Data,
-    information: &DMatrix<f64>,
-    state: &mut State,
-) -> Result<Data, CalibrateError> {
-    let mut data = data.clone();
-    for _ in 0..CLOCK_ROUNDS {
-        Adjustment::new(nominal, &data, information.clone(), false).first(state)?;
-        let found = state.take_clocks(&data);
-        let most_s = found.iter().flatten().fold(0.0_f64, |most, clock| most.max(clock[0].abs()));
-        data.put_forward(&found);
-        if most_s < CLOCK_SETTLED_S {
-            break;
-        }
-    }
-    Ok(data)
 }
 
 /// Parameters, and the information of their prior in units of its σ.
@@ -260,24 +227,18 @@ fn conclude(
     let correlation = (0..count)
         .map(|i| (0..i).map(|j| covariance[(i, j)] / (covariance[(i, i)] * covariance[(j, j)]).sqrt()).collect())
         .collect();
-    let (mut frames, mut clocks) = (Vec::new(), Vec::new());
+    let mut frames = Vec::new();
     for (number, group) in data.groups.iter().enumerate() {
-        let of_unknown = |k: usize| {
-            let place = state.first_unknown(number) + k;
-            let sigma = covariance[(place, place)].sqrt() * crate::constraint::scale(group.constraint, k);
-            (state.unknowns[number][k], sigma)
-        };
-        if let Some(found) = &group.clock {
-            let at = crate::constraint::clock_place(group.constraint);
-            let ((ahead_s, ahead_sigma_s), (faster, faster_sigma)) = (of_unknown(at), of_unknown(at + 1));
-            let (ahead_s, faster) = (found.ahead_s + ahead_s, found.faster + faster);
-            clocks.push(Clock { file: group.file.clone(), ahead_s, ahead_sigma_s, faster, faster_sigma });
-        }
         if group.constraint != Constraint::KnownInOwnFrames {
             continue;
         }
-        let part = |from: usize| std::array::from_fn(|k| of_unknown(from + k).0);
-        let sigma = |from: usize| std::array::from_fn(|k| of_unknown(from + k).1);
+        let part = |from: usize| std::array::from_fn(|k| state.unknowns[number][from + k]);
+        let sigma = |from: usize| {
+            std::array::from_fn(|k| {
+                let place = state.first_unknown(number) + from + k;
+                covariance[(place, place)].sqrt() * crate::constraint::scale(group.constraint, from + k)
+            })
+        };
         frames.push(Frames {
             file: group.file.clone(),
             base_from_reference: part(0),
@@ -299,7 +260,6 @@ fn conclude(
         statistics,
         weak,
         frames,
-        clocks,
         light: LightTrend::all(data, &state, &covariance),
         covered,
         parameters: state.parameters,
@@ -352,7 +312,7 @@ fn hold_out(
         let scene: Scene = found.parameters.scene(adjustment.nominal);
         let rows: Vec<_> = left_out.iter().map(|&row| data.rows[row].clone()).collect();
         for (&row, pose) in left_out.iter().zip(solved(&scene, &rows)?) {
-            let (Some(pose), Some(report)) = (pose, found.reported(data, row)) else { continue };
+            let (Some(pose), Some(report)) = (pose, data.rows[row].reported()) else { continue };
             let (t, r) = pose.displacement_from(&found.expected(data, row, &report));
             squares[0] += t.length_squared();
             squares[1] += r.length_squared();

@@ -13,7 +13,7 @@ use thiserror::Error;
 use crate::parameter::Quantity;
 use crate::pose_error::{COEFFICIENTS, PoseError};
 use crate::prior::{Parameter, Parameters};
-use crate::{Calibration, Clock, Coverage, LightTrend, Statistics};
+use crate::{Calibration, Coverage, LightTrend, Statistics};
 
 const FORMAT: u32 = 1;
 
@@ -40,8 +40,6 @@ struct Text {
     weak: Vec<String>,
     #[serde(default)]
     frames: Vec<Frames>,
-    #[serde(default)]
-    clock: Vec<Clock>,
     #[serde(default)]
     light: Vec<LightTrend>,
     covered: Option<Coverage>,
@@ -188,7 +186,6 @@ impl Calibration {
             statistics: parsed.statistics,
             weak: parsed.weak,
             frames: parsed.frames,
-            clocks: parsed.clock,
             light: parsed.light,
             covered: parsed.covered,
             parameters: Parameters { entries, full_scale_a: parsed.converter.full_scale_a },
@@ -253,11 +250,6 @@ impl Calibration {
             ] {
                 writeln!(out, "{key} = {values:?}")?;
             }
-        }
-        for Clock { file, ahead_s, ahead_sigma_s, faster, faster_sigma } in &self.clocks {
-            writeln!(out, "\n[[clock]]\nfile = {}", toml::Value::from(file.as_str()))?;
-            writeln!(out, "ahead_s = {ahead_s:.7}\nahead_sigma_s = {ahead_sigma_s:.1e}")?;
-            writeln!(out, "faster = {faster:.2e}\nfaster_sigma = {faster_sigma:.1e}")?;
         }
         for LightTrend { file, change, change_sigma, warm_up } in &self.light {
             writeln!(out, "\n[[light]]\nfile = {}", toml::Value::from(file.as_str()))?;

@@ -127,7 +127,7 @@ fn beyond_tolerances(parameters: &[Parameter]) -> Option<String> {
 fn poses_left_out(data: &Data, state: &State, weights: &Weights) -> Option<String> {
     let mut left_out = Vec::new();
     for row in (0..data.rows.len()).filter(|&row| weights.poses[row] < 1.0) {
-        let Some(report) = state.reported(data, row) else { continue };
+        let Some(report) = data.rows[row].reported() else { continue };
         let (t, r) = state.poses[row].displacement_from(&state.expected(data, row, &report));
         left_out.push(format!("{} by {:.0} µm and {:.1} mrad", data.rows[row].id, t.length() * 1e6, r.length() * 1e3));
     }

@@ -3,7 +3,7 @@
 //! [`calibrate`] takes a scene and [`Data`] and gives a [`Calibration`]: what it makes of the scene, and what it leaves open
 //! in each pose. Read in this order:
 //! * `parameter`, `prior`: what a head may deviate in, and by how much before anything is measured;
-//! * `data`, `tables`, `clock`, `constraint`: what was measured, and what is known of the poses;
+//! * `data`, `tables`, `constraint`: what was measured, and what is known of the poses;
 //! * `plausibility`, `start`: wrong data are refused, first poses found;
 //! * `state`, `light`, `normal`, `adjust`: derivatives, normal equations without the poses, steps, outliers, model errors;
 //! * `engine`: all of it in order; `pose_error`, `coverage`, `findings`: what came of it, and what tolerances cost without it;
@@ -15,7 +15,6 @@
 #![forbid(unsafe_code)]
 
 mod adjust;
-mod clock;
 mod constraint;
 mod coverage;
 mod data;
@@ -33,13 +32,11 @@ mod reading;
 mod start;
 mod state;
 pub mod tables;
-mod track;
 
 use serde::Deserialize;
 use slitpose_head::scene_file::{SceneFile, Workspace};
 use slitpose_model::{CompiledScene, ModelError, Pose, Scene, Tier};
 
-pub use clock::{Clock, ClockError, read_tracked};
 pub use coverage::Coverage;
 pub use data::{Constraint, Data, Group, Knowledge, Row, compose, inverse, median, pose_of, values_of};
 pub use engine::{CalibrateError, Calibrated, Progress, Request, calibrate};
@@ -77,8 +74,6 @@ pub struct Calibration {
     pub weak: Vec<String>,
     /// Where the frames of instruments lie.
     pub frames: Vec<Frames>,
-    /// How the clocks of instruments differ from the board's.
-    pub clocks: Vec<Clock>,
     /// How the light changed while files were taken.
     pub light: Vec<LightTrend>,
     /// What known poses cover; `None`: there were none.

@@ -64,8 +64,7 @@ pub enum Implausible {
 }
 
 /// Units that lengths may be in by mistake, and how many millimetres they have.
-pub(crate) const UNITS: [(f64, &str); 4] =
-    [(1e3, "metres"), (1e-3, "micrometres"), (25.4, "inches"), (10.0, "centimetres")];
+const UNITS: [(f64, &str); 4] = [(1e3, "metres"), (1e-3, "micrometres"), (25.4, "inches"), (10.0, "centimetres")];
 
 /// Rows of a group that are looked at.
 const SAMPLE: usize = 60;
@@ -73,7 +72,7 @@ const SAMPLE: usize = 60;
 const LEAST: usize = 8;
 
 /// How much nearer spots must be to where another reading of the data has them, for that to be what the data are.
-pub(crate) const BETTER: f64 = 3.0;
+const BETTER: f64 = 3.0;
 
 /// Factor of the distance by which a later way of reading has to be nearer than an earlier one.
 const CLEARLY: f64 = 0.95;
@@ -129,7 +128,7 @@ pub(crate) fn check(scene: &Scene, data: &Data) -> Result<(Vec<usize>, Vec<Strin
         dark(scene, data, group)?;
         let Some(spots) = Spots::of(scene, data, group, LEAST)? else { continue };
         let as_given = spots.check_reading(group)?;
-        let gross = if as_given < CONTRADICTION && group.clock.is_none() { spots.gross(as_given) } else { Vec::new() };
+        let gross = if as_given < CONTRADICTION { spots.gross(as_given) } else { Vec::new() };
         if !gross.is_empty() {
             let (count, rows, file) = (gross.len(), spots.reports.len(), group.file.clone());
             let named: Vec<String> = gross.iter().take(NAMED).map(|&row| spots.named(row)).collect();
@@ -236,14 +235,10 @@ struct Spots<'a> {
 impl<'a> Spots<'a> {
     /// Of the rows of `group` that have a reported pose; `None`: fewer than `least`.
     fn of(scene: &Scene, data: &'a Data, group: &Group, least: usize) -> Result<Option<Self>, SceneError> {
-        let mut rows: Vec<usize> = group.rows.clone().filter(|&row| data.rows[row].reported().is_some()).collect();
+        let rows: Vec<usize> = group.rows.clone().filter(|&row| data.rows[row].reported().is_some()).collect();
         let has_own_frames = group.constraint == Constraint::KnownInOwnFrames;
         if rows.len() < least || !(has_own_frames || group.constraint == Constraint::Known) {
             return Ok(None);
-        }
-        if has_own_frames && group.clock.is_some() {
-            let every = rows.len().div_ceil(SAMPLE);
-            rows = rows.into_iter().step_by(every).collect();
         }
         // What is off in both currents alike does not move a spot.
         let sigma = |cell: &Cell| (2.0 * cell.effects.model_error.position_m / cell.detector.length_m).max(MIN_SIGMA);

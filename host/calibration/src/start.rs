@@ -4,12 +4,11 @@
 
 use glam::{DMat3, DQuat, DVec3};
 use nalgebra::{Matrix4, Matrix6, SymmetricEigen, Vector4, Vector6};
-use slitpose_head::scene_file::SceneFile;
 use slitpose_model::{MIN_CELLS, MotionPrior, Pose, Scene, SceneError, Solver, Start};
 
 use crate::data::{Constraint, Data, Group, Knowledge, Row, compose, inverse, values_of};
 use crate::reading::TIER;
-use crate::{CalibrateError, Calibration, constraint, uncalibrated};
+use crate::{CalibrateError, Calibration};
 
 /// Share of a group's rows that must lead to a pose for the others to follow from home.
 const MIN_WITH_POSE: f64 = 0.25;
@@ -27,16 +26,8 @@ pub(crate) fn solved(scene: &Scene, rows: &[Row]) -> Result<Vec<Option<Pose>>, S
     Ok(rows.iter().map(solve).collect())
 }
 
-/// The head by an earlier calibration, or by the tolerances of `file`.
-pub(crate) fn known_so_far(file: &SceneFile, start: Option<&Calibration>) -> Result<Scene, CalibrateError> {
-    Ok(match start {
-        Some(start) => start.apply(file)?,
-        None => uncalibrated(file)?,
-    })
-}
-
-/// The poses of `rows`, which are of the file `name`, by the head as it is [`known_so_far`].
-pub(crate) fn first_poses(
+/// The poses of `rows`, which are of the file `name`, by `scene`: the head as `start` has it, or by its tolerances.
+fn first_poses(
     scene: &Scene,
     start: Option<&Calibration>,
     name: &str,
@@ -65,7 +56,7 @@ pub(crate) fn first_poses(
 }
 
 impl Beginning {
-    /// From the data and the head as it is [`known_so_far`].
+    /// From the data and `scene`: the head as `start` has it, or by its tolerances.
     pub(crate) fn of(scene: &Scene, start: Option<&Calibration>, data: &Data) -> Result<Self, CalibrateError> {
         let (mut poses, mut unknowns) = (vec![Pose::HOME; data.rows.len()], Vec::new());
         for group in &data.groups {
@@ -75,17 +66,14 @@ impl Beginning {
                 for (place, row) in places.iter_mut().zip(rows) {
                     *place = row.reported().unwrap_or(Pose::HOME);
                 }
-                unknowns.push(vec![0.0; constraint::unknowns(group)]);
+                unknowns.push(Vec::new());
                 continue;
             }
             let found = first_poses(scene, start, &group.file, rows)?;
             for (place, pose) in places.iter_mut().zip(&found) {
                 *place = pose.unwrap_or(Pose::HOME);
             }
-            let mut of_group = of_group(group, rows, &found, places)?;
-            // The clock starts as it was found.
-            of_group.resize(constraint::unknowns(group), 0.0);
-            unknowns.push(of_group);
+            unknowns.push(of_group(group, rows, &found, places)?);
         }
         Ok(Self { poses, unknowns })
     }

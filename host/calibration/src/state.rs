@@ -59,7 +59,7 @@ impl State {
         }
         Self {
             parameters,
-            unknowns: data.groups.iter().map(|group| vec![0.0; constraint::unknowns(group)]).collect(),
+            unknowns: data.groups.iter().map(|group| vec![0.0; constraint::unknowns(group.constraint)]).collect(),
             poses,
             noise: nominal.cells.iter().map(|cell| ReadingNoise::new(nominal.noise.as_ref(), cell)).collect(),
             model_errors,
@@ -92,28 +92,6 @@ impl State {
     pub(crate) fn sigmas(&self, data: &Data, group: usize) -> [f64; 2] {
         let Group { sigma_m, sigma_rad, .. } = data.groups[group];
         [sigma_m * self.scales[group][0], sigma_rad * self.scales[group][1]]
-    }
-
-    /// What has been found of the clock of a group beyond what was known of it: seconds ahead, and the share by which it is
-    /// faster.
-    pub(crate) fn clock(&self, data: &Data, group: usize) -> Option<[f64; 2]> {
-        let place = constraint::clock_place(data.groups[group].constraint);
-        self.unknowns[group].get(place..)?.try_into().ok()
-    }
-
-    /// Takes what has been found of the clocks of all groups, for the data to be put forward by.
-    pub(crate) fn take_clocks(&mut self, data: &Data) -> Vec<Option<[f64; 2]>> {
-        let found = (0..data.groups.len()).map(|group| self.clock(data, group)).collect();
-        for (unknowns, group) in self.unknowns.iter_mut().zip(&data.groups) {
-            unknowns[constraint::clock_place(group.constraint)..].fill(0.0);
-        }
-        found
-    }
-
-    /// The pose of an instrument's marker that row `row` reports, by the clock as it is known now.
-    pub(crate) fn reported(&self, data: &Data, row: usize) -> Option<Pose> {
-        let (number, _) = self.group_of(data, row);
-        data.rows[row].reported_at(self.clock(data, number).unwrap_or_default())
     }
 
     /// The pose of the tool in the base that an instrument's report means.

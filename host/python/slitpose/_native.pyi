@@ -129,8 +129,6 @@ class Calibration:
     @property
     def parameters(self) -> list[Tuple[Optional[int], str, float, float, float, float]]: ...
     @property
-    def clocks(self) -> list[Tuple[str, float, float, float, float]]: ...
-    @property
     def frames(self) -> list[Tuple[str, list[float], list[float], list[float], list[float]]]: ...
     def check(self, readings: Sequence[_Path]) -> dict[str, Any]: ...
 
@@ -138,7 +136,6 @@ def calibrate(
     scene: Scene,
     *,
     known: Sequence[_Path],
-    known_captures: Sequence[_Path],
     free: Sequence[_Path],
     pivot: Sequence[_Path],
     stage: Sequence[_Path],

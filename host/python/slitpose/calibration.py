@@ -113,13 +113,6 @@ class Calibration:
         names = ("file", "base_from_reference", "base_from_reference_sigma", "tool_from_marker", "tool_from_marker_sigma")
         return [dict(zip(names, row)) for row in self._native.frames]
 
-    @property
-    def clocks(self) -> list[dict[str, Any]]:
-        """Of each instrument with a clock of its own: ``file``, by how much it is ahead of the board's, s, by what share it
-        is faster, and their standard deviations."""
-        names = ("file", "ahead_s", "ahead_sigma_s", "faster", "faster_sigma")
-        return [dict(zip(names, row)) for row in self._native.clocks]
-
     def parameters(self) -> pandas.DataFrame:
         """All parameters: ``cell`` (empty: shared by all), ``quantity``, ``prior`` and ``value`` with their standard
         deviations, in the SI unit of the quantity."""
@@ -146,7 +139,6 @@ def calibrate(
     scene: Union[Scene, str, os.PathLike[str]],
     *,
     known: Files = (),
-    known_captures: Files = (),
     free: Files = (),
     pivot: Files = (),
     stage: Files = (),
@@ -161,7 +153,6 @@ def calibrate(
 
     :param scene: the head as designed: a scene, its file, or the name of a shipped one.
     :param known: tables of readings at poses that another instrument measured.
-    :param known_captures: captures whose poses the first tables of `known` list by a clock of their own.
     :param free: captures or tables of free motion.
     :param pivot: captures or tables while one point of the tool rests in a cone.
     :param stage: tables of readings at known steps along a line.
@@ -183,7 +174,6 @@ def calibrate(
     native, remarks = _native.calibrate(
         scene._native,
         known=_list(known),
-        known_captures=_list(known_captures),
         free=_list(free),
         pivot=_list(pivot),
         stage=_list(stage),

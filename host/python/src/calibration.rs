@@ -8,7 +8,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use slitpose_calibration as adjustment;
-use slitpose_calibration::{Clock, Frames, Request, Statistics, validity};
+use slitpose_calibration::{Frames, Request, Statistics, validity};
 use slitpose_tracking::measurements::Measurements;
 
 use crate::scene::{Scene, texts};
@@ -87,14 +87,6 @@ impl Calibration {
         self.0.parameters().iter().map(row).collect()
     }
 
-    /// Of each instrument: its file, seconds its clock is ahead, σ, by what share it is faster, σ.
-    #[getter]
-    fn clocks(&self) -> Vec<(String, f64, f64, f64, f64)> {
-        let row =
-            |clock: &Clock| (clock.file.clone(), clock.ahead_s, clock.ahead_sigma_s, clock.faster, clock.faster_sigma);
-        self.0.clocks.iter().map(row).collect()
-    }
-
     /// Of each instrument: its file, `base_from_reference`, σ, `tool_from_marker`, σ.
     #[getter]
     #[expect(clippy::type_complexity, reason = "a row for Python")]
@@ -113,9 +105,7 @@ impl Calibration {
             let file = self.0.scene_file().map_err(raised)?;
             let scene = self.0.apply(&file).map_err(raised)?;
             let measurements = Measurements { free: texts(readings), ..Measurements::default() };
-            let data = measurements
-                .read(&file, Some(&self.0), &mut |remark| remarks.push(remark.to_owned()))
-                .map_err(raised)?;
+            let data = measurements.read(&file, &mut |remark| remarks.push(remark.to_owned())).map_err(raised)?;
             validity(&scene, data.noise.or(scene.noise), &data.rows).map_err(raised)
         })??;
         let dict = PyDict::new(py);
@@ -136,14 +126,13 @@ impl Calibration {
 
 /// The calibration of the head of `scene` by measurements on it, and remarks.
 #[pyfunction]
-#[pyo3(signature = (scene, *, known, known_captures, free, pivot, stage, rest, own_frames, known_sigma_m,
+#[pyo3(signature = (scene, *, known, free, pivot, stage, rest, own_frames, known_sigma_m,
     known_sigma_rad, start=None, date=None))]
 #[expect(clippy::too_many_arguments, reason = "keywords of Python")]
 pub(crate) fn calibrate(
     py: Python<'_>,
     scene: &Scene,
     known: Vec<PathBuf>,
-    known_captures: Vec<PathBuf>,
     free: Vec<PathBuf>,
     pivot: Vec<PathBuf>,
     stage: Vec<PathBuf>,
@@ -163,7 +152,6 @@ pub(crate) fn calibrate(
     }
     let measurements = Measurements {
         known: texts(known),
-        known_captures: texts(known_captures),
         free: texts(free),
         pivot: texts(pivot),
         stage: texts(stage),
@@ -174,7 +162,7 @@ pub(crate) fn calibrate(
     let (file, start) = (scene.file(), start.map(|start| &start.0));
     let mut remarks = Vec::new();
     let found = beside(py, |stop| {
-        let data = measurements.read(file, start, &mut |remark| remarks.push(remark.to_owned())).map_err(raised)?;
+        let data = measurements.read(file, &mut |remark| remarks.push(remark.to_owned())).map_err(raised)?;
         let request = Request { file, data: &data, start, date };
         let mut go_on =
             |_| if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };

@@ -42,8 +42,7 @@ impl From<WithinName> for Within {
 /// The folder gets scene.toml, the scene with a [tolerance], and, for `calibrate`: known.csv, poses by an instrument; known_own.csv, other poses in
 /// frames of its own; pivot.csv, the tip of the tool in a cone; stage.csv, steps along a line; rest.csv, returns to one
 /// stop; free.csv, free motion without poses; if the scene has a [front_end], free.mcap, a capture of it, and
-/// tracked.csv, its poses by an instrument with frames and a clock of its own; and session.csv, the motion of a session
-/// without an instrument, for `run --device sim --drawn` with the same seed. For judging the result: test.csv, exact poses and single frames, and test_quiet.csv, means of 100 frames at the same.
+/// session.csv, the motion of a session without an instrument, for `run --device sim --drawn` with the same seed. For judging the result: test.csv, exact poses and single frames, and test_quiet.csv, means of 100 frames at the same.
 /// The folder truth/ has the true pose of every row, and truth.toml all parameters as they are. Nothing else does, but
 /// for the capture: as any of a simulated board it holds its true poses.
 ///
@@ -109,7 +108,6 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     if file.front_end.is_some() {
         capture(args, &head, &session)?;
         talk(format_args!("{:>15} a capture of the free motion", "free.mcap"));
-        talk(format_args!("{:>15} the same motion by the instrument's own clock, in its own frames", "tracked.csv"));
         talk(format_args!("{:>15} the motion of a session without an instrument", "session.csv"));
     }
     let folder = args.output.display();

@@ -26,9 +26,7 @@ use slitpose_tracking::solving::{RowSolver, STREAM_TOLERANCE};
 /// instrument: --pivot, the tip of the tool in a cone; --stage, known steps along a line; --rest, returns to one
 /// stop. Any mix of them is adjusted together. Columns in: those of `solve`, for --known also those of a pose, for
 /// --stage step_mm; frames, the number of frames averaged in a row, and time_s, its instant, by which a drift of the light
-/// is followed, may be among them. An instrument that tracks a
-/// motion by a clock of its own gives time_s and poses alone, and --known-capture the readings: how the clocks differ is
-/// found with the rest.
+/// is followed, may be among them.
 ///
 /// The result is a file for --calibration of other commands. What the data leave open is named on standard error.
 #[derive(Debug, clap::Args)]
@@ -40,18 +38,15 @@ pub(super) struct Args {
     #[arg(value_parser = options::scenes(), hide_possible_values = true)]
     scene: String,
     /// Find out from these readings whether the calibration still holds: a capture, or a table as for --free
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["tip", "known", "known_capture", "free", "pivot", "stage", "rest", "start", "output", "report"])]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["tip", "known", "free", "pivot", "stage", "rest", "start", "output", "report"])]
     check: Option<String>,
     /// Find the tip of the tool by the calibration, from readings as for --pivot; the result is a file for --tip of
     /// other commands
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["known", "known_capture", "free", "pivot", "stage", "rest", "start", "report"])]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["known", "free", "pivot", "stage", "rest", "start", "report"])]
     tip: Option<String>,
     /// Readings at poses that another instrument measured
     #[arg(long, value_name = "CSV")]
     known: Vec<String>,
-    /// Readings of poses that --known lists by a clock of its own: a capture of the same minutes, for each --known in order
-    #[arg(long, value_name = "CAPTURE", requires = "known")]
-    known_capture: Vec<String>,
     /// Readings of free motion
     #[arg(long, value_name = "FILE")]
     free: Vec<String>,
@@ -99,7 +94,6 @@ impl Args {
     fn measurements(&self) -> Measurements {
         Measurements {
             known: self.known.clone(),
-            known_captures: self.known_capture.clone(),
             free: self.free.clone(),
             pivot: self.pivot.clone(),
             stage: self.stage.clone(),
@@ -133,11 +127,7 @@ fn still_holds(readings: &str, path: &Path) -> Result<Outcome, CommandError> {
     let calibration = Calibration::open(path)?;
     let file = calibration.scene_file()?;
     let scene = calibration.apply(&file)?;
-    let data = Measurements { free: vec![readings.to_owned()], ..Measurements::default() }.read(
-        &file,
-        Some(&calibration),
-        &mut say,
-    )?;
+    let data = Measurements { free: vec![readings.to_owned()], ..Measurements::default() }.read(&file, &mut say)?;
     let found = validity(&scene, data.noise.or(scene.noise), &data.rows)?;
     let mut text = format!("{:>4} {:>10} {:>12} {:>12} {:>14}\n", "cell", "light", "position", "rms", "chi2 without");
     for (number, cell) in found.cells.iter().enumerate() {
@@ -173,7 +163,7 @@ fn still_holds(readings: &str, path: &Path) -> Result<Outcome, CommandError> {
 fn adjust(args: &Args, path: &Path) -> Result<Outcome, CommandError> {
     let file = open_scene(&args.scene)?;
     let start = args.start.as_deref().map(Calibration::open).transpose()?;
-    let data = args.measurements().read(&file, start.as_ref(), &mut say)?;
+    let data = args.measurements().read(&file, &mut say)?;
     let output = Output::open(Some(path))?;
     let folder = args.report.as_deref().map(Folder::create).transpose()?;
     let stop = interrupt()?;
@@ -243,16 +233,6 @@ fn summary(calibration: &Calibration, file: &SceneFile) -> Vec<String> {
             radians * 1e3
         ));
     }
-    lines.extend(calibration.clocks.iter().map(|clock| {
-        format!(
-            "{}: its clock is {:.6} s ahead of the capture's (sigma {:.6} s) and {:.1} ppm faster (sigma {:.1} ppm)",
-            clock.file,
-            clock.ahead_s,
-            clock.ahead_sigma_s,
-            clock.faster * 1e6,
-            clock.faster_sigma * 1e6
-        )
-    }));
     lines.extend(calibration.weak.iter().map(|weak| format!("open: {weak}")));
     lines
 }
@@ -293,7 +273,7 @@ pub(super) fn from_recordings(file: Arc<SceneFile>) -> Calibrate {
         // As the designer wrote it: the daemon's has the most probable parts.
         let file = SceneFile::parse(&file.origin, &file.source)?;
         let mut said = Vec::new();
-        let data = measurements.read(&file, None, &mut |remark| said.push(remark.to_owned()))?;
+        let data = measurements.read(&file, &mut |remark| said.push(remark.to_owned()))?;
         let output = Output::replacing(path, Replace::Nothing)?;
         let request = Request { file: &file, data: &data, start: None, date: None };
         let found = calibrate(&request, &mut |step| {

@@ -15,7 +15,7 @@ pub(super) fn run(readings: &str, path: &Path, output: &Path) -> Result<Outcome,
     let calibration = Calibration::open(path)?;
     let file = calibration.scene_file()?;
     let measured = Measurements { pivot: vec![readings.to_owned()], ..Measurements::default() };
-    let data = measured.read(&file, Some(&calibration), &mut |remark| talk(format_args!("{remark}")))?;
+    let data = measured.read(&file, &mut |remark| talk(format_args!("{remark}")))?;
     let output = Output::file(output)?;
     let found = tip::find(&Head::calibrated(file, calibration)?, &data)?;
     let [x, y, z] = (found.tip_m * 1e3).to_array();

@@ -3,9 +3,7 @@
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 
-use slitpose_calibration::{
-    CalibrateError, Calibration, Constraint, Data, Knowledge, Row, measured_noise, read_tracked, tables,
-};
+use slitpose_calibration::{CalibrateError, Constraint, Data, Knowledge, Row, measured_noise, tables};
 use slitpose_head::front_end::{Stage, TimingError};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::table_noise;
@@ -35,10 +33,8 @@ const OTHER_NOISE: f64 = 1.3;
 /// The files with measurements on a head, by what is known of their poses: tables, or captures where no poses are needed.
 #[derive(Clone, Debug, Default)]
 pub struct Measurements {
-    /// Readings at poses that another instrument measured; the first ones may be poses alone, by a clock of their own.
+    /// Readings at poses that another instrument measured.
     pub known: Vec<String>,
-    /// The captures that belong to those.
-    pub known_captures: Vec<String>,
     /// Readings of free motion.
     pub free: Vec<String>,
     /// Readings while one point of the tool rests in a cone.
@@ -73,37 +69,19 @@ pub enum MeasurementsError {
     NoSteps { path: PathBuf },
     #[error(transparent)]
     Timing(#[from] TimingError),
-    #[error(
-        "--known-capture {capture} is one more than the tables of --known; give --known with the instrument's poses of each capture"
-    )]
-    NoPosesOfCapture { capture: String },
 }
 
 impl Measurements {
-    /// Reads all of them, of the head of `file`, which may have been calibrated before (`start`); `say` is told what is
-    /// remarkable.
+    /// Reads all of them, of the head of `file`; `say` is told what is remarkable.
     ///
     /// # Errors
     /// Files that cannot be read, or are of another head.
-    pub fn read(
-        &self,
-        file: &SceneFile,
-        start: Option<&Calibration>,
-        say: &mut dyn FnMut(&str),
-    ) -> Result<Data, MeasurementsError> {
+    pub fn read(&self, file: &SceneFile, say: &mut dyn FnMut(&str)) -> Result<Data, MeasurementsError> {
         let known_sigmas = self.known_sigmas.unwrap_or(INSTRUMENT);
         let known = if self.has_own_frames { Constraint::KnownInOwnFrames } else { Constraint::Known };
         let mut data = Data::default();
-        if let Some(capture) = self.known_captures.get(self.known.len()) {
-            return Err(MeasurementsError::NoPosesOfCapture { capture: capture.clone() });
-        }
-        let (tracked, listed) = self.known.split_at(self.known_captures.len());
-        for (table, capture) in tracked.iter().zip(&self.known_captures) {
-            let rows = read_capture(file, capture, None, &mut data, say)?;
-            read_tracked(file, start, [table, capture], rows, known, known_sigmas, &mut data)?;
-        }
         for (files, constraint, sigmas) in [
-            (listed, known, known_sigmas),
+            (&self.known, known, known_sigmas),
             (&self.free, Constraint::Free, CONTACT),
             (&self.pivot, Constraint::Pivot, CONTACT),
             (&self.stage, Constraint::Stage, STAGE),
@@ -137,7 +115,7 @@ fn read(
     let rows = match &marks[..] {
         [] if constraint == Constraint::Stage => return Err(MeasurementsError::NoSteps { path: name.into() }),
         [] => tables::thinned(read_capture(file, name, None, data, say)?),
-        _ => at_rest(name, &marks, read_capture(file, name, Some(&marks), data, say)?, say),
+        _ => at_rest(name, &marks, &read_capture(file, name, Some(&marks), data, say)?, say),
     };
     data.add(name, constraint, sigmas, rows);
     Ok(())
@@ -173,7 +151,7 @@ fn marks(path: &Path, constraint: Constraint) -> Result<Vec<Mark>, MeasurementsE
 }
 
 /// One row for each mark: the mean of the frames just before it, which are `rows`, with the place of their mark as id.
-fn at_rest(name: &str, marks: &[Mark], rows: Vec<Row>, say: &mut dyn FnMut(&str)) -> Vec<Row> {
+fn at_rest(name: &str, marks: &[Mark], rows: &[Row], say: &mut dyn FnMut(&str)) -> Vec<Row> {
     let mut found = Vec::new();
     for (place, mark) in marks.iter().enumerate() {
         let id = place.to_string();

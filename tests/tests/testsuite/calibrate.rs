@@ -205,42 +205,6 @@ fn free_motion_alone_leaves_the_frames_and_the_scale_open_and_little_else() {
     assert!(mean <= 20.0 && angle <= 0.1, "{mean} µm, {angle}°");
 }
 
-#[test]
-fn an_instrument_that_follows_a_motion_by_its_own_clock_calibrates_a_head() {
-    let folder = TempDir::new().expect("a folder");
-    let at = |name: &str| name_in(folder.path(), name);
-    let bench = ["bench", "wide", "--duration", "6s", "--poses", "1", "--seed", "3", "--output", &at("bench")];
-    assert_eq!(slitpose!().run(bench).code, 0);
-    let [scene, tracked, capture] = ["scene.toml", "tracked.csv", "free.mcap"].map(|name| at(&format!("bench/{name}")));
-    let output = at("head.toml");
-    let inputs = ["calibrate", &scene, "--known", &tracked, "--known-capture", &capture, "--frames", "own"];
-    let finished = slitpose!().run(inputs.into_iter().chain(["--output", &output]));
-    assert_eq!(finished.code, 0, "{}", finished.stderr);
-    println!("{}", finished.stderr);
-    let read =
-        |name: &str| -> toml::Table { std::fs::read_to_string(at(name)).expect("a file").parse().expect("TOML") };
-    let (found, truth) = (read("head.toml"), read("bench/truth/truth.toml"));
-    let clock = found["clock"][0].as_table().expect("a clock");
-    for (key, true_key) in [("ahead", "clock_ahead_s"), ("faster", "clock_faster")] {
-        let number = |key: &str| clock[key].as_float().expect("a number");
-        let key = if key == "ahead" { ["ahead_s", "ahead_sigma_s"] } else { ["faster", "faster_sigma"] };
-        let [value, sigma] = key.map(number);
-        let expected = truth["instrument"][true_key].as_float().expect("a number");
-        // Four σ, and no more than microseconds: the motion is 20 mm/s fast, and measured to 2 µm 400 times.
-        assert!((value - expected).abs() < 4.0 * sigma && sigma < 2e-5, "{value} ± {sigma}, truth {expected}");
-    }
-    let held_out_um = found["statistics"]["held_out_m"].as_float().expect("a number") * 1e6;
-    assert!((1.0..8.0).contains(&held_out_um), "{held_out_um} µm");
-    let more = slitpose!().run(inputs.into_iter().chain(["--known-capture", &capture, "--output", &at("none.toml")]));
-    assert!(more.code == 1 && more.stderr.contains("one more than the tables of --known"), "{}", more.stderr);
-    // The record of another motion is not taken.
-    let other = ["bench", "wide", "--duration", "4s", "--poses", "1", "--seed", "4", "--output", &at("other")];
-    assert_eq!(slitpose!().run(other).code, 0);
-    let inputs = ["calibrate", &scene, "--known", &at("other/tracked.csv"), "--known-capture", &capture];
-    let finished = slitpose!().run(inputs.into_iter().chain(["--frames", "own", "--output", &at("none.toml")]));
-    assert!(finished.code == 1 && finished.stderr.contains("its motion is not that of"), "{}", finished.stderr);
-}
-
 /// A table of known poses that can be spoilt: pose, and both currents of each cell.
 #[derive(Clone)]
 struct Known {
@@ -465,7 +429,7 @@ fn steps_and_stops_of_a_capture_are_read_at_its_notes() {
     let file = WIDE.read().expect("a scene");
     let read = |measurements: Measurements| {
         let mut said = Vec::new();
-        let data = measurements.read(&file, None, &mut |remark| said.push(remark.to_owned()));
+        let data = measurements.read(&file, &mut |remark| said.push(remark.to_owned()));
         (data.map(|data| data.rows), said.join("\n"))
     };
     let (rows, said) = read(Measurements { stage: vec![noted.clone()], ..Measurements::default() });

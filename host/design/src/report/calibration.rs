@@ -240,9 +240,9 @@ fn open(file: &SceneFile, calibration: &Calibration) -> Section {
     }
 }
 
-/// Frames and clocks of the instruments, if they have their own.
+/// Frames of the instruments, if they have their own.
 fn instruments(calibration: &Calibration) -> Option<Section> {
-    let of_frames = calibration.frames.iter().flat_map(|frames| {
+    let rows = calibration.frames.iter().flat_map(|frames| {
         let transforms = [
             ("base_from_reference", frames.base_from_reference, frames.base_from_reference_sigma),
             ("tool_from_marker", frames.tool_from_marker, frames.tool_from_marker_sigma),
@@ -261,23 +261,14 @@ fn instruments(calibration: &Calibration) -> Option<Section> {
             })
         })
     });
-    let of_clocks = calibration.clocks.iter().flat_map(|clock| {
-        [
-            ("clock ahead of the board's", "ms", 1e3, clock.ahead_s, clock.ahead_sigma_s),
-            ("clock faster than the board's", "ppm", 1e6, clock.faster, clock.faster_sigma),
-        ]
-        .map(|(what, unit, scale, value, sigma)| {
-            vec![clock.file.as_str().into(), what.into(), unit.into(), (value * scale).into(), (sigma * scale).into()]
-        })
-    });
-    let rows: Vec<Vec<Value>> = of_frames.chain(of_clocks).collect();
+    let rows: Vec<Vec<Value>> = rows.collect();
     (!rows.is_empty()).then(|| Section {
         name: "instruments",
         title: "Instruments",
-        paragraphs: vec!["Where an instrument's frame and marker lie, and how its clock goes, as found.".to_owned()],
+        paragraphs: vec!["Where an instrument's frame and marker lie, as found.".to_owned()],
         tables: vec![Table {
             name: "instruments",
-            caption: "Frames and clocks of the instruments".to_owned(),
+            caption: "Frames of the instruments".to_owned(),
             columns: vec![
                 column("file", "file"),
                 column("quantity", "quantity"),

@@ -22,7 +22,7 @@ use slitpose_protocol::{
     Request, ResetCause, SettingsSource, encode,
 };
 use thiserror::Error;
-pub use trajectory::{MAX_KNOTS, PathError, Trajectory, TrajectoryKind};
+pub use trajectory::{PathError, Trajectory, TrajectoryKind};
 
 use crate::faults::{BoardFaults, FaultClock, Faults, LightFaults, Trouble, WordFaults};
 use crate::front_end::{self, Stage, TimingError};

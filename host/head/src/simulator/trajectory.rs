@@ -28,7 +28,7 @@ const SHARE: f64 = 0.9;
 const FAST: f64 = 4.0;
 
 /// Most poses of a path, 72 bytes each: 35 minutes at 4 kHz.
-pub const MAX_KNOTS: u64 = 1 << 23;
+const MAX_KNOTS: u64 = 1 << 23;
 
 /// Motions that need no file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
