@@ -72,32 +72,20 @@ impl Serving {
             }
         };
         let routes = routes.layer(from_fn(guard));
-        let (mut serving, (bound, file)) = Self::start(name, address, async || {
+        let runtime = Builder::new_current_thread().enable_all().build().map_err(failed)?;
+        let (bound, file) = runtime.block_on(async {
             let (socket, bound, file) = listen()?;
             tokio::spawn(accept(socket, routes));
             begin();
-            Ok((bound, file))
+            Ok::<_, ServeError>((bound, file))
         })?;
-        serving._file = file;
-        Ok((serving, bound))
-    }
-
-    /// Runs the tasks that `begin` starts, for a server at `address`; returns what it gives, too.
-    pub(crate) fn start<T>(
-        name: &str,
-        address: &Address,
-        begin: impl AsyncFnOnce() -> Result<T, ServeError>,
-    ) -> Result<(Self, T), ServeError> {
-        let failed = |source| ServeError::of(address, source);
-        let runtime = Builder::new_current_thread().enable_all().build().map_err(failed)?;
-        let begun = runtime.block_on(begin())?;
         let (end, ended) = oneshot::channel();
         let run = move || {
             // Either way this has been dropped. The tasks end with the runtime: a graceful shutdown would wait for
             // connections that hang.
             let _ = runtime.block_on(ended);
         };
-        Ok((Self { _thread: Background::spawn(name, end, run).map_err(failed)?, _file: None }, begun))
+        Ok((Self { _thread: Background::spawn(name, end, run).map_err(failed)?, _file: file }, bound))
     }
 }
 

@@ -10,7 +10,7 @@
 //! * [`inputs`] reads what strangers can send, for fuzzing.
 //!
 //! Behind the commands: `terminal` draws for the user, `comparison` compares poses with a reference, `sink` writes poses,
-//! `daemon` follows boards live, `live` shows them on a page, `bridges` to Foxglove, to ROS 2 and as a mouse, `http` guards
+//! `daemon` follows boards live, `live` shows them on a page, `bridges` to ROS 2 and as a mouse, `http` guards
 //! the servers, `doctor` examines boards, heads and hosts.
 
 #![forbid(unsafe_code)]

@@ -281,11 +281,11 @@ class Zenoh(unittest.TestCase):
         self.addCleanup(sleeper.kill)
         self.assertEqual(sleeper.stdout.readline(), "ready\n")
         numbers = []
-        self.router.session().declare_subscriber(f"0/slitpose/{BOARD}/bytes/**", lambda sample: numbers.append(number_of(sample)))
+        self.router.session().declare_subscriber(f"0/slitpose/{BOARD}/pose/**", lambda sample: numbers.append(number_of(sample)))
         program, output = self.router.slitpose(
             "--device", "sim", "--zenoh", "--zenoh-poses", "0", "--trajectory", "fast", "--duration", "20s"
         )
-        until(lambda: numbers, "bytes")
+        until(lambda: numbers, "poses")
         # It reads nothing from here on.
         sleeper.send_signal(signal.SIGSTOP)
         self.ended(program)
@@ -310,7 +310,7 @@ for key, value in {"mode": "client", "connect/endpoints": [sys.argv[1]], "scouti
     config.insert_json5(key, json.dumps(value))
 numbers = []
 with zenoh.open(config) as session:
-    session.declare_subscriber("0/*/*/bytes/**", lambda sample: numbers.append(int.from_bytes(sample.attachment.to_bytes()[:8], "little")))
+    session.declare_subscriber("0/*/*/pose/**", lambda sample: numbers.append(int.from_bytes(sample.attachment.to_bytes()[:8], "little")))
     print("ready", flush=True)
     sys.stdin.read()
 print(*numbers)

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use slitpose_bench::{DrawnHead, Session, Settings as BenchSettings, Within, write};
 use slitpose_calibration::Head;
 use slitpose_model::Tier;
@@ -20,21 +21,9 @@ use slitpose_head::table::Replace;
 /// Longest free motion, seconds.
 const MAX_S: f64 = 3600.0;
 
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum WithinName {
-    /// Only in parameters that a calibration has
-    Family,
-    /// In these, and in what no calibration describes
-    Richer,
-}
-
-impl From<WithinName> for Within {
-    fn from(name: WithinName) -> Self {
-        match name {
-            WithinName::Family => Self::Family,
-            WithinName::Richer => Self::Richer,
-        }
-    }
+fn within() -> impl TypedValueParser<Value = Within> {
+    PossibleValuesParser::new(["family", "richer"])
+        .map(|name| if name == "richer" { Within::Richer } else { Within::Family })
 }
 
 /// Draws one head from the tolerances of a scene, and simulates what is measured on it.
@@ -62,9 +51,9 @@ pub(super) struct Args {
     /// Seed of the head and of all errors
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
-    /// What the head deviates in
-    #[arg(long, value_enum, default_value = "family")]
-    within: WithinName,
+    /// What the head deviates in: only in parameters that a calibration has, or also in what no calibration describes
+    #[arg(long, default_value = "family", value_parser = within())]
+    within: Within,
     /// Let light change: emitters warm while the instrument measures, have lost up to 2 % in the tables for judging and in
     /// free.csv, each a little more or less, and a lamp flickers; free.mcap has none of it. Rows of known poses get time_s
     #[arg(long)]
@@ -99,7 +88,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         instrument: [args.instrument_um * 1e-6, args.instrument_urad * 1e-6],
         drifts: args.drift,
     };
-    let head = DrawnHead::draw(&file, args.within.into(), args.seed)?;
+    let head = DrawnHead::draw(&file, args.within, args.seed)?;
     let session = Session::of(&head, &settings)?;
     write(&args.output, &head, &session)?;
     for table in &session.tables {

@@ -1,4 +1,4 @@
-//! What `run` and `replay` do besides giving poses: the live page, the 6-DoF mouse, Foxglove and Zenoh.
+//! What `run` and `replay` do besides giving poses: the live page, the 6-DoF mouse and Zenoh.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -9,13 +9,9 @@ use anyhow::Error;
 use super::options::{number, poses_hz};
 use super::record::RecordOptions;
 use super::{CommandError, talk};
-use crate::bridges::{
-    Axes, DEFAULT_FOXGLOVE_ADDRESS, DEFAULT_ROUTER, Feel, SpacenavInput, SpacenavServer, foxglove_address,
-    publish_by_zenoh, serve_foxglove,
-};
+use crate::bridges::{Axes, DEFAULT_ROUTER, Feel, SpacenavInput, SpacenavServer, publish_by_zenoh};
 use crate::daemon::{Daemon, StreamPlan};
-use crate::http::Serving;
-use crate::live::{Access, Control, DEFAULT_LIVE_ADDRESS, LiveBoard, LiveInput, LivePlan, LiveServer, live_address};
+use crate::live::{Access, Control, DEFAULT_LIVE_ADDRESS, LiveBoard, LivePlan, LiveServer, live_address};
 use slitpose_head::scene_file::Workspace;
 use slitpose_tracking::page::{Order, Refusal};
 use slitpose_tracking::telemetry::{DaemonReport, RecorderState};
@@ -42,35 +38,6 @@ pub(super) struct AccessOptions {
     /// Open the page in a browser
     #[arg(long)]
     open: bool,
-}
-
-/// Foxglove as a viewer. The option is hidden where the build has no server, and then says which build has it.
-#[derive(clap::Args, Debug)]
-pub(super) struct FoxgloveOptions {
-    /// Serve poses, head and health to Foxglove on this host, by its WebSocket protocol
-    #[arg(
-        long,
-        value_name = "ADDRESS",
-        num_args = 0..=1,
-        default_missing_value = DEFAULT_FOXGLOVE_ADDRESS,
-        value_parser = foxglove_address,
-        hide = !cfg!(feature = "foxglove")
-    )]
-    foxglove: Option<SocketAddr>,
-}
-
-impl FoxgloveOptions {
-    /// Serves Foxglove, if asked; returns where samples go, and the server.
-    pub(super) fn start(
-        &self,
-        boards: Vec<LiveBoard>,
-        report: impl Fn() -> DaemonReport + Send + 'static,
-    ) -> Result<Option<(LiveInput, Serving)>, CommandError> {
-        let Some(address) = self.foxglove else { return Ok(None) };
-        let (url, input, serving) = serve_foxglove(address, boards, report)?;
-        talk(format_args!("Foxglove connects to {url}"));
-        Ok(Some((input, serving)))
-    }
 }
 
 impl LiveOptions {
@@ -183,7 +150,7 @@ const POSES_HZ: f64 = 100.0;
 /// What is published, and where.
 #[derive(clap::Args, Debug)]
 pub(super) struct ZenohOptions {
-    /// Publish poses, velocities, head, health and bytes of boards by Zenoh, where ROS 2 with rmw_zenoh sees them
+    /// Publish poses, velocities, head and health of boards by Zenoh, where ROS 2 with rmw_zenoh sees them
     #[arg(long, hide = !cfg!(feature = "zenoh"))]
     zenoh: bool,
     /// The router of Zenoh

@@ -12,7 +12,7 @@ use slitpose_calibration::{Basis, Head};
 use slitpose_protocol::Stream;
 
 use super::calibrate::from_recordings;
-use super::live::{FoxgloveOptions, LiveOptions, MouseOptions, ZenohOptions, changes};
+use super::live::{LiveOptions, MouseOptions, ZenohOptions, changes};
 use super::options::{PoseOptions, open_scene, parse_duration};
 use super::record::RecordOptions;
 use super::simulate::ToolOptions;
@@ -96,8 +96,6 @@ pub(super) struct Args {
     live: LiveOptions,
     #[command(flatten)]
     mouse: MouseOptions,
-    #[command(flatten)]
-    foxglove: FoxgloveOptions,
     #[command(flatten)]
     zenoh: ZenohOptions,
     /// How long to look for a board that is not there: a time, or `forever`
@@ -231,14 +229,12 @@ pub(super) fn run(args: &mut Args) -> Result<Outcome, CommandError> {
         })?),
         None => None,
     };
-    let foxglove = args.foxglove.start(shown(), reports())?;
     let streams = args.zenoh.start(shown(), reports())?.into_iter().collect();
     let status = args.status.as_ref().map(|address| StatusServer::start(address, reports(), control())).transpose()?;
     status.iter().for_each(|server| talk(format_args!("status at {}", server.address)));
     let capture = args.record.open(is_recorded_later)?;
     let mut takers: Vec<Arc<dyn SampleSink>> = Vec::new();
     takers.extend(live.iter().map(|live| Arc::new(live.input.clone()) as Arc<dyn SampleSink>));
-    takers.extend(foxglove.iter().map(|(input, _)| Arc::new(input.clone()) as Arc<dyn SampleSink>));
     takers.extend(mouse.iter().map(|mouse| Arc::new(mouse.input.clone()) as Arc<dyn SampleSink>));
     let plan = Plan { boards, sink, capture, datagrams, streams, takers, real_time: args.real_time };
     let daemon = Arc::new(Daemon::start(plan, Arc::clone(&stop))?);
@@ -269,7 +265,7 @@ pub(super) fn run(args: &mut Args) -> Result<Outcome, CommandError> {
     }
     notify(NotifyState::Stopping);
     let ended = daemon.end();
-    drop((status, live, foxglove, mouse));
+    drop((status, live, mouse));
     let reconnects = daemon.report().boards.iter().map(|board| board.link.reconnects).collect::<Vec<_>>();
     outcome_of(ended, &reconnects, stop.load(Ordering::Relaxed), args.poses.duration.is_some())
 }

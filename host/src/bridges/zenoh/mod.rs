@@ -1,4 +1,4 @@
-//! Boards over Zenoh for ROS 2, as rmw_zenoh sees it: poses and more, and all bytes.
+//! Boards over Zenoh for ROS 2, as rmw_zenoh sees it: poses, heads, health.
 
 mod publisher;
 
@@ -14,7 +14,6 @@ use crate::bridges::DEFAULT_ROUTER;
 use crate::daemon::StreamPlan;
 use crate::live::LiveBoard;
 use crate::terminal::say;
-use slitpose_tracking::capture::LINK_BYTES;
 use slitpose_tracking::ros::{MARKERS, POSE, RosType, TRANSFORMS, TWIST};
 use slitpose_tracking::telemetry::DaemonReport;
 
@@ -126,8 +125,6 @@ impl Type {
         Self::of(MARKERS, "RIHS01_86cb8800b6fb05b5eff1abd7a56f62a5641d3ae9a1c29e78e67e704f1d067dcf");
     pub(super) const DIAGNOSTICS: Self =
         Self { name: DIAGNOSTICS, hash: "RIHS01_5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e" };
-    pub(super) const LINK_BYTES: Self =
-        Self::of(LINK_BYTES, "RIHS01_d42b7daf965e87d943da60b43503be72bd329ab866e60057efdb38941e9540d3");
 
     /// Its part of a key: the name that DDS gives it, and its hash.
     fn key(self) -> String {

@@ -11,14 +11,13 @@ use super::{Attachment, Node, Router, Type, gid, topic_key};
 use crate::daemon::{ChunkSink, TapChunk};
 use crate::live::LiveBoard;
 use crate::terminal::say;
-use slitpose_tracking::capture::encode_link_bytes;
 use slitpose_tracking::clock::HostInstant;
-use slitpose_tracking::link::{DeviceId, Segment};
+use slitpose_tracking::link::DeviceId;
 use slitpose_tracking::pipeline::Record;
 use slitpose_tracking::ros::{self, cdr::Encoder};
 use slitpose_tracking::telemetry::DaemonReport;
 
-/// Time between copies of what late subscribers need, too: hellos, heads, health.
+/// Time between copies of what late subscribers need, too: heads, health.
 const REPEAT_EVERY: Duration = Duration::from_secs(1);
 
 pub(super) struct Publisher {
@@ -42,9 +41,7 @@ struct DaemonTopics {
 
 struct Shown {
     board: LiveBoard,
-    /// The board, and its last hello as it is repeated.
     device: Option<DeviceId>,
-    hello: Vec<u8>,
     topics: Option<BoardTopics>,
 }
 
@@ -55,8 +52,6 @@ struct BoardTopics {
     pose: Topic,
     twist: Topic,
     head: Topic,
-    hello: Topic,
-    bytes: Topic,
     shapes: Vec<u8>,
 }
 
@@ -105,7 +100,7 @@ impl DaemonTopics {
 
 impl Publisher {
     pub(super) fn new(router: Router, boards: Vec<LiveBoard>, report: Box<dyn Fn() -> DaemonReport + Send>) -> Self {
-        let shown = |board| Shown { board, device: None, hello: Vec::new(), topics: None };
+        let shown = |board| Shown { board, device: None, topics: None };
         let mut this = Self {
             router,
             daemon: None,
@@ -146,22 +141,12 @@ impl ChunkSink for Publisher {
         let Self { daemon, boards, message, .. } = self;
         let (Some(device), Some(shown)) = (chunk.device, boards.get_mut(chunk.board)) else { return };
         shown.device = Some(device);
-        if !chunk.hello.is_empty() {
-            let mut hello = Segment { opened: true, ..Segment::default() };
-            hello.push(&chunk.hello, chunk.segment.reads.first().and_then(|read| read.at));
-            encode_link_bytes(&hello, &mut shown.hello);
-        }
         let Some(daemon) = daemon else { return };
         // Another board may take the place of one that was unplugged.
         if shown.topics.as_ref().is_none_or(|topics| topics.device != device) {
             shown.topics = BoardTopics::new(daemon, device, chunk.board == 0, &shown.board).ok();
         }
         let Some(topics) = &mut shown.topics else { return };
-        if !chunk.hello.is_empty() {
-            topics.hello.put(&shown.hello);
-        }
-        encode_link_bytes(&chunk.segment, message);
-        topics.bytes.put(message);
         for record in &chunk.poses {
             topics.pose(record, &mut daemon.transforms, message);
         }
@@ -176,11 +161,8 @@ impl ChunkSink for Publisher {
         }
         // Without a router that took long, and chunks wait: they are all taken before it is sought again.
         self.repeat_at = Instant::now() + REPEAT_EVERY;
-        for Shown { hello, topics, .. } in &mut self.boards {
-            if let Some(topics) = topics {
-                topics.head.put(&topics.shapes);
-                topics.hello.put(hello);
-            }
+        for topics in self.boards.iter_mut().filter_map(|shown| shown.topics.as_mut()) {
+            topics.head.put(&topics.shapes);
         }
         self.health();
     }
@@ -203,8 +185,6 @@ impl BoardTopics {
             pose: topic("pose", Type::POSE)?,
             twist: topic("twist", Type::TWIST)?,
             head: topic("head", Type::MARKERS)?,
-            hello: topic("hello", Type::LINK_BYTES)?,
-            bytes: topic("bytes", Type::LINK_BYTES)?,
             shapes,
         })
     }

@@ -34,7 +34,6 @@ use std::path::PathBuf;
 use thiserror::Error;
 
 pub use contents::{Contents, contents};
-pub use link_bytes::encode as encode_link_bytes;
 pub use medium::Medium;
 #[cfg(unix)]
 pub use place::Existing;
@@ -98,7 +97,7 @@ pub enum Entry {
 }
 
 /// The bytes of a link: a type of this project, as no standard type keeps the time of each read.
-pub const LINK_BYTES: RosType =
+const LINK_BYTES: RosType =
     RosType { name: "slitpose_msgs/msg/LinkBytes", definition: include_str!("../ros/msg/LinkBytes.msg") };
 
 /// Name of the attachment with the JSON schema of reports.
