@@ -118,7 +118,8 @@ impl RecorderControl {
 
     /// Begins a recording, after the present one if there is one.
     pub(super) fn begin(&self, series: CaptureSeries) {
-        lock(&self.report).state = RecorderState::Recording;
+        // The file that it had was that of the recording before.
+        *lock(&self.report) = RecorderReport { state: RecorderState::Recording, ..RecorderReport::default() };
         let _ = self.orders.send(RecorderOrder::Begin(Box::new(series)));
     }
 

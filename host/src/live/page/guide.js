@@ -133,7 +133,7 @@ export class Guide {
     show(byId("open-guide"), Boolean(isOffered));
     show(byId("guide-panel"), Boolean(isOffered && this.#isOpen));
     const running = this.#running;
-    if (running && !running.file && recorder?.state === "recording") {
+    if (running && !running.file && recorder?.state === "recording" && recorder.file) {
       [running.file, running.at_ms] = [recorder.file.split("/").at(-1), performance.now()];
     } else if (running?.file && recorder && recorder.state !== "recording") {
       if (recorder.state !== "failed") this.#files[PARTS[this.#part].key] = running.file;
