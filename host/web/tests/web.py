@@ -299,14 +299,14 @@ class Captures(InBrowser):
 
     def test_a_long_capture_needs_no_more_memory_than_a_short_one(self):
         capture = self.folder / "long.mcap"
-        self.slitpose("simulate", "--trajectory", "smooth", "--duration", "900s", "--output", capture)
+        self.slitpose("simulate", "--trajectory", "smooth", "--duration", "300s", "--output", capture)
         page = self.open()
         wait(page, HAS_POSE)
         page.wait_for_timeout(2000)
         before = renderer_bytes()
         self.play(page, capture)
         wait(page, "document.body.dataset.source === 'replay'")
-        wait(page, "document.getElementById('place').textContent.includes('/ 15:00')", 120)
+        wait(page, "document.getElementById('place').textContent.includes('/ 5:00')", 120)
         page.select_option("#speed", "max")
         page.wait_for_timeout(5000)
         grown = renderer_bytes() - before
