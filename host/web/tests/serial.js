@@ -48,6 +48,11 @@
   window.plug = (isPlugged) => {
     window.isPlugged = isPlugged;
     if (!isPlugged) serial.port.unplug();
-    else serial.dispatchEvent(new Event("connect"));
+    else {
+      // Real ones bubble from the port.
+      const event = new Event("connect");
+      Object.defineProperty(event, "target", { value: serial.port });
+      serial.dispatchEvent(event);
+    }
   };
 })();

@@ -213,13 +213,12 @@ class Board(InBrowser):
         def scans():
             return int(re.sub(r"\D", "", page.evaluate(FACT, "Scans")) or 0)
 
-        self.pump(page, lambda: "sim" not in page.evaluate(FACT, "Board") and scans() > 400)
-        self.assertIn("nucleo", page.evaluate(FACT, "Board").lower())
+        self.pump(page, lambda: "nucleo" in page.evaluate(FACT, "Board").lower() and scans() > 400)
         page.screenshot(path=PICTURES / "web-board.png")
         page.click("#record")
+        self.pump(page, lambda: "Stop recording" in page.text_content("#record"))
         first = scans()
         self.pump(page, lambda: scans() >= first + 40_000)
-        self.assertIn("Recording", page.text_content("#record") or "")
         lost = [page.evaluate(FACT, f"Lost on the {place}") for place in ["board", "link"]]
         print(f"{scans()} scans; lost on board and link: {lost}")
         for words in lost:
@@ -299,14 +298,14 @@ class Captures(InBrowser):
 
     def test_a_long_capture_needs_no_more_memory_than_a_short_one(self):
         capture = self.folder / "long.mcap"
-        self.slitpose("simulate", "--trajectory", "smooth", "--duration", "900s", "--output", capture)
+        self.slitpose("simulate", "--trajectory", "smooth", "--duration", "300s", "--output", capture)
         page = self.open()
         wait(page, HAS_POSE)
         page.wait_for_timeout(2000)
         before = renderer_bytes()
         self.play(page, capture)
         wait(page, "document.body.dataset.source === 'replay'")
-        wait(page, "document.getElementById('place').textContent.includes('/ 15:00')", 120)
+        wait(page, "document.getElementById('place').textContent.includes('/ 5:00')", 120)
         page.select_option("#speed", "max")
         page.wait_for_timeout(5000)
         grown = renderer_bytes() - before
