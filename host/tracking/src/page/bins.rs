@@ -104,7 +104,7 @@ impl Bin {
 /// Bins that are complete.
 #[derive(Clone, Debug, Default)]
 pub struct Bins {
-    /// The first ones; if they are [`MAX_FINE`], others may be missing.
+    /// The first ones; if they are 192, others may be missing.
     pub fine: Vec<Bin>,
     /// Wider ones.
     pub coarse: Vec<Bin>,
