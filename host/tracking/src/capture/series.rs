@@ -47,6 +47,7 @@ pub struct Recorded {
 ///
 /// It keeps 0.9 kB of memory per chunk of the current file, for the index at its end: 4 kB per second of a board at 4 kHz.
 pub struct CaptureSeries {
+    #[cfg_attr(not(unix), expect(dead_code, reason = "only a file is followed by another"))]
     report_schema: String,
     limits: Limits,
     output: Output,
