@@ -90,7 +90,7 @@ class SimulatedHead(InBrowser):
         page = self.open()
         wait(page, HAS_POSE)
         first_ms = page.evaluate("performance.now()")
-        self.assertIn("simulated", page.text_content("#badges"))
+        wait(page, "document.getElementById('badges').textContent.includes('simulated')")
         page.wait_for_timeout(3000)
         before, began = worker_seconds(), time.monotonic()
         frames_hz = page.evaluate(FRAMES, 4)
