@@ -12,7 +12,7 @@ use slitpose_head::front_end;
 use slitpose_protocol::{Command, Configuration, Exposure, Hashes};
 
 /// Bytes of RAM that are kept for the stack.
-const STACK_BYTES: u32 = 31_200;
+const STACK_BYTES: u32 = 31_928;
 
 /// Every command, new levels, damaged bytes, a closed port.
 #[test]
