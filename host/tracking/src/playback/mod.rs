@@ -126,6 +126,7 @@ impl Playback {
     /// # Errors
     /// A first file that cannot be read, what is no regular file, a file given twice, and a part that ends before it begins.
     pub fn open(files: Vec<PathBuf>, choice: Choice) -> Result<Self, PlaybackError> {
+        choice.check()?;
         files::check(&files)?;
         Self::on(Disk, files, choice)
     }
