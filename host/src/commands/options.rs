@@ -223,6 +223,15 @@ fn tolerance() -> impl Fn(&str) -> Result<f64, &'static str> + Clone + Send + Sy
     number(is_tolerance, "give a number between 0 and 1, such as 1e-10")
 }
 
+/// A frequency in Hz, with its unit, which may be left out; `None`: it is none.
+pub(super) fn parse_frequency(text: &str) -> Option<f64> {
+    let number = |text: &str, unit: f64| text.trim().parse::<f64>().ok().map(|number| number * unit);
+    match (text.strip_suffix("kHz"), text.strip_suffix("Hz")) {
+        (Some(text), _) => number(text, 1e3),
+        (None, text_hz) => number(text_hz.unwrap_or(text), 1.0),
+    }
+}
+
 /// A duration such as `10s`, `500ms` or `2m`.
 pub(super) fn parse_duration(text: &str) -> Result<f64, String> {
     match humantime::parse_duration(text) {

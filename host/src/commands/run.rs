@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use clap::ValueEnum;
 use sd_notify::NotifyState;
 use slitpose_calibration::{Basis, Head};
-use slitpose_protocol::Stream;
+use slitpose_protocol::{Pulse, Stream};
 
 use super::calibrate::from_recordings;
 use super::live::{LiveOptions, MouseOptions, ZenohOptions, changes};
@@ -82,6 +82,10 @@ pub(super) struct Args {
     /// Fewer scans in a packet, for a lower latency: one up to 6 kHz, more above, as USB requires
     #[arg(long)]
     latency: bool,
+    /// Pulses at the board's frame output: one every so many frames, from the first sample of a slot on; such as 4, or
+    /// 4:2 for slot 2
+    #[arg(long, value_name = "FRAMES[:SLOT]", value_parser = parse_pulse)]
+    pulse: Option<Pulse>,
     #[command(flatten)]
     poses: PoseOptions,
     #[command(flatten)]
@@ -157,15 +161,19 @@ fn parse_patience(text: &str) -> Result<Patience, String> {
 const RATES_HZ: [f64; 2] = [10.0, 10e3];
 
 fn parse_rate(text: &str) -> Result<f64, String> {
-    let number = |text: &str, unit: f64| text.trim().parse::<f64>().ok().map(|number| number * unit);
-    let rate_hz = match (text.strip_suffix("kHz"), text.strip_suffix("Hz")) {
-        (Some(text), _) => number(text, 1e3),
-        (None, text_hz) => number(text_hz.unwrap_or(text), 1.0),
-    };
+    let rate_hz = options::parse_frequency(text);
     let [least, most] = RATES_HZ;
     rate_hz.filter(|rate_hz| (least..=most).contains(rate_hz)).ok_or_else(|| {
         format!("give a frame rate from {least}Hz to {}kHz, such as 8kHz; USB carries no more", most * 1e-3)
     })
+}
+
+fn parse_pulse(text: &str) -> Result<Pulse, String> {
+    let (every, slot) = text.split_once(':').unwrap_or((text, "0"));
+    match (every.parse(), slot.parse()) {
+        (Ok(every @ 1..), Ok(slot)) => Ok(Pulse { every, slot }),
+        _ => Err(format!("give a number of frames from 1 to {}, and perhaps a slot, counted from 0: 4:2", u16::MAX)),
+    }
 }
 
 pub(super) fn run(args: &mut Args) -> Result<Outcome, CommandError> {
@@ -414,6 +422,7 @@ impl Args {
             view: self.poses.frame.view()?,
             stream: self.stream.stream(),
             sends_soon: self.latency,
+            pulse: self.pulse,
             until_s: self.poses.duration,
             patience,
             keeps_time,

@@ -9,7 +9,7 @@ use crossbeam_channel::bounded;
 use slitpose_calibration::Head;
 use slitpose_head::threads::{join, lock};
 use slitpose_model::Tier;
-use slitpose_protocol::{Configuration, Stream};
+use slitpose_protocol::{Configuration, Pulse, Stream};
 
 use super::backlog::Backlog;
 use super::error::BoardError;
@@ -47,6 +47,8 @@ pub(crate) struct BoardPlan {
     pub stream: Stream,
     /// Whether scans are sent as soon as the link carries them, with few in a packet.
     pub sends_soon: bool,
+    /// What the board shows of its frames to other instruments.
+    pub pulse: Option<Pulse>,
     /// Decides whether a board may be followed.
     pub admit: Admit,
     pub tier: Tier,

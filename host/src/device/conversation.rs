@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use slitpose_protocol::{
     Command, Configuration, DELIMITER, Decoder, FrameError, HeadPart, Hello, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES,
-    Message, PayloadError, Rejection, Request, Schedule, Stream, encode,
+    Message, PayloadError, Pulse, Rejection, Request, Schedule, Stream, encode,
 };
 
 use super::error::DeviceError;
@@ -149,6 +149,11 @@ impl Conversation {
     /// Has scans by `schedule` sent as soon as USB carries them: with as few in a packet.
     pub(crate) fn send_soon(&mut self, schedule: &Schedule) -> Result<(), DeviceError> {
         self.ask(Command::Packet { scans: packet_scans(schedule) }, REPLY_WITHIN)
+    }
+
+    /// Has the board make pulses at its frames once it is started.
+    pub(crate) fn pulse(&mut self, pulse: Pulse) -> Result<(), DeviceError> {
+        self.ask(Command::Pulse(pulse), REPLY_WITHIN)
     }
 
     /// Starts acquisition. Received bytes are appended to the inbox.
@@ -350,6 +355,7 @@ fn packet_scans(schedule: &Schedule) -> u8 {
 }
 
 const HEAD: &str = "Head";
+const PULSE: &str = "Pulse";
 
 fn name_of(command: &Command) -> &'static str {
     match command {
@@ -366,6 +372,7 @@ fn name_of(command: &Command) -> &'static str {
         Command::Stream(_) => "Stream",
         Command::FullScale { .. } => "FullScale",
         Command::Packet { .. } => "Packet",
+        Command::Pulse(_) => PULSE,
     }
 }
 
@@ -373,6 +380,9 @@ fn next_step_of(command: &str, rejection: &Rejection) -> &'static str {
     match rejection {
         Rejection::Unsupported { .. } if command == HEAD => {
             "flash the image that solves poses, slitpose-board-pose, or let this program solve them: --stream raw"
+        }
+        Rejection::Unsuited(_) if command == PULSE => {
+            "choose a slot of the schedule, and so few frames that their slots are at most 65536"
         }
         Rejection::Unsupported { .. } | Rejection::Malformed { .. } => {
             "build firmware and program from the same source"

@@ -11,7 +11,7 @@ use slitpose_head::faults::ANNOUNCED;
 use slitpose_tracking::columns::{COLUMNS, Column, Get, Row};
 use slitpose_tracking::frame::View;
 use slitpose_tracking::link::DeviceId;
-use slitpose_tracking::pipeline::Record;
+use slitpose_tracking::pipeline::{EdgeRecord, Record};
 
 /// Writes an object with the values of `row`, whose keys go on behind `behind` bytes.
 fn write(columns: &[&Column], behind: usize, row: &Row<'_>, out: &mut Vec<u8>) {
@@ -85,6 +85,37 @@ struct FaultLine<'a> {
     device_time_s: f64,
 }
 
+/// An edge of a board's trigger input. Its keys are those of a pose where they mean the same.
+#[derive(Serialize)]
+struct EdgeLine {
+    kind: &'static str,
+    device: DeviceId,
+    number: u32,
+    device_time_s: f64,
+    host_monotonic_ns: Option<u64>,
+    host_utc_ns: Option<u64>,
+    host_uncertainty_ns: Option<u64>,
+    is_high: bool,
+    missed: u32,
+}
+
+impl From<&EdgeRecord> for EdgeLine {
+    fn from(edge: &EdgeRecord) -> Self {
+        let time = edge.host_time.as_ref();
+        Self {
+            kind: "edge",
+            device: edge.device,
+            number: edge.number,
+            device_time_s: edge.device_time_s,
+            host_monotonic_ns: time.map(|time| time.monotonic_ns),
+            host_utc_ns: time.map(|time| time.utc_ns),
+            host_uncertainty_ns: time.map(|time| time.uncertainty_ns),
+            is_high: edge.is_high,
+            missed: edge.missed,
+        }
+    }
+}
+
 /// The frame that the next objects speak of.
 #[derive(Serialize)]
 struct FrameLine<'a> {
@@ -135,13 +166,19 @@ impl<W: Write> Sink for Ndjson<W> {
         self.output.write_all(&self.line)
     }
 
-    /// Poses that follow an injected fault are not what the board would have given: the stream says so.
     fn note(&mut self, note: &Note) -> io::Result<()> {
-        let Note { device, device_time_s, text, .. } = note;
-        let Some(fault) = text.strip_prefix(ANNOUNCED) else { return Ok(()) };
-        let line = FaultLine { kind: "injected_fault", fault, device: *device, device_time_s: *device_time_s };
-        serde_json::to_writer(&mut self.output, &line)?;
-        self.output.write_all(b"\n")
+        self.line.clear();
+        match note {
+            Note::Edge(edge) => json(&mut self.line, &EdgeLine::from(edge)),
+            // Poses that follow an injected fault are not what the board would have given: the stream says so.
+            Note::Text { device, device_time_s, text, .. } => {
+                let Some(fault) = text.strip_prefix(ANNOUNCED) else { return Ok(()) };
+                let line = FaultLine { kind: "injected_fault", fault, device: *device, device_time_s: *device_time_s };
+                json(&mut self.line, &line);
+            }
+        }
+        self.line.push(b'\n');
+        self.output.write_all(&self.line)
     }
 
     fn tick(&mut self, _: &Accounts<'_>) -> io::Result<()> {

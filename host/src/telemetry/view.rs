@@ -149,6 +149,16 @@ pub(crate) fn lines(report: &BoardReport, pose: Vec<Line>) -> Vec<Line> {
     if report.clock.contradicts_crystal {
         put_finding(&mut lines, "clock", &contradicted_crystal()).rank(1);
     }
+    if let Some(trigger) = &report.trigger {
+        let level = if trigger.is_high { "high" } else { "low" };
+        let lost = match (trigger.missed, trigger.dropped) {
+            (0, 0) => String::new(),
+            (missed, dropped) => format!("; {missed} or more came too fast for the board, {dropped} were dropped"),
+        };
+        let text = format!("{} edges, {level} since {:.6} s{lost}", trigger.edges, trigger.last_device_time_s);
+        let tone = if lost.is_empty() { Tone::Plain } else { Tone::Careful };
+        put(&mut lines, "trigger", &text).tone(tone).rank(2);
+    }
     if let Some(vitals) = &report.vitals {
         put(
             &mut lines,

@@ -18,7 +18,7 @@ export class Daemon {
     const state = report?.boards[board];
     show(byId("facts"), Boolean(state));
     if (!state) return;
-    const { link, losses, lag, clock, vitals, complaint, rates } = state;
+    const { link, losses, lag, clock, vitals, trigger, complaint, rates } = state;
     const { board: onBoard, link: onLink, host: onHost } = losses;
     const damaged = onLink.bad_checksum + onLink.misframed + onLink.overlong;
     this.#write({
@@ -37,6 +37,7 @@ export class Daemon {
       "Clock": clock.uncertainty_s == null
         ? "not known yet"
         : `± ${engineering(clock.uncertainty_s, "s")}, drift ${fixed(clock.drift_ppm, 2, { plus: true })} ppm${clock.contradicts_crystal ? ", contradicts its crystal" : ""}`,
+      "Trigger input": trigger && `${count(trigger.edges)} edges, ${trigger.is_high ? "high" : "low"} since ${fixed(trigger.last_device_time_s, 4)} s${trigger.missed || trigger.dropped ? `; ${count(trigger.missed)} or more came too fast, ${count(trigger.dropped)} were dropped` : ""}`,
       "Health of the board": vitals && `${fixed(vitals.supply_v, 2)} V, ${fixed(vitals.temperature_k - 273.15, 0)} °C, ${fixed(vitals.cpu_load * 100, 0)} % CPU`,
       "Its last message": complaint && complaint.text,
       "Program": `${report.program} ${report.version}, up ${duration(report.uptime_s)}${report.process ? `, ${bytes(report.process.resident_bytes)}` : ""}`,
