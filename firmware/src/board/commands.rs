@@ -25,8 +25,8 @@ use core::borrow::BorrowMut;
 
 use heapless::Vec;
 use slitpose_protocol::{
-    Command, Configuration, FrameError, Hashes, HeadPart, Message, PayloadError, Pong, Pulse, Rejection, Reply,
-    Request, SettingsSource,
+    Command, Configuration, FrameError, HardwareFault, Hashes, HeadPart, Message, PayloadError, Pong, Pulse, Rejection,
+    Reply, Request, SettingsSource,
 };
 
 use super::{Board, Emitters, Reboot, Storing};
@@ -111,7 +111,11 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>, P: BorrowMut<Poser>> Board<H, M,
                 self.collector.set_most(scans);
             }
             Command::Pulse(pulse) => {
-                self.hardware.set_pulse(pulse, &self.configuration.schedule).map_err(Rejection::Unsuited)?;
+                let schedule = &self.configuration.schedule;
+                if usize::from(pulse.slot) >= schedule.slots.len() {
+                    return Err(Rejection::Unsuited(HardwareFault::Timing));
+                }
+                self.hardware.set_pulse(pulse, schedule).map_err(Rejection::Unsuited)?;
             }
             Command::FullScale { full_scale_pa } => {
                 let before = self.identity.full_scale_pa.replace(full_scale_pa);

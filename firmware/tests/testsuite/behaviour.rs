@@ -439,6 +439,9 @@ fn pulses_end_with_a_stop_or_a_configuration() {
         let (mut board, _) = opened();
         board.receive(&request(1, Command::Pulse(pulse)));
         assert_eq!(board.hardware_mut().pulse, Some(pulse));
+        // There is no slot of this number.
+        board.receive(&request(9, Command::Pulse(Pulse { every: 3, slot: 4 })));
+        assert_eq!(board.hardware_mut().pulse, Some(pulse));
         board.receive(&request(2, command));
         assert_eq!(board.hardware_mut().pulse, Some(Pulse::NONE));
     }

@@ -32,9 +32,7 @@ impl FrameOutput {
     }
 
     pub fn set(&mut self, pulse: Pulse, schedule: &Schedule) -> Result<(), HardwareFault> {
-        let slots = schedule.slots.len();
-        let is_possible = usize::from(pulse.slot) < slots && (2..=0x1_0000).contains(&count(pulse, slots));
-        if pulse != Pulse::NONE && !is_possible {
+        if pulse.every != 0 && !(2..=0x1_0000).contains(&count(pulse, schedule.slots.len())) {
             return Err(HardwareFault::Timing);
         }
         self.pulse = pulse;
