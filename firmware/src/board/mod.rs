@@ -156,7 +156,7 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
     /// # Errors
     /// If no board could run the configuration.
     pub fn new(hardware: H, identity: Identity, configuration: Configuration, memory: M) -> Result<Self, Rejection> {
-        Self::with_poser(hardware, identity, configuration, memory, Poser::new())
+        Self::with_poser(hardware, identity, configuration, memory, Poser::default())
     }
 }
 

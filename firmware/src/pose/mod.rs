@@ -100,10 +100,10 @@ pub struct Poser {
     stream: Stream,
 }
 
-impl Poser {
+impl Default for Poser {
     /// Without a head.
     #[inline(always)]
-    pub fn new() -> Self {
+    fn default() -> Self {
         Self {
             receiving: Vec::new(),
             is_whole: false,
@@ -115,7 +115,9 @@ impl Poser {
             stream: Stream::SCANS,
         }
     }
+}
 
+impl Poser {
     /// Takes a part of a head. The head before it stays in force until the last part has come and is right: then it is
     /// `true`.
     ///
@@ -300,7 +302,7 @@ mod tests {
 
     fn poser() -> (Poser, std::vec::Vec<u8>) {
         let schedule = default_configuration().schedule;
-        let mut poser = Poser::new();
+        let mut poser = Poser::default();
         let bytes = head().encode(&mut [0; HEAD_BYTES]).expect("room").to_vec();
         let taken: std::vec::Vec<_> = HeadPart::all(&bytes).map(|part| poser.take_part(&part, &schedule)).collect();
         assert!(taken[..taken.len() - 1].iter().all(|part| *part == Ok(false)), "{taken:?}");

@@ -7,16 +7,11 @@ use crate::hardware::System;
 use crate::outbox::Outbox;
 
 /// Solves no scans.
-#[derive(Debug)]
-pub struct Poser;
+#[derive(Debug, Default)]
+pub struct Poser(());
 
 #[allow(clippy::unused_self, reason = "the methods of a board that solves poses")]
 impl Poser {
-    /// Without a head.
-    pub fn new() -> Self {
-        Self
-    }
-
     pub(crate) fn take_part(&mut self, _: &HeadPart, _: &Schedule) -> Result<bool, Rejection> {
         Err(Rejection::Unsupported { kind: HEAD_KIND })
     }

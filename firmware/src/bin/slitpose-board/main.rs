@@ -203,7 +203,7 @@ fn make_core(hardware: BoardHardware, identity: Identity, configuration: Configu
     static CORE: StaticCell<Core> = StaticCell::new();
     static POSER: StaticCell<Poser> = StaticCell::new();
     let queue: &'static mut [u8] = QUEUE.take();
-    let poser = POSER.init_with(Poser::new);
+    let poser = POSER.init_with(Poser::default);
     let Ok(board) = Board::with_poser(hardware, identity, configuration, queue, poser) else {
         faults::give_up();
     };

@@ -35,7 +35,8 @@ impl TriggerLine {
     pub fn advance(&mut self, now: Ticks) -> bool {
         let is_settled = self.settled_at.take_if(|at| *at <= now).is_some();
         let has_passed = is_settled && std::mem::replace(&mut self.filtered, self.is_high) != self.is_high;
-        while let Some((_, is_high)) = self.edges.pop_front_if(|edge| edge.0 <= now) {
+        while let Some((_, is_high)) = self.edges.front().copied().filter(|edge| edge.0 <= now) {
+            self.edges.pop_front();
             self.is_high = is_high;
             self.settled_at = Some(now + FILTER_TICKS);
         }
