@@ -114,9 +114,7 @@ fn solver(folder: &Path) {
 }
 
 /// Studies, and beginnings of their cases, that fall short of what arithmetic allows, and why.
-const KNOWN_SHORT: [(&str, &str); 2] = [
-    // An emitter far off the axis: the spot's place is the difference of two large numbers.
-    ("small solid angle", ""),
+const KNOWN_SHORT: [(&str, &str); 1] = [
     // The three cells that are left do not tell images apart, and the search gives up.
     ("masked cells", "3 of 6"),
 ];

@@ -9,10 +9,12 @@ mod figures;
 use glam::DVec3;
 use slitpose_model::{CompiledScene, Pose, Profile, Response, SceneError, Tier};
 
-use crate::identification::{Identified, identify};
 use slitpose_head::scene_file::SceneFile;
 
-pub use figures::{account, figures};
+use crate::identification::{Identified, identify};
+use crate::report::{Table, Value};
+
+pub use figures::paper_report;
 
 /// Relative error of the exact tier's integrals: far below anything a figure shows.
 const TOLERANCE: f64 = 1e-10;
@@ -27,14 +29,6 @@ pub enum Experiment {
 }
 
 impl Experiment {
-    /// Its number in the paper.
-    pub fn number(self) -> u32 {
-        match self {
-            Self::Translation => 1,
-            Self::Rotation => 2,
-        }
-    }
-
     /// Positions in millimetres, or angles in degrees.
     pub(crate) fn amounts(self) -> impl Iterator<Item = f64> {
         let (steps, step) = match self {
@@ -106,6 +100,36 @@ impl Study {
             Experiment::Translation.amounts().map(|amount| refit.respond(0, &Experiment::Translation.pose(amount)));
         Ok(Self { translation, rotation, identified, with_identified: with_identified.collect() })
     }
+}
+
+/// All points of both experiments, in both tiers; the profile stands with experiment 2, its currents with experiment 1.
+pub fn experiments(study: &Study) -> Table {
+    type Row<'a> = (usize, &'a Point, Option<&'a Identified>, Option<&'a Response<f64>>);
+    let translation = study.translation.iter().zip(&study.with_identified);
+    let rotation = study.rotation.iter().enumerate().map(|(k, point)| (2, point, study.identified.get(k), None));
+    let rows: Vec<Row<'_>> = translation.map(|(point, refit)| (1, point, None, Some(refit))).chain(rotation).collect();
+    let amount = |row: &Row<'_>, of: usize| Value::from(if row.0 == of { row.1.amount } else { 0.0 });
+    let mm = |value: Option<f64>| Value::optional(value.map(|value_m| value_m * 1e3));
+    Table::of(
+        "experiments",
+        "Both experiments, calculated",
+        &rows,
+        &[
+            ("experiment", "experiment", &|row| row.0.into()),
+            ("position_mm", "position / mm", &|row| amount(row, 1)),
+            ("angle_deg", "angle / °", &|row| amount(row, 2)),
+            ("status", "status", &|row| row.1.paper.status.as_str().into()),
+            ("gamma_deg", "γ / °", &|row| Value::optional(row.1.paper.gamma_rad.map(f64::to_degrees))),
+            ("paper_x_a_mm", "X_A / mm", &|row| mm(row.1.paper.x_a_m)),
+            ("exact_x_a_mm", "exact", &|row| mm(row.1.exact.x_a_m)),
+            ("paper_solid_angle_sr", "Ω / sr", &|row| row.1.paper.solid_angle_sr.into()),
+            ("exact_solid_angle_sr", "exact", &|row| row.1.exact.solid_angle_sr.into()),
+            ("paper_i_o_a", "I_O / A", &|row| row.1.paper.i_o_a.into()),
+            ("exact_i_o_a", "exact", &|row| row.1.exact.i_o_a.into()),
+            ("identified_relative_intensity", "I_rel", &|row| Value::optional(row.2.map(|it| it.relative_intensity))),
+            ("identified_i_o_a", "I_O / A", &|row| Value::optional(row.3.map(|refit| refit.i_o_a))),
+        ],
+    )
 }
 
 /// Angles left and right of the axis give the same γ twice: their mean, from the axis outward.

@@ -3,7 +3,7 @@
 use glam::{DVec2, dvec2};
 
 use super::canvas::{Anchor, Canvas, Stroke, TextStyle};
-use super::style::{Colour, FAINT, INK, PALE, SOFT_INK, WHITE, cell_colour, decades, ticks};
+use super::style::{Colour, FAINT, INK, PALE, SOFT_INK, WHITE, cell_colour, decades, quantity, ticks};
 
 const LABEL: TextStyle = TextStyle::new(13.0);
 const TICK: TextStyle = TextStyle::new(12.0).coloured(SOFT_INK);
@@ -87,7 +87,7 @@ impl Axis {
             }
             Scale::Logarithmic => {
                 let decades = decades(self.range, count);
-                let text = |tick: f64| if decades.plain { tick_text_plain(tick) } else { power_text(tick) };
+                let text = |tick: f64| if decades.plain { quantity(tick) } else { power_text(tick) };
                 (decades.numbered.iter().map(|&tick| (tick, text(tick))).collect(), decades.minor)
             }
         }
@@ -169,14 +169,9 @@ impl Chart {
         Self { x: x(along(0)), y: y(along(1)), curves, notes: Vec::new() }
     }
 
-    /// Draws the chart with its plotting area in the rectangle from `top_left` to `bottom_right`.
-    /// Tick numbers and axis names stand to the left of and below it, the legend above it.
-    pub fn draw(&self, canvas: &mut Canvas, top_left: DVec2, bottom_right: DVec2) {
-        self.draw_with_legend(canvas, top_left, bottom_right, top_left);
-    }
-
-    /// The same with the lower left corner of the legend at `legend`.
-    pub(crate) fn draw_with_legend(&self, canvas: &mut Canvas, top_left: DVec2, bottom_right: DVec2, legend: DVec2) {
+    /// Draws the chart with its plotting area in the rectangle from `top_left` to `bottom_right`. Tick numbers and axis names
+    /// stand to the left of and below it, the legend above it, `heading` pixels higher.
+    pub(crate) fn draw(&self, canvas: &mut Canvas, top_left: DVec2, bottom_right: DVec2, heading: f64) {
         self.draw_axes(canvas, top_left, bottom_right);
         let place = |[x, y]: [f64; 2]| {
             let share = dvec2(self.x.share(x), 1.0 - self.y.share(y));
@@ -190,7 +185,7 @@ impl Chart {
             let style = NOTE.coloured(note.colour).anchored(note.anchor);
             canvas.text(place(note.at) + note.offset, &note.text, style);
         }
-        self.draw_legend(canvas, legend);
+        self.draw_legend(canvas, top_left - dvec2(0.0, heading));
     }
 
     fn draw_axes(&self, canvas: &mut Canvas, top_left: DVec2, bottom_right: DVec2) {
@@ -278,15 +273,9 @@ fn draw_curve(canvas: &mut Canvas, curve: &Curve, points: &[DVec2]) {
     }
 }
 
-pub(super) fn tick_text(tick: f64, decimals: usize) -> String {
+fn tick_text(tick: f64, decimals: usize) -> String {
     // A true minus sign is as wide as the digits; adding zero turns −0 into 0.
     format!("{:.decimals$}", tick + 0.0).replace('-', "−")
-}
-
-/// A number of a logarithmic axis as it is written by hand.
-fn tick_text_plain(tick: f64) -> String {
-    let decimals = (-tick.log10().floor()).max(0.0) as usize;
-    format!("{tick:.decimals$}")
 }
 
 /// A power of ten, or a small multiple of one: 10⁻⁶, 2·10³.
@@ -328,11 +317,8 @@ mod tests {
         let points = vec![[1.0, 0.0], [1.0, f64::INFINITY], [1.0, 2.0]];
         let curve = Curve { label: String::new(), colour: INK, style: CurveStyle::Joined, points };
         let x = Axis::around("", [0.0, 2.0]);
-        Chart { x, y: axis, curves: vec![curve], notes: Vec::new() }.draw(
-            &mut canvas,
-            DVec2::ZERO,
-            DVec2::splat(100.0),
-        );
+        let chart = Chart { x, y: axis, curves: vec![curve], notes: Vec::new() };
+        chart.draw(&mut canvas, DVec2::ZERO, DVec2::splat(100.0), 0.0);
         let svg = canvas.into_svg();
         assert!(!svg.contains("NaN") && !svg.contains("inf") && svg.matches("<circle").count() == 1, "{svg}");
         // Of nothing at all there is still an axis.
@@ -345,9 +331,6 @@ mod tests {
         let cases = [(1e-6, "10⁻⁶"), (1.0, "10⁰"), (1e12, "10¹²"), (2e-3, "2·10⁻³"), (5e4, "5·10⁴")];
         for (value, text) in cases {
             assert_eq!(power_text(value), text);
-        }
-        for (value, text) in [(0.01, "0.01"), (0.2, "0.2"), (1.0, "1"), (5000.0, "5000")] {
-            assert_eq!(tick_text_plain(value), text);
         }
     }
 }

@@ -13,7 +13,7 @@ mod shape;
 mod style;
 
 pub use canvas::{Anchor, Canvas};
-pub(crate) use canvas::{Stroke, TextStyle};
+pub(crate) use canvas::TextStyle;
 pub(crate) use chart::curve;
 pub use chart::{Axis, Chart, Curve, CurveStyle, Note, Scale};
 pub use close_up::cell_picture;
@@ -79,7 +79,7 @@ mod tests {
 
     #[test]
     fn an_arrow_shorter_than_its_head_has_none() {
-        let stroke = Stroke::new(style::INK, 1.6);
+        let stroke = canvas::Stroke::new(style::INK, 1.6);
         for (length, heads) in [(0.0, 0), (1e-9, 0), (2.0, 0), (7.9, 0), (8.5, 1), (60.0, 1)] {
             let mut canvas = Canvas::new(100.0, 100.0, "arrow");
             let before = canvas_parts(Canvas::new(100.0, 100.0, "arrow"));

@@ -291,9 +291,7 @@ pub(super) fn pose_text(pose: &Pose) -> String {
         return "tool at home".to_owned();
     }
     let (t, r) = ((pose.translation_m * 1e3).to_array(), pose.rotation_rad().to_array().map(f64::to_degrees));
-    let list = |values: [f64; 3]| {
-        values.map(|value| format!("{}", (value * 1e3).round() / 1e3 + 0.0).replace('-', "−")).join(", ")
-    };
+    let list = |values: [f64; 3]| values.map(quantity).join(", ");
     format!("tool at ({}) mm, turned by the rotation vector ({})°", list(t), list(r))
 }
 

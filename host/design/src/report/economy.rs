@@ -7,10 +7,10 @@ use slitpose_model::{
     CompiledScene, MotionPrior, Noise, Photocurrents, Pose, Profile, Scene, Solution, Solver, Start, Twist, Uncertainty,
 };
 
-use super::head::{Candidate, Head, NoiseSource, RunTime, STREAM, exponent, is_lit, race};
+use super::Settings;
+use super::head::{Candidate, Head, NoiseSource, PRIOR, RunTime, STREAM, exponent, is_lit, race};
 use super::section::{Section, Table, Value};
-use super::solver::PRIOR;
-use super::{ReportError, Settings};
+use crate::DesignError;
 
 pub(super) const TITLE: &str = "What is left out costs nothing";
 
@@ -44,7 +44,7 @@ struct Variant {
 /// A variant, times of the forward model and of solves, and mean steps of these.
 type Entry = (Variant, [RunTime; 2], f64);
 
-pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, ReportError> {
+pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, DesignError> {
     let entries = measure(head, settings)?;
     Ok(Section {
         name: "economy",
@@ -150,7 +150,7 @@ impl Bench {
     }
 }
 
-fn measure(head: &Head<'_>, settings: &Settings) -> Result<Vec<Entry>, ReportError> {
+fn measure(head: &Head<'_>, settings: &Settings) -> Result<Vec<Entry>, DesignError> {
     let tier = STREAM;
     let variants = variants(head);
     let plans =

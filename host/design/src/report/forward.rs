@@ -5,10 +5,11 @@ use std::hint::black_box;
 use glam::dvec2;
 use slitpose_model::{CompiledScene, Pair, Pose, SceneError, Tier};
 
+use super::Settings;
 use super::head::{Candidate, Head, RunTime, race};
 use super::section::{Picture, Section, Sheet, Table, Value};
 use super::solver::tier_name;
-use super::{ReportError, Settings};
+use crate::DesignError;
 use crate::plot::{Anchor, Axis, Chart, CurveStyle, Note, cell_colour, curve};
 
 pub(super) const TITLE: &str = "Forward model: error against time";
@@ -50,7 +51,7 @@ fn evaluate<'a>(head: &Head<'_>, tier: Tier, timed: &'a [Pose]) -> Result<Evalua
     Ok((currents, [Box::new(without), Box::new(with)]))
 }
 
-pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, ReportError> {
+pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, DesignError> {
     let entries = measure(head, settings)?;
     let paper = entries.iter().find(|entry| entry.tier == Tier::Paper);
     let difference = paper.map_or(f64::NAN, |entry| entry.error[1]);
@@ -82,7 +83,7 @@ pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, R
     })
 }
 
-fn measure(head: &Head<'_>, settings: &Settings) -> Result<Vec<Entry>, ReportError> {
+fn measure(head: &Head<'_>, settings: &Settings) -> Result<Vec<Entry>, DesignError> {
     let timed = &head.poses[..settings.timed_poses()];
     let (reference, _) = evaluate(head, REFERENCE, timed)?;
     let (mut errors, mut candidates) = (Vec::new(), Vec::new());

@@ -24,33 +24,20 @@ mod write;
 
 use std::fs;
 
-use slitpose_head::front_end::TimingError;
 use slitpose_head::scene_file::SceneFile;
-use slitpose_model::SceneError;
-use thiserror::Error;
+
+use crate::DesignError;
 
 pub use calibration::calibration_report;
 pub(crate) use head::frame_scene;
 pub use heads::{comparison, pareto, scene_name};
 pub use map::map_report;
 pub use section::{Column, Picture, Report, Section, Table, Value};
-pub(crate) use section::{column, program, scene};
+pub(crate) use section::{Sheet, column, program, scene};
 #[cfg(unix)]
 pub use write::Folder;
 
 use head::Head;
-
-/// Why a scene cannot be studied.
-#[derive(Debug, Error)]
-#[allow(missing_docs, reason = "the texts say what each is")]
-pub enum ReportError {
-    #[error(transparent)]
-    Scene(#[from] SceneError),
-    #[error("{0}")]
-    Poses(String),
-    #[error(transparent)]
-    Timing(#[from] TimingError),
-}
 
 /// Default number of poses of a full study: rms errors are known to 1 % or so.
 pub const POSES: usize = 1000;
@@ -83,10 +70,10 @@ impl Settings {
 /// Sections of a study.
 pub const SECTIONS: u64 = 4;
 
-type Measure = fn(&Head<'_>, &Settings) -> Result<Section, ReportError>;
+type Measure = fn(&Head<'_>, &Settings) -> Result<Section, DesignError>;
 
 /// Studies `file`. `progress` gets the title of each section before it begins.
-pub fn study(file: &SceneFile, settings: &Settings, mut progress: impl FnMut(&str)) -> Result<Report, ReportError> {
+pub fn study(file: &SceneFile, settings: &Settings, mut progress: impl FnMut(&str)) -> Result<Report, DesignError> {
     let head = Head::of(file, settings)?;
     let mut sections = Vec::new();
     let measures: [(&str, Measure); SECTIONS as usize] = [

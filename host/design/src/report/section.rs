@@ -206,15 +206,15 @@ const ALONE: f64 = 660.0;
 const OF_TWO: f64 = 400.0;
 
 /// Charts with a common legend: that of the first.
-pub(super) struct Sheet {
-    pub(super) title: String,
+pub(crate) struct Sheet {
+    pub(crate) title: String,
     /// Conditions, in one line.
-    pub(super) note: String,
-    pub(super) panels: Vec<(String, Chart)>,
+    pub(crate) note: String,
+    pub(crate) panels: Vec<(String, Chart)>,
 }
 
 impl Sheet {
-    pub(super) fn draw(mut self, name: &'static str, caption: &str) -> Picture {
+    pub(crate) fn draw(mut self, name: &'static str, caption: &str) -> Picture {
         for (_, chart) in self.panels.iter_mut().skip(1) {
             for curve in &mut chart.curves {
                 curve.label.clear();
@@ -228,7 +228,7 @@ impl Sheet {
         for (index, (heading, chart)) in self.panels.iter().enumerate() {
             let left = LEFT + index as f64 * (width + GAP);
             let (top_left, bottom_right) = (dvec2(left, top), dvec2(left + width, top + HEIGHT));
-            chart.draw_with_legend(&mut canvas, top_left, bottom_right, top_left - dvec2(0.0, HEADING));
+            chart.draw(&mut canvas, top_left, bottom_right, HEADING);
             let at = dvec2(bottom_right.x, top - 10.0);
             canvas.text(at, heading, TextStyle::new(13.0).bold().anchored(Anchor::End));
         }

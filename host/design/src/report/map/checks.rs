@@ -5,8 +5,8 @@ use slitpose_calibration::{PartCosts, PoseRms, median};
 
 use super::{Of, micro};
 use crate::map::{Candidate, KNOWN, Map, Schedules, Tolerances, View, quantiles_of};
-use crate::plot::{Anchor, Axis, Canvas, Chart, CurveStyle, Scale, Stroke, TextStyle, cell_colour, curve};
-use crate::report::section::{Picture, Section, Table, Value, column};
+use crate::plot::{Anchor, Axis, Chart, CurveStyle, Note, SOFT_INK, Scale, curve};
+use crate::report::section::{Picture, Section, Sheet, Table, Value, column};
 
 pub(super) fn redundancy(map: &Map) -> Section {
     let row = |what: &str, of: Of| {
@@ -241,11 +241,7 @@ pub(super) fn tolerances(studied: &Tolerances, are_stated: bool) -> Section {
             KNOWN.frames,
             studied.seed
         )],
-        pictures: vec![Picture {
-            name: "tolerances",
-            caption: "What each kind of part costs, before calibration and after it.".to_owned(),
-            svg: cost_picture(costs),
-        }],
+        pictures: vec![cost_picture(costs)],
         tables: vec![
             Table::of(
                 "tolerances",
@@ -276,39 +272,34 @@ pub(super) fn tolerances(studied: &Tolerances, are_stated: bool) -> Section {
     }
 }
 
-/// Errors by kind of part, as discs on a logarithmic axis.
-fn cost_picture(costs: &PartCosts) -> String {
-    const LABELS: f64 = 230.0;
-    const WIDTH: f64 = 560.0;
-    const ROW: f64 = 24.0;
-    const TOP: f64 = 112.0;
-    let rows: Vec<(&str, [PoseRms; 2])> = (costs.parts.iter().map(|part| (part.part, [part.before, part.after])))
+/// Errors by kind of part, on a logarithmic axis: a row for each, with its name beside the greater error.
+fn cost_picture(costs: &PartCosts) -> Picture {
+    let rows: Vec<(&str, [f64; 2])> = (costs.parts.iter().map(|part| (part.part, [part.before, part.after])))
         .chain([("all together", [costs.before, costs.after])])
+        .map(|(part, errors)| (part, errors.map(|error| error[0] * 1e6)))
         .collect();
-    let bottom = TOP + ROW * rows.len() as f64;
-    let title = "What tolerances cost in position";
-    let mut canvas = Canvas::titled(
-        LABELS + WIDTH + 30.0,
-        bottom + 56.0,
-        title,
-        "Errors of poses, root mean square over the workspace.",
-    );
-    let all =
-        rows.iter().flat_map(|(_, errors)| errors.iter().map(|error| error[0] * 1e6)).filter(|value| *value > 0.0);
-    let x = Axis::logarithmic("error of the position / µm", all);
-    let curves = ["before calibration", "after it"].into_iter().enumerate();
-    let y = Axis { label: String::new(), range: [0.0, 1.0], scale: Scale::Bare };
-    let curves = curves.map(|(index, label)| curve(label, index, CurveStyle::Markers, Vec::new())).collect();
-    let chart = Chart { x, y, curves, notes: Vec::new() };
-    chart.draw(&mut canvas, dvec2(LABELS, TOP), dvec2(LABELS + WIDTH, bottom));
-    for (index, (part, errors)) in rows.into_iter().enumerate() {
-        let y = TOP + ROW * (index as f64 + 0.5);
-        canvas.text(dvec2(LABELS - 10.0, y + 4.5), part, TextStyle::new(13.0).anchored(Anchor::End));
-        for (kind, error) in errors.into_iter().enumerate().filter(|(_, error)| error[0] > 0.0) {
-            let colour = cell_colour(kind);
-            let at = dvec2(LABELS + WIDTH * chart.x.share(error[0] * 1e6), y);
-            canvas.disc(at, 4.5, colour, Stroke::new(colour, 0.5));
-        }
+    let height = |row: usize| -(row as f64);
+    let kind = |(k, label): (usize, &str)| {
+        let points = rows.iter().enumerate().map(|(row, (_, errors))| [errors[k], height(row)]);
+        curve(label, k, CurveStyle::Markers, points.filter(|[error, _]| *error > 0.0).collect())
+    };
+    let curves = ["before calibration", "after it"].into_iter().enumerate().map(kind).collect();
+    let y = |_| Axis { label: String::new(), range: [height(rows.len()), 1.0], scale: Scale::Bare };
+    let mut chart = Chart::over(curves, |x| Axis::logarithmic("error of the position / µm", x), y);
+    // Room for the names.
+    chart.x.range[1] *= 30.0;
+    let note = |(row, (part, errors)): (usize, &(&str, [f64; 2]))| Note {
+        at: [errors[0].max(errors[1]).max(chart.x.range[0]), height(row)],
+        offset: dvec2(10.0, 4.5),
+        anchor: Anchor::Start,
+        text: (*part).to_owned(),
+        colour: SOFT_INK,
+    };
+    chart.notes = rows.iter().enumerate().map(note).collect();
+    Sheet {
+        title: "What tolerances cost in position".to_owned(),
+        note: "Errors of poses, root mean square over the workspace.".to_owned(),
+        panels: vec![(String::new(), chart)],
     }
-    canvas.into_svg()
+    .draw("tolerances", "What each kind of part costs, before calibration and after it.")
 }
