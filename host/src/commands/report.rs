@@ -14,8 +14,8 @@ use slitpose_head::table::Output;
 /// Measures how exact and how fast everything is, for one scene, and makes a page of it.
 ///
 /// The folder gets one page (index.html, needs nothing else), the same tables as Markdown
-/// (report.md) and as CSV, and the pictures as SVG. Sections: the forward model, the solver against
-/// the Cramér–Rao bound, what each optional effect costs, and stiff and extreme cases. Errors follow
+/// (report.md) and as CSV, and the pictures as SVG. Sections: the solver against the
+/// Cramér–Rao bound, what each digit and each optional effect costs, and stiff and extreme cases. Errors follow
 /// from the seed; times are those of this machine, one thread, least and median of interleaved
 /// rounds. Nothing is measured on hardware.
 #[derive(Debug, clap::Args)]

@@ -12,8 +12,8 @@ mod scene;
 mod shape;
 mod style;
 
-pub use canvas::{Anchor, Canvas};
 pub(crate) use canvas::TextStyle;
+pub use canvas::{Anchor, Canvas};
 pub(crate) use chart::curve;
 pub use chart::{Axis, Chart, Curve, CurveStyle, Note, Scale};
 pub use close_up::cell_picture;

@@ -36,8 +36,7 @@ pub(super) const PRIOR: [f64; 2] = [3e-6, 3e-4];
 
 const TRIES: usize = 40;
 
-pub(super) struct Head<'a> {
-    pub(super) file: &'a SceneFile,
+pub(super) struct Head {
     /// The scene with the noise of its front end; without front end, with that of the file.
     pub(super) scene: Scene,
     /// When the cells are exposed; `None` without front end.
@@ -70,8 +69,8 @@ pub(crate) fn frame_scene(file: &SceneFile) -> (Scene, Option<Frame>) {
     (Stage::weighted_scene(file, schedule, &scaling), Some(frame))
 }
 
-impl<'a> Head<'a> {
-    pub(super) fn of(file: &'a SceneFile, settings: &Settings) -> Result<Self, DesignError> {
+impl Head {
+    pub(super) fn of(file: &SceneFile, settings: &Settings) -> Result<Self, DesignError> {
         let (scene, frame) = frame_scene(file);
         let is_table = |cell: &Cell| matches!(cell.emitter.profile, Profile::Table(_));
         let truth_tier = if scene.cells.iter().any(is_table) { TRUTH_OF_TABLES } else { TRUTH };
@@ -100,7 +99,7 @@ impl<'a> Head<'a> {
                 file.name
             )));
         }
-        Ok(Self { file, scene, frame, poses, truth, truth_tier })
+        Ok(Self { scene, frame, poses, truth, truth_tier })
     }
 
     /// Whether every cell has a slit on the base, and a detector of its own.
@@ -235,6 +234,14 @@ pub(super) fn rms_of_covariances(covariances: impl IntoIterator<Item = [[f64; 6]
         count += 1.0;
     }
     squares.map(|square: f64| (square / count).sqrt())
+}
+
+/// The word for a tier in tables.
+pub(super) fn tier_name(tier: Tier) -> String {
+    match tier {
+        Tier::Paper => "paper".to_owned(),
+        Tier::Exact { tolerance } => format!("exact {tolerance:e}"),
+    }
 }
 
 #[derive(Clone, Copy, Debug)]

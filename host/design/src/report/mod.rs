@@ -5,14 +5,13 @@
 //! to the last digit for a seed, times are what the machine gave.
 //!
 //! * `head` supplies poses, currents and their noise; `solver` the ways to solve;
-//! * `forward`, `solver`, `economy` and `stiff` are the sections;
+//! * `solver`, `economy` and `stiff` are the sections;
 //! * `calibration` is the report on a calibration, `map` that on accuracy over the workspace,
 //!   `heads` those on several heads;
 //! * `section` has their parts; `write` makes files of them.
 
 mod calibration;
 mod economy;
-mod forward;
 mod head;
 mod heads;
 mod map;
@@ -68,20 +67,16 @@ impl Settings {
 }
 
 /// Sections of a study.
-pub const SECTIONS: u64 = 4;
+pub const SECTIONS: u64 = 3;
 
-type Measure = fn(&Head<'_>, &Settings) -> Result<Section, DesignError>;
+type Measure = fn(&Head, &Settings) -> Result<Section, DesignError>;
 
 /// Studies `file`. `progress` gets the title of each section before it begins.
 pub fn study(file: &SceneFile, settings: &Settings, mut progress: impl FnMut(&str)) -> Result<Report, DesignError> {
     let head = Head::of(file, settings)?;
     let mut sections = Vec::new();
-    let measures: [(&str, Measure); SECTIONS as usize] = [
-        (forward::TITLE, forward::section),
-        (solver::TITLE, solver::section),
-        (economy::TITLE, economy::section),
-        (stiff::TITLE, stiff::section),
-    ];
+    let measures: [(&str, Measure); SECTIONS as usize] =
+        [(solver::TITLE, solver::section), (economy::TITLE, economy::section), (stiff::TITLE, stiff::section)];
     for (title, section) in measures {
         progress(title);
         sections.push(section(&head, settings)?);
@@ -92,7 +87,6 @@ pub fn study(file: &SceneFile, settings: &Settings, mut progress: impl FnMut(&st
         conditions: conditions(file, settings),
         warnings: warnings(),
         sections,
-        leading: 1,
         data: Vec::new(),
     })
 }

@@ -171,8 +171,6 @@ pub struct Report {
     pub warnings: Vec<String>,
     /// The chapters.
     pub sections: Vec<Section>,
-    /// The chapter whose sentences come first in the summary; those before it come last.
-    pub leading: usize,
     /// Tables too long for a page: they are files only.
     pub data: Vec<Table>,
 }
@@ -180,8 +178,7 @@ pub struct Report {
 impl Report {
     /// What a reader of nothing else should know.
     pub fn summary(&self) -> impl Iterator<Item = &str> {
-        let (before, others) = self.sections.split_at(self.sections.len().min(self.leading));
-        others.iter().chain(before).flat_map(|section| &section.summary).map(String::as_str)
+        self.sections.iter().flat_map(|section| &section.summary).map(String::as_str)
     }
 
     /// The summary and the first table, as a text for people.

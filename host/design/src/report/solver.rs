@@ -6,8 +6,10 @@ use glam::dvec2;
 use slitpose_model::{MotionPrior, Photocurrents, Pose, Scene, SceneError, Solution, Solver, Start, Tier};
 
 use super::Settings;
-use super::head::{Candidate, Errors, Head, NoiseSource, PRIOR, RunTime, STREAM, currents, race, rms_of_covariances};
-use super::section::{Getter, Picture, Section, Sheet, Table, Value};
+use super::head::{
+    Candidate, Errors, Head, NoiseSource, PRIOR, RunTime, STREAM, currents, race, rms_of_covariances, tier_name,
+};
+use super::section::{Picture, Section, Sheet, Table, Value};
 use crate::DesignError;
 use crate::plot::{Anchor, Axis, Chart, Curve, CurveStyle, Note, SOFT_INK, cell_colour, curve};
 
@@ -21,7 +23,7 @@ struct Entry {
     run_time: RunTime,
 }
 
-pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, DesignError> {
+pub(super) fn section(head: &Head, settings: &Settings) -> Result<Section, DesignError> {
     let solver = Solver::<f64>::new(&head.scene, STREAM)?;
     let bound = rms_of_covariances(head.poses.iter().filter_map(|pose| solver.bound(pose)));
     let entries = measure(head, settings)?;
@@ -65,7 +67,7 @@ pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, D
             ),
             picture(&entries, head, bound, 1, "work-precision-rotation", "The same for the rotation."),
         ],
-        tables: tables(&entries, bound).into(),
+        tables: vec![table(&entries, bound)],
     };
     let slowest_s = entries.iter().filter(|entry| searched(&entry.noisy)).map(|entry| entry.run_time.least_s);
     if let Some(slowest_s) = slowest_s.reduce(f64::max) {
@@ -114,7 +116,7 @@ fn searched(errors: &Errors) -> bool {
     errors.steps > SEARCHED
 }
 
-fn methods(head: &Head<'_>) -> Vec<Method> {
+fn methods(head: &Head) -> Vec<Method> {
     // What the tolerance costs and gives: once more at a tight one.
     let tiers = [STREAM, Tier::Paper, head.truth_tier];
     let ways = tiers.into_iter().flat_map(|tier| [false, true].map(|is_warm| (tier, is_warm)));
@@ -123,7 +125,7 @@ fn methods(head: &Head<'_>) -> Vec<Method> {
     all.filter(|it| it.effort.0 != PLANES || (!it.is_warm && it.tier != head.truth_tier)).collect()
 }
 
-fn measure(head: &Head<'_>, settings: &Settings) -> Result<Vec<Entry>, DesignError> {
+fn measure(head: &Head, settings: &Settings) -> Result<Vec<Entry>, DesignError> {
     let mut noise = NoiseSource::seeded(settings.seed);
     let mut noisy = |pose: &Pose| noise.disturb(&head.scene, &head.truth, pose, &currents(&head.truth, pose));
     let readings: Vec<Photocurrents> = head.poses.iter().map(&mut noisy).collect();
@@ -154,46 +156,34 @@ fn micro(value: f64) -> Value {
     Value::from(value * 1e6)
 }
 
-/// Errors of currents with and without noise.
-fn tables(entries: &[Entry], bound: [f64; 2]) -> [Table; 2] {
-    let method: [Getter<'_, Entry>; 3] = [
-        ("tier", "tier", &|entry| tier_name(entry.method.tier).into()),
-        ("start", "start", &|entry| entry.method.start().into()),
-        ("effort", "effort", &|entry| entry.method.effort.0.into()),
-    ];
-    let noisy: [Getter<'_, Entry>; 8] = [
-        ("solved_percent", "solved / %", &|entry| (100.0 * entry.noisy.solved).into()),
-        ("rms_um", "rms / µm", &|entry| micro(entry.noisy.rms[0])),
-        ("rms_urad", "rms / µrad", &|entry| micro(entry.noisy.rms[1])),
-        ("ratio_to_bound_translation", "translation to bound", &|entry| (entry.noisy.rms[0] / bound[0]).into()),
-        ("ratio_to_bound_rotation", "rotation to bound", &|entry| (entry.noisy.rms[1] / bound[1]).into()),
-        ("steps", "steps, mean", &|entry| entry.noisy.steps.into()),
-        ("least_us", "least / µs", &|entry| micro(entry.run_time.least_s)),
-        ("median_us", "median / µs", &|entry| micro(entry.run_time.median_s)),
-    ];
-    let clean: [Getter<'_, Entry>; 4] = [
-        ("solved_percent", "solved / %", &|entry| (100.0 * entry.clean.solved).into()),
-        ("rms_um", "rms / µm", &|entry| micro(entry.clean.rms[0])),
-        ("rms_urad", "rms / µrad", &|entry| micro(entry.clean.rms[1])),
-        ("steps", "steps, mean", &|entry| entry.clean.steps.into()),
-    ];
-    let table =
-        |name, caption, columns: &[Getter<'_, Entry>]| Table::of(name, caption, entries, &[&method, columns].concat());
-    [
-        table("solver_noisy", "Noisy currents: error, its ratio to the Cramér–Rao bound, and time per solve", &noisy),
-        table("solver_clean", "Currents free of noise: the error of the method itself", &clean),
-    ]
+fn table(entries: &[Entry], bound: [f64; 2]) -> Table {
+    Table::of(
+        "solver",
+        "Error, its ratio to the Cramér–Rao bound, and time per solve; and the error of the method itself, from currents free \
+         of noise",
+        entries,
+        &[
+            ("tier", "tier", &|entry| tier_name(entry.method.tier).into()),
+            ("start", "start", &|entry| entry.method.start().into()),
+            ("effort", "effort", &|entry| entry.method.effort.0.into()),
+            ("solved_percent", "solved / %", &|entry| (100.0 * entry.noisy.solved).into()),
+            ("rms_um", "rms / µm", &|entry| micro(entry.noisy.rms[0])),
+            ("rms_urad", "rms / µrad", &|entry| micro(entry.noisy.rms[1])),
+            ("ratio_to_bound_translation", "translation to bound", &|entry| (entry.noisy.rms[0] / bound[0]).into()),
+            ("ratio_to_bound_rotation", "rotation to bound", &|entry| (entry.noisy.rms[1] / bound[1]).into()),
+            ("steps", "steps, mean", &|entry| entry.noisy.steps.into()),
+            ("least_us", "least / µs", &|entry| micro(entry.run_time.least_s)),
+            ("median_us", "median / µs", &|entry| micro(entry.run_time.median_s)),
+            ("clean_solved_percent", "free of noise: solved / %", &|entry| (100.0 * entry.clean.solved).into()),
+            ("clean_rms_um", "rms / µm", &|entry| micro(entry.clean.rms[0])),
+            ("clean_rms_urad", "rms / µrad", &|entry| micro(entry.clean.rms[1])),
+            ("clean_steps", "steps, mean", &|entry| entry.clean.steps.into()),
+        ],
+    )
 }
 
 /// Error of translations (`half` 0) or rotations (1) against time.
-fn picture(
-    entries: &[Entry],
-    head: &Head<'_>,
-    bound: [f64; 2],
-    half: usize,
-    name: &'static str,
-    caption: &str,
-) -> Picture {
+fn picture(entries: &[Entry], head: &Head, bound: [f64; 2], half: usize, name: &'static str, caption: &str) -> Picture {
     let (what, unit) = [("translation", "µm"), ("rotation", "µrad")][half];
     let tight = format!("{}, cold start", tier_name(head.truth_tier).replace("exact", "exact tier at"));
     let panel = |heading: &str, errors: fn(&Entry) -> &Errors, floor: Option<f64>| {
@@ -295,13 +285,5 @@ impl Method {
 
     fn start(&self) -> &'static str {
         if self.is_warm { "warm" } else { "cold" }
-    }
-}
-
-/// The word for a tier in tables.
-pub(super) fn tier_name(tier: Tier) -> String {
-    match tier {
-        Tier::Paper => "paper".to_owned(),
-        Tier::Exact { tolerance } => format!("exact {tolerance:e}"),
     }
 }

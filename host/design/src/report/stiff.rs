@@ -101,7 +101,7 @@ impl Case {
     }
 }
 
-pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, DesignError> {
+pub(super) fn section(head: &Head, settings: &Settings) -> Result<Section, DesignError> {
     let mut cases = currents_of_one_cell()?;
     cases.extend(poses(head, settings)?);
     let summary = summary(&cases);
@@ -243,7 +243,7 @@ const TIMES: usize = 3;
 const ROLLS: [f64; 12] = [45.0, 10.0, 1.0, 0.1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 0.0];
 
 /// Poses driven to extremes: layouts that hardly tell them, masked cells, turned frames, currents of any size.
-fn poses(head: &Head<'_>, settings: &Settings) -> Result<Vec<Case>, SceneError> {
+fn poses(head: &Head, settings: &Settings) -> Result<Vec<Case>, SceneError> {
     let mut cases = Vec::new();
     let trial = |scene: Scene, centre: &Pose, spread: f64| Trial::within(scene, centre, spread, settings.seed);
     // Where error and condition grow together: rolls of the detectors that come ever nearer to equal, at poses ever nearer

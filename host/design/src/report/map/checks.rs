@@ -8,12 +8,22 @@ use crate::map::{Candidate, KNOWN, Map, Schedules, Tolerances, View, quantiles_o
 use crate::plot::{Anchor, Axis, Chart, CurveStyle, Note, SOFT_INK, Scale, curve};
 use crate::report::section::{Picture, Section, Sheet, Table, Value, column};
 
+/// What is checked, its value, and what happens where that is above one, if it is a limit.
+const CHECKS: [(&str, Of, Option<&str>); 5] = [
+    ("condition", |view| view.condition, None),
+    ("unnoticed / σ", |view| Some(view.unnoticed_sigmas), None),
+    ("electrode current by full scale", |view| Some(view.full_scale.recip()), Some("Electrodes exceed the full scale")),
+    ("photocurrent by saturation", |view| Some(view.saturation.recip()), Some("Detectors saturate")),
+    ("faint current by photocurrent", |view| Some(view.faint.recip()), Some("A cell is faint or dark")),
+];
+
 pub(super) fn redundancy(map: &Map) -> Section {
     let row = |what: &str, of: Of| {
         let mut row = vec![Value::from(what), Value::optional(of(&map.home))];
         row.extend(map.quantiles([0.5, 0.95, 0.99, 1.0], of).map(Value::from));
         row
     };
+    let rows = CHECKS.map(|(what, of, _)| row(what, of)).into();
     let all = map.share(|view| view.lit == map.cells());
     let unnoticed: Of = |view| Some(view.unnoticed_sigmas);
     let [median, most] = map.quantiles([0.5, 0.95], unnoticed);
@@ -21,7 +31,6 @@ pub(super) fn redundancy(map: &Map) -> Section {
         |views: &Vec<View>| views.iter().filter(|view| view.sigma.is_some()).count() as f64 / views.len() as f64;
     let while_dark_of = |cell: &usize, of: Of| quantiles_of(map.one_dark[*cell].iter(), [0.5], of)[0];
     let dark: Vec<usize> = (0..map.one_dark.len()).collect();
-    let counts: Vec<usize> = (0..=map.cells()).rev().collect();
     let least_with_pose = map.one_dark.iter().map(with_pose).fold(1.0, f64::min);
     // As many numbers as unknowns.
     let unchecked = map.share(|view| view.sigma.is_some() && !view.unnoticed_sigmas.is_finite());
@@ -56,9 +65,15 @@ pub(super) fn redundancy(map: &Map) -> Section {
             100.0 * unchecked
         ));
     }
+    for (_, of, what) in CHECKS {
+        let passed = map.share(|view| of(view).is_some_and(|share| share > 1.0));
+        summary.extend(
+            what.filter(|_| passed > 0.0).map(|what| format!("{what} in {:.2} % of the workspace.", 100.0 * passed)),
+        );
+    }
     Section {
         name: "redundancy",
-        title: "How well it is conditioned and checked",
+        title: "How well it is conditioned and checked, and how near it is to its limits",
         summary,
         paragraphs: vec![
             "The condition is the ratio of the extreme singular values of the whitened Jacobian, lengths in units of the \
@@ -68,8 +83,10 @@ pub(super) fn redundancy(map: &Map) -> Section {
         ],
         tables: vec![
             Table {
-                name: "condition",
-                caption: "Condition, and what a fault can do unnoticed".to_owned(),
+                name: "checks",
+                caption: "Condition, what a fault can do unnoticed, and how near light is to its limits: of all cells, the \
+                          nearest; above one, the limit is passed"
+                    .to_owned(),
                 columns: vec![
                     column("quantity", "quantity"),
                     column("home", "home"),
@@ -78,7 +95,7 @@ pub(super) fn redundancy(map: &Map) -> Section {
                     column("of_99_percent", "99 %"),
                     column("worst", "worst"),
                 ],
-                rows: vec![row("condition", |view| view.condition), row("unnoticed / σ", unnoticed)],
+                rows,
             },
             Table::of(
                 "one_dark",
@@ -91,61 +108,7 @@ pub(super) fn redundancy(map: &Map) -> Section {
                     ("with_pose_percent", "with pose / %", &|cell| (100.0 * with_pose(&map.one_dark[*cell])).into()),
                 ],
             ),
-            Table::of(
-                "lit",
-                "Cells whose whole spot is on the detector",
-                &counts,
-                &[
-                    ("cells", "cells", &|count| (*count).into()),
-                    ("share_percent", "of the workspace / %", &|count| {
-                        (100.0 * map.share(|view| view.lit == *count)).into()
-                    }),
-                    ("at_least_percent", "so many or more / %", &|count| {
-                        (100.0 * map.share(|view| view.lit >= *count)).into()
-                    }),
-                ],
-            ),
         ],
-        ..Section::default()
-    }
-}
-
-pub(super) fn margins(map: &Map) -> Section {
-    let row = |what: &str, of: Of| {
-        let finite = |value: f64| Value::optional(Some(value).filter(|value| value.is_finite()));
-        let [worst, one, median] = map.quantiles([0.0, 0.01, 0.5], of).map(finite);
-        vec![what.into(), finite(of(&map.home).unwrap_or(f64::INFINITY)), median, one, worst]
-    };
-    let below = |of: Of| 100.0 * map.share(|view| of(view).is_some_and(|margin| margin < 1.0));
-    let kinds: [(&str, Of); 3] = [
-        ("full scale over the greatest electrode current", |view| Some(view.full_scale)),
-        ("saturation over the greatest photocurrent", |view| Some(view.saturation)),
-        ("least photocurrent over what is faint", |view| Some(view.faint)),
-    ];
-    let summary = ["Electrodes exceed the full scale", "Detectors saturate", "A cell is faint or dark"]
-        .into_iter()
-        .zip(kinds)
-        .filter(|(_, (_, of))| below(*of) > 0.0)
-        .map(|(what, (_, of))| format!("{what} in {:.2} % of the workspace.", below(of)));
-    Section {
-        name: "margins",
-        title: "How far it is from the limits",
-        summary: summary.collect(),
-        paragraphs: vec![
-            "Ratios: below one, the limit is passed. Of all cells, the one nearest to it counts.".to_owned(),
-        ],
-        tables: vec![Table {
-            name: "margins",
-            caption: "Margins".to_owned(),
-            columns: vec![
-                column("margin", "margin"),
-                column("home", "home"),
-                column("median", "median"),
-                column("of_1_percent", "1 %"),
-                column("least", "least"),
-            ],
-            rows: kinds.map(|(what, of)| row(what, of)).into(),
-        }],
         ..Section::default()
     }
 }

@@ -64,11 +64,10 @@ pub fn map_report(head: &Head, map: &Map, studied: Option<&Tolerances>, proposed
         sections: [accuracy(map)]
             .into_iter()
             .chain(planes(map))
-            .chain([checks::redundancy(map), checks::margins(map)])
+            .chain([checks::redundancy(map)])
             .chain(proposed.map(checks::schedules))
             .chain(studied.map(|studied| checks::tolerances(studied, file.tolerance.is_some())))
             .collect(),
-        leading: 0,
         data: vec![points(map), samples(map)],
     }
 }
