@@ -7,7 +7,7 @@ use slitpose_model::{Cell, CompiledScene, Pair, Profile, Response, SceneError, S
 
 use super::{Experiment, Point, Study, TOLERANCE, experiments};
 use crate::identification::Identified;
-use crate::plot::CurveStyle::{DashedRings, Joined, Line, Markers, Rings};
+use crate::plot::CurveStyle::{Joined, Line, Markers, Rings};
 use crate::plot::{Axis, Chart, Curve, curve};
 use crate::report::{Picture, Report, Section, Sheet, Table, Value, column, program, scene};
 
@@ -273,7 +273,7 @@ fn section(errors: &[Vec<[f64; 2]>]) -> Section {
         note: SIMULATED,
         x: POSITION,
         y: "$X - X_A$ / mm",
-        curves: [curve(&labels[0], 0, Joined, errors[1].clone()), curve(&labels[1], 1, DashedRings, errors[2].clone())],
+        curves: [curve(&labels[0], 0, Joined, errors[1].clone()), curve(&labels[1], 1, Rings, errors[2].clone())],
         is_from_zero: false,
         unit: "µm",
         what: "second − first",

@@ -21,7 +21,7 @@ const TOLERANCE: f64 = 1e-10;
 
 /// One of the paper's two experiments.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Experiment {
+enum Experiment {
     /// Experiment 1: the emitter moves along x_PSD from −5.5 to 5.5 mm in steps of 0.5 mm.
     Translation,
     /// Experiment 2: the emitter turns from −65° to 65° in steps of 5°, clockwise from above.
@@ -30,7 +30,7 @@ pub enum Experiment {
 
 impl Experiment {
     /// Positions in millimetres, or angles in degrees.
-    pub(crate) fn amounts(self) -> impl Iterator<Item = f64> {
+    fn amounts(self) -> impl Iterator<Item = f64> {
         let (steps, step) = match self {
             Self::Translation => (11, 0.5),
             Self::Rotation => (13, 5.0),
@@ -40,7 +40,7 @@ impl Experiment {
 
     /// The tool's pose in the `bench` scene: its x is that of the detector, its y is vertical, and
     /// the tool frame sits on the emitter.
-    pub fn pose(self, amount: f64) -> Pose {
+    fn pose(self, amount: f64) -> Pose {
         match self {
             Self::Translation => Pose::from_vectors(DVec3::X * amount * 1e-3, DVec3::ZERO),
             Self::Rotation => Pose::from_vectors(DVec3::ZERO, -DVec3::Y * amount.to_radians()),
@@ -50,27 +50,23 @@ impl Experiment {
 
 /// One position or angle of an experiment, in both tiers.
 #[derive(Clone, Copy, Debug)]
-pub struct Point {
+struct Point {
     /// Position in millimetres, or angle in degrees.
-    pub amount: f64,
-    /// Equations as printed.
-    pub paper: Response<f64>,
-    /// Integrated over the spot.
-    pub exact: Response<f64>,
+    amount: f64,
+    paper: Response<f64>,
+    exact: Response<f64>,
 }
 
 /// Both experiments, and what follows from the second for the first.
 #[derive(Clone, Debug)]
 pub struct Study {
-    /// Experiment 1.
-    pub translation: Vec<Point>,
-    /// Experiment 2.
-    pub rotation: Vec<Point>,
+    translation: Vec<Point>,
+    rotation: Vec<Point>,
     /// The profile by equation (6) from the exact tier's currents of experiment 2, one entry for
     /// each of its angles: the paper's procedure, on simulated instead of measured currents.
-    pub identified: Vec<Identified>,
+    identified: Vec<Identified>,
     /// Experiment 1 calculated as printed, with that profile instead of the emitter's.
-    pub with_identified: Vec<Response<f64>>,
+    with_identified: Vec<Response<f64>>,
 }
 
 impl Study {

@@ -14,11 +14,11 @@ const SUBSCRIPT_DROP: f64 = 0.22;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Stroke {
-    pub colour: Colour,
+    pub(crate) colour: Colour,
     /// Width in pixels.
-    pub width: f64,
+    pub(crate) width: f64,
     /// Lengths of dash and gap in pixels; `None`: solid.
-    pub dash: Option<[f64; 2]>,
+    pub(crate) dash: Option<[f64; 2]>,
 }
 
 impl Stroke {
@@ -33,24 +33,21 @@ impl Stroke {
 
 /// Which point of a label its position means.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Anchor {
-    /// The beginning.
+pub(crate) enum Anchor {
     Start,
-    /// The middle.
     Middle,
-    /// The end.
     End,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct TextStyle {
     /// Letter size in pixels.
-    pub size: f64,
-    pub colour: Colour,
-    pub anchor: Anchor,
-    pub bold: bool,
+    pub(crate) size: f64,
+    pub(crate) colour: Colour,
+    pub(crate) anchor: Anchor,
+    pub(crate) bold: bool,
     /// Written upwards instead of to the right.
-    pub upwards: bool,
+    pub(crate) upwards: bool,
 }
 
 impl TextStyle {
@@ -72,13 +69,13 @@ impl TextStyle {
 }
 
 /// A picture in the making.
-pub struct Canvas {
+pub(crate) struct Canvas {
     svg: String,
 }
 
 impl Canvas {
     /// An empty white sheet; `title` is for screen readers.
-    pub fn new(width: f64, height: f64, title: &str) -> Self {
+    pub(crate) fn new(width: f64, height: f64, title: &str) -> Self {
         let [w, h] = [width, height].map(number);
         let (font, title) = (escape(FONT), printable(title));
         let svg = format!(
@@ -187,7 +184,7 @@ impl Canvas {
     }
 
     /// The finished picture.
-    pub fn into_svg(self) -> String {
+    pub(crate) fn into_svg(self) -> String {
         self.svg + "</svg>\n"
     }
 

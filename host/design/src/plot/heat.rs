@@ -6,7 +6,7 @@ use super::canvas::{Canvas, Stroke, TextStyle};
 use super::chart::{Axis, Chart, Scale};
 use super::style::{ALERT, BANDS, Colour, INK, SOFT_INK, WHITE, three_digits};
 
-const LEFT: f64 = 70.0;
+const LEFT: f64 = 80.0;
 const TOP: f64 = 96.0;
 const SIZE: f64 = 210.0;
 const GAP: DVec2 = DVec2::new(74.0, 78.0);

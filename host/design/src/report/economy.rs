@@ -253,7 +253,6 @@ fn spread(found: &[Pair<f64>], truth: &[Pair<f64>]) -> [f64; 2] {
 }
 
 fn table(entries: &[Entry]) -> Table {
-    let us = |seconds: f64| Value::from(seconds * 1e6);
     let error = |entry: &Entry, k: usize| Value::optional(entry.error.map(|error| error[k]));
     let ratio = |entry: &Entry, k: usize| {
         // Every group has a first.
@@ -269,13 +268,13 @@ fn table(entries: &[Entry]) -> Table {
             ("variant", "variant", &|entry| entry.variant.name.as_str().into()),
             ("error_median", "error, median", &|entry| error(entry, 0)),
             ("error_worst", "worst", &|entry| error(entry, 1)),
-            ("forward_least_us", "currents, least / µs", &|entry| us(entry.times[0].least_s)),
-            ("forward_median_us", "median / µs", &|entry| us(entry.times[0].median_s)),
+            ("forward_least_us", "currents, least / µs", &|entry| Value::micro(entry.times[0].least_s)),
+            ("forward_median_us", "median / µs", &|entry| Value::micro(entry.times[0].median_s)),
             ("forward_ratio", "ratio", &|entry| ratio(entry, 0)),
-            ("derivatives_least_us", "with derivatives, least / µs", &|entry| us(entry.times[1].least_s)),
-            ("derivatives_median_us", "median / µs", &|entry| us(entry.times[1].median_s)),
-            ("solve_least_us", "warm solve, least / µs", &|entry| us(entry.times[2].least_s)),
-            ("solve_median_us", "median / µs", &|entry| us(entry.times[2].median_s)),
+            ("derivatives_least_us", "with derivatives, least / µs", &|entry| Value::micro(entry.times[1].least_s)),
+            ("derivatives_median_us", "median / µs", &|entry| Value::micro(entry.times[1].median_s)),
+            ("solve_least_us", "warm solve, least / µs", &|entry| Value::micro(entry.times[2].least_s)),
+            ("solve_median_us", "median / µs", &|entry| Value::micro(entry.times[2].median_s)),
             ("solve_ratio", "ratio", &|entry| ratio(entry, 2)),
             ("steps", "steps, mean", &|entry| entry.steps.into()),
         ],

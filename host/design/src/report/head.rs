@@ -125,7 +125,7 @@ pub(super) fn exponent(profile: &Profile) -> f64 {
     }
 }
 
-pub(super) fn currents(plan: &CompiledScene<f64>, pose: &Pose) -> Photocurrents {
+pub(crate) fn currents(plan: &CompiledScene<f64>, pose: &Pose) -> Photocurrents {
     Photocurrents::of_pairs((0..plan.cell_count()).map(|cell| plan.photocurrents(cell, pose)))
 }
 
@@ -201,15 +201,15 @@ impl NoiseSource {
 
 /// Errors of solves: translation in metres and rotation in radians, NaN without a pose.
 #[derive(Clone, Debug)]
-pub(super) struct Errors {
-    pub(super) rms: [f64; 2],
+pub(crate) struct Errors {
+    pub(crate) rms: [f64; 2],
     /// Share of the solves that gave a pose.
     pub(super) solved: f64,
     pub(super) steps: f64,
 }
 
 impl Errors {
-    pub(super) fn of<'a>(solves: impl IntoIterator<Item = (Solution, &'a Pose)>) -> Self {
+    pub(crate) fn of<'a>(solves: impl IntoIterator<Item = (Solution, &'a Pose)>) -> Self {
         let (mut squares, mut found, mut tried, mut steps) = ([0.0; 2], 0.0, 0.0, 0.0);
         for (solved, truth) in solves {
             tried += 1.0;

@@ -11,7 +11,7 @@ use super::head::{
 };
 use super::section::{Picture, Section, Sheet, Table, Value};
 use crate::DesignError;
-use crate::plot::{Anchor, Axis, Chart, Curve, CurveStyle, Note, SOFT_INK, cell_colour, curve};
+use crate::plot::{Anchor, Axis, Chart, Curve, CurveStyle, Note, SOFT_INK, curve};
 
 pub(super) const TITLE: &str = "Solver: error against time";
 
@@ -27,7 +27,7 @@ pub(super) fn section(head: &Head, settings: &Settings) -> Result<Section, Desig
     let solver = Solver::<f64>::new(&head.scene, STREAM)?;
     let bound = rms_of_covariances(head.poses.iter().filter_map(|pose| solver.bound(pose)));
     let entries = measure(head, settings)?;
-    let mut section = Section {
+    Ok(Section {
         name: "solver",
         title: TITLE,
         summary: summary(&entries, bound),
@@ -54,6 +54,10 @@ pub(super) fn section(head: &Head, settings: &Settings) -> Result<Section, Desig
                 // Of errors along one axis of each pose; more axes stray less.
                 Value::from(100.0 / (2.0 * head.poses.len() as f64).sqrt()).shown()
             ),
+            "Where the light obeys another model than the solver's, χ² says so, and a full solve searches everywhere for a \
+             pose that fits before it gives the best one, marked as a misfit: such points lie far to the right. Solves that \
+             stop after some steps do not ask."
+                .to_owned(),
         ],
         pictures: vec![
             picture(
@@ -68,23 +72,13 @@ pub(super) fn section(head: &Head, settings: &Settings) -> Result<Section, Desig
             picture(&entries, head, bound, 1, "work-precision-rotation", "The same for the rotation."),
         ],
         tables: vec![table(&entries, bound)],
-    };
-    let slowest_s = entries.iter().filter(|entry| searched(&entry.noisy)).map(|entry| entry.run_time.least_s);
-    if let Some(slowest_s) = slowest_s.reduce(f64::max) {
-        section.paragraphs.push(format!(
-            "Where the light obeys another model than the solver's, χ² says so, and a full solve searches everywhere \
-             for a pose that fits before it gives the best one, marked as a misfit: up to {} µm. Solves that stop \
-             after some steps do not ask.",
-            Value::from(slowest_s * 1e6).shown()
-        ));
-    }
-    Ok(section)
+    })
 }
 
 fn summary(entries: &[Entry], bound: [f64; 2]) -> Vec<String> {
     let full = |is_warm| chosen(entries, STREAM, is_warm).find(|entry| entry.method.effort.0 == FULL);
     let (Some(cold), Some(warm)) = (full(false), full(true)) else { return Vec::new() };
-    let micro = |value: f64| Value::from(value * 1e6).shown();
+    let micro = |value: f64| Value::micro(value).shown();
     vec![
         format!(
             "One scan gives the position to {} µm and the orientation to {} µrad (root mean square of the error's \
@@ -106,14 +100,6 @@ fn summary(entries: &[Entry], bound: [f64; 2]) -> Vec<String> {
 
 fn chosen(entries: &[Entry], tier: Tier, is_warm: bool) -> impl Iterator<Item = &Entry> {
     entries.iter().filter(move |Entry { method, .. }| (method.tier, method.is_warm) == (tier, is_warm))
-}
-
-/// Mean steps of a full solve that found no fit and searched everywhere for one. Such a point
-/// lies far to the right of all others, and the picture leaves it out with a note.
-const SEARCHED: f64 = 40.0;
-
-fn searched(errors: &Errors) -> bool {
-    errors.steps > SEARCHED
 }
 
 fn methods(head: &Head) -> Vec<Method> {
@@ -152,10 +138,6 @@ fn measure(head: &Head, settings: &Settings) -> Result<Vec<Entry>, DesignError> 
     Ok(entries.map(|((method, [noisy, clean]), run_time)| Entry { method, noisy, clean, run_time }).collect())
 }
 
-fn micro(value: f64) -> Value {
-    Value::from(value * 1e6)
-}
-
 fn table(entries: &[Entry], bound: [f64; 2]) -> Table {
     Table::of(
         "solver",
@@ -167,16 +149,16 @@ fn table(entries: &[Entry], bound: [f64; 2]) -> Table {
             ("start", "start", &|entry| entry.method.start().into()),
             ("effort", "effort", &|entry| entry.method.effort.0.into()),
             ("solved_percent", "solved / %", &|entry| (100.0 * entry.noisy.solved).into()),
-            ("rms_um", "rms / µm", &|entry| micro(entry.noisy.rms[0])),
-            ("rms_urad", "rms / µrad", &|entry| micro(entry.noisy.rms[1])),
+            ("rms_um", "rms / µm", &|entry| Value::micro(entry.noisy.rms[0])),
+            ("rms_urad", "rms / µrad", &|entry| Value::micro(entry.noisy.rms[1])),
             ("ratio_to_bound_translation", "translation to bound", &|entry| (entry.noisy.rms[0] / bound[0]).into()),
             ("ratio_to_bound_rotation", "rotation to bound", &|entry| (entry.noisy.rms[1] / bound[1]).into()),
             ("steps", "steps, mean", &|entry| entry.noisy.steps.into()),
-            ("least_us", "least / µs", &|entry| micro(entry.run_time.least_s)),
-            ("median_us", "median / µs", &|entry| micro(entry.run_time.median_s)),
+            ("least_us", "least / µs", &|entry| Value::micro(entry.run_time.least_s)),
+            ("median_us", "median / µs", &|entry| Value::micro(entry.run_time.median_s)),
             ("clean_solved_percent", "free of noise: solved / %", &|entry| (100.0 * entry.clean.solved).into()),
-            ("clean_rms_um", "rms / µm", &|entry| micro(entry.clean.rms[0])),
-            ("clean_rms_urad", "rms / µrad", &|entry| micro(entry.clean.rms[1])),
+            ("clean_rms_um", "rms / µm", &|entry| Value::micro(entry.clean.rms[0])),
+            ("clean_rms_urad", "rms / µrad", &|entry| Value::micro(entry.clean.rms[1])),
             ("clean_steps", "steps, mean", &|entry| entry.clean.steps.into()),
         ],
     )
@@ -201,30 +183,17 @@ fn picture(entries: &[Entry], head: &Head, bound: [f64; 2], half: usize, name: &
         {
             // A full solve goes its own way: it is no further step.
             for (label, style, is_full) in [(name, CurveStyle::Joined, false), ("", CurveStyle::Markers, true)] {
-                let shown = chosen(entries, tier, is_warm).filter(|entry| !searched(errors(entry)));
-                let points = shown.filter(|entry| (entry.method.effort.0 == FULL) == is_full).map(point);
-                curves.push(curve(label, colour, style, points.collect()));
+                let shown = chosen(entries, tier, is_warm).filter(|it| (it.method.effort.0 == FULL) == is_full);
+                curves.push(curve(label, colour, style, shown.map(point).collect()));
             }
         }
         let y =
             |y: Vec<f64>| Axis::logarithmic(&format!("rms error of the {what} / {unit}"), y.into_iter().chain(floor));
         let mut chart = Chart::over(curves, |x| Axis::logarithmic("time per solve / µs", x), y);
         let times = chart.x.range;
-        let mut note = |at, offset, anchor, text: &str, colour| {
-            chart.notes.push(Note { at, offset, anchor, text: text.to_owned(), colour });
-        };
-        // The clearest curve says what its points are, as far as they do not lie on the bound.
-        let named = chosen(entries, STREAM, false).take(2);
-        for entry in named.filter(|entry| floor.is_none_or(|floor| point(entry)[1] > 2.0 * floor)) {
-            note(point(entry), dvec2(9.0, -5.0), Anchor::Start, entry.method.effort.0, cell_colour(0));
-        }
-        if let Some(entry) = chosen(entries, Tier::Paper, false).find(|entry| searched(errors(entry))) {
-            let [time, error] = point(entry);
-            let text = format!("paper tier in full: {} µs →", Value::from(time).shown());
-            note([times[1], error], dvec2(-8.0, 16.0), Anchor::End, &text, cell_colour(2));
-        }
         if let Some(floor) = floor {
-            note([times[0], floor], dvec2(8.0, 16.0), Anchor::Start, "Cramér–Rao bound of one frame", SOFT_INK);
+            let (at, text) = ([times[0], floor], "Cramér–Rao bound of one frame".to_owned());
+            chart.notes.push(Note { at, offset: dvec2(8.0, 16.0), anchor: Anchor::Start, text, colour: SOFT_INK });
             let points = times.map(|x| [x, floor]).to_vec();
             chart.curves.push(Curve { label: String::new(), colour: SOFT_INK, style: CurveStyle::Dashed, points });
         }

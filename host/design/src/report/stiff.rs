@@ -17,7 +17,7 @@ use slitpose_model::{
 };
 
 use super::Settings;
-use super::head::{Head, NoiseSource, PRIOR, currents, rms_of_covariances};
+use super::head::{Errors, Head, NoiseSource, PRIOR, currents, rms_of_covariances};
 use super::section::{Section, Table, Value};
 use crate::DesignError;
 
@@ -343,28 +343,21 @@ impl Trial {
     fn case(&self, study: &'static str, case: String, is_warm: bool, expected: Expected) -> Result<Case, SceneError> {
         let arm_m = self.scene.length_scale_m();
         let at_emitters_um = |[translation_m, rotation_rad]: [f64; 2]| translation_m.hypot(arm_m * rotation_rad) * 1e6;
-        let mut outcomes = BTreeMap::new();
-        let (mut squares, mut slowest_s, mut without_value) = ([0.0; 2], 0.0_f64, 0);
-        for ((pose, readings), prior) in self.poses.iter().zip(&self.readings).zip(&self.priors) {
+        let (mut outcomes, mut slowest_s, mut solved) = (BTreeMap::new(), 0.0_f64, Vec::new());
+        for (readings, prior) in self.readings.iter().zip(&self.priors) {
             let start = if is_warm { Start::Near(prior) } else { Start::Cold };
             let timed = |_| {
                 let clock = Instant::now();
-                let solved = self.solver.solve(readings, start, &MotionPrior::AT_REST);
-                (clock.elapsed().as_secs_f64(), solved)
+                let solution = self.solver.solve(readings, start, &MotionPrior::AT_REST);
+                (clock.elapsed().as_secs_f64(), solution)
             };
-            let solves = [0; TIMES].map(timed);
-            slowest_s = slowest_s.max(solves.iter().map(|(took_s, _)| *took_s).fold(f64::INFINITY, f64::min));
-            let solved = &solves[0].1;
-            *outcomes.entry(solved.outcome.as_str()).or_default() += 1;
-            match solved.estimate {
-                Some(estimate) => {
-                    let (dt, dr) = estimate.pose.displacement_from(pose);
-                    squares = [squares[0] + dt.length_squared(), squares[1] + dr.length_squared()];
-                }
-                None => without_value += 1,
-            }
+            let [(first_s, solution), others @ ..] = [0; TIMES].map(timed);
+            slowest_s = slowest_s.max(others.iter().map(|(took_s, _)| *took_s).fold(first_s, f64::min));
+            *outcomes.entry(solution.outcome.as_str()).or_default() += 1;
+            solved.push(solution);
         }
-        let found = (POSES - without_value) as f64;
+        let without_value = solved.iter().filter(|solution| solution.estimate.is_none()).count();
+        let error = at_emitters_um(Errors::of(solved.into_iter().zip(&self.poses)).rms);
         // Where there is no pose, nothing is attainable.
         let rounded = if matches!(expected, Expected::Words(_)) { Vec::new() } else { self.rounded()? };
         let of_all = rounded.iter().filter_map(|solution| Some(solution.estimate?.covariance));
@@ -381,7 +374,7 @@ impl Trial {
             expected: if expected == Expected::Value && is_vague { Expected::Honest } else { expected },
             outcomes,
             without_value,
-            error: Some(at_emitters_um(squares.map(|sum| (sum / found).sqrt()))).filter(|error| error.is_finite()),
+            error: Some(error).filter(|error| error.is_finite()),
             attainable,
             slowest_s: Some(slowest_s),
         })

@@ -3,7 +3,7 @@
 use glam::dvec2;
 use slitpose_calibration::{PartCosts, PoseRms, median};
 
-use super::{Of, micro};
+use super::Of;
 use crate::map::{Candidate, KNOWN, Map, Schedules, Tolerances, View, quantiles_of};
 use crate::plot::{Anchor, Axis, Chart, CurveStyle, Note, SOFT_INK, Scale, curve};
 use crate::report::section::{Picture, Section, Sheet, Table, Value, column};
@@ -103,7 +103,7 @@ pub(super) fn redundancy(map: &Map) -> Section {
                 &dark,
                 &[
                     ("dark", "dark cell", &|cell| (*cell).into()),
-                    ("sigma_position_um", "σ / µm", &|cell| micro(while_dark_of(cell, View::sigma_m))),
+                    ("sigma_position_um", "σ / µm", &|cell| Value::micro(while_dark_of(cell, View::sigma_m))),
                     ("sigma_rotation_mrad", "σ / mrad", &|cell| (while_dark_of(cell, View::sigma_rad) * 1e3).into()),
                     ("with_pose_percent", "with pose / %", &|cell| (100.0 * with_pose(&map.one_dark[*cell])).into()),
                 ],
@@ -130,9 +130,9 @@ pub(super) fn schedules(schedules: &Schedules) -> Section {
                 ("slots", "slots", &|one| slots(one).into()),
                 ("oversampling", "oversampling", &|one| Value::from(one.oversampling as usize)),
                 ("busy_percent", "busy / %", &|one| (100.0 * one.busy).into()),
-                ("sigma_position_um", "σ / µm", &|one| micro(one.sigma_m)),
+                ("sigma_position_um", "σ / µm", &|one| Value::micro(one.sigma_m)),
                 ("sigma_rotation_mrad", "σ / mrad", &|one| (one.sigma_rad * 1e3).into()),
-                ("position_um_per_root_hz", "µm/√Hz", &|one| micro(one.sigma_m * one.per_root_hz())),
+                ("position_um_per_root_hz", "µm/√Hz", &|one| Value::micro(one.sigma_m * one.per_root_hz())),
                 ("rotation_mrad_per_root_hz", "mrad/√Hz", &|one| (one.sigma_rad * 1e3 * one.per_root_hz()).into()),
             ],
         )
@@ -213,9 +213,9 @@ pub(super) fn tolerances(studied: &Tolerances, are_stated: bool) -> Section {
                 &[
                     ("part", "part", &|(part, ..)| (*part).into()),
                     ("key", "key in [tolerance]", &|(_, key, _)| (*key).into()),
-                    ("before_um", "before / µm", &|(.., [before, _])| micro(before[0])),
+                    ("before_um", "before / µm", &|(.., [before, _])| Value::micro(before[0])),
                     ("before_mrad", "mrad", &|(.., [before, _])| (before[1] * 1e3).into()),
-                    ("after_um", "after / µm", &|(.., [_, after])| micro(after[0])),
+                    ("after_um", "after / µm", &|(.., [_, after])| Value::micro(after[0])),
                     ("after_mrad", "mrad", &|(.., [_, after])| (after[1] * 1e3).into()),
                 ],
             ),
@@ -225,9 +225,9 @@ pub(super) fn tolerances(studied: &Tolerances, are_stated: bool) -> Section {
                 &drawn,
                 &[
                     ("head", "head", &|(number, _)| (*number).into()),
-                    ("before_um", "before / µm", &|(_, [before, _])| micro(before[0])),
+                    ("before_um", "before / µm", &|(_, [before, _])| Value::micro(before[0])),
                     ("before_mrad", "mrad", &|(_, [before, _])| (before[1] * 1e3).into()),
-                    ("after_um", "after / µm", &|(_, [_, after])| micro(after[0])),
+                    ("after_um", "after / µm", &|(_, [_, after])| Value::micro(after[0])),
                     ("after_mrad", "mrad", &|(_, [_, after])| (after[1] * 1e3).into()),
                 ],
             ),
