@@ -313,9 +313,9 @@ impl Scene {
         let tier = Tier::Exact { tolerance: PICTURE_TOLERANCE };
         let plan = beside(py, |_| CompiledScene::<f64>::compile(&file.scene, tier))?.map_err(raised)?;
         match cell {
-            None => scene_picture(&file.name, &file.scene, &plan, pose).map_err(raised),
+            None => Ok(scene_picture(&file.name, &file.scene, &plan, pose)),
             Some(number) => match file.scene.cells.get(number) {
-                Some(cell) => cell_picture(&file.name, number, cell, &plan, pose).map_err(raised),
+                Some(cell) => Ok(cell_picture(&file.name, number, cell, &plan, pose)),
                 None => {
                     let last = self.cells() - 1;
                     Err(PyValueError::new_err(format!("cell = {number}; the scene has the cells 0 to {last}")))
