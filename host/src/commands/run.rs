@@ -12,7 +12,7 @@ use slitpose_calibration::{Basis, Head};
 use slitpose_protocol::{Pulse, Stream};
 
 use super::calibrate::from_recordings;
-use super::live::{LiveOptions, MouseOptions, ZenohOptions, changes};
+use super::live::{LiveOptions, MouseOptions, changes};
 use super::options::{PoseOptions, open_scene, parse_duration};
 use super::record::RecordOptions;
 use super::simulate::ToolOptions;
@@ -100,8 +100,6 @@ pub(super) struct Args {
     live: LiveOptions,
     #[command(flatten)]
     mouse: MouseOptions,
-    #[command(flatten)]
-    zenoh: ZenohOptions,
     /// How long to look for a board that is not there: a time, or `forever`
     #[arg(long, value_name = "TIME", value_parser = parse_patience)]
     patience: Option<Patience>,
@@ -237,14 +235,13 @@ pub(super) fn run(args: &mut Args) -> Result<Outcome, CommandError> {
         })?),
         None => None,
     };
-    let streams = args.zenoh.start(shown(), reports())?.into_iter().collect();
     let status = args.status.as_ref().map(|address| StatusServer::start(address, reports(), control())).transpose()?;
     status.iter().for_each(|server| talk(format_args!("status at {}", server.address)));
     let capture = args.record.open(is_recorded_later)?;
     let mut takers: Vec<Arc<dyn SampleSink>> = Vec::new();
     takers.extend(live.iter().map(|live| Arc::new(live.input.clone()) as Arc<dyn SampleSink>));
     takers.extend(mouse.iter().map(|mouse| Arc::new(mouse.input.clone()) as Arc<dyn SampleSink>));
-    let plan = Plan { boards, sink, capture, datagrams, streams, takers, real_time: args.real_time };
+    let plan = Plan { boards, sink, capture, datagrams, takers, real_time: args.real_time };
     let daemon = Arc::new(Daemon::start(plan, Arc::clone(&stop))?);
     let daemon = followed.get_or_init(|| daemon);
     // systemd's protocol; without a service manager nothing is sent.

@@ -77,7 +77,6 @@ pub(super) struct Shared {
     /// Whether each pose has to be printed.
     pub(super) prints_each: bool,
     pub(super) recorder: Option<TapEnds>,
-    pub(super) streams: Vec<TapEnds>,
     pub(super) datagrams: Option<Arc<DatagramServer>>,
     pub(super) takers: Vec<Arc<dyn SampleSink>>,
     pub(super) real_time: Option<u8>,
@@ -120,7 +119,6 @@ impl BoardThreads {
                 printer: shared.outboxes,
                 prints_all: keeps_all,
                 capture: shared.recorder.map(tap),
-                streams: shared.streams.into_iter().map(tap).collect(),
                 samplers: shared.takers.into_iter().map(|taker| Sampler::new(number, taker)).collect(),
                 pending: Pending::default(),
             },

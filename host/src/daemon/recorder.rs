@@ -108,7 +108,7 @@ impl RecorderControl {
         recorder.publish();
         let (thread, chunks) = tap::start("record", Box::new(recorder), CHUNKS_A_BOARD * boards.len().max(1))?;
         let pose_every_s = plan.poses_hz.recip();
-        let ends = TapEnds { chunks, is_wanted, pose_every_s, span: CHUNK, tells_hello: false };
+        let ends = TapEnds { chunks, is_wanted, pose_every_s, span: CHUNK };
         Ok((Self { accounts: Mutex::new(Some(tell)), orders: order, report }, thread, ends))
     }
 

@@ -1,5 +1,4 @@
-//! Taps on the streams of boards: queues to the recorder, and to other takers of all bytes, in chunks of some milliseconds;
-//! the thread of such a taker, for which no other thread waits; and the priority of threads that must not be late.
+//! Taps on the streams of boards: queues to the recorder, in chunks of some milliseconds; its thread, for which no other waits; and the priority of threads that must not be late.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -65,8 +64,6 @@ pub(super) struct TapEnds {
     pub(super) pose_every_s: f64,
     /// A chunk holds the bytes read within this time.
     pub(super) span: Duration,
-    /// Whether a hello is told beside the bytes that it stands in, too.
-    pub(super) tells_hello: bool,
 }
 
 #[derive(Debug)]
@@ -153,9 +150,6 @@ impl Tap {
         }
         if let Some(chunk) = &mut self.under_way {
             chunk.device = self.device;
-            if self.ends.tells_hello {
-                chunk.hello.clone_from(&self.hello);
-            }
         }
     }
 
@@ -209,13 +203,7 @@ impl Drop for Tap {
     }
 }
 
-// Takers of all bytes, each on a thread of its own.
-
-/// Time of a chunk: as short as allows a few messages a millisecond of four boards.
-const STREAM_SPAN: Duration = Duration::from_millis(2);
-
-/// Most chunks on their way: a quarter of a second of one board.
-const CHUNKS_A_BOARD: usize = 128;
+// The taker, on a thread of its own.
 
 const IDLE: Duration = Duration::from_millis(100);
 
@@ -228,19 +216,6 @@ pub(crate) trait ChunkSink: Send {
 
     /// All boards have ended: no chunk follows.
     fn end(&mut self) {}
-}
-
-pub(crate) struct StreamPlan {
-    pub(crate) taker: Box<dyn ChunkSink>,
-    /// Device time between the poses that it takes, seconds.
-    pub(crate) pose_every_s: f64,
-}
-
-/// Starts the thread of a stream; returns what boards need of it.
-pub(super) fn stream(plan: StreamPlan, boards: usize) -> Result<(JoinHandle<()>, TapEnds), BoardError> {
-    let (thread, chunks) = start("stream", plan.taker, CHUNKS_A_BOARD * boards.max(1))?;
-    let (pose_every_s, is_wanted) = (plan.pose_every_s, Arc::new(AtomicBool::new(true)));
-    Ok((thread, TapEnds { chunks, is_wanted, pose_every_s, span: STREAM_SPAN, tells_hello: true }))
 }
 
 /// Starts the thread of `taker`, which ends behind all boards, with `chunks` chunks.

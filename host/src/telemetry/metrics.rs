@@ -53,7 +53,6 @@ const BOARD: &[Metric] = &[
     ("scans_lost_total", "place=board_converters", "/losses/board/scans_lost", ""),
     ("scans_lost_total", "place=link", "/losses/link/scans", ""),
     ("host_dropped_total", "place=recorder", "/losses/host/bytes_unrecorded", "What the host had and did not keep."),
-    ("host_dropped_total", "place=zenoh", "/losses/host/bytes_unpublished", ""),
     ("host_dropped_total", "place=subscriber", "/losses/host/poses_unsent", ""),
     ("packets_damaged_total", "cause=bad_checksum", "/losses/link/bad_checksum", "Packets that could not be used."),
     ("packets_damaged_total", "cause=misframed", "/losses/link/misframed", ""),

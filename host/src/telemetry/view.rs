@@ -110,13 +110,12 @@ pub(crate) fn lines(report: &BoardReport, pose: Vec<Line>) -> Vec<Line> {
     let is_whole = *losses == Losses::default();
     let text = format!(
         "on the board {} scans; on the link {} scans, {} packets damaged, {} unreadable; on the host {} bytes unrecorded, \
-         {} unpublished, {} poses unsent",
+         {} poses unsent",
         losses.board.scans_dropped + losses.board.scans_lost,
         losses.link.scans,
         losses.link.damaged(),
         losses.link.unreadable,
         losses.host.bytes_unrecorded,
-        losses.host.bytes_unpublished,
         losses.host.poses_unsent,
     );
     let (text, tone) = if is_whole { ("nothing", Tone::Plain) } else { (&*text, Tone::Careful) };

@@ -102,12 +102,6 @@ fn poses_of_a_head_that_warms_are_as_honest() {
 }
 
 #[test]
-fn help_is_silent_of_what_the_build_lacks() {
-    let help = slitpose!().run(["run", "--help"]).done();
-    assert!(!help.contains("--zenoh"), "{help}");
-}
-
-#[test]
 fn the_seed_decides_every_byte() {
     let bytes = |seed| run(&["--duration", "200ms", "--seed", seed]).stdout;
     let first = bytes("7");

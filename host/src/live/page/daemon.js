@@ -28,7 +28,7 @@ export class Daemon {
       "Scans": count(state.scans),
       "Lost on the board": `${count(onBoard.scans_dropped)} dropped, ${count(onBoard.scans_lost)} in acquisition, ${count(onBoard.adc_overruns)} overruns`,
       "Lost on the link": `${count(onLink.scans)} scans, ${count(damaged)} packets damaged, ${count(onLink.unreadable)} unreadable, ${count(onLink.scans_repeated)} scans repeated`,
-      "Lost on the host": `${bytes(onHost.bytes_unrecorded)} unrecorded, ${bytes(onHost.bytes_unpublished)} unpublished, ${count(onHost.poses_unsent)} poses unsent, ${count(lag.skipped_scans)} scans skipped`,
+      "Lost on the host": `${bytes(onHost.bytes_unrecorded)} unrecorded, ${count(onHost.poses_unsent)} poses unsent, ${count(lag.skipped_scans)} scans skipped`,
       "Latency": quantiles(state.latencies.total),
       "of which link, host": `${quantiles(state.latencies.link)}; ${quantiles(state.latencies.host)}`,
       "Lag": lag.behind

@@ -250,8 +250,6 @@ pub struct LinkLosses {
 pub struct HostLosses {
     /// Bytes of the link that the recorder had no room for.
     pub bytes_unrecorded: u64,
-    /// Bytes of the link that were not published by Zenoh, and poses with them, because publishing was behind.
-    pub bytes_unpublished: u64,
     /// Poses that a subscriber did not take in time.
     pub poses_unsent: u64,
 }
