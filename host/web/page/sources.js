@@ -210,7 +210,7 @@ class Sources {
         await this.#choose("scene", `the scene ${name}`, "view", { scene, calibration: null });
       } catch (error) {
         const [, line, column, words] = error.message.match(/:(\d+):(\d+): (.*)$/s) ?? [null, 1, 1, error.message];
-        return this.#say(`Line ${line}: ${words}.`, [Number(line), Number(column)]);
+        return this.#say(`Line ${line}: ${words.replace(/[^.?]$/, "$&.")}`, [Number(line), Number(column)]);
       }
       [this.#scene, this.#calibration] = [scene, null];
       byId("scene").value = "";

@@ -7,7 +7,7 @@ import { facts } from "./numbers.js";
 
 const FACTS = [
   "Board", "Link", "Rate", "Scans", "Lost on the board", "Lost on the link", "Lost on the host", "Latency",
-  "of which link, host", "Lag", "Clock", "Health of the board", "Its last message", "Program",
+  "of which link, host", "Lag", "Clock", "Trigger input", "Health of the board", "Its last message", "Program",
 ];
 
 export class Daemon {
