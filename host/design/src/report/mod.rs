@@ -19,7 +19,6 @@ mod map;
 mod section;
 mod solver;
 mod stiff;
-#[cfg(unix)]
 mod write;
 
 use std::fs;
@@ -35,7 +34,6 @@ pub use heads::{comparison, pareto, scene_name};
 pub use map::map_report;
 pub use section::{Column, Picture, Report, Section, Table, Value};
 pub(crate) use section::{column, program, scene};
-#[cfg(unix)]
 pub use write::Folder;
 
 use head::Head;
