@@ -7,6 +7,7 @@
 //! * [`device`] finds boards, and exchanges bytes and commands with them;
 //! * [`datagram`] sends the newest pose to control loops;
 //! * [`telemetry`] counts, and reports the state of daemon, boards and heads;
+//! * [`platform`] has what differs between operating systems;
 //! * [`inputs`] reads what strangers can send, for fuzzing.
 //!
 //! Behind the commands: `terminal` draws for the user, `comparison` compares poses with a reference, `sink` writes poses,
@@ -30,6 +31,8 @@ mod http;
 #[doc(hidden)]
 pub mod inputs;
 mod live;
+#[doc(hidden)]
+pub mod platform;
 mod sink;
 #[doc(hidden)]
 pub mod telemetry;

@@ -1,5 +1,5 @@
 //! Taps on the streams of boards: queues to the recorder, and to other takers of all bytes, in chunks of some milliseconds;
-//! the thread of such a taker, for which no other thread waits; and the priority of threads that must not be late.
+//! and the thread of such a taker, for which no other thread waits.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -8,10 +8,6 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::TryRecvError;
 use slitpose_protocol::{Hello, MAX_MESSAGE_BYTES, Message, encode};
-use thread_priority::{
-    RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
-    set_thread_priority_and_policy, thread_native_id,
-};
 
 use super::error::BoardError;
 use super::handoff::{Producer, buffer_pool};
@@ -264,17 +260,4 @@ pub(super) fn start(
         }
     };
     Ok((spawn(name.to_owned(), take).map_err(BoardError::Thread)?, producer))
-}
-
-/// Gives the calling thread this priority (SCHED_FIFO, 1 to 99). The error is advice for the user.
-pub(super) fn claim(priority: u8) -> Result<(), &'static str> {
-    const REMEDY: &str = "no real-time priority for the threads of the board: allow it with LimitRTPRIO=99 in the \
-                          systemd unit, or in /etc/security/limits.conf, or leave --real-time out";
-    let value = ThreadPriorityValue::try_from(priority).map_err(|_| REMEDY)?;
-    set_thread_priority_and_policy(
-        thread_native_id(),
-        ThreadPriority::Crossplatform(value),
-        ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo),
-    )
-    .map_err(|_| REMEDY)
 }
