@@ -122,15 +122,17 @@ impl DatagramServer {
 async fn serve(shared: Arc<Shared>, directory: Arc<Mutex<Directory>>, index: usize, waiting: Waiting) {
     // One byte more than a request, to detect longer datagrams.
     let mut buffer = [0; Request::BYTES + 1];
-    while waiting.readable().await.is_ok() {
-        while let Ok((count, peer)) = waiting.take(|| shared.sockets[index].receive(&mut buffer)) {
-            match (Request::from_bytes(&buffer[..count]), peer) {
+    loop {
+        match waiting.next(|| shared.sockets[index].receive(&mut buffer)).await {
+            Ok((count, peer)) => match (Request::from_bytes(&buffer[..count]), peer) {
                 (Some(request), Some(peer)) => {
                     answer(&shared, &mut lock(&directory), request, index, &peer);
                     Counters::count(&shared.counters.requests);
                 }
                 _ => Counters::count(&shared.counters.refused),
-            }
+            },
+            // Such as the notice of a client by UDP that has gone.
+            Err(_) => tokio::task::yield_now().await,
         }
     }
 }

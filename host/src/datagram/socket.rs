@@ -78,6 +78,14 @@ impl Socket {
         }
     }
 
+    /// In a runtime: what waits for its datagrams.
+    pub(super) fn waiting(&self) -> io::Result<Waiting> {
+        Ok(match self {
+            Self::Unix(socket) => Waiting::Unix(AsyncLocalDatagram::from_std(socket.try_clone()?)?),
+            Self::Udp(socket) => Waiting::Udp(tokio::net::UdpSocket::from_std(socket.try_clone()?)?),
+        })
+    }
+
     pub(super) fn send(&self, bytes: &[u8], peer: &Peer) -> Delivery {
         let sent = match (self, peer) {
             (Self::Unix(_), Peer::Passed(peer)) => peer.send(bytes),
@@ -100,36 +108,19 @@ pub(super) enum Delivery {
     Gone,
 }
 
-/// Waits for the datagrams of a [`Socket`], in a runtime.
+/// Waits for the datagrams of a [`Socket`].
 #[derive(Debug)]
 pub(super) enum Waiting {
     Unix(AsyncLocalDatagram),
     Udp(tokio::net::UdpSocket),
 }
 
-impl Socket {
-    pub(super) fn waiting(&self) -> io::Result<Waiting> {
-        Ok(match self {
-            Self::Unix(socket) => Waiting::Unix(AsyncLocalDatagram::from_std(socket.try_clone()?)?),
-            Self::Udp(socket) => Waiting::Udp(tokio::net::UdpSocket::from_std(socket.try_clone()?)?),
-        })
-    }
-}
-
 impl Waiting {
-    /// Waits until there may be a datagram.
-    pub(super) async fn readable(&self) -> io::Result<()> {
+    /// What `receive` takes from the socket, as soon as it finds something.
+    pub(super) async fn next<T>(&self, receive: impl FnMut() -> io::Result<T>) -> io::Result<T> {
         match self {
-            Self::Unix(socket) => socket.readable().await,
-            Self::Udp(socket) => socket.readable().await,
-        }
-    }
-
-    /// What `receive` takes from the socket; once it finds nothing, the next wait is for something new.
-    pub(super) fn take<T>(&self, receive: impl FnOnce() -> io::Result<T>) -> io::Result<T> {
-        match self {
-            Self::Unix(socket) => socket.try_io(Interest::READABLE, receive),
-            Self::Udp(socket) => socket.try_io(Interest::READABLE, receive),
+            Self::Unix(socket) => socket.async_io(Interest::READABLE, receive).await,
+            Self::Udp(socket) => socket.async_io(Interest::READABLE, receive).await,
         }
     }
 }

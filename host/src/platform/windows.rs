@@ -20,11 +20,9 @@ pub(crate) type LocalDatagram = UdpSocket;
 pub(crate) type AsyncLocalListener = tokio::net::TcpListener;
 pub(crate) type AsyncLocalDatagram = tokio::net::UdpSocket;
 
-/// There is none.
 #[derive(Debug)]
 pub(crate) enum SocketFile {}
 
-/// There is none.
 #[derive(Debug, PartialEq)]
 pub(crate) struct PassedSocket {
     pub(crate) process: Option<i32>,
@@ -32,39 +30,36 @@ pub(crate) struct PassedSocket {
 }
 
 impl PassedSocket {
-    /// Fails.
     pub(crate) fn send(&self, _: &[u8]) -> io::Result<usize> {
         Err(io::ErrorKind::Unsupported.into())
     }
 }
 
-/// Fails.
-pub(crate) fn listen_local(path: &Path) -> Result<(LocalListener, SocketFile), ServeError> {
-    let instead = "127.0.0.1:PORT for the status; the 6-DoF mouse of spacenavd needs one";
+/// The error of a Unix socket at `path`.
+fn refused<T>(path: &Path, instead: &'static str) -> Result<T, ServeError> {
     Err(ServeError::NoUnixSockets { address: Address::Unix(path.to_owned()), instead })
 }
 
-/// Fails.
+pub(crate) fn listen_local(path: &Path) -> Result<(LocalListener, SocketFile), ServeError> {
+    refused(path, "127.0.0.1:PORT for the status; the 6-DoF mouse of spacenavd needs one")
+}
+
 pub(crate) fn connect_local(_: &Path) -> io::Result<LocalStream> {
     Err(io::Error::new(io::ErrorKind::Unsupported, "Windows programs have no Unix sockets; give 127.0.0.1:PORT"))
 }
 
-/// Fails.
 pub(crate) fn bind_local(path: &Path) -> Result<(LocalDatagram, SocketFile), ServeError> {
-    Err(ServeError::NoUnixSockets { address: Address::Unix(path.to_owned()), instead: "udp:127.0.0.1:PORT" })
+    refused(path, "udp:127.0.0.1:PORT")
 }
 
-/// Fails.
 pub(crate) fn receive_local(_: &LocalDatagram, _: &mut [u8]) -> io::Result<(usize, Option<PassedSocket>)> {
     Err(io::ErrorKind::Unsupported.into())
 }
 
-/// WSAENOBUFS.
-const NO_BUFFERS: i32 = 10055;
-
 /// Whether there was no memory for a datagram at that moment.
 pub(crate) fn is_out_of_memory(error: &io::Error) -> bool {
-    error.raw_os_error() == Some(NO_BUFFERS)
+    // WSAENOBUFS.
+    error.raw_os_error() == Some(10055)
 }
 
 // Serial ports.

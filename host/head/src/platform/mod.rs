@@ -5,22 +5,24 @@
 //! need. A browser has neither files nor signals: its files fail when they are opened.
 
 #[cfg(not(any(unix, windows)))]
-#[path = "browser.rs"]
-mod system;
+mod browser;
+#[cfg(not(unix))]
+mod plain;
 #[cfg(unix)]
-#[path = "unix.rs"]
-mod system;
+mod unix;
 #[cfg(windows)]
-#[path = "windows.rs"]
-mod system;
+mod windows;
 
-pub use system::{
-    default_permissions, hold, is_gone, is_special, machine_folder, monotonic_ns, on_interrupt, open_special,
-    special_kind, standard_output, user_folder,
-};
+#[cfg(not(any(unix, windows)))]
+pub use browser::*;
+#[cfg(not(unix))]
+pub use plain::*;
+#[cfg(unix)]
+pub use unix::*;
+#[cfg(windows)]
+pub use windows::*;
 
 /// The folder that the environment variable `name` holds, if it is set and not empty.
-#[cfg_attr(not(any(unix, windows)), expect(dead_code, reason = "a browser has no folders"))]
 fn folder(name: &str) -> Option<std::path::PathBuf> {
     std::env::var_os(name).filter(|value| !value.is_empty()).map(Into::into)
 }
