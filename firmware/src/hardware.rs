@@ -87,7 +87,9 @@ pub trait System {
     fn next_edge(&mut self) -> Option<Edge>;
 
     /// Edges since reset that came too fast, at least.
-    fn missed_edges(&self) -> u32;
+    fn missed_edges(&self) -> u32 {
+        0
+    }
 
     /// Shows `indicator` and measures the board's health. Called when the indicator
     /// changes and twice a second.

@@ -1,7 +1,8 @@
 //! On its way from bytes to pose a scan touches no heap: what could grow, or stall, does not exist.
 
 use allocation_counter::AllocationInfo;
-use slitpose::datagram::{Address, DatagramServer, Mode, PoseDatagram, Request, UnixClient};
+use slitpose::datagram::{Address, DatagramServer, Mode, PoseDatagram, Request};
+use slitpose::platform::UnixClient;
 use slitpose_head::front_end::{self, Stage};
 use slitpose_head::scene_file::WIDE;
 use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};

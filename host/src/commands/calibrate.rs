@@ -12,6 +12,7 @@ use slitpose_design::report::{Folder, calibration_report};
 use super::options::{Jobs, number, open_scene};
 use super::{CommandError, Outcome, interrupt, options, talk, tip};
 use crate::live::Calibrate;
+use crate::platform::go_behind;
 use crate::terminal::{Amount, Progress};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::table::{Output, Replace};
@@ -243,7 +244,7 @@ fn summary(calibration: &Calibration, file: &SceneFile) -> Vec<String> {
 pub(super) fn from_recordings(file: Arc<SceneFile>) -> Calibrate {
     Arc::new(move |measurements, path, tell| {
         // The board that is followed goes first: this is the niceness of the thread, and of those that it begins.
-        let _ = rustix::process::nice(10);
+        go_behind();
         // As the designer wrote it: the daemon's has the most probable parts.
         let file = SceneFile::parse(&file.origin, &file.source)?;
         let mut said = Vec::new();

@@ -336,15 +336,6 @@ pub(super) fn interrupt() -> Result<Arc<AtomicBool>, CommandError> {
     slitpose_head::interrupt::flag().context("cannot listen to signals")
 }
 
-/// Lets a file that must not grow any more be an error of writing to it, as a full disk is, and not the
-/// end of the program: its other work goes on.
-pub(super) fn outlive_file_limits() -> Result<(), CommandError> {
-    // A signal that is taken notice of is not fatal.
-    signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Arc::default())
-        .map(drop)
-        .context("cannot listen to signals")
-}
-
 /// Reports the losses of a stream on standard error, if there are any. A packet under way when the
 /// end was `wanted` is not lost: it was not waited for.
 pub(super) fn tell(name: &str, counts: &Counts, wanted: bool) -> Outcome {

@@ -10,6 +10,7 @@ use super::playback::{PlayOptions, Playback, Printing};
 use super::player::{Orders, Player};
 use crate::daemon::CapturePlan;
 use crate::live::{Calibrate, Control, Input, LiveInput, Recordings, now_in_a_name};
+use crate::platform::go_behind;
 use crate::sink::Format;
 use slitpose_head::causes::with_causes;
 use slitpose_head::pace::Speed;
@@ -92,8 +93,8 @@ fn play(path: PathBuf, live: LiveInput) -> io::Result<Control> {
 fn play_all(path: &Path, orders: Orders, live: LiveInput) -> Result<(), CommandError> {
     let files = [path.to_owned()];
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    // The board that is followed goes first: this is the niceness of the thread alone.
-    let _ = rustix::process::nice(10);
+    // The board that is followed goes first.
+    go_behind();
     let Some(player) = Player::new(orders, live, name, &files, None)? else { return Ok(()) };
     let (play, poses) = (PlayOptions::default(), PoseOptions::default());
     let printing = Printing { sink: None, target: "", format: Format::None, is_terminal: false, is_silent: true };

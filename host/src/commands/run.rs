@@ -7,7 +7,6 @@ use std::sync::{Arc, Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
 use clap::ValueEnum;
-use sd_notify::NotifyState;
 use slitpose_calibration::{Basis, Head};
 use slitpose_protocol::{Pulse, Stream};
 
@@ -22,6 +21,7 @@ use crate::daemon::{Admit, BoardPlan, Daemon, Ended, Opener, Plan, SimulatedOpen
 use crate::datagram::{self, DatagramServer};
 use crate::device::{Contact, Search, Selector};
 use crate::live::{LiveBoard, LivePlan};
+use crate::platform::{self, Notice};
 use crate::sink;
 use crate::telemetry::{StatusServer, status_address};
 use crate::terminal;
@@ -245,14 +245,13 @@ pub(super) fn run(args: &mut Args) -> Result<Outcome, CommandError> {
     let daemon = Arc::new(Daemon::start(plan, Arc::clone(&stop))?);
     let daemon = followed.get_or_init(|| daemon);
     // systemd's protocol; without a service manager nothing is sent.
-    if let Err(error) = sd_notify::notify(&[NotifyState::Ready]) {
+    if let Err(error) = platform::notify(Notice::Ready) {
         talk(format_args!(
             "the service manager that NOTIFY_SOCKET names cannot be reached ({error}); start the program without it"
         ));
     }
     // A manager that does not listen at this moment will at the next.
-    let notify = |state| drop(sd_notify::notify(&[state]));
-    let alive_every = sd_notify::watchdog_enabled().map(|limit| limit / 2);
+    let alive_every = platform::watchdog().map(|limit| limit / 2);
     let (mut accounted, mut alive, mut utc) = (Instant::now(), Instant::now(), UtcWatch::default());
     while !daemon.is_over() {
         std::thread::sleep(MOMENT);
@@ -261,14 +260,14 @@ pub(super) fn run(args: &mut Args) -> Result<Outcome, CommandError> {
         }
         if alive_every.is_some_and(|every| alive.elapsed() >= every) && daemon.is_alive() {
             alive = Instant::now();
-            notify(NotifyState::Watchdog);
+            let _ = platform::notify(Notice::Alive);
         }
         if accounted.elapsed() >= ACCOUNT_EVERY {
             accounted = Instant::now();
             daemon.record_report();
         }
     }
-    notify(NotifyState::Stopping);
+    let _ = platform::notify(Notice::Stopping);
     let ended = daemon.end();
     drop((status, live, mouse));
     let reconnects = daemon.report().boards.iter().map(|board| board.link.reconnects).collect::<Vec<_>>();

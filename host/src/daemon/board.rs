@@ -19,9 +19,10 @@ use super::opener::{Admit, Opener};
 use super::outputs::{Outbox, Outputs, Pending};
 use super::reader::Reader;
 use super::solver::{Solver, State};
-use super::tap::{self, Tap, TapEnds};
+use super::tap::{Tap, TapEnds};
 use crate::background::spawn;
 use crate::datagram::DatagramServer;
+use crate::platform::claim_priority;
 use crate::terminal::say;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::frame::View;
@@ -144,14 +145,14 @@ impl BoardThreads {
         };
         let priority = shared.real_time;
         let solve = move || {
-            if let Some(remedy) = priority.and_then(|priority| tap::claim(priority).err()) {
+            if let Some(remedy) = priority.and_then(|priority| claim_priority(priority).err()) {
                 say(format_args!("{remedy}"));
             }
             Solver::run(&solver_end)
         };
         let read = move || {
             // The solving thread reports a refusal.
-            let _ = priority.map(tap::claim);
+            let _ = priority.map(claim_priority);
             reader.run()
         };
         let solver = spawn(format!("solve {number}"), solve).map_err(BoardError::Thread)?;

@@ -119,7 +119,7 @@ impl System for BoardHardware {
     }
 
     fn missed_edges(&self) -> u32 {
-        self.trigger.missed()
+        self.trigger.missed
     }
 
     fn housekeeping(&mut self, indicator: Indicator) -> Health {

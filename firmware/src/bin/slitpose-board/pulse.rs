@@ -32,7 +32,8 @@ impl FrameOutput {
     }
 
     pub fn set(&mut self, pulse: Pulse, schedule: &Schedule) -> Result<(), HardwareFault> {
-        if pulse.every != 0 && !(2..=0x1_0000).contains(&count(pulse, schedule.slots.len())) {
+        let count = usize::from(pulse.every) * schedule.slots.len();
+        if pulse.every != 0 && !(2..=0x1_0000).contains(&count) {
             return Err(HardwareFault::Timing);
         }
         self.pulse = pulse;
@@ -47,7 +48,7 @@ impl FrameOutput {
             return;
         }
         let timer = pac::TIM1;
-        let count = count(self.pulse, slots) as u32;
+        let count = u32::from(every) * slots as u32;
         timer.arr().write(|w| w.set_arr((count - 1) as u16));
         // High while the count is below the compare value: never before the count begins anew, when 1 takes effect.
         let mode = timer.ccmr_output(CHANNEL / 2);
@@ -73,9 +74,4 @@ impl FrameOutput {
         timer.cr1().modify(|w| w.set_cen(false));
         timer.ccmr_output(CHANNEL / 2).modify(|w| w.set_ocm(CHANNEL % 2, Ocm::FORCE_INACTIVE));
     }
-}
-
-/// Slots from one pulse to the next.
-fn count(pulse: Pulse, slots: usize) -> usize {
-    usize::from(pulse.every) * slots
 }

@@ -40,7 +40,8 @@ pub struct Trigger {
     is_high: bool,
     /// An edge has been read since the level was last compared with the line.
     is_unchecked: bool,
-    missed: u32,
+    /// Edges that came too fast.
+    pub missed: u32,
 }
 
 impl Trigger {
@@ -86,11 +87,6 @@ impl Trigger {
         self.is_high = !self.is_high;
         let now = clock.now();
         Some(Edge::new(now - u64::from((now as u32).wrapping_sub(count)), self.is_high))
-    }
-
-    /// Edges that came too fast.
-    pub fn missed(&self) -> u32 {
-        self.missed
     }
 
     /// After the last edge the line has its level; if not, or if a capture was overwritten, an edge was missed.

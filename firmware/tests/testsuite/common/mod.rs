@@ -169,10 +169,6 @@ impl System for Fake {
         self.edges.pop_front()
     }
 
-    fn missed_edges(&self) -> u32 {
-        0
-    }
-
     fn now_ticks(&mut self) -> u64 {
         self.now
     }

@@ -18,7 +18,6 @@ mod map;
 mod section;
 mod solver;
 mod stiff;
-#[cfg(unix)]
 mod write;
 
 use std::fs;
@@ -33,7 +32,6 @@ pub use heads::{comparison, pareto, scene_name};
 pub use map::map_report;
 pub(crate) use section::{Picture, Section, Sheet, Value, column, program, scene};
 pub use section::{Report, Table};
-#[cfg(unix)]
 pub use write::Folder;
 
 use head::Head;

@@ -277,10 +277,6 @@ impl System for SimulatedHardware {
         Some(Edge::new(tick, self.edges % 2 == 1))
     }
 
-    fn missed_edges(&self) -> u32 {
-        0
-    }
-
     fn housekeeping(&mut self, _: Indicator) -> Health {
         let warmer_k = self.light_faults.as_ref().map_or(0.0, |faults| faults.warmer_k());
         Health { temperature_k: HEALTH.temperature_k + warmer_k as f32, ..HEALTH }

@@ -79,18 +79,12 @@ impl BoardStatistics {
 
     fn take_edge(&mut self, edge: &EdgeRecord) {
         let EdgeRecord { number, device_time_s: last_device_time_s, is_high, missed, .. } = *edge;
-        let before = self.report.trigger.filter(|before| number >= before.next);
-        // A board that has started anew counts from zero; what was before the first edge is not known to be lost.
-        let dropped = before.map_or(0, |before| u64::from(number - before.next));
-        let (edges, dropped_before) = self.report.trigger.map_or((0, 0), |before| (before.edges, before.dropped));
-        self.report.trigger = Some(TriggerReport {
-            edges: edges + 1,
-            missed,
-            dropped: dropped_before + dropped,
-            last_device_time_s,
-            is_high,
-            next: number.wrapping_add(1),
-        });
+        let (edges, dropped, next) =
+            self.report.trigger.map_or((1, 0, number), |before| (before.edges + 1, before.dropped, before.next));
+        // A board that has started anew counts from zero.
+        let dropped = dropped + u64::from(number.saturating_sub(next));
+        let next = number.wrapping_add(1);
+        self.report.trigger = Some(TriggerReport { edges, missed, dropped, last_device_time_s, is_high, next });
     }
 
     fn complain(&mut self, is_error: bool, time_s: f64, text: String) {

@@ -68,7 +68,6 @@ pub struct FrameTimer {
     /// The compare value in force.
     compare: u32,
     is_high: bool,
-    /// Edges of the output: tick and level behind it.
     pub edges: Vec<(Ticks, bool)>,
 }
 
