@@ -47,7 +47,7 @@ impl UsbId {
     }
 
     /// The same by the texts of the device, or where the system has others, by a serial number of 12 bytes.
-    fn is_board_by(&self, has_texts: bool) -> bool {
+    pub(super) fn is_board_by(&self, has_texts: bool) -> bool {
         let texts = [self.manufacturer.as_deref(), self.product.as_deref()];
         let is_number = || self.serial.as_deref().is_some_and(|serial| serial.parse::<DeviceId>().is_ok());
         (self.vid, self.pid) == BOARD

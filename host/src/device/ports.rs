@@ -154,6 +154,14 @@ mod tests {
         let hello = DeviceId([0x00, 0x36, 0x00, 0x29, 0x00, 0x54, 0x48, 0x50, 0x02, 0x5a, 0x03, 0x20]);
         assert_eq!(ports[1].device(), Some(hello));
         assert_eq!(ports[0].device(), None);
+        // On Windows the texts are those of the driver.
+        let texts = ["Microsoft", "USB Serial Device (COM3)"].map(|text| Some(text.to_owned()));
+        let by_driver = |serial: &str| {
+            let [manufacturer, product] = texts.clone();
+            UsbId { vid: 0x1209, pid: 0x0001, serial: Some(serial.to_owned()), manufacturer, product }
+        };
+        assert!(by_driver(serial).is_board_by(false) && !by_driver(serial).is_board_by(true));
+        assert!(!by_driver("A1").is_board_by(false));
     }
 
     #[test]

@@ -157,9 +157,9 @@ pub(crate) fn watchdog() -> Option<Duration> {
     sd_notify::watchdog_enabled()
 }
 
-/// Lets a file that must not grow any more be an error of writing to it, as a full disk is, and not the
+/// Before anything else: lets a file that must not grow any more be an error of writing to it, as a full disk is, and not the
 /// end of the program: its other work goes on.
-pub(crate) fn outlive_file_limits() -> io::Result<()> {
+pub(crate) fn prepare() -> io::Result<()> {
     // A signal that is taken notice of is not fatal.
     signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Arc::default()).map(drop)
 }

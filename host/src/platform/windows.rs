@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
+use console::Term;
 use slitpose_head::finding::Finding;
 use thread_priority::{ThreadPriority, WinAPIThreadPriority};
 
@@ -141,8 +142,12 @@ pub(crate) fn watchdog() -> Option<Duration> {
     None
 }
 
-/// There are no such limits.
-pub(crate) fn outlive_file_limits() -> io::Result<()> {
+/// Before anything else: has consoles obey control sequences, as terminals do.
+pub(crate) fn prepare() -> io::Result<()> {
+    for console in [Term::stdout(), Term::stderr()] {
+        // Asking turns them on.
+        console.features().colors_supported();
+    }
     Ok(())
 }
 
