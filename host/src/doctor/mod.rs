@@ -12,6 +12,8 @@ use std::{fs, io};
 pub(crate) use bring_up::{BringUp, Step};
 use flate2::Compression;
 use flate2::write::GzEncoder;
+#[cfg(target_os = "linux")]
+use nix::sys::resource::{Resource, getrlimit};
 use nix::sys::statvfs::statvfs;
 use nix::unistd::geteuid;
 use serde::Serialize;
@@ -180,8 +182,7 @@ const EARLIEST_UTC_NS: u64 = 1_767_225_600_000_000_000;
 const PRIORITY: u64 = 50;
 
 fn host_checks() -> [Finding; 3] {
-    let limits = fs::read_to_string("/proc/self/limits").ok();
-    [of_date(HostInstant::now().utc_ns), of_synchronisation(synchronised().as_deref()), of_priority(limits.as_deref())]
+    [of_date(HostInstant::now().utc_ns), of_synchronisation(synchronised().as_deref()), of_priority()]
 }
 
 /// A finding with the grade and the next step of the first of `faults` that is there; without one it is as it should be.
@@ -236,26 +237,21 @@ fn of_synchronisation(said: Option<&str>) -> Finding {
     }
 }
 
-fn of_priority(limits: Option<&str>) -> Finding {
+fn of_priority() -> Finding {
     if geteuid().is_root() {
         return Finding::ok("priority", "root may use real-time priorities");
     }
-    let Some(limit) = limits.and_then(real_time_limit) else {
-        return Finding::skipped("priority", "/proc/self/limits does not say what is allowed");
+    #[cfg(target_os = "linux")]
+    let limit = getrlimit(Resource::RLIMIT_RTPRIO).ok().map(|(soft, _)| soft.min(99));
+    #[cfg(not(target_os = "linux"))]
+    let limit = None;
+    let Some(limit) = limit else {
+        return Finding::skipped("priority", "this system does not say what is allowed");
     };
     let is_low = limit < PRIORITY;
     let needed = if is_low { format!(", {PRIORITY} is needed: a busy host reads late") } else { String::new() };
     let text = format!("real-time priorities up to {limit} are allowed{needed}");
     judged("priority", text, [(is_low, Warning, "allow them as host/INSTALL.md describes, or run the service")])
-}
-
-/// The soft limit in `/proc/self/limits`; the maximum if unlimited.
-fn real_time_limit(limits: &str) -> Option<u64> {
-    let line = limits.lines().find_map(|line| line.strip_prefix("Max realtime priority"))?;
-    match line.split_whitespace().next()? {
-        "unlimited" => Some(99),
-        number => number.parse().ok(),
-    }
 }
 
 /// Boards that one host records at once.
@@ -319,17 +315,6 @@ mod tests {
     use super::*;
     use slitpose_head::finding::Grade;
     use slitpose_head::finding::Grade::{Failed, Ok, Warning};
-
-    #[test]
-    fn the_limit_is_read() {
-        let limits = "Limit                     Soft Limit           Hard Limit           Units     \n\
-                      Max nice priority         0                    0                    \n\
-                      Max realtime priority     12                   95                   \n\
-                      Max realtime timeout      unlimited            unlimited            us        \n";
-        assert_eq!(real_time_limit(limits), Some(12));
-        assert_eq!(real_time_limit(&limits.replace("12 ", "unlimited ")), Some(99));
-        assert_eq!(real_time_limit("Max nice priority 0 0"), None);
-    }
 
     #[test]
     fn a_clock_that_starts_in_1970_is_not_believed() {
