@@ -64,9 +64,9 @@ pub enum DeviceError {
     #[error("the board on {name} says that another scene or schedule is stored than was sent; try again")]
     NotStored { name: String },
     #[error("the board on {name} did not reply to {command} within {seconds} s; reset the board")]
-    NoReply { name: String, command: &'static str, seconds: f64 },
+    NoReply { name: String, command: String, seconds: f64 },
     #[error("the board on {name} refused {command}; {next_step}")]
-    Refused { name: String, command: &'static str, next_step: &'static str, source: Rejection },
+    Refused { name: String, command: String, next_step: &'static str, source: Rejection },
     #[error("the board on {name} has gone; if it was unplugged, plug it in again")]
     Gone { name: String, source: io::Error },
     #[error("no data for {seconds} s from the board on {name}; reset the board")]
