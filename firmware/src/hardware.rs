@@ -4,10 +4,10 @@
 //! |---|---|
 //! | [`Acquisition`] | emitters and converters |
 //! | [`Storage`] | memory that outlives the supply |
-//! | [`System`] | clock, indicator, sensors, reset |
+//! | [`System`] | clock, trigger input, indicator, sensors, reset |
 
 use slitpose_protocol::poses::TRIANGLE;
-use slitpose_protocol::{BootTarget, Configuration, HardwareFault, Level, PoseRecord, RawScan, Schedule};
+use slitpose_protocol::{BootTarget, Configuration, Edge, HardwareFault, Level, PoseRecord, Pulse, RawScan, Schedule};
 
 use crate::settings::Settings;
 
@@ -55,6 +55,13 @@ pub trait Acquisition {
     /// next call goes on with the scans that are left. [`ScanError::Fault`] if there will
     /// be no more scans.
     fn next_scan(&mut self, scan: &mut RawScan) -> Result<bool, ScanError>;
+
+    /// Makes these pulses from the next [`acquire`](Self::acquire) on, which is by `schedule`. A simulator may have no
+    /// output.
+    ///
+    /// # Errors
+    /// If the hardware cannot make them; it then makes those that it made before.
+    fn set_pulse(&mut self, pulse: Pulse, schedule: &Schedule) -> Result<(), HardwareFault>;
 }
 
 /// Memory that keeps settings beyond the loss of supply.
@@ -75,6 +82,14 @@ pub trait System {
     /// Device ticks since reset, at the tick rate of the configuration that the board was
     /// made with. Never goes backwards.
     fn now_ticks(&mut self) -> u64;
+
+    /// The oldest edge of the trigger input since reset that has not been handed out.
+    fn next_edge(&mut self) -> Option<Edge>;
+
+    /// Edges since reset that came too fast, at least.
+    fn missed_edges(&self) -> u32 {
+        0
+    }
 
     /// Shows `indicator` and measures the board's health. Called when the indicator
     /// changes and twice a second.

@@ -103,6 +103,7 @@ extern crate std;
 pub use board::{Board, HOST_GONE_MS, Identity, Link, STATUS_MS, TRANSMIT_BYTES, TransmitBuffer};
 pub use collector::{BATCH_SCANS, BATCH_SPAN_MS};
 pub use hardware::{Acquisition, Hardware, Health, Indicator, ScanError, SolvedPose, Storage, StorageError, System};
+pub use pose::Poser;
 
 /// Number of [`slitpose_protocol::Command::Head`] on the wire.
 const HEAD_KIND: u32 = 9;

@@ -9,7 +9,7 @@
 //! tagged with the number of scan packets that came before it. Therefore every batch of a
 //! recording can be read by the last Hello before it.
 
-use slitpose_protocol::{Batch, DELIMITER, MAX_MESSAGE_BYTES, Message, encode};
+use slitpose_protocol::{Batch, DELIMITER, Edges, MAX_MESSAGE_BYTES, Message, encode};
 
 use crate::queue::{HEADER_BYTES, PacketQueue};
 
@@ -22,6 +22,9 @@ const _: () = assert!(ANSWER_BYTES >= MAX_ENTRY);
 /// Tag of a packet of poses.
 const POSES: u32 = 0;
 
+/// Tag of a packet of edges.
+const EDGES: u32 = u32::MAX;
+
 /// Packets that wait while the board is late with its poses: solving leaves the link little time, some 1.5 ms pass for each,
 /// and newer poses are worth more.
 #[cfg(feature = "pose")]
@@ -29,7 +32,7 @@ const LATE_PACKETS: u32 = 8;
 
 #[derive(Debug)]
 pub(crate) struct Outbox<M> {
-    /// Tag: scans in the packet, or [`POSES`].
+    /// Tag: scans in the packet, [`POSES`] or [`EDGES`].
     batches: PacketQueue<M>,
     /// Tag: `arrived` when the packet was queued.
     answers: PacketQueue<[u8; ANSWER_BYTES]>,
@@ -95,6 +98,12 @@ impl<M: AsRef<[u8]> + AsMut<[u8]>> Outbox<M> {
         self.push(&Message::Poses(poses), POSES);
     }
 
+    /// Queues edges, as batches are: they may be as many.
+    pub fn push_edges(&mut self, edges: Edges) {
+        self.push(&Message::Edges(edges), EDGES);
+    }
+
+    #[inline(always)]
     fn push(&mut self, message: &Message<'_>, tag: u32) {
         if !self.open {
             return self.count_dropped(tag);
@@ -184,9 +193,9 @@ impl<M: AsRef<[u8]> + AsMut<[u8]>> Outbox<M> {
         self.dropped.answers = self.dropped.answers.saturating_add(1);
     }
 
-    /// Poses are not counted: their scans are in batches, or the gap in their numbers shows.
+    /// Poses and edges are not counted: the gap in their numbers shows, or the scans of poses are in batches.
     fn count_dropped(&mut self, scans: u32) {
-        if scans == POSES {
+        if matches!(scans, POSES | EDGES) {
             return;
         }
         self.dropped.scans = self.dropped.scans.saturating_add(scans.into());

@@ -1,11 +1,9 @@
 //! Where servers listen, why they do not, and their sockets in the file system.
 
 use std::fmt;
-use std::fs::{self, Permissions};
 use std::io::{self, ErrorKind};
 use std::net::{Ipv4Addr, SocketAddr};
-use std::os::unix::fs::{FileTypeExt, MetadataExt, PermissionsExt};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use thiserror::Error;
 
@@ -59,6 +57,8 @@ pub(crate) fn tcp_address(text: &str) -> Option<SocketAddr> {
 pub enum ServeError {
     #[error("another program serves {address}; give another address, or end that program")]
     InUse { address: Address },
+    #[error("{address} is a Unix socket, and this program has none on this system; give {instead}")]
+    NoUnixSockets { address: Address, instead: &'static str },
     #[error("{} is no socket and is left alone; give another path", path.display())]
     NotASocket { path: PathBuf },
     #[error("{address} can be reached from other hosts, and {reason}")]
@@ -74,59 +74,4 @@ impl ServeError {
         let address = address.clone();
         if source.kind() == ErrorKind::AddrInUse { Self::InUse { address } } else { Self::Listen { address, source } }
     }
-}
-
-/// A bound socket; its file is removed when this is dropped, unless it has been replaced.
-#[derive(Debug)]
-pub(crate) struct SocketFile {
-    path: PathBuf,
-    file: [u64; 2],
-}
-
-impl SocketFile {
-    /// Binds a socket at `path` by `bind`, for the user and the group of this program; one that a killed program has left
-    /// behind is replaced. `connect` finds out whether anybody serves it.
-    pub(crate) fn bind<T>(
-        path: &Path,
-        connect: impl FnOnce(&Path) -> io::Result<()>,
-        bind: impl FnOnce(&Path) -> io::Result<T>,
-    ) -> Result<(T, Self), ServeError> {
-        let address = || Address::Unix(path.to_owned());
-        let failed = |source| ServeError::of(&address(), source);
-        match fs::symlink_metadata(path) {
-            Err(error) if error.kind() == ErrorKind::NotFound => {}
-            Err(source) => return Err(failed(source)),
-            Ok(found) if !found.file_type().is_socket() => {
-                return Err(ServeError::NotASocket { path: path.to_owned() });
-            }
-            Ok(_) => match connect(path) {
-                Err(error) if error.kind() == ErrorKind::ConnectionRefused => fs::remove_file(path).map_err(failed)?,
-                // A socket of another kind is in use, too.
-                _ => return Err(ServeError::InUse { address: address() }),
-            },
-        }
-        let socket = bind(path).map_err(failed)?;
-        fs::set_permissions(path, Permissions::from_mode(SOCKET_MODE)).map_err(failed)?;
-        let file = identity(path).map_err(failed)?;
-        Ok((socket, Self { path: path.to_owned(), file }))
-    }
-}
-
-impl Drop for SocketFile {
-    fn drop(&mut self) {
-        if identity(&self.path).is_ok_and(|found| found == self.file) {
-            let _ = fs::remove_file(&self.path);
-        }
-    }
-}
-
-/// Mode of Unix sockets: owner and group may connect, other users may not.
-const SOCKET_MODE: u32 = 0o660;
-
-pub(crate) fn connects_stream(path: &Path) -> io::Result<()> {
-    std::os::unix::net::UnixStream::connect(path).map(drop)
-}
-
-fn identity(path: &Path) -> io::Result<[u64; 2]> {
-    fs::symlink_metadata(path).map(|found| [found.dev(), found.ino()])
 }

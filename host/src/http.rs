@@ -16,13 +16,14 @@ use hyper::server::conn::http1;
 use hyper_util::rt::TokioIo;
 use hyper_util::service::TowerToHyperService;
 use tokio::io::{AsyncRead, AsyncWrite};
-use tokio::net::{TcpListener, UnixListener};
+use tokio::net::TcpListener;
 use tokio::runtime::Builder;
 use tokio::sync::{Notify, oneshot};
 use tokio::time::{Instant, sleep, sleep_until};
 
-use crate::address::{Address, ServeError, SocketFile, connects_stream};
+use crate::address::{Address, ServeError};
 use crate::background::Background;
+use crate::platform::{AsyncLocalListener, SocketFile, listen_local};
 
 /// The hosts that may connect over TCP.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -53,7 +54,9 @@ impl Serving {
         let failed = |source| ServeError::of(address, source);
         let listen = || match address {
             Address::Unix(path) => {
-                let (listener, file) = SocketFile::bind(path, connects_stream, |path| UnixListener::bind(path))?;
+                let (listener, file) = listen_local(path)?;
+                listener.set_nonblocking(true).map_err(failed)?;
+                let listener = AsyncLocalListener::from_std(listener).map_err(failed)?;
                 Ok((Socket::Unix(listener), address.clone(), Some(file)))
             }
             Address::Tcp(tcp) | Address::Udp(tcp) => {
@@ -135,7 +138,7 @@ const PAUSE: Duration = Duration::from_millis(100);
 
 enum Socket {
     Tcp(TcpListener),
-    Unix(UnixListener),
+    Unix(AsyncLocalListener),
 }
 
 /// A connection that lasts no longer than its lifetime, or until another one needs its place, unless it is released.

@@ -7,17 +7,17 @@
 //! * [`device`] finds boards, and exchanges bytes and commands with them;
 //! * [`datagram`] sends the newest pose to control loops;
 //! * [`telemetry`] counts, and reports the state of daemon, boards and heads;
+//! * [`platform`] has what differs between operating systems;
 //! * [`inputs`] reads what strangers can send, for fuzzing.
 //!
 //! Behind the commands: `terminal` draws for the user, `comparison` compares poses with a reference, `sink` writes poses,
-//! `daemon` follows boards live, `live` shows them on a page, `bridges` to ROS 2 and as a mouse, `http` guards
+//! `daemon` follows boards live, `live` shows them on a page, `spacenav` as a mouse, `http` guards
 //! the servers, `doctor` examines boards, heads and hosts.
 
 #![forbid(unsafe_code)]
 
 mod address;
 mod background;
-mod bridges;
 pub mod commands;
 mod comparison;
 mod daemon;
@@ -30,7 +30,10 @@ mod http;
 #[doc(hidden)]
 pub mod inputs;
 mod live;
+#[doc(hidden)]
+pub mod platform;
 mod sink;
+mod spacenav;
 #[doc(hidden)]
 pub mod telemetry;
 mod terminal;

@@ -208,8 +208,7 @@ impl<R: Real> Transform<R> {
         self.translation
     }
 
-    /// The rotation as n·sin θ, n its axis and θ its angle, and the derivatives of `coefficients`·n·sin θ by a small rotation
-    /// in the base frame.
+    /// `coefficients`·n·sin θ of the rotation by an angle θ about n, and its derivatives by a small rotation in the base frame.
     #[inline(always)]
     pub fn turn(&self, coefficients: &[R; 3]) -> (R, R::Vec3) {
         let ([x, y, z, w], [a, b, c]) = (self.rotation, *coefficients);
@@ -318,5 +317,19 @@ mod tests {
         let (dt, dr) = (DVec3::new(-2e-3, 0.0, 1e-4), DVec3::new(0.3, 0.2, -0.1));
         let (t, r) = a.perturbed(dt, dr).displacement_from(&a);
         assert!((t - dt).length() < 1e-17 && (r - dr).length() < 1e-15);
+    }
+
+    #[test]
+    fn light_turns_with_the_sine_about_the_axis() {
+        let (axis, angle, coefficients) = (DVec3::new(0.36, -0.48, 0.8), 0.7_f64, [0.3, -0.2, 0.5]);
+        let turn = |pose: &Pose| Transform::<f64>::of(pose).turn(&coefficients);
+        let pose = Pose::from_vectors(DVec3::ZERO, axis * angle);
+        let (value, by) = turn(&pose);
+        assert!((value - DVec3::from_array(coefficients).dot(axis) * angle.sin()).abs() < 1e-15);
+        for (k, along) in DVec3::AXES.into_iter().enumerate() {
+            let at = |step: f64| turn(&pose.perturbed(DVec3::ZERO, along * step)).0;
+            // Central difference: the third derivative by h²/6, below 1e-10.
+            assert!(((at(1e-5) - at(-1e-5)) / 2e-5 - by[k]).abs() < 1e-9, "{along}");
+        }
     }
 }

@@ -60,6 +60,22 @@ pub enum Command {
     /// At most so many scans, or poses, in a packet from now on; 1 sends each at once. After a reset and after each Stop: as
     /// many as suit the rate of frames.
     Packet { scans: u8 },
+    /// Make these pulses while acquiring, from the next Start on until the next Stop or Configure.
+    Pulse(Pulse),
+}
+
+/// Pulses of a board's frame output, by which other instruments follow its frames.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Pulse {
+    /// A pulse at each frame whose sequence number is a multiple of this; 0 makes none.
+    pub every: u16,
+    /// It rises with the first sample of this slot, and falls with that of the next.
+    pub slot: u8,
+}
+
+impl Pulse {
+    /// No pulses: so a board starts.
+    pub const NONE: Self = Self { every: 0, slot: 0 };
 }
 
 /// Bytes of a head in one command.

@@ -41,6 +41,8 @@ const RUN_BYTES: usize = 254;
 ///
 /// # Errors
 /// If `out` is too small; its contents are then undefined.
+// Of a message whose kind is known where it is encoded, only that kind's part is left.
+#[inline(always)]
 pub fn encode<'o, 'p>(value: &impl Packet<'p>, out: &'o mut [u8]) -> Result<&'o [u8], EncodeError> {
     let available = out.len();
     let too_small = EncodeError { available };
@@ -52,6 +54,7 @@ pub fn encode<'o, 'p>(value: &impl Packet<'p>, out: &'o mut [u8]) -> Result<&'o 
 }
 
 /// Makes a packet of the payload of `length` bytes at `start`.
+#[inline(never)]
 fn close(out: &mut [u8], start: usize, length: usize) -> Option<&[u8]> {
     let end = start + length;
     let checksum = CRC.checksum(&out[start..end]).to_le_bytes();

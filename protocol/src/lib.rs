@@ -91,6 +91,9 @@
 //! `?[f32; 21]` covariance of the last pose · `bytes` records, of 40 bytes each ([`poses`]). Sent by
 //! boards that hold a head, if they are asked for.
 //!
+//! **8 Edges**: `u32` number of the first · `u32` missed since reset · `list u64` edges (8 at most), each twice the
+//! tick, plus one if the line has risen ([`Edges`]).
+//!
 //! # Host to board
 //! A payload is `u16` number of the command, chosen by the host, then one enum:
 //! **0 Hello** · **1 Start** · **2 Stop** · **3 Configure**: schedule, `list u16` levels,
@@ -99,7 +102,8 @@
 //! **8 Reboot**: enum target (0 firmware, 1 boot loader) · **9 Head**: `u16` offset, `u16` bytes of
 //! the whole, `list u8` bytes (128 at most) · **10 Stream**: `u16` of how
 //! many scans the first 32 are sent, `u8` of how many poses one is sent, none if zero · **11 FullScale**: `u32`
-//! picoamperes at the end of the converters' range, not zero · **12 Packet**: `u8` scans or poses in a packet at most.
+//! picoamperes at the end of the converters' range, not zero · **12 Packet**: `u8` scans or poses in a packet at most ·
+//! **13 Pulse**: `u16` frames from one pulse to the next, none if zero, `u8` slot.
 //!
 //! Every command with a readable number gets one Reply, after all other messages it
 //! causes; a command of unknown kind gets rejection 0 (unsupported).
@@ -136,6 +140,7 @@
 //! Truth:sequence u64,translation_m [f64;3],rotation_xyzw [f64;4]
 //! Poses:configuration u16,sequence u64,tick u64,every u8,missed u32,head u32,
 //!     covariance ?[f32;21],records bytes
+//! Edges:number u32,missed u32,edges [u64;..8]
 //! Hello:
 //! Start:
 //! Stop:
@@ -150,6 +155,7 @@
 //! Stream:scans u16,poses u8
 //! FullScale:full_scale_pa u32
 //! Packet:scans u8
+//! Pulse:every u16,slot u8
 //! ```
 //!
 //! # Example
@@ -222,15 +228,16 @@ use serde::{Deserialize, Serialize};
 
 pub use batch::{Batch, BatchBuilder, BatchError, MAX_SCAN_BYTES};
 pub use command::{
-    BootTarget, Command, Configuration, Exposure, HEAD_PART_BYTES, Hashes, HeadPart, Request, SAMPLE_SCANS, Stream,
+    BootTarget, Command, Configuration, Exposure, HEAD_PART_BYTES, Hashes, HeadPart, Pulse, Request, SAMPLE_SCANS,
+    Stream,
 };
 pub use decoder::{Decoder, DecoderCounters};
 pub use frame::{
     DELIMITER, EncodeError, FrameError, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Packet, PayloadError, encode,
 };
 pub use message::{
-    BoardKind, ClockSource, Event, HardwareFault, Hello, Message, Pong, Rejection, Reply, ResetCause, SettingsSource,
-    Severity, Status, Truth,
+    BoardKind, ClockSource, Edge, Edges, Event, HardwareFault, Hello, MAX_EDGES, Message, Pong, Rejection, Reply,
+    ResetCause, SettingsSource, Severity, Status, Truth,
 };
 pub use poses::{PoseRecord, PoseStatus, Poses, PosesBuilder};
 pub use scan::{AdcScaling, Level, Levels, RawScan, ScalingError, WordPair};

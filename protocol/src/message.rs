@@ -5,6 +5,7 @@
 
 use core::fmt;
 
+use heapless::Vec;
 use postcard::take_from_bytes;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -41,6 +42,8 @@ pub enum Message<'a> {
     /// Poses that the board has solved.
     #[serde(borrow)]
     Poses(Poses<'a>),
+    /// Edges of the trigger input.
+    Edges(Edges),
 }
 
 impl<'p> Packet<'p> for Message<'p> {
@@ -264,6 +267,42 @@ pub struct Pong {
     pub token: u32,
     /// Device tick at which the ping was read.
     pub tick: u64,
+}
+
+/// Most edges in a message.
+pub const MAX_EDGES: usize = 8;
+
+/// Consecutive edges of a board's trigger input.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Edges {
+    /// Number of the first one: the board numbers all edges since its reset from 0. A gap shows edges that were dropped
+    /// because the link was too slow or not open.
+    pub number: u32,
+    /// Edges since reset that came too fast for the board, at least; these have no numbers.
+    pub missed: u32,
+    /// The edges, the oldest first.
+    pub edges: Vec<Edge, MAX_EDGES>,
+}
+
+/// An edge of the trigger input: its device tick, doubled, plus one if the line has risen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Edge(u64);
+
+impl Edge {
+    /// An edge at a device tick, after which the line is high or low.
+    pub fn new(tick: u64, is_high: bool) -> Self {
+        Self(tick << 1 | u64::from(is_high))
+    }
+
+    /// Device tick of the edge.
+    pub fn tick(self) -> u64 {
+        self.0 >> 1
+    }
+
+    /// Whether the line has risen.
+    pub fn is_high(self) -> bool {
+        self.0 & 1 != 0
+    }
 }
 
 /// The true pose at the reference instant of a scan. Sent by simulated boards only.

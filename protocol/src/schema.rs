@@ -43,7 +43,7 @@ macro_rules! hardware_fault {
 pub(crate) const HELLO_KIND: u32 = 0;
 
 /// Kinds of [`Message`](crate::Message); the index is the number on the wire.
-pub const MESSAGES: [Schema; 8] = [
+pub const MESSAGES: [Schema; 9] = [
     Schema::new(
         "Hello",
         concat!(
@@ -82,10 +82,11 @@ pub const MESSAGES: [Schema; 8] = [
         "Poses",
         "configuration u16,sequence u64,tick u64,every u8,missed u32,head u32,covariance ?[f32;21],records bytes",
     ),
+    Schema::new("Edges", "number u32,missed u32,edges [u64;..8]"),
 ];
 
 /// Kinds of [`Command`](crate::Command); the index is the number on the wire.
-pub const COMMANDS: [Schema; 13] = [
+pub const COMMANDS: [Schema; 14] = [
     Schema::new("Hello", ""),
     Schema::new("Start", ""),
     Schema::new("Stop", ""),
@@ -99,6 +100,7 @@ pub const COMMANDS: [Schema; 13] = [
     Schema::new("Stream", "scans u16,poses u8"),
     Schema::new("FullScale", "full_scale_pa u32"),
     Schema::new("Packet", "scans u8"),
+    Schema::new("Pulse", "every u16,slot u8"),
 ];
 
 const KEY_BYTES: usize = size_of::<u64>();

@@ -6,7 +6,7 @@ import struct
 import zlib
 
 PAGE = os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "..", "protocol", "src", "lib.rs")
-MESSAGES = 8
+MESSAGES = 9
 
 
 def schemas():

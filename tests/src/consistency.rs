@@ -95,31 +95,3 @@ impl Sorted {
 pub fn median(values: impl IntoIterator<Item = f64>) -> f64 {
     Sorted::of(values).median()
 }
-
-#[cfg(test)]
-mod tests {
-    use glam::{DQuat, DVec3};
-
-    use super::*;
-
-    #[test]
-    fn error_is_measured_in_the_base_frame() {
-        let truth = Pose { rotation: DQuat::from_rotation_x(1.0), translation_m: DVec3::X };
-        // exp(δθ)·R: turned about the base frame's y after R.
-        let estimate = Pose {
-            rotation: -(DQuat::from_rotation_y(1e-3) * truth.rotation),
-            translation_m: DVec3::new(1.0, 2e-3, 0.0),
-        };
-        let error = error(&estimate, &truth);
-        let expected = [0.0, 2e-3, 0.0, 0.0, 1e-3, 0.0];
-        assert!(error.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-15), "{error:?}");
-    }
-
-    #[test]
-    fn quantiles_are_members_by_nearest_rank() {
-        let times = Sorted::of((1..=1000).rev().map(f64::from));
-        for (share, expected) in [(0.0, 1.0), (0.5, 500.0), (0.99, 990.0), (0.999, 999.0), (1.0, 1000.0)] {
-            assert_eq!(times.at(share), expected, "{share}");
-        }
-    }
-}

@@ -15,7 +15,8 @@ use std::time::{Duration, Instant};
 
 use nix::sys::signal::Signal;
 use serde_json::Value;
-use slitpose::datagram::{Mode, Request, UnixClient};
+use slitpose::datagram::{Mode, Request};
+use slitpose::platform::UnixClient;
 use tempfile::TempDir;
 use tungstenite::Message;
 

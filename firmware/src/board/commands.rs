@@ -15,25 +15,29 @@
 //! | Stream | in force until the next Stop | the same; what is under way goes out |
 //! | FullScale | as a Configure that changes nothing else; no head is in force | the same |
 //! | Packet | in force until the next Stop | the same; what is under way goes out |
+//! | Pulse | in force from the next Start until the next Stop or Configure | the same |
 //!
 //! A Configure changes nothing in either state if its schedule contradicts itself or is in
 //! other ticks than the board's, if its number of levels is wrong, or if the hardware
 //! cannot run it.
 
+use core::borrow::BorrowMut;
+
 use heapless::Vec;
 use slitpose_protocol::{
-    Command, Configuration, FrameError, Hashes, HeadPart, Message, PayloadError, Pong, Rejection, Reply, Request,
-    SettingsSource,
+    Command, Configuration, FrameError, HardwareFault, Hashes, HeadPart, Message, PayloadError, Pong, Pulse, Rejection,
+    Reply, Request, SettingsSource,
 };
 
 use super::{Board, Emitters, Reboot, Storing};
 use crate::hardware::{Hardware, StorageError};
+use crate::pose::Poser;
 use crate::settings::Settings;
 
 /// A reboot waits this long for its reply to be taken, and for settings to be stored.
 const REBOOT_MS: u64 = 200;
 
-impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
+impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>, P: BorrowMut<Poser>> Board<H, M, P> {
     /// Takes bytes from the host, cut anywhere, and carries out the commands that are
     /// complete. Gives the number of commands, carried out or not. Every command is a sign
     /// of life, also while the link counts as closed.
@@ -96,8 +100,8 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
             }
             Command::Head(part) => {
                 // Poses of the head before say that they are its.
-                self.poser.flush(&mut self.outbox);
-                if self.poser.take_part(&part, &self.configuration.schedule)? {
+                self.poser.borrow_mut().flush(&mut self.outbox);
+                if self.poser.borrow_mut().take_part(&part, &self.configuration.schedule)? {
                     self.warn_of_head();
                 }
             }
@@ -105,6 +109,13 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
             Command::Packet { scans } => {
                 self.flush();
                 self.collector.set_most(scans);
+            }
+            Command::Pulse(pulse) => {
+                let schedule = &self.configuration.schedule;
+                if usize::from(pulse.slot) >= schedule.slots.len() {
+                    return Err(Rejection::Unsuited(HardwareFault::Timing));
+                }
+                self.hardware.set_pulse(pulse, schedule).map_err(Rejection::Unsuited)?;
             }
             Command::FullScale { full_scale_pa } => {
                 let before = self.identity.full_scale_pa.replace(full_scale_pa);
@@ -114,7 +125,7 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
                 }
                 // A board that solves no poses has none to forget.
                 let none = HeadPart { offset: 0, total: 0, bytes: Vec::new() };
-                let _ = self.poser.take_part(&none, &self.configuration.schedule);
+                let _ = self.poser.borrow_mut().take_part(&none, &self.configuration.schedule);
             }
         }
         Ok(Done::Now)
@@ -130,7 +141,7 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
             head: None,
             full_scale_pa: self.identity.full_scale_pa,
         });
-        self.hardware.store(settings.as_ref(), self.poser.bytes()?);
+        self.hardware.store(settings.as_ref(), self.poser.borrow().bytes()?);
         self.storing = Some(Storing { number: Some(number), hashes });
         Ok(Done::Later)
     }
@@ -178,6 +189,7 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
             // ends in a fault, the board is idle and the new one is taken as by an idle board.
             self.collect();
         }
+        let _ = self.hardware.set_pulse(Pulse::NONE, &new.schedule);
         if self.acquiring
             && let Err(fault) = self.hardware.acquire(Some(&new))
         {
@@ -189,7 +201,7 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
         self.configuration = new;
         self.configuration_number = self.configuration_number.wrapping_add(1);
         self.collector.configure(self.configuration_number, &self.configuration.schedule);
-        self.poser.configure(self.configuration_number, &self.configuration.schedule);
+        self.poser.borrow_mut().configure(self.configuration_number, &self.configuration.schedule);
         self.warn_of_head();
         let now = self.hardware.now_ticks();
         self.exposure.begin(now, &self.configuration.schedule);

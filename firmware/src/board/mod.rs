@@ -8,6 +8,7 @@ mod polling;
 
 pub(crate) use commands::check;
 
+use core::borrow::BorrowMut;
 use core::fmt::{self, Write};
 use core::num::NonZeroU32;
 
@@ -15,8 +16,8 @@ use heapless::String;
 use slitpose_protocol::schema::SchemaKeys;
 use slitpose_protocol::{
     AdcScaling, BoardKind, BootTarget, ClockSource, Configuration, Decoder, Event, Exposure, HardwareFault, Hashes,
-    Hello, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, PROTOCOL, Rejection, ResetCause, SettingsSource, Severity,
-    Stream,
+    Hello, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, PROTOCOL, Pulse, Rejection, ResetCause, SettingsSource,
+    Severity, Stream,
 };
 
 use crate::collector::Collector;
@@ -88,20 +89,21 @@ enum Emitters {
     Unconfirmed,
 }
 
-/// A board over its hardware. Its memory `M` holds packets that the link has not taken yet.
+/// A board over its hardware. Its memory `M` holds packets that the link has not taken yet; `P` is what solves poses, or where
+/// it lies.
 ///
 /// The owner calls [`poll`](Self::poll) at least once a millisecond,
 /// [`receive`](Self::receive) when bytes come in, and [`transmit`](Self::transmit) when
 /// the link can take more. No call waits.
 #[derive(Debug)]
-pub struct Board<H, M> {
+pub struct Board<H, M, P = Poser> {
     hardware: H,
     identity: Identity,
     configuration: Configuration,
     configuration_number: u16,
     collector: Collector,
     outbox: Outbox<M>,
-    poser: Poser,
+    poser: P,
     decoder: Decoder<MAX_REQUEST_BYTES>,
     acquiring: bool,
     emitters: Emitters,
@@ -118,6 +120,8 @@ pub struct Board<H, M> {
     identify_until: u64,
     commands_damaged: u32,
     commands_rejected: u32,
+    /// Number of the next edge of the trigger input.
+    next_edge: u32,
     /// At work while the configuration asks for it.
     exposure: AutomaticExposure,
     storing: Option<Storing>,
@@ -144,20 +148,31 @@ struct Reboot {
 }
 
 // The memory comes on top.
-const _: () = assert!(size_of::<Board<(), &mut [u8]>>() <= if cfg!(feature = "pose") { 19 } else { 6 } * 1024);
+const _: () = assert!(size_of::<Board<(), &mut [u8], &mut Poser>>() <= 6 * 1024);
 
 impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
+    /// An idle board that holds all it needs: see [`with_poser`](Self::with_poser).
+    ///
+    /// # Errors
+    /// If no board could run the configuration.
+    pub fn new(hardware: H, identity: Identity, configuration: Configuration, memory: M) -> Result<Self, Rejection> {
+        Self::with_poser(hardware, identity, configuration, memory, Poser::default())
+    }
+}
+
+impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>, P: BorrowMut<Poser>> Board<H, M, P> {
     /// An idle board with its link closed. `configuration` is in force until the host
     /// sends another, and fixes the tick rate for good. `memory` is the queue of scans:
     /// when it is full, the oldest scans go.
     ///
     /// # Errors
     /// If no board could run the configuration.
-    pub fn new(
+    pub fn with_poser(
         mut hardware: H,
         identity: Identity,
         configuration: Configuration,
         memory: M,
+        poser: P,
     ) -> Result<Self, Rejection> {
         check(&configuration, configuration.schedule.tick_hz)?;
         let now = hardware.now_ticks();
@@ -169,7 +184,7 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
             configuration,
             configuration_number: 0,
             outbox: Outbox::new(memory),
-            poser: Poser::new(),
+            poser,
             decoder: Decoder::new(),
             acquiring: false,
             // The first poll makes sure.
@@ -185,6 +200,7 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
             identify_until: now,
             commands_damaged: 0,
             commands_rejected: 0,
+            next_edge: 0,
             exposure: AutomaticExposure::new(identity.scaling),
             storing: None,
             reboot: None,
@@ -195,18 +211,19 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
     /// Puts the head in `bytes`, which the board has kept, in force.
     #[cfg(feature = "pose")]
     pub fn restore_head(&mut self, bytes: &[u8]) {
-        self.lost_head = self.poser.restore(bytes, &self.configuration.schedule).err().map(|error| match error {
-            HeadError::Version { .. } => "no poses: the head that was stored is of another version; store it anew",
-            HeadError::Damaged | HeadError::TooLong => {
-                "no poses: the head that was stored cannot be read; store it anew"
-            }
-        });
+        self.lost_head =
+            self.poser.borrow_mut().restore(bytes, &self.configuration.schedule).err().map(|error| match error {
+                HeadError::Version { .. } => "no poses: the head that was stored is of another version; store it anew",
+                HeadError::Damaged | HeadError::TooLong => {
+                    "no poses: the head that was stored cannot be read; store it anew"
+                }
+            });
     }
 
     /// Scans until there is something to do: until a batch is full, or, on a board that solves poses, one; none if
     /// there is something now.
     pub fn scans_to_poll(&self) -> usize {
-        match (self.poser.is_behind(), self.poser.is_at_work()) {
+        match (self.poser.borrow().is_behind(), self.poser.borrow().is_at_work()) {
             (true, _) => 0,
             (false, true) => 1,
             (false, false) => self.collector.scans_to_batch(),
@@ -234,7 +251,9 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
             Exposure::Fixed => None,
             Exposure::Automatic => Some(&mut self.exposure),
         };
-        if let Err(fault) = self.collector.collect(&mut self.hardware, &mut self.outbox, &mut self.poser, exposure) {
+        if let Err(fault) =
+            self.collector.collect(&mut self.hardware, &mut self.outbox, self.poser.borrow_mut(), exposure)
+        {
             self.fail(fault);
         }
     }
@@ -243,7 +262,7 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
     fn set_stream(&mut self, stream: Stream) {
         self.flush();
         self.collector.set_stream(stream);
-        self.poser.set_stream(stream);
+        self.poser.borrow_mut().set_stream(stream);
     }
 
     /// Ends acquisition in good order. The next host may not know of poses.
@@ -259,18 +278,19 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
         while was_acquiring && self.solve_next() {}
         self.set_stream(Stream::SCANS);
         self.collector.set_most(u8::MAX);
+        let _ = self.hardware.set_pulse(Pulse::NONE, &self.configuration.schedule);
         outcome
     }
 
     /// Solves a scan that waits; `false` if none does.
     fn solve_next(&mut self) -> bool {
-        self.poser.work(&mut self.hardware, &mut self.outbox, self.collector.batch_scans())
+        self.poser.borrow_mut().work(&mut self.hardware, &mut self.outbox, self.collector.batch_scans())
     }
 
     /// Sends what is under way, full or not.
     fn flush(&mut self) {
         self.collector.flush(&mut self.outbox);
-        self.poser.flush(&mut self.outbox);
+        self.poser.borrow_mut().flush(&mut self.outbox);
     }
 
     /// Ends acquisition because of a hardware fault, and sends an event.
@@ -330,8 +350,8 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
 
     /// Queues a warning if the head on the board is for another schedule, or was lost.
     fn warn_of_head(&mut self) {
-        let text = match self.lost_head.filter(|_| !self.poser.is_at_work()) {
-            _ if self.poser.is_unfit() => "no poses: the head was compiled for another schedule; send it anew",
+        let text = match self.lost_head.filter(|_| !self.poser.borrow().is_at_work()) {
+            _ if self.poser.borrow().is_unfit() => "no poses: the head was compiled for another schedule; send it anew",
             Some(text) => text,
             None => return,
         };

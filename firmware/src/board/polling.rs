@@ -1,9 +1,13 @@
 //! Polls and bytes to send: what a board does and says without being asked.
 
-use slitpose_protocol::{Exposure, Level, Message, Schedule, Severity, Status, encode};
+use core::borrow::BorrowMut;
+
+use heapless::Vec;
+use slitpose_protocol::{Edge, Edges, Exposure, Level, MAX_EDGES, Message, Schedule, Severity, Status, encode};
 
 use super::{Board, Emitters, HOST_GONE_MS, Link, STATUS_MS, TRANSMIT_BYTES, TransmitBuffer};
 use crate::hardware::{Hardware, Indicator};
+use crate::pose::Poser;
 
 /// Milliseconds after which bytes handed to the link have surely been sent, if the host
 /// takes them: a UART of 3 Mbaud takes 3.4 ms for a kilobyte.
@@ -13,7 +17,10 @@ const SENDING_MS: u64 = 10;
 /// of checksum, 2 of framing, and 10 in hand.
 const STATUS_BYTES: usize = 96;
 
-impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
+/// Most messages of edges at a poll: 30 000 edges a second at the least.
+const EDGE_MESSAGES: usize = 4;
+
+impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>, P: BorrowMut<Poser>> Board<H, M, P> {
     /// Does what is due: follows the link, collects finished scans, makes a status.
     pub fn poll(&mut self, link: Link) {
         let now = self.hardware.now_ticks();
@@ -21,7 +28,7 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
         if self.acquiring {
             // A scan is solved at the poll after the one that has collected it: in between the link has its turn.
             let has_solved = self.solve_next();
-            if !has_solved || self.poser.is_behind() {
+            if !has_solved || self.poser.borrow().is_behind() {
                 self.collect();
             }
             self.expose();
@@ -29,6 +36,7 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
             // A failure is tried again at the next poll.
             let _ = self.darken();
         }
+        self.pass_edges();
         self.answer_storing();
         self.report(now);
         self.reboot_if_due(now);
@@ -46,6 +54,23 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
             self.status_due = false;
         }
         &buffer[..filled]
+    }
+
+    /// Queues new edges of the trigger input; those of a poll are at most so many.
+    fn pass_edges(&mut self) {
+        for _ in 0..EDGE_MESSAGES {
+            let Some(first) = self.hardware.next_edge() else { return };
+            self.pass_on(first);
+        }
+    }
+
+    /// Queues an edge and those behind it.
+    fn pass_on(&mut self, first: Edge) {
+        let rest = core::iter::from_fn(|| self.hardware.next_edge());
+        let edges: Vec<Edge, MAX_EDGES> = core::iter::once(first).chain(rest).take(MAX_EDGES).collect();
+        let number = self.next_edge;
+        self.next_edge = number.wrapping_add(edges.len() as u32);
+        self.outbox.push_edges(Edges { number, missed: self.hardware.missed_edges(), edges });
     }
 
     fn follow(&mut self, link: Link, now: u64) {

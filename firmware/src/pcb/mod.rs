@@ -14,6 +14,10 @@ use crate::collector::BATCH_SCANS;
 use crate::queue::HEADER_BYTES;
 use frame_plan::FramePlan;
 
+/// The page on the board. Its wiring table has, for each signal, pin, function, and contact on the Morpho and Arduino
+/// connectors.
+pub const PAGE: &str = include_str!("../../README.md");
+
 /// Whether this board can run `configuration`.
 pub fn can_run(configuration: &Configuration) -> bool {
     check(configuration, TICK_HZ).is_ok() && FramePlan::new(configuration).is_ok()

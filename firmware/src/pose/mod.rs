@@ -85,8 +85,9 @@ impl PoseSolver {
     }
 }
 
+/// Solves the scans of a board, and makes packets of its poses.
 #[derive(Debug)]
-pub(crate) struct Poser {
+pub struct Poser {
     /// Parts of a head, or a whole one.
     receiving: Vec<u8, HEAD_BYTES>,
     /// Whether it is that in force.
@@ -99,9 +100,10 @@ pub(crate) struct Poser {
     stream: Stream,
 }
 
-impl Poser {
+impl Default for Poser {
+    /// Without a head.
     #[inline(always)]
-    pub fn new() -> Self {
+    fn default() -> Self {
         Self {
             receiving: Vec::new(),
             is_whole: false,
@@ -113,13 +115,15 @@ impl Poser {
             stream: Stream::SCANS,
         }
     }
+}
 
+impl Poser {
     /// Takes a part of a head. The head before it stays in force until the last part has come and is right: then it is
     /// `true`.
     ///
     /// # Errors
     /// If the part does not follow the one before, or the whole is no head.
-    pub fn take_part(&mut self, part: &HeadPart, schedule: &Schedule) -> Result<bool, Rejection> {
+    pub(crate) fn take_part(&mut self, part: &HeadPart, schedule: &Schedule) -> Result<bool, Rejection> {
         if part.offset == 0 {
             self.receiving.clear();
             self.is_whole = false;
@@ -147,7 +151,7 @@ impl Poser {
     ///
     /// # Errors
     /// If it is none that this firmware reads.
-    pub fn restore(&mut self, bytes: &[u8], schedule: &Schedule) -> Result<(), HeadError> {
+    pub(crate) fn restore(&mut self, bytes: &[u8], schedule: &Schedule) -> Result<(), HeadError> {
         self.receiving.clear();
         let taken = self.receiving.extend_from_slice(bytes).map_err(|_| HeadError::TooLong);
         let restored = taken.and_then(|()| self.solver.load(bytes));
@@ -160,7 +164,7 @@ impl Poser {
     ///
     /// # Errors
     /// If parts of the next one have come in its place.
-    pub fn bytes(&self) -> Result<&[u8], Rejection> {
+    pub(crate) fn bytes(&self) -> Result<&[u8], Rejection> {
         match (self.solver.loaded.is_some(), self.is_whole) {
             (true, true) => Ok(&self.receiving),
             (true, false) => Err(Rejection::Malformed { kind: HEAD_KIND }),
@@ -169,7 +173,7 @@ impl Poser {
     }
 
     /// Scans of `schedule`, configuration number `configuration`, follow.
-    pub fn configure(&mut self, configuration: u16, schedule: &Schedule) {
+    pub(crate) fn configure(&mut self, configuration: u16, schedule: &Schedule) {
         self.configuration = configuration;
         self.begin(schedule);
         self.missed = 0;
@@ -182,21 +186,21 @@ impl Poser {
     }
 
     /// Whether scans are solved; a head for another schedule solves none.
-    pub fn is_at_work(&self) -> bool {
+    pub(crate) fn is_at_work(&self) -> bool {
         self.solver.loaded.as_ref().is_some_and(|loaded| loaded.fits)
     }
 
     /// Whether there is a head, and it is for another schedule.
-    pub fn is_unfit(&self) -> bool {
+    pub(crate) fn is_unfit(&self) -> bool {
         self.solver.loaded.as_ref().is_some_and(|loaded| !loaded.fits)
     }
 
-    pub fn is_behind(&self) -> bool {
+    pub(crate) fn is_behind(&self) -> bool {
         !self.waiting.is_empty()
     }
 
     /// Queues a scan; the oldest goes if there is no room.
-    pub fn take(&mut self, scan: &RawScan) {
+    pub(crate) fn take(&mut self, scan: &RawScan) {
         if !self.is_at_work() {
             return;
         }
@@ -210,7 +214,7 @@ impl Poser {
 
     /// Solves the oldest scan that waits, tells `hardware` of it, and queues it for the link, with `batch_scans` poses in a
     /// packet; `false` if none waits.
-    pub fn work<M: AsRef<[u8]> + AsMut<[u8]>>(
+    pub(crate) fn work<M: AsRef<[u8]> + AsMut<[u8]>>(
         &mut self,
         hardware: &mut impl System,
         outbox: &mut Outbox<M>,
@@ -239,7 +243,7 @@ impl Poser {
     }
 
     /// Sends the packet under way, full or not.
-    pub fn flush<M: AsRef<[u8]> + AsMut<[u8]>>(&mut self, outbox: &mut Outbox<M>) {
+    pub(crate) fn flush<M: AsRef<[u8]> + AsMut<[u8]>>(&mut self, outbox: &mut Outbox<M>) {
         let head = self.solver.loaded.as_ref().map_or(0, |loaded| loaded.number);
         if let Some(poses) = self.batch.poses(self.configuration, self.missed, head) {
             outbox.push_poses(poses, self.waiting.len() > 1);
@@ -248,7 +252,7 @@ impl Poser {
     }
 
     /// Which poses are sent; the packet under way must have been flushed.
-    pub fn set_stream(&mut self, stream: Stream) {
+    pub(crate) fn set_stream(&mut self, stream: Stream) {
         self.stream = stream;
         self.batch.set_every(stream.poses);
     }
@@ -298,7 +302,7 @@ mod tests {
 
     fn poser() -> (Poser, std::vec::Vec<u8>) {
         let schedule = default_configuration().schedule;
-        let mut poser = Poser::new();
+        let mut poser = Poser::default();
         let bytes = head().encode(&mut [0; HEAD_BYTES]).expect("room").to_vec();
         let taken: std::vec::Vec<_> = HeadPart::all(&bytes).map(|part| poser.take_part(&part, &schedule)).collect();
         assert!(taken[..taken.len() - 1].iter().all(|part| *part == Ok(false)), "{taken:?}");

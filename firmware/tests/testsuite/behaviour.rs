@@ -10,9 +10,9 @@ use slitpose_firmware::pcb::{QUEUE_BYTES, can_run, default_configuration};
 use slitpose_firmware::{Board, HOST_GONE_MS, Identity, Indicator, Link, STATUS_MS, TRANSMIT_BYTES};
 use slitpose_protocol::schema::SchemaKeys;
 use slitpose_protocol::{
-    AdcScaling, BoardKind, BootTarget, Command, Configuration, Decoder, EmitterSet, Exposure, HardwareFault, Hashes,
-    Hello, Level, MAX_MESSAGE_BYTES, Message, PROTOCOL, RawScan, Rejection, Reply, ResetCause, ScheduleError, Severity,
-    Status,
+    AdcScaling, BoardKind, BootTarget, Command, Configuration, Decoder, Edge, Edges, EmitterSet, Exposure,
+    HardwareFault, Hashes, Hello, Level, MAX_MESSAGE_BYTES, Message, PROTOCOL, Pulse, RawScan, Rejection, Reply,
+    ResetCause, ScheduleError, Severity, Status,
 };
 
 const MS: u64 = TICK_HZ as u64 / 1_000;
@@ -407,6 +407,44 @@ fn the_default_queue_holds_a_tenth_of_a_second() {
     }
     let heard = Listener::default().listen(&mut board);
     assert_eq!(sequences(&heard).len(), 400);
+}
+
+#[test]
+fn edges_are_numbered_from_the_start_and_those_of_a_closed_link_leave_a_gap() {
+    let mut board = board(Fake::default());
+    let mut listener = Listener::default();
+    let mut pass = |link: Link, ticks: core::ops::Range<u64>| {
+        board.hardware_mut().edges.extend(ticks.map(|tick| Edge::new(tick, tick % 2 == 0)));
+        board.poll(link);
+        listener
+            .listen(&mut board)
+            .into_iter()
+            .filter_map(|heard| match heard {
+                Heard::Edges(Edges { number, edges, .. }) => Some((number, edges[0].tick(), edges.len())),
+                _ => None,
+            })
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(pass(Link::Closed, 0..3), []);
+    assert_eq!(pass(Link::Open, 3..14), [(3, 3, 8), (11, 11, 3)]);
+    // More than a poll takes are sent by the next.
+    assert_eq!(pass(Link::Open, 14..50).len(), 4);
+    assert_eq!(pass(Link::Open, 0..0), [(46, 46, 4)]);
+}
+
+#[test]
+fn pulses_end_with_a_stop_or_a_configuration() {
+    let pulse = Pulse { every: 3, slot: 1 };
+    for command in [Command::Stop, Command::Configure(without_dark())] {
+        let (mut board, _) = opened();
+        board.receive(&request(1, Command::Pulse(pulse)));
+        assert_eq!(board.hardware_mut().pulse, Some(pulse));
+        // There is no slot of this number.
+        board.receive(&request(9, Command::Pulse(Pulse { every: 3, slot: 4 })));
+        assert_eq!(board.hardware_mut().pulse, Some(pulse));
+        board.receive(&request(2, command));
+        assert_eq!(board.hardware_mut().pulse, Some(Pulse::NONE));
+    }
 }
 
 #[test]

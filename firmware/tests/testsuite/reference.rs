@@ -207,7 +207,7 @@ impl Life {
                     assert!(!hardware || reply.outcome == Err(Rejection::Hardware(HardwareFault::Emitters)));
                 }
                 Heard::Status(status) => self.last_status = Some(status),
-                Heard::Hello { .. } | Heard::Event { .. } | Heard::Pong(_) => {}
+                Heard::Hello { .. } | Heard::Event { .. } | Heard::Pong(_) | Heard::Edges(_) => {}
             }
         }
         assert_eq!(self.reference.owed, [], "every command answered");

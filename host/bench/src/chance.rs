@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -116,7 +116,11 @@ impl Pivot {
     }
 
     pub(crate) fn pose(&self, workspace: &Workspace, chance: &mut Chance) -> Pose {
-        let turned = Pose::from_vectors(DVec3::ZERO, chance.in_box(workspace.half_extent_rad));
-        Pose { translation_m: self.in_base_m - turned.rotation * self.in_tool_m, ..turned }
+        self.turned(Pose::from_vectors(DVec3::ZERO, chance.in_box(workspace.half_extent_rad)).rotation)
+    }
+
+    /// The pose with this rotation, the tip in the cone.
+    pub(crate) fn turned(&self, rotation: DQuat) -> Pose {
+        Pose { rotation, translation_m: self.in_base_m - rotation * self.in_tool_m }
     }
 }

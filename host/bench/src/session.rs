@@ -256,9 +256,7 @@ impl Session {
             let begin_s = settings.free_s + WAY_S;
             let turned = (0..=(TURN_S * FREE_HZ) as u64).map(|k| {
                 let time_s = k as f64 / FREE_HZ;
-                let turned = motion.pose(time_s);
-                let translation_m = pivot.in_base_m - turned.rotation * pivot.in_tool_m;
-                (begin_s + time_s, Pose { translation_m, ..turned })
+                (begin_s + time_s, pivot.turned(motion.pose(time_s).rotation))
             });
             let step = |k: u32| {
                 let along_m = 2.0 * reach_m * f64::from(k) / f64::from(STEPS - 1);

@@ -50,7 +50,7 @@ pub(crate) struct Adjustment<'a> {
 
 /// Squared residuals that grow like a logarithm beyond the limit: gross outliers count for next to nothing.
 fn bounded(square: f64, limit: f64) -> f64 {
-    if square <= limit { square } else { limit * (1.0 + (square / limit).ln()) }
+    if square <= limit { square } else { limit * (1.0 + libm::log(square / limit)) }
 }
 
 /// Derivative of [`bounded`].

@@ -217,8 +217,8 @@ fn conclude(
     let statistics = adjustment.statistics(&state, normal, weights);
     for (cell, (error, rest)) in state.model_errors.iter_mut().zip(rest).enumerate() {
         error.reach = reach(data, weights, cell);
-        error.relative = (TAIL * error.relative).hypot(rest.relative);
-        error.position_m = (TAIL * error.position_m).hypot(rest.position_m);
+        error.relative = libm::hypot(TAIL * error.relative, rest.relative);
+        error.position_m = libm::hypot(TAIL * error.position_m, rest.position_m);
     }
     let count = state.parameters.entries.len();
     for (k, entry) in state.parameters.entries.iter_mut().enumerate() {

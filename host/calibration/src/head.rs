@@ -149,9 +149,9 @@ pub fn uncalibrated(file: &SceneFile) -> Result<Scene, SceneError> {
         let given = cell.effects.model_error;
         let open = open_by(&parameters, number, &file.scene, &poses)?;
         cell.effects.model_error = ModelError {
-            relative: given.relative.hypot(open.relative),
-            position_m: given.position_m.hypot(open.position_m),
-            current_a: given.current_a.hypot(open.current_a),
+            relative: libm::hypot(given.relative, open.relative),
+            position_m: libm::hypot(given.position_m, open.position_m),
+            current_a: libm::hypot(given.current_a, open.current_a),
             reach: given.reach,
         };
     }
@@ -177,7 +177,7 @@ fn open_by(parameters: &Parameters, number: usize, nominal: &Scene, poses: &[Pos
             if adds_current {
                 current += 0.5 * (change(|[first, _]| first) + change(|[_, second]| second));
             } else {
-                relative += change(|[first, second]| (first + second).ln());
+                relative += change(|[first, second]| libm::log(first + second));
                 position += change(share) * usual.half_length_m.powi(2);
             }
         }

@@ -44,7 +44,7 @@ impl Shape {
     fn at(self, x: f64) -> f64 {
         match self {
             Self::Linear => x,
-            Self::WarmUp(share) => (-x / share).exp(),
+            Self::WarmUp(share) => libm::exp(-x / share),
         }
     }
 }
@@ -178,8 +178,8 @@ impl LightTrend {
             });
             (!terms.is_empty()).then(|| Self {
                 file: group.file.clone(),
-                change: change.exp_m1(),
-                change_sigma: variance.sqrt() * change.exp(),
+                change: libm::expm1(change),
+                change_sigma: variance.sqrt() * libm::exp(change),
                 warm_up,
             })
         };
@@ -192,7 +192,7 @@ impl LightTrend {
         let verb = if *change < 0.0 { "faded" } else { "grew" };
         let (size, sigma) = (100.0 * change.abs(), 100.0 * change_sigma);
         // One digit of σ.
-        let digits = (-sigma.log10().floor()).clamp(1.0, 6.0) as usize;
+        let digits = (-libm::log10(sigma).floor()).clamp(1.0, 6.0) as usize;
         let how = warm_up.map_or(String::new(), |share| {
             format!(", as in a warm-up with a time constant of {:.0} % of that time", 100.0 * share)
         });

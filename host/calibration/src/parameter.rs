@@ -251,7 +251,7 @@ pub(crate) fn cell_with(nominal: &Cell, full_scale_a: f64, values: impl IntoIter
             Quantity::MaskThickness => cell.slit.thickness_m = (cell.slit.thickness_m + value).max(0.0),
             Quantity::EmitterShift(k) => cell.emitter.position_tool_m[index(k)] += value,
             Quantity::EmitterTilt(k) => by.emitter_tilt[index(k)] += value,
-            Quantity::LogIntensity => cell.emitter.radiant_intensity_w_per_sr *= value.exp(),
+            Quantity::LogIntensity => cell.emitter.radiant_intensity_w_per_sr *= libm::exp(value),
             Quantity::ProfileExponent => {
                 if let Profile::Cosine { exponent } = &mut cell.emitter.profile {
                     *exponent = (*exponent + value).max(0.0);

@@ -48,7 +48,7 @@ pub(crate) fn parameters(file: &SceneFile) -> Result<Parameters, SceneError> {
     let extent_m = file.workspace.half_extent_m.max_element().max(1e-3);
     let extent_rad = file.workspace.half_extent_rad.max_element().max(0.1);
     let (full_scale_a, codes) = match &file.front_end {
-        Some(front_end) => (front_end.full_scale_a, f64::from(front_end.adc_bits).exp2()),
+        Some(front_end) => (front_end.full_scale_a, libm::exp2(f64::from(front_end.adc_bits))),
         None => (FULL_SCALE_A, CODES),
     };
     let mut entries = Vec::new();
@@ -96,7 +96,7 @@ fn of_cell(
         Quantity::EmitterTilt(_) => around_zero(tolerance.emitter_angle_rad),
         Quantity::LogIntensity => around_zero(tolerance.emitter_gain_relative),
         Quantity::ProfileExponent => match cell.emitter.profile {
-            Profile::Cosine { .. } => around_zero(profile / -(1.0 - z).ln()),
+            Profile::Cosine { .. } => around_zero(profile / -libm::log(1.0 - z)),
             Profile::Table(_) => return None,
         },
         Quantity::ProfileRadial(k) => {

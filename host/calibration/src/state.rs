@@ -126,7 +126,7 @@ impl State {
     /// The light of row `row` by that of the head.
     pub(crate) fn light_of(&self, data: &Data, row: usize) -> f64 {
         let parts = self.light.iter().filter_map(|term| Some(term.amplitude * term.slope(data, row)?));
-        parts.sum::<f64>().exp()
+        libm::exp(parts.sum::<f64>())
     }
 
     /// Moves parameters and groups by `step`, in prior σ and scales.

@@ -97,7 +97,9 @@ int main(int argc, char **argv)
     for (i = 0; i < 3; i++) {
         for (j = 0; j < 4; j++) {
             const double period_s = 1 / RATES_HZ[i];
-            const double passive = (mechanism.damping_ns_per_m - damping_ns_per_m) / (period_s / 2 + AGES_S[j]);
+            const struct wall unit = {0, 1, 0, 1e9, 1, 1};
+            const double left_ns_per_m = mechanism.damping_ns_per_m - damping_ns_per_m;
+            const double passive = left_ns_per_m / wall_passive_ns_per_m(&unit, period_s, AGES_S[j]);
             const double stable = stiffest_n_per_m(&mechanism, damping_ns_per_m, period_s, AGES_S[j]);
             printf("%8g  %7g  %7.0f  %6.0f\n", RATES_HZ[i], AGES_S[j] * 1e3, passive, stable);
         }

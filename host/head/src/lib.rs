@@ -11,7 +11,7 @@
 //! * [`text_file`] opens texts, [`special_file`] pipes and devices for writing, [`replacement`] makes files that replace others when complete;
 //! * [`interrupt`] handles Ctrl-C, [`threads`] panics of other threads, and work on all cores.
 //!
-//! What writes files or handles signals is there on Unix only: in a browser there is neither.
+//! [`platform`] has what differs between operating systems.
 //!
 //! Internally all units are SI. Millimetres and degrees appear in scene files, with the unit in the name.
 
@@ -23,10 +23,9 @@ pub mod faults;
 pub mod finding;
 pub mod foreign;
 pub mod front_end;
-#[cfg(unix)]
 pub mod interrupt;
 pub mod pace;
-#[cfg(unix)]
+pub mod platform;
 pub mod replacement;
 pub mod scene_file;
 pub mod simulator;

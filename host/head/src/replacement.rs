@@ -1,19 +1,19 @@
 //! Files that replace others once they are complete.
 
-use std::fs::{self, Permissions};
-use std::io;
-use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
+use std::{fs, io};
 
 use tempfile::NamedTempFile;
 
-/// Permissions of a new file, before the user's umask. Temporary files are private by default, results are not.
-const MODE: u32 = 0o666;
+use crate::platform;
 
 /// Creates a file beside `path`, to be persisted there; with the permissions of a file that it will replace.
 pub fn part_of(path: &Path) -> io::Result<NamedTempFile> {
-    let permissions = fs::metadata(path).map_or_else(|_| Permissions::from_mode(MODE), |found| found.permissions());
-    tempfile::Builder::new().prefix(".slitpose-").suffix(".part").permissions(permissions).tempfile_in(folder_of(path))
+    let mut part = tempfile::Builder::new();
+    let permissions = fs::metadata(path).ok().map(|found| found.permissions()).or_else(platform::default_permissions);
+    part.prefix(".slitpose-").suffix(".part");
+    permissions.map(|permissions| part.permissions(permissions));
+    part.tempfile_in(folder_of(path))
 }
 
 /// The folder of `path`.

@@ -1,10 +1,12 @@
 //! Text files that users name: TOML is read as a whole, CSV as a stream.
 
-use std::fs::{self, File, FileType};
+use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::Path;
 
 use thiserror::Error;
+
+use crate::platform::special_kind;
 
 /// Longest text that is read as a whole, bytes: the calibration of a head of 16 cells has 10 MB.
 pub const MAX_TEXT_BYTES: usize = 1 << 24;
@@ -45,21 +47,6 @@ fn open_kind(path: &Path, pipes: bool) -> Result<File, TextFileError> {
         _ if kind.is_dir() => Err(TextFileError::Kind("folder")),
         special => Err(TextFileError::Kind(special)),
     }
-}
-
-#[cfg(unix)]
-fn special_kind(kind: FileType) -> &'static str {
-    use std::os::unix::fs::FileTypeExt;
-    match () {
-        () if kind.is_fifo() => "pipe",
-        () if kind.is_socket() => "socket",
-        () => "device",
-    }
-}
-
-#[cfg(not(unix))]
-fn special_kind(_: FileType) -> &'static str {
-    "device"
 }
 
 #[cfg(test)]

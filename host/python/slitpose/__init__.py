@@ -15,7 +15,7 @@ frame: m², m·rad, rad². N counts rows, K cells.
 
 from ._native import AXES, SCENES, SlitposeError, __version__, limit_cores
 from .calibration import Calibration, CellCheck, Check, calibrate
-from .captures import Scans, open, replay, replay_chunks, series, sessions
+from .captures import Edges, Scans, edges, open, replay, replay_chunks, series, sessions
 from .follow import LivePose, follow
 from .parts import Part, SeamError, join, open_seams, replay_part
 from .poses import CellStatus, DataLossWarning, Flag, Poses, Reading, Status, SlitposeWarning
@@ -31,6 +31,7 @@ __all__ = [
     "Check",
     "DataLossWarning",
     "Derivatives",
+    "Edges",
     "Flag",
     "LivePose",
     "Part",
@@ -46,6 +47,7 @@ __all__ = [
     "Status",
     "__version__",
     "calibrate",
+    "edges",
     "follow",
     "join",
     "limit_cores",

@@ -1,4 +1,4 @@
-"""Captures: poses solved again, and photocurrents."""
+"""Captures: poses solved again, photocurrents, and edges of trigger inputs."""
 
 from __future__ import annotations
 
@@ -149,6 +149,47 @@ def sessions(paths: Paths) -> list[float]:
     while captures.read(CHUNK) is not None:
         pass
     return sorted(captures.sessions)
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Edges:
+    """The edges of the boards' trigger inputs in a recording, a row each (N).
+
+    :ivar device: (N,) the board: index of :attr:`devices`.
+    :ivar number: (N,) number of the edge, counted by the board; a gap shows edges that were dropped on their way.
+    :ivar time_s: (N,) its instant by the board's clock, that of the poses, s.
+    :ivar host_utc_ns: (N,) the same by UTC, ns since 1970; 0 while unknown.
+    :ivar is_high: (N,) whether the line has risen.
+    :ivar missed: (N,) edges up to then that came too fast for the board, at least.
+    :ivar devices: the boards: 24 hexadecimal digits each.
+    """
+
+    device: NDArray[np.uint8]
+    number: NDArray[np.uint32]
+    time_s: NDArray[np.float64]
+    host_utc_ns: NDArray[np.uint64]
+    is_high: NDArray[np.bool_]
+    missed: NDArray[np.uint32]
+    devices: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def __repr__(self) -> str:
+        return f"<Edges: {len(self)} rows>"
+
+
+def edges(paths: Paths) -> Edges:
+    """The edges of the boards' trigger inputs in a recording; `paths` as for :func:`replay`. Nothing is solved.
+
+    :raises slitpose.SlitposeError: a file that cannot be read.
+    :warns slitpose.DataLossWarning: data were damaged or lost.
+    """
+    captures = _native.Captures(_files(paths), currents=True)
+    while captures.read(CHUNK) is not None:
+        pass
+    _warn(tuple(captures.remarks), tuple(captures.losses))
+    return Edges(**captures.edges, devices=tuple(captures.devices))
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)

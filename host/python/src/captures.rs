@@ -11,7 +11,7 @@ use slitpose_head::threads::lock;
 use slitpose_model::{Photocurrents, Reading};
 use slitpose_tracking::frame::View;
 use slitpose_tracking::link::DeviceId;
-use slitpose_tracking::pipeline::{Item, Scan};
+use slitpose_tracking::pipeline::{EdgeRecord, Item, Scan};
 use slitpose_tracking::playback::{Choice, Event, Playback, PlaybackError, Yields};
 use slitpose_tracking::solving::{Filter, Solving};
 
@@ -28,6 +28,7 @@ pub(crate) struct Captures {
     playback: Mutex<Playback>,
     yields_currents: bool,
     devices: Vec<DeviceId>,
+    edges: Vec<EdgeRecord>,
     remarks: Vec<String>,
     losses: Vec<String>,
     is_ended: bool,
@@ -100,6 +101,7 @@ impl Captures {
             playback: beside(py, |_| Playback::open(files, choice))?.map_err(raised)?.into(),
             yields_currents: currents,
             devices: Vec::new(),
+            edges: Vec::new(),
             remarks: Vec::new(),
             losses: Vec::new(),
             is_ended: false,
@@ -112,17 +114,17 @@ impl Captures {
         if self.is_ended {
             return Ok(None);
         }
-        let Self { playback, devices, remarks, losses, .. } = self;
+        let Self { playback, devices, edges, remarks, losses, .. } = self;
         let playback = playback.get_mut().unwrap_or_else(PoisonError::into_inner);
         let mut found = Found { records: PoseArrays::new(true), currents: CurrentColumns::default() };
         let mut is_more = true;
         let wanted = rows.unwrap_or(usize::MAX);
         let read = beside(py, |stop| {
             while is_more && found.rows() < wanted && !stop.load(Ordering::Relaxed) {
-                is_more = playback.step(|event| hear(event, &mut found, devices, remarks, losses))?;
+                is_more = playback.step(|event| hear(event, &mut found, devices, edges, remarks, losses))?;
             }
             if !is_more {
-                playback.end(|event| hear(event, &mut found, devices, remarks, losses))?;
+                playback.end(|event| hear(event, &mut found, devices, edges, remarks, losses))?;
             }
             Ok::<_, PlaybackError>(())
         });
@@ -141,6 +143,21 @@ impl Captures {
     #[getter]
     fn devices(&self) -> Vec<String> {
         self.devices.iter().map(ToString::to_string).collect()
+    }
+
+    /// The edges of trigger inputs so far, as arrays by name.
+    #[getter]
+    fn edges<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let columns = Columns::new(py, self.edges.len());
+        let device = self.edges.iter().map(|edge| number_in(&mut self.devices, edge.device)).collect();
+        columns.put::<u8>("device", device)?;
+        columns.put("number", self.edges.iter().map(|edge| edge.number).collect())?;
+        columns.put("time_s", self.edges.iter().map(|edge| edge.device_time_s).collect())?;
+        let host_utc_ns = |edge: &EdgeRecord| edge.host_time.map_or(0, |time| time.utc_ns);
+        columns.put("host_utc_ns", self.edges.iter().map(host_utc_ns).collect())?;
+        columns.put("is_high", self.edges.iter().map(|edge| edge.is_high).collect())?;
+        columns.put("missed", self.edges.iter().map(|edge| edge.missed).collect())?;
+        Ok(columns.dict)
     }
 
     /// What is remarkable so far.
@@ -179,11 +196,13 @@ fn hear(
     event: Event<'_>,
     found: &mut Found,
     devices: &mut Vec<DeviceId>,
+    edges: &mut Vec<EdgeRecord>,
     remarks: &mut Vec<String>,
     losses: &mut Vec<String>,
 ) -> Result<(), PlaybackError> {
     match event {
         Event::Item { item: Item::Pose(record), .. } => found.records.push(&record.into(), devices),
+        Event::Item { item: Item::Edge(edge), .. } => edges.push(edge),
         Event::Item { item: Item::Oddity { oddity, .. }, .. } => remarks.push(oddity.to_string()),
         Event::Item { .. } | Event::Board { .. } => {}
         Event::Currents { device, scan, currents, .. } => {

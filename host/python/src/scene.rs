@@ -144,11 +144,7 @@ impl Scene {
     ) -> PyResult<Bound<'py, PyDict>> {
         let poses = poses(&translation_m, &rotation)?;
         let tier = tier_choice(tier, tolerance)?.tier(MODEL_TOLERANCE);
-        let plan = beside(py, |_| CompiledScene::<f64>::compile(&self.head.file.scene, tier))?.map_err(raised)?;
-        let cells = self.cells();
-        let rows = each_row(py, poses.len(), |row| {
-            (0..cells).map(|cell| plan.respond(cell, &poses[row])).collect::<Vec<_>>()
-        })?;
+        let (cells, rows) = self.of_each_cell(py, &poses, tier, CompiledScene::respond)?;
         let all = || rows.iter().flatten();
         let columns = Columns::new(py, rows.len());
         let per_cell = [cells];
@@ -190,11 +186,7 @@ impl Scene {
     ) -> PyResult<Bound<'py, PyDict>> {
         let poses = poses(&translation_m, &rotation)?;
         let tier = tier_choice(tier, tolerance)?.tier(MODEL_TOLERANCE);
-        let plan = beside(py, |_| CompiledScene::<f64>::compile(&self.head.file.scene, tier))?.map_err(raised)?;
-        let cells = self.cells();
-        let rows = each_row(py, poses.len(), |row| {
-            (0..cells).map(|cell| plan.linearise(cell, &poses[row])).collect::<Vec<_>>()
-        })?;
+        let (cells, rows) = self.of_each_cell(py, &poses, tier, CompiledScene::linearise)?;
         let all = || rows.iter().flatten();
         let columns = Columns::new(py, rows.len());
         columns.put_shaped("status", all().map(|(status, ..)| number_of(*status)).collect(), &[cells])?;
@@ -313,9 +305,9 @@ impl Scene {
         let tier = Tier::Exact { tolerance: PICTURE_TOLERANCE };
         let plan = beside(py, |_| CompiledScene::<f64>::compile(&file.scene, tier))?.map_err(raised)?;
         match cell {
-            None => scene_picture(&file.name, &file.scene, &plan, pose).map_err(raised),
+            None => Ok(scene_picture(&file.name, &file.scene, &plan, pose)),
             Some(number) => match file.scene.cells.get(number) {
-                Some(cell) => cell_picture(&file.name, number, cell, &plan, pose).map_err(raised),
+                Some(cell) => Ok(cell_picture(&file.name, number, cell, &plan, pose)),
                 None => {
                     let last = self.cells() - 1;
                     Err(PyValueError::new_err(format!("cell = {number}; the scene has the cells 0 to {last}")))
@@ -326,6 +318,20 @@ impl Scene {
 }
 
 impl Scene {
+    /// What `compute` says of each cell at each pose, a row a pose; and the number of cells.
+    fn of_each_cell<T: Send>(
+        &self,
+        py: Python<'_>,
+        poses: &[Pose],
+        tier: Tier,
+        compute: fn(&CompiledScene<f64>, usize, &Pose) -> T,
+    ) -> PyResult<(usize, Vec<Vec<T>>)> {
+        let plan = beside(py, |_| CompiledScene::<f64>::compile(&self.head.file.scene, tier))?.map_err(raised)?;
+        let cells = self.cells();
+        let of_row = |row: usize| (0..cells).map(|cell| compute(&plan, cell, &poses[row])).collect();
+        Ok((cells, each_row(py, poses.len(), of_row)?))
+    }
+
     fn of(file: SceneFile) -> Self {
         Self { head: file.clone().into(), file }
     }

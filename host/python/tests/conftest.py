@@ -38,6 +38,6 @@ def captures(command: Command, tmp_path_factory: pytest.TempPathFactory) -> Path
     folder = tmp_path_factory.mktemp("captures")
     simulate = ("simulate", "--trajectory")
     command(*simulate, "contact", "--duration", "1s", "--output", folder / "contact.mcap")
-    command(*simulate, "smooth", "--duration", "500ms", "--scene", "fine", "--output", folder / "smooth.mcap")
+    command(*simulate, "smooth", "--duration", "500ms", "--scene", "fine", "--trigger", "40Hz", "--output", folder / "smooth.mcap")
     command("bench", "wide", "--output", folder / "bench", "--poses", "60", "--duration", "1s")
     return folder

@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import os
+import re
 import subprocess
 import sys
 import tomllib
@@ -48,12 +49,12 @@ def test_the_command_without_the_package_names_the_next_step(command: Command, t
 
 cad = pytest.importorskip("build123d", reason="needs the extra `cad`: host/python/run --cad")
 
-from slitpose.export import checks, command as export_command, files  # noqa: E402
+from slitpose.export import checks, command as export_command, drawings, files  # noqa: E402
 from slitpose.export.head import HeadParts, head  # noqa: E402
 from slitpose.export.jig import JigParts, jig  # noqa: E402
 from slitpose.export.layout import Layout, rotation  # noqa: E402
 from slitpose.export.sizes import ExportError, Sizes  # noqa: E402
-from slitpose.export.solids import Placed  # noqa: E402
+from slitpose.export.solids import MIN_ENGAGEMENT, THREAD, Joint, Placed, location, rod  # noqa: E402
 
 
 @dataclasses.dataclass
@@ -156,7 +157,7 @@ def test_slits_detectors_and_emitters_of_the_step_file_are_where_the_scene_says(
     any_head: tuple[str, Made], tmp_path: Path
 ) -> None:
     name, found = any_head
-    files.write_solids(
+    files.write_assembly(
         [part for part in found.placed if part.name.startswith(("mask ", "detector", "emitter"))], tmp_path, "assembly"
     )
     read = Part21(tmp_path / "assembly.step").placed()
@@ -179,7 +180,7 @@ def test_solids_are_closed_apart_and_at_least_as_thick_as_a_wall(any_head: tuple
     assert checks.faults(found.placed) == [] and checks.overlaps(found.placed) == []
     for name, part in files.distinct(found.placed).items():
         if part.made and not name.startswith("mask ") or "frame" in name:
-            assert checks.thinnest(part.solid) >= checks.LEAST_WALL - 0.01, name
+            assert checks.thinnest(part.solid) >= checks.MIN_WALL - 0.01, name
 
 
 def test_parts_that_hold_each_other_touch(any_head: tuple[str, Made]) -> None:
@@ -203,6 +204,61 @@ def test_parts_that_hold_each_other_touch(any_head: tuple[str, Made]) -> None:
         assert max(a.distance_to(b) for a, b in pairs) < 1e-6
 
 
+def test_screws_engage_and_do_not_bottom(any_head: tuple[str, Made]) -> None:
+    """Each screw as a solid in its hole: of its drill's width it meets nothing, of its own only its thread."""
+    parts, placed = any_head[1].parts, any_head[1].placed
+    cell, sizes, jigs = parts.layout.cells[0], parts.sizes, JigParts(parts)
+    block, carrier = location(cell.detector, cell.base_from_block), location(cell.emitter, cell.tool_from_emitter)
+    cover = parts.flange_rear - sizes.block.board_gap - sizes.block.board_thickness - sizes.block.cover_height
+    flange, down = parts.tool_heights[1] + sizes.tool.flange_thickness, cad.Rot(180, 0, 0)
+    seats = [
+        block * cad.Pos(0, sizes.block.ring_screw, parts.flange_rear),
+        block * cad.Pos(sizes.block.corner, sizes.block.ring_screw, cover),
+        cad.Pos(*parts.corner_holes()[0], parts.plate_underside),
+        cad.Pos(*parts.tool_screws()[0], flange) * down,
+        carrier * cad.Pos(0, sizes.emitter.screw_distance, -sizes.emitter.source_height) * down,
+        cad.Pos(*parts.corner_holes()[0], jigs.deck_top) * down,
+    ]
+    solids = [*(part.in_place for part in placed if not part.name.startswith("screw")), jigs.deck()]
+    for joint, seat in zip([*parts.joints(), *jigs.joints()], seats):
+        diameter, drill = float(joint.thread[1:]), THREAD[joint.thread]
+
+        def shared(radius: float, length: float) -> float:
+            body = rod(radius, 0.1, length).moved(seat)
+            meets = [solid.intersect(body) for solid in solids if solid.distance_to(body) < 1e-6]
+            return sum(solid.volume for common in meets if common is not None for solid in common.solids())
+
+        assert shared(drill / 2 - 0.05, joint.length + max(joint.free - 0.1, 0.0)) < 1e-6, joint
+        engaged = shared(diameter / 2, joint.length) / (np.pi / 4 * (diameter**2 - drill**2))
+        assert engaged >= MIN_ENGAGEMENT * diameter - 0.02, (joint, engaged)
+        assert joint.length - joint.grip - engaged < 0.35, (joint, engaged)
+
+
+def test_no_standard_length_is_an_error() -> None:
+    for grip, hole in ((8.3, 2.1), (30.0, 9.0)):
+        with pytest.raises(ExportError, match=f"must be {grip + 1.6:.1f} to {grip + hole - 0.5:.1f} mm long"):
+            Joint("M2", 1, "cover", grip, hole).length
+    assert [Joint("M2", 1, "cover", 8.3, hole).length for hole in (2.2, 2.6, 5.0)] == [10, 10, 12]
+
+
+def test_the_tip_stays_in_the_room_under_the_plate(any_head: tuple[str, Made]) -> None:
+    parts, tool = any_head[1].parts, any_head[1].parts.sizes.tool
+    translation, turned = parts.layout.poses(2000)
+    tips = translation + turned @ [0.0, 0.0, tool.tip_z]
+    reach = np.linalg.norm(tips[:, :2], axis=1).max(), parts.plate_underside - tips[:, 2].min()
+    share = (np.array(reach) + tool.tip_ball_radius) / parts.tip_room
+    assert 0.7 < share.min() and share.max() <= 1.0 and parts.tip_room[1] <= JigParts(parts).standoff
+
+
+def test_drawings_have_signs_and_the_heights_of_the_scene(orderable: Made) -> None:
+    layout = orderable.parts.layout
+    for cell, title in zip(layout.cells, ("block (turned +135 deg)", "block (turned -135 deg)")):
+        assert drawings.block_sheet(orderable.parts, cell, "block", cad.Box(20, 30, 5), "").title == title
+    raised = [dataclasses.replace(cell, detector=cell.detector + [0.0, 0.0, -1.5]) for cell in layout.cells]
+    parts = HeadParts(dataclasses.replace(layout, cells=raised), Sizes())
+    assert "above A by 16, z = -1.5 of the scene" in " ".join(drawings.ring_sheet(parts, cad.Box(50, 50, 32), "").notes)
+
+
 def test_tool_touches_the_housing_at_no_pose(any_head: tuple[str, Made]) -> None:
     name, found = any_head
     share = SHARES.get(name, 1.0)
@@ -210,7 +266,11 @@ def test_tool_touches_the_housing_at_no_pose(any_head: tuple[str, Made]) -> None
     translation, turned = layout.poses(POSES)
     found_clearance = checks.clearance(found.placed, (share * translation, turned))
     print(f"{name}: {found_clearance}")
-    assert found_clearance.colliding == 0 and found_clearance.least > 0.2
+    assert found_clearance.colliding == 0 and found_clearance.least > checks.MIN_GAP
+    if share < 1.0:
+        whole = checks.clearance(found.placed, (translation, turned))
+        print(f"{name}, default box: {whole}")
+        assert whole.least < checks.MIN_GAP
 
 
 def test_light_meets_no_part(any_head: tuple[str, Made]) -> None:
@@ -222,9 +282,10 @@ def test_light_meets_no_part(any_head: tuple[str, Made]) -> None:
 def test_parts_in_the_way_too_thin_or_too_large_are_found(orderable: Made) -> None:
     layout = orderable.parts.layout
     pin = orderable.one("mask pin", 0)
-    in_the_light = dataclasses.replace(pin, base_from_part=cad.Pos(20, 0, 2) * cad.Rot(0, 90, 0))
+    # A part of another cell.
+    in_the_light = dataclasses.replace(pin, instance=3, base_from_part=cad.Pos(20, 0, 2) * cad.Rot(0, 90, 0))
     traced = checks.light(layout, [*orderable.placed, in_the_light], layout.poses(50))
-    assert traced.blocked > 0 and traced.by == ("mask pin 0",)
+    assert traced.blocked > 0 and traced.by == ("mask pin 3",)
     collar = Placed("collar", cad.Cylinder(18.0, 4.0), cad.Location(), on_tool=True)
     assert checks.clearance([*orderable.placed, collar], layout.poses(50)).colliding > 0
     assert any(
@@ -260,6 +321,16 @@ def test_balls_rest_in_their_vees_and_the_stage_moves_freely(orderable: Made) ->
     ]
     # A hair above the deck, on which it slides.
     poses = np.stack([steps, 0 * steps, 0 * steps + 0.02], axis=1), np.tile(np.eye(3), (7, 1, 1))
+    named = {part.name: part for part in fixture}
+    for in_the_way in ("jig foot", "jig deck"):
+        met = checks.clearance([*orderable.placed, named[in_the_way]], orderable.parts.layout.poses(50))
+        assert met.colliding > 0, in_the_way
+    tilts = np.array(
+        [rotation(np.radians(4 * np.array(axis))) for axis in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0))]
+    )
+    tip = np.array([0.0, 0.0, orderable.parts.sizes.tool.tip_z])
+    pivot = tip - tilts @ tip + [0.0, 0.0, 0.15], tilts  # above the facets of cone and ball
+    assert checks.clearance([*orderable.placed, named["jig foot"]], pivot).colliding == 0
     without_foot = [part for part in on_stage if part.name != "jig foot"]
     free = np.array([[0.01, 0.06, 0.0]])
     moved = poses[0] + free * np.sign(np.abs(steps))[:, None]
@@ -328,12 +399,21 @@ def test_files_are_complete_and_agree_with_the_scene(folder: Path) -> None:
         count["detector"] == count["emitter"] == count["cover"] == 6
         and count["cell block A"] + count["cell block B"] == 6
     )
+    assert (count["screw M2x10"], count["screw M2x5"], count["screw M2.5x6"]) == (18, 6, 12)
     assert count["mask pin"] == 12 and count["jig deck"] == 1 and count["ball"] == 3
     page = (folder / "index.html").read_text(encoding="utf-8")
     for row in rows:
         assert not row["file"] or (folder / row["file"]).stat().st_size > 1000 and row["file"] in page
         assert row["kind"] == "bought" or (folder / row["file"]).with_suffix(".svg").exists()
     assert "No head has been built or measured" in page and f"{slitpose.Scene.open('orderable').hash:#018x}" in page
+    for motion, mounted in (
+        ("free", "nothing else"),
+        ("pivot", "foot below"),
+        ("rest", "no foot"),
+        ("stage", "no foot"),
+    ):
+        row_of = re.search(f"<tr><td>--{motion}</td><td>(.*?)</td>", page)
+        assert row_of and mounted in row_of[1], motion
     for picture in ("assembly", "exploded", "section", "cell", "jig", "jig_exploded"):
         assert (folder / f"{picture}.png").read_bytes().startswith(b"\x89PNG") and f"{picture}.png" in page
     for drawing in folder.glob("*.svg"):
@@ -352,6 +432,13 @@ def test_masks_of_the_dxf_have_the_slit_of_the_scene(folder: Path) -> None:
     assert max(x) - min(x) == pytest.approx(0.6, abs=1e-9) and max(y) - min(y) == pytest.approx(10.0, abs=1e-9)
     assert sum(x) == pytest.approx(0.0, abs=1e-9) and sum(y) == pytest.approx(0.0, abs=1e-9)
     assert ("8", "CUT") in pairs[start:end] and any("0.6 +-0.012 x 10" in value for _, value in pairs)
+
+
+def test_parts_that_the_sizes_were_not_made_for_are_named(orderable: Made, capsys: pytest.CaptureFixture[str]) -> None:
+    export_command.warn_of_other_parts(orderable.parts.layout, Sizes())
+    assert capsys.readouterr().err == ""
+    export_command.warn_of_other_parts(dataclasses.replace(orderable.parts.layout, detector_part="S3931"), Sizes())
+    assert "warning: the scene's detector is S3931; the sizes are those of S3932" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -375,11 +462,17 @@ def test_scenes_and_sizes_that_cannot_be_made_are_refused_with_their_numbers(tmp
             "normal = [-0.8, 0.424264068711929, -0.424264068711928]\nemitter",
             "component -0.424264 along z",
         ),
-        ("width_mm = 0.6", "width_mm = 0.6\ntilt_deg = [2.0, 0.0, 0.0]", "leans out of the detector's plane by 2.000"),
+        (
+            "normal = [-1.0, 0.0, 0.0]\nemitter",
+            "normal = [1.0, 0.0, 0.0]\nemitter",
+            "normal points away from the z axis",
+        ),
+        ("width_mm = 0.6", "width_mm = 0.6\ntilt_deg = [2.0, 0.0, 0.0]", "slit.tilt_deg = [2, 0, 0]"),
+        ("width_mm = 0.6", "width_mm = 0.6\ntilt_deg = [0.0, 0.0, 1.0]", "turn its detector with it"),
     ):
         changed = toml.replace(old, new)
         assert changed != toml
-        with pytest.raises(ExportError, match=reason.replace(".", r"\.")):
+        with pytest.raises(ExportError, match=re.escape(reason)):
             parts = HeadParts(Layout.of(slitpose.Scene.from_toml(changed, "changed"), Sizes()), Sizes())
             head(parts, parts.layout.poses(10))
     sizes = tmp_path / "sizes.toml"
@@ -387,8 +480,14 @@ def test_scenes_and_sizes_that_cannot_be_made_are_refused_with_their_numbers(tmp
         ("detector.breadth = 5.0", "no size 'breadth'"),
         ("detector.length = true", "length = True"),
         ("x", "sizes.toml"),
+        ("\xff", "sizes.toml: 'utf-8' codec"),
+        ("detector.length = nan", "sizes.toml, detector: length = nan must be positive"),
+        ("detector.length = inf", "length = inf"),
+        ("block.plate = 0", "plate = 0 must be positive"),
+        ("ring.half_height = -16", "half_height = -16 must be positive"),
+        ("tool.tip_z = 40", "tip_z = 40 must be negative"),
     ):
-        sizes.write_text(text)
+        sizes.write_text(text, encoding="latin-1")
         with pytest.raises(ExportError, match=reason):
             Sizes.open(sizes)
     sizes.write_text("detector.length = 16.2\ntool.tip_z = -50\n")

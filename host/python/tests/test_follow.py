@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import runpy
 import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Iterator
@@ -58,6 +60,46 @@ def test_it_ends_after_its_duration_or_with_the_daemon(daemon: tuple[str, "subpr
     with pytest.raises(slitpose.SlitposeError, match="has ended after [1-9].* again$"):
         for pose in slitpose.follow(address, timeout_s=60.0):
             process.terminate()
+
+
+def test_the_node_of_ros_publishes_poses_velocities_and_transforms(
+    daemon: tuple[str, object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With stand-ins for the packages of ROS."""
+
+    class Message:
+        def __init__(self, **values: object) -> None:
+            self.__dict__.update(values)
+
+        def __getattr__(self, name: str) -> "Message":
+            return self.__dict__.setdefault(name, Message())
+
+    published: dict[str, list[Message]] = {}
+    node = Message(
+        create_publisher=lambda _, topic, queue: Message(publish=published.setdefault(topic, []).append),
+        destroy_node=lambda: None,
+    )
+    rclpy = Message(init=lambda: None, create_node=lambda _: node, ok=lambda: True, try_shutdown=lambda: None)
+    names = ("PoseWithCovarianceStamped", "TransformStamped", "TwistWithCovarianceStamped", "TFMessage")
+    kinds = Message(**{name: type(name, (Message,), {}) for name in names})
+    for module in ("geometry_msgs.msg", "tf2_msgs.msg"):
+        monkeypatch.setitem(sys.modules, module.split(".")[0], Message(msg=kinds))
+        monkeypatch.setitem(sys.modules, module, kinds)
+    monkeypatch.setitem(sys.modules, "rclpy", rclpy)
+    example = Path(__file__).parents[2] / "examples" / "ros2" / "slitpose_ros2.py"
+    runpy.run_path(str(example))["main"]([daemon[0], "--rate", "50", "--duration", "2"])
+    (board,) = {topic.split("/")[1] for topic in published if topic.startswith("slitpose/")}
+    poses, twists = published[f"slitpose/{board}/pose"], published[f"slitpose/{board}/twist"]
+    assert 20 <= len(poses) <= 101 and 0 < len(twists) <= len(poses) == len(published["/tf"])
+    stamps = [pose.header.stamp.sec + 1e-9 * pose.header.stamp.nanosec for pose in poses]
+    assert stamps == sorted(stamps)
+    for pose, (transform,) in zip(poses, (message.transforms for message in published["/tf"])):
+        position, orientation = pose.pose.pose.position, pose.pose.pose.orientation
+        assert (pose.header.frame_id, transform.child_frame_id) == ("base", "tool")
+        assert (position.x, orientation.w) == (transform.transform.translation.x, transform.transform.rotation.w)
+        assert abs(position.x) < 0.01 and 0.5 < abs(orientation.w) <= 1.0
+        assert np.linalg.eigvalsh(np.reshape(pose.pose.covariance, (6, 6)))[0] > 0
+    assert all(len(twist.twist.covariance) == 36 and twist.twist.covariance[7] > 0 for twist in twists)
 
 
 def test_addresses_that_cannot_be_are_refused(tmp_path: Path) -> None:

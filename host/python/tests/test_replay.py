@@ -219,6 +219,17 @@ def test_errors_are_those_of_the_command(command: Command, tmp_path: Path, captu
         slitpose.replay(captures)
 
 
+def test_edges_of_the_trigger_input_are_on_the_clock_of_the_poses(captures: Path) -> None:
+    edges, poses = slitpose.edges(captures / "smooth.mcap"), slitpose.replay(captures / "smooth.mcap")
+    # 40 Hz for half a second.
+    assert len(edges) == 40 and edges.devices == poses.devices
+    np.testing.assert_allclose(edges.time_s, np.arange(1, 41) / 80, atol=1e-8)
+    assert edges.is_high.tolist() == [True, False] * 20
+    assert edges.number.tolist() == list(range(40)) and not edges.missed.any()
+    assert poses.time_s[0] < edges.time_s[0] and abs(poses.time_s[-1] - edges.time_s[-1]) < 1e-3
+    assert len(slitpose.edges(captures / "contact.mcap")) == 0
+
+
 def test_other_threads_run_meanwhile_and_interrupts_end_it(captures: Path, tmp_path: Path) -> None:
     files = [Path(shutil.copyfile(captures / "contact.mcap", tmp_path / f"{number}.mcap")) for number in range(200)]
     ticks = []

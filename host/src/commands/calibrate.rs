@@ -12,10 +12,11 @@ use slitpose_design::report::{Folder, calibration_report};
 use super::options::{Jobs, number, open_scene};
 use super::{CommandError, Outcome, interrupt, options, talk, tip};
 use crate::live::Calibrate;
+use crate::platform::go_behind;
 use crate::terminal::{Amount, Progress};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::table::{Output, Replace};
-use slitpose_model::{CompiledScene, Tier};
+use slitpose_model::Tier;
 use slitpose_tracking::measurements::Measurements;
 use slitpose_tracking::solving::{RowSolver, STREAM_TOLERANCE};
 
@@ -226,7 +227,9 @@ fn summary(calibration: &Calibration, file: &SceneFile) -> Vec<String> {
             radians * 1e3
         ));
     }
-    if let Some([metres, radians]) = known_to(calibration, file) {
+    let head = Head::calibrated(file.clone(), calibration.clone()).ok();
+    let solver = head.and_then(|head| RowSolver::new(head, Tier::Exact { tolerance: STREAM_TOLERANCE }, false).ok());
+    if let Some([metres, radians]) = solver.and_then(|solver| solver.known_to()) {
         lines.push(format!(
             "poses are known to {:.1} µm and {:.3} mrad rms over the workspace, apart from where its frames lie, and from noise",
             metres * 1e6,
@@ -237,39 +240,11 @@ fn summary(calibration: &Calibration, file: &SceneFile) -> Vec<String> {
     lines
 }
 
-/// Poses over the workspace at which errors are computed.
-const POSES: usize = 64;
-
-/// Frames in a row without noise.
-const NOISELESS: f64 = 1e12;
-
-/// Error of poses over the workspace by what the calibration left open and by what its cells do beyond the model, apart from
-/// where the frames lie: root mean square of three axes together, metres and radians. `None`: no pose there is solved.
-fn known_to(calibration: &Calibration, file: &SceneFile) -> Option<[f64; 2]> {
-    let tier = Tier::Exact { tolerance: STREAM_TOLERANCE };
-    let head = Head::calibrated(file.clone(), calibration.clone()).ok()?;
-    let plan = CompiledScene::<f64>::compile(&head.file.scene, tier).ok()?;
-    let solver = RowSolver::new(head, tier, false).ok()?;
-    let still = solver.with_frames(NOISELESS).ok()?;
-    let (mut squares, mut count) = ([0.0; 2], 0.0);
-    for pose in file.workspace.poses(POSES) {
-        let currents = (0..solver.cells()).map(|cell| Some(plan.respond(cell, &pose).currents));
-        let Some(estimate) = still.solve(&still.readings(currents)).estimate else { continue };
-        let open = calibration.pose_covariance(&estimate.pose);
-        for axis in 0..6 {
-            squares[axis / 3] += estimate.covariance[axis][axis] - open[axis][axis];
-        }
-        count += 1.0;
-    }
-    let open = calibration.open_apart_from_frames(&file.workspace);
-    (count > 0.0).then(|| [0, 1].map(|k| (squares[k].max(0.0) / count + open[k] * open[k]).sqrt()))
-}
-
 /// Calibrates the head of `file` from recordings, for a page. The result becomes a new file.
 pub(super) fn from_recordings(file: Arc<SceneFile>) -> Calibrate {
-    Box::new(move |measurements, path, tell| {
+    Arc::new(move |measurements, path, tell| {
         // The board that is followed goes first: this is the niceness of the thread, and of those that it begins.
-        let _ = rustix::process::nice(10);
+        go_behind();
         // As the designer wrote it: the daemon's has the most probable parts.
         let file = SceneFile::parse(&file.origin, &file.source)?;
         let mut said = Vec::new();

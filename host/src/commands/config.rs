@@ -16,6 +16,7 @@ use toml::de::{DeTable, DeValue};
 
 use super::{CommandError, UsageError, completions, usage};
 use slitpose_head::foreign::printable;
+use slitpose_head::platform::{machine_folder, user_folder};
 use slitpose_head::scene_file::{FilePlace, nearest};
 use slitpose_head::text_file::{self, TextFileError};
 
@@ -88,9 +89,7 @@ fn path_asked_for(matches: &ArgMatches) -> Option<PathBuf> {
 
 /// Where a configuration is looked for: that of the user, then that of the machine.
 fn default_paths() -> Vec<PathBuf> {
-    let folder = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
-    let user = folder("XDG_CONFIG_HOME").or_else(|| Some(folder("HOME")?.join(".config")));
-    user.into_iter().chain([PathBuf::from("/etc")]).map(|folder| folder.join(FILE)).collect()
+    [user_folder(), machine_folder()].into_iter().flatten().map(|folder| folder.join(FILE)).collect()
 }
 
 /// The options that a file of this text sets.

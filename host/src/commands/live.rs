@@ -1,4 +1,4 @@
-//! What `run` and `replay` do besides giving poses: the live page, the 6-DoF mouse and Zenoh.
+//! What `run` and `replay` do besides giving poses: the live page and the 6-DoF mouse.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -6,15 +6,15 @@ use std::sync::{Arc, OnceLock};
 
 use anyhow::Error;
 
-use super::options::{number, poses_hz};
+use super::options::number;
 use super::record::RecordOptions;
 use super::{CommandError, talk};
-use crate::bridges::{Axes, DEFAULT_ROUTER, Feel, SpacenavInput, SpacenavServer, publish_by_zenoh};
-use crate::daemon::{Daemon, StreamPlan};
-use crate::live::{Access, Control, DEFAULT_LIVE_ADDRESS, LiveBoard, LivePlan, LiveServer, live_address};
+use crate::daemon::Daemon;
+use crate::live::{Access, Control, DEFAULT_LIVE_ADDRESS, LivePlan, LiveServer, live_address};
+use crate::spacenav::{Axes, Feel, SpacenavInput, SpacenavServer};
 use slitpose_head::scene_file::Workspace;
 use slitpose_tracking::page::{Order, Refusal};
-use slitpose_tracking::telemetry::{DaemonReport, RecorderState};
+use slitpose_tracking::telemetry::RecorderState;
 
 /// The page asked for.
 #[derive(clap::Args, Debug)]
@@ -141,33 +141,5 @@ impl MouseOptions {
         let server = SpacenavServer::start(path, feel, workspace)?;
         talk(format_args!("6-DoF mouse at {}", path.display()));
         Ok(Some(server))
-    }
-}
-
-/// Poses a second: what other programs of a robot take without effort.
-const POSES_HZ: f64 = 100.0;
-
-/// What is published, and where.
-#[derive(clap::Args, Debug)]
-pub(super) struct ZenohOptions {
-    /// Publish poses, velocities, head and health of boards by Zenoh, where ROS 2 with rmw_zenoh sees them
-    #[arg(long, hide = !cfg!(feature = "zenoh"))]
-    zenoh: bool,
-    /// The router of Zenoh
-    #[arg(long, value_name = "ENDPOINT", default_value = DEFAULT_ROUTER, hide = !cfg!(feature = "zenoh"))]
-    zenoh_router: String,
-    /// Poses a second by Zenoh; 0 for every scan
-    #[arg(long, value_name = "HZ", value_parser = poses_hz(), default_value_t = POSES_HZ, hide = !cfg!(feature = "zenoh"))]
-    zenoh_poses: f64,
-}
-
-impl ZenohOptions {
-    pub(super) fn start(
-        &self,
-        boards: Vec<LiveBoard>,
-        report: impl Fn() -> DaemonReport + Send + 'static,
-    ) -> Result<Option<StreamPlan>, CommandError> {
-        let pose_every_s = if self.zenoh_poses > 0.0 { self.zenoh_poses.recip() } else { 0.0 };
-        self.zenoh.then(|| publish_by_zenoh(&self.zenoh_router, boards, pose_every_s, report)).transpose()
     }
 }

@@ -31,12 +31,14 @@ mod zero;
 use std::ffi::OsString;
 use std::process::ExitCode;
 
+use anyhow::Context;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use thiserror::Error;
 
 pub(crate) use config::configured_options;
 
 use crate::device::DeviceError;
+use crate::platform;
 use crate::terminal::{complain, hide_progress};
 use options::{interrupt, talk};
 use slitpose_head::causes::with_causes;
@@ -154,7 +156,7 @@ fn run(arguments: &[OsString]) -> Result<Outcome, CommandError> {
     let configured = config::configured(command(), &matches)?;
     let matches = configured.command.clone().get_matches_from(arguments);
     let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
-    options::outlive_file_limits()?;
+    platform::prepare().context("cannot listen to signals")?;
     slitpose_head::interrupt::say_by(|error| {
         hide_progress();
         complain(format_args!("{error}"));

@@ -223,6 +223,15 @@ fn tolerance() -> impl Fn(&str) -> Result<f64, &'static str> + Clone + Send + Sy
     number(is_tolerance, "give a number between 0 and 1, such as 1e-10")
 }
 
+/// A frequency in Hz, with its unit, which may be left out; `None`: it is none.
+pub(super) fn parse_frequency(text: &str) -> Option<f64> {
+    let number = |text: &str, unit: f64| text.trim().parse::<f64>().ok().map(|number| number * unit);
+    match (text.strip_suffix("kHz"), text.strip_suffix("Hz")) {
+        (Some(text), _) => number(text, 1e3),
+        (None, text_hz) => number(text_hz.unwrap_or(text), 1.0),
+    }
+}
+
 /// A duration such as `10s`, `500ms` or `2m`.
 pub(super) fn parse_duration(text: &str) -> Result<f64, String> {
     match humantime::parse_duration(text) {
@@ -325,15 +334,6 @@ pub(super) fn talk(text: fmt::Arguments<'_>) {
 /// The flag that is set when the user interrupts: see [`flag`](slitpose_head::interrupt::flag).
 pub(super) fn interrupt() -> Result<Arc<AtomicBool>, CommandError> {
     slitpose_head::interrupt::flag().context("cannot listen to signals")
-}
-
-/// Lets a file that must not grow any more be an error of writing to it, as a full disk is, and not the
-/// end of the program: its other work goes on.
-pub(super) fn outlive_file_limits() -> Result<(), CommandError> {
-    // A signal that is taken notice of is not fatal.
-    signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Arc::default())
-        .map(drop)
-        .context("cannot listen to signals")
 }
 
 /// Reports the losses of a stream on standard error, if there are any. A packet under way when the

@@ -1,7 +1,7 @@
 //! The capture that `run` records.
 
 use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 use std::{io, thread};
 
 use super::CommandError;
@@ -9,7 +9,8 @@ use super::options::{PoseOptions, parse_duration, poses_hz};
 use super::playback::{PlayOptions, Playback, Printing};
 use super::player::{Orders, Player};
 use crate::daemon::CapturePlan;
-use crate::live::{Calibrate, Control, Input, LiveInput, Recordings};
+use crate::live::{Calibrate, Control, Input, LiveInput, Recordings, now_in_a_name};
+use crate::platform::go_behind;
 use crate::sink::Format;
 use slitpose_head::causes::with_causes;
 use slitpose_head::pace::Speed;
@@ -64,8 +65,7 @@ impl RecordOptions {
 
     /// Begins another capture, named by the time, beside the one asked for, else in the working directory.
     pub(super) fn another(&self) -> Result<CaptureSeries, CaptureError> {
-        let now = humantime::format_rfc3339_seconds(SystemTime::now()).to_string().replace(':', "");
-        let path = self.folder().join(format!("slitpose-{now}.mcap"));
+        let path = self.folder().join(format!("slitpose-{}.mcap", now_in_a_name()));
         self.create(&path, Existing::Kept)
     }
 
@@ -93,8 +93,8 @@ fn play(path: PathBuf, live: LiveInput) -> io::Result<Control> {
 fn play_all(path: &Path, orders: Orders, live: LiveInput) -> Result<(), CommandError> {
     let files = [path.to_owned()];
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    // The board that is followed goes first: this is the niceness of the thread alone.
-    let _ = rustix::process::nice(10);
+    // The board that is followed goes first.
+    go_behind();
     let Some(player) = Player::new(orders, live, name, &files, None)? else { return Ok(()) };
     let (play, poses) = (PlayOptions::default(), PoseOptions::default());
     let printing = Printing { sink: None, target: "", format: Format::None, is_terminal: false, is_silent: true };

@@ -7,12 +7,11 @@ use std::sync::{Arc, Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
 use clap::ValueEnum;
-use sd_notify::NotifyState;
 use slitpose_calibration::{Basis, Head};
-use slitpose_protocol::Stream;
+use slitpose_protocol::{Pulse, Stream};
 
 use super::calibrate::from_recordings;
-use super::live::{LiveOptions, MouseOptions, ZenohOptions, changes};
+use super::live::{LiveOptions, MouseOptions, changes};
 use super::options::{PoseOptions, open_scene, parse_duration};
 use super::record::RecordOptions;
 use super::simulate::ToolOptions;
@@ -22,6 +21,7 @@ use crate::daemon::{Admit, BoardPlan, Daemon, Ended, Opener, Plan, SimulatedOpen
 use crate::datagram::{self, DatagramServer};
 use crate::device::{Contact, Search, Selector};
 use crate::live::{LiveBoard, LivePlan};
+use crate::platform::{self, Notice};
 use crate::sink;
 use crate::telemetry::{StatusServer, status_address};
 use crate::terminal;
@@ -82,6 +82,10 @@ pub(super) struct Args {
     /// Fewer scans in a packet, for a lower latency: one up to 6 kHz, more above, as USB requires
     #[arg(long)]
     latency: bool,
+    /// Pulses at the board's frame output: one every so many frames, from the first sample of a slot on; such as 4, or
+    /// 4:2 for slot 2
+    #[arg(long, value_name = "FRAMES[:SLOT]", value_parser = parse_pulse)]
+    pulse: Option<Pulse>,
     #[command(flatten)]
     poses: PoseOptions,
     #[command(flatten)]
@@ -96,8 +100,6 @@ pub(super) struct Args {
     live: LiveOptions,
     #[command(flatten)]
     mouse: MouseOptions,
-    #[command(flatten)]
-    zenoh: ZenohOptions,
     /// How long to look for a board that is not there: a time, or `forever`
     #[arg(long, value_name = "TIME", value_parser = parse_patience)]
     patience: Option<Patience>,
@@ -157,15 +159,19 @@ fn parse_patience(text: &str) -> Result<Patience, String> {
 const RATES_HZ: [f64; 2] = [10.0, 10e3];
 
 fn parse_rate(text: &str) -> Result<f64, String> {
-    let number = |text: &str, unit: f64| text.trim().parse::<f64>().ok().map(|number| number * unit);
-    let rate_hz = match (text.strip_suffix("kHz"), text.strip_suffix("Hz")) {
-        (Some(text), _) => number(text, 1e3),
-        (None, text_hz) => number(text_hz.unwrap_or(text), 1.0),
-    };
+    let rate_hz = options::parse_frequency(text);
     let [least, most] = RATES_HZ;
     rate_hz.filter(|rate_hz| (least..=most).contains(rate_hz)).ok_or_else(|| {
         format!("give a frame rate from {least}Hz to {}kHz, such as 8kHz; USB carries no more", most * 1e-3)
     })
+}
+
+fn parse_pulse(text: &str) -> Result<Pulse, String> {
+    let (every, slot) = text.split_once(':').unwrap_or((text, "0"));
+    match (every.parse(), slot.parse()) {
+        (Ok(every @ 1..), Ok(slot)) => Ok(Pulse { every, slot }),
+        _ => Err(format!("give a number of frames from 1 to {}, and perhaps a slot, counted from 0: 4:2", u16::MAX)),
+    }
 }
 
 pub(super) fn run(args: &mut Args) -> Result<Outcome, CommandError> {
@@ -229,25 +235,23 @@ pub(super) fn run(args: &mut Args) -> Result<Outcome, CommandError> {
         })?),
         None => None,
     };
-    let streams = args.zenoh.start(shown(), reports())?.into_iter().collect();
     let status = args.status.as_ref().map(|address| StatusServer::start(address, reports(), control())).transpose()?;
     status.iter().for_each(|server| talk(format_args!("status at {}", server.address)));
     let capture = args.record.open(is_recorded_later)?;
     let mut takers: Vec<Arc<dyn SampleSink>> = Vec::new();
     takers.extend(live.iter().map(|live| Arc::new(live.input.clone()) as Arc<dyn SampleSink>));
     takers.extend(mouse.iter().map(|mouse| Arc::new(mouse.input.clone()) as Arc<dyn SampleSink>));
-    let plan = Plan { boards, sink, capture, datagrams, streams, takers, real_time: args.real_time };
+    let plan = Plan { boards, sink, capture, datagrams, takers, real_time: args.real_time };
     let daemon = Arc::new(Daemon::start(plan, Arc::clone(&stop))?);
     let daemon = followed.get_or_init(|| daemon);
     // systemd's protocol; without a service manager nothing is sent.
-    if let Err(error) = sd_notify::notify(&[NotifyState::Ready]) {
+    if let Err(error) = platform::notify(Notice::Ready) {
         talk(format_args!(
             "the service manager that NOTIFY_SOCKET names cannot be reached ({error}); start the program without it"
         ));
     }
     // A manager that does not listen at this moment will at the next.
-    let notify = |state| drop(sd_notify::notify(&[state]));
-    let alive_every = sd_notify::watchdog_enabled().map(|limit| limit / 2);
+    let alive_every = platform::watchdog().map(|limit| limit / 2);
     let (mut accounted, mut alive, mut utc) = (Instant::now(), Instant::now(), UtcWatch::default());
     while !daemon.is_over() {
         std::thread::sleep(MOMENT);
@@ -256,14 +260,14 @@ pub(super) fn run(args: &mut Args) -> Result<Outcome, CommandError> {
         }
         if alive_every.is_some_and(|every| alive.elapsed() >= every) && daemon.is_alive() {
             alive = Instant::now();
-            notify(NotifyState::Watchdog);
+            let _ = platform::notify(Notice::Alive);
         }
         if accounted.elapsed() >= ACCOUNT_EVERY {
             accounted = Instant::now();
             daemon.record_report();
         }
     }
-    notify(NotifyState::Stopping);
+    let _ = platform::notify(Notice::Stopping);
     let ended = daemon.end();
     drop((status, live, mouse));
     let reconnects = daemon.report().boards.iter().map(|board| board.link.reconnects).collect::<Vec<_>>();
@@ -414,6 +418,7 @@ impl Args {
             view: self.poses.frame.view()?,
             stream: self.stream.stream(),
             sends_soon: self.latency,
+            pulse: self.pulse,
             until_s: self.poses.duration,
             patience,
             keeps_time,

@@ -246,8 +246,20 @@ pub(super) struct ToolOptions {
     /// to calibrate
     #[arg(long, value_name = "N")]
     drawn: Option<u64>,
+    /// A square wave at the trigger input of the simulated board, such as 10Hz
+    #[arg(long, value_name = "FREQUENCY", value_parser = parse_trigger)]
+    trigger: Option<f64>,
     #[command(flatten)]
     pub(super) faults: FaultOptions,
+}
+
+/// Highest frequency at a trigger input: 10 000 edges a second.
+const MAX_TRIGGER_HZ: f64 = 5e3;
+
+fn parse_trigger(text: &str) -> Result<f64, String> {
+    let frequency_hz = options::parse_frequency(text).filter(|hz| *hz > 0.0 && *hz <= MAX_TRIGGER_HZ);
+    frequency_hz
+        .ok_or_else(|| format!("give a frequency above 0Hz, {}kHz at most, such as 10Hz", MAX_TRIGGER_HZ * 1e-3))
 }
 
 impl ToolOptions {
@@ -258,6 +270,7 @@ impl ToolOptions {
             .map(|_| "--trajectory")
             .or(self.seed.map(|_| "--seed"))
             .or(self.drawn.map(|_| "--drawn"))
+            .or(self.trigger.map(|_| "--trigger"))
             .or(self.faults.given())
     }
 
@@ -305,6 +318,7 @@ impl ToolOptions {
                 SimulatedBoard::with_light(number, &head.simulated(), head.light()?.into(), trajectory, seed)?
             }
         };
+        let board = self.trigger.into_iter().fold(board, SimulatedBoard::with_trigger);
         let faults = Faults::new(self.faults.fault.clone(), file.scene.cells.len())?;
         let board = board.with_faults(&faults, file, tier)?;
         let device = SimulatedDevice::new(board, frame_s, duration_s, speed);

@@ -9,7 +9,7 @@ use crossbeam_channel::bounded;
 use slitpose_calibration::Head;
 use slitpose_head::threads::{join, lock};
 use slitpose_model::Tier;
-use slitpose_protocol::{Configuration, Stream};
+use slitpose_protocol::{Configuration, Pulse, Stream};
 
 use super::backlog::Backlog;
 use super::error::BoardError;
@@ -19,9 +19,10 @@ use super::opener::{Admit, Opener};
 use super::outputs::{Outbox, Outputs, Pending};
 use super::reader::Reader;
 use super::solver::{Solver, State};
-use super::tap::{self, Tap, TapEnds};
+use super::tap::{Tap, TapEnds};
 use crate::background::spawn;
 use crate::datagram::DatagramServer;
+use crate::platform::claim_priority;
 use crate::terminal::say;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::frame::View;
@@ -47,6 +48,8 @@ pub(crate) struct BoardPlan {
     pub stream: Stream,
     /// Whether scans are sent as soon as the link carries them, with few in a packet.
     pub sends_soon: bool,
+    /// What the board shows of its frames to other instruments.
+    pub pulse: Option<Pulse>,
     /// Decides whether a board may be followed.
     pub admit: Admit,
     pub tier: Tier,
@@ -75,7 +78,6 @@ pub(super) struct Shared {
     /// Whether each pose has to be printed.
     pub(super) prints_each: bool,
     pub(super) recorder: Option<TapEnds>,
-    pub(super) streams: Vec<TapEnds>,
     pub(super) datagrams: Option<Arc<DatagramServer>>,
     pub(super) takers: Vec<Arc<dyn SampleSink>>,
     pub(super) real_time: Option<u8>,
@@ -118,7 +120,6 @@ impl BoardThreads {
                 printer: shared.outboxes,
                 prints_all: keeps_all,
                 capture: shared.recorder.map(tap),
-                streams: shared.streams.into_iter().map(tap).collect(),
                 samplers: shared.takers.into_iter().map(|taker| Sampler::new(number, taker)).collect(),
                 pending: Pending::default(),
             },
@@ -144,14 +145,14 @@ impl BoardThreads {
         };
         let priority = shared.real_time;
         let solve = move || {
-            if let Some(remedy) = priority.and_then(|priority| tap::claim(priority).err()) {
+            if let Some(remedy) = priority.and_then(|priority| claim_priority(priority).err()) {
                 say(format_args!("{remedy}"));
             }
             Solver::run(&solver_end)
         };
         let read = move || {
             // The solving thread reports a refusal.
-            let _ = priority.map(tap::claim);
+            let _ = priority.map(claim_priority);
             reader.run()
         };
         let solver = spawn(format!("solve {number}"), solve).map_err(BoardError::Thread)?;

@@ -4,12 +4,11 @@
 //!            ┌────────┐ segments ┌────────┐──▶ datagrams        at once; a slow reader misses some
 //!  board ──▶ │ reader │ ───────▶ │ solver │──▶ printer          waits: standard output never drops
 //!            └────────┘          └────────┘──▶ recorder         drops, counts, and notes it in the capture
-//!                 ▲     events       │    ├──▶ streamers        as the recorder: takers of all bytes
-//!                 │                  │    └──▶ account          a few times a second
+//!                 ▲     events       │    └──▶ account          a few times a second
 //!                 └──────────────────┘
 //! ```
 //!
-//! Each board has two threads; all boards share recorder, printer and streamers, with one thread each. Threads pass
+//! Each board has two threads; all boards share recorder and printer, with one thread each. Threads pass
 //! buffers of fixed pools to each other (see `handoff`), so that nothing is allocated per scan and no queue
 //! grows. Segments are decoded at once: on the reading thread while that is quick, else on the solving thread (see
 //! `handoff`). If the solver is too slow, or the printer does not accept poses, scans wait, or are skipped where no
@@ -38,11 +37,6 @@ pub(crate) use board::BoardPlan;
 pub(crate) use error::BoardError;
 pub(crate) use opener::{Admit, Opener, SimulatedOpener};
 pub(crate) use recorder::CapturePlan;
-#[cfg(feature = "zenoh")]
-pub(crate) use tap::ChunkSink;
-pub(crate) use tap::StreamPlan;
-#[cfg(feature = "zenoh")]
-pub(crate) use tap::TapChunk;
 
 use crate::datagram::DatagramServer;
 use crate::sink::{Account, Sink};
@@ -70,8 +64,6 @@ pub(crate) struct Plan {
     pub capture: Option<CapturePlan>,
     /// The server that sends poses to control loops.
     pub datagrams: Option<DatagramServer>,
-    /// Takers of all bytes.
-    pub streams: Vec<StreamPlan>,
     /// Takers of samples: the live page, and others.
     pub takers: Vec<Arc<dyn SampleSink>>,
     pub real_time: Option<u8>,
@@ -83,8 +75,7 @@ pub(crate) struct Daemon {
     boards: Mutex<Vec<BoardThreads>>,
     printer: Mutex<Option<PrinterThread>>,
     recorder: Option<RecorderControl>,
-    /// Threads of the takers of all bytes, of the recorder, too.
-    takers: Mutex<Vec<JoinHandle<()>>>,
+    recording: Mutex<Option<JoinHandle<()>>>,
     datagrams: Option<Arc<DatagramServer>>,
     stop: Arc<AtomicBool>,
 }
@@ -100,19 +91,16 @@ pub(crate) struct Ended {
 impl Daemon {
     /// Starts all threads. They end when their boards do, when `stop` is set, or when the sink fails.
     pub(crate) fn start(plan: Plan, stop: Arc<AtomicBool>) -> Result<Self, BoardError> {
-        let Plan { boards, sink, capture, datagrams, streams, takers, real_time } = plan;
+        let Plan { boards, sink, capture, datagrams, takers, real_time } = plan;
         let datagrams = datagrams.map(Arc::new);
         let slots: Vec<_> = boards.iter().map(BoardPlan::slot).collect();
         let prints_each = sink.as_ref().is_some_and(|sink| sink.needs_each());
-        let streams = streams.into_iter().map(|plan| tap::stream(plan, boards.len()));
-        let (mut threads_of_takers, streams): (Vec<_>, _) = streams.collect::<Result<Vec<_>, _>>()?.into_iter().unzip();
-        let (recorder, recorder_ends) = match capture {
+        let (recorder, recording, recorder_ends) = match capture {
             Some(capture) => {
                 let (recorder, thread, ends) = RecorderControl::start(capture, &boards)?;
-                threads_of_takers.push(thread);
-                (Some(recorder), Some(ends))
+                (Some(recorder), Some(thread), Some(ends))
             }
-            None => (None, None),
+            None => (None, None, None),
         };
         let (printer, outboxes) = match sink {
             Some(sink) => {
@@ -134,7 +122,6 @@ impl Daemon {
             outboxes,
             prints_each,
             recorder: recorder_ends,
-            streams,
             datagrams: datagrams.clone(),
             takers,
             real_time,
@@ -148,7 +135,7 @@ impl Daemon {
             boards: Mutex::new(threads),
             printer: Mutex::new(printer),
             recorder,
-            takers: Mutex::new(threads_of_takers),
+            recording: Mutex::new(recording),
             datagrams,
             stop,
         })
@@ -226,7 +213,7 @@ impl Daemon {
         self.recorder.iter().for_each(RecorderControl::close);
         let printer = lock(&self.printer).take();
         let printed = printer.map_or(Ok(()), |printer| printer.end(&self.stop));
-        std::mem::take(&mut *lock(&self.takers)).into_iter().for_each(join);
+        lock(&self.recording).take().into_iter().for_each(join);
         Ended { boards, printed, capture: with_unrecorded(self.recorder_report(), &self.boards_report()) }
     }
 }

@@ -50,7 +50,6 @@ pub(super) struct Outputs {
     pub(super) prints_all: bool,
     pub(super) capture: Option<Tap>,
     /// Takers of all bytes besides the recorder.
-    pub(super) streams: Vec<Tap>,
     pub(super) samplers: Vec<Sampler>,
     pub(super) pending: Pending,
 }
@@ -74,13 +73,9 @@ pub(super) struct Pending {
 }
 
 impl Outputs {
-    pub(super) fn taps(&mut self) -> impl Iterator<Item = &mut Tap> {
-        self.capture.iter_mut().chain(&mut self.streams)
-    }
-
     /// Prepares for the next segment; `opened`: the link was opened anew.
     pub(super) fn begin(&mut self, opened: bool) {
-        self.taps().for_each(|tap| tap.begin(opened));
+        self.capture.iter_mut().for_each(|tap| tap.begin(opened));
     }
 
     /// Passes on one item of a segment.
@@ -97,7 +92,7 @@ impl Outputs {
                     self.send();
                     self.publisher = self.datagrams.as_ref().map(|datagrams| datagrams.publisher(device));
                 }
-                self.taps().for_each(|tap| tap.hello(hello));
+                self.capture.iter_mut().for_each(|tap| tap.hello(hello));
             }
             Item::Event { severity, text, .. } if *severity != Severity::Info => {
                 self.pending.complaint = Some((*text).to_owned());
@@ -116,7 +111,7 @@ impl Outputs {
 
     /// Passes on the bytes of a segment.
     pub(super) fn keep(&mut self, segment: &Segment) {
-        self.taps().for_each(|tap| tap.keep(segment));
+        self.capture.iter_mut().for_each(|tap| tap.keep(segment));
     }
 
     /// Captures a pose that is to be published.
@@ -162,7 +157,6 @@ impl Outputs {
         }
         for record in &self.pending.fresh {
             self.statistics.update(&Item::Pose(record), record.arrival, record.arrival.map(|_| now));
-            self.streams.iter_mut().for_each(|tap| tap.pose(record));
         }
         self.pending.fresh.clear();
     }

@@ -108,7 +108,7 @@ impl Reader {
     /// Opens, greets, configures and starts the board. It counts as running once scans come.
     fn connect(&mut self) -> Result<Conversation, BoardError> {
         let Self {
-            plan: BoardPlan { opener, admit, stream, sends_soon, head, configuration, .. },
+            plan: BoardPlan { opener, admit, stream, sends_soon, pulse, head, configuration, .. },
             slot,
             claims,
             claimant,
@@ -137,6 +137,9 @@ impl Reader {
         board.stream(*stream)?;
         if *sends_soon {
             board.send_soon(&configuration.schedule)?;
+        }
+        if let Some(pulse) = pulse {
+            board.pulse(*pulse)?;
         }
         board.start()?;
         self.connection += 1;

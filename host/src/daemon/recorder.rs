@@ -5,12 +5,14 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use crossbeam_channel::{Receiver, Sender, bounded, unbounded};
+use crossbeam_channel::{Receiver, Sender, TryRecvError, bounded, unbounded};
 use slitpose_calibration::Head;
 
 use super::board::BoardPlan;
 use super::error::BoardError;
-use super::tap::{self, ChunkSink, TapChunk, TapEnds};
+use super::handoff::{Consumer, buffer_pool};
+use super::tap::{TapChunk, TapEnds};
+use crate::background::spawn;
 use crate::terminal::say;
 use slitpose_head::causes::with_causes;
 use slitpose_head::threads::lock;
@@ -20,6 +22,8 @@ use slitpose_tracking::link::DeviceId;
 use slitpose_tracking::telemetry::{DaemonReport, RecorderReport, RecorderState};
 
 const CHUNK: Duration = Duration::from_millis(20);
+
+const IDLE: Duration = Duration::from_millis(100);
 
 /// Most chunks on their way to the disk: 5 s of one board.
 const CHUNKS_A_BOARD: usize = 256;
@@ -106,9 +110,10 @@ impl RecorderControl {
             log_ns: 0,
         };
         recorder.publish();
-        let (thread, chunks) = tap::start("record", Box::new(recorder), CHUNKS_A_BOARD * boards.len().max(1))?;
+        let (chunks, consumer) = buffer_pool(CHUNKS_A_BOARD * boards.len().max(1), TapChunk::with_capacity);
+        let thread = spawn("record".to_owned(), move || recorder.run(&consumer)).map_err(BoardError::Thread)?;
         let pose_every_s = plan.poses_hz.recip();
-        let ends = TapEnds { chunks, is_wanted, pose_every_s, span: CHUNK, tells_hello: false };
+        let ends = TapEnds { chunks, is_wanted, pose_every_s, span: CHUNK };
         Ok((Self { accounts: Mutex::new(Some(tell)), orders: order, report }, thread, ends))
     }
 
@@ -148,10 +153,21 @@ impl RecorderControl {
     }
 }
 
-impl ChunkSink for Recorder {
-    fn chunk(&mut self, chunk: &TapChunk) {
-        let done = self.record(chunk);
-        self.report_failure(done);
+impl Recorder {
+    /// Records until all boards have ended. Nothing waits for it.
+    fn run(mut self, chunks: &Consumer<TapChunk>) {
+        loop {
+            match chunks.next(IDLE) {
+                Ok(chunk) => {
+                    let done = self.record(&chunk);
+                    self.report_failure(done);
+                    chunks.give_back(chunk);
+                }
+                Err(TryRecvError::Empty) => {}
+                Err(TryRecvError::Disconnected) => return self.end(),
+            }
+            self.tick();
+        }
     }
 
     fn tick(&mut self) {
@@ -176,9 +192,7 @@ impl ChunkSink for Recorder {
         self.publish();
         self.finish();
     }
-}
 
-impl Recorder {
     /// Ends the present capture, begins the next, or notes something, as asked.
     fn obey(&mut self) {
         if self.ends_at.is_some_and(|at| Instant::now() < at) {
@@ -402,7 +416,8 @@ mod tests {
                     let device = introduced.then_some(BOARDS[board]);
                     let mut chunk = TapChunk { board, device, ..TapChunk::default() };
                     chunk.segment.push(&[number], None);
-                    recorder.chunk(&chunk);
+                    let done = recorder.record(&chunk);
+                    recorder.report_failure(done);
                 }
                 Look { later } => {
                     // However long the test is stopped here.

@@ -104,7 +104,7 @@ impl Solver {
                 solver.receive_queued(handoff);
             }
             solver.pause();
-            solver.outputs.taps().for_each(Tap::hand_over_old);
+            solver.outputs.capture.iter_mut().for_each(Tap::hand_over_old);
             let queue = solver.pipeline.queue();
             if queue.waiting == 0 && solver.state.is_over {
                 return solver.end();
@@ -120,7 +120,7 @@ impl Solver {
     }
 
     fn end(&mut self) -> Counts {
-        self.outputs.taps().for_each(Tap::hand_over);
+        self.outputs.capture.iter_mut().for_each(Tap::hand_over);
         // What a board took while it was missed is told otherwise, and not counted.
         if !self.stop.load(Ordering::Relaxed) && self.state.connection <= 1 {
             self.pipeline.end();
@@ -290,12 +290,10 @@ impl Solver {
             skipped_scans: self.pipeline.counts().scans_skipped,
         };
         self.say_lag(&lag);
-        let bytes_unpublished = self.outputs.streams.iter().map(|tap| tap.bytes_dropped).sum();
         let Outputs { statistics, capture, publisher, .. } = &mut self.outputs;
         statistics.report.lag = lag;
         statistics.report.losses.host = HostLosses {
             bytes_unrecorded: capture.as_ref().map_or(0, |tap| tap.bytes_dropped),
-            bytes_unpublished,
             poses_unsent: publisher.as_ref().map_or(0, |publisher| publisher.missed),
         };
         self.slot.account(&self.pipeline, statistics);

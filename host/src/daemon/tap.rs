@@ -1,21 +1,12 @@
-//! Taps on the streams of boards: queues to the recorder, and to other takers of all bytes, in chunks of some milliseconds;
-//! the thread of such a taker, for which no other thread waits; and the priority of threads that must not be late.
+//! Taps on the streams of boards: queues to the recorder, in chunks of some milliseconds.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use crossbeam_channel::TryRecvError;
 use slitpose_protocol::{Hello, MAX_MESSAGE_BYTES, Message, encode};
-use thread_priority::{
-    RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
-    set_thread_priority_and_policy, thread_native_id,
-};
 
-use super::error::BoardError;
-use super::handoff::{Producer, buffer_pool};
-use crate::background::spawn;
+use super::handoff::Producer;
 use slitpose_tracking::capture::PoseRate;
 use slitpose_tracking::link::{DeviceId, Segment};
 use slitpose_tracking::pipeline::Record;
@@ -45,7 +36,7 @@ pub(crate) struct TapChunk {
 
 impl TapChunk {
     /// An empty chunk with room for ordinary contents.
-    fn with_capacity() -> Self {
+    pub(super) fn with_capacity() -> Self {
         Self { segment: Segment::with_capacity(ORDINARY_BYTES), poses: Vec::with_capacity(2), ..Self::default() }
     }
 
@@ -65,8 +56,6 @@ pub(super) struct TapEnds {
     pub(super) pose_every_s: f64,
     /// A chunk holds the bytes read within this time.
     pub(super) span: Duration,
-    /// Whether a hello is told beside the bytes that it stands in, too.
-    pub(super) tells_hello: bool,
 }
 
 #[derive(Debug)]
@@ -153,9 +142,6 @@ impl Tap {
         }
         if let Some(chunk) = &mut self.under_way {
             chunk.device = self.device;
-            if self.ends.tells_hello {
-                chunk.hello.clone_from(&self.hello);
-            }
         }
     }
 
@@ -207,74 +193,4 @@ impl Drop for Tap {
     fn drop(&mut self) {
         self.hand_over();
     }
-}
-
-// Takers of all bytes, each on a thread of its own.
-
-/// Time of a chunk: as short as allows a few messages a millisecond of four boards.
-const STREAM_SPAN: Duration = Duration::from_millis(2);
-
-/// Most chunks on their way: a quarter of a second of one board.
-const CHUNKS_A_BOARD: usize = 128;
-
-const IDLE: Duration = Duration::from_millis(100);
-
-pub(crate) trait ChunkSink: Send {
-    /// Takes the next chunk of a board.
-    fn chunk(&mut self, chunk: &TapChunk);
-
-    /// Called after each chunk, and ten times a second without.
-    fn tick(&mut self);
-
-    /// All boards have ended: no chunk follows.
-    fn end(&mut self) {}
-}
-
-pub(crate) struct StreamPlan {
-    pub(crate) taker: Box<dyn ChunkSink>,
-    /// Device time between the poses that it takes, seconds.
-    pub(crate) pose_every_s: f64,
-}
-
-/// Starts the thread of a stream; returns what boards need of it.
-pub(super) fn stream(plan: StreamPlan, boards: usize) -> Result<(JoinHandle<()>, TapEnds), BoardError> {
-    let (thread, chunks) = start("stream", plan.taker, CHUNKS_A_BOARD * boards.max(1))?;
-    let (pose_every_s, is_wanted) = (plan.pose_every_s, Arc::new(AtomicBool::new(true)));
-    Ok((thread, TapEnds { chunks, is_wanted, pose_every_s, span: STREAM_SPAN, tells_hello: true }))
-}
-
-/// Starts the thread of `taker`, which ends behind all boards, with `chunks` chunks.
-pub(super) fn start(
-    name: &str,
-    mut taker: Box<dyn ChunkSink>,
-    chunks: usize,
-) -> Result<(JoinHandle<()>, Producer<TapChunk>), BoardError> {
-    let (producer, consumer) = buffer_pool(chunks, TapChunk::with_capacity);
-    let take = move || {
-        loop {
-            match consumer.next(IDLE) {
-                Ok(chunk) => {
-                    taker.chunk(&chunk);
-                    consumer.give_back(chunk);
-                }
-                Err(TryRecvError::Empty) => {}
-                Err(TryRecvError::Disconnected) => return taker.end(),
-            }
-            taker.tick();
-        }
-    };
-    Ok((spawn(name.to_owned(), take).map_err(BoardError::Thread)?, producer))
-}
-
-/// Gives the calling thread this priority (SCHED_FIFO, 1 to 99). The error is advice for the user.
-pub(super) fn claim(priority: u8) -> Result<(), &'static str> {
-    const REMEDY: &str = "no real-time priority for the threads of the board: allow it with LimitRTPRIO=99 in the \
-                          systemd unit, or in /etc/security/limits.conf, or leave --real-time out";
-    let value = ThreadPriorityValue::try_from(priority).map_err(|_| REMEDY)?;
-    set_thread_priority_and_policy(
-        thread_native_id(),
-        ThreadPriority::Crossplatform(value),
-        ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo),
-    )
-    .map_err(|_| REMEDY)
 }

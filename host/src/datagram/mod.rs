@@ -77,7 +77,6 @@ use std::sync::atomic;
 
 pub use layout::{Answer, Mode, PoseDatagram, Request};
 pub use server::{DatagramServer, Publisher};
-pub use socket::UnixClient;
 
 pub use crate::address::Address;
 use socket::require_loopback;

@@ -1,21 +1,20 @@
 //! The server receives requests, sends answers, and passes followers to the publishers, which send poses on the thread that
 //! solves.
 
-use std::os::fd::AsFd;
-use std::os::unix::net::UnixStream;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, Weak};
 use std::time::Duration;
 
 use crossbeam_channel::{Receiver, Sender};
-use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use tokio::sync::oneshot;
 
 use super::layout::{Answer, Mode, PoseDatagram, Request};
 use super::slot::Slot;
-use super::socket::{Delivery, Peer, Socket};
+use super::socket::{Delivery, Peer, Socket, Waiting};
 use super::subscription::{Cookies, Lease, Leases, MAX_FOLLOWERS, MAX_NEWS, Subscription, Worth};
-use crate::address::{Address, ServeError, SocketFile};
+use crate::address::{Address, ServeError};
 use crate::background::Background;
+use crate::platform::SocketFile;
 use slitpose_head::threads::lock;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::DeviceId;
@@ -46,7 +45,7 @@ pub struct DatagramServer {
     shared: Arc<Shared>,
     directory: Arc<Mutex<Directory>>,
     addresses: Vec<Address>,
-    _thread: Background<UnixStream>,
+    _thread: Background<oneshot::Sender<()>>,
     _files: Vec<SocketFile>,
 }
 
@@ -63,9 +62,17 @@ impl DatagramServer {
         let shared = Arc::new(Shared { sockets, counters: Counters::default() });
         let directory = Arc::new(Mutex::new(Directory::default()));
         let failed = |source| ServeError::Thread { source };
-        let (end, ended) = UnixStream::pair().map_err(failed)?;
-        let (of_thread, known) = (Arc::clone(&shared), Arc::clone(&directory));
-        let run = move || serve(&of_thread, &known, &ended);
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build().map_err(failed)?;
+        let (end, ended) = oneshot::channel();
+        for (index, socket) in shared.sockets.iter().enumerate() {
+            let waiting = {
+                let _runtime = runtime.enter();
+                socket.waiting().map_err(failed)?
+            };
+            runtime.spawn(serve(Arc::clone(&shared), Arc::clone(&directory), index, waiting));
+        }
+        // Either way this has been dropped.
+        let run = move || drop(runtime.block_on(ended));
         let thread = Background::spawn("datagrams", end, run).map_err(failed)?;
         Ok(Self { shared, directory, addresses: bound, _thread: thread, _files: files })
     }
@@ -111,33 +118,21 @@ impl DatagramServer {
     }
 }
 
-fn serve(shared: &Shared, directory: &Mutex<Directory>, ended: &UnixStream) {
+/// Serves the requests that come to one of the sockets.
+async fn serve(shared: Arc<Shared>, directory: Arc<Mutex<Directory>>, index: usize, waiting: Waiting) {
     // One byte more than a request, to detect longer datagrams.
     let mut buffer = [0; Request::BYTES + 1];
     loop {
-        let mut watched: Vec<PollFd<'_>> = shared
-            .sockets
-            .iter()
-            .map(AsFd::as_fd)
-            .chain([ended.as_fd()])
-            .map(|descriptor| PollFd::new(descriptor, PollFlags::POLLIN))
-            .collect();
-        // Errors, such as an interrupt, are ignored: `recv` then finds nothing.
-        let _ = poll(&mut watched, PollTimeout::NONE);
-        if watched.last().is_none_or(|end| end.any() != Some(false)) {
-            return;
-        }
-        drop(watched);
-        for (socket, receiver) in shared.sockets.iter().enumerate() {
-            while let Ok((count, peer)) = receiver.receive(&mut buffer) {
-                match (Request::from_bytes(&buffer[..count]), peer) {
-                    (Some(request), Some(peer)) => {
-                        answer(shared, &mut lock(directory), request, socket, &peer);
-                        Counters::count(&shared.counters.requests);
-                    }
-                    _ => Counters::count(&shared.counters.refused),
+        match waiting.next(|| shared.sockets[index].receive(&mut buffer)).await {
+            Ok((count, peer)) => match (Request::from_bytes(&buffer[..count]), peer) {
+                (Some(request), Some(peer)) => {
+                    answer(&shared, &mut lock(&directory), request, index, &peer);
+                    Counters::count(&shared.counters.requests);
                 }
-            }
+                _ => Counters::count(&shared.counters.refused),
+            },
+            // Such as the notice of a client by UDP that has gone.
+            Err(_) => tokio::task::yield_now().await,
         }
     }
 }

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use slitpose_protocol::{
     Command, Configuration, DELIMITER, Decoder, FrameError, HeadPart, Hello, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES,
-    Message, PayloadError, Rejection, Request, Schedule, Stream, encode,
+    Message, PayloadError, Pulse, Rejection, Request, Schedule, Stream, encode,
 };
 
 use super::error::DeviceError;
@@ -151,6 +151,11 @@ impl Conversation {
         self.ask(Command::Packet { scans: packet_scans(schedule) }, REPLY_WITHIN)
     }
 
+    /// Has the board make pulses at its frames once it is started.
+    pub(crate) fn pulse(&mut self, pulse: Pulse) -> Result<(), DeviceError> {
+        self.ask(Command::Pulse(pulse), REPLY_WITHIN)
+    }
+
     /// Starts acquisition. Received bytes are appended to the inbox.
     pub(crate) fn start(&mut self) -> Result<(), DeviceError> {
         self.started = true;
@@ -233,7 +238,7 @@ impl Conversation {
                 return match outcome {
                     Ok(()) => Ok(introduced),
                     Err(source) => {
-                        let next_step = next_step_of(name, &source);
+                        let next_step = next_step_of(&name, &source);
                         Err(DeviceError::Refused { name: self.name(), command: name, next_step, source })
                     }
                 };
@@ -349,30 +354,18 @@ fn packet_scans(schedule: &Schedule) -> u8 {
     (1..u8::MAX).find(is_carried).unwrap_or(u8::MAX)
 }
 
-const HEAD: &str = "Head";
-
-fn name_of(command: &Command) -> &'static str {
-    match command {
-        Command::Hello => "Hello",
-        Command::Start => "Start",
-        Command::Stop => "Stop",
-        Command::Configure(_) => "Configure",
-        Command::Ping { .. } => "Ping",
-        Command::Identify { .. } => "Identify",
-        Command::Store(_) => "Store",
-        Command::Forget => "Forget",
-        Command::Reboot(_) => "Reboot",
-        Command::Head(_) => HEAD,
-        Command::Stream(_) => "Stream",
-        Command::FullScale { .. } => "FullScale",
-        Command::Packet { .. } => "Packet",
-    }
+/// The name of a command is that of its variant.
+fn name_of(command: &Command) -> String {
+    format!("{command:?}").chars().take_while(char::is_ascii_alphabetic).collect()
 }
 
 fn next_step_of(command: &str, rejection: &Rejection) -> &'static str {
     match rejection {
-        Rejection::Unsupported { .. } if command == HEAD => {
+        Rejection::Unsupported { .. } if command == "Head" => {
             "flash the image that solves poses, slitpose-board-pose, or let this program solve them: --stream raw"
+        }
+        Rejection::Unsuited(_) if command == "Pulse" => {
+            "choose a slot of the schedule, and so few frames that their slots are at most 65536"
         }
         Rejection::Unsupported { .. } | Rejection::Malformed { .. } => {
             "build firmware and program from the same source"

@@ -15,9 +15,10 @@ use std::time::{Duration, Instant};
 
 use super::conversation::Conversation;
 use super::error::DeviceError;
-use super::listed::{BoardInfo, Listed, Port, PortState, UsbId, is_path, real_path};
+use super::listed::{BoardInfo, Listed, Port, PortState, UsbId, is_path};
 use super::ports::{ANSWER_WITHIN, Search, ports};
 use super::serial::SerialDevice;
+use crate::platform::{is_port_name, real_port};
 use slitpose_tracking::link::DeviceId;
 
 const SIM: &str = "sim";
@@ -169,7 +170,7 @@ fn locate(selector: &Selector, known: Option<&Found>) -> Option<Found> {
 }
 
 fn located(selector: &Selector, known: Option<&Found>, ports: &[Port]) -> Option<String> {
-    let exists = |name: &str| Path::new(name).exists().then(|| name.to_owned());
+    let exists = |name: &str| (is_port_name(name) || Path::new(name).exists()).then(|| name.to_owned());
     let device = match selector {
         Selector::Serial(device) => Some(*device),
         _ => known.and_then(|known| known.device),
@@ -203,8 +204,8 @@ fn unsure(ports: &[Port], search: &[Search], debuggers: bool) -> Vec<Port> {
     let mut unsure: Vec<_> = ports.iter().filter(|port| debuggers && port.is_debugger()).cloned().collect();
     for name in search.iter().flat_map(Search::names) {
         let known = ports.iter().filter(|port| port.is_board()).chain(&unsure);
-        let real = real_path(&name);
-        if !known.into_iter().any(|port| real_path(&port.name) == real) {
+        let real = real_port(&name);
+        if !known.into_iter().any(|port| real_port(&port.name) == real) {
             unsure.push(Port::at(&name, ports));
         }
     }

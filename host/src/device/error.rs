@@ -7,12 +7,13 @@ use slitpose_tracking::link::{DeviceId, Versions};
 use thiserror::Error;
 
 use super::listed::Listed;
+use crate::platform::A_PORT;
 
 /// Why a board cannot be used, or no longer.
 #[derive(Debug, Error)]
 #[allow(missing_docs, reason = "the texts say what each is")]
 pub enum DeviceError {
-    #[error("cannot list the serial ports of this system; give the path of the board's port, such as /dev/ttyACM0")]
+    #[error("cannot list the serial ports of this system; give the path of the board's port, such as {A_PORT}")]
     Ports { source: serialport::Error },
     #[error("`{pattern}` is no pattern of paths; give one such as '/dev/ttyUSB*'")]
     Pattern { pattern: String, source: glob::PatternError },
@@ -31,18 +32,18 @@ pub enum DeviceError {
     NoSuchBoard { device: DeviceId, there: Vec<Listed> },
     #[error(
         "`{name}` is neither the path of a serial port nor the serial number of a board (24 hexadecimal digits), as \
-         `slitpose device list` shows them; give the path, such as /dev/ttyACM0, or --device sim for a simulated board"
+         `slitpose device list` shows them; give the path, such as {A_PORT}, or --device sim for a simulated board"
     )]
     NotAPath { name: String },
     #[error("there is no {name}; plug the board in and look for its port, or give --device sim for a simulated board")]
     Missing { name: String },
-    #[error("{name} is a {what}, not a serial port; give the port of the board, such as /dev/ttyACM0")]
+    #[error("{name} is a {what}, not a serial port; give the port of the board, such as {A_PORT}")]
     NotAPort { name: String, what: &'static str },
     #[error("{name} may not be opened by this user; on most systems the group dialout may: join it and log in again")]
     Forbidden { name: String },
     #[error("{name} is in use by another program, such as a running `slitpose run`; end that first")]
     Busy { name: String },
-    #[error("{name} cannot be opened as a serial port; give the port of the board, such as /dev/ttyACM0")]
+    #[error("{name} cannot be opened as a serial port; give the port of the board, such as {A_PORT}")]
     Open { name: String, source: serialport::Error },
     #[error(
         "nothing answers on {name}: not a byte came within {seconds} s; \
@@ -63,9 +64,9 @@ pub enum DeviceError {
     #[error("the board on {name} says that another scene or schedule is stored than was sent; try again")]
     NotStored { name: String },
     #[error("the board on {name} did not reply to {command} within {seconds} s; reset the board")]
-    NoReply { name: String, command: &'static str, seconds: f64 },
+    NoReply { name: String, command: String, seconds: f64 },
     #[error("the board on {name} refused {command}; {next_step}")]
-    Refused { name: String, command: &'static str, next_step: &'static str, source: Rejection },
+    Refused { name: String, command: String, next_step: &'static str, source: Rejection },
     #[error("the board on {name} has gone; if it was unplugged, plug it in again")]
     Gone { name: String, source: io::Error },
     #[error("no data for {seconds} s from the board on {name}; reset the board")]

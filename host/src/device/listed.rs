@@ -1,12 +1,13 @@
 //! A port as it is listed: its USB descriptors, its state, what the board there says of itself.
 
-use std::path::{MAIN_SEPARATOR, Path, PathBuf};
+use std::path::{MAIN_SEPARATOR, Path};
 
 use serde::{Serialize, Serializer};
 use serde_json::json;
 use slitpose_protocol::schema::SchemaMismatch;
 use slitpose_protocol::{AdcScaling, BoardKind, Hashes, Hello, PROTOCOL, ProtocolVersion, ResetCause, Schedule};
 
+use crate::platform::{HAS_USB_TEXTS, is_port_name, real_port};
 use slitpose_tracking::link::DeviceId;
 
 /// USB vendor and product number of a board: a pair for tests, shared with other devices, so that the texts must match,
@@ -42,9 +43,15 @@ pub(crate) struct UsbId {
 impl UsbId {
     /// Whether this is a board with its own USB port.
     pub(crate) fn is_board(&self) -> bool {
+        self.is_board_by(HAS_USB_TEXTS)
+    }
+
+    /// The same by the texts of the device, or where the system has others, by a serial number of 12 bytes.
+    pub(super) fn is_board_by(&self, has_texts: bool) -> bool {
+        let texts = [self.manufacturer.as_deref(), self.product.as_deref()];
+        let is_number = || self.serial.as_deref().is_some_and(|serial| serial.parse::<DeviceId>().is_ok());
         (self.vid, self.pid) == BOARD
-            && self.manufacturer.as_deref() == Some(MANUFACTURER)
-            && self.product.as_deref() == Some(PRODUCT)
+            && if has_texts { texts == [Some(MANUFACTURER), Some(PRODUCT)] } else { is_number() }
     }
 
     /// The board, if its USB descriptors name it.
@@ -63,8 +70,8 @@ pub struct Port {
 impl Port {
     /// The port at `name`, with its USB descriptors if `ports` has it, also under another name.
     pub(super) fn at(name: &str, ports: &[Self]) -> Self {
-        let real = real_path(name);
-        let usb = ports.iter().find(|port| real_path(&port.name) == real).and_then(|port| port.usb.clone());
+        let real = real_port(name);
+        let usb = ports.iter().find(|port| real_port(&port.name) == real).and_then(|port| port.usb.clone());
         Self { name: name.to_owned(), usb }
     }
 
@@ -84,14 +91,9 @@ impl Port {
     }
 }
 
-/// The target of a path, or the path itself if it does not exist.
-pub(super) fn real_path(name: &str) -> PathBuf {
-    std::fs::canonicalize(name).unwrap_or_else(|_| name.into())
-}
-
 /// Whether `name` looks like the path of a port, and not like the name of a board.
 pub(super) fn is_path(name: &str) -> bool {
-    name.contains(['/', MAIN_SEPARATOR]) || (cfg!(windows) && name.starts_with("COM")) || Path::new(name).exists()
+    name.contains(['/', MAIN_SEPARATOR]) || is_port_name(name) || Path::new(name).exists()
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

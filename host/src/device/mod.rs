@@ -17,7 +17,6 @@ pub(crate) use listed::{BoardInfo, Listed, Port, PortState, UsbId};
 pub use orders::KeepAlive;
 pub(crate) use ports::{Search, ports};
 pub use serial::SerialDevice;
-pub(crate) use serial::holders;
 pub(crate) use serial::{SimulatedDevice, SimulatedPort};
 pub use stream::Device;
 

@@ -1,8 +1,6 @@
 //! Lists the serial ports of this host. Whether a board answers there is asked by one Hello, so that other devices are
 //! not disturbed.
 
-use std::os::unix::fs::FileTypeExt;
-use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::time::Duration;
 
@@ -12,15 +10,20 @@ use super::conversation::Conversation;
 use super::error::DeviceError;
 use super::listed::{Listed, Port, PortState, UsbId};
 use super::serial::SerialDevice;
+use crate::platform::{can_list_ports, ports_like, real_port};
 
 /// The serial ports of this host.
 pub fn ports() -> Result<Vec<Port>, DeviceError> {
-    // The library panics without this folder; a system without it has no ports.
-    if cfg!(target_os = "linux") && !Path::new("/sys/class/tty").is_dir() {
+    if !can_list_ports() {
         return Ok(Vec::new());
     }
     let listed = serialport::available_ports().map_err(|source| DeviceError::Ports { source })?;
     Ok(from_system(listed))
+}
+
+/// Whether the system lists the port `name`, in whatever spelling.
+pub(super) fn is_listed(name: &str) -> bool {
+    ports().is_ok_and(|ports| ports.iter().any(|port| real_port(&port.name) == real_port(name)))
 }
 
 /// The ports as the system lists them, sorted by name.
@@ -66,11 +69,9 @@ impl FromStr for Search {
 }
 
 impl Search {
-    /// The character devices that match, sorted by name. Unreadable paths do not match.
+    /// The ports that match, sorted by name.
     pub(super) fn names(&self) -> Vec<String> {
-        let is_port = |path: &PathBuf| std::fs::metadata(path).is_ok_and(|found| found.file_type().is_char_device());
-        let matches = glob::glob(&self.0).into_iter().flatten().flatten();
-        matches.filter(is_port).filter_map(|path| path.into_os_string().into_string().ok()).collect()
+        ports_like(&self.0)
     }
 }
 
@@ -153,6 +154,14 @@ mod tests {
         let hello = DeviceId([0x00, 0x36, 0x00, 0x29, 0x00, 0x54, 0x48, 0x50, 0x02, 0x5a, 0x03, 0x20]);
         assert_eq!(ports[1].device(), Some(hello));
         assert_eq!(ports[0].device(), None);
+        // On Windows the texts are those of the driver.
+        let texts = ["Microsoft", "USB Serial Device (COM3)"].map(|text| Some(text.to_owned()));
+        let by_driver = |serial: &str| {
+            let [manufacturer, product] = texts.clone();
+            UsbId { vid: 0x1209, pid: 0x0001, serial: Some(serial.to_owned()), manufacturer, product }
+        };
+        assert!(by_driver(serial).is_board_by(false) && !by_driver(serial).is_board_by(true));
+        assert!(!by_driver("A1").is_board_by(false));
     }
 
     #[test]

@@ -1,7 +1,6 @@
 //! Boards as devices: on a serial port (USB CDC-ACM, a UART, or a pseudo-terminal), and simulated.
 
 use std::io::{ErrorKind, Read, Write};
-use std::path::Path;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use std::{fs, io};
@@ -10,9 +9,11 @@ use serialport::{DataBits, FlowControl, Parity, SerialPort, StopBits};
 use slitpose_model::Tier;
 
 use super::error::DeviceError;
-use super::listed::{is_path, real_path};
+use super::listed::is_path;
 use super::orders::KeepAlive;
+use super::ports::is_listed;
 use super::stream::Device;
+use crate::platform::{ANY_BAUD, is_port_name};
 use slitpose_head::faults::{Injector, Link};
 use slitpose_head::front_end;
 use slitpose_head::pace::{Pace, Speed};
@@ -43,9 +44,9 @@ impl SerialDevice {
     /// Opens the port at `path`: raw, 8N1, DTR set if there is one.
     pub fn open(path: &str) -> Result<Self, DeviceError> {
         let name = path.to_owned();
-        match fs::metadata(path) {
-            Ok(found) if found.is_dir() => return Err(DeviceError::NotAPort { name, what: "folder" }),
-            Ok(found) if found.is_file() => return Err(DeviceError::NotAPort { name, what: "file" }),
+        match (!is_port_name(path)).then(|| fs::metadata(path)).transpose() {
+            Ok(Some(found)) if found.is_dir() => return Err(DeviceError::NotAPort { name, what: "folder" }),
+            Ok(Some(found)) if found.is_file() => return Err(DeviceError::NotAPort { name, what: "file" }),
             Err(_) if !is_path(path) => return Err(DeviceError::NotAPath { name }),
             // Ports of some systems are not in the file system: try to open.
             _ => {}
@@ -57,18 +58,19 @@ impl SerialDevice {
                 .stop_bits(StopBits::One)
                 .flow_control(FlowControl::None)
                 .dtr_on_open(true)
-                .exclusive(true)
                 .timeout(WAIT)
                 .open()
         };
-        // The pseudo-terminals of macOS refuse every rate; zero leaves it alone there.
-        let port = open(BAUD).or_else(|error| match error.kind {
-            serialport::ErrorKind::Unknown if cfg!(target_os = "macos") => open(0),
+        let port = open(BAUD).or_else(|error| match (error.kind, ANY_BAUD) {
+            (serialport::ErrorKind::Unknown, Some(any)) => open(any),
             _ => Err(error),
         });
         match port {
             Ok(port) => Ok(Self { name, port, chunk: [0; CHUNK_BYTES] }),
             Err(source) => Err(match source.kind {
+                serialport::ErrorKind::NoDevice if is_port_name(path) && !is_listed(path) => {
+                    DeviceError::Missing { name }
+                }
                 serialport::ErrorKind::NoDevice => DeviceError::Busy { name },
                 serialport::ErrorKind::Io(ErrorKind::NotFound) => DeviceError::Missing { name },
                 serialport::ErrorKind::Io(ErrorKind::PermissionDenied) => DeviceError::Forbidden { name },
@@ -121,28 +123,6 @@ impl Drop for SerialDevice {
         // A port that keeps its lines when closed would leave the board waiting for a host.
         let _ = self.port.write_data_terminal_ready(false);
     }
-}
-
-/// The programs that have the port `name` open, without those of other users, whose open files are hidden. Reads every open file of the system.
-pub(crate) fn holders(name: &str) -> Vec<String> {
-    let port = real_path(name);
-    let number = |entry: fs::DirEntry| entry.file_name().to_str()?.parse::<u32>().ok();
-    let processes = fs::read_dir("/proc").into_iter().flatten().flatten().filter_map(number);
-    let mut holders: Vec<u32> = processes.filter(|process| has_open(*process, &port)).collect();
-    holders.sort_unstable();
-    holders.into_iter().map(|process| format!("{} (process {process})", program(process))).collect()
-}
-
-fn has_open(process: u32, port: &Path) -> bool {
-    let Ok(files) = fs::read_dir(format!("/proc/{process}/fd")) else {
-        return false;
-    };
-    files.flatten().any(|file| fs::read_link(file.path()).is_ok_and(|target| target == port))
-}
-
-fn program(process: u32) -> String {
-    let name = fs::read_to_string(format!("/proc/{process}/comm")).unwrap_or_default();
-    name.trim_end().to_owned()
 }
 
 // The simulated board: device time passes while its host waits for bytes.

@@ -1,8 +1,5 @@
 //! Ports, permissions, whether a board answers, and whether board, head and scene belong together.
 
-use std::os::unix::fs::MetadataExt;
-
-use nix::unistd::{AccessFlags, Gid, Group, access};
 use slitpose_head::causes::with_causes;
 use slitpose_head::finding::{Finding, Grade};
 use slitpose_head::front_end::is_full_scale_of;
@@ -10,9 +7,9 @@ use slitpose_head::scene_file::{SceneFile, Shipped};
 
 use super::{Subject, default_scene, judged};
 use crate::device::{
-    BoardInfo, Conversation, Device, DeviceError, Found, Port, Selector, SerialDevice, SimulatedDevice, find, holders,
-    ports,
+    BoardInfo, Conversation, Device, DeviceError, Port, Selector, SerialDevice, SimulatedDevice, find, ports,
 };
+use crate::platform::{holders, port_permission};
 use slitpose_tracking::link::Versions;
 
 /// Opens the board and reads its hello; `None` if that fails or cannot be understood.
@@ -55,7 +52,7 @@ fn open(subject: &Subject<'_>, checks: &mut Vec<Finding>) -> Option<Box<dyn Devi
             return None;
         }
     };
-    checks.push(of_permission(&found));
+    checks.push(port_permission(&found.port));
     match SerialDevice::open(&found.port) {
         Ok(device) => {
             checks.push(Finding::ok("exclusive", "no other program has the port open"));
@@ -84,21 +81,6 @@ fn of_ports(listed: Result<Vec<Port>, DeviceError>) -> Finding {
             Finding::ok("ports", format!("{count} serial ports, of which boards: {boards}, debuggers: {debuggers}"))
         }
         Err(error) => Finding::warning("ports", with_causes(&error), "give the path of the port with --device"),
-    }
-}
-
-/// Whether this user may open the port, and the group that may.
-fn of_permission(found: &Found) -> Finding {
-    let name = found.port.as_str();
-    let group = std::fs::metadata(name).ok().and_then(|port| Group::from_gid(Gid::from_raw(port.gid())).ok().flatten());
-    let group = group.map_or_else(|| "without a name".to_owned(), |group| group.name);
-    match access(name, AccessFlags::R_OK | AccessFlags::W_OK) {
-        Ok(()) => Finding::ok("permission", format!("this user may open {name}, which belongs to the group {group}")),
-        Err(error) => Finding::failed(
-            "permission",
-            format!("this user may not open {name}, which belongs to the group {group}: {error}"),
-            "install the udev rule (host/INSTALL.md), or join that group and log in again",
-        ),
     }
 }
 
@@ -202,13 +184,6 @@ mod tests {
         let (checks, understood) = judge(&BoardInfo { mismatch: Some(mismatch), ..info() });
         assert!(!understood && checks[1].grade == Grade::Failed, "{checks:?}");
         assert!(checks[1].text.contains("different builds") && checks[1].text.contains("Batch"));
-    }
-
-    #[test]
-    fn a_port_that_is_not_there_may_not_be_opened() {
-        let found = |port: &str| Found { port: port.to_owned(), usb: None, device: None };
-        assert_eq!(of_permission(&found("/dev/null")).grade, Grade::Ok);
-        assert_eq!(of_permission(&found("/dev/no-such-board")).grade, Grade::Failed);
     }
 
     fn looked(given: Option<&SceneFile>, stored: Option<u64>) -> (Grade, Option<String>) {

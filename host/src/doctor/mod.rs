@@ -3,20 +3,18 @@
 //! `link` finds and opens the board and compares it with its scene, `measurement` lets it measure for a while. `bring_up` walks through the steps for a new board. A [`Bundle`] packs the findings for a report of
 //! a fault. Only the schedule of the board is changed, and nothing is stored on it.
 
+use std::io;
 use std::io::Write;
 use std::path::Path;
-use std::process::{Command, Stdio};
 use std::time::{Duration, Instant, UNIX_EPOCH};
-use std::{fs, io};
 
 pub(crate) use bring_up::{BringUp, Step};
 use flate2::Compression;
 use flate2::write::GzEncoder;
-use nix::sys::statvfs::statvfs;
-use nix::unistd::geteuid;
 use serde::Serialize;
 
 use crate::device::{BoardInfo, Search, Selector};
+use crate::platform::{SET_CLOCK, priority, synchronised, system};
 use slitpose_head::causes::with_causes;
 use slitpose_head::finding::Finding;
 use slitpose_head::finding::Grade::{self, Failed, Warning};
@@ -160,28 +158,13 @@ impl Bundle {
     }
 }
 
-fn system() -> String {
-    let release = fs::read_to_string("/etc/os-release").unwrap_or_else(|_| "no /etc/os-release\n".to_owned());
-    // Without -n: the name of the host is private.
-    let kernel = Command::new("uname").args(["-s", "-r", "-v", "-m"]).stdin(Stdio::null()).output();
-    let kernel = kernel.map_or_else(
-        |error| format!("no uname: {error}\n"),
-        |kernel| String::from_utf8_lossy(&kernel.stdout).into_owned(),
-    );
-    format!("{kernel}{release}")
-}
-
 // The machine: its clock, permitted priorities, and the disk for recordings.
 
 /// Start of 2026, before the first build: an earlier time is wrong.
 const EARLIEST_UTC_NS: u64 = 1_767_225_600_000_000_000;
 
-/// The priority that the shipped service may use.
-const PRIORITY: u64 = 50;
-
 fn host_checks() -> [Finding; 3] {
-    let limits = fs::read_to_string("/proc/self/limits").ok();
-    [of_date(HostInstant::now().utc_ns), of_synchronisation(synchronised().as_deref()), of_priority(limits.as_deref())]
+    [of_date(HostInstant::now().utc_ns), of_synchronisation(synchronised().as_deref()), priority()]
 }
 
 /// A finding with the grade and the next step of the first of `faults` that is there; without one it is as it should be.
@@ -210,18 +193,7 @@ fn of_date(utc_ns: u64) -> Finding {
     let date = humantime::format_rfc3339_seconds(UNIX_EPOCH + Duration::from_nanos(utc_ns));
     let is_wrong = utc_ns < EARLIEST_UTC_NS;
     let wrong = if is_wrong { "the clock of this host is wrong: it says " } else { "" };
-    judged("date", format!("{wrong}{date} (UTC)"), [(is_wrong, Warning, "set the clock: timedatectl set-ntp true")])
-}
-
-/// The answer of systemd, if it runs.
-fn synchronised() -> Option<String> {
-    let asked = Command::new("timedatectl")
-        .args(["show", "--property=NTPSynchronized", "--value"])
-        .stdin(Stdio::null())
-        .stderr(Stdio::null())
-        .output()
-        .ok()?;
-    asked.status.success().then(|| String::from_utf8_lossy(&asked.stdout).trim().to_owned())
+    judged("date", format!("{wrong}{date} (UTC)"), [(is_wrong, Warning, SET_CLOCK)])
 }
 
 fn of_synchronisation(said: Option<&str>) -> Finding {
@@ -230,31 +202,9 @@ fn of_synchronisation(said: Option<&str>) -> Finding {
         Some("no") => Finding::warning(
             "clock",
             "not synchronised to UTC: dates of poses are as wrong as the clock; intervals are right",
-            "timedatectl set-ntp true, or install chrony",
+            SET_CLOCK,
         ),
-        _ => Finding::skipped("clock", "without timedatectl it is not known whether the clock is synchronised"),
-    }
-}
-
-fn of_priority(limits: Option<&str>) -> Finding {
-    if geteuid().is_root() {
-        return Finding::ok("priority", "root may use real-time priorities");
-    }
-    let Some(limit) = limits.and_then(real_time_limit) else {
-        return Finding::skipped("priority", "/proc/self/limits does not say what is allowed");
-    };
-    let is_low = limit < PRIORITY;
-    let needed = if is_low { format!(", {PRIORITY} is needed: a busy host reads late") } else { String::new() };
-    let text = format!("real-time priorities up to {limit} are allowed{needed}");
-    judged("priority", text, [(is_low, Warning, "allow them as host/INSTALL.md describes, or run the service")])
-}
-
-/// The soft limit in `/proc/self/limits`; the maximum if unlimited.
-fn real_time_limit(limits: &str) -> Option<u64> {
-    let line = limits.lines().find_map(|line| line.strip_prefix("Max realtime priority"))?;
-    match line.split_whitespace().next()? {
-        "unlimited" => Some(99),
-        number => number.parse().ok(),
+        _ => Finding::skipped("clock", "this system does not say whether its clock is synchronised"),
     }
 }
 
@@ -275,8 +225,8 @@ const CHUNK_BYTES: usize = 64 << 10;
 /// shown to others.
 fn disk_checks(folder: &Path, bytes_per_s: f64) -> [Finding; 2] {
     let needed = BOARDS * bytes_per_s;
-    let room = match statvfs(folder) {
-        Ok(disk) => of_room(disk.blocks_available() as f64 * disk.fragment_size() as f64, needed),
+    let room = match fs4::available_space(folder) {
+        Ok(bytes) => of_room(bytes as f64, needed),
         Err(error) => Finding::failed("disk space", error.to_string(), "give a folder that exists with --folder"),
     };
     let rate = match write_rate(folder) {
@@ -316,20 +266,11 @@ fn write_rate(folder: &Path) -> io::Result<f64> {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
     use slitpose_head::finding::Grade;
     use slitpose_head::finding::Grade::{Failed, Ok, Warning};
-
-    #[test]
-    fn the_limit_is_read() {
-        let limits = "Limit                     Soft Limit           Hard Limit           Units     \n\
-                      Max nice priority         0                    0                    \n\
-                      Max realtime priority     12                   95                   \n\
-                      Max realtime timeout      unlimited            unlimited            us        \n";
-        assert_eq!(real_time_limit(limits), Some(12));
-        assert_eq!(real_time_limit(&limits.replace("12 ", "unlimited ")), Some(99));
-        assert_eq!(real_time_limit("Max nice priority 0 0"), None);
-    }
 
     #[test]
     fn a_clock_that_starts_in_1970_is_not_believed() {

@@ -21,5 +21,5 @@ mod tests;
 
 pub(crate) use control::{Access, Control, DEFAULT_LIVE_ADDRESS, live_address};
 pub(crate) use hub::{Input, LiveBoard, LiveInput};
-pub(crate) use recordings::{Calibrate, Recordings};
+pub(crate) use recordings::{Calibrate, Recordings, now_in_a_name};
 pub(crate) use server::{LivePlan, LiveServer};

@@ -4,9 +4,8 @@ use std::collections::VecDeque;
 use std::fs::{self, File, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, Weak};
-use std::thread;
+use std::thread::{self, JoinHandle};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use serde::Serialize;
@@ -35,17 +34,18 @@ const MAX_TICKETS: usize = 64;
 /// Plays a capture to the pages of the input until that is closed; returns what takes their orders.
 pub(crate) type Play = Box<dyn Fn(PathBuf, LiveInput) -> io::Result<Control> + Send + Sync>;
 
-/// Calibrates a head from measurements, tells how far it is in per cent and in words, and writes the result to a new file;
-/// returns what it has found.
+/// Calibrates a head from measurements and writes the result to a new file. While it runs it reports its progress, in per
+/// cent and in words; at the end it returns its findings, a sentence each.
 pub(crate) type Calibrate =
-    Box<dyn Fn(&Measurements, &Path, &mut dyn FnMut(u64, String)) -> anyhow::Result<Vec<String>> + Send + Sync>;
+    Arc<dyn Fn(&Measurements, &Path, &mut dyn FnMut(u64, String)) -> anyhow::Result<Vec<String>> + Send + Sync>;
 
 /// The captures in one folder.
 pub(crate) struct Recordings {
     folder: PathBuf,
     play: Play,
-    calibrate: Arc<Calibrate>,
-    is_calibrating: Arc<AtomicBool>,
+    calibrate: Calibrate,
+    /// The calibration under way, or the last one.
+    calibration: Mutex<Option<JoinHandle<()>>>,
     /// Paths that may be fetched, once each, by the secret beside them.
     tickets: Mutex<VecDeque<(String, PathBuf)>>,
     /// Captures being played, with what their pages share; the input is gone when the player has ended.
@@ -69,8 +69,8 @@ pub(super) struct Recording {
 impl Recordings {
     pub(crate) fn new(folder: PathBuf, play: Play, calibrate: Calibrate) -> Self {
         let folder = if folder.as_os_str().is_empty() { PathBuf::from(".") } else { folder };
-        let (calibrate, is_calibrating) = (Arc::new(calibrate), Arc::default());
-        Self { folder, play, calibrate, is_calibrating, tickets: Mutex::default(), played: Mutex::default() }
+        let (calibration, tickets, played) = (Mutex::default(), Mutex::default(), Mutex::default());
+        Self { folder, play, calibrate, calibration, tickets, played }
     }
 
     /// Begins to calibrate the head from captures, by what each is of, on a thread of its own that tells `shared`.
@@ -82,14 +82,13 @@ impl Recordings {
         let [free, pivot, stage, rest] = captures.map(paths);
         let measurements =
             Measurements { free: free?, pivot: pivot?, stage: stage?, rest: rest?, ..Measurements::default() };
-        if self.is_calibrating.swap(true, Ordering::Relaxed) {
+        let mut calibration = lock(&self.calibration);
+        if calibration.as_ref().is_some_and(|thread| !thread.is_finished()) {
             return Err(refused("a calibration is under way already; wait until it has ended".to_owned()));
         }
-        let now = humantime::format_rfc3339_seconds(SystemTime::now()).to_string().replace(':', "");
-        let path = self.folder.join(format!("calibration-{now}.toml"));
+        let path = self.folder.join(format!("calibration-{}.toml", now_in_a_name()));
         let file = path.display().to_string();
-        let (shared, calibrate, is_calibrating) =
-            (Arc::clone(shared), Arc::clone(&self.calibrate), Arc::clone(&self.is_calibrating));
+        let (shared, calibrate) = (Arc::clone(shared), Arc::clone(&self.calibrate));
         let tell = move |state, done, file: &str, said| {
             let file = file.to_owned();
             shared.hub.accept(Input::Calibration(CalibrationState { state, done, file, said }));
@@ -100,13 +99,11 @@ impl Recordings {
                 Ok(found) => tell("done", 100, &file, found),
                 Err(error) => tell("failed", 100, "", vec![with_causes(error.as_ref()).to_string()]),
             }
-            is_calibrating.store(false, Ordering::Relaxed);
         };
         let begun = thread::Builder::new().name("calibrate".to_owned()).spawn(run);
-        begun.map(drop).map_err(|error| {
-            self.is_calibrating.store(false, Ordering::Relaxed);
-            refused(format!("no thread for the calibration: {error}; try again"))
-        })
+        *calibration =
+            Some(begun.map_err(|error| refused(format!("no thread for the calibration: {error}; try again")))?);
+        Ok(())
     }
 
     /// The folder, as far as it can be told.
@@ -220,6 +217,11 @@ impl Recordings {
     }
 }
 
+/// The time as it stands in names of files: UTC, to the second.
+pub(crate) fn now_in_a_name() -> String {
+    humantime::format_rfc3339_seconds(SystemTime::now()).to_string().replace(':', "")
+}
+
 fn refused(reason: String) -> Refusal {
     Refusal::Recording { reason }
 }
@@ -267,7 +269,7 @@ mod tests {
         let recordings = Recordings::new(
             folder.clone(),
             Box::new(|_, _| Err(io::ErrorKind::Unsupported.into())),
-            Box::new(|_, _, _| Ok(Vec::new())),
+            Arc::new(|_, _, _| Ok(Vec::new())),
         );
         let names = || {
             let mut names: Vec<_> = recordings.list().unwrap().into_iter().map(|of| of.name).collect();

@@ -38,6 +38,11 @@ fn kept_in(orders: &Orders) -> Control {
 }
 
 fn start(address: &str, token: Option<&str>) -> (LiveServer, Orders) {
+    serve(address, token, None)
+}
+
+/// The same, with a tool to be dragged in a scene if there is one.
+fn serve(address: &str, token: Option<&str>, scene: Option<SceneView>) -> (LiveServer, Orders) {
     let orders = Orders::default();
     let access = Access::new(address.parse().unwrap(), token.map(str::to_owned), false).unwrap();
     let server = LiveServer::start(LivePlan {
@@ -45,7 +50,7 @@ fn start(address: &str, token: Option<&str>) -> (LiveServer, Orders) {
         source: "run",
         has_zero: false,
         boards: vec![LiveBoard { name: "sim".to_owned(), head: WIDE.read().unwrap().into() }],
-        scene: None,
+        scene,
         control: kept_in(&orders),
         report: None,
         recordings: None,
@@ -405,17 +410,7 @@ fn files_come_with_a_policy_that_lets_them_fetch_nothing_else() {
 #[test]
 fn a_tool_is_dragged_where_a_frame_sees_it_or_says_why_not() {
     let head = WIDE.read().unwrap().into();
-    let server = LiveServer::start(LivePlan {
-        access: Access::new("127.0.0.1:0".parse().unwrap(), None, false).unwrap(),
-        source: "scene",
-        has_zero: false,
-        scene: Some(SceneView::of(&head).unwrap()),
-        boards: vec![LiveBoard { name: "wide".to_owned(), head }],
-        control: kept_in(&Orders::default()),
-        report: None,
-        recordings: None,
-    })
-    .unwrap();
+    let (server, _) = serve("127.0.0.1:0", None, Some(SceneView::of(&head).unwrap()));
     let mut client = Client::greeted(&server);
     let mut drag = |t_m: [f64; 3]| {
         client.say(&json!({"kind": "pose", "t_m": t_m, "r_rad": [0.0, 0.1, 0.0]}));

@@ -14,7 +14,7 @@ use crate::terminal;
 use crate::terminal::{Line, Tone, WIDTH, layout};
 use slitpose_head::foreign::printable;
 use slitpose_tracking::link::DeviceId;
-use slitpose_tracking::pipeline::{Item, Record};
+use slitpose_tracking::pipeline::{EdgeRecord, Item, Record};
 use slitpose_tracking::telemetry::{BoardReport, RecorderReport};
 
 mod csv;
@@ -78,13 +78,16 @@ pub(crate) fn open<'a>(
 
 /// What a board, or the pipeline, says between two poses.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Note {
-    /// The board; `None` if it has not introduced itself.
-    pub device: Option<DeviceId>,
-    pub severity: Severity,
-    /// Its time by the board's clock, seconds.
-    pub device_time_s: f64,
-    pub text: String,
+pub(crate) enum Note {
+    Text {
+        /// The board; `None` if it has not introduced itself.
+        device: Option<DeviceId>,
+        severity: Severity,
+        /// Its time by the board's clock, seconds.
+        device_time_s: f64,
+        text: String,
+    },
+    Edge(EdgeRecord),
 }
 
 impl Note {
@@ -93,9 +96,10 @@ impl Note {
         let (severity, device_time_s, text) = match item {
             Item::Event { severity, device_time_s, text } => (*severity, *device_time_s, (*text).to_owned()),
             Item::Oddity { device_time_s, oddity } => (Severity::Warning, *device_time_s, oddity.to_string()),
+            Item::Edge(edge) => return Some(Self::Edge(*edge)),
             _ => return None,
         };
-        Some(Self { device, severity, device_time_s, text })
+        Some(Self::Text { device, severity, device_time_s, text })
     }
 }
 
@@ -233,7 +237,7 @@ impl<W: Write> Sink for Summary<W> {
     }
 
     fn note(&mut self, note: &Note) -> io::Result<()> {
-        let Note { severity, device_time_s, text, .. } = note;
+        let Note::Text { severity, device_time_s, text, .. } = note else { return Ok(()) };
         if *severity == Severity::Info {
             return Ok(());
         }

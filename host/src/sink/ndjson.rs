@@ -8,6 +8,7 @@ use serde::Serialize;
 use super::{Accounts, Note, Sink, json};
 use slitpose_calibration::values_of;
 use slitpose_head::faults::ANNOUNCED;
+use slitpose_tracking::clock::HostTime;
 use slitpose_tracking::columns::{COLUMNS, Column, Get, Row};
 use slitpose_tracking::frame::View;
 use slitpose_tracking::link::DeviceId;
@@ -135,13 +136,33 @@ impl<W: Write> Sink for Ndjson<W> {
         self.output.write_all(&self.line)
     }
 
-    /// Poses that follow an injected fault are not what the board would have given: the stream says so.
     fn note(&mut self, note: &Note) -> io::Result<()> {
-        let Note { device, device_time_s, text, .. } = note;
-        let Some(fault) = text.strip_prefix(ANNOUNCED) else { return Ok(()) };
-        let line = FaultLine { kind: "injected_fault", fault, device: *device, device_time_s: *device_time_s };
-        serde_json::to_writer(&mut self.output, &line)?;
-        self.output.write_all(b"\n")
+        self.line.clear();
+        match note {
+            Note::Edge(edge) => {
+                let time = |get: fn(&HostTime) -> u64| edge.host_time.as_ref().map(get);
+                let line = serde_json::json!({
+                    "kind": "edge",
+                    "device": edge.device,
+                    "number": edge.number,
+                    "device_time_s": edge.device_time_s,
+                    "host_monotonic_ns": time(|time| time.monotonic_ns),
+                    "host_utc_ns": time(|time| time.utc_ns),
+                    "host_uncertainty_ns": time(|time| time.uncertainty_ns),
+                    "is_high": edge.is_high,
+                    "missed": edge.missed,
+                });
+                json(&mut self.line, &line);
+            }
+            // Poses that follow an injected fault are not what the board would have given: the stream says so.
+            Note::Text { device, device_time_s, text, .. } => {
+                let Some(fault) = text.strip_prefix(ANNOUNCED) else { return Ok(()) };
+                let line = FaultLine { kind: "injected_fault", fault, device: *device, device_time_s: *device_time_s };
+                json(&mut self.line, &line);
+            }
+        }
+        self.line.push(b'\n');
+        self.output.write_all(&self.line)
     }
 
     fn tick(&mut self, _: &Accounts<'_>) -> io::Result<()> {

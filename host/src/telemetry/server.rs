@@ -7,7 +7,6 @@
 use std::io;
 use std::io::{Read, Write};
 use std::net::TcpStream;
-use std::os::unix::net::UnixStream;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -24,6 +23,7 @@ use crate::address::{Address, ServeError};
 use crate::http;
 use crate::http::{BindScope, Serving};
 use crate::live::Control;
+use crate::platform::{LocalStream, connect_local};
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::page::Order;
 use slitpose_tracking::telemetry::DaemonReport;
@@ -140,7 +140,7 @@ pub(crate) fn request(address: &Address, request: &str) -> Result<(u16, String)>
             let stream = TcpStream::connect_timeout(to, WITHIN).with_context(connect)?;
             ask(stream, TcpStream::set_read_timeout, request)
         }
-        Address::Unix(to) => ask(UnixStream::connect(to).with_context(connect)?, UnixStream::set_read_timeout, request),
+        Address::Unix(to) => ask(connect_local(to).with_context(connect)?, LocalStream::set_read_timeout, request),
     };
     let seconds = WITHIN.as_secs();
     let answer = answer.with_context(|| {

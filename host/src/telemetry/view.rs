@@ -110,13 +110,12 @@ pub(crate) fn lines(report: &BoardReport, pose: Vec<Line>) -> Vec<Line> {
     let is_whole = *losses == Losses::default();
     let text = format!(
         "on the board {} scans; on the link {} scans, {} packets damaged, {} unreadable; on the host {} bytes unrecorded, \
-         {} unpublished, {} poses unsent",
+         {} poses unsent",
         losses.board.scans_dropped + losses.board.scans_lost,
         losses.link.scans,
         losses.link.damaged(),
         losses.link.unreadable,
         losses.host.bytes_unrecorded,
-        losses.host.bytes_unpublished,
         losses.host.poses_unsent,
     );
     let (text, tone) = if is_whole { ("nothing", Tone::Plain) } else { (&*text, Tone::Careful) };
@@ -148,6 +147,16 @@ pub(crate) fn lines(report: &BoardReport, pose: Vec<Line>) -> Vec<Line> {
     }
     if report.clock.contradicts_crystal {
         put_finding(&mut lines, "clock", &contradicted_crystal()).rank(1);
+    }
+    if let Some(trigger) = &report.trigger {
+        let level = if trigger.is_high { "high" } else { "low" };
+        let lost = match (trigger.missed, trigger.dropped) {
+            (0, 0) => String::new(),
+            (missed, dropped) => format!("; {missed} or more came too fast for the board, {dropped} were dropped"),
+        };
+        let text = format!("{} edges, {level} since {:.6} s{lost}", trigger.edges, trigger.last_device_time_s);
+        let tone = if lost.is_empty() { Tone::Plain } else { Tone::Careful };
+        put(&mut lines, "trigger", &text).tone(tone).rank(2);
     }
     if let Some(vitals) = &report.vitals {
         put(

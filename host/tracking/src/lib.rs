@@ -50,7 +50,6 @@ pub mod columns;
 pub mod frame;
 pub mod health;
 pub mod link;
-#[cfg(unix)]
 pub mod measurements;
 pub mod page;
 pub mod pipeline;
@@ -58,5 +57,4 @@ pub mod playback;
 pub mod ros;
 pub mod solving;
 pub mod telemetry;
-#[cfg(unix)]
 pub mod tip;

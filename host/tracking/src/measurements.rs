@@ -139,7 +139,11 @@ fn marks(path: &Path, constraint: Constraint) -> Result<Vec<Mark>, MeasurementsE
         Constraint::Rest => (text == "stop").then_some(Knowledge::Nothing),
         _ => None,
     };
-    let (mut reader, mut segment, mut found) = (CaptureReader::open(path)?, Segment::default(), Vec::new());
+    let mut found = Vec::new();
+    if !matches!(constraint, Constraint::Stage | Constraint::Rest) {
+        return Ok(found);
+    }
+    let (mut reader, mut segment) = (CaptureReader::open(path)?, Segment::default());
     while let Some(entry) = reader.next(&mut segment)? {
         if let Entry::Note { stamp_ns, text, .. } = entry
             && let Some(knowledge) = knowledge(text.trim())
@@ -221,7 +225,9 @@ fn readings(
             Entry::Hello { device, .. } => (Some(device), None),
             Entry::Link { device, log_ns, .. } => (device, Some(log_ns)),
         };
-        let is_of = |mark: &Mark| at_ns.is_some_and(|at_ns| (0..=REST_NS).contains(&mark.at_ns.wrapping_sub(at_ns)));
+        let is_before =
+            |at_ns, mark: &Mark| mark.at_ns.checked_sub(at_ns).is_some_and(|before_ns| before_ns <= REST_NS);
+        let is_of = |mark: &Mark| at_ns.is_some_and(|at_ns| is_before(at_ns, mark));
         let place = marks.map(|marks| marks.iter().position(is_of));
         if *device.get_or_insert(of) != of {
             return Err(MeasurementsError::SeveralBoards { path: path.to_owned() });

@@ -8,7 +8,10 @@ use slitpose_calibration::{Calibration, CalibrationFileError, Head};
 use slitpose_head::board_head::{self, BoardHeadError};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::threads::lock;
-use slitpose_model::{MotionPrior, Pair, Photocurrents, Reading, Scene, SceneError, Solution, Solver, Start, Tier};
+use slitpose_model::{
+    CompiledScene, Estimate, MotionPrior, Pair, Photocurrents, Pose, Reading, Scene, SceneError, Solution, Solver,
+    Start, Tier,
+};
 use slitpose_protocol::{AdcScaling, Hashes, Schedule};
 
 use crate::pipeline::PipelineOptions;
@@ -127,6 +130,12 @@ pub fn compile(head: &Head, schedule: &Schedule, scaling: &AdcScaling) -> Result
 /// Most numbers of averaged frames whose solvers are kept.
 const MAX_SOLVERS: usize = 64;
 
+/// Frames in a row without noise.
+const NOISELESS: f64 = 1e12;
+
+/// Poses over the workspace at which errors are computed.
+const POSES: usize = 64;
+
 /// Solves readings of one head that do not belong together.
 pub struct RowSolver {
     head: Head,
@@ -175,6 +184,34 @@ impl RowSolver {
             }
         };
         Ok(RowsOf { head: &self.head, solver })
+    }
+
+    /// Makes ready to solve the head's own light without noise: what is then uncertain of a pose is what the calibration left
+    /// open, and what cells do beyond the model.
+    pub fn without_noise(&self) -> Result<impl Fn(&Pose) -> Option<Estimate>, SceneError> {
+        let plan = CompiledScene::<f64>::compile(&self.head.file.scene, self.tier)?;
+        let rows = self.with_frames(NOISELESS)?;
+        Ok(move |pose: &Pose| {
+            let currents = (0..plan.cell_count()).map(|cell| Some(plan.respond(cell, pose).currents));
+            rows.solve(&rows.readings(currents)).estimate
+        })
+    }
+
+    /// How well poses of a calibrated head are known over its workspace, apart from where its frames lie, and from noise: root
+    /// mean square of three axes together, metres and radians. `None`: it is not calibrated, or no pose is solved.
+    pub fn known_to(&self) -> Option<[f64; 2]> {
+        let (calibration, workspace) = (self.head.calibration()?, &self.head.file.workspace);
+        let solve = self.without_noise().ok()?;
+        let (mut squares, mut count) = ([0.0; 2], 0.0);
+        for estimate in workspace.poses(POSES).filter_map(|pose| solve(&pose)) {
+            let open = calibration.pose_covariance(&estimate.pose);
+            for axis in 0..6 {
+                squares[axis / 3] += estimate.covariance[axis][axis] - open[axis][axis];
+            }
+            count += 1.0;
+        }
+        let open = calibration.open_apart_from_frames(workspace);
+        (count > 0.0).then(|| [0, 1].map(|k| (squares[k].max(0.0) / count + open[k] * open[k]).sqrt()))
     }
 }
 

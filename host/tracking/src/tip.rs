@@ -7,7 +7,7 @@
 
 use glam::{DMat3, DVec3};
 use slitpose_calibration::{Data, Head, Row};
-use slitpose_model::{CompiledScene, Estimate, SceneError, Tier};
+use slitpose_model::{Estimate, SceneError, Tier};
 use thiserror::Error;
 
 use crate::frame::View;
@@ -27,9 +27,6 @@ const MIN_ROWS: usize = 6;
 
 /// Independent errors among those that rows share, one for each coordinate of a pose.
 const SHARED_ERRORS: f64 = 6.0;
-
-/// Frames in a row without noise.
-const NOISELESS: f64 = 1e12;
 
 const TIER: Tier = Tier::Exact { tolerance: STREAM_TOLERANCE };
 
@@ -92,7 +89,7 @@ pub fn find(head: &Head, data: &Data) -> Result<Tip, TipError> {
     let fit = Fit::of(&estimates)?;
     let redundancy = (3 * estimates.len() - 6) as f64;
     let chi2: f64 = estimates.iter().map(|estimate| fit.square(estimate)).sum();
-    let shared = fit.by_shared_errors(&estimates, head, &solver)?;
+    let shared = fit.by_shared_errors(&estimates, &solver)?;
     let covariance = fit.covariance * (chi2 / redundancy).max(1.0)
         + shared * (estimates.len() as f64 / SHARED_ERRORS - 1.0).max(0.0);
     let sigma_m = (0..3).map(|k| covariance.col(k)[k].sqrt()).fold(0.0, f64::max);
@@ -153,11 +150,10 @@ impl Fit {
     }
 
     /// The covariance of the tip by errors of poses without noise, as if each row had its own.
-    fn by_shared_errors(&self, estimates: &[Estimate], head: &Head, solver: &RowSolver) -> Result<DMat3, SceneError> {
-        let (plan, still) = (CompiledScene::<f64>::compile(&head.file.scene, TIER)?, solver.with_frames(NOISELESS)?);
+    fn by_shared_errors(&self, estimates: &[Estimate], solver: &RowSolver) -> Result<DMat3, SceneError> {
+        let solve = solver.without_noise()?;
         let of_row = |estimate: &Estimate| {
-            let currents = (0..solver.cells()).map(|cell| Some(plan.respond(cell, &estimate.pose).currents));
-            let shared = still.solve(&still.readings(currents)).estimate?;
+            let shared = solve(&estimate.pose)?;
             let (r, weight) = (DMat3::from_quat(estimate.pose.rotation), self.at(estimate).1);
             let gain = self.covariance * (r.transpose() - self.share) * weight;
             Some(gain * self.place(&shared).1 * gain.transpose())

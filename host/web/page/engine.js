@@ -58,7 +58,7 @@ class Engine {
 export const engine = new Engine();
 
 /** Saves a file where the browser saves downloads. */
-function download({ name, blob }) {
+export function download({ name, blob }) {
   const link = document.createElement("a");
   [link.href, link.download] = [URL.createObjectURL(blob), name];
   link.click();

@@ -2,7 +2,7 @@
  * What is shown: a simulated head, a board by Web Serial, a capture, or a scene alone.
  */
 import { byId, make, show, write } from "./dom.js";
-import { engine } from "./engine.js";
+import { download, engine } from "./engine.js";
 
 /** The USB identity of a slitpose board. */
 const USB = { usbVendorId: 0x1209, usbProductId: 0x0001 };
@@ -11,8 +11,11 @@ const BAUD = 3_000_000;
 /** Bytes that wait while the page is busy: a second of a board at 4 kHz. */
 const BUFFER_BYTES = 1 << 19;
 const AGAIN_MS = 500;
+/** A scene is read when nothing has been typed for this long. */
+const TYPED_MS = 300;
 
 const CAPTURE = { description: "Capture (MCAP)", accept: { "application/octet-stream": [".mcap"] } };
+const SCENE = { description: "Scene (TOML)", accept: { "application/toml": [".toml"] } };
 const TABLE = { description: "Table (CSV)", accept: { "text/csv": [".csv"] } };
 
 const say = (text) => {
@@ -106,6 +109,9 @@ class Sources {
   #scene = { name: "wide" };
   #calibration = null;
   #captures = [];
+  #typing = 0;
+  /** Line and column where the text of the scene is wrong. */
+  #place = null;
   /** Called when another source was chosen. */
   onChosen = () => {};
 
@@ -120,6 +126,10 @@ class Sources {
     on("disconnect", () => this.#leave());
     on("blink", () => engine.call("identify", 5));
     on("view-scene", () => this.#choose("scene", `the scene ${this.#scene.name}`, "view", this.#head));
+    on("edit-scene", () => this.#edit());
+    on("scene-text", () => this.#typed(), "input");
+    on("save-scene", () => this.#saveScene());
+    on("to-error", () => this.#toError());
     on("scene", () => this.#takeScene(), "change");
     on("scene-file", ({ target }) => this.#ownScene(target.files[0]), "change");
     on("calibration", ({ target }) => this.#calibrate(target.files[0]), "change");
@@ -164,6 +174,68 @@ class Sources {
     this.#scene = { name };
     this.#calibration = null;
     this.#about();
+    this.#writeText();
+  }
+
+  /** Opens the text of the scene, or closes it. */
+  #edit() {
+    const editor = byId("scene-editor");
+    show(editor, editor.hidden);
+    byId("edit-scene").setAttribute("aria-expanded", String(!editor.hidden));
+    this.#writeText();
+  }
+
+  #writeText() {
+    if (byId("scene-editor").hidden) return;
+    const own = this.#scene.text && new TextDecoder().decode(this.#scene.text);
+    byId("scene-text").value = own ?? this.shipped.get(this.#scene.name).text;
+    this.#say(own == null ? "Change the text, and the head is that of the text." : "");
+  }
+
+  /** Says what is wrong with the text, if `place` has a line and a column; else what there is to say. */
+  #say(words, place = null) {
+    byId("scene-editor").classList.toggle("wrong", Boolean(place));
+    this.#place = place;
+    write(byId("scene-error"), words);
+    show(byId("to-error"), Boolean(place));
+  }
+
+  /** The text is the scene, once it is one: until then the last one stays. */
+  #typed() {
+    clearTimeout(this.#typing);
+    this.#typing = setTimeout(async () => {
+      const name = this.#scene.name.replace(/(\.toml)?$/, ".toml");
+      const scene = { name, text: new TextEncoder().encode(byId("scene-text").value) };
+      try {
+        await this.#choose("scene", `the scene ${name}`, "view", { scene, calibration: null });
+      } catch (error) {
+        const [, line, column, words] = error.message.match(/:(\d+):(\d+): (.*)$/s) ?? [null, 1, 1, error.message];
+        return this.#say(`Line ${line}: ${words.replace(/[^.?]$/, "$&.")}`, [Number(line), Number(column)]);
+      }
+      [this.#scene, this.#calibration] = [scene, null];
+      byId("scene").value = "";
+      this.#about();
+      this.#say("As the text says.");
+    }, TYPED_MS);
+  }
+
+  /** Puts the cursor where the text is wrong. */
+  #toError() {
+    const [text, [line, column]] = [byId("scene-text"), this.#place];
+    const at = text.value.split("\n").slice(0, line - 1).reduce((sum, { length }) => sum + length + 1, column - 1);
+    text.focus();
+    text.setSelectionRange(at, at);
+    text.scrollTop = (line - 3) * (text.scrollHeight / text.value.split("\n").length);
+  }
+
+  async #saveScene() {
+    const text = byId("scene-text").value;
+    const target = await place(this.#scene.name.replace(/(\.toml)?$/, ".toml"), SCENE);
+    if (!target) return;
+    if (!target.handle) return download({ name: target.name, blob: new Blob([text]) });
+    const file = await target.handle.createWritable();
+    await file.write(text);
+    await file.close();
   }
 
   async #ownScene(file) {
@@ -172,6 +244,7 @@ class Sources {
     this.#calibration = null;
     byId("scene").value = "";
     this.#about();
+    this.#writeText();
   }
 
   async #calibrate(file) {

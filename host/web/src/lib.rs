@@ -36,7 +36,7 @@ pub use station::{HeadFiles, Station};
 /// What the page offers, as JSON: the shipped scenes, the motions and the kinds of faults.
 #[wasm_bindgen]
 pub fn choices() -> String {
-    let scenes = SHIPPED.iter().map(|scene| json!({"name": scene.name, "about": scene.about}));
+    let scenes = SHIPPED.iter().map(|scene| json!({"name": scene.name, "about": scene.about, "text": scene.text}));
     let faults = KINDS.iter().map(|kind| json!({"name": kind.name, "example": kind.example, "about": kind.what}));
     json!({
         "scenes": scenes.collect::<Vec<_>>(),

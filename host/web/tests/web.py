@@ -141,6 +141,31 @@ class SimulatedHead(InBrowser):
         page.reload()
         wait(page, HAS_POSE)
 
+    def test_a_scene_is_written_and_its_errors_are_at_their_place(self):
+        page = self.open(NO_PICKER)
+        wait(page, HAS_POSE)
+        page.click("#edit-scene")
+        text = page.input_value("#scene-text")
+        self.assertIn("length_mm", text)
+        page.fill("#scene-text", text.replace("length_mm =", "lenght_mm =", 1))
+        wait(page, "document.getElementById('scene-error').textContent.includes('lenght_mm')")
+        # What was there before stays.
+        self.assertEqual(page.evaluate("document.body.dataset.source"), "run")
+        line = 1 + text[: text.index("length_mm =")].count("\n")
+        self.assertIn(f"Line {line}:", page.inner_text("#scene-error"))
+        page.click("#to-error")
+        at = page.evaluate("document.getElementById('scene-text').selectionStart")
+        self.assertEqual(text[:at].count("\n") + 1, line)
+        page.screenshot(path=PICTURES / "web-scene-error.png")
+        text = text.replace("name = ", 'name = "mine, " #', 1) if "name = " in text else 'name = "mine"\n' + text
+        page.fill("#scene-text", text)
+        wait(page, "document.body.dataset.source === 'scene' && document.getElementById('scene-error').textContent === 'As the text says.'")
+        wait(page, "document.getElementById('scene-name').textContent.includes('mine')")
+        page.screenshot(path=PICTURES / "web-scene-text.png")
+        saved = self.download(page, lambda: page.click("#save-scene"))
+        self.assertEqual(saved.read_text(), text)
+        self.slitpose("scene", "check", saved)
+
     def test_a_scene_is_looked_at_by_dragging_the_tool(self):
         page = self.open()
         wait(page, HAS_POSE)

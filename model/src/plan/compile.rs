@@ -262,6 +262,7 @@ fn check_effects(cell: usize, effects: &Effects) -> Result<(), SceneError> {
         stray.within("current_a", &of.constant_a, LARGEST)?;
         stray.within("linear_a_per_mm", of.linear_a_per_m.as_flattened(), LARGEST)?;
         stray.within("quadratic_a_per_mm2", of.quadratic_a_per_m2.as_flattened(), LARGEST)?;
+        stray.within("turning_a", of.turning_a.as_flattened(), LARGEST)?;
     }
     for gain in effects.electrode_gain {
         detector.positive("electrode_gain", gain)?;

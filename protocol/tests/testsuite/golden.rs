@@ -9,10 +9,10 @@ use heapless::Vec;
 use serde::Serialize;
 use slitpose_protocol::schema::{COMMANDS, MESSAGES, SchemaKeys};
 use slitpose_protocol::{
-    AdcScaling, Batch, BoardKind, BootTarget, ClockSource, Command, Configuration, Decoder, EmitterSet, Event,
-    Exposure, HardwareFault, Hashes, HeadPart, Hello, Level, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, PROTOCOL,
-    Packet, Pong, PoseRecord, PoseStatus, Poses, Quantity, Rejection, Reply, Request, ResetCause, Schedule,
-    ScheduleError, SettingsSource, Severity, Status, Stream, Truth, encode,
+    AdcScaling, Batch, BoardKind, BootTarget, ClockSource, Command, Configuration, Decoder, Edge, Edges, EmitterSet,
+    Event, Exposure, HardwareFault, Hashes, HeadPart, Hello, Level, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message,
+    PROTOCOL, Packet, Pong, PoseRecord, PoseStatus, Poses, Pulse, Quantity, Rejection, Reply, Request, ResetCause,
+    Schedule, ScheduleError, SettingsSource, Severity, Status, Stream, Truth, encode,
 };
 
 fn bytes(hex: &str) -> std::vec::Vec<u8> {
@@ -98,8 +98,8 @@ fn both_tables_of_a_hello_are_compared() {
     let (messages, commands) = (SchemaKeys::messages(), SchemaKeys::commands());
     let differs = |hello: Hello| hello.check_schemas().map_err(|mismatch| mismatch.name);
     assert_eq!(differs(a_hello(messages, commands)), Ok(()));
-    assert_eq!(differs(a_hello(SchemaKeys(&changed(messages)), commands)), Err("Poses"));
-    assert_eq!(differs(a_hello(messages, SchemaKeys(&changed(commands)))), Err("Packet"));
+    assert_eq!(differs(a_hello(SchemaKeys(&changed(messages)), commands)), Err("Edges"));
+    assert_eq!(differs(a_hello(messages, SchemaKeys(&changed(commands)))), Err("Pulse"));
 }
 
 #[test]
@@ -220,6 +220,16 @@ fn truth() {
 }
 
 #[test]
+fn edges() {
+    let edges = [Edge::new(170_000_000, true), Edge::new(170_001_000, false)];
+    assert_eq!((edges[0].tick(), edges[0].is_high(), edges[1].is_high()), (170_000_000, true, false));
+    assert_message(
+        &Message::Edges(Edges { number: 300, missed: 2, edges: edges.into_iter().collect() }),
+        "1408ac02020281fa8fa201d08990a20128265e3c00",
+    );
+}
+
+#[test]
 fn commands() {
     assert_command(1, Command::Hello, "020105be23c25800");
     assert_command(2, Command::Start, "070201eb40e80400");
@@ -241,6 +251,7 @@ fn commands() {
     let full_scale_pa = NonZeroU32::new(9_100_000).expect("not zero");
     assert_command(12, Command::FullScale { full_scale_pa }, "0b0c0be0b5ab04318ca4ee00");
     assert_command(13, Command::Packet { scans: 1 }, "080d0c01db352b2c00");
+    assert_command(14, Command::Pulse(Pulse { every: 400, slot: 3 }), "0a0e0d900303282b4fc400");
 }
 
 /// By Python's `zlib.crc32(struct.pack("<QQ", …))`.
@@ -268,6 +279,7 @@ fn schema_keys() {
             "Pong b252f6723e82c8ae",
             "Truth 5399c5b5aa74e6b3",
             "Poses 8baf55d2a8af531c",
+            "Edges 0065e910516badef",
             "Hello 922503e07c5a06a3",
             "Start 9b3033813c8d813f",
             "Stop 04b4e713e8cb9e2d",
@@ -281,6 +293,7 @@ fn schema_keys() {
             "Stream 73b8e4ce7f67049c",
             "FullScale 6b1cd75dd110be9c",
             "Packet bdef264ce40ea2ca",
+            "Pulse 6fcba979c711c9d2",
         ]
     );
 }

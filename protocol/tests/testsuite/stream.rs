@@ -200,7 +200,7 @@ fn what_cannot_be_read_is_named_and_counted_by_its_kind() {
     ];
     let messages = [
         (payload(&[0x80], PayloadError::NoKind { bytes: 1 }), malformed),
-        (payload(&[8, 1, 2], PayloadError::UnknownMessage { kind: 8 }), unknown),
+        (payload(&[9, 1, 2], PayloadError::UnknownMessage { kind: 9 }), unknown),
         (payload(&[99], PayloadError::UnknownMessage { kind: 99 }), unknown),
         // Of another major version no field is read; of this one all are.
         (payload(&[0, 1, 9, 0xff], version(1, 9)), unknown),
@@ -211,7 +211,7 @@ fn what_cannot_be_read_is_named_and_counted_by_its_kind() {
     ];
     let requests = [
         (payload(&[3], PayloadError::NoKind { bytes: 1 }), malformed),
-        (payload(&[0x81, 4, 13, 1], PayloadError::UnknownCommand { number: 513, kind: 13 }), unknown),
+        (payload(&[0x81, 4, 14, 1], PayloadError::UnknownCommand { number: 513, kind: 14 }), unknown),
         // A full scale of zero.
         (payload(&[3, 11, 0], PayloadError::MalformedCommand { number: 3, kind: 11 }), malformed),
         (payload(&[3, 4], PayloadError::MalformedCommand { number: 3, kind: 4 }), malformed),

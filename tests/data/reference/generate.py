@@ -25,6 +25,7 @@ Equations, numbered as in De La Cruz et al. 2018, with what the paper leaves ope
 import argparse
 import csv
 import io
+import math
 import pathlib
 import random
 import sys
@@ -317,6 +318,47 @@ def single_cells():
         yield [name, *given, status, *(digits(value) for tier in tiers for value in tier)]
 
 
+# Beams on the cell of the paper's bench that are hard for arithmetic, in metres: no light, the emitter's horizon within the
+# spot, from afar, close above the slit, and nearly along the detector behind a low slit.
+HEIGHT, SLIT, LENGTH = 15e-3, 7.5e-3, 12e-3
+
+
+def extreme_beams():
+    """Study, case, distance of the slit, emitter, and its axis."""
+    down = (0.0, 0.0, -1.0)
+    for case, x, z in (
+        ("emitter in the slit's plane", 0.0, SLIT), ("emitter 1 nm behind it", 0.0, SLIT - 1e-9),
+        ("emitter behind the detector", 0.0, -SLIT), ("spot beside the detector", 2 * LENGTH, HEIGHT),
+    ):  # fmt: skip
+        yield "no light", case, SLIT, (x, 0.0, z), down
+    for share in (0.0, 0.5, 0.9, 0.99, 0.999):
+        angle = 90 + share * math.degrees(math.atan(0.2e-3 / (HEIGHT - SLIT)))
+        yield "horizon", f"axis at {angle:.3f}°", SLIT, (0.0, 0.0, HEIGHT), slanted(angle)
+    for exponent in range(-1, 8):
+        for aside in (0.0, 0.1)[: 1 + (exponent in (0, 2, 4, 6))]:
+            case = f"emitter at 1e{exponent} m" + (f" and {aside * 10.0**exponent:g} m aside" if aside else "")
+            yield "small solid angle", case, SLIT, (aside * 10.0**exponent, 0.0, 10.0**exponent), down
+    for exponent in range(-3, -10, -1):
+        # Past an edge of the slit, so that the spot ends on the detector: it hangs on a difference of nearly equal numbers.
+        above = 10.0**exponent
+        x = (0.2e-3 * (SLIT + above) - 0.25 * LENGTH * above) / SLIT
+        yield "near field", f"emitter 1e{exponent} m above the slit", SLIT, (x, 0.0, SLIT + above), down
+    for slit in (5e-3, 2e-3, 1e-3, 1e-4, 1e-5, 1e-6):
+        reach = 0.4 * LENGTH
+        angle = math.atan(reach / slit)
+        axis = (-math.sin(angle), 0.0, -math.cos(angle))
+        emitter = (-reach - HEIGHT * axis[0], 0.0, -HEIGHT * axis[2])
+        yield "grazing light", f"incidence {math.degrees(angle):.3f}°", slit, emitter, axis
+
+
+def extremes():
+    yield ["study", "case", "slit_distance_m", "x_m", "y_m", "z_m", "axis_x", "axis_y", "axis_z", "status", "i_x1_a", "i_x2_a"]
+    for study, case, slit, e, u in extreme_beams():
+        cell = Cell(LENGTH, 1e-3, 0.0, 0.0, slit, 0.4e-3, 10e-3)
+        status, (_, (*_, i_x1, i_x2)) = respond(cell, [mpf(q) for q in e], [mpf(q) for q in u])
+        yield [study, case, *map(digits, (slit, *e, *u)), status, digits(i_x1), digits(i_x2)]
+
+
 def rotation(vector):
     """exp of a rotation vector (Rodrigues)."""
     angle = norm(vector)
@@ -385,6 +427,8 @@ def main():
         "single_cell.csv": single_cells(),
         "six_cell_base_poses.csv": six_cells("base", 101),
         "six_cell_wide_poses.csv": six_cells("wide", 102),
+        # For the report on extreme cases.
+        "../../../host/design/src/report/extremes.csv": extremes(),
     }
     differing = []
     for name, rows in tables.items():

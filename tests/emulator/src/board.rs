@@ -14,6 +14,7 @@ use crate::peripherals::dma::{CHANNELS as DMA_CHANNELS, Dma};
 use crate::peripherals::exti::Exti;
 use crate::peripherals::flash::Flash;
 use crate::peripherals::gpio::{PORTS, Port};
+use crate::peripherals::lab::{FrameTimer, TriggerLine};
 use crate::peripherals::plain::crc::Crc;
 use crate::peripherals::plain::{backup, crs, syscfg};
 use crate::peripherals::power::Power;
@@ -39,6 +40,9 @@ const FIRST_GATE: u32 = 6;
 /// PC6 to PC11.
 const GATES: u16 = 0x3F;
 
+/// Port and number of the trigger input, PC12.
+const TRIGGER: (usize, u32) = (2, 12);
+
 /// Temperatures at which the factory calibrates the sensor, in degrees Celsius.
 const CALIBRATION_C: [f64; 2] = [TS::CAL1_temperature as f64, TS::CAL2_temperature as f64];
 
@@ -50,6 +54,10 @@ pub struct Board<W> {
     pub effects: Effects,
     /// TIM2 to TIM5.
     pub timers: [Timer; 4],
+    /// TIM1: the frame output.
+    pub frame_timer: FrameTimer,
+    /// The line at the trigger input.
+    pub trigger_line: TriggerLine,
     /// ADC1 and ADC2.
     pub adc12: AdcGroup<2>,
     /// ADC3 to ADC5.
@@ -96,6 +104,8 @@ impl<W: World> Board<W> {
             world,
             effects: Effects::default(),
             timers: std::array::from_fn(Timer::new),
+            frame_timer: FrameTimer::default(),
+            trigger_line: TriggerLine::default(),
             adc12: AdcGroup::adc12(),
             adc345: AdcGroup::adc345(),
             dma: Dma::new(),
@@ -243,6 +253,9 @@ impl<W: World> Board<W> {
                 timer.advance(&mut self.effects);
             }
         }
+        if self.trigger_line.next_event() == now {
+            self.follow_trigger_line();
+        }
         if self.lpuart.next_event() == now {
             self.lpuart.advance(&mut self.effects);
         }
@@ -278,6 +291,7 @@ impl<W: World> Board<W> {
                 for timer in &mut self.timers {
                     timer.trigger(&mut self.effects);
                 }
+                self.frame_timer.trigger(self.effects.now);
             }
             let ready = self.effects.requests & self.dma.wanted();
             if ready == 0 {
@@ -311,6 +325,7 @@ impl<W: World> Board<W> {
     fn find_next_event(&mut self) {
         let timers = self.timers.iter().map(Timer::next_event).fold(Ticks::MAX, Ticks::min);
         self.next_event = timers
+            .min(self.trigger_line.next_event())
             .min(self.adc12.next_event())
             .min(self.lpuart.next_event())
             .min(self.usart.next_event())
@@ -320,6 +335,16 @@ impl<W: World> Board<W> {
             .min(self.adc345.next_event())
             .min(self.watchdog.next_event())
             .min(self.under_way.next_event());
+    }
+
+    /// Takes the line at PC12 to its pin, and its edges to channel 2 of TIM5.
+    fn follow_trigger_line(&mut self) {
+        let has_passed = self.trigger_line.advance(self.effects.now);
+        let port = &mut self.ports[TRIGGER.0];
+        port.held_high = u16::from(self.trigger_line.is_high) << TRIGGER.1;
+        if has_passed && port.function(TRIGGER.1) == Some(st::GPIO::AF1_TIM5) {
+            self.timers[3].capture(&mut self.effects);
+        }
     }
 
     /// Tells the world, if gates or levels have changed.
@@ -378,6 +403,7 @@ impl<W: World> Board<W> {
         let effects = &mut self.effects;
         match unit {
             Unit::Timer(index) => self.timers[index].reset(effects),
+            Unit::FrameTimer => self.frame_timer.reset(),
             Unit::Adc12 => self.adc12.reset(effects),
             Unit::Adc345 => self.adc345.reset(effects),
             Unit::Dma(controller) => self.dma.reset_controller(controller, effects),

@@ -7,11 +7,10 @@
 //! * Johnson noise 4kT·B/R_ie of the inter-electrode resistance leaves one and enters the other;
 //! * the converter's is their own.
 
-use std::thread;
-
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
+use slitpose_head::threads::on_all_cores;
 use slitpose_model::{BOLTZMANN_J_PER_K, CompiledScene, ELEMENTARY_CHARGE_C, Pair, Photocurrents, Pose, Scene};
 
 use crate::poses::{PoseRow, one_in_box, pose};
@@ -35,19 +34,8 @@ impl Trials {
 
     /// Runs `trial` with its number and generator, for all numbers; results in their order.
     pub fn run<T: Send>(&self, trial: impl Fn(usize, &mut ChaCha8Rng) -> T + Sync) -> Vec<T> {
-        let workers = thread::available_parallelism().map_or(1, usize::from);
-        let trial = &trial;
-        thread::scope(|scope| {
-            // Dealt in turn: hard trials come in no order, and no worker is left with them all.
-            let deal = |worker| (worker..self.count).step_by(workers).map(|i| trial(i, &mut self.generator(i)));
-            let handles: Vec<_> =
-                (0..workers).map(|worker| scope.spawn(move || deal(worker).collect::<Vec<T>>())).collect();
-            let mut hands: Vec<_> = handles
-                .into_iter()
-                .map(|handle| handle.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)).into_iter())
-                .collect();
-            (0..self.count).filter_map(|i| hands[i % workers].next()).collect()
-        })
+        let numbers: Vec<usize> = (0..self.count).collect();
+        on_all_cores(&numbers, |&number| trial(number, &mut self.generator(number)))
     }
 }
 

@@ -290,6 +290,8 @@ fn references_of_other_clocks_and_units_are_told() {
     let degrees = changed(&by_time, &POSE[3..], f64::to_degrees);
     let mirrored = changed(&by_scan, &["ty_mm", "rx_rad", "rz_rad"], |number| -number);
     let (epoch, later) = (time(|s| s + 1.79e9), changed(&by_scan, &["seq"], |n| n + 5e3));
+    let (header, rows) = by_scan.split_once('\n').expect("rows");
+    let reversed = format!("{header}\n{}\n", rows.lines().rev().collect::<Vec<_>>().join("\n"));
     for (what, table, code, parts) in [
         ("epoch", epoch, 1, &["time_s runs from 1790000000.0", "that of the poses from 6.08", "epoch", "s late"][..]),
         ("milliseconds", time(|s| s * 1e3), 0, &["are these milliseconds?"]),
@@ -302,6 +304,7 @@ fn references_of_other_clocks_and_units_are_told() {
         ("other axes", changed(&by_scan, &["tx_mm"], |mm| mm + 50.0), 0, &["hardly better than a tool at rest"]),
         ("scans", later, 1, &["seq runs from 5000.0 to 6199.0", "from 0.0 to 1199.0"]),
         ("degrees", degrees, 1, &["column `r", "are these degrees?"]),
+        ("reversed", reversed, 1, &["row 2", "column `seq`", "ascend"]),
     ] {
         println!("{what}");
         compare(&table).assert_said(code, parts);

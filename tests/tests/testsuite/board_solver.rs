@@ -11,6 +11,7 @@ use slitpose_model::{Outcome, Pose, Solver, Tracker};
 use slitpose_protocol::{Hashes, PoseStatus};
 use slitpose_tests::capture::{Decoded, STREAM, capture, decode};
 use slitpose_tests::consistency::{Sorted, worst_axis};
+use slitpose_tests::scenes::{parse, wide_with};
 
 /// Of noise and motion.
 const SEED: u64 = 17;
@@ -100,53 +101,48 @@ fn wide() -> SceneFile {
 /// What a board knows of the motion within a frame to less than this share of σ, it takes as exact.
 const NEGLECTED: f64 = 0.15;
 
+/// Asserts that all poses of a board differ from a host's by less than so many σ at worst and rms, but for so many scans of which
+/// one side alone had lost track of the motion.
+#[track_caller]
+fn assert_alike(difference: &Difference, most: f64, rms: f64, apart: usize) {
+    assert!(difference.sigmas.most() < most && difference.rms() < rms && difference.apart <= apart);
+    assert_eq!(difference.lacking, 0);
+}
+
 #[test]
 fn at_4_khz_a_board_has_the_poses_of_a_host() {
-    let alike = Difference::of(wide(), 4e3, 10.0, NEGLECTED);
     // The arithmetic takes 1e-3 σ, the rest is what cells that are not linearised anew neglect: 0.015 σ rms, 0.15 at worst, a
     // fiftieth of the squared error. It goes with the square of a step in σ, and frames of 3 µm have a small one.
-    assert!(alike.sigmas.most() < 0.2 && alike.rms() < 0.02);
-    assert_eq!((alike.apart, alike.lacking), (0, 0));
+    assert_alike(&Difference::of(wide(), 4e3, 10.0, NEGLECTED), 0.2, 0.02, 0);
     // A host that neglects nothing. What the neglected takes of σ may be taken of the pose, too.
-    let own = Difference::of(wide(), 4e3, 10.0, 0.0);
-    assert!(own.sigmas.most() < 0.05 + NEGLECTED && own.rms() < 0.025);
-    assert_eq!((own.apart, own.lacking), (0, 0));
+    assert_alike(&Difference::of(wide(), 4e3, 10.0, 0.0), 0.05 + NEGLECTED, 0.025, 0);
 }
 
 #[test]
 fn at_1_khz_where_the_tool_goes_far_between_two_frames_a_board_lacks_no_pose() {
-    let own = Difference::of(wide(), 1e3, 10.0, 0.0);
-    assert!(own.sigmas.most() < 0.25 && own.rms() < 0.01);
-    assert_eq!((own.apart, own.lacking), (0, 0));
+    assert_alike(&Difference::of(wide(), 1e3, 10.0, 0.0), 0.25, 0.01, 0);
 }
 
 /// At 1.5 kHz these motions are just too fast to be foreseen: three frames of a hundred are solved without knowing how the tool
 /// moves within them, not always the same ones on both sides. None is without a pose.
 #[test]
 fn where_motion_is_hardly_foreseen_a_board_may_know_less_of_it_but_lacks_no_pose() {
-    let own = Difference::of(wide(), 1.5e3, 10.0, 0.0);
-    assert_eq!(own.lacking, 0);
-    assert!(own.apart < 750 && own.rms() < 0.1, "{} {}", own.apart, own.rms());
+    assert_alike(&Difference::of(wide(), 1.5e3, 10.0, 0.0), f64::INFINITY, 0.1, 750);
 }
 
 /// Emitters take turns for half a millisecond. Where it is a near thing whether the tool went on as foreseen, one side takes
 /// its acceleration for known and the other does not, and their poses differ while they do.
 #[test]
 fn in_long_frames_a_board_lacks_no_pose() {
-    let source = wide()
-        .source
-        .replace("slots = [[0, 2, 4], [1, 3, 5], []]", "slots = [[0], [1], [2], [3], [4], [5], []]")
-        .replace("oversampling = 8", "oversampling = 16");
-    let alike = Difference::of(SceneFile::parse("long frames", &source).expect("a scene"), 1e3, 5.0, NEGLECTED);
-    assert!(alike.sigmas.most() < 3.5 && alike.rms() < 0.5);
-    assert_eq!(alike.lacking, 0);
+    let slots = ("slots = [[0, 2, 4], [1, 3, 5], []]", "slots = [[0], [1], [2], [3], [4], [5], []]");
+    let file = parse(&wide_with(&[slots, ("oversampling = 8", "oversampling = 16")]));
+    assert_alike(&Difference::of(file, 1e3, 5.0, NEGLECTED), 3.5, 0.5, usize::MAX);
 }
 
 /// In one frame of twelve an emitter is at a wall of its thick mask, where derivatives jump: there is time for a second step.
 #[test]
 fn at_2_khz_a_calibrated_board_has_the_poses_of_a_host() {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/data/heads/calibrated_1.toml");
-    let alike = Difference::of(SceneFile::open(path).expect("a scene"), 2e3, 5.0, NEGLECTED);
-    assert!(alike.sigmas.most() < 0.15 && alike.rms() < 0.03);
-    assert!(alike.apart < 10 && alike.lacking == 0);
+    let file = SceneFile::open(path).expect("a scene");
+    assert_alike(&Difference::of(file, 2e3, 5.0, NEGLECTED), 0.15, 0.03, 9);
 }

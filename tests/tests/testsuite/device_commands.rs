@@ -118,19 +118,6 @@ fn boards_are_told_apart_by_their_numbers() {
     assert_eq!((&info["status"]["clock"], &info["status"]["settings"]), (&"crystal".into(), &"defaults".into()));
     drop(open);
     assert!(only_asked(&first.closed()) && only_asked(&second.closed()));
-
-    let (first, second) = (Terminal::serve(board(FIRST)), Terminal::serve(board(SECOND)));
-    let search = ["--search", &first.path, "--search", &second.path];
-    let finished = device(&[&["info"], &search[..]].concat());
-    finished.assert_refused(1, &["boards", FIRST, SECOND, &first.path, &second.path, "--device SERIAL"]);
-    first.closed();
-    second.closed();
-
-    let absent = "0036002900544850025a0399";
-    let first = Terminal::serve(board(FIRST));
-    let finished = device(&["info", "--device", absent, "--search", &first.path]);
-    finished.assert_refused(1, &[absent, "is not there", FIRST, &first.path, "device list"]);
-    first.closed();
 }
 
 #[test]

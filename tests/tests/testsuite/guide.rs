@@ -206,6 +206,7 @@ works! {
     a_raw_head_becomes_a_calibrated_one: "calibration.md",
     poses_are_given_in_a_frame_and_at_the_tip: "frame.md",
     the_lab_user_gets_recordings_and_tables: "lab.md",
+    other_instruments_are_on_the_clock_of_the_poses: "sync.md",
     the_application_writer_closes_a_loop: "application.md",
     the_analyst_judges_poses: "analyst.md",
     faults_are_injected_and_seen: "faults.md",

@@ -11,7 +11,7 @@ use std::time::Duration;
 use nix::sys::signal::Signal;
 use nix::unistd::mkfifo;
 use slitpose_tests::daemon::Usage;
-use slitpose_tests::process::{Finished, Slitpose, name_in, names, text, written};
+use slitpose_tests::process::{Finished, name_in, names, text};
 use slitpose_tests::studies::scan_table;
 use slitpose_tests::{ndjson, slitpose};
 
@@ -166,25 +166,6 @@ fn wait_until(child: &mut Child, is_ready: impl Fn() -> bool) {
 }
 
 #[test]
-fn an_interrupted_simulation_leaves_nothing() {
-    let folder = tempfile::tempdir().expect("temporary folder");
-    let (capture, truth) = (folder.path().join("long.mcap"), folder.path().join("long.csv"));
-    let long = ["simulate", "--trajectory", "contact", "--duration", "100000y"];
-    let mut child = slitpose!()
-        .command(long.iter().chain(&["--output", text(&capture), "--truth", text(&truth)]))
-        .spawn()
-        .expect("starts");
-    // Two parts, of which one grows.
-    let grows = || {
-        let parts = fs::read_dir(folder.path()).expect("folder").filter_map(|entry| entry.ok()?.metadata().ok());
-        parts.map(|part| part.len()).max() > Some(100_000)
-    };
-    wait_until(&mut child, grows);
-    Finished::interrupted(child).assert_refused(1, &["interrupted", text(&capture)]);
-    assert!(names(folder.path()).is_empty(), "{:?}", names(folder.path()));
-}
-
-#[test]
 fn a_table_or_text_that_is_interrupted_leaves_nothing() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let output = folder.path().join("result");
@@ -196,6 +177,7 @@ fn a_table_or_text_that_is_interrupted_leaves_nothing() {
         (&["model", "wide", "--poses", "-", "--output"][..], poses),
         (&["solve", "wide", "--currents", "-", "--output"], currents),
         (&["scene", "check", "wide", "--samples", "4000000000", "--output"], String::new()),
+        (&["simulate", "--trajectory", "contact", "--duration", "100000y", "--overwrite", "--output"], String::new()),
     ] {
         let mut command = slitpose!().command(command.iter().chain(&[text(&output)]));
         let mut child = command.stdin(Stdio::piped()).spawn().expect("starts");
@@ -225,6 +207,16 @@ fn a_pipe_that_nobody_reads_is_left_at_the_first_interrupt() {
     }
 }
 
+/// The program with `arguments`, none of whose files may grow beyond `blocks` of 1 KiB.
+fn limited(blocks: u32, arguments: &[&str]) -> Command {
+    // The limit of the shell is the one of what it becomes.
+    let script = format!("ulimit -f {blocks}; exec \"$@\"");
+    let mut command = Command::new("bash");
+    command.args(["-c", &script, "bash", slitpose!().path()]).args(arguments).stdin(Stdio::null());
+    command.stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+}
+
 #[test]
 fn a_file_that_may_not_grow_is_an_error_of_writing() {
     let (folder, capture, bytes) = folder_with_capture();
@@ -235,44 +227,12 @@ fn a_file_that_may_not_grow_is_an_error_of_writing() {
         &["simulate", "--duration", "100ms", "--raw", "--output", text(&new)],
         &["export", text(&capture), "--output", text(&poses)],
     ] {
-        // The limit of the shell, in KiB, is the one of what it becomes.
-        let mut limited = Command::new("bash");
-        limited.args(["-c", "ulimit -f 4; exec \"$@\"", "bash", slitpose!().path()]).args(command);
-        let limited = limited.stdin(Stdio::null()).output().expect("bash runs");
+        let limited = limited(4, command).output().expect("bash runs");
         let target = command[command.len() - 1];
         Finished::from(limited).assert_refused(1, &["writing to", target, "File too large"]);
         assert!(fs::read(&capture).expect("capture") == bytes, "{command:?}");
         assert_eq!(names(folder.path()), ["d.mcap"], "{command:?}");
     }
-}
-
-/// Poses are compared scan by scan; a table in another order would leave most of them out.
-#[test]
-fn a_reference_of_another_order_is_refused() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let path = |name: &str| name_in(folder.path(), name);
-    let (capture, truth, reversed) = (path("a.mcap"), path("truth.csv"), path("reversed.csv"));
-    let simulate = ["simulate", "--duration", "50ms", "--tier", "paper", "--output", &capture, "--truth", &truth];
-    assert_eq!(slitpose!().run(simulate).code, 0);
-    let compare = |table: &str| slitpose!().run(["replay", &capture, "--format", "none", "--compare", table]);
-    let compared = compare(&truth);
-    assert!(compared.code == 0 && compared.stderr.contains("200 poses compared"), "{}", compared.stderr);
-    let text = fs::read_to_string(&truth).expect("a table");
-    let (header, rows) = text.split_once('\n').expect("rows");
-    let rows: Vec<&str> = rows.lines().rev().collect();
-    fs::write(&reversed, format!("{header}\n{}\n", rows.join("\n"))).expect("a file");
-    compare(&reversed).assert_refused(1, &["row 2", "column `seq`", "ascend"]);
-}
-
-/// One board for four seconds, recorded at `capture`. No file may grow beyond `blocks` of 1 KiB.
-fn run_limited(slitpose: Slitpose, blocks: u32, capture: &str, status: &str) -> Child {
-    // The limit of the shell is the one of what it becomes.
-    let script = format!("ulimit -f {blocks}; exec \"$@\"");
-    let run =
-        ["run", "--device", "sim", "--tier", "paper", "--duration", "4s", "--record", capture, "--status", status];
-    let mut command = Command::new("bash");
-    command.args(["-c", &script, "bash", slitpose.path()]).args(run).stdin(Stdio::null());
-    command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("bash starts")
 }
 
 #[test]
@@ -281,7 +241,9 @@ fn poses_go_on_when_the_disk_is_full() {
     let [capture, socket] = ["full.mcap", "status"].map(|name| name_in(folder.path(), name));
     let address = format!("unix:{socket}");
     // A board sends some 400 KiB a second that cannot be made much shorter: it is full after two or three.
-    let mut child = run_limited(slitpose!(), 1000, &capture, &address);
+    let run =
+        ["run", "--device", "sim", "--tier", "paper", "--duration", "4s", "--record", &capture, "--status", &address];
+    let mut child = limited(1000, &run).spawn().expect("bash starts");
     let mut stdout = child.stdout.take().expect("piped");
     let poses = std::thread::spawn(move || {
         let mut text = String::new();
@@ -332,15 +294,4 @@ fn a_full_output_is_an_error_and_a_full_disk_before_the_run_is_told_at_its_end()
     let finished = slitpose!().run(run.iter().chain(&["/dev/full"]));
     finished.assert_said(3, &["/dev/full", "No space left", "the capture is not whole"]);
     assert_eq!(ndjson::parse(finished.text()).len(), 4000);
-}
-
-#[test]
-fn a_run_without_a_board_replaces_no_capture() {
-    let folder = tempfile::tempdir().expect("temporary folder");
-    let path = &*written(folder.path(), "precious.mcap", "of last night");
-    let record = ["--duration", "1s", "--overwrite", "--record", path];
-    let finished = slitpose!().run(["run", "--device", "/dev/slitpose-no-such-port"].iter().chain(&record));
-    finished.assert_refused(1, &["there is no /dev/slitpose-no-such-port"]);
-    assert_eq!(fs::read(path).expect("still there"), b"of last night");
-    assert_eq!(names(folder.path()), ["precious.mcap"], "something is left behind");
 }

@@ -3,13 +3,12 @@
 
 use std::io::Cursor;
 
-use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::{MAGLEV, SPACEMOUSE, SceneFile, WIDE};
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_head::table::TableReader;
-use slitpose_model::{DegradedReason, Estimate, Outcome, Pose, Solver, Tracker, Verified};
-use slitpose_tests::capture::{Decoded, STREAM, capture, decode, solve};
-use slitpose_tests::consistency::{Honesty, median, worst_axis};
+use slitpose_model::{Estimate, Outcome, Pose};
+use slitpose_tests::capture::{STREAM, capture, decode, solve};
+use slitpose_tests::consistency::{Honesty, median};
 use slitpose_tests::scenes::{front_end, parse, ring, wide_with};
 use slitpose_tracking::pipeline::Record;
 
@@ -49,41 +48,6 @@ fn assert_honest(what: &str, file: &SceneFile, trajectory: Trajectory, scans: us
     // Of 12 000 normal numbers one in 3000 draws has one beyond 5.5 σ.
     assert!(honesty.worst_sigmas < 5.5, "{what}: {honesty:?}");
     median(poses(&records).map(|(estimate, _)| estimate.sigma()[0]))
-}
-
-/// Follows `decoded` with each cell's exposure `factor` times as far from the reference instant as it
-/// was, and gives the largest error of an axis in σ, in the median.
-fn worst_axis_with_exposures(file: &SceneFile, decoded: &Decoded, factor: f64) -> f64 {
-    let stage = Stage::new(file, &decoded.schedule, &decoded.scaling);
-    let scene = Stage::weighted_scene(file, &decoded.schedule, &decoded.scaling);
-    let exposures_s: Vec<f64> = stage.exposures_s().iter().map(|exposure_s| exposure_s * factor).collect();
-    let solver = Solver::<f64>::new(&scene, STREAM).expect("scene").with_exposures(&exposures_s);
-    let mut tracker = Tracker::new(solver, decoded.schedule.frame_rate_hz().recip());
-    let worst = decoded.scans.iter().zip(&decoded.truths).filter_map(|(scan, truth)| {
-        let estimate = tracker.track(scan.sequence, &stage.photocurrents(scan)).solution.estimate?;
-        Some(worst_axis(&estimate, truth))
-    });
-    median(worst)
-}
-
-#[test]
-fn the_order_of_exposure_is_accounted_for() {
-    // At 0.5 m/s ignoring the order is known to cost 12 σ with opposite pairs and 25 σ one by one,
-    // σ being 0.71 µm. A single frame's σ is three times that, most of a smooth motion is slower, and the light level, which
-    // is unknown, too, explains a part of the displacement.
-    let four = ("oversampling = 8", "oversampling = 4");
-    let in_slots = |slots: &str| wide_with(&[(SLOTS, slots), four]);
-    let pairs = in_slots("slots = [[0, 3], [1, 4], [2, 5], []]");
-    let one_by_one = in_slots("slots = [[0], [1], [2], [3], [4], [5], []]");
-    for (what, text, least) in [("pairs", &*pairs, 2.5), ("one by one", &*one_by_one, 4.0)] {
-        let file = parse(text);
-        let decoded = decode(&capture(&file, smooth(62), STREAM, 62, 2000));
-        let [kept, ignored] = [1.0, 0.0].map(|factor| worst_axis_with_exposures(&file, &decoded, factor));
-        println!("{what}: worst axis {kept:.2} σ with the order of exposure, {ignored:.2} σ without");
-        // The largest of six normal numbers is 1.6 in the median, fewer if they are correlated.
-        assert!((1.2..1.8).contains(&kept), "{what}: {kept}");
-        assert!(ignored > least, "{what}: {ignored}");
-    }
 }
 
 #[test]
@@ -132,67 +96,6 @@ fn heads_of_other_sizes() {
     let sixteen = parse(&(ring(&alternating) + &front_end(800.0)));
     let straight = path("0,-2,2,-2,0.1,-0.1,-0.1\n3,2,-2,2,-0.1,0.1,0.1\n");
     assert_honest("sixteen cells", &sixteen, straight, 2000);
-
-    // Six currents for six unknowns: nothing checks a pose, so its mirror images must be ruled out
-    // or owned up to.
-    let three = parse(&(ring(&[0.0, 90.0, 45.0]) + &front_end(4000.0)));
-    let (records, counts) = solve(&three, STREAM, &capture(&three, smooth(67), STREAM, 67, 1000));
-    assert_eq!((records.len(), counts.has_loss()), (1000, false));
-    println!("three cells: {:?}", counts.outcomes);
-    for Record { solution, .. } in &records {
-        // While a search that is spread over scans goes on, there is nothing to tell yet.
-        let words = matches!(
-            solution.outcome,
-            Outcome::Converged | Outcome::Ambiguous | Outcome::Unobservable(_) | Outcome::Diverged
-        );
-        let is_checked = solution.redundancy > 0 || solution.verified() != Verified::Not;
-        assert!(words && solution.cells_used.count() == 3 && !is_checked, "{solution:?}");
-    }
-    // Nearly always there is an image; a pose that is given all the same must be the tool's.
-    assert!(counts.outcomes.ambiguous > 500, "{:?}", counts.outcomes);
-    assert!(Honesty::of(poses(&records)).worst_sigmas < 6.0);
-}
-
-#[test]
-fn a_converter_at_its_limit_is_left_out() {
-    // The default full scale of 10 µA leaves room for all of the workspace; 4 µA do not.
-    let file = parse(&wide_with(&[("full_scale_a = 10e-6", "full_scale_a = 4e-6")]));
-    let bytes = capture(&file, smooth(68), STREAM, 68, 2000);
-    let (records, counts) = solve(&file, STREAM, &bytes);
-    println!("{:?}", counts.outcomes);
-    let (mut masked, mut lost) = ([0; 7], 0);
-    for (record, scan) in records.iter().zip(decode(&bytes).scans) {
-        let solution = &record.solution;
-        let mut usable = 0;
-        for (cell, words) in scan.lit().iter().enumerate() {
-            // The stage swings down: the sum of eight conversions at or below code 16 is at its limit.
-            let saturated = words.iter().any(|&word| word <= 8 * 16);
-            assert_eq!(
-                solution.cells_used.contains(cell),
-                !saturated,
-                "scan {}, cell {cell}: {words:?}",
-                scan.sequence
-            );
-            usable += usize::from(!saturated);
-        }
-        masked[6 - usable] += 1;
-        match usable {
-            6 => assert_eq!(solution.outcome, Outcome::Converged),
-            4 | 5 if solution.estimate.is_none() => lost += 1,
-            4 | 5 => {
-                assert_eq!(solution.outcome, Outcome::Degraded(DegradedReason::FewerCells), "scan {}", scan.sequence);
-            }
-            _ => {}
-        }
-    }
-    // Where three cells were left the track may have ended at a fold; the search for the tool is then spread
-    // over scans: at most a cold solve's 600 evaluations, 20 a scan, after each of the two times.
-    println!("{lost} scans of four or five cells without a pose");
-    assert!(lost <= 2 * 600 / 20, "{lost}");
-    println!("scans by cells left out: {masked:?}");
-    assert!(masked[0] > 50 && masked[1] > 200 && masked[2] > 200, "the motion must meet the limit: {masked:?}");
-    let honesty = Honesty::of(poses(&records));
-    assert!(honesty.worst_sigmas < 5.5 && (4.3..5.9).contains(&honesty.median_nees), "{honesty:?}");
 }
 
 /// Where it is not known how far a spot is from being cut, a solve looks at both sides of its pose, with three evaluations.

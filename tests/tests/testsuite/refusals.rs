@@ -27,7 +27,6 @@ const REFUSED: &[(&str, i32, &[&str])] = &[
     ("run --device sim --duration 1s --fault occlude:cell=6", 2, &["occlude:cell=6", "0 to 5"]),
     ("run --device /dev/null --fault flip", 2, &["--fault", "--device sim"]),
     ("run --config none --device sim --live 0.0.0.0:0", 1, &["0.0.0.0:0", "--live-token"]),
-    ("run --config none --device sim --zenoh", 1, &["--features zenoh"]),
     ("model wide", 2, &["--poses"]),
     ("model wide --poses - --tier best", 2, &["paper, exact"]),
     ("model wide --poses - --tolerance 0", 2, &["between 0 and 1"]),

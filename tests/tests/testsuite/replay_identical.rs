@@ -7,7 +7,6 @@ use std::path::Path;
 use slitpose_protocol::Command;
 use slitpose_tests::process::text;
 use slitpose_tests::scenes::wide_with;
-use slitpose_tests::table::Table;
 use slitpose_tests::terminal::{Board, Terminal};
 use slitpose_tests::{poses, slitpose};
 
@@ -88,26 +87,6 @@ fn duration_ends_a_replay_without_complaint() {
     for (duration, scans) in [("100ms", 400), ("1ms", 4), ("250us", 1), ("299ms", 1196), ("10s", 1200)] {
         let part = replay(&capture, &["--duration", duration]);
         assert!(part == lines[..scans].concat(), "{duration} of replay are not the first {scans} lines");
-    }
-}
-
-#[test]
-fn the_true_path_on_file_is_the_one_in_the_capture() {
-    let folder = tempfile::tempdir().expect("temporary folder");
-    let (capture, truth) = (folder.path().join("capture"), folder.path().join("truth.csv"));
-    let arguments = ["--duration", "100ms", "--output", text(&capture), "--truth", text(&truth), "--seed", "22"];
-    assert_eq!(slitpose!().run(["simulate"].iter().chain(&arguments)).code, 0);
-    let table = Table::parse(&fs::read_to_string(&truth).expect("truth"));
-    let lines = slitpose_tests::ndjson::parse(&String::from_utf8(replay(&capture, &[])).expect("UTF-8"));
-    assert_eq!((table.rows().len(), lines.len()), (400, 400));
-    for (row, line) in table.rows().zip(&lines) {
-        assert_eq!(row.number("seq"), line.sequence as f64);
-        assert_eq!(row.number("device_time_s"), line.device_time_s);
-        let [tx, ty, tz, rx, ry, rz] = row.numbers(["tx_mm", "ty_mm", "tz_mm", "rx_rad", "ry_rad", "rz_rad"]);
-        let filed = poses::pose([tx, ty, tz, rx, ry, rz]);
-        let off = slitpose_tests::consistency::error(&filed, &line.truth.expect("simulated"));
-        // From quaternion to rotation vector and back, from metres to millimetres and back: rounding.
-        assert!(off.iter().all(|axis| axis.abs() < 1e-15), "{line:?}: {off:?}");
     }
 }
 

@@ -6,13 +6,11 @@
 use std::io::{BufRead, BufReader, Read, Write};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
-use nix::sys::signal::Signal;
 use slitpose_head::scene_file::BASE;
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
-use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message};
 use slitpose_tests::consistency::Honesty;
 use slitpose_tests::ndjson::{self, Line, assert_complete};
-use slitpose_tests::process::{Finished, name_in, signal, written};
+use slitpose_tests::process::{Finished, name_in, written};
 use slitpose_tests::terminal::FRAME_RATE_HZ;
 use slitpose_tests::{scenes, slitpose};
 
@@ -106,66 +104,6 @@ fn another_head_by_the_serial_port() {
     // On its way the tool leaves one of these cells in the dark now and then, or brings one to its converter's limit.
     assert!(converged > 1_000 && lines.iter().all(|line| line.cells_used <= 6), "{converged}");
     honest.assert(4.5..6.5, 3);
-    emulator.close();
-}
-
-/// What a program that has opened `path` hears: two statuses, a second of the device, and what comes
-/// with them.
-fn listen(path: &str) -> Heard {
-    let mut terminal = std::fs::OpenOptions::new().read(true).write(true).open(path).expect("nobody else has it");
-    let mut heard = Heard::default();
-    let mut decoder = Decoder::<MAX_MESSAGE_BYTES>::new();
-    while heard.acquiring.len() < 2 {
-        let mut chunk = [0; 4096];
-        let count = terminal.read(&mut chunk).expect("read");
-        let mut rest = &chunk[..count];
-        while let Some(message) = decoder.next::<Message<'_>>(&mut rest) {
-            match message {
-                Ok(Message::Batch(_)) => heard.batches += 1,
-                Ok(Message::Status(status)) => heard.acquiring.push(status.acquiring),
-                // The emulated silicon may be without its crystal, which every host is told.
-                Ok(Message::Event(event)) if event.text.contains("crystal") => {}
-                Ok(Message::Event(event)) => heard.events.push(event.text.to_owned()),
-                // What was under way when the port was closed may be cut.
-                _ => {}
-            }
-        }
-    }
-    heard
-}
-
-#[derive(Debug, Default)]
-struct Heard {
-    batches: usize,
-    acquiring: Vec<bool>,
-    events: Vec<String>,
-}
-
-#[test]
-fn an_interrupt_leaves_the_board_dark() {
-    // A quarter of the usual speed: half a second of the device is two of ours.
-    let emulator = Emulator::start(&["wide", "--speed", "0.25"]);
-    // A program that is killed cannot stop the board: it goes on for whoever comes within half a
-    // second, so silence is not for want of light.
-    for (by, stops) in [(Signal::SIGKILL, false), (Signal::SIGINT, true)] {
-        let mut child = slitpose!().spawn(["run", "--device", &emulator.path]);
-        let mut stdout = BufReader::new(child.stdout.take().expect("piped"));
-        for _ in 0..400 {
-            stdout.read_line(&mut String::new()).expect("line");
-        }
-        signal(&child, by);
-        let mut rest = String::new();
-        stdout.read_to_string(&mut rest).expect("UTF-8");
-        let output = child.wait_with_output().expect("ends");
-        println!("{}", String::from_utf8_lossy(&output.stderr));
-        let code = output.status.code();
-        let heard = listen(&emulator.path);
-        println!("{by}: {heard:?}");
-        assert!(heard.events.is_empty());
-        assert!(heard.acquiring.iter().all(|&acquiring| acquiring != stops));
-        assert_eq!(heard.batches == 0, stops);
-        assert_eq!(code, stops.then_some(0));
-    }
     emulator.close();
 }
 

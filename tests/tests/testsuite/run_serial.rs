@@ -103,32 +103,6 @@ fn poses_are_printed_before_the_next_scans_come() {
 }
 
 #[test]
-fn what_an_earlier_host_left_is_not_solved() {
-    let mut board = Board::wide(62);
-    board.command(Command::Start);
-    let mut early = Vec::new();
-    for _ in 0..20 {
-        let mut sent = Vec::new();
-        board.act(&[], 0.05, &mut sent);
-        early.extend(sent);
-    }
-    // From the middle of a packet on, so that it is damaged.
-    let mut early = Some(early.split_off(40));
-    let device = move |received: &[u8], now_s: f64, sent: &mut Vec<u8>| {
-        sent.extend(early.take().into_iter().flatten());
-        board.act(received, now_s + 0.05, sent)
-    };
-    let (finished, log, _) = run(device, &["--duration", "200ms"]);
-    assert_eq!((finished.code, finished.stderr.as_str()), (0, ""));
-    let lines = ndjson::parse(&finished.done());
-    assert_eq!(lines.len(), 800);
-    // 200 frames had passed when the host came.
-    assert!(lines[0].sequence >= 200, "{}", lines[0].sequence);
-    assert_followed(&lines);
-    assert_eq!(log.commands().last(), Some(&Command::Stop));
-}
-
-#[test]
 fn an_interrupt_stops_the_board_and_prints_all_it_took() {
     let folder = tempfile::tempdir().expect("temporary folder");
     // Whoever closes a terminal hangs up twice: the kernel does, and the shell does.
@@ -187,21 +161,6 @@ fn a_reader_that_goes_stops_the_board() {
     let finished = Finished::of(child);
     assert_eq!((finished.code, finished.stderr.as_str()), (0, ""));
     assert_eq!(terminal.closed().commands().last(), Some(&Command::Stop));
-}
-
-#[test]
-fn a_board_that_is_unplugged_is_missed() {
-    let folder = tempfile::tempdir().expect("temporary folder");
-    let record = folder.path().join("run.capture");
-    let mut board = Board::wide(66);
-    let device = move |received: &[u8], now_s: f64, sent: &mut Vec<u8>| now_s < 0.7 && board.act(received, now_s, sent);
-    let (finished, _, path) = run(device, &["--patience", "0s", "--record", record.to_str().expect("UTF-8")]);
-    finished.assert_said(1, &[&path, "unplugged"]);
-    let lines = ndjson::parse(&String::from_utf8(finished.stdout).expect("UTF-8"));
-    assert!(lines.len() > 100, "{} lines", lines.len());
-    assert_followed(&lines);
-    let replayed = slitpose!().run(["replay", record.to_str().expect("UTF-8")]);
-    assert_eq!(ndjson::parse(&String::from_utf8(replayed.stdout).expect("UTF-8")).len(), lines.len());
 }
 
 #[test]

@@ -1,12 +1,10 @@
 //! `slitpose model` into `slitpose solve`: poses come back, rows keep their place, and what cannot be
 //! solved says why. Two six-cell heads and every single cell, ordinary and extreme, against independent multi-precision
-//! integration; and single precision against double.
+//! integration.
 
-use slitpose_model::{CompiledScene, Pose, Tier};
-use slitpose_tests::consistency::median;
 use slitpose_tests::poses::{self, PoseRow};
 use slitpose_tests::process::{Slitpose, name_in, text, written};
-use slitpose_tests::scenes::{self, changed, ring, wide_with};
+use slitpose_tests::scenes::{changed, ring, wide_with};
 use slitpose_tests::slitpose;
 use slitpose_tests::table::{POSE, Row, SIGMA, Table, data, reference, single_cell_scene_file, with_changed};
 
@@ -79,24 +77,6 @@ fn round_trips_in_both_tiers() {
 }
 
 #[test]
-fn dark_current_is_taken_off_as_each_tier_puts_it_on() {
-    let folder = tempfile::tempdir().expect("temporary folder");
-    let text = changed(slitpose_head::scene_file::WIDE.text, &[("dark_current_a = 0.0", "dark_current_a = 200e-9")]);
-    let scene = &*written(folder.path(), "dark.toml", text);
-    let truths = poses::in_box(&mut poses::generator(17), WORKSPACE.0, WORKSPACE.1, 50);
-    for tier in ["paper", "exact"] {
-        let currents = currents(scene, tier, &truths);
-        for (row, truth) in solve(scene, tier, &currents).rows().zip(&truths) {
-            assert!(errors_in_sigma(&row, truth).iter().all(|error| error.abs() < BACK), "{tier}, {truth:?}");
-        }
-        // Without the dark current the same numbers mean other poses.
-        for (row, truth) in solve("wide", tier, &currents).rows().zip(&truths) {
-            assert!(errors_in_sigma(&row, truth).iter().any(|error| error.abs() > 1.0), "{tier}, {truth:?}");
-        }
-    }
-}
-
-#[test]
 fn rows_without_a_pose_keep_their_place() {
     // 60 mm above no slit throws light on a detector.
     let far = [0.0, 0.0, 60.0, 0.0, 0.0, 0.0];
@@ -150,28 +130,6 @@ fn equal_rolls_leave_directions_free() {
         assert_no_pose(&row, "unobservable");
         assert_eq!(row.text("free_directions"), free, "rolls of {roll_deg} degrees");
         assert_eq!(row.text("cells_used"), "6");
-    }
-}
-
-#[test]
-fn accuracy_is_that_of_the_lower_bound_with_and_without_known_gains() {
-    let folder = tempfile::tempdir().expect("temporary folder");
-    let scene = &*name_in(folder.path(), "gains.toml");
-    let truths = poses::in_box(&mut poses::generator(16), WORKSPACE.0, WORKSPACE.1, 300);
-    // Cramér-Rao medians of an independent program for `wide` at 10 kHz, µm and µrad: with known
-    // gains, and from positions alone. It drew other poses and took medians over them first: 20 %.
-    for (gain, translation_um, rotation_urad) in [(0.0, 0.71, 96.0), (1.0, 2.2, 253.0)] {
-        let uncertainty = format!("\n[uncertainty]\nemitter_gain_relative = {gain:?}\n");
-        std::fs::write(scene, slitpose_head::scene_file::WIDE.text.to_owned() + &uncertainty).expect("scene");
-        let table = solve(scene, "exact", &currents(scene, "exact", &truths));
-        let of_axes = |axes: std::ops::Range<usize>| {
-            let sigmas = table.rows().filter(|row| row.text("status") == "converged");
-            median(sigmas.flat_map(|row| axes.clone().map(move |axis| row.number(SIGMA[axis]))).collect::<Vec<_>>())
-        };
-        let (translation, rotation) = (of_axes(0..3) * 1e3, of_axes(3..6) * 1e6);
-        println!("gains to {gain}: {translation:.3} um, {rotation:.1} urad");
-        assert!((0.8..1.2).contains(&(translation / translation_um)), "{translation} um");
-        assert!((0.8..1.2).contains(&(rotation / rotation_urad)), "{rotation} urad");
     }
 }
 
@@ -271,29 +229,6 @@ fn every_single_cell_goes_through_scene_file_and_process() {
                     assert!(error <= x_tolerance_mm, "{name}, {tier}: X_A off by {error:e} mm");
                 }
             }
-        }
-    }
-}
-
-#[test]
-fn single_precision_follows_double_precision() {
-    for row in reference("reference/single_cell.csv").rows() {
-        // Cut by an edge of the detector, or far beyond what single precision resolves of the
-        // distance between emitter and horizon: no bound is claimed there.
-        if row.text("status") != "lit" || row.text("name").starts_with("grazing") {
-            continue;
-        }
-        let scene = scenes::parse(&single_cell_scene_file(&row)).scene;
-        for tier in [Tier::Paper, Tier::Exact { tolerance: 1e-6 }] {
-            let double = CompiledScene::<f64>::compile(&scene, tier).expect("scene").respond(0, &Pose::HOME);
-            let single = CompiledScene::<f32>::compile(&scene, tier).expect("scene").respond(0, &Pose::HOME);
-            if double.i_o_a == 0.0 {
-                assert_eq!(single.i_o_a, 0.0, "{}", row.text("name"));
-                continue;
-            }
-            let error = (f64::from(single.i_o_a) - double.i_o_a).abs() / double.i_o_a;
-            println!("{} {tier:?}: {error:.1e}", row.text("name"));
-            assert!(error <= 1e-5, "{}: {error:e}", row.text("name"));
         }
     }
 }

@@ -1,7 +1,6 @@
 //! A daemon tells how it does, to people, programs and Prometheus.
 
 use std::net::TcpStream;
-use std::process::Child;
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
@@ -13,14 +12,6 @@ const WIDTH: usize = 100;
 
 /// A busy machine may take its time.
 const PATIENCE: Duration = Duration::from_secs(30);
-
-/// A board followed in real time, and where the daemon tells how it does.
-fn start(device: &str, more: &[&str]) -> (Child, String) {
-    let arguments = ["run", "--config", "none", "--device", device, "--format", "none", "--status", "127.0.0.1:0"];
-    let mut daemon = slitpose!().spawn(arguments.iter().chain(more));
-    let address = address_said(&mut daemon, "status at ");
-    (daemon, address)
-}
 
 fn get(address: &str, path: &str) -> (u16, String) {
     process::get(TcpStream::connect(address).expect("listens"), path).expect("an answer")
@@ -40,7 +31,9 @@ fn sample(metrics: &str, start: &str) -> Option<f64> {
 
 #[test]
 fn a_daemon_tells_how_it_does() {
-    let (daemon, address) = start("sim", &[]);
+    let arguments = ["run", "--config", "none", "--device", "sim", "--format", "none", "--status", "127.0.0.1:0"];
+    let mut daemon = slitpose!().spawn(arguments);
+    let address = address_said(&mut daemon, "status at ");
     let since = Instant::now();
     while status(&address)["boards"][0]["scans"].as_u64() < Some(4000) {
         assert!(since.elapsed() < PATIENCE, "no scans: {}", status(&address));
@@ -86,44 +79,6 @@ fn a_daemon_tells_how_it_does() {
     assert_eq!((finished.code, finished.stderr.as_str()), (0, ""));
     let silent = slitpose!().run(["status", "--address", &address]);
     silent.assert_refused(1, &[&address, "--status"]);
-}
-
-#[test]
-fn a_daemon_without_its_board_is_not_healthy() {
-    let (daemon, address) = start("/dev/slitpose-no-such-port", &[]);
-    let since = Instant::now();
-    loop {
-        let (code, health) = get(&address, "/health");
-        assert_eq!(code, 503, "{health}");
-        if health.starts_with("/dev/slitpose-no-such-port, link: searching: there is no ") {
-            break;
-        }
-        assert!(since.elapsed() < PATIENCE, "{health}");
-        std::thread::sleep(Duration::from_millis(20));
-    }
-    let finished = Finished::interrupted(daemon);
-    assert_eq!(finished.code, 0, "{}", finished.stderr);
-}
-
-#[test]
-fn a_recording_that_is_taken_away_is_told() {
-    let folder = tempfile::tempdir().expect("temporary folder");
-    let path = folder.path().join("run.mcap");
-    let (daemon, address) = start("sim", &["--record", path.to_str().expect("UTF-8")]);
-    let since = Instant::now();
-    let until = |wanted: &dyn Fn(&str) -> bool| loop {
-        let (_, health) = get(&address, "/health");
-        if wanted(&health) {
-            break;
-        }
-        assert!(since.elapsed() < PATIENCE, "{health}");
-        std::thread::sleep(Duration::from_millis(50));
-    };
-    until(&|health| health == "ok\n");
-    std::fs::remove_file(&path).expect("was there");
-    until(&|health| health.contains("was deleted, or replaced"));
-    let finished = Finished::interrupted(daemon);
-    finished.assert_said(3, &["was deleted, or replaced"]);
 }
 
 #[test]

@@ -32,6 +32,7 @@ use crate::converters::{Converters, Unresponsive};
 use crate::dma::{Channel, Table};
 use crate::emitters::{Emitters, GATE_DMA, LATE_GATE_DMA};
 use crate::guard::{self, Guard};
+use crate::pulse::FrameOutput;
 
 /// Words in the ring of a converter: 85 frames of the default, 21 ms.
 const RING_WORDS: usize = 2048;
@@ -60,6 +61,8 @@ const LEVEL_DMA: [Channel; LEVEL_LINES] = [Channel::new(5, 56), Channel::new(6, 
 pub struct Sampler {
     converters: Converters,
     guard: Guard,
+    /// The frame output.
+    pub output: FrameOutput,
     run: Option<Run>,
     /// Sequence number of the first frame of the next run.
     next_sequence: u64,
@@ -99,9 +102,11 @@ impl Sampler {
         _timer: Peri<'static, TIM2>,
         guard: Peri<'static, TIM3>,
         _dma: Peri<'static, DMA1_CH1>,
+        output: FrameOutput,
     ) -> Self {
         rcc::enable_and_reset::<TIM2>();
-        Self { converters: Converters::new(adc1, adc2), guard: Guard::new(guard), run: None, next_sequence: 0 }
+        let (converters, guard) = (Converters::new(adc1, adc2), Guard::new(guard));
+        Self { converters, guard, output, run: None, next_sequence: 0 }
     }
 
     /// Stops what runs and starts `configuration`.
@@ -201,6 +206,7 @@ impl Sampler {
         pac::TIM2.dier().write(|_| {});
         let converters = self.converters.stop();
         self.guard.stop();
+        self.output.stop();
         for channel in WORD_DMA.into_iter().chain(LEVEL_DMA).chain([PERIOD_DMA]) {
             channel.stop();
         }
@@ -262,6 +268,7 @@ impl Sampler {
         }
         self.converters.start();
         self.guard.start(plan);
+        self.output.start(plan.periods.len(), run.sequence);
         timer.sr().write(|_| {});
         timer.dier().write(|w| {
             w.set_ude(true);

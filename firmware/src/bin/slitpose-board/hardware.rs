@@ -6,7 +6,7 @@ use slitpose_firmware::pcb::frame_plan::FramePlan;
 use slitpose_firmware::pcb::wiring;
 use slitpose_firmware::settings::Settings;
 use slitpose_firmware::{Acquisition, Health, Indicator, ScanError, Storage, StorageError, System};
-use slitpose_protocol::{BootTarget, Configuration, HardwareFault, Level, RawScan, Schedule};
+use slitpose_protocol::{BootTarget, Configuration, Edge, HardwareFault, Level, Pulse, RawScan, Schedule};
 
 use crate::acquisition::Sampler;
 use crate::clock::Clock;
@@ -18,11 +18,13 @@ use crate::pose_port::PosePort;
 use crate::sensors::Sensors;
 #[cfg(feature = "storage")]
 use crate::storage;
+use crate::trigger::Trigger;
 
 pub struct BoardHardware {
     emitters: Emitters,
     sampler: Sampler,
     clock: Clock,
+    trigger: Trigger,
     light: Output<'static>,
     load: Load,
     #[cfg(feature = "sensors")]
@@ -37,6 +39,7 @@ impl BoardHardware {
         emitters: Emitters,
         sampler: Sampler,
         clock: Clock,
+        trigger: Trigger,
         light: Output<'static>,
         #[cfg(feature = "sensors")] sensors: Sensors,
         #[cfg(feature = "pose")] poses: PosePort,
@@ -45,6 +48,7 @@ impl BoardHardware {
             emitters,
             sampler,
             clock,
+            trigger,
             light,
             load: Load::new(),
             #[cfg(feature = "sensors")]
@@ -79,6 +83,10 @@ impl Acquisition for BoardHardware {
     fn next_scan(&mut self, scan: &mut RawScan) -> Result<bool, ScanError> {
         self.sampler.next_scan(scan, &mut self.emitters, &mut self.clock)
     }
+
+    fn set_pulse(&mut self, pulse: Pulse, schedule: &Schedule) -> Result<(), HardwareFault> {
+        self.sampler.output.set(pulse, schedule)
+    }
 }
 
 impl Storage for BoardHardware {
@@ -104,6 +112,14 @@ impl Storage for BoardHardware {
 impl System for BoardHardware {
     fn now_ticks(&mut self) -> u64 {
         self.clock.now()
+    }
+
+    fn next_edge(&mut self) -> Option<Edge> {
+        self.trigger.next_edge(&mut self.clock)
+    }
+
+    fn missed_edges(&self) -> u32 {
+        self.trigger.missed
     }
 
     fn housekeeping(&mut self, indicator: Indicator) -> Health {

@@ -26,10 +26,12 @@ mod link;
 mod memory;
 #[cfg(feature = "pose")]
 mod pose_port;
+mod pulse;
 #[cfg(feature = "sensors")]
 mod sensors;
 #[cfg(feature = "storage")]
 mod storage;
+mod trigger;
 
 use core::cell::RefCell;
 
@@ -42,7 +44,7 @@ use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::ThreadModeRawMutex;
 use embassy_time::{Duration, Instant, Timer};
 use slitpose_firmware::pcb::{QUEUE_BYTES, can_run, default_configuration, default_scaling};
-use slitpose_firmware::{Board, Identity};
+use slitpose_firmware::{Board, Identity, Poser};
 use slitpose_protocol::{BoardKind, Configuration, Hashes, SettingsSource};
 use static_cell::{ConstStaticCell, StaticCell};
 
@@ -70,7 +72,7 @@ bind_interrupts!(struct Interrupts {
 });
 
 /// The board's core, shared by the tasks.
-type Core = Mutex<ThreadModeRawMutex, RefCell<Board<BoardHardware, &'static mut [u8]>>>;
+type Core = Mutex<ThreadModeRawMutex, RefCell<Board<BoardHardware, &'static mut [u8], &'static mut Poser>>>;
 
 /// The watchdog resets the board when it has not been polled for this long.
 const WATCHDOG_US: u32 = 100_000;
@@ -134,8 +136,9 @@ async fn run(spawner: Spawner) {
 
     let hardware = BoardHardware::new(
         emitters::Emitters::new(emitters, Output::new(p.PB5, Level::High, Speed::Low), p.DAC1, p.DAC2),
-        Sampler::new(p.ADC1, p.ADC2, p.TIM2, p.TIM3, p.DMA1_CH1),
+        Sampler::new(p.ADC1, p.ADC2, p.TIM2, p.TIM3, p.DMA1_CH1, pulse::FrameOutput::new(p.PA10, p.TIM1)),
         clock::Clock::start(p.TIM5),
+        trigger::Trigger::new(p.PC12),
         Output::new(p.PA5, Level::Low, Speed::Low),
         #[cfg(feature = "sensors")]
         sensors::Sensors::new(p.ADC5),
@@ -198,8 +201,10 @@ async fn run(spawner: Spawner) {
 fn make_core(hardware: BoardHardware, identity: Identity, configuration: Configuration) -> &'static Core {
     static QUEUE: ConstStaticCell<[u8; QUEUE_BYTES]> = ConstStaticCell::new([0; QUEUE_BYTES]);
     static CORE: StaticCell<Core> = StaticCell::new();
+    static POSER: StaticCell<Poser> = StaticCell::new();
     let queue: &'static mut [u8] = QUEUE.take();
-    let Ok(board) = Board::new(hardware, identity, configuration, queue) else {
+    let poser = POSER.init_with(Poser::default);
+    let Ok(board) = Board::with_poser(hardware, identity, configuration, queue, poser) else {
         faults::give_up();
     };
     CORE.init_with(|| Mutex::new(RefCell::new(board)))

@@ -7,9 +7,9 @@ use slitpose_firmware::{
     Acquisition, Board, Health, Identity, Indicator, Link, ScanError, Storage, StorageError, System, TRANSMIT_BYTES,
 };
 use slitpose_protocol::{
-    AdcScaling, Batch, BoardKind, BootTarget, ClockSource, Command, Configuration, Decoder, EmitterSet, Exposure,
-    HardwareFault, Hashes, Hello, Level, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, Pong, RawScan, Reply, Request,
-    ResetCause, Schedule, SettingsSource, Severity, Status, encode,
+    AdcScaling, Batch, BoardKind, BootTarget, ClockSource, Command, Configuration, Decoder, Edge, Edges, EmitterSet,
+    Exposure, HardwareFault, Hashes, Hello, Level, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, Pong, Pulse, RawScan,
+    Reply, Request, ResetCause, Schedule, SettingsSource, Severity, Status, encode,
 };
 
 /// Ticks per second of the scripted board.
@@ -49,6 +49,8 @@ pub struct Fake {
     pub storing_polls: u32,
     pub refuse_store: bool,
     pub rebooted: Option<BootTarget>,
+    pub pulse: Option<Pulse>,
+    pub edges: VecDeque<Edge>,
 }
 
 impl Fake {
@@ -128,6 +130,11 @@ impl Acquisition for Fake {
         Ok(())
     }
 
+    fn set_pulse(&mut self, pulse: Pulse, _: &Schedule) -> Result<(), HardwareFault> {
+        self.pulse = Some(pulse);
+        Ok(())
+    }
+
     fn next_scan(&mut self, scan: &mut RawScan) -> Result<bool, ScanError> {
         match self.finished.pop_front() {
             Some(Finished::Scan(finished)) => {
@@ -158,6 +165,10 @@ impl Storage for Fake {
 }
 
 impl System for Fake {
+    fn next_edge(&mut self) -> Option<Edge> {
+        self.edges.pop_front()
+    }
+
     fn now_ticks(&mut self) -> u64 {
         self.now
     }
@@ -224,6 +235,7 @@ pub fn request(number: u16, command: Command) -> Vec<u8> {
 
 #[derive(Debug, Clone, PartialEq)]
 pub enum Heard {
+    Edges(Edges),
     Hello { configuration: u16, schedule: Schedule, hashes: Hashes },
     Scan { configuration: u16, scan: RawScan },
     Status(Status),
@@ -275,6 +287,7 @@ impl Listener {
                     Message::Reply(reply) => heard.push(Heard::Reply(reply)),
                     Message::Pong(pong) => heard.push(Heard::Pong(pong)),
                     Message::Truth(truth) => panic!("a board knows no truth: {truth:?}"),
+                    Message::Edges(edges) => heard.push(Heard::Edges(edges)),
                     Message::Poses(poses) => panic!("a board without a head solved {poses:?}"),
                 }
             }

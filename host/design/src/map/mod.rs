@@ -23,9 +23,9 @@ use slitpose_calibration::{
 use slitpose_head::scene_file::{SceneFile, Workspace};
 use slitpose_head::simulator::noisy_reading;
 use slitpose_head::threads::{lock, on_all_cores};
-use slitpose_model::{CompiledScene, MotionPrior, Photocurrents, Pose, SceneError, Solver, Start, Tier};
+use slitpose_model::{CompiledScene, MotionPrior, Pose, SceneError, Solver, Start, Tier};
 
-use crate::report::frame_scene;
+use crate::report::{Errors, currents, frame_scene};
 
 /// How finely a workspace is looked at.
 #[derive(Clone, Copy, Debug)]
@@ -296,17 +296,10 @@ fn measured(file: &SceneFile, truth: &CompiledScene<f64>, rng: &mut ChaCha8Rng) 
 
 /// Errors of the poses that `solver` finds in the light of `truth`, without noise.
 fn errors(workspace: &Workspace, truth: &CompiledScene<f64>, solver: &Solver<f64>) -> PoseRms {
-    let (mut squares, mut count) = ([0.0; 2], 0.0);
     // Not those of the calibration.
-    for pose in workspace.poses(KNOWN.count + POSES).skip(KNOWN.count) {
-        let pairs: Vec<_> = (0..truth.cell_count()).map(|cell| truth.photocurrents(cell, &pose)).collect();
-        let solution = solver.solve(&Photocurrents::of_pairs(pairs), Start::Cold, &MotionPrior::AT_REST);
-        let Some(estimate) = solution.estimate else { continue };
-        let (t, r) = estimate.pose.displacement_from(&pose);
-        squares = [squares[0] + t.length_squared(), squares[1] + r.length_squared()];
-        count += 1.0;
-    }
-    squares.map(|sum| (sum / count).sqrt())
+    let poses: Vec<Pose> = workspace.poses(KNOWN.count + POSES).skip(KNOWN.count).collect();
+    let solve = |pose| solver.solve(&currents(truth, pose), Start::Cold, &MotionPrior::AT_REST);
+    Errors::of(poses.iter().map(|pose| (solve(pose), pose))).rms
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use slitpose_head::scene_file::{FrontEnd, Lighting, SceneFile};
 use slitpose_model::{CompiledScene, SceneError, Tier};
 
 use super::{Outlook, View, per_root_hz, quantiles_of};
-use crate::report::ReportError;
+use crate::DesignError;
 use crate::survey::share_of_others;
 
 /// Conversions in a word that the board's converters add up.
@@ -59,10 +59,10 @@ pub struct Schedules {
 
 impl Schedules {
     /// For `file` at `rate_hz` frames per second.
-    pub fn of(file: &SceneFile, rate_hz: f64) -> Result<Self, ReportError> {
+    pub fn of(file: &SceneFile, rate_hz: f64) -> Result<Self, DesignError> {
         let front_end = file.front_end.ok_or_else(|| TimingError::NoFrontEnd(file.name.clone()))?;
         let groupings = groupings(file)?;
-        let at = |frame_rate_hz: f64| -> Result<Vec<Candidate>, ReportError> {
+        let at = |frame_rate_hz: f64| -> Result<Vec<Candidate>, DesignError> {
             let (mut found, mut refused) = (Vec::new(), None);
             for lighting in &groupings {
                 for oversampling in OVERSAMPLING {
@@ -88,7 +88,7 @@ impl Schedules {
             match at(other_hz) {
                 Ok(found) => best_by_rate.extend(found.into_iter().next()),
                 // Too fast for any slots.
-                Err(ReportError::Timing(_)) => {}
+                Err(DesignError::Timing(_)) => {}
                 Err(error) => return Err(error),
             }
         }

@@ -6,10 +6,6 @@
 
 use std::fmt;
 
-use slitpose_head::scene_file::SceneFileError;
-use slitpose_model::SceneError;
-use thiserror::Error;
-
 mod quantity;
 mod score;
 mod search;
@@ -17,23 +13,6 @@ mod search;
 pub use quantity::{Free, Quantity};
 pub use score::{Demand, Goal, Judge, Score};
 pub use search::{Found, Search};
-
-/// Why there is nothing to optimise.
-#[derive(Debug, Error)]
-#[allow(missing_docs, reason = "the texts say what each is")]
-pub enum OptimiseError {
-    #[error(transparent)]
-    File(#[from] SceneFileError),
-    #[error(transparent)]
-    Scene(#[from] SceneError),
-    #[error(
-        "nothing is free to change; give each with --free, such as --free slit_width --free roll: {}",
-        Quantity::names()
-    )]
-    NothingFree,
-    #[error("{0}{1}")]
-    Text(String, String),
-}
 
 #[cfg(test)]
 mod tests;

@@ -8,7 +8,7 @@ use slitpose_head::scene_file::SceneFile;
 use slitpose_model::Cell;
 use toml_edit::{Array, ArrayOfTables, DocumentMut, Item, Table, value};
 
-use super::OptimiseError;
+use crate::DesignError;
 
 /// A dimension of a head.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -59,7 +59,7 @@ impl Quantity {
         ENTRIES.into_iter().map(|(quantity, ..)| quantity)
     }
 
-    pub(super) fn names() -> String {
+    pub(crate) fn names() -> String {
         Self::all().map(Self::name).collect::<Vec<_>>().join(", ")
     }
 
@@ -155,8 +155,8 @@ impl FromStr for Free {
 }
 
 /// The text of `file` with `values` set, in their units.
-pub(super) fn with_values(file: &SceneFile, values: &[(Quantity, f64)]) -> Result<String, OptimiseError> {
-    let error = |message: &str| OptimiseError::Text(file.origin.clone(), format!(": {message}"));
+pub(super) fn with_values(file: &SceneFile, values: &[(Quantity, f64)]) -> Result<String, DesignError> {
+    let error = |message: &str| DesignError::Text(file.origin.clone(), format!(": {message}"));
     let mut document: DocumentMut =
         file.source.parse().map_err(|found: toml_edit::TomlError| error(found.message()))?;
     let mut cells: Vec<Cell> = file.scene.cells.iter().cloned().collect();
@@ -181,7 +181,7 @@ pub(super) fn with_values(file: &SceneFile, values: &[(Quantity, f64)]) -> Resul
             Quantity::FullScale => {
                 if file.front_end.is_none() {
                     let text = " has no [front_end], so there is no full scale to choose; leave full_scale out, or add the section";
-                    return Err(OptimiseError::Text(file.origin.clone(), text.to_owned()));
+                    return Err(DesignError::Text(file.origin.clone(), text.to_owned()));
                 }
                 // Digits of microamperes, not of their product with 1e-6.
                 set(

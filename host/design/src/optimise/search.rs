@@ -11,7 +11,8 @@ use slitpose_head::scene_file::SceneFile;
 use slitpose_head::threads::{lock, on_all_cores};
 
 use super::quantity::{current, with_values};
-use super::{Free, Goal, Judge, Limits, OptimiseError, Quantity, Score};
+use super::{Free, Goal, Judge, Limits, Quantity, Score};
+use crate::DesignError;
 
 /// Candidates that are spread over the bounds, for each free quantity.
 const SPREAD: usize = 150;
@@ -108,13 +109,9 @@ impl Search {
 
     /// Runs on all cores. `progress` gets the number of candidates evaluated and the least σ so far, metres; `stop` ends
     /// it with the best so far.
-    pub fn run(
-        &self,
-        progress: &mut (dyn FnMut(usize, f64) + Send),
-        stop: &AtomicBool,
-    ) -> Result<Found, OptimiseError> {
+    pub fn run(&self, progress: &mut (dyn FnMut(usize, f64) + Send), stop: &AtomicBool) -> Result<Found, DesignError> {
         if self.free.is_empty() {
-            return Err(OptimiseError::NothingFree);
+            return Err(DesignError::NothingFree);
         }
         let own: Shares = self.free.iter().map(|free| share_of(free, current(&self.file, free.quantity))).collect();
         // What is wrong with the scene itself is told; a candidate may be impossible.
@@ -181,7 +178,7 @@ impl Search {
         Ok(Found { file, before, after, values, evaluations, is_interrupted: stop.load(Ordering::Relaxed) })
     }
 
-    fn candidate(&self, shares: &[f64]) -> Result<SceneFile, OptimiseError> {
+    fn candidate(&self, shares: &[f64]) -> Result<SceneFile, DesignError> {
         Ok(SceneFile::parse(&self.file.origin, &with_values(&self.file, &self.values(shares))?)?)
     }
 

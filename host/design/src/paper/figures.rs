@@ -1,161 +1,149 @@
 //! The calculated curves in the manner of the paper's figures 7 and 15 to 17, and the four errors of X_A that it publishes beside
 //! those of simulated benches with imperfect parts.
 
-use glam::{DVec3, dvec2};
+use glam::DVec3;
 use slitpose_head::scene_file::SceneFile;
-use slitpose_model::{Cell, CompiledScene, Pair, Profile, SceneError, Stray, Tier, Window};
+use slitpose_model::{Cell, CompiledScene, Pair, Profile, Response, SceneError, Stray, Tier, Window};
 
-use super::{Experiment, Point, Study, TOLERANCE};
-use crate::plot::{Axis, Canvas, Chart, Curve, CurveStyle, curve};
-use crate::report::{Picture, Report, Section, Table, Value, column, program, scene};
+use super::{Experiment, Point, Study, TOLERANCE, experiments};
+use crate::identification::Identified;
+use crate::plot::CurveStyle::{Joined, Line, Markers, Rings};
+use crate::plot::{Axis, Chart, Curve, curve};
+use crate::report::{Picture, Report, Section, Sheet, Table, Value, column, program, scene};
 
-const WIDTH: f64 = 760.0;
-const LEFT: f64 = 92.0;
-const RIGHT: f64 = 24.0;
-const UPPER: f64 = 330.0;
-const LOWER: f64 = 120.0;
-
-pub(super) const POSITION: &str = "emitter position along $x_{PSD}$ / mm";
+const POSITION: &str = "emitter position along $x_{PSD}$ / mm";
 const NO_MEASUREMENT: &str = "Calculated points only: the paper's measured ones were published without numbers.";
-pub(super) const SIMULATED: &str =
-    "All currents are simulated: the paper's measured ones were published without numbers.";
+const SIMULATED: &str = "All currents are simulated: the paper's measured ones were published without numbers.";
 
-/// Every figure, as a file name and an SVG text.
-pub fn figures(study: &Study, cell: &Cell) -> Vec<(&'static str, String)> {
-    vec![
-        ("figure_15.svg", spot_position(study)),
-        ("figure_16.svg", photocurrent(study)),
-        ("figure_17.svg", photocurrent_with_profile(study)),
-        ("identified_profile.svg", profile(study, cell)),
-    ]
-}
-
-fn spot_position(study: &Study) -> String {
-    let x_a = |response: &slitpose_model::Response<f64>| response.x_a_m.map(|x_a_m| x_a_m * 1e3);
-    let paper = points(&study.translation, |point| x_a(&point.paper));
-    let exact = points(&study.translation, |point| x_a(&point.exact));
-    let difference = points(&study.translation, |point| Some(1e3 * (x_a(&point.exact)? - x_a(&point.paper)?)));
-    Figure {
-        title: "Light spot position, experiment 1 (the paper's figure 15)",
-        note: NO_MEASUREMENT,
-        x: POSITION,
-        y: "$X_A$ / mm",
-        curves: vec![
-            curve("geometric centre of the spot (paper tier)", 0, CurveStyle::Line, paper),
-            curve("power-weighted centroid (exact tier)", 1, CurveStyle::Rings, exact),
-        ],
-        starting_at_zero: false,
-        lower_y: "difference / µm",
-        lower: vec![difference_curve("exact tier − paper tier", difference)],
-    }
-    .draw()
-}
-
-fn photocurrent(study: &Study) -> String {
-    let paper = points(&study.translation, |point| Some(point.paper.i_o_a * 1e6));
-    let exact = points(&study.translation, |point| Some(point.exact.i_o_a * 1e6));
-    let difference = points(&study.translation, |point| Some(100.0 * (point.exact.i_o_a / point.paper.i_o_a - 1.0)));
-    Figure {
-        title: "Photocurrent, experiment 1 (the paper's figure 16)",
-        note: NO_MEASUREMENT,
-        x: POSITION,
-        y: "$I_O$ / µA",
-        curves: vec![
-            curve("equation (5), one $γ$ for the whole beam (paper tier)", 0, CurveStyle::Line, paper),
-            curve("integrated over the spot (exact tier)", 1, CurveStyle::Rings, exact),
-        ],
-        starting_at_zero: true,
-        lower_y: "difference / %",
-        lower: vec![difference_curve("exact tier, relative to paper tier", difference)],
-    }
-    .draw()
-}
-
-fn photocurrent_with_profile(study: &Study) -> String {
-    let both = || study.translation.iter().zip(&study.with_identified);
-    let refit = both().map(|(point, refit)| [point.amount, refit.i_o_a * 1e6]).collect();
-    let exact = points(&study.translation, |point| Some(point.exact.i_o_a * 1e6));
-    let difference =
-        both().map(|(point, refit)| [point.amount, 100.0 * (refit.i_o_a / point.exact.i_o_a - 1.0)]).collect();
-    Figure {
-        title: "Photocurrent, experiment 1, identified profile (the paper's figure 17)",
-        note: SIMULATED,
-        x: POSITION,
-        y: "$I_O$ / µA",
-        curves: vec![
-            curve("equation (5) with the profile identified by equation (6)", 2, CurveStyle::Line, refit),
-            curve("simulated (exact tier)", 1, CurveStyle::Rings, exact),
-        ],
-        starting_at_zero: true,
-        lower_y: "difference / %",
-        lower: vec![difference_curve("calculated, relative to simulated", difference)],
-    }
-    .draw()
-}
-
-fn profile(study: &Study, cell: &Cell) -> String {
+fn figures(study: &Study, cell: &Cell) -> [Picture; 4] {
+    let x_a = |response: &Response<f64>| response.x_a_m.map(|x_a_m| x_a_m * 1e3);
+    let micro = |current_a: f64| Some(current_a * 1e6);
+    let over = |value: &dyn Fn(&Point) -> Option<f64>| points(&study.translation, value);
+    let refit = || study.translation.iter().zip(&study.with_identified);
     let given = |gamma_deg: f64| match &cell.emitter.profile {
         Profile::Cosine { exponent } => Some(gamma_deg.to_radians().cos().max(0.0).powf(*exponent)),
         Profile::Table(_) => None,
     };
-    let angles = || study.rotation.iter().zip(&study.identified);
-    let identified = angles().map(|(point, found)| [point.amount, found.relative_intensity]).collect();
-    let cosine = points(&study.rotation, |point| given(point.amount));
-    let relative = |(point, found): (&Point, &crate::identification::Identified)| {
-        Some(100.0 * (found.relative_intensity / given(point.amount)? - 1.0))
-    };
-    let difference = angles().filter_map(|pair| Some([pair.0.amount, relative(pair)?])).collect();
-    Figure {
-        title: "Relative radiant intensity from experiment 2, by equation (6)",
-        note: SIMULATED,
-        x: "emitter angle / °",
-        y: "$I_{rel}$",
-        curves: vec![
-            curve("the scene's profile, half intensity at 55°", 0, CurveStyle::Line, cosine),
-            curve("identified from simulated currents (exact tier)", 1, CurveStyle::Rings, identified),
-        ],
-        starting_at_zero: true,
-        lower_y: "difference / %",
-        lower: vec![difference_curve("identified, relative to the scene's", difference)],
-    }
-    .draw()
+    let identified = || study.rotation.iter().zip(&study.identified).map(|(point, it)| (point.amount, it));
+    let relative =
+        |(angle, found): (f64, &Identified)| Some([angle, 100.0 * (found.relative_intensity / given(angle)? - 1.0)]);
+    let exact_a = over(&|point| micro(point.exact.i_o_a));
+    [
+        Figure {
+            title: "Light spot position, experiment 1 (the paper's figure 15)",
+            note: NO_MEASUREMENT,
+            x: POSITION,
+            y: "$X_A$ / mm",
+            curves: [
+                curve("geometric centre of the spot (paper tier)", 0, Line, over(&|point| x_a(&point.paper))),
+                curve("power-weighted centroid (exact tier)", 1, Rings, over(&|point| x_a(&point.exact))),
+            ],
+            is_from_zero: false,
+            unit: "µm",
+            what: "exact tier − paper tier",
+            difference: over(&|point| Some(1e3 * (x_a(&point.exact)? - x_a(&point.paper)?))),
+        }
+        .draw("figure_15"),
+        Figure {
+            title: "Photocurrent, experiment 1 (the paper's figure 16)",
+            note: NO_MEASUREMENT,
+            x: POSITION,
+            y: "$I_O$ / µA",
+            curves: [
+                curve(
+                    "equation (5), one $γ$ for the whole beam (paper tier)",
+                    0,
+                    Line,
+                    over(&|point| micro(point.paper.i_o_a)),
+                ),
+                curve("integrated over the spot (exact tier)", 1, Rings, exact_a.clone()),
+            ],
+            is_from_zero: true,
+            unit: "%",
+            what: "exact tier, relative to paper tier",
+            difference: over(&|point| Some(100.0 * (point.exact.i_o_a / point.paper.i_o_a - 1.0))),
+        }
+        .draw("figure_16"),
+        Figure {
+            title: "Photocurrent, experiment 1, identified profile (the paper's figure 17)",
+            note: SIMULATED,
+            x: POSITION,
+            y: "$I_O$ / µA",
+            curves: [
+                curve(
+                    "equation (5) with the profile identified by equation (6)",
+                    2,
+                    Line,
+                    refit().map(|(point, refit)| [point.amount, refit.i_o_a * 1e6]).collect(),
+                ),
+                curve("simulated (exact tier)", 1, Rings, exact_a),
+            ],
+            is_from_zero: true,
+            unit: "%",
+            what: "calculated, relative to simulated",
+            difference: refit()
+                .map(|(point, refit)| [point.amount, 100.0 * (refit.i_o_a / point.exact.i_o_a - 1.0)])
+                .collect(),
+        }
+        .draw("figure_17"),
+        Figure {
+            title: "Relative radiant intensity from experiment 2, by equation (6)",
+            note: SIMULATED,
+            x: "emitter angle / °",
+            y: "$I_{rel}$",
+            curves: [
+                curve(
+                    "the scene's profile, half intensity at 55°",
+                    0,
+                    Line,
+                    points(&study.rotation, |point| given(point.amount)),
+                ),
+                curve(
+                    "identified from simulated currents (exact tier)",
+                    1,
+                    Rings,
+                    identified().map(|(angle, found)| [angle, found.relative_intensity]).collect(),
+                ),
+            ],
+            is_from_zero: true,
+            unit: "%",
+            what: "identified, relative to the scene's",
+            difference: identified().filter_map(relative).collect(),
+        }
+        .draw("identified_profile"),
+    ]
 }
 
 fn points(points: &[Point], value: impl Fn(&Point) -> Option<f64>) -> Vec<[f64; 2]> {
     points.iter().filter_map(|point| Some([point.amount, value(point)?])).collect()
 }
 
-fn difference_curve(label: &str, points: Vec<[f64; 2]>) -> Curve {
-    curve(label, 6, CurveStyle::Markers, points)
-}
-
-/// Curves above, their difference below, over the same horizontal axis.
+/// Two curves, and beside them their difference.
 struct Figure<'a> {
     title: &'a str,
     note: &'a str,
     x: &'a str,
     y: &'a str,
-    curves: Vec<Curve>,
-    starting_at_zero: bool,
-    lower_y: &'a str,
-    lower: Vec<Curve>,
+    curves: [Curve; 2],
+    is_from_zero: bool,
+    unit: &'a str,
+    what: &'a str,
+    difference: Vec<[f64; 2]>,
 }
 
 impl Figure<'_> {
-    fn draw(self) -> String {
+    fn draw(self, name: &'static str) -> Picture {
         let y = |y: Vec<f64>| {
             let y = Axis::around(self.y, y);
-            if self.starting_at_zero { y.starting_at_zero() } else { y }
+            if self.is_from_zero { y.starting_at_zero() } else { y }
         };
-        let upper = Chart::over(self.curves, |x| Axis::around("", x), y);
-        let x = |_| Axis { label: self.x.to_owned(), ..upper.x.clone() };
-        let lower = Chart::over(self.lower, x, |y| Axis::around(self.lower_y, y.into_iter().chain([0.0])));
-        let top = 64.0 + upper.legend_height();
-        let lower_top = top + UPPER + 30.0 + lower.legend_height();
-        let mut canvas = Canvas::titled(WIDTH, lower_top + LOWER + 56.0, self.title, self.note);
-        upper.draw(&mut canvas, dvec2(LEFT, top), dvec2(WIDTH - RIGHT, top + UPPER));
-        lower.draw(&mut canvas, dvec2(LEFT, lower_top), dvec2(WIDTH - RIGHT, lower_top + LOWER));
-        canvas.into_svg()
+        let both = Chart::over(self.curves.into(), |x| Axis::around(self.x, x), y);
+        let label = format!("difference / {}", self.unit);
+        let curves = vec![curve("", 6, Markers, self.difference)];
+        let x = |_| both.x.clone();
+        let apart = Chart::over(curves, x, |y| Axis::around(&label, y.into_iter().chain([0.0])));
+        let panels = vec![(String::new(), both), (self.what.to_owned(), apart)];
+        Sheet { title: self.title.to_owned(), note: self.note.to_owned(), panels }.draw(name, self.title)
     }
 }
 
@@ -240,21 +228,25 @@ fn misfit_mm(numbers_mm: &[f64; 4]) -> f64 {
     (squares.sum::<f64>() / 4.0).sqrt()
 }
 
-/// A page that puts the published errors beside those of simulated benches, made from the scene `bench`.
-pub fn account(bench: &SceneFile) -> Result<Report, SceneError> {
-    let mut errors = Vec::new();
-    for bench_parts in &BENCHES {
-        errors.push(bench_parts.errors(bench)?);
-    }
+/// A page with the figures, and the published errors beside those of simulated benches, made from the scene `bench`.
+pub fn paper_report(study: &Study, bench: &SceneFile) -> Result<Report, SceneError> {
+    let errors = BENCHES.iter().map(|parts| parts.errors(bench)).collect::<Result<Vec<_>, _>>()?;
+    let calculated = Section {
+        name: "experiments",
+        title: "The experiments, calculated",
+        pictures: figures(study, &bench.scene.cells[0]).into(),
+        ..Section::default()
+    };
     Ok(Report {
-        title: "The published errors",
+        title: "The paper's experiments",
         scene: bench.name.clone(),
         conditions: vec![
             program(),
             scene(bench),
             ("data", "simulated; of the paper's measurements, four numbers".to_owned()),
         ],
-        sections: vec![section(&errors)],
+        sections: vec![section(&errors), calculated],
+        data: vec![experiments(study)],
         ..Report::default()
     })
 }
@@ -281,13 +273,11 @@ fn section(errors: &[Vec<[f64; 2]>]) -> Section {
         note: SIMULATED,
         x: POSITION,
         y: "$X - X_A$ / mm",
-        curves: vec![
-            curve(&labels[0], 0, CurveStyle::Joined, errors[1].clone()),
-            curve(&labels[1], 1, CurveStyle::DashedRings, errors[2].clone()),
-        ],
-        starting_at_zero: false,
-        lower_y: "difference / µm",
-        lower: vec![curve("second − first", 6, CurveStyle::Markers, difference)],
+        curves: [curve(&labels[0], 0, Joined, errors[1].clone()), curve(&labels[1], 1, Rings, errors[2].clone())],
+        is_from_zero: false,
+        unit: "µm",
+        what: "second − first",
+        difference,
     };
     let values = PUBLISHED_MM.map(|number| number.to_string()).join(", ");
     Section {
@@ -313,11 +303,7 @@ fn section(errors: &[Vec<[f64; 2]>]) -> Section {
                  positions. The 23 measured points would decide, but were published without numbers."
             ),
         ],
-        pictures: vec![Picture {
-            name: "published_errors",
-            caption: "Two benches with the published errors: at single positions they differ.".to_owned(),
-            svg: figure.draw(),
-        }],
+        pictures: vec![figure.draw("published_errors")],
         tables: vec![Table {
             name: "published_errors",
             caption: "Errors of X_A on benches with imperfect parts".to_owned(),

@@ -9,17 +9,19 @@ mod figures;
 use glam::DVec3;
 use slitpose_model::{CompiledScene, Pose, Profile, Response, SceneError, Tier};
 
-use crate::identification::{Identified, identify};
 use slitpose_head::scene_file::SceneFile;
 
-pub use figures::{account, figures};
+use crate::identification::{Identified, identify};
+use crate::report::{Table, Value};
+
+pub use figures::paper_report;
 
 /// Relative error of the exact tier's integrals: far below anything a figure shows.
 const TOLERANCE: f64 = 1e-10;
 
 /// One of the paper's two experiments.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Experiment {
+enum Experiment {
     /// Experiment 1: the emitter moves along x_PSD from −5.5 to 5.5 mm in steps of 0.5 mm.
     Translation,
     /// Experiment 2: the emitter turns from −65° to 65° in steps of 5°, clockwise from above.
@@ -27,16 +29,8 @@ pub enum Experiment {
 }
 
 impl Experiment {
-    /// Its number in the paper.
-    pub fn number(self) -> u32 {
-        match self {
-            Self::Translation => 1,
-            Self::Rotation => 2,
-        }
-    }
-
     /// Positions in millimetres, or angles in degrees.
-    pub(crate) fn amounts(self) -> impl Iterator<Item = f64> {
+    fn amounts(self) -> impl Iterator<Item = f64> {
         let (steps, step) = match self {
             Self::Translation => (11, 0.5),
             Self::Rotation => (13, 5.0),
@@ -46,7 +40,7 @@ impl Experiment {
 
     /// The tool's pose in the `bench` scene: its x is that of the detector, its y is vertical, and
     /// the tool frame sits on the emitter.
-    pub fn pose(self, amount: f64) -> Pose {
+    fn pose(self, amount: f64) -> Pose {
         match self {
             Self::Translation => Pose::from_vectors(DVec3::X * amount * 1e-3, DVec3::ZERO),
             Self::Rotation => Pose::from_vectors(DVec3::ZERO, -DVec3::Y * amount.to_radians()),
@@ -56,27 +50,23 @@ impl Experiment {
 
 /// One position or angle of an experiment, in both tiers.
 #[derive(Clone, Copy, Debug)]
-pub struct Point {
+struct Point {
     /// Position in millimetres, or angle in degrees.
-    pub amount: f64,
-    /// Equations as printed.
-    pub paper: Response<f64>,
-    /// Integrated over the spot.
-    pub exact: Response<f64>,
+    amount: f64,
+    paper: Response<f64>,
+    exact: Response<f64>,
 }
 
 /// Both experiments, and what follows from the second for the first.
 #[derive(Clone, Debug)]
 pub struct Study {
-    /// Experiment 1.
-    pub translation: Vec<Point>,
-    /// Experiment 2.
-    pub rotation: Vec<Point>,
+    translation: Vec<Point>,
+    rotation: Vec<Point>,
     /// The profile by equation (6) from the exact tier's currents of experiment 2, one entry for
     /// each of its angles: the paper's procedure, on simulated instead of measured currents.
-    pub identified: Vec<Identified>,
+    identified: Vec<Identified>,
     /// Experiment 1 calculated as printed, with that profile instead of the emitter's.
-    pub with_identified: Vec<Response<f64>>,
+    with_identified: Vec<Response<f64>>,
 }
 
 impl Study {
@@ -106,6 +96,36 @@ impl Study {
             Experiment::Translation.amounts().map(|amount| refit.respond(0, &Experiment::Translation.pose(amount)));
         Ok(Self { translation, rotation, identified, with_identified: with_identified.collect() })
     }
+}
+
+/// All points of both experiments, in both tiers; the profile stands with experiment 2, its currents with experiment 1.
+pub fn experiments(study: &Study) -> Table {
+    type Row<'a> = (usize, &'a Point, Option<&'a Identified>, Option<&'a Response<f64>>);
+    let translation = study.translation.iter().zip(&study.with_identified);
+    let rotation = study.rotation.iter().enumerate().map(|(k, point)| (2, point, study.identified.get(k), None));
+    let rows: Vec<Row<'_>> = translation.map(|(point, refit)| (1, point, None, Some(refit))).chain(rotation).collect();
+    let amount = |row: &Row<'_>, of: usize| Value::from(if row.0 == of { row.1.amount } else { 0.0 });
+    let mm = |value: Option<f64>| Value::optional(value.map(|value_m| value_m * 1e3));
+    Table::of(
+        "experiments",
+        "Both experiments, calculated",
+        &rows,
+        &[
+            ("experiment", "experiment", &|row| row.0.into()),
+            ("position_mm", "position / mm", &|row| amount(row, 1)),
+            ("angle_deg", "angle / °", &|row| amount(row, 2)),
+            ("status", "status", &|row| row.1.paper.status.as_str().into()),
+            ("gamma_deg", "γ / °", &|row| Value::optional(row.1.paper.gamma_rad.map(f64::to_degrees))),
+            ("paper_x_a_mm", "X_A / mm", &|row| mm(row.1.paper.x_a_m)),
+            ("exact_x_a_mm", "exact", &|row| mm(row.1.exact.x_a_m)),
+            ("paper_solid_angle_sr", "Ω / sr", &|row| row.1.paper.solid_angle_sr.into()),
+            ("exact_solid_angle_sr", "exact", &|row| row.1.exact.solid_angle_sr.into()),
+            ("paper_i_o_a", "I_O / A", &|row| row.1.paper.i_o_a.into()),
+            ("exact_i_o_a", "exact", &|row| row.1.exact.i_o_a.into()),
+            ("identified_relative_intensity", "I_rel", &|row| Value::optional(row.2.map(|it| it.relative_intensity))),
+            ("identified_i_o_a", "I_O / A", &|row| Value::optional(row.3.map(|refit| refit.i_o_a))),
+        ],
+    )
 }
 
 /// Angles left and right of the axis give the same γ twice: their mean, from the axis outward.

@@ -14,11 +14,11 @@ const SUBSCRIPT_DROP: f64 = 0.22;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Stroke {
-    pub colour: Colour,
+    pub(crate) colour: Colour,
     /// Width in pixels.
-    pub width: f64,
+    pub(crate) width: f64,
     /// Lengths of dash and gap in pixels; `None`: solid.
-    pub dash: Option<[f64; 2]>,
+    pub(crate) dash: Option<[f64; 2]>,
 }
 
 impl Stroke {
@@ -33,24 +33,21 @@ impl Stroke {
 
 /// Which point of a label its position means.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Anchor {
-    /// The beginning.
+pub(crate) enum Anchor {
     Start,
-    /// The middle.
     Middle,
-    /// The end.
     End,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct TextStyle {
     /// Letter size in pixels.
-    pub size: f64,
-    pub colour: Colour,
-    pub anchor: Anchor,
-    pub bold: bool,
+    pub(crate) size: f64,
+    pub(crate) colour: Colour,
+    pub(crate) anchor: Anchor,
+    pub(crate) bold: bool,
     /// Written upwards instead of to the right.
-    pub upwards: bool,
+    pub(crate) upwards: bool,
 }
 
 impl TextStyle {
@@ -72,13 +69,13 @@ impl TextStyle {
 }
 
 /// A picture in the making.
-pub struct Canvas {
+pub(crate) struct Canvas {
     svg: String,
 }
 
 impl Canvas {
     /// An empty white sheet; `title` is for screen readers.
-    pub fn new(width: f64, height: f64, title: &str) -> Self {
+    pub(crate) fn new(width: f64, height: f64, title: &str) -> Self {
         let [w, h] = [width, height].map(number);
         let (font, title) = (escape(FONT), printable(title));
         let svg = format!(
@@ -158,24 +155,36 @@ impl Canvas {
         self.svg += &format!(
             "<text transform=\"translate({x} {y}){turned}\" font-size=\"{size}\" fill=\"{colour}\" {space}{weight}{anchor}>"
         );
-        let mut lowered = false;
-        for Run { text, italic, subscript } in runs(&printable(label)) {
-            self.svg += if italic { "<tspan font-style=\"italic\"" } else { "<tspan" };
-            if subscript {
-                self.svg += &format!(" font-size=\"{}\"", number(SUBSCRIPT_SIZE * style.size));
+        let label = printable(label);
+        let drop = SUBSCRIPT_DROP * style.size;
+        let lowered = format!(" font-size=\"{}\" dy=\"{}\"", number(SUBSCRIPT_SIZE * style.size), number(drop));
+        let mut is_low = false;
+        for (index, part) in label.split('$').enumerate() {
+            let slant = if index % 2 == 0 { "" } else { " font-style=\"italic\"" };
+            // Control characters are not printed: there is none.
+            let mut parts = part.split(if slant.is_empty() { '\0' } else { '_' });
+            let first = parts.next().map(|first| ("", first));
+            for (subscript, rest) in first.into_iter().chain(parts.map(subscript_of)) {
+                if !subscript.is_empty() {
+                    self.span(subscript, &lowered);
+                    is_low = true;
+                }
+                if !rest.is_empty() {
+                    let raised = if is_low { format!(" dy=\"{}\"", number(-drop)) } else { String::new() };
+                    self.span(rest, &(slant.to_owned() + &raised));
+                    is_low = false;
+                }
             }
-            if subscript != lowered {
-                let drop = SUBSCRIPT_DROP * style.size;
-                self.svg += &format!(" dy=\"{}\"", number(if subscript { drop } else { -drop }));
-                lowered = subscript;
-            }
-            self.svg += &format!(">{}</tspan>", escape(&text));
         }
         self.svg += "</text>\n";
     }
 
+    fn span(&mut self, text: &str, attributes: &str) {
+        self.svg += &format!("<tspan{attributes}>{}</tspan>", escape(text));
+    }
+
     /// The finished picture.
-    pub fn into_svg(self) -> String {
+    pub(crate) fn into_svg(self) -> String {
         self.svg + "</svg>\n"
     }
 
@@ -212,42 +221,10 @@ fn number(value: f64) -> String {
     format!("{}", (value * 100.0).round() / 100.0 + 0.0)
 }
 
-/// A run of letters of one kind.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Run {
-    pub(super) text: String,
-    pub(super) italic: bool,
-    pub(super) subscript: bool,
-}
-
-pub(super) fn runs(label: &str) -> Vec<Run> {
-    let mut runs = Vec::new();
-    for (index, part) in label.split('$').enumerate() {
-        if index % 2 == 0 {
-            push(&mut runs, part, false, false);
-        } else {
-            formula(&mut runs, part);
-        }
-    }
-    runs
-}
-
-fn formula(runs: &mut Vec<Run>, text: &str) {
-    let mut rest = text;
-    while let Some((before, after)) = rest.split_once('_') {
-        push(runs, before, true, false);
-        let (subscript, after) = match after.strip_prefix('{').and_then(|group| group.split_once('}')) {
-            Some(group) => group,
-            None => after.split_at(after.chars().next().map_or(0, char::len_utf8)),
-        };
-        push(runs, subscript, false, true);
-        rest = after;
-    }
-    push(runs, rest, true, false);
-}
-
-fn push(runs: &mut Vec<Run>, text: &str, italic: bool, subscript: bool) {
-    if !text.is_empty() {
-        runs.push(Run { text: text.to_owned(), italic, subscript });
+/// The letter or the group in braces that follows `_`, and the rest.
+fn subscript_of(text: &str) -> (&str, &str) {
+    match text.strip_prefix('{').and_then(|group| group.split_once('}')) {
+        Some(group) => group,
+        None => text.split_at(text.chars().next().map_or(0, char::len_utf8)),
     }
 }

@@ -3,7 +3,7 @@
 use glam::{DVec2, dvec2};
 
 use super::canvas::{Anchor, Canvas, Stroke, TextStyle};
-use super::style::{Colour, FAINT, INK, PALE, SOFT_INK, WHITE, cell_colour, decades, ticks};
+use super::style::{Colour, FAINT, INK, PALE, SOFT_INK, cell_colour, decades, quantity, ticks};
 
 const LABEL: TextStyle = TextStyle::new(13.0);
 const TICK: TextStyle = TextStyle::new(12.0).coloured(SOFT_INK);
@@ -18,7 +18,7 @@ const TICK_ROOM: DVec2 = DVec2::new(70.0, 30.0);
 
 /// How numbers are spread along an axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Scale {
+pub(crate) enum Scale {
     /// Equal differences are equal distances.
     Linear,
     /// Equal ratios are equal distances; every number must be above zero.
@@ -27,20 +27,19 @@ pub enum Scale {
     Bare,
 }
 
-/// One axis of a chart.
 #[derive(Clone, Debug)]
-pub struct Axis {
+pub(crate) struct Axis {
     /// Name and unit; formulas between `$`.
-    pub label: String,
+    pub(crate) label: String,
     /// The least and the largest number shown.
-    pub range: [f64; 2],
+    pub(crate) range: [f64; 2],
     /// How numbers are spread between them.
-    pub scale: Scale,
+    pub(crate) scale: Scale,
 }
 
 impl Axis {
     /// An axis that shows all of `values`, with a twentieth of their span around them.
-    pub fn around(label: &str, values: impl IntoIterator<Item = f64>) -> Self {
+    pub(crate) fn around(label: &str, values: impl IntoIterator<Item = f64>) -> Self {
         let [least, most] = extent(values);
         let margin = if most > least { 0.05 * (most - least) } else { 1.0 };
         Self { label: label.to_owned(), range: [least - margin, most + margin], scale: Scale::Linear }
@@ -48,7 +47,7 @@ impl Axis {
 
     /// A logarithmic axis that shows all of `values` that are above zero, with a twentieth of their
     /// span around them, and at least one whole decade.
-    pub fn logarithmic(label: &str, values: impl IntoIterator<Item = f64>) -> Self {
+    pub(crate) fn logarithmic(label: &str, values: impl IntoIterator<Item = f64>) -> Self {
         let positive = values.into_iter().filter(|value| *value > 0.0 && value.is_finite()).map(f64::log10);
         let [least, most] = extent(positive);
         let (least, most) = if most >= least { (least, most) } else { (0.0, 1.0) };
@@ -58,7 +57,7 @@ impl Axis {
     }
 
     /// The same axis, with zero at its lower end.
-    pub fn starting_at_zero(self) -> Self {
+    pub(crate) fn starting_at_zero(self) -> Self {
         Self { range: [0.0, self.range[1]], ..self }
     }
 
@@ -87,7 +86,7 @@ impl Axis {
             }
             Scale::Logarithmic => {
                 let decades = decades(self.range, count);
-                let text = |tick: f64| if decades.plain { tick_text_plain(tick) } else { power_text(tick) };
+                let text = |tick: f64| if decades.plain { quantity(tick) } else { power_text(tick) };
                 (decades.numbered.iter().map(|&tick| (tick, text(tick))).collect(), decades.minor)
             }
         }
@@ -101,10 +100,8 @@ fn extent(values: impl IntoIterator<Item = f64>) -> [f64; 2] {
 
 /// How a curve is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum CurveStyle {
-    /// A solid line.
+pub(crate) enum CurveStyle {
     Line,
-    /// A dashed line.
     Dashed,
     /// Discs only.
     Markers,
@@ -112,21 +109,16 @@ pub enum CurveStyle {
     Rings,
     /// Discs joined by a thin line.
     Joined,
-    /// Rings joined by a thin dashed line.
-    DashedRings,
 }
 
-/// Points to draw.
 #[derive(Clone, Debug)]
-pub struct Curve {
+pub(crate) struct Curve {
     /// Name in the legend, where formulas stand between `$`; without one, the curve is not in it.
-    pub label: String,
-    /// Colour.
-    pub colour: Colour,
-    /// Style.
-    pub style: CurveStyle,
+    pub(crate) label: String,
+    pub(crate) colour: Colour,
+    pub(crate) style: CurveStyle,
     /// The points, in the units of the axes.
-    pub points: Vec<[f64; 2]>,
+    pub(crate) points: Vec<[f64; 2]>,
 }
 
 /// A curve in the colour of a cell.
@@ -136,47 +128,38 @@ pub(crate) fn curve(label: &str, colour: usize, style: CurveStyle, points: Vec<[
 
 /// A word beside a point.
 #[derive(Clone, Debug)]
-pub struct Note {
+pub(crate) struct Note {
     /// The point, in the units of the axes.
-    pub at: [f64; 2],
+    pub(crate) at: [f64; 2],
     /// From the point to the word's base line, pixels, y down.
-    pub offset: DVec2,
+    pub(crate) offset: DVec2,
     /// Which end of the word stands there.
-    pub anchor: Anchor,
+    pub(crate) anchor: Anchor,
     /// The word; formulas between `$`.
-    pub text: String,
-    /// Its colour.
-    pub colour: Colour,
+    pub(crate) text: String,
+    pub(crate) colour: Colour,
 }
 
 /// Curves over a pair of axes.
 #[derive(Clone, Debug)]
-pub struct Chart {
-    /// Horizontal axis.
-    pub x: Axis,
-    /// Vertical axis.
-    pub y: Axis,
+pub(crate) struct Chart {
+    pub(crate) x: Axis,
+    pub(crate) y: Axis,
     /// The curves, drawn in this order.
-    pub curves: Vec<Curve>,
-    /// Words in the plotting area.
-    pub notes: Vec<Note>,
+    pub(crate) curves: Vec<Curve>,
+    pub(crate) notes: Vec<Note>,
 }
 
 impl Chart {
     /// `curves` over axes that `x` and `y` make of all their coordinates.
-    pub fn over(curves: Vec<Curve>, x: impl FnOnce(Vec<f64>) -> Axis, y: impl FnOnce(Vec<f64>) -> Axis) -> Self {
+    pub(crate) fn over(curves: Vec<Curve>, x: impl FnOnce(Vec<f64>) -> Axis, y: impl FnOnce(Vec<f64>) -> Axis) -> Self {
         let along = |axis: usize| curves.iter().flat_map(|curve| &curve.points).map(|at| at[axis]).collect();
         Self { x: x(along(0)), y: y(along(1)), curves, notes: Vec::new() }
     }
 
-    /// Draws the chart with its plotting area in the rectangle from `top_left` to `bottom_right`.
-    /// Tick numbers and axis names stand to the left of and below it, the legend above it.
-    pub fn draw(&self, canvas: &mut Canvas, top_left: DVec2, bottom_right: DVec2) {
-        self.draw_with_legend(canvas, top_left, bottom_right, top_left);
-    }
-
-    /// The same with the lower left corner of the legend at `legend`.
-    pub(crate) fn draw_with_legend(&self, canvas: &mut Canvas, top_left: DVec2, bottom_right: DVec2, legend: DVec2) {
+    /// Draws the chart with its plotting area in the rectangle from `top_left` to `bottom_right`. Tick numbers and axis names
+    /// stand to the left of and below it, the legend above it, `heading` pixels higher.
+    pub(crate) fn draw(&self, canvas: &mut Canvas, top_left: DVec2, bottom_right: DVec2, heading: f64) {
         self.draw_axes(canvas, top_left, bottom_right);
         let place = |[x, y]: [f64; 2]| {
             let share = dvec2(self.x.share(x), 1.0 - self.y.share(y));
@@ -190,7 +173,7 @@ impl Chart {
             let style = NOTE.coloured(note.colour).anchored(note.anchor);
             canvas.text(place(note.at) + note.offset, &note.text, style);
         }
-        self.draw_legend(canvas, legend);
+        self.draw_legend(canvas, top_left - dvec2(0.0, heading));
     }
 
     fn draw_axes(&self, canvas: &mut Canvas, top_left: DVec2, bottom_right: DVec2) {
@@ -263,30 +246,21 @@ fn draw_curve(canvas: &mut Canvas, curve: &Curve, points: &[DVec2]) {
         CurveStyle::Line => canvas.path(points, line),
         CurveStyle::Dashed => canvas.path(points, line.dashed(6.0, 4.0)),
         CurveStyle::Joined => canvas.path(points, joint),
-        CurveStyle::DashedRings => canvas.path(points, joint.dashed(4.0, 3.0)),
         CurveStyle::Markers | CurveStyle::Rings => {}
     }
     let (radius, fill, rim) = match curve.style {
         CurveStyle::Line | CurveStyle::Dashed => return,
         CurveStyle::Markers | CurveStyle::Joined => (MARKER_RADIUS, curve.colour, Stroke::new(curve.colour, 0.5)),
         CurveStyle::Rings => (MARKER_RADIUS + 0.8, "none", Stroke::new(curve.colour, 1.4)),
-        // A ring on its own line is filled, or the line would cross it.
-        CurveStyle::DashedRings => (MARKER_RADIUS, WHITE, Stroke::new(curve.colour, 1.4)),
     };
     for point in points {
         canvas.disc(*point, radius, fill, rim);
     }
 }
 
-pub(super) fn tick_text(tick: f64, decimals: usize) -> String {
+fn tick_text(tick: f64, decimals: usize) -> String {
     // A true minus sign is as wide as the digits; adding zero turns −0 into 0.
     format!("{:.decimals$}", tick + 0.0).replace('-', "−")
-}
-
-/// A number of a logarithmic axis as it is written by hand.
-fn tick_text_plain(tick: f64) -> String {
-    let decimals = (-tick.log10().floor()).max(0.0) as usize;
-    format!("{tick:.decimals$}")
 }
 
 /// A power of ten, or a small multiple of one: 10⁻⁶, 2·10³.
@@ -328,11 +302,8 @@ mod tests {
         let points = vec![[1.0, 0.0], [1.0, f64::INFINITY], [1.0, 2.0]];
         let curve = Curve { label: String::new(), colour: INK, style: CurveStyle::Joined, points };
         let x = Axis::around("", [0.0, 2.0]);
-        Chart { x, y: axis, curves: vec![curve], notes: Vec::new() }.draw(
-            &mut canvas,
-            DVec2::ZERO,
-            DVec2::splat(100.0),
-        );
+        let chart = Chart { x, y: axis, curves: vec![curve], notes: Vec::new() };
+        chart.draw(&mut canvas, DVec2::ZERO, DVec2::splat(100.0), 0.0);
         let svg = canvas.into_svg();
         assert!(!svg.contains("NaN") && !svg.contains("inf") && svg.matches("<circle").count() == 1, "{svg}");
         // Of nothing at all there is still an axis.
@@ -345,9 +316,6 @@ mod tests {
         let cases = [(1e-6, "10⁻⁶"), (1.0, "10⁰"), (1e12, "10¹²"), (2e-3, "2·10⁻³"), (5e4, "5·10⁴")];
         for (value, text) in cases {
             assert_eq!(power_text(value), text);
-        }
-        for (value, text) in [(0.01, "0.01"), (0.2, "0.2"), (1.0, "1"), (5000.0, "5000")] {
-            assert_eq!(tick_text_plain(value), text);
         }
     }
 }

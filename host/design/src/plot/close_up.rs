@@ -6,7 +6,7 @@ use slitpose_model::{Cell, CompiledScene, Opening, Pose, Response};
 use super::canvas::{Anchor, Canvas, Stroke, TextStyle};
 use super::scene::{condition, pose_text};
 use super::shape::MaskFrame;
-use super::style::{ALERT, INK, MASK, PALE, PlotError, SOFT_INK, cell_colour, quantity, require_drawable};
+use super::style::{ALERT, INK, MASK, PALE, SOFT_INK, cell_colour, quantity};
 
 const WIDTH: f64 = 900.0;
 /// Room at either side: for d_A and d_B, and for names.
@@ -22,14 +22,7 @@ const LABEL: TextStyle = TextStyle::new(15.0);
 ///
 /// # Panics
 /// If there is no such cell.
-pub fn cell_picture(
-    name: &str,
-    number: usize,
-    cell: &Cell,
-    plan: &CompiledScene<f64>,
-    pose: &Pose,
-) -> Result<String, PlotError> {
-    require_drawable(number, cell)?;
+pub fn cell_picture(name: &str, number: usize, cell: &Cell, plan: &CompiledScene<f64>, pose: &Pose) -> String {
     let side = SideView::of(number, cell, plan, pose);
     let height = TOP + side.top_mm * side.scale + BOTTOM;
     let mut canvas = Canvas::new(WIDTH, height, &format!("{name}, cell {number} from the side"));
@@ -40,7 +33,7 @@ pub fn cell_picture(
     side.draw_light(&mut canvas);
     side.draw_dimensions(&mut canvas);
     side.draw_readout(&mut canvas, height);
-    Ok(canvas.into_svg())
+    canvas.into_svg()
 }
 
 /// A cell cut by its x–z plane, in millimetres of the cell frame.

@@ -2,11 +2,11 @@
 
 use glam::{DVec2, dvec2};
 
-use super::canvas::{Anchor, Canvas, Stroke, TextStyle};
-use super::chart::tick_text;
-use super::style::{ALERT, BANDS, Colour, INK, SOFT_INK, WHITE, three_digits, ticks};
+use super::canvas::{Canvas, Stroke, TextStyle};
+use super::chart::{Axis, Chart, Scale};
+use super::style::{ALERT, BANDS, Colour, INK, SOFT_INK, WHITE, three_digits};
 
-const LEFT: f64 = 70.0;
+const LEFT: f64 = 80.0;
 const TOP: f64 = 96.0;
 const SIZE: f64 = 210.0;
 const GAP: DVec2 = DVec2::new(74.0, 78.0);
@@ -84,6 +84,12 @@ pub(crate) fn heat_picture(title: &str, note: &str, unit: &str, columns: usize, 
 }
 
 fn draw(canvas: &mut Canvas, corner: DVec2, heat: &Heat, edges: Option<&[f64; BANDS.len()]>) {
+    let axis = |k: usize| {
+        let extent = heat.extents[k].max(f64::MIN_POSITIVE);
+        Axis { label: heat.labels[k].clone(), range: [-extent, extent], scale: Scale::Linear }
+    };
+    let axes = Chart { x: axis(0), y: axis(1), curves: Vec::new(), notes: Vec::new() };
+    axes.draw(canvas, corner, corner + SIZE, 0.0);
     let pixel = SIZE / heat.side as f64;
     let band = |value: f64| edges.filter(|_| value.is_finite()).map(|edges| band(edges, value));
     for (row, values) in heat.values.chunks(heat.side).enumerate() {
@@ -102,30 +108,7 @@ fn draw(canvas: &mut Canvas, corner: DVec2, heat: &Heat, edges: Option<&[f64; BA
             from += run.len();
         }
     }
-    let (low, high) = (corner + dvec2(0.0, SIZE), corner + dvec2(SIZE, 0.0));
-    for k in 0..2 {
-        let extent = heat.extents[k].max(f64::MIN_POSITIVE);
-        let (positions, decimals) = ticks([-extent, extent], 4);
-        for tick in positions {
-            let share = (tick / extent + 1.0) / 2.0;
-            let text = tick_text(tick, decimals);
-            let style = TextStyle::new(11.0).coloured(SOFT_INK);
-            if k == 0 {
-                let at = low + dvec2(share * SIZE, 0.0);
-                canvas.line(at, at + dvec2(0.0, 4.0), Stroke::new(INK, 1.0));
-                canvas.text(at + dvec2(0.0, 17.0), &text, style.anchored(Anchor::Middle));
-            } else {
-                let at = low - dvec2(0.0, share * SIZE);
-                canvas.line(at, at - dvec2(4.0, 0.0), Stroke::new(INK, 1.0));
-                canvas.text(at + dvec2(-7.0, 4.0), &text, style.anchored(Anchor::End));
-            }
-        }
-    }
-    canvas.outline(&[corner, high, high + dvec2(0.0, SIZE), low], Stroke::new(INK, 1.0));
-    let label = TextStyle::new(12.0).anchored(Anchor::Middle);
-    canvas.text(low + dvec2(0.5 * SIZE, 36.0), &heat.labels[0], label);
-    let upwards = TextStyle { upwards: true, ..label };
-    canvas.text(corner + dvec2(-42.0, 0.5 * SIZE), &heat.labels[1], upwards);
+    canvas.outline(&[corner, corner + DVec2::X * SIZE, corner + SIZE, corner + DVec2::Y * SIZE], Stroke::new(INK, 1.0));
     canvas.text(corner + dvec2(0.0, -9.0), &heat.heading, TextStyle::new(13.0).bold());
 }
 

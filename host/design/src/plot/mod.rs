@@ -1,6 +1,6 @@
 //! Pictures, as SVG.
 //!
-//! [`Canvas`] draws lines, areas and labels; [`Chart`] draws curves over axes on a canvas;
+//! `Canvas` draws lines, areas and labels; `Chart` draws curves over axes on a canvas;
 //! [`scene_picture`] and [`cell_picture`] draw a sensor head. A canvas has its origin at the top
 //! left, y down, in pixels at 96 per inch; pictures of things are in millimetres and degrees.
 
@@ -12,16 +12,13 @@ mod scene;
 mod shape;
 mod style;
 
-pub use canvas::{Anchor, Canvas};
-pub(crate) use canvas::{Stroke, TextStyle};
-pub(crate) use chart::curve;
-pub use chart::{Axis, Chart, Curve, CurveStyle, Note, Scale};
+pub(crate) use canvas::{Anchor, Canvas, TextStyle};
+pub(crate) use chart::{Axis, Chart, Curve, CurveStyle, Note, Scale, curve};
 pub use close_up::cell_picture;
 pub(crate) use heat::{Heat, heat_picture};
 pub use scene::scene_picture;
 pub use shape::{MaskFrame, mask_half_extents_m};
-pub(crate) use style::three_digits;
-pub use style::{Colour, PlotError, SOFT_INK, cell_colour};
+pub(crate) use style::{SOFT_INK, three_digits};
 
 #[cfg(test)]
 mod tests {
@@ -57,9 +54,9 @@ mod tests {
         for file in SHIPPED.map(|shipped| shipped.read().unwrap()) {
             let plan = CompiledScene::<f64>::compile(&file.scene, Tier::Paper).unwrap();
             for pose in poses() {
-                let mut pictures = vec![scene_picture(&file.name, &file.scene, &plan, &pose).unwrap()];
+                let mut pictures = vec![scene_picture(&file.name, &file.scene, &plan, &pose)];
                 for (number, cell) in file.scene.cells.iter().enumerate() {
-                    pictures.push(cell_picture(&file.name, number, cell, &plan, &pose).unwrap());
+                    pictures.push(cell_picture(&file.name, number, cell, &plan, &pose));
                 }
                 for picture in pictures {
                     assert!(labels(&picture).contains(&file.name));
@@ -73,13 +70,13 @@ mod tests {
     fn a_name_with_characters_that_xml_cannot_hold_loses_only_those() {
         let file = SHIPPED[0].read().unwrap();
         let plan = CompiledScene::<f64>::compile(&file.scene, Tier::Paper).unwrap();
-        let picture = scene_picture("a\u{1}b\u{fffe} 1 < 2", &file.scene, &plan, &Pose::HOME).unwrap();
+        let picture = scene_picture("a\u{1}b\u{fffe} 1 < 2", &file.scene, &plan, &Pose::HOME);
         assert!(picture.contains("ab 1 &lt; 2") && !picture.contains('\u{1}') && !picture.contains('\u{fffe}'));
     }
 
     #[test]
     fn an_arrow_shorter_than_its_head_has_none() {
-        let stroke = Stroke::new(style::INK, 1.6);
+        let stroke = canvas::Stroke::new(style::INK, 1.6);
         for (length, heads) in [(0.0, 0), (1e-9, 0), (2.0, 0), (7.9, 0), (8.5, 1), (60.0, 1)] {
             let mut canvas = Canvas::new(100.0, 100.0, "arrow");
             let before = canvas_parts(Canvas::new(100.0, 100.0, "arrow"));
@@ -98,15 +95,15 @@ mod tests {
             SHIPPED.map(|shipped| shipped.read().unwrap()).into_iter().find(|file| file.origin == "bench").unwrap();
         let plan = CompiledScene::<f64>::compile(&file.scene, Tier::Paper).unwrap();
         let at = |tx_mm: f64| Pose::from_vectors(DVec3::X * tx_mm * 1e-3, DVec3::ZERO);
-        let text = labels(&scene_picture(&file.name, &file.scene, &plan, &at(3.0)).unwrap());
+        let text = labels(&scene_picture(&file.name, &file.scene, &plan, &at(3.0)));
         assert!(text.contains("XA = −3 mm") && text.contains("lit"), "{text}");
-        let text = labels(&scene_picture(&file.name, &file.scene, &plan, &at(9.0)).unwrap());
+        let text = labels(&scene_picture(&file.name, &file.scene, &plan, &at(9.0)));
         assert!(text.contains("no light") && text.contains("dark"), "{text}");
-        let text = labels(&cell_picture(&file.name, 0, &file.scene.cells[0], &plan, &at(3.0)).unwrap());
+        let text = labels(&cell_picture(&file.name, 0, &file.scene.cells[0], &plan, &at(3.0)));
         for part in ["dA = 15 mm", "dB = 7.5 mm", "w = 0.4 mm", "XA = −3 mm", "Lx = 12 mm", "tool at (3, 0, 0) mm"] {
             assert!(text.contains(part), "`{part}` is not in: {text}");
         }
-        let text = labels(&cell_picture(&file.name, 0, &file.scene.cells[0], &plan, &Pose::HOME).unwrap());
+        let text = labels(&cell_picture(&file.name, 0, &file.scene.cells[0], &plan, &Pose::HOME));
         assert!(text.contains("tool at home"), "{text}");
     }
 
@@ -122,7 +119,7 @@ mod tests {
             (cell.emitter.position_tool_m, cell.emitter.axis_tool) = (across, DVec3::Z);
         }
         let plan = CompiledScene::<f64>::compile(&scene, Tier::Paper).unwrap();
-        let labels = labels(&scene_picture("flat", &scene, &plan, &Pose::HOME).unwrap());
+        let labels = labels(&scene_picture("flat", &scene, &plan, &Pose::HOME));
         let top = labels.split("top view").nth(1).and_then(|rest| rest.split("front view").next()).unwrap();
         assert!(!top.contains(", "), "{top}");
     }

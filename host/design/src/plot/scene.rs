@@ -5,10 +5,7 @@ use slitpose_model::{Cell, CompiledScene, Pose, Response, Scene, Status};
 
 use super::canvas::{Anchor, Canvas, Stroke, TextStyle};
 use super::shape::{CellShape, FRONT, SIDE, TOP, View, bounds, hull};
-use super::style::{
-    ALERT, INK, MASK, PALE, PlotError, SOFT_INK, TOOL, WHITE, cell_colour, quantity, require_drawable, round_step,
-    ticks,
-};
+use super::style::{ALERT, INK, MASK, PALE, SOFT_INK, TOOL, WHITE, cell_colour, quantity, round_step, ticks};
 
 const MARGIN: f64 = 28.0;
 const COLUMN: f64 = 560.0;
@@ -48,10 +45,7 @@ const LABEL_ROOM: DVec2 = dvec2(30.0, 14.0);
 ///
 /// # Panics
 /// If `plan` is not of `scene`.
-pub fn scene_picture(name: &str, scene: &Scene, plan: &CompiledScene<f64>, pose: &Pose) -> Result<String, PlotError> {
-    for (number, cell) in scene.cells.iter().enumerate() {
-        require_drawable(number, cell)?;
-    }
+pub fn scene_picture(name: &str, scene: &Scene, plan: &CompiledScene<f64>, pose: &Pose) -> String {
     let shapes = CellShape::all(scene, plan, pose);
     let [least, most] = bounds(&shapes);
     // Flat scenes still get a millimetre, so that nothing divides by zero.
@@ -78,7 +72,7 @@ pub fn scene_picture(name: &str, scene: &Scene, plan: &CompiledScene<f64>, pose:
     draw(SIDE, dvec2(right, HEADER + top_row), extent.z);
     draw_strips(&mut canvas, dvec2(right, HEADER), COLUMN, scene, plan, pose);
     draw_legend(&mut canvas, dvec2(right, HEADER + strips_height));
-    Ok(canvas.into_svg())
+    canvas.into_svg()
 }
 
 struct Sheet {
@@ -291,9 +285,7 @@ pub(super) fn pose_text(pose: &Pose) -> String {
         return "tool at home".to_owned();
     }
     let (t, r) = ((pose.translation_m * 1e3).to_array(), pose.rotation_rad().to_array().map(f64::to_degrees));
-    let list = |values: [f64; 3]| {
-        values.map(|value| format!("{}", (value * 1e3).round() / 1e3 + 0.0).replace('-', "−")).join(", ")
-    };
+    let list = |values: [f64; 3]| values.map(quantity).join(", ");
     format!("tool at ({}) mm, turned by the rotation vector ({})°", list(t), list(r))
 }
 

@@ -1,14 +1,11 @@
 //! What all pictures have in common: colours, round numbers, sizes of sheets.
 
-use slitpose_model::Cell;
-use thiserror::Error;
-
 /// A colour as SVG writes it.
-pub type Colour = &'static str;
+pub(crate) type Colour = &'static str;
 
 pub(crate) const INK: Colour = "#222222";
 /// Secondary text, dimension lines.
-pub const SOFT_INK: Colour = "#666666";
+pub(crate) const SOFT_INK: Colour = "#666666";
 /// Grid lines, outlines of secondary objects.
 pub(crate) const PALE: Colour = "#d4d4d4";
 pub(crate) const FAINT: Colour = "#ededed";
@@ -22,7 +19,7 @@ pub(crate) const WHITE: Colour = "#ffffff";
 const CELLS: [Colour; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#5a5a5a"];
 
 /// The colour of a cell in every picture.
-pub fn cell_colour(cell: usize) -> Colour {
+pub(crate) fn cell_colour(cell: usize) -> Colour {
     CELLS[cell % CELLS.len()]
 }
 
@@ -103,34 +100,6 @@ pub(crate) fn three_digits(value: f64) -> String {
     text.replace('-', "−")
 }
 
-/// The largest size or distance that a picture can show: 1000 km.
-const MAX_M: f64 = 1e6;
-
-/// The smallest detector that a picture can show: a nanometre.
-const MIN_M: f64 = 1e-9;
-
-/// A cell that is too large or too small to have a picture, and the size, millimetres.
-#[derive(Clone, Copy, Debug, Error, PartialEq)]
-#[error("cell {0} has a size or distance of {1:e} mm; pictures can show 1e-6 to 1e9 mm, correct the scene")]
-pub struct PlotError(usize, f64);
-
-/// Refuses values whose coordinates would not be finite.
-pub(super) fn require_drawable(number: usize, cell: &Cell) -> Result<(), PlotError> {
-    let (detector, slit) = (&cell.detector, &cell.slit);
-    let distances = [slit.distance_m, slit.width_m, slit.length_m, slit.thickness_m];
-    let vectors = [detector.centre_base_m, cell.emitter.position_tool_m, slit.offset_m.extend(0.0)];
-    let sizes = [detector.length_m, detector.width_m];
-    let too_large = distances
-        .into_iter()
-        .chain(vectors.into_iter().flat_map(|vector| vector.to_array()))
-        .chain(sizes)
-        .find(|distance| distance.abs() > MAX_M);
-    match too_large.or_else(|| sizes.into_iter().find(|size| *size < MIN_M)) {
-        None => Ok(()),
-        Some(size_m) => Err(PlotError(number, size_m * 1e3)),
-    }
-}
-
 /// A number for a label: three decimals at most and none that say nothing, powers of ten where
 /// those would not do, a true minus sign.
 pub(super) fn quantity(value: f64) -> String {
@@ -142,7 +111,6 @@ pub(super) fn quantity(value: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use slitpose_head::scene_file::BENCH;
 
     #[test]
     fn ticks_are_round_and_inside() {
@@ -184,14 +152,5 @@ mod tests {
         for (value, text) in cases {
             assert_eq!(quantity(value), text);
         }
-    }
-
-    #[test]
-    fn a_scene_too_large_for_a_picture_is_refused_with_its_size() {
-        let mut cell = BENCH.read().unwrap().scene.cells[0].clone();
-        assert_eq!(require_drawable(0, &cell), Ok(()));
-        cell.slit.width_m = 1e300;
-        let message = require_drawable(3, &cell).unwrap_err().to_string();
-        assert!(message.contains("cell 3") && message.contains("1e303 mm"), "{message}");
     }
 }

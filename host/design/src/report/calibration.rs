@@ -4,8 +4,9 @@ use slitpose_calibration::{Calibrated, Calibration, Residual};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_model::Pose;
 
-use super::section::{Report, Section, Sheet, Table, Value, column, program, scene};
+use super::section::{Report, Section, Sheet, Table, column, program, scene};
 use crate::plot::{Axis, Chart, CurveStyle, curve};
+use crate::survey::AXES;
 
 /// Readings drawn of each cell, at most: more hide each other.
 const DRAWN: usize = 400;
@@ -35,12 +36,11 @@ pub fn calibration_report(file: &SceneFile, calibrated: &Calibrated) -> Report {
         scene: file.name.clone(),
         conditions,
         warnings: calibrated.remarks.clone(),
-        sections: [observability(calibration), fit(calibrated), open(file, calibration)]
+        sections: [fit(calibrated), open(file, calibration), observability(calibration)]
             .into_iter()
             .chain(instruments(calibration))
             .chain([parameters(calibration)])
             .collect(),
-        leading: 1,
         data: Vec::new(),
     }
 }
@@ -187,7 +187,7 @@ fn observability(calibration: &Calibration) -> Section {
         summary: calibration.weak.iter().map(|weak| format!("Open: {weak}.")).collect(),
         paragraphs: vec![
             "Each direction is a mixture of parameters that changes the readings as one. A weak direction harms poses only \
-             if it changes them; the next chapter shows how much all of them do together."
+             if it changes them; the chapter before shows how much all of them do together."
                 .to_owned(),
         ],
         pictures: vec![picture],
@@ -247,37 +247,26 @@ fn instruments(calibration: &Calibration) -> Option<Section> {
             ("base_from_reference", frames.base_from_reference, frames.base_from_reference_sigma),
             ("tool_from_marker", frames.tool_from_marker, frames.tool_from_marker_sigma),
         ];
-        transforms.into_iter().flat_map(move |(name, values, sigmas)| {
-            (0..6).map(move |k| {
-                let (kind, scale, unit) = if k < 3 { ("t", 1e3, "mm") } else { ("r", 1e3, "mrad") };
-                let what = format!("{name}, {kind}{}", ["x", "y", "z"][k % 3]);
-                vec![
-                    frames.file.as_str().into(),
-                    what.into(),
-                    unit.into(),
-                    (values[k] * scale).into(),
-                    (sigmas[k] * scale).into(),
-                ]
-            })
-        })
+        let each = transforms.into_iter().flat_map(|transform| (0..6).map(move |axis| (transform, axis)));
+        each.map(|((name, values, sigmas), axis)| (frames.file.as_str(), name, axis, [values[axis], sigmas[axis]]))
     });
-    let rows: Vec<Vec<Value>> = rows.collect();
+    let rows: Vec<(&str, &str, usize, [f64; 2])> = rows.collect();
     (!rows.is_empty()).then(|| Section {
         name: "instruments",
         title: "Instruments",
         paragraphs: vec!["Where an instrument's frame and marker lie, as found.".to_owned()],
-        tables: vec![Table {
-            name: "instruments",
-            caption: "Frames of the instruments".to_owned(),
-            columns: vec![
-                column("file", "file"),
-                column("quantity", "quantity"),
-                column("unit", "unit"),
-                column("value", "value"),
-                column("sigma", "σ"),
+        tables: vec![Table::of(
+            "instruments",
+            "Frames of the instruments",
+            &rows,
+            &[
+                ("file", "file", &|(file, ..)| (*file).into()),
+                ("quantity", "quantity", &|(_, name, axis, _)| format!("{name}, {}", AXES[*axis]).into()),
+                ("unit", "unit", &|(_, _, axis, _)| if *axis < 3 { "mm" } else { "mrad" }.into()),
+                ("value", "value", &|(.., [value, _])| (value * 1e3).into()),
+                ("sigma", "σ", &|(.., [_, sigma])| (sigma * 1e3).into()),
             ],
-            rows,
-        }],
+        )],
         ..Section::default()
     })
 }

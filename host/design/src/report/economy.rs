@@ -1,18 +1,26 @@
-//! Effects that a scene lacks are not computed: the cost of each effect where it is present.
+//! What digits and effects cost: the forward model and warm solves in each tier, and with each effect where it is present.
 
 use std::hint::black_box;
 
 use glam::DVec3;
 use slitpose_model::{
-    CompiledScene, MotionPrior, Noise, Photocurrents, Pose, Profile, Scene, Solution, Solver, Start, Twist, Uncertainty,
+    CompiledScene, MotionPrior, Noise, Pair, Photocurrents, Pose, Profile, Scene, SceneError, Solver, Start, Tier,
+    Twist, Uncertainty,
 };
 
-use super::head::{Candidate, Head, NoiseSource, RunTime, STREAM, exponent, is_lit, race};
-use super::section::{Section, Table, Value};
-use super::solver::PRIOR;
-use super::{ReportError, Settings};
+use super::Settings;
+use super::head::{Candidate, Head, NoiseSource, PRIOR, RunTime, STREAM, exponent, is_lit, race, tier_name};
+use super::section::{Picture, Section, Sheet, Table, Value};
+use crate::DesignError;
+use crate::plot::{Axis, Chart, CurveStyle, curve};
 
-pub(super) const TITLE: &str = "What is left out costs nothing";
+pub(super) const TITLE: &str = "What digits and effects cost";
+
+/// Tiers of the forward model, the printed equations first.
+const TOLERANCES: [f64; 7] = [1e-2, 1e-3, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12];
+
+/// The tier that stands for the truth.
+const REFERENCE: Tier = Tier::Exact { tolerance: 1e-13 };
 
 /// Effects at sizes that a real head would have.
 const THICKNESS_M: f64 = 0.15e-3;
@@ -37,31 +45,61 @@ struct Variant {
     group: &'static str,
     name: String,
     scene: Scene,
-    /// When cells are exposed and how the tool moves meanwhile; `None`: all at one instant.
-    moving: Option<(Vec<f64>, MotionPrior)>,
+    tier: Tier,
+    /// When cells are exposed; `None`: all at one instant.
+    exposures_s: Option<Vec<f64>>,
+    motion: MotionPrior,
 }
 
-/// A variant, times of the forward model and of solves, and mean steps of these.
-type Entry = (Variant, [RunTime; 2], f64);
+impl Variant {
+    fn of(group: &'static str, name: String, scene: Scene) -> Self {
+        Self { group, name, scene, tier: STREAM, exposures_s: None, motion: MotionPrior::AT_REST }
+    }
+}
 
-pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, ReportError> {
+struct Entry {
+    variant: Variant,
+    /// Median and worst error of electrode currents, relative to the total current of their cell; `None` where another
+    /// effect than the tier is studied.
+    error: Option<[f64; 2]>,
+    /// Of currents, of currents with derivatives, and of solves.
+    times: [RunTime; 3],
+    /// Mean steps of the solves.
+    steps: f64,
+}
+
+pub(super) fn section(head: &Head, settings: &Settings) -> Result<Section, DesignError> {
     let entries = measure(head, settings)?;
+    let paper = entries.iter().find(|entry| entry.variant.tier == Tier::Paper);
+    let difference = paper.and_then(|entry| entry.error).map_or(f64::NAN, |[_, worst]| worst);
     Ok(Section {
         name: "economy",
         title: TITLE,
+        summary: vec![format!(
+            "The equations of the source paper (paper tier) differ from the integrals over the spot (exact tier) by \
+             up to {} % of a cell's current.",
+            Value::from(100.0 * difference).shown()
+        )],
         paragraphs: vec![
-            "The same head with one thing added at a time. A scene is compiled to a plan that holds only what the scene \
-             has, so that the first row of each group pays for nothing it does not use. Warm solves are of noisy \
-             currents, in full; without noise the weights are those of the arithmetic, and a solve goes on for longer. Of \
-             three cells nothing is left over to check a pose with, and images are searched for."
+            format!(
+                "The first group is the scene as it is, in each tier. The error is that of an electrode's current relative to \
+                 the total current of its cell, against the exact tier at a tolerance of 1e-13; times are those of all {} cells \
+                 together. The paper tier computes what equations (1) to (6) say: its error is the difference between the two \
+                 models, and no arithmetic removes it.",
+                head.scene.cells.len()
+            ),
+            "The other groups are the same head in the exact tier at 1e-6, with one thing added at a time. A scene is compiled \
+             to a plan that holds only what the scene has, so that the first row of each group pays for nothing it does not \
+             use. Warm solves are of noisy currents, in full; without noise the weights are those of the arithmetic, and a \
+             solve goes on for longer. Of three cells nothing is left over to check a pose with, and images are searched for."
                 .to_owned(),
         ],
+        pictures: vec![picture(&entries, head)],
         tables: vec![table(&entries)],
-        ..Section::default()
     })
 }
 
-fn variants(head: &Head<'_>) -> Vec<Variant> {
+fn variants(head: &Head) -> Vec<Variant> {
     let lean = |change: &dyn Fn(&mut Scene)| {
         let mut scene = Scene { uncertainty: Uncertainty::default(), ..head.scene.clone() };
         for cell in &mut scene.cells {
@@ -73,9 +111,10 @@ fn variants(head: &Head<'_>) -> Vec<Variant> {
         scene
     };
     let mut variants = Vec::new();
-    let mut add = |group, name: &str, scene| {
-        variants.push(Variant { group, name: name.to_owned(), scene, moving: None });
-    };
+    for tier in [Tier::Paper].into_iter().chain(TOLERANCES.map(|tolerance| Tier::Exact { tolerance })) {
+        variants.push(Variant { tier, ..Variant::of("tier", tier_name(tier), head.scene.clone()) });
+    }
+    let mut add = |group, name: &str, scene| variants.push(Variant::of(group, name.to_owned(), scene));
     let cells = |scene: &mut Scene, change: &dyn Fn(&mut slitpose_model::Cell)| scene.cells.iter_mut().for_each(change);
     if head.is_of_slits() {
         add("mask", "thin mask", lean(&|_| {}));
@@ -114,14 +153,14 @@ fn variants(head: &Head<'_>) -> Vec<Variant> {
         let known = MotionPrior { twist, ..MotionPrior::AT_REST };
         let vague = MotionPrior { linear_sigma_m_per_s: 5e-3, angular_sigma_rad_per_s: 0.5, ..known };
         for (name, motion) in [("in turn, twist known", known), ("in turn, twist uncertain", vague)] {
-            let moving = Some((frame.exposures_s.clone(), motion));
-            variants.push(Variant { group: "exposure", name: name.to_owned(), scene: lean(&|_| {}), moving });
+            let still = Variant::of("exposure", name.to_owned(), lean(&|_| {}));
+            variants.push(Variant { exposures_s: Some(frame.exposures_s.clone()), motion, ..still });
         }
     }
     let most = head.scene.cells.len();
     for count in (LEAST_CELLS.min(most)..=most).rev() {
         let scene = lean(&|scene| scene.cells.truncate(count));
-        variants.push(Variant { group: "cells", name: format!("{count} cells"), scene, moving: None });
+        variants.push(Variant::of("cells", format!("{count} cells"), scene));
     }
     variants
 }
@@ -139,95 +178,127 @@ fn tabulate(profile: &mut Profile) {
 struct Bench {
     plan: CompiledScene<f64>,
     solver: Solver<f64>,
-    motion: MotionPrior,
     readings: Vec<Photocurrents>,
     priors: Vec<Pose>,
 }
 
-impl Bench {
-    fn solve(&self, index: usize) -> Solution {
-        self.solver.solve(black_box(&self.readings[index]), Start::Near(&self.priors[index]), &self.motion)
-    }
-}
-
-fn measure(head: &Head<'_>, settings: &Settings) -> Result<Vec<Entry>, ReportError> {
-    let tier = STREAM;
+fn measure(head: &Head, settings: &Settings) -> Result<Vec<Entry>, DesignError> {
     let variants = variants(head);
-    let plans =
-        variants.iter().map(|variant| CompiledScene::compile(&variant.scene, tier)).collect::<Result<Vec<_>, _>>()?;
-    let lit = head.poses.iter().filter(|pose| plans.iter().all(|plan: &CompiledScene<f64>| is_lit(plan, pose)));
-    let poses: Vec<Pose> = lit.take(settings.timed_poses()).copied().collect();
-    let mut benches = Vec::new();
-    for (variant, plan) in variants.iter().zip(plans) {
+    let compile = |variant: &Variant| CompiledScene::<f64>::compile(&variant.scene, variant.tier);
+    let plans = variants.iter().map(compile).collect::<Result<Vec<_>, _>>()?;
+    let lit = head.poses.iter().filter(|pose| plans.iter().all(|plan| is_lit(plan, pose)));
+    let poses: &Vec<Pose> = &lit.take(settings.timed_poses()).copied().collect();
+    let bench = |(variant, plan): (&Variant, CompiledScene<f64>)| -> Result<Bench, SceneError> {
         // The same draws for every variant.
         let mut noise = NoiseSource::seeded(settings.seed);
-        let mut solver = Solver::new(&variant.scene, tier)?;
-        let rest = (vec![0.0; variant.scene.cells.len()], MotionPrior::AT_REST);
-        let (offsets_s, motion) = variant.moving.as_ref().unwrap_or(&rest);
-        if variant.moving.is_some() {
-            solver = solver.with_exposures(offsets_s);
-        }
+        let at_once = vec![0.0; plan.cell_count()];
+        let exposures_s = variant.exposures_s.as_ref().unwrap_or(&at_once);
+        let solver = Solver::new(&variant.scene, variant.tier)?.with_exposures(exposures_s);
         let reading = |pose: &Pose| {
-            let exposed = |cell: usize| motion.twist.advance(pose, offsets_s[cell]);
+            let exposed = |cell: usize| variant.motion.twist.advance(pose, exposures_s[cell]);
             Photocurrents::of_pairs((0..plan.cell_count()).map(|cell| plan.photocurrents(cell, &exposed(cell))))
         };
         let readings = poses.iter().map(|pose| noise.disturb(&variant.scene, &plan, pose, &reading(pose))).collect();
         let priors = poses.iter().map(|pose| noise.near(pose, PRIOR)).collect();
-        benches.push(Bench { solver, motion: *motion, readings, priors, plan });
+        Ok(Bench { plan, solver, readings, priors })
+    };
+    let benches = variants.iter().zip(plans).map(bench).collect::<Result<Vec<_>, _>>()?;
+    let reference = all_currents(&CompiledScene::compile(&head.scene, REFERENCE)?, &head.poses);
+    let (mut candidates, mut found): (Vec<Candidate<'_>>, Vec<_>) = (Vec::new(), Vec::new());
+    for (variant, Bench { plan, solver, readings, priors }) in variants.iter().zip(&benches) {
+        let solves = move || {
+            let both = readings.iter().zip(priors);
+            both.map(|(readings, prior)| solver.solve(black_box(readings), Start::Near(prior), &variant.motion))
+        };
+        let steps = solves().map(|solution| solution.iterations as f64).sum::<f64>() / poses.len() as f64;
+        let error = (variant.group == "tier").then(|| spread(&all_currents(plan, &head.poses), &reference));
+        found.push((error, steps));
+        let each = move || poses.iter().flat_map(|pose| (0..plan.cell_count()).map(move |cell| (cell, pose)));
+        candidates.push(Box::new(move || {
+            for (cell, pose) in each() {
+                black_box(plan.photocurrents(cell, black_box(pose)));
+            }
+        }));
+        candidates.push(Box::new(move || {
+            for (cell, pose) in each() {
+                black_box(plan.linearise(cell, black_box(pose)));
+            }
+        }));
+        candidates.push(Box::new(move || {
+            for solution in solves() {
+                black_box(solution);
+            }
+        }));
     }
-    let steps: Vec<f64> = benches
-        .iter()
-        .map(|bench| {
-            let taken: usize = (0..poses.len()).map(|index| bench.solve(index).iterations).sum();
-            taken as f64 / poses.len() as f64
-        })
-        .collect();
-    let poses = &poses;
-    let mut candidates: Vec<Candidate<'_>> = benches
-        .iter()
-        .flat_map(|bench| {
-            let forward = move || {
-                for pose in poses {
-                    for cell in 0..bench.plan.cell_count() {
-                        black_box(bench.plan.photocurrents(cell, black_box(pose)));
-                    }
-                }
-            };
-            let solve = move || {
-                for index in 0..poses.len() {
-                    black_box(bench.solve(index));
-                }
-            };
-            [Box::new(forward) as Candidate<'_>, Box::new(solve)]
-        })
-        .collect();
     let run_times = race(&mut candidates, settings.rounds(), poses.len());
     drop(candidates);
-    let entries = variants.into_iter().zip(run_times.chunks_exact(2)).zip(steps);
-    Ok(entries.map(|((variant, times), steps)| (variant, [times[0], times[1]], steps)).collect())
+    let (times, _) = run_times.as_chunks();
+    let entries = variants.into_iter().zip(found).zip(times);
+    Ok(entries.map(|((variant, (error, steps)), times)| Entry { variant, error, times: *times, steps }).collect())
+}
+
+fn all_currents(plan: &CompiledScene<f64>, poses: &[Pose]) -> Vec<Pair<f64>> {
+    let all = poses.iter().flat_map(|pose| (0..plan.cell_count()).map(move |cell| (cell, pose)));
+    all.map(|(cell, pose)| plan.photocurrents(cell, pose)).collect()
+}
+
+/// Median and greatest difference of electrode currents, relative to the total current of their cell.
+fn spread(found: &[Pair<f64>], truth: &[Pair<f64>]) -> [f64; 2] {
+    let of_pair = |(found, truth): (&Pair<f64>, &Pair<f64>)| {
+        [found.i_x1_a - truth.i_x1_a, found.i_x2_a - truth.i_x2_a].map(|error| (error / truth.total_a()).abs())
+    };
+    let mut errors: Vec<f64> = found.iter().zip(truth).flat_map(of_pair).collect();
+    errors.sort_by(f64::total_cmp);
+    [errors[errors.len() / 2], errors[errors.len() - 1]]
 }
 
 fn table(entries: &[Entry]) -> Table {
-    let us = |seconds: f64| Value::from(seconds * 1e6);
+    let error = |entry: &Entry, k: usize| Value::optional(entry.error.map(|error| error[k]));
     let ratio = |entry: &Entry, k: usize| {
         // Every group has a first.
-        let first = entries.iter().find(|other| other.0.group == entry.0.group).unwrap_or(entry);
-        Value::from(entry.1[k].least_s / first.1[k].least_s)
+        let first = entries.iter().find(|other| other.variant.group == entry.variant.group).unwrap_or(entry);
+        Value::from(entry.times[k].least_s / first.times[k].least_s)
     };
     Table::of(
         "economy",
-        "Exact tier at 1e-6, f64",
+        "What digits and effects cost, f64: all cells at a pose, and a warm solve",
         entries,
         &[
-            ("group", "group", &|(variant, ..)| variant.group.into()),
-            ("variant", "variant", &|(variant, ..)| variant.name.as_str().into()),
-            ("forward_least_us", "forward, least / µs", &|(_, [forward, _], _)| us(forward.least_s)),
-            ("forward_median_us", "median / µs", &|(_, [forward, _], _)| us(forward.median_s)),
+            ("group", "group", &|entry| entry.variant.group.into()),
+            ("variant", "variant", &|entry| entry.variant.name.as_str().into()),
+            ("error_median", "error, median", &|entry| error(entry, 0)),
+            ("error_worst", "worst", &|entry| error(entry, 1)),
+            ("forward_least_us", "currents, least / µs", &|entry| Value::micro(entry.times[0].least_s)),
+            ("forward_median_us", "median / µs", &|entry| Value::micro(entry.times[0].median_s)),
             ("forward_ratio", "ratio", &|entry| ratio(entry, 0)),
-            ("solve_least_us", "warm solve, least / µs", &|(_, [_, solve], _)| us(solve.least_s)),
-            ("solve_median_us", "median / µs", &|(_, [_, solve], _)| us(solve.median_s)),
-            ("solve_ratio", "ratio", &|entry| ratio(entry, 1)),
-            ("steps", "steps, mean", &|(.., steps)| (*steps).into()),
+            ("derivatives_least_us", "with derivatives, least / µs", &|entry| Value::micro(entry.times[1].least_s)),
+            ("derivatives_median_us", "median / µs", &|entry| Value::micro(entry.times[1].median_s)),
+            ("solve_least_us", "warm solve, least / µs", &|entry| Value::micro(entry.times[2].least_s)),
+            ("solve_median_us", "median / µs", &|entry| Value::micro(entry.times[2].median_s)),
+            ("solve_ratio", "ratio", &|entry| ratio(entry, 2)),
+            ("steps", "steps, mean", &|entry| entry.steps.into()),
         ],
     )
+}
+
+/// Error of the forward model against its time.
+fn picture(entries: &[Entry], head: &Head) -> Picture {
+    let panel = |heading: &str, k: usize| {
+        let of = |is_paper| {
+            let chosen = entries.iter().filter(move |entry| (entry.variant.tier == Tier::Paper) == is_paper);
+            chosen.filter_map(|entry| Some([1e6 * entry.times[k].least_s, entry.error?[0]])).collect()
+        };
+        let exact = "exact tier at tolerances from 1e-2 to 1e-12";
+        let paper = "paper tier: the difference between the models";
+        let curves =
+            vec![curve(exact, 0, CurveStyle::Joined, of(false)), curve(paper, 1, CurveStyle::Markers, of(true))];
+        let x = |x| Axis::logarithmic("time for all cells / µs", x);
+        (heading.to_owned(), Chart::over(curves, x, |y| Axis::logarithmic("median error of a current", y)))
+    };
+    Sheet {
+        title: "Forward model: error against time".to_owned(),
+        note: format!("{} cells; {} poses of the workspace", head.scene.cells.len(), head.poses.len()),
+        panels: vec![panel("currents", 0), panel("currents and derivatives", 1)],
+    }
+    .draw("forward", "Error of the forward model against its time; lower and further left is better.")
 }

@@ -5,52 +5,36 @@
 //! to the last digit for a seed, times are what the machine gave.
 //!
 //! * `head` supplies poses, currents and their noise; `solver` the ways to solve;
-//! * `forward`, `solver`, `economy` and `stiff` are the sections;
+//! * `solver`, `economy` and `stiff` are the sections;
 //! * `calibration` is the report on a calibration, `map` that on accuracy over the workspace,
 //!   `heads` those on several heads;
 //! * `section` has their parts; `write` makes files of them.
 
 mod calibration;
 mod economy;
-mod forward;
 mod head;
 mod heads;
 mod map;
 mod section;
 mod solver;
 mod stiff;
-#[cfg(unix)]
 mod write;
 
 use std::fs;
 
-use slitpose_head::front_end::TimingError;
 use slitpose_head::scene_file::SceneFile;
-use slitpose_model::SceneError;
-use thiserror::Error;
+
+use crate::DesignError;
 
 pub use calibration::calibration_report;
-pub(crate) use head::frame_scene;
+pub(crate) use head::{Errors, currents, frame_scene};
 pub use heads::{comparison, pareto, scene_name};
 pub use map::map_report;
-pub use section::{Column, Picture, Report, Section, Table, Value};
-pub(crate) use section::{column, program, scene};
-#[cfg(unix)]
+pub(crate) use section::{Picture, Section, Sheet, Value, column, program, scene};
+pub use section::{Report, Table};
 pub use write::Folder;
 
 use head::Head;
-
-/// Why a scene cannot be studied.
-#[derive(Debug, Error)]
-#[allow(missing_docs, reason = "the texts say what each is")]
-pub enum ReportError {
-    #[error(transparent)]
-    Scene(#[from] SceneError),
-    #[error("{0}")]
-    Poses(String),
-    #[error(transparent)]
-    Timing(#[from] TimingError),
-}
 
 /// Default number of poses of a full study: rms errors are known to 1 % or so.
 pub const POSES: usize = 1000;
@@ -81,20 +65,16 @@ impl Settings {
 }
 
 /// Sections of a study.
-pub const SECTIONS: u64 = 4;
+pub const SECTIONS: u64 = 3;
 
-type Measure = fn(&Head<'_>, &Settings) -> Result<Section, ReportError>;
+type Measure = fn(&Head, &Settings) -> Result<Section, DesignError>;
 
 /// Studies `file`. `progress` gets the title of each section before it begins.
-pub fn study(file: &SceneFile, settings: &Settings, mut progress: impl FnMut(&str)) -> Result<Report, ReportError> {
+pub fn study(file: &SceneFile, settings: &Settings, mut progress: impl FnMut(&str)) -> Result<Report, DesignError> {
     let head = Head::of(file, settings)?;
     let mut sections = Vec::new();
-    let measures: [(&str, Measure); SECTIONS as usize] = [
-        (forward::TITLE, forward::section),
-        (solver::TITLE, solver::section),
-        (economy::TITLE, economy::section),
-        (stiff::TITLE, stiff::section),
-    ];
+    let measures: [(&str, Measure); SECTIONS as usize] =
+        [(solver::TITLE, solver::section), (economy::TITLE, economy::section), (stiff::TITLE, stiff::section)];
     for (title, section) in measures {
         progress(title);
         sections.push(section(&head, settings)?);
@@ -105,7 +85,6 @@ pub fn study(file: &SceneFile, settings: &Settings, mut progress: impl FnMut(&st
         conditions: conditions(file, settings),
         warnings: warnings(),
         sections,
-        leading: 1,
         data: Vec::new(),
     })
 }
@@ -135,30 +114,12 @@ fn warnings() -> Vec<String> {
     cfg!(debug_assertions).then(|| slow.to_owned()).into_iter().collect()
 }
 
+/// As the system calls it, where it does.
 fn processor() -> String {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let name = fs::read_to_string("/proc/cpuinfo").ok().and_then(|text| model_name(&text));
-    format!("{}, {cores} of its cores usable", name.as_deref().unwrap_or("unknown"))
-}
-
-fn model_name(cpuinfo: &str) -> Option<String> {
-    let value = |key: &str| {
-        let line = cpuinfo.lines().find(|line| line.starts_with(key))?;
-        Some(line.split_once(':')?.1.trim().to_owned()).filter(|value| !value.is_empty())
-    };
-    value("model name").or_else(|| value("Model")).or_else(|| value("CPU part"))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_processor_is_called_what_the_system_calls_it() {
-        let x86 = "processor\t: 0\nvendor_id\t: A\nmodel name\t: Some CPU @ 2 GHz\n";
-        assert_eq!(model_name(x86).as_deref(), Some("Some CPU @ 2 GHz"));
-        assert_eq!(model_name("CPU part\t: 0xd0b\n").as_deref(), Some("0xd0b"));
-        assert_eq!(model_name("nothing"), None);
-        assert!(!processor().is_empty());
-    }
+    let text = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let line =
+        ["model name", "Model", "CPU part"].iter().find_map(|key| text.lines().find(|line| line.starts_with(key)));
+    let name = line.and_then(|line| line.split_once(':')).map_or("unknown", |(_, name)| name.trim());
+    format!("{name}, {cores} of its cores usable")
 }

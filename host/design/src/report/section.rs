@@ -17,14 +17,13 @@ pub(crate) fn scene(file: &SceneFile) -> (&'static str, String) {
 
 /// One entry of a table.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Value {
+pub(crate) enum Value {
     /// A word or two.
     Text(String),
     /// A word that must not be overlooked.
     Alert(String),
     /// A number in the unit of its column.
     Number(f64),
-    /// A number of things.
     Count(usize),
     /// There is no such number.
     Missing,
@@ -32,12 +31,17 @@ pub enum Value {
 
 impl Value {
     /// A number; `None`, NaN and infinity are missing.
-    pub fn optional(value: Option<f64>) -> Self {
+    pub(crate) fn optional(value: Option<f64>) -> Self {
         value.filter(|value| value.is_finite()).map_or(Self::Missing, Self::Number)
     }
 
+    /// A number of millionths.
+    pub(crate) fn micro(value: f64) -> Self {
+        Self::from(value * 1e6)
+    }
+
     /// As people read it: three significant digits.
-    pub fn shown(&self) -> String {
+    pub(crate) fn shown(&self) -> String {
         match self {
             Self::Text(text) | Self::Alert(text) => text.clone(),
             Self::Number(value) => three_digits(*value),
@@ -78,11 +82,11 @@ impl From<usize> for Value {
 
 /// A column: its name in CSV, with the unit, and its heading on a page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Column {
+pub(crate) struct Column {
     /// Such as `least_us`.
-    pub name: &'static str,
+    pub(crate) name: &'static str,
     /// Such as `time / µs`.
-    pub heading: &'static str,
+    pub(crate) heading: &'static str,
 }
 
 pub(crate) const fn column(name: &'static str, heading: &'static str) -> Column {
@@ -92,14 +96,11 @@ pub(crate) const fn column(name: &'static str, heading: &'static str) -> Column 
 /// A table.
 #[derive(Clone, Debug)]
 pub struct Table {
-    /// The stem of its CSV file.
-    pub name: &'static str,
-    /// What it shows.
-    pub caption: String,
-    /// Its columns.
-    pub columns: Vec<Column>,
+    pub(crate) name: &'static str,
+    pub(crate) caption: String,
+    pub(crate) columns: Vec<Column>,
     /// Its rows, one value for each column.
-    pub rows: Vec<Vec<Value>>,
+    pub(crate) rows: Vec<Vec<Value>>,
 }
 
 /// A column of a table of `T`: its name in CSV, its heading on a page, and its value in a row.
@@ -132,56 +133,43 @@ impl Table {
 
 /// A picture of a section.
 #[derive(Clone, Debug)]
-pub struct Picture {
-    /// The name of its file.
-    pub name: &'static str,
-    /// What it shows.
-    pub caption: String,
-    /// The picture.
-    pub svg: String,
+pub(crate) struct Picture {
+    pub(crate) name: &'static str,
+    pub(crate) caption: String,
+    pub(crate) svg: String,
 }
 
 /// A chapter of a report.
 #[derive(Clone, Debug, Default)]
-pub struct Section {
-    /// Where links lead.
-    pub name: &'static str,
-    /// Its heading.
-    pub title: &'static str,
+pub(crate) struct Section {
+    pub(crate) name: &'static str,
+    pub(crate) title: &'static str,
     /// What a reader of nothing else should know of it; it stands at the head of the report.
-    pub summary: Vec<String>,
+    pub(crate) summary: Vec<String>,
     /// Method and conclusions.
-    pub paragraphs: Vec<String>,
-    /// Pictures.
-    pub pictures: Vec<Picture>,
-    /// Tables.
-    pub tables: Vec<Table>,
+    pub(crate) paragraphs: Vec<String>,
+    pub(crate) pictures: Vec<Picture>,
+    pub(crate) tables: Vec<Table>,
 }
 
 /// A whole report.
 #[derive(Clone, Debug, Default)]
 pub struct Report {
-    /// What it is about.
-    pub title: &'static str,
-    /// The scene's name.
-    pub scene: String,
+    pub(crate) title: &'static str,
+    pub(crate) scene: String,
     /// Conditions under which the numbers hold: names and values.
-    pub conditions: Vec<(&'static str, String)>,
+    pub(crate) conditions: Vec<(&'static str, String)>,
     /// What a reader must know before believing a number.
     pub warnings: Vec<String>,
-    /// The chapters.
-    pub sections: Vec<Section>,
-    /// The chapter whose sentences come first in the summary; those before it come last.
-    pub leading: usize,
+    pub(crate) sections: Vec<Section>,
     /// Tables too long for a page: they are files only.
-    pub data: Vec<Table>,
+    pub(crate) data: Vec<Table>,
 }
 
 impl Report {
     /// What a reader of nothing else should know.
     pub fn summary(&self) -> impl Iterator<Item = &str> {
-        let (before, others) = self.sections.split_at(self.sections.len().min(self.leading));
-        others.iter().chain(before).flat_map(|section| &section.summary).map(String::as_str)
+        self.sections.iter().flat_map(|section| &section.summary).map(String::as_str)
     }
 
     /// The summary and the first table, as a text for people.
@@ -206,15 +194,15 @@ const ALONE: f64 = 660.0;
 const OF_TWO: f64 = 400.0;
 
 /// Charts with a common legend: that of the first.
-pub(super) struct Sheet {
-    pub(super) title: String,
+pub(crate) struct Sheet {
+    pub(crate) title: String,
     /// Conditions, in one line.
-    pub(super) note: String,
-    pub(super) panels: Vec<(String, Chart)>,
+    pub(crate) note: String,
+    pub(crate) panels: Vec<(String, Chart)>,
 }
 
 impl Sheet {
-    pub(super) fn draw(mut self, name: &'static str, caption: &str) -> Picture {
+    pub(crate) fn draw(mut self, name: &'static str, caption: &str) -> Picture {
         for (_, chart) in self.panels.iter_mut().skip(1) {
             for curve in &mut chart.curves {
                 curve.label.clear();
@@ -228,7 +216,7 @@ impl Sheet {
         for (index, (heading, chart)) in self.panels.iter().enumerate() {
             let left = LEFT + index as f64 * (width + GAP);
             let (top_left, bottom_right) = (dvec2(left, top), dvec2(left + width, top + HEIGHT));
-            chart.draw_with_legend(&mut canvas, top_left, bottom_right, top_left - dvec2(0.0, HEADING));
+            chart.draw(&mut canvas, top_left, bottom_right, HEADING);
             let at = dvec2(bottom_right.x, top - 10.0);
             canvas.text(at, heading, TextStyle::new(13.0).bold().anchored(Anchor::End));
         }

@@ -3,20 +3,17 @@
 use std::hint::black_box;
 
 use glam::dvec2;
-use slitpose_model::{self as model, MotionPrior, Photocurrents, Pose, Scene, SceneError, Solution, Solver, Tier};
+use slitpose_model::{MotionPrior, Photocurrents, Pose, Scene, SceneError, Solution, Solver, Start, Tier};
 
-use super::head::{Candidate, Errors, Head, NoiseSource, RunTime, STREAM, currents, race, rms_of_covariances};
-use super::section::{Getter, Picture, Section, Sheet, Table, Value};
-use super::{ReportError, Settings};
-use crate::plot::{Anchor, Axis, Chart, Curve, CurveStyle, Note, SOFT_INK, cell_colour, curve};
+use super::Settings;
+use super::head::{
+    Candidate, Errors, Head, NoiseSource, PRIOR, RunTime, STREAM, currents, race, rms_of_covariances, tier_name,
+};
+use super::section::{Picture, Section, Sheet, Table, Value};
+use crate::DesignError;
+use crate::plot::{Anchor, Axis, Chart, Curve, CurveStyle, Note, SOFT_INK, curve};
 
 pub(super) const TITLE: &str = "Solver: error against time";
-
-/// Steps after which a solve is cut short.
-const STEPS: [usize; 4] = [1, 2, 3, 4];
-
-/// How far a warm start is off, per axis, metres and radians: what a frame before leaves at some 10 mm/s.
-pub(super) const PRIOR: [f64; 2] = [3e-6, 3e-4];
 
 struct Entry {
     method: Method,
@@ -26,11 +23,11 @@ struct Entry {
     run_time: RunTime,
 }
 
-pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, ReportError> {
+pub(super) fn section(head: &Head, settings: &Settings) -> Result<Section, DesignError> {
     let solver = Solver::<f64>::new(&head.scene, STREAM)?;
     let bound = rms_of_covariances(head.poses.iter().filter_map(|pose| solver.bound(pose)));
     let entries = measure(head, settings)?;
-    let mut section = Section {
+    Ok(Section {
         name: "solver",
         title: TITLE,
         summary: summary(&entries, bound),
@@ -57,6 +54,10 @@ pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, R
                 // Of errors along one axis of each pose; more axes stray less.
                 Value::from(100.0 / (2.0 * head.poses.len() as f64).sqrt()).shown()
             ),
+            "Where the light obeys another model than the solver's, χ² says so, and a full solve searches everywhere for a \
+             pose that fits before it gives the best one, marked as a misfit: such points lie far to the right. Solves that \
+             stop after some steps do not ask."
+                .to_owned(),
         ],
         pictures: vec![
             picture(
@@ -70,28 +71,14 @@ pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, R
             ),
             picture(&entries, head, bound, 1, "work-precision-rotation", "The same for the rotation."),
         ],
-        tables: tables(&entries, bound).into(),
-    };
-    let slowest_s = entries.iter().filter(|entry| searched(&entry.noisy)).map(|entry| entry.run_time.least_s);
-    if let Some(slowest_s) = slowest_s.reduce(f64::max) {
-        section.paragraphs.push(format!(
-            "Where the light obeys another model than the solver's, χ² says so, and a full solve searches everywhere \
-             for a pose that fits before it gives the best one, marked as a misfit: up to {} µm. Solves that stop \
-             after some steps do not ask.",
-            Value::from(slowest_s * 1e6).shown()
-        ));
-    }
-    Ok(section)
+        tables: vec![table(&entries, bound)],
+    })
 }
 
 fn summary(entries: &[Entry], bound: [f64; 2]) -> Vec<String> {
-    let full = |wanted: Start| {
-        entries.iter().find(|Entry { method: Method { tier, start, effort }, .. }| {
-            (*tier, *start, *effort) == (STREAM, wanted, Effort::Full)
-        })
-    };
-    let (Some(cold), Some(warm)) = (full(Start::Cold), full(Start::Warm)) else { return Vec::new() };
-    let micro = |value: f64| Value::from(value * 1e6).shown();
+    let full = |is_warm| chosen(entries, STREAM, is_warm).find(|entry| entry.method.effort.0 == FULL);
+    let (Some(cold), Some(warm)) = (full(false), full(true)) else { return Vec::new() };
+    let micro = |value: f64| Value::micro(value).shown();
     vec![
         format!(
             "One scan gives the position to {} µm and the orientation to {} µrad (root mean square of the error's \
@@ -111,29 +98,20 @@ fn summary(entries: &[Entry], bound: [f64; 2]) -> Vec<String> {
     ]
 }
 
-/// Mean steps of a full solve that found no fit and searched everywhere for one. Such a point
-/// lies far to the right of all others, and the picture leaves it out with a note.
-const SEARCHED: f64 = 40.0;
-
-fn searched(errors: &Errors) -> bool {
-    errors.steps > SEARCHED
+fn chosen(entries: &[Entry], tier: Tier, is_warm: bool) -> impl Iterator<Item = &Entry> {
+    entries.iter().filter(move |Entry { method, .. }| (method.tier, method.is_warm) == (tier, is_warm))
 }
 
-fn methods(head: &Head<'_>) -> Vec<Method> {
-    let mut methods = Vec::new();
+fn methods(head: &Head) -> Vec<Method> {
     // What the tolerance costs and gives: once more at a tight one.
-    for tier in [STREAM, Tier::Paper, head.truth_tier] {
-        for start in Start::BOTH {
-            // From a pose nearby the planes are skipped.
-            let planes = (start == Start::Cold && tier != head.truth_tier).then_some(Effort::Planes);
-            let efforts = planes.into_iter().chain(STEPS.map(Effort::Steps)).chain([Effort::Full]);
-            methods.extend(efforts.map(|effort| Method { tier, start, effort }));
-        }
-    }
-    methods
+    let tiers = [STREAM, Tier::Paper, head.truth_tier];
+    let ways = tiers.into_iter().flat_map(|tier| [false, true].map(|is_warm| (tier, is_warm)));
+    let all = ways.flat_map(|(tier, is_warm)| EFFORTS.map(|effort| Method { tier, is_warm, effort }));
+    // From a pose nearby the planes are skipped.
+    all.filter(|it| it.effort.0 != PLANES || (!it.is_warm && it.tier != head.truth_tier)).collect()
 }
 
-fn measure(head: &Head<'_>, settings: &Settings) -> Result<Vec<Entry>, ReportError> {
+fn measure(head: &Head, settings: &Settings) -> Result<Vec<Entry>, DesignError> {
     let mut noise = NoiseSource::seeded(settings.seed);
     let mut noisy = |pose: &Pose| noise.disturb(&head.scene, &head.truth, pose, &currents(&head.truth, pose));
     let readings: Vec<Photocurrents> = head.poses.iter().map(&mut noisy).collect();
@@ -160,94 +138,62 @@ fn measure(head: &Head<'_>, settings: &Settings) -> Result<Vec<Entry>, ReportErr
     Ok(entries.map(|((method, [noisy, clean]), run_time)| Entry { method, noisy, clean, run_time }).collect())
 }
 
-fn micro(value: f64) -> Value {
-    Value::from(value * 1e6)
-}
-
-/// Errors of currents with and without noise.
-fn tables(entries: &[Entry], bound: [f64; 2]) -> [Table; 2] {
-    let method: [Getter<'_, Entry>; 3] = [
-        ("tier", "tier", &|entry| tier_name(entry.method.tier).into()),
-        ("start", "start", &|entry| entry.method.start.name().into()),
-        ("effort", "effort", &|entry| entry.method.effort.name().into()),
-    ];
-    let noisy: [Getter<'_, Entry>; 8] = [
-        ("solved_percent", "solved / %", &|entry| (100.0 * entry.noisy.solved).into()),
-        ("rms_um", "rms / µm", &|entry| micro(entry.noisy.rms[0])),
-        ("rms_urad", "rms / µrad", &|entry| micro(entry.noisy.rms[1])),
-        ("ratio_to_bound_translation", "translation to bound", &|entry| (entry.noisy.rms[0] / bound[0]).into()),
-        ("ratio_to_bound_rotation", "rotation to bound", &|entry| (entry.noisy.rms[1] / bound[1]).into()),
-        ("steps", "steps, mean", &|entry| entry.noisy.steps.into()),
-        ("least_us", "least / µs", &|entry| micro(entry.run_time.least_s)),
-        ("median_us", "median / µs", &|entry| micro(entry.run_time.median_s)),
-    ];
-    let clean: [Getter<'_, Entry>; 4] = [
-        ("solved_percent", "solved / %", &|entry| (100.0 * entry.clean.solved).into()),
-        ("rms_um", "rms / µm", &|entry| micro(entry.clean.rms[0])),
-        ("rms_urad", "rms / µrad", &|entry| micro(entry.clean.rms[1])),
-        ("steps", "steps, mean", &|entry| entry.clean.steps.into()),
-    ];
-    let table =
-        |name, caption, columns: &[Getter<'_, Entry>]| Table::of(name, caption, entries, &[&method, columns].concat());
-    [
-        table("solver_noisy", "Noisy currents: error, its ratio to the Cramér–Rao bound, and time per solve", &noisy),
-        table("solver_clean", "Currents free of noise: the error of the method itself", &clean),
-    ]
+fn table(entries: &[Entry], bound: [f64; 2]) -> Table {
+    Table::of(
+        "solver",
+        "Error, its ratio to the Cramér–Rao bound, and time per solve; and the error of the method itself, from currents free \
+         of noise",
+        entries,
+        &[
+            ("tier", "tier", &|entry| tier_name(entry.method.tier).into()),
+            ("start", "start", &|entry| entry.method.start().into()),
+            ("effort", "effort", &|entry| entry.method.effort.0.into()),
+            ("solved_percent", "solved / %", &|entry| (100.0 * entry.noisy.solved).into()),
+            ("rms_um", "rms / µm", &|entry| Value::micro(entry.noisy.rms[0])),
+            ("rms_urad", "rms / µrad", &|entry| Value::micro(entry.noisy.rms[1])),
+            ("ratio_to_bound_translation", "translation to bound", &|entry| (entry.noisy.rms[0] / bound[0]).into()),
+            ("ratio_to_bound_rotation", "rotation to bound", &|entry| (entry.noisy.rms[1] / bound[1]).into()),
+            ("steps", "steps, mean", &|entry| entry.noisy.steps.into()),
+            ("least_us", "least / µs", &|entry| Value::micro(entry.run_time.least_s)),
+            ("median_us", "median / µs", &|entry| Value::micro(entry.run_time.median_s)),
+            ("clean_solved_percent", "free of noise: solved / %", &|entry| (100.0 * entry.clean.solved).into()),
+            ("clean_rms_um", "rms / µm", &|entry| Value::micro(entry.clean.rms[0])),
+            ("clean_rms_urad", "rms / µrad", &|entry| Value::micro(entry.clean.rms[1])),
+            ("clean_steps", "steps, mean", &|entry| entry.clean.steps.into()),
+        ],
+    )
 }
 
 /// Error of translations (`half` 0) or rotations (1) against time.
-fn picture(
-    entries: &[Entry],
-    head: &Head<'_>,
-    bound: [f64; 2],
-    half: usize,
-    name: &'static str,
-    caption: &str,
-) -> Picture {
+fn picture(entries: &[Entry], head: &Head, bound: [f64; 2], half: usize, name: &'static str, caption: &str) -> Picture {
     let (what, unit) = [("translation", "µm"), ("rotation", "µrad")][half];
     let tight = format!("{}, cold start", tier_name(head.truth_tier).replace("exact", "exact tier at"));
     let panel = |heading: &str, errors: fn(&Entry) -> &Errors, floor: Option<f64>| {
         let point = |entry: &Entry| [entry.run_time.least_s * 1e6, errors(entry).rms[half] * 1e6];
-        let chosen = |tier: Tier, start| {
-            entries.iter().filter(move |Entry { method, .. }| (method.tier, method.start) == (tier, start))
-        };
         let mut curves = Vec::new();
-        for (colour, (name, tier, start)) in [
-            ("exact tier, cold start", STREAM, Start::Cold),
-            ("exact tier, warm start", STREAM, Start::Warm),
-            ("paper tier, cold start", Tier::Paper, Start::Cold),
-            ("paper tier, warm start", Tier::Paper, Start::Warm),
-            (tight.as_str(), head.truth_tier, Start::Cold),
+        for (colour, (name, tier, is_warm)) in [
+            ("exact tier, cold start", STREAM, false),
+            ("exact tier, warm start", STREAM, true),
+            ("paper tier, cold start", Tier::Paper, false),
+            ("paper tier, warm start", Tier::Paper, true),
+            (tight.as_str(), head.truth_tier, false),
         ]
         .into_iter()
         .enumerate()
         {
             // A full solve goes its own way: it is no further step.
             for (label, style, is_full) in [(name, CurveStyle::Joined, false), ("", CurveStyle::Markers, true)] {
-                let shown = chosen(tier, start).filter(|entry| !searched(errors(entry)));
-                let points = shown.filter(|entry| (entry.method.effort == Effort::Full) == is_full).map(point);
-                curves.push(curve(label, colour, style, points.collect()));
+                let shown = chosen(entries, tier, is_warm).filter(|it| (it.method.effort.0 == FULL) == is_full);
+                curves.push(curve(label, colour, style, shown.map(point).collect()));
             }
         }
         let y =
             |y: Vec<f64>| Axis::logarithmic(&format!("rms error of the {what} / {unit}"), y.into_iter().chain(floor));
         let mut chart = Chart::over(curves, |x| Axis::logarithmic("time per solve / µs", x), y);
         let times = chart.x.range;
-        let mut note = |at, offset, anchor, text: &str, colour| {
-            chart.notes.push(Note { at, offset, anchor, text: text.to_owned(), colour });
-        };
-        // The clearest curve says what its points are, as far as they do not lie on the bound.
-        let named = chosen(STREAM, Start::Cold).take(2);
-        for entry in named.filter(|entry| floor.is_none_or(|floor| point(entry)[1] > 2.0 * floor)) {
-            note(point(entry), dvec2(9.0, -5.0), Anchor::Start, &entry.method.effort.name(), cell_colour(0));
-        }
-        if let Some(entry) = chosen(Tier::Paper, Start::Cold).find(|entry| searched(errors(entry))) {
-            let [time, error] = point(entry);
-            let text = format!("paper tier in full: {} µs →", Value::from(time).shown());
-            note([times[1], error], dvec2(-8.0, 16.0), Anchor::End, &text, cell_colour(2));
-        }
         if let Some(floor) = floor {
-            note([times[0], floor], dvec2(8.0, 16.0), Anchor::Start, "Cramér–Rao bound of one frame", SOFT_INK);
+            let (at, text) = ([times[0], floor], "Cramér–Rao bound of one frame".to_owned());
+            chart.notes.push(Note { at, offset: dvec2(8.0, 16.0), anchor: Anchor::Start, text, colour: SOFT_INK });
             let points = times.map(|x| [x, floor]).to_vec();
             chart.curves.push(Curve { label: String::new(), colour: SOFT_INK, style: CurveStyle::Dashed, points });
         }
@@ -267,76 +213,46 @@ fn picture(
     .draw(name, caption)
 }
 
-/// What a solve starts from: nothing, or a pose near the truth, as from the frame before.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Start {
-    Cold,
-    Warm,
-}
-
-impl Start {
-    pub(super) const BOTH: [Self; 2] = [Self::Cold, Self::Warm];
-
-    pub(super) fn name(self) -> &'static str {
-        match self {
-            Self::Cold => "cold",
-            Self::Warm => "warm",
-        }
-    }
-}
-
 /// How far a solve goes: to the pose on the planes, at most so many steps, or to the end.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Effort {
-    Planes,
-    Steps(usize),
-    Full,
-}
-
-impl Effort {
-    pub(super) fn name(self) -> String {
-        match self {
-            Self::Planes => "planes".to_owned(),
-            Self::Steps(1) => "1 step".to_owned(),
-            Self::Steps(steps) => format!("{steps} steps"),
-            Self::Full => "full".to_owned(),
-        }
-    }
-}
+const EFFORTS: [(&str, Option<usize>); 6] = [
+    (PLANES, None),
+    ("1 step", Some(1)),
+    ("2 steps", Some(2)),
+    ("3 steps", Some(3)),
+    ("4 steps", Some(4)),
+    (FULL, None),
+];
+const PLANES: &str = "planes";
+const FULL: &str = "full";
 
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Method {
-    pub(super) tier: Tier,
-    pub(super) start: Start,
-    pub(super) effort: Effort,
+struct Method {
+    tier: Tier,
+    /// From a pose near the truth, as from the frame before; else from nothing.
+    is_warm: bool,
+    /// One of [`EFFORTS`], and its steps.
+    effort: (&'static str, Option<usize>),
 }
 
 impl Method {
     /// For the cells of `scene`, all exposed at one instant: photocurrents and a pose to start from in, a solution out.
-    pub(super) fn compile(
-        &self,
-        scene: &Scene,
-    ) -> Result<impl Fn(&Photocurrents, &Pose) -> Solution + use<>, SceneError> {
+    fn compile(&self, scene: &Scene) -> Result<impl Fn(&Photocurrents, &Pose) -> Solution + use<>, SceneError> {
         let mut solver = Solver::<f64>::new(scene, self.tier)?;
-        if let Effort::Steps(steps) = self.effort {
+        if let Some(steps) = self.effort.1 {
             solver = solver.with_max_steps(steps);
         }
-        let Self { start, effort, .. } = *self;
+        let Self { is_warm, effort, .. } = *self;
         Ok(move |readings: &Photocurrents, prior: &Pose| {
-            let start = match (start, effort) {
-                (_, Effort::Planes) => model::Start::PlanesOnly,
-                (Start::Cold, _) => model::Start::Cold,
-                (Start::Warm, _) => model::Start::Near(prior),
+            let start = match (effort.0, is_warm) {
+                (PLANES, _) => Start::PlanesOnly,
+                (_, false) => Start::Cold,
+                (_, true) => Start::Near(prior),
             };
             solver.solve(readings, start, &MotionPrior::AT_REST)
         })
     }
-}
 
-/// The word for a tier in tables.
-pub(super) fn tier_name(tier: Tier) -> String {
-    match tier {
-        Tier::Paper => "paper".to_owned(),
-        Tier::Exact { tolerance } => format!("exact {tolerance:e}"),
+    fn start(&self) -> &'static str {
+        if self.is_warm { "warm" } else { "cold" }
     }
 }

@@ -144,27 +144,30 @@ impl Folder {
         }
         for table in report.sections.iter().flat_map(|section| &section.tables).chain(&report.data) {
             let path = self.path.join(format!("{}.csv", table.name));
-            write_table(table, Output::file(&path)?)?;
+            table.write(Output::file(&path)?)?;
             written.push(path);
         }
         Ok(written)
     }
 }
 
-fn write_table(table: &Table, output: Output) -> Result<(), OutputError> {
-    let mut writer = TableWriter::new(output, table.columns.iter().map(|column| column.name))?;
-    for row in &table.rows {
-        for value in row {
-            match value {
-                Value::Text(text) | Value::Alert(text) => writer.text(text),
-                Value::Number(number) => writer.number(*number),
-                Value::Count(count) => writer.text(&count.to_string()),
-                Value::Missing => writer.optional(None),
+impl Table {
+    /// As CSV.
+    pub fn write(&self, output: Output) -> Result<(), OutputError> {
+        let mut writer = TableWriter::new(output, self.columns.iter().map(|column| column.name))?;
+        for row in &self.rows {
+            for value in row {
+                match value {
+                    Value::Text(text) | Value::Alert(text) => writer.text(text),
+                    Value::Number(number) => writer.number(*number),
+                    Value::Count(count) => writer.text(&count.to_string()),
+                    Value::Missing => writer.optional(None),
+                }
             }
+            writer.end_row()?;
         }
-        writer.end_row()?;
+        writer.finish()
     }
-    writer.finish()
 }
 
 #[cfg(test)]

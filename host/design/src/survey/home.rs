@@ -5,10 +5,11 @@ use std::f64::consts::PI;
 use serde::Serialize;
 use slitpose_calibration::uncalibrated;
 use slitpose_head::scene_file::SceneFile;
-use slitpose_model::{CompiledScene, MotionPrior, Photocurrents, Pose, Scene, SceneError, Solver, Start, Status, Tier};
+use slitpose_model::{CompiledScene, MotionPrior, Pose, Scene, SceneError, Solver, Start, Status, Tier};
 
 use super::SOLVING_TOLERANCE;
 use super::coverage::{AXES, axis_motion};
+use crate::report::currents;
 
 /// Geometry and light of a cell at home.
 #[derive(Clone, Debug, Serialize)]
@@ -119,10 +120,6 @@ const POSES: usize = 16;
 pub(super) fn told(file: &SceneFile, plan: &CompiledScene<f64>) -> Result<f64, SceneError> {
     let solver = Solver::<f64>::new(&uncalibrated(file)?, Tier::Exact { tolerance: SOLVING_TOLERANCE })?;
     let is_told =
-        |currents: &Photocurrents| solver.solve(currents, Start::Cold, &MotionPrior::AT_REST).estimate.is_some();
-    let currents = file
-        .workspace
-        .poses(POSES)
-        .map(|pose| Photocurrents::of_pairs((0..plan.cell_count()).map(|cell| plan.photocurrents(cell, &pose))));
-    Ok(currents.filter(is_told).count() as f64 / POSES as f64)
+        |pose: &Pose| solver.solve(&currents(plan, pose), Start::Cold, &MotionPrior::AT_REST).estimate.is_some();
+    Ok(file.workspace.poses(POSES).filter(is_told).count() as f64 / POSES as f64)
 }

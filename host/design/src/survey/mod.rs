@@ -138,6 +138,12 @@ fn rounded(value: f64) -> f64 {
     (value * 1e6).round() / 1e6 + 0.0
 }
 
+/// A pose in millimetres and degrees.
+pub(crate) fn pose_text(pose: &Pose) -> String {
+    let (t, r) = (pose.translation_m * 1e3, (pose.rotation_rad()).to_array().map(f64::to_degrees));
+    format!("({:+.2}, {:+.2}, {:+.2}) mm, ({:+.1}, {:+.1}, {:+.1})°", t.x, t.y, t.z, r[0], r[1], r[2])
+}
+
 fn serialize_lines<S: Serializer>(findings: &[Finding], serializer: S) -> Result<S::Ok, S::Error> {
     serializer.collect_seq(findings.iter().map(Finding::to_string))
 }

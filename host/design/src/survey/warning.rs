@@ -4,10 +4,10 @@ use slitpose_head::causes::with_causes;
 use slitpose_head::finding::{Finding, Grade};
 use slitpose_head::front_end::{TimingError, board_configuration};
 use slitpose_head::scene_file::{FrontEnd, SceneFile};
-use slitpose_model::{MIN_CELLS, Pose, Status};
+use slitpose_model::{MIN_CELLS, Status};
 
 use super::coverage::{CROSSTALK_LIMIT, CellCost, CellCoverage, SlotCrosstalk};
-use super::{AXES, End, Survey, WorkspaceFacts};
+use super::{AXES, End, Survey, WorkspaceFacts, pose_text};
 
 /// σ of a single frame at home over the workspace's half extent: beyond this a pose is hardly told.
 const VAGUE: f64 = 0.1;
@@ -141,7 +141,7 @@ fn of_light(file: &SceneFile, cells: &[CellCoverage]) -> Vec<Finding> {
             "{:.2} µA on one electrode{} at {}, more than front_end.full_scale_a = {:.2} µA ({share})",
             worst.most_electrode_a * 1e6,
             of(worst, &which),
-            describe(&worst.most_electrode_at),
+            pose_text(&worst.most_electrode_at),
             front_end.full_scale_a * 1e6,
         );
         Some(Finding::warning(which, text, "raise the full scale or lower the emitter's intensity"))
@@ -215,7 +215,7 @@ fn of_crosstalk(slot: &SlotCrosstalk) -> Finding {
         "cell {} gets {:.2} % of its own signal from other emitters at {}",
         slot.cell,
         100.0 * slot.share,
-        describe(&slot.at)
+        pose_text(&slot.at)
     );
     Finding::warning(format!("slot {}", slot.slot), text, "light them in different slots")
 }
@@ -229,7 +229,7 @@ fn of_carried(survey: &Survey, front_end: &FrontEnd) -> Option<Finding> {
              constants",
             worst.cell,
             100.0 * worst.share,
-            describe(&worst.at),
+            pose_text(&worst.at),
             front_end.settling_s / front_end.time_constant_s,
         );
         let settled_s = front_end.settling_s + front_end.time_constant_s * (worst.share / CROSSTALK_LIMIT).ln();
@@ -285,10 +285,4 @@ fn cell(number: usize) -> String {
 
 fn extent(axis: &str, amount: f64) -> String {
     if axis.starts_with('t') { format!("{:+.2} mm", amount * 1e3) } else { format!("{:+.1}°", amount.to_degrees()) }
-}
-
-fn describe(pose: &Pose) -> String {
-    let (t, r) = (pose.translation_m * 1e3, pose.rotation_rad());
-    let degrees = [r.x, r.y, r.z].map(f64::to_degrees);
-    format!("({:+.2}, {:+.2}, {:+.2}) mm, ({:+.1}, {:+.1}, {:+.1})°", t.x, t.y, t.z, degrees[0], degrees[1], degrees[2])
 }

@@ -5,7 +5,8 @@ use std::fmt::Write as _;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use slitpose_protocol::{
-    Batch, DELIMITER, Decoder, Event, Hello, MAX_MESSAGE_BYTES, Message, Poses, Schedule, Severity, Status, encode,
+    Batch, DELIMITER, Decoder, Edge, Event, Hello, MAX_MESSAGE_BYTES, Message, Poses, Schedule, Severity, Status,
+    encode,
 };
 
 use super::Faults;
@@ -180,6 +181,16 @@ impl Injector {
                 self.shifted(pong.tick, |tick| {
                     pong.tick = tick;
                     Message::Pong(pong)
+                })
+            }
+            Message::Edges(edges) => {
+                let mut edges = edges.clone();
+                let first = edges.edges.first()?.tick();
+                self.shifted(first, |tick| {
+                    for edge in &mut edges.edges {
+                        *edge = Edge::new(edge.tick().wrapping_sub(first).wrapping_add(tick), edge.is_high());
+                    }
+                    Message::Edges(edges)
                 })
             }
             Message::Reply(_) | Message::Truth(_) => None,

@@ -178,7 +178,7 @@ fn word_bandwidth_hz(front_end: &FrontEnd) -> f64 {
     }
     let n = f64::from(conversions);
     let pairs: f64 =
-        (1..conversions).map(|lag| 2.0 * (n - f64::from(lag)) * (-f64::from(lag) * step / tau).exp()).sum();
+        (1..conversions).map(|lag| 2.0 * (n - f64::from(lag)) * libm::exp(-f64::from(lag) * step / tau)).sum();
     (n + pairs) / (n * n) / (4.0 * tau)
 }
 
@@ -222,23 +222,23 @@ impl Settling {
         let count = f64::from(schedule.oversampling);
 
         // 1 − exp(−x) without cancellation.
-        let rise = |x: f64| -(-x).exp_m1();
+        let rise = |x: f64| -libm::expm1(-x);
         let lit_ticks = first(slot)? - slot as f64 * f64::from(schedule.slot_ticks);
         let off_share = rise(frame - on) / rise(frame);
-        let lit: f64 = samples(lit_ticks).map(|x| 1.0 - off_share * (-x).exp()).sum::<f64>() / count;
+        let lit: f64 = samples(lit_ticks).map(|x| 1.0 - off_share * libm::exp(-x)).sum::<f64>() / count;
         let dark: f64 = match schedule.dark_slot().and_then(first) {
             Some(dark_ticks) => {
                 let switched_off = (slot as f64 + 1.0) * f64::from(schedule.slot_ticks);
                 let frame_ticks = f64::from(schedule.frame_ticks);
                 let since = (dark_ticks - switched_off).rem_euclid(frame_ticks);
                 let on_share = rise(on) / rise(frame);
-                samples(since).map(|x| on_share * (-x).exp()).sum::<f64>() / count
+                samples(since).map(|x| on_share * libm::exp(-x)).sum::<f64>() / count
             }
             None => 0.0,
         };
         // Light that left s before the sample counts with exp(−s/τ)/τ, 0 ≤ s ≤ x: on average
         // τ·(1 − x/(exp(x) − 1)).
-        let delay = samples(lit_ticks).map(|x| 1.0 - x / x.exp_m1()).sum::<f64>() / count;
+        let delay = samples(lit_ticks).map(|x| 1.0 - x / libm::expm1(x)).sum::<f64>() / count;
         Some(Self { gain: lit - dark, delay_s: if delay.is_finite() { delay * time_constant_s } else { 0.0 } })
     }
 }

@@ -207,10 +207,10 @@ pub const REDUNDANT: Shipped = Shipped {
     text: include_str!("../../scenes/redundant.toml"),
 };
 
-/// `wide` with parts that are sold.
+/// `wide` with parts that have data sheets.
 pub const ORDERABLE: Shipped = Shipped {
     name: "orderable",
-    about: "the geometry of wide with parts that are sold, and tolerances of its housing",
+    about: "the geometry of wide with parts that have data sheets, and tolerances of its housing",
     text: include_str!("../../scenes/orderable.toml"),
 };
 

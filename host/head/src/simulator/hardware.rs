@@ -9,7 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use slitpose_firmware::settings::Settings;
 use slitpose_firmware::{Acquisition, Health, Indicator, ScanError, Storage, StorageError, System};
 use slitpose_model::{MAX_CELLS, Pair, Pose};
-use slitpose_protocol::{BootTarget, Configuration, HardwareFault, Level, RawScan, Schedule, Truth};
+use slitpose_protocol::{BootTarget, Configuration, Edge, HardwareFault, Level, Pulse, RawScan, Schedule, Truth};
 
 use super::Light;
 use super::electronics::Electronics;
@@ -41,6 +41,9 @@ pub(crate) struct SimulatedHardware {
     trouble: Option<ScanError>,
     light_faults: Option<Box<LightFaults>>,
     word_faults: Option<Box<WordFaults>>,
+    /// Ticks from one edge at the trigger input to the next; zero: there is none.
+    pub(super) edge_ticks: u64,
+    edges: u64,
 }
 
 #[derive(Debug)]
@@ -71,6 +74,8 @@ impl SimulatedHardware {
             trouble: None,
             light_faults: None,
             word_faults: None,
+            edge_ticks: 0,
+            edges: 0,
         }
     }
 
@@ -82,6 +87,7 @@ impl SimulatedHardware {
             earlier_ticks: self.earlier_ticks + self.now_ticks,
             light_faults: self.light_faults.take(),
             word_faults: self.word_faults.take(),
+            edge_ticks: self.edge_ticks,
             ..Self::new(Arc::clone(&self.optics), trajectory, electronics, self.tick_hz, 0)
         }
     }
@@ -196,6 +202,10 @@ impl Acquisition for SimulatedHardware {
         Ok(())
     }
 
+    fn set_pulse(&mut self, _: Pulse, _: &Schedule) -> Result<(), HardwareFault> {
+        Ok(())
+    }
+
     fn next_scan(&mut self, scan: &mut RawScan) -> Result<bool, ScanError> {
         let Some(mut run) = self.run.take() else {
             return Ok(false);
@@ -255,6 +265,16 @@ impl Storage for SimulatedHardware {
 impl System for SimulatedHardware {
     fn now_ticks(&mut self) -> u64 {
         self.now_ticks
+    }
+
+    /// A square wave.
+    fn next_edge(&mut self) -> Option<Edge> {
+        let tick = (self.edges + 1) * self.edge_ticks;
+        if self.edge_ticks == 0 || tick > self.now_ticks {
+            return None;
+        }
+        self.edges += 1;
+        Some(Edge::new(tick, self.edges % 2 == 1))
     }
 
     fn housekeeping(&mut self, _: Indicator) -> Health {

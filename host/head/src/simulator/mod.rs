@@ -191,6 +191,14 @@ impl SimulatedBoard {
         Ok(self)
     }
 
+    /// With a square wave of this frequency at its trigger input, which rises first.
+    #[must_use]
+    pub fn with_trigger(mut self, frequency_hz: f64) -> Self {
+        let tick_hz = f64::from(self.configuration.schedule.tick_hz);
+        self.board.hardware_mut().edge_ticks = (0.5 * tick_hz / frequency_hz).round() as u64;
+        self
+    }
+
     /// Sends bytes from the host to the board.
     pub fn write(&mut self, bytes: &[u8]) {
         self.board.receive(bytes);

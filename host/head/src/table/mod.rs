@@ -4,20 +4,16 @@
 //! the text that stands there and what to do. Numbers are written so that they read back to the
 //! same bits. [`Output`] writes the result of every command.
 
-#[cfg(unix)]
 mod output;
 mod reader;
-#[cfg(unix)]
 mod writer;
 
 use std::f64::consts::{PI, TAU};
 
 use glam::DVec3;
-#[cfg(unix)]
 pub use output::{CAPTURE_MAGIC, Output, OutputError, Replace, is_capture, refuse_twice};
 pub use reader::{Column, Row, Rows, TableError, TableReader};
 use slitpose_model::{Pair, Pose};
-#[cfg(unix)]
 pub use writer::{TableRows, TableWriter};
 
 use crate::finding::Finding;

@@ -2,8 +2,6 @@
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, IsTerminal, Read, Stdout, Write};
-use std::os::fd::AsFd;
-use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use tempfile::NamedTempFile;
@@ -11,7 +9,7 @@ use thiserror::Error;
 
 use crate::foreign::printable_lines;
 use crate::replacement::part_of;
-use crate::{interrupt, special_file, text_file};
+use crate::{interrupt, platform, special_file, text_file};
 
 /// The magic of captures: MCAP, <https://mcap.dev/spec#magic>.
 pub const CAPTURE_MAGIC: &[u8] = b"\x89MCAP0\r\n";
@@ -138,12 +136,11 @@ impl Output {
 
     /// The file itself, for something that writes it without this buffer.
     pub fn as_file(&self) -> io::Result<File> {
-        let file = match &self.sink {
-            Sink::Stdout(stdout) => stdout.get_ref().as_fd(),
-            Sink::Pending(file, ..) => file.get_ref().as_file().as_fd(),
-            Sink::Device(file) => file.get_ref().as_fd(),
-        };
-        file.try_clone_to_owned().map(File::from)
+        match &self.sink {
+            Sink::Stdout(_) => platform::standard_output(),
+            Sink::Pending(file, ..) => file.get_ref().as_file().try_clone(),
+            Sink::Device(file) => file.get_ref().try_clone(),
+        }
     }
 
     /// Writes what is buffered and gives a file its final name.
@@ -213,7 +210,7 @@ pub fn is_capture(path: &Path) -> bool {
 /// If `output` and one of `others` are one file.
 pub fn refuse_twice<'a>(output: &Path, others: impl IntoIterator<Item = &'a Path>) -> Result<(), OutputError> {
     let is_same = |other: &Path| match (fs::metadata(output), fs::metadata(other)) {
-        (Ok(a), Ok(b)) => a.is_file() && (a.dev(), a.ino()) == (b.dev(), b.ino()),
+        (Ok(a), Ok(_)) => a.is_file() && same_file::is_same_file(output, other).unwrap_or(false),
         (Err(_), Err(_)) => is_one_name(output, other),
         _ => false,
     };
@@ -259,7 +256,6 @@ mod tests {
         assert!(refuse_twice(Path::new("/dev/null"), [Path::new("/dev/null")]).is_ok());
     }
 
-    #[cfg(unix)]
     #[test]
     fn a_device_is_written_not_replaced() {
         Output::file(Path::new("/dev/null")).unwrap().write_text("gone").unwrap();

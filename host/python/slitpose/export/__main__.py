@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import sys
 
-NEEDED = (3, 11)
+MIN_PYTHON = (3, 11)
 
 
 def main() -> int:
     """Runs the command; errors go to standard error."""
-    if sys.version_info < NEEDED:
+    if sys.version_info < MIN_PYTHON:
         print(
-            f"slitpose.export needs Python {NEEDED[0]}.{NEEDED[1]}; this is {sys.version.split()[0]}", file=sys.stderr
+            f"slitpose.export needs Python {MIN_PYTHON[0]}.{MIN_PYTHON[1]}; this is {sys.version.split()[0]}",
+            file=sys.stderr,
         )
         return 1
     try:

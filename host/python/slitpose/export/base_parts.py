@@ -8,13 +8,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from build123d import Box, Cone, Part, Pos, extrude
+from build123d import Box, Part, Pos, extrude
 
 from .layout import Cell, Layout, Rays
 from .sizes import ExportError, Sizes
 from .solids import (
     CLEARANCE,
-    COUNTERSUNK,
     DOWEL,
     OVER,
     THREAD,
@@ -24,6 +23,8 @@ from .solids import (
     rod,
     shifted,
     slab,
+    sunk_hole,
+    three_between,
     turned_about_z,
 )
 
@@ -32,8 +33,7 @@ def _hull(cell: Cell, height: float) -> tuple[float, float]:
     """Half extents in x and y of the light between slit and active area, at a height above the area."""
     share = height / cell.distance
     x, y = ((1 - share) * area / 2 + share * slit / 2 for area, slit in zip(cell.area, cell.slit))
-    turned = share * math.sin(abs(cell.turn)) * max(cell.slit) / 2
-    return x + turned, y + turned
+    return x, y
 
 
 class BaseParts:
@@ -42,9 +42,15 @@ class BaseParts:
     def __init__(self, layout: Layout, sizes: Sizes) -> None:
         self.layout = layout
         self.sizes = sizes
-        self._rear = -(sizes.detector.height - sizes.detector.surface_depth)
+        #: Height of the detector's back, on its board.
+        self.rear = -(sizes.detector.height - sizes.detector.surface_depth)
 
     # The cell block and what it carries, in the block's frame.
+
+    @property
+    def flange_rear(self) -> float:
+        """Height of the flange's face towards the board."""
+        return self.rear + self.sizes.block.board_gap
 
     @property
     def flange_top(self) -> float:
@@ -58,21 +64,19 @@ class BaseParts:
     def block(self, cell: Cell) -> Part:
         """Barrel and flange: the mask's seat in front, the detector's shoulder behind."""
         size, detector, mask = self.sizes.block, self.sizes.detector, self.sizes.mask
-        rear = self._rear + size.board_gap
+        rear = self.flange_rear
         plate = cell.seat - size.plate
         if plate <= detector.surface_depth:
             text = f"cell {cell.number}: slit.distance_mm = {cell.distance:g} leaves no room for the plate of"
             raise ExportError(
-                f"{text} {size.plate:g} mm that carries the mask; use {self.least_distance(cell):.2f} or more"
+                f"{text} {size.plate:g} mm that carries the mask; use {self.min_distance(cell):.2f} or more"
             )
         chamber, (slot_x, slot_y) = self.chamber_radius(cell), self.slot(cell)
         body = slab(2 * size.flange_half_width, 2 * size.flange_half_height, rear, self.flange_top)
         body += rod(size.barrel_radius, self.flange_top - OVER / 2, cell.seat)
         through = rear - OVER
         pocket_x, pocket_y = (extent + 2 * detector.clearance for extent in (detector.length, detector.width))
-        head, height = COUNTERSUNK["M2.5"]
-        hole = rod(CLEARANCE["M2.5"] / 2, through, self.flange_top + OVER)
-        countersink = Pos(0, 0, rear + height / 2) * Cone(head / 2, CLEARANCE["M2.5"] / 2, height)
+        hole = sunk_hole("M2.5", rear, self.flange_top, head=rear)
         turned = [
             slab(pocket_x, pocket_y, through, detector.surface_depth),
             shifted(cell.offset[0], cell.offset[1], slab(2 * slot_x, 2 * slot_y, plate - OVER, cell.seat + OVER)),
@@ -83,7 +87,7 @@ class BaseParts:
             [
                 rod(chamber, detector.surface_depth - OVER / 2, plate),
                 *(turned_about_z(cell.roll, tool) for tool in turned),
-                *(shifted(0, side * size.ring_screw, hole + countersink) for side in (1, -1)),
+                *(shifted(0, side * size.ring_screw, hole) for side in (1, -1)),
                 *(shifted(*at, rod(THREAD["M2"] / 2, through, self.flange_top + OVER)) for at in self._corners()),
                 shifted(-size.corner, size.ring_screw, rod(DOWEL / 2, through, self.flange_top + OVER)),
             ],
@@ -99,7 +103,7 @@ class BaseParts:
         x, y = (extent + size.slot_clearance for extent in _hull(cell, cell.seat - size.plate))
         return x, max(y, cell.slit[1] / 2 + size.slot_clearance)
 
-    def least_distance(self, cell: Cell) -> float:
+    def min_distance(self, cell: Cell) -> float:
         """Least distance from detector to mask for which a block can be made."""
         return self.sizes.detector.surface_depth + self.sizes.block.plate + 0.5 + cell.thickness / 2
 
@@ -110,7 +114,7 @@ class BaseParts:
         """The foil with its slit and two holes for pins, in the cell's frame."""
         size, top = self.sizes.mask, cell.seat + cell.thickness
         foil = rod(size.radius, cell.seat, top)
-        slit = shifted(*cell.offset, turned_about_z(cell.turn, slab(*cell.slit, cell.seat - OVER, top + OVER)))
+        slit = shifted(*cell.offset, slab(*cell.slit, cell.seat - OVER, top + OVER))
         holes = [shifted(side * size.pin_distance, 0, self._pin_hole(cell.seat - OVER, top + OVER)) for side in (1, -1)]
         return cut(foil, [slit, *holes])
 
@@ -149,7 +153,7 @@ class BaseParts:
     def detector(self, cell: Cell) -> Part:
         """The package, its active area the floor of a recess, in the cell's frame."""
         size = self.sizes.detector
-        return slab(size.length, size.width, self._rear, size.surface_depth) - slab(
+        return slab(size.length, size.width, self.rear, size.surface_depth) - slab(
             *cell.area, 0, size.surface_depth + OVER
         )
 
@@ -157,15 +161,15 @@ class BaseParts:
         """The board behind the block, to which detector, amplifier and connector are soldered, in the block's frame."""
         size = self.sizes.block
         board = slab(
-            2 * size.flange_half_width, 2 * size.flange_half_height, self._rear - size.board_thickness, self._rear
+            2 * size.flange_half_width, 2 * size.flange_half_height, self.rear - size.board_thickness, self.rear
         )
-        hole = rod(CLEARANCE["M2"] / 2, self._rear - size.board_thickness - OVER, self._rear + OVER)
+        hole = rod(CLEARANCE["M2"] / 2, self.rear - size.board_thickness - OVER, self.rear + OVER)
         return cut(board, [shifted(*at, hole) for at in self._corners()])
 
     def cover(self) -> Part:
         """The cover over the board, open below for its cable, in the block's frame."""
         size = self.sizes.block
-        top = self._rear - size.board_thickness
+        top = self.rear - size.board_thickness
         bottom, x, y = top - size.cover_height, 2 * size.flange_half_width, 2 * size.flange_half_height
         inside = slab(x - 2 * size.cover_wall, y - 2 * size.cover_wall, bottom + size.cover_wall, top + OVER)
         cable = Pos(0, -y / 2, top - 2.0) * Box(6.0, 4 * size.cover_wall, 4.0 + OVER)
@@ -182,15 +186,16 @@ class BaseParts:
     @property
     def flat(self) -> float:
         """Greatest distance of a flat of the ring from the base's z axis."""
-        return max(self._flat(cell) for cell in self.layout.cells)
+        return max(self.flat_of(cell) for cell in self.layout.cells)
 
-    def _flat(self, cell: Cell) -> float:
+    def flat_of(self, cell: Cell) -> float:
+        """Distance of a cell's flat from the base's z axis."""
         return float(-(cell.detector @ cell.base_from_block[:, 2])) - self.flange_top
 
     @property
     def inner_radius(self) -> float:
         """Radius of the ring's bore: flush with the nearest seat of a mask."""
-        return min(self._flat(cell) + self.flange_top - cell.seat for cell in self.layout.cells)
+        return min(self.flat_of(cell) + self.flange_top - cell.seat for cell in self.layout.cells)
 
     @property
     def corner_radius(self) -> float:
@@ -205,32 +210,27 @@ class BaseParts:
 
     def corner_holes(self) -> list[tuple[float, float]]:
         """Places of three M3 screws between cells, above and below the ring."""
-        towards = sorted(math.atan2(cell.detector[1], cell.detector[0]) for cell in self.layout.cells)
-        between = [(a + b) / 2 for a, b in zip(towards, [*towards[1:], towards[0] + 2 * math.pi])]
-        count = len(between)
-        chosen = [between[round(third * count / 3) % count] for third in range(3)]
-        half = math.pi / count
-        outer = min(self.flat / math.cos(half), self.corner_radius)
-        radius = 0.4 * self.inner_radius + 0.6 * outer
-        return [(radius * math.cos(angle), radius * math.sin(angle)) for angle in chosen]
+        cells = self.layout.cells
+        outer = min(self.flat / math.cos(math.pi / len(cells)), self.corner_radius)
+        return three_between([cell.detector for cell in cells], 0.4 * self.inner_radius + 0.6 * outer)
 
     def ring(self) -> Part:
         """The base ring: flats with a bore, a dowel and two threads for each block, threads above and below."""
         size, block, (low, high) = self.sizes.ring, self.sizes.block, self.heights
         cells = self.layout.cells
         outline = polygon(
-            [self._flat(cell) for cell in cells], [-cell.base_from_block[:, 2] for cell in cells], self.flat
+            [self.flat_of(cell) for cell in cells], [-cell.base_from_block[:, 2] for cell in cells], self.flat
         )
         body = Pos(0, 0, low) * extrude(outline, high - low)
         body = (body & rod(self.corner_radius, low, high)) - rod(self.inner_radius, low - OVER, high + OVER)
         tools = []
         for cell in cells:
-            wall = self._flat(cell) - self.inner_radius
+            wall = self.flat_of(cell) - self.inner_radius
             top, deep = self.flange_top, self.flange_top + wall + block.barrel_radius
             holes = [
                 rod(block.barrel_radius + block.bore_clearance, top - OVER, deep),
                 *(shifted(0, side * block.ring_screw, rod(THREAD["M2.5"] / 2, top - OVER, deep)) for side in (1, -1)),
-                shifted(-block.corner, block.ring_screw, rod(DOWEL / 2, top - OVER, top + 2.5)),
+                shifted(-block.corner, block.ring_screw, rod(DOWEL / 2, top - OVER, top + block.dowel_depth)),
             ]
             tools += [hole.moved(location(cell.detector, cell.base_from_block)) for hole in holes]
         for at in self.corner_holes():
@@ -246,20 +246,22 @@ class BaseParts:
     def plate_holes(self) -> list[tuple[float, float]]:
         """Places of three M4 screws that hold the head, at the angles of the M3 screws."""
         radius = self.plate_radius - self.sizes.ring.plate_screw_margin
-        return [(radius * x / math.hypot(x, y), radius * y / math.hypot(x, y)) for x, y in self.corner_holes()]
+        return three_between([cell.detector for cell in self.layout.cells], radius)
+
+    @property
+    def plate_underside(self) -> float:
+        """Height of datum A, on which the head stands."""
+        return self.heights[0] - self.sizes.ring.plate_thickness
 
     def base_plate(self) -> Part:
         """The plate under the ring. Its underside is datum A, its bore datum B."""
-        top = self.heights[0]
-        low = top - self.sizes.ring.plate_thickness
-        head, height = COUNTERSUNK["M3"]
-        hole = rod(CLEARANCE["M3"] / 2, low - OVER, top + OVER)
-        countersink = Pos(0, 0, low + height / 2) * Cone(head / 2, CLEARANCE["M3"] / 2, height)
+        low, top = self.plate_underside, self.heights[0]
+        hole = sunk_hole("M3", low, top, head=low)
         return cut(
             rod(self.plate_radius, low, top),
             [
                 rod(self.inner_radius, low - OVER, top + OVER),
-                *(shifted(*at, hole + countersink) for at in self.corner_holes()),
+                *(shifted(*at, hole) for at in self.corner_holes()),
                 *(shifted(*at, rod(CLEARANCE["M4"] / 2, low - OVER, top + OVER)) for at in self.plate_holes()),
             ],
         )

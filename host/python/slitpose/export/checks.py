@@ -15,7 +15,7 @@ from build123d import Part
 from numpy.typing import NDArray
 
 from .layout import Float, Layout
-from .solids import Placed
+from .solids import Placed, is_foil
 
 #: Deviation of meshes from the solids, mm and rad; coarser for the tool's motion.
 CHORD = 0.02
@@ -23,9 +23,11 @@ CHORD_ANGLE = 0.2
 MOTION_CHORD = 0.05
 MOTION_CHORD_ANGLE = 0.5
 #: Solids that touch may share this volume, mm³: rounding of planes that coincide.
-TOUCHING_MM3 = 1e-4
+MAX_SHARED_MM3 = 1e-4
+#: Least distance from tool to housing, mm: deviation of both meshes, and as much again for the parts.
+MIN_GAP = 0.2
 #: Walls thinner than this cannot be printed or milled reliably, mm.
-LEAST_WALL = 0.8
+MIN_WALL = 0.8
 #: Faces count as a wall if their normals are antiparallel within 26 degrees: countersinks and cones run out to edges.
 WALL_COSINE = 0.9
 
@@ -62,7 +64,7 @@ def overlaps(placed: list[Placed]) -> list[str]:
         for j in np.flatnonzero((low[i] < high[i + 1 :]).all(axis=1) & (high[i] > low[i + 1 :]).all(axis=1)) + i + 1:
             common = solids[i].intersect(solids[j])
             volume = 0.0 if common is None else sum(solid.volume for solid in common.solids())
-            if volume > TOUCHING_MM3:
+            if volume > MAX_SHARED_MM3:
                 found.append(f"{placed[i].label} and {placed[j].label}: {volume:.4f} mm³")
     return found
 
@@ -139,23 +141,20 @@ class Light:
 
 
 def light(layout: Layout, placed: list[Placed], poses: tuple[Float, Float]) -> Light:
-    """Traces the light of every cell. Masks and packages of emitters and detectors are the light's own ends."""
-    own = ("mask ", "emitter", "detector")
-    solid = [
-        part for part in placed if part.name == "emitter board" or not part.name.startswith(own) or "frame" in part.name
-    ]
-    solid += [part for part in placed if part.name in ("emitter carrier", "mask pin")]
+    """Traces the light of every cell past all parts but its own slit, emitter and detector."""
+    meshes = [(part, mesh(part.in_place)) for part in placed]
     translation, turned = poses
     total, blocked, by = 0, 0, set()
     for cell in layout.cells:
-        near = [part for part in solid if part.instance in (None, cell.number)]
         rays = layout.rays(cell.number, poses)
         base = [place @ cell.base_from_cell.T + cell.detector for place in (rays.start, rays.end)]
         tool = [np.einsum("ni,nij->nj", place - translation[rays.pose], turned[rays.pose]) for place in base]
         stopped = np.zeros(len(rays.pose), dtype=bool)
-        for part in near:
+        for part, body in meshes:
+            if part.instance == cell.number and (is_foil(part.name) or part.name in ("emitter", "detector")):
+                continue
             start, end = tool if part.on_tool else base
-            hit = hits(start, end, mesh(part.in_place))
+            hit = hits(start, end, body)
             by |= {part.label} if hit.any() else set()
             stopped |= hit
         total += len(stopped)

@@ -15,7 +15,7 @@ from .head import HeadParts, head
 from .jig import JigParts, jig
 from .layout import Layout
 from .sizes import ExportError, Sizes
-from .solids import Placed
+from .solids import Placed, is_foil
 
 #: Poses for which the frames of the masks are open.
 OPENING_POSES = 2000
@@ -85,22 +85,18 @@ def export(layout: Layout, sizes: Sizes, folder: Path, poses: int, with_jig: boo
 
     :returns: What keeps the head from being made.
     """
+    warn_of_other_parts(layout, sizes)
     parts = HeadParts(layout, sizes)
-    if layout.emitter_part != sizes.emitter.part:
-        print(
-            f"slitpose.export: the scene has the emitter {layout.emitter_part}; the carrier is made for"
-            f" {sizes.emitter.part}",
-            file=sys.stderr,
-        )
     placed = head(parts, layout.poses(OPENING_POSES))
     jigs = JigParts(parts) if with_jig else None
     fixture = jig(jigs) if jigs else []
     distinct = files.distinct([*placed, *fixture])
-    files.write_solids(placed, folder, "assembly")
+    files.write_parts([*placed, *fixture], folder)
+    files.write_assembly(placed, folder, "assembly")
     if jigs:
-        files.write_solids([*placed, *fixture], folder, "jig_assembly")
+        files.write_assembly([*placed, *fixture], folder, "jig_assembly")
     for name, part in distinct.items():
-        if _is_foil(name) and part.instance is not None:
+        if is_foil(name) and part.instance is not None:
             files.write_mask(layout.cells[part.instance], name, parts, folder / f"{files.stem(name)}.dxf")
     items = [*files.bill(placed, parts), *(files.jig_bill(jigs, fixture) if jigs else [])]
     files.write_bill(items, folder / "bill.csv")
@@ -109,19 +105,30 @@ def export(layout: Layout, sizes: Sizes, folder: Path, poses: int, with_jig: boo
     findings = check(parts, placed, fixture, poses)
     blocks, masks = (
         {part.instance: part.name for part in placed if part.instance is not None and is_kind(part.name)}
-        for is_kind in (lambda name: name.startswith("cell block"), _is_foil)
+        for is_kind in (lambda name: name.startswith("cell block"), is_foil)
     )
-    page.write(folder / "index.html", parts, items, findings, sheets, blocks, masks, with_jig)
+    page.write(folder / "index.html", parts, items, findings, sheets, blocks, masks, jigs)
     for name, result in findings.rows():
         print(f"{name}: {result}")
     return findings.failures
+
+
+def warn_of_other_parts(layout: Layout, sizes: Sizes) -> None:
+    """Names bought parts of the scene that are not those of the sizes."""
+    for kind, named, sized in (
+        ("emitter", layout.emitter_part, sizes.emitter.part),
+        ("detector", layout.detector_part, sizes.detector.part),
+    ):
+        if named != sized:
+            text = f"the scene's {kind} is {named}; the sizes are those of {sized}"
+            print(f"slitpose.export: warning: {text}. Give others with --sizes ({kind}.part, …)", file=sys.stderr)
 
 
 def check(parts: HeadParts, placed: list[Placed], fixture: list[Placed], poses: int) -> page.Findings:
     """All checks of a head."""
     layout = parts.layout
     everything = [*placed, *fixture]
-    solid = {name: part.solid for name, part in files.distinct(everything).items() if part.made and not _is_foil(name)}
+    solid = {name: part.solid for name, part in files.distinct(everything).items() if part.made and not is_foil(name)}
     return page.Findings(
         faults=checks.faults(everything),
         overlaps=checks.overlaps(everything),
@@ -129,10 +136,6 @@ def check(parts: HeadParts, placed: list[Placed], fixture: list[Placed], poses: 
         clearance=checks.clearance(placed, layout.poses(poses)),
         light=checks.light(layout, placed, layout.poses(LIGHT_POSES)),
     )
-
-
-def _is_foil(name: str) -> bool:
-    return name.startswith("mask ") and "frame" not in name and "pin" not in name
 
 
 def draw(parts: HeadParts, distinct: dict[str, Placed], folder: Path) -> list[str]:
@@ -144,14 +147,14 @@ def draw(parts: HeadParts, distinct: dict[str, Placed], folder: Path) -> list[st
     for name, part in distinct.items():
         if not part.made:
             continue
-        text, solid = files.material(name), part.solid
+        text, solid = files.material(name, parts.sizes), part.solid
         if name == "base ring":
             sheet = drawings.ring_sheet(parts, solid, text)
         elif part.instance is not None and name.startswith("cell block"):
             sheet = drawings.block_sheet(parts, parts.layout.cells[part.instance], name, solid, text)
         elif part.instance is not None and name.startswith("mask frame"):
             sheet = drawings.frame_sheet(parts, parts.layout.cells[part.instance], name, solid, text)
-        elif part.instance is not None and _is_foil(name):
+        elif part.instance is not None and is_foil(name):
             sheet = drawings.mask_sheet(parts, parts.layout.cells[part.instance], name, solid, text)
         else:
             sheet = drawings.other_sheet(parts, name, solid, text)

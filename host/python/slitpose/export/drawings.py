@@ -9,9 +9,9 @@ from build123d import Box, GeomType, Part, Pos
 
 from .head import HeadParts
 from .layout import Cell
-from .sheet import Projection, Sheet
+from .sheet import Projection, Sheet, numbers
 from .sheet import number as n
-from .solids import CLEARANCE, COUNTERSUNK, THREAD
+from .solids import CLEARANCE, COUNTERSINK, DOWEL, THREAD
 
 #: Of the box that cuts a part in half, mm.
 HALF = 500.0
@@ -22,10 +22,10 @@ RIGHT = ((1, 0, 0), (0, 0, 1))
 def block_sheet(parts: HeadParts, cell: Cell, name: str, solid: Part, material: str) -> Sheet:
     """The cell block: from the tool, from behind, and from its side."""
     size, detector, mask = parts.sizes.block, parts.sizes.detector, parts.sizes.mask
-    rear = -(detector.height - detector.surface_depth) + size.board_gap
+    rear = parts.flange_rear
     roll, (slot_x, slot_y) = math.degrees(cell.roll), parts.slot(cell)
     sheet = Sheet(
-        f"{name} ({n(roll)} deg)",
+        f"{name} (turned {roll:+.4g} deg)",
         material,
         (
             "Seat of the mask (C) and the detector's shoulder (floor of the pocket) parallel to D within 0.02; their",
@@ -38,7 +38,10 @@ def block_sheet(parts: HeadParts, cell: Cell, name: str, solid: Part, material: 
                 f"slot {n(2 * slot_x)} x {n(2 * slot_y)} from there through C. Pocket, slot and pin holes symmetrical"
                 " to B within"
             ),
-            f"0.02, turned by {n(roll)} +-0.1 deg against the line of the M2.5 holes. Inside faces matt black.",
+            (
+                f"0.02; length of the pocket turned {roll:+.4g} deg, within 0.1, from the width of the flange, positive"
+                " anticlockwise seen from the tool. Inside faces matt black."
+            ),
         ),
     )
     half_x, half_y = size.flange_half_width, size.flange_half_height
@@ -58,17 +61,17 @@ def block_sheet(parts: HeadParts, cell: Cell, name: str, solid: Part, material: 
         -78,
         f"B: barrel {n(2 * size.barrel_radius)} g6",
     )
-    tool.leader(-size.corner, size.ring_screw, -14, 26, "dowel 2 H7")
+    tool.leader(-size.corner, size.ring_screw, -14, 26, f"dowel {DOWEL:g} H7")
     tool.leader(size.corner, size.ring_screw, 14, 26, "3x M2")
-    behind = Projection(sheet, solid, (0, 0, -1), (0, 1, 0), at=(185, 105), scale=3, name="from behind", hidden=False)
+    behind = Projection(sheet, solid, *BACK, at=(185, 105), scale=3, name="from behind", hidden=False)
     for end in (1, -1):
-        behind.centre(0, end * size.ring_screw, COUNTERSUNK["M2.5"][0] / 2)
+        behind.centre(0, end * size.ring_screw, COUNTERSINK["M2.5"] / 2)
     behind.leader(
         0,
         -size.ring_screw - CLEARANCE["M2.5"] / 2,
         14,
         -46,
-        f"2x {CLEARANCE['M2.5']}, sunk {COUNTERSUNK['M2.5'][0]:g} for M2.5",
+        f"2x {CLEARANCE['M2.5']}, sunk {COUNTERSINK['M2.5']:g} x 90 deg for M2.5",
     )
     pocket = (
         f"pocket {n(detector.length + 2 * detector.clearance)} x {n(detector.width + 2 * detector.clearance)}, deep"
@@ -157,8 +160,9 @@ def ring_sheet(parts: HeadParts, solid: Part, material: str) -> Sheet:
         material,
         (
             (
-                "Datum A: lower face. Datum B: bore. Each flat is one cell; its bore is at the middle of the cell, at"
-                " height 0 of the scene."
+                "Datum A: lower face. Datum B: bore. Each flat is one cell, its bore at the middle of the cell: above A"
+                f" by {numbers([cell.detector[2] - low for cell in cells])}, z ="
+                f" {numbers([cell.detector[2] for cell in cells])} of the scene."
             ),
             "Bores: position within 0.02 to A and B. Flats: distance to B's axis +-0.02, square to A within 0.02.",
         ),
@@ -169,13 +173,13 @@ def ring_sheet(parts: HeadParts, solid: Part, material: str) -> Sheet:
     top.across(-radius, radius, 0, -parts.corner_radius - 5, f"B: {n(2 * radius)} H8")
     first = cells[0]
     outward = -first.base_from_block[:, 2]
-    flat = -float(first.detector @ first.base_from_block[:, 2]) - parts.flange_top
+    flat = parts.flat_of(first)
     top.leader(
         float(outward[0] * flat),
         float(outward[1] * flat),
         22,
         12,
-        f"{len(cells)} flats at {n(flat)} from B (cell 0)",
+        f"{len(cells)} flats at {numbers([parts.flat_of(cell) for cell in cells])} from the axis of B",
     )
     x, y = parts.corner_holes()[0]
     top.centre(x, y, THREAD["M3"] / 2)
@@ -192,7 +196,7 @@ def ring_sheet(parts: HeadParts, solid: Part, material: str) -> Sheet:
         below=26,
     )
     middle = float(first.detector[2])
-    side = -parts.flat / math.cos(math.pi / 6)
+    side = -parts.corner_radius
     view.along(low, high, side, side - 9)
     view.along(low, middle, 0, side - 4)
     view.leader(
@@ -203,7 +207,13 @@ def ring_sheet(parts: HeadParts, solid: Part, material: str) -> Sheet:
         f"{n(2 * (block.barrel_radius + block.bore_clearance))} H7",
     )
     view.leader(0, middle - block.ring_screw, 30, -24, f"2x M2.5 through, {n(2 * block.ring_screw)} apart")
-    view.leader(block.corner, middle + block.ring_screw, 24, 26, f"dowel 2 H7 x 2.5, {n(block.corner)} from the middle")
+    view.leader(
+        block.corner,
+        middle + block.ring_screw,
+        24,
+        26,
+        f"dowel {DOWEL:g} H7 x {n(block.dowel_depth)}, {n(block.corner)} from the middle",
+    )
     view.datum(-12, low, 0, -14, "A")
     return sheet
 
@@ -212,7 +222,7 @@ def jig_notes(parts: HeadParts) -> dict[str, tuple[str, ...]]:
     """Notes for the drawings of the jig's parts."""
     jig, tool = parts.sizes.jig, parts.sizes.tool
     screws = (
-        f"3x {CLEARANCE['M3']:g} sunk {COUNTERSUNK['M3'][0]:g} from above for M3, at radius"
+        f"3x {CLEARANCE['M3']:g} sunk {COUNTERSINK['M3']:g} x 90 deg from above for M3, at radius"
         f" {n(math.hypot(*parts.corner_holes()[0]))}"
     )
     pins = f"fence: 2 dowels {n(2 * jig.pin_radius)} at (+-{n(jig.fence_spread)}, -{n(jig.nest_flat + jig.pin_radius)})"
@@ -262,8 +272,8 @@ def other_sheet(parts: HeadParts, name: str, solid: Part, material: str) -> Shee
         f"3x {CLEARANCE['M2']:g} at ({n(block.corner)}, +-{n(block.ring_screw)}) and ({-block.corner:g},"
         f" {-block.ring_screw:g}) from the middle"
     )
-    flats = ", ".join(n(parts.emitter_flat(cell)) for cell in parts.layout.cells)
-    emitter = sizes.emitter
+    emitter, cells, carrier = sizes.emitter, parts.layout.cells, parts.tool_heights[0]
+    heights = [float(cell.emitter[2]) for cell in cells]
     plate = math.hypot(*parts.corner_holes()[0]), math.hypot(*parts.plate_holes()[0])
     notes: dict[str, tuple[str, ...]] = {
         "base plate": (
@@ -272,7 +282,7 @@ def other_sheet(parts: HeadParts, name: str, solid: Part, material: str) -> Shee
                 " of 120 deg:"
             ),
             (
-                f"{CLEARANCE['M3']:g} sunk {COUNTERSUNK['M3'][0]:g} from below at radius {n(plate[0])} (M3);"
+                f"{CLEARANCE['M3']:g} sunk {COUNTERSINK['M3']:g} x 90 deg from below at radius {n(plate[0])} (M3);"
                 f" {CLEARANCE['M4']:g} through at radius {n(plate[1])} (M4)."
             ),
         ),
@@ -290,19 +300,19 @@ def other_sheet(parts: HeadParts, name: str, solid: Part, material: str) -> Shee
         ),
         "emitter carrier": (
             (
-                f"Seats of the boards (floors of the pockets), from the axis, cells 0 to {len(parts.layout.cells) - 1}:"
-                f" {flats}, each +-0.02, square to A within 0.02."
+                "Seats of the boards (floors of the pockets), from the axis:"
+                f" {numbers([parts.emitter_flat(cell) for cell in cells])}, each +-0.02, square to A within 0.02."
             ),
             (
                 f"Pocket {n(emitter.board_width + 2 * emitter.clearance)} x"
-                f" {n(emitter.board_length + 2 * emitter.clearance)} H9, deep {n(emitter.pocket_depth)}, its middle at"
-                " the emitter's height (0 of the scene);"
+                f" {n(emitter.board_length + 2 * emitter.clearance)} H9, deep {n(emitter.pocket_depth)}, its middle above A"
+                f" by {numbers([height - carrier for height in heights])}, z = {numbers(heights)} of the scene;"
             ),
             (
-                f"in it 2x M1.6 x 3.5 at +-{n(emitter.screw_distance)}, and {n(sizes.tool.wire_hole_diameter)} to the"
+                f"in it 2x M1.6 x {n(emitter.thread_depth)} at +-{n(emitter.screw_distance)}, and {n(sizes.tool.wire_hole_diameter)} to the"
                 f" bore, {n(sizes.tool.wire_hole_distance)} below the middle."
             ),
-            f"Above and below: {screw}, 3 deep. Bore {n(2 * sizes.tool.bore_radius)} (datum B), lower face datum A.",
+            f"Above and below: {screw}, {n(sizes.tool.thread_depth)} deep. Bore {n(2 * sizes.tool.bore_radius)} (datum B), lower face datum A.",
         ),
         "handle": (
             (
@@ -328,20 +338,14 @@ def other_sheet(parts: HeadParts, name: str, solid: Part, material: str) -> Shee
         **jig_notes(parts),
     }
     box = solid.bounding_box()
-    eyes = (("from above", TOP), ("from the side", FRONT))
     reach = max(box.size.X, box.size.Y, box.size.Z)
     scale = next((ratio for ratio in (8.0, 5.0, 4.0, 3.0, 2.0, 1.5, 1.0) if ratio * reach < 160.0), 1.0)
     sheet = Sheet(name, material, notes.get(name, ()))
-    for number, (title, (eye, up)) in enumerate(eyes):
-        corners = np.array(
-            [(x, y, z) for x in (box.min.X, box.max.X) for y in (box.min.Y, box.max.Y) for z in (box.min.Z, box.max.Z)]
-        )
-        flat = np.stack([corners @ np.cross(up, eye), corners @ np.array(up)], axis=1)
-        (x0, y0), (x1, y1) = (
-            tuple(float(number) for number in corner) for corner in (flat.min(axis=0), flat.max(axis=0))
-        )
+    above = ("from above", TOP, box.min.Y, box.max.Y)
+    x0, x1 = box.min.X, box.max.X
+    for number, (title, eye, y0, y1) in enumerate((above, ("from the side", FRONT, box.min.Z, box.max.Z))):
         at = (115 + 190 * number - (x0 + x1) / 2 * scale, 115 + (y0 + y1) / 2 * scale)
-        view = Projection(sheet, solid, eye, up, at, scale, title)
+        view = Projection(sheet, solid, *eye, at, scale, title)
         view.across(x0, x1, y0, y0 - 8 / scale)
         view.along(y0, y1, x0, x0 - 8 / scale)
     return sheet

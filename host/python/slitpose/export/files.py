@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import csv
 import dataclasses
-import math
 from collections import Counter
 from pathlib import Path
 
@@ -14,15 +13,14 @@ from build123d import Color, Compound, export_step, export_stl
 from ezdxf.enums import TextEntityAlignment
 
 from .head import HeadParts
-from .jig import JigParts
+from .jig import STANDOFF_THREAD, JigParts
 from .layout import Cell
 from .pictures import colour
-from .solids import Placed
+from .sizes import Sizes
+from .solids import DOWEL, LENGTHS, Joint, Placed
 
 STL_CHORD = 0.01
 STL_ANGLE = 0.1
-#: Lengths of screws that shops have, mm (ISO 4762, ISO 10642).
-LENGTHS = (4, 5, 6, 8, 10, 12, 16, 20, 25)
 
 
 def stem(name: str) -> str:
@@ -38,12 +36,16 @@ def distinct(placed: list[Placed]) -> dict[str, Placed]:
     return found
 
 
-def write_solids(placed: list[Placed], folder: Path, assembly: str) -> None:
-    """STEP and STL of each part that is made, in its own frame, and one STEP with all parts in place."""
+def write_parts(placed: list[Placed], folder: Path) -> None:
+    """STEP and STL of each part that is made, in its own frame."""
     for name, part in distinct(placed).items():
         if part.made:
             export_step(part.solid, folder / f"{stem(name)}.step")
             export_stl(part.solid, folder / f"{stem(name)}.stl", tolerance=STL_CHORD, angular_tolerance=STL_ANGLE)
+
+
+def write_assembly(placed: list[Placed], folder: Path, assembly: str) -> None:
+    """One STEP with all parts in place."""
     children = []
     for part in placed:
         child = copy.copy(part.solid)
@@ -87,10 +89,8 @@ def write_mask(cell: Cell, name: str, parts: HeadParts, path: Path) -> None:
 
 def slit_corners(cell: Cell) -> list[tuple[float, float]]:
     """Corners of a slit in the cell's x and y."""
-    cos, sin = math.cos(cell.turn), math.sin(cell.turn)
     x, y = cell.slit[0] / 2, cell.slit[1] / 2
-    around = ((x, y), (-x, y), (-x, -y), (x, -y))
-    return [(cell.offset[0] + cos * a - sin * b, cell.offset[1] + sin * a + cos * b) for a, b in around]
+    return [(cell.offset[0] + a, cell.offset[1] + b) for a, b in ((x, y), (-x, y), (-x, -y), (x, -y))]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -104,10 +104,6 @@ class Item:
     file: str
 
 
-def _length(least: float) -> int:
-    return next((length for length in LENGTHS if length >= least), LENGTHS[-1])
-
-
 MATERIALS = {
     "base ring": "aluminium EN AW-6082, black anodised; or black PA12 (SLS)",
     "base plate": "aluminium EN AW-6082, black anodised; or black PA12 (SLS)",
@@ -115,77 +111,70 @@ MATERIALS = {
     "mask frame": "brass or steel, blackened",
     "mask": "steel or bronze foil, blackened: the DXF has tolerances",
     "cover": "black PA12 (SLS) or PLA",
-    "detector board": "FR4 1.6: detector, amplifier, connector; circuit in firmware/README.md",
-    "emitter board": "FR4 1.0: one emitter, two wires",
+    "detector board": "FR4, {sizes.block.board_thickness:g} mm: detector, amplifier, connector; circuit in firmware/README.md",
+    "emitter board": "FR4, {sizes.emitter.board_thickness:g} mm: one emitter, two wires",
     "emitter carrier": "aluminium EN AW-6082, black anodised; or black PA12 (SLS)",
     "handle": "aluminium or black PA12 (SLS)",
-    "tip": "steel, or PA12 with a ball of 3 mm bonded on",
+    "tip": "steel; or PA12, its ball turned from steel and bonded on",
     "jig": "PLA or PA12; gauge faces of aluminium for more than a day's use",
 }
 
 
-def material(name: str) -> str:
+def material(name: str, sizes: Sizes) -> str:
     """What a part is made of."""
-    return next(text for start, text in MATERIALS.items() if name.startswith(start))
+    return next(text for start, text in MATERIALS.items() if name.startswith(start)).format(sizes=sizes)
+
+
+def screw(joint: Joint) -> Item:
+    """The screws of a joint."""
+    return Item(f"screw {joint.thread}x{joint.length}", joint.quantity, "bought", joint.text, "")
 
 
 def bill(placed: list[Placed], parts: HeadParts) -> list[Item]:
     """All parts of a head: made, bought, and screws."""
     sizes, count = parts.sizes, len(parts.layout.cells)
-    block = sizes.block
-    rear = sizes.detector.height - sizes.detector.surface_depth
-    flange = parts.flange_top + rear - block.board_gap
-    wall = parts.flat - parts.inner_radius
+    through = parts.flange_top - parts.flange_rear + sizes.block.dowel_depth
+    dowel = max((length for length in LENGTHS if length <= through), default=LENGTHS[0])
     bought = {
         "detector": f"{sizes.detector.part}; the scene has {parts.layout.detector_part}",
         "emitter": f"{sizes.emitter.part}; the scene has {parts.layout.emitter_part}",
         "mask pin": f"ISO 2338 {sizes.mask.pin_diameter:g} x {sizes.mask.pin_length:g}",
-        "screw M1.6x4": "ISO 7380-1 or lower head",
     }
     items = []
     counts = Counter(part.name for part in placed)
     for name, part in distinct(placed).items():
         if part.made:
-            items.append(Item(name, counts[name], "made", material(name), f"{stem(name)}.step"))
+            items.append(Item(name, counts[name], "made", material(name, sizes), f"{stem(name)}.step"))
     for name, text in bought.items():
         items.append(Item(name, counts[name], "bought", text, ""))
-    cover = _length(block.cover_height + block.board_thickness + block.board_gap + 0.7 * flange)
-    screws = [
-        (f"screw M2.5x{_length(flange + min(wall, 4.0))}", 2 * count, "ISO 10642, block to ring"),
-        ("dowel 2x5", count, "ISO 2338, block to ring: sets the roll"),
-        (f"screw M2x{cover}", 3 * count, "ISO 4762, cover and board to block"),
-        (f"screw M3x{_length(sizes.ring.plate_thickness + 5.0)}", 3, "ISO 10642, base plate to ring"),
-        ("screw M2x6", 6, "ISO 4762, handle and tip to carrier"),
-        ("screw M4", 3, "base plate to the bench; length as needed"),
+    bench = f"base plate to the bench, length as needed: below the plate the tip needs an opening {parts.tip_opening}"
+    return [
+        *items,
+        *(screw(joint) for joint in parts.joints()),
+        Item(f"dowel {DOWEL:g}x{dowel}", count, "bought", "ISO 2338, block to ring: sets the roll", ""),
+        Item("screw M4", 3, "bought", bench, ""),
     ]
-    items += [Item(name, number, "bought", text, "") for name, number, text in screws]
-    return items
 
 
 def jig_bill(jigs: JigParts, fixture: list[Placed]) -> list[Item]:
     """All parts of a jig."""
     counts = Counter(part.name for part in fixture)
     bought = {
-        "jig dowel 4x12": "ISO 2338, fence and stop",
+        jigs.dowel: "ISO 2338, fence and stop",
         "ball": f"bearing ball {2 * jigs.size.ball_radius:g}, G10",
         "gauge block": (
             f"a set: {jigs.size.block:g} at home, {jigs.size.block - jigs.size.steps:g} to"
             f" {jigs.size.block + jigs.size.steps:g} for steps"
         ),
-        "jig standoff": f"M4, {jigs.standoff:g} long, with three screws M4 from below",
+        "jig standoff": f"M4, {jigs.standoff:g} long, thread {STANDOFF_THREAD:g} deep in both ends",
     }
     items = []
     for name, part in distinct(fixture).items():
-        text = material(name) if part.made else bought[name]
+        text = material(name, jigs.parts.sizes) if part.made else bought[name]
         items.append(
             Item(name, counts[name], "made" if part.made else "bought", text, f"{stem(name)}.step" if part.made else "")
         )
-    screw = f"screw M3x{_length(jigs.size.deck_thickness + 5.0)}"
-    return [
-        *items,
-        Item(screw, 3, "bought", "ISO 10642, deck to ring", ""),
-        Item("set screw M3x25", 2, "bought", "ISO 4026, ball plate to handle", ""),
-    ]
+    return [*items, *(screw(joint) for joint in jigs.joints())]
 
 
 def write_bill(items: list[Item], path: Path) -> None:

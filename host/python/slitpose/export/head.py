@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Callable
 
 import numpy as np
@@ -10,8 +11,11 @@ from build123d import Location, Part, Pos
 from .base_parts import BaseParts
 from .layout import Cell, Float, Layout
 from .sizes import Sizes
-from .solids import Placed, location
+from .solids import Joint, Placed, location
 from .tool_parts import ToolParts
+
+#: An M2.5 may stand out of the ring's bore by this: the light passes 11 mm beside it, the tool 1 mm away.
+MAX_PROTRUSION = 0.3
 
 
 class HeadParts(BaseParts, ToolParts):
@@ -20,6 +24,35 @@ class HeadParts(BaseParts, ToolParts):
     def __init__(self, layout: Layout, sizes: Sizes) -> None:
         BaseParts.__init__(self, layout, sizes)
         ToolParts.__init__(self, layout, sizes)
+
+    @property
+    def tip_room(self) -> tuple[float, float]:
+        """Radius about z, and depth below the base plate, of the room that the tip needs over the workspace."""
+        tool, (x, y, z, *turn) = self.sizes.tool, self.layout.workspace
+        tilt = min(math.hypot(*turn[:2]), math.pi / 2)
+        radius = math.hypot(x, y) - tool.tip_z * math.sin(tilt) + tool.tip_ball_radius
+        return radius, max(self.plate_underside - tool.tip_z + float(z) + tool.tip_ball_radius, 0.0)
+
+    @property
+    def tip_opening(self) -> str:
+        """The room of the tip in words."""
+        radius, depth = self.tip_room
+        return f"{math.ceil(2 * radius)} mm wide and {math.ceil(depth)} mm deep"
+
+    def joints(self) -> list[Joint]:
+        """The screws of the head, but for those that hold it."""
+        block, emitter, ring, tool = self.sizes.block, self.sizes.emitter, self.sizes.ring, self.sizes.tool
+        count, flange = len(self.layout.cells), self.flange_top - self.flange_rear
+        wall = min(self.flat_of(cell) for cell in self.layout.cells) - self.inner_radius
+        cover = block.cover_height + block.board_thickness + block.board_gap
+        board, plate = emitter.board_thickness, ring.plate_thickness
+        return [
+            Joint("M2.5", 2 * count, "ISO 7046, countersunk, block to ring", flange, wall, -MAX_PROTRUSION),
+            Joint("M2", 3 * count, "ISO 4762, cover and board to block", cover, flange),
+            Joint("M3", 3, "ISO 7046, countersunk, base plate to ring", plate, ring.corner_depth),
+            Joint("M2", 6, "ISO 4762, handle and tip to carrier", tool.flange_thickness, tool.thread_depth),
+            Joint("M1.6", 2 * count, "ISO 1580, emitter board to carrier", board, emitter.thread_depth),
+        ]
 
 
 def head(parts: HeadParts, poses: tuple[Float, Float]) -> list[Placed]:
@@ -73,7 +106,7 @@ def head(parts: HeadParts, poses: tuple[Float, Float]) -> list[Placed]:
         placed.append(Placed("emitter", emitter, at, cell.number, **bought))  # type: ignore[arg-type]
         for side in (1, -1):
             hole = at * Pos(0, side * sizes.emitter.screw_distance, 0)
-            placed.append(Placed("screw M1.6x4", screw, hole, cell.number, **bought))  # type: ignore[arg-type]
+            placed.append(Placed("screw M1.6", screw, hole, cell.number, **bought))  # type: ignore[arg-type]
     placed.append(Placed("emitter carrier", parts.carrier(), Location(), on_tool=True, away=(0, 0, 1.8)))
     placed.append(Placed("handle", parts.handle(), Location(), on_tool=True, away=(0, 0, 2.6)))
     placed.append(Placed("tip", parts.tip(), Location(), on_tool=True, away=(0, 0, 0.6)))

@@ -14,12 +14,14 @@ from build123d import Align, Box, Cone, Location, Part, Pos, Rot, Sphere
 
 from .head import HeadParts
 from .sizes import ExportError
-from .solids import CLEARANCE, COUNTERSUNK, OVER, THREAD, Placed, rod
+from .solids import CLEARANCE, OVER, THREAD, Joint, Placed, rod, sunk_hole
 
 #: Directions of the vees, degrees.
 VEES = (90.0, 210.0, 330.0)
-#: Lengths of standoffs that shops have, mm.
-STANDOFF = 5.0
+#: Standoffs come in lengths of this step, mm.
+STANDOFF_STEP = 5.0
+#: Thread in each end of a standoff, mm.
+STANDOFF_THREAD = 8.0
 
 
 class JigParts:
@@ -66,10 +68,7 @@ class JigParts:
     def deck(self) -> Part:
         """The plate on the ring."""
         low, top = self.parts.heights[1], self.deck_top
-        head, height = COUNTERSUNK["M3"]
-        hole = rod(CLEARANCE["M3"] / 2, low - OVER, top + OVER) + Pos(0, 0, top - height / 2) * Cone(
-            CLEARANCE["M3"] / 2, head / 2, height
-        )
+        hole = sunk_hole("M3", low, top, head=top)
         deck = rod(max(self.size.deck_radius, self.parts.corner_radius), low, top) - rod(
             self.hole, low - OVER, top + OVER
         )
@@ -120,15 +119,31 @@ class JigParts:
     @property
     def standoff(self) -> float:
         """Length of the three standoffs between foot and base plate."""
-        plate = self.parts.heights[0] - self.parts.sizes.ring.plate_thickness
-        free = plate - (self.tool.tip_z - self.size.cone_drop) + self.size.foot_boss_least
-        return STANDOFF * math.ceil(free / STANDOFF)
+        plate = self.parts.plate_underside
+        above_foot = plate - (self.tool.tip_z - self.size.cone_drop) + self.size.foot_boss_min_height
+        free = max(above_foot, self.parts.tip_room[1])
+        return STANDOFF_STEP * math.ceil(free / STANDOFF_STEP)
+
+    @property
+    def dowel(self) -> str:
+        """Name of the dowels of fence and stop."""
+        return f"jig dowel {2 * self.size.pin_radius:g}x{self.size.deck_thickness + self.size.pin_height:g}"
+
+    def joints(self) -> list[Joint]:
+        """The screws of the jig."""
+        size, ring, deck = self.size, self.parts.sizes.ring, self.size.deck_thickness
+        clamp = size.ball_plate_radius - self.tool.handle_radius
+        return [
+            Joint("M3", 3, "ISO 7046, countersunk, deck to ring", deck, ring.corner_depth),
+            Joint("M4", 3, "ISO 4762, base plate to standoffs", ring.plate_thickness, STANDOFF_THREAD),
+            Joint("M4", 3, "ISO 4762, foot to standoffs", size.foot_thickness, STANDOFF_THREAD),
+            Joint("M3", 2, "ISO 4026, set screws, ball plate to handle", 0.0, clamp),
+        ]
 
     def foot(self) -> Part:
         """The plate under the head, with the cone for the tip."""
         size, ball = self.size, self.tool.tip_ball_radius
-        plate = self.parts.heights[0] - self.parts.sizes.ring.plate_thickness
-        top = plate - self.standoff
+        top = self.parts.plate_underside - self.standoff
         boss = self.tool.tip_z - size.cone_drop
         apex = self.tool.tip_z - ball / math.sin(math.radians(size.cone_half_angle_deg))
         wide = (boss + OVER - apex) * math.tan(math.radians(size.cone_half_angle_deg))
@@ -153,7 +168,7 @@ def jig(jigs: JigParts) -> list[Placed]:
         Placed("jig foot", jigs.foot(), Location(), away=(0, 0, -1.6)),
     ]
     for number, (x, y) in enumerate(jigs.fence_pins()):
-        placed.append(Placed("jig dowel 4x12", pin, Pos(x, y, low), number, made=False, away=(0, 0, 1.9)))
+        placed.append(Placed(jigs.dowel, pin, Pos(x, y, low), number, made=False, away=(0, 0, 1.9)))
     for number, (x, y) in enumerate(jigs.ball_places()):
         ball = Sphere(size.ball_radius)
         placed.append(
@@ -161,7 +176,7 @@ def jig(jigs: JigParts) -> list[Placed]:
         )
     gauge = Pos(-(size.nest_flat + size.block / 2), 0, deck + 4.0) * Box(size.block, 30.0, 8.0)
     placed.append(Placed("gauge block", gauge, Location(), made=False, away=(-0.8, 0, 1.9)))
-    plate = jigs.parts.heights[0] - jigs.parts.sizes.ring.plate_thickness
+    plate = jigs.parts.plate_underside
     standoff = rod(3.5, plate - jigs.standoff, plate)
     for number, (x, y) in enumerate(jigs.parts.plate_holes()):
         placed.append(Placed("jig standoff", standoff, Pos(x, y, 0), number, made=False, away=(0, 0, -1.3)))

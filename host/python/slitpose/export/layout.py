@@ -20,8 +20,8 @@ from .sizes import ExportError, Sizes
 
 Float = NDArray[np.float64]
 
-#: Greatest component of a normal or an emitter's axis along the base's z: the ring's flats are vertical.
-LEVEL = 1e-9
+#: Greatest component of a normal or an emitter's axis along the base's z, and greatest tilt of a slit, rad.
+MAX_OFF_LEVEL = 1e-9
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -34,7 +34,6 @@ class Cell:
     :ivar area: length and width of the active area.
     :ivar slit: width (along the detector's length) and length.
     :ivar offset: centre of the slit, in the cell's x and y.
-    :ivar turn: of the slit about the normal, rad.
     :ivar distance: from the active surface to the mask's mid-plane.
     :ivar thickness: of the mask.
     :ivar emitter: tool frame.
@@ -48,7 +47,6 @@ class Cell:
     area: tuple[float, float]
     slit: tuple[float, float]
     offset: tuple[float, float]
-    turn: float
     distance: float
     thickness: float
     emitter: Float
@@ -67,7 +65,7 @@ class Cell:
     @property
     def mask_variant(self) -> tuple[float, ...]:
         """What makes the masks, and their frames, of two cells the same part."""
-        numbers = (*self.slit, *self.offset, self.turn, self.distance, self.thickness)
+        numbers = (*self.slit, *self.offset, self.distance, self.thickness)
         return tuple(round(number, 9) + 0.0 for number in numbers)
 
     @property
@@ -101,7 +99,7 @@ class Layout:
     """A head that a ring can hold.
 
     :ivar workspace: half extents of the poses that the head is meant for: mm, and rad of the rotation vector.
-    :ivar emitter_part: as the scene names it.
+    :ivar emitter_part, detector_part: as the scene names them.
     """
 
     scene: Scene
@@ -125,24 +123,30 @@ class Layout:
             text = f"{scene.name!r} has {scene.cells} cells; a ring needs at least 3 around the tool"
             raise ExportError(f"{text}: choose another scene (wide, fine, redundant, base, orderable)")
         for number in range(scene.cells):
-            for key in ("normal", "emitter_axis"):
+            where = f"cell {number} of {scene.name!r}"
+            for key, place, outward in (("normal", "detector_m", -1.0), ("emitter_axis", "emitter_m", 1.0)):
                 along_z = float(found[key][number][2])
-                if abs(along_z) > LEVEL:
-                    text = f"cell {number} of {scene.name!r}: {key} has the component {along_z:.6f} along z"
+                if abs(along_z) > MAX_OFF_LEVEL:
+                    text = f"{where}: {key} has the component {along_z:.6f} along z"
                     raise ExportError(f"{text}; the ring's flats are vertical: it must be 0")
-            tilt = found["slit_tilt_rad"][number]
-            if np.abs(tilt[:2]).max() > LEVEL:
-                text = f"cell {number} of {scene.name!r}: slit.tilt_deg leans out of the detector's plane"
+                if outward * (found[key][number] @ found[place][number]) <= 0.0:
+                    wrong = "away from" if outward < 0.0 else "towards"
+                    text = f"{where}: {key} points {wrong} the z axis"
+                    raise ExportError(f"{text}; detectors must face the axis, and emitters the detectors: reverse it")
+            tilt = np.degrees(found["slit_tilt_rad"][number])
+            if np.abs(tilt).max() > np.degrees(MAX_OFF_LEVEL):
+                text = f"{where}: slit.tilt_deg = [{', '.join(f'{number:g}' for number in tilt)}]"
                 raise ExportError(
-                    f"{text} by {np.degrees(np.abs(tilt[:2]).max()):.3f} degrees; masks lie parallel to it"
+                    f"{text}; masks lie parallel to the detector, their slits across its length: it must be 0. To turn"
+                    " a slit about the normal, turn its detector with it (x_axis)"
                 )
         document = tomllib.loads(scene.toml)
         return cls(
             scene=scene,
             cells=[_cell(found, number, sizes) for number in range(scene.cells)],
             workspace=scene.workspace * np.array([1e3, 1e3, 1e3, 1.0, 1.0, 1.0]),
-            emitter_part=document.get("emitter", {}).get("part", "the emitter"),
-            detector_part=document.get("detector", {}).get("part", "the detector"),
+            emitter_part=document.get("emitter", {}).get("part", "not named"),
+            detector_part=document.get("detector", {}).get("part", "not named"),
         )
 
     def poses(self, count: int) -> tuple[Float, Float]:
@@ -164,8 +168,7 @@ class Layout:
         passes = np.ones(len(start), dtype=bool)
         for height in (cell.seat, cell.seat + cell.thickness):
             at = end + (start - end) * (height / start[:, 2])[:, None]
-            in_slit = (at[:, :2] - cell.offset) @ about_z(cell.turn)[:2, :2]
-            passes &= (np.abs(in_slit) <= np.array(cell.slit) / 2).all(axis=1)
+            passes &= (np.abs(at[:, :2] - cell.offset) <= np.array(cell.slit) / 2).all(axis=1)
         pose = np.repeat(np.arange(len(emitters)), len(places))
         return Rays(start[passes], end[passes], pose[passes])
 
@@ -203,7 +206,6 @@ def _cell(found: dict[str, Float], number: int, sizes: Sizes) -> Cell:
         area=pair("active_area_m"),
         slit=pair("slit_m"),
         offset=pair("slit_offset_m"),
-        turn=float(found["slit_tilt_rad"][number][2]),
         distance=float(found["slit_distance_m"][number]) * 1e3,
         thickness=thickness or sizes.mask.thickness,
         emitter=found["emitter_m"][number] * 1e3,

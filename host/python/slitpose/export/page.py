@@ -8,9 +8,11 @@ from html import escape
 from pathlib import Path
 from typing import Sequence
 
-from .checks import LEAST_WALL, Clearance, Light
+from .checks import MIN_GAP, MIN_WALL, Clearance, Light
 from .files import Item
 from .head import HeadParts
+from .jig import JigParts
+from .solids import DOWEL
 
 STYLE = (
     "body{font:16px/1.5 sans-serif;max-width:64em;margin:2em auto;padding:0"
@@ -40,15 +42,15 @@ class Findings:
         found = [f"{fault}: a size of --sizes makes this part impossible" for fault in self.faults]
         found += [f"{pair} overlap: change one of their sizes with --sizes" for pair in self.overlaps]
         found += [
-            f"{name} has a wall of {wall:.2f} mm; {LEAST_WALL} is the least"
+            f"{name} has a wall of {wall:.2f} mm; {MIN_WALL} is the minimum"
             for name, wall in self.walls.items()
-            if wall < LEAST_WALL - 0.01
+            if wall < MIN_WALL - 0.01
         ]
-        if self.clearance.colliding:
+        if self.clearance.least < MIN_GAP:
             x, y, z = self.clearance.worst
             where = (
-                f"the tool touches the housing at {self.clearance.colliding} of {self.clearance.poses} poses, one at"
-                f" ({x:.1f}, {y:.1f}, {z:.1f}) mm"
+                f"the tool touches the housing at {self.clearance.colliding} of {self.clearance.poses} poses; least"
+                f" distance {self.clearance.least:.2f} mm, {MIN_GAP} is the minimum, at ({x:.1f}, {y:.1f}, {z:.1f}) mm"
             )
             found.append(
                 f"{where}; use a smaller [workspace] in the scene, or shorter tool.half_height and emitter.board_length"
@@ -84,45 +86,58 @@ class Findings:
 
 
 def steps(parts: HeadParts) -> list[str]:
-    """How the head is put together."""
+    """How the head is assembled."""
     sizes, count = parts.sizes, len(parts.layout.cells)
     return [
-        "Blacken every part inside: light that bounces is read as a displaced spot.",
+        "Blacken all inside faces: reflected light displaces the measured spot.",
         (
-            f"Lay a mask on the seat of its cell block. Press two pins of {sizes.mask.pin_diameter:g} mm through the"
-            " mask's frame, the mask and the block, flush with the frame. One drop of adhesive on each pin. The table"
-            " of cells says which mask belongs to which block."
+            "Lay a mask on the seat of its cell block; the table of cells lists which. Press two pins of"
+            f" {sizes.mask.pin_diameter:g} mm through the mask's frame, the mask and the block, flush with the frame, and"
+            " put a drop of adhesive on each."
         ),
         (
-            "Solder the detector to its board, flat, turned as the pocket of its block. Lay it into the pocket from"
-            f" behind: its top face rests on the shoulder, and the board stands off by {sizes.block.board_gap:g} mm. Do"
-            " not touch the window."
+            "Solder the detector to its board, flat, and turned like the pocket of its block. Insert it into the pocket"
+            f" from behind: its top face rests on the shoulder, and a gap of {sizes.block.board_gap:g} mm remains between"
+            " board and flange. Do not touch the window."
         ),
         (
-            "Put a dowel of 2 mm into each flat of the ring, then each block into its bore, and fasten it with two"
-            f" countersunk M2.5. There are {count}."
+            f"Press a dowel of {DOWEL:g} mm into each flat of the ring. Insert each of the {count} blocks into its bore,"
+            " and fasten it with two countersunk M2.5."
         ),
         (
-            "Lay a cover on each board, its cable opening downwards, and fasten cover and board with three M2. Tighten"
-            " evenly, until board and flange are parallel."
+            "Place a cover on each board, its cable opening downwards, and fasten cover and board with three M2. Tighten"
+            " them evenly, until board and flange are parallel."
         ),
+        "Fasten the ring to the base plate with three countersunk M3 from below.",
         (
-            "Fasten the ring to the base plate with three countersunk M3 from below, and the base plate to the bench"
-            " with three M4."
-        ),
-        (
-            "Lay each emitter's board into its pocket, wires through the hole, and fasten it with two M1.6. Lead the"
+            "Place each emitter's board in its pocket, its wires through the hole, and fasten it with two M1.6. Lead the"
             " wires up through the bore."
         ),
         (
-            "Fasten handle and tip to the carrier with three M2 each. Leave the cable a loose loop: it must not pull at"
+            "Fasten handle and tip to the carrier with three M2 each. Leave a loose loop of cable: it must not pull at"
             " the tool."
         ),
         (
-            "Wire as in firmware/README.md: cell and emitter numbers are those of the scene, and the table of cells"
-            " says where electrode 2 is. Then check with: slitpose doctor --bring-up"
+            "Fasten the base plate to the bench with three M4, over an opening"
+            f" {parts.tip_opening} in which the tip moves, or on standoffs as long as this is deep."
         ),
-        "Calibrate: the parts are known to about 0.1 mm only, as made. slitpose calibrate finds the rest.",
+        (
+            "Wire the head as in firmware/README.md: cells and emitters have the scene's numbers, and the table of cells"
+            " lists where electrode 2 is. Then check it: slitpose doctor --bring-up"
+        ),
+        "Calibrate: as made, parts are known to about 0.1 mm only. slitpose calibrate measures where they are.",
+    ]
+
+
+def motions(jigs: JigParts) -> list[tuple[str, str]]:
+    """What is mounted for each motion of the calibration with the jig."""
+    on_standoffs = f"base plate on standoffs of {jigs.standoff:g} mm"
+    stage = f"{on_standoffs}, no foot: the tip must be free; deck, nest, and ball plate on the handle"
+    return [
+        ("--free", f"{on_standoffs}, nothing else of the jig: foot and deck are in the tool's way"),
+        ("--pivot", f"{on_standoffs}, foot below them; no deck, nest or ball plate"),
+        ("--rest", f"{stage}. Clamp the nest to the deck"),
+        ("--stage", f"{stage}. The nest slides along the fence, against the gauge block"),
     ]
 
 
@@ -145,7 +160,7 @@ def write(
     drawings: Sequence[str],
     blocks: dict[int, str],
     masks: dict[int, str],
-    has_jig: bool,
+    jigs: JigParts | None,
 ) -> None:
     """Writes the page. Pictures and drawings lie beside it."""
 
@@ -168,12 +183,13 @@ def write(
     lists = "".join(f"<li>{escape(step)}</li>" for step in steps(parts))
     sheets = "".join(f'<li><a href="{name}">{name}</a></li>' for name in drawings)
     jig = ""
-    if has_jig:
+    if jigs:
         jig = (
             "<h2>Jig</h2>"
-            + picture("jig", "Nest, stage and cone on the head")
+            + picture("jig", "All parts of the jig; each motion needs some of them")
             + picture("jig_exploded", "Its parts")
-            + "<p>Use: chapter build.md of the guide.</p>"
+            + table(("motion", "mounted"), motions(jigs))
+            + "<p>How to move the tool: chapter build.md of the guide.</p>"
         )
     turned = "electrode 2, clockwise from the top, seen from outside"
     cells = table(("cell", "direction, from x towards y", "block", "mask", turned), cell_rows(parts, blocks, masks))
@@ -188,7 +204,7 @@ software uses. Workspace {extent}.</p>
 <h2>Parts</h2>{table(("item", "number", "", "material or specification", "file"), bill)}
 <p>Everything in place: {link("assembly.step")}. The bill as a table: {link("bill.csv")}. Masks: DXF. STL beside STEP.</p>
 <h2>Cells</h2>{cells}
-<h2>Drawings</h2><ul>{sheets}</ul><h2>Putting it together</h2><ol>{lists}</ol>{jig}
+<h2>Drawings</h2><ul>{sheets}</ul><h2>Assembly</h2><ol>{lists}</ol>{jig}
 <h2>Checks of the drawings</h2>{table(("check", "result"), [(escape(a), escape(b)) for a, b in findings.rows()])}</html>
 """
     path.write_text(html, encoding="utf-8")

@@ -6,6 +6,7 @@ Lengths are millimetres on the part; a view is drawn at its scale. First-angle p
 from __future__ import annotations
 
 import dataclasses
+import textwrap
 from html import escape
 from typing import Sequence
 
@@ -17,6 +18,8 @@ from .layout import Float
 TEXT = 3.0
 ARROW = 2.2
 GAP = 1.0
+#: Characters in a line of notes, left of the title.
+NOTE_WIDTH = 125
 #: Far enough to see every part in parallel projection, mm.
 FAR = 1000.0
 GENERAL = "ISO 2768-mK; edges broken 0.2; inner corners R 0.5, relieved where a part sits in them; unit mm"
@@ -49,7 +52,7 @@ class Sheet:
     def svg(self) -> str:
         """The whole sheet."""
         w, h = self.width, self.height
-        box = w - 150, h - 42
+        box = w - 165, h - 42
         rows = [
             self.title,
             self.material,
@@ -58,8 +61,8 @@ class Sheet:
         ]
         for row, text in enumerate(rows):
             self.text(box[0] + 3, box[1] + 8 + 8 * row, text, "start", size=5 if row == 0 else TEXT)
-        for row, text in enumerate(self.notes):
-            self.text(14, h - 14 - 5 * (len(self.notes) - 1 - row), text, "start")
+        for row, text in enumerate(reversed(textwrap.wrap(" ".join(self.notes).replace(" +-", "\xa0+-"), NOTE_WIDTH))):
+            self.text(14, h - 14 - 5 * row, text, "start")
         frame = f'<rect class="frame" x="8" y="8" width="{w - 16}" height="{h - 16}"/>'
         title = f'<rect class="frame" x="{box[0]}" y="{box[1]}" width="{w - 8 - box[0]}" height="{h - 8 - box[1]}"/>'
         style = (
@@ -109,11 +112,11 @@ class Projection:
 
     def across(self, x0: float, x1: float, y0: float, y: float, text: str = "") -> None:
         """A horizontal dimension between x0 and x1 at y (view), with extension lines from y0."""
-        self._dimension((x0, y0), (x1, y0), (x0, y), (x1, y), text or number(x1 - x0), 0.0)
+        self._dimension((x0, y0), (x1, y0), (x0, y), (x1, y), text or number(abs(x1 - x0)), 0.0)
 
     def along(self, y0: float, y1: float, x0: float, x: float, text: str = "") -> None:
         """A vertical dimension between y0 and y1 at x (view), with extension lines from x0."""
-        self._dimension((x0, y0), (x0, y1), (x, y0), (x, y1), text or number(y1 - y0), -90.0)
+        self._dimension((x0, y0), (x0, y1), (x, y0), (x, y1), text or number(abs(y1 - y0)), -90.0)
 
     def _dimension(
         self,
@@ -142,20 +145,12 @@ class Projection:
         self._arrow(np.array(end), -inward * unit)
         middle = (np.array(start) + np.array(end)) / 2
         fits = length > 0.55 * TEXT * len(text) + 2 * ARROW
+        beyond = 3 + 0.28 * TEXT * len(text)
         if turn:
-            at = (
-                middle + np.array([-0.8, 0.0])
-                if fits
-                else np.array([start[0] - 0.8, min(start[1], end[1]) - 3 - 0.28 * TEXT * len(text)])
-            )
-            sheet.text(float(at[0]), float(at[1]), text, turn=turn)
+            x, y = start[0] - 0.8, middle[1] if fits else min(start[1], end[1]) - beyond
         else:
-            at = (
-                middle + np.array([0.0, -0.8])
-                if fits
-                else np.array([max(start[0], end[0]) + 3 + 0.28 * TEXT * len(text), start[1] - 0.8])
-            )
-            sheet.text(float(at[0]), float(at[1]), text)
+            x, y = middle[0] if fits else max(start[0], end[0]) + beyond, start[1] - 0.8
+        sheet.text(float(x), float(y), text, turn=turn)
 
     def _arrow(self, tip: Float, direction: Float) -> None:
         side = np.array([-direction[1], direction[0]])
@@ -194,8 +189,14 @@ def _polyline(edge: Edge) -> list[tuple[float, float]]:
 
 
 def number(value: float) -> str:
-    """A length with three decimals at most, without zeros at its end."""
-    return f"{abs(value):.3f}".rstrip("0").rstrip(".")
+    """A number with three decimals at most, without zeros at its end."""
+    return f"{round(value, 3) + 0.0:.3f}".rstrip("0").rstrip(".")
+
+
+def numbers(values: Sequence[float]) -> str:
+    """Values of cells: one number if all are equal, else all of them."""
+    shown = [number(value) for value in values]
+    return shown[0] if len(set(shown)) == 1 else f"{', '.join(shown)} (cells 0 to {len(shown) - 1})"
 
 
 def _ratio(scale: float) -> str:

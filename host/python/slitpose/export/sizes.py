@@ -1,12 +1,14 @@
 """Sizes of bought parts, walls, fits and screws from which housings and jigs are made.
 
-Lengths are millimetres, as in drawings. Each number has its origin beside it. "Assumed" means that no drawing of the
-maker was at hand: compare it with the part before ordering, and give the correct number in a file for ``--sizes``.
+Lengths are millimetres, as in drawings. Sizes of bought parts are those of their data sheets, or "assumed": no drawing of
+the maker was at hand, so compare them with the part before ordering, and give the correct ones in a file for ``--sizes``.
+All others are choices of this design.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
 import tomllib
 from pathlib import Path
 from typing import Any, TypeVar
@@ -42,6 +44,8 @@ class Emitter:
     board_length: float = 12.0
     board_thickness: float = 1.0
     screw_distance: float = 4.2  # M1.6, from the emitter
+    thread_depth: float = 3.5  # M1.6, in the carrier
+    screw_head: float = 1.0  # height, ISO 1580
     pocket_depth: float = 0.5  # of the board's pocket, which locates it
     clearance: float = 0.05  # on each side in its pocket
 
@@ -61,6 +65,7 @@ class Block:
     plate: float = 1.5  # that carries the mask
     ring_screw: float = 11.4  # M2.5, from the middle, along z
     corner: float = 6.5  # M2 and dowel, beside the M2.5
+    dowel_depth: float = 2.5  # in the ring
     board_thickness: float = 1.6
     cover_height: float = 6.5
     cover_wall: float = 1.2
@@ -77,7 +82,7 @@ class Mask:
     pin_length: float = 4.0  # ISO 2338
     frame_radius: float = 7.8
     frame_thickness: float = 0.8
-    slit_width_tolerance: float = 0.012  # both ways, as the scene's [tolerance]
+    slit_width_tolerance: float = 0.012  # both ways: etched or laser-cut foil
     slit_position_tolerance: float = 0.02  # against the pins
 
 
@@ -101,6 +106,7 @@ class Tool:
     wire_hole_diameter: float = 2.6
     wire_hole_distance: float = 1.2
     screw_radius: float = 7.2  # M2, of handle and tip
+    thread_depth: float = 3.0  # of these, in the carrier
     flange_radius: float = 9.4
     flange_thickness: float = 3.0
     handle_radius: float = 5.0
@@ -133,7 +139,7 @@ class Jig:
     fence_spread: float = 16.0  # of its two pins, from the middle
     foot_thickness: float = 6.0
     foot_boss_radius: float = 8.0
-    foot_boss_least: float = 8.0  # height
+    foot_boss_min_height: float = 8.0
     cone_half_angle_deg: float = 45.0
     cone_drop: float = 0.2  # of the boss below the ball's middle
     clamp_clearance: float = 0.05  # around the handle, on the radius
@@ -155,13 +161,13 @@ class Sizes:
     def open(cls, path: Path | None) -> Sizes:
         """The sizes above, with those that a TOML file gives instead, such as ``detector.length = 16.2``.
 
-        :raises ExportError: The file cannot be read, or has a key that is not a size.
+        :raises ExportError: The file cannot be read, or has a key that is not a size, or a value that no size can have.
         """
         if path is None:
             return cls()
         try:
             given = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (OSError, tomllib.TOMLDecodeError) as error:
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
             raise ExportError(f"{path}: {error}; give a TOML file of sizes, such as: detector.length = 16.2") from error
         return _replaced(cls(), given, str(path))
 
@@ -181,7 +187,10 @@ def _replaced(group: Group, given: dict[str, Any], place: str) -> Group:
         elif isinstance(present, str) and isinstance(value, str):
             changes[key] = value
         elif isinstance(present, float) and isinstance(value, (int, float)) and not isinstance(value, bool):
+            if not math.isfinite(value) or value * present <= 0.0:
+                sign = "positive" if present > 0.0 else "negative"
+                raise ExportError(f"{place}: {key} = {value} must be {sign} and finite, such as {present:g}")
             changes[key] = float(value)
         else:
-            raise ExportError(f"{place}: {key} = {value!r} is no such size; the present one is {present!r}")
+            raise ExportError(f"{place}: {key} = {value!r} has the wrong type; give one such as {present!r}")
     return dataclasses.replace(group, **changes)  # type: ignore[type-var]

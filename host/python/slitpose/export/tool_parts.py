@@ -5,13 +5,11 @@ Each method makes one part in its own frame. Lengths are millimetres.
 
 from __future__ import annotations
 
-import math
-
 from build123d import Cone, Part, Pos, Sphere, extrude
 
 from .layout import Cell, Layout
 from .sizes import ExportError, Sizes
-from .solids import CLEARANCE, OVER, THREAD, cut, location, polygon, rod, shifted, slab
+from .solids import CLEARANCE, OVER, THREAD, cut, location, polygon, rod, shifted, slab, three_between
 
 
 class ToolParts:
@@ -34,11 +32,7 @@ class ToolParts:
 
     def tool_screws(self) -> list[tuple[float, float]]:
         """Places of three M2 screws of handle and tip, between emitters."""
-        towards = sorted(math.atan2(cell.emitter[1], cell.emitter[0]) for cell in self.layout.cells)
-        between = [(a + b) / 2 for a, b in zip(towards, [*towards[1:], towards[0] + 2 * math.pi])]
-        chosen = [between[round(third * len(between) / 3) % len(between)] for third in range(3)]
-        radius = self.sizes.tool.screw_radius
-        return [(radius * math.cos(angle), radius * math.sin(angle)) for angle in chosen]
+        return three_between([cell.emitter for cell in self.layout.cells], self.sizes.tool.screw_radius)
 
     def carrier(self) -> Part:
         """The emitter carrier: a flat with a pocket for each emitter's board, around a bore for their wires."""
@@ -62,14 +56,14 @@ class ToolParts:
         for cell, flat in zip(cells, flats):
             depth = -emitter.source_height - emitter.board_thickness
             pocket = slab(x, y, depth, depth + emitter.pocket_depth + OVER)
-            screw = rod(THREAD["M1.6"] / 2, depth - 3.5, depth + OVER)
+            screw = rod(THREAD["M1.6"] / 2, depth - emitter.thread_depth, depth + OVER)
             wires = rod(size.wire_hole_diameter / 2, depth - flat, depth + OVER)
             holes = [pocket, shifted(0, -size.wire_hole_distance, wires)]
             holes += [shifted(0, side * emitter.screw_distance, screw) for side in (1, -1)]
             tools += [hole.moved(location(cell.emitter, cell.tool_from_emitter)) for hole in holes]
         for at in self.tool_screws():
-            tools.append(shifted(*at, rod(THREAD["M2"] / 2, low - OVER, low + 3.0)))
-            tools.append(shifted(*at, rod(THREAD["M2"] / 2, high - 3.0, high + OVER)))
+            tools.append(shifted(*at, rod(THREAD["M2"] / 2, low - OVER, low + size.thread_depth)))
+            tools.append(shifted(*at, rod(THREAD["M2"] / 2, high - size.thread_depth, high + OVER)))
         return cut(body, tools)
 
     def emitter_board(self) -> Part:
@@ -88,8 +82,9 @@ class ToolParts:
         return package - slab(size.source_size, size.source_size, 0, top + OVER)
 
     def emitter_screw(self) -> Part:
-        """The head of an M1.6 screw on the emitter's board (ISO 7380-1: 0.9 high, 3.2 wide), in the emitter's frame."""
-        return rod(1.6, -self.sizes.emitter.source_height, 0.9 - self.sizes.emitter.source_height)
+        """The head of an M1.6 screw on the emitter's board (ISO 1580: 3.2 wide), in the emitter's frame."""
+        size = self.sizes.emitter
+        return rod(1.6, -size.source_height, size.screw_head - size.source_height)
 
     def _flange(self, z0: float, z1: float) -> Part:
         hole = rod(CLEARANCE["M2"] / 2, z0 - OVER, z1 + OVER)

@@ -59,8 +59,8 @@ fn hints(listed: &[Listed]) -> Vec<&'static str> {
     let mut hints = Vec::new();
     if !listed.iter().any(|it| it.device().is_some()) {
         hints.push(
-            "no board found. Check its power, and that the cable carries data: `lsusb` shows a board as 1209:0001, and \
-             an ST-LINK as 0483:374e. Look at other ports with --search '/dev/ttyUSB*', or use a simulated board: \
+            "no board found. Check its power, and that the cable carries data: a board is the USB device 1209:0001, and \
+             an ST-LINK 0483:374e. Look at other ports with --search '/dev/ttyUSB*', or use a simulated board: \
              --device sim",
         );
     }

@@ -16,9 +16,9 @@ use slitpose_protocol::{BootTarget, Command, Hashes, ResetCause, Schedule};
 
 use super::{CommandError, Outcome, options, talk};
 use crate::device::{
-    BoardInfo, Contact, Conversation, Device, DeviceError, Found, Search, Selector, SerialDevice, SimulatedDevice,
-    find, holders,
+    BoardInfo, Contact, Conversation, Device, DeviceError, Found, Search, Selector, SerialDevice, SimulatedDevice, find,
 };
+use crate::platform::holders;
 use slitpose_tracking::link::Versions;
 use slitpose_tracking::pipeline::PipelineError;
 use slitpose_tracking::solving;

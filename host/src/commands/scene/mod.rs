@@ -154,12 +154,12 @@ fn plot(args: &PlotArgs) -> Result<Outcome, CommandError> {
     let plan = CompiledScene::<f64>::compile(&file.scene, Tier::Exact { tolerance: TOLERANCE })?;
     let pose = args.pose.unwrap_or(Pose::HOME);
     let picture = match args.cell {
-        None => scene_picture(&file.name, &file.scene, &plan, &pose)?,
+        None => scene_picture(&file.name, &file.scene, &plan, &pose),
         Some(number) => {
             let last = file.scene.cells.len() - 1;
             let missing = || anyhow!("there is no cell {number}; the scene has the cells 0 to {last}");
             let cell = file.scene.cells.get(number).ok_or_else(missing)?;
-            cell_picture(&file.name, number, cell, &plan, &pose)?
+            cell_picture(&file.name, number, cell, &plan, &pose)
         }
     };
     Output::open(Some(&args.output))?.write_text(&picture)?;

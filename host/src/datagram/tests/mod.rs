@@ -12,6 +12,7 @@ use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 use super::*;
+use crate::platform::UnixClient;
 use crate::samples;
 use slitpose_tracking::clock::{HostInstant, HostTime};
 use slitpose_tracking::link::DeviceId;

@@ -9,8 +9,8 @@ use tempfile::TempDir;
 use super::{Bench, DEVICE, OTHER, record};
 use crate::address::ServeError;
 use crate::datagram::server::LEASE;
-use crate::datagram::socket::pass;
-use crate::datagram::{Address, Answer, DatagramServer, Mode, PoseDatagram, Request, UnixClient};
+use crate::datagram::{Address, Answer, DatagramServer, Mode, PoseDatagram, Request};
+use crate::platform::{UnixClient, pass};
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::pipeline::Record;
 

@@ -6,6 +6,7 @@ use std::ops::RangeInclusive;
 use std::time::{Duration, Instant};
 
 use anyhow::{Error, Result, anyhow, bail};
+use slitpose_firmware::pcb;
 use slitpose_model::{CompiledScene, Tier};
 use slitpose_protocol::{
     AdcScaling, BoardKind, Configuration, Decoder, HardwareFault, MAX_MESSAGE_BYTES, Message, Rejection, Schedule,
@@ -193,9 +194,6 @@ impl Reader {
 
 // Signals.
 
-/// The page with the wiring table: signal, pin, function, place on the Morpho connectors.
-const PAGE: &str = include_str!("../../../../firmware/README.md");
-
 const LEVELS: [RangeInclusive<usize>; 2] = [0..=2, 3..=5];
 
 /// The two electrodes of a cell, in the order of its words.
@@ -222,7 +220,7 @@ impl Wiring {
     /// The pin of the microcontroller for `signal`, and its place on the Morpho connectors, `PC10, CN7-1`, if the board is
     /// the one that the table describes.
     fn pin(self, signal: &str) -> Option<String> {
-        PAGE.lines().filter(|_| self == Self::Nucleo).find_map(|line| {
+        pcb::PAGE.lines().filter(|_| self == Self::Nucleo).find_map(|line| {
             let fields: Vec<&str> = line.strip_prefix("| ")?.split(" | ").collect();
             match fields[..] {
                 [name, pin, _, morpho, ..] if name == signal => Some(format!("{pin}, {morpho}")),

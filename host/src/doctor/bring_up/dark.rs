@@ -206,18 +206,6 @@ mod tests {
     }
 
     #[test]
-    fn emitters_that_shine_with_their_gates_off_are_named() {
-        let good = judge_gates(&[0.5, 0.0, -0.5, 0.0, -2.1, 0.0], Wiring::Nucleo);
-        assert_eq!(good.grade, Grade::Ok, "{good}");
-        // 20 codes are light of emitter 1 on another cell.
-        let stuck = judge_gates(&[0.0, -2_734.0, 0.0, -800.0, -20.0, 0.0], Wiring::Nucleo);
-        assert!(stuck.grade == Failed && stuck.text.ends_with("off: 1 (2734 codes), 3 (800 codes)"), "{stuck}");
-        assert_eq!(judge_gates(&[0.0, 0.0, -20.0], Wiring::Nucleo).grade, Failed);
-        assert!(stuck.to_string().contains("gate of emitter 1 (PC7, CN10-19)"), "{stuck}");
-        assert!(!judge_gates(&[99.0; 6], Wiring::Unknown).to_string().contains("CN"));
-    }
-
-    #[test]
     fn too_noisy_too_quiet_and_stepping_channels_are_told_apart() {
         let good = Codes { mean: 4_031.0, rms: 1.05, distinct: 8, step: 1 };
         for (codes, grade, words) in [

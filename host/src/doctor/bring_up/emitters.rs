@@ -318,29 +318,6 @@ mod tests {
         assert!(turned.grade == Failed && turned.text.contains("cells 2:"), "{turned}");
     }
 
-    /// `stray`: shares of own light, `[cell][emitter]`.
-    fn judged(stray: &[(usize, usize, f64)], predicted: f64) -> Vec<Finding> {
-        let mut responses = vec![vec![Pair::default(); 6]; 6];
-        for (cell, row) in responses.iter_mut().enumerate() {
-            row[cell] = OWN;
-        }
-        for &(cell, emitter, share) in stray {
-            responses[cell][emitter] = Pair { i_x1_a: 2.0 * share * OWN.i_x1_a, i_x2_a: 0.0 };
-        }
-        judge_crosstalk(&responses, &[OWN; 6], &Expected { own: vec![OWN; 6], stray: vec![vec![predicted; 6]; 6] })
-    }
-
-    #[test]
-    fn a_missing_baffle_is_named_by_its_pair() {
-        assert!(judged(&[(1, 2, 0.009)], 0.0).iter().all(|finding| finding.grade == Grade::Ok));
-        assert!(judged(&[(1, 2, 0.05)], 0.045).iter().all(|finding| finding.grade == Grade::Ok));
-        let findings = judged(&[(1, 2, 0.05), (2, 1, 0.05)], 0.0);
-        let failed: Vec<_> = findings.iter().filter(|finding| finding.grade == Failed).collect();
-        assert_eq!(failed.len(), 2);
-        assert!(failed[0].text.contains("too much by emitter 2") && failed[0].text.contains("5.00"), "{}", failed[0]);
-        assert!(failed[1].to_string().contains("between cell 2 and 1"), "{}", failed[1]);
-    }
-
     #[test]
     fn dark_cells_and_moving_tools_are_not_taken_for_stray_light() {
         let mut responses = vec![vec![Pair::default(); 2]; 2];

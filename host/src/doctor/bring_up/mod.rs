@@ -188,21 +188,3 @@ impl BringUp {
         })
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn steps_are_named_by_number_and_by_name() {
-        for step in Step::ALL {
-            assert_eq!(step.name.parse::<Step>().unwrap().name, step.name);
-            assert_eq!(step.number().to_string().parse::<Step>().unwrap().name, step.name);
-        }
-        for text in ["0", "11", "Dark", ""] {
-            let error = text.parse::<Step>().unwrap_err();
-            assert!(error.contains("crosstalk") && error.contains(text), "{error}");
-        }
-        assert_eq!(Step::ALL[9].to_string(), "step 10 of 10, storage");
-    }
-}

@@ -1,5 +1,7 @@
 //! Words of some frames, and what follows from them for one word: mean, noise, and the steps of its codes.
 
+use std::cmp::Ordering;
+
 use slitpose_model::{CompiledScene, Pair, Pose};
 use slitpose_protocol::{AdcScaling, Configuration, EmitterSet, Exposure, Level, MAX_CELLS, RawScan, Schedule};
 
@@ -99,21 +101,16 @@ pub(super) fn at(schedule: Schedule, level: Level) -> Configuration {
 /// Rounds in which each of `count` emitters is lit along with each other one once: the circle method for tournaments.
 /// Where the number is odd, one emitter of each round is lit alone.
 pub(super) fn rounds(count: usize) -> Vec<Vec<Vec<usize>>> {
-    let seats = count + count % 2;
-    let turning = seats.saturating_sub(1);
-    let group = |first: usize, second: usize| {
-        let mut group: Vec<_> = [first, second].into_iter().filter(|&emitter| emitter < count).collect();
-        group.sort_unstable();
-        group
+    let turning = (count + count % 2).saturating_sub(1);
+    let group = |round: usize, first: usize| {
+        let second = (round + turning - first) % turning;
+        match first.cmp(&second) {
+            Ordering::Less => Some(vec![first, second]),
+            Ordering::Equal => Some([first, turning].into_iter().filter(|&emitter| emitter < count).collect()),
+            Ordering::Greater => None,
+        }
     };
-    (0..turning)
-        .map(|round| {
-            let seat = |k: usize| (round + k) % turning;
-            let fixed = group(turning, seat(0));
-            let others = (1..seats / 2).map(|k| group(seat(k), seat(turning - k)));
-            std::iter::once(fixed).chain(others).collect()
-        })
-        .collect()
+    (0..turning).map(|round| (0..turning).filter_map(|first| group(round, first)).collect()).collect()
 }
 
 /// Least share of the scene's light at which an electrode, or a cell, counts as lit.

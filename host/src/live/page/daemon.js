@@ -7,7 +7,7 @@ import { facts } from "./numbers.js";
 
 const FACTS = [
   "Board", "Link", "Rate", "Scans", "Lost on the board", "Lost on the link", "Lost on the host", "Latency",
-  "of which link, host", "Lag", "Clock", "Health of the board", "Its last message", "Program",
+  "of which link, host", "Lag", "Clock", "Trigger input", "Health of the board", "Its last message", "Program",
 ];
 
 export class Daemon {
@@ -18,7 +18,7 @@ export class Daemon {
     const state = report?.boards[board];
     show(byId("facts"), Boolean(state));
     if (!state) return;
-    const { link, losses, lag, clock, vitals, complaint, rates } = state;
+    const { link, losses, lag, clock, vitals, trigger, complaint, rates } = state;
     const { board: onBoard, link: onLink, host: onHost } = losses;
     const damaged = onLink.bad_checksum + onLink.misframed + onLink.overlong;
     this.#write({
@@ -28,7 +28,7 @@ export class Daemon {
       "Scans": count(state.scans),
       "Lost on the board": `${count(onBoard.scans_dropped)} dropped, ${count(onBoard.scans_lost)} in acquisition, ${count(onBoard.adc_overruns)} overruns`,
       "Lost on the link": `${count(onLink.scans)} scans, ${count(damaged)} packets damaged, ${count(onLink.unreadable)} unreadable, ${count(onLink.scans_repeated)} scans repeated`,
-      "Lost on the host": `${bytes(onHost.bytes_unrecorded)} unrecorded, ${bytes(onHost.bytes_unpublished)} unpublished, ${count(onHost.poses_unsent)} poses unsent, ${count(lag.skipped_scans)} scans skipped`,
+      "Lost on the host": `${bytes(onHost.bytes_unrecorded)} unrecorded, ${count(onHost.poses_unsent)} poses unsent, ${count(lag.skipped_scans)} scans skipped`,
       "Latency": quantiles(state.latencies.total),
       "of which link, host": `${quantiles(state.latencies.link)}; ${quantiles(state.latencies.host)}`,
       "Lag": lag.behind
@@ -37,6 +37,7 @@ export class Daemon {
       "Clock": clock.uncertainty_s == null
         ? "not known yet"
         : `± ${engineering(clock.uncertainty_s, "s")}, drift ${fixed(clock.drift_ppm, 2, { plus: true })} ppm${clock.contradicts_crystal ? ", contradicts its crystal" : ""}`,
+      "Trigger input": trigger && `${count(trigger.edges)} edges, ${trigger.is_high ? "high" : "low"} since ${fixed(trigger.last_device_time_s, 4)} s${trigger.missed || trigger.dropped ? `; ${count(trigger.missed)} or more came too fast, ${count(trigger.dropped)} were dropped` : ""}`,
       "Health of the board": vitals && `${fixed(vitals.supply_v, 2)} V, ${fixed(vitals.temperature_k - 273.15, 0)} °C, ${fixed(vitals.cpu_load * 100, 0)} % CPU`,
       "Its last message": complaint && complaint.text,
       "Program": `${report.program} ${report.version}, up ${duration(report.uptime_s)}${report.process ? `, ${bytes(report.process.resident_bytes)}` : ""}`,

@@ -13,6 +13,14 @@ export function make(tag, className, ...children) {
   return element;
 }
 
+/** A new button that does this. */
+export function button(text, act) {
+  const element = make("button", "", text);
+  element.type = "button";
+  element.addEventListener("click", act);
+  return element;
+}
+
 /** Writes text only if it differs: an equal text would cost a layout. */
 export function write(element, text) {
   if (element.textContent !== text) element.textContent = text;

@@ -2,7 +2,7 @@
  * Leads through a calibration without an instrument: what to do, how much of the workspace has been seen, and what the
  * recordings so far leave open. Each part is a recording of its own; steps and stops are marked by notes in it.
  */
-import { byId, make, remember, remembered, show, write } from "./dom.js";
+import { button, byId, make, remember, remembered, show, write } from "./dom.js";
 import { COORDINATES, fixed } from "./format.js";
 import { coordinates } from "./vectors.js";
 
@@ -45,6 +45,8 @@ export class Guide {
   #files = remembered("guide") ?? {};
   /** Of the part being recorded: its recording, when it began, least and greatest coordinates, marks. */
   #running = null;
+  /** Whether a recording is under way that is no part of the session. */
+  #isBusy = false;
   #workspace = null;
   #bars;
   #calibration = null;
@@ -67,19 +69,17 @@ export class Guide {
       this.#write();
     });
     byId("guide-begin").addEventListener("click", () => this.#beginOrEnd());
+    byId("guide-step").addEventListener("input", () => this.#write());
     byId("guide-mark").addEventListener("click", () => this.#mark());
     byId("guide-adjust").addEventListener("click", () => {
       const of = (key) => (this.#files[key] ? [this.#files[key]] : []);
       this.send({ kind: "calibrate", free: of("free"), pivot: of("pivot"), stage: of("stage"), rest: of("rest") });
     });
     byId("guide-parts").append(...PARTS.map(({ title }, part) => {
-      const choice = make("button", "", `${part + 1}. ${title}`);
-      choice.type = "button";
-      choice.addEventListener("click", () => {
+      return button(`${part + 1}. ${title}`, () => {
         if (!this.#running) this.#part = part;
         this.#write();
       });
-      return choice;
     }));
   }
 
@@ -90,13 +90,18 @@ export class Guide {
   /** A frame of the board. */
   frame(frame) {
     if (!this.#running?.file || !frame.t_m || !frame.q_xyzw) return;
-    const { least, most } = this.#running;
+    const [{ least, most }, values] = [this.#running, coordinates(frame)];
     // A head that is not calibrated has wrong poses now and then.
-    if (coordinates(frame).some((value, axis) => Math.abs(value) > FARTHEST * (this.#workspace?.[axis] ?? Infinity))) return;
-    coordinates(frame).forEach((value, axis) => {
+    if (values.some((value, axis) => Math.abs(value) > FARTHEST * (this.#workspace?.[axis] ?? Infinity))) return;
+    values.forEach((value, axis) => {
       least[axis] = Math.min(least[axis], value);
       most[axis] = Math.max(most[axis], value);
     });
+  }
+
+  /** The daemon has refused a request: a recording that was asked for does not begin. */
+  refused() {
+    if (this.#running?.file === "") this.#running = null;
   }
 
   /** A `calibration` message. */
@@ -133,6 +138,7 @@ export class Guide {
     show(byId("open-guide"), Boolean(isOffered));
     show(byId("guide-panel"), Boolean(isOffered && this.#isOpen));
     const running = this.#running;
+    this.#isBusy = !running && recorder?.state === "recording";
     if (running && !running.file && recorder?.state === "recording" && recorder.file) {
       [running.file, running.at_ms] = [recorder.file.split("/").at(-1), performance.now()];
     } else if (running?.file && recorder && recorder.state !== "recording") {
@@ -171,12 +177,14 @@ export class Guide {
       write(value, running ? `${fixed(shares[axis] * 100, 0)} %` : "–");
     });
     write(byId("guide-begin"), running ? "■ End this part" : this.#files[part.key] ? "● Do it again" : "● Begin");
-    byId("guide-begin").disabled = Boolean(running && !running.file);
+    const hasStep = part.key !== "stage" || Boolean(byId("guide-step").valueAsNumber);
+    byId("guide-begin").disabled = running ? !running.file : this.#isBusy || !hasStep;
     show(byId("guide-mark"), Boolean(part.mark && running?.file));
     write(byId("guide-mark"), part.key === "stage" ? `${part.mark}: ${this.#step()} mm` : part.mark ?? "");
     show(byId("guide-step-choice"), part.key === "stage");
     byId("guide-step").disabled = Boolean(running);
-    write(byId("guide-advice"), running?.file ? this.#advice(part, shares) : "");
+    const obstacle = this.#isBusy ? "Another recording is under way: stop it first." : hasStep ? "" : "Give the length of a step.";
+    write(byId("guide-advice"), running?.file ? this.#advice(part, shares) : obstacle);
     byId("guide-adjust").disabled = Boolean(running) || !this.#files.free || this.#calibration?.state === "running";
     this.#writeResult();
   }

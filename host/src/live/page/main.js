@@ -150,6 +150,7 @@ const takers = {
   notice: ({ text }) => banner.notice("notice", `${text}.`),
   refused({ reason }) {
     banner.notice("request", `Refused: ${reason}.`);
+    guide.refused();
     if (isScene()) placement.answered();
   },
 };

@@ -1,7 +1,7 @@
 /**
  * The recordings of the daemon: list, replay, download, new names; and notes, in the capture being recorded or played.
  */
-import { byId, make, show, write } from "./dom.js";
+import { button, byId, make, show, write } from "./dom.js";
 import { bytes, clock } from "./format.js";
 
 const when = (seconds) => (seconds == null ? "" : new Date(seconds * 1e3).toLocaleString());
@@ -125,11 +125,4 @@ export class Notes {
     }));
     byId("note-ticks").replaceChildren(...notes.map(({ at_s }) => new Option("", at_s)));
   }
-}
-
-function button(text, act) {
-  const element = make("button", "", text);
-  element.type = "button";
-  element.addEventListener("click", act);
-  return element;
 }

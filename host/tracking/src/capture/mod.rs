@@ -20,7 +20,6 @@ mod index;
 mod link_bytes;
 mod medium;
 mod packets;
-#[cfg(unix)]
 mod place;
 mod rate;
 mod reader;
@@ -35,7 +34,6 @@ use thiserror::Error;
 
 pub use contents::{Contents, contents};
 pub use medium::Medium;
-#[cfg(unix)]
 pub use place::Existing;
 pub use rate::PoseRate;
 pub use reader::{CaptureReader, End};

@@ -4,12 +4,9 @@
 use std::ffi::OsStr;
 use std::fs::{self, File};
 use std::io;
-use std::os::fd::AsFd;
-use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
-use nix::errno::Errno;
-use nix::fcntl::{Flock, FlockArg};
+use slitpose_head::platform;
 use slitpose_head::replacement::{folder_of, part_of};
 use slitpose_head::special_file;
 use tempfile::TempPath;
@@ -20,8 +17,8 @@ pub(super) struct Place {
     path: PathBuf,
     /// Temporary name of the file until it has content and is [moved](Self::settle) to its place; removed when dropped.
     pending: Option<TempPath>,
-    /// Prevents other programs from recording there; `None` if the file is not regular, or cannot be locked.
-    lock: Option<Flock<File>>,
+    /// Keeps other programs from recording there; `None` for standard output and special files.
+    held: Option<File>,
 }
 
 impl Place {
@@ -30,14 +27,18 @@ impl Place {
         let (file, path, pending) = if replaces {
             // The target of a link is replaced, not the link.
             let path = fs::canonicalize(path)?;
-            lock(File::open(&path)?)?;
+            platform::hold(File::open(&path)?, &path)?;
             let (file, pending) = part_of(&path)?.into_parts();
             (file, path, Some(pending))
         } else {
             (create(path, existing)?, path.to_owned(), None)
         };
-        let lock = if file.metadata()?.is_file() { lock(file.try_clone()?)? } else { None };
-        Ok((file, Self { path, pending, lock }))
+        if path == Path::new(STANDARD_OUTPUT) || special_file::is_special(&path) {
+            return Ok((file, Self { path, pending, held: None }));
+        }
+        let file = platform::hold(file, pending.as_deref().unwrap_or(&path))?;
+        let held = Some(file.try_clone()?);
+        Ok((file, Self { path, pending, held }))
     }
 
     /// Moves the file to its place, over the one it replaces. To be called once it has content.
@@ -47,7 +48,7 @@ impl Place {
         }
         // Another program may have begun to record there since.
         if let Ok(found) = File::open(&self.path) {
-            lock(found)?;
+            platform::hold(found, &self.path)?;
         }
         if let Some(pending) = self.pending.take() {
             pending.persist(&self.path).map_err(|error| error.error)?;
@@ -58,16 +59,8 @@ impl Place {
 
     /// Whether the file was deleted or replaced: further writing is lost.
     pub(super) fn is_lost(&self) -> bool {
-        self.lock.as_ref().is_some_and(|file| file.metadata().is_ok_and(|found| found.nlink() == 0))
-    }
-}
-
-/// Locks a file exclusively until the lock is dropped; `None` where files cannot be locked.
-fn lock(file: File) -> io::Result<Option<Flock<File>>> {
-    match Flock::lock(file, FlockArg::LockExclusiveNonblock) {
-        Ok(lock) => Ok(Some(lock)),
-        Err((_, Errno::EWOULDBLOCK)) => Err(io::ErrorKind::WouldBlock.into()),
-        Err(_) => Ok(None),
+        let path = self.pending.as_deref().unwrap_or(&self.path);
+        self.held.as_ref().is_some_and(|file| platform::is_gone(file, path))
     }
 }
 
@@ -88,7 +81,7 @@ pub(super) fn create(path: &Path, existing: Existing) -> io::Result<File> {
         return Err(io::ErrorKind::IsADirectory.into());
     }
     if path == Path::new(STANDARD_OUTPUT) {
-        return io::stdout().as_fd().try_clone_to_owned().map(File::from);
+        return platform::standard_output();
     }
     // A special file, such as a device or a named pipe, is opened as it is.
     if special_file::is_special(path) {

@@ -1,9 +1,7 @@
 //! A capture as one file, or as a series of files.
 
 use std::collections::BTreeMap;
-#[cfg(unix)]
 use std::fs::File;
-#[cfg(unix)]
 use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -15,7 +13,6 @@ use web_time::Instant;
 use super::file::{CaptureFile, Channels, io_error};
 use super::medium::Medium;
 use super::packets::{Packets, last_hello};
-#[cfg(unix)]
 use super::place::{Existing, Place, next_number, numbered};
 use super::{CaptureError, Setup};
 use crate::link::{DeviceId, Segment};
@@ -47,7 +44,6 @@ pub struct Recorded {
 ///
 /// It keeps 0.9 kB of memory per chunk of the current file, for the index at its end: 4 kB per second of a board at 4 kHz.
 pub struct CaptureSeries {
-    #[cfg_attr(not(unix), expect(dead_code, reason = "only a file is followed by another"))]
     report_schema: String,
     limits: Limits,
     output: Output,
@@ -65,11 +61,9 @@ struct DeviceStream {
 struct Output {
     file: Option<CaptureFile<Box<dyn Medium + Send>>>,
     /// Its place; `None` for a medium opened by the caller.
-    #[cfg(unix)]
     place: Option<Place>,
     path: PathBuf,
     /// Path and number of the next file; `None` for a single file.
-    #[cfg(unix)]
     next: Option<(PathBuf, u64)>,
     opened: Instant,
     flushed: Instant,
@@ -81,7 +75,6 @@ impl CaptureSeries {
     /// Begins a capture, in which `report_schema` is the JSON schema of its reports. Without limits it is the file `path`. With limits it is a series of files
     /// numbered from 1 after the stem of `path`: `name-0001.mcap`, `name-0002.mcap`, …; the numbers
     /// continue after existing ones, so that no file is replaced.
-    #[cfg(unix)]
     pub fn create(
         path: &Path,
         limits: Limits,
@@ -98,7 +91,6 @@ impl CaptureSeries {
     }
 
     /// Begins a capture in a file that is open; `path` names it in messages.
-    #[cfg(unix)]
     pub fn in_file(file: File, path: &Path, report_schema: String) -> Result<Self, CaptureError> {
         Self::on_medium(Box::new(file), path, report_schema)
     }
@@ -270,7 +262,6 @@ impl CaptureSeries {
         let hello = |device| self.output.file.as_ref().map_or(Vec::new(), |file| file.hello(device).to_owned());
         let hellos: Vec<Vec<u8>> = self.devices.keys().map(|device| hello(*device)).collect();
         self.output.end()?;
-        #[cfg(unix)]
         self.output.open(Existing::Kept, &self.report_schema)?;
         self.output.attempt(0, |file| {
             for (stream, hello) in self.devices.values_mut().zip(&hellos) {
@@ -298,10 +289,8 @@ impl Output {
         let now = Instant::now();
         Self {
             file: None,
-            #[cfg(unix)]
             place: None,
             path,
-            #[cfg(unix)]
             next: None,
             opened: now,
             flushed: now,
@@ -310,7 +299,6 @@ impl Output {
         }
     }
 
-    #[cfg(unix)]
     fn open(&mut self, existing: Existing, report_schema: &str) -> Result<(), CaptureError> {
         let existing = match &mut self.next {
             Some((path, number)) => {
@@ -360,7 +348,6 @@ impl Output {
 
     /// Moves the file, which now has content, to its place.
     fn settle(&mut self) -> Result<(), CaptureError> {
-        #[cfg(unix)]
         if let Some(Err(source)) = self.place.as_mut().map(Place::settle) {
             self.recorded.dropped_bytes += self.file.take().map_or(0, |file| file.unflushed_link_bytes);
             let path = self.path.clone();
@@ -374,7 +361,6 @@ impl Output {
 
     /// Ends recording if the file has been deleted or replaced.
     fn check(&mut self) -> Result<(), CaptureError> {
-        #[cfg(unix)]
         if self.file.is_some() && self.place.as_ref().is_some_and(Place::is_lost) {
             self.file = None;
             return Err(CaptureError::Lost { path: self.path.clone() });
@@ -386,10 +372,7 @@ impl Output {
         self.attempt(0, CaptureFile::finish)?;
         self.check()?;
         self.file = None;
-        #[cfg(unix)]
-        {
-            self.place = None;
-        }
+        self.place = None;
         Ok(())
     }
 }

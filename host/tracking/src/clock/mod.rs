@@ -1,13 +1,13 @@
 //! The host's clocks, and a board's clock relative to them.
 //!
-//! Intervals are measured by the monotonic clock (CLOCK_MONOTONIC, which stops while the host is
-//! suspended and is never set), dates by UTC (CLOCK_REALTIME).
+//! Intervals are measured by the monotonic clock (CLOCK_MONOTONIC, which stops while the host is suspended and is never
+//! set; on Windows since the program began), dates by UTC (CLOCK_REALTIME).
 
 mod band;
 mod fit;
 
-#[cfg(unix)]
-use nix::time::{ClockId, clock_gettime};
+use slitpose_head::platform;
+use web_time::{SystemTime, UNIX_EPOCH};
 
 pub use fit::ClockFit;
 
@@ -31,21 +31,12 @@ pub struct HostTime {
     pub uncertainty_ns: u64,
 }
 
-#[cfg(unix)]
 impl HostInstant {
-    /// Reads both clocks.
+    /// Reads both clocks. UTC before 1970 is 0.
     pub fn now() -> Self {
-        Self { monotonic_ns: read(ClockId::CLOCK_MONOTONIC), utc_ns: read(ClockId::CLOCK_REALTIME) }
+        let utc = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        Self { monotonic_ns: platform::monotonic_ns(), utc_ns: u64::try_from(utc.as_nanos()).unwrap_or(u64::MAX) }
     }
-}
-
-/// Reads a clock, ns; 0 for a clock that cannot be read or is before 1970.
-#[cfg(unix)]
-fn read(clock: ClockId) -> u64 {
-    clock_gettime(clock).map_or(0, |time| {
-        let seconds = u64::try_from(time.tv_sec()).unwrap_or(0);
-        seconds.saturating_mul(1_000_000_000).saturating_add(u64::try_from(time.tv_nsec()).unwrap_or(0))
-    })
 }
 
 /// Least step of UTC that is told, ns: more than clocks are slewed by between two looks.

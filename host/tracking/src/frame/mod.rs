@@ -16,6 +16,7 @@ use glam::{DMat3, DVec3};
 use serde::Deserialize;
 use slitpose_calibration::{compose, inverse};
 use slitpose_head::foreign::printable;
+use slitpose_head::platform;
 use slitpose_head::text_file::{self, TextFileError};
 use slitpose_model::{Estimate, Pose, Solution, Twist, TwistEstimate};
 use thiserror::Error;
@@ -159,9 +160,7 @@ fn is_name(name: &str) -> bool {
 
 /// Where frames with names are.
 pub fn folder() -> PathBuf {
-    let given = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
-    let home = || given("HOME").map(|home| home.join(".config"));
-    given("XDG_CONFIG_HOME").or_else(home).unwrap_or_default().join("slitpose").join("frames")
+    platform::user_folder().unwrap_or_default().join("slitpose").join("frames")
 }
 
 fn matrix(of: impl Fn(usize, usize) -> f64) -> Matrix6 {

@@ -200,15 +200,6 @@ fn a_healthy_head_raises_nothing() {
 }
 
 #[test]
-fn nothing_is_said_of_the_first_second() {
-    let mut verdicts = Vec::new();
-    Watch { scans: 2 * FRAME_RATE, faults: &["saturate:cell=2"], ..Watch::of(&wide(), TrajectoryKind::Still) }
-        .run(|health| verdicts.push(health.cells[2].verdict));
-    assert_eq!(verdicts[0], Verdict::Unknown);
-    assert_eq!(verdicts[7], Verdict::Saturated);
-}
-
-#[test]
 fn each_fault_of_a_cell_is_named() {
     // Every third scan.
     assert_only(&smooth(&["saturate:cell=1,for=1ms,every=3ms"]), 1, Verdict::Saturated);
@@ -329,18 +320,6 @@ fn a_slit_that_has_moved_makes_a_calibration_stale() {
     // The others hold the pose: most of the shift stays visible, and is enlarged by slit and emitter as a pinhole does.
     assert!((3.5e-6..42e-6).contains(&shift_m.abs()) && *chi2 > 2.5, "{shift_m} {chi2}");
     assert!(finding.to_string().contains("calibration_stale") && finding.to_string().contains("cell 2"), "{finding}");
-}
-
-#[test]
-fn a_pause_leaves_of_the_window_what_is_not_older_than_it() {
-    let mut window = Window::default();
-    for number in 0..5 {
-        window.turn(number);
-        window.current().scans += 1;
-    }
-    assert_eq!(window.sum().scans, 5);
-    window.turn(7);
-    assert_eq!(window.sum().scans, 2);
 }
 
 #[test]

@@ -175,7 +175,8 @@ mod tests {
         assert_eq!(take(71), (true, 3, false));
         assert_eq!(take(74), (true, 4, true));
         assert_eq!(take(75), (true, 3, true), "70 is gone");
-        assert_eq!(take(80), (false, 1, false), "nothing came for a second");
+        assert_eq!(take(77), (true, 3, true), "71 is gone, though 76 was skipped");
+        assert_eq!(take(82), (false, 1, false), "nothing came for a second");
         assert_eq!(take(3), (false, 1, false), "the board was restarted");
     }
 

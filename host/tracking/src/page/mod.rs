@@ -1,7 +1,7 @@
-//! What the live page is told of boards and heads, and what it asks for, for whoever serves it.
+//! The messages to and from the live page, whoever serves it. LIVE.md describes them.
 //!
 //! A [`Sampler`] condenses the poses of a board: the newest, and statistics of all in bins of time. [`Optics`] makes a frame
-//! of it, [`head_message`] describes the head. LIVE.md describes all messages.
+//! of it, [`head_message`] describes the head.
 
 mod bins;
 mod frame;

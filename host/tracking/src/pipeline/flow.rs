@@ -7,14 +7,14 @@ use glam::{DQuat, DVec3};
 use slitpose_calibration::Head;
 use slitpose_model::{Pose, Tier, Tracked};
 use slitpose_protocol::poses::READY_TICKS;
-use slitpose_protocol::{Batch, BoardKind, Hello, Message, Poses, Stream, Truth};
+use slitpose_protocol::{Batch, BoardKind, Edges, Hello, Message, Poses, Stream, Truth};
 
 use super::board_clock::{BoardClock, Span};
 use super::board_poses::BoardPose;
 use super::item::ClockWatch;
 use super::session::Session;
 use super::waiting::{Content, Waiting};
-use super::{Counts, Item, Oddity, PipelineError, PipelineOptions, PoseSource, Record, Scan, SceneMatch};
+use super::{Counts, EdgeRecord, Item, Oddity, PipelineError, PipelineOptions, PoseSource, Record, Scan, SceneMatch};
 use crate::link::DeviceId;
 
 /// True poses that may wait for their scans: more than a board queues.
@@ -123,7 +123,28 @@ impl Flow {
                 Ok(())
             }
             Message::Poses(poses) => self.take_poses(poses, sink),
+            Message::Edges(edges) => self.take_edges(edges, sink),
         }
+    }
+
+    fn take_edges<E: From<PipelineError>>(
+        &mut self,
+        edges: &Edges,
+        sink: &mut impl FnMut(Item<'_>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        // Without a hello the ticks have no rate.
+        let Some(session) = &self.session else { return Ok(()) };
+        for (number, edge) in (edges.number..).zip(&edges.edges) {
+            sink(Item::Edge(EdgeRecord {
+                device: session.device,
+                number,
+                device_time_s: edge.tick() as f64 / session.tick_hz(),
+                host_time: self.clock.time_of(edge.tick(), 0.0),
+                is_high: edge.is_high(),
+                missed: edges.missed,
+            }))?;
+        }
+        Ok(())
     }
 
     /// Opens a session, unless the present one continues; returns an oddity if the board's number has changed.

@@ -40,6 +40,23 @@ pub struct Record {
     pub view: Option<&'static View>,
 }
 
+/// An edge of a board's trigger input.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EdgeRecord {
+    /// The board.
+    pub device: DeviceId,
+    /// Number of the edge, counted by the board from its start; a gap shows edges that were dropped on their way.
+    pub number: u32,
+    /// Its instant by the board's clock, seconds.
+    pub device_time_s: f64,
+    /// The same instant by the host's clocks; `None` while unknown.
+    pub host_time: Option<HostTime>,
+    /// Whether the line has risen.
+    pub is_high: bool,
+    /// Edges since the board's start that came too fast for it, at least; these have no numbers.
+    pub missed: u32,
+}
+
 /// An output of the pipeline.
 #[derive(Debug)]
 #[allow(missing_docs, reason = "fields are named by what they are")]
@@ -54,6 +71,8 @@ pub enum Item<'a> {
     Status(&'a Status),
     /// Something happened on the board.
     Event { severity: Severity, device_time_s: f64, text: &'a str },
+    /// Something happened at the board's trigger input.
+    Edge(EdgeRecord),
     /// A fault in the stream that a sound board never shows; at NaN if its time is not known.
     Oddity { device_time_s: f64, oddity: Oddity },
     /// The board answered a command.

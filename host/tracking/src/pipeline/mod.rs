@@ -24,7 +24,7 @@ use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message, Status};
 
 pub use board_poses::{Agreement, PoseFault};
 pub use counts::{Counts, Outcomes, reason};
-pub use item::{Item, Oddity, PipelineError, PipelineOptions, PoseSource, Record, SceneMatch};
+pub use item::{EdgeRecord, Item, Oddity, PipelineError, PipelineOptions, PoseSource, Record, SceneMatch};
 pub use session::{check, check_calibration, head_of};
 pub use waiting::{Queue, Scan};
 

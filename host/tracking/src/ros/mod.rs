@@ -16,7 +16,7 @@ use crate::frame::{BASE, View};
 use crate::link::DeviceId;
 use crate::pipeline::Record;
 
-pub use cdr::{encode_note, encode_pose, encode_pose_stamped, encode_transform, encode_twist, header as encode_header};
+pub use cdr::{encode_note, encode_pose, encode_pose_stamped, encode_transform, encode_twist};
 
 const TOPICS: &str = "/slitpose/";
 

@@ -11,7 +11,7 @@ mod statistics;
 pub use losses::{Latency, Percentiles};
 pub use report::{
     BoardEvent, BoardLosses, BoardReport, ClockReport, DaemonReport, DatagramCounts, HostLosses, LagReport, Latencies,
-    LinkLosses, LinkReport, LinkState, Losses, ProcessReport, Rates, RecorderReport, RecorderState, SlowClient, Vitals,
-    Withheld, report_schema,
+    LinkLosses, LinkReport, LinkState, Losses, ProcessReport, Rates, RecorderReport, RecorderState, SlowClient,
+    TriggerReport, Vitals, Withheld, report_schema,
 };
 pub use statistics::BoardStatistics;

@@ -96,6 +96,8 @@ pub struct BoardReport {
     pub lag: LagReport,
     /// The board's clock relative to the host's.
     pub clock: ClockReport,
+    /// The board's trigger input; `None` before its first edge.
+    pub trigger: Option<TriggerReport>,
     /// The board's own status; `None` before the first.
     pub vitals: Option<Vitals>,
     /// The board's last warning or error.
@@ -104,6 +106,24 @@ pub struct BoardReport {
     pub head: Option<HeadHealth>,
     /// How the poses that the board finds itself compare with those found here; `None` if it sends none.
     pub board_poses: Option<Agreement>,
+}
+
+/// The trigger input of a board.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, JsonSchema)]
+pub struct TriggerReport {
+    /// Edges that arrived.
+    pub edges: u64,
+    /// Edges that came too fast for the board, at least, since its start.
+    pub missed: u32,
+    /// Edges that were dropped between board and host.
+    pub dropped: u64,
+    /// The last one by the board's clock, seconds.
+    pub last_device_time_s: f64,
+    /// Whether the line is high.
+    pub is_high: bool,
+    /// Number of the next edge.
+    #[serde(skip)]
+    pub(crate) next: u32,
 }
 
 /// Poses without a velocity, by the reason.
@@ -230,8 +250,6 @@ pub struct LinkLosses {
 pub struct HostLosses {
     /// Bytes of the link that the recorder had no room for.
     pub bytes_unrecorded: u64,
-    /// Bytes of the link that were not published by Zenoh, and poses with them, because publishing was behind.
-    pub bytes_unpublished: u64,
     /// Poses that a subscriber did not take in time.
     pub poses_unsent: u64,
 }

@@ -7,12 +7,13 @@ use slitpose_protocol::{BoardKind, Hello, Severity, Status};
 
 use super::losses::{LatencyHistogram, LossBook};
 use super::report::{
-    BoardEvent, BoardReport, DaemonReport, Latencies, LinkLosses, Losses, ProcessReport, Rates, RecorderReport, Vitals,
+    BoardEvent, BoardReport, DaemonReport, Latencies, LinkLosses, Losses, ProcessReport, Rates, RecorderReport,
+    TriggerReport, Vitals,
 };
 use crate::clock::HostInstant;
 use crate::health::HeadHealth;
 use crate::link::DeviceId;
-use crate::pipeline::{Counts, Item, Outcomes, Record};
+use crate::pipeline::{Counts, EdgeRecord, Item, Outcomes, Record};
 
 /// Length of the interval of recent values.
 const INTERVAL_NS: u64 = 1_000_000_000;
@@ -70,9 +71,20 @@ impl BoardStatistics {
             Item::Event { severity, device_time_s, text } if *severity != Severity::Info => {
                 self.complain(*severity == Severity::Error, *device_time_s, (*text).to_owned());
             }
+            Item::Edge(edge) => self.take_edge(edge),
             Item::Oddity { device_time_s, oddity } => self.complain(false, *device_time_s, oddity.to_string()),
             Item::Event { .. } | Item::Reply(_) => {}
         }
+    }
+
+    fn take_edge(&mut self, edge: &EdgeRecord) {
+        let EdgeRecord { number, device_time_s: last_device_time_s, is_high, missed, .. } = *edge;
+        let (edges, dropped, next) =
+            self.report.trigger.map_or((1, 0, number), |before| (before.edges + 1, before.dropped, before.next));
+        // A board that has started anew counts from zero.
+        let dropped = dropped + u64::from(number.saturating_sub(next));
+        let next = number.wrapping_add(1);
+        self.report.trigger = Some(TriggerReport { edges, missed, dropped, last_device_time_s, is_high, next });
     }
 
     fn complain(&mut self, is_error: bool, time_s: f64, text: String) {

@@ -110,6 +110,7 @@ impl<W: World> Board<W> {
         let effects = &mut self.effects;
         match unit {
             Unit::Timer(index) => self.timers[index].read(offset, effects),
+            Unit::FrameTimer => self.frame_timer.read(offset, effects),
             Unit::Adc12 => self.adc12.read(offset, effects),
             Unit::Adc345 => self.adc345.read(offset, effects),
             Unit::Dma(controller) => self.dma.read(controller, offset, effects),
@@ -143,6 +144,7 @@ impl<W: World> Board<W> {
         let effects = &mut self.effects;
         match unit {
             Unit::Timer(index) => self.timers[index].write(offset, value, effects),
+            Unit::FrameTimer => self.frame_timer.write(offset, value, effects),
             Unit::Adc12 => self.adc12.write(offset, value, effects),
             Unit::Adc345 => self.adc345.write(offset, value, effects),
             Unit::Dma(controller) => self.dma.write(controller, offset, value, effects),
@@ -218,6 +220,7 @@ impl<W: World> Bus for Board<W> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Unit {
     Timer(usize),
+    FrameTimer,
     Adc12,
     Adc345,
     Dma(usize),
@@ -267,6 +270,7 @@ units! {
     Timer(1) = TIM3::BASE, APB1ENR1 APB1ENR1_TIM3EN;
     Timer(2) = TIM4::BASE, APB1ENR1 APB1ENR1_TIM4EN;
     Timer(3) = TIM5::BASE, APB1ENR1 APB1ENR1_TIM5EN;
+    FrameTimer = TIM1::BASE, APB2ENR APB2ENR_TIM1EN;
     Crs = CRS::BASE, APB1ENR1 APB1ENR1_CRSEN;
     Backup = TAMP::BASE, APB1ENR1 APB1ENR1_RTCAPBEN;
     Watchdog = IWDG::BASE;

@@ -25,8 +25,8 @@ pub(super) struct Decoded {
     pub bytes: u8,
 }
 
-/// One entry per halfword of flash; and those of code elsewhere by their place in 32 KiB, each with the bits it was made of,
-/// as RAM can change.
+/// Decoded instructions: one entry per halfword of flash; and one per halfword of 32 KiB for code elsewhere, with the bits it
+/// was decoded from, as RAM can change.
 #[derive(Clone, Debug)]
 pub(super) struct Code {
     decoded: Vec<Decoded>,

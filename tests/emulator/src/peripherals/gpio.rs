@@ -1,7 +1,6 @@
 //! General-purpose I/O ports A to G (RM0440, "General-purpose I/Os").
 //!
-//! Alternate functions are not followed to their pins: a pin in such a mode counts as not
-//! driven here.
+//! A pin in an alternate function counts as not driven here.
 
 use super::Effects;
 use super::effects::{ALL, Bank, Register};
@@ -27,6 +26,8 @@ pub struct Port {
     bank: Bank,
     /// Pins in output mode with a push-pull stage.
     push_pull: u16,
+    /// Pins that something outside holds high.
+    pub held_high: u16,
 }
 
 impl Port {
@@ -38,16 +39,21 @@ impl Port {
             1 => (0xFFFF_FEBF, 0x0000_00C0, 0x0000_0100),
             _ => (0xFFFF_FFFF, 0, 0),
         };
-        Self { index, bank, push_pull: 0 }
+        Self { index, bank, push_pull: 0, held_high: 0 }
     }
 
     pub fn reset(&mut self) {
-        *self = Self::new(self.index);
+        *self = Self { held_high: self.held_high, ..Self::new(self.index) };
     }
 
-    /// Nothing drives the inputs.
     pub fn read(&self, offset: u32, effects: &mut Effects) -> u32 {
-        if offset == IDR { u32::from(self.driven_high()) } else { self.bank.read(offset, effects) }
+        if offset == IDR { (self.driven_high() | self.held_high).into() } else { self.bank.read(offset, effects) }
+    }
+
+    /// The alternate function of pin `number`, if it has one.
+    pub fn function(&self, number: u32) -> Option<u32> {
+        let is_alternate = self.bank[MODER] >> (2 * number) & 3 == crate::st::LL::GPIO_MODE_ALTERNATE;
+        is_alternate.then(|| self.bank[AFR + number / 8 * 4] >> (4 * (number % 8)) & 0xF)
     }
 
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {

@@ -36,6 +36,7 @@ mod effects;
 pub(crate) mod exti;
 pub(crate) mod flash;
 pub(crate) mod gpio;
+pub(crate) mod lab;
 pub(crate) mod plain;
 pub(crate) mod power;
 pub(crate) mod rcc;

@@ -2,8 +2,8 @@
 //!
 //! Modelled: up-counting with prescaler, auto-reload and compare registers with or without
 //! preload, update and compare flags, interrupts and DMA requests, the reference signals
-//! OC1REF–OC4REF of PWM mode 2, which may be TIM2's trigger output TRGO, and TIM3's reset by it. Not modelled: capture, other
-//! counting modes, other compare, master and slave modes, one-pulse mode, dithering, and the output pins. A debugger may halt a timer.
+//! OC1REF–OC4REF of PWM mode 2, which may be TIM2's trigger output TRGO, TIM3's reset by it, and channels that capture both
+//! edges of their pin. Not modelled: other captures, other counting modes, other compare, master and slave modes, one-pulse mode, dithering, and the output pins. A debugger may halt a timer.
 //!
 //! The counter is not stepped. It follows from the tick at which it was zero:
 //! CNT = (now − zero_at) / (PSC + 1). The timer asks to be called at the next compare match
@@ -12,8 +12,8 @@
 use super::effects::{ALL, Bank, Register};
 use super::{Effects, Ticks};
 use crate::st::TIM::{
-    self, ARR, CCER, CCMR1, CCMR2, CCR1, CCR4, CNT, CR1, CR1_ARPE, CR1_CEN, CR1_URS, CR2, DIER, DIER_UDE as UDE, EGR,
-    PSC, SMCR, SR, SR_UIF as UIF,
+    self, ARR, CCER, CCER_CC2E, CCER_CC2NP, CCER_CC2P, CCMR1, CCMR1_CC2S, CCMR1_CC2S_0, CCMR2, CCR1, CCR2, CCR4, CNT,
+    CR1, CR1_ARPE, CR1_CEN, CR1_URS, CR2, DIER, DIER_UDE as UDE, EGR, PSC, SMCR, SR, SR_CC2IF, SR_CC2OF, SR_UIF as UIF,
 };
 use crate::st::{LL, TIM2, TIM3, TIM4, TIM5};
 
@@ -26,7 +26,10 @@ const RESET_BY_ITR1: u32 = 4 | 1 << 4;
 const FLAGS: u32 = 2 * TIM::SR_CC4IF - 1;
 /// Enable bits of the five interrupts and five DMA requests.
 const DIER_MODELLED: u32 = FLAGS | FLAGS << 8;
-/// OCxPE and OCxM. CCxS ≠ 0 is capture, OCxCE and OCxFE need pins; OCxM bit 3 selects modes beyond PWM 2.
+/// CCMR1 and CCER while channel 2 captures both edges of its pin, behind a filter of eight samples at the timer's clock.
+const CAPTURE: u32 = CCMR1_CC2S_0 | (LL::TIM_IC_FILTER_FDIV1_N8 >> 16) << 8;
+const BOTH_EDGES: u32 = CCER_CC2E | CCER_CC2P | CCER_CC2NP;
+/// OCxPE and OCxM. OCxCE and OCxFE need pins; OCxM bit 3 selects modes beyond PWM 2.
 const CCMR_MODELLED: u32 = 0x7878;
 
 const REGISTERS: &[Register] = &[
@@ -102,8 +105,31 @@ impl Timer {
     pub fn read(&mut self, offset: u32, effects: &mut Effects) -> u32 {
         match offset {
             CNT => self.count(effects.now),
+            CCR2 if self.captures() => {
+                // What was captured has been read.
+                self.bank[SR] &= !SR_CC2IF;
+                self.bank[CCR2]
+            }
             _ => self.bank.read(offset, effects),
         }
+    }
+
+    /// Whether channel 2 captures edges of its pin.
+    pub fn captures(&self) -> bool {
+        self.bank[CCMR1] & CCMR1_CC2S != 0
+    }
+
+    /// An edge behind the filter of channel 2.
+    pub fn capture(&mut self, effects: &mut Effects) {
+        if !self.captures() || self.bank[CCER] & CCER_CC2E == 0 {
+            return;
+        }
+        if self.bank[SR] & SR_CC2IF != 0 {
+            self.bank[SR] |= SR_CC2OF;
+        }
+        self.bank[CCR2] = self.count(effects.now);
+        self.raise(2, effects);
+        self.update_line(effects);
     }
 
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
@@ -126,7 +152,12 @@ impl Timer {
             SR => self.bank[SR] &= value,
             EGR => self.generate(value, effects),
             CCMR1 | CCMR2 => self.write_ccmr(offset, value, effects),
-            CCER => self.bank.write(offset, value, effects),
+            CCER => {
+                effects.unmodelled_bits(
+                    u32::from(self.captures() && value & BOTH_EDGES & CCER_CC2E != 0) * (!value & BOTH_EDGES),
+                );
+                self.bank.write(offset, value, effects);
+            }
             // A narrow write is repeated over the word.
             PSC => self.bank.write(offset, value & 0xFFFF, effects),
             CNT => self.preset(value & self.wiring.maximum, effects),
@@ -247,6 +278,13 @@ impl Timer {
     }
 
     fn write_ccmr(&mut self, offset: u32, value: u32, effects: &mut Effects) {
+        if offset == CCMR1 && value & CCMR1_CC2S != 0 {
+            effects.unmodelled_bits(value ^ CAPTURE);
+            self.bank[CCMR1] = value;
+            // Nothing is compared with it.
+            self.ccr_active[1] = u32::MAX;
+            return;
+        }
         effects.unmodelled_bits(u32::from([value >> 4, value >> 12].iter().any(|mode| matches!(mode & 7, 1..=6))));
         self.bank.write(offset, value, effects);
         let first = if offset == CCMR1 { 0 } else { 2 };
@@ -322,7 +360,9 @@ impl Timer {
     fn load_preloads(&mut self) {
         self.psc_active = self.bank[PSC];
         self.arr_active = self.bank[ARR];
-        self.ccr_active = std::array::from_fn(|channel| self.compare(channel));
+        let captured = |channel| channel == 1 && self.captures();
+        self.ccr_active =
+            std::array::from_fn(|channel| if captured(channel) { u32::MAX } else { self.compare(channel) });
     }
 
     fn overflow(&mut self, effects: &mut Effects) {

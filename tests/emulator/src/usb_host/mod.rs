@@ -2,8 +2,8 @@
 //!
 //! It finds a device by its pull-up, resets it, reads its descriptors, configures it, opens it as a CDC-ACM serial port, and
 //! then moves bytes. It acts on machine time: [`UsbHost::advance`] at [`UsbHost::next_event`]. Each transaction takes the time
-//! it takes on the wire. A request or an endpoint that the device refuses, or does not answer, is complained of and left alone;
-//! data with the toggle of those before are passed over, as a host does.
+//! it takes on the wire. A request or an endpoint that the device refuses, or does not answer, is reported and not retried;
+//! repeated data are ignored.
 //!
 //! ```text
 //! port ─▶ enumeration ─▶ transfer ─▶ transaction ─▶ UsbPort

@@ -129,6 +129,9 @@ impl Pipe {
             Answer::Nak => self.ready_at = ready_at.max(now + RETRY_TICKS),
             Answer::Silence if self.silences < ATTEMPTS => self.ready_at = now + RETRY_TICKS,
             Answer::Ack => (self.toggle, self.ready_at) = (!self.toggle, ready_at),
+            Answer::Data { ref bytes, .. } if bytes.len() > self.endpoint.packet_bytes => {
+                return Err(format!("{} bytes in a packet of at most {}", bytes.len(), self.endpoint.packet_bytes));
+            }
             Answer::Data { toggle, bytes } => {
                 self.ready_at = ready_at;
                 // The other one is what the host has had already.
@@ -168,8 +171,10 @@ mod tests {
     }
 
     #[test]
-    fn repeated_data_are_passed_over() {
+    fn repeated_data_are_ignored_and_too_long_ones_refused() {
         let mut pipe = pipe();
+        let long = Answer::Data { toggle: false, bytes: vec![0; 65] };
+        assert_eq!(pipe.progress(long, 0), Err("65 bytes in a packet of at most 64".to_owned()));
         let mut is_new = |toggle| pipe.progress(Answer::Data { toggle, bytes: vec![1] }, 0).expect("data").is_some();
         assert_eq!([false, false, true, true, false].map(&mut is_new), [true, false, true, false, true]);
     }

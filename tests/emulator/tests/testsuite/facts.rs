@@ -149,13 +149,14 @@ fn every_wired_pin_has_the_mode_of_its_signal() {
         let probe = if wire.is_for_poses() { &mut of_poses } else { &mut probe };
         let Wire { signal, pin, function, .. } = wire;
         let mode = probe.of_pin(pin, "GPIO_TypeDef.MODER", 2);
-        let port = ["LPUART1", "USART1"].into_iter().find(|port| function.starts_with(port));
+        let functions = ["AF12_LPUART1", "AF7_USART1", "AF1_TIM5", "AF6_TIM1"];
+        let alternate_function =
+            functions.into_iter().find(|name| name.split_once('_').is_some_and(|(_, of)| function.starts_with(of)));
         let expected = if function.starts_with("output") {
             assert_eq!(probe.of_pin(pin, "GPIO_TypeDef.OTYPER", 1), 0, "{signal}: push and pull");
             output
-        } else if let Some(port) = port {
-            let function = bits(if port == "USART1" { "GPIO_AF7_USART1" } else { "GPIO_AF12_LPUART1" });
-            assert_eq!(probe.of_pin(pin, "GPIO_TypeDef.AFR", 4), function, "{signal}");
+        } else if let Some(name) = alternate_function {
+            assert_eq!(probe.of_pin(pin, "GPIO_TypeDef.AFR", 4), bits(&format!("GPIO_{name}")), "{signal}");
             alternate
         } else if function.starts_with("ADC") || function.starts_with("DAC") {
             analog

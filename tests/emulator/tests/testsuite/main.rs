@@ -6,6 +6,7 @@ mod documents;
 mod facts;
 mod figures;
 mod frames;
+mod lab_clock;
 mod light;
 mod links;
 mod poses;

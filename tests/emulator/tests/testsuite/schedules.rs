@@ -258,9 +258,9 @@ fn fastest() -> Vec<(&'static str, Configuration, u32)> {
         ("pairs and dark, one conversion", of(&PAIRS, one), 16_000),
         ("singles and dark", of(&SINGLES, keep), 40_334),
         ("pairs without dark", of(&PAIRS[..3], keep), 17_286),
-        ("all at once", of(&ALL, keep), 9_700),
+        ("all at once", of(&ALL, keep), 9_800),
         ("pairs and dark, no settling", of(&PAIRS, quick), 16_000),
-        ("all at once, no settling", of(&ALL, quick), 9_700),
+        ("all at once, no settling", of(&ALL, quick), 9_800),
         ("one cell, no settling", of(&[&[0]], quick_cell), 8_500),
     ]
 }

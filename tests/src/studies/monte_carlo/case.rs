@@ -5,7 +5,7 @@ use std::fmt;
 
 use slitpose_model::{Outcome, Solution};
 
-use crate::consistency::error;
+use crate::consistency::{error, worst_axis};
 use crate::poses::{self, PoseRow};
 use crate::studies::Table;
 
@@ -35,15 +35,9 @@ impl Case {
         self.error.map_or((f64::INFINITY, f64::INFINITY), |error| (largest(&error[..3]) * 1e3, largest(&error[3..])))
     }
 
-    /// Errors in units of the reported σ.
-    fn sigmas(&self) -> Option<[f64; 6]> {
-        let sigma = self.solution.estimate?.sigma();
-        self.error.map(|error| std::array::from_fn(|axis| error[axis] / sigma[axis]))
-    }
-
-    /// The largest of them; `None` without pose.
+    /// Largest error in units of the reported σ; `None` without pose.
     pub fn worst_sigmas(&self) -> Option<f64> {
-        self.sigmas().map(|sigmas| sigmas.iter().fold(0.0, |worst, value| f64::max(worst, value.abs())))
+        self.solution.estimate.map(|estimate| worst_axis(&estimate, &poses::pose(self.truth)))
     }
 
     /// For noisy data: a pose beyond [`WRONG_SIGMAS`] is wrong, and so is none.
@@ -71,7 +65,7 @@ impl fmt::Display for Case {
         let (outcome, cells) = (self.outcome(), cells_used.count());
         write!(f, "      {outcome}: {cells} cells, χ² {chi2:.3e} of {redundancy}, {iterations} steps")?;
         let (mm, rad) = self.largest();
-        self.sigmas().map_or(Ok(()), |sigmas| write!(f, "; error {mm:.1e} mm {rad:.1e} rad, in σ {sigmas:.3?}"))
+        self.worst_sigmas().map_or(Ok(()), |worst| write!(f, "; error {mm:.1e} mm {rad:.1e} rad, {worst:.3} σ"))
     }
 }
 

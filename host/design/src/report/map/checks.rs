@@ -3,10 +3,19 @@
 use glam::dvec2;
 use slitpose_calibration::{PartCosts, PoseRms, median};
 
-use super::{Of, micro};
+use super::Of;
 use crate::map::{Candidate, KNOWN, Map, Schedules, Tolerances, View, quantiles_of};
-use crate::plot::{Anchor, Axis, Canvas, Chart, CurveStyle, Scale, Stroke, TextStyle, cell_colour, curve};
-use crate::report::section::{Picture, Section, Table, Value, column};
+use crate::plot::{Anchor, Axis, Chart, CurveStyle, Note, SOFT_INK, Scale, curve};
+use crate::report::section::{Picture, Section, Sheet, Table, Value, column};
+
+/// What is checked, its value, and what happens where that is above one, if it is a limit.
+const CHECKS: [(&str, Of, Option<&str>); 5] = [
+    ("condition", |view| view.condition, None),
+    ("unnoticed / σ", |view| Some(view.unnoticed_sigmas), None),
+    ("electrode current by full scale", |view| Some(view.full_scale.recip()), Some("Electrodes exceed the full scale")),
+    ("photocurrent by saturation", |view| Some(view.saturation.recip()), Some("Detectors saturate")),
+    ("faint current by photocurrent", |view| Some(view.faint.recip()), Some("A cell is faint or dark")),
+];
 
 pub(super) fn redundancy(map: &Map) -> Section {
     let row = |what: &str, of: Of| {
@@ -14,6 +23,7 @@ pub(super) fn redundancy(map: &Map) -> Section {
         row.extend(map.quantiles([0.5, 0.95, 0.99, 1.0], of).map(Value::from));
         row
     };
+    let rows = CHECKS.map(|(what, of, _)| row(what, of)).into();
     let all = map.share(|view| view.lit == map.cells());
     let unnoticed: Of = |view| Some(view.unnoticed_sigmas);
     let [median, most] = map.quantiles([0.5, 0.95], unnoticed);
@@ -21,7 +31,6 @@ pub(super) fn redundancy(map: &Map) -> Section {
         |views: &Vec<View>| views.iter().filter(|view| view.sigma.is_some()).count() as f64 / views.len() as f64;
     let while_dark_of = |cell: &usize, of: Of| quantiles_of(map.one_dark[*cell].iter(), [0.5], of)[0];
     let dark: Vec<usize> = (0..map.one_dark.len()).collect();
-    let counts: Vec<usize> = (0..=map.cells()).rev().collect();
     let least_with_pose = map.one_dark.iter().map(with_pose).fold(1.0, f64::min);
     // As many numbers as unknowns.
     let unchecked = map.share(|view| view.sigma.is_some() && !view.unnoticed_sigmas.is_finite());
@@ -56,9 +65,15 @@ pub(super) fn redundancy(map: &Map) -> Section {
             100.0 * unchecked
         ));
     }
+    for (_, of, what) in CHECKS {
+        let passed = map.share(|view| of(view).is_some_and(|share| share > 1.0));
+        summary.extend(
+            what.filter(|_| passed > 0.0).map(|what| format!("{what} in {:.2} % of the workspace.", 100.0 * passed)),
+        );
+    }
     Section {
         name: "redundancy",
-        title: "How well it is conditioned and checked",
+        title: "How well it is conditioned and checked, and how near it is to its limits",
         summary,
         paragraphs: vec![
             "The condition is the ratio of the extreme singular values of the whitened Jacobian, lengths in units of the \
@@ -68,8 +83,10 @@ pub(super) fn redundancy(map: &Map) -> Section {
         ],
         tables: vec![
             Table {
-                name: "condition",
-                caption: "Condition, and what a fault can do unnoticed".to_owned(),
+                name: "checks",
+                caption: "Condition, what a fault can do unnoticed, and how near light is to its limits: of all cells, the \
+                          nearest; above one, the limit is passed"
+                    .to_owned(),
                 columns: vec![
                     column("quantity", "quantity"),
                     column("home", "home"),
@@ -78,7 +95,7 @@ pub(super) fn redundancy(map: &Map) -> Section {
                     column("of_99_percent", "99 %"),
                     column("worst", "worst"),
                 ],
-                rows: vec![row("condition", |view| view.condition), row("unnoticed / σ", unnoticed)],
+                rows,
             },
             Table::of(
                 "one_dark",
@@ -86,66 +103,12 @@ pub(super) fn redundancy(map: &Map) -> Section {
                 &dark,
                 &[
                     ("dark", "dark cell", &|cell| (*cell).into()),
-                    ("sigma_position_um", "σ / µm", &|cell| micro(while_dark_of(cell, View::sigma_m))),
+                    ("sigma_position_um", "σ / µm", &|cell| Value::micro(while_dark_of(cell, View::sigma_m))),
                     ("sigma_rotation_mrad", "σ / mrad", &|cell| (while_dark_of(cell, View::sigma_rad) * 1e3).into()),
                     ("with_pose_percent", "with pose / %", &|cell| (100.0 * with_pose(&map.one_dark[*cell])).into()),
                 ],
             ),
-            Table::of(
-                "lit",
-                "Cells whose whole spot is on the detector",
-                &counts,
-                &[
-                    ("cells", "cells", &|count| (*count).into()),
-                    ("share_percent", "of the workspace / %", &|count| {
-                        (100.0 * map.share(|view| view.lit == *count)).into()
-                    }),
-                    ("at_least_percent", "so many or more / %", &|count| {
-                        (100.0 * map.share(|view| view.lit >= *count)).into()
-                    }),
-                ],
-            ),
         ],
-        ..Section::default()
-    }
-}
-
-pub(super) fn margins(map: &Map) -> Section {
-    let row = |what: &str, of: Of| {
-        let finite = |value: f64| Value::optional(Some(value).filter(|value| value.is_finite()));
-        let [worst, one, median] = map.quantiles([0.0, 0.01, 0.5], of).map(finite);
-        vec![what.into(), finite(of(&map.home).unwrap_or(f64::INFINITY)), median, one, worst]
-    };
-    let below = |of: Of| 100.0 * map.share(|view| of(view).is_some_and(|margin| margin < 1.0));
-    let kinds: [(&str, Of); 3] = [
-        ("full scale over the greatest electrode current", |view| Some(view.full_scale)),
-        ("saturation over the greatest photocurrent", |view| Some(view.saturation)),
-        ("least photocurrent over what is faint", |view| Some(view.faint)),
-    ];
-    let summary = ["Electrodes exceed the full scale", "Detectors saturate", "A cell is faint or dark"]
-        .into_iter()
-        .zip(kinds)
-        .filter(|(_, (_, of))| below(*of) > 0.0)
-        .map(|(what, (_, of))| format!("{what} in {:.2} % of the workspace.", below(of)));
-    Section {
-        name: "margins",
-        title: "How far it is from the limits",
-        summary: summary.collect(),
-        paragraphs: vec![
-            "Ratios: below one, the limit is passed. Of all cells, the one nearest to it counts.".to_owned(),
-        ],
-        tables: vec![Table {
-            name: "margins",
-            caption: "Margins".to_owned(),
-            columns: vec![
-                column("margin", "margin"),
-                column("home", "home"),
-                column("median", "median"),
-                column("of_1_percent", "1 %"),
-                column("least", "least"),
-            ],
-            rows: kinds.map(|(what, of)| row(what, of)).into(),
-        }],
         ..Section::default()
     }
 }
@@ -167,9 +130,9 @@ pub(super) fn schedules(schedules: &Schedules) -> Section {
                 ("slots", "slots", &|one| slots(one).into()),
                 ("oversampling", "oversampling", &|one| Value::from(one.oversampling as usize)),
                 ("busy_percent", "busy / %", &|one| (100.0 * one.busy).into()),
-                ("sigma_position_um", "σ / µm", &|one| micro(one.sigma_m)),
+                ("sigma_position_um", "σ / µm", &|one| Value::micro(one.sigma_m)),
                 ("sigma_rotation_mrad", "σ / mrad", &|one| (one.sigma_rad * 1e3).into()),
-                ("position_um_per_root_hz", "µm/√Hz", &|one| micro(one.sigma_m * one.per_root_hz())),
+                ("position_um_per_root_hz", "µm/√Hz", &|one| Value::micro(one.sigma_m * one.per_root_hz())),
                 ("rotation_mrad_per_root_hz", "mrad/√Hz", &|one| (one.sigma_rad * 1e3 * one.per_root_hz()).into()),
             ],
         )
@@ -241,11 +204,7 @@ pub(super) fn tolerances(studied: &Tolerances, are_stated: bool) -> Section {
             KNOWN.frames,
             studied.seed
         )],
-        pictures: vec![Picture {
-            name: "tolerances",
-            caption: "What each kind of part costs, before calibration and after it.".to_owned(),
-            svg: cost_picture(costs),
-        }],
+        pictures: vec![cost_picture(costs)],
         tables: vec![
             Table::of(
                 "tolerances",
@@ -254,9 +213,9 @@ pub(super) fn tolerances(studied: &Tolerances, are_stated: bool) -> Section {
                 &[
                     ("part", "part", &|(part, ..)| (*part).into()),
                     ("key", "key in [tolerance]", &|(_, key, _)| (*key).into()),
-                    ("before_um", "before / µm", &|(.., [before, _])| micro(before[0])),
+                    ("before_um", "before / µm", &|(.., [before, _])| Value::micro(before[0])),
                     ("before_mrad", "mrad", &|(.., [before, _])| (before[1] * 1e3).into()),
-                    ("after_um", "after / µm", &|(.., [_, after])| micro(after[0])),
+                    ("after_um", "after / µm", &|(.., [_, after])| Value::micro(after[0])),
                     ("after_mrad", "mrad", &|(.., [_, after])| (after[1] * 1e3).into()),
                 ],
             ),
@@ -266,9 +225,9 @@ pub(super) fn tolerances(studied: &Tolerances, are_stated: bool) -> Section {
                 &drawn,
                 &[
                     ("head", "head", &|(number, _)| (*number).into()),
-                    ("before_um", "before / µm", &|(_, [before, _])| micro(before[0])),
+                    ("before_um", "before / µm", &|(_, [before, _])| Value::micro(before[0])),
                     ("before_mrad", "mrad", &|(_, [before, _])| (before[1] * 1e3).into()),
-                    ("after_um", "after / µm", &|(_, [_, after])| micro(after[0])),
+                    ("after_um", "after / µm", &|(_, [_, after])| Value::micro(after[0])),
                     ("after_mrad", "mrad", &|(_, [_, after])| (after[1] * 1e3).into()),
                 ],
             ),
@@ -276,39 +235,34 @@ pub(super) fn tolerances(studied: &Tolerances, are_stated: bool) -> Section {
     }
 }
 
-/// Errors by kind of part, as discs on a logarithmic axis.
-fn cost_picture(costs: &PartCosts) -> String {
-    const LABELS: f64 = 230.0;
-    const WIDTH: f64 = 560.0;
-    const ROW: f64 = 24.0;
-    const TOP: f64 = 112.0;
-    let rows: Vec<(&str, [PoseRms; 2])> = (costs.parts.iter().map(|part| (part.part, [part.before, part.after])))
+/// Errors by kind of part, on a logarithmic axis: a row for each, with its name beside the greater error.
+fn cost_picture(costs: &PartCosts) -> Picture {
+    let rows: Vec<(&str, [f64; 2])> = (costs.parts.iter().map(|part| (part.part, [part.before, part.after])))
         .chain([("all together", [costs.before, costs.after])])
+        .map(|(part, errors)| (part, errors.map(|error| error[0] * 1e6)))
         .collect();
-    let bottom = TOP + ROW * rows.len() as f64;
-    let title = "What tolerances cost in position";
-    let mut canvas = Canvas::titled(
-        LABELS + WIDTH + 30.0,
-        bottom + 56.0,
-        title,
-        "Errors of poses, root mean square over the workspace.",
-    );
-    let all =
-        rows.iter().flat_map(|(_, errors)| errors.iter().map(|error| error[0] * 1e6)).filter(|value| *value > 0.0);
-    let x = Axis::logarithmic("error of the position / µm", all);
-    let curves = ["before calibration", "after it"].into_iter().enumerate();
-    let y = Axis { label: String::new(), range: [0.0, 1.0], scale: Scale::Bare };
-    let curves = curves.map(|(index, label)| curve(label, index, CurveStyle::Markers, Vec::new())).collect();
-    let chart = Chart { x, y, curves, notes: Vec::new() };
-    chart.draw(&mut canvas, dvec2(LABELS, TOP), dvec2(LABELS + WIDTH, bottom));
-    for (index, (part, errors)) in rows.into_iter().enumerate() {
-        let y = TOP + ROW * (index as f64 + 0.5);
-        canvas.text(dvec2(LABELS - 10.0, y + 4.5), part, TextStyle::new(13.0).anchored(Anchor::End));
-        for (kind, error) in errors.into_iter().enumerate().filter(|(_, error)| error[0] > 0.0) {
-            let colour = cell_colour(kind);
-            let at = dvec2(LABELS + WIDTH * chart.x.share(error[0] * 1e6), y);
-            canvas.disc(at, 4.5, colour, Stroke::new(colour, 0.5));
-        }
+    let height = |row: usize| -(row as f64);
+    let kind = |(k, label): (usize, &str)| {
+        let points = rows.iter().enumerate().map(|(row, (_, errors))| [errors[k], height(row)]);
+        curve(label, k, CurveStyle::Markers, points.filter(|[error, _]| *error > 0.0).collect())
+    };
+    let curves = ["before calibration", "after it"].into_iter().enumerate().map(kind).collect();
+    let y = |_| Axis { label: String::new(), range: [height(rows.len()), 1.0], scale: Scale::Bare };
+    let mut chart = Chart::over(curves, |x| Axis::logarithmic("error of the position / µm", x), y);
+    // Room for the names.
+    chart.x.range[1] *= 30.0;
+    let note = |(row, (part, errors)): (usize, &(&str, [f64; 2]))| Note {
+        at: [errors[0].max(errors[1]).max(chart.x.range[0]), height(row)],
+        offset: dvec2(10.0, 4.5),
+        anchor: Anchor::Start,
+        text: (*part).to_owned(),
+        colour: SOFT_INK,
+    };
+    chart.notes = rows.iter().enumerate().map(note).collect();
+    Sheet {
+        title: "What tolerances cost in position".to_owned(),
+        note: "Errors of poses, root mean square over the workspace.".to_owned(),
+        panels: vec![(String::new(), chart)],
     }
-    canvas.into_svg()
+    .draw("tolerances", "What each kind of part costs, before calibration and after it.")
 }

@@ -7,7 +7,7 @@ use slitpose_head::front_end::configuration;
 use crate::map::{Map, NoiseOf, Plane, PlanePoint, Schedules, Tolerances, View};
 use crate::plot::{Axis, Chart, CurveStyle, Heat, curve, heat_picture};
 use crate::report::section::{Getter, Picture, Report, Section, Sheet, Table, Value, column, program, scene};
-use crate::survey::{AXES, WorkspaceFacts};
+use crate::survey::{AXES, WorkspaceFacts, pose_text};
 
 mod checks;
 
@@ -64,17 +64,12 @@ pub fn map_report(head: &Head, map: &Map, studied: Option<&Tolerances>, proposed
         sections: [accuracy(map)]
             .into_iter()
             .chain(planes(map))
-            .chain([checks::redundancy(map), checks::margins(map)])
+            .chain([checks::redundancy(map)])
             .chain(proposed.map(checks::schedules))
             .chain(studied.map(|studied| checks::tolerances(studied, file.tolerance.is_some())))
             .collect(),
-        leading: 0,
         data: vec![points(map), samples(map)],
     }
-}
-
-fn micro(value: f64) -> Value {
-    Value::from(value * 1e6)
 }
 
 const POINTS: usize = 200;
@@ -122,21 +117,9 @@ fn accuracy(map: &Map) -> Section {
         ));
     }
     let place = |kind: &Kind| {
-        map.worst(kind.of).map(|(pose, value)| {
-            let (t, r) = (pose.translation_m * 1e3, pose.rotation_rad());
-            format!(
-                "The {} is worst, {:.2} {}, at ({:+.2}, {:+.2}, {:+.2}) mm and ({:+.1}, {:+.1}, {:+.1})°.",
-                kind.name,
-                value * kind.scale,
-                kind.unit,
-                t.x,
-                t.y,
-                t.z,
-                r.x.to_degrees(),
-                r.y.to_degrees(),
-                r.z.to_degrees()
-            )
-        })
+        let (pose, value) = map.worst(kind.of)?;
+        let (Kind { name, unit, scale, .. }, at) = (kind, pose_text(&pose).replace("mm, ", "mm and "));
+        Some(format!("The {name} is worst, {:.2} {unit}, at {at}.", value * scale))
     };
     Section {
         name: "accuracy",
@@ -281,7 +264,7 @@ fn points(map: &Map) -> Table {
             ("value_2", "mm or rad", &|(plane, point)| in_units(plane.axes[1], point.at[1])),
         ],
         &[
-            ("worst_position_um", "worst / µm", &|(_, point)| micro(point.worst_m)),
+            ("worst_position_um", "worst / µm", &|(_, point)| Value::micro(point.worst_m)),
             ("worst_rotation_mrad", "worst / mrad", &|(_, point)| (point.worst_rad * 1e3).into()),
             ("least_lit", "fewest lit", &|(_, point)| point.least_lit.into()),
         ],

@@ -215,16 +215,6 @@ fn what_is_skipped_leaves_its_hello() {
 }
 
 #[test]
-fn a_plain_byte_stream_is_read_as_it_is() {
-    let frames = stream(&WIDE.read().unwrap(), 400, true).concat();
-    let (content, end) = read(&frames);
-    assert!(content.links.iter().all(|(device, log_ns, _)| device.is_none() && *log_ns == 0));
-    assert!(content.links.len() > 1);
-    assert_eq!(joined(content), frames);
-    assert_eq!(end, End { finished: true, whole_bytes: frames.len() as u64, ..End::default() });
-}
-
-#[test]
 fn poses_and_reports_are_there_for_other_programs() {
     let frames = stream(&WIDE.read().unwrap(), 40, true);
     let (records, _) = solve(&frames.concat());

@@ -200,7 +200,6 @@ fn a_crystal_that_is_off_by_a_per_cent_is_noticed_and_no_time_is_wrong() {
         for (name, link) in [("USB", USB), ("UART", UART), ("quick", QUICK)] {
             // The trial fails at the first time with an error above its uncertainty.
             let trial = Trial::with_source(Some(ClockSource::Crystal), &Link { rate, ..link }, seed, 20.0);
-            println!("{HEAD}\n{}", trial.row(&format!("{name}, {rate}")));
             assert!(trial.contradicts_crystal, "seed {seed}, {name}, {rate}");
             // After the contradiction no time is known until two pongs agree within an oscillator's bounds.
             let (without, last_s) = (trial.unknown_s.len(), trial.unknown_s.iter().copied().fold(0.0, f64::max));

@@ -5,8 +5,8 @@ use super::is_of_silicon;
 use slitpose_emulator::peripherals::Ticks;
 use slitpose_protocol::poses::TRIANGLE;
 use slitpose_protocol::{
-    AdcScaling, Batch, Decoder, Hashes, MAX_MESSAGE_BYTES, Message, Pong, PoseRecord, RawScan, Rejection, Reply,
-    ResetCause, Schedule, Severity, Status,
+    AdcScaling, Batch, Decoder, Edge, Edges, Hashes, MAX_MESSAGE_BYTES, Message, Pong, PoseRecord, RawScan, Rejection,
+    Reply, ResetCause, Schedule, Severity, Status,
 };
 
 /// Scans that fit the board: 25 KB of packets of four scans and at least 218 bytes, and a batch
@@ -71,6 +71,9 @@ pub struct Listener {
     pub poses: Vec<(Ticks, (u64, u64, PoseRecord))>,
     /// Covariances, each with the index of its pose.
     pub covariances: Vec<(usize, [f32; TRIANGLE])>,
+    /// Edges of the trigger input, in the order of their numbers, and those that were missed.
+    pub edges: Vec<Edge>,
+    pub missed_edges: u32,
     /// Scans that the board has not solved, by the last packet of poses.
     pub missed: u32,
     /// Empty packets, and the instants of packets that were full and had none behind them.
@@ -152,6 +155,12 @@ impl Listener {
             Message::Reply(reply) => Said::Reply(reply),
             Message::Pong(pong) => Said::Pong(pong),
             Message::Truth(truth) => panic!("a physical board knows the truth: {truth:?}"),
+            Message::Edges(Edges { number, missed, edges }) => {
+                assert!(number as usize >= self.edges.len(), "{number}: none comes twice");
+                self.missed_edges = missed;
+                self.edges.extend(edges);
+                return;
+            }
             Message::Poses(poses) => {
                 let frame_ticks = self.schedule().frame_ticks;
                 self.heads.push(poses.head);

@@ -1,7 +1,6 @@
 //! The socket that spacenavd's clients connect to.
 
 use std::io::{ErrorKind, Read, Write};
-use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,8 +11,9 @@ use slitpose_head::scene_file::Workspace;
 use slitpose_model::Pose;
 
 use super::Feel;
-use crate::address::{ServeError, SocketFile, connects_stream};
+use crate::address::ServeError;
 use crate::background::Background;
+use crate::platform::{LocalListener, LocalStream, SocketFile, listen_local};
 use slitpose_tracking::page::{Sample, SampleSink};
 
 /// Most clients; more are not let in.
@@ -73,7 +73,7 @@ impl SampleSink for SpacenavInput {
 impl SpacenavServer {
     /// Serves `path`, for a tool in `workspace`.
     pub(crate) fn start(path: &Path, feel: Feel, workspace: Workspace) -> Result<Self, ServeError> {
-        let (listener, file) = SocketFile::bind(path, connects_stream, |path| UnixListener::bind(path))?;
+        let (listener, file) = listen_local(path)?;
         let failed = |source| ServeError::Thread { source };
         listener.set_nonblocking(true).map_err(failed)?;
         let (sender, sightings) = bounded(SIGHTINGS);
@@ -103,7 +103,7 @@ struct Mouse {
 }
 
 impl Mouse {
-    fn serve(mut self, listener: &UnixListener, sightings: &Receiver<Option<Pose>>, ended: &Receiver<()>) {
+    fn serve(mut self, listener: &LocalListener, sightings: &Receiver<Option<Pose>>, ended: &Receiver<()>) {
         while ended.try_recv() == Err(TryRecvError::Empty) {
             // Without scans the tool is where nobody knows.
             let pose = match sightings.recv_timeout(MOMENT) {
@@ -139,7 +139,7 @@ impl Mouse {
 }
 
 struct Client {
-    stream: UnixStream,
+    stream: LocalStream,
     sensitivity: f64,
     /// Whether the last event that it was sent is of a tool at rest.
     at_rest: bool,
@@ -201,7 +201,7 @@ mod tests {
 
     #[test]
     fn a_client_that_says_much_is_heard_in_parts() {
-        let (stream, mut other) = UnixStream::pair().unwrap();
+        let (stream, mut other) = LocalStream::pair().unwrap();
         stream.set_nonblocking(true).unwrap();
         other.write_all(&[0x3f; 4096]).unwrap();
         let mut client = Client { stream, sensitivity: 1.0, at_rest: true, part: Vec::new() };

@@ -1,0 +1,214 @@
+//! Linux, macOS and other Unix systems.
+
+use std::os::unix::fs::{FileTypeExt, MetadataExt};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::Arc;
+use std::time::Duration;
+use std::{fs, io};
+
+use nix::unistd::{AccessFlags, Gid, Group, access};
+use sd_notify::NotifyState;
+use slitpose_head::finding::Finding;
+use thread_priority::{
+    RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
+    set_thread_priority_and_policy, thread_native_id,
+};
+
+use super::Notice;
+
+#[path = "unix_sockets.rs"]
+mod sockets;
+
+pub use sockets::UnixClient;
+pub(crate) use sockets::*;
+
+// Serial ports.
+
+/// A port, as an example.
+pub(crate) const A_PORT: &str = "/dev/ttyACM0";
+
+/// The system passes on what USB devices call themselves.
+pub(crate) const HAS_USB_TEXTS: bool = true;
+
+/// The pseudo-terminals of macOS refuse every rate; this one leaves it alone there.
+pub(crate) const ANY_BAUD: Option<u32> = if cfg!(target_os = "macos") { Some(0) } else { None };
+
+/// Whether the ports can be listed: the library panics without this folder, and a system without it has none.
+pub(crate) fn can_list_ports() -> bool {
+    !cfg!(target_os = "linux") || Path::new("/sys/class/tty").is_dir()
+}
+
+/// Whether `name` is that of a port outside the file system.
+pub(crate) fn is_port_name(_: &str) -> bool {
+    false
+}
+
+/// The target of the path `name`, or the path itself if it does not exist.
+pub(crate) fn real_port(name: &str) -> PathBuf {
+    fs::canonicalize(name).unwrap_or_else(|_| name.into())
+}
+
+/// The character devices that match `pattern`, sorted by name. Unreadable paths do not match.
+pub(crate) fn ports_like(pattern: &str) -> Vec<String> {
+    let is_port = |path: &PathBuf| fs::metadata(path).is_ok_and(|found| found.file_type().is_char_device());
+    let matches = glob::glob(pattern).into_iter().flatten().flatten();
+    matches.filter(is_port).filter_map(|path| path.into_os_string().into_string().ok()).collect()
+}
+
+/// The programs that have the port `name` open, without those of other users, whose open files are hidden. Reads every open file of the system.
+pub(crate) fn holders(name: &str) -> Vec<String> {
+    let port = real_port(name);
+    let number = |entry: fs::DirEntry| entry.file_name().to_str()?.parse::<u32>().ok();
+    let processes = fs::read_dir("/proc").into_iter().flatten().flatten().filter_map(number);
+    let mut holders: Vec<u32> = processes.filter(|process| has_open(*process, &port)).collect();
+    holders.sort_unstable();
+    holders.into_iter().map(|process| format!("{} (process {process})", program(process))).collect()
+}
+
+fn has_open(process: u32, port: &Path) -> bool {
+    let Ok(files) = fs::read_dir(format!("/proc/{process}/fd")) else {
+        return false;
+    };
+    files.flatten().any(|file| fs::read_link(file.path()).is_ok_and(|target| target == port))
+}
+
+fn program(process: u32) -> String {
+    let name = fs::read_to_string(format!("/proc/{process}/comm")).unwrap_or_default();
+    name.trim_end().to_owned()
+}
+
+/// Whether this user may open the port `name`, and the group that may.
+pub(crate) fn port_permission(name: &str) -> Finding {
+    let group = fs::metadata(name).ok().and_then(|port| Group::from_gid(Gid::from_raw(port.gid())).ok().flatten());
+    let group = group.map_or_else(|| "without a name".to_owned(), |group| group.name);
+    match access(name, AccessFlags::R_OK | AccessFlags::W_OK) {
+        Ok(()) => Finding::ok("permission", format!("this user may open {name}, which belongs to the group {group}")),
+        Err(error) => Finding::failed(
+            "permission",
+            format!("this user may not open {name}, which belongs to the group {group}: {error}"),
+            "install the udev rule (host/INSTALL.md), or join that group and log in again",
+        ),
+    }
+}
+
+// Priorities.
+
+/// Lets other threads go before the calling one: this is the niceness of the thread alone.
+pub(crate) fn go_behind() {
+    let _ = rustix::process::nice(10);
+}
+
+/// Gives the calling thread this priority (SCHED_FIFO, 1 to 99). The error is advice for the user.
+pub(crate) fn claim_priority(priority: u8) -> Result<(), &'static str> {
+    const REMEDY: &str = "no real-time priority for the threads of the board: allow it with LimitRTPRIO=99 in the \
+                          systemd unit, or in /etc/security/limits.conf, or leave --real-time out";
+    let value = ThreadPriorityValue::try_from(priority).map_err(|_| REMEDY)?;
+    set_thread_priority_and_policy(
+        thread_native_id(),
+        ThreadPriority::Crossplatform(value),
+        ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo),
+    )
+    .map_err(|_| REMEDY)
+}
+
+/// The priority that the shipped service may use.
+const PRIORITY: u64 = 50;
+
+/// Which priorities this user may claim.
+pub(crate) fn priority() -> Finding {
+    if rustix::process::geteuid().is_root() {
+        return Finding::ok("priority", "root may use real-time priorities");
+    }
+    let limits = fs::read_to_string("/proc/self/limits").unwrap_or_default();
+    let Some(limit) = real_time_limit(&limits) else {
+        return Finding::skipped("priority", "/proc/self/limits does not say what is allowed");
+    };
+    let text = format!("real-time priorities up to {limit} are allowed");
+    if limit >= PRIORITY {
+        return Finding::ok("priority", text);
+    }
+    let text = format!("{text}, {PRIORITY} is needed: a busy host reads late");
+    Finding::warning("priority", text, "allow them as host/INSTALL.md describes, or run the service")
+}
+
+/// The soft limit in `/proc/self/limits`; the maximum if unlimited.
+fn real_time_limit(limits: &str) -> Option<u64> {
+    let line = limits.lines().find_map(|line| line.strip_prefix("Max realtime priority"))?;
+    match line.split_whitespace().next()? {
+        "unlimited" => Some(99),
+        number => number.parse().ok(),
+    }
+}
+
+// The service manager, and the machine.
+
+/// Notifies systemd; without it nothing is sent.
+pub(crate) fn notify(notice: Notice) -> io::Result<()> {
+    sd_notify::notify(&[match notice {
+        Notice::Ready => NotifyState::Ready,
+        Notice::Alive => NotifyState::Watchdog,
+        Notice::Stopping => NotifyState::Stopping,
+    }])
+}
+
+/// How often the service manager wants to be notified that this program is alive, if it does.
+pub(crate) fn watchdog() -> Option<Duration> {
+    sd_notify::watchdog_enabled()
+}
+
+/// Before anything else: lets a file that must not grow any more be an error of writing to it, as a full disk is, and not the
+/// end of the program: its other work goes on.
+pub(crate) fn prepare() -> io::Result<()> {
+    // A signal that is taken notice of is not fatal.
+    signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Arc::default()).map(drop)
+}
+
+/// Kind and version of this operating system and its kernel.
+pub(crate) fn system() -> String {
+    let release = fs::read_to_string("/etc/os-release").unwrap_or_else(|_| "no /etc/os-release\n".to_owned());
+    // Without -n: the name of the host is private.
+    let kernel = Command::new("uname").args(["-s", "-r", "-v", "-m"]).stdin(Stdio::null()).output();
+    let kernel = kernel.map_or_else(
+        |error| format!("no uname: {error}\n"),
+        |kernel| String::from_utf8_lossy(&kernel.stdout).into_owned(),
+    );
+    format!("{kernel}{release}")
+}
+
+/// How to set the clock.
+pub(crate) const SET_CLOCK: &str = "set the clock: timedatectl set-ntp true";
+
+/// Whether the clock is synchronised: `yes` or `no`, by systemd, if it runs.
+pub(crate) fn synchronised() -> Option<String> {
+    let asked = Command::new("timedatectl")
+        .args(["show", "--property=NTPSynchronized", "--value"])
+        .stdin(Stdio::null())
+        .stderr(Stdio::null())
+        .output()
+        .ok()?;
+    asked.status.success().then(|| String::from_utf8_lossy(&asked.stdout).trim().to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use slitpose_head::finding::Grade;
+
+    #[test]
+    fn the_limit_is_read() {
+        let limits = "Limit                     Soft Limit           Hard Limit           Units     \n\
+                      Max nice priority         0                    0                    \n\
+                      Max realtime priority     12                   95                   \n\
+                      Max realtime timeout      unlimited            unlimited            us        \n";
+        assert_eq!(real_time_limit(limits), Some(12));
+        assert_eq!(real_time_limit(&limits.replace("12 ", "unlimited ")), Some(99));
+        assert_eq!(real_time_limit("Max nice priority 0 0"), None);
+    }
+
+    #[test]
+    fn a_port_that_is_not_there_may_not_be_opened() {
+        assert_eq!(port_permission("/dev/null").grade, Grade::Ok);
+        assert_eq!(port_permission("/dev/no-such-board").grade, Grade::Failed);
+    }
+}
