@@ -8,6 +8,7 @@ use std::os::unix::fs::{FileTypeExt, MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
 use nix::errno::Errno;
+use nix::libc::{dev_t, ino_t};
 use nix::sys::socket::{ControlMessage, MsgFlags, SockType, UnixAddr, getsockopt, send, sendmsg, sockopt};
 use rustix::net::{RecvAncillaryBuffer, RecvAncillaryMessage, RecvFlags, recvmsg};
 
@@ -91,7 +92,7 @@ fn identity(path: &Path) -> io::Result<[u64; 2]> {
 #[derive(Debug)]
 pub(crate) struct PassedSocket {
     socket: LocalDatagram,
-    identity: (u64, u64),
+    identity: (dev_t, ino_t),
     /// The process that made the pair, and its user.
     pub(crate) process: Option<i32>,
     pub(crate) user: Option<u32>,
@@ -115,10 +116,10 @@ impl PassedSocket {
         is_pair.then(|| Self { socket, identity: (found.st_dev, found.st_ino), process, user })
     }
 
-    /// Sends a datagram without waiting, also if the client has made its end a blocking one.
+    /// Sends a datagram without waiting, also if the client has made its end a blocking one. SIGPIPE is ignored by every
+    /// program in Rust.
     pub(crate) fn send(&self, bytes: &[u8]) -> io::Result<usize> {
-        let flags = MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_NOSIGNAL;
-        Ok(send(self.socket.as_raw_fd(), bytes, flags)?)
+        Ok(send(self.socket.as_raw_fd(), bytes, MsgFlags::MSG_DONTWAIT)?)
     }
 }
 
@@ -137,7 +138,9 @@ pub(crate) fn is_out_of_memory(error: &io::Error) -> bool {
 pub(crate) fn receive_local(socket: &LocalDatagram, buffer: &mut [u8]) -> io::Result<(usize, Option<PassedSocket>)> {
     let mut space = [MaybeUninit::uninit(); rustix::cmsg_space!(ScmRights(1))];
     let mut control = RecvAncillaryBuffer::new(&mut space);
-    let flags = RecvFlags::DONTWAIT | RecvFlags::CMSG_CLOEXEC;
+    let flags = RecvFlags::DONTWAIT;
+    #[cfg(not(target_vendor = "apple"))]
+    let flags = flags | RecvFlags::CMSG_CLOEXEC;
     let received = recvmsg(socket, &mut [IoSliceMut::new(buffer)], &mut control, flags);
     let passed = control.drain().find_map(|message| match message {
         RecvAncillaryMessage::ScmRights(mut passed) => passed.next(),
