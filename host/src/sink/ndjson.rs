@@ -8,11 +8,10 @@ use serde::Serialize;
 use super::{Accounts, Note, Sink, json};
 use slitpose_calibration::values_of;
 use slitpose_head::faults::ANNOUNCED;
-use slitpose_tracking::clock::HostTime;
 use slitpose_tracking::columns::{COLUMNS, Column, Get, Row};
 use slitpose_tracking::frame::View;
 use slitpose_tracking::link::DeviceId;
-use slitpose_tracking::pipeline::Record;
+use slitpose_tracking::pipeline::{EdgeRecord, Record};
 
 /// Writes an object with the values of `row`, whose keys go on behind `behind` bytes.
 fn write(columns: &[&Column], behind: usize, row: &Row<'_>, out: &mut Vec<u8>) {
@@ -86,6 +85,37 @@ struct FaultLine<'a> {
     device_time_s: f64,
 }
 
+/// An edge of a board's trigger input. Its keys are those of a pose where they mean the same.
+#[derive(Serialize)]
+struct EdgeLine {
+    kind: &'static str,
+    device: DeviceId,
+    number: u32,
+    device_time_s: f64,
+    host_monotonic_ns: Option<u64>,
+    host_utc_ns: Option<u64>,
+    host_uncertainty_ns: Option<u64>,
+    is_high: bool,
+    missed: u32,
+}
+
+impl From<&EdgeRecord> for EdgeLine {
+    fn from(edge: &EdgeRecord) -> Self {
+        let time = edge.host_time.as_ref();
+        Self {
+            kind: "edge",
+            device: edge.device,
+            number: edge.number,
+            device_time_s: edge.device_time_s,
+            host_monotonic_ns: time.map(|time| time.monotonic_ns),
+            host_utc_ns: time.map(|time| time.utc_ns),
+            host_uncertainty_ns: time.map(|time| time.uncertainty_ns),
+            is_high: edge.is_high,
+            missed: edge.missed,
+        }
+    }
+}
+
 /// The frame that the next objects speak of.
 #[derive(Serialize)]
 struct FrameLine<'a> {
@@ -139,21 +169,7 @@ impl<W: Write> Sink for Ndjson<W> {
     fn note(&mut self, note: &Note) -> io::Result<()> {
         self.line.clear();
         match note {
-            Note::Edge(edge) => {
-                let time = |get: fn(&HostTime) -> u64| edge.host_time.as_ref().map(get);
-                let line = serde_json::json!({
-                    "kind": "edge",
-                    "device": edge.device,
-                    "number": edge.number,
-                    "device_time_s": edge.device_time_s,
-                    "host_monotonic_ns": time(|time| time.monotonic_ns),
-                    "host_utc_ns": time(|time| time.utc_ns),
-                    "host_uncertainty_ns": time(|time| time.uncertainty_ns),
-                    "is_high": edge.is_high,
-                    "missed": edge.missed,
-                });
-                json(&mut self.line, &line);
-            }
+            Note::Edge(edge) => json(&mut self.line, &EdgeLine::from(edge)),
             // Poses that follow an injected fault are not what the board would have given: the stream says so.
             Note::Text { device, device_time_s, text, .. } => {
                 let Some(fault) = text.strip_prefix(ANNOUNCED) else { return Ok(()) };
