@@ -29,8 +29,10 @@ pub fn say_by(farewell: fn(&OutputError)) {
 /// After that another interrupt ends the program at once, with exit code 1. Another notice of a closed terminal does not:
 /// one comes from the kernel and one from the shell. Until this is asked for the first time, each of them ends the program.
 pub fn flag() -> io::Result<Arc<AtomicBool>> {
+    // Made before the first interrupt is taken, which would find none and end the program.
+    let stop = Arc::clone(STOP.get_or_init(Arc::default));
     listen()?;
-    Ok(Arc::clone(STOP.get_or_init(Arc::default)))
+    Ok(stop)
 }
 
 /// Takes interrupts, from the first call on.

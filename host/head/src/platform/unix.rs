@@ -15,9 +15,11 @@ use signal_hook::iterator::Signals;
 use super::folder;
 
 /// From now on calls `handle` on a thread of its own for each SIGINT, SIGTERM and SIGHUP, which then do not end the
-/// program; the argument is whether the terminal was closed (SIGHUP). A SIGHUP that is ignored, as under `nohup`, stays so.
+/// program; the argument is whether the terminal was closed (SIGHUP). A SIGHUP that is ignored, as under `nohup`, stays so;
+/// a SIGINT does not, which a script's shell ignores for a program that it starts with `&`.
 pub fn on_interrupt(handle: impl Fn(bool) + Send + 'static) -> io::Result<()> {
-    let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP].into_iter().filter(|signal| !is_ignored(*signal)))?;
+    let signals = [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|signal| *signal != SIGHUP || !is_ignored(SIGHUP));
+    let mut signals = Signals::new(signals)?;
     let run = move || signals.forever().for_each(|signal| handle(signal == SIGHUP));
     std::thread::Builder::new().name("interrupt".to_owned()).spawn(run).map(drop)
 }
