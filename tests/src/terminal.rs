@@ -213,8 +213,16 @@ impl Device for Board {
 
 /// `board` with each message changed by `edit`; `None` leaves it out.
 pub fn edited(
-    mut board: impl Device,
+    board: impl Device,
     mut edit: impl FnMut(Message<'_>) -> Option<Message<'_>> + Send + 'static,
+) -> impl Device {
+    rewritten(board, move |message, sent| sent.extend(edit(message).iter().flat_map(packet)))
+}
+
+/// `board` with what `write` sends instead of each message.
+pub fn rewritten(
+    mut board: impl Device,
+    mut write: impl FnMut(Message<'_>, &mut Vec<u8>) + Send + 'static,
 ) -> impl Device {
     let mut decoder = Decoder::<MAX_MESSAGE_BYTES>::new();
     move |received: &[u8], now_s: f64, sent: &mut Vec<u8>| {
@@ -222,9 +230,7 @@ pub fn edited(
         let plugged = board.act(received, now_s, &mut own);
         let mut bytes = &own[..];
         while let Some(message) = decoder.next::<Message<'_>>(&mut bytes) {
-            if let Some(message) = edit(message.expect("undamaged")) {
-                sent.extend(packet(&message));
-            }
+            write(message.expect("undamaged"), sent);
         }
         plugged
     }

@@ -17,6 +17,8 @@ const REFUSED: &[(&str, i32, &[&str])] = &[
     ("run --device sim --scene bench --duration 1ms", 1, &["bench", "[front_end]", "add one"]),
     ("run --patience 0s --device /dev/no-such-board", 1, &["there is no /dev/no-such-board", "--device sim"]),
     ("run --patience 0s --device /dev/null", 1, &["cannot be opened as a serial port"]),
+    ("run --patience 0s --device /etc/hosts", 1, &["file, not a serial port"]),
+    ("run --patience 0s --device /", 1, &["folder, not a serial port"]),
     ("run --patience 0s --device auto", 1, &["no board found"]),
     ("run --patience 0s --device 0036002900544850025a0320", 1, &["is not there"]),
     ("run --device 3600290054485002", 2, &["is neither"]),

@@ -18,7 +18,7 @@ use slitpose_tests::capture::decode;
 use slitpose_tests::consistency::Honesty;
 use slitpose_tests::daemon::Follower;
 use slitpose_tests::ndjson::{self, Line};
-use slitpose_tests::process::{Finished, name_in, signal, text, written};
+use slitpose_tests::process::{Finished, name_in, signal};
 use slitpose_tests::slitpose;
 use slitpose_tests::studies::scan_table;
 use slitpose_tests::terminal::{Board, Device, FRAME_RATE_HZ, Log, Terminal, edited, greeting, packet, reply};
@@ -280,15 +280,6 @@ fn the_scene_of_the_board_is_looked_after() {
     let (finished, log, _) = run(real(Some(!own)), &["--duration", "100ms"]);
     finished.assert_refused(1, &[&format!("{own:016x}"), &format!("{:016x}", !own), "--scene"]);
     assert!(log.commands().iter().all(|command| *command == Command::Hello), "configured in spite of it");
-}
-
-#[test]
-fn what_is_no_port_is_named() {
-    let folder = tempfile::tempdir().expect("temporary folder");
-    let (file, folder) = (&*written(folder.path(), "file", ""), text(folder.path()));
-    for (device, part) in [(file, "file, not a serial port"), (folder, "folder, not a serial port")] {
-        slitpose!().run(["run", "--patience", "0s", "--device", device]).assert_refused(1, &[part]);
-    }
 }
 
 /// Scans of more than half a second are on their way to an output that is not read: the pipe and all

@@ -4,10 +4,10 @@ use std::net::TcpStream;
 use std::process::Child;
 use std::time::{Duration, Instant};
 
-use slitpose_protocol::{BoardKind, Command, Decoder, Hello, MAX_MESSAGE_BYTES, Message};
+use slitpose_protocol::{BoardKind, Command, Hello, Message};
 use slitpose_tests::process::{Finished, address_said, get};
 use slitpose_tests::slitpose;
-use slitpose_tests::terminal::{Board, Device, Log, Terminal, edited, greeting, packet};
+use slitpose_tests::terminal::{Board, Device, Log, Terminal, edited, greeting, packet, rewritten};
 
 /// A busy machine may take its time.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -145,25 +145,17 @@ fn what_no_sound_board_does_is_said_once_and_poses_go_on() {
         hello.kind = BoardKind::Physical;
     });
     // Says who it is once more after a hundred batches, by another name.
-    let (mut board, mut decoder) = (Board::wide(91), Decoder::<MAX_MESSAGE_BYTES>::new());
     let (mut renamed_hello, mut count) = (Vec::new(), 0);
-    let renamed = move |received: &[u8], now_s: f64, sent: &mut Vec<u8>| {
-        let mut own = Vec::new();
-        let plugged = board.act(received, now_s, &mut own);
-        let mut bytes = &own[..];
-        while let Some(message) = decoder.next::<Message<'_>>(&mut bytes) {
-            let message = message.expect("undamaged");
-            sent.extend(packet(&message));
-            if let Message::Hello(hello) = &message {
-                renamed_hello = packet(&Message::Hello(Hello { device_id: *b"another one\0", ..hello.clone() }));
-            }
-            count += u32::from(matches!(message, Message::Batch(_)));
-            if count == 100 {
-                sent.append(&mut renamed_hello);
-            }
+    let renamed = rewritten(Board::wide(91), move |message, sent| {
+        sent.extend(packet(&message));
+        if let Message::Hello(hello) = &message {
+            renamed_hello = packet(&Message::Hello(Hello { device_id: *b"another one\0", ..hello.clone() }));
         }
-        plugged
-    };
+        count += u32::from(matches!(message, Message::Batch(_)));
+        if count == 100 {
+            sent.append(&mut renamed_hello);
+        }
+    });
     let runs = [
         (Run::start(jumping, &["--duration", "1s"]), "clock jumped by +0.33"),
         (Run::start(truthful, &["--duration", "1s"]), "sends true poses"),

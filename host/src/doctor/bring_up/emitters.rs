@@ -319,6 +319,16 @@ mod tests {
     }
 
     #[test]
+    fn stray_light_that_the_scene_predicts_is_no_missing_baffle() {
+        for (share, predicted, grade) in [(0.009, 0.0, Grade::Ok), (0.05, 0.045, Grade::Ok), (0.05, 0.0, Failed)] {
+            let stray = Pair { i_x1_a: 2.0 * share * OWN.i_x1_a, i_x2_a: 0.0 };
+            let expected = Expected { own: vec![OWN; 2], stray: vec![vec![predicted; 2]; 2] };
+            let findings = judge_crosstalk(&[vec![OWN, Pair::default()], vec![stray, OWN]], &[OWN; 2], &expected);
+            assert_eq!([findings[0].grade, findings[1].grade], [Grade::Ok, grade], "{share} {predicted}");
+        }
+    }
+
+    #[test]
     fn dark_cells_and_moving_tools_are_not_taken_for_stray_light() {
         let mut responses = vec![vec![Pair::default(); 2]; 2];
         responses[0][0] = OWN;

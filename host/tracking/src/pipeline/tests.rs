@@ -6,7 +6,9 @@ use slitpose_protocol::{
     Command, DELIMITER, Hashes, HeadPart, MAX_MESSAGE_BYTES, Message, PoseRecord, PoseStatus, Poses, Stream, encode,
 };
 
-use super::{Item, Oddity, Pipeline, PipelineError, PipelineOptions, PoseFault, PoseSource, Record, SceneMatch};
+use super::{
+    Counts, Item, Oddity, Pipeline, PipelineError, PipelineOptions, PoseFault, PoseSource, Record, SceneMatch,
+};
 use crate::clock::HostInstant;
 use crate::link::{Asked, Segment};
 use slitpose_head::scene_file::{SceneFile, WIDE};
@@ -179,6 +181,14 @@ fn a_batch_has_come_after_its_last_sample() {
     assert_eq!(session.last_tick(1_000, 1), 1_000 + last_sample);
     assert_eq!(session.last_tick(1_000, 4), 1_000 + 3 * 42_500 + last_sample);
     assert_eq!(session.last_tick(u64::MAX, 1), last_sample - 1, "the counter wraps");
+}
+
+#[test]
+fn scans_missing_beyond_the_end_are_not_lost() {
+    let mut counts = Counts::default();
+    counts.count_scan(9, 0);
+    counts.count_lost_before_end(30, 5);
+    assert_eq!((counts.scans, counts.scans_lost), (1, 5));
 }
 
 #[test]
