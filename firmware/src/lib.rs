@@ -44,6 +44,7 @@
 //!     fn limit_levels(&self, _: &Schedule, _: &mut [Level]) {}
 //!     fn acquire(&mut self, _: Option<&Configuration>) -> Result<(), HardwareFault> { Ok(()) }
 //!     fn next_scan(&mut self, _: &mut RawScan) -> Result<bool, ScanError> { Ok(false) }
+//!     fn set_pulse(&mut self, _: Pulse, _: &Schedule) -> Result<(), HardwareFault> { Ok(()) }
 //! }
 //! impl Storage for Desk {
 //!     fn store(&mut self, _: Option<&Settings>, _: &[u8]) {}
@@ -51,6 +52,7 @@
 //! }
 //! impl System for Desk {
 //!     fn now_ticks(&mut self) -> u64 { self.0 += u64::from(TICK_HZ) / 1000; self.0 }
+//!     fn next_edge(&mut self) -> Option<Edge> { None }
 //!     fn housekeeping(&mut self, _: Indicator) -> Health {
 //!         Health { supply_v: 3.3, temperature_k: 298.0, cpu_load_permille: 0 }
 //!     }
