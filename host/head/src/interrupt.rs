@@ -7,7 +7,7 @@ use std::{fs, io, process};
 
 use tempfile::NamedTempFile;
 
-use crate::platform;
+use crate::platform::{self, Interrupt};
 use crate::table::OutputError;
 use crate::threads::lock;
 
@@ -46,10 +46,11 @@ fn listen() -> io::Result<()> {
     Ok(())
 }
 
-fn interrupted(is_terminal_closed: bool) {
+fn interrupted(interrupt: Interrupt) {
     match STOP.get() {
+        None if interrupt == Interrupt::Unheeded => {}
         None => remove_parts(),
-        Some(stop) if stop.swap(true, Ordering::Relaxed) && !is_terminal_closed => process::exit(1),
+        Some(stop) if stop.swap(true, Ordering::Relaxed) && interrupt != Interrupt::TerminalClosed => process::exit(1),
         Some(_) => {}
     }
 }

@@ -4,8 +4,10 @@ use std::fs::File;
 use std::io;
 use std::path::Path;
 
+use super::Interrupt;
+
 /// Does nothing: nobody interrupts.
-pub fn on_interrupt(_: impl Fn(bool) + Send + 'static) -> io::Result<()> {
+pub fn on_interrupt(_: impl Fn(Interrupt) + Send + 'static) -> io::Result<()> {
     Ok(())
 }
 

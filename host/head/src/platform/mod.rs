@@ -22,6 +22,17 @@ pub use unix::*;
 #[cfg(windows)]
 pub use windows::*;
 
+/// Why a program is to end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Interrupt {
+    /// Ctrl-C, or a service manager.
+    Asked,
+    /// The same, of a program that was started to ignore it, as a shell starts those in the background.
+    Unheeded,
+    /// Its terminal was closed.
+    TerminalClosed,
+}
+
 /// The folder that the environment variable `name` holds, if it is set and not empty.
 fn folder(name: &str) -> Option<std::path::PathBuf> {
     std::env::var_os(name).filter(|value| !value.is_empty()).map(Into::into)

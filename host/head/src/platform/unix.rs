@@ -12,15 +12,21 @@ use nix::time::{ClockId, clock_gettime};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 
-use super::folder;
+use super::{Interrupt, folder};
 
 /// From now on calls `handle` on a thread of its own for each SIGINT, SIGTERM and SIGHUP, which then do not end the
-/// program; the argument is whether the terminal was closed (SIGHUP). A SIGHUP that is ignored, as under `nohup`, stays so;
-/// a SIGINT does not, which a script's shell ignores for a program that it starts with `&`.
-pub fn on_interrupt(handle: impl Fn(bool) + Send + 'static) -> io::Result<()> {
-    let signals = [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|signal| *signal != SIGHUP || !is_ignored(SIGHUP));
-    let mut signals = Signals::new(signals)?;
-    let run = move || signals.forever().for_each(|signal| handle(signal == SIGHUP));
+/// program. A SIGHUP that is ignored, as under `nohup`, stays so.
+pub fn on_interrupt(handle: impl Fn(Interrupt) + Send + 'static) -> io::Result<()> {
+    let ignored: Vec<_> = [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|signal| is_ignored(*signal)).collect();
+    let hang_up = (!ignored.contains(&SIGHUP)).then_some(SIGHUP);
+    let mut signals = Signals::new([SIGINT, SIGTERM].into_iter().chain(hang_up))?;
+    let run = move || {
+        signals.forever().for_each(|signal| match signal {
+            SIGHUP => handle(Interrupt::TerminalClosed),
+            _ if ignored.contains(&signal) => handle(Interrupt::Unheeded),
+            _ => handle(Interrupt::Asked),
+        });
+    };
     std::thread::Builder::new().name("interrupt".to_owned()).spawn(run).map(drop)
 }
 

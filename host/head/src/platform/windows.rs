@@ -6,6 +6,8 @@ use std::os::windows::fs::OpenOptionsExt;
 use std::os::windows::io::AsHandle;
 use std::path::Path;
 
+use super::Interrupt;
+
 /// Other programs may read the file (FILE_SHARE_READ), rename it and delete it (FILE_SHARE_DELETE), but not write it.
 const SHARED: u32 = 1 | 4;
 
@@ -14,8 +16,8 @@ const SHARING_VIOLATION: i32 = 32;
 
 /// From now on calls `handle` on a thread of its own for each Ctrl-C and Ctrl-Break, which then do not end the program,
 /// and once when its window is closed, after which Windows ends it.
-pub fn on_interrupt(handle: impl Fn(bool) + Send + 'static) -> io::Result<()> {
-    ctrlc::set_handler(move || handle(false)).map_err(io::Error::other)
+pub fn on_interrupt(handle: impl Fn(Interrupt) + Send + 'static) -> io::Result<()> {
+    ctrlc::set_handler(move || handle(Interrupt::Asked)).map_err(io::Error::other)
 }
 
 /// Standard output as a file.
