@@ -145,9 +145,7 @@ def sessions(paths: Paths) -> list[float]:
     A session begins when a link was opened anew, or the board got another configuration. Nothing before it matters to the
     poses: that is where a recording can be split into parts for :func:`slitpose.replay_part`.
     """
-    captures = _native.Captures(_files(paths), currents=True)
-    while captures.read(CHUNK) is not None:
-        pass
+    captures = _read_to_end(paths)
     return sorted(captures.sessions)
 
 
@@ -185,9 +183,7 @@ def edges(paths: Paths) -> Edges:
     :raises slitpose.SlitposeError: a file that cannot be read.
     :warns slitpose.DataLossWarning: data were damaged or lost.
     """
-    captures = _native.Captures(_files(paths), currents=True)
-    while captures.read(CHUNK) is not None:
-        pass
+    captures = _read_to_end(paths)
     _warn(tuple(captures.remarks), tuple(captures.losses))
     return Edges(**captures.edges, devices=tuple(captures.devices))
 
@@ -244,6 +240,14 @@ def open(
     losses, remarks = tuple(captures.losses), tuple(captures.remarks)
     _warn(remarks, losses)
     return Scans(**columns, devices=tuple(captures.devices), losses=losses, remarks=remarks)
+
+
+def _read_to_end(paths: Paths) -> _native.Captures:
+    """Captures read through, unsolved, for what they have besides rows."""
+    captures = _native.Captures(_files(paths), currents=True)
+    while captures.read(CHUNK) is not None:
+        pass
+    return captures
 
 
 def _native_options(options: Mapping[str, Any]) -> dict[str, Any]:

@@ -27,14 +27,21 @@ pub(crate) struct Captures {
     /// Never locked by two: Python's classes have to be shareable, and decompressors are not.
     playback: Mutex<Playback>,
     yields_currents: bool,
+    heard: Heard,
+    is_ended: bool,
+}
+
+/// What the captures have told so far, besides rows.
+#[derive(Default)]
+struct Heard {
     devices: Vec<DeviceId>,
     edges: Vec<EdgeRecord>,
     remarks: Vec<String>,
     losses: Vec<String>,
-    is_ended: bool,
 }
 
-struct Found {
+/// The rows of one call.
+struct Rows {
     records: PoseArrays,
     currents: CurrentColumns,
 }
@@ -100,41 +107,38 @@ impl Captures {
         Ok(Self {
             playback: beside(py, |_| Playback::open(files, choice))?.map_err(raised)?.into(),
             yields_currents: currents,
-            devices: Vec::new(),
-            edges: Vec::new(),
-            remarks: Vec::new(),
-            losses: Vec::new(),
+            heard: Heard::default(),
             is_ended: false,
         })
     }
 
     /// The next rows, at least so many if there are, as arrays by name; None at the end.
-    #[pyo3(signature = (rows=None))]
-    fn read<'py>(&mut self, py: Python<'py>, rows: Option<usize>) -> PyResult<Option<Bound<'py, PyDict>>> {
+    #[pyo3(signature = (min_rows=None))]
+    fn read<'py>(&mut self, py: Python<'py>, min_rows: Option<usize>) -> PyResult<Option<Bound<'py, PyDict>>> {
         if self.is_ended {
             return Ok(None);
         }
-        let Self { playback, devices, edges, remarks, losses, .. } = self;
+        let Self { playback, heard, .. } = self;
         let playback = playback.get_mut().unwrap_or_else(PoisonError::into_inner);
-        let mut found = Found { records: PoseArrays::new(true), currents: CurrentColumns::default() };
+        let mut rows = Rows { records: PoseArrays::new(true), currents: CurrentColumns::default() };
         let mut is_more = true;
-        let wanted = rows.unwrap_or(usize::MAX);
+        let wanted = min_rows.unwrap_or(usize::MAX);
         let read = beside(py, |stop| {
-            while is_more && found.rows() < wanted && !stop.load(Ordering::Relaxed) {
-                is_more = playback.step(|event| hear(event, &mut found, devices, edges, remarks, losses))?;
+            while is_more && rows.len() < wanted && !stop.load(Ordering::Relaxed) {
+                is_more = playback.step(|event| heard.hear(event, &mut rows))?;
             }
             if !is_more {
-                playback.end(|event| hear(event, &mut found, devices, edges, remarks, losses))?;
+                playback.end(|event| heard.hear(event, &mut rows))?;
             }
             Ok::<_, PlaybackError>(())
         });
         self.is_ended = !is_more;
         read?.map_err(raised)?;
-        let columns = Columns::new(py, found.rows());
+        let columns = Columns::new(py, rows.len());
         if self.yields_currents {
-            found.currents.put(&columns)?;
+            rows.currents.put(&columns)?;
         } else {
-            found.records.put(&columns)?;
+            rows.records.put(&columns)?;
         }
         Ok(Some(columns.dict))
     }
@@ -142,34 +146,35 @@ impl Captures {
     /// The boards, by the numbers of the column `device`: 24 hexadecimal digits each.
     #[getter]
     fn devices(&self) -> Vec<String> {
-        self.devices.iter().map(ToString::to_string).collect()
+        self.heard.devices.iter().map(ToString::to_string).collect()
     }
 
     /// The edges of trigger inputs so far, as arrays by name.
     #[getter]
     fn edges<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let columns = Columns::new(py, self.edges.len());
-        let device = self.edges.iter().map(|edge| number_in(&mut self.devices, edge.device)).collect();
+        let Heard { devices, edges, .. } = &mut self.heard;
+        let columns = Columns::new(py, edges.len());
+        let device = edges.iter().map(|edge| number_in(devices, edge.device)).collect();
         columns.put::<u8>("device", device)?;
-        columns.put("number", self.edges.iter().map(|edge| edge.number).collect())?;
-        columns.put("time_s", self.edges.iter().map(|edge| edge.device_time_s).collect())?;
+        columns.put("number", edges.iter().map(|edge| edge.number).collect())?;
+        columns.put("time_s", edges.iter().map(|edge| edge.device_time_s).collect())?;
         let host_utc_ns = |edge: &EdgeRecord| edge.host_time.map_or(0, |time| time.utc_ns);
-        columns.put("host_utc_ns", self.edges.iter().map(host_utc_ns).collect())?;
-        columns.put("is_high", self.edges.iter().map(|edge| edge.is_high).collect())?;
-        columns.put("missed", self.edges.iter().map(|edge| edge.missed).collect())?;
+        columns.put("host_utc_ns", edges.iter().map(host_utc_ns).collect())?;
+        columns.put("is_high", edges.iter().map(|edge| edge.is_high).collect())?;
+        columns.put("missed", edges.iter().map(|edge| edge.missed).collect())?;
         Ok(columns.dict)
     }
 
     /// What is remarkable so far.
     #[getter]
     fn remarks(&self) -> Vec<String> {
-        self.remarks.clone()
+        self.heard.remarks.clone()
     }
 
     /// What was damaged or lost so far; of the boards, at the end.
     #[getter]
     fn losses(&self) -> Vec<String> {
-        self.losses.clone()
+        self.heard.losses.clone()
     }
 
     /// When sessions began, seconds after the beginning; not the first of each board.
@@ -186,33 +191,28 @@ impl Captures {
     }
 }
 
-impl Found {
-    fn rows(&self) -> usize {
+impl Rows {
+    fn len(&self) -> usize {
         self.records.rows.max(self.currents.time_s.len())
     }
 }
 
-fn hear(
-    event: Event<'_>,
-    found: &mut Found,
-    devices: &mut Vec<DeviceId>,
-    edges: &mut Vec<EdgeRecord>,
-    remarks: &mut Vec<String>,
-    losses: &mut Vec<String>,
-) -> Result<(), PlaybackError> {
-    match event {
-        Event::Item { item: Item::Pose(record), .. } => found.records.push(&record.into(), devices),
-        Event::Item { item: Item::Edge(edge), .. } => edges.push(edge),
-        Event::Item { item: Item::Oddity { oddity, .. }, .. } => remarks.push(oddity.to_string()),
-        Event::Item { .. } | Event::Board { .. } => {}
-        Event::Currents { device, scan, currents, .. } => {
-            let device = number_in(devices, device.unwrap_or_default());
-            found.currents.push(device, scan, currents);
+impl Heard {
+    fn hear(&mut self, event: Event<'_>, rows: &mut Rows) -> Result<(), PlaybackError> {
+        match event {
+            Event::Item { item: Item::Pose(record), .. } => rows.records.push(&record.into(), &mut self.devices),
+            Event::Item { item: Item::Edge(edge), .. } => self.edges.push(edge),
+            Event::Item { item: Item::Oddity { oddity, .. }, .. } => self.remarks.push(oddity.to_string()),
+            Event::Item { .. } | Event::Board { .. } => {}
+            Event::Currents { device, scan, currents, .. } => {
+                let device = number_in(&mut self.devices, device.unwrap_or_default());
+                rows.currents.push(device, scan, currents);
+            }
+            Event::Remark(remark) => self.remarks.push(remark.to_owned()),
+            Event::Loss(loss) => self.losses.push(loss.to_owned()),
         }
-        Event::Remark(remark) => remarks.push(remark.to_owned()),
-        Event::Loss(loss) => losses.push(loss.to_owned()),
+        Ok(())
     }
-    Ok(())
 }
 
 #[derive(Default)]

@@ -49,7 +49,7 @@ pub(super) struct Outputs {
     /// Whether each pose must be printed, however late.
     pub(super) prints_all: bool,
     pub(super) capture: Option<Tap>,
-    /// Takers of all bytes besides the recorder.
+    /// For live pages: what takes each pose.
     pub(super) samplers: Vec<Sampler>,
     pub(super) pending: Pending,
 }

@@ -1,4 +1,4 @@
-//! The recorder: a taker of all bytes, whose thread alone waits for the disk.
+//! The recorder: its thread takes all bytes of all boards, and alone waits for the disk.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
@@ -20,8 +20,6 @@ use slitpose_tracking::capture::{CaptureError, CaptureSeries, Settings, Setup};
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::DeviceId;
 use slitpose_tracking::telemetry::{DaemonReport, RecorderReport, RecorderState};
-
-const CHUNK: Duration = Duration::from_millis(20);
 
 const IDLE: Duration = Duration::from_millis(100);
 
@@ -113,7 +111,7 @@ impl RecorderControl {
         let (chunks, consumer) = buffer_pool(CHUNKS_A_BOARD * boards.len().max(1), TapChunk::with_capacity);
         let thread = spawn("record".to_owned(), move || recorder.run(&consumer)).map_err(BoardError::Thread)?;
         let pose_every_s = plan.poses_hz.recip();
-        let ends = TapEnds { chunks, is_wanted, pose_every_s, span: CHUNK };
+        let ends = TapEnds { chunks, is_wanted, pose_every_s };
         Ok((Self { accounts: Mutex::new(Some(tell)), orders: order, report }, thread, ends))
     }
 

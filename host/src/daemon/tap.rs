@@ -1,4 +1,4 @@
-//! Taps on the streams of boards: queues to the recorder, in chunks of some milliseconds.
+//! Taps on the streams of boards: queues to the recorder, in chunks of 20 ms.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,8 +11,10 @@ use slitpose_tracking::capture::PoseRate;
 use slitpose_tracking::link::{DeviceId, Segment};
 use slitpose_tracking::pipeline::Record;
 
-/// A chunk holds the bytes read within the tap's time, by the host's clock or by the board's, or this many, if they come
-/// sooner.
+/// A chunk holds the bytes read within this time, by the host's clock or by the board's.
+const CHUNK: Duration = Duration::from_millis(20);
+
+/// A chunk holds no more than about this many.
 const CHUNK_BYTES: usize = 1 << 15;
 
 /// Ordinary length of a chunk of a board at 4 kHz, including true poses of a simulated board.
@@ -20,18 +22,18 @@ const ORDINARY_BYTES: usize = 12 << 10;
 
 /// A part of the stream of one board.
 #[derive(Debug, Default)]
-pub(crate) struct TapChunk {
+pub(super) struct TapChunk {
     /// The number of the board among those followed.
-    pub(crate) board: usize,
+    pub(super) board: usize,
     /// The board, once it has introduced itself.
-    pub(crate) device: Option<DeviceId>,
-    /// The board's hello packet, if the taker may not have it yet.
-    pub(crate) hello: Vec<u8>,
+    pub(super) device: Option<DeviceId>,
+    /// The board's hello packet, if the recorder may not have it yet.
+    pub(super) hello: Vec<u8>,
     /// Time of the chunk's first scan by the board's clock, nanoseconds.
-    pub(crate) device_ns: u64,
-    pub(crate) segment: Segment,
+    pub(super) device_ns: u64,
+    pub(super) segment: Segment,
     /// Poses of the chunk, at the rate asked for.
-    pub(crate) poses: Vec<Record>,
+    pub(super) poses: Vec<Record>,
 }
 
 impl TapChunk {
@@ -47,15 +49,13 @@ impl TapChunk {
     }
 }
 
-/// What a board needs of a taker.
+/// What a board needs of the recorder.
 #[derive(Clone, Debug)]
 pub(super) struct TapEnds {
     pub(super) chunks: Producer<TapChunk>,
     pub(super) is_wanted: Arc<AtomicBool>,
     /// Device time between poses, seconds.
     pub(super) pose_every_s: f64,
-    /// A chunk holds the bytes read within this time.
-    pub(super) span: Duration,
 }
 
 #[derive(Debug)]
@@ -64,7 +64,7 @@ pub(super) struct Tap {
     ends: TapEnds,
     /// The same when the segment in hand began.
     is_on: bool,
-    /// Whether the board keeps time: then a chunk is dropped while the taker is behind, and the next one says so, for a
+    /// Whether the board keeps time: then a chunk is dropped while the recorder is behind, and the next one says so, for a
     /// slow disk must not delay poses. Else the board's threads wait, and device time with them.
     keeps_time: bool,
     rate: PoseRate,
@@ -152,7 +152,7 @@ impl Tap {
         self.device_ns = (time_s * 1e9) as u64;
         // Of a simulated board that does not keep time.
         let chunk_ns = self.under_way.as_ref().map_or(0, |chunk| self.device_ns.abs_diff(chunk.device_ns));
-        self.is_full |= u128::from(chunk_ns) >= self.ends.span.as_nanos();
+        self.is_full |= u128::from(chunk_ns) >= CHUNK.as_nanos();
         if let Some(chunk) = &mut self.under_way
             && self.rate.is_due(time_s)
         {
@@ -169,14 +169,14 @@ impl Tap {
             return;
         };
         chunk.segment.append(segment);
-        if chunk.segment.bytes.len() >= CHUNK_BYTES || self.begun.elapsed() >= self.ends.span {
+        if chunk.segment.bytes.len() >= CHUNK_BYTES || self.begun.elapsed() >= CHUNK {
             self.is_full = true;
         }
     }
 
     /// Hands over the current chunk if its time is over.
     pub(super) fn hand_over_old(&mut self) {
-        if self.begun.elapsed() >= self.ends.span {
+        if self.begun.elapsed() >= CHUNK {
             self.hand_over();
         }
     }

@@ -32,8 +32,8 @@ from .solids import (
 def _hull(cell: Cell, height: float) -> tuple[float, float]:
     """Half extents in x and y of the light between slit and active area, at a height above the area."""
     share = height / cell.distance
-    x, y = ((1 - share) * area / 2 + share * slit / 2 for area, slit in zip(cell.area, cell.slit))
-    return x, y
+    (area_x, area_y), (slit_x, slit_y) = cell.area, cell.slit
+    return (1 - share) * area_x / 2 + share * slit_x / 2, (1 - share) * area_y / 2 + share * slit_y / 2
 
 
 class BaseParts:

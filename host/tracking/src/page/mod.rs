@@ -1,4 +1,4 @@
-//! The messages to and from the live page, whoever serves it. LIVE.md describes them.
+//! Messages between the live page and the program that serves it (LIVE.md).
 //!
 //! A [`Sampler`] condenses the poses of a board: the newest, and statistics of all in bins of time. [`Optics`] makes a frame
 //! of it, [`head_message`] describes the head.

@@ -121,9 +121,6 @@ pub struct TriggerReport {
     pub last_device_time_s: f64,
     /// Whether the line is high.
     pub is_high: bool,
-    /// Number of the next edge.
-    #[serde(skip)]
-    pub(crate) next: u32,
 }
 
 /// Poses without a velocity, by the reason.

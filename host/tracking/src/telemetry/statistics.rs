@@ -31,6 +31,8 @@ pub struct BoardStatistics {
     total_latency: LatencyHistogram,
     last_device_s: Option<f64>,
     last_read: Option<HostInstant>,
+    /// Number of the trigger input's next edge.
+    next_edge: Option<u32>,
     begun: Mark,
 }
 
@@ -79,12 +81,11 @@ impl BoardStatistics {
 
     fn take_edge(&mut self, edge: &EdgeRecord) {
         let EdgeRecord { number, device_time_s: last_device_time_s, is_high, missed, .. } = *edge;
-        let (edges, dropped, next) =
-            self.report.trigger.map_or((1, 0, number), |before| (before.edges + 1, before.dropped, before.next));
+        let (edges, dropped) = self.report.trigger.map_or((1, 0), |before| (before.edges + 1, before.dropped));
+        let expected = self.next_edge.replace(number.wrapping_add(1)).unwrap_or(number);
         // A board that has started anew counts from zero.
-        let dropped = dropped + u64::from(number.saturating_sub(next));
-        let next = number.wrapping_add(1);
-        self.report.trigger = Some(TriggerReport { edges, missed, dropped, last_device_time_s, is_high, next });
+        let dropped = dropped + u64::from(number.saturating_sub(expected));
+        self.report.trigger = Some(TriggerReport { edges, missed, dropped, last_device_time_s, is_high });
     }
 
     fn complain(&mut self, is_error: bool, time_s: f64, text: String) {

@@ -2,8 +2,9 @@
 //!
 //! Modelled: up-counting with prescaler, auto-reload and compare registers with or without
 //! preload, update and compare flags, interrupts and DMA requests, the reference signals
-//! OC1REF–OC4REF of PWM mode 2, which may be TIM2's trigger output TRGO, TIM3's reset by it, and channels that capture both
-//! edges of their pin. Not modelled: other captures, other counting modes, other compare, master and slave modes, one-pulse mode, dithering, and the output pins. A debugger may halt a timer.
+//! OC1REF–OC4REF of PWM mode 2, which may be TIM2's trigger output TRGO, TIM3's reset by it, and channel 2 capturing both
+//! edges of its pin. Not modelled: other captures, other counting modes, other compare, master and slave modes, one-pulse
+//! mode, dithering, and the output pins. A debugger may halt a timer.
 //!
 //! The counter is not stepped. It follows from the tick at which it was zero:
 //! CNT = (now − zero_at) / (PSC + 1). The timer asks to be called at the next compare match
@@ -153,9 +154,9 @@ impl Timer {
             EGR => self.generate(value, effects),
             CCMR1 | CCMR2 => self.write_ccmr(offset, value, effects),
             CCER => {
-                effects.unmodelled_bits(
-                    u32::from(self.captures() && value & BOTH_EDGES & CCER_CC2E != 0) * (!value & BOTH_EDGES),
-                );
+                if self.captures() && value & CCER_CC2E != 0 {
+                    effects.unmodelled_bits(!value & BOTH_EDGES);
+                }
                 self.bank.write(offset, value, effects);
             }
             // A narrow write is repeated over the word.
@@ -281,8 +282,7 @@ impl Timer {
         if offset == CCMR1 && value & CCMR1_CC2S != 0 {
             effects.unmodelled_bits(value ^ CAPTURE);
             self.bank[CCMR1] = value;
-            // Nothing is compared with it.
-            self.ccr_active[1] = u32::MAX;
+            self.ccr_active[1] = self.compare(1);
             return;
         }
         effects.unmodelled_bits(u32::from([value >> 4, value >> 12].iter().any(|mode| matches!(mode & 7, 1..=6))));
@@ -312,9 +312,9 @@ impl Timer {
         }
     }
 
-    /// CCRx.
+    /// CCRx; of a channel that captures, a count that is never reached.
     fn compare(&self, channel: usize) -> u32 {
-        self.bank[CCR1 + 4 * channel as u32]
+        if channel == 1 && self.captures() { u32::MAX } else { self.bank[CCR1 + 4 * channel as u32] }
     }
 
     /// OCxPE and OCxM, from bit 3 on.
@@ -360,9 +360,7 @@ impl Timer {
     fn load_preloads(&mut self) {
         self.psc_active = self.bank[PSC];
         self.arr_active = self.bank[ARR];
-        let captured = |channel| channel == 1 && self.captures();
-        self.ccr_active =
-            std::array::from_fn(|channel| if captured(channel) { u32::MAX } else { self.compare(channel) });
+        self.ccr_active = std::array::from_fn(|channel| self.compare(channel));
     }
 
     fn overflow(&mut self, effects: &mut Effects) {
