@@ -1,6 +1,7 @@
 //! Which part of the workspace the known poses cover, and the error to expect outside of it.
 
 use nalgebra::DMatrix;
+use schemars::JsonSchema;
 use serde::Deserialize;
 use slitpose_head::scene_file::Workspace;
 use slitpose_head::table::POSE_COLUMNS;
@@ -14,7 +15,7 @@ use crate::state::{State, Weights, sensitivities};
 const COVERED: f64 = 0.6;
 
 /// The box that the known poses span.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 pub struct Coverage {
     /// Least translations and rotation vectors, metres and radians.
     pub lower: [f64; 6],

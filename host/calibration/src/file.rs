@@ -3,6 +3,8 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
+use schemars::generate::SchemaSettings;
+use schemars::{JsonSchema, Schema};
 use serde::Deserialize;
 use slitpose_head::foreign::printable;
 use slitpose_head::scene_file::{SceneFile, fnv1a_64};
@@ -29,7 +31,9 @@ pub enum CalibrationFileError {
     Impossible(String, #[source] SceneError),
 }
 
-#[derive(Deserialize)]
+/// Calibration of a head.
+#[derive(Deserialize, JsonSchema)]
+#[schemars(title = "Calibration of slitpose")]
 struct Text {
     format: u32,
     id: String,
@@ -49,20 +53,20 @@ struct Text {
     correlation: CorrelationText,
 }
 
-#[derive(Deserialize)]
+#[derive(Deserialize, JsonSchema)]
 struct SceneText {
     name: String,
     hash: String,
     text: String,
 }
 
-#[derive(Deserialize)]
+#[derive(Deserialize, JsonSchema)]
 struct ConverterText {
     full_scale_a: f64,
     parameters: Vec<Entry>,
 }
 
-#[derive(Deserialize)]
+#[derive(Deserialize, JsonSchema)]
 struct CellText {
     model_error_relative: f64,
     model_error_m: f64,
@@ -71,22 +75,22 @@ struct CellText {
 }
 
 /// Name, value, σ, prior, its σ, unit.
-#[derive(Deserialize)]
+#[derive(Deserialize, JsonSchema)]
 struct Entry(String, f64, f64, f64, f64, #[allow(dead_code, reason = "for people")] String);
 
-#[derive(Deserialize)]
+#[derive(Deserialize, JsonSchema)]
 struct CorrelationText {
     rows: Vec<Vec<f64>>,
 }
 
-#[derive(Deserialize)]
+#[derive(Deserialize, JsonSchema)]
 struct PoseErrorText {
     length_scale_m: f64,
     coefficients: Vec<Vec<f64>>,
 }
 
 /// Where an instrument's frames lie in those of the head.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 pub struct Frames {
     /// The data that found them.
     pub file: String,
@@ -98,6 +102,11 @@ pub struct Frames {
     pub tool_from_marker: [f64; 6],
     /// Standard deviations of it.
     pub tool_from_marker_sigma: [f64; 6],
+}
+
+/// The JSON Schema of a calibration file.
+pub fn file_schema() -> Schema {
+    SchemaSettings::draft2020_12().into_generator().into_root_schema_for::<Text>()
 }
 
 impl Calibration {

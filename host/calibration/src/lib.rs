@@ -33,6 +33,7 @@ mod start;
 mod state;
 pub mod tables;
 
+use schemars::JsonSchema;
 use serde::Deserialize;
 use slitpose_head::scene_file::{SceneFile, Workspace};
 use slitpose_model::{CompiledScene, ModelError, Pose, Scene, Tier};
@@ -40,7 +41,7 @@ use slitpose_model::{CompiledScene, ModelError, Pose, Scene, Tier};
 pub use coverage::Coverage;
 pub use data::{Constraint, Data, Group, Knowledge, Row, compose, inverse, median, pose_of, values_of};
 pub use engine::{CalibrateError, Calibrated, Progress, Request, calibrate};
-pub use file::{CalibrationFileError, Frames};
+pub use file::{CalibrationFileError, Frames, file_schema};
 pub use findings::Direction;
 pub use head::{Basis, Head, uncalibrated};
 pub use light::LightTrend;
@@ -87,7 +88,7 @@ pub struct Calibration {
 }
 
 /// How well the data fit.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, JsonSchema)]
 pub struct Statistics {
     /// Rows of readings, of all files.
     pub rows: usize,

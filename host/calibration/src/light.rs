@@ -5,6 +5,7 @@
 //! enters the adjustment only if the data demand it, so that a head whose light is constant has the same result as without.
 
 use nalgebra::{DMatrix, DVector};
+use schemars::JsonSchema;
 use serde::Deserialize;
 use slitpose_model::Scene;
 
@@ -143,7 +144,7 @@ pub(crate) fn missing(
 }
 
 /// How the light of a file changed while it was taken.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 pub struct LightTrend {
     /// The file.
     pub file: String,

@@ -11,6 +11,8 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use clap::parser::ValueSource;
 use clap::{Arg, ArgAction, ArgMatches, Command};
+use schemars::{Schema, json_schema};
+use serde_json::{Map, json};
 use toml::Value;
 use toml::de::{DeTable, DeValue};
 
@@ -175,6 +177,34 @@ fn text_of(value: &DeValue<'_>) -> Result<OsString, &'static str> {
         DeValue::Array(_) => Err("a list of lists"),
         DeValue::Table(_) => Err("a table"),
     }
+}
+
+/// The JSON Schema of a configuration file.
+pub(super) fn schema() -> Schema {
+    let command = super::command();
+    let options = command.find_subcommand(VERB).into_iter().flat_map(Command::get_arguments);
+    let of_option = |arg: &Arg| {
+        let id = arg.get_id().as_str();
+        let words: Vec<_> = arg.get_possible_values().iter().map(|value| value.get_name().to_owned()).collect();
+        let one = match arg.get_action() {
+            ArgAction::SetTrue => json!({ "type": "boolean" }),
+            _ if words.is_empty() => json!({ "type": ["string", "number"] }),
+            _ => json!({ "enum": words }),
+        };
+        let mut value = match arg.get_action() {
+            ArgAction::Append => json!({ "anyOf": [one, { "type": "array", "items": one }] }),
+            _ => one,
+        };
+        value["description"] = arg.get_help().map(ToString::to_string).unwrap_or_default().into();
+        (id.to_owned(), value)
+    };
+    json_schema!({
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "Configuration of `slitpose run`",
+        "type": "object",
+        "properties": options.filter(|arg| is_option(arg.get_id().as_str())).map(of_option).collect::<Map<_, _>>(),
+        "additionalProperties": false,
+    })
 }
 
 /// The options in force as a configuration file, each with where it comes from.

@@ -22,6 +22,7 @@ mod replay;
 mod report;
 mod run;
 mod scene;
+mod schema;
 mod simulate;
 mod solve;
 mod status;
@@ -78,6 +79,7 @@ enum Verb {
     Report(report::ReportArgs),
     Scene(scene::Args),
     Compare(compare::Args),
+    Schema(schema::Args),
     Completions(completions::CompletionsArgs),
     Man(completions::ManArgs),
 }
@@ -180,6 +182,7 @@ fn run(arguments: &[OsString]) -> Result<Outcome, CommandError> {
         Verb::Paper(args) => report::paper(&args),
         Verb::Report(args) => report::report(&args),
         Verb::Compare(args) => compare::run(&args),
+        Verb::Schema(args) => schema::run(&args),
         Verb::Scene(args) => scene::run(&args),
         Verb::Completions(args) => completions::completions(&args),
         Verb::Man(args) => completions::man(&args),

@@ -74,7 +74,7 @@ impl RecordOptions {
             max_bytes: self.record_size,
             max_age: self.record_time.map(|time_s| Duration::try_from_secs_f64(time_s).unwrap_or(Duration::MAX)),
         };
-        CaptureSeries::create(path, limits, existing, report_schema())
+        CaptureSeries::create(path, limits, existing, report_schema().as_value().to_string())
     }
 }
 

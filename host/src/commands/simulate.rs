@@ -153,7 +153,8 @@ impl Recording {
             None
         } else {
             let file_of_capture = output.as_file().map_err(|source| output.error(source))?;
-            let mut series = CaptureSeries::in_file(file_of_capture, target.path, report_schema())?;
+            let mut series =
+                CaptureSeries::in_file(file_of_capture, target.path, report_schema().as_value().to_string())?;
             let settings = Settings { tier, following: PipelineOptions::default() };
             series.add_device(Setup::new(device, head, settings), None, 0).map_err(|error| writing(&output, error))?;
             Some((Box::new(series), device))

@@ -20,6 +20,8 @@ use slitpose_tracking::telemetry::{BoardReport, RecorderReport};
 mod csv;
 mod ndjson;
 
+pub(crate) use ndjson::{EdgeLine, FaultLine, FrameLine};
+
 /// How poses are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum Format {

@@ -3,6 +3,7 @@
 use std::io;
 use std::io::Write;
 
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::{Accounts, Note, Sink, json};
@@ -77,8 +78,9 @@ fn value(column: &Column, row: &Row<'_>, out: &mut Vec<u8>) -> bool {
     }
 }
 
-#[derive(Serialize)]
-struct FaultLine<'a> {
+/// A fault is injected from here on.
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct FaultLine<'a> {
     kind: &'static str,
     fault: &'a str,
     device: Option<DeviceId>,
@@ -86,8 +88,8 @@ struct FaultLine<'a> {
 }
 
 /// An edge of a board's trigger input. Its keys are those of a pose where they mean the same.
-#[derive(Serialize)]
-struct EdgeLine {
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct EdgeLine {
     kind: &'static str,
     device: DeviceId,
     number: u32,
@@ -117,8 +119,8 @@ impl From<&EdgeRecord> for EdgeLine {
 }
 
 /// The frame that the next objects speak of.
-#[derive(Serialize)]
-struct FrameLine<'a> {
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct FrameLine<'a> {
     kind: &'static str,
     device: DeviceId,
     frame: &'a str,

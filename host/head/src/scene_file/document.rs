@@ -39,20 +39,20 @@ impl<'a> Document<'a> {
 
     fn check_keys(&self) -> Result<(), SceneFileError> {
         self.check_table(&self.root, "the scene file", &keys::top())?;
-        let split = |keys: &'static str| keys.split(' ').collect::<Vec<_>>();
-        for (section, known) in keys::SECTIONS {
-            if let Some(entry) = self.root.get(section) {
-                let table = self.as_table(KeyPath::top(section), entry)?;
-                self.check_table(table, &format!("[{section}]"), &split(known))?;
+        let names = |section: &keys::Section| section.keys.iter().map(|key| key.name).collect::<Vec<_>>();
+        for section in &keys::SECTIONS {
+            if let Some(entry) = self.root.get(section.name) {
+                let table = self.as_table(KeyPath::top(section.name), entry)?;
+                self.check_table(table, &format!("[{}]", section.name), &names(section))?;
             }
         }
         for (number, entry) in self.cell_entries()?.iter().enumerate() {
             let cell = self.as_table(KeyPath::top("cell"), entry)?;
             self.check_table(cell, &format!("[[cell]] number {number}"), &keys::of_cell())?;
-            for (section, known) in &keys::SECTIONS[..keys::PER_CELL] {
-                if let Some(entry) = cell.get(*section) {
-                    let table = self.as_table(KeyPath::of_cell(number, "cell", section), entry)?;
-                    self.check_table(table, &format!("`{section}` of cell {number}"), &split(known))?;
+            for section in &keys::SECTIONS[..keys::PER_CELL] {
+                if let Some(entry) = cell.get(section.name) {
+                    let table = self.as_table(KeyPath::of_cell(number, "cell", section.name), entry)?;
+                    self.check_table(table, &format!("`{}` of cell {number}", section.name), &names(section))?;
                 }
             }
         }

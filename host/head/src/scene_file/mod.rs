@@ -13,7 +13,7 @@ use std::ops::RangeInclusive;
 use std::path::Path;
 
 use document::Document;
-pub use keys::{FilePlace, KeyPath, SceneFileError, nearest};
+pub use keys::{FilePlace, Key, KeyPath, Kind, OWN, PER_CELL, SECTIONS, SceneFileError, Section, nearest};
 pub use settings::{FrontEnd, Lighting, Tolerance, Workspace};
 use slitpose_model::{CompiledScene, Profile, Scene, Tier};
 

@@ -7,10 +7,10 @@ use super::document::Document;
 use super::keys::{KeyPath, SceneFileError};
 
 /// The widest result the converters give: 12 bits, 16 with oversampling (STM32G4).
-const WIDEST_BITS: i64 = 16;
+pub(super) const WIDEST_BITS: u64 = 16;
 
 /// The most conversions the converters' hardware adds up to one result (STM32G4).
-const MAX_OVERSAMPLING: i64 = 256;
+pub(super) const MAX_OVERSAMPLING: u64 = 256;
 
 /// Gain, noise and timing of the electronics.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -78,15 +78,14 @@ pub(super) fn read_front_end(document: &Document<'_>) -> Result<Option<FrontEnd>
 fn count(
     document: &Document<'_>,
     path: KeyPath,
-    most: i64,
+    most: u64,
     allowed: &'static str,
 ) -> Result<Option<u32>, SceneFileError> {
     let Some(entry) = document.find(path) else {
         return Ok(None);
     };
-    let value = document.as_integer(path, entry)?;
-    match u32::try_from(value) {
-        Ok(count) if (1..=most).contains(&value) => Ok(Some(count)),
+    match u32::try_from(document.as_integer(path, entry)?) {
+        Ok(count) if (1..=most).contains(&count.into()) => Ok(Some(count)),
         _ => Err(document.out_of_range(path, entry, allowed)),
     }
 }

@@ -3,8 +3,8 @@
 //! Counters never decrease; they count since the start of the daemon, or since it follows the board. All other values
 //! are current, or of the last interval if the field says so.
 
-use schemars::JsonSchema;
 use schemars::generate::SchemaSettings;
+use schemars::{JsonSchema, Schema};
 use serde::Serialize;
 use slitpose_protocol::{ClockSource, SettingsSource};
 
@@ -37,9 +37,9 @@ pub struct DaemonReport {
 }
 
 /// The JSON schema of a [`DaemonReport`], and within it that of a [`BoardReport`].
-pub fn report_schema() -> String {
+pub fn report_schema() -> Schema {
     let settings = SchemaSettings::draft2020_12().for_serialize();
-    settings.into_generator().into_root_schema_for::<DaemonReport>().as_value().to_string()
+    settings.into_generator().into_root_schema_for::<DaemonReport>()
 }
 
 /// Memory and threads of the daemon, from the operating system.
