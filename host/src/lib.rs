@@ -11,7 +11,7 @@
 //! * [`inputs`] reads what strangers can send, for fuzzing.
 //!
 //! Behind the commands: `terminal` draws for the user, `comparison` compares poses with a reference, `sink` writes poses,
-//! `daemon` follows boards live, `live` shows them on a page, `spacenav` as a mouse, `http` guards
+//! `daemon` follows boards live, `live` shows them on a page, `http` guards
 //! the servers, `doctor` examines boards, heads and hosts.
 
 #![forbid(unsafe_code)]
@@ -33,7 +33,6 @@ mod live;
 #[doc(hidden)]
 pub mod platform;
 mod sink;
-mod spacenav;
 #[doc(hidden)]
 pub mod telemetry;
 mod terminal;

@@ -5,6 +5,7 @@ import ctypes.util
 import os
 import select
 import subprocess
+import sys
 import tempfile
 import time
 import unittest
@@ -13,6 +14,8 @@ import unittest
 PATIENCE_S = 60
 
 MOTION = 1
+
+MOUSE = os.path.join(os.path.dirname(os.path.abspath(__file__)), "../../host/examples/python/spacenav_mouse.py")
 
 #: Of the shipped scene: half extents of its workspace.
 HALF_EXTENT_MM, HALF_EXTENT_RAD = 3.3, 0.2617993877991494
@@ -56,13 +59,15 @@ class Spacenav(unittest.TestCase):
         os.environ["SPNAV_SOCKET"] = self.path
 
     def test_a_held_tool_moves_at_its_rate(self):
-        run = (os.environ["SLITPOSE"], "run", "--config", "none", "--device", "sim", "--format", "none")
-        daemon = subprocess.Popen([*run, "--trajectory", self.trajectory, "--spacenav", self.path])
+        run = (os.environ["SLITPOSE"], "run", "--config", "none", "--device", "sim", "--format", "ndjson")
+        daemon = subprocess.Popen([*run, "--trajectory", self.trajectory], stdout=subprocess.PIPE)
+        mouse = subprocess.Popen([sys.executable, MOUSE, self.path], stdin=daemon.stdout)
+        daemon.stdout.close()
         try:
             deadline = time.monotonic() + PATIENCE_S
             while self.library.spnav_open() != 0:
                 self.assertLess(time.monotonic(), deadline, "no socket")
-                self.assertIsNone(daemon.poll(), "the daemon has ended")
+                self.assertIsNone(mouse.poll(), "the mouse has ended")
                 time.sleep(0.05)
             event = Event()
             for _ in range(20):
@@ -82,4 +87,5 @@ class Spacenav(unittest.TestCase):
         finally:
             daemon.terminate()
             daemon.wait(PATIENCE_S)
+            mouse.wait(PATIENCE_S)
         self.assertFalse(os.path.exists(self.path))

@@ -1,18 +1,14 @@
-//! What `run` and `replay` do besides giving poses: the live page and the 6-DoF mouse.
+//! The live page of `run` and `replay`.
 
 use std::net::SocketAddr;
-use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
 
 use anyhow::Error;
 
-use super::options::number;
 use super::record::RecordOptions;
 use super::{CommandError, talk};
 use crate::daemon::Daemon;
 use crate::live::{Access, Control, DEFAULT_LIVE_ADDRESS, LivePlan, LiveServer, live_address};
-use crate::spacenav::{Axes, Feel, SpacenavInput, SpacenavServer};
-use slitpose_head::scene_file::Workspace;
 use slitpose_tracking::page::{Order, Refusal};
 use slitpose_tracking::telemetry::RecorderState;
 
@@ -78,12 +74,8 @@ impl AccessOptions {
     }
 }
 
-/// What the page may change in a `daemon` that records by `options`, and its `mouse`.
-pub(super) fn changes(
-    daemon: Arc<OnceLock<Arc<Daemon>>>,
-    options: RecordOptions,
-    mouse: Option<SpacenavInput>,
-) -> Control {
+/// What the page may change in a `daemon` that records by `options`.
+pub(super) fn changes(daemon: Arc<OnceLock<Arc<Daemon>>>, options: RecordOptions) -> Control {
     let refused = |reason: &str| Refusal::Recording { reason: reason.to_owned() };
     Box::new(move |order| {
         let daemon = daemon.get().ok_or_else(|| refused("the daemon is still starting; try again"))?;
@@ -96,7 +88,6 @@ pub(super) fn changes(
             (Order::Record(false), true) => daemon.end_recording(),
             (Order::Note(text, ago_s), true) => daemon.note(text, ago_s),
             (Order::Note(..) | Order::Record(false), false) => return Err(refused("nothing is being recorded")),
-            (Order::Zero, _) => mouse.as_ref().ok_or(Refusal::NO_MOUSE)?.zero(),
             (Order::Frame(board, over_s), _) => {
                 if let Some(value) = over_s.filter(|over_s| !(*over_s > 0.0 && *over_s <= MAX_ZERO_S)) {
                     return Err(Refusal::Value { key: "over_s", value, hint: "seconds above 0, 60 at most" });
@@ -114,32 +105,3 @@ pub(super) fn changes(
 
 /// Longest time of a zero, seconds.
 const MAX_ZERO_S: f64 = 60.0;
-
-/// The mouse asked for.
-#[derive(clap::Args, Debug)]
-pub(super) struct MouseOptions {
-    /// Serve the tool as a 6-DoF mouse, as spacenavd does, at this socket; programs find it by SPNAV_SOCKET=PATH, or at
-    /// /var/run/spnav.sock
-    #[arg(long, value_name = "PATH")]
-    spacenav: Option<PathBuf>,
-    /// Full deflections at the edge of the workspace
-    #[arg(long, value_name = "GAIN", default_value_t = 1.0, value_parser = number(|gain| gain > 0.0 && gain <= 1e3, "give a number above 0, such as 1 or 2.5"))]
-    spacenav_gain: f64,
-    /// Share of the workspace around zero in which an axis gives nothing
-    #[arg(long, value_name = "SHARE", default_value_t = 0.05, value_parser = number(|share| (0.0..=0.9).contains(&share), "give a number from 0 to 0.9, such as 0.05"))]
-    spacenav_dead_zone: f64,
-    /// Axes of the base that point to the right, up, and into the screen
-    #[arg(long, value_name = "AXES", default_value = "x,z,y", allow_hyphen_values = true)]
-    spacenav_axes: Axes,
-}
-
-impl MouseOptions {
-    /// Serves the mouse, if asked, for a tool in `workspace`.
-    pub(super) fn start(&self, workspace: Workspace) -> Result<Option<SpacenavServer>, CommandError> {
-        let Some(path) = &self.spacenav else { return Ok(None) };
-        let feel = Feel { gain: self.spacenav_gain, dead_zone: self.spacenav_dead_zone, axes: self.spacenav_axes };
-        let server = SpacenavServer::start(path, feel, workspace)?;
-        talk(format_args!("6-DoF mouse at {}", path.display()));
-        Ok(Some(server))
-    }
-}

@@ -29,7 +29,6 @@ impl Orders {
         let order = match order {
             Order::Player(order) => *order,
             Order::Record(_) | Order::Note(..) => return Err(Refusal::NO_RECORDER),
-            Order::Zero => return Err(Refusal::NO_MOUSE),
             Order::Frame(..) => return Err(Refusal::NO_FRAME),
         };
         order.check()?;

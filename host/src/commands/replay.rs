@@ -63,7 +63,6 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Outcome, CommandError> {
     let server = args.live.access.start(LivePlan {
         access,
         source: "replay",
-        has_zero: false,
         boards: Vec::new(),
         scene: None,
         control: orders.control(),

@@ -11,7 +11,7 @@ use slitpose_calibration::{Basis, Head};
 use slitpose_protocol::{Pulse, Stream};
 
 use super::calibrate::from_recordings;
-use super::live::{LiveOptions, MouseOptions, changes};
+use super::live::{LiveOptions, changes};
 use super::options::{PoseOptions, open_scene, parse_duration};
 use super::record::RecordOptions;
 use super::simulate::ToolOptions;
@@ -98,8 +98,6 @@ pub(super) struct Args {
     status: Option<Address>,
     #[command(flatten)]
     live: LiveOptions,
-    #[command(flatten)]
-    mouse: MouseOptions,
     /// How long to look for a board that is not there: a time, or `forever`
     #[arg(long, value_name = "TIME", value_parser = parse_patience)]
     patience: Option<Patience>,
@@ -208,24 +206,17 @@ pub(super) fn run(args: &mut Args) -> Result<Outcome, CommandError> {
             None => DaemonReport::of(began, HostInstant::now(), Vec::new(), RecorderReport::default()),
         }
     };
-    // The first board is the mouse.
-    let workspace = boards.first().map(|board| board.head.file.workspace);
-    let mouse = workspace.map(|workspace| args.mouse.start(workspace)).transpose()?.flatten();
     let access = args.live.access()?;
     let is_recorded_later = access.as_ref().is_some_and(|access| access.may_write);
     let shown = || {
         let shown = |board: &BoardPlan| LiveBoard { name: board.opener.name(), head: board.head.clone() };
         boards.iter().map(shown).collect()
     };
-    let control = || {
-        let mouse = mouse.as_ref().map(|mouse| mouse.input.clone());
-        changes(Arc::clone(&followed), args.record.clone(), mouse)
-    };
+    let control = || changes(Arc::clone(&followed), args.record.clone());
     let live = match access {
         Some(access) => Some(args.live.access.start(LivePlan {
             access,
             source: "run",
-            has_zero: mouse.is_some(),
             boards: shown(),
             scene: None,
             control: control(),
@@ -238,9 +229,7 @@ pub(super) fn run(args: &mut Args) -> Result<Outcome, CommandError> {
     let status = args.status.as_ref().map(|address| StatusServer::start(address, reports(), control())).transpose()?;
     status.iter().for_each(|server| talk(format_args!("status at {}", server.address)));
     let capture = args.record.open(is_recorded_later)?;
-    let mut takers: Vec<Arc<dyn SampleSink>> = Vec::new();
-    takers.extend(live.iter().map(|live| Arc::new(live.input.clone()) as Arc<dyn SampleSink>));
-    takers.extend(mouse.iter().map(|mouse| Arc::new(mouse.input.clone()) as Arc<dyn SampleSink>));
+    let takers = live.iter().map(|live| Arc::new(live.input.clone()) as Arc<dyn SampleSink>).collect();
     let plan = Plan { boards, sink, capture, datagrams, takers, real_time: args.real_time };
     let daemon = Arc::new(Daemon::start(plan, Arc::clone(&stop))?);
     let daemon = followed.get_or_init(|| daemon);
@@ -269,7 +258,7 @@ pub(super) fn run(args: &mut Args) -> Result<Outcome, CommandError> {
     }
     let _ = platform::notify(Notice::Stopping);
     let ended = daemon.end();
-    drop((status, live, mouse));
+    drop((status, live));
     let reconnects = daemon.report().boards.iter().map(|board| board.link.reconnects).collect::<Vec<_>>();
     outcome_of(ended, &reconnects, stop.load(Ordering::Relaxed), args.poses.duration.is_some())
 }

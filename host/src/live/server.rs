@@ -47,8 +47,6 @@ pub(crate) struct LivePlan {
     pub source: &'static str,
     /// Its boards, as far as they are known.
     pub boards: Vec<LiveBoard>,
-    /// Whether there is a 6-DoF mouse, whose zero can be set.
-    pub has_zero: bool,
     pub scene: Option<SceneView>,
     pub control: Control,
     /// The state of the daemon, if there is one.
@@ -83,7 +81,6 @@ impl Shared {
                 access: self.plan.access.clone(),
                 source: "replay",
                 boards: Vec::new(),
-                has_zero: false,
                 scene: None,
                 control,
                 report: None,

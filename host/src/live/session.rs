@@ -155,7 +155,7 @@ impl Session {
     async fn greet(&mut self, snapshot: &Snapshot) -> Result<(), Gone> {
         let plan = &self.shared.plan;
         let mut greeting = hello(plan.source, &snapshot.names, plan.access.may_write);
-        (greeting["has_zero"], greeting["has_folder"]) = (plan.has_zero.into(), plan.recordings.is_some().into());
+        greeting["has_folder"] = plan.recordings.is_some().into();
         self.answer(greeting).await
     }
 
@@ -239,7 +239,6 @@ impl Session {
                 Err(refusal) => Err(refusal),
             },
             Request::Player(order) => self.order(Order::Player(order)),
-            Request::Zero {} => self.order(Order::Zero),
             Request::SetFrame { board, over_s } => self.order(Order::Frame(board, over_s)),
             Request::Pose { t_m, r_rad } => match self.drawn_at(t_m, r_rad) {
                 Ok(text) => return self.send(text).await,

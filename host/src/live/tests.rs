@@ -48,7 +48,6 @@ fn serve(address: &str, token: Option<&str>, scene: Option<SceneView>) -> (LiveS
     let server = LiveServer::start(LivePlan {
         access,
         source: "run",
-        has_zero: false,
         boards: vec![LiveBoard { name: "sim".to_owned(), head: WIDE.read().unwrap().into() }],
         scene,
         control: kept_in(&orders),

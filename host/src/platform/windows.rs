@@ -42,7 +42,7 @@ fn refused<T>(path: &Path, instead: &'static str) -> Result<T, ServeError> {
 }
 
 pub(crate) fn listen_local(path: &Path) -> Result<(LocalListener, SocketFile), ServeError> {
-    refused(path, "127.0.0.1:PORT for the status; the 6-DoF mouse of spacenavd needs one")
+    refused(path, "127.0.0.1:PORT for the status")
 }
 
 pub(crate) fn connect_local(_: &Path) -> io::Result<LocalStream> {

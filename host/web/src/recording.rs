@@ -73,7 +73,8 @@ pub(crate) struct Recording {
 impl Recording {
     /// Begins the capture called `name`, of a board with `head`, on `written`.
     pub(crate) fn begin(name: &str, head: Head, settings: Settings, written: Written) -> Result<Self, CaptureError> {
-        let series = CaptureSeries::on_medium(Box::new(written), Path::new(name), report_schema())?;
+        let series =
+            CaptureSeries::on_medium(Box::new(written), Path::new(name), report_schema().as_value().to_string())?;
         let rate = PoseRate::every(POSE_EVERY_S);
         // The first bytes do not continue those of a message before.
         let chunk = Segment { opened: true, ..Segment::default() };

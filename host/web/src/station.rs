@@ -373,7 +373,6 @@ impl Station {
             (Request::Record { .. } | Request::Note { .. }, _) => {
                 return not_here("recording", "begin one of a board");
             }
-            (Request::Zero {}, _) => return not_here("6-DoF mouse", "`slitpose run --spacenav PATH` serves one"),
             (Request::Calibrate { .. }, _) => return not_here("calibration", "`slitpose calibrate` does it"),
             (Request::Recordings {} | Request::Rename { .. } | Request::Download { .. }, _) => {
                 return not_here("folder of recordings", "each is in the file that was chosen for it");

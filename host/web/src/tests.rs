@@ -187,8 +187,7 @@ fn what_is_no_capture_ends_with_a_reason_and_requests_out_of_place_are_refused()
     bench.run(0.1, |_, _| ());
     let reason = bench.of_kind("ended")[0]["reason"].to_string();
     assert!(reason.contains("holds no scan"), "{reason}");
-    let requests =
-        [r#""record","on":false"#, r#""zero""#, r#""player","playing":true"#, r#""recordings""#, r#""nonsense""#];
+    let requests = [r#""record","on":false"#, r#""player","playing":true"#, r#""recordings""#, r#""nonsense""#];
     requests.iter().for_each(|request| bench.station.request(&format!(r#"{{"kind":{request}}}"#)));
     bench.run(0.1, |_, _| ());
     assert_eq!(bench.of_kind("refused").len(), requests.len());

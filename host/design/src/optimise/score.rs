@@ -330,7 +330,7 @@ fn distances(file: &SceneFile, poses: &[Pose], limits: &Limits, excesses: &mut V
     }
 }
 
-pub(super) fn ends(cell: &Cell) -> [DVec3; 2] {
+fn ends(cell: &Cell) -> [DVec3; 2] {
     let half = cell.detector.x_axis_base * (0.5 * cell.detector.length_m + HOUSING_M);
     [cell.detector.centre_base_m - half, cell.detector.centre_base_m + half]
 }

@@ -101,12 +101,6 @@ impl Search {
         self.free.len() * (SPREAD + STARTS * 4 * STEPS * 3 / 2)
     }
 
-    /// The farthest point of a detector of the scene from the z axis, metres: see [`Limits::radius_m`].
-    pub fn radius_m(&self) -> f64 {
-        let ends = self.file.scene.cells.iter().flat_map(super::score::ends);
-        ends.map(|end| end.truncate().length()).fold(0.0, f64::max)
-    }
-
     /// Runs on all cores. `progress` gets the number of candidates evaluated and the least σ so far, metres; `stop` ends
     /// it with the best so far.
     pub fn run(&self, progress: &mut (dyn FnMut(usize, f64) + Send), stop: &AtomicBool) -> Result<Found, DesignError> {

@@ -28,7 +28,7 @@ use crate::DesignError;
 
 pub use calibration::calibration_report;
 pub(crate) use head::{Errors, currents, frame_scene};
-pub use heads::{comparison, pareto, scene_name};
+pub use heads::comparison;
 pub use map::map_report;
 pub(crate) use section::{Picture, Section, Sheet, Value, column, program, scene};
 pub use section::{Report, Table};

@@ -195,14 +195,12 @@ fn view(args: &ViewArgs) -> Result<Outcome, CommandError> {
     let _server = args.access.start(LivePlan {
         access: args.access.at(args.live)?,
         source: "scene",
-        has_zero: false,
         scene: Some(SceneView::of(&head)?),
         boards: vec![LiveBoard { name: head.file.name.clone(), head }],
         // Nothing of a scene can be changed.
         control: Box::new(|order| {
             Err(match order {
                 Order::Record(_) | Order::Note(..) => Refusal::NO_RECORDER,
-                Order::Zero => Refusal::NO_MOUSE,
                 Order::Frame(..) => Refusal::NO_FRAME,
                 Order::Player(_) => Refusal::NO_PLAYER,
             })

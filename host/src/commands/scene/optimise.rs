@@ -1,16 +1,14 @@
 //! `slitpose scene optimise`: the best head within bounds.
 
-use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicBool;
+use std::path::PathBuf;
 
 use clap::ValueEnum;
 
 use super::{CommandError, Outcome};
-use crate::commands::options::{Jobs, number, open_scene, store};
+use crate::commands::options::{Jobs, number, open_scene};
 use crate::commands::{interrupt, options, talk};
 use crate::terminal::{Amount, Progress};
 use slitpose_design::optimise::{Demand, Excess, Free, Goal, Limit, Limits, Score, Search};
-use slitpose_design::report::{Folder, pareto, scene_name};
 use slitpose_head::causes::with_causes;
 use slitpose_head::front_end::configuration;
 use slitpose_head::scene_file::SceneFile;
@@ -56,12 +54,6 @@ pub(super) struct Args {
     /// Share of the workspace in which all electrodes are below full scale, percent
     #[arg(long, value_name = "PERCENT", default_value_t = 99.5, value_parser = number(|percent| (0.0..=100.0).contains(&percent), "give percent from 0 to 100, such as 99.9"))]
     in_scale: f64,
-    /// Make this folder with the best heads within several radii, and a page on them, instead of one head
-    #[arg(long, value_name = "DIR", conflicts_with_all = ["radius", "output"])]
-    pareto: Option<PathBuf>,
-    /// Those radii, mm [default: 1, 1.15, 1.3, 1.5 and 1.75 times that of the scene]
-    #[arg(long, value_name = "MM,MM,...", value_delimiter = ',', requires = "pareto", value_parser = length())]
-    radii: Vec<f64>,
     /// Seed of the candidates that are spread over the bounds
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
@@ -80,42 +72,10 @@ enum DemandName {
     Worst,
 }
 
-/// Radii of a Pareto picture, in units of that of the scene.
-const RADII: [f64; 5] = [1.0, 1.15, 1.3, 1.5, 1.75];
-
-/// The best head within each of `radii_mm`.
-fn several(search: &Search, path: &Path, radii_mm: &[f64], stop: &AtomicBool) -> Result<Outcome, CommandError> {
-    let folder = Folder::create(path)?;
-    let own_mm = search.radius_m() * 1e3;
-    let mut radii_mm = if radii_mm.is_empty() { RADII.map(|by| by * own_mm).to_vec() } else { radii_mm.to_vec() };
-    radii_mm.sort_by(f64::total_cmp);
-    let each = search.evaluations() as u64;
-    let mut progress = Progress::new("optimise", each * radii_mm.len() as u64, Amount::Of("heads"));
-    let mut found = Vec::new();
-    for (number, radius_mm) in radii_mm.iter().enumerate() {
-        let limits = Limits { radius_m: radius_mm * 1e-3, ..search.limits };
-        let within = format!("within {radius_mm:.1} mm");
-        let mut told = |done: usize, _| progress.step(number as u64 * each + (done as u64).min(each), &within);
-        let best = Search { limits, ..search.clone() }.run(&mut told, stop)?;
-        if best.is_interrupted {
-            talk(format_args!("interrupted: {} of {} radii are done", found.len(), radii_mm.len()));
-            break;
-        }
-        Output::file(&path.join(scene_name(limits.radius_m)))?.write_text(&best.file.source)?;
-        found.push((limits.radius_m, best));
-    }
-    drop(progress);
-    store(&pareto(search, &found), &folder)?;
-    Ok(Outcome::Done)
-}
-
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     args.jobs.apply();
     // An impossible place is refused before the search.
-    let output = match &args.pareto {
-        Some(_) => None,
-        None => Some(Output::open(args.output.as_deref())?),
-    };
+    let output = Output::open(args.output.as_deref())?;
     let file = open_scene(&args.scene)?;
     let mut free: Vec<Free> = Vec::new();
     for one in &args.free {
@@ -144,9 +104,6 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         seed: args.seed,
     };
     let stop = interrupt()?;
-    if let Some(folder) = &args.pareto {
-        return several(&search, folder, &args.radii, &stop);
-    }
     let total = search.evaluations() as u64;
     let mut progress = Progress::new("optimise", total, Amount::Of("heads"));
     let found =
@@ -170,9 +127,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     if found.is_interrupted {
         talk(format_args!("interrupted: this is the best so far; a search that is given it goes on from there"));
     }
-    if let Some(output) = output {
-        output.write_text(&found.file.source)?;
-    }
+    output.write_text(&found.file.source)?;
     Ok(if found.after.excesses.is_empty() { Outcome::Done } else { Outcome::Failed })
 }
 

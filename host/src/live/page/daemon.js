@@ -63,7 +63,7 @@ function duration(seconds) {
   return (parts[first][0] ? parts.slice(first, first + 2) : parts.slice(-1)).map(([amount, unit]) => `${amount} ${unit}`).join(" ");
 }
 
-/** The buttons that change something: recording, the zero of the mouse, and that of the frame. */
+/** The buttons that change something: recording, and the zero of the frame. */
 export class Recorder {
   #isRecording = false;
 
@@ -72,7 +72,6 @@ export class Recorder {
     byId("zero-frame").addEventListener("click", () => send({ kind: "set_frame", board: board(), over_s: 1 }));
     byId("undo-frame").addEventListener("click", () => send({ kind: "set_frame", board: board(), over_s: null }));
     byId("record").addEventListener("click", () => send({ kind: "record", on: !this.#isRecording }));
-    byId("zero").addEventListener("click", () => send({ kind: "zero" }));
   }
 
   /** @param {object | null} recorder of the report @param {object | undefined} frame of the board shown
@@ -82,7 +81,6 @@ export class Recorder {
     show(byId("recorder"), isLive);
     show(byId("frame"), Boolean(isLive && hello.may_write && frame));
     if (frame) write(byId("frame-words"), `frame ${frame.name}${frame.zero ? `; ${frame.zero}` : ""}`);
-    show(byId("mouse"), Boolean(hello?.has_zero && hello.may_write));
     if (!isLive) return;
     this.#isRecording = recorder?.state === "recording";
     const button = byId("record");

@@ -61,8 +61,6 @@ pub enum Order {
     Note(String, f64),
     /// Play a capture otherwise.
     Player(PlayerOrder),
-    /// Make the present pose the zero of the 6-DoF mouse.
-    Zero,
     /// Set the zero of the frame of a board to the mean pose of so many seconds; `None`: the frame is that of the start.
     Frame(usize, Option<f64>),
 }
@@ -146,10 +144,6 @@ impl Refusal {
     /// Of a frame, where there is none to set.
     pub const NO_FRAME: Self =
         Self::NotHere { what: "frame to set", instead: "`slitpose run --live` has one for each board" };
-
-    /// Of the zero of a mouse, where there is none.
-    pub const NO_MOUSE: Self =
-        Self::NotHere { what: "6-DoF mouse", instead: "`slitpose run --spacenav PATH --live` has one" };
 }
 
 /// Least and greatest speed of a player, device seconds per second.
@@ -260,8 +254,6 @@ pub enum Request {
     Calibrate { free: Vec<String>, pivot: Vec<String>, stage: Vec<String>, rest: Vec<String> },
     /// Play the capture otherwise.
     Player(PlayerOrder),
-    /// Make the present pose the zero of the 6-DoF mouse.
-    Zero {},
     /// Make the mean pose of so many seconds the zero of the frame of a board; `null`: the frame is that of the start.
     SetFrame { board: usize, over_s: Option<f64> },
     /// Where the tool is in a scene.
@@ -307,7 +299,6 @@ mod tests {
         for text in [
             "",
             "7",
-            r#"["zero"]"#,
             r#"["ack",7]"#,
             r#"{"kind":"erase"}"#,
             r#"{"kind":"ack"}"#,
