@@ -221,6 +221,8 @@ impl<'a> Adjustment<'a> {
                 let [found, expected, noise] = sums[cell][k];
                 let noise = noise / readings[cell];
                 let variance = before[k] * before[k] + noise;
+                state.residual_errors[cell][k] =
+                    (found / expected.max(f64::MIN_POSITIVE) * variance - noise).max(0.0).sqrt();
                 let found = found + USUAL_READINGS * (usual[k] * usual[k] + noise);
                 let expected = expected.max(0.0) + USUAL_READINGS * variance;
                 let ratio = found / expected;
@@ -395,7 +397,7 @@ impl<'a> Adjustment<'a> {
     }
 
     /// Row `row` without what its own pose explains; `None`: nothing tells that pose.
-    fn reduced(&self, state: &State, normal: &Normal, weights: &Weights, row: usize) -> Option<Reduced> {
+    pub(crate) fn reduced(&self, state: &State, normal: &Normal, weights: &Weights, row: usize) -> Option<Reduced> {
         let factor = &normal.rows[row].as_ref()?.factor;
         let terms = row_terms(self.data, state, &normal.cells, weights, row, state.length_scale_m);
         let mut derivatives = DMatrix::zeros(normal.matrix.nrows(), terms.by_pose.len());
@@ -413,12 +415,12 @@ impl<'a> Adjustment<'a> {
     }
 }
 
-struct Reduced {
+pub(crate) struct Reduced {
     residuals: Vec<f64>,
     /// By the unknowns, of what the row's own pose cannot explain.
-    derivatives: DMatrix<f64>,
+    pub(crate) derivatives: DMatrix<f64>,
     /// L⁻¹ of the derivatives by the pose.
-    by_pose: Vec<[f64; 6]>,
+    pub(crate) by_pose: Vec<[f64; 6]>,
 }
 
 impl Reduced {

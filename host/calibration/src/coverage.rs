@@ -30,7 +30,8 @@ pub struct Coverage {
     pub outside_rad: Option<f64>,
 }
 
-fn half_extents(workspace: &Workspace) -> [f64; 6] {
+/// Of the six coordinates of [`values_of`].
+pub(crate) fn half_extents(workspace: &Workspace) -> [f64; 6] {
     let ([x, y, z], [a, b, c]) = (workspace.half_extent_m.to_array(), workspace.half_extent_rad.to_array());
     [x, y, z, a, b, c]
 }

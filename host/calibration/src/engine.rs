@@ -11,6 +11,7 @@ use thiserror::Error;
 use crate::adjust::Adjustment;
 use crate::coverage::Coverage;
 use crate::data::{Constraint, Data};
+use crate::discrepancy::Discrepancy;
 use crate::light::LightTrend;
 use crate::normal::Normal;
 use crate::plausibility::Implausible;
@@ -211,9 +212,12 @@ fn conclude(
 ) -> Result<Calibration, CalibrateError> {
     let Request { file, date, .. } = *request;
     let data = adjustment.data;
-    let covariance = normal.covariance().ok_or(CalibrateError::Singular)?;
+    let by_noise = normal.covariance().ok_or(CalibrateError::Singular)?;
+    let discrepancy =
+        Discrepancy::of(adjustment, &state, normal, weights, &file.workspace).ok_or(CalibrateError::Singular)?;
+    let (pose_error, rest) = PoseError::of(adjustment.nominal, &state, &by_noise, Some(&discrepancy), &file.workspace)?;
+    let covariance = by_noise + discrepancy.covariance();
     let covered = Coverage::of(adjustment.nominal, data, &state, weights, &covariance, &file.workspace)?;
-    let (pose_error, rest) = PoseError::of(adjustment.nominal, &state, &covariance, &file.workspace)?;
     let statistics = adjustment.statistics(&state, normal, weights);
     for (cell, (error, rest)) in state.model_errors.iter_mut().zip(rest).enumerate() {
         error.reach = reach(data, weights, cell);

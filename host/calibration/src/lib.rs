@@ -6,7 +6,8 @@
 //! * `data`, `tables`, `constraint`: what was measured, and what is known of the poses;
 //! * `plausibility`, `start`: wrong data are refused, first poses found;
 //! * `state`, `light`, `normal`, `adjust`: derivatives, normal equations without the poses, steps, outliers, model errors;
-//! * `engine`: all of it in order; `pose_error`, `coverage`, `findings`: what came of it, and what tolerances cost without it;
+//! * `engine`: all of it in order; `discrepancy`, `pose_error`, `coverage`, `findings`: what came of it, and what tolerances cost
+//!   without it;
 //! * `file`: how it is stored; `head`: what solves with it, or without any; `reading`: whether it still holds.
 //!
 //! Readings are currents above dark, SI units throughout. Parameters are deviations from the scene; inside the adjustment
@@ -18,6 +19,7 @@ mod adjust;
 mod constraint;
 mod coverage;
 mod data;
+mod discrepancy;
 mod engine;
 mod file;
 mod findings;

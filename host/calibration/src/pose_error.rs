@@ -8,6 +8,7 @@ use slitpose_model::{ModelError, Pose, Scene, SceneError};
 
 use crate::adjust::USUAL_ERROR;
 use crate::data::{Constraint, Data, Knowledge, Row};
+use crate::discrepancy::Discrepancy;
 use crate::head::uncalibrated;
 use crate::normal::{Normal, backward, cholesky6, forward};
 use crate::reading::{directions, whiten, whitener};
@@ -45,17 +46,19 @@ struct Sample {
     functions: [f64; FUNCTIONS],
     /// Inverse of the mean variance of the pose by noise, in units of the length scale.
     weight: f64,
-    /// −V⁻¹BᵀA: what the parameters do to the pose, lengths in units of the length scale.
+    /// −V⁻¹BᵀA: what the parameters do to the pose, lengths in units of the length scale; then the same of the coefficients
+    /// of a discrepancy, what the parameters follow of them included.
     error: DMatrix<f64>,
 }
 
 impl PoseError {
-    /// What the `covariance` of the parameters, in units of their prior σ, does to poses of a `workspace` that are solved
-    /// from single frames; and, as model errors of each cell, what it does besides.
+    /// What the `covariance` of the parameters, in units of their prior σ, and a `discrepancy` do to poses of a `workspace`
+    /// that are solved from single frames; and, as model errors of each cell, what the covariance does besides.
     pub(crate) fn of(
         nominal: &Scene,
         state: &State,
         covariance: &DMatrix<f64>,
+        discrepancy: Option<&Discrepancy>,
         workspace: &Workspace,
     ) -> Result<(Self, Vec<ModelError>), SceneError> {
         let count = state.parameters.entries.len();
@@ -64,7 +67,7 @@ impl PoseError {
         let cells = sensitivities(nominal, &state.parameters, &poses, true)?;
         let covariance = covariance.view((0, 0), (count, count));
         let samples: Vec<Option<Sample>> =
-            poses.iter().enumerate().map(|(row, pose)| Sample::of(state, &cells, row, pose)).collect();
+            poses.iter().enumerate().map(|(row, pose)| Sample::of(state, &cells, discrepancy, row, pose)).collect();
         let mut gram = SMatrix::<f64, FUNCTIONS, FUNCTIONS>::zeros();
         for Sample { functions, weight, .. } in samples.iter().flatten() {
             for i in 0..FUNCTIONS {
@@ -74,7 +77,8 @@ impl PoseError {
             }
         }
         // Least squares: the coefficients as functions of the parameters.
-        let mut coefficients = DMatrix::zeros(COEFFICIENTS, count);
+        let considered = discrepancy.map_or(0, |discrepancy| discrepancy.reaction.ncols());
+        let mut coefficients = DMatrix::zeros(COEFFICIENTS, count + considered);
         if let Some(inverse) = gram.try_inverse().filter(|_| samples.iter().flatten().count() > 2 * FUNCTIONS) {
             for Sample { functions, weight, error } in samples.iter().flatten() {
                 for k in 0..FUNCTIONS {
@@ -84,9 +88,12 @@ impl PoseError {
                 }
             }
         }
-        let rest = Self::model_errors(nominal, state, &cells, &samples, &coefficients, &covariance);
+        let by_parameters = coefficients.columns(0, count).into_owned();
+        let rest = Self::model_errors(nominal, state, &cells, &samples, &by_parameters, &covariance);
         let scale = |i: usize| if i % 6 < 3 { state.length_scale_m } else { 1.0 };
-        let spread = &coefficients * covariance * coefficients.transpose();
+        let by_discrepancy = coefficients.columns(count, considered);
+        let spread =
+            &by_parameters * covariance * by_parameters.transpose() + by_discrepancy * by_discrepancy.transpose();
         let places = (0..COEFFICIENTS).flat_map(|i| (0..COEFFICIENTS).map(move |j| (i, j)));
         let found = places.map(|(i, j)| spread[(i, j)] * scale(i) * scale(j)).collect();
         Ok((Self { length_scale_m: state.length_scale_m, coefficients: found }, rest))
@@ -201,7 +208,7 @@ pub(crate) fn spread(
     covariances: &[DMatrix<f64>],
 ) -> Vec<[f64; 2]> {
     let samples: Vec<Sample> =
-        poses.iter().enumerate().filter_map(|(row, pose)| Sample::of(state, cells, row, pose)).collect();
+        poses.iter().enumerate().filter_map(|(row, pose)| Sample::of(state, cells, None, row, pose)).collect();
     let of = |covariance: &DMatrix<f64>| {
         let mut squares = [0.0; 2];
         for Sample { error, .. } in &samples {
@@ -218,9 +225,17 @@ pub(crate) fn spread(
 
 impl Sample {
     /// `None`: too few cells see light there.
-    fn of(state: &State, cells: &[CellSensitivity], row: usize, pose: &Pose) -> Option<Self> {
+    fn of(
+        state: &State,
+        cells: &[CellSensitivity],
+        discrepancy: Option<&Discrepancy>,
+        row: usize,
+        pose: &Pose,
+    ) -> Option<Self> {
         let scale = |axis: usize| if axis < 3 { state.length_scale_m } else { 1.0 };
-        let (mut v, mut error) = ([[0.0; 6]; 6], DMatrix::<f64>::zeros(6, state.parameters.entries.len()));
+        let count = state.parameters.entries.len();
+        let considered = discrepancy.map_or(0, |discrepancy| discrepancy.reaction.ncols());
+        let (mut v, mut error) = ([[0.0; 6]; 6], DMatrix::<f64>::zeros(6, count + considered));
         for (number, cell) in cells.iter().enumerate() {
             let Some(pair) = cell.pairs[row] else { continue };
             let w = whitener(state.covariance(number, pair, 1.0));
@@ -240,12 +255,23 @@ impl Sample {
                     error[(i, place)] -= by[0] * of[0] + by[1] * of[1];
                 }
             }
+            let changes = |of: &Discrepancy| of.changes(number, state.noise[number].changes(pair), pose);
+            for (place, change) in discrepancy.map(changes).into_iter().flatten() {
+                let of = whiten(w, change);
+                for (i, by) in by_pose.iter().enumerate() {
+                    error[(i, count + place)] += by[0] * of[0] + by[1] * of[1];
+                }
+            }
         }
         let factor = cholesky6(&v)?;
         let solve = |right| backward(&factor, forward(&factor, right));
         for mut column in error.column_iter_mut() {
             let solved = solve(std::array::from_fn(|i| column[i]));
             column.copy_from_slice(&solved);
+        }
+        if let Some(discrepancy) = discrepancy {
+            let (of_parameters, mut of_considered) = error.columns_range_pair_mut(0..count, count..);
+            of_considered.gemm(1.0, &of_parameters, &discrepancy.reaction.rows(0, count), 1.0);
         }
         let variance: f64 = (0..6).map(|k| solve(std::array::from_fn(|i| f64::from(u8::from(i == k))))[k]).sum();
         Some(Self { functions: functions(pose, state.length_scale_m), weight: variance.recip(), error })
@@ -388,7 +414,7 @@ mod tests {
         let sigma_m = file.tolerance.unwrap_or_default().position_m;
         let errors = vec![ModelError::default(); file.scene.cells.len()];
         let state = State::new(&file.scene, parameters.clone(), &Data::default(), Vec::new(), errors);
-        let (found, rest) = PoseError::of(&file.scene, &state, &covariance, &file.workspace).expect("poses");
+        let (found, rest) = PoseError::of(&file.scene, &state, &covariance, None, &file.workspace).expect("poses");
         for turn in [DVec3::ZERO, DVec3::new(0.0, 0.0, 0.2)] {
             let pose = Pose::from_vectors(DVec3::new(1e-3, -2e-3, 1e-3), turn);
             let way = pose.rotation * DVec3::X * sigma_m;

@@ -44,6 +44,12 @@ impl ReadingNoise {
         }
     }
 
+    /// Derivatives of the currents `pair` by relative intensity and position.
+    pub(crate) fn changes(&self, pair: [f64; 2]) -> [[f64; 2]; 2] {
+        let across = (pair[0] + pair[1]) * self.per_length;
+        [pair, [-across, across]]
+    }
+
     /// Of the mean of `frames` frames, with what the model leaves out.
     pub(crate) fn covariance(&self, pair: [f64; 2], frames: f64, error: &ModelError) -> Covariance {
         let total = (pair[0] + pair[1]).abs().max(f64::MIN_POSITIVE);

@@ -18,6 +18,8 @@ pub(crate) struct State {
     pub(crate) poses: Vec<Pose>,
     pub(crate) noise: Vec<ReadingNoise>,
     pub(crate) model_errors: Vec<ModelError>,
+    /// The same by the residuals alone, without what is known of usual heads: of intensity, relative, and position, metres.
+    pub(crate) residual_errors: Vec<[f64; 2]>,
     /// Of each group: errors of lengths and angles by what is stated.
     pub(crate) scales: Vec<[f64; 2]>,
     /// How the light of groups changes.
@@ -62,6 +64,7 @@ impl State {
             unknowns: data.groups.iter().map(|group| vec![0.0; constraint::unknowns(group.constraint)]).collect(),
             poses,
             noise: nominal.cells.iter().map(|cell| ReadingNoise::new(nominal.noise.as_ref(), cell)).collect(),
+            residual_errors: vec![[0.0; 2]; model_errors.len()],
             model_errors,
             scales: vec![[1.0; 2]; data.groups.len()],
             light: Vec::new(),
