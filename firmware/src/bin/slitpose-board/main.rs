@@ -43,7 +43,7 @@ use embassy_stm32::{Config, bind_interrupts};
 use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::ThreadModeRawMutex;
 use embassy_time::{Duration, Instant, Timer};
-use slitpose_firmware::pcb::{QUEUE_BYTES, can_run, default_configuration, default_scaling};
+use slitpose_firmware::pcb::{QUEUE_BYTES, can_run, default_configuration, default_scaling, pins};
 use slitpose_firmware::{Board, Identity, Poser};
 use slitpose_protocol::{BoardKind, Configuration, Hashes, SettingsSource};
 use static_cell::{ConstStaticCell, StaticCell};
@@ -70,6 +70,14 @@ bind_interrupts!(struct Interrupts {
     #[cfg(feature = "storage")]
     FLASH => embassy_stm32::flash::InterruptHandler;
 });
+
+/// The pin of `signal`; the image does not compile if the wiring table has the signal elsewhere.
+macro_rules! pin_of {
+    ($signal:literal, $pins:ident.$pin:ident) => {{
+        const { assert!(pins::is_at($signal, stringify!($pin)), concat!($signal, " is at another pin in wiring.csv")) };
+        $pins.$pin
+    }};
+}
 
 /// The board's core, shared by the tasks.
 type Core = Mutex<ThreadModeRawMutex, RefCell<Board<BoardHardware, &'static mut [u8], &'static mut Poser>>>;
@@ -115,12 +123,12 @@ async fn run(spawner: Spawner) {
     let clock = clock::raise();
     faults::running(failed_starts);
     let emitters = [
-        Output::new(p.PC6, Level::Low, Speed::Medium),
-        Output::new(p.PC7, Level::Low, Speed::Medium),
-        Output::new(p.PC8, Level::Low, Speed::Medium),
-        Output::new(p.PC9, Level::Low, Speed::Medium),
-        Output::new(p.PC10, Level::Low, Speed::Medium),
-        Output::new(p.PC11, Level::Low, Speed::Medium),
+        Output::new(pin_of!("gate of emitter 0", p.PC6), Level::Low, Speed::Medium),
+        Output::new(pin_of!("gate of emitter 1", p.PC7), Level::Low, Speed::Medium),
+        Output::new(pin_of!("gate of emitter 2", p.PC8), Level::Low, Speed::Medium),
+        Output::new(pin_of!("gate of emitter 3", p.PC9), Level::Low, Speed::Medium),
+        Output::new(pin_of!("gate of emitter 4", p.PC10), Level::Low, Speed::Medium),
+        Output::new(pin_of!("gate of emitter 5", p.PC11), Level::Low, Speed::Medium),
     ];
     guard::watch_supply();
 
@@ -135,15 +143,33 @@ async fn run(spawner: Spawner) {
     let settings = stored.filter(|_| !is_passed_over);
 
     let hardware = BoardHardware::new(
-        emitters::Emitters::new(emitters, Output::new(p.PB5, Level::High, Speed::Low), p.DAC1, p.DAC2),
-        Sampler::new(p.ADC1, p.ADC2, p.TIM2, p.TIM3, p.DMA1_CH1, pulse::FrameOutput::new(p.PA10, p.TIM1)),
+        emitters::Emitters::new(
+            emitters,
+            Output::new(pin_of!("emitters' supply", p.PB5), Level::High, Speed::Low),
+            p.DAC1,
+            p.DAC2,
+        ),
+        Sampler::new(
+            p.ADC1,
+            p.ADC2,
+            p.TIM2,
+            p.TIM3,
+            p.DMA1_CH1,
+            pulse::FrameOutput::new(pin_of!("frame output", p.PA10), p.TIM1),
+        ),
         clock::Clock::start(p.TIM5),
-        trigger::Trigger::new(p.PC12),
-        Output::new(p.PA5, Level::Low, Speed::Low),
+        trigger::Trigger::new(pin_of!("trigger input", p.PC12)),
+        Output::new(pin_of!("light LD2", p.PA5), Level::Low, Speed::Low),
         #[cfg(feature = "sensors")]
         sensors::Sensors::new(p.ADC5),
         #[cfg(feature = "pose")]
-        pose_port::PosePort::new(Output::new(p.PA8, Level::Low, Speed::Medium), p.USART1, p.PA9, p.DMA2_CH3, p.CRC),
+        pose_port::PosePort::new(
+            Output::new(pin_of!("pose ready", p.PA8), Level::Low, Speed::Medium),
+            p.USART1,
+            pin_of!("poses to a motor controller", p.PA9),
+            p.DMA2_CH3,
+            p.CRC,
+        ),
     );
     let full_scale_pa = settings.as_ref().and_then(|settings| settings.full_scale_pa);
     let hashes = settings.as_ref().map_or(Hashes::default(), |settings| settings.hashes);
@@ -173,9 +199,17 @@ async fn run(spawner: Spawner) {
     let links: &'static Links = LINKS.init_with(|| Links::new(core));
 
     #[cfg(feature = "usb")]
-    link::usb::spawn(spawner, links, p.USB, p.PA12, p.PA11);
+    link::usb::spawn(spawner, links, p.USB, pin_of!("USB D+", p.PA12), pin_of!("USB D-", p.PA11));
     #[cfg(feature = "uart")]
-    link::uart::spawn(spawner, links, p.LPUART1, p.PA3, p.PA2, p.DMA2_CH1, p.DMA2_CH2);
+    link::uart::spawn(
+        spawner,
+        links,
+        p.LPUART1,
+        pin_of!("serial port from the ST-LINK", p.PA3),
+        pin_of!("serial port to the ST-LINK", p.PA2),
+        p.DMA2_CH1,
+        p.DMA2_CH2,
+    );
     #[cfg(feature = "storage")]
     if let Some(Ok(task)) = store.map(storage::keep) {
         spawner.spawn(task);
