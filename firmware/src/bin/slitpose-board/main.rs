@@ -43,8 +43,8 @@ use embassy_stm32::{Config, bind_interrupts};
 use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::ThreadModeRawMutex;
 use embassy_time::{Duration, Instant, Timer};
-use slitpose_firmware::pcb::{QUEUE_BYTES, can_run, default_configuration, default_scaling, pins};
-use slitpose_firmware::{Board, Identity, Poser};
+use slitpose_firmware::pcb::{QUEUE_BYTES, can_run, default_configuration, default_scaling};
+use slitpose_firmware::{Board, Identity, Poser, pin};
 use slitpose_protocol::{BoardKind, Configuration, Hashes, SettingsSource};
 use static_cell::{ConstStaticCell, StaticCell};
 
@@ -70,14 +70,6 @@ bind_interrupts!(struct Interrupts {
     #[cfg(feature = "storage")]
     FLASH => embassy_stm32::flash::InterruptHandler;
 });
-
-/// The pin of `signal`; the image does not compile if the wiring table has the signal elsewhere.
-macro_rules! pin_of {
-    ($signal:literal, $pins:ident.$pin:ident) => {{
-        const { assert!(pins::is_at($signal, stringify!($pin)), concat!($signal, " is at another pin in wiring.csv")) };
-        $pins.$pin
-    }};
-}
 
 /// The board's core, shared by the tasks.
 type Core = Mutex<ThreadModeRawMutex, RefCell<Board<BoardHardware, &'static mut [u8], &'static mut Poser>>>;
@@ -123,12 +115,12 @@ async fn run(spawner: Spawner) {
     let clock = clock::raise();
     faults::running(failed_starts);
     let emitters = [
-        Output::new(pin_of!("gate of emitter 0", p.PC6), Level::Low, Speed::Medium),
-        Output::new(pin_of!("gate of emitter 1", p.PC7), Level::Low, Speed::Medium),
-        Output::new(pin_of!("gate of emitter 2", p.PC8), Level::Low, Speed::Medium),
-        Output::new(pin_of!("gate of emitter 3", p.PC9), Level::Low, Speed::Medium),
-        Output::new(pin_of!("gate of emitter 4", p.PC10), Level::Low, Speed::Medium),
-        Output::new(pin_of!("gate of emitter 5", p.PC11), Level::Low, Speed::Medium),
+        Output::new(pin!(p.gate_of_emitter_0), Level::Low, Speed::Medium),
+        Output::new(pin!(p.gate_of_emitter_1), Level::Low, Speed::Medium),
+        Output::new(pin!(p.gate_of_emitter_2), Level::Low, Speed::Medium),
+        Output::new(pin!(p.gate_of_emitter_3), Level::Low, Speed::Medium),
+        Output::new(pin!(p.gate_of_emitter_4), Level::Low, Speed::Medium),
+        Output::new(pin!(p.gate_of_emitter_5), Level::Low, Speed::Medium),
     ];
     guard::watch_supply();
 
@@ -145,28 +137,21 @@ async fn run(spawner: Spawner) {
     let hardware = BoardHardware::new(
         emitters::Emitters::new(
             emitters,
-            Output::new(pin_of!("emitters' supply", p.PB5), Level::High, Speed::Low),
+            Output::new(pin!(p.emitters_supply), Level::High, Speed::Low),
             p.DAC1,
             p.DAC2,
         ),
-        Sampler::new(
-            p.ADC1,
-            p.ADC2,
-            p.TIM2,
-            p.TIM3,
-            p.DMA1_CH1,
-            pulse::FrameOutput::new(pin_of!("frame output", p.PA10), p.TIM1),
-        ),
+        Sampler::new(p.ADC1, p.ADC2, p.TIM2, p.TIM3, p.DMA1_CH1, pulse::FrameOutput::new(pin!(p.frame_output), p.TIM1)),
         clock::Clock::start(p.TIM5),
-        trigger::Trigger::new(pin_of!("trigger input", p.PC12)),
-        Output::new(pin_of!("light LD2", p.PA5), Level::Low, Speed::Low),
+        trigger::Trigger::new(pin!(p.trigger_input)),
+        Output::new(pin!(p.light_ld2), Level::Low, Speed::Low),
         #[cfg(feature = "sensors")]
         sensors::Sensors::new(p.ADC5),
         #[cfg(feature = "pose")]
         pose_port::PosePort::new(
-            Output::new(pin_of!("pose ready", p.PA8), Level::Low, Speed::Medium),
+            Output::new(pin!(p.pose_ready), Level::Low, Speed::Medium),
             p.USART1,
-            pin_of!("poses to a motor controller", p.PA9),
+            pin!(p.pose_output),
             p.DMA2_CH3,
             p.CRC,
         ),
@@ -199,17 +184,9 @@ async fn run(spawner: Spawner) {
     let links: &'static Links = LINKS.init_with(|| Links::new(core));
 
     #[cfg(feature = "usb")]
-    link::usb::spawn(spawner, links, p.USB, pin_of!("USB D+", p.PA12), pin_of!("USB D-", p.PA11));
+    link::usb::spawn(spawner, links, p.USB, pin!(p.usb_dp), pin!(p.usb_dm));
     #[cfg(feature = "uart")]
-    link::uart::spawn(
-        spawner,
-        links,
-        p.LPUART1,
-        pin_of!("serial port from the ST-LINK", p.PA3),
-        pin_of!("serial port to the ST-LINK", p.PA2),
-        p.DMA2_CH1,
-        p.DMA2_CH2,
-    );
+    link::uart::spawn(spawner, links, p.LPUART1, pin!(p.serial_rx), pin!(p.serial_tx), p.DMA2_CH1, p.DMA2_CH2);
     #[cfg(feature = "storage")]
     if let Some(Ok(task)) = store.map(storage::keep) {
         spawner.spawn(task);
