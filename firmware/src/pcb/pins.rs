@@ -4,7 +4,7 @@
 
 const TABLE: &str = include_str!("../../wiring.csv");
 
-/// A row of the table, field by field; a field without a value is empty.
+/// A row of the table without its source; a field without a value is empty.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Row {
     /// The signal, supply or solder bridge; for a `check`, what is measured.
@@ -19,8 +19,6 @@ pub struct Row {
     pub function: &'static str,
     /// What a user must know; for a check, what it means if it fails.
     pub note: &'static str,
-    /// Where it was found, and for which revision of the Nucleo.
-    pub source: &'static str,
 }
 
 /// The rows of `kind`, in their order: `signal`, `rail`, `bridge` or `check`.
@@ -35,9 +33,8 @@ pub fn rows(kind: &str) -> impl Iterator<Item = Row> {
     TABLE.lines().filter_map(move |line| {
         let mut fields = line.split(',');
         let is_of_kind = fields.next() == Some(kind);
-        let [name, pin, contact, arduino, function, note, source] =
-            core::array::from_fn(|_| fields.next().unwrap_or(""));
-        is_of_kind.then_some(Row { name, pin, contact, arduino, function, note, source })
+        let [name, pin, contact, arduino, function, note] = core::array::from_fn(|_| fields.next().unwrap_or(""));
+        is_of_kind.then_some(Row { name, pin, contact, arduino, function, note })
     })
 }
 
@@ -47,28 +44,26 @@ include!(concat!(env!("OUT_DIR"), "/wiring.rs"));
 mod tests {
     use std::format;
     use std::string::String;
+    use std::vec::Vec;
 
-    use super::*;
+    const COLUMNS: [(&str, &[usize]); 4] = [
+        ("signal", &[1, 2, 5, 3, 4, 6]),
+        ("rail", &[1, 3, 6, 7]),
+        ("bridge", &[1, 2, 3, 5, 6, 7]),
+        ("check", &[1, 5, 6]),
+    ];
 
     #[test]
     fn the_tables_of_the_page_are_the_rows_of_the_wiring_table() {
-        let page = include_str!("../../README.md");
-        let cells = |row: Row, kind: &str| match kind {
-            "signal" => format!(
-                "{} | {} | {} | {} | {} | {}",
-                row.name, row.pin, row.function, row.contact, row.arduino, row.note
-            ),
-            "rail" => format!("{} | {} | {} | {}", row.name, row.contact, row.note, row.source),
-            "bridge" => format!(
-                "{} | {} and {} | {} | {} | {}",
-                row.name, row.pin, row.contact, row.function, row.note, row.source
-            ),
-            _ => format!("{} | {} | {}", row.name, row.function, row.note),
-        };
-        for kind in ["signal", "rail", "bridge", "check"] {
-            let table = rows(kind).fold(String::new(), |table, row| table + "| " + &cells(row, kind) + " |\n");
-            assert!(page.contains(&format!("|\n{table}\n")), "firmware/README.md lacks this table:\n{table}");
+        let rows: Vec<Vec<&str>> = super::TABLE.lines().map(|line| line.split(',').collect()).collect();
+        assert!(rows.iter().all(|row| row.len() == 8), "a field has a comma");
+        for (kind, columns) in COLUMNS {
+            let cells =
+                |row: &Vec<&str>| columns.iter().map(|&column| format!("{} | ", row[column])).collect::<String>();
+            let of_kind = rows.iter().filter(|row| row[0] == kind);
+            let table: String = of_kind.map(|row| format!("| {}\n", cells(row).trim_end())).collect();
+            let is_there = include_str!("../../README.md").contains(&format!("|\n{table}\n"));
+            assert!(is_there, "firmware/README.md lacks this table:\n{table}");
         }
-        assert!(TABLE.lines().all(|line| line.split(',').count() == 8), "a field has a comma");
     }
 }

@@ -135,12 +135,7 @@ async fn run(spawner: Spawner) {
     let settings = stored.filter(|_| !is_passed_over);
 
     let hardware = BoardHardware::new(
-        emitters::Emitters::new(
-            emitters,
-            Output::new(pin!(p.emitters_supply), Level::High, Speed::Low),
-            p.DAC1,
-            p.DAC2,
-        ),
+        emitters::Emitters::new(emitters, Output::new(pin!(p.emitter_supply), Level::High, Speed::Low), p.DAC1, p.DAC2),
         Sampler::new(p.ADC1, p.ADC2, p.TIM2, p.TIM3, p.DMA1_CH1, pulse::FrameOutput::new(pin!(p.frame_output), p.TIM1)),
         clock::Clock::start(p.TIM5),
         trigger::Trigger::new(pin!(p.trigger_input)),
