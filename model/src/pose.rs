@@ -42,6 +42,16 @@ impl Pose {
 
     /// The displacement from `other`, (R', t'), to this pose: (t − t', log(R·R'ᵀ)), metres and radians.
     /// The inverse of [`Self::perturbed`].
+    ///
+    /// ```
+    /// use glam::DVec3;
+    /// use slitpose_model::Pose;
+    ///
+    /// let pose = Pose::from_vectors(DVec3::X, DVec3::new(0.0, 0.0, 1.5));
+    /// let moved = pose.perturbed(DVec3::new(0.0, 1e-3, 0.0), DVec3::new(0.1, 0.0, 0.0));
+    /// let (translation_m, rotation_rad) = moved.displacement_from(&pose);
+    /// assert!((translation_m.y - 1e-3).abs() < 1e-15 && (rotation_rad - 0.1 * DVec3::X).length() < 1e-12);
+    /// ```
     pub fn displacement_from(&self, other: &Self) -> (DVec3, DVec3) {
         (self.translation_m - other.translation_m, rotation_log(self.rotation * other.rotation.conjugate()))
     }

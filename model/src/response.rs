@@ -87,6 +87,12 @@ pub struct Pair<S> {
 impl<S: Number> Pair<S> {
     /// A total current divided between the electrodes according to the light's position X_A:
     /// I_X1,2 = I/2·(1 ∓ 2X_A/Lx), equation (1) of De La Cruz et al. 2018.
+    ///
+    /// ```
+    /// // A spot 3 mm from the middle of a detector of 12 mm: three quarters of the current at the nearer electrode.
+    /// let pair = slitpose_model::Pair::divide(2e-6, 3e-3, 12e-3);
+    /// assert_eq!((pair.i_x1_a, pair.i_x2_a), (0.5e-6, 1.5e-6));
+    /// ```
     #[inline(always)]
     pub fn divide(total_a: S, x_a_m: S, detector_length_m: S) -> Self {
         let half = S::half() * total_a;

@@ -102,6 +102,26 @@ pub enum BatchError {
 }
 
 /// Collects scans into a [`Batch`]; `BYTES` is the capacity for samples.
+///
+/// ```
+/// use slitpose_protocol::*;
+///
+/// let schedule = Schedule {
+///     tick_hz: 1_000_000, frame_ticks: 250, slots: [EmitterSet::of(&[0]), EmitterSet::DARK].into_iter().collect(),
+///     slot_ticks: 30, settling_ticks: 13, conversion_ticks: 1, oversampling: 4, cells: 1,
+/// };
+/// let mut builder = BatchBuilder::<1024>::new(7, &schedule, 4);
+/// let mut scan = builder.blank();
+/// scan.lit_mut()[0] = [12_000, 9_000];
+/// assert!(builder.push(&scan) && !builder.push(&scan), "the next scan has the next number and tick");
+///
+/// let mut packet = [0; MAX_MESSAGE_BYTES];
+/// let mut bytes = encode(&Message::Batch(builder.batch().unwrap()), &mut packet)?;
+/// let mut decoder = Decoder::<MAX_MESSAGE_BYTES>::new();
+/// let Some(Ok(Message::Batch(batch))) = decoder.next(&mut bytes) else { panic!("a batch") };
+/// assert_eq!(batch.scans(&schedule).unwrap().next().unwrap().lit()[0], [12_000, 9_000]);
+/// # Ok::<(), EncodeError>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct BatchBuilder<const BYTES: usize> {
     configuration: u16,

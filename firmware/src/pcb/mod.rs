@@ -1,10 +1,12 @@
 //! The board that the image is made for: a NUCLEO-G474RE with the analogue part beside it.
 //!
-//! [`wiring`] is the copper: cells, level lines, and how far emitters may be driven.
+//! [`pins`] is the wiring table, [`wiring`] what it means for configurations: cells, level lines, and how far emitters
+//! may be driven.
 //! [`frame_plan`] turns a configuration into settings of timers, converters and DMA.
 //! The defaults are the configuration, scaling and queue that the board starts with.
 
 pub mod frame_plan;
+pub mod pins;
 pub mod wiring;
 
 use slitpose_protocol::{AdcScaling, Configuration, EmitterSet, Exposure, Level, MAX_CELLS, Schedule};
@@ -13,10 +15,6 @@ use crate::board::check;
 use crate::collector::BATCH_SCANS;
 use crate::queue::HEADER_BYTES;
 use frame_plan::FramePlan;
-
-/// The page on the board. Its wiring table has, for each signal, pin, function, and contact on the Morpho and Arduino
-/// connectors.
-pub const PAGE: &str = include_str!("../../README.md");
 
 /// Whether this board can run `configuration`.
 pub fn can_run(configuration: &Configuration) -> bool {

@@ -123,6 +123,27 @@ pub struct Calibrated {
 /// The most probable parameters of the head of `request`, given its data.
 ///
 /// `progress` is told how far the work is; a break ends it with the best so far.
+///
+/// ```
+/// use slitpose_calibration::{Constraint, Data, Knowledge, Request, Row, calibrate, draw};
+/// use slitpose_model::{CompiledScene, Tier};
+/// // A head whose parts deviate within their tolerances, at 40 poses that an instrument knows to 2 um.
+/// let (file, mut k) = (slitpose_head::scene_file::WIDE.read()?, 0.0_f64);
+/// let (head, _) = draw(&file, || { k += 1.0; k.sin() })?;
+/// let plan = CompiledScene::<f64>::compile(&head, Tier::Exact { tolerance: 1e-6 })?;
+/// let row = |pose| {
+///     let pair = |cell| { let pair = plan.photocurrents(cell, &pose); Some([pair.i_x1_a, pair.i_x2_a]) };
+///     let readings = (0..plan.cell_count()).map(pair).collect();
+///     Row { id: String::new(), readings, frames: 1.0, time_s: None, knowledge: Knowledge::Reported(pose) }
+/// };
+/// let mut data = Data::default();
+/// data.add("poses.csv", Constraint::Known, [2e-6, 2e-4], file.workspace.poses(40).map(row).collect());
+/// let request = Request { file: &file, data: &data, start: None, date: None };
+/// let calibration = calibrate(&request, &mut |_| std::ops::ControlFlow::Continue(()))?.calibration;
+/// assert_eq!((calibration.statistics.rows, calibration.statistics.poses_rejected), (40, 0));
+/// assert!(calibration.statistics.held_out_m.expect("enough rows") < 20e-6, "{:?}", calibration.statistics);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub fn calibrate(
     request: &Request<'_>,
     progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,

@@ -9,7 +9,8 @@ use anyhow::Context;
 use super::device::BoardOptions;
 use super::options::parse_duration;
 use super::{CommandError, Outcome, options, talk};
-use crate::doctor::{BringUp, Bundle, Step, Subject, examine};
+use crate::device::Selector;
+use crate::doctor::{BringUp, Bundle, Step, Subject, continuity, examine};
 use crate::terminal;
 use crate::terminal::Tone;
 use slitpose_head::finding::{Finding, Grade};
@@ -21,8 +22,9 @@ use slitpose_head::table::{Output, OutputError};
 /// Ports and permissions, the board and its scene, what it measures, clock, disk and priorities of this host. The
 /// board measures for a while by the schedule of the scene; nothing is stored on it. Ends with 1 if a check failed.
 ///
-/// With --bring-up it walks through the steps for a new board instead: each says what to connect, measures by schedules
-/// of its own, and compares with what is expected. The last step stores settings, unless there are some, and erases them.
+/// With --bring-up it walks through the steps for a new board instead. The first asks what your multimeter says of the
+/// unpowered board. Each other one says what to connect, measures by schedules of its own, and compares with what is
+/// expected. The last step stores settings, unless there are some, and erases them.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  slitpose doctor\n  slitpose doctor --device sim\n  \
                   slitpose doctor --scene head.toml --folder /var/lib/slitpose --bundle report.tar.gz\n  \
@@ -119,6 +121,11 @@ impl Report {
         self.line(&text)
     }
 
+    fn step(&mut self, step: &Step) -> Result<(), OutputError> {
+        self.line(&format!("{step}: {}", step.preparation))?;
+        self.line(&format!("{:8} {}", "expected", step.expectation))
+    }
+
     fn line(&mut self, text: &str) -> Result<(), OutputError> {
         writeln!(self.output, "{text}").and_then(|()| self.output.flush()).map_err(|source| self.output.error(source))
     }
@@ -128,18 +135,40 @@ fn bring_up(args: &Args, given: Option<&SceneFile>) -> Result<Outcome, CommandEr
     let BoardOptions { device, search } = &args.board;
     let mut report = Report::open()?;
     let asks = !args.yes && io::stdin().is_terminal();
+    let steps = args.step.map_or_else(|| Step::ALL.to_vec(), |step| vec![step]);
+    let (by_hand, steps): (Vec<_>, Vec<_>) = steps.into_iter().partition(Step::is_by_hand);
+    for step in &by_hand {
+        report.step(step)?;
+        // A simulated board has no contacts.
+        let asks = asks && *device != Selector::Sim;
+        let ask = |question: &str| {
+            asks.then(|| {
+                answer_to(&format!("{question}? Enter, or n")).is_ok_and(|answer| !answer.starts_with(['n', 'N']))
+            })
+        };
+        continuity(ask).try_for_each(|finding| report.finding(&finding))?;
+    }
+    if report.failed > 0 {
+        talk(format_args!("put this right before you apply power"));
+        return Ok(Outcome::Failed);
+    }
+    if steps.is_empty() {
+        return Ok(Outcome::Done);
+    }
+    if asks && !by_hand.is_empty() {
+        answer_to("connect what the next step needs, with power, and press Enter")?;
+    }
     let mut findings = Vec::new();
     let plugs = "take all cables off the board for two seconds, plug them in again, and press Enter";
-    let cut_power = Box::new(move || asks && wait_for_enter(plugs).is_ok());
+    let cut_power = Box::new(move || asks && answer_to(plugs).is_ok());
     let begun = BringUp::begin(device, search, given, cut_power, &mut findings);
     findings.iter().try_for_each(|finding| report.finding(finding))?;
     let mut failed_steps = Vec::new();
     if let Some(mut bring_up) = begun {
-        for step in args.step.map_or_else(|| Step::ALL.to_vec(), |step| vec![step]) {
-            report.line(&format!("{step}: {}", step.preparation))?;
-            report.line(&format!("{:8} {}", "expected", step.expectation))?;
+        for step in steps {
+            report.step(&step)?;
             if asks {
-                wait_for_enter("press Enter when it is so")?;
+                answer_to("press Enter when it is so")?;
             }
             let before = report.failed;
             bring_up.take(step).iter().try_for_each(|finding| report.finding(finding))?;
@@ -160,10 +189,11 @@ fn bring_up(args: &Args, given: Option<&SceneFile>) -> Result<Outcome, CommandEr
 }
 
 /// Asks on standard error and waits for a line of standard input; its end counts as one.
-fn wait_for_enter(what: &str) -> Result<(), CommandError> {
-    talk(format_args!("{what}"));
+fn answer_to(question: &str) -> Result<String, CommandError> {
+    talk(format_args!("{question}"));
+    let mut answer = String::new();
     io::stdin()
-        .read_line(&mut String::new())
-        .map(drop)
-        .context("cannot read from standard input; give --yes to go on without questions")
+        .read_line(&mut answer)
+        .context("cannot read from standard input; give --yes to go on without questions")?;
+    Ok(answer)
 }

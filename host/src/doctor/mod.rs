@@ -8,7 +8,7 @@ use std::io::Write;
 use std::path::Path;
 use std::time::{Duration, Instant, UNIX_EPOCH};
 
-pub(crate) use bring_up::{BringUp, Step};
+pub(crate) use bring_up::{BringUp, Step, continuity};
 use flate2::Compression;
 use flate2::write::GzEncoder;
 use serde::Serialize;

@@ -40,8 +40,9 @@ const FIRST_GATE: u32 = 6;
 /// PC6 to PC11.
 const GATES: u16 = 0x3F;
 
-/// Port and number of the trigger input, PC12.
+/// Port and number of the trigger input, PC12, and of the frame output, PA10.
 const TRIGGER: (usize, u32) = (2, 12);
+const FRAME_OUTPUT: (usize, u32) = (0, 10);
 
 /// Temperatures at which the factory calibrates the sensor, in degrees Celsius.
 const CALIBRATION_C: [f64; 2] = [TS::CAL1_temperature as f64, TS::CAL2_temperature as f64];
@@ -56,8 +57,10 @@ pub struct Board<W> {
     pub timers: [Timer; 4],
     /// TIM1: the frame output.
     pub frame_timer: FrameTimer,
-    /// The line at the trigger input.
+    /// The line at the trigger input: a wire from the frame output, and edges from outside.
     pub trigger_line: TriggerLine,
+    /// Level of the frame output at its pin.
+    is_output_high: bool,
     /// ADC1 and ADC2.
     pub adc12: AdcGroup<2>,
     /// ADC3 to ADC5.
@@ -106,6 +109,7 @@ impl<W: World> Board<W> {
             timers: std::array::from_fn(Timer::new),
             frame_timer: FrameTimer::default(),
             trigger_line: TriggerLine::default(),
+            is_output_high: false,
             adc12: AdcGroup::adc12(),
             adc345: AdcGroup::adc345(),
             dma: Dma::new(),
@@ -305,6 +309,7 @@ impl<W: World> Board<W> {
                 self.carry_out(channel, request);
             }
         }
+        self.follow_frame_output();
         self.find_next_event();
     }
 
@@ -335,6 +340,17 @@ impl<W: World> Board<W> {
             .min(self.adc345.next_event())
             .min(self.watchdog.next_event())
             .min(self.under_way.next_event());
+    }
+
+    /// Takes the frame output along its wire to the trigger input.
+    fn follow_frame_output(&mut self) {
+        let is_driven = self.ports[FRAME_OUTPUT.0].function(FRAME_OUTPUT.1) == Some(st::GPIO::AF6_TIM1);
+        let is_high = is_driven && self.frame_timer.is_high;
+        let has_changed = std::mem::replace(&mut self.is_output_high, is_high) != is_high;
+        if has_changed && !self.effects.faults.has(Fault::MissingWire) {
+            self.trigger_line.edges.push_front((self.effects.now, is_high));
+            self.follow_trigger_line();
+        }
     }
 
     /// Takes the line at PC12 to its pin, and its edges to channel 2 of TIM5.

@@ -79,6 +79,8 @@ pub enum Fault {
     LowSupply,
     /// Flash does not keep stored settings over a reset
     LostSettings,
+    /// The wire from the frame output to the trigger input is missing
+    MissingWire,
 }
 
 const FIRST_OF_BOARD: Fault = Fault::OpenElectrode;

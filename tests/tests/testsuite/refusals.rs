@@ -74,7 +74,7 @@ const REFUSED: &[(&str, i32, &[&str])] = &[
     ("report", 2, &["--output"]),
     ("report bench --output no/report", 1, &["1 cells gives no pose at home", "unobservable", "wide"]),
     ("doctor --step dark", 2, &["--bring-up"]),
-    ("doctor --bring-up --step 11", 2, &["`11`", "crosstalk"]),
+    ("doctor --bring-up --step 13", 2, &["`13`", "crosstalk"]),
     ("doctor --bring-up --bundle report.tar.gz", 2, &["--bundle"]),
     ("device list --search /dev/tty[", 2, &["/dev/tty[", "pattern"]),
     ("device info --device usb", 2, &["usb", "serial number", "device list"]),

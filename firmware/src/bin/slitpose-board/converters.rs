@@ -10,11 +10,7 @@ use embassy_stm32::peripherals::{ADC1, ADC2};
 use embassy_stm32::{Peri, pac, rcc};
 use slitpose_firmware::pcb::TICK_HZ;
 use slitpose_firmware::pcb::frame_plan::FramePlan;
-use slitpose_firmware::pcb::wiring::CHANNELS;
-
-/// Inputs of the converters by rank (RM0440 and data sheet, ADC channels): PA0 PA1 PC0 PC1
-/// PC2 PC3, and PA7 PC4 PC5 PB2 PB11 PB15.
-const INPUTS: [[u8; CHANNELS as usize]; 2] = [[1, 2, 6, 7, 8, 9], [4, 5, 11, 12, 14, 15]];
+use slitpose_firmware::pcb::pins::ADC_INPUTS;
 
 /// The line of the frame timer's output among the converters' triggers (RM0440, ADC1/2
 /// external triggers).
@@ -72,7 +68,7 @@ impl Converters {
             power_up(&both(), pac::ADC12_COMMON)?;
             self.is_up = true;
         }
-        for (adc, inputs) in both().into_iter().zip(&INPUTS) {
+        for (adc, inputs) in both().into_iter().zip(&ADC_INPUTS) {
             enable(adc)?;
             convert_in_vain(adc)?;
             configure(adc, inputs, plan);

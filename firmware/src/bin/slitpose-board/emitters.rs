@@ -9,15 +9,13 @@ use embassy_stm32::peripherals::{DAC1, DAC2};
 use embassy_stm32::{Peri, rcc};
 use slitpose_firmware::pcb::TICK_HZ;
 use slitpose_firmware::pcb::frame_plan::BOARD_SLOTS;
+use slitpose_firmware::pcb::pins::FIRST_GATE;
 use slitpose_firmware::pcb::wiring::{CHANNELS, LEVEL_LINES};
 
 use crate::dma::{Channel, Table};
 
-/// Emitter k is gated by this pin of port C and the ones above.
-const FIRST_PIN: u32 = 6;
-
-/// All gates, as bits of the port.
-pub const GATES: u32 = ((1 << CHANNELS) - 1) << FIRST_PIN;
+/// All gates, as bits of port C: emitter k is gated by the k-th pin from the first on.
+pub const GATES: u32 = ((1 << CHANNELS) - 1) << FIRST_GATE;
 
 /// Processor cycles within which a pin surely follows its register: a microsecond.
 const PIN_CYCLES: u32 = TICK_HZ / 1_000_000;
@@ -66,7 +64,7 @@ impl Emitters {
     /// With `goes_dark`, the emitters of the last slot go off at compare 4.
     pub fn arm(&mut self, slots: &[u8], goes_dark: bool) {
         for (word, &lit) in SLOT_GATES.iter().zip(slots) {
-            let set = u32::from(lit) << FIRST_PIN;
+            let set = u32::from(lit) << FIRST_GATE;
             word.store(set | (GATES & !set) << 16, Ordering::Relaxed);
         }
         let port = pac::GPIOC.bsrr().as_ptr().cast();

@@ -44,7 +44,7 @@ use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::ThreadModeRawMutex;
 use embassy_time::{Duration, Instant, Timer};
 use slitpose_firmware::pcb::{QUEUE_BYTES, can_run, default_configuration, default_scaling};
-use slitpose_firmware::{Board, Identity, Poser};
+use slitpose_firmware::{Board, Identity, Poser, pin};
 use slitpose_protocol::{BoardKind, Configuration, Hashes, SettingsSource};
 use static_cell::{ConstStaticCell, StaticCell};
 
@@ -115,12 +115,12 @@ async fn run(spawner: Spawner) {
     let clock = clock::raise();
     faults::running(failed_starts);
     let emitters = [
-        Output::new(p.PC6, Level::Low, Speed::Medium),
-        Output::new(p.PC7, Level::Low, Speed::Medium),
-        Output::new(p.PC8, Level::Low, Speed::Medium),
-        Output::new(p.PC9, Level::Low, Speed::Medium),
-        Output::new(p.PC10, Level::Low, Speed::Medium),
-        Output::new(p.PC11, Level::Low, Speed::Medium),
+        Output::new(pin!(p.gate_of_emitter_0), Level::Low, Speed::Medium),
+        Output::new(pin!(p.gate_of_emitter_1), Level::Low, Speed::Medium),
+        Output::new(pin!(p.gate_of_emitter_2), Level::Low, Speed::Medium),
+        Output::new(pin!(p.gate_of_emitter_3), Level::Low, Speed::Medium),
+        Output::new(pin!(p.gate_of_emitter_4), Level::Low, Speed::Medium),
+        Output::new(pin!(p.gate_of_emitter_5), Level::Low, Speed::Medium),
     ];
     guard::watch_supply();
 
@@ -135,15 +135,21 @@ async fn run(spawner: Spawner) {
     let settings = stored.filter(|_| !is_passed_over);
 
     let hardware = BoardHardware::new(
-        emitters::Emitters::new(emitters, Output::new(p.PB5, Level::High, Speed::Low), p.DAC1, p.DAC2),
-        Sampler::new(p.ADC1, p.ADC2, p.TIM2, p.TIM3, p.DMA1_CH1, pulse::FrameOutput::new(p.PA10, p.TIM1)),
+        emitters::Emitters::new(emitters, Output::new(pin!(p.emitter_supply), Level::High, Speed::Low), p.DAC1, p.DAC2),
+        Sampler::new(p.ADC1, p.ADC2, p.TIM2, p.TIM3, p.DMA1_CH1, pulse::FrameOutput::new(pin!(p.frame_output), p.TIM1)),
         clock::Clock::start(p.TIM5),
-        trigger::Trigger::new(p.PC12),
-        Output::new(p.PA5, Level::Low, Speed::Low),
+        trigger::Trigger::new(pin!(p.trigger_input)),
+        Output::new(pin!(p.light_ld2), Level::Low, Speed::Low),
         #[cfg(feature = "sensors")]
         sensors::Sensors::new(p.ADC5),
         #[cfg(feature = "pose")]
-        pose_port::PosePort::new(Output::new(p.PA8, Level::Low, Speed::Medium), p.USART1, p.PA9, p.DMA2_CH3, p.CRC),
+        pose_port::PosePort::new(
+            Output::new(pin!(p.pose_ready), Level::Low, Speed::Medium),
+            p.USART1,
+            pin!(p.pose_output),
+            p.DMA2_CH3,
+            p.CRC,
+        ),
     );
     let full_scale_pa = settings.as_ref().and_then(|settings| settings.full_scale_pa);
     let hashes = settings.as_ref().map_or(Hashes::default(), |settings| settings.hashes);
@@ -173,9 +179,9 @@ async fn run(spawner: Spawner) {
     let links: &'static Links = LINKS.init_with(|| Links::new(core));
 
     #[cfg(feature = "usb")]
-    link::usb::spawn(spawner, links, p.USB, p.PA12, p.PA11);
+    link::usb::spawn(spawner, links, p.USB, pin!(p.usb_dp), pin!(p.usb_dm));
     #[cfg(feature = "uart")]
-    link::uart::spawn(spawner, links, p.LPUART1, p.PA3, p.PA2, p.DMA2_CH1, p.DMA2_CH2);
+    link::uart::spawn(spawner, links, p.LPUART1, pin!(p.serial_rx), pin!(p.serial_tx), p.DMA2_CH1, p.DMA2_CH2);
     #[cfg(feature = "storage")]
     if let Some(Ok(task)) = store.map(storage::keep) {
         spawner.spawn(task);

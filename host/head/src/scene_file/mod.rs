@@ -28,6 +28,18 @@ const ON_AXIS: RangeInclusive<f64> = 0.2..=2.0;
 const RIGHT_ANGLE_RAD: f64 = 1.6;
 
 /// A scene file, read and checked.
+///
+/// ```
+/// use slitpose_head::scene_file::SceneFile;
+/// use slitpose_model::{CompiledScene, MotionPrior, Photocurrents, Pose, Solver, Start, Tier};
+///
+/// let (file, tier) = (SceneFile::open("wide")?, Tier::Exact { tolerance: 1e-6 });
+/// let plan = CompiledScene::<f64>::compile(&file.scene, tier)?;
+/// let currents = Photocurrents::of_pairs((0..plan.cell_count()).map(|cell| plan.photocurrents(cell, &Pose::HOME)));
+/// let solution = Solver::<f64>::new(&file.scene, tier)?.solve(&currents, Start::Cold, &MotionPrior::AT_REST);
+/// assert!(solution.estimate.expect("a pose").pose.translation_m.length() < 1e-9);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct SceneFile {
     /// The scene's name, as it is shown; the file's stem if the file gives none.

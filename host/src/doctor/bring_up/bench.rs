@@ -1,16 +1,15 @@
 //! The board on the bench: connects, takes scans by a configuration, leaves the board dark; and names its signals, with
-//! pin and contact if this program knows the board's wiring: that of the Nucleo, from the wiring table of
-//! `firmware/README.md`.
+//! pin and contact if this program knows the board's wiring: that of the Nucleo, from the wiring table of the firmware.
 
 use std::ops::RangeInclusive;
 use std::time::{Duration, Instant};
 
 use anyhow::{Error, Result, anyhow, bail};
-use slitpose_firmware::pcb;
+use slitpose_firmware::pcb::pins;
 use slitpose_model::{CompiledScene, Tier};
 use slitpose_protocol::{
-    AdcScaling, BoardKind, Configuration, Decoder, HardwareFault, MAX_MESSAGE_BYTES, Message, Rejection, Schedule,
-    Severity,
+    AdcScaling, BoardKind, Configuration, Decoder, Edge, HardwareFault, MAX_MESSAGE_BYTES, Message, Pulse, Rejection,
+    Schedule, Severity,
 };
 
 use super::sampling::{Expected, Sampling};
@@ -94,9 +93,22 @@ const STRAY_TOLERANCE: f64 = 1e-2;
 
 /// Takes `count` scans by `configuration`; the board is dark afterwards.
 pub(super) fn sample(board: &mut Conversation, configuration: Configuration, count: usize) -> Result<Sampling> {
+    sample_with(board, configuration, Pulse::NONE, count)
+}
+
+/// As [`sample`], with pulses at the board's frame output.
+pub(super) fn sample_with(
+    board: &mut Conversation,
+    configuration: Configuration,
+    pulse: Pulse,
+    count: usize,
+) -> Result<Sampling> {
     let wanted = count + FIRST_SCANS;
     let patience = patience(wanted as f64 / configuration.schedule.frame_rate_hz());
     board.configure(configuration)?;
+    if pulse != Pulse::NONE {
+        board.pulse(pulse)?;
+    }
     board.start()?;
     let begun = Instant::now();
     let mut reader = Reader::default();
@@ -155,6 +167,7 @@ struct Reader {
     decoder: Decoder<MAX_MESSAGE_BYTES>,
     announced: Option<(u16, Schedule, AdcScaling)>,
     scans: Vec<slitpose_protocol::RawScan>,
+    edges: Vec<Edge>,
     /// The board was acquiring and says that it is idle.
     is_stopped: bool,
     events: Vec<String>,
@@ -175,6 +188,7 @@ impl Reader {
                 (Ok(Message::Batch(batch)), Some((number, schedule, _))) if batch.configuration == *number => {
                     self.scans.extend(batch.scans(schedule).into_iter().flatten());
                 }
+                (Ok(Message::Edges(edges)), _) => self.edges.extend(edges.edges),
                 (Ok(Message::Status(status)), _) => self.is_stopped = !status.acquiring && !self.scans.is_empty(),
                 (Ok(Message::Event(event)), _) if event.severity != Severity::Info && self.events.len() < EVENTS => {
                     self.events.push(event.text.to_owned());
@@ -188,7 +202,7 @@ impl Reader {
     fn finish(&self, count: usize) -> Option<Sampling> {
         let (_, schedule, scaling) = self.announced.clone()?;
         let scans = self.scans.get(FIRST_SCANS..).filter(|scans| scans.len() >= count)?.to_vec();
-        Some(Sampling { schedule, scaling, scans })
+        Some(Sampling { schedule, scaling, scans, edges: self.edges.clone() })
     }
 }
 
@@ -217,21 +231,15 @@ impl Wiring {
         if board == NUCLEO { Self::Nucleo } else { Self::Unknown }
     }
 
-    /// The pin of the microcontroller for `signal`, and its place on the Morpho connectors, `PC10, CN7-1`, if the board is
-    /// the one that the table describes.
-    fn pin(self, signal: &str) -> Option<String> {
-        pcb::PAGE.lines().filter(|_| self == Self::Nucleo).find_map(|line| {
-            let fields: Vec<&str> = line.strip_prefix("| ")?.split(" | ").collect();
-            match fields[..] {
-                [name, pin, _, morpho, ..] if name == signal => Some(format!("{pin}, {morpho}")),
-                _ => None,
-            }
-        })
+    /// `signal` of the wiring table, with pin and contact, `gate of emitter 4 (PC10, CN7-1)`, if the board is the one that
+    /// the table describes and has it.
+    fn at(self, signal: &str) -> Option<String> {
+        let row = pins::rows("signal").find(|row| self == Self::Nucleo && row.name == signal)?;
+        Some(format!("{signal} ({}, {})", row.pin, row.contact))
     }
 
-    /// `name`, with the pin of `signal` in the table: `gate of emitter 4 (PC10, CN7-1)`.
-    fn named(self, name: &str, signal: &str) -> String {
-        self.pin(signal).map_or(name.to_owned(), |pin| format!("{name} ({pin})"))
+    pub(super) fn named(self, signal: &str) -> String {
+        self.at(signal).unwrap_or_else(|| signal.to_owned())
     }
 
     pub(super) fn electrode(self, cell: usize, electrode: Electrode) -> String {
@@ -239,19 +247,18 @@ impl Wiring {
             Electrode::X1 => "I_X1",
             Electrode::X2 => "I_X2",
         };
-        self.named(&format!("{name} of cell {cell}"), &format!("{name}, cell {cell}"))
+        self.named(&format!("{name} of cell {cell}"))
     }
 
     pub(super) fn gate(self, emitter: usize) -> String {
-        self.named(&format!("gate of emitter {emitter}"), &format!("gate, emitter {emitter}"))
+        self.named(&format!("gate of emitter {emitter}"))
     }
 
     /// The level line of an emitter, and all emitters of that line; `None` if that is not known.
     pub(super) fn level_line(self, emitter: usize) -> Option<(String, RangeInclusive<usize>)> {
         let emitters = LEVELS.into_iter().find(|emitters| emitters.contains(&emitter))?;
-        let line = format!("emitters {} to {}", emitters.start(), emitters.end());
-        let pin = self.pin(&format!("level of {line}"))?;
-        Some((format!("level line of {line} ({pin})"), emitters))
+        let name = self.at(&format!("level line of emitters {} to {}", emitters.start(), emitters.end()))?;
+        Some((name, emitters))
     }
 }
 

@@ -2,11 +2,13 @@
 //!
 //! | file | steps |
 //! |---|---|
+//! | `continuity` | contacts and solder bridges of the Nucleo, by the user's multimeter |
 //! | `safety` | link and start; supply and temperature; dark after Stop and without a host; settings over a power cut |
 //! | `dark` | codes without light, emitters with their gates off; noise |
 //! | `emitters` | each emitter alone; light of other emitters |
 //! | `levels` | current against level; codes on the way |
 //! | `settling` | the time that light takes to settle |
+//! | `trigger` | pulses of the frame output, back at the trigger input |
 //!
 //! Each of these files measures first and judges then: what judges is a pure function from measured numbers to
 //! findings. `bench` connects the board, takes scans and names signals, `sampling` has their configurations, their statistics, and what
@@ -14,12 +16,14 @@
 //! between steps the board is idle without a host.
 
 mod bench;
+mod continuity;
 mod dark;
 mod emitters;
 mod levels;
 mod safety;
 mod sampling;
 mod settling;
+mod trigger;
 
 use std::fmt;
 use std::str::FromStr;
@@ -28,11 +32,14 @@ use anyhow::Result;
 use slitpose_protocol::{Level, Schedule};
 
 use self::bench::Bench;
+pub(crate) use self::continuity::continuity;
 use super::default_scene;
 use crate::device::{Search, Selector};
 use slitpose_head::causes::with_causes;
 use slitpose_head::finding::Finding;
 use slitpose_head::scene_file::SceneFile;
+
+type Take = fn(&mut Bench) -> Result<Vec<Finding>>;
 
 /// A step, as one of [`Step::ALL`].
 #[derive(Clone, Copy, Debug)]
@@ -41,78 +48,98 @@ pub(crate) struct Step {
     pub(crate) preparation: &'static str,
     /// What is expected, with its tolerance and its origin.
     pub(crate) expectation: &'static str,
-    take: fn(&mut Bench) -> Result<Vec<Finding>>,
+    /// `None` for what the user measures on an unpowered board.
+    take: Option<Take>,
 }
 
 impl Step {
-    pub(crate) const ALL: [Self; 10] = [
+    pub(crate) const ALL: [Self; 12] = [
+        Self {
+            name: "continuity",
+            preparation: "NUCLEO-G474RE with all cables off and nothing connected; the multimeter on continuity",
+            expectation: "contacts and solder bridges as the firmware's wiring table has them (firmware/wiring.csv); \
+                          conducts: below 2 ohm, open: above 1 kohm",
+            take: None,
+        },
         Self {
             name: "link",
             preparation: "power and data cable; detectors covered; emitters need not be connected",
             expectation: "hello in this program's protocol, frames at the scheduled rate within 5 % of the host's clock, \
                           none lost in 2 s",
-            take: safety::link,
+            take: Some(safety::link),
         },
         Self {
             name: "supply",
             preparation: "as before; the multimeter on 3.3 V",
             expectation: "3.3 V within 5 % (regulator of the Nucleo), -40 to 85 C (data sheet, suffix 6)",
-            take: safety::supply,
+            take: Some(safety::supply),
         },
         Self {
             name: "dark",
             preparation: "all detectors connected and covered from room light; emitters, if connected, are lit",
             expectation: "each word within 10 codes of the zero code: divider 1.3, amplifiers 2.6, converter 4 \
                           (firmware/README.md, analogue front end); no light from emitters while their gates are off",
-            take: dark::zero,
+            take: Some(dark::zero),
         },
         Self {
             name: "noise",
             preparation: "as before; lids closed, no lamp and no cable moved meanwhile",
             expectation: "rms of one conversion 0.4 to 1.3 times the scene's front end, failed above 2; codes in steps of 1",
-            take: dark::noise,
+            take: Some(dark::noise),
         },
         Self {
             name: "emitters",
             preparation: "all emitters connected; the tool fixed at its home pose; head covered from room light",
             expectation: "each cell sees its own emitter, by both electrodes, at 0.6 to 1.6 times the scene's light at \
                           home (spread of such emitters)",
-            take: emitters::take,
+            take: Some(emitters::take),
         },
         Self {
             name: "levels",
             preparation: "as before; the tool must not move",
             expectation: "light in proportion to the level within 2 % of nominal, from an eighth on (below, the level \
                           buffers are not specified); no code missing or repeated on the way",
-            take: levels::take,
+            take: Some(levels::take),
         },
         Self {
             name: "settling",
             preparation: "as before; the tool must not move",
             expectation: "settled to 0.3 codes of full scale within 1.1 times the scene's settling time \
                           (firmware/README.md, bandwidth and settling)",
-            take: settling::take,
+            take: Some(settling::take),
         },
         Self {
             name: "crosstalk",
             preparation: "as before; baffles fitted",
             expectation: "light of another emitter below the scene's prediction plus 1 % of the cell's own: 1 % at the end \
                           of a 12 mm detector moves the spot by 60 um, the detector's own error",
-            take: emitters::take_crosstalk,
+            take: Some(emitters::take_crosstalk),
+        },
+        Self {
+            name: "trigger",
+            preparation: "as before; a wire from the frame output PA10 (CN10-33) to the trigger input PC12 (CN7-3), \
+                          and no other signal there",
+            expectation: "each pulse of the frame output comes back as two edges, the first within its slot",
+            take: Some(trigger::take),
         },
         Self {
             name: "safety",
             preparation: "as before; no other program opens the port",
             expectation: "idle after Stop; idle 1 s after the port was closed (serial link: 3 s)",
-            take: safety::take,
+            take: Some(safety::take),
         },
         Self {
             name: "storage",
             preparation: "as before; be ready to unplug all cables of the board and to plug them in again",
             expectation: "schedule and hash of the scene are back after the power cut",
-            take: safety::take_storage,
+            take: Some(safety::take_storage),
         },
     ];
+
+    /// Whether the user measures it, before power is applied.
+    pub(crate) fn is_by_hand(&self) -> bool {
+        self.take.is_none()
+    }
 
     pub(crate) fn number(&self) -> usize {
         1 + Self::ALL.iter().take_while(|step| step.name != self.name).count()
@@ -170,7 +197,7 @@ impl BringUp {
     }
 
     pub(crate) fn take(&mut self, step: Step) -> Vec<Finding> {
-        (step.take)(&mut self.bench).unwrap_or_else(|error| {
+        step.take.map_or(Ok(Vec::new()), |take| take(&mut self.bench)).unwrap_or_else(|error| {
             vec![Finding::failed(step.name, with_causes(error.as_ref()), "reset the board and take this step again")]
         })
     }

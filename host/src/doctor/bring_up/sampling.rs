@@ -3,7 +3,7 @@
 use std::cmp::Ordering;
 
 use slitpose_model::{CompiledScene, Pair, Pose};
-use slitpose_protocol::{AdcScaling, Configuration, EmitterSet, Exposure, Level, MAX_CELLS, RawScan, Schedule};
+use slitpose_protocol::{AdcScaling, Configuration, Edge, EmitterSet, Exposure, Level, MAX_CELLS, RawScan, Schedule};
 
 #[derive(Clone, Debug)]
 pub(super) struct Sampling {
@@ -11,6 +11,8 @@ pub(super) struct Sampling {
     pub(super) scaling: AdcScaling,
     /// The scans, without the first ones.
     pub(super) scans: Vec<RawScan>,
+    /// All edges of the trigger input meanwhile.
+    pub(super) edges: Vec<Edge>,
 }
 
 /// Statistics of one word, in codes of one conversion.

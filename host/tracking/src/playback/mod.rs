@@ -101,6 +101,28 @@ impl Shelf for Disk {
 }
 
 /// Captures being solved.
+///
+/// ```
+/// use slitpose_head::{scene_file::WIDE, simulator::{SimulatedBoard, Trajectory, TrajectoryKind}};
+/// use slitpose_model::Tier;
+/// use slitpose_tracking::{pipeline::Item, playback::{Choice, Event, Playback, PlaybackError}};
+///
+/// let still = Trajectory::of_kind(TrajectoryKind::Still, 1, f64::INFINITY);
+/// let mut board = SimulatedBoard::new(&WIDE.read()?, still, Tier::Paper, 1)?;
+/// board.ask(1, slitpose_protocol::Command::Start);
+/// let mut bytes = Vec::new();
+/// (0..400).for_each(|_| board.step(&mut bytes));
+/// let path = std::env::temp_dir().join(format!("slitpose-example-{}.bin", std::process::id()));
+/// std::fs::write(&path, bytes)?;
+/// let (mut poses, mut playback) = (0, Playback::open(vec![path.clone()], Choice::default())?);
+/// while playback.step(|event| {
+///     poses += usize::from(matches!(event, Event::Item { item: Item::Pose(_), .. }));
+///     Ok::<_, PlaybackError>(())
+/// })? {}
+/// assert_eq!(poses, 400);
+/// # std::fs::remove_file(path)?;
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub struct Playback<S: Shelf = Disk> {
     shelf: S,
     choice: Choice,

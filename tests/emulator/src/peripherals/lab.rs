@@ -67,7 +67,7 @@ pub struct FrameTimer {
     bank: Bank,
     /// The compare value in force.
     compare: u32,
-    is_high: bool,
+    pub is_high: bool,
     pub edges: Vec<(Ticks, bool)>,
 }
 

@@ -4,12 +4,13 @@
 use crate::common::pins::level_code;
 use crate::common::silicon;
 use crate::common::talk::Talk;
-use crate::common::{Wire, port_and_number, register, scene, wires};
+use crate::common::{is_for_poses, port_and_number, register, scene};
 use slitpose_emulator::facts::{bits, number};
 use slitpose_emulator::faults::Fault;
 use slitpose_emulator::peripherals::TICKS_PER_SECOND;
 use slitpose_emulator::world::NoiseSource;
 use slitpose_firmware::pcb::frame_plan::FramePlan;
+use slitpose_firmware::pcb::pins::{Row, rows};
 use slitpose_firmware::pcb::wiring::highest_level;
 use slitpose_firmware::pcb::{TICK_HZ, default_configuration};
 use slitpose_protocol::{Command, Hashes};
@@ -145,9 +146,9 @@ fn every_wired_pin_has_the_mode_of_its_signal() {
     let mut of_poses = Probe(Talk::solving(&scene(), NoiseSource::Off));
     let [output, alternate, analog] =
         ["OUTPUT", "ALTERNATE", "ANALOG"].map(|mode| bits(&format!("LL_GPIO_MODE_{mode}")));
-    for wire in wires() {
-        let probe = if wire.is_for_poses() { &mut of_poses } else { &mut probe };
-        let Wire { signal, pin, function, .. } = wire;
+    for row in rows("signal") {
+        let probe = if is_for_poses(&row) { &mut of_poses } else { &mut probe };
+        let Row { name: signal, pin, function, .. } = row;
         let mode = probe.of_pin(pin, "GPIO_TypeDef.MODER", 2);
         let functions = ["AF12_LPUART1", "AF7_USART1", "AF1_TIM5", "AF6_TIM1"];
         let alternate_function =

@@ -93,6 +93,9 @@ fn pulses_mark_the_frames_that_were_asked_for() {
             .map(|scan| origin + scan.tick + u64::from(slot) * slot_ticks + trigger_ticks)
             .collect();
         let rises: Vec<u64> = edges.iter().filter(|edge| edge.1).map(|edge| edge.0).collect();
+        // Along the wire they come back.
+        let back = std::mem::take(&mut talk.ear.edges);
+        assert_eq!(back.iter().filter(|edge| edge.is_high()).count(), rises.len(), "{every} {slot}");
         // The frame that is cut off by the end may have had its pulse.
         assert!(rises.len() - of_frames.len() <= 1 && of_frames.len() > 5, "{every} {slot}: {edges:?}");
         let late: Vec<i64> = rises.iter().zip(&of_frames).map(|(at, of)| *at as i64 - *of as i64).collect();

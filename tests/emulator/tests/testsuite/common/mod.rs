@@ -8,6 +8,7 @@ use slitpose_emulator::facts::{self, bits};
 use slitpose_emulator::faults::{Fault, Faults};
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::world::World;
+use slitpose_firmware::pcb::pins::{Row, rows};
 use slitpose_firmware::pose::Head;
 use slitpose_head::board_head;
 use slitpose_head::scene_file::{SceneFile, WIDE};
@@ -50,43 +51,13 @@ pub fn silicon() -> Faults {
     }
 }
 
-const PAGE: &str = include_str!("../../../../../firmware/README.md");
-
-#[derive(Clone, Debug)]
-pub struct Wire {
-    pub signal: &'static str,
-    /// `PA0`.
-    pub pin: &'static str,
-    pub function: &'static str,
-    /// Contact on the Nucleo's Morpho connectors.
-    pub morpho: &'static str,
-    /// Contact on its Arduino connectors; empty if there is none.
-    pub arduino: &'static str,
-}
-
-impl Wire {
-    /// Whether only the image that solves poses drives the pin.
-    pub fn is_for_poses(&self) -> bool {
-        self.function.ends_with("image with poses")
-    }
-}
-
-/// All rows, those of two pins as two.
-pub fn wires() -> Vec<Wire> {
-    let table = PAGE.split_once("| signal | pin |").expect("the table").1;
-    let rows = table.lines().skip(2).take_while(|row| row.starts_with('|'));
-    let both = |cell: &'static str| cell.split(", ").collect::<Vec<_>>();
-    rows.flat_map(|row| {
-        let cells: Vec<&'static str> = row.trim_matches('|').split('|').map(str::trim).collect();
-        let [signal, pins, function, morpho, arduino] = cells[..] else { panic!("{row}") };
-        let pairs = both(pins).into_iter().zip(both(morpho));
-        pairs.map(|(pin, morpho)| Wire { signal, pin, function, morpho, arduino }).collect::<Vec<_>>()
-    })
-    .collect()
+/// Whether only the image that solves poses drives the pin.
+pub fn is_for_poses(signal: &Row) -> bool {
+    signal.note.ends_with("image with poses")
 }
 
 pub fn pin(signal: &str) -> &'static str {
-    wires().iter().find(|wire| wire.signal == signal).unwrap_or_else(|| panic!("no wire is called `{signal}`")).pin
+    rows("signal").find(|row| row.name == signal).unwrap_or_else(|| panic!("no signal is called `{signal}`")).pin
 }
 
 /// Index of the port (0: A) and number of `pin`.
@@ -98,16 +69,16 @@ pub fn port_and_number(pin: &str) -> (u32, u32) {
 /// Inputs of ADC1 and ADC2 by cell.
 pub fn inputs() -> [[u8; 6]; 2] {
     let input = |electrode: usize, cell: usize| {
-        let pin = pin(&format!("I_X{electrode}, cell {cell}"));
+        let pin = pin(&format!("I_X{electrode} of cell {cell}"));
         bits(&format!("ADC{electrode}_IN_{pin}")) as u8
     };
     [1, 2].map(|electrode| std::array::from_fn(|cell| input(electrode, cell)))
 }
 
 pub fn level_line(emitter: usize) -> usize {
-    let lines = ["level of emitters 0 to 2", "level of emitters 3 to 5"];
+    let lines = ["level line of emitters 0 to 2", "level line of emitters 3 to 5"];
     let holds = |signal: &str| {
-        let range = signal.strip_prefix("level of emitters ").and_then(|range| range.split_once(" to "));
+        let range = signal.strip_prefix("level line of emitters ").and_then(|range| range.split_once(" to "));
         let (first, last) = range.expect("a range");
         (first.parse().expect("a number")..=last.parse().expect("a number")).contains(&emitter)
     };
