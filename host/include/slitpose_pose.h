@@ -9,12 +9,15 @@
  *         while (slitpose_follow(&link, &pose, 1000) > 0)
  *             if (pose.flags & SLITPOSE_HAS_POSE) ...
  *
+ * Or it writes it to shared memory ("shm:NAME"), where any number of programs read it without a call to
+ * the system. All functions here are the same for both.
+ *
  * slitpose_follow() is for loops that wait for each pose, slitpose_newest() for loops with a pace of
  * their own. Both give the newest pose there is. Whether it is new enough is for the caller
  * to tell: see slitpose_age_ns(), and `datagram`, whose gaps are what was not received. `pose` means
  * something only after a result above 0.
  *
- * Needs nothing but POSIX and a little-endian host: C99 or C++11. With a strict standard (-std=c11)
+ * Needs nothing but POSIX, a little-endian host, and GCC or Clang: C99 or C++11. With a strict standard (-std=c11)
  * define _POSIX_C_SOURCE as 200809L ahead of all includes. Not for several threads on one link.
  */
 #ifndef SLITPOSE_POSE_H
@@ -30,7 +33,9 @@
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/mman.h>
 #include <sys/socket.h>
+#include <sys/stat.h>
 #include <sys/un.h>
 #include <time.h>
 #include <unistd.h>
@@ -48,6 +53,21 @@
 #define SLITPOSE_REQUEST_MAGIC 0x51504c53u /* "SLPQ" */
 #define SLITPOSE_ANSWER_MAGIC 0x41504c53u  /* "SLPA" */
 #define SLITPOSE_VERSION 1u /* of the datagrams */
+
+/* Shared memory, in words of 8 bytes. A head of 8 words: SLITPOSE_MEMORY_MAGIC, the generation. Then rings, one for each
+   board: a head of 8 words, of which the first counts poses; then records. A record: its version, a pose, a word unused.
+   The pose with number n, from 1, is in record (n - 1) % SLITPOSE_RECORDS, and complete while its version is 2 n. */
+#define SLITPOSE_MEMORY_MAGIC 0x000000014d504c53u /* "SLPM", version 1 */
+#define SLITPOSE_RINGS 8u
+#define SLITPOSE_RECORDS 256u
+#define SLITPOSE_RECORD_WORDS 72u
+#define SLITPOSE_RING_WORDS (8u + SLITPOSE_RECORDS * SLITPOSE_RECORD_WORDS)
+#define SLITPOSE_MEMORY_BYTES (8u * (8u + SLITPOSE_RINGS * SLITPOSE_RING_WORDS))
+
+/* Of shared memory: how long slitpose_wait() sleeps between two looks, unless you define it. */
+#ifndef SLITPOSE_LOOK_NS
+#define SLITPOSE_LOOK_NS 50000
+#endif
 
 /* Bits of `flags`. */
 #define SLITPOSE_HAS_POSE 1u      /* translation, rotation and covariance are numbers, not NaN */
@@ -82,7 +102,8 @@ struct slitpose_pose {
     uint16_t excluded_cells; /* bit k: cell k contradicts all others and was left out */
     uint16_t redundancy;     /* data minus unknowns */
     uint64_t datagram;       /* counts the datagrams of the board, from 1 */
-    uint64_t missed;         /* how many your full queue refused since you follow; of UDP unknown */
+    uint64_t missed;         /* how many your full queue refused since you follow, or were overwritten in shared
+                                memory before you took them; of UDP unknown */
     uint64_t sequence;       /* counts the scans of the board */
     uint64_t device_time_ns; /* the instant the pose refers to, by the board's clock */
     uint64_t host_monotonic_ns; /* the same instant */
@@ -168,15 +189,18 @@ SLITPOSE_CHECK(pose_bytes, sizeof(struct slitpose_pose) == 560);
 SLITPOSE_CHECK(request_bytes, sizeof(struct slitpose_request) == 32);
 SLITPOSE_CHECK(answer_bytes, sizeof(struct slitpose_answer) == 24);
 
-/* Sockets to and from the daemon. */
+/* Sockets to and from the daemon, or its shared memory. */
 struct slitpose_link {
-    int fd;               /* non-blocking; readable when a datagram waits: for poll() and its like */
+    int fd;               /* non-blocking; readable when a datagram waits: for poll() and its like, not with memory */
     int ask_fd;           /* requests leave here */
     int far_fd;           /* the other end of fd, which the daemon gets with each request; -1 on UDP */
     uint64_t followed_ns; /* when datagrams were last asked for; 0: not yet */
     uint64_t cookie;      /* proves to the daemon that this socket receives */
     uint16_t mode;        /* what was asked for last */
     uint8_t device[12];
+    const uint64_t *memory; /* NULL: sockets */
+    uint64_t taken[SLITPOSE_RINGS]; /* poses of each ring that were taken */
+    uint64_t missed;                /* poses that were overwritten before they were taken */
 };
 
 /* CLOCK_MONOTONIC. */
@@ -207,11 +231,104 @@ static inline void slitpose_close(struct slitpose_link *link)
         close(link->far_fd);
     if (link->fd >= 0)
         close(link->fd);
+    if (link->memory)
+        munmap((void *)(uintptr_t)link->memory, SLITPOSE_MEMORY_BYTES);
+    link->memory = NULL;
     link->fd = link->ask_fd = link->far_fd = -1;
 }
 
-/* Connects to "unix:PATH" or "udp:127.0.0.1:PORT", for the board with this id or, if NULL, for all.
-   0, or -1 with errno. On other systems than Linux only UDP. */
+/* Count of the poses in a ring of shared memory. */
+static inline uint64_t slitpose_count(const struct slitpose_link *link, unsigned ring)
+{
+    return __atomic_load_n(link->memory + 8 + ring * SLITPOSE_RING_WORDS, __ATOMIC_ACQUIRE);
+}
+
+/* Copies a pose from shared memory, as a sequence lock: the daemon never waits for who copies. 1; 0 if the
+   ring has no pose with this number; or -1 if it was overwritten. Only after 1 `pose` has changed. */
+static inline int slitpose_copy(const struct slitpose_link *link, unsigned ring, uint64_t number,
+                                struct slitpose_pose *pose)
+{
+    const uint64_t *record = link->memory + 8 + ring * SLITPOSE_RING_WORDS + 8 +
+                             (number - 1) % SLITPOSE_RECORDS * SLITPOSE_RECORD_WORDS;
+    uint64_t words[sizeof *pose / sizeof(uint64_t)];
+    const uint64_t version = __atomic_load_n(record, __ATOMIC_ACQUIRE);
+    size_t i;
+    if (version != 2 * number)
+        return version < 2 * number ? 0 : -1;
+    for (i = 0; i < sizeof *pose / sizeof(uint64_t); i++)
+        words[i] = __atomic_load_n(record + 1 + i, __ATOMIC_RELAXED);
+    /* No word is read after the version. */
+    __atomic_thread_fence(__ATOMIC_ACQUIRE);
+    if (__atomic_load_n(record, __ATOMIC_RELAXED) != version)
+        return -1;
+    memcpy(pose, words, sizeof *pose);
+    return 1;
+}
+
+/* Whether poses of this board were asked for. */
+static inline int slitpose_is_wanted(const struct slitpose_link *link, const struct slitpose_pose *pose)
+{
+    static const uint8_t all[12] = {0};
+    return memcmp(link->device, all, sizeof all) == 0 || memcmp(link->device, pose->device, sizeof all) == 0;
+}
+
+/* Of shared memory: how many daemons have begun to write it. A change shows that the daemon was started again:
+   poses go on in the same memory, and are counted from 1. 0 with sockets. */
+static inline uint64_t slitpose_generation(const struct slitpose_link *link)
+{
+    return link->memory ? __atomic_load_n(link->memory + 1, __ATOMIC_ACQUIRE) : 0;
+}
+
+/* Of shared memory: 0 while a daemon writes it; or -1 with errno, ECONNREFUSED if none does. The daemon holds a lock
+   on the file, which the kernel releases however it ends; this only asks for it. */
+static inline int slitpose_is_written(const struct slitpose_link *link)
+{
+    struct flock lock;
+    memset(&lock, 0, sizeof lock);
+    lock.l_type = F_RDLCK;
+    lock.l_whence = SEEK_SET;
+    if (fcntl(link->fd, F_GETLK, &lock) < 0)
+        return -1;
+    if (lock.l_type != F_UNLCK && slitpose_generation(link) > 0)
+        return 0;
+    errno = ECONNREFUSED;
+    return -1;
+}
+
+/* Maps the shared memory called `name`: in /dev/shm, or a path if it has a slash. 0, or -1 with errno. */
+static inline int slitpose_map(struct slitpose_link *link, const char *name)
+{
+    char path[4096];
+    struct stat found;
+    void *memory = MAP_FAILED;
+    unsigned ring;
+    int reason = EINVAL;
+    const char *folder = strchr(name, '/') ? "" : "/dev/shm/";
+    if (*name && strlen(folder) + strlen(name) < sizeof path) {
+        memcpy(path, folder, strlen(folder) + 1);
+        memcpy(path + strlen(folder), name, strlen(name) + 1);
+        link->fd = link->ask_fd = open(path, O_RDONLY | O_CLOEXEC);
+        if (link->fd < 0)
+            return -1;
+        /* Of another size it would be no memory of this version, and reading it could end this program. */
+        if (fstat(link->fd, &found) == 0 && found.st_size == (off_t)SLITPOSE_MEMORY_BYTES)
+            memory = mmap(NULL, SLITPOSE_MEMORY_BYTES, PROT_READ, MAP_SHARED, link->fd, 0);
+        if (memory != MAP_FAILED) {
+            link->memory = (const uint64_t *)memory;
+            reason = *link->memory != SLITPOSE_MEMORY_MAGIC ? EINVAL : slitpose_is_written(link) < 0 ? errno : 0;
+        }
+    }
+    for (ring = 0; reason == 0 && ring < SLITPOSE_RINGS; ring++)
+        link->taken[ring] = slitpose_count(link, ring);
+    if (reason == 0)
+        return 0;
+    slitpose_close(link);
+    errno = reason;
+    return -1;
+}
+
+/* Connects to "unix:PATH" or "udp:127.0.0.1:PORT", or maps "shm:NAME", for the board with this id or, if NULL, for
+   all. 0, or -1 with errno: ECONNREFUSED if no daemon serves it. On other systems than Linux only UDP. */
 static inline int slitpose_open(struct slitpose_link *link, const char *address, const uint8_t device[12])
 {
     union {
@@ -227,11 +344,13 @@ static inline int slitpose_open(struct slitpose_link *link, const char *address,
     if (device)
         memcpy(link->device, device, sizeof link->device);
 #ifndef __linux__
-    if (strncmp(address, "unix:", 5) == 0) {
+    if (strncmp(address, "unix:", 5) == 0 || strncmp(address, "shm:", 4) == 0) {
         errno = ENOTSUP;
         return -1;
     }
 #endif
+    if (strncmp(address, "shm:", 4) == 0)
+        return slitpose_map(link, address + 4);
     if (strncmp(address, "unix:", 5) == 0 && strlen(address + 5) < sizeof daemon.local.sun_path) {
         daemon.local.sun_family = AF_UNIX;
         memcpy(daemon.local.sun_path, address + 5, strlen(address + 5));
@@ -278,7 +397,8 @@ static inline int slitpose_open(struct slitpose_link *link, const char *address,
     return 0;
 }
 
-/* Asks for datagrams. 0, or -1 with errno: ECONNREFUSED if the daemon has gone. */
+/* Asks for datagrams; with shared memory only whether it is written. 0, or -1 with errno: ECONNREFUSED if the daemon
+   has gone. */
 static inline int slitpose_ask(struct slitpose_link *link, enum slitpose_mode mode)
 {
     struct slitpose_request request;
@@ -288,6 +408,8 @@ static inline int slitpose_ask(struct slitpose_link *link, enum slitpose_mode mo
         struct cmsghdr header; /* aligns the room */
         char room[CMSG_SPACE(sizeof(int))];
     } control;
+    if (link->memory)
+        return slitpose_is_written(link);
     memset(&request, 0, sizeof request);
     memset(&message, 0, sizeof message);
     memset(&control, 0, sizeof control);
@@ -313,11 +435,35 @@ static inline int slitpose_ask(struct slitpose_link *link, enum slitpose_mode mo
     return sendmsg(link->ask_fd, &message, 0) == (ssize_t)sizeof request ? 0 : -1;
 }
 
+/* slitpose_receive() from shared memory. It makes no call to the system. */
+static inline int slitpose_take(struct slitpose_link *link, struct slitpose_pose *pose)
+{
+    unsigned ring;
+    for (ring = 0; ring < SLITPOSE_RINGS; ring++) {
+        uint64_t count = slitpose_count(link, ring), *taken = &link->taken[ring];
+        if (count - *taken > SLITPOSE_RECORDS) {
+            link->missed += count - *taken - SLITPOSE_RECORDS;
+            *taken = count - SLITPOSE_RECORDS;
+        }
+        while (*taken != count) {
+            const int copied = slitpose_copy(link, ring, ++*taken, pose);
+            link->missed += copied < 0;
+            if (copied <= 0 || !slitpose_is_wanted(link, pose))
+                continue;
+            pose->missed = link->missed;
+            return 1;
+        }
+    }
+    return 0;
+}
+
 /* Takes the next pose that waits, and does what the daemon asks for besides. 1; 0 if none does; or -1 with errno:
    EUSERS if all places for followers are taken; those who ask again each second get the next that is free. */
 static inline int slitpose_receive(struct slitpose_link *link, struct slitpose_pose *pose)
 {
     struct slitpose_answer answer;
+    if (link->memory)
+        return slitpose_take(link, pose);
     for (;;) {
         ssize_t bytes = recv(link->fd, pose, sizeof *pose, 0);
         if (bytes < 0 && errno == EINTR)
@@ -341,10 +487,32 @@ static inline int slitpose_receive(struct slitpose_link *link, struct slitpose_p
     }
 }
 
-/* Waits until a datagram can be received. 1; 0 if none came in time; or -1 with errno. */
+/* Of shared memory: sleeps until the next look at it. Returns whether there is time left for one. */
+static inline int slitpose_sleep(uint64_t since_ns, int timeout_ms)
+{
+    struct timespec pause;
+    if (timeout_ms >= 0 && slitpose_now_ns() - since_ns >= (uint64_t)timeout_ms * 1000000u)
+        return 0;
+    pause.tv_sec = 0;
+    pause.tv_nsec = SLITPOSE_LOOK_NS;
+    nanosleep(&pause, NULL);
+    return 1;
+}
+
+/* Waits until a datagram can be received. 1; 0 if none came in time; or -1 with errno. Shared memory is looked at
+   every SLITPOSE_LOOK_NS, and what the system adds to a sleep. */
 static inline int slitpose_wait(struct slitpose_link *link, int timeout_ms)
 {
     struct pollfd waiting;
+    const uint64_t since_ns = link->memory ? slitpose_now_ns() : 0;
+    unsigned ring;
+    while (link->memory) {
+        for (ring = 0; ring < SLITPOSE_RINGS; ring++)
+            if (slitpose_count(link, ring) != link->taken[ring])
+                return 1;
+        if (!slitpose_sleep(since_ns, timeout_ms))
+            return slitpose_is_written(link);
+    }
     waiting.fd = link->fd;
     waiting.events = POLLIN;
     waiting.revents = 0;
@@ -364,11 +532,40 @@ static inline int slitpose_drain(struct slitpose_link *link, struct slitpose_pos
     return received < 0 ? -1 : count;
 }
 
+/* slitpose_newest() from shared memory. It makes no call to the system. */
+static inline int slitpose_last(struct slitpose_link *link, struct slitpose_pose *pose)
+{
+    struct slitpose_pose next;
+    unsigned ring;
+    int found = 0;
+    for (ring = 0; ring < SLITPOSE_RINGS; ring++) {
+        /* Overwritten while it was copied: so late is only who was interrupted, and hardly twice. */
+        int copied = -1, turn;
+        for (turn = 0; copied < 0 && turn < 8; turn++)
+            copied = slitpose_copy(link, ring, link->taken[ring] = slitpose_count(link, ring), &next);
+        if (copied > 0 && slitpose_is_wanted(link, &next) &&
+            (!found || next.published_monotonic_ns > pose->published_monotonic_ns)) {
+            *pose = next;
+            pose->missed = link->missed;
+            found = 1;
+        }
+    }
+    return found;
+}
+
 /* Asks for the newest pose and waits for the answer, some 50 us. 1; 0 if none came in time: the
-   daemon has no board yet; or -1 with errno. With several boards, the one that sent last. */
+   daemon has no board yet; or -1 with errno. With several boards, the one that sent last. From shared memory it
+   comes at once, also after a daemon that was killed: its age shows that. */
 static inline int slitpose_newest(struct slitpose_link *link, struct slitpose_pose *pose, int timeout_ms)
 {
+    const uint64_t since_ns = link->memory ? slitpose_now_ns() : 0;
     int ready, turn;
+    while (link->memory) {
+        if (slitpose_last(link, pose))
+            return 1;
+        if (!slitpose_sleep(since_ns, timeout_ms))
+            return slitpose_is_written(link);
+    }
     if (slitpose_drain(link, pose) < 0 || slitpose_ask(link, SLITPOSE_NEWEST) < 0)
         return -1;
     /* The first answer may be a cookie, which has been sent back then. */

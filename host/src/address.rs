@@ -3,7 +3,7 @@
 use std::fmt;
 use std::io::{self, ErrorKind};
 use std::net::{Ipv4Addr, SocketAddr};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
@@ -16,10 +16,16 @@ pub enum Address {
     Tcp(SocketAddr),
     /// A UDP port.
     Udp(SocketAddr),
+    /// A file of shared memory, for users with read permission on it. Only poses have one.
+    Memory(PathBuf),
 }
 
 /// Prefix that distinguishes a path from a host.
 const UNIX: &str = "unix:";
+
+/// Prefix of shared memory, and the folder of memory that is named without one.
+const MEMORY: &str = "shm:";
+const MEMORY_FOLDER: &str = "/dev/shm";
 
 impl Address {
     /// The address that `text` names, if any: a host and a port for TCP, or `unix:` and a path.
@@ -30,6 +36,11 @@ impl Address {
             None => tcp_address(text).map(Self::Tcp),
         }
     }
+
+    /// The memory called `name`: a path, if it has a slash.
+    pub(crate) fn of_memory(name: &str) -> Self {
+        Self::Memory(if name.contains('/') { name.into() } else { Path::new(MEMORY_FOLDER).join(name) })
+    }
 }
 
 impl fmt::Display for Address {
@@ -38,6 +49,11 @@ impl fmt::Display for Address {
             Self::Unix(path) => write!(f, "{UNIX}{}", path.display()),
             Self::Tcp(address) => address.fmt(f),
             Self::Udp(address) => write!(f, "udp:{address}"),
+            Self::Memory(path) => {
+                let is_plain = path.parent() == Some(Path::new(MEMORY_FOLDER));
+                let name = path.file_name().filter(|_| is_plain).map_or(path.as_path(), Path::new);
+                write!(f, "{MEMORY}{}", name.display())
+            }
         }
     }
 }
@@ -59,8 +75,12 @@ pub enum ServeError {
     InUse { address: Address },
     #[error("{address} is a Unix socket, and this program has none on this system; give {instead}")]
     NoUnixSockets { address: Address, instead: &'static str },
+    #[error("{address} is shared memory, which this program has on Linux only; give udp:127.0.0.1:PORT")]
+    NoSharedMemory { address: Address },
     #[error("{} is no socket and is left alone; give another path", path.display())]
     NotASocket { path: PathBuf },
+    #[error("{} is no memory of poses of this user and is left alone; give another name or path", path.display())]
+    NotMemory { path: PathBuf },
     #[error("{address} can be reached from other hosts, and {reason}")]
     NotLoopback { address: Address, reason: &'static str },
     #[error("cannot listen on {address}; check that its folder exists and may be written to, or that the port is free")]

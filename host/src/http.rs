@@ -59,6 +59,7 @@ impl Serving {
                 let listener = AsyncLocalListener::from_std(listener).map_err(failed)?;
                 Ok((Socket::Unix(listener), address.clone(), Some(file)))
             }
+            Address::Memory(_) => Err(failed(std::io::ErrorKind::Unsupported.into())),
             Address::Tcp(tcp) | Address::Udp(tcp) => {
                 let listener = std::net::TcpListener::bind(tcp).map_err(failed)?;
                 listener.set_nonblocking(true).map_err(failed)?;

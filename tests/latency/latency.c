@@ -46,7 +46,7 @@ int main(int argc, char **argv)
     struct row *rows = calloc(count + 1, sizeof *rows);
     FILE *file = argc > 4 ? fopen(argv[4], "w") : NULL;
     if (count == 0 || !total || !sending || !rows) {
-        fprintf(stderr, "usage: %s unix:PATH|udp:127.0.0.1:PORT COUNT [SKIP [FILE]]\n", argv[0]);
+        fprintf(stderr, "usage: %s unix:PATH|udp:127.0.0.1:PORT|shm:NAME COUNT [SKIP [FILE]]\n", argv[0]);
         return 2;
     }
     if (argc > 4 && !file) {

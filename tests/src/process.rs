@@ -2,7 +2,7 @@
 
 use std::ffi::OsStr;
 use std::io::{BufRead, BufReader, Read, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 
 use nix::sys::signal::{Signal, kill};
@@ -20,6 +20,17 @@ macro_rules! slitpose {
     () => {
         $crate::process::Slitpose::at(env!("CARGO_BIN_EXE_slitpose-under-test"))
     };
+}
+
+/// Compiles `source`, a path in the repository, as a user would whose control loop is in C.
+pub fn compile(source: &str, folder: &Path) -> PathBuf {
+    let repository = |path: &str| Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(path);
+    let program = folder.join("compiled");
+    let mut cc = Command::new("cc");
+    cc.args(["-O2", "-std=c11", "-I"]).arg(repository("host/include")).arg("-o");
+    let output = cc.args([&program, &repository(source)]).output().expect("a C compiler, as `cc`");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    program
 }
 
 #[derive(Clone, Debug)]

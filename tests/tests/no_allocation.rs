@@ -121,7 +121,8 @@ fn following_a_board_live_allocates_nothing() {
     let mut pipeline = pipeline(&file, STREAM).watched();
     let folder = tempfile::tempdir().expect("temporary folder");
     let path = folder.path().join("pose");
-    let server = DatagramServer::bind(&[Address::Unix(path.clone())]).expect("can be had");
+    let memory = Address::Memory(folder.path().join("memory"));
+    let server = DatagramServer::bind(&[Address::Unix(path.clone()), memory]).expect("can be had");
     let client = UnixClient::new().expect("socket");
     client.socket.set_nonblocking(true).expect("does not block");
     client.ask(&path, Request::new(Mode::Follow, None)).expect("asks");

@@ -1,7 +1,7 @@
 /* Prints poses as they come, with their age:
  *
  *     cc -O2 -std=c11 $(pkg-config --cflags slitpose-pose) -o follow_pose follow_pose.c
- *     ./follow_pose unix:/run/slitpose/pose        (or udp:127.0.0.1:7440)
+ *     ./follow_pose unix:/run/slitpose/pose        (or udp:127.0.0.1:7440, or shm:slitpose)
  *     ./follow_pose unix:/run/slitpose/pose 100    (ends after 100)
  */
 #define _POSIX_C_SOURCE 200809L
@@ -34,7 +34,7 @@ int main(int argc, char **argv)
     struct slitpose_pose pose;
     long left = argc > 2 ? atol(argv[2]) : -1;
     if (argc < 2) {
-        fprintf(stderr, "usage: %s unix:PATH|udp:127.0.0.1:PORT [COUNT]\n", argv[0]);
+        fprintf(stderr, "usage: %s unix:PATH|udp:127.0.0.1:PORT|shm:NAME [COUNT]\n", argv[0]);
         return 2;
     }
     if (slitpose_open(&link, argv[1], NULL) < 0) {

@@ -136,7 +136,7 @@ static int parse(int argc, char **argv, const struct option *options, const char
     }
     if (argc >= 2 && i == argc && argv[1][0] != '-')
         return 0;
-    fputs("usage: virtual_wall unix:PATH|udp:127.0.0.1:PORT [--wall MM] [--stiffness N/M] [--damping NS/M] [--limit N]\n"
+    fputs("usage: virtual_wall unix:PATH|udp:127.0.0.1:PORT|shm:NAME [--wall MM] [--stiffness N/M] [--damping NS/M] [--limit N]\n"
           "       [--oldest MS] [--release MS] [--duration S] [--realtime PRIORITY] [--csv FILE]\n", stderr);
     return -1;
 }

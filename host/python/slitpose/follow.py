@@ -1,10 +1,14 @@
-"""Live poses of a running daemon, by its datagrams (``slitpose run --publish``)."""
+"""Live poses of a running daemon, by its datagrams or from its shared memory (``slitpose run --publish``)."""
 
 from __future__ import annotations
 
 import array
 import contextlib
 import dataclasses
+import errno
+import fcntl
+import mmap
+import os
 import re
 import socket
 import struct
@@ -14,7 +18,7 @@ from typing import Iterator, Optional, Union
 import numpy as np
 from numpy.typing import NDArray
 
-from ._native import SlitposeError, rotation_vectors
+from ._native import SlitposeError, fence, rotation_vectors
 from .poses import Poses, Status
 
 #: The layout of a pose datagram, ``struct slitpose_pose`` of slitpose_pose.h.
@@ -38,8 +42,18 @@ _ANSWER = struct.Struct("<4sHHHHIQ")
 _FOLLOW = 2
 _PROVE, _REFUSED = 1, 2
 
-#: How often poses are asked for: a request lasts three seconds.
+#: How often poses are asked for: a request lasts three seconds. As often a memory is asked whether it is written.
 _RENEWAL_S = 1.0
+
+# Shared memory, as slitpose_pose.h has it.
+_MEMORY_HEAD = b"SLPM\x01\0\0\0"
+_RINGS, _RECORDS = 8, 256
+_HEAD_BYTES, _RECORD_BYTES = 64, 576
+_RING_BYTES = _HEAD_BYTES + _RECORDS * _RECORD_BYTES
+_MEMORY_BYTES = _HEAD_BYTES + _RINGS * _RING_BYTES
+
+#: How long a loop sleeps between two looks at shared memory.
+_LOOK_S = 2e-4
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -49,7 +63,7 @@ class LivePose:
     :ivar device: the board: 24 hexadecimal digits.
     :ivar sequence: number of the scan, counted by the board.
     :ivar datagram: number of the datagram, from 1: gaps are poses that were not received.
-    :ivar missed: datagrams that the full queue of this follower refused; of UDP unknown.
+    :ivar missed: datagrams that the full queue of this follower refused; of UDP and shared memory unknown.
     :ivar status: whether there is a pose.
     :ivar cells_used: number of cells that entered.
     :ivar excluded_cells: cells that contradict all others: bit k is cell k.
@@ -146,9 +160,9 @@ def follow(
     """Each pose of a running daemon, as it comes, until the iteration is left.
 
     The queue of a socket holds some 160 poses, 40 ms at 4 kHz: a loop that takes longer misses some, as the numbers of
-    the datagrams show.
+    the datagrams show. Shared memory holds 256 of each board, and is looked at 5 000 times a second.
 
-    :param address: as given to ``slitpose run --publish``: ``unix:PATH`` or ``udp:127.0.0.1:PORT``.
+    :param address: as given to ``slitpose run --publish``: ``unix:PATH``, ``udp:127.0.0.1:PORT`` or ``shm:NAME``.
     :param device: the board, 24 hexadecimal digits; ``None``: all.
     :param timeout_s: end the iteration after so long without a pose; ``None``: wait for ever.
     :param duration_s: end the iteration after so long, with or without poses; ``None``: never.
@@ -158,6 +172,10 @@ def follow(
     if device is not None and not re.fullmatch("[0-9a-fA-F]{24}", device):
         raise ValueError(f"device = {device!r}; give 24 hexadecimal digits")
     board = bytes(12) if device is None else bytes.fromhex(device)
+    if address.startswith("shm:") and address != "shm:":
+        name = address[len("shm:") :]
+        path = name if "/" in name else f"/dev/shm/{name}"
+        return _follow_memory(address, path, board, timeout_s, duration_s)
     family, target = _parsed(address)
     return _follow(address, family, target, board, timeout_s, duration_s)
 
@@ -170,7 +188,7 @@ def _parsed(address: str) -> tuple[int, Union[str, tuple[str, int]]]:
     if kind == "udp" and host and port.isdecimal():
         host = host.strip("[]")
         return (socket.AF_INET6 if ":" in host else socket.AF_INET), (host, int(port))
-    raise ValueError(f"{address!r} is no address for poses; give unix:PATH or udp:127.0.0.1:PORT")
+    raise ValueError(f"{address!r} is no address for poses; give unix:PATH, udp:127.0.0.1:PORT or shm:NAME")
 
 
 def _follow(
@@ -214,10 +232,88 @@ def _follow(
                     yield LivePose.of(received)
                     last_s = time.monotonic()
         except OSError as error:
-            reason = error.strerror or error
-            step = f"start `slitpose run --publish {address}`"
-            step = f"the daemon has ended after {poses} poses: {step} again" if poses else f"{step} first"
-            raise SlitposeError(f"{address}: {reason}; {step}") from error
+            raise _gone(address, error, poses) from error
+
+
+def _gone(address: str, error: OSError, poses: int) -> SlitposeError:
+    step = f"start `slitpose run --publish {address}`"
+    step = f"the daemon has ended after {poses} poses: {step} again" if poses else f"{step} first"
+    return SlitposeError(f"{address}: {error.strerror or error}; {step}")
+
+
+def _follow_memory(
+    address: str, path: str, board: bytes, timeout_s: Optional[float], duration_s: Optional[float]
+) -> Iterator[LivePose]:
+    poses, begun_s = 0, time.monotonic()
+    asked_s = last_s = begun_s
+    silence_s = np.inf if timeout_s is None else timeout_s
+    end_s = np.inf if duration_s is None else begun_s + duration_s
+    try:
+        with _Memory(path) as memory:
+            while (now_s := time.monotonic()) < min(end_s, last_s + silence_s):
+                if now_s - asked_s >= _RENEWAL_S:
+                    memory.require_writer()
+                    asked_s = now_s
+                is_new = False
+                for datagram in memory.new():
+                    if board in (bytes(12), datagram[16:28]):
+                        is_new = True
+                        poses += 1
+                        yield LivePose.of(datagram)
+                        last_s = time.monotonic()
+                        if last_s >= end_s:
+                            return
+                if not is_new:
+                    time.sleep(_LOOK_S)
+    except OSError as error:
+        raise _gone(address, error, poses) from error
+
+
+class _Memory(contextlib.ExitStack):
+    """The rings of a daemon's shared memory."""
+
+    def __init__(self, path: str) -> None:
+        super().__init__()
+        self._file = self.enter_context(open(path, "rb"))
+        if os.fstat(self._file.fileno()).st_size != _MEMORY_BYTES:
+            raise OSError(errno.EINVAL, "this file is no memory of poses of this version")
+        self._map = self.enter_context(mmap.mmap(self._file.fileno(), _MEMORY_BYTES, prot=mmap.PROT_READ))
+        self._words = self.enter_context(memoryview(self._map).cast("Q"))
+        if self._map[: len(_MEMORY_HEAD)] != _MEMORY_HEAD:
+            raise OSError(errno.EINVAL, "this file is no memory of poses of this version")
+        self.require_writer()
+        self._taken = [self._count(ring) for ring in range(_RINGS)]
+
+    def require_writer(self) -> None:
+        """Asks for the lock that a daemon holds: ``struct flock`` of Linux."""
+        asked = struct.pack("hhqqi4x", fcntl.F_RDLCK, os.SEEK_SET, 0, 0, 0)
+        (kind,) = struct.unpack_from("h", fcntl.fcntl(self._file, fcntl.F_GETLK, asked))
+        if kind == fcntl.F_UNLCK or self._words[1] == 0:
+            raise OSError(errno.ECONNREFUSED, os.strerror(errno.ECONNREFUSED))
+
+    def new(self) -> Iterator[bytes]:
+        """All poses that came since the last call."""
+        for ring in range(_RINGS):
+            count = self._count(ring)
+            for number in range(max(self._taken[ring], count - _RECORDS), count):
+                self._taken[ring] = number + 1
+                datagram = self._copied(ring, number)
+                if datagram is not None:
+                    yield datagram
+
+    def _count(self, ring: int) -> int:
+        count = self._words[(_HEAD_BYTES + ring * _RING_BYTES) // 8]
+        fence()
+        return count
+
+    def _copied(self, ring: int, number: int) -> Optional[bytes]:
+        """The pose behind ``number`` others; ``None`` if it is not there, or not any more."""
+        at = 2 * _HEAD_BYTES + ring * _RING_BYTES + number % _RECORDS * _RECORD_BYTES
+        before = self._words[at // 8]
+        fence()
+        datagram = self._map[at + 8 : at + 8 + DATAGRAM.itemsize]
+        fence()
+        return datagram if before == self._words[at // 8] == 2 * (number + 1) else None
 
 
 def _request(board: bytes, cookie: int) -> bytes:

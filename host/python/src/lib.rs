@@ -28,6 +28,7 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<calibration::Calibration>()?;
     module.add_function(wrap_pyfunction!(calibration::calibrate, module)?)?;
     module.add_function(wrap_pyfunction!(work::limit_cores, module)?)?;
+    module.add_function(wrap_pyfunction!(work::fence, module)?)?;
     module.add_function(wrap_pyfunction!(arrays::rotation_vectors, module)?)?;
     module.add_function(wrap_pyfunction!(arrays::quaternions, module)?)
 }

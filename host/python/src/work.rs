@@ -34,6 +34,12 @@ pub(crate) fn limit_cores(cores: usize) -> PyResult<()> {
     Ok(())
 }
 
+/// Between two reads of memory that other programs write: keeps their order.
+#[pyfunction]
+pub(crate) fn fence() {
+    std::sync::atomic::fence(Ordering::Acquire);
+}
+
 /// Runs `work` on a thread of its own, without the interpreter's lock. It is to end soon once its flag is set, which
 /// Ctrl-C does: then its result is lost.
 pub(crate) fn beside<T: Send>(py: Python<'_>, work: impl FnOnce(&AtomicBool) -> T + Send) -> PyResult<T> {

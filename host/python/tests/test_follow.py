@@ -15,10 +15,10 @@ import pytest
 import slitpose
 
 
-@pytest.fixture(params=["unix", "udp"])
+@pytest.fixture(params=["unix", "udp", "shm"])
 def daemon(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
     """An address, and the process that sends poses there."""
-    wanted = f"unix:{tmp_path}/pose" if request.param == "unix" else "udp:127.0.0.1:0"
+    wanted = "udp:127.0.0.1:0" if request.param == "udp" else f"{request.param}:{tmp_path}/pose"
     words = [os.environ["SLITPOSE"], "run", "--device", "sim", "--config", "none", "--format", "none", "--publish", wanted]
     process = subprocess.Popen(words, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True)
     assert process.stderr is not None
@@ -103,13 +103,17 @@ def test_the_node_of_ros_publishes_poses_velocities_and_transforms(
 
 
 def test_addresses_that_cannot_be_are_refused(tmp_path: Path) -> None:
-    for wrong in ("pose", "tcp:127.0.0.1:1", "udp:127.0.0.1", "unix:"):
+    for wrong in ("pose", "tcp:127.0.0.1:1", "udp:127.0.0.1", "unix:", "shm:"):
         with pytest.raises(ValueError, match="give unix:PATH"):
             slitpose.follow(wrong)
     for device in ("00", "zz" * 12):
         with pytest.raises(ValueError, match="24 hexadecimal"):
             slitpose.follow("unix:pose", device=device)
-    with pytest.raises(slitpose.SlitposeError, match="--publish"):
-        next(slitpose.follow(f"unix:{tmp_path}/absent"))
+    for absent in ("unix", "shm"):
+        with pytest.raises(slitpose.SlitposeError, match="--publish"):
+            next(slitpose.follow(f"{absent}:{tmp_path}/absent"))
+    (tmp_path / "other").write_bytes(b"SLPM of another version")
+    with pytest.raises(slitpose.SlitposeError, match="no memory of poses of this version"):
+        next(slitpose.follow(f"shm:{tmp_path}/other"))
     with pytest.raises(ValueError, match="no pose"):
         slitpose.LivePose.of(b"SLPP")

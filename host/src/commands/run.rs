@@ -18,7 +18,7 @@ use super::simulate::ToolOptions;
 use super::{CommandError, Outcome, interrupt, options, talk, usage};
 use crate::address::Address;
 use crate::daemon::{Admit, BoardPlan, Daemon, Ended, Opener, Plan, SimulatedOpener};
-use crate::datagram::{self, DatagramServer};
+use crate::datagram::{self, DatagramServer, MAX_BOARDS};
 use crate::device::{Contact, Search, Selector};
 use crate::live::{LiveBoard, LivePlan};
 use crate::platform::{self, Notice};
@@ -90,7 +90,7 @@ pub(super) struct Args {
     poses: PoseOptions,
     #[command(flatten)]
     record: RecordOptions,
-    /// Send poses as datagrams: unix:PATH, or udp:127.0.0.1:PORT
+    /// Send poses as datagrams: unix:PATH, or udp:127.0.0.1:PORT; or write them to shared memory: shm:NAME
     #[arg(long, value_name = "ADDRESS", value_delimiter = ',', value_parser = datagram::address)]
     publish: Vec<Address>,
     /// Serve the state as text, as JSON and for Prometheus at 127.0.0.1:PORT, or unix:PATH
@@ -188,6 +188,12 @@ pub(super) fn run(args: &mut Args) -> Result<Outcome, CommandError> {
         );
     }
     let boards = args.boards()?;
+    if let Some(memory) = args.publish.iter().find(|address| matches!(address, Address::Memory(_)))
+        && boards.len() > MAX_BOARDS
+    {
+        let next_step = "give unix:PATH, or run two programs";
+        return Err(usage!("{memory} takes the poses of {MAX_BOARDS} boards, not {}; {next_step}", boards.len()).into());
+    }
     args.tool.faults.tell();
     let stop = interrupt()?;
     let datagrams = if args.publish.is_empty() { None } else { Some(DatagramServer::bind(&args.publish)?) };

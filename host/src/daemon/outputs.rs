@@ -90,6 +90,8 @@ impl Outputs {
                 let device = DeviceId(hello.device_id);
                 if self.pending.device.replace(device) != Some(device) {
                     self.send();
+                    // First the old one, whose ring in shared memory the new one may need.
+                    self.publisher = None;
                     self.publisher = self.datagrams.as_ref().map(|datagrams| datagrams.publisher(device));
                 }
                 self.capture.iter_mut().for_each(|tap| tap.hello(hello));

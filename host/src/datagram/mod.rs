@@ -15,6 +15,10 @@
 //! `unix_dgram_sendmsg` charges the sender until the receiver has read). So a client makes a socket pair and passes one
 //! end with each request, and the daemon sends from that end. On UDP a datagram waits in the receiver's buffer.
 //!
+//! Shared memory has the last poses of each board for any number of readers, who make no call to the system, and whose
+//! deaths and delays nobody notices. Nobody is woken: waking costs the solver a call for each reader, and readers that
+//! are to be woken have sockets.
+//!
 //! The sending thread never waits: sockets do not block, requests come through a bounded queue, and the
 //! newest datagram is stored for answers in a slot whose writer waits for no reader. The datagrams that a client misses
 //! are counted and reported to it; one that misses some for over a second is a finding.
@@ -72,16 +76,25 @@
 //!    echoing the cookie proves that the client receives there.
 //! 2. The request was not served, or the client has lost its place: all places are taken. Ask again each second.
 //! 3. The request was served; use this cookie from now on, as the last one expires soon.
+//!
+//! Shared memory: 64 bytes with u32 magic "SLPM" · u16 version, 1 · u16 zero · u64 generation, the number of daemons that have
+//! begun to write it, 0 before the first is ready. Then eight rings, one for each board. A ring: 64 bytes with u64 count of
+//! its poses; 256 records of 576 bytes. The pose with number n, from 1, is in record (n - 1) mod 256: u64 version, 560
+//! bytes. Version 2 n - 1 says that it is being written, 2 n that it is complete: a reader copies it between two reads of the
+//! version. The count follows, and never falls: a ring whose board or daemon has gone is emptied by counting 256 poses that
+//! no record has. While a daemon writes, it holds a lock for writing on the whole file (fcntl(2)).
 
 use std::sync::atomic;
 
 pub use layout::{Answer, Mode, PoseDatagram, Request};
+pub use ring::MAX_BOARDS;
 pub use server::{DatagramServer, Publisher};
 
 pub use crate::address::Address;
 use socket::require_loopback;
 
 mod layout;
+mod ring;
 mod server;
 mod slot;
 mod socket;
@@ -100,7 +113,9 @@ pub(crate) fn address(text: &str) -> Result<Address, String> {
             let udp = udp.parse().map_err(error)?;
             require_loopback(udp).map(|()| Address::Udp(udp)).map_err(|error| error.to_string())
         }
-        _ => Err(format!("`{text}` is no address for poses; give unix:PATH or udp:127.0.0.1:PORT")),
+        Some(("shm", "")) => Err("`shm:` lacks the name of the memory; give shm:NAME".to_owned()),
+        Some(("shm", name)) => Ok(Address::of_memory(name)),
+        _ => Err(format!("`{text}` is no address for poses; give unix:PATH, udp:127.0.0.1:PORT or shm:NAME")),
     }
 }
 

@@ -9,6 +9,7 @@ use crossbeam_channel::{Receiver, Sender};
 use tokio::sync::oneshot;
 
 use super::layout::{Answer, Mode, PoseDatagram, Request};
+use super::ring::{Memory, Ring};
 use super::slot::Slot;
 use super::socket::{Delivery, Peer, Socket, Waiting};
 use super::subscription::{Cookies, Lease, Leases, MAX_FOLLOWERS, MAX_NEWS, Subscription, Worth};
@@ -44,16 +45,22 @@ struct Directory {
 pub struct DatagramServer {
     shared: Arc<Shared>,
     directory: Arc<Mutex<Directory>>,
+    memories: Vec<Arc<Memory>>,
     addresses: Vec<Address>,
     _thread: Background<oneshot::Sender<()>>,
     _files: Vec<SocketFile>,
 }
 
 impl DatagramServer {
-    /// Listens on all of `addresses`.
+    /// Listens on all of `addresses` that are sockets, and maps those that are memory.
     pub fn bind(addresses: &[Address]) -> Result<Self, ServeError> {
-        let (mut sockets, mut bound, mut files) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut sockets, mut bound, mut files, mut memories) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         for address in addresses {
+            if let Address::Memory(path) = address {
+                memories.push(Arc::new(Memory::open(path)?));
+                bound.push(address.clone());
+                continue;
+            }
             let (socket, file) = Socket::bind(address)?;
             bound.push(socket.address(address));
             sockets.push(socket);
@@ -74,7 +81,7 @@ impl DatagramServer {
         // Either way this has been dropped.
         let run = move || drop(runtime.block_on(ended));
         let thread = Background::spawn("datagrams", end, run).map_err(failed)?;
-        Ok(Self { shared, directory, addresses: bound, _thread: thread, _files: files })
+        Ok(Self { shared, directory, memories, addresses: bound, _thread: thread, _files: files })
     }
 
     /// The addresses it listens on, with the ports that the system chose for port 0.
@@ -83,7 +90,8 @@ impl DatagramServer {
     }
 
     /// A publisher that sends the poses of a board until dropped, also to clients that asked before. It replaces an
-    /// earlier publisher of the board for new clients.
+    /// earlier publisher of the board for new clients. Memory has the poses of the first [`MAX_BOARDS`](super::MAX_BOARDS)
+    /// publishers only.
     pub fn publisher(&self, device: DeviceId) -> Publisher {
         let (sender, receiver) = crossbeam_channel::bounded(MAX_NEWS);
         let slot = Arc::new(Slot::new());
@@ -98,6 +106,7 @@ impl DatagramServer {
         Publisher {
             shared: Arc::clone(&self.shared),
             slot,
+            rings: self.memories.iter().filter_map(Memory::ring).collect(),
             subscriptions: receiver,
             followers: Vec::with_capacity(MAX_FOLLOWERS),
             number: 0,
@@ -206,6 +215,7 @@ impl Directory {
 pub struct Publisher {
     shared: Arc<Shared>,
     slot: Arc<Slot>,
+    rings: Vec<Ring>,
     subscriptions: Receiver<Subscription>,
     followers: Vec<Subscription>,
     number: u64,
@@ -216,7 +226,7 @@ pub struct Publisher {
 }
 
 impl Publisher {
-    /// Sends a pose to all followers, and stores it for clients that request the newest.
+    /// Sends a pose to all followers, and stores it in shared memory and for clients that request the newest.
     pub fn publish(&mut self, record: &Record, now: HostInstant) {
         self.number += 1;
         let mut datagram = PoseDatagram::new(record, self.number, now);
@@ -224,6 +234,7 @@ impl Publisher {
             datagram.mark_behind();
         }
         self.slot.store(&datagram);
+        self.rings.iter_mut().for_each(|ring| ring.store(&datagram));
         for subscription in self.subscriptions.try_iter().take(MAX_NEWS) {
             admit(&mut self.followers, subscription, &self.shared.counters);
         }

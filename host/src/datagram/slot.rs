@@ -26,16 +26,7 @@ impl Slot {
 
     /// Stores a datagram. To be called from one thread only: two would mix their words.
     pub(super) fn store(&self, datagram: &PoseDatagram) {
-        let version = self.version.load(Ordering::Relaxed);
-        self.version.store(version + 1, Ordering::Relaxed);
-        // No word becomes visible before the odd version.
-        fence(Ordering::Release);
-        for (word, bytes) in self.words.iter().zip(datagram.as_bytes().chunks_exact(size_of::<u64>())) {
-            let mut value = [0; size_of::<u64>()];
-            value.copy_from_slice(bytes);
-            word.store(u64::from_ne_bytes(value), Ordering::Relaxed);
-        }
-        self.version.store(version + 2, Ordering::Release);
+        store(&self.version, self.version.load(Ordering::Relaxed) + 2, self.words.iter(), datagram);
     }
 
     /// The last datagram stored; `None` before the first, or if the writer disturbed all attempts.
@@ -53,4 +44,22 @@ impl Slot {
             is_whole.then(|| PoseDatagram::from_bytes(bytes))
         })
     }
+}
+
+/// Stores `datagram` in `words` and its version, `even` and greater than the last, in `version`. For one thread only.
+pub(super) fn store<'a>(
+    version: &AtomicU64,
+    even: u64,
+    words: impl Iterator<Item = &'a AtomicU64>,
+    datagram: &PoseDatagram,
+) {
+    version.store(even - 1, Ordering::Relaxed);
+    // No word becomes visible before the odd version.
+    fence(Ordering::Release);
+    for (bytes, word) in datagram.as_bytes().chunks_exact(size_of::<u64>()).zip(words) {
+        let mut value = [0; size_of::<u64>()];
+        value.copy_from_slice(bytes);
+        word.store(u64::from_ne_bytes(value), Ordering::Relaxed);
+    }
+    version.store(even, Ordering::Release);
 }

@@ -51,6 +51,7 @@ impl Socket {
                 socket.set_nonblocking(true).map_err(error)?;
                 Ok((Self::Unix(socket), Some(file)))
             }
+            Address::Memory(_) => Err(error(ErrorKind::Unsupported.into())),
             Address::Udp(udp) | Address::Tcp(udp) => {
                 require_loopback(*udp)?;
                 let socket = UdpSocket::bind(udp).map_err(error)?;

@@ -1,4 +1,4 @@
-//! What differs between operating systems: sockets in the file system, serial ports, priorities, the service manager, and
+//! What differs between operating systems: sockets in the file system, shared memory, serial ports, priorities, the service manager, and
 //! what `doctor` reads of the machine.
 //!
 //! Every item exists on Unix and on Windows, with one signature, so that no other module of this crate names a system.
@@ -11,6 +11,13 @@ mod system;
 #[path = "windows.rs"]
 mod system;
 
+#[cfg(target_os = "linux")]
+mod memory;
+#[cfg(not(target_os = "linux"))]
+#[path = "no_memory.rs"]
+mod memory;
+
+pub(crate) use memory::SharedMemory;
 #[cfg(unix)]
 pub use system::UnixClient;
 pub(crate) use system::*;

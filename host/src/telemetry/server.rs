@@ -141,6 +141,7 @@ pub(crate) fn request(address: &Address, request: &str) -> Result<(u16, String)>
             ask(stream, TcpStream::set_read_timeout, request)
         }
         Address::Unix(to) => ask(connect_local(to).with_context(connect)?, LocalStream::set_read_timeout, request),
+        Address::Memory(_) => Err(io::ErrorKind::Unsupported.into()),
     };
     let seconds = WITHIN.as_secs();
     let answer = answer.with_context(|| {

@@ -9,7 +9,7 @@
 //! CLOCK_MONOTONIC. The board writes what it has once a millisecond, as one on USB does: four scans
 //! at 4 kHz. What it costs to simulate it is taken from the same processors.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -21,7 +21,7 @@ use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message, Schedule};
 use super::{Table, Verdicts};
 use crate::consistency::Sorted;
 use crate::daemon::{Usage, live_pages};
-use crate::process::{Finished, Slitpose, name_in};
+use crate::process::{Finished, Slitpose, compile, name_in};
 use crate::terminal::{Board, Device, FRAME_RATE_HZ, Terminal};
 
 /// Bytes in to pose out, of half and of 99 % of all poses, µs.
@@ -43,6 +43,9 @@ pub struct Conditions {
     /// Without a verdict on times: the machine may be as busy as it likes
     #[arg(long)]
     untimed: bool,
+    /// Through shared memory instead of a Unix socket
+    #[arg(long)]
+    memory: bool,
     /// So many live pages look at the board meanwhile, of which one stalls
     #[arg(long, default_value_t = 0)]
     pages: usize,
@@ -100,7 +103,7 @@ pub fn study(slitpose: Slitpose, conditions: &Conditions) -> Verdicts {
     // 3 if it did not run for a while and left scans out.
     let code = if daemon.stderr.contains("were not solved") { 3 } else { 0 };
     verdicts.check(daemon.code == code, format!("the daemon ends with {code}: {}", daemon.code));
-    verdicts.check(daemon.stderr.starts_with("slitpose: poses at unix:"), "it says where poses are");
+    verdicts.check(daemon.stderr.starts_with("slitpose: poses at "), "it says where poses are");
     verdicts.check(ways.len() == poses, "all poses came");
     let least = if conditions.unrecorded { 0 } else { poses as u64 * 30 };
     verdicts.check(*capture_bytes >= least, format!("{capture_bytes} bytes recorded"));
@@ -197,10 +200,11 @@ fn measure(slitpose: Slitpose, conditions: &Conditions, poses: usize) -> Measure
     let written = Arc::<Mutex<Written>>::default();
     let board =
         Timed { board: Board::wide(70), decoder: Decoder::new(), schedule: None, written: Arc::clone(&written) };
-    let client = compile(folder.path());
+    // The control loop, compiled as a user would.
+    let client = compile("tests/latency/latency.c", folder.path());
     let terminal = Terminal::serve(board);
 
-    let publish = format!("unix:{socket}");
+    let publish = format!("{}:{socket}", if conditions.memory { "shm" } else { "unix" });
     let mut arguments = vec!["run", "--config", "none", "--device", &terminal.path, "--format", "none"];
     arguments.extend(["--publish", &publish]);
     if !conditions.unrecorded {
@@ -240,17 +244,6 @@ fn measure(slitpose: Slitpose, conditions: &Conditions, poses: usize) -> Measure
         daemon,
         capture_bytes: std::fs::metadata(&capture).map_or(0, |metadata| metadata.len()),
     }
-}
-
-/// The control loop: `tests/latency/latency.c`, compiled as a user would.
-fn compile(folder: &Path) -> PathBuf {
-    let repository = |path: &str| Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(path);
-    let program = folder.join("latency");
-    let mut cc = Command::new("cc");
-    cc.args(["-O2", "-std=c11", "-I"]).arg(repository("host/include")).arg("-o");
-    let output = cc.args([&program, &repository("tests/latency/latency.c")]).output().expect("a C compiler, as `cc`");
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    program
 }
 
 /// A board that notes when it wrote each scan.

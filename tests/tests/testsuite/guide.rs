@@ -208,6 +208,7 @@ works! {
     the_lab_user_gets_recordings_and_tables: "lab.md",
     other_instruments_are_on_the_clock_of_the_poses: "sync.md",
     the_application_writer_closes_a_loop: "application.md",
+    a_loop_reads_shared_memory: "memory.md",
     the_analyst_judges_poses: "analyst.md",
     faults_are_injected_and_seen: "faults.md",
     an_uncalibrated_head_has_its_first_light: "first_light.md",

@@ -19,6 +19,7 @@ mod report;
 mod run_emulated;
 mod run_serial;
 mod run_simulated;
+mod shared_memory;
 mod solve_process;
 mod status;
 mod studies;

@@ -1,6 +1,7 @@
 //! What the tests of this folder share.
 
 mod c;
+mod memory;
 mod server;
 mod wall;
 
@@ -32,7 +33,7 @@ fn record() -> Record {
     Record { host_time: Some(host_time), arrival: Some(arrival), ..record }
 }
 
-/// A server on both kinds of socket.
+/// A server on both kinds of socket, and in shared memory.
 struct Bench {
     folder: TempDir,
     server: DatagramServer,
@@ -43,7 +44,8 @@ impl Bench {
         let folder = TempDir::new().unwrap();
         let unix = Address::Unix(folder.path().join("pose"));
         let udp = Address::Udp((Ipv4Addr::LOCALHOST, 0).into());
-        let server = DatagramServer::bind(&[unix, udp]).unwrap();
+        let memory = Address::Memory(folder.path().join("memory"));
+        let server = DatagramServer::bind(&[unix, udp, memory]).unwrap();
         Self { folder, server }
     }
 
@@ -97,10 +99,11 @@ impl Bench {
 
 #[test]
 fn addresses_are_read_as_they_are_written() {
-    for text in ["unix:/run/slitpose/pose", "unix:pose", "udp:127.0.0.1:7440", "udp:[::1]:7440", "udp:127.9.9.9:0"] {
+    let sockets = ["unix:/run/slitpose/pose", "unix:pose", "udp:127.0.0.1:7440", "udp:[::1]:7440", "udp:127.9.9.9:0"];
+    for text in sockets.into_iter().chain(["shm:slitpose", "shm:/run/slitpose/ring", "shm:./ring"]) {
         assert_eq!(address(text).unwrap().to_string(), text);
     }
-    for text in ["", "pose", "unix", "unix:", "tcp:127.0.0.1:1", "udp:", "udp:localhost:1", "udp:127.0.0.1"] {
+    for text in ["", "pose", "unix", "unix:", "shm:", "tcp:127.0.0.1:1", "udp:", "udp:localhost:1", "udp:127.0.0.1"] {
         assert!(address(text).is_err(), "{text}");
     }
 }
