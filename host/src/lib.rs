@@ -49,7 +49,6 @@ mod samples {
 
     const TIER: Tier = Tier::Exact { tolerance: 1e-6 };
 
-    /// A scan without light.
     pub(crate) fn record() -> Record {
         Record {
             device: DeviceId(*b"simulated\0\0\0"),

@@ -325,7 +325,6 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>, P: BorrowMut<Poser>> Board<H, M,
         result
     }
 
-    /// Queues an event.
     fn tell(&mut self, tick: u64, severity: Severity, text: fmt::Arguments<'_>) {
         let mut cut = String::<EVENT_TEXT_BYTES>::new();
         // The end of a longer text is cut off.

@@ -52,7 +52,6 @@ impl Drift {
         }
     }
 
-    /// The currents `clean` at `instant`.
     pub(crate) fn at(&self, instant: Instant, clean: &[Pair<f64>], chance: &mut Chance) -> Vec<Pair<f64>> {
         let flicker_a = self.flicker_a * (TAU * chance.between([0.0, 1.0])).sin();
         let of_cell = |(pair, (warmer_k, aged)): (&Pair<f64>, (&f64, &f64))| {

@@ -53,7 +53,6 @@ fn bounded(square: f64, limit: f64) -> f64 {
     if square <= limit { square } else { limit * (1.0 + libm::log(square / limit)) }
 }
 
-/// Derivative of [`bounded`].
 fn weight(square: f64, limit: f64) -> f64 {
     if square <= limit { 1.0 } else { limit / square }
 }

@@ -149,7 +149,6 @@ const WORTH_RAD: f64 = 4e-4;
 /// Share of the prior σ from which a parameter counts as unseen.
 const UNSEEN: f64 = 0.9;
 
-/// Sentences, the gravest first.
 pub(crate) fn weaknesses(
     error: &PoseError,
     parameters: &[Parameter],

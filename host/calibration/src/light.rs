@@ -187,7 +187,6 @@ impl LightTrend {
         data.groups.iter().enumerate().filter_map(of_group).collect()
     }
 
-    /// A sentence for users.
     pub(crate) fn remark(&self) -> String {
         let Self { file, change, change_sigma, warm_up } = self;
         let verb = if *change < 0.0 { "faded" } else { "grew" };

@@ -137,7 +137,6 @@ impl<'a> Playback<'a> {
         Ok(self)
     }
 
-    /// Solves all of them.
     pub(super) fn run(mut self) -> Result<Outcome, CommandError> {
         loop {
             let next = !self.is_stopped() && {

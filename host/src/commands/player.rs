@@ -90,7 +90,6 @@ impl Player {
         (0..boards.len()).map(|number| Sampler::new(number, Arc::new(self.live.clone()))).collect()
     }
 
-    /// Whether nobody looks any more.
     pub(super) fn is_left(&self) -> bool {
         self.live.is_closed()
     }

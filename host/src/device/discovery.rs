@@ -241,7 +241,6 @@ fn choose(selector: &Selector, listed: Vec<Listed>) -> Result<Found, DeviceError
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Selector {
-    /// The only board connected.
     Auto,
     Sim,
     /// The board with this number, at any port.

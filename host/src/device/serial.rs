@@ -113,7 +113,6 @@ impl Device for SerialDevice {
     }
 }
 
-/// Whether another attempt may succeed.
 fn is_passing(error: &io::Error) -> bool {
     matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted | ErrorKind::WouldBlock)
 }

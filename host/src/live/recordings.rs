@@ -39,7 +39,6 @@ pub(crate) type Play = Box<dyn Fn(PathBuf, LiveInput) -> io::Result<Control> + S
 pub(crate) type Calibrate =
     Arc<dyn Fn(&Measurements, &Path, &mut dyn FnMut(u64, String)) -> anyhow::Result<Vec<String>> + Send + Sync>;
 
-/// The captures in one folder.
 pub(crate) struct Recordings {
     folder: PathBuf,
     play: Play,

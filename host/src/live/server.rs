@@ -128,7 +128,6 @@ impl Drop for Place<'_> {
     }
 }
 
-/// Serves the page until dropped.
 pub(crate) struct LiveServer {
     /// The address of the page, for a browser.
     pub(crate) url: String,

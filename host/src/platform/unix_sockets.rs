@@ -67,7 +67,6 @@ impl Drop for SocketFile {
 /// Mode of Unix sockets: owner and group may connect, other users may not.
 const SOCKET_MODE: u32 = 0o660;
 
-/// Listens for streams at `path`.
 pub(crate) fn listen_local(path: &Path) -> Result<(LocalListener, SocketFile), ServeError> {
     SocketFile::bind(path, |path| LocalStream::connect(path).map(drop), |path| LocalListener::bind(path))
 }

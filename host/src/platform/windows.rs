@@ -151,7 +151,6 @@ pub(crate) fn prepare() -> io::Result<()> {
     Ok(())
 }
 
-/// The version of Windows.
 pub(crate) fn system() -> String {
     let version = Command::new("cmd").args(["/c", "ver"]).stdin(Stdio::null()).output();
     version.map_or_else(

@@ -31,7 +31,6 @@ use slitpose_tracking::telemetry::DaemonReport;
 const TEXT: &str = "text/plain; charset=utf-8";
 const JSON: &str = "application/json";
 
-/// Serves the status until dropped.
 #[derive(Debug)]
 pub(crate) struct StatusServer {
     pub(crate) address: Address,

@@ -10,7 +10,6 @@ use slitpose_tracking::playback::Shelf;
 use wasm_bindgen::JsValue;
 use wasm_bindgen::prelude::wasm_bindgen;
 
-/// Bytes read at once.
 const READ_BYTES: usize = 1 << 18;
 
 #[wasm_bindgen]
@@ -25,7 +24,6 @@ extern "C" {
     fn clocks() -> Vec<f64>;
 }
 
-/// Reads the clocks.
 pub(crate) fn now() -> HostInstant {
     let ns = |ms: &f64| (ms * 1e6) as u64;
     match &clocks()[..] {

@@ -67,7 +67,6 @@ pub(crate) struct Conversation {
     configuration: Configuration,
     decoder: Decoder<MAX_MESSAGE_BYTES>,
     step: Step,
-    /// Number of the last command.
     number: u16,
     began_ns: u64,
     heard_ns: u64,
@@ -98,7 +97,6 @@ impl Conversation {
         }
     }
 
-    /// Whether the board sends scans.
     pub(crate) fn is_running(&self) -> bool {
         self.step == Step::Run
     }
@@ -228,7 +226,6 @@ impl Conversation {
         Ok(())
     }
 
-    /// Sends a command.
     pub(crate) fn command(&mut self, command: Command) {
         self.number += 1;
         self.send(self.number, command);

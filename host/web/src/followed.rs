@@ -80,13 +80,11 @@ impl Followed {
         }
     }
 
-    /// The port has been opened.
     pub(crate) fn opened(&mut self, now: HostInstant) {
         self.far = Far::Port(true);
         self.greet(now);
     }
 
-    /// The port is gone.
     pub(crate) fn closed(&mut self, reason: &str, now: HostInstant) {
         self.far = Far::Port(false);
         self.lost(&ConversationError::Gone { reason: reason.to_owned() }, now);
@@ -257,7 +255,6 @@ impl Followed {
         Ok(())
     }
 
-    /// Completes the capture.
     pub(crate) fn end_recording(&mut self, now: HostInstant) {
         if let Some(recording) = self.recording.take() {
             self.recorder = RecorderReport { state: RecorderState::Off, ..recording.report() };

@@ -130,7 +130,6 @@ impl Recording {
         self.series.note(now.utc_ns.saturating_sub((ago_s * 1e9) as u64), text, now.utc_ns)
     }
 
-    /// Completes the capture.
     pub(crate) fn finish(mut self, now: HostInstant) -> Result<(), CaptureError> {
         if let Some(device) = self.device {
             self.pass_on(device, now)?;

@@ -21,7 +21,6 @@ const STRETCH_NS: u64 = 12_000_000;
 /// Time between messages on the state of the player.
 const TELL_EVERY_NS: u64 = 250_000_000;
 
-/// Captures that are played.
 pub(crate) struct Replay {
     files: Vec<PathBuf>,
     captures: Playback<Files>,
@@ -61,7 +60,6 @@ impl Replay {
         Playback::on(Files, files.to_vec(), Choice { from_s, is_watched: true, ..Choice::default() })
     }
 
-    /// Names of its boards.
     pub(crate) fn names(&self) -> Vec<String> {
         self.captures.boards.iter().map(Board::name).collect()
     }
@@ -71,7 +69,6 @@ impl Replay {
         self.state.message()
     }
 
-    /// Plays it otherwise.
     pub(crate) fn obey(&mut self, order: &PlayerOrder) -> Result<(), Refusal> {
         order.check()?;
         (self.paced_from, self.told_ns) = (None, 0);

@@ -100,7 +100,6 @@ impl Shown {
         }
     }
 
-    /// Counts a solved scan in.
     pub(crate) fn add(&mut self, record: &Record) {
         self.sampler.add(record);
     }

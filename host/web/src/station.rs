@@ -22,7 +22,6 @@ use crate::replay::{Export, Replay, ended};
 use crate::shown::{Outbox, Shown};
 use crate::simulated::SimulatedHead;
 
-/// Interval of reports.
 const REPORT_EVERY_NS: u64 = 500_000_000;
 
 /// Longest time of a zero, seconds.

@@ -62,7 +62,6 @@ enum Path<R: Real> {
     Imperfect(Beam<R>, ExtendedSource<R>, Electrical<R>),
 }
 
-/// A cell of the plan.
 #[derive(Clone, Copy)]
 struct View<'a> {
     cell: &'a CompiledCell<f64>,

@@ -137,7 +137,6 @@ fn exponent(points: &Points) -> Option<f64> {
     (exponent > 0.0 && exponent <= MAX_EXPONENT).then_some(exponent)
 }
 
-/// Weights all points by cosⁿγ.
 fn raise(points: &mut Points, exponent: f64) {
     points.iter_mut().for_each(|point| point.power = libm::pow(point.c, exponent));
 }

@@ -10,7 +10,6 @@ use slitpose_protocol::{
 
 type HostDecoder = Decoder<MAX_MESSAGE_BYTES>;
 
-/// The packet of a value.
 fn packet<'p>(value: &impl Packet<'p>) -> Vec<u8> {
     let mut buffer = [0; MAX_MESSAGE_BYTES];
     encode(value, &mut buffer).expect("every message fits its limit").to_vec()

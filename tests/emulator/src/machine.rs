@@ -176,7 +176,6 @@ impl<W: World> Machine<W> {
         self.board.preset_timer(DEVICE_CLOCK, count);
     }
 
-    /// Resets core and board.
     fn reset(&mut self, cause: ResetCause) {
         self.resets.push(Reset { at: self.now(), cause });
         self.board.reset(cause);
@@ -235,7 +234,6 @@ mod tests {
         machine.resets().iter().map(|reset| reset.cause).collect()
     }
 
-    /// Starts the watchdog: 0.1 s.
     fn start_watchdog(machine: &mut Machine<Dark>) {
         for (offset, value) in [(0, 0x5555), (4, 1), (8, 399), (0, 0xCCCC)] {
             put(&mut machine.board, 0x4000_3000 + offset, value);

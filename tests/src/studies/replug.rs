@@ -241,7 +241,6 @@ fn read_poses(stdout: ChildStdout, wanted: &AtomicBool, tell: &Sender<Instant>) 
     }
 }
 
-/// How a board goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Manner {
     /// The port goes in the middle of a packet. The board keeps its power, and goes on counting.

@@ -20,7 +20,6 @@ use slitpose_tracking::link::DeviceId;
 const FIRST: &str = "0036002900544850025a0320";
 const SECOND: &str = "0036002900544850025a0321";
 
-/// A board of this number.
 fn board(serial: &str) -> impl Device + use<> {
     let device: DeviceId = serial.parse().expect("24 digits");
     greeting(Board::wide(81), move |hello| {

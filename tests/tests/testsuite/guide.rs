@@ -188,7 +188,6 @@ fn run(name: &str, page: &str) -> Result<(), String> {
 
 macro_rules! works {
     ($($test:ident: $chapter:literal,)*) => {
-        /// Chapters that are run.
         const CHAPTERS: &[&str] = &[$($chapter),*];
 
         $(#[test]

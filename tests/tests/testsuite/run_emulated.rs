@@ -158,7 +158,6 @@ pub(super) fn emulator(arguments: &[&str]) -> Command {
     command
 }
 
-/// An emulator under way.
 pub(super) struct Emulator {
     child: Child,
     pub(super) stdin: ChildStdin,

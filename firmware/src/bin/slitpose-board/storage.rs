@@ -197,7 +197,6 @@ impl Store {
         })
     }
 
-    /// Reads the head in `area`.
     #[cfg(feature = "pose")]
     fn load_head(&mut self, area: u8) {
         HEAD.lock(|head| {

@@ -68,7 +68,6 @@ impl TextStyle {
     }
 }
 
-/// A picture in the making.
 pub(crate) struct Canvas {
     svg: String,
 }
@@ -183,7 +182,6 @@ impl Canvas {
         self.svg += &format!("<tspan{attributes}>{}</tspan>", escape(text));
     }
 
-    /// The finished picture.
     pub(crate) fn into_svg(self) -> String {
         self.svg + "</svg>\n"
     }

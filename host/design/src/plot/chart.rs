@@ -126,7 +126,6 @@ pub(crate) fn curve(label: &str, colour: usize, style: CurveStyle, points: Vec<[
     Curve { label: label.to_owned(), colour: cell_colour(colour), style, points }
 }
 
-/// A word beside a point.
 #[derive(Clone, Debug)]
 pub(crate) struct Note {
     /// The point, in the units of the axes.

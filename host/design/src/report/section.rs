@@ -131,7 +131,6 @@ impl Table {
     }
 }
 
-/// A picture of a section.
 #[derive(Clone, Debug)]
 pub(crate) struct Picture {
     pub(crate) name: &'static str,
@@ -139,7 +138,6 @@ pub(crate) struct Picture {
     pub(crate) svg: String,
 }
 
-/// A chapter of a report.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Section {
     pub(crate) name: &'static str,

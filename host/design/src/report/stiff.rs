@@ -54,7 +54,6 @@ struct Case {
     /// What the error is of, with its unit.
     quantity: &'static str,
     expected: Expected,
-    /// What came back, how often.
     outcomes: BTreeMap<&'static str, usize>,
     /// How many came back without a value.
     without_value: usize,

@@ -46,7 +46,6 @@ pub fn report_message(report: &DaemonReport, now: HostInstant) -> String {
     text_of(&ReportMessage { findings: report.findings(now), report })
 }
 
-/// `message` as text.
 pub(super) fn text_of(message: &impl Serialize) -> String {
     // Its keys are texts, and nothing of it fails.
     serde_json::to_string(message).unwrap_or_default()

@@ -166,7 +166,6 @@ struct Own<S: Number> {
 }
 
 impl<S: Number> Own<S> {
-    /// Of a disc without points.
     fn none() -> Self {
         Self { status: Status::Lit, slack_m: S::infinity(), photocurrent: S::zero(), x_a: None, integration: None }
     }

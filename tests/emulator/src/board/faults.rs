@@ -145,7 +145,6 @@ impl<W: World> Board<W> {
         has_begun
     }
 
-    /// Fault adc-neighbour.
     #[inline]
     pub(super) fn disturb_neighbours(&mut self) {
         if self.effects.faults.has(Fault::AdcNeighbour) && self.adc12.is_converting() && self.adc345.is_converting() {

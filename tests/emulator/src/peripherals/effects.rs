@@ -156,7 +156,6 @@ pub struct Bank {
 }
 
 impl Default for Bank {
-    /// No registers.
     fn default() -> Self {
         Self::new(&[])
     }

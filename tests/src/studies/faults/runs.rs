@@ -27,7 +27,6 @@ const SETTLED_S: f64 = 1.0;
 /// millisecond.
 const DRIFT_PPM: f64 = 200.0;
 
-/// A host in device time.
 struct Host {
     board: SimulatedBoard,
     injector: Option<Injector>,
