@@ -35,7 +35,7 @@ pub fn write(folder: &Path, head: &DrawnHead, session: &Session) -> Result<Vec<P
     file(folder.join("scene.toml"))?.write_text(&head.nominal.source)?;
     for table in &session.tables {
         let name = format!("{}.csv", table.name);
-        write_readings(table, session.drift.is_some(), head.nominal.scene.cells.len(), file(folder.join(&name))?)?;
+        write_readings(table, head.nominal.scene.cells.len(), file(folder.join(&name))?)?;
         write_poses(table, file(apart.join(&name))?)?;
     }
     if head.nominal.front_end.is_some() {
@@ -45,13 +45,10 @@ pub fn write(folder: &Path, head: &DrawnHead, session: &Session) -> Result<Vec<P
     Ok(written)
 }
 
-/// `has_times`: with the instants of rows of known poses, by which a drift is followed.
-fn write_readings(table: &Table, has_times: bool, cells: usize, output: Output) -> Result<(), OutputError> {
-    let has_times = has_times && table.name.starts_with("known");
+fn write_readings(table: &Table, cells: usize, output: Output) -> Result<(), OutputError> {
     let currents: Vec<String> = (0..cells).flat_map(|k| [format!("i_x1_{k}_a"), format!("i_x2_{k}_a")]).collect();
     let header = ["id"].into_iter().chain(table.columns.iter().copied());
-    let header =
-        header.chain(currents.iter().map(String::as_str)).chain(["frames"]).chain(has_times.then_some("time_s"));
+    let header = header.chain(currents.iter().map(String::as_str)).chain(["frames"]);
     let mut writer = TableWriter::new(output, header)?;
     for (id, row) in table.rows.iter().enumerate() {
         writer.text(&id.to_string());
@@ -65,9 +62,6 @@ fn write_readings(table: &Table, has_times: bool, cells: usize, output: Output) 
             writer.number(current_a);
         }
         writer.text(&row.frames.to_string());
-        if has_times {
-            writer.number(row.on_s);
-        }
         writer.end_row()?;
     }
     writer.finish()
@@ -136,9 +130,6 @@ fn write_text(out: &mut String, head: &DrawnHead, session: &Session) -> std::fmt
     writeln!(out, "\n[instrument]\nsigma_m = {sigma_m:e}\nsigma_rad = {sigma_rad:e}")?;
     writeln!(out, "base_from_reference = {:?}", values_of(&session.base_from_reference))?;
     writeln!(out, "tool_from_marker = {:?}", values_of(&session.tool_from_marker))?;
-    if let Some(drift) = &session.drift {
-        writeln!(out, "\n[drift]\nlost = {:?}", drift.lost())?;
-    }
     writeln!(out, "\n[pivot]\nin_tool_m = {:?}", session.pivot.in_tool_m.to_array())?;
     writeln!(out, "in_base_m = {:?}", session.pivot.in_base_m.to_array())?;
     writeln!(out, "\n[stage]\nstart = {:?}", values_of(&session.stage_start))?;

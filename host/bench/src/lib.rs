@@ -10,7 +10,6 @@
 
 mod chance;
 mod drawn;
-mod drift;
 mod folder;
 mod session;
 

@@ -8,7 +8,6 @@ use slitpose_model::{Pair, Pose};
 use crate::BenchError;
 use crate::chance::{Chance, FreeMotion, Pivot, anywhere};
 use crate::drawn::DrawnHead;
-use crate::drift::{Drift, Instant, ROW_S};
 
 /// Frames that are averaged in a row while the tool rests.
 pub(crate) const FRAMES: u32 = 16;
@@ -62,8 +61,6 @@ pub struct Settings {
     pub free_s: f64,
     /// Standard deviations of the instrument, each axis: metres and radians.
     pub instrument: [f64; 2],
-    /// Whether light changes: emitters warm while known poses are measured, have aged in tables for judging, and a lamp flickers.
-    pub drifts: bool,
 }
 
 /// What a row says of its pose.
@@ -80,8 +77,6 @@ pub(crate) struct Row {
     pub(crate) truth: Pose,
     pub(crate) says: Says,
     pub(crate) frames: u32,
-    /// Since the head was switched on, seconds.
-    pub(crate) on_s: f64,
     pub(crate) currents: Vec<Pair<f64>>,
 }
 
@@ -114,7 +109,6 @@ pub struct Session {
     /// A session without an instrument: the free motion, the tip in a cone, steps along a line, returns to a stop.
     pub(crate) by_hand: Vec<(f64, Pose)>,
     pub(crate) settings: Settings,
-    pub(crate) drift: Option<Drift>,
     pub(crate) base_from_reference: Pose,
     pub(crate) tool_from_marker: Pose,
     pub(crate) pivot: Pivot,
@@ -135,7 +129,6 @@ enum Stream {
     Free,
     Frames,
     // 25 was that of a table that is no longer made.
-    Drift = 26,
 }
 
 struct Maker<'a> {
@@ -143,9 +136,6 @@ struct Maker<'a> {
     seed: u64,
     chance: Chance,
     table: &'static str,
-    drift: Option<&'a Drift>,
-    /// Of the next row; rows are [`ROW_S`] apart.
-    instant: Instant,
 }
 
 impl Maker<'_> {
@@ -158,13 +148,7 @@ impl Maker<'_> {
     /// A row at `truth`, unless a spot does not lie on its detector there.
     fn row_at(&mut self, truth: Pose, says: Says, frames: u32) -> Option<Row> {
         let clean = self.head.currents(&truth)?;
-        let on_s = self.instant.on_s;
-        let lit = match self.drift {
-            Some(drift) => drift.at(self.instant, &clean, &mut self.chance),
-            None => clean,
-        };
-        self.instant.on_s += ROW_S;
-        Some(Row { truth, says, frames, on_s, currents: self.head.reading(&lit, frames, &mut self.chance) })
+        Some(Row { truth, says, frames, currents: self.head.reading(&clean, frames, &mut self.chance) })
     }
 
     fn rows(
@@ -186,14 +170,10 @@ impl Session {
     /// Measures on `head`.
     pub fn of(head: &DrawnHead, settings: &Settings) -> Result<Self, BenchError> {
         let workspace = head.nominal.workspace;
-        let cells = &head.nominal.scene.cells;
-        let drift = settings.drifts.then(|| Drift::draw(cells, &mut Chance::of(settings.seed, Stream::Drift as u64)));
-        let at = |table, stream: Stream, instant| {
+        let maker = |table, stream: Stream| {
             let chance = Chance::of(settings.seed, stream as u64);
-            Maker { head, seed: settings.seed, chance, table, drift: drift.as_ref(), instant }
+            Maker { head, seed: settings.seed, chance, table }
         };
-        // Each table of a calibration begins with the head cold.
-        let maker = |table, stream| at(table, stream, Instant { on_s: 0.0, is_later: false });
         let mut chance = Chance::of(settings.seed, Stream::Frames as u64);
         let mut transform = |metres: f64| {
             let translation_m = chance.in_box(DVec3::splat(metres));
@@ -210,11 +190,11 @@ impl Session {
             let marker = compose(&compose(&inverse(&base_from_reference), &truth), &tool_from_marker);
             (truth, Says::Pose(chance.near(&marker, instrument)))
         })?;
-        let test = at("test", Stream::Test, Instant::LATER).rows(TEST_POSES, 1, |chance| {
+        let test = maker("test", Stream::Test).rows(TEST_POSES, 1, |chance| {
             let truth = anywhere(&workspace, chance);
             (truth, Says::Pose(truth))
         })?;
-        let mut quiet = at("test_quiet", Stream::Quiet, Instant::LATER);
+        let mut quiet = maker("test_quiet", Stream::Quiet);
         let test_quiet = test.iter().filter_map(|row| quiet.row_at(row.truth, row.says, QUIET_FRAMES)).collect();
 
         let mut turning = maker("pivot", Stream::Pivot);
@@ -243,14 +223,11 @@ impl Session {
         let (rest, ()) = resting.usable(|chance| (anywhere(&workspace, chance), ()))?;
         let rested = resting.rows(REST_POSES, FRAMES, |chance| (chance.near(&rest, CONTACT), Says::Nothing))?;
 
-        let mut freely = at("free", Stream::Free, Instant { on_s: 0.0, is_later: true });
+        let mut freely = maker("free", Stream::Free);
         let motion = FreeMotion::draw(&workspace, &mut freely.chance);
         let instants = (0..=(settings.free_s * FREE_HZ) as u64).map(|k| k as f64 / FREE_HZ);
         let path: Vec<_> = instants.map(|time_s| (time_s, motion.pose(time_s))).collect();
-        let at_instant = |&(time_s, truth): &(f64, Pose)| {
-            freely.instant.on_s = time_s;
-            freely.row_at(truth, Says::TimeS(time_s), 1)
-        };
+        let at_instant = |&(time_s, truth): &(f64, Pose)| freely.row_at(truth, Says::TimeS(time_s), 1);
         let free = path.iter().filter_map(at_instant).collect();
         let by_hand = {
             let begin_s = settings.free_s + WAY_S;
@@ -290,7 +267,6 @@ impl Session {
             path,
             by_hand,
             settings: *settings,
-            drift,
             base_from_reference,
             tool_from_marker,
             pivot,
@@ -311,8 +287,7 @@ mod tests {
 
     fn session(within: Within) -> Session {
         let head = DrawnHead::draw(&WIDE.read().unwrap(), within, SEED).unwrap();
-        Session::of(&head, &Settings { seed: SEED, poses: 20, free_s: 2.0, instrument: [0.0; 2], drifts: false })
-            .unwrap()
+        Session::of(&head, &Settings { seed: SEED, poses: 20, free_s: 2.0, instrument: [0.0; 2] }).unwrap()
     }
 
     fn rows<'a>(session: &'a Session, name: &str) -> &'a [Row] {

@@ -54,10 +54,6 @@ pub(super) struct Args {
     /// What the head deviates in: only in parameters that a calibration has, or also in what no calibration describes
     #[arg(long, default_value = "family", value_parser = within())]
     within: Within,
-    /// Let light change: emitters warm while the instrument measures, have lost up to 2 % in the tables for judging and in
-    /// free.csv, each a little more or less, and a lamp flickers; free.mcap has none of it. Rows of known poses get time_s
-    #[arg(long)]
-    drift: bool,
     /// Poses that the instrument measures
     #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     poses: u32,
@@ -86,7 +82,6 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         poses: args.poses as usize,
         free_s: args.duration,
         instrument: [args.instrument_um * 1e-6, args.instrument_urad * 1e-6],
-        drifts: args.drift,
     };
     let head = DrawnHead::draw(&file, args.within, args.seed)?;
     let session = Session::of(&head, &settings)?;
