@@ -5,7 +5,7 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use slitpose_bench::{BenchError, DrawnHead, Session, Settings, Within, write};
-use slitpose_calibration::{Calibration, Constraint, Data, Head, Request, calibrate, tables};
+use slitpose_calibration::{Calibration, Constraint, Data, Head, KnownPoses, Request, calibrate, part_costs, tables};
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_head::table::{CurrentColumns, PoseColumns, TableReader};
 use slitpose_model::{Estimate, MotionPrior, Noise, Outcome, Photocurrents, Pose, Scene, Solver, Start, Tier};
@@ -14,11 +14,7 @@ const SEEDS: [u64; 4] = [1, 2, 3, 4];
 const INSTRUMENT: [f64; 2] = [2e-6, 20e-6];
 
 fn make(folder: &Path, file: &SceneFile, within: Within, seed: u64, poses: usize) -> DrawnHead {
-    make_with(folder, file, within, Settings { seed, poses, free_s: 1.0, instrument: INSTRUMENT })
-}
-
-fn make_with(folder: &Path, file: &SceneFile, within: Within, settings: Settings) -> DrawnHead {
-    let seed = settings.seed;
+    let settings = Settings { seed, poses, free_s: 1.0, instrument: INSTRUMENT };
     let head = DrawnHead::draw(file, within, seed).expect("a head");
     let session = Session::of(&head, &settings).expect("poses");
     write(folder, &head, &session).expect("files");
@@ -56,7 +52,7 @@ fn solved(folder: &Path, table: &str, head: &Head, frames: f64) -> (Vec<(Estimat
 
 #[test]
 fn a_calibration_finds_the_drawn_parameters_within_their_deviations() {
-    let (mut errors, mut nees) = (Vec::new(), Vec::new());
+    let (mut errors, mut nees, mut squares) = (Vec::new(), Vec::new(), [0.0; 2]);
     for seed in SEEDS {
         let (folder, file) = (tempfile::tempdir().expect("a folder"), WIDE.read().expect("the scene"));
         let truth = make(folder.path(), &file, Within::Family, seed, 60);
@@ -66,7 +62,13 @@ fn a_calibration_finds_the_drawn_parameters_within_their_deviations() {
             assert_eq!((found.cell, found.quantity), (truth.cell, truth.quantity));
             errors.push((found.value - truth.value) / found.sigma);
         }
+        let rough = Head::uncalibrated(file.clone()).expect("a head");
         let head = Head::calibrated(file, calibration).expect("a head");
+        for (square, head) in squares.iter_mut().zip([&rough, &head]) {
+            let (found, _) = solved(folder.path(), "test_quiet.csv", head, 100.0);
+            let of_poses = found.iter().map(|(found, truth)| found.pose.displacement_from(truth).0.length_squared());
+            *square += of_poses.sum::<f64>() / (found.len() * SEEDS.len()) as f64;
+        }
         for (table, frames) in [("test.csv", 1.0), ("test_quiet.csv", 100.0)] {
             let (found, degraded) = solved(folder.path(), table, &head, frames);
             let count = found.len() as f64;
@@ -91,6 +93,14 @@ fn a_calibration_finds_the_drawn_parameters_within_their_deviations() {
     // What a calibration leaves open is the same at all poses: six numbers for each head. χ² of six is above 1.2 and
     // below 14.4 nineteen times in twenty. These heads have no physics beyond the model, and smaller errors than allowed for.
     assert!(nees.iter().all(|of_head| (1.2..14.4).contains(of_head)), "seeds {SEEDS:?}: {nees:?}");
+    // The linear prediction. Before calibration a head's error is some six numbers drawn once, of parts whose effects are curved:
+    // half as much and twice as much are usual. After it, many small ones.
+    let costs =
+        part_costs(&WIDE.read().expect("the scene"), KnownPoses { count: 60, instrument: INSTRUMENT, frames: 16.0 });
+    let costs = costs.expect("tolerances");
+    let [before, after] = [squares[0].sqrt() / costs.before[0], squares[1].sqrt() / costs.after[0]];
+    println!("seeds {SEEDS:?}: found by predicted: {before:.2} before, {after:.2} after calibration");
+    assert!((0.4..2.5).contains(&before) && (0.6..1.6).contains(&after));
 }
 
 #[test]

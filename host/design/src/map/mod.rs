@@ -1,31 +1,22 @@
 //! How accurate a head is, and where: `slitpose scene map`.
 //!
 //! [`Outlook`] says what a single frame is worth at a pose; [`Map::of`] asks it all over the workspace: poses spread evenly, and
-//! planes through home, each with the worst of what lies behind and before it. [`Tolerances`] says what parts that are off
+//! planes through home, each with the worst of what lies behind and before it. [`tolerances`] says what parts that are off
 //! cost, [`Schedules`] what the schedule does.
 
 mod outlook;
 mod schedule;
 
-use std::ops::ControlFlow;
 use std::sync::Mutex;
 
-use glam::DVec3;
 pub use outlook::{NoiseOf, Outlook, View};
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
-use rand_distr::StandardNormal;
 pub use schedule::{Candidate, Schedules};
-use slitpose_calibration::{
-    CalibrateError, Constraint, Data, Head, Knowledge, KnownPoses, PartCosts, PoseRms, Request, Row, calibrate, draw,
-    part_costs, pose_of, uncalibrated, values_of,
-};
+use slitpose_calibration::{CalibrateError, Head, KnownPoses, PartCosts, part_costs, pose_of, values_of};
 use slitpose_head::scene_file::{SceneFile, Workspace};
-use slitpose_head::simulator::noisy_reading;
 use slitpose_head::threads::{lock, on_all_cores};
-use slitpose_model::{CompiledScene, MotionPrior, Pose, SceneError, Solver, Start, Tier};
+use slitpose_model::{Pose, SceneError};
 
-use crate::report::{Errors, currents, frame_scene};
+use crate::report::frame_scene;
 
 /// How finely a workspace is looked at.
 #[derive(Clone, Copy, Debug)]
@@ -230,76 +221,13 @@ impl Plane {
     }
 }
 
-const TIER: Tier = Tier::Exact { tolerance: 1e-6 };
-
 /// How heads are calibrated: at a hundred poses by an instrument as good as a coordinate measuring machine.
 pub(crate) const KNOWN: KnownPoses = KnownPoses { count: 100, instrument: [2e-6, 20e-6], frames: 16.0 };
 
-/// Poses at which errors are looked at.
-const POSES: usize = 200;
-
-/// What the tolerances of a scene cost.
-#[derive(Clone, Debug)]
-pub struct Tolerances {
-    /// By kind of part, to first order.
-    pub costs: PartCosts,
-    /// Of each drawn head, errors of poses without noise, root mean square over the workspace: uncalibrated, calibrated.
-    pub heads: Vec<[PoseRms; 2]>,
-    /// Seed of the draws.
-    pub seed: u64,
-}
-
-impl Tolerances {
-    /// Draws `heads` heads of `file`; `progress` is called for each.
-    pub fn of(file: &SceneFile, heads: usize, seed: u64, mut progress: impl FnMut()) -> Result<Self, CalibrateError> {
-        let (scene, _) = frame_scene(file);
-        let file = SceneFile { scene, ..file.clone() };
-        let costs = part_costs(&file, KNOWN)?;
-        let rough = Solver::new(&uncalibrated(&file)?, TIER)?;
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let mut found = Vec::with_capacity(heads);
-        for _ in 0..heads {
-            progress();
-            let (head, _) = draw(&file, || rng.sample(StandardNormal))?;
-            let truth = CompiledScene::compile(&head, TIER)?;
-            let mut data = Data::default();
-            data.add("drawn", Constraint::Known, KNOWN.instrument, measured(&file, &truth, &mut rng));
-            let request = Request { file: &file, data: &data, start: None, date: None };
-            let calibration = calibrate(&request, &mut |_| ControlFlow::Continue(()))?.calibration;
-            let known = Solver::new(&calibration.apply(&file)?, TIER)?;
-            found.push([&rough, &known].map(|solver| errors(&file.workspace, &truth, solver)));
-        }
-        Ok(Self { costs, heads: found, seed })
-    }
-}
-
-/// What an instrument and the board measure of the head whose optics are `truth`.
-fn measured(file: &SceneFile, truth: &CompiledScene<f64>, rng: &mut ChaCha8Rng) -> Vec<Row> {
-    let noise = file.scene.noise.map(|noise| noise.averaged(KNOWN.frames));
-    let mut row = |pose: Pose| {
-        let readings = (0..truth.cell_count()).map(|cell| {
-            let pair = truth.photocurrents(cell, &pose);
-            let pair = noise.map_or(pair, |noise| {
-                noisy_reading(pair, &file.scene.cells[cell].detector, &noise, || rng.sample(StandardNormal))
-            });
-            Some([pair.i_x1_a, pair.i_x2_a])
-        });
-        let readings = readings.collect();
-        let error = KNOWN
-            .instrument
-            .map(|sigma| DVec3::from_array([(); 3].map(|()| sigma * rng.sample::<f64, _>(StandardNormal))));
-        let knowledge = Knowledge::Reported(pose.perturbed(error[0], error[1]));
-        Row { id: String::new(), readings, frames: KNOWN.frames, time_s: None, knowledge }
-    };
-    file.workspace.poses(KNOWN.count).map(&mut row).collect()
-}
-
-/// Errors of the poses that `solver` finds in the light of `truth`, without noise.
-fn errors(workspace: &Workspace, truth: &CompiledScene<f64>, solver: &Solver<f64>) -> PoseRms {
-    // Not those of the calibration.
-    let poses: Vec<Pose> = workspace.poses(KNOWN.count + POSES).skip(KNOWN.count).collect();
-    let solve = |pose| solver.solve(&currents(truth, pose), Start::Cold, &MotionPrior::AT_REST);
-    Errors::of(poses.iter().map(|pose| (solve(pose), pose))).rms
+/// What the tolerances of `file` cost, by kind of part and to first order.
+pub fn tolerances(file: &SceneFile) -> Result<PartCosts, CalibrateError> {
+    let (scene, _) = frame_scene(file);
+    part_costs(&SceneFile { scene, ..file.clone() }, KNOWN)
 }
 
 #[cfg(test)]

@@ -68,21 +68,6 @@ fn a_map_has_the_errors_that_solving_makes() {
     }
 }
 
-/// Drawn heads against the linear prediction. A head's error before calibration is some six numbers drawn once, of
-/// parts whose effects are curved: half as much and twice as much are usual. After it, many small ones.
-#[test]
-fn drawn_heads_err_as_their_tolerances_say() {
-    let found = Tolerances::of(&WIDE.read().expect("a scene"), 4, SEED, || ()).expect("heads");
-    let rms = |of: usize, axis: usize| {
-        (found.heads.iter().map(|head| head[of][axis].powi(2)).sum::<f64>() / found.heads.len() as f64).sqrt()
-    };
-    for axis in 0..2 {
-        let [before, after] = [rms(0, axis) / found.costs.before[axis], rms(1, axis) / found.costs.after[axis]];
-        println!("seed {SEED}: drawn by predicted: {before:.2} before, {after:.2} after calibration");
-        assert!((0.4..2.5).contains(&before) && (0.6..1.6).contains(&after));
-    }
-}
-
 #[test]
 fn schedules_fit_and_more_conversions_tell_more() {
     let file = WIDE.read().expect("a scene");

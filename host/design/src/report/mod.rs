@@ -27,7 +27,7 @@ use slitpose_head::scene_file::SceneFile;
 use crate::DesignError;
 
 pub use calibration::calibration_report;
-pub(crate) use head::{Errors, currents, frame_scene};
+pub(crate) use head::{currents, frame_scene};
 pub use heads::comparison;
 pub use map::map_report;
 pub(crate) use section::{Picture, Section, Sheet, Value, column, program, scene};

@@ -3,13 +3,12 @@
 use std::path::PathBuf;
 
 use anyhow::bail;
-use slitpose_design::map::{Fineness, Map, Schedules, Tolerances};
+use slitpose_design::map::{Fineness, Map, Schedules, tolerances};
 use slitpose_design::report::{Folder, map_report};
 
 use super::super::options::{CalibrationOption, Jobs, number, open_scene, publish};
 use super::super::{CommandError, Outcome, options};
 use crate::terminal::{Amount, Progress};
-use slitpose_head::scene_file::SceneFile;
 
 /// Shows how accurate a head is, and where.
 ///
@@ -19,7 +18,7 @@ use slitpose_head::scene_file::SceneFile;
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Examples:\n  slitpose scene map wide\n  slitpose scene map mine.toml --calibration mine-calibrated.toml --output map\n  \
-                  slitpose scene map wide --tolerance-study 10 --output map\n  \
+                  slitpose scene map wide --tolerance-study --output map\n  \
                   slitpose scene map wide --schedule 2000"
 )]
 pub(super) struct Args {
@@ -37,15 +36,12 @@ pub(super) struct Args {
     /// Points along each side of the pictures
     #[arg(long, value_name = "N", default_value_t = 33, value_parser = clap::value_parser!(u32).range(3..=201))]
     side: u32,
-    /// Draw so many heads from the tolerances, calibrate them, and say what each kind of part costs: seconds a head
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
-    tolerance_study: Option<u32>,
+    /// Say what the tolerance of each kind of part costs, before calibration and after it
+    #[arg(long)]
+    tolerance_study: bool,
     /// Propose the schedule with the least σ at this frame rate, hertz
     #[arg(long, value_name = "HZ", value_parser = number(|rate_hz| rate_hz > 0.0 && rate_hz.is_finite(), "give frames a second, such as 4000"))]
     schedule: Option<f64>,
-    /// Seed of the draws
-    #[arg(long, value_name = "S", default_value_t = 1, requires = "tolerance_study")]
-    seed: u64,
     #[command(flatten)]
     jobs: Jobs,
 }
@@ -61,20 +57,14 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let mut progress = Progress::new("map", fineness.poses() as u64, Amount::Of("poses"));
     let map = Map::of(head.clone(), fineness, || progress.add(1))?;
     drop(progress);
-    if args.tolerance_study.is_some() && map.share(|view| view.sigma.is_some()) == 0.0 {
+    if args.tolerance_study && map.share(|view| view.sigma.is_some()) == 0.0 {
         bail!(
             "scene `{}` gives no pose anywhere in its workspace, so there is none for tolerances to move; \
              --tolerance-study is for heads that have poses, such as the shipped scene `wide`",
             head.file.origin
         );
     }
-    let studied = args.tolerance_study.map(|heads| tolerances(&head.simulated, heads, args.seed)).transpose()?;
-    publish(&map_report(&head, &map, studied.as_ref(), schedules.as_ref()), folder.as_ref())?;
+    let costs = args.tolerance_study.then(|| tolerances(&head.simulated)).transpose()?;
+    publish(&map_report(&head, &map, costs.as_ref(), schedules.as_ref()), folder.as_ref())?;
     Ok(Outcome::Done)
-}
-
-fn tolerances(file: &SceneFile, heads: u32, seed: u64) -> Result<Tolerances, CommandError> {
-    let mut progress = Progress::new("tolerances", u64::from(heads), Amount::Of("heads"));
-    progress.add(0);
-    Ok(Tolerances::of(file, heads as usize, seed, || progress.add(1))?)
 }

@@ -1,10 +1,10 @@
 //! How well poses are conditioned and checked, how far currents are from their limits, and what schedules and tolerances do.
 
 use glam::dvec2;
-use slitpose_calibration::{PartCosts, PoseRms, median};
+use slitpose_calibration::PartCosts;
 
 use super::Of;
-use crate::map::{Candidate, KNOWN, Map, Schedules, Tolerances, View, quantiles_of};
+use crate::map::{Candidate, KNOWN, Map, Schedules, View, quantiles_of};
 use crate::plot::{Anchor, Axis, Chart, CurveStyle, Note, SOFT_INK, Scale, curve};
 use crate::report::section::{Picture, Section, Sheet, Table, Value, column};
 
@@ -167,23 +167,15 @@ pub(super) fn schedules(schedules: &Schedules) -> Section {
     }
 }
 
-pub(super) fn tolerances(studied: &Tolerances, are_stated: bool) -> Section {
-    let Tolerances { costs, heads, .. } = studied;
+pub(super) fn tolerances(costs: &PartCosts, are_stated: bool) -> Section {
     let mut parts: Vec<_> = costs.parts.iter().map(|part| (part.part, part.key, [part.before, part.after])).collect();
     parts.push(("all together", "", [costs.before, costs.after]));
-    let drawn: Vec<(usize, [PoseRms; 2])> = heads.iter().copied().enumerate().collect();
-    let mut summary = Vec::new();
-    if !heads.is_empty() {
-        let [before, after] = [0, 1].map(|k| median(heads.iter().map(|head| head[k][0]).collect()));
-        summary.push(format!(
-            "Heads of parts within their tolerances err by {:.0} µm uncalibrated, by {:.2} µm calibrated at {} known poses \
-             (rms, median of {}).",
-            before * 1e6,
-            after * 1e6,
-            KNOWN.count,
-            if heads.len() == 1 { "one head".to_owned() } else { format!("{} heads", heads.len()) }
-        ));
-    }
+    let mut summary = vec![format!(
+        "Heads of parts within their tolerances err by {:.0} µm uncalibrated, by {:.2} µm calibrated at {} known poses (rms).",
+        costs.before[0] * 1e6,
+        costs.after[0] * 1e6,
+        KNOWN.count
+    )];
     if let [first, ..] = costs.parts.as_slice() {
         let dearest = costs.parts.iter().max_by(|a, b| a.after[0].total_cmp(&b.after[0])).unwrap_or(first);
         summary.push(format!("The dearest tolerance: {} before calibration, {} after it.", first.part, dearest.part));
@@ -196,42 +188,27 @@ pub(super) fn tolerances(studied: &Tolerances, are_stated: bool) -> Section {
         paragraphs: vec![format!(
             "Tolerances are those {whose}. What each kind of part costs is calculated to first order: before calibration, its \
              share of the errors; after it, by how much the head would err less if that part were known. Calibrated at {} \
-             poses by an instrument of {:.0} µm and {:.0} µrad, {:.0} frames at each. Heads are drawn (seed {}), calibrated, and \
-             solved without noise. Errors are root mean squares over the workspace, three axes together.",
+             poses by an instrument of {:.0} µm and {:.0} µrad, {:.0} frames at each. Errors are root mean squares over the \
+             workspace, three axes together.",
             KNOWN.count,
             KNOWN.instrument[0] * 1e6,
             KNOWN.instrument[1] * 1e6,
-            KNOWN.frames,
-            studied.seed
+            KNOWN.frames
         )],
         pictures: vec![cost_picture(costs)],
-        tables: vec![
-            Table::of(
-                "tolerances",
-                "By kind of part, the dearest first",
-                &parts,
-                &[
-                    ("part", "part", &|(part, ..)| (*part).into()),
-                    ("key", "key in [tolerance]", &|(_, key, _)| (*key).into()),
-                    ("before_um", "before / µm", &|(.., [before, _])| Value::micro(before[0])),
-                    ("before_mrad", "mrad", &|(.., [before, _])| (before[1] * 1e3).into()),
-                    ("after_um", "after / µm", &|(.., [_, after])| Value::micro(after[0])),
-                    ("after_mrad", "mrad", &|(.., [_, after])| (after[1] * 1e3).into()),
-                ],
-            ),
-            Table::of(
-                "heads",
-                "Drawn heads",
-                &drawn,
-                &[
-                    ("head", "head", &|(number, _)| (*number).into()),
-                    ("before_um", "before / µm", &|(_, [before, _])| Value::micro(before[0])),
-                    ("before_mrad", "mrad", &|(_, [before, _])| (before[1] * 1e3).into()),
-                    ("after_um", "after / µm", &|(_, [_, after])| Value::micro(after[0])),
-                    ("after_mrad", "mrad", &|(_, [_, after])| (after[1] * 1e3).into()),
-                ],
-            ),
-        ],
+        tables: vec![Table::of(
+            "tolerances",
+            "By kind of part, the dearest first",
+            &parts,
+            &[
+                ("part", "part", &|(part, ..)| (*part).into()),
+                ("key", "key in [tolerance]", &|(_, key, _)| (*key).into()),
+                ("before_um", "before / µm", &|(.., [before, _])| Value::micro(before[0])),
+                ("before_mrad", "mrad", &|(.., [before, _])| (before[1] * 1e3).into()),
+                ("after_um", "after / µm", &|(.., [_, after])| Value::micro(after[0])),
+                ("after_mrad", "mrad", &|(.., [_, after])| (after[1] * 1e3).into()),
+            ],
+        )],
     }
 }
 

@@ -1,10 +1,10 @@
 //! A page on the accuracy of a head over its workspace: `slitpose scene map`.
 
-use slitpose_calibration::Head;
+use slitpose_calibration::{Head, PartCosts};
 use slitpose_head::causes::with_causes;
 use slitpose_head::front_end::configuration;
 
-use crate::map::{Map, NoiseOf, Plane, PlanePoint, Schedules, Tolerances, View};
+use crate::map::{Map, NoiseOf, Plane, PlanePoint, Schedules, View};
 use crate::plot::{Axis, Chart, CurveStyle, Heat, curve, heat_picture};
 use crate::report::section::{Getter, Picture, Report, Section, Sheet, Table, Value, column, program, scene};
 use crate::survey::{AXES, WorkspaceFacts, pose_text};
@@ -30,8 +30,8 @@ const ROTATION: Kind =
     Kind { name: "rotation", unit: "mrad", scale: 1e3, of: View::sigma_rad, worst: |point| point.worst_rad };
 pub(super) const KINDS: [Kind; 2] = [POSITION, ROTATION];
 
-/// The report on `map` of `head`, with what its tolerances cost and schedules do, if that was studied.
-pub fn map_report(head: &Head, map: &Map, studied: Option<&Tolerances>, proposed: Option<&Schedules>) -> Report {
+/// The report on `map` of `head`, with what its tolerances cost and schedules do, if that was asked for.
+pub fn map_report(head: &Head, map: &Map, costs: Option<&PartCosts>, proposed: Option<&Schedules>) -> Report {
     let file = &head.file;
     let noise = match map.noise {
         NoiseOf::FrontEnd => "that of a single frame by `[front_end]` and `[lighting]`",
@@ -66,7 +66,7 @@ pub fn map_report(head: &Head, map: &Map, studied: Option<&Tolerances>, proposed
             .chain(planes(map))
             .chain([checks::redundancy(map)])
             .chain(proposed.map(checks::schedules))
-            .chain(studied.map(|studied| checks::tolerances(studied, file.tolerance.is_some())))
+            .chain(costs.map(|costs| checks::tolerances(costs, file.tolerance.is_some())))
             .collect(),
         data: vec![points(map), samples(map)],
     }
