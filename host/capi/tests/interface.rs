@@ -265,16 +265,15 @@ fn compile(source: &Path, folder: &TempDir, is_shared: bool) -> PathBuf {
 #[test]
 fn a_program_in_c_finds_the_same_poses() {
     let folder = TempDir::new().unwrap();
-    let (head, calibration) = calibrated(&folder);
-    let rows = rows(&head.file, 50);
+    let rows = rows(&WIDE.read().unwrap(), 50);
     let line = |row: &Vec<f64>| row.iter().map(|a| format!("{a:e} ")).collect::<String>() + "\n";
     let input: String = rows.iter().map(line).collect();
-    let solver = open(Some(&c_text(&data(SCENE))), Some(&c_text(&calibration))).unwrap();
+    let solver = open(Some(c"wide"), None).unwrap();
     assert_eq!(unsafe { slitpose_solver_start(solver, RATE_HZ, null(), 0) }, ErrorCode::Ok);
     for (is_shared, rate) in [(true, None), (true, Some("1000")), (false, Some("1000"))] {
         let program = compile(Path::new("examples/c/solve_currents.c"), &folder, is_shared);
         let mut command = Command::new(program);
-        command.args([&data(SCENE), &calibration]).args(rate).stdin(Stdio::piped()).stdout(Stdio::piped());
+        command.args(["wide", "-"]).args(rate).stdin(Stdio::piped()).stdout(Stdio::piped());
         let mut child = command.spawn().unwrap();
         child.stdin.take().unwrap().write_all(input.as_bytes()).unwrap();
         let output = child.wait_with_output().unwrap();
