@@ -241,25 +241,31 @@ fn built() -> PathBuf {
     std::env::current_exe().unwrap().parent().unwrap().to_owned()
 }
 
-/// A program in C, with the library as a shared or as a static one.
-fn compile(source: &Path, folder: &TempDir, is_shared: bool) -> PathBuf {
+/// A program in C, with the library as users find it once it is installed: the shared or the static one.
+fn compile(source: &str, folder: &TempDir, is_shared: bool) -> PathBuf {
     let host = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
-    let program = folder.path().join(format!("program_{is_shared}"));
+    let (prefix, program) = (folder.path().join("local"), folder.path().join(format!("program_{is_shared}")));
+    let lib = prefix.join("lib");
+    done(Command::new(host.join("capi/install")).arg(built()).env("PREFIX", &prefix));
+    let mut asked = Command::new("pkg-config");
+    asked.args(["--cflags", "--libs", "slitpose-solver"]).env("PKG_CONFIG_PATH", lib.join("pkgconfig"));
+    let flags = done(&mut asked);
     let mut command = Command::new("cc");
     command.args(["-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-std=c11", "-I"]).arg(host.join("include"));
-    command.arg("-I").arg(host.join("capi/include")).arg("-o").arg(&program).arg(host.join(source));
+    command.arg("-o").arg(&program).arg(host.join(source));
     if is_shared {
-        let named = folder.path().join("libslitpose_solver.so.1");
-        if !named.exists() {
-            std::os::unix::fs::symlink(built().join("libslitpose_solver.so"), named).unwrap();
-        }
-        command.arg(format!("-Wl,-rpath,{}", folder.path().display())).arg("-L").arg(built()).arg("-lslitpose_solver");
+        command.args(flags.split_whitespace()).arg(format!("-Wl,-rpath,{}", lib.display()));
     } else {
-        command.arg(built().join("libslitpose_solver.a"));
+        command.arg("-I").arg(prefix.join("include")).arg(lib.join("libslitpose_solver.a"));
     }
-    let output = command.args(["-lm", "-lpthread", "-ldl"]).output().expect("a C compiler, as `cc`");
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    done(command.args(["-lm", "-lpthread", "-ldl"]));
     program
+}
+
+fn done(command: &mut Command) -> String {
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{command:?}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
 }
 
 #[test]
@@ -271,7 +277,7 @@ fn a_program_in_c_finds_the_same_poses() {
     let solver = open(Some(c"wide"), None).unwrap();
     assert_eq!(unsafe { slitpose_solver_start(solver, RATE_HZ, null(), 0) }, ErrorCode::Ok);
     for (is_shared, rate) in [(true, None), (true, Some("1000")), (false, Some("1000"))] {
-        let program = compile(Path::new("examples/c/solve_currents.c"), &folder, is_shared);
+        let program = compile("examples/c/solve_currents.c", &folder, is_shared);
         let mut command = Command::new(program);
         command.args(["wide", "-"]).args(rate).stdin(Stdio::piped()).stdout(Stdio::piped());
         let mut child = command.spawn().unwrap();
@@ -300,6 +306,6 @@ fn a_program_in_c_finds_the_same_poses() {
 #[test]
 fn predictions_are_those_of_the_header_for_the_daemons_poses() {
     let folder = TempDir::new().unwrap();
-    let program = compile(Path::new("capi/tests/predict.c"), &folder, true);
+    let program = compile("capi/tests/predict.c", &folder, true);
     assert!(Command::new(program).status().unwrap().success());
 }
