@@ -30,6 +30,27 @@
 #include <stddef.h>
 #include <stdint.h>
 
+// Values of `status`, as in slitpose_pose.h. The first two have a pose.
+enum slitpose_status_of_solution {
+    SLITPOSE_STATUS_CONVERGED = 0,    // a pose from all cells, and the currents fit it
+    SLITPOSE_STATUS_DEGRADED = 1,     // a pose that deserves less trust: see `reason`
+    SLITPOSE_STATUS_AMBIGUOUS = 2,    // several distinct poses explain the currents
+    SLITPOSE_STATUS_UNOBSERVABLE = 3, // the currents leave directions free
+    SLITPOSE_STATUS_TOO_DARK = 4,     // too few cells see enough light
+    SLITPOSE_STATUS_DIVERGED = 5      // no pose near the currents was found
+};
+
+// Values of `reason`: why a pose is degraded.
+enum slitpose_reason_of_solution {
+    SLITPOSE_REASON_NONE = 0,          // it is not
+    SLITPOSE_REASON_FEWER_CELLS = 1,   // some cells are saturated or faint; the others decide
+    SLITPOSE_REASON_CELL_EXCLUDED = 2, // a cell contradicted all others and was left out
+    SLITPOSE_REASON_MISFIT = 3,        // the residuals are larger than the noise explains
+    SLITPOSE_REASON_UNFINISHED = 4,    // the solver had to stop before the minimum
+    SLITPOSE_REASON_UNCALIBRATED = 5,  // the head is known by the tolerances of its parts alone: calibrate it
+    SLITPOSE_REASON_DOUBTED = 6        // frames shortly before contradicted the scene
+};
+
 // Number of this interface: another one may have changed functions and structures. Compare with slitpose_solver_abi().
 #define SLITPOSE_SOLVER_ABI 1
 
@@ -39,64 +60,16 @@ enum slitpose_result {
     SLITPOSE_RESULT_OK = 0,
     // A pointer that must not be NULL is.
     SLITPOSE_RESULT_NULL = 1,
-    // Another count of numbers than the scene's cells need.
-    SLITPOSE_RESULT_COUNT = 2,
-    // A number that is not finite.
-    SLITPOSE_RESULT_NOT_FINITE = 3,
-    // A rate, exposure or acceleration that is out of range.
-    SLITPOSE_RESULT_RANGE = 4,
+    // A number that is not finite or out of range, or too many or too few numbers.
+    SLITPOSE_RESULT_ARGUMENT = 2,
     // Frames cannot be tracked before slitpose_solver_start().
-    SLITPOSE_RESULT_NOT_STARTED = 5,
+    SLITPOSE_RESULT_NOT_STARTED = 3,
     // The instant is not later than that of the frame before.
-    SLITPOSE_RESULT_TIME = 6,
+    SLITPOSE_RESULT_TIME = 4,
     // There is no pose or no velocity to predict with.
-    SLITPOSE_RESULT_NO_TWIST = 7,
+    SLITPOSE_RESULT_NO_TWIST = 5,
     // A defect of this library: close the solver, and report it.
-    SLITPOSE_RESULT_DEFECT = 8,
-};
-
-// Values of `no_twist`, as in slitpose_pose.h.
-enum slitpose_solution_no_twist {
-    // There is a velocity, or no pose.
-    SLITPOSE_SOLUTION_NO_TWIST_KNOWN = 0,
-    // Too few poses yet.
-    SLITPOSE_SOLUTION_NO_TWIST_START = 1,
-    // The tool is not where its motion led: it has hit something, or the pose is wrong.
-    SLITPOSE_SOLUTION_NO_TWIST_JUMP = 2,
-};
-
-// Values of `reason`: why a pose is degraded.
-enum slitpose_solution_reason {
-    // It is not.
-    SLITPOSE_SOLUTION_REASON_NONE = 0,
-    // Some cells are saturated or faint; the others decide.
-    SLITPOSE_SOLUTION_REASON_FEWER_CELLS = 1,
-    // A cell contradicted all others and was left out.
-    SLITPOSE_SOLUTION_REASON_CELL_EXCLUDED = 2,
-    // The residuals are larger than the noise explains.
-    SLITPOSE_SOLUTION_REASON_MISFIT = 3,
-    // The solver had to stop before the minimum.
-    SLITPOSE_SOLUTION_REASON_UNFINISHED = 4,
-    // The head is known by the tolerances of its parts alone: calibrate it.
-    SLITPOSE_SOLUTION_REASON_UNCALIBRATED = 5,
-    // Frames shortly before contradicted the scene.
-    SLITPOSE_SOLUTION_REASON_DOUBTED = 6,
-};
-
-// Values of `status`, as in slitpose_pose.h. The first two have a pose.
-enum slitpose_solution_status {
-    // A pose from all cells, and the currents fit it.
-    SLITPOSE_SOLUTION_STATUS_CONVERGED = 0,
-    // A pose that deserves less trust: see `reason`.
-    SLITPOSE_SOLUTION_STATUS_DEGRADED = 1,
-    // Several distinct poses explain the currents.
-    SLITPOSE_SOLUTION_STATUS_AMBIGUOUS = 2,
-    // The currents leave directions free.
-    SLITPOSE_SOLUTION_STATUS_UNOBSERVABLE = 3,
-    // Too few cells see enough light.
-    SLITPOSE_SOLUTION_STATUS_TOO_DARK = 4,
-    // No pose near the currents was found.
-    SLITPOSE_SOLUTION_STATUS_DIVERGED = 5,
+    SLITPOSE_RESULT_DEFECT = 6,
 };
 
 // A head, and what solves its currents. One thread at a time may use it.
@@ -106,9 +79,9 @@ struct slitpose_solver;
 struct slitpose_solution {
     // The instant the pose refers to, as the caller gave it; 0 of slitpose_solver_solve().
     uint64_t time_ns;
-    // See slitpose_solution_status.
+    // See slitpose_status_of_solution.
     uint16_t status;
-    // See slitpose_solution_reason.
+    // Why a pose is degraded: see slitpose_reason_of_solution.
     uint16_t reason;
     // 1: translation, rotation and covariance are numbers; else 0.
     uint16_t has_pose;
@@ -120,7 +93,7 @@ struct slitpose_solution {
     uint16_t excluded_cells;
     // Data minus unknowns: what chi2 is distributed over.
     uint16_t redundancy;
-    // Why a pose has no velocity: see slitpose_solution_no_twist.
+    // Why a pose has no velocity. 1: too few poses yet; 2: the tool is not where its motion led; else 0.
     uint16_t no_twist;
     // Of base_from_tool.
     double translation_m[3];
@@ -146,9 +119,6 @@ extern "C" {
 
 // Number of the interface that the library has: SLITPOSE_SOLVER_ABI of its header.
 uint32_t slitpose_solver_abi(void);
-
-// Version of the library, such as "0.1.0".
-const char *slitpose_solver_version(void);
 
 // A solver for the scene file `scene`, or the shipped scene of that name, and the calibration file `calibration`; NULL: the
 // head is known by its scene, and by its tolerances if the scene has any. Returns NULL if it cannot be opened, and why in
@@ -203,7 +173,7 @@ enum slitpose_result slitpose_solver_solve(struct slitpose_solver *solver,
                                            struct slitpose_solution *solution);
 
 // Makes ready to track frames that come `rate_hz` times a second; anew, if it was called before. Cell k is exposed
-// `exposures_s[k]` seconds after the instant of a frame; NULL and 0: all at that instant. `count`: that of the cells.
+// `exposures_s[k]` seconds after the instant of a frame; NULL: all at that instant. `count`: that of the cells.
 //
 // # Safety
 // `solver` is NULL or an open solver that no other thread uses; `exposures_s` is NULL or has `count` numbers.

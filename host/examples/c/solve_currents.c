@@ -17,10 +17,11 @@ static const char *const STATUS[] = {"converged", "degraded", "ambiguous", "unob
 static void print(const struct slitpose_solution *found)
 {
     const double *t = found->translation_m, *q = found->rotation_xyzw, *v = found->linear_m_per_s;
+    const double *c = found->covariance;
     printf("%s %u", found->status < 6 ? STATUS[found->status] : "?", found->cells_used);
     if (found->has_pose)
-        printf(" t %.17g %.17g %.17g q %.17g %.17g %.17g %.17g chi2 %.17g", t[0], t[1], t[2], q[0], q[1], q[2], q[3],
-               found->chi2);
+        printf(" t %.17g %.17g %.17g q %.17g %.17g %.17g %.17g variance %.17g %.17g %.17g chi2 %.17g", t[0], t[1], t[2],
+               q[0], q[1], q[2], q[3], c[0], c[7], c[14], found->chi2);
     if (found->has_twist)
         printf(" v %.17g %.17g %.17g", v[0], v[1], v[2]);
     printf("\n");

@@ -131,7 +131,8 @@ static class Program
                     Solution found = rateHz > 0 ? solver.Track((ulong)(1e9 / rateHz * frame), currents) : solver.Solve(currents);
                     Console.Write("{0} {1}", Statuses[found.Status], found.CellsUsed);
                     if (found.HasPose != 0)
-                        Console.Write(Numbers("t", found.TranslationM) + Numbers("q", found.RotationXyzw) + Numbers("chi2", found.Chi2));
+                        Console.Write(Numbers("t", found.TranslationM) + Numbers("q", found.RotationXyzw)
+                            + Numbers("variance", found.Covariance[0], found.Covariance[7], found.Covariance[14]) + Numbers("chi2", found.Chi2));
                     if (found.HasTwist != 0)
                         Console.Write(Numbers("v", found.LinearMPerS));
                     Console.WriteLine();
