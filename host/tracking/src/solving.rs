@@ -4,13 +4,13 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
-use slitpose_calibration::{Calibration, CalibrationFileError, Head};
+use slitpose_calibration::{Basis, Calibration, CalibrationFileError, Head};
 use slitpose_head::board_head::{self, BoardHeadError};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::threads::lock;
 use slitpose_model::{
     CompiledScene, Estimate, MotionPrior, Pair, Photocurrents, Pose, Reading, Scene, SceneError, Solution, Solver,
-    Start, Tier,
+    Start, Tier, Tracker,
 };
 use slitpose_protocol::{AdcScaling, Hashes, Schedule};
 
@@ -127,6 +127,44 @@ pub fn compile(head: &Head, schedule: &Schedule, scaling: &AdcScaling) -> Result
     board_head::encode(&head.file, schedule, scaling, hashes(head))
 }
 
+/// Solves consecutive frames of `head`, `period_s` apart; cell k is exposed `exposures_s[k]` after the instant of a frame. `scene`:
+/// that of the head, with the noise of what measures its currents.
+pub fn tracker(
+    head: &Head,
+    scene: &Scene,
+    tier: Tier,
+    following: PipelineOptions,
+    exposures_s: &[f64],
+    period_s: f64,
+) -> Result<Tracker<f64>, SceneError> {
+    let is_calibrated = matches!(head.basis, Basis::Calibration(_));
+    let solver = Solver::new(scene, tier)?.with_exposures(exposures_s);
+    let solver = if following.without_clipped { solver.without_clipped() } else { solver };
+    let solver = if following.known_light { solver.with_known_light_level() } else { solver };
+    let tracker = Tracker::new(solver, period_s);
+    let tracker = if !following.known_light && (is_calibrated || head.file.gives_emitter_drift) {
+        tracker.following_levels(scene)
+    } else {
+        tracker
+    };
+    Ok(match following.filter_s {
+        Some(memory_s) => tracker.with_filter(memory_s),
+        None => tracker,
+    })
+}
+
+/// The readings of one row, from the currents of each cell of `head`, dark current included; `None`: not measured.
+pub fn readings(head: &Head, row: impl IntoIterator<Item = Option<Pair<f64>>>) -> Photocurrents {
+    let reading = |(pair, cell): (Option<Pair<f64>>, &slitpose_model::Cell)| match pair {
+        Some(Pair { i_x1_a, i_x2_a }) => {
+            let half_dark_a = 0.5 * cell.detector.dark_current_a;
+            Reading::Light(Pair { i_x1_a: i_x1_a - half_dark_a, i_x2_a: i_x2_a - half_dark_a })
+        }
+        None => Reading::Missing,
+    };
+    Photocurrents { cells: row.into_iter().zip(&head.file.scene.cells).map(reading).collect() }
+}
+
 /// Most numbers of averaged frames whose solvers are kept.
 const MAX_SOLVERS: usize = 64;
 
@@ -156,6 +194,11 @@ impl RowSolver {
     /// How many cells the head has.
     pub fn cells(&self) -> usize {
         self.head.file.scene.cells.len()
+    }
+
+    /// The head whose readings it solves.
+    pub fn head(&self) -> &Head {
+        &self.head
     }
 
     /// Makes ready for readings that are the mean of `frames` frames.
@@ -223,16 +266,9 @@ pub struct RowsOf<'a> {
 }
 
 impl RowsOf<'_> {
-    /// One row, from the currents of each cell, dark current included; `None`: not measured.
+    /// One row: see [`readings`].
     pub fn readings(&self, row: impl IntoIterator<Item = Option<Pair<f64>>>) -> Photocurrents {
-        let reading = |(pair, cell): (Option<Pair<f64>>, &slitpose_model::Cell)| match pair {
-            Some(Pair { i_x1_a, i_x2_a }) => {
-                let half_dark_a = 0.5 * cell.detector.dark_current_a;
-                Reading::Light(Pair { i_x1_a: i_x1_a - half_dark_a, i_x2_a: i_x2_a - half_dark_a })
-            }
-            None => Reading::Missing,
-        };
-        Photocurrents { cells: row.into_iter().zip(&self.head.file.scene.cells).map(reading).collect() }
+        readings(self.head, row)
     }
 
     /// The pose behind `readings`, found from a cold start.

@@ -203,12 +203,12 @@ fn header_and_examples_compile_without_warnings_in_every_standard() {
     let folder = TempDir::new().unwrap();
     let alone = folder.path().join("alone.c");
     std::fs::write(&alone, "#define _POSIX_C_SOURCE 200809L\n#include \"slitpose_pose.h\"\n").unwrap();
-    let sources = [alone, host("examples/c/follow_pose.c"), host("examples/c/virtual_wall.c")];
+    let examples = ["follow_pose", "virtual_wall", "solve_currents"].map(|name| host(&format!("examples/c/{name}.c")));
     for (language, standard) in [("c", "c99"), ("c", "c11"), ("c++", "c++11"), ("c++", "c++17")] {
-        for source in &sources {
+        for source in examples.iter().chain([&alone]) {
             let mut command = Command::new(if language == "c" { "cc" } else { "c++" });
             command.args(["-x", language]).arg(format!("-std={standard}")).args(WARNINGS);
-            command.args(["-O2", "-I"]).arg(host("include"));
+            command.args(["-O2", "-I"]).arg(host("include")).arg("-I").arg(host("capi/include"));
             command.args(["-c", "-o"]).arg(folder.path().join("object")).arg(source);
             let output = command.output().expect("cc and c++; on Debian: apt-get install g++");
             assert!(output.status.success(), "{command:?}: {}", String::from_utf8_lossy(&output.stderr));

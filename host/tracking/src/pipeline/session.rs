@@ -1,7 +1,7 @@
 //! One board under one configuration: from a scan to a solution.
 
 use slitpose_calibration::{Basis, Head};
-use slitpose_model::{NoTwist, Photocurrents, PoseTracker, Solver, Tier, Tracked, Tracker};
+use slitpose_model::{NoTwist, Photocurrents, PoseTracker, Tier, Tracked, Tracker};
 use slitpose_protocol::poses::{Poses, TRIANGLE};
 use slitpose_protocol::{AdcScaling, BoardKind, Hello, PoseStatus, RawScan, Schedule};
 
@@ -124,19 +124,8 @@ impl Session {
         let head_number = solving::hashes(&head).number();
         let stage = Stage::new(file, &hello.schedule, &hello.scaling);
         let scene = Stage::weighted_scene(file, &hello.schedule, &hello.scaling);
-        let solver = Solver::new(&scene, tier)?.with_exposures(&stage.exposures_s());
-        let solver = if following.without_clipped { solver.without_clipped() } else { solver };
-        let solver = if following.known_light { solver.with_known_light_level() } else { solver };
-        let tracker = Tracker::new(solver, hello.schedule.frame_rate_hz().recip());
-        let tracker = if !following.known_light && (is_calibrated || file.gives_emitter_drift) {
-            tracker.following_levels(&scene)
-        } else {
-            tracker
-        };
-        let tracker = match following.filter_s {
-            Some(memory_s) => tracker.with_filter(memory_s),
-            None => tracker,
-        };
+        let period_s = hello.schedule.frame_rate_hz().recip();
+        let tracker = solving::tracker(&head, &scene, tier, following, &stage.exposures_s(), period_s)?;
         Ok(Self {
             number,
             device: DeviceId(hello.device_id),
@@ -148,7 +137,7 @@ impl Session {
             tracker,
             ahead: None,
             health,
-            doubt: Doubt::new(hello.schedule.frame_rate_hz().recip()),
+            doubt: Doubt::new(period_s),
             head_number,
             comparison: None,
             as_board: None,
