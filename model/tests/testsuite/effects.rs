@@ -1,10 +1,10 @@
 //! Effects: derivatives against differences, and light against a sum over rays that knows nothing of the model's
 //! geometry.
 
-use glam::{DQuat, DVec2, DVec3};
+use glam::{DMat3, DQuat, DVec2, DVec3};
 use rand_chacha::ChaCha8Rng;
 use slitpose_model::{
-    Cell, CompiledScene, Converters, DegradedReason, Effects, Outcome, Pair, Photocurrents, Pose, Profile,
+    Cell, CompiledScene, Converters, DegradedReason, Effects, Opening, Outcome, Pair, Photocurrents, Pose, Profile,
     ProfileShape, Scene, Solver, Status, Stray, Tier, Window, rotation_exp,
 };
 
@@ -129,18 +129,36 @@ fn effects_too_small_to_matter_give_the_ideal_cell() {
     }
 }
 
-/// Light on the detector of the first cell, as a sum over rays: power per axial intensity, and its first moment.
+/// Light on the detector of a cell, as a sum over rays: power per axial intensity, and its first moment.
 ///
 /// Landing points on the detector; each one's ray in front of the window by Snell's law; limits of the light along x
-/// by bisection on whether the ray passes the slit.
-struct Rays<'a> {
+/// by bisection on whether the ray passes the slit. All in the cell's frame.
+pub struct Rays<'a> {
     cell: &'a Cell,
-    /// Emitter and its axis, cell frame.
     emitter: DVec3,
     axis: DVec3,
+    slit_centre: DVec3,
+    into_slit: DQuat,
 }
 
-impl Rays<'_> {
+impl<'a> Rays<'a> {
+    /// Of a cell whose tool is at `pose`, with the slit on the base or on the tool.
+    pub fn of(cell: &'a Cell, pose: &Pose) -> Self {
+        let (x, z) = (cell.detector.x_axis_base, cell.detector.normal_base);
+        let into_cell = DQuat::from_mat3(&DMat3::from_cols(x, z.cross(x), z)).inverse();
+        let placed = |tool: DVec3| pose.rotation * tool + pose.translation_m - cell.detector.centre_base_m;
+        let slit = &cell.slit;
+        let mut slit_centre = DVec3::new(slit.offset_m.x, slit.offset_m.y, slit.distance_m);
+        let mut tilt = rotation_exp(slit.tilt_rad);
+        if cell.effects.opening == Opening::RidingSlit {
+            slit_centre = into_cell * placed(into_cell.inverse() * slit_centre + cell.detector.centre_base_m);
+            tilt = into_cell * pose.rotation * into_cell.inverse() * tilt;
+        }
+        let emitter = into_cell * placed(cell.emitter.position_tool_m);
+        let axis = into_cell * (pose.rotation * cell.emitter.axis_tool);
+        Self { cell, emitter, axis, slit_centre, into_slit: tilt.inverse() }
+    }
+
     /// Slopes (dx/dz, dy/dz towards the emitter, in air) of the ray that lands at `point`.
     fn slopes(&self, point: DVec2) -> DVec2 {
         let to = DVec2::new(self.emitter.x, self.emitter.y) - point;
@@ -164,13 +182,14 @@ impl Rays<'_> {
     fn passes(&self, point: DVec2) -> bool {
         let slope = self.slopes(point);
         let slit = &self.cell.slit;
-        let into_slit = rotation_exp(slit.tilt_rad).inverse();
-        let centre = DVec3::new(slit.offset_m.x, slit.offset_m.y, slit.distance_m);
-        let start = into_slit * (self.emitter - centre);
-        let direction = into_slit * DVec3::new(-slope.x, -slope.y, -1.0);
+        let start = self.into_slit * (self.emitter - self.slit_centre);
+        let direction = self.into_slit * DVec3::new(-slope.x, -slope.y, -1.0);
         [-0.5, 0.5].into_iter().all(|half| {
-            let at = start + direction * ((half * slit.thickness_m - start.z) / direction.z);
-            at.x.abs() <= 0.5 * slit.width_m && at.y.abs() <= 0.5 * slit.length_m
+            let down = (half * slit.thickness_m - start.z) / direction.z;
+            let at = start + direction * down;
+            (0.0..self.emitter.z).contains(&down)
+                && at.x.abs() <= 0.5 * slit.width_m
+                && at.y.abs() <= 0.5 * slit.length_m
         })
     }
 
@@ -182,7 +201,7 @@ impl Rays<'_> {
         let slope = self.slopes(point);
         let direction = DVec3::new(-slope.x, -slope.y, -1.0);
         let length = direction.length();
-        let cosine = self.axis.dot(direction) / length;
+        let cosine = (self.axis.dot(direction) / length).max(0.0);
         let Profile::Cosine { exponent } = self.cell.emitter.profile else { panic!("a cosine") };
         let z = 1.0 - cosine;
         let [a, b, c, d] = self.cell.effects.profile.radial;
@@ -190,15 +209,11 @@ impl Rays<'_> {
         by_x.perp_dot(by_y).abs() / length.powi(3) * cosine.powf(exponent) * shape
     }
 
-    /// Power and moment.
-    fn sum(&self) -> (f64, f64) {
-        // Gauss–Legendre with six nodes (Abramowitz and Stegun 25.4).
-        let nodes = [0.238_619_186_083_196_9, 0.661_209_386_466_264_5, 0.932_469_514_203_152];
-        let weights = [0.467_913_934_572_691, 0.360_761_573_048_138_6, 0.171_324_492_379_170_36];
-        let rule: Vec<(f64, f64)> = (0..3).flat_map(|i| [(nodes[i], weights[i]), (-nodes[i], weights[i])]).collect();
+    /// Power and moment by rows of the detector, with their weights on −1 … 1.
+    pub fn sum(&self, rows: impl IntoIterator<Item = (f64, f64)>) -> (f64, f64) {
         let [half_x, half_y] = [0.5 * self.cell.detector.length_m, 0.5 * self.cell.detector.width_m];
         let (mut power, mut moment) = (0.0, 0.0);
-        for &(eta, weight_y) in &rule {
+        for (eta, weight_y) in rows {
             let y = half_y * eta;
             let inside = (0..=2000).map(|i| -half_x + f64::from(i) * half_x / 1000.0);
             let Some(middle) = inside.into_iter().find(|&x| self.passes(DVec2::new(x, y))) else { continue };
@@ -214,7 +229,7 @@ impl Rays<'_> {
                 inside
             };
             let (low, high) = (limit(-half_x), limit(half_x));
-            for &(xi, weight_x) in &rule {
+            for (xi, weight_x) in gauss_legendre() {
                 let x = 0.5 * (low + high) + 0.5 * (high - low) * xi;
                 let part = 0.5 * (high - low) * half_y * weight_x * weight_y * self.density(DVec2::new(x, y));
                 power += part;
@@ -225,20 +240,22 @@ impl Rays<'_> {
     }
 }
 
+/// Nodes and weights of the rule by Gauss and Legendre with six nodes (Abramowitz and Stegun 25.4).
+fn gauss_legendre() -> impl Iterator<Item = (f64, f64)> {
+    let nodes = [0.238_619_186_083_196_9, 0.661_209_386_466_264_5, 0.932_469_514_203_152];
+    let weights = [0.467_913_934_572_691, 0.360_761_573_048_138_6, 0.171_324_492_379_170_36];
+    (0..3).flat_map(move |i| [(nodes[i], weights[i]), (-nodes[i], weights[i])])
+}
+
 /// By how much the exact tier errs, relative in power, and in position in metres, against the sum over rays.
 fn errors(scene: &Scene, pose: &Pose) -> Option<(f64, f64)> {
     let cell = &scene.cells[0];
     let plan = CompiledScene::<f64>::compile(scene, EXACT).expect("valid");
     let response = plan.respond(0, pose);
-    let (z, x) = (cell.detector.normal_base, cell.detector.x_axis_base);
-    let into_cell = DQuat::from_mat3(&glam::DMat3::from_cols(x, z.cross(x), z)).inverse();
-    let emitter =
-        into_cell * (pose.rotation * cell.emitter.position_tool_m + pose.translation_m - cell.detector.centre_base_m);
-    let rays = Rays { cell, emitter, axis: into_cell * (pose.rotation * cell.emitter.axis_tool) };
     if response.status != Status::Lit {
         return None;
     }
-    let (power, moment) = rays.sum();
+    let (power, moment) = Rays::of(cell, pose).sum(gauss_legendre());
     let current = power * cell.detector.responsivity_a_per_w * cell.emitter.radiant_intensity_w_per_sr;
     let Pair { i_x1_a, i_x2_a } = plan.photocurrents(0, pose);
     Some(((i_x1_a + i_x2_a) / current - 1.0, response.x_a_m? - moment / power))

@@ -9,6 +9,7 @@ use slitpose_model::{
 };
 
 use super::derivatives::check;
+use super::effects::Rays;
 use crate::common::{self, Kind, generator, uniform, vector};
 
 const EXACT: Tier = Tier::Exact { tolerance: 1e-10 };
@@ -89,60 +90,6 @@ fn midpoints(count: usize) -> impl Iterator<Item = (f64, f64)> {
     (0..count).map(move |i| ((2.0 * i as f64 + 1.0) / count as f64 - 1.0, 2.0 / count as f64))
 }
 
-/// Through a slit on the tool, by points of the detector: each of them looks back at the emitter and asks whether the
-/// slit, where the tool has taken it, lets that ray through.
-fn through_riding_slit(cell: &Cell, pose: &Pose) -> Light {
-    let axes = cell_axes(cell);
-    let (slit, detector) = (&cell.slit, &cell.detector);
-    let emitter = pose.rotation * cell.emitter.position_tool_m + pose.translation_m;
-    let tilted = axes * DMat3::from_quat(rotation_exp(slit.tilt_rad));
-    let centre = detector.centre_base_m + axes * DVec3::new(slit.offset_m.x, slit.offset_m.y, slit.distance_m);
-    let point = |x: f64, y: f64| detector.centre_base_m + axes * DVec3::new(x, y, 0.0);
-    // Where the ray to a point crosses a face of the mask, in the tool frame.
-    let passes = |x: f64, y: f64| {
-        let [from, to] = [emitter, point(x, y)].map(|place| pose.rotation.inverse() * (place - pose.translation_m));
-        [-0.5, 0.5].iter().all(|side| {
-            let face = centre + tilted.z_axis * (side * slit.thickness_m);
-            let share = (face - from).dot(tilted.z_axis) / (to - from).dot(tilted.z_axis);
-            let off = from + (to - from) * share - face;
-            share > 0.0
-                && share < 1.0
-                && off.dot(tilted.x_axis).abs() <= 0.5 * slit.width_m
-                && off.dot(tilted.y_axis).abs() <= 0.5 * slit.length_m
-        })
-    };
-    let mut light = Light { power: 0.0, x_m: 0.0 };
-    let (half_x, half_y) = (0.5 * detector.length_m, 0.5 * detector.width_m);
-    for (eta, weight_y) in midpoints(400) {
-        let y = half_y * eta;
-        // A row's spot is one interval: one point in it, then its ends by bisection.
-        let Some(inside) = midpoints(600).map(|(xi, _)| half_x * xi).find(|&x| passes(x, y)) else { continue };
-        let end = |outside: f64| {
-            let (mut within, mut beyond) = (inside, outside);
-            if passes(beyond, y) {
-                return beyond;
-            }
-            for _ in 0..50 {
-                let middle = 0.5 * (within + beyond);
-                if passes(middle, y) { within = middle } else { beyond = middle }
-            }
-            within
-        };
-        let (low, high) = (end(-half_x), end(half_x));
-        for (xi, weight_x) in midpoints(40) {
-            let x = 0.5 * (low + high) + 0.5 * (high - low) * xi;
-            let ray = point(x, y) - emitter;
-            let solid_angle = -ray.dot(detector.normal_base) / ray.length().powi(3);
-            let area = weight_x * 0.5 * (high - low) * weight_y * half_y;
-            let power = relative(cell, pose, ray) * solid_angle * area;
-            light.power += power;
-            light.x_m += power * x;
-        }
-    }
-    light.x_m /= light.power;
-    light
-}
-
 /// Through a round hole, by points of the hole: each ray goes on with its slopes less the distance from the middle over
 /// the focal length (the ray transfer matrix of a thin lens), and counts if it lands on the detector.
 fn through_hole(cell: &Cell, pose: &Pose, per_focal_length: f64) -> Light {
@@ -193,15 +140,15 @@ fn light_through_a_riding_slit_is_the_sum_of_its_rays() {
         let scene = riding(rng, kind);
         let pose = common::pose(rng, &scene, if trial < 8 { 1e-3 } else { 2.5e-3 }, 0.25);
         let (model, status) = by_model(&scene, &pose);
-        let rays = through_riding_slit(&scene.cells[0], &pose);
+        let (power, moment) = Rays::of(&scene.cells[0], &pose).sum(midpoints(400));
         if status == Status::Dark {
-            assert_eq!(rays.power, 0.0);
+            assert_eq!(power, 0.0);
             continue;
         }
         clipped += usize::from(status == Status::Clipped);
         // Errors of the midpoint rule: (1/400)² of the rows, more where a corner of the slit cuts rows short.
-        assert!((model.power / rays.power - 1.0).abs() < 2e-4, "{kind:?}: {} {}", model.power, rays.power);
-        assert!((model.x_m - rays.x_m).abs() < 0.3e-6, "{kind:?}: {} {}", model.x_m, rays.x_m);
+        assert!((model.power / power - 1.0).abs() < 2e-4, "{kind:?}: {} {power}", model.power);
+        assert!((model.x_m - moment / power).abs() < 0.3e-6, "{kind:?}: {} {}", model.x_m, moment / power);
     }
     assert!(clipped > 0);
 }
