@@ -117,14 +117,12 @@ pub(super) fn timing(instruction: &Instruction) -> Timing {
             Timing { cycles: 2, needs: rn.bit() | rm.bit(), busy: 0 }
         }
         Instruction::Store { .. } => Timing { cycles: 1, needs: NONE, busy: 0 },
-        Instruction::LoadFloat { count: 1, address: Address::Offset { rn, .. }, .. } => {
+        Instruction::MoveFloat { is_load: true, count: 1, address: Address::Offset { rn, .. }, .. } => {
             Timing { cycles: 2, needs: rn.bit(), busy: 0 }
         }
-        Instruction::LoadFloat { count, .. } | Instruction::StoreFloat { count, .. } => alone(1 + count),
-        Instruction::LoadMultiple { registers, .. } | Instruction::StoreMultiple { registers, .. } => {
-            alone(1 + registers.count_ones() as u8)
-        }
-        Instruction::LoadPair { .. } | Instruction::StorePair { .. } => alone(3),
+        Instruction::MoveFloat { count, .. } => alone(1 + count),
+        Instruction::MoveMultiple { registers, .. } => alone(1 + registers.count_ones() as u8),
+        Instruction::MovePair { .. } => alone(3),
         Instruction::LoadExclusive { .. } | Instruction::StoreExclusive { .. } => alone(2),
         Instruction::TableBranch { .. } => alone(2),
         Instruction::Registers { op: RegisterOp::UnsignedDivide | RegisterOp::SignedDivide, .. } => alone(2),

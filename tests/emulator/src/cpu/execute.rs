@@ -47,12 +47,13 @@ impl Cpu {
 
             Instruction::Load { size, signed, rt, address } => self.load(bus, size, signed, rt, address)?,
             Instruction::Store { size, rt, address } => self.store(bus, size, rt, address)?,
-            Instruction::LoadPair { rt, rt2, address } => self.load_pair(bus, rt, rt2, address)?,
-            Instruction::StorePair { rt, rt2, address } => self.store_pair(bus, rt, rt2, address)?,
-            Instruction::LoadMultiple { registers, address } => self.load_multiple(bus, registers, address)?,
-            Instruction::StoreMultiple { registers, address } => self.store_multiple(bus, registers, address)?,
-            Instruction::LoadFloat { first, count, address } => self.load_float(bus, first, count, address)?,
-            Instruction::StoreFloat { first, count, address } => self.store_float(bus, first, count, address)?,
+            Instruction::MovePair { is_load, rt, rt2, address } => self.move_pair(bus, is_load, [rt, rt2], address)?,
+            Instruction::MoveMultiple { is_load, registers, address } => {
+                self.move_multiple(bus, is_load, registers, address)?;
+            }
+            Instruction::MoveFloat { is_load, first, count, address } => {
+                self.move_float(bus, is_load, first, count, address)?;
+            }
 
             Instruction::Branch { offset } => self.branch_by(offset),
             Instruction::BranchIf { condition, offset } => {
@@ -252,9 +253,9 @@ impl Cpu {
     fn table_branch<B: Bus>(&mut self, bus: &mut B, half: bool, rn: Reg, rm: Reg) -> Result<(), Trap> {
         let (base, index) = (self.get(rn), self.get(rm));
         let entry = if half {
-            self.read(bus, base.wrapping_add(index << 1), Size::Half)?
+            self.access(bus, base.wrapping_add(index << 1), Size::Half, None)?
         } else {
-            self.read(bus, base.wrapping_add(index), Size::Byte)?
+            self.access(bus, base.wrapping_add(index), Size::Byte, None)?
         };
         self.branch_by((entry * 2) as i32);
         Ok(())

@@ -7,47 +7,47 @@ use super::{Bus, Cpu, Fault, Size, Trap};
 type Located = (u32, Option<(Reg, u32)>);
 
 impl Cpu {
-    /// A data read by an instruction that allows unaligned addresses.
+    /// A data access by an instruction that allows unaligned addresses: a write of `value`, or a read. Returns what was read.
     #[inline(always)]
-    pub(super) fn read<B: Bus>(&mut self, bus: &mut B, address: u32, size: Size) -> Result<u32, Fault> {
+    pub(super) fn access<B: Bus>(
+        &mut self,
+        bus: &mut B,
+        address: u32,
+        size: Size,
+        value: Option<u32>,
+    ) -> Result<u32, Fault> {
         if address & (size.bytes() - 1) != 0 {
-            return self.read_unaligned(bus, address, size);
+            return self.access_unaligned(bus, address, size, value);
         }
-        self.read_aligned(bus, address, size)
+        self.access_aligned(bus, address, size, value)
     }
 
     #[inline(always)]
-    fn read_aligned<B: Bus>(&mut self, bus: &mut B, address: u32, size: Size) -> Result<u32, Fault> {
+    fn access_aligned<B: Bus>(
+        &mut self,
+        bus: &mut B,
+        address: u32,
+        size: Size,
+        value: Option<u32>,
+    ) -> Result<u32, Fault> {
         if is_private(address) {
-            return Ok(self.read_private(address, size));
+            return Ok(match value {
+                None => self.read_private(address, size),
+                Some(value) => {
+                    self.write_private(address, size, value);
+                    0
+                }
+            });
         }
         if self.is_guarded(address) {
             return Err(Fault::Guarded { address });
         }
         self.wait(bus, address);
-        bus.read(address, size).map_err(|_| Fault::DataBus { address })
-    }
-
-    /// A data write by an instruction that allows unaligned addresses.
-    #[inline(always)]
-    pub(super) fn write<B: Bus>(&mut self, bus: &mut B, address: u32, size: Size, value: u32) -> Result<(), Fault> {
-        if address & (size.bytes() - 1) != 0 {
-            return self.write_unaligned(bus, address, size, value);
-        }
-        self.write_aligned(bus, address, size, value)
-    }
-
-    #[inline(always)]
-    fn write_aligned<B: Bus>(&mut self, bus: &mut B, address: u32, size: Size, value: u32) -> Result<(), Fault> {
-        if is_private(address) {
-            self.write_private(address, size, value);
-            return Ok(());
-        }
-        if self.is_guarded(address) {
-            return Err(Fault::Guarded { address });
-        }
-        self.wait(bus, address);
-        bus.write(address, size, value).map_err(|_| Fault::DataBus { address })
+        let done = match value {
+            None => bus.read(address, size),
+            Some(value) => bus.write(address, size, value).map(|()| 0),
+        };
+        done.map_err(|_| Fault::DataBus { address })
     }
 
     /// Whether the MPU forbids data accesses to `address`; not at the priorities of HardFault and NMI.
@@ -64,50 +64,34 @@ impl Cpu {
         }
     }
 
-    /// Aligned accesses one byte each, lowest address first.
+    /// Aligned accesses one byte each, lowest address first. They cost a cycle more, and fault on device memory.
     #[cold]
     #[inline(never)]
-    fn read_unaligned<B: Bus>(&mut self, bus: &mut B, address: u32, size: Size) -> Result<u32, Fault> {
-        self.check_unaligned(address)?;
-        let mut value = 0;
-        for byte in 0..size.bytes() {
-            value |= self.read_aligned(bus, address.wrapping_add(byte), Size::Byte)? << (8 * byte);
-        }
-        Ok(value)
-    }
-
-    #[cold]
-    #[inline(never)]
-    fn write_unaligned<B: Bus>(&mut self, bus: &mut B, address: u32, size: Size, value: u32) -> Result<(), Fault> {
-        self.check_unaligned(address)?;
-        for byte in 0..size.bytes() {
-            self.write_aligned(bus, address.wrapping_add(byte), Size::Byte, value >> (8 * byte) & 255)?;
-        }
-        Ok(())
-    }
-
-    /// Unaligned accesses cost a cycle more, and fault on device memory.
-    fn check_unaligned(&mut self, address: u32) -> Result<(), Fault> {
+    fn access_unaligned<B: Bus>(
+        &mut self,
+        bus: &mut B,
+        address: u32,
+        size: Size,
+        value: Option<u32>,
+    ) -> Result<u32, Fault> {
         let device = matches!(address, 0x4000_0000..0x6000_0000 | 0xa000_0000..);
         if device {
             return Err(Fault::Unaligned { address });
         }
         self.cycles += 1;
-        Ok(())
+        let mut read = 0;
+        for byte in 0..size.bytes() {
+            let part = value.map(|value| value >> (8 * byte) & 255);
+            read |= self.access_aligned(bus, address.wrapping_add(byte), Size::Byte, part)? << (8 * byte);
+        }
+        Ok(read)
     }
 
     /// A word of a multiple, dual or exclusive access, which must be aligned.
     #[inline(always)]
-    pub(super) fn read_word<B: Bus>(&mut self, bus: &mut B, address: u32) -> Result<u32, Fault> {
+    fn access_word<B: Bus>(&mut self, bus: &mut B, address: u32, value: Option<u32>) -> Result<u32, Fault> {
         must_be_aligned(address, Size::Word)?;
-        self.read_aligned(bus, address, Size::Word)
-    }
-
-    /// See [`Self::read_word`].
-    #[inline(always)]
-    pub(super) fn write_word<B: Bus>(&mut self, bus: &mut B, address: u32, value: u32) -> Result<(), Fault> {
-        must_be_aligned(address, Size::Word)?;
-        self.write_aligned(bus, address, Size::Word, value)
+        self.access_aligned(bus, address, Size::Word, value)
     }
 
     #[inline(always)]
@@ -146,7 +130,7 @@ impl Cpu {
         address: Address,
     ) -> Result<(), Trap> {
         let (address, moved) = self.locate(address);
-        let raw = self.read(bus, address, size)?;
+        let raw = self.access(bus, address, size, None)?;
         let value = match (size, signed) {
             (Size::Half, true) => raw as i16 as u32,
             (Size::Byte, true) => raw as i8 as u32,
@@ -169,93 +153,83 @@ impl Cpu {
             Size::Half => value & 0xffff,
             Size::Word => value,
         };
-        self.write(bus, address, size, value)?;
+        self.access(bus, address, size, Some(value))?;
         self.write_back(moved);
         Ok(())
     }
 
-    pub(super) fn load_pair<B: Bus>(&mut self, bus: &mut B, rt: Reg, rt2: Reg, address: Address) -> Result<(), Trap> {
+    pub(super) fn move_pair<B: Bus>(
+        &mut self,
+        bus: &mut B,
+        is_load: bool,
+        registers: [Reg; 2],
+        address: Address,
+    ) -> Result<(), Trap> {
         let (address, moved) = self.locate(address);
-        let low = self.read_word(bus, address)?;
-        let high = self.read_word(bus, address.wrapping_add(4))?;
+        let mut words = registers.map(|register| self.get(register));
+        for (word, offset) in words.iter_mut().zip([0, 4]) {
+            *word = self.access_word(bus, address.wrapping_add(offset), (!is_load).then_some(*word))?;
+        }
         self.write_back(moved);
-        self.set(rt, low);
-        self.set(rt2, high);
+        if is_load {
+            self.set(registers[0], words[0]);
+            self.set(registers[1], words[1]);
+        }
         Ok(())
     }
 
-    pub(super) fn store_pair<B: Bus>(&mut self, bus: &mut B, rt: Reg, rt2: Reg, address: Address) -> Result<(), Trap> {
-        let (address, moved) = self.locate(address);
-        self.write_word(bus, address, self.get(rt))?;
-        self.write_word(bus, address.wrapping_add(4), self.get(rt2))?;
-        self.write_back(moved);
-        Ok(())
-    }
-
-    pub(super) fn load_multiple<B: Bus>(&mut self, bus: &mut B, registers: u16, address: Address) -> Result<(), Trap> {
+    pub(super) fn move_multiple<B: Bus>(
+        &mut self,
+        bus: &mut B,
+        is_load: bool,
+        registers: u16,
+        address: Address,
+    ) -> Result<(), Trap> {
         let (mut address, moved) = self.locate(address);
-        let mut loaded = [0; 16];
-        for (number, value) in loaded.iter_mut().enumerate() {
+        let mut words = [0; 16];
+        for (number, word) in (0..).zip(&mut words) {
             if registers >> number & 1 != 0 {
-                *value = self.read_word(bus, address)?;
+                let value = (!is_load).then(|| self.get(Reg(number)));
+                *word = self.access_word(bus, address, value)?;
                 address = address.wrapping_add(4);
             }
         }
         self.write_back(moved);
+        if !is_load {
+            return Ok(());
+        }
         for number in 0..15 {
             if registers >> number & 1 != 0 {
-                self.set(Reg(number), loaded[usize::from(number)]);
+                self.set(Reg(number), words[usize::from(number)]);
             }
         }
         if registers & Reg::PC.bit() != 0 {
-            return self.branch_exchange(loaded[15]);
+            return self.branch_exchange(words[15]);
         }
         Ok(())
     }
 
-    pub(super) fn store_multiple<B: Bus>(&mut self, bus: &mut B, registers: u16, address: Address) -> Result<(), Trap> {
-        let (mut address, moved) = self.locate(address);
-        for number in 0..15 {
-            if registers >> number & 1 != 0 {
-                self.write_word(bus, address, self.get(Reg(number)))?;
-                address = address.wrapping_add(4);
+    #[inline(always)]
+    pub(super) fn move_float<B: Bus>(
+        &mut self,
+        bus: &mut B,
+        is_load: bool,
+        first: SReg,
+        count: u8,
+        address: Address,
+    ) -> Result<(), Trap> {
+        self.check_float()?;
+        let (base, moved) = self.locate(address);
+        if !is_load {
+            self.await_float(&[first]);
+        }
+        for n in 0..count {
+            let register = SReg(first.0 + n);
+            let value = (!is_load).then(|| self.float.get(register));
+            let word = self.access_word(bus, base.wrapping_add(4 * u32::from(n)), value)?;
+            if is_load {
+                self.float.set(register, word);
             }
-        }
-        self.write_back(moved);
-        Ok(())
-    }
-
-    #[inline(always)]
-    pub(super) fn load_float<B: Bus>(
-        &mut self,
-        bus: &mut B,
-        first: SReg,
-        count: u8,
-        address: Address,
-    ) -> Result<(), Trap> {
-        self.check_float()?;
-        let (base, moved) = self.locate(address);
-        for n in 0..count {
-            let word = self.read_word(bus, base.wrapping_add(4 * u32::from(n)))?;
-            self.float.set(SReg(first.0 + n), word);
-        }
-        self.write_back(moved);
-        Ok(())
-    }
-
-    #[inline(always)]
-    pub(super) fn store_float<B: Bus>(
-        &mut self,
-        bus: &mut B,
-        first: SReg,
-        count: u8,
-        address: Address,
-    ) -> Result<(), Trap> {
-        self.check_float()?;
-        let (base, moved) = self.locate(address);
-        self.await_float(&[first]);
-        for n in 0..count {
-            self.write_word(bus, base.wrapping_add(4 * u32::from(n)), self.float.get(SReg(first.0 + n)))?;
         }
         self.write_back(moved);
         Ok(())
@@ -271,7 +245,7 @@ impl Cpu {
     ) -> Result<(), Trap> {
         let address = self.get(rn).wrapping_add(offset.into());
         must_be_aligned(address, size)?;
-        let value = self.read_aligned(bus, address, size)?;
+        let value = self.access_aligned(bus, address, size, None)?;
         self.exclusive = true;
         self.set(rt, value);
         Ok(())
@@ -291,7 +265,7 @@ impl Cpu {
         let allowed = std::mem::replace(&mut self.exclusive, false);
         if allowed {
             let mask = u32::MAX >> (32 - 8 * size.bytes());
-            self.write_aligned(bus, address, size, self.get(rt) & mask)?;
+            self.access_aligned(bus, address, size, Some(self.get(rt) & mask))?;
         }
         self.set(rd, (!allowed).into());
         Ok(())

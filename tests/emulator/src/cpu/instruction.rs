@@ -36,18 +36,12 @@ pub enum Instruction {
 
     Load { size: Size, signed: bool, rt: Reg, address: Address },
     Store { size: Size, rt: Reg, address: Address },
-    /// LDRD.
-    LoadPair { rt: Reg, rt2: Reg, address: Address },
-    /// STRD.
-    StorePair { rt: Reg, rt2: Reg, address: Address },
-    /// LDM, LDMDB, POP; registers by their bits.
-    LoadMultiple { registers: u16, address: Address },
-    /// STM, STMDB, PUSH.
-    StoreMultiple { registers: u16, address: Address },
-    /// VLDR of `count` words, VLDM, VPOP.
-    LoadFloat { first: SReg, count: u8, address: Address },
-    /// VSTR of `count` words, VSTM, VPUSH.
-    StoreFloat { first: SReg, count: u8, address: Address },
+    /// LDRD, STRD.
+    MovePair { is_load: bool, rt: Reg, rt2: Reg, address: Address },
+    /// LDM, LDMDB, POP, STM, STMDB, PUSH; registers by their bits.
+    MoveMultiple { is_load: bool, registers: u16, address: Address },
+    /// VLDR and VSTR of `count` words, VLDM, VPOP, VSTM, VPUSH.
+    MoveFloat { is_load: bool, first: SReg, count: u8, address: Address },
     LoadExclusive { size: Size, rt: Reg, rn: Reg, offset: u16 },
     StoreExclusive { size: Size, rd: Reg, rt: Reg, rn: Reg, offset: u16 },
     /// CLREX.

@@ -215,17 +215,12 @@ pub(super) fn exclusive(size: Size, f: &Fields, offset: u16) -> Instruction {
 }
 
 pub(super) fn pair(f: &Fields, address: Address) -> Instruction {
-    let (rt, rt2) = (f.reg('t'), f.reg('v'));
-    if f.is('l') { Instruction::LoadPair { rt, rt2, address } } else { Instruction::StorePair { rt, rt2, address } }
+    Instruction::MovePair { is_load: f.is('l'), rt: f.reg('t'), rt2: f.reg('v'), address }
 }
 
 pub(super) fn block(is_load: bool, rn: Reg, registers: u32, downwards: bool, writeback: bool) -> Instruction {
-    let (registers, address) = (registers as u16, beside(rn, registers.count_ones(), downwards, writeback));
-    if is_load {
-        Instruction::LoadMultiple { registers, address }
-    } else {
-        Instruction::StoreMultiple { registers, address }
-    }
+    let address = beside(rn, registers.count_ones(), downwards, writeback);
+    Instruction::MoveMultiple { is_load, registers: registers as u16, address }
 }
 
 /// Where `count` words lie upwards from `rn`, or downwards below it.
@@ -253,8 +248,9 @@ pub(super) fn float_block(f: &Fields, count: u32, downwards: bool, writeback: bo
 fn float_words(f: &Fields, count: u32, address: Address) -> Instruction {
     let first = f.sd();
     match u8::try_from(count) {
-        Ok(count @ 1..=32) if first.0 + count <= 32 && f.is('l') => Instruction::LoadFloat { first, count, address },
-        Ok(count @ 1..=32) if first.0 + count <= 32 => Instruction::StoreFloat { first, count, address },
+        Ok(count @ 1..=32) if first.0 + count <= 32 => {
+            Instruction::MoveFloat { is_load: f.is('l'), first, count, address }
+        }
         _ => Instruction::Undefined,
     }
 }
