@@ -53,7 +53,7 @@ fn write_readings(table: &Table, cells: usize, output: Output) -> Result<(), Out
     for (id, row) in table.rows.iter().enumerate() {
         writer.text(&id.to_string());
         match row.says {
-            Says::Pose(pose) => write_pose(&mut writer, &pose),
+            Says::Pose(pose) => writer.pose(&pose),
             Says::StepM(step_m) => writer.number(step_m * 1e3),
             Says::TimeS(time_s) => writer.number(time_s),
             Says::Nothing => {}
@@ -71,7 +71,7 @@ fn write_poses(table: &Table, output: Output) -> Result<(), OutputError> {
     let mut writer = TableWriter::new(output, ["id"].into_iter().chain(POSE_COLUMNS))?;
     for (id, Row { truth, .. }) in table.rows.iter().enumerate() {
         writer.text(&id.to_string());
-        write_pose(&mut writer, truth);
+        writer.pose(truth);
         writer.end_row()?;
     }
     writer.finish()
@@ -81,15 +81,10 @@ fn write_path(poses: &[(f64, Pose)], output: Output) -> Result<(), OutputError> 
     let mut writer = TableWriter::new(output, ["time_s"].into_iter().chain(POSE_COLUMNS))?;
     for (time_s, pose) in poses {
         writer.number(*time_s);
-        write_pose(&mut writer, pose);
+        writer.pose(pose);
         writer.end_row()?;
     }
     writer.finish()
-}
-
-fn write_pose(writer: &mut TableWriter, pose: &Pose) {
-    let (t, r) = (pose.translation_m * 1e3, pose.rotation_rad());
-    [t.x, t.y, t.z, r.x, r.y, r.z].into_iter().for_each(|number| writer.number(number));
 }
 
 /// Why there is no bench.

@@ -24,7 +24,7 @@ use slitpose_tracking::link::DeviceId;
 use slitpose_tracking::page::Sampler;
 use slitpose_tracking::pipeline::Item;
 use slitpose_tracking::playback::{self, Choice, Event, PlaybackError, Yields};
-use slitpose_tracking::telemetry::{BoardReport, BoardStatistics, DaemonReport, LinkReport, LinkState, RecorderReport};
+use slitpose_tracking::telemetry::{BoardStatistics, DaemonReport, RecorderReport};
 
 /// Which part of captures is solved, and how.
 #[derive(clap::Args, Debug, Default)]
@@ -320,14 +320,7 @@ impl Outputs<'_> {
 
 /// How all of them did; nothing is recorded.
 fn account(captures: &playback::Playback, statistics: &[RefCell<BoardStatistics>]) -> Account {
-    let boards = captures.boards.iter().zip(statistics).map(|(board, statistics)| report(board, statistics));
+    let boards = captures.boards.iter().zip(statistics);
+    let boards = boards.map(|(board, statistics)| board.report(&mut statistics.borrow_mut(), HostInstant::now()));
     Account { boards: boards.collect(), recorder: RecorderReport::default() }
-}
-
-fn report(board: &playback::Board, statistics: &RefCell<BoardStatistics>) -> BoardReport {
-    let now = HostInstant::now();
-    let report = statistics.borrow_mut().report(&board.pipeline.counts(), board.pipeline.health(), now);
-    // What a capture has to say it has said.
-    let link = LinkReport { state: LinkState::Ended, since_utc_ns: now.utc_ns, ..LinkReport::default() };
-    BoardReport { link, ..report }
 }

@@ -207,12 +207,9 @@ fn write_truth(
     let header = ["seq", "device_time_s"].into_iter().chain(POSE_COLUMNS);
     let mut table = TableWriter::new(output, header)?;
     for (sequence, time_s) in instants.enumerate() {
-        let pose = trajectory.pose(time_s);
-        let (t, r) = (pose.translation_m * 1e3, pose.rotation_rad());
         table.text(&sequence.to_string());
-        for number in [time_s, t.x, t.y, t.z, r.x, r.y, r.z] {
-            table.number(number);
-        }
+        table.number(time_s);
+        table.pose(&trajectory.pose(time_s));
         table.end_row()?;
         if stop.load(Ordering::Relaxed) {
             return Err(OutputError::Interrupted { target }.into());

@@ -10,7 +10,7 @@ use slitpose_tracking::columns::CsvRows;
 use slitpose_tracking::page::{PlayerOrder, PlayerState, Refusal};
 use slitpose_tracking::pipeline::Item;
 use slitpose_tracking::playback::{Board, Choice, Event, Playback, PlaybackError, Shelf, Survey};
-use slitpose_tracking::telemetry::{BoardReport, BoardStatistics, DaemonReport, LinkReport, LinkState, RecorderReport};
+use slitpose_tracking::telemetry::{BoardStatistics, DaemonReport, RecorderReport};
 
 use crate::Files;
 use crate::shown::{Outbox, Shown};
@@ -150,12 +150,8 @@ impl Replay {
     }
 
     pub(crate) fn report(&mut self, began: HostInstant, now: HostInstant) -> DaemonReport {
-        let boards = self.statistics.iter_mut().zip(&self.captures.boards).map(|(statistics, board)| {
-            let report = statistics.report(&board.pipeline.counts(), board.pipeline.health(), now);
-            // What a capture has to say it has said.
-            let link = LinkReport { state: LinkState::Ended, since_utc_ns: now.utc_ns, ..LinkReport::default() };
-            BoardReport { link, ..report }
-        });
+        let boards = self.statistics.iter_mut().zip(&self.captures.boards);
+        let boards = boards.map(|(statistics, board)| board.report(statistics, now));
         DaemonReport::of(began, now, boards.collect(), RecorderReport::default())
     }
 }

@@ -3,6 +3,8 @@
 use std::borrow::Cow;
 use std::io::Write;
 
+use slitpose_model::Pose;
+
 use super::output::{Output, OutputError};
 use crate::foreign::printable_lines;
 
@@ -93,6 +95,12 @@ impl TableWriter {
     /// As [`TableRows::optional`].
     pub fn optional(&mut self, value: Option<f64>) {
         self.row.optional(value);
+    }
+
+    /// Adds a pose, for its columns.
+    pub fn pose(&mut self, pose: &Pose) {
+        let (t, r) = (pose.translation_m * 1e3, pose.rotation_rad());
+        [t.x, t.y, t.z, r.x, r.y, r.z].into_iter().for_each(|number| self.number(number));
     }
 
     /// Ends the row, and writes it.

@@ -11,11 +11,12 @@ use slitpose_model::SceneError;
 use thiserror::Error;
 
 use crate::capture::{CaptureError, Setup};
-use crate::clock::UtcWatch;
+use crate::clock::{HostInstant, UtcWatch};
 use crate::frame::View;
 use crate::link::{DeviceId, Segment};
 use crate::pipeline::{Pipeline, PipelineError};
 use crate::solving::Solving;
+use crate::telemetry::{BoardReport, BoardStatistics, LinkReport, LinkState};
 
 /// A board of a capture.
 pub struct Board {
@@ -83,6 +84,12 @@ impl Board {
     /// The name of the board in messages.
     pub fn name(&self) -> String {
         self.device.map_or_else(|| "capture".to_owned(), |device| format!("board {device}"))
+    }
+
+    /// The report at `now`, by the `statistics` of its items. What a capture has to say of its link it has said.
+    pub fn report(&self, statistics: &mut BoardStatistics, now: HostInstant) -> BoardReport {
+        let link = LinkReport { state: LinkState::Ended, since_utc_ns: now.utc_ns, ..LinkReport::default() };
+        BoardReport { link, ..statistics.report(&self.pipeline.counts(), self.pipeline.health(), now) }
     }
 }
 
