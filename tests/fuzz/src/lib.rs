@@ -9,8 +9,6 @@ mod files;
 mod head;
 #[cfg(feature = "host")]
 mod host;
-#[cfg(feature = "host")]
-mod usb;
 pub mod wire;
 
 /// A function of bytes from strangers.
@@ -45,8 +43,6 @@ pub const TARGETS: &[Target] = &[
     Target { name: "pipeline", smoke: 100, run: host::hostile_board },
     Target { name: "scene", smoke: 300, run: files::scene },
     Target { name: "table", smoke: 1000, run: files::table },
-    #[cfg(feature = "host")]
-    Target { name: "usb", smoke: 100, run: usb::hostile_host },
 ];
 
 /// Runs the target of this name.

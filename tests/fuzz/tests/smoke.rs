@@ -91,5 +91,5 @@ macro_rules! targets {
 }
 
 targets! {
-    board calibration capture configuration datagram decoder head http page pipeline scene table usb
+    board calibration capture configuration datagram decoder head http page pipeline scene table
 }
