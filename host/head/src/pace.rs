@@ -54,6 +54,11 @@ impl Pace {
         Self { speed, started: Instant::now() }
     }
 
+    /// The speed that it was made with.
+    pub fn speed(&self) -> Speed {
+        self.speed
+    }
+
     /// Whether a device second lasts a second.
     pub fn is_real_time(&self) -> bool {
         self.speed == Speed::Times(1.0)

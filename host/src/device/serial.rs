@@ -288,6 +288,10 @@ impl Device for SimulatedDevice {
             self.pace.wait(self.passed_s());
             return Ok(true);
         }
+        if self.frames_passed == 0 {
+            // Time does not pass before: what was asked until now was asked at device time 0, which catching up would contradict.
+            self.pace = Pace::new(self.pace.speed());
+        }
         let until = self.frames.min(self.frames_passed.saturating_add(self.frames_at_once));
         while self.frames_passed < until {
             self.board.step(bytes);
@@ -321,5 +325,27 @@ impl Device for SimulatedPort {
 
     fn receive(&mut self, bytes: &mut Vec<u8>) -> io::Result<bool> {
         lock(&self.device).receive(bytes)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Instant;
+
+    use slitpose_head::scene_file::WIDE;
+
+    use super::*;
+
+    /// A host whose first ping is answered long before the first frame would see the board's clock run away from its own.
+    #[test]
+    fn the_time_of_a_simulated_board_begins_with_its_first_frame() {
+        let mut device = SimulatedDevice::at_rest(&WIDE.read().unwrap()).unwrap();
+        std::thread::sleep(Duration::from_millis(20));
+        let begun = Instant::now();
+        while device.frames_passed == 0 {
+            device.receive(&mut Vec::new()).unwrap();
+        }
+        let (passed, device_s) = (begun.elapsed().as_secs_f64(), device.passed_s());
+        assert!(passed >= device_s, "{device_s} s of the board in {passed} s");
     }
 }
