@@ -235,8 +235,8 @@ pub(super) fn run(args: &mut Args) -> Result<Outcome, CommandError> {
     let status = args.status.as_ref().map(|address| StatusServer::start(address, reports(), control())).transpose()?;
     status.iter().for_each(|server| talk(format_args!("status at {}", server.address)));
     let capture = args.record.open(is_recorded_later)?;
-    let takers = live.iter().map(|live| Arc::new(live.input.clone()) as Arc<dyn SampleSink>).collect();
-    let plan = Plan { boards, sink, capture, datagrams, takers, real_time: args.real_time };
+    let shown = live.as_ref().map(|live| Arc::new(live.input.clone()) as Arc<dyn SampleSink>);
+    let plan = Plan { boards, sink, capture, datagrams, live: shown, real_time: args.real_time };
     let daemon = Arc::new(Daemon::start(plan, Arc::clone(&stop))?);
     let daemon = followed.get_or_init(|| daemon);
     // systemd's protocol; without a service manager nothing is sent.

@@ -7,7 +7,7 @@ use super::{CommandError, Outcome, config, options};
 use crate::sink::{EdgeLine, FaultLine, FrameLine};
 use slitpose_calibration::file_schema;
 use slitpose_head::scene_file::{Key, Kind, OWN, PER_CELL, SECTIONS};
-use slitpose_tracking::columns::{COLUMNS, Column, Get};
+use slitpose_tracking::columns::{COLUMNS, Column, Get, entries};
 use slitpose_tracking::telemetry::report_schema;
 
 /// Prints the JSON Schema of a file or a stream: editors complete and check by it, other programs make types of it.
@@ -116,7 +116,7 @@ fn ndjson() -> Schema {
         .with(|settings| settings.inline_subschemas = true)
         .for_serialize()
         .into_generator();
-    let columns: Vec<&Column> = COLUMNS.iter().filter(|column| !column.key.is_empty()).collect();
+    let columns: Vec<&'static Column> = COLUMNS.iter().filter(|column| !column.key.is_empty()).collect();
     let mut pose = object(&columns, 0);
     pose["title"] = "pose".into();
     // Objects of other kinds have this key, and poses have not.
@@ -134,29 +134,13 @@ fn ndjson() -> Schema {
 }
 
 /// The object whose keys go on behind `behind` bytes.
-fn object(columns: &[&Column], behind: usize) -> Value {
-    let mut properties = Map::new();
-    let mut rest = columns;
-    while let Some((first, others)) = rest.split_first() {
-        let key = &first.key[behind..];
-        let (name, mut value) = match key.split_once('.') {
-            Some((name, _)) => {
-                let path = &first.key[..=behind + name.len()];
-                let (inner, others) = rest.split_at(rest.iter().take_while(|of| of.key.starts_with(path)).count());
-                rest = others;
-                (name, object(inner, path.len()))
-            }
-            None => {
-                rest = others;
-                (key, of_column(first))
-            }
-        };
-        if first.is_null {
-            value = json!({ "anyOf": [value, { "type": "null" }] });
-        }
-        properties.insert(name.to_owned(), value);
-    }
-    json!({ "type": "object", "properties": properties })
+fn object(columns: &[&'static Column], behind: usize) -> Value {
+    let property = |(name, first, inner): (&str, &Column, Option<(&[&'static Column], usize)>)| {
+        let value = inner.map_or_else(|| of_column(first), |(columns, behind)| object(columns, behind));
+        let value = if first.is_null { json!({ "anyOf": [value, { "type": "null" }] }) } else { value };
+        (name.to_owned(), value)
+    };
+    json!({ "type": "object", "properties": entries(columns, behind).map(property).collect::<Map<_, _>>() })
 }
 
 fn of_column(column: &Column) -> Value {

@@ -79,7 +79,7 @@ pub(super) struct Shared {
     pub(super) prints_each: bool,
     pub(super) recorder: Option<TapEnds>,
     pub(super) datagrams: Option<Arc<DatagramServer>>,
-    pub(super) takers: Vec<Arc<dyn SampleSink>>,
+    pub(super) live: Option<Arc<dyn SampleSink>>,
     pub(super) real_time: Option<u8>,
     pub(super) claims: Claims,
 }
@@ -120,7 +120,7 @@ impl BoardThreads {
                 printer: shared.outboxes,
                 prints_all: keeps_all,
                 capture: shared.recorder.map(tap),
-                samplers: shared.takers.into_iter().map(|taker| Sampler::new(number, taker)).collect(),
+                sampler: shared.live.map(|live| Sampler::new(number, live)),
                 pending: Pending::default(),
             },
             backlog: Backlog::new(keeps_all),

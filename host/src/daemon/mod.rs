@@ -65,7 +65,7 @@ pub(crate) struct Plan {
     /// The server that sends poses to control loops.
     pub datagrams: Option<DatagramServer>,
     /// Takers of samples: the live page, and others.
-    pub takers: Vec<Arc<dyn SampleSink>>,
+    pub live: Option<Arc<dyn SampleSink>>,
     pub real_time: Option<u8>,
 }
 
@@ -91,7 +91,7 @@ pub(crate) struct Ended {
 impl Daemon {
     /// Starts all threads. They end when their boards do, when `stop` is set, or when the sink fails.
     pub(crate) fn start(plan: Plan, stop: Arc<AtomicBool>) -> Result<Self, BoardError> {
-        let Plan { boards, sink, capture, datagrams, takers, real_time } = plan;
+        let Plan { boards, sink, capture, datagrams, live, real_time } = plan;
         let datagrams = datagrams.map(Arc::new);
         let slots: Vec<_> = boards.iter().map(BoardPlan::slot).collect();
         let prints_each = sink.as_ref().is_some_and(|sink| sink.needs_each());
@@ -123,7 +123,7 @@ impl Daemon {
             prints_each,
             recorder: recorder_ends,
             datagrams: datagrams.clone(),
-            takers,
+            live,
             real_time,
             claims: Claims::default(),
         };

@@ -1,4 +1,4 @@
-//! The outputs of a board: control loops, statistics, capture, other takers of all bytes, printer.
+//! The outputs of a board: control loops, live page, statistics, capture, printer.
 
 use std::collections::VecDeque;
 use std::io;
@@ -49,8 +49,8 @@ pub(super) struct Outputs {
     /// Whether each pose must be printed, however late.
     pub(super) prints_all: bool,
     pub(super) capture: Option<Tap>,
-    /// For live pages: what takes each pose.
-    pub(super) samplers: Vec<Sampler>,
+    /// For live pages.
+    pub(super) sampler: Option<Sampler>,
     pub(super) pending: Pending,
 }
 
@@ -142,7 +142,7 @@ impl Outputs {
         {
             self.send();
         }
-        for sampler in &mut self.samplers {
+        if let Some(sampler) = &mut self.sampler {
             sampler.add(record);
             sampler.send(photocurrents, now);
         }

@@ -9,37 +9,30 @@ use serde::Serialize;
 use super::{Accounts, Note, Sink, json};
 use slitpose_calibration::values_of;
 use slitpose_head::faults::ANNOUNCED;
-use slitpose_tracking::columns::{COLUMNS, Column, Get, Row};
+use slitpose_tracking::columns::{COLUMNS, Column, Get, Row, entries};
 use slitpose_tracking::frame::View;
 use slitpose_tracking::link::DeviceId;
 use slitpose_tracking::pipeline::{EdgeRecord, Record};
 
 /// Writes an object with the values of `row`, whose keys go on behind `behind` bytes.
-fn write(columns: &[&Column], behind: usize, row: &Row<'_>, out: &mut Vec<u8>) {
+fn write(columns: &[&'static Column], behind: usize, row: &Row<'_>, out: &mut Vec<u8>) {
     out.push(b'{');
-    let mut rest = columns;
-    while let Some((first, others)) = rest.split_first() {
+    for (name, first, object) in entries(columns, behind) {
         let before = out.len();
-        let key = &first.key[behind..];
-        let object = key.find('.').map(|length| &key[..length]);
         // The first of an object has no comma.
         out.extend_from_slice(if out.last() == Some(&b'{') { b"\"" } else { b",\"" });
-        out.extend_from_slice(object.unwrap_or(key).as_bytes());
+        out.extend_from_slice(name.as_bytes());
         out.extend_from_slice(b"\":");
-        let is_written = if let Some(object) = object {
-            let path = &first.key[..=behind + object.len()];
-            let (inner, others) = rest.split_at(rest.iter().take_while(|column| column.key.starts_with(path)).count());
-            rest = others;
+        let is_written = if let Some((inner, behind)) = object {
             let is_there = match first.get {
                 Get::Translation(get) | Get::Velocity(get) => get(row).is_some(),
                 _ => true,
             };
             if is_there {
-                write(inner, path.len(), row, out);
+                write(inner, behind, row, out);
             }
             is_there
         } else {
-            rest = others;
             value(first, row, out)
         };
         match (is_written, first.is_null) {

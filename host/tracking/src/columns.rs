@@ -239,6 +239,27 @@ pub fn of_tables(is_stream: bool) -> Vec<&'static Column> {
     columns
 }
 
+/// The keys of an object of NDJSON, each with the first of its columns; of one that is an object itself also all of its columns, and
+/// how many bytes of their keys lead there. `behind`: how many lead to this one.
+pub fn entries<'a>(
+    columns: &'a [&'static Column],
+    behind: usize,
+) -> impl Iterator<Item = (&'static str, &'static Column, Option<(&'a [&'static Column], usize)>)> {
+    let mut rest = columns;
+    std::iter::from_fn(move || {
+        let (&first, others) = rest.split_first()?;
+        let key = &first.key[behind..];
+        let Some((name, _)) = key.split_once('.') else {
+            rest = others;
+            return Some((key, first, None));
+        };
+        let path = &first.key[..=behind + name.len()];
+        let (inner, others) = rest.split_at(rest.iter().take_while(|column| column.key.starts_with(path)).count());
+        rest = others;
+        Some((name, first, Some((inner, path.len()))))
+    })
+}
+
 impl Column {
     /// The names of its columns in tables, with units.
     pub fn names(&self) -> Vec<String> {
