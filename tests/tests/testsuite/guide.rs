@@ -211,6 +211,7 @@ works! {
     the_analyst_judges_poses: "analyst.md",
     faults_are_injected_and_seen: "faults.md",
     an_uncalibrated_head_has_its_first_light: "first_light.md",
+    published_instruments_are_predicted: "instruments.md",
 }
 
 #[test]
