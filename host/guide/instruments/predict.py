@@ -1,18 +1,21 @@
 #!/usr/bin/env python3
-"""Predicts with slitpose what published instruments measure.
+"""Predicts with slitpose what published instruments measure, and prints it beside what they did.
 
 `intervals.csv` has what a source states (intervals without width) and what it leaves open. SAMPLES instruments are
 drawn from the intervals (Latin hypercube, seeded), made into scenes from the TOML files beside this program, and given
-to `slitpose model` and `slitpose scene check`. Every quantity is computed from what those print.
+to `slitpose model`, `solve` and `scene check`. Every quantity is computed from what those print. `measured.csv` has what
+was measured. The only argument is another number of draws.
 """
 
 import csv
+import functools
 import json
 import math
 import os
 import random
 import statistics
 import subprocess
+import sys
 import tempfile
 import tomllib
 from concurrent.futures import ThreadPoolExecutor
@@ -58,30 +61,41 @@ def toml(scene):
     return "\n".join(lines) + "\n"
 
 
-def slitpose(scene, verb, *options, poses=None):
+@functools.cache
+def slitpose(text, *command, table=None):
+    """What `slitpose` prints for a scene: `SCENE` and `TABLE` in the command become files with `text` and `table`."""
     with tempfile.TemporaryDirectory() as folder:
-        files = [Path(folder, "scene.toml")]
-        files[0].write_text(toml(scene), encoding="utf-8")
-        if poses is not None:
-            table = [f"{k},{','.join(map(repr, pose))}" for k, pose in enumerate(poses)]
-            files.append(Path(folder, "poses.csv"))
-            files[1].write_text("\n".join(["id,tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad", *table]), encoding="utf-8")
-            options = ("--poses", str(files[1]), *options)
-        command = [SLITPOSE, *verb, str(files[0]), *options]
+        files = {"SCENE": Path(folder, "scene.toml"), "TABLE": Path(folder, "table.csv")}
+        files["SCENE"].write_text(text, encoding="utf-8")
+        files["TABLE"].write_text(table or "", encoding="utf-8")
+        command = [SLITPOSE, *(str(files.get(word, word)) for word in command)]
         run = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "SLITPOSE_CONFIG": "none"})
     if run.returncode:
         raise SystemExit(f"{' '.join(command)}: {run.stderr}")
     return run.stdout
 
 
+def currents(scene, translations, tier="exact"):
+    poses = [f"{k},{','.join(map(repr, map(float, at)))},0,0,0" for k, at in enumerate(translations)]
+    table = "\n".join(["id,tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad", *poses])
+    return slitpose(toml(scene), "model", "SCENE", "--poses", "TABLE", "--tier", tier, table=table)
+
+
 def model(scene, translations, tier="exact"):
-    poses = [(*translation, 0.0, 0.0, 0.0) for translation in translations]
-    text = slitpose(scene, ["model"], "--tier", tier, poses=poses)
-    return [{k: float(v) for k, v in row.items() if k[:2] in ("x_", "i_") and v} for row in csv.DictReader(text.splitlines())]
+    table = csv.DictReader(currents(scene, translations, tier).splitlines())
+    return [{k: float(v) for k, v in row.items() if k[:2] in ("x_", "i_") and v} for row in table]
 
 
-def check(scene, samples=1):
-    return json.loads(slitpose(scene, ["scene", "check"], "--format", "json", "--samples", str(samples), "--jobs", "1"))
+def sigma_um(scene):
+    """σ of a position at home by `[noise]`, mean of the axes."""
+    table = currents(scene, [(0, 0, 0)])
+    pose = next(csv.DictReader(slitpose(toml(scene), "solve", "SCENE", "--currents", "TABLE", table=table).splitlines()))
+    return statistics.mean(float(pose[f"sigma_{axis}_mm"]) for axis in ("tx", "ty", "tz")) * 1e3
+
+
+def check(scene, samples):
+    command = ("scene", "check", "SCENE", "--format", "json", "--samples", str(samples), "--jobs", "1")
+    return json.loads(slitpose(toml(scene), *command))
 
 
 def bench(p):
@@ -115,10 +129,14 @@ def amplifier_noise(p):
 def psd(p):
     scene = scene_of("psd")
     scene["detector"] |= {"length_mm": p["length"], "interelectrode_ohm": p["resistance"]}
-    scene["noise"] |= {"bandwidth_hz": p["bandwidth"], "adc_a": amplifier_noise(p)}
     light = model(scene, [(0.0, 0.0, 0.0)])[0]["i_o_0_a"]
     scene["emitter"]["radiant_intensity_w_per_sr"] *= p["photocurrent"] / light
-    return {"resolution": math.sqrt(2.0) * statistics.mean(check(scene)["sigma_at_home"][:3]) * 1e6}
+    scene["noise"] |= {"bandwidth_hz": p["bandwidth"], "adc_a": amplifier_noise(p)}
+    resolution = math.sqrt(2.0) * sigma_um(scene)
+    # Added after the comparison: the sheets' rule counts the shot noise of the whole current in one electrode.
+    shot = math.sqrt(2.0 * 1.602176634e-19 * p["photocurrent"] * p["bandwidth"])
+    shot_um = p["length"] * 1e3 * shot / p["photocurrent"]
+    return {"resolution": resolution, "resolution, shot noise added": math.hypot(resolution, shot_um)}
 
 
 def triangulation(p):
@@ -164,7 +182,7 @@ def maglev(p):
     scene["front_end"] |= {"adc_bits": bits, "raw_noise_lsb": p["raw_noise"], "full_scale_a": 1.0}
     largest = max(cell["most_electrode_a"] for cell in check(scene, 64)["coverage"]["cells"])
     scene["front_end"]["full_scale_a"] = p["headroom"] * largest
-    return {"resolution": statistics.mean(check(scene)["sigma_at_home"][:3]) * 1e6}
+    return {"resolution": statistics.mean(check(scene, 1)["sigma_at_home"][:3]) * 1e6}
 
 
 def asap(p):
@@ -176,17 +194,38 @@ def asap(p):
     place_lens(scene, p, 15.0 * math.sqrt(2.0), 0.0)
     p = {**p, "bandwidth": p["bandwidth"] * p["rate"]}
     scene["noise"] |= {"bandwidth_hz": p["bandwidth"], "adc_a": amplifier_noise(p)}
-    return {"peak to peak": p["peak_to_peak"] * statistics.mean(check(scene)["sigma_at_home"][:3]) * 1e6}
+    return {"peak to peak": p["peak_to_peak"] * sigma_um(scene)}
 
 
 # Which intervals an instrument shares, and what predicts it.
 INSTRUMENTS = {"bench": (None, bench), "Space Mouse": (None, space_mouse), "maglev": (None, maglev),
                "ASAP": ("any ASAP", asap), "Micron": ("any ASAP", asap)}
-FAMILIES = {"S": ("any PSD", psd), "GP2Y": ("any GP2Y", triangulation)}
+FAMILIES = {"S": ("any PSD", psd), "GP2": ("any GP2Y", triangulation)}
 
 
+@functools.cache
 def predict(instrument):
     shared, function = INSTRUMENTS.get(instrument) or next(f for k, f in FAMILIES.items() if instrument.startswith(k))
     with ThreadPoolExecutor(2) as pool:
         results = list(pool.map(function, draws(instrument, shared)))
     return {name: sorted(result[name] for result in results) for name in results[0]}
+
+
+def digits(value):
+    return f"{value:.2g}" if value < 100.0 else f"{value:.0f}"
+
+
+def main():
+    global SAMPLES
+    SAMPLES = int(sys.argv[1]) if len(sys.argv) > 1 else SAMPLES
+    print(f"{SAMPLES} draws of each instrument, seed {SEED}: median (least … greatest)")
+    print(f"{'instrument':12}{'quantity':33}{'unit':>5}{'measured':>9}{'predicted':>10}{'':18}{'ratio':>5}  status")
+    for row in rows("measured.csv"):
+        values, measured = predict(row["instrument"])[row["quantity"]], float(row["measured"])
+        median = statistics.median(values)
+        print(f"{row['instrument']:12}{row['quantity']:33}{row['unit']:>5}{measured:>9.4g}{digits(median):>10}"
+              f" {f'({digits(values[0])} … {digits(values[-1])})':17}{median / measured:>5.2f}  {row['status']}")
+
+
+if __name__ == "__main__":
+    main()
