@@ -26,7 +26,7 @@ use crate::peripherals::watchdog::Watchdog;
 use crate::peripherals::{Effects, ResetCause, Ticks};
 use crate::st::{self, LL, TS, V};
 use crate::usb_host::UsbHost;
-use crate::world::World;
+use crate::world::{Drive, Hold, Record, World};
 
 mod bus;
 mod faults;
@@ -48,9 +48,11 @@ const FRAME_OUTPUT: (usize, u32) = (0, 10);
 const CALIBRATION_C: [f64; 2] = [TS::CAL1_temperature as f64, TS::CAL2_temperature as f64];
 
 #[derive(Debug)]
-pub struct Board<W> {
-    /// Light and electronics around the board.
-    pub world: W,
+pub struct Board {
+    /// Light and electronics around the board; none: converters at zero.
+    pub world: Option<World>,
+    /// What the board does to them, if somebody wants to know.
+    pub record: Option<Record>,
     /// Signals between the peripherals, and the record of broken rules.
     pub effects: Effects,
     /// TIM2 to TIM5.
@@ -100,11 +102,12 @@ pub struct Board<W> {
     next_event: Ticks,
 }
 
-impl<W: World> Board<W> {
+impl Board {
     /// A board at 3.3 V and 30 °C whose flash holds `array`, after power-on at tick 0.
-    pub fn new(array: FlashArray, world: W) -> Self {
+    pub fn new(array: FlashArray, world: Option<World>) -> Self {
         let mut board = Self {
             world,
+            record: None,
             effects: Effects::default(),
             timers: std::array::from_fn(Timer::new),
             frame_timer: FrameTimer::default(),
@@ -248,8 +251,13 @@ impl<W: World> Board<W> {
     fn handle_events(&mut self) {
         let now = self.effects.now;
         if self.adc12.next_event() == now {
-            let world = &mut self.world;
-            self.adc12.advance(&mut self.effects, &mut |adc, channel| world.sample(now, adc, channel));
+            let Self { world, record, .. } = self;
+            self.adc12.advance(&mut self.effects, &mut |adc, channel| {
+                if let Some(record) = record {
+                    record.holds.push(Hold { at: now, adc, channel });
+                }
+                world.as_mut().map_or(0, |world| world.sample(now, adc, channel))
+            });
             self.disturb_neighbours();
         }
         for timer in &mut self.timers {
@@ -371,7 +379,13 @@ impl<W: World> Board<W> {
             return;
         }
         (self.gates, self.levels) = (gates, levels);
-        self.world.drive(self.effects.now, gates, levels);
+        let now = self.effects.now;
+        if let Some(record) = &mut self.record {
+            record.drives.push(Drive { at: now, gates, levels });
+        }
+        if let Some(world) = &mut self.world {
+            world.drive(now, gates, levels);
+        }
     }
 
     /// Carries the detector's output to its interrupt line.

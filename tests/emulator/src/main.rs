@@ -123,9 +123,9 @@ struct Session {
 }
 
 impl Session {
-    fn new(mut rig: Rig, terminal: Terminal, speed: Speed) -> Self {
+    fn new(rig: Rig, terminal: Terminal, speed: Speed) -> Self {
         let first_tick = rig.now();
-        let first_instruction = rig.machine().cpu.instructions();
+        let first_instruction = rig.machine.cpu.instructions();
         Self {
             rig,
             terminal,
@@ -201,7 +201,7 @@ impl Session {
     fn report(&mut self) {
         let device_s = self.device_s();
         let wall_s = self.started.elapsed().as_secs_f64();
-        let instructions = self.rig.machine().cpu.instructions() - self.first_instruction;
+        let instructions = self.rig.machine.cpu.instructions() - self.first_instruction;
         talk(format_args!(
             "{device_s:.3} s of device time in {wall_s:.3} s, ratio {:.2}; \
              {:.1} million instructions a second; stack {} bytes at most",
