@@ -6,12 +6,12 @@ use crate::common::{
     Bench, Fake, Finished, Heard, TICK_HZ, board, configuration, identity, request, sequences, without_dark, words,
 };
 use slitpose_firmware::pcb::{QUEUE_BYTES, can_run, default_configuration};
-use slitpose_firmware::{Board, HOST_GONE_MS, Identity, Indicator, Link, STATUS_MS, TRANSMIT_BYTES};
+use slitpose_firmware::{Board, HOST_GONE_MS, Identity, Indicator, Link, TRANSMIT_BYTES};
 use slitpose_protocol::schema::SchemaKeys;
 use slitpose_protocol::{
     AdcScaling, BoardKind, BootTarget, Command, Configuration, Decoder, Edge, Edges, EmitterSet, Exposure,
     HardwareFault, Hashes, Hello, Level, MAX_MESSAGE_BYTES, Message, PROTOCOL, Pulse, RawScan, Rejection, Reply,
-    ResetCause, ScheduleError, Severity, Status,
+    ResetCause, ScheduleError, Severity,
 };
 
 const MS: u64 = TICK_HZ as u64 / 1_000;
@@ -546,7 +546,7 @@ fn a_reboot_waits_until_settings_are_kept_and_its_reply_is_read() {
             bench.say(1, Command::Store(Hashes::default()));
         }
         bench.say(2, Command::Reboot(BootTarget::Firmware));
-        let mut rest = |reads: bool| {
+        let rest = |bench: &mut Bench, reads: bool| {
             bench.board.poll(Link::Open);
             if reads {
                 bench.listen();
@@ -555,9 +555,9 @@ fn a_reboot_waits_until_settings_are_kept_and_its_reply_is_read() {
             bench.board.poll(Link::Open);
             bench.hardware().rebooted.is_some()
         };
-        assert!((0..3).all(|_| !rest(storing)), "storing: {storing}");
+        assert!((0..3).all(|_| !rest(&mut bench, storing)), "storing: {storing}");
         bench.hardware().storing_polls = 0;
-        assert!((0..2).any(|_| rest(true)), "storing: {storing}");
+        assert!((0..2).any(|_| rest(&mut bench, true)), "storing: {storing}");
     }
 }
 
