@@ -15,8 +15,7 @@ use crate::peripherals::exti::Exti;
 use crate::peripherals::flash::Flash;
 use crate::peripherals::gpio::{PORTS, Port};
 use crate::peripherals::lab::{FrameTimer, TriggerLine};
-use crate::peripherals::plain::crc::Crc;
-use crate::peripherals::plain::{backup, crs, syscfg};
+use crate::peripherals::plain::{self, Crc};
 use crate::peripherals::power::Power;
 use crate::peripherals::rcc::Rcc;
 use crate::peripherals::timer::Timer;
@@ -125,12 +124,12 @@ impl Board {
             rcc: Rcc::new(),
             power: Power::new(3.3),
             exti: Exti::new(),
-            syscfg: Bank::new(syscfg::REGISTERS),
-            backup: Bank::new(backup::REGISTERS),
+            syscfg: Bank::new(plain::SYSCFG_REGISTERS),
+            backup: Bank::new(plain::BACKUP_REGISTERS),
             ports: std::array::from_fn(Port::new),
             dacs: [Dac::new(), Dac::new()],
             watchdog: Watchdog::new(),
-            crs: Bank::new(crs::REGISTERS),
+            crs: Bank::new(plain::CRS_REGISTERS),
             crc: Crc::new(),
             temperature_c: CALIBRATION_C[0],
             pvd: false,

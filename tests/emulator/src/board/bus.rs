@@ -6,7 +6,7 @@ use crate::memory::{
     BOOT_LOADER_BASE, BOOT_LOADER_END, CCM_BASE, CCM_BYTES, FLASH_BASE, FLASH_BYTES, RAM_BASE, RAM_BYTES, load, store,
     system_word,
 };
-use crate::peripherals::plain::backup;
+use crate::peripherals::plain::write_backup;
 use crate::peripherals::rcc::Gate;
 use crate::st;
 
@@ -167,7 +167,7 @@ impl Board {
             }
             Unit::Exti => self.exti.write(offset, value, effects),
             Unit::Syscfg => self.syscfg.write(offset, value, effects),
-            Unit::Backup => backup::write(&mut self.backup, offset, value, self.power.backup_access(), effects),
+            Unit::Backup => write_backup(&mut self.backup, offset, value, self.power.backup_access(), effects),
             Unit::Watchdog => self.watchdog.write(offset, value, effects),
             Unit::Crs => self.crs.write(offset, value, effects),
             Unit::Crc => self.crc.write(offset, value, effects),

@@ -144,7 +144,7 @@ fn float_timing(float: FloatInstruction) -> Timing {
     match float {
         FloatInstruction::Arithmetic { op: FloatOp::Div, .. }
         | FloatInstruction::Unary { op: FloatUnaryOp::Sqrt, .. } => alone(14),
-        FloatInstruction::PairToCore { .. } | FloatInstruction::PairFromCore { .. } => alone(2),
+        FloatInstruction::MoveCore { rt2: Some(_), .. } => alone(2),
         _ => alone(1),
     }
 }

@@ -80,7 +80,7 @@ impl Cpu {
                 }
             }
             Instruction::IfThen { state } => self.registers.it = state,
-            Instruction::Nop | Instruction::Barrier => {}
+            Instruction::Nop => {}
             Instruction::Float(float) => self.execute_float(float)?,
             _ => return self.execute_rare(board, instruction),
         }
