@@ -49,7 +49,7 @@ impl Cpu {
             Instruction::Load { size, signed, rt, address } => self.load(board, size, signed, rt, address)?,
             Instruction::Store { size, rt, address } => self.store(board, size, rt, address)?,
             Instruction::MovePair { is_load, rt, rt2, address } => {
-                self.move_pair(board, is_load, [rt, rt2], address)?
+                self.move_pair(board, is_load, [rt, rt2], address)?;
             }
             Instruction::MoveMultiple { is_load, registers, address } => {
                 self.move_multiple(board, is_load, registers, address)?;
