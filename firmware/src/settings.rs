@@ -129,14 +129,18 @@ fn record(number: u32, settings: Option<&Settings>) -> Vec<u8, RECORD_BYTES> {
         }
         None => &[],
     };
+    record_of(VERSION, number, payload)
+}
+
+fn record_of(version: u16, number: u32, payload: &[u8]) -> Vec<u8, RECORD_BYTES> {
     let length = payload.len() as u16;
     let mut record = Vec::new();
     for part in [
         &MAGIC.to_le_bytes()[..],
-        &VERSION.to_le_bytes(),
+        &version.to_le_bytes(),
         &length.to_le_bytes(),
         &number.to_le_bytes(),
-        &checksum(VERSION, number, payload).to_le_bytes(),
+        &checksum(version, number, payload).to_le_bytes(),
         payload,
     ] {
         // Header and payload fit by the size of the payload's buffer.
@@ -267,13 +271,7 @@ mod tests {
         assert!(first.erase);
         carry_out(&mut pages, &first, usize::MAX, 0);
         assert_eq!(stored(&pages), Some(settings(1)));
-        let payload = [1, 2, 3];
-        let mut record = std::vec::Vec::from(MAGIC.to_le_bytes());
-        record.extend(2_u16.to_le_bytes());
-        record.extend(3_u16.to_le_bytes());
-        record.extend(9_u32.to_le_bytes());
-        record.extend(checksum(2, 9, &payload).to_le_bytes());
-        record.extend(payload);
+        let record = record_of(2, 9, &[1, 2, 3]);
         pages[1][..record.len()].copy_from_slice(&record);
         assert_eq!(stored(&pages), None, "a newer firmware's settings are not read as ours");
     }
@@ -288,13 +286,7 @@ mod tests {
                 None => postcard::to_slice(&old, &mut payload),
                 head => postcard::to_slice(&(old, head), &mut payload),
             };
-            let payload = payload.expect("room");
-            let mut record = std::vec::Vec::from(MAGIC.to_le_bytes());
-            record.extend(VERSION.to_le_bytes());
-            record.extend((payload.len() as u16).to_le_bytes());
-            record.extend(3_u32.to_le_bytes());
-            record.extend(checksum(VERSION, 3, payload).to_le_bytes());
-            record.extend_from_slice(payload);
+            let record = record_of(VERSION, 3, payload.expect("room"));
             let mut pages = BLANK;
             pages[0][..record.len()].copy_from_slice(&record);
             assert_eq!(stored(&pages), Some(kept));

@@ -341,22 +341,4 @@ mod tests {
         let plan = FramePlan::new(&configuration).unwrap();
         assert!(plan.level_codes.iter().all(|codes| codes[..] == [2_048; 4]), "{:?}", plan.level_codes);
     }
-
-    #[test]
-    fn conversion_times_of_the_converters_can_be_asked_for_if_the_pins_settle_within() {
-        for ticks in [148, 240, 420, 1_040, 2_612] {
-            assert_eq!(conversion_ticks(sampling_code(ticks).unwrap()), ticks);
-        }
-        for ticks in [60, 76, 100] {
-            let refusal = HardwareFault::Conversion { asked_ticks: ticks, nearest_ticks: 148 };
-            assert_eq!(sampling_code(ticks), Err(refusal));
-        }
-        // The voltage at the pin after the sampling capacitor has taken its share, in codes from where it settles.
-        let left = |code: usize| {
-            let time_constant_s: f64 = 220.0 * (470e-12 + 5e-12);
-            let sampling_s = f64::from(sampling_ticks(code)) / f64::from(TICK_HZ);
-            4_096.0 * 5.0 / 475.0 * (-sampling_s / time_constant_s).exp()
-        };
-        assert!(left(MIN_SAMPLING_CODE) < 0.5 && left(MIN_SAMPLING_CODE - 1) > 2.0);
-    }
 }

@@ -78,14 +78,6 @@ mod tests {
 
     use super::*;
 
-    #[test]
-    fn the_default_configuration_is_valid_at_4_khz() {
-        let Configuration { schedule, levels, .. } = default_configuration();
-        assert_eq!(schedule.validate(), Ok(()));
-        assert_eq!(schedule.frame_rate_hz(), 4_000.0);
-        assert_eq!(levels.len(), 6);
-    }
-
     /// By the table of the analogue front end (README.md): the reference at code 4031, 10 µA at code 0.
     #[test]
     fn the_default_scaling_is_that_of_the_front_end() {

@@ -332,18 +332,6 @@ mod tests {
     }
 
     #[test]
-    fn a_head_serves_any_frame_rate_but_no_other_slots() {
-        let (mut poser, _) = poser();
-        let mut schedule = default_configuration().schedule;
-        schedule.frame_ticks *= 3;
-        poser.configure(1, &schedule);
-        assert!(poser.is_at_work());
-        schedule.slot_ticks += 1;
-        poser.configure(2, &schedule);
-        assert!(!poser.is_at_work() && poser.is_unfit());
-    }
-
-    #[test]
     fn scans_that_come_too_fast_cost_the_oldest_and_are_counted() {
         let (mut poser, _) = poser();
         let home = scan(&Pose::HOME, 0);
@@ -353,26 +341,6 @@ mod tests {
             poser.take(&next);
         }
         assert_eq!((poser.missed, poser.waiting.front().map(|scan| scan.sequence)), (2, Some(2)));
-    }
-
-    #[test]
-    fn a_tool_is_found_and_followed() {
-        let (mut poser, _) = poser();
-        let at = |sequence: u64| {
-            let share = sequence as f64 * 1e-3;
-            Pose::from_vectors(DVec3::new(1e-3, share * 1e-3, -0.5e-3), DVec3::new(0.02, 0.0, share * 0.05))
-        };
-        for sequence in 0..60 {
-            let solved = poser.solver.solve(&scan(&at(sequence), sequence)).expect("a head");
-            assert_eq!(solved.record.status, PoseStatus::Converged, "frame {sequence}");
-            let truth = at(sequence).translation_m;
-            let off =
-                (0..3).map(|i| (f64::from(solved.record.translation_m[i]) - truth[i]).powi(2)).sum::<f64>().sqrt();
-            // Words are whole numbers: half a step of 0.6 nA of some microamperes is a micrometre.
-            assert!(off < 3e-6, "frame {sequence}: {off}");
-            let covariance = solved.covariance.expect("a pose");
-            assert!(covariance[0] > 0.0 && covariance[20] > 0.0);
-        }
     }
 
     /// Poses all over the workspace, the same ones every time: multiples of powers of the root of x⁷ = x + 1 (Roberts 2018).

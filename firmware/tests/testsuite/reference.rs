@@ -3,10 +3,10 @@
 //! The reference knows neither queues nor batches: only whether emitters are lit, whether
 //! a host listens, which replies are owed, and that every scan is delivered, dropped or lost.
 
-use crate::common::{Fake, Heard, Listener, TICK_HZ, board, configuration, request, sequences, without_dark, words};
+use crate::common::{Bench, Heard, TICK_HZ, configuration, request, sequences, without_dark, words};
 use proptest::collection::vec;
 use proptest::prelude::*;
-use slitpose_firmware::{Board, HOST_GONE_MS, Link, STATUS_MS};
+use slitpose_firmware::{HOST_GONE_MS, Link, STATUS_MS};
 use slitpose_protocol::{BootTarget, Command, Configuration, HardwareFault, Hashes, Level, Rejection, Status};
 
 const MS: u64 = TICK_HZ as u64 / 1_000;
@@ -104,10 +104,10 @@ impl Reference {
     }
 }
 
-/// A board, its listener, and the reference beside it.
+/// A board, its host, and the reference beside it.
+#[derive(Default)]
 struct Life {
-    board: Board<Fake, [u8; 2_048]>,
-    listener: Listener,
+    bench: Bench,
     reference: Reference,
     next_number: u16,
     delivered: u64,
@@ -116,25 +116,13 @@ struct Life {
 }
 
 impl Life {
-    fn new() -> Self {
-        Self {
-            board: board(Fake::default()),
-            listener: Listener::default(),
-            reference: Reference::default(),
-            next_number: 0,
-            delivered: 0,
-            last_sequence: None,
-            last_status: None,
-        }
-    }
-
     fn order(&mut self, command: Command) {
-        let now = self.board.hardware_mut().now;
+        let now = self.bench.hardware().now;
         let accepted = self.reference.order(&command, now);
         // The zero in front ends any noise, as a host does when it opens a link.
         let mut bytes = vec![0];
         bytes.extend(request(self.next_number, command));
-        self.board.receive(&bytes);
+        self.bench.board.receive(&bytes);
         self.reference.owed.push((self.next_number, accepted));
         self.reference.rejected += u32::from(!accepted);
         self.next_number += 1;
@@ -143,15 +131,15 @@ impl Life {
     }
 
     fn poll(&mut self) {
-        let now = self.board.hardware_mut().now;
-        self.board.poll(if self.reference.open { Link::Open } else { Link::Closed });
+        let now = self.bench.hardware().now;
+        self.bench.board.poll(if self.reference.open { Link::Open } else { Link::Closed });
         self.reference.poll(now);
-        if self.board.hardware_mut().rebooted.take().is_some() {
+        if self.bench.hardware().rebooted.take().is_some() {
             // Acquisition may have been started between the command and the reboot.
             self.reference.acquiring = false;
         }
-        assert_eq!(self.board.is_acquiring(), self.reference.acquiring);
-        let lit = self.board.hardware_mut().running.is_some();
+        assert_eq!(self.bench.board.is_acquiring(), self.reference.acquiring);
+        let lit = self.bench.hardware().running.is_some();
         assert_eq!(lit, self.reference.acquiring, "light only while acquiring");
     }
 
@@ -167,16 +155,16 @@ impl Life {
         match step {
             Step::Order(command) => self.order(command),
             Step::Noise(bytes) => {
-                self.board.receive(&bytes);
+                self.bench.board.receive(&bytes);
             }
-            Step::Sample(count) => self.board.hardware_mut().sample(count),
-            Step::Overrun(count) => self.board.hardware_mut().overrun(count),
-            Step::Level(level) => self.board.hardware_mut().set_level(Level(level)),
+            Step::Sample(count) => self.bench.hardware().sample(count),
+            Step::Overrun(count) => self.bench.hardware().overrun(count),
+            Step::Level(level) => self.bench.hardware().set_level(Level(level)),
             Step::RefuseLight => {
                 self.reference.light_refused = true;
-                self.board.hardware_mut().refuse_light = Some(HardwareFault::Emitters);
+                self.bench.hardware().refuse_light = Some(HardwareFault::Emitters);
             }
-            Step::Wait(milliseconds) => self.board.hardware_mut().now += milliseconds * MS,
+            Step::Wait(milliseconds) => self.bench.hardware().now += milliseconds * MS,
             Step::Link(open) => self.link(open),
             Step::Listen if self.reference.open => self.listen(),
             Step::Listen => {}
@@ -190,7 +178,7 @@ impl Life {
     }
 
     fn listen(&mut self) {
-        for heard in self.listener.listen(&mut self.board) {
+        for heard in self.bench.listen() {
             match heard {
                 Heard::Scan { scan, .. } => {
                     assert!(self.last_sequence.is_none_or(|last| last < scan.sequence), "order kept");
@@ -216,13 +204,13 @@ impl Life {
     /// Takes one last scan, so that every loss shows in a sequence number, and listens to
     /// all packets left.
     fn account(&mut self) -> Status {
-        self.board.hardware_mut().refuse_light = None;
+        self.bench.hardware().refuse_light = None;
         self.reference.light_refused = false;
         self.link(true);
         self.order(Command::Start);
-        self.board.hardware_mut().sample(1);
+        self.bench.hardware().sample(1);
         self.order(Command::Stop);
-        self.board.hardware_mut().now += STATUS_MS * MS;
+        self.bench.hardware().now += STATUS_MS * MS;
         self.poll();
         self.listen();
         self.last_status.take().expect("half a second has passed")
@@ -232,17 +220,17 @@ impl Life {
 proptest! {
     #[test]
     fn a_board_agrees_with_the_reference_over_random_steps(steps in vec(step(), 1..120)) {
-        let mut life = Life::new();
+        let mut life = Life::default();
         for step in steps {
             life.step(step);
         }
         let status = life.account();
-        prop_assert_eq!(status.scans_taken, life.board.hardware_mut().sampled);
+        prop_assert_eq!(status.scans_taken, life.bench.hardware().sampled);
         prop_assert_eq!(status.scans_taken, life.delivered + status.scans_dropped + status.scans_lost);
         prop_assert_eq!(status.commands_rejected, life.reference.rejected);
         prop_assert_eq!(status.replies_dropped, 0);
         prop_assert!(!status.acquiring);
-        let kept = life.board.hardware_mut().kept.as_ref().map(|settings| settings.hashes);
+        let kept = life.bench.hardware().kept.as_ref().map(|settings| settings.hashes);
         prop_assert_eq!(kept.unwrap_or_default(), life.reference.hashes);
     }
 
@@ -251,15 +239,15 @@ proptest! {
         bytes in vec(any::<u8>(), 0..400),
         scans in vec(any::<(u64, u64, u8, bool)>(), 0..20),
     ) {
-        let mut life = Life::new();
+        let mut life = Life::default();
         life.order(Command::Start);
         for (sequence, tick, cells, has_dark) in scans {
             let mut scan = slitpose_protocol::RawScan::new(cells.into(), has_dark);
             (scan.sequence, scan.tick) = (sequence, tick);
-            life.board.hardware_mut().finished.push_back(crate::common::Finished::Scan(scan));
-            life.board.poll(Link::Open);
-            life.board.receive(&bytes);
+            life.bench.hardware().finished.push_back(crate::common::Finished::Scan(scan));
+            life.bench.board.poll(Link::Open);
+            life.bench.board.receive(&bytes);
         }
-        prop_assert!(sequences(&life.listener.listen(&mut life.board)).is_sorted());
+        prop_assert!(sequences(&life.bench.listen()).is_sorted());
     }
 }

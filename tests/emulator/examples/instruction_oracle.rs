@@ -6,16 +6,15 @@
 use std::io::{BufRead, Write, stdin, stdout};
 
 use slitpose_emulator::board::Board;
-use slitpose_emulator::cpu::{Bus, Cpu, Size, State, Step};
+use slitpose_emulator::cpu::{Cpu, Size, State, Step};
 use slitpose_emulator::memory::{CCM_BASE, FlashArray, RAM_BASE};
-use slitpose_emulator::world::Dark;
 
 /// Where `compare.py` has code and data.
 const CODE: u32 = CCM_BASE;
 const DATA: u32 = RAM_BASE;
 
 /// Puts `values` into RAM, one behind another.
-fn store(board: &mut Board<Dark>, base: u32, size: Size, values: &[u32]) {
+fn store(board: &mut Board, base: u32, size: Size, values: &[u32]) {
     for (address, &value) in (base..).step_by(size.bytes() as usize).zip(values) {
         board.write(address, size, value).expect("RAM");
     }
@@ -26,7 +25,7 @@ fn hexadecimal(word: &str) -> Result<u32, std::num::ParseIntError> {
 }
 
 /// A core in thread mode that has enabled its floating-point unit and used it: the first use sets the modes.
-fn core_with_float(board: &mut Board<Dark>) -> Cpu {
+fn core_with_float(board: &mut Board) -> Cpu {
     let mut cpu = Cpu::default();
     store(board, CODE, Size::Half, &[0x6001, 0xeeb0, 0x0a40]); // str r1, [r0]; vmov s0, s0
     cpu.reset(board);
@@ -42,7 +41,7 @@ fn core_with_float(board: &mut Board<Dark>) -> Cpu {
 }
 
 /// Runs one trial; a core that has seen a fault is replaced by a new one.
-fn trial(cpu: &mut Cpu, board: &mut Board<Dark>, line: &str) -> Result<String, Box<dyn std::error::Error>> {
+fn trial(cpu: &mut Cpu, board: &mut Board, line: &str) -> Result<String, Box<dyn std::error::Error>> {
     let fields: Vec<&str> = line.split_whitespace().collect();
     let words = fields.iter().take(51).map(|word| hexadecimal(word)).collect::<Result<Vec<u32>, _>>()?;
     let code = fields[51].split(',').map(hexadecimal).collect::<Result<Vec<_>, _>>()?;
@@ -71,7 +70,7 @@ fn trial(cpu: &mut Cpu, board: &mut Board<Dark>, line: &str) -> Result<String, B
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let mut board = Board::new(FlashArray::erased(), Dark);
+    let mut board = Board::new(FlashArray::erased(), None);
     let mut cpu = core_with_float(&mut board);
     let mut out = stdout().lock();
     for line in stdin().lock().lines() {

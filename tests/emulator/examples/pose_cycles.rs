@@ -44,18 +44,18 @@ fn main() {
     rig.run_for(skip);
     let (mut profile, began) = (Profile::default(), rig.now());
     let end = began + FRAMES * Ticks::from(schedule.frame_ticks);
-    let awake = rig.machine().awake_ticks();
+    let awake = rig.machine.awake_ticks();
     while rig.now() < end {
-        let (pc, now) = (rig.machine().cpu.pc(), rig.now());
-        let before = rig.machine().awake_ticks();
+        let (pc, now) = (rig.machine.cpu.pc(), rig.now());
+        let before = rig.machine.awake_ticks();
         assert_eq!(rig.run_until(now + 1), Stop::Reached);
-        let spent = rig.machine().awake_ticks() - before;
+        let spent = rig.machine.awake_ticks() - before;
         if spent > 0 {
             let at = profile.entry(pc).or_default();
             *at = (at.0 + 1, at.1 + spent);
         }
     }
-    let spent = rig.machine().awake_ticks() - awake;
+    let spent = rig.machine.awake_ticks() - awake;
     println!("stack {} bytes at most", rig.stack_bytes());
     println!("load {:.1} %, {} cycles a frame", 100.0 * spent as f64 / (end - began) as f64, spent / FRAMES);
     println!("{:>8} {:>7}  function", "cycles", "calls");

@@ -15,8 +15,7 @@ use crate::peripherals::exti::Exti;
 use crate::peripherals::flash::Flash;
 use crate::peripherals::gpio::{PORTS, Port};
 use crate::peripherals::lab::{FrameTimer, TriggerLine};
-use crate::peripherals::plain::crc::Crc;
-use crate::peripherals::plain::{backup, crs, syscfg};
+use crate::peripherals::plain::{self, Crc};
 use crate::peripherals::power::Power;
 use crate::peripherals::rcc::Rcc;
 use crate::peripherals::timer::Timer;
@@ -26,7 +25,7 @@ use crate::peripherals::watchdog::Watchdog;
 use crate::peripherals::{Effects, ResetCause, Ticks};
 use crate::st::{self, LL, TS, V};
 use crate::usb_host::UsbHost;
-use crate::world::World;
+use crate::world::{Drive, Hold, Record, World};
 
 mod bus;
 mod faults;
@@ -48,9 +47,11 @@ const FRAME_OUTPUT: (usize, u32) = (0, 10);
 const CALIBRATION_C: [f64; 2] = [TS::CAL1_temperature as f64, TS::CAL2_temperature as f64];
 
 #[derive(Debug)]
-pub struct Board<W> {
-    /// Light and electronics around the board.
-    pub world: W,
+pub struct Board {
+    /// Light and electronics around the board; none: converters at zero.
+    pub world: Option<World>,
+    /// What the board does to them, if somebody wants to know.
+    pub record: Option<Record>,
     /// Signals between the peripherals, and the record of broken rules.
     pub effects: Effects,
     /// TIM2 to TIM5.
@@ -100,11 +101,12 @@ pub struct Board<W> {
     next_event: Ticks,
 }
 
-impl<W: World> Board<W> {
+impl Board {
     /// A board at 3.3 V and 30 °C whose flash holds `array`, after power-on at tick 0.
-    pub fn new(array: FlashArray, world: W) -> Self {
+    pub fn new(array: FlashArray, world: Option<World>) -> Self {
         let mut board = Self {
             world,
+            record: None,
             effects: Effects::default(),
             timers: std::array::from_fn(Timer::new),
             frame_timer: FrameTimer::default(),
@@ -122,12 +124,12 @@ impl<W: World> Board<W> {
             rcc: Rcc::new(),
             power: Power::new(3.3),
             exti: Exti::new(),
-            syscfg: Bank::new(syscfg::REGISTERS),
-            backup: Bank::new(backup::REGISTERS),
+            syscfg: Bank::new(plain::SYSCFG_REGISTERS),
+            backup: Bank::new(plain::BACKUP_REGISTERS),
             ports: std::array::from_fn(Port::new),
             dacs: [Dac::new(), Dac::new()],
             watchdog: Watchdog::new(),
-            crs: Bank::new(crs::REGISTERS),
+            crs: Bank::new(plain::CRS_REGISTERS),
             crc: Crc::new(),
             temperature_c: CALIBRATION_C[0],
             pvd: false,
@@ -248,8 +250,13 @@ impl<W: World> Board<W> {
     fn handle_events(&mut self) {
         let now = self.effects.now;
         if self.adc12.next_event() == now {
-            let world = &mut self.world;
-            self.adc12.advance(&mut self.effects, &mut |adc, channel| world.sample(now, adc, channel));
+            let Self { world, record, .. } = self;
+            self.adc12.advance(&mut self.effects, &mut |adc, channel| {
+                if let Some(record) = record {
+                    record.holds.push(Hold { at: now, adc, channel });
+                }
+                world.as_mut().map_or(0, |world| world.sample(now, adc, channel))
+            });
             self.disturb_neighbours();
         }
         for timer in &mut self.timers {
@@ -371,7 +378,13 @@ impl<W: World> Board<W> {
             return;
         }
         (self.gates, self.levels) = (gates, levels);
-        self.world.drive(self.effects.now, gates, levels);
+        let now = self.effects.now;
+        if let Some(record) = &mut self.record {
+            record.drives.push(Drive { at: now, gates, levels });
+        }
+        if let Some(world) = &mut self.world {
+            world.drive(now, gates, levels);
+        }
     }
 
     /// Carries the detector's output to its interrupt line.

@@ -34,9 +34,9 @@ pub struct Reset {
 }
 
 #[derive(Debug)]
-pub struct Machine<W> {
+pub struct Machine {
     pub cpu: Cpu,
-    pub board: Board<W>,
+    pub board: Board,
     resets: Vec<Reset>,
     /// Ticks in which the core did not sleep.
     awake: Ticks,
@@ -45,9 +45,9 @@ pub struct Machine<W> {
     browned_out: bool,
 }
 
-impl<W: World> Machine<W> {
+impl Machine {
     /// A machine whose flash holds `array`, powered on at tick 0.
-    pub fn new(array: FlashArray, world: W) -> Self {
+    pub fn new(array: FlashArray, world: Option<World>) -> Self {
         let mut machine = Self {
             cpu: Cpu::default(),
             board: Board::new(array, world),
@@ -211,30 +211,29 @@ impl<W: World> Machine<W> {
 mod tests {
     use super::*;
     use crate::board::Board;
-    use crate::cpu::{Bus, Size};
+    use crate::cpu::Size;
     use crate::peripherals::TICKS_PER_SECOND;
-    use crate::world::Dark;
 
     const SPIN: &[u16] = &[0xE7FE];
     /// A machine with a vector table and `code` behind it.
-    fn machine(code: &[u16]) -> Machine<Dark> {
+    fn machine(code: &[u16]) -> Machine {
         let mut flash = FlashArray::erased();
         flash.load(0, &0x2000_1000_u32.to_le_bytes());
         flash.load(4, &0x0800_0009_u32.to_le_bytes());
         let bytes: Vec<u8> = code.iter().flat_map(|half| half.to_le_bytes()).collect();
         flash.load(8, &bytes);
-        Machine::new(flash, Dark)
+        Machine::new(flash, None)
     }
 
-    fn put(board: &mut Board<Dark>, address: u32, value: u32) {
+    fn put(board: &mut Board, address: u32, value: u32) {
         board.write(address, Size::Word, value).unwrap();
     }
 
-    fn causes(machine: &Machine<Dark>) -> Vec<ResetCause> {
+    fn causes(machine: &Machine) -> Vec<ResetCause> {
         machine.resets().iter().map(|reset| reset.cause).collect()
     }
 
-    fn start_watchdog(machine: &mut Machine<Dark>) {
+    fn start_watchdog(machine: &mut Machine) {
         for (offset, value) in [(0, 0x5555), (4, 1), (8, 399), (0, 0xCCCC)] {
             put(&mut machine.board, 0x4000_3000 + offset, value);
         }

@@ -92,7 +92,8 @@ fn run(args: &Args) -> Result<()> {
     let mut out = io::stdout();
     let written = writeln!(out, "{}", terminal.path().display()).and_then(|()| out.flush());
     written.context("cannot write to standard output")?;
-    let mut session = Session::new(rig, terminal, args.speed);
+    let (pace, started) = (Pace::new(args.speed), Instant::now());
+    let mut session = Session { rig, terminal, pace, started, pending: Vec::new(), stuck: None };
     let outcome = session.follow(&stdin_closed());
     session.report();
     outcome
@@ -118,26 +119,9 @@ struct Session {
     /// What the terminal has not taken yet, and since when.
     pending: Vec<u8>,
     stuck: Option<Instant>,
-    first_tick: Ticks,
-    first_instruction: u64,
 }
 
 impl Session {
-    fn new(mut rig: Rig, terminal: Terminal, speed: Speed) -> Self {
-        let first_tick = rig.now();
-        let first_instruction = rig.machine().cpu.instructions();
-        Self {
-            rig,
-            terminal,
-            pace: Pace::new(speed),
-            started: Instant::now(),
-            pending: Vec::new(),
-            stuck: None,
-            first_tick,
-            first_instruction,
-        }
-    }
-
     fn follow(&mut self, closed: &AtomicBool) -> Result<()> {
         let mut from_terminal = [0; 4096];
         while !closed.load(Ordering::Relaxed) {
@@ -195,18 +179,17 @@ impl Session {
     }
 
     fn device_s(&self) -> f64 {
-        (self.rig.now() - self.first_tick) as f64 / TICKS_PER_SECOND as f64
+        self.rig.now() as f64 / TICKS_PER_SECOND as f64
     }
 
     fn report(&mut self) {
         let device_s = self.device_s();
         let wall_s = self.started.elapsed().as_secs_f64();
-        let instructions = self.rig.machine().cpu.instructions() - self.first_instruction;
         talk(format_args!(
             "{device_s:.3} s of device time in {wall_s:.3} s, ratio {:.2}; \
              {:.1} million instructions a second; stack {} bytes at most",
             device_s / wall_s,
-            instructions as f64 / wall_s / 1e6,
+            self.rig.machine.cpu.instructions() as f64 / wall_s / 1e6,
             self.rig.stack_bytes(),
         ));
         for fault in self.rig.faults() {

@@ -17,7 +17,7 @@ use crate::memory::FlashArray;
 use crate::peripherals::uart::SentByte;
 use crate::peripherals::{TICKS_PER_SECOND, Ticks};
 use crate::usb_host::UsbHost;
-use crate::world::{NoiseSource, OpticsWorld, World};
+use crate::world::{NoiseSource, World};
 
 /// Seed of what the silicon's faults do by chance.
 const SEED: u64 = 20_180_718;
@@ -59,8 +59,8 @@ pub enum Link {
 
 /// A running board and what is around it.
 #[derive(Debug)]
-pub struct Rig<W = OpticsWorld> {
-    machine: Machine<W>,
+pub struct Rig {
+    pub machine: Machine,
     link: Link,
     next_number: u16,
     /// Where the program's stack begins.
@@ -78,23 +78,12 @@ impl Rig {
         noise: NoiseSource,
         faults: Faults,
     ) -> Result<Self> {
-        let world = OpticsWorld::new(scene, trajectory, noise, faults)?;
-        let mut rig = Self::power_on(image, world, faults);
-        if let Some(origin) = rig.machine.device_clock_origin() {
-            rig.machine.board.world.set_origin(origin);
-        }
-        Ok(rig)
-    }
-}
-
-impl<W: World> Rig<W> {
-    /// Powers a board with `image` in `world`, its host at its USB, and lets it start its clock.
-    pub fn power_on(image: &Image, world: W, faults: Faults) -> Self {
+        let world = World::new(scene, trajectory, noise, faults)?;
         let mut flash = FlashArray::erased();
         image.load_into(&mut flash);
         let stack_start = flash.stack_start();
         let mut rig = Self {
-            machine: Machine::new(flash, world).with_faults(faults, SEED),
+            machine: Machine::new(flash, Some(world)).with_faults(faults, SEED),
             link: Link::Usb,
             next_number: 0,
             stack_start,
@@ -110,7 +99,11 @@ impl<W: World> Rig<W> {
         if faults.has(Fault::LostSettings) {
             rig.machine.board.flash.loses_settings = true;
         }
-        rig
+        let origin = rig.machine.device_clock_origin();
+        if let (Some(world), Some(origin)) = (&mut rig.machine.board.world, origin) {
+            world.set_origin(origin);
+        }
+        Ok(rig)
     }
 
     /// The same with its host at another link.
@@ -120,10 +113,6 @@ impl<W: World> Rig<W> {
             self.set_cable(false);
         }
         self
-    }
-
-    pub fn machine(&mut self) -> &mut Machine<W> {
-        &mut self.machine
     }
 
     pub fn now(&self) -> Ticks {

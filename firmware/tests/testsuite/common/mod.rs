@@ -4,7 +4,8 @@ use std::collections::VecDeque;
 
 use slitpose_firmware::settings::Settings;
 use slitpose_firmware::{
-    Acquisition, Board, Health, Identity, Indicator, Link, ScanError, Storage, StorageError, System, TRANSMIT_BYTES,
+    Acquisition, Board, Health, Identity, Indicator, Link, STATUS_MS, ScanError, Storage, StorageError, System,
+    TRANSMIT_BYTES,
 };
 use slitpose_protocol::{
     AdcScaling, Batch, BoardKind, BootTarget, ClockSource, Command, Configuration, Decoder, Edge, Edges, EmitterSet,
@@ -30,8 +31,6 @@ pub struct Fake {
     pub sampled: u64,
     /// The fault of the next attempt to light.
     pub refuse_light: Option<HardwareFault>,
-    /// The highest level it can drive; `None`: any.
-    pub highest: Option<Level>,
     /// How many attempts to go dark will fail.
     pub refuse_dark: u32,
     /// Whether the last attempt has.
@@ -100,11 +99,7 @@ impl Acquisition for Fake {
         Ok(())
     }
 
-    fn limit_levels(&self, _: &Schedule, levels: &mut [Level]) {
-        if let Some(highest) = self.highest {
-            levels.iter_mut().for_each(|level| *level = (*level).min(highest));
-        }
-    }
+    fn limit_levels(&self, _: &Schedule, _: &mut [Level]) {}
 
     fn acquire(&mut self, configuration: Option<&Configuration>) -> Result<(), HardwareFault> {
         if configuration.is_some() {
@@ -246,7 +241,7 @@ pub enum Heard {
 
 /// The other end of the link: reads scans by the last hello before them, as a player of
 /// recordings does.
-pub struct Listener {
+struct Listener {
     decoder: Decoder<MAX_MESSAGE_BYTES>,
     configuration: u16,
     schedule: Schedule,
@@ -260,7 +255,7 @@ impl Default for Listener {
 
 impl Listener {
     /// All messages that the board has to send now.
-    pub fn listen<const QUEUE: usize>(&mut self, board: &mut Board<Fake, [u8; QUEUE]>) -> Vec<Heard> {
+    fn listen<const QUEUE: usize>(&mut self, board: &mut Board<Fake, [u8; QUEUE]>) -> Vec<Heard> {
         let mut heard = Vec::new();
         let mut buffer = [0; TRANSMIT_BYTES];
         loop {
@@ -300,9 +295,56 @@ fn scans(batch: &Batch, schedule: &Schedule) -> Vec<Heard> {
     scans.map(|scan| Heard::Scan { configuration: batch.configuration, scan }).collect()
 }
 
-pub fn turn<const QUEUE: usize>(board: &mut Board<Fake, [u8; QUEUE]>, listener: &mut Listener) -> Vec<Heard> {
-    board.poll(Link::Open);
-    listener.listen(board)
+/// A board and its host.
+pub struct Bench<const QUEUE: usize = 2_048> {
+    pub board: Board<Fake, [u8; QUEUE]>,
+    listener: Listener,
+}
+
+impl Default for Bench {
+    fn default() -> Self {
+        Self::of(board(Fake::default()))
+    }
+}
+
+impl<const QUEUE: usize> Bench<QUEUE> {
+    pub fn of(board: Board<Fake, [u8; QUEUE]>) -> Self {
+        Self { board, listener: Listener::default() }
+    }
+
+    pub fn hardware(&mut self) -> &mut Fake {
+        self.board.hardware_mut()
+    }
+
+    /// Says a command and does not listen.
+    pub fn say(&mut self, number: u16, command: Command) {
+        self.board.receive(&request(number, command));
+    }
+
+    pub fn listen(&mut self) -> Vec<Heard> {
+        self.listener.listen(&mut self.board)
+    }
+
+    /// Polls with the link open, and listens.
+    pub fn turn(&mut self) -> Vec<Heard> {
+        self.board.poll(Link::Open);
+        self.listen()
+    }
+
+    /// Says a command, and listens behind a poll.
+    pub fn ask(&mut self, number: u16, command: Command) -> Vec<Heard> {
+        self.say(number, command);
+        self.turn()
+    }
+
+    /// The next status, behind whatever is heard ahead of it.
+    pub fn status(&mut self) -> Status {
+        self.hardware().now += STATUS_MS * u64::from(TICK_HZ) / 1_000;
+        match self.turn().pop() {
+            Some(Heard::Status(status)) => status,
+            other => panic!("no status but {other:?}"),
+        }
+    }
 }
 
 /// The sequence numbers of the scans heard.

@@ -1,15 +1,14 @@
 //! The bus: what answers at which address, and how.
 
 use super::Board;
-use crate::cpu::{Bus, BusFault, Size};
+use crate::cpu::{BusFault, Size};
 use crate::memory::{
     BOOT_LOADER_BASE, BOOT_LOADER_END, CCM_BASE, CCM_BYTES, FLASH_BASE, FLASH_BYTES, RAM_BASE, RAM_BYTES, load, store,
     system_word,
 };
-use crate::peripherals::plain::backup;
+use crate::peripherals::plain::write_backup;
 use crate::peripherals::rcc::Gate;
 use crate::st;
-use crate::world::World;
 
 /// Start of system memory, and behind its end.
 const SYSTEM_MEMORY: std::ops::Range<u32> = 0x1FFF_0000..0x2000_0000;
@@ -24,7 +23,7 @@ const AHB_WAIT: u32 = 1;
 /// The gate of registers and packet memory.
 const USB: Gate = Gate { register: st::RCC::APB1ENR1, bit: st::RCC::APB1ENR1_USBEN };
 
-impl<W: World> Board<W> {
+impl Board {
     /// Reads `width` bytes; the lane of the word for peripherals.
     #[inline]
     pub fn access_read(&mut self, address: u32, width: u32) -> Result<u32, BusFault> {
@@ -168,17 +167,16 @@ impl<W: World> Board<W> {
             }
             Unit::Exti => self.exti.write(offset, value, effects),
             Unit::Syscfg => self.syscfg.write(offset, value, effects),
-            Unit::Backup => backup::write(&mut self.backup, offset, value, self.power.backup_access(), effects),
+            Unit::Backup => write_backup(&mut self.backup, offset, value, self.power.backup_access(), effects),
             Unit::Watchdog => self.watchdog.write(offset, value, effects),
             Unit::Crs => self.crs.write(offset, value, effects),
             Unit::Crc => self.crc.write(offset, value, effects),
         }
     }
-}
 
-impl<W: World> Bus for Board<W> {
+    /// The halfword of code at `address`.
     #[inline]
-    fn fetch(&mut self, address: u32) -> Result<u16, BusFault> {
+    pub fn fetch(&mut self, address: u32) -> Result<u16, BusFault> {
         if (BOOT_LOADER_BASE..BOOT_LOADER_END).contains(&address) {
             self.effects.enter_boot_loader();
             // Branch to itself: the factory's code is not executed.
@@ -187,8 +185,9 @@ impl<W: World> Bus for Board<W> {
         self.access_read(address, 2).map(|half| half as u16)
     }
 
+    /// A read by the core. Every access is aligned to its size; values are in the low bits.
     #[inline]
-    fn read(&mut self, address: u32, size: Size) -> Result<u32, BusFault> {
+    pub fn read(&mut self, address: u32, size: Size) -> Result<u32, BusFault> {
         let value = self.access_read(address, size.bytes())?;
         // Reading can have effects too: it takes a byte from a receiver.
         if PERIPHERALS.contains(&address) {
@@ -198,7 +197,7 @@ impl<W: World> Bus for Board<W> {
     }
 
     #[inline]
-    fn write(&mut self, address: u32, size: Size, value: u32) -> Result<(), BusFault> {
+    pub fn write(&mut self, address: u32, size: Size, value: u32) -> Result<(), BusFault> {
         self.access_write(address, size.bytes(), value)?;
         if !(RAM_BASE..PERIPHERALS.start).contains(&address) {
             self.settle();
@@ -206,8 +205,9 @@ impl<W: World> Bus for Board<W> {
         Ok(())
     }
 
+    /// Extra cycles of one access to `address`: of flash when its line is in no cache, of peripherals always.
     #[inline]
-    fn wait_states(&self, address: u32) -> u32 {
+    pub fn wait_states(&self, address: u32) -> u32 {
         match address {
             0x4000_0000..=0x4001_FFFF => APB_WAIT,
             0x4002_0000..=0x5FFF_FFFF => AHB_WAIT,

@@ -8,7 +8,6 @@ use crate::faults::{DAC_REST_V, Fault, Faults};
 use crate::memory::{Bits, CCM_BYTES, RAM_BASE, RAM_BYTES};
 use crate::peripherals::{TICKS_PER_SECOND, Ticks};
 use crate::usb_host::Order;
-use crate::world::World;
 
 /// Fault dma-latency: ticks of a transfer.
 const DMA_LATENCY_TICKS: RangeInclusive<u64> = 5..=60;
@@ -69,7 +68,7 @@ impl UnderWay {
     }
 }
 
-impl<W: World> Board<W> {
+impl Board {
     /// Gives the silicon its faults; before the board runs.
     pub fn set_faults(&mut self, faults: Faults, seed: u64) {
         self.effects.faults = faults;

@@ -1,8 +1,7 @@
 //! The wires between the peripherals, driven through the bus as a program drives them.
 
 use super::*;
-use crate::cpu::{Bus, Size};
-use crate::world::Dark;
+use crate::cpu::Size;
 
 const RCC: u32 = 0x4002_1000;
 const FLASH_ACR: u32 = 0x4002_2000;
@@ -10,8 +9,8 @@ const TIM2: u32 = 0x4000_0000;
 const PWR: u32 = 0x4000_7000;
 const GPIOC: u32 = 0x4800_0800;
 
-fn board() -> Board<Dark> {
-    let mut board = Board::new(FlashArray::erased(), Dark);
+fn board() -> Board {
+    let mut board = Board::new(FlashArray::erased(), None);
     put(&mut board, RCC + 0x48, 0x107);
     put(&mut board, RCC + 0x4C, 0x0003_607F);
     put(&mut board, RCC + 0x58, 0x1000_000F);
@@ -19,17 +18,17 @@ fn board() -> Board<Dark> {
     board
 }
 
-fn put(board: &mut Board<Dark>, address: u32, value: u32) {
+fn put(board: &mut Board, address: u32, value: u32) {
     board.write(address, Size::Word, value).unwrap();
 }
 
-fn get(board: &mut Board<Dark>, address: u32) -> u32 {
+fn get(board: &mut Board, address: u32) -> u32 {
     board.read(address, Size::Word).unwrap()
 }
 
 #[test]
 fn an_unclocked_peripheral_neither_hears_nor_answers() {
-    let mut board = Board::new(FlashArray::erased(), Dark);
+    let mut board = Board::new(FlashArray::erased(), None);
     put(&mut board, GPIOC + 0x14, 1);
     assert_eq!(get(&mut board, GPIOC), 0);
     assert_eq!(

@@ -7,9 +7,10 @@
 
 use crate::memory::{CCM_BASE, CCM_BYTES};
 
+use super::Fault;
 use super::decode::{decode, is_wide};
 use super::instruction::{Address, FloatInstruction, FloatOp, FloatUnaryOp, Instruction, RegisterOp};
-use super::{Bus, Fault};
+use crate::board::Board;
 
 /// Flash of the STM32G474RE, bytes; it shows at 0 and at 0x0800_0000.
 const FLASH_BYTES: u32 = 512 * 1024;
@@ -51,12 +52,12 @@ impl Code {
 
     /// Fetches and decodes the instruction at `address`, and remembers it if it is in flash.
     #[inline(never)]
-    pub fn load(&mut self, bus: &mut impl Bus, address: u32) -> Result<Decoded, Fault> {
+    pub fn load(&mut self, board: &mut Board, address: u32) -> Result<Decoded, Fault> {
         let mut fetch = |address: u32| {
             if never_executable(address) {
                 return Err(Fault::FetchNeverExecute { address });
             }
-            bus.fetch(address).map_err(|_| Fault::FetchBus { address })
+            board.fetch(address).map_err(|_| Fault::FetchBus { address })
         };
         let first = fetch(address)?;
         let (second, bytes) = if is_wide(first) { (fetch(address.wrapping_add(2))?, 4) } else { (0, 2) };
@@ -143,7 +144,7 @@ fn float_timing(float: FloatInstruction) -> Timing {
     match float {
         FloatInstruction::Arithmetic { op: FloatOp::Div, .. }
         | FloatInstruction::Unary { op: FloatUnaryOp::Sqrt, .. } => alone(14),
-        FloatInstruction::PairToCore { .. } | FloatInstruction::PairFromCore { .. } => alone(2),
+        FloatInstruction::MoveCore { rt2: Some(_), .. } => alone(2),
         _ => alone(1),
     }
 }

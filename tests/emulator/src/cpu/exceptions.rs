@@ -5,7 +5,8 @@
 
 use super::code::{ENTRY, FLOAT_FRAME, NOTHING_IN_FLIGHT, RETURN, TAIL_CHAIN};
 use super::nvic::HARD_FAULT;
-use super::{Bus, Cpu, Fault, FaultReport, Size, Step};
+use super::{Cpu, Fault, FaultReport, Size, Step};
+use crate::board::Board;
 
 /// R0–R3, R12, LR, return address, xPSR.
 const BASIC_FRAME: u32 = 0x20;
@@ -16,7 +17,7 @@ impl Cpu {
     /// What may have to happen before the next instruction: reset, lockup, an exception, sleep. `None`: execute.
     #[cold]
     #[inline(never)]
-    pub(super) fn attend<B: Bus>(&mut self, bus: &mut B) -> Option<Step> {
+    pub(super) fn attend(&mut self, board: &mut Board) -> Option<Step> {
         if self.system.reset_requested {
             return Some(Step::ResetRequested);
         }
@@ -26,7 +27,7 @@ impl Cpu {
         if let Some(exception) = self.nvic.preempting(self.execution_priority()) {
             self.is_waiting = false;
             self.cycles = 0;
-            return Some(self.enter_exception(bus, exception, self.pc));
+            return Some(self.enter_exception(board, exception, self.pc));
         }
         if self.is_waiting && !std::mem::take(&mut self.event) {
             return Some(Step::Asleep);
@@ -35,7 +36,7 @@ impl Cpu {
         self.attention = false;
         if !self.registers.thumb {
             self.cycles = 0;
-            return Some(self.take_fault(bus, Fault::InvalidState, self.pc));
+            return Some(self.take_fault(board, Fault::InvalidState, self.pc));
         }
         None
     }
@@ -45,22 +46,22 @@ impl Cpu {
     }
 
     /// ExceptionEntry.
-    fn enter_exception<B: Bus>(&mut self, bus: &mut B, exception: u8, return_address: u32) -> Step {
+    fn enter_exception(&mut self, board: &mut Board, exception: u8, return_address: u32) -> Step {
         self.cycles += ENTRY;
-        match self.push_frame(bus, return_address) {
-            Ok(()) => self.take_exception(bus, exception),
+        match self.push_frame(board, return_address) {
+            Ok(()) => self.take_exception(board, exception),
             Err(fault) if exception < HARD_FAULT => self.lock_up(fault, return_address),
             // Also on the way to HardFault: what was preempted is less urgent, so the handler is entered without its frame
             // (DDI0403, B1.5.11, DerivedLateArrival).
             Err(fault) => {
                 self.report(fault, return_address);
-                self.take_exception(bus, HARD_FAULT)
+                self.take_exception(board, HARD_FAULT)
             }
         }
     }
 
     /// PushStack: the frame, and EXC_RETURN in LR.
-    fn push_frame<B: Bus>(&mut self, bus: &mut B, return_address: u32) -> Result<(), Fault> {
+    fn push_frame(&mut self, board: &mut Board, return_address: u32) -> Result<(), Fault> {
         let float = self.registers.float_active;
         let bytes = if float { FLOAT_FRAME_BYTES } else { BASIC_FRAME };
         let old = self.registers.sp();
@@ -70,11 +71,11 @@ impl Cpu {
         self.registers.set_sp(base);
         let r = &self.registers.r;
         let frame = [r[0], r[1], r[2], r[3], r[12], r[14], return_address, xpsr];
-        self.store_frame(bus, base, &frame)?;
+        self.store_frame(board, base, &frame)?;
         if float {
             let (low, status) = (self.float.s, self.float.fpscr());
-            self.store_frame(bus, base.wrapping_add(BASIC_FRAME), &low[..16])?;
-            self.store_frame(bus, base.wrapping_add(BASIC_FRAME + 64), &[status])?;
+            self.store_frame(board, base.wrapping_add(BASIC_FRAME), &low[..16])?;
+            self.store_frame(board, base.wrapping_add(BASIC_FRAME + 64), &[status])?;
             // Paid when the floating-point unit is used.
             self.float.stacking_unpaid = true;
         }
@@ -83,18 +84,18 @@ impl Cpu {
         Ok(())
     }
 
-    fn store_frame<B: Bus>(&mut self, bus: &mut B, base: u32, words: &[u32]) -> Result<(), Fault> {
+    fn store_frame(&mut self, board: &mut Board, base: u32, words: &[u32]) -> Result<(), Fault> {
         for (address, &word) in (base..).step_by(4).zip(words) {
             if self.is_guarded(address) {
                 return Err(Fault::StackingGuarded { address });
             }
-            bus.write(address, Size::Word, word).map_err(|_| Fault::Stacking { address })?;
+            board.write(address, Size::Word, word).map_err(|_| Fault::Stacking { address })?;
         }
         Ok(())
     }
 
     /// ExceptionTaken: the handler starts with the registers as they are.
-    fn take_exception<B: Bus>(&mut self, bus: &mut B, exception: u8) -> Step {
+    fn take_exception(&mut self, board: &mut Board, exception: u8) -> Step {
         self.nvic.activate(exception);
         self.registers.ipsr = exception.into();
         self.registers.float_active = false;
@@ -104,7 +105,7 @@ impl Cpu {
         self.attention = true;
         self.in_flight = NOTHING_IN_FLIGHT;
         let address = 4 * u32::from(exception);
-        match bus.read(address, Size::Word) {
+        match board.read(address, Size::Word) {
             Ok(vector) => {
                 self.registers.thumb = vector & 1 != 0;
                 self.pc = vector & !1;
@@ -115,7 +116,7 @@ impl Cpu {
     }
 
     /// ExceptionReturn with the EXC_RETURN `value`.
-    pub(super) fn exception_return<B: Bus>(&mut self, bus: &mut B, value: u32) -> Step {
+    pub(super) fn exception_return(&mut self, board: &mut Board, value: u32) -> Step {
         let returning = (self.registers.ipsr & 127) as u8;
         // The integrity checks of B1.5.8.
         let mode = if self.nvic.active.count_ones() > 1 { 0xffff_ffe1 } else { 0xffff_ffe9 };
@@ -130,21 +131,21 @@ impl Cpu {
         if let Some(next) = self.nvic.preempting(self.execution_priority()) {
             self.cycles += TAIL_CHAIN;
             self.registers.r[14] = value;
-            return self.take_exception(bus, next);
+            return self.take_exception(board, next);
         }
         self.cycles += RETURN;
-        match self.pop_frame(bus, value) {
+        match self.pop_frame(board, value) {
             Ok(()) => self.ran(),
             Err(fault) => self.lock_up(fault, self.pc),
         }
     }
 
     /// PopStack.
-    fn pop_frame<B: Bus>(&mut self, bus: &mut B, value: u32) -> Result<(), Fault> {
+    fn pop_frame(&mut self, board: &mut Board, value: u32) -> Result<(), Fault> {
         let float = value & 0x10 == 0;
         let base = self.registers.sp();
         let mut frame = [0; 8];
-        load_frame(bus, base, &mut frame)?;
+        load_frame(board, base, &mut frame)?;
         let [r0, r1, r2, r3, r12, lr, pc, xpsr] = frame;
         let to_thread = value & 8 != 0;
         if (xpsr & 0x1ff == 0) != to_thread {
@@ -152,7 +153,7 @@ impl Cpu {
         }
         if float {
             let mut words = [0; 17];
-            load_frame(bus, base.wrapping_add(BASIC_FRAME), &mut words)?;
+            load_frame(board, base.wrapping_add(BASIC_FRAME), &mut words)?;
             self.float.s[..16].copy_from_slice(&words[..16]);
             self.float.restore_fpscr(words[16]);
             if !std::mem::take(&mut self.float.stacking_unpaid) {
@@ -172,11 +173,11 @@ impl Cpu {
     }
 
     #[cold]
-    pub(super) fn take_fault<B: Bus>(&mut self, bus: &mut B, fault: Fault, address: u32) -> Step {
+    pub(super) fn take_fault(&mut self, board: &mut Board, fault: Fault, address: u32) -> Step {
         self.report(fault, address);
         // No fault has a handler of its own.
         let can_escalate = self.execution_priority() > -1;
-        if can_escalate { self.enter_exception(bus, HARD_FAULT, address) } else { self.lock_up(fault, address) }
+        if can_escalate { self.enter_exception(board, HARD_FAULT, address) } else { self.lock_up(fault, address) }
     }
 
     /// Writes the fault status register and keeps a report.
@@ -202,9 +203,9 @@ impl Cpu {
     }
 }
 
-fn load_frame<B: Bus>(bus: &mut B, base: u32, words: &mut [u32]) -> Result<(), Fault> {
+fn load_frame(board: &mut Board, base: u32, words: &mut [u32]) -> Result<(), Fault> {
     for (address, word) in (base..).step_by(4).zip(words) {
-        *word = bus.read(address, Size::Word).map_err(|_| Fault::Unstacking { address })?;
+        *word = board.read(address, Size::Word).map_err(|_| Fault::Unstacking { address })?;
     }
     Ok(())
 }

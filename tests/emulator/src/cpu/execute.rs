@@ -4,7 +4,8 @@
 use super::arithmetic::{add_with_carry, extend, extract, field_mask, half, shift, shift_by, subtract_bytes, unary};
 use super::code::{REFILL, division};
 use super::instruction::{AluOp, ImmediateCarry, Instruction, Reg, RegisterOp, SetFlags, Special};
-use super::{Bus, Cpu, Fault, Size, Trap};
+use super::{Cpu, Fault, Size, Trap};
+use crate::board::Board;
 
 /// The halfwords of ISB.
 const ISB: [u16; 2] = [0xf3bf, 0x8f6f];
@@ -12,7 +13,7 @@ const ISB: [u16; 2] = [0xf3bf, 0x8f6f];
 impl Cpu {
     /// Executes `instruction`; PC is already past it.
     #[inline(always)]
-    pub(super) fn execute<B: Bus>(&mut self, bus: &mut B, instruction: Instruction) -> Result<(), Trap> {
+    pub(super) fn execute(&mut self, board: &mut Board, instruction: Instruction) -> Result<(), Trap> {
         match instruction {
             Instruction::AluImmediate { op, flags, rd, rn, carry, value } => {
                 let carry = match carry {
@@ -45,14 +46,16 @@ impl Cpu {
             }
             Instruction::Unary { op, rd, rm } => self.set(rd, unary(op, self.get(rm))),
 
-            Instruction::Load { size, signed, rt, address } => self.load(bus, size, signed, rt, address)?,
-            Instruction::Store { size, rt, address } => self.store(bus, size, rt, address)?,
-            Instruction::MovePair { is_load, rt, rt2, address } => self.move_pair(bus, is_load, [rt, rt2], address)?,
+            Instruction::Load { size, signed, rt, address } => self.load(board, size, signed, rt, address)?,
+            Instruction::Store { size, rt, address } => self.store(board, size, rt, address)?,
+            Instruction::MovePair { is_load, rt, rt2, address } => {
+                self.move_pair(board, is_load, [rt, rt2], address)?;
+            }
             Instruction::MoveMultiple { is_load, registers, address } => {
-                self.move_multiple(bus, is_load, registers, address)?;
+                self.move_multiple(board, is_load, registers, address)?;
             }
             Instruction::MoveFloat { is_load, first, count, address } => {
-                self.move_float(bus, is_load, first, count, address)?;
+                self.move_float(board, is_load, first, count, address)?;
             }
 
             Instruction::Branch { offset } => self.branch_by(offset),
@@ -77,28 +80,28 @@ impl Cpu {
                 }
             }
             Instruction::IfThen { state } => self.registers.it = state,
-            Instruction::Nop | Instruction::Barrier => {}
+            Instruction::Nop => {}
             Instruction::Float(float) => self.execute_float(float)?,
-            _ => return self.execute_rare(bus, instruction),
+            _ => return self.execute_rare(board, instruction),
         }
         Ok(())
     }
 
     /// Instructions too rare to be worth a place in the first table.
     #[inline(never)]
-    fn execute_rare<B: Bus>(&mut self, bus: &mut B, instruction: Instruction) -> Result<(), Trap> {
+    fn execute_rare(&mut self, board: &mut Board, instruction: Instruction) -> Result<(), Trap> {
         match instruction {
-            Instruction::TableBranch { half, rn, rm } => self.table_branch(bus, half, rn, rm)?,
-            Instruction::LoadExclusive { size, rt, rn, offset } => self.load_exclusive(bus, size, rt, rn, offset)?,
+            Instruction::TableBranch { half, rn, rm } => self.table_branch(board, half, rn, rm)?,
+            Instruction::LoadExclusive { size, rt, rn, offset } => self.load_exclusive(board, size, rt, rn, offset)?,
             Instruction::StoreExclusive { size, rd, rt, rn, offset } => {
-                self.store_exclusive(bus, size, rd, rt, rn, offset)?;
+                self.store_exclusive(board, size, rd, rt, rn, offset)?;
             }
             Instruction::ClearExclusive => self.exclusive = false,
             Instruction::Wfe => {
                 if self.event {
                     self.event = false;
                 } else {
-                    self.wait_for_event(bus)?;
+                    self.wait_for_event(board)?;
                 }
             }
             Instruction::Sev => self.event = true,
@@ -109,13 +112,13 @@ impl Cpu {
             Instruction::ReadSpecial { rd, special } => self.set(rd, self.registers.read_special(special)),
             // Unprivileged code and the process stack are not modelled.
             Instruction::WriteSpecial { special: Special::Control, rn } if self.get(rn) & 3 != 0 => {
-                return Err(self.undefined(bus).into());
+                return Err(self.undefined(board).into());
             }
             Instruction::WriteSpecial { special, rn } => {
                 self.registers.write_special(special, self.get(rn));
                 self.attention = true;
             }
-            Instruction::Undefined => return Err(self.undefined(bus).into()),
+            Instruction::Undefined => return Err(self.undefined(board).into()),
             Instruction::NoCoprocessor => return Err(Fault::NoCoprocessor.into()),
             Instruction::Pack { tb, rd, rn, rm, shift: by } => {
                 let (x, y) = (self.get(rn), shift(self.get(rm), by, false).0);
@@ -250,20 +253,20 @@ impl Cpu {
         Ok(())
     }
 
-    fn table_branch<B: Bus>(&mut self, bus: &mut B, half: bool, rn: Reg, rm: Reg) -> Result<(), Trap> {
+    fn table_branch(&mut self, board: &mut Board, half: bool, rn: Reg, rm: Reg) -> Result<(), Trap> {
         let (base, index) = (self.get(rn), self.get(rm));
         let entry = if half {
-            self.access(bus, base.wrapping_add(index << 1), Size::Half, None)?
+            self.access(board, base.wrapping_add(index << 1), Size::Half, None)?
         } else {
-            self.access(bus, base.wrapping_add(index), Size::Byte, None)?
+            self.access(board, base.wrapping_add(index), Size::Byte, None)?
         };
         self.branch_by((entry * 2) as i32);
         Ok(())
     }
 
-    fn wait_for_event<B: Bus>(&mut self, bus: &mut B) -> Result<(), Trap> {
+    fn wait_for_event(&mut self, board: &mut Board) -> Result<(), Trap> {
         if self.fetches_wrong_behind_sleep {
-            let [first, second] = [0, 2].map(|offset| bus.fetch(self.pc.wrapping_add(offset)).unwrap_or(0));
+            let [first, second] = [0, 2].map(|offset| board.fetch(self.pc.wrapping_add(offset)).unwrap_or(0));
             if [first, second] != ISB {
                 return Err(Fault::Undefined { first, second }.into());
             }
@@ -274,10 +277,10 @@ impl Cpu {
     }
 
     /// The fault of the instruction being executed, with its halfwords.
-    fn undefined<B: Bus>(&self, bus: &mut B) -> Fault {
+    fn undefined(&self, board: &mut Board) -> Fault {
         let address = self.get(Reg::PC).wrapping_sub(4);
         let wide = self.pc.wrapping_sub(address) == 4;
-        let mut fetch = |address| bus.fetch(address).unwrap_or(0);
+        let mut fetch = |address| board.fetch(address).unwrap_or(0);
         Fault::Undefined { first: fetch(address), second: if wide { fetch(address.wrapping_add(2)) } else { 0 } }
     }
 

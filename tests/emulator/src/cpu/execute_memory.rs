@@ -1,7 +1,8 @@
 //! Execution: loads and stores, and the way of an access to the bus or to the private peripherals.
 
 use super::instruction::{Address, Reg, SReg};
-use super::{Bus, Cpu, Fault, Size, Trap};
+use super::{Cpu, Fault, Size, Trap};
+use crate::board::Board;
 
 /// Address, and what write-back puts into the base register.
 type Located = (u32, Option<(Reg, u32)>);
@@ -9,23 +10,23 @@ type Located = (u32, Option<(Reg, u32)>);
 impl Cpu {
     /// A data access by an instruction that allows unaligned addresses: a write of `value`, or a read. Returns what was read.
     #[inline(always)]
-    pub(super) fn access<B: Bus>(
+    pub(super) fn access(
         &mut self,
-        bus: &mut B,
+        board: &mut Board,
         address: u32,
         size: Size,
         value: Option<u32>,
     ) -> Result<u32, Fault> {
         if address & (size.bytes() - 1) != 0 {
-            return self.access_unaligned(bus, address, size, value);
+            return self.access_unaligned(board, address, size, value);
         }
-        self.access_aligned(bus, address, size, value)
+        self.access_aligned(board, address, size, value)
     }
 
     #[inline(always)]
-    fn access_aligned<B: Bus>(
+    fn access_aligned(
         &mut self,
-        bus: &mut B,
+        board: &mut Board,
         address: u32,
         size: Size,
         value: Option<u32>,
@@ -42,10 +43,10 @@ impl Cpu {
         if self.is_guarded(address) {
             return Err(Fault::Guarded { address });
         }
-        self.wait(bus, address);
+        self.wait(board, address);
         let done = match value {
-            None => bus.read(address, size),
-            Some(value) => bus.write(address, size, value).map(|()| 0),
+            None => board.read(address, size),
+            Some(value) => board.write(address, size, value).map(|()| 0),
         };
         done.map_err(|_| Fault::DataBus { address })
     }
@@ -58,18 +59,18 @@ impl Cpu {
 
     /// Wait states of a data access; flash has a cache.
     #[inline(always)]
-    fn wait<B: Bus>(&mut self, bus: &mut B, address: u32) {
+    fn wait(&mut self, board: &mut Board, address: u32) {
         if address >= 0x2000_0000 || self.accelerator.misses_data(address) {
-            self.cycles += bus.wait_states(address);
+            self.cycles += board.wait_states(address);
         }
     }
 
     /// Aligned accesses one byte each, lowest address first. They cost a cycle more, and fault on device memory.
     #[cold]
     #[inline(never)]
-    fn access_unaligned<B: Bus>(
+    fn access_unaligned(
         &mut self,
-        bus: &mut B,
+        board: &mut Board,
         address: u32,
         size: Size,
         value: Option<u32>,
@@ -82,16 +83,16 @@ impl Cpu {
         let mut read = 0;
         for byte in 0..size.bytes() {
             let part = value.map(|value| value >> (8 * byte) & 255);
-            read |= self.access_aligned(bus, address.wrapping_add(byte), Size::Byte, part)? << (8 * byte);
+            read |= self.access_aligned(board, address.wrapping_add(byte), Size::Byte, part)? << (8 * byte);
         }
         Ok(read)
     }
 
     /// A word of a multiple, dual or exclusive access, which must be aligned.
     #[inline(always)]
-    fn access_word<B: Bus>(&mut self, bus: &mut B, address: u32, value: Option<u32>) -> Result<u32, Fault> {
+    fn access_word(&mut self, board: &mut Board, address: u32, value: Option<u32>) -> Result<u32, Fault> {
         must_be_aligned(address, Size::Word)?;
-        self.access_aligned(bus, address, Size::Word, value)
+        self.access_aligned(board, address, Size::Word, value)
     }
 
     #[inline(always)]
@@ -121,16 +122,16 @@ impl Cpu {
     }
 
     #[inline(always)]
-    pub(super) fn load<B: Bus>(
+    pub(super) fn load(
         &mut self,
-        bus: &mut B,
+        board: &mut Board,
         size: Size,
         signed: bool,
         rt: Reg,
         address: Address,
     ) -> Result<(), Trap> {
         let (address, moved) = self.locate(address);
-        let raw = self.access(bus, address, size, None)?;
+        let raw = self.access(board, address, size, None)?;
         let value = match (size, signed) {
             (Size::Half, true) => raw as i16 as u32,
             (Size::Byte, true) => raw as i8 as u32,
@@ -145,7 +146,7 @@ impl Cpu {
     }
 
     #[inline(always)]
-    pub(super) fn store<B: Bus>(&mut self, bus: &mut B, size: Size, rt: Reg, address: Address) -> Result<(), Trap> {
+    pub(super) fn store(&mut self, board: &mut Board, size: Size, rt: Reg, address: Address) -> Result<(), Trap> {
         let (address, moved) = self.locate(address);
         let value = self.get(rt);
         let value = match size {
@@ -153,14 +154,14 @@ impl Cpu {
             Size::Half => value & 0xffff,
             Size::Word => value,
         };
-        self.access(bus, address, size, Some(value))?;
+        self.access(board, address, size, Some(value))?;
         self.write_back(moved);
         Ok(())
     }
 
-    pub(super) fn move_pair<B: Bus>(
+    pub(super) fn move_pair(
         &mut self,
-        bus: &mut B,
+        board: &mut Board,
         is_load: bool,
         registers: [Reg; 2],
         address: Address,
@@ -168,7 +169,7 @@ impl Cpu {
         let (address, moved) = self.locate(address);
         let mut words = registers.map(|register| self.get(register));
         for (word, offset) in words.iter_mut().zip([0, 4]) {
-            *word = self.access_word(bus, address.wrapping_add(offset), (!is_load).then_some(*word))?;
+            *word = self.access_word(board, address.wrapping_add(offset), (!is_load).then_some(*word))?;
         }
         self.write_back(moved);
         if is_load {
@@ -178,9 +179,9 @@ impl Cpu {
         Ok(())
     }
 
-    pub(super) fn move_multiple<B: Bus>(
+    pub(super) fn move_multiple(
         &mut self,
-        bus: &mut B,
+        board: &mut Board,
         is_load: bool,
         registers: u16,
         address: Address,
@@ -190,7 +191,7 @@ impl Cpu {
         for (number, word) in (0..).zip(&mut words) {
             if registers >> number & 1 != 0 {
                 let value = (!is_load).then(|| self.get(Reg(number)));
-                *word = self.access_word(bus, address, value)?;
+                *word = self.access_word(board, address, value)?;
                 address = address.wrapping_add(4);
             }
         }
@@ -210,9 +211,9 @@ impl Cpu {
     }
 
     #[inline(always)]
-    pub(super) fn move_float<B: Bus>(
+    pub(super) fn move_float(
         &mut self,
-        bus: &mut B,
+        board: &mut Board,
         is_load: bool,
         first: SReg,
         count: u8,
@@ -226,7 +227,7 @@ impl Cpu {
         for n in 0..count {
             let register = SReg(first.0 + n);
             let value = (!is_load).then(|| self.float.get(register));
-            let word = self.access_word(bus, base.wrapping_add(4 * u32::from(n)), value)?;
+            let word = self.access_word(board, base.wrapping_add(4 * u32::from(n)), value)?;
             if is_load {
                 self.float.set(register, word);
             }
@@ -235,9 +236,9 @@ impl Cpu {
         Ok(())
     }
 
-    pub(super) fn load_exclusive<B: Bus>(
+    pub(super) fn load_exclusive(
         &mut self,
-        bus: &mut B,
+        board: &mut Board,
         size: Size,
         rt: Reg,
         rn: Reg,
@@ -245,15 +246,15 @@ impl Cpu {
     ) -> Result<(), Trap> {
         let address = self.get(rn).wrapping_add(offset.into());
         must_be_aligned(address, size)?;
-        let value = self.access_aligned(bus, address, size, None)?;
+        let value = self.access_aligned(board, address, size, None)?;
         self.exclusive = true;
         self.set(rt, value);
         Ok(())
     }
 
-    pub(super) fn store_exclusive<B: Bus>(
+    pub(super) fn store_exclusive(
         &mut self,
-        bus: &mut B,
+        board: &mut Board,
         size: Size,
         rd: Reg,
         rt: Reg,
@@ -265,14 +266,14 @@ impl Cpu {
         let allowed = std::mem::replace(&mut self.exclusive, false);
         if allowed {
             let mask = u32::MAX >> (32 - 8 * size.bytes());
-            self.access_aligned(bus, address, size, Some(self.get(rt) & mask))?;
+            self.access_aligned(board, address, size, Some(self.get(rt) & mask))?;
         }
         self.set(rd, (!allowed).into());
         Ok(())
     }
 }
 
-/// The private peripheral bus.
+/// The private peripheral board.
 #[inline(always)]
 fn is_private(address: u32) -> bool {
     address >> 20 == 0xe00

@@ -159,19 +159,16 @@ impl Cpu {
                 let other = sm.map_or(0, |sm| self.float.get(sm));
                 self.float.compare(self.float.get(sd), other);
             }
-            FloatInstruction::ToCore { rt, sn } => {
-                self.await_float(&[sn]);
-                self.set(rt, self.float.get(sn));
-            }
-            FloatInstruction::FromCore { sn, rt } => self.float.set(sn, self.get(rt)),
-            FloatInstruction::PairToCore { rt, rt2, sm } => {
-                self.await_float(&[sm, SReg(sm.0 + 1)]);
-                self.set(rt, self.float.get(sm));
-                self.set(rt2, self.float.get(SReg(sm.0 + 1)));
-            }
-            FloatInstruction::PairFromCore { sm, rt, rt2 } => {
-                self.float.set(sm, self.get(rt));
-                self.float.set(SReg(sm.0 + 1), self.get(rt2));
+            FloatInstruction::MoveCore { to_core, sn, rt, rt2 } => {
+                let second = rt2.map(|rt2| (SReg(sn.0 + 1), rt2));
+                for (single, core) in [Some((sn, rt)), second].into_iter().flatten() {
+                    if to_core {
+                        self.await_float(&[single]);
+                        self.set(core, self.float.get(single));
+                    } else {
+                        self.float.set(single, self.get(core));
+                    }
+                }
             }
             FloatInstruction::ReadStatus { rt: Reg::PC } => {
                 let apsr = self.registers.flags.to_bits() & 0x0fff_ffff;

@@ -62,10 +62,8 @@ pub enum Instruction {
     /// IT; `state` becomes ITSTATE.
     IfThen { state: u8 },
 
-    /// NOP, YIELD, DBG, PLD, PLI and hints without a meaning.
+    /// NOP, YIELD, DBG, PLD, PLI and hints without a meaning; DSB, DMB and ISB, as everything is in order here.
     Nop,
-    /// DSB, DMB, ISB: everything is in order here.
-    Barrier,
     Wfe,
     Sev,
     /// CPSID i, CPSIE i.
@@ -95,11 +93,8 @@ pub enum FloatInstruction {
     ToInteger { sd: SReg, sm: SReg, signed: bool, truncate: bool },
     /// VCVT from an integer.
     FromInteger { sd: SReg, sm: SReg, signed: bool },
-    ToCore { rt: Reg, sn: SReg },
-    FromCore { sn: SReg, rt: Reg },
-    /// Two consecutive registers from `sm` on.
-    PairToCore { rt: Reg, rt2: Reg, sm: SReg },
-    PairFromCore { sm: SReg, rt: Reg, rt2: Reg },
+    /// VMOV between `sn` and `rt`, and between the register behind `sn` and `rt2`, if there is one.
+    MoveCore { to_core: bool, sn: SReg, rt: Reg, rt2: Option<Reg> },
     /// VMRS; `rt` = PC stands for the flags.
     ReadStatus { rt: Reg },
     /// VMSR.

@@ -3,7 +3,7 @@
 //!
 //! Halfwords become `instruction::Instruction`s (`decode`), once per address of flash; `execute` and its
 //! siblings carry them out; `exceptions` takes interrupts and faults; `system` is the private peripheral bus
-//! 0xE000_0000–0xE00F_FFFF, which the [`Bus`] never sees.
+//! 0xE000_0000–0xE00F_FFFF, which the [`Board`] never sees.
 //!
 //! Not modelled: what the image leaves alone: WFI, SVC, BKPT, PendSV, SysTick, priorities of system handlers, unprivileged code, the process stack, BASEPRI and FAULTMASK, groups of
 //! priorities; code that is programmed while the core runs; instructions that no compiler makes (see `instruction`); the MPU but for data accesses to a region 0 that allows none, debug halting, and the imprecision of bus faults on buffered
@@ -24,6 +24,7 @@ mod system;
 #[cfg(test)]
 mod tests;
 
+use crate::board::Board;
 use code::{Accelerator, Code, Decoded, NOTHING_IN_FLIGHT};
 use float::FloatUnit;
 use instruction::Reg;
@@ -55,19 +56,6 @@ impl Size {
 /// The address answers nothing, or refuses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BusFault;
-
-/// Memory and peripherals. Every access is aligned to its size; values are in the low bits.
-pub trait Bus {
-    /// The halfword of code at `address`.
-    fn fetch(&mut self, address: u32) -> Result<u16, BusFault>;
-    fn read(&mut self, address: u32, size: Size) -> Result<u32, BusFault>;
-    fn write(&mut self, address: u32, size: Size, value: u32) -> Result<(), BusFault>;
-    /// Extra cycles of one access to `address`: of flash when its line is in no cache, of peripherals always.
-    fn wait_states(&self, address: u32) -> u32 {
-        let _ = address;
-        0
-    }
-}
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
@@ -150,9 +138,9 @@ impl Cpu {
     /// Resets the core: stack pointer and program counter from the vector table at 0x0800_0000. Counters of
     /// instructions and cycles, the report of the last fault and decoded code stay; interrupt lines count as low
     /// until [`Self::set_lines`] tells otherwise.
-    pub fn reset(&mut self, bus: &mut impl Bus) {
+    pub fn reset(&mut self, board: &mut Board) {
         // A vector that cannot be read is all ones: the first fetch will fault and, without a handler, lock up.
-        let mut vector = |address| bus.read(address, Size::Word).unwrap_or(0xffff_ffff);
+        let mut vector = |address| board.read(address, Size::Word).unwrap_or(0xffff_ffff);
         self.registers = Registers::at_reset(vector(RESET_VECTORS));
         let start = vector(RESET_VECTORS + 4);
         self.registers.thumb = start & 1 != 0;
@@ -235,27 +223,27 @@ impl Cpu {
 
     /// Takes a pending exception or executes one instruction.
     #[inline]
-    pub fn step<B: Bus>(&mut self, bus: &mut B) -> Step {
+    pub fn step(&mut self, board: &mut Board) -> Step {
         if self.attention
-            && let Some(step) = self.attend(bus)
+            && let Some(step) = self.attend(board)
         {
             return step;
         }
-        self.execute_next(bus)
+        self.execute_next(board)
     }
 
-    fn execute_next<B: Bus>(&mut self, bus: &mut B) -> Step {
+    fn execute_next(&mut self, board: &mut Board) -> Step {
         let address = self.pc;
         self.cycles = 0;
         let decoded = match self.code.get(address) {
             Some(decoded) => decoded,
-            None => match self.code.load(bus, address) {
+            None => match self.code.load(board, address) {
                 Ok(decoded) => decoded,
-                Err(fault) => return self.take_fault(bus, fault, address),
+                Err(fault) => return self.take_fault(board, fault, address),
             },
         };
         if self.accelerator.misses_instruction(address) {
-            self.cycles += bus.wait_states(address);
+            self.cycles += board.wait_states(address);
         }
         self.cycles += u32::from(decoded.timing.cycles);
         if decoded.timing.needs & self.in_flight == 0 {
@@ -266,18 +254,18 @@ impl Cpu {
         self.pc = address.wrapping_add(u32::from(decoded.bytes));
         self.instructions += 1;
         if self.registers.it != 0 {
-            return self.execute_in_it_block(bus, address, decoded);
+            return self.execute_in_it_block(board, address, decoded);
         }
         self.in_it_block = false;
-        match self.execute(bus, decoded.instruction) {
+        match self.execute(board, decoded.instruction) {
             Ok(()) => self.ran(),
-            Err(trap) => self.take_trap(bus, trap, address),
+            Err(trap) => self.take_trap(board, trap, address),
         }
     }
 
     #[cold]
     #[inline(never)]
-    fn execute_in_it_block<B: Bus>(&mut self, bus: &mut B, address: u32, decoded: Decoded) -> Step {
+    fn execute_in_it_block(&mut self, board: &mut Board, address: u32, decoded: Decoded) -> Step {
         let instruction = decoded.instruction;
         let state = self.registers.it;
         // ITAdvance.
@@ -289,13 +277,13 @@ impl Cpu {
             return self.ran();
         }
         self.in_it_block = true;
-        match self.execute(bus, instruction) {
+        match self.execute(board, instruction) {
             Ok(()) => self.ran(),
             Err(trap) => {
                 if matches!(trap, Trap::Fault(_)) {
                     self.registers.it = state;
                 }
-                self.take_trap(bus, trap, address)
+                self.take_trap(board, trap, address)
             }
         }
     }
@@ -308,10 +296,10 @@ impl Cpu {
 
     #[cold]
     #[inline(never)]
-    fn take_trap<B: Bus>(&mut self, bus: &mut B, trap: Trap, address: u32) -> Step {
+    fn take_trap(&mut self, board: &mut Board, trap: Trap, address: u32) -> Step {
         match trap {
-            Trap::Fault(fault) => self.take_fault(bus, fault, address),
-            Trap::ExceptionReturn(value) => self.exception_return(bus, value),
+            Trap::Fault(fault) => self.take_fault(board, fault, address),
+            Trap::ExceptionReturn(value) => self.exception_return(board, value),
         }
     }
 

@@ -2,11 +2,10 @@
 //! compute is judged by `oracle/run`, and by poses that are a host's bit for bit; what exceptions do, by the image, which
 //! lives by them.
 
-use super::{Bus, Cpu, Fault, Size, Step};
+use super::{Cpu, Fault, Size, Step};
 use crate::board::Board;
 use crate::memory::{FLASH_BASE, FlashArray};
 use crate::st::FLASH;
-use crate::world::Dark;
 
 /// Where the programs stand; a handler stands at `HANDLERS + 64 · exception number`.
 const PROGRAM: u32 = 0x0800_0200;
@@ -18,7 +17,7 @@ const FLASH_ACR: u32 = FLASH::R_BASE + FLASH::ACR;
 /// A core on a dark board.
 struct Bench {
     cpu: Cpu,
-    board: Board<Dark>,
+    board: Board,
 }
 
 impl Bench {
@@ -39,7 +38,7 @@ impl Bench {
             place(HANDLERS + 64 * number, &code(if number == exception { handler } else { &[0x4770] }));
         }
         place(PROGRAM, &code(program));
-        let mut bench = Self { cpu: Cpu::default(), board: Board::new(flash, Dark) };
+        let mut bench = Self { cpu: Cpu::default(), board: Board::new(flash, None) };
         bench.cpu.reset(&mut bench.board);
         bench
     }

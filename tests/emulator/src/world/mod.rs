@@ -1,8 +1,8 @@
 //! What is around the board: emitters, slits, detectors and the electronics up to the converters.
 //!
-//! [`World`] is the machine's edge. [`OpticsWorld`] puts the head of a scene file there: the gates
-//! and levels that the board drives say which emitters shine, `light` follows the moving tool,
-//! and the electronics of the host's simulator settle, add noise and quantise.
+//! [`World`] puts the head of a scene file in front of the board: the gates and levels that the board drives say which
+//! emitters shine, `light` follows the moving tool, and the electronics of the host's simulator settle, add noise and
+//! quantise. [`Record`] is what the board does to it.
 
 mod light;
 
@@ -37,28 +37,43 @@ const ADC1_INPUTS: [u8; BOARD_CELLS] = [1, 2, 6, 7, 8, 9];
 /// I_X2 of cells 0 to 5: inputs of ADC2 (PA7, PC4, PC5, PB2, PB11, PB15).
 const ADC2_INPUTS: [u8; BOARD_CELLS] = [4, 5, 11, 12, 14, 15];
 
-/// Light and electronics around the board.
-pub trait World {
-    /// Emitter gates PC6 to PC11 (bit k: PC(6+k) driven high; a pin that is not a push-pull output
-    /// is low, held by its pull-down) and the two level codes (PA4 = DAC1 OUT1 feeds emitters 0 to
-    /// 2, PA6 = DAC2 OUT1 feeds emitters 3 to 5) changed at `now`.
-    fn drive(&mut self, now: Ticks, gates: u8, level_codes: [u16; 2]);
-
-    /// The 12-bit code of one conversion of ADC `adc` (1 or 2), input `channel` (IN number), whose
-    /// hold instant is `now`. Both converters of a pair are asked at the same `now`; calls come in
-    /// the order of time.
-    fn sample(&mut self, now: Ticks, adc: u8, channel: u8) -> u16;
+/// Gates and level codes from `at` on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Drive {
+    pub at: Ticks,
+    pub gates: u8,
+    pub levels: [u16; 2],
 }
 
-/// No light, and converters at zero.
-#[derive(Debug)]
-pub struct Dark;
+/// A converter holds the sample of an input.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Hold {
+    pub at: Ticks,
+    pub adc: u8,
+    pub channel: u8,
+}
 
-impl World for Dark {
-    fn drive(&mut self, _: Ticks, _: u8, _: [u16; 2]) {}
+/// Every change of emitter pins and level lines, and every instant at which ADC1 or ADC2 holds a sample.
+#[derive(Debug, Default)]
+pub struct Record {
+    /// Gates when it last forgot.
+    before: u8,
+    pub drives: Vec<Drive>,
+    pub holds: Vec<Hold>,
+}
 
-    fn sample(&mut self, _: Ticks, _: u8, _: u8) -> u16 {
-        0
+impl Record {
+    pub fn forget(&mut self) {
+        self.before = self.drives.last().map_or(self.before, |drive| drive.gates);
+        self.drives.clear();
+        self.holds.clear();
+    }
+
+    /// Changes of the gates since it last forgot, each with its instant.
+    pub fn edges(&self) -> Vec<(Ticks, u8)> {
+        let mut gates = self.before;
+        let changes = self.drives.iter().filter(|drive| std::mem::replace(&mut gates, drive.gates) != drive.gates);
+        changes.map(|drive| (drive.at, drive.gates)).collect()
     }
 }
 
@@ -73,7 +88,7 @@ pub enum NoiseSource {
 
 /// The head of a scene around the board, its tool on a trajectory.
 #[derive(Debug)]
-pub struct OpticsWorld {
+pub struct World {
     illumination: Illumination,
     electronics: Electronics,
     /// Faults line-detector and slow-detector: the poles before the electronics.
@@ -93,7 +108,7 @@ struct Noise {
     cells: Vec<Option<(Ticks, CellNoise)>>,
 }
 
-impl OpticsWorld {
+impl World {
     /// The head of `file` with `faults` in the dark at tick 0, its tool on `trajectory`.
     pub fn new(file: &SceneFile, trajectory: Trajectory, noise: NoiseSource, faults: Faults) -> Result<Self> {
         let name = &file.name;
@@ -181,10 +196,11 @@ impl OpticsWorld {
             self.illumination.go_on();
         }
     }
-}
 
-impl World for OpticsWorld {
-    fn drive(&mut self, now: Ticks, gates: u8, level_codes: [u16; 2]) {
+    /// Emitter gates PC6 to PC11 (bit k: PC(6+k) driven high; a pin that is not a push-pull output
+    /// is low, held by its pull-down) and the two level codes (PA4 = DAC1 OUT1 feeds emitters 0 to
+    /// 2, PA6 = DAC2 OUT1 feeds emitters 3 to 5) changed at `now`.
+    pub fn drive(&mut self, now: Ticks, gates: u8, level_codes: [u16; 2]) {
         self.follow_light(now);
         self.settle_all(now);
         let (gates, level_codes) = self.driven(gates, level_codes);
@@ -192,7 +208,10 @@ impl World for OpticsWorld {
         self.illumination.switch(now, gates, relative);
     }
 
-    fn sample(&mut self, now: Ticks, adc: u8, channel: u8) -> u16 {
+    /// The 12-bit code of one conversion of ADC `adc` (1 or 2), input `channel` (IN number), whose
+    /// hold instant is `now`. Both converters of a pair are asked at the same `now`; calls come in
+    /// the order of time.
+    pub fn sample(&mut self, now: Ticks, adc: u8, channel: u8) -> u16 {
         let Some((cell, electrode)) = input(adc, channel) else {
             // An open input; 0 is also what an electrode gives that is far beyond full scale.
             return 0;
@@ -280,7 +299,7 @@ mod tests {
         let mut file = WIDE.read().unwrap();
         file.scene.cells.truncate(2);
         let still = Trajectory::of_kind(TrajectoryKind::Still, 0, 0.0);
-        let mut world = OpticsWorld::new(&file, still, NoiseSource::Seeded(1), Faults::default()).unwrap();
+        let mut world = World::new(&file, still, NoiseSource::Seeded(1), Faults::default()).unwrap();
         world.drive(0, 0b111_111, NOMINAL);
         assert_eq!(world.sample(1_000, 2, ADC2_INPUTS[5]), world.scaling().zero_code as u16);
         assert_eq!(world.sample(1_000, 1, 3), 0);

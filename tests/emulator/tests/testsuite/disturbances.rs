@@ -25,7 +25,7 @@ enum Disturbance {
 
 impl Disturbance {
     fn happen(self, talk: &mut Talk) {
-        let board = &mut talk.rig.machine().board;
+        let board = &mut talk.rig.machine.board;
         match self {
             Self::SwallowedRequest(converter) => board.adc12.adcs[converter].swallow_request(),
             Self::Overrun(converter) => board.adc12.adcs[converter].force_overrun(),
@@ -169,7 +169,7 @@ fn no_scan_holds_a_word_of_another_frame() {
 fn the_device_clock_may_wrap_while_the_board_is_idle() {
     let mut talk = Talk::boot();
     // 50 ms before.
-    talk.rig.machine().preset_device_clock((1_u64 << 32).wrapping_sub(50 * MS) as u32);
+    talk.rig.machine.preset_device_clock((1_u64 << 32).wrapping_sub(50 * MS) as u32);
     talk.await_port();
     talk.open();
     assert_eq!(talk.ask(Command::Start), Ok(()));
@@ -188,7 +188,7 @@ const TICKS_OF_A_START: u64 = 500 * MS;
 #[test]
 fn the_device_clock_may_wrap_while_the_board_acquires() {
     let mut talk = Talk::at_usb();
-    talk.rig.machine().preset_device_clock((1_u64 << 32).wrapping_sub(100 * MS) as u32);
+    talk.rig.machine.preset_device_clock((1_u64 << 32).wrapping_sub(100 * MS) as u32);
     talk.run_ms(5.0);
     assert_eq!(talk.ask(Command::Start), Ok(()));
     talk.run_ms(200.0);
@@ -213,7 +213,7 @@ fn images_start_where_first_writes_are_lost_and_sleep_with_a_barrier_behind_it()
                 .expect("it fits");
             rig.run_for(0.05);
             assert_eq!(rig.faults(), [""; 0], "{fault:?}");
-            let machine = rig.machine();
+            let machine = rig.machine;
             assert_eq!((machine.cpu.last_fault(), machine.resets().len()), (None, 1), "{fault:?}");
         }
     }

@@ -33,7 +33,7 @@ impl Probe {
 
     /// The register at `offset` from `base`, both facts, and `more`.
     fn at(&mut self, base: &str, offset: &str, more: u32) -> u32 {
-        register(&mut self.0.rig.machine().board, base, offset, more)
+        register(&mut self.0.rig.machine.board, base, offset, more)
     }
 
     fn get(&mut self, base: &str, offset: &str) -> u32 {
@@ -113,7 +113,7 @@ fn core_voltage_wait_states_and_supply_detector_are_set_for_170_mhz() {
     let line = bits("LL_EXTI_LINE_16");
     let registers = ["IMR1", "RTSR1", "FTSR1"].map(|name| probe.get("EXTI_BASE", &format!("EXTI_TypeDef.{name}")));
     assert_eq!(registers.map(|register| register & line), [line, line, 0]);
-    let frozen = probe.0.rig.machine().cpu.frozen_in_halt();
+    let frozen = probe.0.rig.machine.cpu.frozen_in_halt();
     assert_eq!(
         frozen,
         bits("DBGMCU_APB1FZR1_DBG_TIM2_STOP") | bits("DBGMCU_APB1FZR1_DBG_TIM4_STOP"),
@@ -193,8 +193,8 @@ fn serial_port_and_watchdog_are_set_by_their_clocks() {
 fn supply_and_temperature_are_read_by_the_factory_s_calibration() {
     for (temperature_c, supply_v) in [(30.0, 3.0), (-20.0, 3.3), (85.0, 3.1), (130.0, 3.3)] {
         let mut talk = Talk::at_usb();
-        talk.rig.machine().set_supply_v(supply_v);
-        talk.rig.machine().board.temperature_c = temperature_c;
+        talk.rig.machine.set_supply_v(supply_v);
+        talk.rig.machine.board.temperature_c = temperature_c;
         talk.next_status();
         let status = talk.next_status();
         // A code of the sensor is 0.3 K, one of the reference 2 mV.
@@ -239,10 +239,10 @@ fn conversions_that_the_plan_accepts_are_those_of_the_data_sheet() {
 #[test]
 fn settings_lie_at_the_start_of_the_second_bank_and_the_image_in_the_first() {
     let mut talk = Talk::at_usb();
-    let before = talk.rig.machine().board.flash.array.bytes().to_vec();
+    let before = talk.rig.machine.board.flash.array.bytes().to_vec();
     assert_eq!(talk.ask(Command::Store(Hashes::default())), Ok(()));
     talk.run_ms(10.0 * (number("t_ERASE_most") + number("t_prog_most") / 1e3));
-    let after = talk.rig.machine().board.flash.array.bytes();
+    let after = talk.rig.machine.board.flash.array.bytes();
     let changed: Vec<_> = (0..before.len()).filter(|&at| before[at] != after[at]).collect();
     let bank = bits("flash_bank_size") as usize;
     let pages = bank..bank + 2 * bits("FLASH_PAGE_SIZE") as usize;

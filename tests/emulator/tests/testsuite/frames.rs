@@ -216,7 +216,7 @@ fn a_frame_that_the_dma_has_cut_short_costs_no_other() {
     while talk.rig.take_controller_bytes().is_empty() {
         let _ = talk.rig.run_for(1e-6);
     }
-    talk.rig.machine().board.dma.fail_next(CHANNEL);
+    talk.rig.machine.board.dma.fail_next(CHANNEL);
     talk.run_ms(20.0);
     let (frames, others) = stop(&mut talk);
     assert!((1..BYTES).contains(&others), "the rest of one frame: {others}");

@@ -27,8 +27,8 @@ fn edges_are_timed_to_a_tenth_of_a_microsecond() {
             at
         });
         let edges: Vec<(u64, bool)> = instants.zip([true, false].into_iter().cycle()).take(1_000).collect();
-        talk.rig.machine().board.trigger_line.edges = edges.iter().copied().collect();
-        talk.rig.machine().board.outside_changed();
+        talk.rig.machine.board.trigger_line.edges = edges.iter().copied().collect();
+        talk.rig.machine.board.outside_changed();
         talk.run_ms(120.0);
         assert_eq!((talk.ear.edges.len(), talk.ear.missed_edges, talk.ear.gaps.len()), (1_000, 0, 0), "seed {seed}");
         let heard = || edges.iter().zip(&talk.ear.edges);
@@ -47,16 +47,16 @@ fn glitches_are_no_edges_and_a_storm_is_told() {
     talk.light();
     let begin = talk.rig.now() + MS;
     let glitches = (0..50).flat_map(|k| [(begin + 900 * k, true), (begin + 900 * k + 5, false)]);
-    talk.rig.machine().board.trigger_line.edges = glitches.collect();
-    talk.rig.machine().board.outside_changed();
+    talk.rig.machine.board.trigger_line.edges = glitches.collect();
+    talk.rig.machine.board.outside_changed();
     talk.run_ms(5.0);
     assert_eq!((talk.ear.edges.len(), talk.ear.missed_edges), (0, 0));
 
     let begin = talk.rig.now() + MS;
     let storm = (0..20_001).map(|k| (begin + 85 * k, k % 2 == 0));
     let later = (1..9).map(|k| (begin + 20 * MS + k * MS, k % 2 == 0));
-    talk.rig.machine().board.trigger_line.edges = storm.chain(later).collect();
-    talk.rig.machine().board.outside_changed();
+    talk.rig.machine.board.trigger_line.edges = storm.chain(later).collect();
+    talk.rig.machine.board.outside_changed();
     talk.run_ms(40.0);
     let (count, missed) = (talk.ear.edges.len(), talk.ear.missed_edges);
     println!("{count} edges of a storm of 20 001, {missed} told to be missed");
@@ -84,7 +84,7 @@ fn pulses_mark_the_frames_that_were_asked_for() {
         talk.accept(&Command::Stop);
         talk.run_ms(2.0);
         let origin = talk.origin();
-        let edges = std::mem::take(&mut talk.rig.machine().board.frame_timer.edges);
+        let edges = std::mem::take(&mut talk.rig.machine.board.frame_timer.edges);
         let of_frames: Vec<u64> = talk
             .ear
             .scans
@@ -113,5 +113,5 @@ fn pulses_mark_the_frames_that_were_asked_for() {
     }
     // Without being asked again it makes none.
     talk.light();
-    assert!(talk.rig.machine().board.frame_timer.edges.is_empty());
+    assert!(talk.rig.machine.board.frame_timer.edges.is_empty());
 }

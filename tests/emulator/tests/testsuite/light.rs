@@ -86,7 +86,7 @@ fn ends(name: &str, event: impl Fn(&mut Talk), within: RangeInclusive<Ticks>, ca
     let lit = bench.dark_since().saturating_sub(begun);
     println!("{name}: dark after {lit} ticks, {:.2} µs", us(lit));
     assert!(within.contains(&lit), "{name}: {lit}");
-    bench.rig.machine().set_supply_v(3.3);
+    bench.rig.machine.set_supply_v(3.3);
     bench.run_ms(5.0);
     assert_comes_back(&mut bench, cause);
     bench
@@ -114,8 +114,8 @@ fn a_fault_ends_the_light_at_once() {
             let address = address.unwrap_or_else(|| find_instruction(bench, 0xDEFE));
             jump(bench, address);
         };
-        let mut bench = ends("fault", happens, 0..=AT_ONCE_TICKS, ResetCause::Panic);
-        assert!(bench.rig.machine().cpu.last_fault().is_some());
+        let bench = ends("fault", happens, 0..=AT_ONCE_TICKS, ResetCause::Panic);
+        assert!(bench.rig.machine.cpu.last_fault().is_some());
     }
 }
 
@@ -125,7 +125,7 @@ fn a_stack_that_overflows_ends_the_light_and_the_next_start_says_so() {
     for (function, most) in [(None, MS + AT_ONCE_TICKS), (Some("make_core"), AT_ONCE_TICKS)] {
         let happens = |bench: &mut Talk| {
             function.into_iter().for_each(|function| jump_to(bench, function));
-            let cpu = &mut bench.rig.machine().cpu;
+            let cpu = &mut bench.rig.machine.cpu;
             let mut state = cpu.state();
             state.r[13] = RAM_BASE + 16;
             cpu.set_state(&state);
@@ -157,7 +157,7 @@ fn a_debugger_that_halts_the_board_leaves_it_dark_and_lets_it_go_on() {
     for n in 0..20 {
         let event = lit_in_phase(&mut bench, n);
         // Less than the watchdog waits.
-        bench.rig.machine().halt_until(event + 50 * MS);
+        bench.rig.machine.halt_until(event + 50 * MS);
         assert_eq!(bench.gates(), 0, "halted in the dark");
         longest = longest.max(dark_after(&mut bench, event));
         bench.run_ms(50.0);
@@ -172,7 +172,7 @@ fn a_debugger_that_halts_the_board_leaves_it_dark_and_lets_it_go_on() {
     bench.expect_neither_faults_nor_damage();
     until_lit_and_awake(&mut bench);
     let event = bench.rig.now();
-    bench.rig.machine().halt_until(event + 150 * MS);
+    bench.rig.machine.halt_until(event + 150 * MS);
     assert_eq!(bench.gates(), 0);
     bench.run_ms(5.0);
     assert_comes_back(&mut bench, ResetCause::Watchdog);
@@ -184,7 +184,7 @@ fn a_crystal_that_stops_ends_the_light_at_once_and_the_next_start_does_without()
         return;
     }
     let mut bench =
-        ends("crystal", |bench| bench.rig.machine().board.stop_crystal(), 0..=AT_ONCE_TICKS, ResetCause::Panic);
+        ends("crystal", |bench| bench.rig.machine.board.stop_crystal(), 0..=AT_ONCE_TICKS, ResetCause::Panic);
     assert_eq!(bench.next_status().clock, ClockSource::CrystalFailed);
     assert!(bench.ear.events().iter().any(|text| text.contains("crystal did not start")), "{:?}", bench.ear.events());
 }
@@ -195,14 +195,14 @@ fn a_falling_supply_ends_the_light_within_microseconds() {
     let mut longest = 0;
     for n in 0..20 {
         let event = lit_in_phase(&mut bench, n);
-        bench.rig.machine().set_supply_v(2.8);
+        bench.rig.machine.set_supply_v(2.8);
         bench.run_ms(5.0);
         let lit = dark_after(&mut bench, event);
         longest = longest.max(lit);
         assert!(lit <= AT_ONCE_TICKS + if silicon().has(Fault::PvdSlow) { MS / 10 } else { 0 }, "{lit}");
         assert!(bench.record().drives.iter().all(|drive| drive.gates == 0 || drive.at < event + lit), "and stays dark");
         assert!(bench.ear.events().iter().any(|text| text.contains("supply")), "{:?}", bench.ear.said);
-        bench.rig.machine().set_supply_v(3.3);
+        bench.rig.machine.set_supply_v(3.3);
         bench.run_ms(5.0);
         assert_eq!(bench.gates(), 0, "dark until Start");
         bench.light();
@@ -215,9 +215,9 @@ fn a_falling_supply_ends_the_light_within_microseconds() {
 fn a_brown_out_lets_the_pins_float_at_once() {
     // Where the backup registers are kept the board knows that it had been running.
     for (volts, cause) in [(1.6, ResetCause::BrownOut), (0.0, ResetCause::PowerOn)] {
-        ends("brown-out", |bench| bench.rig.machine().set_supply_v(volts), 0..=0, cause);
+        ends("brown-out", |bench| bench.rig.machine.set_supply_v(volts), 0..=0, cause);
     }
-    ends("reset pin", |bench| bench.rig.machine().pull_reset_pin(), 0..=0, ResetCause::Pin);
+    ends("reset pin", |bench| bench.rig.machine.pull_reset_pin(), 0..=0, ResetCause::Pin);
 }
 
 #[test]
@@ -227,7 +227,7 @@ fn a_reboot_is_done_in_the_dark_and_after_its_reply() {
     let replied = bench.accept(&Command::Reboot(BootTarget::Firmware));
     let dark = bench.dark_since();
     bench.run_ms(150.0);
-    let reset = bench.rig.machine().resets().last().expect("it starts").at;
+    let reset = bench.rig.machine.resets().last().expect("it starts").at;
     println!(
         "Reboot: dark after {:.0} µs, reply after {:.0} µs, reset after {:.0} µs",
         us(dark.saturating_sub(asked)),
@@ -244,7 +244,7 @@ fn a_reboot_is_done_in_the_dark_and_after_its_reply() {
 #[test]
 fn a_low_supply_refuses_the_start() {
     let mut bench = Talk::quiet();
-    bench.rig.machine().set_supply_v(2.8);
+    bench.rig.machine.set_supply_v(2.8);
     bench.run_ms(5.0);
     bench.forget();
     for _ in 0..3 {
@@ -257,7 +257,7 @@ fn a_low_supply_refuses_the_start() {
     assert!(!status.acquiring && (status.supply_v - 2.8).abs() < 0.02, "{status:?}");
     assert!(status.clock == ClockSource::Crystal || silicon().has(Fault::HseDead), "{status:?}");
     // Above the detector's threshold and hysteresis, 3.00 V.
-    bench.rig.machine().set_supply_v(3.1);
+    bench.rig.machine.set_supply_v(3.1);
     bench.run_ms(1.0);
     bench.light();
     bench.forget();
@@ -274,10 +274,10 @@ fn until_lit_and_awake(bench: &mut Talk) {
     let rig = &mut bench.rig;
     let end = rig.now() + 100 * MS;
     while rig.now() < end {
-        let before = rig.machine().cpu.instructions();
+        let before = rig.machine.cpu.instructions();
         rig.run_until(rig.now() + 1);
-        let cpu = &rig.machine().cpu;
-        if cpu.instructions() != before && cpu.state().xpsr & 0x1ff == 0 && rig.machine().board.gates() != 0 {
+        let cpu = &rig.machine.cpu;
+        if cpu.instructions() != before && cpu.state().xpsr & 0x1ff == 0 && rig.machine.board.gates() != 0 {
             return;
         }
     }
@@ -291,7 +291,7 @@ fn hang(bench: &mut Talk) {
 }
 
 fn jump(bench: &mut Talk, address: u32) {
-    let cpu = &mut bench.rig.machine().cpu;
+    let cpu = &mut bench.rig.machine.cpu;
     let mut state = cpu.state();
     state.r[15] = address;
     cpu.set_state(&state);
@@ -299,7 +299,7 @@ fn jump(bench: &mut Talk, address: u32) {
 
 /// Address of an instruction `half` in the image. It is jumped to, so that where it stands does not matter.
 fn find_instruction(bench: &mut Talk, half: u16) -> u32 {
-    let code = bench.rig.machine().board.flash.array.bytes();
+    let code = bench.rig.machine.board.flash.array.bytes();
     let offset = code.chunks_exact(2).position(|bytes| bytes == half.to_le_bytes());
     FLASH_BASE + 2 * offset.expect("the image has one") as u32
 }

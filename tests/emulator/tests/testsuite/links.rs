@@ -34,8 +34,8 @@ fn device_id() -> [u8; 12] {
 
 #[test]
 fn a_computer_finds_a_serial_port_with_a_number_of_its_own() {
-    let mut talk = Talk::at_usb();
-    let device = talk.rig.machine().board.usb_host.device().clone();
+    let talk = Talk::at_usb();
+    let device = talk.rig.machine.board.usb_host.device().clone();
     // Device of several functions (IAD), or communication device; 0x1209:0x0001.
     assert!([[0xef, 2, 1], [2, 0, 0]].contains(&[device.device[4], device.device[5], device.device[6]]));
     assert_eq!(device.device[8..12], [0x09, 0x12, 0x01, 0x00]);
@@ -133,7 +133,7 @@ fn a_cable_may_be_pulled_and_plugged_in_again() {
     let breaks = talk.ear.breaks;
     let status = talk.settle_account(TRANSFER_SCANS * breaks);
     assert_eq!((status.scans_lost, status.adc_overruns), (0, 0));
-    assert_eq!(talk.rig.machine().resets().len(), 1);
+    assert_eq!(talk.rig.machine.resets().len(), 1);
     talk.expect_no_faults();
 }
 
@@ -173,13 +173,13 @@ fn a_computer_may_sleep() {
     }
     let status = talk.settle_account(2 * TRANSFER_SCANS);
     assert_eq!((status.scans_lost, status.adc_overruns), (0, 0));
-    assert_eq!(talk.rig.machine().resets().len(), 1);
+    assert_eq!(talk.rig.machine.resets().len(), 1);
     talk.expect_no_faults();
 }
 
 /// The host begins a control transfer, outside the emulated host, and never ends it.
 fn begin_transfer(talk: &mut Talk, setup: &[u8]) {
-    let board = &mut talk.rig.machine().board;
+    let board = &mut talk.rig.machine.board;
     let mut port = board.usb.port(&mut board.effects);
     let mut takes = |address| {
         let packet = OutPacket { address, endpoint: 0, setup: true, toggle: false, bytes: setup };
@@ -208,7 +208,7 @@ fn a_host_that_dies_within_a_control_transfer_leaves_no_light_and_the_next_one_i
         talk.rig.set_cable(true);
         assert!(talk.wait_for(500, |talk| talk.ear.hello().is_some()), "no hello after {setup:x?}");
         assert!(!talk.is_acquiring());
-        assert_eq!(talk.rig.machine().resets().len(), 1);
+        assert_eq!(talk.rig.machine.resets().len(), 1);
         talk.expect_no_faults();
     }
 }
@@ -333,7 +333,7 @@ fn the_serial_port_carries_the_default_stream_while_it_is_spoken_to() {
 
 /// Messages among the bytes that the serial port has sent since the last call.
 fn at_serial_port(talk: &mut Talk) -> Vec<String> {
-    let bytes: Vec<u8> = talk.rig.machine().board.lpuart.take_sent().iter().map(|sent| sent.byte).collect();
+    let bytes: Vec<u8> = talk.rig.machine.board.lpuart.take_sent().iter().map(|sent| sent.byte).collect();
     let (mut decoder, mut rest, mut said) = (Decoder::<MAX_MESSAGE_BYTES>::new(), &bytes[..], Vec::new());
     while let Some(message) = decoder.next::<Message<'_>>(&mut rest) {
         let message = format!("{:?}", message.expect("whole packets"));
@@ -346,7 +346,7 @@ fn at_serial_port(talk: &mut Talk) -> Vec<String> {
 }
 
 fn say_at_serial_port(talk: &mut Talk, number: u16, command: Command) {
-    let board = &mut talk.rig.machine().board;
+    let board = &mut talk.rig.machine.board;
     board.lpuart.send(&request(number, command), &board.effects);
     board.outside_changed();
     talk.run_ms(10.0);
@@ -390,6 +390,6 @@ fn reboot_to_the_boot_loader_answers_first() {
     assert_eq!(talk.rig.run_for(0.1), Stop::BootLoader);
     talk.listen();
     assert_eq!(talk.ear.replies(number), [Ok(())]);
-    assert_eq!(talk.rig.machine().board.gates(), 0);
+    assert_eq!(talk.rig.machine.board.gates(), 0);
     talk.expect_no_faults();
 }

@@ -282,9 +282,9 @@ fn outcome(bench: &mut Talk, configuration: &Configuration, ms: u64) -> Outcome 
     let before = bench.next_status();
     bench.forget();
     bench.accept(&Command::Start);
-    let (awake, since) = (bench.rig.machine().awake_ticks(), bench.rig.now());
+    let (awake, since) = (bench.rig.machine.awake_ticks(), bench.rig.now());
     bench.run_ms(ms as f64);
-    let awake = bench.rig.machine().awake_ticks() - awake;
+    let awake = bench.rig.machine.awake_ticks() - awake;
     let awake_permille = 1e3 * awake as f64 / (bench.rig.now() - since) as f64;
     let load_permille = bench.ear.status.expect("a status comes twice a second").cpu_load_permille;
     bench.accept(&Command::Stop);
@@ -349,6 +349,6 @@ fn what_is_too_fast_is_lost_and_counted_but_the_board_stays_in_hand() {
     println!("{:.0} Hz: {lossy:?}", configuration.schedule.frame_rate_hz());
     assert!(lossy.missing > 0 && lossy.scans > 0, "{lossy:?}");
     assert_eq!(bench.gates(), 0, "it obeys a Stop");
-    assert_eq!(bench.rig.machine().resets().len(), 1, "no watchdog");
+    assert_eq!(bench.rig.machine.resets().len(), 1, "no watchdog");
     check(&mut bench, "default, afterwards", &default_configuration(), 50);
 }

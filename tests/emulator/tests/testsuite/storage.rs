@@ -67,7 +67,7 @@ fn what_is_stored_outlives_the_supply_and_is_in_force_at_start() {
     assert!(talk.ear.scans.iter().all(|scan| scan.levels() == &settings(7).0.levels[..]));
     talk.settle_account(0);
     // The reset pin, and a start of its own.
-    talk.rig.machine().pull_reset_pin();
+    talk.rig.machine.pull_reset_pin();
     talk.forget_board();
     let hello = talk.connect();
     assert_eq!((number(&hello), hello.reset_cause), (7, ResetCause::Pin));
@@ -106,7 +106,7 @@ fn store(talk: &mut Talk, n: u64, after: Option<Ticks>) -> Ticks {
     let command = prepare(talk, n);
     let number = talk.rig.send(command);
     let begin = loop {
-        if talk.rig.machine().board.flash.next_event() != Ticks::MAX {
+        if talk.rig.machine.board.flash.next_event() != Ticks::MAX {
             break talk.rig.now();
         }
         assert_eq!(talk.ear.replies(number), [], "the memory has not been busy");
@@ -120,7 +120,7 @@ fn store(talk: &mut Talk, n: u64, after: Option<Ticks>) -> Ticks {
         None => {
             let mut end = begin;
             while talk.ear.replies(number).is_empty() {
-                let done = talk.rig.machine().board.flash.next_event();
+                let done = talk.rig.machine.board.flash.next_event();
                 end = if done == Ticks::MAX { end } else { done };
                 talk.run_until(talk.rig.now() + 2_000);
                 assert!(talk.rig.now() < begin + 60 * MS, "no reply");
@@ -138,7 +138,7 @@ fn settings_that_the_board_does_not_start_with_are_passed_over_and_told() {
     store(&mut talk, 1, None);
     for failed in 0..4 {
         // Into the handler of faults, within the first second.
-        let cpu = &mut talk.rig.machine().cpu;
+        let cpu = &mut talk.rig.machine.cpu;
         let mut state = cpu.state();
         state.r[15] = FLASH_BASE | 0x00FF_FFF0;
         cpu.set_state(&state);
@@ -152,7 +152,7 @@ fn settings_that_the_board_does_not_start_with_are_passed_over_and_told() {
     }
     talk.run_ms(1_100.0);
     // A start that went well: the settings are there, and used again at the next.
-    talk.rig.machine().pull_reset_pin();
+    talk.rig.machine.pull_reset_pin();
     talk.forget_board();
     assert_eq!(number(&greet(&mut talk)), 1);
     talk.expect_no_faults();
@@ -175,7 +175,7 @@ fn a_cut_of_the_supply_leaves_the_old_settings_or_the_new() {
             }
             n += 1;
             store(&mut talk, n, Some(duration * step / CUTS));
-            let array = &talk.rig.machine().board.flash.array;
+            let array = &talk.rig.machine.board.flash.array;
             let is_torn = !array.torn.is_empty() || !array.refusing.is_empty();
             let found = number(&greet(&mut talk));
             assert!(found == kept || found == n, "{found} instead of {kept} or {n}, cut {step} of part {part}");
@@ -199,7 +199,7 @@ fn a_cut_of_the_supply_leaves_the_old_settings_or_the_new() {
     }
     talk.cut_supply();
     assert_eq!(number(&greet(&mut talk)), kept);
-    let resets = talk.rig.machine().resets().to_vec();
+    let resets = talk.rig.machine.resets().to_vec();
     let by_itself = resets.iter().filter(|reset| reset.cause != slitpose_emulator::peripherals::ResetCause::PowerOn);
     assert_eq!(by_itself.count(), 0, "torn words do not reset the board");
     talk.expect_no_faults();

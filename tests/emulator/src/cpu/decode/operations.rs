@@ -288,10 +288,6 @@ pub(super) fn to_integer(f: &Fields) -> Instruction {
     float(FloatInstruction::ToInteger { sd: f.sd(), sm: f.sm(), signed: f.is('s'), truncate: f.is('t') })
 }
 
-pub(super) fn pair_from_core(f: &Fields) -> Instruction {
-    float(FloatInstruction::PairFromCore { sm: f.sm(), rt: f.reg('t'), rt2: f.reg('v') })
-}
-
-pub(super) fn pair_to_core(f: &Fields) -> Instruction {
-    float(FloatInstruction::PairToCore { sm: f.sm(), rt: f.reg('t'), rt2: f.reg('v') })
+pub(super) fn move_core(f: &Fields, sn: SReg, rt2: Option<Reg>) -> Instruction {
+    float(FloatInstruction::MoveCore { to_core: f.is('l'), sn, rt: f.reg('t'), rt2 })
 }

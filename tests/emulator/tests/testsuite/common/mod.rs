@@ -3,11 +3,10 @@
 use self::listener::Listener;
 use self::talk::Talk;
 use slitpose_emulator::board::Board;
-use slitpose_emulator::cpu::{Bus, Size};
+use slitpose_emulator::cpu::Size;
 use slitpose_emulator::facts::{self, bits};
 use slitpose_emulator::faults::{Fault, Faults};
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
-use slitpose_emulator::world::World;
 use slitpose_firmware::pcb::pins::{Row, rows};
 use slitpose_firmware::pose::Head;
 use slitpose_head::board_head;
@@ -17,7 +16,6 @@ use slitpose_protocol::Hashes;
 
 pub mod listener;
 pub mod pins;
-pub mod recorder;
 pub mod talk;
 
 /// The variable that gives the silicon its faults: names, or `all`. Without it there are none.
@@ -89,12 +87,12 @@ pub fn level_line(emitter: usize) -> usize {
 }
 
 /// The register at `offset` from `base`, both facts, and `more`.
-pub fn register<W: World>(board: &mut Board<W>, base: &str, offset: &str, more: u32) -> u32 {
+pub fn register(board: &mut Board, base: &str, offset: &str, more: u32) -> u32 {
     read(board, bits(base) + bits(offset) + more)
 }
 
 /// The channel of DMA1, from 0, that serves `request`; its multiplexer channel has the same number.
-pub fn channel_of<W: World>(board: &mut Board<W>, request: &str) -> usize {
+pub fn channel_of(board: &mut Board, request: &str) -> usize {
     let number = bits(&format!("LL_DMAMUX_REQ_{request}"));
     let base = bits("DMAMUX1_BASE");
     let span = bits("DMAMUX1_Channel1_BASE") - base;
@@ -102,7 +100,7 @@ pub fn channel_of<W: World>(board: &mut Board<W>, request: &str) -> usize {
     channel.unwrap_or_else(|| panic!("no channel serves {request}, {number}")) as usize
 }
 
-fn read<W: World>(board: &mut Board<W>, address: u32) -> u32 {
+fn read(board: &mut Board, address: u32) -> u32 {
     board.read(address, Size::Word).expect("it answers")
 }
 
@@ -133,5 +131,5 @@ pub fn head_of(ear: &Listener, scene: &SceneFile) -> Head {
 
 /// Pin PA8, which toggles with each pose.
 pub fn is_ready_high(talk: &mut Talk) -> bool {
-    talk.rig.machine().board.ports[0].driven_high() & 1 << 8 != 0
+    talk.rig.machine.board.ports[0].driven_high() & 1 << 8 != 0
 }

@@ -1,12 +1,11 @@
 //! What emitter pins and converters do against what a schedule asks for, tick by tick; and what the words are against the
 //! light of the model.
 
-use super::recorder::{Drive, Hold, Recorder};
 use super::talk::{Talk, at_rest};
 use super::{dma_ticks, inputs, level_line, trigger_ticks};
 use slitpose_emulator::facts;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
-use slitpose_emulator::world::TIER;
+use slitpose_emulator::world::{Drive, Hold, Record, TIER};
 use slitpose_firmware::pcb::default_scaling;
 use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::WIDE;
@@ -23,7 +22,7 @@ const LEVEL_TICKS: u64 = 1;
 
 /// Checks every change of the gates and every hold against the instants of `schedule`, for the
 /// frames that are whole; gives their number.
-pub fn check_pins(record: &Recorder, configuration: &Configuration, start: Ticks) -> u64 {
+pub fn check_pins(record: &Record, configuration: &Configuration, start: Ticks) -> u64 {
     let Configuration { schedule, levels, .. } = configuration;
     let frame_ticks = u64::from(schedule.frame_ticks);
     let (cells, oversampling) = (usize::from(schedule.cells), u64::from(schedule.oversampling));
@@ -83,7 +82,7 @@ fn leading_cells(schedule: &Schedule, first: Ticks) -> usize {
 
 /// By so much the emitters went off ahead of the end of a lit last slot, in frames whose idle rests begin at
 /// `rests`: the earliest, where transfers take their time.
-fn off_lead_ticks(record: &Recorder, rests: impl Iterator<Item = Ticks>) -> Ticks {
+fn off_lead_ticks(record: &Record, rests: impl Iterator<Item = Ticks>) -> Ticks {
     let most = (OFF_LEAD_S.end * TICKS_PER_SECOND as f64) as Ticks;
     let mut drives = record.drives.iter();
     let leads = rests.filter_map(|rest| {
@@ -96,7 +95,7 @@ fn off_lead_ticks(record: &Recorder, rests: impl Iterator<Item = Ticks>) -> Tick
 }
 
 /// Changes of the gates in the first `frames` frames of `schedule`.
-fn gate_edges(record: &Recorder, schedule: &Schedule, start: Ticks, frames: u64) -> Vec<(Ticks, u8)> {
+fn gate_edges(record: &Record, schedule: &Schedule, start: Ticks, frames: u64) -> Vec<(Ticks, u8)> {
     let (slot_ticks, frame_ticks) = (u64::from(schedule.slot_ticks), u64::from(schedule.frame_ticks));
     let slots = schedule.slots.len() as u64;
     let has_rest = frame_ticks > slots * slot_ticks;
@@ -125,7 +124,7 @@ pub fn level_code(level: Level) -> u16 {
 
 /// Checks that in each lit slot the level lines of its emitters have their codes from just after
 /// its start to its end.
-fn check_levels(record: &Recorder, schedule: &Schedule, levels: &[Level], start: Ticks, frames: u64) {
+fn check_levels(record: &Record, schedule: &Schedule, levels: &[Level], start: Ticks, frames: u64) {
     let lines: Vec<_> = (0..levels.len()).map(level_line).collect();
     let mut drives = record.drives.iter().peekable();
     let mut now = Drive { at: 0, gates: 0, levels: [0; 2] };
@@ -157,16 +156,14 @@ fn check_levels(record: &Recorder, schedule: &Schedule, levels: &[Level], start:
 pub fn run(bench: &mut Talk, configuration: &Configuration, ms: f64) -> (Vec<RawScan>, Ticks) {
     bench.accept(&Command::Configure(configuration.clone()));
     bench.forget();
-    bench.record().records_holds = true;
     bench.accept(&Command::Start);
     bench.run_ms(ms);
     let schedule = &configuration.schedule;
     let period = if schedule.slots.len() == 1 { schedule.frame_ticks } else { schedule.slot_ticks };
-    let zero = bench.rig.machine().board.timers[0].origin().expect("the frame timer runs");
+    let zero = bench.rig.machine.board.timers[0].origin().expect("the frame timer runs");
     bench.accept(&Command::Stop);
     // What the link still holds.
     bench.run_ms(5.0);
-    bench.record().records_holds = false;
     let lit_slots = configuration.schedule.slots.iter().enumerate().find(|(_, set)| !set.is_dark());
     let (slot, set) = lit_slots.expect("a schedule has light");
     let lit = bench.record().drives.iter().find(|drive| drive.gates != 0).expect("it lights");

@@ -1,14 +1,13 @@
 //! A program at the board's link, with time: it says commands, and its [`Listener`] keeps everything it hears.
 
 use super::listener::{Introduction, Listener, MANY_BREAKS, Said};
-use super::recorder::Recorder;
 use super::{SEED, head_of, silicon, smooth};
 use slitpose_emulator::faults::Faults;
 use slitpose_emulator::image::Image;
 use slitpose_emulator::machine::Stop;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::rig::{Link, Rig, open_image, open_pose_image};
-use slitpose_emulator::world::{NoiseSource, OpticsWorld};
+use slitpose_emulator::world::{NoiseSource, Record};
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_head::simulator::Trajectory;
 use slitpose_head::table::TableReader;
@@ -32,7 +31,7 @@ const STORED_MS: u64 = 60;
 
 #[derive(Debug)]
 pub struct Talk {
-    pub rig: Rig<Recorder>,
+    pub rig: Rig,
     pub ear: Listener,
 }
 
@@ -60,11 +59,9 @@ impl Talk {
 
     /// A board with `image`, its clock running, in front of the head of `scene`.
     fn start(image: &Image, scene: &SceneFile, trajectory: Trajectory, noise: NoiseSource, silicon: Faults) -> Self {
-        let world = OpticsWorld::new(scene, trajectory, noise, silicon).expect("the board fits the scene");
-        let mut talk = Self { rig: Rig::power_on(image, Recorder::around(world), silicon), ear: Listener::default() };
-        let origin = talk.origin();
-        talk.record().world.set_origin(origin);
-        talk
+        let mut rig = Rig::boot(image, scene, trajectory, noise, silicon).expect("the board fits the scene");
+        rig.machine.board.record = Some(Record::default());
+        Self { rig, ear: Listener::default() }
     }
 
     /// A board that solves poses of a moving tool, its port open, and the head of `scene` sent to it.
@@ -144,9 +141,9 @@ impl Talk {
 
     /// Cuts the supply for a while, at once.
     pub fn cut_supply(&mut self) {
-        self.rig.machine().cut_power();
+        self.rig.machine.cut_power();
         self.rig.run_for(1e-3);
-        self.rig.machine().power_on();
+        self.rig.machine.power_on();
         self.forget_board();
     }
 
@@ -156,13 +153,13 @@ impl Talk {
         self.ear.forget_board();
     }
 
-    pub fn record(&mut self) -> &mut Recorder {
-        &mut self.rig.machine().board.world
+    pub fn record(&mut self) -> &mut Record {
+        self.rig.machine.board.record.as_mut().expect("since the start")
     }
 
     /// Tick of power at which the board's clock was zero.
     pub fn origin(&mut self) -> Ticks {
-        self.rig.machine().device_clock_origin().expect("the program starts its clock")
+        self.rig.machine.device_clock_origin().expect("the program starts its clock")
     }
 
     /// Forgets what was heard and recorded.
@@ -172,7 +169,7 @@ impl Talk {
     }
 
     pub fn gates(&mut self) -> u8 {
-        self.rig.machine().board.gates()
+        self.rig.machine.board.gates()
     }
 
     /// The instant since which all gates have been off.
@@ -228,7 +225,7 @@ impl Talk {
 
     /// Waits until the host has configured the board.
     pub fn await_port(&mut self) {
-        let configured = self.wait_for(ENUMERATION_MS, |talk| talk.rig.machine().board.usb_host.is_configured());
+        let configured = self.wait_for(ENUMERATION_MS, |talk| talk.rig.machine.board.usb_host.is_configured());
         assert!(configured, "not enumerated in time: {:?}", self.rig.faults());
     }
 
@@ -243,7 +240,7 @@ impl Talk {
     pub fn close(&mut self) {
         self.rig.set_open(false);
         self.ear.breaks += 1;
-        assert!(self.wait_for(ANSWER_MS, |talk| !talk.rig.machine().board.usb_host.dtr()));
+        assert!(self.wait_for(ANSWER_MS, |talk| !talk.rig.machine.board.usb_host.dtr()));
     }
 
     /// Says a command and gives the outcome of its only reply.
