@@ -26,6 +26,9 @@ impl<E> Drop for Background<E> {
     }
 }
 
+/// What a user can do when the system gives no thread.
+pub(crate) const NO_THREAD: &str = "cannot start a thread; close other programs, or raise the limit of threads";
+
 /// The stack size of the main thread: scenes and pipelines take tens of kilobytes, and are moved during construction.
 const STACK_BYTES: usize = 8 << 20;
 

@@ -23,7 +23,7 @@ use crate::device::{Contact, Search, Selector};
 use crate::live::{LiveBoard, LivePlan};
 use crate::platform::{self, Notice};
 use crate::sink;
-use crate::telemetry::{StatusServer, status_address};
+use crate::telemetry::{serve_status, status_address};
 use crate::terminal;
 use slitpose_head::front_end;
 use slitpose_head::pace::Speed;
@@ -232,7 +232,7 @@ pub(super) fn run(args: &mut Args) -> Result<Outcome, CommandError> {
         })?),
         None => None,
     };
-    let status = args.status.as_ref().map(|address| StatusServer::start(address, reports(), control())).transpose()?;
+    let status = args.status.as_ref().map(|address| serve_status(address, reports(), control())).transpose()?;
     status.iter().for_each(|server| talk(format_args!("status at {}", server.address)));
     let capture = args.record.open(is_recorded_later)?;
     let shown = live.as_ref().map(|live| Arc::new(live.input.clone()) as Arc<dyn SampleSink>);

@@ -18,7 +18,6 @@
 
 mod backlog;
 mod board;
-mod error;
 mod handoff;
 mod link;
 mod opener;
@@ -34,7 +33,6 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
 pub(crate) use board::BoardPlan;
-pub(crate) use error::BoardError;
 pub(crate) use opener::{Admit, Opener, SimulatedOpener};
 pub(crate) use recorder::CapturePlan;
 
@@ -83,14 +81,14 @@ pub(crate) struct Daemon {
 #[derive(Debug)]
 pub(crate) struct Ended {
     /// For each board: the user's name for it, the counts of its data, and its error.
-    pub boards: Vec<(String, Counts, Result<(), BoardError>)>,
+    pub boards: Vec<(String, Counts, anyhow::Result<()>)>,
     pub printed: io::Result<()>,
     pub capture: RecorderReport,
 }
 
 impl Daemon {
     /// Starts all threads. They end when their boards do, when `stop` is set, or when the sink fails.
-    pub(crate) fn start(plan: Plan, stop: Arc<AtomicBool>) -> Result<Self, BoardError> {
+    pub(crate) fn start(plan: Plan, stop: Arc<AtomicBool>) -> anyhow::Result<Self> {
         let Plan { boards, sink, capture, datagrams, live, real_time } = plan;
         let datagrams = datagrams.map(Arc::new);
         let slots: Vec<_> = boards.iter().map(BoardPlan::slot).collect();

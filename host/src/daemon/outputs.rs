@@ -7,15 +7,15 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use anyhow::Context;
 use crossbeam_channel::TryRecvError;
 use slitpose_head::threads::join;
 use slitpose_model::Photocurrents;
 use slitpose_protocol::{Rejection, Reply, Severity};
 
-use super::error::BoardError;
 use super::handoff::{Consumer, Producer};
 use super::tap::Tap;
-use crate::background::spawn;
+use crate::background::{NO_THREAD, spawn};
 use crate::datagram::{DatagramServer, Publisher};
 use crate::sink::{Account, Note, Sink};
 use slitpose_tracking::clock::HostInstant;
@@ -246,11 +246,11 @@ impl PrinterThread {
         sink: Box<dyn Sink + Send>,
         accounts: Box<Accounts>,
         stop: Arc<AtomicBool>,
-    ) -> Result<Self, BoardError> {
+    ) -> anyhow::Result<Self> {
         let printed = Arc::<AtomicU64>::default();
         let progress = Arc::clone(&printed);
         let run = move || print(&outboxes, sink, &*accounts, &stop, &progress);
-        Ok(Self { thread: spawn("printer".to_owned(), run).map_err(BoardError::Thread)?, printed })
+        Ok(Self { thread: spawn("printer".to_owned(), run).context(NO_THREAD)?, printed })
     }
 
     /// Waits until all is printed; all solvers must have ended. If `stop` is set and the output is not read, the rest

@@ -5,14 +5,14 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use anyhow::Context;
 use crossbeam_channel::{Receiver, Sender, TryRecvError, bounded, unbounded};
 use slitpose_calibration::Head;
 
 use super::board::BoardPlan;
-use super::error::BoardError;
 use super::handoff::{Consumer, buffer_pool};
 use super::tap::{TapChunk, TapEnds};
-use crate::background::spawn;
+use crate::background::{NO_THREAD, spawn};
 use crate::terminal::say;
 use slitpose_head::causes::with_causes;
 use slitpose_head::threads::lock;
@@ -81,10 +81,7 @@ struct Recorder {
 
 impl RecorderControl {
     /// Starts the recorder's thread; returns what boards need of it, too.
-    pub(super) fn start(
-        plan: CapturePlan,
-        boards: &[BoardPlan],
-    ) -> Result<(Self, JoinHandle<()>, TapEnds), BoardError> {
+    pub(super) fn start(plan: CapturePlan, boards: &[BoardPlan]) -> anyhow::Result<(Self, JoinHandle<()>, TapEnds)> {
         let (tell, accounts) = bounded(ACCOUNTS);
         let (order, orders) = unbounded();
         let source = |board: &BoardPlan| Source {
@@ -109,7 +106,7 @@ impl RecorderControl {
         };
         recorder.publish();
         let (chunks, consumer) = buffer_pool(CHUNKS_A_BOARD * boards.len().max(1), TapChunk::with_capacity);
-        let thread = spawn("record".to_owned(), move || recorder.run(&consumer)).map_err(BoardError::Thread)?;
+        let thread = spawn("record".to_owned(), move || recorder.run(&consumer)).context(NO_THREAD)?;
         let pose_every_s = plan.poses_hz.recip();
         let ends = TapEnds { chunks, is_wanted, pose_every_s };
         Ok((Self { accounts: Mutex::new(Some(tell)), orders: order, report }, thread, ends))

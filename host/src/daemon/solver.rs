@@ -12,7 +12,6 @@ use crossbeam_channel::{Sender, TryRecvError};
 
 use super::backlog::{Backlog, Next};
 use super::board::BoardSlot;
-use super::error::BoardError;
 use super::handoff::{SolverEnd, Worker};
 use super::link::{ScanWatch, StreamEvent};
 use super::outputs::Outputs;
@@ -236,7 +235,7 @@ impl Solver {
         }
     }
 
-    fn decode(&mut self, segment: &mut Segment) -> Result<(), BoardError> {
+    fn decode(&mut self, segment: &mut Segment) -> anyhow::Result<()> {
         let Self { pipeline, outputs, name, .. } = self;
         outputs.begin(segment.opened);
         let fed = pipeline.receive(segment, |item| {
@@ -244,12 +243,12 @@ impl Solver {
                 say(format_args!("{name}: {oddity}"));
             }
             outputs.accept(&item);
-            Ok(())
+            Ok::<_, anyhow::Error>(())
         });
         segment.truncate(*fed.as_ref().unwrap_or(&segment.bytes.len()));
         outputs.keep(segment);
         match outputs.pending.refused.take() {
-            Some(rejection) => fed.and(Err(BoardError::Refused(rejection))),
+            Some(rejection) => fed.and(Err(anyhow::Error::new(rejection).context("the board refused a command"))),
             None => fed.map(drop),
         }
     }

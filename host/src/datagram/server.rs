@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, Weak};
 use std::time::Duration;
 
+use anyhow::{Context, Result};
 use crossbeam_channel::{Receiver, Sender};
 use tokio::sync::oneshot;
 
@@ -13,8 +14,8 @@ use super::ring::{Memory, Ring};
 use super::slot::Slot;
 use super::socket::{Delivery, Peer, Socket, Waiting};
 use super::subscription::{Cookies, Lease, Leases, MAX_FOLLOWERS, MAX_NEWS, Subscription, Worth};
-use crate::address::{Address, ServeError};
-use crate::background::Background;
+use crate::address::Address;
+use crate::background::{Background, NO_THREAD};
 use crate::platform::SocketFile;
 use slitpose_head::threads::lock;
 use slitpose_tracking::clock::HostInstant;
@@ -53,7 +54,7 @@ pub struct DatagramServer {
 
 impl DatagramServer {
     /// Listens on all of `addresses` that are sockets, and maps those that are memory.
-    pub fn bind(addresses: &[Address]) -> Result<Self, ServeError> {
+    pub fn bind(addresses: &[Address]) -> Result<Self> {
         let (mut sockets, mut bound, mut files, mut memories) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         for address in addresses {
             if let Address::Memory(path) = address {
@@ -68,19 +69,18 @@ impl DatagramServer {
         }
         let shared = Arc::new(Shared { sockets, counters: Counters::default() });
         let directory = Arc::new(Mutex::new(Directory::default()));
-        let failed = |source| ServeError::Thread { source };
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build().map_err(failed)?;
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build().context(NO_THREAD)?;
         let (end, ended) = oneshot::channel();
         for (index, socket) in shared.sockets.iter().enumerate() {
             let waiting = {
                 let _runtime = runtime.enter();
-                socket.waiting().map_err(failed)?
+                socket.waiting().context(NO_THREAD)?
             };
             runtime.spawn(serve(Arc::clone(&shared), Arc::clone(&directory), index, waiting));
         }
         // Either way this has been dropped.
         let run = move || drop(runtime.block_on(ended));
-        let thread = Background::spawn("datagrams", end, run).map_err(failed)?;
+        let thread = Background::spawn("datagrams", end, run).context(NO_THREAD)?;
         Ok(Self { shared, directory, memories, addresses: bound, _thread: thread, _files: files })
     }
 

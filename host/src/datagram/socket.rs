@@ -4,9 +4,10 @@ use std::io::{self, ErrorKind};
 use std::net::{SocketAddr, UdpSocket};
 use std::sync::Arc;
 
+use anyhow::Result;
 use tokio::io::Interest;
 
-use crate::address::{Address, ServeError};
+use crate::address::{Address, cannot_listen, require_loopback};
 use crate::platform::{
     AsyncLocalDatagram, LocalDatagram, PassedSocket, SocketFile, bind_local, is_out_of_memory, receive_local,
 };
@@ -43,8 +44,8 @@ impl Peer {
 
 impl Socket {
     /// Binds `address`; also returns the guard that removes the socket's file, if it has one.
-    pub(super) fn bind(address: &Address) -> Result<(Self, Option<SocketFile>), ServeError> {
-        let error = |source| ServeError::of(address, source);
+    pub(super) fn bind(address: &Address) -> Result<(Self, Option<SocketFile>)> {
+        let error = |source| cannot_listen(address, source);
         match address {
             Address::Unix(path) => {
                 let (socket, file) = bind_local(path)?;
@@ -53,7 +54,7 @@ impl Socket {
             }
             Address::Memory(_) => Err(error(ErrorKind::Unsupported.into())),
             Address::Udp(udp) | Address::Tcp(udp) => {
-                require_loopback(*udp)?;
+                require_loopback(address, NO_PROOF)?;
                 let socket = UdpSocket::bind(udp).map_err(error)?;
                 socket.set_nonblocking(true).map_err(error)?;
                 Ok((Self::Udp(socket), None))
@@ -126,9 +127,5 @@ impl Waiting {
     }
 }
 
-/// Refuses addresses that other hosts can reach.
-pub(super) fn require_loopback(address: SocketAddr) -> Result<(), ServeError> {
-    let reason = "poses carry no proof of their origin; give udp:127.0.0.1:PORT";
-    let refused = || ServeError::NotLoopback { address: Address::Udp(address), reason };
-    address.ip().is_loopback().then_some(()).ok_or_else(refused)
-}
+/// Why addresses that other hosts can reach are refused.
+pub(super) const NO_PROOF: &str = "poses carry no proof of their origin; give udp:127.0.0.1:PORT";

@@ -24,7 +24,7 @@ use super::control::{Access, Control};
 use super::hub::{Hub, Input, LiveBoard, LiveInput};
 use super::recordings::Recordings;
 use super::session;
-use crate::address::{Address, ServeError};
+use crate::address::Address;
 use crate::http::{Connection, Serving, reply};
 use slitpose_tracking::page::{Refusal, SceneView};
 use slitpose_tracking::telemetry::DaemonReport;
@@ -136,7 +136,7 @@ pub(crate) struct LiveServer {
 }
 
 impl LiveServer {
-    pub(crate) fn start(mut plan: LivePlan) -> Result<Self, ServeError> {
+    pub(crate) fn start(mut plan: LivePlan) -> anyhow::Result<Self> {
         let (address, scope) = (Address::Tcp(plan.access.address), plan.access.scope());
         let (boards, report) = (std::mem::take(&mut plan.boards), plan.report.take());
         let shared = Arc::new(Shared::new(plan));
@@ -162,8 +162,8 @@ impl LiveServer {
         };
         let refusal = "pages of other sites get no answer; open this page by 127.0.0.1, [::1] or localhost\n";
         // When it is dropped, clients see their connections end.
-        let (serving, bound) = Serving::http("live", &address, scope, refusal, routes, begin)?;
-        Ok(Self { url: shared.plan.access.url(&bound), input, _serving: serving })
+        let serving = Serving::http("live", &address, scope, refusal, routes, begin)?;
+        Ok(Self { url: shared.plan.access.url(&serving.address), input, _serving: serving })
     }
 }
 

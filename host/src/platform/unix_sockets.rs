@@ -7,12 +7,13 @@ use std::os::fd::{AsFd, AsRawFd, OwnedFd};
 use std::os::unix::fs::{FileTypeExt, MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
+use anyhow::{Result, bail};
 use nix::errno::Errno;
 use nix::libc::{dev_t, ino_t};
 use nix::sys::socket::{ControlMessage, MsgFlags, SockType, UnixAddr, getsockopt, send, sendmsg, sockopt};
 use rustix::net::{RecvAncillaryBuffer, RecvAncillaryMessage, RecvFlags, recvmsg};
 
-use crate::address::{Address, ServeError};
+use crate::address::{Address, cannot_listen, in_use};
 use crate::datagram::Request;
 
 pub(crate) use std::os::unix::net::{
@@ -34,19 +35,19 @@ impl SocketFile {
         path: &Path,
         connect: impl FnOnce(&Path) -> io::Result<()>,
         bind: impl FnOnce(&Path) -> io::Result<T>,
-    ) -> Result<(T, Self), ServeError> {
-        let address = || Address::Unix(path.to_owned());
-        let failed = |source| ServeError::of(&address(), source);
+    ) -> Result<(T, Self)> {
+        let address = Address::Unix(path.to_owned());
+        let failed = |source| cannot_listen(&address, source);
         match fs::symlink_metadata(path) {
             Err(error) if error.kind() == ErrorKind::NotFound => {}
             Err(source) => return Err(failed(source)),
             Ok(found) if !found.file_type().is_socket() => {
-                return Err(ServeError::NotASocket { path: path.to_owned() });
+                bail!("{} is no socket and is left alone; give another path", path.display());
             }
             Ok(_) => match connect(path) {
                 Err(error) if error.kind() == ErrorKind::ConnectionRefused => fs::remove_file(path).map_err(failed)?,
                 // A socket of another kind is in use, too.
-                _ => return Err(ServeError::InUse { address: address() }),
+                _ => return Err(in_use(&address)),
             },
         }
         let socket = bind(path).map_err(failed)?;
@@ -67,7 +68,7 @@ impl Drop for SocketFile {
 /// Mode of Unix sockets: owner and group may connect, other users may not.
 const SOCKET_MODE: u32 = 0o660;
 
-pub(crate) fn listen_local(path: &Path) -> Result<(LocalListener, SocketFile), ServeError> {
+pub(crate) fn listen_local(path: &Path) -> Result<(LocalListener, SocketFile)> {
     SocketFile::bind(path, |path| LocalStream::connect(path).map(drop), |path| LocalListener::bind(path))
 }
 
@@ -77,7 +78,7 @@ pub(crate) fn connect_local(path: &Path) -> io::Result<LocalStream> {
 }
 
 /// Binds a socket for datagrams at `path`.
-pub(crate) fn bind_local(path: &Path) -> Result<(LocalDatagram, SocketFile), ServeError> {
+pub(crate) fn bind_local(path: &Path) -> Result<(LocalDatagram, SocketFile)> {
     let connect = |path: &Path| LocalDatagram::unbound()?.connect(path);
     SocketFile::bind(path, connect, |path| LocalDatagram::bind(path))
 }

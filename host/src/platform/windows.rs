@@ -6,12 +6,13 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
+use anyhow::{Result, bail};
 use console::Term;
 use slitpose_head::finding::Finding;
 use thread_priority::{ThreadPriority, WinAPIThreadPriority};
 
 use super::Notice;
-use crate::address::{Address, ServeError};
+use crate::address::Address;
 
 // Sockets in the file system.
 
@@ -37,11 +38,12 @@ impl PassedSocket {
 }
 
 /// The error of a Unix socket at `path`.
-fn refused<T>(path: &Path, instead: &'static str) -> Result<T, ServeError> {
-    Err(ServeError::NoUnixSockets { address: Address::Unix(path.to_owned()), instead })
+fn refused<T>(path: &Path, instead: &str) -> Result<T> {
+    let address = Address::Unix(path.to_owned());
+    bail!("{address} is a Unix socket, and this program has none on this system; give {instead}")
 }
 
-pub(crate) fn listen_local(path: &Path) -> Result<(LocalListener, SocketFile), ServeError> {
+pub(crate) fn listen_local(path: &Path) -> Result<(LocalListener, SocketFile)> {
     refused(path, "127.0.0.1:PORT for the status")
 }
 
@@ -49,7 +51,7 @@ pub(crate) fn connect_local(_: &Path) -> io::Result<LocalStream> {
     Err(io::Error::new(io::ErrorKind::Unsupported, "Windows programs have no Unix sockets; give 127.0.0.1:PORT"))
 }
 
-pub(crate) fn bind_local(path: &Path) -> Result<(LocalDatagram, SocketFile), ServeError> {
+pub(crate) fn bind_local(path: &Path) -> Result<(LocalDatagram, SocketFile)> {
     refused(path, "udp:127.0.0.1:PORT")
 }
 

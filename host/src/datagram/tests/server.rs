@@ -7,7 +7,7 @@ use std::os::unix::net::UnixDatagram;
 use tempfile::TempDir;
 
 use super::{Bench, DEVICE, OTHER, record};
-use crate::address::ServeError;
+use crate::address::in_use;
 use crate::datagram::server::LEASE;
 use crate::datagram::{Address, Answer, DatagramServer, Mode, PoseDatagram, Request};
 use crate::platform::{UnixClient, pass};
@@ -302,12 +302,12 @@ fn addresses_are_had_alone_and_given_back() {
     assert!(path.exists());
     let living = DatagramServer::bind(&address).unwrap();
     let error = DatagramServer::bind(&address).unwrap_err();
-    assert!(matches!(&error, ServeError::InUse { address: Address::Unix(in_use) } if *in_use == path), "{error}");
+    assert_eq!(error.to_string(), in_use(&address[0]).to_string());
     drop(living);
     assert!(!path.exists());
     let anywhere: SocketAddr = (Ipv4Addr::UNSPECIFIED, 0).into();
     let error = DatagramServer::bind(&[Address::Udp(anywhere)]).unwrap_err();
-    assert!(matches!(error, ServeError::NotLoopback { .. }), "{error}");
+    assert!(error.to_string().contains("can be reached from other hosts"), "{error}");
 }
 
 #[test]
