@@ -9,7 +9,7 @@ use std::time::Duration;
 use anyhow::{Context, Result};
 use axum::extract::Request;
 use axum::http::header::{CONNECTION, HOST, ORIGIN};
-use axum::http::{HeaderMap, StatusCode};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode};
 use axum::middleware::{Next, from_fn};
 use axum::response::{IntoResponse, Response};
 use axum::serve::Listener;
@@ -106,7 +106,7 @@ pub(crate) fn reply(status: StatusCode, text: impl IntoResponse) -> Response {
 // the page's origin as `Origin` (RFC 6454, section 7). Programs send neither.
 
 /// Whether these are the headers of a program's request to a name of this host.
-pub(crate) fn is_own(headers: &HeaderMap, scope: BindScope) -> bool {
+fn is_own(headers: &HeaderMap, scope: BindScope) -> bool {
     let mut hosts = headers.get_all(HOST).iter();
     let host = hosts.next().map(|host| host.as_bytes());
     if hosts.next().is_some() {
@@ -119,6 +119,14 @@ pub(crate) fn is_own(headers: &HeaderMap, scope: BindScope) -> bool {
             let origin = origin.as_bytes();
             origin.strip_prefix(b"http://").is_some_and(|origin| Some(origin) == host)
         })
+}
+
+/// Whether a request with these headers is one of HTTP, and comes from a program of this host.
+pub fn is_own_request<'a>(headers: impl IntoIterator<Item = (&'a [u8], &'a [u8])>) -> bool {
+    let read = |(name, value)| Some((HeaderName::from_bytes(name).ok()?, HeaderValue::from_bytes(value).ok()?));
+    let mut map = HeaderMap::new();
+    headers.into_iter().all(|header| read(header).map(|(name, value)| map.append(name, value)).is_some())
+        && is_own(&map, BindScope::Loopback)
 }
 
 /// Whether `host`, with or without a port, is a loopback name.
@@ -218,8 +226,6 @@ fn make_room(open: &mut Vec<Weak<Connection>>) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use axum::http::HeaderValue;
-
     use super::*;
 
     fn is_allowed(host: Option<&'static str>, origin: Option<&'static str>, scope: BindScope) -> bool {

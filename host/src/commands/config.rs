@@ -94,8 +94,8 @@ fn default_paths() -> Vec<PathBuf> {
     [user_folder(), machine_folder()].into_iter().flatten().map(|folder| folder.join(FILE)).collect()
 }
 
-/// The options that a file of this text sets.
-pub(crate) fn configured_options(path: &Path, text: &str) -> Result<Vec<String>, String> {
+/// The options that a file of this text sets, or why it cannot be used.
+pub fn configured_options(path: &Path, text: &str) -> Result<Vec<String>, String> {
     let command = super::command();
     let Some(verb) = command.find_subcommand(VERB) else { return Ok(Vec::new()) };
     let values = read(path, text, verb).map_err(|error| error.to_string())?;

@@ -36,7 +36,7 @@ use anyhow::Context;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use thiserror::Error;
 
-pub(crate) use config::configured_options;
+pub use config::configured_options;
 
 use crate::device::DeviceError;
 use crate::platform;
