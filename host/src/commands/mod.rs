@@ -26,7 +26,6 @@ mod schema;
 mod simulate;
 mod solve;
 mod status;
-mod tip;
 mod zero;
 
 use std::ffi::OsString;

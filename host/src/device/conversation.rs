@@ -7,10 +7,10 @@ use slitpose_protocol::{
     Message, PayloadError, Pulse, Rejection, Request, Schedule, Stream, encode,
 };
 
+use super::Device;
 use super::error::DeviceError;
 use super::listed::BoardInfo;
 use super::orders::{self, KeepAlive, ping};
-use super::stream::Device;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::{Asked, Segment, Versions};
 

@@ -184,18 +184,18 @@ impl BoardInfo {
     }
 
     /// Cause of its last reset, in one word, such as `power_on`.
-    pub(crate) fn reset_cause_name(&self) -> &'static str {
-        match self.reset_cause {
-            ResetCause::Unknown => "unknown",
-            ResetCause::PowerOn => "power_on",
-            ResetCause::BrownOut => "brown_out",
-            ResetCause::Pin => "pin",
-            ResetCause::Software => "software",
-            ResetCause::Watchdog => "watchdog",
-            ResetCause::Panic => "panic",
-            ResetCause::StackOverflow => "stack_overflow",
-        }
+    pub(crate) fn reset_cause_name(&self) -> String {
+        in_words(&format!("{:?}", self.reset_cause)).replace(' ', "_")
     }
+}
+
+/// `PowerOn` as `power on`.
+pub(crate) fn in_words(name: &str) -> String {
+    let letters = name.char_indices().flat_map(|(i, letter)| {
+        let space = (i > 0 && letter.is_uppercase()).then_some(' ');
+        space.into_iter().chain(letter.to_lowercase())
+    });
+    letters.collect()
 }
 
 impl Serialize for BoardInfo {

@@ -8,11 +8,11 @@ use std::{fs, io};
 use serialport::{DataBits, FlowControl, Parity, SerialPort, StopBits};
 use slitpose_model::Tier;
 
+use super::Device;
 use super::error::DeviceError;
 use super::listed::is_path;
 use super::orders::KeepAlive;
 use super::ports::is_listed;
-use super::stream::Device;
 use crate::platform::{ANY_BAUD, is_port_name};
 use slitpose_head::faults::{Injector, Link};
 use slitpose_head::front_end;

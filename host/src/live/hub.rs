@@ -58,8 +58,8 @@ impl LiveInput {
     }
 
     /// Tells whether others still send.
-    pub(super) fn downgrade(&self) -> WeakInput {
-        WeakInput(self.0.downgrade())
+    pub(super) fn downgrade(&self) -> WeakSender<Input> {
+        self.0.downgrade()
     }
 
     /// Whether nobody looks any more.
@@ -71,15 +71,6 @@ impl LiveInput {
     pub(crate) fn show(&self, input: Input) {
         // The server ends after all who send.
         let _ = self.0.blocking_send(input);
-    }
-}
-
-#[derive(Debug)]
-pub(super) struct WeakInput(WeakSender<Input>);
-
-impl WeakInput {
-    pub(super) fn is_open(&self) -> bool {
-        self.0.strong_count() > 0
     }
 }
 

@@ -14,10 +14,10 @@ use slitpose_head::threads::lock;
 use slitpose_tracking::capture::contents;
 use slitpose_tracking::measurements::Measurements;
 use slitpose_tracking::page::{CalibrationState, Refusal};
-use tokio::sync::mpsc::Receiver;
+use tokio::sync::mpsc::{Receiver, WeakSender};
 
 use super::control::Control;
-use super::hub::{Input, LiveInput, WeakInput};
+use super::hub::{Input, LiveInput};
 use super::server::Shared;
 
 const ENDING: &str = ".mcap";
@@ -48,7 +48,7 @@ pub(crate) struct Recordings {
     /// Paths that may be fetched, once each, by the secret beside them.
     tickets: Mutex<VecDeque<(String, PathBuf)>>,
     /// Captures being played, with what their pages share; the input is gone when the player has ended.
-    played: Mutex<Vec<(PathBuf, Weak<Shared>, WeakInput)>>,
+    played: Mutex<Vec<(PathBuf, Weak<Shared>, WeakSender<Input>)>>,
 }
 
 /// A capture as it is listed.
@@ -200,7 +200,7 @@ impl Recordings {
     ) -> Result<Arc<Shared>, Refusal> {
         let path = self.path(name)?;
         let mut played = lock(&self.played);
-        played.retain(|(_, _, input)| input.is_open());
+        played.retain(|(_, _, input)| input.strong_count() > 0);
         if let Some(shared) = played.iter().filter(|(of, ..)| *of == path).find_map(|(_, shared, _)| shared.upgrade()) {
             return Ok(shared);
         }

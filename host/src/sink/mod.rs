@@ -13,11 +13,11 @@ use crate::telemetry::view;
 use crate::terminal;
 use crate::terminal::{Line, Tone, WIDTH, layout};
 use slitpose_head::foreign::printable;
+use slitpose_tracking::columns::CsvRows;
 use slitpose_tracking::link::DeviceId;
 use slitpose_tracking::pipeline::{EdgeRecord, Item, Record};
 use slitpose_tracking::telemetry::{BoardReport, RecorderReport};
 
-mod csv;
 mod ndjson;
 
 pub(crate) use ndjson::{EdgeLine, FaultLine, FrameLine};
@@ -73,7 +73,7 @@ pub(crate) fn open<'a>(
     match format {
         Format::Summary => Some(Box::new(Summary::new(output, live))),
         Format::Ndjson => Some(Box::new(ndjson::Ndjson::new(output))),
-        Format::Csv => Some(Box::new(csv::Csv::new(output))),
+        Format::Csv => Some(Box::new(Csv::new(output))),
         Format::None => None,
     }
 }
@@ -109,6 +109,47 @@ impl Note {
 fn json(out: &mut Vec<u8>, value: &impl Serialize) {
     // Writing numbers and words to memory cannot fail.
     let _ = serde_json::to_writer(out, value);
+}
+
+// CSV: one row per scan, with the columns of `solve` and those of a stream.
+
+struct Csv<W: Write> {
+    output: W,
+    rows: CsvRows,
+    line: Vec<u8>,
+    has_begun: bool,
+}
+
+impl<W: Write> Csv<W> {
+    fn new(output: W) -> Self {
+        Self { output, rows: CsvRows::default(), line: Vec::new(), has_begun: false }
+    }
+
+    /// Puts the header into the line if it has not been written.
+    fn begin(&mut self) {
+        self.line.clear();
+        if !std::mem::replace(&mut self.has_begun, true) {
+            self.rows.header(&mut self.line);
+        }
+    }
+}
+
+impl<W: Write> Sink for Csv<W> {
+    fn pose(&mut self, record: &Record) -> io::Result<()> {
+        self.begin();
+        self.rows.row(record, &mut self.line);
+        self.output.write_all(&self.line)
+    }
+
+    fn tick(&mut self, _: &Accounts<'_>) -> io::Result<()> {
+        self.output.flush()
+    }
+
+    fn finish(&mut self, _: &Accounts<'_>) -> io::Result<()> {
+        self.begin();
+        self.output.write_all(&self.line)?;
+        self.output.flush()
+    }
 }
 
 // A summary for people: drawn in place on a terminal, and printed once at the end.

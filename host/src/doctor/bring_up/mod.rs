@@ -2,7 +2,7 @@
 //!
 //! | file | steps |
 //! |---|---|
-//! | `continuity` | contacts and solder bridges of the Nucleo, by the user's multimeter |
+//! | this one | continuity: contacts and solder bridges of the Nucleo, by the user's multimeter |
 //! | `safety` | link and start; supply and temperature; dark after Stop and without a host; settings over a power cut |
 //! | `dark` | codes without light, emitters with their gates off; noise |
 //! | `emitters` | each emitter alone; light of other emitters |
@@ -16,7 +16,6 @@
 //! between steps the board is idle without a host.
 
 mod bench;
-mod continuity;
 mod dark;
 mod emitters;
 mod levels;
@@ -29,10 +28,10 @@ use std::fmt;
 use std::str::FromStr;
 
 use anyhow::Result;
+use slitpose_firmware::pcb::pins;
 use slitpose_protocol::{Level, Schedule};
 
 use self::bench::Bench;
-pub(crate) use self::continuity::continuity;
 use super::default_scene;
 use crate::device::{Search, Selector};
 use slitpose_head::causes::with_causes;
@@ -161,6 +160,18 @@ impl FromStr for Step {
         let unknown = || format!("no step is called `{text}`; there are 1 to {count}, or {names}");
         Self::ALL.into_iter().find(is_it).ok_or_else(unknown)
     }
+}
+
+/// The continuity check of an unpowered Nucleo with a multimeter, by the wiring table: its measurements in their order. `ask` gives whether it is as the question says; `None` if there is no one to ask.
+pub(crate) fn continuity(mut ask: impl FnMut(&str) -> Option<bool>) -> impl Iterator<Item = Finding> {
+    pins::rows("check").map(move |check| {
+        let text = format!("{}: {}", check.name, check.function);
+        match ask(&text) {
+            Some(true) => Finding::ok("continuity", text),
+            Some(false) => Finding::failed("continuity", format!("{text}, but it is not so"), check.note),
+            None => Finding::skipped("continuity", format!("{text}; if not, {}", check.note)),
+        }
+    })
 }
 
 pub(crate) struct BringUp {
