@@ -379,6 +379,13 @@ fn warn(report: &Report) {
     }
 }
 
+/// How what is found is printed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(super) enum TextOrJson {
+    Text,
+    Json,
+}
+
 /// A rate of poses, per second; zero for every scan.
 pub(super) fn poses_hz() -> impl Fn(&str) -> Result<f64, &'static str> + Clone + Send + Sync {
     let hint = "give a number of poses a second, such as 25, or 0 for every scan";
