@@ -13,7 +13,7 @@
 use std::io;
 
 pub(crate) use conversation::{Conversation, HELLO_WITHIN};
-pub(crate) use discovery::{Contact, Found, Selector, find, list};
+pub(crate) use discovery::{Contact, Selector, find, list};
 pub use error::{DeviceError, Scanless};
 pub(crate) use listed::{BoardInfo, Listed, Port, PortState, UsbId, in_words};
 pub use orders::KeepAlive;

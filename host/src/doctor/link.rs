@@ -45,22 +45,22 @@ fn simulated(subject: &Subject<'_>, checks: &mut Vec<Finding>) -> Option<Box<dyn
 
 fn open(subject: &Subject<'_>, checks: &mut Vec<Finding>) -> Option<Box<dyn Device>> {
     checks.push(of_ports(ports()));
-    let found = match find(subject.device, subject.search) {
-        Ok(found) => found,
+    let port = match find(subject.device, subject.search) {
+        Ok(port) => port.name,
         Err(error) => {
             checks.push(Finding::failed("board", with_causes(&error), "`slitpose device list` shows what there is"));
             return None;
         }
     };
-    checks.push(port_permission(&found.port));
-    match SerialDevice::open(&found.port) {
+    checks.push(port_permission(&port));
+    match SerialDevice::open(&port) {
         Ok(device) => {
             checks.push(Finding::ok("exclusive", "no other program has the port open"));
             Some(Box::new(device))
         }
         Err(error) => {
             let mut finding = with_causes(&error);
-            for holder in holders(&found.port) {
+            for holder in holders(&port) {
                 finding += &format!("; {holder} has it open");
             }
             let busy = matches!(error, DeviceError::Busy { .. });

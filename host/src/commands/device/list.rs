@@ -150,8 +150,8 @@ pub(super) fn info(args: &InfoArgs) -> Result<Outcome, CommandError> {
     let text = match args.format {
         TextOrJson::Text => info_text(&connection, status.as_ref()),
         TextOrJson::Json => {
-            let Connection { info, found, .. } = &connection;
-            let info = Info { port: &found.port, usb: found.usb.as_ref(), hello: info, status: status.as_ref() };
+            let Connection { info, board, .. } = &connection;
+            let info = Info { port: &board.name(), usb: connection.usb(), hello: info, status: status.as_ref() };
             serde_json::to_string_pretty(&info).map_err(|error| output.error(error.into()))? + "\n"
         }
     };
@@ -160,9 +160,9 @@ pub(super) fn info(args: &InfoArgs) -> Result<Outcome, CommandError> {
 }
 
 fn info_text(connection: &Connection, status: Option<&Status>) -> String {
-    let Connection { info, found, .. } = connection;
-    let mut lines = vec![("serial", info.device.to_string()), ("port", found.port.clone())];
-    if let Some(usb) = &found.usb {
+    let Connection { info, board, .. } = connection;
+    let mut lines = vec![("serial", info.device.to_string()), ("port", board.name())];
+    if let Some(usb) = connection.usb() {
         let product = usb.product.as_deref().unwrap_or("");
         lines.push(("usb", format!("{:04x}:{:04x} {product}", usb.vid, usb.pid)));
     }

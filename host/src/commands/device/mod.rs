@@ -16,7 +16,7 @@ use slitpose_protocol::{BootTarget, Command, Hashes, ResetCause, Schedule};
 
 use super::{CommandError, Outcome, options, talk};
 use crate::device::{
-    BoardInfo, Contact, Conversation, Device, DeviceError, Found, Search, Selector, SerialDevice, SimulatedDevice, find,
+    BoardInfo, Contact, Conversation, Device, DeviceError, Search, Selector, SerialDevice, SimulatedDevice, UsbId, find,
 };
 use crate::platform::holders;
 use slitpose_tracking::link::Versions;
@@ -68,19 +68,23 @@ pub(super) struct BoardOptions {
 pub(super) struct Connection {
     pub(super) board: Conversation,
     pub(super) info: BoardInfo,
-    pub(super) found: Found,
+    pub(super) contact: Contact,
 }
 
 impl BoardOptions {
     /// Finds the board, opens its port and asks who it is; a simulated one has the head of `file`.
     pub(super) fn connect(&self, file: &SceneFile) -> Result<Connection, CommandError> {
-        let found = find(&self.device, &self.search)?;
+        let mut contact = Contact::new(self.device.clone(), self.search.clone());
         let device: Box<dyn Device> = match &self.device {
             Selector::Sim => Box::new(SimulatedDevice::live(file)?),
-            _ => Box::new(SerialDevice::open(&found.port).inspect_err(|error| name_holders(error, &found.port))?),
+            selector => {
+                let port = contact.port.insert(find(selector, &self.search)?);
+                Box::new(SerialDevice::open(&port.name).inspect_err(name_holders)?)
+            }
         };
         let (board, info) = Conversation::introduced(device)?;
-        Ok(Connection { board, info, found })
+        contact.greeted(info.device);
+        Ok(Connection { board, info, contact })
     }
 }
 
@@ -96,15 +100,19 @@ impl Connection {
         }
     }
 
+    pub(super) fn usb(&self) -> Option<&UsbId> {
+        self.contact.port.as_ref()?.usb.as_ref()
+    }
+
     pub(super) fn name(&self) -> String {
-        format!("{} on {}", self.info.device, self.found.port)
+        format!("{} on {}", self.info.device, self.board.name())
     }
 }
 
-fn name_holders(error: &DeviceError, port: &str) {
-    if let DeviceError::Busy { .. } = error {
-        for holder in holders(port) {
-            talk(format_args!("{holder} has {port} open"));
+fn name_holders(error: &DeviceError) {
+    if let DeviceError::Busy { name } = error {
+        for holder in holders(name) {
+            talk(format_args!("{holder} has {name} open"));
         }
     }
 }
@@ -271,12 +279,9 @@ fn reboot(args: &RebootArgs) -> Result<Outcome, CommandError> {
         return Ok(Outcome::Done);
     }
     connection.board.order(Command::Reboot(BootTarget::Firmware))?;
-    let Connection { board, found, info: BoardInfo { device, .. } } = connection;
+    let Connection { board, contact, info: BoardInfo { device, .. } } = connection;
     sleep(GONE_WITHIN);
-    let found = Found { device: Some(device), ..found };
-    let BoardOptions { device: selector, search } = &args.board;
-    let (board, info) =
-        Contact::with(selector.clone(), search.clone(), found).await_return(Some(board), BACK_WITHIN)?;
+    let (board, info) = contact.await_return(Some(board), BACK_WITHIN)?;
     let port = board.name();
     if info.device != device {
         talk(format_args!("another board is on {port} now: {}", info.device));
