@@ -255,17 +255,6 @@ mod tests {
     }
 
     #[test]
-    fn values_of_every_kind_become_texts() {
-        let values = read_text("device = ['a', 'b']\nduration = '10s'\nwithout_clipped = true\nseed = 7").unwrap();
-        let expected: [(&str, &[&str]); 4] =
-            [("device", &["a", "b"]), ("duration", &["10s"]), ("seed", &["7"]), ("without_clipped", &["true"])];
-        for (key, texts) in expected {
-            let (_, found) = values.iter().find(|(name, _)| name == key).unwrap();
-            assert_eq!(found, texts, "{key}");
-        }
-    }
-
-    #[test]
     fn mistakes_are_named_with_their_place() {
         for (text, parts) in [
             ("seed = 1\ndevise = 'x'", ["config.toml:2:1", "`device`"]),

@@ -79,7 +79,7 @@ pub(super) fn changes(daemon: Arc<OnceLock<Arc<Daemon>>>, options: RecordOptions
     let refused = |reason: &str| Refusal::Recording { reason: reason.to_owned() };
     Box::new(move |order| {
         let daemon = daemon.get().ok_or_else(|| refused("the daemon is still starting; try again"))?;
-        let is_recording = daemon.recorder_report().state == RecorderState::Recording;
+        let is_recording = daemon.report().recorder.state == RecorderState::Recording;
         match (order, is_recording) {
             (Order::Record(true), false) => {
                 daemon.begin_recording(options.another().map_err(|error| refused(&error.to_string()))?);

@@ -318,40 +318,4 @@ mod tests {
         assert_eq!(solver_end.worker().done, [1, 4]);
         assert_eq!(solver_end.chunks.next_now(), Err(TryRecvError::Empty));
     }
-
-    const AT_ONCE: Duration = Duration::ZERO;
-
-    #[test]
-    fn buffers_circulate_until_the_producer_is_dropped() {
-        let (producer, consumer) = buffer_pool(2, Vec::<u8>::new);
-        for round in 0..10 {
-            let mut first = producer.spare().unwrap();
-            first.push(round);
-            producer.hand_over(first);
-            producer.hand_over(producer.spare().unwrap());
-            assert_eq!(producer.spare_now(), None, "a third buffer");
-            for _ in 0..2 {
-                let mut full = consumer.next(AT_ONCE).unwrap();
-                full.clear();
-                consumer.give_back(full);
-            }
-            assert_eq!(consumer.next(AT_ONCE), Err(TryRecvError::Empty));
-        }
-        drop(producer);
-        assert_eq!(consumer.next(AT_ONCE), Err(TryRecvError::Disconnected));
-    }
-
-    #[test]
-    fn full_buffers_arrive_after_the_producer_is_dropped() {
-        let (producer, consumer) = buffer_pool(1, Vec::<u8>::new);
-        producer.hand_over(producer.spare().unwrap());
-        drop(producer);
-        assert_eq!(consumer.next(AT_ONCE), Ok(Vec::new()));
-        assert_eq!(consumer.next(AT_ONCE), Err(TryRecvError::Disconnected));
-        let (producer, consumer) = buffer_pool(1, Vec::<u8>::new);
-        let buffer = producer.spare().unwrap();
-        drop(consumer);
-        producer.hand_over(buffer);
-        assert_eq!(producer.spare(), None);
-    }
 }

@@ -17,12 +17,12 @@ use super::handoff::{Consumer, Producer};
 use super::tap::Tap;
 use crate::background::{NO_THREAD, spawn};
 use crate::datagram::{DatagramServer, Publisher};
-use crate::sink::{Account, Note, Sink};
+use crate::sink::{Note, Reports, Sink};
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::{DeviceId, Segment};
 use slitpose_tracking::page::Sampler;
 use slitpose_tracking::pipeline::{Item, Record};
-use slitpose_tracking::telemetry::BoardStatistics;
+use slitpose_tracking::telemetry::{BoardStatistics, DaemonReport};
 
 #[derive(Clone, Debug)]
 #[expect(clippy::large_enum_variant, reason = "a box would be allocated for each pose")]
@@ -225,9 +225,6 @@ const IDLE: Duration = Duration::from_millis(50);
 /// Longest time without a flush or redraw for a stream that is always behind.
 const TICK_AFTER: Duration = Duration::from_millis(200);
 
-/// Returns the state of boards and recorder.
-pub(super) type Accounts = dyn Fn() -> Account + Send;
-
 /// After an interrupt, the longest wait for a reader that reads nothing.
 const PATIENCE: Duration = Duration::from_millis(500);
 
@@ -244,12 +241,12 @@ impl PrinterThread {
     pub(super) fn start(
         outboxes: Consumer<Outbox>,
         sink: Box<dyn Sink + Send>,
-        accounts: Box<Accounts>,
+        reports: Box<dyn Fn() -> DaemonReport + Send>,
         stop: Arc<AtomicBool>,
     ) -> anyhow::Result<Self> {
         let printed = Arc::<AtomicU64>::default();
         let progress = Arc::clone(&printed);
-        let run = move || print(&outboxes, sink, &*accounts, &stop, &progress);
+        let run = move || print(&outboxes, sink, &*reports, &stop, &progress);
         Ok(Self { thread: spawn("printer".to_owned(), run).context(NO_THREAD)?, printed })
     }
 
@@ -274,7 +271,7 @@ impl PrinterThread {
 fn print(
     outboxes: &Consumer<Outbox>,
     mut sink: Box<dyn Sink + Send>,
-    accounts: &Accounts,
+    reports: &Reports<'_>,
     stop: &AtomicBool,
     printed: &AtomicU64,
 ) -> io::Result<()> {
@@ -296,12 +293,12 @@ fn print(
         };
         let ticked = match (&failed, is_over) {
             (Some(_), _) => Ok(()),
-            (None, true) => sink.finish(accounts),
+            (None, true) => sink.finish(reports),
             // Printing goes first.
             (None, false) if !outboxes.is_empty() && ticked_at.elapsed() < TICK_AFTER => Ok(()),
             (None, false) => {
                 ticked_at = Instant::now();
-                sink.tick(accounts)
+                sink.tick(reports)
             }
         };
         if let Err(error) = written.and(ticked) {

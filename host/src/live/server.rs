@@ -157,7 +157,7 @@ impl LiveServer {
                     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
                     loop {
                         ticks.tick().await;
-                        of_reports.hub.report(&report());
+                        of_reports.hub.accept(Input::Report(Box::new(report())));
                     }
                 });
             }

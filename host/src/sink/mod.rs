@@ -16,7 +16,7 @@ use slitpose_head::foreign::printable;
 use slitpose_tracking::columns::CsvRows;
 use slitpose_tracking::link::DeviceId;
 use slitpose_tracking::pipeline::{EdgeRecord, Item, Record};
-use slitpose_tracking::telemetry::{BoardReport, RecorderReport};
+use slitpose_tracking::telemetry::DaemonReport;
 
 mod ndjson;
 
@@ -35,13 +35,8 @@ pub(crate) enum Format {
     None,
 }
 
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Account {
-    pub boards: Vec<BoardReport>,
-    pub recorder: RecorderReport,
-}
-
-pub(crate) type Accounts<'a> = dyn Fn() -> Account + 'a;
+/// Makes a report of the present state.
+pub(crate) type Reports<'a> = dyn Fn() -> DaemonReport + 'a;
 
 pub(crate) trait Sink {
     /// Writes the solution of the next scan.
@@ -57,11 +52,11 @@ pub(crate) trait Sink {
     }
 
     /// Flushes or redraws; called regularly, even without poses.
-    fn tick(&mut self, _: &Accounts<'_>) -> io::Result<()> {
+    fn tick(&mut self, _: &Reports<'_>) -> io::Result<()> {
         Ok(())
     }
 
-    fn finish(&mut self, accounts: &Accounts<'_>) -> io::Result<()>;
+    fn finish(&mut self, reports: &Reports<'_>) -> io::Result<()>;
 }
 
 /// The sink of a format, `None` for [`Format::None`]. `live`: `output` is a terminal that can be redrawn in place.
@@ -141,11 +136,11 @@ impl<W: Write> Sink for Csv<W> {
         self.output.write_all(&self.line)
     }
 
-    fn tick(&mut self, _: &Accounts<'_>) -> io::Result<()> {
+    fn tick(&mut self, _: &Reports<'_>) -> io::Result<()> {
         self.output.flush()
     }
 
-    fn finish(&mut self, _: &Accounts<'_>) -> io::Result<()> {
+    fn finish(&mut self, _: &Reports<'_>) -> io::Result<()> {
         self.begin();
         self.output.write_all(&self.line)?;
         self.output.flush()
@@ -234,17 +229,17 @@ impl<W: Write> Summary<W> {
         Self { output, live, shown: None, recorded: [None; 2], boards: Vec::new() }
     }
 
-    fn lines(&mut self, account: &Account) -> Vec<Line> {
+    fn lines(&mut self, report: &DaemonReport) -> Vec<Line> {
         let mut lines = Vec::new();
-        for board in &account.boards {
+        for board in &report.boards {
             if !lines.is_empty() {
                 lines.push(Line::blank());
             }
             let seen = self.boards.iter().find(|seen| Some(seen.device) == board.device);
             lines.extend(view::lines(board, seen.map(Seen::lines).unwrap_or_default()));
         }
-        let bytes_per_s = self.bytes_per_s(account.recorder.bytes);
-        lines.extend(view::recorder(&account.recorder, bytes_per_s));
+        let bytes_per_s = self.bytes_per_s(report.recorder.bytes);
+        lines.extend(view::recorder(&report.recorder, bytes_per_s));
         lines
     }
 
@@ -287,17 +282,17 @@ impl<W: Write> Sink for Summary<W> {
         terminal::print(&mut self.output, format_args!("{severity:?} at {device_time_s:.3} s: {}", printable(text)))
     }
 
-    fn tick(&mut self, accounts: &Accounts<'_>) -> io::Result<()> {
+    fn tick(&mut self, reports: &Reports<'_>) -> io::Result<()> {
         if self.live && self.shown.is_none_or(|shown| shown.elapsed() >= RENEWAL) {
-            let lines = self.lines(&accounts());
+            let lines = self.lines(&reports());
             terminal::show(lines)?;
             self.shown = Some(Instant::now());
         }
         Ok(())
     }
 
-    fn finish(&mut self, accounts: &Accounts<'_>) -> io::Result<()> {
-        let lines = self.lines(&accounts());
+    fn finish(&mut self, reports: &Reports<'_>) -> io::Result<()> {
+        let lines = self.lines(&reports());
         if self.live {
             terminal::clear();
         }
@@ -313,9 +308,10 @@ impl<W: Write> Sink for Summary<W> {
 mod tests {
     use crate::samples;
 
-    use super::{Account, Format, open};
-    use slitpose_tracking::clock::HostTime;
+    use super::{Format, open};
+    use slitpose_tracking::clock::{HostInstant, HostTime};
     use slitpose_tracking::pipeline::Record;
+    use slitpose_tracking::telemetry::{DaemonReport, RecorderReport};
 
     #[test]
     fn host_times_are_written_only_where_they_are_known() {
@@ -328,7 +324,8 @@ mod tests {
             for record in &records {
                 sink.pose(record).unwrap();
             }
-            sink.finish(&Account::default).unwrap();
+            let now = HostInstant::now();
+            sink.finish(&|| DaemonReport::of(now, now, Vec::new(), RecorderReport::default())).unwrap();
             drop(sink);
             String::from_utf8(output).unwrap()
         };

@@ -137,30 +137,6 @@ fn who_follows_gets_the_board_it_asked_for_until_its_lease_ends() {
     assert_eq!(drain(&one).0, [5]);
 }
 
-#[test]
-fn who_does_not_read_misses_datagrams_and_delays_nobody() {
-    const PUBLISHED: u64 = 100_000;
-    let bench = Bench::new();
-    let (slow, gone) = (bench.unix_client(), bench.unix_client());
-    let mut publisher = bench.server.publisher(DEVICE);
-    let (record, now) = (record(), HostInstant::now());
-    bench.ask(&slow, Mode::Follow, None);
-    bench.ask(&gone, Mode::Follow, None);
-    publisher.publish(&record, now);
-    assert_eq!(bench.server.counts().sent, 2);
-    drop(gone);
-    // A call that waits for the reader would never come back.
-    for _ in 1..PUBLISHED {
-        publisher.publish(&record, now);
-    }
-    let counts = bench.server.counts();
-    assert_eq!(counts.sent + counts.missed, 1 + PUBLISHED);
-    let (numbers, _) = drain(&slow);
-    assert_eq!(numbers, (1..counts.sent).collect::<Vec<_>>());
-    publisher.publish(&record, now);
-    assert_eq!(drain(&slow), (vec![PUBLISHED + 1], counts.missed));
-}
-
 type Receive = Box<dyn Fn(&mut [u8]) -> std::io::Result<usize>>;
 
 /// A client that follows with a queue of its own, on a Unix socket or on UDP: what it receives, without waiting.
