@@ -10,7 +10,7 @@ use super::device::BoardOptions;
 use super::options::parse_duration;
 use super::{CommandError, Outcome, options, talk};
 use crate::device::Selector;
-use crate::doctor::{BringUp, Bundle, Step, Subject, continuity, examine};
+use crate::doctor::{BringUp, Step, Subject, continuity, examine, pack};
 use crate::terminal;
 use crate::terminal::Tone;
 use slitpose_head::finding::{Finding, Grade};
@@ -80,12 +80,11 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let (failed, warnings) = report.finish()?;
     if let Some(file) = file {
         let target = file.target().to_owned();
-        let bundle = Bundle::of(&examination);
-        let written = bundle.and_then(|bundle| bundle.write(file).map(|file| (bundle, file)));
-        let (bundle, file) = written.map_err(|source| OutputError::Write { target: target.clone(), source })?;
+        let packed = pack(&examination, file);
+        let (file, files) = packed.map_err(|source| OutputError::Write { target: target.clone(), source })?;
         file.finish()?;
         talk(format_args!("{target} holds, for you to look at before you send it:"));
-        for (name, meaning) in bundle.contents() {
+        for (name, meaning) in files {
             talk(format_args!("  {name}: {meaning}"));
         }
         talk(format_args!("no environment, and no names of users or hosts"));

@@ -33,7 +33,7 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
 pub(crate) use board::BoardPlan;
-pub(crate) use opener::{Admit, Opener, SimulatedOpener};
+pub(crate) use opener::{Admit, Opener};
 pub(crate) use recorder::CapturePlan;
 
 use crate::datagram::DatagramServer;

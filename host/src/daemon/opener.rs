@@ -1,10 +1,10 @@
 //! Opens the board of a reader, at the start and after each loss.
 
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::{Mutex, MutexGuard};
 
 use slitpose_protocol::Hello;
 
-use crate::device::{Contact, Conversation, DeviceError, Selector, SimulatedDevice, SimulatedPort};
+use crate::device::{Contact, Conversation, DeviceError, Selector, SimulatedPort};
 use slitpose_head::threads::lock;
 use slitpose_tracking::link::DeviceId;
 use slitpose_tracking::pipeline::PipelineError;
@@ -49,29 +49,16 @@ impl Opener for Contact {
     }
 }
 
-/// Opens a simulated board: once, or again after faults on its link.
-pub(crate) struct SimulatedOpener {
-    port: SimulatedPort,
-    is_opened: bool,
-}
-
-impl SimulatedOpener {
-    /// For `device`, which its user calls `name`.
-    pub(crate) fn new(device: SimulatedDevice, name: String) -> Self {
-        Self { port: SimulatedPort { name, device: Arc::new(Mutex::new(device)) }, is_opened: false }
-    }
-}
-
-impl Opener for SimulatedOpener {
+/// A simulated board opens once, and again after faults on its link.
+impl Opener for SimulatedPort {
     fn name(&self) -> String {
-        self.port.name.clone()
+        self.name.clone()
     }
 
     fn open(&mut self) -> Result<Conversation, DeviceError> {
-        let is_there = !std::mem::replace(&mut self.is_opened, true) || lock(&self.port.device).reopen();
-        match is_there {
-            true => Conversation::open(Box::new(self.port.clone())),
-            false => Err(DeviceError::Missing { name: self.name() }),
+        match lock(&self.device).open() {
+            true => Conversation::open(Box::new(self.clone())),
+            false => Err(DeviceError::Missing { name: self.name.clone() }),
         }
     }
 }

@@ -149,6 +149,7 @@ pub(crate) struct SimulatedDevice {
     /// Bytes sent while catching up, not fetched yet.
     said: Vec<u8>,
     wire: Option<Box<FaultyWire>>,
+    was_opened: bool,
 }
 
 /// A link on which faults are injected.
@@ -192,6 +193,7 @@ impl SimulatedDevice {
             frames,
             said: Vec::new(),
             wire: None,
+            was_opened: false,
         }
     }
 
@@ -209,8 +211,11 @@ impl SimulatedDevice {
         self.wire.as_ref().is_some_and(|wire| wire.hung_up_s.is_some())
     }
 
-    /// Opens the port again after the link was lost, once it is back; `false` if faults have not broken it.
-    pub(crate) fn reopen(&mut self) -> bool {
+    /// Opens the port, also again after the link was lost, once it is back; `false` if faults have not broken it.
+    pub(crate) fn open(&mut self) -> bool {
+        if !std::mem::replace(&mut self.was_opened, true) {
+            return true;
+        }
         let Some(wire) = &mut self.wire else { return false };
         // A port that is closed for a moment only is still seen to be closed.
         let away = ((wire.hung_up_s.take().unwrap_or(0.0) / self.frame_s).ceil() as u64).max(1);
@@ -308,6 +313,13 @@ impl Device for SimulatedDevice {
 pub(crate) struct SimulatedPort {
     pub(crate) name: String,
     pub(crate) device: Arc<Mutex<SimulatedDevice>>,
+}
+
+impl SimulatedPort {
+    /// That of `device`, which its user calls `name`.
+    pub(crate) fn new(device: SimulatedDevice, name: String) -> Self {
+        Self { name, device: Arc::new(Mutex::new(device)) }
+    }
 }
 
 impl Device for SimulatedPort {

@@ -40,11 +40,3 @@ pub(crate) use memory::SharedMemory;
 #[cfg(unix)]
 pub use system::UnixClient;
 pub(crate) use system::*;
-
-/// What this program has to notify a service manager of.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Notice {
-    Ready,
-    Alive,
-    Stopping,
-}

@@ -15,8 +15,6 @@ use thread_priority::{
     set_thread_priority_and_policy, thread_native_id,
 };
 
-use super::Notice;
-
 #[path = "unix_sockets.rs"]
 mod sockets;
 
@@ -141,13 +139,9 @@ fn real_time_limit() -> Option<u64> {
 
 // The service manager, and the machine.
 
-/// Notifies systemd; without it nothing is sent.
-pub(crate) fn notify(notice: Notice) -> io::Result<()> {
-    sd_notify::notify(&[match notice {
-        Notice::Ready => NotifyState::Ready,
-        Notice::Alive => NotifyState::Watchdog,
-        Notice::Stopping => NotifyState::Stopping,
-    }])
+/// Notifies systemd in the words of its protocol, such as `READY=1`; without it nothing is sent.
+pub(crate) fn notify(notice: &str) -> io::Result<()> {
+    sd_notify::notify(&[NotifyState::Custom(notice)])
 }
 
 /// How often the service manager wants to be notified that this program is alive, if it does.

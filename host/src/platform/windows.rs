@@ -11,7 +11,6 @@ use console::Term;
 use slitpose_head::finding::Finding;
 use thread_priority::{ThreadPriority, WinAPIThreadPriority};
 
-use super::Notice;
 use crate::address::Address;
 
 // Sockets in the file system.
@@ -135,7 +134,7 @@ pub(crate) fn priority() -> Finding {
 // The service manager, and the machine.
 
 /// There is no service manager to be notified.
-pub(crate) fn notify(_: Notice) -> io::Result<()> {
+pub(crate) fn notify(_: &str) -> io::Result<()> {
     Ok(())
 }
 
