@@ -131,7 +131,6 @@ impl Report {
 }
 
 fn bring_up(args: &Args, given: Option<&SceneFile>) -> Result<Outcome, CommandError> {
-    let BoardOptions { device, search } = &args.board;
     let mut report = Report::open()?;
     let asks = !args.yes && io::stdin().is_terminal();
     let steps = args.step.map_or_else(|| Step::ALL.to_vec(), |step| vec![step]);
@@ -139,7 +138,7 @@ fn bring_up(args: &Args, given: Option<&SceneFile>) -> Result<Outcome, CommandEr
     for step in &by_hand {
         report.step(step)?;
         // A simulated board has no contacts.
-        let asks = asks && *device != Selector::Sim;
+        let asks = asks && args.board.device != Selector::Sim;
         let ask = |question: &str| {
             asks.then(|| {
                 answer_to(&format!("{question}? Enter, or n")).is_ok_and(|answer| !answer.starts_with(['n', 'N']))
@@ -160,7 +159,7 @@ fn bring_up(args: &Args, given: Option<&SceneFile>) -> Result<Outcome, CommandEr
     let mut findings = Vec::new();
     let plugs = "take all cables off the board for two seconds, plug them in again, and press Enter";
     let cut_power = Box::new(move || asks && answer_to(plugs).is_ok());
-    let begun = BringUp::begin(device, search, given, cut_power, &mut findings);
+    let begun = BringUp::begin(args.board.contact(), given, cut_power, &mut findings);
     findings.iter().try_for_each(|finding| report.finding(finding))?;
     let mut failed_steps = Vec::new();
     if let Some(mut bring_up) = begun {

@@ -20,7 +20,6 @@ mod backlog;
 mod board;
 mod handoff;
 mod link;
-mod opener;
 mod outputs;
 mod reader;
 mod recorder;
@@ -33,7 +32,7 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
 pub(crate) use board::BoardPlan;
-pub(crate) use opener::{Admit, Opener};
+pub(crate) use reader::{Admit, Opener};
 pub(crate) use recorder::CapturePlan;
 
 use crate::datagram::DatagramServer;

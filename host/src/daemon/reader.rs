@@ -1,21 +1,23 @@
 //! The thread that reads a board: it opens the board, starts it, and passes on the bytes. After a loss it searches for
 //! the board again.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Error};
 use crossbeam_channel::Receiver;
+use slitpose_protocol::Hello;
 
 use super::board::{BoardPlan, BoardSlot, Claims};
 use super::handoff::ReaderEnd;
 use super::link::StreamEvent;
 use super::solver::Solver;
-use crate::device::{Conversation, DeviceError, HELLO_WITHIN};
+use crate::device::{Contact, Conversation, DeviceError, HELLO_WITHIN, Selector, SimulatedPort};
 use crate::terminal::say;
+use slitpose_head::threads::lock;
 use slitpose_tracking::link::DeviceId;
-use slitpose_tracking::pipeline::head_of;
+use slitpose_tracking::pipeline::{PipelineError, head_of};
 use slitpose_tracking::solving;
 
 /// Pause between searches for a board lost recently: a re-plugged one is back at once.
@@ -33,6 +35,64 @@ const DOUBLINGS: u32 = 6;
 const MOMENT: Duration = Duration::from_millis(20);
 
 const NO_HEAD: &str = "the board cannot solve poses of this head, and this program can: give --stream raw";
+
+// Opening.
+
+/// Decides from a board's hello whether it can be followed.
+pub(crate) type Admit = Box<dyn Fn(&Hello<'_>) -> Result<(), PipelineError> + Send>;
+
+/// Held while ports are searched for boards, until the board found has answered: two simultaneous searches would find
+/// each other's ports in use.
+static LOOKING: Mutex<()> = Mutex::new(());
+
+pub(crate) trait Opener: Send {
+    fn name(&self) -> String;
+
+    /// Waits until no other reader searches for boards, if that would disturb the search.
+    fn turn(&self) -> Option<MutexGuard<'static, ()>> {
+        None
+    }
+
+    fn open(&mut self) -> Result<Conversation, DeviceError>;
+
+    /// The board that was opened last has introduced itself.
+    fn greeted(&mut self, _: DeviceId) {}
+}
+
+impl Opener for Contact {
+    fn name(&self) -> String {
+        self.selector.to_string()
+    }
+
+    fn turn(&self) -> Option<MutexGuard<'static, ()>> {
+        let looks = !matches!(self.selector, Selector::Path(_));
+        looks.then(|| lock(&LOOKING))
+    }
+
+    fn open(&mut self) -> Result<Conversation, DeviceError> {
+        Conversation::open(Box::new(self.open()?))
+    }
+
+    fn greeted(&mut self, device: DeviceId) {
+        self.greeted(device);
+    }
+}
+
+/// A simulated board opens once, and again after faults on its link.
+impl Opener for SimulatedPort {
+    fn name(&self) -> String {
+        self.name.clone()
+    }
+
+    fn open(&mut self) -> Result<Conversation, DeviceError> {
+        match lock(&self.device).open() {
+            true => Conversation::open(Box::new(self.clone())),
+            false => Err(DeviceError::Missing { name: self.name.clone() }),
+        }
+    }
+}
+
+// Reading.
 
 pub(super) struct Reader {
     pub(super) plan: BoardPlan,

@@ -338,16 +338,6 @@ mod tests {
     }
 
     #[test]
-    fn a_port_without_usb_is_found_in_its_place() {
-        let last = |name: &str| Port { name: name.to_owned(), usb: None };
-        let device = FIRST.parse().ok();
-        let found = |name| located(&Selector::Auto, Some(&last(name)), device, &[]);
-        assert_eq!(found("/dev/null").as_deref(), Some("/dev/null"));
-        assert_eq!(found("/dev/no-such-board"), None);
-        assert_eq!(located(&Selector::Path("/dev/null".to_owned()), None, None, &[]).as_deref(), Some("/dev/null"));
-    }
-
-    #[test]
     fn only_ports_that_may_have_a_board_are_asked() {
         let adapter = usb("/dev/zero", 0x0403, 0x6001, "A1");
         let ports = [board("/dev/null", FIRST), debugger("/dev/ttyACM1", "1"), adapter];
@@ -358,15 +348,5 @@ mod tests {
         assert_eq!(names(&[], true), ["/dev/ttyACM1"]);
         assert!(names(&["/dev/null"], false).is_empty(), "the board itself");
         assert_eq!(names(&["/dev/zer*", "/dev/zero"], false), ["/dev/zero"]);
-    }
-
-    #[test]
-    fn names_of_boards_are_no_paths() {
-        for path in ["/dev/ttyACM0", "./port", "/dev/serial/by-id/board"] {
-            assert_eq!(path.parse::<Selector>().unwrap(), Selector::Path(path.to_owned()));
-        }
-        for name in ["3600290054485002", "usb", "", "Auto"] {
-            assert!(name.parse::<Selector>().is_err(), "{name}");
-        }
     }
 }

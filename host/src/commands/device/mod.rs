@@ -72,9 +72,13 @@ pub(super) struct Connection {
 }
 
 impl BoardOptions {
+    pub(super) fn contact(&self) -> Contact {
+        Contact::new(self.device.clone(), self.search.clone())
+    }
+
     /// Finds the board, opens its port and asks who it is; a simulated one has the head of `file`.
     pub(super) fn connect(&self, file: &SceneFile) -> Result<Connection, CommandError> {
-        let mut contact = Contact::new(self.device.clone(), self.search.clone());
+        let mut contact = self.contact();
         let device: Box<dyn Device> = match &self.device {
             Selector::Sim => Box::new(SimulatedDevice::live(file)?),
             selector => {

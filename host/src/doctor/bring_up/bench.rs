@@ -13,7 +13,7 @@ use slitpose_protocol::{
 };
 
 use super::sampling::{Expected, Sampling};
-use crate::device::{BoardInfo, Contact, Conversation, Device, DeviceError, Search, Selector, SimulatedDevice};
+use crate::device::{BoardInfo, Contact, Conversation, Device, DeviceError, Selector, SimulatedDevice};
 use crate::doctor::measurement::patience;
 use slitpose_head::finding::Finding;
 use slitpose_head::front_end;
@@ -37,16 +37,6 @@ pub(super) struct Bench {
 }
 
 impl Bench {
-    pub(super) fn new(
-        device: &Selector,
-        search: &[Search],
-        scene: SceneFile,
-        cut_power: Box<dyn FnMut() -> bool>,
-    ) -> Self {
-        let contact = Contact::new(device.clone(), search.to_vec());
-        Self { contact, scene, cut_power, wiring: Wiring::default() }
-    }
-
     pub(super) fn is_simulated(&self) -> bool {
         self.contact.selector == Selector::Sim
     }
