@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Weak};
 use std::time::Duration;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use axum::extract::Request;
 use axum::http::header::{CONNECTION, HOST, ORIGIN};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode};
@@ -24,7 +24,7 @@ use tokio::sync::{Notify, oneshot};
 use tokio::time::{Instant, sleep_until};
 
 use crate::address::{Address, cannot_listen};
-use crate::background::{Background, NO_THREAD};
+use crate::background::{Background, drive};
 use crate::platform::{AsyncLocalListener, SocketFile, listen_local};
 
 /// The hosts that may connect over TCP.
@@ -85,14 +85,7 @@ impl Serving {
             begin();
             Ok(bound)
         })?;
-        let (end, ended) = oneshot::channel();
-        let run = move || {
-            // Either way this has been dropped. The tasks end with the runtime: a graceful shutdown would wait for
-            // connections that hang.
-            let _ = runtime.block_on(ended);
-        };
-        let thread = Background::spawn(name, end, run).context(NO_THREAD)?;
-        Ok(Self { address, _thread: thread, _file: file })
+        Ok(Self { address, _thread: drive(name, runtime)?, _file: file })
     }
 }
 

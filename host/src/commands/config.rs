@@ -179,7 +179,6 @@ fn text_of(value: &DeValue<'_>) -> Result<OsString, &'static str> {
     }
 }
 
-/// The JSON Schema of a configuration file.
 pub(super) fn schema() -> Schema {
     let command = super::command();
     let options = command.find_subcommand(VERB).into_iter().flat_map(Command::get_arguments);

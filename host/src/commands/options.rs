@@ -379,7 +379,6 @@ fn warn(report: &Report) {
     }
 }
 
-/// How what is found is printed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum TextOrJson {
     Text,

@@ -97,7 +97,6 @@ impl Link {
         state.set(LinkState::Connecting, reason);
     }
 
-    /// A board has introduced itself on `port`.
     pub(super) fn greeted(&self, device: DeviceId, port: &str) {
         let before = self.lock().device.replace(device);
         if let Some(before) = before.filter(|before| *before != device) {

@@ -183,7 +183,6 @@ impl Daemon {
         }
     }
 
-    /// Ends the recording, if there is one.
     pub(crate) fn end_recording(&self) {
         if let Some(recorder) = &self.recorder {
             recorder.end_capture();
@@ -206,7 +205,6 @@ impl Daemon {
         boards.iter().all(BoardThreads::is_finished)
     }
 
-    /// Waits for the end of all threads.
     pub(crate) fn end(&self) -> Ended {
         let threads = std::mem::take(&mut *lock(&self.boards));
         let boards = threads.into_iter().map(BoardThreads::end).collect();

@@ -49,7 +49,6 @@ pub(super) struct Outputs {
     /// Whether each pose must be printed, however late.
     pub(super) prints_all: bool,
     pub(super) capture: Option<Tap>,
-    /// For live pages.
     pub(super) sampler: Option<Sampler>,
     pub(super) pending: Pending,
 }
@@ -68,7 +67,6 @@ pub(super) struct Pending {
     device: Option<DeviceId>,
     /// The last warning or error of the board.
     pub(super) complaint: Option<String>,
-    /// The last command that the board refused.
     pub(super) refused: Option<Rejection>,
 }
 
@@ -193,7 +191,6 @@ impl Outputs {
         }
     }
 
-    /// Skips `count` scans that are not solved.
     pub(super) fn skip(&mut self, count: usize) {
         self.pending.taken += count as u64;
     }
@@ -207,7 +204,6 @@ impl Outputs {
         }
     }
 
-    /// Hands poses and notes to the printer.
     pub(super) fn hand_over_outbox(&mut self) {
         if !self.pending.notes.is_empty() && self.can_print() {
             self.print_notes();

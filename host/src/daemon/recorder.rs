@@ -39,7 +39,6 @@ pub(crate) struct CapturePlan {
     pub poses_hz: f64,
 }
 
-/// What the recorder is to do.
 enum RecorderOrder {
     Begin(Box<CaptureSeries>),
     End,
@@ -49,7 +48,6 @@ enum RecorderOrder {
         ago_ns: u64,
         asked: Instant,
     },
-    /// Record the daemon's report.
     Account(Box<DaemonReport>),
 }
 

@@ -188,7 +188,6 @@ impl Solver {
         true
     }
 
-    /// Sends the poses kept for sending together.
     fn pause(&mut self) {
         self.outputs.send();
         self.outputs.hand_over_outbox();

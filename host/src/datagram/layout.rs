@@ -199,7 +199,6 @@ impl Answer {
     }
 }
 
-/// Writes the beginning of requests and answers.
 fn begin<const N: usize>(bytes: &mut [u8; N], magic: [u8; 4], kind: u16) {
     bytes[..4].copy_from_slice(&magic);
     bytes[4..6].copy_from_slice(&VERSION.to_le_bytes());

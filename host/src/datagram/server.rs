@@ -15,7 +15,7 @@ use super::slot::Slot;
 use super::socket::{Delivery, Peer, Socket, Waiting};
 use super::subscription::{Cookies, Lease, Leases, MAX_FOLLOWERS, MAX_NEWS, Subscription, Worth};
 use crate::address::Address;
-use crate::background::{Background, NO_THREAD};
+use crate::background::{Background, NO_THREAD, drive};
 use crate::platform::SocketFile;
 use slitpose_head::threads::lock;
 use slitpose_tracking::clock::HostInstant;
@@ -70,7 +70,6 @@ impl DatagramServer {
         let shared = Arc::new(Shared { sockets, counters: Counters::default() });
         let directory = Arc::new(Mutex::new(Directory::default()));
         let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build().context(NO_THREAD)?;
-        let (end, ended) = oneshot::channel();
         for (index, socket) in shared.sockets.iter().enumerate() {
             let waiting = {
                 let _runtime = runtime.enter();
@@ -78,9 +77,7 @@ impl DatagramServer {
             };
             runtime.spawn(serve(Arc::clone(&shared), Arc::clone(&directory), index, waiting));
         }
-        // Either way this has been dropped.
-        let run = move || drop(runtime.block_on(ended));
-        let thread = Background::spawn("datagrams", end, run).context(NO_THREAD)?;
+        let thread = drive("datagrams", runtime)?;
         Ok(Self { shared, directory, memories, addresses: bound, _thread: thread, _files: files })
     }
 

@@ -110,7 +110,6 @@ pub(super) enum Delivery {
     Gone,
 }
 
-/// Waits for the datagrams of a [`Socket`].
 #[derive(Debug)]
 pub(super) enum Waiting {
     Unix(AsyncLocalDatagram),

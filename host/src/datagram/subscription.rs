@@ -42,7 +42,6 @@ impl Subscription {
         self.socket == other.socket && self.peer == other.peer
     }
 
-    /// The client, if it is slow.
     pub(super) fn slow(&self, now_ns: u64) -> Option<SlowClient> {
         let [missed, since_ns, last_ns] =
             [&self.misses.count, &self.misses.since_ns, &self.misses.last_ns].map(|it| it.load(Ordering::Relaxed));

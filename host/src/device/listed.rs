@@ -92,7 +92,6 @@ pub(crate) enum PortState {
     NotAsked,
     Free,
     InUse,
-    /// This user may not open it.
     NoPermission,
     NoAnswer,
     OtherVersion(ProtocolVersion),

@@ -109,7 +109,6 @@ struct Report<'a> {
     checks: &'a [Finding],
 }
 
-/// Name and meaning of a file.
 type Packed = (&'static str, &'static str);
 
 /// Packs `examination` into `output`: a tar archive, compressed by gzip, without environment variables or names of users

@@ -67,7 +67,6 @@ impl LiveInput {
         self.0.is_closed()
     }
 
-    /// Waits for the server.
     pub(crate) fn show(&self, input: Input) {
         // The server ends after all who send.
         let _ = self.0.blocking_send(input);
@@ -163,7 +162,6 @@ impl Hub {
         board.frames.iter().skip((from - first_kept) as usize).take(count).cloned().collect()
     }
 
-    /// Passes an input on to the clients.
     pub(super) fn accept(&self, input: Input) {
         let mut state = lock(&self.state);
         let event = match input {

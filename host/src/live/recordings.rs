@@ -246,7 +246,6 @@ fn check(name: &str) -> Result<&str, Refusal> {
     is_name(name).then_some(name).ok_or_else(|| refused(format!("`{name}` is no name of a capture; {hint}")))
 }
 
-/// Whether a recorder has locked the file.
 fn is_recorded(path: &Path) -> bool {
     File::open(path).is_ok_and(|file| matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock)))
 }

@@ -239,7 +239,6 @@ async fn fetch(
 /// What stands for itself in the value of an extended parameter, RFC 8187.
 const PLAIN: &AsciiSet = &NON_ALPHANUMERIC.remove(b'-').remove(b'.').remove(b'_');
 
-/// The files of the page.
 static PAGE: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/src/live/page");
 
 /// The page itself.

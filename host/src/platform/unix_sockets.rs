@@ -77,7 +77,6 @@ pub(crate) fn connect_local(path: &Path) -> io::Result<LocalStream> {
     LocalStream::connect(path)
 }
 
-/// Binds a socket for datagrams at `path`.
 pub(crate) fn bind_local(path: &Path) -> Result<(LocalDatagram, SocketFile)> {
     let connect = |path: &Path| LocalDatagram::unbound()?.connect(path);
     SocketFile::bind(path, connect, |path| LocalDatagram::bind(path))

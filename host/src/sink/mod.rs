@@ -243,7 +243,6 @@ impl<W: Write> Summary<W> {
         lines
     }
 
-    /// The rate of growth of the capture.
     fn bytes_per_s(&mut self, bytes: u64) -> Option<f64> {
         let now = Instant::now();
         let [before, newest] = &mut self.recorded;

@@ -58,7 +58,6 @@ pub(crate) fn show(lines: Vec<Line>) -> io::Result<()> {
     screen.draw()
 }
 
-/// Columns of the terminal of standard output.
 pub(crate) fn columns() -> usize {
     size(&Term::stdout())[1]
 }

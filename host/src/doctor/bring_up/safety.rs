@@ -99,7 +99,6 @@ const BACK_WITHIN: Duration = Duration::from_secs(15);
 /// Timeout of the hello that shows what was stored.
 const HELLO_WITHIN: Duration = Duration::from_secs(1);
 
-/// What a board starts with.
 type Stored = (Hashes, Schedule);
 
 pub(super) fn take_storage(bench: &mut Bench) -> Result<Vec<Finding>> {

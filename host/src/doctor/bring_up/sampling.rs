@@ -9,7 +9,6 @@ use slitpose_protocol::{AdcScaling, Configuration, Edge, EmitterSet, Exposure, L
 pub(super) struct Sampling {
     pub(super) schedule: Schedule,
     pub(super) scaling: AdcScaling,
-    /// The scans, without the first ones.
     pub(super) scans: Vec<RawScan>,
     /// All edges of the trigger input meanwhile.
     pub(super) edges: Vec<Edge>,
