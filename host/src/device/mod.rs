@@ -17,7 +17,7 @@ pub(crate) use discovery::{Contact, Selector, find, list};
 pub use error::{DeviceError, Scanless};
 pub(crate) use listed::{BoardInfo, Listed, Port, PortState, UsbId, in_words};
 pub use orders::KeepAlive;
-pub(crate) use ports::{Search, ports};
+pub(crate) use ports::{ANSWER_WITHIN, Search, ports};
 pub use serial::SerialDevice;
 pub(crate) use serial::{SimulatedDevice, SimulatedPort};
 

@@ -16,7 +16,8 @@ use slitpose_protocol::{BootTarget, Command, Hashes, ResetCause, Schedule};
 
 use super::{CommandError, Outcome, options, talk};
 use crate::device::{
-    BoardInfo, Contact, Conversation, Device, DeviceError, Search, Selector, SerialDevice, SimulatedDevice, UsbId, find,
+    ANSWER_WITHIN, BoardInfo, Contact, Conversation, Device, DeviceError, Search, Selector, SerialDevice,
+    SimulatedDevice, UsbId, find,
 };
 use crate::platform::holders;
 use slitpose_tracking::link::Versions;
@@ -121,9 +122,6 @@ fn name_holders(error: &DeviceError) {
     }
 }
 
-/// A board that has just replied answers at once.
-const AT_ONCE: Duration = Duration::from_secs(1);
-
 /// Has a board keep the schedule and the hashes of its head's scene and calibration, also without supply.
 ///
 /// From then on it starts with that schedule, and `run` refuses to read it by the scene or the calibration of another
@@ -170,7 +168,7 @@ fn set(args: &SetArgs) -> Result<Outcome, CommandError> {
             connection.board.configure(configuration)?;
             if let Some(full_scale_pa) = args.full_scale {
                 connection.board.order(Command::FullScale { full_scale_pa })?;
-                connection.info = connection.board.introduce(AT_ONCE)?;
+                connection.info = connection.board.introduce(ANSWER_WITHIN)?;
             }
             let solving = if given == hashes.calibration {
                 let head = calibrated.unwrap_or_else(|| file.clone().into());
@@ -180,7 +178,7 @@ fn set(args: &SetArgs) -> Result<Outcome, CommandError> {
                 "; it solves no poses itself: give the calibration, too".to_owned()
             };
             connection.board.order(Command::Store(hashes))?;
-            let after = connection.board.introduce(AT_ONCE)?;
+            let after = connection.board.introduce(ANSWER_WITHIN)?;
             if after.hashes != hashes || after.schedule != schedule || after.scaling != connection.info.scaling {
                 return Err(DeviceError::NotStored { name: connection.board.name() }.into());
             }
@@ -227,7 +225,7 @@ fn send_head(connection: &mut Connection, head: &Head, schedule: &Schedule) -> R
 
 fn clear(mut connection: Connection) -> Result<String, CommandError> {
     connection.board.order(Command::Forget)?;
-    if connection.board.introduce(AT_ONCE)?.hashes != Hashes::default() {
+    if connection.board.introduce(ANSWER_WITHIN)?.hashes != Hashes::default() {
         return Err(DeviceError::NotStored { name: connection.board.name() }.into());
     }
     Ok(format!("{} keeps no scene and no calibration; it starts with its defaults\n", connection.name()))

@@ -8,7 +8,7 @@ use slitpose_protocol::{BootTarget, Command, Edge, Hashes, Level, Pulse, Schedul
 
 use super::bench::{Bench, Wiring, sample, sample_with};
 use super::sampling;
-use crate::device::{BoardInfo, Conversation, DeviceError};
+use crate::device::{ANSWER_WITHIN, BoardInfo, Conversation, DeviceError};
 use crate::doctor::{judged, link, measurement, named};
 use slitpose_head::causes::with_causes;
 use slitpose_head::finding::Finding;
@@ -96,9 +96,6 @@ fn judge(place: &'static str, when: &str, [first, second]: &[Status; 2]) -> Find
 const DISCONNECTED: Duration = Duration::from_millis(500);
 const BACK_WITHIN: Duration = Duration::from_secs(15);
 
-/// Timeout of the hello that shows what was stored.
-const HELLO_WITHIN: Duration = Duration::from_secs(1);
-
 type Stored = (Hashes, Schedule);
 
 pub(super) fn take_storage(bench: &mut Bench) -> Result<Vec<Finding>> {
@@ -120,7 +117,7 @@ pub(super) fn take_storage(bench: &mut Bench) -> Result<Vec<Finding>> {
         if let Err(error) = board.order(Command::Store(hashes)) {
             return Ok(vec![refused(&error)]);
         }
-        let info = board.introduce(HELLO_WITHIN)?;
+        let info = board.introduce(ANSWER_WITHIN)?;
         (info.hashes, info.schedule)
     };
     drop(board);
