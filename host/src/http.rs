@@ -25,7 +25,7 @@ use tokio::time::{Instant, sleep_until};
 
 use crate::address::{Address, cannot_listen};
 use crate::background::{Background, drive};
-use crate::platform::{AsyncLocalListener, SocketFile, listen_local};
+use crate::platform::{SocketFile, listen_local};
 
 /// The hosts that may connect over TCP.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -69,8 +69,6 @@ impl Serving {
             let bound = match address {
                 Address::Unix(path) => {
                     let (listener, file) = listen_local(path)?;
-                    listener.set_nonblocking(true).map_err(failed)?;
-                    let listener = AsyncLocalListener::from_std(listener).map_err(failed)?;
                     tokio::spawn(accept(listener, |_| None, routes));
                     (address.clone(), Some(file))
                 }

@@ -16,9 +16,8 @@ use rustix::net::{RecvAncillaryBuffer, RecvAncillaryMessage, RecvFlags, recvmsg}
 use crate::address::{Address, cannot_listen, in_use};
 use crate::datagram::Request;
 
-pub(crate) use std::os::unix::net::{
-    UnixDatagram as LocalDatagram, UnixListener as LocalListener, UnixStream as LocalStream,
-};
+use std::os::unix::net::UnixDatagram as LocalDatagram;
+pub(crate) use std::os::unix::net::UnixStream as LocalStream;
 pub(crate) use tokio::net::{UnixDatagram as AsyncLocalDatagram, UnixListener as AsyncLocalListener};
 
 /// A bound socket; its file is removed when this is dropped, unless it has been replaced.
@@ -68,8 +67,9 @@ impl Drop for SocketFile {
 /// Mode of Unix sockets: owner and group may connect, other users may not.
 const SOCKET_MODE: u32 = 0o660;
 
-pub(crate) fn listen_local(path: &Path) -> Result<(LocalListener, SocketFile)> {
-    SocketFile::bind(path, |path| LocalStream::connect(path).map(drop), |path| LocalListener::bind(path))
+/// In a runtime.
+pub(crate) fn listen_local(path: &Path) -> Result<(AsyncLocalListener, SocketFile)> {
+    SocketFile::bind(path, |path| LocalStream::connect(path).map(drop), |path| AsyncLocalListener::bind(path))
 }
 
 /// A stream to who listens at `path`.
@@ -77,9 +77,10 @@ pub(crate) fn connect_local(path: &Path) -> io::Result<LocalStream> {
     LocalStream::connect(path)
 }
 
-pub(crate) fn bind_local(path: &Path) -> Result<(LocalDatagram, SocketFile)> {
+/// In a runtime.
+pub(crate) fn bind_local(path: &Path) -> Result<(AsyncLocalDatagram, SocketFile)> {
     let connect = |path: &Path| LocalDatagram::unbound()?.connect(path);
-    SocketFile::bind(path, connect, |path| LocalDatagram::bind(path))
+    SocketFile::bind(path, connect, |path| AsyncLocalDatagram::bind(path))
 }
 
 fn identity(path: &Path) -> io::Result<[u64; 2]> {
@@ -134,7 +135,7 @@ pub(crate) fn is_out_of_memory(error: &io::Error) -> bool {
 }
 
 /// The next datagram of a Unix socket, with the socket that its sender has passed.
-pub(crate) fn receive_local(socket: &LocalDatagram, buffer: &mut [u8]) -> io::Result<(usize, Option<PassedSocket>)> {
+pub(crate) fn receive_local(socket: &impl AsFd, buffer: &mut [u8]) -> io::Result<(usize, Option<PassedSocket>)> {
     let mut space = [MaybeUninit::uninit(); rustix::cmsg_space!(ScmRights(1))];
     let mut control = RecvAncillaryBuffer::new(&mut space);
     let flags = RecvFlags::DONTWAIT;

@@ -1,7 +1,7 @@
 //! Windows, which has no Unix sockets here: binding one names what serves instead, and types stand in for theirs.
 
 use std::io;
-use std::net::{TcpListener, TcpStream, UdpSocket};
+use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
@@ -16,8 +16,6 @@ use crate::address::Address;
 // Sockets in the file system.
 
 pub(crate) type LocalStream = TcpStream;
-pub(crate) type LocalListener = TcpListener;
-pub(crate) type LocalDatagram = UdpSocket;
 pub(crate) type AsyncLocalListener = tokio::net::TcpListener;
 pub(crate) type AsyncLocalDatagram = tokio::net::UdpSocket;
 
@@ -42,7 +40,7 @@ fn refused<T>(path: &Path, instead: &str) -> Result<T> {
     bail!("{address} is a Unix socket, and this program has none on this system; give {instead}")
 }
 
-pub(crate) fn listen_local(path: &Path) -> Result<(LocalListener, SocketFile)> {
+pub(crate) fn listen_local(path: &Path) -> Result<(AsyncLocalListener, SocketFile)> {
     refused(path, "127.0.0.1:PORT for the status")
 }
 
@@ -50,11 +48,11 @@ pub(crate) fn connect_local(_: &Path) -> io::Result<LocalStream> {
     Err(io::Error::new(io::ErrorKind::Unsupported, "Windows programs have no Unix sockets; give 127.0.0.1:PORT"))
 }
 
-pub(crate) fn bind_local(path: &Path) -> Result<(LocalDatagram, SocketFile)> {
+pub(crate) fn bind_local(path: &Path) -> Result<(AsyncLocalDatagram, SocketFile)> {
     refused(path, "udp:127.0.0.1:PORT")
 }
 
-pub(crate) fn receive_local(_: &LocalDatagram, _: &mut [u8]) -> io::Result<(usize, Option<PassedSocket>)> {
+pub(crate) fn receive_local(_: &AsyncLocalDatagram, _: &mut [u8]) -> io::Result<(usize, Option<PassedSocket>)> {
     Err(io::ErrorKind::Unsupported.into())
 }
 
