@@ -27,7 +27,7 @@ const VERB: &str = "run";
 /// Options that are about the file itself.
 const OWN: [&str; 2] = ["config", "print_config"];
 
-/// Read if nothing else is asked for and it is there: see [`default_path`].
+/// Read if nothing else is asked for and it is there, in the user's folder, else in the machine's.
 const FILE: &str = "slitpose/config.toml";
 
 /// Answers of the command line list the values an option takes.
@@ -85,13 +85,11 @@ fn path_asked_for(matches: &ArgMatches) -> Option<PathBuf> {
     match matches.get_one::<PathBuf>("config") {
         Some(path) if path == Path::new("none") => None,
         Some(path) => Some(path.clone()),
-        None => default_paths().into_iter().find(|path| path.is_file()),
+        None => {
+            let mut paths = [user_folder(), machine_folder()].into_iter().flatten().map(|folder| folder.join(FILE));
+            paths.find(|path| path.is_file())
+        }
     }
-}
-
-/// Where a configuration is looked for: that of the user, then that of the machine.
-fn default_paths() -> Vec<PathBuf> {
-    [user_folder(), machine_folder()].into_iter().flatten().map(|folder| folder.join(FILE)).collect()
 }
 
 /// The options that a file of this text sets, or why it cannot be used.

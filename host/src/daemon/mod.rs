@@ -42,7 +42,6 @@ use handoff::buffer_pool;
 use outputs::{OUTBOX_POSES, Outbox, PrinterThread};
 use recorder::RecorderControl;
 use slitpose_head::threads::{join, lock};
-use slitpose_tracking::capture::CaptureSeries;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::page::SampleSink;
 use slitpose_tracking::pipeline::Counts;
@@ -70,7 +69,7 @@ pub(crate) struct Daemon {
     reporter: Arc<Reporter>,
     boards: Mutex<Vec<BoardThreads>>,
     printer: Mutex<Option<PrinterThread>>,
-    recorder: Option<RecorderControl>,
+    pub(crate) recorder: Option<RecorderControl>,
     recording: Mutex<Option<JoinHandle<()>>>,
     stop: Arc<AtomicBool>,
 }
@@ -158,35 +157,13 @@ impl Daemon {
     }
 
     pub(crate) fn record_report(&self) {
-        if let Some(recorder) = &self.recorder {
-            recorder.account(self.report());
-        }
+        self.recorder.iter().for_each(|recorder| recorder.account(self.report()));
     }
 
     /// Sets the zero of the frame of board `number` to the mean pose of so many seconds, or takes it back; `false`: there is
     /// none of this number.
     pub(crate) fn zero(&self, number: usize, order: Option<f64>) -> bool {
         self.reporter.slots.get(number).map(|slot| *lock(&slot.zero) = Some(order)).is_some()
-    }
-
-    /// Begins a recording, now or after the one that is ending.
-    pub(crate) fn begin_recording(&self, series: CaptureSeries) {
-        if let Some(recorder) = &self.recorder {
-            recorder.begin(series);
-        }
-    }
-
-    /// Notes a text of an instant `ago_s` seconds ago in the recording, if there is one.
-    pub(crate) fn note(&self, text: String, ago_s: f64) {
-        if let Some(recorder) = &self.recorder {
-            recorder.note(text, ago_s);
-        }
-    }
-
-    pub(crate) fn end_recording(&self) {
-        if let Some(recorder) = &self.recorder {
-            recorder.end_capture();
-        }
     }
 
     /// Whether no thread hangs: each solver has made a recent report, even if no bytes came.

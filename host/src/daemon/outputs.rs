@@ -19,7 +19,7 @@ use crate::background::{NO_THREAD, spawn};
 use crate::datagram::{DatagramServer, Publisher};
 use crate::sink::{Note, Reports, Sink};
 use slitpose_tracking::clock::HostInstant;
-use slitpose_tracking::link::{DeviceId, Segment};
+use slitpose_tracking::link::DeviceId;
 use slitpose_tracking::page::Sampler;
 use slitpose_tracking::pipeline::{Item, Record};
 use slitpose_tracking::telemetry::{BoardStatistics, DaemonReport};
@@ -71,11 +71,6 @@ pub(super) struct Pending {
 }
 
 impl Outputs {
-    /// Prepares for the next segment; `opened`: the link was opened anew.
-    pub(super) fn begin(&mut self, opened: bool) {
-        self.capture.iter_mut().for_each(|tap| tap.begin(opened));
-    }
-
     /// Passes on one item of a segment.
     pub(super) fn accept(&mut self, item: &Item<'_>) {
         let mut read_at = None;
@@ -107,16 +102,6 @@ impl Outputs {
             self.pending.notes.push_back((self.pending.arrived, note));
         }
         self.statistics.update(item, read_at, None);
-    }
-
-    /// Passes on the bytes of a segment.
-    pub(super) fn keep(&mut self, segment: &Segment) {
-        self.capture.iter_mut().for_each(|tap| tap.keep(segment));
-    }
-
-    /// Captures a pose that is to be published.
-    pub(super) fn capture(&mut self, record: &Record) {
-        self.capture.iter_mut().for_each(|tap| tap.pose(record));
     }
 
     /// Publishes a pose that is newer than all before, at once or together with the next few; and shows it with its

@@ -52,7 +52,7 @@ enum RecorderOrder {
 }
 
 /// The daemon's end of the recorder.
-pub(super) struct RecorderControl {
+pub(crate) struct RecorderControl {
     /// `None` once the last report is sent.
     orders: Mutex<Option<Sender<RecorderOrder>>>,
     pub(super) report: Arc<Mutex<RecorderReport>>,
@@ -109,20 +109,20 @@ impl RecorderControl {
     }
 
     /// Begins a recording, after the present one if there is one.
-    pub(super) fn begin(&self, series: CaptureSeries) {
+    pub(crate) fn begin(&self, series: CaptureSeries) {
         // The file that it had was that of the recording before.
         *lock(&self.report) = RecorderReport { state: RecorderState::Recording, ..RecorderReport::default() };
         self.order(RecorderOrder::Begin(Box::new(series)));
     }
 
     /// Ends the present capture, when the last bytes have come.
-    pub(super) fn end_capture(&self) {
+    pub(crate) fn end_capture(&self) {
         lock(&self.report).state = RecorderState::Off;
         self.order(RecorderOrder::End);
     }
 
     /// Notes a text of an instant in the present capture.
-    pub(super) fn note(&self, text: String, ago_s: f64) {
+    pub(crate) fn note(&self, text: String, ago_s: f64) {
         let ago_ns = (ago_s * 1e9) as u64;
         self.order(RecorderOrder::Note { text, ago_ns, asked: Instant::now() });
     }

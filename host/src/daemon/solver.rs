@@ -171,7 +171,7 @@ impl Solver {
             let is_published = is_newest || queue.passed == 0;
             if is_published {
                 // Captures stay in the frame of the head.
-                self.outputs.capture(&record);
+                self.outputs.capture.iter_mut().for_each(|tap| tap.pose(&record));
             }
             self.pipeline.see(&mut record);
             // The most urgent first.
@@ -207,8 +207,8 @@ impl Solver {
         self.state.is_unusable &= !opened;
         // Segments after the end are dropped; a stream that cannot be solved is still recorded.
         if self.state.is_unusable && !self.state.is_complete {
-            self.outputs.begin(opened);
-            self.outputs.keep(segment);
+            self.outputs.capture.iter_mut().for_each(|tap| tap.begin(opened));
+            self.outputs.capture.iter_mut().for_each(|tap| tap.keep(segment));
         } else if !self.state.is_complete {
             if let Err(error) = self.decode(segment) {
                 self.state.is_unusable = true;
@@ -236,7 +236,7 @@ impl Solver {
 
     fn decode(&mut self, segment: &mut Segment) -> anyhow::Result<()> {
         let Self { pipeline, outputs, name, .. } = self;
-        outputs.begin(segment.opened);
+        outputs.capture.iter_mut().for_each(|tap| tap.begin(segment.opened));
         let fed = pipeline.receive(segment, |item| {
             if let Item::Oddity { oddity, .. } = &item {
                 say(format_args!("{name}: {oddity}"));
@@ -245,7 +245,7 @@ impl Solver {
             Ok::<_, anyhow::Error>(())
         });
         segment.truncate(*fed.as_ref().unwrap_or(&segment.bytes.len()));
-        outputs.keep(segment);
+        outputs.capture.iter_mut().for_each(|tap| tap.keep(segment));
         match outputs.pending.refused.take() {
             Some(rejection) => fed.and(Err(anyhow::Error::new(rejection).context("the board refused a command"))),
             None => fed.map(drop),
