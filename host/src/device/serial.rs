@@ -163,17 +163,9 @@ struct FaultyWire {
 }
 
 impl SimulatedDevice {
-    /// A board for trials, without end and in real time: the head of `file`, a smoothly moved tool.
-    pub(crate) fn live(file: &SceneFile) -> Result<Self, SimulatorError> {
-        Self::endless(file, Trajectory::of_kind(TrajectoryKind::Smooth, 1, MOTION_S).within(&file.workspace))
-    }
-
-    /// As [`live`](Self::live), with the tool at rest at home.
-    pub(crate) fn at_rest(file: &SceneFile) -> Result<Self, SimulatorError> {
-        Self::endless(file, Trajectory::of_kind(TrajectoryKind::Still, 1, MOTION_S))
-    }
-
-    fn endless(file: &SceneFile, trajectory: Trajectory) -> Result<Self, SimulatorError> {
+    /// A board for trials, without end and in real time: the head of `file`, a tool that moves so.
+    pub(crate) fn for_trials(file: &SceneFile, motion: TrajectoryKind) -> Result<Self, SimulatorError> {
+        let trajectory = Trajectory::of_kind(motion, 1, MOTION_S).within(&file.workspace);
         let frame_s = front_end::configuration(file)?.schedule.frame_rate_hz().recip();
         let board = SimulatedBoard::new(file, trajectory, Tier::Exact { tolerance: 1e-6 }, 1)?;
         Ok(Self::new(board, frame_s, f64::INFINITY, Speed::Times(1.0)))
@@ -351,7 +343,7 @@ mod tests {
     /// A host whose first ping is answered long before the first frame would see the board's clock run away from its own.
     #[test]
     fn the_time_of_a_simulated_board_begins_with_its_first_frame() {
-        let mut device = SimulatedDevice::at_rest(&WIDE.read().unwrap()).unwrap();
+        let mut device = SimulatedDevice::for_trials(&WIDE.read().unwrap(), TrajectoryKind::Still).unwrap();
         std::thread::sleep(Duration::from_millis(20));
         let begun = Instant::now();
         while device.frames_passed == 0 {

@@ -68,7 +68,10 @@ pub(crate) fn examine(subject: &Subject<'_>) -> Examination {
 /// Checks the board as far as possible; returns the bytes that it sends per second.
 fn board(subject: &Subject<'_>, examination: &mut Examination) -> Option<f64> {
     let checks = &mut examination.checks;
-    let reached = link::reach(subject, checks);
+    let reached = link::reach(subject, checks).unwrap_or_else(|finding| {
+        checks.push(finding);
+        None
+    });
     let Some((mut board, info)) = reached else {
         checks.extend(["scene", "measurement"].map(|name| Finding::skipped(name, "no board to be asked")));
         return None;

@@ -12,6 +12,7 @@ use clap::builder::TypedValueParser;
 use slitpose_calibration::{Calibration, Head};
 use slitpose_head::front_end;
 use slitpose_head::scene_file::{SceneFile, WIDE};
+use slitpose_head::simulator::TrajectoryKind;
 use slitpose_protocol::{BootTarget, Command, Hashes, ResetCause, Schedule};
 
 use super::{CommandError, Outcome, options, talk};
@@ -81,7 +82,7 @@ impl BoardOptions {
     pub(super) fn connect(&self, file: &SceneFile) -> Result<Connection, CommandError> {
         let mut contact = self.contact();
         let device: Box<dyn Device> = match &self.device {
-            Selector::Sim => Box::new(SimulatedDevice::live(file)?),
+            Selector::Sim => Box::new(SimulatedDevice::for_trials(file, TrajectoryKind::Smooth)?),
             selector => {
                 let port = contact.port.insert(find(selector, &self.search)?);
                 Box::new(SerialDevice::open(&port.name).inspect_err(name_holders)?)
