@@ -85,7 +85,9 @@ impl Opener for SimulatedPort {
     }
 
     fn open(&mut self) -> Result<Conversation, DeviceError> {
-        match lock(&self.device).open() {
+        // Unlocked again: the conversation begins with bytes to the device.
+        let is_there = lock(&self.device).open();
+        match is_there {
             true => Conversation::open(Box::new(self.clone())),
             false => Err(DeviceError::Missing { name: self.name.clone() }),
         }
