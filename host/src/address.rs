@@ -5,7 +5,7 @@ use std::io::{self, ErrorKind};
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 
-use thiserror::Error;
+use anyhow::{Error, Result, anyhow, ensure};
 
 /// Where a server listens, and its clients connect.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -67,31 +67,24 @@ pub(crate) fn tcp_address(text: &str) -> Option<SocketAddr> {
     }
 }
 
-/// Why a server does not start.
-#[derive(Debug, Error)]
-#[allow(missing_docs, reason = "the texts say what each is")]
-pub enum ServeError {
-    #[error("another program serves {address}; give another address, or end that program")]
-    InUse { address: Address },
-    #[error("{address} is a Unix socket, and this program has none on this system; give {instead}")]
-    NoUnixSockets { address: Address, instead: &'static str },
-    #[error("{address} is shared memory, which this program has on Linux only; give udp:127.0.0.1:PORT")]
-    NoSharedMemory { address: Address },
-    #[error("{} is no socket and is left alone; give another path", path.display())]
-    NotASocket { path: PathBuf },
-    #[error("{} is no memory of poses of this user and is left alone; give another name or path", path.display())]
-    NotMemory { path: PathBuf },
-    #[error("{address} can be reached from other hosts, and {reason}")]
-    NotLoopback { address: Address, reason: &'static str },
-    #[error("cannot listen on {address}; check that its folder exists and may be written to, or that the port is free")]
-    Listen { address: Address, source: io::Error },
-    #[error("cannot start a thread; close other programs, or raise the limit of threads")]
-    Thread { source: io::Error },
+/// Why a server does not listen at `address`.
+pub(crate) fn cannot_listen(address: &Address, source: io::Error) -> Error {
+    if source.kind() == ErrorKind::AddrInUse {
+        return in_use(address);
+    }
+    Error::new(source).context(format!(
+        "cannot listen on {address}; check that its folder exists and may be written to, or that the port is free"
+    ))
 }
 
-impl ServeError {
-    pub(crate) fn of(address: &Address, source: io::Error) -> Self {
-        let address = address.clone();
-        if source.kind() == ErrorKind::AddrInUse { Self::InUse { address } } else { Self::Listen { address, source } }
+pub(crate) fn in_use(address: &Address) -> Error {
+    anyhow!("another program serves {address}; give another address, or end that program")
+}
+
+/// Refuses an address that other hosts can reach, for `reason`.
+pub(crate) fn require_loopback(address: &Address, reason: &str) -> Result<()> {
+    if let Address::Tcp(at) | Address::Udp(at) = address {
+        ensure!(at.ip().is_loopback(), "{address} can be reached from other hosts, and {reason}");
     }
+    Ok(())
 }

@@ -6,11 +6,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Weak};
 use std::time::Duration;
 
+use anyhow::Result;
 use axum::extract::Request;
 use axum::http::header::{CONNECTION, HOST, ORIGIN};
-use axum::http::{HeaderMap, StatusCode};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode};
 use axum::middleware::{Next, from_fn};
 use axum::response::{IntoResponse, Response};
+use axum::serve::Listener;
 use axum::{Extension, Router};
 use hyper::server::conn::http1;
 use hyper_util::rt::TokioIo;
@@ -19,11 +21,11 @@ use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::TcpListener;
 use tokio::runtime::Builder;
 use tokio::sync::{Notify, oneshot};
-use tokio::time::{Instant, sleep, sleep_until};
+use tokio::time::{Instant, sleep_until};
 
-use crate::address::{Address, ServeError};
-use crate::background::Background;
-use crate::platform::{AsyncLocalListener, SocketFile, listen_local};
+use crate::address::{Address, cannot_listen};
+use crate::background::{Background, drive};
+use crate::platform::{SocketFile, listen_local};
 
 /// The hosts that may connect over TCP.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,13 +38,14 @@ pub(crate) enum BindScope {
 /// A server on a thread of its own, with all its tasks, until this is dropped.
 #[derive(Debug)]
 pub(crate) struct Serving {
+    /// Where it listens, with the port that the system chose for port 0.
+    pub(crate) address: Address,
     _thread: Background<oneshot::Sender<()>>,
     _file: Option<SocketFile>,
 }
 
 impl Serving {
-    /// Serves `routes` at `address` to programs in `scope`, pages of others get `refusal`; returns the address with the port
-    /// that the system chose for port 0. `begin` starts further tasks.
+    /// Serves `routes` at `address` to programs in `scope`, pages of others get `refusal`. `begin` starts further tasks.
     pub(crate) fn http(
         name: &str,
         address: &Address,
@@ -50,23 +53,8 @@ impl Serving {
         refusal: &'static str,
         routes: Router,
         begin: impl FnOnce(),
-    ) -> Result<(Self, Address), ServeError> {
-        let failed = |source| ServeError::of(address, source);
-        let listen = || match address {
-            Address::Unix(path) => {
-                let (listener, file) = listen_local(path)?;
-                listener.set_nonblocking(true).map_err(failed)?;
-                let listener = AsyncLocalListener::from_std(listener).map_err(failed)?;
-                Ok((Socket::Unix(listener), address.clone(), Some(file)))
-            }
-            Address::Memory(_) => Err(failed(std::io::ErrorKind::Unsupported.into())),
-            Address::Tcp(tcp) | Address::Udp(tcp) => {
-                let listener = std::net::TcpListener::bind(tcp).map_err(failed)?;
-                listener.set_nonblocking(true).map_err(failed)?;
-                let bound = Address::Tcp(listener.local_addr().map_err(failed)?);
-                Ok((Socket::Tcp(TcpListener::from_std(listener).map_err(failed)?), bound, None))
-            }
-        };
+    ) -> Result<Self> {
+        let failed = |source| cannot_listen(address, source);
         // Browsers cannot reach a Unix socket: any host name is allowed there.
         let named = if matches!(address, Address::Unix(_)) { BindScope::Anywhere } else { scope };
         let guard = move |request: Request, next: Next| async move {
@@ -77,19 +65,25 @@ impl Serving {
         };
         let routes = routes.layer(from_fn(guard));
         let runtime = Builder::new_current_thread().enable_all().build().map_err(failed)?;
-        let (bound, file) = runtime.block_on(async {
-            let (socket, bound, file) = listen()?;
-            tokio::spawn(accept(socket, routes));
+        let (address, file) = runtime.block_on(async {
+            let bound = match address {
+                Address::Unix(path) => {
+                    let (listener, file) = listen_local(path)?;
+                    tokio::spawn(accept(listener, |_| None, routes));
+                    (address.clone(), Some(file))
+                }
+                Address::Memory(_) => return Err(failed(std::io::ErrorKind::Unsupported.into())),
+                Address::Tcp(tcp) | Address::Udp(tcp) => {
+                    let listener = TcpListener::bind(tcp).await.map_err(failed)?;
+                    let bound = Address::Tcp(listener.local_addr().map_err(failed)?);
+                    tokio::spawn(accept(listener, |other| Some(other.ip()), routes));
+                    (bound, None)
+                }
+            };
             begin();
-            Ok::<_, ServeError>((bound, file))
+            Ok(bound)
         })?;
-        let (end, ended) = oneshot::channel();
-        let run = move || {
-            // Either way this has been dropped. The tasks end with the runtime: a graceful shutdown would wait for
-            // connections that hang.
-            let _ = runtime.block_on(ended);
-        };
-        Ok((Self { _thread: Background::spawn(name, end, run).map_err(failed)?, _file: file }, bound))
+        Ok(Self { address, _thread: drive(name, runtime)?, _file: file })
     }
 }
 
@@ -103,7 +97,7 @@ pub(crate) fn reply(status: StatusCode, text: impl IntoResponse) -> Response {
 // the page's origin as `Origin` (RFC 6454, section 7). Programs send neither.
 
 /// Whether these are the headers of a program's request to a name of this host.
-pub(crate) fn is_own(headers: &HeaderMap, scope: BindScope) -> bool {
+fn is_own(headers: &HeaderMap, scope: BindScope) -> bool {
     let mut hosts = headers.get_all(HOST).iter();
     let host = hosts.next().map(|host| host.as_bytes());
     if hosts.next().is_some() {
@@ -116,6 +110,14 @@ pub(crate) fn is_own(headers: &HeaderMap, scope: BindScope) -> bool {
             let origin = origin.as_bytes();
             origin.strip_prefix(b"http://").is_some_and(|origin| Some(origin) == host)
         })
+}
+
+/// Whether a request with these headers is one of HTTP, and comes from a program of this host.
+pub fn is_own_request<'a>(headers: impl IntoIterator<Item = (&'a [u8], &'a [u8])>) -> bool {
+    let read = |(name, value)| Some((HeaderName::from_bytes(name).ok()?, HeaderValue::from_bytes(value).ok()?));
+    let mut map = HeaderMap::new();
+    headers.into_iter().all(|header| read(header).map(|(name, value)| map.append(name, value)).is_some())
+        && is_own(&map, BindScope::Loopback)
 }
 
 /// Whether `host`, with or without a port, is a loopback name.
@@ -133,14 +135,6 @@ pub(crate) const LIFETIME: Duration = Duration::from_secs(3);
 /// Most simultaneous connections. For one more the oldest is closed of those that were not released, of the address that
 /// has most of these: silent connections keep nobody out.
 pub(crate) const MOST: usize = 100;
-
-/// Pause before a failed accept is tried again: file descriptors may have run out.
-const PAUSE: Duration = Duration::from_millis(100);
-
-enum Socket {
-    Tcp(TcpListener),
-    Unix(AsyncLocalListener),
-}
 
 /// A connection that lasts no longer than its lifetime, or until another one needs its place, unless it is released.
 #[derive(Debug)]
@@ -177,21 +171,12 @@ impl Connection {
 }
 
 /// Accepts connections, no more than [`MOST`] at a time.
-async fn accept(socket: Socket, routes: Router) {
+async fn accept<L: Listener>(mut listener: L, address: fn(L::Addr) -> Option<IpAddr>, routes: Router) {
     // The oldest first.
     let mut open: Vec<Weak<Connection>> = Vec::new();
     loop {
-        let accepted = match &socket {
-            Socket::Tcp(listener) => listener.accept().await.map(|(stream, address)| {
-                serve(stream, Some(address.ip()), &routes, &mut open);
-            }),
-            Socket::Unix(listener) => {
-                listener.accept().await.map(|(stream, _)| serve(stream, None, &routes, &mut open))
-            }
-        };
-        if accepted.is_err() {
-            sleep(PAUSE).await;
-        }
+        let (stream, other) = listener.accept().await;
+        serve(stream, address(other), &routes, &mut open);
     }
 }
 
@@ -232,8 +217,6 @@ fn make_room(open: &mut Vec<Weak<Connection>>) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use axum::http::HeaderValue;
-
     use super::*;
 
     fn is_allowed(host: Option<&'static str>, origin: Option<&'static str>, scope: BindScope) -> bool {

@@ -7,12 +7,11 @@
 //! * [`device`] finds boards, and exchanges bytes and commands with them;
 //! * [`datagram`] sends the newest pose to control loops;
 //! * [`telemetry`] counts, and reports the state of daemon, boards and heads;
-//! * [`platform`] has what differs between operating systems;
-//! * [`inputs`] reads what strangers can send, for fuzzing.
+//! * [`http`] decides whose requests are answered, and guards the servers;
+//! * [`platform`] has what differs between operating systems.
 //!
 //! Behind the commands: `terminal` draws for the user, `comparison` compares poses with a reference, `sink` writes poses,
-//! `daemon` follows boards live, `live` shows them on a page, `http` guards
-//! the servers, `doctor` examines boards, heads and hosts.
+//! `daemon` follows boards live, `live` shows them on a page, `doctor` examines boards, heads and hosts.
 
 #![forbid(unsafe_code)]
 
@@ -26,9 +25,8 @@ pub mod datagram;
 #[doc(hidden)]
 pub mod device;
 mod doctor;
-mod http;
 #[doc(hidden)]
-pub mod inputs;
+pub mod http;
 mod live;
 #[doc(hidden)]
 pub mod platform;

@@ -10,15 +10,17 @@ use slitpose_calibration::{Calibration, CellValidity, Head, Progress as Step, Re
 use slitpose_design::report::{Folder, calibration_report};
 
 use super::options::{Jobs, number, open_scene};
-use super::{CommandError, Outcome, interrupt, options, talk, tip};
+use super::{CommandError, Outcome, interrupt, options, talk};
 use crate::live::Calibrate;
 use crate::platform::go_behind;
 use crate::terminal::{Amount, Progress};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::table::{Output, Replace};
 use slitpose_model::Tier;
+use slitpose_tracking::frame::View;
 use slitpose_tracking::measurements::Measurements;
 use slitpose_tracking::solving::{RowSolver, STREAM_TOLERANCE};
+use slitpose_tracking::tip;
 
 /// Finds the parameters of a real head from measurements on it.
 ///
@@ -112,7 +114,7 @@ fn say(remark: &str) {
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     args.jobs.apply();
     match (&args.check, &args.output) {
-        (None, Some(output)) if let Some(readings) = &args.tip => tip::run(readings, Path::new(&args.scene), output),
+        (None, Some(output)) if let Some(readings) = &args.tip => find_tip(readings, Path::new(&args.scene), output),
         (Some(check), _) => still_holds(check, Path::new(&args.scene)),
         (None, Some(output)) => adjust(args, output),
         // The command line asks for one of them.
@@ -238,6 +240,30 @@ fn summary(calibration: &Calibration, file: &SceneFile) -> Vec<String> {
     }
     lines.extend(calibration.weak.iter().map(|weak| format!("open: {weak}")));
     lines
+}
+
+/// Finds the tip in `readings`, by the calibration at `path`, and writes a file for --tip to `output`.
+fn find_tip(readings: &str, path: &Path, output: &Path) -> Result<Outcome, CommandError> {
+    let calibration = Calibration::open(path)?;
+    let file = calibration.scene_file()?;
+    let measured = Measurements { pivot: vec![readings.to_owned()], ..Measurements::default() };
+    let data = measured.read(&file, &mut say)?;
+    let output = Output::file(output)?;
+    let found = tip::find(&Head::calibrated(file, calibration)?, &data)?;
+    let [x, y, z] = (found.tip_m * 1e3).to_array();
+    let [sx, sy, sz] = std::array::from_fn(|k| found.covariance.col(k)[k].sqrt() * 1e6);
+    let text = format!(
+        "tip at {x:.4} {y:.4} {z:.4} mm in the tool frame; sigma {sx:.1} {sy:.1} {sz:.1} um; from {} rows, {} left out; {:.1} um \
+         rms from the cone",
+        found.rows,
+        found.left_out,
+        found.rms_m * 1e6
+    );
+    let target = output.target().to_owned();
+    output.write_text(&View::with_tip(found.tip_m, found.covariance).to_text(&text))?;
+    talk(format_args!("{text}"));
+    talk(format_args!("wrote {target}"));
+    Ok(Outcome::Done)
 }
 
 /// Calibrates the head of `file` from recordings, for a page. The result becomes a new file.

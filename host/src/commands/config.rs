@@ -27,7 +27,7 @@ const VERB: &str = "run";
 /// Options that are about the file itself.
 const OWN: [&str; 2] = ["config", "print_config"];
 
-/// Read if nothing else is asked for and it is there: see [`default_path`].
+/// Read if nothing else is asked for and it is there, in the user's folder, else in the machine's.
 const FILE: &str = "slitpose/config.toml";
 
 /// Answers of the command line list the values an option takes.
@@ -85,17 +85,15 @@ fn path_asked_for(matches: &ArgMatches) -> Option<PathBuf> {
     match matches.get_one::<PathBuf>("config") {
         Some(path) if path == Path::new("none") => None,
         Some(path) => Some(path.clone()),
-        None => default_paths().into_iter().find(|path| path.is_file()),
+        None => {
+            let mut paths = [user_folder(), machine_folder()].into_iter().flatten().map(|folder| folder.join(FILE));
+            paths.find(|path| path.is_file())
+        }
     }
 }
 
-/// Where a configuration is looked for: that of the user, then that of the machine.
-fn default_paths() -> Vec<PathBuf> {
-    [user_folder(), machine_folder()].into_iter().flatten().map(|folder| folder.join(FILE)).collect()
-}
-
-/// The options that a file of this text sets.
-pub(crate) fn configured_options(path: &Path, text: &str) -> Result<Vec<String>, String> {
+/// The options that a file of this text sets, or why it cannot be used.
+pub fn configured_options(path: &Path, text: &str) -> Result<Vec<String>, String> {
     let command = super::command();
     let Some(verb) = command.find_subcommand(VERB) else { return Ok(Vec::new()) };
     let values = read(path, text, verb).map_err(|error| error.to_string())?;
@@ -179,7 +177,6 @@ fn text_of(value: &DeValue<'_>) -> Result<OsString, &'static str> {
     }
 }
 
-/// The JSON Schema of a configuration file.
 pub(super) fn schema() -> Schema {
     let command = super::command();
     let options = command.find_subcommand(VERB).into_iter().flat_map(Command::get_arguments);
@@ -252,17 +249,6 @@ mod tests {
         let command = crate::commands::command();
         let verb = command.find_subcommand(VERB).unwrap();
         read(Path::new("config.toml"), text, verb).map_err(|error| error.to_string())
-    }
-
-    #[test]
-    fn values_of_every_kind_become_texts() {
-        let values = read_text("device = ['a', 'b']\nduration = '10s'\nwithout_clipped = true\nseed = 7").unwrap();
-        let expected: [(&str, &[&str]); 4] =
-            [("device", &["a", "b"]), ("duration", &["10s"]), ("seed", &["7"]), ("without_clipped", &["true"])];
-        for (key, texts) in expected {
-            let (_, found) = values.iter().find(|(name, _)| name == key).unwrap();
-            assert_eq!(found, texts, "{key}");
-        }
     }
 
     #[test]

@@ -10,7 +10,7 @@ use super::device::BoardOptions;
 use super::options::parse_duration;
 use super::{CommandError, Outcome, options, talk};
 use crate::device::Selector;
-use crate::doctor::{BringUp, Bundle, Step, Subject, continuity, examine};
+use crate::doctor::{BringUp, Step, Subject, continuity, examine, pack};
 use crate::terminal;
 use crate::terminal::Tone;
 use slitpose_head::finding::{Finding, Grade};
@@ -80,12 +80,11 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let (failed, warnings) = report.finish()?;
     if let Some(file) = file {
         let target = file.target().to_owned();
-        let bundle = Bundle::of(&examination);
-        let written = bundle.and_then(|bundle| bundle.write(file).map(|file| (bundle, file)));
-        let (bundle, file) = written.map_err(|source| OutputError::Write { target: target.clone(), source })?;
+        let packed = pack(&examination, file);
+        let (file, files) = packed.map_err(|source| OutputError::Write { target: target.clone(), source })?;
         file.finish()?;
         talk(format_args!("{target} holds, for you to look at before you send it:"));
-        for (name, meaning) in bundle.contents() {
+        for (name, meaning) in files {
             talk(format_args!("  {name}: {meaning}"));
         }
         talk(format_args!("no environment, and no names of users or hosts"));
@@ -132,7 +131,6 @@ impl Report {
 }
 
 fn bring_up(args: &Args, given: Option<&SceneFile>) -> Result<Outcome, CommandError> {
-    let BoardOptions { device, search } = &args.board;
     let mut report = Report::open()?;
     let asks = !args.yes && io::stdin().is_terminal();
     let steps = args.step.map_or_else(|| Step::ALL.to_vec(), |step| vec![step]);
@@ -140,7 +138,7 @@ fn bring_up(args: &Args, given: Option<&SceneFile>) -> Result<Outcome, CommandEr
     for step in &by_hand {
         report.step(step)?;
         // A simulated board has no contacts.
-        let asks = asks && *device != Selector::Sim;
+        let asks = asks && args.board.device != Selector::Sim;
         let ask = |question: &str| {
             asks.then(|| {
                 answer_to(&format!("{question}? Enter, or n")).is_ok_and(|answer| !answer.starts_with(['n', 'N']))
@@ -161,7 +159,7 @@ fn bring_up(args: &Args, given: Option<&SceneFile>) -> Result<Outcome, CommandEr
     let mut findings = Vec::new();
     let plugs = "take all cables off the board for two seconds, plug them in again, and press Enter";
     let cut_power = Box::new(move || asks && answer_to(plugs).is_ok());
-    let begun = BringUp::begin(device, search, given, cut_power, &mut findings);
+    let begun = BringUp::begin(args.board.contact(), given, cut_power, &mut findings);
     findings.iter().try_for_each(|finding| report.finding(finding))?;
     let mut failed_steps = Vec::new();
     if let Some(mut bring_up) = begun {

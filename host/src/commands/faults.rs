@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use super::{CommandError, Outcome, options, talk};
-use slitpose_head::faults::{Fault, KINDS, Lasts, Layer};
+use slitpose_head::faults::{Fault, KINDS, Lasts};
 
 /// Lists the faults that `--fault` injects into simulated boards and replayed captures.
 ///
@@ -48,10 +48,11 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let mut layer = None;
     for kind in KINDS.iter().filter(|kind| args.kind.as_deref().is_none_or(|name| name == kind.name)) {
         if layer.replace(kind.layer) != Some(kind.layer) && args.kind.is_none() {
-            heading(&mut text, kind.layer);
+            let gap = if text.is_empty() { "" } else { "\n" };
+            // A string takes everything.
+            let _ = writeln!(text, "{gap}{}:", kind.layer.title());
         }
         let exit = if kind.exit == 0 { String::new() } else { format!("; exit code {}", kind.exit) };
-        // A string takes everything.
         let _ = writeln!(text, "{:<40} {}\n{:<40} -> {}{exit}", kind.example, kind.what, "", kind.sees);
         if args.kind.is_none() {
             continue;
@@ -78,9 +79,4 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         }
     }
     options::print(&text)
-}
-
-fn heading(text: &mut String, layer: Layer) {
-    let gap = if text.is_empty() { "" } else { "\n" };
-    let _ = writeln!(text, "{gap}{}:", layer.title());
 }

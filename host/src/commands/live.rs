@@ -79,14 +79,15 @@ pub(super) fn changes(daemon: Arc<OnceLock<Arc<Daemon>>>, options: RecordOptions
     let refused = |reason: &str| Refusal::Recording { reason: reason.to_owned() };
     Box::new(move |order| {
         let daemon = daemon.get().ok_or_else(|| refused("the daemon is still starting; try again"))?;
-        let is_recording = daemon.recorder_report().state == RecorderState::Recording;
+        let recorder = || daemon.recorder.as_ref().ok_or(Refusal::NO_RECORDER);
+        let is_recording = daemon.report().recorder.state == RecorderState::Recording;
         match (order, is_recording) {
             (Order::Record(true), false) => {
-                daemon.begin_recording(options.another().map_err(|error| refused(&error.to_string()))?);
+                recorder()?.begin(options.another().map_err(|error| refused(&error.to_string()))?);
             }
             (Order::Record(true), true) => return Err(refused("a recording is under way already; end it first")),
-            (Order::Record(false), true) => daemon.end_recording(),
-            (Order::Note(text, ago_s), true) => daemon.note(text, ago_s),
+            (Order::Record(false), true) => recorder()?.end_capture(),
+            (Order::Note(text, ago_s), true) => recorder()?.note(text, ago_s),
             (Order::Note(..) | Order::Record(false), false) => return Err(refused("nothing is being recorded")),
             (Order::Frame(board, over_s), _) => {
                 if let Some(value) = over_s.filter(|over_s| !(*over_s > 0.0 && *over_s <= MAX_ZERO_S)) {

@@ -26,7 +26,6 @@ mod schema;
 mod simulate;
 mod solve;
 mod status;
-mod tip;
 mod zero;
 
 use std::ffi::OsString;
@@ -36,7 +35,7 @@ use anyhow::Context;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use thiserror::Error;
 
-pub(crate) use config::configured_options;
+pub use config::configured_options;
 
 use crate::device::DeviceError;
 use crate::platform;

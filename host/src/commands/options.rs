@@ -379,6 +379,12 @@ fn warn(report: &Report) {
     }
 }
 
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(super) enum TextOrJson {
+    Text,
+    Json,
+}
+
 /// A rate of poses, per second; zero for every scan.
 pub(super) fn poses_hz() -> impl Fn(&str) -> Result<f64, &'static str> + Clone + Send + Sync {
     let hint = "give a number of poses a second, such as 25, or 0 for every scan";
@@ -397,16 +403,5 @@ mod tests {
         for text in ["", "1,2,3", "1,2,3,4,5,6,7", "1,2,3,4,5,x", "nan,0,0,0,0,0", "inf,0,0,0,0,0", "1e12,0,0,0,0,0"] {
             assert!(parse_pose(text).is_err(), "`{text}` was taken for a pose");
         }
-    }
-
-    #[test]
-    fn durations_are_read_or_refused() {
-        assert_eq!(parse_duration("10s"), Ok(10.0));
-        assert_eq!(parse_duration("500ms"), Ok(0.5));
-        for text in ["", "10", "0s", "-1s", "soon"] {
-            assert!(parse_duration(text).is_err(), "{text}");
-        }
-        assert_eq!(parse_filter("off"), Ok(Filter(None)));
-        assert_eq!(parse_filter("5ms"), Ok(Filter(Some(0.005))));
     }
 }

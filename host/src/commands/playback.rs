@@ -14,7 +14,7 @@ use super::options::{CalibrationOption, PoseOptions, parse_duration};
 use super::player::Player;
 use super::{CommandError, Outcome, interrupt, options, talk};
 use crate::comparison::Comparison;
-use crate::sink::{Account, Format, Note, Sink};
+use crate::sink::{Format, Note, Sink};
 use crate::terminal::{Amount, Progress};
 use slitpose_head::faults::Fault;
 use slitpose_head::pace::{Pace, Speed};
@@ -144,7 +144,8 @@ impl<'a> Playback<'a> {
                 captures.step(|event| output.hear(event))?
             };
             if next {
-                self.output.print(|sink, statistics| sink.tick(&|| account(&self.captures, statistics)))?;
+                let began = self.began;
+                self.output.print(|sink, statistics| sink.tick(&|| report(began, &self.captures, statistics)))?;
                 self.show();
             } else if self.player.is_none() || self.captures.boards.is_empty() || self.is_stopped() {
                 break;
@@ -156,9 +157,9 @@ impl<'a> Playback<'a> {
                 self.leap(from_s)?;
             }
         }
-        let Self { mut captures, progress, mut output, player, .. } = self;
+        let Self { mut captures, progress, mut output, player, began, .. } = self;
         drop(progress);
-        output.print(|sink, statistics| sink.finish(&|| account(&captures, statistics)))?;
+        output.print(|sink, statistics| sink.finish(&|| report(began, &captures, statistics)))?;
         let ended = captures.end(|event| output.hear(event));
         let matched = output.comparison.as_mut().map_or(Ok(()), |comparison| {
             comparison.lines().iter().chain(&comparison.suspicion()).for_each(|line| talk(format_args!("{line}")));
@@ -219,10 +220,8 @@ impl<'a> Playback<'a> {
             (self.pace, self.paced_from_s) = (None, elapsed_s);
         }
         let position_s = leap.unwrap_or(self.choice.from_s.unwrap_or(0.0) + elapsed_s);
-        player.tell(position_s, self.speed, end && leap.is_none(), || {
-            let Account { boards, recorder } = account(&self.captures, &self.output.statistics);
-            DaemonReport::of(self.began, HostInstant::now(), boards, recorder)
-        });
+        let report = || report(self.began, &self.captures, &self.output.statistics);
+        player.tell(position_s, self.speed, end && leap.is_none(), report);
         leap
     }
 
@@ -319,8 +318,8 @@ impl Outputs<'_> {
 }
 
 /// How all of them did; nothing is recorded.
-fn account(captures: &playback::Playback, statistics: &[RefCell<BoardStatistics>]) -> Account {
-    let boards = captures.boards.iter().zip(statistics);
-    let boards = boards.map(|(board, statistics)| board.report(&mut statistics.borrow_mut(), HostInstant::now()));
-    Account { boards: boards.collect(), recorder: RecorderReport::default() }
+fn report(began: HostInstant, captures: &playback::Playback, statistics: &[RefCell<BoardStatistics>]) -> DaemonReport {
+    let (boards, now) = (captures.boards.iter().zip(statistics), HostInstant::now());
+    let boards = boards.map(|(board, statistics)| board.report(&mut statistics.borrow_mut(), now));
+    DaemonReport::of(began, now, boards.collect(), RecorderReport::default())
 }

@@ -19,7 +19,6 @@ const TELL_EVERY: Duration = Duration::from_millis(250);
 pub(super) struct Orders(Arc<Mutex<PlayerOrder>>);
 
 impl Orders {
-    /// Takes the orders of a page.
     pub(super) fn control(&self) -> Control {
         let orders = self.clone();
         Box::new(move |order| orders.order(&order))

@@ -17,13 +17,13 @@ use super::record::RecordOptions;
 use super::simulate::ToolOptions;
 use super::{CommandError, Outcome, interrupt, options, talk, usage};
 use crate::address::Address;
-use crate::daemon::{Admit, BoardPlan, Daemon, Ended, Opener, Plan, SimulatedOpener};
+use crate::daemon::{Admit, BoardPlan, Daemon, Ended, Opener, Plan};
 use crate::datagram::{self, DatagramServer, MAX_BOARDS};
-use crate::device::{Contact, Search, Selector};
+use crate::device::{Contact, Search, Selector, SimulatedPort};
 use crate::live::{LiveBoard, LivePlan};
-use crate::platform::{self, Notice};
+use crate::platform;
 use crate::sink;
-use crate::telemetry::{StatusServer, status_address};
+use crate::telemetry::{serve_status, status_address};
 use crate::terminal;
 use slitpose_head::front_end;
 use slitpose_head::pace::Speed;
@@ -232,7 +232,7 @@ pub(super) fn run(args: &mut Args) -> Result<Outcome, CommandError> {
         })?),
         None => None,
     };
-    let status = args.status.as_ref().map(|address| StatusServer::start(address, reports(), control())).transpose()?;
+    let status = args.status.as_ref().map(|address| serve_status(address, reports(), control())).transpose()?;
     status.iter().for_each(|server| talk(format_args!("status at {}", server.address)));
     let capture = args.record.open(is_recorded_later)?;
     let shown = live.as_ref().map(|live| Arc::new(live.input.clone()) as Arc<dyn SampleSink>);
@@ -240,7 +240,7 @@ pub(super) fn run(args: &mut Args) -> Result<Outcome, CommandError> {
     let daemon = Arc::new(Daemon::start(plan, Arc::clone(&stop))?);
     let daemon = followed.get_or_init(|| daemon);
     // systemd's protocol; without a service manager nothing is sent.
-    if let Err(error) = platform::notify(Notice::Ready) {
+    if let Err(error) = platform::notify("READY=1") {
         talk(format_args!(
             "the service manager that NOTIFY_SOCKET names cannot be reached ({error}); start the program without it"
         ));
@@ -255,14 +255,14 @@ pub(super) fn run(args: &mut Args) -> Result<Outcome, CommandError> {
         }
         if alive_every.is_some_and(|every| alive.elapsed() >= every) && daemon.is_alive() {
             alive = Instant::now();
-            let _ = platform::notify(Notice::Alive);
+            let _ = platform::notify("WATCHDOG=1");
         }
         if accounted.elapsed() >= ACCOUNT_EVERY {
             accounted = Instant::now();
             daemon.record_report();
         }
     }
-    let _ = platform::notify(Notice::Stopping);
+    let _ = platform::notify("STOPPING=1");
     let ended = daemon.end();
     drop((status, live));
     let reconnects = daemon.report().boards.iter().map(|board| board.link.reconnects).collect::<Vec<_>>();
@@ -386,7 +386,7 @@ impl Args {
                     0 | 1 => device.to_owned(),
                     _ => format!("sim {}", self.device[..=number].iter().filter(is_simulated).count()),
                 };
-                (Box::new(SimulatedOpener::new(simulated, name)), speed == Speed::Times(1.0))
+                (Box::new(SimulatedPort::new(simulated, name)), speed == Speed::Times(1.0))
             }
             Some(contact) => {
                 if let Some(option) = self.tool.given().or(self.speed.map(|_| "--speed")) {

@@ -297,27 +297,4 @@ mod tests {
             assert!(trial.given.len() >= 1_990 && trial.oldest_given_ns() < 1_000_000, "keeps all {keeps_all}");
         }
     }
-
-    #[test]
-    fn control_loops_do_not_wait_while_standard_output_is_not_read() {
-        let mut trial = Trial::new(true);
-        trial.run(SECOND_NS, false, false, |_| 10_000);
-        assert_eq!(trial.printed, Vec::<u64>::new());
-        // The newest of each read, at once.
-        assert!(trial.given.len() >= 990 && trial.oldest_given_ns() < 1_000_000 && trial.is_in_order());
-        trial.run(2 * SECOND_NS, true, true, |_| 10_000);
-        assert!(trial.is_printed());
-        assert!(!trial.backlog.is_behind() && trial.is_in_order());
-    }
-
-    #[test]
-    fn without_times_everything_waits_for_its_turn() {
-        let mut backlog = Backlog::new(false);
-        let queue = Queue { waiting: 1000, ..Queue::default() };
-        for now_ns in [0, SECOND_NS, 100 * SECOND_NS] {
-            assert_eq!(backlog.next(&queue, true, now_ns), Next::Oldest);
-            assert_eq!(backlog.next(&queue, false, now_ns), Next::Wait);
-        }
-        assert!(!backlog.is_behind());
-    }
 }

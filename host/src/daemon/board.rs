@@ -1,10 +1,12 @@
 //! The two threads of a board.
 
+use std::collections::HashMap;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use anyhow::{Context, bail};
 use crossbeam_channel::bounded;
 use slitpose_calibration::Head;
 use slitpose_head::threads::{join, lock};
@@ -12,15 +14,13 @@ use slitpose_model::Tier;
 use slitpose_protocol::{Configuration, Pulse, Stream};
 
 use super::backlog::Backlog;
-use super::error::BoardError;
 use super::handoff::{Producer, buffer_pool, handoff};
 use super::link::{Link, ScanWatch};
-use super::opener::{Admit, Opener};
 use super::outputs::{Outbox, Outputs, Pending};
-use super::reader::Reader;
+use super::reader::{Admit, Opener, Reader};
 use super::solver::{Solver, State};
 use super::tap::{Tap, TapEnds};
-use crate::background::spawn;
+use crate::background::{NO_THREAD, spawn};
 use crate::datagram::DatagramServer;
 use crate::platform::claim_priority;
 use crate::terminal::say;
@@ -86,7 +86,7 @@ pub(super) struct Shared {
 
 pub(super) struct BoardThreads {
     name: String,
-    reader: JoinHandle<Result<(), BoardError>>,
+    reader: JoinHandle<anyhow::Result<()>>,
     solver: JoinHandle<Counts>,
     slot: Arc<BoardSlot>,
 }
@@ -98,7 +98,7 @@ impl BoardThreads {
         shared: Shared,
         slot: &Arc<BoardSlot>,
         stop: &Arc<AtomicBool>,
-    ) -> Result<Self, BoardError> {
+    ) -> anyhow::Result<Self> {
         let name = plan.opener.name();
         let (tell, events) = bounded(EVENTS);
         let keeps_all = shared.prints_each || plan.until_s.is_some();
@@ -155,8 +155,8 @@ impl BoardThreads {
             let _ = priority.map(claim_priority);
             reader.run()
         };
-        let solver = spawn(format!("solve {number}"), solve).map_err(BoardError::Thread)?;
-        let reader = spawn(format!("read {number}"), read).map_err(BoardError::Thread)?;
+        let solver = spawn(format!("solve {number}"), solve).context(NO_THREAD)?;
+        let reader = spawn(format!("read {number}"), read).context(NO_THREAD)?;
         Ok(Self { name, reader, solver, slot: Arc::clone(slot) })
     }
 
@@ -169,31 +169,33 @@ impl BoardThreads {
         self.reader.is_finished() && self.slot.link.is_given_up()
     }
 
-    pub(super) fn end(self) -> (String, Counts, Result<(), BoardError>) {
+    pub(super) fn end(self) -> (String, Counts, anyhow::Result<()>) {
         let read = join(self.reader);
         let counts = join(self.solver);
         (self.name, counts, read)
     }
 }
 
+/// The boards that readers follow, each with the name of its reader.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Claims(Arc<Mutex<Vec<(DeviceId, String)>>>);
+pub(super) struct Claims(Arc<Mutex<HashMap<DeviceId, String>>>);
 
 impl Claims {
     /// Claims a board for the reader of `name`.
-    pub(super) fn claim(&self, device: DeviceId, name: &str) -> Result<(), BoardError> {
+    pub(super) fn claim(&self, device: DeviceId, name: &str) -> anyhow::Result<()> {
         let mut claims = lock(&self.0);
-        match claims.iter().find(|(claimed, owner)| *claimed == device && owner != name) {
-            Some((_, owner)) => Err(BoardError::Twice { device, name: name.to_owned(), other: owner.clone() }),
-            None => {
-                claims.push((device, name.to_owned()));
-                Ok(())
-            }
+        let other = claims.entry(device).or_insert_with(|| name.to_owned());
+        if other != name {
+            bail!(
+                "{name} and {other} have one number, {device}: give only one of them if they are two ports of one board; two \
+                 boards whose poses shall be told apart need different numbers"
+            );
         }
+        Ok(())
     }
 
     pub(super) fn release(&self, name: &str) {
-        lock(&self.0).retain(|(_, owner)| owner != name);
+        lock(&self.0).retain(|_, owner| owner != name);
     }
 }
 

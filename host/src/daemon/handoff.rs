@@ -10,16 +10,13 @@
 //! to the solving thread, so that reading continues. Chunks are processed in the order of their arrival: a mutex
 //! around the worker lets one thread work at a time, and the reading thread works only while the queue is empty.
 
-use std::sync::{Arc, Mutex, MutexGuard, atomic};
-use std::thread;
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, Sender, TryRecvError, TrySendError, bounded};
+use crossbeam_utils::sync::{Parker, Unparker};
 
-use sleeper::Sleeper;
 use slitpose_head::threads::lock;
-
-mod sleeper;
 
 /// A pool of `count` buffers, each made by `make`. They are used in turn, so that all of them soon reach their
 /// final capacity.
@@ -30,18 +27,18 @@ pub(super) fn buffer_pool<T>(count: usize, make: impl Fn() -> T) -> (Producer<T>
         // The channel has room for all of them.
         let _ = empty_out.try_send(make());
     }
-    let sleeper = Arc::<Sleeper>::default();
-    let alarm = Alarm(Arc::clone(&sleeper));
-    (Producer { full: full_out, empty: empty_in, alarm }, Consumer { full: full_in, empty: empty_out, sleeper })
+    let parker = Parker::new();
+    let alarm = Alarm(parker.unparker().clone());
+    (Producer { full: full_out, empty: empty_in, alarm }, Consumer { full: full_in, empty: empty_out, parker })
 }
 
 /// Wakes the consumer when the producer is dropped.
 #[derive(Clone, Debug)]
-struct Alarm(Arc<Sleeper>);
+struct Alarm(Unparker);
 
 impl Drop for Alarm {
     fn drop(&mut self) {
-        self.0.call();
+        self.0.unpark();
     }
 }
 
@@ -58,7 +55,7 @@ pub(super) struct Producer<T> {
 pub(super) struct Consumer<T> {
     full: Receiver<T>,
     empty: Sender<T>,
-    sleeper: Arc<Sleeper>,
+    parker: Parker,
 }
 
 impl<T> Clone for Producer<T> {
@@ -90,13 +87,13 @@ impl<T> Producer<T> {
 
     /// Wakes the consumer although no buffer is handed over.
     pub(super) fn call(&self) {
-        self.alarm.0.call();
+        self.alarm.0.unpark();
     }
 
     /// Hands a full buffer over, or drops it if the consumer is dropped.
     pub(super) fn hand_over(&self, buffer: T) {
         match self.full.try_send(buffer) {
-            Ok(()) => self.alarm.0.wake(),
+            Ok(()) => self.alarm.0.unpark(),
             Err(TrySendError::Disconnected(_)) => {}
             Err(TrySendError::Full(_)) => unreachable!("more buffers than the pool was made with"),
         }
@@ -120,7 +117,9 @@ impl<T> Consumer<T> {
     /// Waits until there is a full buffer, a producer calls or the last one is dropped, or `timeout` has passed; may
     /// wake spuriously.
     pub(super) fn wait(&self, timeout: Duration) {
-        self.sleeper.sleep(timeout, || !self.full.is_empty());
+        if self.full.is_empty() {
+            self.parker.park_timeout(timeout);
+        }
     }
 
     /// The next full buffer, if there is one now; disconnected once all producers are dropped, and all buffers taken.
@@ -213,6 +212,8 @@ impl<W: Worker> SolverEnd<W> {
 
 #[cfg(test)]
 mod tests {
+    use std::thread;
+
     use super::*;
 
     /// A worker that leaves one chunk in eight to the solving thread.
@@ -316,41 +317,5 @@ mod tests {
         pass_on(4);
         assert_eq!(solver_end.worker().done, [1, 4]);
         assert_eq!(solver_end.chunks.next_now(), Err(TryRecvError::Empty));
-    }
-
-    const AT_ONCE: Duration = Duration::ZERO;
-
-    #[test]
-    fn buffers_circulate_until_the_producer_is_dropped() {
-        let (producer, consumer) = buffer_pool(2, Vec::<u8>::new);
-        for round in 0..10 {
-            let mut first = producer.spare().unwrap();
-            first.push(round);
-            producer.hand_over(first);
-            producer.hand_over(producer.spare().unwrap());
-            assert_eq!(producer.spare_now(), None, "a third buffer");
-            for _ in 0..2 {
-                let mut full = consumer.next(AT_ONCE).unwrap();
-                full.clear();
-                consumer.give_back(full);
-            }
-            assert_eq!(consumer.next(AT_ONCE), Err(TryRecvError::Empty));
-        }
-        drop(producer);
-        assert_eq!(consumer.next(AT_ONCE), Err(TryRecvError::Disconnected));
-    }
-
-    #[test]
-    fn full_buffers_arrive_after_the_producer_is_dropped() {
-        let (producer, consumer) = buffer_pool(1, Vec::<u8>::new);
-        producer.hand_over(producer.spare().unwrap());
-        drop(producer);
-        assert_eq!(consumer.next(AT_ONCE), Ok(Vec::new()));
-        assert_eq!(consumer.next(AT_ONCE), Err(TryRecvError::Disconnected));
-        let (producer, consumer) = buffer_pool(1, Vec::<u8>::new);
-        let buffer = producer.spare().unwrap();
-        drop(consumer);
-        producer.hand_over(buffer);
-        assert_eq!(producer.spare(), None);
     }
 }

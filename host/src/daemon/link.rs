@@ -3,7 +3,6 @@
 use std::sync::{Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
-use super::error::BoardError;
 use crate::device::{DeviceError, Scanless};
 use crate::terminal::say;
 use slitpose_head::causes::with_causes;
@@ -98,7 +97,6 @@ impl Link {
         state.set(LinkState::Connecting, reason);
     }
 
-    /// A board has introduced itself on `port`.
     pub(super) fn greeted(&self, device: DeviceId, port: &str) {
         let before = self.lock().device.replace(device);
         if let Some(before) = before.filter(|before| *before != device) {
@@ -121,18 +119,18 @@ impl Link {
 
     /// The board is missing or cannot be used; what the user is told then. Each reason is reported once, then less and less
     /// often while it lasts.
-    pub(super) fn lost(&self, error: &BoardError) -> Option<String> {
-        let reason = with_causes(error);
+    pub(super) fn lost(&self, error: &anyhow::Error) -> Option<String> {
+        let reason = with_causes(error.as_ref());
         let mut state = self.lock();
         state.missed_since.get_or_insert_with(Instant::now);
         state.report.attempts += 1;
-        let kind = match error {
-            BoardError::Device(
-                DeviceError::Quiet { .. } | DeviceError::NoScans { .. } | DeviceError::Stopped { .. },
-            ) => LinkState::Quiet,
-            error if !error.is_passing() => LinkState::Refused,
-            _ if state.has_run => LinkState::Gone,
-            _ => LinkState::Searching,
+        let kind = match error.downcast_ref() {
+            Some(DeviceError::Quiet { .. } | DeviceError::NoScans { .. } | DeviceError::Stopped { .. }) => {
+                LinkState::Quiet
+            }
+            Some(error) if error.is_passing() && state.has_run => LinkState::Gone,
+            Some(error) if error.is_passing() => LinkState::Searching,
+            _ => LinkState::Refused,
         };
         let told = state.is_told(&reason, Instant::now());
         state.is_loss_told |= told.is_some();
@@ -144,9 +142,9 @@ impl Link {
     }
 
     /// The stream is complete, or the board was given up.
-    pub(super) fn ended(&self, error: Option<&BoardError>) {
+    pub(super) fn ended(&self, error: Option<&anyhow::Error>) {
         let mut state = self.lock();
-        state.set(LinkState::Ended, error.map(|error| with_causes(error)));
+        state.set(LinkState::Ended, error.map(|error| with_causes(error.as_ref())));
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
@@ -172,7 +170,7 @@ pub(super) enum StreamEvent {
     Complete,
     /// The board has stopped by itself, with its last warning or error.
     Stopped(Option<String>),
-    Unusable(BoardError),
+    Unusable(anyhow::Error),
 }
 
 /// Follows the scans of a link by the time at which their bytes were read, so that a slow host makes no scan late.
@@ -241,7 +239,7 @@ impl ScanWatch {
 mod tests {
     use super::*;
 
-    fn error(of: fn(String) -> DeviceError) -> BoardError {
+    fn error(of: fn(String) -> DeviceError) -> anyhow::Error {
         of("port".to_owned()).into()
     }
 

@@ -18,10 +18,8 @@
 
 mod backlog;
 mod board;
-mod error;
 mod handoff;
 mod link;
-mod opener;
 mod outputs;
 mod reader;
 mod recorder;
@@ -34,22 +32,20 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
 pub(crate) use board::BoardPlan;
-pub(crate) use error::BoardError;
-pub(crate) use opener::{Admit, Opener, SimulatedOpener};
+pub(crate) use reader::{Admit, Opener};
 pub(crate) use recorder::CapturePlan;
 
 use crate::datagram::DatagramServer;
-use crate::sink::{Account, Sink};
+use crate::sink::Sink;
 use board::{BoardSlot, BoardThreads, Claims};
 use handoff::buffer_pool;
 use outputs::{OUTBOX_POSES, Outbox, PrinterThread};
 use recorder::RecorderControl;
 use slitpose_head::threads::{join, lock};
-use slitpose_tracking::capture::CaptureSeries;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::page::SampleSink;
 use slitpose_tracking::pipeline::Counts;
-use slitpose_tracking::telemetry::{BoardReport, DaemonReport, LinkState, RecorderReport};
+use slitpose_tracking::telemetry::{DaemonReport, LinkState, RecorderReport};
 
 /// Most outboxes on their way to the printer: half a second of one board at 4 kHz.
 const OUTBOXES: usize = 128;
@@ -70,27 +66,44 @@ pub(crate) struct Plan {
 }
 
 pub(crate) struct Daemon {
-    started: HostInstant,
-    slots: Vec<Arc<BoardSlot>>,
+    reporter: Arc<Reporter>,
     boards: Mutex<Vec<BoardThreads>>,
     printer: Mutex<Option<PrinterThread>>,
-    recorder: Option<RecorderControl>,
+    pub(crate) recorder: Option<RecorderControl>,
     recording: Mutex<Option<JoinHandle<()>>>,
-    datagrams: Option<Arc<DatagramServer>>,
     stop: Arc<AtomicBool>,
+}
+
+/// What reports are made of.
+struct Reporter {
+    started: HostInstant,
+    slots: Vec<Arc<BoardSlot>>,
+    recorder: Option<Arc<Mutex<RecorderReport>>>,
+    datagrams: Option<Arc<DatagramServer>>,
+}
+
+impl Reporter {
+    fn report(&self) -> DaemonReport {
+        let boards: Vec<_> = self.slots.iter().map(|slot| slot.report()).collect();
+        let mut recorder = self.recorder.as_ref().map(|report| lock(report).clone()).unwrap_or_default();
+        // And what boards could not hand to it.
+        recorder.bytes_dropped += boards.iter().map(|board| board.losses.host.bytes_unrecorded).sum::<u64>();
+        let datagrams = self.datagrams.as_ref().map(|datagrams| datagrams.counts());
+        DaemonReport { datagrams, ..DaemonReport::of(self.started, HostInstant::now(), boards, recorder) }
+    }
 }
 
 #[derive(Debug)]
 pub(crate) struct Ended {
     /// For each board: the user's name for it, the counts of its data, and its error.
-    pub boards: Vec<(String, Counts, Result<(), BoardError>)>,
+    pub boards: Vec<(String, Counts, anyhow::Result<()>)>,
     pub printed: io::Result<()>,
     pub capture: RecorderReport,
 }
 
 impl Daemon {
     /// Starts all threads. They end when their boards do, when `stop` is set, or when the sink fails.
-    pub(crate) fn start(plan: Plan, stop: Arc<AtomicBool>) -> Result<Self, BoardError> {
+    pub(crate) fn start(plan: Plan, stop: Arc<AtomicBool>) -> anyhow::Result<Self> {
         let Plan { boards, sink, capture, datagrams, live, real_time } = plan;
         let datagrams = datagrams.map(Arc::new);
         let slots: Vec<_> = boards.iter().map(BoardPlan::slot).collect();
@@ -102,18 +115,18 @@ impl Daemon {
             }
             None => (None, None, None),
         };
+        let reporter = Arc::new(Reporter {
+            started: HostInstant::now(),
+            slots: slots.clone(),
+            recorder: recorder.as_ref().map(|recorder| Arc::clone(&recorder.report)),
+            datagrams: datagrams.clone(),
+        });
         let (printer, outboxes) = match sink {
             Some(sink) => {
                 let (producer, consumer) =
                     buffer_pool(OUTBOXES * boards.len().max(1), || Outbox::with_capacity(OUTBOX_POSES));
-                let (slots, stop) = (slots.clone(), Arc::clone(&stop));
-                let recorder = recorder.as_ref().map(|recorder| Arc::clone(&recorder.report));
-                let accounts = move || {
-                    let boards: Vec<_> = slots.iter().map(|slot| slot.report()).collect();
-                    let recorder = recorder.as_ref().map(|report| lock(report).clone()).unwrap_or_default();
-                    Account { recorder: with_unrecorded(recorder, &boards), boards }
-                };
-                let printer = PrinterThread::start(consumer, sink, Box::new(accounts), stop)?;
+                let (reporter, stop) = (Arc::clone(&reporter), Arc::clone(&stop));
+                let printer = PrinterThread::start(consumer, sink, Box::new(move || reporter.report()), stop)?;
                 (Some(printer), Some(producer))
             }
             None => (None, None),
@@ -122,7 +135,7 @@ impl Daemon {
             outboxes,
             prints_each,
             recorder: recorder_ends,
-            datagrams: datagrams.clone(),
+            datagrams,
             live,
             real_time,
             claims: Claims::default(),
@@ -130,69 +143,33 @@ impl Daemon {
         let start = |(number, board)| BoardThreads::start(number, board, shared.clone(), &slots[number], &stop);
         let threads = boards.into_iter().enumerate().map(start).collect::<Result<_, _>>()?;
         Ok(Self {
-            started: HostInstant::now(),
-            slots,
+            reporter,
             boards: Mutex::new(threads),
             printer: Mutex::new(printer),
             recorder,
             recording: Mutex::new(recording),
-            datagrams,
             stop,
         })
     }
 
     pub(crate) fn report(&self) -> DaemonReport {
-        let boards = self.boards_report();
-        let recorder = with_unrecorded(self.recorder_report(), &boards);
-        let datagrams = self.datagrams.as_ref().map(|datagrams| datagrams.counts());
-        DaemonReport { datagrams, ..DaemonReport::of(self.started, HostInstant::now(), boards, recorder) }
-    }
-
-    pub(crate) fn recorder_report(&self) -> RecorderReport {
-        self.recorder.as_ref().map(RecorderControl::report).unwrap_or_default()
-    }
-
-    fn boards_report(&self) -> Vec<BoardReport> {
-        self.slots.iter().map(|slot| slot.report()).collect()
+        self.reporter.report()
     }
 
     pub(crate) fn record_report(&self) {
-        if let Some(recorder) = &self.recorder {
-            recorder.account(self.report());
-        }
+        self.recorder.iter().for_each(|recorder| recorder.account(self.report()));
     }
 
     /// Sets the zero of the frame of board `number` to the mean pose of so many seconds, or takes it back; `false`: there is
     /// none of this number.
     pub(crate) fn zero(&self, number: usize, order: Option<f64>) -> bool {
-        self.slots.get(number).map(|slot| *lock(&slot.zero) = Some(order)).is_some()
-    }
-
-    /// Begins a recording, now or after the one that is ending.
-    pub(crate) fn begin_recording(&self, series: CaptureSeries) {
-        if let Some(recorder) = &self.recorder {
-            recorder.begin(series);
-        }
-    }
-
-    /// Notes a text of an instant `ago_s` seconds ago in the recording, if there is one.
-    pub(crate) fn note(&self, text: String, ago_s: f64) {
-        if let Some(recorder) = &self.recorder {
-            recorder.note(text, ago_s);
-        }
-    }
-
-    /// Ends the recording, if there is one.
-    pub(crate) fn end_recording(&self) {
-        if let Some(recorder) = &self.recorder {
-            recorder.end_capture();
-        }
+        self.reporter.slots.get(number).map(|slot| *lock(&slot.zero) = Some(order)).is_some()
     }
 
     /// Whether no thread hangs: each solver has made a recent report, even if no bytes came.
     pub(crate) fn is_alive(&self) -> bool {
         let now = HostInstant::now();
-        let reports = self.boards_report().into_iter();
+        let reports = self.report().boards.into_iter();
         reports.filter(|report| report.link.state != LinkState::Ended).all(|report| report.age_s(now) < HANGS_AFTER_S)
     }
 
@@ -205,7 +182,6 @@ impl Daemon {
         boards.iter().all(BoardThreads::is_finished)
     }
 
-    /// Waits for the end of all threads.
     pub(crate) fn end(&self) -> Ended {
         let threads = std::mem::take(&mut *lock(&self.boards));
         let boards = threads.into_iter().map(BoardThreads::end).collect();
@@ -214,12 +190,6 @@ impl Daemon {
         let printer = lock(&self.printer).take();
         let printed = printer.map_or(Ok(()), |printer| printer.end(&self.stop));
         lock(&self.recording).take().into_iter().for_each(join);
-        Ended { boards, printed, capture: with_unrecorded(self.recorder_report(), &self.boards_report()) }
+        Ended { boards, printed, capture: self.report().recorder }
     }
-}
-
-/// The recorder's report, with the bytes that boards could not hand to it.
-fn with_unrecorded(recorder: RecorderReport, boards: &[BoardReport]) -> RecorderReport {
-    let unrecorded = boards.iter().map(|board| board.losses.host.bytes_unrecorded).sum::<u64>();
-    RecorderReport { bytes_dropped: recorder.bytes_dropped + unrecorded, ..recorder }
 }

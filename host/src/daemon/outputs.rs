@@ -7,22 +7,22 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use anyhow::Context;
 use crossbeam_channel::TryRecvError;
 use slitpose_head::threads::join;
 use slitpose_model::Photocurrents;
 use slitpose_protocol::{Rejection, Reply, Severity};
 
-use super::error::BoardError;
 use super::handoff::{Consumer, Producer};
 use super::tap::Tap;
-use crate::background::spawn;
+use crate::background::{NO_THREAD, spawn};
 use crate::datagram::{DatagramServer, Publisher};
-use crate::sink::{Account, Note, Sink};
+use crate::sink::{Note, Reports, Sink};
 use slitpose_tracking::clock::HostInstant;
-use slitpose_tracking::link::{DeviceId, Segment};
+use slitpose_tracking::link::DeviceId;
 use slitpose_tracking::page::Sampler;
 use slitpose_tracking::pipeline::{Item, Record};
-use slitpose_tracking::telemetry::BoardStatistics;
+use slitpose_tracking::telemetry::{BoardStatistics, DaemonReport};
 
 #[derive(Clone, Debug)]
 #[expect(clippy::large_enum_variant, reason = "a box would be allocated for each pose")]
@@ -49,7 +49,6 @@ pub(super) struct Outputs {
     /// Whether each pose must be printed, however late.
     pub(super) prints_all: bool,
     pub(super) capture: Option<Tap>,
-    /// For live pages.
     pub(super) sampler: Option<Sampler>,
     pub(super) pending: Pending,
 }
@@ -68,16 +67,10 @@ pub(super) struct Pending {
     device: Option<DeviceId>,
     /// The last warning or error of the board.
     pub(super) complaint: Option<String>,
-    /// The last command that the board refused.
     pub(super) refused: Option<Rejection>,
 }
 
 impl Outputs {
-    /// Prepares for the next segment; `opened`: the link was opened anew.
-    pub(super) fn begin(&mut self, opened: bool) {
-        self.capture.iter_mut().for_each(|tap| tap.begin(opened));
-    }
-
     /// Passes on one item of a segment.
     pub(super) fn accept(&mut self, item: &Item<'_>) {
         let mut read_at = None;
@@ -109,16 +102,6 @@ impl Outputs {
             self.pending.notes.push_back((self.pending.arrived, note));
         }
         self.statistics.update(item, read_at, None);
-    }
-
-    /// Passes on the bytes of a segment.
-    pub(super) fn keep(&mut self, segment: &Segment) {
-        self.capture.iter_mut().for_each(|tap| tap.keep(segment));
-    }
-
-    /// Captures a pose that is to be published.
-    pub(super) fn capture(&mut self, record: &Record) {
-        self.capture.iter_mut().for_each(|tap| tap.pose(record));
     }
 
     /// Publishes a pose that is newer than all before, at once or together with the next few; and shows it with its
@@ -193,7 +176,6 @@ impl Outputs {
         }
     }
 
-    /// Skips `count` scans that are not solved.
     pub(super) fn skip(&mut self, count: usize) {
         self.pending.taken += count as u64;
     }
@@ -207,7 +189,6 @@ impl Outputs {
         }
     }
 
-    /// Hands poses and notes to the printer.
     pub(super) fn hand_over_outbox(&mut self) {
         if !self.pending.notes.is_empty() && self.can_print() {
             self.print_notes();
@@ -225,9 +206,6 @@ const IDLE: Duration = Duration::from_millis(50);
 /// Longest time without a flush or redraw for a stream that is always behind.
 const TICK_AFTER: Duration = Duration::from_millis(200);
 
-/// Returns the state of boards and recorder.
-pub(super) type Accounts = dyn Fn() -> Account + Send;
-
 /// After an interrupt, the longest wait for a reader that reads nothing.
 const PATIENCE: Duration = Duration::from_millis(500);
 
@@ -244,13 +222,13 @@ impl PrinterThread {
     pub(super) fn start(
         outboxes: Consumer<Outbox>,
         sink: Box<dyn Sink + Send>,
-        accounts: Box<Accounts>,
+        reports: Box<dyn Fn() -> DaemonReport + Send>,
         stop: Arc<AtomicBool>,
-    ) -> Result<Self, BoardError> {
+    ) -> anyhow::Result<Self> {
         let printed = Arc::<AtomicU64>::default();
         let progress = Arc::clone(&printed);
-        let run = move || print(&outboxes, sink, &*accounts, &stop, &progress);
-        Ok(Self { thread: spawn("printer".to_owned(), run).map_err(BoardError::Thread)?, printed })
+        let run = move || print(&outboxes, sink, &*reports, &stop, &progress);
+        Ok(Self { thread: spawn("printer".to_owned(), run).context(NO_THREAD)?, printed })
     }
 
     /// Waits until all is printed; all solvers must have ended. If `stop` is set and the output is not read, the rest
@@ -274,7 +252,7 @@ impl PrinterThread {
 fn print(
     outboxes: &Consumer<Outbox>,
     mut sink: Box<dyn Sink + Send>,
-    accounts: &Accounts,
+    reports: &Reports<'_>,
     stop: &AtomicBool,
     printed: &AtomicU64,
 ) -> io::Result<()> {
@@ -296,12 +274,12 @@ fn print(
         };
         let ticked = match (&failed, is_over) {
             (Some(_), _) => Ok(()),
-            (None, true) => sink.finish(accounts),
+            (None, true) => sink.finish(reports),
             // Printing goes first.
             (None, false) if !outboxes.is_empty() && ticked_at.elapsed() < TICK_AFTER => Ok(()),
             (None, false) => {
                 ticked_at = Instant::now();
-                sink.tick(accounts)
+                sink.tick(reports)
             }
         };
         if let Err(error) = written.and(ticked) {

@@ -1,21 +1,23 @@
 //! The thread that reads a board: it opens the board, starts it, and passes on the bytes. After a loss it searches for
 //! the board again.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
+use anyhow::{Context, Error};
 use crossbeam_channel::Receiver;
+use slitpose_protocol::Hello;
 
 use super::board::{BoardPlan, BoardSlot, Claims};
-use super::error::BoardError;
 use super::handoff::ReaderEnd;
 use super::link::StreamEvent;
 use super::solver::Solver;
-use crate::device::{Conversation, DeviceError, HELLO_WITHIN};
+use crate::device::{Contact, Conversation, DeviceError, HELLO_WITHIN, Selector, SimulatedPort};
 use crate::terminal::say;
+use slitpose_head::threads::lock;
 use slitpose_tracking::link::DeviceId;
-use slitpose_tracking::pipeline::head_of;
+use slitpose_tracking::pipeline::{PipelineError, head_of};
 use slitpose_tracking::solving;
 
 /// Pause between searches for a board lost recently: a re-plugged one is back at once.
@@ -31,6 +33,68 @@ const LATER: Duration = Duration::from_millis(500);
 const DOUBLINGS: u32 = 6;
 
 const MOMENT: Duration = Duration::from_millis(20);
+
+const NO_HEAD: &str = "the board cannot solve poses of this head, and this program can: give --stream raw";
+
+// Opening.
+
+/// Decides from a board's hello whether it can be followed.
+pub(crate) type Admit = Box<dyn Fn(&Hello<'_>) -> Result<(), PipelineError> + Send>;
+
+/// Held while ports are searched for boards, until the board found has answered: two simultaneous searches would find
+/// each other's ports in use.
+static LOOKING: Mutex<()> = Mutex::new(());
+
+pub(crate) trait Opener: Send {
+    fn name(&self) -> String;
+
+    /// Waits until no other reader searches for boards, if that would disturb the search.
+    fn turn(&self) -> Option<MutexGuard<'static, ()>> {
+        None
+    }
+
+    fn open(&mut self) -> Result<Conversation, DeviceError>;
+
+    /// The board that was opened last has introduced itself.
+    fn greeted(&mut self, _: DeviceId) {}
+}
+
+impl Opener for Contact {
+    fn name(&self) -> String {
+        self.selector.to_string()
+    }
+
+    fn turn(&self) -> Option<MutexGuard<'static, ()>> {
+        let looks = !matches!(self.selector, Selector::Path(_));
+        looks.then(|| lock(&LOOKING))
+    }
+
+    fn open(&mut self) -> Result<Conversation, DeviceError> {
+        Conversation::open(Box::new(self.open()?))
+    }
+
+    fn greeted(&mut self, device: DeviceId) {
+        self.greeted(device);
+    }
+}
+
+/// A simulated board opens once, and again after faults on its link.
+impl Opener for SimulatedPort {
+    fn name(&self) -> String {
+        self.name.clone()
+    }
+
+    fn open(&mut self) -> Result<Conversation, DeviceError> {
+        // Unlocked again: the conversation begins with bytes to the device.
+        let is_there = lock(&self.device).open();
+        match is_there {
+            true => Conversation::open(Box::new(self.clone())),
+            false => Err(DeviceError::Missing { name: self.name.clone() }),
+        }
+    }
+}
+
+// Reading.
 
 pub(super) struct Reader {
     pub(super) plan: BoardPlan,
@@ -49,13 +113,13 @@ pub(super) struct Reader {
 
 impl Reader {
     /// Reads until it is stopped, the stream is complete, or the board is given up.
-    pub(super) fn run(mut self) -> Result<(), BoardError> {
+    pub(super) fn run(mut self) -> anyhow::Result<()> {
         let ended = self.follow();
         self.slot.link.ended(ended.as_ref().err());
         ended
     }
 
-    fn follow(&mut self) -> Result<(), BoardError> {
+    fn follow(&mut self) -> anyhow::Result<()> {
         // Since the last usable scan: a board that answers but sends no scan counts as missing.
         let mut missing_since = Instant::now();
         let mut is_first = true;
@@ -68,14 +132,16 @@ impl Reader {
                 Ok(mut board) => return self.end(&mut board),
                 Err(error) => error,
             };
+            let of_device = error.downcast_ref::<DeviceError>();
             if self.has_scans {
-                let missed = Duration::try_from_secs_f64(error.missed_s()).unwrap_or_default();
+                let missed_s = of_device.map_or(0.0, DeviceError::missed_s);
+                let missed = Duration::try_from_secs_f64(missed_s).unwrap_or_default();
                 missing_since = Instant::now().checked_sub(missed).unwrap_or_else(Instant::now);
                 (is_first, attempts) = (false, 0);
             }
             // At the start a user is there to correct errors that do not pass. Later, access to a port may be denied
             // only because it has just appeared.
-            let is_hopeless = is_first && !error.is_passing();
+            let is_hopeless = is_first && !of_device.is_some_and(DeviceError::is_passing);
             is_first = false;
             if is_hopeless || self.plan.patience.is_some_and(|patience| missing_since.elapsed() >= patience) {
                 return Err(error);
@@ -85,8 +151,9 @@ impl Reader {
             }
             // A board that has just run will most likely run again at once. A board that stays away, or needs the
             // user, is tried less often.
-            let is_soon = self.has_scans || (error.is_away() && missing_since.elapsed() < RECENTLY);
-            self.rest(if is_soon { SOON } else { pause_behind(&error, attempts) });
+            let is_away = of_device.is_some_and(DeviceError::is_away);
+            let is_soon = self.has_scans || (is_away && missing_since.elapsed() < RECENTLY);
+            self.rest(if is_soon { SOON } else { pause_behind(of_device, attempts) });
             attempts = attempts.saturating_add(1);
             if self.stops() {
                 return Ok(());
@@ -106,7 +173,7 @@ impl Reader {
     }
 
     /// Opens, greets, configures and starts the board. It counts as running once scans come.
-    fn connect(&mut self) -> Result<Conversation, BoardError> {
+    fn connect(&mut self) -> anyhow::Result<Conversation> {
         let Self {
             plan: BoardPlan { opener, admit, stream, sends_soon, pulse, head, configuration, .. },
             slot,
@@ -126,9 +193,10 @@ impl Reader {
             opener.greeted(device);
             slot.link.greeted(device, &name);
             if stream.poses > 0 {
-                compiled = Some(solving::compile(&head_of(head, hello), &configuration.schedule, &hello.scaling)?);
+                let head = solving::compile(&head_of(head, hello), &configuration.schedule, &hello.scaling);
+                compiled = Some(head.context(NO_HEAD)?);
             }
-            Ok::<_, BoardError>(())
+            Ok::<_, Error>(())
         })?;
         board.configure(configuration.clone())?;
         if let Some(head) = &compiled {
@@ -147,7 +215,7 @@ impl Reader {
     }
 
     /// Passes on what the board sends, until it shall end or the stream is complete; the error says why it is lost.
-    fn listen(&mut self, board: &mut Conversation) -> Result<(), BoardError> {
+    fn listen(&mut self, board: &mut Conversation) -> anyhow::Result<()> {
         self.pass_on(board, true);
         loop {
             match self.next_event() {
@@ -185,7 +253,7 @@ impl Reader {
     }
 
     /// Stops the board and passes on the bytes that were still under way.
-    fn end(&mut self, board: &mut Conversation) -> Result<(), BoardError> {
+    fn end(&mut self, board: &mut Conversation) -> anyhow::Result<()> {
         let stopped = board.stop();
         self.pass_on(board, false);
         if let Err(DeviceError::NoReply { .. }) = stopped {
@@ -208,9 +276,9 @@ impl Reader {
     }
 }
 
-/// Pause after a failed attempt, the last of `attempts` since the board ran.
-fn pause_behind(error: &BoardError, attempts: u32) -> Duration {
-    if error.needs_user() { LATER * (1 << attempts.min(DOUBLINGS)) } else { LATER }
+/// Pause after a failed attempt, the last of `attempts` since the board ran; `error`: that of its device.
+fn pause_behind(error: Option<&DeviceError>, attempts: u32) -> Duration {
+    if error.is_none_or(DeviceError::needs_user) { LATER * (1 << attempts.min(DOUBLINGS)) } else { LATER }
 }
 
 #[cfg(test)]
@@ -222,8 +290,7 @@ mod tests {
     fn attempts_become_rarer_where_the_user_must_act_and_stay_frequent_where_not() {
         let name = || "port".to_owned();
         let seconds = |error: DeviceError| {
-            let error = error.into();
-            [0, 1, 2, 6, 7, u32::MAX].map(|attempts| pause_behind(&error, attempts).as_secs_f64())
+            [0, 1, 2, 6, 7, u32::MAX].map(|attempts| pause_behind(Some(&error), attempts).as_secs_f64())
         };
         let growing = [0.5, 1.0, 2.0, 32.0, 32.0, 32.0];
         assert_eq!(seconds(DeviceError::Forbidden { name: name() }), growing);

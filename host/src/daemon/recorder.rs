@@ -5,14 +5,14 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use crossbeam_channel::{Receiver, Sender, TryRecvError, bounded, unbounded};
+use anyhow::Context;
+use crossbeam_channel::{Receiver, Sender, TryRecvError, unbounded};
 use slitpose_calibration::Head;
 
 use super::board::BoardPlan;
-use super::error::BoardError;
 use super::handoff::{Consumer, buffer_pool};
 use super::tap::{TapChunk, TapEnds};
-use crate::background::spawn;
+use crate::background::{NO_THREAD, spawn};
 use crate::terminal::say;
 use slitpose_head::causes::with_causes;
 use slitpose_head::threads::lock;
@@ -26,7 +26,7 @@ const IDLE: Duration = Duration::from_millis(100);
 /// Most chunks on their way to the disk: 5 s of one board.
 const CHUNKS_A_BOARD: usize = 256;
 
-/// Most reports on their way to the disk.
+/// A report is left out if so many orders wait for the recorder.
 const ACCOUNTS: usize = 4;
 
 /// A board hands over its last chunk of an ended recording within this time.
@@ -39,7 +39,6 @@ pub(crate) struct CapturePlan {
     pub poses_hz: f64,
 }
 
-/// What the recorder is to do.
 enum RecorderOrder {
     Begin(Box<CaptureSeries>),
     End,
@@ -49,13 +48,13 @@ enum RecorderOrder {
         ago_ns: u64,
         asked: Instant,
     },
+    Account(Box<DaemonReport>),
 }
 
 /// The daemon's end of the recorder.
-pub(super) struct RecorderControl {
+pub(crate) struct RecorderControl {
     /// `None` once the last report is sent.
-    accounts: Mutex<Option<Sender<DaemonReport>>>,
-    orders: Sender<RecorderOrder>,
+    orders: Mutex<Option<Sender<RecorderOrder>>>,
     pub(super) report: Arc<Mutex<RecorderReport>>,
 }
 
@@ -69,7 +68,6 @@ struct Source {
 struct Recorder {
     series: Option<CaptureSeries>,
     orders: Receiver<RecorderOrder>,
-    accounts: Receiver<DaemonReport>,
     recording: Arc<AtomicBool>,
     /// When the last chunks of an ended recording have come.
     ends_at: Option<Instant>,
@@ -81,11 +79,7 @@ struct Recorder {
 
 impl RecorderControl {
     /// Starts the recorder's thread; returns what boards need of it, too.
-    pub(super) fn start(
-        plan: CapturePlan,
-        boards: &[BoardPlan],
-    ) -> Result<(Self, JoinHandle<()>, TapEnds), BoardError> {
-        let (tell, accounts) = bounded(ACCOUNTS);
+    pub(super) fn start(plan: CapturePlan, boards: &[BoardPlan]) -> anyhow::Result<(Self, JoinHandle<()>, TapEnds)> {
         let (order, orders) = unbounded();
         let source = |board: &BoardPlan| Source {
             head: board.head.clone(),
@@ -99,7 +93,6 @@ impl RecorderControl {
         let recorder = Recorder {
             series: plan.series,
             orders,
-            accounts,
             recording: Arc::clone(&is_wanted),
             ends_at: None,
             sources: boards.iter().map(source).collect(),
@@ -109,45 +102,47 @@ impl RecorderControl {
         };
         recorder.publish();
         let (chunks, consumer) = buffer_pool(CHUNKS_A_BOARD * boards.len().max(1), TapChunk::with_capacity);
-        let thread = spawn("record".to_owned(), move || recorder.run(&consumer)).map_err(BoardError::Thread)?;
+        let thread = spawn("record".to_owned(), move || recorder.run(&consumer)).context(NO_THREAD)?;
         let pose_every_s = plan.poses_hz.recip();
         let ends = TapEnds { chunks, is_wanted, pose_every_s };
-        Ok((Self { accounts: Mutex::new(Some(tell)), orders: order, report }, thread, ends))
-    }
-
-    pub(super) fn report(&self) -> RecorderReport {
-        lock(&self.report).clone()
+        Ok((Self { orders: Mutex::new(Some(order)), report }, thread, ends))
     }
 
     /// Begins a recording, after the present one if there is one.
-    pub(super) fn begin(&self, series: CaptureSeries) {
+    pub(crate) fn begin(&self, series: CaptureSeries) {
         // The file that it had was that of the recording before.
         *lock(&self.report) = RecorderReport { state: RecorderState::Recording, ..RecorderReport::default() };
-        let _ = self.orders.send(RecorderOrder::Begin(Box::new(series)));
+        self.order(RecorderOrder::Begin(Box::new(series)));
     }
 
     /// Ends the present capture, when the last bytes have come.
-    pub(super) fn end_capture(&self) {
+    pub(crate) fn end_capture(&self) {
         lock(&self.report).state = RecorderState::Off;
-        let _ = self.orders.send(RecorderOrder::End);
+        self.order(RecorderOrder::End);
     }
 
     /// Notes a text of an instant in the present capture.
-    pub(super) fn note(&self, text: String, ago_s: f64) {
+    pub(crate) fn note(&self, text: String, ago_s: f64) {
         let ago_ns = (ago_s * 1e9) as u64;
-        let _ = self.orders.send(RecorderOrder::Note { text, ago_ns, asked: Instant::now() });
+        self.order(RecorderOrder::Note { text, ago_ns, asked: Instant::now() });
     }
 
     /// Records the daemon's report in the capture, unless the recorder is far behind.
     pub(super) fn account(&self, report: DaemonReport) {
-        if let Some(accounts) = &*lock(&self.accounts) {
-            let _ = accounts.try_send(report);
+        let is_behind = lock(&self.orders).as_ref().is_some_and(|orders| orders.len() >= ACCOUNTS);
+        if !is_behind {
+            self.order(RecorderOrder::Account(Box::new(report)));
         }
+    }
+
+    fn order(&self, order: RecorderOrder) {
+        // The recorder ends after all who give orders.
+        let _ = lock(&self.orders).as_ref().map(|orders| orders.send(order));
     }
 
     /// The last report is sent: the recorder ends behind it.
     pub(super) fn close(&self) {
-        lock(&self.accounts).take();
+        lock(&self.orders).take();
     }
 }
 
@@ -175,23 +170,22 @@ impl Recorder {
             let done = series.tick();
             self.report_failure(done);
         }
-        while let Ok(report) = self.accounts.try_recv() {
-            self.record_account(&report);
-        }
         self.obey();
         self.publish();
     }
 
     fn end(&mut self) {
         // The last report comes when all boards have ended.
-        while let Ok(report) = self.accounts.recv() {
-            self.record_account(&report);
+        while let Ok(order) = self.orders.recv() {
+            if let RecorderOrder::Account(report) = order {
+                self.record_account(&report);
+            }
         }
         self.publish();
         self.finish();
     }
 
-    /// Ends the present capture, begins the next, or notes something, as asked.
+    /// Ends the present capture, begins the next, or notes or reports something, as asked.
     fn obey(&mut self) {
         if self.ends_at.is_some_and(|at| Instant::now() < at) {
             return;
@@ -222,6 +216,7 @@ impl Recorder {
                 self.recording.store(false, Ordering::Relaxed);
                 self.ends_at = Some(Instant::now() + LAST_CHUNK);
             }
+            Ok(RecorderOrder::Account(report)) => self.record_account(&report),
             Err(_) => {}
         }
     }
@@ -388,7 +383,6 @@ mod tests {
         let mut recorder = Recorder {
             series: None,
             orders,
-            accounts: bounded(1).1,
             recording: Arc::default(),
             ends_at: None,
             sources: vec![source(), source()],

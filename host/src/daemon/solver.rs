@@ -12,7 +12,6 @@ use crossbeam_channel::{Sender, TryRecvError};
 
 use super::backlog::{Backlog, Next};
 use super::board::BoardSlot;
-use super::error::BoardError;
 use super::handoff::{SolverEnd, Worker};
 use super::link::{ScanWatch, StreamEvent};
 use super::outputs::Outputs;
@@ -172,7 +171,7 @@ impl Solver {
             let is_published = is_newest || queue.passed == 0;
             if is_published {
                 // Captures stay in the frame of the head.
-                self.outputs.capture(&record);
+                self.outputs.capture.iter_mut().for_each(|tap| tap.pose(&record));
             }
             self.pipeline.see(&mut record);
             // The most urgent first.
@@ -189,7 +188,6 @@ impl Solver {
         true
     }
 
-    /// Sends the poses kept for sending together.
     fn pause(&mut self) {
         self.outputs.send();
         self.outputs.hand_over_outbox();
@@ -209,8 +207,8 @@ impl Solver {
         self.state.is_unusable &= !opened;
         // Segments after the end are dropped; a stream that cannot be solved is still recorded.
         if self.state.is_unusable && !self.state.is_complete {
-            self.outputs.begin(opened);
-            self.outputs.keep(segment);
+            self.outputs.capture.iter_mut().for_each(|tap| tap.begin(opened));
+            self.outputs.capture.iter_mut().for_each(|tap| tap.keep(segment));
         } else if !self.state.is_complete {
             if let Err(error) = self.decode(segment) {
                 self.state.is_unusable = true;
@@ -236,20 +234,20 @@ impl Solver {
         }
     }
 
-    fn decode(&mut self, segment: &mut Segment) -> Result<(), BoardError> {
+    fn decode(&mut self, segment: &mut Segment) -> anyhow::Result<()> {
         let Self { pipeline, outputs, name, .. } = self;
-        outputs.begin(segment.opened);
+        outputs.capture.iter_mut().for_each(|tap| tap.begin(segment.opened));
         let fed = pipeline.receive(segment, |item| {
             if let Item::Oddity { oddity, .. } = &item {
                 say(format_args!("{name}: {oddity}"));
             }
             outputs.accept(&item);
-            Ok(())
+            Ok::<_, anyhow::Error>(())
         });
         segment.truncate(*fed.as_ref().unwrap_or(&segment.bytes.len()));
-        outputs.keep(segment);
+        outputs.capture.iter_mut().for_each(|tap| tap.keep(segment));
         match outputs.pending.refused.take() {
-            Some(rejection) => fed.and(Err(BoardError::Refused(rejection))),
+            Some(rejection) => fed.and(Err(anyhow::Error::new(rejection).context("the board refused a command"))),
             None => fed.map(drop),
         }
     }

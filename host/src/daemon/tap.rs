@@ -54,7 +54,6 @@ impl TapChunk {
 pub(super) struct TapEnds {
     pub(super) chunks: Producer<TapChunk>,
     pub(super) is_wanted: Arc<AtomicBool>,
-    /// Device time between poses, seconds.
     pub(super) pose_every_s: f64,
 }
 

@@ -1,5 +1,6 @@
 //! The bytes of datagrams, requests and answers, as [`super`] describes them.
 
+use bytes::BufMut;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::columns::no_twist;
 use slitpose_tracking::link::DeviceId;
@@ -40,16 +41,17 @@ impl PoseDatagram {
         ];
         let flags = flags.iter().filter(|(_, is_set)| *is_set).fold(0, |flags, (flag, _)| flags | flag);
 
-        let mut writer = Writer { bytes: [0; Self::BYTES], at: 0 };
-        writer.put(POSE_MAGIC);
-        writer.put(VERSION.to_le_bytes());
-        writer.put((Self::BYTES as u16).to_le_bytes());
-        writer.put(flags.to_le_bytes());
-        writer.put(Outcomes::number_of(&solution.outcome).to_le_bytes());
-        writer.put((solution.cells_used.count() as u16).to_le_bytes());
-        writer.put(record.device.0);
-        writer.put(solution.excluded.bits().to_le_bytes());
-        writer.put((solution.redundancy as u16).to_le_bytes());
+        let mut bytes = [0; Self::BYTES];
+        let mut out = &mut bytes[..];
+        out.put_slice(&POSE_MAGIC);
+        out.put_u16_le(VERSION);
+        out.put_u16_le(Self::BYTES as u16);
+        out.put_u32_le(flags);
+        out.put_u16_le(Outcomes::number_of(&solution.outcome));
+        out.put_u16_le(solution.cells_used.count() as u16);
+        out.put_slice(&record.device.0);
+        out.put_u16_le(solution.excluded.bits());
+        out.put_u16_le(solution.redundancy as u16);
 
         let (time, arrival) = (record.host_time, record.arrival);
         for number in [
@@ -63,22 +65,22 @@ impl PoseDatagram {
             arrival.map_or(0, |arrival| arrival.monotonic_ns),
             now.monotonic_ns,
         ] {
-            writer.put(number.to_le_bytes());
+            out.put_u64_le(number);
         }
 
         let estimate = solution.estimate;
-        writer.numbers(estimate.map(|estimate| estimate.pose.translation_m.to_array()));
-        writer.numbers(estimate.map(|estimate| estimate.pose.rotation.to_array()));
+        put(&mut out, estimate.map(|estimate| estimate.pose.translation_m.to_array()));
+        put(&mut out, estimate.map(|estimate| estimate.pose.rotation.to_array()));
         for row in 0..6 {
-            writer.numbers(estimate.map(|estimate| estimate.covariance[row]));
+            put(&mut out, estimate.map(|estimate| estimate.covariance[row]));
         }
         let twist = record.twist.ok();
-        writer.numbers(twist.map(|estimate| estimate.twist.linear_m_per_s.to_array()));
-        writer.numbers(twist.map(|estimate| estimate.twist.angular_rad_per_s.to_array()));
-        writer.numbers::<6>(twist.map(|estimate| std::array::from_fn(|i| estimate.covariance[i][i].sqrt())));
-        writer.numbers(record.light_level.map(|level| [level]));
-        writer.put((no_twist(&record.twist) as u64).to_le_bytes());
-        Self(writer.bytes)
+        put(&mut out, twist.map(|estimate| estimate.twist.linear_m_per_s.to_array()));
+        put(&mut out, twist.map(|estimate| estimate.twist.angular_rad_per_s.to_array()));
+        put::<6>(&mut out, twist.map(|estimate| std::array::from_fn(|i| estimate.covariance[i][i].sqrt())));
+        put(&mut out, record.light_level.map(|level| [level]));
+        out.put_u64_le(no_twist(&record.twist) as u64);
+        Self(bytes)
     }
 
     /// Marks that scans before this one were skipped, and the next may be, too.
@@ -100,23 +102,9 @@ impl PoseDatagram {
     }
 }
 
-/// Fills the bytes of a datagram from front to back.
-struct Writer {
-    bytes: [u8; PoseDatagram::BYTES],
-    at: usize,
-}
-
-impl Writer {
-    fn put<const N: usize>(&mut self, value: [u8; N]) {
-        self.bytes[self.at..self.at + N].copy_from_slice(&value);
-        self.at += N;
-    }
-
-    fn numbers<const N: usize>(&mut self, values: Option<[f64; N]>) {
-        for value in values.unwrap_or([f64::NAN; N]) {
-            self.put(value.to_le_bytes());
-        }
-    }
+/// Writes numbers, or as many that are none.
+fn put<const N: usize>(out: &mut &mut [u8], values: Option<[f64; N]>) {
+    values.unwrap_or([f64::NAN; N]).into_iter().for_each(|value| out.put_f64_le(value));
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -211,7 +199,6 @@ impl Answer {
     }
 }
 
-/// Writes the beginning of requests and answers.
 fn begin<const N: usize>(bytes: &mut [u8; N], magic: [u8; 4], kind: u16) {
     bytes[..4].copy_from_slice(&magic);
     bytes[4..6].copy_from_slice(&VERSION.to_le_bytes());

@@ -91,7 +91,8 @@ pub use ring::MAX_BOARDS;
 pub use server::{DatagramServer, Publisher};
 
 pub use crate::address::Address;
-use socket::require_loopback;
+use crate::address::require_loopback;
+use socket::NO_PROOF;
 
 mod layout;
 mod ring;
@@ -110,8 +111,8 @@ pub(crate) fn address(text: &str) -> Result<Address, String> {
         Some(("unix", path)) => Ok(Address::Unix(path.into())),
         Some(("udp", udp)) => {
             let error = |error| format!("`{udp}` is no address and port ({error}); give udp:127.0.0.1:PORT");
-            let udp = udp.parse().map_err(error)?;
-            require_loopback(udp).map(|()| Address::Udp(udp)).map_err(|error| error.to_string())
+            let address = Address::Udp(udp.parse().map_err(error)?);
+            require_loopback(&address, NO_PROOF).map(|()| address).map_err(|error| error.to_string())
         }
         Some(("shm", "")) => Err("`shm:` lacks the name of the memory; give shm:NAME".to_owned()),
         Some(("shm", name)) => Ok(Address::of_memory(name)),

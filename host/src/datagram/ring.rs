@@ -4,9 +4,10 @@ use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
+use anyhow::Result;
+
 use super::PoseDatagram;
 use super::slot;
-use crate::address::ServeError;
 use crate::platform::SharedMemory;
 use slitpose_head::threads::lock;
 
@@ -39,7 +40,7 @@ pub(super) struct Memory {
 
 impl Memory {
     /// Begins a new generation of the memory at `path`: its rings are empty.
-    pub(super) fn open(path: &Path) -> Result<Self, ServeError> {
+    pub(super) fn open(path: &Path) -> Result<Self> {
         let shared = SharedMemory::open(path, HEAD, WORDS * size_of::<u64>())?;
         let free: Vec<usize> = (HEAD_WORDS..WORDS).step_by(RING_WORDS).rev().collect();
         free.iter().for_each(|&ring| empty(shared.word(ring)));

@@ -5,16 +5,17 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, Weak};
 use std::time::Duration;
 
+use anyhow::{Context, Result};
 use crossbeam_channel::{Receiver, Sender};
 use tokio::sync::oneshot;
 
 use super::layout::{Answer, Mode, PoseDatagram, Request};
 use super::ring::{Memory, Ring};
 use super::slot::Slot;
-use super::socket::{Delivery, Peer, Socket, Waiting};
+use super::socket::{Delivery, Peer, Socket};
 use super::subscription::{Cookies, Lease, Leases, MAX_FOLLOWERS, MAX_NEWS, Subscription, Worth};
-use crate::address::{Address, ServeError};
-use crate::background::Background;
+use crate::address::Address;
+use crate::background::{Background, NO_THREAD, drive};
 use crate::platform::SocketFile;
 use slitpose_head::threads::lock;
 use slitpose_tracking::clock::HostInstant;
@@ -53,7 +54,9 @@ pub struct DatagramServer {
 
 impl DatagramServer {
     /// Listens on all of `addresses` that are sockets, and maps those that are memory.
-    pub fn bind(addresses: &[Address]) -> Result<Self, ServeError> {
+    pub fn bind(addresses: &[Address]) -> Result<Self> {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build().context(NO_THREAD)?;
+        let entered = runtime.enter();
         let (mut sockets, mut bound, mut files, mut memories) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         for address in addresses {
             if let Address::Memory(path) = address {
@@ -66,21 +69,13 @@ impl DatagramServer {
             sockets.push(socket);
             files.extend(file);
         }
+        drop(entered);
         let shared = Arc::new(Shared { sockets, counters: Counters::default() });
         let directory = Arc::new(Mutex::new(Directory::default()));
-        let failed = |source| ServeError::Thread { source };
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build().map_err(failed)?;
-        let (end, ended) = oneshot::channel();
-        for (index, socket) in shared.sockets.iter().enumerate() {
-            let waiting = {
-                let _runtime = runtime.enter();
-                socket.waiting().map_err(failed)?
-            };
-            runtime.spawn(serve(Arc::clone(&shared), Arc::clone(&directory), index, waiting));
+        for index in 0..shared.sockets.len() {
+            runtime.spawn(serve(Arc::clone(&shared), Arc::clone(&directory), index));
         }
-        // Either way this has been dropped.
-        let run = move || drop(runtime.block_on(ended));
-        let thread = Background::spawn("datagrams", end, run).map_err(failed)?;
+        let thread = drive("datagrams", runtime)?;
         Ok(Self { shared, directory, memories, addresses: bound, _thread: thread, _files: files })
     }
 
@@ -128,11 +123,11 @@ impl DatagramServer {
 }
 
 /// Serves the requests that come to one of the sockets.
-async fn serve(shared: Arc<Shared>, directory: Arc<Mutex<Directory>>, index: usize, waiting: Waiting) {
+async fn serve(shared: Arc<Shared>, directory: Arc<Mutex<Directory>>, index: usize) {
     // One byte more than a request, to detect longer datagrams.
     let mut buffer = [0; Request::BYTES + 1];
     loop {
-        match waiting.next(|| shared.sockets[index].receive(&mut buffer)).await {
+        match shared.sockets[index].receive(&mut buffer).await {
             Ok((count, peer)) => match (Request::from_bytes(&buffer[..count]), peer) {
                 (Some(request), Some(peer)) => {
                     answer(&shared, &mut lock(&directory), request, index, &peer);

@@ -1,19 +1,19 @@
 //! Non-blocking sockets of both kinds.
 
 use std::io::{self, ErrorKind};
-use std::net::{SocketAddr, UdpSocket};
+use std::net::SocketAddr;
 use std::sync::Arc;
 
+use anyhow::Result;
 use tokio::io::Interest;
+use tokio::net::UdpSocket;
 
-use crate::address::{Address, ServeError};
-use crate::platform::{
-    AsyncLocalDatagram, LocalDatagram, PassedSocket, SocketFile, bind_local, is_out_of_memory, receive_local,
-};
+use crate::address::{Address, cannot_listen, require_loopback};
+use crate::platform::{AsyncLocalDatagram, PassedSocket, SocketFile, bind_local, is_out_of_memory, receive_local};
 
 #[derive(Debug)]
 pub(super) enum Socket {
-    Unix(LocalDatagram),
+    Unix(AsyncLocalDatagram),
     Udp(UdpSocket),
 }
 
@@ -25,38 +25,27 @@ pub(super) enum Peer {
 }
 
 impl Peer {
-    pub(super) fn process(&self) -> Option<i32> {
+    /// Its process and its user; unknown by UDP.
+    pub(super) fn owner(&self) -> (Option<i32>, Option<u32>) {
         match self {
-            Self::Passed(peer) => peer.process,
-            Self::Udp(_) => None,
-        }
-    }
-
-    /// Its user; `None` by UDP, where users are unknown.
-    pub(super) fn user(&self) -> Option<u32> {
-        match self {
-            Self::Passed(peer) => peer.user,
-            Self::Udp(_) => None,
+            Self::Passed(peer) => (peer.process, peer.user),
+            Self::Udp(_) => (None, None),
         }
     }
 }
 
 impl Socket {
-    /// Binds `address`; also returns the guard that removes the socket's file, if it has one.
-    pub(super) fn bind(address: &Address) -> Result<(Self, Option<SocketFile>), ServeError> {
-        let error = |source| ServeError::of(address, source);
+    /// In a runtime: binds `address`; also returns the guard that removes the socket's file, if it has one.
+    pub(super) fn bind(address: &Address) -> Result<(Self, Option<SocketFile>)> {
+        let error = |source| cannot_listen(address, source);
         match address {
-            Address::Unix(path) => {
-                let (socket, file) = bind_local(path)?;
-                socket.set_nonblocking(true).map_err(error)?;
-                Ok((Self::Unix(socket), Some(file)))
-            }
+            Address::Unix(path) => bind_local(path).map(|(socket, file)| (Self::Unix(socket), Some(file))),
             Address::Memory(_) => Err(error(ErrorKind::Unsupported.into())),
             Address::Udp(udp) | Address::Tcp(udp) => {
-                require_loopback(*udp)?;
-                let socket = UdpSocket::bind(udp).map_err(error)?;
+                require_loopback(address, NO_PROOF)?;
+                let socket = std::net::UdpSocket::bind(udp).map_err(error)?;
                 socket.set_nonblocking(true).map_err(error)?;
-                Ok((Self::Udp(socket), None))
+                Ok((Self::Udp(UdpSocket::from_std(socket).map_err(error)?), None))
             }
         }
     }
@@ -69,28 +58,21 @@ impl Socket {
         }
     }
 
-    /// The next datagram, if there is one, and its sender, if it can be answered.
-    pub(super) fn receive(&self, buffer: &mut [u8]) -> io::Result<(usize, Option<Peer>)> {
+    /// Waits for the next datagram; also returns its sender, if it can be answered.
+    pub(super) async fn receive(&self, buffer: &mut [u8]) -> io::Result<(usize, Option<Peer>)> {
         match self {
             Self::Unix(socket) => {
-                receive_local(socket, buffer).map(|(count, peer)| (count, peer.map(|it| Peer::Passed(Arc::new(it)))))
+                let received = socket.async_io(Interest::READABLE, || receive_local(socket, buffer)).await;
+                received.map(|(count, peer)| (count, peer.map(|it| Peer::Passed(Arc::new(it)))))
             }
-            Self::Udp(socket) => socket.recv_from(buffer).map(|(count, peer)| (count, Some(Peer::Udp(peer)))),
+            Self::Udp(socket) => socket.recv_from(buffer).await.map(|(count, peer)| (count, Some(Peer::Udp(peer)))),
         }
-    }
-
-    /// In a runtime: what waits for its datagrams.
-    pub(super) fn waiting(&self) -> io::Result<Waiting> {
-        Ok(match self {
-            Self::Unix(socket) => Waiting::Unix(AsyncLocalDatagram::from_std(socket.try_clone()?)?),
-            Self::Udp(socket) => Waiting::Udp(tokio::net::UdpSocket::from_std(socket.try_clone()?)?),
-        })
     }
 
     pub(super) fn send(&self, bytes: &[u8], peer: &Peer) -> Delivery {
         let sent = match (self, peer) {
             (Self::Unix(_), Peer::Passed(peer)) => peer.send(bytes),
-            (Self::Udp(socket), Peer::Udp(peer)) => socket.send_to(bytes, peer),
+            (Self::Udp(socket), Peer::Udp(peer)) => socket.try_send_to(bytes, *peer),
             _ => return Delivery::Gone,
         };
         match sent {
@@ -109,26 +91,5 @@ pub(super) enum Delivery {
     Gone,
 }
 
-/// Waits for the datagrams of a [`Socket`].
-#[derive(Debug)]
-pub(super) enum Waiting {
-    Unix(AsyncLocalDatagram),
-    Udp(tokio::net::UdpSocket),
-}
-
-impl Waiting {
-    /// What `receive` takes from the socket, as soon as it finds something.
-    pub(super) async fn next<T>(&self, receive: impl FnMut() -> io::Result<T>) -> io::Result<T> {
-        match self {
-            Self::Unix(socket) => socket.async_io(Interest::READABLE, receive).await,
-            Self::Udp(socket) => socket.async_io(Interest::READABLE, receive).await,
-        }
-    }
-}
-
-/// Refuses addresses that other hosts can reach.
-pub(super) fn require_loopback(address: SocketAddr) -> Result<(), ServeError> {
-    let reason = "poses carry no proof of their origin; give udp:127.0.0.1:PORT";
-    let refused = || ServeError::NotLoopback { address: Address::Udp(address), reason };
-    address.ip().is_loopback().then_some(()).ok_or_else(refused)
-}
+/// Why addresses that other hosts can reach are refused.
+pub(super) const NO_PROOF: &str = "poses carry no proof of their origin; give udp:127.0.0.1:PORT";

@@ -42,17 +42,12 @@ impl Subscription {
         self.socket == other.socket && self.peer == other.peer
     }
 
-    /// The client, if it is slow.
     pub(super) fn slow(&self, now_ns: u64) -> Option<SlowClient> {
         let [missed, since_ns, last_ns] =
             [&self.misses.count, &self.misses.since_ns, &self.misses.last_ns].map(|it| it.load(Ordering::Relaxed));
         let is_slow = now_ns.saturating_sub(last_ns) < SLOW_NS && last_ns.saturating_sub(since_ns) >= SLOW_NS;
-        is_slow.then(|| SlowClient {
-            process: self.peer.process(),
-            user: self.peer.user(),
-            missed,
-            missing_s: now_ns.saturating_sub(since_ns) as f64 * 1e-9,
-        })
+        let (process, user) = self.peer.owner();
+        is_slow.then(|| SlowClient { process, user, missed, missing_s: now_ns.saturating_sub(since_ns) as f64 * 1e-9 })
     }
 }
 
@@ -88,7 +83,7 @@ impl Lease {
     }
 
     fn user(&self) -> Option<u32> {
-        self.subscription.peer.user()
+        self.subscription.peer.owner().1
     }
 }
 
@@ -112,7 +107,7 @@ impl Leases {
         }
         let mut lost = Vec::new();
         while let Some(contested) = self.contested(device) {
-            let Some(loser) = self.loser(&contested, new.peer.user()) else {
+            let Some(loser) = self.loser(&contested, new.peer.owner().1) else {
                 // The places lost in vain are restored.
                 self.0.append(&mut lost);
                 return None;

@@ -7,10 +7,10 @@ use slitpose_protocol::{
     Message, PayloadError, Pulse, Rejection, Request, Schedule, Stream, encode,
 };
 
+use super::Device;
 use super::error::DeviceError;
 use super::listed::BoardInfo;
 use super::orders::{self, KeepAlive, ping};
-use super::stream::Device;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::{Asked, Segment, Versions};
 
@@ -36,8 +36,6 @@ pub(crate) struct Conversation {
     device: Box<dyn Device>,
     pub(super) decoder: Decoder<MAX_MESSAGE_BYTES>,
     pub(super) inbox: Vec<u8>,
-    /// Length of the whole packets at its start.
-    whole: usize,
     number: u16,
     keep_alive: Option<KeepAlive>,
     /// Time and token of the next ping, if the device does not ping by itself.
@@ -56,7 +54,6 @@ impl Conversation {
             device,
             decoder: Decoder::new(),
             inbox: Vec::with_capacity(1 << 13),
-            whole: 0,
             number: 0,
             keep_alive: None,
             ping_at: Instant::now(),
@@ -114,7 +111,7 @@ impl Conversation {
                     _ => {}
                 }
             }
-            self.forget();
+            self.inbox.clear();
             answered = admitted && replied;
             if !more && !answered {
                 return Err(self.no_hello(within).into());
@@ -128,11 +125,27 @@ impl Conversation {
         // At low frame rates a board is quiet between frames.
         let frame = Duration::from_secs_f64(configuration.schedule.frame_rate_hz().recip());
         self.quiet_limit = QUIET.max(3 * frame);
-        if !self.ask_for_hello(Command::Configure(configuration))? {
+        self.inbox.clear();
+        self.ask(Command::Configure(configuration), REPLY_WITHIN)?;
+        if !self.drop_before_hello() {
             // The hello was damaged. Without it no scan can be read.
-            self.ask_for_hello(Command::Hello)?;
+            self.ask(Command::Hello, REPLY_WITHIN)?;
+            self.drop_before_hello();
         }
         Ok(())
+    }
+
+    /// Drops the bytes before the last hello of the inbox: they belong to an older configuration. `false` if there is none.
+    fn drop_before_hello(&mut self) -> bool {
+        let (mut decoder, mut rest) = (Decoder::<MAX_MESSAGE_BYTES>::new(), &self.inbox[..]);
+        let (mut begin, mut hello) = (0, None);
+        while let Some(message) = decoder.next::<Message<'_>>(&mut rest) {
+            if let Ok(Message::Hello(_)) = message {
+                hello = Some(begin);
+            }
+            begin = self.inbox.len() - rest.len();
+        }
+        hello.map(|begin| drop(self.inbox.drain(..begin))).is_some()
     }
 
     /// Sends a compiled head, by which the board then solves poses. Received bytes are appended to the inbox.
@@ -167,7 +180,7 @@ impl Conversation {
     /// Waits for bytes of the board, a few hundredths of a second at most; the inbox then holds only these. `false` if
     /// the stream has ended.
     pub(crate) fn listen(&mut self) -> Result<bool, DeviceError> {
-        self.forget();
+        self.inbox.clear();
         let since = Instant::now();
         let more = self.hear()?;
         // Only waiting counts: while poses are written, bytes may be waiting unread.
@@ -182,7 +195,7 @@ impl Conversation {
     pub(crate) fn stop(&mut self) -> Result<(), DeviceError> {
         self.keep_alive = None;
         self.started = false;
-        self.forget();
+        self.inbox.clear();
         self.decoder.reset();
         match self.ask(Command::Stop, STOP_WITHIN) {
             // Once more: the command may have been damaged on its way.
@@ -215,69 +228,38 @@ impl Conversation {
         self.device.name().to_owned()
     }
 
-    /// Sends a command and waits for its reply.
+    /// Sends a command and waits for its reply. Received bytes are appended to the inbox.
     pub(super) fn ask(&mut self, command: Command, within: Duration) -> Result<(), DeviceError> {
-        self.ask_and_sort(command, false, within).map(drop)
-    }
-
-    /// As [`ask`](Self::ask), and drops the bytes before the last hello: they belong to an older configuration. Returns
-    /// whether a hello came.
-    fn ask_for_hello(&mut self, command: Command) -> Result<bool, DeviceError> {
-        self.ask_and_sort(command, true, REPLY_WITHIN)
-    }
-
-    fn ask_and_sort(&mut self, command: Command, from_hello: bool, within: Duration) -> Result<bool, DeviceError> {
         let name = name_of(&command);
         let number = self.command(command)?;
         let until = Instant::now() + within;
-        let mut introduced = false;
-        while Instant::now() < until {
+        let mut more = true;
+        while more && Instant::now() < until {
             let decoded = self.inbox.len();
-            let more = self.hear()?;
-            if let Some(outcome) = self.sort(decoded, number, from_hello, &mut introduced) {
-                return match outcome {
-                    Ok(()) => Ok(introduced),
-                    Err(source) => {
-                        let next_step = next_step_of(&name, &source);
-                        Err(DeviceError::Refused { name: self.name(), command: name, next_step, source })
-                    }
-                };
-            }
-            if !more {
-                break;
+            more = self.hear()?;
+            match self.reply_to(number, decoded) {
+                None => {}
+                Some(Ok(())) => return Ok(()),
+                Some(Err(source)) => {
+                    let next_step = next_step_of(&name, &source);
+                    return Err(DeviceError::Refused { name: self.name(), command: name, next_step, source });
+                }
             }
         }
         Err(DeviceError::NoReply { name: self.name(), command: name, seconds: within.as_secs_f64() })
     }
 
-    /// Decodes the inbox from `at` on, and keeps it `from_hello` on, or all; returns the reply to `number`, if any.
-    fn sort(
-        &mut self,
-        mut at: usize,
-        number: u16,
-        from_hello: bool,
-        introduced: &mut bool,
-    ) -> Option<Result<(), Rejection>> {
-        let mut answer = None;
-        loop {
-            let mut rest = &self.inbox[at..];
-            let Some(message) = self.decoder.next::<Message<'_>>(&mut rest) else {
-                return answer;
-            };
-            let is_hello = from_hello && matches!(message, Ok(Message::Hello(_)));
-            if let Ok(Message::Reply(reply)) = &message
+    /// Decodes the inbox from `at` on; returns the reply to `number`, if any.
+    fn reply_to(&mut self, number: u16, at: usize) -> Option<Result<(), Rejection>> {
+        let (mut bytes, mut answer) = (&self.inbox[at..], None);
+        while let Some(message) = self.decoder.next::<Message<'_>>(&mut bytes) {
+            if let Ok(Message::Reply(reply)) = message
                 && reply.number == number
             {
                 answer = Some(reply.outcome);
             }
-            at = self.inbox.len() - rest.len();
-            if is_hello {
-                // Kept from here on.
-                *introduced = true;
-                at -= self.inbox.drain(..self.whole).len();
-            }
-            self.whole = at;
         }
+        answer
     }
 
     /// Sends a ping, if one is due and the device runs in real time.
@@ -309,11 +291,6 @@ impl Conversation {
         let more = self.device.receive(&mut self.inbox).map_err(|source| self.gone(source))?;
         self.heard_at = self.device.keeps_time().then(HostInstant::now);
         Ok(more)
-    }
-
-    pub(super) fn forget(&mut self) {
-        self.inbox.clear();
-        self.whole = 0;
     }
 
     fn gone(&self, source: std::io::Error) -> DeviceError {

@@ -15,32 +15,14 @@ use std::time::{Duration, Instant};
 
 use super::conversation::Conversation;
 use super::error::DeviceError;
-use super::listed::{BoardInfo, Listed, Port, PortState, UsbId, is_path};
+use super::listed::{BoardInfo, Listed, Port, PortState, is_path};
 use super::ports::{ANSWER_WITHIN, Search, ports};
 use super::serial::SerialDevice;
 use crate::platform::{is_port_name, real_port};
 use slitpose_tracking::link::DeviceId;
 
-const SIM: &str = "sim";
-
 /// Interval of attempts to open a board that is to come back.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
-
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Found {
-    /// Its port; `sim` for the simulated board.
-    pub port: String,
-    /// Its USB descriptors, by which it is found again under another name.
-    pub(crate) usb: Option<UsbId>,
-    /// Its number, if known.
-    pub device: Option<DeviceId>,
-}
-
-impl From<Listed> for Found {
-    fn from(listed: Listed) -> Self {
-        Self { device: listed.device(), port: listed.port.name, usb: listed.port.usb }
-    }
-}
 
 /// A board that is opened again and again, at whatever port it is then.
 #[derive(Debug)]
@@ -48,31 +30,25 @@ pub(crate) struct Contact {
     pub(crate) selector: Selector,
     search: Vec<Search>,
     /// Where it was last, and its number if known.
-    known: Option<Found>,
+    pub(crate) port: Option<Port>,
+    device: Option<DeviceId>,
 }
 
 impl Contact {
     /// With the board that `selector` names, which is sought in the places of `search`, too.
     pub(crate) fn new(selector: Selector, search: Vec<Search>) -> Self {
-        Self { selector, search, known: None }
-    }
-
-    /// With the board that was `found` before.
-    pub(crate) fn with(selector: Selector, search: Vec<Search>, found: Found) -> Self {
-        Self { selector, search, known: Some(found) }
+        Self { selector, search, port: None, device: None }
     }
 
     /// Opens the board's port, even if its name has changed.
     pub(crate) fn open(&mut self) -> Result<SerialDevice, DeviceError> {
-        let found = match locate(&self.selector, self.known.as_ref()) {
+        let (port, device) = match locate(&self.selector, self.port.as_ref(), self.device) {
             // Keeps the USB identity, by which the board is found again under another name.
-            Some(found) => {
-                let known = self.known.take().and_then(|known| known.device);
-                Found { device: found.device.or(known), ..found }
-            }
-            None => find(&self.selector, &self.search)?,
+            Some(port) => (port, self.device),
+            None => (find(&self.selector, &self.search)?, None),
         };
-        SerialDevice::open(&self.known.insert(found).port)
+        self.device = port.device().or(device);
+        SerialDevice::open(&self.port.insert(port).name)
     }
 
     /// Waits for the board, which restarts or was unplugged, until it answers again, `within` this time. `open`: at a port
@@ -82,13 +58,13 @@ impl Contact {
         mut open: Option<Conversation>,
         within: Duration,
     ) -> Result<(Conversation, BoardInfo), DeviceError> {
-        let name = self.known.as_ref().map_or_else(|| self.selector.to_string(), |found| found.port.clone());
+        let name = self.port.as_ref().map_or_else(|| self.selector.to_string(), |port| port.name.clone());
         let until = Instant::now() + within;
         while Instant::now() < until {
             // It may be there and not yet be allowed to this user, or not yet be ready.
             let reopened = || {
-                let there = locate(&self.selector, self.known.as_ref())?;
-                Conversation::open(Box::new(SerialDevice::open(&there.port).ok()?)).ok()
+                let there = locate(&self.selector, self.port.as_ref(), self.device)?;
+                Conversation::open(Box::new(SerialDevice::open(&there.name).ok()?)).ok()
             };
             let Some(mut board) = open.take().or_else(reopened) else {
                 sleep(LOOK_EVERY);
@@ -106,29 +82,28 @@ impl Contact {
 
     /// The board that was opened last has introduced itself.
     pub(crate) fn greeted(&mut self, device: DeviceId) {
-        if let Some(found) = &mut self.known {
-            found.device = Some(device);
-        }
+        self.device = Some(device);
     }
 
     /// Whether the board was last at its own USB port.
     pub(crate) fn has_own_port(&self) -> bool {
-        self.known.as_ref().and_then(|found| found.usb.as_ref()).is_some_and(UsbId::is_board)
+        self.port.as_ref().is_some_and(Port::is_board)
     }
 }
 
 /// Searches for the board that `selector` names, also in the places of `search`.
 ///
 /// A path is accepted as it is: opening shows whether there is a board.
-pub(crate) fn find(selector: &Selector, search: &[Search]) -> Result<Found, DeviceError> {
+pub(crate) fn find(selector: &Selector, search: &[Search]) -> Result<Port, DeviceError> {
     match selector {
-        Selector::Sim => Ok(Found { port: SIM.to_owned(), usb: None, device: None }),
+        // A simulated board has no port.
+        Selector::Sim => Err(DeviceError::NoBoard { asked: Vec::new() }),
         // A path works even without a list of ports.
-        Selector::Path(path) => Ok(Listed::new(Port::at(path, &ports().unwrap_or_default())).into()),
+        Selector::Path(path) => Ok(Port::at(path, &ports().unwrap_or_default())),
         Selector::Serial(device) => {
             let ports = ports()?;
             if let Some(port) = ports.iter().find(|port| port.device() == Some(*device)) {
-                return Ok(Listed::new(port.clone()).into());
+                return Ok(port.clone());
             }
             choose(selector, Listed::ask_all(unsure(&ports, search, true)))
         }
@@ -156,31 +131,24 @@ pub(crate) fn list(search: &[Search], ask: bool) -> Result<Vec<Listed>, DeviceEr
     Ok(listed)
 }
 
-/// Finds the board that `selector` names without asking any port: fast enough for several calls per second. `known`:
-/// its last place, with its number if known. `None` if it is missing, or, without `known`, if only [`find`] can
+/// Finds the board that `selector` names without asking any port: fast enough for several calls per second. `last`: its
+/// last place, and `device` its number, if known. `None` if it is missing, or, without `last`, if only [`find`] can
 /// identify it.
-fn locate(selector: &Selector, known: Option<&Found>) -> Option<Found> {
-    if *selector == Selector::Sim {
-        return Some(Found { port: SIM.to_owned(), usb: None, device: None });
-    }
+fn locate(selector: &Selector, last: Option<&Port>, device: Option<DeviceId>) -> Option<Port> {
     // Fast: the list comes from files of the system, not from devices.
     let ports = ports().unwrap_or_default();
-    let port = Port::at(&located(selector, known, &ports)?, &ports);
-    Some(Listed::new(port).into())
+    Some(Port::at(&located(selector, last, device, &ports)?, &ports))
 }
 
-fn located(selector: &Selector, known: Option<&Found>, ports: &[Port]) -> Option<String> {
+fn located(selector: &Selector, last: Option<&Port>, device: Option<DeviceId>, ports: &[Port]) -> Option<String> {
     let exists = |name: &str| (is_port_name(name) || Path::new(name).exists()).then(|| name.to_owned());
-    let device = match selector {
-        Selector::Serial(device) => Some(*device),
-        _ => known.and_then(|known| known.device),
-    };
+    let device = if let Selector::Serial(device) = selector { Some(*device) } else { device };
     let board = |port: &&Port| device.is_some() && port.device() == device;
     if let Some(port) = ports.iter().find(board) {
         return Some(port.name.clone());
     }
-    match (known, selector) {
-        (Some(Found { usb: Some(usb), port, .. }), _) if !usb.is_board() || usb.device().is_none() => {
+    match (last, selector) {
+        (Some(Port { usb: Some(usb), name: port }), _) if !usb.is_board() || usb.device().is_none() => {
             // The same debugger or adapter; without a serial number, at the same place.
             let same = |it: &&Port| it.usb.as_ref() == Some(usb) && (usb.serial.is_some() || it.name == *port);
             // A debugger may have several ports.
@@ -188,7 +156,7 @@ fn located(selector: &Selector, known: Option<&Found>, ports: &[Port]) -> Option
             let at = same.iter().position(|name| name == port).unwrap_or(0);
             (!same.is_empty()).then(|| same.swap_remove(at))
         }
-        (Some(Found { usb: None, port, .. }), _) => exists(port),
+        (Some(Port { usb: None, name }), _) => exists(name),
         (Some(_), _) => None,
         (None, Selector::Path(path)) => exists(path),
         (None, Selector::Auto) => {
@@ -213,7 +181,7 @@ fn unsure(ports: &[Port], search: &[Search], debuggers: bool) -> Vec<Port> {
 }
 
 /// The board of `listed` that `selector` names.
-fn choose(selector: &Selector, listed: Vec<Listed>) -> Result<Found, DeviceError> {
+fn choose(selector: &Selector, listed: Vec<Listed>) -> Result<Port, DeviceError> {
     let is_board = |listed: &Listed| listed.port.is_board() || listed.board.is_some();
     let mut boards: Vec<Listed> = Vec::new();
     for it in listed.iter().filter(|it| is_board(it)) {
@@ -225,16 +193,16 @@ fn choose(selector: &Selector, listed: Vec<Listed>) -> Result<Found, DeviceError
     }
     if let Selector::Serial(device) = selector {
         let board = boards.into_iter().find(|board| board.device() == Some(*device));
-        return board.map(Found::from).ok_or(DeviceError::NoSuchBoard { device: *device, there: listed });
+        return board.map(|board| board.port).ok_or(DeviceError::NoSuchBoard { device: *device, there: listed });
     }
     match boards.len() {
         0 => match <[Listed; 1]>::try_from(listed) {
             // The only candidate: opening it reports the reason.
-            Ok([only]) if matches!(only.state, PortState::InUse | PortState::NoPermission) => Ok(only.into()),
+            Ok([only]) if matches!(only.state, PortState::InUse | PortState::NoPermission) => Ok(only.port),
             Ok([only]) => Err(DeviceError::NoBoard { asked: vec![only] }),
             Err(asked) => Err(DeviceError::NoBoard { asked }),
         },
-        1 => Ok(boards.swap_remove(0).into()),
+        1 => Ok(boards.swap_remove(0).port),
         _ => Err(DeviceError::SeveralBoards { boards }),
     }
 }
@@ -278,6 +246,7 @@ impl fmt::Display for Selector {
 
 #[cfg(test)]
 mod tests {
+    use super::super::listed::UsbId;
     use super::*;
 
     const FIRST: &str = "0036002900544850025a0320";
@@ -314,19 +283,19 @@ mod tests {
         let error = choose(&Selector::Auto, Vec::new()).unwrap_err().to_string();
         assert!(error.contains("no board found") && error.contains("1209:0001"), "{error}");
         let one = choose(&Selector::Auto, listed(&[board("/dev/ttyACM0", FIRST)])).unwrap();
-        assert_eq!((one.port.as_str(), one.device), ("/dev/ttyACM0", Some(FIRST.parse().unwrap())));
+        assert_eq!((one.name.as_str(), one.device()), ("/dev/ttyACM0", Some(FIRST.parse().unwrap())));
 
         let both = listed(&[board("/dev/ttyACM0", FIRST), board("/dev/ttyACM1", SECOND)]);
         let error = choose(&Selector::Auto, both.clone()).unwrap_err().to_string();
         for part in ["2 boards", FIRST, SECOND, "/dev/ttyACM0", "/dev/ttyACM1", "--device SERIAL"] {
             assert!(error.contains(part), "{error}");
         }
-        assert_eq!(choose(&serial(SECOND), both.clone()).unwrap().port, "/dev/ttyACM1");
+        assert_eq!(choose(&serial(SECOND), both.clone()).unwrap().name, "/dev/ttyACM1");
         let error = choose(&serial("0036002900544850025a0322"), both).unwrap_err().to_string();
         assert!(error.contains("0036002900544850025a0322 is not there") && error.contains(FIRST), "{error}");
         // A board with two cables.
         let twice = listed(&[board("/dev/ttyACM0", FIRST), board("/dev/ttyACM1", FIRST)]);
-        assert_eq!(choose(&Selector::Auto, twice).unwrap().port, "/dev/ttyACM0");
+        assert_eq!(choose(&Selector::Auto, twice).unwrap().name, "/dev/ttyACM0");
     }
 
     #[test]
@@ -337,42 +306,35 @@ mod tests {
         let error = choose(&Selector::Auto, vec![silent.clone(), used.clone()]).unwrap_err().to_string();
         assert!(error.contains("/dev/ttyACM0 (no answer), /dev/ttyACM1 (in use)"), "{error}");
         assert!(choose(&Selector::Auto, vec![silent]).is_err());
-        assert_eq!(choose(&Selector::Auto, vec![used]).unwrap().port, "/dev/ttyACM1");
+        assert_eq!(choose(&Selector::Auto, vec![used]).unwrap().name, "/dev/ttyACM1");
     }
 
     #[test]
     fn a_board_is_found_again_under_another_name() {
-        let before = Found::from(Listed::new(board("/dev/ttyACM0", FIRST)));
+        let before = board("/dev/ttyACM0", FIRST);
+        let last = |selector, ports: &[Port]| located(selector, Some(&before), before.device(), ports);
         let after = [board("/dev/ttyACM0", SECOND), board("/dev/ttyACM1", FIRST)];
         let path = Selector::Path("/dev/ttyACM0".to_owned());
         for selector in [&Selector::Auto, &path, &serial(FIRST)] {
-            assert_eq!(located(selector, Some(&before), &after).as_deref(), Some("/dev/ttyACM1"));
+            assert_eq!(last(selector, &after).as_deref(), Some("/dev/ttyACM1"));
             // Another board in its place is not it.
-            assert_eq!(located(selector, Some(&before), &after[..1]), None);
+            assert_eq!(last(selector, &after[..1]), None);
         }
-        assert_eq!(located(&serial(FIRST), None, &after).as_deref(), Some("/dev/ttyACM1"));
-        assert_eq!(located(&Selector::Auto, None, &after), None, "which?");
-        assert_eq!(located(&Selector::Auto, None, &after[1..]).as_deref(), Some("/dev/ttyACM1"));
+        assert_eq!(located(&serial(FIRST), None, None, &after).as_deref(), Some("/dev/ttyACM1"));
+        assert_eq!(located(&Selector::Auto, None, None, &after), None, "which?");
+        assert_eq!(located(&Selector::Auto, None, None, &after[1..]).as_deref(), Some("/dev/ttyACM1"));
     }
 
     #[test]
     fn a_board_behind_a_debugger_is_found_by_the_debugger() {
-        let found = Found { device: FIRST.parse().ok(), ..Found::from(Listed::new(debugger("/dev/ttyACM0", "0031"))) };
+        let (last, device) = (debugger("/dev/ttyACM0", "0031"), FIRST.parse().ok());
         let after = [debugger("/dev/ttyACM2", "0032"), debugger("/dev/ttyACM1", "0031")];
         for selector in [Selector::Auto, serial(FIRST)] {
-            assert_eq!(located(&selector, Some(&found), &after).as_deref(), Some("/dev/ttyACM1"));
-            assert_eq!(located(&selector, Some(&found), &after[..1]), None);
+            assert_eq!(located(&selector, Some(&last), device, &after).as_deref(), Some("/dev/ttyACM1"));
+            assert_eq!(located(&selector, Some(&last), device, &after[..1]), None);
             // `locate` asks no port.
-            assert_eq!(located(&selector, None, &after), None);
+            assert_eq!(located(&selector, None, None, &after), None);
         }
-    }
-
-    #[test]
-    fn a_port_without_usb_is_found_in_its_place() {
-        let found = |port: &str| Found { port: port.to_owned(), usb: None, device: FIRST.parse().ok() };
-        assert_eq!(located(&Selector::Auto, Some(&found("/dev/null")), &[]).as_deref(), Some("/dev/null"));
-        assert_eq!(located(&Selector::Auto, Some(&found("/dev/no-such-board")), &[]), None);
-        assert_eq!(located(&Selector::Path("/dev/null".to_owned()), None, &[]).as_deref(), Some("/dev/null"));
     }
 
     #[test]
@@ -386,15 +348,5 @@ mod tests {
         assert_eq!(names(&[], true), ["/dev/ttyACM1"]);
         assert!(names(&["/dev/null"], false).is_empty(), "the board itself");
         assert_eq!(names(&["/dev/zer*", "/dev/zero"], false), ["/dev/zero"]);
-    }
-
-    #[test]
-    fn names_of_boards_are_no_paths() {
-        for path in ["/dev/ttyACM0", "./port", "/dev/serial/by-id/board"] {
-            assert_eq!(path.parse::<Selector>().unwrap(), Selector::Path(path.to_owned()));
-        }
-        for name in ["3600290054485002", "usb", "", "Auto"] {
-            assert!(name.parse::<Selector>().is_err(), "{name}");
-        }
     }
 }

@@ -127,4 +127,23 @@ impl DeviceError {
                 | Self::Stopped { .. }
         )
     }
+
+    /// Time since the last usable scan when the error was noticed, seconds.
+    pub(crate) fn missed_s(&self) -> f64 {
+        match self {
+            Self::Quiet { seconds, .. } | Self::NoScans { seconds, .. } => *seconds,
+            _ => 0.0,
+        }
+    }
+
+    /// Whether the board is not there, or its port is in use: another program may probe a port that has just appeared.
+    /// Both may end at any moment.
+    pub(crate) fn is_away(&self) -> bool {
+        matches!(self, Self::Missing { .. } | Self::Gone { .. } | Self::Busy { .. })
+    }
+
+    /// Whether the user most likely has to act, so that trying again is not urgent.
+    pub(crate) fn needs_user(&self) -> bool {
+        matches!(self, Self::NoScans { .. }) || !self.is_passing() && !self.is_away()
+    }
 }

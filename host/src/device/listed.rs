@@ -18,17 +18,8 @@ const PRODUCT: &str = "slitpose board";
 
 /// Debuggers whose serial port may lead to a board: ST-LINK/V2-1 and V3, as Nucleo boards have them
 /// (ST's 49-stlinkv2-1.rules and 49-stlinkv3.rules).
-const DEBUGGERS: [(u16, u16); 9] = [
-    (0x0483, 0x374a),
-    (0x0483, 0x374b),
-    (0x0483, 0x374e),
-    (0x0483, 0x374f),
-    (0x0483, 0x3752),
-    (0x0483, 0x3753),
-    (0x0483, 0x3754),
-    (0x0483, 0x3755),
-    (0x0483, 0x3757),
-];
+const ST: u16 = 0x0483;
+const DEBUGGERS: [u16; 9] = [0x374a, 0x374b, 0x374e, 0x374f, 0x3752, 0x3753, 0x3754, 0x3755, 0x3757];
 
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub(crate) struct UsbId {
@@ -82,7 +73,7 @@ impl Port {
 
     /// Whether it is a debugger, which must be asked for a board.
     pub(crate) fn is_debugger(&self) -> bool {
-        self.usb.as_ref().is_some_and(|usb| DEBUGGERS.contains(&(usb.vid, usb.pid)))
+        self.usb.as_ref().is_some_and(|usb| usb.vid == ST && DEBUGGERS.contains(&usb.pid))
     }
 
     /// The board on it, if its USB descriptors name it.
@@ -101,7 +92,6 @@ pub(crate) enum PortState {
     NotAsked,
     Free,
     InUse,
-    /// This user may not open it.
     NoPermission,
     NoAnswer,
     OtherVersion(ProtocolVersion),
@@ -184,18 +174,18 @@ impl BoardInfo {
     }
 
     /// Cause of its last reset, in one word, such as `power_on`.
-    pub(crate) fn reset_cause_name(&self) -> &'static str {
-        match self.reset_cause {
-            ResetCause::Unknown => "unknown",
-            ResetCause::PowerOn => "power_on",
-            ResetCause::BrownOut => "brown_out",
-            ResetCause::Pin => "pin",
-            ResetCause::Software => "software",
-            ResetCause::Watchdog => "watchdog",
-            ResetCause::Panic => "panic",
-            ResetCause::StackOverflow => "stack_overflow",
-        }
+    pub(crate) fn reset_cause_name(&self) -> String {
+        in_words(&format!("{:?}", self.reset_cause)).replace(' ', "_")
     }
+}
+
+/// `PowerOn` as `power on`.
+pub(crate) fn in_words(name: &str) -> String {
+    let letters = name.char_indices().flat_map(|(i, letter)| {
+        let space = (i > 0 && letter.is_uppercase()).then_some(' ');
+        space.into_iter().chain(letter.to_lowercase())
+    });
+    letters.collect()
 }
 
 impl Serialize for BoardInfo {

@@ -10,15 +10,16 @@
 //! The host drops no bytes: those not fetched wait in the operating system, then in the board's queue, which drops its
 //! oldest scans when full and so leaves gaps in their numbers.
 
+use std::io;
+
 pub(crate) use conversation::{Conversation, HELLO_WITHIN};
-pub(crate) use discovery::{Contact, Found, Selector, find, list};
+pub(crate) use discovery::{Contact, Selector, find, list};
 pub use error::{DeviceError, Scanless};
-pub(crate) use listed::{BoardInfo, Listed, Port, PortState, UsbId};
+pub(crate) use listed::{BoardInfo, Listed, Port, PortState, UsbId, in_words};
 pub use orders::KeepAlive;
-pub(crate) use ports::{Search, ports};
+pub(crate) use ports::{ANSWER_WITHIN, Search, ports};
 pub use serial::SerialDevice;
 pub(crate) use serial::{SimulatedDevice, SimulatedPort};
-pub use stream::Device;
 
 mod conversation;
 mod discovery;
@@ -27,4 +28,26 @@ mod listed;
 mod orders;
 mod ports;
 mod serial;
-mod stream;
+
+/// A byte stream to and from a board.
+pub trait Device: Send {
+    /// What its user calls the device, in messages.
+    fn name(&self) -> &str;
+
+    /// Sends bytes to the board.
+    fn send(&mut self, bytes: &[u8]) -> io::Result<()>;
+
+    /// Waits for bytes from the board, a few hundredths of a second at most, and appends them to
+    /// `bytes`. `false` if the stream has ended.
+    fn receive(&mut self, bytes: &mut Vec<u8>) -> io::Result<bool>;
+
+    /// Whether the board runs in real time.
+    fn keeps_time(&self) -> bool {
+        true
+    }
+
+    /// Starts pings that show the board that its host is alive; `None` if the board does not need them.
+    fn keep_alive(&self) -> io::Result<Option<KeepAlive>> {
+        Ok(None)
+    }
+}

@@ -33,7 +33,7 @@ impl Conversation {
         self.decoder.reset();
         let mut more = true;
         while more && Instant::now() < until {
-            self.forget();
+            self.inbox.clear();
             more = self.hear()?;
             let mut bytes = &self.inbox[..];
             let mut status = None;
@@ -60,7 +60,7 @@ impl Conversation {
 
     /// Gives the board a command beside measuring, and waits until it has obeyed.
     pub(crate) fn order(&mut self, command: Command) -> Result<(), DeviceError> {
-        self.forget();
+        self.inbox.clear();
         self.decoder.reset();
         self.ask(command, REPLY_WITHIN)
     }

@@ -78,7 +78,7 @@ impl Search {
 // Asking a port for a board.
 
 /// Timeout: a running board answers within milliseconds; the rest is for a busy host.
-pub(super) const ANSWER_WITHIN: Duration = Duration::from_secs(1);
+pub(crate) const ANSWER_WITHIN: Duration = Duration::from_secs(1);
 
 impl Listed {
     pub fn ask(port: Port) -> Self {

@@ -8,11 +8,11 @@ use std::{fs, io};
 use serialport::{DataBits, FlowControl, Parity, SerialPort, StopBits};
 use slitpose_model::Tier;
 
+use super::Device;
 use super::error::DeviceError;
 use super::listed::is_path;
 use super::orders::KeepAlive;
 use super::ports::is_listed;
-use super::stream::Device;
 use crate::platform::{ANY_BAUD, is_port_name};
 use slitpose_head::faults::{Injector, Link};
 use slitpose_head::front_end;
@@ -149,6 +149,7 @@ pub(crate) struct SimulatedDevice {
     /// Bytes sent while catching up, not fetched yet.
     said: Vec<u8>,
     wire: Option<Box<FaultyWire>>,
+    was_opened: bool,
 }
 
 /// A link on which faults are injected.
@@ -162,17 +163,9 @@ struct FaultyWire {
 }
 
 impl SimulatedDevice {
-    /// A board for trials, without end and in real time: the head of `file`, a smoothly moved tool.
-    pub(crate) fn live(file: &SceneFile) -> Result<Self, SimulatorError> {
-        Self::endless(file, Trajectory::of_kind(TrajectoryKind::Smooth, 1, MOTION_S).within(&file.workspace))
-    }
-
-    /// As [`live`](Self::live), with the tool at rest at home.
-    pub(crate) fn at_rest(file: &SceneFile) -> Result<Self, SimulatorError> {
-        Self::endless(file, Trajectory::of_kind(TrajectoryKind::Still, 1, MOTION_S))
-    }
-
-    fn endless(file: &SceneFile, trajectory: Trajectory) -> Result<Self, SimulatorError> {
+    /// A board for trials, without end and in real time: the head of `file`, a tool that moves so.
+    pub(crate) fn for_trials(file: &SceneFile, motion: TrajectoryKind) -> Result<Self, SimulatorError> {
+        let trajectory = Trajectory::of_kind(motion, 1, MOTION_S).within(&file.workspace);
         let frame_s = front_end::configuration(file)?.schedule.frame_rate_hz().recip();
         let board = SimulatedBoard::new(file, trajectory, Tier::Exact { tolerance: 1e-6 }, 1)?;
         Ok(Self::new(board, frame_s, f64::INFINITY, Speed::Times(1.0)))
@@ -192,6 +185,7 @@ impl SimulatedDevice {
             frames,
             said: Vec::new(),
             wire: None,
+            was_opened: false,
         }
     }
 
@@ -209,8 +203,11 @@ impl SimulatedDevice {
         self.wire.as_ref().is_some_and(|wire| wire.hung_up_s.is_some())
     }
 
-    /// Opens the port again after the link was lost, once it is back; `false` if faults have not broken it.
-    pub(crate) fn reopen(&mut self) -> bool {
+    /// Opens the port, also again after the link was lost, once it is back; `false` if faults have not broken it.
+    pub(crate) fn open(&mut self) -> bool {
+        if !std::mem::replace(&mut self.was_opened, true) {
+            return true;
+        }
         let Some(wire) = &mut self.wire else { return false };
         // A port that is closed for a moment only is still seen to be closed.
         let away = ((wire.hung_up_s.take().unwrap_or(0.0) / self.frame_s).ceil() as u64).max(1);
@@ -310,6 +307,13 @@ pub(crate) struct SimulatedPort {
     pub(crate) device: Arc<Mutex<SimulatedDevice>>,
 }
 
+impl SimulatedPort {
+    /// That of `device`, which its user calls `name`.
+    pub(crate) fn new(device: SimulatedDevice, name: String) -> Self {
+        Self { name, device: Arc::new(Mutex::new(device)) }
+    }
+}
+
 impl Device for SimulatedPort {
     fn name(&self) -> &str {
         &self.name
@@ -339,7 +343,7 @@ mod tests {
     /// A host whose first ping is answered long before the first frame would see the board's clock run away from its own.
     #[test]
     fn the_time_of_a_simulated_board_begins_with_its_first_frame() {
-        let mut device = SimulatedDevice::at_rest(&WIDE.read().unwrap()).unwrap();
+        let mut device = SimulatedDevice::for_trials(&WIDE.read().unwrap(), TrajectoryKind::Still).unwrap();
         std::thread::sleep(Duration::from_millis(20));
         let begun = Instant::now();
         while device.frames_passed == 0 {

@@ -4,72 +4,52 @@ use slitpose_head::causes::with_causes;
 use slitpose_head::finding::{Finding, Grade};
 use slitpose_head::front_end::is_full_scale_of;
 use slitpose_head::scene_file::{SceneFile, Shipped};
+use slitpose_head::simulator::TrajectoryKind;
 
 use super::{Subject, default_scene, judged};
 use crate::device::{
-    BoardInfo, Conversation, Device, DeviceError, Port, Selector, SerialDevice, SimulatedDevice, find, ports,
+    BoardInfo, Conversation, Device, DeviceError, Port, Search, Selector, SerialDevice, SimulatedDevice, find, ports,
 };
 use crate::platform::{holders, port_permission};
 use slitpose_tracking::link::Versions;
 
-/// Opens the board and reads its hello; `None` if that fails or cannot be understood.
-pub(super) fn reach(subject: &Subject<'_>, checks: &mut Vec<Finding>) -> Option<(Conversation, BoardInfo)> {
+/// Opens the board and reads its hello; `None` if that cannot be understood, and a finding if it fails.
+pub(super) fn reach(
+    subject: &Subject<'_>,
+    checks: &mut Vec<Finding>,
+) -> Result<Option<(Conversation, BoardInfo)>, Finding> {
     let device = match subject.device {
-        Selector::Sim => simulated(subject, checks)?,
-        _ => open(subject, checks)?,
+        Selector::Sim => {
+            checks.push(Finding::skipped("port", "a simulated board has no port"));
+            let Some(scene) = subject.scene.cloned().or_else(default_scene) else { return Ok(None) };
+            let next_step = "correct the scene, or take a shipped one";
+            let device = SimulatedDevice::for_trials(&scene, TrajectoryKind::Smooth);
+            Box::new(device.map_err(|error| Finding::failed("scene", with_causes(&error), next_step))?)
+        }
+        selector => open(selector, subject.search, checks)?,
     };
-    match Conversation::introduced(device) {
-        Ok((board, info)) => {
-            let (hello, understood) = judge(&info);
-            checks.extend(hello);
-            understood.then_some((board, info))
-        }
-        Err(error) => {
-            checks.push(Finding::failed("hello", with_causes(&error), "reset the board, or flash it again"));
-            None
-        }
-    }
+    let next_step = "reset the board, or flash it again";
+    let reached = Conversation::introduced(device);
+    let (board, info) = reached.map_err(|error| Finding::failed("hello", with_causes(&error), next_step))?;
+    let (hello, understood) = judge(&info);
+    checks.extend(hello);
+    Ok(understood.then_some((board, info)))
 }
 
-fn simulated(subject: &Subject<'_>, checks: &mut Vec<Finding>) -> Option<Box<dyn Device>> {
-    checks.push(Finding::skipped("port", "a simulated board has no port"));
-    let scene = subject.scene.cloned().or_else(default_scene)?;
-    match SimulatedDevice::live(&scene) {
-        Ok(device) => Some(Box::new(device)),
-        Err(error) => {
-            checks.push(Finding::failed("scene", with_causes(&error), "correct the scene, or take a shipped one"));
-            None
-        }
-    }
-}
-
-fn open(subject: &Subject<'_>, checks: &mut Vec<Finding>) -> Option<Box<dyn Device>> {
+fn open(selector: &Selector, search: &[Search], checks: &mut Vec<Finding>) -> Result<Box<dyn Device>, Finding> {
     checks.push(of_ports(ports()));
-    let found = match find(subject.device, subject.search) {
-        Ok(found) => found,
-        Err(error) => {
-            checks.push(Finding::failed("board", with_causes(&error), "`slitpose device list` shows what there is"));
-            return None;
-        }
-    };
-    checks.push(port_permission(&found.port));
-    match SerialDevice::open(&found.port) {
-        Ok(device) => {
-            checks.push(Finding::ok("exclusive", "no other program has the port open"));
-            Some(Box::new(device))
-        }
-        Err(error) => {
-            let mut finding = with_causes(&error);
-            for holder in holders(&found.port) {
-                finding += &format!("; {holder} has it open");
-            }
-            let busy = matches!(error, DeviceError::Busy { .. });
-            let next_step =
-                if busy { "end the program that has the port open" } else { "see the error in the line above" };
-            checks.push(Finding::failed("exclusive", finding, next_step));
-            None
-        }
-    }
+    let found = find(selector, search);
+    let next_step = "`slitpose device list` shows what there is";
+    let port = found.map_err(|error| Finding::failed("board", with_causes(&error), next_step))?.name;
+    checks.push(port_permission(&port));
+    let device = SerialDevice::open(&port).map_err(|error| {
+        let holders: String = holders(&port).iter().map(|holder| format!("; {holder} has it open")).collect();
+        let busy = matches!(error, DeviceError::Busy { .. });
+        let next_step = if busy { "end the program that has the port open" } else { "see the error in the line above" };
+        Finding::failed("exclusive", with_causes(&error) + &holders, next_step)
+    })?;
+    checks.push(Finding::ok("exclusive", "no other program has the port open"));
+    Ok(Box::new(device))
 }
 
 fn of_ports(listed: Result<Vec<Port>, DeviceError>) -> Finding {
@@ -165,7 +145,7 @@ mod tests {
     use super::*;
 
     fn info() -> BoardInfo {
-        let device = SimulatedDevice::live(&default_scene().unwrap()).unwrap();
+        let device = SimulatedDevice::for_trials(&default_scene().unwrap(), TrajectoryKind::Smooth).unwrap();
         Conversation::introduced(Box::new(device)).unwrap().1
     }
 

@@ -256,11 +256,12 @@ mod tests {
     use slitpose_head::finding::Grade::{self, Ok};
     use slitpose_head::front_end;
     use slitpose_head::scene_file::WIDE;
+    use slitpose_head::simulator::TrajectoryKind;
     use slitpose_tracking::pipeline::Outcomes;
 
     fn measured() -> (Measurement, Vec<u8>) {
         let scene = WIDE.read().unwrap();
-        let device = SimulatedDevice::live(&scene).unwrap();
+        let device = SimulatedDevice::for_trials(&scene, TrajectoryKind::Smooth).unwrap();
         let mut board = Conversation::open(Box::new(device)).unwrap();
         board.introduce(Duration::from_secs(1)).unwrap();
         let mut bytes = Vec::new();

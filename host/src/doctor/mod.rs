@@ -1,6 +1,6 @@
 //! Checks everything between a board and its poses, one part after the other.
 //!
-//! `link` finds and opens the board and compares it with its scene, `measurement` lets it measure for a while. `bring_up` walks through the steps for a new board. A [`Bundle`] packs the findings for a report of
+//! `link` finds and opens the board and compares it with its scene, `measurement` lets it measure for a while. `bring_up` walks through the steps for a new board. [`pack`] packs the findings for a report of
 //! a fault. Only the schedule of the board is changed, and nothing is stored on it.
 
 use std::io;
@@ -68,7 +68,10 @@ pub(crate) fn examine(subject: &Subject<'_>) -> Examination {
 /// Checks the board as far as possible; returns the bytes that it sends per second.
 fn board(subject: &Subject<'_>, examination: &mut Examination) -> Option<f64> {
     let checks = &mut examination.checks;
-    let reached = link::reach(subject, checks);
+    let reached = link::reach(subject, checks).unwrap_or_else(|finding| {
+        checks.push(finding);
+        None
+    });
     let Some((mut board, info)) = reached else {
         checks.extend(["scene", "measurement"].map(|name| Finding::skipped(name, "no board to be asked")));
         return None;
@@ -102,13 +105,6 @@ fn default_scene() -> Option<SceneFile> {
     WIDE.read().ok()
 }
 
-/// The findings, as files, without environment variables or names of users or hosts.
-#[derive(Debug)]
-pub(crate) struct Bundle {
-    files: Vec<(&'static str, &'static str, Vec<u8>)>,
-    utc_ns: u64,
-}
-
 #[derive(Serialize)]
 struct Report<'a> {
     slitpose: &'a str,
@@ -116,46 +112,38 @@ struct Report<'a> {
     checks: &'a [Finding],
 }
 
-impl Bundle {
-    /// The files of `examination`; those without content are left out.
-    pub(crate) fn of(examination: &Examination) -> io::Result<Self> {
-        let utc_ns = HostInstant::now().utc_ns;
-        let report = Report { slitpose: env!("CARGO_PKG_VERSION"), utc_ns, checks: &examination.checks };
-        let mut files = vec![
-            ("report.txt", "the findings, as printed", examination.text().into_bytes()),
-            ("report.json", "the same for programs, with the version of slitpose", serde_json::to_vec_pretty(&report)?),
-            ("system.txt", "kind and version of this operating system and its kernel", system().into_bytes()),
-        ];
-        if let Some(board) = &examination.board {
-            let hello = serde_json::to_vec_pretty(board)?;
-            files.push(("hello.json", "what the board says of itself, with its serial number", hello));
-        }
-        if let Some(scene) = &examination.scene {
-            files.push(("scene.toml", "the scene that was used, as a whole", scene.source.clone().into_bytes()));
-        }
-        if !examination.bytes.is_empty() {
-            files.push(("stream.bin", "what the board sent while it measured", examination.bytes.clone()));
-        }
-        Ok(Self { files, utc_ns })
-    }
+type Packed = (&'static str, &'static str);
 
-    /// Name and meaning of each file, for the user who sends the bundle.
-    pub(crate) fn contents(&self) -> impl Iterator<Item = (&'static str, &'static str)> + '_ {
-        self.files.iter().map(|(name, meaning, _)| (*name, *meaning))
+/// Packs `examination` into `output`: a tar archive, compressed by gzip, without environment variables or names of users
+/// or hosts. Returns what is in it, for the user who sends it.
+pub(crate) fn pack<W: Write>(examination: &Examination, output: W) -> io::Result<(W, Vec<Packed>)> {
+    let utc_ns = HostInstant::now().utc_ns;
+    let report = Report { slitpose: env!("CARGO_PKG_VERSION"), utc_ns, checks: &examination.checks };
+    let mut files = vec![
+        ("report.txt", "the findings, as printed", examination.text().into_bytes()),
+        ("report.json", "the same for programs, with the version of slitpose", serde_json::to_vec_pretty(&report)?),
+        ("system.txt", "kind and version of this operating system and its kernel", system().into_bytes()),
+    ];
+    if let Some(board) = &examination.board {
+        let hello = serde_json::to_vec_pretty(board)?;
+        files.push(("hello.json", "what the board says of itself, with its serial number", hello));
     }
-
-    /// Writes all to `output`: a tar archive, compressed by gzip.
-    pub(crate) fn write<W: Write>(&self, output: W) -> io::Result<W> {
-        let mut archive = tar::Builder::new(GzEncoder::new(output, Compression::default()));
-        for (name, _, bytes) in &self.files {
-            let mut header = tar::Header::new_gnu();
-            header.set_size(bytes.len() as u64);
-            header.set_mode(0o644);
-            header.set_mtime(self.utc_ns / 1_000_000_000);
-            archive.append_data(&mut header, format!("slitpose-doctor/{name}"), &bytes[..])?;
-        }
-        archive.into_inner()?.finish()
+    if let Some(scene) = &examination.scene {
+        files.push(("scene.toml", "the scene that was used, as a whole", scene.source.clone().into_bytes()));
     }
+    if !examination.bytes.is_empty() {
+        files.push(("stream.bin", "what the board sent while it measured", examination.bytes.clone()));
+    }
+    let mut archive = tar::Builder::new(GzEncoder::new(output, Compression::default()));
+    for (name, _, bytes) in &files {
+        let mut header = tar::Header::new_gnu();
+        header.set_size(bytes.len() as u64);
+        header.set_mode(0o644);
+        header.set_mtime(utc_ns / 1_000_000_000);
+        archive.append_data(&mut header, format!("slitpose-doctor/{name}"), &bytes[..])?;
+    }
+    let output = archive.into_inner()?.finish()?;
+    Ok((output, files.into_iter().map(|(name, meaning, _)| (name, meaning)).collect()))
 }
 
 // The machine: its clock, permitted priorities, and the disk for recordings.

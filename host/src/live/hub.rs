@@ -58,8 +58,8 @@ impl LiveInput {
     }
 
     /// Tells whether others still send.
-    pub(super) fn downgrade(&self) -> WeakInput {
-        WeakInput(self.0.downgrade())
+    pub(super) fn downgrade(&self) -> WeakSender<Input> {
+        self.0.downgrade()
     }
 
     /// Whether nobody looks any more.
@@ -67,19 +67,9 @@ impl LiveInput {
         self.0.is_closed()
     }
 
-    /// Waits for the server.
     pub(crate) fn show(&self, input: Input) {
         // The server ends after all who send.
         let _ = self.0.blocking_send(input);
-    }
-}
-
-#[derive(Debug)]
-pub(super) struct WeakInput(WeakSender<Input>);
-
-impl WeakInput {
-    pub(super) fn is_open(&self) -> bool {
-        self.0.strong_count() > 0
     }
 }
 
@@ -172,50 +162,32 @@ impl Hub {
         board.frames.iter().skip((from - first_kept) as usize).take(count).cloned().collect()
     }
 
-    /// Passes an input on to the clients.
     pub(super) fn accept(&self, input: Input) {
         let mut state = lock(&self.state);
-        match input {
-            Input::Sample(number, sample) => {
-                if let Some(event) = state.frame(number, &sample) {
-                    let _ = self.events.send(event);
-                }
-            }
+        let event = match input {
+            Input::Sample(number, sample) => match state.frame(number, &sample) {
+                Some(event) => event,
+                None => return,
+            },
             Input::Boards(boards) => {
                 state.boards =
                     boards.into_iter().enumerate().map(|(number, board)| Board::new(number, board)).collect();
                 state.history += 1;
-                let _ = self.events.send(Event::Changed);
+                Event::Changed
             }
-            Input::Report(report) => {
-                drop(state);
-                self.report(&report);
-            }
-            Input::Failed(reason) => self.pass_on(json!({"kind": "ended", "reason": reason}).to_string().into()),
-            Input::Player(player) => {
-                let text = Utf8Bytes::from(player.message());
-                state.player = Some(text.clone());
-                self.pass_on(text);
-            }
-            Input::Calibration(calibration) => {
-                let text = Utf8Bytes::from(calibration.message());
-                state.calibration = Some(text.clone());
-                self.pass_on(text);
-            }
-        }
-    }
-
-    /// Passes a report on to the clients.
-    pub(super) fn report(&self, report: &DaemonReport) {
-        let text = Utf8Bytes::from(report_message(report, HostInstant::now()));
-        lock(&self.state).report = Some(text.clone());
-        self.pass_on(text);
-    }
-
-    fn pass_on(&self, text: Utf8Bytes) {
+            Input::Report(report) => kept(&mut state.report, report_message(&report, HostInstant::now())),
+            Input::Player(player) => kept(&mut state.player, player.message()),
+            Input::Calibration(calibration) => kept(&mut state.calibration, calibration.message()),
+            Input::Failed(reason) => Event::State(json!({"kind": "ended", "reason": reason}).to_string().into()),
+        };
         // Without clients there is nobody to tell.
-        let _ = self.events.send(Event::State(text));
+        let _ = self.events.send(event);
     }
+}
+
+/// The event of a new state, which clients that come later get, too.
+fn kept(state: &mut Option<Utf8Bytes>, message: String) -> Event {
+    Event::State(state.insert(message.into()).clone())
 }
 
 impl State {

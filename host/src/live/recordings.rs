@@ -14,10 +14,10 @@ use slitpose_head::threads::lock;
 use slitpose_tracking::capture::contents;
 use slitpose_tracking::measurements::Measurements;
 use slitpose_tracking::page::{CalibrationState, Refusal};
-use tokio::sync::mpsc::Receiver;
+use tokio::sync::mpsc::{Receiver, WeakSender};
 
 use super::control::Control;
-use super::hub::{Input, LiveInput, WeakInput};
+use super::hub::{Input, LiveInput};
 use super::server::Shared;
 
 const ENDING: &str = ".mcap";
@@ -47,8 +47,16 @@ pub(crate) struct Recordings {
     calibration: Mutex<Option<JoinHandle<()>>>,
     /// Paths that may be fetched, once each, by the secret beside them.
     tickets: Mutex<VecDeque<(String, PathBuf)>>,
-    /// Captures being played, with what their pages share; the input is gone when the player has ended.
-    played: Mutex<Vec<(PathBuf, Weak<Shared>, WeakInput)>>,
+    played: Mutex<Vec<Played>>,
+}
+
+/// A capture being played.
+struct Played {
+    path: PathBuf,
+    /// What its pages share.
+    shared: Weak<Shared>,
+    /// Gone when the player has ended.
+    input: WeakSender<Input>,
 }
 
 /// A capture as it is listed.
@@ -162,10 +170,8 @@ impl Recordings {
         fs::rename(&from, &to).map_err(|error| unusable(&from, &error))?;
         // Another file may get the old name.
         lock(&self.tickets).retain(|(_, path)| *path != from);
-        lock(&self.played).iter_mut().for_each(|(path, shared, _)| {
-            if *path == from {
-                *shared = Weak::new();
-            }
+        lock(&self.played).iter_mut().filter(|played| played.path == from).for_each(|played| {
+            played.shared = Weak::new();
         });
         Ok(())
     }
@@ -200,8 +206,8 @@ impl Recordings {
     ) -> Result<Arc<Shared>, Refusal> {
         let path = self.path(name)?;
         let mut played = lock(&self.played);
-        played.retain(|(_, _, input)| input.is_open());
-        if let Some(shared) = played.iter().filter(|(of, ..)| *of == path).find_map(|(_, shared, _)| shared.upgrade()) {
+        played.retain(|played| played.input.strong_count() > 0);
+        if let Some(shared) = played.iter().filter(|of| of.path == path).find_map(|of| of.shared.upgrade()) {
             return Ok(shared);
         }
         if played.len() >= MAX_PLAYED {
@@ -211,7 +217,7 @@ impl Recordings {
         let weak = input.downgrade();
         let control = (self.play)(path.clone(), input).map_err(|error| unusable(&path, &error))?;
         let shared = begin(control, inputs);
-        played.push((path, Arc::downgrade(&shared), weak));
+        played.push(Played { path, shared: Arc::downgrade(&shared), input: weak });
         Ok(shared)
     }
 }
@@ -246,7 +252,6 @@ fn check(name: &str) -> Result<&str, Refusal> {
     is_name(name).then_some(name).ok_or_else(|| refused(format!("`{name}` is no name of a capture; {hint}")))
 }
 
-/// Whether a recorder has locked the file.
 fn is_recorded(path: &Path) -> bool {
     File::open(path).is_ok_and(|file| matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock)))
 }

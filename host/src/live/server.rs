@@ -15,6 +15,8 @@ use axum::http::header::{
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use axum::{Extension, Router};
+use include_dir::{Dir, File, include_dir};
+use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, percent_encode};
 use slitpose_head::threads::lock;
 use tokio::io::AsyncReadExt;
 use tokio::time::{MissedTickBehavior, interval};
@@ -24,7 +26,7 @@ use super::control::{Access, Control};
 use super::hub::{Hub, Input, LiveBoard, LiveInput};
 use super::recordings::Recordings;
 use super::session;
-use crate::address::{Address, ServeError};
+use crate::address::Address;
 use crate::http::{Connection, Serving, reply};
 use slitpose_tracking::page::{Refusal, SceneView};
 use slitpose_tracking::telemetry::DaemonReport;
@@ -136,7 +138,7 @@ pub(crate) struct LiveServer {
 }
 
 impl LiveServer {
-    pub(crate) fn start(mut plan: LivePlan) -> Result<Self, ServeError> {
+    pub(crate) fn start(mut plan: LivePlan) -> anyhow::Result<Self> {
         let (address, scope) = (Address::Tcp(plan.access.address), plan.access.scope());
         let (boards, report) = (std::mem::take(&mut plan.boards), plan.report.take());
         let shared = Arc::new(Shared::new(plan));
@@ -155,31 +157,39 @@ impl LiveServer {
                     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
                     loop {
                         ticks.tick().await;
-                        of_reports.hub.report(&report());
+                        of_reports.hub.accept(Input::Report(Box::new(report())));
                     }
                 });
             }
         };
         let refusal = "pages of other sites get no answer; open this page by 127.0.0.1, [::1] or localhost\n";
         // When it is dropped, clients see their connections end.
-        let (serving, bound) = Serving::http("live", &address, scope, refusal, routes, begin)?;
-        Ok(Self { url: shared.plan.access.url(&bound), input, _serving: serving })
+        let serving = Serving::http("live", &address, scope, refusal, routes, begin)?;
+        Ok(Self { url: shared.plan.access.url(&serving.address), input, _serving: serving })
     }
 }
 
 fn routes(shared: &Arc<Shared>) -> Router {
     let router = Router::new().route("/live", get(upgrade)).route("/recordings/{secret}", get(fetch));
-    let mut router = router.with_state(Arc::clone(shared));
-    for (number, file) in FILES.iter().enumerate() {
-        let path = if number == 0 { "/".to_owned() } else { format!("/{}", file.0) };
-        router = router.route(&path, get(move || async move { page_file(file) }));
-    }
-    router.fallback(|| async { reply(StatusCode::NOT_FOUND, "there is / and /live\n") })
+    let router = router.with_state(Arc::clone(shared)).route("/", get(async || page_file(INDEX)));
+    let of_page = async |Path(name): Path<String>| if name == INDEX { nothing() } else { page_file(&name) };
+    router.route("/{file}", get(of_page)).fallback(async || nothing())
 }
 
-fn page_file((_, media, text): &PageFile) -> Response {
+fn nothing() -> Response {
+    reply(StatusCode::NOT_FOUND, "there is / and /live\n")
+}
+
+fn page_file(name: &str) -> Response {
+    let Some(text) = PAGE.get_file(name).and_then(File::contents_utf8) else { return nothing() };
+    let media = match name.rsplit('.').next() {
+        Some("html") => "text/html; charset=utf-8",
+        Some("css") => "text/css; charset=utf-8",
+        Some("svg") => "image/svg+xml",
+        _ => "text/javascript; charset=utf-8",
+    };
     let headers = [
-        (CONTENT_TYPE, *media),
+        (CONTENT_TYPE, media),
         (CONTENT_SECURITY_POLICY, POLICY),
         (X_CONTENT_TYPE_OPTIONS, "nosniff"),
         (REFERRER_POLICY, "no-referrer"),
@@ -214,7 +224,7 @@ async fn fetch(
     let Ok(bytes) = file.metadata().await.map(|metadata| metadata.len()) else { return gone() };
     // A long file takes longer than other answers.
     connection.release();
-    let name = percent_encode(name.as_encoded_bytes());
+    let name = percent_encode(name.as_encoded_bytes(), PLAIN);
     let headers = [
         (CONTENT_TYPE, "application/octet-stream".to_owned()),
         // What is appended meanwhile is not sent.
@@ -226,64 +236,16 @@ async fn fetch(
     (headers, Body::from_stream(ReaderStream::with_capacity(file.take(bytes), 1 << 16))).into_response()
 }
 
-/// The value of an extended parameter, RFC 8187.
-fn percent_encode(bytes: &[u8]) -> String {
-    let encode = |byte: &u8| match byte {
-        byte if byte.is_ascii_alphanumeric() || b"-._".contains(byte) => char::from(*byte).to_string(),
-        byte => format!("%{byte:02X}"),
-    };
-    bytes.iter().map(encode).collect()
-}
+/// What stands for itself in the value of an extended parameter, RFC 8187.
+const PLAIN: &AsciiSet = &NON_ALPHANUMERIC.remove(b'-').remove(b'.').remove(b'_');
 
-/// A file: its path after `/`, its media type, its text.
-pub(super) type PageFile = (&'static str, &'static str, &'static str);
+static PAGE: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/src/live/page");
 
-const HTML: &str = "text/html; charset=utf-8";
-const CSS: &str = "text/css; charset=utf-8";
-const SVG: &str = "image/svg+xml";
-const JAVASCRIPT: &str = "text/javascript; charset=utf-8";
+/// The page itself.
+const INDEX: &str = "index.html";
 
 /// In the page's text: the version of the program.
-pub(super) const VERSION_MARK: &str = "SLITPOSE_VERSION";
-
-macro_rules! files {
-    ($($media:ident $name:literal)*) => {
-        [$(($name, $media, include_str!(concat!("page/", $name)))),*]
-    };
-}
-
-/// All of them; the first is the page itself.
-pub(super) const FILES: &[PageFile] = &files! {
-    HTML "index.html"
-    JAVASCRIPT "analysis.js"
-    JAVASCRIPT "banner.js"
-    JAVASCRIPT "camera.js"
-    JAVASCRIPT "daemon.js"
-    JAVASCRIPT "dom.js"
-    JAVASCRIPT "findings.js"
-    JAVASCRIPT "format.js"
-    JAVASCRIPT "gestures.js"
-    JAVASCRIPT "guide.js"
-    JAVASCRIPT "head.js"
-    JAVASCRIPT "history.js"
-    SVG "icon.svg"
-    JAVASCRIPT "lane.js"
-    JAVASCRIPT "link.js"
-    JAVASCRIPT "main.js"
-    JAVASCRIPT "numbers.js"
-    JAVASCRIPT "palette.js"
-    JAVASCRIPT "placement.js"
-    JAVASCRIPT "player.js"
-    JAVASCRIPT "plots.js"
-    JAVASCRIPT "recordings.js"
-    JAVASCRIPT "strips.js"
-    CSS "style.css"
-    JAVASCRIPT "timeline.js"
-    JAVASCRIPT "trace.js"
-    JAVASCRIPT "transport.js"
-    JAVASCRIPT "vectors.js"
-    JAVASCRIPT "view3d.js"
-};
+const VERSION_MARK: &str = "SLITPOSE_VERSION";
 
 #[cfg(test)]
 mod tests {
@@ -294,24 +256,18 @@ mod tests {
 
     #[test]
     fn the_page_is_small_whole_and_fetches_nothing_from_elsewhere() {
-        let bytes: usize = FILES.iter().map(|(_, _, text)| text.len()).sum();
-        println!("{bytes} bytes in {} files", FILES.len());
+        let files = || PAGE.files().map(|file| (file.path().to_str().unwrap(), file.contents_utf8().unwrap()));
+        let bytes: usize = files().map(|(_, text)| text.len()).sum();
+        println!("{bytes} bytes in {} files", files().count());
         assert!(bytes <= MAX_BYTES, "{bytes}");
-        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/src/live/page");
-        let mut there: Vec<_> =
-            std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
-        there.sort();
-        let mut served: Vec<_> = FILES.iter().map(|(name, _, _)| (*name).to_owned()).collect();
-        served.sort();
-        assert_eq!(served, there, "files of the page that are not served, or the other way round");
-        for (name, media, text) in FILES {
+        for (name, text) in files() {
             for import in text.lines().filter_map(|line| line.split(" from \"./").nth(1)) {
                 let module = import.split('"').next().unwrap();
-                assert!(served.iter().any(|file| file == module), "{name} imports {module}");
+                assert!(PAGE.contains(module), "{name} imports {module}");
             }
             let elsewhere = text.replace("http://www.w3.org/2000/svg", "");
             assert!(!elsewhere.contains("https://") && !elsewhere.contains("http://"), "{name}");
-            if *media == HTML {
+            if name == INDEX {
                 assert!(text.contains(VERSION_MARK) && !text.contains("<style") && !text.contains(" style="), "{name}");
             }
         }

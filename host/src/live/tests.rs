@@ -312,7 +312,13 @@ fn pages_of_others_and_wrong_tokens_see_nothing() {
     }
 
     let (guarded, orders) = start("0.0.0.0:0", Some(TOKEN));
-    for token in [json!(null), json!("wrong"), json!("correct-horse-batterz")] {
+    for token in [
+        None,
+        Some("wrong"),
+        Some("correct-horse-batterz"),
+        Some("correct-horse-batter"),
+        Some("correct-horse-batterys"),
+    ] {
         let mut client = Client::connect(&guarded).unwrap();
         client.say(&json!({"kind": "hello", "token": token}));
         let refused = client.hear().unwrap();

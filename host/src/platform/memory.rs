@@ -6,13 +6,14 @@ use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::Path;
 use std::sync::atomic::AtomicU64;
 
+use anyhow::{Result, bail};
 use nix::errno::Errno;
 use nix::fcntl::{FcntlArg, fcntl};
 use nix::libc;
 use nix::unistd::geteuid;
 use vm_memory::{FileOffset, MmapRegion, VolatileMemory};
 
-use crate::address::{Address, ServeError};
+use crate::address::{Address, cannot_listen, in_use};
 
 /// Its owner writes, its group may read. So no other user can shorten the file, which would end a program that has mapped it.
 const MEMORY_MODE: u32 = 0o640;
@@ -31,8 +32,9 @@ pub(crate) struct SharedMemory(MmapRegion);
 impl SharedMemory {
     /// Maps the file of `bytes` bytes at `path`. One that an ended program has left is taken over with all that it holds, or
     /// replaced if its version or length is another; a new one is zero behind its `head`.
-    pub(crate) fn open(path: &Path, head: Head, bytes: usize) -> Result<Self, ServeError> {
-        let failed = |source| ServeError::of(&Address::Memory(path.to_owned()), source);
+    pub(crate) fn open(path: &Path, head: Head, bytes: usize) -> Result<Self> {
+        let address = Address::Memory(path.to_owned());
+        let failed = |source| cannot_listen(&address, source);
         let (mut file, found, mut length) = claim(path, head)?;
         if length > 0 && (length != bytes as u64 || found != head) {
             fs::remove_file(path).map_err(failed)?;
@@ -59,9 +61,9 @@ impl SharedMemory {
 }
 
 /// Opens and locks the file at `path`; also returns its beginning and its length.
-fn claim(path: &Path, head: Head) -> Result<(File, Head, u64), ServeError> {
-    let address = || Address::Memory(path.to_owned());
-    let failed = |source| ServeError::of(&address(), source);
+fn claim(path: &Path, head: Head) -> Result<(File, Head, u64)> {
+    let address = Address::Memory(path.to_owned());
+    let failed = |source| cannot_listen(&address, source);
     let mut options = OpenOptions::new();
     options.read(true).write(true).create(true).truncate(false).mode(MEMORY_MODE).custom_flags(libc::O_NOFOLLOW);
     let file = options.open(path).map_err(failed)?;
@@ -69,12 +71,12 @@ fn claim(path: &Path, head: Head) -> Result<(File, Head, u64), ServeError> {
     let mut found = Head::default();
     let is_poses = metadata.len() == 0 || file.read_exact_at(&mut found, 0).is_ok() && found[..4] == head[..4];
     if !metadata.is_file() || metadata.uid() != geteuid().as_raw() || !is_poses {
-        return Err(ServeError::NotMemory { path: path.to_owned() });
+        bail!("{} is no memory of poses of this user and is left alone; give another name or path", path.display());
     }
     let whole = libc::flock { l_type: libc::F_WRLCK as i16, l_whence: 0, l_start: 0, l_len: 0, l_pid: 0 };
     match fcntl(&file, FcntlArg::F_OFD_SETLK(&whole)) {
         Ok(_) => {}
-        Err(Errno::EAGAIN | Errno::EACCES) => return Err(ServeError::InUse { address: address() }),
+        Err(Errno::EAGAIN | Errno::EACCES) => return Err(in_use(&address)),
         Err(error) => return Err(failed(error.into())),
     }
     // Whatever the umask.

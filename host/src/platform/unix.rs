@@ -15,8 +15,6 @@ use thread_priority::{
     set_thread_priority_and_policy, thread_native_id,
 };
 
-use super::Notice;
-
 #[path = "unix_sockets.rs"]
 mod sockets;
 
@@ -120,9 +118,8 @@ pub(crate) fn priority() -> Finding {
     if rustix::process::geteuid().is_root() {
         return Finding::ok("priority", "root may use real-time priorities");
     }
-    let limits = fs::read_to_string("/proc/self/limits").unwrap_or_default();
-    let Some(limit) = real_time_limit(&limits) else {
-        return Finding::skipped("priority", "/proc/self/limits does not say what is allowed");
+    let Some(limit) = real_time_limit() else {
+        return Finding::skipped("priority", "this system does not say what is allowed");
     };
     let text = format!("real-time priorities up to {limit} are allowed");
     if limit >= PRIORITY {
@@ -132,24 +129,19 @@ pub(crate) fn priority() -> Finding {
     Finding::warning("priority", text, "allow them as host/INSTALL.md describes, or run the service")
 }
 
-/// The soft limit in `/proc/self/limits`; the maximum if unlimited.
-fn real_time_limit(limits: &str) -> Option<u64> {
-    let line = limits.lines().find_map(|line| line.strip_prefix("Max realtime priority"))?;
-    match line.split_whitespace().next()? {
-        "unlimited" => Some(99),
-        number => number.parse().ok(),
-    }
+/// The highest priority that this process may claim; `None` where systems have no such limit.
+fn real_time_limit() -> Option<u64> {
+    #[cfg(target_os = "linux")]
+    return Some(rustix::process::getrlimit(rustix::process::Resource::Rtprio).current.unwrap_or(99));
+    #[cfg(not(target_os = "linux"))]
+    None
 }
 
 // The service manager, and the machine.
 
-/// Notifies systemd; without it nothing is sent.
-pub(crate) fn notify(notice: Notice) -> io::Result<()> {
-    sd_notify::notify(&[match notice {
-        Notice::Ready => NotifyState::Ready,
-        Notice::Alive => NotifyState::Watchdog,
-        Notice::Stopping => NotifyState::Stopping,
-    }])
+/// Notifies systemd in the words of its protocol, such as `READY=1`; without it nothing is sent.
+pub(crate) fn notify(notice: &str) -> io::Result<()> {
+    sd_notify::notify(&[NotifyState::Custom(notice)])
 }
 
 /// How often the service manager wants to be notified that this program is alive, if it does.
@@ -167,13 +159,10 @@ pub(crate) fn prepare() -> io::Result<()> {
 /// Kind and version of this operating system and its kernel.
 pub(crate) fn system() -> String {
     let release = fs::read_to_string("/etc/os-release").unwrap_or_else(|_| "no /etc/os-release\n".to_owned());
-    // Without -n: the name of the host is private.
-    let kernel = Command::new("uname").args(["-s", "-r", "-v", "-m"]).stdin(Stdio::null()).output();
-    let kernel = kernel.map_or_else(
-        |error| format!("no uname: {error}\n"),
-        |kernel| String::from_utf8_lossy(&kernel.stdout).into_owned(),
-    );
-    format!("{kernel}{release}")
+    // Without the name of the host, which is private.
+    let kernel = rustix::system::uname();
+    let kernel = [kernel.sysname(), kernel.release(), kernel.version(), kernel.machine()];
+    format!("{}\n{release}", kernel.map(|part| part.to_string_lossy()).join(" "))
 }
 
 /// How to set the clock.
@@ -194,17 +183,6 @@ pub(crate) fn synchronised() -> Option<String> {
 mod tests {
     use super::*;
     use slitpose_head::finding::Grade;
-
-    #[test]
-    fn the_limit_is_read() {
-        let limits = "Limit                     Soft Limit           Hard Limit           Units     \n\
-                      Max nice priority         0                    0                    \n\
-                      Max realtime priority     12                   95                   \n\
-                      Max realtime timeout      unlimited            unlimited            us        \n";
-        assert_eq!(real_time_limit(limits), Some(12));
-        assert_eq!(real_time_limit(&limits.replace("12 ", "unlimited ")), Some(99));
-        assert_eq!(real_time_limit("Max nice priority 0 0"), None);
-    }
 
     #[test]
     fn a_port_that_is_not_there_may_not_be_opened() {

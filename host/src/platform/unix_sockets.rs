@@ -7,17 +7,17 @@ use std::os::fd::{AsFd, AsRawFd, OwnedFd};
 use std::os::unix::fs::{FileTypeExt, MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
+use anyhow::{Result, bail};
 use nix::errno::Errno;
 use nix::libc::{dev_t, ino_t};
 use nix::sys::socket::{ControlMessage, MsgFlags, SockType, UnixAddr, getsockopt, send, sendmsg, sockopt};
 use rustix::net::{RecvAncillaryBuffer, RecvAncillaryMessage, RecvFlags, recvmsg};
 
-use crate::address::{Address, ServeError};
+use crate::address::{Address, cannot_listen, in_use};
 use crate::datagram::Request;
 
-pub(crate) use std::os::unix::net::{
-    UnixDatagram as LocalDatagram, UnixListener as LocalListener, UnixStream as LocalStream,
-};
+use std::os::unix::net::UnixDatagram as LocalDatagram;
+pub(crate) use std::os::unix::net::UnixStream as LocalStream;
 pub(crate) use tokio::net::{UnixDatagram as AsyncLocalDatagram, UnixListener as AsyncLocalListener};
 
 /// A bound socket; its file is removed when this is dropped, unless it has been replaced.
@@ -34,19 +34,19 @@ impl SocketFile {
         path: &Path,
         connect: impl FnOnce(&Path) -> io::Result<()>,
         bind: impl FnOnce(&Path) -> io::Result<T>,
-    ) -> Result<(T, Self), ServeError> {
-        let address = || Address::Unix(path.to_owned());
-        let failed = |source| ServeError::of(&address(), source);
+    ) -> Result<(T, Self)> {
+        let address = Address::Unix(path.to_owned());
+        let failed = |source| cannot_listen(&address, source);
         match fs::symlink_metadata(path) {
             Err(error) if error.kind() == ErrorKind::NotFound => {}
             Err(source) => return Err(failed(source)),
             Ok(found) if !found.file_type().is_socket() => {
-                return Err(ServeError::NotASocket { path: path.to_owned() });
+                bail!("{} is no socket and is left alone; give another path", path.display());
             }
             Ok(_) => match connect(path) {
                 Err(error) if error.kind() == ErrorKind::ConnectionRefused => fs::remove_file(path).map_err(failed)?,
                 // A socket of another kind is in use, too.
-                _ => return Err(ServeError::InUse { address: address() }),
+                _ => return Err(in_use(&address)),
             },
         }
         let socket = bind(path).map_err(failed)?;
@@ -67,8 +67,9 @@ impl Drop for SocketFile {
 /// Mode of Unix sockets: owner and group may connect, other users may not.
 const SOCKET_MODE: u32 = 0o660;
 
-pub(crate) fn listen_local(path: &Path) -> Result<(LocalListener, SocketFile), ServeError> {
-    SocketFile::bind(path, |path| LocalStream::connect(path).map(drop), |path| LocalListener::bind(path))
+/// In a runtime.
+pub(crate) fn listen_local(path: &Path) -> Result<(AsyncLocalListener, SocketFile)> {
+    SocketFile::bind(path, |path| LocalStream::connect(path).map(drop), |path| AsyncLocalListener::bind(path))
 }
 
 /// A stream to who listens at `path`.
@@ -76,10 +77,10 @@ pub(crate) fn connect_local(path: &Path) -> io::Result<LocalStream> {
     LocalStream::connect(path)
 }
 
-/// Binds a socket for datagrams at `path`.
-pub(crate) fn bind_local(path: &Path) -> Result<(LocalDatagram, SocketFile), ServeError> {
+/// In a runtime.
+pub(crate) fn bind_local(path: &Path) -> Result<(AsyncLocalDatagram, SocketFile)> {
     let connect = |path: &Path| LocalDatagram::unbound()?.connect(path);
-    SocketFile::bind(path, connect, |path| LocalDatagram::bind(path))
+    SocketFile::bind(path, connect, |path| AsyncLocalDatagram::bind(path))
 }
 
 fn identity(path: &Path) -> io::Result<[u64; 2]> {
@@ -134,7 +135,7 @@ pub(crate) fn is_out_of_memory(error: &io::Error) -> bool {
 }
 
 /// The next datagram of a Unix socket, with the socket that its sender has passed.
-pub(crate) fn receive_local(socket: &LocalDatagram, buffer: &mut [u8]) -> io::Result<(usize, Option<PassedSocket>)> {
+pub(crate) fn receive_local(socket: &impl AsFd, buffer: &mut [u8]) -> io::Result<(usize, Option<PassedSocket>)> {
     let mut space = [MaybeUninit::uninit(); rustix::cmsg_space!(ScmRights(1))];
     let mut control = RecvAncillaryBuffer::new(&mut space);
     let flags = RecvFlags::DONTWAIT;

@@ -1,23 +1,21 @@
 //! Windows, which has no Unix sockets here: binding one names what serves instead, and types stand in for theirs.
 
 use std::io;
-use std::net::{TcpListener, TcpStream, UdpSocket};
+use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
+use anyhow::{Result, bail};
 use console::Term;
 use slitpose_head::finding::Finding;
 use thread_priority::{ThreadPriority, WinAPIThreadPriority};
 
-use super::Notice;
-use crate::address::{Address, ServeError};
+use crate::address::Address;
 
 // Sockets in the file system.
 
 pub(crate) type LocalStream = TcpStream;
-pub(crate) type LocalListener = TcpListener;
-pub(crate) type LocalDatagram = UdpSocket;
 pub(crate) type AsyncLocalListener = tokio::net::TcpListener;
 pub(crate) type AsyncLocalDatagram = tokio::net::UdpSocket;
 
@@ -37,11 +35,12 @@ impl PassedSocket {
 }
 
 /// The error of a Unix socket at `path`.
-fn refused<T>(path: &Path, instead: &'static str) -> Result<T, ServeError> {
-    Err(ServeError::NoUnixSockets { address: Address::Unix(path.to_owned()), instead })
+fn refused<T>(path: &Path, instead: &str) -> Result<T> {
+    let address = Address::Unix(path.to_owned());
+    bail!("{address} is a Unix socket, and this program has none on this system; give {instead}")
 }
 
-pub(crate) fn listen_local(path: &Path) -> Result<(LocalListener, SocketFile), ServeError> {
+pub(crate) fn listen_local(path: &Path) -> Result<(AsyncLocalListener, SocketFile)> {
     refused(path, "127.0.0.1:PORT for the status")
 }
 
@@ -49,11 +48,11 @@ pub(crate) fn connect_local(_: &Path) -> io::Result<LocalStream> {
     Err(io::Error::new(io::ErrorKind::Unsupported, "Windows programs have no Unix sockets; give 127.0.0.1:PORT"))
 }
 
-pub(crate) fn bind_local(path: &Path) -> Result<(LocalDatagram, SocketFile), ServeError> {
+pub(crate) fn bind_local(path: &Path) -> Result<(AsyncLocalDatagram, SocketFile)> {
     refused(path, "udp:127.0.0.1:PORT")
 }
 
-pub(crate) fn receive_local(_: &LocalDatagram, _: &mut [u8]) -> io::Result<(usize, Option<PassedSocket>)> {
+pub(crate) fn receive_local(_: &AsyncLocalDatagram, _: &mut [u8]) -> io::Result<(usize, Option<PassedSocket>)> {
     Err(io::ErrorKind::Unsupported.into())
 }
 
@@ -133,7 +132,7 @@ pub(crate) fn priority() -> Finding {
 // The service manager, and the machine.
 
 /// There is no service manager to be notified.
-pub(crate) fn notify(_: Notice) -> io::Result<()> {
+pub(crate) fn notify(_: &str) -> io::Result<()> {
     Ok(())
 }
 

@@ -13,11 +13,11 @@ use crate::telemetry::view;
 use crate::terminal;
 use crate::terminal::{Line, Tone, WIDTH, layout};
 use slitpose_head::foreign::printable;
+use slitpose_tracking::columns::CsvRows;
 use slitpose_tracking::link::DeviceId;
 use slitpose_tracking::pipeline::{EdgeRecord, Item, Record};
-use slitpose_tracking::telemetry::{BoardReport, RecorderReport};
+use slitpose_tracking::telemetry::DaemonReport;
 
-mod csv;
 mod ndjson;
 
 pub(crate) use ndjson::{EdgeLine, FaultLine, FrameLine};
@@ -35,13 +35,8 @@ pub(crate) enum Format {
     None,
 }
 
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Account {
-    pub boards: Vec<BoardReport>,
-    pub recorder: RecorderReport,
-}
-
-pub(crate) type Accounts<'a> = dyn Fn() -> Account + 'a;
+/// Makes a report of the present state.
+pub(crate) type Reports<'a> = dyn Fn() -> DaemonReport + 'a;
 
 pub(crate) trait Sink {
     /// Writes the solution of the next scan.
@@ -57,11 +52,11 @@ pub(crate) trait Sink {
     }
 
     /// Flushes or redraws; called regularly, even without poses.
-    fn tick(&mut self, _: &Accounts<'_>) -> io::Result<()> {
+    fn tick(&mut self, _: &Reports<'_>) -> io::Result<()> {
         Ok(())
     }
 
-    fn finish(&mut self, accounts: &Accounts<'_>) -> io::Result<()>;
+    fn finish(&mut self, reports: &Reports<'_>) -> io::Result<()>;
 }
 
 /// The sink of a format, `None` for [`Format::None`]. `live`: `output` is a terminal that can be redrawn in place.
@@ -73,7 +68,7 @@ pub(crate) fn open<'a>(
     match format {
         Format::Summary => Some(Box::new(Summary::new(output, live))),
         Format::Ndjson => Some(Box::new(ndjson::Ndjson::new(output))),
-        Format::Csv => Some(Box::new(csv::Csv::new(output))),
+        Format::Csv => Some(Box::new(Csv::new(output))),
         Format::None => None,
     }
 }
@@ -109,6 +104,47 @@ impl Note {
 fn json(out: &mut Vec<u8>, value: &impl Serialize) {
     // Writing numbers and words to memory cannot fail.
     let _ = serde_json::to_writer(out, value);
+}
+
+// CSV: one row per scan, with the columns of `solve` and those of a stream.
+
+struct Csv<W: Write> {
+    output: W,
+    rows: CsvRows,
+    line: Vec<u8>,
+    has_begun: bool,
+}
+
+impl<W: Write> Csv<W> {
+    fn new(output: W) -> Self {
+        Self { output, rows: CsvRows::default(), line: Vec::new(), has_begun: false }
+    }
+
+    /// Puts the header into the line if it has not been written.
+    fn begin(&mut self) {
+        self.line.clear();
+        if !std::mem::replace(&mut self.has_begun, true) {
+            self.rows.header(&mut self.line);
+        }
+    }
+}
+
+impl<W: Write> Sink for Csv<W> {
+    fn pose(&mut self, record: &Record) -> io::Result<()> {
+        self.begin();
+        self.rows.row(record, &mut self.line);
+        self.output.write_all(&self.line)
+    }
+
+    fn tick(&mut self, _: &Reports<'_>) -> io::Result<()> {
+        self.output.flush()
+    }
+
+    fn finish(&mut self, _: &Reports<'_>) -> io::Result<()> {
+        self.begin();
+        self.output.write_all(&self.line)?;
+        self.output.flush()
+    }
 }
 
 // A summary for people: drawn in place on a terminal, and printed once at the end.
@@ -193,21 +229,20 @@ impl<W: Write> Summary<W> {
         Self { output, live, shown: None, recorded: [None; 2], boards: Vec::new() }
     }
 
-    fn lines(&mut self, account: &Account) -> Vec<Line> {
+    fn lines(&mut self, report: &DaemonReport) -> Vec<Line> {
         let mut lines = Vec::new();
-        for board in &account.boards {
+        for board in &report.boards {
             if !lines.is_empty() {
                 lines.push(Line::blank());
             }
             let seen = self.boards.iter().find(|seen| Some(seen.device) == board.device);
             lines.extend(view::lines(board, seen.map(Seen::lines).unwrap_or_default()));
         }
-        let bytes_per_s = self.bytes_per_s(account.recorder.bytes);
-        lines.extend(view::recorder(&account.recorder, bytes_per_s));
+        let bytes_per_s = self.bytes_per_s(report.recorder.bytes);
+        lines.extend(view::recorder(&report.recorder, bytes_per_s));
         lines
     }
 
-    /// The rate of growth of the capture.
     fn bytes_per_s(&mut self, bytes: u64) -> Option<f64> {
         let now = Instant::now();
         let [before, newest] = &mut self.recorded;
@@ -246,17 +281,17 @@ impl<W: Write> Sink for Summary<W> {
         terminal::print(&mut self.output, format_args!("{severity:?} at {device_time_s:.3} s: {}", printable(text)))
     }
 
-    fn tick(&mut self, accounts: &Accounts<'_>) -> io::Result<()> {
+    fn tick(&mut self, reports: &Reports<'_>) -> io::Result<()> {
         if self.live && self.shown.is_none_or(|shown| shown.elapsed() >= RENEWAL) {
-            let lines = self.lines(&accounts());
+            let lines = self.lines(&reports());
             terminal::show(lines)?;
             self.shown = Some(Instant::now());
         }
         Ok(())
     }
 
-    fn finish(&mut self, accounts: &Accounts<'_>) -> io::Result<()> {
-        let lines = self.lines(&accounts());
+    fn finish(&mut self, reports: &Reports<'_>) -> io::Result<()> {
+        let lines = self.lines(&reports());
         if self.live {
             terminal::clear();
         }
@@ -272,9 +307,10 @@ impl<W: Write> Sink for Summary<W> {
 mod tests {
     use crate::samples;
 
-    use super::{Account, Format, open};
-    use slitpose_tracking::clock::HostTime;
+    use super::{Format, open};
+    use slitpose_tracking::clock::{HostInstant, HostTime};
     use slitpose_tracking::pipeline::Record;
+    use slitpose_tracking::telemetry::{DaemonReport, RecorderReport};
 
     #[test]
     fn host_times_are_written_only_where_they_are_known() {
@@ -287,7 +323,8 @@ mod tests {
             for record in &records {
                 sink.pose(record).unwrap();
             }
-            sink.finish(&Account::default).unwrap();
+            let now = HostInstant::now();
+            sink.finish(&|| DaemonReport::of(now, now, Vec::new(), RecorderReport::default())).unwrap();
             drop(sink);
             String::from_utf8(output).unwrap()
         };

@@ -6,7 +6,7 @@ use std::io::Write;
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::{Accounts, Note, Sink, json};
+use super::{Note, Reports, Sink, json};
 use slitpose_calibration::values_of;
 use slitpose_head::faults::ANNOUNCED;
 use slitpose_tracking::columns::{COLUMNS, Column, Get, Row, entries};
@@ -176,11 +176,11 @@ impl<W: Write> Sink for Ndjson<W> {
         self.output.write_all(&self.line)
     }
 
-    fn tick(&mut self, _: &Accounts<'_>) -> io::Result<()> {
+    fn tick(&mut self, _: &Reports<'_>) -> io::Result<()> {
         self.output.flush()
     }
 
-    fn finish(&mut self, _: &Accounts<'_>) -> io::Result<()> {
+    fn finish(&mut self, _: &Reports<'_>) -> io::Result<()> {
         self.output.flush()
     }
 }

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use crate::device::in_words;
 use crate::terminal::{Line, Tone, WIDTH, layout};
 use slitpose_head::finding::{Finding, Grade};
 use slitpose_head::foreign::printable;
@@ -219,15 +220,6 @@ fn duration(seconds: f64) -> String {
     let whole =
         Duration::try_from_secs_f64(if seconds < 10.0 { (seconds * 10.0).round() / 10.0 } else { seconds.round() });
     whole.map_or_else(|_| "-".to_owned(), |duration| humantime::format_duration(duration).to_string())
-}
-
-/// `PowerOn` as `power on`.
-fn in_words(name: &str) -> String {
-    let letters = name.char_indices().flat_map(|(i, letter)| {
-        let space = (i > 0 && letter.is_uppercase()).then_some(' ');
-        space.into_iter().chain(letter.to_lowercase())
-    });
-    letters.collect()
 }
 
 fn put<'a>(lines: &'a mut Vec<Line>, name: &'static str, text: &str) -> &'a mut Line {

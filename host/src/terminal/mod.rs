@@ -13,7 +13,7 @@ use std::io::{self, IsTerminal, Write};
 use std::sync::{Mutex, PoisonError};
 
 use console::Term;
-use progress::{Block, Size};
+use progress::{Block, size};
 use slitpose_head::finding::Grade;
 use slitpose_head::foreign::printable;
 use textwrap::{Options, WordSeparator, WordSplitter, WrapAlgorithm};
@@ -58,9 +58,8 @@ pub(crate) fn show(lines: Vec<Line>) -> io::Result<()> {
     screen.draw()
 }
 
-/// Columns of the terminal of standard output.
 pub(crate) fn columns() -> usize {
-    Size::of(&Term::stdout()).columns
+    size(&Term::stdout())[1]
 }
 
 pub(crate) fn clear() {
@@ -114,16 +113,16 @@ impl Screen {
 
     fn draw(&mut self) -> io::Result<()> {
         let Some(target) = &self.target else { return Ok(()) };
-        let size = Size::of(target);
+        let size = size(target);
         let lines: Vec<&Line> = self.view.iter().chain(&self.progress).collect();
-        let rows = fit(&lines, size.columns, size.rows.saturating_sub(1));
+        let rows = fit(&lines, size[1], size[0].saturating_sub(1));
         target.write_str(&self.block.replace(&rows, size, has_colours(true)))?;
         target.flush()
     }
 
     fn above(&mut self, write: impl FnOnce() -> io::Result<()>) -> io::Result<()> {
         let Some(target) = &self.target else { return write() };
-        target.write_str(&self.block.replace(&[], Size::of(target), false))?;
+        target.write_str(&self.block.replace(&[], size(target), false))?;
         target.flush()?;
         let written = write();
         written.and(self.draw())

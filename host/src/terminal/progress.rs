@@ -89,17 +89,9 @@ impl Drop for Progress {
     }
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Size {
-    pub(super) columns: usize,
-    pub(super) rows: usize,
-}
-
-impl Size {
-    pub(super) fn of(term: &Term) -> Self {
-        let (rows, columns) = term.size();
-        Self { columns: columns.into(), rows: rows.into() }
-    }
+/// Rows and columns of a terminal.
+pub(super) fn size(term: &Term) -> [usize; 2] {
+    <[u16; 2]>::from(term.size()).map(usize::from)
 }
 
 /// Rows on the screen, each narrower than the window was, the cursor below them.
@@ -116,10 +108,10 @@ impl Block {
     ///
     /// If the user narrows the window below the width of a row, some terminals cut the row and some fold it.
     /// In that case the whole window is cleared, which works for all.
-    pub(super) fn replace(&mut self, rows: &[Row], size: Size, has_colours: bool) -> String {
+    pub(super) fn replace(&mut self, rows: &[Row], [height, width]: [usize; 2], has_colours: bool) -> String {
         let mut text = match self.rows {
             0 => String::new(),
-            _ if self.widest > size.columns || self.rows >= size.rows => "\x1b[H\x1b[2J".to_owned(),
+            _ if self.widest > width || self.rows >= height => "\x1b[H\x1b[2J".to_owned(),
             rows => format!("\r\x1b[{rows}A\x1b[J"),
         };
         for row in rows {

@@ -1,14 +1,20 @@
 //! What a host reads of strangers: captures, calibrations and configurations, requests of programs and pages, and the bytes
 //! of a device on the port.
 
+use std::io::Cursor;
+use std::path::Path;
 use std::sync::LazyLock;
 
+use slitpose::commands::configured_options;
 use slitpose::datagram::{Answer, Request};
-use slitpose::inputs::{self, Captured};
+use slitpose::http::is_own_request;
 use slitpose_calibration::Calibration;
 use slitpose_head::scene_file::{SceneFile, WIDE, fnv1a_64};
 use slitpose_head::table::CAPTURE_MAGIC;
 use slitpose_model::{CompiledScene, Pose, Tier};
+use slitpose_tracking::capture::{CaptureReader, Entry};
+use slitpose_tracking::link::Segment;
+use slitpose_tracking::page;
 use slitpose_tracking::pipeline::{Item, Pipeline, PipelineError, SceneMatch};
 
 use crate::wire::repaired;
@@ -29,10 +35,30 @@ pub(crate) fn capture(bytes: &[u8]) {
     }
 }
 
+/// What a capture holds: bytes of links, entries of other kinds, and bytes of the file that are whole or could not be read.
+#[derive(Debug, PartialEq)]
+struct Captured {
+    link_bytes: u64,
+    others: u64,
+    whole_bytes: u64,
+    lost_bytes: u64,
+    has_loss: bool,
+}
+
 fn captured(bytes: &[u8], from_ns: u64) -> Captured {
-    let captured = inputs::capture(bytes, from_ns).expect("bytes in memory can be read");
-    assert!(captured.whole_bytes <= bytes.len() as u64 && captured.lost_bytes <= bytes.len() as u64, "{captured:?}");
-    captured
+    const READABLE: &str = "bytes in memory can be read";
+    let mut reader = CaptureReader::new(Path::new("bytes"), Cursor::new(bytes)).expect(READABLE).starting_at(from_ns);
+    let (mut link_bytes, mut others, mut segment) = (0, 0, Segment::default());
+    while let Some(entry) = reader.next(&mut segment).expect(READABLE) {
+        match entry {
+            Entry::Link { .. } => link_bytes += segment.bytes.len() as u64,
+            Entry::Setup(_) | Entry::Hello { .. } | Entry::Note { .. } => others += 1,
+        }
+    }
+    let end = reader.end();
+    let (whole_bytes, lost_bytes, has_loss) = (end.whole_bytes, end.lost_bytes, end.has_loss());
+    assert!(whole_bytes.max(lost_bytes) <= bytes.len() as u64, "{whole_bytes} whole, {lost_bytes} lost");
+    Captured { link_bytes, others, whole_bytes, lost_bytes, has_loss }
 }
 
 /// A calibration is refused with a message that names the file, or gives a head whose covariance is a number. The hash in
@@ -66,7 +92,7 @@ fn after_the_first_line(bytes: &[u8]) -> &[u8] {
 /// A configuration sets each option once, or is refused with a message that names the place.
 pub(crate) fn configuration(bytes: &[u8]) {
     let Ok(text) = std::str::from_utf8(bytes) else { return };
-    match inputs::configuration(text) {
+    match configured_options(Path::new("config.toml"), text) {
         Ok(mut options) => {
             let count = options.len();
             options.sort_unstable();
@@ -93,7 +119,7 @@ pub(crate) fn datagram(bytes: &[u8]) {
 /// A message of a page is refused, or it is an object with a kind.
 pub(crate) fn page(bytes: &[u8]) {
     if let Ok(text) = std::str::from_utf8(bytes)
-        && inputs::is_page_request(text)
+        && page::Request::read(text).is_ok()
     {
         let object: serde_json::Map<String, serde_json::Value> = serde_json::from_str(text).expect("an object");
         assert!(object.get("kind").is_some_and(serde_json::Value::is_string), "{text}");
@@ -110,7 +136,7 @@ pub(crate) fn http(bytes: &[u8]) {
             Some((&line[..colon], &line[colon + 1..]))
         })
         .collect();
-    if !inputs::is_own_request(headers.iter().copied()) {
+    if !is_own_request(headers.iter().copied()) {
         return;
     }
     let valued = |asked: &str| {

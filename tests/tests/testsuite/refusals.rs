@@ -53,6 +53,7 @@ const REFUSED: &[(&str, i32, &[&str])] = &[
     ("scene check bnech", 1, &["bnech", "did you mean `bench`?"]),
     ("scene check /dev/zero", 1, &["`/dev/zero`", "a device", "regular file"]),
     ("scene view wide --live [::]:0 --live-token short", 1, &["5 characters", "16"]),
+    ("scene view wide --live [::]:0 --live-token correct:horse:battery", 1, &["`:` is none of them"]),
     ("scene export wide --python ./no-python --output x", 1, &["./no-python", "install Python 3.11", "--python"]),
     ("scene optimise wide", 1, &["--free"]),
     ("scene optimise wide --free slit", 2, &["there is no `slit`", "slit_width"]),

@@ -9,7 +9,7 @@ use slitpose_head::table::{Output, aligned};
 use slitpose_protocol::{PROTOCOL, Schedule, Status};
 
 use super::{BoardOptions, Connection};
-use crate::commands::options::print;
+use crate::commands::options::{TextOrJson, print};
 use crate::commands::{CommandError, Outcome, talk};
 use crate::device::{BoardInfo, Listed, PortState, Search, UsbId};
 use slitpose_tracking::link::Versions;
@@ -135,14 +135,8 @@ pub(super) struct InfoArgs {
     #[command(flatten)]
     board: BoardOptions,
     /// For people, or for programs (SI units)
-    #[arg(long, value_enum, default_value_t = InfoFormat::Text)]
-    format: InfoFormat,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum InfoFormat {
-    Text,
-    Json,
+    #[arg(long, value_enum, default_value_t = TextOrJson::Text)]
+    format: TextOrJson,
 }
 
 pub(super) fn info(args: &InfoArgs) -> Result<Outcome, CommandError> {
@@ -154,10 +148,10 @@ pub(super) fn info(args: &InfoArgs) -> Result<Outcome, CommandError> {
     };
     let output = Output::open(None)?;
     let text = match args.format {
-        InfoFormat::Text => info_text(&connection, status.as_ref()),
-        InfoFormat::Json => {
-            let Connection { info, found, .. } = &connection;
-            let info = Info { port: &found.port, usb: found.usb.as_ref(), hello: info, status: status.as_ref() };
+        TextOrJson::Text => info_text(&connection, status.as_ref()),
+        TextOrJson::Json => {
+            let Connection { info, board, .. } = &connection;
+            let info = Info { port: &board.name(), usb: connection.usb(), hello: info, status: status.as_ref() };
             serde_json::to_string_pretty(&info).map_err(|error| output.error(error.into()))? + "\n"
         }
     };
@@ -166,9 +160,9 @@ pub(super) fn info(args: &InfoArgs) -> Result<Outcome, CommandError> {
 }
 
 fn info_text(connection: &Connection, status: Option<&Status>) -> String {
-    let Connection { info, found, .. } = connection;
-    let mut lines = vec![("serial", info.device.to_string()), ("port", found.port.clone())];
-    if let Some(usb) = &found.usb {
+    let Connection { info, board, .. } = connection;
+    let mut lines = vec![("serial", info.device.to_string()), ("port", board.name())];
+    if let Some(usb) = connection.usb() {
         let product = usb.product.as_deref().unwrap_or("");
         lines.push(("usb", format!("{:04x}:{:04x} {product}", usb.vid, usb.pid)));
     }

@@ -12,11 +12,13 @@ use clap::builder::TypedValueParser;
 use slitpose_calibration::{Calibration, Head};
 use slitpose_head::front_end;
 use slitpose_head::scene_file::{SceneFile, WIDE};
+use slitpose_head::simulator::TrajectoryKind;
 use slitpose_protocol::{BootTarget, Command, Hashes, ResetCause, Schedule};
 
 use super::{CommandError, Outcome, options, talk};
 use crate::device::{
-    BoardInfo, Contact, Conversation, Device, DeviceError, Found, Search, Selector, SerialDevice, SimulatedDevice, find,
+    ANSWER_WITHIN, BoardInfo, Contact, Conversation, Device, DeviceError, Search, Selector, SerialDevice,
+    SimulatedDevice, UsbId, find,
 };
 use crate::platform::holders;
 use slitpose_tracking::link::Versions;
@@ -68,19 +70,27 @@ pub(super) struct BoardOptions {
 pub(super) struct Connection {
     pub(super) board: Conversation,
     pub(super) info: BoardInfo,
-    pub(super) found: Found,
+    pub(super) contact: Contact,
 }
 
 impl BoardOptions {
+    pub(super) fn contact(&self) -> Contact {
+        Contact::new(self.device.clone(), self.search.clone())
+    }
+
     /// Finds the board, opens its port and asks who it is; a simulated one has the head of `file`.
     pub(super) fn connect(&self, file: &SceneFile) -> Result<Connection, CommandError> {
-        let found = find(&self.device, &self.search)?;
+        let mut contact = self.contact();
         let device: Box<dyn Device> = match &self.device {
-            Selector::Sim => Box::new(SimulatedDevice::live(file)?),
-            _ => Box::new(SerialDevice::open(&found.port).inspect_err(|error| name_holders(error, &found.port))?),
+            Selector::Sim => Box::new(SimulatedDevice::for_trials(file, TrajectoryKind::Smooth)?),
+            selector => {
+                let port = contact.port.insert(find(selector, &self.search)?);
+                Box::new(SerialDevice::open(&port.name).inspect_err(name_holders)?)
+            }
         };
         let (board, info) = Conversation::introduced(device)?;
-        Ok(Connection { board, info, found })
+        contact.greeted(info.device);
+        Ok(Connection { board, info, contact })
     }
 }
 
@@ -96,21 +106,22 @@ impl Connection {
         }
     }
 
+    pub(super) fn usb(&self) -> Option<&UsbId> {
+        self.contact.port.as_ref()?.usb.as_ref()
+    }
+
     pub(super) fn name(&self) -> String {
-        format!("{} on {}", self.info.device, self.found.port)
+        format!("{} on {}", self.info.device, self.board.name())
     }
 }
 
-fn name_holders(error: &DeviceError, port: &str) {
-    if let DeviceError::Busy { .. } = error {
-        for holder in holders(port) {
-            talk(format_args!("{holder} has {port} open"));
+fn name_holders(error: &DeviceError) {
+    if let DeviceError::Busy { name } = error {
+        for holder in holders(name) {
+            talk(format_args!("{holder} has {name} open"));
         }
     }
 }
-
-/// A board that has just replied answers at once.
-const AT_ONCE: Duration = Duration::from_secs(1);
 
 /// Has a board keep the schedule and the hashes of its head's scene and calibration, also without supply.
 ///
@@ -158,7 +169,7 @@ fn set(args: &SetArgs) -> Result<Outcome, CommandError> {
             connection.board.configure(configuration)?;
             if let Some(full_scale_pa) = args.full_scale {
                 connection.board.order(Command::FullScale { full_scale_pa })?;
-                connection.info = connection.board.introduce(AT_ONCE)?;
+                connection.info = connection.board.introduce(ANSWER_WITHIN)?;
             }
             let solving = if given == hashes.calibration {
                 let head = calibrated.unwrap_or_else(|| file.clone().into());
@@ -168,7 +179,7 @@ fn set(args: &SetArgs) -> Result<Outcome, CommandError> {
                 "; it solves no poses itself: give the calibration, too".to_owned()
             };
             connection.board.order(Command::Store(hashes))?;
-            let after = connection.board.introduce(AT_ONCE)?;
+            let after = connection.board.introduce(ANSWER_WITHIN)?;
             if after.hashes != hashes || after.schedule != schedule || after.scaling != connection.info.scaling {
                 return Err(DeviceError::NotStored { name: connection.board.name() }.into());
             }
@@ -215,7 +226,7 @@ fn send_head(connection: &mut Connection, head: &Head, schedule: &Schedule) -> R
 
 fn clear(mut connection: Connection) -> Result<String, CommandError> {
     connection.board.order(Command::Forget)?;
-    if connection.board.introduce(AT_ONCE)?.hashes != Hashes::default() {
+    if connection.board.introduce(ANSWER_WITHIN)?.hashes != Hashes::default() {
         return Err(DeviceError::NotStored { name: connection.board.name() }.into());
     }
     Ok(format!("{} keeps no scene and no calibration; it starts with its defaults\n", connection.name()))
@@ -271,12 +282,9 @@ fn reboot(args: &RebootArgs) -> Result<Outcome, CommandError> {
         return Ok(Outcome::Done);
     }
     connection.board.order(Command::Reboot(BootTarget::Firmware))?;
-    let Connection { board, found, info: BoardInfo { device, .. } } = connection;
+    let Connection { board, contact, info: BoardInfo { device, .. } } = connection;
     sleep(GONE_WITHIN);
-    let found = Found { device: Some(device), ..found };
-    let BoardOptions { device: selector, search } = &args.board;
-    let (board, info) =
-        Contact::with(selector.clone(), search.clone(), found).await_return(Some(board), BACK_WITHIN)?;
+    let (board, info) = contact.await_return(Some(board), BACK_WITHIN)?;
     let port = board.name();
     if info.device != device {
         talk(format_args!("another board is on {port} now: {}", info.device));

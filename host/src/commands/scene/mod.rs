@@ -10,14 +10,14 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use anyhow::anyhow;
+use clap::Subcommand;
 use clap::builder::PossibleValuesParser;
-use clap::{Subcommand, ValueEnum};
 use slitpose_design::plot::{cell_picture, scene_picture};
 use slitpose_design::survey::Survey;
 use slitpose_model::{CompiledScene, Pose, Tier};
 
 use super::live::AccessOptions;
-use super::options::{CalibrationOption, Jobs, open_scene, parse_pose};
+use super::options::{CalibrationOption, Jobs, TextOrJson, open_scene, parse_pose};
 use super::{CommandError, Outcome, interrupt, options};
 use crate::live::{DEFAULT_LIVE_ADDRESS, LiveBoard, LivePlan, live_address};
 use crate::terminal::{Amount, Progress};
@@ -92,8 +92,8 @@ struct CheckArgs {
     #[command(flatten)]
     calibration: CalibrationOption,
     /// For people, or for programs (SI units)
-    #[arg(long, value_enum, default_value_t = Format::Text)]
-    format: Format,
+    #[arg(long, value_enum, default_value_t = TextOrJson::Text)]
+    format: TextOrJson,
     /// How many poses to spread over the workspace
     #[arg(long, value_name = "N", default_value_t = 20_000, value_parser = clap::value_parser!(u32).range(1..))]
     samples: u32,
@@ -102,12 +102,6 @@ struct CheckArgs {
     output: Option<PathBuf>,
     #[command(flatten)]
     jobs: Jobs,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Format {
-    Text,
-    Json,
 }
 
 fn check(args: &CheckArgs) -> Result<Outcome, CommandError> {
@@ -119,8 +113,8 @@ fn check(args: &CheckArgs) -> Result<Outcome, CommandError> {
     let survey = Survey::of(&file, samples, |poses| progress.add(poses as u64))?;
     drop(progress);
     let text = match args.format {
-        Format::Text => survey.report(),
-        Format::Json => serde_json::to_string_pretty(&survey).map_err(|error| output.error(error.into()))? + "\n",
+        TextOrJson::Text => survey.report(),
+        TextOrJson::Json => serde_json::to_string_pretty(&survey).map_err(|error| output.error(error.into()))? + "\n",
     };
     output.write_text(&text)?;
     Ok(Outcome::Done)

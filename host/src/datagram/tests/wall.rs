@@ -153,22 +153,7 @@ fn the_damping_for_passivity_satisfies_the_condition_and_is_not_needlessly_large
 }
 
 /// As the constants of the other tests; poses of any age are used, so that nothing depends on how busy the machine is.
-const OPTIONS: [&str; 14] = [
-    "--wall",
-    "1",
-    "--stiffness",
-    "2000",
-    "--damping",
-    "2",
-    "--limit",
-    "10",
-    "--release",
-    "4",
-    "--oldest",
-    "1e6",
-    "--duration",
-    "1e6",
-];
+const OPTIONS: &str = "--wall 1 --stiffness 2000 --damping 2 --limit 10 --release 4 --oldest 1e6 --duration 1e6";
 
 struct Row {
     input: String,
@@ -182,7 +167,7 @@ fn run_until_interrupted(count: u64, record: impl Fn(u64, u64) -> Record) -> (St
     let bench = Bench::new();
     let csv = bench.folder.path().join("wall.csv");
     let mut command = Command::new(compile(&host("examples/c/virtual_wall.c"), &bench.folder));
-    command.arg(bench.server.addresses()[0].to_string()).args(OPTIONS).arg("--csv").arg(&csv);
+    command.arg(bench.server.addresses()[0].to_string()).args(OPTIONS.split(' ')).arg("--csv").arg(&csv);
     let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let mut publisher = bench.server.publisher(DEVICE);
     let since = Instant::now();

@@ -13,12 +13,12 @@ use slitpose_protocol::{
 };
 
 use super::sampling::{Expected, Sampling};
-use crate::device::{BoardInfo, Contact, Conversation, Device, DeviceError, Search, Selector, SimulatedDevice};
+use crate::device::{BoardInfo, Contact, Conversation, Device, DeviceError, Selector, SimulatedDevice};
 use crate::doctor::measurement::patience;
 use slitpose_head::finding::Finding;
 use slitpose_head::front_end;
 use slitpose_head::scene_file::SceneFile;
-use slitpose_head::simulator::Electrode;
+use slitpose_head::simulator::{Electrode, TrajectoryKind};
 use slitpose_tracking::link::{Segment, Versions};
 
 /// Scans after a start that are left out: the first may hold light of what was lit before.
@@ -37,16 +37,6 @@ pub(super) struct Bench {
 }
 
 impl Bench {
-    pub(super) fn new(
-        device: &Selector,
-        search: &[Search],
-        scene: SceneFile,
-        cut_power: Box<dyn FnMut() -> bool>,
-    ) -> Self {
-        let contact = Contact::new(device.clone(), search.to_vec());
-        Self { contact, scene, cut_power, wiring: Wiring::default() }
-    }
-
     pub(super) fn is_simulated(&self) -> bool {
         self.contact.selector == Selector::Sim
     }
@@ -54,7 +44,7 @@ impl Bench {
     /// Opens the board's port and reads its hello.
     pub(super) fn connect(&mut self) -> Result<(Conversation, BoardInfo)> {
         let device: Box<dyn Device> = match self.is_simulated() {
-            true => Box::new(SimulatedDevice::at_rest(&self.scene)?),
+            true => Box::new(SimulatedDevice::for_trials(&self.scene, TrajectoryKind::Still)?),
             false => Box::new(self.contact.open()?),
         };
         self.met(Conversation::introduced(device)?)
@@ -299,7 +289,8 @@ mod tests {
 
     #[test]
     fn an_unknown_board_is_named() {
-        let device = SimulatedDevice::at_rest(&slitpose_head::scene_file::WIDE.read().unwrap()).unwrap();
+        let scene = slitpose_head::scene_file::WIDE.read().unwrap();
+        let device = SimulatedDevice::for_trials(&scene, TrajectoryKind::Still).unwrap();
         let (_, simulated) = Conversation::introduced(Box::new(device)).unwrap();
         let of = |kind, board: &str| unknown_board(&BoardInfo { kind, board: board.to_owned(), ..simulated.clone() });
         assert_eq!(of(BoardKind::Simulated, "simulated"), None);

@@ -132,7 +132,6 @@ fn of_emitter(emitter: usize, shares: Option<Shares>, wrong_line: Option<String>
     }
 }
 
-/// What to do about a level line.
 const LINE: &str =
     "measure the level line at the DAC's pin and behind its 100 ohm: 0.21 V at level 0.125, 1.65 V at nominal";
 

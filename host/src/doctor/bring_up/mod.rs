@@ -2,13 +2,12 @@
 //!
 //! | file | steps |
 //! |---|---|
-//! | `continuity` | contacts and solder bridges of the Nucleo, by the user's multimeter |
-//! | `safety` | link and start; supply and temperature; dark after Stop and without a host; settings over a power cut |
+//! | this one | continuity: contacts and solder bridges of the Nucleo, by the user's multimeter |
+//! | `safety` | link and start; supply and temperature; dark after Stop and without a host; settings over a power cut; pulses of the frame output, back at the trigger input |
 //! | `dark` | codes without light, emitters with their gates off; noise |
 //! | `emitters` | each emitter alone; light of other emitters |
 //! | `levels` | current against level; codes on the way |
 //! | `settling` | the time that light takes to settle |
-//! | `trigger` | pulses of the frame output, back at the trigger input |
 //!
 //! Each of these files measures first and judges then: what judges is a pure function from measured numbers to
 //! findings. `bench` connects the board, takes scans and names signals, `sampling` has their configurations, their statistics, and what
@@ -16,25 +15,23 @@
 //! between steps the board is idle without a host.
 
 mod bench;
-mod continuity;
 mod dark;
 mod emitters;
 mod levels;
 mod safety;
 mod sampling;
 mod settling;
-mod trigger;
 
 use std::fmt;
 use std::str::FromStr;
 
 use anyhow::Result;
+use slitpose_firmware::pcb::pins;
 use slitpose_protocol::{Level, Schedule};
 
-use self::bench::Bench;
-pub(crate) use self::continuity::continuity;
+use self::bench::{Bench, Wiring};
 use super::default_scene;
-use crate::device::{Search, Selector};
+use crate::device::Contact;
 use slitpose_head::causes::with_causes;
 use slitpose_head::finding::Finding;
 use slitpose_head::scene_file::SceneFile;
@@ -120,7 +117,7 @@ impl Step {
             preparation: "as before; a wire from the frame output PA10 (CN10-33) to the trigger input PC12 (CN7-3), \
                           and no other signal there",
             expectation: "each pulse of the frame output comes back as two edges, the first within its slot",
-            take: Some(trigger::take),
+            take: Some(safety::take_trigger),
         },
         Self {
             name: "safety",
@@ -163,6 +160,18 @@ impl FromStr for Step {
     }
 }
 
+/// The continuity check of an unpowered Nucleo with a multimeter, by the wiring table: its measurements in their order. `ask` gives whether it is as the question says; `None` if there is no one to ask.
+pub(crate) fn continuity(mut ask: impl FnMut(&str) -> Option<bool>) -> impl Iterator<Item = Finding> {
+    pins::rows("check").map(move |check| {
+        let text = format!("{}: {}", check.name, check.function);
+        match ask(&text) {
+            Some(true) => Finding::ok("continuity", text),
+            Some(false) => Finding::failed("continuity", format!("{text}, but it is not so"), check.note),
+            None => Finding::skipped("continuity", format!("{text}; if not, {}", check.note)),
+        }
+    })
+}
+
 pub(crate) struct BringUp {
     bench: Bench,
     /// The schedule that the board had at first.
@@ -170,17 +179,17 @@ pub(crate) struct BringUp {
 }
 
 impl BringUp {
-    /// Of the board that `device` names, with the scene `given`, else the one the board belongs to, else the default one;
+    /// Of the board of `contact`, with the scene `given`, else the one the board belongs to, else the default one;
     /// and what there is to say about them. `None` if the board cannot be reached, or belongs to another scene. Where
     /// `cut_power` gives `false`, the board is rebooted instead.
     pub(crate) fn begin(
-        device: &Selector,
-        search: &[Search],
+        contact: Contact,
         given: Option<&SceneFile>,
         cut_power: Box<dyn FnMut() -> bool>,
         findings: &mut Vec<Finding>,
     ) -> Option<Self> {
-        let mut bench = Bench::new(device, search, given.cloned().or_else(default_scene)?, cut_power);
+        let mut bench =
+            Bench { contact, scene: given.cloned().or_else(default_scene)?, cut_power, wiring: Wiring::default() };
         match bench.connect() {
             Ok((_, info)) => {
                 findings.extend(bench::unknown_board(&info));

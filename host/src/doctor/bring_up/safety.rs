@@ -1,14 +1,14 @@
 //! The board itself: link and start, supply and temperature; whether it is dark after Stop and without a host, and keeps
-//! its settings over a power cut.
+//! its settings over a power cut; whether trigger input and frame output work.
 
 use std::time::Duration;
 
 use anyhow::Result;
-use slitpose_protocol::{BootTarget, Command, Hashes, Level, Schedule, SettingsSource, Status};
+use slitpose_protocol::{BootTarget, Command, Edge, Hashes, Level, Pulse, Schedule, SettingsSource, Status};
 
-use super::bench::{Bench, sample};
+use super::bench::{Bench, Wiring, sample, sample_with};
 use super::sampling;
-use crate::device::{BoardInfo, Conversation, DeviceError};
+use crate::device::{ANSWER_WITHIN, BoardInfo, Conversation, DeviceError};
 use crate::doctor::{judged, link, measurement, named};
 use slitpose_head::causes::with_causes;
 use slitpose_head::finding::Finding;
@@ -96,10 +96,6 @@ fn judge(place: &'static str, when: &str, [first, second]: &[Status; 2]) -> Find
 const DISCONNECTED: Duration = Duration::from_millis(500);
 const BACK_WITHIN: Duration = Duration::from_secs(15);
 
-/// Timeout of the hello that shows what was stored.
-const HELLO_WITHIN: Duration = Duration::from_secs(1);
-
-/// What a board starts with.
 type Stored = (Hashes, Schedule);
 
 pub(super) fn take_storage(bench: &mut Bench) -> Result<Vec<Finding>> {
@@ -121,7 +117,7 @@ pub(super) fn take_storage(bench: &mut Bench) -> Result<Vec<Finding>> {
         if let Err(error) = board.order(Command::Store(hashes)) {
             return Ok(vec![refused(&error)]);
         }
-        let info = board.introduce(HELLO_WITHIN)?;
+        let info = board.introduce(ANSWER_WITHIN)?;
         (info.hashes, info.schedule)
     };
     drop(board);
@@ -174,6 +170,43 @@ fn judge_storage(before: &Stored, after: &Stored, is_cut: bool) -> Finding {
     named("storage", text, &[(before != after, Failed, "settings are lost", next_step)])
 }
 
+// Trigger input and frame output: a wire between them brings each pulse back as two edges.
+
+/// Scans, and how many of them at the end may be here before their edges.
+const TRIGGER_SCANS: usize = 400;
+const LAST_SCANS: usize = 40;
+
+/// Frames from one pulse to the next.
+const EVERY: u16 = 10;
+
+pub(super) fn take_trigger(bench: &mut Bench) -> Result<Vec<Finding>> {
+    if bench.is_simulated() {
+        return Ok(vec![Finding::skipped("trigger", "a simulated board has no frame output")]);
+    }
+    let (mut board, _) = bench.connect()?;
+    let dark = sampling::at(bench.schedule()?, Level(0));
+    let sampling = sample_with(&mut board, dark, Pulse { every: EVERY, slot: 0 }, TRIGGER_SCANS)?;
+    let scans = &sampling.scans[..sampling.scans.len().saturating_sub(LAST_SCANS)];
+    let frames = scans.iter().filter(|scan| scan.sequence % u64::from(EVERY) == 0).map(|scan| scan.tick);
+    Ok(vec![judge_trigger(&frames.collect::<Vec<_>>(), &sampling.edges, &sampling.schedule, bench.wiring)])
+}
+
+/// `frames`: ticks of the frames with a pulse in their first slot.
+fn judge_trigger(frames: &[u64], edges: &[Edge], schedule: &Schedule, wiring: Wiring) -> Finding {
+    let within = |from: u64, ticks: u32| edges.iter().filter(move |edge| edge.tick().wrapping_sub(from) < ticks.into());
+    let is_back = |at: &&u64| within(**at, schedule.slot_ticks).any(|edge| edge.is_high());
+    let (asked, back) = (frames.len(), frames.iter().filter(is_back).count());
+    let in_these: usize = frames.iter().map(|&at| within(at, u32::from(EVERY) * schedule.frame_ticks).count()).sum();
+    let [output, input] = ["frame output", "trigger input"].map(|signal| wiring.named(signal));
+    let text = format!("{back} of {asked} pulses of the {output} came back at the {input}, as {in_these} edges");
+    let is_faulty = asked == 0 || back != asked || in_these != 2 * asked;
+    judged(
+        "trigger",
+        text,
+        [(is_faulty, Failed, "join the two by a wire, and take other signals off the trigger input")],
+    )
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -188,6 +221,7 @@ mod tests {
         assert_eq!(grade(status(true, 44), status(false, 44)), Failed);
         assert_eq!(grade(status(false, 44), status(false, 45)), Failed);
     }
+
     #[test]
     fn a_supply_of_three_volts_is_too_low() {
         let grades = |supply_v, temperature_k| {
@@ -198,5 +232,17 @@ mod tests {
         assert_eq!(grades(3.0, 300.0), [Failed, Ok]);
         assert_eq!(grades(f32::NAN, f32::NAN), [Failed, Failed]);
         assert_eq!(grades(3.3, 400.0), [Ok, Failed]);
+    }
+
+    #[test]
+    fn a_missing_wire_and_other_signals_are_told_from_pulses_that_come_back() {
+        let schedule = slitpose_firmware::pcb::default_configuration().schedule;
+        let frames: Vec<u64> = (0..36).map(|k| 1_000_000 + 425_000 * k).collect();
+        let pulse = |at: &u64| [Edge::new(at + 2_114, true), Edge::new(at + 7_914, false)];
+        let edges: Vec<Edge> = frames.iter().flat_map(pulse).collect();
+        let grade = |edges: &[Edge]| judge_trigger(&frames, edges, &schedule, Wiring::Nucleo).grade;
+        assert_eq!(grade(&edges), Ok);
+        let other = [&edges[..], &pulse(&1_200_000)].concat();
+        assert_eq!([grade(&[]), grade(&edges[2..]), grade(&other)], [Failed; 3]);
     }
 }
