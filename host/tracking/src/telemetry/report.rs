@@ -10,7 +10,7 @@ use schemars::{JsonSchema, Schema};
 use serde::Serialize;
 use slitpose_protocol::{ClockSource, SettingsSource};
 
-use super::losses::Latency;
+use super::latency::Latency;
 use crate::clock::HostInstant;
 use crate::frame::FrameReport;
 use crate::health::HeadHealth;
