@@ -39,6 +39,7 @@ pub(crate) use opener::{Admit, Opener, SimulatedOpener};
 pub(crate) use recorder::CapturePlan;
 
 use crate::datagram::DatagramServer;
+use crate::live::LiveInput;
 use crate::sink::{Account, Sink};
 use board::{BoardSlot, BoardThreads, Claims};
 use handoff::buffer_pool;
@@ -47,7 +48,6 @@ use recorder::RecorderControl;
 use slitpose_head::threads::{join, lock};
 use slitpose_tracking::capture::CaptureSeries;
 use slitpose_tracking::clock::HostInstant;
-use slitpose_tracking::page::SampleSink;
 use slitpose_tracking::pipeline::Counts;
 use slitpose_tracking::telemetry::{BoardReport, DaemonReport, LinkState, RecorderReport};
 
@@ -64,8 +64,8 @@ pub(crate) struct Plan {
     pub capture: Option<CapturePlan>,
     /// The server that sends poses to control loops.
     pub datagrams: Option<DatagramServer>,
-    /// Takers of samples: the live page, and others.
-    pub live: Option<Arc<dyn SampleSink>>,
+    /// The live page, which takes samples.
+    pub live: Option<LiveInput>,
     pub real_time: Option<u8>,
 }
 

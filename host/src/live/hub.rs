@@ -13,7 +13,7 @@ use tokio::sync::mpsc::{Receiver, Sender, WeakSender, channel};
 
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::page::{
-    COARSE_HZ, COARSE_S, CalibrationState, FRAMES_HZ, HISTORY_S, Optics, PlayerState, Sample, SampleSink, head_message,
+    COARSE_HZ, COARSE_S, CalibrationState, FRAMES_HZ, HISTORY_S, Optics, PlayerState, Sample, head_message,
     report_message,
 };
 use slitpose_tracking::telemetry::DaemonReport;
@@ -67,6 +67,11 @@ impl LiveInput {
         self.0.is_closed()
     }
 
+    /// Takes a sample of a board; `false` if the server has no time. Never blocks.
+    pub(crate) fn sample(&self, board: usize, sample: &Sample) -> bool {
+        self.0.try_reserve().map(|room| room.send(Input::Sample(board, sample.clone()))).is_ok()
+    }
+
     /// Waits for the server.
     pub(crate) fn show(&self, input: Input) {
         // The server ends after all who send.
@@ -80,16 +85,6 @@ pub(super) struct WeakInput(WeakSender<Input>);
 impl WeakInput {
     pub(super) fn is_open(&self) -> bool {
         self.0.strong_count() > 0
-    }
-}
-
-impl SampleSink for LiveInput {
-    fn rate_hz(&self) -> u64 {
-        FRAMES_HZ
-    }
-
-    fn sample(&self, board: usize, sample: &Sample) -> bool {
-        self.0.try_reserve().map(|room| room.send(Input::Sample(board, sample.clone()))).is_ok()
     }
 }
 
