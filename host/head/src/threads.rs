@@ -1,6 +1,7 @@
 //! Locks and threads after a panic of another thread, and work on all cores.
 
 use std::collections::VecDeque;
+use std::convert::Infallible;
 use std::num::NonZero;
 use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -26,22 +27,13 @@ pub fn join<T>(thread: JoinHandle<T>) -> T {
 /// # Panics
 /// If `work` has panicked.
 pub fn on_all_cores<T: Sync, R: Send>(items: &[T], work: impl Fn(&T) -> R + Sync) -> Vec<R> {
-    let threads = cores().get().min(items.len());
-    let next = AtomicUsize::new(0);
-    let run = || {
-        let mut own = Vec::new();
-        loop {
-            let number = next.fetch_add(1, Ordering::Relaxed);
-            let Some(item) = items.get(number) else { return own };
-            own.push((number, work(item)));
-        }
+    let (mut next, mut results) = (items.iter(), Vec::with_capacity(items.len()));
+    let take = |result| {
+        results.push(result);
+        Ok::<_, Infallible>(())
     };
-    let mut found: Vec<(usize, R)> = thread::scope(|scope| {
-        let workers: Vec<_> = (0..threads).map(|_| scope.spawn(run)).collect();
-        workers.into_iter().flat_map(|worker| worker.join().unwrap_or_else(|panic| resume_unwind(panic))).collect()
-    });
-    found.sort_by_key(|(number, _)| *number);
-    found.into_iter().map(|(_, result)| result).collect()
+    let Ok(()) = in_order(cores(), || Ok(next.next()), work, take);
+    results
 }
 
 /// What [`limit`] was told; zero: nothing.

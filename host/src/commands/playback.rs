@@ -242,8 +242,8 @@ impl<'a> Playback<'a> {
             output.samplers = player.show(boards);
         }
         let now = HostInstant::now();
-        for (sampler, board) in output.samplers.iter_mut().zip(boards) {
-            sampler.send(board.pipeline.last_photocurrents(), now);
+        for (number, (sampler, board)) in output.samplers.iter_mut().zip(boards).enumerate() {
+            sampler.send(board.pipeline.last_photocurrents(), now, |sample| player.live.sample(number, sample));
         }
     }
 }

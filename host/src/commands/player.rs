@@ -43,7 +43,7 @@ impl Orders {
 
 pub(super) struct Player {
     orders: Orders,
-    live: LiveInput,
+    pub(super) live: LiveInput,
     state: PlayerState,
     told: Option<Instant>,
 }
@@ -86,7 +86,7 @@ impl Player {
     pub(super) fn show(&self, boards: &[Board]) -> Vec<Sampler> {
         let shown = |board: &Board| LiveBoard { name: board.name(), head: board.head.clone() };
         self.live.show(Input::Boards(boards.iter().map(shown).collect()));
-        (0..boards.len()).map(|number| Sampler::new(number, Arc::new(self.live.clone()))).collect()
+        boards.iter().map(|_| Sampler::default()).collect()
     }
 
     pub(super) fn is_left(&self) -> bool {

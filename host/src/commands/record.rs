@@ -15,7 +15,6 @@ use crate::sink::Format;
 use slitpose_head::causes::with_causes;
 use slitpose_head::pace::Speed;
 use slitpose_tracking::capture::{CaptureError, CaptureSeries, Existing, Limits};
-use slitpose_tracking::telemetry::report_schema;
 
 /// Poses a device second in a capture: enough to look at it; all others follow from its bytes.
 const RECORDED_HZ: f64 = 25.0;
@@ -74,7 +73,7 @@ impl RecordOptions {
             max_bytes: self.record_size,
             max_age: self.record_time.map(|time_s| Duration::try_from_secs_f64(time_s).unwrap_or(Duration::MAX)),
         };
-        CaptureSeries::create(path, limits, existing, report_schema().as_value().to_string())
+        CaptureSeries::create(path, limits, existing)
     }
 }
 

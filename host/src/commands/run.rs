@@ -32,7 +32,6 @@ use slitpose_head::table::OutputError;
 use slitpose_head::threads::lock;
 use slitpose_tracking::clock::{HostInstant, UtcWatch};
 use slitpose_tracking::link::DeviceId;
-use slitpose_tracking::page::SampleSink;
 use slitpose_tracking::pipeline::{self, PipelineOptions, PoseSource, SceneMatch};
 use slitpose_tracking::solving::head_by;
 use slitpose_tracking::telemetry::{DaemonReport, RecorderReport, RecorderState};
@@ -235,7 +234,7 @@ pub(super) fn run(args: &mut Args) -> Result<Outcome, CommandError> {
     let status = args.status.as_ref().map(|address| serve_status(address, reports(), control())).transpose()?;
     status.iter().for_each(|server| talk(format_args!("status at {}", server.address)));
     let capture = args.record.open(is_recorded_later)?;
-    let shown = live.as_ref().map(|live| Arc::new(live.input.clone()) as Arc<dyn SampleSink>);
+    let shown = live.as_ref().map(|live| live.input.clone());
     let plan = Plan { boards, sink, capture, datagrams, live: shown, real_time: args.real_time };
     let daemon = Arc::new(Daemon::start(plan, Arc::clone(&stop))?);
     let daemon = followed.get_or_init(|| daemon);

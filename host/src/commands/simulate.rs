@@ -24,7 +24,6 @@ use slitpose_head::table::{Output, OutputError, POSE_COLUMNS, Replace, TableErro
 use slitpose_tracking::capture::{CaptureError, CaptureSeries, Settings, Setup};
 use slitpose_tracking::link::{DeviceId, Segment};
 use slitpose_tracking::pipeline::PipelineOptions;
-use slitpose_tracking::telemetry::report_schema;
 
 /// Writes what a simulated board would send: a capture for `replay`.
 ///
@@ -153,8 +152,7 @@ impl Recording {
             None
         } else {
             let file_of_capture = output.as_file().map_err(|source| output.error(source))?;
-            let mut series =
-                CaptureSeries::in_file(file_of_capture, target.path, report_schema().as_value().to_string())?;
+            let mut series = CaptureSeries::on_medium(Box::new(file_of_capture), target.path)?;
             let settings = Settings { tier, following: PipelineOptions::default() };
             series.add_device(Setup::new(device, head, settings), None, 0).map_err(|error| writing(&output, error))?;
             Some((Box::new(series), device))

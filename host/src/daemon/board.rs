@@ -22,12 +22,13 @@ use super::solver::{Solver, State};
 use super::tap::{Tap, TapEnds};
 use crate::background::{NO_THREAD, spawn};
 use crate::datagram::DatagramServer;
+use crate::live::LiveInput;
 use crate::platform::claim_priority;
 use crate::terminal::say;
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::frame::View;
 use slitpose_tracking::link::{DeviceId, Segment};
-use slitpose_tracking::page::{SampleSink, Sampler};
+use slitpose_tracking::page::Sampler;
 use slitpose_tracking::pipeline::{Counts, Pipeline, PipelineOptions, SceneMatch};
 use slitpose_tracking::telemetry::{BoardReport, BoardStatistics};
 
@@ -79,7 +80,7 @@ pub(super) struct Shared {
     pub(super) prints_each: bool,
     pub(super) recorder: Option<TapEnds>,
     pub(super) datagrams: Option<Arc<DatagramServer>>,
-    pub(super) live: Option<Arc<dyn SampleSink>>,
+    pub(super) live: Option<LiveInput>,
     pub(super) real_time: Option<u8>,
     pub(super) claims: Claims,
 }
@@ -120,7 +121,7 @@ impl BoardThreads {
                 printer: shared.outboxes,
                 prints_all: keeps_all,
                 capture: shared.recorder.map(tap),
-                sampler: shared.live.map(|live| Sampler::new(number, live)),
+                live: shared.live.map(|live| (live, number, Sampler::default())),
                 pending: Pending::default(),
             },
             backlog: Backlog::new(keeps_all),

@@ -36,6 +36,7 @@ pub(crate) use reader::{Admit, Opener};
 pub(crate) use recorder::CapturePlan;
 
 use crate::datagram::DatagramServer;
+use crate::live::LiveInput;
 use crate::sink::Sink;
 use board::{BoardSlot, BoardThreads, Claims};
 use handoff::buffer_pool;
@@ -43,7 +44,6 @@ use outputs::{OUTBOX_POSES, Outbox, PrinterThread};
 use recorder::RecorderControl;
 use slitpose_head::threads::{join, lock};
 use slitpose_tracking::clock::HostInstant;
-use slitpose_tracking::page::SampleSink;
 use slitpose_tracking::pipeline::Counts;
 use slitpose_tracking::telemetry::{DaemonReport, LinkState, RecorderReport};
 
@@ -60,8 +60,8 @@ pub(crate) struct Plan {
     pub capture: Option<CapturePlan>,
     /// The server that sends poses to control loops.
     pub datagrams: Option<DatagramServer>,
-    /// Takers of samples: the live page, and others.
-    pub live: Option<Arc<dyn SampleSink>>,
+    /// The live page, which takes samples.
+    pub live: Option<LiveInput>,
     pub real_time: Option<u8>,
 }
 

@@ -17,6 +17,7 @@ use super::handoff::{Consumer, Producer};
 use super::tap::Tap;
 use crate::background::{NO_THREAD, spawn};
 use crate::datagram::{DatagramServer, Publisher};
+use crate::live::LiveInput;
 use crate::sink::{Note, Reports, Sink};
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::DeviceId;
@@ -49,7 +50,8 @@ pub(super) struct Outputs {
     /// Whether each pose must be printed, however late.
     pub(super) prints_all: bool,
     pub(super) capture: Option<Tap>,
-    pub(super) sampler: Option<Sampler>,
+    /// The live page, the number of the board there, and what makes its samples.
+    pub(super) live: Option<(LiveInput, usize, Sampler)>,
     pub(super) pending: Pending,
 }
 
@@ -125,9 +127,9 @@ impl Outputs {
         {
             self.send();
         }
-        if let Some(sampler) = &mut self.sampler {
+        if let Some((live, board, sampler)) = &mut self.live {
             sampler.add(record);
-            sampler.send(photocurrents, now);
+            sampler.send(photocurrents, now, |sample| live.sample(*board, sample));
         }
     }
 

@@ -227,7 +227,7 @@ impl Recorder {
         match series.finish() {
             Ok(recorded) => {
                 let mut report = lock(&self.report);
-                report.bytes_dropped = recorded.dropped_bytes + self.bytes_missing;
+                report.bytes_dropped = recorded.bytes_dropped + self.bytes_missing;
                 if report.state == RecorderState::Recording {
                     report.state = RecorderState::Off;
                 }
@@ -294,13 +294,10 @@ impl Recorder {
 
     fn publish(&self) {
         let Some(series) = &self.series else { return };
-        let recorded = series.recorded();
         let mut report = lock(&self.report);
-        report.file = Some(series.path().display().to_string());
-        report.bytes = series.bytes();
-        report.files = recorded.files;
-        report.flushes = series.flushes();
-        report.bytes_dropped = recorded.dropped_bytes + self.bytes_missing;
+        let (state, reason) = (report.state, report.reason.take());
+        *report = RecorderReport { state, reason, ..series.progress() };
+        report.bytes_dropped += self.bytes_missing;
     }
 }
 
@@ -397,7 +394,7 @@ mod tests {
                     let given = if begins {
                         begun += 1;
                         let (limits, existing) = (Limits::default(), Existing::Kept);
-                        let series = CaptureSeries::create(&path(begun), limits, existing, String::new()).unwrap();
+                        let series = CaptureSeries::create(&path(begun), limits, existing).unwrap();
                         RecorderOrder::Begin(Box::new(series))
                     } else {
                         RecorderOrder::End

@@ -13,7 +13,7 @@ use tokio::sync::mpsc::{Receiver, Sender, WeakSender, channel};
 
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::page::{
-    COARSE_HZ, COARSE_S, CalibrationState, FRAMES_HZ, HISTORY_S, Optics, PlayerState, Sample, SampleSink, head_message,
+    COARSE_HZ, COARSE_S, CalibrationState, FRAMES_HZ, HISTORY_S, Optics, PlayerState, Sample, head_message,
     report_message,
 };
 use slitpose_tracking::telemetry::DaemonReport;
@@ -67,19 +67,14 @@ impl LiveInput {
         self.0.is_closed()
     }
 
+    /// Takes a sample of a board; `false` if the server has no time. Never blocks.
+    pub(crate) fn sample(&self, board: usize, sample: &Sample) -> bool {
+        self.0.try_reserve().map(|room| room.send(Input::Sample(board, sample.clone()))).is_ok()
+    }
+
     pub(crate) fn show(&self, input: Input) {
         // The server ends after all who send.
         let _ = self.0.blocking_send(input);
-    }
-}
-
-impl SampleSink for LiveInput {
-    fn rate_hz(&self) -> u64 {
-        FRAMES_HZ
-    }
-
-    fn sample(&self, board: usize, sample: &Sample) -> bool {
-        self.0.try_reserve().map(|room| room.send(Input::Sample(board, sample.clone()))).is_ok()
     }
 }
 

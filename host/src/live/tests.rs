@@ -19,7 +19,7 @@ use super::*;
 use crate::http::{LIFETIME, MOST};
 use crate::samples::poses;
 use slitpose_tracking::clock::HostInstant;
-use slitpose_tracking::page::{Bins, FINE_HZ, Order, PlayerOrder, Sample, SampleSink, Sampler, SceneView};
+use slitpose_tracking::page::{Bins, FINE_HZ, Order, PlayerOrder, Sample, Sampler, SceneView};
 use slitpose_tracking::pipeline::Record;
 
 const TOKEN: &str = "correct-horse-battery";
@@ -177,11 +177,12 @@ fn a_frame_covers_all_scans_since_the_one_before() {
     let (server, _) = start("127.0.0.1:0", None);
     let mut client = Client::greeted(&server);
     let poses = poses(90);
-    let mut sampler = Sampler::new(0, Arc::new(server.input.clone()));
+    let mut sampler = Sampler::default();
     for (number, (record, photocurrents)) in poses.iter().enumerate() {
         sampler.add(record);
         // One in thirty is due.
-        sampler.send(Some(photocurrents), HostInstant { monotonic_ns: number as u64 * 1_200_000, utc_ns: 0 });
+        let now = HostInstant { monotonic_ns: number as u64 * 1_200_000, utc_ns: 0 };
+        sampler.send(Some(photocurrents), now, |sample| server.input.sample(0, sample));
     }
     let frames: Vec<Value> = (0..3).map(|_| client.hear_of("frame").pop().unwrap()).collect();
     let (mut covered, mut fine) = (0, Vec::new());

@@ -103,12 +103,12 @@ const CELL: &[Metric] = &[
 ];
 
 /// All words of a state, of which one has the value 1, also if it is not known which.
-fn words(name: &str) -> Vec<&'static str> {
+fn words(name: &str) -> Vec<String> {
     match name {
-        "recorder_state" => RecorderState::ALL.map(RecorderState::as_str).into(),
-        "link_state" => LinkState::ALL.map(LinkState::as_str).into(),
-        "board_clock_source" => ClockSource::ALL.map(ClockSource::as_str).into(),
-        "board_settings" => SettingsSource::ALL.map(SettingsSource::as_str).into(),
+        "recorder_state" => RecorderState::ALL.map(|state| state.to_string()).into(),
+        "link_state" => LinkState::ALL.map(|state| state.to_string()).into(),
+        "board_clock_source" => ClockSource::ALL.map(|source| source.as_str().to_owned()).into(),
+        "board_settings" => SettingsSource::ALL.map(|source| source.as_str().to_owned()).into(),
         _ => Vec::new(),
     }
 }

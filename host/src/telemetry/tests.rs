@@ -73,7 +73,6 @@ fn board(name: &str, head: Option<HeadHealth>) -> BoardReport {
     }
     let (clock, settings) = (ClockSource::CrystalFailed, SettingsSource::PassedOver);
     let status = Status { scans_taken: 4000, cpu_load_permille: 130, clock, settings, ..samples::status() };
-    statistics.update(&Item::Status(&status), None, None);
     let event = Item::Event { severity: Severity::Warning, device_time_s: f64::NAN, text: "supply sagged" };
     statistics.update(&event, None, None);
     statistics.report.clock.drift_ppm = Some(-12.0);
@@ -81,6 +80,7 @@ fn board(name: &str, head: Option<HeadHealth>) -> BoardReport {
     let mut counts = Counts::default();
     counts.scans = 4000;
     counts.scans_repeated = 2;
+    counts.take_status(&status);
     counts.outcomes = Outcomes { converged: 3999, degraded: 1, ..Outcomes::default() };
     let link = LinkReport { state: LinkState::Running, ..LinkReport::default() };
     BoardReport { link, ..statistics.report(&counts, head, now) }

@@ -99,7 +99,7 @@ pub(crate) fn lines(report: &BoardReport, pose: Vec<Line>) -> Vec<Line> {
         (LinkState::Ended, since) => format!("{since} ago"),
         (_, since) => format!("for {since}"),
     };
-    let text = format!("{} {since}{reconnects}{reason}", link.state.as_str());
+    let text = format!("{} {since}{reconnects}{reason}", link.state);
     put(&mut lines, "link", &text).tone(tone).rank(1);
     if report.scans == 0 && link.state != LinkState::Running {
         return lines;
@@ -202,7 +202,7 @@ fn word(health: &CellHealth) -> String {
         _ => None,
     };
     let share = share.map_or(String::new(), |share| format!("({:.0}%)", 100.0 * share));
-    format!("{}:{}{share}", health.cell, health.verdict.as_str())
+    format!("{}:{}{share}", health.cell, health.verdict)
 }
 
 fn percentiles(latency: &Latency) -> String {

@@ -11,7 +11,7 @@ use slitpose_tracking::capture::{CaptureError, CaptureSeries, Medium, PoseRate, 
 use slitpose_tracking::clock::HostInstant;
 use slitpose_tracking::link::{DeviceId, Segment};
 use slitpose_tracking::pipeline::Record;
-use slitpose_tracking::telemetry::{BoardReport, DaemonReport, RecorderReport, RecorderState, report_schema};
+use slitpose_tracking::telemetry::{BoardReport, DaemonReport, RecorderReport, RecorderState};
 
 /// A message of a capture holds the bytes of this time.
 const CHUNK_NS: u64 = 20_000_000;
@@ -73,8 +73,7 @@ pub(crate) struct Recording {
 impl Recording {
     /// Begins the capture called `name`, of a board with `head`, on `written`.
     pub(crate) fn begin(name: &str, head: Head, settings: Settings, written: Written) -> Result<Self, CaptureError> {
-        let series =
-            CaptureSeries::on_medium(Box::new(written), Path::new(name), report_schema().as_value().to_string())?;
+        let series = CaptureSeries::on_medium(Box::new(written), Path::new(name))?;
         let rate = PoseRate::every(POSE_EVERY_S);
         // The first bytes do not continue those of a message before.
         let chunk = Segment { opened: true, ..Segment::default() };
@@ -138,14 +137,7 @@ impl Recording {
     }
 
     pub(crate) fn report(&self) -> RecorderReport {
-        RecorderReport {
-            state: RecorderState::Recording,
-            file: Some(self.series.path().display().to_string()),
-            bytes: self.series.bytes(),
-            files: 1,
-            flushes: self.series.flushes(),
-            ..RecorderReport::default()
-        }
+        self.series.progress()
     }
 }
 

@@ -1,15 +1,12 @@
 //! What a page is shown of one board: its head, and its frames.
 
 use std::collections::VecDeque;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex};
 
 use serde_json::{Value, json};
 use slitpose_calibration::Head;
-use slitpose_head::threads::lock;
 use slitpose_model::Photocurrents;
 use slitpose_tracking::clock::HostInstant;
-use slitpose_tracking::page::{FRAMES_HZ, Optics, Sample, SampleSink, Sampler, head_message};
+use slitpose_tracking::page::{Optics, Sampler, head_message};
 use slitpose_tracking::pipeline::Record;
 
 /// Most messages that the page has not acknowledged: two seconds of frames. A page that is busy gets fewer frames.
@@ -52,31 +49,9 @@ impl Outbox {
     }
 }
 
-/// Where the sampler puts a sample.
-#[derive(Debug, Default)]
-struct Tray {
-    sample: Mutex<Option<Sample>>,
-    has_room: AtomicBool,
-}
-
-impl SampleSink for Tray {
-    fn rate_hz(&self) -> u64 {
-        FRAMES_HZ
-    }
-
-    fn sample(&self, _: usize, sample: &Sample) -> bool {
-        let has_room = self.has_room.load(Ordering::Relaxed);
-        if has_room {
-            *lock(&self.sample) = Some(sample.clone());
-        }
-        has_room
-    }
-}
-
 /// Makes the messages on one board.
 pub(crate) struct Shown {
     board: usize,
-    tray: Arc<Tray>,
     sampler: Sampler,
     optics: Option<Optics>,
     frames: u64,
@@ -87,11 +62,9 @@ pub(crate) struct Shown {
 
 impl Shown {
     pub(crate) fn new(board: usize, head: &Head) -> Self {
-        let tray = Arc::<Tray>::default();
         Self {
             board,
-            sampler: Sampler::new(board, Arc::clone(&tray) as Arc<dyn SampleSink>),
-            tray,
+            sampler: Sampler::default(),
             // A scene that cannot be computed has been refused before.
             optics: Optics::of(head).ok(),
             frames: 0,
@@ -106,10 +79,12 @@ impl Shown {
 
     /// Sends a frame if one is due and the page has time; `photocurrents` are those of the scan added last.
     pub(crate) fn send(&mut self, photocurrents: Option<&Photocurrents>, now: HostInstant, out: &mut Outbox) {
-        self.tray.has_room.store(out.has_room(), Ordering::Relaxed);
-        self.sampler.send(photocurrents, now);
-        let sample = lock(&self.tray.sample).take();
-        let (Some(sample), Some(optics)) = (sample, &self.optics) else { return };
+        let mut taken = None;
+        self.sampler.send(photocurrents, now, |sample| {
+            taken = out.has_room().then(|| sample.clone());
+            taken.is_some()
+        });
+        let (Some(sample), Some(optics)) = (taken, &self.optics) else { return };
         // A board that has restarted begins anew, so that time only goes on.
         if sample.record.device_time_s < self.time_s {
             out.push(json!({"kind": "cleared", "board": self.board}).to_string());

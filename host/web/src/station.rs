@@ -91,8 +91,8 @@ pub struct Station {
 }
 
 /// What a failure is for JavaScript.
-fn thrown<T>(done: anyhow::Result<T>) -> Result<T, String> {
-    done.map_err(|error| format!("{error:#}"))
+fn thrown<T>(done: Result<T, impl Into<anyhow::Error>>) -> Result<T, String> {
+    done.map_err(|error| format!("{:#}", error.into()))
 }
 
 #[wasm_bindgen]
@@ -123,7 +123,7 @@ impl Station {
 
     /// Shows a scene, whose tool is placed by hand.
     pub fn view(&mut self, head: &HeadFiles) -> Result<(), String> {
-        let scene = || {
+        let scene = || -> anyhow::Result<Source> {
             let head = head.read()?.in_simulation();
             let (view, name) = (Box::new(SceneView::of(&head)?), head.file.name.clone());
             Ok(Source::Scene { view, head: Shown::new(0, &head).head, name })
@@ -139,14 +139,14 @@ impl Station {
 
     /// Plays the captures of these names.
     pub fn play(&mut self, names: Vec<String>) -> Result<(), String> {
-        let replay = thrown(Replay::new(names.into_iter().map(PathBuf::from).collect()).map_err(Into::into))?;
+        let replay = thrown(Replay::new(names.into_iter().map(PathBuf::from).collect()))?;
         self.choose(Source::Replay(Box::new(replay)));
         Ok(())
     }
 
     /// Begins to write every pose of the captures of these names as CSV to what is recorded.
     pub fn export(&mut self, names: Vec<String>) -> Result<(), String> {
-        self.export = Some(thrown(Export::new(names.into_iter().map(PathBuf::from).collect()).map_err(Into::into))?);
+        self.export = Some(thrown(Export::new(names.into_iter().map(PathBuf::from).collect()))?);
         Ok(())
     }
 
@@ -154,7 +154,7 @@ impl Station {
     pub fn step_export(&mut self) -> Result<f64, String> {
         let Some(export) = &mut self.export else { return Ok(1.0) };
         let mut text = Vec::new();
-        let share = thrown(export.step(&self.clock, &mut text).map_err(Into::into))?;
+        let share = thrown(export.step(&self.clock, &mut text))?;
         export.losses().for_each(|loss| self.out.notice(&loss));
         self.recorded.append(&text);
         if share >= 1.0 {
@@ -206,7 +206,7 @@ impl Station {
     /// Begins a recording of the board, called `name`.
     pub fn record(&mut self, name: &str) -> Result<(), String> {
         match &mut self.source {
-            Source::Board(board) => thrown(board.record(name, self.recorded.clone()).map_err(Into::into)),
+            Source::Board(board) => thrown(board.record(name, self.recorded.clone())),
             _ => Err("there is no board to record; choose one".to_owned()),
         }
     }
@@ -290,7 +290,7 @@ impl Station {
         far: impl FnOnce(&Head, &Configuration, HostInstant) -> anyhow::Result<Far>,
     ) -> Result<(), String> {
         let now = (self.clock)();
-        let board = || {
+        let board = || -> anyhow::Result<Source> {
             let head = head.read()?;
             let configuration = board_configuration(&head.file)?;
             let far = far(&head, &configuration, now)?;

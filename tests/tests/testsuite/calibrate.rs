@@ -364,8 +364,7 @@ fn steps_and_stops_of_a_capture_are_read_at_its_notes() {
     slitpose!().run(["simulate", "--trajectory", &motion, "--duration", "3.4s", "--output", &bare]).done();
     let mut reader = CaptureReader::open(Path::new(&bare)).expect("a capture");
     let (limits, mut segment) = (Limits::default(), Segment::default());
-    let mut series =
-        CaptureSeries::create(Path::new(&noted), limits, Existing::Kept, "{}".to_owned()).expect("a capture");
+    let mut series = CaptureSeries::create(Path::new(&noted), limits, Existing::Kept).expect("a capture");
     while let Some(entry) = reader.next(&mut segment).expect("an entry") {
         match entry {
             Entry::Setup(setup) => series.add_device(*setup, None, 0).expect("a board"),

@@ -3,16 +3,16 @@
 //! One look-up rule serves reading and error messages alike: a key of a cell is sought in the
 //! cell's own table of that section, then in the section of defaults.
 
-use std::ops::Range;
+use std::ops::{Range, RangeInclusive};
 
-use slitpose_model::{Fault, Place, SceneError};
+use slitpose_model::{Fault, MAX_CELLS, Place, SceneError};
 use toml::Spanned;
-use toml::de::{DeArray, DeInteger, DeTable, DeValue};
+use toml::de::{DeTable, DeValue};
 
-use super::keys::{self, FilePlace, KeyPath, SceneFileError, nearest};
+use super::keys::{self, FilePlace, KeyPath, Kind, SceneFileError, nearest};
 use crate::foreign::printable;
 
-type Entry<'a> = Spanned<DeValue<'a>>;
+pub(super) type Entry<'a> = Spanned<DeValue<'a>>;
 
 /// A value longer than this, in characters, is cut in messages.
 const MAX_QUOTE: usize = 60;
@@ -24,7 +24,7 @@ pub(super) struct Document<'a> {
 }
 
 impl<'a> Document<'a> {
-    /// Parses the text and refuses unknown keys and sections that are no tables.
+    /// Parses the text and checks it by the table of keys.
     pub(super) fn parse(origin: &'a str, text: &'a str) -> Result<Self, SceneFileError> {
         let root = DeTable::parse(text).map_err(|error| {
             let offset = error.span().map_or(0, |span| span.start);
@@ -37,26 +37,99 @@ impl<'a> Document<'a> {
         Ok(document)
     }
 
+    /// Refuses unknown keys, sections that are no tables, and values of another kind than their key's.
     fn check_keys(&self) -> Result<(), SceneFileError> {
         self.check_table(&self.root, "the scene file", &keys::top())?;
-        let names = |section: &keys::Section| section.keys.iter().map(|key| key.name).collect::<Vec<_>>();
+        self.root
+            .get("name")
+            .into_iter()
+            .try_for_each(|entry| self.check_value(KeyPath::top("name"), Kind::Text, entry))?;
         for section in &keys::SECTIONS {
             if let Some(entry) = self.root.get(section.name) {
                 let table = self.as_table(KeyPath::top(section.name), entry)?;
-                self.check_table(table, &format!("[{}]", section.name), &names(section))?;
+                self.check_section(table, &format!("[{}]", section.name), None, section)?;
             }
         }
-        for (number, entry) in self.cell_entries()?.iter().enumerate() {
+        if let Some(entry) = self.root.get("cell").filter(|entry| entry.get_ref().as_array().is_none()) {
+            return Err(self.wrong_type(KeyPath::top("cell"), entry, "cells as [[cell]] sections"));
+        }
+        for (number, entry) in self.cells().iter().enumerate() {
             let cell = self.as_table(KeyPath::top("cell"), entry)?;
             self.check_table(cell, &format!("[[cell]] number {number}"), &keys::of_cell())?;
+            self.check_values(cell, &keys::OWN, |key| KeyPath::of_cell(number, "cell", key))?;
             for section in &keys::SECTIONS[..keys::PER_CELL] {
                 if let Some(entry) = cell.get(section.name) {
                     let table = self.as_table(KeyPath::of_cell(number, "cell", section.name), entry)?;
-                    self.check_table(table, &format!("`{}` of cell {number}", section.name), &names(section))?;
+                    self.check_section(table, &format!("`{}` of cell {number}", section.name), Some(number), section)?;
                 }
             }
         }
         Ok(())
+    }
+
+    fn check_section(
+        &self,
+        table: &DeTable<'_>,
+        title: &str,
+        cell: Option<usize>,
+        section: &keys::Section,
+    ) -> Result<(), SceneFileError> {
+        self.check_table(table, title, &section.keys.iter().map(|key| key.name).collect::<Vec<_>>())?;
+        self.check_values(table, section.keys, |key| KeyPath { cell, section: section.name, key })
+    }
+
+    fn check_values(
+        &self,
+        table: &DeTable<'_>,
+        keys: &[keys::Key],
+        path: impl Fn(&'static str) -> KeyPath,
+    ) -> Result<(), SceneFileError> {
+        let given = keys.iter().filter_map(|key| Some((key, table.get(key.name)?)));
+        given.into_iter().try_for_each(|(key, entry)| self.check_value(path(key.name), key.kind, entry))
+    }
+
+    fn check_value(&self, path: KeyPath, kind: Kind, entry: &Entry<'_>) -> Result<(), SceneFileError> {
+        let of = |kind| move |item: &Entry<'_>| self.check_value(path, kind, item);
+        let is_fit = match kind {
+            Kind::Vector(count) => return self.check_items(path, kind, entry, count..=count, of(Kind::Number)),
+            Kind::List(most) => return self.check_items(path, kind, entry, 0..=most, of(Kind::Number)),
+            Kind::Matrix(rows, columns) => {
+                return self.check_items(path, kind, entry, rows..=rows, of(Kind::Vector(columns)));
+            }
+            Kind::Pairs(most) => return self.check_items(path, kind, entry, 0..=most, of(Kind::Vector(2))),
+            Kind::Slots => {
+                let emitter = Kind::Whole(0, MAX_CELLS as u64 - 1);
+                let slot = |slot: &Entry<'_>| self.check_items(path, kind, slot, 0..=usize::MAX, of(emitter));
+                return self.check_items(path, kind, entry, 0..=usize::MAX, slot);
+            }
+            Kind::Text => entry.get_ref().as_str().map(|_| true),
+            Kind::OneOf(words) => entry.get_ref().as_str().map(|word| words.contains(&word)),
+            Kind::Number => number_of(entry).map(f64::is_finite),
+            Kind::Whole(least, most) => {
+                integer_of(entry).map(|value| u64::try_from(value).is_ok_and(|value| (least..=most).contains(&value)))
+            }
+        };
+        match is_fit {
+            Some(true) => Ok(()),
+            Some(false) if kind == Kind::Number => Err(self.out_of_range(path, entry, "a finite number")),
+            Some(false) => Err(self.out_of_range(path, entry, &kind.to_string())),
+            None => Err(self.wrong_type(path, entry, &kind.to_string())),
+        }
+    }
+
+    /// Checks an array of so many items, which is `kind` as a whole.
+    fn check_items<'s>(
+        &self,
+        path: KeyPath,
+        kind: Kind,
+        entry: &'s Entry<'a>,
+        counts: RangeInclusive<usize>,
+        check: impl FnMut(&'s Entry<'a>) -> Result<(), SceneFileError>,
+    ) -> Result<(), SceneFileError> {
+        match entry.get_ref().as_array().filter(|array| counts.contains(&array.len())) {
+            Some(array) => array.iter().try_for_each(check),
+            None => Err(self.wrong_type(path, entry, &kind.to_string())),
+        }
     }
 
     fn check_table(&self, table: &DeTable<'_>, section: &str, known: &[&'static str]) -> Result<(), SceneFileError> {
@@ -73,18 +146,8 @@ impl<'a> Document<'a> {
         Err(self.error_at(key.span(), text))
     }
 
-    pub(super) fn cell_count(&self) -> Result<usize, SceneFileError> {
-        Ok(self.cell_entries()?.len())
-    }
-
-    fn cell_entries(&self) -> Result<&[Entry<'a>], SceneFileError> {
-        let Some(entry) = self.root.get("cell") else {
-            return Ok(&[]);
-        };
-        match entry.get_ref() {
-            DeValue::Array(cells) => Ok(cells),
-            _ => Err(self.wrong_type(KeyPath::top("cell"), entry, "cells as [[cell]] sections")),
-        }
+    pub(super) fn cells(&self) -> &[Entry<'a>] {
+        self.root.get("cell").map_or(&[], entries_of)
     }
 
     /// The value of a key, by the look-up rule at the head of this file.
@@ -98,7 +161,7 @@ impl<'a> Document<'a> {
 
     /// The value of a key if it stands in the cell itself, not in the defaults.
     pub(super) fn find_own(&self, cell: usize, section: &str, key: &str) -> Option<&Entry<'a>> {
-        let cell = table_of(self.cell_entries().ok()?.get(cell)?)?;
+        let cell = table_of(self.cells().get(cell)?)?;
         match section {
             "cell" => cell.get(key),
             section => table_of(cell.get(section)?)?.get(key),
@@ -131,29 +194,27 @@ impl<'a> Document<'a> {
         self.has_section(section) || self.find_own(cell, "cell", section).is_some()
     }
 
-    pub(super) fn text(&self, path: KeyPath) -> Result<Option<String>, SceneFileError> {
-        let Some(entry) = self.find(path) else {
-            return Ok(None);
-        };
-        match entry.get_ref() {
-            DeValue::String(text) => Ok(Some(text.to_string())),
-            _ => Err(self.wrong_type(path, entry, "a text in quotes")),
-        }
+    pub(super) fn text(&self, path: KeyPath) -> Option<&str> {
+        self.find(path)?.get_ref().as_str()
     }
 
-    /// A finite number in SI, if the key is there.
-    pub(super) fn number(&self, path: KeyPath) -> Result<Option<f64>, SceneFileError> {
-        Ok(self.written(path)?.map(|written| written * path.unit()))
+    pub(super) fn whole(&self, path: KeyPath) -> Option<u32> {
+        integer_of(self.find(path)?)?.try_into().ok()
     }
 
-    /// A finite number in the file's own unit, if the key is there.
-    pub(super) fn written(&self, path: KeyPath) -> Result<Option<f64>, SceneFileError> {
-        self.find(path).map(|entry| self.as_number(path, entry)).transpose()
+    /// A number in SI, if the key is there.
+    pub(super) fn number(&self, path: KeyPath) -> Option<f64> {
+        Some(self.written(path)? * path.unit())
     }
 
-    /// A finite number in SI that must be there.
+    /// A number in the file's own unit, if the key is there.
+    pub(super) fn written(&self, path: KeyPath) -> Option<f64> {
+        number_of(self.find(path)?)
+    }
+
+    /// A number in SI that must be there.
     pub(super) fn required(&self, path: KeyPath) -> Result<f64, SceneFileError> {
-        self.number(path)?.ok_or_else(|| self.missing(path))
+        self.number(path).ok_or_else(|| self.missing(path))
     }
 
     /// A number in SI; out of range unless `is_allowed`, which `allowed` says in words.
@@ -172,108 +233,25 @@ impl<'a> Document<'a> {
 
     /// A number of zero or more in SI; `default` if the key is not there.
     pub(super) fn not_negative(&self, path: KeyPath, default: f64) -> Result<f64, SceneFileError> {
-        let value = self.number(path)?.unwrap_or(default);
+        let value = self.number(path).unwrap_or(default);
         self.within(path, value, |value| value >= 0.0, "zero or more")
     }
 
-    /// A vector of `N` finite numbers in SI, if the key is there.
-    pub(super) fn vector<const N: usize>(
-        &self,
-        path: KeyPath,
-        expected: &'static str,
-    ) -> Result<Option<[f64; N]>, SceneFileError> {
-        let written = self.find(path).map(|entry| self.as_vector(path, entry, expected)).transpose()?;
-        Ok(written.map(|written| written.map(|value| value * path.unit())))
+    /// A vector in SI, if the key is there.
+    pub(super) fn vector<const N: usize>(&self, path: KeyPath) -> Option<[f64; N]> {
+        self.find(path).map(|entry| vector_of(entry).map(|value| value * path.unit()))
     }
 
-    /// `N` rows of `M` finite numbers, if the key is there.
-    pub(super) fn matrix<const N: usize, const M: usize>(
-        &self,
-        path: KeyPath,
-        expected: &'static str,
-    ) -> Result<Option<[[f64; M]; N]>, SceneFileError> {
-        let Some(entry) = self.find(path) else {
-            return Ok(None);
-        };
-        let rows = self.as_array(path, entry, expected)?;
-        if rows.len() != N {
-            return Err(self.wrong_type(path, entry, expected));
-        }
-        let mut matrix = [[0.0; M]; N];
-        for (row, entry) in matrix.iter_mut().zip(rows.iter()) {
-            *row = self.as_vector(path, entry, expected)?;
-        }
-        Ok(Some(matrix))
+    /// Rows of numbers in the file's own unit, if the key is there.
+    pub(super) fn matrix<const N: usize, const M: usize>(&self, path: KeyPath) -> Option<[[f64; M]; N]> {
+        let rows = entries_of(self.find(path)?);
+        Some(std::array::from_fn(|row| rows.get(row).map_or([0.0; M], vector_of)))
     }
 
-    /// Up to `N` finite numbers in SI; none if the key is not there.
-    pub(super) fn list<const N: usize>(
-        &self,
-        path: KeyPath,
-        expected: &'static str,
-    ) -> Result<heapless::Vec<f64, N>, SceneFileError> {
-        let mut list = heapless::Vec::new();
-        let Some(entry) = self.find(path) else {
-            return Ok(list);
-        };
-        for number in self.as_array(path, entry, expected)?.iter() {
-            let number = self.as_number(path, number)?;
-            list.push(number * path.unit()).map_err(|_| self.wrong_type(path, entry, expected))?;
-        }
-        Ok(list)
-    }
-
-    pub(super) fn as_array<'s>(
-        &'s self,
-        path: KeyPath,
-        entry: &'s Entry<'a>,
-        expected: &'static str,
-    ) -> Result<&'s DeArray<'a>, SceneFileError> {
-        match entry.get_ref() {
-            DeValue::Array(array) => Ok(array),
-            _ => Err(self.wrong_type(path, entry, expected)),
-        }
-    }
-
-    /// Reads an entry as a whole number.
-    pub(super) fn as_integer(&self, path: KeyPath, entry: &Entry<'_>) -> Result<i64, SceneFileError> {
-        let expected = "a whole number";
-        match entry.get_ref() {
-            DeValue::Integer(integer) => i64::from_str_radix(integer.as_str(), integer.radix())
-                .map_err(|_| self.wrong_type(path, entry, expected)),
-            _ => Err(self.wrong_type(path, entry, expected)),
-        }
-    }
-
-    /// Reads an entry as `N` finite numbers.
-    pub(super) fn as_vector<const N: usize>(
-        &self,
-        path: KeyPath,
-        entry: &Entry<'_>,
-        expected: &'static str,
-    ) -> Result<[f64; N], SceneFileError> {
-        let array = self.as_array(path, entry, expected)?;
-        if array.len() != N {
-            return Err(self.wrong_type(path, entry, expected));
-        }
-        let mut vector = [0.0; N];
-        for (component, entry) in vector.iter_mut().zip(array.iter()) {
-            *component = self.as_number(path, entry)?;
-        }
-        Ok(vector)
-    }
-
-    fn as_number(&self, path: KeyPath, entry: &Entry<'_>) -> Result<f64, SceneFileError> {
-        let value = match entry.get_ref() {
-            DeValue::Integer(integer) => number_of(integer),
-            DeValue::Float(float) => float.as_str().parse().ok(),
-            _ => None,
-        };
-        match value {
-            Some(value) if value.is_finite() => Ok(value),
-            Some(_) => Err(self.out_of_range(path, entry, "a finite number")),
-            None => Err(self.wrong_type(path, entry, "a number")),
-        }
+    /// Numbers in SI; none if the key is not there.
+    pub(super) fn list<const N: usize>(&self, path: KeyPath) -> heapless::Vec<f64, N> {
+        let numbers = self.find(path).map_or(&[][..], entries_of).iter().filter_map(number_of);
+        numbers.map(|number| number * path.unit()).take(N).collect()
     }
 
     fn as_table<'s>(&self, path: KeyPath, entry: &'s Entry<'a>) -> Result<&'s DeTable<'a>, SceneFileError> {
@@ -283,7 +261,7 @@ impl<'a> Document<'a> {
     /// The error `text` at a key; at the key's section or cell, if the key is not written.
     pub(super) fn error(&self, path: KeyPath, text: String) -> SceneFileError {
         let section = || self.root.get(path.section).filter(|_| path.section != "cell");
-        let cell = || self.cell_entries().ok()?.get(path.cell?);
+        let cell = || self.cells().get(path.cell?);
         let place = self.find(path).or_else(section).or_else(cell);
         self.error_at(place.map_or(0..0, Spanned::span), text)
     }
@@ -325,7 +303,7 @@ impl<'a> Document<'a> {
             return self.error(path, format!("{path} = {text} degrees is too narrow to compute; give 0.07 or more"));
         }
         let entry = self.find(path);
-        let written = entry.and_then(|entry| self.as_number(path, entry).ok());
+        let written = entry.and_then(number_of);
         let fault = match (error.fault, written) {
             (Fault::NotFinite(_), Some(value)) => Fault::NotFinite(value),
             (Fault::Negative(_), Some(value)) => Fault::Negative(value),
@@ -353,11 +331,29 @@ fn table_of<'s, 'a>(entry: &'s Entry<'a>) -> Option<&'s DeTable<'a>> {
     entry.get_ref().as_table()
 }
 
-fn number_of(integer: &DeInteger<'_>) -> Option<f64> {
-    match integer.radix() {
-        10 => integer.as_str().parse().ok(),
-        radix => i64::from_str_radix(integer.as_str(), radix).ok().map(|value| value as f64),
+/// What an array holds; nothing of what is none.
+pub(super) fn entries_of<'s, 'a>(entry: &'s Entry<'a>) -> &'s [Entry<'a>] {
+    entry.get_ref().as_array().map_or(&[], |array| array)
+}
+
+/// The numbers of an array that has been checked.
+pub(super) fn vector_of<const N: usize>(entry: &Entry<'_>) -> [f64; N] {
+    let entries = entries_of(entry);
+    std::array::from_fn(|at| entries.get(at).and_then(number_of).unwrap_or(f64::NAN))
+}
+
+fn number_of(entry: &Entry<'_>) -> Option<f64> {
+    match entry.get_ref() {
+        DeValue::Integer(integer) if integer.radix() == 10 => integer.as_str().parse().ok(),
+        DeValue::Integer(_) => integer_of(entry).map(|value| value as f64),
+        DeValue::Float(float) => float.as_str().parse().ok(),
+        _ => None,
     }
+}
+
+pub(super) fn integer_of(entry: &Entry<'_>) -> Option<i64> {
+    let integer = entry.get_ref().as_integer()?;
+    i64::from_str_radix(integer.as_str(), integer.radix()).ok()
 }
 
 fn kind_of(value: &DeValue<'_>) -> &'static str {

@@ -147,6 +147,26 @@ pub enum Kind {
     Slots,
 }
 
+/// Numbers of numbers in words.
+const WORDS: [&str; 7] = ["no", "one", "two", "three", "four", "five", "six"];
+
+impl fmt::Display for Kind {
+    /// What to give.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::Text => f.write_str("a text in quotes"),
+            Self::OneOf(words) => write!(f, "\"{}\"", words.join("\" or \"")),
+            Self::Number => f.write_str("a number"),
+            Self::Whole(least, most) => write!(f, "a whole number from {least} to {most}"),
+            Self::Vector(count) => write!(f, "{} numbers", WORDS[count]),
+            Self::List(most) => write!(f, "a list of at most {most} numbers"),
+            Self::Matrix(rows, columns) => write!(f, "{} rows of {} numbers", WORDS[rows], WORDS[columns]),
+            Self::Pairs(most) => write!(f, "at most {most} pairs of numbers"),
+            Self::Slots => f.write_str("slots of emitter numbers, e.g. [[0, 2, 4], [1, 3, 5], []]"),
+        }
+    }
+}
+
 /// A key with its value.
 #[derive(Clone, Copy, Debug)]
 pub struct Key {

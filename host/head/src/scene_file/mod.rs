@@ -9,6 +9,7 @@ mod keys;
 mod optics;
 mod settings;
 
+use std::borrow::Cow;
 use std::ops::RangeInclusive;
 use std::path::Path;
 
@@ -105,7 +106,7 @@ impl SceneFile {
         // Every rule about optical values stands in the model; compiling applies them all.
         CompiledScene::<f64>::compile(&scene, Tier::Paper).map_err(|error| document.optics_error(error))?;
         let stem = Path::new(origin).file_stem().map(|stem| stem.to_string_lossy());
-        let name: String = document.text(KeyPath::top("name"))?.or_else(|| stem.map(Into::into)).unwrap_or_default();
+        let name = document.text(KeyPath::top("name")).map_or_else(|| stem.unwrap_or_default(), Cow::Borrowed);
         Ok(Self {
             // For people only: pages, pictures and terminals show it.
             name: printable(&name).to_string(),
@@ -114,8 +115,8 @@ impl SceneFile {
             hash: fnv1a_64(text.as_bytes()),
             front_end: settings::read_front_end(&document)?,
             tolerance: settings::read_tolerance(&document)?,
-            gives_light_level: optics::read_light_level(&document)?.is_some(),
-            gives_emitter_drift: optics::read_emitter_drift(&document)?.is_some(),
+            gives_light_level: optics::read_light_level(&document).is_some(),
+            gives_emitter_drift: optics::read_emitter_drift(&document).is_some(),
             lighting,
             workspace,
             scene,

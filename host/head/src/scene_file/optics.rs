@@ -6,20 +6,18 @@
 use glam::{DVec2, DVec3};
 use heapless::Vec;
 use slitpose_model::{
-    AZIMUTHAL_TERMS, Cell, Converters, DEFAULT_FAINT_A, Detector, Effects, Emitter, Fault, MAX_CELLS,
-    MAX_PROFILE_KNOTS, Noise, Opening, Pose, Profile, ProfileShape, RADIAL_TERMS, Scene, Slit, Stray, Uncertainty,
-    Window,
+    Cell, Converters, DEFAULT_FAINT_A, Detector, Effects, Emitter, Fault, MAX_CELLS, Noise, Opening, Pose, Profile,
+    ProfileShape, Scene, Slit, Stray, Uncertainty, Window,
 };
 
-use super::document::Document;
+use super::document::{Document, entries_of, vector_of};
 use super::keys::{KeyPath, PROFILES, SceneFileError, of_cell};
 use super::settings::{Lighting, Workspace};
 
 /// The optics of the scene, not yet checked by the model.
 pub(super) fn read(document: &Document<'_>) -> Result<Scene, SceneFileError> {
-    let mut scene =
-        Scene { noise: read_noise(document)?, uncertainty: read_uncertainty(document)?, ..Scene::default() };
-    let count = document.cell_count()?;
+    let mut scene = Scene { noise: read_noise(document)?, uncertainty: read_uncertainty(document), ..Scene::default() };
+    let count = document.cells().len();
     for number in 0..count {
         let cell = match read_second_axis(document, &mut scene, number)? {
             Some(cell) => cell,
@@ -37,9 +35,6 @@ pub(super) fn read(document: &Document<'_>) -> Result<Scene, SceneFileError> {
 }
 
 fn read_cell(document: &Document<'_>, number: usize) -> Result<Cell, SceneFileError> {
-    for section in ["detector", "emitter"] {
-        document.text(KeyPath::of_cell(number, section, "part"))?;
-    }
     let detector = read_detector(document, number)?;
     let passage = Passage::read(document, number)?;
     Ok(Cell {
@@ -59,24 +54,24 @@ fn read_detector(document: &Document<'_>, cell: usize) -> Result<Detector, Scene
         length_m: document.required(key("length_mm"))?,
         width_m: document.required(key("width_mm"))?,
         responsivity_a_per_w: document.required(key("responsivity_a_per_w"))?,
-        dark_current_a: document.number(key("dark_current_a"))?.unwrap_or(0.0),
-        interelectrode_ohm: document.number(key("interelectrode_ohm"))?,
-        saturation_a: document.number(key("saturation_a"))?,
-        faint_a: document.number(key("faint_a"))?.unwrap_or(DEFAULT_FAINT_A),
+        dark_current_a: document.number(key("dark_current_a")).unwrap_or(0.0),
+        interelectrode_ohm: document.number(key("interelectrode_ohm")),
+        saturation_a: document.number(key("saturation_a")),
+        faint_a: document.number(key("faint_a")).unwrap_or(DEFAULT_FAINT_A),
     })
 }
 
 fn read_slit(document: &Document<'_>, cell: usize, passage: &Passage) -> Result<Slit, SceneFileError> {
     let key = |key| KeyPath::of_cell(cell, "slit", key);
-    let offset_m = document.vector(key("offset_mm"), "two numbers, [x, y]")?;
-    let tilt_rad = document.vector(key("tilt_deg"), "three numbers, [x, y, z]")?;
+    let offset_m = document.vector(key("offset_mm"));
+    let tilt_rad = document.vector(key("tilt_deg"));
     Ok(Slit {
         distance_m: document.required(key("distance_mm"))?,
         width_m: document.required(key(passage.width))?,
         length_m: document.required(key(passage.length))?,
         offset_m: DVec2::from_array(offset_m.unwrap_or_default()),
         tilt_rad: DVec3::from_array(tilt_rad.unwrap_or_default()),
-        thickness_m: document.number(key("thickness_mm"))?.unwrap_or(0.0),
+        thickness_m: document.number(key("thickness_mm")).unwrap_or(0.0),
     })
 }
 
@@ -106,29 +101,20 @@ fn read_profile(document: &Document<'_>, cell: usize) -> Result<Profile, SceneFi
     let path = KeyPath::of_cell(cell, "emitter", key);
     match key {
         "half_angle_deg" => {
-            let half_angle_deg = document.written(path)?.ok_or_else(|| document.missing(path))?;
+            let half_angle_deg = document.written(path).ok_or_else(|| document.missing(path))?;
             if half_angle_deg > 0.0 && half_angle_deg < 90.0 {
                 return Ok(Profile::from_half_angle(half_angle_deg.to_radians()));
             }
             Err(document.error(path, format!("{path}: {}", Fault::HalfAngle(half_angle_deg))))
         }
         "profile_exponent" => Ok(Profile::Cosine { exponent: document.required(path)? }),
-        _ => read_profile_table(document, path),
+        _ => {
+            let knots = document.find(path).map_or(&[][..], entries_of).iter().map(vector_of);
+            Ok(Profile::Table(
+                knots.map(|[angle_deg, relative]: [f64; 2]| (angle_deg.to_radians(), relative)).collect(),
+            ))
+        }
     }
-}
-
-fn read_profile_table(document: &Document<'_>, path: KeyPath) -> Result<Profile, SceneFileError> {
-    let expected = "pairs of numbers, [[degrees, relative intensity], …]";
-    let entry = document.find(path).ok_or_else(|| document.missing(path))?;
-    let array = document.as_array(path, entry, expected)?;
-    let too_many =
-        || document.error(path, format!("{path} has {} knots; give at most {MAX_PROFILE_KNOTS}", array.len()));
-    let mut knots = Vec::new();
-    for knot in array.iter() {
-        let [angle_deg, relative] = document.as_vector(path, knot, expected)?;
-        knots.push((angle_deg.to_radians(), relative)).map_err(|_| too_many())?;
-    }
-    Ok(Profile::Table(knots))
 }
 
 fn read_noise(document: &Document<'_>) -> Result<Option<Noise>, SceneFileError> {
@@ -153,32 +139,31 @@ const EMITTER_DRIFT_RELATIVE: f64 = 0.01;
 const EMITTER_DRIFT_MINUTES: f64 = 120.0;
 
 /// [`Uncertainty::emitter_drift_relative`] as far as the file gives it.
-pub(super) fn read_emitter_drift(document: &Document<'_>) -> Result<Option<f64>, SceneFileError> {
+pub(super) fn read_emitter_drift(document: &Document<'_>) -> Option<f64> {
     document.number(KeyPath::section("tolerance", "emitter_drift_relative"))
 }
 
 /// [`Uncertainty::light_level_relative`] as far as the file gives it.
-pub(super) fn read_light_level(document: &Document<'_>) -> Result<Option<f64>, SceneFileError> {
+pub(super) fn read_light_level(document: &Document<'_>) -> Option<f64> {
     document.number(KeyPath::section("tolerance", "light_level_relative"))
 }
 
-fn read_uncertainty(document: &Document<'_>) -> Result<Uncertainty, SceneFileError> {
-    let key = |key| Ok(document.number(KeyPath::section("uncertainty", key))?.unwrap_or(0.0));
-    let minutes = document.number(KeyPath::section("tolerance", "emitter_drift_minutes"))?;
-    Ok(Uncertainty {
-        emitter_gain_relative: key("emitter_gain_relative")?,
-        electrode_gain_relative: key("electrode_gain_relative")?,
-        position_m: key("position_mm")?,
-        light_level_relative: read_light_level(document)?.unwrap_or(LIGHT_LEVEL_RELATIVE),
-        emitter_drift_relative: read_emitter_drift(document)?.unwrap_or(EMITTER_DRIFT_RELATIVE),
+fn read_uncertainty(document: &Document<'_>) -> Uncertainty {
+    let key = |key| document.number(KeyPath::section("uncertainty", key)).unwrap_or(0.0);
+    let minutes = document.number(KeyPath::section("tolerance", "emitter_drift_minutes"));
+    Uncertainty {
+        emitter_gain_relative: key("emitter_gain_relative"),
+        electrode_gain_relative: key("electrode_gain_relative"),
+        position_m: key("position_mm"),
+        light_level_relative: read_light_level(document).unwrap_or(LIGHT_LEVEL_RELATIVE),
+        emitter_drift_relative: read_emitter_drift(document).unwrap_or(EMITTER_DRIFT_RELATIVE),
         emitter_drift_s: 60.0 * minutes.unwrap_or(EMITTER_DRIFT_MINUTES),
-    })
+    }
 }
 
 fn vector(document: &Document<'_>, cell: usize, key: &'static str) -> Result<DVec3, SceneFileError> {
     let path = KeyPath::of_cell(cell, "cell", key);
-    let vector = document.vector(path, "three numbers, [x, y, z]")?;
-    vector.map(DVec3::from_array).ok_or_else(|| document.missing(path))
+    document.vector(path).map(DVec3::from_array).ok_or_else(|| document.missing(path))
 }
 
 /// What the light of a cell passes through, and the keys of its sizes.
@@ -204,14 +189,10 @@ impl Passage {
         if is_hole && own_hole == own_slit && (given("width_mm") || given("length_mm")) {
             return refuse("diameter_mm", "a round hole has neither width_mm nor length_mm; remove those or this");
         }
-        let rides = match document.text(path("mount"))?.as_deref() {
-            None | Some("base") => false,
-            Some("tool") => true,
-            Some(_) => return refuse("mount", "give \"base\" or \"tool\""),
-        };
+        let rides = document.text(path("mount")) == Some("tool");
         // A cell with sizes of its own has a lens of its own, too, if any.
         let may_focus = !(own_hole || own_slit) || own("focal_length_mm");
-        let focal_length_m = document.number(path("focal_length_mm"))?.filter(|_| may_focus);
+        let focal_length_m = document.number(path("focal_length_mm")).filter(|_| may_focus);
         let opening = match (is_hole, rides, focal_length_m) {
             (true, true, _) => return refuse("mount", "a round hole is on the base; give \"base\", or a slit"),
             (false, _, Some(_)) => {
@@ -235,17 +216,18 @@ const SECOND_AXIS: &str = "second_axis_of";
 /// Cell `number`, if it reads the second axis of the detector of an earlier cell; notes that in the earlier one.
 fn read_second_axis(document: &Document<'_>, scene: &mut Scene, number: usize) -> Result<Option<Cell>, SceneFileError> {
     let path = KeyPath::of_cell(number, "cell", SECOND_AXIS);
-    let Some(entry) = document.find_own(number, "cell", SECOND_AXIS) else {
+    if document.find_own(number, "cell", SECOND_AXIS).is_none() {
         return Ok(None);
-    };
-    let given = document.as_integer(path, entry)?;
+    }
+    let given = document.whole(path).unwrap_or(u32::MAX);
     let refuse = |why: &str| {
         let next_step = "give the number of an earlier cell that has a detector of its own";
         Err(document.error(path, format!("{path} = {given} {why}; {next_step}")))
     };
-    let Some(first) = usize::try_from(given).ok().filter(|&first| first < scene.cells.len()) else {
+    let first = given as usize;
+    if first >= scene.cells.len() {
         return refuse("is no earlier cell");
-    };
+    }
     match scene.cells[first].effects.other_axis {
         Some(other) if other < first => return refuse("is a second axis itself"),
         Some(_) => return refuse("has a second axis already"),
@@ -295,12 +277,12 @@ const FACING_AWAY: f64 = -0.173_648_177_666_930_33;
 fn read_effects(document: &Document<'_>, cell: usize, length_m: f64) -> Result<Effects, SceneFileError> {
     let detector = |key| KeyPath::of_cell(cell, "detector", key);
     let emitter = |key| KeyPath::of_cell(cell, "emitter", key);
-    let nonlinearity = document.list(detector("nonlinearity_mm"), "a list of at most 12 numbers")?;
-    let gain = document.vector(detector("electrode_gain"), "two numbers, those of I_X1 and I_X2")?;
-    let radial = document.vector::<RADIAL_TERMS>(emitter("profile_radial"), "four numbers")?;
-    let azimuthal = document.vector::<AZIMUTHAL_TERMS>(emitter("profile_azimuthal"), "four numbers")?;
+    let nonlinearity = document.list(detector("nonlinearity_mm"));
+    let gain = document.vector(detector("electrode_gain"));
+    let radial = document.vector(emitter("profile_radial"));
+    let azimuthal = document.vector(emitter("profile_azimuthal"));
     Ok(Effects {
-        source_diameter_m: document.number(emitter("source_diameter_mm"))?.unwrap_or(0.0),
+        source_diameter_m: document.number(emitter("source_diameter_mm")).unwrap_or(0.0),
         profile: ProfileShape { radial: radial.unwrap_or_default(), azimuthal: azimuthal.unwrap_or_default() },
         window: read_window(document, cell)?,
         nonlinearity_m: if is_zero(&nonlinearity) { Vec::new() } else { nonlinearity },
@@ -327,14 +309,11 @@ fn read_window(document: &Document<'_>, cell: usize) -> Result<Option<Window>, S
 fn read_stray(document: &Document<'_>, cell: usize, length_m: f64) -> Result<Option<Stray>, SceneFileError> {
     let key = |key| KeyPath::of_cell(cell, "stray", key);
     let current_a = document.not_negative(key("current_a"), 0.0)?;
-    let centre_m = document.number(key("centre_mm"))?.unwrap_or(0.0);
+    let centre_m = document.number(key("centre_mm")).unwrap_or(0.0);
     let allowed = "a place on the detector, at most half its length";
     let centre_m = document.within(key("centre_mm"), centre_m, |at_m| at_m.abs() <= 0.5 * length_m, allowed)?;
-    let linear = document.matrix::<2, 3>(key("linear_a_per_mm"), "two rows of three numbers, by t_x, t_y, t_z")?;
-    let quadratic = document.matrix::<2, 6>(
-        key("quadratic_a_per_mm2"),
-        "two rows of six numbers, by t_x², t_y², t_z², t_x·t_y, t_y·t_z, t_z·t_x",
-    )?;
+    let linear: Option<[[f64; 3]; 2]> = document.matrix(key("linear_a_per_mm"));
+    let quadratic: Option<[[f64; 6]; 2]> = document.matrix(key("quadratic_a_per_mm2"));
     let stray = Stray {
         linear_a_per_m: linear.unwrap_or_default().map(|row| row.map(|value| value * PER_M_FROM_PER_MM)),
         quadratic_a_per_m2: quadratic
@@ -351,8 +330,7 @@ fn read_converters(document: &Document<'_>, cell: usize) -> Result<Option<Conver
     }
     let key = |key| KeyPath::of_cell(cell, "converter", key);
     let full_scale_a = document.required(key("full_scale_a"))?;
-    let curve = |name| document.list(key(name), "a list of at most 10 numbers");
-    let curves_a = [curve("curve_1_a")?, curve("curve_2_a")?];
+    let curves_a = ["curve_1_a", "curve_2_a"].map(|name| document.list(key(name)));
     Ok(Some(Converters { full_scale_a, curves_a }).filter(|it| !it.curves_a.iter().all(|curve| is_zero(curve))))
 }
 

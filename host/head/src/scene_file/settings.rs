@@ -3,7 +3,7 @@
 use glam::DVec3;
 use slitpose_model::{Cell, Pose, Scene};
 
-use super::document::Document;
+use super::document::{Document, entries_of, integer_of};
 use super::keys::{KeyPath, SceneFileError};
 
 /// The widest result the converters give: 12 bits, 16 with oversampling (STM32G4).
@@ -63,31 +63,14 @@ pub(super) fn read_front_end(document: &Document<'_>) -> Result<Option<FrontEnd>
             |value| (1e-12..=1.0).contains(&value),
             "amperes from 1e-12 to 1, such as 10e-6",
         )?,
-        adc_bits: count(document, path("adc_bits"), WIDEST_BITS, "a whole number from 1 to 16")?
-            .ok_or_else(|| document.missing(path("adc_bits")))?,
+        adc_bits: document.whole(path("adc_bits")).ok_or_else(|| document.missing(path("adc_bits")))?,
         raw_noise_lsb: not_negative("raw_noise_lsb")?,
-        oversampling: count(document, path("oversampling"), MAX_OVERSAMPLING, "a whole number from 1 to 256")?
-            .unwrap_or(1),
+        oversampling: document.whole(path("oversampling")).unwrap_or(1),
         time_constant_s: not_negative("time_constant_s")?,
         settling_s: not_negative("settling_s")?,
         conversion_s: not_negative("conversion_s")?,
         frame_rate_hz: positive("frame_rate_hz")?,
     }))
-}
-
-fn count(
-    document: &Document<'_>,
-    path: KeyPath,
-    most: u64,
-    allowed: &'static str,
-) -> Result<Option<u32>, SceneFileError> {
-    let Some(entry) = document.find(path) else {
-        return Ok(None);
-    };
-    match u32::try_from(document.as_integer(path, entry)?) {
-        Ok(count) if (1..=most).contains(&count.into()) => Ok(Some(count)),
-        _ => Err(document.out_of_range(path, entry, allowed)),
-    }
 }
 
 /// The slots of one frame, in the order they are lit.
@@ -118,21 +101,20 @@ impl Lighting {
 /// The lighting of the file, or [`Lighting::one_by_one`].
 pub(super) fn read_lighting(document: &Document<'_>, scene: &Scene) -> Result<Lighting, SceneFileError> {
     let path = KeyPath::section("lighting", "slots");
-    let expected = "slots of emitter numbers, e.g. [[0, 2, 4], [1, 3, 5], []]";
     let Some(entry) = document.find(path) else {
         return Ok(Lighting::one_by_one(scene));
     };
     let cells = scene.cells.len();
     let mut lighting = Lighting { slots: Vec::new() };
-    for (number, slot) in document.as_array(path, entry, expected)?.iter().enumerate() {
-        let emitters = document.as_array(path, slot, expected)?;
+    for (number, slot) in entries_of(entry).iter().enumerate() {
+        let emitters = entries_of(slot);
         let refuse = |span, fault| Err(document.error_at(span, format!("lighting.slots: {fault}")));
         if let (true, Some(first)) = (emitters.is_empty(), lighting.dark_slot()) {
             return refuse(slot.span(), format!("slots {first} and {number} are both dark; keep one `[]`"));
         }
         lighting.slots.push(Vec::new());
         for entry in emitters.iter() {
-            let given = document.as_integer(path, entry)?;
+            let given = integer_of(entry).unwrap_or(-1);
             let Some(emitter) = usize::try_from(given).ok().filter(|emitter| *emitter < cells) else {
                 let last = cells - 1;
                 let fault = format!("emitter {given} does not exist; the scene has the cells 0 to {last}");
@@ -287,7 +269,7 @@ pub(super) fn read_workspace(document: &Document<'_>) -> Result<Workspace, Scene
     let default = Workspace::default();
     let extents = |key, default, most, allowed| {
         let path = KeyPath::section("workspace", key);
-        let Some(extents) = document.vector::<3>(path, "three numbers, [x, y, z]")? else { return Ok(default) };
+        let Some(extents) = document.vector::<3>(path) else { return Ok(default) };
         document.within(path, extents[0], |_| extents.iter().all(|extent| (0.0..=most).contains(extent)), allowed)?;
         Ok(DVec3::from_array(extents))
     };

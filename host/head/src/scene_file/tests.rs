@@ -195,7 +195,7 @@ fn a_lighting_that_cannot_be_is_refused() {
         ("[[0, 1], [1], []]", "13:19", "emitter 1 is lit in slot 0 and again in slot 1; light each"),
         ("[[0], []]", "13:9", "emitter 1 is in no slot; add it"),
         ("[[0, 2], [1], []]", "13:14", "emitter 2 does not exist; the scene has the cells 0 to 1"),
-        ("[[0, -1], [1], []]", "13:14", "emitter -1 does not exist"),
+        ("[[0, -1], [1], []]", "13:14", "-1 is out of range; give a whole number from 0 to 15"),
         ("[[], [0], [1], []]", "13:24", "slots 0 and 3 are both dark; keep one"),
         ("[0, 1]", "13:10", "0 is a number; give slots"),
     ];

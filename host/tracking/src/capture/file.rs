@@ -1,4 +1,4 @@
-//! One file of a capture, on any medium.
+//! One file of a capture, on any medium: a file of the system, or what else takes its bytes.
 //!
 //! Scenes, metadata and hellos are repeated, so that damage affects only the chunk it is in: metadata before
 //! each chunk, the last hello of each board at the beginning of each chunk, heads as shapes in the first and in
@@ -6,14 +6,14 @@
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::io;
+use std::fs::File;
+use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
 
-use super::medium::{Medium, Sink};
 use super::records::PROGRAM;
 use super::setup::{LinkChannels, METADATA, Setup};
 use super::{LINK_BYTES, REPORT_SCHEMA, link_bytes};
@@ -32,6 +32,9 @@ const CHUNK_BYTES: u64 = 1 << 17;
 
 /// Scenes are repeated before each chunk with a number divisible by this: some 10 s apart.
 const SCENE_EVERY: u64 = 32;
+
+/// Type of the attachments with scenes and calibrations.
+pub(super) const TOML: &str = "application/toml";
 
 const REPORT_CONTENT: (&str, &str) = ("content", "JSON; its schema is the attachment report.schema.json");
 
@@ -61,8 +64,8 @@ struct Board {
     is_new: bool,
 }
 
-pub(super) struct CaptureFile<M: Medium> {
-    writer: Writer<Sink<M>>,
+pub(super) struct CaptureFile {
+    writer: Writer<Sink>,
     report: u16,
     notes: u16,
     transforms: u16,
@@ -81,8 +84,8 @@ pub(super) struct CaptureFile<M: Medium> {
     pub(super) unflushed_link_bytes: u64,
 }
 
-impl<M: Medium> CaptureFile<M> {
-    pub(super) fn create(medium: M, report_schema: &str) -> Result<Self, McapError> {
+impl CaptureFile {
+    pub(super) fn create(medium: AnyMedium, report_schema: &str) -> Result<Self, McapError> {
         let options = WriteOptions::new()
             .profile("ros2")
             .library(format!("{PROGRAM}{}", env!("CARGO_PKG_VERSION")))
@@ -96,7 +99,7 @@ impl<M: Medium> CaptureFile<M> {
         let sink = Sink::new(medium);
         let written_bytes = sink.position();
         let mut writer = options.create(sink)?;
-        attach(&mut writer, (REPORT_SCHEMA, "application/schema+json"), report_schema, 0)?;
+        attach(&mut writer, REPORT_SCHEMA, "application/schema+json", report_schema, 0)?;
         let report = ros_channel(&mut writer, REPORT, "/slitpose/report", &[REPORT_CONTENT])?;
         let notes = ros_channel(&mut writer, NOTE, NOTES, &[("content", "notes of persons, each of its instant")])?;
         let transforms = ros_channel(&mut writer, TRANSFORMS, "/tf", &[])?;
@@ -123,12 +126,12 @@ impl<M: Medium> CaptureFile<M> {
         let source = &setup.scene.source;
         let attachment = setup.attachment(|name| self.scenes.get(name).is_some_and(|taken| taken != source));
         if self.scenes.insert(attachment.clone(), Arc::clone(source)).is_none() {
-            attach_toml(&mut self.writer, &attachment, source, log_ns)?;
+            attach(&mut self.writer, &attachment, TOML, source, log_ns)?;
         }
         if let Some((name, source)) = setup.calibration()
             && self.calibrations.insert(name.to_owned(), Arc::clone(source)).is_none()
         {
-            attach_toml(&mut self.writer, name, source, log_ns)?;
+            attach(&mut self.writer, name, TOML, source, log_ns)?;
         }
         let writer = &mut self.writer;
         let mut channel = |of: RosType, name: &str, about: &[(&str, &str)]| {
@@ -268,7 +271,7 @@ impl<M: Medium> CaptureFile<M> {
     fn write_copies(&mut self, with_scenes: bool, log_ns: u64) -> Result<(), McapError> {
         let Self { writer, scenes, boards, .. } = self;
         if with_scenes {
-            scenes.iter().try_for_each(|(name, source)| attach_toml(writer, name, source, log_ns))?;
+            scenes.iter().try_for_each(|(name, source)| attach(writer, name, TOML, source, log_ns))?;
         }
         boards.values().try_for_each(|board| writer.write_metadata(&board.metadata))
     }
@@ -294,33 +297,19 @@ impl<M: Medium> CaptureFile<M> {
         // The records are safe before the summary is written.
         self.flush()?;
         let Self { writer, calibrations, log_ns, .. } = self;
-        calibrations.iter().try_for_each(|(name, source)| attach_toml(writer, name, source, *log_ns))?;
+        calibrations.iter().try_for_each(|(name, source)| attach(writer, name, TOML, source, *log_ns))?;
         self.write_copies(true, self.log_ns)?;
         self.writer.finish()?;
         Ok(())
     }
 
-    /// After a failure: cuts the file back to the last flush; returns its length and the medium.
-    pub(super) fn cut_back(self) -> (u64, M) {
+    /// After a failure: cuts the file back to the last flush; returns its length.
+    pub(super) fn cut_back(self) -> u64 {
         self.writer.into_inner().cut_back()
     }
 }
 
-fn attach_toml<M: Medium>(
-    writer: &mut Writer<Sink<M>>,
-    name: &str,
-    source: &str,
-    log_ns: u64,
-) -> Result<(), McapError> {
-    attach(writer, (name, "application/toml"), source, log_ns)
-}
-
-fn attach<M: Medium>(
-    writer: &mut Writer<Sink<M>>,
-    (name, media_type): (&str, &str),
-    text: &str,
-    log_ns: u64,
-) -> Result<(), McapError> {
+fn attach(writer: &mut Writer<Sink>, name: &str, media_type: &str, text: &str, log_ns: u64) -> Result<(), McapError> {
     writer.attach(&Attachment {
         log_time: log_ns,
         create_time: log_ns,
@@ -330,12 +319,7 @@ fn attach<M: Medium>(
     })
 }
 
-fn ros_channel<M: Medium>(
-    writer: &mut Writer<Sink<M>>,
-    of: RosType,
-    topic: &str,
-    about: &[(&str, &str)],
-) -> Result<u16, McapError> {
+fn ros_channel(writer: &mut Writer<Sink>, of: RosType, topic: &str, about: &[(&str, &str)]) -> Result<u16, McapError> {
     let schema = writer.add_schema(of.name, "ros2msg", of.definition.as_bytes())?;
     // The ROS profile requires the quality of service, which only ROS publishers have.
     let about = about.iter().chain([&("offered_qos_profiles", "")]);
@@ -347,5 +331,86 @@ pub(super) fn io_error(error: McapError) -> io::Error {
     match error {
         McapError::Io(error) => error,
         error => io::Error::other(error),
+    }
+}
+
+const BUFFER_BYTES: usize = 1 << 18;
+
+/// A medium to which a capture can be written.
+pub trait Medium: Write {
+    /// Waits until all written bytes would survive a power cut.
+    fn sync(&mut self) -> io::Result<()>;
+
+    /// Drops all bytes after the first `length`; nothing is written afterwards.
+    fn truncate(&mut self, length: u64) -> io::Result<()>;
+}
+
+impl Medium for File {
+    fn sync(&mut self) -> io::Result<()> {
+        match self.sync_data() {
+            // A pipe or a device has nothing to sync.
+            Err(error) if error.kind() == io::ErrorKind::InvalidInput => Ok(()),
+            synced => synced,
+        }
+    }
+
+    fn truncate(&mut self, length: u64) -> io::Result<()> {
+        self.set_len(length)?;
+        self.sync()
+    }
+}
+
+/// Any of them.
+pub(super) type AnyMedium = Box<dyn Medium + Send>;
+
+/// A medium behind a buffer. A flush reaches the disk.
+struct Sink {
+    medium: BufWriter<AnyMedium>,
+    position: Arc<AtomicU64>,
+    safe: u64,
+}
+
+impl Sink {
+    fn new(medium: AnyMedium) -> Self {
+        Self { medium: BufWriter::with_capacity(BUFFER_BYTES, medium), position: Arc::default(), safe: 0 }
+    }
+
+    /// The number of bytes written, which the MCAP writer does not report.
+    fn position(&self) -> Arc<AtomicU64> {
+        Arc::clone(&self.position)
+    }
+
+    /// After a failure: drops, if possible, the bytes after the last flush; returns the safe length.
+    fn cut_back(self) -> u64 {
+        // What is in the buffer still is not written.
+        let (mut medium, _) = self.medium.into_parts();
+        // Otherwise a record without an end remains, which readers skip.
+        let _ = medium.truncate(self.safe);
+        self.safe
+    }
+}
+
+impl Write for Sink {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let count = self.medium.write(bytes)?;
+        self.position.fetch_add(count as u64, Ordering::Relaxed);
+        Ok(count)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.medium.flush()?;
+        self.medium.get_mut().sync()?;
+        self.safe = self.position.load(Ordering::Relaxed);
+        Ok(())
+    }
+}
+
+/// Only reports its position: the MCAP writer does not seek.
+impl Seek for Sink {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        match to {
+            SeekFrom::Current(0) => Ok(self.position.load(Ordering::Relaxed)),
+            _ => Err(io::ErrorKind::Unsupported.into()),
+        }
     }
 }

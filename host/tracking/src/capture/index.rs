@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use mcap::records::{Record, op};
 
+use super::file::TOML;
 use super::records::attachment;
 use super::setup::{METADATA, Setup, SetupError, Texts};
 use super::{Entry, link_bytes};
@@ -126,7 +127,7 @@ impl Index {
     /// Reads a scene or a calibration; returns whether settings of a board were waiting for it.
     fn take_attachment(&mut self, record: &[u8]) -> Option<bool> {
         let (_, media_type, data) = attachment(record)?;
-        if media_type != "application/toml" || data.len() > MAX_TEXT_BYTES {
+        if media_type != TOML || data.len() > MAX_TEXT_BYTES {
             return Some(false);
         }
         let hash = fnv1a_64(data);

@@ -1,15 +1,87 @@
-//! A [`Segment`] as the message `slitpose_msgs/msg/LinkBytes`, without loss.
+//! The bytes of a link as messages: the stream of one board divided into [`Segment`]s of whole packets, each without loss as
+//! `slitpose_msgs/msg/LinkBytes`.
+
+use slitpose_protocol::{DELIMITER, Decoder, MAX_MESSAGE_BYTES, Message};
 
 use crate::clock::HostInstant;
 use crate::link::{Asked, Read, Segment};
-use crate::ros::cdr::{Decoder, Encoder};
+use crate::ros::cdr;
+
+const MAX_LINK_BYTES: usize = 1 << 20;
+
+/// First byte of a hello: its payload begins with a zero, which byte stuffing encodes as this.
+const FIRST_BYTE_OF_HELLO: u8 = 1;
+
+/// Holds back an incomplete packet, so that a capture can be split between any two messages.
+#[derive(Debug, Default)]
+pub(super) struct Packets {
+    pending: Segment,
+}
+
+impl Packets {
+    /// Whether the bytes held back must be [taken incomplete](Self::take_rest) before `segment` is pushed.
+    pub(super) fn must_end_before(&self, segment: &Segment) -> bool {
+        segment.opened && !self.pending.is_empty()
+    }
+
+    /// Appends a segment; not if a message [must end](Self::must_end_before) first.
+    pub(super) fn push(&mut self, segment: &Segment) {
+        self.pending.append(segment);
+    }
+
+    /// Moves the next whole packets to `message`. `false` if there are neither packets nor pings.
+    pub(super) fn next(&mut self, message: &mut Segment) -> bool {
+        let bytes = &self.pending.bytes;
+        let within = &bytes[..bytes.len().min(MAX_LINK_BYTES)];
+        let length = match within.iter().rposition(|&byte| byte == DELIMITER) {
+            Some(last) => last + 1,
+            // Too long for a packet.
+            None if bytes.len() >= MAX_MESSAGE_BYTES => within.len(),
+            None => 0,
+        };
+        if length == 0 && self.pending.asked.is_empty() {
+            return false;
+        }
+        self.split(length, message);
+        true
+    }
+
+    /// Moves all bytes held back to `message`; `false` if there are none.
+    pub(super) fn take_rest(&mut self, message: &mut Segment) -> bool {
+        let is_something = !self.pending.is_empty();
+        self.split(self.pending.bytes.len(), message);
+        is_something
+    }
+
+    /// Moves the first `length` bytes, and everything without bytes. Both parts of a split read have its
+    /// time.
+    fn split(&mut self, length: usize, message: &mut Segment) {
+        message.clear();
+        message.append(&self.pending);
+        message.truncate(length);
+        self.pending.skip(length);
+        self.pending.opened = false;
+        self.pending.asked.clear();
+    }
+}
+
+/// The last hello among the whole packets of `bytes`, its delimiter included.
+pub(super) fn last_hello(bytes: &[u8]) -> Option<&[u8]> {
+    let packets = bytes.split_inclusive(|&byte| byte == DELIMITER);
+    packets.filter(|packet| packet.first() == Some(&FIRST_BYTE_OF_HELLO)).rfind(|packet| is_hello(packet))
+}
+
+fn is_hello(mut packet: &[u8]) -> bool {
+    let mut decoder = Decoder::<MAX_MESSAGE_BYTES>::new();
+    matches!(decoder.next::<Message<'_>>(&mut packet), Some(Ok(Message::Hello(_))))
+}
 
 /// Time of a read without time: a clock reaches it after 584 years.
 const NO_TIME: u64 = u64::MAX;
 
 /// Writes `segment` into `bytes`, which is cleared first.
-pub fn encode(segment: &Segment, bytes: &mut Vec<u8>) {
-    let mut encoder = Encoder::new(bytes);
+pub(super) fn encode(segment: &Segment, bytes: &mut Vec<u8>) {
+    let mut encoder = cdr::Encoder::new(bytes);
     encoder.bool(segment.opened);
     encoder.bytes(&segment.bytes);
     encoder.length(segment.reads.len());
@@ -25,7 +97,7 @@ pub fn encode(segment: &Segment, bytes: &mut Vec<u8>) {
 }
 
 /// UTC is stored as its difference from the monotonic clock, which is nearly constant and compresses well.
-fn instants(encoder: &mut Encoder<'_>, all: impl ExactSizeIterator<Item = Option<HostInstant>> + Clone) {
+fn instants(encoder: &mut cdr::Encoder<'_>, all: impl ExactSizeIterator<Item = Option<HostInstant>> + Clone) {
     encoder.length(all.len());
     for at in all.clone() {
         encoder.u64(at.map_or(NO_TIME, |at| at.monotonic_ns));
@@ -37,7 +109,7 @@ fn instants(encoder: &mut Encoder<'_>, all: impl ExactSizeIterator<Item = Option
 }
 
 /// Reads a message into `segment`; `None` if `bytes` are not a message, and `segment` is then empty.
-pub fn decode(bytes: &[u8], segment: &mut Segment) -> Option<()> {
+pub(super) fn decode(bytes: &[u8], segment: &mut Segment) -> Option<()> {
     segment.clear();
     let decoded = fill(bytes, segment);
     if decoded.is_none() {
@@ -48,7 +120,7 @@ pub fn decode(bytes: &[u8], segment: &mut Segment) -> Option<()> {
 
 fn fill(bytes: &[u8], segment: &mut Segment) -> Option<()> {
     let Segment { opened, bytes: data, reads, asked } = segment;
-    let mut decoder = Decoder::new(bytes)?;
+    let mut decoder = cdr::Decoder::new(bytes)?;
     *opened = decoder.bool()?;
     data.extend_from_slice(decoder.bytes()?);
     decoder.each_u32(|bytes| reads.push(Read { bytes: bytes as usize, at: None }))?;
@@ -84,6 +156,61 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
+
+    fn at(monotonic_ns: u64) -> HostInstant {
+        HostInstant { monotonic_ns, utc_ns: 7 }
+    }
+
+    fn read(bytes: &[u8], monotonic_ns: u64) -> Segment {
+        let mut segment = Segment::default();
+        segment.push(bytes, Some(at(monotonic_ns)));
+        segment
+    }
+
+    #[test]
+    fn messages_end_with_packets() {
+        let (mut packets, mut message) = (Packets::default(), Segment::default());
+        packets.push(&read(b"ab", 1));
+        assert!(!packets.next(&mut message));
+        packets.push(&read(b"c\0d\0ef", 2));
+        assert!(packets.next(&mut message));
+        assert_eq!(message.chunks().collect::<Vec<_>>(), [(&b"ab"[..], Some(at(1))), (&b"c\0d\0"[..], Some(at(2)))]);
+        assert!(!packets.next(&mut message));
+
+        let anew = Segment { opened: true, ..read(b"gh", 3) };
+        assert!(packets.must_end_before(&anew));
+        assert!(packets.take_rest(&mut message));
+        assert_eq!(message, read(b"ef", 2));
+        assert!(!packets.must_end_before(&anew));
+        packets.push(&anew);
+        assert!(!packets.next(&mut message));
+        assert!(packets.take_rest(&mut message));
+        assert_eq!(message, anew);
+        assert!(!packets.take_rest(&mut message));
+    }
+
+    #[test]
+    fn pings_do_not_wait_for_packets() {
+        let (mut packets, mut message) = (Packets::default(), Segment::default());
+        let asked = vec![Asked { token: 3, at: at(1) }];
+        packets.push(&Segment { asked: asked.clone(), ..read(b"ab", 1) });
+        assert!(packets.next(&mut message));
+        assert_eq!(message, Segment { asked, ..Segment::default() });
+        assert!(packets.take_rest(&mut message));
+        assert_eq!(message, read(b"ab", 1));
+    }
+
+    #[test]
+    fn an_endless_packet_is_passed_on_at_once() {
+        let (mut packets, mut message) = (Packets::default(), Segment::default());
+        let noise = [7; 3 * MAX_LINK_BYTES / 2];
+        packets.push(&read(&noise, 1));
+        assert!(packets.next(&mut message));
+        assert_eq!(message.bytes.len(), MAX_LINK_BYTES);
+        assert!(packets.next(&mut message));
+        assert_eq!(message.bytes.len(), MAX_LINK_BYTES / 2);
+        assert!(!packets.next(&mut message));
+    }
 
     #[test]
     fn a_message_comes_back_and_one_cut_short_or_changed_is_no_segment_or_a_sound_one() {

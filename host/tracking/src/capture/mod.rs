@@ -18,10 +18,7 @@ mod contents;
 mod file;
 mod index;
 mod link_bytes;
-mod medium;
-mod packets;
 mod place;
-mod rate;
 mod reader;
 mod records;
 mod series;
@@ -33,11 +30,10 @@ use std::path::PathBuf;
 use thiserror::Error;
 
 pub use contents::{Contents, contents};
-pub use medium::Medium;
+pub use file::Medium;
 pub use place::Existing;
-pub use rate::PoseRate;
 pub use reader::{CaptureReader, End};
-pub use series::{CaptureSeries, Limits};
+pub use series::{CaptureSeries, Limits, PoseRate};
 pub use setup::{CapturedBasis, Settings, Setup, SetupError};
 
 use crate::link::DeviceId;

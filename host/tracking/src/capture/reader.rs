@@ -12,7 +12,7 @@ use slitpose_head::special_file;
 use slitpose_protocol::DELIMITER;
 
 use super::index::Index;
-use super::packets::last_hello;
+use super::link_bytes::last_hello;
 use super::records::{ChunkRecords, Next, Records, is_capture, is_rewritten};
 use super::{CaptureError, Entry, SetupError};
 use crate::link::{self, DeviceId, Segment};

@@ -1,7 +1,6 @@
 //! A capture as one file, or as a series of files.
 
 use std::collections::BTreeMap;
-use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -10,13 +9,13 @@ use mcap::McapError;
 use serde::Serialize;
 use web_time::Instant;
 
-use super::file::{CaptureFile, Channels, io_error};
-use super::medium::Medium;
-use super::packets::{Packets, last_hello};
+use super::file::{AnyMedium, CaptureFile, Channels, Medium, io_error};
+use super::link_bytes::{Packets, last_hello};
 use super::place::{Existing, Place, next_number, numbered};
 use super::{CaptureError, Setup};
 use crate::link::{DeviceId, Segment};
 use crate::pipeline::Record;
+use crate::telemetry::{RecorderReport, RecorderState, report_schema};
 
 /// Interval of flushes. CAPTURES.md promises one per second; the rest is for the next message and the disk.
 const FLUSH_EVERY: Duration = Duration::from_millis(900);
@@ -30,13 +29,6 @@ pub struct Limits {
     pub max_age: Option<Duration>,
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Recorded {
-    pub files: u64,
-    /// Bytes of links that were not recorded because writing failed.
-    pub dropped_bytes: u64,
-}
-
 /// A capture that is being recorded.
 ///
 /// If writing fails, that call returns the error, the file is cut back to its last flush, and the
@@ -44,7 +36,6 @@ pub struct Recorded {
 ///
 /// It keeps 0.9 kB of memory per chunk of the current file, for the index at its end: 4 kB per second of a board at 4 kHz.
 pub struct CaptureSeries {
-    report_schema: String,
     limits: Limits,
     output: Output,
     devices: BTreeMap<DeviceId, DeviceStream>,
@@ -59,7 +50,7 @@ struct DeviceStream {
 }
 
 struct Output {
-    file: Option<CaptureFile<Box<dyn Medium + Send>>>,
+    file: Option<CaptureFile>,
     /// Its place; `None` for a medium opened by the caller.
     place: Option<Place>,
     path: PathBuf,
@@ -67,43 +58,29 @@ struct Output {
     next: Option<(PathBuf, u64)>,
     opened: Instant,
     flushed: Instant,
-    flushes: u64,
-    recorded: Recorded,
+    /// Of the recording so far, without what is asked of the file.
+    report: RecorderReport,
 }
 
 impl CaptureSeries {
-    /// Begins a capture, in which `report_schema` is the JSON schema of its reports. Without limits it is the file `path`. With limits it is a series of files
-    /// numbered from 1 after the stem of `path`: `name-0001.mcap`, `name-0002.mcap`, …; the numbers
-    /// continue after existing ones, so that no file is replaced.
-    pub fn create(
-        path: &Path,
-        limits: Limits,
-        existing: Existing,
-        report_schema: String,
-    ) -> Result<Self, CaptureError> {
+    /// Begins a capture. Without limits it is the file `path`. With limits it is a series of files numbered from 1 after the
+    /// stem of `path`: `name-0001.mcap`, `name-0002.mcap`, …; the numbers continue after existing ones, so that no file is
+    /// replaced.
+    pub fn create(path: &Path, limits: Limits, existing: Existing) -> Result<Self, CaptureError> {
         let mut output = Output::new(path.to_owned());
         if limits != Limits::default() {
             let number = next_number(path).map_err(|source| CaptureError::Create { path: path.to_owned(), source })?;
             output.next = Some((path.to_owned(), number));
         }
-        output.open(existing, &report_schema)?;
-        Ok(Self::over(output, limits, report_schema))
+        output.open(existing)?;
+        Ok(Self { limits, output, devices: BTreeMap::new(), message: Segment::default() })
     }
 
-    /// Begins a capture in a file that is open; `path` names it in messages.
-    pub fn in_file(file: File, path: &Path, report_schema: String) -> Result<Self, CaptureError> {
-        Self::on_medium(Box::new(file), path, report_schema)
-    }
-
-    /// Begins a capture on `medium`; `path` names it in messages.
-    pub fn on_medium(medium: Box<dyn Medium + Send>, path: &Path, report_schema: String) -> Result<Self, CaptureError> {
+    /// Begins a capture on `medium`, such as a file that is open; `path` names it in messages.
+    pub fn on_medium(medium: Box<dyn Medium + Send>, path: &Path) -> Result<Self, CaptureError> {
         let mut output = Output::new(path.to_owned());
-        output.begin(medium, &report_schema)?;
-        Ok(Self::over(output, Limits::default(), report_schema))
-    }
-
-    fn over(output: Output, limits: Limits, report_schema: String) -> Self {
-        Self { report_schema, limits, output, devices: BTreeMap::new(), message: Segment::default() }
+        output.begin(medium)?;
+        Ok(Self { limits: Limits::default(), output, devices: BTreeMap::new(), message: Segment::default() })
     }
 
     /// Adds a board, before its data. A board added again continues with the new setup. `hello`: its
@@ -129,11 +106,11 @@ impl CaptureSeries {
     pub fn segment(&mut self, device: DeviceId, segment: &Segment, log_ns: u64) -> Result<(), CaptureError> {
         let bytes = segment.bytes.len() as u64;
         if let Err(error) = self.rotate_if_due(log_ns) {
-            self.output.recorded.dropped_bytes += bytes;
+            self.output.report.bytes_dropped += bytes;
             return Err(error);
         }
         if !self.is_recording() {
-            self.output.recorded.dropped_bytes += bytes;
+            self.output.report.bytes_dropped += bytes;
             return Ok(());
         }
         let stream = self.devices.get_mut(&device).ok_or(CaptureError::UnknownDevice { device })?;
@@ -167,15 +144,9 @@ impl CaptureSeries {
         report: &impl Serialize,
         log_ns: u64,
     ) -> Result<(), CaptureError> {
-        let channels = match device {
-            Some(device) => match self.channels(device)? {
-                Some(channels) => Some(channels),
-                None => return Ok(()),
-            },
-            None => None,
-        };
+        let channels = device.map(|device| self.channels(device)).transpose()?;
         let report = serde_json::to_string(report)?;
-        self.output.attempt(0, |file| file.report(channels, &report, log_ns))?;
+        self.output.attempt(0, |file| file.report(channels.flatten(), &report, log_ns))?;
         self.tick()
     }
 
@@ -209,17 +180,12 @@ impl CaptureSeries {
         // From its end on: a disk that takes longer than the interval would be flushed after every message.
         self.output.flushed = Instant::now();
         self.output.check()?;
-        self.output.flushes += 1;
+        self.output.report.flushes += 1;
         Ok(())
     }
 
-    /// Number of flushes so far, in all files.
-    pub fn flushes(&self) -> u64 {
-        self.output.flushes
-    }
-
     /// Writes what waits, and ends the last file.
-    pub fn finish(mut self) -> Result<Recorded, CaptureError> {
+    pub fn finish(mut self) -> Result<RecorderReport, CaptureError> {
         for stream in self.devices.values_mut() {
             let message = &mut self.message;
             if stream.packets.take_rest(message) {
@@ -227,7 +193,7 @@ impl CaptureSeries {
             }
         }
         self.output.end()?;
-        Ok(self.output.recorded)
+        Ok(self.progress())
     }
 
     /// Whether data are still written: `false` once writing has failed.
@@ -235,26 +201,17 @@ impl CaptureSeries {
         self.output.file.is_some()
     }
 
-    /// The file that is written now.
-    pub fn path(&self) -> &Path {
-        &self.output.path
-    }
-
-    /// Upper bound of the length of that file.
-    pub fn bytes(&self) -> u64 {
-        self.output.file.as_ref().map_or(0, CaptureFile::bytes)
-    }
-
-    /// What has been recorded so far.
-    pub fn recorded(&self) -> Recorded {
-        self.output.recorded
+    /// What has been recorded so far: the file that is written now, and an upper bound of its length.
+    pub fn progress(&self) -> RecorderReport {
+        let file = Some(self.output.path.display().to_string());
+        RecorderReport { file, bytes: self.output.bytes(), ..self.output.report.clone() }
     }
 
     fn rotate_if_due(&mut self, log_ns: u64) -> Result<(), CaptureError> {
         if !self.is_recording() {
             return Ok(());
         }
-        let is_long = self.limits.max_bytes.is_some_and(|limit| self.bytes() >= limit);
+        let is_long = self.limits.max_bytes.is_some_and(|limit| self.output.bytes() >= limit);
         let is_old = self.limits.max_age.is_some_and(|limit| self.output.opened.elapsed() >= limit);
         if !is_long && !is_old {
             return Ok(());
@@ -262,7 +219,7 @@ impl CaptureSeries {
         let hello = |device| self.output.file.as_ref().map_or(Vec::new(), |file| file.hello(device).to_owned());
         let hellos: Vec<Vec<u8>> = self.devices.keys().map(|device| hello(*device)).collect();
         self.output.end()?;
-        self.output.open(Existing::Kept, &self.report_schema)?;
+        self.output.open(Existing::Kept)?;
         self.output.attempt(0, |file| {
             for (stream, hello) in self.devices.values_mut().zip(&hellos) {
                 stream.channels = file.add_device(&stream.setup, hello, log_ns)?;
@@ -273,7 +230,7 @@ impl CaptureSeries {
 }
 
 impl DeviceStream {
-    fn write<M: Medium>(&mut self, file: &mut CaptureFile<M>, message: &Segment) -> Result<(), McapError> {
+    fn write(&mut self, file: &mut CaptureFile, message: &Segment) -> Result<(), McapError> {
         let first_read = message.reads.iter().find_map(|read| read.at);
         let first = first_read.or_else(|| message.asked.first().map(|asked| asked.at));
         file.link(self.channels, message, first.map_or(self.log_ns, |at| at.utc_ns))?;
@@ -294,12 +251,11 @@ impl Output {
             next: None,
             opened: now,
             flushed: now,
-            flushes: 0,
-            recorded: Recorded::default(),
+            report: RecorderReport { state: RecorderState::Recording, ..RecorderReport::default() },
         }
     }
 
-    fn open(&mut self, existing: Existing, report_schema: &str) -> Result<(), CaptureError> {
+    fn open(&mut self, existing: Existing) -> Result<(), CaptureError> {
         let existing = match &mut self.next {
             Some((path, number)) => {
                 self.path = numbered(path, *number);
@@ -315,24 +271,29 @@ impl Output {
             io::ErrorKind::Interrupted => CaptureError::Interrupted { path: path.clone() },
             _ => CaptureError::Create { path: path.clone(), source },
         })?;
-        self.begin(Box::new(file), report_schema)?;
+        self.begin(Box::new(file))?;
         self.place = Some(place);
         Ok(())
     }
 
-    fn begin(&mut self, medium: Box<dyn Medium + Send>, report_schema: &str) -> Result<(), CaptureError> {
+    fn begin(&mut self, medium: AnyMedium) -> Result<(), CaptureError> {
         let error = |error| CaptureError::Create { path: self.path.clone(), source: io_error(error) };
-        self.file = Some(CaptureFile::create(medium, report_schema).map_err(error)?);
+        let schema = report_schema().as_value().to_string();
+        self.file = Some(CaptureFile::create(medium, &schema).map_err(error)?);
         self.opened = Instant::now();
-        self.recorded.files += 1;
+        self.report.files += 1;
         Ok(())
+    }
+
+    fn bytes(&self) -> u64 {
+        self.file.as_ref().map_or(0, CaptureFile::bytes)
     }
 
     /// Writes, if nothing has failed so far; `bytes` of a link are dropped if it fails.
     fn attempt(
         &mut self,
         bytes: u64,
-        write: impl FnOnce(&mut CaptureFile<Box<dyn Medium + Send>>) -> Result<(), McapError>,
+        write: impl FnOnce(&mut CaptureFile) -> Result<(), McapError>,
     ) -> Result<(), CaptureError> {
         let Some(file) = &mut self.file else {
             return Ok(());
@@ -341,15 +302,15 @@ impl Output {
         let Err(error) = write(file) else {
             return Ok(());
         };
-        self.recorded.dropped_bytes += before + bytes;
-        let kept_bytes = self.file.take().map_or(0, |file| file.cut_back().0);
+        self.report.bytes_dropped += before + bytes;
+        let kept_bytes = self.file.take().map_or(0, CaptureFile::cut_back);
         Err(CaptureError::Write { path: self.path.clone(), kept_bytes, source: io_error(error) })
     }
 
     /// Moves the file, which now has content, to its place.
     fn settle(&mut self) -> Result<(), CaptureError> {
         if let Some(Err(source)) = self.place.as_mut().map(Place::settle) {
-            self.recorded.dropped_bytes += self.file.take().map_or(0, |file| file.unflushed_link_bytes);
+            self.report.bytes_dropped += self.file.take().map_or(0, |file| file.unflushed_link_bytes);
             let path = self.path.clone();
             return Err(match source.kind() {
                 io::ErrorKind::WouldBlock => CaptureError::InUse { path },
@@ -374,5 +335,48 @@ impl Output {
         self.file = None;
         self.place = None;
         Ok(())
+    }
+}
+
+/// Chooses the poses that a capture has, besides the bytes from which all of them follow, at a rate of device time.
+#[derive(Clone, Copy, Debug)]
+pub struct PoseRate {
+    every_s: f64,
+    /// The device time from which on the next pose is kept, seconds.
+    due_s: f64,
+}
+
+impl PoseRate {
+    /// One pose in so many seconds; zero for every pose.
+    pub fn every(every_s: f64) -> Self {
+        Self { every_s, due_s: f64::NEG_INFINITY }
+    }
+
+    /// Whether a pose of `time_s` is kept.
+    pub fn is_due(&mut self, time_s: f64) -> bool {
+        let every_s = self.every_s;
+        // Device time may restart.
+        let is_due = time_s >= self.due_s || time_s < self.due_s - 2.0 * every_s;
+        if is_due {
+            // One period after the last one was due, so that the rate does not drift; unless that is not the next period.
+            let next_s = self.due_s + every_s;
+            self.due_s = if next_s > time_s && next_s <= time_s + every_s { next_s } else { time_s + every_s };
+        }
+        is_due
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn poses_are_kept_at_their_rate_also_when_device_time_restarts() {
+        let mut rate = PoseRate::every(0.04);
+        // 4 kHz for 10 s, a reset, 4 kHz for 5 s, and a jump ahead by a minute.
+        let times = (0..40_000).chain(0..20_000).chain(260_000..264_000).map(|scan| f64::from(scan) / 4000.0);
+        let kept: Vec<f64> = times.filter(|&time_s| rate.is_due(time_s)).collect();
+        // 25 a second, and one for each new beginning at most.
+        assert!((400..=402).contains(&kept.len()), "{}", kept.len());
     }
 }

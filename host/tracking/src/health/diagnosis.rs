@@ -1,5 +1,7 @@
 //! The health of a head, for programs and for people.
 
+use std::fmt;
+
 use schemars::JsonSchema;
 use serde::{Serialize, Serializer};
 use slitpose_head::finding::Finding;
@@ -35,22 +37,10 @@ pub enum Verdict {
     Ok,
 }
 
-impl Verdict {
+impl fmt::Display for Verdict {
     /// The word used in tables and messages.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Unknown => "unknown",
-            Self::Off => "off",
-            Self::Swapped => "swapped",
-            Self::Stuck => "stuck",
-            Self::Saturated => "saturated",
-            Self::Dark => "dark",
-            Self::Excluded => "excluded",
-            Self::Faint => "faint",
-            Self::StrayRising => "stray_rising",
-            Self::Noisy => "noisy",
-            Self::Ok => "ok",
-        }
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
     }
 }
 

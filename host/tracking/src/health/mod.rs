@@ -77,10 +77,16 @@ struct Cell {
 
 impl Health {
     /// A monitor for a board that runs `schedule` with `scaling` on the head of `file`, with poses
-    /// solved in `tier`.
+    /// solved in `tier`; `is_calibrated`: by a calibration, which may go stale.
     ///
     /// The schedule and the scaling must be valid and have a slot for each of the scene's cells.
-    pub fn new(file: &SceneFile, tier: Tier, schedule: &Schedule, scaling: &AdcScaling) -> Result<Self, SceneError> {
+    pub fn new(
+        file: &SceneFile,
+        tier: Tier,
+        schedule: &Schedule,
+        scaling: &AdcScaling,
+        is_calibrated: bool,
+    ) -> Result<Self, SceneError> {
         let exposures_s = Stage::new(file, schedule, scaling).exposures_s();
         let scene = Stage::weighted_scene(file, schedule, scaling);
         let solver = Solver::new(&scene, tier)?.with_exposures(&exposures_s);
@@ -118,15 +124,9 @@ impl Health {
             start: None,
             before: None,
             taken: 0,
-            places: None,
+            places: is_calibrated.then(Places::default),
             tick_s: f64::from(schedule.tick_hz).recip(),
         })
-    }
-
-    /// Of a head that is known by a calibration, which may go stale.
-    #[must_use]
-    pub fn calibrated(self) -> Self {
-        Self { places: Some(Places::default()), ..self }
     }
 
     /// Adds the next scan, its photocurrents and its solution.

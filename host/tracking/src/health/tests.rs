@@ -85,10 +85,7 @@ impl<'a> Watch<'a> {
         let scene = Stage::weighted_scene(self.file, &schedule, &scaling);
         let solver = Solver::new(&scene, TIER).unwrap().with_exposures(&stage.exposures_s());
         let mut tracker: Tracker<f64> = Tracker::new(solver, schedule.frame_rate_hz().recip());
-        let mut health = Health::new(self.file, TIER, &schedule, &scaling).unwrap();
-        if self.is_calibrated {
-            health = health.calibrated();
-        }
+        let mut health = Health::new(self.file, TIER, &schedule, &scaling, self.is_calibrated).unwrap();
         for (number, scan) in (1..).zip(&scans[..self.scans]) {
             let photocurrents = stage.photocurrents(scan);
             let solution = tracker.track(scan.sequence, &photocurrents).solution;
@@ -359,7 +356,7 @@ fn a_rise_of_stray_light_scatters_by_its_sigma() {
     println!("seed {SEED}");
     let file = wide();
     let (_, schedule, scaling) = scans(&file, Trajectory::of_kind(TrajectoryKind::Still, 1, 1.0), 1, &[]);
-    let mut health = Health::new(&file, TIER, &schedule, &scaling).unwrap();
+    let mut health = Health::new(&file, TIER, &schedule, &scaling, false).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(SEED);
     let noise = Normal::new(0.0, 7.0).unwrap();
     let mut second = |mean: f64| {

@@ -1,8 +1,5 @@
 //! What the page shows of a board: the geometry of its head, and one moment of it.
 
-use std::fmt::Debug;
-use std::sync::Arc;
-
 use glam::DVec3;
 use serde_json::{Value, json};
 use slitpose_calibration::{Basis, Head};
@@ -226,20 +223,9 @@ impl Sample {
     }
 }
 
-/// Takes samples from the threads that solve.
-pub trait SampleSink: Debug + Send + Sync {
-    /// Samples per second of the host's clock.
-    fn rate_hz(&self) -> u64;
-
-    /// Takes a sample of a board; `false` if it has no time. Never blocks.
-    fn sample(&self, board: usize, sample: &Sample) -> bool;
-}
-
 /// Makes the samples of one board. Never blocks.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Sampler {
-    board: usize,
-    taker: Arc<dyn SampleSink>,
     due_ns: u64,
     binner: Binner,
     /// The next one, whose photocurrents come at last.
@@ -247,11 +233,6 @@ pub struct Sampler {
 }
 
 impl Sampler {
-    /// Samples of the board of this number, for `taker`.
-    pub fn new(board: usize, taker: Arc<dyn SampleSink>) -> Self {
-        Self { board, taker, due_ns: 0, binner: Binner::default(), sample: None }
-    }
-
     /// Counts a solved scan in.
     pub fn add(&mut self, record: &Record) {
         let (photocurrents, bins) = (Photocurrents::default(), Bins::default());
@@ -263,18 +244,24 @@ impl Sampler {
         self.binner.add(record, &mut sample.bins);
     }
 
-    /// Sends a sample if one is due; `photocurrents` are those of the scan added last.
-    pub fn send(&mut self, photocurrents: Option<&Photocurrents>, now: HostInstant) {
+    /// Sends a sample to `taker` if one is due; `photocurrents` are those of the scan added last. The taker never
+    /// blocks, and returns `false` if it has no time.
+    pub fn send(
+        &mut self,
+        photocurrents: Option<&Photocurrents>,
+        now: HostInstant,
+        taker: impl FnOnce(&Sample) -> bool,
+    ) {
         if now.monotonic_ns < self.due_ns {
             return;
         }
         let (Some(sample), Some(photocurrents)) = (&mut self.sample, photocurrents) else { return };
         sample.photocurrents.clone_from(photocurrents);
         // A sample that is not taken in time is part of the next one.
-        if self.taker.sample(self.board, sample) {
+        if taker(sample) {
             self.sample = None;
         }
-        let period_ns = 1_000_000_000 / self.taker.rate_hz();
+        let period_ns = 1_000_000_000 / FRAMES_HZ;
         self.due_ns = (self.due_ns + period_ns).max(now.monotonic_ns + period_ns / 2);
     }
 }

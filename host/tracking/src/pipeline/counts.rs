@@ -1,4 +1,7 @@
 //! Counts of received, solved and lost data.
+//!
+//! Gaps in the numbering show missing scans. Twice per second the board reports how many it has lost itself since its
+//! reset. The rest was lost on the link.
 
 use std::mem::discriminant;
 
@@ -36,6 +39,12 @@ pub struct Counts {
     pub pending_bytes: u64,
     /// The board's latest status.
     pub board_status: Option<Status>,
+    /// Scans dropped and lost by the board and its overruns, while it was followed, up to its last reset.
+    carried: [u64; 3],
+    /// The board's counters when following began, or zero after a reset.
+    base: [u64; 3],
+    /// Scans lost between board and host.
+    pub scans_lost_on_link: u64,
     next_sequence: Option<u64>,
     /// The board has introduced itself since the last scan: it may have restarted.
     is_greeted: bool,
@@ -79,6 +88,31 @@ impl Counts {
     pub(super) fn count_lost_before_end(&mut self, sequence: u64, due: u64) {
         self.scans_lost += self.missing_before(sequence).min(due);
         self.next_sequence = Some(sequence.wrapping_add(1));
+    }
+
+    /// Takes a status that came after the scans so far.
+    pub fn take_status(&mut self, status: &Status) {
+        let now = counters(status);
+        match self.board_status {
+            Some(before) if status.tick < before.tick => (self.carried, self.base) = (self.lost_on_board(), [0; 3]),
+            Some(_) => {}
+            // Losses before the first scan do not count; scans missing in the numbering since then do.
+            None => {
+                let dropped = now[0].min(self.scans_lost);
+                let lost = now[1].min(self.scans_lost - dropped);
+                self.base = [now[0] - dropped, now[1] - lost, now[2]];
+            }
+        }
+        self.board_status = Some(*status);
+        // The board reports a loss before the numbering shows it: only the largest difference counts.
+        let [dropped, lost, _] = self.lost_on_board();
+        self.scans_lost_on_link = self.scans_lost_on_link.max(self.scans_lost.saturating_sub(dropped + lost));
+    }
+
+    /// Scans that the board has dropped and lost, and its overruns, while it was followed, across its resets.
+    pub fn lost_on_board(&self) -> [u64; 3] {
+        let last = self.board_status.as_ref().map_or(self.base, counters);
+        std::array::from_fn(|k| self.carried[k] + last[k].saturating_sub(self.base[k]))
     }
 
     /// Begins a new numbering: another board, or another session of the same board.
@@ -129,6 +163,10 @@ impl Counts {
             )
         })
     }
+}
+
+fn counters(status: &Status) -> [u64; 3] {
+    [status.scans_dropped, status.scans_lost, status.adc_overruns.into()]
 }
 
 /// Why a pose is degraded, or which coordinates are unobservable.
@@ -227,6 +265,8 @@ impl Outcomes {
 
 #[cfg(test)]
 mod tests {
+    use slitpose_protocol::{ClockSource, SettingsSource};
+
     use super::*;
 
     #[test]
@@ -284,5 +324,81 @@ mod tests {
         counts.begin_numbering();
         counts.count_scan(7000, 0);
         assert!(!counts.has_loss(), "{counts:?}");
+    }
+
+    fn status(tick: u64, scans_dropped: u64, scans_lost: u64) -> Status {
+        Status {
+            tick,
+            acquiring: true,
+            scans_taken: 0,
+            scans_dropped,
+            batches_dropped: 0,
+            scans_lost,
+            adc_overruns: 0,
+            replies_dropped: 0,
+            commands_damaged: 0,
+            commands_rejected: 0,
+            supply_v: 3.3,
+            temperature_k: 300.0,
+            cpu_load_permille: 0,
+            clock: ClockSource::Crystal,
+            settings: SettingsSource::Defaults,
+        }
+    }
+
+    fn shares(counts: &Counts) -> (u64, u64, u64) {
+        let [dropped, lost, _] = counts.lost_on_board();
+        (dropped, lost, counts.scans_lost_on_link)
+    }
+
+    #[test]
+    fn scans_that_a_board_says_not_to_have_solved_are_not_lost() {
+        let mut counts = Counts::default();
+        counts.count_scan(0, 0);
+        counts.count_scan(8, 5);
+        counts.take_status(&status(1, 0, 0));
+        assert_eq!(shares(&counts), (0, 0, 2));
+    }
+
+    #[test]
+    fn each_missing_scan_has_one_place() {
+        let mut counts = Counts::default();
+        // 1000 scans dropped before the link was opened, 4 lost since then in the first half second.
+        [0, 1, 6].iter().for_each(|&sequence| counts.count_scan(sequence, 0));
+        counts.take_status(&status(1, 1004, 7));
+        assert_eq!(shares(&counts), (4, 0, 0));
+        // The board has dropped 10 more; the numbering shows 6 of them so far.
+        counts.count_scan(13, 0);
+        counts.take_status(&status(2, 1014, 7));
+        assert_eq!(shares(&counts), (14, 0, 0));
+        // Those, and 3 that the board does not report.
+        counts.count_scan(21, 0);
+        counts.take_status(&status(3, 1014, 7));
+        assert_eq!(shares(&counts), (14, 0, 3));
+        // Another drop, not in the numbering yet, does not reduce the losses of the link.
+        counts.take_status(&status(4, 1016, 8));
+        assert_eq!(shares(&counts), (16, 1, 3));
+    }
+
+    #[test]
+    fn no_scan_is_missing_between_two_boards() {
+        let mut counts = Counts::default();
+        [5, 6].iter().for_each(|&sequence| counts.count_scan(sequence, 0));
+        counts.begin_numbering();
+        [900, 901].iter().for_each(|&sequence| counts.count_scan(sequence, 0));
+        counts.take_status(&status(1, 0, 0));
+        assert_eq!(shares(&counts), (0, 0, 0));
+    }
+
+    #[test]
+    fn a_reset_of_the_board_takes_nothing_back() {
+        let mut counts = Counts::default();
+        counts.count_scan(0, 0);
+        counts.take_status(&status(100, 50, 0));
+        counts.count_scan(6, 0);
+        counts.take_status(&status(200, 55, 0));
+        [0, 4].iter().for_each(|&sequence| counts.count_scan(sequence, 0));
+        counts.take_status(&status(10, 2, 1));
+        assert_eq!(shares(&counts), (7, 1, 0));
     }
 }

@@ -90,7 +90,7 @@ impl Flow {
             }
             Message::Batch(batch) => self.arrive(batch, sink),
             Message::Status(status) => {
-                self.counts.board_status = Some(*status);
+                self.counts.take_status(status);
                 if let Some(fit) = &mut self.clock.fit {
                     fit.set_source(status.clock);
                 }

@@ -118,9 +118,9 @@ impl Session {
         if board_cells != scene_cells {
             return Err(PipelineError::Cells { board: board(), board_cells, scene: file.name.clone(), scene_cells });
         }
-        let health = watched.then(|| Health::new(file, tier, &hello.schedule, &hello.scaling)).transpose()?;
         let is_calibrated = matches!(head.basis, Basis::Calibration(_));
-        let health = health.map(|health| if is_calibrated { health.calibrated() } else { health });
+        let health = || Health::new(file, tier, &hello.schedule, &hello.scaling, is_calibrated);
+        let health = watched.then(health).transpose()?;
         let head_number = solving::hashes(&head).number();
         let stage = Stage::new(file, &hello.schedule, &hello.scaling);
         let scene = Stage::weighted_scene(file, &hello.schedule, &hello.scaling);

@@ -358,21 +358,19 @@ impl<S: Shelf> Playback<S> {
         if known.is_some_and(|at| self.boards[at].setup.as_ref() == Some(&setup)) {
             return Ok(());
         }
-        let (file, scene_match) = self.scene_of(&setup)?;
         let hash = Some(setup.scene.hash);
-        self.open_board(Some(setup.device), Some(setup), file, hash, scene_match, hear).map(drop)
+        self.open_board(Some(setup.device), Some(setup), hash, hear).map(drop)
     }
 
-    /// A board with the head of `file`, known or new; a known one goes on with these settings. Gives its number.
+    /// A board with the scene of `hash`, known or new; a known one goes on with these settings. Gives its number.
     fn open_board<E: From<PlaybackError>>(
         &mut self,
         device: Option<DeviceId>,
         setup: Option<Box<Setup>>,
-        file: SceneFile,
         hash: Option<u64>,
-        scene_match: SceneMatch,
         hear: Hear<'_, E>,
     ) -> Result<usize, E> {
+        let (file, scene_match) = self.scene_of(setup.as_deref(), hash)?;
         if let Some(remark) = files::other_scene(&file, hash, scene_match) {
             hear(Event::Remark(&remark))?;
         }
@@ -418,12 +416,14 @@ impl<S: Shelf> Playback<S> {
         Ok(number)
     }
 
-    fn scene_of(&self, setup: &Setup) -> Result<(SceneFile, SceneMatch), PlaybackError> {
-        Ok(match &self.choice.scene {
-            Some(scene) => (SceneFile::open(scene)?, SceneMatch::Waived),
+    /// The scene asked for, else that of the settings; for the bytes of a port the shipped one that the board names.
+    fn scene_of(&self, setup: Option<&Setup>, hash: Option<u64>) -> Result<(SceneFile, SceneMatch), PlaybackError> {
+        Ok(match (&self.choice.scene, setup) {
+            (Some(scene), _) => (SceneFile::open(scene)?, SceneMatch::Waived),
             // Also by another calibration than the board belongs to.
-            None if self.choice.calibration.is_some() => (setup.scene.parse()?, SceneMatch::Waived),
-            None => (setup.scene.parse()?, SceneMatch::Required),
+            (None, Some(setup)) if self.choice.calibration.is_some() => (setup.scene.parse()?, SceneMatch::Waived),
+            (None, Some(setup)) => (setup.scene.parse()?, SceneMatch::Required),
+            (None, None) => (hash.and_then(Shipped::with_hash).map_or_else(|| WIDE.read(), Ok)?, SceneMatch::Required),
         })
     }
 
@@ -546,16 +546,7 @@ impl<S: Shelf> Playback<S> {
         }
         // Bytes of a port, whose nothing says; or of a board, of which no more is known.
         let hash = files::scene_hash(&self.shelf, path).map_err(PlaybackError::from)?;
-        let (file, scene_match) = self.scene_of_bytes(hash)?;
-        self.open_board(device, None, file, hash, scene_match, hear).map(Some)
-    }
-
-    /// The scene for the bytes of a port: that asked for, else the shipped one that the board names.
-    fn scene_of_bytes(&self, hash: Option<u64>) -> Result<(SceneFile, SceneMatch), PlaybackError> {
-        Ok(match &self.choice.scene {
-            Some(scene) => (SceneFile::open(scene)?, SceneMatch::Waived),
-            None => (hash.and_then(Shipped::with_hash).map_or_else(|| WIDE.read(), Ok)?, SceneMatch::Required),
-        })
+        self.open_board(device, None, hash, hear).map(Some)
     }
 }
 

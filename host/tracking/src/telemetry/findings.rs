@@ -108,7 +108,7 @@ impl BoardReport {
             return (vec![Finding::failed("daemon", text, "start it again")], false);
         }
         if self.link.state != LinkState::Running {
-            let state = self.link.state.as_str();
+            let state = self.link.state;
             let tried = match self.link.attempts {
                 0 | 1 => String::new(),
                 attempts => format!(" (tried {attempts} times)"),

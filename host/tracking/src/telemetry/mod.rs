@@ -4,11 +4,11 @@
 //! times per second. A [`DaemonReport`] holds those of all boards, and its findings explain missing or bad poses.
 
 mod findings;
-mod losses;
+mod latency;
 mod report;
 mod statistics;
 
-pub use losses::{Latency, Percentiles};
+pub use latency::{Latency, Percentiles};
 pub use report::{
     BoardEvent, BoardLosses, BoardReport, ClockReport, DaemonReport, DatagramCounts, HostLosses, LagReport, Latencies,
     LinkLosses, LinkReport, LinkState, Losses, ProcessReport, Rates, RecorderReport, RecorderState, SlowClient,

@@ -3,12 +3,14 @@
 //! Counters never decrease; they count since the start of the daemon, or since it follows the board. All other values
 //! are current, or of the last interval if the field says so.
 
+use std::fmt;
+
 use schemars::generate::SchemaSettings;
 use schemars::{JsonSchema, Schema};
 use serde::Serialize;
 use slitpose_protocol::{ClockSource, SettingsSource};
 
-use super::losses::Latency;
+use super::latency::Latency;
 use crate::clock::HostInstant;
 use crate::frame::FrameReport;
 use crate::health::HeadHealth;
@@ -157,18 +159,12 @@ impl LinkState {
     /// All of them.
     pub const ALL: [Self; 7] =
         [Self::Searching, Self::Connecting, Self::Running, Self::Quiet, Self::Gone, Self::Refused, Self::Ended];
+}
 
+impl fmt::Display for LinkState {
     /// The word used in tables and messages.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Searching => "searching",
-            Self::Connecting => "connecting",
-            Self::Running => "running",
-            Self::Quiet => "quiet",
-            Self::Gone => "gone",
-            Self::Refused => "refused",
-            Self::Ended => "ended",
-        }
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
     }
 }
 
@@ -371,14 +367,12 @@ pub enum RecorderState {
 impl RecorderState {
     /// All of them.
     pub const ALL: [Self; 3] = [Self::Off, Self::Recording, Self::Failed];
+}
 
+impl fmt::Display for RecorderState {
     /// The word used in tables and messages.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Off => "off",
-            Self::Recording => "recording",
-            Self::Failed => "failed",
-        }
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
     }
 }
 

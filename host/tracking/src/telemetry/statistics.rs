@@ -5,10 +5,10 @@ use std::fs;
 use slitpose_model::NoTwist;
 use slitpose_protocol::{BoardKind, Hello, Severity, Status};
 
-use super::losses::{LatencyHistogram, LossBook};
+use super::latency::LatencyHistogram;
 use super::report::{
-    BoardEvent, BoardReport, DaemonReport, Latencies, LinkLosses, Losses, ProcessReport, Rates, RecorderReport,
-    TriggerReport, Vitals,
+    BoardEvent, BoardLosses, BoardReport, DaemonReport, Latencies, LinkLosses, Losses, ProcessReport, Rates,
+    RecorderReport, TriggerReport, Vitals,
 };
 use crate::clock::HostInstant;
 use crate::health::HeadHealth;
@@ -24,8 +24,6 @@ pub struct BoardStatistics {
     /// What does not follow from the counts when it is asked for.
     pub report: BoardReport,
     reset_cause: String,
-    book: LossBook,
-    status: Option<Status>,
     link_latency: LatencyHistogram,
     host_latency: LatencyHistogram,
     total_latency: LatencyHistogram,
@@ -61,21 +59,16 @@ impl BoardStatistics {
         match item {
             Item::Hello(hello) => self.take_hello(hello),
             Item::Scan(scan) => {
-                self.book.scan(scan.sequence, scan.unsolved);
                 self.last_device_s = Some(scan.device_time_s);
                 self.last_read = read_at;
             }
             Item::Pose(record) => self.take_record(record, read_at, published_at),
-            Item::Status(status) => {
-                self.book.status(status);
-                self.status = Some(**status);
-            }
             Item::Event { severity, device_time_s, text } if *severity != Severity::Info => {
                 self.complain(*severity == Severity::Error, *device_time_s, (*text).to_owned());
             }
             Item::Edge(edge) => self.take_edge(edge),
             Item::Oddity { device_time_s, oddity } => self.complain(false, *device_time_s, oddity.to_string()),
-            Item::Event { .. } | Item::Reply(_) => {}
+            Item::Event { .. } | Item::Status(_) | Item::Reply(_) => {}
         }
     }
 
@@ -105,41 +98,22 @@ impl BoardStatistics {
             made_utc_ns: now.utc_ns,
             scans: counts.scans,
             last_scan_age_s: self.last_read.map(age_s),
-            losses: Losses { board: self.book.board(), link: self.link_losses(counts), host: self.report.losses.host },
+            losses: Losses { board: board_losses(counts), link: link_losses(counts), host: self.report.losses.host },
             outcomes: counts.outcomes,
             latencies: Latencies {
                 link: self.link_latency.latency(),
                 host: self.host_latency.latency(),
                 total: self.total_latency.latency(),
             },
-            vitals: self.status.as_ref().map(|status| self.vitals(status)),
+            vitals: counts.board_status.as_ref().map(|status| self.vitals(status)),
             head,
             ..self.report.clone()
         }
     }
 
-    fn link_losses(&self, counts: &Counts) -> LinkLosses {
-        LinkLosses {
-            scans: self.book.link_scans,
-            scans_repeated: counts.scans_repeated,
-            bad_checksum: counts.decoder.bad_checksum,
-            misframed: counts.decoder.misframed,
-            overlong: counts.decoder.overlong,
-            unreadable: counts.decoder.unknown
-                + counts.decoder.malformed
-                + counts.batches_unreadable
-                + counts.batches_without_hello,
-            poses_refused: counts.poses_refused,
-            bytes_skipped: counts.decoder.bytes_skipped,
-        }
-    }
-
     fn take_hello(&mut self, hello: &Hello<'_>) {
-        let device = DeviceId(hello.device_id);
         let report = &mut self.report;
-        if report.device.replace(device).is_some_and(|before| before != device) {
-            self.book.begin_numbering();
-        }
+        report.device = Some(DeviceId(hello.device_id));
         hello.board.clone_into(&mut report.board);
         hello.firmware.clone_into(&mut report.firmware);
         self.reset_cause = format!("{:?}", hello.reset_cause);
@@ -183,7 +157,7 @@ impl BoardStatistics {
             interval_s,
         };
         self.report.recent_outcomes = counts.outcomes.since(&before.outcomes);
-        let link = self.link_losses(counts);
+        let link = link_losses(counts);
         self.report.recent_link_losses = link.since(&before.link);
         for histogram in [&mut self.link_latency, &mut self.host_latency, &mut self.total_latency] {
             histogram.end_interval();
@@ -205,6 +179,25 @@ impl BoardStatistics {
             commands_damaged: status.commands_damaged,
             commands_rejected: status.commands_rejected,
         }
+    }
+}
+
+fn board_losses(counts: &Counts) -> BoardLosses {
+    let [scans_dropped, scans_lost, adc_overruns] = counts.lost_on_board();
+    BoardLosses { scans_dropped, scans_lost, adc_overruns }
+}
+
+fn link_losses(counts: &Counts) -> LinkLosses {
+    let decoder = &counts.decoder;
+    LinkLosses {
+        scans: counts.scans_lost_on_link,
+        scans_repeated: counts.scans_repeated,
+        bad_checksum: decoder.bad_checksum,
+        misframed: decoder.misframed,
+        overlong: decoder.overlong,
+        unreadable: decoder.unknown + decoder.malformed + counts.batches_unreadable + counts.batches_without_hello,
+        poses_refused: counts.poses_refused,
+        bytes_skipped: decoder.bytes_skipped,
     }
 }
 

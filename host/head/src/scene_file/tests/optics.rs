@@ -43,7 +43,7 @@ fn a_cell_may_have_a_hole_among_slits_and_a_slit_among_holes() {
 fn openings_that_cannot_be_are_refused_at_their_place() {
     let slit = |keys: &str| format!("{SIZES}{keys}\n");
     for (keys, place, fault) in [
-        (slit("mount = \"air\""), "9:9", "slit.mount = \"air\": give \"base\" or \"tool\""),
+        (slit("mount = \"air\""), "9:9", "slit.mount = \"air\" is out of range; give \"base\" or \"tool\""),
         (slit("diameter_mm = 1"), "9:15", "neither width_mm nor length_mm; remove those or this"),
         (slit("focal_length_mm = 9.0"), "9:19", "slit.focal_length_mm = 9.0: a lens fills a round hole"),
         ("diameter_mm = 1\nmount = \"tool\"\n".to_owned(), "8:9", "a round hole is on the base"),
@@ -100,7 +100,7 @@ fn second_axes_of_nothing_are_refused() {
             "both axes of one detector; give them one slot",
         ),
         (format!("{second}1\n"), "19:18", "second_axis_of = 1 is no earlier cell; give"),
-        (format!("{second}-1\n"), "19:18", "second_axis_of = -1 is no earlier cell"),
+        (format!("{second}-1\n"), "19:18", "second_axis_of = -1 is out of range; give a whole number from 0 to 15"),
         (format!("{second}0\n{second}0\n"), "21:18", "has a second axis already"),
         (format!("{second}0\n{second}1\n"), "21:18", "is a second axis itself"),
         (format!("{second}0\nslit = {{ width_mm = 1 }}\n"), "20:8", everything),
@@ -187,7 +187,7 @@ fn effects_that_cannot_be_are_refused_at_their_place() {
         (format!("{LEAST}[stray]\ncurrent_a = -1e-9\n"), "19:13", "zero or more"),
         (format!("{LEAST}[stray]\ncentre_mm = 7\n"), "19:13", "a place on the detector"),
         (format!("{LEAST}[stray]\nlinear_a_per_mm = [[1, 2, 3]]\n"), "19:19", "two rows of three numbers"),
-        (format!("{LEAST}stray.linear_a_per_mm = [[1, 2], [3, 4]]\n"), "18:26", "two rows of three"),
+        (format!("{LEAST}stray.linear_a_per_mm = [[1, 2], [3, 4]]\n"), "18:26", "give three numbers"),
         (format!("{LEAST}[stray]\nquadratic_a_per_mm2 = 1\n"), "19:23", "two rows of six numbers"),
         (format!("{LEAST}[converter]\ncurve_1_a = [1e-9]\n"), "18:1", "converter.full_scale_a is missing"),
         (format!("{LEAST}[converter]\nfull_scale_a = -1\ncurve_1_a = [1e-9]\n"), "19:16", "-1 is not positive"),

@@ -29,9 +29,10 @@ struct OnDisk {
 fn on_disk(room: usize, chunks: usize) -> OnDisk {
     let mut random = ChaCha8Rng::seed_from_u64(11);
     let mut messages = Vec::new();
-    let mut file = CaptureFile::create(Disk { bytes: Vec::new(), room }, "").unwrap();
+    let disk = Disk::of(room);
+    let mut file = disk.begin();
     let mut flushes = Vec::new();
-    let mut write = |file: &mut CaptureFile<Disk>| {
+    let mut write = |file: &mut CaptureFile| {
         let channels = file.add_device(&setup(FIRST), &[], 0)?;
         file.flush()?;
         flushes.push((file.bytes(), 0));
@@ -47,9 +48,9 @@ fn on_disk(room: usize, chunks: usize) -> OnDisk {
         file.finish()
     };
     let written = write(&mut file).is_ok();
-    let (length, disk) = file.cut_back();
-    assert_eq!(length, disk.bytes.len() as u64);
-    OnDisk { bytes: disk.bytes, flushes, written, messages }
+    let (length, bytes) = (file.cut_back(), disk.bytes());
+    assert_eq!(length, bytes.len() as u64);
+    OnDisk { bytes, flushes, written, messages }
 }
 
 #[test]
@@ -108,7 +109,8 @@ impl Chunked {
     fn new(chunks: usize) -> Self {
         let file = BENCH.read().unwrap();
         let frames = stream(&WIDE.read().unwrap(), 8 * chunks, false);
-        let mut capture = CaptureFile::create(Disk { bytes: Vec::new(), room: usize::MAX }, "").unwrap();
+        let disk = Disk::of(usize::MAX);
+        let mut capture = disk.begin();
         let setups = BTreeMap::from(
             [FIRST, SECOND].map(|device| (device, Setup::new(device, &file.clone().into(), settings()))),
         );
@@ -121,7 +123,7 @@ impl Chunked {
                 let mut segment = Segment::default();
                 segment.push(&frames.concat(), Some(BEGIN));
                 capture.link(*channels, &segment, BEGIN.utc_ns).unwrap();
-                if let Some(hello) = packets::last_hello(&segment.bytes) {
+                if let Some(hello) = link_bytes::last_hello(&segment.bytes) {
                     capture.set_hello(*device, hello);
                 }
                 for scan in decoder.take(&segment) {
@@ -133,7 +135,7 @@ impl Chunked {
         }
         assert_eq!(rows.len(), 2 * frames.len());
         capture.finish().unwrap();
-        let bytes = capture.cut_back().1.bytes;
+        let bytes = disk.bytes();
         ends.push(bytes.len());
         Self { bytes, ends, rows, setups }
     }

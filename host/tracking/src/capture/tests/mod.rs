@@ -6,6 +6,7 @@ mod series;
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::path::Path;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use rand::{RngExt, SeedableRng};
@@ -14,14 +15,14 @@ use slitpose_model::Tier;
 use slitpose_protocol::{Command, DELIMITER, Decoder, MAX_MESSAGE_BYTES, Message, RawScan, Schedule};
 
 use super::file::{CaptureFile, Channels};
-use super::medium::Medium;
-use super::series::Recorded;
 use super::*;
 use crate::clock::{HostInstant, HostTime};
 use crate::link::{Asked, DeviceId, Segment};
 use crate::pipeline::{Item, Pipeline, PipelineError, PipelineOptions, Record, SceneMatch};
+use crate::telemetry::report_schema;
 use slitpose_head::scene_file::{BENCH, SceneFile, WIDE};
 use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
+use slitpose_head::threads::lock;
 
 const FIRST: DeviceId = DeviceId(*b"first board.");
 const SECOND: DeviceId = DeviceId(*b"second board");
@@ -44,6 +45,11 @@ fn settings() -> Settings {
 
 fn setup(device: DeviceId) -> Setup {
     Setup::new(device, &WIDE.read().unwrap().into(), settings())
+}
+
+/// A capture of one file, which must not be there.
+fn begun(path: &Path) -> CaptureSeries {
+    CaptureSeries::create(path, Limits::default(), Existing::Kept).unwrap()
 }
 
 /// What a simulated board with the head of `file` sends in each of `scans` frames, with or without
@@ -118,16 +124,32 @@ fn joined(content: Content) -> Vec<u8> {
     segments(content).into_iter().flat_map(|segment| segment.bytes).collect()
 }
 
-#[derive(Debug)]
+/// A disk of so many bytes, and what is on it.
+#[derive(Clone)]
 struct Disk {
-    bytes: Vec<u8>,
+    bytes: Arc<Mutex<Vec<u8>>>,
     room: usize,
+}
+
+impl Disk {
+    fn of(room: usize) -> Self {
+        Self { bytes: Arc::default(), room }
+    }
+
+    fn begin(&self) -> CaptureFile {
+        CaptureFile::create(Box::new(self.clone()), "").unwrap()
+    }
+
+    fn bytes(&self) -> Vec<u8> {
+        lock(&self.bytes).clone()
+    }
 }
 
 impl Write for Disk {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let taken = bytes.len().min(self.room - self.bytes.len());
-        self.bytes.extend_from_slice(&bytes[..taken]);
+        let mut written = lock(&self.bytes);
+        let taken = bytes.len().min(self.room - written.len());
+        written.extend_from_slice(&bytes[..taken]);
         if taken == 0 { Err(io::ErrorKind::StorageFull.into()) } else { Ok(taken) }
     }
 
@@ -142,7 +164,7 @@ impl Medium for Disk {
     }
 
     fn truncate(&mut self, length: u64) -> io::Result<()> {
-        self.bytes.truncate(length as usize);
+        lock(&self.bytes).truncate(length as usize);
         Ok(())
     }
 }
@@ -195,7 +217,7 @@ fn what_is_skipped_leaves_its_hello() {
     let frames = stream(&WIDE.read().unwrap(), 400, true);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("one.mcap");
-    let mut series = CaptureSeries::create(&path, Limits::default(), Existing::Kept, String::new()).unwrap();
+    let mut series = begun(&path);
     let delivered = record_two(&mut series, &frames);
     series.finish().unwrap();
     let middle = delivered.links[delivered.links.len() / 2].1;
@@ -221,9 +243,7 @@ fn poses_and_reports_are_there_for_other_programs() {
     let mut record = Record { device: FIRST, ..records[20] };
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("poses.mcap");
-    let schema_of_reports = r#"{"type":"object","properties":{"well":{"type":"boolean"}}}"#;
-    let mut series =
-        CaptureSeries::create(&path, Limits::default(), Existing::Kept, schema_of_reports.to_owned()).unwrap();
+    let mut series = begun(&path);
     series.add_device(setup(FIRST), None, 1).unwrap();
     series.pose(&record, 2).unwrap();
     let at = HostTime { monotonic_ns: 7, utc_ns: BEGIN.utc_ns, uncertainty_ns: 8 };
@@ -279,5 +299,6 @@ fn poses_and_reports_are_there_for_other_programs() {
     let schema = mcap::read::Summary::read(&bytes).unwrap().unwrap().attachment_indexes;
     let schema = schema.iter().find(|attachment| attachment.name == "report.schema.json").unwrap();
     let schema = mcap::read::attachment(&bytes, schema).unwrap();
+    let schema_of_reports = report_schema().as_value().to_string();
     assert_eq!((&*schema.data, &*schema.media_type), (schema_of_reports.as_bytes(), "application/schema+json"));
 }
