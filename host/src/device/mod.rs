@@ -10,6 +10,7 @@
 //! The host drops no bytes: those not fetched wait in the operating system, then in the board's queue, which drops its
 //! oldest scans when full and so leaves gaps in their numbers.
 
+pub(crate) use boot_loader::BootLoader;
 pub(crate) use conversation::{Conversation, HELLO_WITHIN};
 pub(crate) use discovery::{Contact, Found, Selector, find, list};
 pub use error::{DeviceError, Scanless};
@@ -20,6 +21,7 @@ pub use serial::SerialDevice;
 pub(crate) use serial::{SimulatedDevice, SimulatedPort};
 pub use stream::Device;
 
+mod boot_loader;
 mod conversation;
 mod discovery;
 mod error;
@@ -28,3 +30,5 @@ mod orders;
 mod ports;
 mod serial;
 mod stream;
+#[doc(hidden)]
+pub mod update;

@@ -1,6 +1,7 @@
 //! `slitpose device`: which boards there are, and what one is told beside measuring.
 
 mod list;
+mod update;
 
 use std::num::NonZeroU32;
 use std::path::PathBuf;
@@ -19,11 +20,11 @@ use crate::device::{
     BoardInfo, Contact, Conversation, Device, DeviceError, Found, Search, Selector, SerialDevice, SimulatedDevice, find,
 };
 use crate::platform::holders;
-use slitpose_tracking::link::Versions;
+use slitpose_tracking::link::{DeviceId, Versions};
 use slitpose_tracking::pipeline::PipelineError;
 use slitpose_tracking::solving;
 
-/// Lists boards; tells one what head it has, to show itself, or to start anew.
+/// Lists boards; tells one what head it has, to show itself, or to start anew; gives it new firmware.
 ///
 /// A board that another program follows is left alone.
 #[derive(Debug, clap::Args)]
@@ -39,6 +40,7 @@ enum Verb {
     Set(SetArgs),
     Identify(IdentifyArgs),
     Reboot(RebootArgs),
+    Update(update::UpdateArgs),
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
@@ -48,6 +50,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         Verb::Set(args) => set(args),
         Verb::Identify(args) => identify(args),
         Verb::Reboot(args) => reboot(args),
+        Verb::Update(args) => update::update(args),
     }
 }
 
@@ -264,17 +267,31 @@ fn reboot(args: &RebootArgs) -> Result<Outcome, CommandError> {
     if args.boot_loader {
         connection.board.order(Command::Reboot(BootTarget::BootLoader))?;
         talk(format_args!(
-            "{} is in its boot loader, on its own USB port. Next, with the image as a binary file:\n  \
-             dfu-util -a 0 -s 0x08000000:leave -D slitpose-board.bin\nthen reset the board",
+            "{} is in its boot loader, on its own USB port; give it firmware with `slitpose device update`, or reset it",
             connection.name()
         ));
         return Ok(Outcome::Done);
     }
     connection.board.order(Command::Reboot(BootTarget::Firmware))?;
     let Connection { board, found, info: BoardInfo { device, .. } } = connection;
+    let (port, info) = await_back(&args.board, board, found, device)?;
+    talk(format_args!("{device} is back on {port}, firmware {}", info.firmware));
+    if info.reset_cause != ResetCause::Software {
+        talk(format_args!("it says that it last started by `{}`, not by command", info.reset_cause_name()));
+    }
+    Ok(Outcome::Done)
+}
+
+/// Waits until the board `device` is back, which has just been told to start anew; gives its port and what it says.
+fn await_back(
+    options: &BoardOptions,
+    board: Conversation,
+    found: Found,
+    device: DeviceId,
+) -> Result<(String, BoardInfo), CommandError> {
     sleep(GONE_WITHIN);
     let found = Found { device: Some(device), ..found };
-    let BoardOptions { device: selector, search } = &args.board;
+    let BoardOptions { device: selector, search } = options;
     let (board, info) =
         Contact::with(selector.clone(), search.clone(), found).await_return(Some(board), BACK_WITHIN)?;
     let port = board.name();
@@ -282,9 +299,5 @@ fn reboot(args: &RebootArgs) -> Result<Outcome, CommandError> {
         talk(format_args!("another board is on {port} now: {}", info.device));
         return Err(DeviceError::NotBack { name: port, seconds: BACK_WITHIN.as_secs_f64() }.into());
     }
-    talk(format_args!("{device} is back on {port}, firmware {}", info.firmware));
-    if info.reset_cause != ResetCause::Software {
-        talk(format_args!("it says that it last started by `{}`, not by command", info.reset_cause_name()));
-    }
-    Ok(Outcome::Done)
+    Ok((port, info))
 }
