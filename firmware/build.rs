@@ -15,7 +15,9 @@ fn main() {
     println!("cargo:rustc-link-arg-bins=--nmagic");
     let has_ccm = std::env::var_os("CARGO_FEATURE_POSE").is_some();
     // Ahead of the runtime's script: the first to name a part of the code has it.
-    for script in has_ccm.then_some("ccm.x").into_iter().chain(["stack.x"]) {
+    println!("cargo:rustc-link-search={}", env!("CARGO_MANIFEST_DIR"));
+    println!("cargo:rerun-if-changed=memory.x");
+    for script in has_ccm.then_some("ccm.x").into_iter().chain(["image.x", "stack.x"]) {
         println!("cargo:rerun-if-changed={script}");
         println!("cargo:rustc-link-arg-bins=-T{}/{script}", env!("CARGO_MANIFEST_DIR"));
     }

@@ -89,6 +89,7 @@ mod board;
 mod collector;
 mod exposure;
 mod hardware;
+pub mod image;
 mod outbox;
 pub mod pcb;
 #[cfg(feature = "pose")]

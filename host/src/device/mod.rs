@@ -12,6 +12,7 @@
 
 use std::io;
 
+pub(crate) use boot_loader::BootLoader;
 pub(crate) use conversation::{Conversation, HELLO_WITHIN};
 pub(crate) use discovery::{Contact, Selector, find, list};
 pub use error::{DeviceError, Scanless};
@@ -21,6 +22,7 @@ pub(crate) use ports::{ANSWER_WITHIN, Search, ports};
 pub use serial::SerialDevice;
 pub(crate) use serial::{SimulatedDevice, SimulatedPort};
 
+mod boot_loader;
 mod conversation;
 mod discovery;
 mod error;
@@ -28,6 +30,8 @@ mod listed;
 mod orders;
 mod ports;
 mod serial;
+#[doc(hidden)]
+pub mod update;
 
 /// A byte stream to and from a board.
 pub trait Device: Send {

@@ -10,6 +10,7 @@
 //! | [`memory`], [`peripherals`] | the rest of the controller, from its reference manual (RM0440) |
 //! | [`board`], [`machine`] | the controller as a whole: bus, time, resets, supply |
 //! | [`faults`] | what can be wrong with silicon and board, to be switched on by name |
+//! | [`boot_loader`] | the boot loader in the controller's system memory |
 //! | [`world`] | emitters, optics, electronics |
 //! | [`usb_wire`], [`usb_host`] | the cable and the computer at its other end |
 //! | [`terminal`] | that computer's serial port, as programs open it |
@@ -20,6 +21,7 @@
 #![allow(missing_docs, reason = "for this project's own tests and tools: comments say what names do not")]
 
 pub mod board;
+pub mod boot_loader;
 pub mod cpu;
 pub mod facts;
 pub mod faults;

@@ -109,9 +109,9 @@ impl FlashArray {
         self.torn.retain(|torn| !(offset..offset + data.len()).contains(torn));
     }
 
-    /// Where the stack of the program begins: the first word of its vector table.
+    /// Where the stack of the program begins: the first word of its vector table, behind the page of the boot stub.
     pub fn stack_start(&self) -> u32 {
-        self.double_word(0) as u32
+        self.double_word(PAGE_BYTES) as u32
     }
 
     /// The double word at `offset` (a multiple of 8).

@@ -7,6 +7,7 @@ mod calibrated_heads;
 mod configuration;
 mod damaged_files;
 mod device_commands;
+mod device_update;
 mod doctor;
 mod foreign_text;
 mod guide;

@@ -15,6 +15,7 @@
 #![no_main]
 
 mod acquisition;
+mod boot_stub;
 mod clock;
 mod converters;
 mod dma;
@@ -73,6 +74,9 @@ bind_interrupts!(struct Interrupts {
 
 /// The board's core, shared by the tasks.
 type Core = Mutex<ThreadModeRawMutex, RefCell<Board<BoardHardware, &'static mut [u8], &'static mut Poser>>>;
+
+/// The board that the image is for.
+const BOARD: &str = "NUCLEO-G474RE";
 
 /// The watchdog resets the board when it has not been polled for this long.
 const WATCHDOG_US: u32 = 100_000;
@@ -158,7 +162,7 @@ async fn run(spawner: Spawner) {
     let identity = Identity {
         device_id: embassy_stm32::uid::uid(),
         kind: BoardKind::Physical,
-        board: "NUCLEO-G474RE",
+        board: BOARD,
         reset_cause,
         hashes,
         scaling: default_scaling(),

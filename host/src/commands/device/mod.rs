@@ -1,6 +1,7 @@
 //! `slitpose device`: which boards there are, and what one is told beside measuring.
 
 mod list;
+mod update;
 
 use std::num::NonZeroU32;
 use std::path::PathBuf;
@@ -21,11 +22,11 @@ use crate::device::{
     SimulatedDevice, UsbId, find,
 };
 use crate::platform::holders;
-use slitpose_tracking::link::Versions;
+use slitpose_tracking::link::{DeviceId, Versions};
 use slitpose_tracking::pipeline::PipelineError;
 use slitpose_tracking::solving;
 
-/// Lists boards; tells one what head it has, to show itself, or to start anew.
+/// Lists boards; tells one what head it has, to show itself, or to start anew; gives it new firmware.
 ///
 /// A board that another program follows is left alone.
 #[derive(Debug, clap::Args)]
@@ -41,6 +42,7 @@ enum Verb {
     Set(SetArgs),
     Identify(IdentifyArgs),
     Reboot(RebootArgs),
+    Update(update::UpdateArgs),
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
@@ -50,6 +52,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         Verb::Set(args) => set(args),
         Verb::Identify(args) => identify(args),
         Verb::Reboot(args) => reboot(args),
+        Verb::Update(args) => update::update(args),
     }
 }
 
@@ -275,14 +278,23 @@ fn reboot(args: &RebootArgs) -> Result<Outcome, CommandError> {
     if args.boot_loader {
         connection.board.order(Command::Reboot(BootTarget::BootLoader))?;
         talk(format_args!(
-            "{} is in its boot loader, on its own USB port. Next, with the image as a binary file:\n  \
-             dfu-util -a 0 -s 0x08000000:leave -D slitpose-board.bin\nthen reset the board",
+            "{} is in its boot loader, on its own USB port; give it firmware with `slitpose device update`, or reset it",
             connection.name()
         ));
         return Ok(Outcome::Done);
     }
     connection.board.order(Command::Reboot(BootTarget::Firmware))?;
     let Connection { board, contact, info: BoardInfo { device, .. } } = connection;
+    let (port, info) = await_back(board, &contact, device)?;
+    talk(format_args!("{device} is back on {port}, firmware {}", info.firmware));
+    if info.reset_cause != ResetCause::Software {
+        talk(format_args!("it says that it last started by `{}`, not by command", info.reset_cause_name()));
+    }
+    Ok(Outcome::Done)
+}
+
+/// Waits until the board `device` is back, which has just been told to start anew; gives its port and what it says.
+fn await_back(board: Conversation, contact: &Contact, device: DeviceId) -> Result<(String, BoardInfo), CommandError> {
     sleep(GONE_WITHIN);
     let (board, info) = contact.await_return(Some(board), BACK_WITHIN)?;
     let port = board.name();
@@ -290,9 +302,5 @@ fn reboot(args: &RebootArgs) -> Result<Outcome, CommandError> {
         talk(format_args!("another board is on {port} now: {}", info.device));
         return Err(DeviceError::NotBack { name: port, seconds: BACK_WITHIN.as_secs_f64() }.into());
     }
-    talk(format_args!("{device} is back on {port}, firmware {}", info.firmware));
-    if info.reset_cause != ResetCause::Software {
-        talk(format_args!("it says that it last started by `{}`, not by command", info.reset_cause_name()));
-    }
-    Ok(Outcome::Done)
+    Ok((port, info))
 }

@@ -104,7 +104,7 @@ impl Cpu {
         self.event = true;
         self.attention = true;
         self.in_flight = NOTHING_IN_FLIGHT;
-        let address = 4 * u32::from(exception);
+        let address = self.system.vectors + 4 * u32::from(exception);
         match board.read(address, Size::Word) {
             Ok(vector) => {
                 self.registers.thumb = vector & 1 != 0;

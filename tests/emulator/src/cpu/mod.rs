@@ -158,6 +158,11 @@ impl Cpu {
         self.lockup = None;
     }
 
+    /// Forgets decoded code: flash gets another program while the core runs the boot loader.
+    pub fn forget_code(&mut self) {
+        self.code = Code::default();
+    }
+
     /// Tells the levels of interrupt lines 0–127; 112 and up do not exist and are ignored.
     #[inline]
     pub fn set_lines(&mut self, lines: &[u32; 4]) {

@@ -1,5 +1,5 @@
 //! The private peripheral bus: system control block, NVIC registers, cycle counter (DDI0403, B3 and C1.8). Registers
-//! without a model read 0 and ignore writes, among them VTOR, identification, the debug components, SysTick, HFSR, the
+//! without a model read 0 and ignore writes, among them identification, the debug components, SysTick, HFSR, the
 //! addresses of faults, and what changes how exceptions are entered and left or which faults have handlers of their own:
 //! SCR, CCR, SHCSR, FPCCR. All is as after reset: unaligned accesses and divisions by zero are no faults, stacks are aligned
 //! to eight bytes, floating-point state is stacked lazily. Which interrupts are enabled, pending and active is not read.
@@ -53,6 +53,8 @@ pub(super) struct System {
     pub mpu: Mpu,
     pub cpacr: u32,
     pub cfsr: u32,
+    /// VTOR: where the vector table lies, but for a reset.
+    pub vectors: u32,
     pub frozen_in_halt: u32,
     demcr: u32,
     dwt_control: u32,
@@ -80,6 +82,7 @@ impl Cpu {
             }
             // ICSR: VECTACTIVE.
             0xe000_ed04 => self.registers.ipsr.into(),
+            0xe000_ed08 => self.system.vectors,
             0xe000_ed0c => VECTKEYSTAT << 16,
             0xe000_ed28 => self.system.cfsr,
             0xe000_ed88 => self.system.cpacr,
@@ -114,6 +117,8 @@ impl Cpu {
                     self.nvic.set_priority(exception, priority);
                 }
             }
+            // VTOR (DDI0403, B3.2.5): TBLOFF.
+            0xe000_ed08 => self.system.vectors = value & !0x7f,
             // AIRCR; a write without its key is ignored.
             0xe000_ed0c => self.system.reset_requested |= value >> 16 == VECTKEY && value & 4 != 0,
             0xe000_ed28 => self.system.cfsr &= !value,
