@@ -9,7 +9,7 @@ use super::{Experiment, Point, Study, TOLERANCE, experiments};
 use crate::identification::Identified;
 use crate::plot::CurveStyle::{Joined, Line, Markers, Rings};
 use crate::plot::{Axis, Chart, Curve, curve};
-use crate::report::{Picture, Report, Section, Sheet, Table, Value, column, program, scene};
+use crate::report::{Picture, Report, Section, Sheet, Table, Value, program, scene};
 
 const POSITION: &str = "emitter position along $x_{PSD}$ / mm";
 const NO_MEASUREMENT: &str = "Calculated points only: the paper's measured ones were published without numbers.";
@@ -308,15 +308,15 @@ fn section(errors: &[Vec<[f64; 2]>]) -> Section {
             name: "published_errors",
             caption: "Errors of X_A on benches with imperfect parts".to_owned(),
             columns: vec![
-                column("parts", "parts"),
-                column("stray_percent", "stray / % of I_O at the centre"),
-                column("emitter_nearer_mm", "emitter nearer / mm"),
-                column("emitter_aside_mm", "emitter aside / mm"),
-                column("mean_mm", "mean / mm"),
-                column("max_mm", "largest / mm"),
-                column("min_mm", "least / mm"),
-                column("inner_mean_mm", "mean within ±4 mm / mm"),
-                column("misfit_um", "difference, rms / µm"),
+                ("parts", "parts"),
+                ("stray_percent", "stray / % of I_O at the centre"),
+                ("emitter_nearer_mm", "emitter nearer / mm"),
+                ("emitter_aside_mm", "emitter aside / mm"),
+                ("mean_mm", "mean / mm"),
+                ("max_mm", "largest / mm"),
+                ("min_mm", "least / mm"),
+                ("inner_mean_mm", "mean within ±4 mm / mm"),
+                ("misfit_um", "difference, rms / µm"),
             ],
             rows: [published].into_iter().chain(BENCHES.iter().zip(errors).map(row)).collect(),
         }],

@@ -6,7 +6,7 @@ use slitpose_calibration::PartCosts;
 use super::Of;
 use crate::map::{Candidate, KNOWN, Map, Schedules, View, quantiles_of};
 use crate::plot::{Anchor, Axis, Chart, CurveStyle, Note, SOFT_INK, Scale, curve};
-use crate::report::section::{Picture, Section, Sheet, Table, Value, column};
+use crate::report::section::{Picture, Section, Sheet, Table, Value};
 
 /// What is checked, its value, and what happens where that is above one, if it is a limit.
 const CHECKS: [(&str, Of, Option<&str>); 5] = [
@@ -88,12 +88,12 @@ pub(super) fn redundancy(map: &Map) -> Section {
                           nearest; above one, the limit is passed"
                     .to_owned(),
                 columns: vec![
-                    column("quantity", "quantity"),
-                    column("home", "home"),
-                    column("median", "median"),
-                    column("of_95_percent", "95 %"),
-                    column("of_99_percent", "99 %"),
-                    column("worst", "worst"),
+                    ("quantity", "quantity"),
+                    ("home", "home"),
+                    ("median", "median"),
+                    ("of_95_percent", "95 %"),
+                    ("of_99_percent", "99 %"),
+                    ("worst", "worst"),
                 ],
                 rows,
             },
