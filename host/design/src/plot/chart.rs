@@ -2,8 +2,9 @@
 
 use glam::{DVec2, dvec2};
 
-use super::canvas::{Anchor, Canvas, Stroke, TextStyle};
-use super::style::{Colour, FAINT, INK, PALE, SOFT_INK, cell_colour, decades, quantity, ticks};
+use super::canvas::{
+    Anchor, Canvas, Colour, FAINT, INK, PALE, SOFT_INK, Stroke, TextStyle, cell_colour, decades, quantity, ticks,
+};
 
 const LABEL: TextStyle = TextStyle::new(13.0);
 const TICK: TextStyle = TextStyle::new(12.0).coloured(SOFT_INK);

@@ -10,15 +10,13 @@ mod close_up;
 mod heat;
 mod scene;
 mod shape;
-mod style;
 
-pub(crate) use canvas::{Anchor, Canvas, TextStyle};
+pub(crate) use canvas::{Anchor, Canvas, SOFT_INK, TextStyle, three_digits};
 pub(crate) use chart::{Axis, Chart, Curve, CurveStyle, Note, Scale, curve};
 pub use close_up::cell_picture;
 pub(crate) use heat::{Heat, heat_picture};
 pub use scene::scene_picture;
 pub use shape::{MaskFrame, mask_half_extents_m};
-pub(crate) use style::{SOFT_INK, three_digits};
 
 #[cfg(test)]
 mod tests {
@@ -76,7 +74,7 @@ mod tests {
 
     #[test]
     fn an_arrow_shorter_than_its_head_has_none() {
-        let stroke = canvas::Stroke::new(style::INK, 1.6);
+        let stroke = canvas::Stroke::new(canvas::INK, 1.6);
         for (length, heads) in [(0.0, 0), (1e-9, 0), (2.0, 0), (7.9, 0), (8.5, 1), (60.0, 1)] {
             let mut canvas = Canvas::new(100.0, 100.0, "arrow");
             let before = canvas_parts(Canvas::new(100.0, 100.0, "arrow"));
