@@ -45,7 +45,7 @@ pub(crate) struct Adjustment<'a> {
     /// Information of the prior, by parameters in units of their prior σ.
     pub(crate) prior: DMatrix<f64>,
     /// Whether the data may tell the size of families of parameters.
-    learns_sizes: bool,
+    pub(crate) learns_sizes: bool,
 }
 
 /// Squared residuals that grow like a logarithm beyond the limit: gross outliers count for next to nothing.
@@ -98,13 +98,16 @@ fn constraint_square(data: &Data, state: &State, row: usize) -> f64 {
     residuals.iter().map(|value| value * value).sum()
 }
 
-impl<'a> Adjustment<'a> {
-    pub(crate) fn new(nominal: &'a Scene, data: &'a Data, prior: DMatrix<f64>, learns_sizes: bool) -> Self {
-        Self { nominal, data, prior, learns_sizes }
+impl Adjustment<'_> {
+    fn sensitivities(&self, state: &State, derivatives: bool) -> Result<Vec<CellSensitivity>, SceneError> {
+        sensitivities_of_rows(self.nominal, self.data, state, derivatives)
     }
 
-    pub(crate) fn sensitivities(&self, state: &State, derivatives: bool) -> Result<Vec<CellSensitivity>, SceneError> {
-        sensitivities_of_rows(self.nominal, self.data, state, derivatives)
+    /// The normal equations at `state`, derivatives included.
+    fn normal(&self, state: &State) -> Result<Normal, SceneError> {
+        let cells = self.sensitivities(state, true)?;
+        let weights = self.weigh(state, &cells);
+        Ok(Normal::assemble(self.data, state, cells, weights, &self.prior))
     }
 
     fn weigh(&self, state: &State, cells: &[CellSensitivity]) -> Weights {
@@ -120,12 +123,10 @@ impl<'a> Adjustment<'a> {
     }
 
     /// At most `steps` steps towards the minimum of χ².
-    pub(crate) fn minimise(&self, state: &mut State, steps: usize) -> Result<(Normal, Weights), SceneError> {
+    pub(crate) fn minimise(&self, state: &mut State, steps: usize) -> Result<Normal, SceneError> {
         let mut damping = 1e-6;
-        let cells = self.sensitivities(state, true)?;
-        let mut before = cost(self.data, state, &cells, &self.prior);
-        let mut weights = self.weigh(state, &cells);
-        let mut normal = Normal::assemble(self.data, state, cells, &weights, &self.prior);
+        let mut normal = self.normal(state)?;
+        let mut before = cost(self.data, state, &normal.cells, &self.prior);
         for _ in 0..steps {
             let mut accepted = None;
             while damping < 1e8 {
@@ -154,28 +155,26 @@ impl<'a> Adjustment<'a> {
             *state = candidate;
             damping = (damping * 0.05).max(1e-9);
             let decrease = before - after;
-            let cells = self.sensitivities(state, true)?;
-            weights = self.weigh(state, &cells);
-            normal = Normal::assemble(self.data, state, cells, &weights, &self.prior);
+            normal = self.normal(state)?;
             before = after;
             if decrease < CONVERGED {
                 break;
             }
         }
-        Ok((normal, weights))
+        Ok(normal)
     }
 
     /// Renews the model errors so that residuals are as large as expected; the largest relative change of a variance.
-    fn estimate_model_errors(&self, state: &mut State, normal: &Normal, weights: &Weights) -> f64 {
+    fn estimate_model_errors(&self, state: &mut State, normal: &Normal) -> f64 {
         let Some(covariance) = normal.covariance() else { return 0.0 };
-        let cells = &normal.cells;
+        let Normal { cells, weights, .. } = normal;
         let count = cells.len();
         // Of each cell: squares found, squares expected, variance by noise, for intensity and position; readings.
         let mut sums = vec![[[0.0; 3]; 2]; count];
         let mut readings = vec![0.0; count];
         let every = self.data.rows.len().div_ceil(SAMPLE);
         for row in (0..self.data.rows.len()).step_by(every) {
-            let Some(reduced) = self.reduced(state, normal, weights, row) else { continue };
+            let Some(reduced) = self.reduced(state, normal, row) else { continue };
             let spread = &covariance * &reduced.derivatives;
             let mut place = 0;
             for cell in 0..count {
@@ -258,20 +257,15 @@ impl<'a> Adjustment<'a> {
     }
 
     /// Towards the most probable parameters of cells that are not trusted far.
-    pub(crate) fn first(&self, state: &mut State) -> Result<(Normal, Weights), SceneError> {
+    pub(crate) fn first(&self, state: &mut State) -> Result<Normal, SceneError> {
         state.model_errors.fill(FIRST_ERROR);
         self.minimise(state, 4)
     }
 
     /// Renews model errors and sizes, and adjusts with them; the largest relative change of a variance.
-    pub(crate) fn round(
-        &mut self,
-        state: &mut State,
-        normal: &mut Normal,
-        weights: &mut Weights,
-    ) -> Result<f64, SceneError> {
-        let scales = self.constraint_scales(state, normal, weights);
-        let mut change = self.estimate_model_errors(state, normal, weights);
+    pub(crate) fn round(&mut self, state: &mut State, normal: &mut Normal) -> Result<f64, SceneError> {
+        let scales = self.constraint_scales(state, normal);
+        let mut change = self.estimate_model_errors(state, normal);
         for (scale, ratio) in state.scales.as_flattened_mut().iter_mut().zip(scales.as_flattened()) {
             // Nobody is asked to believe that an instrument is better than its maker says.
             let renewed = (*scale * ratio).max(1.0);
@@ -281,8 +275,8 @@ impl<'a> Adjustment<'a> {
         if self.learns_sizes {
             self.estimate_sizes(state, normal);
         }
-        self.release(state, weights)?;
-        (*normal, *weights) = self.minimise(state, 3)?;
+        self.release(state, &normal.weights)?;
+        *normal = self.minimise(state, 3)?;
         Ok(change)
     }
 
@@ -316,27 +310,21 @@ impl<'a> Adjustment<'a> {
     }
 
     /// Adds the term of the light that the data demand most, and adjusts with it; `false`: they demand none.
-    pub(crate) fn adds_light(
-        &self,
-        state: &mut State,
-        normal: &mut Normal,
-        weights: &mut Weights,
-    ) -> Result<bool, SceneError> {
-        let assemble = |state: &State, cells| Normal::assemble(self.data, state, cells, weights, &self.prior);
-        let Some(term) = light::missing(self.nominal, self.data, state, normal, &assemble) else { return Ok(false) };
+    pub(crate) fn adds_light(&self, state: &mut State, normal: &mut Normal) -> Result<bool, SceneError> {
+        let Some(term) = light::missing(self, state, normal) else { return Ok(false) };
         state.light.push(term);
-        (*normal, *weights) = self.minimise(state, 3)?;
+        *normal = self.minimise(state, 3)?;
         Ok(true)
     }
 
     /// χ² by its expectation.
-    pub(crate) fn fit(&self, state: &State, normal: &Normal, weights: &Weights) -> f64 {
-        let statistics = self.statistics(state, normal, weights);
+    pub(crate) fn fit(&self, state: &State, normal: &Normal) -> f64 {
+        let statistics = self.statistics(state, normal);
         statistics.chi2 / statistics.redundancy
     }
 
-    pub(crate) fn statistics(&self, state: &State, normal: &Normal, weights: &Weights) -> Statistics {
-        let cells = &normal.cells;
+    pub(crate) fn statistics(&self, state: &State, normal: &Normal) -> Statistics {
+        let Normal { cells, weights, .. } = normal;
         let mut found = Statistics { rows: self.data.rows.len(), ..Statistics::default() };
         let (mut residuals, mut unknowns) = (0, state.first_light() - state.parameters.entries.len());
         for row in 0..self.data.rows.len() {
@@ -367,16 +355,16 @@ impl<'a> Adjustment<'a> {
     }
 
     /// Of each group, the ratio of the errors of lengths and of angles to what they are taken for.
-    fn constraint_scales(&self, state: &State, normal: &Normal, weights: &Weights) -> Vec<[f64; 2]> {
+    fn constraint_scales(&self, state: &State, normal: &Normal) -> Vec<[f64; 2]> {
         let mut sums = vec![[[0.0; 3]; 2]; self.data.groups.len()];
         let Some(covariance) = normal.covariance() else { return vec![[0.0; 2]; sums.len()] };
         let every = self.data.rows.len().div_ceil(SAMPLE);
         for row in (0..self.data.rows.len()).step_by(every) {
             let (number, _) = state.group_of(self.data, row);
-            if weights.poses[row] < 1.0 || !state.is_known(self.data, row) {
+            if normal.weights.poses[row] < 1.0 || !state.is_known(self.data, row) {
                 continue;
             }
-            let Some(reduced) = self.reduced(state, normal, weights, row) else { continue };
+            let Some(reduced) = self.reduced(state, normal, row) else { continue };
             let spread = &covariance * &reduced.derivatives;
             // The last six are those of the instrument.
             let first = reduced.residuals.len() - 6;
@@ -396,9 +384,9 @@ impl<'a> Adjustment<'a> {
     }
 
     /// Row `row` without what its own pose explains; `None`: nothing tells that pose.
-    pub(crate) fn reduced(&self, state: &State, normal: &Normal, weights: &Weights, row: usize) -> Option<Reduced> {
+    pub(crate) fn reduced(&self, state: &State, normal: &Normal, row: usize) -> Option<Reduced> {
         let factor = &normal.rows[row].as_ref()?.factor;
-        let terms = row_terms(self.data, state, &normal.cells, weights, row, state.length_scale_m);
+        let terms = row_terms(self.data, state, &normal.cells, &normal.weights, row);
         let mut derivatives = DMatrix::zeros(normal.matrix.nrows(), terms.by_pose.len());
         let by_pose: Vec<_> = terms.by_pose.iter().map(|of| forward(factor, *of)).collect();
         for (k, (of_pose, of_unknown)) in by_pose.iter().zip(&terms.by_unknown).enumerate() {

@@ -130,12 +130,8 @@ mod tests {
 
     const SIGMAS: [f64; 2] = [1e-6, 1e-5];
 
-    fn row(knowledge: Knowledge) -> Row {
-        Row { id: String::new(), readings: Vec::new(), frames: 1.0, time_s: None, knowledge }
-    }
-
     fn left(constraint: Constraint, knowledge: Knowledge, unknowns: &[f64], pose: &Pose) -> f64 {
-        let residuals = residuals(constraint, SIGMAS, &row(knowledge), unknowns, pose);
+        let residuals = residuals(constraint, SIGMAS, &Row { knowledge, ..Row::default() }, unknowns, pose);
         residuals.iter().fold(0.0, |most, value| value.abs().max(most))
     }
 

@@ -13,7 +13,7 @@ pub struct Data {
     pub noise: Option<Noise>,
 }
 
-/// The readings of all cells at one pose.
+/// The readings of all cells at one pose; by default of none, in a single frame.
 #[derive(Clone, Debug)]
 pub struct Row {
     /// Name in its file.
@@ -26,6 +26,12 @@ pub struct Row {
     pub time_s: Option<[f64; 2]>,
     /// What is known of its pose.
     pub knowledge: Knowledge,
+}
+
+impl Default for Row {
+    fn default() -> Self {
+        Self { id: String::new(), readings: Vec::new(), frames: 1.0, time_s: None, knowledge: Knowledge::Nothing }
+    }
 }
 
 impl Row {

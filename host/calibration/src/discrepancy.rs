@@ -14,7 +14,7 @@ use crate::coverage::half_extents;
 use crate::data::{Row, values_of};
 use crate::normal::Normal;
 use crate::reading::{whiten, whitener};
-use crate::state::{State, Weights};
+use crate::state::State;
 
 /// Functions of the pose: linear and quadratic ones of six coordinates.
 const FUNCTIONS: usize = 6 + 21;
@@ -91,7 +91,6 @@ impl Discrepancy {
         adjustment: &Adjustment<'_>,
         state: &State,
         normal: &Normal,
-        weights: &Weights,
         workspace: &Workspace,
     ) -> Option<Self> {
         let size = |of_kind: f64| of_kind * (SMOOTH / FUNCTIONS as f64).sqrt();
@@ -99,11 +98,11 @@ impl Discrepancy {
         let (count, functions) = (normal.matrix.nrows(), Functions::over(&state.poses, workspace));
         let mut found = Self { functions, sizes, reaction: DMatrix::zeros(count, 2 * normal.cells.len() * FUNCTIONS) };
         for (row, pose) in state.poses.iter().enumerate() {
-            let Some(reduced) = adjustment.reduced(state, normal, weights, row) else { continue };
+            let Some(reduced) = adjustment.reduced(state, normal, row) else { continue };
             let Row { readings, frames, .. } = &adjustment.data.rows[row];
             let mut residual = 0;
             for (cell, sensitivity) in normal.cells.iter().enumerate() {
-                let weight = weights.readings[row][cell];
+                let weight = normal.weights.readings[row][cell];
                 let (Some(reading), Some(pair)) = (readings[cell], sensitivity.pairs[row]) else { continue };
                 if weight == 0.0 {
                     continue;
@@ -162,20 +161,20 @@ mod tests {
         let poses: Vec<Pose> = file.workspace.poses(60).collect();
         let cells = sensitivities(&file.scene, &parameters, &poses, false).expect("currents");
         let row = |(number, pose): (usize, &Pose)| Row {
-            id: String::new(),
             readings: cells.iter().map(|cell| cell.pairs[number]).collect(),
             frames: 16.0,
-            time_s: None,
             knowledge: Knowledge::Reported(*pose),
+            ..Row::default()
         };
         let mut data = Data::default();
         data.add("", Constraint::Known, [2e-6, 20e-6], poses.iter().enumerate().map(row).collect());
         let mut state = State::new(&file.scene, parameters, &data, poses, vec![USUAL_ERROR; cells.len()]);
         state.residual_errors.fill([USUAL_ERROR.relative, USUAL_ERROR.position_m]);
         let adjust = |data: &Data, state: &mut State| {
-            let adjustment = Adjustment::new(&file.scene, data, DMatrix::identity(count, count), false);
-            let (normal, weights) = adjustment.minimise(state, 5).expect("a head");
-            Discrepancy::of(&adjustment, state, &normal, &weights, &file.workspace).expect("a minimum")
+            let prior = DMatrix::identity(count, count);
+            let adjustment = Adjustment { nominal: &file.scene, data, prior, learns_sizes: false };
+            let normal = adjustment.minimise(state, 5).expect("a head");
+            Discrepancy::of(&adjustment, state, &normal, &file.workspace).expect("a minimum")
         };
         let discrepancy = adjust(&data, &mut state);
         // Of intensity and of position: linear and quadratic.

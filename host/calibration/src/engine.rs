@@ -18,7 +18,7 @@ use crate::plausibility::Implausible;
 use crate::pose_error::PoseError;
 use crate::prior::Parameters;
 use crate::reading::share;
-use crate::start::{Beginning, solved};
+use crate::start::{beginning, solved};
 use crate::state::{State, Weights, residuals};
 use crate::{
     Calibration, CalibrationFileError, Frames, Residual, Statistics, findings, plausibility, prior, uncalibrated,
@@ -134,7 +134,7 @@ pub struct Calibrated {
 /// let row = |pose| {
 ///     let pair = |cell| { let pair = plan.photocurrents(cell, &pose); Some([pair.i_x1_a, pair.i_x2_a]) };
 ///     let readings = (0..plan.cell_count()).map(pair).collect();
-///     Row { id: String::new(), readings, frames: 1.0, time_s: None, knowledge: Knowledge::Reported(pose) }
+///     Row { readings, knowledge: Knowledge::Reported(pose), ..Row::default() }
 /// };
 /// let mut data = Data::default();
 /// data.add("poses.csv", Constraint::Known, [2e-6, 2e-4], file.workspace.poses(40).map(row).collect());
@@ -168,38 +168,39 @@ pub fn calibrate(
     let nominal = Scene { noise: data.noise.or(file.scene.noise), ..file.scene.clone() };
     let errors = vec![ModelError::default(); file.scene.cells.len()];
     let started = start.map(|start| start.apply(file)).transpose()?;
-    let Beginning { poses, unknowns } = Beginning::of(started.as_ref().unwrap_or(&by_tolerances), start, data)?;
+    let (poses, unknowns) = beginning(started.as_ref().unwrap_or(&by_tolerances), start, data)?;
     let mut state = State::new(&nominal, parameters, data, poses, errors);
     state.unknowns = unknowns;
     let mut is_interrupted = false;
-    let mut adjustment = Adjustment::new(&nominal, data, information, start.is_none());
-    let (mut normal, mut weights) = adjustment.first(&mut state)?;
+    let mut adjustment = Adjustment { nominal: &nominal, data, prior: information, learns_sizes: start.is_none() };
+    let mut normal = adjustment.first(&mut state)?;
     let mut round = 1;
     loop {
-        let fit = adjustment.fit(&state, &normal, &weights);
+        let fit = adjustment.fit(&state, &normal);
         if progress(Progress::Adjusting(round.min(ROUNDS), ROUNDS, fit)).is_break() {
             is_interrupted = true;
             break;
         }
-        let change = adjustment.round(&mut state, &mut normal, &mut weights)?;
+        let change = adjustment.round(&mut state, &mut normal)?;
         if change < 0.1 || round % ROUNDS == 0 {
-            if !adjustment.adds_light(&mut state, &mut normal, &mut weights)? {
+            if !adjustment.adds_light(&mut state, &mut normal)? {
                 break;
             }
             round = round.next_multiple_of(ROUNDS);
         }
         round += 1;
     }
-    if !is_interrupted && let Err(error) = findings::require_agreement(&by_tolerances, data, &state, &weights) {
+    if !is_interrupted && let Err(error) = findings::require_agreement(&by_tolerances, data, &state, &normal.weights) {
         let likely = plausibility::likely_reading(&state.scene(&nominal), data)?.map(CalibrateError::Implausible);
         return Err(likely.unwrap_or(error));
     }
-    remarks.extend(findings::remarks(data, &state, &weights));
-    let mut calibration = conclude(request, &adjustment, state.clone(), &normal, &weights)?;
+    remarks.extend(findings::remarks(data, &state, &normal.weights));
+    let mut calibration = conclude(request, &adjustment, state.clone(), &normal)?;
     remarks.extend(calibration.light.iter().map(LightTrend::remark));
     remarks.extend(calibration.covered.as_ref().and_then(|covered| covered.remark(&file.workspace)));
     if !is_interrupted {
-        is_interrupted = hold_out(&adjustment, &state, &weights, &mut calibration.statistics, &mut remarks, progress)?;
+        is_interrupted =
+            hold_out(&adjustment, &state, &normal.weights, &mut calibration.statistics, &mut remarks, progress)?;
     }
     calibration.write();
     let residuals = residuals(&nominal, data, &state)?;
@@ -229,19 +230,17 @@ fn conclude(
     adjustment: &Adjustment<'_>,
     mut state: State,
     normal: &Normal,
-    weights: &Weights,
 ) -> Result<Calibration, CalibrateError> {
     let Request { file, date, .. } = *request;
     let data = adjustment.data;
     let by_noise = normal.covariance().ok_or(CalibrateError::Singular)?;
-    let discrepancy =
-        Discrepancy::of(adjustment, &state, normal, weights, &file.workspace).ok_or(CalibrateError::Singular)?;
+    let discrepancy = Discrepancy::of(adjustment, &state, normal, &file.workspace).ok_or(CalibrateError::Singular)?;
     let (pose_error, rest) = PoseError::of(adjustment.nominal, &state, &by_noise, Some(&discrepancy), &file.workspace)?;
     let covariance = by_noise + discrepancy.covariance();
-    let covered = Coverage::of(adjustment.nominal, data, &state, weights, &covariance, &file.workspace)?;
-    let statistics = adjustment.statistics(&state, normal, weights);
+    let covered = Coverage::of(adjustment.nominal, data, &state, &normal.weights, &covariance, &file.workspace)?;
+    let statistics = adjustment.statistics(&state, normal);
     for (cell, (error, rest)) in state.model_errors.iter_mut().zip(rest).enumerate() {
-        error.reach = reach(data, weights, cell);
+        error.reach = reach(data, &normal.weights, cell);
         error.relative = libm::hypot(TAIL * error.relative, rest.relative);
         error.position_m = libm::hypot(TAIL * error.position_m, rest.position_m);
     }
@@ -331,7 +330,8 @@ fn hold_out(
         for &row in left_out {
             rest.rows[row].readings.fill(None);
         }
-        let without = Adjustment::new(adjustment.nominal, &rest, adjustment.prior.clone(), false);
+        let (nominal, prior) = (adjustment.nominal, adjustment.prior.clone());
+        let without = Adjustment { nominal, data: &rest, prior, learns_sizes: false };
         let mut found = state.clone();
         without.minimise(&mut found, 2)?;
         let scene: Scene = found.parameters.scene(adjustment.nominal);

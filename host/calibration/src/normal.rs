@@ -31,6 +31,7 @@ pub(crate) struct Normal {
     /// M of all rows side by side: six columns a row.
     pub(crate) coupling: DMatrix<f64>,
     pub(crate) cells: Vec<CellSensitivity>,
+    pub(crate) weights: Weights,
 }
 
 /// Whitened residuals and derivatives of one row, as they enter the sums.
@@ -48,10 +49,10 @@ pub(crate) fn row_terms(
     sensitivities: &[CellSensitivity],
     weights: &Weights,
     row: usize,
-    scale_m: f64,
 ) -> RowTerms {
     let mut terms = RowTerms { by_pose: Vec::new(), residuals: Vec::new(), by_unknown: Vec::new() };
     let measured = &data.rows[row];
+    let scale_m = state.length_scale_m;
     let scale = [scale_m, scale_m, scale_m, 1.0, 1.0, 1.0];
     for (cell, sensitivity) in sensitivities.iter().enumerate() {
         let weight = weights.readings[row][cell];
@@ -163,7 +164,7 @@ impl Normal {
         data: &Data,
         state: &State,
         cells: Vec<CellSensitivity>,
-        weights: &Weights,
+        weights: Weights,
         prior: &DMatrix<f64>,
     ) -> Self {
         let count = state.unknown_count();
@@ -175,7 +176,7 @@ impl Normal {
         let mut own = DMatrix::<f64>::zeros(count, 0);
         let mut filled = 0;
         for row in 0..data.rows.len() {
-            let terms = row_terms(data, state, &cells, weights, row, state.length_scale_m);
+            let terms = row_terms(data, state, &cells, &weights, row);
             let mut v = [[0.0; 6]; 6];
             let mut b = [0.0; 6];
             for (of_pose, residual) in terms.by_pose.iter().zip(&terms.residuals) {
@@ -246,7 +247,7 @@ impl Normal {
             matrix[(k, k)] += 1.0;
             right[k] -= term.amplitude;
         }
-        Self { matrix, right, rows, coupling, cells }
+        Self { matrix, right, rows, coupling, cells, weights }
     }
 
     /// The step of the unknowns, damped by `damping` times the diagonal.

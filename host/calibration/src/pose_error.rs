@@ -342,16 +342,15 @@ pub fn part_costs(file: &SceneFile, known: KnownPoses) -> Result<PartCosts, Cali
     let at: Vec<Pose> = file.workspace.poses(known.count).collect();
     let cells = sensitivities(nominal, &parameters, &at, true)?;
     let row = |(number, pose)| Row {
-        id: String::new(),
         readings: cells.iter().map(|cell| cell.pairs[number]).collect(),
         frames: known.frames,
-        time_s: None,
         knowledge: Knowledge::Reported(pose),
+        ..Row::default()
     };
     data.add("", Constraint::Known, known.instrument, at.iter().copied().enumerate().map(row).collect());
     let after = state_with(vec![USUAL_ERROR; nominal.cells.len()], &data);
     let information = DMatrix::identity(count, count);
-    let normal = Normal::assemble(&data, &after, cells, &Weights::equal(&data), &information);
+    let normal = Normal::assemble(&data, &after, cells, Weights::equal(&data), &information);
     // Covariance of all others if those of one kind are known.
     let without = |known: &dyn Fn(Quantity) -> bool| -> Result<DMatrix<f64>, CalibrateError> {
         let mut matrix = normal.matrix.clone();

@@ -291,8 +291,6 @@ mod tests {
     use rand_distr::{Distribution, Normal};
     use slitpose_head::scene_file::WIDE;
 
-    use crate::data::Knowledge;
-
     /// Light's shot noise divides as its light does and moves no spot; what the resistance drives out of one electrode
     /// comes in by the other, and adds nothing to the sum.
     #[test]
@@ -336,14 +334,7 @@ mod tests {
                         let glitch = if k % 50 == 3 { 1e-6 } else { 0.0 };
                         Some([1.5e-6 + swing + glitch, 1.5e-6 - swing].map(|pure| pure + scatter.sample(&mut rng)))
                     });
-                    let readings = readings.collect();
-                    Row {
-                        id: k.to_string(),
-                        readings,
-                        frames: 1.0,
-                        time_s: Some([time_s; 2]),
-                        knowledge: Knowledge::Nothing,
-                    }
+                    Row { readings: readings.collect(), time_s: Some([time_s; 2]), ..Row::default() }
                 })
                 .collect();
             let found = measured_noise(&rows, &scene, &noise).unwrap();

@@ -13,12 +13,6 @@ use crate::{CalibrateError, Calibration};
 /// Share of a group's rows that must lead to a pose for the others to follow from home.
 const MIN_WITH_POSE: f64 = 0.25;
 
-/// Poses of all rows and unknowns of all groups. Rows without a pose stay at home.
-pub(crate) struct Beginning {
-    pub(crate) poses: Vec<Pose>,
-    pub(crate) unknowns: Vec<Vec<f64>>,
-}
-
 /// The pose of each row by `scene` alone.
 pub(crate) fn solved(scene: &Scene, rows: &[Row]) -> Result<Vec<Option<Pose>>, SceneError> {
     let solver = Solver::<f64>::new(scene, TIER)?;
@@ -55,28 +49,25 @@ fn first_poses(
     Err(CalibrateError::NoPoses(name.to_owned(), found, rows.len(), basis, next_step))
 }
 
-impl Beginning {
-    /// From the data and `scene`: the head as `start` has it, or by its tolerances.
-    pub(crate) fn of(scene: &Scene, start: Option<&Calibration>, data: &Data) -> Result<Self, CalibrateError> {
-        let (mut poses, mut unknowns) = (vec![Pose::HOME; data.rows.len()], Vec::new());
-        for group in &data.groups {
-            let rows = &data.rows[group.rows.clone()];
-            let places = &mut poses[group.rows.clone()];
-            if group.constraint == Constraint::Known {
-                for (place, row) in places.iter_mut().zip(rows) {
-                    *place = row.reported().unwrap_or(Pose::HOME);
-                }
-                unknowns.push(Vec::new());
-                continue;
-            }
-            let found = first_poses(scene, start, &group.file, rows)?;
-            for (place, pose) in places.iter_mut().zip(&found) {
-                *place = pose.unwrap_or(Pose::HOME);
-            }
-            unknowns.push(of_group(group, rows, &found, places)?);
-        }
-        Ok(Self { poses, unknowns })
+/// Poses of all rows and unknowns of all groups, from the data and `scene`: the head as `start` has it, or by its tolerances.
+/// Rows without a pose stay at home.
+pub(crate) fn beginning(
+    scene: &Scene,
+    start: Option<&Calibration>,
+    data: &Data,
+) -> Result<(Vec<Pose>, Vec<Vec<f64>>), CalibrateError> {
+    let (mut poses, mut unknowns) = (Vec::with_capacity(data.rows.len()), Vec::new());
+    for group in &data.groups {
+        let rows = &data.rows[group.rows.clone()];
+        let found = match group.constraint {
+            Constraint::Known => rows.iter().map(Row::reported).collect(),
+            _ => first_poses(scene, start, &group.file, rows)?,
+        };
+        let mut places: Vec<Pose> = found.iter().map(|pose| pose.unwrap_or(Pose::HOME)).collect();
+        unknowns.push(of_group(group, rows, &found, &mut places)?);
+        poses.extend(places);
     }
+    Ok((poses, unknowns))
 }
 
 fn of_group(
@@ -85,6 +76,9 @@ fn of_group(
     found: &[Option<Pose>],
     places: &mut [Pose],
 ) -> Result<Vec<f64>, CalibrateError> {
+    if group.constraint == Constraint::Known {
+        return Ok(Vec::new());
+    }
     let weak = || CalibrateError::LittleMotion(group.file.clone());
     let solved: Vec<Pose> = found.iter().flatten().copied().collect();
     let first = *solved.first().ok_or_else(weak)?;
