@@ -10,8 +10,8 @@ use slitpose_head::scene_file::Workspace;
 use slitpose_model::Pose;
 
 use crate::adjust::Adjustment;
-use crate::coverage::half_extents;
 use crate::data::{Row, values_of};
+use crate::findings::half_extents;
 use crate::normal::Normal;
 use crate::reading::{whiten, whitener};
 use crate::state::State;
@@ -88,8 +88,8 @@ pub(crate) struct Discrepancy {
 impl Discrepancy {
     /// At the result of an adjustment.
     pub(crate) fn of(
-        adjustment: &Adjustment<'_>,
-        state: &State,
+        adjustment: &Adjustment,
+        state: &State<'_>,
         normal: &Normal,
         workspace: &Workspace,
     ) -> Option<Self> {
@@ -99,7 +99,7 @@ impl Discrepancy {
         let mut found = Self { functions, sizes, reaction: DMatrix::zeros(count, 2 * normal.cells.len() * FUNCTIONS) };
         for (row, pose) in state.poses.iter().enumerate() {
             let Some(reduced) = adjustment.reduced(state, normal, row) else { continue };
-            let Row { readings, frames, .. } = &adjustment.data.rows[row];
+            let Row { readings, frames, .. } = &state.data.rows[row];
             let mut residual = 0;
             for (cell, sensitivity) in normal.cells.iter().enumerate() {
                 let weight = normal.weights.readings[row][cell];
@@ -170,13 +170,13 @@ mod tests {
         data.add("", Constraint::Known, [2e-6, 20e-6], poses.iter().enumerate().map(row).collect());
         let mut state = State::new(&file.scene, parameters, &data, poses, vec![USUAL_ERROR; cells.len()]);
         state.residual_errors.fill([USUAL_ERROR.relative, USUAL_ERROR.position_m]);
-        let adjust = |data: &Data, state: &mut State| {
+        let adjust = |state: &mut State<'_>| {
             let prior = DMatrix::identity(count, count);
-            let adjustment = Adjustment { nominal: &file.scene, data, prior, learns_sizes: false };
+            let adjustment = Adjustment { prior, learns_sizes: false };
             let normal = adjustment.minimise(state, 5).expect("a head");
             Discrepancy::of(&adjustment, state, &normal, &file.workspace).expect("a minimum")
         };
-        let discrepancy = adjust(&data, &mut state);
+        let discrepancy = adjust(&mut state);
         // Of intensity and of position: linear and quadratic.
         for wanted in [(1, 2), (1, FUNCTIONS + 7), (4, 12), (4, FUNCTIONS)] {
             let (cell, place) = (wanted.0, 2 * wanted.0 * FUNCTIONS + wanted.1);
@@ -188,7 +188,8 @@ mod tests {
                 *reading = [reading[0] + change[0], reading[1] + change[1]];
             }
             let mut found = state.clone();
-            adjust(&bent, &mut found);
+            found.data = &bent;
+            adjust(&mut found);
             let shifts = found.parameters.entries.iter().map(|entry| entry.shift());
             let (mut missed, mut all) = (0.0, 0.0);
             for (shift, predicted) in shifts.zip(discrepancy.reaction.column(place).iter()) {

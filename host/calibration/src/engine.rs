@@ -9,8 +9,7 @@ use slitpose_model::{ModelError, Scene, SceneError};
 use thiserror::Error;
 
 use crate::adjust::Adjustment;
-use crate::coverage::Coverage;
-use crate::data::{Constraint, Data};
+use crate::data::{self, Constraint, Data, Group};
 use crate::discrepancy::Discrepancy;
 use crate::light::LightTrend;
 use crate::normal::Normal;
@@ -21,7 +20,8 @@ use crate::reading::share;
 use crate::start::{beginning, solved};
 use crate::state::{State, Weights, residuals};
 use crate::{
-    Calibration, CalibrationFileError, Frames, Residual, Statistics, findings, plausibility, prior, uncalibrated,
+    Calibration, CalibrationFileError, Coverage, Frames, Residual, Statistics, findings, plausibility, prior,
+    uncalibrated,
 };
 
 /// Rounds of adjustment and estimate of the model errors.
@@ -159,12 +159,8 @@ pub fn calibrate(
     let _ = progress(Progress::Starting);
     let by_tolerances = uncalibrated(file)?;
     let (outliers, mut remarks) = plausibility::check(&by_tolerances, data)?;
-    let kept;
-    let mut data = data;
-    if !outliers.is_empty() {
-        kept = data.without(&outliers);
-        data = &kept;
-    }
+    let kept = (!outliers.is_empty()).then(|| data.without(&outliers));
+    let data = kept.as_ref().unwrap_or(data);
     let nominal = Scene { noise: data.noise.or(file.scene.noise), ..file.scene.clone() };
     let errors = vec![ModelError::default(); file.scene.cells.len()];
     let started = start.map(|start| start.apply(file)).transpose()?;
@@ -172,7 +168,7 @@ pub fn calibrate(
     let mut state = State::new(&nominal, parameters, data, poses, errors);
     state.unknowns = unknowns;
     let mut is_interrupted = false;
-    let mut adjustment = Adjustment { nominal: &nominal, data, prior: information, learns_sizes: start.is_none() };
+    let mut adjustment = Adjustment { prior: information, learns_sizes: start.is_none() };
     let mut normal = adjustment.first(&mut state)?;
     let mut round = 1;
     loop {
@@ -190,11 +186,11 @@ pub fn calibrate(
         }
         round += 1;
     }
-    if !is_interrupted && let Err(error) = findings::require_agreement(&by_tolerances, data, &state, &normal.weights) {
-        let likely = plausibility::likely_reading(&state.scene(&nominal), data)?.map(CalibrateError::Implausible);
+    if !is_interrupted && let Err(error) = findings::require_agreement(&by_tolerances, &state, &normal.weights) {
+        let likely = plausibility::likely_reading(&state.scene(), data)?.map(CalibrateError::Implausible);
         return Err(likely.unwrap_or(error));
     }
-    remarks.extend(findings::remarks(data, &state, &normal.weights));
+    remarks.extend(findings::remarks(&state, &normal.weights));
     let mut calibration = conclude(request, &adjustment, state.clone(), &normal)?;
     remarks.extend(calibration.light.iter().map(LightTrend::remark));
     remarks.extend(calibration.covered.as_ref().and_then(|covered| covered.remark(&file.workspace)));
@@ -203,7 +199,7 @@ pub fn calibrate(
             hold_out(&adjustment, &state, &normal.weights, &mut calibration.statistics, &mut remarks, progress)?;
     }
     calibration.write();
-    let residuals = residuals(&nominal, data, &state)?;
+    let residuals = residuals(&state)?;
     Ok(Calibrated { calibration, residuals, remarks, is_interrupted })
 }
 
@@ -227,17 +223,16 @@ fn before(file: &SceneFile, start: Option<&Calibration>) -> Result<(Parameters, 
 
 fn conclude(
     request: &Request<'_>,
-    adjustment: &Adjustment<'_>,
-    mut state: State,
+    adjustment: &Adjustment,
+    mut state: State<'_>,
     normal: &Normal,
 ) -> Result<Calibration, CalibrateError> {
-    let Request { file, date, .. } = *request;
-    let data = adjustment.data;
+    let (Request { file, date, .. }, data) = (*request, state.data);
     let by_noise = normal.covariance().ok_or(CalibrateError::Singular)?;
     let discrepancy = Discrepancy::of(adjustment, &state, normal, &file.workspace).ok_or(CalibrateError::Singular)?;
-    let (pose_error, rest) = PoseError::of(adjustment.nominal, &state, &by_noise, Some(&discrepancy), &file.workspace)?;
+    let (pose_error, rest) = PoseError::of(&state, &by_noise, Some(&discrepancy), &file.workspace)?;
     let covariance = by_noise + discrepancy.covariance();
-    let covered = Coverage::of(adjustment.nominal, data, &state, &normal.weights, &covariance, &file.workspace)?;
+    let covered = Coverage::of(&state, &normal.weights, &covariance, &file.workspace)?;
     let statistics = adjustment.statistics(&state, normal);
     for (cell, (error, rest)) in state.model_errors.iter_mut().zip(rest).enumerate() {
         error.reach = reach(data, &normal.weights, cell);
@@ -251,26 +246,24 @@ fn conclude(
     let correlation = (0..count)
         .map(|i| (0..i).map(|j| covariance[(i, j)] / (covariance[(i, i)] * covariance[(j, j)]).sqrt()).collect())
         .collect();
-    let mut frames = Vec::new();
-    for (number, group) in data.groups.iter().enumerate() {
-        if group.constraint != Constraint::KnownInOwnFrames {
-            continue;
-        }
+    let has_own_frames = |(_, group): &(usize, &Group)| group.constraint == Constraint::KnownInOwnFrames;
+    let frames_of = |(number, group): (usize, &Group)| {
         let part = |from: usize| std::array::from_fn(|k| state.unknowns[number][from + k]);
         let sigma = |from: usize| {
             std::array::from_fn(|k| {
                 let place = state.first_unknown(number) + from + k;
-                covariance[(place, place)].sqrt() * crate::constraint::scale(group.constraint, from + k)
+                covariance[(place, place)].sqrt() * data::scale(group.constraint, from + k)
             })
         };
-        frames.push(Frames {
+        Frames {
             file: group.file.clone(),
             base_from_reference: part(0),
             base_from_reference_sigma: sigma(0),
             tool_from_marker: part(6),
             tool_from_marker_sigma: sigma(6),
-        });
-    }
+        }
+    };
+    let frames = data.groups.iter().enumerate().filter(has_own_frames).map(frames_of).collect();
     let weak = findings::weaknesses(&pose_error, &state.parameters.entries, &file.workspace, data);
     let mut calibration = Calibration {
         id: String::new(),
@@ -284,7 +277,7 @@ fn conclude(
         statistics,
         weak,
         frames,
-        light: LightTrend::all(data, &state, &covariance),
+        light: LightTrend::all(&state, &covariance),
         covered,
         parameters: state.parameters,
         correlation,
@@ -307,14 +300,14 @@ fn reach(data: &Data, weights: &Weights, cell: usize) -> Option<f64> {
 
 /// Errors of poses of rows that are left out in turn, against the instrument, its outliers excepted; whether it was interrupted.
 fn hold_out(
-    adjustment: &Adjustment<'_>,
-    state: &State,
+    adjustment: &Adjustment,
+    state: &State<'_>,
     weights: &Weights,
     statistics: &mut Statistics,
     remarks: &mut Vec<String>,
     progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,
 ) -> Result<bool, CalibrateError> {
-    let data = adjustment.data;
+    let data = state.data;
     let known: Vec<usize> =
         (0..data.rows.len()).filter(|&row| weights.poses[row] == 1.0 && data.rows[row].reported().is_some()).collect();
     if known.len() < MIN_HELD_OUT {
@@ -330,15 +323,15 @@ fn hold_out(
         for &row in left_out {
             rest.rows[row].readings.fill(None);
         }
-        let (nominal, prior) = (adjustment.nominal, adjustment.prior.clone());
-        let without = Adjustment { nominal, data: &rest, prior, learns_sizes: false };
+        let without = Adjustment { prior: adjustment.prior.clone(), learns_sizes: false };
         let mut found = state.clone();
+        found.data = &rest;
         without.minimise(&mut found, 2)?;
-        let scene: Scene = found.parameters.scene(adjustment.nominal);
+        let scene: Scene = found.parameters.scene(state.nominal);
         let rows: Vec<_> = left_out.iter().map(|&row| data.rows[row].clone()).collect();
         for (&row, pose) in left_out.iter().zip(solved(&scene, &rows)?) {
             let (Some(pose), Some(report)) = (pose, data.rows[row].reported()) else { continue };
-            let (t, r) = pose.displacement_from(&found.expected(data, row, &report));
+            let (t, r) = pose.displacement_from(&found.expected(row, &report));
             squares[0] += t.length_squared();
             squares[1] += r.length_squared();
             count += 1.0;

@@ -8,7 +8,6 @@ use nalgebra::{DMatrix, DVector};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-use crate::adjust::Adjustment;
 use crate::data::{Constraint, Data, Group};
 use crate::normal::Normal;
 use crate::state::State;
@@ -84,8 +83,8 @@ fn places(data: &Data, group: &Group) -> Vec<f64> {
 
 /// The term that the data demand most beside those that `state` has, if they demand any. `normal` is of `state`; its cells
 /// are given back.
-pub(crate) fn missing(adjustment: &Adjustment<'_>, state: &State, normal: &mut Normal) -> Option<Term> {
-    let Adjustment { nominal, data, prior, .. } = adjustment;
+pub(crate) fn missing(state: &State<'_>, normal: &mut Normal, prior: &DMatrix<f64>) -> Option<Term> {
+    let State { nominal, data, .. } = *state;
     let level = nominal.uncertainty.light_level_relative;
     let sigma = if level > 0.0 { level } else { USUAL_SIGMA };
     let mut tried = state.clone();
@@ -108,7 +107,7 @@ pub(crate) fn missing(adjustment: &Adjustment<'_>, state: &State, normal: &mut N
         return None;
     }
     let cells = std::mem::take(&mut normal.cells);
-    let of_tried = Normal::assemble(data, &tried, cells, normal.weights.clone(), prior);
+    let of_tried = Normal::assemble(&tried, cells, normal.weights.clone(), prior);
     let found = of_tried.step(0.0).zip(of_tried.covariance()).and_then(|(step, covariance)| {
         let (first, count) = (tried.first_light(), tried.light.len());
         let information = covariance.view((first, first), (count, count)).clone_owned().cholesky()?.inverse();
@@ -144,7 +143,7 @@ pub struct LightTrend {
 
 impl LightTrend {
     /// Of all files that have one; `covariance` is that of all unknowns.
-    pub(crate) fn all(data: &Data, state: &State, covariance: &DMatrix<f64>) -> Vec<Self> {
+    pub(crate) fn all(state: &State<'_>, covariance: &DMatrix<f64>) -> Vec<Self> {
         let of_group = |(number, group): (usize, &Group)| {
             let terms: Vec<(usize, &Term)> =
                 state.light.iter().enumerate().filter(|(_, term)| term.group == number).collect();
@@ -166,7 +165,7 @@ impl LightTrend {
                 warm_up,
             })
         };
-        data.groups.iter().enumerate().filter_map(of_group).collect()
+        state.data.groups.iter().enumerate().filter_map(of_group).collect()
     }
 
     pub(crate) fn remark(&self) -> String {

@@ -101,20 +101,15 @@ fn of_group(
         }
         Constraint::Rest => values_of(&first).to_vec(),
         Constraint::Stage => {
-            let (mut mean, mut step, mut count) = (DVec3::ZERO, 0.0, 0.0);
-            let moved = || {
-                found.iter().zip(rows).filter_map(|(pose, row)| match row.knowledge {
-                    Knowledge::Step(step_m) => Some(((*pose)?, step_m)),
-                    _ => None,
-                })
-            };
-            for (pose, step_m) in moved() {
-                mean += pose.translation_m;
-                step += step_m;
-                count += 1.0;
-            }
-            (mean, step) = (mean / count, step / count);
-            let direction: DVec3 = moved().map(|(pose, step_m)| (pose.translation_m - mean) * (step_m - step)).sum();
+            let moved = found.iter().zip(rows).filter_map(|(pose, row)| match row.knowledge {
+                Knowledge::Step(step_m) => Some((pose.as_ref()?.translation_m, step_m)),
+                _ => None,
+            });
+            let moved: Vec<(DVec3, f64)> = moved.collect();
+            let count = moved.len() as f64;
+            let mean = moved.iter().map(|(at, _)| at).sum::<DVec3>() / count;
+            let step = moved.iter().map(|(_, step_m)| step_m).sum::<f64>() / count;
+            let direction: DVec3 = moved.iter().map(|(at, step_m)| (at - mean) * (step_m - step)).sum();
             let direction = direction.try_normalize().ok_or_else(weak)?;
             let start = Pose { translation_m: mean - direction * step, ..first };
             [values_of(&start).as_slice(), &direction.to_array()].concat()
