@@ -202,20 +202,12 @@ impl Plane {
                 view(&pose_of(&coordinates))
             };
             let view = here(&Pose::HOME);
-            let mut point = PlanePoint {
-                at,
-                view,
-                worst_m: view.sigma_m().unwrap_or(f64::INFINITY),
-                worst_rad: view.sigma_rad().unwrap_or(f64::INFINITY),
-                least_lit: view.lit,
+            let views: Vec<View> = behind.iter().map(here).chain([view]).collect();
+            let most = |of: fn(&View) -> Option<f64>| {
+                views.iter().map(|view| of(view).unwrap_or(f64::INFINITY)).fold(0.0, f64::max)
             };
-            for pose in &behind {
-                let view = here(pose);
-                point.worst_m = point.worst_m.max(view.sigma_m().unwrap_or(f64::INFINITY));
-                point.worst_rad = point.worst_rad.max(view.sigma_rad().unwrap_or(f64::INFINITY));
-                point.least_lit = point.least_lit.min(view.lit);
-            }
-            point
+            let least_lit = views.iter().map(|view| view.lit).fold(view.lit, usize::min);
+            PlanePoint { at, view, worst_m: most(View::sigma_m), worst_rad: most(View::sigma_rad), least_lit }
         });
         Self { axes, extents, side: fineness.side, points }
     }

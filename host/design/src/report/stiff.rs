@@ -331,7 +331,7 @@ impl Trial {
     /// Noise-free currents of `scene` at poses around `centre`, `spread` times the usual distance away.
     fn within(scene: Scene, centre: &Pose, spread: f64, seed: u64) -> Result<Self, SceneError> {
         let solver = Solver::new(&scene, TIGHTEST)?;
-        let mut noise = NoiseSource::seeded(seed);
+        let mut noise = NoiseSource::of(&scene, solver.plan(), seed);
         let poses: Vec<Pose> = (0..POSES).map(|_| noise.near(centre, NEAR_HOME.map(|sigma| spread * sigma))).collect();
         let readings = poses.iter().map(|pose| currents(solver.plan(), pose)).collect();
         let priors = poses.iter().map(|pose| noise.near(pose, PRIOR)).collect();

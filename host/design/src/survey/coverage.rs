@@ -284,24 +284,24 @@ pub(super) fn poses_of(samples: usize) -> usize {
 
 /// The costs of all cells over some of `samples` poses of the workspace.
 pub(super) fn of_cells(
-    file: &SceneFile,
+    plan: &CompiledScene<f64>,
+    workspace: &Workspace,
     samples: usize,
     progress: impl FnMut(usize),
-) -> Result<Vec<CellCost>, SceneError> {
+) -> Vec<CellCost> {
     let tolerance = SOLVING_TOLERANCE;
-    let plan = CompiledScene::<f64>::compile(&file.scene, Tier::Exact { tolerance })?;
     let cost = |cell| CellCost { cell, tolerance, most_evaluations: 0, relative_error: tolerance };
     let mut costs: Vec<_> = (0..plan.cell_count()).map(cost).collect();
     let integrate =
         |pose: &Pose| (0..plan.cell_count()).map(|cell| plan.respond(cell, pose).integration).collect::<Vec<_>>();
-    over(file.workspace.poses(poses_of(samples)), progress, integrate, |_, integrations| {
+    over(workspace.poses(poses_of(samples)), progress, integrate, |_, integrations| {
         for (cost, integration) in costs.iter_mut().zip(integrations) {
             let Some(integration) = integration else { continue };
             cost.most_evaluations = cost.most_evaluations.max(integration.evaluations);
             cost.relative_error = cost.relative_error.max(integration.relative_error);
         }
     });
-    Ok(costs)
+    costs
 }
 
 /// Cross-talk below this share stays under what gains are known to (1e-3).

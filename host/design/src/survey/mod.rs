@@ -90,7 +90,7 @@ impl Survey {
             sigma_at_home: outlook.at(&Pose::HOME).sigma,
             coverage: Coverage::of(&plan, &file.workspace, samples, full_scale_a, &mut progress),
             travel: coverage::along_axes(&plan),
-            cost: coverage::of_cells(file, samples, &mut progress)?,
+            cost: coverage::of_cells(solver.plan(), &file.workspace, samples, &mut progress),
             crosstalk,
             carried,
             timing: Timing::of(file),

@@ -5,7 +5,7 @@ use slitpose_calibration::PartCosts;
 
 use super::Of;
 use crate::map::{Candidate, KNOWN, Map, Schedules, View, quantiles_of};
-use crate::plot::{Anchor, Axis, Chart, CurveStyle, Note, SOFT_INK, Scale, curve};
+use crate::plot::{Axis, Chart, CurveStyle, Note, Scale, curve};
 use crate::report::section::{Picture, Section, Sheet, Table, Value};
 
 /// What is checked, its value, and what happens where that is above one, if it is a limit.
@@ -231,9 +231,7 @@ fn cost_picture(costs: &PartCosts) -> Picture {
     let note = |(row, (part, errors)): (usize, &(&str, [f64; 2]))| Note {
         at: [errors[0].max(errors[1]).max(chart.x.range[0]), height(row)],
         offset: dvec2(10.0, 4.5),
-        anchor: Anchor::Start,
         text: (*part).to_owned(),
-        colour: SOFT_INK,
     };
     chart.notes = rows.iter().enumerate().map(note).collect();
     Sheet {
