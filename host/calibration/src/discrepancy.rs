@@ -127,12 +127,8 @@ impl Discrepancy {
     pub(crate) fn changes(&self, cell: usize, by: [[f64; 2]; 2], pose: &Pose) -> Vec<(usize, [f64; 2])> {
         let functions = self.functions.at(pose);
         let of_kind = |kind: usize| {
-            let size = self.sizes[cell][kind];
-            let place = (2 * cell + kind) * FUNCTIONS;
-            functions
-                .into_iter()
-                .enumerate()
-                .map(move |(k, function)| (place + k, by[kind].map(|of| of * size * function)))
+            let (size, first) = (self.sizes[cell][kind], (2 * cell + kind) * FUNCTIONS);
+            (first..).zip(functions).map(move |(place, function)| (place, by[kind].map(|of| of * size * function)))
         };
         of_kind(0).chain(of_kind(1)).collect()
     }
