@@ -47,10 +47,8 @@ pub fn write(folder: &Path, head: &DrawnHead, session: &Session) -> Result<(), B
         write_poses(Output::file(&apart.join(&name))?, "id", truths, |writer, id| writer.text(&id.to_string()))?;
     }
     if head.nominal.front_end.is_some() {
-        let path = session.by_hand.iter().copied();
-        write_poses(Output::file(&folder.join("session.csv"))?, "time_s", path, |writer, time_s| {
-            writer.number(time_s)
-        })?;
+        let (output, path) = (Output::file(&folder.join("session.csv"))?, session.by_hand.iter().copied());
+        write_poses(output, "time_s", path, TableWriter::number)?;
     }
     let mut truth = String::new();
     // Writing to a string cannot fail.

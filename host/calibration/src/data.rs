@@ -8,6 +8,7 @@
 //! * a rest: the pose.
 
 use glam::DVec3;
+use slitpose_head::scene_file::Workspace;
 use slitpose_model::{Noise, Pair, Photocurrents, Pose, Reading, rotation_exp};
 
 /// Measurements from any number of files.
@@ -146,6 +147,12 @@ pub fn pose_of(values: &[f64]) -> Pose {
 pub fn values_of(pose: &Pose) -> [f64; 6] {
     let (t, r) = (pose.translation_m, pose.rotation_rad());
     [t.x, t.y, t.z, r.x, r.y, r.z]
+}
+
+/// Half extents of a workspace along the six coordinates of [`values_of`].
+pub fn half_extents(workspace: &Workspace) -> [f64; 6] {
+    let ([x, y, z], [a, b, c]) = (workspace.half_extent_m.to_array(), workspace.half_extent_rad.to_array());
+    [x, y, z, a, b, c]
 }
 
 /// The median of `values`; NaN if there are none.

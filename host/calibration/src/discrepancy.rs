@@ -10,8 +10,7 @@ use slitpose_head::scene_file::Workspace;
 use slitpose_model::Pose;
 
 use crate::adjust::Adjustment;
-use crate::data::{Row, values_of};
-use crate::findings::half_extents;
+use crate::data::{Row, half_extents, values_of};
 use crate::normal::Normal;
 use crate::reading::{whiten, whitener};
 use crate::state::State;

@@ -9,7 +9,7 @@ use slitpose_head::table::POSE_COLUMNS;
 use slitpose_model::{Pose, Scene, SceneError};
 
 use crate::adjust::FIRST_ERROR;
-use crate::data::{Constraint, Data, values_of};
+use crate::data::{Constraint, Data, half_extents, values_of};
 use crate::pose_error::{COEFFICIENTS, POSES, PoseError, spread};
 use crate::prior::Parameter;
 use crate::state::{State, Weights, sensitivities};
@@ -271,12 +271,6 @@ pub struct Coverage {
     pub outside_m: Option<f64>,
     /// The same of rotations, radians.
     pub outside_rad: Option<f64>,
-}
-
-/// Of the six coordinates of [`values_of`].
-pub(crate) fn half_extents(workspace: &Workspace) -> [f64; 6] {
-    let ([x, y, z], [a, b, c]) = (workspace.half_extent_m.to_array(), workspace.half_extent_rad.to_array());
-    [x, y, z, a, b, c]
 }
 
 impl Coverage {

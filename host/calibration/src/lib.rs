@@ -38,7 +38,7 @@ use serde::Deserialize;
 use slitpose_head::scene_file::{SceneFile, Workspace};
 use slitpose_model::{CompiledScene, ModelError, Pose, Scene, Tier};
 
-pub use data::{Constraint, Data, Group, Knowledge, Row, compose, inverse, median, pose_of, values_of};
+pub use data::{Constraint, Data, Group, Knowledge, Row, compose, half_extents, inverse, median, pose_of, values_of};
 pub use engine::{CalibrateError, Calibrated, Progress, Request, calibrate};
 pub use file::{CalibrationFileError, Frames, file_schema};
 pub use findings::{Coverage, Direction};

@@ -11,7 +11,7 @@ use std::sync::Mutex;
 
 pub use outlook::{NoiseOf, Outlook, View};
 pub use schedule::{Candidate, Schedules};
-use slitpose_calibration::{CalibrateError, Head, KnownPoses, PartCosts, part_costs, pose_of, values_of};
+use slitpose_calibration::{CalibrateError, Head, KnownPoses, PartCosts, half_extents, part_costs, pose_of, values_of};
 use slitpose_head::scene_file::{SceneFile, Workspace};
 use slitpose_head::threads::{lock, on_all_cores};
 use slitpose_model::{Pose, SceneError};
@@ -185,8 +185,7 @@ impl Plane {
         fineness: Fineness,
         view: impl Fn(&Pose) -> View + Sync,
     ) -> Self {
-        let all = [workspace.half_extent_m.to_array(), workspace.half_extent_rad.to_array()].concat();
-        let extents = axes.map(|axis| all[axis]);
+        let extents = axes.map(|axis| half_extents(workspace)[axis]);
         let behind: Vec<Pose> = workspace.poses(fineness.behind).collect();
         let last = fineness.side.saturating_sub(1).max(1) as f64;
         let along = |k: usize, extent: f64| extent * (2.0 * k as f64 / last - 1.0);

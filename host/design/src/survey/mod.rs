@@ -34,7 +34,8 @@ pub struct Survey {
     pub origin: String,
     /// Hash of the scene file, 16 hexadecimal digits.
     pub hash: String,
-    pub(crate) workspace: WorkspaceFacts,
+    #[serde(serialize_with = "serialize_workspace")]
+    pub(crate) workspace: Workspace,
     pub(crate) home: Vec<CellAtHome>,
     /// Which noise that is by which a pose is told.
     #[serde(skip)]
@@ -63,13 +64,6 @@ pub struct Survey {
     pub warnings: Vec<Finding>,
 }
 
-/// A workspace with its units in the names.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub(crate) struct WorkspaceFacts {
-    pub half_extent_m: [f64; 3],
-    pub half_extent_rad: [f64; 3],
-}
-
 impl Survey {
     /// Surveys a scene, with `samples` poses spread over its workspace. `progress` gets how many more poses
     /// were evaluated, [`Self::poses_of`] in all.
@@ -84,7 +78,7 @@ impl Survey {
             name: file.name.clone(),
             origin: file.origin.clone(),
             hash: format!("{:016x}", file.hash),
-            workspace: file.workspace.into(),
+            workspace: file.workspace,
             home: coverage::at_home(&file.scene, &plan),
             noise: outlook.noise,
             sigma_at_home: outlook.at(&Pose::HOME).sigma,
@@ -120,21 +114,11 @@ impl Survey {
     }
 }
 
-impl fmt::Display for WorkspaceFacts {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let [tx, ty, tz] = self.half_extent_m.map(|extent| rounded(extent * 1e3));
-        let [rx, ry, rz] = self.half_extent_rad.map(|extent| rounded(extent.to_degrees()));
-        write!(f, "±({tx}, {ty}, {tz}) mm, ±({rx}, {ry}, {rz})°")
-    }
-}
-
-impl From<Workspace> for WorkspaceFacts {
-    fn from(workspace: Workspace) -> Self {
-        Self {
-            half_extent_m: workspace.half_extent_m.to_array(),
-            half_extent_rad: workspace.half_extent_rad.to_array(),
-        }
-    }
+/// A workspace in millimetres and degrees.
+pub(crate) fn workspace_text(workspace: &Workspace) -> String {
+    let [tx, ty, tz] = workspace.half_extent_m.to_array().map(|extent| rounded(extent * 1e3));
+    let [rx, ry, rz] = workspace.half_extent_rad.to_array().map(|extent| rounded(extent.to_degrees()));
+    format!("±({tx}, {ty}, {tz}) mm, ±({rx}, {ry}, {rz})°")
 }
 
 /// To a millionth; adding zero turns −0 into 0.
@@ -154,19 +138,22 @@ fn serialize_lines<S: Serializer>(findings: &[Finding], serializer: S) -> Result
 
 /// A pose as `translation_m` and `rotation_rad` (rotation vector).
 fn serialize_pose<S: Serializer>(pose: &Pose, serializer: S) -> Result<S::Ok, S::Error> {
-    #[derive(Serialize)]
-    struct Vectors {
-        translation_m: [f64; 3],
-        rotation_rad: [f64; 3],
-    }
-    let vectors =
-        Vectors { translation_m: pose.translation_m.to_array(), rotation_rad: pose.rotation_rad().to_array() };
-    vectors.serialize(serializer)
+    serializer.collect_map([
+        ("translation_m", pose.translation_m.to_array()),
+        ("rotation_rad", pose.rotation_rad().to_array()),
+    ])
+}
+
+fn serialize_workspace<S: Serializer>(workspace: &Workspace, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_map([
+        ("half_extent_m", workspace.half_extent_m.to_array()),
+        ("half_extent_rad", workspace.half_extent_rad.to_array()),
+    ])
 }
 
 fn write_head(survey: &Survey, text: &mut String) -> fmt::Result {
     writeln!(text, "{}: {} (hash {})", printable(&survey.origin), survey.name, survey.hash)?;
-    writeln!(text, "workspace {}", survey.workspace)
+    writeln!(text, "workspace {}", workspace_text(&survey.workspace))
 }
 
 fn write_home(survey: &Survey, text: &mut String) -> fmt::Result {

@@ -8,7 +8,7 @@ use slitpose_head::scene_file::SceneFile;
 use crate::map::{Map, NoiseOf, Plane, PlanePoint, Schedules, View};
 use crate::plot::{Axis, Chart, CurveStyle, Heat, curve, heat_picture};
 use crate::report::section::{Getter, Picture, Report, Section, Sheet, Table, Value, program, scene};
-use crate::survey::{AXES, WorkspaceFacts, pose_text};
+use crate::survey::{AXES, pose_text, workspace_text};
 
 mod checks;
 
@@ -42,7 +42,7 @@ pub fn map_report(head: &Head, map: &Map, costs: Option<&PartCosts>, proposed: O
     let mut conditions = vec![
         program(),
         scene(file),
-        ("workspace", WorkspaceFacts::from(file.workspace).to_string()),
+        ("workspace", workspace_text(&file.workspace)),
         ("noise", noise.to_owned()),
         ("data", format!("computed: the Cramér–Rao bound at {} poses; nothing was measured", map.samples.len())),
     ];
@@ -332,7 +332,7 @@ pub fn comparison(maps: &[(SceneFile, Map)]) -> Report {
         ],
     );
     let names: Vec<(&str, &Map)> = maps.iter().map(|(file, map)| (file.origin.as_str(), map)).collect();
-    let workspace = |file: &SceneFile| format!("{}: {}", file.origin, WorkspaceFacts::from(file.workspace));
+    let workspace = |file: &SceneFile| format!("{}: {}", file.origin, workspace_text(&file.workspace));
     let best = |kind: &Kind, is_by_rate: bool| {
         let Kind { name, unit, scale, of, .. } = kind;
         let medians = maps.iter().filter_map(|(file, map)| {
