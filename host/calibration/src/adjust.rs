@@ -248,12 +248,6 @@ impl Adjustment {
         }
     }
 
-    /// Towards the most probable parameters of cells that are not trusted far.
-    pub(crate) fn first(&self, state: &mut State<'_>) -> Result<Normal, SceneError> {
-        state.model_errors.fill(FIRST_ERROR);
-        self.minimise(state, 4)
-    }
-
     /// Renews model errors and sizes, and adjusts with them; the largest relative change of a variance.
     pub(crate) fn round(&mut self, state: &mut State<'_>, normal: &mut Normal) -> Result<f64, SceneError> {
         let scales = self.constraint_scales(state, normal);
@@ -306,12 +300,6 @@ impl Adjustment {
         state.light.push(term);
         *normal = self.minimise(state, 3)?;
         Ok(true)
-    }
-
-    /// χ² by its expectation.
-    pub(crate) fn fit(&self, state: &State<'_>, normal: &Normal) -> f64 {
-        let statistics = self.statistics(state, normal);
-        statistics.chi2 / statistics.redundancy
     }
 
     pub(crate) fn statistics(&self, state: &State<'_>, normal: &Normal) -> Statistics {

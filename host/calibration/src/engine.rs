@@ -5,10 +5,10 @@ use std::ops::ControlFlow;
 use nalgebra::DMatrix;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::table::TableError;
-use slitpose_model::{ModelError, Scene, SceneError};
+use slitpose_model::{Scene, SceneError};
 use thiserror::Error;
 
-use crate::adjust::Adjustment;
+use crate::adjust::{Adjustment, FIRST_ERROR};
 use crate::data::{self, Constraint, Data, Group};
 use crate::discrepancy::Discrepancy;
 use crate::light::LightTrend;
@@ -28,9 +28,10 @@ use crate::{
 const ROUNDS: usize = 12;
 
 /// How much larger the model errors of a cell are for a solver than the root mean square of its residuals, whose tail is
-/// longer than a normal one's, even where they grow towards the ends of detectors ([`ModelError::reach`]). Of five heads at 200
-/// poses, 2000 means of 100 frames: none is `converged` beyond 8 σ (7.4), 3 leave a sound cell out or are a misfit (none with
-/// 1.6); errors are 0.84 σ rms (0.74 σ), of single frames 0.97 σ.
+/// longer than a normal one's, even where they grow towards the ends of detectors
+/// ([`slitpose_model::ModelError::reach`]). Of five heads at 200 poses, 2000 means of 100 frames: none is `converged`
+/// beyond 8 σ (7.4), 3 leave a sound cell out or are a misfit (none with 1.6); errors are 0.84 σ rms (0.74 σ), of single
+/// frames 0.97 σ.
 const TAIL: f64 = 1.2;
 
 /// Least reach: model errors at the end of a detector are then some hundred times those of its centre, as unknown as before.
@@ -162,18 +163,19 @@ pub fn calibrate(
     let kept = (!outliers.is_empty()).then(|| data.without(&outliers));
     let data = kept.as_ref().unwrap_or(data);
     let nominal = Scene { noise: data.noise.or(file.scene.noise), ..file.scene.clone() };
-    let errors = vec![ModelError::default(); file.scene.cells.len()];
+    // Cells are not trusted far at first.
+    let errors = vec![FIRST_ERROR; file.scene.cells.len()];
     let started = start.map(|start| start.apply(file)).transpose()?;
     let (poses, unknowns) = beginning(started.as_ref().unwrap_or(&by_tolerances), start, data)?;
     let mut state = State::new(&nominal, parameters, data, poses, errors);
     state.unknowns = unknowns;
     let mut is_interrupted = false;
     let mut adjustment = Adjustment { prior: information, learns_sizes: start.is_none() };
-    let mut normal = adjustment.first(&mut state)?;
+    let mut normal = adjustment.minimise(&mut state, 4)?;
     let mut round = 1;
     loop {
-        let fit = adjustment.fit(&state, &normal);
-        if progress(Progress::Adjusting(round.min(ROUNDS), ROUNDS, fit)).is_break() {
+        let Statistics { chi2, redundancy, .. } = adjustment.statistics(&state, &normal);
+        if progress(Progress::Adjusting(round.min(ROUNDS), ROUNDS, chi2 / redundancy)).is_break() {
             is_interrupted = true;
             break;
         }
@@ -288,7 +290,7 @@ fn conclude(
     Ok(calibration)
 }
 
-/// See [`ModelError::reach`]; readings that were left out do not count.
+/// See [`slitpose_model::ModelError::reach`]; readings that were left out do not count.
 fn reach(data: &Data, weights: &Weights, cell: usize) -> Option<f64> {
     let used = data.rows.iter().zip(&weights.readings).filter(|(_, weights)| weights[cell] > 0.0);
     let mut from_centre: Vec<f64> =
