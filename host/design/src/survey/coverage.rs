@@ -40,16 +40,6 @@ pub(super) fn over<R: Send>(
 /// The six axes of motion from home, in the order (t, θ).
 pub(crate) const AXES: [&str; 6] = ["tx", "ty", "tz", "rx", "ry", "rz"];
 
-/// The pose after a pure motion from home along one of [`AXES`], in metres or radians.
-///
-/// # Panics
-/// If `axis` is not below 6.
-pub(crate) fn axis_motion(axis: usize, amount: f64) -> Pose {
-    let mut motion = [0.0; 6];
-    motion[axis] = amount;
-    pose_of(&motion)
-}
-
 /// Geometry and light of a cell at home.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct CellAtHome {
@@ -126,7 +116,10 @@ pub(super) fn along_axes(plan: &CompiledScene<f64>) -> Vec<Travel> {
 
 fn farthest(plan: &CompiledScene<f64>, axis: usize, sign: f64) -> End {
     let (step, limit) = if axis < 3 { (STEP_M, FARTHEST_M) } else { (STEP_RAD, FARTHEST_RAD) };
-    let failure = |amount: f64| first_unusable(plan, &axis_motion(axis, sign * amount));
+    let failure = |amount: f64| {
+        let motion: [f64; 6] = std::array::from_fn(|k| if k == axis { sign * amount } else { 0.0 });
+        first_unusable(plan, &pose_of(&motion))
+    };
     let steps = (limit / step).round() as usize;
     let Some(first_bad) = (0..=steps).find(|index| failure(*index as f64 * step).is_some()) else {
         return End { at: sign * limit, cell: None, becomes: None };
