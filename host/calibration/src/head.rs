@@ -247,16 +247,12 @@ mod tests {
         let scene = uncalibrated(&file).expect("a head");
         let usual = CompiledScene::<f64>::compile(&scene, TIER).expect("a head");
         let solver = Solver::<f64>::new(&scene, TIER).expect("a head");
-        let parameters = prior::parameters(&file).expect("a prior");
         let mut rng = ChaCha8Rng::seed_from_u64(SEED);
         let (mut squares, mut errors) = ([0.0; 6], Vec::new());
         let (mut poses, mut evaluations) = (0, 0);
         for head in 0..HEADS {
-            let mut drawn = parameters.clone();
-            for entry in &mut drawn.entries {
-                entry.value += entry.sigma * rng.sample::<f64, _>(StandardNormal);
-            }
-            let truth = CompiledScene::<f64>::compile(&drawn.scene(&file.scene), TIER).expect("a head");
+            let (drawn, _) = prior::draw(&file, || rng.sample(StandardNormal)).expect("a head");
+            let truth = CompiledScene::<f64>::compile(&drawn, TIER).expect("a head");
             for _ in 0..ROWS {
                 let mut within =
                     |extent: DVec3| extent * DVec3::from_array([(); 3].map(|()| rng.random_range(-1.0..1.0)));
